@@ -1,0 +1,63 @@
+# Everything runs in the project's own .venv, installed from requirements.lock.
+PYTHON ?= python3
+BIN := .venv/bin
+PIP := $(BIN)/python -m pip --quiet --disable-pip-version-check
+INSTALLED := .venv/.installed
+
+.DEFAULT_GOAL := help
+.PHONY: help install run test test-slow test-interpreted lint format docs bench lock clean
+
+help: ## list the targets
+	@grep -E '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## /\1|/' | column -t -s '|'
+
+install: $(INSTALLED) ## create .venv and install the locked packages and adaptrack into it
+
+$(INSTALLED): requirements.lock pyproject.toml src/adaptrack/__init__.py
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "adaptrack needs Python 3.11 or newer, and this is %s: try make PYTHON=python3.12 ..." % sys.version.split()[0])'
+	@test -x $(BIN)/pip || $(PYTHON) -m venv .venv || { \
+	  echo 'No ensurepip here: taking pip itself from the package index.'; \
+	  $(PYTHON) -m venv --clear --without-pip .venv && $(PYTHON) -m pip --python .venv install --quiet pip; }
+	$(PIP) install --no-deps --only-binary :all: --require-hashes -r requirements.lock
+	$(PIP) install --no-deps --no-build-isolation --editable .
+	@$(PIP) check
+	@touch $@
+
+run: install ## drive both tests of the paper with its standard MPC: results/index.html
+	$(BIN)/adaptrack simulate triple-lane-change general-trajectory --out results
+
+# The kernels are compiled once, before two test workers would both do it.
+test: install ## run the tests
+	@$(BIN)/python -c 'import adaptrack.kernels'
+	$(BIN)/pytest -q -n 2 --dist worksteal
+
+test-slow: install ## run all tests, those that take minutes too
+	@$(BIN)/python -c 'import adaptrack.kernels'
+	$(BIN)/pytest -q -n 2 --dist worksteal -m 'slow or not slow'
+
+test-interpreted: install ## run the tests with the compiler switched off
+	NUMBA_DISABLE_JIT=1 $(BIN)/pytest -q -n 2 --dist worksteal -m 'not slow and not compiled'
+
+lint: install ## check style, types and the imports between the rooms
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+	$(BIN)/lint-imports
+
+format: install ## rewrite the sources in the project's style
+	$(BIN)/ruff check --fix .
+	$(BIN)/ruff format .
+
+docs: install ## build the documentation: docs/_build/html/index.html
+	$(BIN)/sphinx-build --quiet --fail-on-warning --keep-going -b html docs docs/_build/html
+
+bench: install ## time one control step and the compiled batch of runs
+	$(BIN)/adaptrack bench step --json
+	$(BIN)/adaptrack bench rollout --json
+
+lock: ## renew requirements.lock from pyproject.toml
+	$(BIN)/uv pip compile pyproject.toml --all-extras --universal --fork-strategy fewest --generate-hashes --upgrade \
+	  --no-emit-index-url --no-emit-find-links --custom-compile-command 'make lock' --output-file requirements.lock --quiet
+
+clean: ## remove everything that can be made again
+	rm -rf .venv build dist results docs/_build .hypothesis .import_linter_cache .mypy_cache .pytest_cache .ruff_cache
+	find . -name __pycache__ -type d -prune -exec rm -rf {} +

@@ -1,0 +1,126 @@
+"""Adaptive model predictive path tracking: tune, learn, check and run the MPC that each condition needs.
+
+The public names are loaded when they are first used, so that ``import adaptrack`` costs next to nothing.
+"""
+
+from __future__ import annotations
+
+import importlib
+import sys
+from types import ModuleType
+from typing import TYPE_CHECKING, Any
+
+__version__ = "0.1.0"
+
+_PUBLIC = {
+    "errors": (
+        "AdaptrackError",
+        "ConfigError",
+        "ContractError",
+        "InvalidInput",
+        "MissingExtra",
+        "StorageError",
+        "UnknownName",
+    ),
+    "vehicle": ("Tyre", "Vehicle", "list_tyres", "list_vehicles", "load_tyre", "load_vehicle"),
+    "plant": ("DualTrack", "Plant", "SingleTrack", "check_plant"),
+    "prediction": ("PredictionModel",),
+    "qp": ("QP", "Solution", "check_qp_solver", "get_qp_solver", "list_qp_solvers", "register_qp_solver"),
+    "mpc": ("MPC", "Limits", "Moves", "Tuning"),
+    "scenario": ("Scenario", "list_scenarios", "load_scenario"),
+    "trajectory": ("Trajectory",),
+    "simulate": ("rollout_batch", "simulate"),
+    "metrics": ("Metrics", "compute_metrics"),
+}
+"""Module -> the names that the package exposes from it; the imports below repeat it for type checkers."""
+
+if TYPE_CHECKING:
+    from adaptrack.errors import (
+        AdaptrackError,
+        ConfigError,
+        ContractError,
+        InvalidInput,
+        MissingExtra,
+        StorageError,
+        UnknownName,
+    )
+    from adaptrack.metrics import Metrics, compute_metrics
+    from adaptrack.mpc import MPC, Limits, Moves, Tuning
+    from adaptrack.plant import DualTrack, Plant, SingleTrack, check_plant
+    from adaptrack.prediction import PredictionModel
+    from adaptrack.qp import QP, Solution, check_qp_solver, get_qp_solver, list_qp_solvers, register_qp_solver
+    from adaptrack.scenario import Scenario, list_scenarios, load_scenario
+    from adaptrack.simulate import rollout_batch, simulate
+    from adaptrack.trajectory import Trajectory
+    from adaptrack.vehicle import Tyre, Vehicle, list_tyres, list_vehicles, load_tyre, load_vehicle
+
+_HOME = {name: module for module, names in _PUBLIC.items() for name in names}
+
+__all__ = [
+    "MPC",
+    "QP",
+    "AdaptrackError",
+    "ConfigError",
+    "ContractError",
+    "DualTrack",
+    "InvalidInput",
+    "Limits",
+    "Metrics",
+    "MissingExtra",
+    "Moves",
+    "Plant",
+    "PredictionModel",
+    "Scenario",
+    "SingleTrack",
+    "Solution",
+    "StorageError",
+    "Trajectory",
+    "Tuning",
+    "Tyre",
+    "UnknownName",
+    "Vehicle",
+    "__version__",
+    "check_plant",
+    "check_qp_solver",
+    "compute_metrics",
+    "get_qp_solver",
+    "list_qp_solvers",
+    "list_scenarios",
+    "list_tyres",
+    "list_vehicles",
+    "load_scenario",
+    "load_tyre",
+    "load_vehicle",
+    "register_qp_solver",
+    "rollout_batch",
+    "simulate",
+]
+
+
+def __getattr__(name: str) -> Any:
+    try:
+        home = _HOME[name]
+    except KeyError:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}") from None
+    value = getattr(importlib.import_module(f"{__name__}.{home}"), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})
+
+
+class _Package(ModuleType):
+    """Keeps `adaptrack.simulate` the public function after the module of the same name has been imported.
+
+    Importing a submodule binds it in its package; here that would shadow the function.
+    """
+
+    def __setattr__(self, name: str, value: object) -> None:
+        if name in _HOME and isinstance(value, ModuleType):
+            return
+        super().__setattr__(name, value)
+
+
+sys.modules[__name__].__class__ = _Package

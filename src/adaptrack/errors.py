@@ -1,0 +1,46 @@
+"""One tree of errors. Each message says what is wrong, where, and what to do about it."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable
+
+
+class AdaptrackError(Exception):
+    """Everything that adaptrack raises on purpose."""
+
+
+class InvalidInput(AdaptrackError, ValueError):
+    """A number, an array or an option that the called function cannot accept."""
+
+
+class ConfigError(InvalidInput):
+    """A configuration file that cannot be used: the message names the file, the key and the remedy."""
+
+
+class UnknownName(InvalidInput, KeyError):
+    """A name that no registry knows; the message lists the known ones and the nearest."""
+
+    def __str__(self) -> str:  # KeyError would show the message in quotes
+        return str(self.args[0])
+
+
+class ContractError(AdaptrackError):
+    """A plug-in (plant, QP solver, scheduler) that breaks the contract its checker tests."""
+
+
+class MissingExtra(AdaptrackError, ImportError):
+    """An optional dependency that is not installed; the message gives the command that installs it."""
+
+
+class StorageError(AdaptrackError, OSError):
+    """A file that cannot be read or written as asked; nothing half-written is left behind."""
+
+
+def did_you_mean(name: str, known: Iterable[str]) -> str:
+    """A sentence that names the nearest known name, or lists them all: the end of an error message."""
+    known = sorted(known)
+    near = difflib.get_close_matches(name, known, n=1, cutoff=0.6)
+    if near:
+        return f"Did you mean {near[0]!r}?"
+    return "Known: " + ", ".join(repr(k) for k in known) + "."

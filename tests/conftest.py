@@ -1,0 +1,54 @@
+"""What all tests share: quiet thread pools, reproducible randomness, fresh interpreters."""
+
+from __future__ import annotations
+
+import os
+
+# The tests run in parallel processes: one thread each in BLAS and OpenMP. Read once, when NumPy is imported.
+for _variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+    os.environ.setdefault(_variable, "1")
+os.environ["MPLBACKEND"] = "Agg"
+
+import subprocess
+import sys
+import zlib
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, settings
+
+settings.register_profile(
+    "adaptrack",
+    deadline=None,  # the first call of a kernel may compile it
+    derandomize=True,
+    max_examples=50,
+    suppress_health_check=[HealthCheck.too_slow],
+)
+settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "adaptrack"))
+
+
+@pytest.fixture
+def rng(request: pytest.FixtureRequest) -> np.random.Generator:
+    """A random generator seeded by the test's own name: the same numbers in every run and in any order."""
+    return np.random.default_rng(zlib.crc32(request.node.nodeid.encode()))
+
+
+@pytest.fixture(scope="session")
+def project() -> Path:
+    """The root of the source tree."""
+    return Path(__file__).resolve().parent.parent
+
+
+@pytest.fixture(scope="session")
+def run_python() -> Callable[..., str]:
+    """Run code (or interpreter arguments) in a fresh interpreter; its standard output, or its errors in the failure."""
+
+    def run(*arguments: str, code: str | None = None, cwd: Path | None = None) -> str:
+        command = [sys.executable, *(("-c", code) if code is not None else ()), *arguments]
+        done = subprocess.run(command, capture_output=True, text=True, cwd=cwd, timeout=120, check=False)
+        assert done.returncode == 0, f"{command} ended with {done.returncode}:\n{done.stderr}"
+        return done.stdout
+
+    return run

@@ -1,0 +1,106 @@
+"""The package as others meet it: light to import, complete, documented, the same version everywhere."""
+
+from __future__ import annotations
+
+import ast
+import importlib
+import itertools
+import re
+import tomllib
+import zipfile
+from importlib.metadata import version
+from pathlib import Path
+
+import pytest
+
+import adaptrack
+
+HEAVY = ("numba", "llvmlite", "numpy", "scipy", "sklearn", "matplotlib", "pydantic", "pandas", "pyarrow", "typer")
+
+
+def test_importing_the_package_loads_nothing_heavy(run_python):
+    loaded = run_python(code="import sys, adaptrack; print(*sys.modules)").split()
+    assert "adaptrack" in loaded
+    assert not set(HEAVY) & set(loaded)
+
+
+def test_asking_for_help_loads_nothing_heavy(run_python):
+    # The compiler, the learning and the drawing libraries take seconds to import; --help must answer at once.
+    code = (
+        "import runpy, sys\n"
+        "sys.argv = ['adaptrack', '--help']\n"
+        "try: runpy.run_module('adaptrack', run_name='__main__')\n"
+        "except SystemExit as end: assert not end.code\n"
+        "print('LOADED', *sys.modules)"
+    )
+    loaded = run_python(code=code).rpartition("LOADED")[2].split()
+    assert "adaptrack.cli" in loaded
+    assert not {"numba", "scipy", "sklearn", "matplotlib", "pandas", "pyarrow"} & set(loaded)
+
+
+@pytest.mark.parametrize("name", sorted(set(adaptrack.__all__) - {"__version__"}))
+def test_every_public_name_resolves_to_a_documented_object(name):
+    assert getattr(adaptrack, name).__doc__
+    assert name in dir(adaptrack)
+
+
+def test_public_table_all_and_type_checking_imports_agree():
+    in_table = {(module, name) for module, names in adaptrack._PUBLIC.items() for name in names}
+    tree = ast.parse(Path(adaptrack.__file__).read_text())
+    imported = {
+        (node.module.removeprefix("adaptrack."), alias.name)
+        for node in ast.walk(tree)
+        if isinstance(node, ast.ImportFrom) and node.module and node.module.startswith("adaptrack.")
+        for alias in node.names
+    }
+    assert imported == in_table
+    assert {name for _, name in in_table} | {"__version__"} == set(adaptrack.__all__)
+
+
+def test_simulate_stays_a_function_after_its_module_was_imported():
+    importlib.import_module("adaptrack.simulate")
+    assert callable(adaptrack.simulate)
+
+
+def test_a_name_that_does_not_exist_is_an_attribute_error():
+    with pytest.raises(AttributeError, match="no attribute 'simulat'"):
+        adaptrack.simulat  # noqa: B018
+
+
+def test_version_is_the_same_in_package_metadata_citation_and_changelog(project):
+    citation = re.search(r"^version: \"?([\w.]+)", (project / "CITATION.cff").read_text(), re.MULTILINE)
+    newest = re.search(r"^## (\d[\w.]*)", (project / "CHANGELOG.md").read_text(), re.MULTILINE)
+    assert version("adaptrack") == adaptrack.__version__
+    assert citation is not None
+    assert citation[1] == adaptrack.__version__
+    assert newest is not None
+    assert newest[1] == adaptrack.__version__
+
+
+def test_lock_pins_and_hashes_every_declared_package(project):
+    lock = (project / "requirements.lock").read_text()
+    entries = re.split(r"\n(?=[a-z0-9])", re.sub(r"^\s*#.*\n", "", lock, flags=re.MULTILINE))
+    names = {re.match(r"[a-z0-9.-]+(?===)", entry)[0] for entry in entries}
+    assert all("--hash=sha256:" in entry for entry in entries)
+    assert "://" not in lock
+
+    configuration = tomllib.loads((project / "pyproject.toml").read_text())["project"]
+    declared = itertools.chain(configuration["dependencies"], *configuration["optional-dependencies"].values())
+    wanted = {re.match(r"[a-z0-9-]+", requirement)[0] for requirement in declared} - {"adaptrack"}
+    assert wanted <= names
+
+
+def test_wheel_holds_every_module_and_data_file(project, run_python, tmp_path):
+    # Hatchling obeys .gitignore: a careless pattern would drop data files without a word.
+    run_python("-m", "hatchling", "build", "-t", "wheel", "-d", str(tmp_path), cwd=project)
+    (wheel,) = tmp_path.glob("adaptrack-*.whl")
+    with zipfile.ZipFile(wheel) as archive:
+        packed = set(archive.namelist())
+    source = project / "src"
+    files = {p.relative_to(source).as_posix() for p in (source / "adaptrack").rglob("*") if p.is_file()}
+    assert {name for name in files if "__pycache__" not in name} <= packed
+
+
+def test_readme_example_runs(project, run_python):
+    (example,) = re.findall(r"```python\n(.*?)```", (project / "README.md").read_text(), re.DOTALL)
+    assert "mse" in run_python(code=example).lower()
