@@ -1,0 +1,48 @@
+"""Scenarios: what a test drives through, by name, from a file, from arrays or put together from shapes."""
+
+from adaptrack.scenario.library import list_scenarios, load_scenario, scenario_options
+from adaptrack.scenario.scenario import CONTROL_PERIOD, Scenario
+from adaptrack.scenario.shapes import (
+    SHAPES,
+    Constant,
+    Gust,
+    Knots,
+    LaneChange,
+    Pulse,
+    Ramp,
+    Shape,
+    Sine,
+    SineSweep,
+    Step,
+    Sum,
+    TanhSteps,
+    as_shape,
+)
+from adaptrack.scenario.signals import Signals
+from adaptrack.scenario.surroundings import Patch, PolarWind, Wind
+
+__all__ = [
+    "CONTROL_PERIOD",
+    "SHAPES",
+    "Constant",
+    "Gust",
+    "Knots",
+    "LaneChange",
+    "Patch",
+    "PolarWind",
+    "Pulse",
+    "Ramp",
+    "Scenario",
+    "Shape",
+    "Signals",
+    "Sine",
+    "SineSweep",
+    "Step",
+    "Sum",
+    "TanhSteps",
+    "Wind",
+    "as_shape",
+    "list_scenarios",
+    "load_scenario",
+    "scenario_options",
+]

@@ -1,0 +1,272 @@
+"""Scenarios by name.
+
+The two tests of the paper are data files (`adaptrack/data/scenarios`); the manoeuvres that follow from a few numbers
+are functions, whose parameters are their options. ``load_scenario(name).to_toml(path)`` makes a file of any of them.
+"""
+
+from __future__ import annotations
+
+import inspect
+import math
+import os
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from adaptrack.errors import InvalidInput, UnknownName, did_you_mean
+from adaptrack.scenario.scenario import Scenario
+from adaptrack.scenario.shapes import Gust, LaneChange, Shape, Sine
+from adaptrack.scenario.surroundings import as_friction
+from adaptrack.toml_files import read_toml
+
+GRAVITY = 9.81
+"""m/s^2."""
+
+QUINTIC_PEAK = 10.0 / math.sqrt(3.0)
+"""Largest acceleration of a quintic lane change of unit amplitude and duration (5.77), see `LaneChange`."""
+
+SignalLike = Shape | Mapping[str, Any] | float
+"""What `as_shape` accepts."""
+
+COMMON_OPTIONS = {
+    "duration": "s",
+    "window": "one of the scenario's named durations",
+    "mirrored": "left and right exchanged",
+    "reference": "m, another lateral reference",
+    "speed": "m/s",
+    "friction": "one value, [left, right] or one for each wheel",
+    "friction_patches": "stretches of other friction",
+    "wind": "m/s: lateral, [x, y] or {speed, direction}",
+    "wind_gain": "factor on the wind",
+    "start_y": "m, lateral position at the start",
+    "start_heading": "rad, heading at the start",
+}
+"""The options that every scenario has, with their meaning."""
+
+_DATA = Path(__file__).parents[1] / "data" / "scenarios"
+
+
+def step(
+    amplitude: float = 2.0,
+    speed: SignalLike = 15.0,
+    friction: Any = 0.9,
+    wind: Any = 0.0,
+    duration: float = 18.0,
+) -> Scenario:
+    """A constant lateral reference beside the car, under constant conditions: the test behind the paper's tuning."""
+    return Scenario(
+        name="step",
+        description=_first_line(step),
+        source="Fitness of the paper's particle swarm (section III), 18 s; constant y_ref, speed, friction and wind.",
+        duration=duration,
+        reference=amplitude,
+        speed=speed,
+        friction=friction,
+        wind=wind,
+        start_y=0.0,
+    )
+
+
+def lane_change(
+    amplitude: float = 3.5,
+    speed: SignalLike = 20.0,
+    friction: Any = 0.9,
+    gust: float = 10.0,
+    start: float = 1.0,
+    change_time: float | None = None,
+    gust_start: float = 4.0,
+    gust_duration: float = 2.0,
+    duration: float = 8.0,
+) -> Scenario:
+    """One smooth lane change, sized to the friction, and one side gust.
+
+    Parameters
+    ----------
+    amplitude : float
+        Lateral shift, m, positive to the left.
+    gust : float
+        Peak of the lateral 1-cosine gust, m/s.
+    change_time : float, optional
+        How long the change lasts, s; without it max(2, sqrt(5.77 |amplitude| / (0.35 μ g))), which asks for 35 % of
+        the lateral acceleration that the lowest friction μ allows, and takes at least 2 s.
+    """
+    if change_time is None:
+        times = np.linspace(0.0, duration, 1001)
+        lowest = min(float(wheel.at(times).min()) for wheel in as_friction(friction))
+        if not lowest > 0.0:
+            raise InvalidInput(f"friction = {lowest!r}: must be > 0.")
+        change_time = max(2.0, math.sqrt(QUINTIC_PEAK * abs(amplitude) / (0.35 * lowest * GRAVITY)))
+    return Scenario(
+        name="lane-change",
+        description=_first_line(lane_change),
+        source="Quintic change (least jerk) that uses 35 % of the friction; 1-cosine gust as in EASA CS-25.341.",
+        duration=duration,
+        reference=LaneChange(amplitude=amplitude, start=start, duration=change_time),
+        speed=speed,
+        friction=friction,
+        wind=Gust(peak=gust, start=gust_start, duration=gust_duration),
+        start_y=0.0,
+    )
+
+
+def double_lane_change(
+    amplitude: float = 3.5,
+    speed: float = 14.0,
+    friction: Any = 0.9,
+    wind: Any = 0.0,
+    approach: float = 1.0,
+    duration: float | None = None,
+) -> Scenario:
+    """Out of the lane and back within the lengths of ISO 3888-1, at constant speed.
+
+    The sections of ISO 3888-1 are 15, 30, 25, 25, 15 and 15 m long; the lane is left within the second and regained
+    within the fourth, 3.5 m apart. The reference is a smooth centre line: one quintic `LaneChange` in each of the two.
+    (A driver may cut through the width of the lanes. The centre line at 80 km/h would ask for 16 m/s^2, so the default
+    speed is 14 m/s = 50 km/h, where it asks for 6.3 m/s^2.)
+
+    Parameters
+    ----------
+    amplitude : float
+        Shift between the lanes, m, positive to the left.
+    speed : float
+        Constant speed, m/s; it turns the lengths into times.
+    approach : float
+        Time before the first section, s.
+    duration : float, optional
+        Of the run, s; without it, the track and 2 s.
+    """
+    if not _is_number(speed) or not speed > 0.0:
+        raise InvalidInput(f"speed = {speed!r}: the double lane change needs one number > 0 m/s: lengths become times.")
+    entry, away, beside, back, end = (length / speed for length in (15.0, 30.0, 25.0, 25.0, 30.0))
+    out = approach + entry
+    home = out + away + beside
+    return Scenario(
+        name="double-lane-change",
+        description=_first_line(double_lane_change),
+        source="Section lengths and lane offset of ISO 3888-1 (passenger cars, double lane change); quintic centre.",
+        duration=home + back + end + 2.0 if duration is None else duration,
+        reference=LaneChange(amplitude=amplitude, start=out, duration=away)
+        + LaneChange(amplitude=-amplitude, start=home, duration=back),
+        speed=speed,
+        friction=friction,
+        wind=wind,
+        start_y=0.0,
+    )
+
+
+def sine(
+    amplitude: float = 2.0,
+    frequency: float = 0.2,
+    speed: SignalLike = 15.0,
+    friction: Any = 0.9,
+    wind: Any = 0.0,
+    start: float = 1.0,
+    duration: float = 20.0,
+) -> Scenario:
+    """A sinusoidal lateral reference: weaving, for the frequency response.
+
+    Parameters
+    ----------
+    amplitude : float
+        Lateral amplitude, m; the peak acceleration is amplitude (2π frequency)².
+    frequency : float
+        Hz.
+    start : float
+        When the weaving begins, s.
+    """
+    return Scenario(
+        name="sine",
+        description=_first_line(sine),
+        duration=duration,
+        reference=Sine(amplitude=amplitude, frequency=frequency, start=start),
+        speed=speed,
+        friction=friction,
+        wind=wind,
+        start_y=0.0,
+    )
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, int | float | np.number) and not isinstance(value, bool) and bool(np.isfinite(value))
+
+
+def _first_line(function: Callable[..., Scenario]) -> str:
+    return inspect.getdoc(function).partition("\n")[0]  # type: ignore[union-attr]
+
+
+_MANOEUVRES: dict[str, Callable[..., Scenario]] = {
+    "step": step,
+    "lane-change": lane_change,
+    "double-lane-change": double_lane_change,
+    "sine": sine,
+}
+
+
+def _files() -> dict[str, Path]:
+    return {path.stem: path for path in sorted(_DATA.glob("*.toml"), reverse=True)}
+
+
+def list_scenarios() -> dict[str, str]:
+    """The named scenarios, each with one line of description; those of the paper first."""
+    described = {name: str(read_toml(path)["description"]) for name, path in _files().items()}
+    return described | {name: _first_line(function) for name, function in _MANOEUVRES.items()}
+
+
+def scenario_options(name: str) -> dict[str, Any]:
+    """The options that the scenario `name` has beside or instead of `COMMON_OPTIONS`, with their defaults."""
+    if name not in _MANOEUVRES:
+        return {}
+    return {key: option.default for key, option in inspect.signature(_MANOEUVRES[name]).parameters.items()}
+
+
+def load_scenario(name_or_path: str | os.PathLike[str], **options: Any) -> Scenario:
+    """A scenario by its name or from a TOML or CSV file, with options.
+
+    Parameters
+    ----------
+    name_or_path : str or path
+        One of `list_scenarios`, or a file that ends in ``.toml`` or ``.csv``.
+    **options
+        `COMMON_OPTIONS` for every scenario and `scenario_options` for a named one. ``None`` means: as it is.
+
+    Raises
+    ------
+    UnknownName
+        For a scenario or an option that does not exist; the message names the nearest.
+    InvalidInput
+        For a value that is not allowed.
+    StorageError, ConfigError
+        For a file that cannot be read or used.
+    """
+    options = {key: value for key, value in options.items() if value is not None}
+    name, files = os.fspath(name_or_path), _files()
+    own = scenario_options(name)
+    for key in options:
+        if key not in own and key not in COMMON_OPTIONS:
+            known = [*own, *COMMON_OPTIONS]
+            raise UnknownName(f"scenario {name!r} has no option {key!r}. {did_you_mean(key, known)}")
+        if key not in COMMON_OPTIONS:
+            if not _is_number(options[key]):
+                raise InvalidInput(f"{key} = {options[key]!r}: must be a finite number.")
+            options[key] = float(options[key])
+    if not isinstance(options.get("mirrored", False), bool):
+        raise InvalidInput(f"mirrored = {options['mirrored']!r}: must be true or false.")
+    if "window" in options and "duration" in options:
+        raise InvalidInput("give either a window or a duration.")
+    if name in _MANOEUVRES:
+        scenario = _MANOEUVRES[name](**{key: options.pop(key) for key in own if key in options})
+    elif name in files:
+        scenario = Scenario.from_toml(files[name])
+    elif name.lower().endswith(".csv"):
+        scenario = Scenario.from_csv(name)
+    elif name.lower().endswith(".toml"):
+        scenario = Scenario.from_toml(name)
+    else:
+        known = [*files, *_MANOEUVRES]
+        raise UnknownName(f"unknown scenario {name!r}. {did_you_mean(name, known)} Or give a .toml or .csv file.")
+    window, mirrored = options.pop("window", None), options.pop("mirrored", False)
+    scenario = scenario.replace(**options) if options else scenario
+    scenario = scenario.with_window(window) if window else scenario
+    return scenario.mirrored() if mirrored else scenario

@@ -1,0 +1,303 @@
+"""What a test drives through: reference, speed, friction and wind as functions of time, and their samples."""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Self
+
+import numpy as np
+from numpy.typing import ArrayLike
+from pydantic import BeforeValidator, Field, model_validator
+
+from adaptrack.errors import ConfigError, InvalidInput, did_you_mean
+from adaptrack.scenario.shapes import Array, Constant, Knots, Method, Shape, Signal, as_tuples
+from adaptrack.scenario.signals import Signals, instants
+from adaptrack.scenario.surroundings import WHEELS, Patch, PolarWind, Wind, as_friction, as_patches, as_wind
+from adaptrack.scenario.tables import FRICTION_COLUMNS, insert_csv_columns, read_scenario_table
+from adaptrack.toml_files import Record, build, dump_toml, read_toml, write_atomically
+
+CONTROL_PERIOD = 0.1
+"""The sampling time of the paper's controller, s."""
+
+_MOST_PERIODS = 10_000_000  # 11 days at 0.1 s: more is a slip of the pen
+_MIRRORED = " (mirrored)"
+
+
+class Scenario(Record):
+    """One test drive: what the car shall follow, and the road and the air that it meets.
+
+    Signals are functions of time (`adaptrack.scenario.shapes`); wherever one is wanted, a number or a table of a
+    scenario file will do. Conventions: x forward, y left, SI units, radians.
+
+    Raises
+    ------
+    InvalidInput
+        When a value is not allowed, the speed becomes negative or the friction leaves (0, 3] during the run.
+    """
+
+    name: str = Field(min_length=1)
+    description: str = ""
+    source: str = ""  # where the signals come from
+    duration: float = Field(gt=0.0, description="s")
+    windows: dict[str, Annotated[float, Field(gt=0.0)]] = Field(
+        default_factory=dict, description="durations by name, s"
+    )
+    reference: Signal = Field(description="lateral position to follow, m")
+    speed: Signal = Field(description="longitudinal speed to hold, m/s")
+    friction: Annotated[tuple[Shape, ...], BeforeValidator(as_friction)] = Field(
+        description="all wheels, sides or each"
+    )
+    friction_patches: Annotated[tuple[Patch, ...], BeforeValidator(as_patches)] = Field(
+        default=(), description="the last one that covers an instant counts"
+    )
+    wind: Annotated[Wind | PolarWind, BeforeValidator(as_wind)] = Field(default=Wind(), description="m/s")
+    wind_gain: float = Field(default=1.0, description="factor on the wind")
+    start_y: float | None = Field(default=None, description="m, lateral position at the start; none: on the reference")
+    start_heading: float = Field(default=0.0, description="rad, heading at the start, positive to the left")
+
+    if TYPE_CHECKING:  # numbers and tables will do where a shape is wanted
+
+        def __init__(self, **values: Any) -> None: ...
+
+    @model_validator(mode="after")
+    def _check_signals(self) -> Self:
+        self.sample(self.duration / 1000.0)
+        return self
+
+    # ---- the signals as functions of time
+
+    def reference_at(self, t: ArrayLike) -> Array:
+        """The lateral reference y_ref (m) at the times `t` (s), in the shape of `t`."""
+        return self.reference.at(t)
+
+    def reference_rate_at(self, t: ArrayLike) -> Array:
+        """The exact derivative dy_ref/dt (m/s) at the times `t` (s).
+
+        With the speed v the reference heads along asin(dy_ref/dt / v).
+        """
+        return self.reference.rate(t)
+
+    def speed_at(self, t: ArrayLike) -> Array:
+        """The speed reference (m/s) at the times `t` (s)."""
+        return self.speed.at(t)
+
+    def friction_at(self, t: ArrayLike) -> Array:
+        """Friction coefficients (..., 4) of front-left, front-right, rear-left, rear-right at the times `t` (s)."""
+        t = np.asarray(t, dtype=np.float64)
+        given = [shape.at(t) for shape in self.friction]
+        wheels = {1: (0, 0, 0, 0), 2: (0, 1, 0, 1), 4: (0, 1, 2, 3)}[len(given)]
+        friction = np.stack([given[k] for k in wheels], axis=-1)
+        for patch in self.friction_patches:
+            inside = (t >= patch.start) & (t < patch.end)
+            for wheel in WHEELS[patch.wheels]:
+                friction[..., wheel] = np.where(inside, patch.friction, friction[..., wheel])
+        return friction
+
+    def wind_at(self, t: ArrayLike) -> Array:
+        """Wind vectors (..., 2) along world X and Y, m/s, times `wind_gain`, at the times `t` (s)."""
+        return self.wind_gain * self.wind.at(t)
+
+    @property
+    def initial_y(self) -> float:
+        """The lateral position at the start, m: `start_y`, or the reference there."""
+        return float(self.reference.at(0.0)) if self.start_y is None else self.start_y
+
+    def sample(self, period: float = CONTROL_PERIOD) -> Signals:
+        """The exact signals at the instants k·period, k = 0..n, with n = round(duration/period) control periods.
+
+        Raises
+        ------
+        InvalidInput
+            When the period is not positive or the duration has no or too many periods, or when a sampled value is
+            not allowed (see `Signals`).
+        """
+        if not 0.0 < period < np.inf:
+            raise InvalidInput(f"period = {period!r}: must be a finite time > 0 s.")
+        ratio = self.duration / period
+        n = round(min(ratio, 2.0 * _MOST_PERIODS))
+        if not 1 <= n <= _MOST_PERIODS:
+            raise InvalidInput(
+                f"scenario {self.name!r} lasts {self.duration!r} s: {ratio:.3g} periods of {period!r} s; "
+                f"1 to {_MOST_PERIODS:,} are possible."
+            )
+        t = instants(n, period)
+        return Signals(period, t, self.reference_at(t), self.speed_at(t), self.friction_at(t), self.wind_at(t))
+
+    # ---- variants
+
+    def mirrored(self) -> Scenario:
+        """The scenario in a mirror: left is right. Mirroring twice gives the first one back."""
+        back = self.name.endswith(_MIRRORED)
+        pairs = {1: (0,), 2: (1, 0), 4: (1, 0, 3, 2)}[len(self.friction)]
+        return self.replace(
+            name=self.name.removesuffix(_MIRRORED) if back else self.name + _MIRRORED,
+            reference=self.reference.scaled(-1.0),
+            friction=tuple(self.friction[k] for k in pairs),
+            friction_patches=tuple(patch.mirrored() for patch in self.friction_patches),
+            wind=self.wind.mirrored(),
+            start_y=None if self.start_y is None else 0.0 - self.start_y,
+            start_heading=0.0 - self.start_heading,
+        )
+
+    def with_duration(self, duration: float) -> Scenario:
+        """The same signals over another time (s) from the start; after their last knot they are held."""
+        return self.replace(duration=duration)
+
+    def with_window(self, name: str) -> Scenario:
+        """The same signals over one of the durations named in `windows`."""
+        if name not in self.windows:
+            known = did_you_mean(str(name), self.windows) if self.windows else "It names none: give a duration."
+            raise InvalidInput(f"scenario {self.name!r} has no window {name!r}. {known}")
+        return self.replace(duration=self.windows[name])
+
+    # ---- from and to arrays and files
+
+    @classmethod
+    def from_arrays(
+        cls,
+        t: ArrayLike,
+        y_ref: ArrayLike,
+        speed: ArrayLike,
+        friction: ArrayLike,
+        wind: ArrayLike = 0.0,
+        *,
+        name: str = "arrays",
+        reference_method: Method = "linear",
+        **fields: Any,
+    ) -> Scenario:
+        """A scenario through samples: straight lines between them; time counts from the first sample.
+
+        Parameters
+        ----------
+        t : (n,) array
+            Increasing times, s.
+        y_ref, speed : (n,) array or number
+            Lateral reference, m, and speed, m/s.
+        friction : (n,), (n, 2), (n, 4) array or number
+            Of all wheels, left and right, or front-left, front-right, rear-left, rear-right.
+        wind : (n,) or (n, 2) array or number
+            Lateral, or along X and Y, m/s.
+        reference_method : "linear", "pchip" or "cubic"
+            The curve between the samples of the reference, see `Knots`.
+        **fields
+            Any other field of `Scenario`: `description`, `duration` (default: that of the samples), `start_y`, ...
+
+        Raises
+        ------
+        InvalidInput
+            When lengths differ, a value is NaN or infinite, or the time does not increase.
+        """
+        times = np.asarray(t, dtype=np.float64)
+        if times.ndim != 1 or times.size < 2:
+            raise InvalidInput(f"t has shape {times.shape}; give a list of at least two times.")
+        if not np.isfinite(times).all():
+            raise InvalidInput(f"t[{np.flatnonzero(~np.isfinite(times))[0]}] is not finite.")
+        if (np.diff(times) <= 0.0).any():
+            k = int(np.argmax(np.diff(times) <= 0.0)) + 1
+            raise InvalidInput(f"t[{k}] = {times[k]} s does not come after t[{k - 1}] = {times[k - 1]} s.")
+        times = times - times[0]
+        sides = _columns("friction", friction, times, (1, 2, 4))
+        airs = _columns("wind", wind, times, (1, 2))
+        values: dict[str, Any] = {
+            "name": name,
+            "duration": float(times[-1]),
+            "reference": _columns("y_ref", y_ref, times, (1,), reference_method)[0],
+            "speed": _columns("speed", speed, times, (1,))[0],
+            "friction": sides,
+            "wind": airs[0] if len(airs) == 1 else airs,
+        }
+        return cls(**(values | fields))
+
+    @classmethod
+    def from_csv(cls, path: str | os.PathLike[str], **fields: Any) -> Scenario:
+        """A scenario from a table with the columns t, y_ref, speed, friction, wind_y and optionally wind_x.
+
+        In place of ``friction``: ``friction_left``, ``friction_right``, or ``friction_front_left``, ... for each wheel.
+        Lines that are empty or start with # are skipped. `fields` as in `from_arrays`.
+
+        Raises
+        ------
+        StorageError
+            When the file cannot be read.
+        ConfigError
+            When it is no such table; the message names the line and the remedy.
+        """
+        columns = read_scenario_table(path)
+        wheels = next(names for names in FRICTION_COLUMNS if names[0] in columns)
+        wind = [columns["wind_x"], columns["wind_y"]] if "wind_x" in columns else [columns["wind_y"]]
+        try:
+            return cls.from_arrays(
+                columns["t"],
+                columns["y_ref"],
+                columns["speed"],
+                np.stack([columns[name] for name in wheels], axis=-1),
+                np.stack(wind, axis=-1),
+                **({"name": Path(path).stem} | fields),
+            )
+        except InvalidInput as error:
+            raise ConfigError(f"{os.fspath(path)}: {error}") from None
+
+    @classmethod
+    def from_toml(cls, path: str | os.PathLike[str]) -> Scenario:
+        """The scenario that a TOML file describes (docs/scenarios.md); its name is the file's, unless it says another.
+
+        Raises
+        ------
+        StorageError
+            When the file cannot be read.
+        ConfigError
+            With every problem in it: its key, the value found and what is allowed.
+        """
+        data = read_toml(path)
+        try:
+            data = insert_csv_columns(data, Path(path).parent)
+        except InvalidInput as error:
+            raise ConfigError(f"{os.fspath(path)}: {error}") from None
+        return build(cls, {"name": Path(path).stem} | data, path)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain numbers, text, lists and tables, as in the scenario's TOML file; `None` where that is silent."""
+        friction = [shape.table() for shape in self.friction]
+        tables = {
+            "reference": self.reference.table(),
+            "speed": self.speed.table(),
+            "friction": friction[0] if len(friction) == 1 else friction,
+            "friction_patches": [dict(patch) for patch in self.friction_patches] or None,
+            "wind": self.wind.table(),
+            "windows": dict(self.windows) or None,
+        }
+        return {name: tables.get(name, getattr(self, name)) for name in type(self).model_fields}
+
+    def to_toml(self, path: str | os.PathLike[str]) -> None:
+        """Write the scenario to a file that `load_scenario` reads back as its equal; whole or not at all.
+
+        Raises
+        ------
+        StorageError
+            When the file cannot be written.
+        """
+        remarks = {name: field.description for name, field in type(self).model_fields.items() if field.description}
+        text = dump_toml(self.to_dict(), remarks)
+        # One point per line, where tomli-w would write one number per line.
+        rows = re.sub(r"\[\n\s*([-+.,\w\s]*?),?\n\s*\]", lambda row: f"[{' '.join(row[1].split())}]", text)
+        write_atomically(path, rows.encode())
+
+
+def _columns(
+    name: str, values: ArrayLike, times: Array, widths: Sequence[int], method: Method = "linear"
+) -> list[Shape]:
+    """One shape for each column of `values`, which has one row for each of `times`; a number is a constant."""
+    array = np.asarray(values, dtype=np.float64)
+    if not np.isfinite(array).all():
+        where = np.argwhere(~np.isfinite(array))[0]
+        raise InvalidInput(f"{name}{[int(k) for k in where] or ''} is not finite.")
+    if array.ndim == 0:
+        return [Constant(value=float(array))]
+    columns = array[:, np.newaxis] if array.ndim == 1 else array
+    if columns.ndim != 2 or columns.shape[0] != times.size or columns.shape[1] not in widths:
+        wanted = ", ".join(f"({times.size}, {width})" if width > 1 else f"({times.size},)" for width in widths)
+        raise InvalidInput(f"{name} has shape {array.shape}; with {times.size} times it must be {wanted}.")
+    return [Knots(points=as_tuples(np.stack([times, column], axis=-1)), method=method) for column in columns.T]

@@ -1,0 +1,528 @@
+"""Named shapes: scalar functions of time, from which the signals of a scenario are put together.
+
+A shape is a small frozen record. In Python it is ``LaneChange(amplitude=3.5, start=2.0, duration=4.0)``, in a scenario
+file the table ``{ shape = "lane-change", amplitude = 3.5, start = 2.0, duration = 4.0 }``; a plain number is a
+`Constant`. Shapes add up: ``Constant(value=5.0) + Gust(peak=10.0, start=3.0, duration=2.0)``.
+
+Times are in seconds from the start of the scenario; values have the unit of the signal that the shape stands for.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from abc import abstractmethod
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Annotated, Any, ClassVar, Literal, Self
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from pydantic import BeforeValidator, Field, model_validator
+
+from adaptrack.errors import InvalidInput, UnknownName, did_you_mean
+from adaptrack.toml_files import Record, build
+
+Array = NDArray[np.float64]
+
+Method = Literal["linear", "pchip", "cubic"]
+"""What lies between the points of `Knots`."""
+
+Time = Annotated[float, Field(description="s")]
+Span = Annotated[float, Field(gt=0.0, description="s")]
+Frequency = Annotated[float, Field(ge=0.0, description="Hz")]
+
+
+class Shape(Record):
+    """A scalar function of time, defined at every time.
+
+    A concrete shape has a `kind` (its name in files), `at` and `rate`; `linear_in` names those of its fields to which
+    its value is proportional.
+    """
+
+    kind: ClassVar[str]
+    linear_in: ClassVar[tuple[str, ...]] = ()
+
+    @abstractmethod
+    def at(self, t: ArrayLike) -> Array:
+        """The value at the times `t` (s), in the shape of `t`; at a jump, the value after it."""
+
+    @abstractmethod
+    def rate(self, t: ArrayLike) -> Array:
+        """The time derivative at `t`, per second; at a kink, the one after it; a jump counts as zero."""
+
+    def scaled(self, factor: float) -> Self:
+        """The same function of time, multiplied by `factor`."""
+        return self.replace(**{name: _product(factor, getattr(self, name)) for name in self.linear_in})
+
+    def table(self) -> Any:
+        """The shape as a scenario file holds it; `as_shape` reads it back."""
+        fields = type(self).model_fields
+        given = {name: getattr(self, name) for name in fields if getattr(self, name) != fields[name].default}
+        return {"shape": self.kind} | {name: _lists(value) for name, value in given.items()}
+
+    def __add__(self, other: Shape | float) -> Sum:
+        return Sum(terms=(self, as_shape(other)))
+
+
+def as_shape(value: Any) -> Shape:
+    """The shape that a number (a constant) or a table of a scenario file means; a shape is returned as it is.
+
+    Raises
+    ------
+    InvalidInput
+        When it means none; the message names the nearest known shape or key.
+    """
+    if isinstance(value, Shape):
+        return value
+    if isinstance(value, int | float | np.integer | np.floating) and not isinstance(value, bool):
+        return Constant(value=float(value))
+    if not isinstance(value, Mapping):
+        raise InvalidInput("give a number, or a table such as { shape = 'step', after = 2.0, time = 1.0 }.")
+    kind = value.get("shape")
+    if kind is None:
+        raise InvalidInput(f"the table has no key 'shape'; give one of {', '.join(map(repr, SHAPES))}.")
+    if kind not in SHAPES:
+        raise UnknownName(f"unknown shape {kind!r}. {did_you_mean(str(kind), SHAPES)}")
+    return build(SHAPES[kind], {key: each for key, each in value.items() if key != "shape"}, f"shape {kind!r}")
+
+
+Signal = Annotated[Shape, BeforeValidator(as_shape)]
+"""A field that holds a shape and accepts whatever `as_shape` does."""
+
+
+def as_tuples(value: Any) -> Any:
+    """Lists and arrays as tuples, all the way down: what a frozen record holds."""
+    if isinstance(value, np.ndarray):
+        value = value.tolist()
+    return tuple(as_tuples(each) for each in value) if isinstance(value, list | tuple) else value
+
+
+class Constant(Shape):
+    """``value`` at all times."""
+
+    kind = "constant"
+    linear_in = ("value",)
+
+    value: float
+
+    def at(self, t: ArrayLike) -> Array:
+        """See `Shape.at`."""
+        return np.full(np.shape(t), self.value)
+
+    def rate(self, t: ArrayLike) -> Array:
+        """See `Shape.rate`."""
+        return np.zeros(np.shape(t))
+
+    def table(self) -> float:
+        """A plain number."""
+        return self.value
+
+
+@dataclass(frozen=True, eq=False)  # without its own ==, so that equal `Knots` compare by their fields
+class _Curve:
+    """The points of `Knots` as arrays."""
+
+    t: Array
+    y: Array
+    slope: Array  # at the points; "linear": to the right of each
+
+
+class Knots(Shape):
+    """A curve through ``points = [[t, value], ...]``; before the first and after the last point the value is held.
+
+    ``method`` is what lies between the points:
+
+    * ``"linear"``: straight lines;
+    * ``"pchip"``: monotone cubics with continuous slope, no overshoot (F. N. Fritsch, J. Butland, SIAM J. Sci. Stat.
+      Comput. 5, 1984; end slopes after C. Moler, Numerical Computing with MATLAB, 2004, section 3.6);
+    * ``"cubic"``: the natural cubic spline, of continuous slope and curvature, curvature zero at both ends (C. de Boor,
+      A Practical Guide to Splines, 1978, chapter IV).
+
+    Two lists of equal length, ``t = [...]`` and ``values = [...]``, may stand in place of ``points``.
+    """
+
+    kind = "knots"
+
+    points: Annotated[tuple[tuple[float, float], ...], BeforeValidator(as_tuples)]
+    method: Method = "linear"
+
+    @model_validator(mode="before")
+    @classmethod
+    def _join_lists(cls, data: Any) -> Any:
+        if not isinstance(data, Mapping) or not ({"t", "values"} & data.keys()):
+            return data
+        if "points" in data or not {"t", "values"} <= data.keys():
+            raise InvalidInput("give either 'points', or both 't' and 'values'.")
+        t, values = as_tuples(data["t"]), as_tuples(data["values"])
+        if not (isinstance(t, tuple) and isinstance(values, tuple)) or len(t) != len(values):
+            raise InvalidInput("'t' and 'values' must be two lists of the same length.")
+        rest = {key: each for key, each in data.items() if key not in ("t", "values")}
+        return rest | {"points": tuple(zip(t, values, strict=True))}
+
+    @model_validator(mode="after")
+    def _check_times(self) -> Self:
+        if not self.points:
+            raise InvalidInput("'points' is empty; give at least one [t, value].")
+        for k, ((earlier, _), (later, _)) in enumerate(itertools.pairwise(self.points)):
+            if not later > earlier:
+                raise InvalidInput(
+                    f"points[{k + 1}] is at t = {later!r}, points[{k}] at t = {earlier!r}: the times must increase."
+                )
+        return self
+
+    @cached_property
+    def _curve(self) -> _Curve:
+        t, y = np.array(self.points, dtype=np.float64).T.copy()
+        if t.size == 1:
+            return _Curve(t, y, np.zeros(1))
+        step = np.diff(t)
+        secant = np.diff(y) / step
+        if self.method == "linear":
+            return _Curve(t, y, np.append(secant, secant[-1]))
+        return _Curve(t, y, (_natural_slopes if self.method == "cubic" else _monotone_slopes)(step, secant))
+
+    def at(self, t: ArrayLike) -> Array:
+        """See `Shape.at`."""
+        curve = self._curve
+        when, y, slope = curve.t, curve.y, curve.slope
+        if self.method == "linear" or when.size == 1:
+            return np.asarray(np.interp(np.asarray(t, dtype=np.float64), when, y))
+        k, step, s = self._interval(t)
+        r = 1.0 - s
+        return (
+            r * r * (1.0 + 2.0 * s) * y[k]
+            + s * s * (3.0 - 2.0 * s) * y[k + 1]
+            + s * r * step * (r * slope[k] - s * slope[k + 1])
+        )
+
+    def rate(self, t: ArrayLike) -> Array:
+        """See `Shape.rate`."""
+        curve = self._curve
+        when, y, slope = curve.t, curve.y, curve.slope
+        if when.size == 1:
+            return np.zeros(np.shape(t))
+        k, step, s = self._interval(t)
+        if self.method == "linear":
+            inner = slope[k]
+        else:
+            r = 1.0 - s
+            inner = (
+                6.0 * s * r * (y[k + 1] - y[k]) / step
+                + r * (1.0 - 3.0 * s) * slope[k]
+                + s * (3.0 * s - 2.0) * slope[k + 1]
+            )
+        t = np.asarray(t, dtype=np.float64)
+        return np.where((t < when[0]) | (t > when[-1]), 0.0, inner)
+
+    def _interval(self, t: ArrayLike) -> tuple[NDArray[np.intp], Array, Array]:
+        """For each time: the interval that holds it, its length, and the place in it from 0 to 1."""
+        when = self._curve.t
+        t = np.clip(np.asarray(t, dtype=np.float64), when[0], when[-1])
+        k = np.clip(np.searchsorted(when, t, side="right") - 1, 0, when.size - 2)
+        step = when[k + 1] - when[k]
+        return k, step, (t - when[k]) / step
+
+    def scaled(self, factor: float) -> Self:
+        """The same curve with every value multiplied by `factor`."""
+        return self.replace(points=tuple((t, _product(factor, value)) for t, value in self.points))
+
+
+class Step(Shape):
+    """``before`` until ``time``, ``after`` from then on."""
+
+    kind = "step"
+    linear_in = ("before", "after")
+
+    before: float = 0.0
+    after: float
+    time: Time
+
+    def at(self, t: ArrayLike) -> Array:
+        """See `Shape.at`."""
+        return np.where(np.asarray(t, dtype=np.float64) >= self.time, self.after, self.before)
+
+    def rate(self, t: ArrayLike) -> Array:
+        """See `Shape.rate`."""
+        return np.zeros(np.shape(t))
+
+
+class Ramp(Shape):
+    """A straight line from ``before`` at ``start`` to ``after``, reached ``duration`` later."""
+
+    kind = "ramp"
+    linear_in = ("before", "after")
+
+    before: float = 0.0
+    after: float
+    start: Time
+    duration: Span
+
+    def at(self, t: ArrayLike) -> Array:
+        """See `Shape.at`."""
+        s = np.clip(_elapsed(t, self.start, self.duration), 0.0, 1.0)
+        return (1.0 - s) * self.before + s * self.after
+
+    def rate(self, t: ArrayLike) -> Array:
+        """See `Shape.rate`."""
+        return np.where(_during(t, self.start, self.duration), (self.after - self.before) / self.duration, 0.0)
+
+
+class LaneChange(Shape):
+    """A smooth step from 0 to ``amplitude`` between ``start`` and ``start + duration``.
+
+    With s from 0 to 1 over the duration T it is A s³(10 − 15 s + 6 s²), the quintic with zero slope and curvature at
+    both ends: least jerk (T. Flash, N. Hogan, J. Neuroscience 5, 1985). Its steepest slope is 1.875 A/T, halfway; its
+    largest acceleration is 10/√3 A/T² = 5.77 A/T².
+    """
+
+    kind = "lane-change"
+    linear_in = ("amplitude",)
+
+    amplitude: float
+    start: Time
+    duration: Span
+
+    def at(self, t: ArrayLike) -> Array:
+        """See `Shape.at`."""
+        s = np.clip(_elapsed(t, self.start, self.duration), 0.0, 1.0)
+        return self.amplitude * s**3 * (10.0 + s * (6.0 * s - 15.0))
+
+    def rate(self, t: ArrayLike) -> Array:
+        """See `Shape.rate`."""
+        s = np.clip(_elapsed(t, self.start, self.duration), 0.0, 1.0)
+        return self.amplitude / self.duration * 30.0 * (s * (1.0 - s)) ** 2
+
+
+class TanhSteps(Shape):
+    """The sum of A/2 (1 + tanh((t − t0)/τ)) over ``steps = [[A, t0, tau], ...]``: smooth steps of height A at t0."""
+
+    kind = "tanh-steps"
+
+    steps: Annotated[
+        tuple[tuple[float, float, Span], ...],
+        BeforeValidator(as_tuples),
+        Field(min_length=1, description="[A, t0, tau]"),
+    ]
+
+    def at(self, t: ArrayLike) -> Array:
+        """See `Shape.at`."""
+        amplitude, place = self._places(t)
+        return (0.5 * amplitude * (1.0 + np.tanh(place))).sum(axis=-1)
+
+    def rate(self, t: ArrayLike) -> Array:
+        """See `Shape.rate`."""
+        amplitude, place = self._places(t)
+        tau = np.array(self.steps)[:, 2]
+        return (0.5 * amplitude / tau * (1.0 - np.tanh(place) ** 2)).sum(axis=-1)
+
+    def _places(self, t: ArrayLike) -> tuple[Array, Array]:
+        """Amplitude and (t − t0)/τ of each step, along a new last axis."""
+        amplitude, centre, tau = np.array(self.steps, dtype=np.float64).T
+        return amplitude, (np.asarray(t, dtype=np.float64)[..., np.newaxis] - centre) / tau
+
+    def scaled(self, factor: float) -> Self:
+        """The same steps with every height multiplied by `factor`."""
+        return self.replace(steps=tuple((_product(factor, height), t0, tau) for height, t0, tau in self.steps))
+
+
+class Sine(Shape):
+    """``amplitude`` sin(2π ``frequency`` (t − ``start``) + ``phase``) from ``start`` on, 0 before; phase in radians."""
+
+    kind = "sine"
+    linear_in = ("amplitude",)
+
+    amplitude: float
+    frequency: Frequency
+    phase: Annotated[float, Field(description="rad")] = 0.0
+    start: Time = 0.0
+
+    def at(self, t: ArrayLike) -> Array:
+        """See `Shape.at`."""
+        since = np.asarray(t, dtype=np.float64) - self.start
+        wave = self.amplitude * np.sin(math.tau * self.frequency * since + self.phase)
+        return np.where(since >= 0.0, wave, 0.0)
+
+    def rate(self, t: ArrayLike) -> Array:
+        """See `Shape.rate`."""
+        since = np.asarray(t, dtype=np.float64) - self.start
+        omega = math.tau * self.frequency
+        return np.where(since >= 0.0, self.amplitude * omega * np.cos(omega * since + self.phase), 0.0)
+
+
+class SineSweep(Shape):
+    """A sine whose frequency rises linearly from ``frequency`` to ``last_frequency`` over ``duration``.
+
+    It starts at 0 at ``start``; after the sweep its last value is held.
+    """
+
+    kind = "sine-sweep"
+    linear_in = ("amplitude",)
+
+    amplitude: float
+    frequency: Frequency
+    last_frequency: Frequency
+    start: Time = 0.0
+    duration: Span
+
+    def at(self, t: ArrayLike) -> Array:
+        """See `Shape.at`."""
+        since = np.clip(np.asarray(t, dtype=np.float64) - self.start, 0.0, self.duration)
+        turns = since * (self.frequency + 0.5 * self._chirp * since)
+        return self.amplitude * np.sin(math.tau * turns)
+
+    def rate(self, t: ArrayLike) -> Array:
+        """See `Shape.rate`."""
+        since = np.clip(np.asarray(t, dtype=np.float64) - self.start, 0.0, self.duration)
+        turns = since * (self.frequency + 0.5 * self._chirp * since)
+        omega = math.tau * (self.frequency + self._chirp * since)
+        inner = self.amplitude * omega * np.cos(math.tau * turns)
+        return np.where(_during(t, self.start, self.duration), inner, 0.0)
+
+    @property
+    def _chirp(self) -> float:
+        """How fast the frequency changes, Hz/s."""
+        return (self.last_frequency - self.frequency) / self.duration
+
+
+class Gust(Shape):
+    """One 1-cosine gust: ``peak``/2 (1 − cos(2π (t − ``start``)/``duration``)), 0 before and after.
+
+    The discrete gust of the airworthiness rules (EASA CS-25.341), here in time.
+    """
+
+    kind = "gust"
+    linear_in = ("peak",)
+
+    peak: float
+    start: Time
+    duration: Span
+
+    def at(self, t: ArrayLike) -> Array:
+        """See `Shape.at`."""
+        s = np.clip(_elapsed(t, self.start, self.duration), 0.0, 1.0)
+        return 0.5 * self.peak * (1.0 - np.cos(math.tau * s))
+
+    def rate(self, t: ArrayLike) -> Array:
+        """See `Shape.rate`."""
+        inner = self.peak * math.pi / self.duration * np.sin(math.tau * _elapsed(t, self.start, self.duration))
+        return np.where(_during(t, self.start, self.duration), inner, 0.0)
+
+
+class Pulse(Shape):
+    """``height`` from ``start`` until ``start + duration``, 0 before and after."""
+
+    kind = "pulse"
+    linear_in = ("height",)
+
+    height: float
+    start: Time
+    duration: Span
+
+    def at(self, t: ArrayLike) -> Array:
+        """See `Shape.at`."""
+        return np.where(_during(t, self.start, self.duration), self.height, 0.0)
+
+    def rate(self, t: ArrayLike) -> Array:
+        """See `Shape.rate`."""
+        return np.zeros(np.shape(t))
+
+
+def _as_terms(value: Any) -> Any:
+    if not isinstance(value, list | tuple):
+        raise InvalidInput("give a list of shapes.")
+    return tuple(as_shape(each) for each in value)
+
+
+class Sum(Shape):
+    """The sum of its ``terms``, each a number or a shape."""
+
+    kind = "sum"
+
+    terms: Annotated[tuple[Shape, ...], BeforeValidator(_as_terms), Field(min_length=1)]
+
+    def at(self, t: ArrayLike) -> Array:
+        """See `Shape.at`."""
+        return np.sum([term.at(t) for term in self.terms], axis=0)
+
+    def rate(self, t: ArrayLike) -> Array:
+        """See `Shape.rate`."""
+        return np.sum([term.rate(t) for term in self.terms], axis=0)
+
+    def scaled(self, factor: float) -> Self:
+        """The sum of its scaled terms."""
+        return self.replace(terms=tuple(term.scaled(factor) for term in self.terms))
+
+    def table(self) -> Any:
+        """The terms' own tables in a list."""
+        return {"shape": self.kind, "terms": [term.table() for term in self.terms]}
+
+
+SHAPES: dict[str, type[Shape]] = {
+    shape.kind: shape
+    for shape in (Constant, Knots, Step, Ramp, LaneChange, TanhSteps, Sine, SineSweep, Gust, Pulse, Sum)
+}
+"""The shapes by their names in scenario files."""
+
+
+def _elapsed(t: ArrayLike, start: float, duration: float) -> Array:
+    """The share of the span from `start` that has passed at `t`: 0 at its start, 1 at its end."""
+    return (np.asarray(t, dtype=np.float64) - start) / duration
+
+
+def _during(t: ArrayLike, start: float, duration: float) -> NDArray[np.bool_]:
+    """Whether `t` lies in the span: its start does, its end does not."""
+    t = np.asarray(t, dtype=np.float64)
+    return (t >= start) & (t < start + duration)
+
+
+def _product(factor: float, value: float) -> float:
+    return factor * value + 0.0  # never -0.0
+
+
+def _lists(value: Any) -> Any:
+    return [_lists(each) for each in value] if isinstance(value, tuple) else value
+
+
+def _natural_slopes(step: Array, secant: Array) -> Array:
+    """Slopes of the natural cubic spline at its n + 1 knots, from n interval lengths and secant slopes.
+
+    Continuous curvature at each inner knot, zero curvature at both ends: a tridiagonal system, solved by elimination.
+    """
+    n = step.size
+    below = np.append(step[1:], 1.0)
+    above = np.insert(step[:-1], 0, 1.0)
+    diagonal = np.concatenate([[2.0], 2.0 * (step[:-1] + step[1:]), [2.0]])
+    right = 3.0 * np.concatenate([secant[:1], step[1:] * secant[:-1] + step[:-1] * secant[1:], secant[-1:]])
+    for k in range(1, n + 1):
+        ratio = below[k - 1] / diagonal[k - 1]
+        diagonal[k] -= ratio * above[k - 1]
+        right[k] -= ratio * right[k - 1]
+    slope = right / diagonal
+    for k in range(n - 1, -1, -1):
+        slope[k] -= above[k] * slope[k + 1] / diagonal[k]
+    return slope
+
+
+def _monotone_slopes(step: Array, secant: Array) -> Array:
+    """Slopes that keep each cubic monotone between its knots: weighted harmonic means of the neighbouring secants."""
+    if step.size == 1:
+        return np.repeat(secant, 2)
+    left, right = secant[:-1], secant[1:]
+    same_sign = left * right > 0.0
+    weight_left, weight_right = step[:-1] + 2.0 * step[1:], 2.0 * step[:-1] + step[1:]
+    safe_left, safe_right = np.where(same_sign, left, 1.0), np.where(same_sign, right, 1.0)
+    mean = (weight_left + weight_right) / (weight_left / safe_left + weight_right / safe_right)
+    ends = [_end_slope(*step[:2], *secant[:2]), _end_slope(*step[:-3:-1], *secant[:-3:-1])]
+    return np.concatenate([ends[:1], np.where(same_sign, mean, 0.0), ends[1:]])
+
+
+def _end_slope(h0: float, h1: float, secant0: float, secant1: float) -> float:
+    """Three-point slope at an end knot, limited so that the curve stays monotone there."""
+    slope = ((2.0 * h0 + h1) * secant0 - h0 * secant1) / (h0 + h1)
+    if slope * secant0 <= 0.0:
+        return 0.0
+    if secant0 * secant1 <= 0.0 and abs(slope) > 3.0 * abs(secant0):
+        return 3.0 * secant0
+    return float(slope)

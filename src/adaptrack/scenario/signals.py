@@ -1,0 +1,78 @@
+"""The samples of a scenario at the control instants: plain arrays for simulations and kernels."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from adaptrack.errors import InvalidInput
+from adaptrack.scenario.shapes import Array
+
+HIGHEST_FRICTION = 3.0
+"""Racing tyres stay below 2; 80 is a percentage."""
+
+
+@dataclass(frozen=True, eq=False)
+class Signals:
+    """A scenario at the control instants t_k = k·period, k = 0..n: n control periods have n + 1 samples.
+
+    Every array is a C-contiguous float64 copy of what was given. (The arrays stay writeable because compiled kernels
+    ask for it; treat them as constants.)
+
+    Raises
+    ------
+    InvalidInput
+        When lengths differ, a value is NaN or infinite, the time does not advance by the period, a speed is negative,
+        or a friction coefficient is outside (0, 3].
+    """
+
+    period: float  # s
+    t: Array  # (n + 1,) s
+    y_ref: Array  # (n + 1,) m, lateral reference
+    speed: Array  # (n + 1,) m/s, reference of the longitudinal speed
+    friction: Array  # (n + 1, 4) front-left, front-right, rear-left, rear-right
+    wind: Array  # (n + 1, 2) m/s, velocity of the air along world X and Y
+
+    def __post_init__(self) -> None:
+        if not 0.0 < self.period < np.inf:
+            raise InvalidInput(f"period = {self.period!r}: must be a finite time > 0 s.")
+        for name in ("t", "y_ref", "speed", "friction", "wind"):
+            object.__setattr__(self, name, np.array(getattr(self, name), dtype=np.float64, order="C"))
+        samples = self.t.size
+        columns = {"t": (), "y_ref": (), "speed": (), "friction": (4,), "wind": (2,)}
+        for name, width in columns.items():
+            shape = (samples, *width)
+            values = getattr(self, name)
+            if values.shape != shape:
+                raise InvalidInput(f"{name} has shape {values.shape}; with {samples} instants it must be {shape}.")
+            self._refuse(~np.isfinite(values), name, "must be finite")
+        if samples < 2:
+            raise InvalidInput("signals need at least two samples: one control period.")
+        drift = np.abs(self.t - self.period * np.arange(samples))
+        if drift.max() > 1e-6 * self.period:
+            k = int(drift.argmax())
+            raise InvalidInput(f"t[{k}] = {float(self.t[k])!r} s; it must be {k} periods of {self.period!r} s.")
+        self._refuse(self.speed < 0.0, "speed", "must be >= 0 m/s")
+        self._refuse(self.friction <= 0.0, "friction", "must be > 0")
+        self._refuse(self.friction > HIGHEST_FRICTION, "friction", "must be a coefficient such as 0.8, at most 3")
+
+    def _refuse(self, wrong: np.ndarray, name: str, rule: str) -> None:
+        """Raise for the first sample that is `wrong`."""
+        if wrong.any():
+            first = tuple(np.argwhere(wrong)[0])
+            value = float(getattr(self, name)[first])
+            where = f"sample {first[0]}" if name == "t" else f"t = {float(self.t[first[0]]):g} s"
+            raise InvalidInput(f"{name} is {value!r} at {where}: {rule}.")
+
+    @property
+    def n(self) -> int:
+        """How many control periods there are: one less than samples."""
+        return self.t.size - 1
+
+
+def instants(n: int, period: float) -> Array:
+    """The instants 0..n: k/f where the period is 1/f, f whole, so that the third is 0.3 s, not 0.30000000000000004."""
+    k = np.arange(n + 1, dtype=np.float64)
+    rate = round(1.0 / period)
+    return k / rate if rate >= 1 and 1.0 / rate == period else k * period

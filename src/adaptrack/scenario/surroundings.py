@@ -1,0 +1,133 @@
+"""Road and air around the car: friction under each wheel, and wind."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from typing import Annotated, Any, Literal, Self
+
+import numpy as np
+from numpy.typing import ArrayLike
+from pydantic import Field, model_validator
+
+from adaptrack.errors import InvalidInput, did_you_mean
+from adaptrack.scenario.shapes import Array, Constant, Shape, Signal, as_shape
+from adaptrack.scenario.signals import HIGHEST_FRICTION
+from adaptrack.toml_files import Record, build
+
+WHEELS = {
+    "all": (0, 1, 2, 3),
+    "left": (0, 2),
+    "right": (1, 3),
+    "front": (0, 1),
+    "rear": (2, 3),
+    "front-left": (0,),
+    "front-right": (1,),
+    "rear-left": (2,),
+    "rear-right": (3,),
+}
+"""Columns of `Signals.friction` by name."""
+
+
+class Wind(Record):
+    """The velocity of the air in the world frame, m/s: ``x`` along +X (forward at the start), ``y`` along +Y (left).
+
+    Wind from the right blows towards the left: ``y`` > 0. The paper's lateral wind v_w is ``y``.
+    """
+
+    x: Signal = Constant(value=0.0)
+    y: Signal = Constant(value=0.0)
+
+    def at(self, t: ArrayLike) -> Array:
+        """Wind vectors (..., 2) at the times `t`."""
+        return np.stack([self.x.at(t), self.y.at(t)], axis=-1)
+
+    def mirrored(self) -> Wind:
+        """The same wind with left and right exchanged."""
+        return self.replace(y=self.y.scaled(-1.0))
+
+    def table(self) -> Any:
+        """The wind as a scenario file holds it."""
+        if self.x == Constant(value=0.0):
+            return self.y.table()
+        return {"x": self.x.table(), "y": self.y.table()}
+
+
+class PolarWind(Record):
+    """Wind by ``speed`` (m/s) and ``direction`` (rad): where it blows *to*, counter-clockwise from +X.
+
+    Direction 0 is a tail wind, π/2 blows towards the left.
+    """
+
+    speed: Signal
+    direction: Signal
+
+    def at(self, t: ArrayLike) -> Array:
+        """Wind vectors (..., 2) at the times `t`."""
+        speed, direction = self.speed.at(t), self.direction.at(t)
+        return np.stack([speed * np.cos(direction), speed * np.sin(direction)], axis=-1)
+
+    def mirrored(self) -> PolarWind:
+        """The same wind with left and right exchanged."""
+        return self.replace(direction=self.direction.scaled(-1.0))
+
+    def table(self) -> Any:
+        """The wind as a scenario file holds it."""
+        return {"speed": self.speed.table(), "direction": self.direction.table()}
+
+
+def as_wind(value: Any) -> Wind | PolarWind:
+    """The wind that a number or shape (lateral), a pair [x, y], or a table {x, y} or {speed, direction} means."""
+    if isinstance(value, Wind | PolarWind):
+        return value
+    if isinstance(value, Mapping) and "shape" not in value:
+        keys = ("x", "y", "speed", "direction", "shape")
+        for key in value:
+            if key not in keys:
+                raise InvalidInput(f"unknown key {key!r}. {did_you_mean(str(key), keys)}")
+        if {"speed", "direction"} & value.keys():
+            return build(PolarWind, value, "wind by speed and direction")
+        return build(Wind, value, "wind by x and y")
+    if isinstance(value, list | tuple):
+        if len(value) != 2:
+            raise InvalidInput("give one lateral wind, or the pair [x, y].")
+        return Wind(x=as_shape(value[0]), y=as_shape(value[1]))
+    return Wind(y=as_shape(value))
+
+
+def as_friction(value: Any) -> tuple[Shape, ...]:
+    """Friction of all wheels, [left, right], or [front-left, front-right, rear-left, rear-right], as shapes."""
+    if not isinstance(value, list | tuple):
+        return (as_shape(value),)
+    if len(value) not in (1, 2, 4):
+        raise InvalidInput("give one value, [left, right], or [front-left, front-right, rear-left, rear-right].")
+    return tuple(as_shape(each) for each in value)
+
+
+class Patch(Record):
+    """A stretch of road with another friction, from ``start`` until ``end``, under the named ``wheels``."""
+
+    start: Annotated[float, Field(description="s")]
+    end: Annotated[float, Field(description="s")]
+    friction: Annotated[float, Field(gt=0.0, le=HIGHEST_FRICTION)]
+    wheels: Literal["all", "left", "right", "front", "rear", "front-left", "front-right", "rear-left", "rear-right"] = (
+        "all"
+    )
+
+    @model_validator(mode="after")
+    def _check_times(self) -> Self:
+        if not self.end > self.start:
+            raise InvalidInput(f"the patch ends at {self.end!r} s; it must end after its start at {self.start!r} s.")
+        return self
+
+    def mirrored(self) -> Patch:
+        """The same patch on the other side of the car."""
+        swap = {"left": "right", "right": "left"}
+        return self.replace(wheels=re.sub("left|right", lambda side: swap[side[0]], self.wheels))
+
+
+def as_patches(value: Any) -> tuple[Patch, ...]:
+    """The patches that a list of tables means."""
+    if not isinstance(value, list | tuple):
+        raise InvalidInput("give a list of patches.")
+    return tuple(each if isinstance(each, Patch) else build(Patch, each, "patch") for each in value)

@@ -1,0 +1,151 @@
+"""Scenarios and single signals from CSV tables."""
+
+from __future__ import annotations
+
+import csv
+import math
+import os
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from adaptrack.errors import ConfigError, InvalidInput, StorageError, did_you_mean
+from adaptrack.scenario.shapes import Array, Knots, Method, as_tuples
+from adaptrack.scenario.signals import HIGHEST_FRICTION
+from adaptrack.toml_files import Record, build
+
+FRICTION_COLUMNS = (
+    ("friction",),
+    ("friction_left", "friction_right"),
+    ("friction_front_left", "friction_front_right", "friction_rear_left", "friction_rear_right"),
+)
+"""The three ways to give the friction: all wheels, sides, or each."""
+
+_ALL_COLUMNS = ("t", "y_ref", "speed", "wind_x", "wind_y", *(name for names in FRICTION_COLUMNS for name in names))
+
+
+def read_scenario_table(path: str | os.PathLike[str]) -> dict[str, Array]:
+    """The columns of a scenario's CSV file, see `Scenario.from_csv`."""
+    return _read_table(path, _scenario_columns)
+
+
+def _scenario_columns(header: list[str]) -> list[str]:
+    """The header of a scenario's table, checked."""
+    for name in header:
+        if name not in _ALL_COLUMNS:
+            raise InvalidInput(f"unknown column {name!r}. {did_you_mean(name, _ALL_COLUMNS)}")
+    ways = [names for names in FRICTION_COLUMNS if set(names) & set(header)]
+    if len(ways) > 1:
+        raise InvalidInput(f"the friction is given twice, by {ways[0][0]!r} and by {ways[1][0]!r}; keep one of them.")
+    wanted = ["t", "y_ref", "speed", *(ways or FRICTION_COLUMNS)[0], "wind_y"]
+    missing = [name for name in wanted if name not in header]
+    if missing:
+        raise InvalidInput(f"column {missing[0]!r} is missing; the columns must be {', '.join(wanted)}.")
+    return header
+
+
+def _read_table(path: str | os.PathLike[str], choose: Callable[[list[str]], list[str]]) -> dict[str, Array]:
+    """Those columns of a CSV file that `choose` names when shown the header; ``t`` among them must increase.
+
+    Raises
+    ------
+    StorageError
+        When the file cannot be read.
+    ConfigError
+        When a header or a number is not allowed; the message names the line.
+    """
+    lines = _lines(path)
+    (first, header), body = lines[0], lines[1:]
+    where = f"{os.fspath(path)}, line {first}"
+    if len(header) == 1 and ";" in header[0]:
+        raise ConfigError(f"{where}: the columns are separated by ';'; write ',' between them and '.' in numbers.")
+    doubled = [name for name in header if header.count(name) > 1]
+    if doubled:
+        raise ConfigError(f"{where}: the column {doubled[0]!r} stands there twice; remove one.")
+    try:
+        names = choose(header)
+    except InvalidInput as error:
+        raise ConfigError(f"{where}: {error}") from None
+    if len(body) < 2:
+        raise ConfigError(f"{os.fspath(path)}: at least two rows of numbers are needed; there are {len(body)}.")
+    places = [header.index(name) for name in names]
+    table = np.empty((len(body), len(names)))
+    for k, (line, row) in enumerate(body):
+        where = f"{os.fspath(path)}, line {line}"
+        if len(row) != len(header):
+            raise ConfigError(f"{where}: {len(row)} cells, but the header has {len(header)} columns.")
+        table[k] = [_number(where, name, row[place]) for name, place in zip(names, places, strict=True)]
+    t = table[:, names.index("t")]
+    late = np.diff(t) <= 0.0
+    if late.any():
+        k = int(late.argmax())
+        raise ConfigError(
+            f"{os.fspath(path)}, line {body[k + 1][0]}: t = {float(t[k + 1])!r} does not come after "
+            f"t = {float(t[k])!r} in line {body[k][0]}; sort the rows by time and remove repetitions."
+        )
+    return {name: table[:, j].copy() for j, name in enumerate(names)}
+
+
+def _lines(path: str | os.PathLike[str]) -> list[tuple[int, list[str]]]:
+    """The lines of a CSV file, numbered and split into cells, without empty lines and comments."""
+    try:
+        with open(path, newline="", encoding="utf-8-sig") as stream:
+            reader = csv.reader(stream)
+            lines = [(reader.line_num, [cell.strip() for cell in row]) for row in reader]
+    except OSError as error:
+        raise StorageError(f"{os.fspath(path)}: cannot be read: {error.strerror or error}.") from error
+    except (UnicodeDecodeError, csv.Error) as error:
+        raise ConfigError(f"{os.fspath(path)}: not a CSV text in UTF-8: {error}.") from error
+    lines = [(line, row) for line, row in lines if any(row) and not row[0].startswith("#")]
+    if not lines:
+        raise ConfigError(f"{os.fspath(path)}: empty; its first line must name the columns.")
+    return lines
+
+
+def _number(where: str, name: str, cell: str) -> float:
+    """The number in a cell of the column `name`, if it is one that the column may hold."""
+    try:
+        number = float(cell)
+    except ValueError:
+        number = math.nan
+    if not math.isfinite(number):
+        raise ConfigError(f"{where}: {name} = {cell!r} is not a finite number; correct it or remove the row.")
+    if name == "speed" and number < 0.0:
+        raise ConfigError(f"{where}: speed = {cell!r} must be >= 0 m/s.")
+    if name.startswith("friction") and not 0.0 < number <= HIGHEST_FRICTION:
+        raise ConfigError(f"{where}: {name} = {cell!r} must be a coefficient such as 0.8, > 0 and at most 3.")
+    return number
+
+
+class _CsvColumn(Record):
+    """In a scenario file only: a curve through one ``column`` of a CSV ``file`` beside it, over its column ``t``."""
+
+    shape: Literal["csv"]
+    file: str
+    column: str
+    method: Method = "linear"
+
+    def read(self, folder: Path) -> Knots:
+        """The curve; time counts from the first row."""
+        columns = _read_table(folder / self.file, self._choose)
+        points = np.stack([columns["t"] - columns["t"][0], columns[self.column]], axis=-1)
+        return Knots(points=as_tuples(points), method=self.method)
+
+    def _choose(self, header: list[str]) -> list[str]:
+        for name in ("t", self.column):
+            if name not in header:
+                raise InvalidInput(f"there is no column {name!r}. {did_you_mean(name, header)}")
+        return ["t", self.column]
+
+
+def insert_csv_columns(data: Any, folder: Path) -> Any:
+    """`data` of a scenario file in `folder`, with the curve itself wherever it names a column of a CSV file."""
+    if isinstance(data, list):
+        return [insert_csv_columns(each, folder) for each in data]
+    if not isinstance(data, dict):
+        return data
+    if data.get("shape") == "csv":
+        return build(_CsvColumn, data, "shape 'csv'").read(folder)
+    return {key: insert_csv_columns(value, folder) for key, value in data.items()}

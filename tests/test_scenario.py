@@ -1,0 +1,644 @@
+"""Scenarios: the signals are what the paper, the formulas and the files say, and bad ones are refused with a remedy."""
+
+from __future__ import annotations
+
+import math
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+
+from adaptrack.errors import ConfigError, InvalidInput, StorageError, UnknownName
+from adaptrack.scenario import (
+    SHAPES,
+    Constant,
+    Gust,
+    Knots,
+    LaneChange,
+    Patch,
+    PolarWind,
+    Pulse,
+    Ramp,
+    Scenario,
+    Shape,
+    Signals,
+    Sine,
+    SineSweep,
+    Step,
+    Sum,
+    TanhSteps,
+    Wind,
+    as_shape,
+    list_scenarios,
+    load_scenario,
+    scenario_options,
+)
+
+POINTS = ((0.0, 1.0), (1.0, 3.0), (2.5, 2.0), (4.0, 2.0), (5.0, -1.0))
+
+ONE_OF_EACH: list[Shape] = [
+    Constant(value=2.5),
+    Knots(points=POINTS),
+    Knots(points=POINTS, method="pchip"),
+    Knots(points=POINTS, method="cubic"),
+    Knots(points=((1.0, 2.0),)),
+    Step(before=1.0, after=-2.0, time=2.0),
+    Ramp(before=1.0, after=4.0, start=1.0, duration=2.0),
+    LaneChange(amplitude=-3.5, start=1.0, duration=3.0),
+    TanhSteps(steps=((4.0, 1.0, 0.5), (-3.0, 4.0, 1.5))),
+    Sine(amplitude=2.0, frequency=0.3, phase=0.4, start=0.5),
+    SineSweep(amplitude=2.0, frequency=0.1, last_frequency=1.0, start=0.5, duration=4.0),
+    Gust(peak=20.0, start=1.0, duration=2.0),
+    Pulse(height=3.0, start=1.0, duration=2.0),
+    Sum(terms=(Constant(value=1.0), Gust(peak=5.0, start=1.0, duration=2.0))),
+]
+by_kind = pytest.mark.parametrize("shape", ONE_OF_EACH, ids=lambda shape: shape.kind)
+
+NAMES = ["triple-lane-change", "general-trajectory", "step", "lane-change", "double-lane-change", "sine"]
+
+
+def scenario(**changes: object) -> Scenario:
+    fields: dict[str, object] = {"name": "test", "duration": 10.0, "reference": 1.0, "speed": 15.0, "friction": 0.8}
+    return Scenario(**(fields | changes))
+
+
+# ---- shapes
+
+
+def test_every_shape_is_tried_here() -> None:
+    assert {shape.kind for shape in ONE_OF_EACH} == set(SHAPES)
+
+
+@by_kind
+def test_rate_is_the_derivative_of_the_value(shape: Shape) -> None:
+    h = 1e-6
+    t = np.linspace(-1.0, 7.0, 401) + 0.0037  # no kink and no jump within h of these
+    assert_allclose(shape.rate(t), (shape.at(t + h) - shape.at(t - h)) / (2.0 * h), atol=2e-7 * 20.0)
+
+
+@by_kind
+def test_a_shape_answers_in_the_form_of_the_question(shape: Shape) -> None:
+    t = np.linspace(-1.0, 7.0, 12)
+    for function in (shape.at, shape.rate):
+        assert function(t).dtype == np.float64
+        assert_array_equal(function(t.reshape(3, 4)), function(t).reshape(3, 4))
+        assert_array_equal([function(each) for each in t], function(t))
+        assert np.shape(function(0.5)) == ()
+
+
+@by_kind
+def test_scaling_multiplies_every_value(shape: Shape) -> None:
+    t = np.linspace(-1.0, 7.0, 101)
+    assert_allclose(shape.scaled(-1.8).at(t), -1.8 * shape.at(t), rtol=1e-14, atol=1e-14)
+    assert shape.scaled(-1.0).scaled(-1.0) == shape
+
+
+@by_kind
+def test_a_shape_survives_its_table(shape: Shape) -> None:
+    assert as_shape(shape.table()) == shape
+
+
+@pytest.mark.parametrize("method", ["linear", "pchip", "cubic"])
+def test_knots_pass_through_their_points_and_hold_the_outer_ones(method: str) -> None:
+    shape = Knots(points=POINTS, method=method)
+    t, y = np.array(POINTS).T
+    assert_array_equal(shape.at(t), y)
+    assert_array_equal(shape.at([-3.0, 9.0]), y[[0, -1]])
+    assert_array_equal(shape.rate([-3.0, 9.0]), [0.0, 0.0])
+
+
+def test_smooth_knots_agree_with_scipy() -> None:
+    interpolate = pytest.importorskip("scipy.interpolate")
+    t, y = np.array(POINTS).T
+    fine = np.linspace(0.0, 5.0, 503)
+    for n in (2, 3, 5):
+        points = POINTS[:n]
+        inside = fine[fine <= t[n - 1]]
+        natural = interpolate.CubicSpline(t[:n], y[:n], bc_type="natural")
+        monotone = interpolate.PchipInterpolator(t[:n], y[:n])
+        for method, oracle in (("cubic", natural), ("pchip", monotone)):
+            shape = Knots(points=points, method=method)
+            assert_allclose(shape.at(inside), oracle(inside), atol=1e-13)
+            assert_allclose(shape.rate(inside), oracle(inside, 1), atol=1e-12)
+
+
+def test_pchip_does_not_overshoot() -> None:
+    values = Knots(points=((0.0, 0.0), (1.0, 0.0), (1.1, 1.0), (3.0, 1.0)), method="pchip").at(np.linspace(0, 3, 301))
+    assert values.min() >= 0.0
+    assert values.max() <= 1.0 + 1e-15
+    assert (np.diff(values) >= -1e-15).all()
+
+
+def test_knots_may_be_two_lists() -> None:
+    assert Knots(t=[0.0, 1.0], values=[2.0, 3.0]) == Knots(points=[[0.0, 2.0], [1.0, 3.0]])
+
+
+def test_a_lane_change_is_smooth_and_has_the_stated_extremes() -> None:
+    shape = LaneChange(amplitude=3.5, start=1.0, duration=4.0)
+    assert_allclose(shape.at([0.0, 1.0, 3.0, 5.0, 9.0]), [0.0, 0.0, 1.75, 3.5, 3.5], rtol=1e-15)
+    t = np.linspace(1.0, 5.0, 40_001)
+    rate = shape.rate(t)
+    assert rate.max() == pytest.approx(1.875 * 3.5 / 4.0, rel=1e-12)
+    assert np.abs(np.gradient(rate, t)).max() == pytest.approx(10.0 / math.sqrt(3.0) * 3.5 / 16.0, rel=1e-6)
+
+
+def test_jumps_belong_to_the_time_after_them() -> None:
+    assert_array_equal(Step(after=2.0, time=1.0).at([0.999, 1.0]), [0.0, 2.0])
+    assert_array_equal(Pulse(height=2.0, start=1.0, duration=0.5).at([0.999, 1.0, 1.499, 1.5]), [0.0, 2.0, 2.0, 0.0])
+
+
+def test_a_gust_peaks_halfway() -> None:
+    assert_allclose(
+        Gust(peak=20.0, start=3.0, duration=2.0).at([3.0, 3.5, 4.0, 4.5, 5.0]), [0, 10, 20, 10, 0], atol=1e-14
+    )
+
+
+def test_a_sweep_reaches_its_last_frequency() -> None:
+    sweep = SineSweep(amplitude=1.0, frequency=0.5, last_frequency=3.0, duration=10.0)
+    turns = 0.5 * (0.5 + 3.0) * 10.0  # mean frequency times duration
+    assert sweep.at(10.0) == pytest.approx(math.sin(math.tau * turns), abs=1e-12)
+    assert sweep.rate(10.0 - 1e-9) == pytest.approx(math.tau * 3.0 * math.cos(math.tau * turns), rel=1e-6)
+
+
+def test_shapes_add_up() -> None:
+    total = Constant(value=5.0) + Gust(peak=10.0, start=0.0, duration=2.0) + 1
+    assert_allclose(total.at([1.0, 3.0]), [16.0, 6.0])
+
+
+# ---- the paper's signals
+
+
+def test_the_triple_lane_change_has_the_published_signals() -> None:
+    test = load_scenario("triple-lane-change")
+    t = np.array([0.0, 13.543, 20.0, 28.0])
+    steps = [(4.201, 13.543, 3.508), (4.328, 26.321, 2.601), (-4.773, 35.876, 2.206)]
+    expected = sum(a / 2.0 * (1.0 + np.tanh((t - t0) / tau)) for a, t0, tau in steps)
+    assert_allclose(test.reference_at(t), expected, rtol=1e-14)
+    assert_allclose(test.speed_at([0.0, 6.0, 13.0, 20.0, 46.0]), [0.05, 19.15, (17.9 + 23.45) / 2, 17.55, 17.55])
+    assert_allclose(test.friction_at([0.0, 15.8, 21.1, 40.0])[:, 0], [0.9, 0.501, 0.736, 0.8])
+    assert_allclose(test.wind_at([0.0, 13.2, 28.0])[:, 1], 1.8 * np.array([0.0, 28.2, -22.0]))
+    assert_array_equal(test.wind_at(np.linspace(0, 46, 50))[:, 0], 0.0)
+    assert test.initial_y == 0.0
+
+
+def test_the_triple_lane_change_has_two_windows_and_a_gain() -> None:
+    assert load_scenario("triple-lane-change").sample().n == 280
+    full = load_scenario("triple-lane-change", window="full", wind_gain=1.0)
+    assert full.sample().n == 460
+    assert full == load_scenario("triple-lane-change", wind_gain=1.0).with_window("full")
+    assert_allclose(
+        full.sample().wind[:, 1] * 1.8, load_scenario("triple-lane-change", duration=46.0).sample().wind[:, 1]
+    )
+
+
+def test_the_general_trajectory_has_the_published_signals() -> None:
+    test = load_scenario("general-trajectory")
+    assert test.sample().n == 2000
+    assert_array_equal(test.reference_at([0.0, 10.0, 49.0, 159.0, 200.0]), [0.0, 2.52, 56.11, 154.9, 103.84])
+    assert_allclose(test.speed_at([0.0, 17.5, 147.0, 200.0]), [0.2, 7.1, 24.0, 24.0 - 6.0 * 2.0 / 30.0])
+    assert_allclose(test.wind_at([0.0, 82.0, 181.0, 200.0])[:, 1], [5.0, 28.5, -25.0, -25.0])
+    assert_allclose(test.friction_at([0.0, 50.0, 164.0, 200.0])[:, 3], [0.95, 0.631, 0.55, 0.96])
+
+
+def test_the_general_trajectory_is_as_steep_as_the_original_and_smooth() -> None:
+    test = load_scenario("general-trajectory")
+    rate = test.reference_rate_at(np.arange(0.0, 200.0, 0.01))
+    assert np.abs(rate).max() == pytest.approx(2.6, abs=0.05)
+    assert np.abs(np.diff(rate)).max() < 0.25 * 0.01  # no kink: lateral acceleration stays below 0.25 m/s^2
+
+
+# ---- manoeuvres
+
+
+def test_every_name_loads_and_is_described() -> None:
+    listed = list_scenarios()
+    assert list(listed) == NAMES
+    for name, description in listed.items():
+        loaded = load_scenario(name)
+        assert loaded.name == name
+        assert loaded.description == description
+        assert "\n" not in description
+
+
+def test_the_step_is_the_tuning_test_of_the_paper() -> None:
+    signals = load_scenario("step", amplitude=-7.0, speed=22.0, friction=0.6, wind=-18.0).sample()
+    assert signals.n == 180
+    for values, constant in ((signals.y_ref, -7.0), (signals.speed, 22.0), (signals.friction, 0.6)):
+        assert_array_equal(values, constant)
+    assert_array_equal(signals.wind, np.tile([0.0, -18.0], (181, 1)))
+    assert load_scenario("step", amplitude=-7.0).initial_y == 0.0
+
+
+@pytest.mark.parametrize(("amplitude", "friction"), [(7.0, 0.5), (-7.0, 0.9), (0.5, 0.9)])
+def test_the_lane_change_uses_35_percent_of_the_friction(amplitude: float, friction: float) -> None:
+    test = load_scenario("lane-change", amplitude=amplitude, friction=friction, gust=25.0)
+    assert isinstance(test.reference, LaneChange)
+    expected = max(2.0, math.sqrt(5.77 * abs(amplitude) / (0.35 * friction * 9.81)))
+    assert test.reference.duration == pytest.approx(expected, rel=1e-3)
+    signals = test.sample(0.05)
+    assert signals.n == 160
+    assert signals.y_ref[0] == 0.0
+    assert signals.y_ref[-1] == pytest.approx(amplitude, abs=1e-12)
+    blown = signals.t[signals.wind[:, 1] > 0.0]
+    assert signals.wind[:, 1].max() == pytest.approx(25.0)
+    assert blown[-1] - blown[0] == pytest.approx(2.0, abs=0.11)
+
+
+def test_the_lane_change_looks_at_the_slipperiest_wheel() -> None:
+    split = load_scenario("lane-change", friction=[0.9, {"shape": "step", "before": 0.9, "after": 0.4, "time": 2.0}])
+    assert split.reference == load_scenario("lane-change", friction=0.4).reference
+
+
+def test_the_double_lane_change_keeps_to_the_sections_of_the_track() -> None:
+    speed = 16.0
+    test = load_scenario("double-lane-change", speed=speed, approach=0.5)
+
+    def at(metres: float) -> float:
+        return float(test.reference_at(0.5 + metres / speed))
+
+    assert [at(x) for x in (0.0, 15.0, 45.0, 70.0, 95.0, 125.0)] == pytest.approx([0, 0, 3.5, 3.5, 0, 0], abs=1e-12)
+    assert test.duration == pytest.approx(0.5 + 125.0 / speed + 2.0)
+
+
+def test_the_sine_swings_by_its_amplitude() -> None:
+    signals = load_scenario("sine", amplitude=1.5, frequency=0.25).sample(0.01)
+    assert signals.y_ref.max() == pytest.approx(1.5, abs=1e-4)
+    assert signals.y_ref.min() == pytest.approx(-1.5, abs=1e-4)
+    assert (signals.y_ref[:101] == 0.0).all()
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_every_scenario_takes_the_common_options(name: str) -> None:
+    test = load_scenario(name, speed=12.0, friction=[0.9, 0.4], wind={"x": -5.0}, duration=3.0, start_y=0.25)
+    signals = test.sample()
+    assert signals.n == 30
+    assert_array_equal(signals.speed, 12.0)
+    assert_array_equal(signals.friction, np.tile([0.9, 0.4, 0.9, 0.4], (31, 1)))
+    assert_allclose(signals.wind, np.tile([-5.0 * test.wind_gain, 0.0], (31, 1)))
+    assert test.initial_y == 0.25
+
+
+def test_options_have_the_defaults_that_are_told() -> None:
+    for name in NAMES:
+        assert load_scenario(name, **scenario_options(name)) == load_scenario(name)
+
+
+# ---- samples
+
+
+@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("period", [0.1, 0.05, 0.03])
+def test_samples_are_the_functions_at_the_control_instants(name: str, period: float) -> None:
+    test = load_scenario(name)
+    signals = test.sample(period)
+    n = round(test.duration / period)
+    assert signals.n == n
+    assert_allclose(signals.t, np.arange(n + 1) * period, rtol=1e-14)
+    shapes = {"t": (n + 1,), "y_ref": (n + 1,), "speed": (n + 1,), "friction": (n + 1, 4), "wind": (n + 1, 2)}
+    for field, shape in shapes.items():
+        values = getattr(signals, field)
+        assert values.shape == shape
+        assert values.dtype == np.float64
+        assert values.flags.c_contiguous
+    assert_array_equal(signals.y_ref, test.reference_at(signals.t))
+    assert_array_equal(signals.speed, test.speed_at(signals.t))
+    assert_array_equal(signals.friction, test.friction_at(signals.t))
+    assert_array_equal(signals.wind, test.wind_at(signals.t))
+
+
+def test_instants_are_the_nearest_numbers_to_the_decimal_ones() -> None:
+    assert load_scenario("step").sample(0.1).t[3] == 0.3
+    assert scenario(reference=Step(after=2.0, time=0.7)).sample(0.1).y_ref[7] == 2.0
+
+
+def test_a_period_must_fit_into_the_duration() -> None:
+    for period in (0.0, -0.1, math.nan, math.inf, 100.0, 1e-9, 1e-320):
+        with pytest.raises(InvalidInput, match="period"):
+            scenario().sample(period)
+
+
+@pytest.mark.parametrize(
+    ("field", "value", "message"),
+    [
+        ("period", 0.0, "period"),
+        ("t", [0.0, 0.1, 0.3], r"t\[2\] = 0.3 s; it must be 2 periods"),
+        ("t", [0.0, math.nan, 0.2], "t is nan at sample 1"),
+        ("y_ref", [0.0, math.inf, 0.0], "y_ref is inf at t = 0.1 s: must be finite"),
+        ("y_ref", [0.0, 0.0], r"y_ref has shape \(2,\); with 3 instants it must be \(3,\)"),
+        ("speed", [0.0, 1.0, -1.0], "speed is -1.0 at t = 0.2 s"),
+        ("friction", np.ones((3, 2)), r"friction has shape \(3, 2\)"),
+        ("friction", np.zeros((3, 4)), "friction is 0.0"),
+        ("friction", np.full((3, 4), 80.0), "a coefficient such as 0.8"),
+        ("wind", np.zeros(3), r"wind has shape \(3,\)"),
+    ],
+)
+def test_signals_refuse_what_no_simulation_can_use(field: str, value: object, message: str) -> None:
+    good: dict[str, object] = {
+        "period": 0.1,
+        "t": [0.0, 0.1, 0.2],
+        "y_ref": np.zeros(3),
+        "speed": np.ones(3),
+        "friction": np.ones((3, 4)),
+        "wind": np.zeros((3, 2)),
+    }
+    Signals(**good)  # type: ignore[arg-type]
+    with pytest.raises(InvalidInput, match=message):
+        Signals(**(good | {field: value}))  # type: ignore[arg-type]
+
+
+def test_signals_keep_their_own_copy() -> None:
+    y_ref = np.zeros(3)
+    signals = Signals(0.1, np.arange(3) * 0.1, y_ref, np.ones(3), np.ones((3, 4)), np.zeros((3, 2)))
+    y_ref[:] = 7.0
+    assert_array_equal(signals.y_ref, 0.0)
+
+
+# ---- friction and wind
+
+
+def test_friction_may_differ_by_side_and_by_wheel() -> None:
+    assert_array_equal(scenario(friction=0.8).friction_at(1.0), [0.8, 0.8, 0.8, 0.8])
+    assert_array_equal(scenario(friction=[0.8, 0.3]).friction_at(1.0), [0.8, 0.3, 0.8, 0.3])
+    assert_array_equal(scenario(friction=[0.8, 0.7, 0.6, 0.5]).friction_at(1.0), [0.8, 0.7, 0.6, 0.5])
+
+
+def test_the_last_patch_counts_while_it_lasts() -> None:
+    patches = (Patch(start=1.0, end=3.0, friction=0.5), Patch(start=2.0, end=4.0, friction=0.2, wheels="right"))
+    friction = scenario(friction_patches=patches).friction_at([0.9, 1.0, 2.0, 3.0, 4.0])
+    assert_array_equal(friction[:, 0], [0.8, 0.5, 0.5, 0.8, 0.8])
+    assert_array_equal(friction[:, 1], [0.8, 0.5, 0.2, 0.2, 0.8])
+    assert_array_equal(friction[:, 2:], friction[:, :2])
+
+
+def test_wind_has_three_spellings() -> None:
+    lateral = scenario(wind=3.0)
+    assert_array_equal(lateral.wind_at(0.0), [0.0, 3.0])
+    assert lateral == scenario(wind=[0.0, 3.0]) == scenario(wind={"y": 3.0}) == scenario(wind=Wind(y=as_shape(3.0)))
+    assert_allclose(scenario(wind={"speed": 10.0, "direction": math.pi / 6}).wind_at(0.0), [5.0 * math.sqrt(3.0), 5.0])
+
+
+def test_the_gain_multiplies_the_wind() -> None:
+    assert_array_equal(scenario(wind=[1.0, 3.0], wind_gain=2.0).wind_at(0.0), [2.0, 6.0])
+
+
+def test_a_car_starts_on_the_reference_unless_told_otherwise() -> None:
+    assert scenario(reference=4.0).initial_y == 4.0
+    assert scenario(reference=4.0, start_y=1.0).initial_y == 1.0
+
+
+# ---- variants
+
+RICH = scenario(
+    reference=LaneChange(amplitude=2.0, start=1.0, duration=3.0) + 1.0,
+    friction=[0.9, 0.8, 0.7, Ramp(before=0.6, after=0.5, start=1.0, duration=2.0)],
+    friction_patches=[Patch(start=1.0, end=2.0, friction=0.3, wheels="front-left")],
+    wind=PolarWind(speed=as_shape(5.0), direction=Sine(amplitude=1.0, frequency=0.1)),
+    wind_gain=1.2,
+    start_y=0.5,
+    start_heading=0.1,
+    windows={"short": 3.0},
+)
+
+
+@pytest.mark.parametrize("test", [RICH, *map(load_scenario, NAMES)], ids=["rich", *NAMES])
+def test_mirroring_exchanges_left_and_right_and_twice_is_identity(test: Scenario) -> None:
+    mirrored = test.mirrored()
+    here, there = test.sample(), mirrored.sample()
+    assert_array_equal(there.y_ref, -here.y_ref)
+    assert_array_equal(there.speed, here.speed)
+    assert_array_equal(there.friction, here.friction[:, [1, 0, 3, 2]])
+    assert_array_equal(there.wind, here.wind * [1.0, -1.0])
+    assert mirrored.initial_y == -test.initial_y
+    assert mirrored.start_heading == -test.start_heading
+    assert mirrored.name != test.name
+    assert mirrored.mirrored() == test
+    assert load_scenario("sine", mirrored=True) == load_scenario("sine").mirrored()
+
+
+def test_another_duration_leaves_the_signals_alone() -> None:
+    short, long = RICH.sample(), RICH.with_duration(20.0).sample()
+    assert long.n == 200
+    assert_array_equal(long.friction[: short.n + 1], short.friction)
+
+
+# ---- arrays and files
+
+
+def test_arrays_become_signals_that_pass_through_them() -> None:
+    t = np.array([5.0, 6.0, 8.0, 9.0])
+    test = Scenario.from_arrays(
+        t,
+        y_ref=[0.0, 1.0, 1.0, 4.0],
+        speed=10.0,
+        friction=np.array([[0.9, 0.5]] * 4),
+        wind=np.array([[1.0, 2.0]] * 4),
+        reference_method="cubic",
+        start_y=0.0,
+    )
+    assert test.duration == 4.0
+    assert_array_equal(test.reference_at(t - 5.0), [0.0, 1.0, 1.0, 4.0])
+    assert_array_equal(test.friction_at(1.5), [0.9, 0.5, 0.9, 0.5])
+    assert_array_equal(test.wind_at(1.5), [1.0, 2.0])
+    assert_array_equal(test.speed_at(1.5), 10.0)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"t": [0.0, 1.0, 1.0]}, r"t\[2\] = 1.0 s does not come after"),
+        ({"t": [0.0, math.nan, 1.0]}, r"t\[1\] is not finite"),
+        ({"t": 3.0}, "at least two times"),
+        ({"y_ref": [0.0, math.nan, 1.0]}, r"y_ref\[1\] is not finite"),
+        ({"y_ref": [0.0, 1.0]}, r"y_ref has shape \(2,\); with 3 times it must be \(3,\)"),
+        ({"friction": np.ones((3, 3))}, r"must be \(3,\), \(3, 2\), \(3, 4\)"),
+        ({"speed": [1.0, -1.0, 1.0]}, "speed is -"),
+    ],
+)
+def test_bad_arrays_are_refused(changes: dict[str, object], message: str) -> None:
+    good: dict[str, object] = {"t": [0.0, 1.0, 2.0], "y_ref": [0.0, 1.0, 2.0], "speed": 9.0, "friction": 0.8}
+    Scenario.from_arrays(**good)  # type: ignore[arg-type]
+    with pytest.raises(InvalidInput, match=message):
+        Scenario.from_arrays(**(good | changes))  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("test", [RICH, *map(load_scenario, NAMES)], ids=["rich", *NAMES])
+def test_a_scenario_survives_its_file(test: Scenario, tmp_path: Path) -> None:
+    path = tmp_path / "mine.toml"
+    test.to_toml(path)
+    assert load_scenario(path) == test
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_a_written_file_has_one_point_per_line(tmp_path: Path) -> None:
+    path = tmp_path / "mine.toml"
+    scenario(reference=Knots(points=POINTS), description="of [ 1, 2 ] things").to_toml(path)
+    text = path.read_text()
+    assert "    [2.5, 2.0],\n" in text
+    assert tomllib.loads(text)["description"] == "of [ 1, 2 ] things"
+
+
+def test_a_file_may_use_numbers_shapes_and_csv_columns(tmp_path: Path) -> None:
+    (tmp_path / "drive.csv").write_text("t,remark,y\n0,start,0\n1,,2\n2,end,2\n")
+    path = tmp_path / "my-road.toml"
+    path.write_text(
+        """
+        duration = 2.0
+        speed = 12
+        friction = [0.9, { shape = "pulse", height = 0.4, start = 0.0, duration = 9.0 }]
+        reference = { shape = "csv", file = "drive.csv", column = "y" }
+        [wind]
+        shape = "sum"
+        terms = [5.0, { shape = "gust", peak = 10.0, start = 0.0, duration = 2.0 }]
+        [[friction_patches]]
+        start = 1.0
+        end = 1.5
+        friction = 0.2
+        """
+    )
+    test = load_scenario(path)
+    assert test.name == "my-road"
+    assert_array_equal(test.reference_at([0.5, 1.0, 1.5]), [1.0, 2.0, 2.0])
+    assert_allclose(test.wind_at(1.0), [0.0, 15.0])
+    assert_array_equal(test.friction_at([0.5, 1.0])[:, :2], [[0.9, 0.4], [0.2, 0.2]])
+
+
+CSV = "t,y_ref,speed,friction,wind_y\n0,0,10,0.8,3\n0.5,1,11,0.7,4\n2,1,12,0.7,5\n"
+
+
+def test_a_csv_file_becomes_a_scenario(tmp_path: Path) -> None:
+    path = tmp_path / "drive.csv"
+    path.write_text("\ufeff# recorded in the rain\n" + CSV + "\n", encoding="utf-8")
+    test = load_scenario(path, wind_gain=2.0)
+    assert test.name == "drive"
+    assert test.duration == 2.0
+    assert_allclose(test.reference_at([0.25, 0.5, 2.0]), [0.5, 1.0, 1.0])
+    assert_allclose(test.wind_at([0.0, 2.0]), [[0.0, 6.0], [0.0, 10.0]])
+    assert_allclose(test.friction_at(0.0), 0.8)
+
+
+def test_a_csv_file_may_split_friction_and_wind(tmp_path: Path) -> None:
+    path = tmp_path / "drive.csv"
+    path.write_text("t,y_ref,speed,friction_right,friction_left,wind_x,wind_y\n0,0,9,0.3,0.8,1,2\n1,0,9,0.3,0.8,1,2\n")
+    test = Scenario.from_csv(path)
+    assert_allclose(test.friction_at(0.5), [0.8, 0.3, 0.8, 0.3])
+    assert_allclose(test.wind_at(0.5), [1.0, 2.0])
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("2,1,12", "0.5,1,12", r"line 4: t = 0.5 does not come after t = 0.5 in line 3; sort the rows"),
+        ("2,1,12", "0.1,1,12", r"line 4: t = 0.1 does not come after"),
+        ("0.5,1,11", "0.5,nan,11", r"line 3: y_ref = 'nan' is not a finite number; correct it or remove the row"),
+        ("0.5,1,11", "0.5,,11", r"line 3: y_ref = ''"),
+        ("0.5,1,11", "0.5,fast,11", r"line 3: y_ref = 'fast'"),
+        ("0.5,1,11", "0.5,11", r"line 3: 4 cells, but the header has 5 columns"),
+        ("1,11", "1,-11", r"line 3: speed = '-11' must be >= 0"),
+        ("0.8", "80", r"line 2: friction = '80' must be a coefficient such as 0.8"),
+        ("y_ref", "yref", r"line 1: unknown column 'yref'. Did you mean 'y_ref'\?"),
+        ("friction,", "y_ref,", r"line 1: the column 'y_ref' stands there twice"),
+        ("friction,", "friction_left,", r"line 1: column 'friction_right' is missing"),
+        ("speed,friction", "friction_left,friction", r"line 1: the friction is given twice"),
+        (",wind_y\n", "\n", r"line 1: column 'wind_y' is missing"),
+        (",", ";", r"line 1: the columns are separated by ';'"),
+        (CSV, "", "empty"),
+        (CSV.partition("\n")[2], "", "at least two rows"),
+    ],
+)
+def test_a_bad_csv_file_is_refused_with_line_and_remedy(tmp_path: Path, old: str, new: str, message: str) -> None:
+    path = tmp_path / "drive.csv"
+    path.write_text(CSV.replace(old, new))
+    with pytest.raises(ConfigError, match=rf"drive\.csv.*{message}"):
+        load_scenario(path)
+
+
+TOML = "duration = 5.0\nreference = 1.0\nspeed = 10.0\nfriction = 0.8\n"
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("duration", "duratoin", "duratoin: unknown key. Did you mean 'duration'"),
+        ("duration = 5.0", "", "duration: missing"),
+        ("duration = 5.0", "duration = 0.0", "duration = 0.0: must be a finite number > 0"),
+        ("10.0", "-10.0", "speed is -10.0 at t = 0 s: must be >= 0"),
+        ("10.0", "'fast'", "speed = 'fast': give a number, or a table"),
+        ("10.0", "nan", "speed = nan"),
+        ("10.0", "{ shape = 'rmap', after = 3.0 }", "unknown shape 'rmap'. Did you mean 'ramp'"),
+        ("10.0", "{ after = 3.0 }", "no key 'shape'; give one of 'constant'"),
+        ("10.0", "{ shape = 'step', after = 3.0, tmie = 2.0 }", "tmie: unknown key. Did you mean 'time'"),
+        ("10.0", "{ shape = 'knots', points = [[0, 1], [0, 2]] }", "the times must increase"),
+        ("10.0", "{ shape = 'knots', points = [] }", "at least one"),
+        ("10.0", "{ shape = 'knots', t = [0, 1], values = [1] }", "two lists of the same length"),
+        ("10.0", "{ shape = 'csv', file = 'a.csv', colum = 'v' }", "colum: unknown key. Did you mean 'column'"),
+        ("0.8", "[0.8, 0.8, 0.8]", "one value, .left, right., or"),
+        ("0.8", "0.8\nwind = { sped = 3.0 }", "unknown key 'sped'. Did you mean 'speed'"),
+        ("0.8", "0.8\nwind = [1, 2, 3]", "the pair"),
+        ("0.8", "0.8\nfriction_patches = [{ start = 2.0, end = 1.0, friction = 0.3 }]", "must end after its start"),
+        ("0.8", "0.8\nfriction_patches = [{ start = 2.0, end = 3.0, friction = 0.3, wheels = 'l' }]", "'left'"),
+        ("= 5.0", "5.0", "line 1"),
+    ],
+)
+def test_a_bad_scenario_file_is_refused_with_key_and_remedy(tmp_path: Path, old: str, new: str, message: str) -> None:
+    path = tmp_path / "road.toml"
+    path.write_text(TOML)
+    load_scenario(path)
+    path.write_text(TOML.replace(old, new))
+    with pytest.raises(ConfigError, match=rf"(?s)road\.toml.*{message}"):
+        load_scenario(path)
+
+
+def test_a_missing_file_is_named(tmp_path: Path) -> None:
+    for name in ("none.toml", "none.csv"):
+        with pytest.raises(StorageError, match=name):
+            load_scenario(tmp_path / name)
+
+
+def test_unknown_names_and_options_show_the_nearest() -> None:
+    with pytest.raises(UnknownName, match="Did you mean 'triple-lane-change'"):
+        load_scenario("tripel-lane-change")
+    with pytest.raises(UnknownName, match=r"scenario 'sine' has no option 'freqency'. Did you mean 'frequency'"):
+        load_scenario("sine", freqency=1.0)
+    with pytest.raises(UnknownName, match="Did you mean 'wind_gain'"):
+        load_scenario("triple-lane-change", windgain=1.0)
+    with pytest.raises(InvalidInput, match=r"no window 'ful'. Did you mean 'full'"):
+        load_scenario("triple-lane-change", window="ful")
+    with pytest.raises(InvalidInput, match="either a window or a duration"):
+        load_scenario("triple-lane-change", window="full", duration=3.0)
+    with pytest.raises(InvalidInput, match="lengths become times"):
+        load_scenario("double-lane-change", speed=0.0)
+
+
+@pytest.mark.parametrize(
+    ("name", "options"),
+    [
+        ("lane-change", {"amplitude": "3"}),
+        ("lane-change", {"amplitude": math.nan}),
+        ("lane-change", {"change_time": -1.0}),
+        ("lane-change", {"friction": 0.0}),
+        ("lane-change", {"duration": math.nan}),
+        ("double-lane-change", {"amplitude": [1.0]}),
+        ("double-lane-change", {"speed": {"shape": "constant", "value": 3.0}}),
+        ("double-lane-change", {"speed": True}),
+        ("sine", {"frequency": -1.0}),
+        ("step", {"amplitude": math.inf}),
+        ("step", {"mirrored": "no"}),
+        ("triple-lane-change", {"window": 28.0}),
+        ("triple-lane-change", {"wind_gain": math.nan}),
+    ],
+)
+def test_options_of_a_wrong_kind_or_size_are_refused(name: str, options: dict[str, object]) -> None:
+    with pytest.raises(InvalidInput, match=next(iter(options)).replace("change_time", "duration")):
+        load_scenario(name, **options)
+
+
+def test_scenarios_need_neither_scipy_nor_numba() -> None:
+    program = (
+        "import sys; from adaptrack.scenario import load_scenario; load_scenario('general-trajectory').sample();"
+        "assert not {'scipy', 'numba', 'matplotlib', 'sklearn'} & sys.modules.keys()"
+    )
+    subprocess.run([sys.executable, "-c", program], check=True, timeout=60)

@@ -1,0 +1,721 @@
+"""Vehicles, tyres and actuators: what they mean, what they refuse, and that each number reaches its own slot."""
+
+from __future__ import annotations
+
+import math
+import os
+import pickle
+import re
+from pathlib import Path
+from typing import Annotated, Literal
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from adaptrack.errors import AdaptrackError, ConfigError, ContractError, InvalidInput, StorageError, UnknownName
+from adaptrack.toml_files import Record, build, dump_toml, read_toml, write_toml
+from adaptrack.vehicle import (
+    GRAVITY,
+    SteeringActuator,
+    Tyre,
+    Vehicle,
+    list_tyres,
+    list_vehicles,
+    load_tyre,
+    load_vehicle,
+    pack_plant,
+)
+
+OWN_CAR = """\
+mass = 1500
+yaw_inertia = 2500.0
+lf = 1.1
+lr = 1.6
+stiffness_front = 55e3
+stiffness_rear = 60e3
+"""  # the six numbers of the prediction model are all that a file must hold
+
+PAPER_TABLE = {
+    "mass": 1575,
+    "yaw_inertia": 2875,
+    "lf": 1.2,
+    "lr": 1.6,
+    "stiffness_front": 19000,
+    "stiffness_rear": 33000,
+}
+
+
+class Pac2002:
+    """MSC Adams/Tire, example file of a 235/60 R16 tyre: the published figures behind `passenger-car`."""
+
+    FNOMIN = 4850.0
+    R0 = 0.344
+    PCY1 = 1.3507
+    PDY1, PDY2 = 1.0489, -0.18033
+    PEY1 = -0.0074722
+    PKY1, PKY2 = -21.92, 2.0012
+    PTY1, PTY2 = 2.1439, 1.9829
+
+    def stiffness(self, load: float) -> float:
+        return -self.PKY1 * self.FNOMIN * math.sin(2 * math.atan(load / (self.PKY2 * self.FNOMIN)))
+
+    def relaxation_length(self, load: float) -> float:
+        return self.PTY1 * self.R0 * math.sin(2 * math.atan(load / (self.PTY2 * self.FNOMIN)))
+
+
+def car(**changes) -> Vehicle:
+    return Vehicle(**{"name": "test", **PAPER_TABLE, **changes})
+
+
+def tyre(**changes) -> Tyre:
+    return Tyre(
+        **{
+            "name": "test",
+            "kind": "linear",
+            "stiffness_front": 8e4,
+            "stiffness_rear": 9e4,
+            "nominal_load": 4e3,
+            **changes,
+        }
+    )
+
+
+cars = st.builds(
+    car,
+    mass=st.floats(500, 3000),
+    yaw_inertia=st.floats(500, 6000),
+    lf=st.floats(0.8, 2.0),
+    lr=st.floats(0.8, 2.0),
+    stiffness_front=st.floats(1e4, 2e5),
+    stiffness_rear=st.floats(1e4, 2e5),
+)
+
+
+def lateral_matrices(vehicle: Vehicle, vx: float) -> tuple[np.ndarray, np.ndarray]:
+    """The paper's eq. (6) as d/dt (v_y, r) = A (v_y, r) + B delta."""
+    m, inertia, lf, lr = vehicle.mass, vehicle.yaw_inertia, vehicle.lf, vehicle.lr
+    front, rear = 2 * vehicle.stiffness_front, 2 * vehicle.stiffness_rear
+    A = np.array(
+        [
+            [-(front + rear) / (m * vx), -vx - (front * lf - rear * lr) / (m * vx)],
+            [-(front * lf - rear * lr) / (inertia * vx), -(front * lf**2 + rear * lr**2) / (inertia * vx)],
+        ]
+    )
+    return A, np.array([front / m, front * lf / inertia])
+
+
+class TestNamedSets:
+    @pytest.mark.parametrize("name", list_vehicles())
+    def test_every_named_vehicle_loads_and_names_a_tyre_that_exists(self, name):
+        vehicle = load_vehicle(name)
+        assert vehicle.name == name
+        assert vehicle.description
+        assert load_tyre(vehicle.tyre).name in list_tyres()
+
+    @pytest.mark.parametrize("name", list_tyres())
+    def test_every_named_tyre_loads(self, name):
+        assert load_tyre(name).name == name
+        assert load_tyre(name).description
+
+    def test_the_published_names_are_there(self):
+        assert {"paper", "midsize-sedan"} <= set(list_vehicles())
+        assert {"magic-formula", "constant-stiffness", "passenger-car"} <= set(list_tyres())
+
+    def test_the_paper_car_has_the_papers_table(self):
+        vehicle = load_vehicle("paper")
+        assert {name: getattr(vehicle, name) for name in PAPER_TABLE} == PAPER_TABLE
+        for name in ("magic-formula", "constant-stiffness"):
+            assert (load_tyre(name).stiffness_front, load_tyre(name).stiffness_rear) == (19000, 33000)
+
+    def test_the_released_tyre_leaves_the_paper_car_33_6_and_43_7_kilonewton_per_radian_and_axle(self):
+        # Independent figures: read from the authors' released model.
+        front, rear = load_tyre("constant-stiffness").stiffness_at(*load_vehicle("paper").static_loads)
+        assert 2 * front == pytest.approx(33.6e3, rel=3e-3)
+        assert 2 * rear == pytest.approx(43.7e3, rel=3e-3)
+
+    def test_a_side_wind_of_30_metres_per_second_pushes_the_paper_car_with_1_5_kilonewton_and_turns_it_with_1_4(self):
+        # Independent figures: read from the authors' released model, at a forward speed of 20 m/s.
+        vehicle = load_vehicle("paper")
+        pressure = 0.5 * vehicle.air_density * vehicle.frontal_area * (20**2 + 30**2)
+        angle = min(math.atan2(30, 20), vehicle.wind_angle_limit)
+        assert pressure * vehicle.side_force_slope * angle == pytest.approx(1500, rel=0.02)
+        assert pressure * vehicle.yaw_moment_slope * angle * vehicle.wheelbase == pytest.approx(1400, rel=0.02)
+
+    def test_the_sedan_has_the_figures_that_commonroad_publishes_for_its_vehicle_2(self):
+        pound, foot = 4.4482216152605, 0.3048
+        sedan = load_vehicle("midsize-sedan")
+        assert sedan.mass == pytest.approx(74.91452 * pound / foot, rel=1e-4)
+        assert sedan.yaw_inertia == pytest.approx(1321.416 * pound * foot, rel=1e-4)
+        lengths = (sedan.lf, sedan.lr, sedan.track_front, sedan.track_rear, sedan.cg_height)
+        assert lengths == pytest.approx([foot * x for x in (3.793293, 4.667707, 4.55, 4.475, 1.886053)], rel=1e-4)
+
+    def test_the_sedans_prediction_model_knows_its_own_tyres_at_rest(self):
+        sedan = load_vehicle("midsize-sedan")
+        matched = sedan.matched_to(load_tyre(sedan.tyre))
+        assert sedan.stiffness_front == pytest.approx(matched.stiffness_front, rel=1e-3)
+        assert sedan.stiffness_rear == pytest.approx(matched.stiffness_rear, rel=1e-3)
+
+    def test_the_passenger_car_tyre_is_the_published_pac2002_set(self):
+        published, ours = Pac2002(), load_tyre("passenger-car")
+        for load in (500.0, 2000.0, 4400.0, 4850.0, 8000.0):
+            assert ours.stiffness_at(load, load) == pytest.approx([published.stiffness(load)] * 2, rel=1e-4)
+        assert ours.nominal_load == published.FNOMIN
+        assert ours.shape == published.PCY1
+        assert ours.friction_load_sensitivity == pytest.approx(-published.PDY2 / published.PDY1, rel=1e-3)
+        assert ours.relaxation_length == pytest.approx(published.relaxation_length(3300), rel=0.01)
+
+    def test_leaving_out_the_published_curvature_moves_no_force_by_a_thousandth_of_its_peak(self):
+        slope = np.linspace(0, 50, 5001)  # B alpha
+
+        def force(curvature):
+            return np.sin(Pac2002.PCY1 * np.arctan(slope - curvature * (slope - np.arctan(slope))))
+
+        assert load_tyre("passenger-car").curvature == 0.0
+        assert np.abs(force(Pac2002.PEY1) - force(0.0)).max() < 1e-3
+
+    def test_an_unknown_name_is_answered_with_the_nearest(self):
+        with pytest.raises(UnknownName, match=r"no vehicle is named 'midsize-sedn'. Did you mean 'midsize-sedan'\?"):
+            load_vehicle("midsize-sedn")
+        with pytest.raises(UnknownName, match="Did you mean 'passenger-car'"):
+            load_tyre("passanger-car")
+        with pytest.raises(InvalidInput, match="not by 3"):
+            load_vehicle(3)
+
+
+class TestFields:
+    @pytest.mark.parametrize("model", [Vehicle, Tyre, SteeringActuator])
+    def test_every_number_says_its_unit_and_every_field_its_meaning(self, model):
+        units = ("kg", "kg m^2", "kg/m^3", "m", "m^2", "N", "N/rad", "1/rad", "rad", "rad/s", "s", "W", "-")
+        for name, field in model.model_fields.items():
+            assert field.description, name
+            if field.annotation in (float, float | None):
+                unit, comma, meaning = field.description.partition(", ")
+                assert unit in units, f"{name}: {unit!r}"
+                assert comma
+                assert meaning
+
+    def test_values_cannot_be_changed_in_place(self):
+        with pytest.raises(ValidationError):
+            car().mass = 1.0
+
+    def test_a_changed_copy_is_validated_and_the_original_kept(self):
+        vehicle = car()
+        assert vehicle.replace(mass=2000).mass == 2000
+        assert vehicle.mass == 1575
+        with pytest.raises(InvalidInput, match=r"mass = -1: must be a finite number > 0 .*kg"):
+            vehicle.replace(mass=-1)
+        with pytest.raises(InvalidInput, match=r"mas: unknown key. Did you mean 'mass'\?"):
+            vehicle.replace(mas=1)
+
+    def test_numpy_numbers_are_numbers(self):
+        vehicle = car(mass=np.float64(1200), lf=np.float32(1.5), lr=np.int64(1))
+        assert (vehicle.mass, vehicle.lf, vehicle.lr) == (1200, 1.5, 1)
+
+    def test_sets_survive_pickling_and_json(self):
+        for record in (load_vehicle("paper"), load_tyre("passenger-car"), SteeringActuator.ideal()):
+            assert pickle.loads(pickle.dumps(record)) == record
+            assert type(record).model_validate_json(record.model_dump_json()) == record
+
+    @pytest.mark.parametrize("value", [0, -1.0, math.nan, math.inf, -math.inf, "1575", True, None, [1.0], 10**400])
+    @pytest.mark.parametrize("name", sorted(PAPER_TABLE))
+    def test_the_prediction_model_takes_positive_finite_numbers_only(self, name, value):
+        with pytest.raises(InvalidInput, match=rf"Vehicle: {name} = .*: must be a finite number > 0"):
+            car(**{name: value})
+
+    @pytest.mark.parametrize("name", ["drive_front", "brake_front"])
+    def test_shares_lie_between_0_and_1(self, name):
+        assert getattr(car(**{name: 0}), name) == 0
+        assert getattr(car(**{name: 1}), name) == 1
+        for value in (-0.01, 1.01):
+            with pytest.raises(InvalidInput, match=rf"{name} = {value}: must be a finite number >= 0 and <= 1 "):
+                car(**{name: value})
+
+    def test_a_relaxation_length_may_be_0_but_not_negative(self):
+        assert tyre(relaxation_length=0).relaxation_length == 0
+        with pytest.raises(InvalidInput, match=r"relaxation_length = -0.1: must be a finite number >= 0"):
+            tyre(relaxation_length=-0.1)
+
+
+class TestTyre:
+    @pytest.mark.parametrize("law", ["constant", "linear", "digressive"])
+    def test_each_law_gives_the_nominal_stiffness_at_the_nominal_load(self, law):
+        ratio = 1.8 if law == "digressive" else None
+        own = tyre(stiffness_load=law, digressive_load_ratio=ratio)
+        assert own.stiffness_at(4e3, 4e3) == pytest.approx((8e4, 9e4), rel=1e-12)
+
+    def test_constant_ignores_the_load_and_linear_follows_it(self):
+        assert tyre(stiffness_load="constant").stiffness_load_coefficients == (1, 0, 0)
+        assert tyre(stiffness_load="linear").stiffness_load_coefficients == (0, 1, 0)
+        assert tyre(stiffness_load="constant").stiffness_at(1e3, 9e3) == (8e4, 9e4)
+        assert tyre(stiffness_load="linear").stiffness_at(1e3, 8e3) == (2e4, 18e4)
+
+    @given(ratio=st.floats(0.5, 5), load=st.floats(10, 2e4))
+    def test_digressive_is_pacejkas_sine_and_peaks_at_its_ratio(self, ratio, load):
+        own = tyre(stiffness_load="digressive", digressive_load_ratio=ratio)
+        pacejka = math.sin(2 * math.atan(load / 4e3 / ratio)) / math.sin(2 * math.atan(1 / ratio))
+        assert own.stiffness_at(load, load)[0] == pytest.approx(8e4 * pacejka, rel=1e-9)
+        assert own.stiffness_at(load, load)[0] <= own.stiffness_at(4e3 * ratio, 4e3)[0] * (1 + 1e-12)
+
+    def test_a_digressive_law_needs_its_ratio_and_no_other_law_takes_one(self):
+        with pytest.raises(InvalidInput, match="digressive_load_ratio: a digressive stiffness needs the load ratio"):
+            tyre(stiffness_load="digressive")
+        with pytest.raises(InvalidInput, match=r"digressive_load_ratio = 2.0: only stiffness_load = 'digressive'"):
+            tyre(stiffness_load="linear", digressive_load_ratio=2.0)
+
+
+class TestActuator:
+    def test_ideal_has_no_lag_and_no_rate_limit(self):
+        ideal = SteeringActuator.ideal()
+        assert ideal.lag == 0
+        assert ideal.rate == math.inf
+        assert ideal.limit >= math.pi / 6  # the MPC's own bound stays the tighter one
+
+    def test_road_lies_within_the_published_range(self):
+        road = SteeringActuator.road()
+        assert 0.1 <= road.lag <= 0.27
+        assert 0.4 <= road.rate <= 5.0
+        assert road.limit == math.pi / 6
+
+    def test_a_rate_limit_without_a_lag_is_refused_because_the_plant_would_ignore_it(self):
+        with pytest.raises(InvalidInput, match=r"rate = 0.5: a rate limit acts on the lag: give lag > 0"):
+            SteeringActuator(rate=0.5)
+
+    @pytest.mark.parametrize(
+        "changes", [{"rate": math.nan}, {"rate": 0}, {"lag": -0.1}, {"limit": 2.0}, {"limit": math.nan}]
+    )
+    def test_impossible_values_are_refused(self, changes):
+        (name,) = changes
+        with pytest.raises(InvalidInput, match=f"{name} = "):
+            SteeringActuator(**{"lag": 0.1, **changes})
+
+
+class TestSteadyTurn:
+    @given(vehicle=cars, vx=st.floats(1, 60))
+    def test_yaw_gain_is_the_steady_state_of_equation_6(self, vehicle, vx):
+        if vx > 0.9 * vehicle.critical_speed:
+            return
+        A, B = lateral_matrices(vehicle, vx)
+        _, yaw_rate = np.linalg.solve(A, -B)
+        assert vehicle.steady_state_yaw_gain(vx) == pytest.approx(yaw_rate, rel=1e-9)
+
+    @given(vehicle=cars)
+    def test_understeer_gradient_is_the_difference_of_the_slip_angles_per_lateral_acceleration(self, vehicle):
+        front = (
+            vehicle.mass * vehicle.lr / vehicle.wheelbase / (2 * vehicle.stiffness_front)
+        )  # F = m a_y share = 2 C alpha
+        rear = vehicle.mass * vehicle.lf / vehicle.wheelbase / (2 * vehicle.stiffness_rear)
+        assert vehicle.understeer_gradient == pytest.approx(front - rear, rel=1e-9, abs=1e-12)
+
+    def test_an_understeering_car_has_its_largest_yaw_gain_at_the_characteristic_speed(self):
+        vehicle = load_vehicle("paper")
+        top = vehicle.characteristic_speed
+        gain = vehicle.steady_state_yaw_gain
+        assert vehicle.critical_speed == math.inf
+        assert gain(top) == pytest.approx(top / (2 * vehicle.wheelbase))
+        assert gain(top) > max(gain(0.99 * top), gain(1.01 * top))
+
+    def test_an_oversteering_car_becomes_unstable_at_the_critical_speed(self):
+        vehicle = car(stiffness_front=60e3, stiffness_rear=30e3)
+        critical = vehicle.critical_speed
+        assert vehicle.characteristic_speed == math.inf
+        assert np.linalg.eigvals(lateral_matrices(vehicle, 0.99 * critical)[0]).real.max() < 0
+        assert np.linalg.eigvals(lateral_matrices(vehicle, 1.01 * critical)[0]).real.max() > 0
+
+    def test_a_neutral_car_turns_as_its_wheelbase_says(self):
+        vehicle = car(lf=1.4, lr=1.4, stiffness_front=5e4, stiffness_rear=5e4)
+        assert vehicle.understeer_gradient == 0
+        assert vehicle.characteristic_speed == vehicle.critical_speed == math.inf
+        assert vehicle.steady_state_yaw_gain(28.0) == pytest.approx(10.0)
+
+    @pytest.mark.parametrize("vx", [-1.0, math.nan, math.inf, 1000.0])
+    def test_no_steady_turn_is_promised_where_there_is_none(self, vx):
+        with pytest.raises(InvalidInput, match="steady_state_yaw_gain: vx = "):
+            car(stiffness_front=60e3, stiffness_rear=30e3).steady_state_yaw_gain(vx)
+
+    @given(vehicle=cars)
+    def test_static_loads_carry_the_weight_in_balance(self, vehicle):
+        front, rear = vehicle.static_loads
+        assert 2 * (front + rear) == pytest.approx(vehicle.mass * GRAVITY)
+        assert front * vehicle.lf == pytest.approx(rear * vehicle.lr)
+
+
+OTHER_SLOTS = {
+    "steering_lag": lambda v, t, a: a.lag,
+    "steering_rate": lambda v, t, a: a.rate,
+    "steering_limit": lambda v, t, a: a.limit,
+    "tyre_linear": lambda v, t, a: 1.0 if t.kind == "linear" else 0.0,
+    "stiffness_load_0": lambda v, t, a: t.stiffness_load_coefficients[0],
+    "stiffness_load_1": lambda v, t, a: t.stiffness_load_coefficients[1],
+    "stiffness_load_2": lambda v, t, a: t.stiffness_load_coefficients[2],
+}
+
+
+class TestPackPlant:
+    @staticmethod
+    def distinct():
+        """A vehicle, a tyre and an actuator without two equal numbers: a swap of two slots cannot go unnoticed."""
+        vehicle = car(
+            track_front=1.51, track_rear=1.52, cg_height=0.53, load_transfer_time=0.11, frontal_area=2.1,
+            air_density=1.23, drag_coefficient=0.31, side_force_slope=3.1, yaw_moment_slope=1.01,
+            wind_angle_limit=0.33, rolling_resistance=0.014, engine_power=95e3, traction_limit=7e3,
+            brake_limit=14e3, drive_front=0.61, brake_front=0.71,
+        )  # fmt: skip
+        own = tyre(
+            kind="magic-formula", stiffness_load="digressive", digressive_load_ratio=2.2, shape=1.36,
+            curvature=-0.4, friction_load_sensitivity=0.17, relaxation_length=0.45,
+        )  # fmt: skip
+        return vehicle, own, SteeringActuator(lag=0.15, rate=0.5, limit=0.52)
+
+    def test_each_number_reaches_its_own_slot(self):
+        from adaptrack.kernels.abi import PLANT_PARAMETERS
+
+        vehicle, own, actuator = self.distinct()
+        packed = pack_plant(vehicle, own, actuator)
+        assert packed.shape == (len(PLANT_PARAMETERS),)
+        assert packed.dtype == np.float64
+        assert packed.flags.c_contiguous
+        assert len(set(packed)) >= len(packed) - 1  # nearly all distinct (0 twice: Magic Formula, s0)
+        for name, value in zip(PLANT_PARAMETERS, packed, strict=True):
+            if name in OTHER_SLOTS:
+                expected = OTHER_SLOTS[name](vehicle, own, actuator)
+            else:
+                expected = getattr(own if name in Tyre.model_fields else vehicle, name)
+            assert value == expected, name
+
+    @pytest.mark.parametrize("kind", ["vehicle", "tyre", "actuator"])
+    def test_no_number_is_without_effect_except_the_prediction_models_stiffness(self, kind):
+        parts = dict(zip(("vehicle", "tyre", "actuator"), self.distinct(), strict=True))
+        before = pack_plant(**parts)
+        record = parts[kind]
+        numbers = {name for name, value in dict(record).items() if isinstance(value, float)}
+        dead = set()
+        for name in numbers:
+            changed = record.replace(**{name: getattr(record, name) * 0.9})
+            if np.array_equal(pack_plant(**{**parts, kind: changed}), before):
+                dead.add(name)
+        assert dead == ({"stiffness_front", "stiffness_rear"} if kind == "vehicle" else set())
+
+    def test_the_kind_of_tyre_is_a_number_of_the_record(self):
+        from adaptrack.kernels.abi import PLANT_PARAMETERS
+
+        vehicle, own, actuator = self.distinct()
+        slot = PLANT_PARAMETERS.index("tyre_linear")
+        assert pack_plant(vehicle, own, actuator)[slot] == 0
+        assert pack_plant(vehicle, own.replace(kind="linear"), actuator)[slot] == 1
+
+    @pytest.mark.parametrize(
+        ("edit", "message"),
+        [
+            (lambda names: (*names, "tyre_pressure"), r"missing \['tyre_pressure'\], unused \[\]"),
+            (lambda names: names[1:], r"missing \[\], unused \['mass'\]"),
+        ],
+    )
+    def test_a_kernel_that_asks_for_other_parameters_is_noticed(self, monkeypatch, edit, message):
+        from adaptrack.kernels import abi
+
+        monkeypatch.setattr(abi, "PLANT_PARAMETERS", edit(abi.PLANT_PARAMETERS))
+        with pytest.raises(ContractError, match=message):
+            pack_plant(*self.distinct())
+
+    def test_the_order_of_the_kernels_does_not_matter(self, monkeypatch):
+        from adaptrack.kernels import abi
+
+        packed = pack_plant(*self.distinct())
+        monkeypatch.setattr(abi, "PLANT_PARAMETERS", abi.PLANT_PARAMETERS[::-1])
+        assert np.array_equal(pack_plant(*self.distinct()), packed[::-1])
+
+    def test_kernels_use_the_same_gravity(self):
+        from adaptrack.kernels import dynamics
+
+        assert dynamics.GRAVITY == GRAVITY
+
+    def test_describing_a_car_loads_no_compiler(self, run_python):
+        loaded = run_python(
+            code="import sys; from adaptrack.vehicle import load_vehicle as f; f('paper'); print(*sys.modules)"
+        )
+        assert not {"numba", "llvmlite", "scipy"} & set(loaded.split())
+
+
+class TestPage:
+    @pytest.fixture
+    def page(self, project):
+        return (project / "docs" / "vehicles.md").read_text(encoding="utf-8")
+
+    @pytest.mark.parametrize("model", [Vehicle, Tyre, SteeringActuator])
+    def test_the_page_has_a_row_for_every_key(self, page, model):
+        section = page.split(f"\n## {'Steering actuator' if model is SteeringActuator else model.__name__}\n")[1]
+        rows = [line.split("|")[1] for line in section.split("\n## ")[0].splitlines() if line.startswith("| `")]
+        assert set(re.findall(r"`(\w+)`", " ".join(rows))) == set(model.model_fields)
+
+    def test_the_page_names_every_vehicle_and_tyre(self, page):
+        for name in (*list_vehicles(), *list_tyres()):
+            assert f"**`{name}`**" in page
+
+    def test_the_examples_of_the_page_run_one_after_the_other(self, page, run_python, tmp_path):
+        (toml,) = re.findall(r"```toml\n(.*?)```", page, re.DOTALL)
+        (tmp_path / "my-car.toml").write_text(toml)
+        assert load_vehicle(tmp_path / "my-car.toml").name == "my-car"
+        run_python(code="\n".join(re.findall(r"```python\n(.*?)```", page, re.DOTALL)), cwd=tmp_path)
+        assert load_vehicle(tmp_path / "my-car.toml") == load_vehicle("midsize-sedan")
+
+    def test_the_refusal_shown_on_the_page_is_the_real_one(self, page, tmp_path, monkeypatch):
+        monkeypatch.chdir(tmp_path)
+        text = OWN_CAR.replace("mass = 1500", "mass = -1500.0").replace("yaw_inertia", "yaw_inertai")
+        Path("my-car.toml").write_text(text)
+        with pytest.raises(ConfigError) as caught:
+            load_vehicle("my-car.toml")
+        assert sorted(str(caught.value).splitlines()) == sorted(
+            re.findall(r"```text\n(.*?)\n```", page, re.DOTALL)[0].splitlines()
+        )
+
+
+class TestOwnFiles:
+    def write(self, folder: Path, text: str, name: str = "mine.toml") -> Path:
+        path = folder / name
+        path.write_text(text, encoding="utf-8")
+        return path
+
+    def test_six_numbers_make_a_car(self, tmp_path):
+        vehicle = load_vehicle(self.write(tmp_path, OWN_CAR))
+        assert vehicle.name == "mine"
+        assert vehicle.mass == 1500
+        assert vehicle.tyre in list_tyres()
+
+    def test_text_ending_in_toml_is_a_path(self, tmp_path, monkeypatch):
+        self.write(tmp_path, OWN_CAR)
+        monkeypatch.chdir(tmp_path)
+        assert load_vehicle("mine.toml") == load_vehicle(tmp_path / "mine.toml") == load_vehicle("./mine.toml")
+
+    def test_a_tyre_file_is_looked_for_beside_the_vehicle_file(self, tmp_path, monkeypatch):
+        tyre().to_toml(tmp_path / "slick.toml")
+        path = self.write(tmp_path, OWN_CAR + 'tyre = "slick.toml"')
+        monkeypatch.chdir("/")
+        assert load_tyre(load_vehicle(path).tyre) == tyre()
+
+    def test_a_byte_order_mark_is_forgiven(self, tmp_path):
+        path = tmp_path / "windows.toml"
+        path.write_bytes(b"\xef\xbb\xbf" + OWN_CAR.replace("\n", "\r\n").encode())
+        assert load_vehicle(path).mass == 1500
+
+    @pytest.mark.parametrize("name", list_vehicles())
+    def test_a_written_vehicle_reads_back_equal(self, name, tmp_path):
+        load_vehicle(name).to_toml(tmp_path / "copy.toml")
+        assert load_vehicle(tmp_path / "copy.toml") == load_vehicle(name)
+
+    @pytest.mark.parametrize("name", list_tyres())
+    def test_a_written_tyre_reads_back_equal(self, name, tmp_path):
+        load_tyre(name).to_toml(tmp_path / "copy.toml")
+        assert load_tyre(tmp_path / "copy.toml") == load_tyre(name)
+
+    @given(vehicle=cars, name=st.text(min_size=1, max_size=20))
+    def test_any_vehicle_reads_back_equal_to_the_last_bit(self, vehicle, name, tmp_path_factory):
+        path = tmp_path_factory.mktemp("any") / "any.toml"
+        vehicle.replace(name=name).to_toml(path)
+        assert load_vehicle(path) == vehicle.replace(name=name)
+
+    def test_an_infinite_rate_reads_back(self, tmp_path):
+        SteeringActuator.ideal().to_toml(tmp_path / "ideal.toml")
+        assert build(SteeringActuator, read_toml(tmp_path / "ideal.toml"), "ideal") == SteeringActuator.ideal()
+
+    def test_a_written_file_says_the_units(self, tmp_path):
+        load_vehicle("paper").to_toml(tmp_path / "paper.toml")
+        assert re.search(r"^yaw_inertia = 2875.0  # kg m\^2", (tmp_path / "paper.toml").read_text(), re.MULTILINE)
+
+    @pytest.mark.parametrize(
+        ("line", "message"),
+        [
+            ("mas = 3.0", r"mas: unknown key. Did you mean 'mass'\?"),
+            ("yaw_inertai = 3.0", r"yaw_inertai: unknown key. Did you mean 'yaw_inertia'\?"),
+            ("stifness_front = 3.0", r"stifness_front: unknown key. Did you mean 'stiffness_front'\?"),
+            ("colour = 'red'", r"colour: unknown key. Known: 'air_density', .*'yaw_moment_slope'\."),
+            ("cg_height = -0.5", r"cg_height = -0.5: must be a finite number >= 0 and <= 5 \(m, centre of gravity"),
+            ("cg_height = nan", r"cg_height = nan: must be a finite number >= 0"),
+            ("engine_power = inf", r"engine_power = inf: must be a finite number > 0"),
+            ("track_front = '1.5'", r"track_front = '1.5': must be a finite number > 0 and <= 10 \(m, "),
+            ("track_front = true", r"track_front = True: must be a finite number"),
+            ("drive_front = 60", r"drive_front = 60: must be a finite number >= 0 and <= 1 "),
+            ("wind_angle_limit = 17", r"wind_angle_limit = 17: must be a finite number > 0 and <= 1.5708 \(rad"),
+            ("tyre = 'pasenger-car'", r"tyre = 'pasenger-car': unknown tyre. Did you mean 'passenger-car'\?"),
+            ("tyre = 'nowhere.toml'", r"tyre = '.*nowhere.toml': no such file"),
+            ("tyre = 3", r"tyre = 3: must be text"),
+            ("name = ''", r"name = ''"),
+        ],
+    )
+    def test_an_impossible_line_is_named_with_file_key_value_and_remedy(self, tmp_path, line, message):
+        path = self.write(tmp_path, OWN_CAR + line)
+        with pytest.raises(ConfigError, match=message) as caught:
+            load_vehicle(path)
+        assert str(caught.value).startswith(f"{path}: ")
+
+    def test_negative_mass_is_refused(self, tmp_path):
+        path = self.write(tmp_path, OWN_CAR.replace("1500", "-1500"))
+        with pytest.raises(ConfigError, match=r"mine.toml: mass = -1500: must be a finite number > 0 .*kg"):
+            load_vehicle(path)
+
+    @pytest.mark.parametrize("key", sorted(PAPER_TABLE))
+    def test_a_missing_number_is_asked_for(self, tmp_path, key):
+        path = self.write(tmp_path, re.sub(rf"^{key} = .*$", "", OWN_CAR, flags=re.MULTILINE))
+        with pytest.raises(ConfigError, match=rf"mine.toml: {key}: missing; give a finite number > 0"):
+            load_vehicle(path)
+
+    def test_all_problems_of_a_file_come_in_one_error(self, tmp_path):
+        text = 'mas = 3\nyaw_inertia = -1\nlf = "a"\nlr = nan\ntyre = "x"\nstiffness_front = true\nbrake_front = 2'
+        with pytest.raises(ConfigError) as caught:
+            load_vehicle(self.write(tmp_path, text))
+        message = str(caught.value)
+        assert "9 problems" in message
+        for key in (
+            "mas",
+            "mass",
+            "yaw_inertia",
+            "lf",
+            "lr",
+            "tyre",
+            "stiffness_front",
+            "stiffness_rear",
+            "brake_front",
+        ):
+            assert re.search(rf"^  {key}( = |: )", message, re.MULTILINE), key
+
+    def test_a_problem_that_involves_two_keys_comes_with_the_others(self, tmp_path):
+        text = (
+            'kind = "lineer"\nstiffness_front = 1\nstiffness_rear = 1\nnominal_load = 1\nstiffness_load = "digressive"'
+        )
+        with pytest.raises(
+            ConfigError, match=r"(?s)2 problems.*kind = 'lineer': must be one of.*digressive_load_ratio: "
+        ):
+            load_tyre(self.write(tmp_path, text))
+
+    def test_a_syntax_error_is_shown_with_its_line(self, tmp_path):
+        path = self.write(tmp_path, "mass = 1500\nyaw_inertia 2500\n")
+        with pytest.raises(ConfigError, match=r"mine.toml, line 2, column \d+: not valid TOML: .*yaw_inertia 2500"):
+            load_vehicle(path)
+
+    def test_a_key_given_twice_is_refused(self, tmp_path):
+        with pytest.raises(ConfigError, match=r"mine.toml.*: not valid TOML"):
+            load_vehicle(self.write(tmp_path, OWN_CAR + "mass = 3\n"))
+
+    def test_a_file_that_is_not_text_is_refused_with_its_line(self, tmp_path):
+        path = tmp_path / "latin.toml"
+        path.write_bytes(b"mass = 1\nname = '\xe4'\n")
+        with pytest.raises(ConfigError, match=r"latin.toml, line 2: not UTF-8"):
+            load_vehicle(path)
+
+    @pytest.mark.parametrize("path", ["absent.toml", "."])
+    def test_a_file_that_cannot_be_read_is_a_storage_error(self, tmp_path, path):
+        with pytest.raises(StorageError, match="cannot be read"):
+            load_vehicle(tmp_path / path)
+
+    def test_every_refusal_is_an_adaptrack_error_and_a_value_error(self, tmp_path):
+        for bad in (
+            lambda: load_vehicle(self.write(tmp_path, "mass = -1")),
+            lambda: car(mass=-1),
+            lambda: load_vehicle("x"),
+        ):
+            with pytest.raises(AdaptrackError) as caught:
+                bad()
+            assert isinstance(caught.value, ValueError)
+
+
+class Step(Record):
+    kind: Literal["step"] = "step"
+    amplitude: float = Field(gt=0, description="m, height of the step")
+
+
+class Table(Record):
+    kind: Literal["table"] = "table"
+    values: list[float]
+
+
+class Drive(BaseModel):  # a plain pydantic model will do as well
+    model_config = ConfigDict(extra="forbid")
+    shape: Annotated[Step | Table, Field(discriminator="kind")]
+    more: list[Step] = []
+    repeat: int | None = None
+
+
+class TestTomlFiles:
+    @pytest.mark.parametrize(
+        ("data", "message"),
+        [
+            ({"shape": {"kind": "step"}}, r"f: shape.amplitude: missing; give a finite number > 0 \(m, height"),
+            ({"shape": {"kind": "step", "amplitud": 1, "amplitude": 1}}, r"shape.amplitud: unknown key. Did you mean"),
+            ({"shape": {"kind": "table", "values": [1, "2"]}}, r"shape.values\[1\] = '2': must"),
+            ({"shape": {"kind": "stepp", "amplitude": 1}}, r"shape.kind = 'stepp': unknown. Did you mean 'step'\?"),
+            ({"shape": {"amplitude": 1}}, r"shape.kind: missing"),
+            ({"shape": 3}, r"shape = 3: "),
+            ({}, r"f: shape: missing"),
+            ({"shape": {"kind": "step", "amplitude": 1}, "more": [{"amplitude": 1}, {"amplitude": 0}]},
+             r"more\[1\].amplitude = 0: must be a finite number > 0"),
+            ({"shape": {"kind": "step", "amplitude": 1}, "repeat": 1.5}, r"repeat = 1.5: must be a whole number"),
+            ({"shape": {"kind": "step", "amplitude": 1}, "repeet": 1}, r"repeet: unknown key. Did you mean 'repeat'"),
+        ],
+    )  # fmt: skip
+    def test_problems_in_nested_tables_are_named_by_their_place(self, data, message):
+        with pytest.raises(ConfigError, match=message):
+            build(Drive, data, "f")
+
+    def test_what_is_not_a_table_is_refused(self):
+        with pytest.raises(ConfigError, match=r"f: expected a table of keys, got \[1\]"):
+            build(Tyre, [1], "f")
+
+    def test_a_very_long_value_is_quoted_in_part(self):
+        with pytest.raises(ConfigError) as caught:
+            build(Tyre, {"kind": "x" * 10_000}, "f")
+        assert len(str(caught.value)) < 2000
+
+    def test_written_tables_read_back(self, tmp_path):
+        data = {
+            "a": 1,
+            "t": {"x": [1.5, 2], "y": {"z": "ü\n"}},
+            "rows": [{"i": 1}, {"i": 2}],
+            "b": [1, 2],
+            "c": math.inf,
+        }
+        write_toml(
+            tmp_path / "f.toml",
+            {**data, "t": {**data["t"], "no": None}, "nothing": None},
+            comments={"a": "kg,\n mass", "b": "m"},
+        )
+        assert read_toml(tmp_path / "f.toml") == data
+        assert "a = 1  # kg, mass\n" in (tmp_path / "f.toml").read_text()
+        assert dump_toml({}) == ""
+
+    def test_a_failed_write_leaves_the_old_file_and_nothing_else(self, tmp_path, monkeypatch):
+        path = tmp_path / "car.toml"
+        car().to_toml(path)
+        before = path.read_bytes()
+
+        def fail(*_):
+            raise OSError(28, "No space left on device")
+
+        monkeypatch.setattr(os, "replace", fail)
+        with pytest.raises(StorageError, match=r"car.toml: cannot be written: No space left on device"):
+            car(mass=2000).to_toml(path)
+        assert path.read_bytes() == before
+        assert os.listdir(tmp_path) == ["car.toml"]
+
+    def test_an_interrupted_write_leaves_nothing_half_written(self, tmp_path, monkeypatch):
+        def interrupt(*_):
+            raise KeyboardInterrupt
+
+        monkeypatch.setattr(os, "fsync", interrupt)
+        with pytest.raises(KeyboardInterrupt):
+            car().to_toml(tmp_path / "car.toml")
+        assert os.listdir(tmp_path) == []
+
+    def test_a_place_that_cannot_be_written_is_a_storage_error(self, tmp_path):
+        (tmp_path / "file").write_text("")
+        for place in (tmp_path / "absent" / "car.toml", tmp_path / "file" / "car.toml", tmp_path):
+            with pytest.raises(StorageError, match="cannot be written"):
+                car().to_toml(place)
+        assert os.listdir(tmp_path) == ["file"]
+
+    def test_writing_through_a_link_keeps_the_link(self, tmp_path):
+        (tmp_path / "link.toml").symlink_to(tmp_path / "real.toml")
+        car().to_toml(tmp_path / "link.toml")
+        assert (tmp_path / "link.toml").is_symlink()
+        assert load_vehicle(tmp_path / "real.toml") == car()
