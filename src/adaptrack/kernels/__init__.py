@@ -1,0 +1,15 @@
+"""The numeric kernels: the only room that imports numba. Floats and arrays in, floats and arrays out."""
+
+from numba.core import config as _config
+
+from .abi import cache_directory
+
+_users_cache = _config.CACHE_DIR
+_config.CACHE_DIR = str(cache_directory())
+try:
+    # Numba fixes a function's cache location when it decorates it: import every kernel here, once.
+    from . import dynamics, elementary, integrate, loop, prediction, qp, tyre
+finally:
+    _config.CACHE_DIR = _users_cache
+
+__all__ = ["cache_directory", "dynamics", "elementary", "integrate", "loop", "prediction", "qp", "tyre"]
