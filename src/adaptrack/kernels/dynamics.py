@@ -234,3 +234,14 @@ def derivative(kind, x, u, p, dx):
         slope = dual_track(state, inputs, c, law)
     dx[0], dx[1], dx[2], dx[3], dx[4], dx[5], dx[6] = slope[0:7]
     dx[7], dx[8], dx[9], dx[10], dx[11], dx[12] = slope[7:13]
+
+
+@njit(PLANT_SIGNATURE, **ROUTINE)
+def no_plant(x, u, environment, p, dx):
+    """Stands where a user's plant would: the built-in ones do not call it."""
+
+
+def compile_plant(function: Any) -> Any:
+    """A user's right-hand side, compiled for `PLANT_SIGNATURE`; numba's own error when it cannot be."""
+    plain = getattr(function, "py_func", function)
+    return njit(PLANT_SIGNATURE, nogil=True, error_model="numpy")(plain)

@@ -149,13 +149,13 @@ def integrate_custom(derivative, p, block, states, lanes, substeps, h, work):
 
     derivative: see `dynamics.PLANT_SIGNATURE`; p: its own parameters, the last three of which are the steering
     actuator's lag, rate and limit; states: (LANES, n) its states, the first six copied to the block on return;
-    work: (7, n) scratch.
+    work: (7, >= max(n, 6)) scratch.
     """
     n = states.shape[1]
     own = p[: p.size - 3]
     lag, fastest, limit = p[p.size - 3], p[p.size - 2], p[p.size - 1]
-    x, k1, k2, k3, k4 = work[0], work[1], work[2], work[3], work[4]
-    u, environment = work[5], work[6]
+    x, k1, k2, k3, k4 = work[0, :n], work[1, :n], work[2, :n], work[3, :n], work[4, :n]
+    u, environment = work[5, :2], work[6, :6]
     for i in range(lanes):
         command = clip(block[_INPUT + i], -limit, limit)
         u[1] = block[_INPUT + LANES + i]

@@ -16,8 +16,9 @@ import numpy as np
 from numba import njit, types
 
 from . import qp
-from .abi import INLINE, ROUTINE, cube, float64, int64, int_vector, matrix, vector
+from .abi import INLINE, PLANT_PARAMETERS, ROUTINE, cube, float64, int64, int_vector, matrix, vector
 from .dynamics import CUSTOM, INPUTS, PLANT_FUNCTION, STATES
+from .dynamics import derivative as vehicle_derivative
 from .elementary import clip
 from .integrate import LANE_STEP, LANES, integrate, integrate_custom
 from .prediction import (
@@ -31,6 +32,8 @@ from .prediction import (
     responses,
     tracking_error,
 )
+
+STEERING_LAG, STEERING_LIMIT = PLANT_PARAMETERS.index("steering_lag"), PLANT_PARAMETERS.index("steering_limit")
 
 # -- the MPC's settings, fixed over a run -----------------------------------------------------------------------------
 MPC_SETTINGS = (
@@ -463,10 +466,9 @@ def sense(k, lane, block, loop, seed, measured):
             measured[c] += deviation * counted_normal(seed, k, c)
 
 
-@njit(types.void(int64, int64, float64, vector, vector, vector, cube, int64, matrix), **ROUTINE)
-def actuate(k, lane, command, block, settings, loop, signals, scenario, memory):
+@njit(types.void(int64, int64, float64, vector, float64, vector, cube, int64, matrix), **ROUTINE)
+def actuate(k, lane, command, block, period, loop, signals, scenario, memory):
     """Write the inputs of a lane's vehicle for the period after instant k: steering, speed control, friction, wind."""
-    period = settings[PERIOD]
     vx = block[3 * LANES + lane]
     block[STATES * LANES + lane] = command
     if loop[PRESCRIBED_SPEED] > 0.5:
@@ -478,6 +480,34 @@ def actuate(k, lane, command, block, settings, loop, signals, scenario, memory):
         block[(STATES + 2) * LANES + lane] = math.nan
     for j in range(6):
         block[(STATES + 3 + j) * LANES + lane] = signals[scenario, FRICTION + j, k]
+
+
+@njit(types.void(int64, int64, PLANT_FUNCTION, vector, vector, matrix, matrix, vector), **ROUTINE)
+def observe(lane, kind, derivative, p, block, states, plant_work, seen):
+    """Write (lateral acceleration, front-wheel angle) of a lane's vehicle under its present input to `seen` (2,)."""
+    n = states.shape[1]
+    if kind == CUSTOM:
+        lag, limit = p[p.size - 3], p[p.size - 1]
+    else:
+        lag, limit = p[STEERING_LAG], p[STEERING_LIMIT]
+    angle = block[12 * LANES + lane] if lag > 0.0 else clip(block[STATES * LANES + lane], -limit, limit)
+    if kind == CUSTOM:
+        x, slope, u = plant_work[0, :n], plant_work[1, :n], plant_work[5, :2]
+        for j in range(n):
+            x[j] = states[lane, j]
+        u[0], u[1] = angle, block[(STATES + 1) * LANES + lane]
+        for j in range(6):
+            plant_work[6, j] = block[(STATES + 3 + j) * LANES + lane]
+        derivative(x, u, plant_work[6, :6], p[: p.size - 3], slope)
+    else:
+        x, slope, u = plant_work[0], plant_work[1], plant_work[5]
+        for j in range(STATES):
+            x[j] = block[j * LANES + lane]
+        for j in range(INPUTS):
+            u[j] = block[(STATES + j) * LANES + lane]
+        vehicle_derivative(kind, x, u, p, slope)
+    seen[0] = slope[4] + x[3] * x[5]
+    seen[1] = angle
 
 
 @njit(types.void(int64, int64, PLANT_FUNCTION, vector, vector, matrix, matrix, float64, vector), **ROUTINE)
@@ -496,21 +526,23 @@ def move_vehicles(lanes, kind, derivative, p, block, states, plant_work, period,
 @njit(
     types.void(
         int64, int64, PLANT_FUNCTION, vector, vector, matrix, matrix, vector, vector, vector,
-        cube, int_vector, matrix, int_vector, matrix, matrix, WORKSPACE,
+        cube, int_vector, matrix, int_vector, matrix, matrix, WORKSPACE, matrix,
     ),
     **ROUTINE,
 )  # fmt: skip
 def control_period(
     k, lanes, derivative, p, block, states, plant_work, model, settings, loop,
-    signals, scenario, tuning, seeds, memory, record, ws,
+    signals, scenario, tuning, seeds, memory, record, ws, seen,
 ):  # fmt: skip
     """Everything between the control instants k and k + 1, for the first `lanes` lanes.
 
     derivative, p: the plant (a built-in one ignores `derivative`); block: see `integrate`; states (LANES, n),
-    plant_work (7, n): a user's plant's own; model, settings, loop: packed, see above; signals (S, 8, n + 1): the
+    plant_work (7, max(n, STATES)): scratch; model, settings, loop: packed, see above; signals (S, 8, n + 1): the
     sampled scenarios, of which lane i drives number scenario[i] with noise seeds[i] and tuning[i] = Np, Nc, Q, R;
-    memory (lanes, MEMORY) is read and updated, record (lanes, RECORD) written.
+    memory (lanes, MEMORY) is read and updated, record (lanes, RECORD) written, and so is seen (lanes, 2), see
+    `observe`, unless it is empty.
     """
+    kind = int(loop[PLANT])
     for i in range(lanes):
         if memory[i, LOST] > 0.5:
             continue
@@ -519,8 +551,10 @@ def control_period(
         reference = signals[scenario[i], Y_REF, k:]
         mpc_step(i, block[3 * LANES + i], reference, tuning[i], model, settings, memory, record, ws)
         command = waiting if loop[DELAY] > 0.5 else memory[i, ANGLE]
-        actuate(k, i, command, block, settings, loop, signals, scenario[i], memory)
-    move_vehicles(lanes, int(loop[PLANT]), derivative, p, block, states, plant_work, settings[PERIOD], loop)
+        actuate(k, i, command, block, settings[PERIOD], loop, signals, scenario[i], memory)
+        if seen.size > 0:
+            observe(i, kind, derivative, p, block, states, plant_work, seen[i])
+    move_vehicles(lanes, kind, derivative, p, block, states, plant_work, settings[PERIOD], loop)
     last = signals.shape[2] - 1
     for i in range(lanes):
         error = block[LANES + i] - signals[scenario[i], Y_REF, min(k + 1, last)]
@@ -544,8 +578,10 @@ RESULT = (
 (
     SQUARED_ERROR, SQUARED_MOVE, LARGEST_ERROR, INSTANTS, RUN_LOST, CAPPED, FAILED, RUN_HELD, LIMITED, RUN_ITERATIONS,
 ) = range(len(RESULT))  # fmt: skip
-TRACE = STATES + len(RECORD)
-"""Width of a trace: the state at the instant, then the record of the step taken there."""
+LATERAL_ACCELERATION, STEERING = STATES + len(RECORD), STATES + len(RECORD) + 1
+TRACE = STATES + len(RECORD) + 2
+"""Width of a trace: the state at the instant, the record of the step taken there, then the lateral acceleration
+(m/s^2) and the angle of the front wheels (rad) under the input that the step gave."""
 
 
 @njit(types.void(int64, matrix, vector, matrix), **ROUTINE)
@@ -578,6 +614,7 @@ def rollout(
     place(lanes, start, block, states)
     result[:, :] = 0.0
     traced = trace.shape[1] > 0
+    seen = np.zeros((lanes if traced else 0, 2))
     for k in range(periods):
         for i in range(lanes):
             if memory[i, LOST] > 0.5:
@@ -591,7 +628,7 @@ def rollout(
                     trace[i, k, j] = block[j * LANES + i]
         control_period(
             k, lanes, derivative, p, block, states, plant_work, model, settings, loop,
-            signals, scenario, tuning, seeds, memory, record, ws,
+            signals, scenario, tuning, seeds, memory, record, ws, seen,
         )  # fmt: skip
         running = 0
         for i in range(lanes):
@@ -609,6 +646,7 @@ def rollout(
             if traced:
                 for j in range(len(RECORD)):
                     trace[i, k, STATES + j] = step[j]
+                trace[i, k, LATERAL_ACCELERATION], trace[i, k, STEERING] = seen[i, 0], seen[i, 1]
             if memory[i, LOST] > 0.5:
                 result[i, RUN_LOST] = 1.0
                 result[i, SQUARED_ERROR] = math.inf

@@ -1,0 +1,222 @@
+"""Timings of the package on the machine at hand, beside a plain NumPy + DAQP controller in the same run.
+
+The baseline is the textbook loop: matrices of eqs. (8)-(17) formed with NumPy and `scipy.linalg.expm` at every step,
+the QP handed to DAQP's Python interface. Its vehicle is ours, compiled, so the ratio is the controller's.
+"""
+
+from __future__ import annotations
+
+import os
+import platform
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from adaptrack.mpc import MPC, Command, Condition, Tuning
+from adaptrack.plant import DualTrack
+from adaptrack.prediction import limit_bounds, limit_matrix
+from adaptrack.qp import QPStatus
+from adaptrack.scenario import Constant, Scenario, Sine, load_scenario
+from adaptrack.simulate import rollout_batch, simulate
+from adaptrack.vehicle import Vehicle, load_vehicle
+
+Array = NDArray[np.float64]
+
+BOUNDS = {"Np": (1, 55), "Nc": (1, 18), "Q": (0.1, 10.0), "R": (0.001, 0.1)}
+"""The authors' bounds of the particle swarm (integers for the horizons)."""
+SPEEDS, AMPLITUDES, FRICTIONS, WINDS = (3.0, 27.0), (-15.0, 15.0), (0.5, 0.9), (-30.0, 30.0)
+"""The paper's operating domain: m/s, m, -, m/s."""
+
+
+class PlainController:
+    """The same MPC as a NumPy program: one dense matrix product per equation, DAQP for the QP."""
+
+    name = "NumPy + DAQP"
+
+    def __init__(self, vehicle: Vehicle, tuning: Tuning, period: float = 0.1) -> None:
+        self.mpc = MPC(vehicle, tuning, period=period)  # for its limits and speed floor only
+        self.vehicle, self.tuning, self.period = vehicle, tuning, period
+        self.rows = limit_matrix(tuning.Nc)
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget the past."""
+        self.angle = 0.0
+        self.previous: Array | None = None
+
+    def describe(self) -> dict[str, Any]:
+        """The configuration."""
+        return self.mpc.describe()
+
+    def step(self, state: Any, speed: float, reference: Any, condition: Condition | None = None) -> Command:
+        """One control step, as `MPC.step`."""
+        import ctypes
+
+        import daqp
+        from scipy.linalg import expm
+
+        Np, Nc, Q, R = self.tuning.Np, self.tuning.Nc, self.tuning.Q, self.tuning.R
+        x = np.array(state, dtype=float)
+        change = np.zeros(4) if self.previous is None else x - self.previous
+        a, b, c = self.mpc.model.continuous(max(speed, self.mpc.speed_floor))
+        block = np.zeros((5, 5))
+        block[:4, :4], block[:4, 4:] = a, b
+        block = expm(block * self.period)
+        a, b = block[:4, :4], block[:4, 4:]
+        a = np.block([[a, np.zeros((4, 1))], [c @ a, np.eye(1)]])
+        b = np.vstack([b, c @ b])
+        row = np.array([[0.0, 0.0, 0.0, 0.0, 1.0]])
+        free, response = np.empty((Np, 5)), np.empty(Np)
+        for i in range(Np):
+            response[i] = (row @ b).item()
+            row = row @ a
+            free[i] = row
+        phi = np.zeros((Np, Nc))
+        for j in range(Nc):
+            phi[j:, j] = response[: Np - j]
+        error = np.full(Np, reference[0]) - free @ np.append(change, x[3])
+        hessian = 2 * (Q * phi.T @ phi + R * np.eye(Nc))
+        gradient = -2 * Q * phi.T @ error
+        bounds = limit_bounds(Nc, self.angle, self.mpc.limits)
+        lower = np.full(bounds.size, -1e30)
+        solution, _, flag, _ = daqp.solve(
+            hessian, gradient, self.rows, bounds, lower, np.zeros(bounds.size, dtype=ctypes.c_int)
+        )
+        move = float(solution[0]) if flag > 0 else 0.0
+        self.angle += move
+        self.previous = x
+        status = QPStatus.SOLVED if flag > 0 else QPStatus.CAPPED
+        return Command(self.angle, move, status, 0, float("nan"), 0, flag <= 0, (Np, Nc, Q, R))
+
+
+def bench_step(count: int = 4000) -> dict[str, Any]:
+    """Median and 99th percentile (microseconds) of one `MPC.step` at 35/8/10/0.01, limits active half the time.
+
+    Speed changes at every step, so that the model is discretised and the QP formed and factorised anew each time.
+    """
+    car = load_vehicle("paper")
+    mpc = MPC(car, Tuning())
+    plain = PlainController(car, Tuning())
+    rng = np.random.default_rng(0)
+    calm = np.arange(count) % 2 == 0
+    states = rng.normal(size=(count, 4)) * [0.1, 0.02, 0.02, 0.0]
+    speeds = rng.uniform(*SPEEDS, size=count)
+    references = np.where(calm, 0.01, rng.choice([-8.0, 8.0], size=count))[:, None]
+
+    def timed(controller: Any, repeats: int) -> tuple[Array, float]:
+        times, active = np.empty(repeats), 0
+        for i in range(repeats):
+            controller.reset() if controller is plain else _rest(mpc)
+            begun = time.perf_counter_ns()
+            command = controller.step(states[i], speeds[i], references[i])
+            times[i] = time.perf_counter_ns() - begun
+            active += command.iterations > 0
+        return times / 1e3, active / repeats
+
+    timed(mpc, 50), timed(plain, 50)
+    ours, active = timed(mpc, count)
+    theirs, _ = timed(plain, max(200, count // 10))
+    return {
+        "step_us_p50": float(np.percentile(ours, 50)),
+        "step_us_p99": float(np.percentile(ours, 99)),
+        "step_us_max": float(ours.max()),
+        "limits_active": active,
+        "python_daqp_us_p50": float(np.percentile(theirs, 50)),
+        "python_daqp_us_p99": float(np.percentile(theirs, 99)),
+        "ratio_to_python_daqp": float(np.percentile(theirs, 50) / np.percentile(ours, 50)),
+        "steps": count,
+        "np": 35,
+        "nc": 8,
+        **_machine(),
+    }
+
+
+def _rest(mpc: MPC) -> None:
+    """Set the angle and the past back without forming the controller anew."""
+    mpc._memory[0, :8] = 0.0
+
+
+def bench_rollout(conditions: int = 150, threads: int | None = None) -> dict[str, Any]:
+    """Control steps per second of `rollout_batch`: dual track, Magic Formula, paper profile, 180 steps a run.
+
+    20 random tunings within BOUNDS on each of `conditions` random conditions of the paper's domain; the same with
+    a speed that varies, where every step has a model of its own; and a sample of the same runs by `PlainController`.
+    """
+    rng = np.random.default_rng(0)
+    car = load_vehicle("paper")
+    plant = DualTrack(car, "magic-formula")
+    mpc = MPC(car)
+    threads = threads or os.cpu_count() or 1
+
+    def scenario(varying: bool) -> Scenario:
+        speed: Any = float(rng.uniform(*SPEEDS))
+        if varying:
+            speed = Constant(value=max(speed, 5.0)) + Sine(amplitude=2.0, frequency=0.15)
+        return load_scenario(
+            "step",
+            amplitude=float(rng.uniform(*AMPLITUDES)),
+            speed=speed,
+            friction=float(rng.uniform(*FRICTIONS)),
+            wind=float(rng.uniform(*WINDS)),
+        )
+
+    which = np.repeat(np.arange(conditions), 20)
+    tunings = np.column_stack(
+        [
+            rng.integers(BOUNDS["Np"][0], BOUNDS["Np"][1] + 1, which.size),
+            rng.integers(BOUNDS["Nc"][0], BOUNDS["Nc"][1] + 1, which.size),
+            rng.uniform(*BOUNDS["Q"], which.size),
+            rng.uniform(*BOUNDS["R"], which.size),
+        ]
+    )
+    tunings[:, 1] = np.minimum(tunings[:, 0], tunings[:, 1])
+
+    def rate(varying: bool, workers: int) -> float:
+        tests = [scenario(varying) for _ in range(conditions)]
+        begun = time.perf_counter()
+        done = rollout_batch(plant, mpc, tests, tunings, which=which, threads=workers)
+        return float(done.steps.sum() / (time.perf_counter() - begun))
+
+    rate(False, threads)  # warm
+    constant, varying, single = rate(False, threads), rate(True, threads), rate(False, 1)
+    test = scenario(False)
+    plain_steps, begun = 0, time.perf_counter()
+    for i in range(4):
+        Np, Nc, Q, R = tunings[i]
+        run = simulate(plant, PlainController(car, Tuning(int(Np), int(Nc), Q, R)), test)
+        plain_steps += len(run)
+    plain = plain_steps / (time.perf_counter() - begun)
+    return {
+        "control_steps_per_s": constant,
+        "control_steps_per_s_varying_speed": varying,
+        "control_steps_per_s_one_thread": single,
+        "runs_per_s": constant / 180,
+        "python_daqp_steps_per_s": plain,
+        "ratio_to_python_daqp": constant / plain,
+        "threads": threads,
+        "runs": int(which.size),
+        "steps_a_run": 180,
+        **_machine(),
+    }
+
+
+def _machine() -> dict[str, Any]:
+    """What the figures were measured on."""
+    from importlib.metadata import version
+
+    cpu = platform.processor() or platform.machine()
+    info = Path("/proc/cpuinfo")
+    if info.exists():
+        names = [
+            line.partition(":")[2].strip() for line in info.read_text().splitlines() if line.startswith("model name")
+        ]
+        cpu = names[0] if names else cpu
+    return {
+        "cpu": cpu,
+        "cores": os.cpu_count() or 1,
+        "python": platform.python_version(),
+        **{name: version(name) for name in ("adaptrack", "numba", "numpy", "daqp")},
+    }

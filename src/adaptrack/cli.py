@@ -1,0 +1,366 @@
+"""The command line. Every command imports what it needs when it runs: `adaptrack --help` loads no numerics."""
+
+from __future__ import annotations
+
+import json
+import shlex
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from enum import StrEnum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from adaptrack import __version__
+from adaptrack.errors import AdaptrackError, InvalidInput
+
+if TYPE_CHECKING:
+    from adaptrack.mpc import MPC
+    from adaptrack.trajectory import Trajectory
+
+app = typer.Typer(
+    name="adaptrack",
+    help="Auto-tuned, auto-adaptive model predictive control for path tracking.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+)
+bench_app = typer.Typer(help="Time the package on this machine.", no_args_is_help=True)
+app.add_typer(bench_app, name="bench")
+
+
+class ProfileName(StrEnum):
+    """Profiles."""
+
+    paper = "paper"
+    road = "road"
+
+
+class PlantName(StrEnum):
+    """Plants."""
+
+    single_track = "single-track"
+    dual_track = "dual-track"
+
+
+class MovesName(StrEnum):
+    """Parametrisations of the moves."""
+
+    pulse = "pulse"
+    laguerre = "laguerre"
+
+
+class ControllerName(StrEnum):
+    """Controllers: `standard` is what the options say; the others fix the moves."""
+
+    standard = "standard"
+    as_written = "as-written"
+    as_released = "as-released"
+
+
+def main() -> int:
+    """Run the command line; errors that adaptrack raises on purpose become one message and exit code 2."""
+    try:
+        app(standalone_mode=False)
+    except AdaptrackError as error:
+        print(f"adaptrack: {error}", file=sys.stderr)
+        return 2
+    except typer.Exit as done:
+        return done.exit_code
+    except typer.Abort:
+        print("adaptrack: interrupted.", file=sys.stderr)
+        return 130
+    except Exception as error:
+        # Typer's own complaints about the command line know how to show themselves.
+        show = getattr(error, "show", None)
+        if show is None:
+            raise
+        show()
+        return int(getattr(error, "exit_code", 2))
+    return 0
+
+
+def _version(asked: bool) -> None:
+    if asked:
+        print(f"adaptrack {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def _options(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_version, is_eager=True, help="Show the version.")
+    ] = False,
+) -> None:
+    """Auto-tuned, auto-adaptive model predictive control for path tracking."""
+
+
+@app.command()
+def simulate(
+    scenarios: Annotated[
+        list[str], typer.Argument(metavar="SCENARIO...", help="Names (see `scenarios`) or .toml/.csv files.")
+    ],
+    controller: Annotated[
+        list[ControllerName],
+        typer.Option(
+            help="standard: as the options say; as-written: pulses, eq. (10); as-released: Laguerre, pole 0.95."
+        ),
+    ] = [ControllerName.standard],  # noqa: B006 - typer copies it
+    vehicle: Annotated[str, typer.Option(help="Name (see `vehicles`) or .toml file.")] = "paper",
+    plant: Annotated[PlantName, typer.Option(help="What is driven.")] = PlantName.dual_track,
+    tyre: Annotated[
+        str | None, typer.Option(help="Name (see `vehicles`) or .toml file; by default the vehicle's.")
+    ] = None,
+    profile: Annotated[
+        ProfileName, typer.Option(help="paper: ideal; road: steering lag, noise, delay.")
+    ] = ProfileName.paper,
+    driver: Annotated[
+        bool, typer.Option("--driver/--perfect-speed", help="Powertrain and driver, or exact speed.")
+    ] = False,
+    np_: Annotated[int, typer.Option("--np", help="Prediction horizon (periods).")] = 35,
+    nc: Annotated[int, typer.Option("--nc", help="Control horizon (periods).")] = 8,
+    q: Annotated[float, typer.Option("--q", help="Weight of the tracking error (1/m^2).")] = 10.0,
+    r: Annotated[float, typer.Option("--r", help="Weight of the moves (1/rad^2).")] = 0.01,
+    moves: Annotated[MovesName, typer.Option(help="pulse: eq. (10); laguerre: Laguerre functions.")] = MovesName.pulse,
+    laguerre_pole: Annotated[float, typer.Option(help="Pole a of the Laguerre functions.")] = 0.95,
+    laguerre_terms: Annotated[int, typer.Option(help="Number of Laguerre functions.")] = 10,
+    preview: Annotated[
+        bool | None, typer.Option("--preview/--no-preview", help="Know the reference ahead; by default the profile's.")
+    ] = None,
+    solver: Annotated[str, typer.Option(help="QP solver: active-set, hildreth, daqp, ...")] = "active-set",
+    period: Annotated[
+        float | None, typer.Option(help="Control period (s); by default 0.1 (paper) or 0.05 (road).")
+    ] = None,
+    seed: Annotated[int, typer.Option(help="Seed of the sensor noise.")] = 0,
+    option: Annotated[
+        list[str] | None,
+        typer.Option("--option", "-o", metavar="KEY=VALUE", help="Option of the scenario, e.g. speed=20."),
+    ] = None,
+    out: Annotated[Path | None, typer.Option(help="Folder for the report and the trajectories.")] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="One JSON object on standard output, nothing else.")] = False,
+) -> None:
+    """Drive scenarios with the MPC; print the metrics, write the report."""
+    from adaptrack.metrics import compute_metrics
+    from adaptrack.mpc import MPC, Moves, Tuning
+    from adaptrack.plant import DualTrack, SingleTrack, load_profile
+    from adaptrack.scenario import load_scenario
+    from adaptrack.simulate import Driver
+    from adaptrack.simulate import simulate as drive
+    from adaptrack.vehicle import load_vehicle
+
+    options = _scenario_options(option or [])
+    loaded = [load_scenario(name, **options) for name in scenarios]
+    car = load_vehicle(vehicle)
+    world = load_profile(str(profile))
+    ahead = world.preview if preview is None else preview
+    ts = period or world.period
+    body = (SingleTrack if plant is PlantName.single_track else DualTrack)(car, tyre)
+    asked = {
+        ControllerName.standard: Moves(str(moves), laguerre_pole, laguerre_terms),
+        ControllerName.as_written: Moves.pulses(),
+        ControllerName.as_released: Moves.laguerre(0.95, laguerre_terms),
+    }
+    controllers: list[tuple[ControllerName, MPC]] = [
+        (name, MPC(car, Tuning(np_, nc, q, r), period=ts, moves=asked[name], preview=ahead, solver=solver))
+        for name in dict.fromkeys(controller)
+    ]
+    if out is not None:
+        _make_folder(out)
+
+    runs: list[tuple[str, Trajectory]] = []
+    with _progress(len(loaded) * len(controllers), "drives", quiet=as_json) as advance:
+        for scenario in loaded:
+            for name, mpc in controllers:
+                label = f"{scenario.name}, {name}"
+                run = drive(
+                    body, mpc, scenario, profile=world, driver=Driver() if driver else None, seed=seed,
+                    progress=lambda done, total, label=label: advance(done / total, label),
+                )  # fmt: skip
+                runs.append((str(name), run))
+                advance(None, label)
+    rows = [_row(name, run, compute_metrics(run).as_row()) for name, run in runs]
+    if out is not None:
+        from adaptrack.report import Run, write_report
+
+        for name, run in runs:
+            run.save(out / f"{run.name_of('scenario')}-{name}.parquet")
+        page = write_report(
+            out, [Run(run, label=name) for name, run in runs], command=shlex.join(["adaptrack", *sys.argv[1:]])
+        )
+        _tell(f"Report: {page}", quiet=as_json)
+    if as_json:
+        print(json.dumps({"rows": rows}, allow_nan=False))
+    else:
+        _table(
+            "Closed-loop runs",
+            ("scenario", "controller", "mse", "max_abs_error", "at_any_limit", "qp_capped", "qp_failed", "step_us_p50"),
+            rows,
+        )
+
+
+def _row(controller: str, run: Trajectory, measures: dict[str, Any]) -> dict[str, Any]:
+    meta = run.meta
+    return {
+        "scenario": run.name_of("scenario"),
+        "controller": controller,
+        "vehicle": run.name_of("vehicle"),
+        "plant": run.name_of("plant"),
+        "tyre": run.name_of("tyre"),
+        "profile": meta["profile"],
+        "preview": meta["preview"],
+        "speed": meta["speed"],
+        "seed": meta["seed"],
+        "period": run.period,
+        **{key.lower(): value for key, value in meta["tuning"].items()},
+        "moves": meta["control"]["moves"],
+        "solver": meta["control"]["solver"],
+        **measures,
+    }
+
+
+@app.command()
+def scenarios(as_json: Annotated[bool, typer.Option("--json", help="One JSON object.")] = False) -> None:
+    """List the scenarios that have a name, and their options."""
+    from adaptrack.scenario import list_scenarios, scenario_options
+
+    rows = [
+        {"scenario": name, "what it is": text, "options": ", ".join(scenario_options(name))}
+        for name, text in list_scenarios().items()
+    ]
+    _list("Scenarios", rows, as_json)
+
+
+@app.command()
+def vehicles(as_json: Annotated[bool, typer.Option("--json", help="One JSON object.")] = False) -> None:
+    """List the vehicles and tyres that have a name."""
+    from adaptrack.vehicle import list_tyres, list_vehicles, load_tyre, load_vehicle
+
+    rows = [
+        {"kind": "vehicle", "name": name, "what it is": load_vehicle(name).description, "tyre": load_vehicle(name).tyre}
+        for name in list_vehicles()
+    ] + [{"kind": "tyre", "name": name, "what it is": load_tyre(name).description, "tyre": ""} for name in list_tyres()]
+    _list("Vehicles and tyres", rows, as_json)
+
+
+@bench_app.command("step")
+def bench_step(
+    count: Annotated[int, typer.Option(help="Control steps to time.")] = 4000,
+    as_json: Annotated[bool, typer.Option("--json", help="One flat JSON object.")] = False,
+) -> None:
+    """Time one control step called from Python, beside a plain NumPy + DAQP controller."""
+    from adaptrack.benchmark import bench_step as measure
+
+    _flat("One control step from Python", measure(count), as_json)
+
+
+@bench_app.command("rollout")
+def bench_rollout(
+    conditions: Annotated[int, typer.Option(help="Conditions to run, 20 tunings each.")] = 150,
+    threads: Annotated[int | None, typer.Option(help="By default one per core.")] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="One flat JSON object.")] = False,
+) -> None:
+    """Time the compiled batch of runs, beside a plain NumPy + DAQP loop."""
+    from adaptrack.benchmark import bench_rollout as measure
+
+    _flat("Compiled batch of runs", measure(conditions, threads), as_json)
+
+
+# -- how things are shown ---------------------------------------------------------------------------------------------
+def _scenario_options(given: list[str]) -> dict[str, Any]:
+    """`speed=20`, `friction=[0.9, 0.5]`, `window=full`: values are read as TOML, else taken as text."""
+    import tomllib
+
+    options: dict[str, Any] = {}
+    for text in given:
+        key, sign, value = text.partition("=")
+        if not sign:
+            raise InvalidInput(f"--option {text}: write KEY=VALUE, for instance speed=20.")
+        try:
+            options[key.strip()] = tomllib.loads(f"value = {value}")["value"]
+        except tomllib.TOMLDecodeError:
+            options[key.strip()] = value.strip()
+    return options
+
+
+def _make_folder(path: Path) -> None:
+    from adaptrack.errors import StorageError
+
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+        probe = path / ".writable"
+        probe.touch()
+        probe.unlink()
+    except OSError as error:
+        raise StorageError(f"{path}: cannot be written to: {error.strerror or error}.") from error
+
+
+def _tell(text: str, quiet: bool = False) -> None:
+    print(text, file=sys.stderr if quiet else sys.stdout)
+
+
+@contextmanager
+def _progress(total: int, unit: str, quiet: bool) -> Iterator[Callable[[float | None, str], None]]:
+    """A progress bar on standard error that appears after a second; yields advance(part of the present one, label)."""
+    from rich.console import Console
+    from rich.progress import (
+        BarColumn,
+        MofNCompleteColumn,
+        Progress,
+        TextColumn,
+        TimeElapsedColumn,
+        TimeRemainingColumn,
+    )
+
+    console = Console(stderr=True)
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeElapsedColumn(),
+        TimeRemainingColumn(),
+    )
+    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
+        task = bar.add_task(unit, total=total)
+        whole = 0
+
+        def advance(part: float | None, label: str) -> None:
+            nonlocal whole
+            whole += part is None
+            bar.update(task, completed=whole + (part or 0.0), description=label)
+
+        yield advance
+
+
+def _list(title: str, rows: list[dict[str, Any]], as_json: bool) -> None:
+    if as_json:
+        print(json.dumps({"rows": rows}))
+    else:
+        _table(title, tuple(rows[0]), rows)
+
+
+def _flat(title: str, values: dict[str, Any], as_json: bool) -> None:
+    if as_json:
+        print(json.dumps(values, allow_nan=False))
+    else:
+        _table(title, ("what", "value"), [{"what": key, "value": value} for key, value in values.items()])
+
+
+def _table(title: str, columns: tuple[str, ...], rows: list[dict[str, Any]]) -> None:
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table(title=title)
+    for column in columns:
+        table.add_column(column, overflow="fold")
+    for row in rows:
+        table.add_row(*(_show(row[column]) for column in columns))
+    console = Console()
+    console.print(table, width=None if console.is_terminal else 140)
+
+
+def _show(value: Any) -> str:
+    if value is None:
+        return "-"
+    return f"{value:.4g}" if isinstance(value, float) else str(value)

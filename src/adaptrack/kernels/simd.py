@@ -1,0 +1,415 @@
+"""Eight double-precision lanes as one value, so that short loops are vector code by construction.
+
+The matrices of the quadratic programmes are tiny (5 to 20 columns). The compiler's loop vectoriser needs longer
+loops and a proof that arrays do not overlap; here each operation is a vector instruction because it says so.
+Rows are padded to a multiple of `LANES` (`padded`), and what stands in the padding never reaches a result.
+
+    total = zeros()
+    for k in range(n):
+        total = fma8(splat(c[k]), load(A, k, b), total)   # c'A, columns b .. b+7
+    store(out, 0, b, total)
+
+Arithmetic is strict: each operation rounds once, `total` adds in a fixed order, so results do not depend on the
+machine's vector width (processors without AVX-512 run the same operations in two or four halves).
+With the compiler switched off the same names work on NumPy arrays of length eight.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from llvmlite import ir
+from numba import types
+from numba.core import cgutils
+from numba.core import config as _numba_config
+from numba.core import errors as _numba_errors
+from numba.extending import intrinsic, models, register_jitable, register_model
+
+LANES = 8
+
+
+@register_jitable(forceinline=True)
+def padded(count: int) -> int:
+    """The smallest multiple of `LANES` that is not below ``count``: the row length that arrays need."""
+    return (count + LANES - 1) // LANES * LANES
+
+
+if _numba_config.DISABLE_JIT:
+
+    def load(array: Any, *index: int) -> Any:
+        row, at = array[index[:-1]], index[-1]
+        if at + LANES > row.shape[0]:
+            raise IndexError(f"rows must be padded to a multiple of {LANES}")
+        return row[at : at + LANES].copy()
+
+    def store(array: Any, *index_and_value: Any) -> None:
+        *index, value = index_and_value
+        row, at = array[tuple(index[:-1])], index[-1]
+        row[at : at + LANES] = value
+
+    def spread(array: Any, *index: int) -> Any:
+        return np.full(LANES, array[index])
+
+    def splat(value: float) -> Any:
+        return np.full(LANES, value)
+
+    def zeros() -> Any:
+        return np.zeros(LANES)
+
+    def add(a: Any, b: Any) -> Any:
+        return a + b
+
+    def sub(a: Any, b: Any) -> Any:
+        return a - b
+
+    def mul(a: Any, b: Any) -> Any:
+        return a * b
+
+    def fma8(a: Any, b: Any, c: Any) -> Any:
+        return a * b + c
+
+    def lesser(a: Any, b: Any) -> Any:
+        return np.where(a < b, a, b)
+
+    def div(a: Any, b: Any) -> Any:
+        with np.errstate(all="ignore"):
+            return a / b
+
+    def larger(a: Any, b: Any) -> Any:
+        return np.where(a > b, a, b)
+
+    def where_positive(a: Any, b: Any, c: Any) -> Any:
+        return np.where(a > 0.0, b, c)
+
+    def column(array: Any, count: int, first: int, j: int) -> Any:
+        return np.array([array[i, j] if i < count else 0.0 for i in range(first, first + LANES)])
+
+    def totals(a: Any, b: Any, c: Any, d: Any, e: Any, f: Any, g: Any, h: Any) -> Any:
+        stack = np.stack([a, b, c, d, e, f, g, h])
+        pairs = stack[:, 0::2] + stack[:, 1::2]
+        fours = pairs[:, 0::2] + pairs[:, 1::2]
+        return fours[:, 0] + fours[:, 1]
+
+    def total(a: Any) -> float:
+        return float(((a[0] + a[4]) + (a[2] + a[6])) + ((a[1] + a[5]) + (a[3] + a[7])))
+
+    def largest(a: Any) -> float:
+        return float(np.max(a))
+
+    def all_below_infinity(a: Any) -> bool:
+        return bool(np.all(a < np.inf))
+
+    def with_lane(a: Any, lane: int, value: float) -> Any:
+        a = a.copy()
+        if 0 <= lane < LANES:
+            a[lane] = value
+        return a
+
+    def first_lanes(a: Any, count: int) -> Any:
+        return np.where(np.arange(LANES) < count, a, 0.0)
+
+    def smallest(a: Any) -> float:
+        return float(np.min(a))
+
+    def last_lanes(a: Any, start: int) -> Any:
+        return np.where(np.arange(LANES) >= start, a, 0.0)
+
+    def first_equal(a: Any, value: float) -> int:
+        found = np.flatnonzero(a == value)
+        return int(found[0]) if found.size else LANES
+
+else:
+    _VECTOR = ir.VectorType(ir.DoubleType(), LANES)
+    _I32 = ir.IntType(32)
+
+    class Lanes(types.Type):
+        """Numba's name for eight float64 values in one register."""
+
+        def __init__(self) -> None:
+            super().__init__(name="Lanes8")
+
+    lanes = Lanes()
+
+    @register_model(Lanes)
+    class _LanesModel(models.PrimitiveModel):
+        def __init__(self, dmm: Any, fe_type: Any) -> None:
+            super().__init__(dmm, fe_type, _VECTOR)
+
+    def _pointer(context: Any, builder: Any, array_type: Any, array: Any, indices: Any) -> Any:
+        struct = context.make_array(array_type)(context, builder, array)
+        where = cgutils.get_item_pointer(context, builder, array_type, struct, indices, wraparound=False)
+        return builder.bitcast(where, _VECTOR.as_pointer())
+
+    def _check(array: Any, indices: Any) -> None:
+        if not isinstance(array, types.Array) or array.ndim != len(indices) or array.layout != "C":
+            raise _numba_errors.TypingError("one index per dimension of a C-contiguous float64 array")
+
+    @intrinsic
+    def load(typingctx, array, *index):
+        """``array[..., i, j:j+8]``."""
+        index = index[0] if len(index) == 1 and isinstance(index[0], types.BaseTuple) else index
+        _check(array, index)
+        signature = lanes(array, types.StarArgTuple.from_types(index))
+
+        def codegen(context, builder, signature, args):
+            indices = cgutils.unpack_tuple(builder, args[1], len(index))
+            return builder.load(_pointer(context, builder, signature.args[0], args[0], indices), align=8)
+
+        return signature, codegen
+
+    @intrinsic
+    def store(typingctx, array, *index_and_value):
+        """``array[..., i, j:j+8] = value``."""
+        given = index_and_value
+        given = given[0] if len(given) == 1 and isinstance(given[0], types.BaseTuple) else given
+        _check(array, given[:-1])
+        signature = types.void(array, types.StarArgTuple.from_types(given))
+
+        def codegen(context, builder, signature, args):
+            *indices, value = cgutils.unpack_tuple(builder, args[1], len(given))
+            builder.store(value, _pointer(context, builder, signature.args[0], args[0], indices), align=8)
+            return context.get_dummy_value()
+
+        return signature, codegen
+
+    def _splat(builder: Any, value: Any) -> Any:
+        one = builder.insert_element(ir.Constant(_VECTOR, ir.Undefined), value, _I32(0))
+        mask = ir.Constant(ir.VectorType(_I32, LANES), [0] * LANES)
+        return builder.shuffle_vector(one, ir.Constant(_VECTOR, ir.Undefined), mask)
+
+    @intrinsic
+    def spread(typingctx, array, *index):  # type: ignore[no-untyped-def]
+        """The number ``array[..., i, j]`` in every lane (indices are not negative)."""
+        index = index[0] if len(index) == 1 and isinstance(index[0], types.BaseTuple) else index
+        _check(array, index)
+        signature = lanes(array, types.StarArgTuple.from_types(index))
+
+        def codegen(context, builder, signature, args):  # type: ignore[no-untyped-def]
+            struct = context.make_array(signature.args[0])(context, builder, args[0])
+            indices = cgutils.unpack_tuple(builder, args[1], len(index))
+            where = cgutils.get_item_pointer(
+                context, builder, signature.args[0], struct, indices, wraparound=False
+            )
+            return _splat(builder, builder.load(where))
+
+        return signature, codegen
+
+    @intrinsic
+    def splat(typingctx, value):
+        """The same number in every lane."""
+
+        def codegen(context, builder, signature, args):
+            return _splat(builder, args[0])
+
+        return lanes(types.float64), codegen
+
+    @intrinsic
+    def zeros(typingctx):
+        """Zero in every lane."""
+
+        def codegen(context, builder, signature, args):
+            return ir.Constant(_VECTOR, [0.0] * LANES)
+
+        return lanes(), codegen
+
+    def _binary(name: str) -> Any:
+        @intrinsic
+        def operation(typingctx, a, b):
+            def codegen(context, builder, signature, args):
+                return getattr(builder, name)(args[0], args[1])
+
+            return lanes(lanes, lanes), codegen
+
+        return operation
+
+    add = _binary("fadd")
+    sub = _binary("fsub")
+    mul = _binary("fmul")
+    div = _binary("fdiv")
+
+    @intrinsic
+    def fma8(typingctx, a, b, c):
+        """``a*b + c`` with one rounding, lane by lane."""
+
+        def codegen(context, builder, signature, args):
+            function = ir.FunctionType(_VECTOR, [_VECTOR] * 3)
+            declared = cgutils.get_or_insert_function(builder.module, function, f"llvm.fma.v{LANES}f64")
+            return builder.call(declared, args)
+
+        return lanes(lanes, lanes, lanes), codegen
+
+    @intrinsic
+    def larger(typingctx, a, b):
+        """``a if a > b else b``, lane by lane: a NaN in ``a`` is passed over."""
+
+        def codegen(context, builder, signature, args):
+            return builder.select(builder.fcmp_ordered(">", args[0], args[1]), args[0], args[1])
+
+        return lanes(lanes, lanes), codegen
+
+    @intrinsic
+    def lesser(typingctx, a, b):  # type: ignore[no-untyped-def]
+        """``a if a < b else b``, lane by lane: a NaN in ``a`` is passed over."""
+
+        def codegen(context, builder, signature, args):  # type: ignore[no-untyped-def]
+            return builder.select(builder.fcmp_ordered("<", args[0], args[1]), args[0], args[1])
+
+        return lanes(lanes, lanes), codegen
+
+    @intrinsic
+    def where_positive(typingctx, a, b, c):  # type: ignore[no-untyped-def]
+        """``b if a > 0 else c``, lane by lane."""
+
+        def codegen(context, builder, signature, args):  # type: ignore[no-untyped-def]
+            zero = ir.Constant(_VECTOR, [0.0] * LANES)
+            return builder.select(builder.fcmp_ordered(">", args[0], zero), args[1], args[2])
+
+        return lanes(lanes, lanes, lanes), codegen
+
+    @intrinsic
+    def column(typingctx, array, count, first, j):  # type: ignore[no-untyped-def]
+        """``array[first:first+8, j]``, with zero for the rows from ``count`` on; needs ``first < count``."""
+        _check(array, (first, j))
+        signature = lanes(array, types.int64, types.int64, types.int64)
+
+        def codegen(context, builder, signature, args):  # type: ignore[no-untyped-def]
+            array_type = signature.args[0]
+            struct = context.make_array(array_type)(context, builder, args[0])
+            last = builder.sub(args[1], ir.Constant(ir.IntType(64), 1))
+            value = ir.Constant(_VECTOR, ir.Undefined)
+            for lane in range(LANES):
+                row = builder.add(args[2], ir.Constant(ir.IntType(64), lane))
+                row = builder.select(builder.icmp_signed("<", row, last), row, last)
+                where = cgutils.get_item_pointer(
+                    context, builder, array_type, struct, [row, args[3]], wraparound=False
+                )
+                value = builder.insert_element(value, builder.load(where), _I32(lane))
+            mask = _lane_mask(builder, "<", builder.sub(args[1], args[2]))
+            return builder.select(mask, value, ir.Constant(_VECTOR, [0.0] * LANES))
+
+        return signature, codegen
+
+    @intrinsic
+    def totals(typingctx, a, b, c, d, e, f, g, h):  # type: ignore[no-untyped-def]
+        """The eight sums of the lanes of eight values, as one value: neighbours first, then pairs, then fours."""
+
+        def codegen(context, builder, signature, args):  # type: ignore[no-untyped-def]
+            def merge(x, y, low, high):  # type: ignore[no-untyped-def]
+                kind = ir.VectorType(_I32, LANES)
+                return builder.fadd(
+                    builder.shuffle_vector(x, y, ir.Constant(kind, low)),
+                    builder.shuffle_vector(x, y, ir.Constant(kind, high)),
+                )
+
+            # pairs[i] holds, for rows 2i and 2i+1, the sums of lanes (01, 23, 45, 67), alternating between the rows
+            low, high = [0, 8, 2, 10, 4, 12, 6, 14], [1, 9, 3, 11, 5, 13, 7, 15]
+            pairs = [merge(args[i], args[i + 1], low, high) for i in (0, 2, 4, 6)]
+            low, high = [0, 1, 8, 9, 4, 5, 12, 13], [2, 3, 10, 11, 6, 7, 14, 15]
+            fours = [merge(pairs[i], pairs[i + 1], low, high) for i in (0, 2)]
+            low, high = [0, 1, 2, 3, 8, 9, 10, 11], [4, 5, 6, 7, 12, 13, 14, 15]
+            return merge(fours[0], fours[1], low, high)
+
+        return lanes(*[lanes] * LANES), codegen
+
+    def _fold(builder: Any, value: Any, combine: Any) -> Any:
+        """Halve three times: lanes (0+4, 1+5, 2+6, 3+7), then (0+2, 1+3), then (0+1)."""
+        width = LANES
+        while width > 1:
+            width //= 2
+            low = ir.Constant(ir.VectorType(_I32, width), list(range(width)))
+            high = ir.Constant(ir.VectorType(_I32, width), list(range(width, 2 * width)))
+            undefined = ir.Constant(value.type, ir.Undefined)
+            value = combine(
+                builder.shuffle_vector(value, undefined, low), builder.shuffle_vector(value, undefined, high)
+            )
+        return builder.extract_element(value, _I32(0))
+
+    @intrinsic
+    def total(typingctx, a):
+        """The sum of the lanes, always in the same order."""
+
+        def codegen(context, builder, signature, args):
+            return _fold(builder, args[0], builder.fadd)
+
+        return types.float64(lanes), codegen
+
+    @intrinsic
+    def largest(typingctx, a):
+        """The largest lane."""
+
+        def codegen(context, builder, signature, args):
+            def combine(x, y):
+                return builder.select(builder.fcmp_ordered(">", x, y), x, y)
+
+            return _fold(builder, args[0], combine)
+
+        return types.float64(lanes), codegen
+
+    @intrinsic
+    def smallest(typingctx, a):  # type: ignore[no-untyped-def]
+        """The smallest lane."""
+
+        def codegen(context, builder, signature, args):  # type: ignore[no-untyped-def]
+            def combine(x, y):  # type: ignore[no-untyped-def]
+                return builder.select(builder.fcmp_ordered("<", x, y), x, y)
+
+            return _fold(builder, args[0], combine)
+
+        return types.float64(lanes), codegen
+
+    @intrinsic
+    def all_below_infinity(typingctx, a):
+        """Whether no lane is NaN or +inf."""
+
+        def codegen(context, builder, signature, args):
+            infinity = ir.Constant(_VECTOR, [float("inf")] * LANES)
+            bits = builder.bitcast(builder.fcmp_ordered("<", args[0], infinity), ir.IntType(LANES))
+            return builder.icmp_unsigned("==", bits, ir.Constant(ir.IntType(LANES), 2**LANES - 1))
+
+        return types.boolean(lanes), codegen
+
+    def _lane_mask(builder: Any, compare: str, count: Any) -> Any:
+        wide = ir.VectorType(ir.IntType(64), LANES)
+        undefined = ir.Constant(wide, ir.Undefined)
+        mask = ir.Constant(ir.VectorType(_I32, LANES), [0] * LANES)
+        counts = builder.shuffle_vector(builder.insert_element(undefined, count, _I32(0)), undefined, mask)
+        return builder.icmp_signed(compare, ir.Constant(wide, list(range(LANES))), counts)
+
+    @intrinsic
+    def with_lane(typingctx, a, lane, value):  # type: ignore[no-untyped-def]
+        """``a`` with ``value`` in one lane; ``a`` itself when there is no such lane."""
+
+        def codegen(context, builder, signature, args):  # type: ignore[no-untyped-def]
+            return builder.select(_lane_mask(builder, "==", args[1]), _splat(builder, args[2]), args[0])
+
+        return lanes(lanes, types.int64, types.float64), codegen
+
+    @intrinsic
+    def first_lanes(typingctx, a, count):  # type: ignore[no-untyped-def]
+        """``a`` in the first ``count`` lanes (any integer), zero in the others."""
+
+        def codegen(context, builder, signature, args):  # type: ignore[no-untyped-def]
+            return builder.select(_lane_mask(builder, "<", args[1]), args[0], ir.Constant(_VECTOR, [0.0] * LANES))
+
+        return lanes(lanes, types.int64), codegen
+
+    @intrinsic
+    def last_lanes(typingctx, a, start):  # type: ignore[no-untyped-def]
+        """``a`` from lane ``start`` on (any integer), zero before it."""
+
+        def codegen(context, builder, signature, args):  # type: ignore[no-untyped-def]
+            return builder.select(_lane_mask(builder, ">=", args[1]), args[0], ir.Constant(_VECTOR, [0.0] * LANES))
+
+        return lanes(lanes, types.int64), codegen
+
+    @intrinsic
+    def first_equal(typingctx, a, value):
+        """The first lane that equals ``value``; `LANES` when none does."""
+
+        def codegen(context, builder, signature, args):
+            bits = builder.bitcast(builder.fcmp_ordered("==", args[0], _splat(builder, args[1])), ir.IntType(LANES))
+            wide = builder.or_(builder.zext(bits, ir.IntType(64)), ir.Constant(ir.IntType(64), 1 << LANES))
+            return builder.cttz(wide, ir.Constant(ir.IntType(1), 1))
+
+        return types.int64(lanes, types.float64), codegen

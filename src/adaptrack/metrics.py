@@ -1,0 +1,307 @@
+"""How well a run went: tracking, effort, comfort, limits, solver, time; and the cost J that tuning minimises.
+
+Wherever smaller is better, a measure whose samples are not all finite is infinite: a run that ended in NaN never
+looks good, and sorts last.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import re
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from adaptrack.errors import InvalidInput
+from adaptrack.trajectory import Trajectory
+
+LOST_BEYOND = 5.0
+"""m, the distance from the reference at which a run counts as lost."""
+
+SPIN_BEYOND = math.pi / 4
+"""rad, the sideslip angle at which a vehicle counts as spinning; passenger cars are hard to catch beyond 10-15°."""
+
+SLOW = 1.0
+"""m/s: below it sideslip and path heading are ill-defined, and samples are not judged by them."""
+
+ROAD_ACTIVITY_PRICE = 3.0
+"""m²/rad², what the road profile's tuning cost charges for steering activity; the paper charges nothing."""
+
+AT_CHANGE_LIMIT, AT_ANGLE_LIMIT, AT_OUTPUT_LIMIT = 1, 2, 4
+"""The bits of `Trajectory.at_limit`: Δu (13), u (14) and y (15)."""
+
+_SOLVED, _CAPPED = 0, 1  # of Trajectory.qp_status; everything else is a failure
+
+
+@dataclass(frozen=True)
+class Loss:
+    """When and why a run was lost."""
+
+    step: int
+    """Index of the first control instant at which it was."""
+    time: float
+    """s, that instant."""
+    reason: str
+    """A clause that completes "the run was lost: the vehicle ..."."""
+
+
+@dataclass(frozen=True)
+class Metrics:
+    """The measures of one run of n control periods; e = Y − y_ref, Δu = u(k) − u(k−1)."""
+
+    steps: int
+    """n"""
+    driven: int
+    """Control periods with a finite command; fewer than n when the run was ended early. Shares, QPs count these."""
+    lost: bool
+    """Whether the run was lost, as `find_loss` defines it."""
+    lost_at: float
+    """s, when; NaN for a run that was not."""
+    lost_because: str
+    """Why; empty for a run that was not."""
+
+    mse: float
+    """m², mean e²: the paper's MSE."""
+    rms_error: float
+    """m, sqrt(mean e²)."""
+    max_abs_error: float
+    """m, max |e|."""
+    heading_rms: float
+    """rad, RMS of the heading error over the instants with v_x >= 1 m/s; NaN when there is none."""
+    heading_max: float
+    """rad, its largest magnitude over the same instants."""
+
+    steering_rms: float
+    """rad, RMS of the command u: the steering effort."""
+    steering_rate_rms: float
+    """rad/s, RMS of Δu/Ts."""
+    steering_activity: float
+    """rad², mean Δu²."""
+    lateral_acceleration_rms: float
+    """m/s²."""
+    lateral_acceleration_max: float
+    """m/s², largest magnitude."""
+    jerk_rms: float
+    """m/s³, RMS of the lateral acceleration's differences over Ts; NaN for a single instant."""
+
+    at_change_limit: float
+    """Share of the driven control periods, 0..1, in which a limit on Δu was active; NaN when none was driven."""
+    at_angle_limit: float
+    """Likewise on u."""
+    at_output_limit: float
+    """Likewise on y."""
+    at_any_limit: float
+    """Likewise on any of the three."""
+
+    qp_solved: int
+    """QPs solved to their tolerance."""
+    qp_capped: int
+    """QPs stopped at the iteration cap: the answer is not certified."""
+    qp_failed: int
+    """QPs without an answer: infeasible, not finite, not convex."""
+    held: int
+    """Control periods in which a safe steering angle was held."""
+    qp_residual_max: float
+    """Largest KKT residual among the QPs with an answer; NaN when none was recorded."""
+    qp_iterations_mean: float
+    """Mean number of iterations."""
+    qp_iterations_max: int
+    """Largest number of iterations."""
+
+    step_us_p50: float
+    """µs, median wall-clock time of a control step; NaN when times were not measured."""
+    step_us_p99: float
+    """µs, 99th percentile."""
+    step_us_max: float
+    """µs, the slowest."""
+
+    cost: float
+    """m², J = mean e² + w mean Δu²: what tuning minimises; w is `compute_metrics`' `activity_price`."""
+
+    def as_row(self) -> dict[str, Any]:
+        """The measures by name, ready for strict JSON: what is not finite becomes None."""
+        row = dataclasses.asdict(self)
+        return {key: None if isinstance(v, float) and not math.isfinite(v) else v for key, v in row.items()}
+
+
+def compute_metrics(
+    trajectory: Trajectory,
+    *,
+    activity_price: float | None = None,
+    lost_beyond: float = LOST_BEYOND,
+    spin_beyond: float = SPIN_BEYOND,
+) -> Metrics:
+    """All measures of a run; `Trajectory.between` cuts out the window to measure.
+
+    Parameters
+    ----------
+    activity_price
+        m²/rad², the w of J = mean e² + w mean Δu²; by default what the profile of the run charges: 3 for ``"road"`` in
+        its `meta`, else 0.
+    lost_beyond, spin_beyond
+        m and rad, see `find_loss`.
+
+    Raises
+    ------
+    InvalidInput
+        When a parameter is negative or NaN. A trajectory with NaN is no error: it is lost, and its MSE infinite.
+    """
+    if activity_price is None:
+        activity_price = ROAD_ACTIVITY_PRICE if trajectory.meta.get("profile") == "road" else 0.0
+    if not activity_price >= 0.0:
+        raise InvalidInput(f"metrics: activity_price must be a number >= 0, got {activity_price!r}.")
+    loss = find_loss(trajectory, lost_beyond=lost_beyond, spin_beyond=spin_beyond)
+
+    with np.errstate(invalid="ignore", over="ignore"):
+        error = trajectory.error if _state_is_finite(trajectory).all() else np.full(len(trajectory), np.nan)
+        heading_error = trajectory.heading_error[~(trajectory.vx < SLOW)]  # NaN speeds stay in
+        jerk = np.diff(trajectory.lateral_acceleration) / trajectory.period
+    mse = _mean_square(error)
+    activity = _mean_square(trajectory.command_change)
+    acceleration = trajectory.lateral_acceleration
+    driven = np.isfinite(trajectory.command)
+    limits = trajectory.at_limit[driven]
+    status = trajectory.qp_status[driven]
+    failed = (status != _SOLVED) & (status != _CAPPED)
+    step_times = trajectory.step_time[np.isfinite(trajectory.step_time)] * 1e6
+
+    return Metrics(
+        steps=len(trajectory),
+        driven=int(np.count_nonzero(driven)),
+        lost=loss is not None,
+        lost_at=loss.time if loss else math.nan,
+        lost_because=loss.reason if loss else "",
+        mse=mse,
+        rms_error=math.sqrt(mse),
+        max_abs_error=_max_abs(error),
+        heading_rms=math.sqrt(_mean_square(heading_error)),
+        heading_max=_max_abs(heading_error),
+        steering_rms=math.sqrt(_mean_square(trajectory.command)),
+        steering_rate_rms=math.sqrt(activity) / trajectory.period,
+        steering_activity=activity,
+        lateral_acceleration_rms=math.sqrt(_mean_square(acceleration)),
+        lateral_acceleration_max=_max_abs(acceleration),
+        jerk_rms=math.sqrt(_mean_square(jerk)),
+        at_change_limit=_mean((limits & AT_CHANGE_LIMIT) != 0),
+        at_angle_limit=_mean((limits & AT_ANGLE_LIMIT) != 0),
+        at_output_limit=_mean((limits & AT_OUTPUT_LIMIT) != 0),
+        at_any_limit=_mean(limits != 0),
+        qp_solved=int(np.count_nonzero(status == _SOLVED)),
+        qp_capped=int(np.count_nonzero(status == _CAPPED)),
+        qp_failed=int(np.count_nonzero(failed)),
+        held=int(np.count_nonzero(trajectory.held[driven])),
+        qp_residual_max=_largest_known(trajectory.qp_residual[driven][~failed]),
+        qp_iterations_mean=_mean(trajectory.qp_iterations[driven]),
+        qp_iterations_max=int(np.max(trajectory.qp_iterations[driven], initial=0)),
+        step_us_p50=float(np.percentile(step_times, 50)) if step_times.size else math.nan,
+        step_us_p99=float(np.percentile(step_times, 99)) if step_times.size else math.nan,
+        step_us_max=_largest_known(step_times),
+        cost=mse + activity_price * activity if activity_price else mse,
+    )
+
+
+def find_loss(
+    trajectory: Trajectory, *, lost_beyond: float = LOST_BEYOND, spin_beyond: float = SPIN_BEYOND
+) -> Loss | None:
+    """When and why the run was lost; None when it was not. The first of these decides:
+
+    * a state or a command is not finite;
+    * |e| > `lost_beyond` [m] at an instant that follows one with |e| <= `lost_beyond`: a run that starts further away
+      (a large step) is judged once it has arrived, and is lost from its start when it never arrives;
+    * the sideslip angle |atan2(v_y, v_x)| exceeds `spin_beyond` [rad] at 1 m/s or more.
+
+    Raises
+    ------
+    InvalidInput
+        When a limit is not a positive number.
+    """
+    if not (lost_beyond > 0.0 and spin_beyond > 0.0):
+        raise InvalidInput(
+            f"metrics: the limits must be positive, got lost_beyond={lost_beyond!r} and spin_beyond={spin_beyond!r}."
+        )
+    broken = ~_state_is_finite(trajectory)
+    with np.errstate(invalid="ignore", over="ignore"):
+        inside = np.abs(trajectory.error) <= lost_beyond
+        outside = ~inside & (np.arange(inside.size) >= np.argmax(inside))  # argmax is 0 when it never arrives
+        sideslip = np.abs(np.arctan2(trajectory.vy, trajectory.vx))
+        spinning = (np.hypot(trajectory.vx, trajectory.vy) >= SLOW) & (sideslip > spin_beyond)
+    away = "left the reference by more than" if inside.any() else "never came within"
+    events = (  # in the order in which reasons at the same instant are preferred
+        (broken, "reached a state that is not finite"),
+        (spinning, f"spun (sideslip beyond {math.degrees(spin_beyond):.0f}°)"),
+        (outside, f"{away} {lost_beyond:g} m" + ("" if inside.any() else " of the reference")),
+    )
+    found = [(int(np.argmax(event)), reason) for event, reason in events if event.any()]
+    if not found:
+        return None
+    step, reason = min(found, key=lambda item: item[0])
+    return Loss(step, float(trajectory.t[step]), reason)
+
+
+@dataclass(frozen=True)
+class Published:
+    """The mean square errors that the paper reports for one of its two tests (section V)."""
+
+    duration: float
+    """s, the window that matches them."""
+    mse: dict[str, float]
+    """m², by controller."""
+
+
+PUBLISHED = {
+    "triple-lane-change": Published(28.0, {"standard": 0.0318, "nn": 0.0051, "anfis": 0.0062}),
+    "general-trajectory": Published(200.0, {"standard": 0.5896, "nn": 0.132, "anfis": 0.1349}),
+}
+"""By scenario. The paper's window is not stated; its figures match these."""
+
+
+def published_mse(trajectory: Trajectory) -> float | None:
+    """m², the paper's MSE for the same test and controller; None when it has none that this run compares with.
+
+    Comparable are runs of its two tests, in the paper profile, without preview, over the paper's window. The names
+    are read from `Trajectory.meta`; ``NN-MPC`` means the controller ``nn``, and words in brackets do not count.
+    """
+    meta = trajectory.meta
+    published = PUBLISHED.get(trajectory.name_of("scenario"))
+    if published is None or meta.get("profile") != "paper" or meta.get("preview"):
+        return None
+    if not math.isclose(trajectory.duration, published.duration, abs_tol=1.5 * trajectory.period):
+        return None
+    controller = re.sub(r"\(.*\)", "", trajectory.name_of("controller").lower()).strip()
+    return published.mse.get(controller.removesuffix("mpc").rstrip(" -_"))
+
+
+def _state_is_finite(trajectory: Trajectory) -> NDArray[np.bool_]:
+    """(n,) whether pose, velocities, steering, command and reference are all finite at each instant."""
+    names = ("X", "Y", "psi", "vx", "vy", "yaw_rate", "steering", "command", "y_ref")
+    return np.isfinite(np.stack([getattr(trajectory, name) for name in names])).all(axis=0)
+
+
+def _mean(values: NDArray[Any]) -> float:
+    """The mean; NaN of nothing."""
+    return float(np.mean(values)) if values.size else math.nan
+
+
+def _mean_square(values: NDArray[Any]) -> float:
+    """Mean of the squares; NaN of nothing, infinite when a value is not finite (or its square overflows)."""
+    if not values.size:
+        return math.nan
+    with np.errstate(invalid="ignore", over="ignore"):
+        mean = float(np.mean(np.square(values)))
+    return mean if math.isfinite(mean) else math.inf
+
+
+def _max_abs(values: NDArray[Any]) -> float:
+    """Largest magnitude; NaN of nothing, infinite when a value is not finite."""
+    if not values.size:
+        return math.nan
+    return float(np.max(np.abs(values))) if np.isfinite(values).all() else math.inf
+
+
+def _largest_known(values: NDArray[Any]) -> float:
+    """The largest value that is not NaN; NaN when there is none."""
+    known = values[~np.isnan(values)]
+    return float(np.max(known)) if known.size else math.nan

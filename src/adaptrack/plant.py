@@ -1,0 +1,475 @@
+"""Plants: what the controller drives. Two built-in vehicles, a user's own, and the profile of a car around them.
+
+A plant is a right-hand side and a parameter record. The state begins with (X, Y, yaw, v_x, v_y, yaw rate); signs
+are those of ISO 8855 (x forward, y left, yaw and steering positive to the left); SI units, radians.
+"""
+
+from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any, Self, final
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from adaptrack.errors import ContractError, InvalidInput, UnknownName, did_you_mean
+from adaptrack.vehicle import SteeringActuator, Tyre, Vehicle, load_tyre, pack_plant
+
+Array = NDArray[np.float64]
+
+MOTION = ("X", "Y", "psi", "vx", "vy", "yaw_rate")
+"""The states that every plant begins with: m, m, rad, m/s, m/s, rad/s."""
+
+
+@dataclass(frozen=True)
+class Profile:
+    """What stands between the controller and an ideal vehicle, and what a test of it charges.
+
+    Raises
+    ------
+    InvalidInput
+        When a standard deviation or the price is negative or not finite.
+    """
+
+    name: str
+    steering: SteeringActuator
+    """Lag, rate limit and angle limit of the steering."""
+    period: float = 0.1
+    """s, control period, unless the controller is told otherwise."""
+    noise_vy: float = 0.0
+    """m/s, standard deviation of the measured lateral velocity; likewise the following."""
+    noise_yaw: float = 0.0
+    """rad"""
+    noise_yaw_rate: float = 0.0
+    """rad/s"""
+    noise_y: float = 0.0
+    """m"""
+    delay: bool = False
+    """Whether a command takes effect one control period after its measurement."""
+    preview: bool = False
+    """Whether the controller knows the reference ahead, unless it is told otherwise."""
+    move_price: float = 0.0
+    """m^2/rad^2, price w of steering activity in the tuning cost J = mean e^2 + w mean (change of command)^2."""
+
+    def __post_init__(self) -> None:
+        for name in ("noise_vy", "noise_yaw", "noise_yaw_rate", "noise_y", "move_price"):
+            value = getattr(self, name)
+            if not 0.0 <= value < math.inf:
+                raise InvalidInput(f"Profile {self.name!r}: {name} = {value!r}: must be finite and not negative.")
+
+    @property
+    def noise(self) -> tuple[float, float, float, float]:
+        """Standard deviations of the measured x_c = [v_y (m/s), yaw (rad), yaw rate (rad/s), y (m)]."""
+        return self.noise_vy, self.noise_yaw, self.noise_yaw_rate, self.noise_y
+
+
+PAPER = Profile("paper", SteeringActuator.ideal())
+"""The paper's setting: ideal actuator, exact state, no delay, no preview, tracking alone counts."""
+ROAD = Profile(
+    "road",
+    SteeringActuator.road(),
+    period=0.05,
+    noise_vy=0.05,
+    noise_yaw=0.003,
+    noise_yaw_rate=0.01,
+    noise_y=0.03,
+    delay=True,
+    preview=True,
+    move_price=3.0,
+)
+"""A car at 20 Hz: steering lag and rate limit, sensor noise, one period of computation delay, the planner's reference ahead."""
+PROFILES = {profile.name: profile for profile in (PAPER, ROAD)}
+
+
+def load_profile(profile: str | Profile) -> Profile:
+    """A profile by name (`paper`, `road`), or the given one.
+
+    Raises
+    ------
+    UnknownName
+        When no profile has that name.
+    """
+    if isinstance(profile, Profile):
+        return profile
+    try:
+        return PROFILES[profile]
+    except KeyError:
+        raise UnknownName(f"Unknown profile {profile!r}. {did_you_mean(profile, PROFILES)}") from None
+
+
+@dataclass(frozen=True)
+class Plant(ABC):
+    """A vehicle that can be driven: right-hand side, parameters, integration step.
+
+    Subclasses are the two built-in vehicles and `UserPlant`; `check_plant` tells whether one keeps the contract.
+    """
+
+    @property
+    @abstractmethod
+    def name(self) -> str:
+        """How tables call the plant."""
+
+    @property
+    @abstractmethod
+    def tyre_name(self) -> str:
+        """How tables call its tyres."""
+
+    @property
+    @abstractmethod
+    def kind(self) -> int:
+        """Which kernel integrates it: `kernels.dynamics.SINGLE_TRACK`, `DUAL_TRACK` or `CUSTOM`."""
+
+    @property
+    @abstractmethod
+    def state_names(self) -> tuple[str, ...]:
+        """The plant's own states, beginning with `MOTION`."""
+
+    @property
+    @abstractmethod
+    def powertrain(self) -> dict[str, float]:
+        """mass (kg), engine_power (W), traction_limit and brake_limit (N): what the driver may ask for."""
+
+    @property
+    @abstractmethod
+    def function(self) -> Any:
+        """The compiled right-hand side that the kernels call for a user's plant."""
+
+    @abstractmethod
+    def packed(self) -> Array:
+        """The parameters as the kernels expect them, the steering actuator's included."""
+
+    @abstractmethod
+    def with_steering(self, steering: SteeringActuator) -> Self:
+        """A copy behind another steering actuator."""
+
+    @abstractmethod
+    def substeps(self, period: float, top_speed: float) -> int:
+        """Runge-Kutta steps per control period (s) that integrate it accurately up to a speed (m/s)."""
+
+    @abstractmethod
+    def derivative(self, x: ArrayLike, u: ArrayLike, environment: ArrayLike) -> Array:
+        """dx/dt at state x (n,), input u (steering angle, longitudinal force) and environment (6,).
+
+        environment: friction front-left, front-right, rear-left, rear-right; wind along X and Y (m/s).
+        The steering actuator and the prescribed speed are not part of it.
+        """
+
+
+@dataclass(frozen=True)
+class _Car(Plant):
+    """What the two built-in vehicles share.
+
+    vehicle: body, air, powertrain; tyre: a `Tyre`, or a name or file for `load_tyre`, by default the vehicle's;
+    steering: the actuator, None for the profile's; steps: Runge-Kutta steps per control period, None for as many
+    as accuracy asks (see `substeps`).
+    """
+
+    vehicle: Vehicle
+    tyre: Tyre = field(default=None)  # type: ignore[assignment]
+    steering: SteeringActuator | None = None
+    steps: int | None = None
+
+    def __init__(
+        self,
+        vehicle: Vehicle,
+        tyre: Tyre | str | None = None,
+        steering: SteeringActuator | None = None,
+        steps: int | None = None,
+    ) -> None:
+        if tyre is None:
+            tyre = vehicle.tyre
+        object.__setattr__(self, "vehicle", vehicle)
+        object.__setattr__(self, "tyre", tyre if isinstance(tyre, Tyre) else load_tyre(tyre))
+        object.__setattr__(self, "steering", steering)
+        object.__setattr__(self, "steps", steps)
+        if steps is not None and not (isinstance(steps, int) and steps >= 1):
+            raise InvalidInput(f"steps = {steps!r}: must be a positive integer, or None to have it chosen.")
+
+    @property
+    def tyre_name(self) -> str:
+        return self.tyre.name
+
+    @property
+    def powertrain(self) -> dict[str, float]:
+        return {key: getattr(self.vehicle, key) for key in ("mass", "engine_power", "traction_limit", "brake_limit")}
+
+    @property
+    def function(self) -> Any:
+        from adaptrack.kernels.dynamics import no_plant
+
+        return no_plant
+
+    def packed(self) -> Array:
+        return pack_plant(self.vehicle, self.tyre, self.steering or SteeringActuator.ideal())
+
+    def with_steering(self, steering: SteeringActuator) -> Self:
+        return type(self)(self.vehicle, self.tyre, steering, self.steps)
+
+    @property
+    def _relaxation(self) -> float:
+        return 0.0
+
+    def substeps(self, period: float, top_speed: float) -> int:
+        """Steps of at most 12.5 ms that keep every mode well inside the stability region (h |lambda| <= 2.2).
+
+        The fast modes are the tyres' relaxation, v/sigma, and, without relaxation, the lateral and yaw motion at
+        the lowest speed of the slip angles (1 m/s). `benchmarks/integration_step.py` measures what remains.
+        """
+        if self.steps is not None:
+            return self.steps
+        car, tyre = self.vehicle, self.tyre
+        if self._relaxation > 0.0:
+            rate = max(top_speed, 1.0) / self._relaxation
+        else:
+            front, rear = (2.0 * c for c in tyre.stiffness_at(*car.static_loads))
+            rate = max((front + rear) / car.mass, (front * car.lf**2 + rear * car.lr**2) / car.yaw_inertia)
+        return max(1, math.ceil(period / 0.0125 - 1e-9), math.ceil(period * rate / 2.2 - 1e-9))
+
+    def derivative(self, x: ArrayLike, u: ArrayLike, environment: ArrayLike) -> Array:
+        from adaptrack.kernels.dynamics import INPUTS, STATES, derivative
+
+        n = len(self.state_names)
+        state = np.zeros(STATES)
+        state[:n] = _vector("x", x, n)
+        steering, force = _vector("u", u, 2)
+        inputs = np.zeros(INPUTS)
+        inputs[0], inputs[1], inputs[2] = steering, force, math.nan
+        inputs[3:] = _vector("environment", environment, 6)
+        slope = np.empty(STATES)
+        derivative(self.kind, state, inputs, self.with_steering(SteeringActuator.ideal()).packed(), slope)
+        return slope[:n]
+
+
+@final
+class SingleTrack(_Car):
+    """Single-track vehicle, eqs. (1)-(5): lateral and yaw motion on two axles of two tyres each.
+
+    Loads are static, slip angles act at once; the tyre may be linear (eqs. 2, 6) or the Magic Formula.
+    """
+
+    @property
+    def name(self) -> str:
+        return "single-track"
+
+    @property
+    def kind(self) -> int:
+        from adaptrack.kernels.dynamics import SINGLE_TRACK
+
+        return SINGLE_TRACK
+
+    @property
+    def state_names(self) -> tuple[str, ...]:
+        return MOTION
+
+
+@final
+class DualTrack(_Car):
+    """Dual-track vehicle: longitudinal, lateral and yaw motion on four tyres.
+
+    Longitudinal and lateral load transfer, relaxation length, friction wheel by wheel, friction ellipse.
+    """
+
+    @property
+    def name(self) -> str:
+        return "dual-track"
+
+    @property
+    def kind(self) -> int:
+        from adaptrack.kernels.dynamics import DUAL_TRACK
+
+        return DUAL_TRACK
+
+    @property
+    def state_names(self) -> tuple[str, ...]:
+        slips = tuple(f"slip_{wheel}" for wheel in ("front_left", "front_right", "rear_left", "rear_right"))
+        return (*MOTION, *slips, "felt_ax", "felt_ay")
+
+    @property
+    def _relaxation(self) -> float:
+        return self.tyre.relaxation_length
+
+
+@final
+@dataclass(frozen=True)
+class UserPlant(Plant):
+    """A plant of one's own: one right-hand side and its parameters.
+
+    right_hand_side(x, u, environment, p, dx) writes dx/dt into dx and returns nothing; it is compiled by numba, so
+    it may use floats, loops, `math` and array elements. x: (n,) beginning with `MOTION`; u: steering angle of the
+    front wheels (rad), longitudinal force asked of the wheels (N); environment: friction front-left, front-right,
+    rear-left, rear-right, wind along X and Y (m/s); p: `parameters` as an array, in their order.
+    It must not write to x, u, environment or p. `check_plant` admits it.
+    """
+
+    right_hand_side: Callable[..., None]
+    parameters: dict[str, float]
+    mass: float
+    """kg, with which the driver turns acceleration into force"""
+    own_states: tuple[str, ...] = ()
+    """names of the states behind `MOTION`"""
+    steps: int = 20
+    """Runge-Kutta steps per control period"""
+    engine_power: float = 1e5
+    """W"""
+    traction_limit: float = 8000.0
+    """N"""
+    brake_limit: float = 15000.0
+    """N"""
+    steering: SteeringActuator | None = None
+    label: str = "user"
+    tyres: str = "own"
+
+    def __post_init__(self) -> None:
+        from adaptrack.kernels.dynamics import compile_plant
+
+        bad = [f"{key} = {value!r}" for key, value in self.parameters.items() if not math.isfinite(value)]
+        if bad:
+            raise InvalidInput(f"UserPlant {self.label!r}: parameters must be finite numbers: {', '.join(bad)}.")
+        if self.steps < 1:
+            raise InvalidInput(f"UserPlant {self.label!r}: steps = {self.steps!r}: must be at least 1.")
+        try:
+            compiled = compile_plant(self.right_hand_side)
+        except Exception as error:
+            raise ContractError(
+                f"UserPlant {self.label!r}: numba cannot compile its right-hand side as "
+                f"f(x, u, environment, p, dx) on float64 arrays: {error}"
+            ) from error
+        object.__setattr__(self, "_compiled", compiled)
+
+    @property
+    def name(self) -> str:
+        return self.label
+
+    @property
+    def tyre_name(self) -> str:
+        return self.tyres
+
+    @property
+    def kind(self) -> int:
+        from adaptrack.kernels.dynamics import CUSTOM
+
+        return CUSTOM
+
+    @property
+    def state_names(self) -> tuple[str, ...]:
+        return (*MOTION, *self.own_states)
+
+    @property
+    def powertrain(self) -> dict[str, float]:
+        return {key: getattr(self, key) for key in ("mass", "engine_power", "traction_limit", "brake_limit")}
+
+    @property
+    def function(self) -> Any:
+        return self._compiled  # type: ignore[attr-defined]
+
+    def packed(self) -> Array:
+        steering = self.steering or SteeringActuator.ideal()
+        return np.array([*self.parameters.values(), steering.lag, steering.rate, steering.limit], dtype=float)
+
+    def with_steering(self, steering: SteeringActuator) -> Self:
+        return replace(self, steering=steering)
+
+    def substeps(self, period: float, top_speed: float) -> int:
+        return self.steps
+
+    def derivative(self, x: ArrayLike, u: ArrayLike, environment: ArrayLike) -> Array:
+        n = len(self.state_names)
+        slope = np.full(n, np.nan)
+        self.function(
+            _vector("x", x, n),
+            _vector("u", u, 2),
+            _vector("environment", environment, 6),
+            np.array(list(self.parameters.values()), dtype=float),
+            slope,
+        )
+        return slope
+
+
+def _vector(name: str, values: ArrayLike, size: int) -> Array:
+    """A fresh C-contiguous float64 copy, which the kernels may be given."""
+    array = np.array(values, dtype=np.float64, order="C")
+    if array.shape != (size,):
+        raise InvalidInput(f"{name}: shape {array.shape}, expected ({size},).")
+    return array
+
+
+def check_plant(plant: Plant, speeds: Sequence[float] = (5.0, 15.0, 25.0), symmetric: bool = True) -> None:
+    """Test that a plant keeps the contract on which controllers and the loop rely.
+
+    At each speed (m/s), on dry friction without wind: the states begin with `MOTION`; the right-hand side writes
+    every entry, finite, without touching its arguments, and answers twice alike; position and yaw obey kinematics,
+    eq. (5); at zero steering the vehicle goes straight; steering to the left begins a turn to the left; the
+    mirrored state has the mirrored derivative (unless `symmetric` is False: a car may be lopsided); one second of
+    integration at its own step stays finite and near that of half the step.
+
+    Raises
+    ------
+    ContractError
+        Naming the clause that is broken and the evidence.
+    """
+
+    def fail(clause: str, evidence: str) -> None:
+        raise ContractError(f"Plant {plant.name!r}: {clause}: {evidence}.")
+
+    n = len(plant.state_names)
+    if plant.state_names[:6] != MOTION:
+        fail(f"its states must begin with {MOTION}", f"they are {plant.state_names}")
+    if plant.packed().ndim != 1 or not np.isfinite(plant.packed()[:-2]).all():
+        fail("packed() must give one row of finite parameters", f"it gives {plant.packed()!r}")
+    road = np.array([0.9, 0.9, 0.9, 0.9, 0.0, 0.0])
+    for speed in speeds:
+        straight = np.zeros(n)
+        straight[3] = speed
+        turning = straight.copy()
+        turning[:6] = 3.0, -2.0, 0.1, speed, 0.1, 0.05
+        here = f"at {speed} m/s"
+        for x, u in ((straight, [0.0, 0.0]), (turning, [0.02, 300.0])):
+            given = [np.array(values, dtype=float) for values in (x, u, road)]
+            kept = [values.copy() for values in given]
+            slope = plant.derivative(*given)
+            if not np.isfinite(slope).all():
+                missing = [name for name, value in zip(plant.state_names, slope, strict=True) if not np.isfinite(value)]
+                fail("every derivative must be written and finite", f"not so for {missing} {here}")
+            if any((a != b).any() for a, b in zip(given, kept, strict=True)):
+                fail("x, u and environment must not be written to", here)
+            if (plant.derivative(*given) != slope).any():
+                fail("the same arguments must give the same derivative", here)
+            expected = (
+                x[3] * math.cos(x[2]) - x[4] * math.sin(x[2]),
+                x[3] * math.sin(x[2]) + x[4] * math.cos(x[2]),
+                x[5],
+            )
+            if not np.allclose(slope[:3], expected, rtol=1e-6, atol=1e-9):
+                fail("position and yaw must obey kinematics, eq. (5)", f"{slope[:3]} instead of {expected} {here}")
+        if np.abs(plant.derivative(straight, [0.0, 0.0], road)[4:6]).max() > 1e-6 and symmetric:
+            fail("at zero steering the vehicle must go straight", here)
+        if not plant.derivative(_settled(plant, straight, 0.01, road, 0.05), [0.01, 0.0], road)[5] > 0.0:
+            fail("steering to the left (positive) must begin a turn to the left (positive yaw rate)", here)
+        if symmetric:
+            left = _settled(plant, straight, 0.02, road, 1.0)
+            right = _settled(plant, straight, -0.02, road, 1.0)
+            if not np.allclose(left[[0, 1, 2, 4, 5]] * [1, -1, -1, -1, -1], right[[0, 1, 2, 4, 5]], atol=1e-7):
+                fail("the mirrored steering must give the mirrored motion", f"{left[:6]} and {right[:6]} {here}")
+        coarse = _settled(plant, straight, 0.02, road, 1.0)
+        fine = _settled(plant, straight, 0.02, road, 1.0, refine=2)
+        if not np.isfinite(coarse).all() or not np.allclose(coarse[:6], fine[:6], rtol=1e-3, atol=1e-3):
+            fail(
+                "its steps must be small enough to integrate it", f"{coarse[:6]}, with half the step {fine[:6]} {here}"
+            )
+
+
+def _settled(plant: Plant, x: Array, steering: float, road: Array, duration: float, refine: int = 1) -> Array:
+    """The state after `duration` (s) of constant steering, by RK4 at the plant's own step over `refine`."""
+    period = 0.1
+    h = period / (plant.substeps(period, x[3]) * refine)
+    u = np.array([steering, 0.0])
+    for _ in range(max(1, round(duration / h))):
+        k1 = plant.derivative(x, u, road)
+        k2 = plant.derivative(x + 0.5 * h * k1, u, road)
+        k3 = plant.derivative(x + 0.5 * h * k2, u, road)
+        k4 = plant.derivative(x + h * k3, u, road)
+        x = x + h / 6.0 * (k1 + 2 * k2 + 2 * k3 + k4)
+    return x

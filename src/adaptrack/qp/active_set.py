@@ -1,0 +1,37 @@
+"""The default: the package's own exact dual active-set method."""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+from adaptrack.errors import InvalidInput
+from adaptrack.qp.kernel import Workspace
+from adaptrack.qp.problem import QP, QPStatus, Solution
+from adaptrack.qp.solver import QPSolver
+
+
+class ActiveSet(QPSolver):
+    """Goldfarb and Idnani's dual active-set method (1983), its result refined in twice the working precision.
+
+    ``max_iterations``: changes of the active set, default 1000. The method ends by itself, within a few tens for
+    the controller's problems; the cap is for the unforeseen. A warm start is accepted and not needed.
+    """
+
+    name: ClassVar[str] = "active-set"
+    accuracy: ClassVar[float] = 1e-9
+
+    def __init__(self, max_iterations: int = 1000) -> None:
+        if not max_iterations >= 1:
+            raise InvalidInput(f"max_iterations is {max_iterations}; at least 1 is needed.")
+        self.max_iterations = int(max_iterations)
+        self._workspace = Workspace()
+
+    def solve(self, qp: QP, warm_start: Solution | None = None) -> Solution:
+        """See `QPSolver.solve`."""
+        status = self._workspace.load(qp)
+        if status is not QPStatus.SOLVED:
+            return self._answer(qp, status, None, None, 0)
+        status, iterations = self._workspace.active_set(self.max_iterations)
+        if status is not QPStatus.SOLVED:
+            return self._answer(qp, status, None, None, iterations)
+        return self._answer(qp, status, *self._workspace.result(), iterations)

@@ -1,0 +1,58 @@
+"""OSQP (Stellato et al. 2020): operator splitting."""
+
+from __future__ import annotations
+
+from typing import Any, ClassVar
+
+import numpy as np
+from scipy import sparse
+
+from adaptrack.qp.problem import QP, QPStatus, Solution
+from adaptrack.qp.registry import require
+from adaptrack.qp.solver import QPSolver, all_multipliers, is_finite, present_rows
+
+
+class Osqp(QPSolver):
+    """OSQP with eps_abs = eps_rel = 1e-9 (its default: 1e-3), polishing, and up to 200,000 iterations.
+
+    A first-order method: on ill-conditioned problems it often ends CAPPED, and what it calls solved may be good to
+    1e-3 rad only. ``settings`` overrides OSQP's settings.
+    """
+
+    name: ClassVar[str] = "osqp"
+    accuracy: ClassVar[float] = 1e-1
+
+    def __init__(self, **settings: Any) -> None:
+        self._library = require("osqp", self.name)
+        self._settings = {
+            "verbose": False, "eps_abs": 1e-9, "eps_rel": 1e-9, "polishing": True, "max_iter": 200_000,
+            "adaptive_rho_interval": 50,  # by iterations, not by the clock: the same problem gives the same bits
+            **settings,
+        }  # fmt: skip
+
+    def solve(self, qp: QP, warm_start: Solution | None = None) -> Solution:
+        """See `QPSolver.solve`."""
+        if not is_finite(qp):
+            return self._answer(qp, QPStatus.NON_FINITE, None, None, 0)
+        rows, M, gamma = present_rows(qp)
+        names = self._library.SolverStatus
+        statuses = {
+            names.OSQP_SOLVED: QPStatus.SOLVED,
+            names.OSQP_PRIMAL_INFEASIBLE: QPStatus.INFEASIBLE,
+            names.OSQP_NON_CVX: QPStatus.NOT_CONVEX,
+        }
+        problem = self._library.OSQP()
+        try:
+            problem.setup(
+                P=sparse.csc_matrix(np.triu(qp.E)), q=np.array(qp.K), A=sparse.csc_matrix(M),
+                l=np.full(len(rows), -np.inf), u=gamma, **self._settings,
+            )  # fmt: skip
+            if warm_start is not None and np.isfinite(warm_start.x).all() and warm_start.x.shape == (qp.n,):
+                problem.warm_start(x=warm_start.x, y=warm_start.lam[rows])
+            result = problem.solve()
+        except (ValueError, self._library.OSQPException) as error:  # its way of saying that E is not convex
+            return self._answer(qp, QPStatus.NOT_CONVEX, None, None, 0, f"osqp: {error}")
+        status = statuses.get(result.info.status_val, QPStatus.CAPPED)
+        if status is not QPStatus.SOLVED:
+            return self._answer(qp, status, None, None, result.info.iter)
+        return self._answer(qp, status, np.array(result.x), all_multipliers(qp, rows, result.y), result.info.iter)

@@ -1,0 +1,72 @@
+"""The contract between the controller and whatever solves its quadratic programme."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from typing import ClassVar
+
+import numpy as np
+
+from adaptrack.qp.problem import QP, Array, QPStatus, Residuals, Solution, kkt_residuals
+
+ACCEPTED = 1e-6
+"""A back-end's "solved" is believed when no scaled residual exceeds this; else the status is CAPPED."""
+
+
+class QPSolver(ABC):
+    """Solves one QP at a time.
+
+    A subclass names itself, states the accuracy of x[0] that it promises when E is ill-conditioned (cond(E) ~ 1e11;
+    rad) and implements `solve`. The contract, which `adaptrack.qp.check_qp_solver` tests:
+
+    * `solve` returns a `Solution` for every QP; it raises nothing for infeasible, capped or non-finite problems;
+    * it does not write to the problem's arrays;
+    * without a warm start, the same problem gives the same bits;
+    * a warm start (an earlier `Solution` of a problem of the same shape) may change the effort, not the answer.
+
+    A solver may keep a workspace between calls, so each thread needs its own.
+    """
+
+    name: ClassVar[str]
+    accuracy: ClassVar[float]
+
+    @abstractmethod
+    def solve(self, qp: QP, warm_start: Solution | None = None) -> Solution:
+        """The minimiser of ``qp``, or a status that says why there is none."""
+
+    def _answer(
+        self, qp: QP, status: QPStatus, x: Array | None, lam: Array | None, iterations: int, message: str = ""
+    ) -> Solution:
+        """A `Solution` with its residuals; a "solved" that they contradict becomes CAPPED."""
+        if x is None or lam is None:
+            x, lam = np.full(qp.n, np.nan), np.full(qp.m, np.nan)
+            residuals = Residuals(*[float("nan")] * 4)
+        else:
+            residuals = kkt_residuals(qp, x, lam)
+        if status is QPStatus.SOLVED and not residuals.worst <= ACCEPTED:
+            status = QPStatus.CAPPED
+            message = f"{self.name} reported a solution whose optimality conditions miss by {residuals.worst:.1e}."
+        return Solution(x, lam, status, residuals, int(iterations), self.name, message or status.sentence)
+
+
+def is_finite(qp: QP) -> bool:
+    """Whether the data are usable: no NaN, no infinity except +inf in gamma."""
+    return bool(
+        np.isfinite(qp.E).all()
+        and np.isfinite(qp.K).all()
+        and np.isfinite(qp.M).all()
+        and (qp.gamma > -np.inf).all()  # false for NaN, too
+    )
+
+
+def present_rows(qp: QP) -> tuple[np.ndarray, Array, Array]:
+    """Indices, M and gamma of the rows that have a bound."""
+    rows = np.flatnonzero(qp.gamma < np.inf)
+    return rows, np.ascontiguousarray(qp.M[rows]), np.ascontiguousarray(qp.gamma[rows])
+
+
+def all_multipliers(qp: QP, rows: np.ndarray, lam: Array) -> Array:
+    """Multipliers of all rows: those given, not below zero, and zero for absent rows."""
+    result = np.zeros(qp.m)
+    result[rows] = np.maximum(lam, 0.0)
+    return result

@@ -1,0 +1,228 @@
+"""One self-contained HTML page: sections of paragraphs, tables and pictures, written with its PNG files.
+
+A part of the report (the runs of a simulation, a campaign, an evaluation) says what it shows as `Section`s;
+`write_page` turns any list of them into a page that needs nothing but itself.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import itertools
+import os
+import re
+import shutil
+import tempfile
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, TypeAlias
+
+import jinja2
+from markupsafe import Markup
+from matplotlib.figure import Figure
+
+from adaptrack import __version__
+from adaptrack.errors import InvalidInput, StorageError
+from adaptrack.report import style
+from adaptrack.report.words import slug
+
+PAGE = "index.html"
+"""The name of the page in its folder."""
+
+
+@dataclass(frozen=True)
+class Head:
+    """The head of a table's column."""
+
+    text: str
+    unit: str = ""
+    is_text: bool = False
+    """Left-aligned words rather than right-aligned numbers."""
+
+
+@dataclass(frozen=True)
+class Cell:
+    """One entry of a table."""
+
+    text: str
+    strong: bool = False
+    """The best of its column."""
+    warn: bool = False
+    """Something the reader must not miss (a lost run, a failed QP)."""
+
+
+@dataclass(frozen=True)
+class Table:
+    """A table; its first column heads the rows and stays in sight when the rest is scrolled."""
+
+    caption: str
+    heads: Sequence[Head]
+    rows: Sequence[Sequence[Cell | str] | str]
+    """A row that is only a string heads the rows below it."""
+    note: str = ""
+
+
+@dataclass(frozen=True)
+class Drawing:
+    """One panel of a picture, with the words that stand for it when it cannot be seen."""
+
+    figure: Figure
+    description: str
+
+
+@dataclass(frozen=True)
+class Picture:
+    """Panels that flow into one or two columns, a legend, and the same as a file for print."""
+
+    caption: str
+    panels: Sequence[Drawing]
+    legend: Sequence[tuple[str, style.Stroke]] = ()
+    file: str = ""
+    """The name of its PNG file beside the page; empty for none."""
+    print_figure: Figure | None = None
+    """What that file shows; the only panel when left out."""
+
+
+@dataclass(frozen=True)
+class Terms:
+    """Terms with their meanings, or names with their values."""
+
+    entries: Sequence[tuple[str, str]]
+    summary: str = ""
+    """When given, the list is folded away behind these words."""
+
+
+@dataclass(frozen=True)
+class Verbatim:
+    """Text as it stands: a command line, a record."""
+
+    text: str
+    summary: str = ""
+    """When given, the text is folded away behind these words."""
+
+
+@dataclass(frozen=True)
+class Section:
+    """A titled part of the page; strings among its items are paragraphs."""
+
+    title: str
+    items: Sequence[Item] = ()
+
+
+Item: TypeAlias = "str | Table | Picture | Terms | Verbatim | Section"
+
+
+def write_page(
+    out_dir: str | os.PathLike[str],
+    sections: Sequence[Section],
+    *,
+    title: str,
+    lead: Sequence[str] = (),
+    created: str = "",
+) -> Path:
+    """Write ``index.html`` and the PNG files of its pictures into `out_dir`, and return the page's path.
+
+    Everything is rendered before anything is written, every file appears whole, and the page comes last: a page that
+    is there is complete. Other files in the folder stay as they are.
+
+    Parameters
+    ----------
+    lead
+        Paragraphs under the title.
+    created
+        When the results were made, for the title's second line; the clock is the caller's.
+
+    Raises
+    ------
+    InvalidInput
+        When two pictures ask for the same file name, or one for a name that is not a plain ``*.png``.
+    StorageError
+        When a file cannot be written; files of an earlier report are then whole, old or new.
+    """
+    files: dict[str, bytes] = {}
+    for picture in _pictures(sections):
+        if not picture.file:
+            continue
+        if not re.fullmatch(r"[\w.-]+\.png", picture.file) or picture.file in files:
+            raise InvalidInput(f"report: {picture.file!r} is not a name for a PNG file, or is used twice on this page.")
+        files[picture.file] = style.png(picture.print_figure or picture.panels[0].figure)
+    files[PAGE] = render(sections, title=title, lead=lead, created=created).encode()
+    _write_files(Path(out_dir), files)
+    return Path(out_dir) / PAGE
+
+
+def render(sections: Sequence[Section], *, title: str, lead: Sequence[str] = (), created: str = "") -> str:
+    """The page as HTML text, see `write_page`."""
+    environment = jinja2.Environment(
+        loader=jinja2.PackageLoader("adaptrack.report"),
+        autoescape=True,
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    counter = itertools.count(1)
+
+    def inline(panel: Drawing) -> Markup:
+        return Markup(style.inline_svg(panel.figure, f"p{next(counter)}", panel.description))
+
+    environment.tests |= {
+        "words": lambda item: isinstance(item, str),
+        **{kind.__name__.lower(): _is(kind) for kind in (Table, Picture, Terms, Verbatim, Section)},
+    }
+    environment.filters |= {"inline": inline, "anchor": slug, "dasharray": _dasharray, "cell": _as_cell}
+    template = environment.get_template("page.html.j2")
+    return template.render(
+        title=title, lead=lead, sections=sections, created=created, version=__version__, variables=_css_colour
+    )
+
+
+def _pictures(items: Sequence[Item]) -> Iterator[Picture]:
+    for item in items:
+        if isinstance(item, Picture):
+            yield item
+        elif isinstance(item, Section):
+            yield from _pictures(item.items)
+
+
+def _is(kind: type) -> Any:
+    return lambda item: isinstance(item, kind)
+
+
+def _as_cell(entry: Cell | str) -> Cell:
+    return entry if isinstance(entry, Cell) else Cell(entry)
+
+
+def _dasharray(stroke: style.Stroke) -> str:
+    """The SVG dash pattern of a stroke 2 wide; empty for a solid line."""
+    if stroke.dash == "-":
+        return ""
+    return " ".join(f"{2 * length:g}" for length in stroke.dash[1])
+
+
+def _css_colour(colour: str) -> str:
+    return f"var(--{style.theme()[colour]}, {colour})"
+
+
+def _write_files(folder: Path, files: Mapping[str, bytes]) -> None:
+    """Write all files into a hidden folder first, then move them into place, in the given order."""
+    existed = folder.exists()
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        blocked = [name for name in files if (folder / name).is_dir()]
+        if blocked:
+            raise StorageError(f"{folder / blocked[0]}: cannot be written: a folder has that name.")
+        staging = Path(tempfile.mkdtemp(prefix=".report-", dir=folder))
+        try:
+            for name, content in files.items():
+                (staging / name).write_bytes(content)
+            for name in files:
+                os.replace(staging / name, folder / name)
+        finally:
+            shutil.rmtree(staging, ignore_errors=True)
+    except OSError as error:
+        if not existed:
+            with contextlib.suppress(OSError):
+                folder.rmdir()
+        if isinstance(error, StorageError):
+            raise
+        raise StorageError(f"{folder}: the report cannot be written: {error.strerror or error}.") from error

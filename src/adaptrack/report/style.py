@@ -1,0 +1,204 @@
+"""How every picture looks: colours, type, grid; and how a figure becomes PNG or SVG. No pyplot, no global state."""
+
+from __future__ import annotations
+
+import io
+import re
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Any
+
+import matplotlib as mpl
+from cycler import cycler
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+
+INK = "#1d2733"
+"""Text, ticks, and the reference that controllers follow."""
+
+MUTED = "#66717e"
+"""Frames, and what stands in the background."""
+
+GRID = "#dce1e7"
+"""Grid lines."""
+
+SERIES = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9")
+"""One colour per controller: Okabe and Ito's set, told apart with any common colour vision (tested)."""
+
+_DASHES: tuple[Any, ...] = ("-", (0, (5, 1.5)), (0, (1.5, 1.5)))
+"""Line styles of the first, second and third round through `SERIES`."""
+
+PAGE_WIDTH = 7.2
+"""inch, of a full figure: the text width of a two-column paper."""
+
+PANEL_SIZE = (4.5, 2.55)
+"""inch, of a panel on the page."""
+
+PNG_DPI = 200
+"""Dots per inch of the PNG files."""
+
+RC: Any = {
+    "font.family": "DejaVu Sans",  # ships with matplotlib: the same picture on every machine
+    "font.size": 8.5,
+    "text.color": INK,
+    "mathtext.fontset": "dejavusans",
+    "axes.titlesize": 9.0,
+    "axes.titleweight": "bold",
+    "axes.titlelocation": "left",
+    "axes.titlepad": 6.0,
+    "axes.labelsize": 8.5,
+    "axes.labelcolor": INK,
+    "axes.edgecolor": MUTED,
+    "axes.linewidth": 0.7,
+    "axes.facecolor": "none",
+    "axes.grid": True,
+    "axes.axisbelow": True,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.xmargin": 0.0,
+    "axes.ymargin": 0.08,
+    "axes.formatter.limits": (-4, 5),
+    "axes.formatter.use_mathtext": True,
+    "axes.prop_cycle": cycler(color=SERIES),
+    "grid.color": GRID,
+    "grid.linewidth": 0.6,
+    "xtick.color": MUTED,
+    "ytick.color": MUTED,
+    "xtick.labelcolor": INK,
+    "ytick.labelcolor": INK,
+    "xtick.labelsize": 8.0,
+    "ytick.labelsize": 8.0,
+    "xtick.major.size": 3.0,
+    "ytick.major.size": 3.0,
+    "xtick.major.width": 0.7,
+    "ytick.major.width": 0.7,
+    "ytick.minor.size": 1.8,
+    "ytick.minor.width": 0.5,
+    "lines.linewidth": 1.3,
+    "lines.solid_capstyle": "round",
+    "lines.solid_joinstyle": "round",
+    "lines.dash_capstyle": "butt",
+    "legend.frameon": False,
+    "legend.fontsize": 8.0,
+    "legend.handlelength": 1.8,
+    "legend.columnspacing": 1.6,
+    "legend.handletextpad": 0.6,
+    "legend.borderaxespad": 0.0,
+    "figure.facecolor": "white",
+    "figure.constrained_layout.use": True,
+    "savefig.facecolor": "white",
+    "svg.fonttype": "path",  # the page looks alike wherever it is read
+    "svg.hashsalt": "adaptrack",  # and has the same bytes whenever it is written
+}
+"""The settings that differ from matplotlib's own."""
+
+
+@dataclass(frozen=True)
+class Stroke:
+    """How the lines of one controller are drawn, in every figure of a report."""
+
+    colour: str
+    dash: Any = "-"
+
+
+REFERENCE = Stroke(INK, (0, (4, 2)))
+"""The stroke of what is to be followed."""
+
+NEUTRAL = Stroke(INK)
+"""The stroke of what all controllers share (gust, friction)."""
+
+BACKGROUND = Stroke(MUTED)
+"""Likewise, where it lies under a reference (the driven speed)."""
+
+
+def strokes(labels: Iterable[str]) -> dict[str, Stroke]:
+    """One stroke per distinct label, in the order given; they stay distinct for three times as many as `SERIES`."""
+    unique = dict.fromkeys(labels)
+    return {
+        label: Stroke(SERIES[i % len(SERIES)], _DASHES[i // len(SERIES) % len(_DASHES)])
+        for i, label in enumerate(unique)
+    }
+
+
+@contextmanager
+def styled() -> Iterator[None]:
+    """matplotlib's defaults with `RC` on top, whatever the user's own settings are, for the length of a block."""
+    with mpl.rc_context():
+        mpl.rcdefaults()
+        mpl.rcParams.update(RC)
+        yield
+
+
+def grid_figure(rows: int, columns: int, height: float) -> tuple[Figure, list[Axes]]:
+    """An empty figure of `PAGE_WIDTH` and its axes, row by row; `height` [inch] is that of one row."""
+    figure = Figure(figsize=(PAGE_WIDTH, height * rows))
+    axes = figure.subplots(rows, columns, squeeze=False)
+    return figure, list(axes.flat)
+
+
+def panel_figure(draw: Callable[[Axes], None]) -> Figure:
+    """A figure of one panel, for the page; axes and labels of all such figures align."""
+    width, height = PANEL_SIZE
+    left, right, bottom, top = 0.74, 0.1, 0.45, 0.28  # inch
+    box = {"left": left / width, "right": 1 - right / width, "bottom": bottom / height, "top": 1 - top / height}
+    with styled(), mpl.rc_context({"figure.constrained_layout.use": False}):
+        figure = Figure(figsize=PANEL_SIZE)
+        axes = figure.subplots(gridspec_kw=box)
+        draw(axes)
+        axes.yaxis.set_label_coords(-0.6 / (width - left - right), 0.5)
+    return figure
+
+
+def legend_above(figure: Figure, key: Sequence[tuple[str, Stroke]]) -> None:
+    """A legend in rows above all panels, where it covers nothing."""
+    handles = [Line2D([], [], color=s.colour, linestyle=s.dash, linewidth=1.6, label=label) for label, s in key]
+    columns = next((n for n in (5, 4, 3) if sum(len(label) + 9 for label, _ in key[:n]) <= 105), 2)
+    figure.legend(handles=handles, loc="outside upper center", ncols=min(len(handles), columns))
+
+
+def line_key(axes: Axes, entries: Iterable[tuple[str, Any]]) -> None:
+    """A key of line styles (name, dash) in ink, at the right above the panel, level with its title."""
+    handles = [Line2D([], [], color=INK, linestyle=dash, label=name, linewidth=1.2) for name, dash in entries]
+    axes.legend(handles=handles, loc="lower right", bbox_to_anchor=(1.0, 1.015), ncols=len(handles), columnspacing=1.2)
+
+
+def png(figure: Figure) -> bytes:
+    """The figure as a PNG file."""
+    buffer = io.BytesIO()
+    with styled():
+        figure.savefig(buffer, format="png", dpi=PNG_DPI, metadata={"Software": None})
+    return buffer.getvalue()
+
+
+def inline_svg(figure: Figure, prefix: str, description: str) -> str:
+    """The figure as an ``<svg>`` element for a page: transparent, described, following the page's colour theme.
+
+    Ids get `prefix`, so that several pictures can share a page. Each colour of this style becomes
+    ``var(--ink, ...)``, ``var(--grid, ...)``, ``var(--series-0, ...)``, for the page to redefine.
+    """
+    buffer = io.StringIO()
+    with styled():
+        figure.savefig(buffer, format="svg", transparent=True, metadata={"Date": None, "Creator": None})
+    text = buffer.getvalue()
+    text = text[text.index("<svg") :]
+    text = re.sub(r"<metadata>.*?</metadata>", "", text, flags=re.DOTALL)
+    text = re.sub(r"<!--.*?-->", "", text, flags=re.DOTALL)
+    text = re.sub(r'\s(?:xmlns(?::\w+)?|version)="[^"]*"', "", text)
+    text = re.sub(r'\bid="([^"]+)"', rf'id="{prefix}-\1"', text)
+    text = re.sub(r"url\(#([^)]+)\)", rf"url(#{prefix}-\1)", text)
+    text = re.sub(r'xlink:href="#([^"]+)"', rf'href="#{prefix}-\1"', text)
+    for colour, variable in theme().items():
+        text = re.sub(colour, f"var(--{variable}, {colour})", text, flags=re.IGNORECASE)
+    text = re.sub(r"\n\s*", "\n", text)
+    return text.replace("<svg", f'<svg role="img" aria-label="{_attribute(description)}"', 1).strip()
+
+
+def theme() -> dict[str, str]:
+    """The CSS variable behind each colour that a page may redefine."""
+    return {INK: "ink", MUTED: "muted", GRID: "grid"} | {colour: f"series-{i}" for i, colour in enumerate(SERIES)}
+
+
+def _attribute(text: str) -> str:
+    return text.replace("&", "&amp;").replace('"', "&quot;").replace("<", "&lt;")

@@ -1,0 +1,457 @@
+"""Closed-loop runs: one at a time from Python, or thousands compiled.
+
+`simulate` loops in Python, so any controller, plant, scheduler or QP back-end can take part. `rollout` and
+`rollout_batch` run the same control periods inside the kernels. Both give the same trajectory.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+import queue
+import time
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from adaptrack.errors import InvalidInput
+from adaptrack.mpc import MPC, Command, Condition
+from adaptrack.plant import Plant, Profile, load_profile
+from adaptrack.scenario import Scenario, Signals
+from adaptrack.trajectory import Trajectory, provenance
+
+Array = NDArray[np.float64]
+
+
+class Controller(Protocol):
+    """What `simulate` drives with; `MPC` is one."""
+
+    @property
+    def name(self) -> str:
+        """How tables call it."""
+
+    @property
+    def period(self) -> float:
+        """Control period (s)."""
+
+    def reset(self) -> None:
+        """Forget the past."""
+
+    def step(self, state: ArrayLike, speed: float, reference: ArrayLike, condition: Condition | None = None) -> Command:
+        """One control step, see `MPC.step`."""
+
+    def describe(self) -> dict[str, Any]:
+        """The configuration, for provenance."""
+
+
+@dataclass(frozen=True)
+class Driver:
+    """Longitudinal driver: asks for the acceleration that reaches the profile's speed a preview time ahead.
+
+    dv = (v_ref(t + preview) - v_x)/preview + integral * (integral of v_ref - v_x), times the mass, within engine
+    power, traction and brakes.
+    """
+
+    preview: float = 0.5
+    """s"""
+    integral: float = 0.2
+    """1/s^2"""
+
+    def __post_init__(self) -> None:
+        if not 0.0 < self.preview < math.inf or not 0.0 <= self.integral < math.inf:
+            raise InvalidInput(f"Driver: preview = {self.preview!r} s must be positive, integral not negative.")
+
+
+def _loop_settings(plant: Plant, profile: Profile, driver: Driver | None, substeps: int, lost_beyond: float) -> Array:
+    """`kernels.loop.LOOP_SETTINGS`; without a driver the speed follows its profile exactly."""
+    from adaptrack.kernels import loop
+
+    values = {
+        "plant": plant.kind,
+        "substeps": substeps,
+        "prescribed_speed": driver is None,
+        "delay": profile.delay,
+        "noise_vy": profile.noise_vy,
+        "noise_yaw": profile.noise_yaw,
+        "noise_yaw_rate": profile.noise_yaw_rate,
+        "noise_y": profile.noise_y,
+        "driver_preview": driver.preview if driver else 1.0,
+        "driver_integral": driver.integral if driver else 0.0,
+        **plant.powertrain,
+        "lost_beyond": lost_beyond,
+    }
+    return np.array([values[name] for name in loop.LOOP_SETTINGS], dtype=float)
+
+
+def _rows(signals: Signals) -> Array:
+    """A scenario's samples as the kernels read them, (8, n + 1)."""
+    return np.ascontiguousarray(np.vstack([signals.y_ref, signals.speed, signals.friction.T, signals.wind.T]))
+
+
+def _start(scenario: Scenario | Signals, signals: Signals) -> Array:
+    """X, Y, yaw, v_x, v_y, yaw rate at the start."""
+    y, yaw = (scenario.initial_y, scenario.start_heading) if isinstance(scenario, Scenario) else (0.0, 0.0)
+    return np.array([0.0, y, yaw, signals.speed[0], 0.0, 0.0])
+
+
+def _outfit(plant: Plant, profile: str | Profile) -> tuple[Plant, Profile]:
+    """The plant behind the profile's steering, unless it has its own."""
+    profile = load_profile(profile)
+    if getattr(plant, "steering", None) is None:
+        plant = plant.with_steering(profile.steering)
+    return plant, profile
+
+
+def simulate(
+    plant: Plant,
+    controller: Controller,
+    scenario: Scenario,
+    *,
+    profile: str | Profile = "paper",
+    driver: Driver | None = None,
+    seed: int = 0,
+    lost_beyond: float = 1000.0,
+    progress: Callable[[int, int], None] | None = None,
+) -> Trajectory:
+    """Drive a scenario with a controller.
+
+    profile: `paper` (ideal), `road` (steering actuator, noise, delay) or one's own; driver: None to follow the speed
+    profile exactly, else the longitudinal driver that moves the vehicle with its powertrain; seed: of the sensor
+    noise; lost_beyond: the run ends, its rest NaN, when |Y - y_ref| (m) exceeds this or the state is not finite;
+    progress: called now and then with (periods done, periods in all).
+
+    Raises
+    ------
+    InvalidInput
+        When an argument does not fit the others.
+    """
+    from adaptrack.kernels import integrate, loop
+
+    plant, profile = _outfit(plant, profile)
+    signals = scenario.sample(controller.period)
+    n = signals.n
+    samples = _rows(signals)
+    rows = samples.reshape(1, *samples.shape)
+    substeps = plant.substeps(controller.period, float(signals.speed.max()))
+    lap = _loop_settings(plant, profile, driver, substeps, lost_beyond)
+    states = len(plant.state_names)
+    block, own = np.zeros(integrate.BLOCK), np.zeros((integrate.LANES, states))
+    work, seen, measured = np.zeros((7, max(states, loop.STATES))), np.zeros(2), np.zeros(4)
+    memory = loop.memory(1)
+    packed, function, kind = plant.packed(), plant.function, plant.kind
+    lanes = block.reshape(-1, integrate.LANES)
+    trace = np.full((n, loop.TRACE), np.nan)
+    times = np.full(n, np.nan)
+
+    controller.reset()
+    loop.place(1, _start(scenario, signals)[None], block, own)
+    waiting = 0.0
+    for k in range(n):
+        if progress is not None and k % 64 == 0:
+            progress(k, n)
+        trace[k, : loop.STATES] = lanes[: loop.STATES, 0]
+        loop.sense(k, 0, block, lap, seed, measured)
+        speed = float(lanes[3, 0])
+        condition = Condition(speed, float(samples[0, k]), float(samples[2:6, k].mean()), float(samples[7, k]))
+        begun = time.perf_counter()
+        command = controller.step(measured, speed, samples[0, k:], condition)
+        times[k] = time.perf_counter() - begun
+        loop.actuate(k, 0, waiting if profile.delay else command.angle, block, controller.period, lap, rows, 0, memory)
+        waiting = command.angle
+        loop.observe(0, kind, function, packed, block, own, work, seen)
+        trace[k, loop.STATES :] = (*command[:7], *command.tuning, *seen)
+        loop.move_vehicles(1, kind, function, packed, block, own, work, controller.period, lap)
+        error = lanes[1, 0] - samples[0, k + 1]
+        if not (abs(error) <= lost_beyond and math.isfinite(lanes[5, 0])):
+            break
+    if progress is not None:
+        progress(n, n)
+    return _trajectory(plant, controller, scenario, signals, profile, driver, seed, trace, times)
+
+
+def rollout(
+    plant: Plant,
+    mpc: MPC,
+    scenario: Scenario,
+    *,
+    profile: str | Profile = "paper",
+    driver: Driver | None = None,
+    seed: int = 0,
+    lost_beyond: float = 1000.0,
+) -> Trajectory:
+    """`simulate`, compiled: the same trajectory, without the step times. The MPC's tuning is constant.
+
+    Raises
+    ------
+    InvalidInput
+        When the MPC needs Python at every step: a scheduler, or a QP back-end outside the kernels.
+    """
+    batch = _Batch(plant, mpc, [scenario], profile, driver, lost_beyond)
+    result, trace = batch.run(np.zeros(1, np.int64), mpc.tuning.as_array()[None], np.array([seed]), 1, traced=True)
+    del result
+    return _trajectory(
+        batch.plant,
+        mpc,
+        scenario,
+        batch.signals[0],
+        batch.profile,
+        driver,
+        seed,
+        trace[0],
+        np.full(len(trace[0]), np.nan),
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class BatchResult:
+    """What `rollout_batch` measured, an entry per run; arrays of shape (runs,)."""
+
+    mse: Array
+    """m^2, mean over the control instants of (Y - y_ref)^2; inf when the run was lost"""
+    mean_squared_move: Array
+    """rad^2, mean of the squared changes of the command"""
+    max_abs_error: Array
+    """m"""
+    lost: NDArray[np.bool_]
+    """|Y - y_ref| exceeded `lost_beyond`, or the state was no longer finite"""
+    steps: NDArray[np.int64]
+    """control steps done"""
+    qp_capped: NDArray[np.int64]
+    """steps whose QP stopped at its cap"""
+    qp_failed: NDArray[np.int64]
+    """steps whose QP had no solution (infeasible, not finite, not convex)"""
+    held: NDArray[np.int64]
+    """steps that held the previous angle"""
+    limited: NDArray[np.int64]
+    """steps at a limit"""
+    qp_iterations: NDArray[np.int64]
+    """of the QP solver, in all steps"""
+
+    def cost(self, move_price: float = 0.0) -> Array:
+        """J = mean e^2 + move_price * mean (change of command)^2, the cost that tuning minimises; inf when lost."""
+        return self.mse + move_price * self.mean_squared_move
+
+
+def rollout_batch(
+    plant: Plant,
+    mpc: MPC,
+    scenarios: Scenario | Sequence[Scenario],
+    tunings: ArrayLike,
+    *,
+    which: ArrayLike | None = None,
+    profile: str | Profile = "paper",
+    driver: Driver | None = None,
+    seeds: ArrayLike = 0,
+    lost_beyond: float = 1000.0,
+    threads: int | None = None,
+) -> BatchResult:
+    """Many runs at once, compiled and vectorised: run i drives scenario which[i] with tunings[i] and seeds[i].
+
+    tunings: (runs, 4) of Np, Nc, Q, R, the horizons rounded and clamped to 1 <= Nc <= Np <= mpc.longest_horizon and
+    mpc.most_moves; which: (runs,) indices into `scenarios`, by default 0; seeds: noise seeds, one or one per run;
+    threads: None for all cores. A run's result does not depend on the others, nor on the number of threads.
+    The scenarios must last equally long.
+
+    Raises
+    ------
+    InvalidInput
+        When shapes do not fit, a tuning is not finite, or the MPC needs Python at every step.
+    """
+    batch = _Batch(
+        plant, mpc, [scenarios] if isinstance(scenarios, Scenario) else scenarios, profile, driver, lost_beyond
+    )
+    asked = np.array(tunings, dtype=np.float64, ndmin=2)
+    if asked.ndim != 2 or asked.shape[1] != 4 or not np.isfinite(asked).all():
+        raise InvalidInput(f"tunings: need finite (runs, 4) of Np, Nc, Q, R; got shape {asked.shape}.")
+    runs = len(asked)
+    index = np.zeros(runs, np.int64) if which is None else np.array(which, dtype=np.int64)
+    if index.shape != (runs,) or (runs and not (index.min() >= 0 and index.max() < len(batch.signals))):
+        raise InvalidInput(f"which: need {runs} indices into {len(batch.signals)} scenarios.")
+    seeded = np.broadcast_to(np.asarray(seeds, dtype=np.int64), (runs,)).copy()
+    result, _ = batch.run(index, asked, seeded, threads or os.cpu_count() or 1)
+
+    from adaptrack.kernels import loop
+
+    steps = np.maximum(result[:, loop.INSTANTS], 1.0)
+    return BatchResult(
+        mse=result[:, loop.SQUARED_ERROR] / steps,
+        mean_squared_move=result[:, loop.SQUARED_MOVE] / steps,
+        max_abs_error=result[:, loop.LARGEST_ERROR],
+        lost=result[:, loop.RUN_LOST] > 0.5,
+        steps=result[:, loop.INSTANTS].astype(np.int64),
+        qp_capped=result[:, loop.CAPPED].astype(np.int64),
+        qp_failed=result[:, loop.FAILED].astype(np.int64),
+        held=result[:, loop.RUN_HELD].astype(np.int64),
+        limited=result[:, loop.LIMITED].astype(np.int64),
+        qp_iterations=result[:, loop.RUN_ITERATIONS].astype(np.int64),
+    )
+
+
+class _Batch:
+    """The arguments that all runs of a batch share, packed for the kernels."""
+
+    def __init__(
+        self,
+        plant: Plant,
+        mpc: MPC,
+        scenarios: Sequence[Scenario],
+        profile: str | Profile,
+        driver: Driver | None,
+        lost_beyond: float,
+    ) -> None:
+        if mpc.scheduler is not None or not mpc.in_kernel:
+            raise InvalidInput(
+                "compiled runs need a constant tuning and a QP solver of the kernels ('active-set', 'hildreth'); "
+                "use simulate(...) for this MPC."
+            )
+        self.plant, self.profile = _outfit(plant, profile)
+        self.mpc = mpc
+        self.signals = [scenario.sample(mpc.period) for scenario in scenarios]
+        if not self.signals:
+            raise InvalidInput("scenarios: none given.")
+        if len({signals.n for signals in self.signals}) > 1:
+            raise InvalidInput(
+                "scenarios: must last equally long; run those of different length in batches of their own."
+            )
+        self.samples = np.ascontiguousarray([_rows(signals) for signals in self.signals])
+        self.starts = np.array([_start(scenario, s) for scenario, s in zip(scenarios, self.signals, strict=True)])
+        self.substeps = np.array([self.plant.substeps(mpc.period, float(s.speed.max())) for s in self.signals])
+        self.loops = {
+            int(steps): _loop_settings(self.plant, self.profile, driver, int(steps), lost_beyond)
+            for steps in np.unique(self.substeps)
+        }
+        self.settings = mpc.settings()
+        self.model = mpc.model.packed()
+        self.packed, self.function = self.plant.packed(), self.plant.function
+
+    def run(
+        self, which: NDArray[np.int64], tunings: Array, seeds: NDArray[np.int64], threads: int, traced: bool = False
+    ) -> tuple[Array, Array]:
+        """Results (runs, RESULT) and traces (runs, periods or 0, TRACE)."""
+        from adaptrack.kernels import integrate, loop
+
+        runs, n = len(which), self.signals[0].n
+        result = np.empty((runs, len(loop.RESULT)))
+        trace = np.full((runs, n if traced else 0, loop.TRACE), np.nan)
+        settings = self.settings.copy()
+        settings[loop.RESIDUALS] = traced
+        if not traced:  # a workspace no larger than these tunings need
+            settings[loop.LONGEST_HORIZON] = min(
+                settings[loop.LONGEST_HORIZON], max(1, round(tunings[:, 0].max(initial=1)))
+            )
+            settings[loop.MOST_MOVES] = min(settings[loop.MOST_MOVES], max(1, round(tunings[:, 1].max(initial=1))))
+        # Lanes of one block integrate with the same number of steps.
+        chunks: queue.SimpleQueue[NDArray[np.int64]] = queue.SimpleQueue()
+        count = 0
+        for steps in self.loops:
+            members = np.flatnonzero(self.substeps[which] == steps)
+            for first in range(0, len(members), integrate.LANES):
+                chunks.put(members[first : first + integrate.LANES])
+                count += 1
+
+        def work() -> None:
+            lanes = min(integrate.LANES, runs)
+            ws = loop.workspace(lanes, settings)
+            states = len(self.plant.state_names)
+            block, own = np.zeros(integrate.BLOCK), np.zeros((integrate.LANES, states))
+            scratch = np.zeros((7, max(states, loop.STATES)))
+            while True:
+                try:
+                    chunk = chunks.get_nowait()
+                except queue.Empty:
+                    return
+                size = len(chunk)
+                part = np.zeros((size, len(loop.RESULT)))
+                part_trace = np.full((size, trace.shape[1], loop.TRACE), np.nan)
+                loop.rollout(
+                    n, size, self.function, self.packed, block, own, scratch, self.model, settings,
+                    self.loops[int(self.substeps[which[chunk[0]]])], self.samples, which[chunk],
+                    np.ascontiguousarray(tunings[chunk]), seeds[chunk], loop.memory(size),
+                    np.zeros((size, len(loop.RECORD))), ws, self.starts[which[chunk]], part, part_trace,
+                )  # fmt: skip
+                result[chunk] = part
+                trace[chunk] = part_trace
+
+        workers = max(1, min(threads, count))
+        if workers == 1:
+            work()
+        else:
+            with ThreadPoolExecutor(workers) as pool:
+                for future in [pool.submit(work) for _ in range(workers)]:
+                    future.result()
+        return result, trace
+
+
+def _trajectory(
+    plant: Plant,
+    controller: Controller,
+    scenario: Scenario,
+    signals: Signals,
+    profile: Profile,
+    driver: Driver | None,
+    seed: int,
+    trace: Array,
+    times: Array,
+) -> Trajectory:
+    from adaptrack.kernels import loop
+
+    n = signals.n
+    record = {name: trace[:, loop.STATES + i] for i, name in enumerate(loop.RECORD)}
+
+    def whole(name: str) -> NDArray[np.int64]:
+        return np.nan_to_num(record[name], nan=0.0).astype(np.int64)
+
+    status = whole("qp_status")
+    ended = ~np.isfinite(record["command"])  # the run was lost before these steps
+    if ended.any():
+        from adaptrack.qp import QPStatus
+
+        status[ended] = QPStatus.NON_FINITE
+    described = controller.describe()
+    return Trajectory(
+        t=signals.t[:n],
+        X=trace[:, 0],
+        Y=trace[:, 1],
+        psi=trace[:, 2],
+        vx=trace[:, 3],
+        vy=trace[:, 4],
+        yaw_rate=trace[:, 5],
+        steering=trace[:, loop.STEERING],
+        command=record["command"],
+        command_change=record["command_change"],
+        y_ref=signals.y_ref[:n],
+        v_ref=signals.speed[:n],
+        friction=signals.friction[:n],
+        wind=signals.wind[:n],
+        lateral_acceleration=trace[:, loop.LATERAL_ACCELERATION],
+        Np=whole("Np"),
+        Nc=whole("Nc"),
+        Q=record["Q"],
+        R=record["R"],
+        qp_status=status,
+        qp_iterations=whole("qp_iterations"),
+        qp_residual=record["qp_residual"],
+        at_limit=whole("at_limit"),
+        held=np.nan_to_num(record["held"], nan=1.0) > 0.5,
+        step_time=times,
+        period=signals.period,
+        meta=provenance(
+            scenario=scenario.name,
+            plant=plant.name,
+            tyre=plant.tyre_name,
+            vehicle=getattr(getattr(plant, "vehicle", None), "name", plant.name),
+            profile=profile.name,
+            seed=seed,
+            preview=bool(described.get("preview", False)),
+            controller=controller.name,
+            tuning=described.get("tuning", {}),
+            created=datetime.now(UTC),
+            control=described,
+            speed="profile" if driver is None else "driver",
+        ),
+    )

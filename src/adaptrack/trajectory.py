@@ -1,0 +1,400 @@
+"""One closed-loop run, control period by control period, and its file (Parquet, with provenance)."""
+
+from __future__ import annotations
+
+import dataclasses
+import io
+import json
+import os
+import platform
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from datetime import datetime
+from importlib import metadata
+from pathlib import Path
+from typing import Any, Literal, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from adaptrack import __version__
+from adaptrack.errors import InvalidInput, StorageError
+from adaptrack.toml_files import write_atomically
+
+Array = NDArray[Any]
+
+FORMAT = "adaptrack trajectory"
+"""The word by which a Parquet file says that it holds a trajectory of ours."""
+
+FORMAT_VERSION = 1
+"""Raised whenever a column is added, dropped, renamed or changes its unit."""
+
+_WHEELS = ("front_left", "front_right", "rear_left", "rear_right")
+
+
+@dataclass(frozen=True)
+class Column:
+    """How one array of a trajectory is stored."""
+
+    name: str
+    """The attribute of `Trajectory`."""
+    unit: str
+    """SI; ``-`` for pure numbers."""
+    kind: Literal["real", "whole", "truth"] = "real"
+    """``float64``, ``int64`` or ``bool``."""
+    parts: tuple[str, ...] = ()
+    """For an array of shape (n, m): the m suffixes of its columns in a file."""
+
+    @property
+    def dtype(self) -> np.dtype:
+        """The element type that a `Trajectory` holds and a file stores."""
+        return np.dtype({"real": np.float64, "whole": np.int64, "truth": np.bool_}[self.kind])
+
+    @property
+    def stored_names(self) -> tuple[str, ...]:
+        """The names of its columns in a file."""
+        return tuple(f"{self.name}_{part}" for part in self.parts) or (self.name,)
+
+
+COLUMNS = (
+    Column("t", "s"),
+    Column("X", "m"),
+    Column("Y", "m"),
+    Column("psi", "rad"),
+    Column("vx", "m/s"),
+    Column("vy", "m/s"),
+    Column("yaw_rate", "rad/s"),
+    Column("steering", "rad"),
+    Column("command", "rad"),
+    Column("command_change", "rad"),
+    Column("y_ref", "m"),
+    Column("v_ref", "m/s"),
+    Column("friction", "-", parts=_WHEELS),
+    Column("wind", "m/s", parts=("x", "y")),
+    Column("lateral_acceleration", "m/s^2"),
+    Column("Np", "-", "whole"),
+    Column("Nc", "-", "whole"),
+    Column("Q", "1/m^2"),
+    Column("R", "1/rad^2"),
+    Column("qp_status", "-", "whole"),
+    Column("qp_iterations", "-", "whole"),
+    Column("qp_residual", "-"),
+    Column("at_limit", "-", "whole"),
+    Column("held", "-", "truth"),
+    Column("step_time", "s"),
+)
+"""Every array of a `Trajectory`, in the order of its fields and of a file's columns."""
+
+
+@dataclass(frozen=True, eq=False)
+class Trajectory:
+    """What happened at each of n control instants t = k Ts, k = 0..n-1, of one run.
+
+    ISO 8855: x forward, y left, yaw and steering positive to the left. Arrays are read-only views, float64 unless
+    said otherwise. A run that was lost may hold NaN from some step on.
+
+    Raises
+    ------
+    InvalidInput
+        When arrays differ in length or have a wrong shape or type, times are not one positive `period` apart, or `meta`
+        cannot be written as JSON. The message names the array.
+    """
+
+    t: Array
+    """(n,) s, since the start of the scenario."""
+    X: Array
+    """(n,) m, position of the centre of gravity in the world."""
+    Y: Array
+    """(n,) m, likewise; what the controller makes follow `y_ref`."""
+    psi: Array
+    """(n,) rad, heading, not wrapped."""
+    vx: Array
+    """(n,) m/s, forward velocity in the body frame."""
+    vy: Array
+    """(n,) m/s, leftward velocity in the body frame."""
+    yaw_rate: Array
+    """(n,) rad/s."""
+    steering: Array
+    """(n,) rad, angle that the road wheels have at t: the actuator's answer to earlier commands."""
+    command: Array
+    """(n,) rad, u(k): the angle that the controller asks for during the period that begins at t."""
+    command_change: Array
+    """(n,) rad, Δu(k) = u(k) − u(k−1)."""
+    y_ref: Array
+    """(n,) m, lateral reference at t."""
+    v_ref: Array
+    """(n,) m/s, speed reference at t."""
+    friction: Array
+    """(n, 4) front-left, front-right, rear-left, rear-right."""
+    wind: Array
+    """(n, 2) m/s, velocity of the air in the world: along +X, along +Y (the paper's v_w)."""
+    lateral_acceleration: Array
+    """(n,) m/s², at the centre of gravity, in the body frame."""
+    Np: Array
+    """(n,) int64, prediction horizon in use."""
+    Nc: Array
+    """(n,) int64, control horizon in use."""
+    Q: Array
+    """(n,) 1/m², weight of the tracking error in use."""
+    R: Array
+    """(n,) 1/rad², weight of the moves in use."""
+    qp_status: Array
+    """(n,) int64: 0 solved, 1 capped, 2 infeasible, 3 not finite, 4 not convex."""
+    qp_iterations: Array
+    """(n,) int64, of the solver that gave the answer."""
+    qp_residual: Array
+    """(n,) largest KKT residual of the answer; NaN when there was none."""
+    at_limit: Array
+    """(n,) int64, sum of 1 (Δu), 2 (u) and 4 (y) for the limits that were active."""
+    held: Array
+    """(n,) bool, whether a safe steering angle was held for want of a usable solution."""
+    step_time: Array
+    """(n,) s, wall-clock time of the control step; NaN when it was not measured."""
+    period: float
+    """s, the control period Ts."""
+    meta: dict[str, Any] = field(default_factory=dict)
+    """Provenance, see `provenance`; anything that JSON can hold."""
+
+    def __post_init__(self) -> None:
+        period = float(self.period)
+        if not (np.isfinite(period) and period > 0):
+            raise InvalidInput(f"trajectory: the period must be a positive number of seconds, got {self.period!r}.")
+        object.__setattr__(self, "period", period)
+        steps = np.size(self.t)
+        if not steps:
+            raise InvalidInput("trajectory: it must hold at least one control instant, `t` is empty.")
+        for column in COLUMNS:
+            object.__setattr__(self, column.name, _checked(column, getattr(self, column.name), steps))
+        if not (np.isfinite(self.t[0]) and np.allclose(np.diff(self.t), period, rtol=1e-6, atol=0.0)):
+            raise InvalidInput(f"trajectory: the times `t` must be finite and one period ({period:g} s) apart.")
+        object.__setattr__(self, "meta", _as_json(self.meta))
+
+    def __len__(self) -> int:
+        """The number n of control periods."""
+        return int(self.t.size)
+
+    def __repr__(self) -> str:
+        what = ", ".join(filter(None, (self.name_of("scenario"), self.name_of("controller")))) or "no provenance"
+        return f"<Trajectory of {len(self)} control periods of {self.period:g} s: {what}>"
+
+    @property
+    def duration(self) -> float:
+        """s, n Ts: the time that the n control periods cover."""
+        return len(self) * self.period
+
+    @property
+    def error(self) -> Array:
+        """(n,) m, Y − y_ref: positive when the vehicle is to the left of its reference."""
+        return self.Y - self.y_ref
+
+    @property
+    def reference_heading(self) -> Array:
+        """(n,) rad, atan2(dy_ref/dt, v_x): the heading at which the reference is followed without sideslip.
+
+        The derivative is by central differences over the samples. A vehicle that rolls backwards counts as standing.
+        """
+        if len(self) < 2:
+            return np.zeros(len(self))
+        return np.arctan2(np.gradient(self.y_ref, self.t), np.maximum(self.vx, 0.0))
+
+    @property
+    def heading_error(self) -> Array:
+        """(n,) rad in (−π, π], ψ − `reference_heading`: positive when the vehicle points to the left of its path."""
+        difference = self.psi - self.reference_heading
+        return -np.remainder(np.pi - difference, 2.0 * np.pi) + np.pi
+
+    def name_of(self, entry: str) -> str:
+        """The name under which `meta` knows the ``"scenario"``, ``"plant"``, ...; empty when it says nothing."""
+        value = self.meta.get(entry)
+        if isinstance(value, dict):
+            value = value.get("name")
+        return "" if value is None else str(value)
+
+    def between(self, start: float = 0.0, end: float = float("inf")) -> Self:
+        """The control periods that begin at start <= t < end [s]; times keep their values.
+
+        Raises
+        ------
+        InvalidInput
+            When none does.
+        """
+        rounding = 1e-6 * self.period
+        inside = (self.t >= start - rounding) & (self.t < end - rounding)
+        if not inside.any():
+            raise InvalidInput(
+                f"trajectory: no control period begins in [{start:g}, {end:g}) s; "
+                f"this one covers [{self.t[0]:g}, {self.t[-1] + self.period:g}) s."
+            )
+        return dataclasses.replace(self, **{c.name: getattr(self, c.name)[inside] for c in COLUMNS})
+
+    def columns(self) -> dict[str, Array]:
+        """The arrays by the names that they have in a file, each of shape (n,)."""
+        columns: dict[str, Array] = {}
+        for column in COLUMNS:
+            values = getattr(self, column.name)
+            columns |= dict(zip(column.stored_names, values.T if column.parts else (values,), strict=True))
+        return columns
+
+    def to_table(self) -> Any:
+        """A `pyarrow.Table` with one row per control period; each column's unit is in its field's metadata."""
+        import pyarrow as pa
+
+        units = {name: column.unit for column in COLUMNS for name in column.stored_names}
+        arrays = {name: pa.array(np.ascontiguousarray(values)) for name, values in self.columns().items()}
+        schema = pa.schema(
+            [pa.field(name, a.type, nullable=False, metadata={"unit": units[name]}) for name, a in arrays.items()],
+            metadata={
+                "format": FORMAT,
+                "format_version": str(FORMAT_VERSION),
+                "adaptrack": __version__,
+                "period": repr(self.period),
+                "units": json.dumps(units),
+                "meta": json.dumps(self.meta),
+            },
+        )
+        return pa.Table.from_arrays(list(arrays.values()), schema=schema)
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write the trajectory as Parquet: the file appears whole or not at all.
+
+        Raises
+        ------
+        StorageError
+            When that fails; an older file at `path` is then untouched.
+        """
+        import pyarrow.parquet as pq
+
+        content = io.BytesIO()
+        pq.write_table(self.to_table(), content, compression="zstd", write_page_checksum=True)
+        write_atomically(path, content.getvalue())
+
+    @classmethod
+    def load(cls, path: str | os.PathLike[str]) -> Self:
+        """Read what `save` wrote, bit for bit.
+
+        Raises
+        ------
+        StorageError
+            When the file is missing, damaged, not a trajectory, or of another format version; the message says which.
+        """
+        table = _read_parquet(path)
+        stored = {key.decode(): value.decode() for key, value in (table.schema.metadata or {}).items()}
+        if stored.get("format") != FORMAT:
+            raise StorageError(f"{os.fspath(path)}: a Parquet file, but not a trajectory that adaptrack saved.")
+        version = stored.get("format_version")
+        if version != str(FORMAT_VERSION):
+            raise StorageError(
+                f"{os.fspath(path)}: written by adaptrack {stored.get('adaptrack', '(unknown)')} in format version "
+                f"{version}, this one reads version {FORMAT_VERSION}; run the simulation again or use that release."
+            )
+        try:
+            period, meta = float(stored["period"]), json.loads(stored["meta"])
+            arrays = {column.name: _from_table(table, column) for column in COLUMNS}
+            return cls(**arrays, period=period, meta=meta)
+        except (KeyError, ValueError) as error:  # InvalidInput is a ValueError
+            reason = f"no entry {error.args[0]!r}" if isinstance(error, KeyError) else str(error)
+            raise StorageError(f"{os.fspath(path)}: damaged, or edited by another program: {reason}") from error
+
+
+def provenance(
+    *,
+    scenario: Any,
+    plant: Any,
+    tyre: Any,
+    vehicle: Any,
+    profile: str,
+    seed: int | None,
+    preview: bool,
+    controller: Any,
+    tuning: Any,
+    created: str | datetime,
+    **more: Any,
+) -> dict[str, Any]:
+    """What a result has to name, as the `meta` of a `Trajectory`: how it was made and with which software.
+
+    `scenario`, `plant`, `tyre`, `vehicle`, `controller` and `tuning` are a name, or a table with a ``name`` and the
+    parameters in use. `created` is the caller's clock, so that nothing here depends on the time of day. `more` adds
+    entries (``moves``, ``qp_solver``, ``command``, ...).
+    """
+    return {
+        "scenario": scenario,
+        "plant": plant,
+        "tyre": tyre,
+        "vehicle": vehicle,
+        "profile": profile,
+        "seed": seed,
+        "preview": preview,
+        "controller": controller,
+        "tuning": tuning,
+        **more,
+        "versions": {
+            "adaptrack": __version__,
+            "python": platform.python_version(),
+            "numpy": np.__version__,
+            "numba": _version_of("numba"),
+        },
+        "created": created.isoformat() if isinstance(created, datetime) else created,
+    }
+
+
+def _checked(column: Column, values: Any, steps: int) -> Array:
+    """`values` as a read-only array of the column's type and shape."""
+    shape = (steps, len(column.parts)) if column.parts else (steps,)
+    array = np.asarray(values)
+    if array.shape != shape:
+        raise InvalidInput(
+            f"trajectory: `{column.name}` must have the shape {shape}, one row per time in `t`; it has {array.shape}."
+        )
+    if not np.can_cast(array.dtype, column.dtype, casting="safe"):
+        with np.errstate(invalid="ignore"):
+            exact = array.dtype.kind in "biuf" and np.array_equal(array.astype(column.dtype), array)
+        if not exact:
+            raise InvalidInput(f"trajectory: `{column.name}` must hold {column.dtype} values, it holds {array.dtype}.")
+    view = np.ascontiguousarray(array, dtype=column.dtype).view()
+    view.flags.writeable = False
+    return view
+
+
+def _as_json(meta: Mapping[str, Any]) -> dict[str, Any]:
+    """`meta` as JSON would give it back, so that a saved and a loaded trajectory hold the same."""
+    for key, value in meta.items():
+        try:
+            json.dumps(value)
+        except (TypeError, ValueError) as error:
+            raise InvalidInput(f"trajectory: `meta[{key!r}]` cannot be written as JSON: {error}.") from None
+    return json.loads(json.dumps(dict(meta)))
+
+
+def _read_parquet(path: str | os.PathLike[str]) -> Any:
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    try:
+        content = Path(path).read_bytes()
+    except OSError as error:
+        raise StorageError(f"{os.fspath(path)}: cannot be read: {error.strerror or error}.") from error
+    try:
+        return pq.ParquetFile(pa.BufferReader(content), page_checksum_verification=True).read()
+    except (pa.ArrowException, OSError) as error:
+        reason = str(error).splitlines()[0].rstrip(".")
+        raise StorageError(f"{os.fspath(path)}: not a Parquet file, or damaged: {reason}.") from error
+
+
+def _from_table(table: Any, column: Column) -> Array:
+    """The array of shape (n,) or (n, m) that `column` has in a file; ValueError with the reason when it has not."""
+    arrays = []
+    for name in column.stored_names:
+        if name not in table.column_names:
+            raise ValueError(f"no column {name!r}")
+        values = table.column(name)
+        if values.null_count:
+            raise ValueError(f"{values.null_count} missing values in column {name!r}")
+        arrays.append(values.to_numpy())
+    return np.stack(arrays, axis=1) if column.parts else arrays[0]
+
+
+def _version_of(package: str) -> str:
+    try:
+        return metadata.version(package)
+    except metadata.PackageNotFoundError:
+        return "not installed"

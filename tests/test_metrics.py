@@ -1,0 +1,218 @@
+"""Every measure equals what its definition gives by hand; a broken run is a clear result, never a crash."""
+
+import dataclasses
+import json
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from adaptrack.errors import InvalidInput
+from adaptrack.metrics import compute_metrics, find_loss, published_mse
+from adaptrack.trajectory import COLUMNS, Trajectory
+
+NAN, INF = float("nan"), float("inf")
+
+
+def record(n=8, period=0.1, **changes):
+    """A car at 10 m/s on a straight reference, nothing measured; `changes` replace arrays (scalars fill them)."""
+    arrays = {}
+    for column in COLUMNS:
+        shape = (n, len(column.parts)) if column.parts else (n,)
+        arrays[column.name] = np.zeros(shape, dtype=column.dtype)
+    arrays |= {"t": period * np.arange(n), "vx": np.full(n, 10.0), "step_time": np.full(n, NAN)}
+    arrays |= {key: np.broadcast_to(value, arrays[key].shape) for key, value in changes.items() if key != "meta"}
+    return Trajectory(**arrays, period=period, meta=changes.get("meta", {}))
+
+
+def test_tracking_measures_are_those_of_a_hand_calculation():
+    metrics = compute_metrics(record(n=4, Y=[1.0, -2.0, 3.0, 0.0], y_ref=[0.0, 0.0, 1.0, 1.0]))
+    assert metrics.mse == pytest.approx((1 + 4 + 4 + 1) / 4)
+    assert metrics.rms_error == pytest.approx(math.sqrt(2.5))
+    assert metrics.max_abs_error == 2.0
+    assert not metrics.lost
+    assert math.isnan(metrics.lost_at)
+
+
+def test_a_sine_has_the_rms_of_a_sine():
+    t = 0.1 * np.arange(1000)
+    run = record(
+        n=1000,
+        command=0.2 * np.sin(2 * np.pi * t),
+        command_change=0.01 * np.cos(2 * np.pi * t),
+        lateral_acceleration=3.0 * np.sin(2 * np.pi * t),
+    )
+    metrics = compute_metrics(run)
+    assert metrics.steering_rms == pytest.approx(0.2 / math.sqrt(2))
+    assert metrics.steering_rate_rms == pytest.approx(0.1 / math.sqrt(2))
+    assert metrics.steering_activity == pytest.approx(0.01**2 / 2)
+    assert metrics.lateral_acceleration_rms == pytest.approx(3.0 / math.sqrt(2))
+    chord = 2 * 3.0 * math.sin(math.pi * 0.1) / 0.1  # amplitude of the differences of a sine
+    assert metrics.jerk_rms == pytest.approx(chord / math.sqrt(2), rel=1e-3)
+
+
+def test_the_papers_cost_is_the_mse_and_the_road_charges_activity():
+    run = record(Y=0.5, command_change=0.1)
+    assert compute_metrics(run).cost == compute_metrics(run).mse == 0.25
+    assert compute_metrics(run, activity_price=2.0).cost == pytest.approx(0.25 + 2.0 * 0.01)
+    road = record(Y=0.5, command_change=0.1, meta={"profile": "road"})
+    assert compute_metrics(road).cost == pytest.approx(0.25 + 3.0 * 0.01)
+
+
+def test_heading_is_judged_only_at_one_metre_per_second_or_more():
+    metrics = compute_metrics(record(n=4, vx=[0.5, 0.99, 1.0, 5.0], psi=[3.0, 2.0, 0.3, -0.4]))
+    assert metrics.heading_max == pytest.approx(0.4)
+    assert metrics.heading_rms == pytest.approx(math.sqrt((0.09 + 0.16) / 2))
+    assert math.isnan(compute_metrics(record(vx=0.0)).heading_rms)
+
+
+def test_limits_are_read_from_their_bits():
+    metrics = compute_metrics(record(n=8, at_limit=[0, 1, 2, 3, 4, 5, 0, 0]))
+    assert (metrics.at_change_limit, metrics.at_angle_limit, metrics.at_output_limit) == (3 / 8, 2 / 8, 2 / 8)
+    assert metrics.at_any_limit == 5 / 8
+
+
+def test_every_qp_is_solved_capped_or_failed():
+    metrics = compute_metrics(record(n=8, qp_status=[0, 0, 0, 1, 2, 3, 4, 9], held=[0, 0, 0, 1, 1, 1, 1, 1]))
+    assert (metrics.qp_solved, metrics.qp_capped, metrics.qp_failed, metrics.held) == (3, 1, 4, 5)
+
+
+@given(st.lists(st.integers(-1, 6), min_size=1, max_size=40))
+def test_qp_counts_add_up_to_the_steps(statuses):
+    metrics = compute_metrics(record(n=len(statuses), qp_status=statuses))
+    assert metrics.qp_solved + metrics.qp_capped + metrics.qp_failed == metrics.steps == len(statuses)
+
+
+def test_periods_after_the_end_of_a_run_count_neither_as_failed_nor_as_held():
+    command = np.array([0, 0, 0, 0, 0, NAN, NAN, NAN])
+    run = record(n=8, command=command, qp_status=[0, 0, 0, 1, 2, 3, 3, 3], held=command != 0, at_limit=[1] + [0] * 7)
+    metrics = compute_metrics(run)
+    assert (metrics.steps, metrics.driven) == (8, 5)
+    assert (metrics.qp_solved, metrics.qp_capped, metrics.qp_failed, metrics.held) == (3, 1, 1, 0)
+    assert metrics.at_change_limit == 1 / 5
+
+
+def test_residuals_of_failed_qps_do_not_count():
+    metrics = compute_metrics(record(n=4, qp_status=[0, 1, 2, 0], qp_residual=[1e-12, 1e-3, 7.0, NAN]))
+    assert metrics.qp_residual_max == 1e-3
+
+
+def test_step_times_are_in_microseconds_and_unmeasured_ones_are_nan():
+    metrics = compute_metrics(record(n=101, step_time=1e-6 * np.arange(101)))
+    assert metrics.step_us_p50 == pytest.approx(50.0)
+    assert metrics.step_us_p99 == pytest.approx(99.0)
+    assert metrics.step_us_max == pytest.approx(100.0)
+    assert math.isnan(compute_metrics(record()).step_us_p50)
+
+
+@pytest.mark.parametrize("name", ["X", "Y", "psi", "vx", "vy", "yaw_rate", "steering", "command"])
+@pytest.mark.parametrize("value", [NAN, INF, -INF])
+def test_a_state_that_is_not_finite_is_a_lost_run_of_infinite_cost(name, value):
+    values = np.full(8, 10.0 if name == "vx" else 0.0)
+    values[5:] = value
+    metrics = compute_metrics(record(**{name: values}), activity_price=3.0)
+    assert metrics.lost
+    assert metrics.lost_at == pytest.approx(0.5)
+    assert "not finite" in metrics.lost_because
+    assert metrics.mse == metrics.rms_error == metrics.max_abs_error == metrics.cost == INF
+
+
+def test_a_run_that_is_nan_from_its_start_has_only_bad_measures():
+    metrics = compute_metrics(record(**{column.name: NAN for column in COLUMNS[1:16] if column.kind == "real"}))
+    assert metrics.lost
+    for name in ("mse", "cost", "heading_rms", "steering_rms", "steering_rate_rms", "jerk_rms"):
+        assert getattr(metrics, name) == INF, name
+
+
+def test_a_divergence_to_huge_numbers_gives_numbers_not_warnings():
+    metrics = compute_metrics(record(Y=np.geomspace(1.0, 1e300, 8), lateral_acceleration=np.geomspace(1, 1e308, 8)))
+    assert metrics.lost
+    assert metrics.mse == INF
+
+
+def test_a_run_is_lost_beyond_the_limit_not_on_it():
+    assert find_loss(record(Y=5.0)) is None
+    left = np.array([0.0, 1.0, 4.0, 5.1, 6.0, 0.0, 0.0, 0.0])
+    loss = find_loss(record(Y=left))
+    assert (loss.step, loss.time) == (3, pytest.approx(0.3))
+    assert loss.reason == "left the reference by more than 5 m"
+    assert find_loss(record(Y=left), lost_beyond=7.0) is None
+
+
+def test_a_large_step_is_judged_once_it_has_arrived():
+    approach = np.array([0.0, 2.0, 6.0, 9.5, 12.0, 14.0, 14.5, 14.0])
+    assert find_loss(record(Y=approach, y_ref=14.0)) is None
+    runaway = np.array([0.0, 2.0, 6.0, 9.5, 12.0, 14.0, 18.0, 19.5])
+    assert find_loss(record(Y=runaway, y_ref=14.0)).step == 7
+
+
+def test_a_run_that_never_arrives_is_lost_from_its_start():
+    loss = find_loss(record(Y=0.0, y_ref=14.0))
+    assert loss.step == 0
+    assert loss.reason == "never came within 5 m of the reference"
+
+
+def test_a_spin_is_a_loss_at_driving_speed_only():
+    sideways = np.array([0.0, 0.0, 9.0, 11.0, 11.0, 11.0, 11.0, 11.0])
+    loss = find_loss(record(vy=sideways))
+    assert loss.step == 3
+    assert loss.reason.startswith("spun")
+    assert find_loss(record(vy=-sideways)).step == 3
+    assert find_loss(record(vx=0.05, vy=0.5)) is None
+    assert find_loss(record(vx=-10.0)).step == 0  # going backwards
+
+
+def test_the_first_event_gives_the_reason():
+    loss = find_loss(record(vy=[0, 0, 20, 20, NAN, NAN, NAN, NAN], Y=[0, 0, 0, 6, 7, 8, 9, 10]))
+    assert loss.step == 2
+    assert loss.reason.startswith("spun")
+
+
+@pytest.mark.parametrize(
+    "parameters", [{"activity_price": -1.0}, {"activity_price": NAN}, {"lost_beyond": 0.0}, {"spin_beyond": NAN}]
+)
+def test_a_parameter_that_makes_no_sense_is_refused(parameters):
+    with pytest.raises(InvalidInput):
+        compute_metrics(record(), **parameters)
+
+
+def test_a_row_is_strict_json_even_for_a_lost_run():
+    row = compute_metrics(record(Y=NAN)).as_row()
+    assert json.loads(json.dumps(row, allow_nan=False)) == row
+    assert row["mse"] is None
+    assert row["lost"] is True
+    assert set(row) == {field.name for field in dataclasses.fields(compute_metrics(record()))}
+
+
+@given(st.lists(st.floats(-4.9, 4.9), min_size=2, max_size=30))
+def test_mirrored_runs_have_the_same_measures(errors):
+    values = np.array(errors)
+    signals = {"Y": values, "psi": values / 9, "command": values / 8, "lateral_acceleration": values}
+    left = compute_metrics(record(n=values.size, **signals))
+    right = compute_metrics(record(n=values.size, **{key: -value for key, value in signals.items()}))
+    assert left.as_row() == pytest.approx(right.as_row())
+
+
+PAPER_RUN = {"scenario": "triple-lane-change", "profile": "paper", "preview": False, "controller": "standard"}
+
+
+@pytest.mark.parametrize(
+    ("changes", "n", "expected"),
+    [
+        ({}, 280, 0.0318),
+        ({"controller": "NN-MPC"}, 280, 0.0051),
+        ({"controller": "standard MPC (laguerre 0.95)"}, 280, 0.0318),
+        ({"controller": "scheduled MPC (pulse)"}, 280, None),
+        ({"controller": {"name": "anfis", "rules": 50}}, 280, 0.0062),
+        ({"scenario": {"name": "general-trajectory"}}, 2000, 0.5896),
+        ({"controller": "best-constant"}, 280, None),
+        ({"preview": True}, 280, None),
+        ({"profile": "road"}, 280, None),
+        ({}, 460, None),
+        ({"scenario": "step"}, 280, None),
+    ],
+)
+def test_the_papers_mse_stands_only_beside_runs_that_compare(changes, n, expected):
+    assert published_mse(record(n=n, meta=PAPER_RUN | changes)) == expected

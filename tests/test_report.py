@@ -1,0 +1,493 @@
+"""The page is complete, needs nothing but itself, and appears whole or not at all; figures show what was run."""
+
+import dataclasses
+import html.parser
+import json
+import os
+import re
+
+import matplotlib as mpl
+import numpy as np
+import pytest
+
+from adaptrack.errors import InvalidInput, StorageError
+from adaptrack.metrics import compute_metrics
+from adaptrack.report import (
+    Run,
+    Section,
+    conditions_figure,
+    figures,
+    page,
+    runs,
+    speed_figure,
+    style,
+    tracking_figure,
+    words,
+    write_page,
+    write_report,
+)
+from adaptrack.trajectory import Trajectory, provenance
+
+
+def drive(controller="standard", scenario="triple-lane-change", *, scale=1.0, n=280, adapt=False, **meta):
+    """A made-up run: a sine around a ramp, `scale` metres off."""
+    t = 0.1 * np.arange(n)
+    wave = np.sin(0.9 * t)
+    horizon = np.round(30 + 15 * wave).astype(int) if adapt else np.full(n, 35)
+    record = provenance(
+        scenario=scenario,
+        plant="dual-track",
+        tyre="constant-stiffness",
+        vehicle="paper",
+        profile="paper",
+        seed=7,
+        preview=False,
+        controller=controller,
+        tuning={"Np": 35, "Nc": 8, "Q": 10.0, "R": 0.01},
+        created="2026-01-02T03:04:05+00:00",
+    )
+    return Trajectory(
+        t=t,
+        X=15 * t,
+        Y=0.2 * t + 0.2 * scale * wave,
+        psi=0.02 * wave,
+        vx=15 + wave,
+        vy=0.1 * wave,
+        yaw_rate=0.05 * scale * wave,
+        steering=0.03 * wave,
+        command=0.03 * scale * wave,
+        command_change=0.003 * wave,
+        y_ref=0.2 * t,
+        v_ref=15 + wave,
+        friction=np.full((n, 4), 0.7),
+        wind=np.stack([0 * t, 20 * wave], axis=1),
+        lateral_acceleration=wave,
+        Np=horizon,
+        Nc=np.full(n, 8),
+        Q=np.full(n, 10.0),
+        R=np.full(n, 0.01) * (1 + adapt * np.abs(wave)),
+        qp_status=np.zeros(n, int),
+        qp_iterations=np.full(n, 3),
+        qp_residual=np.full(n, 1e-12),
+        at_limit=np.zeros(n, int),
+        held=np.zeros(n, bool),
+        step_time=np.full(n, 1e-5),
+        period=0.1,
+        meta=record | meta,
+    )
+
+
+def lost(run, at=100):
+    """The same run, thrown off its reference from step `at`, NaN thirty steps later."""
+    Y = run.Y.copy()
+    Y[at:] += np.exp(0.2 * np.arange(len(run) - at)) - 1
+    Y[at + 30 :] = np.nan
+    return dataclasses.replace(run, Y=Y)
+
+
+class Outline(html.parser.HTMLParser):
+    """What a page holds: tags with their attributes, and its visible text."""
+
+    def __init__(self, text):
+        super().__init__()
+        self.tags, self.open, self.words = [], [], []
+        self.feed(text)
+
+    def handle_starttag(self, tag, attributes):
+        self.tags.append((tag, dict(attributes)))
+        if tag not in {"meta", "link", "br", "path", "use", "rect", "line", "image", "clippath"}:
+            self.open.append(tag)
+
+    def handle_startendtag(self, tag, attributes):
+        self.tags.append((tag, dict(attributes)))
+
+    def handle_endtag(self, tag):
+        if tag in self.open:
+            assert self.open.pop() == tag
+
+    def handle_data(self, data):
+        if not {"style", "svg"} & set(self.open):
+            self.words.append(data)
+
+    @property
+    def text(self):
+        return " ".join(" ".join(self.words).split())
+
+    def all(self, tag):
+        return [attributes for name, attributes in self.tags if name == tag]
+
+
+@pytest.fixture(scope="module")
+def report(tmp_path_factory):
+    """A report on both tests of the paper, three controllers each, one of them lost on one test."""
+    folder = tmp_path_factory.mktemp("report") / "out"
+    standard = drive()
+    shown = [
+        standard,
+        drive("nn", scale=0.4, adapt=True),
+        lost(drive("anfis", scale=0.5, adapt=True)),
+        drive(scenario="general-trajectory", n=2000),
+        drive("nn", "general-trajectory", scale=0.3, adapt=True, n=2000),
+    ]
+    path = write_report(folder, shown, title="Both tests", command="adaptrack simulate --out <here>")
+    return folder, path.read_text(), standard
+
+
+def test_the_page_needs_nothing_but_itself(report):
+    folder, text, _ = report
+    outline = Outline(text)
+    assert not outline.all("script")
+    assert not outline.all("img")
+    assert "@import" not in text
+    for tag, attributes in outline.tags:
+        for name in ("src", "href", "xlink:href"):
+            target = attributes.get(name) or ""
+            if target and not target.startswith(("#", "data:")):
+                assert tag == "a"
+                assert (folder / target).is_file(), target
+    assert not re.search(r"https?://|url\((?!#)", text)
+
+
+def test_every_tag_is_closed_and_every_id_is_unique(report):
+    _, text, _ = report
+    outline = Outline(text)
+    assert outline.open == []
+    ids = [attributes["id"] for _, attributes in outline.tags if "id" in attributes]
+    assert len(ids) == len(set(ids))
+    links = [a["href"][1:] for _, a in outline.tags if (a.get("href") or "").startswith("#")]
+    assert set(links) <= set(ids)
+    clips = re.findall(r"url\(#([^)]+)\)", text)
+    assert set(clips) <= set(ids)
+
+
+def test_every_picture_is_described_in_words(report):
+    _, text, _ = report
+    pictures = [svg for svg in Outline(text).all("svg") if "aria-hidden" not in svg]
+    assert len(pictures) == 2 + 2 * 8  # speed of both scenarios, eight panels for each
+    assert all(svg["role"] == "img" and len(svg["aria-label"]) > 30 for svg in pictures)
+    error, _ = (svg["aria-label"] for svg in pictures if "Tracking error" in svg["aria-label"])
+    assert error.startswith(
+        "Tracking error, Y - y_ref (m), over time. Standard MPC: −0.2 to 0.2; NN-MPC: −0.08 to 0.08"
+    )
+
+
+def test_the_folder_holds_the_page_and_its_pngs_only(report):
+    folder, _, _ = report
+    names = sorted(os.listdir(folder))
+    assert names == [
+        "general-trajectory-conditions.png",
+        "general-trajectory-tracking.png",
+        "index.html",
+        "speed.png",
+        "triple-lane-change-conditions.png",
+        "triple-lane-change-tracking.png",
+    ]
+    assert all((folder / name).read_bytes().startswith(b"\x89PNG") for name in names if name.endswith(".png"))
+
+
+def test_the_papers_numbers_stand_beside_ours(report):
+    _, text, standard = report
+    shown = Outline(text).text
+    for value in ("0.0318", "0.0051", "0.5896", "0.132"):
+        assert value in shown
+    assert words.number(compute_metrics(standard).mse) in shown
+
+
+def test_a_lost_run_is_said_to_be_lost_and_never_best(report):
+    _, text, _ = report
+    shown = Outline(text).text
+    assert re.search(r"Lost: ANFIS-MPC, at 10\.\d s; the vehicle left the reference by more than 5 m\.", shown)
+    assert "Best tracking: NN-MPC" in shown
+    assert "∞" in shown
+
+
+def test_the_provenance_is_complete(report):
+    _, text, _ = report
+    shown = Outline(text).text
+    for entry in ("Profile paper", "Plant dual-track", "Tyre constant-stiffness", "Preview no", "Seed 7", "numba"):
+        assert entry in shown
+    assert "adaptrack simulate --out <here>" in shown  # escaped in the source, whole for the reader
+    assert "<here>" not in text
+
+
+def test_the_same_runs_give_the_same_bytes(tmp_path):
+    for name in ("a", "b"):
+        write_report(tmp_path / name, [drive()])
+    for name in os.listdir(tmp_path / "a"):
+        assert (tmp_path / "a" / name).read_bytes() == (tmp_path / "b" / name).read_bytes(), name
+
+
+def test_text_from_a_scenario_file_cannot_break_the_page(tmp_path):
+    nasty = '<script>alert("1")</script> & "quotes"'
+    text = write_report(tmp_path, [drive(nasty, scenario=nasty)]).read_text()
+    outline = Outline(text)
+    assert not outline.all("script")
+    assert nasty in outline.text
+
+
+def test_runs_of_one_controller_are_told_apart_by_what_differs():
+    pulses = drive(moves={"kind": "pulse"})
+    laguerre = drive(control={"moves": {"kind": "laguerre", "pole": 0.95}})
+    (shown,) = runs.grouped([Run(pulses), Run(laguerre)])["triple-lane-change"].values()
+    assert [run.label for run in shown] == ["Standard MPC, pulse moves", "Standard MPC, laguerre (pole 0.95) moves"]
+    (same,) = runs.grouped([Run(pulses), Run(pulses)])["triple-lane-change"].values()
+    assert [run.label for run in same] == ["Standard MPC, no. 1", "Standard MPC, no. 2"]
+
+
+def test_preview_and_profile_get_figures_of_their_own():
+    settings = runs.grouped([Run(drive()), Run(drive(preview=True)), Run(drive("nn", preview=True))])
+    assert {name: len(own) for name, own in settings["triple-lane-change"].items()} == {
+        "without preview": 1,
+        "with preview": 2,
+    }
+
+
+def test_windows_of_one_scenario_are_not_mixed():
+    assert set(runs.grouped([Run(drive()), Run(drive(n=460))])) == {
+        "triple-lane-change (28 s)",
+        "triple-lane-change (46 s)",
+    }
+
+
+def test_runs_without_provenance_are_reported_as_such(tmp_path):
+    bare = dataclasses.replace(drive(), meta={})
+    text = write_report(tmp_path, [bare]).read_text()
+    assert "Unnamed scenario" in text
+
+
+def test_a_report_without_runs_is_refused(tmp_path):
+    with pytest.raises(InvalidInput, match="at least one run"):
+        write_report(tmp_path / "out", [])
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_failed_report_leaves_the_old_one_and_nothing_else(tmp_path, monkeypatch):
+    out = tmp_path / "out"
+    write_page(out, [Section("One", ["first"])], title="Old")
+    before = {name: (out / name).read_bytes() for name in os.listdir(out)}
+
+    def full(self, content):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(page.Path, "write_bytes", full)
+    with pytest.raises(StorageError, match="No space left"):
+        write_page(out, [Section("Two", ["second"])], title="New")
+    with pytest.raises(StorageError, match="No space left"):
+        write_page(tmp_path / "fresh", [Section("Two", ["second"])], title="New")
+    monkeypatch.undo()
+    assert {name: (out / name).read_bytes() for name in os.listdir(out)} == before
+    assert os.listdir(tmp_path) == ["out"]
+
+
+def test_an_unusable_folder_is_refused_with_its_name(tmp_path):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(StorageError, match="file"):
+        write_page(tmp_path / "file", [Section("One")], title="Page")
+    (tmp_path / "out" / "index.html").mkdir(parents=True)
+    with pytest.raises(StorageError, match="a folder has that name"):
+        write_page(tmp_path / "out", [Section("One")], title="Page")
+    assert os.listdir(tmp_path / "out") == ["index.html"]
+
+
+def test_two_pictures_cannot_share_a_file(tmp_path):
+    def picture(file):
+        return page.Picture("c", [page.Drawing(style.panel_figure(lambda axes: None), "nothing")], file=file)
+
+    with pytest.raises(InvalidInput, match="used twice"):
+        write_page(tmp_path / "out", [Section("One", [picture("a.png"), picture("a.png")])], title="Page")
+    with pytest.raises(InvalidInput, match="not a name"):
+        write_page(tmp_path / "out", [Section("One", [picture("../a.png")])], title="Page")
+    assert not (tmp_path / "out").exists()
+
+
+def test_sections_of_any_content_become_a_page(tmp_path):
+    table = page.Table("Results", [page.Head("Name", is_text=True), page.Head("Value", "m")], ["Group", ["a", "1"]])
+    inner = Section("Inner", ["deep"])
+    parts = ["words", table, page.Terms([("a", "b")]), page.Verbatim("make run", "More"), inner]
+    outline = Outline(write_page(tmp_path, [Section("Outer", parts)], title="Any").read_text())
+    for text in ("Outer", "words", "Results", "Group", "make run", "More", "Inner", "deep"):
+        assert text in outline.text
+
+
+def legend_texts(figure):
+    return [text.get_text() for legend in figure.legends for text in legend.get_texts()]
+
+
+def test_figures_have_the_papers_panels_with_units():
+    fleet = {"Standard MPC": drive(), "NN-MPC": drive("nn", adapt=True)}
+    four = conditions_figure(fleet)
+    assert [axes.get_title("left") for axes in four.axes] == [
+        "(a) Lateral gust",
+        "(b) Road friction",
+        "(c) Horizons",
+        "(d) Weights",
+    ]
+    assert four.axes[3].get_yscale() == "log"
+    tracking = tracking_figure(fleet)
+    assert [axes.get_title("left")[4:] for axes in tracking.axes] == [
+        "Trajectory tracking",
+        "Tracking error",
+        "Steering",
+        "Yaw rate",
+    ]
+    assert legend_texts(tracking) == ["Reference", "Standard MPC", "NN-MPC"]
+    for axes in four.axes + tracking.axes:
+        assert re.search(r"\(.+\)$", axes.get_ylabel()), axes.get_ylabel()
+
+
+def test_a_speed_that_all_drive_is_drawn_once():
+    both = {"triple-lane-change": {"a": drive(), "b": drive()}}
+    assert legend_texts(speed_figure(both)) == ["Profile", "Driven"]
+    slower = drive()
+    slower = dataclasses.replace(slower, vx=slower.vx - 1.0)
+    assert legend_texts(speed_figure({"step": {"a": drive(), "b": slower}})) == ["Profile", "a", "b"]
+
+
+def test_legends_cover_no_curve():
+    figure = tracking_figure({f"controller {i}": drive(scale=1 + 0.1 * i) for i in range(8)})
+    style.png(figure)  # settles the layout
+    legend = figure.legends[0].get_window_extent()
+    assert all(not legend.overlaps(axes.get_window_extent()) for axes in figure.axes)
+
+
+def test_a_lost_run_ends_where_it_was_lost_and_does_not_set_the_scale():
+    good, bad = drive(), lost(drive("nn"))
+    figure = tracking_figure({"good": good, "bad": bad})
+    error = figure.axes[1]
+    assert error.get_ylim()[1] < 1.0  # the lost run reaches 5 m and more
+    ends = [line.get_xdata()[-1] for line in error.get_lines() if line.get_color() == style.SERIES[1]]
+    assert all(10.0 < end < 12.0 for end in ends)
+
+
+def test_runs_that_hold_only_nan_can_be_drawn():
+    broken = drive()
+    empty = np.full(len(broken), np.nan)
+    broken = dataclasses.replace(broken, Y=empty, vx=empty, yaw_rate=empty, command=empty, Q=empty)
+    for figure in (
+        tracking_figure({"x": broken}),
+        conditions_figure({"x": broken}),
+        speed_figure({"s": {"x": broken}}),
+    ):
+        style.png(figure)
+
+
+def test_start_up_from_standstill_does_not_flatten_the_rest():
+    run = drive()
+    speed, command = run.vx.copy(), run.command.copy()
+    speed[:5], command[:5] = 0.5, 0.5
+    figure = tracking_figure({"x": dataclasses.replace(run, vx=speed, command=command)})
+    steering = figure.axes[2]
+    assert steering.get_ylim()[1] < 0.1
+    assert steering.get_title("right") == "start: −0.03 to 0.5"
+
+
+def test_steps_in_which_a_safe_angle_was_held_are_marked():
+    run = drive()
+    held = (run.t > 5.0) & (run.t < 6.0)
+    steering = tracking_figure({"x": dataclasses.replace(run, held=held)}).axes[2]
+    (squares,) = (line for line in steering.get_lines() if line.get_marker() == "s")
+    assert squares.get_xdata().tolist() == run.t[held].tolist()
+    assert steering.get_title("right") == "□ held"
+
+
+@pytest.mark.parametrize(
+    ("wheels", "key"),
+    [
+        ([0.7, 0.7, 0.7, 0.7], []),
+        ([0.8, 0.3, 0.8, 0.3], ["left", "right"]),
+        ([0.8, 0.8, 0.3, 0.3], ["front", "rear"]),
+        ([0.8, 0.7, 0.6, 0.5], ["front left", "front right", "rear left", "rear right"]),
+    ],
+)
+def test_friction_is_drawn_for_the_wheels_that_differ(wheels, key):
+    run = dataclasses.replace(drive(), friction=np.tile(wheels, (280, 1)))
+    legend = conditions_figure({"x": run}).axes[1].get_legend()
+    assert ([text.get_text() for text in legend.get_texts()] if legend else []) == key
+
+
+def test_a_figure_needs_a_run_and_a_stroke_for_it():
+    with pytest.raises(InvalidInput, match="at least one run"):
+        tracking_figure({})
+    with pytest.raises(InvalidInput, match="no stroke for 'x'"):
+        tracking_figure({"x": drive()}, style.strokes(["y"]))
+
+
+def test_figures_leave_the_users_matplotlib_alone():
+    before = dict(mpl.rcParams)
+    with mpl.rc_context({"lines.linewidth": 9.0, "axes.facecolor": "pink"}):
+        mine = style.png(tracking_figure({"x": drive()}))
+    assert mine == style.png(tracking_figure({"x": drive()}))
+    assert dict(mpl.rcParams) == before
+
+
+def test_eighteen_controllers_have_eighteen_strokes():
+    strokes = style.strokes(f"c{i}" for i in range(18))
+    assert len({(s.colour, str(s.dash)) for s in strokes.values()}) == 18
+
+
+# Linear-light simulation of dichromacy: Viénot, Brettel and Mollon (1999), in linear sRGB.
+DICHROMACY = {
+    "protan": [[0.11238, 0.88762, 0.0], [0.11238, 0.88762, 0.0], [0.00401, -0.00401, 1.0]],
+    "deutan": [[0.29275, 0.70725, 0.0], [0.29275, 0.70725, 0.0], [-0.02234, 0.02234, 1.0]],
+    "normal": np.eye(3).tolist(),
+}
+
+
+def lab(colour, matrix):
+    """CIE L*a*b* (D65) of an sRGB colour seen through `matrix`."""
+    rgb = np.array(mpl.colors.to_rgb(colour))
+    linear = np.clip(np.array(matrix) @ np.where(rgb <= 0.04045, rgb / 12.92, ((rgb + 0.055) / 1.055) ** 2.4), 0, 1)
+    xyz = np.array([[0.4124, 0.3576, 0.1805], [0.2126, 0.7152, 0.0722], [0.0193, 0.1192, 0.9505]]) @ linear
+    f = np.cbrt(xyz / [0.9505, 1.0, 1.089])
+    return np.array([116 * f[1] - 16, 500 * (f[0] - f[1]), 200 * (f[1] - f[2])])
+
+
+@pytest.mark.parametrize("vision", DICHROMACY)
+def test_neighbouring_colours_differ_for_colour_blind_readers(vision):
+    seen = [lab(colour, DICHROMACY[vision]) for colour in style.SERIES]
+    gaps = [np.linalg.norm(a - b) for i, a in enumerate(seen) for b in seen[:i]]
+    assert min(gaps) > 12.0  # a just noticeable difference is about 2.3
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [
+        (0.0318, "0.0318"),
+        (0.00003, "3.00·10⁻⁵"),
+        (0.9996, "1.00"),
+        (1234.5, "1\u202f234"),
+        (12, "12"),
+        (-0.25, "−0.250"),
+        (0.0, "0"),
+        (2.5e7, "2.50·10⁷"),
+        (float("nan"), "–"),
+        (float("inf"), "∞"),
+        (None, "–"),
+    ],
+)
+def test_numbers_are_written_for_readers(value, text):
+    assert words.number(value) == text
+
+
+def test_settings_are_described_in_words():
+    assert words.describe({"name": "step", "y_ref": 2.0}) == "step (y_ref 2)"
+    assert words.describe({"name": "paper"} | dict.fromkeys("abcdefgh", 1.0)) == "paper"
+    assert words.describe(None) == "not recorded"
+    assert words.title_of("triple-lane-change") == "Triple lane change"
+    assert words.percent(0.0001) == "< 0.1"
+    assert words.span(np.array([-0.0, 0.0])) == "0"
+    assert words.clock("2026-01-02T03:04:05+00:00") == "2026-01-02 03:04 UTC"
+
+
+def test_the_full_record_can_be_read_back_from_the_page(report):
+    _, text, standard = report
+    (record,) = re.findall(r"<pre[^>]*><code>(\{.*?)</code>", text, flags=re.DOTALL)
+    records = json.loads(html.unescape(record))
+    assert records["1. Standard MPC, triple-lane-change"] == standard.meta
+
+
+def test_alternative_texts_give_the_range_of_every_run():
+    lines = figures.as_lines({"a": drive(), "b": drive(scale=2.0)})
+    described = figures.TRACKING[1].describe(lines)
+    assert described.startswith("Tracking error")
+    assert re.search(r"a: −0\.2 to 0\.2; b: −0\.4 to 0\.4", described)

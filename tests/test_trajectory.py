@@ -1,0 +1,284 @@
+"""A trajectory is checked at the door, says its errors with a sign, and survives its file bit for bit."""
+
+import dataclasses
+import os
+import subprocess
+import sys
+from datetime import UTC, datetime
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from adaptrack import __version__
+from adaptrack.errors import InvalidInput, StorageError
+from adaptrack.trajectory import COLUMNS, Trajectory, provenance
+
+
+def record(n=8, period=0.1, **changes):
+    """A car that stands on its reference; `changes` replace arrays."""
+    arrays = {}
+    for column in COLUMNS:
+        shape = (n, len(column.parts)) if column.parts else (n,)
+        arrays[column.name] = np.zeros(shape, dtype=column.dtype)
+    arrays |= {"t": period * np.arange(n), "vx": np.full(n, 10.0), "friction": np.ones((n, 4))}
+    return Trajectory(**(arrays | {"period": period} | changes))
+
+
+def wild(n=50, seed=1):
+    """Every column with numbers of its own, NaN and infinity among them."""
+    rng = np.random.default_rng(seed)
+    arrays = {}
+    for column in COLUMNS:
+        shape = (n, len(column.parts)) if column.parts else (n,)
+        top = 20 if column.kind == "real" else 15
+        arrays[column.name] = (rng.normal(size=shape) * 10.0 ** rng.integers(-20, top, shape)).astype(column.dtype)
+    arrays["t"] = 0.05 * np.arange(n) + 3.0
+    arrays["qp_residual"][3] = np.nan
+    arrays["Y"][-1] = np.inf
+    arrays["vy"][-1] = -0.0
+    return Trajectory(**arrays, period=0.05, meta={"scenario": "step", "limits": (1, 2.5), "µ": None})
+
+
+def test_the_column_list_names_every_array_of_the_dataclass():
+    fields = [field.name for field in dataclasses.fields(Trajectory)]
+    assert fields == [column.name for column in COLUMNS] + ["period", "meta"]
+
+
+def test_a_file_gives_back_every_bit_and_all_provenance(tmp_path):
+    before = wild()
+    before.save(tmp_path / "run.parquet")
+    after = Trajectory.load(tmp_path / "run.parquet")
+    for column in COLUMNS:
+        a, b = getattr(before, column.name), getattr(after, column.name)
+        assert a.dtype == b.dtype
+        assert a.tobytes() == b.tobytes(), column.name
+    assert (after.period, after.meta) == (before.period, before.meta)
+
+
+def test_the_same_trajectory_gives_the_same_file(tmp_path):
+    wild().save(tmp_path / "a.parquet")
+    wild().save(tmp_path / "b.parquet")
+    assert (tmp_path / "a.parquet").read_bytes() == (tmp_path / "b.parquet").read_bytes()
+
+
+def test_any_parquet_reader_finds_units_and_versions(tmp_path):
+    record().save(tmp_path / "run.parquet")
+    schema = pq.read_schema(tmp_path / "run.parquet")
+    assert schema.field("yaw_rate").metadata[b"unit"] == b"rad/s"
+    assert schema.field("friction_rear_left").metadata[b"unit"] == b"-"
+    assert schema.metadata[b"adaptrack"].decode() == __version__
+    assert float(schema.metadata[b"period"]) == 0.1
+
+
+def test_error_is_positive_to_the_left_of_the_reference():
+    assert record(Y=np.full(8, 1.5), y_ref=np.full(8, 1.0)).error == pytest.approx(0.5)
+
+
+def test_heading_error_is_zero_along_a_straight_reference_and_positive_to_its_left():
+    t = 0.1 * np.arange(8)
+    along = record(y_ref=2.0 * t, psi=np.full(8, np.arctan2(2.0, 10.0)))
+    assert along.heading_error == pytest.approx(0.0, abs=1e-12)
+    assert record(y_ref=2.0 * t, psi=np.full(8, 0.3)).heading_error == pytest.approx(0.3 - np.arctan2(2.0, 10.0))
+
+
+def test_a_standing_or_backing_car_has_no_reversed_path():
+    for speed in (0.0, -1e-12, -0.5):
+        assert record(vx=np.full(8, speed)).heading_error == pytest.approx(0.0)
+
+
+@given(turns=st.integers(-3, 3), angle=st.floats(-3.1, 3.1))
+def test_whole_turns_do_not_change_the_heading_error(turns, angle):
+    heading = record(psi=np.full(8, angle + 2.0 * np.pi * turns))
+    assert heading.heading_error == pytest.approx(angle, abs=1e-9)
+
+
+def test_half_a_turn_is_plus_pi():
+    assert record(psi=np.full(8, -np.pi)).heading_error == pytest.approx(np.pi)
+
+
+def test_a_single_instant_is_a_trajectory():
+    assert record(n=1).heading_error.tolist() == [0.0]
+
+
+def test_between_keeps_times_and_cuts_every_array():
+    run = wild(n=50)
+    part = run.between(3.5, 4.5)
+    assert (part.t[0], len(part)) == (pytest.approx(3.5), 20)
+    assert all(len(getattr(part, column.name)) == 20 for column in COLUMNS)
+    assert part.meta == run.meta
+
+
+def test_a_window_of_280_periods_is_not_lost_to_rounding():
+    long = record(n=460)
+    assert len(long.between(0.0, 28.0)) == 280
+
+
+def test_an_empty_window_is_refused():
+    with pytest.raises(InvalidInput, match=r"no control period begins in \[5, 6\) s.*\[0, 0.8\) s"):
+        record().between(5.0, 6.0)
+
+
+def test_arrays_cannot_be_changed_in_place_and_the_callers_stay_writable():
+    mine = np.zeros(8)
+    run = record(Y=mine)
+    with pytest.raises(ValueError, match="read-only"):
+        run.Y[0] = 1.0
+    mine[0] = 1.0
+
+
+@pytest.mark.parametrize(
+    ("changes", "complaint"),
+    [
+        ({"Y": np.zeros(7)}, r"`Y` must have the shape \(8,\).*\(7,\)"),
+        ({"friction": np.zeros(8)}, r"`friction` must have the shape \(8, 4\)"),
+        ({"wind": np.zeros((8, 4))}, r"`wind` must have the shape \(8, 2\)"),
+        ({"Np": np.full(8, 3.5)}, "`Np` must hold int64 values"),
+        ({"Np": np.full(8, np.nan)}, "`Np` must hold int64 values"),
+        ({"vx": np.array(["10"] * 8)}, "`vx` must hold float64 values"),
+        ({"t": np.zeros(8)}, "one period"),
+        ({"t": 0.2 * np.arange(8)}, "one period"),
+        ({"t": np.full(8, np.nan)}, "one period"),
+        ({"t": np.zeros(0)}, "at least one control instant"),
+        ({"period": 0.0}, "period must be a positive"),
+        ({"period": np.nan}, "period must be a positive"),
+        ({"meta": {"plant": object()}}, r"`meta\['plant'\]` cannot be written as JSON"),
+    ],
+)
+def test_what_does_not_fit_is_refused_with_the_name_of_the_array(changes, complaint):
+    with pytest.raises(InvalidInput, match=complaint):
+        record(**changes)
+
+
+def test_whole_numbers_held_as_floats_are_taken():
+    assert record(Np=np.full(8, 35.0)).Np.dtype == np.int64
+
+
+def test_a_missing_file_a_folder_and_a_text_file_are_refused(tmp_path):
+    (tmp_path / "text.parquet").write_text("t,Y\n0,1\n")
+    (tmp_path / "empty.parquet").write_bytes(b"")
+    for name, complaint in (
+        ("none.parquet", "No such file"),
+        ("", "Is a directory"),
+        ("text.parquet", "not a Parquet file"),
+        ("empty.parquet", "not a Parquet file"),
+    ):
+        with pytest.raises(StorageError, match=complaint):
+            Trajectory.load(tmp_path / name)
+
+
+def test_a_foreign_parquet_file_is_refused(tmp_path):
+    pq.write_table(pa.table({"t": [0.0, 1.0]}), tmp_path / "foreign.parquet")
+    with pytest.raises(StorageError, match="not a trajectory"):
+        Trajectory.load(tmp_path / "foreign.parquet")
+
+
+def rewritten(path, table=None, **entries):
+    """The file at `path` with other schema entries, as another program might leave it."""
+    table = pq.read_table(path) if table is None else table
+    stored = dict(table.schema.metadata) | {key.encode(): value.encode() for key, value in entries.items()}
+    pq.write_table(table.replace_schema_metadata(stored), path)
+
+
+def test_another_format_version_is_refused_with_both_versions(tmp_path):
+    path = tmp_path / "run.parquet"
+    record().save(path)
+    rewritten(path, format_version="7", adaptrack="9.9.9")
+    with pytest.raises(StorageError, match=r"9\.9\.9 in format version 7, this one reads version 1"):
+        Trajectory.load(path)
+
+
+def test_an_edited_file_is_refused_with_the_reason(tmp_path):
+    path = tmp_path / "run.parquet"
+    record().save(path)
+    whole = pq.read_table(path)
+    holes = whole.set_column(2, "Y", pa.array([None] + [0.0] * 7))
+    for table, entries, complaint in (
+        (whole.drop_columns(["psi"]), {}, "no column 'psi'"),
+        (holes.replace_schema_metadata(whole.schema.metadata), {}, "1 missing values in column 'Y'"),
+        (whole, {"period": "soon"}, "could not convert"),
+        (whole, {"period": "-1"}, "period must be a positive"),
+        (whole, {"meta": "{"}, "damaged, or edited"),
+    ):
+        rewritten(path, table, **entries)
+        with pytest.raises(StorageError, match=complaint):
+            Trajectory.load(path)
+
+
+@pytest.mark.parametrize("share", [0.1, 0.5, 0.9, 0.999])
+def test_a_truncated_file_is_refused(tmp_path, share):
+    path = tmp_path / "run.parquet"
+    wild().save(path)
+    content = path.read_bytes()
+    path.write_bytes(content[: int(share * len(content))])
+    with pytest.raises(StorageError, match="damaged"):
+        Trajectory.load(path)
+
+
+def test_a_flipped_byte_in_the_data_does_not_go_unnoticed(tmp_path):
+    path = tmp_path / "run.parquet"
+    wild().save(path)
+    content = bytearray(path.read_bytes())
+    chunk = pq.read_metadata(path).row_group(0).column(2)
+    middle = chunk.data_page_offset + chunk.total_compressed_size // 2
+    content[middle] ^= 0x10
+    path.write_bytes(bytes(content))
+    with pytest.raises(StorageError, match="damaged"):
+        Trajectory.load(path)
+
+
+def test_a_failed_save_leaves_the_old_file_and_nothing_else(tmp_path, monkeypatch):
+    path = tmp_path / "run.parquet"
+    record().save(path)
+    before = path.read_bytes()
+
+    def full(*_):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(os, "replace", full)
+    with pytest.raises(StorageError, match="No space left"):
+        wild().save(path)
+    assert path.read_bytes() == before
+    assert os.listdir(tmp_path) == ["run.parquet"]
+
+
+def test_saving_into_a_missing_folder_is_refused(tmp_path):
+    with pytest.raises(StorageError, match="No such file"):
+        record().save(tmp_path / "missing" / "run.parquet")
+    assert os.listdir(tmp_path) == []
+
+
+def test_provenance_names_the_software_and_takes_the_callers_clock():
+    meta = provenance(
+        scenario={"name": "step", "duration": 18.0},
+        plant="dual-track",
+        tyre="magic-formula",
+        vehicle="paper",
+        profile="paper",
+        seed=0,
+        preview=False,
+        controller="standard",
+        tuning={"Np": 35, "Nc": 8, "Q": 10.0, "R": 0.01},
+        created=datetime(2026, 1, 2, 3, 4, tzinfo=UTC),
+        moves="pulses",
+    )
+    run = record(meta=meta)
+    assert run.meta["created"] == "2026-01-02T03:04:00+00:00"
+    assert run.meta["versions"]["adaptrack"] == __version__
+    assert {"python", "numpy", "numba"} < set(run.meta["versions"])
+    assert [run.name_of(entry) for entry in ("scenario", "plant", "moves", "unknown")] == [
+        "step",
+        "dual-track",
+        "pulses",
+        "",
+    ]
+    assert "step, standard" in repr(run)
+
+
+def test_importing_trajectories_loads_no_numba_no_pyarrow_no_matplotlib():
+    code = "import sys, adaptrack.metrics; print([m for m in ('numba', 'pyarrow', 'matplotlib') if m in sys.modules])"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"
