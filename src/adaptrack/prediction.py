@@ -109,15 +109,48 @@ class PredictionModel:
         return float(Q * error @ error + R * change @ change)
 
     def quadratic(
-        self, speed: float, x: ArrayLike, reference: ArrayLike, Np: int, Nc: int, Q: float, R: float
+        self,
+        speed: float,
+        x: ArrayLike,
+        reference: ArrayLike,
+        Np: int,
+        Nc: int,
+        Q: float,
+        R: float,
+        basis: ArrayLike | None = None,
     ) -> tuple[Array, Array]:
-        """Eq. (17) of the cost: E = 2(Phi' Q Phi + R) and K = -2 Phi' Q (R_s - F x~), shapes (Nc, Nc) and (Nc,).
+        """Eq. (17) of the cost: E = 2(Phi' Q Phi + R) and K = -2 Phi' Q (R_s - F x~), shapes (n, n) and (n,).
 
-        x: x~ = [change of x_c (4), y], shape (5,); reference: R_s, shape (Np,).
+        x: x~ = [change of x_c (4), y], shape (5,); reference: R_s, shape (Np,); basis: L (Np, n) of moves
+        dU = L eta over the whole horizon, by default the Nc pulses of eq. (10). R weighs eta.
         """
-        free, phi = self.prediction(speed, Np, Nc)
+        free, phi = self._response(speed, Np, Nc, basis)
         error = np.asarray(reference, float) - free @ np.asarray(x, float)
-        return 2 * (Q * phi.T @ phi + R * np.eye(Nc)), -2 * Q * phi.T @ error
+        return 2 * (Q * phi.T @ phi + R * np.eye(phi.shape[1])), -2 * Q * phi.T @ error
+
+    def feedback(
+        self, speed: float, Np: int, Nc: int, Q: float, R: float, basis: ArrayLike | None = None
+    ) -> tuple[Array, Array]:
+        """The control law far from all limits: du = k_r R_s - k_x x~, shapes (Np,) and (5,); arguments as above."""
+        free, phi = self._response(speed, Np, Nc, basis)
+        gain = np.linalg.solve(Q * phi.T @ phi + R * np.eye(phi.shape[1]), Q * phi.T)
+        first = gain[0] if basis is None else np.asarray(basis, float)[0] @ gain
+        return first, first @ free
+
+    def _response(self, speed: float, Np: int, Nc: int, basis: ArrayLike | None) -> tuple[Array, Array]:
+        if basis is None:
+            return self.prediction(speed, Np, Nc)
+        free, phi = self.prediction(speed, Np, Np)
+        return free, phi @ np.asarray(basis, float)
+
+
+def laguerre_basis(Np: int, terms: int, pole: float) -> Array:
+    """L (Np, terms): the first discrete Laguerre functions with `pole` in [0, 1), one in each column."""
+    from adaptrack.kernels.prediction import laguerre_moves
+
+    rows = np.zeros((terms, Np))
+    laguerre_moves(Np, terms, pole, rows)
+    return rows.T.copy()
 
 
 def limit_matrix(Nc: int) -> Array:

@@ -12,6 +12,8 @@ from adaptrack.qp.solver import QPSolver
 
 WELL_CONDITIONED = 1e-6
 """Accuracy of x (rad) that every solver owes on a well-conditioned problem."""
+DEGENERATE = 1e-4
+"""The same where a row holds with equality but without force: interior-point methods then find only half the digits."""
 
 
 def known_problems() -> Iterator[tuple[str, QP, Array]]:
@@ -28,7 +30,7 @@ def known_problems() -> Iterator[tuple[str, QP, Array]]:
     yield "three rows through one corner", QP(one, K, corner, np.array([1.0, 1.0, 2.0])), np.array([1.0, 1.0])
     both = np.array([[1.0, 0.0], [-1.0, 0.0]])
     yield "a row and its opposite: an equality", QP(one, K, both, np.array([1.0, -1.0])), np.array([1.0, 3.0])
-    yield "weakly active row", QP(one, K, one, np.array([3.0, 1.0])), np.array([3.0, 1.0])
+    yield "a row that holds without force", QP(one, K, one, np.array([3.0, 1.0])), np.array([3.0, 1.0])
 
 
 def ill_conditioned_problem() -> tuple[QP, Array]:
@@ -61,13 +63,14 @@ def check_qp_solver(solver: QPSolver) -> None:
         raise ContractError(f"{name}: `accuracy` is {accuracy!r}; state a float in (0, 1] rad.")
 
     for label, qp, x in known_problems():
+        tolerance = DEGENERATE if "without force" in label else WELL_CONDITIONED
         solution = _solve(solver, qp, label)
         _require(solution.solved, name, label, f"status {solution.status.name} instead of SOLVED")
-        _near(solver, solution, x, WELL_CONDITIONED, label)
+        _near(solver, solution, x, tolerance, label)
         again = _solve(solver, qp, label)
         _require(bool(np.array_equal(solution.x, again.x)), name, label, "the second solve gave other bits")
         warm = _solve(solver, qp, label, solution)
-        _near(solver, warm, x, WELL_CONDITIONED, f"{label}, warm start")
+        _near(solver, warm, x, tolerance, f"{label}, warm start")
 
     qp, x = ill_conditioned_problem()
     label = "cond(E) = 8e11"

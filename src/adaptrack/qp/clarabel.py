@@ -10,7 +10,7 @@ from scipy import sparse
 from adaptrack.errors import InvalidInput
 from adaptrack.qp.problem import QP, QPStatus, Solution
 from adaptrack.qp.registry import require
-from adaptrack.qp.solver import QPSolver, all_multipliers, is_finite, present_rows
+from adaptrack.qp.solver import QPSolver, all_multipliers, is_convex, is_finite, present_rows
 
 
 class Clarabel(QPSolver):
@@ -20,7 +20,7 @@ class Clarabel(QPSolver):
     """
 
     name: ClassVar[str] = "clarabel"
-    accuracy: ClassVar[float] = 1e-2
+    accuracy: ClassVar[float] = 0.2
 
     def __init__(self, **settings: Any) -> None:
         self._library = require("clarabel", self.name)
@@ -35,6 +35,8 @@ class Clarabel(QPSolver):
         """See `QPSolver.solve`. The warm start is not used: an interior-point method cannot."""
         if not is_finite(qp):
             return self._answer(qp, QPStatus.NON_FINITE, None, None, 0)
+        if not is_convex(qp):
+            return self._answer(qp, QPStatus.NOT_CONVEX, None, None, 0)
         library = self._library
         rows, M, gamma = present_rows(qp)
         cones = [library.NonnegativeConeT(len(rows))] if len(rows) else []

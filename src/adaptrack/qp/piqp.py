@@ -9,7 +9,7 @@ import numpy as np
 from adaptrack.errors import InvalidInput
 from adaptrack.qp.problem import QP, QPStatus, Solution
 from adaptrack.qp.registry import require
-from adaptrack.qp.solver import QPSolver, all_multipliers, is_finite, present_rows
+from adaptrack.qp.solver import QPSolver, all_multipliers, is_convex, is_finite, present_rows
 
 
 class Piqp(QPSolver):
@@ -33,6 +33,8 @@ class Piqp(QPSolver):
         """See `QPSolver.solve`. The warm start is not used: an interior-point method cannot."""
         if not is_finite(qp):
             return self._answer(qp, QPStatus.NON_FINITE, None, None, 0)
+        if not is_convex(qp):
+            return self._answer(qp, QPStatus.NOT_CONVEX, None, None, 0)
         rows, M, gamma = present_rows(qp)
         solver = self._library.DenseSolver()
         for key, value in self._settings.items():

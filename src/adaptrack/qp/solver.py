@@ -59,6 +59,15 @@ def is_finite(qp: QP) -> bool:
     )
 
 
+def is_convex(qp: QP) -> bool:
+    """Whether E has a Cholesky factor: asked before back-ends that would settle for a stationary point."""
+    try:
+        np.linalg.cholesky(qp.E)
+    except np.linalg.LinAlgError:
+        return False
+    return True
+
+
 def present_rows(qp: QP) -> tuple[np.ndarray, Array, Array]:
     """Indices, M and gamma of the rows that have a bound."""
     rows = np.flatnonzero(qp.gamma < np.inf)
