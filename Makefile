@@ -23,7 +23,8 @@ $(INSTALLED): requirements.lock pyproject.toml src/adaptrack/__init__.py
 	@touch $@
 
 run: install ## drive both tests of the paper with its standard MPC: results/index.html
-	$(BIN)/adaptrack simulate triple-lane-change general-trajectory --out results
+	$(BIN)/adaptrack simulate triple-lane-change general-trajectory \
+	  --controller as-written --controller as-released --out results
 
 # The kernels are compiled once, before two test workers would both do it.
 test: install ## run the tests

@@ -25,8 +25,8 @@ from adaptrack.vehicle import Vehicle, load_vehicle
 
 Array = NDArray[np.float64]
 
-BOUNDS = {"Np": (1, 55), "Nc": (1, 18), "Q": (0.1, 10.0), "R": (0.001, 0.1)}
-"""The authors' bounds of the particle swarm (integers for the horizons)."""
+NP, NC, Q, R = (1, 55), (1, 18), (0.1, 10.0), (0.001, 0.1)
+"""The authors' bounds of the particle swarm."""
 SPEEDS, AMPLITUDES, FRICTIONS, WINDS = (3.0, 27.0), (-15.0, 15.0), (0.5, 0.9), (-30.0, 30.0)
 """The paper's operating domain: m/s, m, -, m/s."""
 
@@ -58,7 +58,8 @@ class PlainController:
         import daqp
         from scipy.linalg import expm
 
-        Np, Nc, Q, R = self.tuning.Np, self.tuning.Nc, self.tuning.Q, self.tuning.R
+        t = self.tuning
+        Np, Nc, q, r = t.Np, t.Nc, t.Q, t.R
         x = np.array(state, dtype=float)
         change = np.zeros(4) if self.previous is None else x - self.previous
         a, b, c = self.mpc.model.continuous(max(speed, self.mpc.speed_floor))
@@ -78,8 +79,8 @@ class PlainController:
         for j in range(Nc):
             phi[j:, j] = response[: Np - j]
         error = np.full(Np, reference[0]) - free @ np.append(change, x[3])
-        hessian = 2 * (Q * phi.T @ phi + R * np.eye(Nc))
-        gradient = -2 * Q * phi.T @ error
+        hessian = 2 * (q * phi.T @ phi + r * np.eye(Nc))
+        gradient = -2 * q * phi.T @ error
         bounds = limit_bounds(Nc, self.angle, self.mpc.limits)
         lower = np.full(bounds.size, -1e30)
         solution, _, flag, _ = daqp.solve(
@@ -89,7 +90,7 @@ class PlainController:
         self.angle += move
         self.previous = x
         status = QPStatus.SOLVED if flag > 0 else QPStatus.CAPPED
-        return Command(self.angle, move, status, 0, float("nan"), 0, flag <= 0, (Np, Nc, Q, R))
+        return Command(self.angle, move, status, 0, float("nan"), 0, flag <= 0, (Np, Nc, q, r))
 
 
 def bench_step(count: int = 4000) -> dict[str, Any]:
@@ -116,9 +117,9 @@ def bench_step(count: int = 4000) -> dict[str, Any]:
             active += command.iterations > 0
         return times / 1e3, active / repeats
 
-    timed(mpc, 50), timed(plain, 50)
+    timed(mpc, min(count, 50)), timed(plain, min(count, 50))
     ours, active = timed(mpc, count)
-    theirs, _ = timed(plain, max(200, count // 10))
+    theirs, _ = timed(plain, min(count, max(200, count // 10)))
     return {
         "step_us_p50": float(np.percentile(ours, 50)),
         "step_us_p99": float(np.percentile(ours, 99)),
@@ -142,7 +143,7 @@ def _rest(mpc: MPC) -> None:
 def bench_rollout(conditions: int = 150, threads: int | None = None) -> dict[str, Any]:
     """Control steps per second of `rollout_batch`: dual track, Magic Formula, paper profile, 180 steps a run.
 
-    20 random tunings within BOUNDS on each of `conditions` random conditions of the paper's domain; the same with
+    20 random tunings within the swarm's bounds on each of `conditions` random conditions of the paper's domain; the same with
     a speed that varies, where every step has a model of its own; and a sample of the same runs by `PlainController`.
     """
     rng = np.random.default_rng(0)
@@ -166,10 +167,10 @@ def bench_rollout(conditions: int = 150, threads: int | None = None) -> dict[str
     which = np.repeat(np.arange(conditions), 20)
     tunings = np.column_stack(
         [
-            rng.integers(BOUNDS["Np"][0], BOUNDS["Np"][1] + 1, which.size),
-            rng.integers(BOUNDS["Nc"][0], BOUNDS["Nc"][1] + 1, which.size),
-            rng.uniform(*BOUNDS["Q"], which.size),
-            rng.uniform(*BOUNDS["R"], which.size),
+            rng.integers(*NP, which.size, endpoint=True),
+            rng.integers(*NC, which.size, endpoint=True),
+            rng.uniform(*Q, which.size),
+            rng.uniform(*R, which.size),
         ]
     )
     tunings[:, 1] = np.minimum(tunings[:, 0], tunings[:, 1])
@@ -185,8 +186,8 @@ def bench_rollout(conditions: int = 150, threads: int | None = None) -> dict[str
     test = scenario(False)
     plain_steps, begun = 0, time.perf_counter()
     for i in range(4):
-        Np, Nc, Q, R = tunings[i]
-        run = simulate(plant, PlainController(car, Tuning(int(Np), int(Nc), Q, R)), test)
+        Np, Nc, q, r = tunings[i]
+        run = simulate(plant, PlainController(car, Tuning(int(Np), int(Nc), q, r)), test)
         plain_steps += len(run)
     plain = plain_steps / (time.perf_counter() - begun)
     return {

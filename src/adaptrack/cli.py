@@ -8,6 +8,7 @@ import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from enum import StrEnum
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -97,49 +98,42 @@ def _options(
     """Auto-tuned, auto-adaptive model predictive control for path tracking."""
 
 
+Option = typer.Option
+
+
 @app.command()
 def simulate(
     scenarios: Annotated[
         list[str], typer.Argument(metavar="SCENARIO...", help="Names (see `scenarios`) or .toml/.csv files.")
     ],
     controller: Annotated[
-        list[ControllerName],
-        typer.Option(
-            help="standard: as the options say; as-written: pulses, eq. (10); as-released: Laguerre, pole 0.95."
-        ),
-    ] = [ControllerName.standard],  # noqa: B006 - typer copies it
-    vehicle: Annotated[str, typer.Option(help="Name (see `vehicles`) or .toml file.")] = "paper",
-    plant: Annotated[PlantName, typer.Option(help="What is driven.")] = PlantName.dual_track,
-    tyre: Annotated[
-        str | None, typer.Option(help="Name (see `vehicles`) or .toml file; by default the vehicle's.")
+        list[ControllerName] | None,
+        Option(help="standard: as the options say [default]; as-written: pulses; as-released: Laguerre, pole 0.95."),
     ] = None,
-    profile: Annotated[
-        ProfileName, typer.Option(help="paper: ideal; road: steering lag, noise, delay.")
-    ] = ProfileName.paper,
-    driver: Annotated[
-        bool, typer.Option("--driver/--perfect-speed", help="Powertrain and driver, or exact speed.")
-    ] = False,
-    np_: Annotated[int, typer.Option("--np", help="Prediction horizon (periods).")] = 35,
-    nc: Annotated[int, typer.Option("--nc", help="Control horizon (periods).")] = 8,
-    q: Annotated[float, typer.Option("--q", help="Weight of the tracking error (1/m^2).")] = 10.0,
-    r: Annotated[float, typer.Option("--r", help="Weight of the moves (1/rad^2).")] = 0.01,
-    moves: Annotated[MovesName, typer.Option(help="pulse: eq. (10); laguerre: Laguerre functions.")] = MovesName.pulse,
-    laguerre_pole: Annotated[float, typer.Option(help="Pole a of the Laguerre functions.")] = 0.95,
-    laguerre_terms: Annotated[int, typer.Option(help="Number of Laguerre functions.")] = 10,
+    vehicle: Annotated[str, Option(help="Name (see `vehicles`) or .toml file.")] = "paper",
+    plant: Annotated[PlantName, Option(help="What is driven.")] = PlantName.dual_track,
+    tyre: Annotated[str | None, Option(help="Name (see `vehicles`) or .toml file; by default the vehicle's.")] = None,
+    profile: Annotated[ProfileName, Option(help="paper: ideal; road: steering lag, noise, delay.")] = ProfileName.paper,
+    driver: Annotated[bool, Option("--driver/--perfect-speed", help="Powertrain and driver, or exact speed.")] = False,
+    np_: Annotated[int, Option("--np", help="Prediction horizon (periods).")] = 35,
+    nc: Annotated[int, Option("--nc", help="Control horizon (periods).")] = 8,
+    q: Annotated[float, Option("--q", help="Weight of the tracking error (1/m^2).")] = 10.0,
+    r: Annotated[float, Option("--r", help="Weight of the moves (1/rad^2).")] = 0.01,
+    moves: Annotated[MovesName, Option(help="pulse: eq. (10); laguerre: Laguerre functions.")] = MovesName.pulse,
+    laguerre_pole: Annotated[float, Option(help="Pole a of the Laguerre functions.")] = 0.95,
+    laguerre_terms: Annotated[int, Option(help="Number of Laguerre functions.")] = 10,
     preview: Annotated[
-        bool | None, typer.Option("--preview/--no-preview", help="Know the reference ahead; by default the profile's.")
+        bool | None, Option("--preview/--no-preview", help="Know the reference ahead; by default the profile's.")
     ] = None,
-    solver: Annotated[str, typer.Option(help="QP solver: active-set, hildreth, daqp, ...")] = "active-set",
-    period: Annotated[
-        float | None, typer.Option(help="Control period (s); by default 0.1 (paper) or 0.05 (road).")
-    ] = None,
-    seed: Annotated[int, typer.Option(help="Seed of the sensor noise.")] = 0,
+    solver: Annotated[str, Option(help="QP solver: active-set, hildreth, daqp, ...")] = "active-set",
+    period: Annotated[float | None, Option(help="Control period (s); by default the profile's.")] = None,
+    seed: Annotated[int, Option(help="Seed of the sensor noise.")] = 0,
     option: Annotated[
         list[str] | None,
-        typer.Option("--option", "-o", metavar="KEY=VALUE", help="Option of the scenario, e.g. speed=20."),
+        Option("--option", "-o", metavar="KEY=VALUE", help="Option of the scenario, e.g. speed=20."),
     ] = None,
-    out: Annotated[Path | None, typer.Option(help="Folder for the report and the trajectories.")] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="One JSON object on standard output, nothing else.")] = False,
+    out: Annotated[Path | None, Option(help="Folder for the report and the trajectories.")] = None,
+    as_json: Annotated[bool, Option("--json", help="One JSON object on standard output, nothing else.")] = False,
 ) -> None:
     """Drive scenarios with the MPC; print the metrics, write the report."""
     from adaptrack.metrics import compute_metrics
@@ -164,31 +158,27 @@ def simulate(
     }
     controllers: list[tuple[ControllerName, MPC]] = [
         (name, MPC(car, Tuning(np_, nc, q, r), period=ts, moves=asked[name], preview=ahead, solver=solver))
-        for name in dict.fromkeys(controller)
+        for name in dict.fromkeys(controller or [ControllerName.standard])
     ]
     if out is not None:
         _make_folder(out)
 
     runs: list[tuple[str, Trajectory]] = []
-    with _progress(len(loaded) * len(controllers), "drives", quiet=as_json) as advance:
+    with _progress(len(loaded) * len(controllers), quiet=as_json) as advance:
         for scenario in loaded:
             for name, mpc in controllers:
-                label = f"{scenario.name}, {name}"
-                run = drive(
-                    body, mpc, scenario, profile=world, driver=Driver() if driver else None, seed=seed,
-                    progress=lambda done, total, label=label: advance(done / total, label),
-                )  # fmt: skip
+                show = partial(advance, f"{scenario.name}, {name}")
+                pace = Driver() if driver else None
+                run = drive(body, mpc, scenario, profile=world, driver=pace, seed=seed, progress=show)
                 runs.append((str(name), run))
-                advance(None, label)
-    rows = [_row(name, run, compute_metrics(run).as_row()) for name, run in runs]
+    rows = [_row(label, run, compute_metrics(run).as_row()) for label, run in runs]
     if out is not None:
         from adaptrack.report import Run, write_report
 
-        for name, run in runs:
-            run.save(out / f"{run.name_of('scenario')}-{name}.parquet")
-        page = write_report(
-            out, [Run(run, label=name) for name, run in runs], command=shlex.join(["adaptrack", *sys.argv[1:]])
-        )
+        for label, run in runs:
+            run.save(out / f"{run.name_of('scenario')}-{label}.parquet")
+        command = shlex.join(["adaptrack", *sys.argv[1:]])
+        page = write_report(out, [Run(run, label=label) for label, run in runs], command=command)
         _tell(f"Report: {page}", quiet=as_json)
     if as_json:
         print(json.dumps({"rows": rows}, allow_nan=False))
@@ -301,36 +291,22 @@ def _tell(text: str, quiet: bool = False) -> None:
 
 
 @contextmanager
-def _progress(total: int, unit: str, quiet: bool) -> Iterator[Callable[[float | None, str], None]]:
-    """A progress bar on standard error that appears after a second; yields advance(part of the present one, label)."""
+def _progress(total: int, quiet: bool) -> Iterator[Callable[[str, int, int], None]]:
+    """A progress bar on standard error; yields show(label, steps done, steps in all), called for one drive at a time."""
     from rich.console import Console
-    from rich.progress import (
-        BarColumn,
-        MofNCompleteColumn,
-        Progress,
-        TextColumn,
-        TimeElapsedColumn,
-        TimeRemainingColumn,
-    )
+    from rich.progress import Progress
 
     console = Console(stderr=True)
-    columns = (
-        TextColumn("{task.description}"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeElapsedColumn(),
-        TimeRemainingColumn(),
-    )
-    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
-        task = bar.add_task(unit, total=total)
-        whole = 0
+    with Progress(console=console, transient=True, disable=quiet or not console.is_terminal) as bar:
+        task = bar.add_task("", total=total)
+        finished = 0
 
-        def advance(part: float | None, label: str) -> None:
-            nonlocal whole
-            whole += part is None
-            bar.update(task, completed=whole + (part or 0.0), description=label)
+        def show(label: str, done: int, steps: int) -> None:
+            nonlocal finished
+            bar.update(task, completed=finished + done / steps, description=label)
+            finished += done == steps
 
-        yield advance
+        yield show
 
 
 def _list(title: str, rows: list[dict[str, Any]], as_json: bool) -> None:

@@ -45,19 +45,13 @@ class Tuning:
         for name in ("Np", "Nc"):
             value = getattr(self, name)
             if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < 1:
-                raise InvalidInput(
-                    f"Tuning: {name} = {value!r}: must be a whole number of control periods, at least 1."
-                )
+                raise InvalidInput(f"Tuning: {name} = {value!r}: must be a whole number of periods, at least 1.")
         if self.Nc > self.Np:
-            raise InvalidInput(
-                f"Tuning: Nc = {self.Nc} > Np = {self.Np}: the control horizon cannot be the longer one."
-            )
+            raise InvalidInput(f"Tuning: Nc = {self.Nc} > Np = {self.Np}: the control horizon must not be longer.")
         if not 0.0 <= self.Q < math.inf:
             raise InvalidInput(f"Tuning: Q = {self.Q!r}: must be finite and not negative.")
         if not 0.0 < self.R < math.inf:
-            raise InvalidInput(
-                f"Tuning: R = {self.R!r}: must be finite and positive, or the QP is not strictly convex."
-            )
+            raise InvalidInput(f"Tuning: R = {self.R!r}: must be finite and positive (the QP is not convex else).")
 
     def as_array(self) -> Array:
         """[Np, Nc, Q, R] as floats."""

@@ -80,7 +80,7 @@ ROAD = Profile(
     preview=True,
     move_price=3.0,
 )
-"""A car at 20 Hz: steering lag and rate limit, sensor noise, one period of computation delay, the planner's reference ahead."""
+"""A car at 20 Hz: steering lag and rate limit, sensor noise, one period of computation delay, preview."""
 PROFILES = {profile.name: profile for profile in (PAPER, ROAD)}
 
 

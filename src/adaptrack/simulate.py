@@ -131,6 +131,7 @@ def simulate(
         When an argument does not fit the others.
     """
     from adaptrack.kernels import integrate, loop
+    from adaptrack.kernels.dynamics import STATES
 
     plant, profile = _outfit(plant, profile)
     signals = scenario.sample(controller.period)
@@ -141,7 +142,7 @@ def simulate(
     lap = _loop_settings(plant, profile, driver, substeps, lost_beyond)
     states = len(plant.state_names)
     block, own = np.zeros(integrate.BLOCK), np.zeros((integrate.LANES, states))
-    work, seen, measured = np.zeros((7, max(states, loop.STATES))), np.zeros(2), np.zeros(4)
+    work, seen, measured = np.zeros((7, max(states, STATES))), np.zeros(2), np.zeros(4)
     memory = loop.memory(1)
     packed, function, kind = plant.packed(), plant.function, plant.kind
     lanes = block.reshape(-1, integrate.LANES)
@@ -154,7 +155,7 @@ def simulate(
     for k in range(n):
         if progress is not None and k % 64 == 0:
             progress(k, n)
-        trace[k, : loop.STATES] = lanes[: loop.STATES, 0]
+        trace[k, :STATES] = lanes[:STATES, 0]
         loop.sense(k, 0, block, lap, seed, measured)
         speed = float(lanes[3, 0])
         condition = Condition(speed, float(samples[0, k]), float(samples[2:6, k].mean()), float(samples[7, k]))
@@ -164,7 +165,7 @@ def simulate(
         loop.actuate(k, 0, waiting if profile.delay else command.angle, block, controller.period, lap, rows, 0, memory)
         waiting = command.angle
         loop.observe(0, kind, function, packed, block, own, work, seen)
-        trace[k, loop.STATES :] = (*command[:7], *command.tuning, *seen)
+        trace[k, STATES:] = (*command[:7], *command.tuning, *seen)
         loop.move_vehicles(1, kind, function, packed, block, own, work, controller.period, lap)
         error = lanes[1, 0] - samples[0, k + 1]
         if not (abs(error) <= lost_beyond and math.isfinite(lanes[5, 0])):
@@ -334,6 +335,7 @@ class _Batch:
     ) -> tuple[Array, Array]:
         """Results (runs, RESULT) and traces (runs, periods or 0, TRACE)."""
         from adaptrack.kernels import integrate, loop
+        from adaptrack.kernels.dynamics import STATES
 
         runs, n = len(which), self.signals[0].n
         result = np.empty((runs, len(loop.RESULT)))
@@ -359,7 +361,7 @@ class _Batch:
             ws = loop.workspace(lanes, settings)
             states = len(self.plant.state_names)
             block, own = np.zeros(integrate.BLOCK), np.zeros((integrate.LANES, states))
-            scratch = np.zeros((7, max(states, loop.STATES)))
+            scratch = np.zeros((7, max(states, STATES)))
             while True:
                 try:
                     chunk = chunks.get_nowait()
@@ -372,7 +374,8 @@ class _Batch:
                     n, size, self.function, self.packed, block, own, scratch, self.model, settings,
                     self.loops[int(self.substeps[which[chunk[0]]])], self.samples, which[chunk],
                     np.ascontiguousarray(tunings[chunk]), seeds[chunk], loop.memory(size),
-                    np.zeros((size, len(loop.RECORD))), ws, self.starts[which[chunk]], part, part_trace,
+                    np.zeros((size, len(loop.RECORD))), ws, np.zeros((size if traced else 0, 2)),
+                    self.starts[which[chunk]], np.full(size, np.inf), 0.0, part, part_trace,
                 )  # fmt: skip
                 result[chunk] = part
                 trace[chunk] = part_trace
@@ -399,9 +402,10 @@ def _trajectory(
     times: Array,
 ) -> Trajectory:
     from adaptrack.kernels import loop
+    from adaptrack.kernels.dynamics import STATES
 
     n = signals.n
-    record = {name: trace[:, loop.STATES + i] for i, name in enumerate(loop.RECORD)}
+    record = {name: trace[:, STATES + i] for i, name in enumerate(loop.RECORD)}
 
     def whole(name: str) -> NDArray[np.int64]:
         return np.nan_to_num(record[name], nan=0.0).astype(np.int64)

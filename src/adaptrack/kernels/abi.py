@@ -13,6 +13,8 @@ from __future__ import annotations
 
 import hashlib
 import os
+from collections import namedtuple
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -22,10 +24,11 @@ from numba import types
 from numba.core import config as _numba_config
 from numba.extending import intrinsic
 
-INLINE: dict[str, Any] = {"nogil": True, "error_model": "numpy", "forceinline": True}
-"""Options of the small formulas that are always inlined."""
+INLINE: dict[str, Any] = {"nogil": True, "error_model": "numpy", "forceinline": True, "_nrt": False}
+"""Options of the small formulas that are always inlined. Without numba's run-time (`_nrt`) nothing can be allocated,
+and no array is counted in and out of a call."""
 
-ROUTINE: dict[str, Any] = {"nogil": True, "error_model": "numpy", "cache": True}
+ROUTINE: dict[str, Any] = {"nogil": True, "error_model": "numpy", "cache": True, "_nrt": False}
 """Options of the routines that are compiled once and loaded from the cache."""
 
 float64 = types.float64
@@ -59,6 +62,11 @@ else:
             return builder.fma(a, b, c)
 
         return signature, codegen
+
+
+def record(name: str, fields: Iterable[str]) -> Any:
+    """A named tuple class: how a kernel receives many values under their names."""
+    return namedtuple(name, list(fields))
 
 
 def cache_directory() -> Path:

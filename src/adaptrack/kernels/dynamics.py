@@ -12,12 +12,11 @@ A plant's state is a tuple of `STATES` floats, the same for both plants (what a 
 
 from __future__ import annotations
 
-from collections import namedtuple
 from typing import Any
 
 from numba import njit, types
 
-from .abi import INLINE, PLANT_PARAMETERS, ROUTINE, fma, int64, vector
+from .abi import INLINE, PLANT_PARAMETERS, ROUTINE, fma, int64, record, vector
 from .elementary import arctangent_of_ratio, clip, cosine, sine
 from .tyre import LEAST_LOAD, LINEAR, friction_ellipse, lateral_force, tyre_law
 
@@ -42,7 +41,7 @@ p: the plant's own parameters.
 """
 PLANT_FUNCTION = types.FunctionType(PLANT_SIGNATURE)
 
-PlantParameters: Any = namedtuple("PlantParameters", PLANT_PARAMETERS)
+PlantParameters = record("PlantParameters", PLANT_PARAMETERS)
 
 
 @njit(**INLINE)

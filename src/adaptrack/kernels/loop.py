@@ -9,14 +9,13 @@ compiled loop over many lanes. Each lane is one vehicle with its own controller,
 from __future__ import annotations
 
 import math
-from collections import namedtuple
 from typing import Any
 
 import numpy as np
 from numba import njit, types
 
-from . import qp
-from .abi import INLINE, PLANT_PARAMETERS, ROUTINE, cube, float64, int64, int_vector, matrix, vector
+from . import qp, simd
+from .abi import INLINE, PLANT_PARAMETERS, ROUTINE, cube, float64, int64, int_matrix, int_vector, matrix, record, vector
 from .dynamics import CUSTOM, INPUTS, PLANT_FUNCTION, STATES
 from .dynamics import derivative as vehicle_derivative
 from .elementary import clip
@@ -93,7 +92,8 @@ LOOP_SETTINGS = (
 STARTED, PREVIOUS, ANGLE, INTEGRAL = 0, 1, 5, 6
 KEY = 8  # speed, Np, Nc, Q, R of what the workspace holds for this lane; NaN: nothing
 FACTOR_STATUS, CONDITION, LOST = 13, 14, 15
-MEMORY = 16
+ACTIVE, KEPT = 16, 17  # active rows of the last solution, and whether their factor still belongs to E
+MEMORY = 18
 
 # -- what a step reports, a row per lane ------------------------------------------------------------------------------
 RECORD = (
@@ -116,6 +116,7 @@ AT_MOVE, AT_ANGLE, AT_OUTPUT = 1, 2, 4
 SIGNALS = ("y_ref", "speed", "mu_fl", "mu_fr", "mu_rl", "mu_rr", "wind_x", "wind_y")
 Y_REF, SPEED, FRICTION, WIND = 0, 1, 2, 6
 
+FOUR_DIMENSIONS = types.Array(types.float64, 4, "C")
 _FIELDS = (
     ("a", matrix),  # (4, 4) A_k
     ("b", vector),  # (4,) B
@@ -124,7 +125,7 @@ _FIELDS = (
     ("moves", matrix),  # (terms, Np) Laguerre functions, shared by all lanes
     ("phi", cube),  # (lanes, terms, Np) Phi L, transposed
     ("hessian", cube),  # (lanes, n, n) E
-    ("factor", types.Array(types.float64, 4, "C")),  # (lanes, 2, n, n) of E
+    ("factor", FOUR_DIMENSIONS),  # (lanes, 2, n, n) of E
     ("rows", cube),  # (lanes or 1, n, m) M, transposed
     ("bounds", vector),  # (m,) gamma
     ("reference", vector),  # (Np,) R_s
@@ -134,24 +135,25 @@ _FIELDS = (
     ("gradient", vector),  # (n,) K
     ("solution", vector),  # (n,)
     ("multipliers", vector),  # (m,)
-    ("qp_work", cube),
+    ("qp_work", FOUR_DIMENSIONS),  # (lanes, ...) kept from one step to the next
+    ("qp_residual", cube),  # scratch of the residuals
     ("qp_rows", matrix),
-    ("qp_index", int_vector),
+    ("qp_index", int_matrix),  # (lanes, ...) likewise
 )
 """The workspace: every array that a step needs, made once for the longest horizons. Row lengths are padded to
 multiples of 8, as the QP routines ask."""
-Workspace: Any = namedtuple("Workspace", [name for name, _ in _FIELDS])
+Workspace = record("Workspace", (name for name, _ in _FIELDS))
 WORKSPACE = types.NamedTuple([kind for _, kind in _FIELDS], Workspace)
 
 
-def workspace(lanes, settings):
+def workspace(lanes: int, settings: Any) -> Any:
     """A workspace for up to `lanes` lanes under MPC_SETTINGS."""
     horizon, moves = int(settings[LONGEST_HORIZON]), int(settings[MOST_MOVES])
     laguerre = settings[LAGUERRE] > 0.5
     limited = settings[OUTPUT_MIN] > -math.inf or settings[OUTPUT_MAX] < math.inf
     columns = (int(settings[TERMS]) if laguerre else moves) + (1 if limited else 0)
     count = 4 * moves + (2 * horizon if limited else 0)
-    np_, n, m = qp.padded(horizon), qp.padded(columns), qp.padded(count)
+    np_, n, m = simd.padded(horizon), simd.padded(columns), simd.padded(count)
     sizes = qp.workspace_sizes(columns, count, hildreth=settings[SOLVER] != ACTIVE_SET)
     ws = Workspace(
         a=np.zeros((4, 4)),
@@ -165,15 +167,16 @@ def workspace(lanes, settings):
         rows=qp.aligned((lanes if limited else 1, columns, m)),
         bounds=qp.aligned((m,)),
         reference=np.zeros(np_),
-        error=np.zeros(np_ + 8),
+        error=np.zeros(np_ + n + 8),
         measured=np.zeros(4),
         change=np.zeros(4),
         gradient=qp.aligned((n,)),
         solution=qp.aligned((n,)),
         multipliers=qp.aligned((m,)),
-        qp_work=qp.aligned(sizes["work"]),
+        qp_work=qp.aligned((lanes, *sizes["work"])),
+        qp_residual=qp.aligned(sizes["work"]),
         qp_rows=qp.aligned(sizes["rows"]),
-        qp_index=np.zeros(sizes["index"], dtype=np.int64),
+        qp_index=np.zeros((lanes, *sizes["index"]), dtype=np.int64),
     )
     if laguerre:
         laguerre_moves(horizon, int(settings[TERMS]), settings[POLE], ws.moves)
@@ -182,7 +185,7 @@ def workspace(lanes, settings):
     return ws
 
 
-def memory(lanes):
+def memory(lanes: int) -> Any:
     """What `lanes` controllers remember before their first step: (lanes, MEMORY)."""
     fresh = np.zeros((lanes, MEMORY))
     fresh[:, KEY] = np.nan
@@ -256,6 +259,7 @@ def form_model(lane, np_, nc, q, r, speed, model, settings, memory, ws):
             rows[columns, i] = 0.0
         output_rows(4 * nc, np_, columns, laguerre, step, phi, rows)
     own[FACTOR_STATUS], own[CONDITION] = qp.factorise(columns + (1 if limited else 0), hessian, ws.factor[lane])
+    own[KEPT] = 0.0
     own[KEY], own[KEY + 1], own[KEY + 2], own[KEY + 3], own[KEY + 4] = speed, np_, nc, q, r
 
 
@@ -268,9 +272,9 @@ def form_qp(lane, speed, reference, tuning, model, settings, memory, record, ws)
 
     Takes x_c from ws.measured. reference: y_ref now and at the instants that follow; R_s holds its values from the
     next instant on with preview (the last one repeated as needed), its present value without. tuning: Np, Nc, Q, R
-    as asked, the horizons rounded and clamped so that 1 <= Nc <= Np <= longest_horizon; model: see `prediction.MODEL_PARAMETERS`; settings: see
-    MPC_SETTINGS. The model, E and its factor are formed again when speed or tuning has changed by even one bit,
-    and not otherwise.
+    as asked, the horizons rounded and clamped so that 1 <= Nc <= Np <= longest_horizon; model: see
+    `prediction.MODEL_PARAMETERS`; settings: see MPC_SETTINGS. The model, E and its factor are formed again when
+    speed or tuning has changed by even one bit, and not otherwise.
     """
     own = memory[lane]
     laguerre = settings[LAGUERRE] > 0.5
@@ -294,9 +298,12 @@ def form_qp(lane, speed, reference, tuning, model, settings, memory, record, ws)
         form_model(lane, np_, nc, q, r, speed, model, settings, memory, ws)
 
     # K, from R_s and x~ = [x_c(k) - x_c(k-1), y]
-    preview = settings[PREVIEW] > 0.5
-    for j in range(np_):
-        ws.reference[j] = reference[min(j + 1, reference.size - 1)] if preview else reference[0]
+    if settings[PREVIEW] > 0.5:
+        for j in range(np_):
+            ws.reference[j] = reference[min(j + 1, reference.size - 1)]
+    else:
+        for b in range(0, np_, simd.LANES):
+            simd.store(ws.reference, b, simd.spread(reference, 0))
     for i in range(4):
         ws.change[i] = ws.measured[i] - own[PREVIOUS + i] if own[STARTED] > 0.5 else 0.0 * ws.measured[i]
     tracking_error(np_, ws.free[lane], ws.change, ws.measured[3], ws.reference, ws.error)
@@ -309,11 +316,13 @@ def form_qp(lane, speed, reference, tuning, model, settings, memory, record, ws)
 
     # gamma of eq. (16)
     angle = own[ANGLE]
-    for i in range(nc):
+    for i in range(2):
         ws.bounds[4 * i] = settings[MOVE_MAX]
         ws.bounds[4 * i + 1] = -settings[MOVE_MIN]
         ws.bounds[4 * i + 2] = settings[ANGLE_MAX] - angle
         ws.bounds[4 * i + 3] = angle - settings[ANGLE_MIN]
+    for b in range(8, 4 * nc, simd.LANES):
+        simd.store(ws.bounds, b, simd.load(ws.bounds, 0))
     if limited:
         for j in range(np_):
             response = ws.reference[j] - ws.error[j]  # F x~
@@ -329,16 +338,20 @@ def solve_qp(lane, n, m, settings, memory, ws):
     hessian, factor, condition = ws.hessian[lane], ws.factor[lane], memory[lane, CONDITION]
     rows = ws.rows[lane if _has_output_limits(settings) else 0]
     status, iterations = qp.CAPPED, 0
+    own, work, index = memory[lane], ws.qp_work[lane], ws.qp_index[lane]
     if solver != ACTIVE_SET:
+        own[ACTIVE] = 0.0
         status, iterations = qp.hildreth(
             n, m, hessian, ws.gradient, rows, ws.bounds, factor, condition, ws.solution, ws.multipliers,
-            ws.qp_work, ws.qp_rows, ws.qp_index, int(settings[MAX_SWEEPS]), settings[TOLERANCE], False,
+            work, ws.qp_rows, index, int(settings[MAX_SWEEPS]), settings[TOLERANCE], False,
         )  # fmt: skip
     if solver == ACTIVE_SET or (solver == HILDRETH_THEN_EXACT and status == qp.CAPPED):
-        status, more = qp.active_set(
+        # The rows that were active a period ago are a good guess, and while E stays so does their factor.
+        status, more, active = qp.active_set(
             n, m, hessian, ws.gradient, rows, ws.bounds, factor, condition, ws.solution, ws.multipliers,
-            ws.qp_work, ws.qp_rows, ws.qp_index, 10 * (n + m),
+            work, ws.qp_rows, index, int(own[ACTIVE]), own[KEPT] > 0.5, 10 * (n + m),
         )  # fmt: skip
+        own[ACTIVE], own[KEPT] = active, 1.0
         iterations += more
     return status, iterations
 
@@ -366,7 +379,7 @@ def apply_move(lane, status, iterations, n, m, settings, memory, record, ws):
     if usable and settings[RESIDUALS] > 0.5:
         stationarity, primal, dual, complementarity = qp.kkt_residual(
             n, m, ws.hessian[lane], ws.gradient, ws.rows[lane if limited else 0], ws.bounds,
-            ws.solution, ws.multipliers, ws.qp_work,
+            ws.solution, ws.multipliers, ws.qp_residual,
         )  # fmt: skip
         out[RESIDUAL] = max(max(stationarity, primal), max(dual, complementarity))
     move = clip(move, settings[MOVE_MIN], settings[MOVE_MAX]) if usable else 0.0
@@ -574,9 +587,11 @@ RESULT = (
     "held",  # steps that held the previous angle
     "limited",  # steps at some limit
     "iterations",  # of the QP solver, summed
+    "stopped",  # 1: the cost reached its ceiling
 )
 (
     SQUARED_ERROR, SQUARED_MOVE, LARGEST_ERROR, INSTANTS, RUN_LOST, CAPPED, FAILED, RUN_HELD, LIMITED, RUN_ITERATIONS,
+    STOPPED,
 ) = range(len(RESULT))  # fmt: skip
 LATERAL_ACCELERATION, STEERING = STATES + len(RECORD), STATES + len(RECORD) + 1
 TRACE = STATES + len(RECORD) + 2
@@ -598,23 +613,23 @@ def place(lanes, start, block, states):
 @njit(
     types.void(
         int64, int64, PLANT_FUNCTION, vector, vector, matrix, matrix, vector, vector, vector,
-        cube, int_vector, matrix, int_vector, matrix, matrix, WORKSPACE, matrix, matrix, cube,
+        cube, int_vector, matrix, int_vector, matrix, matrix, WORKSPACE, matrix, matrix, vector, float64, matrix, cube,
     ),
     **ROUTINE,
 )  # fmt: skip
 def rollout(
     periods, lanes, derivative, p, block, states, plant_work, model, settings, loop,
-    signals, scenario, tuning, seeds, memory, record, ws, start, result, trace,
+    signals, scenario, tuning, seeds, memory, record, ws, seen, start, ceiling, price, result, trace,
 ):  # fmt: skip
     """Whole runs of `lanes` lanes over `periods` control periods; arguments as for `control_period`, and
 
-    start (lanes, 6): see `place`; result (lanes, RESULT) and, when its second dimension is not zero,
-    trace (lanes, periods, TRACE) are written.
+    start (lanes, 6): see `place`; result (lanes, RESULT) and, unless `seen` is empty, trace (lanes, periods, TRACE)
+    are written. A run ends early, as `stopped`, once its cost, the sum over the instants of squared error plus
+    `price` times squared move, has reached ceiling (lanes,) and can only grow.
     """
     place(lanes, start, block, states)
     result[:, :] = 0.0
-    traced = trace.shape[1] > 0
-    seen = np.zeros((lanes if traced else 0, 2))
+    traced = seen.size > 0
     for k in range(periods):
         for i in range(lanes):
             if memory[i, LOST] > 0.5:
@@ -632,7 +647,7 @@ def rollout(
         )  # fmt: skip
         running = 0
         for i in range(lanes):
-            if result[i, RUN_LOST] > 0.5:
+            if result[i, RUN_LOST] > 0.5 or result[i, STOPPED] > 0.5:
                 if traced:
                     trace[i, k, :] = math.nan
                 continue
@@ -647,9 +662,13 @@ def rollout(
                 for j in range(len(RECORD)):
                     trace[i, k, STATES + j] = step[j]
                 trace[i, k, LATERAL_ACCELERATION], trace[i, k, STEERING] = seen[i, 0], seen[i, 1]
-            if memory[i, LOST] > 0.5:
+            if result[i, SQUARED_ERROR] + price * result[i, SQUARED_MOVE] >= ceiling[i]:
+                result[i, STOPPED] = 1.0
+                memory[i, LOST] = 1.0
+            elif memory[i, LOST] > 0.5:
                 result[i, RUN_LOST] = 1.0
                 result[i, SQUARED_ERROR] = math.inf
+            if memory[i, LOST] > 0.5:
                 for j in range(STATES):  # a harmless vehicle rides on in the lane
                     block[j * LANES + i] = 0.0
                 block[3 * LANES + i] = 10.0

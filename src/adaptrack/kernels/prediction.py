@@ -15,6 +15,7 @@ import math
 from numba import njit, types
 
 from .abi import INLINE, ROUTINE, float64, int64, matrix, vector
+from .simd import LANES, add, first_lanes, fma8, load, mul, padded, splat, spread, store, sub, zeros
 
 MODEL_PARAMETERS = ("mass", "yaw_inertia", "lf", "lr", "stiffness_front", "stiffness_rear")
 """The prediction model's packed parameters: kg, kg m^2, m, m, N/rad and N/rad per tyre."""
@@ -150,10 +151,20 @@ def responses(horizon, a, b, free, step):
 
 @njit(types.void(int64, matrix, vector, float64, vector, vector), **ROUTINE)
 def tracking_error(horizon, free, change, output, reference, error):
-    """R_s - F x~: what the reference (horizon,) asks beyond the free response to x~ = [change (4,), output]."""
-    d0, d1, d2, d3 = change[0], change[1], change[2], change[3]
-    for j in range(horizon):
-        error[j] = reference[j] - output - (free[0, j] * d0 + free[1, j] * d1 + free[2, j] * d2 + free[3, j] * d3)
+    """R_s - F x~: what the reference (horizon,) asks beyond the free response to x~ = [change (4,), output].
+
+    Rows are padded to multiples of 8 (see `simd`). Behind the horizon `error` is set to zero, to its end.
+    """
+    d0, d1, d2, d3 = splat(change[0]), splat(change[1]), splat(change[2]), splat(change[3])
+    y = splat(output)
+    for b in range(0, horizon, LANES):
+        response = fma8(load(free, 0, b), d0, y)
+        response = fma8(load(free, 1, b), d1, response)
+        response = fma8(load(free, 2, b), d2, response)
+        response = fma8(load(free, 3, b), d3, response)
+        store(error, b, first_lanes(sub(load(reference, b), response), horizon - b))
+    for b in range(padded(horizon), error.size, LANES):
+        store(error, b, zeros())
 
 
 @njit(types.void(int64, int64, vector, float64, float64, matrix), **ROUTINE)
@@ -183,18 +194,20 @@ def pulse_hessian(horizon, moves, step, q, r, hessian):
 
 @njit(types.void(int64, int64, vector, float64, vector, vector), **ROUTINE)
 def pulse_gradient(horizon, moves, step, q, error, gradient):
-    """K = -2 Phi' Q (R_s - F x~) of eq. (17) for the moves of eq. (10)."""
-    for i in range(moves):
-        gradient[i] = 0.0
-    whole = horizon - moves + 1  # so far every move has a full column
-    for t in range(whole):
-        for i in range(moves):
-            gradient[i] += step[t] * error[t + i]
-    for t in range(whole, horizon):
-        for i in range(horizon - t):
-            gradient[i] += step[t] * error[t + i]
-    for i in range(moves):
-        gradient[i] *= -2.0 * q
+    """K = -2 Phi' Q (R_s - F x~) of eq. (17) for the moves of eq. (10): K_i = -2 Q sum_t step[t] error[t + i].
+
+    `error` is zero behind the horizon, for as many entries as `gradient` is long.
+    """
+    scale = splat(-2.0 * q)
+    for b in range(0, moves, LANES):
+        even = zeros()
+        odd = zeros()
+        for t in range(0, horizon - 1, 2):
+            even = fma8(spread(step, t), load(error, t + b), even)
+            odd = fma8(spread(step, t + 1), load(error, t + 1 + b), odd)
+        if horizon % 2 == 1:
+            even = fma8(spread(step, horizon - 1), load(error, horizon - 1 + b), even)
+        store(gradient, b, mul(scale, add(even, odd)))
 
 
 @njit(types.void(int64, int64, float64, matrix), **ROUTINE)

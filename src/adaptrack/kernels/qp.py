@@ -6,7 +6,7 @@
 |---|---|
 | ``factorise(n, E, factor) -> (status, condition)`` | ``factor[0] = L^-1``, ``factor[1] = E^-1`` (E = L L'); keep both results as long as E stays |
 | ``unconstrained(n, E, K, factor, condition, x, work) -> status`` | x = -E^-1 K, refined |
-| ``active_set(n, m, E, K, Mt, gamma, factor, condition, x, lam, work, rows, index, max_iterations) -> (status, iterations)`` | the exact solution |
+| ``active_set(n, m, E, K, Mt, gamma, factor, condition, x, lam, work, rows, index, guess, kept, max_iterations) -> (status, iterations, active)`` | the exact solution |
 | ``hildreth(n, m, E, K, Mt, gamma, factor, condition, x, lam, work, rows, index, max_sweeps, tolerance, warm) -> (status, sweeps)`` | the paper's procedure |
 | ``kkt_residual(n, m, E, K, Mt, gamma, x, lam, work) -> (stationarity, primal, dual, complementarity)`` | how optimal a pair (x, lam) is |
 
@@ -38,9 +38,7 @@ from typing import Any
 import numpy as np
 from numba import boolean, njit, types
 
-from .abi import INLINE as _INLINE
-from .abi import ROUTINE as _ROUTINE
-from .abi import cube, float64, int64, int_vector, matrix, vector
+from .abi import INLINE, ROUTINE, cube, float64, int64, int_vector, matrix, vector
 from .simd import (
     LANES,
     add,
@@ -69,9 +67,6 @@ from .simd import (
     zeros,
 )
 
-INLINE = {**_INLINE, "_nrt": False}  # nothing is allocated, so no array is counted in and out of each call
-ROUTINE = {**_ROUTINE, "_nrt": False}
-
 SOLVED = 0
 CAPPED = 1
 INFEASIBLE = 2
@@ -89,7 +84,8 @@ CERTIFIED = 1e-8
 CONDITION_LIMIT = 1e15
 """E is called singular beyond this bound on its condition number."""
 VIOLATION = 1e-12
-"""A row is violated when M_j x - gamma_j exceeds this part of |gamma_j| + sum |M_jk x_k|."""
+"""A row is violated when M_j x - gamma_j exceeds this part of |gamma_j| + sum |M_jk x_k| + NOISE |M_j| |x|."""
+NOISE = 1e-2
 DEPENDENT = 1e-12
 """A row depends on the active ones when this part of its length, measured by E^-1, is all that is new."""
 CONTRADICTION = 1e-9
@@ -139,7 +135,7 @@ def factorise(n, E, factor):
     width = padded(n)
     for i in range(n):
         for b in range(0, width, LANES):
-            store(factor, 1, i, b, load(E, i, b))
+            store(factor, 1, i, b, first_lanes(load(E, i, b), n - b))  # so the padding of x is zero
     for k in range(n):
         pivot = factor[1, k, k]
         if not 0.0 < pivot < math.inf:
@@ -203,6 +199,15 @@ def _residual(n, q, E, K, x, work):
 @njit(**INLINE)
 def _magnitude(a):
     return larger(a, sub(zeros(), a))
+
+
+@njit(**INLINE)
+def _size(n, x):
+    """max |x|."""
+    size = zeros()
+    for b in range(0, padded(n), LANES):
+        size = larger(_magnitude(load(x, b)), size)
+    return largest(size)
 
 
 @njit(**INLINE)
@@ -447,14 +452,83 @@ def _worst_multiplier(q, work):
     return place, widest
 
 
+@njit(**INLINE)
+def _adopt(n, guess, m, Mt, gamma, inverse_trace, work, rows, index):
+    """Make the rows ``index[:guess]`` active one after the other, leaving out what is absent or dependent."""
+    width = padded(n)
+    q = 0
+    for i in range(guess):
+        p = index[i]
+        if q == n or not (p < m and gamma[p] < math.inf):
+            continue
+        squares = zeros()
+        for b in range(0, width, LANES):
+            a = column(Mt, n, b, p)
+            store(work, _VECTORS, _A, b, a)
+            squares = fma8(a, a, squares)
+        length = total(squares)
+        _dots(n, _ROTATED, _A, _D, width, work)
+        squares = zeros()
+        for b in range(0, width, LANES):
+            d2 = last_lanes(load(work, _VECTORS, _D, b), q - b)
+            squares = fma8(d2, d2, squares)
+            store(work, _VECTORS, _R, b, _combine(0, q, _D, _INVERSE_R, b, work))
+            store(work, _VECTORS, _Z, b, _combine(q, n, _D, _ROTATED, b, work))
+        square = total(squares)
+        if not square > DEPENDENT * inverse_trace * length:  # a wide margin: this is only a guess
+            continue
+        _activate(n, q, p, gamma[p], square, 0.0, work, index)
+        q += 1
+    return q
+
+
+@njit(**INLINE)
+def _settle(n, q, x, work, rows, index):
+    """x on the active rows and their multipliers, from the unconstrained x; rows that pull the wrong way leave.
+
+    Then (x, u) is optimal for the active rows alone: a point from which the dual method may start.
+    """
+    width = padded(n)
+    for b in range(0, width, LANES):
+        store(work, _VECTORS, _A, b, load(x, b))
+    while q > 0:
+        for b in range(0, width, LANES):
+            store(work, _VECTORS, _STEP, b, load(work, _VECTORS, _A, b))
+        _dots(q, _NORMALS, _STEP, _R, width, work)
+        for b in range(0, width, LANES):
+            gap = sub(load(work, _VECTORS, _GAMMA, b), load(work, _VECTORS, _R, b))
+            store(work, _VECTORS, _R, b, first_lanes(gap, q - b))
+        _dots(q, _INVERSE_R, _R, _Z, width, work)
+        for b in range(0, width, LANES):
+            store(x, b, add(load(work, _VECTORS, _A, b), _combine(0, q, _Z, _ROTATED, b, work)))
+            u = sub(zeros(), _combine(0, q, _Z, _INVERSE_R, b, work))
+            store(work, _VECTORS, _U, b, u)
+        place, _ = _worst_multiplier(q, work)
+        if place < 0:
+            break
+        q = _release(n, q, place, work, rows, index)
+        if q == 0:
+            for b in range(0, width, LANES):
+                store(x, b, load(work, _VECTORS, _A, b))
+    return q
+
+
 @njit(
-    types.UniTuple(int64, 2)(
-        int64, int64, matrix, vector, matrix, vector, cube, float64, vector, vector, cube, matrix, int_vector, int64
+    types.UniTuple(int64, 3)(
+        int64, int64, matrix, vector, matrix, vector, cube, float64, vector, vector, cube, matrix, int_vector, int64,
+        types.boolean, int64,
     ),
     **ROUTINE,
-)
-def active_set(n, m, E, K, Mt, gamma, factor, condition, x, lam, work, rows, index, max_iterations):
-    """The exact solution by the dual active-set method (Goldfarb and Idnani 1983); returns (status, iterations).
+)  # fmt: skip
+def active_set(
+    n, m, E, K, Mt, gamma, factor, condition, x, lam, work, rows, index, guess, kept, max_iterations
+):  # fmt: skip
+    """The exact solution by the dual active-set method (Goldfarb and Idnani 1983); (status, iterations, active rows).
+
+    ``index[:guess]`` names rows that may well be active in the solution (0: none known); the answer does not depend
+    on it. ``kept`` says that they are those which the last call returned, for the same E and M, and that ``work``
+    is as it left it: their factor is then taken over instead of formed again. On return ``index`` begins with the
+    active rows.
 
     From the unconstrained minimiser, the most violated row p is made active along the direction that keeps the
     active rows N active, as far as the multipliers u of those rows stay non-negative; a row whose multiplier
@@ -473,25 +547,41 @@ def active_set(n, m, E, K, Mt, gamma, factor, condition, x, lam, work, rows, ind
     for b in range(0, depth, LANES):
         store(lam, b, zeros())
     if _unconstrained(n, E, K, factor, condition, x, work) != SOLVED:
-        return NON_FINITE, 0
+        return NON_FINITE, 0, 0
     _copy_bounds(m, gamma, rows)
     worst, finite = _gaps(n, m, Mt, rows, x)
     if not finite:
-        return NON_FINITE, 0
+        return NON_FINITE, 0, 0
     if not worst > 0.0:
-        return SOLVED, 0
+        return SOLVED, 0, 0
 
     inverse_trace = 0.0
     for i in range(n):
         inverse_trace += factor[1, i, i]
+    reach = _size(n, x)  # the numbers that cancel in M x are as large as this
+    floor = min(1.0, reach)
+    if kept and guess > 0:
+        q = guess
+        for i in range(q):
+            work[_VECTORS, _GAMMA, i] = gamma[index[i]]
+            kept = kept and gamma[index[i]] < math.inf
+    if not (kept and guess > 0):
+        for i in range(n):
+            for b in range(0, width, LANES):
+                store(work, _ROTATED, i, b, load(factor, 0, i, b))
         for b in range(0, width, LANES):
-            store(work, _ROTATED, i, b, load(factor, 0, i, b))
-    for b in range(0, width, LANES):
-        store(work, _VECTORS, _U, b, zeros())
-
-    q = 0
+            store(work, _VECTORS, _U, b, zeros())
+        q = _adopt(n, guess, m, Mt, gamma, inverse_trace, work, rows, index)
+    if q > 0:
+        q = _settle(n, q, x, work, rows, index)
+        for i in range(q):
+            _set_bound(index[i], math.inf, rows)
+        worst, finite = _gaps(n, m, Mt, rows, x)
+        if not finite:
+            return NON_FINITE, 0, 0
     iterations = 0
-    polished = True
+    polished = q == 0
+    doubtful = False
     rounds = 0
     tolerance = VIOLATION
     while True:
@@ -510,7 +600,7 @@ def active_set(n, m, E, K, Mt, gamma, factor, condition, x, lam, work, rows, ind
                 sizes = add(_magnitude(mul(a, load(x, b))), sizes)
             bound = gamma[row]
             length = total(squares)
-            if worst > tolerance * (abs(bound) + total(sizes)):
+            if worst > tolerance * (abs(bound) + total(sizes) + NOISE * math.sqrt(length) * reach):
                 p = row
                 break
             rows[_SLACK, row] = -math.inf  # satisfied but for rounding
@@ -525,16 +615,22 @@ def active_set(n, m, E, K, Mt, gamma, factor, condition, x, lam, work, rows, ind
             # No violated row: polish, drop the rows that pull the wrong way, look again.
             while True:
                 if not _polish(n, q, E, K, condition, x, work):
-                    return NON_FINITE, iterations
+                    return NON_FINITE, iterations, 0
                 place, gap = _worst_multiplier(q, work)
                 if place < 0 or gap <= 10.0 * tolerance:
                     break
                 q = _release(n, q, place, work, rows, index)
                 iterations += 1
                 if iterations > max_iterations:
-                    return CAPPED, iterations
+                    return CAPPED, iterations, 0
             for i in range(q):
                 work[_VECTORS, _U, i] = max(0.0, work[_VECTORS, _U, i])
+            reach = max(floor, _size(n, x))
+            if doubtful:
+                _copy_bounds(m, gamma, rows)
+                for i in range(q):
+                    _set_bound(index[i], math.inf, rows)
+                doubtful = False
             polished = True
             rounds += 1
             if rounds > 2:
@@ -548,7 +644,7 @@ def active_set(n, m, E, K, Mt, gamma, factor, condition, x, lam, work, rows, ind
         while True:
             iterations += 1
             if iterations > max_iterations:
-                return CAPPED, iterations
+                return CAPPED, iterations, 0
             _dots(n, _ROTATED, _A, _D, width, work)
             squares = zeros()
             ratio = splat(math.inf)
@@ -567,12 +663,13 @@ def active_set(n, m, E, K, Mt, gamma, factor, condition, x, lam, work, rows, ind
             full = math.inf if dependent else worst / square
             if dependent and partial == math.inf:
                 # a = N r with r <= 0: then a'x >= r'gamma_A for every x that satisfies the active rows.
-                scale = abs(bound)
+                scale = abs(bound) + math.sqrt(length) * reach
                 for i in range(q):
                     scale += abs(work[_VECTORS, _R, i] * work[_VECTORS, _GAMMA, i])
                 if worst > CONTRADICTION * scale:
-                    return INFEASIBLE, iterations
-                _set_bound(p, math.inf, rows)
+                    return INFEASIBLE, iterations, 0
+                _set_bound(p, math.inf, rows)  # rounding, or too early to say: look again at the polished x
+                doubtful = True
                 break
             step = min(partial, full)
             backwards = splat(-step)
@@ -596,11 +693,11 @@ def active_set(n, m, E, K, Mt, gamma, factor, condition, x, lam, work, rows, ind
             q = _release(n, q, place, work, rows, index)
         worst, finite = _gaps(n, m, Mt, rows, x)
         if not finite:
-            return NON_FINITE, iterations
+            return NON_FINITE, iterations, 0
 
     for i in range(q):
         lam[index[i]] = work[_VECTORS, _U, i]
-    return SOLVED, iterations
+    return SOLVED, iterations, q
 
 
 @njit(**INLINE)

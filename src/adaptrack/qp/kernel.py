@@ -37,9 +37,9 @@ class Workspace:
 
     def active_set(self, max_iterations: int) -> tuple[QPStatus, int]:
         """Run the exact solver: status and iterations."""
-        status, iterations = kernels.active_set(
+        status, iterations, _ = kernels.active_set(
             self.n, self.m, self.E, self.K, self.Mt, self.gamma, self.factor, self.condition, self.x, self.lam,
-            self.work, self.rows, self.index, max_iterations,
+            self.work, self.rows, self.index, 0, False, max_iterations,
         )  # fmt: skip
         return QPStatus(status), iterations
 

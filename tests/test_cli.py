@@ -1,0 +1,129 @@
+"""The command line: what it prints, where, and how it fails."""
+
+import json
+import subprocess
+import sys
+import tomllib
+
+import pytest
+
+from adaptrack import cli
+
+ROW_KEYS = {
+    "scenario", "controller", "plant", "tyre", "profile", "preview", "seed", "mse", "max_abs_error",
+    "qp_capped", "qp_failed", "step_us_p50", "step_us_p99",
+}  # fmt: skip
+pytestmark = pytest.mark.compiled
+
+
+def run(monkeypatch, capsys, *arguments):
+    """(exit code, standard output, standard error) of one command."""
+    monkeypatch.setattr(sys, "argv", ["adaptrack", *map(str, arguments)])
+    code = cli.main()
+    captured = capsys.readouterr()
+    return code, captured.out, captured.err
+
+
+def test_json_is_one_object_with_a_row_per_controller_and_scenario(monkeypatch, capsys):
+    code, out, _ = run(
+        monkeypatch, capsys, "simulate", "step", "sine", "--controller", "as-written", "--controller", "as-released",
+        "-o", "duration=2.0", "--json",
+    )  # fmt: skip
+    rows = json.loads(out)["rows"]
+    assert code == 0
+    assert [(row["scenario"], row["controller"]) for row in rows] == [
+        ("step", "as-written"), ("step", "as-released"), ("sine", "as-written"), ("sine", "as-released"),
+    ]  # fmt: skip
+    assert all(row.keys() >= ROW_KEYS for row in rows)
+
+
+def test_the_profile_decides_period_and_preview_unless_told_otherwise(monkeypatch, capsys):
+    for arguments, period, preview in (
+        (["--profile", "paper"], 0.1, False),
+        (["--profile", "road"], 0.05, True),
+        (["--profile", "road", "--no-preview", "--period", "0.1"], 0.1, False),
+    ):
+        _, out, _ = run(monkeypatch, capsys, "simulate", "sine", "-o", "duration=1.0", "--json", *arguments)
+        (row,) = json.loads(out)["rows"]
+        assert (row["period"], row["preview"]) == (period, preview)
+
+
+def test_out_holds_the_page_the_pictures_and_the_trajectories(monkeypatch, capsys, tmp_path):
+    out = tmp_path / "a" / "b"
+    code, _, _ = run(monkeypatch, capsys, "simulate", "sine", "-o", "duration=2.0", "--out", out)
+    names = {path.name for path in out.iterdir()}
+    assert code == 0
+    assert {"index.html", "sine-standard.parquet", "sine-tracking.png"} <= names
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["simulate", "triple-lane-chnage"], ["triple-lane-change"]),
+        (["simulate", "step", "--vehicle", "papr"], ["paper"]),
+        (["simulate", "step", "--tyre", "magic"], ["magic-formula"]),
+        (["simulate", "step", "--np", "5", "--nc", "8"], ["Nc = 8", "Np = 5"]),
+        (["simulate", "step", "--r", "0"], ["R = 0.0", "positive"]),
+        (["simulate", "step", "--solver", "hildret"], ["hildreth"]),
+        (["simulate", "step", "--laguerre-pole", "1.5", "--moves", "laguerre"], ["pole"]),
+        (["simulate", "step", "-o", "amplitud=3"], ["amplitude"]),
+        (["simulate", "step", "-o", "amplitude"], ["KEY=VALUE"]),
+        (["simulate", "step", "-o", "friction=80"], ["friction"]),
+        (["simulate", "no-such-file.toml"], ["no-such-file.toml"]),
+    ],
+)
+def test_a_wrong_argument_gives_one_clear_message_and_exit_code_2(monkeypatch, capsys, arguments, words):
+    code, out, err = run(monkeypatch, capsys, *arguments)
+    assert code == 2
+    assert out == ""
+    assert "Traceback" not in err
+    assert all(word in err for word in words)
+
+
+def test_an_unwritable_folder_is_found_before_anything_is_driven(monkeypatch, capsys, tmp_path):
+    (tmp_path / "file").write_text("")
+    code, _, err = run(monkeypatch, capsys, "simulate", "step", "--out", tmp_path / "file" / "folder")
+    assert code == 2
+    assert "cannot be written" in err
+
+
+def test_lists_name_everything_that_can_be_asked_for(monkeypatch, capsys):
+    _, out, _ = run(monkeypatch, capsys, "scenarios", "--json")
+    assert {row["scenario"] for row in json.loads(out)["rows"]} == {
+        "triple-lane-change", "general-trajectory", "step", "lane-change", "double-lane-change", "sine",
+    }  # fmt: skip
+    _, out, _ = run(monkeypatch, capsys, "vehicles", "--json")
+    names = {row["name"] for row in json.loads(out)["rows"]}
+    assert {"paper", "midsize-sedan", "magic-formula", "constant-stiffness", "passenger-car"} <= names
+
+
+def test_a_users_scenario_and_vehicle_files_are_driven(monkeypatch, capsys, tmp_path):
+    from adaptrack import load_scenario, load_vehicle
+
+    load_scenario("sine", duration=2.0).to_toml(tmp_path / "mine.toml")
+    load_vehicle("midsize-sedan").replace(name="mine").to_toml(tmp_path / "car.toml")
+    assert tomllib.loads((tmp_path / "car.toml").read_text())["name"] == "mine"
+    code, out, err = run(
+        monkeypatch, capsys, "simulate", tmp_path / "mine.toml", "--vehicle", tmp_path / "car.toml", "--json"
+    )
+    assert code == 0, err
+    assert json.loads(out)["rows"][0]["vehicle"] == "mine"
+
+
+@pytest.mark.parametrize(
+    ("which", "keys"),
+    [
+        (["step", "--count", "20"], {"step_us_p50", "step_us_p99", "ratio_to_python_daqp", "cpu"}),
+        (["rollout", "--conditions", "2"], {"control_steps_per_s", "ratio_to_python_daqp", "cpu"}),
+    ],
+)
+def test_bench_prints_a_flat_object(monkeypatch, capsys, which, keys):
+    _, out, _ = run(monkeypatch, capsys, "bench", *which, "--json")
+    values = json.loads(out)
+    assert values.keys() >= keys
+    assert not any(isinstance(value, dict | list) for value in values.values())
+
+
+def test_help_and_version_come_from_the_module_run_as_a_program():
+    done = subprocess.run([sys.executable, "-m", "adaptrack", "--version"], capture_output=True, text=True, check=True)
+    assert done.stdout.startswith("adaptrack ")
