@@ -22,14 +22,14 @@ _PUBLIC = {
         "StorageError",
         "UnknownName",
     ),
-    "vehicle": ("Tyre", "Vehicle", "list_tyres", "list_vehicles", "load_tyre", "load_vehicle"),
-    "plant": ("DualTrack", "Plant", "SingleTrack", "check_plant"),
+    "vehicle": ("SteeringActuator", "Tyre", "Vehicle", "list_tyres", "list_vehicles", "load_tyre", "load_vehicle"),
+    "plant": ("DualTrack", "Plant", "Profile", "SingleTrack", "UserPlant", "check_plant"),
     "prediction": ("PredictionModel",),
     "qp": ("QP", "Solution", "check_qp_solver", "get_qp_solver", "list_qp_solvers", "register_qp_solver"),
-    "mpc": ("MPC", "Limits", "Moves", "Tuning"),
+    "mpc": ("MPC", "Condition", "Limits", "Moves", "Tuning"),
     "scenario": ("Scenario", "list_scenarios", "load_scenario"),
     "trajectory": ("Trajectory",),
-    "simulate": ("rollout_batch", "simulate"),
+    "simulate": ("Driver", "rollout", "rollout_batch", "simulate"),
     "metrics": ("Metrics", "compute_metrics"),
 }
 """Module -> the names that the package exposes from it; the imports below repeat it for type checkers."""
@@ -45,14 +45,22 @@ if TYPE_CHECKING:
         UnknownName,
     )
     from adaptrack.metrics import Metrics, compute_metrics
-    from adaptrack.mpc import MPC, Limits, Moves, Tuning
-    from adaptrack.plant import DualTrack, Plant, SingleTrack, check_plant
+    from adaptrack.mpc import MPC, Condition, Limits, Moves, Tuning
+    from adaptrack.plant import DualTrack, Plant, Profile, SingleTrack, UserPlant, check_plant
     from adaptrack.prediction import PredictionModel
     from adaptrack.qp import QP, Solution, check_qp_solver, get_qp_solver, list_qp_solvers, register_qp_solver
     from adaptrack.scenario import Scenario, list_scenarios, load_scenario
-    from adaptrack.simulate import rollout_batch, simulate
+    from adaptrack.simulate import Driver, rollout, rollout_batch, simulate
     from adaptrack.trajectory import Trajectory
-    from adaptrack.vehicle import Tyre, Vehicle, list_tyres, list_vehicles, load_tyre, load_vehicle
+    from adaptrack.vehicle import (
+        SteeringActuator,
+        Tyre,
+        Vehicle,
+        list_tyres,
+        list_vehicles,
+        load_tyre,
+        load_vehicle,
+    )
 
 _HOME = {name: module for module, names in _PUBLIC.items() for name in names}
 
@@ -60,8 +68,10 @@ __all__ = [
     "MPC",
     "QP",
     "AdaptrackError",
+    "Condition",
     "ConfigError",
     "ContractError",
+    "Driver",
     "DualTrack",
     "InvalidInput",
     "Limits",
@@ -70,14 +80,17 @@ __all__ = [
     "Moves",
     "Plant",
     "PredictionModel",
+    "Profile",
     "Scenario",
     "SingleTrack",
     "Solution",
+    "SteeringActuator",
     "StorageError",
     "Trajectory",
     "Tuning",
     "Tyre",
     "UnknownName",
+    "UserPlant",
     "Vehicle",
     "__version__",
     "check_plant",
@@ -92,6 +105,7 @@ __all__ = [
     "load_tyre",
     "load_vehicle",
     "register_qp_solver",
+    "rollout",
     "rollout_batch",
     "simulate",
 ]

@@ -14,8 +14,8 @@ Arrays
 ------
 M is stored transposed: column j of ``Mt`` (n x m) is row j of M. Every array is C-contiguous float64 (``index``:
 int64) and belongs to the caller; nothing is allocated here. Only the leading n (or m) entries count, but the length
-of every row and vector is a multiple of 8 (`padded`). What stands in the padding is never part of a result; it must
-be finite in ``Mt``, and ``lam`` comes back with zeros there. ``gamma[j] = inf`` says that row j is absent.
+of every row and vector is a multiple of 8 (`padded`). What stands in the padding is never part of a result, but it
+must be finite (allocate with `aligned`, or zeros); ``lam`` comes back with zeros there. ``gamma[j] = inf`` says that row j is absent.
 
 ``E (>=n, padded n)  K, x (padded n)  Mt (>=n, padded m)  gamma, lam (padded m)``; ``factor``, ``work``, ``rows`` and
 ``index`` have the shapes that `workspace_sizes` gives. Only ``factor`` (and, for a warm Hildreth, ``lam``) carries
@@ -135,7 +135,7 @@ def factorise(n, E, factor):
     width = padded(n)
     for i in range(n):
         for b in range(0, width, LANES):
-            store(factor, 1, i, b, first_lanes(load(E, i, b), n - b))  # so the padding of x is zero
+            store(factor, 1, i, b, load(E, i, b))
     for k in range(n):
         pivot = factor[1, k, k]
         if not 0.0 < pivot < math.inf:
@@ -234,7 +234,7 @@ def _unconstrained(n, E, K, factor, condition, x, work):
         s = zeros()
         for k in range(n):
             s = fma8(spread(K, k), load(factor, 1, k, b), s)
-        store(work, _VECTORS, _STEP, b, sub(zeros(), s))
+        store(work, _VECTORS, _STEP, b, first_lanes(sub(zeros(), s), n - b))
     moved, size, finite = _advance(n, x, work)
     error = ROUNDING * condition * size
     for _ in range(REFINEMENTS):
@@ -245,7 +245,7 @@ def _unconstrained(n, E, K, factor, condition, x, work):
             s = zeros()
             for k in range(n):
                 s = fma8(spread(work, _VECTORS, _RESIDUAL, k), load(factor, 1, k, b), s)
-            store(work, _VECTORS, _STEP, b, s)
+            store(work, _VECTORS, _STEP, b, first_lanes(s, n - b))
         moved, size, finite = _advance(n, x, work)
         error = ROUNDING * condition * moved
     return SOLVED if finite else NON_FINITE
@@ -266,12 +266,13 @@ def _gaps(n, m, Mt, rows, x):
     worst = splat(-math.inf)
     finite = True
     for b in range(0, padded(m), LANES):
-        s = sub(zeros(), load(rows, _BOUND, b))
+        image = zeros()
         for k in range(n):
-            s = fma8(spread(x, k), load(Mt, k, b), s)
+            image = fma8(spread(x, k), load(Mt, k, b), image)
+        s = sub(image, load(rows, _BOUND, b))
         store(rows, _SLACK, b, s)
         worst = larger(s, worst)
-        finite &= all_below_infinity(s)
+        finite &= all_below_infinity(s) & all_below_infinity(_magnitude(image))
     return largest(worst), finite
 
 
@@ -333,7 +334,7 @@ def _set_bound(j, value, rows):
     store(rows, _BOUND, b, with_lane(load(rows, _BOUND, b), j - b, value))
 
 
-@njit(**INLINE)
+@njit(types.void(int64, int64, int64, float64, float64, float64, cube, int_vector), **ROUTINE)
 def _activate(n, q, p, bound, square, multiplier, work, index):
     """Row p joins the active set. At hand: a, d = T a, z = T2' d2, r = R^-1 d1; ``square`` = d2'd2.
 
@@ -359,7 +360,7 @@ def _activate(n, q, p, bound, square, multiplier, work, index):
     index[q] = p
 
 
-@njit(**INLINE)
+@njit(int64(int64, int64, int64, cube, matrix, int_vector), **ROUTINE)
 def _release(n, q, place, work, rows, index):
     """The active row at ``place`` leaves and the last active row takes its place; returns q - 1.
 
@@ -395,7 +396,7 @@ def _release(n, q, place, work, rows, index):
     return last
 
 
-@njit(**INLINE)
+@njit(boolean(int64, int64, matrix, vector, float64, vector, cube), **ROUTINE)
 def _polish(n, q, E, K, condition, x, work):
     """Newton steps on the equations of the active set, residuals in twice the working precision.
 
@@ -452,7 +453,7 @@ def _worst_multiplier(q, work):
     return place, widest
 
 
-@njit(**INLINE)
+@njit(int64(int64, int64, int64, matrix, vector, float64, cube, matrix, int_vector), **ROUTINE)
 def _adopt(n, guess, m, Mt, gamma, inverse_trace, work, rows, index):
     """Make the rows ``index[:guess]`` active one after the other, leaving out what is absent or dependent."""
     width = padded(n)
@@ -482,7 +483,7 @@ def _adopt(n, guess, m, Mt, gamma, inverse_trace, work, rows, index):
     return q
 
 
-@njit(**INLINE)
+@njit(int64(int64, int64, vector, cube, matrix, int_vector), **ROUTINE)
 def _settle(n, q, x, work, rows, index):
     """x on the active rows and their multipliers, from the unconstrained x; rows that pull the wrong way leave.
 

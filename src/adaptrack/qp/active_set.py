@@ -14,7 +14,7 @@ class ActiveSet(QPSolver):
     """Goldfarb and Idnani's dual active-set method (1983), its result refined in twice the working precision.
 
     ``max_iterations``: changes of the active set, default 1000. The method ends by itself, within a few tens for
-    the controller's problems; the cap is for the unforeseen. A warm start is accepted and not needed.
+    the controller's problems; the cap is for the unforeseen. A warm start begins from its active rows.
     """
 
     name: ClassVar[str] = "active-set"
@@ -31,7 +31,8 @@ class ActiveSet(QPSolver):
         status = self._workspace.load(qp)
         if status is not QPStatus.SOLVED:
             return self._answer(qp, status, None, None, 0)
-        status, iterations = self._workspace.active_set(self.max_iterations)
+        guess = None if warm_start is None or warm_start.lam.shape != (qp.m,) else warm_start.lam
+        status, iterations = self._workspace.active_set(self.max_iterations, guess)
         if status is not QPStatus.SOLVED:
             return self._answer(qp, status, None, None, iterations)
         return self._answer(qp, status, *self._workspace.result(), iterations)

@@ -35,11 +35,16 @@ class Workspace:
         status, self.condition = kernels.factorise(n, self.E, self.factor)
         return QPStatus(status)
 
-    def active_set(self, max_iterations: int) -> tuple[QPStatus, int]:
-        """Run the exact solver: status and iterations."""
+    def active_set(self, max_iterations: int, guess: Array | None = None) -> tuple[QPStatus, int]:
+        """Run the exact solver, from the active rows of the multipliers ``guess`` if given: status and iterations."""
+        known = 0
+        if guess is not None:
+            likely = np.flatnonzero(guess > 0.0)[: self.n]
+            known = len(likely)
+            self.index[:known] = likely
         status, iterations, _ = kernels.active_set(
             self.n, self.m, self.E, self.K, self.Mt, self.gamma, self.factor, self.condition, self.x, self.lam,
-            self.work, self.rows, self.index, 0, False, max_iterations,
+            self.work, self.rows, self.index, known, False, max_iterations,
         )  # fmt: skip
         return QPStatus(status), iterations
 

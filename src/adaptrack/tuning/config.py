@@ -1,0 +1,376 @@
+"""What a campaign is: one validated TOML file; the conditions, the library of tunings and the identity it stands for."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Annotated, Any, Literal, Self
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BeforeValidator, Field, model_validator
+
+from adaptrack.errors import UnknownName, did_you_mean
+from adaptrack.mpc import Tuning
+from adaptrack.plant import PROFILES
+from adaptrack.toml_files import Record, build, read_toml
+from adaptrack.tuning.conditions import Fold, check_box, fold, grid, paper_grid, sobol, unit_sobol
+from adaptrack.tuning.pso import SearchSpace, SwarmSettings
+from adaptrack.vehicle import Tyre, Vehicle, load_tyre, load_vehicle
+
+Array = NDArray[np.float64]
+
+LARGEST_SEED = 2**63 - 1
+STANDARD = tuple(Tuning().as_array().tolist())
+"""The paper's table: Np 35, Nc 8, Q 10, R 0.01."""
+
+_DATA = Path(__file__).parents[1] / "data" / "campaigns"
+
+
+def _tuples(value: Any) -> Any:
+    return tuple(_tuples(each) for each in value) if isinstance(value, list | tuple) else value
+
+
+Pair = Annotated[tuple[float, float], BeforeValidator(_tuples)]
+Levels = Annotated[tuple[float, ...], BeforeValidator(_tuples), Field(min_length=1)]
+Seed = Annotated[int, Field(ge=0, le=LARGEST_SEED)]
+
+
+# -- conditions -------------------------------------------------------------------------------------------------------
+class PaperGrid(Record):
+    """The 6,435 conditions of the authors' published data."""
+
+    kind: Literal["paper-grid"] = "paper-grid"
+
+    def rows(self) -> Array:
+        """The conditions, (n, 4)."""
+        return paper_grid()
+
+
+class Grid(Record):
+    """All combinations of the given levels, see `conditions.grid`."""
+
+    kind: Literal["grid"] = "grid"
+    speed: Levels = Field(description="m/s")
+    y_ref: Levels = Field(description="m")
+    friction: Levels = Field(description="-")
+    wind: Levels = Field(description="m/s")
+
+    @model_validator(mode="after")
+    def _can_be_counted(self) -> Self:
+        self.rows()
+        return self
+
+    def rows(self) -> Array:
+        """The conditions, (n, 4)."""
+        return grid(speed=self.speed, y_ref=self.y_ref, friction=self.friction, wind=self.wind)
+
+
+class Box(Record):
+    """Lowest and highest value of each quantity."""
+
+    speed: Pair = Field(description="m/s")
+    y_ref: Pair = Field(description="m")
+    friction: Pair = Field(description="-")
+    wind: Pair = Field(description="m/s")
+
+    @model_validator(mode="after")
+    def _is_a_box(self) -> Self:
+        check_box(dict(self))
+        return self
+
+
+class Sobol(Record):
+    """Points of a scrambled Sobol sequence in a box, see `conditions.sobol`."""
+
+    kind: Literal["sobol"] = "sobol"
+    n: int = Field(ge=1, le=10_000_000, description="how many conditions")
+    seed: Seed = Field(default=0, description="of the scrambling")
+    box: Box = Field(description="lowest and highest value of each quantity")
+
+    def rows(self) -> Array:
+        """The conditions, (n, 4)."""
+        return sobol(self.n, dict(self.box), self.seed)
+
+
+Conditions = Annotated[PaperGrid | Grid | Sobol, Field(discriminator="kind")]
+
+
+# -- tunings ----------------------------------------------------------------------------------------------------------
+class Search(Record):
+    """Bounds of the tunings; the defaults are those of the authors' programs. Horizons are whole, and Nc <= Np."""
+
+    Np: Annotated[tuple[int, int], BeforeValidator(_tuples)] = Field(default=(1, 55), description="control periods")
+    Nc: Annotated[tuple[int, int], BeforeValidator(_tuples)] = Field(default=(1, 18), description="control periods")
+    Q: Pair = Field(default=(0.1, 10.0), description="1/m^2")
+    R: Pair = Field(default=(0.001, 0.1), description="1/rad^2")
+
+    @model_validator(mode="after")
+    def _holds_a_tuning(self) -> Self:
+        for name, (low, high) in dict(self).items():
+            if not low <= high:
+                raise ValueError(f"{name} = [{low:g}, {high:g}] is empty: need low <= high.")
+            if not (low >= 1 if name in ("Np", "Nc") else low > 0):
+                raise ValueError(f"{name} = [{low:g}, {high:g}]: must be {'>= 1' if name in ('Np', 'Nc') else '> 0'}.")
+        if self.Nc[0] > self.Np[0]:
+            raise ValueError(
+                f"Nc from {self.Nc[0]} and Np from {self.Np[0]}: Nc <= Np cannot hold at the lower bounds; "
+                "raise that of Np or lower that of Nc."
+            )
+        if self.Np[1] > 500 or self.Nc[1] > 100:
+            raise ValueError(f"Np up to {self.Np[1]}, Nc up to {self.Nc[1]}: must not exceed 500 and 100.")
+        return self
+
+    def space(self) -> SearchSpace:
+        """The same for the swarm, whose first draw has Np >= 2 Nc as in the authors' programs."""
+        bounds = [tuple(float(each) for each in pair) for pair in (self.Np, self.Nc, self.Q, self.R)]
+        return SearchSpace(
+            names=("Np", "Nc", "Q", "R"),
+            low=tuple(low for low, _ in bounds),
+            high=tuple(high for _, high in bounds),
+            whole=("Np", "Nc"),
+            ordered=("Nc", "Np"),
+            spread=2.0,
+        )
+
+
+class Library(Record):
+    """The common library: tunings whose cost is found on every condition (the landscape)."""
+
+    size: int = Field(default=200, ge=1, le=10_000, description="how many tunings, the standard one included")
+    seed: Seed = Field(default=0, description="of the scrambled Sobol sequence")
+    tunings: Annotated[tuple[tuple[float, float, float, float], ...], BeforeValidator(_tuples)] = Field(
+        default=(), description="rows of Np, Nc, Q, R: this library, instead of one of the given size"
+    )
+
+    @model_validator(mode="after")
+    def _are_tunings(self) -> Self:
+        for number, (Np, Nc, Q, R) in enumerate(self.tunings):
+            if not (float(Np).is_integer() and float(Nc).is_integer() and 1 <= Nc <= Np and Q > 0 and R > 0):
+                raise ValueError(
+                    f"tunings[{number}] = {[Np, Nc, Q, R]}: need whole numbers 1 <= Nc <= Np, and positive Q and R."
+                )
+        if len(set(self.tunings)) < len(self.tunings):
+            raise ValueError("tunings: one is given twice.")
+        if self.tunings and {"size", "seed"} & self.model_fields_set:
+            raise ValueError("size and seed have no use beside explicit tunings: leave them out.")
+        return self
+
+    def rows(self, search: Search) -> Array:
+        """The tunings, (T, 4) of Np, Nc, Q, R; the first is the paper's table, unless they are explicit."""
+        return np.array(self.tunings) if self.tunings else spread_tunings(self.size, search, self.seed)
+
+
+def spread_tunings(size: int, search: Search, seed: int = 0) -> Array:
+    """`size` tunings that cover a search space evenly, (size, 4) of Np, Nc, Q, R; the first is the paper's table.
+
+    The others are a scrambled Sobol sequence in (Np, Nc, log R/Q). Only R/Q changes the control law, so Q and R of each
+    ratio are put in the middle (of their logarithms) of what the bounds leave, and no tuning is spent on repeating it.
+    """
+    u = unit_sobol(max(size - 1, 1), 3, seed)[: size - 1]
+    Np = search.Np[0] + np.floor(u[:, 0] * (search.Np[1] - search.Np[0] + 1))
+    most = np.minimum(search.Nc[1], Np)
+    Nc = search.Nc[0] + np.floor(u[:, 1] * (most - search.Nc[0] + 1))
+    (q_low, q_high), (r_low, r_high) = np.log(search.Q), np.log(search.R)
+    ratio = (r_low - q_high) + u[:, 2] * ((r_high - q_low) - (r_low - q_high))
+    q = (np.maximum(q_low, r_low - ratio) + np.minimum(q_high, r_high - ratio)) / 2.0
+    return np.vstack([STANDARD, np.column_stack([Np, Nc, np.exp(q), np.exp(q + ratio)])])
+
+
+# -- the file ---------------------------------------------------------------------------------------------------------
+class CampaignConfig(Record):
+    """A campaign: on every condition one particle swarm, and the cost of every tuning of a common library."""
+
+    name: str = Field(
+        pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*$", description="letters, digits, . _ -; the data set is called so"
+    )
+    description: str = Field(default="", description="one sentence for lists")
+    vehicle: str = Field(default="paper", description="name, or .toml file beside this one")
+    plant: Literal["single-track", "dual-track"] = Field(default="dual-track", description="what is driven")
+    tyre: str | None = Field(default=None, description="name, or .toml file beside this one; by default the vehicle's")
+    profile: Literal["paper", "road"] = Field(description="paper: ideal; road: steering lag, noise, delay, preview")
+    scenario: Literal["step", "lane-change"] = Field(
+        description="step: constant reference y_ref and wind; lane-change: smooth, with a gust"
+    )
+    duration: float | None = Field(default=None, gt=0, le=600, description="s; 18 for step, 8 for lane-change")
+    move_price: float | None = Field(
+        default=None, ge=0, le=1e6, description="m^2/rad^2, price of steering activity; by default the profile's"
+    )
+    noise_seeds: Annotated[tuple[Seed, ...], BeforeValidator(_tuples)] | None = Field(
+        default=None, description="each cost is the mean over these; by default [0], with sensor noise [0, 1, 2, 3]"
+    )
+    seed: Seed = Field(default=0, description="of the swarms")
+    mirror: bool | None = Field(
+        default=None, description="compute only one of two left-right twins; by default without sensor noise only"
+    )
+    chunk: int = Field(default=32, ge=1, le=100_000, description="conditions per chunk: what a kill can cost at most")
+    conditions: Conditions = Field(description="where to tune")
+    search: Search = Field(default_factory=Search, description="bounds of the tunings")
+    swarm: SwarmSettings = Field(default_factory=SwarmSettings, description="how a swarm searches")
+    library: Library = Field(default_factory=Library, description="tunings whose cost is found on every condition")
+
+    @model_validator(mode="after")
+    def _fits_together(self) -> Self:
+        if self.noise_seeds is not None:
+            if not self.noise_seeds:
+                raise ValueError("noise_seeds: give one seed at least.")
+            if len(set(self.noise_seeds)) < len(self.noise_seeds):
+                raise ValueError("noise_seeds: one is given twice.")
+            if len(self.noise_seeds) > 1 and not self.noisy:
+                raise ValueError(
+                    f"noise_seeds: profile {self.profile!r} has no noise, so that every seed gives the same; leave them out."
+                )
+        return self
+
+    @property
+    def noisy(self) -> bool:
+        """Whether the profile has sensor noise."""
+        return any(PROFILES[self.profile].noise)
+
+    def settled(self) -> Self:
+        """A copy in which every value that may be left out has been given."""
+        return self.replace(
+            duration=self.duration or {"step": 18.0, "lane-change": 8.0}[self.scenario],
+            move_price=PROFILES[self.profile].move_price if self.move_price is None else self.move_price,
+            noise_seeds=self.noise_seeds or ((0, 1, 2, 3) if self.noisy else (0,)),
+            mirror=not self.noisy if self.mirror is None else self.mirror,
+        )
+
+
+def list_campaigns() -> dict[str, str]:
+    """The campaigns that `load_campaign` knows by name, each with one line of description."""
+    return {path.stem: str(read_toml(path).get("description", "")) for path in sorted(_DATA.glob("*.toml"))}
+
+
+def load_campaign(name_or_path: str | os.PathLike[str]) -> CampaignConfig:
+    """The named campaign, or the one that a TOML file describes (keys: the fields of `CampaignConfig`).
+
+    Text is a path when it ends in ``.toml`` or holds a directory; without the key ``name``, the file's own name is
+    taken. The files of a vehicle and a tyre are looked for beside it.
+
+    Raises
+    ------
+    UnknownName
+        When no campaign has this name.
+    StorageError
+        When the file cannot be read.
+    ConfigError
+        When it is not TOML, or holds an unknown, missing or impossible value; all of them are in the message.
+    """
+    if isinstance(name_or_path, os.PathLike) or _is_path(name_or_path):
+        path = Path(name_or_path)
+    else:
+        known = [each.stem for each in _DATA.glob("*.toml")]
+        if name_or_path not in known:
+            raise UnknownName(
+                f"no campaign is named {name_or_path!r}. {did_you_mean(name_or_path, known)} "
+                "A file is given by its .toml path."
+            )
+        path = _DATA / f"{name_or_path}.toml"
+    data = {"name": path.stem, **read_toml(path)}
+    for key in ("vehicle", "tyre"):
+        if isinstance(data.get(key), str) and _is_path(data[key]):
+            data[key] = str(path.parent / data[key])
+    return build(CampaignConfig, data, path)
+
+
+def _is_path(text: str) -> bool:
+    return text.endswith(".toml") or any(mark in text for mark in (os.sep, os.altsep) if mark)
+
+
+# -- what follows from it ---------------------------------------------------------------------------------------------
+@dataclass(frozen=True)
+class Setup:
+    """Everything that decides the cost of a tuning on a condition: what a worker needs to build the objective."""
+
+    config: CampaignConfig
+    """settled"""
+    vehicle: Vehicle
+    tyre: Tyre
+
+
+@dataclass(frozen=True, eq=False)
+class Plan:
+    """A campaign ready to run: its files read, its conditions and tunings counted.
+
+    Raises
+    ------
+    InvalidInput
+        When a vehicle or tyre does not exist or cannot be read, as `load_vehicle` and `load_tyre` say.
+    """
+
+    setup: Setup
+    conditions: Array
+    """(n, 4)"""
+    fold: Fold
+    """which of them are computed"""
+    library: Array
+    """(T, 4)"""
+
+    @classmethod
+    def of(cls, config: CampaignConfig) -> Self:
+        """The plan of a configuration."""
+        config = config.settled()
+        vehicle = load_vehicle(config.vehicle)
+        tyre = load_tyre(config.tyre or vehicle.tyre)
+        rows = config.conditions.rows()
+        numbers = np.arange(len(rows))
+        twins = fold(rows) if config.mirror else Fold(numbers, numbers, np.ones_like(numbers))
+        return cls(Setup(config, vehicle, tyre), rows, twins, config.library.rows(config.search))
+
+    @property
+    def config(self) -> CampaignConfig:
+        """The settled configuration."""
+        return self.setup.config
+
+    @cached_property
+    def settings(self) -> dict[str, Any]:
+        """The configuration as plain JSON, names of files replaced by what is in them.
+
+        All that the data depend on, and nothing else: no chunk size, no description, no path.
+        """
+        values = self.config.model_dump(mode="json", exclude={"description", "chunk"})
+        values["vehicle"] = self.setup.vehicle.model_dump(mode="json", exclude={"description", "tyre"})
+        values["tyre"] = self.setup.tyre.model_dump(mode="json", exclude={"description"})
+        return _plain(values)
+
+    @cached_property
+    def identity(self) -> str:
+        """SHA-256 of the settings, the conditions and the library: equal for equal data only."""
+        digest = hashlib.sha256(json.dumps(self.settings, sort_keys=True).encode())
+        for array in (self.conditions, self.library):
+            digest.update(np.ascontiguousarray(array, dtype="<f8").tobytes())
+        return digest.hexdigest()
+
+
+def _plain(value: Any) -> Any:
+    """`value` with text for what JSON has no number for, so that any JSON reader can read it."""
+    if isinstance(value, Mapping):
+        return {key: _plain(inner) for key, inner in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(inner) for inner in value]
+    if isinstance(value, float) and not math.isfinite(value):
+        return repr(value)
+    return value
+
+
+def differences(ours: Any, theirs: Any, key: str = "") -> list[str]:
+    """The keys at which two trees of settings differ, each with both values."""
+    if isinstance(ours, Mapping) and isinstance(theirs, Mapping):
+        return [
+            sentence
+            for name in sorted({*ours, *theirs})
+            for sentence in differences(ours.get(name), theirs.get(name), f"{key}.{name}" if key else name)
+        ]
+    return [] if ours == theirs else [f"{key} = {_short(theirs)} there, {_short(ours)} here"]
+
+
+def _short(value: Any) -> str:
+    text = json.dumps(value)
+    return text if len(text) <= 60 else text[:57] + "..."

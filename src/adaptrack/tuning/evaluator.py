@@ -1,0 +1,100 @@
+"""What a campaign tunes: the protocol that it relies on, and the compiled closed loop that keeps it."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from importlib.metadata import version
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from adaptrack.mpc import MPC
+from adaptrack.plant import DualTrack, SingleTrack, load_profile
+from adaptrack.tuning.config import Setup
+from adaptrack.tuning.objective import Objective
+
+Array = NDArray[np.float64]
+
+
+class Tuned(Protocol):
+    """What one swarm found."""
+
+    @property
+    def tuning(self) -> Array:
+        """(4,) Np, Nc, Q, R"""
+
+    @property
+    def cost(self) -> float:
+        """of that tuning, m^2; inf when every one lost the car"""
+
+    @property
+    def trace(self) -> Array:
+        """(generations,) lowest cost up to and including each generation"""
+
+    @property
+    def evaluations(self) -> int:
+        """tunings evaluated"""
+
+    @property
+    def control_steps(self) -> int:
+        """control periods simulated"""
+
+
+class Evaluator(Protocol):
+    """What a campaign asks of the loop that it tunes.
+
+    An answer depends on its arguments only, not on what was asked before; several threads ask at once.
+    """
+
+    def versions(self) -> Mapping[str, str]:
+        """The software on which the last digit of an answer may depend."""
+
+    def tune(self, condition: Array, seed: int, stream: int) -> Tuned:
+        """A whole swarm on one condition (4,); its random numbers depend on seed and stream only."""
+
+    def landscape(self, condition: Array, library: Array) -> Array:
+        """(T,) cost of each tuning of the library (T, 4); inf where the car is lost."""
+
+
+class ClosedLoop:
+    """The compiled closed loop of a setup: its car, its profile, the MPC with free moves, see `Objective`."""
+
+    def __init__(self, setup: Setup) -> None:
+        config = setup.config
+        profile = load_profile(config.profile)
+        plant = {"single-track": SingleTrack, "dual-track": DualTrack}[config.plant]
+        self._swarm, self._space = config.swarm, config.search.space()
+        self.objective = Objective(
+            plant=plant(setup.vehicle, setup.tyre),
+            mpc=MPC(
+                setup.vehicle,
+                period=profile.period,
+                preview=profile.preview,
+                longest_horizon=max(60, config.search.Np[1]),
+                most_moves=max(20, config.search.Nc[1]),
+            ),
+            test=config.scenario,
+            profile=profile,
+            noise_seeds=config.noise_seeds or (0,),
+            move_price=config.move_price,
+            duration=config.duration,
+        )
+
+    def versions(self) -> dict[str, str]:
+        """The kernels' own hash, and the libraries that have a say in the numbers."""
+        from adaptrack.kernels import cache_directory
+
+        interpreted = os.environ.get("NUMBA_DISABLE_JIT", "0") not in ("", "0")
+        return {
+            "kernels": cache_directory().name + (" (interpreted)" if interpreted else ""),
+            "numba": version("numba"),
+            "numpy": version("numpy"),
+        }
+
+    def tune(self, condition: Array, seed: int, stream: int) -> Tuned:
+        return self.objective.tune(condition, self._swarm, seed, stream, self._space)
+
+    def landscape(self, condition: Array, library: Array) -> Array:
+        return self.objective.landscape(condition, library)

@@ -1,0 +1,380 @@
+"""The improved particle swarm of the paper's section III, eqs. (18)-(20), usable on any function.
+
+    best = minimise(function, space, seed=1)          # function: positions (n, dims) -> costs (n,)
+
+or, when the costs come from elsewhere, one generation at a time:
+
+    swarm = Swarm(space, settings, seed=1)
+    while not swarm.done:
+        swarm.tell(evaluate(swarm.ask()))
+
+The algorithm itself stands in `adaptrack.kernels.swarm`; this module gives it validated settings and a state that can
+be put aside and taken up again, to the last bit.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Annotated, Any, Literal, NamedTuple, Self
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from pydantic import BeforeValidator, Field, model_validator
+
+from adaptrack.errors import InvalidInput
+from adaptrack.kernels import swarm as kernel
+from adaptrack.toml_files import Record
+
+Array = NDArray[np.float64]
+
+_LARGEST_SEED = 2**63 - 1
+_LARGEST_WHOLE = 2**53  # every integer up to here is a double
+_CLASSIC_ACCELERATION = 1.49618
+
+
+def _as_tuple(value: Any) -> Any:
+    if isinstance(value, np.ndarray):
+        value = value.tolist()
+    return tuple(value) if isinstance(value, list) else value
+
+
+class SearchSpace(Record):
+    """A box whose dimensions have names; some may hold whole numbers, and two may be ordered.
+
+    A dimension with `low` = `high` is fixed.
+    """
+
+    names: Annotated[tuple[str, ...], BeforeValidator(_as_tuple)] = Field(min_length=1, description="of the dimensions")
+    low: Annotated[tuple[float, ...], BeforeValidator(_as_tuple)] = Field(description="lower bound of each dimension")
+    high: Annotated[tuple[float, ...], BeforeValidator(_as_tuple)] = Field(description="upper bound of each dimension")
+    whole: Annotated[tuple[str, ...], BeforeValidator(_as_tuple)] = Field(
+        default=(), description="names of the dimensions that hold whole numbers"
+    )
+    ordered: Annotated[tuple[str, str] | None, BeforeValidator(_as_tuple)] = Field(
+        default=None, description="names of two dimensions, the first of which is never the larger"
+    )
+    spread: float = Field(
+        default=1.0, ge=1, le=1e6, description="the first draw of the larger is at least this often the smaller"
+    )
+
+    @model_validator(mode="after")
+    def _is_a_space(self) -> Self:
+        if len(set(self.names)) < len(self.names):
+            raise ValueError(f"names = {list(self.names)}: each dimension needs a name of its own.")
+        for key in ("low", "high"):
+            if len(getattr(self, key)) != self.dims:
+                raise ValueError(
+                    f"{key} has {len(getattr(self, key))} values for {self.dims} names: give one for each."
+                )
+        for word in (*self.whole, *(self.ordered or ())):
+            if word not in self.names:
+                raise ValueError(f"{word!r} is not one of the names, {list(self.names)}.")
+        for name, low, high in zip(self.names, self.low, self.high, strict=True):
+            if not low <= high:
+                raise ValueError(f"{name}: low = {low:g} > high = {high:g}: the space is empty.")
+            if not math.isfinite(high - low):
+                raise ValueError(f"{name}: the range from {low:g} to {high:g} is not a finite number.")
+            if name in self.whole and not (low.is_integer() and high.is_integer()):
+                raise ValueError(f"{name}: low = {low:g} and high = {high:g} must be whole numbers, as it is.")
+            if name in self.whole and max(abs(low), abs(high)) > _LARGEST_WHOLE:
+                raise ValueError(f"{name}: whole numbers beyond 2^53 cannot be told apart.")
+        if self.ordered is None:
+            if self.spread != 1.0:
+                raise ValueError(f"spread = {self.spread:g}: say by `ordered` which two dimensions it holds for.")
+            return self
+        smaller, larger = self.ordered
+        i, j = self.names.index(smaller), self.names.index(larger)
+        if i == j or (smaller in self.whole) != (larger in self.whole):
+            raise ValueError(
+                f"ordered = {list(self.ordered)}: give two dimensions, both of whole or both of real numbers."
+            )
+        if self.low[i] > self.low[j]:
+            raise ValueError(
+                f"{smaller} <= {larger} cannot hold where {larger} < {self.low[i]:g}: raise the lower bound of "
+                f"{larger} to that of {smaller}."
+            )
+        if self.spread > 1.0 and self.low[i] < 0.0:
+            raise ValueError(f"spread = {self.spread:g}: needs a lower bound of {smaller} that is not negative.")
+        return self
+
+    @classmethod
+    def tuning(cls) -> Self:
+        """The tunings Np, Nc, Q, R that the paper's swarm searches; the bounds are those of its authors' programs."""
+        return cls(
+            names=("Np", "Nc", "Q", "R"),
+            low=(1.0, 1.0, 0.1, 0.001),
+            high=(55.0, 18.0, 10.0, 0.1),
+            whole=("Np", "Nc"),
+            ordered=("Nc", "Np"),
+            spread=2.0,
+        )
+
+    @property
+    def dims(self) -> int:
+        """How many dimensions."""
+        return len(self.names)
+
+    def packed(self) -> Array:
+        """The space as the kernels take it: (3, dims), rows `adaptrack.kernels.swarm.SPACE`."""
+        return np.array([self.low, self.high, [float(name in self.whole) for name in self.names]], dtype=float)
+
+    def contains(self, x: ArrayLike) -> NDArray[np.bool_]:
+        """Whether each position of x (..., dims) lies in the box, holds whole numbers where asked, and is ordered."""
+        x = np.asarray(x, dtype=float)
+        low, high, whole = self.packed()
+        inside = ((x >= low) & (x <= high) & ((whole < 0.5) | (x == np.round(x)))).all(axis=-1)
+        if self.ordered is not None:
+            smaller, larger = (self.names.index(name) for name in self.ordered)
+            inside &= x[..., smaller] <= x[..., larger]
+        return np.asarray(inside)
+
+
+class SwarmSettings(Record):
+    """How a swarm searches; the defaults are the paper's table.
+
+    "improved": inertia by eq. (19), accelerations by eq. (20). "classic": w, c1 and c2 are constant; their defaults
+    are then the constriction coefficients of Clerc & Kennedy (2002), w = 0.7298, c1 = c2 = 1.49618.
+    """
+
+    particles: int = Field(default=20, ge=1, le=100_000, description="positions evaluated in each generation")
+    generations: int = Field(default=15, ge=1, le=1_000_000, description="the initial draw being the first")
+    kind: Literal["improved", "classic"] = Field(default="improved", description="law of w, c1 and c2")
+    w_max: float = Field(default=0.99, ge=0, le=10, description="eq. (19)")
+    w_min: float = Field(default=0.1, ge=0, le=10, description="eq. (19), the inertia of late generations")
+    lambda1: float = Field(default=30.0, ge=0, le=1e6, description="eq. (19), how fast the inertia falls")
+    lambda2: float = Field(default=3.0, gt=0, le=1e6, description="eq. (19), divides its exponential")
+    w: float = Field(default=0.7298, ge=0, le=10, description="inertia of the classic swarm")
+    c1: float = Field(default=2.0, ge=0, le=10, description="cognitive acceleration, of the improved swarm the first")
+    c2: float = Field(default=2.0, ge=0, le=10, description="social acceleration, of the improved swarm the first")
+    steps: Annotated[tuple[float, float, float, float], BeforeValidator(_as_tuple)] = Field(
+        default=(0.05, 0.02, -0.035, -0.0015), description="eq. (20), alpha in its four ranges of g/G"
+    )
+    velocity_clamp: float = Field(default=0.2, gt=0, le=1, description="largest velocity, as a share of the range")
+
+    @model_validator(mode="before")
+    @classmethod
+    def _classic_accelerations(cls, values: Any) -> Any:
+        if isinstance(values, Mapping) and values.get("kind") == "classic":
+            return {"c1": _CLASSIC_ACCELERATION, "c2": _CLASSIC_ACCELERATION, **values}
+        return values
+
+    @model_validator(mode="after")
+    def _falls(self) -> Self:
+        if self.w_min > self.w_max:
+            raise ValueError(f"w_min = {self.w_min:g} > w_max = {self.w_max:g}: the inertia must not be meant to rise.")
+        return self
+
+    @classmethod
+    def classic(cls, **changes: Any) -> Self:
+        """The classic swarm: constant inertia and accelerations."""
+        return cls(**{"kind": "classic", **changes})
+
+    @property
+    def evaluations(self) -> int:
+        """How many positions a whole run evaluates."""
+        return self.particles * self.generations
+
+    def packed(self, space: SearchSpace) -> Array:
+        """The settings as the kernels take them, in the order of `adaptrack.kernels.swarm.SWARM_SETTINGS`."""
+        smaller, larger = (-1, -1) if space.ordered is None else (space.names.index(name) for name in space.ordered)
+        return np.array(
+            [
+                self.generations, self.kind == "improved", self.w, self.w_max, self.w_min, self.lambda1, self.lambda2,
+                self.c1, self.c2, *self.steps, self.velocity_clamp, smaller, larger, space.spread,
+            ],
+            dtype=float,
+        )  # fmt: skip
+
+    def schedule(self) -> Array:
+        """(generations - 1, 3): w, c1 and c2 of each move; a look at what eqs. (19) and (20) make of the settings.
+
+        The improved swarm's first w multiplies velocities of zero. With many generations the steps of eq. (20), which
+        are per generation, add up: the paper's drive c2 below zero when there are more than 150.
+        """
+        moves, constant = np.empty((self.generations - 1, 3)), self.kind == "classic"
+        c1, c2, steps = self.c1, self.c2, np.array(self.steps)
+        for g in range(self.generations - 1):
+            law = (self.w_max, self.w_min, self.lambda1, self.lambda2)
+            moves[g] = self.w if constant else kernel.inertia(g, self.generations, *law), c1, c2
+            if not constant:
+                c1, c2 = kernel.accelerations(g, self.generations, c1, c2, steps)
+        return moves
+
+
+class Best(NamedTuple):
+    """The best position so far."""
+
+    x: Array
+    """(dims,)"""
+    cost: float
+    """inf before any finite cost was told"""
+
+
+@dataclass(frozen=True, eq=False)
+class Result:
+    """What a finished run found."""
+
+    x: Array
+    """(dims,) best position"""
+    cost: float
+    """its cost; inf when no position had a finite one"""
+    trace: Array
+    """(generations,) lowest cost up to and including each generation"""
+    evaluations: int
+    """positions evaluated"""
+
+
+class Swarm:
+    """A swarm that asks for the costs of one generation after the other.
+
+    space, settings: where and how to search; seed, stream: whole numbers from 0 to 2^63 - 1 that, with the costs,
+    determine every position. Different streams of one seed are independent.
+
+    Only the order of the costs matters, not their size. NaN counts as +inf, and a particle that never had a finite
+    cost is pulled back to where it began.
+
+    Raises
+    ------
+    InvalidInput
+        For a seed or stream that is no such number.
+    """
+
+    def __init__(
+        self, space: SearchSpace, settings: SwarmSettings | None = None, *, seed: int = 0, stream: int = 0
+    ) -> None:
+        self.space = space
+        self.settings = settings or SwarmSettings()
+        self.seed, self.stream = _counter("seed", seed), _counter("stream", stream)
+        self.generation = 0
+        """of the positions that `ask` gives; once done, the number of generations"""
+        self._space, self._settings = space.packed(), self.settings.packed(space)
+        self._swarm = kernel.particles(self.settings.particles, space.dims)
+        self._trace = np.full(self.settings.generations, np.nan)
+        kernel.begin(self.seed, self.stream, self._settings, self._space, self._swarm)
+
+    @property
+    def done(self) -> bool:
+        """Whether all generations have been told."""
+        return self.generation >= self.settings.generations
+
+    @property
+    def best(self) -> Best:
+        """The best position so far and its cost."""
+        return Best(self._swarm.leader.copy(), float(self._swarm.progress[kernel.LEADER_COST]))
+
+    @property
+    def trace(self) -> Array:
+        """(generations told,) lowest cost up to and including each generation."""
+        return self._trace[: self.generation].copy()
+
+    def ask(self) -> Array:
+        """(particles, dims) positions to evaluate; the same ones until their costs are told.
+
+        Raises
+        ------
+        InvalidInput
+            When the swarm is done.
+        """
+        self._refuse_when_done()
+        return np.array(self._swarm.x)
+
+    def tell(self, costs: ArrayLike) -> None:
+        """Take in the costs (particles,) of the positions last asked for, then move on to the next generation.
+
+        Raises
+        ------
+        InvalidInput
+            When the swarm is done, or when `costs` is not one number per particle.
+        """
+        self._refuse_when_done()
+        try:
+            told = np.ascontiguousarray(costs, dtype=float)
+        except (TypeError, ValueError) as error:
+            raise InvalidInput(f"costs are not numbers: {error}.") from None
+        if told.shape != (self.settings.particles,):
+            raise InvalidInput(
+                f"costs have shape {told.shape}: give one number for each of the {self.settings.particles} particles, "
+                f"shape ({self.settings.particles},)."
+            )
+        kernel.learn(told, self._swarm)
+        self._trace[self.generation] = self._swarm.progress[kernel.LEADER_COST]
+        if self.generation < self.settings.generations - 1:
+            kernel.move(self.generation, self.seed, self.stream, self._settings, self._space, self._swarm)
+        self.generation += 1
+
+    def result(self) -> Result:
+        """What has been found so far, usually when done."""
+        return Result(*self.best, self.trace, self.settings.particles * self.generation)
+
+    @property
+    def state(self) -> dict[str, NDArray[Any]]:
+        """Everything that the rest of the run depends on besides the costs, as plain arrays (for `numpy.savez`)."""
+        return {
+            **{name: np.array(array) for name, array in self._swarm._asdict().items()},
+            "trace": self._trace.copy(),
+            "counters": np.array([self.seed, self.stream, self.generation], dtype=np.int64),
+            "space": self._space.copy(),
+            "settings": self._settings.copy(),
+        }
+
+    @classmethod
+    def from_state(cls, space: SearchSpace, settings: SwarmSettings | None, state: Mapping[str, ArrayLike]) -> Self:
+        """The swarm that `state` was taken from; it goes on bit-identically.
+
+        Raises
+        ------
+        InvalidInput
+            When `state` is not that of a swarm with this space and these settings.
+        """
+        counters = np.asarray(state["counters"]) if "counters" in state else np.zeros(0)
+        if counters.shape != (3,) or counters.dtype.kind not in "iu":
+            raise InvalidInput("state: no counters (seed, stream, generation): it is not the state of a swarm.")
+        seed, stream, generation = (int(value) for value in counters)
+        swarm = cls(space, settings, seed=seed, stream=stream)
+        if not 0 <= generation <= swarm.settings.generations:
+            raise InvalidInput(f"state: generation {generation} of {swarm.settings.generations}.")
+        for name, fresh in swarm.state.items():
+            saved = np.asarray(state[name]) if name in state else None
+            if saved is None or saved.shape != fresh.shape or saved.dtype.kind not in "fiu":
+                raise InvalidInput(f"state: {name} must be numbers of shape {fresh.shape} under these settings.")
+            if name in ("space", "settings") and not np.array_equal(saved, fresh):
+                raise InvalidInput(f"state: it was saved under other {name}; give those it was saved under.")
+        for name, array in (*swarm._swarm._asdict().items(), ("trace", swarm._trace)):
+            array[...] = state[name]
+        swarm.generation = generation
+        return swarm
+
+    def _refuse_when_done(self) -> None:
+        if self.done:
+            raise InvalidInput(f"The swarm is done: all {self.settings.generations} generations have been told.")
+
+
+def minimise(
+    function: Callable[[Array], ArrayLike],
+    space: SearchSpace,
+    settings: SwarmSettings | None = None,
+    seed: int = 0,
+    stream: int = 0,
+) -> Result:
+    """The lowest value of `function` in `space` that one swarm finds.
+
+    function: positions (particles, dims) -> costs (particles,), called once per generation; other arguments as for
+    `Swarm`.
+
+    Raises
+    ------
+    InvalidInput
+        When `function` does not give one number per particle, or as for `Swarm`.
+    """
+    swarm = Swarm(space, settings, seed=seed, stream=stream)
+    while not swarm.done:
+        swarm.tell(function(swarm.ask()))
+    return swarm.result()
+
+
+def _counter(name: str, value: int) -> int:
+    if isinstance(value, bool) or not isinstance(value, int | np.integer) or not 0 <= value <= _LARGEST_SEED:
+        raise InvalidInput(f"{name} = {value!r}: must be a whole number from 0 to 2^63 - 1.")
+    return int(value)

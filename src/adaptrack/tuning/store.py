@@ -1,0 +1,389 @@
+"""Files of a campaign: Parquet tables that prove their own content, and the folder that holds them.
+
+Every file appears whole or not at all. Nothing in it depends on the time of day, on how many workers there were, or on
+how often the work was interrupted.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import io
+import json
+import os
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NamedTuple, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from adaptrack.errors import StorageError
+from adaptrack.toml_files import write_atomically
+from adaptrack.tuning import conditions
+from adaptrack.tuning.config import differences
+
+Columns = dict[str, NDArray[Any]]
+
+FORMAT_VERSION = 1
+"""Raised whenever a column or an entry is added, dropped, renamed or changes its unit."""
+
+DATA_SET = "adaptrack data set"
+CHUNK = "adaptrack campaign chunk"
+"""What a Parquet file says that it is."""
+
+
+class Column(NamedTuple):
+    """One column of a table of tuned conditions."""
+
+    name: str
+    unit: str
+    dtype: str
+    meaning: str
+    wide: bool = False
+    """a list of numbers in each row, equally long in all"""
+
+
+COLUMNS = (
+    Column("stream", "-", "int64", "number of the condition; its random numbers depend on seed and stream only"),
+    *(Column(each.name, each.unit, "float64", each.meaning) for each in conditions.COLUMNS),
+    Column("Np", "-", "int64", "prediction horizon of the best tuning found, control periods"),
+    Column("Nc", "-", "int64", "control horizon of the best tuning found, control periods"),
+    Column("Q", "1/m^2", "float64", "weight of the tracking error of the best tuning found"),
+    Column("R", "1/rad^2", "float64", "weight of the moves of the best tuning found"),
+    Column("r_over_q", "m^2/rad^2", "float64", "R/Q, the only part of the two that changes the control law"),
+    Column("cost", "m^2", "float64", "cost of the best tuning found; inf when every one lost the car"),
+    Column("standard_cost", "m^2", "float64", "cost of the paper's tuning, 35/8/10/0.01"),
+    Column("evaluations", "-", "int64", "tunings that the swarm evaluated"),
+    Column("control_steps", "-", "int64", "control periods that the swarm simulated"),
+    Column("seed", "-", "int64", "of the swarm"),
+    Column("mirrored_from", "-", "int64", "stream of the left-right twin that was computed instead; -1: none"),
+    Column("trace", "m^2", "float32", "lowest cost up to and including each generation", wide=True),
+    Column("landscape", "m^2", "float32", "cost of each tuning of the common library", wide=True),
+)
+"""The columns of chunks and of data sets, in the order of their files."""
+
+
+class Damaged(StorageError):
+    """A file that is torn, was edited, or cannot be read as what its name says."""
+
+
+# -- one file ---------------------------------------------------------------------------------------------------------
+def encode(kind: str, columns: Columns, about: Mapping[str, Any]) -> bytes:
+    """A Parquet file (zstd) of the columns in `COLUMNS`; the same content gives the same bytes.
+
+    about: what the file says of itself, plain JSON. A checksum of it and of all numbers goes along.
+    """
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    fields, arrays, floats, others = [], [], [], []
+    for column in COLUMNS:
+        values = np.ascontiguousarray(columns[column.name], dtype=column.dtype)
+        array = pa.array(values.reshape(-1))
+        if column.wide:
+            array = pa.FixedSizeListArray.from_arrays(array, values.shape[1])
+        arrays.append(array)
+        about_column = {"unit": column.unit, "meaning": column.meaning}
+        fields.append(pa.field(column.name, array.type, nullable=False, metadata=about_column))
+        path = f"{column.name}.list.element" if column.wide else column.name
+        (floats if column.wide else others).append(path)
+    text = json.dumps(dict(about), sort_keys=True)
+    schema = pa.schema(
+        fields,
+        metadata={
+            "format": kind,
+            "format_version": str(FORMAT_VERSION),
+            "about": text,
+            "sha256": checksum(columns, text),
+        },
+    )
+    content = io.BytesIO()
+    pq.write_table(
+        pa.Table.from_arrays(arrays, schema=schema),
+        content,
+        compression="zstd",
+        compression_level=12,
+        use_dictionary=others,
+        use_byte_stream_split=floats,
+        write_page_checksum=True,
+    )
+    return content.getvalue()
+
+
+def decode(path: str | os.PathLike[str], kind: str) -> tuple[Columns, dict[str, Any]]:
+    """The columns of a file that `encode` made, and what it says of itself.
+
+    Raises
+    ------
+    StorageError
+        When it cannot be read, is something else, or of another format version.
+    Damaged
+        When it is torn or was edited.
+    """
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    where = os.fspath(path)
+    try:
+        content = Path(path).read_bytes()
+    except OSError as error:
+        raise StorageError(f"{where}: cannot be read: {error.strerror or error}.") from error
+    try:
+        table = pq.ParquetFile(pa.BufferReader(content), page_checksum_verification=True).read()
+    except (pa.ArrowException, OSError) as error:
+        reason = str(error).splitlines()[0].rstrip(".")
+        raise Damaged(f"{where}: not a Parquet file, or damaged: {reason}.") from error
+    stored = {key.decode(): value.decode() for key, value in (table.schema.metadata or {}).items()}
+    if stored.get("format") != kind:
+        what = stored.get("format", "a table of another program")
+        raise StorageError(f"{where}: holds no {kind.removeprefix('adaptrack ')}, but {what}.")
+    if stored.get("format_version") != str(FORMAT_VERSION):
+        raise StorageError(
+            f"{where}: written in format version {stored.get('format_version')}, this adaptrack reads version "
+            f"{FORMAT_VERSION}: run its campaign again, or use the release that wrote it."
+        )
+    try:
+        columns = {column.name: _array(table, column) for column in COLUMNS}
+        about = json.loads(stored["about"])
+    except (KeyError, ValueError) as error:
+        raise Damaged(f"{where}: damaged, or edited by another program: {error}.") from error
+    if checksum(columns, stored["about"]) != stored.get("sha256"):
+        raise Damaged(f"{where}: damaged, or edited by another program: the checksum of its content does not fit.")
+    return columns, about
+
+
+def checksum(columns: Columns, about: str) -> str:
+    """SHA-256 of every number and of `about`."""
+    digest = hashlib.sha256(about.encode())
+    for column in COLUMNS:
+        values = np.ascontiguousarray(columns[column.name], dtype=column.dtype)
+        digest.update(f"{column.name} {column.dtype} {values.shape}".encode())
+        digest.update(values.tobytes())
+    return digest.hexdigest()
+
+
+def _array(table: Any, column: Column) -> NDArray[Any]:
+    if column.name not in table.column_names:
+        raise ValueError(f"there is no column {column.name!r}")
+    values = table.column(column.name).combine_chunks()
+    if values.null_count:
+        raise ValueError(f"column {column.name!r} has missing values")
+    flat = values.flatten() if column.wide else values
+    array = flat.to_numpy(zero_copy_only=False)
+    if array.dtype != np.dtype(column.dtype):
+        raise ValueError(f"column {column.name!r} holds {array.dtype}, not {column.dtype}")
+    return array.reshape(len(values), -1) if column.wide else array
+
+
+# -- the folder -------------------------------------------------------------------------------------------------------
+@dataclass(frozen=True, eq=False)
+class Folder:
+    """The folder of one campaign, held by one process at a time.
+
+    campaign.json: what the campaign is. chunks/: one file per finished chunk. dataset.parquet: the result, after
+    which the chunks are gone. log.jsonl: who computed what and how long it took; it is the only file with times.
+    """
+
+    path: Path
+    identity: str
+    size: int
+    """conditions per chunk"""
+    chunks: int
+    """how many there are in all"""
+
+    @property
+    def dataset(self) -> Path:
+        """The file that a finished campaign leaves."""
+        return self.path / "dataset.parquet"
+
+    @property
+    def _parts(self) -> Path:
+        return self.path / "chunks"
+
+    def chunk(self, number: int) -> Path:
+        """The file of one chunk."""
+        return self._parts / f"{number:05d}.parquet"
+
+    @classmethod
+    @contextlib.contextmanager
+    def opened(cls, path: str | os.PathLike[str], manifest: Mapping[str, Any], resume: bool) -> Iterator[Self]:
+        """Take possession of a folder: a new or an empty one, or (`resume`) one of the same campaign.
+
+        manifest: identity, versions, settings, chunk (conditions per chunk), chunks. A campaign under way keeps its own
+        chunk size.
+
+        Raises
+        ------
+        StorageError
+            When the folder cannot be written to, holds something else, another campaign, or this one by other
+            software, when another process works in it, or when it would have to be resumed.
+        """
+        path = Path(path)
+        try:
+            path.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise StorageError(f"{path}: cannot be made a folder: {error.strerror or error}.") from error
+        with _lock(path):
+            known = path / "campaign.json"
+            if known.exists():
+                there = _read_manifest(known)
+                _compare(path, manifest, there)
+            else:
+                others = sorted(each.name for each in path.iterdir() if not each.name.startswith("."))
+                if others:
+                    raise StorageError(
+                        f"{path}: holds other files ({', '.join(others[:3])}{', ...' if len(others) > 3 else ''}) and no "
+                        "campaign: choose a new or an empty folder."
+                    )
+                there = dict(manifest)
+                write_atomically(known, (json.dumps(there, indent=1) + "\n").encode())
+                resume = True
+            folder = cls(path, str(there["identity"]), int(there["chunk"]), int(there["chunks"]))
+            if not resume:
+                raise StorageError(
+                    f"{path}: holds this campaign already ({folder.state()}): continue it with --resume "
+                    "(resume=True), or choose another folder."
+                )
+            try:
+                folder._parts.mkdir(exist_ok=True)
+                for torn in [*path.glob(".*.tmp"), *folder._parts.glob(".*.tmp")]:  # of a process that was killed
+                    torn.unlink()
+            except OSError as error:
+                raise StorageError(f"{path}: cannot be written to: {error.strerror or error}.") from error
+            yield folder
+
+    def state(self) -> str:
+        """How far the campaign is, in words."""
+        if self.dataset.exists():
+            return "finished"
+        return f"{len(list(self._parts.glob('[0-9]*.parquet')))} of {self.chunks} chunks"
+
+    def has_dataset(self) -> bool:
+        """Whether the result is there, whole; a damaged one is not.
+
+        Raises
+        ------
+        StorageError
+            When it is another campaign's.
+        """
+        return self._verified(self.dataset, DATA_SET) is not None
+
+    def read_chunk(self, number: int) -> Columns | None:
+        """A finished chunk; None when it is missing or damaged and must be computed.
+
+        Raises
+        ------
+        StorageError
+            When the file belongs to another campaign, or to another chunk of this one.
+        """
+        found = self._verified(self.chunk(number), CHUNK)
+        if found is None:
+            return None
+        columns, about = found
+        if about["chunk"] != number:
+            raise StorageError(f"{self.chunk(number)}: is chunk {about['chunk']} under another name: remove it.")
+        return columns
+
+    def _verified(self, file: Path, kind: str) -> tuple[Columns, dict[str, Any]] | None:
+        if not file.exists():
+            return None
+        try:
+            columns, about = decode(file, kind)
+        except Damaged as reason:
+            self.note(damaged=str(reason))
+            return None
+        if about.get("identity") != self.identity:
+            raise StorageError(
+                f"{file}: belongs to another campaign ({about.get('name', 'unknown')!r}, other settings): remove it."
+            )
+        return columns, about
+
+    def write_chunk(self, number: int, columns: Columns, about: Mapping[str, Any]) -> None:
+        """Keep a finished chunk.
+
+        Raises
+        ------
+        StorageError
+            When the file cannot be written; nothing half-written is left.
+        """
+        content = encode(CHUNK, columns, {**about, "identity": self.identity, "chunk": number})
+        write_atomically(self.chunk(number), content)
+
+    def write_dataset(self, columns: Columns, about: Mapping[str, Any]) -> None:
+        """Keep the result, then drop the chunks.
+
+        Raises
+        ------
+        StorageError
+            When the file cannot be written; the chunks are then still there.
+        """
+        write_atomically(self.dataset, encode(DATA_SET, columns, {**about, "identity": self.identity}))
+        self.drop_chunks()
+
+    def drop_chunks(self) -> None:
+        """Remove the chunks, which the result has made superfluous."""
+        with contextlib.suppress(OSError):  # no harm in what remains: the next `resume` tries again
+            for file in self._parts.glob("[0-9]*.parquet"):
+                file.unlink()
+            self._parts.rmdir()
+
+    def note(self, **entry: Any) -> None:
+        """Append a line to log.jsonl; a full disk does not matter here."""
+        with contextlib.suppress(OSError), open(self.path / "log.jsonl", "a", encoding="utf-8") as log:
+            log.write(json.dumps(entry) + "\n")
+
+
+def _read_manifest(path: Path) -> dict[str, Any]:
+    try:
+        manifest = json.loads(path.read_text(encoding="utf-8"))
+        missing = {"format_version", "identity", "chunks", "chunk", "versions", "settings"} - set(manifest)
+    except OSError as error:
+        raise StorageError(f"{path}: cannot be read: {error.strerror or error}.") from error
+    except (ValueError, TypeError):
+        manifest, missing = {}, {"everything"}
+    if missing:
+        raise StorageError(f"{path}: not a campaign's, or damaged: choose another folder, or empty this one.")
+    return manifest
+
+
+def _compare(path: Path, ours: Mapping[str, Any], theirs: Mapping[str, Any]) -> None:
+    """Refuse a folder whose data would not be ours, and say why."""
+    if theirs["format_version"] != ours["format_version"]:
+        raise StorageError(
+            f"{path}: begun in format version {theirs['format_version']}, this adaptrack writes version "
+            f"{ours['format_version']}: choose another folder, or use the release that began it."
+        )
+    software = differences(ours["versions"], theirs["versions"])
+    if software:
+        raise StorageError(
+            f"{path}: begun by other software, whose numbers may differ in their last digits ({'; '.join(software)}): "
+            "choose another folder, or go on with that software."
+        )
+    if theirs["identity"] != ours["identity"]:
+        what = differences(ours["settings"], theirs["settings"]) or ["its conditions or its library differ"]
+        more = f"; and {len(what) - 5} more" if len(what) > 5 else ""
+        raise StorageError(f"{path}: belongs to another campaign ({'; '.join(what[:5])}{more}): choose another folder.")
+
+
+@contextlib.contextmanager
+def _lock(path: Path) -> Iterator[None]:
+    """Hold a folder for this process; the system lets go of it when the process dies, however it dies."""
+    try:
+        import fcntl
+    except ImportError:  # no such locks on this system
+        yield
+        return
+    try:
+        handle = open(path / ".lock", "a")  # noqa: SIM115 (it stays open)
+    except OSError as error:
+        raise StorageError(f"{path}: cannot be written to: {error.strerror or error}.") from error
+    with handle:
+        try:
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise StorageError(f"{path}: another process is at work in it: wait for it, or stop it.") from None
+        except OSError:  # a file system without locks
+            pass
+        yield
