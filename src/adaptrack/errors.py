@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import numbers
 from collections.abc import Iterable
 
 
@@ -35,6 +36,20 @@ class MissingExtra(AdaptrackError, ImportError):
 
 class StorageError(AdaptrackError, OSError):
     """A file that cannot be read or written as asked; nothing half-written is left behind."""
+
+
+def real(where: str, name: str, value: object) -> float:
+    """`value` as a float; `InvalidInput` unless it is a number (truth values and text are none)."""
+    if isinstance(value, bool) or not isinstance(value, numbers.Real):
+        raise InvalidInput(f"{where}: {name} = {value!r}: must be a number.")
+    return float(value)
+
+
+def whole(where: str, name: str, value: object, least: int = 1) -> int:
+    """`value` as an int; `InvalidInput` unless it is a whole number, at least `least`."""
+    if isinstance(value, bool) or not isinstance(value, numbers.Integral) or value < least:
+        raise InvalidInput(f"{where}: {name} = {value!r}: must be a whole number, at least {least}.")
+    return int(value)
 
 
 def did_you_mean(name: str, known: Iterable[str]) -> str:

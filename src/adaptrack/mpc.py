@@ -6,13 +6,14 @@ Its numbers (Np, Nc, Q, R) may change at every step, nothing is rebuilt or alloc
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple, Protocol, Self, runtime_checkable
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from adaptrack.errors import InvalidInput
+from adaptrack.errors import InvalidInput, real, whole
 from adaptrack.prediction import PredictionModel
 from adaptrack.qp import QP, QPSolver, QPStatus, get_qp_solver
 from adaptrack.qp.active_set import ActiveSet
@@ -43,9 +44,9 @@ class Tuning:
 
     def __post_init__(self) -> None:
         for name in ("Np", "Nc"):
-            value = getattr(self, name)
-            if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < 1:
-                raise InvalidInput(f"Tuning: {name} = {value!r}: must be a whole number of periods, at least 1.")
+            object.__setattr__(self, name, whole("Tuning", name, getattr(self, name)))
+        for name in ("Q", "R"):
+            object.__setattr__(self, name, real("Tuning", name, getattr(self, name)))
         if self.Nc > self.Np:
             raise InvalidInput(f"Tuning: Nc = {self.Nc} > Np = {self.Np}: the control horizon must not be longer.")
         if not 0.0 <= self.Q < math.inf:
@@ -80,7 +81,10 @@ class Limits:
 
     def __post_init__(self) -> None:
         for name, unit in (("move", "rad"), ("angle", "rad"), ("output", "m")):
-            low, high = getattr(self, name)
+            pair = getattr(self, name)
+            if not isinstance(pair, Sequence) or isinstance(pair, str) or len(pair) != 2:
+                raise InvalidInput(f"Limits: {name} = {pair!r}: must be a pair (low, high) in {unit}.")
+            low, high = (real("Limits", name, value) for value in pair)
             if not low <= high:
                 raise InvalidInput(f"Limits: {name} = ({low!r}, {high!r}) {unit}: need low <= high, none of them NaN.")
             if name != "output" and not (low <= 0.0 <= high and math.isfinite(low) and math.isfinite(high)):
@@ -88,7 +92,7 @@ class Limits:
                     f"Limits: {name} = ({low!r}, {high!r}) {unit}: must be finite and contain 0, "
                     "or some step has no feasible move."
                 )
-        if not 0.0 < self.output_price < math.inf:
+        if not 0.0 < real("Limits", "output_price", self.output_price) < math.inf:
             raise InvalidInput(f"Limits: output_price = {self.output_price!r}: must be finite and positive.")
 
 
@@ -113,10 +117,9 @@ class Moves:
     def __post_init__(self) -> None:
         if self.kind not in ("pulse", "laguerre"):
             raise InvalidInput(f"Moves: kind = {self.kind!r}: must be 'pulse' or 'laguerre'.")
-        if not 0.0 <= self.pole < 1.0:
+        if not 0.0 <= real("Moves", "pole", self.pole) < 1.0:
             raise InvalidInput(f"Moves: pole = {self.pole!r}: must be in [0, 1).")
-        if self.terms < 1:
-            raise InvalidInput(f"Moves: terms = {self.terms!r}: must be at least 1.")
+        whole("Moves", "terms", self.terms)
 
     @classmethod
     def pulses(cls) -> Self:
@@ -201,18 +204,26 @@ class MPC:
         longest_horizon: int | None = None,
         most_moves: int | None = None,
     ) -> None:
-        self.tuning = tuning or Tuning()
+        self.tuning = Tuning() if tuning is None else tuning
+        if not isinstance(self.tuning, Tuning):
+            raise InvalidInput(f"MPC: tuning = {tuning!r}: must be a Tuning(Np, Nc, Q, R).")
         self.model = PredictionModel(vehicle, period)
         self.limits = limits or Limits()
         self.moves = moves or Moves()
         self.preview = bool(preview)
         self.solver = get_qp_solver(solver) if isinstance(solver, str) else solver
+        if not isinstance(self.solver, QPSolver):
+            raise InvalidInput(f"MPC: solver = {solver!r}: must be the name of a QP solver or a QPSolver.")
+        if scheduler is not None and not callable(scheduler):
+            raise InvalidInput(f"MPC: scheduler = {scheduler!r}: must be callable, condition -> (Np, Nc, Q, R).")
         self.scheduler = scheduler
-        if not 0.0 < speed_floor < math.inf:
+        if not 0.0 < real("MPC", "speed_floor", speed_floor) < math.inf:
             raise InvalidInput(f"speed_floor = {speed_floor!r} m/s: must be positive and finite.")
         self.speed_floor = float(speed_floor)
-        self.longest_horizon = max(60, self.tuning.Np) if longest_horizon is None else longest_horizon
-        self.most_moves = max(20, self.tuning.Nc) if most_moves is None else most_moves
+        longest_horizon = max(60, self.tuning.Np) if longest_horizon is None else longest_horizon
+        most_moves = max(20, self.tuning.Nc) if most_moves is None else most_moves
+        self.longest_horizon = whole("MPC", "longest_horizon", longest_horizon)
+        self.most_moves = whole("MPC", "most_moves", most_moves)
         if self.tuning.Np > self.longest_horizon or self.tuning.Nc > self.most_moves:
             raise InvalidInput(
                 f"Np = {self.tuning.Np}, Nc = {self.tuning.Nc} exceed longest_horizon = {self.longest_horizon} or "
@@ -306,9 +317,7 @@ class MPC:
             When an argument has a wrong shape, or the scheduler has no condition to look at.
         """
         measured = _row(state, 4, "state")
-        ahead = np.ascontiguousarray(reference, dtype=np.float64).reshape(-1)
-        if ahead.size == 0:
-            raise InvalidInput("reference: empty; give at least its present value.")
+        ahead = _ahead(reference)
         if self.scheduler is not None:
             if condition is None:
                 raise InvalidInput("this MPC has a scheduler: step(..., condition=Condition(...)) is needed.")
@@ -326,7 +335,7 @@ class MPC:
     def problem(self, state: ArrayLike, speed: float, reference: ArrayLike) -> QP:
         """The QP that the next `step` would solve with these arguments; the controller stays as it is."""
         self._workspace.measured[:] = _row(state, 4, "state")
-        ahead = np.ascontiguousarray(reference, dtype=np.float64).reshape(-1)
+        ahead = _ahead(reference)
         _, n, m = self._form(float(speed), ahead)
         return self._qp(n, m)
 
@@ -388,12 +397,33 @@ def astuple(tuning: Tuning | tuple[float, float, float, float]) -> tuple[float, 
     """(Np, Nc, Q, R) of what a scheduler returned."""
     if isinstance(tuning, Tuning):
         return float(tuning.Np), float(tuning.Nc), tuning.Q, tuning.R
-    Np, Nc, Q, R = tuning
-    return float(Np), float(Nc), float(Q), float(R)
+    try:
+        Np, Nc, Q, R = tuning
+    except (TypeError, ValueError):
+        raise InvalidInput(f"scheduler: returned {tuning!r}: must be a Tuning or four numbers Np, Nc, Q, R.") from None
+    return (
+        real("scheduler", "Np", Np),
+        real("scheduler", "Nc", Nc),
+        real("scheduler", "Q", Q),
+        real("scheduler", "R", R),
+    )
+
+
+def _ahead(reference: ArrayLike) -> Array:
+    try:
+        ahead = np.ascontiguousarray(reference, dtype=np.float64).reshape(-1)
+    except (TypeError, ValueError):
+        raise InvalidInput(f"reference = {reference!r}: must be numbers (m).") from None
+    if ahead.size == 0:
+        raise InvalidInput("reference: empty; give at least its present value.")
+    return ahead
 
 
 def _row(values: ArrayLike, size: int, name: str) -> Array:
-    array = np.asarray(values, dtype=np.float64)
+    try:
+        array = np.asarray(values, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise InvalidInput(f"{name} = {values!r}: must be {size} numbers.") from None
     if array.shape != (size,):
         raise InvalidInput(f"{name}: shape {array.shape}, expected ({size},).")
     return array

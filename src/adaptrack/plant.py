@@ -15,7 +15,7 @@ from typing import Any, Self, final
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from adaptrack.errors import ContractError, InvalidInput, UnknownName, did_you_mean
+from adaptrack.errors import ContractError, InvalidInput, UnknownName, did_you_mean, real, whole
 from adaptrack.vehicle import SteeringActuator, Tyre, Vehicle, load_tyre, pack_plant
 
 Array = NDArray[np.float64]
@@ -328,8 +328,10 @@ class UserPlant(Plant):
         bad = [f"{key} = {value!r}" for key, value in self.parameters.items() if not math.isfinite(value)]
         if bad:
             raise InvalidInput(f"UserPlant {self.label!r}: parameters must be finite numbers: {', '.join(bad)}.")
-        if self.steps < 1:
-            raise InvalidInput(f"UserPlant {self.label!r}: steps = {self.steps!r}: must be at least 1.")
+        whole(f"UserPlant {self.label!r}", "steps", self.steps)
+        for name, value in self.powertrain.items():
+            if not 0.0 < real(f"UserPlant {self.label!r}", name, value) < math.inf:
+                raise InvalidInput(f"UserPlant {self.label!r}: {name} = {value!r}: must be positive and finite.")
         try:
             compiled = compile_plant(self.right_hand_side)
         except Exception as error:
@@ -338,6 +340,7 @@ class UserPlant(Plant):
                 f"f(x, u, environment, p, dx) on float64 arrays: {error}"
             ) from error
         object.__setattr__(self, "_compiled", compiled)
+        object.__setattr__(self, "_own", np.array(list(self.parameters.values()), dtype=float))
 
     @property
     def name(self) -> str:
@@ -367,7 +370,7 @@ class UserPlant(Plant):
 
     def packed(self) -> Array:
         steering = self.steering or SteeringActuator.ideal()
-        return np.array([*self.parameters.values(), steering.lag, steering.rate, steering.limit], dtype=float)
+        return np.array([*self._own, steering.lag, steering.rate, steering.limit])  # type: ignore[attr-defined]
 
     def with_steering(self, steering: SteeringActuator) -> Self:
         return replace(self, steering=steering)
@@ -378,19 +381,15 @@ class UserPlant(Plant):
     def derivative(self, x: ArrayLike, u: ArrayLike, environment: ArrayLike) -> Array:
         n = len(self.state_names)
         slope = np.full(n, np.nan)
-        self.function(
-            _vector("x", x, n),
-            _vector("u", u, 2),
-            _vector("environment", environment, 6),
-            np.array(list(self.parameters.values()), dtype=float),
-            slope,
-        )
+        # not copies: what the function writes to its arguments must be seen by `check_plant`
+        state, inputs, around = _vector("x", x, n), _vector("u", u, 2), _vector("environment", environment, 6)
+        self.function(state, inputs, around, self._own, slope)  # type: ignore[attr-defined]
         return slope
 
 
 def _vector(name: str, values: ArrayLike, size: int) -> Array:
-    """A fresh C-contiguous float64 copy, which the kernels may be given."""
-    array = np.array(values, dtype=np.float64, order="C")
+    """C-contiguous float64, as the kernels take it; the given array itself where it is that already."""
+    array = np.ascontiguousarray(values, dtype=np.float64)
     if array.shape != (size,):
         raise InvalidInput(f"{name}: shape {array.shape}, expected ({size},).")
     return array
@@ -429,12 +428,13 @@ def check_plant(plant: Plant, speeds: Sequence[float] = (5.0, 15.0, 25.0), symme
         for x, u in ((straight, [0.0, 0.0]), (turning, [0.02, 300.0])):
             given = [np.array(values, dtype=float) for values in (x, u, road)]
             kept = [values.copy() for values in given]
+            parameters = plant.packed()
             slope = plant.derivative(*given)
             if not np.isfinite(slope).all():
                 missing = [name for name, value in zip(plant.state_names, slope, strict=True) if not np.isfinite(value)]
                 fail("every derivative must be written and finite", f"not so for {missing} {here}")
-            if any((a != b).any() for a, b in zip(given, kept, strict=True)):
-                fail("x, u and environment must not be written to", here)
+            if any((a != b).any() for a, b in zip([*given, plant.packed()], [*kept, parameters], strict=True)):
+                fail("x, u, environment and p must not be written to", here)
             if (plant.derivative(*given) != slope).any():
                 fail("the same arguments must give the same derivative", here)
             expected = (

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from adaptrack.errors import InvalidInput
+from adaptrack.errors import InvalidInput, real
 from adaptrack.vehicle import Vehicle
 
 Array = NDArray[np.float64]
@@ -35,7 +35,7 @@ class PredictionModel:
     period: float = 0.1
 
     def __post_init__(self) -> None:
-        if not 0.0 < self.period < np.inf:
+        if not 0.0 < real("PredictionModel", "period", self.period) < np.inf:
             raise InvalidInput(f"period = {self.period!r} s: must be positive and finite.")
 
     def packed(self) -> Array:

@@ -192,7 +192,7 @@ def rollout(
     InvalidInput
         When the MPC needs Python at every step: a scheduler, or a QP back-end outside the kernels.
     """
-    batch = _Batch(plant, mpc, [scenario], profile, driver, lost_beyond)
+    batch = Batch(plant, mpc, [scenario], profile, driver, lost_beyond)
     result, trace = batch.run(np.zeros(1, np.int64), mpc.tuning.as_array()[None], np.array([seed]), 1, traced=True)
     del result
     return _trajectory(
@@ -263,7 +263,7 @@ def rollout_batch(
     InvalidInput
         When shapes do not fit, a tuning is not finite, or the MPC needs Python at every step.
     """
-    batch = _Batch(
+    batch = Batch(
         plant, mpc, [scenarios] if isinstance(scenarios, Scenario) else scenarios, profile, driver, lost_beyond
     )
     asked = np.array(tunings, dtype=np.float64, ndmin=2)
@@ -273,7 +273,10 @@ def rollout_batch(
     index = np.zeros(runs, np.int64) if which is None else np.array(which, dtype=np.int64)
     if index.shape != (runs,) or (runs and not (index.min() >= 0 and index.max() < len(batch.signals))):
         raise InvalidInput(f"which: need {runs} indices into {len(batch.signals)} scenarios.")
-    seeded = np.broadcast_to(np.asarray(seeds, dtype=np.int64), (runs,)).copy()
+    seeded = np.array(seeds, dtype=np.int64)
+    if seeded.shape not in ((), (runs,)):
+        raise InvalidInput(f"seeds: need one, or one for each of the {runs} runs; got shape {seeded.shape}.")
+    seeded = np.broadcast_to(seeded, (runs,)).copy()
     result, _ = batch.run(index, asked, seeded, threads or os.cpu_count() or 1)
 
     from adaptrack.kernels import loop
@@ -293,7 +296,7 @@ def rollout_batch(
     )
 
 
-class _Batch:
+class Batch:
     """The arguments that all runs of a batch share, packed for the kernels."""
 
     def __init__(
@@ -301,9 +304,9 @@ class _Batch:
         plant: Plant,
         mpc: MPC,
         scenarios: Sequence[Scenario],
-        profile: str | Profile,
-        driver: Driver | None,
-        lost_beyond: float,
+        profile: str | Profile = "paper",
+        driver: Driver | None = None,
+        lost_beyond: float = 1000.0,
     ) -> None:
         if mpc.scheduler is not None or not mpc.in_kernel:
             raise InvalidInput(
@@ -329,6 +332,16 @@ class _Batch:
         self.settings = mpc.settings()
         self.model = mpc.model.packed()
         self.packed, self.function = self.plant.packed(), self.plant.function
+
+    def sized(self, longest: float, most: float) -> Array:
+        """The MPC's settings with a workspace no larger than horizons up to these need, and no residuals."""
+        from adaptrack.kernels import loop
+
+        settings = self.settings.copy()
+        settings[loop.RESIDUALS] = 0.0
+        for place, value in ((loop.LONGEST_HORIZON, longest), (loop.MOST_MOVES, most)):
+            settings[place] = min(settings[place], max(1.0, math.floor(value + 0.5)))
+        return settings
 
     def run(
         self, which: NDArray[np.int64], tunings: Array, seeds: NDArray[np.int64], threads: int, traced: bool = False

@@ -60,13 +60,14 @@ def wind_load(yaw, vx, vy, wind_x, wind_y, c):
 
     With the velocity of the vehicle relative to the air, V_rel, and its angle beta: q = rho A V_rel^2/2,
     side force q C_s(beta), yaw moment q L C_ym(beta), both coefficients proportional to beta up to
-    `wind_angle_limit`, constant beyond, and odd: the mirrored wind gives the mirrored load. Drag q C_d along x.
+    `wind_angle_limit`, constant beyond, and odd: the mirrored wind gives the mirrored load. From behind, beta is
+    measured from the tail. Drag q C_d along x.
     """
     s, co = sine(yaw), cosine(yaw)
     ux = vx - (co * wind_x + s * wind_y)
     uy = vy - (co * wind_y - s * wind_x)
     pressure = 0.5 * c.air_density * c.frontal_area * (ux * ux + uy * uy)
-    angle = clip(arctangent_of_ratio(-uy, max(ux, 1e-6)), -c.wind_angle_limit, c.wind_angle_limit)
+    angle = clip(arctangent_of_ratio(-uy, max(abs(ux), 1e-6)), -c.wind_angle_limit, c.wind_angle_limit)
     side = pressure * c.side_force_slope * angle
     moment = pressure * (c.lf + c.lr) * c.yaw_moment_slope * angle
     drag = 0.5 * c.air_density * c.frontal_area * c.drag_coefficient * ux * abs(ux)

@@ -69,11 +69,8 @@ def arctangent(x: float) -> float:
 
 
 @njit(**INLINE)
-def sine(x: float) -> float:
-    """sin(x); the argument is reduced to [-pi/2, pi/2] by the nearest multiple of pi."""
-    k = math.floor(fma(x, _INVERSE_PI, 0.5))
-    y = fma(k, -math.pi, x)
-    y = fma(k, -_PI_LOW, y)
+def _sine_of_reduced(k: float, y: float) -> float:
+    """sin(k pi + y) for a whole k and |y| <= pi/2."""
     odd = k - 2.0 * math.floor(0.5 * k)
     t = y * y
     p = fma(t, _S7, _S6)
@@ -87,9 +84,18 @@ def sine(x: float) -> float:
 
 
 @njit(**INLINE)
+def sine(x: float) -> float:
+    """sin(x); the argument is reduced to [-pi/2, pi/2] by the nearest multiple of pi."""
+    k = math.floor(fma(x, _INVERSE_PI, 0.5))
+    return _sine_of_reduced(k, fma(k, -_PI_LOW, fma(k, -math.pi, x)))
+
+
+@njit(**INLINE)
 def cosine(x: float) -> float:
-    """cos(x)."""
-    return sine(x + _HALF_PI)
+    """cos(x); the argument is reduced by the nearest odd multiple of pi/2."""
+    k = math.floor(x * _INVERSE_PI)
+    half = k + 0.5
+    return -_sine_of_reduced(k, fma(half, -_PI_LOW, fma(half, -math.pi, x)))
 
 
 @njit(**INLINE)

@@ -148,7 +148,8 @@ WORKSPACE = types.NamedTuple([kind for _, kind in _FIELDS], Workspace)
 
 def workspace(lanes: int, settings: Any) -> Any:
     """A workspace for up to `lanes` lanes under MPC_SETTINGS."""
-    horizon, moves = int(settings[LONGEST_HORIZON]), int(settings[MOST_MOVES])
+    horizon = int(settings[LONGEST_HORIZON])
+    moves = min(int(settings[MOST_MOVES]), horizon)
     laguerre = settings[LAGUERRE] > 0.5
     limited = settings[OUTPUT_MIN] > -math.inf or settings[OUTPUT_MAX] < math.inf
     columns = (int(settings[TERMS]) if laguerre else moves) + (1 if limited else 0)

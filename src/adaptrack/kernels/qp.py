@@ -2,20 +2,17 @@
 
     minimise  1/2 x'E x + x'K   subject to   M x <= gamma,      E symmetric positive definite, n x n.
 
-| routine | what it does |
-|---|---|
-| ``factorise(n, E, factor) -> (status, condition)`` | ``factor[0] = L^-1``, ``factor[1] = E^-1`` (E = L L'); keep both results as long as E stays |
-| ``unconstrained(n, E, K, factor, condition, x, work) -> status`` | x = -E^-1 K, refined |
-| ``active_set(n, m, E, K, Mt, gamma, factor, condition, x, lam, work, rows, index, guess, kept, max_iterations) -> (status, iterations, active)`` | the exact solution |
-| ``hildreth(n, m, E, K, Mt, gamma, factor, condition, x, lam, work, rows, index, max_sweeps, tolerance, warm) -> (status, sweeps)`` | the paper's procedure |
-| ``kkt_residual(n, m, E, K, Mt, gamma, x, lam, work) -> (stationarity, primal, dual, complementarity)`` | how optimal a pair (x, lam) is |
+`factorise` (once for as long as E stays), then one of
+`unconstrained`, the minimiser without rows; `active_set`, the exact solution; `hildreth`, the paper's procedure;
+and `kkt_residual`, how optimal a pair (x, lam) is. Each returns a status.
 
 Arrays
 ------
 M is stored transposed: column j of ``Mt`` (n x m) is row j of M. Every array is C-contiguous float64 (``index``:
 int64) and belongs to the caller; nothing is allocated here. Only the leading n (or m) entries count, but the length
 of every row and vector is a multiple of 8 (`padded`). What stands in the padding is never part of a result, but it
-must be finite (allocate with `aligned`, or zeros); ``lam`` comes back with zeros there. ``gamma[j] = inf`` says that row j is absent.
+must be finite (allocate with `aligned`, or zeros); ``lam`` comes back with zeros there. ``gamma[j] = inf`` says that
+row j is absent.
 
 ``E (>=n, padded n)  K, x (padded n)  Mt (>=n, padded m)  gamma, lam (padded m)``; ``factor``, ``work``, ``rows`` and
 ``index`` have the shapes that `workspace_sizes` gives. Only ``factor`` (and, for a warm Hildreth, ``lam``) carries
@@ -25,7 +22,7 @@ Accuracy
 --------
 E may have a condition number up to 1e12 or so: double precision then loses five digits or more in every
 solve. The residual E x + K + M'lam is therefore accumulated in twice the working precision (Dekker 1971; Ogita, Rump
-and Oishi 2005, algorithm 4.3) and x is corrected with it until the correction is below 1e-11: the result is the
+and Oishi 2005, algorithm 4.3) and x is corrected with it until the correction is below 1e-10: the result is the
 solution *for the given float64 data* to nearly full precision. With the compiler switched off the fused multiply-add
 rounds twice, and the accuracy is that of plain double precision.
 """
@@ -78,7 +75,7 @@ HILDRETH_SWEEPS = 38
 HILDRETH_TOLERANCE = 1e-7
 """The authors' procedure stops when a sweep changes the multipliers by less than this, squared and summed."""
 
-CERTIFIED = 1e-8
+CERTIFIED = 1e-9
 """Hildreth's result counts as solved when the rows hold to this part of 1 + |gamma_j|."""
 
 CONDITION_LIMIT = 1e15
@@ -90,7 +87,7 @@ DEPENDENT = 1e-12
 """A row depends on the active ones when this part of its length, measured by E^-1, is all that is new."""
 CONTRADICTION = 1e-9
 """Dependent rows contradict each other when they miss by more than this part of their bounds."""
-CORRECTED = 1e-11
+CORRECTED = 1e-10
 """Refinement stops when the next correction of x would be below this part of max(1, |x|)."""
 REFINEMENTS = 6
 ROUNDING = 2.0**-52
@@ -175,8 +172,17 @@ def factorise(n, E, factor):
 
 
 @njit(**INLINE)
-def _residual(n, q, E, K, x, work):
-    """``work[_VECTORS, _RESIDUAL] = -(K + E x + N u)``, accumulated in twice the working precision."""
+def _residual(n, q, E, K, x, work, exactly):
+    """``work[_VECTORS, _RESIDUAL] = -(K + E x + N u)``; `exactly`: accumulated in twice the working precision."""
+    if not exactly:
+        for b in range(0, padded(n), LANES):
+            s = load(K, b)
+            for k in range(n):
+                s = fma8(spread(x, k), load(E, k, b), s)
+            for k in range(q):
+                s = fma8(spread(work, _VECTORS, _U, k), load(work, _NORMALS, k, b), s)
+            store(work, _VECTORS, _RESIDUAL, b, sub(zeros(), s))
+        return
     for b in range(0, padded(n), LANES):
         high = load(K, b)
         low = zeros()
@@ -240,7 +246,7 @@ def _unconstrained(n, E, K, factor, condition, x, work):
     for _ in range(REFINEMENTS):
         if not error > CORRECTED * max(1.0, size):
             break
-        _residual(n, 0, E, K, x, work)
+        _residual(n, 0, E, K, x, work, True)
         for b in range(0, width, LANES):
             s = zeros()
             for k in range(n):
@@ -334,7 +340,7 @@ def _set_bound(j, value, rows):
     store(rows, _BOUND, b, with_lane(load(rows, _BOUND, b), j - b, value))
 
 
-@njit(types.void(int64, int64, int64, float64, float64, float64, cube, int_vector), **ROUTINE)
+@njit(**INLINE)
 def _activate(n, q, p, bound, square, multiplier, work, index):
     """Row p joins the active set. At hand: a, d = T a, z = T2' d2, r = R^-1 d1; ``square`` = d2'd2.
 
@@ -360,7 +366,7 @@ def _activate(n, q, p, bound, square, multiplier, work, index):
     index[q] = p
 
 
-@njit(int64(int64, int64, int64, cube, matrix, int_vector), **ROUTINE)
+@njit(**INLINE)
 def _release(n, q, place, work, rows, index):
     """The active row at ``place`` leaves and the last active row takes its place; returns q - 1.
 
@@ -396,7 +402,7 @@ def _release(n, q, place, work, rows, index):
     return last
 
 
-@njit(boolean(int64, int64, matrix, vector, float64, vector, cube), **ROUTINE)
+@njit(**INLINE)
 def _polish(n, q, E, K, condition, x, work):
     """Newton steps on the equations of the active set, residuals in twice the working precision.
 
@@ -408,7 +414,7 @@ def _polish(n, q, E, K, condition, x, work):
     width = padded(n)
     finite = True
     for _ in range(REFINEMENTS):
-        _residual(n, q, E, K, x, work)
+        _residual(n, q, E, K, x, work, ROUNDING * condition > CORRECTED)
         for b in range(0, width, LANES):
             store(work, _VECTORS, _STEP, b, load(x, b))
         _dots(q, _NORMALS, _STEP, _R, width, work)
@@ -453,7 +459,7 @@ def _worst_multiplier(q, work):
     return place, widest
 
 
-@njit(int64(int64, int64, int64, matrix, vector, float64, cube, matrix, int_vector), **ROUTINE)
+@njit(**INLINE)
 def _adopt(n, guess, m, Mt, gamma, inverse_trace, work, rows, index):
     """Make the rows ``index[:guess]`` active one after the other, leaving out what is absent or dependent."""
     width = padded(n)
@@ -483,7 +489,7 @@ def _adopt(n, guess, m, Mt, gamma, inverse_trace, work, rows, index):
     return q
 
 
-@njit(int64(int64, int64, vector, cube, matrix, int_vector), **ROUTINE)
+@njit(**INLINE)
 def _settle(n, q, x, work, rows, index):
     """x on the active rows and their multipliers, from the unconstrained x; rows that pull the wrong way leave.
 
@@ -534,8 +540,8 @@ def active_set(
     From the unconstrained minimiser, the most violated row p is made active along the direction that keeps the
     active rows N active, as far as the multipliers u of those rows stay non-negative; a row whose multiplier
     reaches zero leaves. In the coordinates T (T E T' = I, T N = [R; 0], so T T' = E^-1 when q = 0):
-    d = T a, z = T2' d2 (the step of x per unit of multiplier), r = R^-1 d1 (that of -u). T is updated by one Householder
-    reflection per change of the active set, R^-1 explicitly.
+    d = T a, z = T2' d2 (the step of x per unit of multiplier), r = R^-1 d1 (that of -u). T is updated by one
+    Householder reflection per change of the active set, R^-1 explicitly.
     When no row is violated, (x, u) is polished on its active set; rows that then prove violated or superfluous
     are changed, and so on until nothing changes.
 
@@ -814,7 +820,7 @@ def hildreth(n, m, E, K, Mt, gamma, factor, condition, x, lam, work, rows, index
         for i in range(n):
             s = fma8(spread(work, _VECTORS, _D, i), load(factor, 0, i, b), s)
         store(work, _VECTORS, _STEP, b, s)
-    moved, size, finite = _advance(n, x, work)
+    _, _, finite = _advance(n, x, work)
     if not finite:
         return NON_FINITE, sweeps
     if status == SOLVED and not _holds(n, m, Mt, x, lam, rows):

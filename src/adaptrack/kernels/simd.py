@@ -18,13 +18,40 @@ from __future__ import annotations
 
 from typing import Any
 
-import numpy as np
 from llvmlite import ir
 from numba import types
 from numba.core import cgutils
 from numba.core import config as _numba_config
 from numba.core import errors as _numba_errors
 from numba.extending import intrinsic, models, register_jitable, register_model
+
+__all__ = [
+    "LANES",
+    "add",
+    "all_below_infinity",
+    "column",
+    "div",
+    "first_equal",
+    "first_lanes",
+    "fma8",
+    "larger",
+    "largest",
+    "last_lanes",
+    "lesser",
+    "load",
+    "mul",
+    "padded",
+    "smallest",
+    "splat",
+    "spread",
+    "store",
+    "sub",
+    "total",
+    "totals",
+    "where_positive",
+    "with_lane",
+    "zeros",
+]
 
 LANES = 8
 
@@ -36,94 +63,37 @@ def padded(count: int) -> int:
 
 
 if _numba_config.DISABLE_JIT:
-
-    def load(array: Any, *index: int) -> Any:
-        row, at = array[index[:-1]], index[-1]
-        if at + LANES > row.shape[0]:
-            raise IndexError(f"rows must be padded to a multiple of {LANES}")
-        return row[at : at + LANES].copy()
-
-    def store(array: Any, *index_and_value: Any) -> None:
-        *index, value = index_and_value
-        row, at = array[tuple(index[:-1])], index[-1]
-        row[at : at + LANES] = value
-
-    def spread(array: Any, *index: int) -> Any:
-        return np.full(LANES, array[index])
-
-    def splat(value: float) -> Any:
-        return np.full(LANES, value)
-
-    def zeros() -> Any:
-        return np.zeros(LANES)
-
-    def add(a: Any, b: Any) -> Any:
-        return a + b
-
-    def sub(a: Any, b: Any) -> Any:
-        return a - b
-
-    def mul(a: Any, b: Any) -> Any:
-        return a * b
-
-    def fma8(a: Any, b: Any, c: Any) -> Any:
-        return a * b + c
-
-    def lesser(a: Any, b: Any) -> Any:
-        return np.where(a < b, a, b)
-
-    def div(a: Any, b: Any) -> Any:
-        with np.errstate(all="ignore"):
-            return a / b
-
-    def larger(a: Any, b: Any) -> Any:
-        return np.where(a > b, a, b)
-
-    def where_positive(a: Any, b: Any, c: Any) -> Any:
-        return np.where(a > 0.0, b, c)
-
-    def column(array: Any, count: int, first: int, j: int) -> Any:
-        return np.array([array[i, j] if i < count else 0.0 for i in range(first, first + LANES)])
-
-    def totals(a: Any, b: Any, c: Any, d: Any, e: Any, f: Any, g: Any, h: Any) -> Any:
-        stack = np.stack([a, b, c, d, e, f, g, h])
-        pairs = stack[:, 0::2] + stack[:, 1::2]
-        fours = pairs[:, 0::2] + pairs[:, 1::2]
-        return fours[:, 0] + fours[:, 1]
-
-    def total(a: Any) -> float:
-        return float(((a[0] + a[4]) + (a[2] + a[6])) + ((a[1] + a[5]) + (a[3] + a[7])))
-
-    def largest(a: Any) -> float:
-        return float(np.max(a))
-
-    def all_below_infinity(a: Any) -> bool:
-        return bool(np.all(a < np.inf))
-
-    def with_lane(a: Any, lane: int, value: float) -> Any:
-        a = a.copy()
-        if 0 <= lane < LANES:
-            a[lane] = value
-        return a
-
-    def first_lanes(a: Any, count: int) -> Any:
-        return np.where(np.arange(LANES) < count, a, 0.0)
-
-    def smallest(a: Any) -> float:
-        return float(np.min(a))
-
-    def last_lanes(a: Any, start: int) -> Any:
-        return np.where(np.arange(LANES) >= start, a, 0.0)
-
-    def first_equal(a: Any, value: float) -> int:
-        found = np.flatnonzero(a == value)
-        return int(found[0]) if found.size else LANES
+    from ._simd_interpreted import (
+        add,
+        all_below_infinity,
+        column,
+        div,
+        first_equal,
+        first_lanes,
+        fma8,
+        larger,
+        largest,
+        last_lanes,
+        lesser,
+        load,
+        mul,
+        smallest,
+        splat,
+        spread,
+        store,
+        sub,
+        total,
+        totals,
+        where_positive,
+        with_lane,
+        zeros,
+    )
 
 else:
     _VECTOR = ir.VectorType(ir.DoubleType(), LANES)
     _I32 = ir.IntType(32)
 
-    class Lanes(types.Type):
+    class Lanes(types.Type):  # type: ignore[misc]
         """Numba's name for eight float64 values in one register."""
 
         def __init__(self) -> None:
@@ -132,7 +102,7 @@ else:
     lanes = Lanes()
 
     @register_model(Lanes)
-    class _LanesModel(models.PrimitiveModel):
+    class _LanesModel(models.PrimitiveModel):  # type: ignore[misc]
         def __init__(self, dmm: Any, fe_type: Any) -> None:
             super().__init__(dmm, fe_type, _VECTOR)
 
@@ -179,18 +149,16 @@ else:
         return builder.shuffle_vector(one, ir.Constant(_VECTOR, ir.Undefined), mask)
 
     @intrinsic
-    def spread(typingctx, array, *index):  # type: ignore[no-untyped-def]
+    def spread(typingctx, array, *index):
         """The number ``array[..., i, j]`` in every lane (indices are not negative)."""
         index = index[0] if len(index) == 1 and isinstance(index[0], types.BaseTuple) else index
         _check(array, index)
         signature = lanes(array, types.StarArgTuple.from_types(index))
 
-        def codegen(context, builder, signature, args):  # type: ignore[no-untyped-def]
+        def codegen(context, builder, signature, args):
             struct = context.make_array(signature.args[0])(context, builder, args[0])
             indices = cgutils.unpack_tuple(builder, args[1], len(index))
-            where = cgutils.get_item_pointer(
-                context, builder, signature.args[0], struct, indices, wraparound=False
-            )
+            where = cgutils.get_item_pointer(context, builder, signature.args[0], struct, indices, wraparound=False)
             return _splat(builder, builder.load(where))
 
         return signature, codegen
@@ -249,31 +217,31 @@ else:
         return lanes(lanes, lanes), codegen
 
     @intrinsic
-    def lesser(typingctx, a, b):  # type: ignore[no-untyped-def]
+    def lesser(typingctx, a, b):
         """``a if a < b else b``, lane by lane: a NaN in ``a`` is passed over."""
 
-        def codegen(context, builder, signature, args):  # type: ignore[no-untyped-def]
+        def codegen(context, builder, signature, args):
             return builder.select(builder.fcmp_ordered("<", args[0], args[1]), args[0], args[1])
 
         return lanes(lanes, lanes), codegen
 
     @intrinsic
-    def where_positive(typingctx, a, b, c):  # type: ignore[no-untyped-def]
+    def where_positive(typingctx, a, b, c):
         """``b if a > 0 else c``, lane by lane."""
 
-        def codegen(context, builder, signature, args):  # type: ignore[no-untyped-def]
+        def codegen(context, builder, signature, args):
             zero = ir.Constant(_VECTOR, [0.0] * LANES)
             return builder.select(builder.fcmp_ordered(">", args[0], zero), args[1], args[2])
 
         return lanes(lanes, lanes, lanes), codegen
 
     @intrinsic
-    def column(typingctx, array, count, first, j):  # type: ignore[no-untyped-def]
+    def column(typingctx, array, count, first, j):
         """``array[first:first+8, j]``, with zero for the rows from ``count`` on; needs ``first < count``."""
         _check(array, (first, j))
         signature = lanes(array, types.int64, types.int64, types.int64)
 
-        def codegen(context, builder, signature, args):  # type: ignore[no-untyped-def]
+        def codegen(context, builder, signature, args):
             array_type = signature.args[0]
             struct = context.make_array(array_type)(context, builder, args[0])
             last = builder.sub(args[1], ir.Constant(ir.IntType(64), 1))
@@ -281,9 +249,7 @@ else:
             for lane in range(LANES):
                 row = builder.add(args[2], ir.Constant(ir.IntType(64), lane))
                 row = builder.select(builder.icmp_signed("<", row, last), row, last)
-                where = cgutils.get_item_pointer(
-                    context, builder, array_type, struct, [row, args[3]], wraparound=False
-                )
+                where = cgutils.get_item_pointer(context, builder, array_type, struct, [row, args[3]], wraparound=False)
                 value = builder.insert_element(value, builder.load(where), _I32(lane))
             mask = _lane_mask(builder, "<", builder.sub(args[1], args[2]))
             return builder.select(mask, value, ir.Constant(_VECTOR, [0.0] * LANES))
@@ -291,11 +257,11 @@ else:
         return signature, codegen
 
     @intrinsic
-    def totals(typingctx, a, b, c, d, e, f, g, h):  # type: ignore[no-untyped-def]
+    def totals(typingctx, a, b, c, d, e, f, g, h):
         """The eight sums of the lanes of eight values, as one value: neighbours first, then pairs, then fours."""
 
-        def codegen(context, builder, signature, args):  # type: ignore[no-untyped-def]
-            def merge(x, y, low, high):  # type: ignore[no-untyped-def]
+        def codegen(context, builder, signature, args):
+            def merge(x, y, low, high):
                 kind = ir.VectorType(_I32, LANES)
                 return builder.fadd(
                     builder.shuffle_vector(x, y, ir.Constant(kind, low)),
@@ -347,11 +313,11 @@ else:
         return types.float64(lanes), codegen
 
     @intrinsic
-    def smallest(typingctx, a):  # type: ignore[no-untyped-def]
+    def smallest(typingctx, a):
         """The smallest lane."""
 
-        def codegen(context, builder, signature, args):  # type: ignore[no-untyped-def]
-            def combine(x, y):  # type: ignore[no-untyped-def]
+        def codegen(context, builder, signature, args):
+            def combine(x, y):
                 return builder.select(builder.fcmp_ordered("<", x, y), x, y)
 
             return _fold(builder, args[0], combine)
@@ -377,28 +343,28 @@ else:
         return builder.icmp_signed(compare, ir.Constant(wide, list(range(LANES))), counts)
 
     @intrinsic
-    def with_lane(typingctx, a, lane, value):  # type: ignore[no-untyped-def]
+    def with_lane(typingctx, a, lane, value):
         """``a`` with ``value`` in one lane; ``a`` itself when there is no such lane."""
 
-        def codegen(context, builder, signature, args):  # type: ignore[no-untyped-def]
+        def codegen(context, builder, signature, args):
             return builder.select(_lane_mask(builder, "==", args[1]), _splat(builder, args[2]), args[0])
 
         return lanes(lanes, types.int64, types.float64), codegen
 
     @intrinsic
-    def first_lanes(typingctx, a, count):  # type: ignore[no-untyped-def]
+    def first_lanes(typingctx, a, count):
         """``a`` in the first ``count`` lanes (any integer), zero in the others."""
 
-        def codegen(context, builder, signature, args):  # type: ignore[no-untyped-def]
+        def codegen(context, builder, signature, args):
             return builder.select(_lane_mask(builder, "<", args[1]), args[0], ir.Constant(_VECTOR, [0.0] * LANES))
 
         return lanes(lanes, types.int64), codegen
 
     @intrinsic
-    def last_lanes(typingctx, a, start):  # type: ignore[no-untyped-def]
+    def last_lanes(typingctx, a, start):
         """``a`` from lane ``start`` on (any integer), zero before it."""
 
-        def codegen(context, builder, signature, args):  # type: ignore[no-untyped-def]
+        def codegen(context, builder, signature, args):
             return builder.select(_lane_mask(builder, ">=", args[1]), args[0], ir.Constant(_VECTOR, [0.0] * LANES))
 
         return lanes(lanes, types.int64), codegen

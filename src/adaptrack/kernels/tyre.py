@@ -38,14 +38,15 @@ def lateral_force(slip, load, friction, stiffness, c, law):
 
     Linear (the authors' released plant): F = C_alpha mu alpha.
     Magic Formula (Pacejka, eq. 4.E19 without shifts): F = D sin(C atan(B a - E (B a - atan B a))),
-    D = mu F_z (1 - d (q - 1)), B = C_alpha/(C D): the slope at the origin is the cornering stiffness.
+    D = mu F_z (1 - d (q - 1)), B = C_alpha/(C D): the slope at the origin is the cornering stiffness. The load
+    takes at most nine tenths of the friction.
     """
     q = load * (1.0 / c.nominal_load)
     rise = stiffness * (c.stiffness_load_0 + c.stiffness_load_1 * q)
     fall = 1.0 + c.stiffness_load_2 * q * q
     if law == LINEAR:
         return rise / fall * friction * slip
-    peak = friction * load * (1.0 - c.friction_load_sensitivity * (q - 1.0))
+    peak = friction * load * max(1.0 - c.friction_load_sensitivity * (q - 1.0), 0.1)
     # B alpha stays the ratio reach/scale: the arctangent divides once, and nothing else does
     scale = c.shape * max(peak, 1e-3) * fall
     reach = rise * slip

@@ -1,9 +1,9 @@
 """The quadratic programme behind each control step, and the solvers that answer it.
 
-    from adaptrack.qp import QP, get_qp_solver
+from adaptrack.qp import QP, get_qp_solver
 
-    solution = get_qp_solver("active-set").solve(QP(E, K, M, gamma))
-    solution.x, solution.status.sentence, solution.residuals
+solution = get_qp_solver("active-set").solve(QP(E, K, M, gamma))
+solution.x, solution.status.sentence, solution.residuals
 """
 
 from adaptrack.qp.check import check_qp_solver

@@ -21,7 +21,7 @@ class Hildreth(QPSolver):
     ----------
     max_sweeps : sweeps over all rows; 38 in the authors' code
     tolerance : stop when a sweep changes the multipliers by less, squared and summed; 1e-7 in the authors' code
-    on_uncertified : when the result is not certified (cap reached, or rows violated though the multipliers moved little):
+    on_uncertified : when the result is not certified (cap reached, or rows violated though the multipliers rest):
         ``"exact"``: the exact active-set method finishes (the default);
         ``"apply"``: hand the iterate on with the status CAPPED (what the authors' code does, without saying so);
         ``"hold"``: the status CAPPED and x = NaN, so that the controller holds its safe angle.
@@ -32,9 +32,7 @@ class Hildreth(QPSolver):
     name: ClassVar[str] = "hildreth"
     accuracy: ClassVar[float] = 1e-6
 
-    def __init__(
-        self, max_sweeps: int = 38, tolerance: float = 1e-7, on_uncertified: OnUncertified = "exact"
-    ) -> None:
+    def __init__(self, max_sweeps: int = 38, tolerance: float = 1e-7, on_uncertified: OnUncertified = "exact") -> None:
         if not max_sweeps >= 1:
             raise InvalidInput(f"max_sweeps is {max_sweeps}; at least 1 is needed.")
         if not (np.isfinite(tolerance) and tolerance >= 0.0):

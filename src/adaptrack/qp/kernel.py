@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from adaptrack.kernels import qp as kernels
+from adaptrack.kernels.simd import padded
 from adaptrack.qp.problem import QP, Array, QPStatus
 
 
@@ -21,7 +22,7 @@ class Workspace:
         if n > self._n or m > self._m or (hildreth and not self._with_h):
             self._n, self._m, self._with_h = max(n, self._n), max(m, self._m), hildreth or self._with_h
             shapes = kernels.workspace_sizes(self._n, self._m, self._with_h)
-            width, depth = kernels.padded(self._n), kernels.padded(self._m)
+            width, depth = padded(self._n), padded(self._m)
             self.E, self.Mt = kernels.aligned((self._n, width)), kernels.aligned((self._n, depth))
             self.K, self.x = kernels.aligned((width,)), kernels.aligned((width,))
             self.gamma, self.lam = kernels.aligned((depth,)), kernels.aligned((depth,))

@@ -53,7 +53,7 @@ class Osqp(QPSolver):
             )  # fmt: skip
             if warm_start is not None and np.isfinite(warm_start.x).all() and warm_start.x.shape == (qp.n,):
                 problem.warm_start(x=warm_start.x, y=warm_start.lam[rows])
-            result = problem.solve()
+            result = problem.solve(raise_error=False)
         except (ValueError, self._library.OSQPException) as error:
             raise InvalidInput(f"osqp refuses the problem or its settings: {error}") from error
         status = statuses.get(result.info.status_val, QPStatus.CAPPED)

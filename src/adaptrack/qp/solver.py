@@ -37,15 +37,15 @@ class QPSolver(ABC):
     def _answer(
         self, qp: QP, status: QPStatus, x: Array | None, lam: Array | None, iterations: int, message: str = ""
     ) -> Solution:
-        """A `Solution` with its residuals; a "solved" that they contradict becomes CAPPED."""
+        """A `Solution` with its residuals; a "solved" that they contradict becomes CAPPED, with nothing to apply."""
+        residuals = Residuals(*[float("nan")] * 4)
+        if x is not None and lam is not None:
+            residuals = kkt_residuals(qp, x, lam)
+            if status is QPStatus.SOLVED and not residuals.worst <= ACCEPTED:
+                status, x = QPStatus.CAPPED, None
+                message = f"{self.name} reported a solution whose optimality conditions miss by {residuals.worst:.1e}."
         if x is None or lam is None:
             x, lam = np.full(qp.n, np.nan), np.full(qp.m, np.nan)
-            residuals = Residuals(*[float("nan")] * 4)
-        else:
-            residuals = kkt_residuals(qp, x, lam)
-        if status is QPStatus.SOLVED and not residuals.worst <= ACCEPTED:
-            status = QPStatus.CAPPED
-            message = f"{self.name} reported a solution whose optimality conditions miss by {residuals.worst:.1e}."
         return Solution(x, lam, status, residuals, int(iterations), self.name, message or status.sentence)
 
 

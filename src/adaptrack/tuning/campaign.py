@@ -9,6 +9,7 @@ configuration only: not on the number of workers, the order of the chunks, or ho
 
 from __future__ import annotations
 
+import importlib
 import math
 import os
 import socket
@@ -16,7 +17,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import CancelledError, Executor, Future, ThreadPoolExecutor, as_completed
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
@@ -35,6 +36,9 @@ if TYPE_CHECKING:
     from adaptrack.tuning.evaluator import Evaluator, Tuned
 
 Array = NDArray[np.float64]
+
+DASK_TIMEOUT = "10s"
+"""How long a scheduler may take to answer the first time."""
 
 
 def closed_loop(setup: Setup) -> Evaluator:
@@ -98,7 +102,7 @@ def compute(job: Job, streams: NDArray[np.int64], conditions: Array, give_up: th
     worker = f"{socket.gethostname()}:{os.getpid()}:{threading.get_native_id()}"
     here = versions_of(evaluator)
     if here != job.versions:
-        raise ContractError(f"worker {worker} has other software, {here}, than the campaign, {job.versions}: match them.")
+        raise ContractError(f"worker {worker} has other software than the campaign: {here}, not {job.versions}.")
     standard, library = np.array([STANDARD]), job.library
     place = np.flatnonzero((library == standard).all(axis=1))
     asked = library if place.size else np.vstack([library, standard])
@@ -145,7 +149,8 @@ def _checked(tuned: Tuned, costs: Array, size: int, condition: Array) -> tuple[i
         fault = f"a landscape of shape {costs.shape} for {size} tunings, {int(np.isnan(costs).sum())} of them NaN"
     else:
         return int(Np), int(Nc), Q, R
-    raise ContractError(f"the objective answered condition {dict(zip(NAMES, condition.tolist(), strict=True))} with {fault}.")
+    where = dict(zip(NAMES, condition.tolist(), strict=True))
+    raise ContractError(f"the objective answered condition {where} with {fault}.")
 
 
 # -- the whole --------------------------------------------------------------------------------------------------------
@@ -255,13 +260,13 @@ def _pool(workers: int | None, dask: str | None, executor: Executor | None) -> I
         yield _Pool(executor)
     elif dask is not None:
         try:
-            from distributed import Client
+            distributed = importlib.import_module("distributed")
         except ImportError:
             raise MissingExtra(
                 "Dask is not installed; it comes with: python -m pip install 'adaptrack[cluster]'"
             ) from None
         try:
-            client = Client(dask, timeout="10s", set_as_default=False)
+            client = distributed.Client(dask, timeout=DASK_TIMEOUT, set_as_default=False)
         except (OSError, ValueError, TypeError) as error:
             raise InvalidInput(
                 f"dask = {dask!r}: no scheduler answers there ({error}); an address looks like tcp://127.0.0.1:8786."
@@ -333,10 +338,6 @@ class _Session:
             raise StorageError(f"{error} {self._hint()}") from error
         except CancelledError:
             raise CampaignStopped(f"the workers are gone. {self._hint()}") from None
-        except AdaptrackError:
-            raise
-        except Exception as error:
-            raise CampaignStopped(f"a worker failed: {type(error).__name__}: {error}. {self._hint()}") from error
         finally:
             for task in waiting:
                 task.cancel()
@@ -345,8 +346,14 @@ class _Session:
     def _collect(self, waiting: dict[Future[Chunk], int]) -> None:
         """Keep each chunk when it comes; it leaves `waiting` once it is safe."""
         for task in as_completed(list(waiting)):
-            chunk = task.result()
             number = waiting[task]
+            try:
+                chunk = task.result()
+            except (AdaptrackError, CancelledError):
+                raise
+            except Exception as error:
+                reason = f"{type(error).__name__}: {error}".rstrip(".")
+                raise CampaignStopped(f"chunk {number} failed: {reason}. {self._hint()}") from error
             self.folder.write_chunk(number, chunk.columns, self.about)
             del waiting[task]
             self._keep(number, chunk.columns)
@@ -368,10 +375,8 @@ class _Session:
         for task in list(waiting):
             if task.cancel():
                 del waiting[task]
-        try:
+        with suppress(KeyboardInterrupt, CancelledError):  # then their time is lost, no more
             self._collect(waiting)
-        except (KeyboardInterrupt, CancelledError):
-            pass  # their time is lost, no more
         raise CampaignInterrupted(f"interrupted. {self._hint()}") from None
 
     def _hint(self) -> str:
@@ -394,8 +399,8 @@ class _Session:
         if len(generations) > 1:
             raise ContractError(f"the objective's traces differ in length: {sorted(generations)} generations.")
         fold, numbers = self.plan.fold, np.arange(len(self.plan.conditions))
-        columns = {each.name: np.concatenate([part[each.name] for part in parts])[fold.index] for each in COLUMNS}
-        origin = fold.representatives[fold.index]
+        columns = {each.name: np.concatenate([part[each.name] for part in parts])[fold.family] for each in COLUMNS}
+        origin = fold.representatives[fold.family]
         columns |= dict(zip(NAMES, self.plan.conditions.T, strict=True))
         columns |= {"stream": numbers, "mirrored_from": np.where(origin == numbers, -1, origin)}
         settings = self.plan.settings

@@ -184,8 +184,8 @@ class Fold(NamedTuple):
 
     representatives: Whole
     """(m,) numbers of the conditions to compute, ascending"""
-    index: Whole
-    """(n,) condition i is represented by `representatives[index[i]]`"""
+    family: Whole
+    """(n,) condition i is represented by `representatives[family[i]]`"""
     sign: Whole
     """(n,) 1 when it equals its representative, -1 when it is the mirror image"""
 
@@ -193,21 +193,20 @@ class Fold(NamedTuple):
 def fold(conditions: ArrayLike) -> Fold:
     """Find the conditions that are left-right twins (or equal): the first of each family represents it.
 
-    With reps = conditions[representatives]: conditions[i] is reps[index[i]] where sign[i] is 1, and
-    mirrored(reps)[index[i]] where it is -1. Twins are found by equality, bit for bit: in a grid they are as common as
+    With reps = conditions[representatives]: conditions[i] is reps[family[i]] where sign[i] is 1, and
+    mirrored(reps)[family[i]] where it is -1. Twins are found by equality, bit for bit: in a grid they are as common as
     its levels are symmetric (2,860 of the paper's 6,435 conditions have one), in a Sobol sample there are none.
     """
     rows = check_conditions(conditions)
     images = mirrored(rows)
-    canonical = _canonical(rows, images)
-    _, first, family = np.unique(canonical, axis=0, return_index=True, return_inverse=True)
+    _, first, by_value = np.unique(_canonical(rows, images), axis=0, return_index=True, return_inverse=True)
     # np.unique numbers families by their values; we number them by their first member.
     order = np.argsort(first)
     rank = np.empty_like(order)
     rank[order] = np.arange(len(order))
-    representatives, index = first[order], rank[family.reshape(-1)]
-    same = (rows == rows[representatives[index]]).all(axis=1)
-    return Fold(representatives.astype(np.int64), index.astype(np.int64), np.where(same, 1, -1).astype(np.int64))
+    representatives, family = first[order], rank[by_value.reshape(-1)]
+    same = (rows == rows[representatives[family]]).all(axis=1)
+    return Fold(representatives.astype(np.int64), family.astype(np.int64), np.where(same, 1, -1).astype(np.int64))
 
 
 def canonical(conditions: ArrayLike) -> Array:

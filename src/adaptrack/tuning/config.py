@@ -1,4 +1,4 @@
-"""What a campaign is: one validated TOML file; the conditions, the library of tunings and the identity it stands for."""
+"""What a campaign is: one validated TOML file, the conditions and the library of tunings that it stands for."""
 
 from __future__ import annotations
 
@@ -224,7 +224,7 @@ class CampaignConfig(Record):
                 raise ValueError("noise_seeds: one is given twice.")
             if len(self.noise_seeds) > 1 and not self.noisy:
                 raise ValueError(
-                    f"noise_seeds: profile {self.profile!r} has no noise, so that every seed gives the same; leave them out."
+                    f"noise_seeds: profile {self.profile!r} has no noise, every seed gives the same; leave them out."
                 )
         return self
 

@@ -94,7 +94,7 @@ class ClosedLoop:
         }
 
     def tune(self, condition: Array, seed: int, stream: int) -> Tuned:
-        return self.objective.tune(condition, self._swarm, seed, stream, self._space)
+        return self.objective.tune(condition.tolist(), self._swarm, seed, stream, self._space)
 
     def landscape(self, condition: Array, library: Array) -> Array:
-        return self.objective.landscape(condition, library)
+        return self.objective.landscape(condition.tolist(), library)

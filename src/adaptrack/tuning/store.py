@@ -78,7 +78,9 @@ def encode(kind: str, columns: Columns, about: Mapping[str, Any]) -> bytes:
     import pyarrow as pa
     import pyarrow.parquet as pq
 
-    fields, arrays, floats, others = [], [], [], []
+    fields, arrays = [], []
+    floats: list[str] = []
+    others: list[str] = []
     for column in COLUMNS:
         values = np.ascontiguousarray(columns[column.name], dtype=column.dtype)
         array = pa.array(values.reshape(-1))
@@ -233,9 +235,9 @@ class Folder:
             else:
                 others = sorted(each.name for each in path.iterdir() if not each.name.startswith("."))
                 if others:
+                    names = ", ".join([*others[:3], "..."] if len(others) > 3 else others)
                     raise StorageError(
-                        f"{path}: holds other files ({', '.join(others[:3])}{', ...' if len(others) > 3 else ''}) and no "
-                        "campaign: choose a new or an empty folder."
+                        f"{path}: holds other files ({names}) and no campaign: choose a new or an empty folder."
                     )
                 there = dict(manifest)
                 write_atomically(known, (json.dumps(there, indent=1) + "\n").encode())
@@ -333,6 +335,16 @@ class Folder:
         """Append a line to log.jsonl; a full disk does not matter here."""
         with contextlib.suppress(OSError), open(self.path / "log.jsonl", "a", encoding="utf-8") as log:
             log.write(json.dumps(entry) + "\n")
+
+
+def unfinished(path: Path) -> str:
+    """What a folder without a result holds, in a sentence."""
+    try:
+        manifest = _read_manifest(path / "campaign.json")
+    except StorageError:
+        return "a folder, but not of a campaign: there is no dataset.parquet in it."
+    folder = Folder(path, manifest["identity"], int(manifest["chunk"]), int(manifest["chunks"]))
+    return f"its campaign is not finished ({folder.state()}): go on with `adaptrack tune ... --resume`."
 
 
 def _read_manifest(path: Path) -> dict[str, Any]:
