@@ -143,8 +143,8 @@ def _rest(mpc: MPC) -> None:
 def bench_rollout(conditions: int = 150, threads: int | None = None) -> dict[str, Any]:
     """Control steps per second of `rollout_batch`: dual track, Magic Formula, paper profile, 180 steps a run.
 
-    20 random tunings within the swarm's bounds on each of `conditions` random conditions of the paper's domain; the same with
-    a speed that varies, where every step has a model of its own; and a sample of the same runs by `PlainController`.
+    20 random tunings within the swarm's bounds on each of `conditions` random conditions of the paper's domain; the
+    same with a speed that varies, where every step has a model of its own; a sample of the runs by `PlainController`.
     """
     rng = np.random.default_rng(0)
     car = load_vehicle("paper")

@@ -292,7 +292,7 @@ def _tell(text: str, quiet: bool = False) -> None:
 
 @contextmanager
 def _progress(total: int, quiet: bool) -> Iterator[Callable[[str, int, int], None]]:
-    """A progress bar on standard error; yields show(label, steps done, steps in all), called for one drive at a time."""
+    """A progress bar on standard error; yields show(label, steps done, steps in all), for one drive at a time."""
     from rich.console import Console
     from rich.progress import Progress
 

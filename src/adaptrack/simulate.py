@@ -19,7 +19,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from adaptrack.errors import InvalidInput
+from adaptrack.errors import InvalidInput, real, whole
 from adaptrack.mpc import MPC, Command, Condition
 from adaptrack.plant import Plant, Profile, load_profile
 from adaptrack.scenario import Scenario, Signals
@@ -101,10 +101,21 @@ def _start(scenario: Scenario | Signals, signals: Signals) -> Array:
 
 def _outfit(plant: Plant, profile: str | Profile) -> tuple[Plant, Profile]:
     """The plant behind the profile's steering, unless it has its own."""
+    if not isinstance(plant, Plant):
+        raise InvalidInput(f"plant = {plant!r}: must be a Plant, such as DualTrack(load_vehicle('paper')).")
     profile = load_profile(profile)
     if getattr(plant, "steering", None) is None:
         plant = plant.with_steering(profile.steering)
     return plant, profile
+
+
+def _refuse_nonsense(scenario: Scenario, seed: int, lost_beyond: float) -> None:
+    if not isinstance(scenario, Scenario):
+        raise InvalidInput(f"scenario = {scenario!r}: must be a Scenario; load_scenario(name) gives one.")
+    if whole("simulate", "seed", seed, least=0) >= 2**63:
+        raise InvalidInput(f"seed = {seed!r}: must be below 2^63.")
+    if not real("simulate", "lost_beyond", lost_beyond) > 0.0:
+        raise InvalidInput(f"lost_beyond = {lost_beyond!r} m: must be positive.")
 
 
 def simulate(
@@ -134,6 +145,7 @@ def simulate(
     from adaptrack.kernels.dynamics import STATES
 
     plant, profile = _outfit(plant, profile)
+    _refuse_nonsense(scenario, seed, lost_beyond)
     signals = scenario.sample(controller.period)
     n = signals.n
     samples = _rows(signals)
@@ -192,6 +204,7 @@ def rollout(
     InvalidInput
         When the MPC needs Python at every step: a scheduler, or a QP back-end outside the kernels.
     """
+    _refuse_nonsense(scenario, seed, lost_beyond)
     batch = Batch(plant, mpc, [scenario], profile, driver, lost_beyond)
     result, trace = batch.run(np.zeros(1, np.int64), mpc.tuning.as_array()[None], np.array([seed]), 1, traced=True)
     del result
@@ -269,8 +282,13 @@ def rollout_batch(
     asked = np.array(tunings, dtype=np.float64, ndmin=2)
     if asked.ndim != 2 or asked.shape[1] != 4 or not np.isfinite(asked).all():
         raise InvalidInput(f"tunings: need finite (runs, 4) of Np, Nc, Q, R; got shape {asked.shape}.")
+    if (asked[:, 2] < 0.0).any() or (asked[:, 3] <= 0.0).any():
+        raise InvalidInput("tunings: every Q must be >= 0 and every R > 0.")
     runs = len(asked)
-    index = np.zeros(runs, np.int64) if which is None else np.array(which, dtype=np.int64)
+    index = np.zeros(runs, np.int64) if which is None else np.array(which)
+    if index.dtype.kind not in "iu":
+        raise InvalidInput("which: must be whole numbers.")
+    index = index.astype(np.int64)
     if index.shape != (runs,) or (runs and not (index.min() >= 0 and index.max() < len(batch.signals))):
         raise InvalidInput(f"which: need {runs} indices into {len(batch.signals)} scenarios.")
     seeded = np.array(seeds, dtype=np.int64)
@@ -353,13 +371,7 @@ class Batch:
         runs, n = len(which), self.signals[0].n
         result = np.empty((runs, len(loop.RESULT)))
         trace = np.full((runs, n if traced else 0, loop.TRACE), np.nan)
-        settings = self.settings.copy()
-        settings[loop.RESIDUALS] = traced
-        if not traced:  # a workspace no larger than these tunings need
-            settings[loop.LONGEST_HORIZON] = min(
-                settings[loop.LONGEST_HORIZON], max(1, round(tunings[:, 0].max(initial=1)))
-            )
-            settings[loop.MOST_MOVES] = min(settings[loop.MOST_MOVES], max(1, round(tunings[:, 1].max(initial=1))))
+        settings = self.settings if traced else self.sized(tunings[:, 0].max(initial=1), tunings[:, 1].max(initial=1))
         # Lanes of one block integrate with the same number of steps.
         chunks: queue.SimpleQueue[NDArray[np.int64]] = queue.SimpleQueue()
         count = 0

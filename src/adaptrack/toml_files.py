@@ -204,7 +204,9 @@ def _problem(detail: dict[str, Any], model_class: type[BaseModel], data: Mapping
 
 def _quote(value: Any) -> str:
     text = repr(value)
-    return text if len(text) <= _LONGEST_VALUE else text[: _LONGEST_VALUE - 3] + "..."
+    if len(text) <= _LONGEST_VALUE:
+        return text
+    return text[: _LONGEST_VALUE // 2 - 3] + "..." + text[-_LONGEST_VALUE // 2 :]  # a path ends with what matters
 
 
 def _key_in_file(location: tuple[int | str, ...], data: Any) -> str:

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import hashlib
 import os
+import sys
 from collections import namedtuple
 from collections.abc import Iterable
 from pathlib import Path
@@ -65,8 +66,11 @@ else:
 
 
 def record(name: str, fields: Iterable[str]) -> Any:
-    """A named tuple class: how a kernel receives many values under their names."""
-    return namedtuple(name, list(fields))
+    """A named tuple class: how a kernel receives many values under their names.
+
+    It belongs to the module that asks for it: the compiler's cache finds a class again by module and name.
+    """
+    return namedtuple(name, list(fields), module=sys._getframe(1).f_globals["__name__"])
 
 
 def cache_directory() -> Path:

@@ -12,6 +12,7 @@ A plant's state is a tuple of `STATES` floats, the same for both plants (what a 
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import Any
 
 from numba import njit, types
@@ -241,6 +242,7 @@ def no_plant(x, u, environment, p, dx):
     """Stands where a user's plant would: the built-in ones do not call it."""
 
 
+@lru_cache(maxsize=64)
 def compile_plant(function: Any) -> Any:
     """A user's right-hand side, compiled for `PLANT_SIGNATURE`; numba's own error when it cannot be."""
     plain = getattr(function, "py_func", function)

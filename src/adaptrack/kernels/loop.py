@@ -31,6 +31,7 @@ from .prediction import (
     responses,
     tracking_error,
 )
+from .random import counted_normal
 
 STEERING_LAG, STEERING_LIMIT = PLANT_PARAMETERS.index("steering_lag"), PLANT_PARAMETERS.index("steering_limit")
 
@@ -419,30 +420,6 @@ def mpc_step(lane, speed, reference, tuning, model, settings, memory, record, ws
 
 
 # -- the closed loop --------------------------------------------------------------------------------------------------
-@njit(**INLINE)
-def _mix(z):
-    """The finaliser of SplitMix64 (Steele, Lea & Flood 2014): 64 well-mixed bits of a counter."""
-    z = (z ^ (z >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
-    z = (z ^ (z >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
-    return z ^ (z >> np.uint64(31))
-
-
-@njit(float64(int64, int64, int64), **ROUTINE)
-def counted_normal(seed, instant, channel):
-    """A standard normal number that depends on its three counters only: no state, no order, no thread.
-
-    Box-Muller on two hashed uniforms.
-    """
-    golden = np.uint64(0x9E3779B97F4A7C15)
-    key = _mix(np.uint64(seed) * golden + np.uint64(1))
-    key = _mix(key + np.uint64(instant) * golden)
-    first = _mix(key + np.uint64(2 * channel + 1) * golden)
-    second = _mix(key + np.uint64(2 * channel + 2) * golden)
-    u = (float(first >> np.uint64(11)) + 1.0) * (1.0 / 9007199254740992.0)
-    v = float(second >> np.uint64(11)) * (1.0 / 9007199254740992.0)
-    return math.sqrt(-2.0 * math.log(u)) * math.cos(2.0 * math.pi * v)
-
-
 @njit(float64(int64, float64, float64, cube, int64, vector, vector), **ROUTINE)
 def drive(k, period, speed, signals, scenario, loop, own):
     """Longitudinal force (N) of the driver: aims at the profile's speed a preview time ahead, with an integral.
@@ -450,7 +427,6 @@ def drive(k, period, speed, signals, scenario, loop, own):
     dv = (v_ref(t + T_p) - v_x)/T_p + K_i * integral of (v_ref - v_x); limited by engine power, traction and brakes,
     the integral standing still while a limit holds.
     """
-    period = period
     last = signals.shape[2] - 1
     ahead = loop[DRIVER_PREVIEW] / period
     j = min(k + int(ahead), last)

@@ -133,7 +133,9 @@ def decode(path: str | os.PathLike[str], kind: str) -> tuple[Columns, dict[str, 
     except OSError as error:
         raise StorageError(f"{where}: cannot be read: {error.strerror or error}.") from error
     try:
-        table = pq.ParquetFile(pa.BufferReader(content), page_checksum_verification=True).read()
+        # Without threads: one of Arrow's that lets go of `content` while Python exits would abort the process.
+        file = pq.ParquetFile(pa.BufferReader(content), page_checksum_verification=True)
+        table = file.read(use_threads=False)
     except (pa.ArrowException, OSError) as error:
         reason = str(error).splitlines()[0].rstrip(".")
         raise Damaged(f"{where}: not a Parquet file, or damaged: {reason}.") from error

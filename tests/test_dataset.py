@@ -1,0 +1,332 @@
+"""A data set survives its file bit for bit, keeps twins together, and says what is in it."""
+
+import dataclasses
+import json
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+
+from adaptrack import dataset as room
+from adaptrack.dataset import TARGETS, DataSet, describe, explained, flatness, list_datasets, load_dataset
+from adaptrack.dataset import data as module
+from adaptrack.dataset.boosting import cross_validate
+from adaptrack.errors import InvalidInput, StorageError, UnknownName
+from adaptrack.tuning import store
+from adaptrack.tuning.campaign import run_campaign
+from adaptrack.tuning.conditions import fold, grid, mirrored, sobol
+from campaign_fakes import Fake, small
+
+BOX = {"speed": (3.0, 30.0), "y_ref": (-15.0, 15.0), "friction": (0.3, 1.0), "wind": (-30.0, 30.0)}
+ARRAYS = [field.name for field in dataclasses.fields(DataSet) if field.name != "provenance"]
+
+
+def wild(n=60, size=7, start=1, **changes):
+    """Every array with numbers of its own, infinity among the costs."""
+    rng = np.random.default_rng(start)
+    costs, landscape = rng.exponential(size=n), rng.exponential(size=(n, size)).astype(np.float32)
+    costs[-1] = landscape[-2:] = np.inf
+    arrays = {
+        "conditions": sobol(n, BOX, start),
+        "tunings": np.column_stack(
+            [
+                rng.integers(20, 50, n),
+                rng.integers(1, 18, n),
+                10.0 ** rng.uniform(-1, 1, n),
+                10.0 ** rng.uniform(-3, -1, n),
+            ]
+        ),
+        "costs": costs,
+        "standard_costs": 2.0 * costs,
+        "traces": rng.exponential(size=(n, 4)).astype(np.float32),
+        "landscape": landscape,
+        "library": rng.uniform(1, 9, (size, 4)),
+        "evaluations": np.full(n, 20),
+        "control_steps": rng.integers(1, 9999, n),
+        "stream": np.arange(n),
+        "mirrored_from": np.full(n, -1),
+        "seed": np.full(n, 3),
+        "provenance": {"name": "wild", "settings": {"profile": "road", "µ": None}},
+    }
+    return DataSet(**(arrays | changes))
+
+
+def same(a, b):
+    for name in ARRAYS:
+        one, two = getattr(a, name), getattr(b, name)
+        assert one.dtype == two.dtype, name
+        assert one.tobytes() == two.tobytes(), name
+    assert a.provenance == b.provenance
+
+
+@pytest.fixture(scope="module")
+def campaign(tmp_path_factory):
+    """The folder of a finished campaign."""
+    return run_campaign(small(), tmp_path_factory.mktemp("campaign"), evaluate=Fake).parent
+
+
+# -- the file ---------------------------------------------------------------------------------------------------------
+def test_a_file_gives_back_every_bit_and_all_provenance(tmp_path):
+    wild().save(tmp_path / "wild.parquet")
+    same(DataSet.load(tmp_path / "wild.parquet"), wild())
+    same(load_dataset(str(tmp_path / "wild.parquet")), wild())
+
+
+def test_the_same_data_give_the_same_file(tmp_path):
+    wild().save(tmp_path / "a.parquet")
+    wild().save(tmp_path / "b.parquet")
+    assert (tmp_path / "a.parquet").read_bytes() == (tmp_path / "b.parquet").read_bytes()
+
+
+def test_a_campaigns_folder_loads_and_saves_to_the_same_bytes(campaign, tmp_path):
+    data = load_dataset(campaign)
+    assert len(data) == 48
+    assert repr(data) == "<DataSet 'small': 48 conditions, library of 8 tunings>"
+    data.save(tmp_path / "copy.parquet")
+    assert (tmp_path / "copy.parquet").read_bytes() == (campaign / "dataset.parquet").read_bytes()
+
+
+def test_the_shipped_data_sets_load_and_name_their_command():
+    for name in list_datasets():
+        data = load_dataset(name)
+        assert data.name == name
+        assert data.command == f"adaptrack tune --config {name} --out {name}"
+        assert data.landscape.shape == (len(data), len(data.library))
+
+
+def test_a_file_of_the_full_size_is_a_few_megabytes(tmp_path, rng):
+    # 6,435 conditions and 200 tunings, as noisy as costs can be expected to be.
+    n = 6435
+    smooth = np.exp(rng.normal(size=(n, 1)) + rng.normal(size=(1, 200)))
+    data = wild(n, 200, landscape=smooth * np.exp(0.1 * rng.normal(size=(n, 200))))
+    data.save(tmp_path / "full.parquet")
+    assert (tmp_path / "full.parquet").stat().st_size < 6e6
+
+
+def test_a_damaged_file_is_refused_with_its_name(tmp_path):
+    file = tmp_path / "wild.parquet"
+    wild().save(file)
+    content = file.read_bytes()
+    changed = bytearray(content)
+    changed[3000] ^= 16
+    for harm in (b"", b"not parquet", content[:-20], content[: len(content) // 2], bytes(changed)):
+        file.write_bytes(harm)
+        with pytest.raises(StorageError, match=r"wild\.parquet: .*damaged"):
+            load_dataset(file)
+
+
+def test_a_file_that_another_program_has_edited_is_refused(tmp_path):
+    file = tmp_path / "wild.parquet"
+    wild().save(file)
+    table = pq.read_table(file)
+    schema = table.schema
+    about = json.loads(schema.metadata[b"about"])
+    forged = json.dumps({**about, "name": "better"}, sort_keys=True)
+    pq.write_table(table.replace_schema_metadata({**schema.metadata, b"about": forged.encode()}), file)
+    with pytest.raises(StorageError, match="the checksum of its content does not fit"):
+        load_dataset(file)
+    pq.write_table(table.drop_columns(["cost"]), file)
+    with pytest.raises(StorageError, match="there is no column 'cost'"):
+        load_dataset(file)
+
+
+def test_a_file_of_another_version_is_refused_with_the_remedy(tmp_path, monkeypatch):
+    monkeypatch.setattr(store, "FORMAT_VERSION", 2)
+    wild().save(tmp_path / "wild.parquet")
+    monkeypatch.undo()
+    with pytest.raises(StorageError, match="format version 2, this adaptrack reads version 1: run its campaign again"):
+        load_dataset(tmp_path / "wild.parquet")
+
+
+def test_other_tables_are_refused(tmp_path, campaign):
+    import pyarrow as pa
+
+    pq.write_table(pa.table({"x": [1.0]}), tmp_path / "x.parquet")
+    with pytest.raises(StorageError, match="holds no data set, but a table of another program"):
+        load_dataset(tmp_path / "x.parquet")
+    with pytest.raises(StorageError, match="cannot be read: No such file"):
+        load_dataset(tmp_path / "missing.parquet")
+
+
+def test_a_folder_without_a_result_says_how_far_its_campaign_is(tmp_path, campaign):
+    with pytest.raises(StorageError, match=r"not of a campaign: there is no dataset\.parquet"):
+        load_dataset(tmp_path)
+    (tmp_path / "campaign.json").write_bytes((campaign / "campaign.json").read_bytes())
+    with pytest.raises(StorageError, match=r"not finished \(0 of 6 chunks\): go on with .*--resume"):
+        load_dataset(tmp_path)
+
+
+def test_an_unknown_name_is_answered_with_the_nearest(monkeypatch, tmp_path):
+    wild().save(tmp_path / "paper-grid.parquet")
+    monkeypatch.setattr(module, "_DATA", tmp_path)
+    assert list_datasets() == ["paper-grid"]
+    assert load_dataset("paper-grid").name == "wild"
+    with pytest.raises(UnknownName, match=r"no data set is named 'paper_grid'\. Did you mean 'paper-grid'"):
+        load_dataset("paper_grid")
+
+
+# -- the record -------------------------------------------------------------------------------------------------------
+@pytest.mark.parametrize("name", sorted(set(ARRAYS) - {"conditions"}))
+def test_an_array_of_the_wrong_length_is_refused_by_name(name):
+    with pytest.raises(InvalidInput, match=f"`{name if name != 'library' else 'landscape'}` must have the shape"):
+        wild(**{name: getattr(wild(), name)[:5]})
+
+
+def test_arrays_cannot_be_written_to():
+    data = wild()
+    for name in ARRAYS:
+        with pytest.raises(ValueError, match="read-only"):
+            getattr(data, name)[0] = 0
+
+
+def test_the_best_known_cost_is_the_swarms_or_the_librarys():
+    data = wild()
+    np.testing.assert_array_equal(
+        data.best_costs, [min(data.costs[i], data.landscape[i].min()) for i in range(len(data))]
+    )
+    assert np.isinf(data.best_costs[-1])
+    np.testing.assert_allclose(data.ratios, data.tunings[:, 3] / data.tunings[:, 2])
+
+
+def test_rows_are_chosen_by_number_or_by_truth():
+    data = wild()
+    np.testing.assert_array_equal(data.rows([5, 2]).stream, [5, 2])
+    np.testing.assert_array_equal(data.rows(data.stream < 4).costs, data.costs[:4])
+    np.testing.assert_array_equal(data.rows([5]).library, data.library)
+
+
+# -- hold-out ---------------------------------------------------------------------------------------------------------
+def test_a_split_is_the_same_every_time_another_for_another_seed_and_loses_nothing():
+    data = wild(200)
+    learn, held = data.split(0.25, seed=1)
+    assert (len(learn), len(held)) == (150, 50)
+    assert sorted([*learn.stream, *held.stream]) == list(range(200))
+    np.testing.assert_array_equal(held.stream, data.split(0.25, seed=1)[1].stream)
+    assert set(held.stream) != set(data.split(0.25, seed=2)[1].stream)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_twins_are_always_on_the_same_side_of_a_split(seed):
+    # Also when the campaign computed both of them.
+    rows = grid(speed=[5.0, 10.0, 15.0], y_ref=[-4.0, 1.0, 4.0], friction=[0.5, 0.9], wind=[-6.0, 0.0, 6.0])
+    data = wild(len(rows), conditions=rows)
+    learn, held = data.split(0.3, seed)
+    both = {tuple(row) for row in learn.conditions} & {tuple(row) for row in mirrored(held.conditions)}
+    assert not both
+    assert len(held) + len(learn) == len(rows)
+    assert len(fold(held.conditions).representatives) == round(0.3 * len(fold(rows).representatives))
+
+
+@pytest.mark.parametrize("fraction", [0.0, 1.0, -0.1, 0.001, float("nan")])
+def test_a_split_with_an_empty_part_is_refused(fraction):
+    with pytest.raises(InvalidInput, match="fraction"):
+        wild().split(fraction)
+
+
+# -- what is in it ----------------------------------------------------------------------------------------------------
+def test_flatness_is_the_share_of_the_library_near_the_best():
+    costs = np.array([1.0, 2.0, 1.0])
+    landscape = np.array([[1.0, 1.04, 1.1, 3.0], [1.0, 1.04, 1.1, np.inf], [1.21, 1.3, 1.4, 1.5]])
+    data = wild(3, 4, costs=costs, standard_costs=costs, landscape=landscape, mirrored_from=[-1, -1, -1])
+    assert flatness(data, 0.05) == pytest.approx([0.5, 0.5, 0.0])  # of the third, the swarm knows better
+    assert flatness(data, 0.2) == pytest.approx([0.75, 0.75, 0.0])
+    twins = dataclasses.replace(data, mirrored_from=[-1, 0, -1])
+    assert len(flatness(twins, 0.05)) == 2  # twins count once
+    lost = dataclasses.replace(data, costs=[np.inf, 2.0, 1.0], landscape=np.full((3, 4), np.inf))
+    assert flatness(lost, 0.05) == pytest.approx([0.0, 0.0])  # a condition that loses every car is not flat
+
+
+def test_what_the_conditions_decide_is_explained_and_what_chance_decides_is_not(rng):
+    n = 1500
+    rows = sobol(n, BOX, 4)
+    speed, y_ref, _, wind = rows.T
+    tunings = np.column_stack(
+        [
+            np.round(5 + speed),  # all in the speed
+            rng.integers(1, 5, n),  # chance
+            np.exp(np.sin(y_ref * wind / 60) + rng.normal(size=n) * np.sqrt(0.5)),  # symmetric, and half of it chance
+            np.full(n, 0.01),  # constant
+        ]
+    )
+    data = wild(n, conditions=rows, tunings=tunings)
+    r2 = {target: explained(data, target).r2 for target in TARGETS}
+    signal = np.var(np.sin(y_ref * wind / 60))
+    assert r2["Np"] > 0.99
+    assert 0.0 <= r2["Nc"] < 0.02
+    assert r2["log R"] == 0.0
+    assert r2["log Q"] == pytest.approx(signal / (signal + 0.5), abs=0.12)
+    assert r2["log R/Q"] == pytest.approx(r2["log Q"], abs=0.01)  # R is constant
+
+
+def test_the_learner_is_as_strong_as_a_random_forest(rng):
+    sklearn = pytest.importorskip("sklearn.ensemble")
+    from sklearn.model_selection import KFold, cross_val_predict
+
+    x = sobol(1500, BOX, 2)
+    speed, y_ref, friction, wind = x.T
+    forest = sklearn.RandomForestRegressor(50, min_samples_leaf=5, random_state=0)
+    for target in (
+        np.sin(speed / 5) + friction * y_ref / 10 + 0.1 * rng.normal(size=1500),
+        (speed > 12) + (y_ref > 5) * (friction < 0.6) + 0.3 * np.sign(wind) + 0.5 * rng.normal(size=1500),
+    ):
+        guess = cross_val_predict(forest, x, target, cv=KFold(5, shuffle=True, random_state=0))
+        theirs = 1.0 - np.sum((target - guess) ** 2) / np.sum((target - target.mean()) ** 2)
+        assert cross_validate(x, target).r2 > theirs - 0.01
+
+
+def test_nothing_is_learnt_from_the_rows_that_are_predicted(rng):
+    # Each row has its own noise; a learner that saw it would explain it.
+    x = rng.random((400, 4))
+    noise = rng.normal(size=400)
+    result = cross_validate(x, noise)
+    assert result.r2 < 0.02
+    doubled = cross_validate(np.vstack([x, x]), np.concatenate([noise, noise]))  # what twins in two folds would do
+    assert doubled.r2 > 0.3
+
+
+def test_too_few_rows_and_unknown_targets_are_refused():
+    with pytest.raises(InvalidInput, match="49 usable conditions are too few"):
+        explained(wild(50), "Np")  # one of them lost the car
+    with pytest.raises(InvalidInput, match=r"target = 'Q': must be one of 'Np', 'Nc', 'log Q'"):
+        explained(wild(100), "Q")
+
+
+def test_a_description_is_plain_json_and_says_what_is_in_the_data(campaign):
+    data = load_dataset(campaign)
+    said = describe(data)
+    assert json.loads(json.dumps(said, allow_nan=False)) == said
+    assert (said["conditions"], said["computed"], said["library"]) == (48, 36, 8)
+    assert (said["profile"], said["scenario"], said["vehicle"], said["tyre"]) == (
+        "paper",
+        "step",
+        "paper",
+        "magic-formula",
+    )
+    assert [row["quantity"] for row in said["ranges"]] == ["speed", "y_ref", "friction", "wind"]
+    assert said["ranges"][1] == {"quantity": "y_ref", "unit": "m", "lowest": -4.0, "highest": 6.0, "levels": 4}
+    assert [row["target"] for row in said["optimum"]] == list(TARGETS)
+    assert said["optimum"][0]["lowest"] == data.tunings[:, 0].min()
+    assert all(row["r2"] is None for row in said["optimum"])  # 36 conditions are too few
+    assert [row["within"] for row in said["flatness"]] == [0.05, 0.2]
+    assert said["costs"]["standard_over_best_geomean"] > 1.0
+    assert said["evaluations"] == 36 * 20
+
+
+def test_optima_at_the_bounds_of_the_search_are_counted():
+    search = {"Np": [1, 55], "Nc": [1, 18], "Q": [0.1, 10.0], "R": [0.001, 0.1]}
+    tunings = [[55.0, 3.0, 10.0, 0.001], [30.0, 1.0, 1.0, 0.01], [1.0, 1.0, 0.1, 0.1], [20.0, 9.0, 10.0, 0.1]]
+    data = wild(4, tunings=tunings, costs=[1.0] * 4, provenance={"settings": {"search": search}})
+    shares = {row["target"]: row["at_a_bound"] for row in describe(data, r2=False)["optimum"]}
+    assert shares == {"Np": 0.5, "Nc": 0.5, "log Q": 0.75, "log R": 0.75, "log R/Q": 0.5}
+
+
+def test_a_description_survives_conditions_that_lose_every_car():
+    n = 60
+    data = wild(n, costs=np.full(n, np.inf), standard_costs=np.full(n, np.inf), landscape=np.full((n, 7), np.inf))
+    said = describe(data)
+    assert json.dumps(said, allow_nan=False)
+    assert (said["costs"]["lost_by_all"], said["costs"]["library_lost"]) == (60, 1.0)
+
+
+def test_every_public_name_of_the_room_is_there():
+    assert all(hasattr(room, name) for name in room.__all__)

@@ -1,0 +1,414 @@
+"""The equations of motion: order, limits and symmetries that hold whatever the numbers are, and a second opinion."""
+
+import itertools
+import math
+
+import numpy as np
+import pytest
+
+from adaptrack.kernels.abi import PLANT_PARAMETERS
+from adaptrack.kernels.dynamics import DUAL_TRACK, INPUTS, SINGLE_TRACK, STATES, derivative, unpack
+from adaptrack.kernels.integrate import BLOCK, LANES, integrate
+from adaptrack.plant import DualTrack, SingleTrack
+from adaptrack.vehicle import GRAVITY, SteeringActuator, Tyre, load_tyre, load_vehicle
+from references import vehicle as reference
+
+PAPER, SEDAN = load_vehicle("paper"), load_vehicle("midsize-sedan")
+VACUUM = {"frontal_area": 0.0}  # even still air pushes a car that drifts
+IDEAL = Tyre(  # eq. (2): constant stiffness of the paper's table, no load, no relaxation, no limit
+    name="ideal", kind="linear", stiffness_front=19000.0, stiffness_rear=33000.0, nominal_load=5000.0
+)
+CURVED = load_tyre("passenger-car").replace(curvature=-0.8, relaxation_length=0.0)
+TYRES = ("magic-formula", "constant-stiffness", "passenger-car", CURVED, IDEAL)
+PLANTS = [plant(car, tyre) for plant in (SingleTrack, DualTrack) for car in (PAPER, SEDAN) for tyre in TYRES]
+
+
+def label(plant):
+    tyre = plant.tyre
+    more = " curved" if tyre.curvature else ""
+    return f"{plant.name} {plant.vehicle.name} {tyre.name}{more}"
+
+
+every_plant = pytest.mark.parametrize("plant", PLANTS, ids=label)
+
+
+def inputs(command=0.0, force=0.0, acceleration=0.0, friction=0.9, wind=(0.0, 0.0)):
+    """A row of INPUTS; acceleration NaN lets the force act."""
+    return np.array([command, force, acceleration, *np.broadcast_to(friction, 4), *wind], dtype=float)
+
+
+def moving(speed, **states):
+    """A vehicle that goes straight ahead, or as `states` say by their place."""
+    x = np.zeros(STATES)
+    x[3] = speed
+    for place, value in states.items():
+        x[int(place.removeprefix("x"))] = value
+    return x
+
+
+def slope(plant, x, u):
+    """dx/dt (STATES,) as the kernel computes it."""
+    dx = np.full(STATES, np.nan)
+    derivative(plant.kind, x, u, plant.packed(), dx)
+    return dx
+
+
+def ride(plant, x, u, duration, h=0.005):
+    """The state (STATES,) after `duration` (s) of constant input, by RK4 with steps of h (s)."""
+    block = np.zeros(BLOCK)
+    rows = block.reshape(-1, LANES)
+    rows[:STATES] = x[:, None]
+    rows[STATES:] = u[:, None]
+    steps = round(duration / h)
+    integrate(plant.kind, plant.packed(), block, 1, steps, duration / steps)
+    return rows[:STATES, 0].copy()
+
+
+def mirrored(x):
+    """The state seen in a mirror: left is right."""
+    return (x * [1, -1, -1, 1, -1, -1, -1, -1, -1, -1, 1, -1, -1])[[0, 1, 2, 3, 4, 5, 7, 6, 9, 8, 10, 11, 12]]
+
+
+def mirrored_inputs(u):
+    return (u * [-1, 1, 1, 1, 1, 1, 1, 1, -1])[[0, 1, 2, 4, 3, 6, 5, 7, 8]]
+
+
+def wild_state(rng, plant):
+    x = np.zeros(STATES)
+    x[:6] = rng.uniform([-100, -50, -4, 0, -4, -1.5], [100, 50, 4, 45, 4, 1.5])
+    if plant.kind == DUAL_TRACK:
+        x[6:10] = rng.uniform(-0.4, 0.4, 4)
+        x[10:12] = rng.uniform(-14, 14, 2)  # far enough to lift wheels
+    return x
+
+
+def wild_inputs(rng, driven):
+    return np.array(
+        [
+            rng.uniform(-0.6, 0.6),
+            rng.uniform(-16000, 9000) if driven else 0.0,
+            np.nan if driven else rng.uniform(-6, 4),
+            *rng.uniform(0.05, 1.2, 4),
+            *rng.uniform(-40, 40, 2),
+        ]
+    )
+
+
+# -- a second opinion -------------------------------------------------------------------------------------------------
+@every_plant
+@pytest.mark.parametrize("driven", [True, False], ids=["driven", "prescribed"])
+def test_the_compiled_derivative_agrees_with_an_independent_one(plant, driven, rng):
+    written = reference.single_track if plant.kind == SINGLE_TRACK else reference.dual_track
+    own = len(plant.state_names)
+    for _ in range(120):
+        x, u = wild_state(rng, plant), wild_inputs(rng, driven)
+        expected = written(plant.vehicle, plant.tyre, x[:own], u[:2], u[3:], None if driven else u[2])
+        computed = slope(plant, x, u)
+        np.testing.assert_allclose(computed[:own], expected, rtol=1e-10, atol=1e-10)
+        assert (computed[own:] == 0.0).all()
+
+
+@every_plant
+def test_the_public_derivative_is_that_of_the_kernel(plant, rng):
+    x, u = wild_state(rng, plant), wild_inputs(rng, driven=True)
+    own = len(plant.state_names)
+    given = plant.with_steering(SteeringActuator.road()).derivative(x[:own], u[:2], u[3:])
+    assert np.array_equal(given, slope(plant, x, u)[:own])
+
+
+def test_parameters_are_unpacked_in_the_order_of_their_names():
+    numbers = np.arange(float(len(PLANT_PARAMETERS)))
+    c = unpack(numbers)
+    assert c._fields == PLANT_PARAMETERS
+    assert [getattr(c, name) for name in PLANT_PARAMETERS] == numbers.tolist()
+    assert inputs().size == INPUTS
+
+
+# -- the integrator ---------------------------------------------------------------------------------------------------
+@pytest.mark.parametrize(
+    "plant",
+    [
+        SingleTrack(PAPER),
+        SingleTrack(SEDAN, CURVED),
+        SingleTrack(PAPER, IDEAL),
+        DualTrack(PAPER, "passenger-car"),
+        DualTrack(SEDAN),
+        DualTrack(PAPER, load_tyre("constant-stiffness").replace(relaxation_length=0.5)),
+    ],
+    ids=label,
+)
+@pytest.mark.parametrize("driven", [False, True], ids=["prescribed", "driven"])
+def test_rk4_has_order_four(plant, driven):
+    plant = plant.with_steering(SteeringActuator(lag=0.3))
+    x = moving(12.0, x4=0.4, x5=0.2)
+    u = inputs(
+        command=0.05, force=900.0, acceleration=np.nan if driven else 0.7, friction=(0.8, 0.7, 0.75, 0.9), wind=(3, 2)
+    )
+    coarse, middle, fine, finest = (ride(plant, x, u, 0.4, h=0.4 / steps) for steps in (50, 100, 200, 400))
+    errors = [np.linalg.norm(a - b) for a, b in ((coarse, middle), (middle, fine), (fine, finest))]
+    slopes = [math.log2(a / b) for a, b in itertools.pairwise(errors)]
+    assert slopes == pytest.approx([4.0, 4.0], abs=0.25)
+
+
+# -- what remains of a vehicle without tyres --------------------------------------------------------------------------
+@every_plant
+def test_without_any_force_momentum_is_kept(plant):
+    car = plant.vehicle.replace(frontal_area=0.0, rolling_resistance=0.0)
+    plant = type(plant)(car, plant.tyre)
+    x = moving(15.0, x2=0.3, x4=2.0, x5=0.7)
+    u = inputs(command=0.3, acceleration=np.nan, friction=0.0, wind=(10.0, -5.0))
+    later = ride(plant, x, u, 1.0, h=0.01)
+    east, north = reference.rotation(0.3) @ [15.0, 2.0]
+    # on ice without friction the Magic Formula keeps B finite, a force of at most a micronewton remains
+    assert later[:3] == pytest.approx([east, north, 0.3 + 0.7], abs=1e-6)
+    assert later[5] == pytest.approx(0.7, abs=1e-9)
+    assert later[3:5] == pytest.approx(reference.rotation(1.0).T @ [east, north], abs=1e-6)
+
+
+# -- symmetry ---------------------------------------------------------------------------------------------------------
+@every_plant
+@pytest.mark.parametrize("driven", [True, False], ids=["driven", "prescribed"])
+def test_the_mirrored_vehicle_moves_as_in_a_mirror(plant, driven, rng):
+    for _ in range(30):
+        x, u = wild_state(rng, plant), wild_inputs(rng, driven)
+        there, here = slope(plant, mirrored(x), mirrored_inputs(u)), slope(plant, x, u)
+        np.testing.assert_allclose(there, mirrored(here), rtol=1e-12, atol=1e-10)
+
+
+@every_plant
+@pytest.mark.parametrize("acceleration", [0.0, 2.0, np.nan], ids=["steady", "faster", "driven"])
+def test_without_wind_and_steering_the_car_stays_exactly_straight(plant, acceleration):
+    later = ride(plant, moving(10.0), inputs(force=2500.0, acceleration=acceleration), 1.0, h=0.0125)
+    assert (later[[1, 2, 4, 5, 6, 7, 8, 9, 11]] == 0.0).all()
+    assert later[0] > 9.0
+
+
+# -- single and dual track --------------------------------------------------------------------------------------------
+@pytest.mark.parametrize("tyre", [IDEAL, CURVED, load_tyre("magic-formula").replace(relaxation_length=0.0)])
+def test_without_height_and_width_two_tracks_are_one(tyre, rng):
+    car = PAPER.replace(cg_height=0.0, track_front=1e-9, track_rear=1e-9)
+    one, two = SingleTrack(car, tyre), DualTrack(car, tyre)
+    for _ in range(50):
+        x, u = wild_state(rng, one), wild_inputs(rng, driven=False)
+        u[0] = 0.0  # the single track of eq. (1) does not turn the front force by the steering angle
+        u[3:7] = u[3]
+        np.testing.assert_allclose(slope(two, x, u)[:6], slope(one, x, u)[:6], rtol=1e-8, atol=1e-8)
+
+
+def test_two_tracks_tend_to_one_as_height_and_width_shrink():
+    def gap(scale, command):
+        car = PAPER.replace(cg_height=0.35 * scale, track_front=1.4 * scale, track_rear=1.4 * scale)
+        u = inputs(command=command, friction=1.0, wind=(0.0, 1.0))
+        one, two = (ride(plant(car, IDEAL), moving(8.0), u, 2.0, h=0.02) for plant in (SingleTrack, DualTrack))
+        return np.linalg.norm((one - two)[:6]) / np.linalg.norm((one - moving(8.0))[[1, 2, 4, 5]])
+
+    wide, half, narrow = (gap(scale, 1e-3) for scale in (1.0, 0.5, 0.25))
+    assert wide > half > narrow
+    turned = gap(1e-9, 0.04), gap(1e-9, 0.02), gap(1e-9, 1e-4)
+    assert turned[0] > 3.0 * turned[1]  # what is left turns the front force by the steering angle: its square
+    assert turned[2] < 1e-6
+
+
+@pytest.mark.parametrize("speed", [5.0, 15.0, 30.0])
+@pytest.mark.parametrize("plant", [SingleTrack, DualTrack])
+@pytest.mark.parametrize("car", [PAPER, SEDAN.replace(stiffness_front=40000.0)], ids=["paper", "sedan"])
+def test_a_steady_turn_has_the_yaw_gain_of_the_understeer_formula(plant, car, speed):
+    car = car.replace(**VACUUM)
+    tyre = IDEAL.replace(stiffness_front=car.stiffness_front, stiffness_rear=car.stiffness_rear)
+    steering = 1e-4
+    turn = ride(plant(car, tyre), moving(speed), inputs(command=steering, friction=1.0), 6.0, h=0.02)
+    assert turn[5] / steering == pytest.approx(car.steady_state_yaw_gain(speed), rel=1e-4)
+
+
+# -- loads ------------------------------------------------------------------------------------------------------------
+def felt_load(car, wheel, ax=0.0, ay=0.0):
+    """Vertical load (N) of a wheel, weighed by its lateral force: the released tyre's is proportional to it."""
+    plant = DualTrack(car, "constant-stiffness")
+    x = moving(10.0, x10=ax, x11=ay)
+    x[6 + wheel] = 0.01
+    stiffness = (19000.0, 19000.0, 33000.0, 33000.0)[wheel]
+    return slope(plant, x, inputs(friction=1.0))[4] * car.mass / (stiffness * 0.01) * 5000.0
+
+
+@pytest.mark.parametrize("car", [PAPER, SEDAN], ids=["paper", "sedan"])
+def test_braking_shifts_load_to_the_front_and_turning_left_to_the_right(car):
+    still = [felt_load(car, wheel) for wheel in range(4)]
+    front, rear = car.static_loads
+    assert still == pytest.approx([front, front, rear, rear], rel=1e-12)
+    pitch = car.mass * 5.0 * car.cg_height / car.wheelbase / 2
+    assert [felt_load(car, wheel, ax=-5.0) for wheel in range(4)] == pytest.approx(
+        [front + pitch, front + pitch, rear - pitch, rear - pitch], rel=1e-12
+    )
+    turning = [felt_load(car, wheel, ay=4.0) for wheel in range(4)]
+    assert (np.sign(np.subtract(turning, still)) == [-1, 1, -1, 1]).all()
+    roll = (turning[1] - turning[0]) / 2 * car.track_front + (turning[3] - turning[2]) / 2 * car.track_rear
+    assert roll == pytest.approx(car.mass * 4.0 * car.cg_height, rel=1e-12)
+
+
+@pytest.mark.parametrize("ax", [-9.0, 0.0, 5.0])
+@pytest.mark.parametrize("ay", [-7.0, 3.0])
+def test_the_wheels_carry_the_weight_however_it_shifts(ax, ay):
+    assert sum(felt_load(PAPER, wheel, ax, ay) for wheel in range(4)) == pytest.approx(PAPER.mass * GRAVITY, rel=1e-12)
+
+
+def test_a_lifted_wheel_keeps_a_newton():
+    assert felt_load(PAPER, 0, ay=60.0) == pytest.approx(1.0, rel=1e-9)
+
+
+def test_a_braking_car_presses_on_its_front_wheels_after_a_tenth_of_a_second():
+    plant = DualTrack(PAPER)
+    braking = inputs(force=-6000.0, acceleration=np.nan)
+    decelerations = [ride(plant, moving(25.0), braking, time, h=0.005)[10] for time in (0.1, 0.5)]
+    expected = (
+        -(
+            6000.0
+            + reference.rolling(PAPER, 25.0)
+            - reference.air_load(PAPER, 0.0, np.array([25.0, 0.0]), np.zeros(2))[0][0]
+        )
+        / PAPER.mass
+    )
+    assert decelerations[0] == pytest.approx(expected * (1 - math.exp(-1.0)), rel=0.01)
+    assert decelerations[1] == pytest.approx(expected * (1 - math.exp(-5.0)), rel=0.02)
+
+
+# -- friction ---------------------------------------------------------------------------------------------------------
+@pytest.mark.parametrize("friction", [0.3, 0.9])
+@pytest.mark.parametrize(
+    "plant",
+    [SingleTrack(PAPER), DualTrack(PAPER), DualTrack(PAPER, CURVED.replace(friction_load_sensitivity=0.0))],
+    ids=label,
+)
+def test_friction_limits_the_lateral_acceleration_to_mu_g(plant, friction):
+    plant = type(plant)(plant.vehicle.replace(**VACUUM), plant.tyre)
+    x, reached = moving(20.0), []
+    for command in np.linspace(0.0, 0.5, 40):
+        u = inputs(command=command, friction=friction)
+        x = ride(plant, x, u, 0.1, h=0.0125)
+        reached.append(slope(plant, x, u)[4] + x[3] * x[5])
+    assert 0.8 * friction * GRAVITY < max(reached) <= friction * GRAVITY * (1 + 1e-9)
+
+
+def test_braking_on_split_friction_turns_towards_the_grip():
+    grip_left = inputs(force=-8000.0, acceleration=np.nan, friction=(0.9, 0.2, 0.9, 0.2))
+    later = ride(DualTrack(PAPER), moving(20.0), grip_left, 0.5)
+    assert later[2] > 0.01
+    there = ride(DualTrack(PAPER), moving(20.0), mirrored_inputs(grip_left), 0.5)
+    np.testing.assert_allclose(there, mirrored(later), rtol=1e-10, atol=1e-12)
+
+
+def test_the_wheels_brake_no_harder_than_friction_allows():
+    plant, car = DualTrack(PAPER), PAPER
+    for friction in (0.2, 0.6):
+        later = ride(plant, moving(25.0), inputs(force=-15000.0, acceleration=np.nan, friction=friction), 0.5)
+        u = inputs(force=-15000.0, acceleration=np.nan, friction=friction)
+        tyres = slope(plant, later, u)[3] * car.mass + reference.rolling(car, later[3])
+        tyres -= reference.air_load(car, 0.0, later[3:5], np.zeros(2))[0][0]
+        assert -friction * car.mass * GRAVITY * (1 + 1e-9) <= tyres < -0.95 * friction * car.mass * GRAVITY
+
+
+# -- wind -------------------------------------------------------------------------------------------------------------
+def air(speed, wind, yaw=0.0, vy=0.0, car=PAPER):
+    """Side force (N) and yaw moment (N m) of the wind: what it adds to a car without tyre forces."""
+    x = moving(speed, x2=yaw, x4=vy)
+    dx = slope(SingleTrack(car, IDEAL), x, inputs(friction=0.0, wind=wind))
+    return car.mass * dx[4], car.yaw_inertia * dx[5]
+
+
+def test_a_side_wind_pushes_downwind_by_the_published_figures():
+    side, moment = air(20.0, (0.0, 30.0))
+    assert side == pytest.approx(1500.0, rel=0.02)
+    assert moment == pytest.approx(1400.0, rel=0.02)
+
+
+@pytest.mark.parametrize("wind", [1.0, 5.0, 12.0, 30.0])
+def test_the_side_wind_is_symmetric(wind):
+    left, right = air(20.0, (0.0, wind)), air(20.0, (0.0, -wind))
+    assert min(left) > 0.0
+    assert right == pytest.approx([-left[0], -left[1]], rel=1e-14)
+
+
+def test_beyond_its_limit_the_wind_angle_counts_no_more():
+    def coefficient(angle):
+        wind = 20.0 * math.tan(angle)
+        pressure = 0.5 * PAPER.air_density * PAPER.frontal_area * (400.0 + wind**2)
+        side, moment = air(20.0, (0.0, wind))
+        return side / pressure, moment / pressure / PAPER.wheelbase
+
+    assert coefficient(0.1) == pytest.approx((0.3, 0.1), rel=1e-12)
+    assert coefficient(0.299) == pytest.approx((0.897, 0.299), rel=1e-12)
+    for angle in (0.301, 0.6, 1.2):
+        assert coefficient(angle) == pytest.approx((0.9, 0.3), rel=1e-12)
+
+
+def test_only_the_wind_relative_to_the_car_counts(rng):
+    for yaw, speed, vy, east, north in rng.uniform([-3, 3, -2, -20, -20], [3, 40, 2, 20, 20], (50, 5)):
+        seen = reference.rotation(yaw).T @ [east, north]
+        turned = air(speed, (east, north), yaw, vy)
+        assert turned == pytest.approx(air(speed, tuple(seen), 0.0, vy), rel=1e-9, abs=1e-9)
+    still = air(15.0, tuple(reference.rotation(0.4) @ [15.0, 0.0]), yaw=0.4)
+    assert still == pytest.approx((0.0, 0.0), abs=1e-9)  # the air moves with the car
+
+
+def test_a_wind_into_the_face_slows_and_pushes_to_no_side():
+    side, moment = air(20.0, (-10.0, 0.0))
+    assert (side, moment) == (0.0, 0.0)
+    faces = [
+        slope(SingleTrack(PAPER), moving(20.0), inputs(acceleration=np.nan, wind=(wind, 0.0)))[3]
+        for wind in (-10.0, 0.0, 10.0)
+    ]
+    assert faces[0] < faces[1] < faces[2] < 0.0
+
+
+def test_a_tail_wind_faster_than_the_car_pushes_to_no_side():
+    side, moment = air(5.0, (15.0, 1e-3))
+    assert abs(side) < 1.0
+    assert abs(moment) < 1.0
+
+
+# -- the relaxation length --------------------------------------------------------------------------------------------
+@pytest.mark.parametrize("speed", [5.0, 20.0])
+@pytest.mark.parametrize("name", ["magic-formula", "passenger-car"])
+def test_the_lateral_force_builds_up_over_the_relaxation_length(name, speed):
+    plant = DualTrack(PAPER, name)
+    slippery = inputs(command=1e-4, friction=1e-9)  # without force the car keeps its course meanwhile
+    dry = inputs(command=1e-4)
+    whole = slope(plant, moving(speed, x6=1e-4, x7=1e-4), dry)[4]
+    for lengths in (0.5, 1.0, 3.0):
+        time = lengths * plant.tyre.relaxation_length / speed
+        x = ride(plant, moving(speed), slippery, time, h=time / 50)
+        assert slope(plant, x, dry)[4] / whole == pytest.approx(1 - math.exp(-lengths), rel=1e-3)
+
+
+def test_without_relaxation_the_force_is_there_at_once():
+    plant = DualTrack(PAPER, load_tyre("magic-formula").replace(relaxation_length=0.0))
+    assert slope(plant, moving(10.0), inputs(command=0.01))[4] > 0.1
+    assert slope(DualTrack(PAPER, "magic-formula"), moving(10.0), inputs(command=0.01))[4] == 0.0
+
+
+# -- the steering actuator --------------------------------------------------------------------------------------------
+@pytest.mark.parametrize("plant", [SingleTrack, DualTrack])
+def test_the_steering_lags_by_its_time_constant(plant):
+    car = plant(PAPER, steering=SteeringActuator(lag=0.15))
+    for time in (0.075, 0.15, 0.6):
+        angle = ride(car, moving(10.0), inputs(command=0.1), time, h=0.0075)[12]
+        assert angle == pytest.approx(0.1 * (1 - math.exp(-time / 0.15)), rel=1e-6)
+
+
+@pytest.mark.parametrize("plant", [SingleTrack, DualTrack])
+def test_the_steering_turns_no_faster_than_its_rate_and_no_further_than_its_limit(plant):
+    car = plant(PAPER, steering=SteeringActuator(lag=0.15, rate=0.5, limit=0.3))
+    assert ride(car, moving(5.0), inputs(command=1.0), 0.2)[12] == pytest.approx(0.1, rel=1e-9)
+    assert ride(car, moving(5.0), inputs(command=-1.0), 0.2)[12] == pytest.approx(-0.1, rel=1e-9)
+    assert ride(car, moving(5.0), inputs(command=1.0), 3.0, h=0.01)[12] == pytest.approx(0.3, rel=1e-6)
+    expected = reference.steering_speed(car.steering, 0.28, 0.31)
+    assert slope(car, moving(5.0, x12=0.28), inputs(command=0.31))[12] == pytest.approx(expected, rel=1e-12)
+
+
+@pytest.mark.parametrize("plant", [SingleTrack, DualTrack])
+def test_an_ideal_actuator_is_where_its_command_is(plant):
+    car = plant(PAPER, IDEAL)
+    lagging = plant(PAPER, IDEAL, steering=SteeringActuator(lag=0.1))
+    ideal = slope(car, moving(10.0, x12=0.3), inputs(command=0.05))
+    settled = slope(lagging, moving(10.0, x12=0.05), inputs(command=0.05))
+    assert np.array_equal(ideal[:12], settled[:12])
+    assert ideal[12] == settled[12] == 0.0

@@ -1,0 +1,597 @@
+"""One step of the MPC: the minimiser of eq. (11) within its limits, for any tuning, and never a silent number."""
+
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+
+from adaptrack.errors import InvalidInput, MissingExtra, UnknownName
+from adaptrack.kernels import loop
+from adaptrack.mpc import MPC, Condition, Limits, Moves, Scheduler, Tuning
+from adaptrack.prediction import PredictionModel, limit_bounds, limit_matrix
+from adaptrack.qp import QPStatus, get_qp_solver, list_qp_solvers
+from adaptrack.vehicle import load_vehicle
+from references import mpc as reference
+
+CAR, SEDAN = load_vehicle("paper"), load_vehicle("midsize-sedan")
+REST = np.zeros(4)
+WIDE = Limits(move=(-1e3, 1e3), angle=(-1e3, 1e3))
+MOVES = {"pulse": Moves.pulses(), "laguerre": Moves.laguerre(0.75, 6)}
+
+every_parametrisation = pytest.mark.parametrize("moves", MOVES.values(), ids=MOVES)
+
+
+def wild_state(rng, scale=1.0):
+    return rng.normal(size=4) * [0.5, 0.05, 0.1, 1.0] * scale
+
+
+def basis(moves, Np, Nc):
+    """L of dU = L eta."""
+    return np.eye(Np)[:, :Nc] if moves.kind == "pulse" else reference.laguerre(Np, moves.terms, moves.pole)
+
+
+def transfer(mpc, to):
+    """Give a controller what another one remembers: its last state, angle and that it has started."""
+    to._memory[:, : loop.KEY] = mpc._memory[:, : loop.KEY]
+    return to
+
+
+# -- the minimiser ----------------------------------------------------------------------------------------------------
+@every_parametrisation
+@pytest.mark.parametrize("preview", [False, True])
+@pytest.mark.parametrize("car", [CAR, SEDAN], ids=["paper", "sedan"])
+def test_without_limits_a_step_is_the_least_squares_solution(moves, preview, car, rng):
+    for _ in range(25):
+        Np = int(rng.integers(5, 40))
+        tuning = Tuning(Np, int(rng.integers(1, min(Np, 12) + 1)), 10 ** rng.uniform(0, 1), 10 ** rng.uniform(-1, 2))
+        mpc = MPC(car, tuning, limits=WIDE, moves=moves, preview=preview)
+        before, now = wild_state(rng), wild_state(rng)
+        mpc.step(before, 12.0, [0.0])
+        ahead, speed = rng.normal(size=60), rng.uniform(3, 30)
+        command = mpc.step(now, speed, ahead)
+        target = ahead[1 : Np + 1] if preview else np.full(Np, ahead[0])
+        expected = reference.unconstrained_move(
+            car, speed, 0.1, before, now, target, tuning.Q, tuning.R, basis(moves, Np, tuning.Nc)
+        )
+        assert command.status is QPStatus.SOLVED
+        assert command.move == pytest.approx(expected, rel=1e-7, abs=1e-9)
+        assert command.residual < 1e-9
+
+
+def test_the_first_step_takes_the_state_for_unchanged(rng):
+    state, ahead = wild_state(rng), rng.normal(size=1)
+    mpc = MPC(CAR, Tuning(20, 5, 1.0, 1.0), limits=WIDE)
+    expected = reference.unconstrained_move(
+        CAR, 10.0, 0.1, state, state, np.full(20, ahead[0]), 1.0, 1.0, basis(MOVES["pulse"], 20, 5)
+    )
+    assert mpc.step(state, 10.0, ahead).move == pytest.approx(expected, rel=1e-9)
+
+
+@pytest.mark.parametrize("period", [0.02, 0.05, 0.1])
+def test_the_qp_is_that_of_eq_17(period, rng):
+    mpc = MPC(CAR, period=period)
+    model = PredictionModel(CAR, period)
+    for _ in range(20):
+        before, now, speed = wild_state(rng), wild_state(rng), rng.uniform(1, 40)
+        mpc.reset()
+        mpc.step(before, speed, [0.3])
+        qp = mpc.problem(now, speed, [1.2])
+        E, K = model.quadratic(speed, np.append(now - before, now[3]), np.full(35, 1.2), 35, 8, 10.0, 0.01)
+        np.testing.assert_allclose(qp.E, E, rtol=1e-10)
+        np.testing.assert_allclose(qp.K, K, rtol=1e-9, atol=1e-9 * np.abs(K).max())
+        assert np.array_equal(qp.M, limit_matrix(8))
+        np.testing.assert_allclose(qp.gamma, limit_bounds(8, mpc.angle, mpc.limits), rtol=1e-14)
+
+
+def test_the_laguerre_qp_limits_the_moves_that_its_functions_make(rng):
+    moves = Moves.laguerre(0.8, 5)
+    mpc = MPC(CAR, moves=moves)
+    qp = mpc.problem(wild_state(rng), 15.0, [0.7])
+    assert qp.E.shape == (5, 5)
+    np.testing.assert_allclose(qp.M, limit_matrix(8) @ reference.laguerre(8, 5, 0.8), rtol=1e-12, atol=1e-14)
+
+
+def test_asking_for_the_problem_leaves_the_controller_as_it_is(rng):
+    first, second = MPC(CAR), MPC(CAR)
+    for _ in range(5):
+        state = wild_state(rng, 0.1)
+        first.problem(wild_state(rng), 11.0, [5.0])
+        asked, plain = first.step(state, 14.0, [0.5]), second.step(state, 14.0, [0.5])
+        assert asked.angle == pytest.approx(plain.angle, rel=1e-12)
+        assert asked.tuning == plain.tuning
+
+
+def test_only_the_ratio_of_the_weights_matters(rng):
+    state = wild_state(rng)
+    small, large = MPC(CAR, Tuning(Q=0.1, R=0.02)), MPC(CAR, Tuning(Q=10.0, R=2.0))
+    assert small.step(state, 15.0, [1.0]).move == pytest.approx(large.step(state, 15.0, [1.0]).move, rel=1e-9)
+
+
+def test_a_car_left_of_its_path_steers_right():
+    assert MPC(CAR).step([0, 0, 0, 0.5], 15.0, [0.0]).move < 0.0
+    assert MPC(CAR).step(REST, 15.0, [0.5]).move > 0.0
+
+
+def test_the_model_speed_has_a_floor():
+    slow = [MPC(CAR, speed_floor=2.0).step(REST, speed, [1e-3]).move for speed in (0.0, 0.5, 2.0)]
+    assert slow[0] == slow[1] == slow[2]
+    assert MPC(CAR, speed_floor=2.0).step(REST, 2.1, [1e-3]).move != slow[0]
+
+
+# -- preview ----------------------------------------------------------------------------------------------------------
+def test_without_preview_only_the_present_reference_counts(rng):
+    future = rng.normal(size=50)
+    future[0] = 0.4
+    assert MPC(CAR).step(REST, 12.0, future) == MPC(CAR).step(REST, 12.0, [0.4])
+
+
+def test_with_preview_the_last_reference_is_held(rng):
+    ahead = np.array([0.0, 0.1, 0.4])
+    short = MPC(CAR, preview=True).step(REST, 12.0, ahead)
+    padded = MPC(CAR, preview=True).step(REST, 12.0, np.concatenate([ahead, np.full(60, 0.4)]))
+    assert short == padded
+    assert MPC(CAR, preview=True).step(REST, 12.0, [0.3]) == MPC(CAR).step(REST, 12.0, [0.3])
+
+
+def test_preview_begins_before_the_reference_moves():
+    ahead = np.where(np.arange(40) >= 10, 1.0, 0.0)
+    assert MPC(CAR).step(REST, 12.0, ahead).move == 0.0
+    assert abs(MPC(CAR, preview=True).step(REST, 12.0, ahead).move) > 1e-4
+
+
+# -- limits -----------------------------------------------------------------------------------------------------------
+@every_parametrisation
+@pytest.mark.parametrize("solver", ["active-set", "hildreth"])
+def test_moves_and_angles_stay_within_their_limits(moves, solver, rng):
+    limits = Limits(move=(-0.05, 0.03), angle=(-0.2, 0.25))
+    mpc = MPC(CAR, limits=limits, moves=moves, solver=solver)
+    angle, seen = 0.0, 0
+    for _ in range(60):
+        command = mpc.step(wild_state(rng, 3.0), rng.uniform(1, 30), rng.normal(size=1) * 10)
+        assert command.status is QPStatus.SOLVED
+        assert -0.05 - 1e-15 <= command.move <= 0.03 + 1e-15  # a difference of two angles, each rounded
+        assert -0.2 <= command.angle <= 0.25
+        assert command.angle - angle == pytest.approx(command.move, abs=1e-15)
+        assert bool(command.at_limit & 1) == (command.move <= -0.05 + 1e-9 or command.move >= 0.03 - 1e-9)
+        assert bool(command.at_limit & 2) == (command.angle <= -0.2 + 1e-9 or command.angle >= 0.25 - 1e-9)
+        angle, seen = command.angle, seen | command.at_limit
+        assert mpc.angle == angle
+    assert seen == 3
+
+
+def test_limits_that_do_not_bite_change_nothing(rng):
+    state = wild_state(rng, 0.05)
+    calm = Tuning(R=10.0)
+    free = MPC(CAR, calm, limits=WIDE).step(state, 15.0, [0.05])
+    assert free.at_limit == 0
+    assert MPC(CAR, calm).step(state, 15.0, [0.05]).move == pytest.approx(free.move, rel=1e-9)
+
+
+def test_soft_output_limits_that_do_not_bite_change_nothing(rng):
+    state = wild_state(rng, 0.05)
+    calm = Tuning(R=10.0)
+    soft = MPC(CAR, calm, limits=Limits(output=(-5.0, 5.0))).step(state, 15.0, [0.05])
+    assert soft.move == pytest.approx(MPC(CAR, calm).step(state, 15.0, [0.05]).move, rel=1e-8)
+    assert soft.at_limit == 0
+
+
+@every_parametrisation
+def test_soft_output_limits_always_leave_a_solution(moves, rng):
+    mpc = MPC(CAR, limits=Limits(output=(-0.5, 0.5)), moves=moves)
+    for _ in range(40):
+        command = mpc.step(wild_state(rng, 4.0), rng.uniform(1, 30), rng.normal(size=1) * 10)
+        assert command.status is QPStatus.SOLVED
+        assert not command.held
+
+
+@every_parametrisation
+def test_an_output_limit_is_violated_only_as_far_as_it_must(moves):
+    limits = Limits(output=(-math.inf, 0.6))
+    mpc = MPC(CAR, Tuning(30, 8, 1.0, 0.1), limits=limits, moves=moves)
+    a, b = reference.discrete(CAR, 12.0, 0.1)
+    x, seen, path = np.zeros(4), 0, []
+    for _ in range(80):
+        command = mpc.step(x, 12.0, [1.0])
+        seen |= command.at_limit
+        x = a @ x + b * command.angle
+        path.append(x[3])
+    assert seen & 4
+    assert 0.59 < path[-1] < 0.605
+    assert max(path) < 0.63
+    # far outside, the price leaves only one way: back
+    assert MPC(CAR, limits=Limits(output=(-0.1, 0.1))).step([0, 0, 0, 2.0], 12.0, [2.0]).move < 0.0
+
+
+def test_a_higher_price_violates_an_output_limit_less():
+    def overshoot(price):
+        mpc = MPC(CAR, Tuning(30, 8, 1.0, 0.1), limits=Limits(output=(-1.0, 0.6), output_price=price))
+        a, b = reference.discrete(CAR, 12.0, 0.1)
+        x = np.zeros(4)
+        for _ in range(80):
+            x = a @ x + b * mpc.step(x, 12.0, [1.0]).angle
+        return x[3] - 0.6
+
+    cheap, dear = overshoot(10.0), overshoot(1e4)
+    assert cheap > 5 * dear > 0.0
+
+
+# -- a tuning that changes --------------------------------------------------------------------------------------------
+class Playlist:
+    """A scheduler that plays a list of tunings."""
+
+    def __init__(self, tunings):
+        self.tunings, self.k, self.seen = list(tunings), 0, []
+
+    def __call__(self, condition):
+        self.seen.append(condition)
+        self.k += 1
+        return self.tunings[self.k - 1]
+
+
+HERE = Condition(speed=15.0, y_ref=0.5, friction=0.8, wind=3.0)
+
+
+@every_parametrisation
+@pytest.mark.parametrize("output", [(-math.inf, math.inf), (-0.8, 0.8)], ids=["free", "soft"])
+def test_a_new_tuning_acts_as_if_the_controller_had_always_had_it(moves, output, rng):
+    limits = Limits(output=output)
+    tunings = []
+    for _ in range(30):
+        Np = int(rng.integers(1, 60))
+        tunings.append(
+            Tuning(Np, int(rng.integers(1, min(Np, 20) + 1)), 10 ** rng.uniform(-1, 1), 10 ** rng.uniform(-2, 1))
+        )
+    changing = MPC(CAR, limits=limits, moves=moves, scheduler=Playlist(tunings))
+    for tuning in tunings:
+        fresh = MPC(CAR, tuning, limits=limits, moves=moves, longest_horizon=60, most_moves=20)
+        transfer(changing, fresh)
+        state, speed, ahead = wild_state(rng, 0.7), rng.uniform(1, 30), rng.normal(size=1)
+        expected = fresh.step(state, speed, ahead)
+        command = changing.step(state, speed, ahead, HERE)
+        assert command.tuning == expected.tuning == dataclasses.astuple(tuning)
+        assert command.status is expected.status is QPStatus.SOLVED
+        assert command.move == pytest.approx(expected.move, rel=1e-8, abs=1e-9)
+
+
+@every_parametrisation
+def test_at_rest_on_the_reference_no_change_of_tuning_moves_the_steering(moves, rng):
+    tunings = [(int(Np), int(Nc), 10.0, 0.01) for Np, Nc in rng.integers(1, 40, (20, 2))]
+    mpc = MPC(CAR, moves=moves, scheduler=Playlist(tunings))
+    for _ in tunings:
+        command = mpc.step([0, 0, 0, 1.7], rng.uniform(1, 30), [1.7], HERE)
+        assert command.move == 0.0
+        assert command.status is QPStatus.SOLVED
+
+
+@pytest.mark.parametrize(
+    ("asked", "used"),
+    [
+        ((35.0, 8.0), (35, 8)),
+        ((34.5, 8.2), (35, 8)),
+        ((34.49, 7.5), (34, 8)),
+        ((10.0, 14.0), (10, 10)),
+        ((1e12, 1e12), (60, 20)),
+        ((0.2, 0.2), (1, 1)),
+        ((-7.0, 3.0), (1, 1)),
+        ((60.4, 19.6), (60, 20)),
+    ],
+)
+def test_real_valued_horizons_are_rounded_and_clamped(asked, used):
+    mpc = MPC(CAR, scheduler=lambda condition: (*asked, 10.0, 0.01))
+    command = mpc.step(REST, 15.0, [0.2], HERE)
+    assert command.tuning == (*used, 10.0, 0.01)
+    plain = MPC(CAR, Tuning(*used, 10.0, 0.01)).step(REST, 15.0, [0.2])
+    assert command.move == pytest.approx(plain.move, rel=1e-9)
+
+
+def test_a_scheduler_is_given_the_condition_and_may_answer_with_a_tuning():
+    schedule = Playlist([Tuning(20, 4, 2.0, 0.5)])
+    assert isinstance(schedule, Scheduler)
+    command = MPC(CAR, scheduler=schedule).step(REST, 15.0, [0.1], HERE)
+    assert schedule.seen == [HERE]
+    assert command.tuning == (20, 4, 2.0, 0.5)
+
+
+def test_a_scheduler_without_a_condition_is_an_error():
+    with pytest.raises(InvalidInput, match="condition"):
+        MPC(CAR, scheduler=Playlist([Tuning()])).step(REST, 15.0, [0.1])
+
+
+@pytest.mark.parametrize("place", range(4))
+@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
+def test_a_scheduler_that_gives_no_number_holds_the_angle_and_says_so(place, value):
+    asked = [35.0, 8.0, 10.0, 0.01]
+    asked[place] = value
+    good = (35, 8, 10.0, 0.01)
+    mpc = MPC(CAR, scheduler=Playlist([good, tuple(asked), good]))
+    first = mpc.step(REST, 15.0, [0.5], HERE)
+    second = mpc.step(REST, 15.0, [0.5], HERE)
+    assert (second.held, second.status, second.angle) == (True, QPStatus.NON_FINITE, first.angle)
+    assert not mpc.step(REST, 15.0, [0.5], HERE).held
+
+
+@pytest.mark.parametrize("weights", [(-1.0, 0.01), (10.0, 0.0), (10.0, -1.0)])
+def test_a_scheduler_that_gives_impossible_weights_holds_the_angle_and_says_so(weights):
+    mpc = MPC(CAR, scheduler=lambda condition: (35, 8, *weights))
+    command = mpc.step(REST, 15.0, [0.5], HERE)
+    assert command.held
+    assert command.status is QPStatus.NOT_CONVEX
+    assert "positive" in command.status.sentence
+
+
+# -- what is not a number ---------------------------------------------------------------------------------------------
+# NumPy warns of the infinities that the interpreter computes with; compiled code is silent.
+quiet = pytest.mark.filterwarnings("ignore:.* encountered in:RuntimeWarning")
+
+
+@quiet
+@every_parametrisation
+@pytest.mark.parametrize("place", range(4))
+@pytest.mark.parametrize("value", [math.nan, math.inf])
+def test_a_state_that_is_no_number_holds_the_angle_for_one_step(moves, place, value, rng):
+    mpc = MPC(CAR, moves=moves)
+    states = [wild_state(rng, 0.1) for _ in range(3)]
+    bad = states[1].copy()
+    bad[place] = value
+    first = mpc.step(states[0], 15.0, [0.3])
+    broken = mpc.step(bad, 15.0, [0.3])
+    assert broken.held
+    assert broken.status is QPStatus.NON_FINITE
+    assert "NaN" in broken.status.sentence
+    assert (broken.angle, broken.move, broken.at_limit) == (first.angle, 0.0, 0)
+    assert math.isnan(broken.residual)
+    recovered = mpc.step(states[2], 15.0, [0.3])
+    assert not recovered.held
+    assert recovered.status is QPStatus.SOLVED
+
+
+@quiet
+@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
+@pytest.mark.parametrize("preview", [False, True])
+def test_a_reference_that_is_no_number_holds_the_angle_for_one_step(value, preview):
+    mpc = MPC(CAR, preview=preview)
+    first = mpc.step(REST, 15.0, [0.3])
+    broken = mpc.step(REST, 15.0, [value] if not preview else [0.3, 0.3, value, 0.3])
+    assert (broken.held, broken.status, broken.angle) == (True, QPStatus.NON_FINITE, first.angle)
+    assert not mpc.step(REST, 15.0, [0.3]).held
+
+
+@quiet
+@pytest.mark.parametrize("value", [math.nan, math.inf])
+def test_a_speed_that_is_no_number_holds_the_angle_for_one_step(value):
+    mpc = MPC(CAR)
+    first = mpc.step(REST, 15.0, [0.3])
+    broken = mpc.step(REST, value, [0.3])
+    assert (broken.held, broken.status, broken.angle) == (True, QPStatus.NON_FINITE, first.angle)
+    assert not mpc.step(REST, 15.0, [0.3]).held
+
+
+@quiet
+def test_the_first_step_may_be_broken_and_holds_angle_zero():
+    mpc = MPC(CAR)
+    broken = mpc.step([math.nan] * 4, 15.0, [0.3])
+    assert (broken.held, broken.angle) == (True, 0.0)
+    assert mpc.step(REST, 15.0, [0.3]).move == pytest.approx(MPC(CAR).step(REST, 15.0, [0.3]).move, rel=1e-12)
+
+
+@pytest.mark.parametrize("status", QPStatus)
+def test_every_status_has_a_sentence(status):
+    assert status.sentence.endswith(".")
+    assert len(status.sentence) > 20
+
+
+# -- solvers ----------------------------------------------------------------------------------------------------------
+@pytest.mark.parametrize("name", list_qp_solvers())
+@pytest.mark.parametrize("output", [(-math.inf, math.inf), (-0.4, 0.4)], ids=["free", "soft"])
+def test_every_back_end_gives_the_move_of_the_kernel(name, output, rng):
+    try:
+        solver = get_qp_solver(name)
+    except MissingExtra as missing:
+        pytest.skip(str(missing))
+    limits = Limits(move=(-0.05, 0.05), angle=(-0.3, 0.3), output=output)
+    tuning = Tuning(25, 6, 1.0, 0.5)
+    exact, other = (MPC(CAR, tuning, limits=limits, solver=each) for each in ("active-set", solver))
+    limited = solved = 0
+    for _ in range(20):
+        state, speed, ahead = wild_state(rng), rng.uniform(3, 25), rng.normal(size=1)
+        expected, command = exact.step(state, speed, ahead), other.step(state, speed, ahead)
+        transfer(exact, other)
+        limited += expected.at_limit > 0
+        solved += not command.held
+        if command.held:  # a first-order method may not get there: then it must not steer
+            assert command.status is QPStatus.CAPPED
+        else:
+            assert command.status is QPStatus.SOLVED
+            assert command.move == pytest.approx(expected.move, abs=max(1e-6, solver.accuracy))
+    assert solved == 20 or name == "osqp"
+    assert limited > 5
+
+
+@pytest.mark.parametrize("answer", [(35, 8, 10.0), None, "fast", (35, 8, 10.0, "small")], ids=str)
+def test_a_scheduler_that_gives_no_four_numbers_is_told_so(answer):
+    with pytest.raises(InvalidInput, match="scheduler"):
+        MPC(CAR, scheduler=lambda condition: answer).step(REST, 15.0, [0.1], HERE)
+
+
+FAR = np.array([0.0, 0.0, 0.0, 4.0])  # metres off the path: every move at its limit, Hildreth does not converge
+
+
+def test_hildreth_uncertified_is_finished_by_the_exact_method():
+    exact, finished = (MPC(CAR, solver=solver).step(FAR, 25.0, [0.0]) for solver in ("active-set", "hildreth"))
+    assert finished.status is QPStatus.SOLVED
+    assert finished.iterations > 38
+    assert finished.move == pytest.approx(exact.move, abs=1e-9)
+
+
+def test_hildreth_uncertified_may_hold_the_angle():
+    mpc = MPC(CAR, solver=get_qp_solver("hildreth", on_uncertified="hold"))
+    held = mpc.step(FAR, 25.0, [0.0])
+    assert (held.status, held.held, held.angle) == (QPStatus.CAPPED, True, 0.0)
+
+
+@every_parametrisation
+def test_hildreth_uncertified_may_be_applied_within_the_limits_and_says_so(moves):
+    mpc = MPC(CAR, moves=moves, solver=get_qp_solver("hildreth", on_uncertified="apply"))
+    capped = 0
+    for _ in range(5):
+        command = mpc.step(FAR, 25.0, [0.0])
+        assert not command.held
+        assert abs(command.move) <= math.pi / 12 + 1e-15
+        assert abs(command.angle) <= math.pi / 6
+        assert command.residual < 1e-6 or command.status is QPStatus.CAPPED
+        capped += command.status is QPStatus.CAPPED
+    assert capped > 0
+
+
+def test_a_misspelt_solver_is_named():
+    with pytest.raises(UnknownName, match="hildreth"):
+        MPC(CAR, solver="hildret")
+
+
+# -- bad arguments ----------------------------------------------------------------------------------------------------
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        {"Np": 0}, {"Np": -1}, {"Np": 35.0}, {"Np": True}, {"Np": math.nan}, {"Np": "35"}, {"Np": None},
+        {"Nc": 0}, {"Nc": 36}, {"Nc": 2.5}, {"Nc": math.inf},
+        {"Q": -1.0}, {"Q": math.nan}, {"Q": math.inf},
+        {"R": 0.0}, {"R": -0.1}, {"R": math.nan}, {"R": math.inf},
+    ],
+    ids=str,
+)  # fmt: skip
+def test_a_tuning_refuses_what_makes_no_controller(arguments):
+    with pytest.raises(InvalidInput, match=f"Tuning: {next(iter(arguments))} = "):
+        Tuning(**arguments)
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        {"move": (0.1, -0.1)}, {"move": (math.nan, 0.1)}, {"move": (0.01, 0.1)}, {"move": (-0.1, -0.01)},
+        {"move": (-math.inf, 0.1)}, {"move": (-0.1, math.inf)},
+        {"angle": (0.2, -0.2)}, {"angle": (-0.2, math.nan)}, {"angle": (0.1, 0.2)}, {"angle": (-math.inf, math.inf)},
+        {"output": (1.0, -1.0)}, {"output": (math.nan, 1.0)},
+        {"output_price": 0.0}, {"output_price": -1.0}, {"output_price": math.nan}, {"output_price": math.inf},
+    ],
+    ids=str,
+)  # fmt: skip
+def test_limits_refuse_what_leaves_no_feasible_move(arguments):
+    with pytest.raises(InvalidInput, match=f"Limits: {next(iter(arguments))} = "):
+        Limits(**arguments)
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [{"kind": "pulses"}, {"pole": 1.0}, {"pole": -0.1}, {"pole": math.nan}, {"terms": 0}, {"terms": -2}],
+    ids=str,
+)
+def test_moves_refuse_what_is_no_parametrisation(arguments):
+    with pytest.raises(InvalidInput, match=f"Moves: {next(iter(arguments))} = "):
+        Moves(**arguments)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "named"),
+    [
+        ({"period": 0.0}, "period"),
+        ({"period": -0.1}, "period"),
+        ({"period": math.nan}, "period"),
+        ({"period": math.inf}, "period"),
+        ({"speed_floor": 0.0}, "speed_floor"),
+        ({"speed_floor": -1.0}, "speed_floor"),
+        ({"speed_floor": math.nan}, "speed_floor"),
+        ({"speed_floor": math.inf}, "speed_floor"),
+        ({"longest_horizon": 20}, "longest_horizon"),
+        ({"most_moves": 5}, "most_moves"),
+        ({"moves": Moves.laguerre(), "most_moves": 80}, "most_moves"),
+    ],
+    ids=str,
+)
+def test_a_controller_refuses_what_makes_none(arguments, named):
+    with pytest.raises(InvalidInput, match=named):
+        MPC(CAR, **arguments)
+
+
+@pytest.mark.parametrize(
+    ("make", "arguments"),
+    [
+        (Tuning, {"Q": "ten"}), (Tuning, {"R": None}),
+        (Limits, {"move": (0.1,)}), (Limits, {"angle": 0.5}), (Limits, {"output": ("high", "low")}),
+        (Moves, {"terms": 2.5}), (Moves, {"terms": math.nan}), (Moves, {"pole": "slow"}),
+        (MPC, {"tuning": (35, 8, 10.0, 0.01)}), (MPC, {"period": "fast"}), (MPC, {"solver": None}),
+        (MPC, {"longest_horizon": 60.5}), (MPC, {"longest_horizon": math.nan}), (MPC, {"most_moves": math.nan}),
+        (MPC, {"scheduler": 3}),
+    ],
+    ids=str,
+)  # fmt: skip
+def test_an_argument_of_the_wrong_type_is_refused_by_name(make, arguments):
+    with pytest.raises(InvalidInput, match=next(iter(arguments))):
+        make(CAR, **arguments) if make is MPC else make(**arguments)
+
+
+@pytest.mark.parametrize("state", [["a", 0, 0, 0], [None, {}, 0, 0]], ids=["text", "nothing"])
+def test_a_state_that_holds_no_numbers_is_refused(state):
+    with pytest.raises(InvalidInput, match="state"):
+        MPC(CAR).step(state, 15.0, [0.0])
+
+
+@pytest.mark.parametrize("state", [np.zeros(3), np.zeros((4, 1)), 0.0, np.zeros(5)], ids=["3", "4x1", "scalar", "5"])
+def test_a_state_of_the_wrong_shape_is_refused(state):
+    with pytest.raises(InvalidInput, match="state: shape"):
+        MPC(CAR).step(state, 15.0, [0.0])
+
+
+def test_an_empty_reference_is_refused():
+    with pytest.raises(InvalidInput, match="reference: empty"):
+        MPC(CAR).step(REST, 15.0, [])
+
+
+# -- workspace --------------------------------------------------------------------------------------------------------
+@pytest.mark.compiled
+@pytest.mark.parametrize(
+    "options",
+    [{}, {"moves": MOVES["laguerre"]}, {"limits": Limits(output=(-0.5, 0.5))}, {"solver": "hildreth"}],
+    ids=["pulse", "laguerre", "soft", "hildreth"],
+)
+def test_what_a_workspace_held_before_changes_no_bit(options, rng):
+    mpc = MPC(CAR, **options)
+    settings, model = mpc.settings(), mpc.model.packed()
+    used = loop.workspace(1, settings)
+    for _ in range(40):
+        fresh = loop.workspace(1, settings)
+        memories, records = [loop.memory(1) for _ in range(2)], np.zeros((2, 1, len(loop.RECORD)))
+        for k in range(6):
+            if k % 3 == 0:
+                tuning = np.array(
+                    [rng.integers(2, 56), rng.integers(1, 19), rng.uniform(0.1, 10), 10 ** rng.uniform(-2, 3)]
+                )
+                speed = rng.uniform(3, 25)
+            state, ahead = wild_state(rng, 0.6), rng.normal(size=1)
+            for workspace, memory, record in zip((fresh, used), memories, records, strict=True):
+                workspace.measured[:] = state
+                loop.mpc_step(0, speed, ahead, tuning, model, settings, memory, record, workspace)
+            assert np.array_equal(*records, equal_nan=True)
+
+
+# -- memory -----------------------------------------------------------------------------------------------------------
+def test_after_a_reset_a_controller_answers_as_a_new_one(rng):
+    mpc = MPC(CAR)
+    for _ in range(4):
+        mpc.step(wild_state(rng, 0.2), 15.0, rng.normal(size=1))
+    assert mpc.angle != 0.0
+    mpc.reset()
+    assert mpc.angle == 0.0
+    state = wild_state(rng, 0.2)
+    assert mpc.step(state, 15.0, [0.4]) == MPC(CAR).step(state, 15.0, [0.4])
+
+
+def test_a_controller_describes_itself():
+    described = MPC(CAR, moves=Moves.laguerre(0.75, 6), preview=True).describe()
+    assert described["tuning"] == {"Np": 35, "Nc": 8, "Q": 10.0, "R": 0.01}
+    assert described["moves"] == {"kind": "laguerre", "pole": 0.75, "terms": 6}
+    assert described["preview"] is True
+    assert described["solver"] == "active-set"
+    assert MPC(CAR).describe()["moves"] == {"kind": "pulse"}
+    assert MPC(CAR).name == "standard MPC (pulse)"
+    assert "scheduled" in MPC(CAR, scheduler=Playlist([])).name

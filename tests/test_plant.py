@@ -1,0 +1,291 @@
+"""Plants keep their contract, and the checker says which clause a broken one breaks."""
+
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+
+from adaptrack.errors import ContractError, InvalidInput, UnknownName
+from adaptrack.plant import (
+    MOTION,
+    PAPER,
+    ROAD,
+    DualTrack,
+    Profile,
+    SingleTrack,
+    UserPlant,
+    check_plant,
+    load_profile,
+)
+from adaptrack.vehicle import SteeringActuator, list_tyres, list_vehicles, load_tyre, load_vehicle
+
+CAR = load_vehicle("paper")
+
+
+# -- one's own plant --------------------------------------------------------------------------------------------------
+def linear_car(x, u, environment, p, dx):
+    """Eq. (6), its wheels pushed by m, I_z, l_f, l_r, C_f, C_r, and a side wind of p[6] N per m/s."""
+    speed = max(x[3], 1.0)
+    front = 2.0 * p[4] * environment[0] * (u[0] - (x[4] + p[2] * x[5]) / speed)
+    rear = -2.0 * p[5] * environment[2] * (x[4] - p[3] * x[5]) / speed
+    dx[0] = x[3] * math.cos(x[2]) - x[4] * math.sin(x[2])
+    dx[1] = x[3] * math.sin(x[2]) + x[4] * math.cos(x[2])
+    dx[2] = x[5]
+    dx[3] = u[1] / p[0] + x[4] * x[5]
+    dx[4] = (front + rear + p[6] * environment[5]) / p[0] - x[3] * x[5]
+    dx[5] = (p[2] * front - p[3] * rear) / p[1]
+
+
+PARAMETERS = {"mass": 1575.0, "inertia": 2875.0, "lf": 1.2, "lr": 1.6, "cf": 19000.0, "cr": 33000.0, "wind": 5.0}
+
+
+def user_plant(right_hand_side=linear_car, **fields):
+    return UserPlant(right_hand_side, dict(PARAMETERS), mass=1575.0, **fields)
+
+
+@pytest.mark.parametrize("plant", [SingleTrack, DualTrack])
+@pytest.mark.parametrize("tyre", list_tyres())
+@pytest.mark.parametrize("car", list_vehicles())
+@pytest.mark.compiled  # the checker rides for seconds
+def test_our_own_plants_pass_the_checker(plant, tyre, car):
+    check_plant(plant(load_vehicle(car), tyre))
+
+
+@pytest.mark.compiled
+def test_a_users_plant_passes_the_checker():
+    check_plant(user_plant())
+
+
+@pytest.mark.compiled
+def test_a_lopsided_plant_passes_when_it_says_so():
+    def pulls_left(x, u, environment, p, dx):
+        linear_car_compiled(x, u, environment, p, dx)
+        dx[5] += 0.01
+
+    linear_car_compiled = user_plant().function
+    plant = user_plant(pulls_left)
+    check_plant(plant, symmetric=False)
+    with pytest.raises(ContractError, match="must go straight"):
+        check_plant(plant)
+
+
+def test_a_users_plant_has_its_own_states_and_parameters():
+    plant = user_plant(own_states=("roll", "roll_rate"), label="rolling car", tyres="linear", steps=7)
+    assert plant.state_names == (*MOTION, "roll", "roll_rate")
+    assert (plant.name, plant.tyre_name) == ("rolling car", "linear")
+    assert plant.substeps(0.1, 50.0) == 7
+    packed = plant.with_steering(SteeringActuator(lag=0.2, rate=0.4, limit=0.5)).packed()
+    assert packed.tolist() == [*PARAMETERS.values(), 0.2, 0.4, 0.5]
+    assert plant.powertrain == {"mass": 1575.0, "engine_power": 1e5, "traction_limit": 8000.0, "brake_limit": 15000.0}
+
+
+def test_a_users_derivative_is_what_the_function_writes():
+    slope = user_plant().derivative([0, 0, 0, 10.0, 0.2, 0.1], [0.05, 300.0], [1, 1, 1, 1, 0, 2.0])
+    by_hand = np.empty(6)
+    linear_car(
+        np.array([0, 0, 0, 10.0, 0.2, 0.1]),
+        np.array([0.05, 300.0]),
+        np.array([1, 1, 1, 1, 0, 2.0]),
+        np.array(list(PARAMETERS.values())),
+        by_hand,
+    )
+    assert slope == pytest.approx(by_hand, rel=1e-14)
+
+
+# -- each clause of the contract --------------------------------------------------------------------------------------
+class Altered:
+    """A good plant with some of its members replaced; slope(good derivative, x, u, environment, calls) alters one."""
+
+    def __init__(self, slope=None, **members):
+        self.good, self.slope, self.calls = SingleTrack(CAR), slope, 0
+        vars(self).update(members)
+
+    def __getattr__(self, name):  # what is not replaced
+        return getattr(self.good, name)
+
+    def derivative(self, x, u, environment):
+        self.calls += 1
+        good = self.good.derivative(x, u, environment)
+        return good if self.slope is None else self.slope(good, x, u, environment, self.calls)
+
+
+def set_entry(place, value):
+    def slope(good, x, u, environment, calls):
+        good[place] = value(good, x, u)
+        return good
+
+    return slope
+
+
+def write_to(which):
+    def slope(good, *arguments):
+        arguments[which][1] += 1e-9
+        return good
+
+    return slope
+
+
+def drifting(good, x, u, environment, calls):
+    return good + 1e-12 * calls
+
+
+BROKEN = {
+    "its states must begin with": Altered(state_names=("Y", "X", *MOTION[2:])),
+    r"packed\(\) must give one row of finite parameters": Altered(packed=lambda: np.full(34, np.nan)),
+    "every derivative must be written and finite.*yaw_rate": Altered(set_entry(5, lambda good, x, u: math.nan)),
+    "x, u, environment and p must not be written to": Altered(write_to(0)),
+    "the same arguments must give the same derivative": Altered(drifting),
+    r"position and yaw must obey kinematics, eq\. \(5\)": Altered(set_entry(1, lambda good, x, u: -good[1])),
+    "at zero steering the vehicle must go straight": Altered(set_entry(4, lambda good, x, u: good[4] + 0.01)),
+    r"steering to the left \(positive\) must begin a turn to the left": Altered(
+        set_entry(5, lambda good, x, u: -good[5])
+    ),
+    "the mirrored steering must give the mirrored motion": Altered(
+        set_entry(5, lambda good, x, u: good[5] * (1.0 if u[0] >= 0.0 else 1.5))
+    ),
+    "its steps must be small enough to integrate it": Altered(substeps=lambda period, top_speed: 1),
+}
+
+
+def test_the_plant_that_is_altered_was_good():
+    check_plant(Altered(), speeds=(10.0,))
+
+
+@pytest.mark.parametrize("clause", BROKEN)
+def test_the_checker_refuses_a_plant_that_breaks(clause):
+    with pytest.raises(ContractError, match=clause):
+        check_plant(BROKEN[clause], speeds=(2.0, 10.0))
+
+
+@pytest.mark.parametrize("which", [1, 2], ids=["u", "environment"])
+def test_the_checker_refuses_a_plant_that_writes_to_its_inputs(which):
+    with pytest.raises(ContractError, match="must not be written to"):
+        check_plant(Altered(write_to(which)), speeds=(10.0,))
+
+
+def writes_to_x(x, u, environment, p, dx):
+    linear_car_function(x, u, environment, p, dx)
+    x[4] += 1e-6
+
+
+def writes_to_environment(x, u, environment, p, dx):
+    linear_car_function(x, u, environment, p, dx)
+    environment[5] += 1e-6
+
+
+def writes_to_parameters(x, u, environment, p, dx):
+    linear_car_function(x, u, environment, p, dx)
+    p[0] *= 1.001
+
+
+@pytest.mark.parametrize("function", [writes_to_x, writes_to_environment, writes_to_parameters])
+def test_the_checker_refuses_a_users_plant_that_writes_to_its_arguments(function):
+    global linear_car_function
+    linear_car_function = user_plant().function
+    with pytest.raises(ContractError, match="must not be written to"):
+        check_plant(user_plant(function), speeds=(10.0,))
+
+
+def test_the_checker_refuses_a_user_plant_that_forgets_a_state():
+    def forgets_a_state(x, u, environment, p, dx):
+        dx[0], dx[1], dx[2], dx[3], dx[5] = x[3], 0.0, 0.0, 0.0, 0.0
+
+    with pytest.raises(ContractError, match=r"written and finite.*'vy'"):
+        check_plant(user_plant(forgets_a_state))
+
+
+@pytest.mark.compiled
+def test_a_function_that_numba_cannot_compile_is_refused_with_numbas_reason():
+    def nonsense(x, u, environment, p, dx):
+        dx[0] = "fast"
+
+    with pytest.raises(ContractError, match=r"numba cannot compile.*float64 arrays"):
+        user_plant(nonsense)
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf])
+def test_a_users_parameters_must_be_finite(value):
+    with pytest.raises(InvalidInput, match="mass = "):
+        UserPlant(linear_car, PARAMETERS | {"mass": value}, mass=1575.0)
+
+
+def test_a_users_plant_takes_at_least_one_step():
+    with pytest.raises(InvalidInput, match="at least 1"):
+        user_plant(steps=0)
+
+
+# -- built-in plants --------------------------------------------------------------------------------------------------
+@pytest.mark.parametrize("steps", [0, -3, 2.5])
+def test_the_number_of_steps_is_a_positive_integer(steps):
+    with pytest.raises(InvalidInput, match="positive integer"):
+        SingleTrack(CAR, steps=steps)
+
+
+def test_a_misspelt_tyre_is_named():
+    with pytest.raises(UnknownName, match="magic-formula"):
+        DualTrack(CAR, "magic-formla")
+
+
+def test_the_vehicles_own_tyre_is_the_default():
+    assert DualTrack(CAR).tyre == load_tyre(CAR.tyre)
+    assert DualTrack(load_vehicle("midsize-sedan")).tyre_name == "passenger-car"
+
+
+@pytest.mark.parametrize(
+    ("x", "u", "environment", "named"),
+    [
+        (np.zeros(5), np.zeros(2), np.ones(6), "x:"),
+        (np.zeros(6), np.zeros(3), np.ones(6), "u:"),
+        (np.zeros(6), np.zeros(2), np.ones(4), "environment:"),
+    ],
+)
+def test_a_derivative_refuses_arrays_of_the_wrong_shape(x, u, environment, named):
+    for plant in (SingleTrack(CAR), user_plant()):
+        with pytest.raises(InvalidInput, match=named):
+            plant.derivative(x, u, environment)
+
+
+@pytest.mark.parametrize("plant", [SingleTrack, DualTrack])
+def test_another_actuator_changes_nothing_else(plant):
+    before = plant(CAR, "passenger-car", steps=9)
+    after = before.with_steering(SteeringActuator(lag=0.2))
+    assert dataclasses.replace(before, steering=after.steering) == after
+    assert (before.packed()[:-3] == after.packed()[:-3]).all()
+    assert after.packed()[-3] == 0.2
+
+
+@pytest.mark.parametrize("car", list_vehicles())
+@pytest.mark.parametrize("tyre", list_tyres())
+def test_steps_grow_with_speed_over_a_relaxation_length_and_with_the_period(car, tyre):
+    plant = DualTrack(load_vehicle(car), tyre)
+    counts = [plant.substeps(0.1, speed) for speed in (3.0, 15.0, 27.0, 60.0)]
+    assert counts == sorted(counts)
+    assert all(isinstance(count, int) and count >= 8 for count in counts)
+    assert plant.substeps(0.2, 15.0) >= 2 * plant.substeps(0.1, 15.0) - 1
+    fast = 60.0 / plant.tyre.relaxation_length
+    assert 0.1 / plant.substeps(0.1, 60.0) * fast <= 2.2 + 1e-9
+
+
+# -- profiles ---------------------------------------------------------------------------------------------------------
+def test_the_paper_profile_is_ideal_and_the_road_profile_is_not():
+    assert load_profile("paper") is PAPER
+    assert load_profile("road") is ROAD
+    assert PAPER.noise == (0.0, 0.0, 0.0, 0.0)
+    assert (PAPER.delay, PAPER.preview, PAPER.move_price) == (False, False, 0.0)
+    assert PAPER.steering == SteeringActuator.ideal()
+    assert ROAD.noise == (0.05, 0.003, 0.01, 0.03)
+    assert (ROAD.delay, ROAD.preview, ROAD.move_price) == (True, True, 3.0)
+    assert load_profile(ROAD) is ROAD
+
+
+def test_a_misspelt_profile_is_named():
+    with pytest.raises(UnknownName, match="'paper'"):
+        load_profile("papper")
+
+
+@pytest.mark.parametrize("field", ["noise_vy", "noise_yaw", "noise_yaw_rate", "noise_y", "move_price"])
+@pytest.mark.parametrize("value", [-0.1, math.nan, math.inf])
+def test_a_profile_refuses_what_is_no_standard_deviation(field, value):
+    with pytest.raises(InvalidInput, match=field):
+        Profile("own", SteeringActuator.ideal(), **{field: value})

@@ -1,0 +1,282 @@
+"""The prediction model is the paper's, equation by equation, in its readable and in its compiled form."""
+
+import inspect
+import math
+
+import numpy as np
+import pytest
+
+from adaptrack import prediction
+from adaptrack.errors import InvalidInput
+from adaptrack.kernels import prediction as kernels
+from adaptrack.prediction import PredictionModel, limit_bounds, limit_matrix
+from adaptrack.vehicle import list_vehicles, load_vehicle
+from references import mpc as reference
+
+CARS = {name: load_vehicle(name) for name in list_vehicles()}
+SPEEDS = (0.5, 1.0, 3.0, 7.3, 15.0, 27.0, 41.7, 60.0)
+STRIDE = 64  # row length of the compiled form's arrays, a multiple of 8
+
+every_car = pytest.mark.parametrize("car", CARS.values(), ids=CARS)
+every_speed = pytest.mark.parametrize("speed", SPEEDS)
+
+
+def close(computed, expected, tolerance):
+    """Equal within `tolerance` of the largest entry."""
+    computed, expected = np.asarray(computed), np.asarray(expected)
+    assert computed.shape == expected.shape
+    assert np.abs(computed - expected).max() <= tolerance * np.abs(expected).max()
+
+
+def padded(values, length=STRIDE):
+    return np.concatenate([values, np.zeros(length - len(values))])
+
+
+def compiled(model, speed, Np):
+    """F without its last column (Np, 4) and the step response (Np,) as the kernels compute them."""
+    a, b = np.empty((4, 4)), np.empty(4)
+    free, step = np.zeros((4, STRIDE)), np.zeros(STRIDE)
+    kernels.discretise(speed, model.period, model.packed(), a, b)
+    kernels.responses(Np, a, b, free, step)
+    return free[:, :Np].T, step[:Np]
+
+
+# -- eqs. (7), (8): the model -----------------------------------------------------------------------------------------
+@every_car
+@every_speed
+def test_the_continuous_model_is_the_linearised_plant(car, speed):
+    a, b, c = PredictionModel(car).continuous(speed)
+    expected_a, expected_b = reference.continuous(car, speed)
+    close(a, expected_a, 1e-14)
+    close(b[:, 0], expected_b, 1e-14)
+    assert c.tolist() == [[0, 0, 0, 1]]
+    compiled_a, compiled_b = np.empty((4, 4)), np.empty(4)
+    kernels.linearise(speed, PredictionModel(car).packed(), compiled_a, compiled_b)
+    np.testing.assert_allclose(compiled_a, a, rtol=1e-14)
+    np.testing.assert_allclose(compiled_b, b[:, 0], rtol=1e-14)
+
+
+def test_the_continuous_model_has_the_papers_numbers():
+    a, b, _ = PredictionModel(CARS["paper"]).continuous(20.0)
+    assert a[0, 0] == pytest.approx(-2 * 52000 / (1575 * 20))
+    assert a[0, 2] == pytest.approx(-20 - 2 * (19000 * 1.2 - 33000 * 1.6) / (1575 * 20))
+    assert a[2, 0] == pytest.approx(-2 * (19000 * 1.2 - 33000 * 1.6) / (2875 * 20))
+    assert a[2, 2] == pytest.approx(-2 * (19000 * 1.44 + 33000 * 2.56) / (2875 * 20))
+    assert b[:, 0] == pytest.approx([2 * 19000 / 1575, 0, 2 * 19000 * 1.2 / 2875, 0])
+
+
+@every_car
+@every_speed
+@pytest.mark.parametrize("period", [0.01, 0.05, 0.1, 0.5])
+def test_zero_order_hold_equals_the_matrix_exponential(car, speed, period):
+    a, b, _ = PredictionModel(car, period).discrete(speed)
+    expected_a, expected_b = reference.discrete(car, speed, period)
+    close(a, expected_a, 1e-12)
+    close(b[:, 0], expected_b, 1e-12)
+
+
+@every_car
+def test_holding_twice_for_half_the_period_is_holding_once(car):
+    for speed in SPEEDS:
+        half_a, half_b, _ = PredictionModel(car, 0.05).discrete(speed)
+        a, b, _ = PredictionModel(car, 0.1).discrete(speed)
+        close(half_a @ half_a, a, 1e-13)
+        close(half_a @ half_b + half_b, b, 1e-13)
+
+
+# -- eqs. (9), (10): augmentation, F and Phi --------------------------------------------------------------------------
+@every_car
+@every_speed
+def test_the_augmented_model_moves_as_the_plain_one(car, speed, rng):
+    model = PredictionModel(car)
+    a, b, c = model.augmented(speed)
+    before, now = rng.normal(size=(2, 4))
+    moves = rng.normal(size=20)
+    x = np.append(now - before, now[3])
+    plain = reference.outputs(car, speed, model.period, before, now, moves)
+    outputs = []
+    for move in moves:
+        x = a @ x + b[:, 0] * move
+        outputs.append((c @ x).item())
+    close(outputs, plain, 1e-12)
+
+
+@every_car
+@every_speed
+@pytest.mark.parametrize(("Np", "Nc"), [(1, 1), (5, 5), (20, 3), (35, 8), (60, 20)])
+def test_F_and_Phi_equal_the_simulated_model(car, speed, Np, Nc, rng):
+    model = PredictionModel(car)
+    free, phi = model.prediction(speed, Np, Nc)
+    before, now, moves = rng.normal(size=4), rng.normal(size=4), np.zeros(Np)
+    moves[:Nc] = rng.normal(size=Nc)
+    simulated = reference.outputs(car, speed, model.period, before, now, moves)
+    close(free @ np.append(now - before, now[3]) + phi @ moves[:Nc], simulated, 1e-10)
+
+
+@every_car
+@every_speed
+def test_the_compiled_responses_are_F_and_Phi(car, speed):
+    model, Np = PredictionModel(car), 55
+    free, phi = model.prediction(speed, Np, Np)
+    compiled_free, step = compiled(model, speed, Np)
+    close(compiled_free, free[:, :4], 1e-12)
+    close(step, phi[:, 0], 1e-12)
+    assert (free[:, 4] == 1.0).all()
+    for column in range(Np):  # each column of Phi is the first, shifted
+        assert np.array_equal(phi[column:, column], phi[: Np - column, 0])
+        assert (phi[:column, column] == 0.0).all()
+
+
+# -- eqs. (11), (17): the cost ----------------------------------------------------------------------------------------
+@every_car
+def test_the_quadratic_form_is_the_cost_up_to_a_constant(car, rng):
+    model, Np, Nc, Q, R = PredictionModel(car), 25, 6, 3.0, 0.4
+    x, reference_ahead = rng.normal(size=5), rng.normal(size=Np)
+    E, K = model.quadratic(12.0, x, reference_ahead, Np, Nc, Q, R)
+    free, phi = model.prediction(12.0, Np, Nc)
+
+    def cost(moves):
+        return model.cost(reference_ahead, free @ x + phi @ moves, moves, Q, R)
+
+    for moves in rng.normal(size=(10, Nc)):
+        assert 0.5 * moves @ E @ moves + moves @ K + cost(np.zeros(Nc)) == pytest.approx(cost(moves), rel=1e-12)
+    close(E, E.T, 1e-14)
+    assert np.linalg.eigvalsh(E).min() > 0.0
+
+
+@every_car
+def test_the_compiled_cost_is_that_of_eq_17(car, rng):
+    model = PredictionModel(car)
+    for _ in range(60):
+        Np = int(rng.integers(1, 61))
+        Nc = int(rng.integers(1, min(Np, 20) + 1))
+        speed, Q, R = rng.uniform(0.5, 60), 10 ** rng.uniform(-1, 2), 10 ** rng.uniform(-3, 1)
+        x, ahead = rng.normal(size=5), rng.normal(size=Np)
+        E, K = model.quadratic(speed, x, ahead, Np, Nc, Q, R)
+        free, step = compiled(model, speed, Np)
+        error, hessian, gradient = np.full(STRIDE + 24, np.nan), np.zeros((20, 24)), np.zeros(24)
+        rows = np.ascontiguousarray([padded(column) for column in free.T])
+        kernels.tracking_error(Np, rows, x[:4].copy(), x[4], padded(ahead), error)
+        kernels.pulse_hessian(Np, Nc, padded(step), Q, R, hessian)
+        kernels.pulse_gradient(Np, Nc, padded(step), Q, error, gradient)
+        close(error[:Np], ahead - model.prediction(speed, Np, Nc)[0] @ x, 1e-11)
+        close(hessian[:Nc, :Nc], E, 1e-11)
+        close(gradient[:Nc], K, 1e-10)
+
+
+# -- Laguerre functions -----------------------------------------------------------------------------------------------
+def laguerre(samples, terms, pole):
+    """(samples, terms): a function a column, as the kernel computes them."""
+    moves = np.zeros((terms, samples))
+    kernels.laguerre_moves(samples, terms, pole, moves)
+    return moves.T
+
+
+@pytest.mark.parametrize("pole", [0.0, 0.3, 0.75, 0.95])
+def test_laguerre_functions_are_those_of_their_z_transforms(pole):
+    close(laguerre(60, 10, pole), reference.laguerre(60, 10, pole), 1e-12)
+
+
+@pytest.mark.parametrize(("pole", "samples"), [(0.0, 10), (0.3, 100), (0.75, 300), (0.95, 2000)])
+def test_laguerre_functions_are_orthonormal(pole, samples):
+    functions = laguerre(samples, 10, pole)
+    close(functions.T @ functions, np.eye(10), 1e-12)
+
+
+def test_laguerre_functions_with_pole_zero_are_the_pulses():
+    assert np.array_equal(laguerre(30, 8, 0.0), np.eye(30)[:, :8])
+
+
+@every_car
+@pytest.mark.parametrize("pole", [0.0, 0.75, 0.95])
+def test_the_laguerre_cost_is_the_pulse_cost_projected(car, pole, rng):
+    model, Np, terms, Q, R = PredictionModel(car), 40, 7, 10.0, 0.02
+    speed = 17.0
+    _, step = compiled(model, speed, Np)
+    basis = laguerre(Np, terms, pole)
+    phi, hessian, gradient = np.zeros((terms, STRIDE)), np.zeros((terms, 8)), np.zeros(8)
+    ahead = rng.normal(size=Np)
+    moves = np.ascontiguousarray([padded(function) for function in basis.T])
+    kernels.laguerre_response(Np, terms, padded(step), moves, phi)
+    kernels.condensed_hessian(Np, terms, phi, Q, R, hessian)
+    kernels.condensed_gradient(Np, terms, phi, Q, padded(ahead), gradient)
+    E, K = model.quadratic(speed, np.zeros(5), ahead, Np, Np, Q, 0.0)
+    close(phi[:, :Np].T, model.prediction(speed, Np, Np)[1] @ basis, 1e-12)
+    close(hessian[:, :terms], basis.T @ E @ basis + 2 * R * np.eye(terms), 1e-12)
+    close(gradient[:terms], basis.T @ K, 1e-12)
+
+
+# -- eq. (16): the limits ---------------------------------------------------------------------------------------------
+def test_limit_rows_bound_each_move_and_each_angle(rng):
+    class Limits:
+        move = (-0.1, 0.2)
+        angle = (-0.4, 0.5)
+
+    Nc, angle = 6, 0.15
+    M, gamma = limit_matrix(Nc), limit_bounds(Nc, angle, Limits)
+    assert M.shape == (4 * Nc, Nc)
+    assert gamma.shape == (4 * Nc,)
+    for moves in rng.uniform(-0.25, 0.25, (300, Nc)):
+        angles = angle + np.cumsum(moves)
+        inside = (moves >= -0.1).all() and (moves <= 0.2).all() and (angles >= -0.4).all() and (angles <= 0.5).all()
+        assert (M @ moves <= gamma).all() == inside
+
+
+def test_the_rows_of_a_shorter_control_horizon_lead_those_of_a_longer_one():
+    assert np.array_equal(limit_matrix(9)[: 4 * 5, :5], limit_matrix(5))
+
+
+# -- documents and refusals -------------------------------------------------------------------------------------------
+EQUATIONS = {
+    PredictionModel.continuous: 7,
+    PredictionModel.discrete: 8,
+    PredictionModel.augmented: 9,
+    PredictionModel.prediction: 10,
+    PredictionModel.cost: 11,
+    PredictionModel.quadratic: 17,
+    limit_matrix: 16,
+    limit_bounds: 16,
+    kernels.linearise: 7,
+    kernels.discretise: 8,
+    kernels.responses: 10,
+    kernels.pulse_hessian: 17,
+    kernels.pulse_gradient: 17,
+}
+
+
+@pytest.mark.parametrize("function", EQUATIONS, ids=lambda function: function.__qualname__)
+def test_every_function_names_its_equation_of_the_paper(function):
+    assert f"({EQUATIONS[function]})" in inspect.getdoc(getattr(function, "py_func", function)).split("\n")[0]
+
+
+def test_the_packed_model_follows_the_kernels_order():
+    packed = PredictionModel(CARS["paper"]).packed()
+    assert dict(zip(kernels.MODEL_PARAMETERS, packed, strict=True)) == {
+        "mass": 1575, "yaw_inertia": 2875, "lf": 1.2, "lr": 1.6, "stiffness_front": 19000, "stiffness_rear": 33000
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize("speed", [0.0, -3.0, math.nan, math.inf])
+def test_a_speed_without_a_model_is_refused(speed):
+    model = PredictionModel(CARS["paper"])
+    for method in (model.continuous, model.discrete, model.augmented):
+        with pytest.raises(InvalidInput, match="speed = "):
+            method(speed)
+
+
+@pytest.mark.parametrize("period", [0.0, -0.1, math.nan, math.inf])
+def test_a_period_that_is_no_time_is_refused(period):
+    with pytest.raises(InvalidInput, match="period = "):
+        PredictionModel(CARS["paper"], period)
+
+
+@pytest.mark.parametrize(("Np", "Nc"), [(0, 0), (5, 6), (5, 0), (-1, -1)])
+def test_horizons_out_of_order_are_refused(Np, Nc):
+    with pytest.raises(InvalidInput, match="1 <= Nc <= Np"):
+        PredictionModel(CARS["paper"]).prediction(10.0, Np, Nc)
+
+
+def test_the_public_objects_of_the_module_are_documented():
+    for name, value in vars(prediction).items():
+        if inspect.isfunction(value) or inspect.isclass(value):
+            assert inspect.getdoc(value), name

@@ -1,0 +1,552 @@
+"""The improved particle swarm: the paper's equations, what holds for every position, and that runs can be repeated."""
+
+import io
+import itertools
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from numba import njit
+from scipy import stats
+
+from adaptrack.errors import ConfigError, InvalidInput
+from adaptrack.kernels import random, swarm
+from adaptrack.kernels.random import counted_normal, counted_uniform
+from adaptrack.toml_files import build, read_toml
+from adaptrack.tuning.pso import SearchSpace, Swarm, SwarmSettings, minimise
+
+TUNING = SearchSpace.tuning()
+NP, NC, Q, R = range(4)
+
+
+def box(dims, low=-5.0, high=5.0, **options):
+    return SearchSpace(names=tuple(f"x{d}" for d in range(dims)), low=(low,) * dims, high=(high,) * dims, **options)
+
+
+def sphere(x):
+    return (x**2).sum(axis=1)
+
+
+def hilly(x):
+    """A cost of tunings with many hills, so that a swarm keeps moving."""
+    unit = (x - np.array(TUNING.low)) / (np.array(TUNING.high) - np.array(TUNING.low))
+    return ((unit - 0.4) ** 2).sum(axis=1) - 0.1 * np.cos(25.0 * unit).sum(axis=1)
+
+
+def generations(swarm_, function):
+    """Each generation's positions with the state that its costs led to."""
+    while not swarm_.done:
+        x = swarm_.ask()
+        swarm_.tell(function(x))
+        yield x, swarm_.state
+
+
+def same(a, b):
+    return a.keys() == b.keys() and all(np.array_equal(a[key], b[key], equal_nan=True) for key in a)
+
+
+@st.composite
+def spaces(draw):
+    """Any box, with whole, fixed and ordered dimensions."""
+    dims = draw(st.integers(1, 5))
+    names = [f"x{d}" for d in range(dims)]
+    whole = [draw(st.booleans()) for _ in names]
+    low, high = [], []
+    for is_whole in whole:
+        bound = st.integers(-30, 30).map(float) if is_whole else st.floats(-1e6, 1e6)
+        a, b = sorted((draw(bound), draw(bound)))
+        low.append(a)
+        high.append(b)
+    pairs = [(i, j) for i, j in itertools.permutations(range(dims), 2) if whole[i] == whole[j] and low[i] <= low[j]]
+    ordered = draw(st.sampled_from([None, *pairs]))
+    return SearchSpace(
+        names=tuple(names),
+        low=tuple(low),
+        high=tuple(high),
+        whole=tuple(name for name, is_whole in zip(names, whole, strict=True) if is_whole),
+        ordered=None if ordered is None else (names[ordered[0]], names[ordered[1]]),
+        spread=draw(st.floats(1, 4)) if ordered is not None and low[ordered[0]] >= 0 else 1.0,
+    )
+
+
+# -- counted random numbers -------------------------------------------------------------------------------------------
+def test_outputs_are_those_of_splitmix64():
+    # the published sequence of the generator started at 1234567
+    known = [6457827717110365317, 3203168211198807973, 9817491932198370423, 4593380528125082431, 16408922859458223821]
+    assert [int(random.output(1234567, n)) for n in range(1, 6)] == known
+
+
+def test_compiled_draws_are_those_of_plain_integers(rng):
+    for counters in rng.integers(-(2**62), 2**62, (200, 5)).tolist():
+        state = 2
+        for counter in counters:
+            state = random._output_in_python(state, counter)
+        assert counted_uniform(*counters) == random._unit_in_python(state)
+
+
+def test_uniform_draws_are_uniform_in_every_counter():
+    for counter in range(5):
+        counters = [[n if c == counter else 7 for c in range(5)] for n in range(4000)]
+        draws = np.array([counted_uniform(*each) for each in counters])
+        assert ((draws >= 0) & (draws < 1)).all()
+        assert stats.kstest(draws, "uniform").pvalue > 1e-3
+        assert abs(np.corrcoef(draws[1:], draws[:-1])[0, 1]) < 4 / math.sqrt(len(draws))
+
+
+def test_normal_draws_are_normal_and_apart_from_the_uniform_ones():
+    draws = np.array([counted_normal(3, instant, channel) for instant in range(1000) for channel in range(4)])
+    assert stats.kstest(draws, "norm").pvalue > 1e-3
+    assert np.abs(np.corrcoef(draws.reshape(1000, 4).T) - np.eye(4)).max() < 4 / math.sqrt(1000)
+
+
+# -- the paper's equations --------------------------------------------------------------------------------------------
+@pytest.mark.parametrize(("g", "w"), [(0, 0.997), (1, 0.201), (2, 0.111), (3, 0.1013), (4, 0.1001), (5, 0.1000)])
+def test_inertia_of_the_papers_table_collapses_in_two_generations(g, w):
+    assert swarm.inertia(g, 15, 0.99, 0.1, 30.0, 3.0) == pytest.approx(w, abs=0.5 * 10.0 ** -len(str(w).split(".")[1]))
+
+
+@given(
+    st.integers(0, 200), st.integers(1, 200), st.floats(0.5, 1), st.floats(0, 0.5), st.floats(0, 50), st.floats(1, 5)
+)
+def test_inertia_is_eq_19(g, G, w_max, w_min, lambda1, lambda2):
+    by_hand = w_min + np.exp(w_max) * np.exp(-lambda1 * (w_max + w_min) * g / G) / lambda2
+    assert swarm.inertia(g, G, w_max, w_min, lambda1, lambda2) == pytest.approx(by_hand, rel=1e-12)
+
+
+def test_accelerations_follow_the_schedule_of_eq_20_over_the_papers_fifteen_generations():
+    alpha = [0.05] * 4 + [0.02] * 2 + [-0.035] * 6 + [-0.0015] * 3
+    steps = np.array(SwarmSettings().steps)
+    c1, c2 = 2.0, 2.0
+    for g in range(15):
+        following = swarm.accelerations(g, 15, c1, c2, steps)
+        assert following == pytest.approx((c1 + alpha[g], c2 - alpha[g]))
+        c1, c2 = following
+    assert c1 - 2.0 == pytest.approx(0.0255)  # nearly back where it began
+
+
+@pytest.mark.parametrize(("g", "range_"), [(20, 0), (21, 1), (35, 1), (36, 2), (75, 2), (76, 3), (100, 3), (0, 0)])
+def test_where_the_ranges_of_eq_20_share_an_end_the_first_wins(g, range_):
+    c1, _ = swarm.accelerations(g, 100, 0.0, 0.0, np.array([1.0, 2.0, 3.0, 4.0]))
+    assert c1 == range_ + 1
+
+
+@given(st.integers(1, 400))
+def test_accelerations_always_sum_to_four(G):
+    schedule = SwarmSettings(generations=G).schedule()
+    assert schedule.shape == (G - 1, 3)
+    assert schedule[:, 1] + schedule[:, 2] == pytest.approx(4.0)
+
+
+def test_social_acceleration_stays_positive_up_to_150_generations_and_not_much_longer():
+    smallest = {G: SwarmSettings(generations=G).schedule()[:, 2].min() for G in (15, 150, 165)}
+    assert smallest[15] > 1.7
+    assert smallest[150] > 0 > smallest[165]
+
+
+def test_a_move_is_eq_18_with_counted_draws():
+    space, settings = box(3, -1.0, 3.0), SwarmSettings(particles=5, generations=6, velocity_clamp=0.2)
+    run = Swarm(space, settings, seed=11, stream=4)
+    schedule = settings.schedule()
+    for g in range(5):
+        x, v = run.ask(), run.state["v"]
+        run.tell(sphere(x))
+        state = run.state
+        w, c1, c2 = schedule[g]
+        assert state["progress"][swarm.LAST_W] == w
+        r = np.array(
+            [[[counted_uniform(11, 4, g + 1, i, 2 * d + k) for k in (0, 1)] for d in range(3)] for i in range(5)]
+        )
+        pull = c1 * r[..., 0] * (state["best"] - x) + c2 * r[..., 1] * (state["leader"] - x)
+        wanted = np.clip(w * v + pull, -0.8, 0.8)
+        assert state["v"] == pytest.approx(wanted, rel=1e-12, abs=1e-12)
+        assert run.ask() == pytest.approx(np.clip(x + wanted, -1, 3), rel=1e-12, abs=1e-12)
+
+
+def test_the_first_inertia_acts_on_nothing_since_velocities_begin_at_zero():
+    slow, fast = (Swarm(box(3), SwarmSettings.classic(w=w), seed=1) for w in (0.0, 0.9))
+    for run in (slow, fast):
+        run.tell(sphere(run.ask()))
+    assert np.array_equal(slow.ask(), fast.ask())
+    for run in (slow, fast):
+        run.tell(sphere(run.ask()))
+    assert not np.array_equal(slow.ask(), fast.ask())
+
+
+def test_the_classic_swarm_has_constant_coefficients():
+    schedule = SwarmSettings.classic(generations=9).schedule()
+    assert np.array_equal(schedule, np.broadcast_to([0.7298, 1.49618, 1.49618], (8, 3)))
+    run = Swarm(box(2), SwarmSettings.classic(w=0.6, c1=1.7, c2=1.3))
+    for _, state in itertools.islice(generations(run, sphere), 14):
+        assert list(state["progress"][1:]) == [0.6, 1.7, 1.3]
+
+
+# -- what holds for every position ------------------------------------------------------------------------------------
+@given(spaces(), st.sampled_from(["improved", "classic"]), st.floats(0.01, 1), st.integers(0, 2**63 - 1))
+def test_every_position_is_in_the_space_and_no_velocity_exceeds_its_clamp(space, kind, clamp, seed):
+    settings = SwarmSettings(particles=6, generations=8, kind=kind, velocity_clamp=clamp)
+    fastest = clamp * (np.array(space.high) - np.array(space.low))
+    target = np.array(space.high) + 1.0  # out of reach: everything is pressed against the bounds
+    for x, state in generations(Swarm(space, settings, seed=seed), lambda x: sphere(x - target)):
+        assert space.contains(x).all()
+        assert space.contains(state["x"]).all()
+        assert space.contains(state["leader"])
+        assert (np.abs(state["v"]) <= fastest).all()
+
+
+def test_the_velocity_clamp_binds_at_first():
+    run = Swarm(TUNING, seed=2)
+    run.tell(hilly(run.ask()))
+    fastest = 0.2 * (np.array(TUNING.high) - np.array(TUNING.low))
+    assert (np.abs(run.state["v"]) == fastest).any(axis=0).all()
+
+
+def test_tunings_have_whole_horizons_and_nc_never_exceeds_np():
+    met = False
+    for seed in range(20):
+        # a cost that wants a long Nc and a short Np
+        for x, _ in generations(Swarm(TUNING, seed=seed), lambda x: x[:, NP] - 2.0 * x[:, NC]):
+            assert (x[:, :2] == np.round(x[:, :2])).all()
+            assert (x[:, NC] >= 1).all()
+            assert (x[:, NC] <= x[:, NP]).all()
+            assert TUNING.contains(x).all()
+            met = met or (x[:, NC] == x[:, NP]).any()
+    assert met
+
+
+def test_the_first_tunings_have_np_of_at_least_twice_nc():
+    first = np.concatenate([Swarm(TUNING, seed=seed).ask() for seed in range(50)])
+    assert (first[:, NP] >= 2 * first[:, NC]).all()
+    assert TUNING.contains(first).all()
+
+
+def test_the_first_draw_is_uniform_and_every_whole_number_is_as_likely():
+    space = SearchSpace(names=("a", "b"), low=(-2.0, 3.0), high=(3.0, 4.0), whole=("a",))
+    first = Swarm(space, SwarmSettings(particles=6000), seed=5).ask()
+    numbers, counts = np.unique(first[:, 0], return_counts=True)
+    assert numbers.tolist() == [-2, -1, 0, 1, 2, 3]
+    assert stats.chisquare(counts).pvalue > 1e-3
+    assert stats.kstest(first[:, 1] - 3.0, "uniform").pvalue > 1e-3
+
+
+@pytest.mark.parametrize("spread", [1.0, 1.3, 2.5, 40.0])
+def test_the_first_draw_of_a_whole_ordered_pair_is_whole_and_spread_as_far_as_the_bounds_allow(spread):
+    space = SearchSpace(
+        names=("a", "b"), low=(1.0, 2.0), high=(30.0, 20.0), whole=("a", "b"), ordered=("a", "b"), spread=spread
+    )
+    first = Swarm(space, SwarmSettings(particles=500), seed=3).ask()
+    assert space.contains(first).all()
+    assert (first[:, 1] >= np.minimum(spread * first[:, 0], 20)).all()
+
+
+def test_a_position_is_clamped_then_rounded_to_the_nearest_then_nc_lowered_to_np():
+    settings, space = SwarmSettings().packed(TUNING), TUNING.packed()
+    for given_, repaired in (
+        ([20.49, 3.5, 1.0, 0.05], [20, 4, 1.0, 0.05]),
+        ([60.0, -2.0, 11.0, 0.0], [55, 1, 10.0, 0.001]),
+        ([4.6, 9.0, 1.0, 0.05], [5, 5, 1.0, 0.05]),
+        ([-3.0, 30.0, 1.0, 0.05], [1, 1, 1.0, 0.05]),
+    ):
+        x = np.array(given_)
+        swarm.repair(settings, space, x)
+        assert x.tolist() == repaired
+
+
+def test_velocities_begin_at_zero():
+    assert not Swarm(TUNING).state["v"].any()
+
+
+def test_a_fixed_dimension_stays_and_leaves_the_others_their_path():
+    free, fixed = box(2), SearchSpace(names=("a", "b", "c"), low=(-5.0, -5.0, 7.0), high=(5.0, 5.0, 7.0))
+    path = [x for x, _ in generations(Swarm(free, seed=3), sphere)]
+    wider = [x for x, _ in generations(Swarm(fixed, seed=3), lambda x: sphere(x[:, :2]))]
+    assert np.array_equal(np.array(wider)[..., :2], path)
+    assert (np.array(wider)[..., 2] == 7.0).all()
+
+
+def test_bests_never_get_worse_and_are_the_costs_of_their_positions():
+    before = np.full(20, np.inf)
+    for _, state in generations(Swarm(TUNING, seed=8), hilly):
+        assert (state["best_costs"] <= before).all()
+        assert np.array_equal(hilly(state["best"]), state["best_costs"])
+        before = state["best_costs"]
+        assert state["progress"][swarm.LEADER_COST] == before.min()
+        assert np.array_equal(hilly(state["leader"][None]), [before.min()])
+    result = minimise(hilly, TUNING, seed=8)
+    assert (np.diff(result.trace) <= 0).all()
+    assert result.trace[-1] == result.cost
+
+
+def test_of_equal_costs_the_first_particle_leads_and_only_better_ones_replace_it():
+    run = Swarm(box(2), SwarmSettings(particles=4, generations=3))
+    first = run.ask()
+    run.tell([3.0, 1.0, 1.0, 2.0])
+    assert np.array_equal(run.best.x, first[1])
+    run.tell([1.0, 1.0, 1.0, 1.0])
+    assert np.array_equal(run.best.x, first[1])
+    third = run.ask()
+    run.tell([1.0, 1.0, 1.0, 0.5])
+    assert np.array_equal(run.best.x, third[3])
+    assert run.best.cost == 0.5
+
+
+@pytest.mark.parametrize("settings", [SwarmSettings(), SwarmSettings.classic(generations=60)], ids=["paper", "classic"])
+def test_the_swarm_converges_on_the_sphere(settings):
+    found = [minimise(sphere, box(4), settings, seed=seed) for seed in range(20)]
+    starts = np.array([run.trace[0] for run in found])
+    ends = np.array([run.cost for run in found])
+    assert (ends < starts).all()
+    assert np.median(ends / starts) < 1e-3
+    assert all(run.evaluations == settings.evaluations for run in found)
+
+
+# -- runs that can be repeated ----------------------------------------------------------------------------------------
+def test_ask_and_tell_find_what_minimise_finds():
+    run = Swarm(TUNING, seed=6, stream=2)
+    while not run.done:
+        assert np.array_equal(run.ask(), run.ask())
+        run.tell(hilly(run.ask()))
+    whole = minimise(hilly, TUNING, seed=6, stream=2)
+    assert np.array_equal(run.best.x, whole.x)
+    assert run.best.cost == whole.cost
+    assert np.array_equal(run.trace, whole.trace)
+    assert whole.evaluations == 300
+    assert np.array_equal(whole.cost, hilly(whole.x[None])[0])
+
+
+@njit
+def _sphere_swarm(generations, seed, stream, settings, space, arrays, costs):
+    swarm.begin(seed, stream, settings, space, arrays)
+    for g in range(generations):
+        for i in range(costs.size):
+            costs[i] = 0.0
+            for value in arrays.x[i]:
+                costs[i] += value * value
+        swarm.learn(costs, arrays)
+        if g < generations - 1:
+            swarm.move(g, seed, stream, settings, space, arrays)
+
+
+def test_a_swarm_inside_compiled_code_is_the_same_to_the_last_bit():
+    space, settings = box(3), SwarmSettings(particles=7, generations=9)
+    arrays = swarm.particles(7, 3)
+    _sphere_swarm(9, 5, 1, settings.packed(space), space.packed(), arrays, np.zeros(7))
+
+    def added_in_order(x):
+        return (x[:, 0] ** 2 + x[:, 1] ** 2) + x[:, 2] ** 2
+
+    found = minimise(added_in_order, space, settings, seed=5, stream=1)
+    assert np.array_equal(arrays.leader, found.x)
+    assert arrays.progress[swarm.LEADER_COST] == found.cost
+
+
+@pytest.mark.parametrize("kind", ["improved", "classic"])
+def test_a_run_put_aside_at_any_generation_goes_on_bit_identically(kind):
+    settings = SwarmSettings(particles=6, generations=7, kind=kind)
+    states = [state for _, state in generations(Swarm(TUNING, settings, seed=2**63 - 1, stream=12), hilly)]
+    for told in range(8):
+        run = Swarm(TUNING, settings, seed=2**63 - 1, stream=12)
+        for _ in range(told):
+            run.tell(hilly(run.ask()))
+        file = io.BytesIO()
+        np.savez(file, **run.state)
+        file.seek(0)
+        with np.load(file) as saved:
+            resumed = Swarm.from_state(TUNING, settings, saved)
+        assert same(resumed.state, run.state)
+        rest = [state for _, state in generations(resumed, hilly)]
+        assert all(same(a, b) for a, b in zip(rest, states[told:], strict=True))
+        assert np.array_equal(resumed.best.x, states[-1]["leader"])
+
+
+def test_a_state_is_a_copy():
+    run = Swarm(TUNING)
+    state = run.state
+    run.tell(hilly(run.ask()))
+    assert same(state, Swarm(TUNING).state)
+    resumed = Swarm.from_state(TUNING, None, state)
+    resumed.tell(hilly(resumed.ask()))
+    assert same(state, Swarm(TUNING).state)
+
+
+def test_seeds_and_streams_give_independent_swarms():
+    keys = [(seed, stream) for seed in range(30) for stream in range(30)]
+    settings = SwarmSettings(particles=4)
+    first = np.array([Swarm(box(4), settings, seed=seed, stream=stream).ask().ravel() for seed, stream in keys])
+    assert len(np.unique(first)) == first.size  # no number twice
+    correlation = np.corrcoef(first)[np.triu_indices(len(keys), 1)]
+    expected = stats.norm(0, 1 / math.sqrt(first.shape[1] - 1))
+    assert abs(correlation.mean()) < 5 * expected.std() / math.sqrt(len(correlation))
+    assert correlation.std() == pytest.approx(expected.std(), rel=0.02)
+
+
+def test_a_larger_swarm_begins_with_the_particles_of_a_smaller_one():
+    small, large = (Swarm(TUNING, SwarmSettings(particles=n), seed=4).ask() for n in (5, 50))
+    assert np.array_equal(large[:5], small)
+
+
+# -- invariances ------------------------------------------------------------------------------------------------------
+def test_only_the_order_of_the_costs_matters():
+    plain = [state for _, state in generations(Swarm(TUNING, seed=9), hilly)]
+    bent = [state for _, state in generations(Swarm(TUNING, seed=9), lambda x: np.exp(3.0 * hilly(x)) - 40.0)]
+    for a, b in zip(plain, bent, strict=True):
+        for name in ("x", "v", "best", "leader"):
+            assert np.array_equal(a[name], b[name])
+
+
+def test_a_space_twice_as_wide_gives_positions_twice_as_far():
+    path = [x for x, _ in generations(Swarm(box(3, -3.0, 5.0), seed=9), sphere)]
+    wide = [x for x, _ in generations(Swarm(box(3, -6.0, 10.0), seed=9), sphere)]
+    assert np.array_equal(wide, 2.0 * np.array(path))
+
+
+def test_a_space_moved_elsewhere_gives_positions_moved_with_it():
+    path = [x for x, _ in generations(Swarm(box(3, -3.0, 5.0), seed=9), sphere)]
+    moved = [x for x, _ in generations(Swarm(box(3, 97.0, 105.0), seed=9), lambda x: sphere(x - 100.0))]
+    assert np.array(moved) - 100.0 == pytest.approx(np.array(path), abs=1e-9)
+
+
+# -- costs that are no numbers ----------------------------------------------------------------------------------------
+def test_costs_of_nan_count_as_infinite():
+    def lost(value):
+        return lambda x: np.where(x[:, NP] < 25, value, hilly(x))
+
+    with_nan = [state for _, state in generations(Swarm(TUNING, seed=1), lost(np.nan))]
+    with_inf = [state for _, state in generations(Swarm(TUNING, seed=1), lost(np.inf))]
+    assert all(same(a, b) for a, b in zip(with_nan, with_inf, strict=True))
+    assert math.isfinite(minimise(lost(np.nan), TUNING, seed=1).cost)
+
+
+def test_a_swarm_that_never_sees_a_finite_cost_survives_and_says_so():
+    result = minimise(lambda x: np.full(len(x), np.nan), TUNING)
+    assert result.cost == math.inf
+    assert (result.trace == math.inf).all()
+    assert TUNING.contains(result.x)
+
+
+# -- what is refused --------------------------------------------------------------------------------------------------
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"particles": 0}, "particles = 0: must be a whole number >= 1"),
+        ({"generations": 0}, "generations = 0"),
+        ({"generations": 1.5}, "generations = 1.5"),
+        ({"kind": "modern"}, "must be one of 'improved', 'classic'"),
+        ({"lambda2": 0.0}, "lambda2 = 0.0"),
+        ({"lambda1": math.nan}, "lambda1 = nan"),
+        ({"w_min": 1.2}, "w_min = 1.2 > w_max = 0.99"),
+        ({"c1": -1.0}, "c1 = -1.0"),
+        ({"steps": (0.0, 0.0)}, "steps"),
+        ({"velocity_clamp": 0.0}, "velocity_clamp = 0.0"),
+        ({"velocity_clamp": 1.5}, "velocity_clamp = 1.5"),
+        ({"particels": 20}, "Did you mean 'particles'"),
+    ],
+)
+def test_bad_settings_are_refused_with_the_reason(changes, words):
+    with pytest.raises(InvalidInput) as refusal:
+        SwarmSettings(**changes)
+    assert words in str(refusal.value)
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"low": (1.0, 1.0, 0.1)}, "low has 3 values for 4 names"),
+        ({"high": (55.0, 18.0, 0.05, 0.1)}, "Q: low = 0.1 > high = 0.05: the space is empty"),
+        ({"names": ("Np", "Np", "Q", "R")}, "each dimension needs a name of its own"),
+        ({"high": (55.5, 18.0, 10.0, 0.1)}, "Np: low = 1 and high = 55.5 must be whole numbers"),
+        ({"high": (55.0, 18.0, math.inf, 0.1)}, "high"),
+        ({"low": (1.0, 5.0, 0.1, 0.001)}, "Nc <= Np cannot hold where Np < 5: raise the lower bound of Np"),
+        ({"ordered": ("Nc", "Q")}, "both of whole or both of real"),
+        ({"ordered": ("Nc", "Nc")}, "give two dimensions"),
+        ({"ordered": ("Nc", "N")}, "'N' is not one of the names"),
+        ({"whole": ("nc",)}, "'nc' is not one of the names"),
+        ({"ordered": None}, "spread = 2"),
+        ({"low": (-3.0, -3.0, 0.1, 0.001)}, "not negative"),
+        ({"spread": 0.5}, "spread = 0.5"),
+        ({"low": (1.0, 1.0, -1e308, 0.001), "high": (55.0, 18.0, 1e308, 0.1)}, "not a finite number"),
+    ],
+)
+def test_spaces_that_are_none_are_refused_with_the_reason(changes, words):
+    with pytest.raises(InvalidInput) as refusal:
+        TUNING.replace(**changes)
+    assert words in str(refusal.value)
+
+
+@pytest.mark.parametrize("seed", [-1, 2**63, 1.0, True, None])
+def test_seeds_that_are_no_counters_are_refused(seed):
+    with pytest.raises(InvalidInput, match="seed = "):
+        Swarm(TUNING, seed=seed)
+    with pytest.raises(InvalidInput, match="stream = "):
+        Swarm(TUNING, stream=seed)
+
+
+@pytest.mark.parametrize("costs", [1.0, [1.0] * 19, np.ones((20, 1)), ["a"] * 20, [[1.0], [1.0, 2.0]]])
+def test_costs_that_are_not_one_number_per_particle_are_refused_and_change_nothing(costs):
+    run = Swarm(TUNING)
+    with pytest.raises(InvalidInput, match="costs"):
+        run.tell(costs)
+    assert same(run.state, Swarm(TUNING).state)
+
+
+def test_a_swarm_that_is_done_takes_no_more():
+    run = Swarm(TUNING, SwarmSettings(generations=1))
+    run.tell(hilly(run.ask()))
+    assert run.done
+    with pytest.raises(InvalidInput, match="all 1 generations"):
+        run.ask()
+    with pytest.raises(InvalidInput, match="all 1 generations"):
+        run.tell(np.ones(20))
+
+
+def test_the_state_of_another_swarm_is_refused():
+    state = Swarm(TUNING).state
+    with pytest.raises(InvalidInput, match="saved under other settings"):
+        Swarm.from_state(TUNING, SwarmSettings(lambda1=4.2), state)
+    with pytest.raises(InvalidInput, match="saved under other space"):
+        Swarm.from_state(TUNING.replace(high=(50.0, 18.0, 10.0, 0.1)), None, state)
+    with pytest.raises(InvalidInput, match="shape"):
+        Swarm.from_state(TUNING, SwarmSettings(particles=10), state)
+    with pytest.raises(InvalidInput, match="not the state of a swarm"):
+        Swarm.from_state(TUNING, None, {})
+    with pytest.raises(InvalidInput, match="generation 16 of 15"):
+        Swarm.from_state(TUNING, None, {**state, "counters": np.array([0, 0, 16])})
+
+
+# -- files ------------------------------------------------------------------------------------------------------------
+@pytest.mark.parametrize(
+    "record", [SwarmSettings(), SwarmSettings.classic(), TUNING, box(2)], ids=lambda r: type(r).__name__
+)
+def test_settings_and_spaces_survive_a_file(record, tmp_path):
+    path = tmp_path / "record.toml"
+    record.to_toml(path)
+    assert build(type(record), read_toml(path), path) == record
+
+
+def test_a_misspelt_key_in_a_file_names_file_and_key(tmp_path):
+    path = tmp_path / "swarm.toml"
+    path.write_text("partices = 20\n")
+    with pytest.raises(ConfigError) as refusal:
+        build(SwarmSettings, read_toml(path), path)
+    assert str(path) in str(refusal.value)
+    assert "Did you mean 'particles'" in str(refusal.value)
+
+
+def test_packed_settings_reach_their_slots():
+    values = dict(
+        generations=7, w=0.51, w_max=0.92, w_min=0.13, lambda1=4.4, lambda2=5.5, c1=1.6, c2=1.7,
+        steps=(0.08, 0.09, 0.10, 0.11), velocity_clamp=0.12,
+    )  # fmt: skip
+    packed = SwarmSettings(**values).packed(TUNING)
+    assert len(packed) == len(swarm.SWARM_SETTINGS)
+    for name, value in values.items():
+        if name == "steps":
+            assert tuple(packed[swarm.STEP_1 : swarm.STEP_4 + 1]) == value
+        else:
+            assert packed[swarm.SWARM_SETTINGS.index(name)] == value
+    assert packed[swarm.IMPROVED] == 1
+    assert SwarmSettings.classic().packed(TUNING)[swarm.IMPROVED] == 0
+    assert (packed[swarm.SMALLER], packed[swarm.LARGER], packed[swarm.SPREAD]) == (NC, NP, 2.0)
+    assert list(SwarmSettings().packed(box(2))[swarm.SMALLER :]) == [-1, -1, 1]
+    assert np.array_equal(TUNING.packed(), [[1, 1, 0.1, 0.001], [55, 18, 10, 0.1], [1, 1, 0, 0]])

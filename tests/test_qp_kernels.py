@@ -1,0 +1,338 @@
+"""The compiled solvers of the quadratic programme, against exact solutions and the textbook's words."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from adaptrack.kernels import qp as kernels
+from adaptrack.qp import QP, QPStatus, kkt_residuals
+from adaptrack.qp.check import ill_conditioned_problem, known_problems
+from adaptrack.qp.kernel import Workspace
+from references import qp_hildreth as textbook
+from references.qp_exact import Infeasible, reference_solve
+from references.qp_problems import drawn_mpc_problem, drawn_problem
+
+ENOUGH = 1000
+
+
+def solve(qp, workspace=None, cap=ENOUGH, guess=None):
+    """Status, x, lam and iterations of the exact solver."""
+    workspace = workspace or Workspace()
+    assert workspace.load(qp) is QPStatus.SOLVED
+    status, iterations = workspace.active_set(cap, guess)
+    return status, *workspace.result(), iterations
+
+
+def sweep(qp, sweeps=38, tolerance=1e-7, start=None):
+    """Status, x, lam and sweeps of Hildreth's procedure."""
+    workspace = Workspace()
+    assert workspace.load(qp, hildreth=True) is QPStatus.SOLVED
+    status, done = workspace.hildreth(sweeps, tolerance, start)
+    return status, *workspace.result(), done
+
+
+def whole_numbers(seed, n, m):
+    """A small problem in whole numbers: parallel, repeated, zero and contradicting rows abound."""
+    rng = np.random.default_rng(seed)
+    root = rng.integers(-2, 3, size=(n, n)).astype(float)
+    E = root.T @ root + np.eye(n) * float(rng.choice([1.0, 0.125]))
+    M = rng.integers(-1, 2, size=(m, n)).astype(float)
+    return QP(E, rng.integers(-5, 6, size=n).astype(float), M, rng.integers(-1, 4, size=m).astype(float))
+
+
+# -- the factor -------------------------------------------------------------------------------------------------------
+@pytest.mark.parametrize("n", [1, 2, 7, 8, 9, 16, 17, 21])
+def test_the_factor_holds_the_inverses_of_e_and_of_its_cholesky_factor(n, rng):
+    qp = QP(*drawn_problem(rng, n, 1))
+    workspace = Workspace()
+    assert workspace.load(qp) is QPStatus.SOLVED
+    root, inverse = workspace.factor[0, :n, :n], workspace.factor[1, :n, :n]
+    np.testing.assert_allclose(root @ qp.E @ root.T, np.eye(n), atol=1e-11)
+    np.testing.assert_allclose(inverse @ qp.E, np.eye(n), atol=1e-11)
+    assert np.array_equal(root, np.tril(root))
+    condition = np.linalg.cond(qp.E)
+    assert condition * (1 - 1e-9) <= workspace.condition <= n * n * condition * (1 + 1e-9)
+
+
+@pytest.mark.parametrize("E", [[[1.0, 2.0], [2.0, 1.0]], [[0.0, 0.0], [0.0, 1.0]], [[1.0, 1.0], [1.0, 1.0 + 1e-16]]])
+def test_a_hessian_that_is_not_positive_definite_is_refused(E):
+    assert Workspace().load(QP(np.array(E), np.ones(2))) is QPStatus.NOT_CONVEX
+
+
+# -- the exact solver -------------------------------------------------------------------------------------------------
+@pytest.mark.parametrize(("label", "qp", "x"), [pytest.param(*case, id=case[0]) for case in known_problems()])
+def test_known_problems_are_solved_exactly(label, qp, x):
+    status, found, lam, _ = solve(qp)
+    assert status is QPStatus.SOLVED
+    np.testing.assert_allclose(found, x, atol=1e-15)
+    assert kkt_residuals(qp, found, lam).worst < 1e-15
+
+
+@pytest.mark.compiled
+def test_at_a_condition_of_8e11_the_solution_is_exact_to_rounding():
+    qp, x = ill_conditioned_problem()
+    assert 1e11 < np.linalg.cond(qp.E) < 1e12
+    status, found, _, _ = solve(qp)
+    assert status is QPStatus.SOLVED
+    np.testing.assert_allclose(found, x, rtol=1e-13)
+    free = QP(qp.E, qp.K)
+    reference = reference_solve(qp.E, qp.K, free.M, free.gamma)
+    np.testing.assert_allclose(solve(free)[1], reference.x, atol=1e-10)  # the data allow 1e-4
+
+
+@pytest.mark.compiled
+def test_the_first_move_is_within_1e_6_rad_of_the_exact_one_on_hard_mpc_problems(rng):
+    limited = 0
+    for _ in range(1500):
+        qp = QP(*drawn_mpc_problem(rng))
+        status, x, lam, _ = solve(qp)
+        reference = reference_solve(qp.E, qp.K, qp.M, qp.gamma, np.flatnonzero(lam > 0.0))
+        assert status is QPStatus.SOLVED
+        assert abs(x[0] - reference.x[0]) <= max(1e-6, reference.bound)
+        limited += len(reference.active) > 0
+    assert limited > 1000
+
+
+@given(seed=st.integers(0, 2**32 - 1), n=st.integers(1, 12), m=st.integers(0, 40))
+def test_the_optimality_conditions_hold(seed, n, m):
+    qp = QP(*drawn_problem(np.random.default_rng(seed), n, m))
+    status, x, lam, _ = solve(qp)
+    assert status is QPStatus.SOLVED
+    assert kkt_residuals(qp, x, lam).worst < 1e-11
+    assert (lam >= 0.0).all()
+
+
+@given(seed=st.integers(0, 2**32 - 1), n=st.integers(1, 6), m=st.integers(0, 20))
+def test_degenerate_and_contradicting_rows_are_told_apart(seed, n, m):
+    qp = whole_numbers(seed, n, m)
+    status, x, lam, _ = solve(qp)
+    try:
+        reference = reference_solve(qp.E, qp.K, qp.M, qp.gamma, np.flatnonzero(lam > 0.0))
+    except Infeasible:
+        assert status is QPStatus.INFEASIBLE
+    else:
+        assert status is QPStatus.SOLVED
+        np.testing.assert_allclose(x, reference.x, atol=1e-10 * max(1.0, np.abs(reference.x).max()))
+
+
+def test_the_order_of_the_rows_does_not_matter(rng):
+    for _ in range(10):
+        E, K, M, gamma = drawn_problem(rng, 8, 30)
+        order = rng.permutation(30)
+        _, x, lam, _ = solve(QP(E, K, M, gamma))
+        _, y, mu, _ = solve(QP(E, K, M[order], gamma[order]))
+        np.testing.assert_allclose(y, x, atol=1e-12)
+        np.testing.assert_allclose(mu, lam[order], atol=1e-9)
+
+
+def test_a_row_without_a_bound_is_as_good_as_absent(rng):
+    E, K, M, gamma = drawn_problem(rng, 6, 20)
+    _, x, lam, _ = solve(QP(E, K, M, np.where(np.arange(20) % 2, gamma, np.inf)))
+    _, y, mu, _ = solve(QP(E, K, M[1::2], gamma[1::2]))
+    np.testing.assert_allclose(x, y, atol=1e-13)
+    np.testing.assert_allclose(lam[1::2], mu, atol=1e-12)
+    assert not lam[::2].any()
+
+
+def test_any_guess_of_the_active_rows_leads_to_the_same_solution(rng):
+    for _ in range(20):
+        qp = QP(*drawn_problem(rng, 9, 30))
+        _, x, lam, cold = solve(qp)
+        _, y, _, warm = solve(qp, guess=lam)
+        np.testing.assert_allclose(y, x, atol=1e-12)
+        assert warm <= cold
+        _, y, _, _ = solve(qp, guess=rng.normal(size=30))
+        np.testing.assert_allclose(y, x, atol=1e-12)
+
+
+def test_a_kept_factor_leads_to_the_same_solution(rng):
+    E, K, M, gamma = drawn_problem(rng, 9, 30)
+    kept, active = Workspace(), 0
+    for _ in range(30):
+        qp = QP(E, K + 3.0 * rng.normal(size=9), M, gamma + rng.uniform(0.0, 0.3, size=30))
+        if active == 0:
+            kept.load(qp)
+        kept.K[:9], kept.gamma[:30] = qp.K, qp.gamma
+        status, _, active = kernels.active_set(
+            9, 30, kept.E, kept.K, kept.Mt, kept.gamma, kept.factor, kept.condition, kept.x, kept.lam,
+            kept.work, kept.rows, kept.index, active, active > 0, ENOUGH,
+        )  # fmt: skip
+        assert status == kernels.SOLVED
+        np.testing.assert_allclose(kept.result()[0], solve(qp)[1], atol=1e-12)
+
+
+def test_neither_the_padding_nor_earlier_problems_reach_the_result(rng):
+    used = Workspace()
+    solve(QP(*drawn_problem(rng, 20, 90)), used)
+    for n, m in ((3, 11), (12, 40), (8, 0)):
+        qp = QP(*drawn_problem(rng, n, m))
+        _, x, lam, _ = solve(qp)
+        for array in (used.E, used.Mt, used.work, used.rows, used.factor):
+            array[...] = 1e6 * rng.normal(size=array.shape)
+        for array in (used.K, used.gamma, used.x, used.lam):
+            array[...] = 1e6 * rng.normal(size=array.shape)
+        _, y, mu, _ = solve(qp, used)
+        assert np.array_equal(x, y)
+        assert np.array_equal(lam, mu)
+
+
+def test_the_problem_and_its_factor_are_left_as_they_were(rng):
+    workspace = Workspace()
+    workspace.load(QP(*drawn_problem(rng, 7, 25)), hildreth=True)
+    names = ("E", "K", "Mt", "gamma", "factor")
+    before = {name: getattr(workspace, name).copy() for name in names}
+    workspace.active_set(ENOUGH)
+    workspace.hildreth(38, 1e-7, None)
+    for name in names:
+        assert np.array_equal(getattr(workspace, name), before[name]), name
+
+
+def test_the_iteration_cap_is_a_status(rng):
+    qp = QP(*drawn_problem(rng, 10, 60))
+    assert solve(qp)[3] > 2
+    assert solve(qp, cap=2)[0] is QPStatus.CAPPED
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
+@pytest.mark.parametrize("name", ["E", "K", "M", "gamma"])
+@pytest.mark.parametrize("method", ["active-set", "hildreth"])
+def test_data_that_are_not_finite_are_a_status(name, value, method, rng):
+    if name == "gamma" and value == np.inf:
+        return  # an absent row
+    arrays = dict(zip(("E", "K", "M", "gamma"), drawn_problem(rng, 5, 12), strict=True))
+    for place in (0, arrays[name].size // 2, arrays[name].size - 1):
+        broken = {key: array.copy() for key, array in arrays.items()}
+        broken[name].flat[place] = value
+        workspace = Workspace()
+        status = workspace.load(QP.unchecked(**broken), hildreth=True)
+        if name == "E":
+            assert status is QPStatus.NON_FINITE
+            continue
+        status, _ = workspace.active_set(ENOUGH) if method == "active-set" else workspace.hildreth(38, 1e-7, None)
+        assert status is QPStatus.NON_FINITE
+
+
+# -- Hildreth's procedure ---------------------------------------------------------------------------------------------
+def test_hildreth_is_the_textbooks_procedure_sweep_by_sweep(rng):
+    for n, m in ((1, 2), (5, 20), (10, 40)):
+        qp = QP(*drawn_problem(rng, n, m))
+        for sweeps in (1, 2, 7, 38):
+            x, lam, done = textbook.hildreth(qp.E, qp.K, qp.M, qp.gamma, sweeps)
+            _, y, mu, counted = sweep(qp, sweeps)
+            np.testing.assert_allclose(y, x, atol=1e-10)
+            np.testing.assert_allclose(mu, lam, atol=1e-10)
+            assert counted == done
+
+
+@pytest.mark.compiled
+def test_hildreth_is_the_textbooks_procedure_on_mpc_problems(rng):
+    for _ in range(60):
+        qp = QP(*drawn_mpc_problem(rng))
+        x, _, done = textbook.hildreth(qp.E, qp.K, qp.M, qp.gamma)
+        _, y, _, counted = sweep(qp)
+        reach = max(1.0, np.abs(np.linalg.solve(qp.E, qp.K)).max())
+        assert abs(counted - done) <= 1
+        if counted == done:
+            np.testing.assert_allclose(y, x, atol=1e-13 * reach * np.linalg.cond(qp.E) + 1e-12)
+
+
+def test_no_sweep_lowers_the_dual_objective(rng):
+    for _ in range(5):
+        qp = QP(*drawn_problem(rng, 8, 30))
+        climb = [textbook.dual_objective(qp.E, qp.K, qp.M, qp.gamma, sweep(qp, k, 0.0)[2]) for k in range(1, 25)]
+        assert (np.diff(climb) >= -1e-12 * np.abs(climb[:-1])).all()
+        assert climb[-1] > climb[0]
+
+
+def test_hildreth_converges_to_the_exact_solution_when_it_may(rng):
+    for _ in range(10):
+        qp = QP(*drawn_problem(rng, 6, 15))
+        status, x, _, _ = sweep(qp, 20_000, 1e-24)
+        assert status is QPStatus.SOLVED
+        np.testing.assert_allclose(x, solve(qp)[1], atol=1e-8)
+
+
+def test_hildreth_returns_the_free_minimiser_when_it_satisfies_the_rows(rng):
+    E, K, M, _ = drawn_problem(rng, 6, 15)
+    status, x, lam, sweeps = sweep(QP(E, K, M, np.full(15, 1e6)))
+    assert (status, sweeps) == (QPStatus.SOLVED, 0)
+    np.testing.assert_allclose(x, -np.linalg.solve(E, K), rtol=1e-10)
+    assert not lam.any()
+
+
+def test_hildreth_started_at_the_solution_stays_there(rng):
+    qp = QP(*drawn_problem(rng, 6, 15))
+    _, x, lam, _ = solve(qp)
+    status, y, _, sweeps = sweep(qp, start=lam)
+    assert (status, sweeps) == (QPStatus.SOLVED, 1)
+    np.testing.assert_allclose(y, x, atol=1e-10)
+
+
+@pytest.mark.compiled
+def test_what_hildreth_calls_solved_is_solved(rng):
+    capped = 0
+    for _ in range(500):
+        qp = QP(*drawn_mpc_problem(rng))
+        status, x, _, _ = sweep(qp)
+        capped += status is QPStatus.CAPPED
+        if status is QPStatus.SOLVED:
+            assert abs(x[0] - solve(qp)[1][0]) < 1e-6
+    assert capped > 100  # the paper's procedure seldom converges on hard problems, and says so here
+
+
+def test_multipliers_so_small_that_the_papers_criterion_is_blind_do_not_count_as_solved():
+    # With lam of the order 1e-5 every sweep "changes nothing", though the row is violated throughout.
+    E = 1e-5 * np.array([[1.0, 0.999], [0.999, 1.0]])
+    qp = QP(E, -E @ np.array([3.0, 3.0]), np.eye(2), np.array([1.0, 1.5]))
+    status, x, _, sweeps = sweep(qp)
+    assert sweeps < 38
+    assert status is QPStatus.CAPPED
+    assert np.abs(x - solve(qp)[1]).max() > 1e-3
+
+
+def test_an_infeasible_problem_leaves_hildreth_capped():
+    qp = QP(np.eye(2), np.array([-3.0, -3.0]), np.array([[1.0, 0.0], [-1.0, 0.0]]), np.array([1.0, -2.0]))
+    assert sweep(qp)[0] is QPStatus.CAPPED
+    assert solve(qp)[0] is QPStatus.INFEASIBLE
+
+
+# -- residuals and statuses -------------------------------------------------------------------------------------------
+@given(seed=st.integers(0, 2**32 - 1), n=st.integers(1, 12), m=st.integers(0, 30))
+def test_the_compiled_residuals_equal_the_readable_ones(seed, n, m):
+    rng = np.random.default_rng(seed)
+    E, K, M, gamma = drawn_problem(rng, n, m)
+    gamma[rng.random(m) < 0.2] = np.inf
+    qp = QP(E, K, M, gamma)
+    workspace = Workspace()
+    workspace.load(qp)
+    x, lam = rng.normal(size=n), np.where(np.isfinite(gamma), rng.normal(size=m), 0.0)
+    workspace.x[:n], workspace.lam[:m] = x, lam
+    w = workspace
+    computed = kernels.kkt_residual(n, m, w.E, w.K, w.Mt, w.gamma, w.x, w.lam, w.work)
+    np.testing.assert_allclose(computed, kkt_residuals(qp, x, lam), rtol=1e-10, atol=1e-14)
+
+
+@pytest.mark.parametrize("name", ["E", "K", "Mt", "gamma", "x", "lam"])
+def test_a_nan_reaches_the_residuals(name, rng):
+    w = Workspace()
+    w.load(QP(*drawn_problem(rng, 4, 10)))
+    w.active_set(ENOUGH)
+    getattr(w, name).flat[0] = np.nan
+    residuals = kernels.kkt_residual(4, 10, w.E, w.K, w.Mt, w.gamma, w.x, w.lam, w.work)
+    assert np.isnan(residuals).any()
+
+
+def test_the_statuses_of_the_kernels_are_those_of_the_package():
+    for status in QPStatus:
+        assert getattr(kernels, status.name) == status
+        assert status.sentence.endswith(".")
+
+
+def test_workspaces_start_on_a_cache_line():
+    for shape in ((3, 8), (5,), (2, 7, 16)):
+        array = kernels.aligned(shape)
+        assert array.shape == shape
+        assert array.ctypes.data % 64 == 0
+        assert array.flags.c_contiguous
+        assert not array.any()

@@ -1,0 +1,579 @@
+"""The closed loop: one trajectory however it is computed, and a car that does what its scenario asks."""
+
+import dataclasses
+import functools
+import math
+
+import numpy as np
+import pytest
+
+from adaptrack.errors import ContractError, InvalidInput, UnknownName
+from adaptrack.kernels import loop
+from adaptrack.kernels.loop import counted_normal
+from adaptrack.mpc import MPC, Condition, Limits, Moves, Tuning
+from adaptrack.plant import PAPER, ROAD, DualTrack, Profile, SingleTrack, UserPlant
+from adaptrack.qp import QPStatus
+from adaptrack.scenario import Ramp, Scenario, load_scenario
+from adaptrack.simulate import Driver, rollout, rollout_batch, simulate
+from adaptrack.trajectory import COLUMNS
+from adaptrack.vehicle import GRAVITY, SteeringActuator, load_vehicle
+
+# The counted noise multiplies integers that wrap around, of which the interpreter warns; compiled code is silent.
+pytestmark = pytest.mark.filterwarnings("ignore:overflow encountered in scalar:RuntimeWarning")
+
+CAR = load_vehicle("paper")
+CALM = Tuning(25, 6, 1.0, 30.0)
+LANE_CHANGE = load_scenario("lane-change", duration=6.0, speed=15.0)
+SHORT = load_scenario("lane-change", duration=1.5, start=0.2, change_time=2.0, gust_start=0.3, gust_duration=1.0)
+NUMBERS = [column.name for column in COLUMNS if column.name != "step_time"]
+
+
+def same(first, second, names=NUMBERS):
+    """Whether two trajectories agree in every bit."""
+    return all(
+        np.array_equal(getattr(first, name), getattr(second, name), equal_nan=getattr(first, name).dtype.kind == "f")
+        for name in names
+    )
+
+
+def controller(profile, car=CAR, **options):
+    """An MPC that keeps its course with the sensors and the steering of a profile."""
+    if profile == "road":
+        return MPC(car, Tuning(30, 6, 1.0, 3000.0), preview=True, period=ROAD.period, **options)
+    return MPC(car, CALM, **options)
+
+
+def straight_then(**options):
+    """A straight road at constant speed; `options` change it."""
+    return Scenario(**({"name": "road", "duration": 4.0, "reference": 0.0, "speed": 15.0, "friction": 0.9} | options))
+
+
+# -- two drivers, one kernel ------------------------------------------------------------------------------------------
+@pytest.mark.compiled
+@pytest.mark.parametrize("profile", ["paper", "road"])
+@pytest.mark.parametrize("plant", [SingleTrack, DualTrack])
+@pytest.mark.parametrize("driver", [None, Driver()], ids=["prescribed", "driver"])
+@pytest.mark.parametrize("moves", [Moves.pulses(), Moves.laguerre(0.75)], ids=["pulse", "laguerre"])
+@pytest.mark.parametrize("solver", ["active-set", "hildreth"])
+def test_simulate_and_rollout_give_the_same_trajectory_to_the_last_bit(profile, plant, driver, moves, solver):
+    mpc = controller(profile, moves=moves, solver=solver)
+    arguments = {"profile": profile, "driver": driver, "seed": 7}
+    driven = simulate(plant(CAR), mpc, LANE_CHANGE, **arguments)
+    assert same(driven, rollout(plant(CAR), mpc, LANE_CHANGE, **arguments))
+    assert np.abs(driven.error).max() < 2.0
+
+
+@pytest.mark.parametrize("profile", ["paper", "road"])
+@pytest.mark.parametrize("plant", [SingleTrack, DualTrack])
+def test_both_drivers_agree_on_a_short_run(profile, plant):
+    mpc = MPC(CAR, CALM)
+    driven = simulate(plant(CAR, "magic-formula"), mpc, SHORT, profile=profile, driver=Driver(), seed=3)
+    assert same(driven, rollout(plant(CAR, "magic-formula"), mpc, SHORT, profile=profile, driver=Driver(), seed=3))
+    assert len(driven.t) == 15
+
+
+@pytest.mark.compiled
+@pytest.mark.parametrize("name", ["triple-lane-change", "general-trajectory"])
+@pytest.mark.parametrize("limits", [Limits(), Limits(output=(-1.0, 5.0))], ids=["hard", "soft"])
+def test_the_papers_tests_are_the_same_from_python_and_compiled(name, limits):
+    scenario, mpc = load_scenario(name), MPC(CAR, limits=limits)
+    plant = DualTrack(CAR, "constant-stiffness")
+    assert same(simulate(plant, mpc, scenario), rollout(plant, mpc, scenario))
+
+
+def bicycle(x, u, environment, p, dx):
+    """A linear car with a roll angle of its own that nothing feels."""
+    speed = max(x[3], 1.0)
+    front = 2.0 * p[4] * (u[0] - (x[4] + p[2] * x[5]) / speed)
+    rear = -2.0 * p[5] * (x[4] - p[3] * x[5]) / speed
+    dx[0] = x[3] * math.cos(x[2]) - x[4] * math.sin(x[2])
+    dx[1] = x[3] * math.sin(x[2]) + x[4] * math.cos(x[2])
+    dx[2] = x[5]
+    dx[3] = u[1] / p[0] + x[4] * x[5]
+    dx[4] = (front + rear) / p[0] - x[3] * x[5]
+    dx[5] = (p[2] * front - p[3] * rear) / p[1]
+    dx[6] = 5.0 * ((front + rear) / p[0] - x[6])
+
+
+@functools.cache  # compiled once
+def users_car():
+    parameters = {"m": 1575.0, "iz": 2875.0, "lf": 1.2, "lr": 1.6, "cf": 19000.0, "cr": 33000.0}
+    return UserPlant(bicycle, parameters, mass=1575.0, own_states=("roll",), label="bicycle")
+
+
+@pytest.mark.parametrize("profile", ["paper", "road"])
+@pytest.mark.parametrize("driver", [None, Driver()], ids=["prescribed", "driver"])
+def test_a_users_plant_drives_in_both_loops(profile, driver):
+    plant, mpc = users_car(), MPC(CAR, CALM)
+    driven = simulate(plant, mpc, SHORT, profile=profile, driver=driver)
+    assert same(driven, rollout(plant, mpc, SHORT, profile=profile, driver=driver))
+    assert driven.meta["plant"] == "bicycle"
+
+
+@pytest.mark.compiled
+def test_a_users_plant_drives_as_the_built_in_one_with_its_equations():
+    air = {"frontal_area": 0.0, "rolling_resistance": 0.0}
+    tyre = DualTrack(CAR, "constant-stiffness").tyre.replace(stiffness_load="constant", relaxation_length=0.0)
+    built_in = SingleTrack(CAR.replace(**air), tyre, steps=20)
+    scenario = load_scenario("lane-change", friction=1.0, amplitude=0.5)
+    ours, theirs = (rollout(plant, MPC(CAR, CALM), scenario) for plant in (built_in, users_car()))
+    assert np.abs(ours.Y - theirs.Y).max() < 2e-4  # it takes tan(gamma) for gamma
+    assert np.abs(ours.yaw_rate - theirs.yaw_rate).max() < 1e-3
+
+
+# -- batches ----------------------------------------------------------------------------------------------------------
+FIELDS = ("mse", "mean_squared_move", "max_abs_error", "lost", "steps", "qp_capped", "qp_failed", "held", "limited")
+
+
+def random_runs(rng, count):
+    tunings = np.column_stack(
+        [
+            rng.integers(2, 56, count),
+            rng.integers(1, 19, count),
+            rng.uniform(0.1, 10, count),
+            10 ** rng.uniform(-2, 3, count),
+        ]
+    ).astype(float)
+    return tunings, rng.integers(0, 3, count), rng.integers(0, 100, count)
+
+
+@pytest.fixture(scope="module")
+def drives():
+    return [
+        load_scenario("lane-change", duration=4.0, amplitude=size, speed=speed)
+        for size, speed in ((3, 25), (-2, 8), (1, 15))
+    ]
+
+
+@pytest.mark.compiled
+@pytest.mark.parametrize("plant", [SingleTrack(CAR), DualTrack(CAR, "passenger-car")], ids=lambda plant: plant.name)
+@pytest.mark.parametrize("profile", ["paper", "road"])
+@pytest.mark.parametrize("moves", [Moves.pulses(), Moves.laguerre(0.8, 6)], ids=["pulse", "laguerre"])
+def test_a_run_of_a_batch_depends_neither_on_the_others_nor_on_the_threads(plant, profile, moves, drives, rng):
+    tunings, which, seeds = random_runs(rng, 75)
+    mpc = MPC(CAR, moves=moves)
+
+    def run(chosen, **options):
+        return rollout_batch(
+            plant, mpc, drives, tunings[chosen], which=which[chosen], seeds=seeds[chosen], profile=profile, **options
+        )
+
+    everything = np.arange(75)
+    one = run(everything, threads=1)
+    two = run(everything, threads=2)
+    shuffled = rng.permutation(75)
+    mixed = run(shuffled, threads=2)
+    for name in FIELDS:
+        values = getattr(one, name)
+        assert np.array_equal(values, getattr(two, name)), name
+        assert np.array_equal(values[shuffled], getattr(mixed, name)), name
+        for few in (everything[:1], everything[40:47]):
+            assert np.array_equal(values[few], getattr(run(few), name)), name
+
+
+@pytest.mark.compiled
+def test_a_batch_measures_what_its_trajectories_show(drives, rng):
+    tunings, which, seeds = random_runs(rng, 6)
+    plant, mpc = DualTrack(CAR), MPC(CAR, preview=True)
+    batch = rollout_batch(plant, mpc, drives, tunings, which=which, seeds=seeds, profile="road", driver=Driver())
+    for i in range(6):
+        Np, Nc, Q, R = tunings[i]
+        own = MPC(CAR, Tuning(int(Np), int(min(Nc, Np)), Q, R), preview=True)
+        run = rollout(plant, own, drives[which[i]], profile="road", driver=Driver(), seed=int(seeds[i]))
+        error = run.Y - run.y_ref
+        assert batch.mse[i] == pytest.approx(np.mean(error**2), rel=1e-12)
+        assert batch.max_abs_error[i] == np.abs(error).max()
+        assert batch.mean_squared_move[i] == pytest.approx(np.mean(run.command_change**2), rel=1e-12)
+        assert batch.steps[i] == len(run.t)
+        assert batch.limited[i] == np.count_nonzero(run.at_limit)
+        assert batch.held[i] == np.count_nonzero(run.held)
+        assert batch.qp_iterations[i] == run.qp_iterations.sum()
+        assert batch.cost(3.0)[i] == pytest.approx(batch.mse[i] + 3.0 * batch.mean_squared_move[i])
+
+
+@pytest.mark.parametrize(
+    "horizon",
+    [34.5, 34.4, 35.5],
+)
+def test_a_real_valued_horizon_is_rounded_alike_alone_and_in_company(horizon):
+    step = load_scenario("step", amplitude=0.02, duration=0.6)
+    company = [[horizon, 8, 1, 30], [50, 8, 1, 30]]
+    together = rollout_batch(SingleTrack(CAR), MPC(CAR), step, company).mse[0]
+    assert rollout_batch(SingleTrack(CAR), MPC(CAR), step, company[:1]).mse[0] == together
+    whole = [[math.floor(horizon + 0.5), 8, 1, 30]]
+    assert rollout_batch(SingleTrack(CAR), MPC(CAR), step, whole).mse[0] == together
+
+
+def test_a_control_horizon_longer_than_every_prediction_horizon_is_clamped():
+    step = load_scenario("step", amplitude=0.02, duration=0.4)
+    mpc = MPC(CAR, moves=Moves.laguerre(0.8, 4))
+    long, exact = (rollout_batch(SingleTrack(CAR), mpc, step, [[3, Nc, 1, 30]]).mse[0] for Nc in (18, 3))
+    assert long == exact
+
+
+def test_an_empty_batch_has_no_results():
+    assert rollout_batch(SingleTrack(CAR), MPC(CAR), SHORT, np.zeros((0, 4))).mse.shape == (0,)
+
+
+# -- noise ------------------------------------------------------------------------------------------------------------
+@pytest.mark.compiled
+def test_counted_noise_is_standard_normal_and_without_memory():
+    draws = np.array(
+        [[counted_normal(seed, k, c) for c in range(4)] for seed in range(20) for k in range(500)]
+    ).reshape(20, 500, 4)
+    flat = draws.ravel()
+    assert abs(flat.mean()) < 4 / math.sqrt(flat.size)
+    assert flat.var() == pytest.approx(1.0, abs=4 * math.sqrt(2 / flat.size))
+    assert np.mean(np.abs(flat) < 1.0) == pytest.approx(0.6827, abs=0.01)
+    assert np.abs(flat).max() < 6.0
+    for axis in range(3):  # seeds, instants and channels say nothing about each other
+        ahead, behind = (
+            np.take(draws, span, axis).ravel() for span in (range(1, draws.shape[axis]), range(draws.shape[axis] - 1))
+        )
+        assert abs(np.corrcoef(ahead, behind)[0, 1]) < 0.03
+
+
+def test_counted_noise_depends_on_its_counters_alone():
+    assert counted_normal(3, 5, 2) == counted_normal(3, 5, 2)
+    assert len({counted_normal(seed, k, c) for seed in range(4) for k in range(4) for c in range(4)}) == 64
+
+
+@pytest.mark.compiled
+def test_noise_depends_on_the_seed_alone():
+    plant, mpc = SingleTrack(CAR), MPC(CAR, CALM)
+    first, again, other = (simulate(plant, mpc, SHORT, profile="road", seed=seed) for seed in (1, 1, 2))
+    assert same(first, again)
+    assert not np.array_equal(first.command, other.command)
+    quiet = [simulate(plant, mpc, SHORT, profile="paper", seed=seed) for seed in (1, 2)]
+    assert same(*quiet)
+
+
+@pytest.mark.compiled
+def test_the_first_commands_see_only_the_noise_of_their_instant():
+    noisy = dataclasses.replace(PAPER, name="noisy", noise_y=0.1)
+    run = simulate(SingleTrack(CAR), MPC(CAR, CALM), straight_then(), profile=noisy, seed=11)
+    seen = 0.1 * counted_normal(11, 0, 3)
+    assert run.command[0] == MPC(CAR, CALM).step([0, 0, 0, seen], 15.0, [0.0]).angle
+    assert run.Y[0] == 0.0  # the car itself is where it is
+
+
+# -- symmetry ---------------------------------------------------------------------------------------------------------
+@pytest.mark.compiled
+@pytest.mark.parametrize("plant", [SingleTrack, DualTrack])
+@pytest.mark.parametrize("driver", [None, Driver()], ids=["prescribed", "driver"])
+def test_the_mirrored_scenario_gives_the_mirrored_trajectory(plant, driver):
+    scenario = load_scenario("double-lane-change", friction=[0.9, 0.6], wind=[2.0, 6.0], start_y=0.3)
+    car, mpc = plant(CAR, "passenger-car"), MPC(CAR, CALM)
+    here, there = (rollout(car, mpc, road, driver=driver) for road in (scenario, scenario.mirrored()))
+    for name in ("X", "vx"):
+        np.testing.assert_allclose(getattr(there, name), getattr(here, name), rtol=1e-9)
+    for name in ("Y", "psi", "vy", "yaw_rate", "steering", "command", "lateral_acceleration"):
+        np.testing.assert_allclose(getattr(there, name), -getattr(here, name), rtol=0, atol=1e-7)
+    assert np.abs(here.Y).max() > 1.0
+
+
+# -- lost runs --------------------------------------------------------------------------------------------------------
+def test_a_lost_run_ends_with_not_a_number_and_says_so():
+    leaving = straight_then(reference=Ramp(after=20.0, start=0.5, duration=1.0), duration=2.0)
+    run = simulate(SingleTrack(CAR), MPC(CAR, CALM), leaving, lost_beyond=2.0)
+    gone = np.isnan(run.Y)
+    first = int(gone.argmax())
+    assert 5 < first < 20
+    assert gone[first:].all()
+    assert not gone[:first].any()
+    assert np.isnan(run.command[first:]).all()
+    assert (run.qp_status[first:] == QPStatus.NON_FINITE).all()
+    assert run.held[first:].all()
+    assert not run.held[:first].any()
+    assert np.abs(run.error[:first]).max() <= 2.0
+    assert same(run, rollout(SingleTrack(CAR), MPC(CAR, CALM), leaving, lost_beyond=2.0))
+
+
+@pytest.mark.compiled
+def test_a_lost_run_of_a_batch_is_flagged_and_harms_nobody(rng):
+    good = load_scenario("lane-change", duration=3.0)
+    leaving = good.replace(reference=Ramp(after=40.0, start=0.5, duration=1.0))
+    plant, mpc = DualTrack(CAR), MPC(CAR, CALM)
+    which = np.arange(20) % 2
+    batch = rollout_batch(plant, mpc, [good, leaving], [CALM.as_array()] * 20, which=which, lost_beyond=3.0)
+    alone = rollout_batch(plant, mpc, good, [CALM.as_array()], lost_beyond=3.0)
+    assert np.array_equal(batch.lost, which == 1)
+    assert np.isinf(batch.mse[which == 1]).all()
+    assert np.isinf(batch.cost(3.0)[which == 1]).all()
+    assert (batch.mse[which == 0] == alone.mse[0]).all()
+    assert (batch.steps[which == 0] == 30).all()
+    assert (batch.steps[which == 1] < 20).all()
+    assert rollout(plant, mpc, leaving, lost_beyond=3.0).error[: batch.steps[1]] == pytest.approx(
+        simulate(plant, mpc, leaving, lost_beyond=3.0).error[: batch.steps[1]], abs=0.0
+    )
+
+
+def explodes(x, u, environment, p, dx):
+    """Its yaw rate grows without bound."""
+    for i in range(6):
+        dx[i] = 0.0
+    dx[0], dx[2], dx[5] = x[3], x[5], 1e3 * x[5] + 1.0
+
+
+@pytest.mark.compiled  # the interpreter warns of the overflow
+def test_a_state_that_is_no_longer_finite_ends_the_run():
+    run = simulate(UserPlant(explodes, {}, mass=1000.0), MPC(CAR), straight_then(duration=3.0))
+    assert np.isnan(run.Y[-1])
+    assert np.isfinite(run.Y[0])
+
+
+# -- what the profile stands for --------------------------------------------------------------------------------------
+def test_a_delay_shifts_the_steering_by_one_period():
+    delayed = Profile("delayed", SteeringActuator.ideal(), delay=True)
+    run = simulate(SingleTrack(CAR), MPC(CAR, CALM), SHORT, profile=delayed)
+    assert run.steering[0] == 0.0
+    assert np.array_equal(run.steering[1:], run.command[:-1])
+    prompt = simulate(SingleTrack(CAR), MPC(CAR, CALM), SHORT)
+    assert np.array_equal(prompt.steering, prompt.command)
+
+
+def test_the_road_profile_steers_no_faster_than_its_actuator():
+    run = simulate(SingleTrack(CAR), MPC(CAR), SHORT, profile="road", seed=5)
+    assert np.abs(np.diff(run.steering)).max() <= ROAD.steering.rate * run.period * (1 + 1e-9)
+    assert np.abs(run.steering).max() <= ROAD.steering.limit
+    assert np.abs(np.diff(run.command)).max() > ROAD.steering.rate * run.period  # the controller asked for more
+
+
+def test_a_plants_own_actuator_stands_before_the_profiles():
+    lagging = SingleTrack(CAR, steering=SteeringActuator(lag=0.3))
+    run = simulate(lagging, MPC(CAR, CALM), SHORT, profile="paper")
+    assert np.abs(run.steering - run.command).max() > 1e-3
+
+
+# -- speed ------------------------------------------------------------------------------------------------------------
+@pytest.mark.compiled
+@pytest.mark.parametrize("name", ["triple-lane-change", "general-trajectory"])
+@pytest.mark.parametrize("plant", [SingleTrack, DualTrack])
+def test_a_prescribed_speed_is_followed_exactly(name, plant):
+    run = rollout(plant(CAR, "constant-stiffness"), MPC(CAR), load_scenario(name))
+    assert np.abs(run.vx - run.v_ref).max() < 1e-9
+
+
+@pytest.mark.compiled
+@pytest.mark.parametrize("plant", [SingleTrack, DualTrack])
+def test_the_driver_follows_a_ramp_of_speed(plant):
+    ramp = straight_then(speed=Ramp(before=10.0, after=20.0, start=3.0, duration=10.0), duration=25.0)
+    run = rollout(plant(CAR), MPC(CAR), ramp, driver=Driver())
+    behind = run.v_ref - run.vx
+    assert np.abs(behind).max() < 0.4
+    assert np.abs(behind[-20:]).max() < 0.02  # drag and rolling resistance are what the integral is for
+
+
+@pytest.mark.compiled
+@pytest.mark.parametrize("plant", [SingleTrack, DualTrack])
+def test_at_top_speed_the_engine_gives_what_drag_and_rolling_take(plant):
+    run = rollout(plant(CAR), MPC(CAR), straight_then(speed=75.0, duration=150.0), driver=Driver())
+    drag = 0.5 * CAR.air_density * CAR.frontal_area * CAR.drag_coefficient
+    rolling = CAR.rolling_resistance * CAR.mass * GRAVITY
+    top = np.roots([drag, 0.0, rolling, -CAR.engine_power])
+    assert run.vx[-1] == pytest.approx(top[np.isreal(top)].real.max(), rel=1e-3)
+
+
+@pytest.mark.compiled
+def test_the_driver_brakes_no_harder_than_brakes_and_accelerates_no_harder_than_traction():
+    weak = CAR.replace(brake_limit=3000.0, traction_limit=2000.0, frontal_area=0.0, rolling_resistance=0.0)
+    down = straight_then(speed=Ramp(before=25.0, after=5.0, start=0.5, duration=0.5), duration=5.0)
+    up = straight_then(speed=Ramp(before=5.0, after=25.0, start=0.5, duration=0.5), duration=5.0)
+    braking, driving = (rollout(DualTrack(weak), MPC(CAR), road, driver=Driver()) for road in (down, up))
+    assert np.diff(braking.vx).min() / 0.1 == pytest.approx(-3000.0 / CAR.mass, rel=1e-6)
+    assert np.diff(driving.vx).max() / 0.1 == pytest.approx(2000.0 / CAR.mass, rel=1e-6)
+
+
+@pytest.mark.compiled
+def test_the_drivers_integral_does_not_wind_up_behind_a_limit():
+    weak = CAR.replace(traction_limit=1000.0)
+    road = straight_then(speed=Ramp(before=10.0, after=20.0, start=1.0, duration=0.5), duration=60.0)
+    run = rollout(DualTrack(weak), MPC(CAR), road, driver=Driver())
+    assert run.vx.max() < 20.3
+    assert run.vx[-1] == pytest.approx(20.0, abs=0.02)
+
+
+@pytest.mark.compiled
+@pytest.mark.parametrize("plant", [SingleTrack, DualTrack])
+def test_a_car_that_is_told_to_stop_stands(plant):
+    stop = straight_then(speed=Ramp(before=10.0, after=0.0, start=1.0, duration=5.0), duration=20.0)
+    run = rollout(plant(CAR), MPC(CAR), stop, driver=Driver())
+    assert run.vx.min() > -0.05
+    assert np.abs(run.vx[-20:]).max() < 0.02
+    assert np.ptp(run.X[-20:]) < 0.02
+
+
+@pytest.mark.parametrize(
+    ("wheel", "side"), [("front-left", -1), ("rear-left", -1), ("front-right", 1), ("rear-right", 1)]
+)
+def test_each_wheel_has_the_friction_of_its_own_track(wheel, side):
+    braking = straight_then(
+        speed=Ramp(before=20.0, after=0.0, start=0.0, duration=2.0),
+        friction_patches=[{"start": 0.0, "end": 9.0, "friction": 0.05, "wheels": wheel}],
+        duration=1.0,
+    )
+    fixed = MPC(CAR, limits=Limits(move=(0.0, 0.0)))  # a controller that may not steer
+    run = simulate(DualTrack(CAR), fixed, braking, driver=Driver())
+    assert (run.command == 0.0).all()
+    assert side * run.yaw_rate[-1] > 1e-3  # the wheels with grip hold their side back
+
+
+def test_the_controller_sees_the_cars_speed_and_the_scheduler_the_condition():
+    seen = []
+
+    def watch(condition):
+        seen.append(condition)
+        return CALM
+
+    scenario = SHORT.replace(friction=(0.9, 0.5), wind=(1.0, -4.0))
+    run = simulate(SingleTrack(CAR), MPC(CAR, scheduler=watch), scenario, driver=Driver())
+    assert len(seen) == len(run.t)
+    for k in (0, 7, 14):
+        assert isinstance(seen[k], Condition)
+        assert seen[k].speed == run.vx[k]
+        assert seen[k].y_ref == run.y_ref[k]
+        assert seen[k].friction == pytest.approx(0.7)
+        assert seen[k].wind == -4.0
+
+
+# -- tracking ---------------------------------------------------------------------------------------------------------
+@pytest.mark.compiled
+@pytest.mark.parametrize("plant", [SingleTrack, DualTrack])
+@pytest.mark.parametrize("moves", [Moves.pulses(), Moves.laguerre(0.75)], ids=["pulse", "laguerre"])
+@pytest.mark.parametrize("wind", [0.0, 12.0, -25.0])
+def test_a_step_is_reached_without_steady_state_error_in_any_constant_wind(plant, moves, wind):
+    step = load_scenario("step", amplitude=1.0, wind=wind, duration=30.0)
+    run = rollout(plant(CAR), MPC(CAR, CALM, moves=moves), step)
+    assert np.abs(run.error[-20:]).max() < 1e-4
+    assert np.abs(run.command[-1]) > 1e-3 or wind == 0.0
+    assert (run.qp_status == QPStatus.SOLVED).all()
+
+
+@pytest.mark.parametrize("plant", [SingleTrack, DualTrack])
+def test_on_a_straight_road_without_wind_nothing_moves(plant):
+    run = simulate(plant(CAR), MPC(CAR), straight_then(duration=1.0))
+    for name in ("Y", "psi", "vy", "yaw_rate", "steering", "command", "lateral_acceleration"):
+        assert (getattr(run, name) == 0.0).all(), name
+    assert run.X[-1] == pytest.approx(15.0 * 0.9, rel=1e-12)
+
+
+@pytest.mark.compiled
+def test_a_side_wind_blows_the_car_downwind_before_it_is_corrected():
+    for wind, sign in ((10.0, 1.0), (-10.0, -1.0)):
+        run = simulate(DualTrack(CAR), MPC(CAR, CALM), straight_then(wind=wind))
+        assert sign * run.Y[run.Y.size // 4] > 0.0
+
+
+def test_the_recorded_acceleration_is_that_of_the_recorded_motion():
+    run = simulate(SingleTrack(CAR), MPC(CAR, CALM, period=0.005), SHORT.with_duration(0.6))
+    change = np.diff(run.vy) / run.period  # over the period that begins with the recorded instant
+    assert run.lateral_acceleration[:-1] == pytest.approx(change + (run.vx * run.yaw_rate)[:-1], abs=0.1)
+    assert np.abs(run.lateral_acceleration).max() > 2.0
+
+
+def test_a_run_starts_where_the_scenario_says():
+    scenario = straight_then(start_y=0.4, start_heading=0.05, speed=12.0, duration=0.3)
+    run = simulate(SingleTrack(CAR), MPC(CAR), scenario)
+    assert (run.X[0], run.Y[0], run.psi[0], run.vx[0]) == (0.0, 0.4, 0.05, 12.0)
+
+
+# -- accuracy ---------------------------------------------------------------------------------------------------------
+@pytest.mark.compiled
+@pytest.mark.parametrize("profile", ["paper", "road"])
+@pytest.mark.parametrize("plant", [SingleTrack, DualTrack])
+@pytest.mark.parametrize("tyre", ["magic-formula", "constant-stiffness", "passenger-car"])
+def test_the_default_steps_leave_less_than_a_millimetre(profile, plant, tyre):
+    car = CAR if tyre != "passenger-car" else load_vehicle("midsize-sedan")
+    mpc, paths = controller(profile, car), []
+    for steps in (None, 200):
+        run = rollout(plant(car, tyre, steps=steps), mpc, LANE_CHANGE, profile=profile, driver=Driver())
+        paths.append(np.column_stack([run.X, run.Y]))
+    assert np.hypot(*(paths[0] - paths[1]).T).max() < 1e-3
+
+
+# -- records and refusals ---------------------------------------------------------------------------------------------
+def test_a_trajectory_knows_where_it_comes_from():
+    mpc = MPC(CAR, CALM, preview=True)
+    run = simulate(DualTrack(CAR, "passenger-car"), mpc, SHORT, profile="road", seed=4, driver=Driver())
+    wanted = {"scenario": "lane-change", "plant": "dual-track", "tyre": "passenger-car", "vehicle": "paper"}
+    wanted |= {"profile": "road", "seed": 4, "preview": True, "speed": "driver", "controller": "standard MPC (pulse)"}
+    assert {key: run.meta[key] for key in wanted} == wanted
+    assert run.meta["tuning"] == {"Np": 25, "Nc": 6, "Q": 1.0, "R": 30.0}
+    assert (run.Np == 25).all()
+    assert (run.Q == 1.0).all()
+    assert (run.step_time > 0.0).all()
+    assert np.isnan(rollout(SingleTrack(CAR), mpc, SHORT).step_time).all()
+
+
+def test_progress_is_reported_from_nothing_to_everything():
+    heard = []
+    simulate(SingleTrack(CAR), MPC(CAR), SHORT, progress=lambda done, of: heard.append((done, of)))
+    assert heard[0] == (0, 15)
+    assert heard[-1] == (15, 15)
+
+
+def test_the_drivers_numbers_are_checked():
+    for arguments in ({"preview": 0.0}, {"preview": math.nan}, {"integral": -0.1}, {"integral": math.inf}):
+        with pytest.raises(InvalidInput, match="Driver"):
+            Driver(**arguments)
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        {"tunings": [[35, 8, 10]]},
+        {"tunings": [[35, 8, 10, math.nan]]},
+        {"tunings": [[[35, 8, 10, 1]]]},
+        {"which": [1]},
+        {"which": [-1]},
+        {"which": [0, 0]},
+        {"scenarios": []},
+        {"scenarios": [SHORT, LANE_CHANGE]},
+        {"mpc": MPC(CAR, scheduler=lambda condition: CALM)},
+        {"mpc": MPC(CAR, solver="daqp")},
+        {"seeds": [1, 2, 3]},
+    ],
+    ids=lambda arguments: next(iter(arguments)),
+)
+def test_a_batch_refuses_what_does_not_fit(arguments):
+    given = {"plant": SingleTrack(CAR), "mpc": MPC(CAR), "scenarios": SHORT, "tunings": [CALM.as_array()]} | arguments
+    with pytest.raises(InvalidInput):
+        rollout_batch(**given)
+
+
+def test_a_compiled_run_refuses_a_controller_that_needs_python():
+    for mpc in (MPC(CAR, scheduler=lambda condition: CALM), MPC(CAR, solver="daqp")):
+        with pytest.raises(InvalidInput, match="simulate"):
+            rollout(SingleTrack(CAR), mpc, SHORT)
+
+
+def test_a_misspelt_profile_is_named():
+    with pytest.raises(UnknownName, match="'road'"):
+        simulate(SingleTrack(CAR), MPC(CAR), SHORT, profile="raod")
+
+
+@pytest.mark.compiled
+def test_a_second_process_takes_every_kernel_from_the_cache(run_python):
+    missed = run_python(
+        code="""
+import adaptrack.kernels as kernels
+for room in map(vars(kernels).get, kernels.__all__):
+    for name, routine in getattr(room, "__dict__", {}).items():
+        stats = getattr(routine, "stats", None)
+        if stats is not None and stats.cache_path and stats.cache_misses:
+            print(room.__name__, name)
+"""
+    )
+    assert missed == ""
+
+
+@pytest.mark.parametrize("which", ["LOOP_SETTINGS", "MPC_SETTINGS", "RECORD", "RESULT", "SIGNALS"])
+def test_the_kernels_columns_have_names_of_their_own(which):
+    names = getattr(loop, which)
+    assert len(set(names)) == len(names)
+
+
+@pytest.mark.parametrize(("mass", "power"), [(-1.0, 1e5), (math.nan, 1e5), (1000.0, -5.0)])
+def test_a_users_plant_refuses_an_impossible_powertrain(mass, power):
+    with pytest.raises((InvalidInput, ContractError)):
+        UserPlant(bicycle, {}, mass=mass, engine_power=power)

@@ -1,0 +1,164 @@
+"""Tyre laws keep what their names promise: slope, peak, load dependence, symmetry, friction ellipse."""
+
+import math
+
+import numpy as np
+import pytest
+
+from adaptrack.kernels.dynamics import unpack
+from adaptrack.kernels.tyre import (
+    CURVED_MAGIC_FORMULA,
+    LINEAR,
+    MAGIC_FORMULA,
+    friction_ellipse,
+    lateral_force,
+    tyre_law,
+)
+from adaptrack.vehicle import SteeringActuator, list_tyres, load_tyre, load_vehicle, pack_plant
+from references.vehicle import cornering_stiffness, tyre_force
+
+LOADS = (800.0, 2500.0, 4850.0, 7000.0)
+FRICTIONS = (0.3, 0.9)
+
+TYRES = {name: load_tyre(name) for name in list_tyres()}
+TYRES["curved"] = TYRES["passenger-car"].replace(name="curved", curvature=-1.5, shape=1.5)
+
+
+def compiled(tyre):
+    """The tyre's force as the plant computes it: (slip, load, friction) -> N, of a front tyre."""
+    c = unpack(pack_plant(load_vehicle("paper"), tyre, SteeringActuator.ideal()))
+    law = tyre_law(c)
+    return lambda slip, load, friction: lateral_force(slip, load, friction, tyre.stiffness_front, c, law)
+
+
+@pytest.fixture(params=TYRES, scope="module")
+def tyre(request):
+    return TYRES[request.param]
+
+
+@pytest.fixture(scope="module")
+def force(tyre):
+    return compiled(tyre)
+
+
+saturating = pytest.mark.parametrize(
+    "tyre", [name for name, tyre in TYRES.items() if tyre.kind == "magic-formula"], indirect=True
+)
+
+
+def friction_force(tyre, load, friction):
+    """D = mu F_z (1 - d (q - 1))."""
+    return friction * load * (1.0 - tyre.friction_load_sensitivity * (load / tyre.nominal_load - 1.0))
+
+
+def test_each_law_is_chosen_by_its_parameters():
+    laws = {}
+    for name, tyre in TYRES.items():
+        laws[name] = tyre_law(unpack(pack_plant(load_vehicle("paper"), tyre, SteeringActuator.ideal())))
+    assert laws == {
+        "constant-stiffness": LINEAR,
+        "magic-formula": MAGIC_FORMULA,
+        "passenger-car": MAGIC_FORMULA,
+        "curved": CURVED_MAGIC_FORMULA,
+    }
+
+
+@pytest.mark.parametrize("load", LOADS)
+def test_the_slope_at_the_origin_is_the_cornering_stiffness(tyre, force, load):
+    slip = 1e-6
+    expected = cornering_stiffness(tyre, tyre.stiffness_front, load)
+    friction = 0.7
+    scaled = friction if tyre.kind == "linear" else 1.0  # the released tyre's stiffness is scaled by friction
+    assert (force(slip, load, friction) - force(-slip, load, friction)) / (2 * slip) == pytest.approx(
+        expected * scaled, rel=1e-7
+    )
+
+
+@saturating
+@pytest.mark.parametrize("load", LOADS)
+@pytest.mark.parametrize("friction", FRICTIONS)
+def test_the_peak_is_friction_times_load(tyre, force, load, friction):
+    grip = friction_force(tyre, load, friction)
+    forces = [force(slip, load, friction) for slip in np.linspace(0.0, 3.0, 3001).tolist()]
+    assert max(forces) == pytest.approx(grip, rel=1e-4)
+    assert max(forces) <= grip * (1 + 1e-12)
+
+
+@saturating
+def test_beyond_its_peak_the_force_falls_but_never_turns(tyre, force):
+    forces = np.array([force(slip, 3000.0, 0.8) for slip in np.linspace(0.0, 3.0, 601).tolist()])
+    top = forces.argmax()
+    assert (np.diff(forces[: top + 1]) > 0).all()
+    assert (np.diff(forces[top:]) < 0).all()
+    assert (forces[1:] > 0).all()
+
+
+def test_a_linear_tyre_is_linear_in_slip_friction_and_load():
+    force = compiled(TYRES["constant-stiffness"])
+    reference = force(0.01, 2500.0, 0.5)
+    assert reference == pytest.approx(19000.0 * 0.5 * 0.5 * 0.01, rel=1e-14)  # C (F_z/5000 N) mu alpha
+    assert force(0.5, 2500.0, 0.5) == pytest.approx(50 * reference, rel=1e-14)
+    assert force(0.01, 5000.0, 0.5) == pytest.approx(2 * reference, rel=1e-14)
+    assert force(0.01, 2500.0, 1.0) == pytest.approx(2 * reference, rel=1e-14)
+
+
+def test_a_digressive_stiffness_peaks_at_its_load_ratio():
+    tyre = TYRES["passenger-car"]
+    force = compiled(tyre)
+
+    def stiffness(q):
+        return force(1e-6, q * tyre.nominal_load, 1.0) / 1e-6
+
+    assert stiffness(1.0) == pytest.approx(tyre.stiffness_front, rel=1e-6)
+    loads = np.linspace(0.05, 4.0, 800)
+    values = np.array([stiffness(q) for q in loads.tolist()])
+    assert loads[values.argmax()] == pytest.approx(tyre.digressive_load_ratio, abs=0.005)
+    assert (np.diff(values[loads < tyre.digressive_load_ratio], 2) < 0).all()  # ever less for each newton
+
+
+def test_friction_falls_with_load_by_its_sensitivity():
+    tyre = TYRES["passenger-car"]
+    force = compiled(tyre)
+
+    def best(load):
+        return max(force(slip, load, 1.0) for slip in np.linspace(0.0, 2.0, 4001).tolist())
+
+    once, twice = best(tyre.nominal_load), best(2 * tyre.nominal_load)
+    assert once == pytest.approx(tyre.nominal_load, rel=1e-6)
+    assert twice / 2 == pytest.approx(once * (1 - tyre.friction_load_sensitivity), rel=1e-6)
+
+
+def test_an_overloaded_tyre_keeps_a_tenth_of_its_friction():
+    force = compiled(TYRES["passenger-car"])
+    best = max(force(slip, 40000.0, 0.9) for slip in np.linspace(0.0, 3.0, 3001).tolist())
+    assert best == pytest.approx(0.1 * 0.9 * 40000.0, rel=1e-4)
+
+
+def test_left_and_right_slip_push_alike(force, rng):
+    for slip, load, friction in rng.uniform([0, 100, 0.05], [0.6, 8000, 1.2], (200, 3)).tolist():
+        assert force(-slip, load, friction) == -force(slip, load, friction)
+    assert force(0.0, 4000.0, 0.9) == 0.0
+
+
+def test_the_force_is_that_of_the_formula_written_with_libm(tyre, force, rng):
+    for slip, load, friction in rng.uniform([-0.6, 50, 0.05], [0.6, 8000, 1.2], (500, 3)).tolist():
+        expected = tyre_force(tyre, tyre.stiffness_front, slip, load, friction)
+        assert force(slip, load, friction) == pytest.approx(expected, rel=1e-12, abs=1e-9)
+
+
+def test_ice_without_any_friction_gives_no_force(tyre, force):
+    assert abs(force(0.3, 4000.0, 0.0)) < 1e-3
+
+
+def test_lateral_and_longitudinal_force_share_a_circle(rng):
+    for along, load, friction in rng.uniform([-0.99, 100, 0.1], [0.99, 8000, 1.2], (200, 3)).tolist():
+        grip = friction * load
+        left = friction_ellipse(along * grip, load, friction)
+        assert (left * grip) ** 2 + (along * grip) ** 2 == pytest.approx(grip**2, rel=1e-12) or left == 0.1
+    assert friction_ellipse(0.0, 3000.0, 0.8) == 1.0
+
+
+def test_a_locked_wheel_keeps_a_tenth_of_its_lateral_force():
+    assert friction_ellipse(5000.0, 3000.0, 0.8) == pytest.approx(0.1)
+    assert friction_ellipse(0.0, 3000.0, 0.0) == 1.0
+    assert math.isfinite(friction_ellipse(100.0, 0.0, 0.0))
