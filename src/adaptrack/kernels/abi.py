@@ -32,6 +32,9 @@ and no array is counted in and out of a call."""
 ROUTINE: dict[str, Any] = {"nogil": True, "error_model": "numpy", "cache": True, "_nrt": False}
 """Options of the routines that are compiled once and loaded from the cache."""
 
+INLINED_ROUTINE: dict[str, Any] = {**ROUTINE, "forceinline": True}
+"""A routine that Python calls and that kernels inline: handing a workspace of many arrays on costs time."""
+
 float64 = types.float64
 int64 = types.int64
 vector = types.Array(types.float64, 1, "C")

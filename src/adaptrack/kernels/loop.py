@@ -15,7 +15,20 @@ import numpy as np
 from numba import njit, types
 
 from . import qp, simd
-from .abi import INLINE, PLANT_PARAMETERS, ROUTINE, cube, float64, int64, int_matrix, int_vector, matrix, record, vector
+from .abi import (
+    INLINE,
+    INLINED_ROUTINE,
+    PLANT_PARAMETERS,
+    ROUTINE,
+    cube,
+    float64,
+    int64,
+    int_matrix,
+    int_vector,
+    matrix,
+    record,
+    vector,
+)
 from .dynamics import CUSTOM, INPUTS, PLANT_FUNCTION, STATES
 from .dynamics import derivative as vehicle_derivative
 from .elementary import clip
@@ -267,7 +280,7 @@ def form_model(lane, np_, nc, q, r, speed, model, settings, memory, ws):
 
 @njit(
     types.UniTuple(int64, 3)(int64, float64, vector, vector, vector, vector, matrix, matrix, WORKSPACE),
-    **ROUTINE,
+    **INLINED_ROUTINE,
 )
 def form_qp(lane, speed, reference, tuning, model, settings, memory, record, ws):
     """The QP of eq. (17) for lane `lane`; returns its status so far, its variables n and its rows m.
@@ -333,7 +346,7 @@ def form_qp(lane, speed, reference, tuning, model, settings, memory, record, ws)
     return int(own[FACTOR_STATUS]), n, m
 
 
-@njit(types.UniTuple(int64, 2)(int64, int64, int64, vector, matrix, WORKSPACE), **ROUTINE)
+@njit(types.UniTuple(int64, 2)(int64, int64, int64, vector, matrix, WORKSPACE), **INLINED_ROUTINE)
 def solve_qp(lane, n, m, settings, memory, ws):
     """Solve the QP in the workspace with the solver of the settings: (status, iterations)."""
     solver = int(settings[SOLVER])
@@ -358,7 +371,7 @@ def solve_qp(lane, n, m, settings, memory, ws):
     return status, iterations
 
 
-@njit(types.void(int64, int64, int64, int64, int64, vector, matrix, matrix, WORKSPACE), **ROUTINE)
+@njit(types.void(int64, int64, int64, int64, int64, vector, matrix, matrix, WORKSPACE), **INLINED_ROUTINE)
 def apply_move(lane, status, iterations, n, m, settings, memory, record, ws):
     """Take the first move of the solution in the workspace, or hold the angle; write the record of the step.
 
@@ -409,7 +422,7 @@ def apply_move(lane, status, iterations, n, m, settings, memory, record, ws):
     own[STARTED] = 1.0
 
 
-@njit(types.void(int64, float64, vector, vector, vector, vector, matrix, matrix, WORKSPACE), **ROUTINE)
+@njit(types.void(int64, float64, vector, vector, vector, vector, matrix, matrix, WORKSPACE), **INLINED_ROUTINE)
 def mpc_step(lane, speed, reference, tuning, model, settings, memory, record, ws):
     """One step of the MPC: form the QP, solve it, take the first move. Arguments as for `form_qp`."""
     status, n, m = form_qp(lane, speed, reference, tuning, model, settings, memory, record, ws)
@@ -443,7 +456,7 @@ def drive(k, period, speed, signals, scenario, loop, own):
     return force
 
 
-@njit(types.void(int64, int64, vector, vector, int64, vector), **ROUTINE)
+@njit(types.void(int64, int64, vector, vector, int64, vector), **INLINED_ROUTINE)
 def sense(k, lane, block, loop, seed, measured):
     """Write x_c = [v_y, yaw, yaw rate, y] of a lane's vehicle as its sensors see it at instant k."""
     measured[0] = block[4 * LANES + lane]
@@ -456,7 +469,7 @@ def sense(k, lane, block, loop, seed, measured):
             measured[c] += deviation * counted_normal(seed, k, c)
 
 
-@njit(types.void(int64, int64, float64, vector, float64, vector, cube, int64, matrix), **ROUTINE)
+@njit(types.void(int64, int64, float64, vector, float64, vector, cube, int64, matrix), **INLINED_ROUTINE)
 def actuate(k, lane, command, block, period, loop, signals, scenario, memory):
     """Write the inputs of a lane's vehicle for the period after instant k: steering, speed control, friction, wind."""
     vx = block[3 * LANES + lane]

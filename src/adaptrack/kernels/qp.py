@@ -22,7 +22,7 @@ Accuracy
 --------
 E may have a condition number up to 1e12 or so: double precision then loses five digits or more in every
 solve. The residual E x + K + M'lam is therefore accumulated in twice the working precision (Dekker 1971; Ogita, Rump
-and Oishi 2005, algorithm 4.3) and x is corrected with it until the correction is below 1e-10: the result is the
+and Oishi 2005, algorithm 4.3) and x is corrected with it until the correction is below 1e-9: the result is the
 solution *for the given float64 data* to nearly full precision. With the compiler switched off the fused multiply-add
 rounds twice, and the accuracy is that of plain double precision.
 """
@@ -87,7 +87,7 @@ DEPENDENT = 1e-12
 """A row depends on the active ones when this part of its length, measured by E^-1, is all that is new."""
 CONTRADICTION = 1e-9
 """Dependent rows contradict each other when they miss by more than this part of their bounds."""
-CORRECTED = 1e-10
+CORRECTED = 1e-9
 """Refinement stops when the next correction of x would be below this part of max(1, |x|)."""
 REFINEMENTS = 6
 ROUNDING = 2.0**-52
@@ -403,36 +403,53 @@ def _release(n, q, place, work, rows, index):
 
 
 @njit(**INLINE)
-def _polish(n, q, E, K, condition, x, work):
-    """Newton steps on the equations of the active set, residuals in twice the working precision.
+def _newton(n, q, x, work, from_zero):
+    """One Newton step on the equations of the active set, for the residual at hand; from x = 0, u = 0 or from (x, u).
 
         [E  N] [dx]   [-(K + E x + N u)]            dx = T' [y; c2],    y = R^-T (gamma_A - N'x),
         [N' 0] [du] = [gamma_A - N'x   ],           du = R^-1 (c1 - y), c = T (-(K + E x + N u)).
 
-    Returns whether x is finite.
+    Returns (max |dx|, max |x|, whether x is finite).
     """
     width = padded(n)
+    for b in range(0, width, LANES):
+        gap = load(work, _VECTORS, _GAMMA, b)
+        if not from_zero:
+            store(work, _VECTORS, _STEP, b, load(x, b))
+        store(work, _VECTORS, _R, b, first_lanes(gap, q - b))
+    if not from_zero:
+        _dots(q, _NORMALS, _STEP, _Z, width, work)
+        for b in range(0, width, LANES):
+            gap = sub(load(work, _VECTORS, _R, b), load(work, _VECTORS, _Z, b))
+            store(work, _VECTORS, _R, b, first_lanes(gap, q - b))
+    _dots(q, _INVERSE_R, _R, _Z, width, work)
+    _dots(n, _ROTATED, _RESIDUAL, _D, width, work)
+    for b in range(0, width, LANES):
+        y = load(work, _VECTORS, _Z, b)
+        c = load(work, _VECTORS, _D, b)
+        store(work, _VECTORS, _Z, b, add(y, last_lanes(c, q - b)))
+        store(work, _VECTORS, _D, b, sub(c, y))
+    for b in range(0, width, LANES):
+        store(work, _VECTORS, _STEP, b, _combine(0, n, _Z, _ROTATED, b, work))
+        change = _combine(0, q, _D, _INVERSE_R, b, work)
+        if from_zero:
+            store(work, _VECTORS, _U, b, change)
+            store(x, b, zeros())
+        else:
+            store(work, _VECTORS, _U, b, add(load(work, _VECTORS, _U, b), change))
+    return _advance(n, x, work)
+
+
+@njit(**INLINE)
+def _polish(n, q, E, K, condition, x, work):
+    """Newton steps on the active set, residuals in twice the working precision where the conditioning asks for it.
+
+    Returns whether x is finite.
+    """
     finite = True
     for _ in range(REFINEMENTS):
         _residual(n, q, E, K, x, work, ROUNDING * condition > CORRECTED)
-        for b in range(0, width, LANES):
-            store(work, _VECTORS, _STEP, b, load(x, b))
-        _dots(q, _NORMALS, _STEP, _R, width, work)
-        for b in range(0, width, LANES):
-            gap = sub(load(work, _VECTORS, _GAMMA, b), load(work, _VECTORS, _R, b))
-            store(work, _VECTORS, _R, b, first_lanes(gap, q - b))
-        _dots(q, _INVERSE_R, _R, _Z, width, work)
-        _dots(n, _ROTATED, _RESIDUAL, _D, width, work)
-        for b in range(0, width, LANES):
-            y = load(work, _VECTORS, _Z, b)
-            c = load(work, _VECTORS, _D, b)
-            store(work, _VECTORS, _Z, b, add(y, last_lanes(c, q - b)))
-            store(work, _VECTORS, _D, b, sub(c, y))
-        for b in range(0, width, LANES):
-            store(work, _VECTORS, _STEP, b, _combine(0, n, _Z, _ROTATED, b, work))
-            u = load(work, _VECTORS, _U, b)
-            store(work, _VECTORS, _U, b, add(u, _combine(0, q, _D, _INVERSE_R, b, work)))
-        moved, size, finite = _advance(n, x, work)
+        moved, size, finite = _newton(n, q, x, work, False)
         if not ROUNDING * condition * moved > CORRECTED * max(1.0, size):
             break
     return finite
@@ -457,6 +474,15 @@ def _worst_multiplier(q, work):
                 place = i
                 widest = gap
     return place, widest
+
+
+@njit(**INLINE)
+def _unrotate(n, factor, work):
+    """T = L^-1, no row active."""
+    for b in range(0, padded(n), LANES):
+        for i in range(n):
+            store(work, _ROTATED, i, b, load(factor, 0, i, b))
+        store(work, _VECTORS, _U, b, zeros())
 
 
 @njit(**INLINE)
@@ -490,33 +516,19 @@ def _adopt(n, guess, m, Mt, gamma, inverse_trace, work, rows, index):
 
 
 @njit(**INLINE)
-def _settle(n, q, x, work, rows, index):
-    """x on the active rows and their multipliers, from the unconstrained x; rows that pull the wrong way leave.
+def _settle(n, q, K, x, work, rows, index):
+    """x on the active rows and their multipliers; rows that pull the wrong way leave.
 
     Then (x, u) is optimal for the active rows alone: a point from which the dual method may start.
     """
-    width = padded(n)
-    for b in range(0, width, LANES):
-        store(work, _VECTORS, _A, b, load(x, b))
     while q > 0:
-        for b in range(0, width, LANES):
-            store(work, _VECTORS, _STEP, b, load(work, _VECTORS, _A, b))
-        _dots(q, _NORMALS, _STEP, _R, width, work)
-        for b in range(0, width, LANES):
-            gap = sub(load(work, _VECTORS, _GAMMA, b), load(work, _VECTORS, _R, b))
-            store(work, _VECTORS, _R, b, first_lanes(gap, q - b))
-        _dots(q, _INVERSE_R, _R, _Z, width, work)
-        for b in range(0, width, LANES):
-            store(x, b, add(load(work, _VECTORS, _A, b), _combine(0, q, _Z, _ROTATED, b, work)))
-            u = sub(zeros(), _combine(0, q, _Z, _INVERSE_R, b, work))
-            store(work, _VECTORS, _U, b, u)
+        for b in range(0, padded(n), LANES):
+            store(work, _VECTORS, _RESIDUAL, b, first_lanes(sub(zeros(), load(K, b)), n - b))
+        _newton(n, q, x, work, True)
         place, _ = _worst_multiplier(q, work)
         if place < 0:
             break
         q = _release(n, q, place, work, rows, index)
-        if q == 0:
-            for b in range(0, width, LANES):
-                store(x, b, load(work, _VECTORS, _A, b))
     return q
 
 
@@ -553,39 +565,40 @@ def active_set(
     depth = padded(m)
     for b in range(0, depth, LANES):
         store(lam, b, zeros())
-    if _unconstrained(n, E, K, factor, condition, x, work) != SOLVED:
-        return NON_FINITE, 0, 0
     _copy_bounds(m, gamma, rows)
-    worst, finite = _gaps(n, m, Mt, rows, x)
-    if not finite:
-        return NON_FINITE, 0, 0
-    if not worst > 0.0:
-        return SOLVED, 0, 0
-
     inverse_trace = 0.0
     for i in range(n):
         inverse_trace += factor[1, i, i]
-    reach = _size(n, x)  # the numbers that cancel in M x are as large as this
-    floor = min(1.0, reach)
-    if kept and guess > 0:
-        q = guess
-        for i in range(q):
-            work[_VECTORS, _GAMMA, i] = gamma[index[i]]
+
+    q = 0
+    if guess > 0:
+        for i in range(guess):
             kept = kept and gamma[index[i]] < math.inf
-    if not (kept and guess > 0):
-        for i in range(n):
-            for b in range(0, width, LANES):
-                store(work, _ROTATED, i, b, load(factor, 0, i, b))
-        for b in range(0, width, LANES):
-            store(work, _VECTORS, _U, b, zeros())
-        q = _adopt(n, guess, m, Mt, gamma, inverse_trace, work, rows, index)
+        if kept:
+            q = guess
+            for i in range(q):
+                work[_VECTORS, _GAMMA, i] = gamma[index[i]]
+        else:
+            _unrotate(n, factor, work)
+            q = _adopt(n, guess, m, Mt, gamma, inverse_trace, work, rows, index)
+        q = _settle(n, q, K, x, work, rows, index)
     if q > 0:
-        q = _settle(n, q, x, work, rows, index)
         for i in range(q):
             _set_bound(index[i], math.inf, rows)
         worst, finite = _gaps(n, m, Mt, rows, x)
         if not finite:
             return NON_FINITE, 0, 0
+    else:
+        if _unconstrained(n, E, K, factor, condition, x, work) != SOLVED:
+            return NON_FINITE, 0, 0
+        worst, finite = _gaps(n, m, Mt, rows, x)
+        if not finite:
+            return NON_FINITE, 0, 0
+        if not worst > 0.0:
+            return SOLVED, 0, 0
+        _unrotate(n, factor, work)
+    reach = max(1.0, _size(n, x))  # the numbers that cancel in M x are about as large as this
+    floor = 1.0
     iterations = 0
     polished = q == 0
     doubtful = False
