@@ -86,6 +86,11 @@ def test_a_campaigns_folder_loads_and_saves_to_the_same_bytes(campaign, tmp_path
     assert (tmp_path / "copy.parquet").read_bytes() == (campaign / "dataset.parquet").read_bytes()
 
 
+def test_loading_a_data_set_loads_neither_compiler_nor_learner(campaign, run_python):
+    code = f"import sys, adaptrack.dataset as d; d.load_dataset({str(campaign)!r}); print(*sys.modules)"
+    assert not {"numba", "sklearn", "matplotlib", "pandas"} & set(run_python(code=code).split())
+
+
 def test_the_shipped_data_sets_load_and_name_their_command():
     for name in list_datasets():
         data = load_dataset(name)

@@ -549,4 +549,24 @@ def test_packed_settings_reach_their_slots():
     assert SwarmSettings.classic().packed(TUNING)[swarm.IMPROVED] == 0
     assert (packed[swarm.SMALLER], packed[swarm.LARGER], packed[swarm.SPREAD]) == (NC, NP, 2.0)
     assert list(SwarmSettings().packed(box(2))[swarm.SMALLER :]) == [-1, -1, 1]
-    assert np.array_equal(TUNING.packed(), [[1, 1, 0.1, 0.001], [55, 18, 10, 0.1], [1, 1, 0, 0]])
+    assert np.array_equal(TUNING.packed(), [[1, 1, 0.1, 0.001], [55, 18, 10, 0.1], [1, 1, 0, 0], [0, 0, 0, 0]])
+
+
+def test_a_dimension_searched_by_decades_is_uniform_in_its_logarithm():
+    space = SearchSpace(names=("a", "b"), low=(1e-3, -1.0), high=(1e3, 1.0), decades=("a",))
+    asked = Swarm(space, SwarmSettings(particles=4000), seed=3).ask()
+    assert space.contains(asked).all()
+    shares = np.histogram(np.log10(asked[:, 0]), bins=6, range=(-3, 3))[0] / 4000
+    assert np.abs(shares - 1 / 6).max() < 0.03
+
+
+def test_searching_by_decades_finds_a_minimum_that_lies_decades_away():
+    space = SearchSpace(names=("a",), low=(1e-6,), high=(1e6,), decades=("a",))
+    found = minimise(lambda x: (np.log10(x[:, 0]) - 4.0) ** 2, space, SwarmSettings(generations=60), seed=1)
+    assert found.x[0] == pytest.approx(1e4, rel=0.05)
+
+
+@pytest.mark.parametrize(("low", "whole"), [((0.0,), ()), ((1.0,), ("a",))])
+def test_decades_need_positive_real_bounds(low, whole):
+    with pytest.raises(InvalidInput, match="decades"):
+        SearchSpace(names=("a",), low=low, high=(10.0,), decades=("a",), whole=whole)

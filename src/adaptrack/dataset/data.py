@@ -102,9 +102,8 @@ class DataSet:
     @property
     def command(self) -> str:
         """The command that makes it again (with the campaign's own file, unless that ships with the package)."""
-        from adaptrack.tuning.config import list_campaigns
-
-        config = self.name if self.name in list_campaigns() else f"{self.name}.toml"
+        ships = (_DATA.with_name("campaigns") / f"{self.name}.toml").exists()
+        config = self.name if ships else f"{self.name}.toml"
         return shlex.join(["adaptrack", "tune", "--config", config, "--out", self.name])
 
     @property

@@ -47,9 +47,10 @@ SWARM_SETTINGS = (
     SMALLER, LARGER, SPREAD,
 ) = range(len(SWARM_SETTINGS))  # fmt: skip
 
-SPACE = ("low", "high", "whole")
-"""The search space, (3, dims): bounds of each dimension, and 1 where it holds whole numbers."""
-LOW, HIGH, WHOLE = range(len(SPACE))
+SPACE = ("low", "high", "whole", "decades")
+"""The search space, (4, dims): bounds of each dimension, 1 where it holds whole numbers, and 1 where a coordinate is
+the decimal logarithm of the value that it stands for (its bounds are logarithms too)."""
+LOW, HIGH, WHOLE, DECADES = range(len(SPACE))
 
 # -- the swarm --------------------------------------------------------------------------------------------------------
 PROGRESS = (
@@ -135,6 +136,14 @@ def repair(settings, space, x):
     smaller, larger = int(settings[SMALLER]), int(settings[LARGER])
     if smaller >= 0:
         x[smaller] = min(x[smaller], x[larger])
+
+
+@njit(types.void(int64, matrix, matrix, matrix), **ROUTINE)
+def decode(count, space, x, values):
+    """Write the values that the first `count` positions x (.., dims) stand for."""
+    for i in range(count):
+        for d in range(x.shape[1]):
+            values[i, d] = 10.0 ** x[i, d] if space[DECADES, d] > 0.5 else x[i, d]
 
 
 @njit(types.void(int64, int64, vector, matrix, PARTICLES), **ROUTINE)

@@ -24,7 +24,7 @@ from .loop import (
     WORKSPACE,
     rollout,
 )
-from .swarm import LEADER_COST, PARTICLES, begin, learn, move
+from .swarm import LEADER_COST, PARTICLES, begin, decode, learn, move
 
 _RUN = (
     int64, int64, PLANT_FUNCTION, vector, vector, matrix, matrix, vector, vector, vector,
@@ -74,26 +74,29 @@ def evaluate(
 
 
 @njit(
-    types.UniTuple(int64, 2)(int64, int64, vector, matrix, PARTICLES, vector, vector, int_vector, float64, *_RUN),
+    types.UniTuple(int64, 2)(
+        int64, int64, vector, matrix, PARTICLES, matrix, vector, vector, int_vector, float64, *_RUN
+    ),
     **ROUTINE,
 )
 def tune(
-    seed, stream, swarm_settings, space, swarm, trace_of_costs, costs, noise, price,
+    seed, stream, swarm_settings, space, swarm, tunings, trace_of_costs, costs, noise, price,
     periods, lanes, derivative, p, block, states, plant_work, model, settings, loop,
     signals, scenario, seeds, memory, record, ws, seen, start, left, result, trace,
 ):  # fmt: skip
     """One run of the swarm (see `swarm`) over Np, Nc, Q, R; returns (evaluations, control steps done).
 
-    On return swarm.leader is the best tuning, swarm.progress[LEADER_COST] its cost, and trace_of_costs
-    (generations,) the best cost after each generation. A particle's run is stopped once it cannot improve on that
-    particle's best: the swarm takes the same way as without, in less time.
+    On return swarm.leader is the best position, swarm.progress[LEADER_COST] its cost, and trace_of_costs
+    (generations,) the best cost after each generation; tunings (lanes, 4) is scratch. A particle's run is stopped once
+    it cannot improve on that particle's best: the swarm takes the same way as without, in less time.
     """
     steps = 0
     begin(seed, stream, swarm_settings, space, swarm)
     generations = trace_of_costs.size
     for g in range(generations):
+        decode(lanes, space, swarm.x, tunings)
         steps += evaluate(
-            swarm.x, swarm.best_costs, noise, price, costs,
+            tunings, swarm.best_costs, noise, price, costs,
             periods, lanes, derivative, p, block, states, plant_work, model, settings, loop,
             signals, scenario, seeds, memory, record, ws, seen, start, left, result, trace,
         )  # fmt: skip

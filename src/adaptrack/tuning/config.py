@@ -110,10 +110,12 @@ class Search(Record):
     Nc: Annotated[tuple[int, int], BeforeValidator(_tuples)] = Field(default=(1, 18), description="control periods")
     Q: Pair = Field(default=(0.1, 10.0), description="1/m^2")
     R: Pair = Field(default=(0.001, 0.1), description="1/rad^2")
+    decades: bool = Field(default=False, description="search Q and R by decades; wide bounds ask for it")
 
     @model_validator(mode="after")
     def _holds_a_tuning(self) -> Self:
-        for name, (low, high) in dict(self).items():
+        for name in ("Np", "Nc", "Q", "R"):
+            low, high = getattr(self, name)
             if not low <= high:
                 raise ValueError(f"{name} = [{low:g}, {high:g}] is empty: need low <= high.")
             if not (low >= 1 if name in ("Np", "Nc") else low > 0):
@@ -135,6 +137,7 @@ class Search(Record):
             low=tuple(low for low, _ in bounds),
             high=tuple(high for _, high in bounds),
             whole=("Np", "Nc"),
+            decades=("Q", "R") if self.decades else (),
             ordered=("Nc", "Np"),
             spread=2.0,
         )
@@ -358,19 +361,3 @@ def _plain(value: Any) -> Any:
     if isinstance(value, float) and not math.isfinite(value):
         return repr(value)
     return value
-
-
-def differences(ours: Any, theirs: Any, key: str = "") -> list[str]:
-    """The keys at which two trees of settings differ, each with both values."""
-    if isinstance(ours, Mapping) and isinstance(theirs, Mapping):
-        return [
-            sentence
-            for name in sorted({*ours, *theirs})
-            for sentence in differences(ours.get(name), theirs.get(name), f"{key}.{name}" if key else name)
-        ]
-    return [] if ours == theirs else [f"{key} = {_short(theirs)} there, {_short(ours)} here"]
-
-
-def _short(value: Any) -> str:
-    text = json.dumps(value)
-    return text if len(text) <= 60 else text[:57] + "..."

@@ -122,10 +122,13 @@ class Objective:
         particles = rules.particles(swarm.particles, 4)
         trace = np.empty(swarm.generations)
         evaluations, steps = kernels.tune(
-            seed, stream, swarm.packed(space), space.packed(), particles, trace, np.empty(swarm.particles),
+            seed, stream, swarm.packed(space), space.packed(), particles, np.zeros((swarm.particles, 4)), trace,
+            np.empty(swarm.particles),
             arena.noise, self.price, *arena.arguments(swarm.particles),
         )  # fmt: skip
-        return Tuned(particles.leader, float(particles.progress[rules.LEADER_COST]), trace, evaluations, steps)
+        return Tuned(
+            space.values(particles.leader), float(particles.progress[rules.LEADER_COST]), trace, evaluations, steps
+        )
 
 
 _LANES = 32

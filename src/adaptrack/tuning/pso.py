@@ -41,9 +41,10 @@ def _as_tuple(value: Any) -> Any:
 
 
 class SearchSpace(Record):
-    """A box whose dimensions have names; some may hold whole numbers, and two may be ordered.
+    """A box whose dimensions have names; some may hold whole numbers or be searched by decades, two may be ordered.
 
-    A dimension with `low` = `high` is fixed.
+    A dimension with `low` = `high` is fixed. The swarm moves in the decimal logarithm of a dimension that is searched
+    by decades; bounds and positions are given and asked for in values all the same.
     """
 
     names: Annotated[tuple[str, ...], BeforeValidator(_as_tuple)] = Field(min_length=1, description="of the dimensions")
@@ -51,6 +52,9 @@ class SearchSpace(Record):
     high: Annotated[tuple[float, ...], BeforeValidator(_as_tuple)] = Field(description="upper bound of each dimension")
     whole: Annotated[tuple[str, ...], BeforeValidator(_as_tuple)] = Field(
         default=(), description="names of the dimensions that hold whole numbers"
+    )
+    decades: Annotated[tuple[str, ...], BeforeValidator(_as_tuple)] = Field(
+        default=(), description="names of the dimensions that are searched by decades"
     )
     ordered: Annotated[tuple[str, str] | None, BeforeValidator(_as_tuple)] = Field(
         default=None, description="names of two dimensions, the first of which is never the larger"
@@ -68,12 +72,16 @@ class SearchSpace(Record):
                 raise ValueError(
                     f"{key} has {len(getattr(self, key))} values for {self.dims} names: give one for each."
                 )
-        for word in (*self.whole, *(self.ordered or ())):
+        for word in (*self.whole, *self.decades, *(self.ordered or ())):
             if word not in self.names:
                 raise ValueError(f"{word!r} is not one of the names, {list(self.names)}.")
         for name, low, high in zip(self.names, self.low, self.high, strict=True):
             if not low <= high:
                 raise ValueError(f"{name}: low = {low:g} > high = {high:g}: the space is empty.")
+            if name in self.decades and not low > 0.0:
+                raise ValueError(f"{name}: low = {low:g} must be positive to be searched by decades.")
+            if name in self.decades and name in (*self.whole, *(self.ordered or ())):
+                raise ValueError(f"{name}: cannot be searched by decades and be whole or ordered.")
             if not math.isfinite(high - low):
                 raise ValueError(f"{name}: the range from {low:g} to {high:g} is not a finite number.")
             if name in self.whole and not (low.is_integer() and high.is_integer()):
@@ -117,14 +125,35 @@ class SearchSpace(Record):
         return len(self.names)
 
     def packed(self) -> Array:
-        """The space as the kernels take it: (3, dims), rows `adaptrack.kernels.swarm.SPACE`."""
-        return np.array([self.low, self.high, [float(name in self.whole) for name in self.names]], dtype=float)
+        """The space as the kernels take it: (4, dims), rows `adaptrack.kernels.swarm.SPACE`."""
+        scale = [math.log10 if name in self.decades else float for name in self.names]
+        return np.array(
+            [
+                [f(low) for f, low in zip(scale, self.low, strict=True)],
+                [f(high) for f, high in zip(scale, self.high, strict=True)],
+                [float(name in self.whole) for name in self.names],
+                [float(name in self.decades) for name in self.names],
+            ]
+        )
+
+    def values(self, x: Array) -> Array:
+        """What positions of the swarm, (..., dims), stand for: powers of ten where it searches by decades."""
+        from adaptrack.kernels.swarm import decode
+
+        rows = np.ascontiguousarray(x, dtype=float).reshape(-1, self.dims)
+        found = np.empty_like(rows)
+        decode(len(rows), self.packed(), rows, found)
+        return found.reshape(x.shape)
 
     def contains(self, x: ArrayLike) -> NDArray[np.bool_]:
         """Whether each position of x (..., dims) lies in the box, holds whole numbers where asked, and is ordered."""
         x = np.asarray(x, dtype=float)
-        low, high, whole = self.packed()
-        inside = ((x >= low) & (x <= high) & ((whole < 0.5) | (x == np.round(x)))).all(axis=-1)
+        low, high = np.array(self.low), np.array(self.high)
+        whole = self.packed()[2]
+        slack = np.array([1e-12 if name in self.decades else 0.0 for name in self.names])  # 10**log10(x) is x nearly
+        inside = ((x >= low * (1 - slack)) & (x <= high * (1 + slack)) & ((whole < 0.5) | (x == np.round(x)))).all(
+            axis=-1
+        )
         if self.ordered is not None:
             smaller, larger = (self.names.index(name) for name in self.ordered)
             inside &= x[..., smaller] <= x[..., larger]
@@ -262,7 +291,7 @@ class Swarm:
     @property
     def best(self) -> Best:
         """The best position so far and its cost."""
-        return Best(self._swarm.leader.copy(), float(self._swarm.progress[kernel.LEADER_COST]))
+        return Best(self.space.values(self._swarm.leader), float(self._swarm.progress[kernel.LEADER_COST]))
 
     @property
     def trace(self) -> Array:
@@ -278,7 +307,7 @@ class Swarm:
             When the swarm is done.
         """
         self._refuse_when_done()
-        return np.array(self._swarm.x)
+        return self.space.values(self._swarm.x)
 
     def tell(self, costs: ArrayLike) -> None:
         """Take in the costs (particles,) of the positions last asked for, then move on to the next generation.

@@ -22,7 +22,6 @@ from numpy.typing import NDArray
 from adaptrack.errors import StorageError
 from adaptrack.toml_files import write_atomically
 from adaptrack.tuning import conditions
-from adaptrack.tuning.config import differences
 
 Columns = dict[str, NDArray[Any]]
 
@@ -369,16 +368,32 @@ def _compare(path: Path, ours: Mapping[str, Any], theirs: Mapping[str, Any]) -> 
             f"{path}: begun in format version {theirs['format_version']}, this adaptrack writes version "
             f"{ours['format_version']}: choose another folder, or use the release that began it."
         )
-    software = differences(ours["versions"], theirs["versions"])
+    software = _differences(ours["versions"], theirs["versions"])
     if software:
         raise StorageError(
             f"{path}: begun by other software, whose numbers may differ in their last digits ({'; '.join(software)}): "
             "choose another folder, or go on with that software."
         )
     if theirs["identity"] != ours["identity"]:
-        what = differences(ours["settings"], theirs["settings"]) or ["its conditions or its library differ"]
+        what = _differences(ours["settings"], theirs["settings"]) or ["its conditions or its library differ"]
         more = f"; and {len(what) - 5} more" if len(what) > 5 else ""
         raise StorageError(f"{path}: belongs to another campaign ({'; '.join(what[:5])}{more}): choose another folder.")
+
+
+def _differences(ours: Any, theirs: Any, key: str = "") -> list[str]:
+    """The keys at which two trees of settings differ, each with both values."""
+    if isinstance(ours, Mapping) and isinstance(theirs, Mapping):
+        return [
+            sentence
+            for name in sorted({*ours, *theirs})
+            for sentence in _differences(ours.get(name), theirs.get(name), f"{key}.{name}" if key else name)
+        ]
+    return [] if ours == theirs else [f"{key} = {_short(theirs)} there, {_short(ours)} here"]
+
+
+def _short(value: Any) -> str:
+    text = json.dumps(value)
+    return text if len(text) <= 60 else text[:57] + "..."
 
 
 @contextlib.contextmanager
