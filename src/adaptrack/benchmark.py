@@ -9,6 +9,7 @@ from __future__ import annotations
 import os
 import platform
 import time
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -200,6 +201,73 @@ def bench_rollout(conditions: int = 150, threads: int | None = None) -> dict[str
         "threads": threads,
         "runs": int(which.size),
         "steps_a_run": 180,
+        **_machine(),
+    }
+
+
+def bench_campaign(conditions: int = 48, threads: int | None = None) -> dict[str, Any]:
+    """Swarms (20 particles, 15 generations) and a landscape of 160 tunings on a sample of the paper's grid.
+
+    control_steps_per_s counts the steps simulated; a swarm's runs that cannot improve any more are stopped, so
+    `nominal_steps_per_s`, the steps that whole runs would have had, is higher. `ratio_to_python_daqp`: nominal rate
+    over that of `PlainController` on runs of the same conditions; `ratio_to_scalar`: over one run at a time on one
+    thread, the same kernels with a single lane.
+    """
+    from adaptrack.tuning.conditions import paper_grid
+    from adaptrack.tuning.config import load_campaign
+    from adaptrack.tuning.objective import Objective
+
+    threads = threads or os.cpu_count() or 1
+    car = load_vehicle("paper")
+    objective = Objective(DualTrack(car, "magic-formula"), MPC(car))
+    campaign = load_campaign("paper-grid")
+    library = campaign.library.rows(campaign.search)
+    grid = paper_grid()
+    sample = grid[np.random.default_rng(0).choice(len(grid), conditions, replace=False)]
+
+    def swarms() -> tuple[int, int]:
+        with ThreadPoolExecutor(threads) as pool:
+            found = list(pool.map(lambda i: objective.tune(sample[i], campaign.swarm, 1, i), range(conditions)))
+        return sum(one.control_steps for one in found), sum(one.evaluations for one in found)
+
+    def landscapes() -> int:
+        with ThreadPoolExecutor(threads) as pool:
+            return sum(costs.size for costs in pool.map(lambda c: objective.landscape(c, library), sample))
+
+    objective.tune(sample[0])  # warm
+    begun = time.perf_counter()
+    steps, runs = swarms()
+    swarm_time = time.perf_counter() - begun
+    begun = time.perf_counter()
+    rows = landscapes()
+    landscape_time = time.perf_counter() - begun
+    nominal = (runs + rows) * 180 / (swarm_time + landscape_time)
+
+    begun = time.perf_counter()
+    few = library[:: max(1, len(library) // 24)]
+    for tuning in few:
+        objective.costs(sample[0], tuning[None])
+    scalar = len(few) * 180 / (time.perf_counter() - begun)
+    begun, plain_steps = time.perf_counter(), 0
+    for i in range(4):
+        Np, Nc, q, r = few[i]
+        run = simulate(
+            objective.plant, PlainController(car, Tuning(int(Np), int(Nc), q, r)), objective.scenario(sample[i])
+        )
+        plain_steps += len(run)
+    plain = plain_steps / (time.perf_counter() - begun)
+    return {
+        "control_steps_per_s": (steps + rows * 180) / (swarm_time + landscape_time),
+        "nominal_steps_per_s": nominal,
+        "swarm_nominal_steps_per_s": runs * 180 / swarm_time,
+        "landscape_steps_per_s": rows * 180 / landscape_time,
+        "runs_per_s": (runs + rows) / (swarm_time + landscape_time),
+        "ratio_to_python_daqp": nominal / plain,
+        "ratio_to_scalar": nominal / scalar,
+        "python_daqp_steps_per_s": plain,
+        "scalar_steps_per_s": scalar,
+        "conditions": conditions,
+        "threads": threads,
         **_machine(),
     }
 

@@ -30,6 +30,8 @@ app = typer.Typer(
 )
 bench_app = typer.Typer(help="Time the package on this machine.", no_args_is_help=True)
 app.add_typer(bench_app, name="bench")
+dataset_app = typer.Typer(help="Data sets of tuned conditions.", no_args_is_help=True)
+app.add_typer(dataset_app, name="dataset")
 
 
 class ProfileName(StrEnum):
@@ -234,6 +236,80 @@ def vehicles(as_json: Annotated[bool, typer.Option("--json", help="One JSON obje
     _list("Vehicles and tyres", rows, as_json)
 
 
+@app.command()
+def tune(
+    config: Annotated[str, Option(help="Name (paper-grid, road-sobol) or .toml file of the campaign.")],
+    out: Annotated[Path, Option(help="Folder of the campaign.")],
+    resume: Annotated[bool, Option("--resume", help="Go on with the campaign in that folder.")] = False,
+    workers: Annotated[int | None, Option(help="Threads, by default one per core.")] = None,
+    dask: Annotated[str | None, Option(metavar="ADDRESS", help="Dask scheduler whose workers do it instead.")] = None,
+    as_json: Annotated[bool, Option("--json", help="One JSON object on standard output, nothing else.")] = False,
+) -> None:
+    """Tune the MPC on every condition of a campaign: a swarm each, and the cost of a common library."""
+    import time
+
+    from adaptrack.tuning.campaign import CampaignInterrupted, Progress, run_campaign
+    from adaptrack.tuning.config import load_campaign
+
+    campaign = load_campaign(config)
+    begun = time.perf_counter()
+    last: list[Progress] = []
+    try:
+        with _progress(1, quiet=as_json) as show:
+
+            def told(at: Progress) -> None:
+                last[:] = [at]
+                left = f"{at.runs_per_s:,.0f} runs/s, {at.seconds_left:,.0f} s left"
+                show(f"{at.done:,} of {at.total:,} conditions, {left}", at.done, at.total)
+
+            file = run_campaign(campaign, out, resume=resume, workers=workers, dask=dask, progress=told)
+    except CampaignInterrupted as stop:
+        print(f"adaptrack: {stop}", file=sys.stderr)
+        raise typer.Exit(130) from None
+    seconds = time.perf_counter() - begun
+    if as_json:
+        runs = last[0].runs if last else 0
+        print(json.dumps({"dataset": str(file), "seconds": seconds, "runs": runs}))
+    else:
+        print(f"Data set: {file} ({seconds:,.0f} s)")
+
+
+@dataset_app.command("describe")
+def describe_dataset(
+    name: Annotated[str, typer.Argument(help="Name (see `dataset list`), file, or folder of a campaign.")],
+    as_json: Annotated[bool, Option("--json", help="One JSON object.")] = False,
+) -> None:
+    """Tell what is in a data set: ranges, optimum, how much the conditions explain, how flat the optimum is."""
+    from adaptrack.dataset import describe, load_dataset
+
+    told = describe(load_dataset(name))
+    if as_json:
+        print(json.dumps(told, allow_nan=False))
+        return
+    plain = {key: value for key, value in told.items() if not isinstance(value, dict | list)}
+    _flat(told["name"], plain, False)
+    for key, value in told.items():
+        rows = (
+            value
+            if isinstance(value, list)
+            else [{"what": k, "value": v} for k, v in value.items()]
+            if isinstance(value, dict)
+            else []
+        )
+        if rows:
+            _table(key.replace("_", " "), tuple(rows[0]), rows)
+
+
+@dataset_app.command("list")
+def datasets(as_json: Annotated[bool, Option("--json", help="One JSON object.")] = False) -> None:
+    """List the data sets that have a name."""
+    from adaptrack.dataset import list_datasets
+
+    rows = [{"name": name} for name in list_datasets()]
+    if rows or as_json:
+        _list("Data sets", rows, as_json)
+
+
 @bench_app.command("step")
 def bench_step(
     count: Annotated[int, typer.Option(help="Control steps to time.")] = 4000,
@@ -255,6 +331,18 @@ def bench_rollout(
     from adaptrack.benchmark import bench_rollout as measure
 
     _flat("Compiled batch of runs", measure(conditions, threads), as_json)
+
+
+@bench_app.command("campaign")
+def bench_campaign(
+    conditions: Annotated[int, Option(help="Conditions of the paper's grid to tune.")] = 48,
+    threads: Annotated[int | None, Option(help="By default one per core.")] = None,
+    as_json: Annotated[bool, Option("--json", help="One flat JSON object.")] = False,
+) -> None:
+    """Time swarms and landscape on a sample of the paper's campaign."""
+    from adaptrack.benchmark import bench_campaign as measure
+
+    _flat("A sample of the paper's campaign", measure(conditions, threads), as_json)
 
 
 # -- how things are shown ---------------------------------------------------------------------------------------------
@@ -332,8 +420,7 @@ def _table(title: str, columns: tuple[str, ...], rows: list[dict[str, Any]]) -> 
         table.add_column(column, overflow="fold")
     for row in rows:
         table.add_row(*(_show(row[column]) for column in columns))
-    console = Console()
-    console.print(table, width=None if console.is_terminal else 140)
+    Console(width=None if sys.stdout.isatty() else 140).print(table)
 
 
 def _show(value: Any) -> str:

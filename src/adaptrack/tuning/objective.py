@@ -6,7 +6,6 @@ stream, never shared, so a result depends on its own arguments only.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -76,9 +75,9 @@ class Objective:
         assert isinstance(self.profile, Profile)
         return self.profile.move_price if self.move_price is None else self.move_price
 
-    def scenario(self, condition: Sequence[float]) -> Scenario:
+    def scenario(self, condition: ArrayLike) -> Scenario:
         """The run under a condition."""
-        speed, y_ref, friction, wind = (float(value) for value in condition)
+        speed, y_ref, friction, wind = np.asarray(condition, dtype=float).tolist()
         if self.test == "step":
             duration = self.duration or 18.0
             return load_scenario("step", amplitude=y_ref, speed=speed, friction=friction, wind=wind, duration=duration)
@@ -86,7 +85,7 @@ class Objective:
             "lane-change", amplitude=y_ref, speed=speed, friction=friction, gust=wind, duration=self.duration or 8.0
         )
 
-    def costs(self, condition: Sequence[float], tunings: ArrayLike) -> Array:
+    def costs(self, condition: ArrayLike, tunings: ArrayLike) -> Array:
         """J of each of the tunings (n, 4) on one condition, (n,); inf where a run was lost."""
         from adaptrack.kernels import tuning as kernels
 
@@ -107,7 +106,7 @@ class Objective:
 
     def tune(
         self,
-        condition: Sequence[float],
+        condition: ArrayLike,
         swarm: SwarmSettings | None = None,
         seed: int = 0,
         stream: int = 0,
@@ -137,9 +136,7 @@ _LANES = 32
 class _Arena:
     """The kernels' arrays for runs of one condition."""
 
-    def __init__(
-        self, objective: Objective, condition: Sequence[float], lanes: int, longest: float, most: float
-    ) -> None:
+    def __init__(self, objective: Objective, condition: ArrayLike, lanes: int, longest: float, most: float) -> None:
         from adaptrack.kernels import integrate, loop
         from adaptrack.kernels.dynamics import STATES
 
