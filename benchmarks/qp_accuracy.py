@@ -91,11 +91,11 @@ def measure(source: str, count: int, seed: int, names: tuple[str, ...]) -> dict[
     return {key: np.array(value, dtype=float) for key, value in facts.items()}
 
 
-def run(count: int, names: tuple[str, ...], workers: int) -> dict[str, dict[str, np.ndarray]]:
-    """Both halves, in parallel."""
+def run(count: int, names: tuple[str, ...], workers: int, sources: tuple[str, ...]) -> dict[str, dict[str, np.ndarray]]:
+    """Each half, in parallel."""
     results: dict[str, dict[str, np.ndarray]] = {}
     with ProcessPoolExecutor(workers) as pool:
-        for source in ("drawn", "recorded"):
+        for source in sources:
             if source == "recorded" and recorded_qps(0, 0) is None:
                 print("no closed_loop_qps.py beside this file: the recorded half is left out", file=sys.stderr)
                 continue
@@ -197,12 +197,14 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
     parser.add_argument("--count", type=int, default=100_000, help="problems, half drawn and half recorded")
     parser.add_argument("--solver", action="append", choices=SOLVERS, help="may be repeated")
+    parser.add_argument("--problems", choices=("drawn", "recorded"), help="one half only")
     parser.add_argument("--workers", type=int, default=os.cpu_count())
     parser.add_argument("--json", action="store_true", help="one JSON object on standard output")
     options = parser.parse_args()
     names = tuple(options.solver or DEFAULT_SOLVERS)
     start = time.perf_counter()
-    results = run(options.count, names, options.workers)
+    sources = (options.problems,) if options.problems else ("drawn", "recorded")
+    results = run(options.count, names, options.workers, sources)
     report = {
         "rows": summarise(results, names), "problems": describe(results), "machine": machine(),
         "seconds": round(time.perf_counter() - start, 1), "goal_rad": GOAL,

@@ -31,10 +31,16 @@ _PUBLIC = {
     "trajectory": ("Trajectory",),
     "simulate": ("Driver", "rollout", "rollout_batch", "simulate"),
     "metrics": ("Metrics", "compute_metrics"),
+    "tuning.pso": ("SearchSpace", "Swarm", "SwarmSettings", "minimise"),
+    "tuning.objective": ("Objective",),
+    "tuning.config": ("CampaignConfig", "list_campaigns", "load_campaign"),
+    "tuning.campaign": ("run_campaign",),
+    "dataset": ("DataSet", "list_datasets", "load_dataset"),
 }
 """Module -> the names that the package exposes from it; the imports below repeat it for type checkers."""
 
 if TYPE_CHECKING:
+    from adaptrack.dataset import DataSet, list_datasets, load_dataset
     from adaptrack.errors import (
         AdaptrackError,
         ConfigError,
@@ -52,6 +58,10 @@ if TYPE_CHECKING:
     from adaptrack.scenario import Scenario, list_scenarios, load_scenario
     from adaptrack.simulate import Driver, rollout, rollout_batch, simulate
     from adaptrack.trajectory import Trajectory
+    from adaptrack.tuning.campaign import run_campaign
+    from adaptrack.tuning.config import CampaignConfig, list_campaigns, load_campaign
+    from adaptrack.tuning.objective import Objective
+    from adaptrack.tuning.pso import SearchSpace, Swarm, SwarmSettings, minimise
     from adaptrack.vehicle import (
         SteeringActuator,
         Tyre,
@@ -68,9 +78,11 @@ __all__ = [
     "MPC",
     "QP",
     "AdaptrackError",
+    "CampaignConfig",
     "Condition",
     "ConfigError",
     "ContractError",
+    "DataSet",
     "Driver",
     "DualTrack",
     "InvalidInput",
@@ -78,14 +90,18 @@ __all__ = [
     "Metrics",
     "MissingExtra",
     "Moves",
+    "Objective",
     "Plant",
     "PredictionModel",
     "Profile",
     "Scenario",
+    "SearchSpace",
     "SingleTrack",
     "Solution",
     "SteeringActuator",
     "StorageError",
+    "Swarm",
+    "SwarmSettings",
     "Trajectory",
     "Tuning",
     "Tyre",
@@ -97,16 +113,22 @@ __all__ = [
     "check_qp_solver",
     "compute_metrics",
     "get_qp_solver",
+    "list_campaigns",
+    "list_datasets",
     "list_qp_solvers",
     "list_scenarios",
     "list_tyres",
     "list_vehicles",
+    "load_campaign",
+    "load_dataset",
     "load_scenario",
     "load_tyre",
     "load_vehicle",
+    "minimise",
     "register_qp_solver",
     "rollout",
     "rollout_batch",
+    "run_campaign",
     "simulate",
 ]
 

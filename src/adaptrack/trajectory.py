@@ -374,7 +374,8 @@ def _read_parquet(path: str | os.PathLike[str]) -> Any:
     except OSError as error:
         raise StorageError(f"{os.fspath(path)}: cannot be read: {error.strerror or error}.") from error
     try:
-        return pq.ParquetFile(pa.BufferReader(content), page_checksum_verification=True).read()
+        # without threads: one that outlives the interpreter aborts it
+        return pq.ParquetFile(pa.BufferReader(content), page_checksum_verification=True).read(use_threads=False)
     except (pa.ArrowException, OSError) as error:
         reason = str(error).splitlines()[0].rstrip(".")
         raise StorageError(f"{os.fspath(path)}: not a Parquet file, or damaged: {reason}.") from error
