@@ -20,6 +20,7 @@ from adaptrack.qp import (
 )
 from adaptrack.qp.active_set import ActiveSet
 from adaptrack.qp.check import ill_conditioned_problem
+from adaptrack.qp.solver import newton_distance
 from references.qp_problems import drawn_mpc_problem, drawn_problem
 
 NAMES = ("active-set", "clarabel", "daqp", "hildreth", "osqp", "piqp")
@@ -113,6 +114,26 @@ def test_a_result_that_its_residuals_contradict_is_not_solved(rng):
     assert solution.status is QPStatus.CAPPED
     assert not solution.usable
     assert "boaster reported a solution" in solution.message
+
+
+@pytest.mark.parametrize("name", EXTRAS)
+def test_small_residuals_alone_do_not_make_a_solution(name):
+    # At cond(E) = 8e11 these back-ends stop with residuals of 1e-9 and x off by 3e-3 to 0.1 rad.
+    qp, _ = ill_conditioned_problem()
+    solution = get_qp_solver(name).solve(qp)
+    assert solution.residuals.worst < 1e-6
+    assert solution.status is QPStatus.CAPPED
+    assert not solution.usable
+
+
+def test_a_newton_step_measures_how_far_x_is_from_the_solution(rng):
+    for _ in range(20):
+        qp = QP(*drawn_problem(rng, 8, 24))
+        solution = get_qp_solver().solve(qp)
+        assert newton_distance(qp, solution.x, solution.lam) < 1e-10
+        away = 1e-5 * rng.normal(size=8)
+        measured = newton_distance(qp, solution.x + away, solution.lam)
+        assert measured == pytest.approx(np.abs(away).max(), rel=0.2)
 
 
 # -- Hildreth's policy ------------------------------------------------------------------------------------------------

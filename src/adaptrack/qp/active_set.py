@@ -35,4 +35,4 @@ class ActiveSet(QPSolver):
         status, iterations = self._workspace.active_set(self.max_iterations, guess)
         if status is not QPStatus.SOLVED:
             return self._answer(qp, status, None, None, iterations)
-        return self._answer(qp, status, *self._workspace.result(), iterations)
+        return self._answer(qp, status, *self._workspace.result(), iterations, certified=True)

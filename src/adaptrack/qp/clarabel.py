@@ -20,7 +20,7 @@ class Clarabel(QPSolver):
     """
 
     name: ClassVar[str] = "clarabel"
-    accuracy: ClassVar[float] = 0.2
+    accuracy: ClassVar[float] = 1e-3
 
     def __init__(self, **settings: Any) -> None:
         self._library = require("clarabel", self.name)

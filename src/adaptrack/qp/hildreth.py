@@ -61,4 +61,4 @@ class Hildreth(QPSolver):
             sweeps += steps
         keep = status is QPStatus.SOLVED or (status is QPStatus.CAPPED and self.on_uncertified == "apply")
         x, lam = workspace.result() if keep else (None, None)
-        return self._answer(qp, status, x, lam, sweeps, message)
+        return self._answer(qp, status, x, lam, sweeps, message, certified=True)

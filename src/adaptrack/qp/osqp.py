@@ -16,12 +16,11 @@ from adaptrack.qp.solver import QPSolver, all_multipliers, is_convex, is_finite,
 class Osqp(QPSolver):
     """OSQP with eps_abs = eps_rel = 1e-10 (its default: 1e-3) and up to 200,000 iterations.
 
-    A first-order method: on ill-conditioned problems it often ends CAPPED, and what it calls solved may be good to
-    1e-3 rad only. ``settings`` overrides OSQP's settings.
+    A first-order method: on ill-conditioned problems it often ends CAPPED. ``settings`` overrides OSQP's settings.
     """
 
     name: ClassVar[str] = "osqp"
-    accuracy: ClassVar[float] = 0.5
+    accuracy: ClassVar[float] = 1e-3
 
     def __init__(self, **settings: Any) -> None:
         self._library = require("osqp", self.name)

@@ -19,7 +19,7 @@ class Piqp(QPSolver):
     """
 
     name: ClassVar[str] = "piqp"
-    accuracy: ClassVar[float] = 1e-2
+    accuracy: ClassVar[float] = 1e-3
 
     def __init__(self, **settings: Any) -> None:
         self._library = require("piqp", self.name)

@@ -1,0 +1,579 @@
+"""ANFIS: a first-order Sugeno system whose rules are learned from data, as a scikit-learn regressor.
+
+The paper's eqs. (24)-(27), one function per layer. The first two layers hand on logarithms: the product of eq. (25) is
+then a sum, and eq. (26) stays defined where all memberships underflow, far from every rule.
+
+    layer 1   `fuzzify`     log mu_A(x)
+    layer 2   `fire`        log w_r = sum of the log memberships that rule r asks for
+    layer 3   `normalise`   w_r / sum of all w
+    layer 4   `conclude`    (normalised w_r) (p_r . x + r_r)
+    layer 5   `total`       the sum over the rules
+
+Hybrid learning: given the memberships, the output is linear in the consequents (p, r), so that these are least squares;
+the memberships then move along the gradient. Source: J.-S. R. Jang, *ANFIS: Adaptive-network-based fuzzy inference
+system*, IEEE Trans. SMC 23 (1993) 665-685.
+"""
+
+from __future__ import annotations
+
+import copy
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple, Self
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy import linalg
+from scipy.special import expit
+from sklearn.base import BaseEstimator, RegressorMixin
+from sklearn.utils import check_random_state
+from sklearn.utils.validation import check_is_fitted, validate_data
+
+from adaptrack.errors import InvalidInput, real, whole
+from adaptrack.learning import partition as partitions
+
+Array = NDArray[np.float64]
+Integers = NDArray[np.intp]
+
+ANY = -1
+"""In a rule: this input is not asked."""
+WIDTH, SLOPE, CENTRE = range(3)
+"""Columns of the premises."""
+
+NARROWEST = 0.01
+"""Least width that training gives a membership function, in half ranges of its input."""
+SLOPES = (0.5, 10.0)
+"""Least and largest slope that training gives a bell; below the least its derivative is unbounded at the centre."""
+FASTER, SLOWER = 1.1, 0.9
+"""Factors of the step after four drops of the error, and after two oscillations (Jang 1993)."""
+FARTHEST = 1e150
+"""Widths from the centre at which a distance is held, so that its square is a number."""
+BLOCK = 8192
+"""Rows that are predicted at once."""
+
+
+@dataclass(frozen=True)
+class Sugeno:
+    """A first-order Sugeno system: D inputs, M membership functions, R rules, one output.
+
+    Raises
+    ------
+    InvalidInput
+        When the arrays do not fit each other, or a number is not finite or out of its range.
+    """
+
+    owner: Integers
+    """(M,) the input that each membership function reads"""
+    bell: NDArray[np.bool_]
+    """(M,) True: generalised bell 1/(1 + |(x - c)/a|^(2b)); False: Gaussian exp(-(x - c)^2/(2 sigma^2))"""
+    premises: Array
+    """(M, 3) width (sigma or a > 0), slope (b > 0, no meaning for a Gaussian), centre c; in the input's unit"""
+    rules: Integers
+    """(R, D) the membership function that each rule asks of each input, or `ANY`"""
+    consequents: Array
+    """(R, D + 1) slopes p along the inputs, then the constant r"""
+    weights: Array
+    """(R,) factor of each rule's firing strength, 0..1"""
+
+    def __post_init__(self) -> None:
+        rules, inputs = self.rules.shape
+        functions = len(self.owner)
+        fits = self.bell.shape == (functions,) and self.premises.shape == (functions, 3)
+        fits = fits and self.consequents.shape == (rules, inputs + 1) and self.weights.shape == (rules,) and rules > 0
+        if not fits:
+            raise InvalidInput("Sugeno: the arrays do not fit each other; see the shapes in the class's documentation.")
+        if not all(np.isfinite(each).all() for each in (self.premises, self.consequents, self.weights)):
+            raise InvalidInput("Sugeno: a premise, consequent or weight is not finite.")
+        if (self.premises[:, :CENTRE] <= 0.0).any():
+            raise InvalidInput("Sugeno: the widths and slopes of membership functions must be positive.")
+        if (self.weights < 0.0).any() or (self.weights > 1.0).any() or not self.weights.any():
+            raise InvalidInput("Sugeno: rule weights must be 0..1, and not all zero.")
+        asked = self.rules != ANY
+        function, reader = self.rules[asked], np.nonzero(asked)[1]
+        if (function < 0).any() or (function >= functions).any() or (self.owner[function] != reader).any():
+            raise InvalidInput("Sugeno: a rule asks an input for a membership function that the input does not have.")
+
+    @property
+    def n_inputs(self) -> int:
+        return self.rules.shape[1]
+
+    @property
+    def n_rules(self) -> int:
+        return self.rules.shape[0]
+
+    @property
+    def n_parameters(self) -> int:
+        """Two for a Gaussian, three for a bell, D + 1 for the consequent of a rule."""
+        return 2 * len(self.bell) + int(self.bell.sum()) + self.consequents.size
+
+    def predict(self, x: Array) -> Array:
+        """(n,) output at the inputs x (n, D)."""
+        return total(conclude(self.strengths(x), x, self.consequents))
+
+    def strengths(self, x: Array) -> Array:
+        """(n, R) normalised firing strengths at the inputs x (n, D): layers 1 to 3."""
+        return normalise(fire(fuzzify(x, self), self))
+
+    def mass(self, x: Array) -> Array:
+        """(R,) share of each rule in all that fires at the inputs x (n, D); the shares sum to one."""
+        return self.strengths(x).mean(axis=0)
+
+    def keep(self, rules: NDArray[np.bool_]) -> Sugeno:
+        """The system with only the marked `rules` (R,), and only the membership functions that they ask for."""
+        used = np.unique(self.rules[rules])
+        used = used[used != ANY]
+        number = np.full(len(self.owner) + 1, ANY)  # the last one is found by ANY itself
+        number[used] = np.arange(len(used))
+        return Sugeno(
+            owner=self.owner[used],
+            bell=self.bell[used],
+            premises=self.premises[used],
+            rules=number[self.rules[rules]],
+            consequents=self.consequents[rules],
+            weights=self.weights[rules],
+        )
+
+
+def fuzzify(x: Array, system: Sugeno) -> Array:
+    """Layer 1, eq. (24): (n, M) logarithms of the memberships of the inputs x (n, D)."""
+    distance = _distance(x, system)
+    log_mu = -0.5 * distance**2
+    bell = system.bell
+    if bell.any():
+        log_mu[:, bell] = -np.logaddexp(0.0, _bell_exponent(distance[:, bell], system.premises[bell, SLOPE]))
+    return log_mu
+
+
+def fire(log_mu: Array, system: Sugeno) -> Array:
+    """Layer 2, eq. (25): (n, R) logarithms of the firing strengths from those of the memberships (n, M)."""
+    with np.errstate(divide="ignore"):  # a rule of weight zero never fires
+        log_w = np.repeat(np.log(system.weights)[np.newaxis], len(log_mu), axis=0)
+    padded = np.column_stack((log_mu, np.zeros(len(log_mu))))  # its last column is what ANY finds: membership one
+    for functions in system.rules.T:
+        log_w += padded[:, functions]
+    return log_w
+
+
+def normalise(log_w: Array) -> Array:
+    """Layer 3, eq. (26): (n, R) firing strengths, each row divided by its sum."""
+    w = np.exp(log_w - log_w.max(axis=1, keepdims=True))
+    return w / w.sum(axis=1, keepdims=True)
+
+
+def conclude(strengths: Array, x: Array, consequents: Array) -> Array:
+    """Layer 4, eq. (27): (n, R) what each rule contributes, its normalised strength times p . x + r."""
+    return strengths * (x @ consequents[:, :-1].T + consequents[:, -1])
+
+
+def total(contributions: Array) -> Array:
+    """Layer 5, the paper's second eq. (27): (n,) the sum over the rules."""
+    return contributions.sum(axis=1)
+
+
+def design_matrix(strengths: Array, x: Array) -> Array:
+    """(n, R (D + 1)) the matrix whose product with the consequents, row after row, is the output."""
+    extended = np.column_stack((x, np.ones(len(x))))
+    return (strengths[:, :, np.newaxis] * extended[:, np.newaxis, :]).reshape(len(x), -1)
+
+
+def least_squares(a: Array, y: Array, penalty: float) -> Array:
+    """(p,) the theta that minimises |a theta - y|^2 + penalty |theta|^2, with a (n, p), y (n,), penalty > 0.
+
+    Solved by Cholesky in the smaller of the two dimensions, with one step of refinement against the data.
+    """
+    wide = a.shape[1] > a.shape[0]
+    gram = a @ a.T if wide else a.T @ a
+    gram[np.diag_indices_from(gram)] += penalty
+    try:
+        factor = linalg.cho_factor(gram, overwrite_a=True)
+    except linalg.LinAlgError:  # the penalty is lost in rounding: the slow and sure way
+        root = math.sqrt(penalty) * np.eye(a.shape[1])
+        return np.linalg.lstsq(np.vstack((a, root)), np.concatenate((y, np.zeros(a.shape[1]))), rcond=None)[0]
+    if wide:
+        dual = linalg.cho_solve(factor, y)
+        dual += linalg.cho_solve(factor, y - a @ (a.T @ dual) - penalty * dual)
+        return a.T @ dual
+    theta = linalg.cho_solve(factor, a.T @ y)
+    theta += linalg.cho_solve(factor, a.T @ (y - a @ theta) - penalty * theta)
+    return theta
+
+
+def rls_update(
+    theta: Array, covariance: Array, row: Array, target: float, forgetting: float = 1.0
+) -> tuple[Array, Array]:
+    """One step of recursive least squares: `theta` (p,) and `covariance` (p, p) after the sample (`row` (p,), `target`).
+
+    g = C a / (lambda + a' C a), theta += g (y - a' theta), C = (C - g a' C)/lambda, with the forgetting factor lambda.
+    Source: L. Ljung, *System Identification*, 2nd ed., section 11.2.
+    """
+    through = covariance @ row
+    scale = 1.0 / (forgetting + float(row @ through))
+    theta = theta + through * (scale * (target - float(row @ theta)))
+    covariance = (covariance - np.outer(scale * through, through)) / forgetting
+    return theta, covariance
+
+
+def recursive_least_squares(a: Array, y: Array, penalty: float, forgetting: float = 1.0) -> Array:
+    """(p,) what `rls_update` arrives at after all rows of a (n, p), from theta = 0 and covariance I/penalty.
+
+    Without forgetting (1.0) this is `least_squares`; with less, old rows count less.
+    """
+    theta, covariance = np.zeros(a.shape[1]), np.eye(a.shape[1]) / penalty
+    for row, target in zip(a, y, strict=True):
+        theta, covariance = rls_update(theta, covariance, row, float(target), forgetting)
+    return theta
+
+
+def premise_gradient(system: Sugeno, x: Array, y: Array) -> Array:
+    """(M, 3) derivative of E = mean((output - y)^2)/2 by the premises, the consequents held; x (n, D), y (n,).
+
+    With s the normalised strengths: dE/d(log w_r) = mean(e s_r (f_r - output)); a membership function collects this from
+    the rules that ask for it, times d(log mu)/d(width, slope, centre).
+    """
+    strengths = system.strengths(x)
+    f = x @ system.consequents[:, :-1].T + system.consequents[:, -1]
+    output = (strengths * f).sum(axis=1, keepdims=True)
+    by_log_w = (output - y[:, np.newaxis]) * strengths * (f - output) / len(y)
+    asks = np.zeros((system.n_rules, len(system.owner) + 1))
+    for functions in system.rules.T:
+        asks[np.arange(system.n_rules), functions] = 1.0
+    by_log_mu = by_log_w @ asks[:, :-1]
+
+    distance = _distance(x, system)
+    width, bell = system.premises[:, WIDTH], system.bell
+    inwards = distance.copy()  # -d(log mu)/d(distance)
+    by_slope = np.zeros_like(distance)
+    if bell.any():
+        t, slope = distance[:, bell], system.premises[bell, SLOPE]
+        outside = expit(_bell_exponent(t, slope))  # 1 - mu
+        away = np.where(t == 0.0, 1.0, t)
+        inwards[:, bell] = np.where(t == 0.0, 0.0, 2.0 * slope * outside / away)
+        by_slope[:, bell] = np.where(t == 0.0, 0.0, -2.0 * outside * np.log(np.abs(away)))
+    return np.column_stack(
+        (
+            (by_log_mu * inwards * distance).sum(axis=0) / width,
+            (by_log_mu * by_slope).sum(axis=0),
+            (by_log_mu * inwards).sum(axis=0) / width,
+        )
+    )
+
+
+def adapt_step(step: float, errors: list[float]) -> float:
+    """The step after the latest of `errors`, from which those before a change of step are then removed.
+
+    Jang's two rules: four drops in a row make it larger, two oscillations (up, down, up, down) make it smaller.
+    """
+    drops = (
+        [after < before for before, after in zip(errors[-5:-1], errors[-4:], strict=True)] if len(errors) > 4 else []
+    )
+    if len(drops) < 4 or (drops != [True] * 4 and any(a == b for a, b in zip(drops[:-1], drops[1:], strict=True))):
+        return step
+    del errors[:-1]
+    return step * (FASTER if all(drops) else SLOWER)
+
+
+class _Scaling(NamedTuple):
+    """Inputs and output in the units of training: z = (x - middle)/half, v = (y - mean)/spread."""
+
+    middle: Array
+    half: Array
+    mean: float
+    spread: float
+
+    @classmethod
+    def of(cls, x: Array, y: Array) -> _Scaling:
+        half, spread = np.ptp(x, axis=0) / 2.0, float(y.std())
+        small = spread <= 1e-14 * max(1e-300, float(np.abs(y).max()))  # a constant, but for the rounding of its mean
+        middle = x.min(axis=0) + half
+        return cls(middle, np.where(half > 0.0, half, 1.0), float(y.mean()), 1.0 if small else spread)
+
+    def scale(self, x: Array, y: Array) -> tuple[Array, Array]:
+        return (x - self.middle) / self.half, (y - self.mean) / self.spread
+
+    def inverse(self) -> _Scaling:
+        return _Scaling(-self.middle / self.half, 1.0 / self.half, -self.mean / self.spread, 1.0 / self.spread)
+
+    def unscale(self, system: Sugeno) -> Sugeno:
+        """The same system for inputs x and output y, given the one for z and v."""
+        premises = system.premises.copy()
+        premises[:, WIDTH] *= self.half[system.owner]
+        premises[:, CENTRE] = premises[:, CENTRE] * self.half[system.owner] + self.middle[system.owner]
+        slopes = system.consequents[:, :-1] / self.half
+        constant = (system.consequents[:, -1] - slopes @ self.middle) * self.spread + self.mean
+        return replace(system, premises=premises, consequents=np.column_stack((slopes * self.spread, constant)))
+
+
+class ANFIS(RegressorMixin, BaseEstimator):  # type: ignore[misc]
+    """Adaptive neuro-fuzzy inference system: a first-order Sugeno system, trained by Jang's hybrid rule.
+
+    Parameters
+    ----------
+    partition : "subtractive" or "grid"
+        Where rules start: one per cluster of the data (see `influence`), or one per cell of a grid (see `n_mfs`).
+    membership : "gaussian" or "bell"
+    n_mfs : int or sequence of int
+        Grid: membership functions per input, one number for all or one for each.
+    influence, squash, accept, reject : float
+        Subtractive clustering, see `subtractive_clustering`; a smaller `influence` makes more rules.
+    epochs : int
+        Steps of the membership functions; 0 leaves them where the partition puts them.
+    step : float
+        Length of the first step, in half ranges of the inputs; adapted as it goes.
+    consequents : "lse" or "rls"
+        Least squares in closed form, or recursive; the same answer as long as `forgetting` is 1. "rls" is slower.
+    ridge : float
+        Penalty on the squares of the consequents, relative to the mean square of the columns that they multiply.
+    forgetting : float
+        Recursive least squares: how much an older row counts for each newer one, 0 < `forgetting` <= 1.
+    prune : float
+        Rules with less than this share of all firing strength are removed, before and after training; 0 keeps all.
+    early_stopping : bool
+        Hold out `validation_fraction` of the rows, keep the epoch that is best on them, and stop after `patience` epochs
+        without a better one. Without it the epoch that is best on all rows is kept.
+    random_state : int, RandomState or None
+        Chooses the rows that are held out; nothing else is random.
+
+    Attributes
+    ----------
+    system_ : Sugeno
+        The trained system, in the units of the data.
+    history_ : dict of str to array
+        After each epoch, the first being the untrained partition: "train_rmse" and, with early stopping,
+        "validation_rmse", in the unit of the target; "step" in half ranges.
+    best_epoch_ : int
+        The epoch whose system was kept.
+    n_iter_ : int
+        Steps made.
+    input_range_, output_range_ : arrays (D, 2) and (2,)
+        Least and largest value of each input and of the target in the data.
+
+    Raises
+    ------
+    InvalidInput
+        When `fit` finds a parameter that is not allowed (a ValueError, as scikit-learn wants it).
+    """
+
+    def __init__(
+        self,
+        partition: str = "subtractive",
+        *,
+        membership: str = "gaussian",
+        n_mfs: int | Sequence[int] = 3,
+        influence: float = 0.5,
+        squash: float = 1.25,
+        accept: float = 0.5,
+        reject: float = 0.15,
+        epochs: int = 50,
+        step: float = 0.01,
+        consequents: str = "lse",
+        ridge: float = 1e-8,
+        forgetting: float = 1.0,
+        prune: float = 0.0,
+        early_stopping: bool = False,
+        validation_fraction: float = 0.2,
+        patience: int = 20,
+        random_state: Any = None,
+    ) -> None:
+        self.partition = partition
+        self.membership = membership
+        self.n_mfs = n_mfs
+        self.influence = influence
+        self.squash = squash
+        self.accept = accept
+        self.reject = reject
+        self.epochs = epochs
+        self.step = step
+        self.consequents = consequents
+        self.ridge = ridge
+        self.forgetting = forgetting
+        self.prune = prune
+        self.early_stopping = early_stopping
+        self.validation_fraction = validation_fraction
+        self.patience = patience
+        self.random_state = random_state
+
+    @classmethod
+    def from_system(cls, system: Sugeno, input_range: ArrayLike, output_range: ArrayLike) -> Self:
+        """A fitted estimator around a given system; ranges as in `input_range_` (D, 2) and `output_range_` (2,)."""
+        made = cls()
+        made.system_ = system
+        made.input_range_ = np.asarray(input_range, dtype=np.float64).reshape(system.n_inputs, 2)
+        made.output_range_ = np.asarray(output_range, dtype=np.float64).reshape(2)
+        made.n_features_in_ = system.n_inputs
+        made.history_, made.best_epoch_, made.n_iter_ = {"train_rmse": np.empty(0), "step": np.empty(0)}, 0, 0
+        return made
+
+    @property
+    def n_rules_(self) -> int:
+        """Number of rules of the trained system."""
+        return self.system_.n_rules
+
+    @property
+    def n_parameters_(self) -> int:
+        """Number of learned numbers: premises and consequents."""
+        return self.system_.n_parameters
+
+    def fit(self, X: ArrayLike, y: ArrayLike) -> Self:
+        """Learn from the inputs X (n, D) and the target y (n,)."""
+        self._check()
+        x, target = validate_data(self, X, y, dtype=np.float64, y_numeric=True)
+        target = np.asarray(target, dtype=np.float64)
+        self.input_range_ = np.column_stack((x.min(axis=0), x.max(axis=0)))
+        self.output_range_ = np.array([target.min(), target.max()])
+        train, held = self._split(len(target))
+        scaling = _Scaling.of(x[train], target[train])
+        z, v = scaling.scale(x, target)
+        system = self._prune(self._start(z[train], v[train]), z[train])
+        system, history = self._train(system, z[train], v[train], z[held], v[held])
+        lean = self._prune(system, z[train])
+        if lean is not system:
+            system = self._conclude(lean, z[train], v[train])
+        self.system_ = scaling.unscale(system)
+        self.history_ = {name: np.array(values) * scaling.spread for name, values in history.items() if values}
+        self.history_["step"] /= scaling.spread
+        decisive = self.history_["validation_rmse" if held.size else "train_rmse"]
+        self.best_epoch_, self.n_iter_ = int(np.argmin(decisive)), len(decisive) - 1
+        return self
+
+    def predict(self, X: ArrayLike) -> Array:
+        """(n,) output of the system at the inputs X (n, D)."""
+        check_is_fitted(self, "system_")
+        x = validate_data(self, X, dtype=np.float64, reset=False)
+        blocks = [self.system_.predict(x[start : start + BLOCK]) for start in range(0, len(x), BLOCK)]
+        return np.concatenate(blocks)
+
+    def pruned(self, X: ArrayLike, y: ArrayLike, share: float) -> ANFIS:
+        """A copy without the rules that have less than `share` of all firing strength at X, its consequents fitted anew.
+
+        Raises
+        ------
+        InvalidInput
+            When `share` is not in 0 <= share < 1.
+        """
+        check_is_fitted(self, "system_")
+        x, target = validate_data(self, X, y, dtype=np.float64, y_numeric=True, reset=False)
+        lean: ANFIS = copy.copy(self).set_params(prune=share)
+        lean._check()
+        target = np.asarray(target, dtype=np.float64)
+        scaling = _Scaling.of(x, target)
+        z, v = scaling.scale(x, target)
+        system = lean._prune(scaling.inverse().unscale(self.system_), z)
+        lean.system_ = scaling.unscale(lean._conclude(system, z, v))
+        return lean
+
+    def _check(self) -> None:
+        """Every parameter that the partition does not check itself."""
+        where = "ANFIS"
+        for name, allowed in (
+            ("partition", ("subtractive", "grid")),
+            ("membership", ("gaussian", "bell")),
+            ("consequents", ("lse", "rls")),
+        ):
+            if getattr(self, name) not in allowed:
+                raise InvalidInput(f"{where}: {name} = {getattr(self, name)!r}: must be one of {allowed}.")
+        whole(where, "epochs", self.epochs, least=0)
+        whole(where, "patience", self.patience)
+        for name, low, high in (("step", 0.0, math.inf), ("ridge", 0.0, math.inf), ("validation_fraction", 0.0, 1.0)):
+            if not low < real(where, name, getattr(self, name)) < high:
+                raise InvalidInput(f"{where}: {name} = {getattr(self, name)!r}: must lie between {low:g} and {high:g}.")
+        if not 0.0 < real(where, "forgetting", self.forgetting) <= 1.0:
+            raise InvalidInput(f"{where}: forgetting = {self.forgetting!r}: must be above 0 and at most 1.")
+        if self.forgetting < 1.0 and self.consequents != "rls":
+            raise InvalidInput(f"{where}: forgetting = {self.forgetting!r} needs consequents='rls'.")
+        if not 0.0 <= real(where, "prune", self.prune) < 1.0:
+            raise InvalidInput(f"{where}: prune = {self.prune!r}: must be at least 0 and below 1.")
+
+    def _split(self, n: int) -> tuple[Integers, Integers]:
+        """The rows to train on and the rows held out."""
+        if not self.early_stopping:
+            return np.arange(n), np.arange(0)
+        held = max(1, round(self.validation_fraction * n))
+        if held >= n:
+            raise InvalidInput(f"ANFIS: validation_fraction = {self.validation_fraction!r} of {n} rows leaves none.")
+        order = check_random_state(self.random_state).permutation(n)
+        return np.sort(order[held:]), np.sort(order[:held])
+
+    def _start(self, z: Array, v: Array) -> Sugeno:
+        """The system that the partition gives, its consequents still zero."""
+        if self.partition == "grid":
+            made = partitions.grid(z, self.n_mfs)
+        else:
+            made = partitions.scatter(z, v, self.influence, self.squash, self.accept, self.reject)
+        bell = self.membership == "bell"  # as wide at half its height as the Gaussian
+        width = made.sigma * math.sqrt(2.0 * math.log(2.0)) if bell else made.sigma
+        slope = np.full(len(width), 2.0 if bell else 1.0)
+        return Sugeno(
+            owner=made.owner,
+            bell=np.full(len(width), bell),
+            premises=np.column_stack((width, slope, made.centre)),
+            rules=made.rules,
+            consequents=np.zeros((len(made.rules), z.shape[1] + 1)),
+            weights=np.ones(len(made.rules)),
+        )
+
+    def _prune(self, system: Sugeno, z: Array) -> Sugeno:
+        """Without the rules that hardly fire; the strongest rule stays in any case."""
+        if self.prune == 0.0:
+            return system
+        mass = system.mass(z)
+        kept = mass >= min(self.prune, float(mass.max()))
+        return system if kept.all() else system.keep(kept)
+
+    def _conclude(self, system: Sugeno, z: Array, v: Array) -> Sugeno:
+        """The system with the consequents that are best for its premises."""
+        a = design_matrix(system.strengths(z), z)
+        penalty = self.ridge * float((a**2).sum()) / a.shape[1]
+        if self.consequents == "rls":
+            theta = recursive_least_squares(a, v, penalty, self.forgetting)
+        else:
+            theta = least_squares(a, v, penalty)
+        return replace(system, consequents=theta.reshape(system.consequents.shape))
+
+    def _train(
+        self, system: Sugeno, z: Array, v: Array, z_held: Array, v_held: Array
+    ) -> tuple[Sugeno, dict[str, list[float]]]:
+        """The best system of all epochs, and the history: least squares forwards, gradient backwards."""
+        history: dict[str, list[float]] = {"train_rmse": [], "validation_rmse": [], "step": []}
+        decisive = history["validation_rmse" if len(z_held) else "train_rmse"]
+        best, best_epoch, step, recent = system, 0, float(self.step), []
+        for epoch in range(self.epochs + 1):
+            system = self._conclude(system, z, v)
+            history["train_rmse"].append(_rmse(system.predict(z), v))
+            if len(z_held):
+                history["validation_rmse"].append(_rmse(system.predict(z_held), v_held))
+            history["step"].append(step)
+            if epoch == 0 or decisive[epoch] < decisive[best_epoch]:
+                best, best_epoch = system, epoch
+            if epoch == self.epochs or (len(z_held) and epoch - best_epoch >= self.patience):
+                break
+            recent.append(history["train_rmse"][-1])
+            step = adapt_step(step, recent)
+            gradient = premise_gradient(system, z, v)
+            length = float(np.linalg.norm(gradient))
+            if length == 0.0:
+                break
+            system = _moved(system, -step / length * gradient)
+        return best, history
+
+
+def _moved(system: Sugeno, change: Array) -> Sugeno:
+    premises = system.premises + change
+    premises[:, WIDTH] = np.maximum(premises[:, WIDTH], NARROWEST)
+    premises[:, SLOPE] = np.clip(premises[:, SLOPE], *SLOPES)
+    return replace(system, premises=premises)
+
+
+def _distance(x: Array, system: Sugeno) -> Array:
+    """(n, M) signed distance of each input from each centre, in widths."""
+    raw = (x[:, system.owner] - system.premises[:, CENTRE]) / system.premises[:, WIDTH]
+    return np.clip(raw, -FARTHEST, FARTHEST)
+
+
+def _bell_exponent(distance: Array, slope: Array) -> Array:
+    """log |distance|^(2 slope), finite at the centre too."""
+    return 2.0 * slope * np.log(np.maximum(np.abs(distance), 1.0 / FARTHEST))
+
+
+def _rmse(output: Array, y: Array) -> float:
+    return math.sqrt(float(((output - y) ** 2).mean()))

@@ -1,0 +1,655 @@
+"""The report on a data set of tuned conditions: what it is, its optimum in pictures, what explains it, how flat it is.
+
+Statistics are over the conditions that a swarm searched, as in `dataset.describe`: left-right twins would count twice.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import warnings
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import Normalize
+from matplotlib.figure import Figure
+from matplotlib.ticker import FixedLocator, FuncFormatter, MaxNLocator, NullLocator
+from numpy.typing import NDArray
+
+from adaptrack.dataset import DataSet, describe, flatness
+from adaptrack.report import style
+from adaptrack.report.page import Cell, Drawing, Head, Item, Picture, Section, Table, Terms, Verbatim, write_page
+from adaptrack.report.words import describe as in_words
+from adaptrack.report.words import listed, number, percent, span
+from adaptrack.tuning.config import STANDARD
+
+Array = NDArray[np.float64]
+Summary = Mapping[str, Any]
+
+COLOURS = "cividis"
+"""The colour map of the heat maps: sequential, alike for all common colour visions, and in grey."""
+
+_CELLS = 12
+"""Bins along an axis whose values are not a few levels."""
+
+_LEVELS = 15
+"""Up to this many distinct values are levels, each with a bin of its own."""
+
+_BARS = 28
+_WEAK, _STRONG = 0.15, 0.5
+"""R^2 below which a target counts as hardly explained, and from which as largely explained."""
+
+_QUANTITIES = {"speed": "Speed", "y_ref": "Lateral reference", "friction": "Friction", "wind": "Side wind"}
+_LISTED = ("vehicle", "tyre", "plant", "profile", "scenario", "duration", "move_price", "noise_seeds")
+
+_STANDARD = "Standard tuning"
+_SWARM = "Swarm's best"
+_LIBRARY = "Library's best"
+_STROKES = style.strokes((_STANDARD, _SWARM, _LIBRARY))
+_SPREAD = style.Stroke(style.SERIES[0])
+
+
+@dataclass(frozen=True)
+class _Target:
+    """A part of the optimum, as pictures show it."""
+
+    name: str
+    symbol: str
+    unit: str
+    values: Array
+    """(n,)"""
+    standard: float
+    whole: bool = False
+    decades: bool = False
+
+    @property
+    def label(self) -> str:
+        return f"{self.symbol} ({self.unit})"
+
+
+class _Map(NamedTuple):
+    """Binned medians of a target over speed and one more quantity."""
+
+    x_edges: Array
+    y_edges: Array
+    medians: Array
+    """(y bins, x bins), NaN where no condition lies"""
+
+
+class _Panel(NamedTuple):
+    """One set of axes: its title, what draws it, and its alternative text."""
+
+    title: str
+    draw: Callable[[Axes], None]
+    description: str
+
+    def show(self, axes: Axes) -> None:
+        axes.set_title(self.title)
+        self.draw(axes)
+
+    def drawing(self) -> Drawing:
+        return Drawing(style.panel_figure(self.show), f"{self.title}. {self.description}")
+
+
+def write_dataset_report(out_dir: str | os.PathLike[str], dataset: DataSet, *, summary: Summary | None = None) -> Path:
+    """Write the page on a data set and its PNG files into `out_dir`; return the page's path.
+
+    Parameters
+    ----------
+    summary
+        What `adaptrack.dataset.describe` said of it; computed when left out, which takes some seconds.
+
+    Raises
+    ------
+    InvalidInput
+        When no condition of the data set was searched by a swarm.
+    StorageError
+        When the files cannot be written, see `page.write_page`.
+    """
+    told = _summary(dataset) if summary is None else summary
+    rows = dataset.rows(dataset.computed)
+    found = rows.rows(kept) if (kept := np.isfinite(rows.costs)).any() else None
+    sections = [
+        _contents(dataset, told),
+        *([_optimum(found, told)] if found is not None else []),
+        _costs(rows, told),
+        *(_convergence(found) if found is not None else []),
+        _explained(told),
+        _flatness(dataset, told),
+        _provenance(dataset, told),
+    ]
+    return write_page(out_dir, sections, title=f"Data set {dataset.name}", lead=[_in_short(told)])
+
+
+def _summary(dataset: DataSet) -> Summary:
+    with warnings.catch_warnings():
+        if not len(dataset.library):  # shares of nothing are not numbers, which numpy warns of
+            warnings.simplefilter("ignore", RuntimeWarning)
+        return describe(dataset)
+
+
+# -- sections ---------------------------------------------------------------------------------------------------------
+def _in_short(told: Summary) -> str:
+    gain = told["costs"]["standard_over_best_geomean"]
+    paid = f" The standard tuning costs {number(gain)} times as much, in the geometric mean." if gain else ""
+    return (
+        f"{_count(told['conditions'], 'driving condition')}, on each the best tuning that a particle swarm found for "
+        f"the MPC, and the cost of {_count(told['library'], 'common tuning')}.{paid}"
+    )
+
+
+def _contents(dataset: DataSet, told: Summary) -> Section:
+    """What the set is, the command that makes it again, the ranges."""
+    twins = told["conditions"] - told["computed"]
+    mirrored = f" The other {number(twins)} are left-right twins, whose rows are copies." if twins else ""
+    words = (
+        "A condition is a speed, a lateral reference, a friction and a side wind. "
+        f"Swarms searched {number(told['computed'])} of them, with {number(told['evaluations'])} closed-loop "
+        f"evaluations of {number(told['control_steps'])} control steps in all.{mirrored} "
+        "Pictures and tables below count only conditions that were searched."
+    )
+    body = [
+        [
+            _QUANTITIES.get(row["quantity"], row["quantity"]),
+            row["unit"].replace("-", "–"),
+            number(row["lowest"]),
+            number(row["highest"]),
+            number(row["levels"]),
+        ]
+        for row in told["ranges"]
+    ]
+    heads = [Head("Quantity", is_text=True), Head("Unit", is_text=True), Head("Lowest"), Head("Highest")]
+    ranges = Table(
+        "Ranges of the conditions", [*heads, Head("Distinct values")], body, "Positive is to the left, also for wind."
+    )
+    entries = [
+        (key.replace("_", " ").capitalize(), in_words(told[key])) for key in _LISTED if told.get(key) is not None
+    ]
+    units = {"Duration": " s a run", "Move price": " m²/rad²"}
+    terms = Terms([(name, value + units.get(name, "")) for name, value in entries])
+    again: list[Item] = ["This command makes the data set again:", Verbatim(dataset.command)]
+    return Section("What it is", [words, *again, *([terms] if entries else []), ranges])
+
+
+def _optimum(found: DataSet, told: Summary) -> Section:
+    targets = _targets(found)
+    maps = [target for target in targets if target.name in ("Np", "Nc", "log R/Q")]
+    panels = [
+        (target, _binned(found, values, target), title, label)
+        for title, label, values in (
+            ("lateral reference", r"$|y_\mathrm{ref}|$ (m)", np.abs(found.conditions[:, 1])),
+            ("friction", "Friction (–)", found.conditions[:, 2]),
+        )
+        for target in maps
+    ]
+    rows = [panels[: len(maps)], panels[len(maps) :]]
+    norms = {target.name: _norm([grid.medians for own, grid, *_ in panels if own is target]) for target in maps}
+    heat = Picture(
+        "The best tuning over the conditions. Each cell is the median over all conditions in it, whatever their other "
+        "two numbers; empty cells hold none. Both maps of a target have the same colours.",
+        [_heat_drawing(*row[i], norms) for i in range(len(maps)) for row in rows],
+        file="optimum.png",
+        print_figure=_heat_figure(rows, norms),
+    )
+    bars = [_histogram(target, _limits(told, target)) for target in targets]
+    spread = Picture(
+        "How often each value is the best. Dashed: the standard tuning, "
+        f"{listed([f'{name} = {value:g}' for name, value in zip(('Np', 'Nc', 'Q', 'R'), STANDARD, strict=True)])}.",
+        [bar.drawing() for bar in bars],
+        file="targets.png",
+        print_figure=_print(bars, columns=3, height=1.75),
+    )
+    words = (
+        "The horizons Np and Nc are in control periods. Of the weights, only R/Q changes the control law: Q and R "
+        "alone are where the swarm happened to stop along a line of equal cost."
+    )
+    return Section("The optimum", [words, heat, spread])
+
+
+def _costs(rows: DataSet, told: Summary) -> Section:
+    costs = told["costs"]
+    items: list[Item] = [_costs_in_words(costs, len(rows), len(rows.library))]
+    curves = {_STANDARD: rows.standard_costs, _SWARM: rows.costs}
+    if len(rows.library):
+        curves[_LIBRARY] = rows.landscape.min(axis=1).astype(np.float64)
+    usable = {name: values for name, values in curves.items() if _positive(values).size}
+    if usable:
+        panels = [
+            _Panel(
+                "Cost of one run",
+                partial(_draw_cumulative, usable),
+                "Share of the conditions that cost at most so much, over the cost in m², logarithmic. "
+                + " ".join(f"{name}: {_range_of(_positive(values))}." for name, values in usable.items()),
+            )
+        ]
+        both = np.isfinite(rows.standard_costs) & (rows.standard_costs > 0) & np.isfinite(rows.costs) & (rows.costs > 0)
+        if both.any():
+            gain = rows.standard_costs[both] / rows.costs[both]
+            panels.append(
+                _Panel(
+                    "Standard over optimum",
+                    partial(_draw_gain, rows.conditions[both, 0], gain),
+                    f"Cost of the standard tuning over the swarm's best, by speed: {_range_of(gain)}.",
+                )
+            )
+        key = [(name, _STROKES[name]) for name in usable]
+        items.append(
+            Picture(
+                "Left: the share of conditions that cost at most so much; further left is better. A curve that ends "
+                "below 100 % lost the car in the rest. Right: how many times the optimum the standard tuning costs, by "
+                "speed: median, with a band from the lower to the upper quartile.",
+                [panel.drawing() for panel in panels],
+                key,
+                "cost.png",
+                _print(panels, columns=len(panels), height=2.4, key=key),
+            )
+        )
+    return Section("What the optimum is worth", items)
+
+
+def _convergence(found: DataSet) -> list[Section]:
+    """How the swarms came to their last cost; nothing for a set without traces."""
+    last = found.traces[:, -1:].astype(np.float64) if found.traces.shape[1] else np.empty((0, 1))
+    usable = np.flatnonzero(np.isfinite(last[:, 0]) & (last[:, 0] > 0.0)) if last.size else np.empty(0, int)
+    if not usable.size:
+        return []
+    above = found.traces[usable].astype(np.float64) / last[usable]
+    low, middle, high = _quantiles(above, (0.25, 0.5, 0.75))
+    half = len(middle) // 2
+    panel = _Panel(
+        "Convergence of the swarms",
+        partial(_draw_convergence, low, middle, high),
+        f"Lowest cost so far over the last, by generation, logarithmic: median from {number(middle[0])} to 1.",
+    )
+    words = f"After the first generation the median swarm is {_percent_above(middle[0])} its last cost"
+    if len(middle) > 2:
+        words += f", after generation {half + 1} it is {_percent_above(middle[half])} that"
+    words += (
+        ". A curve that is flat well before its end has had generations enough for what this swarm can find; that says "
+        "nothing about optima that it never saw."
+    )
+    caption = "Lowest cost up to each generation, over that of the last: median and quartiles over the conditions."
+    return [Section("Convergence", [words, Picture(caption, [panel.drawing()], file="convergence.png")])]
+
+
+def _explained(told: Summary) -> Section:
+    body: list[list[Cell | str]] = []
+    for row in told["optimum"]:
+        name, logarithmic = row["target"].removeprefix("log "), row["target"].startswith("log ")
+        values = [row[key] for key in ("lowest", "p10", "p50", "p90", "highest")]
+        shown = [np.exp(v) if logarithmic and v is not None else v for v in values]
+        bound = "–" if row["at_a_bound"] is None else percent(row["at_a_bound"])
+        body.append([name, *map(number, shown), bound, _r2(row["r2"])])
+    heads = [Head("Target", is_text=True), Head("Lowest"), Head("P10"), Head("Median"), Head("P90"), Head("Highest")]
+    table = Table(
+        "The optimum, and how much of it the conditions explain",
+        [*heads, Head("At a bound", "%"), Head("R²")],
+        body,
+        "Np, Nc in control periods, Q in 1/m², R in 1/rad². P10 and P90: a tenth of the conditions lies below, above. "
+        f"R²: {told['learner']}; for Q, R and R/Q of the logarithm.",
+    )
+    return Section("What the conditions explain", [_explained_in_words(told), table])
+
+
+def _flatness(dataset: DataSet, told: Summary) -> Section:
+    title = "How flat the optimum is"
+    shares = (
+        {row["within"]: flatness(dataset, row["within"]) for row in told["flatness"]} if len(dataset.library) else {}
+    )
+    if not any(share.size for share in shares.values()):
+        missing = "no library was evaluated" if not len(dataset.library) else "every tuning lost the car"
+        return Section(title, [f"Not known: {missing}."])
+    rows = [row for row in told["flatness"] if row["mean"] is not None]
+    body = [
+        [
+            f"{100 * row['within']:g} %",
+            *(percent(row[key]) for key in ("mean", "lowest", "p10", "p50", "p90", "highest")),
+        ]
+        for row in rows
+    ]
+    heads = [Head("Within"), *(Head(text, "%") for text in ("Mean", "Lowest", "P10", "Median", "P90", "Highest"))]
+    table = Table(
+        "Share of the library whose cost is near the best",
+        heads,
+        body,
+        f"Of {_count(told['library'], 'tuning')}, on each condition; the best is the lowest cost known there, the "
+        "swarm's or the library's.",
+    )
+    strokes = style.strokes(f"within {100 * within:g} %" for within in shares)
+    panel = _Panel(
+        "Tunings that are nearly as good",
+        partial(_draw_shares, dict(zip(strokes, shares.values(), strict=True)), strokes),
+        "Share of the conditions over the share of the library that is near the best. "
+        + " ".join(f"{name}: {_range_of(100 * s)} %." for name, s in zip(strokes, shares.values(), strict=True)),
+    )
+    caption = "For how many conditions at least so much of the library is near the best: further right is flatter."
+    wide = rows[-1]
+    words = (
+        f"In the median over conditions, {percent(wide['p50'])} % of the library costs at most "
+        f"{100 * wide['within']:g} % more than the best tuning known. Where many tunings are that close, which of them "
+        "comes out best says little, and a model loses little by a wrong one; where few are, the tuning matters."
+    )
+    picture = Picture(
+        caption, [panel.drawing()], list(strokes.items()), "flatness.png", _print([panel], 1, 2.6, strokes)
+    )
+    return Section(title, [words, table, picture])
+
+
+def _provenance(dataset: DataSet, told: Summary) -> Section:
+    entries = [("Identity", in_words(told["identity"]))]
+    entries += [(name, in_words(version)) for name, version in told["versions"].items()]
+    record = json.dumps(dataset.provenance, indent=1, ensure_ascii=False)
+    return Section("Provenance", [Terms(entries), Verbatim(record, "The full record of the campaign")])
+
+
+# -- words ------------------------------------------------------------------------------------------------------------
+def _costs_in_words(costs: Summary, n: int, library: int) -> str:
+    gain, middle, high = (
+        costs[key]
+        for key in ("standard_over_best_geomean", "swarm_behind_the_best_known_p50", "swarm_behind_the_best_known_p90")
+    )
+    sentences = ["The cost is the mean square tracking error, plus the price of steering activity where there is one."]
+    if gain:
+        sentences.append(f"The standard tuning costs {number(gain)} times the swarm's best (geometric mean).")
+    if library and middle is not None and high is not None:
+        sentences.append(
+            "Against the lowest cost known, be it the swarm's or a library tuning's, the swarm's best is "
+            f"{percent(middle)} % behind in the median, and {percent(high)} % or more in the worst tenth of them."
+        )
+    lost = [
+        f"{who} in {number(costs[key])}"
+        for key, who in (
+            ("lost_by_the_standard", "the standard tuning"),
+            ("lost_by_the_swarm", "the swarm's best"),
+            ("lost_by_all", "every tuning"),
+        )
+        if costs[key]
+    ]
+    of = f"of {_count(n, 'condition')}"
+    none = f"Neither of the two lost the car in any {of}."
+    sentences.append(f"The car was lost by {listed(lost)} {of}." if lost else none)
+    if costs["library_lost"]:
+        sentences.append(f"Of all runs of the library, {percent(costs['library_lost'])} % lost the car.")
+    return " ".join(sentences)
+
+
+def _explained_in_words(told: Summary) -> str:
+    known = {row["target"].removeprefix("log "): row["r2"] for row in told["optimum"] if row["r2"] is not None}
+    meaning = (
+        "R² says how well a strong learner predicts the optimum of conditions that it has not seen: 1 means perfectly, "
+        "0 no better than the mean of all. Near 0 the tuning at which a swarm stops carries no signal: whatever learns "
+        "from it learns noise, and should learn from the costs of the library instead."
+    )
+    if not known:
+        return f"{meaning} Here the conditions are too few to tell."
+    groups = (
+        ("largely explained", [name for name, r2 in known.items() if r2 >= _STRONG]),
+        ("partly explained", [name for name, r2 in known.items() if _WEAK <= r2 < _STRONG]),
+        ("hardly explained, if at all", [name for name, r2 in known.items() if r2 < _WEAK]),
+    )
+    said = "; ".join(f"{words}: {listed(names)}" for words, names in groups if names)
+    return f"{meaning} {said[:1].upper() + said[1:]}."
+
+
+def _r2(value: float | None) -> Cell:
+    return Cell("–") if value is None else Cell(f"{value:.2f}".replace("-", "−"), warn=value < _WEAK)
+
+
+def _percent_above(ratio: float) -> str:
+    if not np.isfinite(ratio):
+        return "infinitely far above"
+    return f"{number(ratio)} times" if ratio >= 2.0 else f"{percent(max(ratio - 1.0, 0.0))} % above"
+
+
+def _count(n: int, noun: str) -> str:
+    return f"{number(n)} {noun}{'' if n == 1 else 's'}"
+
+
+def _range_of(values: Array) -> str:
+    return f"{span(values)}, median {number(float(np.median(values)))}" if values.size else "none"
+
+
+# -- numbers ----------------------------------------------------------------------------------------------------------
+def _targets(found: DataSet) -> list[_Target]:
+    Np, Nc, Q, R = found.tunings.T
+    np_, nc, q, r = STANDARD
+    return [
+        _Target("Np", "$N_p$", "periods", Np, np_, whole=True),
+        _Target("Nc", "$N_c$", "periods", Nc, nc, whole=True),
+        _Target("log R/Q", r"$\log_{10} R/Q$", "R/Q in m²/rad²", np.log10(R / Q), np.log10(r / q)),
+        _Target("log Q", "$Q$", "1/m²", Q, q, decades=True),
+        _Target("log R", "$R$", "1/rad²", R, r, decades=True),
+    ]
+
+
+def _limits(told: Summary, target: _Target) -> tuple[float, float]:
+    """The lowest and the highest value of a target that occurs."""
+    row = next(row for row in told["optimum"] if row["target"] == target.name)
+    if not target.name.startswith("log"):
+        return float(row["lowest"]), float(row["highest"])
+    scale = 1.0 if target.decades else 1.0 / np.log(10.0)
+    low, high = scale * row["lowest"], scale * row["highest"]
+    return (float(np.exp(low)), float(np.exp(high))) if target.decades else (float(low), float(high))
+
+
+def _edges(values: Array) -> Array:
+    """Edges of bins: around each of a few levels, else of equal widths."""
+    levels = np.unique(values)
+    if len(levels) > _LEVELS:
+        return np.linspace(levels[0], levels[-1], _CELLS + 1)
+    middles = (levels[1:] + levels[:-1]) / 2.0
+    reach = np.diff(levels)[[0, -1]] / 2.0 if len(levels) > 1 else np.array([0.5, 0.5])
+    return np.concatenate([[levels[0] - reach[0]], middles, [levels[-1] + reach[1]]])
+
+
+def _bins(values: Array, edges: Array) -> NDArray[np.int64]:
+    return np.clip(np.searchsorted(edges, values, side="right") - 1, 0, len(edges) - 2)
+
+
+def _binned(found: DataSet, other: Array, target: _Target) -> _Map:
+    speed = found.conditions[:, 0]
+    x_edges, y_edges = _edges(speed), _edges(other)
+    columns, rows = _bins(speed, x_edges), _bins(other, y_edges)
+    medians = np.full((len(y_edges) - 1, len(x_edges) - 1), np.nan)
+    for row, column in set(zip(rows.tolist(), columns.tolist(), strict=True)):
+        medians[row, column] = np.median(target.values[(rows == row) & (columns == column)])
+    return _Map(x_edges, y_edges, medians)
+
+
+def _norm(grids: Sequence[Array]) -> Normalize:
+    values = np.concatenate([grid.ravel() for grid in grids])
+    low, high = float(np.nanmin(values)), float(np.nanmax(values))
+    return Normalize(low, high) if high > low else Normalize(low - 0.5, high + 0.5)
+
+
+def _positive(values: Array) -> Array:
+    """What has a place on a logarithmic axis, in order."""
+    return np.sort(values[np.isfinite(values) & (values > 0.0)])
+
+
+def _quantiles(values: Array, levels: Sequence[float]) -> Array:
+    """Down the columns, without averaging two neighbours: one of them may be infinite."""
+    return np.asarray(np.quantile(values, levels, axis=0, method="inverted_cdf"))
+
+
+# -- drawing ----------------------------------------------------------------------------------------------------------
+def _draw_heat(grid: _Map, norm: Normalize, label: str, axes: Axes) -> None:
+    axes.grid(False)
+    axes.set_facecolor("none")
+    masked = np.ma.masked_invalid(grid.medians)
+    axes.pcolormesh(
+        grid.x_edges, grid.y_edges, masked, cmap=COLOURS, norm=norm, edgecolor="face", linewidth=0.3, antialiased=True
+    )
+    axes.set_xlabel("Speed (m/s)")
+    axes.set_ylabel(label)
+    axes.yaxis.set_major_locator(MaxNLocator(nbins=6, steps=[1, 2, 5, 10]))
+    axes.margins(0.0)
+
+
+def _bar(figure: Figure, axes: Axes | list[Axes], norm: Normalize, target: _Target, **how: Any) -> None:
+    ticks = MaxNLocator(nbins=5, integer=target.whole, steps=[1, 2, 2.5, 5, 10])
+    bar = figure.colorbar(ScalarMappable(norm, COLOURS), ax=axes, ticks=ticks, **how)
+    bar.outline.set_linewidth(0.5)
+    bar.ax.tick_params(labelsize=7.5)
+
+
+def _heat_figure(rows: Sequence[Sequence[tuple[_Target, _Map, str, str]]], norms: Mapping[str, Normalize]) -> Figure:
+    with style.styled():
+        figure, axes = style.grid_figure(len(rows), len(rows[0]), 2.25)
+        for i, row in enumerate(rows):
+            for j, (target, grid, _, label) in enumerate(row):
+                ax = axes[i * len(row) + j]
+                _draw_heat(grid, norms[target.name], label if j == 0 else "", ax)
+                ax.set_xlabel("Speed (m/s)" if i == len(rows) - 1 else "")
+                ax.set_title(f"({'abcdefghi'[i * len(row) + j]}) {target.label}" if i == 0 else "")
+                if i:
+                    ax.set_title(f"({'abcdefghi'[i * len(row) + j]})")
+        for j, (target, *_) in enumerate(rows[0]):
+            column = [axes[i * len(rows[0]) + j] for i in range(len(rows))]
+            _bar(figure, column, norms[target.name], target, location="bottom", aspect=28, shrink=0.95, pad=0.02)
+    return figure
+
+
+def _heat_drawing(target: _Target, grid: _Map, other: str, label: str, norms: Mapping[str, Normalize]) -> Drawing:
+    norm = norms[target.name]
+
+    def draw(axes: Axes) -> None:
+        axes.set_title(target.label)
+        _draw_heat(grid, norm, label, axes)
+        figure = axes.get_figure()
+        assert isinstance(figure, Figure)
+        box = axes.get_position()
+        axes.set_position((box.x0, box.y0, 0.83 * box.width, box.height))  # room for the colour bar and its numbers
+        _bar(figure, axes, norm, target, cax=axes.inset_axes((1.03, 0.0, 0.035, 1.0)))
+
+    text = f"Median of the best {target.label.replace('$', '')} over speed and {other}: {span(grid.medians)}."
+    return Drawing(style.panel_figure(draw), text)
+
+
+def _histogram(target: _Target, limits: tuple[float, float]) -> _Panel:
+    text = f"Share of the conditions in percent; {_range_of(target.values)}."
+    return _Panel(target.symbol, partial(_draw_histogram, target, limits), text)
+
+
+def _draw_histogram(target: _Target, limits: tuple[float, float], axes: Axes) -> None:
+    low, high = min(limits[0], target.standard), max(limits[1], target.standard)
+    edges: Array
+    if target.whole:
+        step = max(1, round((high - low) / _BARS))
+        edges = np.arange(low - 0.5, high + step + 0.5, step)
+    elif target.decades:
+        axes.set_xscale("log")
+        edges = np.geomspace(low, high * (1.0 + 1e-9), _BARS + 1) if high > low else np.array([low / 2, low * 2])
+    else:
+        edges = np.linspace(low, high + 1e-9, _BARS + 1) if high > low else np.array([low - 0.5, low + 0.5])
+    inside = np.clip(target.values, edges[0], edges[-1])
+    weights = np.full(inside.size, 100.0 / inside.size)
+    axes.hist(inside, edges.tolist(), weights=weights, color=_SPREAD.colour, rwidth=0.9)
+    axes.axvline(target.standard, color=style.REFERENCE.colour, linestyle=style.REFERENCE.dash, linewidth=1.0)
+    axes.grid(False, axis="x")
+    axes.set_xmargin(0.03)
+    axes.autoscale(axis="x")
+    axes.set_xlabel(target.label)
+    axes.set_ylabel("Conditions (%)")
+
+
+def _draw_cumulative(costs: Mapping[str, Array], axes: Axes) -> None:
+    axes.set_xscale("log")
+    for i, (name, values) in enumerate(costs.items()):
+        placed = _positive(values)
+        share = 100.0 * ((values <= 0.0).sum() + np.arange(1, placed.size + 1)) / values.size
+        stroke = _STROKES[name]
+        width = 1.3 + (0.9 if i == 1 else 0.0)  # the library's best may lie on the swarm's
+        axes.step(placed, share, where="post", color=stroke.colour, linestyle=stroke.dash, linewidth=width)
+    axes.set_ylim(0.0, 103.0)
+    axes.xaxis.set_minor_locator(NullLocator())
+    axes.set_xlabel("Cost (m²)")
+    axes.set_ylabel("Conditions (%)")
+
+
+def _draw_gain(speed: Array, gain: Array, axes: Axes) -> None:
+    edges = _edges(speed)
+    bins = _bins(speed, edges)
+    which = np.unique(bins)
+    middles = np.array([np.median(speed[bins == b]) for b in which])
+    low, middle, high = np.stack([_quantiles(gain[bins == b], (0.25, 0.5, 0.75)) for b in which], axis=1)
+    axes.axhline(1.0, color=style.MUTED, linewidth=0.7)
+    _band(axes, middles, low, middle, high)
+    _logarithmic(axes, float(low.min()), float(high.max()))
+    axes.set_xlabel("Speed (m/s)")
+    axes.set_ylabel("Cost ratio (–)")
+
+
+def _draw_convergence(low: Array, middle: Array, high: Array, axes: Axes) -> None:
+    generation = np.arange(1, len(middle) + 1)
+    _band(axes, generation, low, middle, high)
+    finite = high[np.isfinite(high)]
+    _logarithmic(axes, 1.0, float(finite.max()) if finite.size else 1.0)
+    axes.xaxis.set_major_locator(MaxNLocator(integer=True))
+    axes.set_xlabel("Generation (–)")
+    axes.set_ylabel("Cost over last (–)")
+
+
+def _draw_shares(shares: Mapping[str, Array], strokes: Mapping[str, style.Stroke], axes: Axes) -> None:
+    for name, share in shares.items():
+        x = 100.0 * np.concatenate([[0.0], np.sort(share)])
+        reached = 100.0 * np.concatenate([[1.0], np.arange(share.size, 0, -1) / max(share.size, 1)])
+        axes.step(x, reached, where="pre", color=strokes[name].colour, linestyle=strokes[name].dash)
+    axes.set_xlim(0.0, 100.0)
+    axes.set_ylim(0.0, 103.0)
+    axes.set_xlabel("At least so much of the library (%)")
+    axes.set_ylabel("Conditions (%)")
+
+
+def _band(axes: Axes, x: NDArray[Any], low: Array, middle: Array, high: Array) -> None:
+    """A median with its quartiles; what is infinite is left out."""
+    mark = "o" if len(x) <= 30 else ""
+    axes.fill_between(x, low, high, where=np.isfinite(high).tolist(), color=_SPREAD.colour, alpha=0.22, linewidth=0)
+    axes.plot(x, middle, color=_SPREAD.colour, marker=mark, markersize=3.0)
+    axes.set_xmargin(0.02)
+
+
+def _logarithmic(axes: Axes, low: float, high: float) -> None:
+    """A logarithmic axis with numbers that can be read, also where it spans less than a decade."""
+    axes.set_yscale("log")
+    low, high = min(low, 1.0), max(high, 1.0)
+    margin = max(float(high / low) ** 0.06, 1.001)
+    bottom, top = low / margin, high * margin
+    axes.set_ylim(bottom, top)
+    decades = np.log10(top / bottom)
+    if decades < 0.5:
+        ticks = np.asarray(MaxNLocator(nbins=5, steps=[1, 2, 5, 10]).tick_values(bottom, top))
+    else:
+        factors = (1.0, 2.0, 5.0) if decades < 2.5 else (1.0,)
+        powers = 10.0 ** np.arange(np.floor(np.log10(bottom)), np.ceil(np.log10(top)) + 1)
+        ticks = np.outer(powers, factors).ravel()
+    axes.yaxis.set_major_locator(FixedLocator(ticks[(ticks >= bottom) & (ticks <= top)].tolist()))
+    axes.yaxis.set_minor_locator(NullLocator())
+    axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+
+
+def _print(
+    panels: Sequence[_Panel],
+    columns: int,
+    height: float,
+    key: Mapping[str, style.Stroke] | Sequence[tuple[str, style.Stroke]] = (),
+) -> Figure:
+    """All panels in one figure, for print."""
+    with style.styled():
+        figure, axes = style.grid_figure(-(-len(panels) // columns), columns, height)
+        for i, (panel, ax) in enumerate(zip(panels, axes, strict=False)):
+            panel.show(ax)
+            ax.set_title(f"({'abcdefghi'[i]}) {panel.title}" if len(panels) > 1 else panel.title)
+            if i % columns and len({other.title for other in panels}) > 2:
+                ax.set_ylabel("")
+        for spare in axes[len(panels) :]:
+            spare.remove()
+        if key:
+            style.legend_above(figure, list(key.items()) if isinstance(key, Mapping) else key)
+    return figure

@@ -1,0 +1,318 @@
+"""The neuro-fuzzy regressor: its layers, its learning rule, its partitions, and that it behaves as an estimator."""
+
+import itertools
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from sklearn.base import clone
+from sklearn.utils.estimator_checks import check_estimator
+
+from adaptrack.errors import InvalidInput
+from adaptrack.learning import ANFIS, Sugeno, subtractive_clustering
+from adaptrack.learning import anfis as module
+from adaptrack.learning.anfis import ANY, CENTRE, SLOPE, WIDTH
+
+
+def data(n=300, inputs=2, seed=0):
+    rng = np.random.default_rng(seed)
+    x = rng.uniform(-3.0, 3.0, (n, inputs))
+    return x, np.sin(x[:, 0]) + 0.3 * x[:, 1] * np.tanh(x[:, 0])
+
+
+def some_system(bell, seed=1):
+    """Three rules on two inputs; the second one does not ask the second input."""
+    rng = np.random.default_rng(seed)
+    width, centre = rng.uniform(0.5, 1.5, 5), rng.uniform(-1.0, 1.0, 5)
+    return Sugeno(
+        owner=np.array([0, 0, 0, 1, 1]),
+        bell=np.array([bell, bell, False, bell, bell]),
+        premises=np.column_stack((width, rng.uniform(1.2, 2.5, 5), centre)),
+        rules=np.array([[0, 3], [1, ANY], [2, 4]]),
+        consequents=rng.normal(size=(3, 3)),
+        weights=np.array([1.0, 0.5, 1.0]),
+    )
+
+
+@pytest.mark.parametrize("options", [{}, {"partition": "grid", "n_mfs": 1, "membership": "bell"}])
+def test_it_is_a_scikit_learn_estimator(options):
+    check_estimator(ANFIS(epochs=3, **options), on_skip=None)
+
+
+# --- layers
+
+
+def test_the_layers_are_the_papers_equations():
+    system, (x, _) = some_system(bell=True), data(7)
+    mu = np.empty((7, 5))
+    for m, (width, slope, centre) in enumerate(system.premises):
+        away = (x[:, system.owner[m]] - centre) / width
+        mu[:, m] = 1 / (1 + np.abs(away) ** (2 * slope)) if system.bell[m] else np.exp(-(away**2) / 2)
+    w = system.weights * np.column_stack((mu[:, 0] * mu[:, 3], mu[:, 1], mu[:, 2] * mu[:, 4]))
+    f = x @ system.consequents[:, :2].T + system.consequents[:, 2]
+    np.testing.assert_allclose(np.exp(module.fuzzify(x, system)), mu, rtol=1e-13)
+    np.testing.assert_allclose(np.exp(module.fire(np.log(mu), system)), w, rtol=1e-13)
+    np.testing.assert_allclose(system.strengths(x), w / w.sum(axis=1, keepdims=True), rtol=1e-13)
+    np.testing.assert_allclose(system.predict(x), (w * f).sum(axis=1) / w.sum(axis=1), rtol=1e-12)
+
+
+@pytest.mark.parametrize("far", [1.0, 1e3, 1e9, 1e200])
+def test_normalised_strengths_sum_to_one_however_far_from_the_rules(far):
+    x, y = data(60)
+    strengths = ANFIS(epochs=0).fit(x, y).system_.strengths(far * x)
+    assert (strengths >= 0.0).all()
+    np.testing.assert_allclose(strengths.sum(axis=1), 1.0, rtol=1e-14)
+
+
+def test_a_bell_is_smooth_at_its_centre():
+    system = some_system(bell=True)
+    x = system.premises[[0, 3], CENTRE][np.newaxis]
+    assert np.exp(module.fuzzify(x, system))[0, [0, 3]] == pytest.approx(1.0)
+    assert np.isfinite(module.premise_gradient(system, x, np.array([1.0]))).all()
+
+
+# --- consequents
+
+
+def test_least_squares_is_what_numpy_finds():
+    rng = np.random.default_rng(3)
+    for shape in ((80, 12), (10, 25)):
+        a, y = rng.normal(size=shape), rng.normal(size=shape[0])
+        for penalty in (1e-9, 1e-2):
+            stacked = np.vstack((a, np.sqrt(penalty) * np.eye(shape[1])))
+            expected = np.linalg.lstsq(stacked, np.concatenate((y, np.zeros(shape[1]))), rcond=None)[0]
+            np.testing.assert_allclose(module.least_squares(a, y, penalty), expected, rtol=1e-9, atol=1e-11)
+
+
+def test_least_squares_survives_columns_that_repeat():
+    a = np.ones((30, 4)) * np.linspace(1.0, 2.0, 30)[:, np.newaxis]
+    theta = module.least_squares(a, 3.0 * a[:, 0], 1e-18)
+    np.testing.assert_allclose(a @ theta, 3.0 * a[:, 0], rtol=1e-9)
+
+
+def test_recursive_least_squares_ends_where_the_closed_form_is():
+    rng = np.random.default_rng(4)
+    a, y = rng.normal(size=(120, 9)), rng.normal(size=120)
+    closed = module.least_squares(a, y, 1e-4)
+    np.testing.assert_allclose(module.recursive_least_squares(a, y, 1e-4), closed, rtol=1e-8, atol=1e-10)
+
+
+def test_forgetting_follows_a_change():
+    x = np.ones((200, 1))
+    y = np.where(np.arange(200) < 100, 1.0, 2.0)
+    assert module.recursive_least_squares(x, y, 1e-6)[0] == pytest.approx(1.5, abs=1e-6)
+    assert module.recursive_least_squares(x, y, 1e-6, forgetting=0.9)[0] == pytest.approx(2.0, abs=1e-4)
+
+
+def test_both_ways_to_the_consequents_train_the_same_system():
+    x, y = data(80)
+    closed, recursive = (ANFIS(epochs=2, ridge=1e-4, consequents=way).fit(x, y) for way in ("lse", "rls"))
+    np.testing.assert_allclose(recursive.predict(x), closed.predict(x), rtol=1e-6, atol=1e-7)
+
+
+# --- premises
+
+
+@pytest.mark.parametrize("bell", [False, True])
+def test_the_premise_gradient_is_that_of_finite_differences(bell):
+    system, (x, y) = some_system(bell), data(40)
+    gradient = module.premise_gradient(system, x, y)
+
+    def error(premises):
+        return ((replace(system, premises=premises).predict(x) - y) ** 2).mean() / 2
+
+    for m, column in itertools.product(range(5), (WIDTH, SLOPE, CENTRE)):
+        up, down = system.premises.copy(), system.premises.copy()
+        up[m, column] += 1e-5
+        down[m, column] -= 1e-5
+        assert gradient[m, column] == pytest.approx((error(up) - error(down)) / 2e-5, rel=1e-6, abs=1e-9)
+
+
+def test_the_step_grows_after_four_drops_and_shrinks_after_two_oscillations():
+    def steps(errors):
+        recent, step, seen = [], 1.0, []
+        for error in errors:
+            recent.append(error)
+            step = module.adapt_step(step, recent)
+            seen.append(step)
+        return seen
+
+    np.testing.assert_allclose(steps([9, 8, 7, 6, 5, 4, 3, 2, 1]), [1, 1, 1, 1, 1.1, 1.1, 1.1, 1.1, 1.21])
+    np.testing.assert_allclose(steps([5, 6, 5, 6, 5, 6]), [1, 1, 1, 1, 0.9, 0.9])
+    np.testing.assert_allclose(steps([5, 4, 3, 4, 5, 4]), 1.0)
+
+
+def test_training_lowers_the_error_of_its_partition():
+    x, y = data()
+    for membership in ("gaussian", "bell"):
+        trained = ANFIS("grid", membership=membership, n_mfs=3, epochs=60, step=0.05).fit(x, y)
+        errors = trained.history_["train_rmse"]
+        assert errors.min() < 0.5 * errors[0]
+        rmse = np.sqrt(((trained.predict(x) - y) ** 2).mean())
+        assert rmse == pytest.approx(errors.min(), rel=1e-6)
+        assert trained.best_epoch_ == errors.argmin()
+
+
+# --- what it learns
+
+
+@pytest.mark.parametrize("partition", ["subtractive", "grid"])
+@pytest.mark.parametrize("membership", ["gaussian", "bell"])
+def test_a_linear_function_is_learned_exactly(partition, membership):
+    x, _ = data(200, 3)
+    y = 2.0 * x[:, 0] - x[:, 1] + 0.5 * x[:, 2] + 7.0
+    made = ANFIS(partition, membership=membership, n_mfs=2, epochs=1, ridge=1e-12).fit(x[:150], y[:150])
+    np.testing.assert_allclose(made.predict(x[150:]), y[150:], rtol=0, atol=1e-7)
+
+
+def test_a_sugeno_system_recovers_itself_from_its_own_data():
+    x, _ = data(400)
+    truth = ANFIS("grid", n_mfs=2, epochs=0).fit(*data()).system_
+    truth = replace(truth, consequents=np.random.default_rng(5).normal(size=truth.consequents.shape))
+    corners = np.array(list(itertools.product((-3.0, 3.0), repeat=2)))  # the grid spans the data: make it the same one
+    truth = replace(truth, premises=np.column_stack((np.full(4, 6 / 2.3548200450309493), np.ones(4), [-3, 3, -3, 3])))
+    x = np.vstack((x, corners))
+    found = ANFIS("grid", n_mfs=2, epochs=0, ridge=1e-14).fit(x, truth.predict(x)).system_
+    np.testing.assert_allclose(found.premises, truth.premises, rtol=1e-12)
+    np.testing.assert_allclose(found.consequents, truth.consequents, rtol=1e-6, atol=1e-7)
+
+
+def test_early_stopping_keeps_the_epoch_that_is_best_on_the_hold_out():
+    x, y = data(120)
+    y = y + np.random.default_rng(6).normal(0.0, 0.3, len(y))
+    made = ANFIS(influence=0.3, epochs=200, step=0.1, early_stopping=True, patience=5, random_state=0).fit(x, y)
+    held = made.history_["validation_rmse"]
+    assert made.best_epoch_ == held.argmin()
+    assert made.n_iter_ == len(held) - 1 == made.best_epoch_ + 5
+    assert len(made.history_["train_rmse"]) == len(made.history_["step"]) == len(held)
+
+
+def test_the_unit_of_the_inputs_and_of_the_target_does_not_matter():
+    x, y = data(150)
+    scale, shift = np.array([1e3, 1e-2]), np.array([50.0, -3.0])
+    for partition in ("subtractive", "grid"):
+        one = ANFIS(partition, epochs=5).fit(x, y)
+        other = ANFIS(partition, epochs=5).fit(x * scale + shift, 40.0 * y - 9.0)
+        assert one.n_rules_ == other.n_rules_
+        np.testing.assert_allclose((other.predict(x * scale + shift) + 9.0) / 40.0, one.predict(x), rtol=0, atol=1e-6)
+
+
+def test_the_same_seed_gives_the_same_system():
+    x, y = data(100)
+    made = ANFIS(epochs=5, early_stopping=True, random_state=3)
+    one, again, other = (clone(made).set_params(random_state=seed).fit(x, y).system_.consequents for seed in (3, 3, 4))
+    np.testing.assert_array_equal(one, again)
+    assert one.shape != other.shape or (one != other).any()
+
+
+def test_parameters_are_counted():
+    x, y = data(100)
+    assert ANFIS("grid", n_mfs=(2, 3), epochs=0).fit(x, y).n_parameters_ == 2 * 5 + 6 * 3
+    assert ANFIS("grid", n_mfs=(2, 3), epochs=0, membership="bell").fit(x, y).n_parameters_ == 3 * 5 + 6 * 3
+
+
+@pytest.mark.parametrize("bad", [
+    {"partition": "tree"}, {"membership": "triangle"}, {"consequents": "sgd"}, {"epochs": -1}, {"epochs": 1.5},
+    {"step": 0.0}, {"ridge": 0.0}, {"forgetting": 1.1, "consequents": "rls"}, {"forgetting": 0.9}, {"prune": 1.0},
+    {"influence": 0.0}, {"reject": 0.9}, {"partition": "grid", "n_mfs": (2, 2, 2)}, {"partition": "grid", "n_mfs": 0},
+    {"partition": "grid", "n_mfs": 300}, {"early_stopping": True, "validation_fraction": 0.999},
+])  # fmt: skip
+def test_a_parameter_that_is_not_allowed_is_named(bad):
+    name = "validation_fraction" if "validation_fraction" in bad else list(bad)[-1]
+    with pytest.raises(InvalidInput, match=r"300 x 300" if bad.get("n_mfs") == 300 else f"{name}|forgetting"):
+        ANFIS(**bad).fit(*data(30))
+
+
+def test_a_system_whose_rule_asks_the_wrong_input_is_refused():
+    system = some_system(bell=False)
+    with pytest.raises(InvalidInput, match="does not have"):
+        replace(system, rules=np.array([[3, 0], [1, ANY], [2, 4]]))
+    with pytest.raises(InvalidInput, match="positive"):
+        replace(system, premises=-system.premises)
+
+
+# --- partitions
+
+
+def test_clustering_finds_the_centres_of_blobs():
+    rng = np.random.default_rng(7)
+    centres = np.array([[0.0, 0.0], [10.0, 0.0], [0.0, 500.0], [10.0, 500.0]])
+    points = np.vstack([c + rng.normal(size=(60, 2)) * (0.3, 15.0) for c in centres])
+    found = subtractive_clustering(points, influence=0.4)
+    assert len(found.centres) == 4
+    for centre in centres:
+        assert (np.abs((found.centres - centre) / (0.3, 15.0)).max(axis=1) < 1.0).sum() == 1
+    np.testing.assert_allclose(found.sigma, 0.4 * np.ptp(points, axis=0) / np.sqrt(8.0))
+
+
+def test_clustering_is_chius_algorithm_written_out():
+    """Against the recurrence with the whole matrix of distances, one accept/reject decision after the other."""
+    points = np.random.default_rng(8).uniform(size=(120, 3))
+    unit = (points - points.min(0)) / np.ptp(points, axis=0)
+    for ra in (0.3, 0.5):
+        square = ((unit[:, None] - unit[None]) ** 2).sum(-1)
+        p = np.exp(-4 / ra**2 * square).sum(1)
+        first, chosen = p.max(), [int(p.argmax())]
+        p = p - p.max() * np.exp(-4 / (1.25 * ra) ** 2 * square[p.argmax()])
+        while (ratio := p.max() / first) >= 0.15:
+            k = int(p.argmax())
+            if ratio > 0.5 or np.sqrt(square[k, chosen].min()) / ra + ratio >= 1:
+                chosen.append(k)
+                p = p - p[k] * np.exp(-4 / (1.25 * ra) ** 2 * square[k])
+            else:
+                p[k] = 0.0
+        np.testing.assert_array_equal(subtractive_clustering(points, ra).centres, points[chosen])
+
+
+def test_more_influence_makes_fewer_rules():
+    x, y = data(400)
+    counts = [ANFIS(influence=influence, epochs=0).fit(x, y).n_rules_ for influence in (0.2, 0.5, 1.0)]
+    assert counts[0] > counts[1] > counts[2]
+
+
+@pytest.mark.parametrize(("n_mfs", "rules"), [(2, 8), (3, 27), ((2, 3, 4), 24), ((1, 1, 5), 5)])
+def test_a_grid_has_a_rule_for_each_combination(n_mfs, rules):
+    x, y = data(100, 3)
+    made = ANFIS("grid", n_mfs=n_mfs, epochs=0).fit(x, y)
+    assert made.n_rules_ == rules == len(np.unique(made.system_.rules, axis=0))
+
+
+@pytest.mark.parametrize("membership", ["gaussian", "bell"])
+def test_neighbours_of_a_grid_cross_at_one_half(membership):
+    x = np.linspace(0.0, 4.0, 50)[:, np.newaxis]
+    system = ANFIS("grid", n_mfs=3, epochs=0, membership=membership).fit(x, x[:, 0]).system_
+    np.testing.assert_allclose(np.exp(module.fuzzify(np.array([[1.0]]), system))[0, :2], 0.5, rtol=1e-12)
+
+
+def test_pruning_removes_the_rules_that_no_data_fire():
+    x, y = data(300)
+    line = np.column_stack((x[:, 0], x[:, 0] + 0.05 * x[:, 1]))  # a diagonal: most cells of the grid are empty
+    full = ANFIS("grid", n_mfs=5, epochs=3).fit(line, y)
+    lean = ANFIS("grid", n_mfs=5, epochs=3, prune=0.01).fit(line, y)
+    after = full.pruned(line, y, 0.01)
+    assert full.n_rules_ == 25
+    for each in (lean, after):
+        assert each.n_rules_ < 20
+        assert each.system_.mass(line).sum() == pytest.approx(1.0)
+        assert each.score(line, y) > full.score(line, y) - 0.02
+    assert full.n_rules_ == 25, "the original is left alone"
+    assert full.pruned(line, y, 0.999).n_rules_ == 1
+
+
+# --- against an independent library
+
+
+@pytest.mark.filterwarnings("ignore")
+def test_its_hold_out_error_is_no_worse_than_that_of_an_independent_anfis():
+    toolbox = pytest.importorskip("anfis_toolbox")
+    x, y = data(400)
+    y = y + np.random.default_rng(9).normal(0.0, 0.05, len(y))
+    other = toolbox.ANFISRegressor(n_mfs=3, epochs=30, learning_rate=0.01, optimizer="hybrid", random_state=0)
+    other.fit(x[:300], y[:300])
+    ours = ANFIS("grid", n_mfs=3, epochs=30).fit(x[:300], y[:300])
+    assert ours.n_rules_ == 9
+
+    def error(model):
+        return np.sqrt(((np.ravel(model.predict(x[300:])) - y[300:]) ** 2).mean())
+
+    assert error(ours) <= 1.05 * error(other)
