@@ -277,26 +277,28 @@ def tune(
 @dataset_app.command("describe")
 def describe_dataset(
     name: Annotated[str, typer.Argument(help="Name (see `dataset list`), file, or folder of a campaign.")],
+    out: Annotated[Path | None, Option(help="Folder for the page with the pictures.")] = None,
     as_json: Annotated[bool, Option("--json", help="One JSON object.")] = False,
 ) -> None:
     """Tell what is in a data set: ranges, optimum, how much the conditions explain, how flat the optimum is."""
     from adaptrack.dataset import describe, load_dataset
 
-    told = describe(load_dataset(name))
+    dataset = load_dataset(name)
+    told = describe(dataset)
+    if out is not None:
+        from adaptrack.report import write_dataset_report
+
+        _make_folder(out)
+        _tell(f"Report: {write_dataset_report(out, dataset, summary=told)}", quiet=as_json)
     if as_json:
         print(json.dumps(told, allow_nan=False))
         return
-    plain = {key: value for key, value in told.items() if not isinstance(value, dict | list)}
-    _flat(told["name"], plain, False)
+    _flat(told["name"], {key: value for key, value in told.items() if not isinstance(value, dict | list)}, False)
     for key, value in told.items():
-        rows = (
-            value
-            if isinstance(value, list)
-            else [{"what": k, "value": v} for k, v in value.items()]
-            if isinstance(value, dict)
-            else []
-        )
-        if rows:
+        rows = value if isinstance(value, list) else []
+        if isinstance(value, dict):
+            rows = [{"what": what, "value": entry} for what, entry in value.items()]
+        if rows and isinstance(rows[0], dict):
             _table(key.replace("_", " "), tuple(rows[0]), rows)
 
 

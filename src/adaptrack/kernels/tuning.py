@@ -87,21 +87,23 @@ def tune(
     """One run of the swarm (see `swarm`) over Np, Nc, Q, R; returns (evaluations, control steps done).
 
     On return swarm.leader is the best position, swarm.progress[LEADER_COST] its cost, and trace_of_costs
-    (generations,) the best cost after each generation; tunings (lanes, 4) is scratch. A particle's run is stopped once
-    it cannot improve on that particle's best: the swarm takes the same way as without, in less time.
+    (generations,) the best cost after each generation; tunings (particles, 4) is scratch. The particles ride `lanes` at a
+    time. A particle's run is stopped once it cannot improve on that particle's best: the swarm takes the same way as without, in less time.
     """
     steps = 0
     begin(seed, stream, swarm_settings, space, swarm)
     generations = trace_of_costs.size
+    count = swarm.x.shape[0]
     for g in range(generations):
-        decode(lanes, space, swarm.x, tunings)
-        steps += evaluate(
-            tunings, swarm.best_costs, noise, price, costs,
-            periods, lanes, derivative, p, block, states, plant_work, model, settings, loop,
-            signals, scenario, seeds, memory, record, ws, seen, start, left, result, trace,
-        )  # fmt: skip
+        decode(count, space, swarm.x, tunings)
+        for first in range(0, count, lanes):
+            steps += evaluate(
+                tunings[first:], swarm.best_costs[first:], noise, price, costs[first:],
+                periods, min(lanes, count - first), derivative, p, block, states, plant_work, model, settings, loop,
+                signals, scenario, seeds, memory, record, ws, seen, start, left, result, trace,
+            )  # fmt: skip
         learn(costs, swarm)
         trace_of_costs[g] = swarm.progress[LEADER_COST]
         if g < generations - 1:
             move(g, seed, stream, swarm_settings, space, swarm)
-    return generations * lanes, steps
+    return generations * count, steps

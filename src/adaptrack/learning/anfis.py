@@ -20,6 +20,7 @@ import copy
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import Any, NamedTuple, Self
 
 import numpy as np
@@ -202,7 +203,7 @@ def least_squares(a: Array, y: Array, penalty: float) -> Array:
 def rls_update(
     theta: Array, covariance: Array, row: Array, target: float, forgetting: float = 1.0
 ) -> tuple[Array, Array]:
-    """One step of recursive least squares: `theta` (p,) and `covariance` (p, p) after the sample (`row` (p,), `target`).
+    """One step of recursive least squares: `theta` (p,), `covariance` (p, p) after the sample (`row` (p,), `target`).
 
     g = C a / (lambda + a' C a), theta += g (y - a' theta), C = (C - g a' C)/lambda, with the forgetting factor lambda.
     Source: L. Ljung, *System Identification*, 2nd ed., section 11.2.
@@ -228,8 +229,8 @@ def recursive_least_squares(a: Array, y: Array, penalty: float, forgetting: floa
 def premise_gradient(system: Sugeno, x: Array, y: Array) -> Array:
     """(M, 3) derivative of E = mean((output - y)^2)/2 by the premises, the consequents held; x (n, D), y (n,).
 
-    With s the normalised strengths: dE/d(log w_r) = mean(e s_r (f_r - output)); a membership function collects this from
-    the rules that ask for it, times d(log mu)/d(width, slope, centre).
+    With s the normalised strengths: dE/d(log w_r) = mean(e s_r (f_r - output)); a membership function collects this
+    from the rules that ask for it, times d(log mu)/d(width, slope, centre).
     """
     strengths = system.strengths(x)
     f = x @ system.consequents[:, :-1].T + system.consequents[:, -1]
@@ -264,13 +265,15 @@ def adapt_step(step: float, errors: list[float]) -> float:
 
     Jang's two rules: four drops in a row make it larger, two oscillations (up, down, up, down) make it smaller.
     """
-    drops = (
-        [after < before for before, after in zip(errors[-5:-1], errors[-4:], strict=True)] if len(errors) > 4 else []
-    )
-    if len(drops) < 4 or (drops != [True] * 4 and any(a == b for a, b in zip(drops[:-1], drops[1:], strict=True))):
+    drops = [after < before for before, after in pairwise(errors[-5:])]
+    if drops == [True, True, True, True]:
+        factor = FASTER
+    elif drops in ([True, False, True, False], [False, True, False, True]):
+        factor = SLOWER
+    else:
         return step
     del errors[:-1]
-    return step * (FASTER if all(drops) else SLOWER)
+    return step * factor
 
 
 class _Scaling(NamedTuple):
@@ -329,8 +332,8 @@ class ANFIS(RegressorMixin, BaseEstimator):  # type: ignore[misc]
     prune : float
         Rules with less than this share of all firing strength are removed, before and after training; 0 keeps all.
     early_stopping : bool
-        Hold out `validation_fraction` of the rows, keep the epoch that is best on them, and stop after `patience` epochs
-        without a better one. Without it the epoch that is best on all rows is kept.
+        Hold out `validation_fraction` of the rows, keep the epoch that is best on them, and stop after `patience`
+        epochs without a better one. Without it the epoch that is best on all rows is kept.
     random_state : int, RandomState or None
         Chooses the rows that are held out; nothing else is random.
 
@@ -347,6 +350,8 @@ class ANFIS(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         Steps made.
     input_range_, output_range_ : arrays (D, 2) and (2,)
         Least and largest value of each input and of the target in the data.
+    input_names_ : list of str
+        The columns of a data frame, the names in a file, or in1, in2, ...
 
     Raises
     ------
@@ -394,12 +399,15 @@ class ANFIS(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         self.random_state = random_state
 
     @classmethod
-    def from_system(cls, system: Sugeno, input_range: ArrayLike, output_range: ArrayLike) -> Self:
+    def from_system(
+        cls, system: Sugeno, input_range: ArrayLike, output_range: ArrayLike, input_names: Sequence[str] | None = None
+    ) -> Self:
         """A fitted estimator around a given system; ranges as in `input_range_` (D, 2) and `output_range_` (2,)."""
         made = cls()
         made.system_ = system
         made.input_range_ = np.asarray(input_range, dtype=np.float64).reshape(system.n_inputs, 2)
         made.output_range_ = np.asarray(output_range, dtype=np.float64).reshape(2)
+        made.input_names_ = list(input_names) if input_names is not None else _numbered(system.n_inputs)
         made.n_features_in_ = system.n_inputs
         made.history_, made.best_epoch_, made.n_iter_ = {"train_rmse": np.empty(0), "step": np.empty(0)}, 0, 0
         return made
@@ -421,6 +429,7 @@ class ANFIS(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         target = np.asarray(target, dtype=np.float64)
         self.input_range_ = np.column_stack((x.min(axis=0), x.max(axis=0)))
         self.output_range_ = np.array([target.min(), target.max()])
+        self.input_names_ = list(getattr(self, "feature_names_in_", _numbered(x.shape[1])))
         train, held = self._split(len(target))
         scaling = _Scaling.of(x[train], target[train])
         z, v = scaling.scale(x, target)
@@ -444,7 +453,7 @@ class ANFIS(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         return np.concatenate(blocks)
 
     def pruned(self, X: ArrayLike, y: ArrayLike, share: float) -> ANFIS:
-        """A copy without the rules that have less than `share` of all firing strength at X, its consequents fitted anew.
+        """A copy without the rules that have less than `share` of all firing strength at X; consequents are refitted.
 
         Raises
         ------
@@ -555,6 +564,10 @@ class ANFIS(RegressorMixin, BaseEstimator):  # type: ignore[misc]
                 break
             system = _moved(system, -step / length * gradient)
         return best, history
+
+
+def _numbered(inputs: int) -> list[str]:
+    return [f"in{i + 1}" for i in range(inputs)]
 
 
 def _moved(system: Sugeno, change: Array) -> Sugeno:

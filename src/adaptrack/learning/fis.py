@@ -1,7 +1,8 @@
 """The text files of MATLAB's Fuzzy Logic Toolbox (`.fis`, version 2.0), for Sugeno systems.
 
 Read and written are: product as AND, weighted average as output, Gaussian and generalised-bell membership functions,
-linear and constant outputs, rule weights, inputs that a rule does not ask (0). Everything else is refused, with its line.
+linear and constant outputs, rule weights, inputs that a rule does not ask (0). Everything else is refused, with its
+line.
 """
 
 from __future__ import annotations
@@ -76,7 +77,6 @@ def write_fis(estimator: ANFIS, path: str | os.PathLike[str], name: str = "anfis
 
 def _text(estimator: ANFIS, name: str) -> str:
     system: Sugeno = estimator.system_
-    inputs = getattr(estimator, "feature_names_in_", [f"in{i + 1}" for i in range(system.n_inputs)])
     lines = [
         "[System]",
         f"Name='{_plain(name)}'",
@@ -92,7 +92,7 @@ def _text(estimator: ANFIS, name: str) -> str:
         "DefuzzMethod='wtaver'",
     ]
     number = np.zeros(len(system.owner) + 1, dtype=np.intp)  # within its input, from 1; the last one is what ANY finds
-    for i, variable in enumerate(inputs):
+    for i, variable in enumerate(estimator.input_names_):
         own = np.flatnonzero(system.owner == i)
         number[own] = np.arange(1, len(own) + 1)
         lines += ["", f"[Input{i + 1}]", f"Name='{_plain(variable)}'", f"Range={_list(estimator.input_range_[i])}"]
@@ -176,11 +176,8 @@ class _Reader:
             consequents=np.array(consequents),
             weights=np.array(weights),
         )
-        estimator = ANFIS.from_system(made, [variable.range for variable in variables], answer.range)
-        names = [variable.name for variable in variables]
-        if all(names) and len(set(names)) == len(names):
-            estimator.feature_names_in_ = np.array(names, dtype=object)
-        return estimator
+        names = [variable.name or f"in{i + 1}" for i, variable in enumerate(variables)]
+        return ANFIS.from_system(made, [variable.range for variable in variables], answer.range, names)
 
     def _divide(self, text: str) -> None:
         """Into sections, their keys, and the rules."""
@@ -315,9 +312,7 @@ class _Reader:
             self.fail(value.line, "a negative number (NOT) is not supported.")
         for i, (number, variable) in enumerate(zip(asked, variables, strict=True), start=1):
             if number > len(variable.functions):
-                self.fail(
-                    value.line, f"input {i} has {len(variable.functions)} functions, number {number} is asked for."
-                )
+                self.fail(value.line, f"input {i} has {len(variable.functions)} functions, the rule asks for {number}.")
         if match[4] != "1" and sum(number > 0 for number in asked) > 1:
             self.fail(value.line, "a rule that joins its inputs by OR (: 2) is not supported; only AND (: 1) is.")
         weight = self.numbers(match[3], value.line)

@@ -128,8 +128,8 @@ def grid(x: Array, n_mfs: int | Sequence[int]) -> Partition:
     sizes = [whole("grid", "n_mfs", size) for size in sizes]
     if math.prod(sizes) > MOST_GRID_RULES:
         raise InvalidInput(
-            f"grid: {' x '.join(map(str, sizes))} functions make {math.prod(sizes)} rules, at most {MOST_GRID_RULES} are "
-            "allowed; take fewer functions, or partition='subtractive', whose rules follow the data."
+            f"grid: {' x '.join(map(str, sizes))} functions make {math.prod(sizes)} rules, at most {MOST_GRID_RULES} "
+            "are allowed; take fewer functions, or partition='subtractive', whose rules follow the data."
         )
     low, span = x.min(axis=0), _span(x)
     centres, sigmas = [], []

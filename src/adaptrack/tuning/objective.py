@@ -117,13 +117,14 @@ class Objective:
         from adaptrack.kernels import tuning as kernels
 
         swarm, space = swarm or SwarmSettings(), space or SearchSpace.tuning()
-        arena = _Arena(self, condition, swarm.particles, space.high[0], space.high[1])
+        lanes = min(swarm.particles, _LANES)
+        arena = _Arena(self, condition, lanes, space.high[0], space.high[1])
         particles = rules.particles(swarm.particles, 4)
         trace = np.empty(swarm.generations)
         evaluations, steps = kernels.tune(
             seed, stream, swarm.packed(space), space.packed(), particles, np.zeros((swarm.particles, 4)), trace,
             np.empty(swarm.particles),
-            arena.noise, self.price, *arena.arguments(swarm.particles),
+            arena.noise, self.price, *arena.arguments(lanes),
         )  # fmt: skip
         return Tuned(
             space.values(particles.leader), float(particles.progress[rules.LEADER_COST]), trace, evaluations, steps
