@@ -1,7 +1,8 @@
 """Timings of the package on the machine at hand, beside a plain NumPy + DAQP controller in the same run.
 
 The baseline is the textbook loop: matrices of eqs. (8)-(17) formed with NumPy and `scipy.linalg.expm` at every step,
-the QP handed to DAQP's Python interface. Its vehicle is ours, compiled, so the ratio is the controller's.
+the QP handed to DAQP's Python interface. Its vehicle is ours, compiled, so the ratio is the controller's; BLAS is held
+to one thread, which is the fastest for matrices this small.
 """
 
 from __future__ import annotations
@@ -9,6 +10,7 @@ from __future__ import annotations
 import os
 import platform
 import time
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
@@ -17,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adaptrack.mpc import MPC, Command, Condition, Tuning
-from adaptrack.plant import DualTrack
+from adaptrack.plant import DualTrack, Plant
 from adaptrack.prediction import limit_bounds, limit_matrix
 from adaptrack.qp import QPStatus
 from adaptrack.scenario import Constant, Scenario, Sine, load_scenario
@@ -120,7 +122,8 @@ def bench_step(count: int = 4000) -> dict[str, Any]:
 
     timed(mpc, min(count, 50)), timed(plain, min(count, 50))
     ours, active = timed(mpc, count)
-    theirs, _ = timed(plain, min(count, max(200, count // 10)))
+    with one_blas_thread():
+        theirs, _ = timed(plain, min(count, max(200, count // 10)))
     return {
         "step_us_p50": float(np.percentile(ours, 50)),
         "step_us_p99": float(np.percentile(ours, 99)),
@@ -185,12 +188,7 @@ def bench_rollout(conditions: int = 150, threads: int | None = None) -> dict[str
     rate(False, threads)  # warm
     constant, varying, single = rate(False, threads), rate(True, threads), rate(False, 1)
     test = scenario(False)
-    plain_steps, begun = 0, time.perf_counter()
-    for i in range(4):
-        Np, Nc, q, r = tunings[i]
-        run = simulate(plant, PlainController(car, Tuning(int(Np), int(Nc), q, r)), test)
-        plain_steps += len(run)
-    plain = plain_steps / (time.perf_counter() - begun)
+    plain = _plain_rate([(plant, test, tunings[i]) for i in range(6)])
     return {
         "control_steps_per_s": constant,
         "control_steps_per_s_varying_speed": varying,
@@ -248,14 +246,7 @@ def bench_campaign(conditions: int = 48, threads: int | None = None) -> dict[str
     for tuning in few:
         objective.costs(sample[0], tuning[None])
     scalar = len(few) * 180 / (time.perf_counter() - begun)
-    begun, plain_steps = time.perf_counter(), 0
-    for i in range(4):
-        Np, Nc, q, r = few[i]
-        run = simulate(
-            objective.plant, PlainController(car, Tuning(int(Np), int(Nc), q, r)), objective.scenario(sample[i])
-        )
-        plain_steps += len(run)
-    plain = plain_steps / (time.perf_counter() - begun)
+    plain = _plain_rate([(objective.plant, objective.scenario(sample[i]), few[i]) for i in range(6)])
     return {
         "control_steps_per_s": (steps + rows * 180) / (swarm_time + landscape_time),
         "nominal_steps_per_s": nominal,
@@ -270,6 +261,23 @@ def bench_campaign(conditions: int = 48, threads: int | None = None) -> dict[str
         "threads": threads,
         **_machine(),
     }
+
+
+def one_blas_thread() -> Any:
+    """A context in which BLAS runs on one thread (two on small matrices are slower, and far slower on a busy core)."""
+    from threadpoolctl import threadpool_limits
+
+    return threadpool_limits(limits=1, user_api="blas")
+
+
+def _plain_rate(runs: Sequence[tuple[Plant, Scenario, Array]]) -> float:
+    """Control steps per second of `PlainController`."""
+    steps, car = 0, load_vehicle("paper")
+    with one_blas_thread():
+        begun = time.perf_counter()
+        for plant, test, (Np, Nc, q, r) in runs:
+            steps += len(simulate(plant, PlainController(car, Tuning(int(Np), int(min(Nc, Np)), q, r)), test))
+        return steps / (time.perf_counter() - begun)
 
 
 def _machine() -> dict[str, Any]:

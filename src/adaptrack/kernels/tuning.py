@@ -87,8 +87,9 @@ def tune(
     """One run of the swarm (see `swarm`) over Np, Nc, Q, R; returns (evaluations, control steps done).
 
     On return swarm.leader is the best position, swarm.progress[LEADER_COST] its cost, and trace_of_costs
-    (generations,) the best cost after each generation; tunings (particles, 4) is scratch. The particles ride `lanes` at a
-    time. A particle's run is stopped once it cannot improve on that particle's best: the swarm takes the same way as without, in less time.
+    (generations,) the best cost after each generation; tunings (particles, 4) is scratch. The particles ride `lanes`
+    at a time. A particle's run is stopped once it cannot improve on that particle's best: the swarm takes the same way
+    as without, in less time.
     """
     steps = 0
     begin(seed, stream, swarm_settings, space, swarm)
