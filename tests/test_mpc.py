@@ -399,12 +399,12 @@ def test_every_back_end_gives_the_move_of_the_kernel(name, output, rng):
         transfer(exact, other)
         limited += expected.at_limit > 0
         solved += not command.held
-        if command.held:  # a first-order method may not get there: then it must not steer
+        if command.held:  # not an active-set method: it may not get there, and then it must not steer
             assert command.status is QPStatus.CAPPED
         else:
             assert command.status is QPStatus.SOLVED
             assert command.move == pytest.approx(expected.move, abs=max(1e-6, solver.accuracy))
-    assert solved == 20 or name == "osqp"
+    assert solved == 20 or name in ("osqp", "piqp", "clarabel")
     assert limited > 5
 
 
