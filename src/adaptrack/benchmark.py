@@ -255,12 +255,33 @@ def bench_campaign(conditions: int = 48, threads: int | None = None) -> dict[str
         "runs_per_s": (runs + rows) / (swarm_time + landscape_time),
         "ratio_to_python_daqp": nominal / plain,
         "ratio_to_scalar": nominal / scalar,
+        "step_ns_per_core": 1e9 * threads * (swarm_time + landscape_time) / (steps + rows * 180),
+        "of_which_plant_ns": _plant_ns(objective.plant, sample),
         "python_daqp_steps_per_s": plain,
         "scalar_steps_per_s": scalar,
         "conditions": conditions,
         "threads": threads,
         **_machine(),
     }
+
+
+def _plant_ns(plant: Plant, conditions: Array) -> float:
+    """Nanoseconds that a full block's integration takes per vehicle and control period, mean over the conditions."""
+    from adaptrack.kernels import integrate
+
+    period, packed = 0.1, plant.packed()
+    block = np.zeros((integrate.BLOCK // integrate.LANES, integrate.LANES))
+    times = []
+    for speed in conditions[:, 0]:
+        steps = plant.substeps(period, float(speed))
+        block[:] = 0.0
+        block[3], block[13], block[16:20] = speed, 0.02, 0.7
+        flat = block.reshape(-1)
+        begun = time.perf_counter()
+        for _ in range(20):
+            integrate.integrate(plant.kind, packed, flat, integrate.LANES, steps, period / steps)
+        times.append((time.perf_counter() - begun) / 20)
+    return 1e9 * float(np.median(times)) / integrate.LANES
 
 
 def one_blas_thread() -> Any:
