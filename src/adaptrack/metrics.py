@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adaptrack.errors import InvalidInput
+from adaptrack.plant import ROAD
 from adaptrack.trajectory import Trajectory
 
 LOST_BEYOND = 5.0
@@ -27,7 +28,7 @@ SPIN_BEYOND = math.pi / 4
 SLOW = 1.0
 """m/s: below it sideslip and path heading are ill-defined, and samples are not judged by them."""
 
-ROAD_ACTIVITY_PRICE = 3.0
+ROAD_ACTIVITY_PRICE = ROAD.move_price
 """m²/rad², what the road profile's tuning cost charges for steering activity; the paper charges nothing."""
 
 AT_CHANGE_LIMIT, AT_ANGLE_LIMIT, AT_OUTPUT_LIMIT = 1, 2, 4

@@ -93,10 +93,18 @@ def _rows(signals: Signals) -> Array:
     return np.ascontiguousarray(np.vstack([signals.y_ref, signals.speed, signals.friction.T, signals.wind.T]))
 
 
-def _start(scenario: Scenario | Signals, signals: Signals) -> Array:
+def _start(scenario: Scenario, signals: Signals) -> Array:
     """X, Y, yaw, v_x, v_y, yaw rate at the start."""
-    y, yaw = (scenario.initial_y, scenario.start_heading) if isinstance(scenario, Scenario) else (0.0, 0.0)
-    return np.array([0.0, y, yaw, signals.speed[0], 0.0, 0.0])
+    return np.array([0.0, scenario.initial_y, scenario.start_heading, signals.speed[0], 0.0, 0.0])
+
+
+def vehicle_arrays(plant: Plant) -> tuple[Array, Array, Array]:
+    """What the kernels need to move a block of vehicles: the block, a user's plant's own states, scratch."""
+    from adaptrack.kernels import integrate
+    from adaptrack.kernels.dynamics import STATES
+
+    n = len(plant.state_names)
+    return np.zeros(integrate.BLOCK), np.zeros((integrate.LANES, n)), np.zeros((7, max(n, STATES)))
 
 
 def _outfit(plant: Plant, profile: str | Profile) -> tuple[Plant, Profile]:
@@ -152,9 +160,8 @@ def simulate(
     rows = samples.reshape(1, *samples.shape)
     substeps = plant.substeps(controller.period, float(signals.speed.max()))
     lap = _loop_settings(plant, profile, driver, substeps, lost_beyond)
-    states = len(plant.state_names)
-    block, own = np.zeros(integrate.BLOCK), np.zeros((integrate.LANES, states))
-    work, seen, measured = np.zeros((7, max(states, STATES))), np.zeros(2), np.zeros(4)
+    block, own, work = vehicle_arrays(plant)
+    seen, measured = np.zeros(2), np.zeros(4)
     memory = loop.memory(1)
     packed, function, kind = plant.packed(), plant.function, plant.kind
     lanes = block.reshape(-1, integrate.LANES)
@@ -206,19 +213,9 @@ def rollout(
     """
     _refuse_nonsense(scenario, seed, lost_beyond)
     batch = Batch(plant, mpc, [scenario], profile, driver, lost_beyond)
-    result, trace = batch.run(np.zeros(1, np.int64), mpc.tuning.as_array()[None], np.array([seed]), 1, traced=True)
-    del result
-    return _trajectory(
-        batch.plant,
-        mpc,
-        scenario,
-        batch.signals[0],
-        batch.profile,
-        driver,
-        seed,
-        trace[0],
-        np.full(len(trace[0]), np.nan),
-    )
+    _, trace = batch.run(np.zeros(1, np.int64), mpc.tuning.as_array()[None], np.array([seed]), 1, traced=True)
+    times = np.full(len(trace[0]), np.nan)
+    return _trajectory(batch.plant, mpc, scenario, batch.signals[0], batch.profile, driver, seed, trace[0], times)
 
 
 @dataclass(frozen=True, eq=False)
@@ -366,7 +363,6 @@ class Batch:
     ) -> tuple[Array, Array]:
         """Results (runs, RESULT) and traces (runs, periods or 0, TRACE)."""
         from adaptrack.kernels import integrate, loop
-        from adaptrack.kernels.dynamics import STATES
 
         runs, n = len(which), self.signals[0].n
         result = np.empty((runs, len(loop.RESULT)))
@@ -384,9 +380,7 @@ class Batch:
         def work() -> None:
             lanes = min(integrate.LANES, runs)
             ws = loop.workspace(lanes, settings)
-            states = len(self.plant.state_names)
-            block, own = np.zeros(integrate.BLOCK), np.zeros((integrate.LANES, states))
-            scratch = np.zeros((7, max(states, STATES)))
+            block, own, scratch = vehicle_arrays(self.plant)
             while True:
                 try:
                     chunk = chunks.get_nowait()

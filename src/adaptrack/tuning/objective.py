@@ -16,7 +16,7 @@ from adaptrack.errors import InvalidInput
 from adaptrack.mpc import MPC
 from adaptrack.plant import Plant, Profile, load_profile
 from adaptrack.scenario import Scenario, load_scenario
-from adaptrack.simulate import Batch
+from adaptrack.simulate import Batch, vehicle_arrays
 from adaptrack.tuning.pso import SearchSpace, SwarmSettings
 
 Array = NDArray[np.float64]
@@ -88,17 +88,18 @@ class Objective:
     def costs(self, condition: ArrayLike, tunings: ArrayLike) -> Array:
         """J of each of the tunings (n, 4) on one condition, (n,); inf where a run was lost."""
         from adaptrack.kernels import tuning as kernels
+        from adaptrack.kernels.integrate import LANES
 
         asked = np.array(tunings, dtype=np.float64, ndmin=2)
         costs = np.empty(len(asked))
-        arena = _Arena(self, condition, min(len(asked), _LANES), asked[:, 0].max(), asked[:, 1].max())
-        for first in range(0, len(asked), _LANES):
-            part = np.ascontiguousarray(asked[first : first + _LANES])
+        arena = _Arena(self, condition, min(len(asked), LANES), asked[:, 0].max(), asked[:, 1].max())
+        for first in range(0, len(asked), LANES):
+            part = np.ascontiguousarray(asked[first : first + LANES])
             found = np.empty(len(part))
             never = np.full(len(part), np.inf)
             arena.memory[:, arena.key] = np.nan
             kernels.evaluate(part, never, arena.noise, self.price, found, *arena.arguments(len(part)))
-            costs[first : first + _LANES] = found
+            costs[first : first + LANES] = found
         return costs
 
     landscape = costs
@@ -115,9 +116,10 @@ class Objective:
         """The best tuning that one swarm finds on a condition; the swarm's random numbers are those of its stream."""
         from adaptrack.kernels import swarm as rules
         from adaptrack.kernels import tuning as kernels
+        from adaptrack.kernels.integrate import LANES
 
         swarm, space = swarm or SwarmSettings(), space or SearchSpace.tuning()
-        lanes = min(swarm.particles, _LANES)
+        lanes = min(swarm.particles, LANES)
         arena = _Arena(self, condition, lanes, space.high[0], space.high[1])
         particles = rules.particles(swarm.particles, 4)
         trace = np.empty(swarm.generations)
@@ -131,27 +133,23 @@ class Objective:
         )
 
 
-_LANES = 32
-
-
 class _Arena:
     """The kernels' arrays for runs of one condition."""
 
     def __init__(self, objective: Objective, condition: ArrayLike, lanes: int, longest: float, most: float) -> None:
-        from adaptrack.kernels import integrate, loop
-        from adaptrack.kernels.dynamics import STATES
+        from adaptrack.kernels import loop
 
         batch = Batch(objective.plant, objective.mpc, [objective.scenario(condition)], objective.profile)
         settings = batch.sized(longest, most)
-        states = len(batch.plant.state_names)
+        block, own, scratch = vehicle_arrays(batch.plant)
         self.key = loop.KEY
         self.noise = np.array(objective.noise_seeds, dtype=np.int64)
         self.memory = loop.memory(lanes)
         self._fixed: tuple[Any, ...] = (
-            batch.function, batch.packed, np.zeros(integrate.BLOCK), np.zeros((integrate.LANES, states)),
-            np.zeros((7, max(states, STATES))), batch.model, settings, batch.loops[int(batch.substeps[0])],
-            batch.samples, np.zeros(lanes, np.int64), np.zeros(lanes, np.int64), self.memory,
-            np.zeros((lanes, len(loop.RECORD))), loop.workspace(lanes, settings), np.zeros((0, 2)),
+            batch.function, batch.packed, block, own, scratch, batch.model, settings,
+            batch.loops[int(batch.substeps[0])], batch.samples,
+            np.zeros(lanes, np.int64), np.zeros(lanes, np.int64), self.memory, np.zeros((lanes, len(loop.RECORD))),
+            loop.workspace(lanes, settings), np.zeros((0, 2)),
             np.repeat(batch.starts, lanes, axis=0), np.zeros(lanes), np.zeros((lanes, len(loop.RESULT))),
             np.zeros((lanes, 0, loop.TRACE)),
         )  # fmt: skip
