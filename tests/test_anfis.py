@@ -11,7 +11,8 @@ from sklearn.utils.estimator_checks import check_estimator
 from adaptrack.errors import InvalidInput
 from adaptrack.learning import ANFIS, Sugeno, subtractive_clustering
 from adaptrack.learning import anfis as module
-from adaptrack.learning.anfis import ANY, CENTRE, SLOPE, WIDTH
+from adaptrack.learning import sugeno
+from adaptrack.learning.sugeno import ANY, CENTRE, SLOPE, WIDTH
 
 
 def data(n=300, inputs=2, seed=0):
@@ -50,8 +51,8 @@ def test_the_layers_are_the_papers_equations():
         mu[:, m] = 1 / (1 + np.abs(away) ** (2 * slope)) if system.bell[m] else np.exp(-(away**2) / 2)
     w = system.weights * np.column_stack((mu[:, 0] * mu[:, 3], mu[:, 1], mu[:, 2] * mu[:, 4]))
     f = x @ system.consequents[:, :2].T + system.consequents[:, 2]
-    np.testing.assert_allclose(np.exp(module.fuzzify(x, system)), mu, rtol=1e-13)
-    np.testing.assert_allclose(np.exp(module.fire(np.log(mu), system)), w, rtol=1e-13)
+    np.testing.assert_allclose(np.exp(sugeno.fuzzify(x, system)), mu, rtol=1e-13)
+    np.testing.assert_allclose(np.exp(sugeno.fire(np.log(mu), system)), w, rtol=1e-13)
     np.testing.assert_allclose(system.strengths(x), w / w.sum(axis=1, keepdims=True), rtol=1e-13)
     np.testing.assert_allclose(system.predict(x), (w * f).sum(axis=1) / w.sum(axis=1), rtol=1e-12)
 
@@ -67,7 +68,7 @@ def test_normalised_strengths_sum_to_one_however_far_from_the_rules(far):
 def test_a_bell_is_smooth_at_its_centre():
     system = some_system(bell=True)
     x = system.premises[[0, 3], CENTRE][np.newaxis]
-    assert np.exp(module.fuzzify(x, system))[0, [0, 3]] == pytest.approx(1.0)
+    assert np.exp(sugeno.fuzzify(x, system))[0, [0, 3]] == pytest.approx(1.0)
     assert np.isfinite(module.premise_gradient(system, x, np.array([1.0]))).all()
 
 
@@ -281,7 +282,7 @@ def test_a_grid_has_a_rule_for_each_combination(n_mfs, rules):
 def test_neighbours_of_a_grid_cross_at_one_half(membership):
     x = np.linspace(0.0, 4.0, 50)[:, np.newaxis]
     system = ANFIS("grid", n_mfs=3, epochs=0, membership=membership).fit(x, x[:, 0]).system_
-    np.testing.assert_allclose(np.exp(module.fuzzify(np.array([[1.0]]), system))[0, :2], 0.5, rtol=1e-12)
+    np.testing.assert_allclose(np.exp(sugeno.fuzzify(np.array([[1.0]]), system))[0, :2], 0.5, rtol=1e-12)
 
 
 def test_pruning_removes_the_rules_that_no_data_fire():

@@ -7,7 +7,7 @@ import pytest
 
 from adaptrack.errors import ConfigError, InvalidInput, StorageError
 from adaptrack.learning import ANFIS, read_fis, write_fis
-from adaptrack.learning.anfis import ANY
+from adaptrack.learning.sugeno import ANY
 
 SAMPLE = """\
 [System]

@@ -133,7 +133,10 @@ class Moves:
 
 
 class Condition(NamedTuple):
-    """What a scheduler may look at (the paper's four inputs) at one control instant."""
+    """What a scheduler may look at at one control instant: the paper's four inputs, and the demand of the road ahead.
+
+    `demand` computes `change` and `acceleration` from a planned reference.
+    """
 
     speed: float
     """m/s, v_x"""
@@ -143,6 +146,31 @@ class Condition(NamedTuple):
     """mean of the four wheels"""
     wind: float
     """m/s, v_w: velocity of the air along +Y"""
+    change: float = 0.0
+    """m, largest |y_ref(t + s) - y_ref(t)| over the next `LOOK_AHEAD` seconds s"""
+    acceleration: float = 0.0
+    """m/s^2, largest |second derivative of y_ref| over the same stretch"""
+    offset: float = 0.0
+    """m, y_ref - y"""
+
+
+LOOK_AHEAD = 3.0
+"""s, how far ahead the demand of the road is looked for."""
+
+
+def demand(reference: ArrayLike, period: float, instants: int = 1) -> tuple[Array, Array]:
+    """`Condition.change` (m) and `Condition.acceleration` (m/s^2), each (instants,), at the first control instants.
+
+    reference: y_ref (m) at the instants, one `period` (s) apart; what lies beyond its end counts as standing still.
+    """
+    y = np.asarray(reference, dtype=float)
+    ahead = max(2, round(LOOK_AHEAD / period))
+    y = np.concatenate([y[: instants + ahead], np.full(max(0, instants + ahead - len(y)), y[-1])])
+    windows = np.lib.stride_tricks.sliding_window_view(y, ahead + 1)
+    change = np.abs(windows[:, 1:] - windows[:, :1]).max(axis=1)
+    bend = np.abs(np.diff(y, 2)) / period**2
+    acceleration = np.lib.stride_tricks.sliding_window_view(bend, ahead - 1).max(axis=1)
+    return change[:instants], acceleration[:instants]
 
 
 @runtime_checkable
@@ -151,6 +179,18 @@ class Scheduler(Protocol):
 
     def __call__(self, condition: Condition) -> Tuning | tuple[float, float, float, float]:
         """(Np, Nc, Q, R) for `condition`."""
+
+
+@runtime_checkable
+class CompiledScheduler(Scheduler, Protocol):
+    """A scheduler that compiled runs can ask, see `kernels.inference`."""
+
+    def plan(self, lanes: int) -> Any:
+        """The packed scheduler with a fresh memory for `lanes` runs."""
+
+    @property
+    def largest(self) -> tuple[int, int]:
+        """The longest Np and Nc that it can ask for."""
 
 
 class Command(NamedTuple):
@@ -286,15 +326,24 @@ class MPC:
 
     def reset(self) -> None:
         """Forget the past: the next step is the first, from steering angle 0."""
-        from adaptrack.kernels import loop
+        from adaptrack.kernels import inference, loop
 
-        self._loop = loop
+        self._loop, self._inference = loop, inference
         self._settings = self.settings()
         self._packed = self.model.packed()
         self._workspace = loop.workspace(1, self._settings)
         self._memory = loop.memory(1)
         self._record = np.zeros((1, len(loop.RECORD)))
         self._asked = self.tuning.as_array()
+        self._plan = self.scheduler.plan(1) if isinstance(self.scheduler, CompiledScheduler) else None
+        self._look = np.zeros(len(Condition._fields))
+
+    @property
+    def scheduler_counts(self) -> dict[str, int]:
+        """What a compiled scheduler has counted since the last reset, by name; see `schedule.COUNTS`."""
+        if self._plan is None:
+            return {}
+        return {name: int(self._plan.state[0, i]) for i, name in enumerate(self._inference.COUNTS)}
 
     @property
     def angle(self) -> float:
@@ -321,7 +370,11 @@ class MPC:
         if self.scheduler is not None:
             if condition is None:
                 raise InvalidInput("this MPC has a scheduler: step(..., condition=Condition(...)) is needed.")
-            self._asked[:] = astuple(self.scheduler(condition))
+            if self._plan is None:
+                self._asked[:] = astuple(self.scheduler(condition))
+            else:
+                self._look[:] = condition
+                self._inference.schedule(0, self._look, self._plan, self._asked)
         self._workspace.measured[:] = measured
         if self.in_kernel:
             self._loop.mpc_step(
@@ -389,7 +442,9 @@ class MPC:
             "preview": self.preview,
             "solver": self.solver.name,
             "speed_floor": self.speed_floor,
-            "scheduler": None if self.scheduler is None else type(self.scheduler).__name__,
+            "scheduler": None
+            if self.scheduler is None
+            else getattr(self.scheduler, "name", type(self.scheduler).__name__),
         }
 
 

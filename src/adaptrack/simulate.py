@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from adaptrack.errors import InvalidInput, real, whole
-from adaptrack.mpc import MPC, Command, Condition
+from adaptrack.mpc import MPC, Command, CompiledScheduler, Condition, demand
 from adaptrack.plant import Plant, Profile, load_profile
 from adaptrack.scenario import Scenario, Signals
 from adaptrack.trajectory import Trajectory, provenance
@@ -89,8 +89,12 @@ def _loop_settings(plant: Plant, profile: Profile, driver: Driver | None, subste
 
 
 def _rows(signals: Signals) -> Array:
-    """A scenario's samples as the kernels read them, (8, n + 1)."""
-    return np.ascontiguousarray(np.vstack([signals.y_ref, signals.speed, signals.friction.T, signals.wind.T]))
+    """A scenario's samples as the kernels read them, (`kernels.loop.SIGNALS`, n + 1)."""
+    told = [signals.friction.mean(axis=1), signals.wind[:, 1]]
+    ahead = demand(signals.y_ref, signals.period, len(signals.y_ref))
+    return np.ascontiguousarray(
+        np.vstack([signals.y_ref, signals.speed, signals.friction.T, signals.wind.T, *told, *ahead])
+    )
 
 
 def _start(scenario: Scenario, signals: Signals) -> Array:
@@ -161,7 +165,7 @@ def simulate(
     substeps = plant.substeps(controller.period, float(signals.speed.max()))
     lap = _loop_settings(plant, profile, driver, substeps, lost_beyond)
     block, own, work = vehicle_arrays(plant)
-    seen, measured = np.zeros(2), np.zeros(4)
+    seen, measured, look = np.zeros(2), np.zeros(4), np.zeros(len(Condition._fields))
     memory = loop.memory(1)
     packed, function, kind = plant.packed(), plant.function, plant.kind
     lanes = block.reshape(-1, integrate.LANES)
@@ -177,7 +181,8 @@ def simulate(
         trace[k, :STATES] = lanes[:STATES, 0]
         loop.sense(k, 0, block, lap, seed, measured)
         speed = float(lanes[3, 0])
-        condition = Condition(speed, float(samples[0, k]), float(samples[2:6, k].mean()), float(samples[7, k]))
+        loop.look(k, speed, measured, rows, 0, look)
+        condition = Condition(*look.tolist())
         begun = time.perf_counter()
         command = controller.step(measured, speed, samples[0, k:], condition)
         times[k] = time.perf_counter() - begun
@@ -204,16 +209,16 @@ def rollout(
     seed: int = 0,
     lost_beyond: float = 1000.0,
 ) -> Trajectory:
-    """`simulate`, compiled: the same trajectory, without the step times. The MPC's tuning is constant.
+    """`simulate`, compiled: the same trajectory, without the step times.
 
     Raises
     ------
     InvalidInput
-        When the MPC needs Python at every step: a scheduler, or a QP back-end outside the kernels.
+        When the MPC needs Python at every step: a scheduler or a QP back-end outside the kernels.
     """
     _refuse_nonsense(scenario, seed, lost_beyond)
     batch = Batch(plant, mpc, [scenario], profile, driver, lost_beyond)
-    _, trace = batch.run(np.zeros(1, np.int64), mpc.tuning.as_array()[None], np.array([seed]), 1, traced=True)
+    _, trace, _ = batch.run(np.zeros(1, np.int64), mpc.tuning.as_array()[None], np.array([seed]), 1, traced=True)
     times = np.full(len(trace[0]), np.nan)
     return _trajectory(batch.plant, mpc, scenario, batch.signals[0], batch.profile, driver, seed, trace[0], times)
 
@@ -242,6 +247,8 @@ class BatchResult:
     """steps at a limit"""
     qp_iterations: NDArray[np.int64]
     """of the QP solver, in all steps"""
+    scheduler: dict[str, NDArray[np.int64]]
+    """what the scheduler counted, by name, see `schedule.Counts`; empty without one"""
 
     def cost(self, move_price: float = 0.0) -> Array:
         """J = mean e^2 + move_price * mean (change of command)^2, the cost that tuning minimises; inf when lost."""
@@ -252,7 +259,7 @@ def rollout_batch(
     plant: Plant,
     mpc: MPC,
     scenarios: Scenario | Sequence[Scenario],
-    tunings: ArrayLike,
+    tunings: ArrayLike | None = None,
     *,
     which: ArrayLike | None = None,
     profile: str | Profile = "paper",
@@ -264,18 +271,23 @@ def rollout_batch(
     """Many runs at once, compiled and vectorised: run i drives scenario which[i] with tunings[i] and seeds[i].
 
     tunings: (runs, 4) of Np, Nc, Q, R, the horizons rounded and clamped to 1 <= Nc <= Np <= mpc.longest_horizon and
-    mpc.most_moves; which: (runs,) indices into `scenarios`, by default 0; seeds: noise seeds, one or one per run;
-    threads: None for all cores. A run's result does not depend on the others, nor on the number of threads.
+    mpc.most_moves; without them every run has the MPC's scheduler, or its tuning; which: (runs,) indices into
+    `scenarios`, by default 0, without tunings one run for each; seeds: noise seeds, one or one per run; threads: None for all cores. A run's result does not depend on the others, nor on the number of threads.
     The scenarios must last equally long.
 
     Raises
     ------
     InvalidInput
-        When shapes do not fit, a tuning is not finite, or the MPC needs Python at every step.
+        When shapes do not fit, a tuning is not finite, tunings meet a scheduler, or the MPC needs Python at every step.
     """
     batch = Batch(
         plant, mpc, [scenarios] if isinstance(scenarios, Scenario) else scenarios, profile, driver, lost_beyond
     )
+    if tunings is None:
+        which = np.arange(len(batch.signals)) if which is None else which
+        tunings = np.repeat(mpc.tuning.as_array()[None], np.size(which), axis=0)
+    elif mpc.scheduler is not None:
+        raise InvalidInput("tunings: this MPC has a scheduler, which chooses them; leave them out.")
     asked = np.array(tunings, dtype=np.float64, ndmin=2)
     if asked.ndim != 2 or asked.shape[1] != 4 or not np.isfinite(asked).all():
         raise InvalidInput(f"tunings: need finite (runs, 4) of Np, Nc, Q, R; got shape {asked.shape}.")
@@ -292,9 +304,13 @@ def rollout_batch(
     if seeded.shape not in ((), (runs,)):
         raise InvalidInput(f"seeds: need one, or one for each of the {runs} runs; got shape {seeded.shape}.")
     seeded = np.broadcast_to(seeded, (runs,)).copy()
-    result, _ = batch.run(index, asked, seeded, threads or os.cpu_count() or 1)
+    result, _, counts = batch.run(index, asked, seeded, threads or os.cpu_count() or 1)
+    return batch_result(result, counts)
 
-    from adaptrack.kernels import loop
+
+def batch_result(result: Array, counts: Array) -> BatchResult:
+    """What `Batch.run` gave, by name."""
+    from adaptrack.kernels import inference, loop
 
     steps = np.maximum(result[:, loop.INSTANTS], 1.0)
     return BatchResult(
@@ -308,6 +324,9 @@ def rollout_batch(
         held=result[:, loop.RUN_HELD].astype(np.int64),
         limited=result[:, loop.LIMITED].astype(np.int64),
         qp_iterations=result[:, loop.RUN_ITERATIONS].astype(np.int64),
+        scheduler={
+            name: counts[:, i].astype(np.int64) for i, name in enumerate(inference.COUNTS) if counts.shape[1] > 0
+        },
     )
 
 
@@ -323,10 +342,11 @@ class Batch:
         driver: Driver | None = None,
         lost_beyond: float = 1000.0,
     ) -> None:
-        if mpc.scheduler is not None or not mpc.in_kernel:
+        self.scheduler = mpc.scheduler
+        if not (self.scheduler is None or isinstance(self.scheduler, CompiledScheduler)) or not mpc.in_kernel:
             raise InvalidInput(
-                "compiled runs need a constant tuning and a QP solver of the kernels ('active-set', 'hildreth'); "
-                "use simulate(...) for this MPC."
+                "compiled runs need a scheduler of adaptrack.schedule, or none, and a QP solver of the kernels "
+                "('active-set', 'hildreth'); use simulate(...) for this MPC."
             )
         self.plant, self.profile = _outfit(plant, profile)
         self.mpc = mpc
@@ -360,14 +380,22 @@ class Batch:
 
     def run(
         self, which: NDArray[np.int64], tunings: Array, seeds: NDArray[np.int64], threads: int, traced: bool = False
-    ) -> tuple[Array, Array]:
-        """Results (runs, RESULT) and traces (runs, periods or 0, TRACE)."""
-        from adaptrack.kernels import integrate, loop
+    ) -> tuple[Array, Array, Array]:
+        """Results (runs, RESULT), traces (runs, periods or 0, TRACE), and the scheduler's counts (runs, COUNTS or 0).
+
+        With a scheduler, `tunings` are what it begins with.
+        """
+        from adaptrack.kernels import inference, integrate, loop
 
         runs, n = len(which), self.signals[0].n
         result = np.empty((runs, len(loop.RESULT)))
         trace = np.full((runs, n if traced else 0, loop.TRACE), np.nan)
-        settings = self.settings if traced else self.sized(tunings[:, 0].max(initial=1), tunings[:, 1].max(initial=1))
+        scheduler = self.scheduler
+        counts = np.zeros((runs, 0 if scheduler is None else len(inference.COUNTS)))
+        longest, most = tunings[:, 0].max(initial=1), tunings[:, 1].max(initial=1)
+        if isinstance(scheduler, CompiledScheduler):
+            longest, most = max(longest, scheduler.largest[0]), max(most, scheduler.largest[1])
+        settings = self.settings if traced else self.sized(longest, most)
         # Lanes of one block integrate with the same number of steps.
         chunks: queue.SimpleQueue[NDArray[np.int64]] = queue.SimpleQueue()
         count = 0
@@ -389,15 +417,17 @@ class Batch:
                 size = len(chunk)
                 part = np.zeros((size, len(loop.RESULT)))
                 part_trace = np.full((size, trace.shape[1], loop.TRACE), np.nan)
+                plan = scheduler.plan(size) if isinstance(scheduler, CompiledScheduler) else inference.no_schedule()
                 loop.rollout(
                     n, size, self.function, self.packed, block, own, scratch, self.model, settings,
                     self.loops[int(self.substeps[which[chunk[0]]])], self.samples, which[chunk],
                     np.ascontiguousarray(tunings[chunk]), seeds[chunk], loop.memory(size),
-                    np.zeros((size, len(loop.RECORD))), ws, np.zeros((size if traced else 0, 2)),
+                    np.zeros((size, len(loop.RECORD))), ws, plan, np.zeros((size if traced else 0, 2)),
                     self.starts[which[chunk]], np.full(size, np.inf), 0.0, part, part_trace,
                 )  # fmt: skip
                 result[chunk] = part
                 trace[chunk] = part_trace
+                counts[chunk] = plan.state[:size, : counts.shape[1]]
 
         workers = max(1, min(threads, count))
         if workers == 1:
@@ -406,7 +436,7 @@ class Batch:
             with ThreadPoolExecutor(workers) as pool:
                 for future in [pool.submit(work) for _ in range(workers)]:
                     future.result()
-        return result, trace
+        return result, trace, counts
 
 
 def _trajectory(

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numba import njit, types
 
-from . import qp, simd
+from . import inference, qp, simd
 from .abi import (
     INLINE,
     INLINED_ROUTINE,
@@ -127,8 +127,12 @@ COMMAND, CHANGE, STATUS, ITERATIONS, RESIDUAL, AT_LIMIT, HELD, R_NP, R_NC, R_Q, 
 AT_MOVE, AT_ANGLE, AT_OUTPUT = 1, 2, 4
 
 # -- a scenario's samples, a row per signal ---------------------------------------------------------------------------
-SIGNALS = ("y_ref", "speed", "mu_fl", "mu_fr", "mu_rl", "mu_rr", "wind_x", "wind_y")
-Y_REF, SPEED, FRICTION, WIND = 0, 1, 2, 6
+SIGNALS = (
+    "y_ref", "speed", "mu_fl", "mu_fr", "mu_rl", "mu_rr", "wind_x", "wind_y",
+    "told_friction", "told_wind", "change", "acceleration",
+)  # fmt: skip
+Y_REF, SPEED, FRICTION, WIND, TOLD = 0, 1, 2, 6, 8
+"""From TOLD on: what a scheduler is told of friction, wind and the demand ahead, see `mpc.Condition`."""
 
 FOUR_DIMENSIONS = types.Array(types.float64, 4, "C")
 _FIELDS = (
@@ -145,6 +149,7 @@ _FIELDS = (
     ("reference", vector),  # (Np,) R_s
     ("error", vector),  # (Np,) R_s - F x~
     ("measured", vector),  # (4,) x_c as measured
+    ("condition", vector),  # what a scheduler looks at
     ("change", vector),  # (4,) x_c(k) - x_c(k-1)
     ("gradient", vector),  # (n,) K
     ("solution", vector),  # (n,)
@@ -184,6 +189,7 @@ def workspace(lanes: int, settings: Any) -> Any:
         reference=np.zeros(np_),
         error=np.zeros(np_ + n + 8),
         measured=np.zeros(4),
+        condition=np.zeros(len(inference.CONDITION)),
         change=np.zeros(4),
         gradient=qp.aligned((n,)),
         solution=qp.aligned((n,)),
@@ -469,6 +475,16 @@ def sense(k, lane, block, loop, seed, measured):
             measured[c] += deviation * counted_normal(seed, k, c)
 
 
+@njit(types.void(int64, float64, vector, cube, int64, vector), **INLINED_ROUTINE)
+def look(k, speed, measured, signals, scenario, condition):
+    """Write what a scheduler may look at at instant k, see `inference.CONDITION`; measured: x_c, speed: v_x."""
+    condition[0] = speed
+    condition[1] = signals[scenario, Y_REF, k]
+    for j in range(4):
+        condition[2 + j] = signals[scenario, TOLD + j, k]
+    condition[6] = signals[scenario, Y_REF, k] - measured[3]
+
+
 @njit(types.void(int64, int64, float64, vector, float64, vector, cube, int64, matrix), **INLINED_ROUTINE)
 def actuate(k, lane, command, block, period, loop, signals, scenario, memory):
     """Write the inputs of a lane's vehicle for the period after instant k: steering, speed control, friction, wind."""
@@ -529,20 +545,20 @@ def move_vehicles(lanes, kind, derivative, p, block, states, plant_work, period,
 @njit(
     types.void(
         int64, int64, PLANT_FUNCTION, vector, vector, matrix, matrix, vector, vector, vector,
-        cube, int_vector, matrix, int_vector, matrix, matrix, WORKSPACE, matrix,
+        cube, int_vector, matrix, int_vector, matrix, matrix, WORKSPACE, inference.SCHEDULE, matrix,
     ),
     **ROUTINE,
 )  # fmt: skip
 def control_period(
     k, lanes, derivative, p, block, states, plant_work, model, settings, loop,
-    signals, scenario, tuning, seeds, memory, record, ws, seen,
+    signals, scenario, tuning, seeds, memory, record, ws, plan, seen,
 ):  # fmt: skip
     """Everything between the control instants k and k + 1, for the first `lanes` lanes.
 
     derivative, p: the plant (a built-in one ignores `derivative`); block: see `integrate`; states (LANES, n),
-    plant_work (7, max(n, STATES)): scratch; model, settings, loop: packed, see above; signals (S, 8, n + 1): the
-    sampled scenarios, of which lane i drives number scenario[i] with noise seeds[i] and tuning[i] = Np, Nc, Q, R;
-    memory (lanes, MEMORY) is read and updated, record (lanes, RECORD) written, and so is seen (lanes, 2), see
+    plant_work (7, max(n, STATES)): scratch; model, settings, loop: packed, see above; signals (S, SIGNALS, n + 1): the
+    sampled scenarios, of which lane i drives number scenario[i] with noise seeds[i] and tuning[i] = Np, Nc, Q, R, which
+    the scheduler `plan` writes, if it is one; memory (lanes, MEMORY) is read and updated, record (lanes, RECORD) written, and so is seen (lanes, 2), see
     `observe`, unless it is empty.
     """
     kind = int(loop[PLANT])
@@ -552,6 +568,9 @@ def control_period(
         waiting = memory[i, ANGLE]
         sense(k, i, block, loop, seeds[i], ws.measured)
         reference = signals[scenario[i], Y_REF, k:]
+        if plan.layout[inference.INPUTS] > 0:
+            look(k, block[3 * LANES + i], ws.measured, signals, scenario[i], ws.condition)
+            inference.schedule(i, ws.condition, plan, tuning[i])
         mpc_step(i, block[3 * LANES + i], reference, tuning[i], model, settings, memory, record, ws)
         command = waiting if loop[DELAY] > 0.5 else memory[i, ANGLE]
         actuate(k, i, command, block, settings[PERIOD], loop, signals, scenario[i], memory)
@@ -603,13 +622,14 @@ def place(lanes, start, block, states):
 @njit(
     types.void(
         int64, int64, PLANT_FUNCTION, vector, vector, matrix, matrix, vector, vector, vector,
-        cube, int_vector, matrix, int_vector, matrix, matrix, WORKSPACE, matrix, matrix, vector, float64, matrix, cube,
+        cube, int_vector, matrix, int_vector, matrix, matrix, WORKSPACE, inference.SCHEDULE,
+        matrix, matrix, vector, float64, matrix, cube,
     ),
     **ROUTINE,
 )  # fmt: skip
 def rollout(
     periods, lanes, derivative, p, block, states, plant_work, model, settings, loop,
-    signals, scenario, tuning, seeds, memory, record, ws, seen, start, ceiling, price, result, trace,
+    signals, scenario, tuning, seeds, memory, record, ws, plan, seen, start, ceiling, price, result, trace,
 ):  # fmt: skip
     """Whole runs of `lanes` lanes over `periods` control periods; arguments as for `control_period`, and
 
@@ -633,7 +653,7 @@ def rollout(
                     trace[i, k, j] = block[j * LANES + i]
         control_period(
             k, lanes, derivative, p, block, states, plant_work, model, settings, loop,
-            signals, scenario, tuning, seeds, memory, record, ws, seen,
+            signals, scenario, tuning, seeds, memory, record, ws, plan, seen,
         )  # fmt: skip
         running = 0
         for i in range(lanes):

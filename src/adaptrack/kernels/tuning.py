@@ -8,6 +8,7 @@ from numba import njit, types
 
 from .abi import ROUTINE, cube, float64, int64, int_vector, matrix, vector
 from .dynamics import PLANT_FUNCTION
+from .inference import SCHEDULE
 from .loop import (
     ACTIVE,
     ANGLE,
@@ -28,7 +29,7 @@ from .swarm import LEADER_COST, PARTICLES, begin, decode, learn, move
 
 _RUN = (
     int64, int64, PLANT_FUNCTION, vector, vector, matrix, matrix, vector, vector, vector,
-    cube, int_vector, int_vector, matrix, matrix, WORKSPACE, matrix, matrix, vector, matrix, cube,
+    cube, int_vector, int_vector, matrix, matrix, WORKSPACE, SCHEDULE, matrix, matrix, vector, matrix, cube,
 )  # fmt: skip
 
 
@@ -36,7 +37,7 @@ _RUN = (
 def evaluate(
     tunings, ceilings, noise, price, costs,
     periods, lanes, derivative, p, block, states, plant_work, model, settings, loop,
-    signals, scenario, seeds, memory, record, ws, seen, start, left, result, trace,
+    signals, scenario, seeds, memory, record, ws, plan, seen, start, left, result, trace,
 ):  # fmt: skip
     """Write the cost of each of the first `lanes` tunings (.., 4): J = mean e^2 + price * mean (change of command)^2.
 
@@ -59,7 +60,7 @@ def evaluate(
             left[i] = (ceilings[i] * count - costs[i]) * periods
         rollout(
             periods, lanes, derivative, p, block, states, plant_work, model, settings, loop,
-            signals, scenario, tunings, seeds, memory, record, ws, seen, start, left, price,
+            signals, scenario, tunings, seeds, memory, record, ws, plan, seen, start, left, price,
             result, trace,
         )  # fmt: skip
         for i in range(lanes):
@@ -82,7 +83,7 @@ def evaluate(
 def tune(
     seed, stream, swarm_settings, space, swarm, tunings, trace_of_costs, costs, noise, price,
     periods, lanes, derivative, p, block, states, plant_work, model, settings, loop,
-    signals, scenario, seeds, memory, record, ws, seen, start, left, result, trace,
+    signals, scenario, seeds, memory, record, ws, plan, seen, start, left, result, trace,
 ):  # fmt: skip
     """One run of the swarm (see `swarm`) over Np, Nc, Q, R; returns (evaluations, control steps done).
 
@@ -101,7 +102,7 @@ def tune(
             steps += evaluate(
                 tunings[first:], swarm.best_costs[first:], noise, price, costs[first:],
                 periods, min(lanes, count - first), derivative, p, block, states, plant_work, model, settings, loop,
-                signals, scenario, seeds, memory, record, ws, seen, start, left, result, trace,
+                signals, scenario, seeds, memory, record, ws, plan, seen, start, left, result, trace,
             )  # fmt: skip
         learn(costs, swarm)
         trace_of_costs[g] = swarm.progress[LEADER_COST]

@@ -16,7 +16,8 @@ from typing import NamedTuple, NoReturn
 import numpy as np
 
 from adaptrack.errors import ConfigError, InvalidInput, StorageError, whole
-from adaptrack.learning.anfis import ANFIS, ANY, SLOPE, WIDTH, Sugeno
+from adaptrack.learning.anfis import ANFIS
+from adaptrack.learning.sugeno import ANY, SLOPE, WIDTH, Sugeno
 from adaptrack.toml_files import write_atomically
 
 _FUNCTION = re.compile(r"'([^']*)'\s*:\s*'([^']*)'\s*,\s*\[([^\]]*)\]\s*")

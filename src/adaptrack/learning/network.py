@@ -1,0 +1,76 @@
+"""A small feed-forward network: the plain arrays that `MLP` learns, and that run online."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from adaptrack.errors import InvalidInput
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Network:
+    """D inputs, hidden layers of sigmoid neurons, one output: eqs. (21)-(23) of the paper.
+
+    H^1 = f(W^1 z), H^2 = f(W^2 H^1), O = g(W^3 H^2), each with a bias; f the sigmoid, g the ReLU, z the inputs scaled
+    so that `low` and `high` become 0 and 1; the target is out_low + (out_high - out_low) O.
+
+    Raises
+    ------
+    InvalidInput
+        When the arrays do not fit each other, or a number is not finite.
+    """
+
+    low: Array
+    """(D,) input that becomes 0"""
+    high: Array
+    """(D,) input that becomes 1"""
+    weights: tuple[Array, ...]
+    """of each layer, (inputs, neurons)"""
+    biases: tuple[Array, ...]
+    """of each layer, (neurons,)"""
+    out_low: float
+    """target at O = 0"""
+    out_high: float
+    """target at O = 1"""
+    relu: bool = True
+    """whether g is the ReLU, else the identity"""
+
+    def __post_init__(self) -> None:
+        wide = len(self.low)
+        fits = self.low.shape == self.high.shape == (wide,) and len(self.weights) == len(self.biases) > 0
+        for weights, biases in zip(self.weights, self.biases, strict=False):
+            fits = fits and weights.shape == (wide, len(biases)) and biases.ndim == 1
+            wide = len(biases)
+        if not fits or wide != 1:
+            raise InvalidInput(
+                "Network: the arrays do not fit each other; see the shapes in the class's documentation."
+            )
+        numbers = (self.low, self.high, *self.weights, *self.biases, np.array([self.out_low, self.out_high]))
+        if not all(np.isfinite(each).all() for each in numbers):
+            raise InvalidInput("Network: a weight, bias or scale is not finite.")
+        if not (self.high > self.low).all():
+            raise InvalidInput("Network: need low < high for every input.")
+
+    @property
+    def n_inputs(self) -> int:
+        return len(self.low)
+
+    @property
+    def n_parameters(self) -> int:
+        """Number of learned numbers: weights and biases."""
+        return sum(each.size for each in (*self.weights, *self.biases))
+
+    def predict(self, x: Array) -> Array:
+        """(n,) output at the inputs x (n, D)."""
+        h = (x - self.low) / (self.high - self.low)
+        for weights, biases in zip(self.weights[:-1], self.biases[:-1], strict=True):
+            h = 1.0 / (1.0 + np.exp(-(h @ weights + biases)))
+        out = (h @ self.weights[-1] + self.biases[-1])[:, 0]
+        if self.relu:
+            out = np.maximum(out, 0.0)
+        return self.out_low + (self.out_high - self.out_low) * out

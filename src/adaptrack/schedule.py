@@ -1,0 +1,612 @@
+"""Schedulers: from a condition to the tuning of the MPC, at every step.
+
+Every scheduler here is the same thing: it looks at some entries of a `Condition`, clips them to the domain that it was
+made for, and fills each of the four slots Np, Nc, Q, R with a function of them: a number, a network, a fuzzy system or
+a table. Horizons are rounded, everything is held within bounds, and Nc <= Np. `Guarded` adds what makes its output safe
+to use. The same compiled code runs in a car's control loop, in `simulate` and in whole batches of runs.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from adaptrack.errors import ContractError, InvalidInput, StorageError, UnknownName, did_you_mean, real
+from adaptrack.learning.network import Network
+from adaptrack.learning.sugeno import WIDTH, Sugeno
+from adaptrack.mpc import Condition, Tuning, astuple
+from adaptrack.toml_files import write_atomically
+
+Array = NDArray[np.float64]
+
+SLOTS = ("Np", "Nc", "Q", "R")
+BOUNDS: dict[str, tuple[float, float]] = {"Np": (1, 60), "Nc": (1, 20), "Q": (1e-6, 1e9), "R": (1e-9, 1e9)}
+"""What a slot's value is held within, unless told otherwise."""
+
+FORMAT, VERSION = "adaptrack-scheduler", 1
+
+
+@dataclass(frozen=True, eq=False)
+class Table:
+    """Values at the nodes of a grid.
+
+    Raises
+    ------
+    InvalidInput
+        When the axes do not ascend, do not fit the values, or something is not finite.
+    """
+
+    axes: tuple[Array, ...]
+    """the nodes along each input, ascending"""
+    values: Array
+    """one for each node, (len(axes[0]), len(axes[1]), ...)"""
+    method: Literal["nearest", "multilinear"] = "multilinear"
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "axes", tuple(np.asarray(axis, dtype=np.float64) for axis in self.axes))
+        object.__setattr__(self, "values", np.ascontiguousarray(self.values, dtype=np.float64))
+        if self.method not in ("nearest", "multilinear"):
+            raise InvalidInput(f"Table: method = {self.method!r}: must be 'nearest' or 'multilinear'.")
+        for axis in self.axes:
+            if axis.ndim != 1 or not axis.size or not np.isfinite(axis).all() or (np.diff(axis) <= 0.0).any():
+                raise InvalidInput(f"Table: an axis must be finite numbers that ascend, got {axis!r}.")
+        shape = tuple(len(axis) for axis in self.axes)
+        if not shape or self.values.shape != shape or not np.isfinite(self.values).all():
+            raise InvalidInput(f"Table: needs finite values of shape {shape}, got {self.values.shape}.")
+
+
+Function = float | Network | Sugeno | Table
+"""What may fill a slot."""
+
+
+@dataclass(frozen=True, eq=False)
+class Slot:
+    """How one number of the tuning follows from the inputs."""
+
+    function: Function
+    low: float
+    high: float
+    """bounds of the value"""
+    decades: bool = False
+    """whether the function gives log10 of the value"""
+
+
+@dataclass(frozen=True, eq=False)
+class StabilityMap:
+    """Spectral radius of the closed loop over speed (m/s), friction, Np, Nc and log10 R/Q; see `stability.map_loop`."""
+
+    table: Table
+    limit: float = 0.995
+    """the largest radius that is allowed"""
+
+
+@dataclass(frozen=True, eq=False)
+class Guard:
+    """What stands between a scheduler's output and the MPC.
+
+    Raises
+    ------
+    InvalidInput
+        When a limit is not positive.
+    """
+
+    fallback: Tuning
+    """used while the output is not trusted"""
+    rates: tuple[float, float, float] = (5.0, 2.0, 0.3)
+    """largest change of Np, of Nc and of log10 R/Q from one step to the next"""
+    slack: float = 0.25
+    """how far outside the domain an input may lie, in widths of the domain, before the fallback is used"""
+    hold: int = 20
+    """steps that a fallback lasts after its cause has gone"""
+    stability: StabilityMap | None = None
+    """without it the loop's stability is not looked at"""
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.fallback, Tuning):
+            raise InvalidInput(f"Guard: fallback = {self.fallback!r}: must be a Tuning.")
+        if min(self.rates) <= 0.0 or len(self.rates) != 3 or self.slack < 0.0 or self.hold < 1:
+            raise InvalidInput("Guard: rates must be three positive numbers, slack not negative, hold at least 1.")
+
+
+@dataclass(frozen=True, eq=False)
+class Schedule:
+    """A scheduler as data: inputs, their domain, and a function for every slot.
+
+    Calling it gives (Np, Nc, Q, R) for one condition, without memory; an `MPC` and compiled runs keep a memory of their
+    own for each run (`plan`), in which rate limits act and interventions are counted.
+
+    Raises
+    ------
+    InvalidInput
+        When a slot is missing, an input is unknown, or a function does not fit the inputs.
+    """
+
+    inputs: tuple[str, ...]
+    """entries of `Condition` that the functions see, in this order"""
+    domain: Array
+    """(D, 2) low and high of each input: values outside are clipped"""
+    slots: Mapping[str, Slot]
+    """Np, Nc, Q, R"""
+    guard: Guard | None = None
+    name: str = "schedule"
+    provenance: Mapping[str, Any] = field(default_factory=dict)
+    """how it was made"""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "inputs", tuple(self.inputs))
+        for name in self.inputs:
+            if name not in Condition._fields:
+                raise InvalidInput(f"schedule: unknown input {name!r}. {did_you_mean(name, Condition._fields)}")
+        if len(set(self.inputs)) < len(self.inputs) or not self.inputs:
+            raise InvalidInput(f"schedule: inputs = {self.inputs!r}: must be one or more different names.")
+        domain = np.asarray(self.domain, dtype=np.float64)
+        if (
+            domain.shape != (len(self.inputs), 2)
+            or not np.isfinite(domain).all()
+            or (domain[:, 0] > domain[:, 1]).any()
+        ):
+            raise InvalidInput(f"schedule: domain: need finite low <= high for each of {', '.join(self.inputs)}.")
+        object.__setattr__(self, "domain", domain)
+        if set(self.slots) != set(SLOTS):
+            raise InvalidInput(f"schedule: slots are {sorted(self.slots)}; there must be {', '.join(SLOTS)}.")
+        for name in SLOTS:
+            _check_slot(name, self.slots[name], len(self.inputs))
+
+    @property
+    def largest(self) -> tuple[int, int]:
+        """The longest Np and Nc that it can ask for."""
+        highest = [self.slots[name].high for name in ("Np", "Nc")]
+        if self.guard is not None:
+            highest = [max(highest[0], self.guard.fallback.Np), max(highest[1], self.guard.fallback.Nc)]
+        return int(highest[0]), int(highest[1])
+
+    def plan(self, lanes: int) -> Any:
+        """The schedule as the kernels read it (`kernels.inference.Schedule`), with a fresh memory for `lanes` runs."""
+        from adaptrack.kernels import inference
+
+        layout, numbers, scratch = self._packed()
+        return inference.Schedule(layout, numbers, np.zeros(scratch), np.zeros((lanes, inference.STATE)))
+
+    def __call__(self, condition: Condition) -> tuple[float, float, float, float]:
+        """(Np, Nc, Q, R) for a condition, as at the first step of a run."""
+        return tuple(self.batch(np.array([condition], dtype=np.float64))[0].tolist())
+
+    def batch(self, conditions: ArrayLike) -> Array:
+        """(n, 4) tunings for n conditions (n, D') whose columns begin like `Condition`, each as at a first step."""
+        from adaptrack.kernels import inference
+
+        rows = np.zeros((len(np.atleast_2d(conditions)), len(Condition._fields)))
+        given = np.atleast_2d(np.asarray(conditions, dtype=np.float64))
+        rows[:, : given.shape[1]] = given
+        plan = self.plan(1)
+        tunings = np.full((len(rows), 4), np.nan)
+        for row, tuning in zip(rows, tunings, strict=True):
+            plan.state[:] = 0.0
+            inference.schedule(0, row, plan, tuning)
+        return tunings
+
+    def _packed(self) -> tuple[NDArray[np.int64], Array, int]:
+        """layout, numbers and the length of the scratch, see `kernels.inference`; packed once."""
+        cached: tuple[NDArray[np.int64], Array, int] | None = self.__dict__.get("_cache")
+        if cached is None:
+            cached = _pack(self)
+            object.__setattr__(self, "_cache", cached)
+        return cached
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write it to one file, see `save_scheduler`."""
+        save_scheduler(self, path)
+
+
+def Constant(tuning: Tuning, name: str = "constant") -> Schedule:  # noqa: N802 - reads as the kind of scheduler it makes
+    """The same tuning for every condition."""
+    values = dict(zip(SLOTS, tuning.as_array().tolist(), strict=True))
+    slots = {slot: Slot(value, value, value) for slot, value in values.items()}
+    return Schedule(("speed",), np.array([[0.0, 1000.0]]), slots, name=name)
+
+
+def Lookup(  # noqa: N802
+    axes: Mapping[str, ArrayLike], tunings: ArrayLike, method: Literal["nearest", "multilinear"] = "multilinear",
+    name: str = "lookup", provenance: Mapping[str, Any] | None = None,
+) -> Schedule:  # fmt: skip
+    """Tunings at the nodes of a grid; between them the nearest one, or interpolated, Q and R by their logarithms.
+
+    axes: the nodes of each input, by name; tunings: (len(axis 1), len(axis 2), ..., 4) of Np, Nc, Q, R.
+    """
+    nodes = {key: np.asarray(values, dtype=np.float64) for key, values in axes.items()}
+    given = np.asarray(tunings, dtype=np.float64)
+    shape = tuple(len(values) for values in nodes.values())
+    if given.shape != (*shape, 4):
+        raise InvalidInput(f"Lookup: tunings must have the shape {(*shape, 4)}, they have {given.shape}.")
+    if not np.isfinite(given).all() or (given <= 0.0).any():
+        raise InvalidInput("Lookup: every Np, Nc, Q, R must be finite and positive.")
+    slots = {}
+    for i, slot in enumerate(SLOTS):
+        values = given[..., i]
+        decades = slot in ("Q", "R")
+        table = Table(tuple(nodes.values()), np.log10(values) if decades else values, method)
+        slots[slot] = Slot(table, float(values.min()), float(values.max()), decades)
+    domain = np.array([[values[0], values[-1]] for values in nodes.values()])
+    return Schedule(tuple(nodes), domain, slots, name=name, provenance=provenance or {})
+
+
+def Learned(  # noqa: N802
+    functions: Mapping[str, Function], inputs: Sequence[str], domain: ArrayLike,
+    bounds: Mapping[str, tuple[float, float]] | None = None, name: str = "learned",
+    provenance: Mapping[str, Any] | None = None,
+) -> Schedule:  # fmt: skip
+    """Learned functions for the slots.
+
+    functions: by slot; `log10_ratio` in place of R is the logarithm of R/Q, Q then being a number (1 when left out);
+    inputs, domain: see `Schedule`; bounds: (low, high) of each slot's value, `BOUNDS` where left out.
+    """
+    given = dict(functions)
+    bounds = {**BOUNDS, **(bounds or {})}
+    decades = "log10_ratio" in given
+    if decades:
+        if "R" in given:
+            raise InvalidInput("Learned: give either R or log10_ratio.")
+        q = given.setdefault("Q", 1.0)
+        if not isinstance(q, float | int) or q <= 0.0:
+            raise InvalidInput("Learned: with log10_ratio, Q must be a positive number.")
+        if q != 1.0:
+            raise InvalidInput("Learned: with log10_ratio, Q must be 1: only R/Q changes the control law.")
+        given["R"] = given.pop("log10_ratio")
+    unknown = set(given) - set(SLOTS)
+    if unknown:
+        raise InvalidInput(f"Learned: unknown slot {unknown.pop()!r}: slots are {', '.join(SLOTS)} and log10_ratio.")
+    slots = {slot: Slot(function, *bounds[slot], decades and slot == "R") for slot, function in given.items()}
+    return Schedule(tuple(inputs), np.asarray(domain, float), slots, name=name, provenance=provenance or {})
+
+
+def Guarded(  # noqa: N802
+    schedule: Schedule, fallback: Tuning, *, stability: StabilityMap | None = None, **limits: Any
+) -> Schedule:
+    """`schedule` behind a `Guard`: domain, rate and stability of its output are checked at every step."""
+    guard = Guard(fallback, stability=stability, **limits)
+    return replace(schedule, guard=guard, name=f"{schedule.name} (guarded)")
+
+
+def _check_slot(name: str, slot: Slot, inputs: int) -> None:
+    function = slot.function
+    if isinstance(function, Network | Sugeno) and function.n_inputs != inputs:
+        raise InvalidInput(f"schedule: the function of {name} has {function.n_inputs} inputs, the schedule {inputs}.")
+    if isinstance(function, Table) and len(function.axes) != inputs:
+        raise InvalidInput(
+            f"schedule: the table of {name} has {len(function.axes)} axes, the schedule {inputs} inputs."
+        )
+    if not isinstance(function, Network | Sugeno | Table):
+        real("schedule", name, function)
+    least = 1.0 if name in ("Np", "Nc") else 0.0
+    if not least <= slot.low <= slot.high < math.inf or (name == "R" and not slot.low > 0.0):
+        raise InvalidInput(f"schedule: bounds of {name} are ({slot.low!r}, {slot.high!r}): need finite low <= high.")
+
+
+# -- packing for the kernels ------------------------------------------------------------------------------------------
+def _pack(schedule: Schedule) -> tuple[NDArray[np.int64], Array, int]:
+    from adaptrack.kernels import inference
+
+    inputs = len(schedule.inputs)
+    layout: list[int] = [inputs, 0] + [0] * (3 * len(SLOTS))
+    layout += [Condition._fields.index(name) for name in schedule.inputs] + [0]
+    numbers: list[float] = [*schedule.domain[:, 0], *schedule.domain[:, 1]]
+    for name in SLOTS:
+        slot = schedule.slots[name]
+        numbers += [float(slot.decades), slot.low, slot.high]
+    scratch = 0
+    for i, name in enumerate(SLOTS):
+        place = inference.SLOT + 3 * i
+        kind, whole, real_numbers, work = _pack_function(schedule.slots[name].function)
+        layout[place : place + 3] = [kind, len(layout), len(numbers)]
+        layout += whole
+        numbers += real_numbers
+        scratch = max(scratch, work)
+    guard = schedule.guard
+    if guard is not None:
+        layout[inference.GUARD], layout[inference.PLACES + inputs] = len(layout), len(numbers)
+        layout += [int(guard.stability is not None), guard.hold]
+        limit = math.inf if guard.stability is None else guard.stability.limit
+        numbers += [*guard.fallback.as_array(), *guard.rates, guard.slack, limit]
+        if guard.stability is not None:
+            _, whole, real_numbers, work = _pack_function(guard.stability.table)
+            layout += whole
+            numbers += real_numbers
+            scratch = max(scratch, work)
+    return np.array(layout, np.int64), np.array(numbers, np.float64), scratch + inputs + 5
+
+
+def _pack_function(function: Function) -> tuple[int, list[int], list[float], int]:
+    """Kind, layout, numbers and scratch of one function, in the order that its kernel reads."""
+    from adaptrack.kernels import inference
+
+    if isinstance(function, Network):
+        widths = [function.n_inputs, *(len(biases) for biases in function.biases)]
+        numbers = [*function.low, *(1.0 / (function.high - function.low))]
+        for weights, biases in zip(function.weights, function.biases, strict=True):
+            for neuron in range(len(biases)):
+                numbers += [*weights[:, neuron], biases[neuron]]
+        numbers += [function.out_low, function.out_high - function.out_low]
+        return inference.NETWORK, [len(widths) - 1, *widths, int(function.relu)], numbers, sum(widths)
+    if isinstance(function, Sugeno):
+        whole = [function.n_inputs, len(function.owner), function.n_rules]
+        for owner, bell in zip(function.owner, function.bell, strict=True):
+            whole += [int(owner), int(bell)]
+        whole += function.rules.astype(int).ravel().tolist()
+        with np.errstate(divide="ignore"):
+            rules = np.column_stack((np.log(function.weights), function.consequents))
+        premises = function.premises.copy()
+        premises[:, WIDTH] = 1.0 / premises[:, WIDTH]
+        numbers = [*premises.ravel(), *rules.ravel()]
+        return inference.SUGENO, whole, numbers, len(function.owner) + function.n_rules
+    if isinstance(function, Table):
+        kind = inference.NEAREST if function.method == "nearest" else inference.MULTILINEAR
+        numbers = [*(node for axis in function.axes for node in axis), *function.values.ravel()]
+        return kind, [len(function.axes), *function.values.shape], numbers, 2 * len(function.axes)
+    return inference.CONSTANT, [], [float(function)], 0
+
+
+# -- files ------------------------------------------------------------------------------------------------------------
+def save_scheduler(schedule: Schedule, path: str | os.PathLike[str]) -> None:
+    """Write a schedule as one JSON file that `load_scheduler` reads back to the bit.
+
+    Raises
+    ------
+    StorageError
+        When the file cannot be written; an older one at `path` is then untouched.
+    """
+    content = _encode(schedule)
+    text = json.dumps(content, allow_nan=False, separators=(",", ":"))
+    whole = {
+        "format": FORMAT,
+        "version": VERSION,
+        "sha256": hashlib.sha256(text.encode()).hexdigest(),
+        "content": content,
+    }
+    write_atomically(path, (json.dumps(whole, allow_nan=False, separators=(",", ":")) + "\n").encode())
+
+
+def load_scheduler(name_or_path: str | os.PathLike[str]) -> Schedule:
+    """The schedule in a file, or one that ships with the package, by name (`list_schedulers`).
+
+    Raises
+    ------
+    UnknownName
+        When no scheduler has the name.
+    StorageError
+        When the file cannot be read, is damaged, is not a scheduler, or has a version that this program cannot read.
+    """
+    path = Path(name_or_path)
+    if isinstance(name_or_path, str) and path.suffix != ".json" and len(path.parts) == 1:
+        path = _DATA / f"{name_or_path}.json"
+        if not path.exists():
+            raise UnknownName(
+                f"no scheduler is named {name_or_path!r}. {did_you_mean(name_or_path, list_schedulers())} "
+                "A file is given by its .json path."
+            )
+    try:
+        text = path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise StorageError(f"{path}: cannot be read: {error}.") from None
+    try:
+        whole = json.loads(text)
+    except json.JSONDecodeError as error:
+        raise StorageError(f"{path}: not a scheduler file, or damaged: {error}. Train or copy it again.") from None
+    if not isinstance(whole, dict) or whole.get("format") != FORMAT:
+        raise StorageError(f"{path}: not a scheduler file: its format is not {FORMAT!r}.")
+    if whole.get("version") != VERSION:
+        raise StorageError(
+            f"{path}: version {whole.get('version')!r} of the scheduler format; this program reads {VERSION}. "
+            "Train it again, or use the version of adaptrack that wrote it."
+        )
+    content = whole.get("content")
+    digest = hashlib.sha256(json.dumps(content, separators=(",", ":")).encode()).hexdigest()
+    if digest != whole.get("sha256"):
+        raise StorageError(f"{path}: damaged: its content does not match its checksum. Train or copy it again.")
+    try:
+        return _decode(content)
+    except (InvalidInput, KeyError, TypeError, ValueError, AttributeError) as error:
+        raise StorageError(f"{path}: its content makes no scheduler: {error}.") from None
+
+
+_DATA = Path(__file__).parent / "data" / "schedulers"
+
+
+def list_schedulers() -> list[str]:
+    """The names of the schedulers that ship with the package."""
+    return sorted(path.stem for path in _DATA.glob("*.json"))
+
+
+def _encode(schedule: Schedule) -> dict[str, Any]:
+    guard = schedule.guard
+    return {
+        "name": schedule.name,
+        "inputs": list(schedule.inputs),
+        "domain": schedule.domain.tolist(),
+        "slots": {
+            name: {
+                "low": slot.low,
+                "high": slot.high,
+                "decades": slot.decades,
+                "function": _encode_function(slot.function),
+            }
+            for name, slot in schedule.slots.items()
+        },
+        "guard": guard
+        and {
+            "fallback": guard.fallback.as_array().tolist(),
+            "rates": list(guard.rates),
+            "slack": guard.slack,
+            "hold": guard.hold,
+            "stability": guard.stability
+            and {"limit": guard.stability.limit, "table": _encode_function(guard.stability.table)},
+        },
+        "provenance": dict(schedule.provenance),
+    }
+
+
+def _encode_function(function: Function) -> dict[str, Any]:
+    if isinstance(function, Network):
+        return {
+            "kind": "network",
+            "low": function.low.tolist(),
+            "high": function.high.tolist(),
+            "weights": [each.tolist() for each in function.weights],
+            "biases": [each.tolist() for each in function.biases],
+            "out_low": function.out_low,
+            "out_high": function.out_high,
+            "relu": function.relu,
+        }
+    if isinstance(function, Sugeno):
+        return {
+            "kind": "sugeno",
+            "owner": function.owner.tolist(),
+            "bell": function.bell.tolist(),
+            "premises": function.premises.tolist(),
+            "rules": function.rules.tolist(),
+            "consequents": function.consequents.tolist(),
+            "weights": function.weights.tolist(),
+        }
+    if isinstance(function, Table):
+        return {
+            "kind": "table",
+            "axes": [axis.tolist() for axis in function.axes],
+            "values": function.values.tolist(),
+            "method": function.method,
+        }
+    return {"kind": "number", "value": float(function)}
+
+
+def _decode(content: Mapping[str, Any]) -> Schedule:
+    guard = content["guard"]
+    if guard is not None:
+        Np, Nc, Q, R = guard["fallback"]
+        stability = guard["stability"]
+        if stability is not None:
+            table = _decode_function(stability["table"])
+            if not isinstance(table, Table):
+                raise InvalidInput("the stability map is not a table")
+            stability = StabilityMap(table, stability["limit"])
+        guard = Guard(Tuning(int(Np), int(Nc), Q, R), tuple(guard["rates"]), guard["slack"], guard["hold"], stability)
+    slots = {
+        name: Slot(_decode_function(slot["function"]), slot["low"], slot["high"], slot["decades"])
+        for name, slot in content["slots"].items()
+    }
+    return Schedule(
+        tuple(content["inputs"]), np.array(content["domain"], float), slots, guard, content["name"],
+        content["provenance"],
+    )  # fmt: skip
+
+
+def _decode_function(told: Mapping[str, Any]) -> Function:
+    def array(name: str, kind: Any = np.float64) -> NDArray[Any]:
+        return np.array(told[name], dtype=kind)
+
+    if told["kind"] == "network":
+        weights = tuple(np.array(each, np.float64) for each in told["weights"])
+        biases = tuple(np.array(each, np.float64) for each in told["biases"])
+        return Network(array("low"), array("high"), weights, biases, told["out_low"], told["out_high"], told["relu"])
+    if told["kind"] == "sugeno":
+        return Sugeno(
+            array("owner", np.intp), array("bell", bool), array("premises"), array("rules", np.intp),
+            array("consequents"), array("weights"),
+        )  # fmt: skip
+    if told["kind"] == "table":
+        return Table(tuple(np.array(axis, np.float64) for axis in told["axes"]), array("values"), told["method"])
+    if told["kind"] == "number":
+        return real("scheduler", "value", told["value"])
+    raise InvalidInput(f"unknown kind of function {told['kind']!r}")
+
+
+# -- the contract -----------------------------------------------------------------------------------------------------
+_DOMAIN = {"speed": (3.0, 27.0), "y_ref": (-15.0, 15.0), "friction": (0.5, 0.9), "wind": (-30.0, 30.0),
+           "change": (0.0, 10.0), "acceleration": (0.0, 5.0), "offset": (-5.0, 5.0)}  # fmt: skip
+
+
+def check_scheduler(scheduler: Any, samples: int = 200, seed: int = 0) -> None:
+    """Refuse a scheduler that breaks the contract; ours and anybody's pass through the same door.
+
+    It must be callable with a `Condition` and give a `Tuning` or four finite numbers (Np, Nc, Q, R) with
+    1 <= Nc <= Np after rounding, Q >= 0 and R > 0, for conditions inside, at the corners of and far outside the paper's
+    operating domain; and give the same for the same condition. For a `Schedule`, every slot is also compared with its
+    own function evaluated by NumPy: no output can reach another's slot.
+
+    Raises
+    ------
+    ContractError
+        When it breaks one; the message gives the condition and what came back.
+    """
+    if not callable(scheduler):
+        raise ContractError(f"scheduler {scheduler!r}: must be callable, condition -> (Np, Nc, Q, R).")
+    rng = np.random.default_rng(seed)
+    low, high = np.array([_DOMAIN[name] for name in Condition._fields]).T
+    rows = low + (high - low) * rng.uniform(size=(samples, len(low)))
+    rows[::7] = np.where(rng.uniform(size=rows[::7].shape) < 0.5, low, high)
+    rows[::11] += rng.normal(size=rows[::11].shape) * 3.0 * (high - low)
+    for row in rows:
+        condition = Condition(*row.tolist())
+        given, again = _asked(scheduler, condition), _asked(scheduler, condition)
+        Np, Nc, Q, R = given
+        if given != again:
+            raise ContractError(f"scheduler: gave {given} and then {again} for the same {condition}.")
+        if not all(map(math.isfinite, given)):
+            raise ContractError(f"scheduler: gave {given} for {condition}: must be finite.")
+        if not (1 <= round(Nc) <= round(Np) and Q >= 0.0 and R > 0.0):
+            raise ContractError(f"scheduler: gave {given} for {condition}: need 1 <= Nc <= Np, Q >= 0, R > 0.")
+    if isinstance(scheduler, Schedule):
+        _check_slots(replace(scheduler, guard=None), rows)
+
+
+def _asked(scheduler: Any, condition: Condition) -> tuple[float, float, float, float]:
+    try:
+        return astuple(scheduler(condition))
+    except Exception as error:
+        raise ContractError(f"scheduler: failed for {condition}: {error}") from error
+
+
+def _check_slots(schedule: Schedule, rows: Array) -> None:
+    columns = [Condition._fields.index(name) for name in schedule.inputs]
+    x = np.clip(rows[:, columns], *schedule.domain.T)
+    given = schedule.batch(rows)
+    for i, name in enumerate(SLOTS):
+        slot = schedule.slots[name]
+        expected = _evaluate(slot.function, x)
+        if slot.decades:
+            expected = 10.0**expected
+        expected = np.clip(expected, slot.low, slot.high)
+        if i < 2:  # a rounding boundary may fall either way
+            wrong = np.abs(given[:, i] - expected) > 0.5 + 1e-9
+            wrong &= ~((name == "Nc") & (given[:, 1] == given[:, 0]))
+        else:
+            wrong = np.abs(given[:, i] - expected) > 1e-9 * np.abs(expected)
+        if wrong.any():
+            k = int(np.argmax(wrong))
+            raise ContractError(
+                f"scheduler: slot {name} holds {given[k, i]!r} at {Condition(*rows[k].tolist())}, "
+                f"where its own function gives {expected[k]!r}."
+            )
+
+
+def _evaluate(function: Function, x: Array) -> Array:
+    """A slot's function by NumPy at the inputs x (n, D): the reference for the kernels."""
+    if isinstance(function, Network | Sugeno):
+        return function.predict(x)
+    if isinstance(function, Table):
+        from scipy.interpolate import RegularGridInterpolator
+
+        # an axis of one node says nothing
+        axes = [axis if len(axis) > 1 else np.array([axis[0], axis[0] + 1.0]) for axis in function.axes]
+        values = function.values
+        for d, axis in enumerate(function.axes):
+            values = np.repeat(values, 2, axis=d) if len(axis) == 1 else values
+        method = "linear" if function.method == "multilinear" else "nearest"
+        return np.asarray(RegularGridInterpolator(axes, values, method, bounds_error=False, fill_value=None)(x))
+    return np.full(len(x), float(function))
