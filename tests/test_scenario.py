@@ -58,7 +58,7 @@ ONE_OF_EACH: list[Shape] = [
 ]
 by_kind = pytest.mark.parametrize("shape", ONE_OF_EACH, ids=lambda shape: shape.kind)
 
-NAMES = ["triple-lane-change", "general-trajectory", "step", "lane-change", "double-lane-change", "sine"]
+NAMES = ["triple-lane-change", "general-trajectory", "step", "lane-change", "double-lane-change", "sine", "random-drive"]
 
 
 def scenario(**changes: object) -> Scenario:
@@ -237,7 +237,7 @@ def test_the_step_is_the_tuning_test_of_the_paper() -> None:
 def test_the_lane_change_uses_35_percent_of_the_friction(amplitude: float, friction: float) -> None:
     test = load_scenario("lane-change", amplitude=amplitude, friction=friction, gust=25.0)
     assert isinstance(test.reference, LaneChange)
-    expected = max(2.0, math.sqrt(5.77 * abs(amplitude) / (0.35 * friction * 9.81)))
+    expected = max(2.0, math.sqrt(5.77 * abs(amplitude) / (0.35 * friction * 9.80665)))
     assert test.reference.duration == pytest.approx(expected, rel=1e-3)
     signals = test.sample(0.05)
     assert signals.n == 160
@@ -246,6 +246,12 @@ def test_the_lane_change_uses_35_percent_of_the_friction(amplitude: float, frict
     blown = signals.t[signals.wind[:, 1] > 0.0]
     assert signals.wind[:, 1].max() == pytest.approx(25.0)
     assert blown[-1] - blown[0] == pytest.approx(2.0, abs=0.11)
+
+
+def test_a_slow_lane_change_heads_at_most_a_quarter_radian_off_the_road() -> None:
+    test = load_scenario("lane-change", amplitude=5.0, friction=0.9, speed=4.0, duration=20.0)
+    times = np.linspace(0.0, 20.0, 4001)
+    assert np.abs(test.reference_rate_at(times)).max() / 4.0 == pytest.approx(0.25, rel=1e-3)
 
 
 def test_the_lane_change_looks_at_the_slipperiest_wheel() -> None:

@@ -1,5 +1,6 @@
 """Scenarios: what a test drives through, by name, from a file, from arrays or put together from shapes."""
 
+from adaptrack.scenario.drives import random_drive
 from adaptrack.scenario.library import list_scenarios, load_scenario, scenario_options
 from adaptrack.scenario.scenario import CONTROL_PERIOD, Scenario
 from adaptrack.scenario.shapes import (
@@ -44,5 +45,6 @@ __all__ = [
     "as_shape",
     "list_scenarios",
     "load_scenario",
+    "random_drive",
     "scenario_options",
 ]

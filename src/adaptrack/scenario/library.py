@@ -17,15 +17,17 @@ import numpy as np
 
 from adaptrack.errors import InvalidInput, UnknownName, did_you_mean
 from adaptrack.scenario.scenario import Scenario
-from adaptrack.scenario.shapes import Gust, LaneChange, Shape, Sine
+from adaptrack.scenario.shapes import Gust, LaneChange, Shape, Sine, as_shape
 from adaptrack.scenario.surroundings import as_friction
 from adaptrack.toml_files import read_toml
-
-GRAVITY = 9.81
-"""m/s^2."""
+from adaptrack.vehicle import GRAVITY
 
 QUINTIC_PEAK = 10.0 / math.sqrt(3.0)
 """Largest acceleration of a quintic lane change of unit amplitude and duration (5.77), see `LaneChange`."""
+QUINTIC_SLOPE = 15.0 / 8.0
+"""Largest slope of the same."""
+STEEPEST = 0.25
+"""rad, heading of a road that the small angles of the prediction model still describe."""
 
 SignalLike = Shape | Mapping[str, Any] | float
 """What `as_shape` accepts."""
@@ -89,15 +91,21 @@ def lane_change(
     gust : float
         Peak of the lateral 1-cosine gust, m/s.
     change_time : float, optional
-        How long the change lasts, s; without it max(2, sqrt(5.77 |amplitude| / (0.35 μ g))), which asks for 35 % of
-        the lateral acceleration that the lowest friction μ allows, and takes at least 2 s.
+        How long the change lasts, s; without it max(2, sqrt(5.77 |amplitude| / (0.35 μ g)), 1.875 |amplitude| /
+        (0.25 v)): it asks for 35 % of the lateral acceleration that the lowest friction μ allows, heads at most
+        0.25 rad off the road at the lowest speed v (1 m/s at least), and takes at least 2 s.
     """
     if change_time is None:
         times = np.linspace(0.0, duration, 1001)
         lowest = min(float(wheel.at(times).min()) for wheel in as_friction(friction))
         if not lowest > 0.0:
             raise InvalidInput(f"friction = {lowest!r}: must be > 0.")
-        change_time = max(2.0, math.sqrt(QUINTIC_PEAK * abs(amplitude) / (0.35 * lowest * GRAVITY)))
+        slowest = max(1.0, float(as_shape(speed).at(times).min()))
+        change_time = max(
+            2.0,
+            math.sqrt(QUINTIC_PEAK * abs(amplitude) / (0.35 * lowest * GRAVITY)),
+            QUINTIC_SLOPE * abs(amplitude) / (STEEPEST * slowest),
+        )
     return Scenario(
         name="lane-change",
         description=_first_line(lane_change),
@@ -188,6 +196,23 @@ def sine(
     )
 
 
+def random_drive(seed: float = 0, duration: float = 60.0) -> Scenario:
+    """Mixed driving: changing speed and friction, curves, lane changes, wind and gusts.
+
+    `adaptrack.scenario.random_drive` with its default ranges.
+
+    Parameters
+    ----------
+    seed : float
+        Which drive, a whole number.
+    """
+    from adaptrack.scenario import drives  # which sizes its manoeuvres with this module's lane change
+
+    if not float(seed).is_integer():
+        raise InvalidInput(f"seed = {seed!r}: must be a whole number.")
+    return drives.random_drive(int(seed), duration)
+
+
 def _is_number(value: Any) -> bool:
     return isinstance(value, int | float | np.number) and not isinstance(value, bool) and bool(np.isfinite(value))
 
@@ -201,6 +226,7 @@ _MANOEUVRES: dict[str, Callable[..., Scenario]] = {
     "lane-change": lane_change,
     "double-lane-change": double_lane_change,
     "sine": sine,
+    "random-drive": random_drive,
 }
 
 

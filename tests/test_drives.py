@@ -1,0 +1,259 @@
+"""Random drives: what they promise holds at every instant of many of them, so a fair controller can drive them all."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+
+import adaptrack as at
+from adaptrack.errors import InvalidInput
+from adaptrack.scenario import LaneChange, Scenario, Step, list_scenarios, load_scenario, random_drive
+from adaptrack.scenario.drives import BRAKING, GRIP_ALONG, TRACTION
+from adaptrack.simulate import rollout_batch
+from adaptrack.vehicle import GRAVITY
+
+STEP = 0.01
+T = np.arange(0.0, 60.0 + STEP / 2, STEP)
+NARROW: dict[str, Any] = {
+    "speed": (10.0, 14.0),
+    "friction": (0.5, 0.6),
+    "wind": 8.0,
+    "demand": (0.05, 0.1),
+    "heading": 0.1,
+}
+WIDE: dict[str, Any] = {
+    "speed": (4.0, 27.0),
+    "friction": (0.3, 1.0),
+    "wind": 30.0,
+    "demand": (0.1, 0.35),
+    "heading": 0.25,
+}
+
+
+@pytest.fixture(scope="module")
+def drives() -> list[Scenario]:
+    return [random_drive(seed) for seed in range(50)]
+
+
+@pytest.fixture(scope="module", params=["wide", "narrow"])
+def promised(request: pytest.FixtureRequest, drives: list[Scenario]) -> tuple[dict[str, Any], list[Scenario]]:
+    """Ranges, and drives within them; the wide ones are the defaults."""
+    if request.param == "wide":
+        return WIDE, drives
+    return NARROW, [random_drive(seed, **NARROW) for seed in range(20)]
+
+
+def acceleration(drive: Scenario, t: np.ndarray = T, h: float = 1e-4) -> np.ndarray:
+    """d²y_ref/dt², m/s^2."""
+    return (drive.reference_rate_at(t + h) - drive.reference_rate_at(np.abs(t - h))) / (2.0 * h)
+
+
+def available(drive: Scenario, around: float = 0.4) -> np.ndarray:
+    """The acceleration that the lowest friction within `around` (s) of each instant allows, m/s^2."""
+    friction = drive.friction_at(T).min(axis=1)
+    wide = round(around / STEP)
+    padded = np.pad(friction, wide, mode="edge")
+    return GRAVITY * np.lib.stride_tricks.sliding_window_view(padded, 2 * wide + 1).min(axis=1)
+
+
+# ---- which drive
+
+
+def test_a_seed_is_a_drive_and_another_seed_another() -> None:
+    assert random_drive(7) == random_drive(7)
+    assert random_drive(np.int64(7)) == random_drive(7)  # type: ignore[arg-type]
+    assert len({random_drive(seed).reference for seed in range(20)}) == 20
+
+
+def test_a_seed_is_the_same_drive_on_every_machine() -> None:
+    """Numbers that this program gave elsewhere: they change only if every published result on drives does."""
+    drive = random_drive(7)
+    curve, *_, change = drive.reference.terms  # type: ignore[attr-defined]
+    assert curve == LaneChange(amplitude=6.61, start=2.95, duration=9.01)
+    assert change == LaneChange(amplitude=-3.45, start=48.79, duration=6.3)
+    assert drive.speed.points[:2] == ((0.0, 21.71), (1.56, 21.71))  # type: ignore[attr-defined]
+    assert drive.friction[0].terms[1] == Step(after=-0.47, time=11.31)  # type: ignore[attr-defined]
+    assert drive.wind.y.terms[0].value == -5.91  # type: ignore[union-attr, attr-defined]
+
+
+def test_a_drive_says_how_to_make_it_again() -> None:
+    for options in ({}, NARROW, {"duration": 20.0, "speed": [5, 10]}):
+        drive = random_drive(3, **options)
+        assert eval(drive.source, {"random_drive": random_drive}) == drive
+
+
+def test_other_wind_leaves_the_road_and_the_driving_alone() -> None:
+    calm, stormy = random_drive(5, wind=0.0), random_drive(5)
+    assert_array_equal(calm.wind_at(T), 0.0)
+    assert stormy.replace(wind=0.0, source="") == calm.replace(wind=0.0, source="")
+
+
+def test_drives_of_one_duration_have_equally_many_samples() -> None:
+    for duration, n in ((60.0, 1200), (20.0, 400), (7.3, 146)):
+        assert {random_drive(seed, duration).sample(0.05).n for seed in range(5)} == {n}
+
+
+@pytest.mark.parametrize("duration", [0.1, 1.0, 3.0])
+def test_a_drive_may_be_short(duration: float) -> None:
+    for seed in range(10):
+        assert random_drive(seed, duration).sample(0.05).n == round(duration / 0.05)
+
+
+def test_a_drive_survives_its_file(drives: list[Scenario], tmp_path: Path) -> None:
+    for drive in (*drives[:5], random_drive(0, 1.0, wind=0.0)):
+        drive.to_toml(tmp_path / "drive.toml")
+        assert load_scenario(tmp_path / "drive.toml") == drive
+
+
+def test_drives_have_a_name_and_a_seed_as_its_option() -> None:
+    assert load_scenario("random-drive") == random_drive(0)
+    assert load_scenario("random-drive", seed=12, duration=20.0) == random_drive(12, 20.0)
+    assert load_scenario("random-drive", seed=12, friction=0.7) == random_drive(12).replace(friction=0.7)
+    assert list_scenarios()["random-drive"] == random_drive(0).description
+
+
+# ---- what they ask for
+
+
+def test_speed_stays_in_its_range_and_changes_as_a_car_can(promised: tuple[dict[str, Any], list[Scenario]]) -> None:
+    ranges, drives = promised
+    for drive in drives:
+        speed, along = drive.speed_at(T), drive.speed.rate(T)
+        assert ranges["speed"][0] - 1e-9 <= speed.min()
+        assert speed.max() <= ranges["speed"][1] + 1e-9
+        assert along.min() >= -BRAKING
+        assert along.max() <= TRACTION
+        assert (np.abs(along) <= GRIP_ALONG * available(drive)).all()
+        assert np.abs(np.diff(along)).max() < 8.0 * STEP  # smoothly: no jump of the acceleration
+
+
+def test_friction_stays_in_its_range(promised: tuple[dict[str, Any], list[Scenario]]) -> None:
+    ranges, drives = promised
+    for drive in drives:
+        friction = drive.friction_at(T)
+        assert ranges["friction"][0] - 1e-9 <= friction.min()
+        assert friction.max() <= ranges["friction"][1] + 1e-9
+
+
+def test_wind_stays_within_its_limit(promised: tuple[dict[str, Any], list[Scenario]]) -> None:
+    ranges, drives = promised
+    strongest = [np.abs(drive.wind_at(T)[:, 1]).max() for drive in drives]
+    assert max(strongest) <= ranges["wind"] + 1e-9
+    assert max(strongest) > 0.9 * ranges["wind"]
+    assert_array_equal([drive.wind_at(T)[:, 0] for drive in drives], 0.0)
+
+
+def test_the_heading_of_the_reference_is_bounded(promised: tuple[dict[str, Any], list[Scenario]]) -> None:
+    ranges, drives = promised
+    for drive in drives:
+        heading = np.arcsin(drive.reference_rate_at(T) / drive.speed_at(T))
+        assert np.abs(heading).max() <= ranges["heading"] * (1.0 + 1e-9)
+
+
+def test_lateral_acceleration_never_exceeds_its_share_of_the_friction(
+    promised: tuple[dict[str, Any], list[Scenario]],
+) -> None:
+    ranges, drives = promised
+    shares = np.array([np.abs(acceleration(drive)) / available(drive) for drive in drives])
+    assert shares.max() <= ranges["demand"][1] + 1e-6
+    assert np.median(shares.max(axis=1)) > 0.6 * ranges["demand"][1]  # and most drives ask for a good part of it
+
+
+def test_the_reference_is_twice_continuously_differentiable(drives: list[Scenario]) -> None:
+    for drive in drives:
+        assert np.abs(np.diff(acceleration(drive))).max() < 25.0 * STEP  # the jerk is below 25 m/s^3
+
+
+def test_drives_begin_straight_and_on_the_reference(drives: list[Scenario]) -> None:
+    begin = T[T <= 1.0]
+    for drive in drives:
+        assert drive.initial_y == 0.0
+        assert_array_equal(drive.reference_at(begin), 0.0)
+        assert_array_equal(drive.reference_rate_at(begin), 0.0)
+
+
+# ---- how mixed they are
+
+
+def test_a_minute_holds_some_of_everything(drives: list[Scenario]) -> None:
+    terms = [drive.reference.terms for drive in drives]  # type: ignore[attr-defined]
+    assert all(isinstance(term, LaneChange) for each in terms for term in each)
+    assert 6 <= np.mean([len(each) for each in terms]) <= 12  # curves and lane changes
+    assert 4 <= np.mean([len(drive.friction[0].terms) - 1 for drive in drives]) <= 7
+    assert 4 <= np.mean([len(drive.wind.y.terms) - 1 for drive in drives]) <= 8  # type: ignore[union-attr, attr-defined]
+    assert np.mean([np.ptp(drive.speed_at(T)) for drive in drives]) > 12.0
+    for values in ([term.amplitude for each in terms for term in each], [drive.wind_at(5.0)[1] for drive in drives]):
+        assert 0.35 < np.mean(np.array(values) > 0.0) < 0.65  # left as often as right
+
+
+def test_a_quarter_of_the_drives_is_dry() -> None:
+    lowest = np.array([random_drive(seed).friction_at(T[::10]).min() for seed in range(400)])
+    assert 0.19 < np.mean(lowest >= 0.79) < 0.31
+    assert np.mean(lowest < 0.5) > 0.5
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"seed": -1},
+        {"seed": 1.5},
+        {"seed": True},
+        {"duration": 0.0},
+        {"duration": 1e9},
+        {"duration": "60"},
+        {"speed": 15.0},
+        {"speed": (0.0, 20.0)},
+        {"speed": (20.0, 10.0)},
+        {"speed": (10.0, math.inf)},
+        {"friction": (0.0, 1.0)},
+        {"friction": (0.5, 5.0)},
+        {"friction": (0.5, math.nan)},
+        {"wind": -1.0},
+        {"wind": math.nan},
+        {"demand": (0.1, 1.5)},
+        {"demand": (0.1, 0.2, 0.3)},
+        {"heading": 0.0},
+        {"heading": 1.0},
+    ],
+)
+def test_impossible_drives_are_refused(options: dict[str, Any]) -> None:
+    with pytest.raises(InvalidInput, match=next(iter(options))):
+        random_drive(**({"seed": 0} | options))
+
+
+def test_a_named_drive_needs_a_whole_seed() -> None:
+    for seed in (1.5, -1):
+        with pytest.raises(InvalidInput, match="seed"):
+            load_scenario("random-drive", seed=seed)
+
+
+def test_ranges_may_be_single_values() -> None:
+    drive = random_drive(1, speed=(15.0, 15.0), friction=(0.8, 0.8))
+    assert_allclose(drive.speed_at(T), 15.0, rtol=1e-15)
+    assert_array_equal(drive.friction_at(T), 0.8)
+
+
+# ---- and they can be driven
+
+
+@pytest.mark.compiled
+def test_one_good_tuning_keeps_to_most_drives() -> None:
+    car = at.load_vehicle("paper")
+    drives = [random_drive(seed, 20.0) for seed in range(30)]
+    tunings = np.tile(at.Tuning(30, 10, 1.0, 3000.0).as_array(), (len(drives), 1))
+    result = rollout_batch(
+        at.DualTrack(car),
+        at.MPC(car, period=0.05, preview=True),
+        drives,
+        tunings,
+        which=np.arange(len(drives)),
+        profile="road",
+        lost_beyond=5.0,
+    )
+    assert result.lost.sum() <= 5
+    assert np.median(result.max_abs_error) < 0.5
