@@ -214,6 +214,27 @@ class Command(NamedTuple):
     """Np, Nc, Q, R as used: rounded and clamped"""
 
 
+class Controller(Protocol):
+    """What `simulate` drives with; `MPC` is one."""
+
+    @property
+    def name(self) -> str:
+        """How tables call it."""
+
+    @property
+    def period(self) -> float:
+        """Control period (s)."""
+
+    def reset(self) -> None:
+        """Forget the past."""
+
+    def step(self, state: ArrayLike, speed: float, reference: ArrayLike, condition: Condition | None = None) -> Command:
+        """One control step, see `MPC.step`."""
+
+    def describe(self) -> dict[str, Any]:
+        """The configuration, for provenance."""
+
+
 class MPC:
     """Linear MPC with re-discretisation at every step, eqs. (8)-(17).
 

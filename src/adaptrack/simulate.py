@@ -14,39 +14,19 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from datetime import UTC, datetime
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from adaptrack.errors import InvalidInput, real, whole
-from adaptrack.mpc import MPC, Command, CompiledScheduler, Condition, demand
+from adaptrack.estimation import FrictionWindEstimator, Perception
+from adaptrack.mpc import MPC, CompiledScheduler, Condition, Controller, demand
 from adaptrack.plant import Plant, Profile, load_profile
 from adaptrack.scenario import Scenario, Signals
 from adaptrack.trajectory import Trajectory, provenance
 
 Array = NDArray[np.float64]
-
-
-class Controller(Protocol):
-    """What `simulate` drives with; `MPC` is one."""
-
-    @property
-    def name(self) -> str:
-        """How tables call it."""
-
-    @property
-    def period(self) -> float:
-        """Control period (s)."""
-
-    def reset(self) -> None:
-        """Forget the past."""
-
-    def step(self, state: ArrayLike, speed: float, reference: ArrayLike, condition: Condition | None = None) -> Command:
-        """One control step, see `MPC.step`."""
-
-    def describe(self) -> dict[str, Any]:
-        """The configuration, for provenance."""
 
 
 @dataclass(frozen=True)
@@ -67,7 +47,9 @@ class Driver:
             raise InvalidInput(f"Driver: preview = {self.preview!r} s must be positive, integral not negative.")
 
 
-def _loop_settings(plant: Plant, profile: Profile, driver: Driver | None, substeps: int, lost_beyond: float) -> Array:
+def _loop_settings(
+    plant: Plant, profile: Profile, driver: Driver | None, substeps: int, lost_beyond: float, spin_beyond: float = math.inf
+) -> Array:
     """`kernels.loop.LOOP_SETTINGS`; without a driver the speed follows its profile exactly."""
     from adaptrack.kernels import loop
 
@@ -84,13 +66,16 @@ def _loop_settings(plant: Plant, profile: Profile, driver: Driver | None, subste
         "driver_integral": driver.integral if driver else 0.0,
         **plant.powertrain,
         "lost_beyond": lost_beyond,
+        "spin_beyond": spin_beyond,
     }
     return np.array([values[name] for name in loop.LOOP_SETTINGS], dtype=float)
 
 
-def _rows(signals: Signals) -> Array:
+def _rows(signals: Signals, perception: Perception | None = None, number: int = 0) -> Array:
     """A scenario's samples as the kernels read them, (`kernels.loop.SIGNALS`, n + 1)."""
-    told = [signals.friction.mean(axis=1), signals.wind[:, 1]]
+    told = (signals.friction.mean(axis=1), signals.wind[:, 1])
+    if perception is not None:
+        told = perception.told(*told, signals.period, number)
     ahead = demand(signals.y_ref, signals.period, len(signals.y_ref))
     return np.ascontiguousarray(
         np.vstack([signals.y_ref, signals.speed, signals.friction.T, signals.wind.T, *told, *ahead])
@@ -218,7 +203,7 @@ def rollout(
     """
     _refuse_nonsense(scenario, seed, lost_beyond)
     batch = Batch(plant, mpc, [scenario], profile, driver, lost_beyond)
-    _, trace, _ = batch.run(np.zeros(1, np.int64), mpc.tuning.as_array()[None], np.array([seed]), 1, traced=True)
+    _, trace, _, _ = batch.run(np.zeros(1, np.int64), mpc.tuning.as_array()[None], np.array([seed]), 1, traced=True)
     times = np.full(len(trace[0]), np.nan)
     return _trajectory(batch.plant, mpc, scenario, batch.signals[0], batch.profile, driver, seed, trace[0], times)
 
@@ -304,7 +289,7 @@ def rollout_batch(
     if seeded.shape not in ((), (runs,)):
         raise InvalidInput(f"seeds: need one, or one for each of the {runs} runs; got shape {seeded.shape}.")
     seeded = np.broadcast_to(seeded, (runs,)).copy()
-    result, _, counts = batch.run(index, asked, seeded, threads or os.cpu_count() or 1)
+    result, _, counts, _ = batch.run(index, asked, seeded, threads or os.cpu_count() or 1)
     return batch_result(result, counts)
 
 
@@ -331,7 +316,11 @@ def batch_result(result: Array, counts: Array) -> BatchResult:
 
 
 class Batch:
-    """The arguments that all runs of a batch share, packed for the kernels."""
+    """The arguments that all runs of a batch share, packed for the kernels.
+
+    told: how a scheduler knows friction and wind: None exactly, else as a `Perception` or an estimator tells them;
+    spin_beyond: |v_y/v_x| beyond which a run counts as lost.
+    """
 
     def __init__(
         self,
@@ -341,7 +330,10 @@ class Batch:
         profile: str | Profile = "paper",
         driver: Driver | None = None,
         lost_beyond: float = 1000.0,
+        told: Perception | FrictionWindEstimator | None = None,
+        spin_beyond: float = math.inf,
     ) -> None:
+        self.told = told
         self.scheduler = mpc.scheduler
         if not (self.scheduler is None or isinstance(self.scheduler, CompiledScheduler)) or not mpc.in_kernel:
             raise InvalidInput(
@@ -357,11 +349,12 @@ class Batch:
             raise InvalidInput(
                 "scenarios: must last equally long; run those of different length in batches of their own."
             )
-        self.samples = np.ascontiguousarray([_rows(signals) for signals in self.signals])
+        perception = told if isinstance(told, Perception) else None
+        self.samples = np.ascontiguousarray([_rows(s, perception, i) for i, s in enumerate(self.signals)])
         self.starts = np.array([_start(scenario, s) for scenario, s in zip(scenarios, self.signals, strict=True)])
         self.substeps = np.array([self.plant.substeps(mpc.period, float(s.speed.max())) for s in self.signals])
         self.loops = {
-            int(steps): _loop_settings(self.plant, self.profile, driver, int(steps), lost_beyond)
+            int(steps): _loop_settings(self.plant, self.profile, driver, int(steps), lost_beyond, spin_beyond)
             for steps in np.unique(self.substeps)
         }
         self.settings = mpc.settings()
@@ -379,19 +372,24 @@ class Batch:
         return settings
 
     def run(
-        self, which: NDArray[np.int64], tunings: Array, seeds: NDArray[np.int64], threads: int, traced: bool = False
-    ) -> tuple[Array, Array, Array]:
-        """Results (runs, RESULT), traces (runs, periods or 0, TRACE), and the scheduler's counts (runs, COUNTS or 0).
+        self, which: NDArray[np.int64], tunings: Array, seeds: NDArray[np.int64], threads: int, traced: bool = False,
+        stretch: int = 0, price: float = 0.0,
+    ) -> tuple[Array, Array, Array, Array]:  # fmt: skip
+        """Results (runs, RESULT), traces (runs, periods or 0, TRACE), the scheduler's counts (runs, COUNTS or 0).
+
+        Fourth, when asked for, the cost of each stretch of `stretch` periods (runs, stretches): the sum of squared error
+        plus `price` times squared move; inf where a run was lost, NaN after that.
 
         With a scheduler, `tunings` are what it begins with.
         """
-        from adaptrack.kernels import inference, integrate, loop
+        from adaptrack.kernels import estimation, inference, integrate, loop
 
         runs, n = len(which), self.signals[0].n
         result = np.empty((runs, len(loop.RESULT)))
         trace = np.full((runs, n if traced else 0, loop.TRACE), np.nan)
         scheduler = self.scheduler
         counts = np.zeros((runs, 0 if scheduler is None else len(inference.COUNTS)))
+        stretches = np.zeros((runs, math.ceil(n / stretch) if stretch else 0))
         longest, most = tunings[:, 0].max(initial=1), tunings[:, 1].max(initial=1)
         if isinstance(scheduler, CompiledScheduler):
             longest, most = max(longest, scheduler.largest[0]), max(most, scheduler.largest[1])
@@ -417,17 +415,26 @@ class Batch:
                 size = len(chunk)
                 part = np.zeros((size, len(loop.RESULT)))
                 part_trace = np.full((size, trace.shape[1], loop.TRACE), np.nan)
+                part_stretches = np.zeros((size, stretches.shape[1]))
                 plan = scheduler.plan(size) if isinstance(scheduler, CompiledScheduler) else inference.no_schedule()
+                if isinstance(self.told, FrictionWindEstimator):
+                    plan = plan._replace(
+                        believed=self.told.packed(), estimating=self.told.settings(),
+                        estimates=np.zeros((size, estimation.MEMORY)),
+                    )  # fmt: skip
                 loop.rollout(
                     n, size, self.function, self.packed, block, own, scratch, self.model, settings,
                     self.loops[int(self.substeps[which[chunk[0]]])], self.samples, which[chunk],
                     np.ascontiguousarray(tunings[chunk]), seeds[chunk], loop.memory(size),
                     np.zeros((size, len(loop.RECORD))), ws, plan, np.zeros((size if traced else 0, 2)),
-                    self.starts[which[chunk]], np.full(size, np.inf), 0.0, part, part_trace,
+                    self.starts[which[chunk]], np.full(size, np.inf), price, max(stretch, 1),
+                    part_stretches, part, part_trace,
                 )  # fmt: skip
                 result[chunk] = part
                 trace[chunk] = part_trace
-                counts[chunk] = plan.state[:size, : counts.shape[1]]
+                stretches[chunk] = part_stretches
+                if scheduler is not None:
+                    counts[chunk] = plan.state[:, : counts.shape[1]]
 
         workers = max(1, min(threads, count))
         if workers == 1:
@@ -436,7 +443,7 @@ class Batch:
             with ThreadPoolExecutor(workers) as pool:
                 for future in [pool.submit(work) for _ in range(workers)]:
                     future.result()
-        return result, trace, counts
+        return result, trace, counts, stretches
 
 
 def _trajectory(

@@ -13,7 +13,7 @@ _users_cache = _config.CACHE_DIR
 _config.CACHE_DIR = str(cache_directory())
 try:
     # Numba fixes a function's cache location when it decorates it: import every kernel here, once.
-    from . import dynamics, elementary, inference, integrate, loop, prediction, qp, swarm, tuning, tyre
+    from . import dynamics, elementary, estimation, inference, integrate, loop, prediction, qp, swarm, tuning, tyre
 finally:
     _config.CACHE_DIR = _users_cache
 
@@ -21,6 +21,7 @@ __all__ = [
     "cache_directory",
     "dynamics",
     "elementary",
+    "estimation",
     "inference",
     "integrate",
     "loop",

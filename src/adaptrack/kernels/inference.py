@@ -43,14 +43,16 @@ STATE = HELD + SLOTS + 1
 tuning is kept); with the change of tuning limited; with the fallback begun because inputs were far outside or the loop
 too near instability; on the fallback. REST: steps of fallback still to go. HELD, ...: the last tuning, and 1 when there is one."""
 
-Schedule = record("Schedule", ("layout", "numbers", "work", "state"))
-SCHEDULE = types.NamedTuple((int_vector, vector, vector, matrix), Schedule)
-"""layout, numbers: see INPUTS; work: scratch; state: (lanes, STATE)."""
+Schedule = record("Schedule", ("layout", "numbers", "work", "state", "believed", "estimating", "estimates"))
+SCHEDULE = types.NamedTuple((int_vector, vector, vector, matrix, vector, vector, matrix), Schedule)
+"""layout, numbers: see INPUTS; work: scratch; state: (lanes, STATE). believed, estimating, estimates: the vehicle, the
+settings and the memory of an estimator of friction and wind (see `estimation.estimate`); empty for none."""
 
 
 def no_schedule() -> Any:
     """The plan of a run without a scheduler."""
-    return Schedule(np.zeros(2, np.int64), np.zeros(1), np.zeros(1), np.zeros((1, STATE)))
+    none = np.zeros(0)
+    return Schedule(np.zeros(2, np.int64), none, none, np.zeros((0, STATE)), none, none, np.zeros((0, 0)))
 
 
 _SLOT_FUNCTION = float64(vector, int_vector, int64, vector, int64, vector)
@@ -326,3 +328,12 @@ def schedule(lane, condition, plan, tuning):
     for s in range(SLOTS):
         own[HELD + s] = tuning[s]
     own[HELD + SLOTS] = 1.0
+
+
+@njit(types.void(matrix, SCHEDULE, matrix), **ROUTINE)
+def schedule_all(conditions, plan, tunings):
+    """Write the tuning (n, SLOTS) for each of many conditions (n, CONDITION), each as at the first step of a run."""
+    for i in range(conditions.shape[0]):
+        for j in range(STATE):
+            plan.state[0, j] = 0.0
+        schedule(0, conditions[i], plan, tunings[i])

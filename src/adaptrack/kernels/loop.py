@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numba import njit, types
 
-from . import inference, qp, simd
+from . import estimation, inference, qp, simd
 from .abi import (
     INLINE,
     INLINED_ROUTINE,
@@ -46,6 +46,8 @@ from .prediction import (
 )
 from .random import counted_normal
 
+WALKING = 1.0
+"""m/s, sideways below this a vehicle is not said to spin."""
 STEERING_LAG, STEERING_LIMIT = PLANT_PARAMETERS.index("steering_lag"), PLANT_PARAMETERS.index("steering_limit")
 
 # -- the MPC's settings, fixed over a run -----------------------------------------------------------------------------
@@ -95,11 +97,12 @@ LOOP_SETTINGS = (
     "engine_power",  # W
     "traction_limit",  # N
     "brake_limit",  # N
-    "lost_beyond",  # m, a run is lost when |Y - y_ref| exceeds this
+    "lost_beyond",  # m, a run is lost when |Y - y_ref| exceeds this,
+    "spin_beyond",  # or |v_y/v_x| this, above walking speed
 )
 (
     PLANT, SUBSTEPS, PRESCRIBED_SPEED, DELAY, NOISE_VY, NOISE_YAW, NOISE_YAW_RATE, NOISE_Y, DRIVER_PREVIEW,
-    DRIVER_INTEGRAL, MASS, ENGINE_POWER, TRACTION_LIMIT, BRAKE_LIMIT, LOST_BEYOND,
+    DRIVER_INTEGRAL, MASS, ENGINE_POWER, TRACTION_LIMIT, BRAKE_LIMIT, LOST_BEYOND, SPIN_BEYOND,
 ) = range(len(LOOP_SETTINGS))  # fmt: skip
 
 # -- what a controller remembers, a row per lane ----------------------------------------------------------------------
@@ -570,6 +573,13 @@ def control_period(
         reference = signals[scenario[i], Y_REF, k:]
         if plan.layout[inference.INPUTS] > 0:
             look(k, block[3 * LANES + i], ws.measured, signals, scenario[i], ws.condition)
+            if plan.estimating.size > 0:
+                estimation.estimate(
+                    i, ws.measured, block[3 * LANES + i], waiting, math.nan, plan.believed, plan.estimating,
+                    plan.estimates,
+                )  # fmt: skip
+                ws.condition[2] = plan.estimates[i, estimation.FRICTION_HAT]
+                ws.condition[3] = plan.estimates[i, estimation.WIND_HAT]
             inference.schedule(i, ws.condition, plan, tuning[i])
         mpc_step(i, block[3 * LANES + i], reference, tuning[i], model, settings, memory, record, ws)
         command = waiting if loop[DELAY] > 0.5 else memory[i, ANGLE]
@@ -580,7 +590,9 @@ def control_period(
     last = signals.shape[2] - 1
     for i in range(lanes):
         error = block[LANES + i] - signals[scenario[i], Y_REF, min(k + 1, last)]
-        if not (abs(error) <= loop[LOST_BEYOND] and math.isfinite(block[5 * LANES + i])):
+        vx, vy = block[3 * LANES + i], block[4 * LANES + i]
+        spun = abs(vy) > max(WALKING, loop[SPIN_BEYOND] * abs(vx))
+        if spun or not (abs(error) <= loop[LOST_BEYOND] and math.isfinite(block[5 * LANES + i])):
             memory[i, LOST] = 1.0
 
 
@@ -623,22 +635,24 @@ def place(lanes, start, block, states):
     types.void(
         int64, int64, PLANT_FUNCTION, vector, vector, matrix, matrix, vector, vector, vector,
         cube, int_vector, matrix, int_vector, matrix, matrix, WORKSPACE, inference.SCHEDULE,
-        matrix, matrix, vector, float64, matrix, cube,
+        matrix, matrix, vector, float64, int64, matrix, matrix, cube,
     ),
     **ROUTINE,
 )  # fmt: skip
 def rollout(
     periods, lanes, derivative, p, block, states, plant_work, model, settings, loop,
-    signals, scenario, tuning, seeds, memory, record, ws, plan, seen, start, ceiling, price, result, trace,
+    signals, scenario, tuning, seeds, memory, record, ws, plan, seen, start, ceiling, price, stretch, stretches, result, trace,
 ):  # fmt: skip
     """Whole runs of `lanes` lanes over `periods` control periods; arguments as for `control_period`, and
 
     start (lanes, 6): see `place`; result (lanes, RESULT) and, unless `seen` is empty, trace (lanes, periods, TRACE)
     are written. A run ends early, as `stopped`, once its cost, the sum over the instants of squared error plus
-    `price` times squared move, has reached ceiling (lanes,) and can only grow.
+    `price` times squared move, has reached ceiling (lanes,) and can only grow. The cost of each stretch of `stretch`
+    periods is written to stretches (lanes, .), unless that is empty: inf for the one in which a run ends, NaN after.
     """
     place(lanes, start, block, states)
     result[:, :] = 0.0
+    stretches[:, :] = 0.0
     traced = seen.size > 0
     for k in range(periods):
         for i in range(lanes):
@@ -646,6 +660,8 @@ def rollout(
                 continue
             error = block[LANES + i] - signals[scenario[i], Y_REF, k]
             result[i, SQUARED_ERROR] += error * error
+            if stretches.size > 0:
+                stretches[i, k // stretch] += error * error
             result[i, LARGEST_ERROR] = max(result[i, LARGEST_ERROR], abs(error))
             result[i, INSTANTS] += 1.0
             if traced:
@@ -663,6 +679,8 @@ def rollout(
                 continue
             step = record[i]
             result[i, SQUARED_MOVE] += step[CHANGE] * step[CHANGE]
+            if stretches.size > 0:
+                stretches[i, k // stretch] += price * step[CHANGE] * step[CHANGE]
             result[i, CAPPED] += 1.0 if step[STATUS] == qp.CAPPED else 0.0
             result[i, FAILED] += 1.0 if step[STATUS] > qp.CAPPED else 0.0
             result[i, RUN_HELD] += step[HELD]
@@ -679,6 +697,9 @@ def rollout(
                 result[i, RUN_LOST] = 1.0
                 result[i, SQUARED_ERROR] = math.inf
             if memory[i, LOST] > 0.5:
+                if stretches.size > 0:
+                    stretches[i, k // stretch :] = math.nan
+                    stretches[i, k // stretch] = math.inf
                 for j in range(STATES):  # a harmless vehicle rides on in the lane
                     block[j * LANES + i] = 0.0
                 block[3 * LANES + i] = 10.0

@@ -29,7 +29,7 @@ from .swarm import LEADER_COST, PARTICLES, begin, decode, learn, move
 
 _RUN = (
     int64, int64, PLANT_FUNCTION, vector, vector, matrix, matrix, vector, vector, vector,
-    cube, int_vector, int_vector, matrix, matrix, WORKSPACE, SCHEDULE, matrix, matrix, vector, matrix, cube,
+    cube, int_vector, int_vector, matrix, matrix, WORKSPACE, SCHEDULE, matrix, matrix, vector, matrix, matrix, cube,
 )  # fmt: skip
 
 
@@ -37,7 +37,7 @@ _RUN = (
 def evaluate(
     tunings, ceilings, noise, price, costs,
     periods, lanes, derivative, p, block, states, plant_work, model, settings, loop,
-    signals, scenario, seeds, memory, record, ws, plan, seen, start, left, result, trace,
+    signals, scenario, seeds, memory, record, ws, plan, seen, start, left, stretches, result, trace,
 ):  # fmt: skip
     """Write the cost of each of the first `lanes` tunings (.., 4): J = mean e^2 + price * mean (change of command)^2.
 
@@ -61,7 +61,7 @@ def evaluate(
         rollout(
             periods, lanes, derivative, p, block, states, plant_work, model, settings, loop,
             signals, scenario, tunings, seeds, memory, record, ws, plan, seen, start, left, price,
-            result, trace,
+            1, stretches, result, trace,
         )  # fmt: skip
         for i in range(lanes):
             steps += int(result[i, INSTANTS])
@@ -83,7 +83,7 @@ def evaluate(
 def tune(
     seed, stream, swarm_settings, space, swarm, tunings, trace_of_costs, costs, noise, price,
     periods, lanes, derivative, p, block, states, plant_work, model, settings, loop,
-    signals, scenario, seeds, memory, record, ws, plan, seen, start, left, result, trace,
+    signals, scenario, seeds, memory, record, ws, plan, seen, start, left, stretches, result, trace,
 ):  # fmt: skip
     """One run of the swarm (see `swarm`) over Np, Nc, Q, R; returns (evaluations, control steps done).
 
@@ -102,7 +102,7 @@ def tune(
             steps += evaluate(
                 tunings[first:], swarm.best_costs[first:], noise, price, costs[first:],
                 periods, min(lanes, count - first), derivative, p, block, states, plant_work, model, settings, loop,
-                signals, scenario, seeds, memory, record, ws, plan, seen, start, left, result, trace,
+                signals, scenario, seeds, memory, record, ws, plan, seen, start, left, stretches, result, trace,
             )  # fmt: skip
         learn(costs, swarm)
         trace_of_costs[g] = swarm.progress[LEADER_COST]

@@ -1,12 +1,56 @@
 """Learning from tuned conditions, with estimators that work as well on anybody's data.
 
-* `anfis` holds the neuro-fuzzy system: its five layers, its training, and the scikit-learn estimator.
+* `mlp` holds the scikit-learn estimator of small networks; `network` what it learns: plain arrays, and what they mean.
+* `anfis` holds the neuro-fuzzy estimator; `sugeno` what it learns: the five layers of the fuzzy system.
 * `partition` divides an input space into fuzzy rules, by clusters or by a grid.
 * `fis` reads and writes the text files of MATLAB's Fuzzy Logic Toolbox.
+* `training` makes models of the tuning from a data set of tuned conditions, and says how good they are.
+
+The names are loaded when they are first used: what has been learned runs without scikit-learn.
 """
 
-from adaptrack.learning.anfis import ANFIS, Sugeno
-from adaptrack.learning.fis import read_fis, write_fis
-from adaptrack.learning.partition import subtractive_clustering
+from __future__ import annotations
 
-__all__ = ["ANFIS", "Sugeno", "read_fis", "subtractive_clustering", "write_fis"]
+import importlib
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from adaptrack.learning.anfis import ANFIS
+    from adaptrack.learning.fis import read_fis, write_fis
+    from adaptrack.learning.mlp import MLP
+    from adaptrack.learning.network import Network
+    from adaptrack.learning.partition import subtractive_clustering
+    from adaptrack.learning.sugeno import Sugeno
+    from adaptrack.learning.training import TARGETS, Trained, train
+
+_HOME = {
+    "ANFIS": "anfis",
+    "MLP": "mlp",
+    "TARGETS": "training",
+    "Network": "network",
+    "Sugeno": "sugeno",
+    "Trained": "training",
+    "read_fis": "fis",
+    "subtractive_clustering": "partition",
+    "train": "training",
+    "write_fis": "fis",
+}
+
+__all__ = [
+    "ANFIS",
+    "MLP",
+    "TARGETS",
+    "Network",
+    "Sugeno",
+    "Trained",
+    "read_fis",
+    "subtractive_clustering",
+    "train",
+    "write_fis",
+]
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOME:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(importlib.import_module(f"{__name__}.{_HOME[name]}"), name)

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import expit
 
 from adaptrack.errors import InvalidInput
 
@@ -69,7 +70,7 @@ class Network:
         """(n,) output at the inputs x (n, D)."""
         h = (x - self.low) / (self.high - self.low)
         for weights, biases in zip(self.weights[:-1], self.biases[:-1], strict=True):
-            h = 1.0 / (1.0 + np.exp(-(h @ weights + biases)))
+            h = expit(h @ weights + biases)
         out = (h @ self.weights[-1] + self.biases[-1])[:, 0]
         if self.relu:
             out = np.maximum(out, 0.0)

@@ -1,0 +1,217 @@
+"""Schedulers that learn from driving: improved where they stand, on the closed loop itself.
+
+`learning.landscape` says how a scheduler's outputs should move, given what each stretch of driving costs with the
+outputs as they are and shifted a little. Here are the runs that tell these costs (`Course`), and the loop around both
+(`improve`). Sensor noise is drawn anew in every round, and some runs are held out to choose the round that is kept.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from adaptrack.errors import InvalidInput
+from adaptrack.estimation import FrictionWindEstimator, Perception
+from adaptrack.learning.landscape import OUTPUTS, SHIFT, Surface, preferred_moves, shifted
+from adaptrack.mpc import MPC, Condition, Tuning
+from adaptrack.plant import Plant, load_profile
+from adaptrack.scenario import Scenario
+from adaptrack.schedule import Learned, Schedule
+from adaptrack.simulate import Batch
+
+Array = NDArray[np.float64]
+
+LOST_BEYOND = 5.0
+"""m, a run is lost when |Y - y_ref| exceeds this."""
+SPIN_BEYOND = 1.0
+"""or |v_y/v_x| this: 45 degrees of sideslip."""
+LOST_COST = LOST_BEYOND**2
+"""m^2, what a lost run counts as costing."""
+WORST_STRETCH = 5.0
+"""A stretch is not counted as worth more than this many times its whole run."""
+BOUNDS = {"Np": (10.0, 60.0), "Nc": (1.0, 20.0), "R": (10.0, 1e6)}
+"""What learned tunings of the road profile are held within; Q is 1."""
+_LOWEST, _HIGHEST = np.array([10.0, 1.0, 1.0]), np.array([60.0, 20.0, 6.0])
+
+Policy = Schedule | Tuning | ArrayLike
+"""What drives: a schedule, one tuning, or one tuning (Np, Nc, Q, R) for each run."""
+
+
+class Course:
+    """Runs of equal length to learn from or to be judged by; costs are J = mean e^2 + price mean (change of command)^2.
+
+    stretch, lead, stride: in how long stretches (control periods) cost is attributed, how long before a stretch the
+    causes may lie, and how often in it the inputs are looked at; told: see `Batch`.
+    """
+
+    def __init__(
+        self, plant: Plant, mpc: MPC, scenarios: Sequence[Scenario], profile: str = "road", *, stretch: int | None = None,
+        lead: int = 0, stride: int = 20, told: Perception | FrictionWindEstimator | None = None,
+    ) -> None:  # fmt: skip
+        self.batch = Batch(plant, mpc, scenarios, profile, None, LOST_BEYOND, told, SPIN_BEYOND)
+        self.price = load_profile(profile).move_price
+        self.periods = self.batch.signals[0].n
+        self.stretch, self.lead, self.stride = stretch or self.periods, lead, stride
+        from adaptrack.kernels import loop
+
+        rows = self.batch.samples[:, :, :-1]
+        columns = [rows[:, loop.SPEED], rows[:, loop.Y_REF], *(rows[:, loop.TOLD + i] for i in range(4))]
+        self.seen = np.stack([*columns, np.zeros_like(columns[0])], axis=-1)
+        """(runs, periods, Condition): what a scheduler sees; the offset, which depends on the driving, is left zero."""
+
+    def __len__(self) -> int:
+        return len(self.batch.signals)
+
+    def drive(self, policy: Policy, seeds: Sequence[int], which: NDArray[np.int64] | None = None) -> Array:
+        """(runs, seeds) cost of each run with each noise seed; inf where it was lost."""
+        return np.stack([self._run(policy, int(seed), which, False)[0] for seed in seeds], axis=1)
+
+    def counts(self, policy: Schedule, seed: int) -> Array:
+        """(runs, COUNTS) what the schedule counted, see `kernels.inference.COUNTS`."""
+        return self._run(policy, seed, None, False)[2]
+
+    def costs(self, policy: Policy, seeds: Sequence[int], which: NDArray[np.int64] | None = None) -> Array:
+        """(runs,) mean cost over the noise seeds; a lost run counts as `LOST_COST`."""
+        return np.where(np.isfinite(found := self.drive(policy, seeds, which)), found, LOST_COST).mean(axis=1)
+
+    def stretches(self, policy: Policy, seed: int, which: NDArray[np.int64]) -> Array:
+        """(runs, stretches) cost of each stretch (sum, m^2); inf in the one where a run was lost, NaN after it."""
+        return self._run(policy, seed, which, True)[1]
+
+    def _run(
+        self, policy: Policy, seed: int, which: NDArray[np.int64] | None, divided: bool
+    ) -> tuple[Array, Array, Array]:
+        from adaptrack.kernels import loop
+
+        which = np.arange(len(self)) if which is None else which
+        tuning = self.batch.mpc.tuning.as_array()
+        self.batch.scheduler = None
+        if isinstance(policy, Schedule):
+            self.batch.scheduler = policy
+        else:
+            tuning = policy.as_array() if isinstance(policy, Tuning) else np.asarray(policy, dtype=float)
+        result, _, counts, stretches = self.batch.run(
+            which, np.broadcast_to(tuning, (len(which), 4)).copy(), np.full(len(which), seed, np.int64),
+            os.cpu_count() or 1, stretch=self.stretch if divided else 0, price=self.price,
+        )  # fmt: skip
+        cost = (result[:, loop.SQUARED_ERROR] + self.price * result[:, loop.SQUARED_MOVE]) / self.periods
+        return np.where(result[:, loop.RUN_LOST] > 0.5, np.inf, cost), stretches, counts
+
+    def landscape(
+        self, make: Callable[[Array], Schedule], seed: int, which: NDArray[np.int64]
+    ) -> tuple[Array, Array, Array]:
+        """What the landscape around a schedule says: inputs (m, Condition), moves (m, 3) and weights (m, 3).
+
+        make: the schedule with its outputs shifted by (3,).
+        """
+        base = self.stretches(make(np.zeros(3)), seed, which)
+        whole = np.nansum(np.where(np.isfinite(base), base, 0.0), axis=1)
+        lost = np.isinf(base).any(axis=1)
+        whole = np.where(lost, np.median(whole), whole)[:, None]
+
+        def relative(cost: Array) -> Array:
+            return np.minimum(cost / whole, WORST_STRETCH)
+
+        trials = []
+        for sign in (1.0, -1.0):
+            shifts = sign * np.diag(SHIFT)
+            trials.append(np.stack([relative(self.stretches(make(by), seed, which)) for by in shifts], axis=-1))
+        here = relative(base)
+        share = np.clip(np.nan_to_num(here), 0.0, 1.0) + 1e-3
+        moves, weights = preferred_moves(
+            here.ravel(), trials[0].reshape(-1, 3), trials[1].reshape(-1, 3), share.ravel()
+        )
+        shape = (*base.shape, 3)
+        moves, weights = moves.reshape(shape), weights.reshape(shape)
+        rows, to, how_much = [], [], []
+        for i in range(base.shape[1]):
+            first = max(0, i * self.stretch - self.lead)
+            seen = self.seen[which, first : (i + 1) * self.stretch : self.stride]
+            count = seen.shape[1]
+            rows.append(seen.reshape(-1, seen.shape[2]))
+            to.append(np.repeat(moves[:, i], count, axis=0))
+            how_much.append(np.repeat(weights[:, i], count, axis=0) / count)
+        return np.concatenate(rows), np.concatenate(to), np.concatenate(how_much) / len(which)
+
+
+@dataclass(frozen=True, eq=False)
+class Improvement:
+    """A schedule that learned, and how."""
+
+    schedule: Schedule
+    surfaces: Mapping[str, Surface]
+    history: list[dict[str, float]] = field(default_factory=list)
+    """after each check: round, score (mean log cost of the held-out runs), lost (of them)"""
+
+
+def geometric_mean(costs: ArrayLike) -> float:
+    """exp of the mean logarithm."""
+    return float(np.exp(np.mean(np.log(costs))))
+
+
+def improve(
+    surfaces: Mapping[str, Surface],
+    inputs: Sequence[str],
+    domain: Array,
+    courses: Sequence[tuple[Course, int]],
+    held_out: Sequence[Course],
+    *,
+    rounds: int = 60,
+    seed: int = 0,
+    check: int = 5,
+    name: str = "learned",
+    progress: Callable[[int, int], None] | None = None,
+) -> Improvement:
+    """Move a scheduler's three outputs towards what the landscape of its own closed loop prefers, `rounds` times.
+
+    surfaces: for Np, Nc and log10_ratio (R/Q, Q = 1); inputs, domain: see `Schedule`; courses: each with the number of
+    its runs that a round drives, drawn anew; held_out: after every `check` rounds the schedule is scored on them by the
+    mean log cost, each course alike, and the best one is returned.
+
+    Raises
+    ------
+    InvalidInput
+        When a surface is missing, or an input cannot be known before driving.
+    """
+    if set(surfaces) != set(OUTPUTS):
+        raise InvalidInput(f"improve: need a surface for each of {', '.join(OUTPUTS)}.")
+    if "offset" in inputs:
+        raise InvalidInput("improve: the offset depends on the driving itself; it cannot be an input here.")
+    columns = [Condition._fields.index(each) for each in inputs]
+    rng = np.random.default_rng((seed, 0xADA))
+    surfaces = dict(surfaces)
+
+    def made(by: Array) -> Schedule:
+        functions = {
+            slot: shifted(surfaces[slot].function(), float(shift)) for slot, shift in zip(OUTPUTS, by, strict=True)
+        }
+        return Learned(functions, inputs, domain, BOUNDS, name=name)
+
+    best, best_score, history = Improvement(made(np.zeros(3)), dict(surfaces)), math.inf, []
+    for k in range(rounds):
+        if progress is not None:
+            progress(k, rounds)
+        left = 1.0 - k / rounds
+        told = [
+            course.landscape(made, seed * 100_000 + 1000 + k, np.sort(rng.choice(len(course), count, replace=False)))
+            for course, count in courses
+        ]
+        rows, moves, weights = (np.concatenate(parts) for parts in zip(*told, strict=True))
+        x = np.clip(rows[:, columns], *domain.T)
+        damping = 0.7 * (0.3 + 0.7 * left)
+        for i, slot in enumerate(OUTPUTS):
+            target = np.clip(surfaces[slot].predict(x) + damping * moves[:, i], _LOWEST[i], _HIGHEST[i])
+            surfaces[slot] = surfaces[slot].fit(x, target, weights[:, i], effort=0.2 + 0.8 * math.sqrt(left))
+        if (k + 1) % check == 0 or k == rounds - 1:
+            schedule = made(np.zeros(3))
+            scores = [course.costs(schedule, [seed * 100_000 + 900]) for course in held_out]
+            score = float(np.mean([np.log(each).mean() for each in scores]))
+            history.append({"round": k + 1, "score": score, "lost": float(sum((s >= LOST_COST).sum() for s in scores))})
+            if score < best_score:
+                best, best_score = Improvement(schedule, dict(surfaces)), score
+    return Improvement(best.schedule, best.surfaces, history)

@@ -1,0 +1,228 @@
+"""Learning a tuning from the landscape of the closed loop's cost around it, not from argmins.
+
+An argmin is noisy and not unique; how the cost changes when the tuning does is neither. So a scheduler is improved
+where it stands: its three outputs (Np, Nc, log10 R/Q) are shifted a little up and down, the cost of every stretch of
+driving is found for each shift, and a parabola through the three costs tells how far each output should move there
+(`preferred_moves`) and how much that matters. Moves and weights of all stretches are one weighted regression, which a
+`Surface` - a constant, a small network, a fuzzy system - takes a step of (`fit`). Repeated, this is Newton's method on
+the mean cost, averaged over everything that the surface cannot tell apart.
+"""
+
+from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from adaptrack.errors import InvalidInput
+from adaptrack.learning.network import Network
+from adaptrack.learning.sugeno import SLOPE, WIDTH, Sugeno
+
+Array = NDArray[np.float64]
+
+OUTPUTS = ("Np", "Nc", "log10_ratio")
+SHIFT = np.array([3.0, 1.5, 0.15])
+"""How far each output is shifted to look at the landscape."""
+LEAST_CURVATURE = np.array([0.002, 0.005, 0.3])
+"""Of the relative cost, along each output: what is flatter than this is treated as this curved, and stays in place."""
+
+
+def preferred_moves(base: Array, up: Array, down: Array, share: Array) -> tuple[Array, Array]:
+    """How far each output should move, and the weight of that, from the costs at three points along it.
+
+    base (n,), up and down (n, 3): cost of n stretches with the outputs as they are, and with each output shifted by
+    `SHIFT`, all relative to the cost of the whole run; share (n,): the stretch's part of that cost. Where a cost is not
+    finite nothing is known: weight zero. Returns moves and weights (n, 3); a move is at most two shifts long.
+    """
+    known = np.isfinite(up) & np.isfinite(down) & np.isfinite(base)[:, None]
+    base, up, down = np.nan_to_num(base)[:, None], np.where(known, up, 0.0), np.where(known, down, 0.0)
+    slope = np.where(known, (up - down) / (2.0 * SHIFT), 0.0)
+    curvature = np.where(known, (up + down - 2.0 * base) / SHIFT**2, 0.0)
+    weight = np.maximum(curvature, LEAST_CURVATURE * share[:, None])
+    weight = np.maximum(weight, np.abs(slope) / (2.0 * SHIFT))
+    return -slope / weight, np.where(known, weight, 0.0)
+
+
+class Surface(ABC):
+    """One output as a function of the inputs, which can take a step of a weighted regression."""
+
+    @abstractmethod
+    def predict(self, x: Array) -> Array:
+        """(n,) output at the inputs x (n, D)."""
+
+    @abstractmethod
+    def fit(self, x: Array, target: Array, weight: Array, effort: float = 1.0) -> Self:
+        """A surface nearer to `target` (n,) at x (n, D) in the least squares weighted by `weight` (n,).
+
+        effort: how much of the usual work to do, 0..1; less towards the end of the learning.
+        """
+
+    @abstractmethod
+    def function(self) -> float | Network | Sugeno:
+        """What runs."""
+
+
+@dataclass(frozen=True)
+class Level(Surface):
+    """The same value everywhere."""
+
+    value: float
+
+    def predict(self, x: Array) -> Array:
+        return np.full(len(x), self.value)
+
+    def fit(self, x: Array, target: Array, weight: Array, effort: float = 1.0) -> Self:
+        return replace(self, value=float(np.average(target, weights=weight)))
+
+    def function(self) -> float:
+        return self.value
+
+
+@dataclass(frozen=True, eq=False)
+class NetworkSurface(Surface):
+    """A small network, trained by Adam (D. Kingma, J. Ba, 2015) on all rows at once."""
+
+    network: Network
+    epochs: int = 100
+    rate: float = 0.01
+
+    @classmethod
+    def start(
+        cls, domain: Array, value: float, span: float, seed: int, hidden: Sequence[int] = (16, 8)
+    ) -> NetworkSurface:
+        """A network of random hidden layers whose output is `value` everywhere; `span` is the scale of its changes."""
+        rng = np.random.default_rng(seed)
+        widths = [len(domain), *hidden, 1]
+        weights, biases = [], []
+        for layer, (wide, out) in enumerate(zip(widths[:-1], widths[1:], strict=True)):
+            last = layer == len(widths) - 2
+            reach = 8.0 if layer == 0 else 3.0  # over inputs 0..1, then over neurons 0..1
+            weights.append(np.zeros((wide, out)) if last else rng.normal(size=(wide, out)) * reach / math.sqrt(wide))
+            biases.append(np.zeros(out) if last else rng.normal(size=out) * 1.5 - weights[-1].sum(axis=0) / 2.0)
+        return cls(Network(domain[:, 0], domain[:, 1], tuple(weights), tuple(biases), value, value + span, relu=False))
+
+    def predict(self, x: Array) -> Array:
+        return self.network.predict(x)
+
+    def fit(self, x: Array, target: Array, weight: Array, effort: float = 1.0) -> Self:
+        net = self.network
+        z = (x - net.low) / (net.high - net.low)
+        y = (target - net.out_low) / (net.out_high - net.out_low)
+        share = weight / weight.sum()
+        parameters = [each.copy() for pair in zip(net.weights, net.biases, strict=True) for each in pair]
+        first, second = [0.0 * p for p in parameters], [0.0 * p for p in parameters]
+        for epoch in range(1, self.epochs + 1):
+            gradients = _gradients(parameters, z, y, share)
+            rate = self.rate * effort * math.sqrt(1.0 - (epoch - 1) / self.epochs)
+            for p, g, m, v in zip(parameters, gradients, first, second, strict=True):
+                m += 0.1 * (g - m)
+                v += 0.01 * (g * g - v)
+                p -= rate * (m / (1.0 - 0.9**epoch)) / (np.sqrt(v / (1.0 - 0.99**epoch)) + 1e-10)
+        return replace(self, network=replace(net, weights=tuple(parameters[::2]), biases=tuple(parameters[1::2])))
+
+    def function(self) -> Network:
+        return self.network
+
+
+def _gradients(parameters: list[Array], z: Array, y: Array, share: Array) -> list[Array]:
+    """Of half the weighted mean square of a sigmoid network's error, by its weights and biases in turn."""
+    layers = [z]
+    for k in range(0, len(parameters) - 2, 2):
+        layers.append(1.0 / (1.0 + np.exp(-(layers[-1] @ parameters[k] + parameters[k + 1]))))
+    delta = (share * ((layers[-1] @ parameters[-2])[:, 0] + parameters[-1][0] - y))[:, None]
+    gradients: list[Array] = []
+    for k in range(len(parameters) - 2, -1, -2):
+        below = layers[k // 2]
+        gradients[:0] = [below.T @ delta, delta.sum(axis=0)]
+        if k:
+            delta = (delta @ parameters[k].T) * below * (1.0 - below)
+    return gradients
+
+
+@dataclass(frozen=True, eq=False)
+class FuzzySurface(Surface):
+    """A Sugeno system of fixed premises; its consequents are least squares, held near where they were."""
+
+    system: Sugeno
+    scale: Array
+    """(D,) half range of each input: what a consequent's slope is measured by"""
+    hold: float = 0.02
+    """price of a change of the consequents, relative to the data"""
+
+    @classmethod
+    def start(cls, rows: Array, value: float, rules: int, seed: int) -> FuzzySurface:
+        """Gaussian rules around the centres of `rules` clusters of the inputs `rows` (n, D); `value` everywhere.
+
+        Scatter partitioning by k-means; each rule is as wide as the way to its nearest neighbours.
+        """
+        from sklearn.cluster import KMeans
+
+        low, high = rows.min(axis=0), rows.max(axis=0)
+        half = np.where(high > low, (high - low) / 2.0, 1.0)
+        z = (rows - low) / half
+        centres = KMeans(rules, n_init=2, random_state=seed).fit(z).cluster_centers_
+        distances = np.sort(np.sqrt(((centres[:, None] - centres[None]) ** 2).sum(axis=2)), axis=1)
+        near = distances[:, 1 : min(4, rules)].mean(axis=1) if rules > 1 else np.ones(1)
+        inputs = rows.shape[1]
+        premises = np.empty((rules * inputs, 3))
+        premises[:, WIDTH] = (near[:, None] * half * 0.7).ravel()
+        premises[:, SLOPE] = 1.0
+        premises[:, 2] = (centres * half + low).ravel()
+        consequents = np.zeros((rules, inputs + 1))
+        consequents[:, -1] = value
+        system = Sugeno(
+            owner=np.tile(np.arange(inputs), rules),
+            bell=np.zeros(rules * inputs, dtype=bool),
+            premises=premises,
+            rules=np.arange(rules * inputs).reshape(rules, inputs),
+            consequents=consequents,
+            weights=np.ones(rules),
+        )
+        return cls(system, half)
+
+    def predict(self, x: Array) -> Array:
+        return self.system.predict(x)
+
+    def fit(self, x: Array, target: Array, weight: Array, effort: float = 1.0) -> Self:
+        strengths = self.system.strengths(x)
+        extended = np.column_stack((x / self.scale, np.ones(len(x))))
+        a = (strengths[:, :, None] * extended[:, None, :]).reshape(len(x), -1)
+        share = weight / weight.sum()
+        gram = (a * share[:, None]).T @ a
+        gram[np.diag_indices_from(gram)] += self.hold / effort * np.trace(gram) / len(gram)
+        change = np.linalg.solve(gram, (a * share[:, None]).T @ (target - self.predict(x)))
+        moved = change.reshape(self.system.consequents.shape) / np.append(self.scale, 1.0)
+        return replace(self, system=replace(self.system, consequents=self.system.consequents + moved))
+
+    def function(self) -> Sugeno:
+        return self.system
+
+
+def shifted(function: float | Network | Sugeno, by: float) -> float | Network | Sugeno:
+    """The same function, `by` higher everywhere."""
+    if isinstance(function, Network):
+        return replace(function, out_low=function.out_low + by, out_high=function.out_high + by)
+    if isinstance(function, Sugeno):
+        consequents = function.consequents.copy()
+        consequents[:, -1] += by
+        return replace(function, consequents=consequents)
+    return function + by
+
+
+def check_inputs(inputs: Sequence[str], known: Sequence[str]) -> list[int]:
+    """The places of `inputs` in `known`.
+
+    Raises
+    ------
+    InvalidInput
+        When one is unknown.
+    """
+    for name in inputs:
+        if name not in known:
+            raise InvalidInput(f"inputs: unknown {name!r}: known are {', '.join(known)}.")
+    return [list(known).index(name) for name in inputs]

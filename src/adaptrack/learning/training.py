@@ -1,0 +1,163 @@
+"""From a data set of tuned conditions to models of the tuning: the paper's section IV, with a hold-out.
+
+One model for each slot of the tuning, each of the four inputs of a condition. What is held out trains nothing and
+chooses nothing; a condition and its left-right twin are always on the same side.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from adaptrack.dataset import DataSet
+from adaptrack.dataset.boosting import cross_validate
+from adaptrack.errors import InvalidInput, UnknownName, did_you_mean
+from adaptrack.learning.anfis import ANFIS
+from adaptrack.learning.mlp import MLP
+from adaptrack.learning.network import Network
+from adaptrack.learning.sugeno import Sugeno
+from adaptrack.tuning.conditions import NAMES, canonical, fold
+
+Array = NDArray[np.float64]
+
+MODELS: dict[str, type[MLP] | type[ANFIS]] = {"nn": MLP, "anfis": ANFIS}
+
+TARGETS = {"paper": ("Np", "Nc", "Q", "R"), "ratio": ("Np", "Nc", "log10_ratio")}
+"""The slots that are learned: of "paper" each number of the tuning as it is. Only R/Q changes the control law, so that
+"ratio" learns its decimal logarithm instead of both."""
+
+
+@dataclass(frozen=True, eq=False)
+class Trained:
+    """A model for each slot of the tuning, and how good they are."""
+
+    model: str
+    """"nn" or "anfis\""""
+    targets: str
+    """"paper" or "ratio", see `TARGETS`"""
+    inputs: tuple[str, ...]
+    """the D columns of a condition that the models see, in this order"""
+    estimators: Mapping[str, MLP | ANFIS]
+    """fitted, by slot"""
+    domain: Array
+    """(D, 2) lowest and highest value of each input in the rows trained on"""
+    quality: list[dict[str, Any]]
+    """A row per slot: slot, model; r2 and rmse on the hold-out; ceiling_r2 and ceiling_rmse there, see `train`;
+    n_train, n_holdout; seconds that the training took"""
+    provenance: dict[str, Any]
+    """data set and its identity, hold-out, seed, options of the models"""
+
+    @property
+    def histories(self) -> dict[str, dict[str, Array]]:
+        """The learning curves of each slot, see `MLP` and `ANFIS`."""
+        return {slot: made.history_ for slot, made in self.estimators.items()}
+
+    def network(self, slot: str) -> Network:
+        """The network that runs for this slot.
+
+        Raises
+        ------
+        UnknownName
+            When nothing of this name was learned.
+        InvalidInput
+            When the models are no networks.
+        """
+        made = self._estimator(slot)
+        if not isinstance(made, MLP):
+            raise InvalidInput(f"network({slot!r}): these models are fuzzy systems: use system({slot!r}).")
+        return made.network_
+
+    def system(self, slot: str) -> Sugeno:
+        """The fuzzy system that runs for this slot; raises like `network`."""
+        made = self._estimator(slot)
+        if not isinstance(made, ANFIS):
+            raise InvalidInput(f"system({slot!r}): these models are networks: use network({slot!r}).")
+        return made.system_
+
+    def _estimator(self, slot: str) -> MLP | ANFIS:
+        if slot not in self.estimators:
+            raise UnknownName(f"no slot is named {slot!r}. {did_you_mean(slot, self.estimators)}")
+        return self.estimators[slot]
+
+
+def train(
+    dataset: DataSet, model: str = "nn", targets: str = "paper", *, holdout: float = 0.2, seed: int = 0, **options: Any
+) -> Trained:
+    """Learn the best tuning of each condition from a data set, one model per slot.
+
+    model: "nn" for networks, "anfis" for fuzzy systems; targets: see `TARGETS`; holdout: share of the conditions that
+    is held out; seed: of the hold-out and of the models; options: parameters of `MLP` or `ANFIS`, whose defaults are
+    the paper's. Conditions where every tuning lost the car teach nothing and are left out.
+
+    The ceiling is what boosted trees reach on the same hold-out: a strong learner of another kind that is shown every
+    condition from its left side, and never the row that it predicts (5-fold cross-validation, see `dataset.boosting`).
+
+    Raises
+    ------
+    InvalidInput
+        For an unknown model, target or option, an option that is not allowed, or too few conditions for a hold-out.
+    """
+    for what, given, known in (("model", model, MODELS), ("targets", targets, TARGETS)):
+        if given not in known:
+            raise InvalidInput(f"train: {what} = {given!r}: must be one of {tuple(known)}.")
+    parameters = MODELS[model]().get_params()
+    for name in options.keys() - parameters.keys():
+        raise InvalidInput(f"train: {MODELS[model].__name__} has no option {name!r}. {did_you_mean(name, parameters)}")
+    options = {"random_state": seed, **options}
+
+    learned, held = dataset.rows(np.isfinite(dataset.costs)).split(holdout, seed)
+    estimators: dict[str, MLP | ANFIS] = {}
+    quality = []
+    for slot in TARGETS[targets]:
+        y, y_held = target(learned, slot), target(held, slot)
+        start = time.perf_counter()
+        estimators[slot] = MODELS[model](**options).fit(learned.conditions, y)
+        seconds = time.perf_counter() - start
+        r2, rmse = score(y_held, estimators[slot].predict(held.conditions))
+        best_r2, best_rmse = score(y_held, ceiling(learned.conditions, y, held.conditions, y_held, seed))
+        quality.append({
+            "slot": slot, "model": model, "r2": r2, "rmse": rmse, "ceiling_r2": best_r2, "ceiling_rmse": best_rmse,
+            "n_train": len(y), "n_holdout": len(y_held), "seconds": seconds,
+        })  # fmt: skip
+    return Trained(
+        model=model,
+        targets=targets,
+        inputs=NAMES,
+        estimators=estimators,
+        domain=np.column_stack((learned.conditions.min(axis=0), learned.conditions.max(axis=0))),
+        quality=quality,
+        provenance={
+            "dataset": dataset.name,
+            "identity": dataset.provenance.get("identity"),
+            "holdout": holdout,
+            "seed": seed,
+            "options": options,
+        },
+    )
+
+
+def target(dataset: DataSet, slot: str) -> Array:
+    """(n,) what a slot should be on each condition, see `TARGETS`."""
+    if slot == "log10_ratio":
+        return np.log10(dataset.ratios)
+    return dataset.tunings[:, TARGETS["paper"].index(slot)]
+
+
+def score(y: Array, predicted: Array) -> tuple[float, float]:
+    """R^2 and the root of the mean squared error; R^2 is 0 for a y (n,) that is constant."""
+    squares, spread = float(((y - predicted) ** 2).sum()), float(((y - y.mean()) ** 2).sum())
+    return 1.0 - squares / spread if spread > 0.0 else 0.0, (squares / len(y)) ** 0.5
+
+
+def ceiling(x: Array, y: Array, x_held: Array, y_held: Array, seed: int) -> Array:
+    """(m,) what boosted trees predict at the held-out conditions x_held (m, 4), see `train`."""
+    conditions = np.vstack((x, x_held))
+    families = fold(conditions)  # one row of each family: twins would tell the trees the answer
+    once = families.representatives
+    trees = cross_validate(canonical(conditions[once]), np.concatenate((y, y_held))[once], seed=seed)
+    return trees.predictions[families.family[len(x) :]]

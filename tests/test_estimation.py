@@ -1,0 +1,396 @@
+"""The estimator of friction and wind, on known truth."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from adaptrack.errors import InvalidInput
+from adaptrack.estimation import Belief, Estimating, FrictionWindEstimator
+from adaptrack.kernels import estimation as kernel
+from adaptrack.kernels.dynamics import unpack
+from adaptrack.mpc import MPC, Command, Condition, Tuning
+from adaptrack.plant import PAPER, ROAD, DualTrack, SingleTrack
+from adaptrack.qp import QPStatus
+from adaptrack.scenario import Scenario, load_scenario
+from adaptrack.simulate import simulate
+from adaptrack.vehicle import load_vehicle
+
+CAR = load_vehicle("paper")
+NOMINAL = Belief().nominal_friction
+PRIOR_STD = NOMINAL * Belief().friction_spread
+SILENT_ROAD = replace(ROAD, noise_vy=0.0, noise_yaw=0.0, noise_yaw_rate=0.0, noise_y=0.0)
+
+
+class Scripted:
+    """Steers by the clock."""
+
+    name = "scripted"
+
+    def __init__(self, steering, period=0.05):
+        self.steering, self.period = steering, period
+        self.reset()
+
+    def reset(self):
+        self.k = 0
+
+    def step(self, state, speed, reference, condition=None):
+        angle = self.steering(self.k * self.period)
+        self.k += 1
+        return Command(angle, 0.0, QPStatus.SOLVED, 0, 0.0, 0, False, (1.0, 1.0, 1.0, 1.0))
+
+    def describe(self):
+        return {}
+
+
+def road(speed=20.0, friction=0.9, wind=0.0, duration=10.0, **others):
+    """A drive on which nobody looks at the reference."""
+    return Scenario(
+        name="road", duration=duration, reference=0.0, speed=speed, friction=friction, wind=wind, start_y=0.0, **others
+    )
+
+
+def drive(scenario, steering, profile=ROAD, plant=None, estimator=None, seed=0):
+    """The trajectory under a steering law, and the estimates (n, 5)."""
+    plant = plant or DualTrack(CAR)
+    controller = Estimating(
+        Scripted(steering) if callable(steering) else steering, estimator or FrictionWindEstimator.of(plant, profile)
+    )
+    trajectory = simulate(plant, controller, scenario, profile=profile, seed=seed)
+    return trajectory, np.array(controller.estimates)
+
+
+def weave(amplitude, frequency=0.4):
+    return lambda t: amplitude * math.sin(2.0 * math.pi * frequency * t)
+
+
+def straight(t):
+    return 0.0
+
+
+def lane_change(seed):
+    """A drive under the MPC, its conditions drawn from the domain of the tuning campaign."""
+    rng = np.random.default_rng(seed)
+    speed, y, friction, gust = rng.uniform((6.0, -7.0, 0.3, -30.0), (30.0, 7.0, 1.0, 30.0))
+    mpc = MPC(CAR, Tuning(30, 10, 1, 3000), period=0.05, preview=True)
+    scenario = load_scenario("lane-change", amplitude=y, speed=speed, friction=friction, gust=gust)
+    return drive(scenario, mpc, seed=seed)
+
+
+def row(**state):
+    """A row of the kernel's memory with this state."""
+    own = np.zeros(kernel.MEMORY)
+    for name, value in state.items():
+        own[getattr(kernel, name)] = value
+    return own
+
+
+# -- the model --------------------------------------------------------------------------------------------------------
+@pytest.mark.parametrize("tyre", ["magic-formula", "passenger-car"])
+def test_the_filter_believes_in_the_single_track_plant(tyre, rng):
+    plant = SingleTrack(CAR, tyre)
+    p = FrictionWindEstimator.of(plant).packed()
+    for _ in range(20):
+        vy, r, yaw, friction, wind = rng.uniform((-2, -0.8, -1, 0.3, -30), (2, 0.8, 1, 1, 30))
+        vx = rng.uniform(2.0, 30.0)
+        own = row(VY=vy, YAW_RATE=r, LOG_FRICTION=math.log(friction), WIND=wind)
+        lateral, yawing, _, _ = kernel.accelerations(0.0, yaw, vx, p, own)
+        slope = plant.derivative([0, 0, yaw, vx, vy, r], [0.0, 0.0], [friction] * 4 + [0.0, wind])
+        assert lateral == pytest.approx(slope[4] + vx * r, rel=1e-12, abs=1e-12)
+        assert yawing == pytest.approx(slope[5], rel=1e-12, abs=1e-12)
+
+
+@pytest.mark.parametrize("tyre", ["magic-formula", "passenger-car", "constant-stiffness"])
+def test_its_derivatives_are_those_of_its_accelerations(tyre, rng):
+    p = FrictionWindEstimator.of(DualTrack(CAR, tyre)).packed()
+    for _ in range(20):
+        z = rng.uniform((-1, -0.5, math.log(0.3), -30, -0.1), (1, 0.5, 0.0, 30, 0.1))
+        angle, yaw, vx = rng.uniform((-0.3, -0.5, 5.0), (0.3, 0.5, 30.0))
+        own = np.zeros(kernel.MEMORY)
+        own[: kernel.N] = z
+        kernel.accelerations(angle, yaw, vx, p, own)
+        found = own[kernel.WIND_STD + 1 :][: 2 * kernel.N].reshape(2, kernel.N).copy()
+        for j in range(kernel.N):
+            step = 1e-5
+            ends = []
+            for sign in (1.0, -1.0):
+                own[: kernel.N] = z
+                own[j] += sign * step
+                ends.append(np.array(kernel.accelerations(angle, yaw, vx, p, own)[:2]))
+            expected = (ends[0] - ends[1]) / (2.0 * step)
+            assert found[:, j] == pytest.approx(expected, rel=2e-3, abs=1e-4), f"column {j}"
+
+
+def test_the_replica_turns_the_wheels_as_the_actuator_does():
+    estimator = FrictionWindEstimator.of(DualTrack(CAR))
+    angles = []
+
+    class Watched(Scripted):
+        def step(self, *arguments, **named):
+            angles.append(estimator._memory[0, kernel.ANGLE])
+            return super().step(*arguments, **named)
+
+    def jerky(t):
+        return 0.3 * math.copysign(1.0, math.sin(5.0 * t))
+
+    trajectory, _ = drive(road(5.0, duration=4.0), Watched(jerky), SILENT_ROAD, estimator=estimator)
+    assert np.abs(np.array(angles) - trajectory.steering).max() < 2e-3
+    c = unpack(estimator.packed())
+    assert kernel.steered(0.0, 0.4, 0.3, c) == pytest.approx(0.15)  # at the rate limit
+    assert kernel.steered(0.0, 0.05, 0.3, c) == pytest.approx(0.05 * (1.0 - math.exp(-2.0)))  # below it
+    assert kernel.steered(0.0, 2.0, 50.0, c) == pytest.approx(math.pi / 6)
+
+
+# -- wind -------------------------------------------------------------------------------------------------------------
+@pytest.mark.parametrize("wind", [-12.0, 4.0, 25.0])
+def test_without_noise_a_constant_wind_is_found(wind):
+    plant = SingleTrack(CAR)
+    belief = Belief(nominal_friction=0.9, friction_spread=0.05, wind_time=60.0, stiffness_spread=0.0, tyre_error=0.0)
+    estimator = FrictionWindEstimator.of(plant, PAPER, period=0.05, belief=belief)
+    _, found = drive(road(20.0, 0.9, wind, 6.0), weave(0.01), PAPER, plant, estimator)
+    assert found[-40:, 1] == pytest.approx(wind, rel=0.02)
+
+
+def test_a_gust_is_tracked():
+    squares, truth = 0.0, 0.0
+    for seed in range(3):
+        scenario = load_scenario("lane-change", amplitude=1.0, speed=22.0, friction=0.8, gust=18.0)
+        mpc = MPC(CAR, Tuning(30, 10, 1, 3000), period=0.05, preview=True)
+        trajectory, found = drive(scenario, mpc, seed=seed)
+        squares += np.mean((found[:, 1] - trajectory.wind[:, 1]) ** 2)
+        truth += np.mean(trajectory.wind[:, 1] ** 2)
+        assert abs(found[:, 1].max() - 18.0) < 6.0
+    assert math.sqrt(squares / truth) < 0.55
+
+
+def test_an_accelerometer_makes_wind_and_friction_more_certain():
+    estimator = FrictionWindEstimator.of(DualTrack(CAR))
+    trajectory, without = drive(road(20.0, 0.7, 3.0, 4.0), weave(0.05), estimator=estimator)
+    estimator.reset()
+    command = 0.0
+    for k in range(len(trajectory.t)):
+        state = [trajectory.vy[k], trajectory.psi[k], trajectory.yaw_rate[k], trajectory.Y[k]]
+        felt = estimator.step(state, trajectory.vx[k], command, trajectory.lateral_acceleration[k])
+        command = trajectory.command[k]
+    assert felt.wind_std < 0.7 * without[-1, 3]
+    assert felt.friction_std < without[-1, 2]
+    assert abs(felt.wind - 3.0) < 3.0 * felt.wind_std
+
+
+# -- friction ---------------------------------------------------------------------------------------------------------
+@pytest.mark.parametrize("friction", [0.3, 0.5, 0.8])
+def test_friction_is_found_where_the_tyres_slide(friction):
+    _, found = drive(road(20.0, friction, 0.0, 6.0), weave(0.3 * friction))
+    settled = found[60:]
+    assert np.sqrt(np.mean((settled[:, 0] - friction) ** 2)) < 0.12 * friction
+    assert settled[:, 2].mean() < 0.12 * friction
+
+
+def test_a_drop_of_friction_is_seen_within_a_second_where_the_tyres_slide():
+    patch = {"start": 4.0, "end": 8.0, "friction": 0.4}
+    trajectory, found = drive(road(20.0, 0.9, 0.0, 8.0, friction_patches=[patch]), weave(0.25))
+    after = trajectory.t > 5.0
+    assert found[after, 0].max() < 0.55
+    assert found[trajectory.t < 4.0, 0][-10:].min() > 0.7
+
+
+@pytest.mark.parametrize("friction", [0.3, 0.95])
+@pytest.mark.parametrize("speed", [5.0, 25.0])
+def test_friction_is_nominal_and_said_to_be_unknown_where_nothing_excites(friction, speed):
+    _, found = drive(road(speed, friction, 0.0, 15.0), straight)
+    assert np.abs(found[:, 0] - NOMINAL).max() < 0.15 * NOMINAL
+    assert found[:, 2].min() > 0.8 * PRIOR_STD
+
+
+def test_friction_drifts_back_to_nominal_after_the_slide():
+    trajectory, found = drive(road(20.0, 0.3, 0.0, 34.0), lambda t: weave(0.1)(t) if t < 4.0 else 0.0)
+    assert found[80, 0] < 0.4
+    assert abs(found[-1, 0] - NOMINAL) < 0.1
+    assert found[-1, 2] > 0.85 * PRIOR_STD
+    waiting = found[(trajectory.t > 8.0) & (trajectory.t < 30.0), 0]
+    assert (np.diff(waiting[::40]) > -0.02).all()
+
+
+@pytest.mark.parametrize("factor", [0.9, 1.1])
+def test_soft_or_stiff_tyres_are_not_taken_for_the_road(factor):
+    plant = DualTrack(CAR)
+    tyre = plant.tyre.replace(
+        stiffness_front=plant.tyre.stiffness_front * factor, stiffness_rear=plant.tyre.stiffness_rear * factor
+    )
+    errors = {}
+    for spread in (0.0, 0.05):
+        estimator = FrictionWindEstimator(CAR, tyre, ROAD.steering, belief=Belief(stiffness_spread=spread))
+        _, found = drive(road(20.0, NOMINAL, 0.0, 12.0), weave(0.06), estimator=estimator)
+        errors[spread] = abs(found[-100:, 0].mean() - NOMINAL)
+    assert errors[0.05] < 0.5 * errors[0.0]
+    assert found[-1, 4] == pytest.approx(1.0 / factor, rel=0.07)
+
+
+# -- the filter -------------------------------------------------------------------------------------------------------
+def test_errors_are_as_large_as_the_filter_says():
+    friction, wind = [], []
+    for seed in range(12):
+        trajectory, found = lane_change(seed)
+        friction.append(np.log(found[:, 0] / trajectory.friction[:, 0]) * found[:, 0] / found[:, 2])
+        wind.append((found[:, 1] - trajectory.wind[:, 1]) / found[:, 3])
+    friction, wind = np.concatenate(friction), np.concatenate(wind)
+    assert 0.5 < np.mean(friction**2) < 1.6  # the mean of a chi-squared variable of one degree of freedom: 1
+    assert np.mean(np.abs(friction) > 3.0) < 0.01
+    assert 0.2 < np.mean(wind**2) < 1.2  # mostly calm: less than the prior expects
+    assert np.mean(np.abs(wind) > 3.0) < 0.01
+
+
+def test_the_mirrored_drive_gives_the_mirrored_estimate():
+    estimator, mirrored = (FrictionWindEstimator.of(DualTrack(CAR)) for _ in range(2))
+    trajectory, _ = lane_change(3)
+    command = 0.0
+    for k in range(len(trajectory.t)):
+        state = np.array([trajectory.vy[k], trajectory.psi[k], trajectory.yaw_rate[k], trajectory.Y[k]])
+        felt = trajectory.lateral_acceleration[k]
+        one = estimator.step(state, trajectory.vx[k], command, felt)
+        two = mirrored.step(-state, trajectory.vx[k], -command, -felt)
+        assert one.wind == -two.wind
+        assert (one.friction, one.friction_std, one.wind_std) == (two.friction, two.friction_std, two.wind_std)
+        command = trajectory.command[k]
+
+
+@pytest.mark.parametrize("profile", [ROAD, SILENT_ROAD], ids=["noisy", "silent"])
+def test_the_covariance_stays_symmetric_and_positive_definite(profile):
+    estimator = FrictionWindEstimator.of(DualTrack(CAR), profile)
+
+    class Watched(Scripted):
+        def step(self, *arguments, **named):
+            p = estimator.covariance
+            assert np.abs(p - p.T).max() <= 1e-12 * np.abs(p).max()
+            scale = 1.0 / np.sqrt(np.diag(p))
+            assert np.linalg.eigvalsh(p * np.outer(scale, scale)).min() > 1e-9
+            return super().step(*arguments, **named)
+
+    drive(road(25.0, 0.4, 20.0, 12.0), Watched(weave(0.5, 0.7)), profile, estimator=estimator)  # spins
+    drive(road(0.0, 0.9, 20.0, 3.0), Watched(weave(0.5)), profile, estimator=estimator)  # stands still
+
+
+def test_a_measurement_that_is_no_number_leaves_the_estimate():
+    estimator = FrictionWindEstimator.of(DualTrack(CAR))
+    for _ in range(20):
+        before = estimator.step([0.1, 0.0, 0.02, 0.0], 20.0, 0.01)
+    nothing = estimator.step([math.nan] * 4, math.nan, math.nan, math.nan)
+    kept = math.exp(-estimator.period / Belief().wind_time)
+    assert nothing.wind == pytest.approx(kept * before.wind)
+    assert nothing.wind_std > before.wind_std
+    for gap in range(4):
+        state = [0.1, 0.0, 0.02, 0.0]
+        state[gap] = math.inf if gap % 2 else math.nan
+        assert all(map(math.isfinite, estimator.step(state, 20.0, 0.01)))
+    for _ in range(1200):
+        nothing = estimator.step([math.nan] * 4, 20.0, 0.0)
+    assert nothing[:4] == pytest.approx((NOMINAL, 0.0, PRIOR_STD, Belief().wind_spread), rel=0.01, abs=1e-6)
+
+
+def test_one_outlier_moves_no_more_than_a_trusted_innovation():
+    estimator = FrictionWindEstimator.of(DualTrack(CAR))
+    for _ in range(100):
+        calm = estimator.step([0.0, 0.0, 0.0, 0.0], 20.0, 0.0)
+    found = estimator.step([50.0, 0.0, -20.0, 0.0], 20.0, 0.0)
+    assert abs(found.wind) < 2.0 * kernel.TRUSTED * calm.wind_std
+    assert abs(found.friction - calm.friction) < 0.1
+
+
+@pytest.mark.parametrize("value", [1e308, 1e6, 900.0, 30.0, -math.inf])
+def test_it_recovers_from_an_absurd_measurement(value):
+    estimator = FrictionWindEstimator.of(DualTrack(CAR))
+    for sign in (1.0, -1.0, 1.0):
+        absurd = sign * value
+        estimator.step([absurd] * 4, absurd, absurd, absurd)
+    for _ in range(600):
+        found = estimator.step([0.0, 0.0, 0.0, 0.0], 20.0, 0.0)
+    assert abs(found.wind) < 1.0
+    assert found.friction == pytest.approx(NOMINAL, abs=0.1)
+    motion = estimator.covariance[:2, :2]
+    assert np.isfinite(motion).all()
+    assert np.sqrt(np.diag(motion)) == pytest.approx([0.02, 0.003], abs=0.02)
+
+
+def test_estimates_stay_within_their_bounds():
+    belief = Belief(friction_range=(0.5, 0.8), most_wind=5.0)
+    estimator = FrictionWindEstimator.of(DualTrack(CAR), belief=belief)
+    for friction in (0.3, 1.0):
+        _, found = drive(road(22.0, friction, 30.0, 6.0), weave(0.25), estimator=estimator)
+        assert found[:, 0].min() >= 0.5 - 1e-12
+        assert found[:, 0].max() <= 0.8 + 1e-12
+        assert np.abs(found[:, 1]).max() <= 5.0
+
+
+def test_lanes_do_not_touch_each_other():
+    estimator = FrictionWindEstimator.of(DualTrack(CAR))
+    p, settings, memory = estimator.packed(), estimator.settings(), np.zeros((3, kernel.MEMORY))
+    memory[[0, 2]] = 7.0
+    for k in range(30):
+        seen = np.array([0.1 * math.sin(0.3 * k), 0.01, 0.1 * math.cos(0.2 * k), 0.0])
+        kernel.estimate(1, seen, 15.0, 0.02, math.nan, p, settings, memory)
+        alone = estimator.step(seen, 15.0, 0.02)
+    assert (memory[[0, 2]] == 7.0).all()
+    names = (kernel.FRICTION_HAT, kernel.WIND_HAT, kernel.FRICTION_STD, kernel.WIND_STD)
+    assert tuple(memory[1, name] for name in names) == alone[:4]
+
+
+def test_reset_forgets():
+    estimator = FrictionWindEstimator.of(DualTrack(CAR))
+    first = [estimator.step([0.1, 0.0, 0.1 * k, 0.0], 20.0, 0.05) for k in range(5)]
+    estimator.reset()
+    assert [estimator.step([0.1, 0.0, 0.1 * k, 0.0], 20.0, 0.05) for k in range(5)] == first
+
+
+# -- the door ---------------------------------------------------------------------------------------------------------
+def test_the_scheduler_is_told_the_estimates():
+    told = []
+
+    def scheduler(condition):
+        told.append(condition)
+        return 20.0, 5.0, 1.0, 3000.0
+
+    mpc = MPC(CAR, period=0.05, scheduler=scheduler)
+    controller = Estimating(mpc, FrictionWindEstimator.of(DualTrack(CAR)))
+    trajectory = simulate(DualTrack(CAR), controller, road(20.0, 0.9, 15.0, 1.0), profile="road")
+    assert [(c.friction, c.wind) for c in told] == [(e.friction, e.wind) for e in controller.estimates]
+    assert [c.speed for c in told] == trajectory.vx.tolist()
+    assert isinstance(told[0], Condition)
+    assert controller.describe()["estimator"]["nominal_friction"] == NOMINAL
+
+
+@pytest.mark.parametrize("name", ["period", "noise_vy", "noise_yaw_rate", "noise_acceleration"])
+@pytest.mark.parametrize("value", [0.0, -1.0, math.nan, math.inf, "fast"])
+def test_the_estimator_refuses_a_noise_or_period_that_is_none(name, value):
+    with pytest.raises(InvalidInput, match=name):
+        FrictionWindEstimator(CAR, **{name: value})
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("nominal_friction", 0.05),
+        ("nominal_friction", math.nan),
+        ("friction_spread", 0.0),
+        ("friction_time", -1.0),
+        ("friction_range", (0.0, 1.0)),
+        ("friction_range", (0.9, 0.7)),
+        ("wind_time", math.inf),
+        ("stiffness_spread", -0.1),
+    ],
+)
+def test_a_belief_refuses_nonsense(name, value):
+    with pytest.raises(InvalidInput, match=name):
+        Belief(**{name: value})
+
+
+def test_a_measurement_of_another_shape_is_refused():
+    with pytest.raises(InvalidInput, match="expected \\(4,\\)"):
+        FrictionWindEstimator(CAR).step([0.0, 0.0, 0.0], 10.0, 0.0)
+
+
+def test_estimator_and_controller_must_share_their_period():
+    with pytest.raises(InvalidInput, match="same instants"):
+        Estimating(MPC(CAR, period=0.1), FrictionWindEstimator(CAR, period=0.05))

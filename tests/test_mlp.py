@@ -1,0 +1,225 @@
+"""The network regressor: its forward pass, what gradient descent does, and that it behaves as an estimator."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from sklearn.base import clone
+from sklearn.neural_network import MLPRegressor
+from sklearn.utils.estimator_checks import check_estimator
+
+from adaptrack import learning as room
+from adaptrack.errors import InvalidInput
+from adaptrack.learning import MLP, Network
+
+QUICK = {"epochs": 60, "batch_size": 20}
+
+
+def data(n=300, inputs=4, seed=0):
+    x = np.random.default_rng(seed).uniform(-3.0, 3.0, (n, inputs))
+    return x, 20.0 + 5.0 * np.sin(x[:, 0]) + x[:, 1] * np.tanh(x[:, -1])
+
+
+def noisy(n=120):
+    x, y = data(n)
+    return x, y + np.random.default_rng(6).normal(0.0, 3.0, n)
+
+
+def rmse(y, predicted):
+    return np.sqrt(((predicted - y) ** 2).mean())
+
+
+@pytest.mark.parametrize("options", [
+    {"epochs": 80, "batch_size": 20}, {"solver": "lbfgs", "epochs": 60},
+    {"epochs": 25, "batch_size": 20, "solver": "adam", "learning_rate": 0.03, "early_stopping": True},
+])  # fmt: skip
+def test_it_is_a_scikit_learn_estimator(options):
+    check_estimator(MLP(**options), on_skip=None)
+
+
+# --- what runs
+
+
+@pytest.mark.parametrize("relu", [True, False])
+def test_the_forward_pass_is_the_papers_equations(relu):
+    x, y = data(40)
+    network = MLP(relu=relu, **QUICK, random_state=0).fit(x, y).network_
+    network = replace(network, biases=(*network.biases[:-1], network.biases[-1] - 0.2))  # so that the ReLU bites
+    assert [w.shape for w in network.weights] == [(4, 16), (16, 8), (8, 1)]
+    expected = []
+    for row in x:
+        signal = [(row[i] - network.low[i]) / (network.high[i] - network.low[i]) for i in range(4)]
+        for layer in range(3):
+            w, b = network.weights[layer], network.biases[layer]
+            sums = [sum(w[i, j] * signal[i] for i in range(len(signal))) + b[j] for j in range(len(b))]
+            signal = [1.0 / (1.0 + math.exp(-s)) for s in sums] if layer < 2 else sums
+        o = max(0.0, signal[0]) if relu else signal[0]
+        expected.append(network.out_low + (network.out_high - network.out_low) * o)
+    np.testing.assert_allclose(network.predict(x), expected, rtol=1e-12)
+    assert (min(expected) == y.min()) == relu
+    assert max(expected) > y.min()
+    assert network.n_parameters == 4 * 16 + 16 + 16 * 8 + 8 + 8 + 1
+
+
+def test_the_estimator_predicts_what_its_network_does():
+    x, y = data()
+    made = MLP(**QUICK, random_state=0).fit(x, y)
+    np.testing.assert_array_equal(made.predict(x), made.network_.predict(x))
+    assert made.predict(x).min() >= y.min(), "the ReLU stands at the least target"
+    assert np.isfinite(made.predict(1e6 * x)).all()
+
+
+def test_arrays_that_make_no_network_are_refused():
+    network = MLP(**QUICK, random_state=0).fit(*data()).network_
+    with pytest.raises(InvalidInput, match="do not fit"):
+        replace(network, weights=network.weights[1:])
+    with pytest.raises(InvalidInput, match="not finite"):
+        replace(network, out_low=math.nan)
+    assert isinstance(network, Network)
+
+
+def test_dead_outputs_are_counted():
+    x = np.random.default_rng(0).uniform(-1.0, 1.0, (400, 1))
+    y = np.maximum(0.0, x[:, 0])  # a linear output undershoots where the target is 0
+    made = MLP((2,), epochs=100, random_state=0).fit(x, y)
+    below = replace(made.network_, relu=False).predict(x) < 0.0
+    assert 0.0 < below.mean() < 1.0
+    assert made.dead_share_ == below.mean()
+    assert (made.predict(x)[below] == 0.0).all()
+    assert MLP((2,), epochs=100, random_state=0, relu=False).fit(x, y).dead_share_ == 0.0
+
+
+# --- learning
+
+
+def test_gradient_descent_lowers_the_training_error():
+    x, y = data()
+    made = MLP(**QUICK, random_state=0).fit(x, y)
+    errors = made.history_["train_rmse"]
+    assert errors[-5:].mean() < 0.6 * errors[0]
+    assert rmse(y, made.predict(x)) == pytest.approx(errors.min(), rel=1e-12)
+    assert made.best_epoch_ == made.history_["epoch"][errors.argmin()]
+
+
+def test_the_papers_recipe_is_the_default():
+    expected = {"hidden": (16, 8), "solver": "momentum", "epochs": 1000, "relu": True, "early_stopping": False}
+    assert expected.items() <= MLP().get_params().items()
+    learner = MLP()._learner(500, None)
+    assert (learner.solver, learner.momentum, learner.nesterovs_momentum, learner.alpha) == ("sgd", 0.9, False, 0.0)
+    assert (learner.activation, learner.loss) == ("logistic", "squared_error")
+
+
+@pytest.mark.parametrize("solver", ["momentum", "adam", "lbfgs"])
+def test_a_smooth_function_is_learned(solver):
+    x, y = data(1500)
+    made = MLP(solver=solver, epochs=300, batch_size=50, random_state=0).fit(x[:1000], y[:1000])
+    assert made.score(x[1000:], y[1000:]) > 0.95
+
+
+def test_the_unit_of_the_inputs_and_of_the_target_does_not_matter():
+    x, y = data(150)
+    scale, shift = np.array([1e3, 1e-2, 1.0, 5.0]), np.array([50.0, -3.0, 0.0, 7.0])
+    one = MLP(**QUICK, random_state=0).fit(x, y)
+    other = MLP(**QUICK, random_state=0).fit(x * scale + shift, 40.0 * y - 9.0)
+    np.testing.assert_allclose((other.predict(x * scale + shift) + 9.0) / 40.0, one.predict(x), rtol=1e-6)
+
+
+def test_a_constant_target_is_learned_exactly():
+    x, _ = data(50)
+    x[:, 1] = 4.0  # and an input that never changes does no harm
+    made = MLP(**QUICK, random_state=0).fit(x, np.full(50, 7.0))
+    assert (made.predict(x) == 7.0).all()
+    assert made.dead_share_ == 0.0
+
+
+@pytest.mark.parametrize("solver", ["momentum", "adam", "lbfgs"])
+def test_the_same_seed_gives_the_same_bits(solver):
+    made = MLP(**QUICK, solver=solver, early_stopping=True)
+    one, again, other = (clone(made).set_params(random_state=seed).fit(*data()) for seed in (3, 3, 4))
+    for a, b, c in zip(one.network_.weights, again.network_.weights, other.network_.weights, strict=True):
+        np.testing.assert_array_equal(a, b)
+        assert (a != c).any()
+    np.testing.assert_array_equal(one.history_["train_rmse"], again.history_["train_rmse"])
+
+
+def test_the_callers_threads_do_not_change_the_bits(run_python):
+    code = (
+        "import numpy as np; from adaptrack.learning import MLP; from threadpoolctl import threadpool_limits\n"
+        "x = np.random.default_rng(0).normal(size=(3000, 4))\n"
+        "for threads in (1, 2):\n"
+        "    with threadpool_limits(threads):\n"
+        "        m = MLP(epochs=3, batch_size=3000, random_state=0).fit(x, x.sum(axis=1))\n"
+        "    print(*(w.tobytes().hex() for w in m.network_.weights))"
+    )
+    one, two = run_python(code=code).splitlines()
+    assert one == two
+
+
+# --- history and early stopping
+
+
+def test_the_history_has_an_entry_per_epoch():
+    x, y = data(100)
+    made = MLP(epochs=12, random_state=0).fit(x, y)
+    np.testing.assert_array_equal(made.history_["epoch"], np.arange(1, 13))
+    assert set(made.history_) == {"epoch", "train_rmse"}
+    assert made.history_["train_rmse"].shape == (12,)
+    assert made.n_iter_ == 12
+
+
+def test_lbfgs_is_looked_at_every_fifty_iterations():
+    made = MLP(solver="lbfgs", epochs=120, random_state=0).fit(*noisy(300))
+    np.testing.assert_array_equal(made.history_["epoch"], [50, 100, 120])
+    errors = made.history_["train_rmse"]
+    assert (np.diff(errors) < 0.0).all()
+    x, _ = data(30)
+    assert MLP(solver="lbfgs", random_state=0).fit(x, x[:, 0]).n_iter_ < 1000, "it stops when it has converged"
+
+
+def test_early_stopping_keeps_the_epoch_that_is_best_on_the_hold_out():
+    x, y = noisy()
+    made = MLP(epochs=400, batch_size=20, early_stopping=True, patience=20, random_state=0).fit(x, y)
+    held = made.history_["validation_rmse"]
+    assert made.best_epoch_ == held.argmin() + 1
+    assert made.n_iter_ == len(held) == len(made.history_["train_rmse"]) == made.best_epoch_ + 20 < 400
+    _, rows = made._split(len(y), np.random.RandomState(0))
+    assert len(rows) == 24
+    assert rmse(y[rows], made.predict(x[rows])) == pytest.approx(held.min(), rel=1e-12)
+
+
+# --- what is refused
+
+
+@pytest.mark.parametrize("bad", [
+    {"hidden": ()}, {"hidden": (16, 0)}, {"hidden": (8.5,)}, {"hidden": 16}, {"solver": "sgd"}, {"learning_rate": 0.0},
+    {"learning_rate": "fast"}, {"batch_size": 0}, {"epochs": 0}, {"epochs": 1.5}, {"validation_fraction": 1.0},
+    {"patience": 0}, {"early_stopping": True, "validation_fraction": 0.999},
+])  # fmt: skip
+def test_a_parameter_that_is_not_allowed_is_named(bad):
+    with pytest.raises(InvalidInput, match=f"MLP: {list(bad)[-1]} = "):
+        MLP(**bad).fit(*data(30))
+
+
+def test_training_that_diverges_says_so():
+    with pytest.raises(InvalidInput, match=r"diverged after .* lower learning_rate"):
+        MLP(learning_rate=1e9, epochs=500, random_state=0).fit(*data(50))
+
+
+def test_an_interrupt_ends_the_training(monkeypatch):
+    def interrupt(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(MLPRegressor, "_backprop", interrupt)
+    with pytest.raises(KeyboardInterrupt):
+        MLP().fit(*data(30))
+
+
+def test_what_was_learned_runs_without_the_library_that_trained_it(run_python):
+    assert "sklearn" not in run_python(code="import sys, adaptrack.learning.network; print(*sys.modules)").split()
+
+
+def test_every_public_name_of_the_room_is_there():
+    assert all(hasattr(room, name) for name in room.__all__)
+    with pytest.raises(AttributeError, match="no attribute 'MPL'"):
+        room.MPL  # noqa: B018

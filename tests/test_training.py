@@ -1,0 +1,185 @@
+"""From tuned conditions to models: what is held out stays out, and the quality is what anybody would compute."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from adaptrack.dataset import DataSet, boosting
+from adaptrack.errors import InvalidInput, UnknownName
+from adaptrack.learning import ANFIS, MLP, TARGETS, Network, Sugeno, train
+from adaptrack.learning import training as module
+from adaptrack.tuning.conditions import NAMES, fold, grid, mirrored, sobol
+
+BOX = {"speed": (3.0, 30.0), "y_ref": (-15.0, 15.0), "friction": (0.3, 1.0), "wind": (-30.0, 30.0)}
+OPTIONS = {"nn": {"solver": "adam", "epochs": 200, "batch_size": 30}, "anfis": {"epochs": 3}}
+
+
+def tuned(conditions, noise=0.0):
+    """A data set whose best tuning is a smooth function of the condition, alike for left-right twins."""
+    speed, y_ref, friction, wind = conditions.T
+    rng = np.random.default_rng(0)
+    family = fold(conditions).family
+    Np = 20.0 + speed + noise * rng.normal(size=len(conditions))[family]
+    Nc = 2.0 + np.abs(y_ref) / 3.0
+    Q, R = 1.0 + friction * np.abs(y_ref), 10.0 ** (-3.0 + speed / 30.0 + (wind * y_ref) / 900.0)
+    n = len(conditions)
+    return DataSet(
+        conditions=conditions,
+        tunings=np.column_stack((Np, Nc, Q, R)),
+        costs=np.ones(n),
+        standard_costs=np.ones(n),
+        traces=np.ones((n, 1)),
+        landscape=np.ones((n, 1)),
+        library=np.ones((1, 4)),
+        evaluations=np.ones(n),
+        control_steps=np.ones(n),
+        stream=np.arange(n),
+        mirrored_from=np.full(n, -1),
+        seed=np.zeros(n),
+        provenance={"name": "smooth", "identity": "abc"},
+    )
+
+
+@pytest.fixture(scope="module", autouse=True)
+def few_trees():
+    """A ceiling that takes a fifth of the time."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(boosting, "TREES", 60)
+        yield
+
+
+@pytest.fixture(scope="module")
+def dataset():
+    return tuned(sobol(400, BOX))
+
+
+@pytest.fixture(scope="module", params=["nn", "anfis"])
+def trained(request, dataset):
+    return train(dataset, request.param, "ratio", seed=1, **OPTIONS[request.param])
+
+
+@pytest.mark.parametrize("model", ["nn", "anfis"])
+@pytest.mark.parametrize("targets", ["paper", "ratio"])
+def test_each_slot_gets_a_model_of_its_own_target(dataset, model, targets):
+    made = train(dataset, model, targets, **OPTIONS[model] | {"epochs": 2})
+    assert (made.model, made.targets, made.inputs) == (model, targets, NAMES)
+    assert tuple(made.estimators) == tuple(row["slot"] for row in made.quality) == TARGETS[targets]
+    assert {type(each) for each in made.estimators.values()} == {MLP if model == "nn" else ANFIS}
+    learned, _ = dataset.split(0.2, 0)
+    expected = dict(zip(("Np", "Nc", "Q", "R"), learned.tunings.T, strict=True))
+    expected["log10_ratio"] = np.log10(expected["R"] / expected["Q"])
+    for slot, each in made.estimators.items():
+        network = model == "nn"
+        found = (each.network_.out_low, each.network_.out_high) if network else each.output_range_
+        np.testing.assert_allclose(found, (expected[slot].min(), expected[slot].max()), rtol=1e-13)
+
+
+def test_the_quality_is_what_anybody_computes_on_the_hold_out(dataset, trained):
+    learned, held = dataset.split(0.2, 1)
+    targets = {"Np": held.tunings[:, 0], "Nc": held.tunings[:, 1], "log10_ratio": np.log10(held.ratios)}
+    for row in trained.quality:
+        y, predicted = targets[row["slot"]], trained.estimators[row["slot"]].predict(held.conditions)
+        assert row["r2"] == pytest.approx(1.0 - ((y - predicted) ** 2).sum() / ((y - y.mean()) ** 2).sum(), rel=1e-9)
+        assert row["rmse"] == pytest.approx(np.sqrt(((y - predicted) ** 2).mean()), rel=1e-9)
+        assert (row["model"], row["n_train"], row["n_holdout"]) == (trained.model, len(learned), len(held))
+        assert (len(learned), len(held)) == (320, 80)
+        assert row["seconds"] > 0.0
+
+
+def test_a_smooth_schedule_is_learned(dataset, trained):
+    _, held = dataset.split(0.2, 1)
+    for row in trained.quality:
+        assert row["r2"] > 0.85
+        assert row["ceiling_r2"] > 0.8
+        spread = module.target(held, row["slot"]).std()
+        assert row["ceiling_rmse"] == pytest.approx(spread * np.sqrt(1.0 - row["ceiling_r2"]))
+
+
+def test_the_domain_is_that_of_the_rows_trained_on(dataset, trained):
+    learned, _ = dataset.split(0.2, 1)
+    np.testing.assert_array_equal(trained.domain[:, 0], learned.conditions.min(axis=0))
+    np.testing.assert_array_equal(trained.domain[:, 1], learned.conditions.max(axis=0))
+
+
+def test_what_runs_is_plain_arrays(trained):
+    plain, other, kind = ("network", "system", Network) if trained.model == "nn" else ("system", "network", Sugeno)
+    assert isinstance(getattr(trained, plain)("Np"), kind)
+    with pytest.raises(InvalidInput, match=rf"use {plain}\('Np'\)"):
+        getattr(trained, other)("Np")
+    with pytest.raises(UnknownName, match=r"no slot is named 'log_ratio'\. Did you mean 'log10_ratio'"):
+        getattr(trained, plain)("log_ratio")
+    assert trained.histories["Np"] is trained.estimators["Np"].history_
+
+
+def test_no_twin_of_a_held_out_condition_is_trained_on(monkeypatch):
+    dataset = tuned(grid(speed=[5, 15, 25], y_ref=[-8, -3, 3, 8], friction=[0.5, 0.9], wind=[-20, 0, 20]))
+    seen = []
+    fit = ANFIS.fit
+    monkeypatch.setattr(ANFIS, "fit", lambda self, x, y: seen.append(x) or fit(self, x, y))
+    train(dataset, "anfis", epochs=0, seed=2)
+    _, held = dataset.split(0.2, 2)
+    either = np.vstack((held.conditions, mirrored(held.conditions)))
+    assert len(held) >= 10
+    assert len(seen) == 4
+    for x in seen:
+        assert len(x) + len(held) == len(dataset)
+        assert not (x[:, np.newaxis] == either).all(axis=2).any()
+
+
+def test_the_ceiling_has_not_seen_the_twins_of_what_it_predicts():
+    conditions = grid(speed=range(4, 29, 3), y_ref=[-8, -3, 3, 8], friction=[0.5, 0.9], wind=[-20, -10, 10, 20])
+    dataset = tuned(conditions, noise=50.0)  # the speed explains next to nothing: what a twin tells would be seen
+    learned, held = dataset.split(0.3, 0)
+    y, y_held = module.target(learned, "Np"), module.target(held, "Np")
+    r2, _ = module.score(y_held, module.ceiling(learned.conditions, y, held.conditions, y_held, 0))
+    assert -0.3 < r2 < 0.3
+
+
+def test_conditions_that_lose_every_car_teach_nothing(dataset):
+    costs, tunings = dataset.costs.copy(), dataset.tunings.copy()
+    costs[:40], tunings[:40] = np.inf, 1e6
+    rows = train(dataclasses.replace(dataset, costs=costs, tunings=tunings), "anfis", epochs=0).quality
+    assert {row["n_train"] + row["n_holdout"] for row in rows} == {360}
+    assert max(row["rmse"] for row in rows) < 10.0
+
+
+def test_a_target_that_never_changes_has_no_r2_and_no_error(dataset):
+    tunings = dataset.tunings.copy()
+    tunings[:, 2] = 1.0
+    for model in ("nn", "anfis"):
+        made = train(dataclasses.replace(dataset, tunings=tunings), model, epochs=1)
+        row = next(row for row in made.quality if row["slot"] == "Q")
+        assert row["r2"] == row["ceiling_r2"] == 0.0
+        assert row["rmse"] == pytest.approx(0.0, abs=1e-12)
+
+
+def test_the_seed_chooses_the_hold_out_and_the_start(dataset):
+    def weights(seed):
+        return train(dataset, "nn", epochs=2, seed=seed).network("Np").weights[0]
+
+    np.testing.assert_array_equal(weights(3), weights(3))
+    assert (weights(3) != weights(4)).any()
+
+
+def test_where_it_comes_from_is_told(dataset):
+    told = train(dataset, "anfis", holdout=0.3, seed=5, epochs=0).provenance
+    assert told == {
+        "dataset": "smooth",
+        "identity": "abc",
+        "holdout": 0.3,
+        "seed": 5,
+        "options": {"random_state": 5, "epochs": 0},
+    }
+
+
+@pytest.mark.parametrize(("bad", "message"), [
+    ({"model": "svm"}, r"train: model = 'svm': must be one of \('nn', 'anfis'\)"),
+    ({"targets": "all"}, r"train: targets = 'all': must be one of \('paper', 'ratio'\)"),
+    ({"epoch": 3}, r"MLP has no option 'epoch'. Did you mean 'epochs'"),
+    ({"epochs": 0}, "epochs = 0"),
+    ({"holdout": 0.0}, "holdout|fraction = 0.0"),
+])  # fmt: skip
+def test_what_train_cannot_use_is_named(dataset, bad, message):
+    with pytest.raises(InvalidInput, match=message):
+        train(dataset, **bad)
