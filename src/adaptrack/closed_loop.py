@@ -32,7 +32,7 @@ SPIN_BEYOND = 1.0
 """or |v_y/v_x| this: 45 degrees of sideslip."""
 LOST_COST = LOST_BEYOND**2
 """m^2, what a lost run counts as costing."""
-WORST_STRETCH = 5.0
+WORST_STRETCH = 20.0
 """A stretch is not counted as worth more than this many times its whole run."""
 BOUNDS = {"Np": (10.0, 60.0), "Nc": (1.0, 20.0), "R": (10.0, 1e6)}
 """What learned tunings of the road profile are held within; Q is 1."""

@@ -185,6 +185,12 @@ class FuzzySurface(Surface):
         )
         return cls(system, half)
 
+    def level(self, value: float) -> FuzzySurface:
+        """The same rules with the output `value` everywhere."""
+        consequents = np.zeros_like(self.system.consequents)
+        consequents[:, -1] = value
+        return replace(self, system=replace(self.system, consequents=consequents))
+
     def predict(self, x: Array) -> Array:
         return self.system.predict(x)
 

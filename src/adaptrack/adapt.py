@@ -1,0 +1,400 @@
+"""From a configuration to schedulers that can be deployed: tune, learn, guard, certify, evaluate.
+
+Every stage leaves its file in the folder; a chain that was interrupted goes on with the first stage that is missing.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Annotated, Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BeforeValidator, Field, model_validator
+
+from adaptrack.closed_loop import Course, Policy, improve
+from adaptrack.dataset import DataSet, load_dataset
+from adaptrack.errors import InvalidInput, UnknownName, did_you_mean
+from adaptrack.evaluate.ladder import EVALUATION_SEEDS, Ladder, best_constant, climb, optimum, per_run_best
+from adaptrack.evaluate.paper import scheduler
+from adaptrack.evaluate.road import (
+    FIRST_EVALUATION_DRIVE,
+    FIRST_HELD_OUT_DRIVE,
+    FIRST_TRAINING_DRIVE,
+    HARD,
+    START,
+    condition_course,
+    controller,
+    drive_course,
+    neighbour_lookup,
+    objective,
+    test_course,
+    told,
+)
+from adaptrack.learning.landscape import FuzzySurface, NetworkSurface, Surface
+from adaptrack.learning.training import train
+from adaptrack.metrics import PUBLISHED
+from adaptrack.mpc import MPC, Condition, Tuning
+from adaptrack.plant import DualTrack, Plant, SingleTrack
+from adaptrack.schedule import Constant, Guarded, Schedule, StabilityMap, Table, load_scheduler
+from adaptrack.stability import loop_map
+from adaptrack.toml_files import Record, build, read_toml
+from adaptrack.tuning.campaign import run_campaign
+from adaptrack.tuning.conditions import sobol
+from adaptrack.tuning.config import Box, CampaignConfig, Pair, Plan, Sobol, load_campaign
+
+Array = NDArray[np.float64]
+Progress = Callable[[str, int, int], None]
+
+_DATA = Path(__file__).parent / "data" / "adaptations"
+_STEPS = {"Np": (29.0, 10.0), "Nc": (5.0, 5.0), "log10_ratio": (3.6, 0.5)}
+"""Where each output starts, and the scale of its changes."""
+HELD_OUT_CONDITIONS, HELD_OUT_DRIVES = 512, 200
+
+
+def _tuples(value: Any) -> Any:
+    return tuple(value) if isinstance(value, list) else value
+
+
+class Learning(Record):
+    """How the network and the fuzzy systems learn."""
+
+    inputs: Annotated[tuple[str, ...], BeforeValidator(_tuples)] = Field(min_length=1, description="entries of Condition")
+    domain: dict[str, Pair] = Field(description="lowest and highest value of each input")
+    rounds: int = Field(default=60, ge=1, description="of improvement")
+    conditions: int = Field(default=2048, ge=16, description="lane changes in a gust to learn from")
+    drives: int = Field(default=1024, ge=8, description="random drives of 30 s")
+    hard_drives: int = Field(default=1024, ge=8, description="fast ones near the limit")
+    rules: int = Field(default=20, ge=2, description="of each fuzzy system")
+
+    @model_validator(mode="after")
+    def _has_a_domain(self) -> Self:
+        for name in self.inputs:
+            if name not in Condition._fields or name == "offset":
+                raise ValueError(f"inputs: {name!r} cannot be one. {did_you_mean(name, Condition._fields[:-1])}")
+            if name not in self.domain:
+                raise ValueError(f"domain: the lowest and highest value of {name!r} are missing.")
+            low, high = self.domain[name]
+            if not low < high:
+                raise ValueError(f"domain: {name} = [{low:g}, {high:g}]: need low < high.")
+        return self
+
+    @property
+    def box(self) -> Array:
+        """(D, 2) domain in the order of the inputs."""
+        return np.array([self.domain[name] for name in self.inputs])
+
+
+class Evaluation(Record):
+    """What the schedulers are judged by."""
+
+    conditions: int = Field(default=2000, ge=8)
+    drives: int = Field(default=1000, ge=8)
+    seed: int = Field(default=7, ge=0, description="of the conditions, and which drives")
+
+
+class AdaptationConfig(Record):
+    """The whole chain."""
+
+    name: str = Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*$", description="what the files are called")
+    description: str = ""
+    campaign: str = Field(description="name, or .toml file beside this one; its conditions must be a Sobol sample")
+    seed: int = Field(default=0, ge=0, description="of the learning")
+    learning: Learning
+    evaluation: Evaluation = Evaluation()
+
+
+def list_adaptations() -> dict[str, str]:
+    """The configurations that `load_adaptation` knows by name, each with one line of description."""
+    return {path.stem: str(read_toml(path).get("description", "")) for path in sorted(_DATA.glob("*.toml"))}
+
+
+def load_adaptation(name_or_path: str | os.PathLike[str]) -> AdaptationConfig:
+    """The named configuration, or the one in a TOML file (keys: the fields of `AdaptationConfig`).
+
+    Raises
+    ------
+    UnknownName
+        When nothing has this name.
+    StorageError
+        When the file cannot be read.
+    ConfigError
+        When it holds an unknown, missing or impossible value.
+    """
+    path = Path(name_or_path)
+    if path.suffix != ".toml":
+        path = _DATA / f"{name_or_path}.toml"
+        if not path.exists():
+            raise UnknownName(
+                f"no adaptation is named {str(name_or_path)!r}. {did_you_mean(str(name_or_path), list_adaptations())} "
+                "A file is given by its .toml path."
+            )
+    data = {"name": path.stem, **read_toml(path)}
+    if str(data.get("campaign", "")).endswith(".toml"):
+        data["campaign"] = str(path.parent / data["campaign"])
+    return build(AdaptationConfig, data, path)
+
+
+@dataclass(frozen=True, eq=False)
+class Adapted:
+    """What the chain made."""
+
+    schedules: Mapping[str, Schedule]
+    """by rung: best constant, speed only, look-up, nn, anfis, paper recipe nn, paper recipe anfis"""
+    histories: Mapping[str, list[dict[str, float]]]
+    conditions: Ladder
+    drives: Ladder
+    tests: Mapping[str, Ladder]
+    perceptions: Mapping[str, Ladder]
+    """conditions again, with friction and wind known in other ways"""
+
+
+@dataclass(frozen=True, eq=False)
+class Workshop:
+    """Everything that the stages share."""
+
+    config: AdaptationConfig
+    campaign: CampaignConfig
+    plant: Plant
+    mpc: MPC
+
+    @classmethod
+    def of(cls, config: AdaptationConfig) -> Workshop:
+        """The workshop of a configuration.
+
+        Raises
+        ------
+        InvalidInput
+            When the campaign's conditions are not a Sobol sample of a box.
+        """
+        campaign = load_campaign(config.campaign)
+        if not isinstance(campaign.conditions, Sobol):
+            raise InvalidInput(f"campaign {campaign.name!r}: its conditions must be a Sobol sample of a box.")
+        setup = Plan.of(campaign).setup
+        body = SingleTrack if campaign.plant == "single-track" else DualTrack
+        plant = body(setup.vehicle, setup.tyre)
+        return cls(config, campaign, plant, controller(setup.vehicle, campaign.profile))
+
+    @property
+    def box(self) -> dict[str, tuple[float, float]]:
+        """The operating domain."""
+        conditions = self.campaign.conditions
+        assert isinstance(conditions, Sobol)
+        box: Box = conditions.box
+        return {"speed": box.speed, "y_ref": box.y_ref, "friction": box.friction, "wind": box.wind}
+
+    def identity(self, stage: str) -> str:
+        """What a stage's result depends on."""
+        text = json.dumps([stage, self.config.model_dump(mode="json", exclude={"evaluation"}), Plan.of(self.campaign).identity])
+        return hashlib.sha256(text.encode()).hexdigest()
+
+    # -- what is learned from, and what it is judged by
+    def courses(self) -> list[tuple[Course, int]]:
+        """Lane changes, drives and hard drives, each with how many of them a round of learning drives."""
+        asked, profile, first = self.config.learning, self.campaign.profile, FIRST_TRAINING_DRIVE
+        conditions = sobol(asked.conditions, self.box, seed=100 + self.config.seed)
+        lane_changes = condition_course(self.plant, self.mpc, conditions, profile)
+        drives = drive_course(self.plant, self.mpc, first, asked.drives, 30.0, profile)
+        hard = drive_course(self.plant, self.mpc, first + 500_000, asked.hard_drives, 30.0, profile, **HARD)
+        return [
+            (lane_changes, min(384, asked.conditions)),
+            (drives, min(160, asked.drives)),
+            (hard, min(160, asked.hard_drives)),
+        ]
+
+    def held_out(self) -> list[Course]:
+        """Lane changes and drives that choose which round of the learning is kept."""
+        conditions = sobol(HELD_OUT_CONDITIONS, self.box, seed=200 + self.config.seed)
+        return [
+            condition_course(self.plant, self.mpc, conditions, self.campaign.profile),
+            drive_course(self.plant, self.mpc, FIRST_HELD_OUT_DRIVE, HELD_OUT_DRIVES, 60.0, self.campaign.profile),
+        ]
+
+    def surfaces(self, model: str, courses: list[tuple[Course, int]], inputs: tuple[str, ...]) -> dict[str, Surface]:
+        """Where the learning starts: the same tuning everywhere."""
+        domain = np.array([self.config.learning.domain[name] for name in inputs])
+        seed = self.config.seed
+        if model == "nn":
+            return {
+                slot: NetworkSurface.start(domain, value, span, seed=10 * seed + i)
+                for i, (slot, (value, span)) in enumerate(_STEPS.items())
+            }
+        columns = [Condition._fields.index(name) for name in inputs]
+        seen = np.concatenate([course.seen[:, ::40].reshape(-1, len(Condition._fields)) for course, _ in courses])
+        rng = np.random.default_rng((seed, 0xF522))
+        rows = np.clip(seen[np.sort(rng.choice(len(seen), 6000))][:, columns], *domain.T)
+        made = FuzzySurface.start(rows, 0.0, self.config.learning.rules, seed)
+        return {slot: made.level(value) for slot, (value, _) in _STEPS.items()}
+
+
+def adapt(
+    config: AdaptationConfig, out: str | os.PathLike[str], *, workers: int | None = None, progress: Progress | None = None
+) -> Adapted:
+    """Run the whole chain in a folder.
+
+    Raises
+    ------
+    InvalidInput
+        When the configuration makes no sense, see `Workshop.of`.
+    StorageError
+        When the folder cannot be written, or holds something damaged.
+    """
+    folder = Path(out)
+    shop = Workshop.of(config)
+    schedules, histories = learn(shop, folder, workers=workers, progress=progress)
+    evaluated = evaluate(shop, schedules, progress=progress)
+    return Adapted(schedules, histories, *evaluated)
+
+
+def learn(
+    shop: Workshop, folder: Path, *, workers: int | None = None, progress: Progress | None = None
+) -> tuple[dict[str, Schedule], dict[str, list[dict[str, float]]]]:
+    """Every rung of the ladder but the optimum, each in its file under `schedulers`, and the learning's histories."""
+    show = progress or (lambda what, done, of: None)
+    place = folder / "schedulers"
+    place.mkdir(parents=True, exist_ok=True)
+    dataset = _campaign(shop, folder, workers, show)
+    courses: list[tuple[Course, int]] = []
+    schedules: dict[str, Schedule] = {}
+
+    def kept(rung: str, make: Callable[[], Schedule]) -> Schedule:
+        file = place / f"{shop.config.name}-{rung.replace(' ', '-')}.json"
+        identity = shop.identity(rung)
+        if file.exists() and (found := load_scheduler(file)).provenance.get("identity") == identity:
+            schedules[rung] = found
+            return found
+        made = make()
+        made = replace(made, name=rung, provenance={**made.provenance, "identity": identity})
+        made.save(file)
+        schedules[rung] = made
+        return made
+
+    def all_courses() -> list[tuple[Course, int]]:
+        if not courses:
+            courses.extend(shop.courses())
+        return courses
+
+    def constant(on: slice) -> Schedule:
+        show("best constant", 0, 1)
+        return Constant(_tuning(best_constant([(c, 128) for c, _ in all_courses()[on]], START.as_array(), seed=shop.config.seed)))
+
+    kept("best constant", lambda: constant(slice(0, 1)))
+    on_drives = kept("best constant on drives", lambda: constant(slice(1, 3)))
+
+    def learned(model: str, inputs: tuple[str, ...], rung: str) -> Schedule:
+        domain = np.array([shop.config.learning.domain[name] for name in inputs])
+        made = improve(
+            shop.surfaces(model, all_courses(), inputs), inputs, domain, all_courses(), shop.held_out(),
+            rounds=shop.config.learning.rounds, seed=shop.config.seed, name=rung,
+            progress=lambda done, of: show(rung, done, of),
+        )  # fmt: skip
+        return replace(made.schedule, provenance={"history": made.history})
+
+    def guarded(made: Schedule) -> Schedule:
+        show("stability map", 0, 1)
+        fallback = _tuning(np.array(on_drives(Condition(15.0, 0.0, 0.7, 0.0))))
+        return replace(Guarded(made, fallback, stability=stability_map(shop)), provenance=made.provenance)
+
+    inputs = shop.config.learning.inputs
+    kept("speed only", lambda: learned("nn", ("speed",), "speed only"))
+    kept("look-up", lambda: neighbour_lookup(dataset, _nodes(shop.box)))
+    kept("nn", lambda: guarded(learned("nn", inputs, "nn")))
+    kept("anfis", lambda: guarded(learned("anfis", inputs, "anfis")))
+    for model in ("nn", "anfis"):
+        kept(f"paper recipe {model}", lambda model=model: scheduler(train(dataset, model, "paper"), dataset))  # type: ignore[misc]
+    histories = {rung: list(each.provenance["history"]) for rung, each in schedules.items() if "history" in each.provenance}
+    return schedules, histories
+
+
+def _campaign(shop: Workshop, folder: Path, workers: int | None, show: Progress) -> DataSet:
+    place = folder / "campaign"
+    told_of = lambda at: show("campaign", at.done, at.total)  # noqa: E731
+    return load_dataset(run_campaign(shop.campaign, place, resume=place.exists(), workers=workers, progress=told_of))
+
+
+def stability_map(shop: Workshop) -> StabilityMap:
+    """The map that the guard asks: the loop's spectral radius over everything that may be asked of it."""
+    axes, values = loop_map(shop.plant, shop.mpc, shop.campaign.profile, speed=shop.box["speed"], friction=shop.box["friction"])
+    return StabilityMap(Table(axes, values))
+
+
+def _tuning(row: Array) -> Tuning:
+    return Tuning(round(float(row[0])), round(float(row[1])), float(row[2]), float(row[3]))
+
+
+def _nodes(box: Mapping[str, tuple[float, float]]) -> dict[str, Any]:
+    counts = {"speed": 10, "y_ref": 7, "friction": 5, "wind": 5}
+    return {name: np.linspace(*box[name], count) for name, count in counts.items()}
+
+
+def rungs_for(
+    schedules: Mapping[str, Schedule], conditions: Array | None = None, told_rows: Array | None = None
+) -> dict[str, Policy]:
+    """The rungs as they are driven; on `conditions`, what was learned from conditions is asked once, for the condition.
+
+    told_rows: what is told of the conditions instead of them.
+    """
+    asked_once = ("look-up", "paper recipe nn", "paper recipe anfis")
+    rungs: dict[str, Policy] = {"standard": Tuning()}
+    for rung, schedule in schedules.items():
+        if rung == "best constant on drives":
+            continue
+        rungs[rung] = schedule
+        if conditions is not None and rung in asked_once:
+            rungs[rung] = schedule.batch(conditions if told_rows is None else told_rows)
+    if conditions is None:
+        rungs["best constant"] = schedules["best constant on drives"]
+    return rungs
+
+
+def evaluate(
+    shop: Workshop, schedules: Mapping[str, Schedule], *, progress: Progress | None = None
+) -> tuple[Ladder, Ladder, dict[str, Ladder], dict[str, Ladder]]:
+    """The ladders on unseen conditions, on unseen drives, on the paper's two tests, and under imperfect knowledge."""
+    asked, profile, plant, mpc = shop.config.evaluation, shop.campaign.profile, shop.plant, shop.mpc
+    rows = sobol(asked.conditions, shop.box, seed=10_000 + asked.seed)
+    known = np.array([schedules[rung](Condition(*row, 0.0, 0.0, 0.0)) for rung in ("best constant",) for row in rows[:1]])
+    best = optimum(
+        lambda seeds: objective(plant, mpc, seeds, profile), rows, shop.campaign.search.space(),
+        swarm=shop.campaign.swarm, known=known, seed=asked.seed, progress=progress,
+    )  # fmt: skip
+    rungs = {**rungs_for(schedules, rows), "optimum": best}
+    conditions = climb(condition_course(plant, mpc, rows, profile), rungs, EVALUATION_SEEDS, "optimum", rows, progress)
+
+    course = drive_course(plant, mpc, FIRST_EVALUATION_DRIVE + 10_000 * asked.seed, asked.drives, 60.0, profile)
+    candidates = _candidates(schedules)
+    on_drives = rungs_for(schedules)
+    on_drives["per-drive constant"] = per_run_best(course, candidates, EVALUATION_SEEDS[:1])
+    numbers = np.arange(asked.drives)[:, None].astype(float)
+    drives = climb(course, on_drives, EVALUATION_SEEDS[:1], "best constant", numbers, progress)
+
+    tests = {
+        name: climb(
+            test_course(plant, mpc, name, profile), rungs_for(schedules), EVALUATION_SEEDS, "best constant", np.zeros((1, 1)),
+        )
+        for name in PUBLISHED
+    }  # fmt: skip
+    perceptions = {"exact": conditions}
+    for name in ("noisy", "lagged", "biased high", "biased low", "estimated", "withheld"):
+        if progress is not None:
+            progress(f"knowledge: {name}", 0, 1)
+        other = condition_course(plant, mpc, rows, profile, told(name, plant, profile))
+        some = {rung: rungs[rung] for rung in ("best constant", "nn", "anfis", "optimum") if rung in rungs}
+        perceptions[name] = climb(other, some, EVALUATION_SEEDS, "optimum", rows)
+    return conditions, drives, tests, perceptions
+
+
+def _candidates(schedules: Mapping[str, Schedule]) -> Array:
+    """Tunings around the best constant on drives, for hindsight."""
+    centre = np.array(schedules["best constant on drives"](Condition(15.0, 0.0, 0.7, 0.0)))
+    rows = [centre]
+    for Np in (25.0, 30.0, 36.0, 44.0):
+        for Nc in (3.0, 5.0, 8.0, 12.0):
+            for ratio in (1e3, 2e3, 4e3, 8e3, 16e3, 32e3):
+                rows.append(np.array([Np, Nc, 1.0, ratio]))
+    return np.array(rows)
