@@ -22,9 +22,8 @@ $(INSTALLED): requirements.lock pyproject.toml src/adaptrack/__init__.py
 	@$(PIP) check
 	@touch $@
 
-run: install ## drive both tests of the paper with its standard MPC: results/index.html
-	$(BIN)/adaptrack simulate triple-lane-change general-trajectory \
-	  --controller as-written --controller as-released --out results
+run: install ## run the paper's experiment again: results/index.html
+	$(BIN)/adaptrack reproduce --out results
 
 # The kernels are compiled once, before two test workers would both do it.
 test: install ## run the tests

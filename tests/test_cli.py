@@ -8,6 +8,7 @@ import tomllib
 import pytest
 
 from adaptrack import cli
+from small_data import small
 
 ROW_KEYS = {
     "scenario", "controller", "plant", "tyre", "profile", "preview", "seed", "mse", "max_abs_error",
@@ -87,10 +88,80 @@ def test_an_unwritable_folder_is_found_before_anything_is_driven(monkeypatch, ca
     assert "cannot be written" in err
 
 
+@pytest.fixture(scope="module")
+def data(tmp_path_factory):
+    """The file of a small data set."""
+    path = tmp_path_factory.mktemp("data") / "small.parquet"
+    small().save(path)
+    return path
+
+
+def test_train_saves_a_scheduler_that_simulate_drives_with(monkeypatch, capsys, tmp_path, data):
+    out = tmp_path / "new" / "fuzzy.json"
+    code, printed, err = run(monkeypatch, capsys, "train", "--data", data, "--model", "anfis", "--out", out, "--json")
+    assert code == 0, err
+    told = json.loads(printed)
+    assert (told["scheduler"], told["model"], told["targets"]) == (str(out), "anfis", "paper")
+    assert [row["slot"] for row in told["rows"]] == ["Np", "Nc", "Q", "R"]
+    assert all(row.keys() >= {"r2", "rmse", "ceiling_r2", "ceiling_rmse", "seconds"} for row in told["rows"])
+
+    code, printed, err = run(
+        monkeypatch, capsys, "simulate", "sine", "-o", "duration=2.0", "--scheduler", out, "--out", tmp_path, "--json"
+    )
+    assert code == 0, err
+    assert [(row["controller"], row["scheduler"]) for row in json.loads(printed)["rows"]] == [("anfis", "anfis")]
+    assert (tmp_path / "sine-anfis.parquet").exists()
+
+
+def test_train_prints_the_quality_on_the_hold_out(monkeypatch, capsys, tmp_path, data):
+    arguments = ["train", "--data", data, "--model", "anfis", "--targets", "ratio", "--out", tmp_path / "fuzzy.json"]
+    code, out, _ = run(monkeypatch, capsys, *arguments)
+    assert code == 0
+    assert all(word in out for word in ("held out", "log10_ratio", "ceiling_r2", "fuzzy.json"))
+
+
+def test_reproduce_writes_the_page_and_prints_its_rows(monkeypatch, capsys, tmp_path, data):
+    monkeypatch.setattr("adaptrack.report.style.PNG_DPI", 20)
+    code, out, err = run(monkeypatch, capsys, "reproduce", "--quick", "--data", data, "--out", tmp_path, "--json")
+    told = json.loads(out)
+    assert code == 0, err
+    assert len(told["rows"]) == 48
+    keys = {"configuration", "scenario", "controller", "preview", "mse", "paper_mse", "ratio", "max_abs_error",
+            "steering_activity", "lost", "clipped_share"}  # fmt: skip
+    assert all(row.keys() >= keys for row in told["rows"])
+    assert told["quick"]
+    assert (tmp_path / "index.html").exists()
+    assert "index.html" in err
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["train", "--data", "paper-gird", "--model", "nn", "--out", "nn.json"], ["paper-grid"]),
+        (["train", "--data", "paper-grid", "--model", "forest", "--out", "nn.json"], ["forest"]),
+        (["train", "--data", "paper-grid", "--model", "nn", "--out", "nn.txt"], ["*.json"]),
+        (["train", "--data", "paper-grid", "--model", "nn", "--out", "{file}/nn.json"], ["cannot be written"]),
+        (["reproduce", "--out", "{file}/out"], ["cannot be written"]),
+        (["reproduce", "--data", "paper-gird", "--out", "{folder}"], ["paper-grid"]),
+        (["reproduce", "--data", "road-sobol", "--out", "{folder}"], ["do not fill a grid"]),
+        (["simulate", "step", "--scheduler", "no-such.json"], ["no-such.json"]),
+    ],
+)
+def test_learning_says_what_is_wrong_before_it_begins(monkeypatch, capsys, tmp_path, arguments, words):
+    (tmp_path / "file").write_text("")
+    given = [argument.format(file=tmp_path / "file", folder=tmp_path / "folder") for argument in arguments]
+    code, out, err = run(monkeypatch, capsys, *given)
+    assert code == 2
+    assert out == ""
+    assert "Traceback" not in err
+    assert all(word in err for word in words)
+
+
 def test_lists_name_everything_that_can_be_asked_for(monkeypatch, capsys):
     _, out, _ = run(monkeypatch, capsys, "scenarios", "--json")
     assert {row["scenario"] for row in json.loads(out)["rows"]} == {
         "triple-lane-change", "general-trajectory", "step", "lane-change", "double-lane-change", "sine",
+        "random-drive",
     }  # fmt: skip
     _, out, _ = run(monkeypatch, capsys, "vehicles", "--json")
     names = {row["name"] for row in json.loads(out)["rows"]}

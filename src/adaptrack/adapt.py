@@ -8,7 +8,7 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any, Self
@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BeforeValidator, Field, model_validator
 
-from adaptrack.closed_loop import Course, Policy, improve
+from adaptrack.closed_loop import LOST_COST, Course, Policy, improve
 from adaptrack.dataset import DataSet, load_dataset
 from adaptrack.errors import InvalidInput, UnknownName, did_you_mean
 from adaptrack.evaluate.ladder import EVALUATION_SEEDS, Ladder, best_constant, climb, optimum, per_run_best
@@ -40,7 +40,7 @@ from adaptrack.learning.landscape import FuzzySurface, NetworkSurface, Surface
 from adaptrack.learning.training import train
 from adaptrack.metrics import PUBLISHED
 from adaptrack.mpc import MPC, Condition, Tuning
-from adaptrack.plant import DualTrack, Plant, SingleTrack
+from adaptrack.plant import DualTrack, SingleTrack
 from adaptrack.schedule import Constant, Guarded, Schedule, StabilityMap, Table, load_scheduler
 from adaptrack.stability import loop_map
 from adaptrack.toml_files import Record, build, read_toml
@@ -55,6 +55,9 @@ _DATA = Path(__file__).parent / "data" / "adaptations"
 _STEPS = {"Np": (29.0, 10.0), "Nc": (5.0, 5.0), "log10_ratio": (3.6, 0.5)}
 """Where each output starts, and the scale of its changes."""
 HELD_OUT_CONDITIONS, HELD_OUT_DRIVES = 512, 200
+KNOWLEDGE = ("exact", "noisy", "lagged", "biased high", "biased low", "estimated", "withheld")
+"""The ways of knowing friction and wind that are evaluated."""
+_ANYWHERE = Condition(15.0, 0.0, 0.7, 0.0)
 
 
 def _tuples(value: Any) -> Any:
@@ -147,11 +150,11 @@ class Adapted:
     schedules: Mapping[str, Schedule]
     """by rung: best constant, speed only, look-up, nn, anfis, paper recipe nn, paper recipe anfis"""
     histories: Mapping[str, list[dict[str, float]]]
-    conditions: Ladder
-    drives: Ladder
+    conditions: Mapping[str, Ladder]
+    """by how friction and wind are known, "exact" first"""
+    drives: Mapping[str, Ladder]
     tests: Mapping[str, Ladder]
-    perceptions: Mapping[str, Ladder]
-    """conditions again, with friction and wind known in other ways"""
+    """the paper's two"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -160,7 +163,7 @@ class Workshop:
 
     config: AdaptationConfig
     campaign: CampaignConfig
-    plant: Plant
+    plant: SingleTrack | DualTrack
     mpc: MPC
 
     @classmethod
@@ -200,7 +203,7 @@ class Workshop:
         conditions = sobol(asked.conditions, self.box, seed=100 + self.config.seed)
         lane_changes = condition_course(self.plant, self.mpc, conditions, profile)
         drives = drive_course(self.plant, self.mpc, first, asked.drives, 30.0, profile)
-        hard = drive_course(self.plant, self.mpc, first + 500_000, asked.hard_drives, 30.0, profile, **HARD)
+        hard = drive_course(self.plant, self.mpc, first + 500_000, asked.hard_drives, 30.0, profile, options=HARD)
         return [
             (lane_changes, min(384, asked.conditions)),
             (drives, min(160, asked.drives)),
@@ -247,8 +250,14 @@ def adapt(
     folder = Path(out)
     shop = Workshop.of(config)
     schedules, histories = learn(shop, folder, workers=workers, progress=progress)
-    evaluated = evaluate(shop, schedules, progress=progress)
-    return Adapted(schedules, histories, *evaluated)
+    asked = config.evaluation
+    return Adapted(
+        schedules,
+        histories,
+        condition_ladder(shop, schedules, asked.conditions, asked.seed, knowledge=KNOWLEDGE, progress=progress),
+        drive_ladder(shop, schedules, asked.drives, asked.seed, knowledge=KNOWLEDGE, progress=progress),
+        test_ladders(shop, schedules),
+    )
 
 
 def learn(
@@ -279,12 +288,14 @@ def learn(
             courses.extend(shop.courses())
         return courses
 
-    def constant(on: slice) -> Schedule:
+    def constant(on: Sequence[int], lost_cost: float = LOST_COST) -> Schedule:
         show("best constant", 0, 1)
-        return Constant(_tuning(best_constant([(c, 128) for c, _ in all_courses()[on]], START.as_array(), seed=shop.config.seed)))
+        runs = [(all_courses()[i][0], 128) for i in on]
+        return Constant(_tuning(best_constant(runs, START.as_array().tolist(), seed=shop.config.seed, lost_cost=lost_cost)))
 
-    kept("best constant", lambda: constant(slice(0, 1)))
-    on_drives = kept("best constant on drives", lambda: constant(slice(1, 3)))
+    kept("best constant", lambda: constant([0]))
+    kept("best constant on drives", lambda: constant([1]))
+    fallback = kept("fallback", lambda: constant([1, 2], lost_cost=1e9))
 
     def learned(model: str, inputs: tuple[str, ...], rung: str) -> Schedule:
         domain = np.array([shop.config.learning.domain[name] for name in inputs])
@@ -297,8 +308,8 @@ def learn(
 
     def guarded(made: Schedule) -> Schedule:
         show("stability map", 0, 1)
-        fallback = _tuning(np.array(on_drives(Condition(15.0, 0.0, 0.7, 0.0))))
-        return replace(Guarded(made, fallback, stability=stability_map(shop)), provenance=made.provenance)
+        safe = _tuning(np.array(fallback(_ANYWHERE)))
+        return replace(Guarded(made, safe, stability=stability_map(shop)), provenance=made.provenance)
 
     inputs = shop.config.learning.inputs
     kept("speed only", lambda: learned("nn", ("speed",), "speed only"))
@@ -332,66 +343,77 @@ def _nodes(box: Mapping[str, tuple[float, float]]) -> dict[str, Any]:
     return {name: np.linspace(*box[name], count) for name, count in counts.items()}
 
 
-def rungs_for(
-    schedules: Mapping[str, Schedule], conditions: Array | None = None, told_rows: Array | None = None
-) -> dict[str, Policy]:
-    """The rungs as they are driven; on `conditions`, what was learned from conditions is asked once, for the condition.
-
-    told_rows: what is told of the conditions instead of them.
-    """
+def rungs_for(schedules: Mapping[str, Schedule], conditions: Array | None = None) -> dict[str, Policy]:
+    """The rungs as they are driven; on `conditions`, what was learned from conditions is asked once, for the condition."""
     asked_once = ("look-up", "paper recipe nn", "paper recipe anfis")
     rungs: dict[str, Policy] = {"standard": Tuning()}
     for rung, schedule in schedules.items():
-        if rung == "best constant on drives":
+        if rung in ("best constant on drives", "fallback"):
             continue
         rungs[rung] = schedule
         if conditions is not None and rung in asked_once:
-            rungs[rung] = schedule.batch(conditions if told_rows is None else told_rows)
-    if conditions is None:
+            rungs[rung] = schedule.batch(conditions)
+    if conditions is None and "best constant on drives" in schedules:
         rungs["best constant"] = schedules["best constant on drives"]
     return rungs
 
 
-def evaluate(
-    shop: Workshop, schedules: Mapping[str, Schedule], *, progress: Progress | None = None
-) -> tuple[Ladder, Ladder, dict[str, Ladder], dict[str, Ladder]]:
-    """The ladders on unseen conditions, on unseen drives, on the paper's two tests, and under imperfect knowledge."""
-    asked, profile, plant, mpc = shop.config.evaluation, shop.campaign.profile, shop.plant, shop.mpc
-    rows = sobol(asked.conditions, shop.box, seed=10_000 + asked.seed)
-    known = np.array([schedules[rung](Condition(*row, 0.0, 0.0, 0.0)) for rung in ("best constant",) for row in rows[:1]])
+def condition_ladder(
+    shop: Workshop, schedules: Mapping[str, Schedule], count: int, seed: int, *, knowledge: Sequence[str] = ("exact",),
+    progress: Progress | None = None,
+) -> dict[str, Ladder]:  # fmt: skip
+    """The ladder on `count` unseen conditions, for each way of knowing friction and wind (see `evaluate.road.told`).
+
+    Sobol points of the campaign's box; every cost is the mean over eight noise seeds that nothing was tuned on.
+    """
+    profile, plant, mpc = shop.campaign.profile, shop.plant, shop.mpc
+    rows = sobol(count, shop.box, seed=10_000 + seed)
+    constant = [schedule(_ANYWHERE) for rung, schedule in schedules.items() if rung == "best constant"]
     best = optimum(
         lambda seeds: objective(plant, mpc, seeds, profile), rows, shop.campaign.search.space(),
-        swarm=shop.campaign.swarm, known=known, seed=asked.seed, progress=progress,
+        swarm=shop.campaign.swarm, known=np.reshape(constant, (-1, 4)), seed=seed, progress=progress,
     )  # fmt: skip
-    rungs = {**rungs_for(schedules, rows), "optimum": best}
-    conditions = climb(condition_course(plant, mpc, rows, profile), rungs, EVALUATION_SEEDS, "optimum", rows, progress)
+    ladders = {}
+    for name in knowledge:
+        course = condition_course(plant, mpc, rows, profile, told(name, plant, profile))
+        rungs: dict[str, Policy] = {**rungs_for(schedules, rows), "optimum": best}
+        if name != "exact":  # the others do not know what is told otherwise
+            rungs = {rung: rungs[rung] for rung in ("best constant", "nn", "anfis", "optimum") if rung in rungs}
+        ladders[name] = climb(course, rungs, EVALUATION_SEEDS, "optimum", rows, progress)
+    return ladders
 
-    course = drive_course(plant, mpc, FIRST_EVALUATION_DRIVE + 10_000 * asked.seed, asked.drives, 60.0, profile)
-    candidates = _candidates(schedules)
-    on_drives = rungs_for(schedules)
-    on_drives["per-drive constant"] = per_run_best(course, candidates, EVALUATION_SEEDS[:1])
-    numbers = np.arange(asked.drives)[:, None].astype(float)
-    drives = climb(course, on_drives, EVALUATION_SEEDS[:1], "best constant", numbers, progress)
 
-    tests = {
+def drive_ladder(
+    shop: Workshop, schedules: Mapping[str, Schedule], count: int, seed: int, *, knowledge: Sequence[str] = ("exact",),
+    progress: Progress | None = None,
+) -> dict[str, Ladder]:  # fmt: skip
+    """The ladder on `count` random drives of 60 s that nothing was trained on, likewise; measured by the best constant."""
+    profile, plant, mpc, noise = shop.campaign.profile, shop.plant, shop.mpc, EVALUATION_SEEDS[:1]
+    first = FIRST_EVALUATION_DRIVE + 10_000 * seed
+    ladders = {}
+    for name in knowledge:
+        course = drive_course(plant, mpc, first, count, 60.0, profile, told(name, plant, profile))
+        rungs = rungs_for(schedules)
+        if name == "exact":
+            rungs["per-drive constant"] = per_run_best(course, _candidates(schedules), noise)
+        ladders[name] = climb(course, rungs, noise, "best constant", np.arange(first, first + count, dtype=float)[:, None], progress)
+    return ladders
+
+
+def test_ladders(shop: Workshop, schedules: Mapping[str, Schedule]) -> dict[str, Ladder]:
+    """The ladder on the paper's two tests, in the campaign's profile."""
+    return {
         name: climb(
-            test_course(plant, mpc, name, profile), rungs_for(schedules), EVALUATION_SEEDS, "best constant", np.zeros((1, 1)),
+            test_course(shop.plant, shop.mpc, name, shop.campaign.profile), rungs_for(schedules), EVALUATION_SEEDS,
+            "best constant", np.zeros((1, 1)),
         )
         for name in PUBLISHED
     }  # fmt: skip
-    perceptions = {"exact": conditions}
-    for name in ("noisy", "lagged", "biased high", "biased low", "estimated", "withheld"):
-        if progress is not None:
-            progress(f"knowledge: {name}", 0, 1)
-        other = condition_course(plant, mpc, rows, profile, told(name, plant, profile))
-        some = {rung: rungs[rung] for rung in ("best constant", "nn", "anfis", "optimum") if rung in rungs}
-        perceptions[name] = climb(other, some, EVALUATION_SEEDS, "optimum", rows)
-    return conditions, drives, tests, perceptions
 
 
 def _candidates(schedules: Mapping[str, Schedule]) -> Array:
     """Tunings around the best constant on drives, for hindsight."""
-    centre = np.array(schedules["best constant on drives"](Condition(15.0, 0.0, 0.7, 0.0)))
+    centre = np.array(schedules["best constant on drives"](_ANYWHERE))
     rows = [centre]
     for Np in (25.0, 30.0, 36.0, 44.0):
         for Nc in (3.0, 5.0, 8.0, 12.0):

@@ -18,7 +18,6 @@ from adaptrack import __version__
 from adaptrack.errors import AdaptrackError, InvalidInput
 
 if TYPE_CHECKING:
-    from adaptrack.mpc import MPC
     from adaptrack.trajectory import Trajectory
 
 app = typer.Typer(
@@ -53,6 +52,20 @@ class MovesName(StrEnum):
 
     pulse = "pulse"
     laguerre = "laguerre"
+
+
+class ModelName(StrEnum):
+    """Models that learn a tuning."""
+
+    nn = "nn"
+    anfis = "anfis"
+
+
+class TargetsName(StrEnum):
+    """What they learn."""
+
+    paper = "paper"
+    ratio = "ratio"
 
 
 class ControllerName(StrEnum):
@@ -127,6 +140,9 @@ def simulate(
     preview: Annotated[
         bool | None, Option("--preview/--no-preview", help="Know the reference ahead; by default the profile's.")
     ] = None,
+    scheduler: Annotated[
+        str | None, Option(help="Name or .json file (see `train`) of a scheduler that retunes the MPC at every step.")
+    ] = None,
     solver: Annotated[str, Option(help="QP solver: active-set, hildreth, daqp, ...")] = "active-set",
     period: Annotated[float | None, Option(help="Control period (s); by default the profile's.")] = None,
     seed: Annotated[int, Option(help="Seed of the sensor noise.")] = 0,
@@ -142,6 +158,7 @@ def simulate(
     from adaptrack.mpc import MPC, Moves, Tuning
     from adaptrack.plant import DualTrack, SingleTrack, load_profile
     from adaptrack.scenario import load_scenario
+    from adaptrack.schedule import load_scheduler
     from adaptrack.simulate import Driver
     from adaptrack.simulate import simulate as drive
     from adaptrack.vehicle import load_vehicle
@@ -158,10 +175,18 @@ def simulate(
         ControllerName.as_written: Moves.pulses(),
         ControllerName.as_released: Moves.laguerre(0.95, laguerre_terms),
     }
-    controllers: list[tuple[ControllerName, MPC]] = [
-        (name, MPC(car, Tuning(np_, nc, q, r), period=ts, moves=asked[name], preview=ahead, solver=solver))
+    schedule = None if scheduler is None else load_scheduler(scheduler)
+    most = max(20, nc, 0 if schedule is None else schedule.largest[1])
+    controllers = [
+        (
+            str(name) if schedule is None else schedule.name if name == "standard" else f"{schedule.name}-{name}",
+            MPC(
+                car, Tuning(np_, nc, q, r), period=ts, moves=asked[name], preview=ahead, solver=solver,
+                scheduler=schedule, most_moves=most,
+            ),
+        )
         for name in dict.fromkeys(controller or [ControllerName.standard])
-    ]
+    ]  # fmt: skip
     if out is not None:
         _make_folder(out)
 
@@ -172,15 +197,14 @@ def simulate(
                 show = partial(advance, f"{scenario.name}, {name}")
                 pace = Driver() if driver else None
                 run = drive(body, mpc, scenario, profile=world, driver=pace, seed=seed, progress=show)
-                runs.append((str(name), run))
+                runs.append((name, run))
     rows = [_row(label, run, compute_metrics(run).as_row()) for label, run in runs]
     if out is not None:
         from adaptrack.report import Run, write_report
 
         for label, run in runs:
             run.save(out / f"{run.name_of('scenario')}-{label}.parquet")
-        command = shlex.join(["adaptrack", *sys.argv[1:]])
-        page = write_report(out, [Run(run, label=label) for label, run in runs], command=command)
+        page = write_report(out, [Run(run, label=label) for label, run in runs], command=_command())
         _tell(f"Report: {page}", quiet=as_json)
     if as_json:
         print(json.dumps({"rows": rows}, allow_nan=False))
@@ -207,6 +231,7 @@ def _row(controller: str, run: Trajectory, measures: dict[str, Any]) -> dict[str
         "period": run.period,
         **{key.lower(): value for key, value in meta["tuning"].items()},
         "moves": meta["control"]["moves"],
+        "scheduler": meta["control"]["scheduler"],
         "solver": meta["control"]["solver"],
         **measures,
     }
@@ -272,6 +297,69 @@ def tune(
         print(json.dumps({"dataset": str(file), "seconds": seconds, "runs": runs}))
     else:
         print(f"Data set: {file} ({seconds:,.0f} s)")
+
+
+@app.command()
+def train(
+    data: Annotated[str, Option(help="Name (see `dataset list`), file, or folder of a campaign.")],
+    model: Annotated[ModelName, Option(help="nn: 4-16-8-1 networks; anfis: fuzzy systems.")],
+    out: Annotated[Path, Option(help="File of the scheduler, *.json.")],
+    targets: Annotated[
+        TargetsName, Option(help="paper: Np, Nc, Q and R; ratio: log10 R/Q in place of the two weights.")
+    ] = TargetsName.paper,
+    seed: Annotated[int, Option(help="Of the hold-out and of the first weights.")] = 0,
+    as_json: Annotated[bool, Option("--json", help="One JSON object on standard output, nothing else.")] = False,
+) -> None:
+    """Learn a scheduler from the tuned conditions of a data set; print how well, on conditions held out."""
+    from adaptrack.dataset import load_dataset
+    from adaptrack.evaluate import quality, scheduler
+    from adaptrack.learning.training import train as learn
+    from adaptrack.schedule import check_scheduler
+
+    if out.suffix != ".json":
+        raise InvalidInput(f"--out {out}: a scheduler's file is called *.json.")
+    dataset = load_dataset(data)
+    _make_folder(out.parent)
+    trained = learn(dataset, str(model), str(targets), seed=seed)
+    schedule = scheduler(trained, dataset)
+    check_scheduler(schedule)
+    schedule.save(out)
+    rows = quality(trained)
+    if as_json:
+        told = {"scheduler": str(out), "data": dataset.name, "model": str(model), "targets": str(targets), "rows": rows}
+        print(json.dumps(told, allow_nan=False))
+        return
+    columns = ("slot", "r2", "ceiling_r2", "rmse", "ceiling_rmse", "dead_share", "parameters", "seconds")
+    _table(f"{dataset.name}, {rows[0]['n_holdout']} of {len(dataset)} conditions held out", columns, rows)
+    print(f"Scheduler: {out}")
+
+
+@app.command()
+def reproduce(
+    out: Annotated[Path, Option(help="Folder for the page and its pictures.")],
+    quick: Annotated[bool, Option("--quick", help="Learn for fewer epochs, from fewer conditions.")] = False,
+    data: Annotated[str, Option(help="Data set to learn from; its conditions must fill a grid.")] = "paper-grid",
+    seed: Annotated[int, Option(help="Of the hold-out and of the first weights.")] = 0,
+    as_json: Annotated[bool, Option("--json", help="One JSON object on standard output, nothing else.")] = False,
+) -> None:
+    """Run the paper's experiment again: learn, drive both tests with every controller, write the page about it."""
+    from adaptrack.dataset import load_dataset
+    from adaptrack.evaluate import reproduce as run_again
+    from adaptrack.report.reproduce import write_reproduction
+
+    dataset = load_dataset(data)
+    _make_folder(out)
+    with _progress(1, quiet=as_json) as show:
+        made = run_again(dataset, quick=quick, seed=seed, progress=show)
+    page = write_reproduction(out, made, command=_command())
+    _tell(f"Report: {page}", quiet=as_json)
+    if as_json:
+        print(json.dumps(made.as_json(), allow_nan=False))
+        return
+    columns = ("scenario", "controller", "preview", "moves", "mse", "paper_mse", "ratio", "lost")
+    for configuration in dict.fromkeys(row["configuration"] for row in made.rows):
+        _table(configuration, columns, [row for row in made.rows if row["configuration"] == configuration])
+    print(f"{made.seconds:.0f} s, of which {made.training_seconds:.0f} s learning")
 
 
 @dataset_app.command("describe")
@@ -374,6 +462,11 @@ def _make_folder(path: Path) -> None:
         probe.unlink()
     except OSError as error:
         raise StorageError(f"{path}: cannot be written to: {error.strerror or error}.") from error
+
+
+def _command() -> str:
+    """The command line at hand."""
+    return shlex.join(["adaptrack", *sys.argv[1:]])
 
 
 def _tell(text: str, quiet: bool = False) -> None:

@@ -185,6 +185,13 @@ def improve(
     columns = [Condition._fields.index(each) for each in inputs]
     rng = np.random.default_rng((seed, 0xADA))
     surfaces = dict(surfaces)
+    lost: list[set[int]] = [set() for _ in courses]
+
+    def chosen(course: Course, count: int, once_lost: set[int]) -> NDArray[np.int64]:
+        """Runs of a round: those that were ever lost, up to half of them, and others at random."""
+        known = rng.permutation(sorted(once_lost))[: count // 2].astype(np.int64)
+        others = np.setdiff1d(np.arange(len(course)), known)
+        return np.sort(np.concatenate([known, rng.choice(others, count - len(known), replace=False)]))
 
     def made(by: Array) -> Schedule:
         functions = {
@@ -197,9 +204,13 @@ def improve(
         if progress is not None:
             progress(k, rounds)
         left = 1.0 - k / rounds
+        noise = seed * 100_000 + 1000 + k
+        if k % check == 0:
+            for (course, _), once_lost in zip(courses, lost, strict=True):
+                once_lost |= set(np.flatnonzero(~np.isfinite(course.drive(made(np.zeros(3)), [noise])[:, 0])).tolist())
         told = [
-            course.landscape(made, seed * 100_000 + 1000 + k, np.sort(rng.choice(len(course), count, replace=False)))
-            for course, count in courses
+            course.landscape(made, noise, chosen(course, count, once_lost))
+            for (course, count), once_lost in zip(courses, lost, strict=True)
         ]
         rows, moves, weights = (np.concatenate(parts) for parts in zip(*told, strict=True))
         x = np.clip(rows[:, columns], *domain.T)

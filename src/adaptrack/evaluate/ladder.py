@@ -152,12 +152,14 @@ def optimum(
 
 
 def best_constant(
-    courses: Sequence[tuple[Course, int]], start: Sequence[float], *, evaluations: int = 300, seed: int = 0
-) -> Array:
+    courses: Sequence[tuple[Course, int]], start: Sequence[float], *, evaluations: int = 300, seed: int = 0,
+    lost_cost: float = LOST_COST,
+) -> Array:  # fmt: skip
     """(4,) the tuning with the lowest mean log cost over runs of the courses: what one fixed tuning can do.
 
     The swarm of a campaign's condition (`SwarmSettings`, 300 evaluations), each evaluation driving all the runs; each
-    course counts alike. start: a tuning that is tried too.
+    course counts alike. start: a tuning that is tried too; lost_cost: what a lost run counts as (m^2), more for a
+    tuning that is to be safe rather than good.
     """
     from adaptrack.tuning.pso import minimise
 
@@ -169,16 +171,20 @@ def best_constant(
     picked = [(course, np.sort(rng.choice(len(course), min(count, len(course)), replace=False))) for course, count in courses]
 
     def cost(positions: Array) -> Array:
-        return np.array([_score(picked, [p[0], p[1], 1.0, p[2]], seed) for p in np.atleast_2d(positions)])
+        return np.array([_score(picked, [p[0], p[1], 1.0, p[2]], seed, lost_cost) for p in np.atleast_2d(positions)])
 
     found = minimise(cost, space, SwarmSettings(generations=max(1, evaluations // 20)), seed=seed)
     tuning = np.array([found.x[0], found.x[1], 1.0, found.x[2]])
     given = np.asarray(start, dtype=float)
-    return given if _score(picked, given, seed) < float(found.cost) else tuning
+    return given if _score(picked, given, seed, lost_cost) < float(found.cost) else tuning
 
 
-def _score(picked: Sequence[tuple[Course, NDArray[np.int64]]], tuning: Any, seed: int) -> float:
-    return float(np.mean([np.log(course.costs(tuning, [700_000 + seed], which)).mean() for course, which in picked]))
+def _score(picked: Sequence[tuple[Course, NDArray[np.int64]]], tuning: Any, seed: int, lost_cost: float) -> float:
+    logs = []
+    for course, which in picked:
+        found = course.drive(tuning, [700_000 + seed], which)
+        logs.append(np.log(np.where(np.isfinite(found), found, lost_cost)).mean())
+    return float(np.mean(logs))
 
 
 def per_run_best(course: Course, candidates: Array, seeds: Sequence[int]) -> Array:

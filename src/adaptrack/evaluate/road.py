@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -15,7 +15,7 @@ from adaptrack.errors import InvalidInput
 from adaptrack.estimation import FrictionWindEstimator, Perception
 from adaptrack.metrics import PUBLISHED
 from adaptrack.mpc import MPC, Tuning
-from adaptrack.plant import Plant, load_profile
+from adaptrack.plant import DualTrack, Plant, SingleTrack, load_profile
 from adaptrack.scenario import load_scenario, random_drive
 from adaptrack.schedule import Lookup, Schedule
 from adaptrack.tuning.conditions import NAMES, check_conditions, sobol
@@ -26,7 +26,7 @@ Array = NDArray[np.float64]
 
 START = Tuning(Np=29, Nc=5, Q=1.0, R=4000.0)
 """Keeps the road profile's car on most roads: where learning starts."""
-HARD = {"speed": (16.0, 30.0), "demand": (0.2, 0.45)}
+HARD = {"speed": (17.0, 29.0), "demand": (0.25, 0.4)}
 """Fast drives near the limit, on which cars are lost."""
 FIRST_TRAINING_DRIVE, FIRST_HELD_OUT_DRIVE, FIRST_EVALUATION_DRIVE = 1_000_000, 2_000_000, 3_000_000
 """Seeds of random drives: a training, a held-out and an evaluation drive are never the same."""
@@ -43,7 +43,7 @@ PERCEPTIONS: dict[str, Perception] = {
 Told = Perception | FrictionWindEstimator | None
 
 
-def told(name: str, plant: Plant, profile: str = "road") -> Told:
+def told(name: str, plant: SingleTrack | DualTrack, profile: str = "road") -> Told:
     """How friction and wind are known, by name: exact, estimated, or one of `PERCEPTIONS`.
 
     Raises
@@ -75,10 +75,10 @@ def condition_course(plant: Plant, mpc: MPC, conditions: ArrayLike, profile: str
 
 def drive_course(
     plant: Plant, mpc: MPC, first: int, count: int, duration: float = 60.0, profile: str = "road", known: Told = None,
-    **options: Any,
+    options: Mapping[str, Any] | None = None,
 ) -> Course:  # fmt: skip
     """`count` random drives, numbered from `first` on; cost is attributed to stretches of 2 s and what is 2 s older."""
-    runs = [random_drive(first + i, duration, **options) for i in range(count)]
+    runs = [random_drive(first + i, duration, **(options or {})) for i in range(count)]
     stretch = round(2.0 / mpc.period)
     return Course(plant, mpc, runs, profile, stretch=stretch, lead=stretch, told=known)
 

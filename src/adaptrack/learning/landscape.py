@@ -10,6 +10,7 @@ the mean cost, averaged over everything that the surface cannot tell apart.
 
 from __future__ import annotations
 
+import itertools
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
@@ -18,6 +19,7 @@ from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import expit
 
 from adaptrack.errors import InvalidInput
 from adaptrack.learning.network import Network
@@ -40,12 +42,13 @@ def preferred_moves(base: Array, up: Array, down: Array, share: Array) -> tuple[
     finite nothing is known: weight zero. Returns moves and weights (n, 3); a move is at most two shifts long.
     """
     known = np.isfinite(up) & np.isfinite(down) & np.isfinite(base)[:, None]
-    base, up, down = np.nan_to_num(base)[:, None], np.where(known, up, 0.0), np.where(known, down, 0.0)
-    slope = np.where(known, (up - down) / (2.0 * SHIFT), 0.0)
-    curvature = np.where(known, (up + down - 2.0 * base) / SHIFT**2, 0.0)
+    base, up, down = (np.where(known, costs, 0.0) for costs in (base[:, None], up, down))
+    slope = (up - down) / (2.0 * SHIFT)
+    curvature = (up + down - 2.0 * base) / SHIFT**2
     weight = np.maximum(curvature, LEAST_CURVATURE * share[:, None])
     weight = np.maximum(weight, np.abs(slope) / (2.0 * SHIFT))
-    return -slope / weight, np.where(known, weight, 0.0)
+    moves = np.divide(-slope, weight, out=np.zeros_like(slope), where=weight > 0.0)
+    return moves, np.where(known, weight, 0.0)
 
 
 class Surface(ABC):
@@ -99,7 +102,7 @@ class NetworkSurface(Surface):
         rng = np.random.default_rng(seed)
         widths = [len(domain), *hidden, 1]
         weights, biases = [], []
-        for layer, (wide, out) in enumerate(zip(widths[:-1], widths[1:], strict=True)):
+        for layer, (wide, out) in enumerate(itertools.pairwise(widths)):
             last = layer == len(widths) - 2
             reach = 8.0 if layer == 0 else 3.0  # over inputs 0..1, then over neurons 0..1
             weights.append(np.zeros((wide, out)) if last else rng.normal(size=(wide, out)) * reach / math.sqrt(wide))
@@ -133,7 +136,7 @@ def _gradients(parameters: list[Array], z: Array, y: Array, share: Array) -> lis
     """Of half the weighted mean square of a sigmoid network's error, by its weights and biases in turn."""
     layers = [z]
     for k in range(0, len(parameters) - 2, 2):
-        layers.append(1.0 / (1.0 + np.exp(-(layers[-1] @ parameters[k] + parameters[k + 1]))))
+        layers.append(expit(layers[-1] @ parameters[k] + parameters[k + 1]))
     delta = (share * ((layers[-1] @ parameters[-2])[:, 0] + parameters[-1][0] - y))[:, None]
     gradients: list[Array] = []
     for k in range(len(parameters) - 2, -1, -2):

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from threadpoolctl import threadpool_limits
 
 from adaptrack.dataset import DataSet
 from adaptrack.dataset.boosting import cross_validate
@@ -116,7 +117,8 @@ def train(
     for slot in TARGETS[targets]:
         y, y_held = target(learned, slot), target(held, slot)
         start = time.perf_counter()
-        estimators[slot] = MODELS[model](**options).fit(learned.conditions, y)
+        with threadpool_limits(1):  # the matrices are small: more threads only wait for each other
+            estimators[slot] = MODELS[model](**options).fit(learned.conditions, y)
         seconds = time.perf_counter() - start
         r2, rmse = score(y_held, estimators[slot].predict(held.conditions))
         best_r2, best_rmse = score(y_held, ceiling(learned.conditions, y, held.conditions, y_held, seed))
