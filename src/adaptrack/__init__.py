@@ -26,8 +26,9 @@ _PUBLIC = {
     "plant": ("DualTrack", "Plant", "Profile", "SingleTrack", "UserPlant", "check_plant"),
     "prediction": ("PredictionModel",),
     "qp": ("QP", "Solution", "check_qp_solver", "get_qp_solver", "list_qp_solvers", "register_qp_solver"),
-    "mpc": ("MPC", "Condition", "Limits", "Moves", "Tuning"),
-    "scenario": ("Scenario", "list_scenarios", "load_scenario"),
+    "mpc": ("MPC", "Condition", "Limits", "Moves", "Tuning", "demand"),
+    "estimation": ("Estimating", "FrictionWindEstimator"),
+    "scenario": ("Scenario", "list_scenarios", "load_scenario", "random_drive"),
     "trajectory": ("Trajectory",),
     "simulate": ("Driver", "rollout", "rollout_batch", "simulate"),
     "metrics": ("Metrics", "compute_metrics"),
@@ -36,10 +37,24 @@ _PUBLIC = {
     "tuning.config": ("CampaignConfig", "list_campaigns", "load_campaign"),
     "tuning.campaign": ("run_campaign",),
     "dataset": ("DataSet", "list_datasets", "load_dataset"),
+    "learning.training": ("train",),
+    "schedule": (
+        "Constant",
+        "Guarded",
+        "Learned",
+        "Lookup",
+        "Schedule",
+        "check_scheduler",
+        "list_schedulers",
+        "load_scheduler",
+        "save_scheduler",
+    ),
+    "adapt": ("adapt", "load_adaptation"),
 }
 """Module -> the names that the package exposes from it; the imports below repeat it for type checkers."""
 
 if TYPE_CHECKING:
+    from adaptrack.adapt import adapt, load_adaptation
     from adaptrack.dataset import DataSet, list_datasets, load_dataset
     from adaptrack.errors import (
         AdaptrackError,
@@ -50,12 +65,25 @@ if TYPE_CHECKING:
         StorageError,
         UnknownName,
     )
+    from adaptrack.estimation import Estimating, FrictionWindEstimator
+    from adaptrack.learning.training import train
     from adaptrack.metrics import Metrics, compute_metrics
-    from adaptrack.mpc import MPC, Condition, Limits, Moves, Tuning
+    from adaptrack.mpc import MPC, Condition, Limits, Moves, Tuning, demand
     from adaptrack.plant import DualTrack, Plant, Profile, SingleTrack, UserPlant, check_plant
     from adaptrack.prediction import PredictionModel
     from adaptrack.qp import QP, Solution, check_qp_solver, get_qp_solver, list_qp_solvers, register_qp_solver
-    from adaptrack.scenario import Scenario, list_scenarios, load_scenario
+    from adaptrack.scenario import Scenario, list_scenarios, load_scenario, random_drive
+    from adaptrack.schedule import (
+        Constant,
+        Guarded,
+        Learned,
+        Lookup,
+        Schedule,
+        check_scheduler,
+        list_schedulers,
+        load_scheduler,
+        save_scheduler,
+    )
     from adaptrack.simulate import Driver, rollout, rollout_batch, simulate
     from adaptrack.trajectory import Trajectory
     from adaptrack.tuning.campaign import run_campaign
@@ -81,12 +109,18 @@ __all__ = [
     "CampaignConfig",
     "Condition",
     "ConfigError",
+    "Constant",
     "ContractError",
     "DataSet",
     "Driver",
     "DualTrack",
+    "Estimating",
+    "FrictionWindEstimator",
+    "Guarded",
     "InvalidInput",
+    "Learned",
     "Limits",
+    "Lookup",
     "Metrics",
     "MissingExtra",
     "Moves",
@@ -95,6 +129,7 @@ __all__ = [
     "PredictionModel",
     "Profile",
     "Scenario",
+    "Schedule",
     "SearchSpace",
     "SingleTrack",
     "Solution",
@@ -109,27 +144,36 @@ __all__ = [
     "UserPlant",
     "Vehicle",
     "__version__",
+    "adapt",
     "check_plant",
     "check_qp_solver",
+    "check_scheduler",
     "compute_metrics",
+    "demand",
     "get_qp_solver",
     "list_campaigns",
     "list_datasets",
     "list_qp_solvers",
     "list_scenarios",
+    "list_schedulers",
     "list_tyres",
     "list_vehicles",
+    "load_adaptation",
     "load_campaign",
     "load_dataset",
     "load_scenario",
+    "load_scheduler",
     "load_tyre",
     "load_vehicle",
     "minimise",
+    "random_drive",
     "register_qp_solver",
     "rollout",
     "rollout_batch",
     "run_campaign",
+    "save_scheduler",
     "simulate",
+    "train",
 ]
 
 

@@ -33,7 +33,7 @@ from adaptrack.evaluate.road import (
     drive_course,
     neighbour_lookup,
     objective,
-    test_course,
+    paper_test,
     told,
 )
 from adaptrack.learning.landscape import FuzzySurface, NetworkSurface, Surface
@@ -41,9 +41,10 @@ from adaptrack.learning.training import train
 from adaptrack.metrics import PUBLISHED
 from adaptrack.mpc import MPC, Condition, Tuning
 from adaptrack.plant import DualTrack, SingleTrack
-from adaptrack.schedule import Constant, Guarded, Schedule, StabilityMap, Table, load_scheduler
+from adaptrack.schedule import Constant, Guarded, Schedule, StabilityMap, Table, list_schedulers, load_scheduler
 from adaptrack.stability import loop_map
 from adaptrack.toml_files import Record, build, read_toml
+from adaptrack.tuning.campaign import Progress as CampaignProgress
 from adaptrack.tuning.campaign import run_campaign
 from adaptrack.tuning.conditions import sobol
 from adaptrack.tuning.config import Box, CampaignConfig, Pair, Plan, Sobol, load_campaign
@@ -67,7 +68,7 @@ def _tuples(value: Any) -> Any:
 class Learning(Record):
     """How the network and the fuzzy systems learn."""
 
-    inputs: Annotated[tuple[str, ...], BeforeValidator(_tuples)] = Field(min_length=1, description="entries of Condition")
+    inputs: Annotated[tuple[str, ...], BeforeValidator(_tuples)] = Field(min_length=1, description="of `Condition`")
     domain: dict[str, Pair] = Field(description="lowest and highest value of each input")
     rounds: int = Field(default=60, ge=1, description="of improvement")
     conditions: int = Field(default=2048, ge=16, description="lane changes in a gust to learn from")
@@ -193,7 +194,8 @@ class Workshop:
 
     def identity(self, stage: str) -> str:
         """What a stage's result depends on."""
-        text = json.dumps([stage, self.config.model_dump(mode="json", exclude={"evaluation"}), Plan.of(self.campaign).identity])
+        settings = self.config.model_dump(mode="json", exclude={"evaluation"})
+        text = json.dumps([stage, settings, Plan.of(self.campaign).identity])
         return hashlib.sha256(text.encode()).hexdigest()
 
     # -- what is learned from, and what it is judged by
@@ -236,7 +238,11 @@ class Workshop:
 
 
 def adapt(
-    config: AdaptationConfig, out: str | os.PathLike[str], *, workers: int | None = None, progress: Progress | None = None
+    config: AdaptationConfig,
+    out: str | os.PathLike[str],
+    *,
+    workers: int | None = None,
+    progress: Progress | None = None,
 ) -> Adapted:
     """Run the whole chain in a folder.
 
@@ -258,6 +264,12 @@ def adapt(
         drive_ladder(shop, schedules, asked.drives, asked.seed, knowledge=KNOWLEDGE, progress=progress),
         test_ladders(shop, schedules),
     )
+
+
+def shipped(name: str) -> dict[str, Schedule]:
+    """The schedulers of an adaptation that ship with the package, by rung."""
+    found = [load_scheduler(each) for each in list_schedulers() if each.startswith(f"{name}-")]
+    return {each.name: each for each in found}
 
 
 def learn(
@@ -288,14 +300,15 @@ def learn(
             courses.extend(shop.courses())
         return courses
 
-    def constant(on: Sequence[int], lost_cost: float = LOST_COST) -> Schedule:
+    def constant(on: Sequence[int], count: int = 128, lost_cost: float = LOST_COST) -> Schedule:
         show("best constant", 0, 1)
-        runs = [(all_courses()[i][0], 128) for i in on]
-        return Constant(_tuning(best_constant(runs, START.as_array().tolist(), seed=shop.config.seed, lost_cost=lost_cost)))
+        runs = [(all_courses()[i][0], count) for i in on]
+        start = START.as_array().tolist()
+        return Constant(_tuning(best_constant(runs, start, seed=shop.config.seed, lost_cost=lost_cost)))
 
     kept("best constant", lambda: constant([0]))
     kept("best constant on drives", lambda: constant([1]))
-    fallback = kept("fallback", lambda: constant([1, 2], lost_cost=1e9))
+    fallback = kept("fallback", lambda: constant([2], 512, lost_cost=1e9))
 
     def learned(model: str, inputs: tuple[str, ...], rung: str) -> Schedule:
         domain = np.array([shop.config.learning.domain[name] for name in inputs])
@@ -314,23 +327,36 @@ def learn(
     inputs = shop.config.learning.inputs
     kept("speed only", lambda: learned("nn", ("speed",), "speed only"))
     kept("look-up", lambda: neighbour_lookup(dataset, _nodes(shop.box)))
-    kept("nn", lambda: guarded(learned("nn", inputs, "nn")))
-    kept("anfis", lambda: guarded(learned("anfis", inputs, "anfis")))
+    for model in ("nn", "anfis"):
+        bare = kept(f"{model} unguarded", lambda model=model: learned(model, inputs, model))  # type: ignore[misc]
+        kept(model, lambda bare=bare: guarded(bare))  # type: ignore[misc]
     for model in ("nn", "anfis"):
         kept(f"paper recipe {model}", lambda model=model: scheduler(train(dataset, model, "paper"), dataset))  # type: ignore[misc]
-    histories = {rung: list(each.provenance["history"]) for rung, each in schedules.items() if "history" in each.provenance}
+    histories = {
+        rung: list(each.provenance["history"]) for rung, each in schedules.items() if "history" in each.provenance
+    }
     return schedules, histories
 
 
 def _campaign(shop: Workshop, folder: Path, workers: int | None, show: Progress) -> DataSet:
     place = folder / "campaign"
-    told_of = lambda at: show("campaign", at.done, at.total)  # noqa: E731
+    finished = place / "dataset.parquet"
+    if finished.exists():
+        found = load_dataset(finished)
+        if found.provenance.get("identity") == Plan.of(shop.campaign).identity:
+            return found
+
+    def told_of(at: CampaignProgress) -> None:
+        show("campaign", at.done, at.total)
+
     return load_dataset(run_campaign(shop.campaign, place, resume=place.exists(), workers=workers, progress=told_of))
 
 
 def stability_map(shop: Workshop) -> StabilityMap:
     """The map that the guard asks: the loop's spectral radius over everything that may be asked of it."""
-    axes, values = loop_map(shop.plant, shop.mpc, shop.campaign.profile, speed=shop.box["speed"], friction=shop.box["friction"])
+    axes, values = loop_map(
+        shop.plant, shop.mpc, shop.campaign.profile, speed=shop.box["speed"], friction=shop.box["friction"]
+    )
     return StabilityMap(Table(axes, values))
 
 
@@ -344,7 +370,7 @@ def _nodes(box: Mapping[str, tuple[float, float]]) -> dict[str, Any]:
 
 
 def rungs_for(schedules: Mapping[str, Schedule], conditions: Array | None = None) -> dict[str, Policy]:
-    """The rungs as they are driven; on `conditions`, what was learned from conditions is asked once, for the condition."""
+    """The rungs as they are driven; on `conditions`, what was learned from such is asked once, for the condition."""
     asked_once = ("look-up", "paper recipe nn", "paper recipe anfis")
     rungs: dict[str, Policy] = {"standard": Tuning()}
     for rung, schedule in schedules.items():
@@ -387,7 +413,7 @@ def drive_ladder(
     shop: Workshop, schedules: Mapping[str, Schedule], count: int, seed: int, *, knowledge: Sequence[str] = ("exact",),
     progress: Progress | None = None,
 ) -> dict[str, Ladder]:  # fmt: skip
-    """The ladder on `count` random drives of 60 s that nothing was trained on, likewise; measured by the best constant."""
+    """The ladder on `count` random drives of 60 s that nothing was trained on; regret is to the best constant."""
     profile, plant, mpc, noise = shop.campaign.profile, shop.plant, shop.mpc, EVALUATION_SEEDS[:1]
     first = FIRST_EVALUATION_DRIVE + 10_000 * seed
     ladders = {}
@@ -396,7 +422,8 @@ def drive_ladder(
         rungs = rungs_for(schedules)
         if name == "exact":
             rungs["per-drive constant"] = per_run_best(course, _candidates(schedules), noise)
-        ladders[name] = climb(course, rungs, noise, "best constant", np.arange(first, first + count, dtype=float)[:, None], progress)
+        numbers = np.arange(first, first + count, dtype=float)[:, None]
+        ladders[name] = climb(course, rungs, noise, "best constant", numbers, progress)
     return ladders
 
 
@@ -404,7 +431,7 @@ def test_ladders(shop: Workshop, schedules: Mapping[str, Schedule]) -> dict[str,
     """The ladder on the paper's two tests, in the campaign's profile."""
     return {
         name: climb(
-            test_course(shop.plant, shop.mpc, name, shop.campaign.profile), rungs_for(schedules), EVALUATION_SEEDS,
+            paper_test(shop.plant, shop.mpc, name, shop.campaign.profile), rungs_for(schedules), EVALUATION_SEEDS,
             "best constant", np.zeros((1, 1)),
         )
         for name in PUBLISHED

@@ -362,6 +362,135 @@ def reproduce(
     print(f"{made.seconds:.0f} s, of which {made.training_seconds:.0f} s learning")
 
 
+@app.command()
+def adapt(
+    out: Annotated[Path, Option(help="Folder of the chain; one that was interrupted goes on.")],
+    config: Annotated[str, Option(help="Name (road) or .toml file.")] = "road",
+    workers: Annotated[int | None, Option(help="Threads of the campaign, by default one per core.")] = None,
+    as_json: Annotated[bool, Option("--json", help="One JSON object on standard output, nothing else.")] = False,
+) -> None:
+    """The whole chain: tune on conditions, learn schedulers, guard them, evaluate them on roads nobody trained on."""
+    from adaptrack.adapt import Adapted, load_adaptation
+    from adaptrack.adapt import adapt as run
+
+    settings = load_adaptation(config)
+    _make_folder(out)
+    with _progress(1, quiet=as_json) as show:
+        made: Adapted = run(settings, out, workers=workers, progress=show)
+    page = _ladder_page(out, made)
+    _tell(f"Schedulers: {out / 'schedulers'}\nReport: {page}", quiet=as_json)
+    _ladders({"conditions": made.conditions, "drives": made.drives, "tests": made.tests}, as_json)
+
+
+@app.command()
+def evaluate(
+    schedulers: Annotated[
+        list[str] | None, Option(help="Names (see `schedulers`) or files; by default those that ship with the package.")
+    ] = None,
+    conditions: Annotated[str | None, Option(metavar="sobol:N", help="So many unseen conditions.")] = None,
+    drives: Annotated[int | None, Option(min=1, help="So many random drives of 60 s.")] = None,
+    tests: Annotated[bool, Option("--tests", help="The paper's two tests.")] = False,
+    config: Annotated[str, Option(help="Whose vehicle, profile and domain: name (road) or .toml file.")] = "road",
+    profile: Annotated[ProfileName | None, Option(help="Must be the configuration's; for the record.")] = None,
+    knowledge: Annotated[
+        list[str] | None,
+        Option("--told", help="How friction and wind are known: exact, noisy, lagged, estimated, withheld, ..."),
+    ] = None,
+    seed: Annotated[int, Option(min=0, help="Which conditions and drives.")] = 7,
+    out: Annotated[Path | None, Option(help="Folder for the page.")] = None,
+    as_json: Annotated[bool, Option("--json", help="One JSON object on standard output, nothing else.")] = False,
+) -> None:
+    """Compare schedulers with the best constant and the per-condition optimum, on conditions and drives never seen."""
+    from adaptrack.adapt import (
+        Adapted,
+        Workshop,
+        condition_ladder,
+        drive_ladder,
+        load_adaptation,
+        shipped,
+        test_ladders,
+    )
+    from adaptrack.evaluate.road import sample_size
+    from adaptrack.schedule import check_scheduler, load_scheduler
+
+    settings = load_adaptation(config)
+    shop = Workshop.of(settings)
+    if profile is not None and str(profile) != shop.campaign.profile:
+        raise InvalidInput(f"--profile {profile}: configuration {settings.name!r} is for {shop.campaign.profile!r}.")
+    rungs = shipped(settings.name)
+    for name in schedulers or []:
+        schedule = load_scheduler(name)
+        check_scheduler(schedule)
+        rungs[schedule.name if schedule.name not in rungs else Path(name).stem] = schedule
+    if conditions is None and drives is None and not tests:
+        conditions = "sobol:2000"
+    ways = tuple(dict.fromkeys(["exact", *(knowledge or [])]))
+    if out is not None:
+        _make_folder(out)
+    with _progress(1, quiet=as_json) as show:
+        made = Adapted(
+            rungs,
+            {},
+            condition_ladder(shop, rungs, sample_size(conditions), seed, knowledge=ways, progress=show)
+            if conditions
+            else {},
+            drive_ladder(shop, rungs, drives, seed, knowledge=ways, progress=show) if drives else {},
+            test_ladders(shop, rungs) if tests else {},
+        )
+    if out is not None:
+        _tell(f"Report: {_ladder_page(out, made)}", quiet=as_json)
+    _ladders({"conditions": made.conditions, "drives": made.drives, "tests": made.tests}, as_json)
+
+
+def _ladder_page(out: Path, made: Any) -> Path:
+    from adaptrack.report.ladder import write_ladder
+
+    return write_ladder(
+        out,
+        conditions=made.conditions.get("exact"),
+        drives=made.drives.get("exact"),
+        perceptions=made.conditions or made.drives,
+        tests=made.tests,
+        schedules=made.schedules,
+        histories=made.histories,
+        command=_command(),
+    )
+
+
+def _ladders(views: dict[str, Any], as_json: bool) -> None:
+    """The rows of ladders: by view, then by how friction and wind are known, or by test."""
+    from adaptrack.evaluate.ladder import finite
+
+    rows: list[dict[str, Any]] = []
+    for view, ladders in views.items():
+        for name, ladder in ladders.items():
+            rows += [
+                {"view": view, "scenario" if view == "tests" else "told": name, "reference": ladder.reference, **row}
+                for row in finite(ladder.rows())
+            ]
+    if as_json:
+        print(json.dumps({"rows": rows}, allow_nan=False))
+        return
+    columns = ("scheduler", "cost_geomean", "regret_geomean", "regret_low", "regret_high", "regret_p50", "regret_p90",
+               "regret_p99", "regret_worst", "failures")  # fmt: skip
+    for view, ladders in views.items():
+        for name, ladder in ladders.items():
+            title = f"{view}, {name}: {len(ladder.where)} runs, regret to {ladder.reference}"
+            _table(title, columns, ladder.rows())
+
+
+@app.command()
+def schedulers(as_json: Annotated[bool, typer.Option("--json", help="One JSON object.")] = False) -> None:
+    """List the schedulers that ship with the package."""
+    from adaptrack.schedule import list_schedulers, load_scheduler
+
+    rows = [
+        {"name": name, "rung": load_scheduler(name).name, "inputs": ", ".join(load_scheduler(name).inputs)}
+        for name in list_schedulers()
+    ]
+    _list("Schedulers", rows, as_json)
+
+
 @dataset_app.command("describe")
 def describe_dataset(
     name: Annotated[str, typer.Argument(help="Name (see `dataset list`), file, or folder of a campaign.")],

@@ -50,8 +50,9 @@ class Course:
     """
 
     def __init__(
-        self, plant: Plant, mpc: MPC, scenarios: Sequence[Scenario], profile: str = "road", *, stretch: int | None = None,
-        lead: int = 0, stride: int = 20, told: Perception | FrictionWindEstimator | None = None,
+        self, plant: Plant, mpc: MPC, scenarios: Sequence[Scenario], profile: str = "road", *,
+        stretch: int | None = None, lead: int = 0, stride: int = 20,
+        told: Perception | FrictionWindEstimator | None = None,
     ) -> None:  # fmt: skip
         self.batch = Batch(plant, mpc, scenarios, profile, None, LOST_BEYOND, told, SPIN_BEYOND)
         self.price = load_profile(profile).move_price

@@ -361,7 +361,7 @@ class MPC:
 
     @property
     def scheduler_counts(self) -> dict[str, int]:
-        """What a compiled scheduler has counted since the last reset, by name; see `schedule.COUNTS`."""
+        """What a compiled scheduler has counted since the last reset, by name; see `kernels.inference.COUNTS`."""
         if self._plan is None:
             return {}
         return {name: int(self._plan.state[0, i]) for i, name in enumerate(self._inference.COUNTS)}
@@ -394,7 +394,7 @@ class MPC:
             if self._plan is None:
                 self._asked[:] = astuple(self.scheduler(condition))
             else:
-                self._look[:] = condition
+                self._look[: len(condition)] = condition
                 self._inference.schedule(0, self._look, self._plan, self._asked)
         self._workspace.measured[:] = measured
         if self.in_kernel:

@@ -450,11 +450,13 @@ def load_scheduler(name_or_path: str | os.PathLike[str]) -> Schedule:
     if digest != file.get("sha256"):
         raise StorageError(f"{path}: damaged: its content does not match its checksum. Train or copy it again.")
     try:
-        return _decode(content)
+        schedule = _decode(content)
+        schedule._packed()  # numbers too large for the kernels are found here
     except KeyError as error:
         raise StorageError(f"{path}: its content makes no scheduler: {error} is missing.") from None
     except (InvalidInput, TypeError, ValueError, OverflowError, AttributeError) as error:
         raise StorageError(f"{path}: its content makes no scheduler: {error}.") from None
+    return schedule
 
 
 _DATA = Path(__file__).parent / "data" / "schedulers"

@@ -14,7 +14,6 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from datetime import UTC, datetime
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -48,7 +47,12 @@ class Driver:
 
 
 def _loop_settings(
-    plant: Plant, profile: Profile, driver: Driver | None, substeps: int, lost_beyond: float, spin_beyond: float = math.inf
+    plant: Plant,
+    profile: Profile,
+    driver: Driver | None,
+    substeps: int,
+    lost_beyond: float,
+    spin_beyond: float = math.inf,
 ) -> Array:
     """`kernels.loop.LOOP_SETTINGS`; without a driver the speed follows its profile exactly."""
     from adaptrack.kernels import loop
@@ -181,7 +185,8 @@ def simulate(
             break
     if progress is not None:
         progress(n, n)
-    return _trajectory(plant, controller, scenario, signals, profile, driver, seed, trace, times)
+    counted = controller.scheduler_counts if isinstance(controller, MPC) else {}
+    return _trajectory(plant, controller, scenario, signals, profile, driver, seed, trace, times, counted)
 
 
 def rollout(
@@ -201,11 +206,17 @@ def rollout(
     InvalidInput
         When the MPC needs Python at every step: a scheduler or a QP back-end outside the kernels.
     """
+    from adaptrack.kernels import inference
+
     _refuse_nonsense(scenario, seed, lost_beyond)
     batch = Batch(plant, mpc, [scenario], profile, driver, lost_beyond)
-    _, trace, _, _ = batch.run(np.zeros(1, np.int64), mpc.tuning.as_array()[None], np.array([seed]), 1, traced=True)
+    first = np.zeros(1, np.int64)
+    _, trace, counts, _ = batch.run(first, mpc.tuning.as_array()[None], np.array([seed]), 1, traced=True)
     times = np.full(len(trace[0]), np.nan)
-    return _trajectory(batch.plant, mpc, scenario, batch.signals[0], batch.profile, driver, seed, trace[0], times)
+    counted = dict(zip(inference.COUNTS, counts[0].astype(int).tolist(), strict=False))
+    return _trajectory(
+        batch.plant, mpc, scenario, batch.signals[0], batch.profile, driver, seed, trace[0], times, counted
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -233,7 +244,7 @@ class BatchResult:
     qp_iterations: NDArray[np.int64]
     """of the QP solver, in all steps"""
     scheduler: dict[str, NDArray[np.int64]]
-    """what the scheduler counted, by name, see `schedule.Counts`; empty without one"""
+    """what the scheduler counted, by name, see `kernels.inference.COUNTS`; empty without one"""
 
     def cost(self, move_price: float = 0.0) -> Array:
         """J = mean e^2 + move_price * mean (change of command)^2, the cost that tuning minimises; inf when lost."""
@@ -257,8 +268,9 @@ def rollout_batch(
 
     tunings: (runs, 4) of Np, Nc, Q, R, the horizons rounded and clamped to 1 <= Nc <= Np <= mpc.longest_horizon and
     mpc.most_moves; without them every run has the MPC's scheduler, or its tuning; which: (runs,) indices into
-    `scenarios`, by default 0, without tunings one run for each; seeds: noise seeds, one or one per run; threads: None for all cores. A run's result does not depend on the others, nor on the number of threads.
-    The scenarios must last equally long.
+    `scenarios`, by default 0, without tunings one run for each; seeds: noise seeds, one or one per run; threads: None
+    for all cores. A run's result does not depend on the others, nor on the number of threads. The scenarios must last
+    equally long.
 
     Raises
     ------
@@ -377,8 +389,8 @@ class Batch:
     ) -> tuple[Array, Array, Array, Array]:  # fmt: skip
         """Results (runs, RESULT), traces (runs, periods or 0, TRACE), the scheduler's counts (runs, COUNTS or 0).
 
-        Fourth, when asked for, the cost of each stretch of `stretch` periods (runs, stretches): the sum of squared error
-        plus `price` times squared move; inf where a run was lost, NaN after that.
+        Fourth, when asked for, the cost of each stretch of `stretch` periods (runs, stretches): the sum of squared
+        error plus `price` times squared move; inf where a run was lost, NaN after that.
 
         With a scheduler, `tunings` are what it begins with.
         """
@@ -456,6 +468,7 @@ def _trajectory(
     seed: int,
     trace: Array,
     times: Array,
+    counted: dict[str, int],
 ) -> Trajectory:
     from adaptrack.kernels import loop
     from adaptrack.kernels.dynamics import STATES
@@ -513,5 +526,6 @@ def _trajectory(
             created=datetime.now(UTC),
             control=described,
             speed="profile" if driver is None else "driver",
+            scheduler_counts=counted,
         ),
     )

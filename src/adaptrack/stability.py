@@ -1,103 +1,382 @@
-"""The closed loop far from its limits: a linear map over one control period, and how stable it is.
+"""The closed loop far from its limits: a linear map over one control period, how stable it is, and how much it bears.
 
-The plant is linearised about straight driving at a speed, the controller's law is `PredictionModel.feedback`. What
-the controller's own model leaves out (tyre relaxation, steering lag, computation delay) is part of the loop.
+The plant is linearised about driving straight, or about a steady turn, at a speed; the controller's law is
+`PredictionModel.feedback`. What the controller's own model leaves out (tyre relaxation, steering lag, computation
+delay) is part of the loop; the reference, with or without preview, is not: it cannot make a linear loop unstable.
+
+The law du = -k [change of x_c; y] sums up to u = w - k_1..4 x_c, where w grows by -k_5 y at every step: besides the
+vehicle, the wheel angle and the commands under way, w is all that the loop remembers.
 """
 
 from __future__ import annotations
 
-import numpy as np
-from numpy.typing import NDArray
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import NamedTuple
 
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from adaptrack.errors import InvalidInput, real
 from adaptrack.mpc import MPC, Tuning
 from adaptrack.plant import Plant, Profile, load_profile
 from adaptrack.prediction import laguerre_basis
+from adaptrack.vehicle import GRAVITY
 
 Array = NDArray[np.float64]
 
+MEASURED = ("vy", "psi", "yaw_rate", "Y")
+"""The states of the plant that the controller measures: its x_c."""
 
-def linearised(plant: Plant, speed: float, friction: float = 0.9) -> tuple[list[str], Array, Array]:
-    """State names, A (n, n) and B (n,) of the plant about straight driving at `speed` (m/s) on `friction`.
+_HELD = ("X", "vx", "felt_ax")  # X does not matter; speed and longitudinal load transfer are held
+_STEP = 1e-6  # of the central differences
+_ANGLES = np.geomspace(1e-3, np.pi, 768)  # rad per period, at which the loop gain is looked at
 
-    The input is the front-wheel angle; the speed is held. States that take no part (X, the longitudinal ones, the
-    slip angles of tyres without relaxation) are left out. By central differences.
+
+# -- the plant --------------------------------------------------------------------------------------------------------
+def steady_turn(plant: Plant, speed: float, lateral_acceleration: float, friction: float = 0.9) -> tuple[Array, float]:
+    """State (n,) and front-wheel angle (rad) of a steady turn to the left at `speed` (m/s), without wind.
+
+    lateral_acceleration: m/s^2, speed times yaw rate. The velocity points along X. Newton's method on the derivatives
+    of all states but X, Y, yaw and v_x, the acceleration raised from zero in steps of at most 1 m/s^2; speed and
+    longitudinal load transfer are held as they are in straight driving.
+
+    Raises
+    ------
+    InvalidInput
+        When the plant has no such turn, for instance because the friction does not carry it.
     """
-    keep = [i for i, name in enumerate(plant.state_names) if name not in ("X", "vx", "felt_ax")]
-    x = np.zeros(len(plant.state_names))
+    acceleration = real("steady_turn", "lateral_acceleration", lateral_acceleration)
+    names = plant.state_names
+    free = [i for i, name in enumerate(names) if name not in (*_HELD, "Y", "psi")]
+    road = _road(friction)
+    x = np.zeros(len(names))
     x[3] = speed
-    road = np.array([friction] * 4 + [0.0, 0.0])
-    h = 1e-6
+    unknown = np.zeros(len(free) + 1)
 
-    def slope(state: Array, steering: float) -> Array:
-        return plant.derivative(state, [steering, 0.0], road)[keep]
+    def residual(values: Array, wanted: float) -> Array:
+        state = x.copy()
+        state[free] = values[:-1]
+        slope = plant.derivative(state, [values[-1], 0.0], road)[free]
+        return np.append(slope, state[5] * speed - wanted)
 
-    columns = []
-    for i in keep:
-        step = np.zeros_like(x)
-        step[i] = h
-        columns.append((slope(x + step, 0.0) - slope(x - step, 0.0)) / (2 * h))
-    a, b = np.array(columns).T, (slope(x, h) - slope(x, -h)) / (2 * h)
-    part = [j for j in range(len(keep)) if np.abs(a[j]).sum() + np.abs(a[:, j]).sum() + abs(b[j]) > 0.0]
+    reached, step = 0.0, min(abs(acceleration), 1.0)
+    ahead = np.zeros_like(unknown)  # change of the unknowns per m/s^2 in the last step
+    while reached < abs(acceleration):
+        wanted = min(reached + step, abs(acceleration))
+        tried, found = _newton(residual, unknown + (wanted - reached) * ahead, np.copysign(wanted, acceleration))
+        if found:
+            ahead, unknown, reached = (tried - unknown) / (wanted - reached), tried, wanted
+        elif step > 1e-3:
+            step *= 0.5
+        else:
+            raise InvalidInput(
+                f"Plant {plant.name!r}: no steady turn with more than {reached:.4g} m/s^2 at {speed:g} m/s on friction "
+                f"{friction:g}: ask for a smaller lateral acceleration."
+            )
+    x[free] = unknown[:-1]
+    x[2] = -np.arctan2(x[4], x[3])
+    return x, float(unknown[-1])
+
+
+def _newton(residual: Callable[[Array, float], Array], x: Array, wanted: float) -> tuple[Array, bool]:
+    """A root of residual(x, wanted) near x, and whether one was found."""
+    for _ in range(20):
+        error = residual(x, wanted)
+        slopes = [(residual(x + h, wanted) - error) / _STEP for h in _STEP * np.eye(len(x))]
+        change = np.linalg.lstsq(np.array(slopes).T, error)[0]
+        x = x - change
+        if not np.abs(change).max() > 1e-10:
+            break
+    return x, bool(np.abs(residual(x, wanted)).max() < 1e-6)
+
+
+def linearised(
+    plant: Plant, speed: float, friction: float = 0.9, lateral_acceleration: float = 0.0
+) -> tuple[list[str], Array, Array]:
+    """State names, A (n, n) and B (n,) of the plant about steady driving at `speed` (m/s) on `friction`.
+
+    About a straight line, or about a `steady_turn` with `lateral_acceleration` (m/s^2), in which tyres are softer; then
+    deviations are those from the turn, in axes along its velocity. The input is the front-wheel angle; the speed is
+    held. States that cannot reach what the controller measures are left out: their modes do not matter to it. By
+    central differences.
+    """
+    x, steering = steady_turn(plant, speed, lateral_acceleration, friction)
+    road = _road(friction)
+    keep = [i for i, name in enumerate(plant.state_names) if name not in _HELD]
+
+    def slope(state: Array, angle: float) -> Array:
+        return plant.derivative(state, [angle, 0.0], road)[keep]
+
+    columns = [(slope(x + h, steering) - slope(x - h, steering)) / (2 * _STEP) for h in _STEP * np.eye(len(x))[keep]]
+    a, b = np.array(columns).T, (slope(x, steering + _STEP) - slope(x, steering - _STEP)) / (2 * _STEP)
+    seen = np.array([plant.state_names[i] in MEASURED for i in keep])
+    for _ in keep:
+        seen |= (a[seen] != 0.0).any(axis=0)
+    part = np.flatnonzero(seen)
     return [plant.state_names[keep[j]] for j in part], a[np.ix_(part, part)], b[part]
+
+
+class Sampled(NamedTuple):
+    """The plant behind its steering over one control period: z(k+1) = A z(k) + b u(k), x_c(k) = C z(k)."""
+
+    a: Array
+    """(m, m); z: the plant's states, the front-wheel angle where the steering has a lag, the commands under way"""
+    b: Array
+    """(m,)"""
+    c: Array
+    """(4, m)"""
+
+
+def sampled(
+    plant: Plant, period: float, speed: float, *, friction: float = 0.9, profile: str | Profile = "paper",
+    lateral_acceleration: float = 0.0, delay: float = 0.0,
+) -> Sampled:  # fmt: skip
+    """The linearised plant, exactly discretised under commands held over the period (s).
+
+    A command acts `delay` (s, >= 0, any fraction of a period) after its measurement, a period later still when the
+    profile says so. The steering's rate limit plays no part near rest.
+    """
+    from scipy.linalg import expm
+
+    if not 0.0 <= real("sampled", "delay", delay) < np.inf:
+        raise InvalidInput(f"delay = {delay!r} s: must be finite and not negative.")
+    world = load_profile(profile)
+    lag = (getattr(plant, "steering", None) or world.steering).lag
+    names, a, b = linearised(plant, speed, friction, lateral_acceleration)
+    n = len(b) + (lag > 0.0)
+    flow = np.zeros((n + 1, n + 1))  # of the states and the command
+    flow[: len(b), : len(b)], flow[: len(b), len(b)] = a, b
+    if lag > 0.0:
+        flow[n - 1, n - 1], flow[n - 1, n] = -1.0 / lag, 1.0 / lag
+
+    whole, part = divmod(world.delay + delay / period, 1.0)
+    pending = int(whole) + (part > 0.0)
+    early, late = expm(flow * (part * period)), expm(flow * ((1.0 - part) * period))
+    size = n + pending
+    step = np.zeros((size, size + 1))  # of z and the new command, which stands last
+    step[:n, :n] = late[:n, :n] @ early[:n, :n]
+    place = [size, *range(n, size)]  # where the commands of this instant, of the last one, ... stand
+    step[:n, place[int(whole)]] = late[:n, n]
+    if part > 0.0:
+        step[:n, place[int(whole) + 1]] = late[:n, :n] @ early[:n, n]
+    step[place[1:], place[:-1]] = 1.0
+    outputs = np.zeros((len(MEASURED), size))
+    outputs[range(len(MEASURED)), [names.index(name) for name in MEASURED]] = 1.0
+    return Sampled(step[:, :size], step[:, size], outputs)
+
+
+def _road(friction: float) -> Array:
+    return np.array([friction] * 4 + [0.0, 0.0])
+
+
+# -- the loop ---------------------------------------------------------------------------------------------------------
+def laws(mpc: MPC, speed: float, tunings: ArrayLike) -> Array:
+    """k (n, 5) of du = -k [change of x_c; y] at a speed (m/s) for n tunings (n, 4) of Np, Nc, Q, R.
+
+    `PredictionModel.feedback` for many tunings at once. The horizons must be whole numbers, 1 <= Nc <= Np.
+    """
+    from adaptrack.kernels.prediction import responses
+
+    asked = np.atleast_2d(np.asarray(tunings, dtype=np.float64))
+    horizons, group = np.unique(asked[:, :2].astype(np.int64), axis=0, return_inverse=True)
+    longest = int(horizons[:, 0].max())
+    a, b, _ = mpc.model.discrete(max(speed, mpc.speed_floor))
+    free, step = np.ones((5, longest)), np.empty(longest)
+    responses(longest, a, b[:, 0].copy(), free, step)
+    below = np.subtract.outer(np.arange(longest), np.arange(longest))
+    phi = np.where(below >= 0, step[below], 0.0)
+    gains = np.empty((len(asked), 5))
+    for i, (Np, Nc) in enumerate(horizons.tolist()):
+        which = np.flatnonzero(group.ravel() == i)
+        basis = np.eye(Np, Nc)
+        if mpc.moves.kind == "laguerre":
+            basis = laguerre_basis(Np, mpc.moves.terms, mpc.moves.pole)
+        effect = phi[:Np, :Np] @ basis
+        Q, R = asked[which, 2, None, None], asked[which, 3, None, None]
+        moves = np.linalg.solve(Q * (effect.T @ effect) + R * np.eye(effect.shape[1]), Q * (effect.T @ free[:, :Np].T))
+        gains[which] = basis[0] @ moves
+    return gains
+
+
+def loops(body: Sampled, k: Array, gain: float = 1.0) -> Array:
+    """The matrices (n, m + 1, m + 1) that take [z, w] from one control instant to the next, for n laws k (n, 5).
+
+    gain: a factor on every command between the controller and the steering.
+    """
+    m = len(body.b)
+    matrices = np.empty((len(k), m + 1, m + 1))
+    matrices[:, :m, :m] = body.a - gain * body.b[:, None] * (_direct(k) @ body.c)[:, None, :]
+    matrices[:, :m, m] = gain * body.b
+    matrices[:, m, :m] = -k[:, 4, None] * body.c[3]
+    matrices[:, m, m] = 1.0
+    return matrices
+
+
+def _direct(k: Array) -> Array:
+    """(n, 4): what the newest x_c adds to -u; y acts through w as well, at once."""
+    return k[:, :4] + k[:, 4, None] * np.array([0.0, 0.0, 0.0, 1.0])
 
 
 def closed_loop(
     plant: Plant, mpc: MPC, speed: float, *, tuning: Tuning | None = None, friction: float = 0.9,
-    profile: str | Profile = "paper",
+    profile: str | Profile = "paper", lateral_acceleration: float = 0.0, gain: float = 1.0, delay: float = 0.0,
 ) -> Array:  # fmt: skip
     """The matrix that takes the loop's state from one control instant to the next, with a reference of zero.
 
-    State: the plant's (without X, v_x), the front-wheel angle, the last command, the last measured x_c (4). The
-    steering's rate limit plays no part near rest.
+    State: that of `sampled`, then w (see above). gain: a factor on the commands; delay: s, by which they act later.
     """
-    from scipy.linalg import expm
-
-    world = load_profile(profile)
-    steering = getattr(plant, "steering", None) or world.steering
-    t = tuning or mpc.tuning
-    basis = laguerre_basis(t.Np, mpc.moves.terms, mpc.moves.pole) if mpc.moves.kind == "laguerre" else None
-    _, k = mpc.model.feedback(max(speed, mpc.speed_floor), t.Np, t.Nc, t.Q, t.R, basis)
-
-    names, a, b = linearised(plant, speed, friction)
-    n = len(b)
-    measured = np.zeros((4, n))
-    for row, name in enumerate(("vy", "psi", "yaw_rate", "Y")):
-        measured[row, names.index(name)] = 1.0
-
-    # over one period: plant and wheel angle under a constant command
-    flow = np.zeros((n + 2, n + 2))
-    flow[:n, :n] = a
-    if steering.lag > 0.0:
-        flow[:n, n] = b
-        flow[n, n], flow[n, n + 1] = -1.0 / steering.lag, 1.0 / steering.lag
-    else:
-        flow[:n, n + 1] = b
-    flow = expm(flow * mpc.period)
-
-    # du = -k [measured - last measured; y], then u = last u + du; the command acts now, or one period later
-    change = np.zeros(n + 2 + 4)
-    change[:n] = -(k[:4] @ measured + k[4] * measured[3])
-    change[n + 2 :] = k[:4]
-    command = change.copy()
-    command[n + 1] += 1.0
-    acting = np.zeros_like(command)
-    acting[n + 1] = 1.0
-    if not world.delay:
-        acting = command
-    loop = np.zeros((n + 6, n + 6))
-    loop[: n + 1, : n + 1] = flow[: n + 1, : n + 1]
-    loop[: n + 1] += np.outer(flow[: n + 1, n + 1], acting)
-    if steering.lag <= 0.0:
-        loop[n] = acting
-    loop[n + 1] = command
-    loop[n + 2 :, :n] = measured
-    return loop
+    body = sampled(
+        plant, mpc.period, speed, friction=friction, profile=profile, lateral_acceleration=lateral_acceleration,
+        delay=delay,
+    )  # fmt: skip
+    return loops(body, laws(mpc, speed, (tuning or mpc.tuning).as_array()), gain)[0]
 
 
 def spectral_radius(
     plant: Plant, mpc: MPC, speed: float, *, tuning: Tuning | None = None, friction: float = 0.9,
-    profile: str | Profile = "paper",
+    profile: str | Profile = "paper", lateral_acceleration: float = 0.0, gain: float = 1.0, delay: float = 0.0,
 ) -> float:  # fmt: skip
     """Largest magnitude of the closed loop's eigenvalues over one control period: below 1 it is stable."""
-    matrix = closed_loop(plant, mpc, speed, tuning=tuning, friction=friction, profile=profile)
-    return float(np.abs(np.linalg.eigvals(matrix)).max())
+    matrix = closed_loop(
+        plant, mpc, speed, tuning=tuning, friction=friction, profile=profile,
+        lateral_acceleration=lateral_acceleration, gain=gain, delay=delay,
+    )  # fmt: skip
+    return float(radii(matrix))
+
+
+def radii(matrices: Array) -> Array:
+    """Spectral radius of each matrix (..., n, n)."""
+    return np.abs(np.linalg.eigvals(matrices)).max(axis=-1)
+
+
+# -- margins ----------------------------------------------------------------------------------------------------------
+@dataclass(frozen=True, eq=False)
+class Margins:
+    """How far each of n loops is from instability, arrays (n,). An unstable one has margins of 1, 1 and 0 s."""
+
+    radius: Array
+    """spectral radius over one control period"""
+    gain_up: Array
+    """factor > 1 on the commands at which the loop becomes unstable, inf when none does"""
+    gain_down: Array
+    """likewise < 1, 0 when none does"""
+    delay: Array
+    """s, additional delay of the commands at which it becomes unstable"""
+    nearness: Array
+    """1 at the verge of instability, see `nearness`"""
+
+    def worst(self, other: Margins) -> Margins:
+        """The worse of two, loop by loop."""
+        return Margins(
+            np.maximum(self.radius, other.radius),
+            np.minimum(self.gain_up, other.gain_up),
+            np.maximum(self.gain_down, other.gain_down),
+            np.minimum(self.delay, other.delay),
+            np.maximum(self.nearness, other.nearness),
+        )
+
+
+def loop_gain(body: Sampled, k: Array, angles: ArrayLike = _ANGLES) -> NDArray[np.complex128]:
+    """The loop gain L (n, angles) of n laws at z = e^(i angle), the loop being cut at the steering command.
+
+    The loop with a factor g on its commands has the characteristic equation 1 + g L(z) = 0.
+    """
+    z = np.exp(1j * np.asarray(angles, dtype=np.float64))
+    resolvents = z[:, None, None] * np.eye(len(body.b)) - body.a
+    states = np.linalg.solve(resolvents, np.broadcast_to(body.b[:, None], (len(z), len(body.b), 1)))[..., 0]
+    measured = (states @ body.c.T).T
+    return np.asarray(_direct(k) @ measured + k[:, 4, None] * (measured[3] / (z - 1.0)))
+
+
+def nearness(body: Sampled, k: Array, gains: NDArray[np.complex128] | None = None) -> Array:
+    """How near to instability the loops of n laws are (n,): 1 less the smallest distance of their L from -1.
+
+    That distance is 1/M, M the largest sensitivity |1/(1 + L)|: 0.5 is a comfortable loop, 1 the verge. It limits all
+    margins at once; a loop of nearness c bears factors on its commands from 1/(2 - c) to 1/c. An unstable loop has
+    1 + 10 (spectral radius - 1), so that tables can be interpolated. gains: L, when it is known.
+    """
+    distance = np.abs(1.0 + (loop_gain(body, k) if gains is None else gains)).min(axis=1)
+    radius = radii(loops(body, k))
+    return np.where(radius < 1.0, 1.0 - np.minimum(distance, 1.0), 1.0 + 10.0 * (radius - 1.0))
+
+
+def margins(body: Sampled, k: Array, period: float) -> Margins:
+    """Stability margins of the loops of n laws k (n, 5) around a sampled plant; period: s.
+
+    From the loop gain L on the unit circle, which an eigenvalue must cross. A factor g takes it there where g L = -1:
+    g = -1/L wherever L is real and negative. A delay tau does where L e^(-i angle tau/period) = -1: wherever |L| = 1,
+    tau = period (arg L + pi)/angle, the bracket taken from 0 to 2 pi. That is exact for whole periods; in between it
+    leaves out that commands are held. Crossings are interpolated between 768 frequencies.
+    """
+    gains = loop_gain(body, k)
+    left, right = gains[:, :-1], gains[:, 1:]
+
+    def crossings(level: Array) -> tuple[Array, NDArray[np.complex128]]:
+        """Where `level` changes its sign: the share of the way to the next frequency, NaN elsewhere, and L there."""
+        changes = level[:, :-1] * level[:, 1:] < 0.0
+        share = np.full(changes.shape, np.nan)
+        np.divide(level[:, :-1], level[:, :-1] - level[:, 1:], out=share, where=changes)
+        return share, left + share * (right - left)
+
+    _, at = crossings(gains.imag)
+    real_axis = np.concatenate([at.real, gains[:, -1:].real], axis=1)  # at half the sampling frequency L is real
+    factor = -1.0 / np.where(real_axis < 0.0, real_axis, np.nan)
+    share, at = crossings(np.log(np.abs(gains)))
+    angle = _ANGLES[:-1] * (_ANGLES[1:] / _ANGLES[:-1]) ** share
+    delay = period * np.mod(np.angle(at) + np.pi, 2.0 * np.pi) / angle
+    radius = radii(loops(body, k))
+    stable = radius < 1.0
+    return Margins(
+        radius,
+        np.where(stable, np.min(factor, axis=1, where=factor > 1.0, initial=np.inf), 1.0),
+        np.where(stable, np.max(factor, axis=1, where=factor < 1.0, initial=0.0), 1.0),
+        np.where(stable, np.min(delay, axis=1, where=delay >= 0.0, initial=np.inf), 0.0),
+        nearness(body, k, gains),
+    )
+
+
+# -- maps -------------------------------------------------------------------------------------------------------------
+def hard_turn(speed: float, friction: float) -> float:
+    """Lateral acceleration (m/s^2) of a turn as hard as driving gets at a speed (m/s) on `friction`.
+
+    A share of the grip that grows with the speed: 0.027 v, at most 0.75. Measured: with the paper's vehicle in the
+    `road` profile and a sound constant tuning (35, 5, 1, 1e4), in nine of ten random drives (`scenario.random_drive`,
+    with gusts of up to 30 m/s) the largest share is at most 0.21 at 6 m/s, 0.40 at 14 m/s and 0.69 at 26 m/s.
+    """
+    return min(0.027 * speed, 0.75) * friction * GRAVITY
+
+
+_RATIOS = np.linspace(1.0, 6.0, 16)
+
+
+def loop_map(
+    plant: Plant, mpc: MPC, profile: str | Profile = "road", *, speed: tuple[float, float] = (2.0, 30.0),
+    friction: tuple[float, float] = (0.3, 1.0),
+    Np: ArrayLike = (6, 10, 14, 18, 22, 26, 30, 36, 42, 50, 60), Nc: ArrayLike = (1, 2, 3, 5, 8, 13, 20),
+    log10_ratio: ArrayLike = _RATIOS,
+) -> tuple[tuple[Array, ...], Array]:  # fmt: skip
+    """How near to instability the loop is, over speed, friction, Np, Nc and log10 R/Q: the axes of a grid, the values.
+
+    The larger `nearness` of driving straight and of a `hard_turn`, rounded up to 0.001: it foretells lost drives better
+    than the spectral radius, which also counts slow modes that are well damped. speed (m/s), friction: ranges; Np, Nc,
+    log10_ratio (R/Q in m^2/rad^2): nodes, by default a grid that suits the road profile. A node with Nc > Np stands
+    for Nc = Np.
+    """
+    axes = (
+        np.linspace(*speed, max(2, int(np.ceil((speed[1] - speed[0]) / 2.0)) + 1)),
+        np.array(friction, dtype=np.float64),
+        *(np.asarray(axis, dtype=np.float64) for axis in (Np, Nc, log10_ratio)),
+    )
+    horizon, moves, ratio = (axis.ravel() for axis in np.meshgrid(*axes[2:], indexing="ij"))
+    tunings = np.column_stack([horizon, np.minimum(moves, horizon), np.ones_like(ratio), 10.0**ratio])
+    values = np.empty((len(axes[0]), len(axes[1]), len(tunings)))
+    for i, v in enumerate(axes[0].tolist()):
+        k = laws(mpc, v, tunings)
+        for j, mu in enumerate(axes[1].tolist()):
+            bodies = [
+                sampled(plant, mpc.period, v, friction=mu, profile=profile, lateral_acceleration=turn)
+                for turn in (0.0, hard_turn(v, mu))
+            ]
+            values[i, j] = np.maximum(*(nearness(body, k) for body in bodies))
+    return axes, np.ceil(1000.0 * values.reshape([len(axis) for axis in axes])) / 1000.0

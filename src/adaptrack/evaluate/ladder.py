@@ -168,7 +168,9 @@ def best_constant(
         ordered=("Nc", "Np"), spread=2.0,
     )  # fmt: skip
     rng = np.random.default_rng((seed, 0xC057))
-    picked = [(course, np.sort(rng.choice(len(course), min(count, len(course)), replace=False))) for course, count in courses]
+    picked = [
+        (course, np.sort(rng.choice(len(course), min(count, len(course)), replace=False))) for course, count in courses
+    ]
 
     def cost(positions: Array) -> Array:
         return np.array([_score(picked, [p[0], p[1], 1.0, p[2]], seed, lost_cost) for p in np.atleast_2d(positions)])

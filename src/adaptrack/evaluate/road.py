@@ -18,7 +18,7 @@ from adaptrack.mpc import MPC, Tuning
 from adaptrack.plant import DualTrack, Plant, SingleTrack, load_profile
 from adaptrack.scenario import load_scenario, random_drive
 from adaptrack.schedule import Lookup, Schedule
-from adaptrack.tuning.conditions import NAMES, check_conditions, sobol
+from adaptrack.tuning.conditions import NAMES, check_conditions
 from adaptrack.tuning.objective import Objective
 from adaptrack.vehicle import Vehicle
 
@@ -66,7 +66,9 @@ def controller(vehicle: Vehicle, profile: str = "road") -> MPC:
     return MPC(vehicle, START, period=world.period, preview=world.preview)
 
 
-def condition_course(plant: Plant, mpc: MPC, conditions: ArrayLike, profile: str = "road", known: Told = None) -> Course:
+def condition_course(
+    plant: Plant, mpc: MPC, conditions: ArrayLike, profile: str = "road", known: Told = None
+) -> Course:
     """One smooth lane change in a gust for each condition (n, 4)."""
     rows = check_conditions(conditions)
     runs = [load_scenario("lane-change", speed=v, amplitude=y, friction=mu, gust=w) for v, y, mu, w in rows.tolist()]
@@ -83,7 +85,7 @@ def drive_course(
     return Course(plant, mpc, runs, profile, stretch=stretch, lead=stretch, told=known)
 
 
-def test_course(plant: Plant, mpc: MPC, name: str, profile: str = "road", known: Told = None) -> Course:
+def paper_test(plant: Plant, mpc: MPC, name: str, profile: str = "road", known: Told = None) -> Course:
     """One of the paper's two tests.
 
     Raises
@@ -101,8 +103,8 @@ def objective(plant: Plant, mpc: MPC, noise_seeds: Sequence[int], profile: str =
     return Objective(plant, mpc, "lane-change", profile, tuple(noise_seeds))
 
 
-def sample(text: str, box: dict[str, tuple[float, float]], seed: int) -> Array:
-    """The conditions that `sobol:N` asks for, in a box.
+def sample_size(text: str) -> int:
+    """The N of `sobol:N`.
 
     Raises
     ------
@@ -112,14 +114,14 @@ def sample(text: str, box: dict[str, tuple[float, float]], seed: int) -> Array:
     kind, _, count = text.partition(":")
     if kind != "sobol" or not count.isdigit() or int(count) < 1:
         raise InvalidInput(f"conditions = {text!r}: write sobol:N, for instance sobol:2000.")
-    return sobol(int(count), box, seed=seed)
+    return int(count)
 
 
 def neighbour_lookup(dataset: DataSet, nodes: dict[str, ArrayLike], neighbours: int = 12) -> Schedule:
-    """A table of tunings: at each node the one of the library with the lowest mean log cost over the nearest conditions.
+    """A table of tunings: at each node that of the library with the lowest mean log cost over the nearest conditions.
 
-    Averaging over neighbours takes out what is noise in each condition's argmin. nodes: along speed, y_ref, friction and
-    wind; distances are measured in ranges of the data.
+    Averaging over neighbours takes out what is noise in each condition's argmin. nodes: along speed, y_ref, friction
+    and wind; distances are measured in ranges of the data.
     """
     axes = {name: np.asarray(nodes[name], dtype=float) for name in NAMES}
     reach = np.ptp(dataset.conditions, axis=0)

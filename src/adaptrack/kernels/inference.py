@@ -21,6 +21,10 @@ CONDITION = ("speed", "y_ref", "friction", "wind", "change", "acceleration", "of
 """What a scheduler may look at, see `mpc.Condition`."""
 SLOTS = 4
 """Np, Nc, Q, R."""
+SATURATED = 700.0
+"""A neuron's input this far below zero gives 1e-304; further, the exponential would overflow."""
+FARTHEST = 1e150
+"""Widths from the centre at which a distance is held, so that its square is a number."""
 NEGLIGIBLE = 50.0
 """A rule this much weaker than the strongest, by its logarithm, adds less than rounding does: e^-50 = 2e-22."""
 
@@ -39,8 +43,7 @@ PLACES = SLOT + 3 * SLOTS
 COUNTS = ("steps", "clipped", "broken", "rate_limited", "outside", "unstable", "fallback")
 STEPS, CLIPPED, BROKEN, RATE_LIMITED, OUTSIDE, UNSTABLE, FALLBACK, REST, HELD = range(9)
 STATE = HELD + SLOTS + 1
-"""Counts of steps: all; with an input clipped to the domain; with an input or output that is not a number (the last
-tuning is kept); with the change of tuning limited; with the fallback begun because inputs were far outside or the loop
+"""Counts of steps: all; with an input clipped to the domain; with an input or output that is not a number; with the change of tuning limited; with the fallback begun because inputs were far outside or the loop
 too near instability; on the fallback. REST: steps of fallback still to go. HELD, ...: the last tuning, and 1 when there is one."""
 
 Schedule = record("Schedule", ("layout", "numbers", "work", "state", "believed", "estimating", "estimates"))
@@ -82,7 +85,7 @@ def network(x, layout, at, numbers, start, work):
                 out += numbers[n + i] * work[before + i]
             n += wide + 1
             if layer < layers - 1:
-                work[after + j] = 1.0 / (1.0 + math.exp(-out))
+                work[after + j] = 1.0 / (1.0 + math.exp(min(-out, SATURATED)))
         before = after
     if relu:
         out = max(0.0, out)
@@ -101,7 +104,7 @@ def sugeno(x, layout, at, numbers, start, work):
     at += 3
     for m in range(functions):
         p = start + 3 * m
-        distance = (x[layout[at + 2 * m]] - numbers[p + 2]) * numbers[p]
+        distance = clip((x[layout[at + 2 * m]] - numbers[p + 2]) * numbers[p], -FARTHEST, FARTHEST)
         if layout[at + 2 * m + 1] == 0:
             work[m] = -0.5 * distance * distance
         elif distance == 0.0:
@@ -276,7 +279,9 @@ def guard(condition, tuning, layout, numbers, work, own, far):
     if limited:
         own[RATE_LIMITED] += 1.0
         if _near_instability(condition, tuning, layout, at, numbers, start, work):
-            # on its way between two sound tunings a limited one is not: take the fallback for this step
+            # on its way between two sound tunings a limited one is not
+            own[UNSTABLE] += 1.0
+            own[REST] = layout[at + 1] - 1.0
             own[FALLBACK] += 1.0
             for s in range(SLOTS):
                 tuning[s] = numbers[start + s]
@@ -286,7 +291,8 @@ def guard(condition, tuning, layout, numbers, work, own, far):
 def schedule(lane, condition, plan, tuning):
     """Write the tuning (SLOTS) for a condition (see CONDITION); horizons whole, Nc <= Np, all within their bounds.
 
-    Inputs are clipped to the domain. When one, or an output, is not a number, the tuning that is already there stays.
+    Inputs are clipped to the domain. When one, or an output, is not a number, the guard takes its fallback; without a
+    guard the tuning that is already there stays.
     """
     layout, numbers, work, own = plan.layout, plan.numbers, plan.work, plan.state[lane]
     inputs = layout[INPUTS]
@@ -299,11 +305,10 @@ def schedule(lane, condition, plan, tuning):
         low, high = numbers[d], numbers[inputs + d]
         x[d] = clip(value, low, high)
         broken = broken or not math.isfinite(value)
-        clipped = clipped or x[d] != value
+        clipped = clipped or abs(value - x[d]) > 0.0
         far = far or abs(value - x[d]) > slack * (high - low)
     if clipped:
         own[CLIPPED] += 1.0
-    held = own[HELD + SLOTS] > 0.5
     if not broken:
         for s in range(SLOTS):
             kind, at, start = layout[SLOT + 3 * s], layout[SLOT + 3 * s + 1], layout[SLOT + 3 * s + 2]
@@ -316,15 +321,17 @@ def schedule(lane, condition, plan, tuning):
             work[work.size - 5 + s] = math.floor(value + 0.5) if s < 2 else value
     if broken:
         own[BROKEN] += 1.0
-        if held:
-            for s in range(SLOTS):
-                tuning[s] = own[HELD + s]
-        return
-    for s in range(SLOTS):
-        tuning[s] = work[work.size - 5 + s]
-    tuning[1] = min(tuning[1], tuning[0])
+        if layout[GUARD] == 0:
+            if own[HELD + SLOTS] > 0.5:
+                for s in range(SLOTS):
+                    tuning[s] = own[HELD + s]
+            return
+    else:
+        for s in range(SLOTS):
+            tuning[s] = work[work.size - 5 + s]
+        tuning[1] = min(tuning[1], tuning[0])
     if layout[GUARD] > 0:
-        guard(condition, tuning, layout, numbers, work, own, far)
+        guard(condition, tuning, layout, numbers, work, own, far or broken)
     for s in range(SLOTS):
         own[HELD + s] = tuning[s]
     own[HELD + SLOTS] = 1.0

@@ -66,6 +66,8 @@ class Sugeno:
             raise InvalidInput("Sugeno: the widths and slopes of membership functions must be positive.")
         if (self.weights < 0.0).any() or (self.weights > 1.0).any() or not self.weights.any():
             raise InvalidInput("Sugeno: rule weights must be 0..1, and not all zero.")
+        if functions and not (self.owner.min() >= 0 and self.owner.max() < inputs):
+            raise InvalidInput(f"Sugeno: a membership function reads an input that is not one of {inputs}.")
         asked = self.rules != ANY
         function, reader = self.rules[asked], np.nonzero(asked)[1]
         if (function < 0).any() or (function >= functions).any() or (self.owner[function] != reader).any():

@@ -150,8 +150,8 @@ class _Arena:
             batch.loops[int(batch.substeps[0])], batch.samples,
             np.zeros(lanes, np.int64), np.zeros(lanes, np.int64), self.memory, np.zeros((lanes, len(loop.RECORD))),
             loop.workspace(lanes, settings), inference.no_schedule(), np.zeros((0, 2)),
-            np.repeat(batch.starts, lanes, axis=0), np.zeros(lanes), np.zeros((lanes, 0)), np.zeros((lanes, len(loop.RESULT))),
-            np.zeros((lanes, 0, loop.TRACE)),
+            np.repeat(batch.starts, lanes, axis=0), np.zeros(lanes), np.zeros((lanes, 0)),
+            np.zeros((lanes, len(loop.RESULT))), np.zeros((lanes, 0, loop.TRACE)),
         )  # fmt: skip
         self._periods = batch.signals[0].n
 

@@ -1,0 +1,303 @@
+"""Learning from the landscape: what three costs say about a move, and surfaces that take a step of a regression."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from adaptrack.errors import InvalidInput
+from adaptrack.learning import landscape as module
+from adaptrack.learning.landscape import (
+    LEAST_CURVATURE,
+    OUTPUTS,
+    SHIFT,
+    FuzzySurface,
+    Level,
+    NetworkSurface,
+    check_inputs,
+    preferred_moves,
+    shifted,
+)
+from adaptrack.mpc import Condition
+from adaptrack.schedule import SLOTS, Learned
+from small_models import random_network, random_sugeno
+
+DOMAIN = np.array([[3.0, 30.0], [0.3, 1.0]])
+
+
+def three_costs(cost):
+    """Costs without a shift, and with each output shifted up and down, of stretches that cost cost(shifts) (n,)."""
+    base = cost(np.zeros(3))
+    up, down = (np.stack([cost(sign * by) for by in np.diag(SHIFT)], axis=1) for sign in (1.0, -1.0))
+    return base, up, down
+
+
+def examples(n=400, seed=0):
+    """Inputs, a smooth target and uneven weights."""
+    rng = np.random.default_rng(seed)
+    x = rng.uniform(*DOMAIN.T, (n, 2))
+    return x, 20.0 + 0.5 * x[:, 0] + 6.0 * np.sin(4.0 * x[:, 1]), rng.uniform(0.1, 3.0, n)
+
+
+def weighted_error(surface, x, target, weight):
+    return float(np.average((surface.predict(x) - target) ** 2, weights=weight))
+
+
+def every_surface(x):
+    return {
+        "level": Level(25.0),
+        "network": NetworkSurface.start(DOMAIN, 25.0, 10.0, seed=3),
+        "fuzzy": FuzzySurface.start(x, 25.0, rules=6, seed=3),
+    }
+
+
+# -- moves ------------------------------------------------------------------------------------------------------------
+def test_the_minimum_of_a_parabola_is_found_exactly(rng):
+    best = rng.uniform(-2.0, 2.0, (50, 3)) * SHIFT
+    bend = LEAST_CURVATURE * rng.uniform(2.0, 50.0, (50, 3))  # the second derivative
+    moves, weights = preferred_moves(
+        *three_costs(lambda by: 0.4 + 0.5 * (bend * (by - best) ** 2).sum(axis=1)), np.ones(50)
+    )
+    np.testing.assert_allclose(moves, best, rtol=0, atol=1e-11)
+    np.testing.assert_allclose(weights, bend, rtol=1e-9)
+
+
+def test_the_minimum_of_a_sum_of_parabolas_is_the_weighted_mean_of_their_minima(rng):
+    """Why the weight is the curvature: what no input can tell apart shares one move, and it is Newton's."""
+    best = rng.uniform(-1.0, 1.0, (30, 3)) * SHIFT
+    bend = LEAST_CURVATURE * rng.uniform(2.0, 50.0, (30, 3))
+    moves, weights = preferred_moves(*three_costs(lambda by: 0.5 * (bend * (by - best) ** 2).sum(axis=1)), np.ones(30))
+    for i in range(3):
+        together = Level(0.0).fit(np.zeros((30, 1)), moves[:, i], weights[:, i]).value
+        assert (bend[:, i] * (together - best[:, i])).sum() == pytest.approx(0.0, abs=1e-11)
+
+
+def test_what_is_flatter_than_the_least_curvature_is_treated_as_that_curved():
+    share = np.array([1.0, 0.25])
+    slope = 1e-3 * LEAST_CURVATURE
+    moves, weights = preferred_moves(*three_costs(lambda by: np.full(2, slope @ by)), share)
+    np.testing.assert_allclose(weights, LEAST_CURVATURE * share[:, None])
+    np.testing.assert_allclose(moves, -slope / weights)
+
+
+COSTS = st.floats(-1e3, 1e3) | st.sampled_from([0.0, np.nan, np.inf, -np.inf, 1e-300, 1e300])
+
+
+@given(costs=st.lists(COSTS, min_size=7, max_size=7), share=st.floats(0.0, 1.0))
+def test_whatever_the_costs_a_move_is_at_most_two_shifts_long(costs, share):
+    base, up, down = np.array(costs[:1]), np.array([costs[1:4]]), np.array([costs[4:]])
+    moves, weights = preferred_moves(base, up, down, np.array([share]))
+    assert (np.abs(moves) <= 2.0 * SHIFT * (1.0 + 1e-12)).all()
+    assert (weights >= 0.0).all()
+    assert np.isfinite(weights).all()
+
+
+def test_on_a_concave_landscape_the_move_goes_downhill_two_shifts_and_no_further():
+    moves, weights = preferred_moves(
+        *three_costs(lambda by: np.array([5.0 - (by / SHIFT + 0.5) @ (by / SHIFT + 0.5)])), np.ones(1)
+    )
+    np.testing.assert_allclose(moves, [2.0 * SHIFT])
+    np.testing.assert_allclose(weights, [1.0 / (2.0 * SHIFT**2)])
+
+
+@pytest.mark.parametrize("unknown", [np.nan, np.inf])
+@pytest.mark.parametrize("which", ["base", "up", "down"])
+def test_an_unknown_cost_weighs_nothing_and_says_so_of_its_own_output_only(unknown, which):
+    costs = dict(
+        zip(("base", "up", "down"), three_costs(lambda by: np.full(2, 1.0 + (by / SHIFT) @ (by / SHIFT))), strict=True)
+    )
+    costs[which] = costs[which].copy()
+    costs[which][(0,) if which == "base" else (0, 1)] = unknown
+    moves, weights = preferred_moves(**costs, share=np.ones(2))
+    assert np.isfinite(moves).all()
+    assert (weights[0] == 0.0).tolist() == ([True] * 3 if which == "base" else [False, True, False])
+    assert (weights[1] > 0.0).all()
+
+
+# -- surfaces ---------------------------------------------------------------------------------------------------------
+@pytest.mark.parametrize("kind", ["level", "network", "fuzzy"])
+def test_a_surface_begins_with_one_value_everywhere_and_is_what_it_runs_as(kind, rng):
+    x, target, weight = examples()
+    start = every_surface(x)[kind]
+    np.testing.assert_allclose(start.predict(x), 25.0, rtol=1e-13)
+    learned = start.fit(x, target, weight)
+    function = learned.function()
+    runs = np.full(len(x), function) if kind == "level" else function.predict(x)
+    np.testing.assert_array_equal(learned.predict(x), runs)
+    np.testing.assert_allclose(start.predict(x), 25.0, rtol=1e-13, err_msg="the one it began with is left alone")
+
+
+@pytest.mark.parametrize("kind", ["level", "network", "fuzzy"])
+@pytest.mark.parametrize("effort", [1.0, 0.2])
+def test_a_fit_lowers_the_weighted_error_and_more_effort_lowers_it_more(kind, effort):
+    x, target, weight = examples()
+    start = every_surface(x)[kind]
+    before, after = (weighted_error(each, x, target, weight) for each in (start, start.fit(x, target, weight, effort)))
+    assert after < before
+    if effort < 1.0 and kind != "level":
+        assert weighted_error(start.fit(x, target, weight), x, target, weight) < after
+
+
+@pytest.mark.parametrize("kind", ["level", "network", "fuzzy"])
+def test_only_the_ratio_of_the_weights_matters_and_a_row_of_none_does_not(kind):
+    x, target, weight = examples()
+    start, none = every_surface(x)[kind], np.arange(len(x)) % 3 == 0
+    scaled = start.fit(x, target, 1e-4 * weight)
+    np.testing.assert_allclose(scaled.predict(x), start.fit(x, target, weight).predict(x), rtol=1e-9)
+    ignored = start.fit(x, np.where(none, 1e3, target), np.where(none, 0.0, weight))
+    left_out = start.fit(x[~none], target[~none], weight[~none])
+    np.testing.assert_allclose(ignored.predict(x), left_out.predict(x), rtol=1e-9)
+
+
+def test_a_level_fits_the_weighted_mean():
+    level = Level(3.0).fit(np.zeros((3, 1)), np.array([1.0, 2.0, 10.0]), np.array([1.0, 1.0, 2.0]))
+    assert level.value == pytest.approx(23.0 / 4.0)
+    assert level.function() == level.value
+
+
+def test_a_networks_gradient_is_that_of_finite_differences(rng):
+    network = random_network(rng, 3, relu=False)
+    network = replace(network, weights=tuple(0.5 * each for each in network.weights))
+    z, y, share = rng.uniform(size=(30, 3)), rng.normal(size=30), rng.dirichlet(np.ones(30))
+    network = replace(network, low=np.zeros(3), high=np.ones(3), out_low=0.0, out_high=1.0)
+    parameters = [each.copy() for pair in zip(network.weights, network.biases, strict=True) for each in pair]
+
+    def error():
+        made = replace(network, weights=tuple(parameters[::2]), biases=tuple(parameters[1::2]))
+        return 0.5 * (share * (made.predict(z) - y) ** 2).sum()
+
+    gradients = module._gradients(parameters, z, y, share)
+    for parameter, gradient in zip(parameters, gradients, strict=True):
+        assert gradient.shape == parameter.shape
+        for place in np.ndindex(parameter.shape):
+            kept, errors = parameter[place], []
+            for step in (1e-5, -1e-5):
+                parameter[place] = kept + step
+                errors.append(error())
+            parameter[place] = kept
+            assert gradient[place] == pytest.approx((errors[0] - errors[1]) / 2e-5, rel=1e-5, abs=1e-9)
+
+
+def test_a_network_learns_what_its_inputs_say():
+    x, target, weight = examples()
+    surface = NetworkSurface.start(DOMAIN, 25.0, 10.0, seed=1)
+    for _ in range(20):
+        surface = surface.fit(x, target, weight)
+    assert weighted_error(surface, x, target, weight) < 0.01 * np.average((target - np.average(target)) ** 2)
+
+
+def test_a_networks_beginning_depends_on_its_seed_alone():
+    x, target, weight = examples(50)
+    one, again, other = (
+        NetworkSurface.start(DOMAIN, 25.0, 10.0, seed).fit(x, target, weight).predict(x) for seed in (1, 1, 2)
+    )
+    np.testing.assert_array_equal(one, again)
+    assert (one != other).any()
+
+
+def test_far_outside_its_domain_a_network_learns_without_a_warning():
+    x, target, weight = examples(20)
+    learned = NetworkSurface.start(DOMAIN, 25.0, 10.0, seed=1).fit(1e4 * x, target, weight)
+    assert np.isfinite(learned.predict(x)).all()
+
+
+def test_a_fuzzy_fit_is_the_weighted_ridge_solution():
+    """Of the change of the consequents, measured in half ranges: sum share (a c - error)^2 + price |c|^2."""
+    x, target, weight = examples()
+    start = replace(FuzzySurface.start(x, 25.0, rules=6, seed=3), hold=0.05)
+    for effort in (1.0, 0.3):
+        learned = start.fit(x, target, weight, effort)
+        extended = np.column_stack((x / start.scale, np.ones(len(x))))
+        a = np.einsum("nr,nd->nrd", start.system.strengths(x), extended).reshape(len(x), -1)
+        root = np.sqrt(weight / weight.sum())
+        price = 0.05 / effort * ((root[:, None] * a) ** 2).sum() / a.shape[1]
+        stacked = np.vstack((root[:, None] * a, np.sqrt(price) * np.eye(a.shape[1])))
+        expected = np.linalg.lstsq(stacked, np.concatenate((root * (target - 25.0), np.zeros(a.shape[1]))), rcond=None)[
+            0
+        ]
+        change = learned.system.consequents - start.system.consequents
+        np.testing.assert_allclose(change * [*start.scale, 1.0], expected.reshape(change.shape), rtol=1e-6, atol=1e-8)
+        assert learned.system.premises is start.system.premises
+
+
+def test_a_fuzzy_system_without_a_price_on_change_finds_a_plane():
+    x, _, weight = examples()
+    plane = 3.0 + 0.4 * x[:, 0] - 5.0 * x[:, 1]
+    learned = replace(FuzzySurface.start(x, 0.0, rules=4, seed=0), hold=1e-12).fit(x, plane, weight)
+    np.testing.assert_allclose(learned.predict(x), plane, rtol=0, atol=1e-6)
+
+
+def test_rules_lie_where_the_inputs_do_and_none_is_idle():
+    x, _, _ = examples()
+    for rules in (1, 2, 8):
+        system = FuzzySurface.start(x, 25.0, rules, seed=0).system
+        assert system.n_rules == rules
+        centres = system.premises[:, 2].reshape(rules, 2)
+        assert ((centres >= x.min(axis=0)) & (centres <= x.max(axis=0))).all()
+        assert system.mass(x).min() > 0.2 / rules
+
+
+def test_the_same_rules_can_begin_at_another_level():
+    x, _, _ = examples()
+    made = FuzzySurface.start(x, 25.0, rules=5, seed=0)
+    other = made.level(3.5)
+    np.testing.assert_allclose(other.predict(x), 3.5, rtol=1e-13)
+    np.testing.assert_array_equal(other.system.premises, made.system.premises)
+
+
+# -- shifts -----------------------------------------------------------------------------------------------------------
+def functions(rng):
+    return {"number": 4.25, "network": random_network(rng, 2), "fuzzy": random_sugeno(rng, 2)}
+
+
+@pytest.mark.parametrize("kind", ["number", "network", "fuzzy"])
+@pytest.mark.parametrize("by", [3.0, -1.5, 0.15, 0.0])
+def test_a_function_is_shifted_by_exactly_that_much_everywhere(kind, by, rng):
+    function = functions(rng)[kind]
+    moved = shifted(function, by)
+    if kind == "number":
+        assert moved == function + by
+        return
+    x = rng.normal(size=(50, 2)) * 3.0
+    np.testing.assert_allclose(moved.predict(x) - function.predict(x), by, rtol=0, atol=1e-9)
+
+
+@pytest.mark.parametrize("kind", ["number", "network", "fuzzy"])
+def test_the_compiled_schedule_is_shifted_too_each_slot_by_its_own(kind, rng):
+    """Horizons by whole numbers, so that rounding does not hide it; R by decades."""
+    raw = functions(rng)[kind]
+    rows = np.zeros((20, len(Condition._fields)))
+    rows[:, :2] = rng.uniform(-2.0, 2.0, (20, 2))
+    wide = {"Np": (1.0, 1000.0), "Nc": (1.0, 1000.0), "R": (1e-300, 1e300)}
+
+    def batch(by):
+        values = np.full(20, raw) if kind == "number" else raw.predict(rows[:, :2])
+        low = 100.0 - float(np.min(values))  # well within the bounds, and Nc below Np
+        moved = {
+            "Np": shifted(raw, low + 300.0 + by[0]),
+            "Nc": shifted(raw, low + by[1]),
+            "log10_ratio": shifted(raw, by[2]),
+        }
+        return Learned(moved, ("speed", "y_ref"), [[-2.0, 2.0]] * 2, wide).batch(rows)
+
+    base, moved = batch((0.0, 0.0, 0.0)), batch((3.0, -2.0, 0.15))
+    assert base[:, :2].min() > 1.0
+    assert (base[:, 1] < base[:, 0]).all()
+    np.testing.assert_array_equal((moved - base)[:, :3], np.tile([3.0, -2.0, 0.0], (20, 1)))
+    np.testing.assert_allclose(np.log10(moved[:, 3] / base[:, 3]), 0.15, rtol=0, atol=1e-9)
+
+
+# -- names ------------------------------------------------------------------------------------------------------------
+def test_the_outputs_are_slots_of_a_schedule():
+    assert (*SLOTS[:2], "log10_ratio") == OUTPUTS
+    assert len(SHIFT) == len(LEAST_CURVATURE) == len(OUTPUTS)
+
+
+def test_an_unknown_input_is_named_with_those_that_are_known():
+    assert check_inputs(["friction", "speed"], Condition._fields) == [2, 0]
+    with pytest.raises(InvalidInput, match=r"'grip'.*friction"):
+        check_inputs(["grip"], Condition._fields)
