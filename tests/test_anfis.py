@@ -9,9 +9,8 @@ from sklearn.base import clone
 from sklearn.utils.estimator_checks import check_estimator
 
 from adaptrack.errors import InvalidInput
-from adaptrack.learning import ANFIS, Sugeno, subtractive_clustering
+from adaptrack.learning import ANFIS, Sugeno, subtractive_clustering, sugeno
 from adaptrack.learning import anfis as module
-from adaptrack.learning import sugeno
 from adaptrack.learning.sugeno import ANY, CENTRE, SLOPE, WIDTH
 
 

@@ -54,11 +54,6 @@ def course(scenarios=None, plant=SingleTrack, **options):
     return Course(plant(CAR), controller(), scenarios or lane_changes(), **options)
 
 
-def line(low, high, at_low, at_high):
-    """A function of one input that is a straight line between two points."""
-    return Table((np.array([low, high]),), np.array([at_low, at_high]))
-
-
 def by_friction():
     """A schedule whose tuning gives away what it was told: R = 1000 + 10000 mu, Np = 30 + v_w / 2."""
     plane = Table((np.array([0.0, 2.0]), np.array([-40.0, 40.0])), np.array([[1e3, 1e3], [21e3, 21e3]]))
@@ -423,7 +418,7 @@ def test_a_stretch_is_put_down_to_what_was_seen_in_it_and_shortly_before():
 
 
 class Lossy(Bowl):
-    """Some runs are lost in their second stretch where Np is above 30."""
+    """Every run is lost in its second stretch when Np is above 30."""
 
     def stretches(self, policy, seed, which):
         cost = super().stretches(policy, seed, which)
@@ -440,8 +435,8 @@ def test_where_a_shift_loses_the_car_the_output_moves_away_and_what_follows_says
     np.testing.assert_allclose(moves[stretch == 1][:, 0], -0.5 * SHIFT[0], rtol=0.01)
     assert (weights[stretch == 2][:, 0] == 0.0).all()
     assert (weights[stretch == 2][:, 2] > 0.0).all(), "the other outputs' shifts lose nothing"
-    worst = WORST_STRETCH / SHIFT[0] ** 2 / 2 / 48
-    assert weights[:, 0].max() <= worst
+    worst = WORST_STRETCH / SHIFT[0] ** 2  # as if it had cost that much, and nothing without the shift
+    assert weights[:, 0].max() <= worst / 2 / 48  # two looks in each stretch of 48 runs
 
 
 # -- improving --------------------------------------------------------------------------------------------------------
@@ -453,7 +448,7 @@ def test_improving_finds_the_known_optimum(kind):
     rows = Bowl(best, seed=2).seen.reshape(-1, len(Condition._fields))
     Np, Nc, Q, R = made.schedule.batch(rows).T
     off = np.abs(np.column_stack([Np, Nc, np.log10(R / Q)]) - best(rows))
-    assert (np.sqrt((off**2).mean(axis=0)) < [1.2, 0.9, 0.08]).all(), off.mean(axis=0)
+    assert (np.sqrt((off**2).mean(axis=0)) < [0.5, 0.5, 0.03]).all()  # rounding alone leaves 0.29 of a horizon
     assert made.history[-1]["score"] < made.history[0]["score"]
 
 
@@ -553,15 +548,9 @@ def test_a_run_that_was_ever_lost_is_driven_in_every_round():
 def test_learning_depends_on_its_seed_alone():
     one, again, other = (
         improve(
-            beginning("fuzzy"),
-            INPUTS,
-            DOMAIN,
-            [(Bowl(along_speed_and_friction), 16)],
-            [Bowl(same_everywhere)],
-            rounds=3,
-            seed=seed,
+            beginning("fuzzy"), INPUTS, DOMAIN, [(Bowl(same_everywhere), 16)], [Bowl(same_everywhere)], rounds=3, seed=n
         )
-        for seed in (1, 1, 2)
+        for n in (1, 1, 2)
     )
     rows = Bowl(same_everywhere).seen[:, 0]
     np.testing.assert_array_equal(one.schedule.batch(rows), again.schedule.batch(rows))

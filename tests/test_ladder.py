@@ -23,6 +23,7 @@ from adaptrack.evaluate.ladder import (
     optimum,
     per_run_best,
 )
+from adaptrack.evaluate.road import condition_course, objective
 from adaptrack.kernels import inference
 from adaptrack.mpc import MPC, Tuning
 from adaptrack.plant import ROAD, SingleTrack
@@ -233,19 +234,31 @@ def test_a_known_tuning_that_is_better_than_what_the_swarms_found_is_taken():
 
 
 @pytest.mark.compiled
+def test_the_search_for_the_optimum_and_the_ladder_mean_the_same_cost(rng):
+    conditions = rng.uniform((8.0, -4.0, 0.5, -20.0), (26.0, 4.0, 1.0, 20.0), (3, 4))
+    searched, driven = (
+        objective(SingleTrack(CAR), controller(), (3, 4)),
+        condition_course(SingleTrack(CAR), controller(), conditions),
+    )
+    for tuning in (START.as_array(), np.array([40.0, 9.0, 1.0, 2e4])):
+        costs = [searched.costs(condition, tuning)[0] for condition in conditions]
+        np.testing.assert_allclose(driven.costs(tuning, [3, 4]), costs, rtol=1e-12)
+
+
+@pytest.mark.compiled
 def test_on_its_choice_seeds_the_optimum_is_never_worse_than_any_known_tuning(rng):
     conditions = rng.uniform((8.0, -4.0, 0.4, -20.0), (26.0, 4.0, 1.0, 20.0), (3, 4))
     known = np.column_stack(
         [rng.integers(20, 50, 6), rng.integers(2, 12, 6), np.ones(6), 10.0 ** rng.uniform(2.5, 5, 6)]
     )
 
-    def objective(seeds):
+    def short(seeds):
         return Objective(SingleTrack(CAR), controller(), "lane-change", "road", tuple(seeds), duration=2.5)
 
     told = []
     options = {"swarm": SwarmSettings(particles=6, generations=2), "known": known, "seed": 4}
-    found = optimum(objective, conditions, SPACE, **options, threads=2, progress=lambda *at: told.append(at))
-    judge = objective(CHOICE_SEEDS)
+    found = optimum(short, conditions, SPACE, **options, threads=2, progress=lambda *at: told.append(at))
+    judge = short(CHOICE_SEEDS)
     better = 0
     for condition, tuning in zip(conditions, found, strict=True):
         assert SPACE.contains(tuning)
@@ -253,7 +266,7 @@ def test_on_its_choice_seeds_the_optimum_is_never_worse_than_any_known_tuning(rn
         assert cost <= judge.costs(condition, known).min()
         better += cost < judge.costs(condition, known).min()
     assert better > 0, "the swarms found something"
-    np.testing.assert_array_equal(found, optimum(objective, conditions, SPACE, **options, threads=1))
+    np.testing.assert_array_equal(found, optimum(short, conditions, SPACE, **options, threads=1))
     assert told == [("optimum", 0, 3)]
 
 

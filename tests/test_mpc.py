@@ -595,3 +595,18 @@ def test_a_controller_describes_itself():
     assert MPC(CAR).describe()["moves"] == {"kind": "pulse"}
     assert MPC(CAR).name == "standard MPC (pulse)"
     assert "scheduled" in MPC(CAR, scheduler=Playlist([])).name
+
+
+def test_the_demand_ahead_is_that_of_the_reference_and_nothing_else():
+    from adaptrack.mpc import demand
+
+    t = 0.05 * np.arange(400)
+    change, acceleration = demand(2.0 * t, 0.05, len(t))  # straight on, beyond the end too
+    np.testing.assert_allclose(change, 6.0, atol=1e-9)
+    np.testing.assert_allclose(acceleration, 0.0, atol=1e-9)
+    bend = 0.5 * 1.5 * np.maximum(t - 10.0, 0.0) ** 2
+    change, acceleration = demand(bend, 0.05, len(t))
+    assert acceleration[t < 6.9].max() == 0.0
+    np.testing.assert_allclose(acceleration[(t > 7.2) & (t < 16.0)], 1.5, rtol=1e-6)
+    assert change[200] == pytest.approx(0.5 * 1.5 * 3.0**2)  # at 10 s
+    np.testing.assert_array_equal(demand(-bend, 0.05, len(t)), (change, acceleration))

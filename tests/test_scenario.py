@@ -58,7 +58,15 @@ ONE_OF_EACH: list[Shape] = [
 ]
 by_kind = pytest.mark.parametrize("shape", ONE_OF_EACH, ids=lambda shape: shape.kind)
 
-NAMES = ["triple-lane-change", "general-trajectory", "step", "lane-change", "double-lane-change", "sine", "random-drive"]
+NAMES = [
+    "triple-lane-change",
+    "general-trajectory",
+    "step",
+    "lane-change",
+    "double-lane-change",
+    "sine",
+    "random-drive",
+]
 
 
 def scenario(**changes: object) -> Scenario:

@@ -1,37 +1,65 @@
 """The linear closed loop: its eigenvalues foretell what simulations show."""
 
+import math
+from dataclasses import replace
+from itertools import product
+
 import numpy as np
 import pytest
+from scipy.interpolate import RegularGridInterpolator
+from scipy.linalg import expm
+from scipy.optimize import brentq
 
 from adaptrack import (
     MPC,
     DualTrack,
+    InvalidInput,
     Moves,
     SingleTrack,
     Tuning,
+    UserPlant,
     compute_metrics,
     load_scenario,
     load_tyre,
     load_vehicle,
 )
-from adaptrack.plant import ROAD
+from adaptrack.plant import PAPER, ROAD
+from adaptrack.scenario import Scenario, Wind
 from adaptrack.simulate import rollout
-from adaptrack.stability import closed_loop, linearised, spectral_radius
+from adaptrack.stability import (
+    Sampled,
+    closed_loop,
+    hard_turn,
+    laws,
+    linearised,
+    loop_map,
+    loops,
+    margins,
+    nearness,
+    radii,
+    sampled,
+    spectral_radius,
+    steady_turn,
+)
 
 pytestmark = pytest.mark.compiled
 CAR = load_vehicle("paper")
+QUIET = replace(ROAD, noise_vy=0.0, noise_yaw=0.0, noise_yaw_rate=0.0, noise_y=0.0)
+PLANT, ROAD_MPC = DualTrack(CAR, "magic-formula"), MPC(CAR, period=0.05)
 
 
 def decay(plant, mpc, speed, profile="paper"):
-    """How fast a small offset dies out in a simulation: growth factor a period, late in the run."""
+    """The size of a small offset over the steps of a simulation."""
     quiet = load_scenario("step", amplitude=1e-4, speed=speed, friction=0.75, duration=30.0)
-    if profile == "road":
-        from dataclasses import replace
+    return np.abs(rollout(plant, mpc, quiet, profile=QUIET if profile == "road" else profile).error)
 
-        profile = replace(ROAD, noise_vy=0.0, noise_yaw=0.0, noise_yaw_rate=0.0, noise_y=0.0)
-    run = rollout(plant, mpc, quiet, profile=profile)
-    size = np.abs(run.error)
-    return size
+
+def some_tunings(seed, n):
+    rng = np.random.default_rng(seed)
+    Np = rng.integers(10, 61, n)
+    return np.column_stack(
+        [Np, np.minimum(rng.integers(1, 21, n), Np), rng.uniform(0.5, 2.0, n), 10 ** rng.uniform(2, 5.5, n)]
+    )
 
 
 @pytest.mark.parametrize("speed", [6.0, 12.0, 20.0])
@@ -59,6 +87,308 @@ def test_the_matrix_moves_small_states_as_the_simulation_does(profile, moves):
         slope = np.polyfit(steps[:60], np.log(envelope[:60] + 1e-300), 1)[0]
         assert np.exp(slope) <= radius + 0.02
     assert np.isfinite(closed_loop(plant, mpc, 15.0, profile=profile)).all()
+
+
+@pytest.mark.parametrize("tuning", [(35, 5, 1.0, 1e4), (28, 8, 1.0, 2800.0), (40, 2, 1.0, 2000.0), (12, 2, 1.0, 3e3)])
+@pytest.mark.parametrize("speed", [12.0, 24.0])
+def test_in_the_simulator_a_tiny_offset_goes_the_way_of_the_matrix(tuning, speed):
+    """Whether it dies or grows: so it does at the rate of the spectral radius."""
+    offset = 1e-7
+    scenario = Scenario(
+        name="offset", duration=20.0, reference=0.0, speed=speed, friction=0.75, wind=Wind(y=0.0), start_y=offset
+    )
+    mpc = MPC(CAR, Tuning(*tuning), period=0.05)
+    driven = rollout(PLANT, mpc, scenario, profile=QUIET, lost_beyond=math.inf).Y
+    k = laws(mpc, speed, tuning)
+    body = sampled(PLANT, 0.05, speed, friction=0.75, profile="road")
+    matrix = loops(body, k)[0]
+    z = np.zeros(len(matrix))
+    z[:-1] = offset * body.c[3]
+    z[-1] = k[0, 3] * offset  # w, the last command being zero
+    foretold = [z := z if i == 0 else matrix @ z for i in range(len(driven))] @ np.append(body.c[3], 0.0)
+    small = np.maximum.accumulate(np.abs(foretold)) < 1e-3  # tyres are linear
+    np.testing.assert_allclose(driven[small], foretold[small], atol=2e-4 * np.abs(foretold[small]).max())
+    # its last 8 s obey a linear recurrence, whose slowest mode is the rate
+    tail = driven[small][-160:]
+    rows = np.lib.stride_tricks.sliding_window_view(tail, 5)
+    coefficients = np.linalg.lstsq(rows[:, :4], rows[:, 4])[0]
+    rate = np.abs(np.roots([1.0, *-coefficients[::-1]])).max()
+    assert rate == pytest.approx(radii(matrix), abs=1e-3)
+
+
+def literal_loop(plant, mpc, speed, tuning, profile):
+    """The loop as the controller does it: moves from changes of what it measures, summed up to a command."""
+    names, a, b = linearised(plant, speed)
+    n, lag = len(b), profile.steering.lag
+    flow = np.zeros((n + 2, n + 2))  # plant, wheel angle, command
+    flow[:n, :n], flow[:n, n] = a, b
+    flow[n, n], flow[n, n + 1] = -1.0 / lag, 1.0 / lag
+    flow = expm(flow * mpc.period)
+    _, k = mpc.model.feedback(speed, tuning.Np, tuning.Nc, tuning.Q, tuning.R)
+    order = [names.index(name) for name in ("vy", "psi", "yaw_rate", "Y")]
+
+    def step(state):
+        x, command, last = state[: n + 1], state[n + 1], state[n + 2 :]
+        measured = x[order]
+        now = command - k @ np.append(measured - last, measured[3])
+        acting = command if profile.delay else now
+        return np.concatenate([(flow @ np.append(x, acting))[: n + 1], [now], measured])
+
+    return np.array([step(unit) for unit in np.eye(n + 6)]).T
+
+
+@pytest.mark.parametrize("profile", [ROAD, replace(ROAD, delay=False)])
+def test_the_summed_up_law_has_the_eigenvalues_of_the_law_of_moves(profile):
+    for speed, tuning in product((5.0, 15.0, 25.0), (Tuning(35, 5, 1.0, 1e4), Tuning(20, 8, 2.0, 300.0))):
+        short = closed_loop(PLANT, ROAD_MPC, speed, tuning=tuning, profile=profile)
+        values = np.linalg.eigvals(literal_loop(PLANT, ROAD_MPC, speed, tuning, profile))
+        values = values[np.argsort(-np.abs(values))][: len(short)]  # the rest, of what was measured last, is zero
+        np.testing.assert_allclose(np.sort(np.abs(np.linalg.eigvals(short))), np.sort(np.abs(values)), atol=1e-6)
+
+
+@pytest.mark.parametrize("moves", [Moves.pulses(), Moves.laguerre(0.8, 4)])
+def test_many_laws_at_once_are_the_law_of_each(moves):
+    mpc, tunings = MPC(CAR, moves=moves, period=0.05), some_tunings(1, 40)
+    from adaptrack.prediction import laguerre_basis
+
+    for speed in (0.5, 9.0, 25.0):
+        found = laws(mpc, speed, tunings)
+        for k, (Np, Nc, Q, R) in zip(found, tunings, strict=True):
+            basis = None if moves.kind == "pulse" else laguerre_basis(int(Np), moves.terms, moves.pole)
+            _, expected = mpc.model.feedback(max(speed, mpc.speed_floor), int(Np), int(Nc), Q, R, basis)
+            np.testing.assert_allclose(k, expected, rtol=1e-6, atol=1e-9)
+
+
+def test_many_radii_at_once_are_the_radius_of_each():
+    tunings = some_tunings(2, 10)
+    body = sampled(PLANT, 0.05, 18.0, profile="road", friction=0.6, lateral_acceleration=2.0)
+    for radius, (Np, Nc, Q, R) in zip(radii(loops(body, laws(ROAD_MPC, 18.0, tunings))), tunings, strict=True):
+        tuning = Tuning(int(Np), int(Nc), Q, R)
+        one = spectral_radius(
+            PLANT, ROAD_MPC, 18.0, tuning=tuning, friction=0.6, profile="road", lateral_acceleration=2.0
+        )
+        assert radius == pytest.approx(one, abs=1e-12)
+
+
+# -- the steady turn --------------------------------------------------------------------------------------------------
+@pytest.mark.parametrize("plant", [PLANT, SingleTrack(CAR, "magic-formula"), DualTrack(load_vehicle("midsize-sedan"))])
+def test_in_a_steady_turn_nothing_changes_but_place_and_heading(plant):
+    for speed, friction in product((3.0, 12.0, 30.0), (0.3, 1.0)):
+        acceleration = hard_turn(speed, friction)
+        x, steering = steady_turn(plant, speed, acceleration, friction)
+        slope = plant.derivative(x, [steering, 0.0], [friction] * 4 + [0.0, 0.0])
+        still = [i for i, name in enumerate(plant.state_names) if name not in ("X", "Y", "psi", "vx", "felt_ax")]
+        np.testing.assert_allclose(slope[still], 0.0, atol=1e-6)
+        assert slope[2] * speed == pytest.approx(acceleration)
+        assert slope[1] == pytest.approx(0.0, abs=1e-9)  # the velocity points along X
+        assert steering > 0.0
+        mirrored, opposite = steady_turn(plant, speed, -acceleration, friction)
+        assert opposite == pytest.approx(-steering)
+        assert mirrored[5] == pytest.approx(-x[5])
+
+
+def test_a_turn_that_the_tyres_cannot_carry_is_refused_with_what_they_can():
+    with pytest.raises(InvalidInput, match=r"no steady turn with more than 2\.9"):
+        steady_turn(PLANT, 20.0, 4.0, 0.3)
+
+
+def test_a_turn_without_lateral_acceleration_is_straight_driving():
+    straight, turn = (
+        sampled(PLANT, 0.05, 20.0, profile="road", lateral_acceleration=acceleration) for acceleration in (0.0, 1e-7)
+    )
+    for one, other in zip(straight, turn, strict=True):
+        np.testing.assert_allclose(one, other, atol=1e-6)
+
+
+def test_in_a_turn_tyres_are_softer_and_an_aggressive_loop_becomes_unstable():
+    aggressive, sound = Tuning(28, 8, 1.0, 2800.0), Tuning(38, 4, 1.0, 8000.0)
+    for tuning, unstable in ((aggressive, True), (sound, False)):
+        assert spectral_radius(PLANT, ROAD_MPC, 24.0, tuning=tuning, profile="road") < 1.0
+        turn = hard_turn(24.0, 0.6)
+        radius = spectral_radius(
+            PLANT, ROAD_MPC, 24.0, tuning=tuning, friction=0.6, profile="road", lateral_acceleration=turn
+        )
+        assert (radius > 1.0) is unstable
+    for wheel, share in (("front_left", 0.8), ("rear_right", 0.8)):
+        slopes = []
+        for turn in (0.0, hard_turn(24.0, 0.6)):
+            names, a, _ = linearised(PLANT, 24.0, 0.6, turn)
+            slopes.append(abs(a[names.index("yaw_rate"), names.index(f"slip_{wheel}")]))
+        assert slopes[1] < share * slopes[0]
+
+
+def wandering(x, u, environment, p, dx):
+    """A car whose own state runs away, unseen."""
+    vy, r, vx = x[4], x[5], x[3]
+    dx[0], dx[1], dx[2], dx[3] = vx * np.cos(x[2]) - vy * np.sin(x[2]), vx * np.sin(x[2]) + vy * np.cos(x[2]), r, 0.0
+    front, rear = p[0] * (u[0] - (vy + 1.2 * r) / vx), p[1] * (-(vy - 1.6 * r) / vx)
+    dx[4], dx[5] = (front + rear) / p[2] - vx * r, (1.2 * front - 1.6 * rear) / 2875.0
+    dx[6] = x[6] + vy
+
+
+def test_a_mode_that_never_reaches_what_is_measured_does_not_count():
+    plant = UserPlant(wandering, {"cf": 38000.0, "cr": 66000.0, "mass": 1575.0}, mass=1575.0, own_states=("unseen",))
+    names, _, _ = linearised(plant, 15.0)
+    assert "unseen" not in names
+    assert "X" not in names
+    assert spectral_radius(plant, MPC(CAR, Tuning(35, 8, 1.0, 100.0)), 15.0) < 1.0
+
+
+# -- margins ----------------------------------------------------------------------------------------------------------
+def lagging(pole, gain):
+    """A body y(k+1) = pole y(k) + u(k) and the law u = w, w growing by -gain y: L = gain / ((z - pole)(z - 1))."""
+    return Sampled(np.array([[pole]]), np.ones(1), np.array([[0.0], [0.0], [0.0], [1.0]])), np.array(
+        [[0, 0, 0, -gain, gain]]
+    )
+
+
+@pytest.mark.parametrize(("pole", "gain"), [(0.0, 0.4), (0.5, 0.1), (0.9, 0.02), (-0.3, 0.7)])
+def test_margins_are_those_of_an_analytic_loop(pole, gain):
+    """z^2 - (1 + pole) z + pole + g gain has its roots inside the unit circle for 0 < g < (1 - pole)/gain."""
+    found = margins(*lagging(pole, gain), 0.1)
+    assert found.gain_up[0] == pytest.approx((1.0 - pole) / gain, rel=1e-3)
+    assert found.gain_down[0] == 0.0
+
+    def size(angle):
+        z = np.exp(1j * angle)
+        return abs(gain / ((z - pole) * (z - 1.0))) - 1.0
+
+    angle = brentq(size, 1e-3, np.pi)
+    phase = np.pi - (angle + np.pi) / 2.0 - np.angle(np.exp(1j * angle) - pole)
+    assert found.delay[0] == pytest.approx(0.1 * phase / angle, rel=1e-3)
+    roots = np.roots([1.0, -(1.0 + pole), pole + gain])
+    assert found.radius[0] == pytest.approx(np.abs(roots).max())
+    z = np.exp(1j * np.linspace(1e-3, np.pi, 200_000))
+    distance = np.abs(1.0 + gain / ((z - pole) * (z - 1.0))).min()
+    assert found.nearness[0] == pytest.approx(1.0 - min(distance, 1.0), abs=1e-4)
+
+
+def test_the_delay_margin_is_exact_for_whole_periods():
+    """1/z^2 (z - 1) is at the verge with the gain 2 sin(pi/10): so 1/z (z - 1) with this gain bears one period more."""
+    gain = 2.0 * np.sin(np.pi / 10.0)
+    found = margins(*lagging(0.0, gain), 0.05)
+    assert found.delay[0] == pytest.approx(0.05, rel=1e-4)
+    assert found.gain_up[0] == pytest.approx((1.0 + np.sqrt(5.0)) / 2.0, rel=1e-4)
+
+
+def test_an_unstable_loop_has_no_margin():
+    found = margins(*lagging(0.0, 1.2), 0.1)
+    assert found.radius[0] > 1.0
+    assert (found.gain_up[0], found.gain_down[0], found.delay[0]) == (1.0, 1.0, 0.0)
+    assert found.nearness[0] == pytest.approx(1.0 + 10.0 * (found.radius[0] - 1.0))
+
+
+@pytest.mark.parametrize("turning", [False, True])
+def test_at_its_margins_the_cars_loop_is_at_the_verge(turning):
+    tunings = some_tunings(3, 60)
+    for speed in (6.0, 16.0, 26.0):
+        how = {"friction": 0.7, "profile": "road", "lateral_acceleration": hard_turn(speed, 0.7) if turning else 0.0}
+        k = laws(ROAD_MPC, speed, tunings)
+        body = sampled(PLANT, 0.05, speed, **how)
+        found = margins(body, k, 0.05)
+        stable = np.flatnonzero(found.radius < 0.995)[:8]
+        assert len(stable) >= 4
+        for i in stable:
+            law = k[i : i + 1]
+            for factor in (found.gain_up[i], found.gain_down[i]):
+                assert radii(loops(body, law, factor))[0] == pytest.approx(1.0, abs=2e-4)
+            for share, stays in ((0.9, True), (1.1, False)):
+                late = sampled(PLANT, 0.05, speed, **how, delay=share * found.delay[i])
+                assert (radii(loops(late, law))[0] < 1.0) is np.bool_(stays)
+            for factor in np.linspace(found.gain_down[i], found.gain_up[i], 9)[1:-1]:
+                assert radii(loops(body, law, factor))[0] < 1.0
+
+
+def test_nearness_limits_the_gain_margins():
+    k = laws(ROAD_MPC, 14.0, some_tunings(4, 200))
+    found = margins(sampled(PLANT, 0.05, 14.0, profile="road"), k, 0.05)
+    stable = found.radius < 1.0
+    assert stable.sum() > 20
+    c = found.nearness[stable]
+    assert (found.gain_up[stable] >= 0.999 / c).all()
+    assert (found.gain_down[stable] <= 1.001 / (2.0 - c)).all()
+
+
+def test_a_delay_of_one_period_is_the_road_profiles_delay():
+    prompt = replace(ROAD, delay=False)
+    mine, its = (
+        np.sort(np.abs(np.linalg.eigvals(closed_loop(PLANT, ROAD_MPC, 15.0, profile=profile, delay=delay))))
+        for profile, delay in ((prompt, 0.05), (ROAD, 0.0))
+    )
+    np.testing.assert_allclose(mine, its, atol=1e-7)
+
+
+@pytest.mark.parametrize("profile", [PAPER, ROAD])
+def test_a_fractional_delay_is_what_commands_do_that_change_within_the_period(profile):
+    """Against the same plant sampled ten times as often, each command held for ten samples, three samples late."""
+    period, x = 0.1, np.random.default_rng(5).normal(size=12)
+    late = sampled(PLANT, period, 15.0, profile=replace(profile, delay=False), delay=0.3 * period)
+    fine = sampled(PLANT, period / 10, 15.0, profile=replace(profile, delay=False))
+    n = len(fine.b)
+    z, state, before = np.append(x[:n], 0.3), x[:n], 0.3
+    for command in (1.0, -0.5, 0.2):
+        z = late.a @ z + late.b * command
+        for sample in range(10):
+            state = fine.a @ state + fine.b * (before if sample < 3 else command)
+        before = command
+    np.testing.assert_allclose(z[:n], state, rtol=1e-8, atol=1e-8)
+
+
+# -- maps -------------------------------------------------------------------------------------------------------------
+@pytest.fixture(scope="module")
+def road_map():
+    return loop_map(PLANT, ROAD_MPC, "road", speed=(10.0, 20.0))
+
+
+@pytest.fixture(scope="module")
+def inside():
+    """Random points of the map's domain, and how near to instability the loop is there."""
+    rng, rows = np.random.default_rng(6), []
+    for _ in range(40):
+        speed, friction = rng.uniform(10.0, 20.0), rng.uniform(0.3, 1.0)
+        tunings = some_tunings(rng, 25)
+        k = laws(ROAD_MPC, speed, tunings)
+        turns = (0.0, hard_turn(speed, friction))
+        bodies = [
+            sampled(PLANT, 0.05, speed, friction=friction, profile="road", lateral_acceleration=turn) for turn in turns
+        ]
+        near = np.maximum(*(nearness(body, k) for body in bodies))
+        ratio = np.log10(tunings[:, 3] / tunings[:, 2])
+        rows += [(speed, friction, *row) for row in zip(tunings[:, 0], tunings[:, 1], ratio, near, strict=True)]
+    return np.array(rows)
+
+
+def test_at_its_nodes_the_map_is_the_worse_of_straight_and_turn(road_map):
+    axes, values = road_map
+    rng = np.random.default_rng(7)
+    for _ in range(20):
+        node = tuple(rng.integers(len(axis)) for axis in axes)
+        speed, friction, Np, Nc, ratio = (float(axis[i]) for axis, i in zip(axes, node, strict=True))
+        k = laws(ROAD_MPC, speed, [Np, min(Np, Nc), 1.0, 10.0**ratio])
+        near = max(
+            nearness(sampled(PLANT, 0.05, speed, friction=friction, profile="road", lateral_acceleration=turn), k)[0]
+            for turn in (0.0, hard_turn(speed, friction))
+        )
+        assert near <= values[node] + 1e-12
+        assert values[node] - near <= 1.01e-3
+
+
+def test_no_loop_is_nearer_to_instability_than_the_worst_corner_of_its_cell(road_map, inside):
+    axes, values = road_map
+    cell = [
+        np.clip(np.searchsorted(axis, inside[:, d], side="right") - 1, 0, len(axis) - 2) for d, axis in enumerate(axes)
+    ]
+    corners = [values[tuple(i + up for i, up in zip(cell, ups, strict=True))] for ups in product((0, 1), repeat=5)]
+    assert (inside[:, 5] - np.max(corners, axis=0)).max() <= 0.01
+
+
+def test_what_the_interpolated_map_lets_pass_is_stable_and_little_else_is_stopped(road_map, inside):
+    axes, values = road_map
+    between = RegularGridInterpolator(axes, values)(inside[:, :5])
+    passed = between <= 0.92
+    assert passed.sum() > 100
+    assert (inside[passed, 5] > 0.97).mean() < 0.01
+    assert (~passed & (inside[:, 5] <= 0.92)).sum() < 0.05 * passed.sum()
 
 
 def test_an_unstable_loop_is_foretold_and_happens():

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BeforeValidator, Field, model_validator
 
-from adaptrack.closed_loop import LOST_COST, Course, Policy, improve
+from adaptrack.closed_loop import Course, Policy, improve
 from adaptrack.dataset import DataSet, load_dataset
 from adaptrack.errors import InvalidInput, UnknownName, did_you_mean
 from adaptrack.evaluate.ladder import EVALUATION_SEEDS, Ladder, best_constant, climb, optimum, per_run_best
@@ -58,6 +58,9 @@ _STEPS = {"Np": (29.0, 10.0), "Nc": (5.0, 5.0), "log10_ratio": (3.6, 0.5)}
 HELD_OUT_CONDITIONS, HELD_OUT_DRIVES = 512, 200
 KNOWLEDGE = ("exact", "noisy", "lagged", "biased high", "biased low", "estimated", "withheld")
 """The ways of knowing friction and wind that are evaluated."""
+NEARNESS, FALLBACK_NEARNESS, SLACK, HOLD = 1.0, 0.9, 1.0, 10
+"""How near to instability a guarded loop may be, straight or in a hard turn, and its fallback anywhere in the domain; how
+far outside the domain an input may be, in its widths; how many steps a fallback lasts."""
 _ANYWHERE = Condition(15.0, 0.0, 0.7, 0.0)
 
 
@@ -207,9 +210,9 @@ class Workshop:
         drives = drive_course(self.plant, self.mpc, first, asked.drives, 30.0, profile)
         hard = drive_course(self.plant, self.mpc, first + 500_000, asked.hard_drives, 30.0, profile, options=HARD)
         return [
-            (lane_changes, min(384, asked.conditions)),
-            (drives, min(160, asked.drives)),
-            (hard, min(160, asked.hard_drives)),
+            (lane_changes, min(512, asked.conditions)),
+            (drives, min(256, asked.drives)),
+            (hard, min(128, asked.hard_drives)),
         ]
 
     def held_out(self) -> list[Course]:
@@ -281,6 +284,7 @@ def learn(
     place.mkdir(parents=True, exist_ok=True)
     dataset = _campaign(shop, folder, workers, show)
     courses: list[tuple[Course, int]] = []
+    maps: list[StabilityMap] = []
     schedules: dict[str, Schedule] = {}
 
     def kept(rung: str, make: Callable[[], Schedule]) -> Schedule:
@@ -300,15 +304,14 @@ def learn(
             courses.extend(shop.courses())
         return courses
 
-    def constant(on: Sequence[int], count: int = 128, lost_cost: float = LOST_COST) -> Schedule:
+    def constant(on: Sequence[int], count: int = 512) -> Schedule:
         show("best constant", 0, 1)
         runs = [(all_courses()[i][0], count) for i in on]
         start = START.as_array().tolist()
-        return Constant(_tuning(best_constant(runs, start, seed=shop.config.seed, lost_cost=lost_cost)))
+        return Constant(_tuning(best_constant(runs, start, seed=shop.config.seed)))
 
     kept("best constant", lambda: constant([0]))
     kept("best constant on drives", lambda: constant([1]))
-    fallback = kept("fallback", lambda: constant([2], 512, lost_cost=1e9))
 
     def learned(model: str, inputs: tuple[str, ...], rung: str) -> Schedule:
         domain = np.array([shop.config.learning.domain[name] for name in inputs])
@@ -320,9 +323,14 @@ def learn(
         return replace(made.schedule, provenance={"history": made.history})
 
     def guarded(made: Schedule) -> Schedule:
-        show("stability map", 0, 1)
-        safe = _tuning(np.array(fallback(_ANYWHERE)))
-        return replace(Guarded(made, safe, stability=stability_map(shop)), provenance=made.provenance)
+        if not maps:
+            show("stability map", 0, 1)
+            maps.append(stability_map(shop))
+        safe = kept("fallback", lambda: Constant(_safe_constant(all_courses()[2][0], maps[0])))
+        return replace(
+            Guarded(made, _tuning(np.array(safe(_ANYWHERE))), stability=maps[0], slack=SLACK, hold=HOLD),
+            provenance=made.provenance,
+        )
 
     inputs = shop.config.learning.inputs
     kept("speed only", lambda: learned("nn", ("speed",), "speed only"))
@@ -353,11 +361,28 @@ def _campaign(shop: Workshop, folder: Path, workers: int | None, show: Progress)
 
 
 def stability_map(shop: Workshop) -> StabilityMap:
-    """The map that the guard asks: the loop's spectral radius over everything that may be asked of it."""
+    """The map that the guard asks: how near the loop is to instability with everything that may be asked of it."""
     axes, values = loop_map(
         shop.plant, shop.mpc, shop.campaign.profile, speed=shop.box["speed"], friction=shop.box["friction"]
     )
-    return StabilityMap(Table(axes, values))
+    return StabilityMap(Table(axes, values), NEARNESS)
+
+
+def _safe_constant(course: Course, known: StabilityMap) -> Tuning:
+    """Of the map's tunings that are far from instability at every speed and friction, the one that drives best.
+
+    On hard drives; to lose one is worse than any cost.
+    """
+    nodes = np.meshgrid(*known.table.axes[2:], indexing="ij")
+    far = known.table.values.max(axis=(0, 1)) <= FALLBACK_NEARNESS
+    far &= (nodes[1] <= nodes[0]) & (nodes[2] >= 2.0)
+    if not far.any():
+        raise InvalidInput("no constant tuning keeps the loop away from instability over the whole domain.")
+    candidates = np.column_stack([nodes[0][far], nodes[1][far], np.ones(far.sum()), 10.0 ** nodes[2][far]])
+    which = np.arange(min(256, len(course)))
+    found = [course.drive(row, [1], which)[:, 0] for row in candidates]
+    scores = [np.log(np.where(np.isfinite(costs), costs, 1e9)).mean() for costs in found]
+    return _tuning(candidates[int(np.argmin(scores))])
 
 
 def _tuning(row: Array) -> Tuning:

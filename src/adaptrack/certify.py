@@ -110,8 +110,15 @@ class Certificate:
         return rows
 
     def summary(self) -> dict[str, Any]:
-        """The verdict in one row, ready for JSON."""
-        worst = self.worst_points(1)[0]
+        """The verdict, the worst of each measure over all points, and the worst point; ready for JSON."""
+        worst = self.counted.worst
+        extremes = {
+            "radius": worst.radius.max(),
+            "gain_up": worst.gain_up.min(),
+            "gain_down": worst.gain_down.max(),
+            "delay": worst.delay.min(),
+            "nearness": worst.nearness.max(),
+        }
         return {
             "scheduler": self.scheduler,
             "plant": self.plant,
@@ -122,8 +129,8 @@ class Certificate:
             "unstable": int(self.counted.unstable.sum()),
             "unstable_without_guard": int(self.bare.unstable.sum()),
             "fallback_share": float(self.fallback.mean()),
-            **{key: worst[key] for key in ("radius", "gain_up", "gain_down", "delay", "nearness")},
-            "worst": worst,
+            **_finite(extremes),
+            "worst": self.worst_points(1)[0],
         }
 
     def _point(self, sweep: Sweep, i: int) -> dict[str, Any]:
@@ -131,13 +138,17 @@ class Certificate:
         if sweep.turn.nearness[i] > sweep.straight.nearness[i]:
             driving = "turn"
         found: Margins = getattr(sweep, driving)
-        values = {each.name: float(getattr(found, each.name)[i]) for each in fields(Margins)}
         return {
             **dict(zip(Condition._fields, self.conditions[i].tolist(), strict=True)),
             **dict(zip(SLOTS, sweep.tunings[i].tolist(), strict=True)),
             "driving": driving,
-            **{name: value if math.isfinite(value) else None for name, value in values.items()},
+            **_finite({each.name: getattr(found, each.name)[i] for each in fields(Margins)}),
         }
+
+
+def _finite(values: Mapping[str, Any]) -> dict[str, float | None]:
+    """Numbers for JSON: what is infinite is None."""
+    return {name: float(value) if math.isfinite(value) else None for name, value in values.items()}
 
 
 def certify(

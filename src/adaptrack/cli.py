@@ -79,7 +79,7 @@ class ControllerName(StrEnum):
 def main() -> int:
     """Run the command line; errors that adaptrack raises on purpose become one message and exit code 2."""
     try:
-        app(standalone_mode=False)
+        code = app(standalone_mode=False)
     except AdaptrackError as error:
         print(f"adaptrack: {error}", file=sys.stderr)
         return 2
@@ -95,7 +95,7 @@ def main() -> int:
             raise
         show()
         return int(getattr(error, "exit_code", 2))
-    return 0
+    return code if isinstance(code, int) else 0
 
 
 def _version(asked: bool) -> None:
@@ -380,6 +380,60 @@ def adapt(
     page = _ladder_page(out, made)
     _tell(f"Schedulers: {out / 'schedulers'}\nReport: {page}", quiet=as_json)
     _ladders({"conditions": made.conditions, "drives": made.drives, "tests": made.tests}, as_json)
+
+
+@app.command()
+def certify(
+    scheduler: Annotated[str, typer.Argument(help="Name (see `schedulers`) or .json file (see `train`).")],
+    profile: Annotated[ProfileName, Option(help="paper: ideal; road: steering lag, delay.")] = ProfileName.road,
+    vehicle: Annotated[str, Option(help="Name (see `vehicles`) or .toml file.")] = "paper",
+    plant: Annotated[PlantName, Option(help="What is driven.")] = PlantName.dual_track,
+    tyre: Annotated[str | None, Option(help="Name (see `vehicles`) or .toml file; by default the vehicle's.")] = None,
+    out: Annotated[Path | None, Option(help="Folder for the page with the maps.")] = None,
+    as_json: Annotated[bool, Option("--json", help="One JSON object on standard output, nothing else.")] = False,
+) -> None:
+    """Map spectral radius, gain and delay margins over the operating domain; exit code 1 when a point is unstable."""
+    from adaptrack.certify import certify as look
+    from adaptrack.mpc import MPC
+    from adaptrack.plant import DualTrack, SingleTrack, load_profile
+    from adaptrack.schedule import load_scheduler
+    from adaptrack.vehicle import load_vehicle
+
+    schedule = load_scheduler(scheduler)
+    car = load_vehicle(vehicle)
+    body = (SingleTrack if plant is PlantName.single_track else DualTrack)(car, tyre)
+    longest, most = schedule.largest
+    mpc = MPC(car, period=load_profile(str(profile)).period, longest_horizon=max(60, longest), most_moves=max(20, most))
+    if out is not None:
+        _make_folder(out)
+    with _progress(1, quiet=as_json) as show:
+        found = look(schedule, body, mpc, str(profile), progress=show)
+    if out is not None:
+        from adaptrack.report.certificate import write_certificate
+
+        _tell(f"Report: {write_certificate(out, found, command=_command())}", quiet=as_json)
+    summary = found.summary()
+    if as_json:
+        print(json.dumps({**summary, "rows": found.rows()}, allow_nan=False))
+    else:
+        columns = ("guard", "speed", "friction", "Np", "Nc", "Q", "R", "driving", "radius", "gain_up", "gain_down",
+                   "delay", "nearness")  # fmt: skip
+        sweeps = [(found.guarded is not None, found.counted)]
+        if found.guarded is not None:
+            sweeps.append((False, found.bare))
+        worst = [{"guard": guard, **point} for guard, sweep in sweeps for point in found.worst_points(5, sweep)]
+        _table(f"{found.scheduler}: the points nearest to instability", columns, worst)
+        print(f"{summary['points']:,} points, {summary['unstable']:,} unstable")
+    if not found.passed:
+        at = summary["worst"]
+        _tell(
+            f"adaptrack: unstable at {summary['unstable']:,} of {summary['points']:,} points; the worst: "
+            f"{at['speed']:g} m/s on friction {at['friction']:g}, "
+            f"{'in a turn' if at['driving'] == 'turn' else 'straight'}, with Np = {at['Np']:g}, Nc = {at['Nc']:g}, "
+            f"Q = {at['Q']:g}, R = {at['R']:g}: spectral radius {at['radius']:.4f}.",
+            quiet=True,
+        )
+        raise typer.Exit(1)
 
 
 @app.command()

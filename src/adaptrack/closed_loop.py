@@ -10,14 +10,15 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from adaptrack.errors import InvalidInput
+from adaptrack.errors import InvalidInput, whole
 from adaptrack.estimation import FrictionWindEstimator, Perception
-from adaptrack.learning.landscape import OUTPUTS, SHIFT, Surface, preferred_moves, shifted
+from adaptrack.learning.landscape import OUTPUTS, SHIFT, Surface, check_inputs, preferred_moves, shifted
 from adaptrack.mpc import MPC, Condition, Tuning
 from adaptrack.plant import Plant, load_profile
 from adaptrack.scenario import Scenario
@@ -32,7 +33,7 @@ SPIN_BEYOND = 1.0
 """or |v_y/v_x| this: 45 degrees of sideslip."""
 LOST_COST = LOST_BEYOND**2
 """m^2, what a lost run counts as costing."""
-WORST_STRETCH = 20.0
+WORST_STRETCH = 5.0
 """A stretch is not counted as worth more than this many times its whole run."""
 BOUNDS = {"Np": (10.0, 60.0), "Nc": (1.0, 20.0), "R": (10.0, 1e6)}
 """What learned tunings of the road profile are held within; Q is 1."""
@@ -69,7 +70,10 @@ class Course:
         return len(self.batch.signals)
 
     def drive(self, policy: Policy, seeds: Sequence[int], which: NDArray[np.int64] | None = None) -> Array:
-        """(runs, seeds) cost of each run with each noise seed; inf where it was lost."""
+        """(runs, seeds) cost of each run of `which` with each noise seed; inf where it was lost.
+
+        Of a policy (runs, 4), row i drives the run which[i].
+        """
         return np.stack([self._run(policy, int(seed), which, False)[0] for seed in seeds], axis=1)
 
     def counts(self, policy: Schedule, seed: int) -> Array:
@@ -111,12 +115,13 @@ class Course:
         make: the schedule with its outputs shifted by (3,).
         """
         base = self.stretches(make(np.zeros(3)), seed, which)
-        whole = np.nansum(np.where(np.isfinite(base), base, 0.0), axis=1)
+        total = np.nansum(np.where(np.isfinite(base), base, 0.0), axis=1)
         lost = np.isinf(base).any(axis=1)
-        whole = np.where(lost, np.median(whole), whole)[:, None]
+        usual = np.median(total[~lost]) if not lost.all() else LOST_COST * self.periods
+        total = np.where(lost, usual, total)[:, None]
 
         def relative(cost: Array) -> Array:
-            return np.minimum(cost / whole, WORST_STRETCH)
+            return np.minimum(cost / total, WORST_STRETCH)
 
         trials = []
         for sign in (1.0, -1.0):
@@ -183,14 +188,19 @@ def improve(
         raise InvalidInput(f"improve: need a surface for each of {', '.join(OUTPUTS)}.")
     if "offset" in inputs:
         raise InvalidInput("improve: the offset depends on the driving itself; it cannot be an input here.")
-    columns = [Condition._fields.index(each) for each in inputs]
+    columns = check_inputs(inputs, Condition._fields)
+    for course, count in courses:
+        if isinstance(course.batch.told, FrictionWindEstimator):
+            raise InvalidInput("improve: what an estimator tells is not known before driving; learn from the truth.")
+        whole("improve", "count", count)
     rng = np.random.default_rng((seed, 0xADA))
-    surfaces = dict(surfaces)
+    surfaces = dict(surfaces)  # `made` and `scored` look at the present ones
     lost: list[set[int]] = [set() for _ in courses]
 
     def chosen(course: Course, count: int, once_lost: set[int]) -> NDArray[np.int64]:
-        """Runs of a round: those that were ever lost, up to half of them, and others at random."""
-        known = rng.permutation(sorted(once_lost))[: count // 2].astype(np.int64)
+        """Runs of a round: those that were ever lost, up to an eighth of them, and others at random."""
+        count = min(count, len(course))
+        known = rng.permutation(sorted(once_lost))[: count // 8].astype(np.int64)
         others = np.setdiff1d(np.arange(len(course)), known)
         return np.sort(np.concatenate([known, rng.choice(others, count - len(known), replace=False)]))
 
@@ -200,7 +210,16 @@ def improve(
         }
         return Learned(functions, inputs, domain, BOUNDS, name=name)
 
-    best, best_score, history = Improvement(made(np.zeros(3)), dict(surfaces)), math.inf, []
+    history: list[dict[str, float]] = []
+
+    def scored(k: int) -> tuple[float, Improvement]:
+        schedule = made(np.zeros(3))
+        scores = [course.costs(schedule, [seed * 100_000 + 900]) for course in held_out]
+        score = float(np.mean([np.log(each).mean() for each in scores]))
+        history.append({"round": k, "score": score, "lost": float(sum((s >= LOST_COST).sum() for s in scores))})
+        return score, Improvement(schedule, dict(surfaces))
+
+    best_score, best = scored(0)
     for k in range(rounds):
         if progress is not None:
             progress(k, rounds)
@@ -216,14 +235,19 @@ def improve(
         rows, moves, weights = (np.concatenate(parts) for parts in zip(*told, strict=True))
         x = np.clip(rows[:, columns], *domain.T)
         damping = 0.7 * (0.3 + 0.7 * left)
-        for i, slot in enumerate(OUTPUTS):
-            target = np.clip(surfaces[slot].predict(x) + damping * moves[:, i], _LOWEST[i], _HIGHEST[i])
-            surfaces[slot] = surfaces[slot].fit(x, target, weights[:, i], effort=0.2 + 0.8 * math.sqrt(left))
+        targets = [
+            np.clip(surfaces[slot].predict(x) + damping * moves[:, i], _LOWEST[i], _HIGHEST[i])
+            for i, slot in enumerate(OUTPUTS)
+        ]
+        effort = 0.2 + 0.8 * math.sqrt(left)
+        with ThreadPoolExecutor() as pool:
+            fits = [
+                pool.submit(surfaces[slot].fit, x, target, weight, effort)
+                for slot, target, weight in zip(OUTPUTS, targets, weights.T, strict=True)
+            ]
+            surfaces = {slot: fit.result() for slot, fit in zip(OUTPUTS, fits, strict=True)}
         if (k + 1) % check == 0 or k == rounds - 1:
-            schedule = made(np.zeros(3))
-            scores = [course.costs(schedule, [seed * 100_000 + 900]) for course in held_out]
-            score = float(np.mean([np.log(each).mean() for each in scores]))
-            history.append({"round": k + 1, "score": score, "lost": float(sum((s >= LOST_COST).sum() for s in scores))})
+            score, found = scored(k + 1)
             if score < best_score:
-                best, best_score = Improvement(schedule, dict(surfaces)), score
+                best_score, best = score, found
     return Improvement(best.schedule, best.surfaces, history)

@@ -161,11 +161,13 @@ LOOK_AHEAD = 3.0
 def demand(reference: ArrayLike, period: float, instants: int = 1) -> tuple[Array, Array]:
     """`Condition.change` (m) and `Condition.acceleration` (m/s^2), each (instants,), at the first control instants.
 
-    reference: y_ref (m) at the instants, one `period` (s) apart; what lies beyond its end counts as standing still.
+    reference: y_ref (m) at the instants, one `period` (s) apart; beyond its end it goes straight on.
     """
     y = np.asarray(reference, dtype=float)
     ahead = max(2, round(LOOK_AHEAD / period))
-    y = np.concatenate([y[: instants + ahead], np.full(max(0, instants + ahead - len(y)), y[-1])])
+    y = y[: instants + ahead]
+    slope = y[-1] - y[-2] if len(y) > 1 else 0.0
+    y = np.concatenate([y, y[-1] + slope * np.arange(1, instants + ahead - len(y) + 1)])
     windows = np.lib.stride_tricks.sliding_window_view(y, ahead + 1)
     change = np.abs(windows[:, 1:] - windows[:, :1]).max(axis=1)
     bend = np.abs(np.diff(y, 2)) / period**2

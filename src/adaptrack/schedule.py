@@ -88,7 +88,7 @@ class Slot:
 
 @dataclass(frozen=True, eq=False)
 class StabilityMap:
-    """Spectral radius of the closed loop over speed (m/s), friction, Np, Nc and log10 R/Q; see `stability.map_loop`.
+    """How near the loop is to instability, over speed (m/s), friction, Np, Nc and log10 R/Q; see `stability.loop_map`.
 
     Raises
     ------
@@ -97,8 +97,8 @@ class StabilityMap:
     """
 
     table: Table
-    limit: float = 0.995
-    """the largest radius that is allowed"""
+    limit: float = 0.92
+    """the largest nearness that is allowed; from 1 on the loop is unstable"""
 
     def __post_init__(self) -> None:
         if not isinstance(self.table, Table) or len(self.table.axes) != 5:
@@ -313,8 +313,6 @@ def _check_slot(name: str, slot: Slot, inputs: int) -> None:
     function = slot.function
     if isinstance(function, Network | Sugeno) and function.n_inputs != inputs:
         raise InvalidInput(f"schedule: the function of {name} has {function.n_inputs} inputs, the schedule {inputs}.")
-    if isinstance(function, Sugeno) and ((function.owner < 0) | (function.owner >= inputs)).any():
-        raise InvalidInput(f"schedule: a membership function of {name} reads an input that is not there.")
     if isinstance(function, Table) and len(function.axes) != inputs:
         raise InvalidInput(
             f"schedule: the table of {name} has {len(function.axes)} axes, the schedule {inputs} inputs."

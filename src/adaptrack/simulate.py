@@ -346,6 +346,8 @@ class Batch:
         spin_beyond: float = math.inf,
     ) -> None:
         self.told = told
+        if isinstance(told, FrictionWindEstimator) and not math.isclose(told.period, mpc.period):
+            raise InvalidInput(f"told: the estimator's period is {told.period!r} s, the controller's {mpc.period!r} s.")
         self.scheduler = mpc.scheduler
         if not (self.scheduler is None or isinstance(self.scheduler, CompiledScheduler)) or not mpc.in_kernel:
             raise InvalidInput(

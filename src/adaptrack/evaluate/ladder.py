@@ -26,7 +26,7 @@ Array = NDArray[np.float64]
 Progress = Callable[[str, int, int], None]
 
 EVALUATION_SEEDS = tuple(range(900_001, 900_009))
-"""Noise seeds of every evaluation; tuning and learning never use seeds from 900,000 on."""
+"""Noise seeds of every evaluation; no tuning or learning draws them."""
 SEARCH_SEEDS = tuple(range(800_001, 800_010))
 """Those of the search for the per-condition optimum: three for each of three swarms."""
 CHOICE_SEEDS = tuple(range(810_001, 810_009))
@@ -152,14 +152,12 @@ def optimum(
 
 
 def best_constant(
-    courses: Sequence[tuple[Course, int]], start: Sequence[float], *, evaluations: int = 300, seed: int = 0,
-    lost_cost: float = LOST_COST,
-) -> Array:  # fmt: skip
+    courses: Sequence[tuple[Course, int]], start: Sequence[float], *, evaluations: int = 300, seed: int = 0
+) -> Array:
     """(4,) the tuning with the lowest mean log cost over runs of the courses: what one fixed tuning can do.
 
     The swarm of a campaign's condition (`SwarmSettings`, 300 evaluations), each evaluation driving all the runs; each
-    course counts alike. start: a tuning that is tried too; lost_cost: what a lost run counts as (m^2), more for a
-    tuning that is to be safe rather than good.
+    course counts alike. start: a tuning that is tried too.
     """
     from adaptrack.tuning.pso import minimise
 
@@ -173,19 +171,18 @@ def best_constant(
     ]
 
     def cost(positions: Array) -> Array:
-        return np.array([_score(picked, [p[0], p[1], 1.0, p[2]], seed, lost_cost) for p in np.atleast_2d(positions)])
+        return np.array([_score(picked, [p[0], p[1], 1.0, p[2]], seed) for p in np.atleast_2d(positions)])
 
     found = minimise(cost, space, SwarmSettings(generations=max(1, evaluations // 20)), seed=seed)
     tuning = np.array([found.x[0], found.x[1], 1.0, found.x[2]])
     given = np.asarray(start, dtype=float)
-    return given if _score(picked, given, seed, lost_cost) < float(found.cost) else tuning
+    return given if _score(picked, given, seed) < float(found.cost) else tuning
 
 
-def _score(picked: Sequence[tuple[Course, NDArray[np.int64]]], tuning: Any, seed: int, lost_cost: float) -> float:
+def _score(picked: Sequence[tuple[Course, NDArray[np.int64]]], tuning: Any, seed: int) -> float:
     logs = []
     for course, which in picked:
-        found = course.drive(tuning, [700_000 + seed], which)
-        logs.append(np.log(np.where(np.isfinite(found), found, lost_cost)).mean())
+        logs.append(np.log(course.costs(tuning, [700_000 + seed % 100_000], which)).mean())
     return float(np.mean(logs))
 
 

@@ -26,7 +26,7 @@ Array = NDArray[np.float64]
 
 START = Tuning(Np=29, Nc=5, Q=1.0, R=4000.0)
 """Keeps the road profile's car on most roads: where learning starts."""
-HARD = {"speed": (17.0, 29.0), "demand": (0.25, 0.4)}
+HARD = {"speed": (17.0, 29.0), "demand": (0.2, 0.35)}
 """Fast drives near the limit, on which cars are lost."""
 FIRST_TRAINING_DRIVE, FIRST_HELD_OUT_DRIVE, FIRST_EVALUATION_DRIVE = 1_000_000, 2_000_000, 3_000_000
 """Seeds of random drives: a training, a held-out and an evaluation drive are never the same."""

@@ -34,8 +34,8 @@ CONSTANT, NETWORK, SUGENO, NEAREST, MULTILINEAR = range(5)
 INPUTS, GUARD = 0, 1
 """layout[INPUTS]: number D of inputs, 0 for no scheduler; layout[GUARD]: where the guard's part begins, 0 for none.
 Then follow, for each slot, its kind and where its part of `layout` and `numbers` begins; then the D inputs' places in
-CONDITION, then where the guard's part of `numbers` begins. `numbers` begins with the domain's D lows and D highs, then decades (1: the value is a logarithm), lowest,
-highest for each slot."""
+CONDITION, then where the guard's part of `numbers` begins. `numbers` begins with the domain's D lows and D highs, then
+decades (1: the value is a logarithm), lowest and highest for each slot."""
 SLOT = 2
 PLACES = SLOT + 3 * SLOTS
 
@@ -43,8 +43,9 @@ PLACES = SLOT + 3 * SLOTS
 COUNTS = ("steps", "clipped", "broken", "rate_limited", "outside", "unstable", "fallback")
 STEPS, CLIPPED, BROKEN, RATE_LIMITED, OUTSIDE, UNSTABLE, FALLBACK, REST, HELD = range(9)
 STATE = HELD + SLOTS + 1
-"""Counts of steps: all; with an input clipped to the domain; with an input or output that is not a number; with the change of tuning limited; with the fallback begun because inputs were far outside or the loop
-too near instability; on the fallback. REST: steps of fallback still to go. HELD, ...: the last tuning, and 1 when there is one."""
+"""Counts of steps: all; with an input clipped to the domain; with an input or output that is not a number; with the
+change of tuning limited; with inputs far outside or the loop too near instability, which begins the fallback; on the
+fallback. REST: steps of fallback still to go. HELD, ...: the last tuning, and 1 when there is one."""
 
 Schedule = record("Schedule", ("layout", "numbers", "work", "state", "believed", "estimating", "estimates"))
 SCHEDULE = types.NamedTuple((int_vector, vector, vector, matrix, vector, vector, matrix), Schedule)
@@ -97,8 +98,8 @@ def sugeno(x, layout, at, numbers, start, work):
     """A first-order Sugeno system, eqs. (24)-(27), its strengths as logarithms up to the normalisation.
 
     layout[at:]: inputs D, functions M, rules R, then for each function its input and 1 for a bell, then for each rule
-    its D functions (-1: any). numbers[start:]: 1/width, slope, centre of each function, then log weight, D slopes and the
-    constant of each rule. work: M logarithms of memberships, then R of strengths.
+    its D functions (-1: any). numbers[start:]: 1/width, slope, centre of each function, then log weight, D slopes and
+    the constant of each rule. work: M logarithms of memberships, then R of strengths.
     """
     inputs, functions, rules = layout[at], layout[at + 1], layout[at + 2]
     at += 3
@@ -191,23 +192,6 @@ def multilinear(x, layout, at, numbers, start, work):
     return value
 
 
-@njit(_SLOT_FUNCTION, **ROUTINE)
-def worst_corner(x, layout, at, numbers, start, work):
-    """The largest value of a table, packed as for `nearest`, at the corners of the cell that holds x; work: D reals."""
-    inputs = layout[at]
-    axis = start
-    for d in range(inputs):
-        work[d] = _cell(x[d], numbers, axis, layout[at + 1 + d])
-        axis += layout[at + 1 + d]
-    worst = -math.inf
-    for corner in range(1 << inputs):
-        index = 0
-        for d in range(inputs):
-            index = index * layout[at + 1 + d] + min(int(work[d]) + ((corner >> d) & 1), layout[at + 1 + d] - 1)
-        worst = max(worst, numbers[axis + index])
-    return worst
-
-
 @njit(float64(int64, vector, int_vector, int64, vector, int64, vector), **ROUTINE)
 def fill(kind, x, layout, at, numbers, start, work):
     """The value of one slot of `kind` at the inputs x."""
@@ -223,10 +207,10 @@ def fill(kind, x, layout, at, numbers, start, work):
 
 
 # -- the guard --------------------------------------------------------------------------------------------------------
-# layout[at:]: 1 when a map of the loop's spectral radius follows, steps that a fallback lasts at least; then the map's
-# layout as for `nearest`, its axes being speed, friction, Np, Nc, log10 R/Q.
+# layout[at:]: 1 when a map of how near the loop is to instability follows, steps that a fallback lasts; then the map's
+# layout as for `multilinear`, its axes being speed, friction, Np, Nc, log10 R/Q.
 # numbers[start:]: the fallback (SLOTS); largest change per step of Np, Nc and log10 R/Q; how far outside the domain the
-# inputs may be, in widths of it; the largest spectral radius allowed; then the map.
+# inputs may be, in widths of it; the largest value of the map allowed; then the map.
 GUARD_NUMBERS = SLOTS + 5
 
 
@@ -238,7 +222,7 @@ def _near_instability(condition, tuning, layout, at, numbers, start, work):
     x = work[-5:]
     x[0], x[1] = condition[0], condition[2]
     x[2], x[3], x[4] = tuning[0], tuning[1], math.log10(tuning[3] / tuning[2]) if tuning[2] > 0.0 else math.inf
-    return not worst_corner(x, layout, at + 2, numbers, start + GUARD_NUMBERS, work) <= numbers[start + SLOTS + 4]
+    return not multilinear(x, layout, at + 2, numbers, start + GUARD_NUMBERS, work) <= numbers[start + SLOTS + 4]
 
 
 @njit(types.void(vector, vector, int_vector, vector, vector, vector, types.boolean), **ROUTINE)

@@ -97,7 +97,7 @@ LOOP_SETTINGS = (
     "engine_power",  # W
     "traction_limit",  # N
     "brake_limit",  # N
-    "lost_beyond",  # m, a run is lost when |Y - y_ref| exceeds this,
+    "lost_beyond",  # m, a run is lost when |Y - y_ref| exceeds this
     "spin_beyond",  # or |v_y/v_x| this, above walking speed
 )
 (
@@ -561,8 +561,8 @@ def control_period(
     derivative, p: the plant (a built-in one ignores `derivative`); block: see `integrate`; states (LANES, n),
     plant_work (7, max(n, STATES)): scratch; model, settings, loop: packed, see above; signals (S, SIGNALS, n + 1): the
     sampled scenarios, of which lane i drives number scenario[i] with noise seeds[i] and tuning[i] = Np, Nc, Q, R, which
-    the scheduler `plan` writes, if it is one; memory (lanes, MEMORY) is read and updated, record (lanes, RECORD) written, and so is seen (lanes, 2), see
-    `observe`, unless it is empty.
+    the scheduler `plan` writes, if it is one; memory (lanes, MEMORY) is read and updated, record (lanes, RECORD)
+    written, and so is seen (lanes, 2), see `observe`, unless it is empty.
     """
     kind = int(loop[PLANT])
     for i in range(lanes):
@@ -641,7 +641,8 @@ def place(lanes, start, block, states):
 )  # fmt: skip
 def rollout(
     periods, lanes, derivative, p, block, states, plant_work, model, settings, loop,
-    signals, scenario, tuning, seeds, memory, record, ws, plan, seen, start, ceiling, price, stretch, stretches, result, trace,
+    signals, scenario, tuning, seeds, memory, record, ws, plan, seen, start, ceiling, price,
+    stretch, stretches, result, trace,
 ):  # fmt: skip
     """Whole runs of `lanes` lanes over `periods` control periods; arguments as for `control_period`, and
 

@@ -1,0 +1,283 @@
+"""The page on a certificate: how far the loop of a scheduler is from instability, over its whole operating domain."""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Mapping, Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import Normalize
+from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter, MaxNLocator
+from numpy.typing import NDArray
+
+from adaptrack.certify import Certificate, Sweep
+from adaptrack.mpc import Condition
+from adaptrack.report import style
+from adaptrack.report.page import Cell, Drawing, Head, Item, Picture, Section, Table, Verbatim, write_page
+from adaptrack.report.words import number, percent
+
+Array = NDArray[np.float64]
+
+_COLOURS = "cividis"
+_UNSTABLE = style.SERIES[1]
+_INPUTS = {
+    "y_ref": ("Lateral reference", "m"),
+    "wind": ("Wind", "m/s"),
+    "change": ("Change ahead", "m"),
+    "acceleration": ("Acceleration ahead", "m/s²"),
+    "offset": ("Offset", "m"),
+}
+_WORST = 8
+
+
+class _Quantity(NamedTuple):
+    """A quantity over speed and friction, as pictures show it."""
+
+    title: str
+    low: float
+    high: float
+    """what the colours span; what lies beyond has the colour of the end"""
+    whole: bool = False
+    fine: bool = False
+    """whether low values are the good ones: their colours are turned round, so that dark is always bad"""
+
+    @property
+    def colours(self) -> str:
+        return f"{_COLOURS}_r" if self.fine else _COLOURS
+
+
+_RADIUS = _Quantity("Spectral radius (–)", 0.9, 1.0, fine=True)
+_NEARNESS = _Quantity("Nearness to instability (–)", 0.4, 1.0, fine=True)
+_UP = _Quantity("Gain margin up (factor)", 1.0, 5.0)
+_DOWN = _Quantity("Gain margin down (factor)", 0.0, 1.0, fine=True)
+_DELAY = _Quantity("Delay margin (ms)", 0.0, 250.0)
+
+
+class _Map(NamedTuple):
+    """One panel."""
+
+    quantity: _Quantity
+    values: Array
+    """(speeds, frictions)"""
+    unstable: NDArray[np.bool_] | None
+    description: str
+
+
+def write_certificate(out_dir: str | os.PathLike[str], certificate: Certificate, *, command: str = "") -> Path:
+    """Write the page on a certificate and its PNG files into `out_dir`; return the page's path.
+
+    Raises
+    ------
+    StorageError
+        When the files cannot be written, see `page.write_page`.
+    """
+    sections = [_verdict(certificate, command), _margins(certificate), _tunings(certificate), _worst(certificate)]
+    return write_page(out_dir, sections, title=f"Certificate of {certificate.scheduler}", lead=[_in_short(certificate)])
+
+
+# -- sections ---------------------------------------------------------------------------------------------------------
+def _in_short(found: Certificate) -> str:
+    n, bad = len(found.conditions), int(found.counted.unstable.sum())
+    where = f"{found.plant}, {found.tyre} tyres, {found.profile} profile"
+    if found.passed:
+        return f"Passed: the closed loop is stable at all {number(n)} points of the operating domain ({where})."
+    return (
+        f"Failed: the closed loop is unstable at {number(bad)} of {number(n)} points of the operating domain ({where})."
+    )
+
+
+def _verdict(found: Certificate, command: str) -> Section:
+    words = (
+        "At every point the scheduler is asked for its tuning, and the linear closed loop with it is looked at: plant, "
+        "steering lag, computation delay and the law of the MPC far from its limits. It is linearised about driving "
+        "straight and about a steady turn as hard as driving gets at that speed and friction, where tyres are softer; "
+        "the worse of the two counts."
+    )
+    meaning = (
+        "Spectral radius: largest magnitude of the loop's eigenvalues over one control period; stable below 1. Gain "
+        "margins: factors on the steering command, up and down, at which the loop becomes unstable. Delay margin: the "
+        "additional delay at which it does. Nearness: 1 less the smallest distance of the loop gain from −1, the one "
+        "number that limits all margins; 1 at the verge."
+    )
+    heads = [Head("Scheduler", is_text=True), Head("Points"), Head("Unstable"), Head("Largest radius"),
+             Head("Least gain margin up"), Head("Least gain margin down"), Head("Least delay margin", "ms"),
+             Head("Largest nearness")]  # fmt: skip
+    table = Table("The worst of every measure, over all points", heads, [_row(*each) for each in _sweeps(found)])
+    items: list[Item] = [words, meaning, table]
+    if found.guarded is not None:
+        items.append(
+            f"The guard puts its fallback in the scheduler's place at {percent(found.fallback.mean())} % of them."
+        )
+    return Section("Verdict", [*items, *([Verbatim(command)] if command else [])])
+
+
+def _row(name: str, sweep: Sweep) -> list[Cell | str]:
+    worst, bad = sweep.worst, int(sweep.unstable.sum())
+    return [
+        name,
+        number(len(sweep.tunings)),
+        Cell(number(bad), warn=bad > 0),
+        Cell(number(float(worst.radius.max()), 4), warn=bad > 0),
+        number(float(worst.gain_up.min())),
+        number(float(worst.gain_down.max())),
+        number(1000.0 * float(worst.delay.min())),
+        number(float(worst.nearness.max())),
+    ]
+
+
+def _margins(found: Certificate) -> Section:
+    items: list[Item] = []
+    for (name, sweep), file in zip(_sweeps(found), ("margins.png", "margins-bare.png"), strict=False):
+        worst, bad = sweep.worst, np.asarray(found.cells(sweep.unstable).max(axis=2))
+        maps = [
+            _map(_RADIUS, found.cells(worst.radius).max(axis=2), bad),
+            _map(_NEARNESS, found.cells(worst.nearness).max(axis=2), bad),
+            _map(_UP, found.cells(worst.gain_up).min(axis=2), bad),
+            _map(_DOWN, found.cells(worst.gain_down).max(axis=2), bad),
+            _map(_DELAY, 1000.0 * found.cells(worst.delay).min(axis=2), bad),
+        ]
+        caption = "The worst over everything else that the scheduler looks at, straight and in a turn; dark is bad."
+        crosses = " A cross marks a cell with an unstable point." if bad.any() else ""
+        items.append(_picture(found, maps, f"{name}. {caption}{crosses}", file))
+    return Section("Margins", items)
+
+
+def _tunings(found: Certificate) -> Section:
+    Np, Nc, Q, R = found.counted.tunings.T
+    with np.errstate(divide="ignore"):
+        ratio = np.log10(R) - np.log10(Q)
+    maps = []
+    for symbol, values, whole in (("$N_p$ (periods)", Np, True), ("$N_c$ (periods)", Nc, True),
+                                  (r"$\log_{10} R/Q$ (R/Q in m²/rad²)", ratio, False)):  # fmt: skip
+        cells = np.median(found.cells(values), axis=2)
+        finite = cells[np.isfinite(cells)]
+        low, high = (float(finite.min()), float(finite.max())) if finite.size else (0.0, 0.0)
+        middle, span = (low + high) / 2.0, max(high - low, 2.0 if whole else 0.2)
+        maps.append(_map(_Quantity(symbol, middle - span / 2.0, middle + span / 2.0, whole), cells, None))
+    caption = "The tuning that it asks for: median over everything else that it looks at."
+    if found.guarded is not None:
+        share = 100.0 * found.cells(found.fallback).mean(axis=2)
+        maps.append(_map(_Quantity("On the fallback (%)", 0.0, 100.0), share, None))
+        caption = f"{caption[:-1]}, the guard's fallback included where it steps in; and how often that is."
+    return Section("What it asks for", [_picture(found, maps, caption, "tunings.png")])
+
+
+def _worst(found: Certificate) -> Section:
+    names = Condition._fields
+    seen = [name for name in _INPUTS if np.ptp(found.conditions[:, names.index(name)]) > 0.0]
+    heads = [
+        Head("Speed", "m/s"),
+        Head("Friction"),
+        *(Head(_INPUTS[name][0], _INPUTS[name][1]) for name in seen),
+        *(Head(text) for text in ("Np", "Nc")),
+        Head("R/Q", "m²/rad²"),
+        Head("Driving", is_text=True),
+        *(Head(text) for text in ("Radius", "Gain up", "Gain down")),
+        Head("Delay", "ms"),
+        Head("Nearness"),
+    ]
+    body: list[list[Cell | str] | str] = []
+    for name, sweep in _sweeps(found):
+        points = found.worst_points(_WORST, sweep)
+        body += [name, *(_point(point, seen) for point in points)]
+    note = "Of driving straight and in a turn, the one nearer to instability."
+    return Section("The worst points", [Table("The points nearest to instability, the worst first", heads, body, note)])
+
+
+def _point(point: Mapping[str, Any], seen: Sequence[str]) -> list[Cell | str]:
+    up, down, delay = (math.inf if point[name] is None else point[name] for name in ("gain_up", "gain_down", "delay"))
+    return [
+        *(number(point[name]) for name in ("speed", "friction", *seen)),
+        *(number(int(point[name])) for name in ("Np", "Nc")),
+        number(point["R"] / point["Q"] if point["Q"] > 0.0 else math.inf),
+        "in a turn" if point["driving"] == "turn" else "straight",
+        Cell(number(point["radius"], 4), warn=point["radius"] >= 1.0),
+        *(number(value) for value in (up, down, 1000.0 * delay, point["nearness"])),
+    ]
+
+
+def _sweeps(found: Certificate) -> list[tuple[str, Sweep]]:
+    if found.guarded is None:
+        return [("As it drives", found.bare)]
+    return [("With the guard", found.guarded), ("Without the guard", found.bare)]
+
+
+# -- drawing ----------------------------------------------------------------------------------------------------------
+def _map(quantity: _Quantity, values: Array, unstable: NDArray[np.bool_] | None) -> _Map:
+    low, high = float(values.min()), float(values.max())
+    return _Map(quantity, values, unstable, f"{quantity.title.replace('$', '')}: {number(low)} to {number(high)}.")
+
+
+def _picture(found: Certificate, maps: Sequence[_Map], caption: str, file: str) -> Picture:
+    panels = [Drawing(style.panel_figure(partial(_panel, found, each)), each.description) for each in maps]
+    return Picture(caption, panels, file=file, print_figure=_print(found, maps))
+
+
+def _panel(found: Certificate, shown: _Map, axes: Axes) -> None:
+    _draw(found, shown, axes)
+    box = axes.get_position()
+    axes.set_position((box.x0, box.y0, 0.83 * box.width, box.height))  # room for the bar and its numbers
+    _bar(shown, axes, cax=axes.inset_axes((1.03, 0.0, 0.035, 1.0)))
+
+
+def _print(found: Certificate, maps: Sequence[_Map]) -> Figure:
+    columns = 3 if len(maps) != 4 else 2
+    with style.styled():
+        figure, axes = style.grid_figure(-(-len(maps) // columns), columns, 2.0)
+        for shown, ax in zip(maps, axes, strict=False):
+            _draw(found, shown, ax)
+            _bar(shown, ax, ax=ax, shrink=0.95)
+        for spare in axes[len(maps) :]:
+            spare.remove()
+    return figure
+
+
+def _draw(found: Certificate, shown: _Map, axes: Axes) -> None:
+    axes.set_title(shown.quantity.title)
+    axes.grid(False)
+    x, y = _edges(found.speeds), _edges(found.frictions)
+    norm = Normalize(shown.quantity.low, shown.quantity.high)
+    inside = np.clip(shown.values, shown.quantity.low, shown.quantity.high)
+    axes.pcolormesh(
+        x, y, inside.T, cmap=shown.quantity.colours, norm=norm, edgecolor="face", linewidth=0.3, antialiased=True
+    )
+    if shown.unstable is not None and shown.unstable.any():
+        i, j = np.nonzero(shown.unstable)
+        axes.plot(found.speeds[i], found.frictions[j], "x", color=_UNSTABLE, markersize=4.5, markeredgewidth=1.3)
+    axes.set_xlabel("Speed (m/s)")
+    axes.set_ylabel("Friction (–)")
+    axes.yaxis.set_major_locator(MaxNLocator(nbins=6, steps=[1, 2, 5, 10]))
+    axes.margins(0.0)
+
+
+def _bar(shown: _Map, axes: Axes, **place: Any) -> None:
+    quantity = shown.quantity
+    slack = 1e-9 * (quantity.high - quantity.low)
+    below, above = shown.values.min() < quantity.low - slack, shown.values.max() > quantity.high + slack
+    figure = axes.get_figure()
+    assert isinstance(figure, Figure)
+    bar = figure.colorbar(
+        ScalarMappable(Normalize(quantity.low, quantity.high), quantity.colours),
+        ticks=MaxNLocator(nbins=5, integer=quantity.whole, steps=[1, 2, 2.5, 5, 10]),
+        extend="both" if below and above else "min" if below else "max" if above else "neither",
+        **place,
+    )
+    bar.formatter = FuncFormatter(lambda value, _: f"{value:g}".replace("-", "−"))
+    bar.ax.tick_params(labelsize=7.5)
+    bar.outline.set_linewidth(0.5)
+
+
+def _edges(levels: Array) -> Array:
+    """Edges of cells around levels."""
+    if len(levels) == 1:
+        return levels[0] + np.array([-0.5, 0.5]) * max(0.1 * abs(float(levels[0])), 1e-6)
+    middles = (levels[1:] + levels[:-1]) / 2.0
+    reach = np.diff(levels)[[0, -1]] / 2.0
+    return np.concatenate([[levels[0] - reach[0]], middles, [levels[-1] + reach[1]]])

@@ -1,0 +1,203 @@
+"""Certificates: what is stable passes, what is not is caught and named, with the guard and without."""
+
+import json
+
+import numpy as np
+import pytest
+
+from adaptrack import MPC, ContractError, DualTrack, InvalidInput, Moves, Tuning, load_vehicle, rollout_batch
+from adaptrack.certify import OPERATING, certify
+from adaptrack.mpc import Condition
+from adaptrack.report.certificate import write_certificate
+from adaptrack.scenario import random_drive
+from adaptrack.schedule import Constant, Guarded, Lookup, StabilityMap, Table
+from adaptrack.stability import hard_turn, loop_map, spectral_radius
+
+CAR = load_vehicle("paper")
+PLANT = DualTrack(CAR, "magic-formula")
+MPC_ = MPC(CAR, period=0.05, preview=True)
+SOUND, AGGRESSIVE = Tuning(38, 4, 1.0, 8000.0), Tuning(28, 8, 1.0, 2800.0)
+SPEEDS, FRICTIONS, AHEAD = np.linspace(3.0, 30.0, 6), np.array([0.3, 0.6, 1.0]), np.array([0.0, 3.5])
+FEW = (10, 2)
+"""Levels of speed and friction, for tests."""
+
+
+def by_speed(ratio):
+    """A table over speed, friction and acceleration ahead, with R/Q from log10 values of that shape."""
+    tunings = np.empty((*ratio.shape, 4))
+    tunings[..., 0], tunings[..., 1], tunings[..., 2], tunings[..., 3] = 38.0, 4.0, 1.0, 10.0**ratio
+    return Lookup({"speed": SPEEDS, "friction": FRICTIONS, "acceleration": AHEAD}, tunings, name="table")
+
+
+@pytest.fixture(scope="module")
+def sound():
+    return by_speed(np.broadcast_to(np.linspace(3.8, 4.1, 6)[:, None, None], (6, 3, 2)))
+
+
+@pytest.fixture(scope="module")
+def scrambled():
+    """The table with other numbers in it."""
+    return by_speed(np.random.default_rng(0).uniform(1.0, 4.2, (6, 3, 2)))
+
+
+@pytest.fixture(scope="module")
+def stability():
+    axes, values = loop_map(PLANT, MPC_, "road", speed=(3.0, 30.0))
+    return StabilityMap(Table(axes, values), 0.92)
+
+
+def test_a_sound_scheduler_passes_with_margins_everywhere(sound):
+    found = certify(sound, PLANT, MPC_, "road", levels=FEW)
+    worst = found.counted.worst
+    assert found.passed
+    assert found.guarded is None
+    assert worst.radius.max() < 1.0
+    assert worst.gain_up.min() > 1.2
+    assert worst.gain_down.max() < 0.9
+    assert worst.delay.min() > 0.02
+    assert len(found.conditions) == 10 * 2 * 5  # acceleration ahead is the one other input
+
+
+def test_an_unstable_constant_is_caught_and_the_place_is_named():
+    found = certify(Constant(AGGRESSIVE), PLANT, MPC_, "road", levels=FEW)
+    worst = found.worst_points(1)[0]
+    assert not found.passed
+    assert (worst["speed"], worst["driving"]) == (30.0, "turn")
+    assert (worst["Np"], worst["Nc"], worst["R"]) == (28.0, 8.0, 2800.0)
+    assert worst["radius"] == pytest.approx(
+        spectral_radius(
+            PLANT, MPC_, 30.0, tuning=AGGRESSIVE, friction=worst["friction"], profile="road",
+            lateral_acceleration=hard_turn(30.0, worst["friction"]),
+        )
+    )  # fmt: skip
+    told = found.summary()
+    assert told["unstable"] == found.counted.unstable.sum() > 0
+    assert told["worst"] == worst
+    assert told["radius"] == found.counted.worst.radius.max()
+
+
+def test_without_hard_turns_only_straight_driving_counts():
+    straight = certify(
+        Constant(AGGRESSIVE), PLANT, MPC_, "road", levels=FEW, domain={"speed": (5.0, 25.0)}, turn=lambda v, mu: 0.0
+    )
+    assert straight.passed
+    np.testing.assert_allclose(straight.counted.straight.radius, straight.counted.turn.radius)
+
+
+def test_scrambled_numbers_are_caught(scrambled):
+    found = certify(scrambled, PLANT, MPC_, "road", levels=FEW)
+    assert not found.passed
+    assert found.counted.unstable.mean() > 0.2
+
+
+def test_the_guard_keeps_scrambled_numbers_from_the_road(scrambled, stability):
+    found = certify(Guarded(scrambled, SOUND, stability=stability), PLANT, MPC_, "road", levels=FEW)
+    assert found.bare.unstable.sum() > 20
+    assert found.counted.unstable.sum() == 0
+    assert found.counted.worst.nearness.max() < 0.97
+    assert found.fallback.mean() > 0.2
+    changed = found.counted.tunings[found.fallback]
+    assert (changed == SOUND.as_array()).all()
+
+
+@pytest.mark.compiled
+def test_with_the_guard_scrambled_numbers_lose_no_drive(scrambled, stability):
+    drives = [random_drive(seed) for seed in range(900, 908)]
+    lost = {}
+    for schedule in (scrambled, Guarded(scrambled, SOUND, stability=stability)):
+        mpc = MPC(CAR, period=0.05, preview=True, scheduler=schedule)
+        lost[schedule.name] = rollout_batch(
+            PLANT, mpc, drives, profile="road", seeds=np.arange(8), lost_beyond=5.0
+        ).lost.sum()
+    assert lost["table"] > 4
+    assert lost["table (guarded)"] == 0
+
+
+def test_the_guard_leaves_a_sound_scheduler_alone(sound, stability):
+    found = certify(Guarded(sound, SOUND, stability=stability), PLANT, MPC_, "road", levels=FEW)
+    assert found.passed
+    assert found.fallback.mean() < 0.05
+
+
+# -- any scheduler, any domain ----------------------------------------------------------------------------------------
+def test_a_plain_function_is_asked_over_everything_that_a_condition_holds():
+    asked = []
+
+    def careful(condition):
+        asked.append(condition)
+        return 38.0, 4.0, 1.0, 8000.0
+
+    found = certify(careful, PLANT, MPC_, "road", levels=FEW)
+    seen = np.array(asked)
+    for i, name in enumerate(Condition._fields):
+        assert (seen[:, i].min(), seen[:, i].max()) == OPERATING[name]
+    assert found.scheduler == "careful"
+    assert found.passed
+
+
+@pytest.mark.parametrize("nonsense", [(30, 5, 1.0, 0.0), (30, 5, -1.0, 1.0), (30, np.nan, 1.0, 1.0), (30, 5), None])
+def test_a_function_that_gives_no_tuning_is_refused_with_the_condition(nonsense):
+    with pytest.raises(ContractError, match=r"Condition\(speed=3\.0"):
+        certify(lambda condition: nonsense, PLANT, MPC_, "road", levels=FEW)
+
+
+def test_horizons_count_as_the_mpc_uses_them():
+    short = MPC(CAR, Tuning(30, 5, 1.0, 8000.0), period=0.05, longest_horizon=40, most_moves=6)
+    found = certify(lambda condition: (99.5, 35.2, 1.0, 8000.0), PLANT, short, "road", levels=(2, 1))
+    assert (found.counted.tunings[:, :2] == [40.0, 6.0]).all()
+    rounded = certify(lambda condition: (37.5, 0.2, 1.0, 8000.0), PLANT, short, "road", levels=(2, 1))
+    assert (rounded.counted.tunings[:, :2] == [38.0, 1.0]).all()
+
+
+def test_the_domain_is_where_scheduler_and_driving_overlap_unless_told(sound):
+    narrow = Lookup({"speed": [8.0, 60.0]}, [[38, 4, 1.0, 8000.0], [38, 4, 1.0, 9000.0]])
+    found = certify(narrow, PLANT, MPC_, "road", levels=FEW)
+    assert (found.speeds[0], found.speeds[-1]) == (8.0, 30.0)
+    assert (found.frictions[0], found.frictions[-1]) == OPERATING["friction"]
+    told = certify(sound, PLANT, MPC_, "road", levels=FEW, domain={"speed": (10.0, 12.0), "friction": (0.5, 0.5)})
+    assert (told.speeds[0], told.speeds[-1], *told.frictions) == (10.0, 12.0, 0.5)
+
+
+@pytest.mark.parametrize(
+    "domain", [{"colour": (0.0, 1.0)}, {"speed": (9.0, 5.0)}, {"friction": (0.0, 1.0)}, {"speed": (1.0, np.inf)}]
+)
+def test_a_domain_that_makes_no_sense_is_refused(sound, domain):
+    with pytest.raises(InvalidInput, match="certify"):
+        certify(sound, PLANT, MPC_, "road", levels=FEW, domain=domain)
+
+
+def test_laguerre_moves_and_the_papers_profile_are_certified_too():
+    mpc = MPC(CAR, moves=Moves.laguerre(0.95))
+    found = certify(Constant(Tuning()), DualTrack(CAR, "magic-formula"), mpc, "paper", levels=FEW)
+    expected = spectral_radius(PLANT, mpc, 30.0, friction=1.0)
+    assert found.counted.straight.radius[-1] == pytest.approx(expected)
+
+
+# -- what is told -----------------------------------------------------------------------------------------------------
+def test_rows_hold_the_worst_of_every_speed_and_friction_as_json(scrambled, stability):
+    found = certify(Guarded(scrambled, SOUND, stability=stability), PLANT, MPC_, "road", levels=FEW)
+    rows = json.loads(json.dumps({"summary": found.summary(), "rows": found.rows()}, allow_nan=False))["rows"]
+    assert len(rows) == 2 * 10 * 2
+    assert sum(row["unstable"] for row in rows if not row["guard"]) == found.bare.unstable.sum()
+    bare = [row for row in rows if not row["guard"]]
+    worst = found.bare.worst.radius.max()
+    assert max(row["radius"] for row in bare) == pytest.approx(worst)
+    assert {(row["speed"], row["friction"]) for row in bare} == {
+        (v, mu) for v in found.speeds for mu in found.frictions
+    }
+
+
+def test_the_page_shows_the_verdict_the_maps_and_the_worst_points(scrambled, stability, tmp_path):
+    guarded = certify(Guarded(scrambled, SOUND, stability=stability), PLANT, MPC_, "road", levels=FEW)
+    bare = certify(scrambled, PLANT, MPC_, "road", levels=FEW)
+    text = write_certificate(tmp_path / "guarded", guarded, command="adaptrack certify mine.json").read_text()
+    assert "Passed" in text
+    assert "adaptrack certify mine.json" in text
+    assert "Without the guard" in text
+    assert {path.name for path in (tmp_path / "guarded").glob("*.png")} == {
+        "margins.png", "margins-bare.png", "tunings.png",
+    }  # fmt: skip
+    text = write_certificate(tmp_path / "bare", bare).read_text()
+    assert "Failed" in text
+    assert "A cross marks" in text
+    assert not (tmp_path / "bare" / "margins-bare.png").exists()
