@@ -96,8 +96,6 @@ def test_the_guard_keeps_scrambled_numbers_from_the_road(scrambled, stability):
     assert found.counted.unstable.sum() == 0
     assert found.counted.worst.nearness.max() < 0.97
     assert found.fallback.mean() > 0.2
-    changed = found.counted.tunings[found.fallback]
-    assert (changed == SOUND.as_array()).all()
 
 
 @pytest.mark.compiled

@@ -58,9 +58,11 @@ _STEPS = {"Np": (29.0, 10.0), "Nc": (5.0, 5.0), "log10_ratio": (3.6, 0.5)}
 HELD_OUT_CONDITIONS, HELD_OUT_DRIVES = 512, 200
 KNOWLEDGE = ("exact", "noisy", "lagged", "biased high", "biased low", "estimated", "withheld")
 """The ways of knowing friction and wind that are evaluated."""
-NEARNESS, FALLBACK_NEARNESS, SLACK, HOLD = 1.0, 0.9, 1.0, 10
+NEARNESS, FALLBACK_NEARNESS, SLACK, HOLD = 0.95, 0.9, 1.0, 10
 """How near to instability a guarded loop may be, straight or in a hard turn, and its fallback anywhere in the domain; how
 far outside the domain an input may be, in its widths; how many steps a fallback lasts."""
+SLOW, SLOW_MARGIN = 6.0, 0.05
+"""m/s, below which the map counts every loop as this much nearer: loops change fastest there, and its nodes are few."""
 _ANYWHERE = Condition(15.0, 0.0, 0.7, 0.0)
 
 
@@ -365,6 +367,7 @@ def stability_map(shop: Workshop) -> StabilityMap:
     axes, values = loop_map(
         shop.plant, shop.mpc, shop.campaign.profile, speed=shop.box["speed"], friction=shop.box["friction"]
     )
+    values[axes[0] < SLOW] += SLOW_MARGIN
     return StabilityMap(Table(axes, values), NEARNESS)
 
 

@@ -82,7 +82,7 @@ class Certificate:
 
     @property
     def fallback(self) -> NDArray[np.bool_]:
-        """(n,) whether the guard puts its own tuning in the scheduler's place."""
+        """(n,) whether the guard changes the scheduler's tuning."""
         return np.any(self.counted.tunings != self.bare.tunings, axis=1)
 
     def cells(self, values: NDArray[Any]) -> NDArray[Any]:

@@ -44,8 +44,7 @@ COUNTS = ("steps", "clipped", "broken", "rate_limited", "outside", "unstable", "
 STEPS, CLIPPED, BROKEN, RATE_LIMITED, OUTSIDE, UNSTABLE, FALLBACK, REST, HELD = range(9)
 STATE = HELD + SLOTS + 1
 """Counts of steps: all; with an input clipped to the domain; with an input or output that is not a number; with the
-change of tuning limited; with inputs far outside or the loop too near instability, which begins the fallback; on the
-fallback. REST: steps of fallback still to go. HELD, ...: the last tuning, and 1 when there is one."""
+change of tuning limited; with inputs far outside; with the loop too near instability; on the fallback. REST: steps of fallback still to go. HELD, ...: the last tuning, and 1 when there is one."""
 
 Schedule = record("Schedule", ("layout", "numbers", "work", "state", "believed", "estimating", "estimates"))
 SCHEDULE = types.NamedTuple((int_vector, vector, vector, matrix, vector, vector, matrix), Schedule)
@@ -212,6 +211,8 @@ def fill(kind, x, layout, at, numbers, start, work):
 # numbers[start:]: the fallback (SLOTS); largest change per step of Np, Nc and log10 R/Q; how far outside the domain the
 # inputs may be, in widths of it; the largest value of the map allowed; then the map.
 GUARD_NUMBERS = SLOTS + 5
+STAGES = 5
+"""In how many stages a tuning gives way to the fallback."""
 
 
 @njit(types.boolean(vector, vector, int_vector, int64, vector, int64, vector), **ROUTINE)
@@ -225,16 +226,27 @@ def _near_instability(condition, tuning, layout, at, numbers, start, work):
     return not multilinear(x, layout, at + 2, numbers, start + GUARD_NUMBERS, work) <= numbers[start + SLOTS + 4]
 
 
+@njit(types.void(float64, vector, vector, int64), **INLINED_ROUTINE)
+def _towards(share, tuning, numbers, start):
+    """Move a tuning a share of the way to the fallback: horizons in whole numbers, R/Q by its logarithm, Q as asked."""
+    for s in range(2):
+        tuning[s] = math.floor(tuning[s] + share * (numbers[start + s] - tuning[s]) + 0.5)
+    tuning[1] = min(tuning[1], tuning[0])
+    if tuning[2] > 0.0 and numbers[start + 2] > 0.0:
+        ratio = tuning[3] / tuning[2]
+        tuning[3] = tuning[2] * ratio * (numbers[start + 3] / numbers[start + 2] / ratio) ** share
+
+
 @njit(types.void(vector, vector, int_vector, vector, vector, vector, types.boolean), **ROUTINE)
 def guard(condition, tuning, layout, numbers, work, own, far):
-    """Replace a tuning (SLOTS) by what may be trusted; own: the lane's state, far: inputs far outside the domain."""
+    """Replace a tuning (SLOTS) by what may be trusted; own: the lane's state, far: inputs far outside the domain.
+
+    What was asked of an untrusted input is dropped for the fallback, for a while. Else the change since the last tuning
+    is limited; and a tuning whose loop is too near instability gives way towards the fallback, as far as it must.
+    """
     at, start = layout[GUARD], layout[PLACES + layout[INPUTS]]
-    unstable = _near_instability(condition, tuning, layout, at, numbers, start, work)
     if far:
         own[OUTSIDE] += 1.0
-    if unstable:
-        own[UNSTABLE] += 1.0
-    if far or unstable:
         own[REST] = layout[at + 1]
     if own[REST] > 0.0:
         own[REST] -= 1.0
@@ -242,33 +254,34 @@ def guard(condition, tuning, layout, numbers, work, own, far):
         for s in range(SLOTS):
             tuning[s] = numbers[start + s]
         return
-    if own[HELD + SLOTS] < 0.5:
-        return
-    # R/Q moves by R alone: Q is taken as asked
-    limited = False
-    for s in range(2):
-        step = numbers[start + SLOTS + s]
-        bounded = clip(tuning[s], own[HELD + s] - step, own[HELD + s] + step)
-        limited = limited or bounded != tuning[s]
-        tuning[s] = math.floor(bounded + 0.5)
-    tuning[1] = min(tuning[1], tuning[0])
-    if tuning[2] > 0.0 and own[HELD + 2] > 0.0:
-        factor = 10.0 ** numbers[start + SLOTS + 2]
-        last = own[HELD + 3] / own[HELD + 2]
-        ratio = tuning[3] / tuning[2]
-        bounded = clip(ratio, last / factor, last * factor)
-        if bounded != ratio:
-            limited = True
-            tuning[3] = bounded * tuning[2]
-    if limited:
-        own[RATE_LIMITED] += 1.0
-        if _near_instability(condition, tuning, layout, at, numbers, start, work):
-            # on its way between two sound tunings a limited one is not
-            own[UNSTABLE] += 1.0
-            own[REST] = layout[at + 1] - 1.0
-            own[FALLBACK] += 1.0
-            for s in range(SLOTS):
-                tuning[s] = numbers[start + s]
+    if own[HELD + SLOTS] > 0.5:
+        # R/Q moves by R alone: Q is taken as asked
+        limited = False
+        for s in range(2):
+            step = numbers[start + SLOTS + s]
+            bounded = clip(tuning[s], own[HELD + s] - step, own[HELD + s] + step)
+            limited = limited or bounded != tuning[s]
+            tuning[s] = math.floor(bounded + 0.5)
+        tuning[1] = min(tuning[1], tuning[0])
+        if tuning[2] > 0.0 and own[HELD + 2] > 0.0:
+            factor = 10.0 ** numbers[start + SLOTS + 2]
+            last = own[HELD + 3] / own[HELD + 2]
+            ratio = tuning[3] / tuning[2]
+            bounded = clip(ratio, last / factor, last * factor)
+            if bounded != ratio:
+                limited = True
+                tuning[3] = bounded * tuning[2]
+        if limited:
+            own[RATE_LIMITED] += 1.0
+    if _near_instability(condition, tuning, layout, at, numbers, start, work):
+        own[UNSTABLE] += 1.0
+        for k in range(STAGES):
+            _towards(1.0 / (STAGES - k), tuning, numbers, start)
+            if not _near_instability(condition, tuning, layout, at, numbers, start, work):
+                return
+        own[FALLBACK] += 1.0
+        for s in range(SLOTS):
+            tuning[s] = numbers[start + s]
 
 
 @njit(types.void(int64, vector, SCHEDULE, vector), **ROUTINE)
