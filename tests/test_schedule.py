@@ -312,7 +312,9 @@ def test_what_makes_no_schedule_is_refused_with_a_reason(build, message):
 def test_a_membership_function_of_an_input_that_is_not_there_is_refused():
     """Else the kernel would read beyond its inputs."""
     with pytest.raises(InvalidInput, match="reads an input that is not one of 1"):
-        Sugeno(np.array([0, 5]), np.zeros(2, bool), np.ones((2, 3)), np.array([[0]]), np.array([[0.0, 9.0]]), np.ones(1))
+        Sugeno(
+            np.array([0, 5]), np.zeros(2, bool), np.ones((2, 3)), np.array([[0]]), np.array([[0.0, 9.0]]), np.ones(1)
+        )
 
 
 # -- the contract -----------------------------------------------------------------------------------------------------

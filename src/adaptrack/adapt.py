@@ -58,9 +58,9 @@ _STEPS = {"Np": (29.0, 10.0), "Nc": (5.0, 5.0), "log10_ratio": (3.6, 0.5)}
 HELD_OUT_CONDITIONS, HELD_OUT_DRIVES = 512, 200
 KNOWLEDGE = ("exact", "noisy", "lagged", "biased high", "biased low", "estimated", "withheld")
 """The ways of knowing friction and wind that are evaluated."""
-NEARNESS, FALLBACK_NEARNESS, SLACK, HOLD = 0.95, 0.9, 1.0, 10
-"""How near to instability a guarded loop may be, straight or in a hard turn, and its fallback anywhere in the domain; how
-far outside the domain an input may be, in its widths; how many steps a fallback lasts."""
+NEARNESS, FALLBACK_NEARNESS, SLACK, HOLD = 0.97, 0.9, 1.0, 10
+"""How near to instability a guarded loop may be, and its fallback anywhere in the domain; how far outside the domain an
+input may be, in its widths; how many steps a fallback lasts."""
 SLOW, SLOW_MARGIN = 6.0, 0.05
 """m/s, below which the map counts every loop as this much nearer: loops change fastest there, and its nodes are few."""
 _ANYWHERE = Condition(15.0, 0.0, 0.7, 0.0)
@@ -363,9 +363,14 @@ def _campaign(shop: Workshop, folder: Path, workers: int | None, show: Progress)
 
 
 def stability_map(shop: Workshop) -> StabilityMap:
-    """The map that the guard asks: how near the loop is to instability with everything that may be asked of it."""
+    """The map that the guard asks: how near to instability the loop is, driving straight, with all that may be asked.
+
+    Straight: in a turn as hard as driving gets, good tunings are near to instability too, and to keep away from that
+    costs more than it saves (see docs/adaptation.md).
+    """
+    speed, friction = shop.box["speed"], shop.box["friction"]
     axes, values = loop_map(
-        shop.plant, shop.mpc, shop.campaign.profile, speed=shop.box["speed"], friction=shop.box["friction"]
+        shop.plant, shop.mpc, shop.campaign.profile, speed=speed, friction=friction, turn=lambda v, mu: 0.0
     )
     values[axes[0] < SLOW] += SLOW_MARGIN
     return StabilityMap(Table(axes, values), NEARNESS)

@@ -48,8 +48,13 @@ class Sweep:
 
     @property
     def unstable(self) -> NDArray[np.bool_]:
-        """(n,) whether the loop is unstable, straight or in the turn."""
-        return np.asarray(self.worst.radius >= 1.0)
+        """(n,) whether the loop is unstable, driving straight."""
+        return np.asarray(self.straight.radius >= 1.0)
+
+    @property
+    def unstable_in_turn(self) -> NDArray[np.bool_]:
+        """(n,) whether it is unstable in the hard turn: no verdict, but a warning."""
+        return np.asarray(self.turn.radius >= 1.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,7 +82,7 @@ class Certificate:
 
     @property
     def passed(self) -> bool:
-        """Whether every loop that can drive is stable."""
+        """Whether every loop that can drive is stable, driving straight."""
         return not self.counted.unstable.any()
 
     @property
@@ -128,6 +133,7 @@ class Certificate:
             "points": len(self.conditions),
             "unstable": int(self.counted.unstable.sum()),
             "unstable_without_guard": int(self.bare.unstable.sum()),
+            "unstable_in_turn": int(self.counted.unstable_in_turn.sum()),
             "fallback_share": float(self.fallback.mean()),
             **_finite(extremes),
             "worst": self.worst_points(1)[0],

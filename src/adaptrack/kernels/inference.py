@@ -44,7 +44,8 @@ COUNTS = ("steps", "clipped", "broken", "rate_limited", "outside", "unstable", "
 STEPS, CLIPPED, BROKEN, RATE_LIMITED, OUTSIDE, UNSTABLE, FALLBACK, REST, HELD = range(9)
 STATE = HELD + SLOTS + 1
 """Counts of steps: all; with an input clipped to the domain; with an input or output that is not a number; with the
-change of tuning limited; with inputs far outside; with the loop too near instability; on the fallback. REST: steps of fallback still to go. HELD, ...: the last tuning, and 1 when there is one."""
+change of tuning limited; with inputs far outside; with the loop too near instability; on the fallback. REST: steps of
+fallback still to go. HELD, ...: the last tuning, and 1 when there is one."""
 
 Schedule = record("Schedule", ("layout", "numbers", "work", "state", "believed", "estimating", "estimates"))
 SCHEDULE = types.NamedTuple((int_vector, vector, vector, matrix, vector, vector, matrix), Schedule)

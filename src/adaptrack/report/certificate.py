@@ -87,7 +87,12 @@ def _in_short(found: Certificate) -> str:
     n, bad = len(found.conditions), int(found.counted.unstable.sum())
     where = f"{found.plant}, {found.tyre} tyres, {found.profile} profile"
     if found.passed:
-        return f"Passed: the closed loop is stable at all {number(n)} points of the operating domain ({where})."
+        turn = int(found.counted.unstable_in_turn.sum())
+        more = f" In a hard turn it is unstable at {number(turn)} of them." if turn else ""
+        return (
+            f"Passed: driving straight, the closed loop is stable at all {number(n)} points of the operating domain "
+            f"({where}).{more}"
+        )
     return (
         f"Failed: the closed loop is unstable at {number(bad)} of {number(n)} points of the operating domain ({where})."
     )
@@ -98,7 +103,7 @@ def _verdict(found: Certificate, command: str) -> Section:
         "At every point the scheduler is asked for its tuning, and the linear closed loop with it is looked at: plant, "
         "steering lag, computation delay and the law of the MPC far from its limits. It is linearised about driving "
         "straight and about a steady turn as hard as driving gets at that speed and friction, where tyres are softer; "
-        "the worse of the two counts."
+        "measures are those of the worse of the two, the verdict is on driving straight."
     )
     meaning = (
         "Spectral radius: largest magnitude of the loop's eigenvalues over one control period; stable below 1. Gain "
@@ -112,9 +117,7 @@ def _verdict(found: Certificate, command: str) -> Section:
     table = Table("The worst of every measure, over all points", heads, [_row(*each) for each in _sweeps(found)])
     items: list[Item] = [words, meaning, table]
     if found.guarded is not None:
-        items.append(
-            f"The guard puts its fallback in the scheduler's place at {percent(found.fallback.mean())} % of them."
-        )
+        items.append(f"The guard changes the tuning at {percent(found.fallback.mean())} % of them.")
     return Section("Verdict", [*items, *([Verbatim(command)] if command else [])])
 
 
