@@ -76,8 +76,8 @@ def test_the_shipped_campaigns_are_those_of_the_paper_and_of_the_road():
     assert (paper.config.profile, paper.config.scenario, paper.config.move_price) == ("paper", "step", 0.0)
     assert len(paper.fold.representatives) == 5005
     assert len(road.conditions) == len(road.fold.representatives) == 6400
-    assert road.conditions.min(axis=0) == pytest.approx([3, -15, 0.3, -30], abs=0.02)
-    assert road.conditions.max(axis=0) == pytest.approx([30, 15, 1.0, 30], abs=0.02)
+    assert road.conditions.min(axis=0) == pytest.approx([3, -7, 0.3, -30], abs=0.02)
+    assert road.conditions.max(axis=0) == pytest.approx([30, 7, 1.0, 30], abs=0.02)
     assert (road.config.profile, road.config.scenario, road.config.move_price) == ("road", "lane-change", 3.0)
     assert len(road.config.noise_seeds) > 1
 

@@ -432,7 +432,7 @@ def test_where_a_shift_loses_the_car_the_output_moves_away_and_what_follows_says
     _, moves, weights = lossy.landscape(constant_schedule, 1, np.arange(48))
     stretch = np.repeat(np.arange(3), 48 * 2)
     assert (moves[stretch == 0][:, 0] == 0.0).all()
-    np.testing.assert_allclose(moves[stretch == 1][:, 0], -0.5 * SHIFT[0], rtol=0.01)
+    np.testing.assert_allclose(moves[stretch == 1][:, 0], -0.5 * SHIFT[0], rtol=0.02)
     assert (weights[stretch == 2][:, 0] == 0.0).all()
     assert (weights[stretch == 2][:, 2] > 0.0).all(), "the other outputs' shifts lose nothing"
     worst = WORST_STRETCH / SHIFT[0] ** 2  # as if it had cost that much, and nothing without the shift
@@ -480,14 +480,21 @@ class Judge:
 
 @pytest.mark.compiled
 def test_the_best_round_is_kept_with_its_surfaces():
-    first, second = Judge([3, 3], [1, 4], [2, 8], [LOST_COST, 2]), Judge([5], [2], [1], [LOST_COST])
+    start = ([20, 20], [20])
+    first, second = (
+        Judge(start[0], [3, 3], [1, 4], [2, 8], [LOST_COST, 2]),
+        Judge(start[1], [5], [2], [1], [LOST_COST]),
+    )
     made = improve(
         beginning("constant"), INPUTS, DOMAIN, [(Bowl(same_everywhere), 8)], [first, second], rounds=11, check=3
     )
-    assert [row["round"] for row in made.history] == [3, 6, 9, 11]
-    logs = [(np.log(9) / 2 + np.log(5)) / 2, (np.log(4) / 2 + np.log(2)) / 2, np.log(16) / 4, np.log(50 * 25 * 25) / 4]
+    assert [row["round"] for row in made.history] == [0, 3, 6, 9, 11]
+    logs = [
+        np.log(20), (np.log(9) / 2 + np.log(5)) / 2, (np.log(4) / 2 + np.log(2)) / 2, np.log(16) / 4,
+        np.log(50 * 25 * 25) / 4,
+    ]  # fmt: skip
     np.testing.assert_allclose([row["score"] for row in made.history], logs)
-    assert [row["lost"] for row in made.history] == [0.0, 0.0, 0.0, 2.0]
+    assert [row["lost"] for row in made.history] == [0.0, 0.0, 0.0, 0.0, 2.0]
     assert made.schedule is first.asked[int(np.argmin(logs))]
     for slot, surface in made.surfaces.items():
         assert made.schedule.slots["R" if slot == "log10_ratio" else slot].function == surface.value
@@ -538,8 +545,8 @@ class Fatal(Bowl):
 def test_a_run_that_was_ever_lost_is_driven_in_every_round():
     fatal = Fatal(same_everywhere)
     fatal.driven = []
-    improve(beginning("constant"), INPUTS, DOMAIN, [(fatal, 4)], [Judge([1.0])], rounds=4)
-    few = [which for which in fatal.driven if len(which) == 4]
+    improve(beginning("constant"), INPUTS, DOMAIN, [(fatal, 8)], [Judge([1.0], [1.0])], rounds=4)
+    few = [which for which in fatal.driven if len(which) == 8]
     assert all(5 in which for which in few)
     assert len(set.union(*map(set, few))) > 8, "the others are drawn anew"
 
@@ -565,7 +572,7 @@ def test_noise_is_new_in_every_round_and_never_that_of_a_search_or_an_evaluation
     improve(beginning("constant"), INPUTS, DOMAIN, [(bowl, 4)], [judge], rounds=10, seed=seed, check=5)
     rounds = [noise for noise, _ in itertools.groupby(bowl.asked)]
     assert len(rounds) == len(set(rounds)) == 10, "one for each, under which all shifts are compared"
-    assert len(judge.seeds) == 2
+    assert len(judge.seeds) == 3, "the start and two checks"
     assert not set(rounds) & set(judge.seeds)
     assert not {*rounds, *judge.seeds} & {*EVALUATION_SEEDS, *SEARCH_SEEDS, *CHOICE_SEEDS}
 
@@ -573,7 +580,7 @@ def test_noise_is_new_in_every_round_and_never_that_of_a_search_or_an_evaluation
 def test_progress_is_told_before_every_round():
     heard = []
     improve(
-        beginning("constant"), INPUTS, DOMAIN, [(Bowl(same_everywhere, runs=4), 2)], [Judge([1.0])], rounds=2,
+        beginning("constant"), INPUTS, DOMAIN, [(Bowl(same_everywhere, runs=4), 2)], [Judge([1.0], [1.0])], rounds=2,
         progress=lambda *at: heard.append(at),
     )  # fmt: skip
     assert heard == [(0, 2), (1, 2)]

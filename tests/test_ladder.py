@@ -293,19 +293,6 @@ def test_each_course_counts_alike_however_many_runs_and_whatever_they_cost():
     assert math.log10(tuning[3]) == pytest.approx(3.5, abs=0.1)
 
 
-def test_how_much_a_lost_run_counts_says_whether_a_constant_may_lose_one():
-    def cost(row, run):
-        return math.inf if run == 0 and row[3] < 3e3 else 0.01 * (row[3] / 1e3) ** 0.1
-
-    careful, reckless = (
-        best_constant([(Priced(cost), 6)], START.as_array(), evaluations=400, lost_cost=lost)
-        for lost in (LOST_COST, 1e-3)
-    )
-    assert 3e3 <= careful[3] < 3.6e3
-    assert reckless[3] == pytest.approx(10.0)
-    np.testing.assert_array_equal(careful, best_constant([(Priced(cost), 6)], START.as_array(), evaluations=400))
-
-
 @pytest.mark.compiled
 def test_on_real_runs_too_the_best_constant_is_never_worse_than_its_start():
     runs = course(3, 2.0)

@@ -50,11 +50,14 @@ class Course:
     causes may lie, and how often in it the inputs are looked at; told: see `Batch`.
     """
 
+    told: Perception | FrictionWindEstimator | None = None
+
     def __init__(
         self, plant: Plant, mpc: MPC, scenarios: Sequence[Scenario], profile: str = "road", *,
         stretch: int | None = None, lead: int = 0, stride: int = 20,
         told: Perception | FrictionWindEstimator | None = None,
     ) -> None:  # fmt: skip
+        self.told = told
         self.batch = Batch(plant, mpc, scenarios, profile, None, LOST_BEYOND, told, SPIN_BEYOND)
         self.price = load_profile(profile).move_price
         self.periods = self.batch.signals[0].n
@@ -113,7 +116,14 @@ class Course:
         """What the landscape around a schedule says: inputs (m, Condition), moves (m, 3) and weights (m, 3).
 
         make: the schedule with its outputs shifted by (3,).
+
+        Raises
+        ------
+        InvalidInput
+            When an estimator tells friction and wind: what it tells is not known before driving.
         """
+        if isinstance(self.told, FrictionWindEstimator):
+            raise InvalidInput("a course told by an estimator cannot be learned from: learn from the truth.")
         base = self.stretches(make(np.zeros(3)), seed, which)
         total = np.nansum(np.where(np.isfinite(base), base, 0.0), axis=1)
         lost = np.isinf(base).any(axis=1)
@@ -189,9 +199,7 @@ def improve(
     if "offset" in inputs:
         raise InvalidInput("improve: the offset depends on the driving itself; it cannot be an input here.")
     columns = check_inputs(inputs, Condition._fields)
-    for course, count in courses:
-        if isinstance(course.batch.told, FrictionWindEstimator):
-            raise InvalidInput("improve: what an estimator tells is not known before driving; learn from the truth.")
+    for _, count in courses:
         whole("improve", "count", count)
     rng = np.random.default_rng((seed, 0xADA))
     surfaces = dict(surfaces)  # `made` and `scored` look at the present ones
