@@ -93,10 +93,9 @@ class Learning(Record):
                 raise ValueError(f"domain: {name} = [{low:g}, {high:g}]: need low < high.")
         return self
 
-    @property
-    def box(self) -> Array:
-        """(D, 2) domain in the order of the inputs."""
-        return np.array([self.domain[name] for name in self.inputs])
+    def box(self, inputs: Sequence[str]) -> Array:
+        """(D, 2) domain of some of the inputs, in their order."""
+        return np.array([self.domain[name] for name in inputs])
 
 
 class Evaluation(Record):
@@ -169,6 +168,8 @@ class Workshop:
 
     config: AdaptationConfig
     campaign: CampaignConfig
+    plan: Plan
+    """of the campaign"""
     plant: SingleTrack | DualTrack
     mpc: MPC
 
@@ -184,10 +185,11 @@ class Workshop:
         campaign = load_campaign(config.campaign)
         if not isinstance(campaign.conditions, Sobol):
             raise InvalidInput(f"campaign {campaign.name!r}: its conditions must be a Sobol sample of a box.")
-        setup = Plan.of(campaign).setup
+        plan = Plan.of(campaign)
+        setup = plan.setup
         body = SingleTrack if campaign.plant == "single-track" else DualTrack
         plant = body(setup.vehicle, setup.tyre)
-        return cls(config, campaign, plant, controller(setup.vehicle, campaign.profile))
+        return cls(config, campaign, plan, plant, controller(setup.vehicle, campaign.profile))
 
     @property
     def box(self) -> dict[str, tuple[float, float]]:
@@ -200,7 +202,7 @@ class Workshop:
     def identity(self, stage: str) -> str:
         """What a stage's result depends on."""
         settings = self.config.model_dump(mode="json", exclude={"evaluation"})
-        text = json.dumps([stage, settings, Plan.of(self.campaign).identity])
+        text = json.dumps([stage, settings, self.plan.identity])
         return hashlib.sha256(text.encode()).hexdigest()
 
     # -- what is learned from, and what it is judged by
@@ -227,7 +229,7 @@ class Workshop:
 
     def surfaces(self, model: str, courses: list[tuple[Course, int]], inputs: tuple[str, ...]) -> dict[str, Surface]:
         """Where the learning starts: the same tuning everywhere."""
-        domain = np.array([self.config.learning.domain[name] for name in inputs])
+        domain = self.config.learning.box(inputs)
         seed = self.config.seed
         if model == "nn":
             return {
@@ -316,7 +318,7 @@ def learn(
     kept("best constant on drives", lambda: constant([1]))
 
     def learned(model: str, inputs: tuple[str, ...], rung: str) -> Schedule:
-        domain = np.array([shop.config.learning.domain[name] for name in inputs])
+        domain = shop.config.learning.box(inputs)
         made = improve(
             shop.surfaces(model, all_courses(), inputs), inputs, domain, all_courses(), shop.held_out(),
             rounds=shop.config.learning.rounds, seed=shop.config.seed, name=rung,
@@ -353,7 +355,7 @@ def _campaign(shop: Workshop, folder: Path, workers: int | None, show: Progress)
     finished = place / "dataset.parquet"
     if finished.exists():
         found = load_dataset(finished)
-        if found.provenance.get("identity") == Plan.of(shop.campaign).identity:
+        if found.provenance.get("identity") == shop.plan.identity:
             return found
 
     def told_of(at: CampaignProgress) -> None:
