@@ -484,11 +484,15 @@ def test_ctrl_c_keeps_what_is_in_work_and_a_second_one_gives_it_up(tmp_path, who
         go_on.set()
 
     monkeypatch.setattr(module, "_Session", Session)
+    before_test = signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background jobs ignore it
     finger = threading.Thread(target=press)
     finger.start()
-    with pytest.raises(CampaignInterrupted, match=f"{2 - times} of 6 chunks are kept"):
-        run_campaign(small(), tmp_path, workers=1, evaluate=Waiting)
-    finger.join()
+    try:
+        with pytest.raises(CampaignInterrupted, match=f"{2 - times} of 6 chunks are kept"):
+            run_campaign(small(), tmp_path, workers=1, evaluate=Waiting)
+        finger.join()
+    finally:
+        signal.signal(signal.SIGINT, before_test)
     assert digest(run_campaign(small(), tmp_path, resume=True, evaluate=Fake)) == whole
 
 

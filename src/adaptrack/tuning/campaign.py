@@ -16,7 +16,7 @@ import socket
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
-from concurrent.futures import CancelledError, Executor, Future, ThreadPoolExecutor, as_completed
+from concurrent.futures import FIRST_COMPLETED, CancelledError, Executor, Future, ThreadPoolExecutor, wait
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, field
 from functools import lru_cache
@@ -345,23 +345,25 @@ class _Session:
 
     def _collect(self, waiting: dict[Future[Chunk], int]) -> None:
         """Keep each chunk when it comes; it leaves `waiting` once it is safe."""
-        for task in as_completed(list(waiting)):
-            number = waiting[task]
-            try:
-                chunk = task.result()
-            except (AdaptrackError, CancelledError):
-                raise
-            except Exception as error:
-                reason = f"{type(error).__name__}: {error}".rstrip(".")
-                raise CampaignStopped(f"chunk {number} failed: {reason}. {self._hint()}") from error
-            self.folder.write_chunk(number, chunk.columns, self.about)
-            del waiting[task]
-            self._keep(number, chunk.columns)
-            swarm_runs = int(chunk.columns["evaluations"].sum())
-            seeds = len(self.plan.config.noise_seeds or (0,))
-            self.runs += seeds * (swarm_runs + chunk.columns["landscape"].size)
-            self.folder.note(chunk=number, seconds=chunk.seconds, worker=chunk.worker)
-            self._tell()
+        while waiting:
+            # Those that came together in their order, so that what a sitting leaves behind is a matter of time only.
+            for task in sorted(wait(waiting, return_when=FIRST_COMPLETED).done, key=waiting.__getitem__):
+                number = waiting[task]
+                try:
+                    chunk = task.result()
+                except (AdaptrackError, CancelledError):
+                    raise
+                except Exception as error:
+                    reason = f"{type(error).__name__}: {error}".rstrip(".")
+                    raise CampaignStopped(f"chunk {number} failed: {reason}. {self._hint()}") from error
+                self.folder.write_chunk(number, chunk.columns, self.about)
+                del waiting[task]
+                self._keep(number, chunk.columns)
+                swarm_runs = int(chunk.columns["evaluations"].sum())
+                seeds = len(self.plan.config.noise_seeds or (0,))
+                self.runs += seeds * (swarm_runs + chunk.columns["landscape"].size)
+                self.folder.note(chunk=number, seconds=chunk.seconds, worker=chunk.worker)
+                self._tell()
 
     def _keep(self, number: int, columns: Columns) -> None:
         streams = self.part(number)
