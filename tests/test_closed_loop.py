@@ -16,6 +16,7 @@ from adaptrack.closed_loop import (
     SPIN_BEYOND,
     WORST_STRETCH,
     Course,
+    Rescue,
     geometric_mean,
     improve,
 )
@@ -437,6 +438,63 @@ def test_where_a_shift_loses_the_car_the_output_moves_away_and_what_follows_says
     assert (weights[stretch == 2][:, 2] > 0.0).all(), "the other outputs' shifts lose nothing"
     worst = WORST_STRETCH / SHIFT[0] ** 2  # as if it had cost that much, and nothing without the shift
     assert weights[:, 0].max() <= worst / 2 / 48  # two looks in each stretch of 48 runs
+
+
+class Narrow(Bowl):
+    """All the same, but lost in the third stretch unless R/Q is at least that of `edge`, (runs,) in decades."""
+
+    def __init__(self, edge):
+        super().__init__(same_everywhere, runs=len(edge), stretches=5)
+        self.edge, self.periods = np.asarray(edge), 50
+
+    def stretches(self, policy, seed, which):
+        cost = np.ones((len(which), 5))
+        *_, Q, R = policy(Condition(20.0, 0.0, 0.8, 0.0))
+        lost = math.log10(R / Q) < self.edge[which] - 1e-9
+        cost[lost, 2], cost[lost, 3:] = np.inf, np.nan
+        return cost
+
+
+def towards(goal, start=3.6):
+    """From START's R/Q (in decades) and horizons to another R/Q."""
+    way = np.array([0.0, 0.0, goal - start])
+
+    def schedule(share):
+        return constant_schedule(share * way + np.array([0.0, 0.0, start - math.log10(START.R)]))
+
+    return Rescue(schedule, lambda rows: np.tile(way, (len(rows), 1)))
+
+
+def test_what_saves_a_lost_run_is_learned_where_it_was_lost_and_before():
+    # towards 5.6 by a quarter (4.1), a half (4.6), all the way; the last run cannot be saved, the first is not lost
+    runs, start = Narrow([3.0, 4.0, 4.5, 5.0, 6.0]), 3.6
+    base = towards(5.6).schedule
+    _, moves, weights = runs.landscape(lambda by: constant_schedule(by), 1, np.arange(5), towards(5.6))
+    plain_moves, plain_weights = runs.landscape(lambda by: constant_schedule(by), 1, np.arange(5))[1:]
+    assert base(0.0)(Condition(20.0, 0.0, 0.8, 0.0))[3] == pytest.approx(10**start)
+    moves, plain_moves, weights, plain_weights = (
+        each.reshape(5, 5, 2, 3) for each in (moves, plain_moves, weights, plain_weights)
+    )  # stretch, run, look, output
+    for run, share in ((1, 0.25), (2, 0.5), (3, 1.0)):
+        np.testing.assert_allclose(moves[:3, run, :, 2], share * 2.0)
+        assert (moves[:3, run, :, :2] == 0.0).all()
+        assert (weights[:3, run] > plain_weights[:3, run]).all()
+        np.testing.assert_array_equal(moves[3:, run], plain_moves[3:, run])
+    for run in (0, 4):
+        np.testing.assert_array_equal(moves[:, run], plain_moves[:, run])
+        np.testing.assert_array_equal(weights[:, run], plain_weights[:, run])
+    # as much as a parabola weighs that costs what a lost stretch does, that far from where it was lost
+    np.testing.assert_allclose(weights[2, 2, :, 2].sum() * 5, 2.0 * WORST_STRETCH / 1.0**2)
+
+
+@pytest.mark.compiled
+@pytest.mark.parametrize("safe", [None, Tuning(34, 8, 1.0, 10**4.6)])
+def test_beyond_a_cliff_only_what_saves_the_runs_shows_the_way(safe):
+    # Three shifts away from where every run is lost: no shift says anything of the loss.
+    runs = Narrow(np.full(24, 4.2))
+    made = improve(beginning("constant"), INPUTS, DOMAIN, [(runs, 24)], [runs], rounds=12, safe=safe)
+    lost = ~np.isfinite(runs.drive(made.schedule, [5]))
+    assert lost.all() if safe is None else not lost.any()
 
 
 # -- improving --------------------------------------------------------------------------------------------------------

@@ -14,6 +14,7 @@ from adaptrack.learning.network import Network
 from adaptrack.learning.sugeno import ANY, Sugeno
 from adaptrack.mpc import Condition, Tuning
 from adaptrack.schedule import SLOTS, Guarded, Learned, Schedule, Slot, StabilityMap, Table, _pack_function
+from adaptrack.vehicle import GRAVITY
 from small_models import line, random_network, random_sugeno, random_table, stability_map
 
 FALLBACK = Tuning(25, 6, 1.0, 100.0)
@@ -266,8 +267,29 @@ def test_far_outside_the_domain_the_fallback_is_used_for_some_steps():
     assert drive(speed=25.1) == FALLBACK.as_array().tolist()
     assert [drive(speed=10.0)[3] for _ in range(5)] == [100.0] * 5
     assert drive.counts() == {
-        "steps": 7, "clipped": 2, "broken": 0, "rate_limited": 0, "outside": 1, "unstable": 0, "fallback": 4,
+        "steps": 7, "clipped": 2, "broken": 0, "rate_limited": 0, "outside": 1, "astray": 0, "unstable": 0,
+        "fallback": 4,
     }  # fmt: skip
+
+
+@pytest.mark.parametrize("side", [1.0, -1.0])
+def test_an_offset_that_the_grip_cannot_take_back_in_time_calls_for_the_fallback(side):
+    drive = Drive(Guarded(speedy(), FALLBACK, offset_limit=0.06, hold=2, rates=(100, 100, 10.0)))
+    limit = 0.06 * 0.5 * GRAVITY  # m, on a friction of 0.5
+    used = [
+        drive(speed=10.0, friction=0.5, offset=side * share * limit)[0] == FALLBACK.Np
+        for share in (0.0, 0.99, 1.01, 0.5, 0.5)
+    ]
+    assert used == [False, False, True, True, False]  # for two steps
+    assert drive(speed=10.0, friction=0.6, offset=side * 1.1 * limit)[0] != FALLBACK.Np  # more grip, more leeway
+    assert drive(speed=10.0, friction=0.5, offset=math.nan)[0] == FALLBACK.Np
+    assert drive.counts()["astray"] == 2
+
+
+def test_without_an_offset_limit_a_guard_lets_the_car_stray():
+    drive = Drive(Guarded(speedy(), FALLBACK))
+    assert drive(speed=10.0, friction=0.0, offset=1e9)[0] != FALLBACK.Np
+    assert drive(speed=10.0, friction=0.5, offset=math.nan)[0] != FALLBACK.Np
 
 
 def test_a_fallback_starts_again_with_each_new_cause():

@@ -18,6 +18,7 @@ from adaptrack.learning.landscape import (
     FuzzySurface,
     Level,
     NetworkSurface,
+    blended,
     check_inputs,
     preferred_moves,
     shifted,
@@ -289,6 +290,38 @@ def test_the_compiled_schedule_is_shifted_too_each_slot_by_its_own(kind, rng):
     assert (base[:, 1] < base[:, 0]).all()
     np.testing.assert_array_equal((moved - base)[:, :3], np.tile([3.0, -2.0, 0.0], (20, 1)))
     np.testing.assert_allclose(np.log10(moved[:, 3] / base[:, 3]), 0.15, rtol=0, atol=1e-9)
+
+
+@pytest.mark.parametrize("kind", ["number", "network", "fuzzy"])
+@pytest.mark.parametrize("share", [0.0, 0.3, 1.0])
+def test_a_function_goes_a_share_of_the_way_to_a_value_everywhere(kind, share, rng):
+    function = functions(rng)[kind]
+    moved = blended(function, share, 7.0)
+    if kind == "number":
+        assert moved == pytest.approx(function + share * (7.0 - function))
+        return
+    x = rng.normal(size=(50, 2)) * 3.0
+    before = function.predict(x)
+    np.testing.assert_allclose(moved.predict(x), before + share * (7.0 - before), rtol=1e-12, atol=1e-9)
+
+
+@pytest.mark.parametrize("kind", ["level", "network", "fuzzy"])
+def test_an_average_has_the_mean_of_the_parameters_and_of_one_alone_it_is_itself(kind):
+    x, target, weight = examples()
+    first = every_surface(x)[kind]
+    fits = [first, first.fit(x, target, weight), first.fit(x, -target, weight)]
+    mean = fits[0].average(fits[1:])
+    if kind != "network":  # those are linear in their parameters
+        np.testing.assert_allclose(mean.predict(x), np.mean([each.predict(x) for each in fits], axis=0), atol=1e-12)
+    else:
+        for i in range(3):
+            np.testing.assert_allclose(
+                mean.network.weights[i], np.mean([each.network.weights[i] for each in fits], axis=0)
+            )
+            np.testing.assert_allclose(
+                mean.network.biases[i], np.mean([each.network.biases[i] for each in fits], axis=0)
+            )
+    np.testing.assert_array_equal(first.average([]).predict(x), first.predict(x))
 
 
 # -- names ------------------------------------------------------------------------------------------------------------

@@ -9,6 +9,8 @@ import re
 import matplotlib as mpl
 import numpy as np
 import pytest
+from matplotlib.colors import Normalize
+from matplotlib.figure import Figure
 
 from adaptrack.errors import InvalidInput, StorageError
 from adaptrack.metrics import compute_metrics
@@ -17,6 +19,7 @@ from adaptrack.report import (
     Section,
     conditions_figure,
     figures,
+    maps,
     page,
     runs,
     speed_figure,
@@ -26,6 +29,7 @@ from adaptrack.report import (
     write_page,
     write_report,
 )
+from adaptrack.report.page import Panel
 from adaptrack.trajectory import Trajectory, provenance
 
 
@@ -255,6 +259,13 @@ def test_runs_without_provenance_are_reported_as_such(tmp_path):
     assert "Unnamed scenario" in text
 
 
+def test_sections_of_ones_own_stand_before_the_runs_or_after_them(tmp_path):
+    own = {"first": [Section("Foremost", ["Words."])], "more": [Section("Besides", ["Words."])]}
+    text = write_report(tmp_path, [drive()], **own).read_text()
+    places = [text.index(f">{title}</h2>") for title in ("Foremost", "Triple lane change", "Besides", "Provenance")]
+    assert places == sorted(places)
+
+
 def test_a_report_without_runs_is_refused(tmp_path):
     with pytest.raises(InvalidInput, match="at least one run"):
         write_report(tmp_path / "out", [])
@@ -467,6 +478,72 @@ def test_neighbouring_colours_differ_for_colour_blind_readers(vision):
 )
 def test_numbers_are_written_for_readers(value, text):
     assert words.number(value) == text
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "ticks"),
+    [
+        (0.95, 1.2, [0.95, 1.0, 1.05, 1.1, 1.15, 1.2]),
+        (0.9, 3.2, [1.0, 1.5, 2.0, 3.0]),
+        (1.0, 100.0, [1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0]),
+        (0.5, 1e4, [1.0, 10.0, 100.0, 1000.0, 1e4]),
+    ],
+)
+def test_a_logarithmic_axis_has_round_numbers_however_short_it_is(low, high, ticks):
+    assert style.log_ticks(low, high)() == pytest.approx(ticks)
+    axes = Figure().subplots()
+    style.logarithmic(axes, "y", (low, high))
+    assert axes.get_ylim() == (low, high)
+    assert [label.get_text() for label in axes.get_yticklabels()] == [f"{tick:g}" for tick in ticks]
+
+
+def test_a_logarithmic_axis_without_limits_has_those_of_its_curves():
+    axes = Figure().subplots()
+    axes.margins(0.0)
+    axes.plot([1.0, 2.0], [0.2, 40.0])
+    style.logarithmic(axes, "y")
+    assert axes.get_ylim() == pytest.approx((0.2, 40.0))
+
+
+def test_a_printed_figure_has_all_panels_and_writes_what_neighbours_share_once():
+    def panel(title, label):
+        return Panel(title, lambda axes: axes.set_ylabel(label), "")
+
+    drawn = [panel("One", "Share (%)"), panel("Two", "Share (%)"), panel("Three", "Cost (m²)")]
+    figure = page.printed(drawn, columns=2, height=2.0)
+    assert [axes.get_title(loc="left") for axes in figure.axes] == ["(a) One", "(b) Two", "(c) Three"]
+    assert [axes.get_ylabel() for axes in figure.axes] == ["Share (%)", "", "Cost (m²)"]
+    (alone,) = page.printed(drawn[:1], columns=1, height=2.0).axes
+    assert alone.get_title(loc="left") == "One"
+
+
+def test_the_words_of_a_panel_hold_no_marks_of_mathematics():
+    drawn = Panel(r"$\log_{10} R/Q$", lambda axes: None, r"Over $|y_\mathrm{ref}|$: 3 to 4.").drawing()
+    assert drawn.description == "log10 R/Q. Over |y_ref|: 3 to 4."
+
+
+def test_cells_of_a_heat_map_lie_around_their_levels():
+    assert maps.edges_around(np.array([2.0, 4.0, 10.0])) == pytest.approx([1.0, 3.0, 7.0, 13.0])
+    assert maps.edges_around(np.array([0.7])) == pytest.approx([0.63, 0.77])
+    assert maps.edges_around(np.array([0.0])) == pytest.approx([-0.5, 0.5])
+
+
+def test_the_colours_of_several_maps_span_all_their_numbers():
+    norm = maps.norm_of([np.array([[1.0, np.nan]]), np.array([[7.0]])])
+    assert (norm.vmin, norm.vmax) == (1.0, 7.0)
+    alike = maps.norm_of([np.array([[3.0]])])
+    assert alike(3.0) == 0.5
+
+
+@pytest.mark.parametrize("smooth", [False, True])
+def test_a_heat_map_shows_its_numbers_where_they_belong(smooth):
+    cells = maps.Cells(np.array([0.0, 10.0, 20.0]), np.array([0.3, 1.0]), np.array([[1.0, 2.0]]))
+    axes = Figure().subplots()
+    maps.Heat(cells, "Friction (–)", Normalize(1.0, 2.0), smooth=smooth).show(axes)
+    (drawn,) = axes.images if smooth else axes.collections
+    assert np.ravel(drawn.get_array()).tolist() == [1.0, 2.0]
+    assert (axes.get_xlim(), axes.get_ylim()) == ((0.0, 20.0), (0.3, 1.0))
+    assert (drawn.norm.vmin, drawn.norm.vmax) == (1.0, 2.0)
 
 
 def test_settings_are_described_in_words():

@@ -51,6 +51,10 @@ EVERYTHING = {
         name: climbed({"optimum": 1.0, "best constant": 2.5, "nn": factor}, seed=4)
         for name, factor in (("exact", 1.1), ("estimated", 1.2), ("biased low", 3.0))
     },
+    "drive_perceptions": {
+        name: climbed(DRIVES | {"nn": factor}, reference="best constant", lost={"nn": lost}, seed=5)
+        for name, factor, lost in (("exact", 0.5, 0), ("noisy", 0.55, 2), ("withheld", 0.9, 3))
+    },
     "tests": {"triple-lane-change": climbed({"best constant": 1.0, "nn": 0.5}, 1, "best constant")},
     "schedules": {"nn": scheduler(), "anfis": scheduler(tilt=(10.0, 0.0, 8.0)), "look-up": scheduler()},
     "histories": {"nn": HISTORY, "anfis": []},
@@ -157,18 +161,20 @@ def test_lost_runs_are_counted_and_named():
 
 
 def test_imperfect_knowledge_is_told_by_its_costs():
-    said = knowledge(EVERYTHING["perceptions"])
+    said = knowledge(EVERYTHING["perceptions"], "condition")
+    assert said.startswith("By how friction and wind are known on these conditions, NN-MPC costs")
     assert re.search(
-        r"NN-MPC costs 1\.1\d* \(exact\), 1\.\d+ \(estimated\) and [23]\.\d+ \(biased low, the worst\) times", said
+        r"NN-MPC costs 1\.1\d* \(exact\), 1\.\d+ \(estimated\) and [23]\.\d+ \(biased low, the worst\) times",
+        said,
     )
     assert re.search(r"not always beaten: NN-MPC, biased low, costs more \(1\.\d+ times", said)
     assert "ANFIS" not in said
     harmless = {name: EVERYTHING["perceptions"][name] for name in ("exact", "estimated")}
-    assert knowledge(harmless).endswith("However they are known, the best constant costs more.")
-    assert knowledge({"exact": harmless["exact"]}) == ""
+    assert knowledge(harmless, "condition").endswith("However they are known, the best constant costs more.")
+    assert knowledge({"exact": harmless["exact"]}, "condition") == ""
     names, factors = ("exact", "withheld"), {"best constant": 1.0, "nn": 0.5}
     lossy = {name: climbed(factors, reference="best constant", lost={"nn": k}) for k, name in enumerate(names)}
-    assert knowledge(lossy).endswith("The car was lost by NN-MPC in 1 (withheld) of the runs.")
+    assert knowledge(lossy, "drive").endswith("The car was lost by NN-MPC in 1 (withheld) of the drives.")
 
 
 def test_the_papers_tests_say_who_does_not_beat_the_constant_and_what_hindsight_reaches():
@@ -200,7 +206,7 @@ def test_the_input_that_moves_the_tuning_most_has_the_largest_share():
 def test_a_cell_of_a_map_is_the_geometric_mean_of_its_conditions():
     x, y = np.array([0.0, 0.1, 1.0, 0.9]), np.array([0.0, 0.2, 1.0, 0.1])
     found = page._mean_regret(np.array([2.0, 8.0, 3.0, 5.0]), x, y)
-    assert found.means == pytest.approx(np.array([[4.0, 5.0], [np.nan, 3.0]]), nan_ok=True)
+    assert found.values == pytest.approx(np.array([[4.0, 5.0], [np.nan, 3.0]]), nan_ok=True)
 
 
 # -- the page ---------------------------------------------------------------------------------------------------------
@@ -237,6 +243,54 @@ def test_the_page_holds_knowledge_tests_guard_limits_and_the_command(report):
     for part in ("Biased low", "Triple lane change", "12.5", "< 0.1", "One car only.", "--seed 7 <now>"):
         assert part in words
     assert "With NN-MPC the held-out runs cost" in words
+
+
+def table_of(path, caption):
+    """The rows of a table under the words that head them: rung -> first cell -> the others."""
+    table = re.search(rf"<caption>{caption}</caption>.*?</table>", path.read_text(), re.DOTALL).group()
+    found, rung = {}, ""
+    for row in re.findall(r"<tr.*?</tr>", table, re.DOTALL)[1:]:
+        name, *cells = [
+            re.sub(r"<[^>]+>", "", each).strip() for each in re.findall(r"<t[hd].*?</t[hd]>", row, re.DOTALL)
+        ]
+        if cells:
+            found[rung][name] = cells
+        else:
+            rung = name
+            found[rung] = {}
+    return found
+
+
+def test_drives_that_are_told_otherwise_stand_beside_the_best_constant(report):
+    told_otherwise = EVERYTHING["drive_perceptions"]
+    rows = table_of(report, "Imperfect knowledge of friction and wind: drives")
+    assert list(rows) == ["NN-MPC", "ANFIS-MPC"], "who looks at neither is not told"
+    assert list(rows["NN-MPC"]) == ["Exact", "Noisy", "Withheld"]
+    for name, ladder in told_otherwise.items():
+        over_constant, p90, worst, over_exact, lost = rows["NN-MPC"][name.capitalize()]
+        row = told(ladder)["nn"]
+        assert [over_constant, p90, worst] == [number(row[f"regret_{key}"]) for key in ("geomean", "p90", "worst")]
+        both = ladder.costs["nn"], told_otherwise["exact"].costs["nn"]
+        assert over_exact == number(float(np.exp(np.log(both[0] / both[1]).mean())))
+        assert lost == str(row["failures"])
+    assert [rows["NN-MPC"][name][-1] for name in rows["NN-MPC"]] == ["0", "2", "3"]
+    first, last = (rows["NN-MPC"][name][0] for name in ("Exact", "Withheld"))
+    assert f"on these drives, NN-MPC costs {first} (exact) and {last} (withheld) times the best" in words_of(report)
+
+
+def test_conditions_keep_a_table_of_their_own_beside_that_of_the_drives(report):
+    rows = table_of(report, "Imperfect knowledge of friction and wind: conditions")
+    ladder = EVERYTHING["perceptions"]["biased low"]
+    assert list(rows) == ["NN-MPC"]
+    assert rows["NN-MPC"]["Biased low"][0] == number(told(ladder)["nn"]["regret_geomean"])
+    assert rows["NN-MPC"]["Biased low"][3] == number(ratio(ladder, "nn", "best constant").mean)
+
+
+def test_without_conditions_what_is_told_otherwise_are_the_drives(tmp_path):
+    told_otherwise = {"drives": EVERYTHING["drives"], "perceptions": EVERYTHING["drive_perceptions"]}
+    words = words_of(write_ladder(tmp_path, **NOTHING | told_otherwise, command="again"))
+    assert "Imperfect knowledge of friction and wind: drives" in words
+    assert "wind: conditions" not in words
 
 
 def test_surfaces_show_what_was_learned_without_the_guard():

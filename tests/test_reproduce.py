@@ -340,6 +340,12 @@ def test_the_page_has_figures_6_to_10_and_every_table(report):
     assert {path.suffix for path in report.parent.iterdir()} == {".html", ".png"}
 
 
+def test_the_comparison_with_the_paper_comes_before_the_figures(report):
+    titles = [html.unescape(title) for title in re.findall(r"<h2>(.*?)</h2>", report.read_text())]
+    assert titles[:3] == ["All controllers", "The paper's statements", "At a glance"]
+    assert titles.index("General trajectory") < titles.index("Where the gain comes from")
+
+
 def test_the_page_shows_no_raw_value(report):
     words = words_of(report).split("Provenance")[0]
     assert not re.search(r"\b(None|nan|inf|True|False)\b", words)

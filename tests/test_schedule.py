@@ -89,7 +89,7 @@ def lookup(method, rng, axes=None):
 
 def guarded(rng):
     radius = stability_map(lambda speed, friction, Np, Nc, ratio: 1.0 if speed > 15 and ratio < 0 else 0.9)
-    return Guarded(learned("network", rng), FALLBACK, stability=radius, hold=7)
+    return Guarded(learned("network", rng), FALLBACK, stability=radius, hold=7, offset_limit=0.1)
 
 
 def flat(rng):
@@ -298,6 +298,8 @@ def made(inputs=("speed",), domain=((0.0, 30.0),), bounds=None, **functions):
         (lambda: Guarded(made(), FALLBACK, rates=(5, 2, math.nan)), "three positive numbers"),
         (lambda: Guarded(made(), FALLBACK, rates=(0.4, 2, 0.3)), "whole numbers"),  # Np would never move
         (lambda: Guarded(made(), FALLBACK, slack=math.nan), "slack"),
+        (lambda: Guarded(made(), FALLBACK, offset_limit=0.0), "offset_limit"),
+        (lambda: Guarded(made(), FALLBACK, offset_limit=math.inf), "offset_limit"),
         (lambda: Guarded(made(), FALLBACK, hold=0), "hold"),
         (lambda: Guarded(made(), FALLBACK, hold=2.5), "hold"),
         (lambda: StabilityMap(line(0.0, 1.0, 0.9, 0.9)), "a table over speed, friction"),

@@ -9,7 +9,8 @@ import hashlib
 import json
 import os
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Annotated, Any, Self
 
@@ -17,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BeforeValidator, Field, model_validator
 
-from adaptrack.closed_loop import Course, Policy, improve
+from adaptrack.closed_loop import LOST_COST, Course, Policy, improve
 from adaptrack.dataset import DataSet, load_dataset
 from adaptrack.errors import InvalidInput, UnknownName, did_you_mean
 from adaptrack.evaluate.ladder import EVALUATION_SEEDS, Ladder, best_constant, climb, optimum, per_run_best
@@ -46,7 +47,7 @@ from adaptrack.stability import loop_map
 from adaptrack.toml_files import Record, build, read_toml
 from adaptrack.tuning.campaign import Progress as CampaignProgress
 from adaptrack.tuning.campaign import run_campaign
-from adaptrack.tuning.conditions import sobol
+from adaptrack.tuning.conditions import NAMES, sobol
 from adaptrack.tuning.config import Box, CampaignConfig, Pair, Plan, Sobol, load_campaign
 
 Array = NDArray[np.float64]
@@ -58,11 +59,17 @@ _STEPS = {"Np": (29.0, 10.0), "Nc": (5.0, 5.0), "log10_ratio": (3.6, 0.5)}
 HELD_OUT_CONDITIONS, HELD_OUT_DRIVES = 512, 200
 KNOWLEDGE = ("exact", "noisy", "lagged", "biased high", "biased low", "estimated", "withheld")
 """The ways of knowing friction and wind that are evaluated."""
-NEARNESS, FALLBACK_NEARNESS, SLACK, HOLD = 0.97, 0.9, 1.0, 10
+TOLD_RUNGS = ("best constant", "nn", "anfis")
+"""The rungs that are driven when friction and wind are not known exactly."""
+NEARNESS, FALLBACK_NEARNESS, SLACK, OFFSET_LIMIT, HOLD = 0.97, 0.9, 1.0, 0.07, 30
 """How near to instability a guarded loop may be, and its fallback anywhere in the domain; how far outside the domain an
-input may be, in its widths; how many steps a fallback lasts."""
+input may be, in its widths; how far the car may stray (s^2, see `Guard`); how many steps a fallback lasts."""
 SLOW, SLOW_MARGIN = 6.0, 0.05
 """m/s, below which the map counts every loop as this much nearer: loops change fastest there, and its nodes are few."""
+_NODES = {"speed": 10, "y_ref": 7, "friction": 5, "wind": 5}
+"""Nodes of a look-up table along each of its axes."""
+NEIGHBOURS, SPEED_NEIGHBOURS = 12, 320
+"""Over how many of the nearest conditions a node of the look-up tables averages: in four dimensions, and in one."""
 _ANYWHERE = Condition(15.0, 0.0, 0.7, 0.0)
 
 
@@ -153,7 +160,7 @@ class Adapted:
     """What the chain made."""
 
     schedules: Mapping[str, Schedule]
-    """by rung: best constant, speed only, look-up, nn, anfis, paper recipe nn, paper recipe anfis"""
+    """by rung, see `_Bench.rungs`"""
     histories: Mapping[str, list[dict[str, float]]]
     conditions: Mapping[str, Ladder]
     """by how friction and wind are known, "exact" first"""
@@ -284,70 +291,93 @@ def learn(
 ) -> tuple[dict[str, Schedule], dict[str, list[dict[str, float]]]]:
     """Every rung of the ladder but the optimum, each in its file under `schedulers`, and the learning's histories."""
     show = progress or (lambda what, done, of: None)
+    bench = _Bench(shop, _campaign(shop, folder, workers, show), show)
     place = folder / "schedulers"
     place.mkdir(parents=True, exist_ok=True)
-    dataset = _campaign(shop, folder, workers, show)
-    courses: list[tuple[Course, int]] = []
-    maps: list[StabilityMap] = []
-    schedules: dict[str, Schedule] = {}
-
-    def kept(rung: str, make: Callable[[], Schedule]) -> Schedule:
+    for rung, make in bench.rungs().items():
         file = place / f"{shop.config.name}-{rung.replace(' ', '-')}.json"
         identity = shop.identity(rung)
-        if file.exists() and (found := load_scheduler(file)).provenance.get("identity") == identity:
-            schedules[rung] = found
-            return found
-        made = make()
-        made = replace(made, name=rung, provenance={**made.provenance, "identity": identity})
-        made.save(file)
-        schedules[rung] = made
-        return made
+        if not file.exists() or load_scheduler(file).provenance.get("identity") != identity:
+            show(rung, 0, 1)
+            made = make()
+            replace(made, name=rung, provenance={**made.provenance, "identity": identity}).save(file)
+        bench.made[rung] = load_scheduler(file)
+    histories = {
+        rung: list(each.provenance["history"]) for rung, each in bench.made.items() if "history" in each.provenance
+    }
+    return bench.made, histories
 
-    def all_courses() -> list[tuple[Course, int]]:
-        if not courses:
-            courses.extend(shop.courses())
-        return courses
 
-    def constant(on: Sequence[int], count: int = 512) -> Schedule:
-        show("best constant", 0, 1)
-        runs = [(all_courses()[i][0], count) for i in on]
+@dataclass(eq=False)
+class _Bench:
+    """Where the rungs are made, one after the other; what takes long to prepare is prepared when first asked for."""
+
+    shop: Workshop
+    dataset: DataSet
+    show: Progress
+    made: dict[str, Schedule] = field(default_factory=dict)
+    """finished rungs"""
+
+    @cached_property
+    def courses(self) -> list[tuple[Course, int]]:
+        return self.shop.courses()
+
+    @cached_property
+    def held_out(self) -> list[Course]:
+        return self.shop.held_out()
+
+    @cached_property
+    def stability(self) -> StabilityMap:
+        return stability_map(self.shop)
+
+    @property
+    def safe(self) -> Tuning:
+        """The fallback."""
+        return _tuning(np.array(self.made["fallback"](_ANYWHERE)))
+
+    def rungs(self) -> dict[str, Callable[[], Schedule]]:
+        """How each rung is made, in an order in which each finds those that it needs."""
+        learned = self.shop.config.learning.inputs
+        return {
+            "best constant": partial(self.constant, 0),
+            "best constant on drives": partial(self.constant, 1),
+            "fallback": lambda: Constant(_safe_constant(self.courses[2][0], self.stability)),
+            "speed look-up": partial(self.look_up, ["speed"], SPEED_NEIGHBOURS),
+            "look-up": partial(self.look_up, NAMES, NEIGHBOURS),
+            "speed only": partial(self.learned, "nn", ("speed",), "speed only"),
+            "nn unguarded": partial(self.learned, "nn", learned, "nn"),
+            "nn": partial(self.guarded, "nn unguarded"),
+            "anfis unguarded": partial(self.learned, "anfis", learned, "anfis"),
+            "anfis": partial(self.guarded, "anfis unguarded"),
+            "paper recipe nn": lambda: scheduler(train(self.dataset, "nn", "paper"), self.dataset),
+            "paper recipe anfis": lambda: scheduler(train(self.dataset, "anfis", "paper"), self.dataset),
+        }
+
+    def constant(self, course: int) -> Schedule:
+        """The best constant tuning of one of the courses."""
         start = START.as_array().tolist()
-        return Constant(_tuning(best_constant(runs, start, seed=shop.config.seed)))
+        return Constant(_tuning(best_constant([(self.courses[course][0], 512)], start, seed=self.shop.config.seed)))
 
-    kept("best constant", lambda: constant([0]))
-    kept("best constant on drives", lambda: constant([1]))
+    def look_up(self, names: Sequence[str], neighbours: int) -> Schedule:
+        """A table over some entries of the condition."""
+        nodes = {name: np.linspace(*self.shop.box[name], _NODES[name]) for name in names}
+        return neighbour_lookup(self.dataset, nodes, neighbours)
 
-    def learned(model: str, inputs: tuple[str, ...], rung: str) -> Schedule:
-        domain = shop.config.learning.box(inputs)
+    def learned(self, model: str, inputs: tuple[str, ...], name: str) -> Schedule:
+        """What learns from the landscape."""
+        asked, seed = self.shop.config.learning, self.shop.config.seed
         made = improve(
-            shop.surfaces(model, all_courses(), inputs), inputs, domain, all_courses(), shop.held_out(),
-            rounds=shop.config.learning.rounds, seed=shop.config.seed, name=rung,
-            progress=lambda done, of: show(rung, done, of),
+            self.shop.surfaces(model, self.courses, inputs), inputs, asked.box(inputs), self.courses, self.held_out,
+            rounds=asked.rounds, seed=seed, safe=self.safe, name=name,
+            progress=lambda done, of: self.show(name, done, of),
         )  # fmt: skip
         return replace(made.schedule, provenance={"history": made.history})
 
-    def guarded(made: Schedule) -> Schedule:
-        if not maps:
-            show("stability map", 0, 1)
-            maps.append(stability_map(shop))
-        safe = kept("fallback", lambda: Constant(_safe_constant(all_courses()[2][0], maps[0])))
-        return replace(
-            Guarded(made, _tuning(np.array(safe(_ANYWHERE))), stability=maps[0], slack=SLACK, hold=HOLD),
-            provenance=made.provenance,
-        )
-
-    inputs = shop.config.learning.inputs
-    kept("speed only", lambda: learned("nn", ("speed",), "speed only"))
-    kept("look-up", lambda: neighbour_lookup(dataset, _nodes(shop.box)))
-    for model in ("nn", "anfis"):
-        bare = kept(f"{model} unguarded", lambda model=model: learned(model, inputs, model))  # type: ignore[misc]
-        kept(model, lambda bare=bare: guarded(bare))  # type: ignore[misc]
-    for model in ("nn", "anfis"):
-        kept(f"paper recipe {model}", lambda model=model: scheduler(train(dataset, model, "paper"), dataset))  # type: ignore[misc]
-    histories = {
-        rung: list(each.provenance["history"]) for rung, each in schedules.items() if "history" in each.provenance
-    }
-    return schedules, histories
+    def guarded(self, bare: str) -> Schedule:
+        """A finished rung behind the guard."""
+        limits = {"slack": SLACK, "hold": HOLD, "offset_limit": OFFSET_LIMIT}
+        schedule = self.made[bare]
+        return replace(Guarded(schedule, self.safe, stability=self.stability, **limits), provenance=schedule.provenance)
 
 
 def _campaign(shop: Workshop, folder: Path, workers: int | None, show: Progress) -> DataSet:
@@ -379,9 +409,9 @@ def stability_map(shop: Workshop) -> StabilityMap:
 
 
 def _safe_constant(course: Course, known: StabilityMap) -> Tuning:
-    """Of the map's tunings that are far from instability at every speed and friction, the one that drives best.
+    """Of the map's tunings that are far from instability at every speed and friction, one that loses hardly a drive.
 
-    On hard drives; to lose one is worse than any cost.
+    On hard drives: of those that lose at most one more than the fewest, the one that drives best.
     """
     nodes = np.meshgrid(*known.table.axes[2:], indexing="ij")
     far = known.table.values.max(axis=(0, 1)) <= FALLBACK_NEARNESS
@@ -389,33 +419,40 @@ def _safe_constant(course: Course, known: StabilityMap) -> Tuning:
     if not far.any():
         raise InvalidInput("no constant tuning keeps the loop away from instability over the whole domain.")
     candidates = np.column_stack([nodes[0][far], nodes[1][far], np.ones(far.sum()), 10.0 ** nodes[2][far]])
-    which = np.arange(min(256, len(course)))
-    found = [course.drive(row, [1], which)[:, 0] for row in candidates]
-    scores = [np.log(np.where(np.isfinite(costs), costs, 1e9)).mean() for costs in found]
-    return _tuning(candidates[int(np.argmin(scores))])
+
+    def judged(rows: Array, count: int) -> tuple[NDArray[np.int64], Array]:
+        """Lost drives and mean log cost of each tuning, on the first `count` drives."""
+        costs = np.stack([course.drive(row, [1], np.arange(min(count, len(course))))[:, 0] for row in rows])
+        return np.isinf(costs).sum(axis=1), np.log(np.minimum(costs, LOST_COST)).mean(axis=1)
+
+    lost, cost = judged(candidates, 128)
+    best = candidates[np.lexsort((cost, lost))[:16]]
+    lost, cost = judged(best, len(course))
+    return _tuning(best[np.argmin(np.where(lost <= lost.min() + 1, cost, np.inf))])
 
 
 def _tuning(row: Array) -> Tuning:
     return Tuning(round(float(row[0])), round(float(row[1])), float(row[2]), float(row[3]))
 
 
-def _nodes(box: Mapping[str, tuple[float, float]]) -> dict[str, Any]:
-    counts = {"speed": 10, "y_ref": 7, "friction": 5, "wind": 5}
-    return {name: np.linspace(*box[name], count) for name, count in counts.items()}
-
-
 def rungs_for(schedules: Mapping[str, Schedule], conditions: Array | None = None) -> dict[str, Policy]:
-    """The rungs as they are driven; on `conditions`, what was learned from such is asked once, for the condition."""
-    asked_once = ("look-up", "paper recipe nn", "paper recipe anfis")
-    rungs: dict[str, Policy] = {"standard": Tuning()}
-    for rung, schedule in schedules.items():
-        if rung in ("best constant on drives", "fallback"):
-            continue
-        rungs[rung] = schedule
-        if conditions is not None and rung in asked_once:
-            rungs[rung] = schedule.batch(conditions)
-    if conditions is None and "best constant on drives" in schedules:
-        rungs["best constant"] = schedules["best constant on drives"]
+    """The rungs as they are driven; on `conditions`, what was learned from such is asked once, for the condition.
+
+    There are two best constants, one for conditions and one for drives: on drives the latter is "best constant", and
+    the former is driven too.
+    """
+    rungs: dict[str, Policy] = {"standard": Tuning(), **schedules}
+    rungs.pop("fallback", None)
+    on_drives = rungs.pop("best constant on drives", None)
+    if conditions is not None:
+        for rung in ("look-up", "paper recipe nn", "paper recipe anfis"):
+            if rung in schedules:
+                rungs[rung] = schedules[rung].batch(conditions)
+    elif on_drives is not None:
+        of_conditions = rungs.pop("best constant", None)
+        if of_conditions is not None:
+            rungs["best constant of conditions"] = of_conditions
+        rungs["best constant"] = on_drives
     return rungs
 
 
@@ -439,7 +476,7 @@ def condition_ladder(
         course = condition_course(plant, mpc, rows, profile, told(name, plant, profile))
         rungs: dict[str, Policy] = {**rungs_for(schedules, rows), "optimum": best}
         if name != "exact":  # the others do not know what is told otherwise
-            rungs = {rung: rungs[rung] for rung in ("best constant", "nn", "anfis", "optimum") if rung in rungs}
+            rungs = {rung: rungs[rung] for rung in (*TOLD_RUNGS, "optimum") if rung in rungs}
         ladders[name] = climb(course, rungs, EVALUATION_SEEDS, "optimum", rows, progress)
     return ladders
 
@@ -457,6 +494,8 @@ def drive_ladder(
         rungs = rungs_for(schedules)
         if name == "exact":
             rungs["per-drive constant"] = per_run_best(course, _candidates(schedules), noise)
+        else:  # the others do not know what is told otherwise
+            rungs = {rung: rungs[rung] for rung in TOLD_RUNGS if rung in rungs}
         numbers = np.arange(first, first + count, dtype=float)[:, None]
         ladders[name] = climb(course, rungs, noise, "best constant", numbers, progress)
     return ladders

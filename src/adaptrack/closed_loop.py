@@ -12,13 +12,14 @@ import os
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from adaptrack.errors import InvalidInput, whole
 from adaptrack.estimation import FrictionWindEstimator, Perception
-from adaptrack.learning.landscape import OUTPUTS, SHIFT, Surface, check_inputs, preferred_moves, shifted
+from adaptrack.learning.landscape import OUTPUTS, SHIFT, Surface, blended, check_inputs, preferred_moves, shifted
 from adaptrack.mpc import MPC, Condition, Tuning
 from adaptrack.plant import Plant, load_profile
 from adaptrack.scenario import Scenario
@@ -35,12 +36,28 @@ LOST_COST = LOST_BEYOND**2
 """m^2, what a lost run counts as costing."""
 WORST_STRETCH = 5.0
 """A stretch is not counted as worth more than this many times its whole run."""
+AVERAGED = 8
+"""Over how many of the latest rounds the parameters of what is kept are averaged."""
+RESCUES = (0.25, 0.5, 1.0)
+"""How far towards a safe tuning a lost run is driven again."""
+BEFORE_LOSS = 2
+"""In how many stretches before the one in which a run was lost the cause may lie."""
 BOUNDS = {"Np": (10.0, 60.0), "Nc": (1.0, 20.0), "R": (10.0, 1e6)}
 """What learned tunings of the road profile are held within; Q is 1."""
 _LOWEST, _HIGHEST = np.array([10.0, 1.0, 1.0]), np.array([60.0, 20.0, 6.0])
 
 Policy = Schedule | Tuning | ArrayLike
 """What drives: a schedule, one tuning, or one tuning (Np, Nc, Q, R) for each run."""
+
+
+@dataclass(frozen=True)
+class Rescue:
+    """The way from a schedule to a tuning that is safe everywhere."""
+
+    schedule: Callable[[float], Schedule]
+    """the schedule a share of the way, 0..1"""
+    way: Callable[[Array], Array]
+    """(m, 3) the whole way of each output at conditions (m, Condition)"""
 
 
 class Course:
@@ -111,11 +128,11 @@ class Course:
         return np.where(result[:, loop.RUN_LOST] > 0.5, np.inf, cost), stretches, counts
 
     def landscape(
-        self, make: Callable[[Array], Schedule], seed: int, which: NDArray[np.int64]
+        self, make: Callable[[Array], Schedule], seed: int, which: NDArray[np.int64], rescue: Rescue | None = None
     ) -> tuple[Array, Array, Array]:
         """What the landscape around a schedule says: inputs (m, Condition), moves (m, 3) and weights (m, 3).
 
-        make: the schedule with its outputs shifted by (3,).
+        make: the schedule with its outputs shifted by (3,); rescue: what lost runs are driven with again.
 
         Raises
         ------
@@ -144,6 +161,7 @@ class Course:
         )
         shape = (*base.shape, 3)
         moves, weights = moves.reshape(shape), weights.reshape(shape)
+        shares = np.zeros(base.shape) if rescue is None else self._saved(base, rescue, seed, which)
         rows, to, how_much = [], [], []
         for i in range(base.shape[1]):
             first = max(0, i * self.stretch - self.lead)
@@ -152,7 +170,25 @@ class Course:
             rows.append(seen.reshape(-1, seen.shape[2]))
             to.append(np.repeat(moves[:, i], count, axis=0))
             how_much.append(np.repeat(weights[:, i], count, axis=0) / count)
+            if rescue is not None and (saved := np.repeat(shares[:, i], count) > 0.0).any():
+                way = np.repeat(shares[:, i], count)[saved, None] * rescue.way(rows[-1][saved])
+                to[-1][saved] = way
+                how_much[-1][saved] = 2.0 * WORST_STRETCH / np.maximum(np.abs(way), SHIFT) ** 2 / count
         return np.concatenate(rows), np.concatenate(to), np.concatenate(how_much) / len(which)
+
+    def _saved(self, base: Array, rescue: Rescue, seed: int, which: NDArray[np.int64]) -> Array:
+        """(runs, stretches) the least share of `RESCUES` that saves a lost run, in the stretches up to its loss."""
+        shares = np.zeros(base.shape)
+        lost = np.flatnonzero(np.isinf(base).any(axis=1))
+        for share in RESCUES:
+            if not lost.size:
+                break
+            saved = np.isfinite(self.stretches(rescue.schedule(share), seed, which[lost])).all(axis=1)
+            for i in lost[saved]:
+                last = int(np.argmax(np.isinf(base[i])))
+                shares[i, max(0, last - BEFORE_LOSS) : last + 1] = share
+            lost = lost[~saved]
+        return shares
 
 
 @dataclass(frozen=True, eq=False)
@@ -180,14 +216,16 @@ def improve(
     rounds: int = 60,
     seed: int = 0,
     check: int = 5,
+    safe: Tuning | None = None,
     name: str = "learned",
     progress: Callable[[int, int], None] | None = None,
 ) -> Improvement:
     """Move a scheduler's three outputs towards what the landscape of its own closed loop prefers, `rounds` times.
 
     surfaces: for Np, Nc and log10_ratio (R/Q, Q = 1); inputs, domain: see `Schedule`; courses: each with the number of
-    its runs that a round drives, drawn anew; held_out: after every `check` rounds the schedule is scored on them by the
-    mean log cost, each course alike, and the best one is returned.
+    its runs that a round drives, drawn anew; held_out: after every `check` rounds the schedule, its parameters averaged
+    over the latest rounds, is scored on them by the mean log cost, each course alike, and the best one is returned;
+    safe: a tuning towards which lost runs are driven again, so that what saves them is learned, too.
 
     Raises
     ------
@@ -202,7 +240,7 @@ def improve(
     for _, count in courses:
         whole("improve", "count", count)
     rng = np.random.default_rng((seed, 0xADA))
-    surfaces = dict(surfaces)  # `made` and `scored` look at the present ones
+    now = dict(surfaces)  # `made` and `outputs` look at the present ones
     lost: list[set[int]] = [set() for _ in courses]
 
     def chosen(course: Course, count: int, once_lost: set[int]) -> NDArray[np.int64]:
@@ -212,22 +250,36 @@ def improve(
         others = np.setdiff1d(np.arange(len(course)), known)
         return np.sort(np.concatenate([known, rng.choice(others, count - len(known), replace=False)]))
 
+    def learned(functions: Sequence[Any]) -> Schedule:
+        return Learned(dict(zip(OUTPUTS, functions, strict=True)), inputs, domain, BOUNDS, name=name)
+
     def made(by: Array) -> Schedule:
-        functions = {
-            slot: shifted(surfaces[slot].function(), float(shift)) for slot, shift in zip(OUTPUTS, by, strict=True)
-        }
-        return Learned(functions, inputs, domain, BOUNDS, name=name)
+        return learned([shifted(now[slot].function(), float(shift)) for slot, shift in zip(OUTPUTS, by, strict=True)])
+
+    def outputs(rows: Array) -> Array:
+        return np.stack([now[slot].predict(np.clip(rows[:, columns], *domain.T)) for slot in OUTPUTS], axis=1)
+
+    rescue = None
+    if safe is not None:
+        goal = [safe.Np, safe.Nc, math.log10(safe.R / safe.Q)]
+        rescue = Rescue(
+            lambda share: learned(
+                [blended(now[slot].function(), share, value) for slot, value in zip(OUTPUTS, goal, strict=True)]
+            ),
+            lambda rows: goal - outputs(rows),
+        )
 
     history: list[dict[str, float]] = []
 
-    def scored(k: int) -> tuple[float, Improvement]:
-        schedule = made(np.zeros(3))
+    def scored(k: int, surfaces: Mapping[str, Surface]) -> tuple[float, Improvement]:
+        schedule = learned([surfaces[slot].function() for slot in OUTPUTS])
         scores = [course.costs(schedule, [seed * 100_000 + 900]) for course in held_out]
         score = float(np.mean([np.log(each).mean() for each in scores]))
         history.append({"round": k, "score": score, "lost": float(sum((s >= LOST_COST).sum() for s in scores))})
-        return score, Improvement(schedule, dict(surfaces))
+        return score, Improvement(schedule, surfaces)
 
-    best_score, best = scored(0)
+    latest: list[dict[str, Surface]] = []
+    best_score, best = scored(0, now)
     for k in range(rounds):
         if progress is not None:
             progress(k, rounds)
@@ -237,25 +289,24 @@ def improve(
             for (course, _), once_lost in zip(courses, lost, strict=True):
                 once_lost |= set(np.flatnonzero(~np.isfinite(course.drive(made(np.zeros(3)), [noise])[:, 0])).tolist())
         told = [
-            course.landscape(made, noise, chosen(course, count, once_lost))
+            course.landscape(made, noise, chosen(course, count, once_lost), rescue)
             for (course, count), once_lost in zip(courses, lost, strict=True)
         ]
         rows, moves, weights = (np.concatenate(parts) for parts in zip(*told, strict=True))
-        x = np.clip(rows[:, columns], *domain.T)
         damping = 0.7 * (0.3 + 0.7 * left)
-        targets = [
-            np.clip(surfaces[slot].predict(x) + damping * moves[:, i], _LOWEST[i], _HIGHEST[i])
-            for i, slot in enumerate(OUTPUTS)
-        ]
+        targets = np.clip(outputs(rows) + damping * moves, _LOWEST, _HIGHEST)
+        x = np.clip(rows[:, columns], *domain.T)
         effort = 0.2 + 0.8 * math.sqrt(left)
         with ThreadPoolExecutor() as pool:
             fits = [
-                pool.submit(surfaces[slot].fit, x, target, weight, effort)
-                for slot, target, weight in zip(OUTPUTS, targets, weights.T, strict=True)
+                pool.submit(now[slot].fit, x, target, weight, effort)
+                for slot, target, weight in zip(OUTPUTS, targets.T, weights.T, strict=True)
             ]
-            surfaces = {slot: fit.result() for slot, fit in zip(OUTPUTS, fits, strict=True)}
+            now = {slot: fit.result() for slot, fit in zip(OUTPUTS, fits, strict=True)}
+        latest = [*latest[1 - AVERAGED :], now]
         if (k + 1) % check == 0 or k == rounds - 1:
-            score, found = scored(k + 1)
+            mean = {slot: now[slot].average([each[slot] for each in latest[:-1]]) for slot in OUTPUTS}
+            score, found = scored(k + 1, mean)
             if score < best_score:
                 best_score, best = score, found
     return Improvement(best.schedule, best.surfaces, history)

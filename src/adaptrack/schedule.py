@@ -25,6 +25,7 @@ from adaptrack.learning.network import Network
 from adaptrack.learning.sugeno import WIDTH, Sugeno
 from adaptrack.mpc import Condition, Tuning, astuple
 from adaptrack.toml_files import write_atomically
+from adaptrack.vehicle import GRAVITY
 
 Array = NDArray[np.float64]
 
@@ -127,6 +128,11 @@ class Guard:
     """steps that a fallback lasts, the last one with its cause included"""
     stability: StabilityMap | None = None
     """without it the loop's stability is not looked at"""
+    offset_limit: float | None = None
+    """s^2, the largest |offset| over friction times g, before the fallback is used; without it the car may stray
+
+    A tuning that is stable near the reference may not be so where the tyres saturate: an error too large for the grip
+    to take back in time is the first sign of it."""
 
     def __post_init__(self) -> None:
         if not isinstance(self.fallback, Tuning):
@@ -138,6 +144,8 @@ class Guard:
             raise InvalidInput(f"Guard: rates = {self.rates!r}: those of Np and Nc must be whole numbers.")
         if not 0.0 <= real("Guard", "slack", self.slack) < math.inf:
             raise InvalidInput(f"Guard: slack = {self.slack!r}: must be finite and not negative.")
+        if self.offset_limit is not None and not 0.0 < real("Guard", "offset_limit", self.offset_limit) < math.inf:
+            raise InvalidInput(f"Guard: offset_limit = {self.offset_limit!r}: must be positive and finite.")
         whole("Guard", "hold", self.hold)
 
 
@@ -348,7 +356,8 @@ def _pack(schedule: Schedule) -> tuple[NDArray[np.int64], Array, int]:
         layout[inference.GUARD], layout[inference.PLACES + inputs] = len(layout), len(numbers)
         layout += [int(guard.stability is not None), guard.hold]
         limit = math.inf if guard.stability is None else guard.stability.limit
-        numbers += [*guard.fallback.as_array(), *guard.rates, guard.slack, limit]
+        leeway = math.inf if guard.offset_limit is None else guard.offset_limit * GRAVITY
+        numbers += [*guard.fallback.as_array(), *guard.rates, guard.slack, limit, leeway]
         if guard.stability is not None:
             _, whole, real_numbers, work = _pack_function(guard.stability.table)
             layout += whole
@@ -486,6 +495,7 @@ def _encode(schedule: Schedule) -> dict[str, Any]:
             "rates": list(guard.rates),
             "slack": guard.slack,
             "hold": guard.hold,
+            "offset_limit": guard.offset_limit,
             "stability": guard.stability
             and {"limit": guard.stability.limit, "table": _encode_function(guard.stability.table)},
         },
@@ -532,7 +542,10 @@ def _decode(content: Mapping[str, Any]) -> Schedule:
         stability = guard["stability"]
         if stability is not None:
             stability = StabilityMap(_decode_function(stability["table"]), stability["limit"])
-        guard = Guard(Tuning(int(Np), int(Nc), Q, R), tuple(guard["rates"]), guard["slack"], guard["hold"], stability)
+        guard = Guard(
+            Tuning(int(Np), int(Nc), Q, R), tuple(guard["rates"]), guard["slack"], guard["hold"], stability,
+            guard.get("offset_limit"),
+        )  # fmt: skip
     slots = {
         name: Slot(_decode_function(slot["function"]), slot["low"], slot["high"], slot["decades"])
         for name, slot in content["slots"].items()

@@ -117,16 +117,17 @@ def sample_size(text: str) -> int:
     return int(count)
 
 
-def neighbour_lookup(dataset: DataSet, nodes: dict[str, ArrayLike], neighbours: int = 12) -> Schedule:
+def neighbour_lookup(dataset: DataSet, nodes: Mapping[str, ArrayLike], neighbours: int = 12) -> Schedule:
     """A table of tunings: at each node that of the library with the lowest mean log cost over the nearest conditions.
 
-    Averaging over neighbours takes out what is noise in each condition's argmin. nodes: along speed, y_ref, friction
-    and wind; distances are measured in ranges of the data.
+    Averaging over neighbours takes out what is noise in each condition's argmin, and whatever the table does not look
+    at. nodes: along some or all of speed, y_ref, friction and wind; distances are measured in ranges of the data.
     """
-    axes = {name: np.asarray(nodes[name], dtype=float) for name in NAMES}
-    reach = np.ptp(dataset.conditions, axis=0)
+    axes = {name: np.asarray(values, dtype=float) for name, values in nodes.items()}
+    seen = dataset.conditions[:, [NAMES.index(name) for name in axes]]
+    reach = np.ptp(seen, axis=0)
     grid = np.stack(np.meshgrid(*axes.values(), indexing="ij"), axis=-1)
-    _, near = cKDTree(dataset.conditions / reach).query(grid.reshape(-1, 4) / reach, k=neighbours)
+    _, near = cKDTree(seen / reach).query(grid.reshape(-1, len(axes)) / reach, k=neighbours)
     costs = dataset.landscape.astype(np.float64)
     worst = np.nanmax(np.where(np.isfinite(costs), costs, np.nan))
     logs = np.log(np.where(np.isfinite(costs), costs, worst))

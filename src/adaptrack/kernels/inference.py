@@ -40,12 +40,12 @@ SLOT = 2
 PLACES = SLOT + 3 * SLOTS
 
 # What a scheduler remembers of each lane's run.
-COUNTS = ("steps", "clipped", "broken", "rate_limited", "outside", "unstable", "fallback")
-STEPS, CLIPPED, BROKEN, RATE_LIMITED, OUTSIDE, UNSTABLE, FALLBACK, REST, HELD = range(9)
+COUNTS = ("steps", "clipped", "broken", "rate_limited", "outside", "astray", "unstable", "fallback")
+STEPS, CLIPPED, BROKEN, RATE_LIMITED, OUTSIDE, ASTRAY, UNSTABLE, FALLBACK, REST, HELD = range(10)
 STATE = HELD + SLOTS + 1
 """Counts of steps: all; with an input clipped to the domain; with an input or output that is not a number; with the
-change of tuning limited; with inputs far outside; with the loop too near instability; on the fallback. REST: steps of
-fallback still to go. HELD, ...: the last tuning, and 1 when there is one."""
+change of tuning limited; with inputs far outside; too far from the reference; with the loop too near instability; on
+the fallback. REST: steps of fallback still to go. HELD, ...: the last tuning, and 1 when there is one."""
 
 Schedule = record("Schedule", ("layout", "numbers", "work", "state", "believed", "estimating", "estimates"))
 SCHEDULE = types.NamedTuple((int_vector, vector, vector, matrix, vector, vector, matrix), Schedule)
@@ -210,8 +210,9 @@ def fill(kind, x, layout, at, numbers, start, work):
 # layout[at:]: 1 when a map of how near the loop is to instability follows, steps that a fallback lasts; then the map's
 # layout as for `multilinear`, its axes being speed, friction, Np, Nc, log10 R/Q.
 # numbers[start:]: the fallback (SLOTS); largest change per step of Np, Nc and log10 R/Q; how far outside the domain the
-# inputs may be, in widths of it; the largest value of the map allowed; then the map.
-GUARD_NUMBERS = SLOTS + 5
+# inputs may be, in widths of it; the largest value of the map allowed; the largest offset over the friction allowed, in
+# m; then the map.
+GUARD_NUMBERS = SLOTS + 6
 STAGES = 5
 """In how many stages a tuning gives way to the fallback."""
 
@@ -242,12 +243,18 @@ def _towards(share, tuning, numbers, start):
 def guard(condition, tuning, layout, numbers, work, own, far):
     """Replace a tuning (SLOTS) by what may be trusted; own: the lane's state, far: inputs far outside the domain.
 
-    What was asked of an untrusted input is dropped for the fallback, for a while. Else the change since the last tuning
-    is limited; and a tuning whose loop is too near instability gives way towards the fallback, as far as it must.
+    What was asked of an untrusted input, or by what lets the car stray, is dropped for the fallback, for a while. Else
+    the change since the last tuning is limited; and a tuning whose loop is too near instability gives way towards the
+    fallback, as far as it must.
     """
     at, start = layout[GUARD], layout[PLACES + layout[INPUTS]]
+    leeway = numbers[start + SLOTS + 5]
+    astray = leeway < math.inf and not abs(condition[6]) <= leeway * condition[2]
     if far:
         own[OUTSIDE] += 1.0
+    if astray:
+        own[ASTRAY] += 1.0
+    if far or astray:
         own[REST] = layout[at + 1]
     if own[REST] > 0.0:
         own[REST] -= 1.0

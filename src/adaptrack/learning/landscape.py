@@ -66,6 +66,10 @@ class Surface(ABC):
         """
 
     @abstractmethod
+    def average(self, others: Sequence[Self]) -> Self:
+        """The mean of the parameters of this one and others that it became by `fit`."""
+
+    @abstractmethod
     def function(self) -> float | Network | Sugeno:
         """What runs."""
 
@@ -81,6 +85,9 @@ class Level(Surface):
 
     def fit(self, x: Array, target: Array, weight: Array, effort: float = 1.0) -> Self:
         return replace(self, value=float(np.average(target, weights=weight)))
+
+    def average(self, others: Sequence[Self]) -> Self:
+        return replace(self, value=float(np.mean([self.value, *(each.value for each in others)])))
 
     def function(self) -> float:
         return self.value
@@ -127,6 +134,14 @@ class NetworkSurface(Surface):
                 v += 0.01 * (g * g - v)
                 p -= rate * (m / (1.0 - 0.9**epoch)) / (np.sqrt(v / (1.0 - 0.99**epoch)) + 1e-10)
         return replace(self, network=replace(net, weights=tuple(parameters[::2]), biases=tuple(parameters[1::2])))
+
+    def average(self, others: Sequence[Self]) -> Self:
+        nets = [self.network, *(each.network for each in others)]
+        weights, biases = (
+            tuple(np.mean(layer, axis=0) for layer in zip(*parts, strict=True))
+            for parts in ([net.weights for net in nets], [net.biases for net in nets])
+        )
+        return replace(self, network=replace(self.network, weights=weights, biases=biases))
 
     def function(self) -> Network:
         return self.network
@@ -208,6 +223,10 @@ class FuzzySurface(Surface):
         moved = change.reshape(self.system.consequents.shape) / np.append(self.scale, 1.0)
         return replace(self, system=replace(self.system, consequents=self.system.consequents + moved))
 
+    def average(self, others: Sequence[Self]) -> Self:
+        consequents = np.mean([self.system.consequents, *(each.system.consequents for each in others)], axis=0)
+        return replace(self, system=replace(self.system, consequents=consequents))
+
     def function(self) -> Sugeno:
         return self.system
 
@@ -221,6 +240,18 @@ def shifted(function: float | Network | Sugeno, by: float) -> float | Network | 
         consequents[:, -1] += by
         return replace(function, consequents=consequents)
     return function + by
+
+
+def blended(function: float | Network | Sugeno, share: float, value: float) -> float | Network | Sugeno:
+    """The function that lies a share of the way from `function` to `value` everywhere."""
+    kept, added = 1.0 - share, share * value
+    if isinstance(function, Network):
+        return replace(function, out_low=kept * function.out_low + added, out_high=kept * function.out_high + added)
+    if isinstance(function, Sugeno):
+        consequents = kept * function.consequents
+        consequents[:, -1] += added
+        return replace(function, consequents=consequents)
+    return kept * function + added
 
 
 def check_inputs(inputs: Sequence[str], known: Sequence[str]) -> list[int]:

@@ -5,27 +5,24 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Mapping, Sequence
-from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
-from matplotlib.ticker import FuncFormatter, MaxNLocator
 from numpy.typing import NDArray
 
 from adaptrack.certify import Certificate, Sweep
 from adaptrack.mpc import Condition
 from adaptrack.report import style
-from adaptrack.report.page import Cell, Drawing, Head, Item, Picture, Section, Table, Verbatim, write_page
+from adaptrack.report.maps import COLOURS, Cells, Heat, edges_around
+from adaptrack.report.page import Cell, Head, Item, Panel, Picture, Section, Table, Verbatim, write_page
 from adaptrack.report.words import number, percent
 
 Array = NDArray[np.float64]
 
-_COLOURS = "cividis"
 _UNSTABLE = style.SERIES[1]
 _INPUTS = {
     "y_ref": ("Lateral reference", "m"),
@@ -50,7 +47,7 @@ class _Quantity(NamedTuple):
 
     @property
     def colours(self) -> str:
-        return f"{_COLOURS}_r" if self.fine else _COLOURS
+        return f"{COLOURS}_r" if self.fine else COLOURS
 
 
 _RADIUS = _Quantity("Spectral radius (–)", 0.9, 1.0, fine=True)
@@ -61,13 +58,20 @@ _DELAY = _Quantity("Delay margin (ms)", 0.0, 250.0)
 
 
 class _Map(NamedTuple):
-    """One panel."""
+    """One panel: a heat map, and crosses in cells where the loop is unstable."""
 
-    quantity: _Quantity
-    values: Array
-    """(speeds, frictions)"""
-    unstable: NDArray[np.bool_] | None
+    title: str
+    heat: Heat
+    crosses: tuple[Array, Array]
+    """speed [m/s] and friction of each"""
     description: str
+
+    def show(self, axes: Axes) -> None:
+        self.heat.show(axes)
+        self.cross(axes)
+
+    def cross(self, axes: Axes) -> None:
+        axes.plot(*self.crosses, "x", color=_UNSTABLE, markersize=4.5, markeredgewidth=1.3, scalex=False, scaley=False)
 
 
 def write_certificate(out_dir: str | os.PathLike[str], certificate: Certificate, *, command: str = "") -> Path:
@@ -140,15 +144,15 @@ def _margins(found: Certificate) -> Section:
     for (name, sweep), file in zip(_sweeps(found), ("margins.png", "margins-bare.png"), strict=False):
         worst, bad = sweep.worst, np.asarray(found.cells(sweep.unstable).max(axis=2))
         maps = [
-            _map(_RADIUS, found.cells(worst.radius).max(axis=2), bad),
-            _map(_NEARNESS, found.cells(worst.nearness).max(axis=2), bad),
-            _map(_UP, found.cells(worst.gain_up).min(axis=2), bad),
-            _map(_DOWN, found.cells(worst.gain_down).max(axis=2), bad),
-            _map(_DELAY, 1000.0 * found.cells(worst.delay).min(axis=2), bad),
+            _map(found, _RADIUS, found.cells(worst.radius).max(axis=2), bad),
+            _map(found, _NEARNESS, found.cells(worst.nearness).max(axis=2), bad),
+            _map(found, _UP, found.cells(worst.gain_up).min(axis=2), bad),
+            _map(found, _DOWN, found.cells(worst.gain_down).max(axis=2), bad),
+            _map(found, _DELAY, 1000.0 * found.cells(worst.delay).min(axis=2), bad),
         ]
         caption = "The worst over everything else that the scheduler looks at, straight and in a turn; dark is bad."
         crosses = " A cross marks a cell with an unstable point." if bad.any() else ""
-        items.append(_picture(found, maps, f"{name}. {caption}{crosses}", file))
+        items.append(_picture(maps, f"{name}. {caption}{crosses}", file))
     return Section("Margins", items)
 
 
@@ -163,13 +167,13 @@ def _tunings(found: Certificate) -> Section:
         finite = cells[np.isfinite(cells)]
         low, high = (float(finite.min()), float(finite.max())) if finite.size else (0.0, 0.0)
         middle, span = (low + high) / 2.0, max(high - low, 2.0 if whole else 0.2)
-        maps.append(_map(_Quantity(symbol, middle - span / 2.0, middle + span / 2.0, whole), cells, None))
+        maps.append(_map(found, _Quantity(symbol, middle - span / 2.0, middle + span / 2.0, whole), cells))
     caption = "The tuning that it asks for: median over everything else that it looks at."
     if found.guarded is not None:
         share = 100.0 * found.cells(found.fallback).mean(axis=2)
-        maps.append(_map(_Quantity("On the fallback (%)", 0.0, 100.0), share, None))
+        maps.append(_map(found, _Quantity("On the fallback (%)", 0.0, 100.0), share))
         caption = f"{caption[:-1]}, the guard's fallback included where it steps in; and how often that is."
-    return Section("What it asks for", [_picture(found, maps, caption, "tunings.png")])
+    return Section("What it asks for", [_picture(maps, caption, "tunings.png")])
 
 
 def _worst(found: Certificate) -> Section:
@@ -213,74 +217,38 @@ def _sweeps(found: Certificate) -> list[tuple[str, Sweep]]:
 
 
 # -- drawing ----------------------------------------------------------------------------------------------------------
-def _map(quantity: _Quantity, values: Array, unstable: NDArray[np.bool_] | None) -> _Map:
-    low, high = float(values.min()), float(values.max())
-    return _Map(quantity, values, unstable, f"{quantity.title.replace('$', '')}: {number(low)} to {number(high)}.")
+def _map(found: Certificate, quantity: _Quantity, values: Array, unstable: NDArray[np.bool_] | None = None) -> _Map:
+    """values, unstable: (speeds, frictions)."""
+    (low, high), ends = (float(values.min()), float(values.max())), (quantity.low, quantity.high)
+    slack = 1e-9 * (quantity.high - quantity.low)
+    below, above = low < quantity.low - slack, high > quantity.high + slack
+    heat = Heat(
+        Cells(edges_around(found.speeds), edges_around(found.frictions), np.clip(values, *ends).T),
+        "Friction (–)",
+        Normalize(*ends),
+        whole=quantity.whole,
+        extend="both" if below and above else "min" if below else "max" if above else "neither",
+        colours=quantity.colours,
+    )
+    i, j = np.nonzero(np.zeros(values.shape, bool) if unstable is None else unstable)
+    text = f"{number(low)} to {number(high)}."
+    return _Map(quantity.title, heat, (found.speeds[i], found.frictions[j]), text)
 
 
-def _picture(found: Certificate, maps: Sequence[_Map], caption: str, file: str) -> Picture:
-    panels = [Drawing(style.panel_figure(partial(_panel, found, each)), each.description) for each in maps]
-    return Picture(caption, panels, file=file, print_figure=_print(found, maps))
+def _picture(maps: Sequence[_Map], caption: str, file: str) -> Picture:
+    panels = [Panel(each.title, each.show, each.description).drawing() for each in maps]
+    return Picture(caption, panels, file=file, print_figure=_print(maps))
 
 
-def _panel(found: Certificate, shown: _Map, axes: Axes) -> None:
-    _draw(found, shown, axes)
-    box = axes.get_position()
-    axes.set_position((box.x0, box.y0, 0.83 * box.width, box.height))  # room for the bar and its numbers
-    _bar(shown, axes, cax=axes.inset_axes((1.03, 0.0, 0.035, 1.0)))
-
-
-def _print(found: Certificate, maps: Sequence[_Map]) -> Figure:
+def _print(maps: Sequence[_Map]) -> Figure:
     columns = 3 if len(maps) != 4 else 2
     with style.styled():
         figure, axes = style.grid_figure(-(-len(maps) // columns), columns, 2.0)
         for shown, ax in zip(maps, axes, strict=False):
-            _draw(found, shown, ax)
-            _bar(shown, ax, ax=ax, shrink=0.95)
+            ax.set_title(shown.title)
+            shown.heat.draw(ax)
+            shown.cross(ax)
+            shown.heat.bar(figure, ax=ax, shrink=0.95)
         for spare in axes[len(maps) :]:
             spare.remove()
     return figure
-
-
-def _draw(found: Certificate, shown: _Map, axes: Axes) -> None:
-    axes.set_title(shown.quantity.title)
-    axes.grid(False)
-    x, y = _edges(found.speeds), _edges(found.frictions)
-    norm = Normalize(shown.quantity.low, shown.quantity.high)
-    inside = np.clip(shown.values, shown.quantity.low, shown.quantity.high)
-    axes.pcolormesh(
-        x, y, inside.T, cmap=shown.quantity.colours, norm=norm, edgecolor="face", linewidth=0.3, antialiased=True
-    )
-    if shown.unstable is not None and shown.unstable.any():
-        i, j = np.nonzero(shown.unstable)
-        axes.plot(found.speeds[i], found.frictions[j], "x", color=_UNSTABLE, markersize=4.5, markeredgewidth=1.3)
-    axes.set_xlabel("Speed (m/s)")
-    axes.set_ylabel("Friction (–)")
-    axes.yaxis.set_major_locator(MaxNLocator(nbins=6, steps=[1, 2, 5, 10]))
-    axes.margins(0.0)
-
-
-def _bar(shown: _Map, axes: Axes, **place: Any) -> None:
-    quantity = shown.quantity
-    slack = 1e-9 * (quantity.high - quantity.low)
-    below, above = shown.values.min() < quantity.low - slack, shown.values.max() > quantity.high + slack
-    figure = axes.get_figure()
-    assert isinstance(figure, Figure)
-    bar = figure.colorbar(
-        ScalarMappable(Normalize(quantity.low, quantity.high), quantity.colours),
-        ticks=MaxNLocator(nbins=5, integer=quantity.whole, steps=[1, 2, 2.5, 5, 10]),
-        extend="both" if below and above else "min" if below else "max" if above else "neither",
-        **place,
-    )
-    bar.formatter = FuncFormatter(lambda value, _: f"{value:g}".replace("-", "−"))
-    bar.ax.tick_params(labelsize=7.5)
-    bar.outline.set_linewidth(0.5)
-
-
-def _edges(levels: Array) -> Array:
-    """Edges of cells around levels."""
-    if len(levels) == 1:
-        return levels[0] + np.array([-0.5, 0.5]) * max(0.1 * abs(float(levels[0])), 1e-6)
-    middles = (levels[1:] + levels[:-1]) / 2.0
-    reach = np.diff(levels)[[0, -1]] / 2.0
-    return np.concatenate([[levels[0] - reach[0]], middles, [levels[-1] + reach[1]]])

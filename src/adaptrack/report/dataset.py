@@ -8,32 +8,40 @@ from __future__ import annotations
 import json
 import os
 import warnings
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.cm import ScalarMappable
-from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
-from matplotlib.ticker import FixedLocator, FuncFormatter, MaxNLocator, NullLocator
+from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
 from adaptrack.dataset import DataSet, describe, flatness
 from adaptrack.report import style
-from adaptrack.report.page import Cell, Drawing, Head, Item, Picture, Section, Table, Terms, Verbatim, write_page
+from adaptrack.report.maps import Cells, Heat, edges_around, norm_of
+from adaptrack.report.page import (
+    Cell,
+    Head,
+    Item,
+    Panel,
+    Picture,
+    Section,
+    Table,
+    Terms,
+    Verbatim,
+    printed,
+    write_page,
+)
+from adaptrack.report.words import counted, lettered, listed, number, percent, span
 from adaptrack.report.words import describe as in_words
-from adaptrack.report.words import listed, number, percent, span
 from adaptrack.tuning.config import STANDARD
 
 Array = NDArray[np.float64]
 Summary = Mapping[str, Any]
-
-COLOURS = "cividis"
-"""The colour map of the heat maps: sequential, alike for all common colour visions, and in grey."""
 
 _CELLS = 12
 """Bins along an axis whose values are not a few levels."""
@@ -71,30 +79,6 @@ class _Target:
     @property
     def label(self) -> str:
         return f"{self.symbol} ({self.unit})"
-
-
-class _Map(NamedTuple):
-    """Binned medians of a target over speed and one more quantity."""
-
-    x_edges: Array
-    y_edges: Array
-    medians: Array
-    """(y bins, x bins), NaN where no condition lies"""
-
-
-class _Panel(NamedTuple):
-    """One set of axes: its title, what draws it, and its alternative text."""
-
-    title: str
-    draw: Callable[[Axes], None]
-    description: str
-
-    def show(self, axes: Axes) -> None:
-        axes.set_title(self.title)
-        self.draw(axes)
-
-    def drawing(self) -> Drawing:
-        return Drawing(style.panel_figure(self.show), f"{self.title}. {self.description}")
 
 
 def write_dataset_report(out_dir: str | os.PathLike[str], dataset: DataSet, *, summary: Summary | None = None) -> Path:
@@ -139,8 +123,8 @@ def _in_short(told: Summary) -> str:
     gain = told["costs"]["standard_over_best_geomean"]
     paid = f" The standard tuning costs {number(gain)} times as much, in the geometric mean." if gain else ""
     return (
-        f"{_count(told['conditions'], 'driving condition')}, on each the best tuning that a particle swarm found for "
-        f"the MPC, and the cost of {_count(told['library'], 'common tuning')}.{paid}"
+        f"{counted(told['conditions'], 'driving condition')}, on each the best tuning that a particle swarm found for "
+        f"the MPC, and the cost of {counted(told['library'], 'common tuning')}.{paid}"
     )
 
 
@@ -180,22 +164,28 @@ def _contents(dataset: DataSet, told: Summary) -> Section:
 def _optimum(found: DataSet, told: Summary) -> Section:
     targets = _targets(found)
     maps = [target for target in targets if target.name in ("Np", "Nc", "log R/Q")]
+    over = {
+        "lateral reference": (np.abs(found.conditions[:, 1]), r"$|y_\mathrm{ref}|$ (m)"),
+        "friction": (found.conditions[:, 2], "Friction (–)"),
+    }
+    labels = {t.name: t.label for t in maps}
+    cells = {(t.name, other): _binned(found, values, t) for t in maps for other, (values, _) in over.items()}
+    norms = {t.name: norm_of(cells[t.name, other].values for other in over) for t in maps}
+    heats = {
+        (t.name, other): Heat(cells[t.name, other], label, norms[t.name], t.whole)
+        for t in maps
+        for other, (_, label) in over.items()
+    }
     panels = [
-        (target, _binned(found, values, target), title, label)
-        for title, label, values in (
-            ("lateral reference", r"$|y_\mathrm{ref}|$ (m)", np.abs(found.conditions[:, 1])),
-            ("friction", "Friction (–)", found.conditions[:, 2]),
-        )
-        for target in maps
+        Panel(labels[name], heat.show, f"Median over speed and {other}: {span(heat.cells.values)}.")
+        for (name, other), heat in heats.items()
     ]
-    rows = [panels[: len(maps)], panels[len(maps) :]]
-    norms = {target.name: _norm([grid.medians for own, grid, *_ in panels if own is target]) for target in maps}
     heat = Picture(
         "The best tuning over the conditions. Each cell is the median over all conditions in it, whatever their other "
         "two numbers; empty cells hold none. Both maps of a target have the same colours.",
-        [_heat_drawing(*row[i], norms) for i in range(len(maps)) for row in rows],
+        [panel.drawing() for panel in panels],
         file="optimum.png",
-        print_figure=_heat_figure(rows, norms),
+        print_figure=_heat_figure(list(labels.values()), [[heats[name, other] for name in labels] for other in over]),
     )
     bars = [_histogram(target, _limits(told, target)) for target in targets]
     spread = Picture(
@@ -203,7 +193,7 @@ def _optimum(found: DataSet, told: Summary) -> Section:
         f"{listed([f'{name} = {value:g}' for name, value in zip(('Np', 'Nc', 'Q', 'R'), STANDARD, strict=True)])}.",
         [bar.drawing() for bar in bars],
         file="targets.png",
-        print_figure=_print(bars, columns=3, height=1.75),
+        print_figure=printed(bars, columns=3, height=1.75),
     )
     words = (
         "The horizons Np and Nc are in control periods. Of the weights, only R/Q changes the control law: Q and R "
@@ -221,7 +211,7 @@ def _costs(rows: DataSet, told: Summary) -> Section:
     usable = {name: values for name, values in curves.items() if _positive(values).size}
     if usable:
         panels = [
-            _Panel(
+            Panel(
                 "Cost of one run",
                 partial(_draw_cumulative, usable),
                 "Share of the conditions that cost at most so much, over the cost in m², logarithmic. "
@@ -232,7 +222,7 @@ def _costs(rows: DataSet, told: Summary) -> Section:
         if both.any():
             gain = rows.standard_costs[both] / rows.costs[both]
             panels.append(
-                _Panel(
+                Panel(
                     "Standard over optimum",
                     partial(_draw_gain, rows.conditions[both, 0], gain),
                     f"Cost of the standard tuning over the swarm's best, by speed: {_range_of(gain)}.",
@@ -247,7 +237,7 @@ def _costs(rows: DataSet, told: Summary) -> Section:
                 [panel.drawing() for panel in panels],
                 key,
                 "cost.png",
-                _print(panels, columns=len(panels), height=2.4, key=key),
+                printed(panels, len(panels), 2.4, key),
             )
         )
     return Section("What the optimum is worth", items)
@@ -262,7 +252,7 @@ def _convergence(found: DataSet) -> list[Section]:
     above = found.traces[usable].astype(np.float64) / last[usable]
     low, middle, high = _quantiles(above, (0.25, 0.5, 0.75))
     half = len(middle) // 2
-    panel = _Panel(
+    panel = Panel(
         "Convergence of the swarms",
         partial(_draw_convergence, low, middle, high),
         f"Lowest cost so far over the last, by generation, logarithmic: median from {number(middle[0])} to 1.",
@@ -318,11 +308,11 @@ def _flatness(dataset: DataSet, told: Summary) -> Section:
         "Share of the library whose cost is near the best",
         heads,
         body,
-        f"Of {_count(told['library'], 'tuning')}, on each condition; the best is the lowest cost known there, the "
+        f"Of {counted(told['library'], 'tuning')}, on each condition; the best is the lowest cost known there, the "
         "swarm's or the library's.",
     )
     strokes = style.strokes(f"within {100 * within:g} %" for within in shares)
-    panel = _Panel(
+    panel = Panel(
         "Tunings that are nearly as good",
         partial(_draw_shares, dict(zip(strokes, shares.values(), strict=True)), strokes),
         "Share of the conditions over the share of the library that is near the best. "
@@ -335,9 +325,8 @@ def _flatness(dataset: DataSet, told: Summary) -> Section:
         f"{100 * wide['within']:g} % more than the best tuning known. Where many tunings are that close, which of them "
         "comes out best says little, and a model loses little by a wrong one; where few are, the tuning matters."
     )
-    picture = Picture(
-        caption, [panel.drawing()], list(strokes.items()), "flatness.png", _print([panel], 1, 2.6, strokes)
-    )
+    key = list(strokes.items())
+    picture = Picture(caption, [panel.drawing()], key, "flatness.png", printed([panel], 1, 2.6, key))
     return Section(title, [words, table, picture])
 
 
@@ -371,7 +360,7 @@ def _costs_in_words(costs: Summary, n: int, library: int) -> str:
         )
         if costs[key]
     ]
-    of = f"of {_count(n, 'condition')}"
+    of = f"of {counted(n, 'condition')}"
     none = f"Neither of the two lost the car in any {of}."
     sentences.append(f"The car was lost by {listed(lost)} {of}." if lost else none)
     if costs["library_lost"]:
@@ -407,10 +396,6 @@ def _percent_above(ratio: float) -> str:
     return f"{number(ratio)} times" if ratio >= 2.0 else f"{percent(max(ratio - 1.0, 0.0))} % above"
 
 
-def _count(n: int, noun: str) -> str:
-    return f"{number(n)} {noun}{'' if n == 1 else 's'}"
-
-
 def _range_of(values: Array) -> str:
     return f"{span(values)}, median {number(float(np.median(values)))}" if values.size else "none"
 
@@ -443,29 +428,21 @@ def _edges(values: Array) -> Array:
     levels = np.unique(values)
     if len(levels) > _LEVELS:
         return np.linspace(levels[0], levels[-1], _CELLS + 1)
-    middles = (levels[1:] + levels[:-1]) / 2.0
-    reach = np.diff(levels)[[0, -1]] / 2.0 if len(levels) > 1 else np.array([0.5, 0.5])
-    return np.concatenate([[levels[0] - reach[0]], middles, [levels[-1] + reach[1]]])
+    return edges_around(levels)
 
 
 def _bins(values: Array, edges: Array) -> NDArray[np.int64]:
     return np.clip(np.searchsorted(edges, values, side="right") - 1, 0, len(edges) - 2)
 
 
-def _binned(found: DataSet, other: Array, target: _Target) -> _Map:
+def _binned(found: DataSet, other: Array, target: _Target) -> Cells:
     speed = found.conditions[:, 0]
     x_edges, y_edges = _edges(speed), _edges(other)
     columns, rows = _bins(speed, x_edges), _bins(other, y_edges)
     medians = np.full((len(y_edges) - 1, len(x_edges) - 1), np.nan)
     for row, column in set(zip(rows.tolist(), columns.tolist(), strict=True)):
         medians[row, column] = np.median(target.values[(rows == row) & (columns == column)])
-    return _Map(x_edges, y_edges, medians)
-
-
-def _norm(grids: Sequence[Array]) -> Normalize:
-    values = np.concatenate([grid.ravel() for grid in grids])
-    low, high = float(np.nanmin(values)), float(np.nanmax(values))
-    return Normalize(low, high) if high > low else Normalize(low - 0.5, high + 0.5)
+    return Cells(x_edges, y_edges, medians)
 
 
 def _positive(values: Array) -> Array:
@@ -479,62 +456,26 @@ def _quantiles(values: Array, levels: Sequence[float]) -> Array:
 
 
 # -- drawing ----------------------------------------------------------------------------------------------------------
-def _draw_heat(grid: _Map, norm: Normalize, label: str, axes: Axes) -> None:
-    axes.grid(False)
-    axes.set_facecolor("none")
-    masked = np.ma.masked_invalid(grid.medians)
-    axes.pcolormesh(
-        grid.x_edges, grid.y_edges, masked, cmap=COLOURS, norm=norm, edgecolor="face", linewidth=0.3, antialiased=True
-    )
-    axes.set_xlabel("Speed (m/s)")
-    axes.set_ylabel(label)
-    axes.yaxis.set_major_locator(MaxNLocator(nbins=6, steps=[1, 2, 5, 10]))
-    axes.margins(0.0)
-
-
-def _bar(figure: Figure, axes: Axes | list[Axes], norm: Normalize, target: _Target, **how: Any) -> None:
-    ticks = MaxNLocator(nbins=5, integer=target.whole, steps=[1, 2, 2.5, 5, 10])
-    bar = figure.colorbar(ScalarMappable(norm, COLOURS), ax=axes, ticks=ticks, **how)
-    bar.outline.set_linewidth(0.5)
-    bar.ax.tick_params(labelsize=7.5)
-
-
-def _heat_figure(rows: Sequence[Sequence[tuple[_Target, _Map, str, str]]], norms: Mapping[str, Normalize]) -> Figure:
+def _heat_figure(titles: Sequence[str], rows: Sequence[Sequence[Heat]]) -> Figure:
+    """The maps of each target in one column, with their bar below it."""
+    columns = len(titles)
     with style.styled():
-        figure, axes = style.grid_figure(len(rows), len(rows[0]), 2.25)
-        for i, row in enumerate(rows):
-            for j, (target, grid, _, label) in enumerate(row):
-                ax = axes[i * len(row) + j]
-                _draw_heat(grid, norms[target.name], label if j == 0 else "", ax)
-                ax.set_xlabel("Speed (m/s)" if i == len(rows) - 1 else "")
-                ax.set_title(f"({'abcdefghi'[i * len(row) + j]}) {target.label}" if i == 0 else "")
-                if i:
-                    ax.set_title(f"({'abcdefghi'[i * len(row) + j]})")
-        for j, (target, *_) in enumerate(rows[0]):
-            column = [axes[i * len(rows[0]) + j] for i in range(len(rows))]
-            _bar(figure, column, norms[target.name], target, location="bottom", aspect=28, shrink=0.95, pad=0.02)
+        figure, axes = style.grid_figure(len(rows), columns, 2.25)
+        for i, (heat, ax) in enumerate(zip([heat for row in rows for heat in row], axes, strict=True)):
+            heat.draw(ax)
+            ax.set_title(lettered(i, titles[i] if i < columns else ""))
+            if i % columns:
+                ax.set_ylabel("")
+            if i < len(axes) - columns:
+                ax.set_xlabel("")
+        for j, heat in enumerate(rows[0]):
+            heat.bar(figure, ax=axes[j::columns], location="bottom", aspect=28, shrink=0.95, pad=0.02)
     return figure
 
 
-def _heat_drawing(target: _Target, grid: _Map, other: str, label: str, norms: Mapping[str, Normalize]) -> Drawing:
-    norm = norms[target.name]
-
-    def draw(axes: Axes) -> None:
-        axes.set_title(target.label)
-        _draw_heat(grid, norm, label, axes)
-        figure = axes.get_figure()
-        assert isinstance(figure, Figure)
-        box = axes.get_position()
-        axes.set_position((box.x0, box.y0, 0.83 * box.width, box.height))  # room for the colour bar and its numbers
-        _bar(figure, axes, norm, target, cax=axes.inset_axes((1.03, 0.0, 0.035, 1.0)))
-
-    text = f"Median of the best {target.label.replace('$', '')} over speed and {other}: {span(grid.medians)}."
-    return Drawing(style.panel_figure(draw), text)
-
-
-def _histogram(target: _Target, limits: tuple[float, float]) -> _Panel:
+def _histogram(target: _Target, limits: tuple[float, float]) -> Panel:
     text = f"Share of the conditions in percent; {_range_of(target.values)}."
-    return _Panel(target.symbol, partial(_draw_histogram, target, limits), text)
+    return Panel(target.symbol, partial(_draw_histogram, target, limits), text)
 
 
 def _draw_histogram(target: _Target, limits: tuple[float, float], axes: Axes) -> None:
@@ -560,7 +501,6 @@ def _draw_histogram(target: _Target, limits: tuple[float, float], axes: Axes) ->
 
 
 def _draw_cumulative(costs: Mapping[str, Array], axes: Axes) -> None:
-    axes.set_xscale("log")
     for i, (name, values) in enumerate(costs.items()):
         placed = _positive(values)
         share = 100.0 * ((values <= 0.0).sum() + np.arange(1, placed.size + 1)) / values.size
@@ -568,7 +508,7 @@ def _draw_cumulative(costs: Mapping[str, Array], axes: Axes) -> None:
         width = 1.3 + (0.9 if i == 1 else 0.0)  # the library's best may lie on the swarm's
         axes.step(placed, share, where="post", color=stroke.colour, linestyle=stroke.dash, linewidth=width)
     axes.set_ylim(0.0, 103.0)
-    axes.xaxis.set_minor_locator(NullLocator())
+    style.logarithmic(axes, "x")
     axes.set_xlabel("Cost (m²)")
     axes.set_ylabel("Conditions (%)")
 
@@ -581,7 +521,7 @@ def _draw_gain(speed: Array, gain: Array, axes: Axes) -> None:
     low, middle, high = np.stack([_quantiles(gain[bins == b], (0.25, 0.5, 0.75)) for b in which], axis=1)
     axes.axhline(1.0, color=style.MUTED, linewidth=0.7)
     _band(axes, middles, low, middle, high)
-    _logarithmic(axes, float(low.min()), float(high.max()))
+    _ratio_axis(axes, float(low.min()), float(high.max()))
     axes.set_xlabel("Speed (m/s)")
     axes.set_ylabel("Cost ratio (–)")
 
@@ -590,7 +530,7 @@ def _draw_convergence(low: Array, middle: Array, high: Array, axes: Axes) -> Non
     generation = np.arange(1, len(middle) + 1)
     _band(axes, generation, low, middle, high)
     finite = high[np.isfinite(high)]
-    _logarithmic(axes, 1.0, float(finite.max()) if finite.size else 1.0)
+    _ratio_axis(axes, 1.0, float(finite.max()) if finite.size else 1.0)
     axes.xaxis.set_major_locator(MaxNLocator(integer=True))
     axes.set_xlabel("Generation (–)")
     axes.set_ylabel("Cost over last (–)")
@@ -615,41 +555,8 @@ def _band(axes: Axes, x: NDArray[Any], low: Array, middle: Array, high: Array) -
     axes.set_xmargin(0.02)
 
 
-def _logarithmic(axes: Axes, low: float, high: float) -> None:
-    """A logarithmic axis with numbers that can be read, also where it spans less than a decade."""
-    axes.set_yscale("log")
+def _ratio_axis(axes: Axes, low: float, high: float) -> None:
+    """A logarithmic axis of ratios from `low` to `high`, with 1 on it."""
     low, high = min(low, 1.0), max(high, 1.0)
     margin = max(float(high / low) ** 0.06, 1.001)
-    bottom, top = low / margin, high * margin
-    axes.set_ylim(bottom, top)
-    decades = np.log10(top / bottom)
-    if decades < 0.5:
-        ticks = np.asarray(MaxNLocator(nbins=5, steps=[1, 2, 5, 10]).tick_values(bottom, top))
-    else:
-        factors = (1.0, 2.0, 5.0) if decades < 2.5 else (1.0,)
-        powers = 10.0 ** np.arange(np.floor(np.log10(bottom)), np.ceil(np.log10(top)) + 1)
-        ticks = np.outer(powers, factors).ravel()
-    axes.yaxis.set_major_locator(FixedLocator(ticks[(ticks >= bottom) & (ticks <= top)].tolist()))
-    axes.yaxis.set_minor_locator(NullLocator())
-    axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-
-
-def _print(
-    panels: Sequence[_Panel],
-    columns: int,
-    height: float,
-    key: Mapping[str, style.Stroke] | Sequence[tuple[str, style.Stroke]] = (),
-) -> Figure:
-    """All panels in one figure, for print."""
-    with style.styled():
-        figure, axes = style.grid_figure(-(-len(panels) // columns), columns, height)
-        for i, (panel, ax) in enumerate(zip(panels, axes, strict=False)):
-            panel.show(ax)
-            ax.set_title(f"({'abcdefghi'[i]}) {panel.title}" if len(panels) > 1 else panel.title)
-            if i % columns and len({other.title for other in panels}) > 2:
-                ax.set_ylabel("")
-        for spare in axes[len(panels) :]:
-            spare.remove()
-        if key:
-            style.legend_above(figure, list(key.items()) if isinstance(key, Mapping) else key)
-    return figure
+    style.logarithmic(axes, "y", (low / margin, high * margin))

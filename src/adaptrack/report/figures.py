@@ -7,7 +7,6 @@ figure (PNG, for print) and alone on the page, where panels flow into one or two
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
@@ -22,7 +21,7 @@ from numpy.typing import NDArray
 from adaptrack.errors import InvalidInput
 from adaptrack.metrics import find_loss
 from adaptrack.report import style
-from adaptrack.report.words import span
+from adaptrack.report.words import lettered, plain, span
 from adaptrack.trajectory import Trajectory
 
 Array = NDArray[Any]
@@ -74,8 +73,7 @@ class Panel:
     def describe(self, lines: Sequence[Line]) -> str:
         """The alternative text: the quantity and, for each run, its range."""
         ranges = "; ".join(f"{line.label}: {span(self.value(line.run))}" for line in lines)
-        label = re.sub(r"\\mathrm\{(\w+)\}|\$", r"\1", self.ylabel)
-        return f"{self.title}, {label}, over time. {ranges}."
+        return f"{self.title}, {plain(self.ylabel)}, over time. {ranges}."
 
 
 def speed_figure(scenarios: Mapping[str, Runs], strokes: Mapping[str, style.Stroke] | None = None) -> Figure:
@@ -86,7 +84,7 @@ def speed_figure(scenarios: Mapping[str, Runs], strokes: Mapping[str, style.Stro
         columns = min(len(lines), 2)
         figure, axes = style.grid_figure(math.ceil(len(lines) / columns), columns, 2.3)
         for i, (name, group) in enumerate(lines.items()):
-            SPEED.show(axes[i], group, title=f"({_letter(i)}) {name}" if len(lines) > 1 else name)
+            SPEED.show(axes[i], group, title=lettered(i, name) if len(lines) > 1 else name)
         for spare in axes[len(lines) :]:
             spare.remove()
         style.legend_above(figure, speed_key(list(lines.values())))
@@ -148,7 +146,7 @@ def _four_panels(
     with style.styled():
         figure, axes = style.grid_figure(2, 2, 2.25)
         for i, (panel, ax) in enumerate(zip(panels, axes, strict=True)):
-            panel.show(ax, lines, title=f"({_letter(i)}) {panel.title}")
+            panel.show(ax, lines, title=lettered(i, panel.title))
             ax.set_xlabel("Time (s)" if i >= 2 else "")
         figure.align_ylabels(axes)
         key = [(reference, style.REFERENCE)] if reference else []
@@ -366,7 +364,3 @@ def _note(axes: Axes, text: str) -> None:
 def _extent(values: Array) -> tuple[float, float] | None:
     finite = values[np.isfinite(values)]
     return (float(finite.min()), float(finite.max())) if finite.size else None
-
-
-def _letter(i: int) -> str:
-    return "abcdefghijklmnopqrstuvwxyz"[i]

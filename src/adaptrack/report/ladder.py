@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -15,18 +15,17 @@ from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.cm import ScalarMappable
-from matplotlib.colors import LogNorm, Normalize
-from matplotlib.figure import Figure
-from matplotlib.ticker import FixedLocator, FuncFormatter, Locator, MaxNLocator, NullLocator
+from matplotlib.colors import LogNorm
+from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
 from adaptrack.closed_loop import LOST_BEYOND, LOST_COST
 from adaptrack.evaluate.ladder import Ladder
 from adaptrack.mpc import Condition
 from adaptrack.report import style
-from adaptrack.report.page import Cell, Drawing, Head, Picture, Section, Table, Terms, Verbatim, write_page
-from adaptrack.report.words import listed, number, percent, span, title_of
+from adaptrack.report.maps import Cells, Heat, norm_of
+from adaptrack.report.page import Cell, Head, Panel, Picture, Section, Table, Terms, Verbatim, printed, write_page
+from adaptrack.report.words import counted, listed, number, percent, span, title_of
 from adaptrack.schedule import Schedule
 
 Array = NDArray[np.float64]
@@ -86,14 +85,14 @@ _COUNTS = {
     "rate_limited": "Change limited",
     "broken": "Not a number",
     "outside": "Fallback begun, input outside",
-    "unstable": "Fallback begun, near instability",
+    "astray": "Fallback begun, offset too large",
+    "unstable": "Gave way, near instability",
     "fallback": "On the fallback",
 }
 _SPREAD = {"regret_p50": "P50", "regret_p90": "P90", "regret_p99": "P99", "regret_worst": "Worst"}
 _BOLD = "Bold: the lowest of its column, but for what needs hindsight. "
 _LOST = f"Lost: more than {LOST_BEYOND:g} m off the reference, or spun, with any of the noise seeds."
 
-_COLOURS = "cividis"
 _CEILING = 10.0
 """Regrets above this share a colour."""
 _PER_CELL, _MOST_CELLS = 6, 12
@@ -131,65 +130,13 @@ class _Told(NamedTuple):
         return {rung: _between(row) for rung, row in self.rows.items() if rung != self.ladder.reference}
 
 
-class _Map(NamedTuple):
-    """Geometric mean of the regret in cells over two quantities."""
-
-    x_edges: Array
-    y_edges: Array
-    means: Array
-    """(y cells, x cells), NaN where no condition lies"""
-
-
-class _Panel(NamedTuple):
-    """One set of axes: its title, what draws it, and its alternative text."""
-
-    title: str
-    draw: Callable[[Axes], None]
-    description: str
-
-    def show(self, axes: Axes) -> None:
-        axes.set_title(self.title)
-        self.draw(axes)
-
-    def drawing(self) -> Drawing:
-        text = f"{self.title}. {self.description}".replace("$", "").replace("\\log_{10}", "log10")
-        return Drawing(style.panel_figure(self.show), text)
-
-
-class _Heat(NamedTuple):
-    """A heat map: what draws it, its scale of colours with the ticks of the bar, and whether values lie above it."""
-
-    draw: Callable[[Normalize, Axes], None]
-    norm: Normalize
-    ticks: Locator
-    beyond: bool = False
-
-    def show(self, axes: Axes) -> None:
-        """Draw it with its bar, for a panel of the page."""
-        self.draw(self.norm, axes)
-        box = axes.get_position()
-        axes.set_position((box.x0, box.y0, 0.83 * box.width, box.height))  # room for the bar and its numbers
-        figure = axes.get_figure()
-        assert isinstance(figure, Figure)
-        self.bar(figure, cax=axes.inset_axes((1.03, 0.0, 0.035, 1.0)))
-
-    def bar(self, figure: Figure, **place: Any) -> Any:
-        """The bar of its colours."""
-        mappable = ScalarMappable(self.norm, _COLOURS)
-        bar = figure.colorbar(mappable, ticks=self.ticks, extend="max" if self.beyond else "neither", **place)
-        bar.formatter = FuncFormatter(lambda value, _: f"{value:g}".replace("-", "−"))
-        bar.ax.minorticks_off()
-        bar.ax.tick_params(labelsize=7.5)
-        bar.outline.set_linewidth(0.5)
-        return bar
-
-
 def write_ladder(
     out_dir: str | os.PathLike[str],
     *,
     conditions: Ladder | None,
     drives: Ladder | None,
     perceptions: Ladders,
+    drive_perceptions: Ladders | None = None,
     tests: Ladders,
     schedules: Mapping[str, Schedule],
     histories: Histories,
@@ -203,7 +150,10 @@ def write_ladder(
     conditions, drives
         What every rung costs on single conditions (`where`: speed, y_ref, friction, wind) and on long drives.
     perceptions
-        Runs with friction and wind told "exact", "noisy", "lagged", "estimated", "withheld", ..., all on the same ones.
+        The conditions with friction and wind told "exact", "noisy", "lagged", "estimated", "withheld", ...; where
+        `conditions` is None and no `drive_perceptions` are given, these are taken to be drives.
+    drive_perceptions
+        The drives, likewise.
     tests
         The paper's tests, by the scenario's name.
     schedules
@@ -225,10 +175,13 @@ def write_ladder(
         for ladder, noun in ((conditions, "condition"), (drives, "drive"))
         if ladder is not None
     ]
+    known = {"condition": perceptions, "drive": drive_perceptions or {}}
+    if conditions is None and not drive_perceptions:
+        known = {"drive": perceptions}
     sections = [
         *(_on_conditions(told) if told.noun == "condition" else _on_drives(told) for told in climbed),
         *_spread(climbed),
-        *_perceived(perceptions),
+        *_perceived(known),
         *_tested(tests),
         *_learned(schedules),
         *_learning(histories),
@@ -237,7 +190,8 @@ def write_ladder(
         Section("How it was made", ["This command makes it again:", Verbatim(command)]),
     ]
     said = [" ".join(filter(None, (standing(*told), against_constant(*told), losses(*told)))) for told in climbed]
-    lead = [words for words in (*said, knowledge(perceptions), on_tests(tests)) if words]
+    said += [knowledge(ladders, noun) for noun, ladders in known.items()]
+    lead = [words for words in (*said, on_tests(tests)) if words]
     lead = lead or ["Nothing was driven: there are no costs to compare."]
     return write_page(out_dir, sections, title="What adaptation pays", lead=lead)
 
@@ -260,7 +214,7 @@ def best(ladder: Ladder) -> list[str]:
 def standing(ladder: Ladder, rows: Rows, noun: str) -> str:
     """Which rung is best, and how it and the learned ones stand to the reference, the best constant and speed only."""
     first, *level = best(ladder)
-    head = f"On {_count(_runs(ladder), noun)} that nobody trained on, {_said(first)} is best"
+    head = f"On {counted(_runs(ladder), noun)} that nobody trained on, {_said(first)} is best"
     sentences = [f"{head}, level with {listed([_said(rung) for rung in level])}." if level else f"{head}."]
     against = [other for other in dict.fromkeys((ladder.reference, CONSTANT, SPEED)) if other in ladder.costs]
     for rung in dict.fromkeys((first, *LEARNED)):
@@ -294,14 +248,14 @@ def against_constant(ladder: Ladder, rows: Rows, noun: str) -> str:
 def losses(ladder: Ladder, rows: Rows, noun: str) -> str:
     """Who lost the car, and how often."""
     lost = {rung: row["failures"] for rung, row in rows.items()}
-    total = _count(_runs(ladder), noun)
+    total = counted(_runs(ladder), noun)
     if not any(lost.values()):
         return f"No controller lost the car in any of {total}."
     told = listed([f"{_said(rung)} in {number(count)}" for rung, count in lost.items() if count])
     return f"The car was lost by {told} of {total}{'' if all(lost.values()) else '; by no other'}."
 
 
-def knowledge(perceptions: Ladders) -> str:
+def knowledge(perceptions: Ladders, noun: str) -> str:
     """What it costs the learned rungs not to know friction and wind exactly; empty where nothing else was told."""
     clauses, failed, lost, compared = [], [], [], False
     for rung in LEARNED:
@@ -319,13 +273,13 @@ def knowledge(perceptions: Ladders) -> str:
         compared |= bool(beside)
         counts = {name: int((ladder.failures[rung] > 0.0).sum()) for name, ladder in known.items()}
         lost += [f"{_said(rung)} in {count} ({name})" for name, count in counts.items() if count]
-    sentences = [f"By how friction and wind are known, {'; '.join(clauses)}."] if clauses else []
+    sentences = [f"By how friction and wind are known on these {noun}s, {'; '.join(clauses)}."] if clauses else []
     if failed:
         sentences.append(f"The best constant is not always beaten: {listed(failed)}.")
     elif compared:
         sentences.append("However they are known, the best constant costs more.")
     if lost:
-        sentences.append(f"The car was lost by {listed(lost)} of the runs.")
+        sentences.append(f"The car was lost by {listed(lost)} of the {noun}s.")
     return " ".join(sentences)
 
 
@@ -411,24 +365,19 @@ def _maps(ladder: Ladder) -> list[Picture]:
     speed, y_ref, friction = ladder.where[:, 0], np.abs(ladder.where[:, 1]), ladder.where[:, 2]
     over = {"friction": (friction, "Friction (–)"), "lateral reference": (y_ref, r"$|y_\mathrm{ref}|$ (m)")}
     grids = {(r, name): _mean_regret(ladder.regret(r), speed, y) for r in rungs for name, (y, _) in over.items()}
-    means = np.concatenate([grid.means.ravel() for grid in grids.values()])
+    means = np.concatenate([grid.values.ravel() for grid in grids.values()])
     low, high = min(1.0, float(np.nanmin(means))), float(np.nanmax(means))
-    top = max(min(high, _CEILING), 1.2 * low)
-    norm, ticks = LogNorm(low, top), _log_ticks(low, top)
-    heats = {
-        (rung, name): _Heat(partial(_draw_cells, grid, over[name][1]), norm, ticks, high > _CEILING)
-        for (rung, name), grid in grids.items()
-    }
+    norm = LogNorm(low, max(min(high, _CEILING), 1.2 * low))
+    beyond = "max" if high > _CEILING else "neither"
+    heats = {(rung, name): Heat(grid, over[name][1], norm, extend=beyond) for (rung, name), grid in grids.items()}
     panels = [
-        _Panel(
-            _label(rung), heat.show, f"Geometric mean regret over speed and {name}: {span(grids[rung, name].means)}."
-        ).drawing()
+        Panel(_label(rung), heat.show, f"Geometric mean regret over speed and {name}: {span(heat.cells.values)}.")
         for (rung, name), heat in heats.items()
     ]
     with style.styled():
         figure, axes = style.grid_figure(len(over), len(rungs), 1.75)
         for ax, (rung, name) in zip(axes, ((rung, name) for name in over for rung in rungs), strict=True):
-            heats[rung, name].draw(norm, ax)
+            heats[rung, name].draw(ax)
             first_row, first_column = ax in axes[: len(rungs)], rung == rungs[0]
             ax.set_title(_label(rung) if first_row else "")
             ax.set_xlabel("" if first_row else "Speed (m/s)")
@@ -440,7 +389,7 @@ def _maps(ladder: Ladder) -> list[Picture]:
         "over friction, right over the size of the reference. All maps share one logarithmic scale of colours"
         f"{f', which ends at {_CEILING:g}' if high > _CEILING else ''}."
     )
-    return [Picture(caption, panels, file="regret-map.png", print_figure=figure)]
+    return [Picture(caption, [panel.drawing() for panel in panels], file="regret-map.png", print_figure=figure)]
 
 
 def _spread(climbed: Sequence[_Told]) -> list[Section]:
@@ -457,7 +406,7 @@ def _spread(climbed: Sequence[_Told]) -> list[Section]:
         told = " ".join(f"{_label(r)}: median {p50}, nine tenths below {p90}." for r, (p50, p90) in quantiles.items())
         over = "Regret (–)" if ladder.reference == OPTIMUM else f"Cost / {ladder.reference} (–)"
         draw = partial(_draw_distribution, ratios, strokes, over, f"{noun.capitalize()}s (%)")
-        panels.append(_Panel(f"{noun.capitalize()}s", draw, f"{over}, logarithmic, and the share below. {told}"))
+        panels.append(Panel(f"{noun.capitalize()}s", draw, f"{over}, logarithmic, and the share below. {told}"))
     caption = (
         "Share of the runs that cost at most so many times the reference, which is the upright line: further left is "
         "better. What lies far out is cut off."
@@ -465,12 +414,23 @@ def _spread(climbed: Sequence[_Told]) -> list[Section]:
     return [Section("Run by run", [_picture(caption, panels, strokes, "spread.png")])]
 
 
-def _perceived(perceptions: Ladders) -> list[Section]:
-    """What not knowing friction and wind exactly costs the rungs that look at them."""
-    told = [rung for name, ladder in perceptions.items() if name != "exact" for rung in adaptive(ladder)]
-    rungs = [rung for rung in dict.fromkeys(told) if rung != SPEED]
-    if not rungs:
-        return []
+def _perceived(known: Mapping[str, Ladders]) -> list[Section]:
+    """What not knowing friction and wind exactly costs the rungs that look at them; known: by what a run is."""
+    tables = [_perceived_table(noun, ladders) for noun, ladders in known.items() if _lookers(ladders)]
+    words = (
+        "Cars measure neither friction nor wind. Here schedulers are told them in other ways than as they are; the "
+        "runs of a table are the same in every row."
+    )
+    return [Section("What a car really knows", [words, *tables])] if tables else []
+
+
+def _lookers(perceptions: Ladders) -> list[str]:
+    """The rungs that may look at friction and wind, where those are told otherwise than as they are."""
+    told = (rung for name, ladder in perceptions.items() if name != "exact" for rung in adaptive(ladder))
+    return [rung for rung in dict.fromkeys(told) if rung != SPEED]
+
+
+def _perceived_table(noun: str, perceptions: Ladders) -> Table:
     first = next(iter(perceptions.values()))
     exact = perceptions["exact"].costs if "exact" in perceptions else {}
     over = f"/ {first.reference}"
@@ -478,7 +438,7 @@ def _perceived(perceptions: Ladders) -> list[Section]:
     heads += [Head("Cost", "/ best constant")] if first.reference != CONSTANT else []
     heads += [Head("Cost", "/ exact"), Head("Lost", f"of {number(_runs(first))}")]
     body: list[Sequence[Cell | str] | str] = []
-    for rung in rungs:
+    for rung in _lookers(perceptions):
         body.append(_label(rung))
         for name, ladder in perceptions.items():
             if rung not in ladder.costs:
@@ -489,12 +449,8 @@ def _perceived(perceptions: Ladders) -> list[Section]:
             cells.append(_geomean(ladder.costs[rung] / exact[rung]) if rung in exact else None)
             cells.append(int((ladder.failures[rung] > 0.0).sum()))
             body.append([title_of(name), *map(_cell, cells)])
-    words = (
-        "Cars measure neither friction nor wind. Here schedulers are told them in other ways than as they are; the "
-        "runs are the same in every row."
-    )
-    table = Table("Imperfect knowledge of friction and wind", heads, body, f"Cost: geometric mean. {_LOST}")
-    return [Section("What a car really knows", [words, table])]
+    caption = f"Imperfect knowledge of friction and wind: {noun}s"
+    return Table(caption, heads, body, f"Cost: geometric mean. {_LOST}")
 
 
 def _tested(tests: Ladders) -> list[Section]:
@@ -527,28 +483,25 @@ def _learned(schedules: Mapping[str, Schedule]) -> list[Section]:
     total = {each: sum(share.get(each, 0.0) for share in shares.values()) for each in inputs}
     other = {n: max((i for i in shares[n] if i != "speed"), key=lambda i: total[i]) for n in drawn}
     surfaces = {name: _surface(schedule, other[name]) for name, schedule in drawn.items()}
-    heats: dict[tuple[str, int], _Heat] = {}
+    heats: dict[tuple[str, int], Heat] = {}
     for k in range(len(_OUTPUTS)):
-        values = np.stack([surface[..., k] for surface in surfaces.values()])
-        low, high = float(values.min()), float(values.max())
-        norm = Normalize(low, high) if high > low else Normalize(low - 0.5, high + 0.5)
-        ticks = MaxNLocator(nbins=5, integer=k < 2, steps=[1, 2, 2.5, 5, 10])
+        norm = norm_of(surface[..., k] for surface in surfaces.values())
         for name, schedule in drawn.items():
-            box = (*_domain(schedule, "speed"), *_domain(schedule, other[name]))
-            draw = partial(_draw_surface, surfaces[name][..., k], box, _axis(other[name]))
-            heats[name, k] = _Heat(draw, norm, ticks)
+            speed, beside = (np.array(_domain(schedule, each)) for each in ("speed", other[name]))
+            cells = Cells(speed, beside, surfaces[name][..., k])
+            heats[name, k] = Heat(cells, _axis(other[name]), norm, whole=k < 2, smooth=True)
     panels = [
-        _Panel(
+        Panel(
             f"{_label(name)}: {_OUTPUTS[k][0]} ({_OUTPUTS[k][1]})",
             heat.show,
-            f"Over speed and {_INPUTS[other[name]][0].lower()}: {span(surfaces[name][..., k])}.",
-        ).drawing()
+            f"Over speed and {_INPUTS[other[name]][0].lower()}: {span(heat.cells.values)}.",
+        )
         for (name, k), heat in heats.items()
     ]
     with style.styled():
         figure, axes = style.grid_figure(len(drawn), len(_OUTPUTS), 2.1)
         for ax, (name, k) in zip(axes, sorted(heats, key=lambda key: LEARNED.index(key[0])), strict=True):
-            heats[name, k].draw(heats[name, k].norm, ax)
+            heats[name, k].draw(ax)
             ax.set_title(f"{_label(name)}: {_OUTPUTS[k][0]}")
             ax.set_ylabel("" if k else _axis(other[name]))
             heats[name, k].bar(figure, ax=ax, aspect=22)
@@ -566,7 +519,8 @@ def _learned(schedules: Mapping[str, Schedule]) -> list[Section]:
         "Share of the variance over the domain in which an input has a part, alone or with others (total Sobol index), "
         "mean over Np, Nc and log R/Q; parts that inputs have together count for each of them.",
     )
-    return [Section("What was learned", [Picture(caption, panels, file="surfaces.png", print_figure=figure), table])]
+    drawings = [panel.drawing() for panel in panels]
+    return [Section("What was learned", [Picture(caption, drawings, file="surfaces.png", print_figure=figure), table])]
 
 
 def _learning(histories: Histories) -> list[Section]:
@@ -579,11 +533,11 @@ def _learning(histories: Histories) -> list[Section]:
     losses = {name: [(check["round"], check["lost"]) for check in checks] for name, checks in told.items()}
     words = [_course(name, costs[name], told[name]) for name in told]
     draw = partial(_draw_learning, costs, strokes, "Cost (m²)")
-    panels = [_Panel("Cost of the held-out runs", draw, f"Geometric mean over the rounds. {' '.join(words)}")]
+    panels = [Panel("Cost of the held-out runs", draw, f"Geometric mean over the rounds. {' '.join(words)}")]
     if any(check["lost"] for checks in told.values() for check in checks):
         draw = partial(_draw_learning, losses, strokes, "Lost runs (–)")
         counts = " ".join(f"{_label(n)}: {line[0][1]:g} to {line[-1][1]:g}." for n, line in losses.items())
-        panels.append(_Panel("Held-out runs lost", draw, f"Number over the rounds. {counts}"))
+        panels.append(Panel("Held-out runs lost", draw, f"Number over the rounds. {counts}"))
     caption = "What held-out runs cost after each check, in the geometric mean; the schedule with the lowest was kept."
     return [Section("How it was learned", [" ".join(words), _picture(caption, panels, strokes, "learning.png")])]
 
@@ -679,12 +633,12 @@ def _domain(schedule: Schedule, name: str) -> tuple[float, float]:
     return (low, high) if high > low else (low - 0.5, high + 0.5)
 
 
-def _mean_regret(regret: Array, x: Array, y: Array) -> _Map:
+def _mean_regret(regret: Array, x: Array, y: Array) -> Cells:
     cells = int(np.clip(math.sqrt(len(regret) / _PER_CELL), 2, _MOST_CELLS))
     x_edges, y_edges = (np.histogram_bin_edges(values, cells) for values in (x, y))
     count = np.histogram2d(y, x, (y_edges, x_edges))[0]
     total = np.histogram2d(y, x, (y_edges, x_edges), weights=np.log(regret))[0]
-    return _Map(x_edges, y_edges, np.exp(np.divide(total, count, out=np.full(count.shape, np.nan), where=count > 0.0)))
+    return Cells(x_edges, y_edges, np.exp(np.divide(total, count, out=np.full(count.shape, np.nan), where=count > 0.0)))
 
 
 def _geomean(values: Array) -> float:
@@ -726,10 +680,6 @@ def _axis(name: str) -> str:
     return "{} ({})".format(*_INPUTS[name])
 
 
-def _count(n: int, noun: str) -> str:
-    return f"{number(n)} {noun}{'' if n == 1 else 's'}"
-
-
 def _strokes(rungs: Iterable[str]) -> dict[str, style.Stroke]:
     """The strokes of these rungs, alike in all pictures: the paper's recipe is dashed, in the colour of its model."""
     given = dict.fromkeys(rungs)
@@ -737,38 +687,7 @@ def _strokes(rungs: Iterable[str]) -> dict[str, style.Stroke]:
 
 
 # -- drawing ----------------------------------------------------------------------------------------------------------
-def _draw_cells(grid: _Map, label: str, norm: Normalize, axes: Axes) -> None:
-    axes.pcolormesh(
-        grid.x_edges, grid.y_edges, np.ma.masked_invalid(grid.means), cmap=_COLOURS, norm=norm, edgecolor="face",
-        linewidth=0.3, antialiased=True,
-    )  # fmt: skip
-    _finish_heat(label, axes)
-
-
-def _draw_surface(
-    values: Array, box: tuple[float, float, float, float], label: str, norm: Normalize, axes: Axes
-) -> None:
-    axes.imshow(values, _COLOURS, norm, aspect="auto", interpolation="none", origin="lower", extent=box)
-    _finish_heat(label, axes)
-
-
-def _finish_heat(label: str, axes: Axes) -> None:
-    axes.grid(False)
-    axes.margins(0.0)
-    axes.set_xlabel("Speed (m/s)")
-    axes.set_ylabel(label)
-    axes.yaxis.set_major_locator(MaxNLocator(nbins=6, steps=[1, 2, 5, 10]))
-
-
-def _log_ticks(low: float, high: float) -> FixedLocator:
-    """Round numbers on a logarithmic axis, more of them where it is short."""
-    decade = (1.0, 2.0, 5.0) if high > 30.0 * low else (1.0, 1.5, 2.0, 3.0, 5.0, 7.0)
-    ticks = np.outer(10.0 ** np.arange(-3, 3), decade if high > 2.0 * low else np.arange(10, 100) / 10.0).ravel()
-    return FixedLocator(ticks[(ticks >= low * 0.999) & (ticks <= high * 1.001)].tolist())
-
-
 def _draw_distribution(ratios: Mapping[str, Array], strokes: Strokes, label: str, shares: str, axes: Axes) -> None:
-    axes.set_xscale("log")
     axes.axvline(1.0, color=style.MUTED, linewidth=0.7)
     for rung, values in ratios.items():
         levels = np.linspace(0.0, 1.0, min(len(values), _CURVE) + 1)[1:]
@@ -778,12 +697,8 @@ def _draw_distribution(ratios: Mapping[str, Array], strokes: Strokes, label: str
     shown = [0.9, 1.1, *(np.clip(np.median(values), 0.1, _CEILING) for values in ratios.values())]
     for rung in set(ratios) & set(MAPPED):
         shown += np.clip(np.quantile(ratios[rung], (0.005, 0.97)), 0.05, 5.0 * _CEILING).tolist()
-    low, high = min(shown), max(shown)
-    axes.set_xlim(low, high)
+    style.logarithmic(axes, "x", (min(shown), max(shown)))
     axes.set_ylim(0.0, 103.0)
-    axes.xaxis.set_major_locator(_log_ticks(low, high))
-    axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-    axes.xaxis.set_minor_locator(NullLocator())
     axes.set_xlabel(label)
     axes.set_ylabel(shares)
 
@@ -802,12 +717,8 @@ def _draw_learning(
     axes.set_ylabel(label)
 
 
-def _picture(caption: str, panels: Sequence[_Panel], strokes: Strokes, file: str) -> Picture:
+def _picture(caption: str, panels: Sequence[Panel], strokes: Strokes, file: str) -> Picture:
     """Panels with a common legend, side by side in print."""
     key = [(_label(rung), stroke) for rung, stroke in strokes.items()]
-    with style.styled():
-        figure, axes = style.grid_figure(1, len(panels), 2.8)
-        for panel, ax in zip(panels, axes, strict=True):
-            panel.show(ax)
-        style.legend_above(figure, key)
-    return Picture(caption, [panel.drawing() for panel in panels], key, file, figure)
+    drawings = [panel.drawing() for panel in panels]
+    return Picture(caption, drawings, key, file, printed(panels, len(panels), 2.8, key))

@@ -12,19 +12,23 @@ import os
 import re
 import shutil
 import tempfile
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeAlias
 
 import jinja2
 from markupsafe import Markup
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from adaptrack import __version__
 from adaptrack.errors import InvalidInput, StorageError
 from adaptrack.report import style
-from adaptrack.report.words import slug
+from adaptrack.report.words import lettered, plain, slug
+
+Legend = Sequence[tuple[str, style.Stroke]]
+"""Names and their strokes, in order."""
 
 PAGE = "index.html"
 """The name of the page in its folder."""
@@ -71,12 +75,31 @@ class Drawing:
 
 
 @dataclass(frozen=True)
+class Panel:
+    """One set of axes, to stand alone on the page and beside others in print."""
+
+    title: str
+    draw: Callable[[Axes], None]
+    description: str
+    """With the title, its alternative text."""
+
+    def drawing(self) -> Drawing:
+        """The panel alone."""
+        return Drawing(style.panel_figure(self.show), plain(f"{self.title}. {self.description}"))
+
+    def show(self, axes: Axes, title: str = "") -> None:
+        """Draw it under its title, or another."""
+        axes.set_title(title or self.title)
+        self.draw(axes)
+
+
+@dataclass(frozen=True)
 class Picture:
     """Panels that flow into one or two columns, a legend, and the same as a file for print."""
 
     caption: str
     panels: Sequence[Drawing]
-    legend: Sequence[tuple[str, style.Stroke]] = ()
+    legend: Legend = ()
     file: str = ""
     """The name of its PNG file beside the page; empty for none."""
     print_figure: Figure | None = None
@@ -110,6 +133,26 @@ class Section:
 
 
 Item: TypeAlias = "str | Table | Picture | Terms | Verbatim | Section"
+
+
+def printed(panels: Sequence[Panel], columns: int, height: float, legend: Legend = ()) -> Figure:
+    """All panels in one figure, for print; `height` [inch] is that of one row.
+
+    In a row, what two neighbours have on their y axes alike is written once.
+    """
+    with style.styled():
+        figure, axes = style.grid_figure(-(-len(panels) // columns), columns, height)
+        for i, (panel, ax) in enumerate(zip(panels, axes, strict=False)):
+            panel.show(ax, lettered(i, panel.title) if len(panels) > 1 else "")
+        labels = [ax.get_ylabel() for ax in axes]
+        for i, ax in enumerate(axes):
+            if i % columns and labels[i] == labels[i - 1]:
+                ax.set_ylabel("")
+        for spare in axes[len(panels) :]:
+            spare.remove()
+        if legend:
+            style.legend_above(figure, legend)
+    return figure
 
 
 def write_page(

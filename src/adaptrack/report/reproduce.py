@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import Any
 
 from matplotlib.axes import Axes
-from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 
 from adaptrack.evaluate.paper import LEARNED, Reproduction
 from adaptrack.report import style
@@ -69,8 +68,15 @@ def write_reproduction(out_dir: str | os.PathLike[str], made: Reproduction, *, c
         When the files cannot be written, see `page.write_page`.
     """
     runs = [Run(run, label=NAMES[label]) for label, run in made.runs]
-    more = [_both(made), _gain(made), _learning(made), _statements(made), _limits(made)]
-    return write_report(out_dir, runs, title="The paper, reproduced", command=command, lead=in_short(made), more=more)
+    return write_report(
+        out_dir,
+        runs,
+        title="The paper, reproduced",
+        command=command,
+        lead=in_short(made),
+        first=[_both(made), _statements(made)],
+        more=[_gain(made), _learning(made), _limits(made)],
+    )
 
 
 # -- judgements, chosen by the numbers --------------------------------------------------------------------------------
@@ -79,8 +85,8 @@ def in_short(made: Reproduction) -> list[str]:
     lead = [
         f"{agreement(made.rows, 'released')} {pole_or_adaptation(made.shares)}".strip(),
         "The same moves for all: " + against(made.rows, "same-moves", "standard-as-written"),
-        "The figures show the released configuration without preview; all controllers, what the gain is made of and "
-        "what was learned come after them.",
+        "The comparison with the paper comes first. The figures after it show the released configuration without "
+        "preview; what the gain is made of and what was learned come last.",
     ]
     if made.quick:
         lead.append(
@@ -316,11 +322,8 @@ def _draw_ablation(axes: Axes, rows: Sequence[Row], strokes: Mapping[str, style.
         places, values = [moves.index(row["moves"]) for row in kept], [row["mse"] for row in kept]
         axes.plot(places, values, "o", color=stroke.colour, linestyle=stroke.dash, markersize=4)
     axes.set_title(title)
-    axes.set_yscale("log")
     axes.set_ylabel("MSE (m²)")
-    axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
-    axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-    axes.yaxis.set_minor_locator(NullLocator())
+    style.logarithmic(axes, "y")
     axes.set_xticks(range(len(moves)), [MOVES[each] for each in moves])
     axes.set_xlim(-0.25, len(moves) - 0.75)
 

@@ -96,6 +96,7 @@ def write_report(
     title: str = "Closed-loop runs",
     command: str = "",
     lead: Sequence[str] = (),
+    first: Sequence[Section] = (),
     more: Sequence[Section] = (),
 ) -> Path:
     """Write the page on `runs` and its PNG files into `out_dir`; return the page's path.
@@ -109,8 +110,10 @@ def write_report(
         The command line that repeats the runs.
     lead
         Paragraphs under the title; a summary of what was run when left out.
+    first
+        Sections to put before those on the runs.
     more
-        Sections to put before the provenance.
+        Sections to put after them, before the provenance.
 
     Raises
     ------
@@ -125,6 +128,7 @@ def write_report(
     shown = [run for settings in scenarios.values() for group in settings.values() for run in group]
     strokes = style.strokes(run.label for run in shown)
     sections = [
+        *first,
         *([_at_a_glance(scenarios, strokes)] if len(scenarios) > 1 else []),
         *(_scenario(name, settings, strokes, with_speed=len(scenarios) == 1) for name, settings in scenarios.items()),
         *more,

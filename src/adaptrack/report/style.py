@@ -7,13 +7,15 @@ import re
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 import matplotlib as mpl
+import numpy as np
 from cycler import cycler
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
+from matplotlib.ticker import FixedLocator, FuncFormatter, MaxNLocator, NullLocator
 
 INK = "#1d2733"
 """Text, ticks, and the reference that controllers follow."""
@@ -94,6 +96,9 @@ RC: Any = {
 }
 """The settings that differ from matplotlib's own."""
 
+PLAIN = FuncFormatter(lambda value, _: f"{value:g}".replace("-", "−"))
+"""Writes the numbers of an axis as readers do, not as powers of ten."""
+
 
 @dataclass(frozen=True)
 class Stroke:
@@ -162,6 +167,35 @@ def line_key(axes: Axes, entries: Iterable[tuple[str, Any]]) -> None:
     """A key of line styles (name, dash) in ink, at the right above the panel, level with its title."""
     handles = [Line2D([], [], color=INK, linestyle=dash, label=name, linewidth=1.2) for name, dash in entries]
     axes.legend(handles=handles, loc="lower right", bbox_to_anchor=(1.0, 1.015), ncols=len(handles), columnspacing=1.2)
+
+
+def log_ticks(low: float, high: float) -> FixedLocator:
+    """Round numbers on a logarithmic axis, more of them where it is short."""
+    if high <= 2.0 * low:
+        ticks = np.asarray(MaxNLocator(nbins=5, steps=[1, 2, 5, 10]).tick_values(low, high))
+    else:
+        many, few, fewest = (1.0, 1.5, 2.0, 3.0, 5.0, 7.0), (1.0, 2.0, 5.0), (1.0,)
+        decades = np.log10(high / low)
+        decade = many if decades < 1.5 else few if decades < 3.5 else fewest
+        powers = 10.0 ** np.arange(np.floor(np.log10(low)), np.ceil(np.log10(high)) + 1.0)
+        ticks = np.outer(powers, decade).ravel()
+    return FixedLocator(ticks[(ticks >= 0.999 * low) & (ticks <= 1.001 * high)].tolist())
+
+
+def logarithmic(axes: Axes, which: Literal["x", "y"], limits: tuple[float, float] | None = None) -> None:
+    """Make an axis logarithmic, with numbers that can be read also where it spans less than a decade.
+
+    limits: its ends; those that its curves ask for when left out. Very small and very large numbers are written as
+    powers of ten.
+    """
+    axes.set(**{f"{which}scale": "log"})
+    axis = axes.xaxis if which == "x" else axes.yaxis
+    low, high = limits or axis.get_view_interval()
+    axes.set(**{f"{which}lim": (low, high)})
+    axis.set_major_locator(log_ticks(low, high))
+    axis.set_minor_locator(NullLocator())
+    if low >= 1e-4 and high < 1e6:
+        axis.set_major_formatter(PLAIN)
 
 
 def png(figure: Figure) -> bytes:

@@ -63,6 +63,21 @@ def listed(words: Sequence[str]) -> str:
     return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} and {words[-1]}"
 
 
+def counted(n: int, noun: str) -> str:
+    """So many of something: 1 drive, 300 drives."""
+    return f"{number(n)} {noun}{'' if n == 1 else 's'}"
+
+
+def lettered(i: int, title: str = "") -> str:
+    """The title of panel `i` of a printed figure: (a) Speed."""
+    return f"({'abcdefghijklmnopqrstuvwxyz'[i]}) {title}".strip()
+
+
+def plain(label: str) -> str:
+    """A label of a figure without its marks for mathematics."""
+    return re.sub(r"\\mathrm\{(\w+)\}|\$", r"\1", label).replace(r"\log_{10}", "log10")
+
+
 def title_of(name: str) -> str:
     """A registered name as words: ``triple-lane-change`` becomes "Triple lane change"."""
     words = name.replace("-", " ").replace("_", " ").strip()
