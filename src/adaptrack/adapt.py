@@ -56,12 +56,12 @@ Progress = Callable[[str, int, int], None]
 _DATA = Path(__file__).parent / "data" / "adaptations"
 _STEPS = {"Np": (29.0, 10.0), "Nc": (5.0, 5.0), "log10_ratio": (3.6, 0.5)}
 """Where each output starts, and the scale of its changes."""
-HELD_OUT_CONDITIONS, HELD_OUT_DRIVES = 512, 200
+HELD_OUT_CONDITIONS, HELD_OUT_DRIVES = 512, 512
 KNOWLEDGE = ("exact", "noisy", "lagged", "biased high", "biased low", "estimated", "withheld")
 """The ways of knowing friction and wind that are evaluated."""
 TOLD_RUNGS = ("best constant", "nn", "anfis")
 """The rungs that are driven when friction and wind are not known exactly."""
-NEARNESS, FALLBACK_NEARNESS, SLACK, OFFSET_LIMIT, HOLD = 0.97, 0.9, 1.0, 0.07, 30
+NEARNESS, FALLBACK_NEARNESS, SLACK, OFFSET_LIMIT, HOLD = 0.95, 0.9, 1.0, 0.065, 30
 """How near to instability a guarded loop may be, and its fallback anywhere in the domain; how far outside the domain an
 input may be, in its widths; how far the car may stray (s^2, see `Guard`); how many steps a fallback lasts."""
 SLOW, SLOW_MARGIN = 6.0, 0.05

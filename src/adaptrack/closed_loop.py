@@ -36,6 +36,8 @@ LOST_COST = LOST_BEYOND**2
 """m^2, what a lost run counts as costing."""
 WORST_STRETCH = 5.0
 """A stretch is not counted as worth more than this many times its whole run."""
+REVISITED = 16
+"""One in so many runs of a round is one that was lost before, as far as there are such."""
 AVERAGED = 8
 """Over how many of the latest rounds the parameters of what is kept are averaged."""
 RESCUES = (0.25, 0.5, 1.0)
@@ -244,9 +246,9 @@ def improve(
     lost: list[set[int]] = [set() for _ in courses]
 
     def chosen(course: Course, count: int, once_lost: set[int]) -> NDArray[np.int64]:
-        """Runs of a round: those that were ever lost, up to an eighth of them, and others at random."""
+        """Runs of a round: some that were lost before, and others at random."""
         count = min(count, len(course))
-        known = rng.permutation(sorted(once_lost))[: count // 8].astype(np.int64)
+        known = rng.permutation(sorted(once_lost))[: count // REVISITED].astype(np.int64)
         others = np.setdiff1d(np.arange(len(course)), known)
         return np.sort(np.concatenate([known, rng.choice(others, count - len(known), replace=False)]))
 

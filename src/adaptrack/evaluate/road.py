@@ -127,7 +127,9 @@ def neighbour_lookup(dataset: DataSet, nodes: Mapping[str, ArrayLike], neighbour
     seen = dataset.conditions[:, [NAMES.index(name) for name in axes]]
     reach = np.ptp(seen, axis=0)
     grid = np.stack(np.meshgrid(*axes.values(), indexing="ij"), axis=-1)
-    _, near = cKDTree(seen / reach).query(grid.reshape(-1, len(axes)) / reach, k=neighbours)
+    _, near = cKDTree(seen / reach).query(
+        grid.reshape(-1, len(axes)) / reach, k=np.arange(1, min(neighbours, len(seen)) + 1)
+    )
     costs = dataset.landscape.astype(np.float64)
     worst = np.nanmax(np.where(np.isfinite(costs), costs, np.nan))
     logs = np.log(np.where(np.isfinite(costs), costs, worst))
