@@ -70,6 +70,13 @@ _NODES = {"speed": 10, "y_ref": 7, "friction": 5, "wind": 5}
 """Nodes of a look-up table along each of its axes."""
 NEIGHBOURS, SPEED_NEIGHBOURS = 12, 320
 """Over how many of the nearest conditions a node of the look-up tables averages: in four dimensions, and in one."""
+_SEEDS, FIRST_EVALUATION_SEED = (100, 200), 10_000
+"""Of the conditions to learn from and to hold out, to which the configuration's seed is added, and of an evaluation."""
+_METHOD = [
+    HELD_OUT_CONDITIONS, HELD_OUT_DRIVES, NEARNESS, FALLBACK_NEARNESS, SLACK, OFFSET_LIMIT, HOLD, SLOW, SLOW_MARGIN,
+    list(_NODES.items()), NEIGHBOURS, SPEED_NEIGHBOURS,
+]  # fmt: skip
+"""What results depend on beside the configuration."""
 _ANYWHERE = Condition(15.0, 0.0, 0.7, 0.0)
 
 
@@ -90,12 +97,17 @@ class Learning(Record):
 
     @model_validator(mode="after")
     def _has_a_domain(self) -> Self:
-        for name in self.inputs:
-            if name not in Condition._fields or name == "offset":
-                raise ValueError(f"inputs: {name!r} cannot be one. {did_you_mean(name, Condition._fields[:-1])}")
+        known = Condition._fields[:-1]
+        for what, names in (("inputs", self.inputs), ("domain", self.domain)):
+            for name in names:
+                if name not in known:
+                    raise ValueError(f"{what}: {name!r} cannot be one. {did_you_mean(name, known)}")
+        if len(set(self.inputs)) < len(self.inputs):
+            raise ValueError(f"inputs: {', '.join(self.inputs)}: one is given twice.")
+        for name in ("speed", *self.inputs):  # there is a schedule of the speed alone, too
             if name not in self.domain:
                 raise ValueError(f"domain: the lowest and highest value of {name!r} are missing.")
-            low, high = self.domain[name]
+        for name, (low, high) in self.domain.items():
             if not low < high:
                 raise ValueError(f"domain: {name} = [{low:g}, {high:g}]: need low < high.")
         return self
@@ -187,11 +199,19 @@ class Workshop:
         Raises
         ------
         InvalidInput
-            When the campaign's conditions are not a Sobol sample of a box.
+            When the campaign's conditions are not a Sobol sample of a box, or it tunes on other runs than lane changes
+            of the usual length and price, which are what is learned from and judged by.
         """
         campaign = load_campaign(config.campaign)
         if not isinstance(campaign.conditions, Sobol):
             raise InvalidInput(f"campaign {campaign.name!r}: its conditions must be a Sobol sample of a box.")
+        usual = campaign.replace(scenario="lane-change", duration=None, move_price=None).settled()
+        for key in ("scenario", "duration", "move_price"):
+            if getattr(campaign.settled(), key) != getattr(usual, key):
+                raise InvalidInput(
+                    f"campaign {campaign.name!r}: {key} = {getattr(campaign.settled(), key)!r}: must be "
+                    f"{getattr(usual, key)!r}, as in what schedulers learn from and are judged by."
+                )
         plan = Plan.of(campaign)
         setup = plan.setup
         body = SingleTrack if campaign.plant == "single-track" else DualTrack
@@ -208,15 +228,29 @@ class Workshop:
 
     def identity(self, stage: str) -> str:
         """What a stage's result depends on."""
-        settings = self.config.model_dump(mode="json", exclude={"evaluation"})
-        text = json.dumps([stage, settings, self.plan.identity])
+        settings = self.config.model_dump(mode="json", include={"seed", "learning"})
+        text = json.dumps([stage, settings, self.plan.identity, _METHOD])
         return hashlib.sha256(text.encode()).hexdigest()
+
+    def unseen(self, count: int, seed: int) -> Array:
+        """(count, 4) the conditions of an evaluation.
+
+        Raises
+        ------
+        InvalidInput
+            When the seed makes them conditions that something was tuned on or learned from.
+        """
+        conditions = self.campaign.conditions
+        assert isinstance(conditions, Sobol)
+        if FIRST_EVALUATION_SEED + seed in (conditions.seed, *(first + self.config.seed for first in _SEEDS)):
+            raise InvalidInput(f"seed = {seed}: these conditions were learned from: choose another.")
+        return sobol(count, self.box, seed=FIRST_EVALUATION_SEED + seed)
 
     # -- what is learned from, and what it is judged by
     def courses(self) -> list[tuple[Course, int]]:
         """Lane changes, drives and hard drives, each with how many of them a round of learning drives."""
         asked, profile, first = self.config.learning, self.campaign.profile, FIRST_TRAINING_DRIVE
-        conditions = sobol(asked.conditions, self.box, seed=100 + self.config.seed)
+        conditions = sobol(asked.conditions, self.box, seed=_SEEDS[0] + self.config.seed)
         lane_changes = condition_course(self.plant, self.mpc, conditions, profile)
         drives = drive_course(self.plant, self.mpc, first, asked.drives, 30.0, profile)
         hard = drive_course(self.plant, self.mpc, first + 500_000, asked.hard_drives, 30.0, profile, options=HARD)
@@ -228,7 +262,7 @@ class Workshop:
 
     def held_out(self) -> list[Course]:
         """Lane changes and drives that choose which round of the learning is kept."""
-        conditions = sobol(HELD_OUT_CONDITIONS, self.box, seed=200 + self.config.seed)
+        conditions = sobol(HELD_OUT_CONDITIONS, self.box, seed=_SEEDS[1] + self.config.seed)
         return [
             condition_course(self.plant, self.mpc, conditions, self.campaign.profile),
             drive_course(self.plant, self.mpc, FIRST_HELD_OUT_DRIVE, HELD_OUT_DRIVES, 60.0, self.campaign.profile),
@@ -269,6 +303,7 @@ def adapt(
     """
     folder = Path(out)
     shop = Workshop.of(config)
+    shop.unseen(1, config.evaluation.seed)  # before any work
     schedules, histories = learn(shop, folder, workers=workers, progress=progress)
     asked = config.evaluation
     return Adapted(
@@ -282,8 +317,12 @@ def adapt(
 
 def shipped(name: str) -> dict[str, Schedule]:
     """The schedulers of an adaptation that ship with the package, by rung."""
-    found = [load_scheduler(each) for each in list_schedulers() if each.startswith(f"{name}-")]
-    return {each.name: each for each in found}
+    found = {each: load_scheduler(each) for each in list_schedulers() if each.startswith(f"{name}-")}
+    return {each.name: each for file, each in found.items() if file == _file_name(name, each.name)}
+
+
+def _file_name(adaptation: str, rung: str) -> str:
+    return f"{adaptation}-{rung.replace(' ', '-')}"
 
 
 def learn(
@@ -295,12 +334,12 @@ def learn(
     place = folder / "schedulers"
     place.mkdir(parents=True, exist_ok=True)
     for rung, make in bench.rungs().items():
-        file = place / f"{shop.config.name}-{rung.replace(' ', '-')}.json"
+        file = place / f"{_file_name(shop.config.name, rung)}.json"
         identity = shop.identity(rung)
-        if not file.exists() or load_scheduler(file).provenance.get("identity") != identity:
+        if not file.exists() or load_scheduler(file).provenance.get("stage") != identity:
             show(rung, 0, 1)
             made = make()
-            replace(made, name=rung, provenance={**made.provenance, "identity": identity}).save(file)
+            replace(made, name=rung, provenance={**made.provenance, "stage": identity}).save(file)
         bench.made[rung] = load_scheduler(file)
     histories = {
         rung: list(each.provenance["history"]) for rung, each in bench.made.items() if "history" in each.provenance
@@ -465,15 +504,16 @@ def condition_ladder(
     Sobol points of the campaign's box; every cost is the mean over eight noise seeds that nothing was tuned on.
     """
     profile, plant, mpc = shop.campaign.profile, shop.plant, shop.mpc
-    rows = sobol(count, shop.box, seed=10_000 + seed)
-    constant = [schedule(_ANYWHERE) for rung, schedule in schedules.items() if rung == "best constant"]
+    rows = shop.unseen(count, seed)
+    known_as = {name: told(name, plant, profile) for name in knowledge}
+    constants = [schedules[rung](_ANYWHERE) for rung in ("best constant", "fallback") if rung in schedules]
     best = optimum(
         lambda seeds: objective(plant, mpc, seeds, profile), rows, shop.campaign.search.space(),
-        swarm=shop.campaign.swarm, known=np.reshape(constant, (-1, 4)), seed=seed, progress=progress,
+        swarm=shop.campaign.swarm, known=np.reshape(constants, (-1, 4)), seed=seed, progress=progress,
     )  # fmt: skip
     ladders = {}
-    for name in knowledge:
-        course = condition_course(plant, mpc, rows, profile, told(name, plant, profile))
+    for name, known in known_as.items():
+        course = condition_course(plant, mpc, rows, profile, known)
         rungs: dict[str, Policy] = {**rungs_for(schedules, rows), "optimum": best}
         if name != "exact":  # the others do not know what is told otherwise
             rungs = {rung: rungs[rung] for rung in (*TOLD_RUNGS, "optimum") if rung in rungs}
@@ -488,9 +528,11 @@ def drive_ladder(
     """The ladder on `count` random drives of 60 s that nothing was trained on; regret is to the best constant."""
     profile, plant, mpc, noise = shop.campaign.profile, shop.plant, shop.mpc, EVALUATION_SEEDS[:1]
     first = FIRST_EVALUATION_DRIVE + 10_000 * seed
+    known_as = {name: told(name, plant, profile) for name in knowledge}
+    _needs_constants(schedules)
     ladders = {}
-    for name in knowledge:
-        course = drive_course(plant, mpc, first, count, 60.0, profile, told(name, plant, profile))
+    for name, known in known_as.items():
+        course = drive_course(plant, mpc, first, count, 60.0, profile, known)
         rungs = rungs_for(schedules)
         if name == "exact":
             rungs["per-drive constant"] = per_run_best(course, _candidates(schedules), noise)
@@ -503,6 +545,7 @@ def drive_ladder(
 
 def test_ladders(shop: Workshop, schedules: Mapping[str, Schedule]) -> dict[str, Ladder]:
     """The ladder on the paper's two tests, in the campaign's profile."""
+    _needs_constants(schedules)
     return {
         name: climb(
             paper_test(shop.plant, shop.mpc, name, shop.campaign.profile), rungs_for(schedules), EVALUATION_SEEDS,
@@ -510,6 +553,14 @@ def test_ladders(shop: Workshop, schedules: Mapping[str, Schedule]) -> dict[str,
         )
         for name in PUBLISHED
     }  # fmt: skip
+
+
+def _needs_constants(schedules: Mapping[str, Schedule]) -> None:
+    if "best constant on drives" not in schedules:
+        raise InvalidInput(
+            "the best constant on drives, to which all is compared, is not among the schedulers: those of one's own "
+            "configuration are files of `adaptrack adapt --out DIR`, given as --schedulers DIR/schedulers/*.json."
+        )
 
 
 def _candidates(schedules: Mapping[str, Schedule]) -> Array:

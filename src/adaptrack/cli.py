@@ -439,7 +439,7 @@ def certify(
 @app.command()
 def evaluate(
     schedulers: Annotated[
-        list[str] | None, Option(help="Names (see `schedulers`) or files; by default those that ship with the package.")
+        list[str] | None, Option(help="Names (see `schedulers`) or files, beside those that ship with the package.")
     ] = None,
     conditions: Annotated[str | None, Option(metavar="sobol:N", help="So many unseen conditions.")] = None,
     drives: Annotated[int | None, Option(min=1, help="So many random drives of 60 s.")] = None,
@@ -464,7 +464,7 @@ def evaluate(
         shipped,
         test_ladders,
     )
-    from adaptrack.evaluate.road import sample_size
+    from adaptrack.evaluate.road import sample_size, told
     from adaptrack.schedule import check_scheduler, load_scheduler
 
     settings = load_adaptation(config)
@@ -475,10 +475,12 @@ def evaluate(
     for name in schedulers or []:
         schedule = load_scheduler(name)
         check_scheduler(schedule)
-        rungs[schedule.name if schedule.name not in rungs else Path(name).stem] = schedule
+        rungs[schedule.name if schedule.name not in rungs else f"{schedule.name} ({name})"] = schedule
     if conditions is None and drives is None and not tests:
         conditions = "sobol:2000"
     ways = tuple(dict.fromkeys(["exact", *(knowledge or [])]))
+    for way in ways:
+        told(way, shop.plant, shop.campaign.profile)  # an unknown one is refused before any work
     if out is not None:
         _make_folder(out)
     with _progress(1, quiet=as_json) as show:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import cKDTree
 
-from adaptrack.closed_loop import Course
+from adaptrack.closed_loop import LOST_BEYOND, SPIN_BEYOND, Course
 from adaptrack.dataset import DataSet
 from adaptrack.errors import InvalidInput
 from adaptrack.estimation import FrictionWindEstimator, Perception
@@ -99,8 +99,10 @@ def paper_test(plant: Plant, mpc: MPC, name: str, profile: str = "road", known: 
 
 
 def objective(plant: Plant, mpc: MPC, noise_seeds: Sequence[int], profile: str = "road") -> Objective:
-    """The cost of a tuning on a condition."""
-    return Objective(plant, mpc, "lane-change", profile, tuple(noise_seeds))
+    """The cost of a tuning on a condition; a run is lost when it is on a `Course`."""
+    return Objective(
+        plant, mpc, "lane-change", profile, tuple(noise_seeds), lost_beyond=LOST_BEYOND, spin_beyond=SPIN_BEYOND
+    )
 
 
 def sample_size(text: str) -> int:
@@ -112,7 +114,7 @@ def sample_size(text: str) -> int:
         When the text is not of that form.
     """
     kind, _, count = text.partition(":")
-    if kind != "sobol" or not count.isdigit() or int(count) < 1:
+    if kind != "sobol" or not count.isdecimal() or int(count) < 1:
         raise InvalidInput(f"conditions = {text!r}: write sobol:N, for instance sobol:2000.")
     return int(count)
 

@@ -6,6 +6,7 @@ stream, never shared, so a result depends on its own arguments only.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -61,6 +62,10 @@ class Objective:
     noise_seeds: tuple[int, ...] = (0,)
     move_price: float | None = None
     duration: float | None = None
+    lost_beyond: float = 1000.0
+    """m, a run is lost when |Y - y_ref| exceeds this"""
+    spin_beyond: float = math.inf
+    """or |v_y/v_x| this"""
 
     def __post_init__(self) -> None:
         if self.test not in ("step", "lane-change"):
@@ -139,7 +144,10 @@ class _Arena:
     def __init__(self, objective: Objective, condition: ArrayLike, lanes: int, longest: float, most: float) -> None:
         from adaptrack.kernels import inference, loop
 
-        batch = Batch(objective.plant, objective.mpc, [objective.scenario(condition)], objective.profile)
+        batch = Batch(
+            objective.plant, objective.mpc, [objective.scenario(condition)], objective.profile,
+            lost_beyond=objective.lost_beyond, spin_beyond=objective.spin_beyond,
+        )  # fmt: skip
         settings = batch.sized(longest, most)
         block, own, scratch = vehicle_arrays(batch.plant)
         self.key = loop.KEY

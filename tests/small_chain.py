@@ -1,0 +1,93 @@
+"""An adaptation small enough to run in a test: the whole chain in seconds, from its own campaign to its schedulers."""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Iterator
+from contextlib import contextmanager
+from functools import lru_cache
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import pytest
+
+from adaptrack.schedule import Schedule
+from adaptrack.toml_files import write_toml
+
+adapting = importlib.import_module("adaptrack.adapt")  # the attribute of the package is the function
+
+RUNGS = {
+    "best constant", "best constant on drives", "fallback", "speed look-up", "look-up", "speed only",
+    "nn unguarded", "nn", "anfis unguarded", "anfis", "paper recipe nn", "paper recipe anfis",
+}  # fmt: skip
+CAMPAIGN: dict[str, Any] = {
+    "profile": "road",
+    "scenario": "lane-change",
+    "noise_seeds": [1],
+    "seed": 2,
+    "conditions": {
+        "kind": "sobol",
+        "n": 24,
+        "seed": 2,
+        "box": {"speed": [8.0, 25.0], "y_ref": [-4.0, 4.0], "friction": [0.5, 1.0], "wind": [-15.0, 15.0]},
+    },
+    "search": {"Np": [10, 40], "Nc": [1, 10], "Q": [1.0, 1.0], "R": [100.0, 1e5], "decades": True},
+    "swarm": {"particles": 4, "generations": 2},
+    "library": {"tunings": [[25, 5, 1, 1000], [30, 5, 1, 4000], [30, 8, 1, 10000], [35, 5, 1, 20000]]},
+}
+ADAPTATION: dict[str, Any] = {
+    "campaign": "pond.toml",
+    "learning": {
+        "inputs": ["speed", "friction"],
+        "rounds": 2,
+        "conditions": 16,
+        "drives": 8,
+        "hard_drives": 8,
+        "rules": 4,
+        "domain": {"speed": [3.0, 30.0], "friction": [0.3, 1.0]},
+    },
+    "evaluation": {"conditions": 8, "drives": 8},
+}
+
+
+def write(folder: Path, pond: dict[str, Any] | None = None, **changes: Any) -> Path:
+    """The file of an adaptation called tiny, its campaign beside it as pond; changes of a table are merged."""
+    folder.mkdir(parents=True, exist_ok=True)
+    write_toml(folder / "pond.toml", CAMPAIGN | (pond or {}))
+    told = dict(ADAPTATION)
+    for key, value in changes.items():
+        told[key] = told[key] | value if isinstance(value, dict) and key in told else value
+    write_toml(folder / "tiny.toml", {key: value for key, value in told.items() if value is not None})
+    return folder / "tiny.toml"
+
+
+@contextmanager
+def short_cuts() -> Iterator[pytest.MonkeyPatch]:
+    """Few runs held out, short searches for constants, short training of the paper's recipe and no ceiling to it."""
+    epochs = {"nn": 20, "anfis": 2}
+    search, train = adapting.best_constant, adapting.train
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(adapting, "HELD_OUT_CONDITIONS", 8)
+        patch.setattr(adapting, "HELD_OUT_DRIVES", 2)
+        patch.setattr(adapting, "best_constant", lambda *given, **more: search(*given, evaluations=20, **more))
+        patch.setattr(adapting, "train", lambda data, model, *given: train(data, model, *given, epochs=epochs[model]))
+        patch.setattr("adaptrack.learning.training.ceiling", lambda x, y, held, *more: np.full(len(held), y.mean()))
+        yield patch
+
+
+class Chain(NamedTuple):
+    """A chain that has run."""
+
+    shop: Any
+    folder: Path
+    schedules: dict[str, Schedule]
+    histories: dict[str, list[dict[str, float]]]
+
+
+@lru_cache(maxsize=1)
+def learned(place: Path) -> Chain:
+    """The chain of `write`, run once in each process; nobody may change its folder."""
+    shop = adapting.Workshop.of(adapting.load_adaptation(write(place)))
+    with short_cuts():
+        return Chain(shop, place / "out", *adapting.learn(shop, place / "out"))

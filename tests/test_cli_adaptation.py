@@ -1,0 +1,254 @@
+"""The commands around schedulers: adapt, evaluate, certify, schedulers, train."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import sys
+from functools import partial
+
+import pytest
+
+from adaptrack import cli
+from adaptrack.certify import certify
+from adaptrack.errors import AdaptrackError
+from adaptrack.mpc import Tuning
+from adaptrack.schedule import Constant, list_schedulers
+from small_chain import RUNGS, adapting, learned, write
+
+EVALUATED = {"view", "told", "reference", "scheduler", "runs", "cost_geomean", "regret_geomean", "regret_low",
+             "regret_high", "regret_p50", "regret_p90", "regret_p99", "regret_worst", "failures"}  # fmt: skip
+CERTIFIED = {"scheduler", "plant", "tyre", "profile", "passed", "points", "unstable", "unstable_without_guard",
+             "radius", "gain_up", "gain_down", "delay", "nearness", "worst", "rows"}  # fmt: skip
+
+
+def run(monkeypatch, capsys, *arguments):
+    """(exit code, standard output, standard error) of one command."""
+    monkeypatch.setattr(sys, "argv", ["adaptrack", *map(str, arguments)])
+    code = cli.main()
+    captured = capsys.readouterr()
+    return code, captured.out, captured.err
+
+
+def strict(text):
+    """JSON without NaN and infinity, which are none."""
+    return json.loads(text, parse_constant=lambda name: pytest.fail(f"{name} is no JSON"))
+
+
+@pytest.fixture
+def places(tmp_path):
+    """Files that commands are given: an adaptation, a scheduler, a damaged one, a file where a folder should be."""
+    tiny = write(tmp_path)
+    grid = write(tmp_path / "grid", campaign="paper-grid")
+    Constant(Tuning(38, 4, 1.0, 8000.0), name="mine").save(tmp_path / "mine.json")
+    (tmp_path / "damaged.json").write_text((tmp_path / "mine.json").read_text().replace("8000", "80"))
+    (tmp_path / "file").write_text("")
+    return {
+        "tiny": tiny, "grid": grid, "mine": tmp_path / "mine.json", "damaged": tmp_path / "damaged.json",
+        "file": tmp_path / "file", "out": tmp_path / "out",
+    }  # fmt: skip
+
+
+# -- what is wrong is said --------------------------------------------------------------------------------------------
+@pytest.mark.parametrize(
+    ("command", "words"),
+    [
+        ("adapt", ["--out"]),
+        ("adapt --out {out} --config raod", ["no adaptation is named 'raod'", "Did you mean 'road'"]),
+        ("adapt --out {out} --config nowhere.toml", ["nowhere.toml", "cannot be read"]),
+        ("adapt --out {out} --config {grid}", ["paper-grid", "Sobol"]),
+        ("adapt --out {file}/out --config {tiny}", ["cannot be written"]),
+        ("adapt --out {out} --config {tiny} --workers 0", ["workers = 0"]),
+        ("evaluate --config raod", ["Did you mean 'road'"]),
+        ("evaluate --schedulers road-n", ["no scheduler is named 'road-n'", "Did you mean"]),
+        ("evaluate --schedulers nowhere.json", ["nowhere.json", "cannot be read"]),
+        ("evaluate --schedulers {damaged}", ["damaged.json", "checksum"]),
+        ("evaluate --conditions sobol", ["'sobol'", "write sobol:N"]),
+        ("evaluate --conditions grid:8", ["'grid:8'", "write sobol:N"]),
+        ("evaluate --conditions sobol:0", ["'sobol:0'", "write sobol:N"]),
+        ("evaluate --conditions sobol:-4", ["'sobol:-4'", "write sobol:N"]),
+        ("evaluate --conditions sobol:8.5", ["'sobol:8.5'", "write sobol:N"]),
+        ("evaluate --conditions sobol:99999999999", ["99999999999"]),
+        ("evaluate --drives 0", ["--drives"]),
+        ("evaluate --drives many", ["--drives", "integer"]),
+        ("evaluate --seed -1", ["--seed"]),
+        ("evaluate --profile paper", ["--profile paper", "'road'"]),
+        ("evaluate --out {file}/out", ["cannot be written"]),
+        ("certify", ["scheduler"]),
+        ("certify road-n", ["no scheduler is named 'road-n'", "Did you mean"]),
+        ("certify nowhere.json", ["nowhere.json", "cannot be read"]),
+        ("certify {damaged}", ["damaged.json", "checksum"]),
+        ("certify {mine} --vehicle papr", ["Did you mean 'paper'"]),
+        ("certify {mine} --tyre magic", ["no tyre is named 'magic'", "'magic-formula'"]),
+        ("certify {mine} --profile raod", ["raod"]),
+        ("certify {mine} --out {file}/out", ["cannot be written"]),
+        ("train --model nn --out {out}/nn.json", ["--data"]),
+        ("train --data nowhere.parquet --model nn --out {out}/nn.json", ["nowhere.parquet"]),
+        ("train --data paper-grid --model nn --targets both --out {out}/nn.json", ["both"]),
+        ("schedulers --jason", ["--jason"]),
+    ],
+)
+def test_a_wrong_argument_gives_one_clear_message_and_exit_code_2(monkeypatch, capsys, places, command, words):
+    monkeypatch.setattr(adapting, "condition_course", lambda *given: pytest.fail("it went to work"))
+    before = places["file"].stat().st_size
+    code, out, err = run(monkeypatch, capsys, *(part.format(**places) for part in command.split()))
+    assert code == 2
+    assert out == ""
+    assert "Traceback" not in err
+    assert all(word in err for word in words), err
+    assert places["file"].stat().st_size == before
+
+
+@pytest.mark.parametrize("what", [("--conditions", "sobol:8"), ("--drives", "1"), ("--tests",)])
+def test_an_unknown_way_of_knowing_is_told_before_anything_is_driven(monkeypatch, capsys, places, what):
+    for name in ("optimum", "climb", "per_run_best"):
+        monkeypatch.setattr(adapting, name, lambda *given, **more: pytest.fail("it went to work"))
+    config = write(places["out"], name="road")
+    code, out, err = run(monkeypatch, capsys, "evaluate", "--config", config, *what, "--told", "nosy")
+    assert code == 2
+    assert out == ""
+    assert all(word in err for word in ("'nosy'", "noisy", "withheld"))
+
+
+def test_a_number_must_be_written_in_digits(monkeypatch, capsys):
+    code, _, err = run(monkeypatch, capsys, "evaluate", "--conditions", "sobol:²")
+    assert code == 2
+    assert "write sobol:N" in err
+
+
+def test_the_drives_of_ones_own_configuration_ask_for_its_best_constant(monkeypatch, capsys, places):
+    monkeypatch.setattr(adapting, "drive_course", lambda *given: None)
+    code, _, err = run(monkeypatch, capsys, "evaluate", "--config", places["tiny"], "--drives", "1")
+    assert code == 2
+    assert "best constant" in err
+
+
+@pytest.mark.parametrize("command", ["adapt", "evaluate", "certify", "schedulers", "train"])
+def test_help_names_the_options_and_loads_no_numerics(run_python, command):
+    options = {
+        "adapt": ["--out", "--config", "--workers"], "evaluate": ["--schedulers", "--conditions", "--told", "sobol:N"],
+        "certify": ["--profile", "--vehicle", "--out"], "schedulers": [], "train": ["--data", "--model", "--targets"],
+    }[command]  # fmt: skip
+    code = (
+        "import sys; from adaptrack import cli; "
+        f"sys.argv = ['adaptrack', '{command}', '--help']; assert cli.main() == 0; assert 'numpy' not in sys.modules"
+    )
+    text = run_python(code=code)
+    assert all(option in text for option in ["Usage: adaptrack", "--json", *options])
+
+
+# -- what is right is done --------------------------------------------------------------------------------------------
+def test_the_list_of_schedulers_names_every_one_that_ships(monkeypatch, capsys):
+    code, out, _ = run(monkeypatch, capsys, "schedulers", "--json")
+    rows = strict(out)["rows"]
+    assert code == 0
+    assert [row["name"] for row in rows] == list_schedulers()
+    assert {row["rung"] for row in rows} <= RUNGS
+    inputs = {row["name"]: row["inputs"] for row in rows}
+    assert inputs["road-nn"] == ", ".join(adapting.load_adaptation("road").learning.inputs)
+    code, out, _ = run(monkeypatch, capsys, "schedulers")
+    assert code == 0
+    assert all(name in out for name in list_schedulers())
+
+
+@pytest.mark.compiled
+def test_evaluate_compares_what_ships_and_what_is_given_with_the_optimum(monkeypatch, capsys, places):
+    config = write(places["out"], name="road")
+    arguments = ["evaluate", "--config", config, "--schedulers", places["mine"], "--conditions", "sobol:8", "--json"]
+    code, out, err = run(monkeypatch, capsys, *arguments, "--told", "noisy", "--profile", "road")
+    assert code == 0, err
+    rows = strict(out)["rows"]
+    assert all(row.keys() >= EVALUATED for row in rows)
+    assert {(row["view"], row["reference"], row["runs"]) for row in rows} == {("conditions", "optimum", 8)}
+    exact = {row["scheduler"]: row for row in rows if row["told"] == "exact"}
+    hidden = {"fallback", "best constant on drives"}
+    assert set(exact) == {"standard", "optimum", "mine", *adapting.shipped("road")} - hidden
+    assert exact["optimum"]["regret_worst"] == 1.0
+    assert all(row["regret_worst"] >= row["regret_p90"] >= row["regret_p50"] > 0.0 for row in exact.values())
+    assert {row["scheduler"] for row in rows if row["told"] == "noisy"} == {*adapting.TOLD_RUNGS, "optimum"}
+    again = strict(run(monkeypatch, capsys, *arguments)[1])["rows"]
+    assert again == list(exact.values())
+    others = strict(run(monkeypatch, capsys, *arguments, "--seed", "8")[1])["rows"]
+    assert others[0]["scheduler"] == again[0]["scheduler"]
+    assert others[-1]["cost_geomean"] != again[-1]["cost_geomean"]
+
+
+@pytest.mark.compiled
+def test_evaluate_judges_drives_by_the_best_constant_and_prints_a_table(monkeypatch, capsys, places):
+    config = write(places["out"], name="road")
+    code, out, err = run(
+        monkeypatch, capsys, "evaluate", "--config", config, "--schedulers", places["mine"], "--drives", "1"
+    )
+    assert code == 0, err
+    first = {line.split("│")[1].strip() for line in out.splitlines() if line.count("│") > 2}  # long names are folded
+    assert {"standard", "best constant", "nn", "anfis", "mine"} <= first
+    assert "drives, exact: 1 runs, regret to best constant" in out
+    assert "conditions, exact" not in out
+
+
+@pytest.mark.compiled
+def test_adapt_goes_on_with_a_folder_and_tells_schedulers_report_and_rows(
+    monkeypatch, capsys, tmp_path, tmp_path_factory
+):
+    chain = learned(tmp_path_factory.getbasetemp() / "chain")
+    out = shutil.copytree(chain.folder, tmp_path / "out")
+    monkeypatch.setattr("adaptrack.report.style.PNG_DPI", 20)
+    monkeypatch.setattr("adaptrack.report.style.inline_svg", lambda *given: "")  # takes most of the time
+    monkeypatch.setattr("adaptrack.report.ladder._NODES", (9, 7))
+    monkeypatch.setattr(adapting, "KNOWLEDGE", ("exact",))
+    monkeypatch.setattr(adapting, "per_run_best", lambda course, rows, seeds: rows[:1].repeat(len(course), axis=0))
+    monkeypatch.setattr(adapting, "improve", lambda *given, **more: pytest.fail("it learned again"))
+    config = chain.folder.parent / "tiny.toml"
+    code, printed, err = run(monkeypatch, capsys, "adapt", "--config", config, "--out", out, "--json")
+    assert code == 0, err
+    rows = strict(printed)["rows"]
+    assert {row["view"] for row in rows} == {"conditions", "drives", "tests"}
+    assert all(row.keys() >= EVALUATED - {"told"} for row in rows)
+    assert all(("told" in row) == (row["view"] != "tests") for row in rows)
+    assert {row["runs"] for row in rows if row["view"] != "tests"} == {8}
+    assert str(out / "schedulers") in err
+    assert (out / "index.html").exists()
+    assert "adaptrack adapt --config" in (out / "index.html").read_text()
+
+
+def test_certify_passes_a_sound_scheduler(monkeypatch, capsys, places):
+    code, out, err = run(monkeypatch, capsys, "certify", places["mine"], "--json")
+    told = strict(out)
+    assert code == 0, err
+    assert told.keys() >= CERTIFIED
+    assert (told["scheduler"], told["profile"], told["passed"], told["unstable"]) == ("mine", "road", True, 0)
+    assert told["points"] == len(told["rows"]) == 28 * 5
+    assert {row["Np"] for row in told["rows"]} == {38.0}
+    assert err == ""
+
+
+def test_certify_refuses_an_unstable_scheduler_with_exit_code_1_and_the_place(monkeypatch, capsys, places):
+    Constant(Tuning(), name="table").save(places["mine"])
+    code, out, err = run(monkeypatch, capsys, "certify", places["mine"], "--json")
+    told = strict(out)
+    assert code == 1
+    assert (told["passed"], told["unstable"] > 0) == (False, True)
+    assert told["unstable"] == sum(row["unstable"] for row in told["rows"])
+    assert f"unstable at {told['unstable']} of 140 points" in err
+    assert f"{told['worst']['speed']:g} m/s on friction {told['worst']['friction']:g}" in err
+    assert "Np = 35, Nc = 8, Q = 10, R = 0.01" in err
+
+
+def test_certify_writes_the_page_and_prints_the_points_nearest_to_instability(monkeypatch, capsys, places):
+    monkeypatch.setattr("adaptrack.report.style.PNG_DPI", 20)
+    monkeypatch.setattr("adaptrack.certify.certify", partial(certify, levels=(4, 2)))
+    code, out, err = run(monkeypatch, capsys, "certify", places["mine"], "--out", places["out"])
+    assert code == 0, err
+    assert "8 points, 0 unstable" in out
+    assert "mine: the points nearest to instability" in out
+    assert "Passed" in (places["out"] / "index.html").read_text()
+    assert list(places["out"].glob("*.png"))
+
+
+def test_every_error_of_the_package_becomes_one_message(monkeypatch, capsys):
+    def fail(*given, **more):
+        raise AdaptrackError("no way")
+
+    monkeypatch.setattr(adapting, "load_adaptation", fail)
+    code, out, err = run(monkeypatch, capsys, "evaluate")
+    assert (code, out, err) == (2, "", "adaptrack: no way\n")
