@@ -183,7 +183,7 @@ def test_early_stopping_keeps_the_epoch_that_is_best_on_the_hold_out():
     held = made.history_["validation_rmse"]
     assert made.best_epoch_ == held.argmin() + 1
     assert made.n_iter_ == len(held) == len(made.history_["train_rmse"]) == made.best_epoch_ + 20 < 400
-    _, rows = made._split(len(y), np.random.RandomState(0))
+    _, rows = held_out("MLP", len(y), made.validation_fraction, np.random.RandomState(0))
     assert len(rows) == 24
     assert rmse(y[rows], made.predict(x[rows])) == pytest.approx(held.min(), rel=1e-12)
 

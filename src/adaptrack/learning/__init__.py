@@ -2,6 +2,7 @@
 
 * `mlp` holds the scikit-learn estimator of small networks; `network` what it learns: plain arrays, and what they mean.
 * `anfis` holds the neuro-fuzzy estimator; `sugeno` what it learns: the five layers of the fuzzy system.
+* `holding` chooses the rows that are held out while one learns.
 * `partition` divides an input space into fuzzy rules, by clusters or by a grid.
 * `fis` reads and writes the text files of MATLAB's Fuzzy Logic Toolbox.
 * `training` makes models of the tuning from a data set of tuned conditions, and says how good they are.

@@ -26,6 +26,7 @@ from sklearn.utils.validation import check_is_fitted, validate_data
 
 from adaptrack.errors import InvalidInput, real, whole
 from adaptrack.learning import partition as partitions
+from adaptrack.learning.holding import held_out
 from adaptrack.learning.sugeno import (
     CENTRE,
     SLOPE,
@@ -36,7 +37,6 @@ from adaptrack.learning.sugeno import (
 )
 
 Array = NDArray[np.float64]
-Integers = NDArray[np.intp]
 
 NARROWEST = 0.01
 """Least width that training gives a membership function, in half ranges of its input."""
@@ -306,7 +306,11 @@ class ANFIS(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         self.input_range_ = np.column_stack((x.min(axis=0), x.max(axis=0)))
         self.output_range_ = np.array([target.min(), target.max()])
         self.input_names_ = list(getattr(self, "feature_names_in_", _numbered(x.shape[1])))
-        train, held = self._split(len(target))
+        train, held = np.arange(len(target)), np.arange(0)
+        if self.early_stopping:
+            train, held = held_out(
+                "ANFIS", len(target), self.validation_fraction, check_random_state(self.random_state)
+            )
         scaling = _Scaling.of(x[train], target[train])
         z, v = scaling.scale(x, target)
         system = self._prune(self._start(z[train], v[train]), z[train])
@@ -368,16 +372,6 @@ class ANFIS(RegressorMixin, BaseEstimator):  # type: ignore[misc]
             raise InvalidInput(f"{where}: forgetting = {self.forgetting!r} needs consequents='rls'.")
         if not 0.0 <= real(where, "prune", self.prune) < 1.0:
             raise InvalidInput(f"{where}: prune = {self.prune!r}: must be at least 0 and below 1.")
-
-    def _split(self, n: int) -> tuple[Integers, Integers]:
-        """The rows to train on and the rows held out."""
-        if not self.early_stopping:
-            return np.arange(n), np.arange(0)
-        held = max(1, round(self.validation_fraction * n))
-        if held >= n:
-            raise InvalidInput(f"ANFIS: validation_fraction = {self.validation_fraction!r} of {n} rows leaves none.")
-        order = check_random_state(self.random_state).permutation(n)
-        return np.sort(order[held:]), np.sort(order[:held])
 
     def _start(self, z: Array, v: Array) -> Sugeno:
         """The system that the partition gives, its consequents still zero."""

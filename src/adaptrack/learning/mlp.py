@@ -23,10 +23,10 @@ from sklearn.utils.validation import check_is_fitted, validate_data
 from threadpoolctl import threadpool_limits
 
 from adaptrack.errors import InvalidInput, real, whole
+from adaptrack.learning.holding import held_out
 from adaptrack.learning.network import Network
 
 Array = NDArray[np.float64]
-Integers = NDArray[np.intp]
 
 SOLVERS = {"momentum": "sgd", "adam": "adam", "lbfgs": "lbfgs"}
 """Our names, and scikit-learn's."""
@@ -114,7 +114,9 @@ class MLP(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         x, target = validate_data(self, X, y, dtype=np.float64, y_numeric=True)
         target = np.asarray(target, dtype=np.float64)
         rng = check_random_state(self.random_state)
-        train, held = self._split(len(target), rng)
+        train, held = np.arange(len(target)), np.arange(0)
+        if self.early_stopping:
+            train, held = held_out("MLP", len(target), self.validation_fraction, rng)
         scales = _scales(x[train], target[train], self.relu)
         with threadpool_limits(limits=1), np.errstate(over="ignore", invalid="ignore"), warnings.catch_warnings():
             warnings.simplefilter("ignore", ConvergenceWarning)  # the number of epochs is the recipe
@@ -148,16 +150,6 @@ class MLP(RegressorMixin, BaseEstimator):  # type: ignore[misc]
             value = getattr(self, name)
             if not (name == "learning_rate" and value is None) and not 0.0 < real(where, name, value) < high:
                 raise InvalidInput(f"{where}: {name} = {value!r}: must lie between 0 and {high:g}.")
-
-    def _split(self, n: int, rng: np.random.RandomState) -> tuple[Integers, Integers]:
-        """The rows to train on and the rows held out."""
-        if not self.early_stopping:
-            return np.arange(n), np.arange(0)
-        held = max(1, round(self.validation_fraction * n))
-        if held >= n:
-            raise InvalidInput(f"MLP: validation_fraction = {self.validation_fraction!r} of {n} sample(s) leaves none.")
-        order = rng.permutation(n)
-        return np.sort(order[held:]), np.sort(order[:held])
 
     def _learner(self, rows: int, rng: np.random.RandomState) -> MLPRegressor:
         given = self.learning_rate
