@@ -12,6 +12,7 @@ from sklearn.utils.estimator_checks import check_estimator
 from adaptrack import learning as room
 from adaptrack.errors import InvalidInput
 from adaptrack.learning import MLP, Network
+from adaptrack.learning.holding import held_out
 
 QUICK = {"epochs": 60, "batch_size": 20}
 
