@@ -52,7 +52,7 @@ _RUNGS = {
         "the best constant",
         "the one tuning that a search found best for all such runs.",
     ),
-    SPEED: ("Speed only", "the speed-only schedule", "looks at the speed alone, as schedules made by hand do."),
+    SPEED: ("Speed only", "the speed-only schedule", "a network of the speed alone that learned in the same way."),
     "look-up": ("Look-up table", "the look-up table", "tunings at the nodes of a grid over its inputs."),
     "standard": ("Standard MPC", "the standard MPC", "the tuning of the paper's table, for everything."),
     "paper recipe nn": ("NN, paper's recipe", "the paper's recipe for NN", "learned the swarms' best tunings."),
@@ -67,6 +67,14 @@ _RUNGS = {
         "the optimum of each condition",
         "what a search on that condition alone found, with noise of its own.",
     ),
+    "speed look-up": ("Look-up table of the speed", "the look-up table of the speed", "as schedules made by hand are."),
+    "best constant of conditions": (
+        "Best constant of conditions",
+        "the best constant of conditions",
+        "the one tuning that is best on single lane changes.",
+    ),
+    "nn unguarded": ("NN-MPC, unguarded", "NN-MPC without its guard", "the same networks alone."),
+    "anfis unguarded": ("ANFIS-MPC, unguarded", "ANFIS-MPC without its guard", "the same systems alone."),
 }
 """By rung: its name in tables, in a sentence, and what it is; their order gives the strokes."""
 
@@ -397,7 +405,10 @@ def _spread(climbed: Sequence[_Told]) -> list[Section]:
     climbed = [told for told in climbed if len(told.ladder.costs) > 1]
     if not climbed:
         return []
-    drawn = [[rung for rung in told.ladder.costs if rung != told.ladder.reference] for told in climbed]
+    drawn = [
+        [rung for rung in told.ladder.costs if rung != told.ladder.reference and not rung.endswith(" unguarded")]
+        for told in climbed
+    ]  # beside what has a guard, the same without it is hard to see
     strokes = _strokes(rung for rungs in drawn for rung in rungs)
     panels = []
     for (ladder, _, noun), rungs in zip(climbed, drawn, strict=True):

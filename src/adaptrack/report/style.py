@@ -159,7 +159,13 @@ def panel_figure(draw: Callable[[Axes], None]) -> Figure:
 def legend_above(figure: Figure, key: Sequence[tuple[str, Stroke]]) -> None:
     """A legend in rows above all panels, where it covers nothing."""
     handles = [Line2D([], [], color=s.colour, linestyle=s.dash, linewidth=1.6, label=label) for label, s in key]
-    columns = next((n for n in (5, 4, 3) if sum(len(label) + 9 for label, _ in key[:n]) <= 105), 2)
+
+    def width(columns: int) -> int:
+        """In letters; a legend is filled column by column."""
+        rows = -(-len(key) // columns)
+        return sum(9 + max(len(label) for label, _ in key[i : i + rows]) for i in range(0, len(key), rows))
+
+    columns = next((n for n in (5, 4, 3) if width(n) <= 105), 2)
     figure.legend(handles=handles, loc="outside upper center", ncols=min(len(handles), columns))
 
 
