@@ -544,7 +544,7 @@ def _decode(content: Mapping[str, Any]) -> Schedule:
             stability = StabilityMap(_decode_function(stability["table"]), stability["limit"])
         guard = Guard(
             Tuning(int(Np), int(Nc), Q, R), tuple(guard["rates"]), guard["slack"], guard["hold"], stability,
-            guard.get("offset_limit"),
+            guard["offset_limit"],
         )  # fmt: skip
     slots = {
         name: Slot(_decode_function(slot["function"]), slot["low"], slot["high"], slot["decades"])
