@@ -13,6 +13,7 @@ from adaptrack.closed_loop import (
     BOUNDS,
     LOST_BEYOND,
     LOST_COST,
+    REVISITED,
     SPIN_BEYOND,
     WORST_STRETCH,
     Course,
@@ -603,10 +604,10 @@ class Fatal(Bowl):
 def test_a_run_that_was_ever_lost_is_driven_in_every_round():
     fatal = Fatal(same_everywhere)
     fatal.driven = []
-    improve(beginning("constant"), INPUTS, DOMAIN, [(fatal, 8)], [Judge([1.0], [1.0])], rounds=4)
-    few = [which for which in fatal.driven if len(which) == 8]
+    improve(beginning("constant"), INPUTS, DOMAIN, [(fatal, REVISITED)], [Judge([1.0], [1.0])], rounds=4)
+    few = [which for which in fatal.driven if len(which) == REVISITED]
     assert all(5 in which for which in few)
-    assert len(set.union(*map(set, few))) > 8, "the others are drawn anew"
+    assert len(set.union(*map(set, few))) > REVISITED, "the others are drawn anew"
 
 
 @pytest.mark.compiled
