@@ -172,8 +172,9 @@ class Course:
             rows.append(seen.reshape(-1, seen.shape[2]))
             to.append(np.repeat(moves[:, i], count, axis=0))
             how_much.append(np.repeat(weights[:, i], count, axis=0) / count)
-            if rescue is not None and (saved := np.repeat(shares[:, i], count) > 0.0).any():
-                way = np.repeat(shares[:, i], count)[saved, None] * rescue.way(rows[-1][saved])
+            part = np.repeat(shares[:, i], count)
+            if rescue is not None and (saved := part > 0.0).any():
+                way = part[saved, None] * rescue.way(rows[-1][saved])
                 to[-1][saved] = way
                 how_much[-1][saved] = 2.0 * WORST_STRETCH / np.maximum(np.abs(way), SHIFT) ** 2 / count
         return np.concatenate(rows), np.concatenate(to), np.concatenate(how_much) / len(which)
