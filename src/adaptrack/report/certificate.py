@@ -19,18 +19,11 @@ from adaptrack.mpc import Condition
 from adaptrack.report import style
 from adaptrack.report.maps import COLOURS, Cells, Heat, edges_around
 from adaptrack.report.page import Cell, Head, Item, Panel, Picture, Section, Table, Verbatim, write_page
-from adaptrack.report.words import number, percent
+from adaptrack.report.words import INPUTS, number, percent
 
 Array = NDArray[np.float64]
 
 _UNSTABLE = style.SERIES[1]
-_INPUTS = {
-    "y_ref": ("Lateral reference", "m"),
-    "wind": ("Wind", "m/s"),
-    "change": ("Change ahead", "m"),
-    "acceleration": ("Acceleration ahead", "m/s²"),
-    "offset": ("Offset", "m"),
-}
 _WORST = 8
 
 
@@ -178,11 +171,15 @@ def _tunings(found: Certificate) -> Section:
 
 def _worst(found: Certificate) -> Section:
     names = Condition._fields
-    seen = [name for name in _INPUTS if np.ptp(found.conditions[:, names.index(name)]) > 0.0]
+    seen = [
+        name
+        for name in INPUTS
+        if name not in ("speed", "friction") and np.ptp(found.conditions[:, names.index(name)]) > 0.0
+    ]
     heads = [
         Head("Speed", "m/s"),
         Head("Friction"),
-        *(Head(_INPUTS[name][0], _INPUTS[name][1]) for name in seen),
+        *(Head(*INPUTS[name]) for name in seen),
         *(Head(text) for text in ("Np", "Nc")),
         Head("R/Q", "m²/rad²"),
         Head("Driving", is_text=True),

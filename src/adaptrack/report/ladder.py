@@ -25,7 +25,7 @@ from adaptrack.mpc import Condition
 from adaptrack.report import style
 from adaptrack.report.maps import Cells, Heat, norm_of
 from adaptrack.report.page import Cell, Head, Panel, Picture, Section, Table, Terms, Verbatim, printed, write_page
-from adaptrack.report.words import counted, listed, number, percent, span, title_of
+from adaptrack.report.words import INPUTS, counted, listed, number, percent, span, title_of
 from adaptrack.schedule import Schedule
 
 Array = NDArray[np.float64]
@@ -78,15 +78,6 @@ _RUNGS = {
 }
 """By rung: its name in tables, in a sentence, and what it is; their order gives the strokes."""
 
-_INPUTS = {
-    "speed": ("Speed", "m/s"),
-    "y_ref": ("Lateral reference", "m"),
-    "friction": ("Friction", "–"),
-    "wind": ("Side wind", "m/s"),
-    "change": ("Reference change ahead", "m"),
-    "acceleration": ("Acceleration ahead", "m/s²"),
-    "offset": ("Offset", "m"),
-}
 _OUTPUTS = (("$N_p$", "periods"), ("$N_c$", "periods"), (r"$\log_{10} R/Q$", "R/Q in m²/rad²"))
 _COUNTS = {
     "clipped": "Input clipped",
@@ -505,7 +496,7 @@ def _learned(schedules: Mapping[str, Schedule]) -> list[Section]:
         Panel(
             f"{_label(name)}: {_OUTPUTS[k][0]} ({_OUTPUTS[k][1]})",
             heat.show,
-            f"Over speed and {_INPUTS[other[name]][0].lower()}: {span(heat.cells.values)}.",
+            f"Over speed and {INPUTS[other[name]][0].lower()}: {span(heat.cells.values)}.",
         )
         for (name, k), heat in heats.items()
     ]
@@ -688,7 +679,7 @@ def _between(row: Mapping[str, Any]) -> str:
 
 
 def _axis(name: str) -> str:
-    return "{} ({})".format(*_INPUTS[name])
+    return "{} ({})".format(*INPUTS[name])
 
 
 def _strokes(rungs: Iterable[str]) -> dict[str, style.Stroke]:

@@ -14,6 +14,17 @@ from numpy.typing import NDArray
 _SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 _THIN_SPACE = "\u202f"
 
+INPUTS = {
+    "speed": ("Speed", "m/s"),
+    "y_ref": ("Lateral reference", "m"),
+    "friction": ("Friction", "–"),
+    "wind": ("Side wind", "m/s"),
+    "change": ("Reference change ahead", "m"),
+    "acceleration": ("Acceleration ahead", "m/s²"),
+    "offset": ("Offset", "m"),
+}
+"""What a scheduler may look at, with its unit, see `mpc.Condition`."""
+
 
 def number(value: float | int | None, digits: int = 3) -> str:
     """`digits` significant digits or a few more, no exponent from 1e-4 to 1e6; a dash for NaN and None."""
