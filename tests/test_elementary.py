@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from adaptrack.kernels.elementary import arctangent, arctangent_of_ratio, clip, cosine, sine
+from adaptrack.kernels.maths.elementary import arctangent, arctangent_of_ratio, clip, cosine, sine
 
 CLAIMED = 4e-15  # the relative error that the module promises
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from numba import njit
 
-from adaptrack.kernels import simd
-from adaptrack.kernels.simd import LANES
+from adaptrack.kernels.maths import vectors as simd
+from adaptrack.kernels.maths.vectors import LANES
 
 
 @njit

@@ -12,10 +12,13 @@ Rules of the room
 from __future__ import annotations
 
 import hashlib
+import logging
 import os
+import re
 import sys
 from collections import namedtuple
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Iterator
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +27,9 @@ from llvmlite import ir
 from numba import types
 from numba.core import config as _numba_config
 from numba.extending import intrinsic
+
+INTERPRETED = bool(_numba_config.DISABLE_JIT)
+"""Whether the compiler is switched off (NUMBA_DISABLE_JIT): every kernel is then plain Python."""
 
 INLINE: dict[str, Any] = {"nogil": True, "error_model": "numpy", "forceinline": True, "_nrt": False}
 """Options of the small formulas that are always inlined. Without numba's run-time (`_nrt`) nothing can be allocated,
@@ -49,7 +55,7 @@ def _fma_in_python(a: float, b: float, c: float) -> float:
     return a * b + c
 
 
-if _numba_config.DISABLE_JIT:
+if INTERPRETED:
     fma = _fma_in_python
 else:
 
@@ -76,19 +82,98 @@ def record(name: str, fields: Iterable[str]) -> Any:
     return namedtuple(name, list(fields), module=sys._getframe(1).f_globals["__name__"])
 
 
-def cache_directory() -> Path:
-    """Where compiled kernels are kept: named by a hash of every kernel source and of numba's version.
+_ROOM = Path(__file__).parent
+_IMPORT = re.compile(r"^[ \t]*from[ \t]+(\.+)([\w.]*)[ \t]+import[ \t]+(\([^)]*\)|[^\n]*)", re.MULTILINE)
 
-    Numba re-compiles a function when *its own* file changes, not when a file that it inlines changes; a
-    directory per version of the sources is what keeps yesterday's physics out of today's run.
-    The base is ``$NUMBA_CACHE_DIR``, else ``$XDG_CACHE_HOME``, else ``~/.cache``.
-    """
+
+def _imported(source: Path) -> Iterator[Path]:
+    """The kernel files that a kernel file imports itself (the room imports nothing of ours by absolute names)."""
+    for dots, module, names in _IMPORT.findall(source.read_text(encoding="utf-8")):
+        folder = source.parents[len(dots) - 1].joinpath(*module.split(".")) if module else source.parents[len(dots) - 1]
+        if folder.with_suffix(".py").is_file():
+            yield folder.with_suffix(".py")
+            continue
+        for name in re.findall(r"\w+", re.sub(r"#.*|\bas\s+\w+", "", names)):
+            if (folder / f"{name}.py").is_file():
+                yield folder / f"{name}.py"
+
+
+@cache
+def import_closure(source: Path) -> tuple[Path, ...]:
+    """A kernel file and every kernel file that it depends on, sorted."""
+    found: set[Path] = set()
+    waiting = [source.resolve()]
+    while waiting:
+        here = waiting.pop()
+        if here not in found:
+            found.add(here)
+            waiting += [each.resolve() for each in _imported(here)]
+    return tuple(sorted(found))
+
+
+@cache
+def source_hash(source: Path) -> str:
+    """What the numbers of a kernel file depend on: its import closure and numba's version, as 16 hexadecimal digits."""
     digest = hashlib.sha256(numba.__version__.encode())
-    for source in sorted(Path(__file__).parent.glob("*.py")):
-        digest.update(source.name.encode())
-        digest.update(source.read_bytes())
+    for each in import_closure(source):
+        digest.update(each.relative_to(_ROOM.resolve()).as_posix().encode())
+        digest.update(each.read_bytes())
+    return digest.hexdigest()[:16]
+
+
+def cache_base() -> Path:
+    """The folder of all compiled kernels: ``adaptrack`` in $NUMBA_CACHE_DIR, else $XDG_CACHE_HOME, else ~/.cache."""
     base = os.environ.get("NUMBA_CACHE_DIR") or os.environ.get("XDG_CACHE_HOME") or "~/.cache"
-    return Path(base).expanduser() / "adaptrack" / f"kernels-{digest.hexdigest()[:16]}"
+    return Path(base).expanduser() / "adaptrack"
+
+
+@cache
+def cache_directory(source: Path) -> Path | None:
+    """Where the compiled functions of a kernel file are kept; None where nothing can be kept.
+
+    The folder is named by `source_hash`. Numba re-compiles a function when *its own* file changes, not when a file that
+    it inlines changes: a folder for each state of the import closure keeps yesterday's physics out of today's run.
+    """
+    folder = cache_base() / f"{source.stem}-{source_hash(source)}"
+    new = not folder.exists()
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        writable = os.access(folder, os.W_OK)
+    except OSError:
+        writable = False
+    if not writable and not (folder.exists() and any(folder.rglob("*.nbi"))):
+        _say_once(
+            f"{cache_base()} cannot be written to, so every process compiles its kernels anew: about a minute. "
+            "Set NUMBA_CACHE_DIR to a folder that can."
+        )
+        return None
+    if new:
+        _say_once("compiling kernels, once for this version; up to a minute.")
+    return folder
+
+
+@cache
+def _say_once(text: str) -> None:
+    """A log record of level WARNING: without any configuration Python shows it on standard error, everywhere."""
+    logging.getLogger("adaptrack").warning("adaptrack: %s", text)
+
+
+def njit(*signature: Any, **options: Any) -> Callable[[Any], Any]:
+    """`numba.njit`, its cache in the `cache_directory` of the file that holds the function."""
+
+    def decorate(function: Any) -> Any:
+        kept = (
+            cache_directory(Path(function.__code__.co_filename)) if options.get("cache") and not INTERPRETED else None
+        )
+        if kept is None:
+            return numba.njit(*signature, **{**options, "cache": False})(function)
+        users, _numba_config.CACHE_DIR = _numba_config.CACHE_DIR, str(kept)
+        try:
+            return numba.njit(*signature, **options)(function)
+        finally:
+            _numba_config.CACHE_DIR = users
+
+    return decorate
 
 
 PLANT_PARAMETERS = (

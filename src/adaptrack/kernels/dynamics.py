@@ -15,10 +15,10 @@ from __future__ import annotations
 from functools import lru_cache
 from typing import Any
 
-from numba import njit, types
+from numba import types
 
-from .abi import INLINE, PLANT_PARAMETERS, ROUTINE, fma, int64, record, vector
-from .elementary import arctangent_of_ratio, clip, cosine, sine
+from .abi import INLINE, PLANT_PARAMETERS, ROUTINE, fma, int64, njit, record, vector
+from .maths.elementary import arctangent_of_ratio, clip, cosine, sine
 from .tyre import LEAST_LOAD, LINEAR, friction_ellipse, lateral_force, tyre_law
 
 GRAVITY = 9.80665

@@ -19,11 +19,11 @@ from __future__ import annotations
 
 import math
 
-from numba import njit, types
+from numba import types
 
-from .abi import INLINE, INLINED_ROUTINE, ROUTINE, float64, int64, matrix, record, vector
+from .abi import INLINE, INLINED_ROUTINE, ROUTINE, float64, int64, matrix, njit, record, vector
 from .dynamics import GRAVITY, SLIP_SPEED_FLOOR, unpack, wind_load
-from .elementary import arctangent_of_ratio, clip, cosine
+from .maths.elementary import arctangent_of_ratio, clip, cosine
 from .tyre import LINEAR, lateral_force, tyre_law
 
 ESTIMATOR_SETTINGS = (

@@ -12,10 +12,10 @@ import math
 from typing import Any
 
 import numpy as np
-from numba import njit, types
+from numba import types
 
-from .abi import INLINED_ROUTINE, ROUTINE, float64, int64, int_vector, matrix, record, vector
-from .elementary import clip
+from .abi import INLINED_ROUTINE, ROUTINE, float64, int64, int_vector, matrix, njit, record, vector
+from .maths.elementary import clip
 
 CONDITION = ("speed", "y_ref", "friction", "wind", "change", "acceleration", "offset")
 """What a scheduler may look at, see `mpc.Condition`."""

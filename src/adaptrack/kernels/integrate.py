@@ -8,11 +8,11 @@ many others ride along, so a run alone and a run in a batch agree to the last bi
 
 from __future__ import annotations
 
-from numba import njit, types
+from numba import types
 
-from .abi import INLINE, ROUTINE, float64, fma, int64, matrix, vector
+from .abi import INLINE, ROUTINE, float64, fma, int64, matrix, njit, vector
 from .dynamics import INPUTS, PLANT_FUNCTION, SINGLE_TRACK, STATES, dual_track, single_track, unpack
-from .elementary import clip
+from .maths.elementary import clip
 from .tyre import CURVED_MAGIC_FORMULA, LINEAR, MAGIC_FORMULA, tyre_law
 
 LANES = 32

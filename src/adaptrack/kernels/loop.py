@@ -12,9 +12,9 @@ import math
 from typing import Any
 
 import numpy as np
-from numba import njit, types
+from numba import types
 
-from . import estimation, inference, qp, simd
+from . import estimation, inference, qp
 from .abi import (
     INLINE,
     INLINED_ROUTINE,
@@ -26,13 +26,16 @@ from .abi import (
     int_matrix,
     int_vector,
     matrix,
+    njit,
     record,
     vector,
 )
 from .dynamics import CUSTOM, INPUTS, PLANT_FUNCTION, STATES
 from .dynamics import derivative as vehicle_derivative
-from .elementary import clip
 from .integrate import LANE_STEP, LANES, integrate, integrate_custom
+from .maths import vectors
+from .maths.elementary import clip
+from .maths.random import counted_normal
 from .prediction import (
     condensed_gradient,
     condensed_hessian,
@@ -44,7 +47,6 @@ from .prediction import (
     responses,
     tracking_error,
 )
-from .random import counted_normal
 
 WALKING = 1.0
 """m/s, sideways below this a vehicle is not said to spin."""
@@ -176,7 +178,7 @@ def workspace(lanes: int, settings: Any) -> Any:
     limited = settings[OUTPUT_MIN] > -math.inf or settings[OUTPUT_MAX] < math.inf
     columns = (int(settings[TERMS]) if laguerre else moves) + (1 if limited else 0)
     count = 4 * moves + (2 * horizon if limited else 0)
-    np_, n, m = simd.padded(horizon), simd.padded(columns), simd.padded(count)
+    np_, n, m = vectors.padded(horizon), vectors.padded(columns), vectors.padded(count)
     sizes = qp.workspace_sizes(columns, count, hildreth=settings[SOLVER] != ACTIVE_SET)
     ws = Workspace(
         a=np.zeros((4, 4)),
@@ -326,8 +328,8 @@ def form_qp(lane, speed, reference, tuning, model, settings, memory, record, ws)
         for j in range(np_):
             ws.reference[j] = reference[min(j + 1, reference.size - 1)]
     else:
-        for b in range(0, np_, simd.LANES):
-            simd.store(ws.reference, b, simd.spread(reference, 0))
+        for b in range(0, np_, vectors.LANES):
+            vectors.store(ws.reference, b, vectors.spread(reference, 0))
     for i in range(4):
         ws.change[i] = ws.measured[i] - own[PREVIOUS + i] if own[STARTED] > 0.5 else 0.0 * ws.measured[i]
     tracking_error(np_, ws.free[lane], ws.change, ws.measured[3], ws.reference, ws.error)
@@ -345,8 +347,8 @@ def form_qp(lane, speed, reference, tuning, model, settings, memory, record, ws)
         ws.bounds[4 * i + 1] = -settings[MOVE_MIN]
         ws.bounds[4 * i + 2] = settings[ANGLE_MAX] - angle
         ws.bounds[4 * i + 3] = angle - settings[ANGLE_MIN]
-    for b in range(8, 4 * nc, simd.LANES):
-        simd.store(ws.bounds, b, simd.load(ws.bounds, 0))
+    for b in range(8, 4 * nc, vectors.LANES):
+        vectors.store(ws.bounds, b, vectors.load(ws.bounds, 0))
     if limited:
         for j in range(np_):
             response = ws.reference[j] - ws.error[j]  # F x~

@@ -12,10 +12,10 @@ from __future__ import annotations
 
 import math
 
-from numba import njit, types
+from numba import types
 
-from .abi import INLINE, ROUTINE, float64, int64, matrix, vector
-from .simd import LANES, add, first_lanes, fma8, load, mul, padded, splat, spread, store, sub, zeros
+from .abi import INLINE, ROUTINE, float64, int64, matrix, njit, vector
+from .maths.vectors import LANES, add, first_lanes, fma8, load, mul, padded, splat, spread, store, sub, zeros
 
 MODEL_PARAMETERS = ("mass", "yaw_inertia", "lf", "lr", "stiffness_front", "stiffness_rear")
 """The prediction model's packed parameters: kg, kg m^2, m, m, N/rad and N/rad per tyre."""

@@ -33,10 +33,10 @@ import math
 from typing import Any
 
 import numpy as np
-from numba import boolean, njit, types
+from numba import boolean, types
 
-from .abi import INLINE, ROUTINE, cube, float64, int64, int_vector, matrix, vector
-from .simd import (
+from .abi import INLINE, ROUTINE, cube, float64, int64, int_vector, matrix, njit, vector
+from .maths.vectors import (
     LANES,
     add,
     all_below_infinity,

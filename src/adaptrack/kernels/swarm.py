@@ -16,11 +16,11 @@ import math
 from typing import Any
 
 import numpy as np
-from numba import njit, types
+from numba import types
 
-from .abi import INLINE, ROUTINE, float64, int64, matrix, record, vector
-from .elementary import clip
-from .random import counted_uniform
+from .abi import INLINE, ROUTINE, float64, int64, matrix, njit, record, vector
+from .maths.elementary import clip
+from .maths.random import counted_uniform
 
 # -- settings, fixed over a run ---------------------------------------------------------------------------------------
 SWARM_SETTINGS = (

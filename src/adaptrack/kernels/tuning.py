@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import math
 
-from numba import njit, types
+from numba import types
 
-from .abi import ROUTINE, cube, float64, int64, int_vector, matrix, vector
+from .abi import ROUTINE, cube, float64, int64, int_vector, matrix, njit, vector
 from .dynamics import PLANT_FUNCTION
 from .inference import SCHEDULE
 from .loop import (

@@ -7,10 +7,8 @@ from __future__ import annotations
 
 import math
 
-from numba import njit
-
-from .abi import INLINE
-from .elementary import arctangent_of_ratio, sine
+from .abi import INLINE, njit
+from .maths.elementary import arctangent_of_ratio, sine
 
 LEAST_LOAD = 1.0
 """A wheel never carries less than this (N): a lifted wheel keeps a harmless force instead of a division by zero."""

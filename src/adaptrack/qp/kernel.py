@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from adaptrack.kernels import qp as kernels
-from adaptrack.kernels.simd import padded
+from adaptrack.kernels.maths.vectors import padded
 from adaptrack.qp.problem import QP, Array, QPStatus
 
 

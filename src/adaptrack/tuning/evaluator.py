@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Mapping
 from importlib.metadata import version
+from pathlib import Path
 from typing import Protocol
 
 import numpy as np
@@ -84,11 +84,10 @@ class ClosedLoop:
 
     def versions(self) -> dict[str, str]:
         """The kernels' own hash, and the libraries that have a say in the numbers."""
-        from adaptrack.kernels import cache_directory
+        from adaptrack.kernels import abi, tuning
 
-        interpreted = os.environ.get("NUMBA_DISABLE_JIT", "0") not in ("", "0")
         return {
-            "kernels": cache_directory().name + (" (interpreted)" if interpreted else ""),
+            "kernels": abi.source_hash(Path(tuning.__file__)) + (" (interpreted)" if abi.INTERPRETED else ""),
             "numba": version("numba"),
             "numpy": version("numpy"),
         }

@@ -8,9 +8,7 @@ from __future__ import annotations
 
 import math
 
-from numba import njit
-
-from .abi import INLINE, fma
+from ..abi import INLINE, fma, njit
 
 _TAN_PI_8 = math.tan(math.pi / 8)
 _TAN_3PI_8 = math.tan(3 * math.pi / 8)

@@ -63,7 +63,7 @@ def padded(count: int) -> int:
 
 
 if _numba_config.DISABLE_JIT:
-    from ._simd_interpreted import (
+    from ._vectors_interpreted import (
         add,
         all_below_infinity,
         column,

@@ -13,10 +13,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 from numba.core import config as _numba_config
 
-from .abi import INLINE, ROUTINE, float64, int64
+from ..abi import INLINE, ROUTINE, float64, int64, njit
 
 GOLDEN = 0x9E3779B97F4A7C15
 """2^64 over the golden ratio, odd: the step of the counter."""

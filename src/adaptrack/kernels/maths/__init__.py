@@ -1,0 +1,1 @@
+"""Elementary functions, counted random numbers, and eight numbers as one vector."""
