@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numba import types
 
-from .abi import INLINED_ROUTINE, ROUTINE, float64, int64, int_vector, matrix, njit, record, vector
+from .abi import ROUTINE, float64, int64, int_vector, matrix, njit, record, vector
 from .maths.elementary import clip
 
 CONDITION = ("speed", "y_ref", "friction", "wind", "change", "acceleration", "offset")
@@ -138,7 +138,7 @@ def sugeno(x, layout, at, numbers, start, work):
     return weighted / total
 
 
-@njit(types.int64(float64, vector, int64, int64), **INLINED_ROUTINE)
+@njit(types.int64(float64, vector, int64, int64), **ROUTINE, forceinline=True)
 def _cell(value, numbers, start, size):
     """The last node of an axis, of `size` ascending nodes from numbers[start] on, that is not above `value`."""
     low, high = 0, max(size - 2, 0)
@@ -228,7 +228,7 @@ def _near_instability(condition, tuning, layout, at, numbers, start, work):
     return not multilinear(x, layout, at + 2, numbers, start + GUARD_NUMBERS, work) <= numbers[start + SLOTS + 4]
 
 
-@njit(types.void(float64, vector, vector, int64), **INLINED_ROUTINE)
+@njit(types.void(float64, vector, vector, int64), **ROUTINE, forceinline=True)
 def _towards(share, tuning, numbers, start):
     """Move a tuning a share of the way to the fallback: horizons in whole numbers, R/Q by its logarithm, Q as asked."""
     for s in range(2):

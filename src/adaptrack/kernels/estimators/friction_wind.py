@@ -21,10 +21,11 @@ import math
 
 from numba import types
 
-from .abi import INLINE, INLINED_ROUTINE, ROUTINE, float64, int64, matrix, njit, record, vector
-from .dynamics import GRAVITY, SLIP_SPEED_FLOOR, unpack, wind_load
-from .maths.elementary import arctangent_of_ratio, clip, cosine
-from .tyre import LINEAR, lateral_force, tyre_law
+from ..abi import INLINE, ROUTINE, float64, int64, matrix, njit, record, unpacker, vector
+from ..plants.forces import GRAVITY, SLIP_SPEED_FLOOR, wind_load
+from ..plants.parameters import unpack
+from ..maths.elementary import arctangent_of_ratio, clip, cosine
+from ..plants.tyre import CURVED_MAGIC_FORMULA, LINEAR, MAGIC_FORMULA, lateral_force
 
 ESTIMATOR_SETTINGS = (
     "steps",  # predictions per control period
@@ -49,6 +50,7 @@ ESTIMATOR_SETTINGS = (
 )
 """An estimator's settings, fixed over a run, in this order."""
 Settings = record("Settings", ESTIMATOR_SETTINGS)
+_unpack_settings = unpacker(Settings)
 
 N = 5
 VY, YAW_RATE, LOG_FRICTION, WIND, LOG_STIFFNESS = range(N)
@@ -74,14 +76,6 @@ TRUSTED = 4.0
 MOST_STIFFNESS = 3.0
 """Prior standard deviations within which ln s stays."""
 _SLIP_STEP, _VELOCITY_STEP = 1e-5, 1e-2  # of the differences that stand for derivatives: rad, m/s
-
-
-@njit(**INLINE)
-def _unpack_settings(p):
-    return Settings(
-        p[0], p[1], p[2], p[3], p[4], p[5], p[6], p[7], p[8], p[9], p[10], p[11], p[12], p[13], p[14], p[15], p[16],
-        p[17], p[18],
-    )  # fmt: skip
 
 
 @njit(**INLINE)
@@ -123,7 +117,7 @@ def accelerations(angle, yaw, vx, p, own):
     read; p: the vehicle, see `abi.PLANT_PARAMETERS`.
     """
     c = unpack(p)
-    law = tyre_law(c)
+    law = LINEAR if c.tyre_linear > 0.5 else (MAGIC_FORMULA if c.curvature == 0.0 else CURVED_MAGIC_FORMULA)
     vy, r, wind = own[VY], own[YAW_RATE], own[WIND]
     friction, factor = math.exp(own[LOG_FRICTION]), math.exp(own[LOG_STIFFNESS])
     weight = 0.5 * c.mass * GRAVITY / (c.lf + c.lr)
@@ -219,7 +213,7 @@ def predict(angle, yaw, vx, p, settings, own):
             own[COVARIANCE + N * j + i] = own[COVARIANCE + N * i + j]
 
 
-@njit(types.void(float64, float64, vector), **INLINED_ROUTINE)
+@njit(types.void(float64, float64, vector), **ROUTINE, forceinline=True)
 def correct(innovation, deviation, own):
     """Take in one scalar measurement h(z), of noise `deviation`; dh/dz stands in `own` from _SEEN on.
 

@@ -7,8 +7,8 @@ from __future__ import annotations
 
 import math
 
-from .abi import INLINE, njit
-from .maths.elementary import arctangent_of_ratio, sine
+from ..abi import INLINE, njit
+from ..maths.elementary import arctangent_of_ratio, sine
 
 LEAST_LOAD = 1.0
 """A wheel never carries less than this (N): a lifted wheel keeps a harmless force instead of a division by zero."""
@@ -18,12 +18,11 @@ LINEAR, MAGIC_FORMULA, CURVED_MAGIC_FORMULA = 0, 1, 2
 """Tyre laws: linear; Magic Formula with E = 0, which saves an arctangent; Magic Formula."""
 
 
-@njit(**INLINE)
-def tyre_law(c):
-    """The law that the parameters ask for."""
-    if c.tyre_linear > 0.5:
+def tyre_law(linear: bool, curvature: float) -> int:
+    """The law that a tyre's parameters ask for."""
+    if linear:
         return LINEAR
-    return MAGIC_FORMULA if c.curvature == 0.0 else CURVED_MAGIC_FORMULA
+    return MAGIC_FORMULA if curvature == 0.0 else CURVED_MAGIC_FORMULA
 
 
 @njit(**INLINE)

@@ -1,0 +1,1 @@
+"""Controllers: the MPC, and laws behind one signature; one file a member."""
