@@ -1,1 +1,0 @@
-"""Controllers: the MPC, and laws behind one signature; one file a member."""
