@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from functools import cache
 from pathlib import Path
 
 from pydantic import Field, field_validator
@@ -95,4 +96,13 @@ def load_profile(profile: str | os.PathLike[str] | Profile) -> Profile:
     if isinstance(profile, Profile):
         return profile
     path = find_data("profiles", profile)
+    return _shipped(path) if profile in list_profiles() else _read(path)
+
+
+@cache
+def _shipped(path: Path) -> Profile:
+    return _read(path)
+
+
+def _read(path: Path) -> Profile:
     return build(Profile, {"name": path.stem, **read_toml(path)}, path)
