@@ -28,13 +28,15 @@ from adaptrack.kernels import loop
 from adaptrack.kernels.dynamics import STATES
 from adaptrack.learning.landscape import OUTPUTS, SHIFT, FuzzySurface, Level, NetworkSurface, shifted
 from adaptrack.mpc import MPC, Condition, Tuning
-from adaptrack.plant import ROAD, DualTrack, SingleTrack
+from adaptrack.plant import DualTrack, SingleTrack
+from adaptrack.profile import load_profile
 from adaptrack.scenario import load_scenario, random_drive
 from adaptrack.schedule import Constant, Guarded, Learned, Table
 from adaptrack.simulate import Batch, rollout, simulate
 from adaptrack.vehicle import load_vehicle
 
 CAR = load_vehicle("paper")
+ROAD = load_profile("road")
 START = Tuning(29, 5, 1.0, 4000.0)
 HASTY = Tuning(30, 10, 1.0, 10.0)
 """Steers on every bit of noise: loses the car."""
@@ -76,7 +78,7 @@ def test_the_cost_of_a_run_is_that_of_its_trajectory_and_a_stretch_has_its_part(
     for i, scenario in enumerate(scenarios):
         for j, seed in enumerate((4, 9)):
             run = rollout(plant(CAR), controller(), scenario, profile="road", seed=seed)
-            at_each = run.error**2 + ROAD.move_price * run.command_change**2
+            at_each = run.error**2 + ROAD.move_weight * run.command_change**2
             assert costs[i, j] == pytest.approx(at_each.mean(), rel=1e-12)
         parts = [at_each[first : first + 13].sum() for first in range(0, 80, 13)]
         np.testing.assert_allclose(stretches[i], parts, rtol=1e-10)
@@ -103,7 +105,7 @@ def test_a_lost_run_is_infinite_in_the_stretch_where_it_is_lost_and_unknown_afte
     assert np.isfinite(parts[:where]).all()
     assert parts[where] == math.inf
     assert np.isnan(parts[where + 1 :]).all()
-    at_each = run.error**2 + ROAD.move_price * run.command_change**2
+    at_each = run.error**2 + ROAD.move_weight * run.command_change**2
     np.testing.assert_allclose(parts[:where], at_each[: 10 * where].reshape(-1, 10).sum(axis=1), rtol=1e-9)
 
 

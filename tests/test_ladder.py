@@ -26,7 +26,8 @@ from adaptrack.evaluate.ladder import (
 from adaptrack.evaluate.road import condition_course, objective
 from adaptrack.kernels import inference
 from adaptrack.mpc import MPC, Tuning
-from adaptrack.plant import ROAD, SingleTrack
+from adaptrack.plant import SingleTrack
+from adaptrack.profile import load_profile
 from adaptrack.scenario import load_scenario
 from adaptrack.schedule import Constant, Guarded, Learned
 from adaptrack.tuning.config import list_campaigns, load_campaign
@@ -35,6 +36,7 @@ from adaptrack.tuning.pso import SearchSpace, SwarmSettings
 from adaptrack.vehicle import load_vehicle
 
 CAR = load_vehicle("paper")
+ROAD = load_profile("road")
 START = Tuning(29, 5, 1.0, 4000.0)
 HASTY = Tuning(30, 10, 1.0, 10.0)
 """Steers on every bit of noise: loses the car."""

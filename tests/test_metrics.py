@@ -57,7 +57,7 @@ def test_the_papers_cost_is_the_mse_and_the_road_charges_activity():
     run = record(Y=0.5, command_change=0.1)
     assert compute_metrics(run).cost == compute_metrics(run).mse == 0.25
     assert compute_metrics(run, activity_price=2.0).cost == pytest.approx(0.25 + 2.0 * 0.01)
-    road = record(Y=0.5, command_change=0.1, meta={"profile": "road"})
+    road = record(Y=0.5, command_change=0.1, meta={"profile": "road", "move_weight": 3.0})
     assert compute_metrics(road).cost == pytest.approx(0.25 + 3.0 * 0.01)
 
 

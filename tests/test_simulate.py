@@ -1,6 +1,5 @@
 """The closed loop: one trajectory however it is computed, and a car that does what its scenario asks."""
 
-import dataclasses
 import functools
 import math
 
@@ -11,7 +10,8 @@ from adaptrack.errors import ContractError, InvalidInput, UnknownName
 from adaptrack.kernels import loop
 from adaptrack.kernels.loop import counted_normal
 from adaptrack.mpc import MPC, Condition, Limits, Moves, Tuning
-from adaptrack.plant import PAPER, ROAD, DualTrack, Profile, SingleTrack, UserPlant
+from adaptrack.plant import DualTrack, SingleTrack, UserPlant
+from adaptrack.profile import Profile, load_profile
 from adaptrack.qp import QPStatus
 from adaptrack.scenario import Ramp, Scenario, load_scenario
 from adaptrack.simulate import Driver, rollout, rollout_batch, simulate
@@ -22,6 +22,7 @@ from adaptrack.vehicle import GRAVITY, SteeringActuator, load_vehicle
 pytestmark = pytest.mark.filterwarnings("ignore:overflow encountered in scalar:RuntimeWarning")
 
 CAR = load_vehicle("paper")
+ROAD = load_profile("road")
 CALM = Tuning(25, 6, 1.0, 30.0)
 LANE_CHANGE = load_scenario("lane-change", duration=6.0, speed=15.0)
 SHORT = load_scenario("lane-change", duration=1.5, start=0.2, change_time=2.0, gust_start=0.3, gust_duration=1.0)
@@ -250,7 +251,7 @@ def test_noise_depends_on_the_seed_alone():
 
 @pytest.mark.compiled
 def test_the_first_commands_see_only_the_noise_of_their_instant():
-    noisy = dataclasses.replace(PAPER, name="noisy", noise_y=0.1)
+    noisy = load_profile("paper").replace(name="noisy", noise_y=0.1)
     run = simulate(SingleTrack(CAR), MPC(CAR, CALM), straight_then(), profile=noisy, seed=11)
     seen = 0.1 * counted_normal(11, 0, 3)
     assert run.command[0] == MPC(CAR, CALM).step([0, 0, 0, seen], 15.0, [0.0]).angle
@@ -324,7 +325,7 @@ def test_a_state_that_is_no_longer_finite_ends_the_run():
 
 # -- what the profile stands for --------------------------------------------------------------------------------------
 def test_a_delay_shifts_the_steering_by_one_period():
-    delayed = Profile("delayed", SteeringActuator.ideal(), delay=True)
+    delayed = Profile(name="delayed", steering=SteeringActuator.ideal(), delay=1)
     run = simulate(SingleTrack(CAR), MPC(CAR, CALM), SHORT, profile=delayed)
     assert run.steering[0] == 0.0
     assert np.array_equal(run.steering[1:], run.command[:-1])

@@ -1,7 +1,6 @@
 """The linear closed loop: its eigenvalues foretell what simulations show."""
 
 import math
-from dataclasses import replace
 from itertools import product
 
 import numpy as np
@@ -23,7 +22,7 @@ from adaptrack import (
     load_tyre,
     load_vehicle,
 )
-from adaptrack.plant import PAPER, ROAD
+from adaptrack.profile import load_profile
 from adaptrack.scenario import Scenario, Wind
 from adaptrack.simulate import rollout
 from adaptrack.stability import (
@@ -44,7 +43,8 @@ from adaptrack.stability import (
 
 pytestmark = pytest.mark.compiled
 CAR = load_vehicle("paper")
-QUIET = replace(ROAD, noise_vy=0.0, noise_yaw=0.0, noise_yaw_rate=0.0, noise_y=0.0)
+PAPER, ROAD = load_profile("paper"), load_profile("road")
+QUIET = ROAD.replace(noise_vy=0.0, noise_yaw=0.0, noise_yaw_rate=0.0, noise_y=0.0)
 PLANT, ROAD_MPC = DualTrack(CAR, "magic-formula"), MPC(CAR, period=0.05)
 
 
@@ -137,7 +137,7 @@ def literal_loop(plant, mpc, speed, tuning, profile):
     return np.array([step(unit) for unit in np.eye(n + 6)]).T
 
 
-@pytest.mark.parametrize("profile", [ROAD, replace(ROAD, delay=False)])
+@pytest.mark.parametrize("profile", [ROAD, ROAD.replace(delay=0)])
 def test_the_summed_up_law_has_the_eigenvalues_of_the_law_of_moves(profile):
     for speed, tuning in product((5.0, 15.0, 25.0), (Tuning(35, 5, 1.0, 1e4), Tuning(20, 8, 2.0, 300.0))):
         short = closed_loop(PLANT, ROAD_MPC, speed, tuning=tuning, profile=profile)
@@ -310,7 +310,7 @@ def test_nearness_limits_the_gain_margins():
 
 
 def test_a_delay_of_one_period_is_the_road_profiles_delay():
-    prompt = replace(ROAD, delay=False)
+    prompt = ROAD.replace(delay=0)
     mine, its = (
         np.sort(np.abs(np.linalg.eigvals(closed_loop(PLANT, ROAD_MPC, 15.0, profile=profile, delay=delay))))
         for profile, delay in ((prompt, 0.05), (ROAD, 0.0))
@@ -322,8 +322,8 @@ def test_a_delay_of_one_period_is_the_road_profiles_delay():
 def test_a_fractional_delay_is_what_commands_do_that_change_within_the_period(profile):
     """Against the same plant sampled ten times as often, each command held for ten samples, three samples late."""
     period, x = 0.1, np.random.default_rng(5).normal(size=12)
-    late = sampled(PLANT, period, 15.0, profile=replace(profile, delay=False), delay=0.3 * period)
-    fine = sampled(PLANT, period / 10, 15.0, profile=replace(profile, delay=False))
+    late = sampled(PLANT, period, 15.0, profile=profile.replace(delay=0), delay=0.3 * period)
+    fine = sampled(PLANT, period / 10, 15.0, profile=profile.replace(delay=0))
     n = len(fine.b)
     z, state, before = np.append(x[:n], 0.3), x[:n], 0.3
     for command in (1.0, -0.5, 0.2):

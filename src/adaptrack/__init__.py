@@ -22,8 +22,18 @@ _PUBLIC = {
         "StorageError",
         "UnknownName",
     ),
-    "vehicle": ("SteeringActuator", "Tyre", "Vehicle", "list_tyres", "list_vehicles", "load_tyre", "load_vehicle"),
-    "plant": ("DualTrack", "Plant", "Profile", "SingleTrack", "UserPlant", "check_plant"),
+    "vehicle": (
+        "Steering",
+        "SteeringActuator",
+        "Tyre",
+        "Vehicle",
+        "list_tyres",
+        "list_vehicles",
+        "load_tyre",
+        "load_vehicle",
+    ),
+    "plant": ("DualTrack", "Plant", "SingleTrack", "UserPlant", "check_plant"),
+    "profile": ("Profile", "list_profiles", "load_profile"),
     "prediction": ("PredictionModel",),
     "qp": ("QP", "Solution", "check_qp_solver", "get_qp_solver", "list_qp_solvers", "register_qp_solver"),
     "mpc": ("MPC", "Condition", "Limits", "Moves", "Tuning", "demand"),
@@ -69,8 +79,9 @@ if TYPE_CHECKING:
     from adaptrack.learning.training import train
     from adaptrack.metrics import Metrics, compute_metrics
     from adaptrack.mpc import MPC, Condition, Limits, Moves, Tuning, demand
-    from adaptrack.plant import DualTrack, Plant, Profile, SingleTrack, UserPlant, check_plant
+    from adaptrack.plant import DualTrack, Plant, SingleTrack, UserPlant, check_plant
     from adaptrack.prediction import PredictionModel
+    from adaptrack.profile import Profile, list_profiles, load_profile
     from adaptrack.qp import QP, Solution, check_qp_solver, get_qp_solver, list_qp_solvers, register_qp_solver
     from adaptrack.scenario import Scenario, list_scenarios, load_scenario, random_drive
     from adaptrack.schedule import (
@@ -91,6 +102,7 @@ if TYPE_CHECKING:
     from adaptrack.tuning.objective import Objective
     from adaptrack.tuning.pso import SearchSpace, Swarm, SwarmSettings, minimise
     from adaptrack.vehicle import (
+        Steering,
         SteeringActuator,
         Tyre,
         Vehicle,
@@ -133,6 +145,7 @@ __all__ = [
     "SearchSpace",
     "SingleTrack",
     "Solution",
+    "Steering",
     "SteeringActuator",
     "StorageError",
     "Swarm",
@@ -153,6 +166,7 @@ __all__ = [
     "get_qp_solver",
     "list_campaigns",
     "list_datasets",
+    "list_profiles",
     "list_qp_solvers",
     "list_scenarios",
     "list_schedulers",
@@ -161,6 +175,7 @@ __all__ = [
     "load_adaptation",
     "load_campaign",
     "load_dataset",
+    "load_profile",
     "load_scenario",
     "load_scheduler",
     "load_tyre",

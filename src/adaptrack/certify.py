@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 
 from adaptrack.errors import ContractError, InvalidInput, real
 from adaptrack.mpc import MPC, Condition, Scheduler, astuple
-from adaptrack.plant import Plant, Profile, load_profile
+from adaptrack.plant import Plant
+from adaptrack.profile import Profile, load_profile
 from adaptrack.schedule import SLOTS, Schedule
 from adaptrack.stability import Margins, hard_turn, laws, margins, sampled
 

@@ -33,13 +33,6 @@ dataset_app = typer.Typer(help="Data sets of tuned conditions.", no_args_is_help
 app.add_typer(dataset_app, name="dataset")
 
 
-class ProfileName(StrEnum):
-    """Profiles."""
-
-    paper = "paper"
-    road = "road"
-
-
 class PlantName(StrEnum):
     """Plants."""
 
@@ -128,7 +121,7 @@ def simulate(
     vehicle: Annotated[str, Option(help="Name (see `vehicles`) or .toml file.")] = "paper",
     plant: Annotated[PlantName, Option(help="What is driven.")] = PlantName.dual_track,
     tyre: Annotated[str | None, Option(help="Name (see `vehicles`) or .toml file; by default the vehicle's.")] = None,
-    profile: Annotated[ProfileName, Option(help="paper: ideal; road: steering lag, noise, delay.")] = ProfileName.paper,
+    profile: Annotated[str, Option(help="paper: ideal; road: steering lag, noise, delay; or a .toml file.")] = "paper",
     driver: Annotated[bool, Option("--driver/--perfect-speed", help="Powertrain and driver, or exact speed.")] = False,
     np_: Annotated[int, Option("--np", help="Prediction horizon (periods).")] = 35,
     nc: Annotated[int, Option("--nc", help="Control horizon (periods).")] = 8,
@@ -156,7 +149,8 @@ def simulate(
     """Drive scenarios with the MPC; print the metrics, write the report."""
     from adaptrack.metrics import compute_metrics
     from adaptrack.mpc import MPC, Moves, Tuning
-    from adaptrack.plant import DualTrack, SingleTrack, load_profile
+    from adaptrack.plant import DualTrack, SingleTrack
+    from adaptrack.profile import load_profile
     from adaptrack.scenario import load_scenario
     from adaptrack.schedule import load_scheduler
     from adaptrack.simulate import Driver
@@ -166,7 +160,7 @@ def simulate(
     options = _scenario_options(option or [])
     loaded = [load_scenario(name, **options) for name in scenarios]
     car = load_vehicle(vehicle)
-    world = load_profile(str(profile))
+    world = load_profile(profile)
     ahead = world.preview if preview is None else preview
     ts = period or world.period
     body = (SingleTrack if plant is PlantName.single_track else DualTrack)(car, tyre)
@@ -385,7 +379,7 @@ def adapt(
 @app.command()
 def certify(
     scheduler: Annotated[str, typer.Argument(help="Name (see `schedulers`) or .json file (see `train`).")],
-    profile: Annotated[ProfileName, Option(help="paper: ideal; road: steering lag, delay.")] = ProfileName.road,
+    profile: Annotated[str, Option(help="paper: ideal; road: steering lag, delay; or a .toml file.")] = "road",
     vehicle: Annotated[str, Option(help="Name (see `vehicles`) or .toml file.")] = "paper",
     plant: Annotated[PlantName, Option(help="What is driven.")] = PlantName.dual_track,
     tyre: Annotated[str | None, Option(help="Name (see `vehicles`) or .toml file; by default the vehicle's.")] = None,
@@ -395,7 +389,8 @@ def certify(
     """Map spectral radius, gain and delay margins over the operating domain; exit code 1 when a point is unstable."""
     from adaptrack.certify import certify as look
     from adaptrack.mpc import MPC
-    from adaptrack.plant import DualTrack, SingleTrack, load_profile
+    from adaptrack.plant import DualTrack, SingleTrack
+    from adaptrack.profile import load_profile
     from adaptrack.schedule import load_scheduler
     from adaptrack.vehicle import load_vehicle
 
@@ -403,7 +398,7 @@ def certify(
     car = load_vehicle(vehicle)
     body = (SingleTrack if plant is PlantName.single_track else DualTrack)(car, tyre)
     longest, most = schedule.largest
-    mpc = MPC(car, period=load_profile(str(profile)).period, longest_horizon=max(60, longest), most_moves=max(20, most))
+    mpc = MPC(car, period=load_profile(profile).period, longest_horizon=max(60, longest), most_moves=max(20, most))
     if out is not None:
         _make_folder(out)
     with _progress(1, quiet=as_json) as show:
@@ -445,7 +440,7 @@ def evaluate(
     drives: Annotated[int | None, Option(min=1, help="So many random drives of 60 s.")] = None,
     tests: Annotated[bool, Option("--tests", help="The paper's two tests.")] = False,
     config: Annotated[str, Option(help="Whose vehicle, profile and domain: name (road) or .toml file.")] = "road",
-    profile: Annotated[ProfileName | None, Option(help="Must be the configuration's; for the record.")] = None,
+    profile: Annotated[str | None, Option(help="Must be the configuration's; for the record.")] = None,
     knowledge: Annotated[
         list[str] | None,
         Option("--told", help="How friction and wind are known: exact, noisy, lagged, estimated, withheld, ..."),

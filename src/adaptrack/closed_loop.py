@@ -21,7 +21,8 @@ from adaptrack.errors import InvalidInput, whole
 from adaptrack.estimation import FrictionWindEstimator, Perception
 from adaptrack.learning.landscape import OUTPUTS, SHIFT, Surface, blended, check_inputs, preferred_moves, shifted
 from adaptrack.mpc import MPC, Condition, Tuning
-from adaptrack.plant import Plant, load_profile
+from adaptrack.plant import Plant
+from adaptrack.profile import load_profile
 from adaptrack.scenario import Scenario
 from adaptrack.schedule import Learned, Schedule
 from adaptrack.simulate import Batch
@@ -78,7 +79,7 @@ class Course:
     ) -> None:  # fmt: skip
         self.told = told
         self.batch = Batch(plant, mpc, scenarios, profile, None, LOST_BEYOND, told, SPIN_BEYOND)
-        self.price = load_profile(profile).move_price
+        self.price = load_profile(profile).move_weight
         self.periods = self.batch.signals[0].n
         self.stretch, self.lead, self.stride = stretch or self.periods, lead, stride
         from adaptrack.kernels import loop

@@ -15,7 +15,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from adaptrack.errors import InvalidInput, real
 from adaptrack.mpc import Command, Condition, Controller
-from adaptrack.plant import DualTrack, Profile, SingleTrack, load_profile
+from adaptrack.plant import DualTrack, SingleTrack
+from adaptrack.profile import Profile, load_profile
 from adaptrack.vehicle import SteeringActuator, Tyre, Vehicle, load_tyre, pack_plant
 
 Array = NDArray[np.float64]
@@ -176,7 +177,7 @@ class FrictionWindEstimator:
             plant.tyre,
             plant.steering or profile.steering,
             period=profile.period if period is None else period,
-            delay=profile.delay,
+            delay=profile.delay > 0.0,
             noise_vy=max(profile.noise_vy, LEAST_NOISE_VY),
             noise_yaw_rate=max(profile.noise_yaw_rate, LEAST_NOISE_YAW_RATE),
             noise_acceleration=noise_acceleration,

@@ -16,7 +16,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adaptrack.errors import InvalidInput
-from adaptrack.plant import ROAD
 from adaptrack.trajectory import Trajectory
 
 LOST_BEYOND = 5.0
@@ -27,9 +26,6 @@ SPIN_BEYOND = math.pi / 4
 
 SLOW = 1.0
 """m/s: below it sideslip and path heading are ill-defined, and samples are not judged by them."""
-
-ROAD_ACTIVITY_PRICE = ROAD.move_price
-"""m²/rad², what the road profile's tuning cost charges for steering activity; the paper charges nothing."""
 
 AT_CHANGE_LIMIT, AT_ANGLE_LIMIT, AT_OUTPUT_LIMIT = 1, 2, 4
 """The bits of `Trajectory.at_limit`: Δu (13), u (14) and y (15)."""
@@ -140,8 +136,8 @@ def compute_metrics(
     Parameters
     ----------
     activity_price
-        m²/rad², the w of J = mean e² + w mean Δu²; by default what the profile of the run charges: 3 for ``"road"`` in
-        its `meta`, else 0.
+        m²/rad², the w of J = mean e² + w mean Δu²; by default ``move_weight`` of
+        the run's `meta` (its profile's), else 0.
     lost_beyond, spin_beyond
         m and rad, see `find_loss`.
 
@@ -151,7 +147,7 @@ def compute_metrics(
         When a parameter is negative or NaN. A trajectory with NaN is no error: it is lost, and its MSE infinite.
     """
     if activity_price is None:
-        activity_price = ROAD_ACTIVITY_PRICE if trajectory.meta.get("profile") == "road" else 0.0
+        activity_price = float(trajectory.meta.get("move_weight", 0.0))
     if not activity_price >= 0.0:
         raise InvalidInput(f"metrics: activity_price must be a number >= 0, got {activity_price!r}.")
     loss = find_loss(trajectory, lost_beyond=lost_beyond, spin_beyond=spin_beyond)

@@ -1,4 +1,4 @@
-"""Plants: what the controller drives. Two built-in vehicles, a user's own, and the profile of a car around them.
+"""Plants: what the controller drives. Two built-in vehicles, and a user's own.
 
 A plant is a right-hand side and a parameter record. The state begins with (X, Y, yaw, v_x, v_y, yaw rate); signs
 are those of ISO 8855 (x forward, y left, yaw and steering positive to the left); SI units, radians.
@@ -15,89 +15,13 @@ from typing import Any, Self, final
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from adaptrack.errors import ContractError, InvalidInput, UnknownName, did_you_mean, real, whole
+from adaptrack.errors import ContractError, InvalidInput, real, whole
 from adaptrack.vehicle import SteeringActuator, Tyre, Vehicle, load_tyre, pack_plant
 
 Array = NDArray[np.float64]
 
 MOTION = ("X", "Y", "psi", "vx", "vy", "yaw_rate")
 """The states that every plant begins with: m, m, rad, m/s, m/s, rad/s."""
-
-
-@dataclass(frozen=True)
-class Profile:
-    """What stands between the controller and an ideal vehicle, and what a test of it charges.
-
-    Raises
-    ------
-    InvalidInput
-        When a standard deviation or the price is negative or not finite.
-    """
-
-    name: str
-    steering: SteeringActuator
-    """Lag, rate limit and angle limit of the steering."""
-    period: float = 0.1
-    """s, control period, unless the controller is told otherwise."""
-    noise_vy: float = 0.0
-    """m/s, standard deviation of the measured lateral velocity; likewise the following."""
-    noise_yaw: float = 0.0
-    """rad"""
-    noise_yaw_rate: float = 0.0
-    """rad/s"""
-    noise_y: float = 0.0
-    """m"""
-    delay: bool = False
-    """Whether a command takes effect one control period after its measurement."""
-    preview: bool = False
-    """Whether the controller knows the reference ahead, unless it is told otherwise."""
-    move_price: float = 0.0
-    """m^2/rad^2, price w of steering activity in the tuning cost J = mean e^2 + w mean (change of command)^2."""
-
-    def __post_init__(self) -> None:
-        for name in ("noise_vy", "noise_yaw", "noise_yaw_rate", "noise_y", "move_price"):
-            value = getattr(self, name)
-            if not 0.0 <= value < math.inf:
-                raise InvalidInput(f"Profile {self.name!r}: {name} = {value!r}: must be finite and not negative.")
-
-    @property
-    def noise(self) -> tuple[float, float, float, float]:
-        """Standard deviations of the measured x_c = [v_y (m/s), yaw (rad), yaw rate (rad/s), y (m)]."""
-        return self.noise_vy, self.noise_yaw, self.noise_yaw_rate, self.noise_y
-
-
-PAPER = Profile("paper", SteeringActuator.ideal())
-"""The paper's setting: ideal actuator, exact state, no delay, no preview, tracking alone counts."""
-ROAD = Profile(
-    "road",
-    SteeringActuator.road(),
-    period=0.05,
-    noise_vy=0.05,
-    noise_yaw=0.003,
-    noise_yaw_rate=0.01,
-    noise_y=0.03,
-    delay=True,
-    preview=True,
-    move_price=3.0,
-)
-"""A car at 20 Hz: steering lag and rate limit, sensor noise, one period of computation delay, preview."""
-PROFILES = {profile.name: profile for profile in (PAPER, ROAD)}
-
-
-def load_profile(profile: str | Profile) -> Profile:
-    """A profile by name (`paper`, `road`), or the given one.
-
-    Raises
-    ------
-    UnknownName
-        When no profile has that name.
-    """
-    if isinstance(profile, Profile):
-        return profile
-    try:
-        return PROFILES[profile]
-    except KeyError:
-        raise UnknownName(f"Unknown profile {profile!r}. {did_you_mean(profile, PROFILES)}") from None
 
 
 @dataclass(frozen=True)

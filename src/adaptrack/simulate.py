@@ -21,7 +21,8 @@ from numpy.typing import ArrayLike, NDArray
 from adaptrack.errors import InvalidInput, real, whole
 from adaptrack.estimation import FrictionWindEstimator, Perception
 from adaptrack.mpc import MPC, CompiledScheduler, Condition, Controller, demand
-from adaptrack.plant import Plant, Profile, load_profile
+from adaptrack.plant import Plant
+from adaptrack.profile import Profile, load_profile
 from adaptrack.scenario import Scenario, Signals
 from adaptrack.trajectory import Trajectory, provenance
 
@@ -521,6 +522,7 @@ def _trajectory(
             tyre=plant.tyre_name,
             vehicle=getattr(getattr(plant, "vehicle", None), "name", plant.name),
             profile=profile.name,
+            move_weight=profile.move_weight,
             seed=seed,
             preview=bool(described.get("preview", False)),
             controller=controller.name,

@@ -19,8 +19,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from adaptrack.errors import InvalidInput, real
 from adaptrack.mpc import MPC, Tuning
-from adaptrack.plant import Plant, Profile, load_profile
+from adaptrack.plant import Plant
 from adaptrack.prediction import laguerre_basis
+from adaptrack.profile import Profile, load_profile
 from adaptrack.vehicle import GRAVITY
 
 Array = NDArray[np.float64]

@@ -15,7 +15,8 @@ from adaptrack.errors import InvalidInput
 from adaptrack.estimation import FrictionWindEstimator, Perception
 from adaptrack.metrics import PUBLISHED
 from adaptrack.mpc import MPC, Tuning
-from adaptrack.plant import DualTrack, Plant, SingleTrack, load_profile
+from adaptrack.plant import DualTrack, Plant, SingleTrack
+from adaptrack.profile import load_profile
 from adaptrack.scenario import load_scenario, random_drive
 from adaptrack.schedule import Lookup, Schedule
 from adaptrack.tuning.conditions import NAMES, check_conditions

@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from adaptrack.metrics import LOST_BEYOND, ROAD_ACTIVITY_PRICE, SLOW, Metrics, published_mse
+from adaptrack.metrics import LOST_BEYOND, SLOW, Metrics, published_mse
+from adaptrack.profile import load_profile
 from adaptrack.report.figures import CREEPING
 from adaptrack.report.page import Cell, Head, Section, Table, Terms
 from adaptrack.report.words import describe, number, percent, recorded, scientific, span, title_of
@@ -81,7 +82,7 @@ def differences_table(runs: Sequence[Shown], entries: Sequence[tuple[str, str]])
 
 def reading() -> Section:
     """What the columns, and the small words above some panels, mean."""
-    road = f"{ROAD_ACTIVITY_PRICE:g}"
+    road = f"{load_profile('road').move_weight:g}"
     meanings = (
         ("MSE", "mean of e² over the control instants, e = Y − y_ref: the paper's measure"),
         ("Heading", f"heading minus the reference's, atan2(dy_ref/dt, v_x), where v_x ≥ {SLOW:g} m/s"),

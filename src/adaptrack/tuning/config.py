@@ -18,7 +18,7 @@ from pydantic import BeforeValidator, Field, model_validator
 
 from adaptrack.errors import UnknownName, did_you_mean
 from adaptrack.mpc import Tuning
-from adaptrack.plant import PROFILES
+from adaptrack.profile import load_profile
 from adaptrack.toml_files import Record, build, read_toml
 from adaptrack.tuning.conditions import Fold, check_box, fold, grid, paper_grid, sobol, unit_sobol
 from adaptrack.tuning.pso import SearchSpace, SwarmSettings
@@ -234,13 +234,13 @@ class CampaignConfig(Record):
     @property
     def noisy(self) -> bool:
         """Whether the profile has sensor noise."""
-        return any(PROFILES[self.profile].noise)
+        return any(load_profile(self.profile).noise)
 
     def settled(self) -> Self:
         """A copy in which every value that may be left out has been given."""
         return self.replace(
             duration=self.duration or {"step": 18.0, "lane-change": 8.0}[self.scenario],
-            move_price=PROFILES[self.profile].move_price if self.move_price is None else self.move_price,
+            move_price=load_profile(self.profile).move_weight if self.move_price is None else self.move_price,
             noise_seeds=self.noise_seeds or ((0, 1, 2, 3) if self.noisy else (0,)),
             mirror=not self.noisy if self.mirror is None else self.mirror,
         )
@@ -339,7 +339,7 @@ class Plan:
         All that the data depend on, and nothing else: no chunk size, no description, no path.
         """
         values = self.config.model_dump(mode="json", exclude={"description", "chunk"})
-        values["vehicle"] = self.setup.vehicle.model_dump(mode="json", exclude={"description", "tyre"})
+        values["vehicle"] = self.setup.vehicle.model_dump(mode="json", exclude={"description", "tyre", "steering"})
         values["tyre"] = self.setup.tyre.model_dump(mode="json", exclude={"description"})
         return _plain(values)
 

@@ -15,7 +15,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from adaptrack.errors import InvalidInput
 from adaptrack.mpc import MPC
-from adaptrack.plant import Plant, Profile, load_profile
+from adaptrack.plant import Plant
+from adaptrack.profile import Profile, load_profile
 from adaptrack.scenario import Scenario, load_scenario
 from adaptrack.simulate import Batch, vehicle_arrays
 from adaptrack.tuning.pso import SearchSpace, SwarmSettings
@@ -78,7 +79,7 @@ class Objective:
     def price(self) -> float:
         """The price of steering activity in use (m^2/rad^2)."""
         assert isinstance(self.profile, Profile)
-        return self.profile.move_price if self.move_price is None else self.move_price
+        return self.profile.move_weight if self.move_price is None else self.move_price
 
     def scenario(self, condition: ArrayLike) -> Scenario:
         """The run under a condition."""
