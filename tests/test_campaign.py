@@ -16,7 +16,7 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
-from adaptrack import toml_files
+from adaptrack import files
 from adaptrack.dataset import load_dataset
 from adaptrack.errors import (
     AdaptrackError,
@@ -512,7 +512,7 @@ def test_a_full_disk_is_a_storage_error_and_nothing_is_lost(tmp_path, whole, mon
 
     with monkeypatch.context() as patch:
         if call == "write":
-            patch.setattr(toml_files, "open", full, raising=False)
+            patch.setattr(files, "open", full, raising=False)
         else:
             patch.setattr(os, call, full)
         with pytest.raises(StorageError, match=r"cannot be written: No space left on device.* go on with --resume"):

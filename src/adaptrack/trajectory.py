@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from adaptrack import __version__
 from adaptrack.errors import InvalidInput, StorageError
-from adaptrack.toml_files import write_atomically
+from adaptrack.files import write_atomically
 
 Array = NDArray[Any]
 

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from adaptrack.errors import InvalidInput, StorageError, UnknownName, did_you_mean
-from adaptrack.toml_files import write_atomically
+from adaptrack.files import write_atomically
 from adaptrack.tuning.conditions import NAMES, check_conditions, fold
 from adaptrack.tuning.store import COLUMNS, DATA_SET, Columns, Damaged, decode, encode, unfinished
 

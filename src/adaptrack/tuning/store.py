@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adaptrack.errors import StorageError
-from adaptrack.toml_files import write_atomically
+from adaptrack.files import write_atomically
 from adaptrack.tuning import conditions
 
 Columns = dict[str, NDArray[Any]]
