@@ -350,15 +350,16 @@ def _stop_after(writes, out):
     done = 0
     real = store.write_atomically
 
-    def write(path, content):
+    def write(path, content, **options):
         nonlocal done
         if done == writes:
             raise Stop
         done += 1
-        real(path, content)
+        real(path, content, **options)
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(store, "write_atomically", write)
+        for each in (store, files):
+            patch.setattr(each, "write_atomically", write)
         with pytest.raises(Stop):
             run_campaign(small(), out, resume=True, workers=1, evaluate=Fake)
 

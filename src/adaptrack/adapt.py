@@ -37,7 +37,7 @@ from adaptrack.evaluate.road import (
     paper_test,
     told,
 )
-from adaptrack.files import Record, build, read_toml
+from adaptrack.files import Record, build, read_toml, safe_name
 from adaptrack.learning.landscape import FuzzySurface, NetworkSurface, Surface
 from adaptrack.learning.training import train
 from adaptrack.metrics import PUBLISHED
@@ -322,7 +322,7 @@ def shipped(name: str) -> dict[str, Schedule]:
 
 
 def _file_name(adaptation: str, rung: str) -> str:
-    return f"{adaptation}-{rung.replace(' ', '-')}"
+    return safe_name(f"{adaptation}-{rung.replace(' ', '-')}")
 
 
 def learn(
