@@ -16,7 +16,7 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
-from adaptrack import toml_files
+from adaptrack import files
 from adaptrack.dataset import load_dataset
 from adaptrack.errors import (
     AdaptrackError,
@@ -350,15 +350,16 @@ def _stop_after(writes, out):
     done = 0
     real = store.write_atomically
 
-    def write(path, content):
+    def write(path, content, **options):
         nonlocal done
         if done == writes:
             raise Stop
         done += 1
-        real(path, content)
+        real(path, content, **options)
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(store, "write_atomically", write)
+        for each in (store, files):
+            patch.setattr(each, "write_atomically", write)
         with pytest.raises(Stop):
             run_campaign(small(), out, resume=True, workers=1, evaluate=Fake)
 
@@ -512,7 +513,7 @@ def test_a_full_disk_is_a_storage_error_and_nothing_is_lost(tmp_path, whole, mon
 
     with monkeypatch.context() as patch:
         if call == "write":
-            patch.setattr(toml_files, "open", full, raising=False)
+            patch.setattr(files, "open", full, raising=False)
         else:
             patch.setattr(os, call, full)
         with pytest.raises(StorageError, match=r"cannot be written: No space left on device.* go on with --resume"):

@@ -258,7 +258,7 @@ def rigged(made, **errors):
 
     def changed(row):
         mse = errors.get(row["controller"].replace("-", "_"))
-        return row if mse is None or row["preview"] else {**row, "mse": mse, "lost": False}
+        return row if mse is None or row["preview"] else {**row, "mse": mse, "failed": False}
 
     return dataclasses.replace(made, rows=[changed(row) for row in made.rows])
 
@@ -284,7 +284,7 @@ def test_the_page_tells_one_winner_from_one_loser(made):
 
 def test_a_lost_run_never_wins(made):
     rows = [
-        {**row, "mse": 1e-9, "lost": True} if row["controller"] == "nn" and not row["preview"] else row
+        {**row, "mse": 1e-9, "failed": True} if row["controller"] == "nn" and not row["preview"] else row
         for row in rigged(made, anfis=2.0, best_constant=1.0).rows
     ]
     assert page.against(rows, "released", "best-constant").startswith("neither")
@@ -292,10 +292,10 @@ def test_a_lost_run_never_wins(made):
 
 
 def test_a_lost_run_is_told_with_its_cause():
-    row = {"configuration": "released", "scenario": TESTS[0], "controller": "lookup", "preview": False, "lost": True,
-           "lost_at": 3.04, "lost_because": "spun"}  # fmt: skip
-    assert page.losses([row, {**row, "lost": False}], "released") == [
-        "Lost: the look-up table on the triple lane change without preview, at 3.0 s; the vehicle spun."
+    row = {"configuration": "released", "scenario": TESTS[0], "controller": "lookup", "preview": False, "failed": True,
+           "failed_at": 3.04, "failed_because": "spun"}  # fmt: skip
+    assert page.failures([row, {**row, "failed": False}], "released") == [
+        "Failed: the look-up table on the triple lane change without preview, at 3.0 s; the vehicle spun."
     ]
 
 

@@ -629,7 +629,7 @@ def test_a_trajectory_records_the_tuning_of_every_step(kind, rng):
     for k, row in enumerate(seen):
         expected[k] = expected[k - 1]
         inference.schedule(0, np.append(row, 0.0), plan, expected[k])
-    assert np.array_equal(np.column_stack([run.Np, run.Nc, run.Q, run.R]), expected)
+    assert np.array_equal(np.column_stack([run.tuning[name] for name in ("Np", "Nc", "Q", "R")]), expected)
     assert len(np.unique(expected, axis=0)) > 1
 
 
@@ -706,7 +706,7 @@ def test_on_a_straight_road_in_steady_wind_a_change_of_horizons_moves_nothing():
         return (30, 6, 1.0, 50.0) if next(steps) < 300 else (*next(horizons), 1.0, 50.0)
 
     run = simulate(DualTrack(CAR), MPC(CAR, scheduler=switching), road)
-    assert set(run.Np[300:]) == {20, 45, 30, 60}
+    assert set(run.tuning["Np"][300:]) == {20, 45, 30, 60}
     assert abs(run.command[299]) > 1e-3
     assert np.abs(run.command_change[300:]).max() < 1e-9
     assert np.abs(run.command[300:] - run.command[299]).max() < 1e-8

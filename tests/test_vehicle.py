@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from adaptrack.errors import AdaptrackError, ConfigError, ContractError, InvalidInput, StorageError, UnknownName
-from adaptrack.toml_files import Record, build, dump_toml, read_toml, write_toml
+from adaptrack.files import Record, build, dump_toml, read_toml, write_toml
 from adaptrack.vehicle import (
     GRAVITY,
     Steering,

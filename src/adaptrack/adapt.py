@@ -37,6 +37,7 @@ from adaptrack.evaluate.road import (
     paper_test,
     told,
 )
+from adaptrack.files import Record, build, read_toml, safe_name
 from adaptrack.learning.landscape import FuzzySurface, NetworkSurface, Surface
 from adaptrack.learning.training import train
 from adaptrack.metrics import PUBLISHED
@@ -44,7 +45,6 @@ from adaptrack.mpc import MPC, Condition, Tuning
 from adaptrack.plant import DualTrack, SingleTrack
 from adaptrack.schedule import Constant, Guarded, Schedule, StabilityMap, Table, list_schedulers, load_scheduler
 from adaptrack.stability import loop_map
-from adaptrack.toml_files import Record, build, read_toml
 from adaptrack.tuning.campaign import Progress as CampaignProgress
 from adaptrack.tuning.campaign import run_campaign
 from adaptrack.tuning.conditions import NAMES, sobol
@@ -322,7 +322,7 @@ def shipped(name: str) -> dict[str, Schedule]:
 
 
 def _file_name(adaptation: str, rung: str) -> str:
-    return f"{adaptation}-{rung.replace(' ', '-')}"
+    return safe_name(f"{adaptation}-{rung.replace(' ', '-')}")
 
 
 def learn(

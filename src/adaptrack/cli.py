@@ -194,10 +194,13 @@ def simulate(
                 runs.append((name, run))
     rows = [_row(label, run, compute_metrics(run).as_row()) for label, run in runs]
     if out is not None:
+        from adaptrack.files import safe_names
         from adaptrack.report import Run, write_report
 
-        for label, run in runs:
-            run.save(out / f"{run.name_of('scenario')}-{label}.parquet")
+        for name, (_, run) in zip(
+            safe_names(f"{r.name_of('scenario')}-{label}" for label, r in runs), runs, strict=True
+        ):
+            run.save(out / f"{name}.parquet")
         page = write_report(out, [Run(run, label=label) for label, run in runs], command=_command())
         _tell(f"Report: {page}", quiet=as_json)
     if as_json:
@@ -350,7 +353,7 @@ def reproduce(
     if as_json:
         print(json.dumps(made.as_json(), allow_nan=False))
         return
-    columns = ("scenario", "controller", "preview", "moves", "mse", "paper_mse", "ratio", "lost")
+    columns = ("scenario", "controller", "preview", "moves", "mse", "paper_mse", "ratio", "failed")
     for configuration in dict.fromkeys(row["configuration"] for row in made.rows):
         _table(configuration, columns, [row for row in made.rows if row["configuration"] == configuration])
     print(f"{made.seconds:.0f} s, of which {made.training_seconds:.0f} s learning")
@@ -658,7 +661,10 @@ def _tell(text: str, quiet: bool = False) -> None:
 def _progress(total: int, quiet: bool) -> Iterator[Callable[[str, int, int], None]]:
     """A progress bar on standard error; yields show(label, steps done, steps in all), for one drive at a time."""
     from rich.console import Console
+    from rich.markup import escape
     from rich.progress import Progress
+
+    from adaptrack.files import printable
 
     console = Console(stderr=True)
     with Progress(console=console, transient=True, disable=quiet or not console.is_terminal) as bar:
@@ -667,7 +673,7 @@ def _progress(total: int, quiet: bool) -> Iterator[Callable[[str, int, int], Non
 
         def show(label: str, done: int, steps: int) -> None:
             nonlocal finished
-            bar.update(task, completed=finished + done / steps, description=label)
+            bar.update(task, completed=finished + done / steps, description=escape(printable(label)))
             finished += done == steps
 
         yield show
@@ -690,12 +696,15 @@ def _flat(title: str, values: dict[str, Any], as_json: bool) -> None:
 def _table(title: str, columns: tuple[str, ...], rows: list[dict[str, Any]]) -> None:
     from rich.console import Console
     from rich.table import Table
+    from rich.text import Text
 
-    table = Table(title=title)
+    from adaptrack.files import printable
+
+    table = Table(title=Text(printable(title)))
     for column in columns:
-        table.add_column(column, overflow="fold")
+        table.add_column(Text(column), overflow="fold")
     for row in rows:
-        table.add_row(*(_show(row[column]) for column in columns))
+        table.add_row(*(Text(printable(_show(row[column]))) for column in columns))  # names are no markup
     Console(width=None if sys.stdout.isatty() else 140).print(table)
 
 

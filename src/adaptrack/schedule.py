@@ -21,10 +21,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from adaptrack.errors import ContractError, InvalidInput, StorageError, UnknownName, did_you_mean, real, whole
+from adaptrack.files import write_atomically
 from adaptrack.learning.network import Network
 from adaptrack.learning.sugeno import WIDTH, Sugeno
 from adaptrack.mpc import Condition, Tuning, astuple
-from adaptrack.toml_files import write_atomically
 from adaptrack.vehicle import GRAVITY
 
 Array = NDArray[np.float64]

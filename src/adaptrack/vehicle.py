@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, Literal, Self
 from pydantic import Field, ValidationInfo, field_validator
 
 from adaptrack.errors import ContractError, InvalidInput, UnknownName, did_you_mean
-from adaptrack.toml_files import Record, build, read_toml
+from adaptrack.files import Record, build, read_toml
 
 if TYPE_CHECKING:
     import numpy as np

@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from adaptrack.errors import InvalidInput, StorageError, UnknownName, did_you_mean
-from adaptrack.toml_files import write_atomically
+from adaptrack.files import Damaged, read_bytes, safe_name, write_atomically
 from adaptrack.tuning.conditions import NAMES, check_conditions, fold
-from adaptrack.tuning.store import COLUMNS, DATA_SET, Columns, Damaged, decode, encode, unfinished
+from adaptrack.tuning.store import COLUMNS, DATA_SET, Columns, decode, encode, unfinished
 
 Array = NDArray[Any]
 
@@ -102,9 +102,9 @@ class DataSet:
     @property
     def command(self) -> str:
         """The command that makes it again (with the campaign's own file, unless that ships with the package)."""
-        ships = (_DATA.with_name("campaigns") / f"{self.name}.toml").exists()
-        config = self.name if ships else f"{self.name}.toml"
-        return shlex.join(["adaptrack", "tune", "--config", config, "--out", self.name])
+        name = safe_name(self.name)
+        ships = name in {path.stem for path in _DATA.with_name("campaigns").glob("*.toml")}
+        return shlex.join(["adaptrack", "tune", "--config", name if ships else f"{name}.toml", "--out", name])
 
     @property
     def ratios(self) -> Array:
@@ -176,7 +176,7 @@ class DataSet:
         StorageError
             When the file is missing, damaged, no data set, or of another format version; the message says which.
         """
-        columns, about = decode(path, DATA_SET)
+        columns, about = decode(read_bytes(path), path, DATA_SET)
         try:
             library = np.array(about.pop("library"), dtype=np.float64)
             return cls(
@@ -190,7 +190,7 @@ class DataSet:
                 provenance=about,
                 **{name: columns[name] for name in _MORE},
             )
-        except (KeyError, ValueError) as error:
+        except (KeyError, ValueError, TypeError, OverflowError) as error:
             raise Damaged(f"{os.fspath(path)}: damaged, or edited by another program: {error}.") from error
 
 

@@ -118,7 +118,7 @@ class Reproduction:
     """a closed-loop run each: configuration, scenario, controller, preview, moves, paper_mse, ratio (to the paper),
     clipped_share (of the steps, with a scheduler's input outside its domain), and all of `Metrics`"""
     ablation: list[Row]
-    """scenario, moves, controller, adapts, mse, lost, constants_better (tunings of the library with a lower MSE)"""
+    """scenario, moves, controller, adapts, mse, failed, constants_better (tunings of the library with a lower MSE)"""
     shares: list[Row]
     """scenario, controller, gain (standard MSE over its own), pole, adaptation (factors of the gain), pole_share,
     adaptation_share (of its logarithm)"""
@@ -416,7 +416,7 @@ def ablation(
                     "controller": name,
                     "adapts": adapts,
                     "mse": _finite(measures.mse),
-                    "lost": measures.lost,
+                    "failed": measures.failed,
                     "constants_better": int((by_constants < measures.mse).sum()),
                 }
                 for name, adapts, measures in told
@@ -428,7 +428,7 @@ def ablation(
                     "controller": "best-in-hindsight",
                     "adapts": False,
                     "mse": _finite(float(by_constants.min())),
-                    "lost": not math.isfinite(by_constants.min()),
+                    "failed": not math.isfinite(by_constants.min()),
                     "constants_better": 0,
                 }
             )

@@ -378,7 +378,7 @@ def _maps(ladder: Ladder) -> list[Picture]:
         for ax, (rung, name) in zip(axes, ((rung, name) for name in over for rung in rungs), strict=True):
             heats[rung, name].draw(ax)
             first_row, first_column = ax in axes[: len(rungs)], rung == rungs[0]
-            ax.set_title(_label(rung) if first_row else "")
+            ax.set_title(style.data_text(_label(rung)) if first_row else "")
             ax.set_xlabel("" if first_row else "Speed (m/s)")
             ax.set_ylabel(over[name][1] if first_column else "")
         bar = next(iter(heats.values())).bar(figure, ax=axes, location="bottom", aspect=50, shrink=0.7, pad=0.02)
@@ -504,7 +504,7 @@ def _learned(schedules: Mapping[str, Schedule]) -> list[Section]:
         figure, axes = style.grid_figure(len(drawn), len(_OUTPUTS), 2.1)
         for ax, (name, k) in zip(axes, sorted(heats, key=lambda key: LEARNED.index(key[0])), strict=True):
             heats[name, k].draw(ax)
-            ax.set_title(f"{_label(name)}: {_OUTPUTS[k][0]}")
+            ax.set_title(f"{style.data_text(_label(name))}: {_OUTPUTS[k][0]}")
             ax.set_ylabel("" if k else _axis(other[name]))
             heats[name, k].bar(figure, ax=ax, aspect=22)
     caption = (

@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 from pydantic import BeforeValidator, Field, model_validator
 
 from adaptrack.errors import UnknownName, did_you_mean
+from adaptrack.files import Record, build, read_toml
 from adaptrack.mpc import Tuning
 from adaptrack.profile import load_profile
-from adaptrack.toml_files import Record, build, read_toml
 from adaptrack.tuning.conditions import Fold, check_box, fold, grid, paper_grid, sobol, unit_sobol
 from adaptrack.tuning.pso import SearchSpace, SwarmSettings
 from adaptrack.vehicle import Tyre, Vehicle, load_tyre, load_vehicle
