@@ -8,7 +8,7 @@ from pathlib import Path
 
 from pydantic import Field, field_validator
 
-from adaptrack.toml_files import Record, build, read_toml
+from adaptrack.files import Record, build, read_toml
 from adaptrack.vehicle import SteeringActuator, find_data, list_data
 
 

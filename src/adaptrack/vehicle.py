@@ -278,7 +278,7 @@ def pack_plant(vehicle: Vehicle, tyre: Tyre, actuator: SteeringActuator) -> NDAr
     """
     import numpy as np
 
-    from adaptrack.kernels.abi import PLANT_PARAMETERS
+    from adaptrack.kernels.plants.parameters import PLANT_PARAMETERS
 
     s0, s1, s2 = tyre.stiffness_load_coefficients
     values = {
@@ -295,7 +295,7 @@ def pack_plant(vehicle: Vehicle, tyre: Tyre, actuator: SteeringActuator) -> NDAr
     if set(values) != set(PLANT_PARAMETERS):
         missing = sorted(set(PLANT_PARAMETERS) - set(values))
         unused = sorted(set(values) - set(PLANT_PARAMETERS))
-        raise ContractError(f"pack_plant and kernels.abi.PLANT_PARAMETERS differ: missing {missing}, unused {unused}.")
+        raise ContractError(f"pack_plant and kernels.plants.parameters.PLANT_PARAMETERS differ: missing {missing}, unused {unused}.")
     return np.array([values[name] for name in PLANT_PARAMETERS], dtype=np.float64)
 
 

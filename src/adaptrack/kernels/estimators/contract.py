@@ -8,6 +8,9 @@ that form as it is (`condensing.tracking_error`); any other estimator gives x an
 
 from __future__ import annotations
 
+from functools import lru_cache
+from typing import Any
+
 from numba import types
 
 from ..abi import ROUTINE, float64, matrix, njit, vector
@@ -26,3 +29,9 @@ ESTIMATE_FUNCTION = types.FunctionType(ESTIMATE)
 @njit(ESTIMATE, **ROUTINE)
 def no_estimate(measured, command, a, b, parameters, memory, x, d):
     """Stands where an estimator would: the deadbeat form does not call it."""
+
+
+@lru_cache(maxsize=64)
+def compile_estimator(function: Any) -> Any:
+    """A user's function, compiled for `ESTIMATE`; numba's own error when it cannot be."""
+    return njit(ESTIMATE, nogil=True, error_model="numpy")(getattr(function, "py_func", function))
