@@ -14,8 +14,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from adaptrack.errors import InvalidInput, real
-from adaptrack.mpc import Command, Condition, Controller
+from adaptrack.mpc import Command, Controller
 from adaptrack.plant import DualTrack, Profile, SingleTrack, load_profile
+from adaptrack.scheduling.variables import SchedulingVariables
 from adaptrack.vehicle import SteeringActuator, Tyre, Vehicle, load_tyre, pack_plant
 
 Array = NDArray[np.float64]
@@ -329,7 +330,9 @@ class Estimating:
         self.estimates: list[Estimate] = []
         self._command = 0.0
 
-    def step(self, state: ArrayLike, speed: float, reference: ArrayLike, condition: Condition | None = None) -> Command:
+    def step(
+        self, state: ArrayLike, speed: float, reference: ArrayLike, condition: SchedulingVariables | None = None
+    ) -> Command:
         """One control step, see `MPC.step`; of `condition`, friction and wind are replaced."""
         found = self.estimator.step(state, speed, self._command)
         self.estimates.append(found)

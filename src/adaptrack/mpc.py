@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple, Protocol, Self, runtime_checkable
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, Self, runtime_checkable
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -18,7 +18,11 @@ from adaptrack.prediction import PredictionModel
 from adaptrack.qp import QP, QPSolver, QPStatus, get_qp_solver
 from adaptrack.qp.active_set import ActiveSet
 from adaptrack.qp.hildreth import Hildreth
+from adaptrack.scheduling.answer import read_tuning
 from adaptrack.vehicle import Vehicle
+
+if TYPE_CHECKING:
+    from adaptrack.scheduling.variables import SchedulingVariables
 
 Array = NDArray[np.float64]
 
@@ -132,63 +136,20 @@ class Moves:
         return cls("laguerre", pole, terms)
 
 
-class Condition(NamedTuple):
-    """What a scheduler may look at at one control instant: the paper's four inputs, and the demand of the road ahead.
-
-    `demand` computes `change` and `acceleration` from a planned reference.
-    """
-
-    speed: float
-    """m/s, v_x"""
-    y_ref: float
-    """m, lateral reference now"""
-    friction: float
-    """mean of the four wheels"""
-    wind: float
-    """m/s, v_w: velocity of the air along +Y"""
-    change: float = 0.0
-    """m, largest |y_ref(t + s) - y_ref(t)| over the next `LOOK_AHEAD` seconds s"""
-    acceleration: float = 0.0
-    """m/s^2, largest |second derivative of y_ref| over the same stretch"""
-    offset: float = 0.0
-    """m, y_ref - y"""
-
-
-LOOK_AHEAD = 3.0
-"""s, how far ahead the demand of the road is looked for."""
-
-
-def demand(reference: ArrayLike, period: float, instants: int = 1) -> tuple[Array, Array]:
-    """`Condition.change` (m) and `Condition.acceleration` (m/s^2), each (instants,), at the first control instants.
-
-    reference: y_ref (m) at the instants, one `period` (s) apart; beyond its end it goes straight on.
-    """
-    y = np.asarray(reference, dtype=float)
-    ahead = max(2, round(LOOK_AHEAD / period))
-    y = y[: instants + ahead]
-    slope = y[-1] - y[-2] if len(y) > 1 else 0.0
-    y = np.concatenate([y, y[-1] + slope * np.arange(1, instants + ahead - len(y) + 1)])
-    windows = np.lib.stride_tricks.sliding_window_view(y, ahead + 1)
-    change = np.abs(windows[:, 1:] - windows[:, :1]).max(axis=1)
-    bend = np.abs(np.diff(y, 2)) / period**2
-    acceleration = np.lib.stride_tricks.sliding_window_view(bend, ahead - 1).max(axis=1)
-    return change[:instants], acceleration[:instants]
-
-
 @runtime_checkable
 class Scheduler(Protocol):
-    """Chooses the tuning for a condition. The horizons it gives may be real numbers: they are rounded and clamped."""
+    """Chooses the tuning. The horizons it gives may be real numbers: they are rounded and clamped."""
 
-    def __call__(self, condition: Condition) -> Tuning | tuple[float, float, float, float]:
-        """(Np, Nc, Q, R) for `condition`."""
+    def __call__(self, variables: SchedulingVariables, /) -> Tuning | Sequence[float]:
+        """(Np, Nc, Q, R) for some scheduling variables."""
 
 
 @runtime_checkable
 class CompiledScheduler(Scheduler, Protocol):
-    """A scheduler that compiled runs can ask, see `kernels.inference`."""
+    """A scheduler that compiled runs can ask, see `kernels.schedule`."""
 
-    def plan(self, lanes: int) -> Any:
-        """The packed scheduler with a fresh memory for `lanes` runs."""
+    def plan(self, slots: int) -> Any:
+        """The packed scheduler with a fresh memory for `slots` runs."""
 
     @property
     def largest(self) -> tuple[int, int]:
@@ -230,7 +191,9 @@ class Controller(Protocol):
     def reset(self) -> None:
         """Forget the past."""
 
-    def step(self, state: ArrayLike, speed: float, reference: ArrayLike, condition: Condition | None = None) -> Command:
+    def step(
+        self, state: ArrayLike, speed: float, reference: ArrayLike, condition: SchedulingVariables | None = None
+    ) -> Command:
         """One control step, see `MPC.step`."""
 
     def describe(self) -> dict[str, Any]:
@@ -278,7 +241,7 @@ class MPC:
         if not isinstance(self.solver, QPSolver):
             raise InvalidInput(f"MPC: solver = {solver!r}: must be the name of a QP solver or a QPSolver.")
         if scheduler is not None and not callable(scheduler):
-            raise InvalidInput(f"MPC: scheduler = {scheduler!r}: must be callable, condition -> (Np, Nc, Q, R).")
+            raise InvalidInput(f"MPC: scheduler = {scheduler!r}: must be callable, variables -> (Np, Nc, Q, R).")
         self.scheduler = scheduler
         if not 0.0 < real("MPC", "speed_floor", speed_floor) < math.inf:
             raise InvalidInput(f"speed_floor = {speed_floor!r} m/s: must be positive and finite.")
@@ -349,9 +312,10 @@ class MPC:
 
     def reset(self) -> None:
         """Forget the past: the next step is the first, from steering angle 0."""
-        from adaptrack.kernels import inference, loop
+        from adaptrack.kernels import guard, loop
+        from adaptrack.kernels.schedule import schedule
 
-        self._loop, self._inference = loop, inference
+        self._loop, self._schedule, self._counts = loop, schedule, guard.COUNTS
         self._settings = self.settings()
         self._packed = self.model.packed()
         self._workspace = loop.workspace(1, self._settings)
@@ -359,21 +323,23 @@ class MPC:
         self._record = np.zeros((1, len(loop.RECORD)))
         self._asked = self.tuning.as_array()
         self._plan = self.scheduler.plan(1) if isinstance(self.scheduler, CompiledScheduler) else None
-        self._look = np.zeros(len(Condition._fields))
+        self._look = np.zeros(len(guard.VARIABLES))
 
     @property
     def scheduler_counts(self) -> dict[str, int]:
-        """What a compiled scheduler has counted since the last reset, by name; see `kernels.inference.COUNTS`."""
+        """What a compiled scheduler has counted since the last reset, by name; see `kernels.guard.COUNTS`."""
         if self._plan is None:
             return {}
-        return {name: int(self._plan.state[0, i]) for i, name in enumerate(self._inference.COUNTS)}
+        return {name: int(self._plan.memory[name][0]) for name in self._counts}
 
     @property
     def angle(self) -> float:
         """The last command (rad)."""
         return float(self._memory[0, self._loop.ANGLE])
 
-    def step(self, state: ArrayLike, speed: float, reference: ArrayLike, condition: Condition | None = None) -> Command:
+    def step(
+        self, state: ArrayLike, speed: float, reference: ArrayLike, condition: SchedulingVariables | None = None
+    ) -> Command:
         """One control step.
 
         state: measured x_c = [v_y (m/s), yaw (rad), yaw rate (rad/s), y (m)]; speed: v_x (m/s); reference: y_ref (m)
@@ -392,12 +358,12 @@ class MPC:
         ahead = _ahead(reference)
         if self.scheduler is not None:
             if condition is None:
-                raise InvalidInput("this MPC has a scheduler: step(..., condition=Condition(...)) is needed.")
+                raise InvalidInput("this MPC has a scheduler: step(..., condition=SchedulingVariables(...)) is needed.")
             if self._plan is None:
-                self._asked[:] = astuple(self.scheduler(condition))
+                self._asked[:] = read_tuning(self.scheduler(condition))
             else:
                 self._look[: len(condition)] = condition
-                self._inference.schedule(0, self._look, self._plan, self._asked)
+                self._schedule(0, self._look, self._plan, self._asked)
         self._workspace.measured[:] = measured
         if self.in_kernel:
             self._loop.mpc_step(
@@ -469,22 +435,6 @@ class MPC:
             if self.scheduler is None
             else getattr(self.scheduler, "name", type(self.scheduler).__name__),
         }
-
-
-def astuple(tuning: Tuning | tuple[float, float, float, float]) -> tuple[float, float, float, float]:
-    """(Np, Nc, Q, R) of what a scheduler returned."""
-    if isinstance(tuning, Tuning):
-        return float(tuning.Np), float(tuning.Nc), tuning.Q, tuning.R
-    try:
-        Np, Nc, Q, R = tuning
-    except (TypeError, ValueError):
-        raise InvalidInput(f"scheduler: returned {tuning!r}: must be a Tuning or four numbers Np, Nc, Q, R.") from None
-    return (
-        real("scheduler", "Np", Np),
-        real("scheduler", "Nc", Nc),
-        real("scheduler", "Q", Q),
-        real("scheduler", "R", R),
-    )
 
 
 def _ahead(reference: ArrayLike) -> Array:

@@ -20,9 +20,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from adaptrack.errors import InvalidInput, real, whole
 from adaptrack.estimation import FrictionWindEstimator, Perception
-from adaptrack.mpc import MPC, CompiledScheduler, Condition, Controller, demand
+from adaptrack.mpc import MPC, CompiledScheduler, Controller
 from adaptrack.plant import Plant, Profile, load_profile
 from adaptrack.scenario import Scenario, Signals
+from adaptrack.scheduling.variables import SchedulingVariables, reference_preview
 from adaptrack.trajectory import Trajectory, provenance
 
 Array = NDArray[np.float64]
@@ -80,7 +81,7 @@ def _rows(signals: Signals, perception: Perception | None = None, number: int = 
     told = (signals.friction.mean(axis=1), signals.wind[:, 1])
     if perception is not None:
         told = perception.told(*told, signals.period, number)
-    ahead = demand(signals.y_ref, signals.period, len(signals.y_ref))
+    ahead = reference_preview(signals.y_ref, signals.period, len(signals.y_ref))
     return np.ascontiguousarray(
         np.vstack([signals.y_ref, signals.speed, signals.friction.T, signals.wind.T, *told, *ahead])
     )
@@ -154,7 +155,7 @@ def simulate(
     substeps = plant.substeps(controller.period, float(signals.speed.max()))
     lap = _loop_settings(plant, profile, driver, substeps, lost_beyond)
     block, own, work = vehicle_arrays(plant)
-    seen, measured, look = np.zeros(2), np.zeros(4), np.zeros(len(Condition._fields))
+    seen, measured, look = np.zeros(2), np.zeros(4), np.zeros(len(SchedulingVariables._fields))
     memory = loop.memory(1)
     packed, function, kind = plant.packed(), plant.function, plant.kind
     lanes = block.reshape(-1, integrate.LANES)
@@ -171,7 +172,7 @@ def simulate(
         loop.sense(k, 0, block, lap, seed, measured)
         speed = float(lanes[3, 0])
         loop.look(k, speed, measured, rows, 0, look)
-        condition = Condition(*look.tolist())
+        condition = SchedulingVariables(*look.tolist())
         begun = time.perf_counter()
         command = controller.step(measured, speed, samples[0, k:], condition)
         times[k] = time.perf_counter() - begun
@@ -206,14 +207,14 @@ def rollout(
     InvalidInput
         When the MPC needs Python at every step: a scheduler or a QP back-end outside the kernels.
     """
-    from adaptrack.kernels import inference
+    from adaptrack.kernels import guard
 
     _refuse_nonsense(scenario, seed, lost_beyond)
     batch = Batch(plant, mpc, [scenario], profile, driver, lost_beyond)
     first = np.zeros(1, np.int64)
     _, trace, counts, _ = batch.run(first, mpc.tuning.as_array()[None], np.array([seed]), 1, traced=True)
     times = np.full(len(trace[0]), np.nan)
-    counted = dict(zip(inference.COUNTS, counts[0].astype(int).tolist(), strict=False))
+    counted = dict(zip(guard.COUNTS, counts[0].astype(int).tolist(), strict=False))
     return _trajectory(
         batch.plant, mpc, scenario, batch.signals[0], batch.profile, driver, seed, trace[0], times, counted
     )
@@ -244,7 +245,7 @@ class BatchResult:
     qp_iterations: NDArray[np.int64]
     """of the QP solver, in all steps"""
     scheduler: dict[str, NDArray[np.int64]]
-    """what the scheduler counted, by name, see `kernels.inference.COUNTS`; empty without one"""
+    """what the scheduler counted, by name, see `kernels.guard.COUNTS`; empty without one"""
 
     def cost(self, move_price: float = 0.0) -> Array:
         """J = mean e^2 + move_price * mean (change of command)^2, the cost that tuning minimises; inf when lost."""
@@ -307,7 +308,7 @@ def rollout_batch(
 
 def batch_result(result: Array, counts: Array) -> BatchResult:
     """What `Batch.run` gave, by name."""
-    from adaptrack.kernels import inference, loop
+    from adaptrack.kernels import guard, loop
 
     steps = np.maximum(result[:, loop.INSTANTS], 1.0)
     return BatchResult(
@@ -321,9 +322,7 @@ def batch_result(result: Array, counts: Array) -> BatchResult:
         held=result[:, loop.RUN_HELD].astype(np.int64),
         limited=result[:, loop.LIMITED].astype(np.int64),
         qp_iterations=result[:, loop.RUN_ITERATIONS].astype(np.int64),
-        scheduler={
-            name: counts[:, i].astype(np.int64) for i, name in enumerate(inference.COUNTS) if counts.shape[1] > 0
-        },
+        scheduler={name: counts[:, i].astype(np.int64) for i, name in enumerate(guard.COUNTS) if counts.shape[1] > 0},
     )
 
 
@@ -351,7 +350,7 @@ class Batch:
         self.scheduler = mpc.scheduler
         if not (self.scheduler is None or isinstance(self.scheduler, CompiledScheduler)) or not mpc.in_kernel:
             raise InvalidInput(
-                "compiled runs need a scheduler of adaptrack.schedule, or none, and a QP solver of the kernels "
+                "compiled runs need a scheduler of adaptrack.scheduling, or none, and a QP solver of the kernels "
                 "('active-set', 'hildreth'); use simulate(...) for this MPC."
             )
         self.plant, self.profile = _outfit(plant, profile)
@@ -396,13 +395,13 @@ class Batch:
 
         With a scheduler, `tunings` are what it begins with.
         """
-        from adaptrack.kernels import estimation, inference, integrate, loop
+        from adaptrack.kernels import estimation, guard, integrate, loop, schedule
 
         runs, n = len(which), self.signals[0].n
         result = np.empty((runs, len(loop.RESULT)))
         trace = np.full((runs, n if traced else 0, loop.TRACE), np.nan)
         scheduler = self.scheduler
-        counts = np.zeros((runs, 0 if scheduler is None else len(inference.COUNTS)))
+        counts = np.zeros((runs, 0 if scheduler is None else len(guard.COUNTS)))
         stretches = np.zeros((runs, math.ceil(n / stretch) if stretch else 0))
         longest, most = tunings[:, 0].max(initial=1), tunings[:, 1].max(initial=1)
         if isinstance(scheduler, CompiledScheduler):
@@ -430,9 +429,9 @@ class Batch:
                 part = np.zeros((size, len(loop.RESULT)))
                 part_trace = np.full((size, trace.shape[1], loop.TRACE), np.nan)
                 part_stretches = np.zeros((size, stretches.shape[1]))
-                plan = scheduler.plan(size) if isinstance(scheduler, CompiledScheduler) else inference.no_schedule()
+                scheduling = loop.scheduling(scheduler.plan(size) if isinstance(scheduler, CompiledScheduler) else None)
                 if isinstance(self.told, FrictionWindEstimator):
-                    plan = plan._replace(
+                    scheduling = scheduling._replace(
                         believed=self.told.packed(), estimating=self.told.settings(),
                         estimates=np.zeros((size, estimation.MEMORY)),
                     )  # fmt: skip
@@ -440,7 +439,7 @@ class Batch:
                     n, size, self.function, self.packed, block, own, scratch, self.model, settings,
                     self.loops[int(self.substeps[which[chunk[0]]])], self.samples, which[chunk],
                     np.ascontiguousarray(tunings[chunk]), seeds[chunk], loop.memory(size),
-                    np.zeros((size, len(loop.RECORD))), ws, plan, np.zeros((size if traced else 0, 2)),
+                    np.zeros((size, len(loop.RECORD))), ws, scheduling, np.zeros((size if traced else 0, 2)),
                     self.starts[which[chunk]], np.full(size, np.inf), price, max(stretch, 1),
                     part_stretches, part, part_trace,
                 )  # fmt: skip
@@ -448,7 +447,7 @@ class Batch:
                 trace[chunk] = part_trace
                 stretches[chunk] = part_stretches
                 if scheduler is not None:
-                    counts[chunk] = plan.state[:, : counts.shape[1]]
+                    counts[chunk] = schedule.counted(scheduling.schedule.memory)
 
         workers = max(1, min(threads, count))
         if workers == 1:

@@ -17,7 +17,7 @@ from adaptrack.metrics import PUBLISHED
 from adaptrack.mpc import MPC, Tuning
 from adaptrack.plant import DualTrack, Plant, SingleTrack, load_profile
 from adaptrack.scenario import load_scenario, random_drive
-from adaptrack.schedule import Lookup, Schedule
+from adaptrack.scheduling import Lookup, Schedule
 from adaptrack.tuning.conditions import NAMES, check_conditions
 from adaptrack.tuning.objective import Objective
 from adaptrack.vehicle import Vehicle

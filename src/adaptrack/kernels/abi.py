@@ -23,6 +23,7 @@ from pathlib import Path
 from typing import Any
 
 import numba
+import numpy as np
 from llvmlite import ir
 from numba import types
 from numba.core import config as _numba_config
@@ -80,6 +81,21 @@ def record(name: str, fields: Iterable[str]) -> Any:
     It belongs to the module that asks for it: the compiler's cache finds a class again by module and name.
     """
     return namedtuple(name, list(fields), module=sys._getframe(1).f_globals["__name__"])
+
+
+def structure(fields: Iterable[tuple[Any, ...]]) -> Any:
+    """A structured data type: rows of an array of it are read as `array[i].name`, compiled or not."""
+    return np.dtype((np.record, np.dtype(list(fields), align=True)))
+
+
+def row(kind: Any) -> Any:
+    """The compiler's type of one row of a `structure`."""
+    return numba.from_dtype(kind)
+
+
+def rows(kind: Any) -> Any:
+    """The compiler's type of an array of a `structure`."""
+    return types.Array(row(kind), 1, "C")
 
 
 _ROOM = Path(__file__).parent

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numba import types
 
-from . import estimation, inference, qp
+from . import estimation, qp
 from .abi import (
     INLINE,
     INLINED_ROUTINE,
@@ -32,6 +32,9 @@ from .abi import (
 )
 from .dynamics import CUSTOM, INPUTS, PLANT_FUNCTION, STATES
 from .dynamics import derivative as vehicle_derivative
+from .guard import FRICTION as V_FRICTION
+from .guard import VARIABLES
+from .guard import WIND as V_WIND
 from .integrate import LANE_STEP, LANES, integrate, integrate_custom
 from .maths import vectors
 from .maths.elementary import clip
@@ -47,6 +50,7 @@ from .prediction import (
     responses,
     tracking_error,
 )
+from .schedule import SCHEDULE, no_schedule, schedule
 
 WALKING = 1.0
 """m/s, sideways below this a vehicle is not said to spin."""
@@ -137,7 +141,7 @@ SIGNALS = (
     "told_friction", "told_wind", "change", "acceleration",
 )  # fmt: skip
 Y_REF, SPEED, FRICTION, WIND, TOLD = 0, 1, 2, 6, 8
-"""From TOLD on: what a scheduler is told of friction, wind and the demand ahead, see `mpc.Condition`."""
+"""From TOLD on: what a scheduler is told of friction, wind and the reference ahead, see `guard.VARIABLES`."""
 
 FOUR_DIMENSIONS = types.Array(types.float64, 4, "C")
 _FIELDS = (
@@ -194,7 +198,7 @@ def workspace(lanes: int, settings: Any) -> Any:
         reference=np.zeros(np_),
         error=np.zeros(np_ + n + 8),
         measured=np.zeros(4),
-        condition=np.zeros(len(inference.CONDITION)),
+        condition=np.zeros(len(VARIABLES)),
         change=np.zeros(4),
         gradient=qp.aligned((n,)),
         solution=qp.aligned((n,)),
@@ -443,6 +447,18 @@ def mpc_step(lane, speed, reference, tuning, model, settings, memory, record, ws
     apply_move(lane, status, iterations, n, m, settings, memory, record, ws)
 
 
+Scheduling = record("Scheduling", ("schedule", "believed", "estimating", "estimates"))
+SCHEDULING = types.NamedTuple((SCHEDULE, vector, vector, matrix), Scheduling)
+"""The packed schedule; believed, estimating, estimates: the vehicle, the settings and the memory of an estimator of
+friction and wind (see `estimation.estimate`), empty for none."""
+
+
+def scheduling(plan: Any = None) -> Any:
+    """A schedule, or none, without an estimator."""
+    none = np.zeros(0)
+    return Scheduling(no_schedule() if plan is None else plan, none, none, np.zeros((0, 0)))
+
+
 # -- the closed loop --------------------------------------------------------------------------------------------------
 @njit(float64(int64, float64, float64, cube, int64, vector, vector), **ROUTINE)
 def drive(k, period, speed, signals, scenario, loop, own):
@@ -482,7 +498,7 @@ def sense(k, lane, block, loop, seed, measured):
 
 @njit(types.void(int64, float64, vector, cube, int64, vector), **INLINED_ROUTINE)
 def look(k, speed, measured, signals, scenario, condition):
-    """Write what a scheduler may look at at instant k, see `inference.CONDITION`; measured: x_c, speed: v_x."""
+    """Write what a scheduler may look at at instant k, see `guard.VARIABLES`; measured: x_c, speed: v_x."""
     condition[0] = speed
     condition[1] = signals[scenario, Y_REF, k]
     for j in range(4):
@@ -550,7 +566,7 @@ def move_vehicles(lanes, kind, derivative, p, block, states, plant_work, period,
 @njit(
     types.void(
         int64, int64, PLANT_FUNCTION, vector, vector, matrix, matrix, vector, vector, vector,
-        cube, int_vector, matrix, int_vector, matrix, matrix, WORKSPACE, inference.SCHEDULE, matrix,
+        cube, int_vector, matrix, int_vector, matrix, matrix, WORKSPACE, SCHEDULING, matrix,
     ),
     **ROUTINE,
 )  # fmt: skip
@@ -573,16 +589,16 @@ def control_period(
         waiting = memory[i, ANGLE]
         sense(k, i, block, loop, seeds[i], ws.measured)
         reference = signals[scenario[i], Y_REF, k:]
-        if plan.layout[inference.INPUTS] > 0:
+        if plan.schedule.settings[0].n_inputs > 0:
             look(k, block[3 * LANES + i], ws.measured, signals, scenario[i], ws.condition)
             if plan.estimating.size > 0:
                 estimation.estimate(
                     i, ws.measured, block[3 * LANES + i], waiting, math.nan, plan.believed, plan.estimating,
                     plan.estimates,
                 )  # fmt: skip
-                ws.condition[2] = plan.estimates[i, estimation.FRICTION_HAT]
-                ws.condition[3] = plan.estimates[i, estimation.WIND_HAT]
-            inference.schedule(i, ws.condition, plan, tuning[i])
+                ws.condition[V_FRICTION] = plan.estimates[i, estimation.FRICTION_HAT]
+                ws.condition[V_WIND] = plan.estimates[i, estimation.WIND_HAT]
+            schedule(i, ws.condition, plan.schedule, tuning[i])
         mpc_step(i, block[3 * LANES + i], reference, tuning[i], model, settings, memory, record, ws)
         command = waiting if loop[DELAY] > 0.5 else memory[i, ANGLE]
         actuate(k, i, command, block, settings[PERIOD], loop, signals, scenario[i], memory)
@@ -636,7 +652,7 @@ def place(lanes, start, block, states):
 @njit(
     types.void(
         int64, int64, PLANT_FUNCTION, vector, vector, matrix, matrix, vector, vector, vector,
-        cube, int_vector, matrix, int_vector, matrix, matrix, WORKSPACE, inference.SCHEDULE,
+        cube, int_vector, matrix, int_vector, matrix, matrix, WORKSPACE, SCHEDULING,
         matrix, matrix, vector, float64, int64, matrix, matrix, cube,
     ),
     **ROUTINE,

@@ -8,7 +8,6 @@ from numba import types
 
 from .abi import ROUTINE, cube, float64, int64, int_vector, matrix, njit, vector
 from .dynamics import PLANT_FUNCTION
-from .inference import SCHEDULE
 from .loop import (
     ACTIVE,
     ANGLE,
@@ -18,6 +17,7 @@ from .loop import (
     LOST,
     PREVIOUS,
     RUN_LOST,
+    SCHEDULING,
     SQUARED_ERROR,
     SQUARED_MOVE,
     STARTED,
@@ -29,7 +29,7 @@ from .swarm import LEADER_COST, PARTICLES, begin, decode, learn, move
 
 _RUN = (
     int64, int64, PLANT_FUNCTION, vector, vector, matrix, matrix, vector, vector, vector,
-    cube, int_vector, int_vector, matrix, matrix, WORKSPACE, SCHEDULE, matrix, matrix, vector, matrix, matrix, cube,
+    cube, int_vector, int_vector, matrix, matrix, WORKSPACE, SCHEDULING, matrix, matrix, vector, matrix, matrix, cube,
 )  # fmt: skip
 
 

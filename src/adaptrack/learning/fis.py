@@ -17,7 +17,7 @@ import numpy as np
 
 from adaptrack.errors import ConfigError, InvalidInput, StorageError, whole
 from adaptrack.learning.anfis import ANFIS
-from adaptrack.learning.sugeno import ANY, SLOPE, WIDTH, Sugeno
+from adaptrack.scheduling.functions.sugeno import ANY, SLOPE, WIDTH, Sugeno
 from adaptrack.toml_files import write_atomically
 
 _FUNCTION = re.compile(r"'([^']*)'\s*:\s*'([^']*)'\s*,\s*\[([^\]]*)\]\s*")
