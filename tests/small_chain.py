@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import pytest
 
-from adaptrack.schedule import Schedule
+from adaptrack.scheduling import Schedule
 from adaptrack.toml_files import write_toml
 
 adapting = importlib.import_module("adaptrack.adapt")  # the attribute of the package is the function

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from adaptrack.errors import InvalidInput
+from adaptrack.errors import InvalidInput, real
 
 Array = NDArray[np.float64]
 
@@ -76,7 +76,7 @@ def complete(variables: Sequence[float]) -> SchedulingVariables:
     if isinstance(variables, SchedulingVariables):
         return variables
     try:
-        return SchedulingVariables(*map(float, variables))
+        return SchedulingVariables(*[real("scheduling variables", "value", value) for value in variables])
     except (TypeError, ValueError, OverflowError):
         raise InvalidInput(
             f"scheduling variables {variables!r}: need {len(VARIABLES)} numbers, {', '.join(VARIABLES)}; "
