@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from adaptrack.files import write_toml
-from adaptrack.schedule import Schedule
+from adaptrack.scheduling import Schedule
 
 adapting = importlib.import_module("adaptrack.adapt")  # the attribute of the package is the function
 

@@ -7,10 +7,9 @@ import pytest
 
 from adaptrack import MPC, ContractError, DualTrack, InvalidInput, Moves, Tuning, load_vehicle, rollout_batch
 from adaptrack.certify import OPERATING, certify
-from adaptrack.mpc import Condition
 from adaptrack.report.certificate import write_certificate
 from adaptrack.scenario import random_drive
-from adaptrack.schedule import Constant, Guarded, Lookup, StabilityMap, Table
+from adaptrack.scheduling import Constant, Guarded, Lookup, SchedulingVariables, StabilityMap, Table
 from adaptrack.stability import hard_turn, loop_map, spectral_radius
 
 CAR = load_vehicle("paper")
@@ -127,7 +126,7 @@ def test_a_plain_function_is_asked_over_everything_that_a_condition_holds():
 
     found = certify(careful, PLANT, MPC_, "road", levels=FEW)
     seen = np.array(asked)
-    for i, name in enumerate(Condition._fields):
+    for i, name in enumerate(SchedulingVariables._fields):
         assert (seen[:, i].min(), seen[:, i].max()) == OPERATING[name]
     assert found.scheduler == "careful"
     assert found.passed
@@ -135,7 +134,7 @@ def test_a_plain_function_is_asked_over_everything_that_a_condition_holds():
 
 @pytest.mark.parametrize("nonsense", [(30, 5, 1.0, 0.0), (30, 5, -1.0, 1.0), (30, np.nan, 1.0, 1.0), (30, 5), None])
 def test_a_function_that_gives_no_tuning_is_refused_with_the_condition(nonsense):
-    with pytest.raises(ContractError, match=r"Condition\(speed=3\.0"):
+    with pytest.raises(ContractError, match=r"SchedulingVariables\(speed=3\.0"):
         certify(lambda condition: nonsense, PLANT, MPC_, "road", levels=FEW)
 
 

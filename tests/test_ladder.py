@@ -24,12 +24,12 @@ from adaptrack.evaluate.ladder import (
     per_run_best,
 )
 from adaptrack.evaluate.road import condition_course, objective
-from adaptrack.kernels import inference
-from adaptrack.mpc import MPC, Tuning
+from adaptrack.kernels import guard
+from adaptrack.controllers import MPC, Tuning
 from adaptrack.plant import SingleTrack
 from adaptrack.profile import load_profile
 from adaptrack.scenario import load_scenario
-from adaptrack.schedule import Constant, Guarded, Learned
+from adaptrack.scheduling import Constant, Guarded, Learned
 from adaptrack.tuning.config import list_campaigns, load_campaign
 from adaptrack.tuning.objective import Objective
 from adaptrack.tuning.pso import SearchSpace, SwarmSettings
@@ -195,7 +195,7 @@ def test_a_climb_over_real_runs_counts_what_is_lost_and_what_the_schedules_did()
     assert rows["narrow"]["clipped"] == rows["guarded"]["clipped"] == pytest.approx(outside)
     assert rows["schedule"]["clipped"] == 0.0
     assert rows["guarded"]["fallback"] > 0.0
-    assert set(made.counts["guarded"]) == set(inference.COUNTS) - {"steps"}
+    assert set(made.counts["guarded"]) == set(guard.COUNTS) - {"steps"}
     assert heard == [(rung, k, 5) for k, rung in enumerate(rungs)]
 
 

@@ -17,7 +17,7 @@ from adaptrack.learning.training import train
 from adaptrack.metrics import PUBLISHED
 from adaptrack.report import reproduce as page
 from adaptrack.report import style
-from adaptrack.schedule import Constant, check_scheduler
+from adaptrack.scheduling import Constant, check_scheduler
 from adaptrack.simulate import rollout_batch
 from small_data import LIBRARY, SEARCH, small
 

@@ -9,11 +9,12 @@ import pytest
 from adaptrack.errors import ContractError, InvalidInput, UnknownName
 from adaptrack.kernels import loop
 from adaptrack.kernels.loop import counted_normal
-from adaptrack.mpc import MPC, Condition, Limits, Moves, Tuning
+from adaptrack.controllers import MPC, Limits, Moves, Tuning
 from adaptrack.plant import DualTrack, SingleTrack, UserPlant
 from adaptrack.profile import Profile, load_profile
 from adaptrack.qp import QPStatus
 from adaptrack.scenario import Ramp, Scenario, load_scenario
+from adaptrack.scheduling import SchedulingVariables
 from adaptrack.simulate import Driver, rollout, rollout_batch, simulate
 from adaptrack.vehicle import GRAVITY, SteeringActuator, load_vehicle
 
@@ -429,7 +430,7 @@ def test_the_controller_sees_the_cars_speed_and_the_scheduler_the_condition():
     run = simulate(SingleTrack(CAR), MPC(CAR, scheduler=watch), scenario, driver=Driver())
     assert len(seen) == len(run.t)
     for k in (0, 7, 14):
-        assert isinstance(seen[k], Condition)
+        assert isinstance(seen[k], SchedulingVariables)
         assert seen[k].speed == run.vx[k]
         assert seen[k].y_ref == run.y_ref[k]
         assert seen[k].friction == pytest.approx(0.7)

@@ -149,7 +149,7 @@ def test_the_summed_up_law_has_the_eigenvalues_of_the_law_of_moves(profile):
 @pytest.mark.parametrize("moves", [Moves.pulses(), Moves.laguerre(0.8, 4)])
 def test_many_laws_at_once_are_the_law_of_each(moves):
     mpc, tunings = MPC(CAR, moves=moves, period=0.05), some_tunings(1, 40)
-    from adaptrack.prediction import laguerre_basis
+    from adaptrack.models import laguerre_basis
 
     for speed in (0.5, 9.0, 25.0):
         found = laws(mpc, speed, tunings)

@@ -7,8 +7,9 @@ import pytest
 
 from adaptrack.dataset import DataSet, boosting
 from adaptrack.errors import InvalidInput, UnknownName
-from adaptrack.learning import ANFIS, MLP, TARGETS, Network, Sugeno, train
+from adaptrack.learning import ANFIS, MLP, TARGETS, train
 from adaptrack.learning import training as module
+from adaptrack.scheduling import Network, Sugeno
 from adaptrack.tuning.conditions import NAMES, fold, grid, mirrored, sobol
 
 BOX = {"speed": (3.0, 30.0), "y_ref": (-15.0, 15.0), "friction": (0.3, 1.0), "wind": (-30.0, 30.0)}

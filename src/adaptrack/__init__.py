@@ -36,7 +36,7 @@ _PUBLIC = {
     "profile": ("Profile", "list_profiles", "load_profile"),
     "prediction": ("PredictionModel",),
     "qp": ("QP", "Solution", "check_qp_solver", "get_qp_solver", "list_qp_solvers", "register_qp_solver"),
-    "mpc": ("MPC", "Condition", "Limits", "Moves", "Tuning", "demand"),
+    "mpc": ("MPC", "Limits", "Moves", "Tuning"),
     "estimation": ("Estimating", "FrictionWindEstimator"),
     "scenario": ("Scenario", "list_scenarios", "load_scenario", "random_drive"),
     "trajectory": ("Trajectory",),
@@ -48,15 +48,18 @@ _PUBLIC = {
     "tuning.campaign": ("run_campaign",),
     "dataset": ("DataSet", "list_datasets", "load_dataset"),
     "learning.training": ("train",),
-    "schedule": (
+    "scheduling": (
         "Constant",
         "Guarded",
         "Learned",
         "Lookup",
         "Schedule",
+        "SchedulingVariables",
+        "SchedulingVariables",
         "check_scheduler",
         "list_schedulers",
         "load_scheduler",
+        "reference_preview",
         "save_scheduler",
     ),
     "adapt": ("adapt", "load_adaptation"),
@@ -78,21 +81,23 @@ if TYPE_CHECKING:
     from adaptrack.estimation import Estimating, FrictionWindEstimator
     from adaptrack.learning.training import train
     from adaptrack.metrics import Metrics, compute_metrics
-    from adaptrack.mpc import MPC, Condition, Limits, Moves, Tuning, demand
+    from adaptrack.controllers import MPC, Limits, Moves, Tuning
     from adaptrack.plant import DualTrack, Plant, SingleTrack, UserPlant, check_plant
-    from adaptrack.prediction import PredictionModel
+    from adaptrack.models import PredictionModel
     from adaptrack.profile import Profile, list_profiles, load_profile
     from adaptrack.qp import QP, Solution, check_qp_solver, get_qp_solver, list_qp_solvers, register_qp_solver
     from adaptrack.scenario import Scenario, list_scenarios, load_scenario, random_drive
-    from adaptrack.schedule import (
+    from adaptrack.scheduling import (
         Constant,
         Guarded,
         Learned,
         Lookup,
         Schedule,
+        SchedulingVariables,
         check_scheduler,
         list_schedulers,
         load_scheduler,
+        reference_preview,
         save_scheduler,
     )
     from adaptrack.simulate import Driver, rollout, rollout_batch, simulate
@@ -119,7 +124,6 @@ __all__ = [
     "QP",
     "AdaptrackError",
     "CampaignConfig",
-    "Condition",
     "ConfigError",
     "Constant",
     "ContractError",
@@ -142,6 +146,7 @@ __all__ = [
     "Profile",
     "Scenario",
     "Schedule",
+    "SchedulingVariables",
     "SearchSpace",
     "SingleTrack",
     "Solution",
@@ -162,7 +167,6 @@ __all__ = [
     "check_qp_solver",
     "check_scheduler",
     "compute_metrics",
-    "demand",
     "get_qp_solver",
     "list_campaigns",
     "list_datasets",
@@ -182,6 +186,7 @@ __all__ = [
     "load_vehicle",
     "minimise",
     "random_drive",
+    "reference_preview",
     "register_qp_solver",
     "rollout",
     "rollout_batch",

@@ -41,9 +41,18 @@ from adaptrack.files import Record, build, read_toml, safe_name
 from adaptrack.learning.landscape import FuzzySurface, NetworkSurface, Surface
 from adaptrack.learning.training import train
 from adaptrack.metrics import PUBLISHED
-from adaptrack.mpc import MPC, Condition, Tuning
+from adaptrack.controllers import MPC, Tuning
 from adaptrack.plant import DualTrack, SingleTrack
-from adaptrack.schedule import Constant, Guarded, Schedule, StabilityMap, Table, list_schedulers, load_scheduler
+from adaptrack.scheduling import (
+    Constant,
+    Guarded,
+    Schedule,
+    SchedulingVariables,
+    StabilityMap,
+    Table,
+    list_schedulers,
+    load_scheduler,
+)
 from adaptrack.stability import loop_map
 from adaptrack.tuning.campaign import Progress as CampaignProgress
 from adaptrack.tuning.campaign import run_campaign
@@ -77,7 +86,7 @@ _METHOD = [
     list(_NODES.items()), NEIGHBOURS, SPEED_NEIGHBOURS,
 ]  # fmt: skip
 """What results depend on beside the configuration."""
-_ANYWHERE = Condition(15.0, 0.0, 0.7, 0.0)
+_ANYWHERE = SchedulingVariables(15.0, 0.0, 0.7, 0.0)
 
 
 def _tuples(value: Any) -> Any:
@@ -87,7 +96,9 @@ def _tuples(value: Any) -> Any:
 class Learning(Record):
     """How the network and the fuzzy systems learn."""
 
-    inputs: Annotated[tuple[str, ...], BeforeValidator(_tuples)] = Field(min_length=1, description="of `Condition`")
+    inputs: Annotated[tuple[str, ...], BeforeValidator(_tuples)] = Field(
+        min_length=1, description="scheduling variables"
+    )
     domain: dict[str, Pair] = Field(description="lowest and highest value of each input")
     rounds: int = Field(default=60, ge=1, description="of improvement")
     conditions: int = Field(default=2048, ge=16, description="lane changes in a gust to learn from")
@@ -97,7 +108,7 @@ class Learning(Record):
 
     @model_validator(mode="after")
     def _has_a_domain(self) -> Self:
-        known = Condition._fields[:-1]
+        known = SchedulingVariables._fields[:-1]
         for what, names in (("inputs", self.inputs), ("domain", self.domain)):
             for name in names:
                 if name not in known:
@@ -277,8 +288,10 @@ class Workshop:
                 slot: NetworkSurface.start(domain, value, span, seed=10 * seed + i)
                 for i, (slot, (value, span)) in enumerate(_STEPS.items())
             }
-        columns = [Condition._fields.index(name) for name in inputs]
-        seen = np.concatenate([course.seen[:, ::40].reshape(-1, len(Condition._fields)) for course, _ in courses])
+        columns = [SchedulingVariables._fields.index(name) for name in inputs]
+        seen = np.concatenate(
+            [course.seen[:, ::40].reshape(-1, len(SchedulingVariables._fields)) for course, _ in courses]
+        )
         rng = np.random.default_rng((seed, 0xF522))
         rows = np.clip(seen[np.sort(rng.choice(len(seen), 6000))][:, columns], *domain.T)
         made = FuzzySurface.start(rows, 0.0, self.config.learning.rules, seed)

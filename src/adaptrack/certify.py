@@ -15,20 +15,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adaptrack.errors import ContractError, InvalidInput, real
-from adaptrack.mpc import MPC, Condition, Scheduler, astuple
+from adaptrack.controllers.mpc import MPC, Scheduler
 from adaptrack.plant import Plant
 from adaptrack.profile import Profile, load_profile
-from adaptrack.schedule import SLOTS, Schedule
+from adaptrack.scheduling import ENTRIES, VARIABLES, Schedule, SchedulingVariables, read_tuning
 from adaptrack.stability import Margins, hard_turn, laws, margins, sampled
 
 Array = NDArray[np.float64]
 Progress = Callable[[str, int, int], None]
 
-OPERATING: dict[str, tuple[float, float]] = {
-    "speed": (3.0, 30.0), "y_ref": (-15.0, 15.0), "friction": (0.3, 1.0), "wind": (-30.0, 30.0),
-    "change": (0.0, 8.0), "acceleration": (0.0, 3.5), "offset": (-5.0, 5.0),
-}  # fmt: skip
-"""Where a car drives, by entry of `Condition`; a scheduler is looked at where this and its own domain overlap."""
+OPERATING = {name: (variable.low, variable.high) for name, variable in VARIABLES.items()}
+"""The operating domain, by scheduling variable; a scheduler is looked at where this and its own domain overlap."""
 _CELL = 64  # values of the inputs beside speed and friction, at most, for each pair of those
 
 
@@ -70,7 +67,7 @@ class Certificate:
     """m/s"""
     frictions: Array
     conditions: Array
-    """(n, entries of `Condition`)"""
+    """(n, SchedulingVariables)"""
     bare: Sweep
     """of the scheduler without its guard"""
     guarded: Sweep | None
@@ -146,8 +143,8 @@ class Certificate:
             driving = "turn"
         found: Margins = getattr(sweep, driving)
         return {
-            **dict(zip(Condition._fields, self.conditions[i].tolist(), strict=True)),
-            **dict(zip(SLOTS, sweep.tunings[i].tolist(), strict=True)),
+            **dict(zip(SchedulingVariables._fields, self.conditions[i].tolist(), strict=True)),
+            **dict(zip(ENTRIES, sweep.tunings[i].tolist(), strict=True)),
             "driving": driving,
             **_finite({each.name: getattr(found, each.name)[i] for each in fields(Margins)}),
         }
@@ -168,11 +165,11 @@ def certify(
     Parameters
     ----------
     scheduler
-        A `Schedule`, guarded or not, or any function of a `Condition`.
+        A `Schedule`, guarded or not, or any function of `SchedulingVariables`.
     mpc
         Vehicle of the prediction model, period, moves, longest horizons; its own tuning and scheduler play no part.
     domain
-        Lowest and highest value by entry of `Condition`; by default where `OPERATING` and the schedule's own domain
+        Lowest and highest value by scheduling variable; by default where `OPERATING` and the schedule's own domain
         overlap. Beside speed and friction, only what a schedule looks at is varied; of a plain function, everything.
     levels
         Values of speed and of friction. Other inputs get 2 to 5 each, together at most 64 combinations or 2 each.
@@ -190,7 +187,7 @@ def certify(
     axes = _axes(scheduler, mpc, domain or {}, levels)
     grid = np.meshgrid(*axes.values(), indexing="ij")
     columns = dict(zip(axes, (values.ravel() for values in grid), strict=True))
-    conditions = np.column_stack([columns.get(name, np.zeros(grid[0].size)) for name in Condition._fields])
+    conditions = np.column_stack([columns.get(name, np.zeros(grid[0].size)) for name in SchedulingVariables._fields])
     guarded = scheduler if isinstance(scheduler, Schedule) and scheduler.guard is not None else None
     bare = replace(guarded, guard=None) if guarded is not None else scheduler
     asked = [_as_used(_tunings(each, conditions), mpc) for each in (bare, guarded) if each is not None]
@@ -206,12 +203,12 @@ def _axes(
     scheduler: Scheduler, mpc: MPC, domain: Mapping[str, tuple[float, float]], levels: tuple[int, int]
 ) -> dict[str, Array]:
     """The levels of each entry of the condition that is varied: speed and friction first."""
-    unknown = set(domain) - set(Condition._fields)
+    unknown = set(domain) - set(SchedulingVariables._fields)
     if unknown:
-        raise InvalidInput(f"certify: domain: {unknown.pop()!r} is no entry of Condition.")
+        raise InvalidInput(f"certify: domain: {unknown.pop()!r} is no scheduling variable.")
     own = dict(zip(scheduler.inputs, scheduler.domain.tolist(), strict=True)) if isinstance(scheduler, Schedule) else {}
     seen = own if isinstance(scheduler, Schedule) else OPERATING
-    others = [name for name in Condition._fields if name in seen and name not in ("speed", "friction")]
+    others = [name for name in SchedulingVariables._fields if name in seen and name not in ("speed", "friction")]
     count = max(2, min(5, int(_CELL ** (1.0 / max(len(others), 1)) + 1e-9)))
     axes = {}
     for name, number in zip(("speed", "friction", *others), (*levels, *[count] * len(others)), strict=True):
@@ -239,15 +236,15 @@ def _tunings(scheduler: Scheduler, conditions: Array) -> Array:
         rows = []
         for row in conditions.tolist():
             try:
-                rows.append(astuple(scheduler(Condition(*row))))
+                rows.append(read_tuning(scheduler(SchedulingVariables(*row))))
             except Exception as error:
-                raise ContractError(f"scheduler: failed for {Condition(*row)}: {error}") from error
+                raise ContractError(f"scheduler: failed for {SchedulingVariables(*row)}: {error}") from error
         given = np.array(rows)
     bad = ~(np.isfinite(given).all(axis=1) & (given[:, 2] >= 0.0) & (given[:, 3] > 0.0))
     if bad.any():
         i = int(np.argmax(bad))
         raise ContractError(
-            f"scheduler: gave {tuple(given[i].tolist())} for {Condition(*conditions[i].tolist())}: "
+            f"scheduler: gave {tuple(given[i].tolist())} for {SchedulingVariables(*conditions[i].tolist())}: "
             "must be finite, with Q >= 0 and R > 0."
         )
     return given
@@ -268,7 +265,7 @@ def _sweep(
     """The margins of each set of tunings; a plant and a tuning that recur are looked at once."""
     n, names = len(conditions), [each.name for each in fields(Margins)]
     results = np.empty((len(asked), 2, len(names), n))
-    places = conditions[:, [Condition._fields.index("speed"), Condition._fields.index("friction")]]
+    places = conditions[:, [SchedulingVariables._fields.index("speed"), SchedulingVariables._fields.index("friction")]]
     cells, where = np.unique(places, axis=0, return_inverse=True)
     for cell, (speed, friction) in enumerate(cells.tolist()):
         progress("certify", cell, len(cells))

@@ -148,11 +148,11 @@ def simulate(
 ) -> None:
     """Drive scenarios with the MPC; print the metrics, write the report."""
     from adaptrack.metrics import compute_metrics
-    from adaptrack.mpc import MPC, Moves, Tuning
+    from adaptrack.controllers import MPC, Moves, Tuning
     from adaptrack.plant import DualTrack, SingleTrack
     from adaptrack.profile import load_profile
     from adaptrack.scenario import load_scenario
-    from adaptrack.schedule import load_scheduler
+    from adaptrack.scheduling import load_scheduler
     from adaptrack.simulate import Driver
     from adaptrack.simulate import simulate as drive
     from adaptrack.vehicle import load_vehicle
@@ -311,7 +311,7 @@ def train(
     from adaptrack.dataset import load_dataset
     from adaptrack.evaluate import quality, scheduler
     from adaptrack.learning.training import train as learn
-    from adaptrack.schedule import check_scheduler
+    from adaptrack.scheduling import check_scheduler
 
     if out.suffix != ".json":
         raise InvalidInput(f"--out {out}: a scheduler's file is called *.json.")
@@ -391,10 +391,10 @@ def certify(
 ) -> None:
     """Map spectral radius, gain and delay margins over the operating domain; exit code 1 when a point is unstable."""
     from adaptrack.certify import certify as look
-    from adaptrack.mpc import MPC
+    from adaptrack.controllers import MPC
     from adaptrack.plant import DualTrack, SingleTrack
     from adaptrack.profile import load_profile
-    from adaptrack.schedule import load_scheduler
+    from adaptrack.scheduling import load_scheduler
     from adaptrack.vehicle import load_vehicle
 
     schedule = load_scheduler(scheduler)
@@ -463,7 +463,7 @@ def evaluate(
         test_ladders,
     )
     from adaptrack.evaluate.road import sample_size, told
-    from adaptrack.schedule import check_scheduler, load_scheduler
+    from adaptrack.scheduling import check_scheduler, load_scheduler
 
     settings = load_adaptation(config)
     shop = Workshop.of(settings)
@@ -537,7 +537,7 @@ def _ladders(views: dict[str, Any], as_json: bool) -> None:
 @app.command()
 def schedulers(as_json: Annotated[bool, typer.Option("--json", help="One JSON object.")] = False) -> None:
     """List the schedulers that ship with the package."""
-    from adaptrack.schedule import list_schedulers, load_scheduler
+    from adaptrack.scheduling import list_schedulers, load_scheduler
 
     rows = [
         {"name": name, "rung": load_scheduler(name).name, "inputs": ", ".join(load_scheduler(name).inputs)}

@@ -18,9 +18,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from adaptrack.errors import InvalidInput, real
-from adaptrack.mpc import MPC, Tuning
+from adaptrack.controllers import MPC, Tuning
 from adaptrack.plant import Plant
-from adaptrack.prediction import laguerre_basis
+from adaptrack.models import laguerre_basis
 from adaptrack.profile import Profile, load_profile
 from adaptrack.vehicle import GRAVITY
 

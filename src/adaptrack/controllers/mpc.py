@@ -239,9 +239,9 @@ class MPC:
     def _load(self) -> None:
         """What a copy cannot carry along: kernels and the lock."""
         from adaptrack.kernels.controllers import mpc as kernel
-        from adaptrack.kernels.loop import VARIABLES
+        from adaptrack.kernels.guard import VARIABLES
 
-        self._kernel, self._names = kernel, VARIABLES._fields
+        self._kernel, self._names = kernel, VARIABLES
         self._lock = threading.Lock()
         self._built_in = isinstance(self.model, SingleTrackModel) and self.estimator.function is None
 
@@ -261,16 +261,16 @@ class MPC:
 
     @property
     def scheduler_counts(self) -> dict[str, int]:
-        """What the scheduler did since the last reset, by name, see `kernels.inference.COUNTS`.
+        """What the scheduler did since the last reset, by name, see `kernels.guard.COUNTS`.
 
         ``raised``: steps at which a scheduler in Python raised an error or answered what is no tuning; the tuning
         before was kept.
         """
         if self._plan is None:
             return {"raised": self._raised} if self.scheduler is not None else {}
-        from adaptrack.kernels import inference
+        from adaptrack.kernels.guard import COUNTS
 
-        return {name: int(self._plan.state[0, i]) for i, name in enumerate(inference.COUNTS)}
+        return {name: int(self._plan.memory[0][name]) for name in COUNTS}
 
     @property
     def angle(self) -> float:
@@ -343,10 +343,10 @@ class MPC:
         if self._plan is None:
             self._ask(variables)
             return
-        from adaptrack.kernels import inference
+        from adaptrack.kernels.schedule import schedule
 
         self._variables[:] = vector("variables", variables, len(self._names))
-        inference.schedule(0, self._variables, self._plan, self._asked)
+        schedule(0, self._variables, self._plan, self._asked)
 
     def _ask(self, variables: Sequence[float]) -> None:
         """Ask a scheduler in Python; what is no tuning leaves the one before."""

@@ -25,10 +25,10 @@ from adaptrack.errors import InvalidInput
 from adaptrack.learning.mlp import MLP
 from adaptrack.learning.training import Trained, train
 from adaptrack.metrics import PUBLISHED, compute_metrics, published_mse
-from adaptrack.mpc import MPC, Condition, Moves, Tuning
+from adaptrack.controllers import MPC, Moves, Tuning
 from adaptrack.plant import DualTrack, Plant, SingleTrack
 from adaptrack.scenario import Scenario, load_scenario
-from adaptrack.schedule import SLOTS, Learned, Lookup, Schedule
+from adaptrack.scheduling import ENTRIES, Learned, Lookup, Schedule, SchedulingVariables
 from adaptrack.simulate import rollout, rollout_batch, simulate
 from adaptrack.trajectory import Trajectory
 from adaptrack.tuning.conditions import NAMES
@@ -160,9 +160,9 @@ def search_bounds(dataset: DataSet) -> dict[str, tuple[float, float]]:
         When the provenance does not tell.
     """
     search = dataset.provenance.get("settings", {}).get("search", {})
-    if not set(SLOTS) <= set(search):
+    if not set(ENTRIES) <= set(search):
         raise InvalidInput(f"data set {dataset.name!r}: its provenance does not tell the bounds of its search.")
-    return {slot: (float(search[slot][0]), float(search[slot][1])) for slot in SLOTS}
+    return {slot: (float(search[slot][0]), float(search[slot][1])) for slot in ENTRIES}
 
 
 def scheduler(trained: Trained, dataset: DataSet, clamps: Mapping[str, tuple[float, float]] | None = None) -> Schedule:
@@ -238,7 +238,7 @@ def lookup(dataset: DataSet) -> Schedule:
         raise InvalidInput(
             f"data set {dataset.name!r}: its {len(dataset)} conditions do not fill a grid, which a look-up table needs."
         )
-    tunings = np.empty((*sizes, len(SLOTS)))
+    tunings = np.empty((*sizes, len(ENTRIES)))
     tunings[places] = dataset.tunings
     return Lookup(dict(zip(NAMES, nodes, strict=True)), tunings)
 
@@ -381,7 +381,7 @@ def measure(configuration: Configuration, contender: Contender, scenario: Scenar
 def outside(run: Trajectory, schedule: Schedule) -> dict[str, float]:
     """Share of the driven steps at which each input of `schedule` is outside its domain, by name; `any` of them."""
     conditions = dict(
-        zip(Condition._fields, (run.vx, run.y_ref, run.friction.mean(axis=1), run.wind[:, 1]), strict=False)
+        zip(SchedulingVariables._fields, (run.vx, run.y_ref, run.friction.mean(axis=1), run.wind[:, 1]), strict=False)
     )
     inputs = np.column_stack([conditions[name] for name in schedule.inputs])[np.isfinite(run.command)]
     clipped = (inputs < schedule.domain[:, 0]) | (inputs > schedule.domain[:, 1])

@@ -14,11 +14,11 @@ from adaptrack.dataset import DataSet
 from adaptrack.errors import InvalidInput
 from adaptrack.estimation import FrictionWindEstimator, Perception
 from adaptrack.metrics import PUBLISHED
-from adaptrack.mpc import MPC, Tuning
+from adaptrack.controllers import MPC, Tuning
 from adaptrack.plant import DualTrack, Plant, SingleTrack
 from adaptrack.profile import load_profile
 from adaptrack.scenario import load_scenario, random_drive
-from adaptrack.schedule import Lookup, Schedule
+from adaptrack.scheduling import Lookup, Schedule
 from adaptrack.tuning.conditions import NAMES, check_conditions
 from adaptrack.tuning.objective import Objective
 from adaptrack.vehicle import Vehicle

@@ -89,6 +89,21 @@ def record(name: str, fields: Iterable[str]) -> Any:
     return namedtuple(name, list(fields), module=sys._getframe(1).f_globals["__name__"])
 
 
+def structure(fields: Iterable[tuple[Any, ...]]) -> Any:
+    """A structured data type: rows of an array of it are read as `array[i].name`, compiled or not."""
+    return np.dtype((np.record, np.dtype(list(fields), align=True)))
+
+
+def row(kind: Any) -> Any:
+    """The compiler's type of one row of a `structure`."""
+    return numba.from_dtype(kind)
+
+
+def rows(kind: Any) -> Any:
+    """The compiler's type of an array of a `structure`."""
+    return types.Array(row(kind), 1, "C")
+
+
 def columns(*names: str) -> Any:
     """The places 0, 1, ... of columns (or rows) under their names: ``C = columns("x", "y")``, then ``row[C.y]``."""
     return namedtuple("Columns", names)(*range(len(names)))
@@ -111,9 +126,8 @@ class Structure:
 
     def __init__(self, fields: Iterable[str], whole: Iterable[str] = ()) -> None:
         self.fields, integers = tuple(fields), set(whole)
-        described = [(name, np.int64 if name in integers else np.float64) for name in self.fields]
-        self.dtype = np.dtype((np.record, described))
-        self.type = types.Array(numba.from_dtype(np.dtype(described)), 1, "C")
+        self.dtype = structure([(name, "i8" if name in integers else "f8") for name in self.fields])
+        self.type = rows(self.dtype)
 
     def new(self, count: int = 1, **values: Any) -> Any:
         """An array (count,), zero but for the fields given; every row alike.

@@ -12,6 +12,7 @@ import math
 
 from numba import types
 
+from . import guard
 from .abi import PART, SHARED_PART, Structure, columns, cube, float64, int64, njit, vector
 from .maths.elementary import clip
 from .maths.random import counted_normal
@@ -61,8 +62,6 @@ SIGNAL = columns(
 )  # fmt: skip
 """Rows of a scenario's samples. The last four are what a scheduler is told: friction and wind as they are known, and
 the reference preview."""
-VARIABLES = columns("speed", "y_ref", "friction", "wind", "change", "acceleration", "offset")
-"""Scheduling variables: what a scheduler looks at."""
 
 
 # -- failure ----------------------------------------------------------------------------------------------------------
@@ -111,15 +110,15 @@ def sense(k, slot, block, settings, seed, measured):
 
 @njit(types.void(int64, float64, vector, cube, int64, vector), **SHARED_PART)
 def look(k, speed, measured, signals, scenario, variables):
-    """Write the scheduling variables at instant k, see VARIABLES; measured: see `sense`, speed: v_x (m/s)."""
+    """Write the scheduling variables at instant k, see `guard.VARIABLES`; measured: see `sense`, speed: v_x (m/s)."""
     y_ref = signals[scenario, SIGNAL.y_ref, k]
-    variables[VARIABLES.speed] = speed
-    variables[VARIABLES.y_ref] = y_ref
-    variables[VARIABLES.friction] = signals[scenario, SIGNAL.known_friction, k]
-    variables[VARIABLES.wind] = signals[scenario, SIGNAL.known_wind, k]
-    variables[VARIABLES.change] = signals[scenario, SIGNAL.change, k]
-    variables[VARIABLES.acceleration] = signals[scenario, SIGNAL.acceleration, k]
-    variables[VARIABLES.offset] = y_ref - measured[MEASURED.y]
+    variables[guard.SPEED] = speed
+    variables[guard.Y_REF] = y_ref
+    variables[guard.FRICTION] = signals[scenario, SIGNAL.known_friction, k]
+    variables[guard.WIND] = signals[scenario, SIGNAL.known_wind, k]
+    variables[guard.CHANGE] = signals[scenario, SIGNAL.change, k]
+    variables[guard.ACCELERATION] = signals[scenario, SIGNAL.acceleration, k]
+    variables[guard.OFFSET] = y_ref - measured[MEASURED.y]
 
 
 # -- the vehicle's side -----------------------------------------------------------------------------------------------

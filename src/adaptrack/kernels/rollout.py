@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numba import types
 
-from . import inference, qp
+from . import guard, qp
 from .abi import (
     PART,
     ROUTINE,
@@ -38,12 +38,12 @@ from .loop import (
     SETTINGS,
     SIGNAL,
     STOPPED,
-    VARIABLES,
     actuate,
     judge,
     look,
     sense,
 )
+from .schedule import SCHEDULE, schedule
 from .models.contract import DISCRETISE_FUNCTION, MEASURED
 from .plants.contract import (
     ADVANCE_FUNCTION,
@@ -107,10 +107,10 @@ _PARTS = (
     ("road", ROAD),
     ("mpc", mpc.MPC),
     ("law", LAW),
-    ("schedule", inference.SCHEDULE),
+    ("schedule", SCHEDULE),
     ("perceiving", PERCEIVING),
     ("tuning", matrix),  # (slots, entries) of the controller, written by the scheduler if there is one
-    ("variables", vector),  # (VARIABLES,)
+    ("variables", vector),  # (guard.VARIABLES,)
     ("memory", MEMORY.type),  # (slots,)
     ("result", RESULT.type),  # (slots,)
     ("ceiling", vector),  # (slots,) sum of squared error plus weight times squared move at which a run stops
@@ -155,7 +155,7 @@ def no_trace() -> Any:
 @njit(**PART)
 def _schedule(k, slot, speed, run):
     """Let the scheduler, if there is one, write the slot's tuning."""
-    if run.schedule.layout[inference.INPUTS] == 0:
+    if run.schedule.settings[0].n_inputs == 0:
         return
     look(k, speed, run.mpc.measured, run.road.signals, run.road.scenario[slot], run.variables)
     knowing = run.perceiving
@@ -164,9 +164,9 @@ def _schedule(k, slot, speed, run):
             slot, run.mpc.measured, speed, run.memory[slot].command, math.nan, knowing.parameters, knowing.settings,
             knowing.memory,
         )  # fmt: skip
-        run.variables[VARIABLES.friction] = knowing.memory[slot, friction_wind.FRICTION_HAT]
-        run.variables[VARIABLES.wind] = knowing.memory[slot, friction_wind.WIND_HAT]
-    inference.schedule(slot, run.variables, run.schedule, run.tuning[slot])
+        run.variables[guard.FRICTION] = knowing.memory[slot, friction_wind.FRICTION_HAT]
+        run.variables[guard.WIND] = knowing.memory[slot, friction_wind.WIND_HAT]
+    schedule(slot, run.variables, run.schedule, run.tuning[slot])
 
 
 @njit(**PART)

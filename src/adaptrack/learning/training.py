@@ -20,8 +20,8 @@ from adaptrack.dataset.boosting import cross_validate
 from adaptrack.errors import InvalidInput, UnknownName, did_you_mean
 from adaptrack.learning.anfis import ANFIS
 from adaptrack.learning.mlp import MLP
-from adaptrack.learning.network import Network
-from adaptrack.learning.sugeno import Sugeno
+from adaptrack.scheduling.functions.network import Network
+from adaptrack.scheduling.functions.sugeno import Sugeno
 from adaptrack.tuning.conditions import NAMES, canonical, fold
 
 Array = NDArray[np.float64]

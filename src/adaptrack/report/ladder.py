@@ -21,12 +21,11 @@ from numpy.typing import NDArray
 
 from adaptrack.closed_loop import LOST_BEYOND, LOST_COST
 from adaptrack.evaluate.ladder import Ladder
-from adaptrack.mpc import Condition
 from adaptrack.report import style
 from adaptrack.report.maps import Cells, Heat, norm_of
 from adaptrack.report.page import Cell, Head, Panel, Picture, Section, Table, Terms, Verbatim, printed, write_page
 from adaptrack.report.words import INPUTS, counted, listed, number, percent, span, title_of
-from adaptrack.schedule import Schedule
+from adaptrack.scheduling import Schedule, SchedulingVariables
 
 Array = NDArray[np.float64]
 Ladders = Mapping[str, Ladder]
@@ -84,7 +83,7 @@ _COUNTS = {
     "rate_limited": "Change limited",
     "broken": "Not a number",
     "outside": "Fallback begun, input outside",
-    "astray": "Fallback begun, offset too large",
+    "off_reference": "Fallback begun, offset too large",
     "unstable": "Gave way, near instability",
     "fallback": "On the fallback",
 }
@@ -615,8 +614,8 @@ def importance(schedule: Schedule, samples: int = 512, seed: int = 0) -> dict[st
 
 def _tuning(schedule: Schedule, x: Array) -> Array:
     """(n, 3) Np, Nc and log10 R/Q at inputs (n, D)."""
-    rows = np.zeros((len(x), len(Condition._fields)))
-    rows[:, [Condition._fields.index(name) for name in schedule.inputs]] = x
+    rows = np.zeros((len(x), len(SchedulingVariables._fields)))
+    rows[:, [SchedulingVariables._fields.index(name) for name in schedule.inputs]] = x
     Np, Nc, Q, R = schedule.batch(rows).T
     return np.column_stack([Np, Nc, np.log10(R / Q)])
 

@@ -12,20 +12,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adaptrack.files import printable
+from adaptrack.scheduling.variables import VARIABLES
 
 _SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 _THIN_SPACE = "\u202f"
 
-INPUTS = {
-    "speed": ("Speed", "m/s"),
-    "y_ref": ("Lateral reference", "m"),
-    "friction": ("Friction", "–"),
-    "wind": ("Side wind", "m/s"),
-    "change": ("Reference change ahead", "m"),
-    "acceleration": ("Acceleration ahead", "m/s²"),
-    "offset": ("Offset", "m"),
-}
-"""What a scheduler may look at, with its unit, see `mpc.Condition`."""
+INPUTS = {name: (variable.label, variable.unit) for name, variable in VARIABLES.items()}
+"""The label and unit of each scheduling variable."""
 
 
 def number(value: float | int | None, digits: int = 3) -> str:

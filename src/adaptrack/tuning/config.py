@@ -18,7 +18,7 @@ from pydantic import BeforeValidator, Field, model_validator
 
 from adaptrack.errors import UnknownName, did_you_mean
 from adaptrack.files import Record, build, read_toml
-from adaptrack.mpc import Tuning
+from adaptrack.controllers import Tuning
 from adaptrack.profile import load_profile
 from adaptrack.tuning.conditions import Fold, check_box, fold, grid, paper_grid, sobol, unit_sobol
 from adaptrack.tuning.pso import SearchSpace, SwarmSettings

@@ -10,7 +10,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from adaptrack.mpc import MPC
+from adaptrack.controllers import MPC
 from adaptrack.plant import DualTrack, SingleTrack
 from adaptrack.profile import load_profile
 from adaptrack.tuning.config import Setup

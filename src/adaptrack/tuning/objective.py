@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from adaptrack.errors import InvalidInput
-from adaptrack.mpc import MPC
+from adaptrack.controllers import MPC
 from adaptrack.plant import Plant
 from adaptrack.profile import Profile, load_profile
 from adaptrack.scenario import Scenario, load_scenario
@@ -143,7 +143,7 @@ class _Arena:
     """The kernels' arrays for runs of one condition."""
 
     def __init__(self, objective: Objective, condition: ArrayLike, lanes: int, longest: float, most: float) -> None:
-        from adaptrack.kernels import inference, loop
+        from adaptrack.kernels import loop
 
         batch = Batch(
             objective.plant, objective.mpc, [objective.scenario(condition)], objective.profile,
@@ -158,7 +158,7 @@ class _Arena:
             batch.function, batch.packed, block, own, scratch, batch.model, settings,
             batch.loops[int(batch.substeps[0])], batch.samples,
             np.zeros(lanes, np.int64), np.zeros(lanes, np.int64), self.memory, np.zeros((lanes, len(loop.RECORD))),
-            loop.workspace(lanes, settings), inference.no_schedule(), np.zeros((0, 2)),
+            loop.workspace(lanes, settings), loop.scheduling(), np.zeros((0, 2)),
             np.repeat(batch.starts, lanes, axis=0), np.zeros(lanes), np.zeros((lanes, 0)),
             np.zeros((lanes, len(loop.RESULT))), np.zeros((lanes, 0, loop.TRACE)),
         )  # fmt: skip

@@ -1,4 +1,4 @@
-"""Schedulers: every number reaches its own slot, every file is whole or refused, every driver is told the same."""
+"""Schedulers: every number reaches its own entry, every file is whole or refused, every driver is told the same."""
 
 import copy
 import dataclasses
@@ -6,34 +6,41 @@ import hashlib
 import itertools
 import json
 import math
+import pickle
 import re
 
 import numpy as np
 import pytest
 
 from adaptrack.errors import ContractError, InvalidInput, StorageError, UnknownName
-from adaptrack.kernels import inference
-from adaptrack.learning.network import Network
-from adaptrack.learning.sugeno import ANY, Sugeno
-from adaptrack.mpc import MPC, CompiledScheduler, Condition, Moves, Scheduler, Tuning, demand
+from adaptrack.kernels import guard
+from adaptrack.kernels import schedule as kernel
+from adaptrack.controllers import MPC, CompiledScheduler, Moves, Scheduler, Tuning
 from adaptrack.plant import DualTrack, SingleTrack
 from adaptrack.qp import QPStatus
 from adaptrack.scenario import Scenario, load_scenario
-from adaptrack.schedule import (
-    SLOTS,
+from adaptrack.scheduling import (
+    ENTRIES,
     Constant,
+    Entry,
     Guarded,
     Learned,
     Lookup,
+    Network,
+    Number,
     Schedule,
-    Slot,
+    SchedulingVariables,
     StabilityMap,
+    Sugeno,
     Table,
     check_scheduler,
     list_schedulers,
     load_scheduler,
+    made_for,
+    reference_preview,
     save_scheduler,
 )
+from adaptrack.scheduling.functions.sugeno import ANY
 from adaptrack.simulate import rollout, rollout_batch, simulate
 from adaptrack.vehicle import load_vehicle
 from small_data import small
@@ -48,7 +55,7 @@ PAPER_INPUTS = ("speed", "y_ref", "friction", "wind")
 PAPER_DOMAIN = np.array([[3.0, 27.0], [-15.0, 15.0], [0.5, 0.9], [-30.0, 30.0]])
 BOUNDS = {"Np": (21, 60), "Nc": (1, 20), "Q": (0.1, 10.0), "R": (1.0, 1e4)}
 FALLBACK = Tuning(30, 6, 1.0, 3000.0)
-HERE = Condition(speed=14.0, y_ref=2.0, friction=0.7, wind=-4.0)
+HERE = SchedulingVariables(speed=14.0, y_ref=2.0, friction=0.7, wind=-4.0)
 
 
 def stretched(function, low, high):
@@ -75,7 +82,7 @@ def stretched(function, low, high):
 def learned(kind, rng):
     """Four networks or four fuzzy systems of the paper's inputs."""
     make = {"network": random_network, "sugeno": random_sugeno}[kind]
-    functions = {slot: stretched(make(rng, 4), *BOUNDS[slot]) for slot in SLOTS}
+    functions = {entry: stretched(make(rng, 4), *BOUNDS[entry]) for entry in ENTRIES}
     return Learned(functions, PAPER_INPUTS, PAPER_DOMAIN, BOUNDS, name=kind, provenance={"seed": 1, "of": ["π", None]})
 
 
@@ -112,14 +119,14 @@ KINDS = {
 every_kind = pytest.mark.parametrize("kind", KINDS)
 
 
-def conditions(rng, count=50):
-    """Conditions inside the domain and around it."""
+def variables(rng, count=50):
+    """Scheduling variables inside the domain and around it."""
     low = np.array([0.0, -20.0, 0.3, -40.0, 0.0, 0.0, -3.0])
     high = np.array([35.0, 20.0, 1.0, 40.0, 12.0, 6.0, 3.0])
     return rng.uniform(low, high, (count, 7))
 
 
-# -- slots ------------------------------------------------------------------------------------------------------------
+# -- entries ----------------------------------------------------------------------------------------------------------
 def shifted(function):
     """The same function, a little higher."""
     if isinstance(function, Network):
@@ -130,22 +137,22 @@ def shifted(function):
     return dataclasses.replace(function, values=function.values + 0.3)
 
 
-@pytest.mark.parametrize("slot", SLOTS)
+@pytest.mark.parametrize("entry", ENTRIES)
 @pytest.mark.parametrize("kind", ["network", "sugeno", "multilinear"])
-def test_a_function_moves_the_number_of_its_own_slot_and_no_other(kind, slot, rng):
+def test_a_function_moves_the_number_of_its_own_entry_and_no_other(kind, entry, rng):
     schedule = KINDS[kind](rng)
-    slots = dict(schedule.slots)
-    slots[slot] = dataclasses.replace(slots[slot], function=shifted(slots[slot].function))
-    rows = conditions(rng, 200)
-    moved = schedule.batch(rows) != dataclasses.replace(schedule, slots=slots).batch(rows)
-    assert moved.any(axis=0).tolist() == [name == slot for name in SLOTS]
+    tuning = dict(schedule.tuning)
+    tuning[entry] = dataclasses.replace(tuning[entry], function=shifted(tuning[entry].function))
+    rows = variables(rng, 200)
+    moved = schedule.batch(rows) != dataclasses.replace(schedule, tuning=tuning).batch(rows)
+    assert moved.any(axis=0).tolist() == [name == entry for name in ENTRIES]
 
 
 @every_kind
-def test_the_order_in_which_slots_are_told_does_not_matter(kind, rng):
+def test_the_order_in_which_entries_are_given_does_not_matter(kind, rng):
     schedule = KINDS[kind](rng)
-    rows = conditions(rng)
-    backwards = dataclasses.replace(schedule, slots=dict(reversed(schedule.slots.items())))
+    rows = variables(rng)
+    backwards = dataclasses.replace(schedule, tuning=dict(reversed(schedule.tuning.items())))
     assert np.array_equal(backwards.batch(rows), schedule.batch(rows))
 
 
@@ -158,40 +165,40 @@ def test_every_kind_keeps_the_contract(kind, rng):
 
 
 @every_kind
-def test_one_condition_is_answered_as_in_a_batch(kind, rng):
-    schedule, rows = KINDS[kind](rng), conditions(rng)
-    assert np.array_equal(schedule.batch(rows), [schedule(Condition(*row)) for row in rows])
+def test_one_row_is_answered_as_in_a_batch(kind, rng):
+    schedule, rows = KINDS[kind](rng), variables(rng)
+    assert np.array_equal(schedule.batch(rows), [schedule(SchedulingVariables(*row)) for row in rows])
     assert np.array_equal(schedule.batch(rows[:, :4]), schedule.batch(np.where(np.arange(7) < 4, rows, 0.0)))
 
 
-@pytest.mark.parametrize(("first", "second"), list(itertools.combinations(SLOTS, 2)))
+@pytest.mark.parametrize(("first", "second"), list(itertools.combinations(ENTRIES, 2)))
 @pytest.mark.parametrize("kind", ["network", "multilinear"])
 def test_the_checker_finds_every_crossed_pair_of_wires(kind, first, second, rng):
     class Crossed(Schedule):
         """Says one thing and packs another."""
 
-        def plan(self, lanes):
-            slots, wires = self.slots, dict(self.slots)
-            for slot, other in ((first, second), (second, first)):
-                wires[slot] = dataclasses.replace(slots[slot], function=slots[other].function)
-            return Schedule(self.inputs, self.domain, wires).plan(lanes)
+        def plan(self, slots):
+            tuning, wires = self.tuning, dict(self.tuning)
+            for entry, other in ((first, second), (second, first)):
+                wires[entry] = dataclasses.replace(tuning[entry], function=tuning[other].function)
+            return Schedule(self.inputs, self.domain, wires).plan(slots)
 
     honest = KINDS[kind](rng)
     with pytest.raises(ContractError, match="its own function gives"):
-        check_scheduler(Crossed(honest.inputs, honest.domain, honest.slots))
+        check_scheduler(Crossed(honest.inputs, honest.domain, honest.tuning))
 
 
-def test_the_checker_finds_a_slot_that_is_filled_with_the_function_of_another(rng):
+def test_the_checker_finds_an_entry_that_is_given_the_function_of_another(rng):
     class Copied(Schedule):
         """Takes its Nc from where Np comes from."""
 
-        def plan(self, lanes):
-            copied = dataclasses.replace(self.slots["Nc"], function=self.slots["Np"].function)
-            return Schedule(self.inputs, self.domain, {**self.slots, "Nc": copied}).plan(lanes)
+        def plan(self, slots):
+            copied = dataclasses.replace(self.tuning["Nc"], function=self.tuning["Np"].function)
+            return Schedule(self.inputs, self.domain, {**self.tuning, "Nc": copied}).plan(slots)
 
     honest = lookup("multilinear", rng)
-    with pytest.raises(ContractError, match="slot Nc"):
-        check_scheduler(Copied(honest.inputs, honest.domain, honest.slots))
+    with pytest.raises(ContractError, match="entry Nc"):
+        check_scheduler(Copied(honest.inputs, honest.domain, honest.tuning))
 
 
 def test_the_checker_finds_a_scheduler_that_tells_python_and_kernels_different_things(rng):
@@ -204,13 +211,13 @@ def test_the_checker_finds_a_scheduler_that_tells_python_and_kernels_different_t
 
     honest = lookup("multilinear", rng)
     with pytest.raises(ContractError, match="compiled"):
-        check_scheduler(Forked(honest.inputs, honest.domain, honest.slots))
+        check_scheduler(Forked(honest.inputs, honest.domain, honest.tuning))
 
 
 # -- kinds ------------------------------------------------------------------------------------------------------------
 def test_a_constant_gives_its_tuning_everywhere(rng):
     schedule = Constant(Tuning(31, 7, 2.5, 0.1))
-    assert np.array_equal(schedule.batch(conditions(rng)), np.tile([31, 7, 2.5, 0.1], (50, 1)))
+    assert np.array_equal(schedule.batch(variables(rng)), np.tile([31, 7, 2.5, 0.1], (50, 1)))
     assert schedule.largest == (31, 7)
 
 
@@ -222,16 +229,16 @@ def test_a_look_up_gives_at_its_nodes_what_was_put_there(method, rng):
     ], axis=-1)  # fmt: skip
     schedule = Lookup(axes, tunings, method)
     for (i, speed), (j, wind) in itertools.product(enumerate(axes["speed"]), enumerate(axes["wind"])):
-        asked = schedule(Condition(speed, 0.0, 0.8, wind))
+        asked = schedule(SchedulingVariables(speed, 0.0, 0.8, wind))
         assert asked[:2] == tuple(tunings[i, j, :2])
         assert asked[2:] == pytest.approx(tunings[i, j, 2:], rel=0.0 if method == "nearest" else 1e-14)
 
 
 def test_between_nodes_a_look_up_takes_the_mean_of_horizons_and_of_the_logarithms_of_weights():
     schedule = Lookup({"friction": [0.4, 0.8]}, [[20, 4, 1.0, 10.0], [30, 8, 4.0, 1000.0]])
-    assert schedule(Condition(10.0, 0.0, 0.6, 0.0)) == (25.0, 6.0, pytest.approx(2.0), pytest.approx(100.0))
-    assert schedule(Condition(10.0, 0.0, 0.2, 0.0))[:2] == (20.0, 4.0)
-    assert schedule(Condition(10.0, 0.0, 0.9, 0.0))[:2] == (30.0, 8.0)
+    assert schedule(SchedulingVariables(10.0, 0.0, 0.6, 0.0)) == (25.0, 6.0, pytest.approx(2.0), pytest.approx(100.0))
+    assert schedule(SchedulingVariables(10.0, 0.0, 0.2, 0.0))[:2] == (20.0, 4.0)
+    assert schedule(SchedulingVariables(10.0, 0.0, 0.9, 0.0))[:2] == (30.0, 8.0)
 
 
 def test_learned_decades_of_the_ratio_of_the_weights_become_r(rng):
@@ -262,15 +269,15 @@ def made(inputs=("speed",), domain=((0.0, 30.0),), bounds=None, **functions):
         (lambda: made(domain=[[2.0, 1.0]]), "domain"),
         (lambda: made(domain=[[0.0, 1.0]] * 2), "domain"),
         (lambda: Learned({"Np": 3.0, "Nc": 1.0, "Q": 1.0}, ("speed",), [[0, 1]]), "there must be Np, Nc, Q, R"),
-        (lambda: made(r=1.0), "unknown slot 'r'"),
-        (lambda: made(bounds={"NP": (1, 2)}), "unknown slot 'NP'"),
+        (lambda: made(r=1.0), "unknown entry 'r'"),
+        (lambda: made(bounds={"NP": (1, 2)}), "unknown entry 'NP'"),
         (lambda: made(log10_ratio=1.0), "either R or log10_ratio"),
         (lambda: Learned({"Np": 3.0, "Nc": 1.0, "Q": 2.0, "log10_ratio": 0.0}, ("speed",), [[0, 1]]), "Q must be 1"),
         (lambda: made(Q=math.nan), "Q = nan: must be finite"),
         (lambda: made(Q=math.inf), "Q = inf: must be finite"),
         (lambda: made(R=None), "must be a number"),
         (lambda: made(R=True), "must be a number"),
-        (lambda: made(Np=line(0.0, 1.0, 2.0, 3.0), inputs=("speed", "wind"), domain=[[0, 1]] * 2), "has 1 axes"),
+        (lambda: made(Np=line(0.0, 1.0, 2.0, 3.0), inputs=("speed", "wind"), domain=[[0, 1]] * 2), "has 1 inputs"),
         (lambda: made(Np=random_network(np.random.default_rng(0), 3)), "has 3 inputs, the schedule 1"),
         (lambda: made(Np=random_sugeno(np.random.default_rng(0), 2)), "has 2 inputs, the schedule 1"),
         (lambda: made(bounds={"Np": (0, 20)}), "bounds of Np"),
@@ -302,7 +309,7 @@ def made(inputs=("speed",), domain=((0.0, 30.0),), bounds=None, **functions):
         (lambda: Guarded(made(), FALLBACK, offset_limit=math.inf), "offset_limit"),
         (lambda: Guarded(made(), FALLBACK, hold=0), "hold"),
         (lambda: Guarded(made(), FALLBACK, hold=2.5), "hold"),
-        (lambda: StabilityMap(line(0.0, 1.0, 0.9, 0.9)), "a table over speed, friction"),
+        (lambda: StabilityMap(line(0.0, 1.0, 0.9, 0.9)), "table over speed, friction"),
         (lambda: dataclasses.replace(stability_map(lambda *_: 0.5), limit=math.nan), "limit"),
     ],
 )  # fmt: skip
@@ -317,6 +324,92 @@ def test_a_membership_function_of_an_input_that_is_not_there_is_refused():
         Sugeno(
             np.array([0, 5]), np.zeros(2, bool), np.ones((2, 3)), np.array([[0]]), np.array([[0.0, 9.0]]), np.ones(1)
         )
+
+
+# -- other controllers ------------------------------------------------------------------------------------------------
+def pursuit(**options):
+    """A schedule for a controller that has one entry, a look-ahead distance."""
+    entry = Entry(line(0.0, 30.0, 2.5, 20.0), 3.0, 15.0)
+    return Schedule(("speed",), [[0.0, 30.0]], {"lookahead": entry}, entries=("lookahead",), **options)
+
+
+def test_a_schedule_tunes_a_controller_with_other_entries(tmp_path):
+    schedule = pursuit()
+    check_scheduler(schedule)
+    assert not schedule.of_mpc
+    rows = np.zeros((3, 7))
+    rows[:, 0] = 0.0, 12.3, 30.0
+    assert schedule.batch(rows).tolist() == [[3.0], [pytest.approx(2.5 + 17.5 * 12.3 / 30.0)], [15.0]]  # not rounded
+    schedule.save(tmp_path / "one.json")
+    again = load_scheduler(tmp_path / "one.json")
+    assert again.entries == ("lookahead",)
+    assert np.array_equal(again.batch(rows), schedule.batch(rows))
+
+
+def test_entries_of_another_controller_keep_their_order_and_may_be_negative(rng):
+    names = ("gain", "R", "Np")
+    tuning = {name: Entry(-1.5 - i, -10.0, 10.0) for i, name in enumerate(names)}
+    schedule = Schedule(("wind",), [[-5.0, 5.0]], dict(reversed(tuning.items())), entries=names)
+    assert schedule(HERE) == (-1.5, -2.5, -3.5)
+    assert schedule.largest == (0, 0)
+
+
+@pytest.mark.parametrize(
+    ("build", "message"),
+    [
+        (lambda: Guarded(pursuit(), FALLBACK), "only the MPC's entries can be guarded"),
+        (lambda: dataclasses.replace(pursuit(), entries=ENTRIES), "there must be Np, Nc, Q, R"),
+        (lambda: dataclasses.replace(pursuit(), entries=()), "1 to 8 different names"),
+        (lambda: dataclasses.replace(pursuit(), entries=("lookahead", "lookahead")), "1 to 8 different names"),
+        (lambda: dataclasses.replace(pursuit(), entries=tuple("abcdefghi")), "1 to 8 different names"),
+        (lambda: dataclasses.replace(pursuit(), entries=(None,)), "1 to 8 different names"),
+        (lambda: dataclasses.replace(pursuit(), made_for="the paper's car"), "made_for mappings"),
+    ],
+)  # fmt: skip
+def test_entries_that_make_no_schedule_are_refused(build, message):
+    with pytest.raises(InvalidInput, match=message):
+        build()
+
+
+# -- what a schedule is asked -----------------------------------------------------------------------------------------
+def test_a_short_row_of_variables_is_filled_with_zeros_never_with_what_was_asked_before():
+    schedule = Learned({"Np": line(0.0, 10.0, 20.0, 40.0), "Nc": 5, "Q": 1.0, "R": 1.0}, ("change",), [[0.0, 10.0]])
+    assert schedule(HERE._replace(change=10.0))[0] == 40.0
+    assert schedule([14.0, 2.0, 0.7, -4.0])[0] == 20.0
+    for missing in ([], [14.0], [14.0, 2.0, 0.7]):
+        with pytest.raises(InvalidInput, match="need 7 numbers"):
+            schedule(missing)
+        with pytest.raises(InvalidInput, match="need a row for each"):
+            schedule.batch([missing])
+    with pytest.raises(InvalidInput, match="must be numbers"):
+        schedule.batch([["fast", 0.0, 0.8, 0.0]])
+
+
+def test_copies_of_a_schedule_answer_alike(rng):
+    schedule, rows = KINDS["guarded"](rng), variables(rng)
+    expected = schedule.batch(rows)
+    for again in (copy.copy(schedule), copy.deepcopy(schedule), pickle.loads(pickle.dumps(schedule))):
+        assert np.array_equal(again.batch(rows), expected)
+
+
+# -- what a schedule was made for -------------------------------------------------------------------------------------
+def test_a_file_names_what_the_schedule_was_made_for(tmp_path):
+    told = made_for(MPC(CAR, period=0.05, preview=True), "road")
+    assert told["car"] == "paper"
+    assert told["profile"] == "road"
+    assert told["controller"] == {"kind": "MPC", "moves": {"kind": "pulse"}, "period": 0.05, "preview": True}
+    assert re.fullmatch("[0-9a-f]{16}", told["kernels"])
+    dataclasses.replace(Constant(Tuning()), made_for=told).save(tmp_path / "one.json")
+    assert load_scheduler(tmp_path / "one.json").made_for == told
+
+
+def test_every_scheduler_that_ships_names_its_car_profile_controller_and_kernels():
+    for name in list_schedulers():
+        told = load_scheduler(name).made_for
+        assert told["car"] == "paper"
+        assert told["profile"] == "road"
+        assert told["controller"]["kind"] == "MPC"
+        assert told["kernels"]
 
 
 # -- the contract -----------------------------------------------------------------------------------------------------
@@ -345,9 +438,9 @@ def fails(condition):
     [
         (Tuning(), "must be callable"),
         (None, "must be callable"),
-        (lambda condition: (30, 5, 1.0), "four numbers"),
+        (lambda condition: (30, 5, 1.0), "numbers Np, Nc, Q, R"),
         (lambda condition: "tune", "must be a number"),
-        (lambda condition: None, "four numbers"),
+        (lambda condition: None, "numbers Np, Nc, Q, R"),
         (lambda condition: (30, 5, math.nan, 1.0), "must be finite"),
         (lambda condition: (math.inf, 5, 1.0, 1.0), "must be finite"),
         (lambda condition: (5, 6, 1.0, 1.0), "need 1 <= Nc <= Np"),
@@ -371,25 +464,26 @@ def signed(content):
     """The text of a scheduler's file with any content, its checksum made to fit."""
     text = json.dumps(content, separators=(",", ":"))
     digest = hashlib.sha256(text.encode()).hexdigest()
-    return json.dumps({"format": "adaptrack-scheduler", "version": 1, "sha256": digest, "content": content})
+    return json.dumps({"format": "adaptrack-scheduler", "version": 2, "sha256": digest, "content": content})
 
 
 @every_kind
 def test_a_schedule_reads_back_to_the_last_bit(kind, rng, tmp_path):
-    schedule, rows = KINDS[kind](rng), conditions(rng, 200)
+    schedule, rows = KINDS[kind](rng), variables(rng, 200)
     schedule.save(tmp_path / "one.json")
     again = load_scheduler(tmp_path / "one.json")
     assert np.array_equal(again.batch(rows), schedule.batch(rows))
     for ours, theirs in zip(again.plan(1), schedule.plan(1), strict=True):
-        assert np.array_equal(ours, theirs)
-    assert (again.name, again.inputs, again.provenance) == (schedule.name, schedule.inputs, schedule.provenance)
+        assert ours.tobytes() == theirs.tobytes()
+    for field in ("name", "inputs", "provenance", "made_for", "entries"):
+        assert getattr(again, field) == getattr(schedule, field)
     save_scheduler(again, tmp_path / "two.json")
     assert (tmp_path / "one.json").read_bytes() == (tmp_path / "two.json").read_bytes()
 
 
 def test_numbers_of_every_precision_can_be_saved(tmp_path):
-    slots = {name: Slot(np.float32(value), np.int64(1), np.float32(60)) for name, value in GOOD.items()}
-    Schedule(("speed",), [[0, 30]], slots).save(tmp_path / "one.json")
+    entries = {name: Entry(np.float32(value), np.int64(1), np.float32(60)) for name, value in GOOD.items()}
+    Schedule(("speed",), [[0, 30]], entries).save(tmp_path / "one.json")
     assert load_scheduler(str(tmp_path / "one.json"))(HERE) == (30.0, 5.0, 1.0, 1.0)
 
 
@@ -425,9 +519,9 @@ def test_a_flipped_bit_is_found_wherever_it_lies(kind, rng, tmp_path):
         ("35", "its format is not"),
         ('{"type": "FeatureCollection", "features": []}', "its format is not"),
         ('{"format": "adaptrack-scheduler"}', "version None"),
-        ('{"format": "adaptrack-scheduler", "version": 2}', "version 2 of the scheduler format; this program reads 1"),
-        ('{"format": "adaptrack-scheduler", "version": 1}', "checksum"),
-        ('{"format": "adaptrack-scheduler", "version": 1, "sha256": 3, "content": {}}', "checksum"),
+        ('{"format": "adaptrack-scheduler", "version": 1}', "version 1 of the scheduler format; this program reads 2"),
+        ('{"format": "adaptrack-scheduler", "version": 2}', "checksum"),
+        ('{"format": "adaptrack-scheduler", "version": 2, "sha256": 3, "content": {}}', "checksum"),
     ],
     ids=range(11),
 )
@@ -444,9 +538,11 @@ def test_a_file_that_is_no_text_is_refused(tmp_path):
 
 
 def places(tree, path=()):
-    """The path to every entry of nested dictionaries and lists; of long lists to the first alone."""
-    for key in list(tree)[:1] if isinstance(tree, list) else tree:
-        index = 0 if isinstance(tree, list) else key
+    """The path to every entry of nested dictionaries and lists; of lists of numbers to the first alone."""
+    keys = tree
+    if isinstance(tree, list):
+        keys = range(len(tree) if tree and isinstance(tree[0], dict) else min(len(tree), 1))
+    for index in keys:
         yield (*path, index)
         if isinstance(tree[index], dict | list):
             yield from places(tree[index], (*path, index))
@@ -480,10 +576,10 @@ def test_junk_in_a_file_is_refused_or_harmless(kind, rng, tmp_path):
     path = tmp_path / "one.json"
     KINDS[kind](rng).save(path)
     content = json.loads(path.read_text())["content"]
-    rows = conditions(rng, 5)
+    rows = variables(rng, 5)
     refused = 0
     for where in places(content):
-        if where[0] == "slots" and where[1:2] not in ((), ("Np",)):
+        if where[0] == "entries" and where[1:2] not in ((), (0,)):
             continue  # they are like these
         for junk in JUNK:
             spoilt = copy.deepcopy(content)
@@ -552,7 +648,9 @@ def test_every_scheduler_that_ships_keeps_the_contract():
 
 def test_a_saved_schedule_loads_without_the_learning_library(rng, tmp_path, run_python):
     learned("sugeno", rng).save(tmp_path / "one.json")
-    code = "import sys; from adaptrack.schedule import load_scheduler; load_scheduler('one.json'); print(*sys.modules)"
+    code = (
+        "import sys; from adaptrack.scheduling import load_scheduler; load_scheduler('one.json'); print(*sys.modules)"
+    )
     assert not {"sklearn", "pandas", "matplotlib"} & set(run_python(code=code, cwd=tmp_path).split())
 
 
@@ -566,11 +664,11 @@ def sober(kind, rng):
     schedule = KINDS[kind](rng)
     bounds = {"Np": (20.0, 45.0), "Nc": (2.0, 10.0), "Q": (0.8, 1.2), "R": (1e3, 1e4)}
     held = {}
-    for name, slot in schedule.slots.items():
+    for name, entry in schedule.tuning.items():
         low, high = bounds[name]
-        function = 0.5 * (low + high) if isinstance(slot.function, float | int) else slot.function
-        held[name] = dataclasses.replace(slot, function=function, low=low, high=high)
-    return dataclasses.replace(schedule, slots=held)
+        function = 0.5 * (low + high) if isinstance(entry.function, Number) else entry.function
+        held[name] = dataclasses.replace(entry, function=function, low=low, high=high)
+    return dataclasses.replace(schedule, tuning=held)
 
 
 def driven(kind, rng, **options):
@@ -606,7 +704,7 @@ def test_alone_and_in_a_batch_a_scheduler_drives_to_the_same_bits_and_counts(kin
 
 
 @pytest.mark.compiled
-def test_lanes_of_a_batch_have_guards_of_their_own(rng):
+def test_runs_of_a_batch_have_guards_of_their_own(rng):
     plant = DualTrack(CAR)
     schedule = Guarded(lookup("multilinear", rng, {"speed": [5.0, 12.0, 25.0]}), FALLBACK, slack=0.0, hold=5)
     mpc = MPC(CAR, FALLBACK, period=0.05, preview=True, scheduler=schedule)
@@ -623,19 +721,19 @@ def test_a_trajectory_records_the_tuning_of_every_step(kind, rng):
     mpc = driven(kind, rng)
     run = simulate(DualTrack(CAR), mpc, LANE_CHANGE, profile="road")
     signals = LANE_CHANGE.sample(0.05)
-    change, acceleration = demand(signals.y_ref, 0.05, len(run.t))
+    change, acceleration = reference_preview(signals.y_ref, 0.05, len(run.t))
     seen = np.column_stack([run.vx, run.y_ref, run.friction.mean(axis=1), run.wind[:, 1], change, acceleration])
     plan, expected = mpc.scheduler.plan(1), np.tile(FALLBACK.as_array(), (len(seen), 1))
     for k, row in enumerate(seen):
         expected[k] = expected[k - 1]
-        inference.schedule(0, np.append(row, 0.0), plan, expected[k])
+        kernel.schedule(0, np.append(row, 0.0), plan, expected[k])
     assert np.array_equal(np.column_stack([run.tuning[name] for name in ("Np", "Nc", "Q", "R")]), expected)
     assert len(np.unique(expected, axis=0)) > 1
 
 
 def test_the_counts_are_those_of_the_run_since_the_last_reset(rng):
     mpc = driven("guarded", rng)
-    assert mpc.scheduler_counts == dict.fromkeys(inference.COUNTS, 0)
+    assert mpc.scheduler_counts == dict.fromkeys(guard.COUNTS, 0)
     simulate(SingleTrack(CAR), mpc, LANE_CHANGE, profile="road")
     first = mpc.scheduler_counts
     assert first["steps"] == 30
@@ -730,7 +828,7 @@ def test_the_examples_of_the_page_run_one_after_the_other(name, project, tmp_pat
         exec(compile(code, f"{name}.md", "exec"), names)
 
 
-def test_the_page_names_every_count_and_every_entry_of_a_condition(project):
+def test_the_page_names_every_count_and_every_scheduling_variable(project):
     page = (project / "docs" / "schedulers.md").read_text(encoding="utf-8")
     rows = re.findall(r"^\| `(\w+)` \|", page, re.MULTILINE)
-    assert set(rows) == {*inference.COUNTS, *Condition._fields}
+    assert set(rows) == {*guard.COUNTS, *SchedulingVariables._fields}

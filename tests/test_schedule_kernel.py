@@ -9,11 +9,24 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.interpolate import RegularGridInterpolator
 
-from adaptrack.kernels import inference
-from adaptrack.learning.network import Network
-from adaptrack.learning.sugeno import ANY, Sugeno
-from adaptrack.mpc import Condition, Tuning
-from adaptrack.schedule import SLOTS, Guarded, Learned, Schedule, Slot, StabilityMap, Table, _pack_function
+from adaptrack.kernels import functions, guard
+from adaptrack.kernels import schedule as kernel
+from adaptrack.controllers import Tuning
+from adaptrack.scheduling import (
+    ENTRIES,
+    VARIABLES,
+    Entry,
+    Guarded,
+    Learned,
+    Network,
+    Schedule,
+    SchedulingVariables,
+    StabilityMap,
+    Sugeno,
+    Table,
+)
+from adaptrack.scheduling import schedule as scheduling
+from adaptrack.scheduling.functions.sugeno import ANY
 from adaptrack.vehicle import GRAVITY
 from small_models import line, random_network, random_sugeno, random_table, stability_map
 
@@ -22,10 +35,12 @@ FALLBACK = Tuning(25, 6, 1.0, 100.0)
 
 def by_kernel(function, x):
     """(n,) a function at x (n, D) by its kernel, its part lying somewhere in larger arrays."""
-    kind, layout, numbers, scratch = _pack_function(function)
-    layout, numbers = np.array([7] * 3 + layout, np.int64), np.array([math.nan] * 5 + numbers)
-    work = np.full(scratch, math.nan)
-    return np.array([inference.fill(kind, np.ascontiguousarray(row), layout, 3, numbers, 5, work) for row in x])
+    packed = function.pack()
+    integers = np.array([7] * 3 + list(packed.integers), np.int64)
+    numbers = np.array([math.nan] * 5 + list(packed.numbers))
+    work = np.full(packed.scratch, math.nan)
+    rows = np.ascontiguousarray(x)
+    return np.array([functions.evaluate(packed.kind, row, integers[3:], numbers[5:], work) for row in rows])
 
 
 def close(ours, reference):
@@ -129,21 +144,21 @@ def test_half_way_between_two_nodes_the_nearest_is_the_lower():
     assert by_kernel(table, np.array([[0.5], [0.50001], [2.0], [2.00001]])).tolist() == [10.0, 20.0, 20.0, 30.0]
 
 
-# -- from a condition to a tuning -------------------------------------------------------------------------------------
+# -- from the variables to a tuning -----------------------------------------------------------------------------------
 class Drive:
     """A schedule at work: asks it step after step."""
 
-    def __init__(self, schedule, tuning=(35, 8, 10.0, 0.01), lanes=1):
-        self.plan, self.tuning = schedule.plan(lanes), np.array([tuning] * lanes, dtype=float)
+    def __init__(self, schedule, tuning=(35, 8, 10.0, 0.01), slots=1):
+        self.plan, self.tuning = schedule.plan(slots), np.array([tuning] * slots, dtype=float)
 
-    def __call__(self, lane=0, **condition):
-        entries = {"speed": 10.0, "y_ref": 0.0, "friction": 0.8, "wind": 0.0, **condition}
-        row = np.array(Condition(**entries), dtype=float)
-        inference.schedule(lane, row, self.plan, self.tuning[lane])
-        return self.tuning[lane].tolist()
+    def __call__(self, slot=0, **variables):
+        given = {"speed": 10.0, "y_ref": 0.0, "friction": 0.8, "wind": 0.0, **variables}
+        row = np.array(SchedulingVariables(**given), dtype=float)
+        kernel.schedule(slot, row, self.plan, self.tuning[slot])
+        return self.tuning[slot].tolist()
 
-    def counts(self, lane=0):
-        return {name: int(self.plan.state[lane, i]) for i, name in enumerate(inference.COUNTS)}
+    def counts(self, slot=0):
+        return dict(zip(guard.COUNTS, kernel.counted(self.plan.memory)[slot].tolist(), strict=True))
 
 
 def speedy(**functions):
@@ -152,23 +167,25 @@ def speedy(**functions):
     return Learned(told, ("speed",), [[0.0, 20.0]])
 
 
-def test_the_kernel_looks_at_what_a_condition_holds():
-    assert Condition._fields == inference.CONDITION
+def test_kernels_and_schedules_name_the_same_variables_and_entries():
+    assert SchedulingVariables._fields == tuple(VARIABLES) == guard.VARIABLES
+    assert [ENTRIES[i] for i in (guard.NP, guard.NC, guard.Q, guard.R)] == ["Np", "Nc", "Q", "R"]
+    assert scheduling.MOST_ENTRIES == guard.MOST_ENTRIES
 
 
-@pytest.mark.parametrize("place", range(len(Condition._fields)))
-def test_every_entry_of_a_condition_can_be_the_input(place):
-    name = Condition._fields[place]
+@pytest.mark.parametrize("place", range(len(VARIABLES)))
+def test_every_variable_can_be_the_input(place):
+    name = list(VARIABLES)[place]
     schedule = Learned({"Np": line(0.0, 20.0, 20.0, 40.0), "Nc": 5.0, "Q": 1.0, "R": 1.0}, (name,), [[0.0, 20.0]])
-    row = np.zeros(len(Condition._fields))
+    row = np.zeros(len(VARIABLES))
     row[place] = 7.0
-    assert schedule(Condition(*row)) == (27.0, 5.0, 1.0, 1.0)
+    assert schedule(SchedulingVariables(*row)) == (27.0, 5.0, 1.0, 1.0)
 
 
 def test_inputs_outside_the_domain_are_clipped_and_counted():
     drive = Drive(speedy())
     assert [drive(speed=speed)[0] for speed in (20.0, 25.0, 10.0, -3.0, 0.0)] == [40.0, 40.0, 30.0, 20.0, 20.0]
-    assert drive.counts() == dict.fromkeys(inference.COUNTS, 0) | {"steps": 5, "clipped": 2}
+    assert drive.counts() == dict.fromkeys(guard.COUNTS, 0) | {"steps": 5, "clipped": 2}
 
 
 @pytest.mark.parametrize("nothing", [math.nan, math.inf, -math.inf])
@@ -188,13 +205,13 @@ def test_before_a_first_tuning_an_input_that_is_no_number_leaves_what_is_there()
     assert drive.counts()["broken"] == 1
 
 
-def test_an_entry_that_is_not_an_input_may_be_anything():
+def test_a_variable_that_is_not_an_input_may_be_anything():
     drive = Drive(speedy())
     assert drive(speed=5.0, wind=math.nan, friction=math.inf)[0] == 25.0
     assert drive.counts()["broken"] == 0
 
 
-def test_a_slot_in_decades_is_ten_to_the_power_of_its_function():
+def test_an_entry_by_its_logarithm_is_ten_to_the_power_of_its_function():
     schedule = Learned({"Np": 30.0, "Nc": 5.0, "log10_ratio": line(0.0, 20.0, -1.0, 3.0)}, ("speed",), [[0.0, 20.0]])
     drive = Drive(schedule)
     for speed, ratio in ((0.0, 0.1), (5.0, 1.0), (10.0, 10.0), (20.0, 1000.0)):
@@ -213,9 +230,9 @@ def test_the_control_horizon_never_exceeds_the_prediction_horizon():
     assert [drive(speed=speed)[1] for speed in (0.0, 2.0, 5.0, 15.0)] == [3.0, 5.0, 8.0, 8.0]
 
 
-def test_values_are_held_within_the_bounds_of_their_slot():
+def test_values_are_held_within_the_bounds_of_their_entry():
     bounds = {"Np": (10, 25), "Nc": (2, 4), "Q": (0.5, 2.0), "R": (1.0, 10.0)}
-    wild = {name: line(0.0, 20.0, -1e3, 1e3) for name in SLOTS}
+    wild = {name: line(0.0, 20.0, -1e3, 1e3) for name in ENTRIES}
     drive = Drive(Learned(wild, ("speed",), [[0.0, 20.0]], bounds))
     assert drive(speed=0.0) == [10.0, 2.0, 0.5, 1.0]
     assert drive(speed=20.0) == [25.0, 4.0, 2.0, 10.0]
@@ -223,19 +240,19 @@ def test_values_are_held_within_the_bounds_of_their_slot():
 
 @pytest.mark.filterwarnings("ignore:overflow encountered in scalar:RuntimeWarning")  # said by the interpreter alone
 def test_a_value_beyond_all_numbers_is_held_within_the_bounds_too():
-    huge = Slot(line(0.0, 20.0, -1000.0, 1000.0), 1e-3, 1e3, decades=True)
-    slots = dict(speedy().slots) | {"R": huge}
-    drive = Drive(Schedule(("speed",), [[0.0, 20.0]], slots))
+    huge = Entry(line(0.0, 20.0, -1000.0, 1000.0), 1e-3, 1e3, log10=True)
+    entries = dict(speedy().tuning) | {"R": huge}
+    drive = Drive(Schedule(("speed",), [[0.0, 20.0]], entries))
     assert [drive(speed=speed)[3] for speed in (0.0, 20.0)] == [1e-3, 1e3]
 
 
-def test_every_lane_has_a_memory_of_its_own():
-    drive = Drive(speedy(), lanes=3)
-    for lane, speed in ((0, 5.0), (1, 10.0), (2, 30.0)):
-        drive(lane, speed=speed)
-    assert [drive(lane, speed=math.nan)[0] for lane in range(3)] == [25.0, 30.0, 40.0]
-    assert [drive.counts(lane)["clipped"] for lane in range(3)] == [0, 0, 1]
-    assert [drive.counts(lane)["broken"] for lane in range(3)] == [1, 1, 1]
+def test_every_run_has_a_memory_of_its_own():
+    drive = Drive(speedy(), slots=3)
+    for run, speed in ((0, 5.0), (1, 10.0), (2, 30.0)):
+        drive(run, speed=speed)
+    assert [drive(run, speed=math.nan)[0] for run in range(3)] == [25.0, 30.0, 40.0]
+    assert [drive.counts(run)["clipped"] for run in range(3)] == [0, 0, 1]
+    assert [drive.counts(run)["broken"] for run in range(3)] == [1, 1, 1]
 
 
 # -- the guard --------------------------------------------------------------------------------------------------------
@@ -254,8 +271,8 @@ def test_a_guard_limits_how_fast_the_tuning_changes():
 
 
 def test_it_is_the_ratio_of_the_weights_that_a_guard_limits():
-    slots = {"Q": line(0.0, 20.0, 1.0, 100.0), "R": line(0.0, 20.0, 5.0, 500.0)}
-    drive = Drive(Guarded(speedy(Np=30.0, **slots), FALLBACK, rates=(5, 2, 0.01)))
+    weights = {"Q": line(0.0, 20.0, 1.0, 100.0), "R": line(0.0, 20.0, 5.0, 500.0)}
+    drive = Drive(Guarded(speedy(Np=30.0, **weights), FALLBACK, rates=(5, 2, 0.01)))
     drive(speed=0.0)
     assert drive(speed=20.0) == [30.0, 5.0, 100.0, pytest.approx(500.0)]  # R/Q is the same
     assert drive.counts()["rate_limited"] == 0
@@ -267,7 +284,7 @@ def test_far_outside_the_domain_the_fallback_is_used_for_some_steps():
     assert drive(speed=25.1) == FALLBACK.as_array().tolist()
     assert [drive(speed=10.0)[3] for _ in range(5)] == [100.0] * 5
     assert drive.counts() == {
-        "steps": 7, "clipped": 2, "broken": 0, "rate_limited": 0, "outside": 1, "astray": 0, "unstable": 0,
+        "steps": 7, "clipped": 2, "broken": 0, "rate_limited": 0, "outside": 1, "off_reference": 0, "unstable": 0,
         "fallback": 4,
     }  # fmt: skip
 
@@ -283,10 +300,10 @@ def test_an_offset_that_the_grip_cannot_take_back_in_time_calls_for_the_fallback
     assert used == [False, False, True, True, False]  # for two steps
     assert drive(speed=10.0, friction=0.6, offset=side * 1.1 * limit)[0] != FALLBACK.Np  # more grip, more leeway
     assert drive(speed=10.0, friction=0.5, offset=math.nan)[0] == FALLBACK.Np
-    assert drive.counts()["astray"] == 2
+    assert drive.counts()["off_reference"] == 2
 
 
-def test_without_an_offset_limit_a_guard_lets_the_car_stray():
+def test_without_an_offset_limit_a_guard_allows_any_offset():
     drive = Drive(Guarded(speedy(), FALLBACK))
     assert drive(speed=10.0, friction=0.0, offset=1e9)[0] != FALLBACK.Np
     assert drive(speed=10.0, friction=0.5, offset=math.nan)[0] != FALLBACK.Np
@@ -340,7 +357,7 @@ def test_every_axis_of_the_stability_map_is_looked_at(bad, condition, functions)
     drive(**condition)
     assert drive.counts()["unstable"] == 1
     calm = Drive(Guarded(speedy(**plain), FALLBACK, stability=stability_map(lambda *_: 0.5)))
-    assert calm(**condition) == [plain[slot] for slot in SLOTS]
+    assert calm(**condition) == [plain[entry] for entry in ENTRIES]
 
 
 def test_a_limited_tuning_that_would_be_unstable_on_its_way_gives_way_too():
@@ -368,7 +385,7 @@ CONDITIONS = st.lists(
 def test_whatever_comes_in_what_goes_out_can_be_used(conditions, seed, guarded):
     rng = np.random.default_rng(seed)
     kinds = [random_network(rng, 4), random_sugeno(rng, 4), random_table(rng, 4, "nearest"), 5.0]
-    functions = {slot: kinds[i] for slot, i in zip(SLOTS, rng.integers(0, 4, 4), strict=True)}
+    functions = {entry: kinds[i] for entry, i in zip(ENTRIES, rng.integers(0, 4, 4), strict=True)}
     bounds = {"Np": (1, 60), "Nc": (1, 20), "Q": (0.1, 10.0), "R": (0.01, 100.0)}
     schedule = Learned(functions, ("speed", "y_ref", "friction", "wind"), [[-10.0, 10.0]] * 4, bounds)
     if guarded:

@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any, Self
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import expit
 
-from adaptrack.errors import InvalidInput
+from adaptrack.errors import InvalidInput, real
+from adaptrack.scheduling.functions.function import Array, Function, Packed, read_array, register_function
 
-Array = NDArray[np.float64]
 
-
+@register_function
 @dataclass(frozen=True, eq=False)
-class Network:
+class Network(Function):
     """D inputs, hidden layers of sigmoid neurons, one output: eqs. (21)-(23) of the paper.
 
     H^1 = f(W^1 z), H^2 = f(W^2 H^1), O = g(W^3 H^2), each with a bias; f the sigmoid, g the ReLU, z the inputs scaled
@@ -40,6 +41,7 @@ class Network:
     """target at O = 1"""
     relu: bool = True
     """whether g is the ReLU, else the identity"""
+    kind = "network"
 
     def __post_init__(self) -> None:
         wide = len(self.low)
@@ -67,7 +69,6 @@ class Network:
         return sum(each.size for each in (*self.weights, *self.biases))
 
     def predict(self, x: Array) -> Array:
-        """(n,) output at the inputs x (n, D)."""
         h = (x - self.low) / (self.high - self.low)
         for weights, biases in zip(self.weights[:-1], self.biases[:-1], strict=True):
             h = expit(h @ weights + biases)
@@ -75,3 +76,38 @@ class Network:
         if self.relu:
             out = np.maximum(out, 0.0)
         return self.out_low + (self.out_high - self.out_low) * out
+
+    def pack(self) -> Packed:
+        from adaptrack.kernels import functions
+
+        widths = [self.n_inputs, *map(len, self.biases)]
+        numbers = [self.out_low, self.out_high - self.out_low, *self.low, *(1.0 / (self.high - self.low))]
+        for weights, biases in zip(self.weights, self.biases, strict=True):
+            numbers += np.vstack((weights, biases)).T.ravel().tolist()
+        return Packed(functions.NETWORK, [int(self.relu), len(self.biases), *widths], numbers, sum(widths))
+
+    def shifted(self, by: float) -> Self:
+        return replace(self, out_low=self.out_low + by, out_high=self.out_high + by)
+
+    def blended(self, share: float, value: float) -> Self:
+        kept, added = 1.0 - share, share * value
+        return replace(self, out_low=kept * self.out_low + added, out_high=kept * self.out_high + added)
+
+    def save(self) -> dict[str, Any]:
+        return {
+            "low": self.low.tolist(),
+            "high": self.high.tolist(),
+            "weights": [each.tolist() for each in self.weights],
+            "biases": [each.tolist() for each in self.biases],
+            "out_low": float(self.out_low),
+            "out_high": float(self.out_high),
+            "relu": bool(self.relu),
+        }
+
+    @classmethod
+    def load(cls, saved: Mapping[str, Any]) -> Self:
+        return cls(
+            read_array(saved["low"]), read_array(saved["high"]), tuple(map(read_array, saved["weights"])),
+            tuple(map(read_array, saved["biases"])), real("network", "out_low", saved["out_low"]),
+            real("network", "out_high", saved["out_high"]), bool(saved["relu"]),
+        )  # fmt: skip

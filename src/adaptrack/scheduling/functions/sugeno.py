@@ -12,14 +12,16 @@ then a sum, and eq. (26) stays defined where all memberships underflow, far from
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from adaptrack.errors import InvalidInput
+from adaptrack.scheduling.functions.function import Array, Function, Packed, read_array, register_function
 
-Array = NDArray[np.float64]
 Integers = NDArray[np.intp]
 
 ANY = -1
@@ -30,8 +32,9 @@ FARTHEST = 1e150
 """Widths from the centre at which a distance is held, so that its square is a number."""
 
 
+@register_function
 @dataclass(frozen=True)
-class Sugeno:
+class Sugeno(Function):
     """A first-order Sugeno system: D inputs, M membership functions, R rules, one output.
 
     Raises
@@ -52,6 +55,7 @@ class Sugeno:
     """(R, D + 1) slopes p along the inputs, then the constant r"""
     weights: Array
     """(R,) factor of each rule's firing strength, 0..1"""
+    kind = "sugeno"
 
     def __post_init__(self) -> None:
         rules, inputs = self.rules.shape
@@ -87,7 +91,6 @@ class Sugeno:
         return 2 * len(self.bell) + int(self.bell.sum()) + self.consequents.size
 
     def predict(self, x: Array) -> Array:
-        """(n,) output at the inputs x (n, D)."""
         return total(conclude(self.strengths(x), x, self.consequents))
 
     def strengths(self, x: Array) -> Array:
@@ -112,6 +115,39 @@ class Sugeno:
             consequents=self.consequents[rules],
             weights=self.weights[rules],
         )
+
+    def pack(self) -> Packed:
+        from adaptrack.kernels import functions
+
+        integers = [self.n_inputs, len(self.owner), self.n_rules]
+        integers += [*self.owner.tolist(), *self.bell.astype(int).tolist(), *self.rules.ravel().tolist()]
+        with np.errstate(divide="ignore"):  # a rule of weight zero never fires
+            log_weights = np.log(self.weights)
+        parts = (1.0 / self.premises[:, WIDTH], self.premises[:, SLOPE], self.premises[:, CENTRE], log_weights)
+        numbers = np.concatenate((*parts, self.consequents[:, :-1].ravel(), self.consequents[:, -1]))
+        return Packed(functions.SUGENO, integers, numbers.tolist(), len(self.owner) + self.n_rules)
+
+    def shifted(self, by: float) -> Self:
+        consequents = self.consequents.copy()
+        consequents[:, -1] += by
+        return replace(self, consequents=consequents)
+
+    def blended(self, share: float, value: float) -> Self:
+        consequents = (1.0 - share) * self.consequents
+        consequents[:, -1] += share * value
+        return replace(self, consequents=consequents)
+
+    def save(self) -> dict[str, Any]:
+        names = ("owner", "bell", "premises", "rules", "consequents", "weights")
+        return {name: getattr(self, name).tolist() for name in names}
+
+    @classmethod
+    def load(cls, saved: Mapping[str, Any]) -> Self:
+        owner = read_array(saved["owner"], np.intp)
+        return cls(
+            owner, read_array(saved["bell"], np.bool_), read_array(saved["premises"]).reshape(len(owner), 3),
+            read_array(saved["rules"], np.intp), read_array(saved["consequents"]), read_array(saved["weights"]),
+        )  # fmt: skip
 
 
 def fuzzify(x: Array, system: Sugeno) -> Array:
