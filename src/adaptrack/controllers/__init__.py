@@ -1,0 +1,23 @@
+"""Controllers: what `simulate` drives with. One file each; `check_controller` tells whether one keeps the contract."""
+
+from adaptrack.controllers.base import Command, CompiledController, Controller
+from adaptrack.controllers.check import check_controller
+from adaptrack.controllers.lqr import LQR
+from adaptrack.controllers.pure_pursuit import PurePursuit
+from adaptrack.controllers.registry import get_controller, list_controllers, register_controller
+from adaptrack.controllers.stanley import Stanley
+from adaptrack.controllers.user import UserController
+
+__all__ = [
+    "LQR",
+    "Command",
+    "CompiledController",
+    "Controller",
+    "PurePursuit",
+    "Stanley",
+    "UserController",
+    "check_controller",
+    "get_controller",
+    "list_controllers",
+    "register_controller",
+]
