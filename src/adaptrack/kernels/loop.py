@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numba import types
 
-from . import estimation, inference, qp
+from . import estimation, inference
 from .abi import (
     INLINE,
     INLINED_ROUTINE,
@@ -47,6 +47,11 @@ from .prediction import (
     responses,
     tracking_error,
 )
+from .qp import problem as qp
+from .qp.active_set import active_set
+from .qp.factor import factorise
+from .qp.hildreth import hildreth
+from .qp.residual import kkt_residual
 
 WALKING = 1.0
 """m/s, sideways below this a vehicle is not said to spin."""
@@ -160,7 +165,6 @@ _FIELDS = (
     ("solution", vector),  # (n,)
     ("multipliers", vector),  # (m,)
     ("qp_work", FOUR_DIMENSIONS),  # (lanes, ...) kept from one step to the next
-    ("qp_residual", cube),  # scratch of the residuals
     ("qp_rows", matrix),
     ("qp_index", int_matrix),  # (lanes, ...) likewise
 )
@@ -200,7 +204,6 @@ def workspace(lanes: int, settings: Any) -> Any:
         solution=qp.aligned((n,)),
         multipliers=qp.aligned((m,)),
         qp_work=qp.aligned((lanes, *sizes["work"])),
-        qp_residual=qp.aligned(sizes["work"]),
         qp_rows=qp.aligned(sizes["rows"]),
         qp_index=np.zeros((lanes, *sizes["index"]), dtype=np.int64),
     )
@@ -284,7 +287,7 @@ def form_model(lane, np_, nc, q, r, speed, model, settings, memory, ws):
         for i in range(4 * nc):
             rows[columns, i] = 0.0
         output_rows(4 * nc, np_, columns, laguerre, step, phi, rows)
-    own[FACTOR_STATUS], own[CONDITION] = qp.factorise(columns + (1 if limited else 0), hessian, ws.factor[lane])
+    own[FACTOR_STATUS], own[CONDITION] = factorise(columns + (1 if limited else 0), hessian, ws.factor[lane])
     own[KEPT] = 0.0
     own[KEY], own[KEY + 1], own[KEY + 2], own[KEY + 3], own[KEY + 4] = speed, np_, nc, q, r
 
@@ -328,7 +331,7 @@ def form_qp(lane, speed, reference, tuning, model, settings, memory, record, ws)
         for j in range(np_):
             ws.reference[j] = reference[min(j + 1, reference.size - 1)]
     else:
-        for b in range(0, np_, vectors.LANES):
+        for b in range(0, np_, vectors.WIDTH):
             vectors.store(ws.reference, b, vectors.spread(reference, 0))
     for i in range(4):
         ws.change[i] = ws.measured[i] - own[PREVIOUS + i] if own[STARTED] > 0.5 else 0.0 * ws.measured[i]
@@ -347,7 +350,7 @@ def form_qp(lane, speed, reference, tuning, model, settings, memory, record, ws)
         ws.bounds[4 * i + 1] = -settings[MOVE_MIN]
         ws.bounds[4 * i + 2] = settings[ANGLE_MAX] - angle
         ws.bounds[4 * i + 3] = angle - settings[ANGLE_MIN]
-    for b in range(8, 4 * nc, vectors.LANES):
+    for b in range(8, 4 * nc, vectors.WIDTH):
         vectors.store(ws.bounds, b, vectors.load(ws.bounds, 0))
     if limited:
         for j in range(np_):
@@ -357,26 +360,33 @@ def form_qp(lane, speed, reference, tuning, model, settings, memory, record, ws)
     return int(own[FACTOR_STATUS]), n, m
 
 
+@njit(**INLINE)
+def _qp_in(lane, n, m, settings, ws):
+    """The problem, the solution and the scratch of lane `lane` in the workspace."""
+    rows = ws.rows[lane if _has_output_limits(settings) else 0]
+    problem = qp.Problem(n, m, ws.hessian[lane], ws.gradient, rows, ws.bounds)
+    scratch = qp.Scratch(ws.qp_work[lane], ws.qp_rows, ws.qp_index[lane])
+    return problem, qp.Solution(ws.solution, ws.multipliers), scratch
+
+
 @njit(types.UniTuple(int64, 2)(int64, int64, int64, vector, matrix, WORKSPACE), **INLINED_ROUTINE)
 def solve_qp(lane, n, m, settings, memory, ws):
     """Solve the QP in the workspace with the solver of the settings: (status, iterations)."""
     solver = int(settings[SOLVER])
-    hessian, factor, condition = ws.hessian[lane], ws.factor[lane], memory[lane, CONDITION]
-    rows = ws.rows[lane if _has_output_limits(settings) else 0]
+    own = memory[lane]
+    problem, solution, scratch = _qp_in(lane, n, m, settings, ws)
+    factor = qp.Factor(ws.factor[lane, 0], ws.factor[lane, 1], own[CONDITION])
     status, iterations = qp.CAPPED, 0
-    own, work, index = memory[lane], ws.qp_work[lane], ws.qp_index[lane]
     if solver != ACTIVE_SET:
         own[ACTIVE] = 0.0
-        status, iterations = qp.hildreth(
-            n, m, hessian, ws.gradient, rows, ws.bounds, factor, condition, ws.solution, ws.multipliers,
-            work, ws.qp_rows, index, int(settings[MAX_SWEEPS]), settings[TOLERANCE], False,
-        )  # fmt: skip
+        status, iterations = hildreth(
+            problem, factor, solution, scratch, int(settings[MAX_SWEEPS]), settings[TOLERANCE], False
+        )
     if solver == ACTIVE_SET or (solver == HILDRETH_THEN_EXACT and status == qp.CAPPED):
         # The rows that were active a period ago are a good guess, and while E stays so does their factor.
-        status, more, active = qp.active_set(
-            n, m, hessian, ws.gradient, rows, ws.bounds, factor, condition, ws.solution, ws.multipliers,
-            work, ws.qp_rows, index, int(own[ACTIVE]), own[KEPT] > 0.5, 10 * (n + m),
-        )  # fmt: skip
+        status, more, active = active_set(
+            problem, factor, solution, scratch, int(own[ACTIVE]), own[KEPT] > 0.5, 10 * (n + m)
+        )
         own[ACTIVE], own[KEPT] = active, 1.0
         iterations += more
     return status, iterations
@@ -403,10 +413,8 @@ def apply_move(lane, status, iterations, n, m, settings, memory, record, ws):
         usable = math.isfinite(move)
     out[RESIDUAL] = math.nan
     if usable and settings[RESIDUALS] > 0.5:
-        stationarity, primal, dual, complementarity = qp.kkt_residual(
-            n, m, ws.hessian[lane], ws.gradient, ws.rows[lane if limited else 0], ws.bounds,
-            ws.solution, ws.multipliers, ws.qp_residual,
-        )  # fmt: skip
+        problem, solution, scratch = _qp_in(lane, n, m, settings, ws)
+        stationarity, primal, dual, complementarity = kkt_residual(problem, solution, scratch)
         out[RESIDUAL] = max(max(stationarity, primal), max(dual, complementarity))
     move = clip(move, settings[MOVE_MIN], settings[MOVE_MAX]) if usable else 0.0
     angle = clip(own[ANGLE] + move, settings[ANGLE_MIN], settings[ANGLE_MAX])

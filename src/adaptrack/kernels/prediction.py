@@ -15,7 +15,7 @@ import math
 from numba import types
 
 from .abi import INLINE, ROUTINE, float64, int64, matrix, njit, vector
-from .maths.vectors import LANES, add, first_lanes, fma8, load, mul, padded, splat, spread, store, sub, zeros
+from .maths.vectors import WIDTH, add, keep_first, fma8, load, mul, padded, splat, spread, store, sub, zeros
 
 MODEL_PARAMETERS = ("mass", "yaw_inertia", "lf", "lr", "stiffness_front", "stiffness_rear")
 """The prediction model's packed parameters: kg, kg m^2, m, m, N/rad and N/rad per tyre."""
@@ -157,13 +157,13 @@ def tracking_error(horizon, free, change, output, reference, error):
     """
     d0, d1, d2, d3 = splat(change[0]), splat(change[1]), splat(change[2]), splat(change[3])
     y = splat(output)
-    for b in range(0, horizon, LANES):
+    for b in range(0, horizon, WIDTH):
         response = fma8(load(free, 0, b), d0, y)
         response = fma8(load(free, 1, b), d1, response)
         response = fma8(load(free, 2, b), d2, response)
         response = fma8(load(free, 3, b), d3, response)
-        store(error, b, first_lanes(sub(load(reference, b), response), horizon - b))
-    for b in range(padded(horizon), error.size, LANES):
+        store(error, b, keep_first(sub(load(reference, b), response), horizon - b))
+    for b in range(padded(horizon), error.size, WIDTH):
         store(error, b, zeros())
 
 
@@ -199,7 +199,7 @@ def pulse_gradient(horizon, moves, step, q, error, gradient):
     `error` is zero behind the horizon, for as many entries as `gradient` is long.
     """
     scale = splat(-2.0 * q)
-    for b in range(0, moves, LANES):
+    for b in range(0, moves, WIDTH):
         even = zeros()
         odd = zeros()
         for t in range(0, horizon - 1, 2):
