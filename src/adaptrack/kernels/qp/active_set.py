@@ -41,6 +41,7 @@ from .operations import (
     stationarity,
 )
 from .problem import CAPPED, FACTOR, INFEASIBLE, NON_FINITE, PROBLEM, SCRATCH, SOLUTION, SOLVED, work_of
+from .residual import kkt_residual
 from .unconstrained import unconstrained
 
 VIOLATION = 1e-12
@@ -50,6 +51,13 @@ DEPENDENT = 1e-12
 """A row depends on the active ones when this part of its length, measured by E^-1, is all that is new."""
 CONTRADICTION = 1e-9
 """Dependent rows contradict each other when they miss by more than this part of their bounds."""
+
+ACCEPTED = 1e-6
+"""An answer whose accuracy is in doubt counts as solved when no scaled residual exceeds this."""
+LARGE = 1e6
+"""Where max |x| exceeds this, the terms of M x may cancel so far that their rounding exceeds `ACCEPTED`."""
+ILL_CONDITIONED = 1e13
+"""Where the bound on the condition number exceeds this, refinement may end before x is accurate."""
 
 Violation = record("Violation", ("row", "size", "length"))
 """A violated row of M (-1: none), M_j x - gamma_j and M_j M_j'."""
@@ -283,6 +291,19 @@ def _reconsider(problem, q, w):
         set_entry(w.bounds, w.index[i], math.inf)
 
 
+@njit(**INLINE)
+def _verdict(problem, factor, solution, scratch, reach, tolerance):
+    """SOLVED; CAPPED where the accuracy is in doubt and the optimality conditions do not hold to `ACCEPTED`.
+
+    In doubt: x is `LARGE`, E is `ILL_CONDITIONED`, or rows were called satisfied with a wider tolerance.
+    """
+    if not (reach > LARGE or factor.condition > ILL_CONDITIONED or tolerance > VIOLATION):
+        return SOLVED
+    stationary, primal, dual, complementary = kkt_residual(problem, solution, scratch)
+    holds = stationary <= ACCEPTED and primal <= ACCEPTED and dual <= ACCEPTED and complementary <= ACCEPTED
+    return SOLVED if holds else CAPPED
+
+
 # -- the method -------------------------------------------------------------------------------------------------------
 @njit(types.UniTuple(int64, 3)(PROBLEM, FACTOR, SOLUTION, SCRATCH, int64, types.boolean, int64), **ROUTINE)
 def active_set(problem, factor, solution, scratch, guess, kept, max_iterations):
@@ -301,7 +322,7 @@ def active_set(problem, factor, solution, scratch, guess, kept, max_iterations):
     are changed, and so on until nothing changes.
 
     ``iterations`` counts steps and is capped by ``max_iterations``.
-    Status: SOLVED; CAPPED (x is then the last iterate: not optimal); INFEASIBLE (no x satisfies the rows; x is
+    Status: SOLVED; CAPPED (x is then the last iterate: not optimal, or so large that double precision cannot tell); INFEASIBLE (no x satisfies the rows; x is
     meaningless); NON_FINITE when E, K, M hold NaN or infinity, or gamma NaN or -inf.
     """
     n, x, w = problem.n, solution.x, work_of(scratch)
@@ -311,13 +332,13 @@ def active_set(problem, factor, solution, scratch, guess, kept, max_iterations):
         worst, finite = find_gaps(problem, x, w)
     if not finite:
         return NON_FINITE, 0, 0
+    reach = max(1.0, largest_magnitude(n, x))  # the numbers that cancel in M x are about as large as this
     if q == 0:
         if not worst > 0.0:
-            return SOLVED, 0, 0
+            return _verdict(problem, factor, solution, scratch, reach, VIOLATION), 0, 0
         release_all(n, factor, w)
 
     inverse_trace = _trace(n, factor.inverse)
-    reach = max(1.0, largest_magnitude(n, x))  # the numbers that cancel in M x are about as large as this
     left, tolerance, rounds = max_iterations, VIOLATION, 0
     polished, doubtful = q == 0, False
     while True:
@@ -344,4 +365,5 @@ def active_set(problem, factor, solution, scratch, guess, kept, max_iterations):
 
     for i in range(q):
         solution.lam[w.index[i]] = w.u[i]
-    return SOLVED, max_iterations - left, q
+    status = _verdict(problem, factor, solution, scratch, reach, tolerance)
+    return status, max_iterations - left, q
