@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from adaptrack.errors import ContractError, InvalidInput, UnknownName, did_you_mean, real
-from adaptrack.models import PredictionModel, SingleTrackModel
+from adaptrack.models import PredictionModel
 from adaptrack.plant import DualTrack, SingleTrack
 from adaptrack.profile import Profile, load_profile
 from adaptrack.vehicle import SteeringActuator, Tyre, Vehicle, load_tyre, pack_plant

@@ -374,7 +374,9 @@ def _vector(name: str, values: ArrayLike, size: int) -> Array:
     return array
 
 
-def check_plant(plant: Plant | SteppedPlant, speeds: Sequence[float] = (5.0, 15.0, 25.0), symmetric: bool = True) -> None:
+def check_plant(
+    plant: Plant | SteppedPlant, speeds: Sequence[float] = (5.0, 15.0, 25.0), symmetric: bool = True
+) -> None:
     """Test that a plant keeps the contract on which controllers and the loop rely.
 
     At each speed (m/s), on dry friction without wind: the states begin with `MOTION`; the right-hand side writes

@@ -606,9 +606,7 @@ class Batch:
         assert isinstance(self.world.plant, Plant)
         if isinstance(own, CompiledController):
             mpc = kernel.batch(slots, mpc_settings, (np.zeros(6), np.arange(4), np.zeros(4)), (np.zeros(0), 0))
-            law = rollout.law_batch(
-                slots, own.parameters(), own.memory_size, own.diagnostic_names, own.preview
-            )
+            law = rollout.law_batch(slots, own.parameters(), own.memory_size, own.diagnostic_names, own.preview)
             width = law.answer.shape[1] + len(own.tuning_names)
         else:
             assert isinstance(own, MPC)
@@ -749,7 +747,8 @@ _UNITS = {"tuning.Q": "1/m^2", "tuning.R": "1/rad^2"}
 
 def _named(names: tuple[str, ...], columns: Array, driven: NDArray[np.bool_]) -> dict[str, NDArray[Any]]:
     """The columns by name; of quantities that are whole numbers as such, the QP's status where nothing was driven
-    being that of data that are not finite."""
+    being that of data that are not finite.
+    """
     found: dict[str, NDArray[Any]] = {}
     for name, values in zip(names, columns.T, strict=True):
         found[name] = np.nan_to_num(values, nan=0.0).astype(np.int64) if name in _WHOLE else values.copy()

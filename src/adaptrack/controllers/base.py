@@ -11,8 +11,8 @@ from typing import Any, NamedTuple, Protocol, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from adaptrack.controllers.limits import Limits
 from adaptrack.errors import InvalidInput, real
-from adaptrack.mpc import Limits
 from adaptrack.vehicle import Vehicle
 
 Array = NDArray[np.float64]

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from adaptrack.controllers.base import Array, CompiledController, known_vehicle, steering_delay
+from adaptrack.controllers.limits import Limits
 from adaptrack.errors import InvalidInput, real
-from adaptrack.mpc import Limits
 from adaptrack.vehicle import Vehicle
 
 SPEEDS = np.geomspace(1.0, 60.0, 21)

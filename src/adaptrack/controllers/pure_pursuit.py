@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import Any
 
 from adaptrack.controllers.base import CompiledController, known_vehicle
+from adaptrack.controllers.limits import Limits
 from adaptrack.errors import InvalidInput
-from adaptrack.mpc import Limits
 from adaptrack.vehicle import Vehicle
 
 

@@ -13,7 +13,7 @@ from adaptrack.vehicle import Vehicle, load_vehicle
 Factory = Callable[..., Controller]
 
 _factories: dict[str, Factory | str] = {
-    "mpc": "adaptrack.mpc:MPC",
+    "mpc": "adaptrack.controllers.mpc:MPC",
     "lqr": "adaptrack.controllers.lqr:LQR",
     "pure-pursuit": "adaptrack.controllers.pure_pursuit:PurePursuit",
     "stanley": "adaptrack.controllers.stanley:Stanley",

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from adaptrack.controllers.base import CompiledController, known_vehicle, steering_delay
-from adaptrack.mpc import Limits
+from adaptrack.controllers.limits import Limits
 from adaptrack.vehicle import Vehicle
 
 

@@ -7,8 +7,8 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any, final
 
 from adaptrack.controllers.base import CompiledController
+from adaptrack.controllers.limits import Limits
 from adaptrack.errors import ContractError, InvalidInput, real, whole
-from adaptrack.mpc import Limits
 
 
 @final

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numba import types
 
-from . import guard, qp
+from . import guard
 from .abi import (
     PART,
     ROUTINE,
@@ -20,7 +20,6 @@ from .abi import (
     cube,
     float64,
     int64,
-    int_matrix,
     int_vector,
     matrix,
     njit,
@@ -28,7 +27,7 @@ from .abi import (
     vector,
 )
 from .controllers import mpc
-from .controllers.contract import LAW_FUNCTION, SITUATION
+from .controllers.contract import LAW_FUNCTION, SITUATION, Situation
 from .estimators import friction_wind
 from .estimators.contract import ESTIMATE_FUNCTION
 from .loop import (
@@ -43,7 +42,6 @@ from .loop import (
     look,
     sense,
 )
-from .schedule import SCHEDULE, schedule
 from .models.contract import DISCRETISE_FUNCTION, MEASURED
 from .plants.contract import (
     ADVANCE_FUNCTION,
@@ -56,6 +54,8 @@ from .plants.contract import (
     place_one,
     state_at,
 )
+from .qp import problem as qp
+from .schedule import SCHEDULE, schedule
 
 COMMON = 3
 """Every controller's answer begins with command, command change and `held`, as `mpc.ANSWER` does."""
@@ -86,10 +86,11 @@ Road = record("Road", ("signals", "scenario", "seeds"))
 ROAD = types.NamedTuple((cube, int_vector, int_vector), Road)
 """signals (scenarios, SIGNAL, instants): what happens; which of them a slot drives, and its noise seed (slots,)."""
 
-Law = record("Law", ("parameters", "memory", "situation", "answer"))
-LAW = types.NamedTuple((vector, matrix, vector, matrix), Law)
-"""A batch of controllers that are not the MPC: memory (slots, m), answer (slots, COMMON + diagnostics); (0, 0) arrays
-where the MPC drives."""
+Law = record("Law", ("parameters", "memory", "situation", "own_answer", "answer", "held", "preview"))
+LAW = types.NamedTuple((vector, matrix, vector, vector, matrix, int64, int64), Law)
+"""A batch of controllers that are not the MPC: memory (slots, m); what the law answers (1 + diagnostics,); that behind
+the COMMON columns (slots, COMMON + diagnostics); place of the diagnostic ``held`` in a law's answer, 0 for none; whether
+the law sees the reference ahead. answer is (0, 0) where the MPC drives."""
 
 Perceiving = record("Perceiving", ("parameters", "settings", "memory"))
 PERCEIVING = types.NamedTuple((vector, vector, matrix), Perceiving)
@@ -128,14 +129,16 @@ own: numba takes no functions in a record.)"""
 
 def no_law_batch() -> Any:
     """The laws of a batch that the MPC drives."""
-    return Law(np.zeros(0), np.zeros((0, 0)), np.zeros(len(SITUATION)), np.zeros((0, 0)))
+    none = np.zeros(0)
+    return Law(none, np.zeros((0, 0)), none, none, np.zeros((0, 0)), 0, 0)
 
 
-def law_batch(slots: int, parameters: Any, memory: int, diagnostics: int) -> Any:
-    """Fresh control laws for `slots` slots."""
+def law_batch(slots: int, parameters: Any, memory: int, diagnostics: tuple[str, ...], preview: bool) -> Any:
+    """Fresh control laws for `slots` slots; diagnostics: the names of what the law answers behind the command."""
+    held = 1 + diagnostics.index("held") if "held" in diagnostics else 0
     return Law(
-        np.array(parameters, float), np.zeros((slots, memory)), np.zeros(len(SITUATION)),
-        np.zeros((slots, COMMON + diagnostics)),
+        np.array(parameters, float), np.zeros((slots, memory)), np.zeros(len(SITUATION)), np.zeros(1 + len(diagnostics)),
+        np.zeros((slots, COMMON + len(diagnostics))), held, int(preview),
     )  # fmt: skip
 
 
@@ -171,17 +174,22 @@ def _schedule(k, slot, speed, run):
 
 @njit(**PART)
 def _apply_law(slot, speed, reference, run, law):
-    """One step of a control law: its answer begins with the command; change and `held` follow it here."""
-    own, out, situation, measured = run.memory[slot], run.law.answer[slot], run.law.situation, run.mpc.measured
-    situation[SITUATION.vy], situation[SITUATION.yaw] = measured[MEASURED.vy], measured[MEASURED.yaw]
-    situation[SITUATION.yaw_rate], situation[SITUATION.y] = measured[MEASURED.yaw_rate], measured[MEASURED.y]
-    situation[SITUATION.speed], situation[SITUATION.command] = speed, own.command
-    law(situation, reference, run.tuning[slot], run.law.parameters, run.law.memory[slot], out[COMMON - 1 :])
-    command = out[COMMON - 1]
-    usable = math.isfinite(command)
-    out[0] = command if usable else own.command
+    """One step of a control law; a command that is not finite holds the last one."""
+    own, out, given, seen = run.memory[slot], run.law.answer[slot], run.law.situation, run.mpc.measured
+    now = Situation(
+        seen[MEASURED.vy], seen[MEASURED.yaw], seen[MEASURED.yaw_rate], seen[MEASURED.y], speed, own.command
+    )
+    for i in range(len(now)):
+        given[i] = now[i]
+    told = run.law.own_answer
+    ahead = reference if run.law.preview > 0 else reference[:1]
+    law(given, ahead, run.tuning[slot], run.law.parameters, run.law.memory[slot], told)
+    usable = math.isfinite(told[0])
+    out[0] = told[0] if usable else own.command
     out[1] = out[0] - own.command
-    out[2] = 0.0 if usable else 1.0
+    out[2] = 1.0 if not usable or (run.law.held > 0 and told[run.law.held] > 0.5) else 0.0
+    for i in range(1, told.size):
+        out[COMMON - 1 + i] = told[i]
 
 
 @njit(**PART)

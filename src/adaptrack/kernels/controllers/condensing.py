@@ -12,7 +12,7 @@ import math
 from numba import types
 
 from ..abi import INLINE, ROUTINE, float64, int64, matrix, njit, record, vector
-from ..maths.vectors import LANES, add, first_lanes, fma8, load, mul, padded, splat, spread, store, sub, zeros
+from ..maths.vectors import WIDTH, add, fma8, keep_first, load, mul, padded, splat, spread, store, sub, zeros
 
 Discrete = record("Discrete", ("a", "b", "c", "e", "rows"))
 """A model over one control period: A (n, n), B (n,), C (n,), E (n,), and scratch (3, n)."""
@@ -64,12 +64,12 @@ def tracking_error(horizon, free, change, output, reference, error):
     Rows are padded to multiples of the vector width (see `maths.vectors`). Behind the horizon `error` is set to zero.
     """
     y = splat(output)
-    for b in range(0, horizon, LANES):
+    for b in range(0, horizon, WIDTH):
         response = y
         for i in range(change.size):
             response = fma8(load(free, i, b), spread(change, i), response)
-        store(error, b, first_lanes(sub(load(reference, b), response), horizon - b))
-    for b in range(padded(horizon), error.size, LANES):
+        store(error, b, keep_first(sub(load(reference, b), response), horizon - b))
+    for b in range(padded(horizon), error.size, WIDTH):
         store(error, b, zeros())
 
 
@@ -131,7 +131,7 @@ def pulse_gradient(horizon, moves, step, q, error, gradient):
     `error` is zero behind the horizon, for as many entries as `gradient` is long.
     """
     scale = splat(-2.0 * q)
-    for b in range(0, moves, LANES):
+    for b in range(0, moves, WIDTH):
         even = zeros()
         odd = zeros()
         for t in range(0, horizon - 1, 2):

@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 from numba import types
 
-from .. import qp
 from ..abi import (
     PART,
     ROUTINE,
@@ -33,6 +32,11 @@ from ..maths import vectors
 from ..maths.elementary import clip
 from ..models import single_track
 from ..models.contract import MEASURED
+from ..qp import problem as qp
+from ..qp.active_set import active_set
+from ..qp.factor import factorise
+from ..qp.hildreth import hildreth
+from ..qp.residual import kkt_residual
 from .condensing import (
     DISCRETE,
     Discrete,
@@ -118,7 +122,6 @@ _FIELDS = (
     ("solution", vector),  # (n,)
     ("multipliers", vector),  # (m,)
     ("qp_work", FOUR_DIMENSIONS),  # (slots, ...) kept from one step to the next
-    ("qp_residual", cube),  # scratch of the residuals
     ("qp_rows", matrix),
     ("qp_index", int_matrix),  # (slots, ...) likewise
 )
@@ -168,13 +171,12 @@ def workspace(slots: int, states: int, settings: Any) -> Any:
         rows=qp.aligned((slots if limited else 1, columns_of_e, m)),
         bounds=qp.aligned((m,)),
         reference=np.zeros(np_),
-        error=np.zeros(np_ + n + vectors.LANES),
+        error=np.zeros(np_ + n + vectors.WIDTH),
         change=np.zeros(states),
         gradient=qp.aligned((n,)),
         solution=qp.aligned((n,)),
         multipliers=qp.aligned((m,)),
         qp_work=qp.aligned((slots, *sizes["work"])),
-        qp_residual=qp.aligned(sizes["work"]),
         qp_rows=qp.aligned(sizes["rows"]),
         qp_index=np.zeros((slots, *sizes["index"]), dtype=np.int64),
     )
@@ -309,7 +311,7 @@ def _form_model(slot, speed, mpc, discretise):
         for i in range(4 * nc):
             rows[moves, i] = 0.0
         output_rows(4 * nc, np_, moves, laguerre, step, phi, rows)
-    own.factor_status, own.condition = qp.factorise(moves + (1 if limited else 0), hessian, ws.factor[slot])
+    own.factor_status, own.condition = factorise(moves + (1 if limited else 0), hessian, ws.factor[slot])
     own.kept = 0
     own.speed, own.Np, own.Nc, own.Q, own.R = speed, np_, nc, q, r
 
@@ -330,7 +332,7 @@ def _look_ahead(horizon, reference, mpc):
         for j in range(horizon):
             ws.reference[j] = reference[min(j + 1, reference.size - 1)]
     else:
-        for b in range(0, horizon, vectors.LANES):
+        for b in range(0, horizon, vectors.WIDTH):
             vectors.store(ws.reference, b, vectors.spread(reference, 0))
 
 
@@ -360,7 +362,7 @@ def _bound(slot, nc, horizon, mpc):
         ws.bounds[4 * i + 1] = -settings.move_min
         ws.bounds[4 * i + 2] = settings.angle_max - angle
         ws.bounds[4 * i + 3] = angle - settings.angle_min
-    for b in range(vectors.LANES, 4 * nc, vectors.LANES):
+    for b in range(vectors.WIDTH, 4 * nc, vectors.WIDTH):
         vectors.store(ws.bounds, b, vectors.load(ws.bounds, 0))
     if _has_output_limits(settings):
         for j in range(horizon):
@@ -397,24 +399,33 @@ def _form_qp(slot, speed, reference, tuning, mpc, discretise, estimate):
 
 
 @njit(**PART)
+def _qp_in(slot, n, m, mpc):
+    """The problem, the solution and the scratch of a slot in the workspace."""
+    ws = mpc.ws
+    rows = ws.rows[slot if _has_output_limits(mpc.settings[0]) else 0]
+    problem = qp.Problem(n, m, ws.hessian[slot], ws.gradient, rows, ws.bounds)
+    return (
+        problem,
+        qp.Solution(ws.solution, ws.multipliers),
+        qp.Scratch(ws.qp_work[slot], ws.qp_rows, ws.qp_index[slot]),
+    )
+
+
+@njit(**PART)
 def _solve_qp(slot, n, m, mpc):
     """Solve the QP in the workspace with the solver of the settings: (status, iterations)."""
-    settings, own, ws = mpc.settings[0], mpc.memory[slot], mpc.ws
-    hessian, factor, rows = ws.hessian[slot], ws.factor[slot], ws.rows[slot if _has_output_limits(settings) else 0]
-    work, index = ws.qp_work[slot], ws.qp_index[slot]
+    settings, own = mpc.settings[0], mpc.memory[slot]
+    problem, solution, scratch = _qp_in(slot, n, m, mpc)
+    factor = qp.Factor(mpc.ws.factor[slot, 0], mpc.ws.factor[slot, 1], own.condition)
     status, iterations = qp.CAPPED, 0
     if settings.solver != ACTIVE_SET:
         own.active = 0
-        status, iterations = qp.hildreth(
-            n, m, hessian, ws.gradient, rows, ws.bounds, factor, own.condition, ws.solution, ws.multipliers,
-            work, ws.qp_rows, index, settings.max_sweeps, settings.tolerance, False,
-        )  # fmt: skip
+        status, iterations = hildreth(
+            problem, factor, solution, scratch, settings.max_sweeps, settings.tolerance, False
+        )
     if settings.solver == ACTIVE_SET or (settings.solver == HILDRETH_THEN_EXACT and status == qp.CAPPED):
         # The rows that were active a period ago are a good guess, and while E stays so does their factor.
-        status, more, active = qp.active_set(
-            n, m, hessian, ws.gradient, rows, ws.bounds, factor, own.condition, ws.solution, ws.multipliers,
-            work, ws.qp_rows, index, own.active, own.kept > 0, 10 * (n + m),
-        )  # fmt: skip
+        status, more, active = active_set(problem, factor, solution, scratch, own.active, own.kept > 0, 10 * (n + m))
         own.active, own.kept = active, 1
         iterations += more
     return status, iterations
@@ -446,11 +457,8 @@ def _planned_move(slot, mpc):
 @njit(**PART)
 def _residual(slot, n, m, mpc):
     """Largest KKT residual of the solution in the workspace."""
-    ws = mpc.ws
-    stationarity, primal, dual, complementarity = qp.kkt_residual(
-        n, m, ws.hessian[slot], ws.gradient, ws.rows[slot if _has_output_limits(mpc.settings[0]) else 0], ws.bounds,
-        ws.solution, ws.multipliers, ws.qp_residual,
-    )  # fmt: skip
+    problem, solution, scratch = _qp_in(slot, n, m, mpc)
+    stationarity, primal, dual, complementarity = kkt_residual(problem, solution, scratch)
     return max(max(stationarity, primal), max(dual, complementarity))
 
 
@@ -491,7 +499,7 @@ def _apply_move(slot, status, iterations, size, mpc):
     move = _move_of(settings, 0, ws.solution, ws.moves) if usable else 0.0
     usable = usable and math.isfinite(move)
     if usable:
-        for b in range(0, vectors.padded(n), vectors.LANES):
+        for b in range(0, vectors.padded(n), vectors.WIDTH):
             vectors.store(mpc.plan, slot, b, vectors.load(ws.solution, b))
         own.planned, own.age = n, 0
     else:

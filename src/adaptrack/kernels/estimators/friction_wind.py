@@ -22,9 +22,9 @@ import math
 from numba import types
 
 from ..abi import INLINE, ROUTINE, float64, int64, matrix, njit, record, unpacker, vector
+from ..maths.elementary import arctangent_of_ratio, clip, cosine
 from ..plants.forces import GRAVITY, SLIP_SPEED_FLOOR, wind_load
 from ..plants.parameters import unpack
-from ..maths.elementary import arctangent_of_ratio, clip, cosine
 from ..plants.tyre import CURVED_MAGIC_FORMULA, LINEAR, MAGIC_FORMULA, lateral_force
 
 ESTIMATOR_SETTINGS = (
