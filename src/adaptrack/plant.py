@@ -15,7 +15,7 @@ from typing import Any, Self, final
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from adaptrack.errors import ContractError, InvalidInput, real, whole
+from adaptrack.errors import ContractError, InvalidInput, UnknownName, did_you_mean, real, whole
 from adaptrack.vehicle import SteeringActuator, Tyre, Vehicle, load_tyre, pack_plant
 
 Array = NDArray[np.float64]

@@ -171,13 +171,12 @@ class _CompiledVehicle:
     """A compiled plant in slot 0 of a block."""
 
     def __init__(self, world: World, settings: Any, start: Array) -> None:
-        from adaptrack.kernels import rollout
-        from adaptrack.kernels.plants.contract import place
+        from adaptrack.kernels.plants.contract import place, vehicle_batch
 
         assert isinstance(world.plant, Plant)
         self._compiled, self._steps = world.plant.compiled, int(settings[0].substeps)
         self._h = world.period / self._steps
-        self._arrays = rollout.vehicle_batch(world.plant.packed(), start[None])
+        self._arrays = vehicle_batch(world.plant.packed(), start[None])
         self.block = self._arrays.block
         place(1, self._arrays.start, self.block, self._arrays.states)
 
@@ -599,7 +598,7 @@ class Batch:
         from adaptrack.kernels import guard, loop, rollout
         from adaptrack.kernels.controllers import mpc as kernel
         from adaptrack.kernels.estimators.friction_wind import MEMORY as KNOWING
-        from adaptrack.kernels.plants.contract import STATES
+        from adaptrack.kernels.plants.contract import STATES, vehicle_batch
         from adaptrack.kernels.schedule import no_schedule
 
         own, known = self.controller, self.world.known_as
@@ -620,7 +619,7 @@ class Batch:
         planned = isinstance(self.scheduler, CompiledScheduler)
         return rollout.Run(
             settings=self.settings[steps],
-            vehicles=rollout.vehicle_batch(self.world.plant.packed(), np.zeros((slots, self.starts.shape[1]))),
+            vehicles=vehicle_batch(self.world.plant.packed(), np.zeros((slots, self.starts.shape[1]))),
             road=rollout.Road(self.samples, np.zeros(slots, np.int64), np.zeros(slots, np.int64)),
             mpc=mpc,
             law=law,

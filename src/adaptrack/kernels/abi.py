@@ -39,8 +39,8 @@ INLINE: dict[str, Any] = {"nogil": True, "error_model": "numpy", "forceinline": 
 and no array is counted in and out of a call."""
 
 PART: dict[str, Any] = {"nogil": True, "error_model": "numpy", "inline": "always"}
-"""Options of a part of a longer algorithm: it is put in the place of its call before anything is compiled. Each function
-that is compiled by itself is optimised together with all that it calls, so deep calls of large functions cost minutes."""
+"""Options of a part of a longer algorithm: it is put in the place of its call before anything is compiled. A function
+that is compiled by itself is optimised with all that it calls, so deep calls of large functions would cost minutes."""
 
 ROUTINE: dict[str, Any] = {"nogil": True, "error_model": "numpy", "cache": True, "_nrt": False}
 """Options of the routines that are compiled once and loaded from the cache."""
@@ -107,6 +107,13 @@ def rows(kind: Any) -> Any:
 def columns(*names: str) -> Any:
     """The places 0, 1, ... of columns (or rows) under their names: ``C = columns("x", "y")``, then ``row[C.y]``."""
     return namedtuple("Columns", names)(*range(len(names)))
+
+
+def function_tuple(*kinds: Any) -> Any:
+    """The type of a tuple of functions."""
+    with warnings.catch_warnings():  # see `_compiled`
+        warnings.simplefilter("ignore", NumbaExperimentalFeatureWarning)
+        return types.Tuple(kinds)
 
 
 def unpacker(kind: Any) -> Any:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 
-from .abi import INLINE, INLINED_ROUTINE, ROUTINE, float64, int64, int_vector, njit, record, vector
+from .abi import INLINE, ROUTINE, float64, int64, int_vector, njit, record, vector
 from .maths.elementary import clip
 
 NUMBER, NETWORK, SUGENO, NEAREST, MULTILINEAR = range(5)
@@ -140,7 +140,7 @@ def _table(integers, numbers):
     return Table(inputs, integers[1 : 1 + inputs], numbers[:count], numbers[count:])
 
 
-@njit(int64(float64, vector), **INLINED_ROUTINE)
+@njit(int64(float64, vector), **ROUTINE, forceinline=True)
 def _cell(value, nodes):
     """The last of an axis's ascending nodes, but the very last, that is not above `value`; else the first."""
     low, high = 0, max(nodes.size - 2, 0)

@@ -19,6 +19,7 @@ from .abi import (
     Structure,
     cube,
     float64,
+    function_tuple,
     int64,
     int_vector,
     matrix,
@@ -43,17 +44,7 @@ from .loop import (
     sense,
 )
 from .models.contract import DISCRETISE_FUNCTION, MEASURED
-from .plants.contract import (
-    ADVANCE_FUNCTION,
-    BLOCK,
-    OBSERVE_FUNCTION,
-    SLOTS,
-    STATE,
-    STATES,
-    place,
-    place_one,
-    state_at,
-)
+from .plants.contract import ADVANCE_FUNCTION, OBSERVE_FUNCTION, STATE, STATES, VEHICLES, place, place_one, state_at
 from .qp import problem as qp
 from .schedule import SCHEDULE, schedule
 
@@ -77,10 +68,6 @@ RESULT = Structure(
     whole=("instants", "ended", "capped", "unsolved", "held", "limited", "iterations"),
 )
 """What is measured of each run."""
-
-Vehicles = record("Vehicles", ("parameters", "block", "states", "work", "start"))
-VEHICLES = types.NamedTuple((vector, vector, matrix, matrix, matrix), Vehicles)
-"""A batch of plants: parameters, block, own states (SLOTS, n), scratch, initial states (slots, n)."""
 
 Road = record("Road", ("signals", "scenario", "seeds"))
 ROAD = types.NamedTuple((cube, int_vector, int_vector), Road)
@@ -122,7 +109,7 @@ Run = record("Run", (name for name, _ in _PARTS))
 RUN = types.NamedTuple([kind for _, kind in _PARTS], Run)
 """A batch of runs."""
 
-MEMBERS = types.Tuple((ADVANCE_FUNCTION, OBSERVE_FUNCTION, DISCRETISE_FUNCTION, ESTIMATE_FUNCTION, LAW_FUNCTION))
+MEMBERS = function_tuple(ADVANCE_FUNCTION, OBSERVE_FUNCTION, DISCRETISE_FUNCTION, ESTIMATE_FUNCTION, LAW_FUNCTION)
 """What the members of the contracts give: two functions of the plant, those of model, estimator and law. (A tuple of its
 own: numba takes no functions in a record.)"""
 
@@ -140,13 +127,6 @@ def law_batch(slots: int, parameters: Any, memory: int, diagnostics: tuple[str, 
         np.array(parameters, float), np.zeros((slots, memory)), np.zeros(len(SITUATION)), np.zeros(1 + len(diagnostics)),
         np.zeros((slots, COMMON + len(diagnostics))), held, int(preview),
     )  # fmt: skip
-
-
-def vehicle_batch(parameters: Any, start: Any) -> Any:
-    """A batch of vehicles before their first period: initial states `start` (slots, n)."""
-    first = np.ascontiguousarray(start, dtype=np.float64)
-    n = first.shape[1]
-    return Vehicles(parameters, np.zeros(BLOCK), np.zeros((SLOTS, n)), np.zeros((7, max(n, STATES))), first)
 
 
 def no_trace() -> Any:

@@ -15,9 +15,10 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
+import numpy as np
 from numba import types
 
-from ..abi import INLINE, ROUTINE, columns, float64, int64, matrix, njit, vector
+from ..abi import INLINE, ROUTINE, columns, float64, int64, matrix, njit, record, vector
 
 SLOTS = 32
 """Vehicles of a batch."""
@@ -57,6 +58,18 @@ OBSERVE = types.void(vector, vector, matrix, matrix, int64, vector)
 """``observe(parameters, block, states, work, slot, seen)``: write lateral acceleration (m/s^2) and front-wheel angle
 (rad) of a vehicle under its present input to ``seen`` (2,)."""
 ADVANCE_FUNCTION, OBSERVE_FUNCTION = types.FunctionType(ADVANCE), types.FunctionType(OBSERVE)
+
+
+Vehicles = record("Vehicles", ("parameters", "block", "states", "work", "start"))
+VEHICLES = types.NamedTuple((vector, vector, matrix, matrix, matrix), Vehicles)
+"""A batch of vehicles: parameters, block, own states (SLOTS, n), scratch, initial states (slots, n)."""
+
+
+def vehicle_batch(parameters: Any, start: Any) -> Any:
+    """A batch of vehicles before their first period: initial states `start` (slots, n)."""
+    first = np.ascontiguousarray(start, dtype=np.float64)
+    n = first.shape[1]
+    return Vehicles(parameters, np.zeros(BLOCK), np.zeros((SLOTS, n)), np.zeros((7, max(n, STATES))), first)
 
 
 class CompiledPlant(NamedTuple):
