@@ -554,6 +554,52 @@ def test_an_edited_chunk_is_computed_again(tmp_path, whole):
     assert digest(run_campaign(small(), tmp_path, resume=True, evaluate=Fake)) == whole
 
 
+fuzzed = pytest.mark.parametrize("stride", [37, pytest.param(1, marks=pytest.mark.slow)])
+
+
+@fuzzed
+def test_a_flipped_bit_anywhere_in_a_chunk_never_blocks_the_campaign(tmp_path, stride):
+    _stop_after(3, tmp_path)
+    victim = tmp_path / "chunks" / "00001.parquet"
+    content = victim.read_bytes()
+    with store.Folder.opened(tmp_path, json.loads((tmp_path / "campaign.json").read_text()), True) as folder:
+        whole = folder.read_chunk(1)
+        for place in range(0, len(content), stride):
+            changed = bytearray(content)
+            changed[place] ^= 1 << place % 8
+            victim.write_bytes(changed)
+            found = folder.read_chunk(1)
+            assert found is None or all(found[name].tobytes() == whole[name].tobytes() for name in whole), place
+
+
+@fuzzed
+def test_a_flipped_bit_anywhere_in_a_data_set_gives_the_same_content_or_a_storage_error(tmp_path, stride):
+    file = run_campaign(small(), tmp_path, evaluate=Fake)
+    before, content = load_dataset(file), file.read_bytes()
+    for place in range(0, len(content), stride):
+        changed = bytearray(content)
+        changed[place] ^= 1 << place % 8
+        file.write_bytes(changed)
+        try:
+            after = load_dataset(file)
+        except StorageError:
+            continue
+        assert after.provenance == before.provenance
+        columns = after.columns()
+        assert all(columns[name].tobytes() == values.tobytes() for name, values in before.columns().items())
+
+
+@pytest.mark.parametrize("name", ["chunks/00001.parquet", "dataset.parquet"])
+def test_a_damaged_file_behind_a_link_is_made_again_and_what_it_points_to_is_left_alone(tmp_path, whole, name):
+    folder, foreign = tmp_path / "campaign", tmp_path / "thesis.tex"
+    foreign.write_text("years of work")
+    _stop_after(4, folder)
+    (folder / name).unlink(missing_ok=True)
+    (folder / name).symlink_to(foreign)
+    assert digest(run_campaign(small(), folder, resume=True, evaluate=Fake)) == whole
+    assert foreign.read_text() == "years of work"
+
+
 # -- folders that cannot be used --------------------------------------------------------------------------------------
 def test_the_chunk_of_another_campaign_is_refused(tmp_path):
     _stop_after(3, tmp_path / "a")
@@ -618,6 +664,51 @@ def test_a_damaged_manifest_is_refused(tmp_path):
     (tmp_path / "campaign.json").write_text('{"identity": ')
     with pytest.raises(StorageError, match=r"campaign\.json: not a campaign's, or damaged"):
         run_campaign(small(), tmp_path, resume=True, evaluate=Fake)
+
+
+@pytest.mark.parametrize(
+    ("changes", "complaint"),
+    [
+        *[({key: None}, f"'{key}' is missing") for key in store._MANIFEST],
+        ({"chunk": 0}, "'chunk' is 0"),
+        ({"chunk": -6, "chunks": -6}, "'chunks' is -6"),
+        ({"chunks": "6"}, "'chunks' is \"6\""),
+        ({"chunks": True}, "'chunks' is true"),
+        ({"chunks": 6.0}, r"'chunks' is 6\.0"),
+        ({"chunks": 5}, "its chunks do not add up"),
+        ({"versions": []}, r"'versions' is \[\]"),
+        ({"settings": "none"}, "'settings' is \"none\""),
+        ({"identity": 7}, "'identity' is 7"),
+        ({"identity": "x" * 64}, "belongs to another campaign"),
+        ({"computed": 35}, "belongs to another campaign"),
+    ],
+)
+def test_an_edited_manifest_is_refused_with_the_entry(tmp_path, changes, complaint):
+    _stop_after(3, tmp_path)
+    manifest = json.loads((tmp_path / "campaign.json").read_text()) | changes
+    manifest = {key: value for key, value in manifest.items() if value is not None}
+    (tmp_path / "campaign.json").write_text(json.dumps(manifest))
+    with pytest.raises(StorageError, match=complaint):
+        run_campaign(small(), tmp_path, resume=True, evaluate=Fake)
+    with pytest.raises(StorageError):
+        load_dataset(tmp_path)
+
+
+@pytest.mark.parametrize(
+    "text", ["[]", "null", "[" * 20_000, '{"chunk": ' + "7" * 5_000 + "}", '{"name": "\\ud800"}', "\xff"]
+)
+def test_a_manifest_that_is_no_table_is_refused(tmp_path, text):
+    (tmp_path / "campaign.json").write_bytes(text.encode("latin-1"))
+    with pytest.raises(StorageError, match=r"campaign\.json: not a campaign's, or damaged"):
+        run_campaign(small(), tmp_path, resume=True, evaluate=Fake)
+
+
+def test_chunks_of_another_size_are_computed_again(tmp_path, whole):
+    # The size of a chunk was edited, everything else fits: what was finished has other rows.
+    _stop_after(7, tmp_path)
+    manifest = json.loads((tmp_path / "campaign.json").read_text())
+    (tmp_path / "campaign.json").write_text(json.dumps(manifest | {"chunk": 9, "chunks": 4}))
+    assert digest(run_campaign(small(), tmp_path, resume=True, evaluate=Fake)) == whole
 
 
 def test_a_folder_that_cannot_be_made_or_written_is_refused(tmp_path):
