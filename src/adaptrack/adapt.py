@@ -47,8 +47,8 @@ from adaptrack.schedule import Constant, Guarded, Schedule, StabilityMap, Table,
 from adaptrack.stability import loop_map
 from adaptrack.tuning.campaign import Progress as CampaignProgress
 from adaptrack.tuning.campaign import run_campaign
-from adaptrack.tuning.conditions import NAMES, sobol
 from adaptrack.tuning.config import Box, CampaignConfig, Pair, Plan, Sobol, load_campaign
+from adaptrack.tuning.operating_points import NAMES, sobol
 
 Array = NDArray[np.float64]
 Progress = Callable[[str, int, int], None]
@@ -203,7 +203,7 @@ class Workshop:
             of the usual length and price, which are what is learned from and judged by.
         """
         campaign = load_campaign(config.campaign)
-        if not isinstance(campaign.conditions, Sobol):
+        if not isinstance(campaign.operating_points, Sobol):
             raise InvalidInput(f"campaign {campaign.name!r}: its conditions must be a Sobol sample of a box.")
         usual = campaign.replace(scenario="lane-change", duration=None, move_price=None).settled()
         for key in ("scenario", "duration", "move_price"):
@@ -221,7 +221,7 @@ class Workshop:
     @property
     def box(self) -> dict[str, tuple[float, float]]:
         """The operating domain."""
-        conditions = self.campaign.conditions
+        conditions = self.campaign.operating_points
         assert isinstance(conditions, Sobol)
         box: Box = conditions.box
         return {"speed": box.speed, "y_ref": box.y_ref, "friction": box.friction, "wind": box.wind}
@@ -240,7 +240,7 @@ class Workshop:
         InvalidInput
             When the seed makes them conditions that something was tuned on or learned from.
         """
-        conditions = self.campaign.conditions
+        conditions = self.campaign.operating_points
         assert isinstance(conditions, Sobol)
         if FIRST_EVALUATION_SEED + seed in (conditions.seed, *(first + self.config.seed for first in _SEEDS)):
             raise InvalidInput(f"seed = {seed}: these conditions were learned from: choose another.")

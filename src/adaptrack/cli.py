@@ -559,9 +559,10 @@ def describe_dataset(
 ) -> None:
     """Tell what is in a data set: ranges, optimum, how much the conditions explain, how flat the optimum is."""
     from adaptrack.dataset import describe, load_dataset
+    from adaptrack.learning.boosting import explained_shares
 
     dataset = load_dataset(name)
-    told = describe(dataset)
+    told = describe(dataset, explained_shares(dataset))
     if out is not None:
         from adaptrack.report import write_dataset_report
 
