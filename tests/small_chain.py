@@ -26,7 +26,7 @@ CAMPAIGN: dict[str, Any] = {
     "scenario": "lane-change",
     "noise_seeds": [1],
     "seed": 2,
-    "conditions": {
+    "operating_points": {
         "kind": "sobol",
         "n": 24,
         "seed": 2,

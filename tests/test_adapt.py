@@ -11,10 +11,10 @@ import pytest
 from scipy.interpolate import RegularGridInterpolator
 
 from adaptrack.closed_loop import BOUNDS
+from adaptrack.controllers import Tuning
 from adaptrack.errors import ConfigError, InvalidInput, StorageError, UnknownName
 from adaptrack.evaluate.ladder import CHOICE_SEEDS, EVALUATION_SEEDS, SEARCH_SEEDS
 from adaptrack.metrics import PUBLISHED
-from adaptrack.controllers import Tuning
 from adaptrack.scheduling import ENTRIES, Constant, Lookup, SchedulingVariables, check_scheduler, load_scheduler
 from adaptrack.tuning.config import load_campaign
 from adaptrack.vehicle import GRAVITY
@@ -80,9 +80,9 @@ def test_the_configuration_that_ships_is_the_road_one():
     config = adapting.load_adaptation("road")
     campaign = load_campaign(config.campaign)
     assert (config.name, campaign.name, campaign.profile) == ("road", "road-sobol", "road")
-    assert set(campaign.conditions.box.model_dump()) >= {"speed", "friction"}
+    assert set(campaign.operating_points.box.model_dump()) >= {"speed", "friction"}
     assert adapting.list_adaptations()["road"] == config.description != ""
-    assert adapting.Workshop.of(config).box["speed"] == campaign.conditions.box.speed
+    assert adapting.Workshop.of(config).box["speed"] == campaign.operating_points.box.speed
 
 
 @pytest.mark.parametrize(
@@ -240,7 +240,7 @@ def recorded(shop, monkeypatch, evaluation_seed):
         use()
         parts[part], found = found, SimpleNamespace(rows=set(), drives=set(), noise=set())
     parts["campaign"] = SimpleNamespace(
-        rows=set(map(tuple, shop.plan.conditions.tolist())), drives=set(), noise=set(shop.plan.config.noise_seeds)
+        rows=set(map(tuple, shop.plan.operating_points.tolist())), drives=set(), noise=set(shop.plan.config.noise_seeds)
     )
     return parts
 

@@ -11,8 +11,8 @@ import pytest
 
 from adaptrack import cli
 from adaptrack.certify import certify
-from adaptrack.errors import AdaptrackError
 from adaptrack.controllers import Tuning
+from adaptrack.errors import AdaptrackError
 from adaptrack.scheduling import Constant, list_schedulers
 from small_chain import RUNGS, adapting, learned, write
 

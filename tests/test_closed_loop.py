@@ -8,6 +8,7 @@ import os
 
 import numpy as np
 import pytest
+from adaptrack.kernels.dynamics import STATES
 
 from adaptrack.closed_loop import (
     BOUNDS,
@@ -21,13 +22,12 @@ from adaptrack.closed_loop import (
     geometric_mean,
     improve,
 )
+from adaptrack.controllers import MPC, Tuning
 from adaptrack.errors import InvalidInput
 from adaptrack.estimation import Estimating, FrictionWindEstimator, Perception
 from adaptrack.evaluate.ladder import CHOICE_SEEDS, EVALUATION_SEEDS, SEARCH_SEEDS
 from adaptrack.kernels import loop
-from adaptrack.kernels.dynamics import STATES
 from adaptrack.learning.landscape import OUTPUTS, SHIFT, FuzzySurface, Level, NetworkSurface
-from adaptrack.controllers import MPC, Tuning
 from adaptrack.plant import DualTrack, SingleTrack
 from adaptrack.profile import load_profile
 from adaptrack.scenario import load_scenario, random_drive

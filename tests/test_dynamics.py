@@ -5,10 +5,10 @@ import math
 
 import numpy as np
 import pytest
-
-from adaptrack.kernels.abi import PLANT_PARAMETERS
 from adaptrack.kernels.dynamics import DUAL_TRACK, INPUTS, SINGLE_TRACK, STATES, derivative, unpack
 from adaptrack.kernels.integrate import BLOCK, LANES, integrate
+
+from adaptrack.kernels.abi import PLANT_PARAMETERS
 from adaptrack.plant import DualTrack, SingleTrack
 from adaptrack.profile import load_profile
 from adaptrack.vehicle import GRAVITY, SteeringActuator, Tyre, load_tyre, load_vehicle

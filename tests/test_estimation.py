@@ -6,12 +6,12 @@ import math
 
 import numpy as np
 import pytest
+from adaptrack.kernels.dynamics import unpack
 
+from adaptrack.controllers import MPC, Command, Tuning
 from adaptrack.errors import InvalidInput
 from adaptrack.estimation import Belief, Estimating, FrictionWindEstimator
 from adaptrack.kernels import estimation as kernel
-from adaptrack.kernels.dynamics import unpack
-from adaptrack.controllers import MPC, Command, Tuning
 from adaptrack.plant import DualTrack, SingleTrack
 from adaptrack.profile import load_profile
 from adaptrack.qp import QPStatus

@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
-
 from adaptrack.kernels.dynamics import CUSTOM, DUAL_TRACK, INPUTS, STATES, compile_plant
 from adaptrack.kernels.integrate import BLOCK, LANE_STEP, LANES, integrate, integrate_custom
 from adaptrack.kernels.tyre import CURVED_MAGIC_FORMULA, LINEAR, MAGIC_FORMULA
+
 from adaptrack.plant import DualTrack, SingleTrack, UserPlant
 from adaptrack.profile import load_profile
 from adaptrack.vehicle import SteeringActuator, load_tyre, load_vehicle

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from adaptrack.closed_loop import LOST_COST, Course
+from adaptrack.controllers import MPC, Tuning
 from adaptrack.errors import InvalidInput
 from adaptrack.evaluate.ladder import (
     CHOICE_SEEDS,
@@ -25,7 +26,6 @@ from adaptrack.evaluate.ladder import (
 )
 from adaptrack.evaluate.road import condition_course, objective
 from adaptrack.kernels import guard
-from adaptrack.controllers import MPC, Tuning
 from adaptrack.plant import SingleTrack
 from adaptrack.profile import load_profile
 from adaptrack.scenario import load_scenario

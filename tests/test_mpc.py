@@ -6,9 +6,9 @@ import math
 import numpy as np
 import pytest
 
+from adaptrack.controllers import MPC, Limits, Moves, Scheduler, Tuning
 from adaptrack.errors import InvalidInput, MissingExtra, UnknownName
 from adaptrack.kernels import loop
-from adaptrack.controllers import MPC, Limits, Moves, Scheduler, Tuning
 from adaptrack.models import PredictionModel, limit_bounds, limit_matrix
 from adaptrack.qp import QPStatus, get_qp_solver, list_qp_solvers
 from adaptrack.scheduling import SchedulingVariables

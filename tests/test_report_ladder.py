@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from adaptrack.closed_loop import LOST_COST
-from adaptrack.evaluate.ladder import Ladder
 from adaptrack.controllers import Tuning
+from adaptrack.evaluate.ladder import Ladder
 from adaptrack.report import ladder as page
 from adaptrack.report import style
 from adaptrack.report.ladder import best, importance, knowledge, losses, on_tests, ratio, standing, write_ladder

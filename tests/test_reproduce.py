@@ -69,7 +69,7 @@ def test_a_constant_that_loses_the_car_comes_after_one_that_does_not():
 def test_the_look_up_table_holds_the_tuning_of_every_condition():
     data = small()
     table = lookup(data)
-    assert table.batch(data.conditions) == pytest.approx(data.tunings)
+    assert table.batch(data.operating_points) == pytest.approx(data.tunings)
     check_scheduler(table)
 
 
@@ -87,7 +87,7 @@ def test_a_look_up_table_needs_a_full_grid():
 def test_a_learned_schedule_is_admitted_and_stays_within_the_bounds_of_the_search(trained, which):
     schedule = scheduler(trained[which], small())
     check_scheduler(schedule)
-    wild = small().conditions * [3.0, 9.0, 1.0, 5.0]
+    wild = small().operating_points * [3.0, 9.0, 1.0, 5.0]
     tunings = schedule.batch(wild)
     low, high = np.array([SEARCH[name] for name in ("Np", "Nc", "Q", "R")], dtype=float).T
     if which[1] == "ratio":  # R is then R/Q

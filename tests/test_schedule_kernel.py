@@ -9,9 +9,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.interpolate import RegularGridInterpolator
 
+from adaptrack.controllers import Tuning
 from adaptrack.kernels import functions, guard
 from adaptrack.kernels import schedule as kernel
-from adaptrack.controllers import Tuning
 from adaptrack.scheduling import (
     ENTRIES,
     VARIABLES,

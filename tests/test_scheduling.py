@@ -12,10 +12,10 @@ import re
 import numpy as np
 import pytest
 
+from adaptrack.controllers import MPC, CompiledScheduler, Moves, Scheduler, Tuning
 from adaptrack.errors import ContractError, InvalidInput, StorageError, UnknownName
 from adaptrack.kernels import guard
 from adaptrack.kernels import schedule as kernel
-from adaptrack.controllers import MPC, CompiledScheduler, Moves, Scheduler, Tuning
 from adaptrack.plant import DualTrack, SingleTrack
 from adaptrack.qp import QPStatus
 from adaptrack.scenario import Scenario, load_scenario

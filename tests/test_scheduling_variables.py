@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from adaptrack.certify import OPERATING
-from adaptrack.errors import InvalidInput
 from adaptrack.controllers import Tuning
+from adaptrack.errors import InvalidInput
 from adaptrack.report.words import INPUTS
 from adaptrack.scheduling import VARIABLES, SchedulingVariables, read_tuning, reference_preview
 from adaptrack.scheduling.variables import complete

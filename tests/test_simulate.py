@@ -6,10 +6,10 @@ import math
 import numpy as np
 import pytest
 
+from adaptrack.controllers import MPC, Limits, Moves, Tuning
 from adaptrack.errors import ContractError, InvalidInput, UnknownName
 from adaptrack.kernels import loop
 from adaptrack.kernels.loop import counted_normal
-from adaptrack.controllers import MPC, Limits, Moves, Tuning
 from adaptrack.plant import DualTrack, SingleTrack, UserPlant
 from adaptrack.profile import Profile, load_profile
 from adaptrack.qp import QPStatus

@@ -68,6 +68,7 @@ _PUBLIC = {
 
 if TYPE_CHECKING:
     from adaptrack.adapt import adapt, load_adaptation
+    from adaptrack.controllers import MPC, Limits, Moves, Tuning
     from adaptrack.dataset import DataSet, list_datasets, load_dataset
     from adaptrack.errors import (
         AdaptrackError,
@@ -81,9 +82,8 @@ if TYPE_CHECKING:
     from adaptrack.estimation import Estimating, FrictionWindEstimator
     from adaptrack.learning.training import train
     from adaptrack.metrics import Metrics, compute_metrics
-    from adaptrack.controllers import MPC, Limits, Moves, Tuning
-    from adaptrack.plant import DualTrack, Plant, SingleTrack, UserPlant, check_plant
     from adaptrack.models import PredictionModel
+    from adaptrack.plant import DualTrack, Plant, SingleTrack, UserPlant, check_plant
     from adaptrack.profile import Profile, list_profiles, load_profile
     from adaptrack.qp import QP, Solution, check_qp_solver, get_qp_solver, list_qp_solvers, register_qp_solver
     from adaptrack.scenario import Scenario, list_scenarios, load_scenario, random_drive

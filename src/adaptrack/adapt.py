@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from pydantic import BeforeValidator, Field, model_validator
 
 from adaptrack.closed_loop import LOST_COST, Course, Policy, improve
+from adaptrack.controllers import MPC, Tuning
 from adaptrack.dataset import DataSet, load_dataset
 from adaptrack.errors import InvalidInput, UnknownName, did_you_mean
 from adaptrack.evaluate.ladder import EVALUATION_SEEDS, Ladder, best_constant, climb, optimum, per_run_best
@@ -41,7 +42,6 @@ from adaptrack.files import Record, build, read_toml, safe_name
 from adaptrack.learning.landscape import FuzzySurface, NetworkSurface, Surface
 from adaptrack.learning.training import train
 from adaptrack.metrics import PUBLISHED
-from adaptrack.controllers import MPC, Tuning
 from adaptrack.plant import DualTrack, SingleTrack
 from adaptrack.scheduling import (
     Constant,
@@ -56,8 +56,8 @@ from adaptrack.scheduling import (
 from adaptrack.stability import loop_map
 from adaptrack.tuning.campaign import Progress as CampaignProgress
 from adaptrack.tuning.campaign import run_campaign
-from adaptrack.tuning.conditions import NAMES, sobol
 from adaptrack.tuning.config import Box, CampaignConfig, Pair, Plan, Sobol, load_campaign
+from adaptrack.tuning.operating_points import NAMES, sobol
 
 Array = NDArray[np.float64]
 Progress = Callable[[str, int, int], None]
@@ -214,7 +214,7 @@ class Workshop:
             of the usual length and price, which are what is learned from and judged by.
         """
         campaign = load_campaign(config.campaign)
-        if not isinstance(campaign.conditions, Sobol):
+        if not isinstance(campaign.operating_points, Sobol):
             raise InvalidInput(f"campaign {campaign.name!r}: its conditions must be a Sobol sample of a box.")
         usual = campaign.replace(scenario="lane-change", duration=None, move_price=None).settled()
         for key in ("scenario", "duration", "move_price"):
@@ -232,7 +232,7 @@ class Workshop:
     @property
     def box(self) -> dict[str, tuple[float, float]]:
         """The operating domain."""
-        conditions = self.campaign.conditions
+        conditions = self.campaign.operating_points
         assert isinstance(conditions, Sobol)
         box: Box = conditions.box
         return {"speed": box.speed, "y_ref": box.y_ref, "friction": box.friction, "wind": box.wind}
@@ -251,7 +251,7 @@ class Workshop:
         InvalidInput
             When the seed makes them conditions that something was tuned on or learned from.
         """
-        conditions = self.campaign.conditions
+        conditions = self.campaign.operating_points
         assert isinstance(conditions, Sobol)
         if FIRST_EVALUATION_SEED + seed in (conditions.seed, *(first + self.config.seed for first in _SEEDS)):
             raise InvalidInput(f"seed = {seed}: these conditions were learned from: choose another.")

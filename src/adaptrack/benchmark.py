@@ -19,8 +19,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adaptrack.controllers import MPC, Command, Tuning
-from adaptrack.plant import DualTrack, Plant
 from adaptrack.models import limit_bounds, limit_matrix
+from adaptrack.plant import DualTrack, Plant
 from adaptrack.qp import QPStatus
 from adaptrack.scenario import Constant, Scenario, Sine, load_scenario
 from adaptrack.scheduling import ENTRIES, VARIABLES, Learned, Network, Schedule, SchedulingVariables, Sugeno
@@ -272,9 +272,9 @@ def bench_campaign(conditions: int = 48, threads: int | None = None) -> dict[str
     over that of `PlainController` on runs of the same conditions; `ratio_to_scalar`: over one run at a time on one
     thread, the same kernels with a single lane.
     """
-    from adaptrack.tuning.conditions import paper_grid
     from adaptrack.tuning.config import load_campaign
     from adaptrack.tuning.objective import Objective
+    from adaptrack.tuning.operating_points import paper_grid
 
     threads = threads or os.cpu_count() or 1
     car = load_vehicle("paper")

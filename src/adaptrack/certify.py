@@ -14,8 +14,8 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from adaptrack.errors import ContractError, InvalidInput, real
 from adaptrack.controllers.mpc import MPC, Scheduler
+from adaptrack.errors import ContractError, InvalidInput, real
 from adaptrack.plant import Plant
 from adaptrack.profile import Profile, load_profile
 from adaptrack.scheduling import ENTRIES, VARIABLES, Schedule, SchedulingVariables, read_tuning

@@ -147,8 +147,8 @@ def simulate(
     as_json: Annotated[bool, Option("--json", help="One JSON object on standard output, nothing else.")] = False,
 ) -> None:
     """Drive scenarios with the MPC; print the metrics, write the report."""
-    from adaptrack.metrics import compute_metrics
     from adaptrack.controllers import MPC, Moves, Tuning
+    from adaptrack.metrics import compute_metrics
     from adaptrack.plant import DualTrack, SingleTrack
     from adaptrack.profile import load_profile
     from adaptrack.scenario import load_scenario
@@ -554,9 +554,10 @@ def describe_dataset(
 ) -> None:
     """Tell what is in a data set: ranges, optimum, how much the conditions explain, how flat the optimum is."""
     from adaptrack.dataset import describe, load_dataset
+    from adaptrack.learning.boosting import explained_shares
 
     dataset = load_dataset(name)
-    told = describe(dataset)
+    told = describe(dataset, explained_shares(dataset))
     if out is not None:
         from adaptrack.report import write_dataset_report
 

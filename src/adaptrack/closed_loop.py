@@ -17,10 +17,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from adaptrack.controllers import MPC, Tuning
 from adaptrack.errors import InvalidInput, whole
 from adaptrack.estimation import FrictionWindEstimator, Perception
 from adaptrack.learning.landscape import OUTPUTS, SHIFT, Surface, check_inputs, preferred_moves
-from adaptrack.controllers import MPC, Tuning
 from adaptrack.plant import Plant
 from adaptrack.profile import load_profile
 from adaptrack.scenario import Scenario

@@ -19,7 +19,6 @@ from adaptrack.errors import InvalidInput
 from adaptrack.failure import SLOW, Failure, find_failure, state_is_finite
 from adaptrack.trajectory import Trajectory
 
-
 AT_CHANGE_LIMIT, AT_ANGLE_LIMIT, AT_OUTPUT_LIMIT = 1, 2, 4
 """The bits of the diagnostic ``at_limit``: Δu (13), u (14) and y (15)."""
 

@@ -17,10 +17,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from adaptrack.errors import InvalidInput, real
 from adaptrack.controllers import MPC, Tuning
-from adaptrack.plant import Plant
+from adaptrack.errors import InvalidInput, real
 from adaptrack.models import laguerre_basis
+from adaptrack.plant import Plant
 from adaptrack.profile import Profile, load_profile
 from adaptrack.vehicle import GRAVITY
 

@@ -20,18 +20,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from adaptrack.controllers import MPC, Moves, Tuning
 from adaptrack.dataset import DataSet, load_dataset
 from adaptrack.errors import InvalidInput
 from adaptrack.learning.mlp import MLP
 from adaptrack.learning.training import Trained, train
 from adaptrack.metrics import PUBLISHED, compute_metrics, published_mse
-from adaptrack.controllers import MPC, Moves, Tuning
 from adaptrack.plant import DualTrack, Plant, SingleTrack
 from adaptrack.scenario import Scenario, load_scenario
 from adaptrack.scheduling import ENTRIES, Learned, Lookup, Schedule, SchedulingVariables
 from adaptrack.simulate import rollout, rollout_batch, simulate
 from adaptrack.trajectory import Trajectory
-from adaptrack.tuning.conditions import NAMES
+from adaptrack.tuning.operating_points import NAMES
 from adaptrack.vehicle import load_vehicle
 
 Array = NDArray[np.float64]
@@ -232,7 +232,7 @@ def lookup(dataset: DataSet) -> Schedule:
     InvalidInput
         When they do not.
     """
-    nodes, places = zip(*(np.unique(column, return_inverse=True) for column in dataset.conditions.T), strict=True)
+    nodes, places = zip(*(np.unique(column, return_inverse=True) for column in dataset.operating_points.T), strict=True)
     sizes = tuple(map(len, nodes))
     if not len(dataset) == math.prod(sizes) == np.unique(np.ravel_multi_index(places, sizes)).size:
         raise InvalidInput(

@@ -4,6 +4,7 @@
   of a schedule (`scheduling.functions.network`, `sugeno`).
 * `holding` chooses the rows that are held out while one learns.
 * `partition` divides an input space into fuzzy rules, by clusters or by a grid.
+* `boosting` says how much can be learned from a data set at all.
 * `fis` reads and writes the text files of MATLAB's Fuzzy Logic Toolbox.
 * `training` makes models of the tuning from a data set of tuned conditions, and says how good they are.
 

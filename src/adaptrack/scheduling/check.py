@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from adaptrack.errors import ContractError
 from adaptrack.controllers.tuning import ENTRIES, read_tuning
+from adaptrack.errors import ContractError
 from adaptrack.scheduling.schedule import HORIZONS, Schedule
 from adaptrack.scheduling.variables import VARIABLES, SchedulingVariables
 

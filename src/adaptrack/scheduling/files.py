@@ -11,12 +11,12 @@ from typing import Any
 
 import numpy as np
 
-from adaptrack.errors import InvalidInput, StorageError, UnknownName, did_you_mean
 from adaptrack.controllers import MPC, Tuning
+from adaptrack.errors import InvalidInput, StorageError, UnknownName, did_you_mean
+from adaptrack.files import write_atomically
 from adaptrack.scheduling.functions import Table, load_function, save_function
 from adaptrack.scheduling.guard import Guard, StabilityMap
 from adaptrack.scheduling.schedule import Entry, Schedule
-from adaptrack.files import write_atomically
 
 FORMAT, VERSION = "adaptrack-scheduler", 2
 _DATA = Path(__file__).parents[1] / "data" / "schedulers"

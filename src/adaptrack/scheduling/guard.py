@@ -6,8 +6,8 @@ import math
 from dataclasses import dataclass, replace
 from typing import Any
 
-from adaptrack.errors import InvalidInput, real, whole
 from adaptrack.controllers import Tuning
+from adaptrack.errors import InvalidInput, real, whole
 from adaptrack.scheduling.functions import Table
 from adaptrack.scheduling.schedule import Pool, Schedule
 from adaptrack.vehicle import GRAVITY

@@ -17,9 +17,9 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from adaptrack.errors import InvalidInput, did_you_mean, real
 from adaptrack.controllers import Tuning
 from adaptrack.controllers.tuning import ENTRIES
+from adaptrack.errors import InvalidInput, did_you_mean, real
 from adaptrack.scheduling.functions import Function, Number, Table
 from adaptrack.scheduling.variables import VARIABLES, SchedulingVariables, complete
 

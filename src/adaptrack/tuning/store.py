@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from adaptrack.errors import ConfigError, StorageError
 from adaptrack.files import Column as Stored
 from adaptrack.files import Damaged, decode_parquet, encode_parquet, read_bytes, read_json, write_atomically, write_json
-from adaptrack.tuning import conditions
+from adaptrack.tuning import operating_points
 
 Columns = dict[str, NDArray[Any]]
 
@@ -33,7 +33,7 @@ CHUNK = "adaptrack campaign chunk"
 
 
 class Column(NamedTuple):
-    """One column of a table of tuned conditions."""
+    """One column of a table of tuned operating points."""
 
     name: str
     unit: str
@@ -44,8 +44,8 @@ class Column(NamedTuple):
 
 
 COLUMNS = (
-    Column("stream", "-", "int64", "number of the condition; its random numbers depend on seed and stream only"),
-    *(Column(each.name, each.unit, "float64", each.meaning) for each in conditions.COLUMNS),
+    Column("stream", "-", "int64", "number of the operating point; its random numbers depend on seed and stream only"),
+    *(Column(each.name, each.unit, "float64", each.meaning) for each in operating_points.COLUMNS),
     Column("Np", "-", "int64", "prediction horizon of the best tuning found, control periods"),
     Column("Nc", "-", "int64", "control horizon of the best tuning found, control periods"),
     Column("Q", "1/m^2", "float64", "weight of the tracking error of the best tuning found"),
@@ -106,11 +106,11 @@ class Folder:
     path: Path
     identity: str
     size: int
-    """conditions per chunk"""
+    """operating points per chunk"""
     chunks: int
     """how many there are in all"""
     computed: int
-    """conditions in all chunks"""
+    """operating points in all chunks"""
 
     @property
     def dataset(self) -> Path:
@@ -130,8 +130,8 @@ class Folder:
     def opened(cls, path: str | os.PathLike[str], manifest: Mapping[str, Any], resume: bool) -> Iterator[Self]:
         """Take possession of a folder: a new or an empty one, or (`resume`) one of the same campaign.
 
-        manifest: identity, versions, settings, chunk (conditions per chunk), chunks. A campaign under way keeps its own
-        chunk size.
+        manifest: identity, versions, settings, chunk (operating points per chunk), chunks. A campaign under way keeps
+        its own chunk size.
 
         Raises
         ------
@@ -205,7 +205,7 @@ class Folder:
             raise StorageError(f"{self.chunk(number)}: is chunk {about.get('chunk')} under another name: remove it.")
         rows = min(self.size, self.computed - number * self.size)
         if len(columns["stream"]) != rows:  # its size was changed in campaign.json
-            self.note(damaged=f"{self.chunk(number)}: {len(columns['stream'])} conditions, not {rows}.")
+            self.note(damaged=f"{self.chunk(number)}: {len(columns['stream'])} operating points, not {rows}.")
             return None
         return columns
 
@@ -312,7 +312,7 @@ def _compare(path: Path, ours: Mapping[str, Any], theirs: Mapping[str, Any]) -> 
             "choose another folder, or go on with that software."
         )
     if theirs["identity"] != ours["identity"] or theirs["computed"] != ours["computed"]:
-        what = _differences(ours["settings"], theirs["settings"]) or ["its conditions or its library differ"]
+        what = _differences(ours["settings"], theirs["settings"]) or ["its operating points or its library differ"]
         more = f"; and {len(what) - 5} more" if len(what) > 5 else ""
         raise StorageError(f"{path}: belongs to another campaign ({'; '.join(what[:5])}{more}): choose another folder.")
 

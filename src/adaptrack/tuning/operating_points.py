@@ -1,7 +1,7 @@
-"""Driving conditions as rows (speed, y_ref, friction, wind): grids, Sobol samples, left-right twins.
+"""Operating points as rows (speed, y_ref, friction, wind): grids, Sobol samples, left-right twins.
 
-A condition is what the paper's section III varies and what a schedule may look at. Here it is a row of an array of
-shape (n, 4), float64, its columns named and explained by `COLUMNS`; the number of a row is the condition's number.
+An operating point is what the paper's section III varies: the conditions of one run. Here it is a row of an array of
+shape (n, 4), float64, its columns named and explained by `COLUMNS`; the number of a row is the point's number.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ Whole = NDArray[np.int64]
 
 
 class Column(NamedTuple):
-    """One of the four numbers of a condition."""
+    """One of the four numbers of an operating point."""
 
     name: str
     unit: str
@@ -37,7 +37,7 @@ COLUMNS = (
     Column("friction", "-", 0.05, 2.0, "friction of road and tyre"),
     Column("wind", "m/s", -100.0, 100.0, "side wind: velocity of the air along +Y"),
 )
-"""The columns of every array of conditions."""
+"""The columns of every array of operating points."""
 
 NAMES = tuple(column.name for column in COLUMNS)
 
@@ -47,14 +47,14 @@ PAPER_GRID: dict[str, tuple[float, ...]] = {
     "friction": (0.5, 0.6, 0.7, 0.8, 0.9),
     "wind": tuple(float(v) for v in range(-30, 31, 6)),
 }
-"""Levels of the authors' published data: 9 x 13 x 5 x 11 = 6,435 conditions."""
+"""Levels of the authors' published data: 9 x 13 x 5 x 11 = 6,435 operating points."""
 
 MOST = 10_000_000
-"""Conditions that one array may hold: more is a mistake in the configuration."""
+"""Operating points that one array may hold: more is a mistake in the configuration."""
 
 
-def check_conditions(conditions: ArrayLike) -> Array:
-    """`conditions` as an array of shape (n, 4), columns as in `COLUMNS`.
+def check_operating_points(points: ArrayLike) -> Array:
+    """`points` as an array of shape (n, 4), columns as in `COLUMNS`.
 
     Raises
     ------
@@ -62,20 +62,22 @@ def check_conditions(conditions: ArrayLike) -> Array:
         For another shape, no row at all, or a value that is not finite or makes no sense; the message names it.
     """
     try:
-        rows = np.array(conditions, dtype=np.float64)
+        rows = np.array(points, dtype=np.float64)
     except (TypeError, ValueError):
-        raise InvalidInput(f"conditions: need numbers, rows of {', '.join(NAMES)}.") from None
+        raise InvalidInput(f"operating points: need numbers, rows of {', '.join(NAMES)}.") from None
     if rows.ndim != 2 or rows.shape[1] != len(COLUMNS) or not len(rows):
-        raise InvalidInput(f"conditions: need rows of {', '.join(NAMES)}, at least one; got the shape {rows.shape}.")
+        raise InvalidInput(
+            f"operating points: need rows of {', '.join(NAMES)}, at least one; got the shape {rows.shape}."
+        )
     for column, values in zip(COLUMNS, rows.T, strict=True):
         wrong = ~((values >= column.low) & (values <= column.high))  # NaN is wrong, too
         if wrong.any():
             first = int(np.flatnonzero(wrong)[0])
             raise InvalidInput(
-                f"conditions: {column.name} = {values[first]:g} in row {first}: must be in "
+                f"operating points: {column.name} = {values[first]:g} in row {first}: must be in "
                 f"[{column.low:g}, {column.high:g}]{_unit(column)} ({column.meaning})."
             )
-    return rows + 0.0  # no negative zeros: equal conditions are equal bit for bit
+    return rows + 0.0  # no negative zeros: equal points are equal bit for bit
 
 
 def grid(*, speed: Sequence[float], y_ref: Sequence[float], friction: Sequence[float], wind: Sequence[float]) -> Array:
@@ -100,18 +102,18 @@ def grid(*, speed: Sequence[float], y_ref: Sequence[float], friction: Sequence[f
         if np.unique(levels[name]).size < levels[name].size:
             raise InvalidInput(f"grid: {name}: a level is given twice.")
     if math.prod(axis.size for axis in levels.values()) > MOST:
-        raise InvalidInput(f"grid: more than {MOST:,} conditions; use fewer levels.")
+        raise InvalidInput(f"grid: more than {MOST:,} operating points; use fewer levels.")
     mesh = dict(zip(levels, np.meshgrid(*levels.values(), indexing="ij"), strict=True))
-    return check_conditions(np.column_stack([mesh[name].ravel() for name in NAMES]))
+    return check_operating_points(np.column_stack([mesh[name].ravel() for name in NAMES]))
 
 
 def paper_grid() -> Array:
-    """The 6,435 conditions of the authors' published data, (6435, 4), see `PAPER_GRID`."""
+    """The 6,435 operating points of the authors' published data, (6435, 4), see `PAPER_GRID`."""
     return grid(**PAPER_GRID)
 
 
 def check_box(box: Mapping[str, Sequence[float]]) -> Array:
-    """A box of conditions as an array (4, 2) of lowest and highest value, rows as in `COLUMNS`.
+    """A box of operating points as an array (4, 2) of lowest and highest value, rows as in `COLUMNS`.
 
     Raises
     ------
@@ -154,9 +156,9 @@ def sobol(n: int, box: Mapping[str, Sequence[float]], seed: int = 0) -> Array:
         For no points, an empty box, or one that makes no sense.
     """
     if isinstance(n, bool) or not isinstance(n, int | np.integer) or not 1 <= n <= MOST:
-        raise InvalidInput(f"sobol: n = {n!r}: must be a whole number of conditions, 1 to {MOST:,}.")
+        raise InvalidInput(f"sobol: n = {n!r}: must be a whole number of operating points, 1 to {MOST:,}.")
     bounds = check_box(box)
-    return check_conditions(bounds[:, 0] + unit_sobol(int(n), len(COLUMNS), seed) * (bounds[:, 1] - bounds[:, 0]))
+    return check_operating_points(bounds[:, 0] + unit_sobol(int(n), len(COLUMNS), seed) * (bounds[:, 1] - bounds[:, 0]))
 
 
 def unit_sobol(n: int, dimensions: int, seed: int) -> Array:
@@ -170,34 +172,34 @@ def unit_sobol(n: int, dimensions: int, seed: int) -> Array:
     return sequence.random_base2(max(0, (n - 1).bit_length()))[:n]
 
 
-def mirrored(conditions: ArrayLike) -> Array:
-    """The conditions with left and right exchanged: (speed, -y_ref, friction, -wind).
+def mirrored(points: ArrayLike) -> Array:
+    """The operating points with left and right exchanged: (speed, -y_ref, friction, -wind).
 
-    A plant that is symmetric answers the mirrored condition with the mirrored motion: at the same cost.
+    A plant that is symmetric answers the mirrored operating point with the mirrored motion: at the same cost.
     """
-    rows = check_conditions(conditions)
+    rows = check_operating_points(points)
     return rows * [1.0, -1.0, 1.0, -1.0] + 0.0
 
 
 class Fold(NamedTuple):
-    """Conditions of which one may stand for another, see `fold`."""
+    """Operating points of which one may stand for another, see `fold`."""
 
     representatives: Whole
-    """(m,) numbers of the conditions to compute, ascending"""
+    """(m,) numbers of the operating points to compute, ascending"""
     family: Whole
-    """(n,) condition i is represented by `representatives[family[i]]`"""
+    """(n,) operating point i is represented by `representatives[family[i]]`"""
     sign: Whole
     """(n,) 1 when it equals its representative, -1 when it is the mirror image"""
 
 
-def fold(conditions: ArrayLike) -> Fold:
-    """Find the conditions that are left-right twins (or equal): the first of each family represents it.
+def fold(points: ArrayLike) -> Fold:
+    """Find the operating points that are left-right twins (or equal): the first of each family represents it.
 
-    With reps = conditions[representatives]: conditions[i] is reps[family[i]] where sign[i] is 1, and
+    With reps = points[representatives]: points[i] is reps[family[i]] where sign[i] is 1, and
     mirrored(reps)[family[i]] where it is -1. Twins are found by equality, bit for bit: in a grid they are as common as
-    its levels are symmetric (2,860 of the paper's 6,435 conditions have one), in a Sobol sample there are none.
+    its levels are symmetric (2,860 of the paper's 6,435 operating points have one), in a Sobol sample there are none.
     """
-    rows = check_conditions(conditions)
+    rows = check_operating_points(points)
     images = mirrored(rows)
     _, first, by_value = np.unique(_canonical(rows, images), axis=0, return_index=True, return_inverse=True)
     # np.unique numbers families by their values; we number them by their first member.
@@ -209,9 +211,9 @@ def fold(conditions: ArrayLike) -> Fold:
     return Fold(representatives.astype(np.int64), family.astype(np.int64), np.where(same, 1, -1).astype(np.int64))
 
 
-def canonical(conditions: ArrayLike) -> Array:
-    """(n, 4): of each condition and its mirror image the one that lies to the left (y_ref > 0, or wind >= 0)."""
-    rows = check_conditions(conditions)
+def canonical(points: ArrayLike) -> Array:
+    """(n, 4): of each operating point and its mirror image the one that lies to the left (y_ref > 0, or wind >= 0)."""
+    rows = check_operating_points(points)
     return _canonical(rows, mirrored(rows))
 
 

@@ -8,12 +8,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from adaptrack.errors import InvalidInput
-from adaptrack.tuning.conditions import (
+from adaptrack.tuning.operating_points import (
     COLUMNS,
     NAMES,
     PAPER_GRID,
     canonical,
-    check_conditions,
+    check_operating_points,
     fold,
     grid,
     mirrored,
@@ -82,8 +82,8 @@ def test_a_grid_too_large_to_be_meant_is_refused_before_it_is_made():
 
 def test_conditions_of_another_shape_are_refused():
     for wrong in ([], [1.0, 2.0, 3.0, 4.0], [[1.0, 2.0, 3.0]], "text"):
-        with pytest.raises(InvalidInput, match="conditions"):
-            check_conditions(wrong)
+        with pytest.raises(InvalidInput, match="operating points"):
+            check_operating_points(wrong)
 
 
 def test_a_sobol_sample_is_the_same_every_time_and_another_for_another_seed():
@@ -139,7 +139,7 @@ def test_a_seed_must_be_a_whole_number():
 
 @given(some_conditions)
 def test_mirroring_twice_gives_the_condition_back(rows):
-    np.testing.assert_array_equal(mirrored(mirrored(rows)), check_conditions(rows))
+    np.testing.assert_array_equal(mirrored(mirrored(rows)), check_operating_points(rows))
 
 
 def test_mirroring_leaves_speed_and_friction_and_makes_no_negative_zero():
@@ -151,7 +151,7 @@ def test_mirroring_leaves_speed_and_friction_and_makes_no_negative_zero():
 
 @given(some_conditions)
 def test_folding_can_be_undone_and_leaves_no_twin(rows):
-    rows = check_conditions(rows)
+    rows = check_operating_points(rows)
     twins = fold(rows)
     kept = rows[twins.representatives]
     rebuilt = np.where(twins.sign[:, None] == 1, kept[twins.family], mirrored(kept)[twins.family])
