@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, fields
-from typing import Any, NamedTuple, Self
+from typing import TYPE_CHECKING, Any, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -16,8 +16,10 @@ from numpy.typing import ArrayLike, NDArray
 from adaptrack.errors import InvalidInput, real
 from adaptrack.mpc import Command, Controller
 from adaptrack.plant import DualTrack, Profile, SingleTrack, load_profile
-from adaptrack.scheduling.variables import SchedulingVariables
 from adaptrack.vehicle import SteeringActuator, Tyre, Vehicle, load_tyre, pack_plant
+
+if TYPE_CHECKING:
+    from adaptrack.scheduling.variables import SchedulingVariables
 
 Array = NDArray[np.float64]
 

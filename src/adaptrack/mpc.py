@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, Self, runtime_checkable
+from typing import Any, NamedTuple, Protocol, Self, runtime_checkable
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -18,11 +18,9 @@ from adaptrack.prediction import PredictionModel
 from adaptrack.qp import QP, QPSolver, QPStatus, get_qp_solver
 from adaptrack.qp.active_set import ActiveSet
 from adaptrack.qp.hildreth import Hildreth
-from adaptrack.scheduling.answer import read_tuning
+from adaptrack.scheduling.answer import ENTRIES
+from adaptrack.scheduling.variables import SchedulingVariables, complete
 from adaptrack.vehicle import Vehicle
-
-if TYPE_CHECKING:
-    from adaptrack.scheduling.variables import SchedulingVariables
 
 Array = NDArray[np.float64]
 
@@ -242,6 +240,11 @@ class MPC:
             raise InvalidInput(f"MPC: solver = {solver!r}: must be the name of a QP solver or a QPSolver.")
         if scheduler is not None and not callable(scheduler):
             raise InvalidInput(f"MPC: scheduler = {scheduler!r}: must be callable, variables -> (Np, Nc, Q, R).")
+        entries = tuple(getattr(scheduler, "entries", ENTRIES))
+        if entries != ENTRIES:
+            raise InvalidInput(
+                f"MPC: scheduler: gives {', '.join(entries)}; this controller needs {', '.join(ENTRIES)}."
+            )
         self.scheduler = scheduler
         if not 0.0 < real("MPC", "speed_floor", speed_floor) < math.inf:
             raise InvalidInput(f"speed_floor = {speed_floor!r} m/s: must be positive and finite.")
@@ -360,9 +363,9 @@ class MPC:
             if condition is None:
                 raise InvalidInput("this MPC has a scheduler: step(..., condition=SchedulingVariables(...)) is needed.")
             if self._plan is None:
-                self._asked[:] = read_tuning(self.scheduler(condition))
+                self._asked[:] = astuple(self.scheduler(condition))
             else:
-                self._look[: len(condition)] = condition
+                self._look[:] = complete(condition)
                 self._schedule(0, self._look, self._plan, self._asked)
         self._workspace.measured[:] = measured
         if self.in_kernel:
@@ -435,6 +438,22 @@ class MPC:
             if self.scheduler is None
             else getattr(self.scheduler, "name", type(self.scheduler).__name__),
         }
+
+
+def astuple(tuning: Tuning | Sequence[float]) -> tuple[float, float, float, float]:
+    """(Np, Nc, Q, R) of what a scheduler returned."""
+    if isinstance(tuning, Tuning):
+        return float(tuning.Np), float(tuning.Nc), tuning.Q, tuning.R
+    try:
+        Np, Nc, Q, R = tuning
+    except (TypeError, ValueError):
+        raise InvalidInput(f"scheduler: returned {tuning!r}: must be a Tuning or four numbers Np, Nc, Q, R.") from None
+    return (
+        real("scheduler", "Np", Np),
+        real("scheduler", "Nc", Nc),
+        real("scheduler", "Q", Q),
+        real("scheduler", "R", R),
+    )
 
 
 def _ahead(reference: ArrayLike) -> Array:
