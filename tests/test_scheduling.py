@@ -773,6 +773,22 @@ def test_a_condition_that_is_no_number_keeps_the_car_steering(rng):
     assert mpc.scheduler_counts["broken"] == 1
 
 
+def test_a_step_that_is_given_fewer_variables_does_not_use_those_of_the_step_before():
+    functions = {"Np": line(0.0, 10.0, 20.0, 40.0), "Nc": 5, "Q": 1.0, "R": 100.0}
+    mpc = MPC(CAR, scheduler=Learned(functions, ("change",), [[0.0, 10.0]]))
+    state = [0.1, 0.01, 0.0, 0.2]
+    assert mpc.step(state, 15.0, [0.0], HERE._replace(change=10.0)).tuning[0] == 40.0
+    assert mpc.step(state, 15.0, [0.0], (15.0, 0.0, 0.8, 0.0)).tuning[0] == 20.0
+    for nonsense in ((15.0, 0.0, 0.8), np.zeros(8), "fast", 15.0, (15.0, 0.0, None, 0.0)):
+        with pytest.raises(InvalidInput, match="need 7 numbers"):
+            mpc.step(state, 15.0, [0.0], nonsense)
+
+
+def test_an_mpc_refuses_a_schedule_for_another_controller():
+    with pytest.raises(InvalidInput, match="gives lookahead; this controller needs Np, Nc, Q, R"):
+        MPC(CAR, scheduler=pursuit())
+
+
 # -- horizons change without a bump -----------------------------------------------------------------------------------
 @pytest.mark.parametrize("moves", ["pulse", "laguerre"])
 def test_at_rest_on_the_reference_a_change_of_horizons_moves_nothing(moves, rng):

@@ -115,7 +115,10 @@ def _read(path: Path) -> Any:
             "Train it again, or use the version of adaptrack that wrote it."
         )
     content = file.get("content")
-    digest = hashlib.sha256(json.dumps(content, separators=(",", ":")).encode()).hexdigest()
+    try:
+        digest = hashlib.sha256(json.dumps(content, separators=(",", ":")).encode()).hexdigest()
+    except RecursionError:
+        raise StorageError(f"{path}: not a scheduler file: its content is nested too deeply.") from None
     if digest != file.get("sha256"):
         raise StorageError(f"{path}: damaged: its content does not match its checksum. Train or copy it again.")
     return content
