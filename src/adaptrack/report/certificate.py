@@ -45,11 +45,11 @@ class _Quantity(NamedTuple):
         return f"{COLOURS}_r" if self.fine else COLOURS
 
 
-_RADIUS = _Quantity("Spectral radius (–)", 0.9, 1.0, fine=True)
-_MODULUS = _Quantity("Modulus margin (–)", 0.0, 0.6)
-_UP = _Quantity("Gain margin up (factor)", 1.0, 5.0)
+_RADIUS = _Quantity("Spectral radius (–)", 0.95, 1.0, fine=True)
+_MODULUS = _Quantity("Modulus margin (–)", 0.0, 0.3)
+_UP = _Quantity("Gain margin up (factor)", 1.0, 3.0)
 _DOWN = _Quantity("Gain margin down (factor)", 0.0, 1.0, fine=True)
-_DELAY = _Quantity("Delay margin (ms)", 0.0, 250.0)
+_DELAY = _Quantity("Delay margin (ms)", 0.0, 150.0)
 
 
 class _Map(NamedTuple):
@@ -126,8 +126,10 @@ def _margins(found: Certificate) -> Section:
         for driving in DRIVING:
             maps, unstable = _margin_maps(found, getattr(sweep, driving))
             crosses = " A cross marks a cell with an unstable point." if unstable else ""
-            caption = f"{name}, {_NAMES[driving]}. The worst over all other scheduling variables; dark is bad.{crosses}"
-            items.append(_picture(maps, caption, f"{file}{'-turn' if driving == 'turn' else ''}.png"))
+            title = f"{name}, {_NAMES[driving]}"
+            caption = f"{title}. The worst over all other scheduling variables; dark is bad.{crosses}"
+            picture = _picture(maps, caption, f"{file}{'-turn' if driving == 'turn' else ''}.png", title)
+            items += [f"{title}:", picture]
     return Section("Margins", items)
 
 
@@ -229,12 +231,12 @@ def _map(found: Certificate, quantity: _Quantity, values: Array, unstable: NDArr
     return _Map(quantity.title, heat, (found.speeds[i], found.frictions[j]), text)
 
 
-def _picture(maps: Sequence[_Map], caption: str, file: str) -> Picture:
+def _picture(maps: Sequence[_Map], caption: str, file: str, title: str = "") -> Picture:
     panels = [Panel(each.title, each.show, each.description).drawing() for each in maps]
-    return Picture(caption, panels, file=file, print_figure=_print(maps))
+    return Picture(caption, panels, file=file, print_figure=_print(maps, title))
 
 
-def _print(maps: Sequence[_Map]) -> Figure:
+def _print(maps: Sequence[_Map], title: str) -> Figure:
     columns = 3 if len(maps) != 4 else 2
     with style.styled():
         figure, axes = style.grid_figure(-(-len(maps) // columns), columns, 2.0)
@@ -245,4 +247,6 @@ def _print(maps: Sequence[_Map]) -> Figure:
             shown.heat.bar(figure, ax=ax, shrink=0.95)
         for spare in axes[len(maps) :]:
             spare.remove()
+        if title:
+            figure.suptitle(title, x=0.01, ha="left")
     return figure
