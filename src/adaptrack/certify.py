@@ -194,7 +194,7 @@ def certify(
     mpc
         Vehicle of the prediction model, period, moves, longest horizons; its own tuning and scheduler play no part.
     domain
-        Lowest and highest value by entry of `SchedulingVariables`; by default where `OPERATING` and the schedule's own domain
+        Lowest and highest value by scheduling variable; by default where `OPERATING` and the schedule's own domain
         overlap. Beside speed and friction, only what a schedule looks at is varied; of a plain function, everything.
     levels
         Values of speed and of friction. Other inputs get 2 to 5 each, together at most 64 combinations or 2 each.

@@ -240,7 +240,8 @@ class UserModel(PredictionModel):
         unknown = [name for name in self.states if name not in MEASURED]
         if unknown or len(set(self.states)) < len(self.states) or self.states[-1:] != ("y",):
             raise InvalidInput(
-                f"{where}: states = {self.states!r}: must be different ones of {', '.join(MEASURED)}, with y as the last."
+                f"{where}: states = {self.states!r}: must be different ones of "
+                f"{', '.join(MEASURED)}, with y as the last."
             )
         self.period = real(where, "period", period)
         if not 0.0 < self.period < math.inf:
@@ -362,6 +363,6 @@ def limit_matrix(Nc: int) -> Array:
 
 
 def limit_bounds(Nc: int, angle: float, limits: Any) -> Array:
-    """gamma of eq. (16) in the order of `limit_matrix`, shape (4 Nc,); angle: u(k-1) (rad); limits: `controllers.Limits`."""
+    """gamma of eq. (16) in the order of `limit_matrix`, shape (4 Nc,); angle: u(k-1) (rad); limits: a `Limits`."""
     (low, high), (least, most) = limits.move, limits.angle
     return np.tile([high, -low, most - angle, angle - least], Nc)

@@ -673,7 +673,7 @@ class Batch:
         self, which: NDArray[np.int64], tunings: Array, seeds: NDArray[np.int64], threads: int, traced: bool = False,
         segment: int = 0, weight: float = 0.0,
     ) -> BatchRuns:  # fmt: skip
-        """Drive run i with scenario which[i], tunings[i] and seeds[i]; with a scheduler, tunings are what it begins with.
+        """Drive run i with scenario which[i], tunings[i] and seeds[i]; a scheduler begins with the tuning.
 
         segment: periods of a segment whose cost is asked for, with `weight` (m^2/rad^2) on the squared moves; 0: none.
         """
