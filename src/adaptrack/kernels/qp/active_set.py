@@ -366,4 +366,4 @@ def active_set(problem, factor, solution, scratch, guess, kept, max_iterations):
     for i in range(q):
         solution.lam[w.index[i]] = w.u[i]
     status = _verdict(problem, factor, solution, scratch, reach, tolerance)
-    return status, max_iterations - left, q
+    return status, max_iterations - left, q if status == SOLVED else 0
