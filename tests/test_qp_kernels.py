@@ -212,6 +212,46 @@ def test_data_that_are_not_finite_are_a_status(name, value, method, rng):
         assert status is QPStatus.NON_FINITE
 
 
+@pytest.mark.parametrize("kept", [True, False], ids=["kept factor", "guessed rows"])
+@pytest.mark.parametrize("n", range(1, 21))
+def test_with_as_many_active_rows_as_variables_a_gradient_that_is_not_finite_is_a_status(n, kept, rng):
+    # x then follows from the rows alone: only the multipliers tell.
+    E, _, _, _ = drawn_problem(rng, n, 1)
+    rows = np.vstack([np.eye(n), -np.eye(n)])
+    good = QP(E, -E @ np.ones(n) - 10.0, rows, np.ones(2 * n))  # x = 1, each multiplier 10
+    for place in {0, n // 2, n - 1}:
+        for value in (np.nan, np.inf, -np.inf):
+            w = Workspace()
+            w.load(good)
+            status, _, active = active_set(w.problem, w.factor, w.solution, w.scratch, 0, False, ENOUGH)
+            assert (status, active) == (kernels.SOLVED, n)
+            w.problem.K[place] = value
+            status, _, active = active_set(w.problem, w.factor, w.solution, w.scratch, active, kept, ENOUGH)
+            assert (status, active) == (kernels.NON_FINITE, 0)
+            w.problem.K[:n] = good.K
+            status, _, _ = active_set(w.problem, w.factor, w.solution, w.scratch, active, kept, ENOUGH)
+            assert status == kernels.SOLVED
+
+
+@pytest.mark.compiled
+def test_a_solution_too_large_for_double_precision_is_capped_and_never_called_solved(rng):
+    # Large coefficients of nearly dependent functions cancel in M x: their rounding exceeds what a row allows.
+    capped = 0
+    time = np.linspace(0.0, 1.0, 12)
+    functions = np.exp(-np.outer(time, 0.3 * np.arange(1, 9)))
+    rows = np.vstack([functions, -functions])
+    for _ in range(300):
+        size = 10.0 ** rng.uniform(0.0, 16.0)
+        phi = rng.normal(size=(20, 8)) * 10.0 ** rng.uniform(-4.0, 0.0)
+        qp = QP(phi.T @ phi + 1e-6 * np.eye(8), -phi.T @ rng.normal(size=20) * size, rows, np.full(24, 0.25))
+        status, x, lam, _ = solve(qp)
+        assert status in (QPStatus.SOLVED, QPStatus.CAPPED)
+        if status is QPStatus.SOLVED:
+            assert kkt_residuals(qp, x, lam).worst < 2e-6
+        capped += status is QPStatus.CAPPED
+    assert 0 < capped < 200
+
+
 # -- Hildreth's procedure ---------------------------------------------------------------------------------------------
 def test_hildreth_is_the_textbooks_procedure_sweep_by_sweep(rng):
     for n, m in ((1, 2), (5, 20), (10, 40)):

@@ -15,7 +15,7 @@ import math
 from numba import types
 
 from .abi import INLINE, ROUTINE, float64, int64, matrix, njit, vector
-from .maths.vectors import WIDTH, add, keep_first, fma8, load, mul, padded, splat, spread, store, sub, zeros
+from .maths.vectors import WIDTH, add, fma8, keep_first, load, mul, padded, splat, spread, store, sub, zeros
 
 MODEL_PARAMETERS = ("mass", "yaw_inertia", "lf", "lr", "stiffness_front", "stiffness_rear")
 """The prediction model's packed parameters: kg, kg m^2, m, m, N/rad and N/rad per tyre."""

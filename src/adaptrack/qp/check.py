@@ -145,7 +145,7 @@ def _solve(solver: QPSolver, qp: QP, label: str, warm_start: Solution | None = N
     demand(solution.iterations >= 0, "iterations is negative")
     demand(bool(solution.message), "the message is empty")
     others = ("active-set",) if solver.on_uncertified == "exact" else ()
-    demand(solution.finished_by in (solver.name, *others), f"finished by {solution.finished_by!r}, which it must not be")
+    demand(solution.finished_by in (solver.name, *others), f"finished by {solution.finished_by!r}, not by itself")
     counted = int(solution.finished_by != solver.name)
     demand(solution.finishes - finishes == counted, "an answer finished by the exact method is not counted once")
     after = (qp.E, qp.K, qp.M, qp.gamma)

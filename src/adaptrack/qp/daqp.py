@@ -26,7 +26,8 @@ class Daqp(QPSolver):
     """DAQP with tolerances tightened from 1e-6 to 1e-11 (primal) and from 1e-12 to 1e-14 (dual).
 
     It works in plain double precision: at cond(E) ~ 1e11 its x[0] is good to about 1e-6 rad.
-    ``settings`` overrides DAQP's settings (``primal_tol``, ``dual_tol``, ``iter_limit``, ...); ``on_uncertified``: see `QPSolver`.
+    ``settings`` overrides DAQP's settings (``primal_tol``, ``dual_tol``, ``iter_limit``, ...).
+    ``on_uncertified``: see `QPSolver`.
     """
 
     name: ClassVar[str] = "daqp"

@@ -16,7 +16,8 @@ from adaptrack.qp.solver import Attempt, OnUncertified, QPSolver, all_multiplier
 class Osqp(QPSolver):
     """OSQP with eps_abs = eps_rel = 1e-10 (its default: 1e-3) and up to 200,000 iterations.
 
-    A first-order method: on ill-conditioned problems it often ends CAPPED. ``settings`` overrides OSQP's settings; ``on_uncertified``: see `QPSolver`.
+    A first-order method: on ill-conditioned problems it often ends CAPPED. ``settings`` overrides OSQP's settings.
+    ``on_uncertified``: see `QPSolver`.
     """
 
     name: ClassVar[str] = "osqp"

@@ -79,7 +79,7 @@ class QPSolver(ABC):
         return self._solution(qp, found, self.name)
 
     def _tested(self, qp: QP, found: Attempt) -> Attempt:
-        """No method's word is taken for "solved": where `ACCEPTED` or `NEAR` contradict it, the status becomes CAPPED."""
+        """What was found; CAPPED where `ACCEPTED` or `NEAR` contradict "solved"."""
         if found.status is not QPStatus.SOLVED or found.certified:
             return found
         if found.x is None or found.lam is None or not (np.isfinite(found.x).all() and np.isfinite(found.lam).all()):

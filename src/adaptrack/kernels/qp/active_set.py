@@ -322,8 +322,9 @@ def active_set(problem, factor, solution, scratch, guess, kept, max_iterations):
     are changed, and so on until nothing changes.
 
     ``iterations`` counts steps and is capped by ``max_iterations``.
-    Status: SOLVED; CAPPED (x is then the last iterate: not optimal, or so large that double precision cannot tell); INFEASIBLE (no x satisfies the rows; x is
-    meaningless); NON_FINITE when E, K, M hold NaN or infinity, or gamma NaN or -inf.
+    Status: SOLVED; CAPPED (x is then the last iterate: not optimal, or so large that double precision cannot tell);
+    INFEASIBLE (no x satisfies the rows; x is meaningless); NON_FINITE when E, K, M hold NaN or infinity, or gamma NaN
+    or -inf.
     """
     n, x, w = problem.n, solution.x, work_of(scratch)
     worst = 0.0
