@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from adaptrack.errors import InvalidInput, real, whole
+from adaptrack.limits import CONTROL_HORIZON, LAGUERRE_TERMS, PREDICTION_HORIZON, check_limit
 from adaptrack.prediction import PredictionModel
 from adaptrack.qp import QP, QPSolver, QPStatus, get_qp_solver
 from adaptrack.qp.active_set import ActiveSet
@@ -47,6 +48,8 @@ class Tuning:
             object.__setattr__(self, name, whole("Tuning", name, getattr(self, name)))
         for name in ("Q", "R"):
             object.__setattr__(self, name, real("Tuning", name, getattr(self, name)))
+        check_limit("Tuning: Np", self.Np, PREDICTION_HORIZON)
+        check_limit("Tuning: Nc", self.Nc, CONTROL_HORIZON)
         if self.Nc > self.Np:
             raise InvalidInput(f"Tuning: Nc = {self.Nc} > Np = {self.Np}: the control horizon must not be longer.")
         if not 0.0 <= self.Q < math.inf:
@@ -119,7 +122,7 @@ class Moves:
             raise InvalidInput(f"Moves: kind = {self.kind!r}: must be 'pulse' or 'laguerre'.")
         if not 0.0 <= real("Moves", "pole", self.pole) < 1.0:
             raise InvalidInput(f"Moves: pole = {self.pole!r}: must be in [0, 1).")
-        whole("Moves", "terms", self.terms)
+        check_limit("Moves: terms", whole("Moves", "terms", self.terms), LAGUERRE_TERMS)
 
     @classmethod
     def pulses(cls) -> Self:
@@ -287,6 +290,8 @@ class MPC:
         most_moves = max(20, self.tuning.Nc) if most_moves is None else most_moves
         self.longest_horizon = whole("MPC", "longest_horizon", longest_horizon)
         self.most_moves = whole("MPC", "most_moves", most_moves)
+        check_limit("MPC: longest_horizon", self.longest_horizon, PREDICTION_HORIZON)
+        check_limit("MPC: most_moves", self.most_moves, CONTROL_HORIZON)
         if self.tuning.Np > self.longest_horizon or self.tuning.Nc > self.most_moves:
             raise InvalidInput(
                 f"Np = {self.tuning.Np}, Nc = {self.tuning.Nc} exceed longest_horizon = {self.longest_horizon} or "

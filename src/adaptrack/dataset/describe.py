@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -55,8 +56,12 @@ def flatness(dataset: DataSet, within: float) -> Array:
     return (dataset.landscape[rows] <= ((1.0 + within) * best[rows])[:, np.newaxis]).mean(axis=1)
 
 
-def describe(dataset: DataSet, r2: bool = True) -> dict[str, Any]:
+def describe(
+    dataset: DataSet, r2: bool = True, progress: Callable[[str, int, int], None] | None = None
+) -> dict[str, Any]:
     """What is in a data set, as plain JSON: tables are lists of rows; r2: some seconds of cross-validation.
+
+    progress: called with ("describe", targets explained, targets).
 
     Statistics are over the conditions that a swarm searched; their left-right twins would count twice.
     """
@@ -68,6 +73,11 @@ def describe(dataset: DataSet, r2: bool = True) -> dict[str, Any]:
     behind = rows.costs[known] / rows.best_costs[known] - 1.0
     bounds = _bounds(settings.get("search"))
     enough = int(np.isfinite(rows.costs).sum()) >= 50
+    r2s: dict[str, float | None] = {}
+    for number, name in enumerate(TARGETS):
+        if progress is not None:
+            progress("describe", number, len(TARGETS))
+        r2s[name] = explained(dataset, name).r2 if r2 and enough else None
     return {
         "name": dataset.name,
         "conditions": len(dataset),
@@ -96,7 +106,7 @@ def describe(dataset: DataSet, r2: bool = True) -> dict[str, Any]:
                 "target": name,
                 **_spread(values),
                 "at_a_bound": _at_bounds(values, bounds.get(name)),
-                "r2": explained(dataset, name).r2 if r2 and enough else None,
+                "r2": r2s[name],
             }
             for name, values in targets(rows).items()
         ],

@@ -12,6 +12,7 @@ from __future__ import annotations
 import importlib
 import math
 import os
+import re
 import socket
 import threading
 import time
@@ -37,8 +38,11 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-DASK_TIMEOUT = "10s"
-"""How long a scheduler may take to answer the first time."""
+DASK_TIMEOUT = 5.0
+"""s, how long a scheduler may take to answer the first time, and then to have its first worker."""
+
+_DASK_ADDRESS = re.compile(r"(?:[a-z]+://)?(?:[^\s:/\[\]]+|\[[0-9A-Fa-f:.]+\]):(?P<port>[0-9]{1,5})/?")
+"""tcp://host:port or host:port"""
 
 
 def closed_loop(setup: Setup) -> Evaluator:
@@ -206,7 +210,8 @@ def run_campaign(
     Raises
     ------
     InvalidInput
-        When the configuration or the arguments fit nothing; before any work, like the next two.
+        When the configuration or the arguments fit nothing, or the Dask scheduler has no workers; before any work, like
+        the next two.
     StorageError
         When `out` cannot be used, see `store.Folder`; later, when a file cannot be written.
     MissingExtra
@@ -217,21 +222,10 @@ def run_campaign(
         After Ctrl-C.
     """
     plan = Plan.of(config)
-    versions = versions_of(evaluator_of(evaluate, plan.setup))
-    count = len(plan.fold.representatives)
-    manifest = {
-        "name": config.name,
-        "format_version": FORMAT_VERSION,
-        "identity": plan.identity,
-        "conditions": len(plan.conditions),
-        "computed": count,
-        "chunk": config.chunk,
-        "chunks": math.ceil(count / config.chunk),
-        "versions": versions,
-        "settings": plan.settings,
-    }
     with ExitStack() as stack:
-        pool = stack.enter_context(_pool(workers, dask, executor))
+        pool = stack.enter_context(_pool(workers, dask, executor))  # first: it takes seconds, compilation minutes
+        versions = versions_of(evaluator_of(evaluate, plan.setup))
+        manifest = _manifest(plan, versions)
         folder = stack.enter_context(Folder.opened(out, manifest, resume))
         if folder.has_dataset():
             folder.drop_chunks()
@@ -242,6 +236,22 @@ def run_campaign(
         session.run(pool)
         session.merge()
         return folder.dataset
+
+
+def _manifest(plan: Plan, versions: dict[str, str]) -> dict[str, Any]:
+    """What a folder says about its campaign."""
+    config, count = plan.config, len(plan.fold.representatives)
+    return {
+        "name": config.name,
+        "format_version": FORMAT_VERSION,
+        "identity": plan.identity,
+        "conditions": len(plan.conditions),
+        "computed": count,
+        "chunk": config.chunk,
+        "chunks": math.ceil(count / config.chunk),
+        "versions": versions,
+        "settings": plan.settings,
+    }
 
 
 @dataclass(frozen=True)
@@ -259,19 +269,7 @@ def _pool(workers: int | None, dask: str | None, executor: Executor | None) -> I
     if executor is not None:
         yield _Pool(executor)
     elif dask is not None:
-        try:
-            distributed = importlib.import_module("distributed")
-        except ImportError:
-            raise MissingExtra(
-                "Dask is not installed; it comes with: python -m pip install 'adaptrack[cluster]'"
-            ) from None
-        try:
-            client = distributed.Client(dask, timeout=DASK_TIMEOUT, set_as_default=False)
-        except (OSError, ValueError, TypeError) as error:
-            raise InvalidInput(
-                f"dask = {dask!r}: no scheduler answers there ({error}); an address looks like tcp://127.0.0.1:8786."
-            ) from None
-        with client:
+        with _dask_client(dask) as client:
             yield _Pool(client.get_executor(retries=3, pure=False))
     else:
         if workers is not None and (isinstance(workers, bool) or not isinstance(workers, int) or workers < 1):
@@ -282,6 +280,34 @@ def _pool(workers: int | None, dask: str | None, executor: Executor | None) -> I
                 yield _Pool(threads, give_up)
             finally:
                 give_up.set()  # nobody waits for what is still in work
+
+
+def _dask_client(address: str) -> Any:
+    """A client of a Dask scheduler that has workers."""
+    try:
+        distributed = importlib.import_module("distributed")
+    except ImportError:
+        raise MissingExtra("Dask is not installed; it comes with: python -m pip install 'adaptrack[cluster]'") from None
+    form = _DASK_ADDRESS.fullmatch(address)
+    if form is None or not 0 < int(form["port"]) < 65536:
+        raise InvalidInput(f"dask = {address!r}: is no address; one looks like tcp://127.0.0.1:8786.")
+    try:
+        client = distributed.Client(address, timeout=DASK_TIMEOUT, set_as_default=False)
+    except (OSError, ValueError, TypeError) as error:
+        raise InvalidInput(
+            f"dask = {address!r}: no scheduler answers there ({error}); an address looks like tcp://127.0.0.1:8786."
+        ) from None
+    try:
+        client.wait_for_workers(1, timeout=DASK_TIMEOUT)
+    except TimeoutError:
+        client.close()
+        raise InvalidInput(
+            f"dask = {address!r}: the scheduler has no workers; start one or more: dask worker {address}"
+        ) from None
+    except BaseException:
+        client.close()
+        raise
+    return client
 
 
 def _cores() -> int:

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from pydantic import BeforeValidator, Field, model_validator
 
 from adaptrack.errors import UnknownName, did_you_mean
+from adaptrack.limits import LANDSCAPE, NOISE_SEEDS, check_limit
 from adaptrack.mpc import Tuning
 from adaptrack.plant import PROFILES
 from adaptrack.toml_files import Record, build, read_toml
@@ -223,6 +224,7 @@ class CampaignConfig(Record):
         if self.noise_seeds is not None:
             if not self.noise_seeds:
                 raise ValueError("noise_seeds: give one seed at least.")
+            check_limit("noise_seeds", len(self.noise_seeds), NOISE_SEEDS)
             if len(set(self.noise_seeds)) < len(self.noise_seeds):
                 raise ValueError("noise_seeds: one is given twice.")
             if len(self.noise_seeds) > 1 and not self.noisy:
@@ -305,7 +307,8 @@ class Plan:
     Raises
     ------
     InvalidInput
-        When a vehicle or tyre does not exist or cannot be read, as `load_vehicle` and `load_tyre` say.
+        When a vehicle or tyre does not exist or cannot be read, as `load_vehicle` and `load_tyre` say, or the landscape
+        is larger than `limits.LANDSCAPE`.
     """
 
     setup: Setup
@@ -322,10 +325,11 @@ class Plan:
         config = config.settled()
         vehicle = load_vehicle(config.vehicle)
         tyre = load_tyre(config.tyre or vehicle.tyre)
-        rows = config.conditions.rows()
+        rows, library = config.conditions.rows(), config.library.rows(config.search)
+        check_limit("landscape", len(rows) * len(library), LANDSCAPE)
         numbers = np.arange(len(rows))
         twins = fold(rows) if config.mirror else Fold(numbers, numbers, np.ones_like(numbers))
-        return cls(Setup(config, vehicle, tyre), rows, twins, config.library.rows(config.search))
+        return cls(Setup(config, vehicle, tyre), rows, twins, library)
 
     @property
     def config(self) -> CampaignConfig:

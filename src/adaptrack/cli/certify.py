@@ -1,0 +1,117 @@
+"""`adaptrack certify`: is the loop stable with everything that a scheduler can ask for?"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+from typer import Option
+
+from adaptrack.cli import options, show
+from adaptrack.cli.show import Column
+
+if TYPE_CHECKING:
+    from adaptrack.certify import Certificate
+
+UNSTABLE = 1
+"""The exit code when a loop is unstable, driving straight."""
+
+COLUMNS = (
+    Column("driving", "driving"),
+    Column("guard", "guard"),
+    Column("speed", "speed", "m/s", show.digits(3)),
+    Column("friction", "friction", "-", show.digits(3)),
+    Column("Np", "Np", "", show.digits(3)),
+    Column("Nc", "Nc", "", show.digits(3)),
+    Column("ratio", "R/Q", "m²/rad²", show.digits(3)),
+    Column("radius", "spectral", "radius"),
+    Column("delay", "delay", "s", show.digits(3)),
+    Column("nearness", "nearness", "-", show.digits(3)),
+)
+
+
+def certify(
+    scheduler: Annotated[str, typer.Argument(help="Name (see `schedulers`) or .json file (see `train`).")],
+    profile: options.Profile = options.ProfileName.road,
+    vehicle: options.Vehicle = "paper",
+    plant: options.Plant = options.PlantName.dual_track,
+    tyre: options.Tyre = None,
+    out: Annotated[Path | None, Option(help="Folder for the page with the maps.")] = None,
+    as_json: options.Json = False,
+) -> None:
+    """Map spectral radius, gain and delay margins over the operating domain.
+
+    The verdict is on driving straight: exit code 1 when a point is unstable there. Points that are unstable in a hard
+    turn are counted beside it, as a warning.
+    """
+    from adaptrack.certify import certify as look
+    from adaptrack.mpc import MPC
+    from adaptrack.plant import load_profile
+    from adaptrack.schedule import load_scheduler
+
+    schedule = load_scheduler(scheduler)
+    car, body = options.car_and_plant(vehicle, plant, tyre)
+    longest, most = schedule.largest
+    mpc = MPC(car, period=load_profile(str(profile)).period, longest_horizon=max(60, longest), most_moves=max(20, most))
+    if out is not None:
+        options.make_folder(out)
+    with show.progress("certify") as advance:
+        found = look(schedule, body, mpc, str(profile), progress=advance)
+    if out is not None:
+        show.say(f"Report: {_write_page(out, found)}", aside=as_json)
+    if as_json:
+        show.say_json({**found.summary(), "rows": found.rows()})
+    else:
+        _print(found)
+    _tell_verdict(found, as_json)
+    if not found.passed:
+        raise typer.Exit(UNSTABLE)
+
+
+def _write_page(out: Path, found: Certificate) -> Path:
+    from adaptrack.report.certificate import write_certificate
+
+    with show.progress("write the page"):
+        return write_certificate(out, found, command=options.command_line())
+
+
+def _print(found: Certificate) -> None:
+    sweeps = [(found.guarded is not None, found.counted)]
+    if found.guarded is not None:
+        sweeps.append((False, found.bare))
+    points = [{"guard": guard, **point} for guard, sweep in sweeps for point in found.worst_points(5, sweep)]
+    rows = [{**point, "ratio": point["R"] / point["Q"] if point["Q"] else None} for point in points]
+    show.table(f"{found.scheduler}: the points nearest to instability, straight or in a turn", COLUMNS, rows)
+
+
+def _tell_verdict(found: Certificate, as_json: bool) -> None:
+    """The same counts as on the page and in the JSON: the verdict, and beside it the warning."""
+    summary = found.summary()
+    points = summary["points"]
+    verdict = f"driving straight: {summary['unstable']:,} of {points:,} points unstable"
+    warning = f"in a hard turn: {summary['unstable_in_turn']:,} of {points:,} points unstable (no verdict)"
+    if not found.passed:
+        at = _worst_straight(found)
+        where = (
+            f"the worst at {at['speed']:g} m/s on friction {at['friction']:g}, with Np = {at['Np']:g}, "
+            f"Nc = {at['Nc']:g}, Q = {at['Q']:g}, R = {at['R']:g}: spectral radius {at['radius']:.4f}"
+        )
+        show.say_failed(f"{verdict}, {where}.", aside=True)
+    elif not as_json:
+        show.say(f"Passed, {verdict}.")
+    if summary["unstable_in_turn"]:
+        show.say(f"Warning, {warning}.", aside=as_json or not found.passed)
+
+
+def _worst_straight(found: Certificate) -> dict[str, Any]:
+    """The condition, tuning and spectral radius of the point that is the most unstable, driving straight."""
+    from adaptrack.mpc import Condition
+    from adaptrack.schedule import SLOTS
+
+    i = int(found.counted.straight.radius.argmax())
+    return {
+        **dict(zip(Condition._fields, found.conditions[i].tolist(), strict=True)),
+        **dict(zip(SLOTS, found.counted.tunings[i].tolist(), strict=True)),
+        "radius": float(found.counted.straight.radius[i]),
+    }
