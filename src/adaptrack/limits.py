@@ -16,7 +16,7 @@ class Limit(NamedTuple):
 
     most: float
     unit: str
-    """what is counted, or the SI unit"""
+    """what is counted, or the SI unit; empty for a number without one"""
     reason: str
     """a clause that says why, with the memory or the time of the largest request"""
 
@@ -44,7 +44,7 @@ WORKERS = Limit(1024, "threads", "more than the cores of any machine")
 # -- a comparison -----------------------------------------------------------------------------------------------------
 DRIVES = Limit(10_000, "random drives", "1.3 GB; further ones would be those of the next seed")
 OPERATING_POINTS = Limit(100_000, "operating points", "1.7 GB, and a search of 0.5 s on one core for each")
-SEED = Limit(10_000, "as a seed", "it numbers the drives")
+SEED = Limit(10_000, "", "it numbers the drives")
 
 # -- timings ----------------------------------------------------------------------------------------------------------
 TIMED_STEPS = Limit(1_000_000, "control steps", "a minute")
@@ -58,8 +58,9 @@ def check_limit(what: str, value: float, limit: Limit) -> None:
     Raises
     ------
     InvalidInput
-        "<what> = <value>: at most <most> <unit> are possible (<reason>)."
+        "<what> = <value>: at most <most> <unit> (<reason>)."
     """
     if value > limit.most:
+        unit = f" {limit.unit}" if limit.unit else ""
         shown = f"{value:,}" if isinstance(value, int) and value < 10**15 else f"{float(min(value, 10**300)):.6g}"
-        raise InvalidInput(f"{what} = {shown}: at most {limit.most:,} {limit.unit} possible ({limit.reason}).")
+        raise InvalidInput(f"{what} = {shown}: at most {limit.most:,}{unit} ({limit.reason}).")

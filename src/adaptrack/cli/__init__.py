@@ -13,6 +13,7 @@ import errno
 import os
 import signal
 import sys
+import threading
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from types import FrameType
@@ -22,6 +23,9 @@ from adaptrack.cli import interrupt
 from adaptrack.errors import AdaptrackError
 
 DONE, ERROR, INTERRUPTED, PIPE_CLOSED = 0, 2, 130, 141
+
+REPEAT = 0.5
+"""s, between the repetitions of a Ctrl-C that nothing has heard."""
 
 _NO_OUTPUT = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EBADF)
 """What the system says when standard output takes no more."""
@@ -88,20 +92,41 @@ def _give_up_output() -> None:
 
 @contextmanager
 def _noting_ctrl_c() -> Iterator[list[int]]:
-    """A list that is no longer empty once Ctrl-C was pressed; it raises KeyboardInterrupt as ever."""
+    """A list that is no longer empty once Ctrl-C was pressed, which raises KeyboardInterrupt as ever.
+
+    Callbacks from compiled code swallow exceptions. While something is imported or compiled, Ctrl-C is repeated until
+    it is heard: else a minute of compilation would go on.
+    """
     pressed: list[int] = []
 
     def note(number: int, frame: FrameType | None) -> None:
         pressed.append(number)
+        signal.setitimer(signal.ITIMER_REAL, REPEAT, REPEAT)
         signal.default_int_handler(number, frame)
 
-    usual = signal.getsignal(signal.SIGINT) is signal.default_int_handler
-    with suppress(ValueError):  # not the main thread
-        if usual:
-            signal.signal(signal.SIGINT, note)
+    def repeat(number: int, frame: FrameType | None) -> None:
+        if _importing(frame):
+            raise KeyboardInterrupt
+
+    main_thread = threading.current_thread() is threading.main_thread()
+    if not main_thread or signal.getsignal(signal.SIGINT) is not signal.default_int_handler:
+        yield pressed
+        return
+    signal.signal(signal.SIGINT, note)
+    before = signal.signal(signal.SIGALRM, repeat)
     try:
         yield pressed
     finally:
-        with suppress(ValueError):
-            if usual:
-                signal.signal(signal.SIGINT, signal.default_int_handler)
+        signal.setitimer(signal.ITIMER_REAL, 0.0)
+        signal.signal(signal.SIGALRM, before)
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+def _importing(frame: FrameType | None) -> bool:
+    """Whether a module is being imported, or numba compiles, somewhere below."""
+    while frame is not None:
+        name = frame.f_code.co_filename
+        if "importlib._bootstrap" in name or f"{os.sep}numba{os.sep}" in name:
+            return True
+        frame = frame.f_back
+    return False

@@ -21,13 +21,13 @@ COLUMNS = (
     Column("driving", "driving"),
     Column("guard", "guard"),
     Column("speed", "speed", "m/s", show.digits(3)),
-    Column("friction", "friction", "-", show.digits(3)),
+    Column("friction", "friction", "", show.digits(3)),
     Column("Np", "Np", "", show.digits(3)),
     Column("Nc", "Nc", "", show.digits(3)),
     Column("ratio", "R/Q", "m²/rad²", show.digits(3)),
-    Column("radius", "spectral", "radius"),
+    Column("radius", "spectral\nradius"),
     Column("delay", "delay", "s", show.digits(3)),
-    Column("nearness", "nearness", "-", show.digits(3)),
+    Column("nearness", "nearness", "", show.digits(3)),
 )
 
 

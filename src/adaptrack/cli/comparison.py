@@ -15,12 +15,12 @@ if TYPE_CHECKING:
 COLUMNS = (
     Column("scheduler", "scheduler"),
     Column("cost_geomean", "cost J", "m²", show.digits(3)),
-    Column("regret_geomean", "regret", "-", show.digits(4)),
-    Column("interval", "95 %", "interval"),
-    Column("regret_p90", "90th", "perc.", show.digits(3)),
-    Column("regret_p99", "99th", "perc.", show.digits(3)),
-    Column("regret_worst", "worst", "regret", show.digits(3)),
-    Column("failures", "runs", "failed"),
+    Column("regret_geomean", "regret\nmean", "", show.digits(4)),
+    Column("interval", "95 %\ninterval"),
+    Column("regret_p90", "90th\nperc.", "", show.digits(3)),
+    Column("regret_p99", "99th\nperc.", "", show.digits(3)),
+    Column("regret_worst", "worst", "", show.digits(3)),
+    Column("failures", "runs\nfailed"),
 )
 
 

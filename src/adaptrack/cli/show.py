@@ -24,7 +24,7 @@ FIRST_LINE, NEXT_LINE, RAREST_LINE = 2.0, 5.0, 60.0
 
 
 class Column(NamedTuple):
-    """A column of a table."""
+    """A column of a table; a title may have two lines where there is no unit."""
 
     key: str
     """of the row's entry"""
@@ -69,6 +69,11 @@ def written(value: Any) -> str:
 def digits(count: int) -> Callable[[Any], str]:
     """Writes numbers with so many significant digits."""
     return lambda value: f"{value:.{count}g}" if isinstance(value, float) else written(value)
+
+
+def whole(value: Any) -> str:
+    """Writes a number without its fraction."""
+    return "-" if value is None else f"{value:,.0f}"
 
 
 def percent(value: Any) -> str:

@@ -32,9 +32,9 @@ COLUMNS = (
     Column("controller", "controller"),
     Column("mse", "MSE", "m²"),
     Column("max_abs_error", "max |e|", "m", show.digits(3)),
-    Column("at_any_limit", "limits", "%", show.percent),
-    Column("qp_open", "QPs not", "solved"),
-    Column("step_us_p50", "step", "µs", show.digits(3)),
+    Column("at_any_limit", "at limits", "%", show.percent),
+    Column("qp_open", "QPs not\nsolved"),
+    Column("step_us_p50", "step", "µs", show.whole),
     Column("result", "result"),
 )
 

@@ -13,10 +13,10 @@ from adaptrack.errors import InvalidInput
 
 COLUMNS = (
     Column("slot", "learned"),
-    Column("r2", "R²", "held out", show.digits(3)),
-    Column("ceiling_r2", "R²", "of trees", show.digits(3)),
-    Column("rmse", "RMSE", "held out", show.digits(3)),
-    Column("ceiling_rmse", "RMSE", "of trees", show.digits(3)),
+    Column("r2", "R²\nheld out", "", show.digits(3)),
+    Column("ceiling_r2", "R²\nof trees", "", show.digits(3)),
+    Column("rmse", "RMSE\nheld out", "", show.digits(3)),
+    Column("ceiling_rmse", "RMSE\nof trees", "", show.digits(3)),
     Column("dead_share", "dead", "%", show.percent),
     Column("parameters", "parameters"),
     Column("seconds", "time", "s", show.digits(3)),
