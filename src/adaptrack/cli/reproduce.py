@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from operator import itemgetter
 from pathlib import Path
 from typing import Annotated
 
@@ -11,15 +12,16 @@ from adaptrack.cli import options, show
 from adaptrack.cli.show import Column
 
 COLUMNS = (
-    Column("scenario", "scenario"),
     Column("controller", "controller"),
-    Column("preview", "preview"),
     Column("moves", "moves"),
     Column("mse", "MSE", "m²"),
     Column("paper_mse", "paper", "m²"),
     Column("ratio", "ratio", "", show.digits(3)),
     Column("lost", "failed"),
 )
+
+GROUP = itemgetter("configuration", "scenario", "preview")
+"""What the rows of one table have in common."""
 
 
 def reproduce(
@@ -44,7 +46,7 @@ def reproduce(
     if as_json:
         show.say_json(made.as_json())
         return
-    for configuration in dict.fromkeys(row["configuration"] for row in made.rows):
-        rows = [row for row in made.rows if row["configuration"] == configuration]
-        show.table(configuration, COLUMNS, rows)
+    for configuration, scenario, preview in dict.fromkeys(map(GROUP, made.rows)):
+        rows = [row for row in made.rows if GROUP(row) == (configuration, scenario, preview)]
+        show.table(f"{configuration}, {scenario}, with{'' if preview else 'out'} preview", COLUMNS, rows)
     show.say(f"{made.seconds:.0f} s, of which {made.training_seconds:.0f} s learning")

@@ -32,8 +32,7 @@ COLUMNS = (
     Column("controller", "controller"),
     Column("mse", "MSE", "m²"),
     Column("max_abs_error", "max |e|", "m", show.digits(3)),
-    Column("at_any_limit", "at limits", "%", show.percent),
-    Column("qp_open", "QPs not\nsolved"),
+    Column("at_any_limit", "limits", "%", show.percent),
     Column("step_us_p50", "step", "µs", show.whole),
     Column("result", "result"),
 )
@@ -243,12 +242,11 @@ def _print(rows: Sequence[dict[str, Any]], as_json: bool) -> None:
     if as_json:
         show.say_json({"rows": rows})
     else:
-        shown = [
-            {**row, "qp_open": row["qp_capped"] + row["qp_failed"], "result": "failed" if row["failed"] else "ok"}
-            for row in rows
-        ]
+        shown = [{**row, "result": "failed" if row["failed"] else "ok"} for row in rows]
         show.table("Closed-loop runs", COLUMNS, shown)
     for row in rows:
+        run, open_qps = f"{row['scenario']}, {row['controller']}", row["qp_capped"] + row["qp_failed"]
         if row["failed"]:
-            text = f"{row['scenario']}, {row['controller']}: at {row['failed_at']:.2f} s the vehicle {row['failed']}."
-            show.say_failed(text, aside=as_json)
+            show.say_failed(f"{run}: at {row['failed_at']:.2f} s the vehicle {row['failed']}.", aside=as_json)
+        if open_qps and not as_json:
+            show.say(f"Warning, {run}: {open_qps:,} of {row['driven']:,} QPs not solved.")
