@@ -21,7 +21,7 @@ def test_a_limit_takes_its_largest_value_and_refuses_more_by_name_with_its_reaso
     limits.check_limit("it", limit.most, limit)
     with pytest.raises(InvalidInput) as refused:
         limits.check_limit("it", limit.most + 1, limit)
-    assert str(refused.value).startswith(f"it = {limit.most + 1:,}: at most {limit.most:,}")
+    assert str(refused.value).startswith(f"it = {limit.most + 1}: at most {limit.most:,}")
     assert limit.reason in str(refused.value)
 
 

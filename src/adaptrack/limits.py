@@ -62,5 +62,5 @@ def check_limit(what: str, value: float, limit: Limit) -> None:
     """
     if value > limit.most:
         unit = f" {limit.unit}" if limit.unit else ""
-        shown = f"{value:,}" if isinstance(value, int) and value < 10**15 else f"{float(min(value, 10**300)):.6g}"
+        shown = str(value) if isinstance(value, int) and value < 10**15 else f"{float(min(value, 10**300)):.6g}"
         raise InvalidInput(f"{what} = {shown}: at most {limit.most:,}{unit} ({limit.reason}).")
