@@ -33,7 +33,7 @@ COLUMNS = (
 
 def certify(
     scheduler: Annotated[str, typer.Argument(help="Name (see `schedulers`) or .json file (see `train`).")],
-    profile: options.Profile = options.ProfileName.road,
+    profile: options.Profile = "road",
     vehicle: options.Vehicle = "paper",
     plant: options.Plant = options.PlantName.dual_track,
     tyre: options.Tyre = None,
@@ -53,11 +53,11 @@ def certify(
     schedule = load_scheduler(scheduler)
     car, body = options.car_and_plant(vehicle, plant, tyre)
     longest, most = schedule.largest
-    mpc = MPC(car, period=load_profile(str(profile)).period, longest_horizon=max(60, longest), most_moves=max(20, most))
+    mpc = MPC(car, period=load_profile(profile).period, longest_horizon=max(60, longest), most_moves=max(20, most))
     if out is not None:
         options.make_folder(out)
     with show.progress("certify") as advance:
-        found = look(schedule, body, mpc, str(profile), progress=advance)
+        found = look(schedule, body, mpc, profile, progress=advance)
     if out is not None:
         show.say(f"Report: {_write_page(out, found)}", aside=as_json)
     if as_json:

@@ -26,7 +26,7 @@ def evaluate(
         str | None,
         Option(
             "--operating-points", "--conditions", metavar="sobol:N",
-            help=f"So many unseen operating points, {OPERATING_POINTS.range}.",
+            help=f"So many unseen operating points, {OPERATING_POINTS.range} (also: --conditions).",
         ),
     ] = None,
     drives: Annotated[
@@ -34,14 +34,12 @@ def evaluate(
     ] = None,
     tests: Annotated[bool, Option("--tests", help="The paper's two tests.")] = False,
     config: Annotated[str, Option(help="Whose vehicle, profile and domain: name (road) or .toml file.")] = "road",
-    profile: Annotated[
-        options.ProfileName | None, Option(help="Must be the configuration's; for the record.")
-    ] = None,
+    profile: Annotated[str | None, Option(help="Must be the configuration's; for the record.")] = None,
     known_as: Annotated[
         list[str] | None,
         Option(
             "--known-as", "--told",
-            help="How friction and wind are known: exact, noisy, lagged, estimated, withheld, ...",
+            help="How friction and wind are known: exact, noisy, lagged, estimated, withheld, ... (also: --told).",
         ),
     ] = None,
     seed: Annotated[
@@ -56,7 +54,7 @@ def evaluate(
 
     settings = load_adaptation(config)
     shop = Workshop.of(settings)
-    if profile is not None and str(profile) != shop.campaign.profile:
+    if profile is not None and profile != shop.campaign.profile:
         raise InvalidInput(f"--profile {profile}: configuration {settings.name!r} is for {shop.campaign.profile!r}.")
     compared = contenders(settings.name, schedulers or [])
     if operating_points is None and drives is None and not tests:

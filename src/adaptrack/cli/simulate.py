@@ -52,7 +52,7 @@ def simulate(
     vehicle: options.Vehicle = "paper",
     plant: options.Plant = options.PlantName.dual_track,
     tyre: options.Tyre = None,
-    profile: options.Profile = options.ProfileName.paper,
+    profile: options.Profile = "paper",
     driver: Annotated[bool, Option("--driver/--perfect-speed", help="Powertrain and driver, or exact speed.")] = False,
     np_: Annotated[int, Option("--np", help="Prediction horizon (periods).")] = 35,
     nc: Annotated[int, Option("--nc", help="Control horizon (periods).")] = 8,
@@ -90,7 +90,7 @@ def simulate(
 
     loaded = [load_scenario(name, **scenario_options(option or [])) for name in scenarios]
     car, body = options.car_and_plant(vehicle, plant, tyre)
-    world = load_profile(str(profile))
+    world = load_profile(profile)
     asked = Asked(
         car=car,
         tuning=Tuning(np_, nc, q, r),
@@ -189,19 +189,19 @@ def _drive(
     from adaptrack.simulate import Driver
     from adaptrack.simulate import simulate as drive
 
+    pairs = [(scenario, *named) for scenario in scenarios for named in controllers]
+    files = [f"{scenario.name}-{label}" for scenario, label, _ in pairs]
+    where = f"their trajectories are in {out}, without a report" if out else "nothing was written"
     runs: list[tuple[str, Trajectory]] = []
-    total = len(scenarios) * len(controllers)
-    with show.progress("simulate", total) as advance:
-        for scenario in scenarios:
-            for label, controller in controllers:
-                step = partial(advance, f"{scenario.name}, {label}")
-                pace = Driver() if driver else None
-                run = drive(body, controller, scenario, profile=world, driver=pace, seed=seed, progress=step)
-                if out is not None:
-                    run.save(out / f"{run.name_of('scenario')}-{label}.parquet")
-                runs.append((label, run))
-                where = f"their trajectories are in {out}, without a report" if out else "nothing was written"
-                interrupt.kept(f"{len(runs)} of {total} runs were finished; {where}. Run the command again.")
+    with show.progress("simulate", len(pairs)) as advance:
+        for file, (scenario, label, controller) in zip(files, pairs, strict=True):
+            step = partial(advance, f"{scenario.name}, {label}")
+            pace = Driver() if driver else None
+            run = drive(body, controller, scenario, profile=world, driver=pace, seed=seed, progress=step)
+            if out is not None:
+                run.save(out / f"{file}.parquet")
+            runs.append((label, run))
+            interrupt.kept(f"{len(runs)} of {len(pairs)} runs were finished; {where}. Run the command again.")
     return runs
 
 
