@@ -649,9 +649,9 @@ def test_two_processes_do_not_share_a_folder(tmp_path):
 
 
 # -- workers ----------------------------------------------------------------------------------------------------------
-def test_an_answer_that_makes_no_sense_names_its_condition(tmp_path):
+def test_an_answer_that_makes_no_sense_names_its_operating_point(tmp_path):
     with pytest.raises(
-        ContractError, match=r"condition \{'speed': 10.0, 'y_ref': -4.0.* the tuning \[3.0, 9.0, 1.0, 1.0\]"
+        ContractError, match=r"operating point \{'speed': 10.0, 'y_ref': -4.0.* the tuning \[3.0, 9.0, 1.0, 1.0\]"
     ):
         run_campaign(small(mirror=False), tmp_path, evaluate=Broken)
 

@@ -1,9 +1,9 @@
-"""Campaigns: a particle swarm on every condition, on all cores or many machines, that survives being stopped.
+"""Campaigns: a particle swarm at every operating point, on all cores or many machines, that survives being stopped.
 
     config = load_campaign("paper-grid")
     file = run_campaign(config, "out", resume=True, progress=print)
 
-Work is split into chunks of conditions; each becomes one file the moment it is done. The result depends on the
+Work is split into chunks of operating points; each becomes one file the moment it is done. The result depends on the
 configuration only: not on the number of workers, the order of the chunks, or how often the work was interrupted.
 """
 
@@ -65,7 +65,7 @@ class Job:
 
 
 class Chunk(NamedTuple):
-    """The finished rows of some conditions."""
+    """The finished rows of some operating points."""
 
     columns: Columns
     seconds: float
@@ -91,8 +91,8 @@ def versions_of(evaluator: Evaluator) -> dict[str, str]:
     return {"adaptrack": __version__, **evaluator.versions()}
 
 
-def compute(job: Job, streams: NDArray[np.int64], conditions: Array, give_up: threading.Event | None = None) -> Chunk:
-    """Tune each condition (n, 4) and find the landscape there.
+def compute(job: Job, streams: NDArray[np.int64], points: Array, give_up: threading.Event | None = None) -> Chunk:
+    """Tune at each operating point (n, 4) and find the landscape there.
 
     Raises
     ------
@@ -107,41 +107,43 @@ def compute(job: Job, streams: NDArray[np.int64], conditions: Array, give_up: th
     here = versions_of(evaluator)
     if here != job.versions:
         raise ContractError(f"worker {worker} has other software than the campaign: {here}, not {job.versions}.")
-    standard, library = np.array([STANDARD]), job.library
-    place = np.flatnonzero((library == standard).all(axis=1))
-    asked = library if place.size else np.vstack([library, standard])
-    seed = job.setup.config.seed
-    rows: dict[str, list[Any]] = {column.name: [] for column in COLUMNS}
-    for stream, condition in zip(streams.tolist(), conditions, strict=True):
+    rows = []
+    for stream, point in zip(streams.tolist(), points, strict=True):
         if give_up is not None and give_up.is_set():
             raise CancelledError
-        tuned = evaluator.tune(condition, seed, stream)
-        costs = np.asarray(evaluator.landscape(condition, asked), dtype=float)
-        Np, Nc, Q, R = _checked(tuned, costs, len(asked), condition)
-        values = {
-            "stream": stream,
-            **dict(zip(NAMES, condition.tolist(), strict=True)),
-            "Np": Np,
-            "Nc": Nc,
-            "Q": Q,
-            "R": R,
-            "r_over_q": R / Q,
-            "cost": float(tuned.cost),
-            "standard_cost": costs[place[0] if place.size else -1],
-            "evaluations": int(tuned.evaluations),
-            "control_steps": int(tuned.control_steps),
-            "seed": seed,
-            "mirrored_from": -1,
-            "trace": np.asarray(tuned.trace, dtype=np.float32),
-            "landscape": costs[: len(library)].astype(np.float32),
-        }
-        for name, value in values.items():
-            rows[name].append(value)
-    columns = {column.name: np.array(rows[column.name], dtype=column.dtype) for column in COLUMNS}
+        rows.append(_row(evaluator, job, stream, point))
+    columns = {each.name: np.array([row[each.name] for row in rows], dtype=each.dtype) for each in COLUMNS}
     return Chunk(columns, time.perf_counter() - begun, worker)
 
 
-def _checked(tuned: Tuned, costs: Array, size: int, condition: Array) -> tuple[int, int, float, float]:
+def _row(evaluator: Evaluator, job: Job, stream: int, point: Array) -> dict[str, Any]:
+    """What a data set holds of one operating point."""
+    seed, standard, library = job.setup.config.seed, np.array([STANDARD]), job.library
+    place = np.flatnonzero((library == standard).all(axis=1))
+    asked = library if place.size else np.vstack([library, standard])
+    tuned = evaluator.tune(point, seed, stream)
+    costs = np.asarray(evaluator.landscape(point, asked), dtype=float)
+    Np, Nc, Q, R = _checked(tuned, costs, len(asked), point)
+    return {
+        "stream": stream,
+        **dict(zip(NAMES, point.tolist(), strict=True)),
+        "Np": Np,
+        "Nc": Nc,
+        "Q": Q,
+        "R": R,
+        "r_over_q": R / Q,
+        "cost": float(tuned.cost),
+        "standard_cost": costs[place[0] if place.size else -1],
+        "evaluations": int(tuned.evaluations),
+        "control_steps": int(tuned.control_steps),
+        "seed": seed,
+        "mirrored_from": -1,
+        "trace": np.asarray(tuned.trace, dtype=np.float32),
+        "landscape": costs[: len(library)].astype(np.float32),
+    }
+
+
+def _checked(tuned: Tuned, costs: Array, size: int, point: Array) -> tuple[int, int, float, float]:
     """The tuning of an answer that makes sense."""
     Np, Nc, Q, R = (float(value) for value in tuned.tuning)
     horizons = Np.is_integer() and Nc.is_integer() and 1 <= Nc <= Np
@@ -153,8 +155,8 @@ def _checked(tuned: Tuned, costs: Array, size: int, condition: Array) -> tuple[i
         fault = f"a landscape of shape {costs.shape} for {size} tunings, {int(np.isnan(costs).sum())} of them NaN"
     else:
         return int(Np), int(Nc), Q, R
-    where = dict(zip(NAMES, condition.tolist(), strict=True))
-    raise ContractError(f"the objective answered condition {where} with {fault}.")
+    where = dict(zip(NAMES, point.tolist(), strict=True))
+    raise ContractError(f"the objective answered operating point {where} with {fault}.")
 
 
 # -- the whole --------------------------------------------------------------------------------------------------------
@@ -163,9 +165,9 @@ class Progress:
     """How far a campaign is."""
 
     done: int
-    """conditions finished, earlier sessions included"""
+    """operating points finished, earlier sessions included"""
     total: int
-    """conditions to compute; left-right twins count once"""
+    """operating points to compute; left-right twins count once"""
     runs: int
     """closed-loop runs of this session"""
     seconds: float
@@ -329,9 +331,9 @@ class _Session:
     kept: dict[int, Columns] = field(default_factory=dict)
     """finished chunks"""
     found: int = 0
-    """conditions that earlier sessions finished"""
+    """operating points that earlier sessions finished"""
     done: int = 0
-    """conditions finished"""
+    """operating points finished"""
     runs: int = 0
     begun: float = 0.0
 
@@ -394,7 +396,7 @@ class _Session:
     def _keep(self, number: int, columns: Columns) -> None:
         streams = self.part(number)
         if not np.array_equal(columns["stream"], streams):
-            raise StorageError(f"{self.folder.chunk(number)}: holds other conditions than it should: remove it.")
+            raise StorageError(f"{self.folder.chunk(number)}: holds other operating points than it should: remove it.")
         self.kept[number] = columns
         self.done += len(streams)
 
@@ -421,7 +423,7 @@ class _Session:
             self.progress(Progress(self.done, total, self.runs, seconds, left))
 
     def merge(self) -> None:
-        """Put the chunks together in the order of the conditions, twins included."""
+        """Put the chunks together in the order of the operating points, twins included."""
         parts = [self.kept[number] for number in range(self.folder.chunks)]
         generations = {part["trace"].shape[1] for part in parts}
         if len(generations) > 1:
