@@ -94,11 +94,15 @@ def table(title: str, columns: Sequence[Column], rows: Rows) -> None:
         padding=(0, 1, 0, 0),
     )  # fmt: skip
     for column in columns:
-        numbers = any(isinstance(row[column.key], int | float) for row in rows)
-        made.add_column(_heading(column), overflow="fold", justify="right" if numbers else "left")
+        known = [row[column.key] for row in rows if row[column.key] is not None]
+        numbers = all(isinstance(value, int | float) for value in known)
+        least = min(30, max(map(len, map(str, known)), default=0)) if column is columns[0] else None  # names stay whole
+        made.add_column(_heading(column), overflow="fold", justify="right" if numbers else "left", min_width=least)
     for row in rows:
         made.add_row(*(Text((column.show or written)(row[column.key])) for column in columns))
-    Console(file=sys.stdout, width=_width()).print(made)
+    console = Console(file=sys.stdout, width=_width())
+    console.print(made)
+    console.print()
 
 
 def _heading(column: Column) -> Text:

@@ -208,7 +208,8 @@ def _drive(
 def _write_report(out: Path, runs: Sequence[tuple[str, Trajectory]]) -> Path:
     from adaptrack.report import Run, write_report
 
-    return write_report(out, [Run(run, label=label) for label, run in runs], command=options.command_line())
+    with show.progress("write the report"):
+        return write_report(out, [Run(run, label=label) for label, run in runs], command=options.command_line())
 
 
 def _row(controller: str, run: Trajectory) -> dict[str, Any]:
