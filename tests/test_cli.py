@@ -81,7 +81,7 @@ def test_out_holds_the_page_the_pictures_and_the_trajectories(monkeypatch, capsy
         (["evaluate", "--drives", "1000000000"], ["--drives = 1000000000", "at most 10,000"]),
         (["evaluate", "--drives", "-5"], ["--drives = -5", "at least 1"]),
         (["evaluate", "--conditions", "sobol:1000000000"], ["at most 100,000 operating points"]),
-        (["evaluate", "--operating-points", "sobol:" + 5000 * "9"], ["5,006 characters"]),
+        (["evaluate", "--operating-points", "sobol:" + 5000 * "9"], ["at most 100,000 operating points"]),
         (["evaluate", "--seed", "10" + 30 * "0"], ["--seed", "at most 10,000"]),
         (["bench", "step", "--count", "0"], ["--count = 0", "at least 1"]),
         (["bench", "step", "--count", "-5"], ["--count = -5", "at least 1"]),

@@ -92,10 +92,10 @@ def contenders(adaptation: str, given: Sequence[str]) -> dict[str, Schedule]:
 
 
 def _sample_size(text: str) -> int:
-    from adaptrack.evaluate.road import sample_size
-
-    if len(text) > 100:
-        raise InvalidInput(f"--operating-points: {len(text):,} characters: write sobol:N, {OPERATING_POINTS.range}.")
-    count = sample_size(text)
+    """The N of `sobol:N`."""
+    kind, _, digits = text.partition(":")
+    if kind != "sobol" or not digits.isdecimal() or not digits.strip("0"):
+        raise InvalidInput(f"--operating-points {text[:40]!r}: write sobol:N, for instance {USUAL}.")
+    count = int(digits[:20])  # of more digits it is too large in any case
     check_limit("--operating-points", count, OPERATING_POINTS)
     return count
