@@ -1,13 +1,17 @@
 """Settings of the documentation: `make docs` builds it, and warnings are errors."""
 
+import sys
 from importlib.metadata import version as _version
+from pathlib import Path as _Path
+
+sys.path.insert(0, str(_Path(__file__).parent))
 
 project = "adaptrack"
 author = "The adaptrack contributors"
 copyright = "2026, the adaptrack contributors"
 version = release = _version("adaptrack")
 
-extensions = ["myst_parser", "sphinx.ext.mathjax"]
+extensions = ["myst_parser", "sphinx.ext.mathjax", "configuration_keys"]
 myst_enable_extensions = ["amsmath", "dollarmath"]
 myst_heading_anchors = 3
 exclude_patterns = ["_build"]

@@ -7,10 +7,9 @@ import pytest
 
 from adaptrack import MPC, ContractError, DualTrack, InvalidInput, Moves, Tuning, load_vehicle, rollout_batch
 from adaptrack.certify import OPERATING, certify
-from adaptrack.mpc import Condition
 from adaptrack.report.certificate import write_certificate
 from adaptrack.scenario import random_drive
-from adaptrack.schedule import Constant, Guarded, Lookup, StabilityMap, Table
+from adaptrack.scheduling import Constant, Guarded, Lookup, SchedulingVariables, StabilityMap, Table
 from adaptrack.stability import hard_turn, loop_map, spectral_radius
 
 CAR = load_vehicle("paper")
@@ -48,32 +47,51 @@ def stability():
 
 def test_a_sound_scheduler_passes_with_margins_everywhere(sound):
     found = certify(sound, PLANT, MPC_, "road", levels=FEW)
-    worst = found.counted.worst
+    worst = found.counted.straight.worst(found.counted.turn)
     assert found.passed
     assert found.guarded is None
     assert worst.radius.max() < 1.0
     assert worst.gain_up.min() > 1.2
     assert worst.gain_down.max() < 0.9
     assert worst.delay.min() > 0.02
-    assert len(found.conditions) == 10 * 2 * 5  # acceleration ahead is the one other input
+    assert len(found.points) == 10 * 2 * 5  # acceleration ahead is the one other input
 
 
 def test_an_unstable_constant_is_caught_and_the_place_is_named():
     found = certify(Constant(AGGRESSIVE), PLANT, MPC_, "road", levels=FEW)
-    worst = found.worst_points(1)[0]
     assert not found.passed
+    summary = found.summary()
+    assert summary["unstable"] == found.counted.unstable.sum() > 0
+    assert summary["unstable_in_turn"] == found.counted.unstable_in_turn.sum() > summary["unstable"]
+    worst = found.worst_points(1, driving="turn")[0]
     assert (worst["speed"], worst["driving"]) == (30.0, "turn")
-    assert (worst["Np"], worst["Nc"], worst["R"]) == (28.0, 8.0, 2800.0)
-    assert worst["radius"] == pytest.approx(
-        spectral_radius(
-            PLANT, MPC_, 30.0, tuning=AGGRESSIVE, friction=worst["friction"], profile="road",
-            lateral_acceleration=hard_turn(30.0, worst["friction"]),
-        )
-    )  # fmt: skip
-    told = found.summary()
-    assert told["unstable"] == found.counted.unstable.sum() > 0
-    assert told["worst"] == worst
-    assert told["radius"] == found.counted.worst.radius.max()
+    for driving, turn in (("straight", 0.0), ("turn", hard_turn(30.0, worst["friction"]))):
+        worst = found.worst_points(1, driving=driving)[0]
+        assert worst["driving"] == driving
+        assert (worst["Np"], worst["Nc"], worst["R"]) == (28.0, 8.0, 2800.0)
+        assert worst["radius"] == pytest.approx(
+            spectral_radius(
+                PLANT, MPC_, worst["speed"], tuning=AGGRESSIVE, friction=worst["friction"], profile="road",
+                lateral_acceleration=turn,
+            )
+        )  # fmt: skip
+        assert summary[driving]["worst"] == worst
+        assert summary[driving]["radius"] == getattr(found.counted, driving).radius.max()
+
+
+def test_a_loop_that_is_unstable_in_a_turn_only_passes_and_the_count_is_in_the_verdict():
+    found = certify(Constant(AGGRESSIVE), PLANT, MPC_, "road", levels=FEW, domain={"speed": (10.0, 24.0)})
+    turn = int(found.counted.unstable_in_turn.sum())
+    assert found.passed
+    assert turn > 0
+    assert f"stable at all {len(found.points)} points" in found.verdict
+    assert f"unstable at {turn} of them in a hard turn" in found.verdict
+    summary = found.summary()
+    assert summary["verdict"] == found.verdict
+    assert summary["straight"]["radius"] < 1.0 < summary["turn"]["radius"]
+    rows = found.rows()
+    assert sum(row["unstable"] for row in rows if row["driving"] == "straight") == 0
+    assert sum(row["unstable"] for row in rows if row["driving"] == "turn") == turn
 
 
 def test_without_hard_turns_only_straight_driving_counts():
@@ -94,7 +112,7 @@ def test_the_guard_keeps_scrambled_numbers_from_the_road(scrambled, stability):
     found = certify(Guarded(scrambled, SOUND, stability=stability), PLANT, MPC_, "road", levels=FEW)
     assert found.bare.unstable.sum() > 20
     assert found.counted.unstable.sum() == 0
-    assert found.counted.worst.nearness.max() < 0.97
+    assert found.counted.straight.worst(found.counted.turn).modulus_margin.min() > 0.03
     assert found.fallback.mean() > 0.2
 
 
@@ -127,7 +145,7 @@ def test_a_plain_function_is_asked_over_everything_that_a_condition_holds():
 
     found = certify(careful, PLANT, MPC_, "road", levels=FEW)
     seen = np.array(asked)
-    for i, name in enumerate(Condition._fields):
+    for i, name in enumerate(SchedulingVariables._fields):
         assert (seen[:, i].min(), seen[:, i].max()) == OPERATING[name]
     assert found.scheduler == "careful"
     assert found.passed
@@ -135,7 +153,7 @@ def test_a_plain_function_is_asked_over_everything_that_a_condition_holds():
 
 @pytest.mark.parametrize("nonsense", [(30, 5, 1.0, 0.0), (30, 5, -1.0, 1.0), (30, np.nan, 1.0, 1.0), (30, 5), None])
 def test_a_function_that_gives_no_tuning_is_refused_with_the_condition(nonsense):
-    with pytest.raises(ContractError, match=r"Condition\(speed=3\.0"):
+    with pytest.raises(ContractError, match=r"SchedulingVariables\(speed=3\.0"):
         certify(lambda condition: nonsense, PLANT, MPC_, "road", levels=FEW)
 
 
@@ -175,14 +193,14 @@ def test_laguerre_moves_and_the_papers_profile_are_certified_too():
 def test_rows_hold_the_worst_of_every_speed_and_friction_as_json(scrambled, stability):
     found = certify(Guarded(scrambled, SOUND, stability=stability), PLANT, MPC_, "road", levels=FEW)
     rows = json.loads(json.dumps({"summary": found.summary(), "rows": found.rows()}, allow_nan=False))["rows"]
-    assert len(rows) == 2 * 10 * 2
-    assert sum(row["unstable"] for row in rows if not row["guard"]) == found.bare.unstable.sum()
-    bare = [row for row in rows if not row["guard"]]
-    worst = found.bare.worst.radius.max()
-    assert max(row["radius"] for row in bare) == pytest.approx(worst)
-    assert {(row["speed"], row["friction"]) for row in bare} == {
-        (v, mu) for v in found.speeds for mu in found.frictions
-    }
+    assert len(rows) == 2 * 2 * 10 * 2
+    for driving, unstable in (("straight", found.bare.unstable), ("turn", found.bare.unstable_in_turn)):
+        bare = [row for row in rows if not row["guard"] and row["driving"] == driving]
+        assert sum(row["unstable"] for row in bare) == unstable.sum()
+        assert max(row["radius"] for row in bare) == pytest.approx(getattr(found.bare, driving).radius.max())
+        assert {(row["speed"], row["friction"]) for row in bare} == {
+            (v, mu) for v in found.speeds for mu in found.frictions
+        }
 
 
 def test_the_page_shows_the_verdict_the_maps_and_the_worst_points(scrambled, stability, tmp_path):
@@ -192,8 +210,9 @@ def test_the_page_shows_the_verdict_the_maps_and_the_worst_points(scrambled, sta
     assert "Passed" in text
     assert "adaptrack certify mine.json" in text
     assert "Without the guard" in text
+    assert guarded.verdict in text
     assert {path.name for path in (tmp_path / "guarded").glob("*.png")} == {
-        "margins.png", "margins-bare.png", "tunings.png",
+        "margins.png", "margins-turn.png", "margins-bare.png", "margins-bare-turn.png", "tunings.png",
     }  # fmt: skip
     text = write_certificate(tmp_path / "bare", bare).read_text()
     assert "Failed" in text

@@ -139,8 +139,8 @@ def test_a_run_that_was_driven_to_its_end_has_no_failure(monkeypatch, capsys):
 
 
 def test_tables_call_a_scheduler_as_the_command_line_does(monkeypatch, capsys, tmp_path):
-    from adaptrack.mpc import Tuning
-    from adaptrack.schedule import Constant
+    from adaptrack.controllers import Tuning
+    from adaptrack.scheduling import Constant
 
     Constant(Tuning(30, 5, 1.0, 4000.0), name="nn").save(tmp_path / "mine.json")
     for given, label in (("road-nn", "road-nn"), (tmp_path / "mine.json", "mine")):
@@ -192,7 +192,7 @@ def test_reproduce_writes_the_page_and_prints_its_rows(monkeypatch, capsys, tmp_
     assert code == 0, err
     assert len(told["rows"]) == 48
     keys = {"configuration", "scenario", "controller", "preview", "mse", "paper_mse", "ratio", "max_abs_error",
-            "steering_activity", "lost", "clipped_share"}  # fmt: skip
+            "steering_activity", "failed", "clipped_share"}  # fmt: skip
     assert all(row.keys() >= keys for row in told["rows"])
     assert told["quick"]
     assert (tmp_path / "index.html").exists()

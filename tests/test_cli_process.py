@@ -72,7 +72,7 @@ def run(monkeypatch, capsys, *arguments):
         ("reproduce --out {out}", "adaptrack.dataset.load_dataset", "Nothing was written"),
         ("adapt --out {out}", "adaptrack.adapt.adapt", "{out}: run the command again to go on"),
         ("evaluate", "adaptrack.adapt.load_adaptation", "Nothing was written"),
-        ("certify road-nn", "adaptrack.schedule.load_scheduler", "Nothing was written"),
+        ("certify road-nn", "adaptrack.scheduling.load_scheduler", "Nothing was written"),
         (
             "tune --config paper-grid --out {out}",
             "adaptrack.tuning.campaign.run_campaign",

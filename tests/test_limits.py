@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from adaptrack import limits
+from adaptrack.controllers import MPC, Moves, Tuning
 from adaptrack.errors import InvalidInput
-from adaptrack.mpc import MPC, Moves, Tuning
 from adaptrack.scenario import Scenario, load_scenario
 from adaptrack.tuning.config import CampaignConfig, Plan
 from adaptrack.vehicle import load_vehicle
@@ -55,4 +55,4 @@ def test_what_would_take_hours_or_all_memory_is_refused_where_it_is_said(what, m
 
 def sobol(points: int, tunings: int) -> CampaignConfig:
     box = {"speed": (5.0, 20.0), "y_ref": (-4.0, 4.0), "friction": (0.5, 0.9), "wind": (-5.0, 5.0)}
-    return small(conditions={"kind": "sobol", "n": points, "box": box}, library={"size": tunings})
+    return small(operating_points={"kind": "sobol", "n": points, "box": box}, library={"size": tunings})

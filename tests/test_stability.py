@@ -1,7 +1,6 @@
 """The linear closed loop: its eigenvalues foretell what simulations show."""
 
 import math
-from dataclasses import replace
 from itertools import product
 
 import numpy as np
@@ -23,7 +22,7 @@ from adaptrack import (
     load_tyre,
     load_vehicle,
 )
-from adaptrack.plant import PAPER, ROAD
+from adaptrack.profile import load_profile
 from adaptrack.scenario import Scenario, Wind
 from adaptrack.simulate import rollout
 from adaptrack.stability import (
@@ -35,7 +34,7 @@ from adaptrack.stability import (
     loop_map,
     loops,
     margins,
-    nearness,
+    modulus_margin,
     radii,
     sampled,
     spectral_radius,
@@ -44,7 +43,8 @@ from adaptrack.stability import (
 
 pytestmark = pytest.mark.compiled
 CAR = load_vehicle("paper")
-QUIET = replace(ROAD, noise_vy=0.0, noise_yaw=0.0, noise_yaw_rate=0.0, noise_y=0.0)
+PAPER, ROAD = load_profile("paper"), load_profile("road")
+QUIET = ROAD.replace(noise_vy=0.0, noise_yaw=0.0, noise_yaw_rate=0.0, noise_y=0.0)
 PLANT, ROAD_MPC = DualTrack(CAR, "magic-formula"), MPC(CAR, period=0.05)
 
 
@@ -137,7 +137,7 @@ def literal_loop(plant, mpc, speed, tuning, profile):
     return np.array([step(unit) for unit in np.eye(n + 6)]).T
 
 
-@pytest.mark.parametrize("profile", [ROAD, replace(ROAD, delay=False)])
+@pytest.mark.parametrize("profile", [ROAD, ROAD.replace(delay=0)])
 def test_the_summed_up_law_has_the_eigenvalues_of_the_law_of_moves(profile):
     for speed, tuning in product((5.0, 15.0, 25.0), (Tuning(35, 5, 1.0, 1e4), Tuning(20, 8, 2.0, 300.0))):
         short = closed_loop(PLANT, ROAD_MPC, speed, tuning=tuning, profile=profile)
@@ -149,7 +149,7 @@ def test_the_summed_up_law_has_the_eigenvalues_of_the_law_of_moves(profile):
 @pytest.mark.parametrize("moves", [Moves.pulses(), Moves.laguerre(0.8, 4)])
 def test_many_laws_at_once_are_the_law_of_each(moves):
     mpc, tunings = MPC(CAR, moves=moves, period=0.05), some_tunings(1, 40)
-    from adaptrack.prediction import laguerre_basis
+    from adaptrack.models import laguerre_basis
 
     for speed in (0.5, 9.0, 25.0):
         found = laws(mpc, speed, tunings)
@@ -260,7 +260,7 @@ def test_margins_are_those_of_an_analytic_loop(pole, gain):
     assert found.radius[0] == pytest.approx(np.abs(roots).max())
     z = np.exp(1j * np.linspace(1e-3, np.pi, 200_000))
     distance = np.abs(1.0 + gain / ((z - pole) * (z - 1.0))).min()
-    assert found.nearness[0] == pytest.approx(1.0 - min(distance, 1.0), abs=1e-4)
+    assert found.modulus_margin[0] == pytest.approx(min(distance, 1.0), abs=1e-4)
 
 
 def test_the_delay_margin_is_exact_for_whole_periods():
@@ -275,7 +275,7 @@ def test_an_unstable_loop_has_no_margin():
     found = margins(*lagging(0.0, 1.2), 0.1)
     assert found.radius[0] > 1.0
     assert (found.gain_up[0], found.gain_down[0], found.delay[0]) == (1.0, 1.0, 0.0)
-    assert found.nearness[0] == pytest.approx(1.0 + 10.0 * (found.radius[0] - 1.0))
+    assert found.modulus_margin[0] == pytest.approx(-10.0 * (found.radius[0] - 1.0))
 
 
 @pytest.mark.parametrize("turning", [False, True])
@@ -299,18 +299,18 @@ def test_at_its_margins_the_cars_loop_is_at_the_verge(turning):
                 assert radii(loops(body, law, factor))[0] < 1.0
 
 
-def test_nearness_limits_the_gain_margins():
+def test_the_modulus_margin_bounds_the_gain_margins():
     k = laws(ROAD_MPC, 14.0, some_tunings(4, 200))
     found = margins(sampled(PLANT, 0.05, 14.0, profile="road"), k, 0.05)
     stable = found.radius < 1.0
     assert stable.sum() > 20
-    c = found.nearness[stable]
-    assert (found.gain_up[stable] >= 0.999 / c).all()
-    assert (found.gain_down[stable] <= 1.001 / (2.0 - c)).all()
+    m = found.modulus_margin[stable]
+    assert (found.gain_up[stable] >= 0.999 / (1.0 - m)).all()
+    assert (found.gain_down[stable] <= 1.001 / (1.0 + m)).all()
 
 
 def test_a_delay_of_one_period_is_the_road_profiles_delay():
-    prompt = replace(ROAD, delay=False)
+    prompt = ROAD.replace(delay=0)
     mine, its = (
         np.sort(np.abs(np.linalg.eigvals(closed_loop(PLANT, ROAD_MPC, 15.0, profile=profile, delay=delay))))
         for profile, delay in ((prompt, 0.05), (ROAD, 0.0))
@@ -322,8 +322,8 @@ def test_a_delay_of_one_period_is_the_road_profiles_delay():
 def test_a_fractional_delay_is_what_commands_do_that_change_within_the_period(profile):
     """Against the same plant sampled ten times as often, each command held for ten samples, three samples late."""
     period, x = 0.1, np.random.default_rng(5).normal(size=12)
-    late = sampled(PLANT, period, 15.0, profile=replace(profile, delay=False), delay=0.3 * period)
-    fine = sampled(PLANT, period / 10, 15.0, profile=replace(profile, delay=False))
+    late = sampled(PLANT, period, 15.0, profile=profile.replace(delay=0), delay=0.3 * period)
+    fine = sampled(PLANT, period / 10, 15.0, profile=profile.replace(delay=0))
     n = len(fine.b)
     z, state, before = np.append(x[:n], 0.3), x[:n], 0.3
     for command in (1.0, -0.5, 0.2):
@@ -352,7 +352,7 @@ def inside():
         bodies = [
             sampled(PLANT, 0.05, speed, friction=friction, profile="road", lateral_acceleration=turn) for turn in turns
         ]
-        near = np.maximum(*(nearness(body, k) for body in bodies))
+        near = 1.0 - np.minimum(*(modulus_margin(body, k) for body in bodies))
         ratio = np.log10(tunings[:, 3] / tunings[:, 2])
         rows += [(speed, friction, *row) for row in zip(tunings[:, 0], tunings[:, 1], ratio, near, strict=True)]
     return np.array(rows)
@@ -365,10 +365,11 @@ def test_at_its_nodes_the_map_is_the_worse_of_straight_and_turn(road_map):
         node = tuple(rng.integers(len(axis)) for axis in axes)
         speed, friction, Np, Nc, ratio = (float(axis[i]) for axis, i in zip(axes, node, strict=True))
         k = laws(ROAD_MPC, speed, [Np, min(Np, Nc), 1.0, 10.0**ratio])
-        near = max(
-            nearness(sampled(PLANT, 0.05, speed, friction=friction, profile="road", lateral_acceleration=turn), k)[0]
+        bodies = [
+            sampled(PLANT, 0.05, speed, friction=friction, profile="road", lateral_acceleration=turn)
             for turn in (0.0, hard_turn(speed, friction))
-        )
+        ]
+        near = 1.0 - min(modulus_margin(body, k)[0] for body in bodies)
         assert near <= values[node] + 1e-12
         assert values[node] - near <= 1.01e-3
 

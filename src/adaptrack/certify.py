@@ -1,7 +1,7 @@
-"""Is the closed loop stable with every tuning that a scheduler can ask for, and with how much margin?
+"""Is the closed loop stable with every tuning that a scheduler can ask for, and with which stability margins?
 
-Over a grid of the operating domain the scheduler is asked for its tuning, and the linear closed loop with that tuning
-is looked at driving straight and in a turn as hard as driving gets (`stability.hard_turn`).
+At each point of a grid over the operating domain the linear closed loop with the scheduler's tuning is analysed about
+driving straight, which decides, and about a turn as hard as driving gets (`stability.hard_turn`), which is reported.
 """
 
 from __future__ import annotations
@@ -14,21 +14,22 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from adaptrack.controllers import MPC, Scheduler, read_tuning
 from adaptrack.errors import ContractError, InvalidInput, real
-from adaptrack.mpc import MPC, Condition, Scheduler, astuple
-from adaptrack.plant import Plant, Profile, load_profile
-from adaptrack.schedule import SLOTS, Schedule
+from adaptrack.plant import Plant
+from adaptrack.profile import Profile, load_profile
+from adaptrack.scheduling import ENTRIES, VARIABLES, Schedule, SchedulingVariables
 from adaptrack.stability import Margins, hard_turn, laws, margins, sampled
 
 Array = NDArray[np.float64]
 Progress = Callable[[str, int, int], None]
 
-OPERATING: dict[str, tuple[float, float]] = {
-    "speed": (3.0, 30.0), "y_ref": (-15.0, 15.0), "friction": (0.3, 1.0), "wind": (-30.0, 30.0),
-    "change": (0.0, 8.0), "acceleration": (0.0, 3.5), "offset": (-5.0, 5.0),
-}  # fmt: skip
-"""Where a car drives, by entry of `Condition`; a scheduler is looked at where this and its own domain overlap."""
-_CELL = 64  # values of the inputs beside speed and friction, at most, for each pair of those
+OPERATING = {name: (variable.low, variable.high) for name, variable in VARIABLES.items()}
+"""The operating domain, by scheduling variable; a scheduler is certified where this and its own domain overlap."""
+Driving = Literal["straight", "turn"]
+DRIVING: tuple[Driving, ...] = ("straight", "turn")
+"""Ways of driving about which the loop is linearised, in the order of tables and maps."""
+_CELL = 64  # values combinations, at most, of the inputs beside speed and friction, for each pair of those
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,13 +39,9 @@ class Sweep:
     tunings: Array
     """(n, 4) Np, Nc, Q, R as the MPC uses them"""
     straight: Margins
+    """driving straight, which the verdict is about"""
     turn: Margins
     """in a hard turn"""
-
-    @property
-    def worst(self) -> Margins:
-        """The worse of straight and turn at each point."""
-        return self.straight.worst(self.turn)
 
     @property
     def unstable(self) -> NDArray[np.bool_]:
@@ -68,8 +65,8 @@ class Certificate:
     speeds: Array
     """m/s"""
     frictions: Array
-    conditions: Array
-    """(n, entries of `Condition`)"""
+    points: Array
+    """(n, entries of `SchedulingVariables`)"""
     bare: Sweep
     """of the scheduler without its guard"""
     guarded: Sweep | None
@@ -86,6 +83,18 @@ class Certificate:
         return not self.counted.unstable.any()
 
     @property
+    def verdict(self) -> str:
+        """The verdict in one sentence, the count of the hard turn included."""
+        n, bad = len(self.points), int(self.counted.unstable.sum())
+        turn = int(self.counted.unstable_in_turn.sum())
+        straight = f"stable at all {n:,}" if self.passed else f"unstable at {bad:,} of {n:,}"
+        return (
+            f"{'Passed' if self.passed else 'Failed'}: the closed loop is {straight} points of the operating domain "
+            f"driving straight, and unstable at {turn:,} of them in a hard turn, which does not decide "
+            f"({self.plant}, {self.tyre} tyres, {self.profile} profile)."
+        )
+
+    @property
     def fallback(self) -> NDArray[np.bool_]:
         """(n,) whether the guard changes the scheduler's tuning."""
         return np.any(self.counted.tunings != self.bare.tunings, axis=1)
@@ -94,67 +103,81 @@ class Certificate:
         """One of the arrays (n,) as (speeds, frictions, values of the other inputs)."""
         return values.reshape(len(self.speeds), len(self.frictions), -1)
 
-    def worst_points(self, count: int = 5, sweep: Sweep | None = None) -> list[dict[str, Any]]:
-        """The points nearest to instability, the worst first: condition, tuning, margins, and where it is worst."""
+    def worst_points(
+        self, count: int = 5, sweep: Sweep | None = None, driving: Driving = "straight"
+    ) -> list[dict[str, Any]]:
+        """The points with the smallest modulus margin, the worst first: variables, tuning and margins."""
         sweep = sweep or self.counted
-        order = np.argsort(-sweep.worst.nearness, kind="stable")[:count]
-        return [self._point(sweep, int(i)) for i in order]
+        found: Margins = getattr(sweep, driving)
+        order = np.argsort(found.modulus_margin, kind="stable")[:count]
+        return [self._point(sweep, driving, int(i)) for i in order]
 
     def rows(self) -> list[dict[str, Any]]:
-        """The worst point for each speed and friction, with the guard and without; ready for JSON (infinite: None)."""
-        rows = []
-        for guard, sweep in ((False, self.bare), (True, self.guarded)):
-            if sweep is None:
-                continue
-            worst = self.cells(sweep.worst.nearness)
-            count = self.cells(sweep.unstable).sum(axis=2)
-            width = worst.shape[2]
-            for cell, place in enumerate(worst.argmax(axis=2).ravel().tolist()):
-                unstable = int(count.ravel()[cell])
-                rows.append({"guard": guard, "unstable": unstable, **self._point(sweep, cell * width + place)})
-        return rows
+        """The worst point for each speed and friction, straight and in a turn, with the guard and without; for JSON.
+
+        `unstable`: how many points of that speed and friction are. What is infinite is None.
+        """
+        sweeps = [(False, self.bare)] if self.guarded is None else [(True, self.guarded), (False, self.bare)]
+        return [
+            {"guard": guard, "unstable": unstable, **self._point(sweep, driving, i)}
+            for guard, sweep in sweeps
+            for driving in DRIVING
+            for i, unstable in self._worst_of_cells(getattr(sweep, driving))
+        ]
+
+    def _worst_of_cells(self, found: Margins) -> list[tuple[int, int]]:
+        """The point with the smallest modulus margin of each speed and friction, and the number of unstable points."""
+        least, unstable = self.cells(found.modulus_margin), self.cells(found.radius >= 1.0).sum(axis=2)
+        first = np.arange(unstable.size) * least.shape[2]
+        return list(zip((first + least.argmin(axis=2).ravel()).tolist(), unstable.ravel().tolist(), strict=True))
 
     def summary(self) -> dict[str, Any]:
-        """The verdict, the worst of each measure over all points, and the worst point; ready for JSON."""
-        worst = self.counted.worst
-        extremes = {
-            "radius": worst.radius.max(),
-            "gain_up": worst.gain_up.min(),
-            "gain_down": worst.gain_down.max(),
-            "delay": worst.delay.min(),
-            "nearness": worst.nearness.max(),
-        }
+        """The verdict, and for each way of driving the worst of each margin and the worst point; ready for JSON."""
         return {
             "scheduler": self.scheduler,
             "plant": self.plant,
             "tyre": self.tyre,
             "profile": self.profile,
+            "verdict": self.verdict,
             "passed": self.passed,
-            "points": len(self.conditions),
+            "points": len(self.points),
             "unstable": int(self.counted.unstable.sum()),
             "unstable_without_guard": int(self.bare.unstable.sum()),
             "unstable_in_turn": int(self.counted.unstable_in_turn.sum()),
             "fallback_share": float(self.fallback.mean()),
-            **_finite(extremes),
-            "worst": self.worst_points(1)[0],
+            **{
+                driving: {
+                    **_finite(extremes(getattr(self.counted, driving))),
+                    "worst": self.worst_points(1, driving=driving)[0],
+                }
+                for driving in DRIVING
+            },
         }
 
-    def _point(self, sweep: Sweep, i: int) -> dict[str, Any]:
-        driving: Literal["straight", "turn"] = "straight"
-        if sweep.turn.nearness[i] > sweep.straight.nearness[i]:
-            driving = "turn"
+    def _point(self, sweep: Sweep, driving: Driving, i: int) -> dict[str, Any]:
         found: Margins = getattr(sweep, driving)
         return {
-            **dict(zip(Condition._fields, self.conditions[i].tolist(), strict=True)),
-            **dict(zip(SLOTS, sweep.tunings[i].tolist(), strict=True)),
+            **dict(zip(SchedulingVariables._fields, self.points[i].tolist(), strict=True)),
+            **dict(zip(ENTRIES, sweep.tunings[i].tolist(), strict=True)),
             "driving": driving,
-            **_finite({each.name: getattr(found, each.name)[i] for each in fields(Margins)}),
+            **_finite({each.name: float(getattr(found, each.name)[i]) for each in fields(Margins)}),
         }
 
 
-def _finite(values: Mapping[str, Any]) -> dict[str, float | None]:
+def extremes(found: Margins) -> dict[str, float]:
+    """The worst of each margin over all loops."""
+    return {
+        "radius": float(found.radius.max()),
+        "gain_up": float(found.gain_up.min()),
+        "gain_down": float(found.gain_down.max()),
+        "delay": float(found.delay.min()),
+        "modulus_margin": float(found.modulus_margin.min()),
+    }
+
+
+def _finite(values: Mapping[str, float]) -> dict[str, float | None]:
     """Numbers for JSON: what is infinite is None."""
-    return {name: float(value) if math.isfinite(value) else None for name, value in values.items()}
+    return {name: value if math.isfinite(value) else None for name, value in values.items()}
 
 
 def certify(
@@ -162,16 +185,16 @@ def certify(
     domain: Mapping[str, tuple[float, float]] | None = None, levels: tuple[int, int] = (28, 5),
     turn: Callable[[float, float], float] = hard_turn, progress: Progress | None = None,
 ) -> Certificate:  # fmt: skip
-    """Look at the closed loop with the scheduler's tunings over its whole operating domain.
+    """Stability and margins of the closed loop with the scheduler's tunings over its whole operating domain.
 
     Parameters
     ----------
     scheduler
-        A `Schedule`, guarded or not, or any function of a `Condition`.
+        A `Schedule`, guarded or not, or any function of a `SchedulingVariables`.
     mpc
         Vehicle of the prediction model, period, moves, longest horizons; its own tuning and scheduler play no part.
     domain
-        Lowest and highest value by entry of `Condition`; by default where `OPERATING` and the schedule's own domain
+        Lowest and highest value by entry of `SchedulingVariables`; by default where `OPERATING` and the schedule's own domain
         overlap. Beside speed and friction, only what a schedule looks at is varied; of a plain function, everything.
     levels
         Values of speed and of friction. Other inputs get 2 to 5 each, together at most 64 combinations or 2 each.
@@ -181,7 +204,7 @@ def certify(
     Raises
     ------
     ContractError
-        When the scheduler fails for a condition or gives what is no tuning.
+        When the scheduler fails at a point or gives what is no tuning.
     InvalidInput
         When a range makes no sense, or the plant cannot drive such a turn.
     """
@@ -189,14 +212,14 @@ def certify(
     axes = _axes(scheduler, mpc, domain or {}, levels)
     grid = np.meshgrid(*axes.values(), indexing="ij")
     columns = dict(zip(axes, (values.ravel() for values in grid), strict=True))
-    conditions = np.column_stack([columns.get(name, np.zeros(grid[0].size)) for name in Condition._fields])
+    points = np.column_stack([columns.get(name, np.zeros(grid[0].size)) for name in SchedulingVariables._fields])
     guarded = scheduler if isinstance(scheduler, Schedule) and scheduler.guard is not None else None
     bare = replace(guarded, guard=None) if guarded is not None else scheduler
-    asked = [_as_used(_tunings(each, conditions), mpc) for each in (bare, guarded) if each is not None]
-    found = _sweep(conditions, asked, plant, mpc, world, turn, progress or (lambda what, done, of: None))
+    asked = [_as_used(_tunings(each, points), mpc) for each in (bare, guarded) if each is not None]
+    found = _sweep(points, asked, plant, mpc, world, turn, progress or (lambda what, done, of: None))
     return Certificate(
         str(getattr(scheduler, "name", getattr(scheduler, "__name__", type(scheduler).__name__))),
-        plant.name, plant.tyre_name, world.name, axes["speed"], axes["friction"], conditions,
+        plant.name, plant.tyre_name, world.name, axes["speed"], axes["friction"], points,
         found[0], found[1] if guarded is not None else None,
     )  # fmt: skip
 
@@ -204,22 +227,17 @@ def certify(
 def _axes(
     scheduler: Scheduler, mpc: MPC, domain: Mapping[str, tuple[float, float]], levels: tuple[int, int]
 ) -> dict[str, Array]:
-    """The levels of each entry of the condition that is varied: speed and friction first."""
-    unknown = set(domain) - set(Condition._fields)
+    """The levels of each scheduling variable that is varied: speed and friction first."""
+    unknown = set(domain) - set(SchedulingVariables._fields)
     if unknown:
-        raise InvalidInput(f"certify: domain: {unknown.pop()!r} is no entry of Condition.")
+        raise InvalidInput(f"certify: domain: {unknown.pop()!r} is no entry of SchedulingVariables.")
     own = dict(zip(scheduler.inputs, scheduler.domain.tolist(), strict=True)) if isinstance(scheduler, Schedule) else {}
     seen = own if isinstance(scheduler, Schedule) else OPERATING
-    others = [name for name in Condition._fields if name in seen and name not in ("speed", "friction")]
+    others = [name for name in SchedulingVariables._fields if name in seen and name not in ("speed", "friction")]
     count = max(2, min(5, int(_CELL ** (1.0 / max(len(others), 1)) + 1e-9)))
     axes = {}
     for name, number in zip(("speed", "friction", *others), (*levels, *[count] * len(others)), strict=True):
-        low, high = OPERATING[name]
-        if name in domain:
-            low, high = (real("certify", f"domain: {name}", bound) for bound in domain[name])
-        elif name in own:
-            overlap = max(low, own[name][0]), min(high, own[name][1])
-            low, high = overlap if overlap[0] <= overlap[1] else own[name]
+        low, high = _range(name, domain, own)
         if name == "speed":
             low = max(low, mpc.speed_floor)
         if not -math.inf < low <= high < math.inf or number < 1:
@@ -230,23 +248,35 @@ def _axes(
     return axes
 
 
-def _tunings(scheduler: Scheduler, conditions: Array) -> Array:
-    """(n, 4) what the scheduler gives for each condition, each as at a first step."""
+def _range(name: str, domain: Mapping[str, tuple[float, float]], own: Mapping[str, list[float]]) -> tuple[float, float]:
+    """What `domain` says; else where driving and the schedule's own domain overlap, its own where they do not."""
+    if name in domain:
+        low, high = (real("certify", f"domain: {name}", bound) for bound in domain[name])
+        return low, high
+    low, high = OPERATING[name]
+    if name in own:
+        overlap = max(low, own[name][0]), min(high, own[name][1])
+        low, high = overlap if overlap[0] <= overlap[1] else own[name]
+    return low, high
+
+
+def _tunings(scheduler: Scheduler, points: Array) -> Array:
+    """(n, 4) what the scheduler gives at each point, each as at a first step."""
     if isinstance(scheduler, Schedule):
-        given = scheduler.batch(conditions)
+        given = scheduler.batch(points)
     else:
         rows = []
-        for row in conditions.tolist():
+        for row in points.tolist():
             try:
-                rows.append(astuple(scheduler(Condition(*row))))
+                rows.append(read_tuning(scheduler(SchedulingVariables(*row))))
             except Exception as error:
-                raise ContractError(f"scheduler: failed for {Condition(*row)}: {error}") from error
+                raise ContractError(f"scheduler: failed for {SchedulingVariables(*row)}: {error}") from error
         given = np.array(rows)
     bad = ~(np.isfinite(given).all(axis=1) & (given[:, 2] >= 0.0) & (given[:, 3] > 0.0))
     if bad.any():
         i = int(np.argmax(bad))
         raise ContractError(
-            f"scheduler: gave {tuple(given[i].tolist())} for {Condition(*conditions[i].tolist())}: "
+            f"scheduler: gave {tuple(given[i].tolist())} for {SchedulingVariables(*points[i].tolist())}: "
             "must be finite, with Q >= 0 and R > 0."
         )
     return given
@@ -261,13 +291,13 @@ def _as_used(tunings: Array, mpc: MPC) -> Array:
 
 
 def _sweep(
-    conditions: Array, asked: list[Array], plant: Plant, mpc: MPC, profile: Profile,
+    points: Array, asked: list[Array], plant: Plant, mpc: MPC, profile: Profile,
     turn: Callable[[float, float], float], progress: Progress,
 ) -> list[Sweep]:  # fmt: skip
-    """The margins of each set of tunings; a plant and a tuning that recur are looked at once."""
-    n, names = len(conditions), [each.name for each in fields(Margins)]
+    """The margins of each set of tunings; a plant and a tuning that recur are analysed once."""
+    n, names = len(points), [each.name for each in fields(Margins)]
     results = np.empty((len(asked), 2, len(names), n))
-    places = conditions[:, [Condition._fields.index("speed"), Condition._fields.index("friction")]]
+    places = points[:, [SchedulingVariables._fields.index("speed"), SchedulingVariables._fields.index("friction")]]
     cells, where = np.unique(places, axis=0, return_inverse=True)
     for cell, (speed, friction) in enumerate(cells.tolist()):
         progress("certify", cell, len(cells))

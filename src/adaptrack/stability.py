@@ -1,35 +1,38 @@
-"""The closed loop far from its limits: a linear map over one control period, how stable it is, and how much it bears.
+"""The closed loop for small deviations: its matrix over one control period, its stability and its stability margins.
 
 The plant is linearised about driving straight, or about a steady turn, at a speed; the controller's law is
 `PredictionModel.feedback`. What the controller's own model leaves out (tyre relaxation, steering lag, computation
 delay) is part of the loop; the reference, with or without preview, is not: it cannot make a linear loop unstable.
 
 The law du = -k [change of x_c; y] sums up to u = w - k_1..4 x_c, where w grows by -k_5 y at every step: besides the
-vehicle, the wheel angle and the commands under way, w is all that the loop remembers.
+vehicle, the wheel angle and the commands not yet applied, w is the loop's only state.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from adaptrack.controllers import MPC, Tuning
 from adaptrack.errors import InvalidInput, real
-from adaptrack.mpc import MPC, Tuning
-from adaptrack.plant import Plant, Profile, load_profile
-from adaptrack.prediction import laguerre_basis
+from adaptrack.models import laguerre_basis
+from adaptrack.plant import Plant
+from adaptrack.profile import Profile, load_profile
 from adaptrack.vehicle import GRAVITY
 
 Array = NDArray[np.float64]
+Complex = NDArray[np.complex128]
 
 MEASURED = ("vy", "psi", "yaw_rate", "Y")
 """The states of the plant that the controller measures: its x_c."""
 
 _HELD = ("X", "vx", "felt_ax")  # X does not matter; speed and longitudinal load transfer are held
 _STEP = 1e-6  # of the central differences
+_ROUNDING = 1e-15  # share of the largest entry of A below which an entry is a rounding error
 _ANGLES = np.geomspace(1e-3, np.pi, 768)  # rad per period, at which the loop gain is looked at
 
 
@@ -44,39 +47,50 @@ def steady_turn(plant: Plant, speed: float, lateral_acceleration: float, frictio
     Raises
     ------
     InvalidInput
-        When the plant has no such turn, for instance because the friction does not carry it.
+        When the plant has no such turn, for instance because friction is too low for it.
     """
     acceleration = real("steady_turn", "lateral_acceleration", lateral_acceleration)
-    names = plant.state_names
+    names = list(plant.state_names)
     free = [i for i, name in enumerate(names) if name not in (*_HELD, "Y", "psi")]
-    road = _road(friction)
+    yaw_rate, road = names.index("yaw_rate"), _road(friction)
     x = np.zeros(len(names))
-    x[3] = speed
-    unknown = np.zeros(len(free) + 1)
+    x[names.index("vx")] = speed
 
     def residual(values: Array, wanted: float) -> Array:
         state = x.copy()
         state[free] = values[:-1]
         slope = plant.derivative(state, [values[-1], 0.0], road)[free]
-        return np.append(slope, state[5] * speed - wanted)
+        return np.append(slope, state[yaw_rate] * speed - wanted)
 
+    unknown, reached = _raised(residual, np.zeros(len(free) + 1), acceleration)
+    if reached < abs(acceleration):
+        raise InvalidInput(
+            f"Plant {plant.name!r}: no steady turn with more than {reached:.4g} m/s^2 at {speed:g} m/s on friction "
+            f"{friction:g}: ask for a smaller lateral acceleration."
+        )
+    x[free] = unknown[:-1]
+    x[names.index("psi")] = -np.arctan2(x[names.index("vy")], x[names.index("vx")])
+    return x, float(unknown[-1])
+
+
+def _raised(residual: Callable[[Array, float], Array], unknown: Array, acceleration: float) -> tuple[Array, float]:
+    """Roots of residual(x, a) followed from a = 0 towards `acceleration`: the last one, and the |a| that was reached.
+
+    The steering angle stands last in x. A step that changes it by more than 0.1 rad is beyond the grip, where slip
+    grows without bound.
+    """
     reached, step = 0.0, min(abs(acceleration), 1.0)
     ahead = np.zeros_like(unknown)  # change of the unknowns per m/s^2 in the last step
     while reached < abs(acceleration):
         wanted = min(reached + step, abs(acceleration))
         tried, found = _newton(residual, unknown + (wanted - reached) * ahead, np.copysign(wanted, acceleration))
-        if found and abs(tried[-1] - unknown[-1]) < 0.1:  # rad: not beyond the grip, where slip grows without end
+        if found and abs(tried[-1] - unknown[-1]) < 0.1:
             ahead, unknown, reached = (tried - unknown) / (wanted - reached), tried, wanted
         elif step > 1e-3:
             step *= 0.5
         else:
-            raise InvalidInput(
-                f"Plant {plant.name!r}: no steady turn with more than {reached:.4g} m/s^2 at {speed:g} m/s on friction "
-                f"{friction:g}: ask for a smaller lateral acceleration."
-            )
-    x[free] = unknown[:-1]
-    x[2] = -np.arctan2(x[4], x[3])
-    return x, float(unknown[-1])
+            break
+    return unknown, reached
 
 
 def _newton(residual: Callable[[Array, float], Array], x: Array, wanted: float) -> tuple[Array, bool]:
@@ -98,7 +112,7 @@ def linearised(
 
     About a straight line, or about a `steady_turn` with `lateral_acceleration` (m/s^2), in which tyres are softer; then
     deviations are those from the turn, in axes along its velocity. The input is the front-wheel angle; the speed is
-    held. States that cannot reach what the controller measures are left out: their modes do not matter to it. By
+    held. States that do not influence what the controller measures are left out. By
     central differences.
     """
     x, steering = steady_turn(plant, speed, lateral_acceleration, friction)
@@ -112,7 +126,7 @@ def linearised(
     a, b = np.array(columns).T, (slope(x, steering + _STEP) - slope(x, steering - _STEP)) / (2 * _STEP)
     seen = np.array([plant.state_names[i] in MEASURED for i in keep])
     for _ in keep:
-        seen |= (a[seen] != 0.0).any(axis=0)
+        seen |= (np.abs(a[seen]) > _ROUNDING * np.abs(a).max()).any(axis=0)
     part = np.flatnonzero(seen)
     return [plant.state_names[keep[j]] for j in part], a[np.ix_(part, part)], b[part]
 
@@ -121,7 +135,7 @@ class Sampled(NamedTuple):
     """The plant behind its steering over one control period: z(k+1) = A z(k) + b u(k), x_c(k) = C z(k)."""
 
     a: Array
-    """(m, m); z: the plant's states, the front-wheel angle where the steering has a lag, the commands under way"""
+    """(m, m); z: the plant's states, the front-wheel angle where the steering has a lag, commands not yet applied"""
     b: Array
     """(m,)"""
     c: Array
@@ -135,35 +149,47 @@ def sampled(
     """The linearised plant, exactly discretised under commands held over the period (s).
 
     A command acts `delay` (s, >= 0, any fraction of a period) after its measurement, a period later still when the
-    profile says so. The steering's rate limit plays no part near rest.
+    profile says so. The steering's rate limit plays no part in small deviations.
     """
-    from scipy.linalg import expm
-
     if not 0.0 <= real("sampled", "delay", delay) < np.inf:
         raise InvalidInput(f"delay = {delay!r} s: must be finite and not negative.")
     world = load_profile(profile)
     lag = (getattr(plant, "steering", None) or world.steering).lag
     names, a, b = linearised(plant, speed, friction, lateral_acceleration)
+    step = _held(_with_lag(a, b, lag), period, world.delay + delay / period)
+    size = len(step)
+    outputs = np.zeros((len(MEASURED), size))
+    outputs[range(len(MEASURED)), [names.index(name) for name in MEASURED]] = 1.0
+    return Sampled(step[:, :size], step[:, size], outputs)
+
+
+def _with_lag(a: Array, b: Array, lag: float) -> Array:
+    """Flow (n + 1, n + 1) of the states, the wheel angle where the steering has a lag (s), and a constant command."""
     n = len(b) + (lag > 0.0)
-    flow = np.zeros((n + 1, n + 1))  # of the states and the command
+    flow = np.zeros((n + 1, n + 1))
     flow[: len(b), : len(b)], flow[: len(b), len(b)] = a, b
     if lag > 0.0:
         flow[n - 1, n - 1], flow[n - 1, n] = -1.0 / lag, 1.0 / lag
+    return flow
 
-    whole, part = divmod(world.delay + delay / period, 1.0)
+
+def _held(flow: Array, period: float, delay: float) -> Array:
+    """[A b] (m, m + 1) over one period of a flow whose commands act `delay` periods late; the new one stands last."""
+    from scipy.linalg import expm
+
+    n = len(flow) - 1
+    whole, part = divmod(delay, 1.0)
     pending = int(whole) + (part > 0.0)
     early, late = expm(flow * (part * period)), expm(flow * ((1.0 - part) * period))
     size = n + pending
-    step = np.zeros((size, size + 1))  # of z and the new command, which stands last
+    step = np.zeros((size, size + 1))
     step[:n, :n] = late[:n, :n] @ early[:n, :n]
-    place = [size, *range(n, size)]  # where the commands of this instant, of the last one, ... stand
+    place = [size, *range(n, size)]  # columns of the commands of this instant, of the last one, ...
     step[:n, place[int(whole)]] = late[:n, n]
     if part > 0.0:
         step[:n, place[int(whole) + 1]] = late[:n, :n] @ early[:n, n]
     step[place[1:], place[:-1]] = 1.0
-    outputs = np.zeros((len(MEASURED), size))
-    outputs[range(len(MEASURED)), [names.index(name) for name in MEASURED]] = 1.0
-    return Sampled(step[:, :size], step[:, size], outputs)
+    return step
 
 
 def _road(friction: float) -> Array:
@@ -220,27 +246,27 @@ def _direct(k: Array) -> Array:
 
 def closed_loop(
     plant: Plant, mpc: MPC, speed: float, *, tuning: Tuning | None = None, friction: float = 0.9,
-    profile: str | Profile = "paper", lateral_acceleration: float = 0.0, gain: float = 1.0, delay: float = 0.0,
+    profile: str | Profile = "paper", lateral_acceleration: float = 0.0, delay: float = 0.0,
 ) -> Array:  # fmt: skip
     """The matrix that takes the loop's state from one control instant to the next, with a reference of zero.
 
-    State: that of `sampled`, then w (see above). gain: a factor on the commands; delay: s, by which they act later.
+    State: that of `sampled`, then w (see above). delay: s, additional dead time of the commands.
     """
     body = sampled(
         plant, mpc.period, speed, friction=friction, profile=profile, lateral_acceleration=lateral_acceleration,
         delay=delay,
     )  # fmt: skip
-    return loops(body, laws(mpc, speed, (tuning or mpc.tuning).as_array()), gain)[0]
+    return loops(body, laws(mpc, speed, (tuning or mpc.tuning).as_array()))[0]
 
 
 def spectral_radius(
     plant: Plant, mpc: MPC, speed: float, *, tuning: Tuning | None = None, friction: float = 0.9,
-    profile: str | Profile = "paper", lateral_acceleration: float = 0.0, gain: float = 1.0, delay: float = 0.0,
+    profile: str | Profile = "paper", lateral_acceleration: float = 0.0, delay: float = 0.0,
 ) -> float:  # fmt: skip
     """Largest magnitude of the closed loop's eigenvalues over one control period: below 1 it is stable."""
     matrix = closed_loop(
         plant, mpc, speed, tuning=tuning, friction=friction, profile=profile,
-        lateral_acceleration=lateral_acceleration, gain=gain, delay=delay,
+        lateral_acceleration=lateral_acceleration, delay=delay,
     )  # fmt: skip
     return float(radii(matrix))
 
@@ -253,7 +279,7 @@ def radii(matrices: Array) -> Array:
 # -- margins ----------------------------------------------------------------------------------------------------------
 @dataclass(frozen=True, eq=False)
 class Margins:
-    """How far each of n loops is from instability, arrays (n,). An unstable one has margins of 1, 1 and 0 s."""
+    """Stability margins of n loops, arrays (n,). An unstable loop has gain margins of 1 and a delay margin of 0 s."""
 
     radius: Array
     """spectral radius over one control period"""
@@ -263,8 +289,8 @@ class Margins:
     """likewise < 1, 0 when none does"""
     delay: Array
     """s, additional delay of the commands at which it becomes unstable"""
-    nearness: Array
-    """1 at the verge of instability, see `nearness`"""
+    modulus_margin: Array
+    """0 at the stability limit, see `modulus_margin`"""
 
     def worst(self, other: Margins) -> Margins:
         """The worse of two, loop by loop."""
@@ -273,11 +299,11 @@ class Margins:
             np.minimum(self.gain_up, other.gain_up),
             np.maximum(self.gain_down, other.gain_down),
             np.minimum(self.delay, other.delay),
-            np.maximum(self.nearness, other.nearness),
+            np.minimum(self.modulus_margin, other.modulus_margin),
         )
 
 
-def loop_gain(body: Sampled, k: Array, angles: ArrayLike = _ANGLES) -> NDArray[np.complex128]:
+def loop_gain(body: Sampled, k: Array, angles: ArrayLike = _ANGLES) -> Complex:
     """The loop gain L (n, angles) of n laws at z = e^(i angle), the loop being cut at the steering command.
 
     The loop with a factor g on its commands has the characteristic equation 1 + g L(z) = 0.
@@ -289,54 +315,68 @@ def loop_gain(body: Sampled, k: Array, angles: ArrayLike = _ANGLES) -> NDArray[n
     return np.asarray(_direct(k) @ measured + k[:, 4, None] * (measured[3] / (z - 1.0)))
 
 
-def nearness(body: Sampled, k: Array, gains: NDArray[np.complex128] | None = None) -> Array:
-    """How near to instability the loops of n laws are (n,): 1 less the smallest distance of their L from -1.
+def modulus_margin(body: Sampled, k: Array) -> Array:
+    """Modulus margin min |1 + L| (n,) of the loops of n laws k (n, 5): the distance of the loop gain from -1.
 
-    That distance is 1/M, M the largest sensitivity |1/(1 + L)|: 0.5 is a comfortable loop, 1 the verge. It limits all
-    margins at once; a loop of nearness c bears factors on its commands from 1/(2 - c) to 1/c. An unstable loop has
-    1 + 10 (spectral radius - 1), so that tables can be interpolated. gains: L, when it is known.
+    It is 1/M, M the largest sensitivity |1/(1 + L)|: 0.5 is a comfortable loop, 0 the stability limit (I. D. Landau,
+    G. Zito, Digital Control Systems, Springer 2006, chapter 2). It bounds all other margins: with a modulus margin m
+    the loop is stable for factors on its commands from 1/(1 + m) to 1/(1 - m). At most 1. An unstable loop has the
+    negative value -10 (spectral radius - 1), so that tables can be interpolated across the limit.
     """
-    distance = np.abs(1.0 + (loop_gain(body, k) if gains is None else gains)).min(axis=1)
-    radius = radii(loops(body, k))
-    return np.where(radius < 1.0, 1.0 - np.minimum(distance, 1.0), 1.0 + 10.0 * (radius - 1.0))
+    return _modulus_margin(loop_gain(body, k), radii(loops(body, k)))
+
+
+def _modulus_margin(gains: Complex, radius: Array) -> Array:
+    distance = np.abs(1.0 + gains).min(axis=1)
+    return np.where(radius < 1.0, np.minimum(distance, 1.0), -10.0 * (radius - 1.0))
 
 
 def margins(body: Sampled, k: Array, period: float) -> Margins:
     """Stability margins of the loops of n laws k (n, 5) around a sampled plant; period: s.
 
-    From the loop gain L on the unit circle, which an eigenvalue must cross. A factor g takes it there where g L = -1:
-    g = -1/L wherever L is real and negative. A delay tau does where L e^(-i angle tau/period) = -1: wherever |L| = 1,
-    tau = period (arg L + pi)/angle, the bracket taken from 0 to 2 pi. That is exact for whole periods; in between it
-    leaves out that commands are held. Crossings are interpolated between 768 frequencies.
+    From the loop gain L on the unit circle, which an eigenvalue must cross: where g L = -1 for a factor g, where
+    L e^(-i angle tau/period) = -1 for a delay tau. Crossings are interpolated between 768 frequencies.
     """
     gains = loop_gain(body, k)
-    left, right = gains[:, :-1], gains[:, 1:]
-
-    def crossings(level: Array) -> tuple[Array, NDArray[np.complex128]]:
-        """Where `level` changes its sign: the share of the way to the next frequency, NaN elsewhere, and L there."""
-        changes = level[:, :-1] * level[:, 1:] < 0.0
-        share = np.full(changes.shape, np.nan)
-        np.divide(level[:, :-1], level[:, :-1] - level[:, 1:], out=share, where=changes)
-        return share, left + share * (right - left)
-
-    _, at = crossings(gains.imag)
-    real_axis = np.concatenate([at.real, gains[:, -1:].real], axis=1)  # at half the sampling frequency L is real
-    factor = -1.0 / np.where(real_axis < 0.0, real_axis, np.nan)
-    share, at = crossings(np.log(np.abs(gains)))
-    angle = _ANGLES[:-1] * (_ANGLES[1:] / _ANGLES[:-1]) ** share
-    delay = period * np.mod(np.angle(at) + np.pi, 2.0 * np.pi) / angle
     radius = radii(loops(body, k))
     stable = radius < 1.0
+    factor, delay = _critical_factors(gains), _critical_delays(gains, period)
     return Margins(
         radius,
         np.where(stable, np.min(factor, axis=1, where=factor > 1.0, initial=np.inf), 1.0),
         np.where(stable, np.max(factor, axis=1, where=factor < 1.0, initial=0.0), 1.0),
         np.where(stable, np.min(delay, axis=1, where=delay >= 0.0, initial=np.inf), 0.0),
-        nearness(body, k, gains),
+        _modulus_margin(gains, radius),
     )
 
 
-# -- maps -------------------------------------------------------------------------------------------------------------
+def _critical_factors(gains: Complex) -> Array:
+    """Factors g = -1/L (n, 768) where L crosses the negative real axis, NaN elsewhere."""
+    _, at = _crossings(gains.imag, gains)
+    real_axis = np.concatenate([at.real, gains[:, -1:].real], axis=1)  # at half the sampling frequency L is real
+    return np.asarray(-1.0 / np.where(real_axis < 0.0, real_axis, np.nan))
+
+
+def _critical_delays(gains: Complex, period: float) -> Array:
+    """Delays tau (s) (n, 767) where |L| crosses 1, NaN elsewhere: period (arg L + pi)/angle, arg L + pi in [0, 2 pi).
+
+    Exact for whole periods; in between it leaves out that commands are held.
+    """
+    share, at = _crossings(np.log(np.abs(gains)), gains)
+    angle = _ANGLES[:-1] * (_ANGLES[1:] / _ANGLES[:-1]) ** share
+    return np.asarray(period * np.mod(np.angle(at) + np.pi, 2.0 * np.pi) / angle)
+
+
+def _crossings(level: Array, gains: Complex) -> tuple[Array, Complex]:
+    """Where `level` changes its sign: the share of the way to the next frequency, NaN elsewhere, and L there."""
+    left, right = gains[:, :-1], gains[:, 1:]
+    changes = level[:, :-1] * level[:, 1:] < 0.0
+    share = np.full(changes.shape, np.nan)
+    np.divide(level[:, :-1], level[:, :-1] - level[:, 1:], out=share, where=changes)
+    return share, left + share * (right - left)
+
+
+# -- the guard's table ------------------------------------------------------------------------------------------------
 def hard_turn(speed: float, friction: float) -> float:
     """Lateral acceleration (m/s^2) of a turn as hard as driving gets at a speed (m/s) on `friction`.
 
@@ -348,7 +388,12 @@ def hard_turn(speed: float, friction: float) -> float:
     return min(0.027 * speed, 0.75) * friction * GRAVITY
 
 
-_RATIOS = np.linspace(1.0, 6.0, 16)
+_NODES = (
+    (6, 10, 14, 18, 22, 26, 30, 36, 42, 50, 60),
+    (1, 2, 3, 5, 8, 13, 20),
+    np.linspace(1.0, 6.0, 16),
+)
+"""Np, Nc and log10 R/Q (R/Q in m^2/rad^2) of the guard's table, for the `road` profile."""
 
 
 def _speeds(low: float, high: float) -> Array:
@@ -361,26 +406,26 @@ def _speeds(low: float, high: float) -> Array:
 
 def loop_map(
     plant: Plant, mpc: MPC, profile: str | Profile = "road", *, speed: tuple[float, float] = (2.0, 30.0),
-    friction: tuple[float, float] = (0.3, 1.0),
-    Np: ArrayLike = (6, 10, 14, 18, 22, 26, 30, 36, 42, 50, 60), Nc: ArrayLike = (1, 2, 3, 5, 8, 13, 20),
-    log10_ratio: ArrayLike = _RATIOS, turn: Callable[[float, float], float] = hard_turn,
+    friction: tuple[float, float] = (0.3, 1.0), nodes: Sequence[ArrayLike] = _NODES,
+    turn: Callable[[float, float], float] = hard_turn,
 ) -> tuple[tuple[Array, ...], Array]:  # fmt: skip
-    """How near to instability the loop is, over speed, friction, Np, Nc and log10 R/Q: the axes of a grid, the values.
+    """The table of a guard over speed, friction, Np, Nc and log10 R/Q: the axes of a grid, and its values.
 
-    The larger `nearness` of driving straight and in a turn, rounded up to 0.001, made to be interpolated linearly. It
-    foretells lost drives better than the spectral radius, which also counts slow modes that are well damped.
+    Values: 1 less the smaller modulus margin of driving straight and in a turn, rounded up to 0.001, made to be
+    interpolated linearly. 1 is the stability limit. It foretells failed drives better than the spectral radius, which
+    also counts slow modes that are well damped.
 
-    speed (m/s), friction: ranges; Np, Nc, log10_ratio (R/Q in m^2/rad^2): nodes, by default a grid that suits the road
-    profile; turn: its lateral acceleration (m/s^2) at a speed on a friction. A node with Nc > Np stands for Nc = Np.
+    speed (m/s), friction: ranges; nodes: of Np, Nc and log10 R/Q; turn: lateral acceleration (m/s^2) of the turn at a
+    speed on a friction, 0 for driving straight only. A node with Nc > Np stands for Nc = Np.
     """
     axes = (
         _speeds(*speed),
         np.array(friction, dtype=np.float64),
-        *(np.asarray(axis, dtype=np.float64) for axis in (Np, Nc, log10_ratio)),
+        *(np.asarray(axis, dtype=np.float64) for axis in nodes),
     )
     horizon, moves, ratio = (axis.ravel() for axis in np.meshgrid(*axes[2:], indexing="ij"))
     tunings = np.column_stack([horizon, np.minimum(moves, horizon), np.ones_like(ratio), 10.0**ratio])
-    values = np.empty((len(axes[0]), len(axes[1]), len(tunings)))
+    least = np.empty((len(axes[0]), len(axes[1]), len(tunings)))
     for i, v in enumerate(axes[0].tolist()):
         k = laws(mpc, v, tunings)
         for j, mu in enumerate(axes[1].tolist()):
@@ -388,5 +433,5 @@ def loop_map(
                 sampled(plant, mpc.period, v, friction=mu, profile=profile, lateral_acceleration=acceleration)
                 for acceleration in (0.0, turn(v, mu))
             ]
-            values[i, j] = np.maximum(*(nearness(body, k) for body in bodies))
-    return axes, np.ceil(1000.0 * values.reshape([len(axis) for axis in axes])) / 1000.0
+            least[i, j] = np.minimum(*(modulus_margin(body, k) for body in bodies))
+    return axes, np.ceil(1000.0 * (1.0 - least.reshape([len(axis) for axis in axes]))) / 1000.0

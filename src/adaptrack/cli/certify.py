@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 from typer import Option
@@ -27,8 +27,11 @@ COLUMNS = (
     Column("ratio", "R/Q", "m²/rad²", show.digits(3)),
     Column("radius", "spectral\nradius"),
     Column("delay", "delay", "s", show.digits(3)),
-    Column("nearness", "nearness", "", show.digits(3)),
+    Column("modulus_margin", "modulus\nmargin", "", show.digits(3)),
 )
+
+TITLES = {"straight": "driving straight (the verdict)", "turn": "in a hard turn (no verdict)"}
+"""By way of driving."""
 
 
 def certify(
@@ -46,9 +49,9 @@ def certify(
     turn are counted beside it, as a warning.
     """
     from adaptrack.certify import certify as look
-    from adaptrack.mpc import MPC
-    from adaptrack.plant import load_profile
-    from adaptrack.schedule import load_scheduler
+    from adaptrack.controllers import MPC
+    from adaptrack.profile import load_profile
+    from adaptrack.scheduling import load_scheduler
 
     schedule = load_scheduler(scheduler)
     car, body = options.car_and_plant(vehicle, plant, tyre)
@@ -77,41 +80,28 @@ def _write_page(out: Path, found: Certificate) -> Path:
 
 
 def _print(found: Certificate) -> None:
+    """The points with the smallest modulus margin, for each way of driving, with the guard and without."""
+    from adaptrack.certify import DRIVING
+
     sweeps = [(found.guarded is not None, found.counted)]
     if found.guarded is not None:
         sweeps.append((False, found.bare))
-    points = [{"guard": guard, **point} for guard, sweep in sweeps for point in found.worst_points(5, sweep)]
-    rows = [{**point, "ratio": point["R"] / point["Q"] if point["Q"] else None} for point in points]
-    show.table(f"{found.scheduler}: the points nearest to instability, straight or in a turn", COLUMNS, rows)
+    for driving in DRIVING:
+        points = [
+            {"guard": guard, **point} for guard, sweep in sweeps for point in found.worst_points(5, sweep, driving)
+        ]
+        rows = [{**point, "ratio": point["R"] / point["Q"] if point["Q"] else None} for point in points]
+        show.table(f"{found.scheduler}, {TITLES[driving]}: the points nearest to instability", COLUMNS, rows)
 
 
 def _tell_verdict(found: Certificate, as_json: bool) -> None:
-    """The same counts as on the page and in the JSON: the verdict, and beside it the warning."""
-    summary = found.summary()
-    points = summary["points"]
-    verdict = f"driving straight: {summary['unstable']:,} of {points:,} points unstable"
-    warning = f"in a hard turn: {summary['unstable_in_turn']:,} of {points:,} points unstable (no verdict)"
-    if not found.passed:
-        at = _worst_straight(found)
-        where = (
-            f"the worst at {at['speed']:g} m/s on friction {at['friction']:g}, with Np = {at['Np']:g}, "
-            f"Nc = {at['Nc']:g}, Q = {at['Q']:g}, R = {at['R']:g}: spectral radius {at['radius']:.4f}"
-        )
-        show.say_failed(f"{verdict}, {where}.", aside=True)
-    elif not as_json:
-        show.say(f"Passed, {verdict}.")
-    if summary["unstable_in_turn"]:
-        show.say(f"Warning, {warning}.", aside=as_json or not found.passed)
-
-
-def _worst_straight(found: Certificate) -> dict[str, Any]:
-    """The condition, tuning and spectral radius of the point that is the most unstable, driving straight."""
-    from adaptrack.mpc import Condition
-    from adaptrack.schedule import SLOTS
-
-    i = int(found.counted.straight.radius.argmax())
-    return {
-        **dict(zip(Condition._fields, found.conditions[i].tolist(), strict=True)),
-        **dict(zip(SLOTS, found.counted.tunings[i].tolist(), strict=True)),
-        "radius": float(found.counted.straight.radius[i]),
-    }
+    """The sentence that stands on the page and in the JSON; with the worst point when it failed."""
+    if found.passed:
+        show.say(found.verdict, aside=as_json)
+        return
+    at = found.summary()["straight"]["worst"]
+    show.say_failed(
+        f"{found.verdict} The worst: {at['speed']:g} m/s on friction {at['friction']:g}, with Np = {at['Np']:g}, "
+        f"Nc = {at['Nc']:g}, Q = {at['Q']:g}, R = {at['R']:g}: spectral radius {at['radius']:.4f}.",
+        aside=True,
+    )

@@ -16,12 +16,13 @@ app = typer.Typer(help="Data sets of tuned operating points.", no_args_is_help=T
 def describe_dataset(name: options.DataSetName, out: options.Page = None, as_json: options.Json = False) -> None:
     """Tell what is in a data set: ranges, optimum, how much the points explain, how flat the optimum is."""
     from adaptrack.dataset import describe, load_dataset
+    from adaptrack.learning.boosting import explained_shares
 
     dataset = load_dataset(name)
     if out is not None:
         options.make_folder(out)
     with show.progress("describe") as advance:
-        found = describe(dataset, progress=advance)
+        found = describe(dataset, explained_shares(dataset, advance))
     if out is not None:
         from adaptrack.report import write_dataset_report
 

@@ -12,7 +12,7 @@ from adaptrack.errors import InvalidInput
 from adaptrack.limits import DRIVES, OPERATING_POINTS, SEED, check_limit
 
 if TYPE_CHECKING:
-    from adaptrack.schedule import Schedule
+    from adaptrack.scheduling import Schedule
 
 USUAL = "sobol:2000"
 """The operating points when nothing is asked for."""
@@ -81,7 +81,7 @@ def evaluate(
 def contenders(adaptation: str, given: Sequence[str]) -> dict[str, Schedule]:
     """What ships for an adaptation, and the schedulers given by name or file; a name that recurs says whose it is."""
     from adaptrack.adapt import shipped
-    from adaptrack.schedule import check_scheduler, load_scheduler
+    from adaptrack.scheduling import check_scheduler, load_scheduler
 
     found = shipped(adaptation)
     for name in given:

@@ -30,7 +30,7 @@ def vehicles(as_json: options.Json = False) -> None:
 
 def schedulers(as_json: options.Json = False) -> None:
     """List the schedulers that ship with the package."""
-    from adaptrack.schedule import list_schedulers, load_scheduler
+    from adaptrack.scheduling import list_schedulers, load_scheduler
 
     loaded = [(name, load_scheduler(name)) for name in list_schedulers()]
     rows = [{"name": name, "rung": each.name, "inputs": ", ".join(each.inputs)} for name, each in loaded]

@@ -70,7 +70,9 @@ def count_of(what: str, limit: Limit) -> typer.models.OptionInfo:
 Vehicle = Annotated[str, Option("--vehicle", help="Name (see `vehicles`) or .toml file.")]
 Plant = Annotated[PlantName, Option("--plant", help="What is driven.")]
 Tyre = Annotated[str | None, Option("--tyre", help="Name (see `vehicles`) or .toml file; by default the vehicle's.")]
-Profile = Annotated[str, Option("--profile", metavar="NAME", help="paper: ideal; road: steering lag, noise, delay.")]
+Profile = Annotated[
+    str, Option("--profile", metavar="NAME", help="paper: ideal; road: steering lag, noise, delay; or a .toml file.")
+]
 Json = Annotated[bool, Option("--json", help="One JSON object on standard output, nothing else.")]
 Data = Annotated[str, Option("--data", help="Name (see `dataset list`), file, or folder of a campaign.")]
 DataSetName = Annotated[

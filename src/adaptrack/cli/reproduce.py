@@ -17,7 +17,7 @@ COLUMNS = (
     Column("mse", "MSE", "m²"),
     Column("paper_mse", "paper", "m²"),
     Column("ratio", "ratio", "", show.digits(3)),
-    Column("lost", "failed"),
+    Column("failed", "failed"),
 )
 
 GROUP = itemgetter("configuration", "scenario", "preview")

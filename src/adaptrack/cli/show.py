@@ -56,7 +56,9 @@ def say_json(values: Any) -> None:
 
 def printable(text: str) -> str:
     """The text with control characters, and what is no character at all, written as escapes."""
-    return "".join(c if c.isprintable() or c == "\n" else c.encode("unicode_escape").decode() for c in text)
+    from adaptrack.files import printable as escaped
+
+    return escaped(text, keep="\n")
 
 
 def written(value: Any) -> str:

@@ -16,9 +16,9 @@ from adaptrack.cli.show import Column
 from adaptrack.errors import InvalidInput, UnknownName, did_you_mean
 
 if TYPE_CHECKING:
-    from adaptrack.mpc import MPC, Controller, Moves, Tuning
-    from adaptrack.plant import Profile
-    from adaptrack.schedule import Schedule
+    from adaptrack.controllers import Controller, Moves, Tuning
+    from adaptrack.profile import Profile
+    from adaptrack.scheduling import Schedule
     from adaptrack.trajectory import Trajectory
     from adaptrack.vehicle import Vehicle
 
@@ -46,7 +46,8 @@ def simulate(
         list[str] | None,
         Option(
             metavar="NAME",
-            help="standard: as the options say [default]; as-written: pulses; as-released: Laguerre, pole 0.95.",
+            help="standard: the MPC as the options say [default]; as-written: pulses; as-released: Laguerre functions, "
+            "pole 0.95; lqr, pure-pursuit, stanley.",
         ),
     ] = None,
     vehicle: options.Vehicle = "paper",
@@ -83,10 +84,10 @@ def simulate(
     as_json: options.Json = False,
 ) -> None:
     """Drive scenarios with a controller; print the metrics, write the report. Exit code 3 when a run failed."""
-    from adaptrack.mpc import Moves, Tuning
-    from adaptrack.plant import load_profile
+    from adaptrack.controllers import Moves, Tuning
+    from adaptrack.profile import load_profile
     from adaptrack.scenario import load_scenario
-    from adaptrack.schedule import load_scheduler
+    from adaptrack.scheduling import load_scheduler
 
     loaded = [load_scenario(name, **scenario_options(option or [])) for name in scenarios]
     car, body = options.car_and_plant(vehicle, plant, tyre)
@@ -131,7 +132,7 @@ class Asked:
 
 
 def make_controller(name: str, asked: Asked) -> tuple[str, Controller]:
-    """A controller by its name, and how tables call it.
+    """A controller by its name, and how tables call it: an MPC, or one that is registered.
 
     Raises
     ------
@@ -140,28 +141,27 @@ def make_controller(name: str, asked: Asked) -> tuple[str, Controller]:
     InvalidInput
         When the options make no controller.
     """
-    from adaptrack.mpc import Moves
+    from adaptrack.controllers import Moves, get_controller, list_controllers
 
-    moves = {
-        STANDARD: asked.moves,
-        AS_WRITTEN: Moves.pulses(),
-        AS_RELEASED: Moves.laguerre(0.95, asked.moves.terms),
-    }
+    moves = {STANDARD: asked.moves, AS_WRITTEN: Moves.pulses(), AS_RELEASED: Moves.laguerre(0.95, asked.moves.terms)}
+    others = [each for each in list_controllers() if each != "mpc"]  # which is the standard one
+    if name in others:
+        if asked.schedule is not None:
+            raise InvalidInput(f"--scheduler {asked.label}: tunes the MPC; controller {name!r} takes none.")
+        return name, get_controller(name, asked.car, period=asked.period, preview=asked.preview)
     if name not in moves:
-        raise UnknownName(f"no controller is named {name!r}. {did_you_mean(name, moves)}")
-    if not asked.label:
-        return name, _mpc(asked, moves[name])
-    return asked.label if name == STANDARD else f"{asked.label}-{name}", _mpc(asked, moves[name])
-
-
-def _mpc(asked: Asked, moves: Moves) -> MPC:
-    from adaptrack.mpc import MPC
-
-    most = max(20, asked.tuning.Nc, 0 if asked.schedule is None else asked.schedule.largest[1])
-    return MPC(
-        asked.car, asked.tuning, period=asked.period, moves=moves, preview=asked.preview, solver=asked.solver,
-        scheduler=asked.schedule, most_moves=most,
+        raise UnknownName(f"no controller is named {name!r}. {did_you_mean(name, [*moves, *others])}")
+    mpc = get_controller(
+        "mpc", asked.car, tuning=asked.tuning, period=asked.period, moves=moves[name], preview=asked.preview,
+        solver=asked.solver, scheduler=asked.schedule, most_moves=_most_moves(asked),
     )  # fmt: skip
+    if not asked.label:
+        return name, mpc
+    return asked.label if name == STANDARD else f"{asked.label}-{name}", mpc
+
+
+def _most_moves(asked: Asked) -> int:
+    return max(20, asked.tuning.Nc, 0 if asked.schedule is None else asked.schedule.largest[1])
 
 
 # -- runs -------------------------------------------------------------------------------------------------------------
@@ -186,11 +186,12 @@ def _drive(
     seed: int, out: Path | None,
 ) -> list[tuple[str, Trajectory]]:  # fmt: skip
     """Every scenario with every controller; each trajectory is saved as soon as it is driven."""
+    from adaptrack.files import safe_names
     from adaptrack.simulate import Driver
     from adaptrack.simulate import simulate as drive
 
     pairs = [(scenario, *named) for scenario in scenarios for named in controllers]
-    files = [f"{scenario.name}-{label}" for scenario, label, _ in pairs]
+    files = safe_names(f"{scenario.name}-{label}" for scenario, label, _ in pairs)
     where = f"their trajectories are in {out}, without a report" if out else "nothing was written"
     runs: list[tuple[str, Trajectory]] = []
     with show.progress("simulate", len(pairs)) as advance:
@@ -217,7 +218,7 @@ def _row(controller: str, run: Trajectory) -> dict[str, Any]:
     from adaptrack.metrics import compute_metrics
 
     meta, measures = run.meta, compute_metrics(run).as_row()
-    why, when, failed = measures.pop("lost_because"), measures.pop("lost_at"), measures.pop("lost")
+    why, when, failed = measures.pop("failed_because"), measures.pop("failed_at"), measures.pop("failed")
     return {
         "scenario": run.name_of("scenario"),
         "controller": controller,

@@ -37,7 +37,7 @@ def train(
     from adaptrack.dataset import load_dataset
     from adaptrack.evaluate import quality, scheduler
     from adaptrack.learning.training import train as learn
-    from adaptrack.schedule import check_scheduler
+    from adaptrack.scheduling import check_scheduler
 
     if out.suffix != ".json":
         raise InvalidInput(f"--out {out}: a scheduler's file is called *.json.")

@@ -58,13 +58,13 @@ def tune(
 
 def _estimate(campaign: CampaignConfig, threads: int | None) -> str:
     """How much work a campaign is: runs, memory, and the time on so many threads of this machine."""
-    from adaptrack.plant import load_profile
+    from adaptrack.profile import load_profile
     from adaptrack.tuning.config import Plan
 
     plan = Plan.of(campaign)
     settled, points = plan.config, len(plan.fold.representatives)
     runs = points * (settled.swarm.evaluations + len(plan.library)) * len(settled.noise_seeds or (0,))
-    size = 4e-6 * len(plan.conditions) * len(plan.library)
+    size = 4e-6 * len(plan.operating_points) * len(plan.library)
     told = f"adaptrack: {points:,} operating points, {runs:,} runs, {size:,.0f} MB"
     if threads is None or settled.duration is None:
         return f"{told}."

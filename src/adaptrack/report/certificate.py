@@ -1,4 +1,4 @@
-"""The page on a certificate: how far the loop of a scheduler is from instability, over its whole operating domain."""
+"""The page on a certificate: stability and margins of a scheduler's loop over its whole operating domain."""
 
 from __future__ import annotations
 
@@ -14,17 +14,19 @@ from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from adaptrack.certify import Certificate, Sweep
-from adaptrack.mpc import Condition
+from adaptrack.certify import DRIVING, Certificate, Driving, Sweep, extremes
+from adaptrack.scheduling import SchedulingVariables
 from adaptrack.report import style
 from adaptrack.report.maps import COLOURS, Cells, Heat, edges_around
 from adaptrack.report.page import Cell, Head, Item, Panel, Picture, Section, Table, Verbatim, write_page
 from adaptrack.report.words import INPUTS, number, percent
+from adaptrack.stability import Margins
 
 Array = NDArray[np.float64]
 
 _UNSTABLE = style.SERIES[1]
 _WORST = 8
+_NAMES: dict[Driving, str] = {"straight": "driving straight", "turn": "in a hard turn"}
 
 
 class _Quantity(NamedTuple):
@@ -43,11 +45,11 @@ class _Quantity(NamedTuple):
         return f"{COLOURS}_r" if self.fine else COLOURS
 
 
-_RADIUS = _Quantity("Spectral radius (–)", 0.9, 1.0, fine=True)
-_NEARNESS = _Quantity("Nearness to instability (–)", 0.4, 1.0, fine=True)
-_UP = _Quantity("Gain margin up (factor)", 1.0, 5.0)
+_RADIUS = _Quantity("Spectral radius (–)", 0.95, 1.0, fine=True)
+_MODULUS = _Quantity("Modulus margin (–)", 0.0, 0.3)
+_UP = _Quantity("Gain margin up (factor)", 1.0, 3.0)
 _DOWN = _Quantity("Gain margin down (factor)", 0.0, 1.0, fine=True)
-_DELAY = _Quantity("Delay margin (ms)", 0.0, 250.0)
+_DELAY = _Quantity("Delay margin (ms)", 0.0, 150.0)
 
 
 class _Map(NamedTuple):
@@ -76,77 +78,72 @@ def write_certificate(out_dir: str | os.PathLike[str], certificate: Certificate,
         When the files cannot be written, see `page.write_page`.
     """
     sections = [_verdict(certificate, command), _margins(certificate), _tunings(certificate), _worst(certificate)]
-    return write_page(out_dir, sections, title=f"Certificate of {certificate.scheduler}", lead=[_in_short(certificate)])
+    return write_page(out_dir, sections, title=f"Certificate of {certificate.scheduler}", lead=[certificate.verdict])
 
 
 # -- sections ---------------------------------------------------------------------------------------------------------
-def _in_short(found: Certificate) -> str:
-    n, bad = len(found.conditions), int(found.counted.unstable.sum())
-    where = f"{found.plant}, {found.tyre} tyres, {found.profile} profile"
-    if found.passed:
-        turn = int(found.counted.unstable_in_turn.sum())
-        more = f" In a hard turn it is unstable at {number(turn)} of them." if turn else ""
-        return (
-            f"Passed: driving straight, the closed loop is stable at all {number(n)} points of the operating domain "
-            f"({where}).{more}"
-        )
-    return (
-        f"Failed: the closed loop is unstable at {number(bad)} of {number(n)} points of the operating domain ({where})."
-    )
-
-
 def _verdict(found: Certificate, command: str) -> Section:
     words = (
-        "At every point the scheduler is asked for its tuning, and the linear closed loop with it is looked at: plant, "
-        "steering lag, computation delay and the law of the MPC far from its limits. It is linearised about driving "
-        "straight and about a steady turn as hard as driving gets at that speed and friction, where tyres are softer; "
-        "measures are those of the worse of the two, the verdict is on driving straight."
+        "At every point the linear closed loop with the scheduler's tuning is analysed: plant, steering lag, "
+        "computation delay and the law of the MPC far from its limits. It is linearised about driving straight, which "
+        "decides, and about a steady turn as hard as driving gets at that speed and friction, where tyres are softer."
     )
     meaning = (
         "Spectral radius: largest magnitude of the loop's eigenvalues over one control period; stable below 1. Gain "
         "margins: factors on the steering command, up and down, at which the loop becomes unstable. Delay margin: the "
-        "additional delay at which it does. Nearness: 1 less the smallest distance of the loop gain from −1, the one "
-        "number that limits all margins; 1 at the verge."
+        "additional delay at which it does. Modulus margin: the smallest distance of the loop gain from −1, which "
+        "bounds all other margins; 0 at the stability limit, negative for an unstable loop."
     )
     heads = [Head("Scheduler", is_text=True), Head("Points"), Head("Unstable"), Head("Largest radius"),
-             Head("Least gain margin up"), Head("Least gain margin down"), Head("Least delay margin", "ms"),
-             Head("Largest nearness")]  # fmt: skip
-    table = Table("The worst of every measure, over all points", heads, [_row(*each) for each in _sweeps(found)])
-    items: list[Item] = [words, meaning, table]
+             Head("Least gain margin up"), Head("Largest gain margin down"), Head("Least delay margin", "ms"),
+             Head("Least modulus margin")]  # fmt: skip
+    rows: list[list[Cell | str] | str] = []
+    for driving in DRIVING:
+        rows += [_capital(_NAMES[driving]), *(_row(name, getattr(sweep, driving)) for name, sweep in _sweeps(found))]
+    items: list[Item] = [words, meaning, Table("The worst of every margin, over all points", heads, rows)]
     if found.guarded is not None:
         items.append(f"The guard changes the tuning at {percent(found.fallback.mean())} % of them.")
     return Section("Verdict", [*items, *([Verbatim(command)] if command else [])])
 
 
-def _row(name: str, sweep: Sweep) -> list[Cell | str]:
-    worst, bad = sweep.worst, int(sweep.unstable.sum())
+def _row(name: str, margins: Margins) -> list[Cell | str]:
+    worst, bad = extremes(margins), int((margins.radius >= 1.0).sum())
     return [
         name,
-        number(len(sweep.tunings)),
+        number(len(margins.radius)),
         Cell(number(bad), warn=bad > 0),
-        Cell(number(float(worst.radius.max()), 4), warn=bad > 0),
-        number(float(worst.gain_up.min())),
-        number(float(worst.gain_down.max())),
-        number(1000.0 * float(worst.delay.min())),
-        number(float(worst.nearness.max())),
+        Cell(number(worst["radius"], 4), warn=bad > 0),
+        number(worst["gain_up"]),
+        number(worst["gain_down"]),
+        number(1000.0 * worst["delay"]),
+        number(worst["modulus_margin"]),
     ]
 
 
 def _margins(found: Certificate) -> Section:
     items: list[Item] = []
-    for (name, sweep), file in zip(_sweeps(found), ("margins.png", "margins-bare.png"), strict=False):
-        worst, bad = sweep.worst, np.asarray(found.cells(sweep.unstable).max(axis=2))
-        maps = [
-            _map(found, _RADIUS, found.cells(worst.radius).max(axis=2), bad),
-            _map(found, _NEARNESS, found.cells(worst.nearness).max(axis=2), bad),
-            _map(found, _UP, found.cells(worst.gain_up).min(axis=2), bad),
-            _map(found, _DOWN, found.cells(worst.gain_down).max(axis=2), bad),
-            _map(found, _DELAY, 1000.0 * found.cells(worst.delay).min(axis=2), bad),
-        ]
-        caption = "The worst over everything else that the scheduler looks at, straight and in a turn; dark is bad."
-        crosses = " A cross marks a cell with an unstable point." if bad.any() else ""
-        items.append(_picture(maps, f"{name}. {caption}{crosses}", file))
+    for (name, sweep), file in zip(_sweeps(found), ("margins", "margins-bare"), strict=False):
+        for driving in DRIVING:
+            maps, unstable = _margin_maps(found, getattr(sweep, driving))
+            crosses = " A cross marks a cell with an unstable point." if unstable else ""
+            title = f"{name}, {_NAMES[driving]}"
+            caption = f"{title}. The worst over all other scheduling variables; dark is bad.{crosses}"
+            picture = _picture(maps, caption, f"{file}{'-turn' if driving == 'turn' else ''}.png", title)
+            items += [f"{title}:", picture]
     return Section("Margins", items)
+
+
+def _margin_maps(found: Certificate, margins: Margins) -> tuple[list[_Map], bool]:
+    """The maps of one way of driving, and whether any of its points is unstable."""
+    bad = np.asarray(found.cells(margins.radius >= 1.0).max(axis=2))
+    maps = [
+        _map(found, _RADIUS, found.cells(margins.radius).max(axis=2), bad),
+        _map(found, _MODULUS, found.cells(margins.modulus_margin).min(axis=2), bad),
+        _map(found, _UP, found.cells(margins.gain_up).min(axis=2), bad),
+        _map(found, _DOWN, found.cells(margins.gain_down).max(axis=2), bad),
+        _map(found, _DELAY, 1000.0 * found.cells(margins.delay).min(axis=2), bad),
+    ]
+    return maps, bool(bad.any())
 
 
 def _tunings(found: Certificate) -> Section:
@@ -161,55 +158,57 @@ def _tunings(found: Certificate) -> Section:
         low, high = (float(finite.min()), float(finite.max())) if finite.size else (0.0, 0.0)
         middle, span = (low + high) / 2.0, max(high - low, 2.0 if whole else 0.2)
         maps.append(_map(found, _Quantity(symbol, middle - span / 2.0, middle + span / 2.0, whole), cells))
-    caption = "The tuning that it asks for: median over everything else that it looks at."
+    caption = "The scheduler's tuning: median over all other scheduling variables."
     if found.guarded is not None:
         share = 100.0 * found.cells(found.fallback).mean(axis=2)
         maps.append(_map(found, _Quantity("On the fallback (%)", 0.0, 100.0), share))
-        caption = f"{caption[:-1]}, the guard's fallback included where it steps in; and how often that is."
-    return Section("What it asks for", [_picture(maps, caption, "tunings.png")])
+        caption = f"{caption[:-1]}, the guard's fallback included where it acts; and how often it does."
+    return Section("Tunings", [_picture(maps, caption, "tunings.png")])
 
 
 def _worst(found: Certificate) -> Section:
-    names = Condition._fields
-    seen = [
+    names = SchedulingVariables._fields
+    varied = [
         name
         for name in INPUTS
-        if name not in ("speed", "friction") and np.ptp(found.conditions[:, names.index(name)]) > 0.0
+        if name not in ("speed", "friction") and np.ptp(found.points[:, names.index(name)]) > 0.0
     ]
     heads = [
         Head("Speed", "m/s"),
         Head("Friction"),
-        *(Head(*INPUTS[name]) for name in seen),
+        *(Head(*INPUTS[name]) for name in varied),
         *(Head(text) for text in ("Np", "Nc")),
         Head("R/Q", "m²/rad²"),
-        Head("Driving", is_text=True),
         *(Head(text) for text in ("Radius", "Gain up", "Gain down")),
         Head("Delay", "ms"),
-        Head("Nearness"),
+        Head("Modulus margin"),
     ]
     body: list[list[Cell | str] | str] = []
     for name, sweep in _sweeps(found):
-        points = found.worst_points(_WORST, sweep)
-        body += [name, *(_point(point, seen) for point in points)]
-    note = "Of driving straight and in a turn, the one nearer to instability."
-    return Section("The worst points", [Table("The points nearest to instability, the worst first", heads, body, note)])
+        for driving in DRIVING:
+            points = found.worst_points(_WORST, sweep, driving)
+            body += [f"{name}, {_NAMES[driving]}", *(_point(point, varied) for point in points)]
+    return Section("The worst points", [Table("The points with the smallest modulus margin", heads, body)])
 
 
-def _point(point: Mapping[str, Any], seen: Sequence[str]) -> list[Cell | str]:
+def _point(point: Mapping[str, Any], varied: Sequence[str]) -> list[Cell | str]:
     up, down, delay = (math.inf if point[name] is None else point[name] for name in ("gain_up", "gain_down", "delay"))
     return [
-        *(number(point[name]) for name in ("speed", "friction", *seen)),
+        *(number(point[name]) for name in ("speed", "friction", *varied)),
         *(number(int(point[name])) for name in ("Np", "Nc")),
         number(point["R"] / point["Q"] if point["Q"] > 0.0 else math.inf),
-        "in a turn" if point["driving"] == "turn" else "straight",
         Cell(number(point["radius"], 4), warn=point["radius"] >= 1.0),
-        *(number(value) for value in (up, down, 1000.0 * delay, point["nearness"])),
+        *(number(value) for value in (up, down, 1000.0 * delay, point["modulus_margin"])),
     ]
+
+
+def _capital(text: str) -> str:
+    return text[:1].upper() + text[1:]
 
 
 def _sweeps(found: Certificate) -> list[tuple[str, Sweep]]:
     if found.guarded is None:
-        return [("As it drives", found.bare)]
+        return [("Without a guard", found.bare)]
     return [("With the guard", found.guarded), ("Without the guard", found.bare)]
 
 
@@ -232,12 +231,12 @@ def _map(found: Certificate, quantity: _Quantity, values: Array, unstable: NDArr
     return _Map(quantity.title, heat, (found.speeds[i], found.frictions[j]), text)
 
 
-def _picture(maps: Sequence[_Map], caption: str, file: str) -> Picture:
+def _picture(maps: Sequence[_Map], caption: str, file: str, title: str = "") -> Picture:
     panels = [Panel(each.title, each.show, each.description).drawing() for each in maps]
-    return Picture(caption, panels, file=file, print_figure=_print(maps))
+    return Picture(caption, panels, file=file, print_figure=_print(maps, title))
 
 
-def _print(maps: Sequence[_Map]) -> Figure:
+def _print(maps: Sequence[_Map], title: str) -> Figure:
     columns = 3 if len(maps) != 4 else 2
     with style.styled():
         figure, axes = style.grid_figure(-(-len(maps) // columns), columns, 2.0)
@@ -248,4 +247,6 @@ def _print(maps: Sequence[_Map]) -> Figure:
             shown.heat.bar(figure, ax=ax, shrink=0.95)
         for spare in axes[len(maps) :]:
             spare.remove()
+        if title:
+            figure.suptitle(title, x=0.01, ha="left")
     return figure

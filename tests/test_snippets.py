@@ -1,0 +1,165 @@
+"""Every command and every Python snippet of the README and the pages runs, or, where that takes long, fits the program.
+
+A page is run from top to bottom in a folder of its own: its TOML blocks that begin with a file's name become that file,
+its Python blocks share one namespace, its console lines that begin with `$` are commands.
+"""
+
+import ast
+import re
+import shlex
+import sys
+from pathlib import Path
+
+import pytest
+
+from adaptrack import cli
+
+PROJECT = Path(__file__).resolve().parent.parent
+PAGES = [PROJECT / "README.md", *sorted((PROJECT / "docs").glob("*.md"))]
+
+LONG_COMMANDS = {
+    "adapt": "39 minutes",
+    "bench campaign": "1 minute",
+    "certify": "5 s, and more with several inputs",
+    "dataset describe paper-grid": "15 s",
+    "dataset describe road-sobol": "15 s",
+    "dataset describe campaigns": "needs a campaign that is done",
+    "evaluate": "1 to 10 minutes",
+    "reproduce": "2 minutes",
+    "train": "30 s",
+    "tune": "4 to 20 minutes",
+}
+"""Commands that are parsed only, by how they begin, with the time that they take on two cores."""
+
+LONG_SNIPPETS = {
+    ("adaptation.md", "made = improve("): "1 minute",
+    ("adaptation.md", "compare("): "10 s, and needs the one before",
+    ("campaign.md", "run_campaign("): "5 minutes",
+    ("campaign.md", "data.landscape"): "needs the one before",
+    ("certify.md", "loop_map("): "10 s",
+    ("mlp.md", 'train(load_dataset("paper-grid")'): "20 s",
+    ("reproduce.md", "train(data"): "10 s",
+    ("schedulers.md", "train(data"): "20 s",
+}
+"""Python blocks of which only the imports are run, by page and something that they hold."""
+
+OTHERS = ("dask", "python -m pip", ".ci/run")
+"""Commands of other programs: not run."""
+
+
+def blocks(page):
+    """(language, text) of each fenced block of a page, in order."""
+    return re.findall(r"^```(\w+)\n(.*?)^```$", page.read_text(), re.MULTILINE | re.DOTALL)
+
+
+def commands(text):
+    """The command lines of a console block, comments removed."""
+    joined = re.sub(r"\\\n\s*", " ", text)
+    return [shlex.split(line[1:], comments=True) for line in joined.splitlines() if line.startswith("$")]
+
+
+ALL_COMMANDS = [
+    (page.name, command)
+    for page in PAGES
+    for language, text in blocks(page)
+    if language == "console"
+    for command in commands(text)
+]
+
+
+def arguments_of(command):
+    """What follows `adaptrack`, or None for another program."""
+    return command[1:] if command[0] in ("adaptrack", ".venv/bin/adaptrack") else None
+
+
+def is_long(arguments):
+    return any(f"{' '.join(arguments)} ".startswith(f"{beginning} ") or " ".join(arguments).startswith(beginning + "/")
+               for beginning in LONG_COMMANDS)  # fmt: skip
+
+
+# -- commands ---------------------------------------------------------------------------------------------------------
+@pytest.mark.parametrize(
+    ("page", "command"), ALL_COMMANDS, ids=lambda value: " ".join(value) if isinstance(value, list) else value
+)
+def test_every_command_fits_the_program(page, command):
+    arguments = arguments_of(command)
+    if arguments is not None:
+        parse(arguments)
+    elif command[0] == "make":
+        assert re.search(rf"^{command[1]}:", (PROJECT / "Makefile").read_text(), re.MULTILINE)
+    elif command[0] == ".venv/bin/python":
+        script = PROJECT / command[1]
+        source = (script / "__main__.py" if script.is_dir() else script).read_text()
+        assert all(f'"{option}"' in source for option in command[2:] if option.startswith("--"))
+    else:
+        assert " ".join(command).startswith(OTHERS)
+
+
+def parse(arguments):
+    """Parse a command line as the program does, without running it; wrong options and values raise."""
+    import typer
+
+    group, context = typer.main.get_command(cli.app), None
+    while arguments and not arguments[0].startswith("-"):
+        name, *arguments = arguments
+        assert name in group.commands, f"no command {name!r}"
+        group = group.commands[name]
+        if not hasattr(group, "commands"):
+            break
+    if arguments != ["--help"]:
+        context = group.make_context(group.name, list(arguments))
+    return context
+
+
+def test_a_wrong_option_or_value_would_be_found():
+    for wrong in (["simulate", "sine", "--colour"], ["certify", "nn", "--profile", "sea"], ["drive"], ["tune"]):
+        with pytest.raises(Exception):  # noqa: B017, PT011 - of whatever kind the parser raises
+            parse(wrong)
+
+
+# -- pages ------------------------------------------------------------------------------------------------------------
+@pytest.mark.compiled
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_a_page_runs_from_top_to_bottom(page, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    given_files(tmp_path)
+    namespace = {"__name__": "snippet"}
+    for language, text in blocks(page):
+        if language == "toml" and (name := re.match(r"# ([\w-]+\.toml)", text)):
+            Path(name[1]).write_text(text)
+        elif language == "python":
+            run_snippet(page.name, text, namespace)
+        elif language == "console":
+            for command in commands(text):
+                run_command(arguments_of(command), monkeypatch, capsys)
+
+
+def given_files(folder):
+    """Schedulers that a command of the pages has saved by then, under the names that the pages use."""
+    from adaptrack.schedule import load_scheduler
+
+    for name in ("nn.json", "anfis.json", "mine.json"):
+        load_scheduler("road-nn").save(folder / name)
+
+
+def run_snippet(page, text, namespace):
+    tree = ast.parse(text)
+    if any(page == name and part in text for name, part in LONG_SNIPPETS):
+        tree.body = [node for node in tree.body if isinstance(node, ast.Import | ast.ImportFrom)]
+    exec(compile(tree, page, "exec"), namespace)
+
+
+def run_command(arguments, monkeypatch, capsys):
+    if arguments is None or is_long(arguments):
+        return
+    monkeypatch.setattr(sys, "argv", ["adaptrack", *arguments])
+    code = cli.main()
+    assert code == 0, capsys.readouterr().err
+
+
+def test_what_is_left_out_is_on_a_page():
+    run = [" ".join(arguments) for _, command in ALL_COMMANDS if (arguments := arguments_of(command)) is not None]
+    assert not [beginning for beginning in LONG_COMMANDS if not any(line.startswith(beginning) for line in run)]
+    for name, part in LONG_SNIPPETS:
+        page = next(page for page in PAGES if page.name == name)
+        assert any(language == "python" and part in text for language, text in blocks(page)), (name, part)
