@@ -743,9 +743,9 @@ def test_two_processes_do_not_share_a_folder(tmp_path):
 
 
 # -- workers ----------------------------------------------------------------------------------------------------------
-def test_an_answer_that_makes_no_sense_names_its_condition(tmp_path):
+def test_an_answer_that_makes_no_sense_names_its_operating_point(tmp_path):
     with pytest.raises(
-        ContractError, match=r"condition \{'speed': 10.0, 'y_ref': -4.0.* the tuning \[3.0, 9.0, 1.0, 1.0\]"
+        ContractError, match=r"operating point \{'speed': 10.0, 'y_ref': -4.0.* the tuning \[3.0, 9.0, 1.0, 1.0\]"
     ):
         run_campaign(small(mirror=False), tmp_path, evaluate=Broken)
 
@@ -838,12 +838,54 @@ def test_the_closed_loop_on_a_local_dask_cluster_gives_the_same_bytes(run_python
 
 
 @needs_dask
-@pytest.mark.parametrize("address", ["tcp://127.0.0.1:9", "nonsense"])
+@pytest.mark.parametrize("address", ["tcp://127.0.0.1:9", "nowhere.invalid:8786"])
 @pytest.mark.filterwarnings("ignore")
 def test_a_scheduler_that_does_not_answer_is_one_clear_error(tmp_path, monkeypatch, address):
-    monkeypatch.setattr(module, "DASK_TIMEOUT", "1s")
+    monkeypatch.setattr(module, "DASK_TIMEOUT", 1.0)
     with pytest.raises(InvalidInput, match=f"dask = '{address}': no scheduler answers there"):
         run_campaign(small(), tmp_path / "out", dask=address, evaluate=Fake)
+    assert not (tmp_path / "out").exists()
+
+
+@needs_dask
+@pytest.mark.parametrize(
+    "address", ["nonsense", "", "tcp://", "tcp://127.0.0.1", "tcp://127.0.0.1:99999", ":8786", "a b:1"]
+)
+def test_what_is_no_address_is_refused_at_once(tmp_path, monkeypatch, address):
+    import distributed
+
+    monkeypatch.setattr(distributed, "Client", lambda *given, **more: pytest.fail("it looked for a scheduler"))
+    with pytest.raises(InvalidInput, match=f"dask = {address!r}: is no address; one looks like tcp://127.0.0.1:8786"):
+        run_campaign(small(), tmp_path / "out", dask=address, evaluate=Fake)
+    assert not (tmp_path / "out").exists()
+
+
+WITHOUT_WORKERS = """
+import sys, time, warnings
+sys.path.insert(0, sys.argv[1])
+warnings.simplefilter("ignore")
+from distributed import LocalCluster
+from campaign_fakes import Fake, small
+from adaptrack.errors import InvalidInput
+from adaptrack.tuning.campaign import run_campaign
+
+if __name__ == "__main__":
+    cluster = LocalCluster(n_workers=0, processes=True, host="127.0.0.1", dashboard_address=None, silence_logs=50)
+    begun = time.monotonic()
+    try:
+        run_campaign(small(), "out", dask=cluster.scheduler_address, evaluate=lambda setup: 1 / 0)
+    except InvalidInput as error:
+        print(time.monotonic() - begun < 12.0, error)
+"""
+
+
+@needs_dask
+def test_a_scheduler_without_workers_is_told_in_seconds_with_the_remedy(run_python, project, tmp_path):
+    script = tmp_path / "on_dask.py"
+    script.write_text(WITHOUT_WORKERS)
+    said = run_python(str(script), str(project / "tests"), cwd=tmp_path)
+    assert said.startswith("True dask = 'tcp://127.0.0.1:")
+    assert "the scheduler has no workers; start one or more: dask worker tcp://127.0.0.1:" in said
     assert not (tmp_path / "out").exists()
 
 

@@ -180,7 +180,7 @@ def test_evaluate_judges_drives_by_the_best_constant_and_prints_a_table(monkeypa
         monkeypatch, capsys, "evaluate", "--config", config, "--schedulers", places["mine"], "--drives", "1"
     )
     assert code == 0, err
-    first = {line.split("│")[1].strip() for line in out.splitlines() if line.count("│") > 2}  # long names are folded
+    first = {line.split("  ")[0] for line in out.splitlines()}
     assert {"standard", "best constant", "nn", "anfis", "mine"} <= first
     assert "drives, exact: 1 runs, regret to best constant" in out
     assert "conditions, exact" not in out
@@ -212,6 +212,7 @@ def test_adapt_goes_on_with_a_folder_and_tells_schedulers_report_and_rows(
 
 
 def test_certify_passes_a_sound_scheduler(monkeypatch, capsys, places):
+    monkeypatch.setattr("adaptrack.cli.show.FIRST_LINE", 1e6)  # no progress, however slow the machine
     code, out, err = run(monkeypatch, capsys, "certify", places["mine"], "--json")
     told = strict(out)
     assert code == 0, err
@@ -229,8 +230,10 @@ def test_certify_refuses_an_unstable_scheduler_with_exit_code_1_and_the_place(mo
     assert code == 1
     assert (told["passed"], told["unstable"] > 0) == (False, True)
     assert told["unstable"] == sum(row["unstable"] for row in told["rows"])
-    assert f"unstable at {told['unstable']} of 140 points" in err
-    assert f"{told['worst']['speed']:g} m/s on friction {told['worst']['friction']:g}" in err
+    assert f"FAILED driving straight: {told['unstable']} of 140 points unstable" in err
+    unstable = [row for row in told["rows"] if row["unstable"]]
+    assert any(f"the worst at {row['speed']:g} m/s on friction {row['friction']:g}" in err for row in unstable)
+    assert float(err.partition("spectral radius ")[2].split(".\n")[0]) >= 1.0
     assert "Np = 35, Nc = 8, Q = 10, R = 0.01" in err
 
 
@@ -239,10 +242,28 @@ def test_certify_writes_the_page_and_prints_the_points_nearest_to_instability(mo
     monkeypatch.setattr("adaptrack.certify.certify", partial(certify, levels=(4, 2)))
     code, out, err = run(monkeypatch, capsys, "certify", places["mine"], "--out", places["out"])
     assert code == 0, err
-    assert "8 points, 0 unstable" in out
+    assert "Passed, driving straight: 0 of 8 points unstable." in out
     assert "mine: the points nearest to instability" in out
     assert "Passed" in (places["out"] / "index.html").read_text()
     assert list(places["out"].glob("*.png"))
+
+
+@pytest.mark.parametrize("as_json", [True, False])
+def test_certify_says_the_same_on_the_console_in_the_json_and_on_the_page(monkeypatch, capsys, places, as_json):
+    from adaptrack.certify import Certificate
+
+    monkeypatch.setattr("adaptrack.certify.certify", partial(certify, levels=(4, 2)))
+    summary = Certificate.summary
+    monkeypatch.setattr(Certificate, "summary", lambda self: summary(self) | {"unstable_in_turn": 3})
+    code, out, err = run(monkeypatch, capsys, "certify", places["mine"], *(["--json"] if as_json else []))
+    assert code == 0, err
+    assert "Warning, in a hard turn: 3 of 8 points unstable (no verdict)." in (err if as_json else out)
+    if as_json:
+        assert strict(out)["unstable_in_turn"] == 3
+    else:
+        rows = [line.split()[0] for line in out.partition("─\n")[2].splitlines()[:5]]
+        assert set(rows) <= {"straight", "turn"}
+        assert len(rows) == 5
 
 
 def test_every_error_of_the_package_becomes_one_message(monkeypatch, capsys):

@@ -7,7 +7,7 @@ chooses nothing; a condition and its left-right twin are always on the same side
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -87,13 +87,15 @@ class Trained:
 
 
 def train(
-    dataset: DataSet, model: str = "nn", targets: str = "paper", *, holdout: float = 0.2, seed: int = 0, **options: Any
-) -> Trained:
+    dataset: DataSet, model: str = "nn", targets: str = "paper", *, holdout: float = 0.2, seed: int = 0,
+    progress: Callable[[str, int, int], None] | None = None, **options: Any,
+) -> Trained:  # fmt: skip
     """Learn the best tuning of each condition from a data set, one model per slot.
 
     model: "nn" for networks, "anfis" for fuzzy systems; targets: see `TARGETS`; holdout: share of the conditions that
-    is held out; seed: of the hold-out and of the models; options: parameters of `MLP` or `ANFIS`, whose defaults are
-    the paper's. Conditions where every tuning lost the car teach nothing and are left out.
+    is held out; seed: of the hold-out and of the models; progress: called with ("train", slots done, slots); options:
+    parameters of `MLP` or `ANFIS`, whose defaults are the paper's. Conditions where every tuning lost the car teach
+    nothing and are left out.
 
     The ceiling is what boosted trees reach on the same hold-out: a strong learner of another kind that is shown every
     condition from its left side, and never the row that it predicts (5-fold cross-validation, see `boosting`).
@@ -114,7 +116,9 @@ def train(
     learned, held = dataset.rows(np.isfinite(dataset.costs)).split(holdout, seed)
     estimators: dict[str, MLP | ANFIS] = {}
     quality = []
-    for slot in TARGETS[targets]:
+    for number, slot in enumerate(TARGETS[targets]):
+        if progress is not None:
+            progress("train", number, len(TARGETS[targets]))
         y, y_held = target(learned, slot), target(held, slot)
         start = time.perf_counter()
         with threadpool_limits(1):  # the matrices are small: more threads only wait for each other
