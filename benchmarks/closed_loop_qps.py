@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from adaptrack.mpc import MPC, Command, Limits, Moves, Tuning
+from adaptrack.controllers import MPC, Command, Limits, Moves, Tuning
 from adaptrack.plant import DualTrack
 from adaptrack.qp import QP
 from adaptrack.scenario import load_scenario

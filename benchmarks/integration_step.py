@@ -24,7 +24,8 @@ import numpy as np
 from adaptrack.kernels.dynamics import INPUTS, STATES
 from adaptrack.kernels.integrate import BLOCK, LANES, integrate
 from adaptrack.plant import DualTrack, Plant, SingleTrack
-from adaptrack.vehicle import GRAVITY, SteeringActuator, load_tyre, load_vehicle
+from adaptrack.profile import load_profile
+from adaptrack.vehicle import GRAVITY, load_tyre, load_vehicle
 
 DURATION = 5.0  # s
 FINER = 20
@@ -104,7 +105,7 @@ def errors(coarse: np.ndarray, fine: np.ndarray) -> tuple[float, float]:
 def measure(plant: Plant, actuator: str, speed: float, period: float, runs: int, seed: int) -> Row:
     """Compare the default step, and every coarser one, with the reference."""
     if actuator == "road":
-        plant = plant.with_steering(SteeringActuator.road())
+        plant = plant.with_steering(load_profile("road").steering)
     inputs = manoeuvres(plant, speed, period, runs, np.random.default_rng(seed))
     default = plant.substeps(period, speed)
     fine = paths(plant, speed, inputs, period, FINER * default)

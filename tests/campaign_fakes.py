@@ -82,7 +82,7 @@ def small(**changes) -> CampaignConfig:
             "scenario": "step",
             "chunk": 6,
             "seed": 3,
-            "conditions": {
+            "operating_points": {
                 "kind": "grid",
                 "speed": (5.0, 10.0, 20.0),
                 "y_ref": (-4.0, 2.0, 4.0, 6.0),

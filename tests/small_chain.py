@@ -12,8 +12,8 @@ from typing import Any, NamedTuple
 import numpy as np
 import pytest
 
-from adaptrack.schedule import Schedule
-from adaptrack.toml_files import write_toml
+from adaptrack.files import write_toml
+from adaptrack.scheduling import Schedule
 
 adapting = importlib.import_module("adaptrack.adapt")  # the attribute of the package is the function
 
@@ -26,7 +26,7 @@ CAMPAIGN: dict[str, Any] = {
     "scenario": "lane-change",
     "noise_seeds": [1],
     "seed": 2,
-    "conditions": {
+    "operating_points": {
         "kind": "sobol",
         "n": 24,
         "seed": 2,

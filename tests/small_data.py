@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from adaptrack.dataset import DataSet
-from adaptrack.tuning.conditions import grid
+from adaptrack.tuning.operating_points import grid
 
 LEVELS = {
     "speed": (4.0, 9.0, 15.0, 22.0),
@@ -24,7 +24,7 @@ def small(**changes) -> DataSet:
     costs = 0.1 + 0.01 * speed
     landscape = costs[:, np.newaxis] * np.array([4.0, 1.1, 1.5, 2.0])
     arrays = {
-        "conditions": conditions,
+        "operating_points": conditions,
         "tunings": np.column_stack(
             [np.round(20 + speed), np.round(4 + 4 * friction), 4.0 + 0.2 * y_ref, 0.03 + 0.001 * wind]
         ),

@@ -1,4 +1,4 @@
-"""Models that fill the slots of schedulers: random ones of every kind, and some that are easy to reckon with."""
+"""Functions for the entries of schedules: random ones of every kind, and some that are easy to reckon with."""
 
 from __future__ import annotations
 
@@ -6,9 +6,8 @@ import itertools
 
 import numpy as np
 
-from adaptrack.learning.network import Network
-from adaptrack.learning.sugeno import ANY, Sugeno
-from adaptrack.schedule import StabilityMap, Table
+from adaptrack.scheduling import Network, StabilityMap, Sugeno, Table
+from adaptrack.scheduling.functions.sugeno import ANY
 
 
 def random_network(rng, inputs, relu=True):

@@ -11,11 +11,11 @@ import pytest
 from scipy.interpolate import RegularGridInterpolator
 
 from adaptrack.closed_loop import BOUNDS
+from adaptrack.controllers import Tuning
 from adaptrack.errors import ConfigError, InvalidInput, StorageError, UnknownName
 from adaptrack.evaluate.ladder import CHOICE_SEEDS, EVALUATION_SEEDS, SEARCH_SEEDS
 from adaptrack.metrics import PUBLISHED
-from adaptrack.mpc import Condition, Tuning
-from adaptrack.schedule import SLOTS, Constant, Lookup, check_scheduler, load_scheduler
+from adaptrack.scheduling import ENTRIES, Constant, Lookup, SchedulingVariables, check_scheduler, load_scheduler
 from adaptrack.tuning.config import load_campaign
 from adaptrack.vehicle import GRAVITY
 from small_chain import RUNGS, adapting, learned, short_cuts, write
@@ -80,9 +80,9 @@ def test_the_configuration_that_ships_is_the_road_one():
     config = adapting.load_adaptation("road")
     campaign = load_campaign(config.campaign)
     assert (config.name, campaign.name, campaign.profile) == ("road", "road-sobol", "road")
-    assert set(campaign.conditions.box.model_dump()) >= {"speed", "friction"}
+    assert set(campaign.operating_points.box.model_dump()) >= {"speed", "friction"}
     assert adapting.list_adaptations()["road"] == config.description != ""
-    assert adapting.Workshop.of(config).box["speed"] == campaign.conditions.box.speed
+    assert adapting.Workshop.of(config).box["speed"] == campaign.operating_points.box.speed
 
 
 @pytest.mark.parametrize(
@@ -240,7 +240,7 @@ def recorded(shop, monkeypatch, evaluation_seed):
         use()
         parts[part], found = found, SimpleNamespace(rows=set(), drives=set(), noise=set())
     parts["campaign"] = SimpleNamespace(
-        rows=set(map(tuple, shop.plan.conditions.tolist())), drives=set(), noise=set(shop.plan.config.noise_seeds)
+        rows=set(map(tuple, shop.plan.operating_points.tolist())), drives=set(), noise=set(shop.plan.config.noise_seeds)
     )
     return parts
 
@@ -405,22 +405,22 @@ def check_guard(rung, bare, rng):
     def nearness(tunings, at=rows[:, [0, 2]]):
         return near(known, np.column_stack([at, coordinates(tunings)]))
 
-    columns = [Condition._fields.index(name) for name in rung.inputs]
+    columns = [SchedulingVariables._fields.index(name) for name in rung.inputs]
     reach = rung.guard.slack * np.ptp(rung.domain, axis=1)
     seen = rows[:, columns]
     far = ((seen < rung.domain[:, 0] - reach) | (seen > rung.domain[:, 1] + reach)).any(axis=1)
     limit = rung.guard.offset_limit
-    astray = np.zeros_like(far) if limit is None else np.abs(rows[:, 6]) > limit * GRAVITY * rows[:, 2]
+    off_reference = np.zeros_like(far) if limit is None else np.abs(rows[:, 6]) > limit * GRAVITY * rows[:, 2]
     held, untouched = (given == safe).all(axis=1), (given == free).all(axis=1)
-    assert held[far | astray].all()
-    assert untouched[~far & ~astray & (nearness(free) < known.limit - 1e-9)].all()
+    assert held[far | off_reference].all()
+    assert untouched[~far & ~off_reference & (nearness(free) < known.limit - 1e-9)].all()
     assert min(untouched.sum(), held.sum(), far.sum()) > 20
     assert nearness(given)[~held].max() <= known.limit + 1e-9
     ends = np.sort(np.stack([coordinates(free), np.broadcast_to(coordinates(safe[None]), (len(rows), 3))]), axis=0)
     between = (coordinates(given) >= ends[0] - 1e-9) & (coordinates(given) <= ends[1] + 1e-9)
     assert between.all()
     for name, (low, high) in BOUNDS.items():
-        values = given[:, SLOTS.index(name)]
+        values = given[:, ENTRIES.index(name)]
         assert low <= values.min() <= values.max() <= high
     assert (given[:, 1] <= given[:, 0]).all()
     assert (given[:, 2] == 1.0).all()

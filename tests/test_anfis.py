@@ -9,9 +9,10 @@ from sklearn.base import clone
 from sklearn.utils.estimator_checks import check_estimator
 
 from adaptrack.errors import InvalidInput
-from adaptrack.learning import ANFIS, Sugeno, subtractive_clustering, sugeno
+from adaptrack.learning import ANFIS, subtractive_clustering
 from adaptrack.learning import anfis as module
-from adaptrack.learning.sugeno import ANY, CENTRE, SLOPE, WIDTH
+from adaptrack.scheduling.functions import Sugeno, sugeno
+from adaptrack.scheduling.functions.sugeno import ANY, CENTRE, SLOPE, WIDTH
 
 
 def data(n=300, inputs=2, seed=0):

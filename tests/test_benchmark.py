@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from adaptrack import benchmark
-from adaptrack.schedule import check_scheduler
+from adaptrack.scheduling import check_scheduler
 
 
 @pytest.mark.parametrize("make", [benchmark._networks, benchmark._fuzzy_systems], ids=["nn", "anfis"])

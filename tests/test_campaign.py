@@ -16,7 +16,7 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
-from adaptrack import toml_files
+from adaptrack import files
 from adaptrack.dataset import load_dataset
 from adaptrack.errors import (
     AdaptrackError,
@@ -30,8 +30,8 @@ from adaptrack.errors import (
 from adaptrack.tuning import campaign as module
 from adaptrack.tuning import store
 from adaptrack.tuning.campaign import CampaignInterrupted, CampaignStopped, Progress, run_campaign
-from adaptrack.tuning.conditions import fold
 from adaptrack.tuning.config import STANDARD, Library, Plan, Search, list_campaigns, load_campaign, spread_tunings
+from adaptrack.tuning.operating_points import fold
 from campaign_fakes import Broken, Failing, Fake, small
 
 CHUNKS = 6
@@ -54,7 +54,7 @@ def toml(tmp_path):
     lines = {
         "profile": '"paper"',
         "scenario": '"step"',
-        "conditions": '{ kind = "grid", speed = [10.0], y_ref = [2.0], friction = [0.9], wind = [0.0] }',
+        "operating_points": '{ kind = "grid", speed = [10.0], y_ref = [2.0], friction = [0.9], wind = [0.0] }',
     }
 
     def write(**changes):
@@ -71,13 +71,13 @@ def test_the_shipped_campaigns_are_those_of_the_paper_and_of_the_road():
     assert set(list_campaigns()) == {"paper-grid", "road-sobol"}
     assert all(list_campaigns().values())
     paper, road = (Plan.of(load_campaign(name)) for name in ("paper-grid", "road-sobol"))
-    assert len(paper.conditions) == 6435
+    assert len(paper.operating_points) == 6435
     assert (paper.config.swarm.particles, paper.config.swarm.generations, paper.config.duration) == (20, 15, 18.0)
     assert (paper.config.profile, paper.config.scenario, paper.config.move_price) == ("paper", "step", 0.0)
     assert len(paper.fold.representatives) == 5005
-    assert len(road.conditions) == len(road.fold.representatives) == 6400
-    assert road.conditions.min(axis=0) == pytest.approx([3, -7, 0.3, -30], abs=0.02)
-    assert road.conditions.max(axis=0) == pytest.approx([30, 7, 1.0, 30], abs=0.02)
+    assert len(road.operating_points) == len(road.fold.representatives) == 6400
+    assert road.operating_points.min(axis=0) == pytest.approx([3, -7, 0.3, -30], abs=0.02)
+    assert road.operating_points.max(axis=0) == pytest.approx([30, 7, 1.0, 30], abs=0.02)
     assert (road.config.profile, road.config.scenario, road.config.move_price) == ("road", "lane-change", 3.0)
     assert len(road.config.noise_seeds) > 1
 
@@ -97,7 +97,7 @@ def test_a_file_needs_little_and_takes_its_name_from_itself(toml):
         ({"sede": "3"}, r"sede: unknown key\. Did you mean 'seed'\?"),
         ({"swarm": "{ particels = 3 }"}, r"swarm\.particels: unknown key\. Did you mean 'particles'\?"),
         ({"profile": None}, r"profile: missing; give one of 'paper', 'road'"),
-        ({"conditions": None}, "conditions: missing"),
+        ({"operating_points": None}, "operating_points: missing"),
         ({"profile": '"papers"'}, "profile = 'papers': must be one of 'paper', 'road'"),
         ({"scenario": '"slalom"'}, "scenario = 'slalom': must be one of 'step', 'lane-change'"),
         ({"duration": "-1.0"}, "duration = -1.0: must be a finite number > 0"),
@@ -107,18 +107,18 @@ def test_a_file_needs_little_and_takes_its_name_from_itself(toml):
         ({"noise_seeds": "[1, 2]"}, "profile 'paper' has no noise"),
         ({"noise_seeds": "[1, 1]", "profile": '"road"'}, "noise_seeds: one is given twice"),
         ({"name": '"a/b"'}, "name = 'a/b'"),
-        ({"conditions": '{ kind = "grids" }'}, "conditions.kind = 'grids': unknown. Did you mean 'grid'?"),
+        ({"operating_points": '{ kind = "grids" }'}, "operating_points.kind = 'grids': unknown. Did you mean 'grid'?"),
         (
-            {"conditions": '{ kind = "grid", speed = [], y_ref = [2.0], friction = [0.9], wind = [0.0] }'},
-            r"conditions\.speed",
+            {"operating_points": '{ kind = "grid", speed = [], y_ref = [2.0], friction = [0.9], wind = [0.0] }'},
+            r"operating_points\.speed",
         ),
         (
-            {"conditions": '{ kind = "grid", speed = [1000.0], y_ref = [2.0], friction = [0.9], wind = [0.0] }'},
+            {"operating_points": '{ kind = "grid", speed = [1000.0], y_ref = [2.0], friction = [0.9], wind = [0.0] }'},
             r"speed = 1000 in row 0: must be in \[1, 100\] m/s",
         ),
         (
             {
-                "conditions": '{ kind = "sobol", n = 4, box = '
+                "operating_points": '{ kind = "sobol", n = 4, box = '
                 "{ speed = [30.0, 3.0], y_ref = [-1.0, 1.0], friction = [0.5, 0.9], wind = [0.0, 1.0] } }"
             },
             r"speed = \[30, 3\] is empty",
@@ -220,7 +220,7 @@ def test_the_standard_cost_is_that_of_the_papers_tuning_wherever_it_stands(tmp_p
     library = Library(tunings=[list(STANDARD), *rows] if standard_first else rows)
     data = load_dataset(run_campaign(small(library=library), tmp_path / "out", evaluate=Fake))
     fake = Fake(Plan.of(small()).setup)
-    expected = [fake.landscape(row, np.array([STANDARD]))[0] for row in data.conditions[data.computed]]
+    expected = [fake.landscape(row, np.array([STANDARD]))[0] for row in data.operating_points[data.computed]]
     np.testing.assert_array_equal(data.standard_costs[data.computed], expected)
     assert data.landscape.shape == (48, 3 if standard_first else 2)
 
@@ -230,9 +230,9 @@ def test_each_row_holds_what_the_swarm_and_the_library_found_there(tmp_path):
     config = small(mirror=False)
     plan, fake = Plan.of(config), Fake(Plan.of(config).setup)
     data = load_dataset(run_campaign(config, tmp_path / "out", evaluate=Fake))
-    np.testing.assert_array_equal(data.conditions, plan.conditions)
+    np.testing.assert_array_equal(data.operating_points, plan.operating_points)
     np.testing.assert_array_equal(data.library, plan.library)
-    for i, row in enumerate(plan.conditions):
+    for i, row in enumerate(plan.operating_points):
         found = fake.tune(row, 3, i)  # the stream is the condition's number
         np.testing.assert_array_equal(data.tunings[i], found.tuning)
         assert data.costs[i] == found.cost
@@ -250,8 +250,10 @@ def test_twins_are_computed_once_and_say_from_whom_they_have_it(tmp_path):
     without = load_dataset(run_campaign(small(mirror=False), tmp_path / "without", evaluate=Fake))
     assert with_twins.computed.sum() == 36
     origin = np.where(with_twins.computed, np.arange(48), with_twins.mirrored_from)
-    np.testing.assert_array_equal(origin, fold(with_twins.conditions).representatives[fold(without.conditions).family])
-    np.testing.assert_array_equal(with_twins.conditions, without.conditions)
+    np.testing.assert_array_equal(
+        origin, fold(with_twins.operating_points).representatives[fold(without.operating_points).family]
+    )
+    np.testing.assert_array_equal(with_twins.operating_points, without.operating_points)
     np.testing.assert_array_equal(with_twins.tunings, without.tunings[origin])
     # The fake is symmetric, as the car is: where the twin was computed, too, the landscape is the same.
     np.testing.assert_allclose(with_twins.landscape, without.landscape, rtol=1e-6)
@@ -314,7 +316,7 @@ def test_any_parquet_reader_finds_units_provenance_and_checksum(tmp_path):
     assert schema.field("landscape").type.list_size == 8
     about = json.loads(schema.metadata[b"about"])
     assert about["name"] == "small"
-    assert about["settings"]["conditions"]["kind"] == "grid"
+    assert about["settings"]["operating_points"]["kind"] == "grid"
     assert about["identity"] == Plan.of(small()).identity
     assert len(schema.metadata[b"sha256"]) == 64
 
@@ -350,15 +352,16 @@ def _stop_after(writes, out):
     done = 0
     real = store.write_atomically
 
-    def write(path, content):
+    def write(path, content, **options):
         nonlocal done
         if done == writes:
             raise Stop
         done += 1
-        real(path, content)
+        real(path, content, **options)
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(store, "write_atomically", write)
+        for each in (store, files):
+            patch.setattr(each, "write_atomically", write)
         with pytest.raises(Stop):
             run_campaign(small(), out, resume=True, workers=1, evaluate=Fake)
 
@@ -512,7 +515,7 @@ def test_a_full_disk_is_a_storage_error_and_nothing_is_lost(tmp_path, whole, mon
 
     with monkeypatch.context() as patch:
         if call == "write":
-            patch.setattr(toml_files, "open", full, raising=False)
+            patch.setattr(files, "open", full, raising=False)
         else:
             patch.setattr(os, call, full)
         with pytest.raises(StorageError, match=r"cannot be written: No space left on device.* go on with --resume"):
@@ -551,6 +554,52 @@ def test_an_edited_chunk_is_computed_again(tmp_path, whole):
     forged = table.set_column(place, table.schema.field("cost"), [[0.0] * len(table)])
     pq.write_table(forged, victim)
     assert digest(run_campaign(small(), tmp_path, resume=True, evaluate=Fake)) == whole
+
+
+fuzzed = pytest.mark.parametrize("stride", [37, pytest.param(1, marks=pytest.mark.slow)])
+
+
+@fuzzed
+def test_a_flipped_bit_anywhere_in_a_chunk_never_blocks_the_campaign(tmp_path, stride):
+    _stop_after(3, tmp_path)
+    victim = tmp_path / "chunks" / "00001.parquet"
+    content = victim.read_bytes()
+    with store.Folder.opened(tmp_path, json.loads((tmp_path / "campaign.json").read_text()), True) as folder:
+        whole = folder.read_chunk(1)
+        for place in range(0, len(content), stride):
+            changed = bytearray(content)
+            changed[place] ^= 1 << place % 8
+            victim.write_bytes(changed)
+            found = folder.read_chunk(1)
+            assert found is None or all(found[name].tobytes() == whole[name].tobytes() for name in whole), place
+
+
+@fuzzed
+def test_a_flipped_bit_anywhere_in_a_data_set_gives_the_same_content_or_a_storage_error(tmp_path, stride):
+    file = run_campaign(small(), tmp_path, evaluate=Fake)
+    before, content = load_dataset(file), file.read_bytes()
+    for place in range(0, len(content), stride):
+        changed = bytearray(content)
+        changed[place] ^= 1 << place % 8
+        file.write_bytes(changed)
+        try:
+            after = load_dataset(file)
+        except StorageError:
+            continue
+        assert after.provenance == before.provenance
+        columns = after.columns()
+        assert all(columns[name].tobytes() == values.tobytes() for name, values in before.columns().items())
+
+
+@pytest.mark.parametrize("name", ["chunks/00001.parquet", "dataset.parquet"])
+def test_a_damaged_file_behind_a_link_is_made_again_and_what_it_points_to_is_left_alone(tmp_path, whole, name):
+    folder, foreign = tmp_path / "campaign", tmp_path / "thesis.tex"
+    foreign.write_text("years of work")
+    _stop_after(4, folder)
+    (folder / name).unlink(missing_ok=True)
+    (folder / name).symlink_to(foreign)
+    assert digest(run_campaign(small(), folder, resume=True, evaluate=Fake)) == whole
+    assert foreign.read_text() == "years of work"
 
 
 # -- folders that cannot be used --------------------------------------------------------------------------------------
@@ -619,6 +668,51 @@ def test_a_damaged_manifest_is_refused(tmp_path):
         run_campaign(small(), tmp_path, resume=True, evaluate=Fake)
 
 
+@pytest.mark.parametrize(
+    ("changes", "complaint"),
+    [
+        *[({key: None}, f"'{key}' is missing") for key in store._MANIFEST],
+        ({"chunk": 0}, "'chunk' is 0"),
+        ({"chunk": -6, "chunks": -6}, "'chunks' is -6"),
+        ({"chunks": "6"}, "'chunks' is \"6\""),
+        ({"chunks": True}, "'chunks' is true"),
+        ({"chunks": 6.0}, r"'chunks' is 6\.0"),
+        ({"chunks": 5}, "its chunks do not add up"),
+        ({"versions": []}, r"'versions' is \[\]"),
+        ({"settings": "none"}, "'settings' is \"none\""),
+        ({"identity": 7}, "'identity' is 7"),
+        ({"identity": "x" * 64}, "belongs to another campaign"),
+        ({"computed": 35}, "belongs to another campaign"),
+    ],
+)
+def test_an_edited_manifest_is_refused_with_the_entry(tmp_path, changes, complaint):
+    _stop_after(3, tmp_path)
+    manifest = json.loads((tmp_path / "campaign.json").read_text()) | changes
+    manifest = {key: value for key, value in manifest.items() if value is not None}
+    (tmp_path / "campaign.json").write_text(json.dumps(manifest))
+    with pytest.raises(StorageError, match=complaint):
+        run_campaign(small(), tmp_path, resume=True, evaluate=Fake)
+    with pytest.raises(StorageError):
+        load_dataset(tmp_path)
+
+
+@pytest.mark.parametrize(
+    "text", ["[]", "null", "[" * 20_000, '{"chunk": ' + "7" * 5_000 + "}", '{"name": "\\ud800"}', "\xff"]
+)
+def test_a_manifest_that_is_no_table_is_refused(tmp_path, text):
+    (tmp_path / "campaign.json").write_bytes(text.encode("latin-1"))
+    with pytest.raises(StorageError, match=r"campaign\.json: not a campaign's, or damaged"):
+        run_campaign(small(), tmp_path, resume=True, evaluate=Fake)
+
+
+def test_chunks_of_another_size_are_computed_again(tmp_path, whole):
+    # The size of a chunk was edited, everything else fits: what was finished has other rows.
+    _stop_after(7, tmp_path)
+    manifest = json.loads((tmp_path / "campaign.json").read_text())
+    (tmp_path / "campaign.json").write_text(json.dumps(manifest | {"chunk": 9, "chunks": 4}))
+    assert digest(run_campaign(small(), tmp_path, resume=True, evaluate=Fake)) == whole
+
+
 def test_a_folder_that_cannot_be_made_or_written_is_refused(tmp_path):
     (tmp_path / "file").write_text("")
     for out in (tmp_path / "file", tmp_path / "file" / "below"):
@@ -669,7 +763,7 @@ def test_a_worker_with_other_software_is_refused():
     plan = Plan.of(small())
     job = module.Job(Fake, plan.setup, {"adaptrack": "0.0.0", "fake": "1"}, plan.library)
     with pytest.raises(ContractError, match=r"has other software than the campaign: .*0\.0\.0"):
-        module.compute(job, np.arange(2), plan.conditions[:2])
+        module.compute(job, np.arange(2), plan.operating_points[:2])
 
 
 @pytest.mark.parametrize("workers", [0, -1, 1.5, True])
@@ -734,8 +828,8 @@ def test_a_local_dask_cluster_gives_the_same_bytes_even_when_a_worker_is_killed(
 @pytest.mark.compiled
 def test_the_closed_loop_on_a_local_dask_cluster_gives_the_same_bytes(run_python, project, tmp_path):
     script = tmp_path / "on_dask.py"
-    levels = tiny().conditions.model_dump()
-    call = f"small(conditions={levels!r}, chunk=1, duration=3.0, library={{'size': 5}})"
+    levels = tiny().operating_points.model_dump()
+    call = f"small(operating_points={levels!r}, chunk=1, duration=3.0, library={{'size': 5}})"
     script.write_text(ON_DASK.replace("small(), ", f"{call}, ").replace(", evaluate=Fake", "").replace(">= 6", ">= 1"))
     run_python(str(script), str(project / "tests"), cwd=tmp_path)
     here = digest(run_campaign(tiny(), tmp_path / "here"))
@@ -757,7 +851,7 @@ def test_a_scheduler_that_does_not_answer_is_one_clear_error(tmp_path, monkeypat
 def tiny(**changes):
     """The closed loop itself: four conditions, two of them twins."""
     levels = {"kind": "grid", "speed": (12.0,), "y_ref": (-2.0, 2.0), "friction": (0.8,), "wind": (-5.0, 5.0)}
-    given = {"conditions": levels, "chunk": 1, "duration": 3.0, "library": {"size": 5}, **changes}
+    given = {"operating_points": levels, "chunk": 1, "duration": 3.0, "library": {"size": 5}, **changes}
     return small(**given)
 
 
@@ -780,7 +874,7 @@ def test_the_closed_loop_gives_the_same_bytes_with_any_number_of_workers(tmp_pat
 def test_the_ideal_car_costs_the_same_in_a_condition_and_in_its_mirror_image(tmp_path):
     # What `mirror` relies on, to rounding: the swarm of the twin is not run, its landscape would be this one.
     data = load_dataset(run_campaign(tiny(mirror=False, library={"size": 40}), tmp_path))
-    twins = fold(data.conditions)
+    twins = fold(data.operating_points)
     np.testing.assert_allclose(
         data.landscape, data.landscape[twins.representatives[twins.family]], rtol=1e-5, equal_nan=False
     )
@@ -795,7 +889,7 @@ def test_the_closed_loop_killed_at_20_random_times_ends_in_the_same_bytes(kill_a
         "n": 120,
         "box": {"speed": (5.0, 25.0), "y_ref": (-5.0, 5.0), "friction": (0.5, 0.9), "wind": (-9.0, 9.0)},
     }
-    config = f"small(conditions={levels!r}, chunk=1, duration=6.0, swarm={{}}, library={{'size': 20}})"
+    config = f"small(operating_points={levels!r}, chunk=1, duration=6.0, swarm={{}}, library={{'size': 20}})"
     code = KILLED.replace("small(chunk=1), out, resume=True, workers=2, evaluate=Fake", f"{config}, out, resume=True")
     code = code.replace("0.01, 0.15", "0.1, 1.0")
     assert kill_and_resume(code, tmp_path / "killed") >= 8

@@ -127,7 +127,7 @@ def test_reproduce_writes_the_page_and_prints_its_rows(monkeypatch, capsys, tmp_
     assert code == 0, err
     assert len(told["rows"]) == 48
     keys = {"configuration", "scenario", "controller", "preview", "mse", "paper_mse", "ratio", "max_abs_error",
-            "steering_activity", "lost", "clipped_share"}  # fmt: skip
+            "steering_activity", "failed", "clipped_share"}  # fmt: skip
     assert all(row.keys() >= keys for row in told["rows"])
     assert told["quick"]
     assert (tmp_path / "index.html").exists()

@@ -11,9 +11,9 @@ import pytest
 
 from adaptrack import cli
 from adaptrack.certify import certify
+from adaptrack.controllers import Tuning
 from adaptrack.errors import AdaptrackError
-from adaptrack.mpc import Tuning
-from adaptrack.schedule import Constant, list_schedulers
+from adaptrack.scheduling import Constant, list_schedulers
 from small_chain import RUNGS, adapting, learned, write
 
 EVALUATED = {"view", "told", "reference", "scheduler", "runs", "cost_geomean", "regret_geomean", "regret_low",

@@ -8,6 +8,7 @@ import os
 
 import numpy as np
 import pytest
+from adaptrack.kernels.dynamics import STATES
 
 from adaptrack.closed_loop import (
     BOUNDS,
@@ -21,20 +22,21 @@ from adaptrack.closed_loop import (
     geometric_mean,
     improve,
 )
+from adaptrack.controllers import MPC, Tuning
 from adaptrack.errors import InvalidInput
 from adaptrack.estimation import Estimating, FrictionWindEstimator, Perception
 from adaptrack.evaluate.ladder import CHOICE_SEEDS, EVALUATION_SEEDS, SEARCH_SEEDS
 from adaptrack.kernels import loop
-from adaptrack.kernels.dynamics import STATES
-from adaptrack.learning.landscape import OUTPUTS, SHIFT, FuzzySurface, Level, NetworkSurface, shifted
-from adaptrack.mpc import MPC, Condition, Tuning
-from adaptrack.plant import ROAD, DualTrack, SingleTrack
+from adaptrack.learning.landscape import OUTPUTS, SHIFT, FuzzySurface, Level, NetworkSurface
+from adaptrack.plant import DualTrack, SingleTrack
+from adaptrack.profile import load_profile
 from adaptrack.scenario import load_scenario, random_drive
-from adaptrack.schedule import Constant, Guarded, Learned, Table
+from adaptrack.scheduling import Constant, Guarded, Learned, SchedulingVariables, Table
 from adaptrack.simulate import Batch, rollout, simulate
 from adaptrack.vehicle import load_vehicle
 
 CAR = load_vehicle("paper")
+ROAD = load_profile("road")
 START = Tuning(29, 5, 1.0, 4000.0)
 HASTY = Tuning(30, 10, 1.0, 10.0)
 """Steers on every bit of noise: loses the car."""
@@ -76,7 +78,7 @@ def test_the_cost_of_a_run_is_that_of_its_trajectory_and_a_stretch_has_its_part(
     for i, scenario in enumerate(scenarios):
         for j, seed in enumerate((4, 9)):
             run = rollout(plant(CAR), controller(), scenario, profile="road", seed=seed)
-            at_each = run.error**2 + ROAD.move_price * run.command_change**2
+            at_each = run.error**2 + ROAD.move_weight * run.command_change**2
             assert costs[i, j] == pytest.approx(at_each.mean(), rel=1e-12)
         parts = [at_each[first : first + 13].sum() for first in range(0, 80, 13)]
         np.testing.assert_allclose(stretches[i], parts, rtol=1e-10)
@@ -103,7 +105,7 @@ def test_a_lost_run_is_infinite_in_the_stretch_where_it_is_lost_and_unknown_afte
     assert np.isfinite(parts[:where]).all()
     assert parts[where] == math.inf
     assert np.isnan(parts[where + 1 :]).all()
-    at_each = run.error**2 + ROAD.move_price * run.command_change**2
+    at_each = run.error**2 + ROAD.move_weight * run.command_change**2
     np.testing.assert_allclose(parts[:where], at_each[: 10 * where].reshape(-1, 10).sum(axis=1), rtol=1e-9)
 
 
@@ -176,14 +178,14 @@ def test_a_courses_runs_are_what_the_scheduler_sees():
 
     simulate(SingleTrack(CAR), controller(scheduler=watch), scenario, profile="road")
     runs = course([scenario])
-    assert runs.seen.shape == (1, 120, len(Condition._fields))
-    known = [name for name in Condition._fields if name != "offset"]
+    assert runs.seen.shape == (1, 120, len(SchedulingVariables._fields))
+    known = [name for name in SchedulingVariables._fields if name != "offset"]
     for name in known:
-        column = Condition._fields.index(name)
+        column = SchedulingVariables._fields.index(name)
         np.testing.assert_allclose(
             runs.seen[0, :, column], [getattr(each, name) for each in seen], rtol=1e-9, atol=1e-9
         )
-    assert (runs.seen[..., Condition._fields.index("offset")] == 0.0).all()
+    assert (runs.seen[..., SchedulingVariables._fields.index("offset")] == 0.0).all()
 
 
 @pytest.mark.compiled
@@ -328,7 +330,7 @@ class Bowl(Course):
         rng = np.random.default_rng(seed)
         self.best, self.noise, self.price_of = best, noise, np.ones(runs) if price is None else price
         self.stretch, self.lead, self.stride = 10, 0, 5
-        self.seen = np.zeros((runs, 10 * stretches, len(Condition._fields)))
+        self.seen = np.zeros((runs, 10 * stretches, len(SchedulingVariables._fields)))
         for column, (low, high) in ((0, (5.0, 30.0)), (2, (0.3, 1.0))):
             self.seen[..., column] = np.repeat(rng.uniform(low, high, (runs, stretches)), 10, axis=1)
         self.asked = []
@@ -378,7 +380,7 @@ def beginning(kind):
 def constant_schedule(by):
     """START, shifted."""
     values = (float(START.Np), float(START.Nc), math.log10(START.R))
-    functions = {slot: shifted(value, by[i]) for i, (slot, value) in enumerate(zip(OUTPUTS, values, strict=True))}
+    functions = {slot: value + by[i] for i, (slot, value) in enumerate(zip(OUTPUTS, values, strict=True))}
     return Learned(functions, INPUTS, DOMAIN, BOUNDS)
 
 
@@ -386,7 +388,7 @@ def test_the_landscape_says_for_every_stretch_where_its_inputs_want_to_go():
     bowl = Bowl(along_speed_and_friction, noise=0.0)
     which = np.array([3, 7, 8])
     rows, moves, weights = bowl.landscape(constant_schedule, 1, which)
-    assert rows.shape == (3 * 3 * 2, len(Condition._fields))
+    assert rows.shape == (3 * 3 * 2, len(SchedulingVariables._fields))
     assert moves.shape == weights.shape == (3 * 3 * 2, 3)
     wanted = along_speed_and_friction(rows) - [START.Np, START.Nc, math.log10(START.R)]
     exact = np.array([True, False, True])  # Nc is rounded, its shift is not whole
@@ -424,7 +426,7 @@ class Lossy(Bowl):
 
     def stretches(self, policy, seed, which):
         cost = super().stretches(policy, seed, which)
-        if policy(Condition(20.0, 0.0, 0.8, 0.0))[0] > 30.0:
+        if policy(SchedulingVariables(20.0, 0.0, 0.8, 0.0))[0] > 30.0:
             cost[:, 1], cost[:, 2:] = np.inf, np.nan
         return cost
 
@@ -450,7 +452,7 @@ class Narrow(Bowl):
 
     def stretches(self, policy, seed, which):
         cost = np.ones((len(which), 5))
-        *_, Q, R = policy(Condition(20.0, 0.0, 0.8, 0.0))
+        *_, Q, R = policy(SchedulingVariables(20.0, 0.0, 0.8, 0.0))
         lost = math.log10(R / Q) < self.edge[which] - 1e-9
         cost[lost, 2], cost[lost, 3:] = np.inf, np.nan
         return cost
@@ -472,7 +474,7 @@ def test_what_saves_a_lost_run_is_learned_where_it_was_lost_and_before():
     base = towards(5.6).schedule
     _, moves, weights = runs.landscape(lambda by: constant_schedule(by), 1, np.arange(5), towards(5.6))
     plain_moves, plain_weights = runs.landscape(lambda by: constant_schedule(by), 1, np.arange(5))[1:]
-    assert base(0.0)(Condition(20.0, 0.0, 0.8, 0.0))[3] == pytest.approx(10**start)
+    assert base(0.0)(SchedulingVariables(20.0, 0.0, 0.8, 0.0))[3] == pytest.approx(10**start)
     moves, plain_moves, weights, plain_weights = (
         each.reshape(5, 5, 2, 3) for each in (moves, plain_moves, weights, plain_weights)
     )  # stretch, run, look, output
@@ -504,7 +506,7 @@ def test_beyond_a_cliff_only_what_saves_the_runs_shows_the_way(safe):
 def test_improving_finds_the_known_optimum(kind):
     best = same_everywhere if kind == "constant" else along_speed_and_friction
     made = improve(beginning(kind), INPUTS, DOMAIN, [(Bowl(best), 32)], [Bowl(best, seed=1)], rounds=40)
-    rows = Bowl(best, seed=2).seen.reshape(-1, len(Condition._fields))
+    rows = Bowl(best, seed=2).seen.reshape(-1, len(SchedulingVariables._fields))
     Np, Nc, Q, R = made.schedule.batch(rows).T
     off = np.abs(np.column_stack([Np, Nc, np.log10(R / Q)]) - best(rows))
     assert (np.sqrt((off**2).mean(axis=0)) < [0.5, 0.5, 0.03]).all()  # rounding alone leaves 0.29 of a horizon
@@ -518,7 +520,7 @@ def test_what_no_input_tells_apart_gets_the_compromise():
     made = improve(beginning("constant"), INPUTS, DOMAIN, [(bowl, 48)], [bowl], rounds=30)
 
     def cost(by):
-        functions = {slot: shifted(made.surfaces[slot].value, shift) for slot, shift in zip(OUTPUTS, by, strict=True)}
+        functions = {slot: made.surfaces[slot].value + shift for slot, shift in zip(OUTPUTS, by, strict=True)}
         return bowl.costs(Learned(functions, INPUTS, DOMAIN, BOUNDS), [0]).mean()
 
     for by in 2.0 * np.diag(SHIFT):
@@ -565,7 +567,7 @@ def test_learned_tunings_stay_within_their_bounds_and_the_wish_to_leave_them_doe
         return np.broadcast_to([90.0, -5.0, 9.0], (*rows.shape[:-1], 3))
 
     made = improve(beginning("constant"), INPUTS, DOMAIN, [(Bowl(beyond), 8)], [Bowl(beyond)], rounds=30)
-    assert made.schedule(Condition(10.0, 0.0, 0.5, 0.0)) == pytest.approx((60.0, 1.0, 1.0, 1e6))
+    assert made.schedule(SchedulingVariables(10.0, 0.0, 0.5, 0.0)) == pytest.approx((60.0, 1.0, 1.0, 1e6))
     assert [made.surfaces[slot].value for slot in OUTPUTS] == pytest.approx([60.0, 1.0, 6.0])
 
 
@@ -585,7 +587,7 @@ def test_it_learns_at_the_inputs_that_a_scheduler_would_see():
     inputs, domain, bowl = ("friction", "speed"), np.array([[0.5, 0.8], [10.0, 20.0]]), Bowl(same_everywhere)
     Watched.fitted = []
     improve({slot: Watched(30.0) for slot in OUTPUTS}, inputs, domain, [(bowl, 48)], [bowl], rounds=1)
-    seen = bowl.seen[:, ::5].reshape(-1, len(Condition._fields))[:, [2, 0]]
+    seen = bowl.seen[:, ::5].reshape(-1, len(SchedulingVariables._fields))[:, [2, 0]]
     for fitted in Watched.fitted:
         np.testing.assert_array_equal(np.unique(fitted, axis=0), np.unique(np.clip(seen, *domain.T), axis=0))
 

@@ -8,13 +8,12 @@ import pyarrow.parquet as pq
 import pytest
 
 from adaptrack import dataset as room
-from adaptrack.dataset import TARGETS, DataSet, describe, explained, flatness, list_datasets, load_dataset
+from adaptrack.dataset import TARGETS, DataSet, describe, flatness, list_datasets, load_dataset
 from adaptrack.dataset import data as module
-from adaptrack.dataset.boosting import cross_validate
 from adaptrack.errors import InvalidInput, StorageError, UnknownName
 from adaptrack.tuning import store
 from adaptrack.tuning.campaign import run_campaign
-from adaptrack.tuning.conditions import fold, grid, mirrored, sobol
+from adaptrack.tuning.operating_points import fold, grid, mirrored, sobol
 from campaign_fakes import Fake, small
 
 BOX = {"speed": (3.0, 30.0), "y_ref": (-15.0, 15.0), "friction": (0.3, 1.0), "wind": (-30.0, 30.0)}
@@ -27,7 +26,7 @@ def wild(n=60, size=7, start=1, **changes):
     costs, landscape = rng.exponential(size=n), rng.exponential(size=(n, size)).astype(np.float32)
     costs[-1] = landscape[-2:] = np.inf
     arrays = {
-        "conditions": sobol(n, BOX, start),
+        "operating_points": sobol(n, BOX, start),
         "tunings": np.column_stack(
             [
                 rng.integers(20, 50, n),
@@ -81,7 +80,7 @@ def test_the_same_data_give_the_same_file(tmp_path):
 def test_a_campaigns_folder_loads_and_saves_to_the_same_bytes(campaign, tmp_path):
     data = load_dataset(campaign)
     assert len(data) == 48
-    assert repr(data) == "<DataSet 'small': 48 conditions, library of 8 tunings>"
+    assert repr(data) == "<DataSet 'small': 48 operating points, library of 8 tunings>"
     data.save(tmp_path / "copy.parquet")
     assert (tmp_path / "copy.parquet").read_bytes() == (campaign / "dataset.parquet").read_bytes()
 
@@ -171,7 +170,7 @@ def test_an_unknown_name_is_answered_with_the_nearest(monkeypatch, tmp_path):
 
 
 # -- the record -------------------------------------------------------------------------------------------------------
-@pytest.mark.parametrize("name", sorted(set(ARRAYS) - {"conditions"}))
+@pytest.mark.parametrize("name", sorted(set(ARRAYS) - {"operating_points"}))
 def test_an_array_of_the_wrong_length_is_refused_by_name(name):
     with pytest.raises(InvalidInput, match=f"`{name if name != 'library' else 'landscape'}` must have the shape"):
         wild(**{name: getattr(wild(), name)[:5]})
@@ -214,12 +213,12 @@ def test_a_split_is_the_same_every_time_another_for_another_seed_and_loses_nothi
 def test_twins_are_always_on_the_same_side_of_a_split(seed):
     # Also when the campaign computed both of them.
     rows = grid(speed=[5.0, 10.0, 15.0], y_ref=[-4.0, 1.0, 4.0], friction=[0.5, 0.9], wind=[-6.0, 0.0, 6.0])
-    data = wild(len(rows), conditions=rows)
+    data = wild(len(rows), operating_points=rows)
     learn, held = data.split(0.3, seed)
-    both = {tuple(row) for row in learn.conditions} & {tuple(row) for row in mirrored(held.conditions)}
+    both = {tuple(row) for row in learn.operating_points} & {tuple(row) for row in mirrored(held.operating_points)}
     assert not both
     assert len(held) + len(learn) == len(rows)
-    assert len(fold(held.conditions).representatives) == round(0.3 * len(fold(rows).representatives))
+    assert len(fold(held.operating_points).representatives) == round(0.3 * len(fold(rows).representatives))
 
 
 @pytest.mark.parametrize("fraction", [0.0, 1.0, -0.1, 0.001, float("nan")])
@@ -241,66 +240,11 @@ def test_flatness_is_the_share_of_the_library_near_the_best():
     assert flatness(lost, 0.05) == pytest.approx([0.0, 0.0])  # a condition that loses every car is not flat
 
 
-def test_what_the_conditions_decide_is_explained_and_what_chance_decides_is_not(rng):
-    n = 1500
-    rows = sobol(n, BOX, 4)
-    speed, y_ref, _, wind = rows.T
-    tunings = np.column_stack(
-        [
-            np.round(5 + speed),  # all in the speed
-            rng.integers(1, 5, n),  # chance
-            np.exp(np.sin(y_ref * wind / 60) + rng.normal(size=n) * np.sqrt(0.5)),  # symmetric, and half of it chance
-            np.full(n, 0.01),  # constant
-        ]
-    )
-    data = wild(n, conditions=rows, tunings=tunings)
-    r2 = {target: explained(data, target).r2 for target in TARGETS}
-    signal = np.var(np.sin(y_ref * wind / 60))
-    assert r2["Np"] > 0.99
-    assert 0.0 <= r2["Nc"] < 0.02
-    assert r2["log R"] == 0.0
-    assert r2["log Q"] == pytest.approx(signal / (signal + 0.5), abs=0.12)
-    assert r2["log R/Q"] == pytest.approx(r2["log Q"], abs=0.01)  # R is constant
-
-
-def test_the_learner_is_as_strong_as_a_random_forest(rng):
-    sklearn = pytest.importorskip("sklearn.ensemble")
-    from sklearn.model_selection import KFold, cross_val_predict
-
-    x = sobol(1500, BOX, 2)
-    speed, y_ref, friction, wind = x.T
-    forest = sklearn.RandomForestRegressor(50, min_samples_leaf=5, random_state=0)
-    for target in (
-        np.sin(speed / 5) + friction * y_ref / 10 + 0.1 * rng.normal(size=1500),
-        (speed > 12) + (y_ref > 5) * (friction < 0.6) + 0.3 * np.sign(wind) + 0.5 * rng.normal(size=1500),
-    ):
-        guess = cross_val_predict(forest, x, target, cv=KFold(5, shuffle=True, random_state=0))
-        theirs = 1.0 - np.sum((target - guess) ** 2) / np.sum((target - target.mean()) ** 2)
-        assert cross_validate(x, target).r2 > theirs - 0.01
-
-
-def test_nothing_is_learnt_from_the_rows_that_are_predicted(rng):
-    # Each row has its own noise; a learner that saw it would explain it.
-    x = rng.random((400, 4))
-    noise = rng.normal(size=400)
-    result = cross_validate(x, noise)
-    assert result.r2 < 0.02
-    doubled = cross_validate(np.vstack([x, x]), np.concatenate([noise, noise]))  # what twins in two folds would do
-    assert doubled.r2 > 0.3
-
-
-def test_too_few_rows_and_unknown_targets_are_refused():
-    with pytest.raises(InvalidInput, match="49 usable conditions are too few"):
-        explained(wild(50), "Np")  # one of them lost the car
-    with pytest.raises(InvalidInput, match=r"target = 'Q': must be one of 'Np', 'Nc', 'log Q'"):
-        explained(wild(100), "Q")
-
-
 def test_a_description_is_plain_json_and_says_what_is_in_the_data(campaign):
     data = load_dataset(campaign)
     said = describe(data)
     assert json.loads(json.dumps(said, allow_nan=False)) == said
-    assert (said["conditions"], said["computed"], said["library"]) == (48, 36, 8)
+    assert (said["operating_points"], said["computed"], said["library"]) == (48, 36, 8)
     assert (said["profile"], said["scenario"], said["vehicle"], said["tyre"]) == (
         "paper",
         "step",
@@ -321,7 +265,7 @@ def test_optima_at_the_bounds_of_the_search_are_counted():
     search = {"Np": [1, 55], "Nc": [1, 18], "Q": [0.1, 10.0], "R": [0.001, 0.1]}
     tunings = [[55.0, 3.0, 10.0, 0.001], [30.0, 1.0, 1.0, 0.01], [1.0, 1.0, 0.1, 0.1], [20.0, 9.0, 10.0, 0.1]]
     data = wild(4, tunings=tunings, costs=[1.0] * 4, provenance={"settings": {"search": search}})
-    shares = {row["target"]: row["at_a_bound"] for row in describe(data, r2=False)["optimum"]}
+    shares = {row["target"]: row["at_a_bound"] for row in describe(data)["optimum"]}
     assert shares == {"Np": 0.5, "Nc": 0.5, "log Q": 0.75, "log R": 0.75, "log R/Q": 0.5}
 
 

@@ -5,11 +5,12 @@ import math
 
 import numpy as np
 import pytest
-
-from adaptrack.kernels.abi import PLANT_PARAMETERS
 from adaptrack.kernels.dynamics import DUAL_TRACK, INPUTS, SINGLE_TRACK, STATES, derivative, unpack
 from adaptrack.kernels.integrate import BLOCK, LANES, integrate
+
+from adaptrack.kernels.abi import PLANT_PARAMETERS
 from adaptrack.plant import DualTrack, SingleTrack
+from adaptrack.profile import load_profile
 from adaptrack.vehicle import GRAVITY, SteeringActuator, Tyre, load_tyre, load_vehicle
 from references import vehicle as reference
 
@@ -112,7 +113,7 @@ def test_the_compiled_derivative_agrees_with_an_independent_one(plant, driven, r
 def test_the_public_derivative_is_that_of_the_kernel(plant, rng):
     x, u = wild_state(rng, plant), wild_inputs(rng, driven=True)
     own = len(plant.state_names)
-    given = plant.with_steering(SteeringActuator.road()).derivative(x[:own], u[:2], u[3:])
+    given = plant.with_steering(load_profile("road").steering).derivative(x[:own], u[:2], u[3:])
     assert np.array_equal(given, slope(plant, x, u)[:own])
 
 

@@ -3,26 +3,28 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
+from adaptrack.kernels.dynamics import unpack
 
+from adaptrack.controllers import MPC, Command, Tuning
 from adaptrack.errors import InvalidInput
 from adaptrack.estimation import Belief, Estimating, FrictionWindEstimator
 from adaptrack.kernels import estimation as kernel
-from adaptrack.kernels.dynamics import unpack
-from adaptrack.mpc import MPC, Command, Condition, Tuning
-from adaptrack.plant import PAPER, ROAD, DualTrack, SingleTrack
+from adaptrack.plant import DualTrack, SingleTrack
+from adaptrack.profile import load_profile
 from adaptrack.qp import QPStatus
 from adaptrack.scenario import Scenario, load_scenario
+from adaptrack.scheduling import SchedulingVariables
 from adaptrack.simulate import simulate
 from adaptrack.vehicle import load_vehicle
 
 CAR = load_vehicle("paper")
+PAPER, ROAD = load_profile("paper"), load_profile("road")
 NOMINAL = Belief().nominal_friction
 PRIOR_STD = NOMINAL * Belief().friction_spread
-SILENT_ROAD = replace(ROAD, noise_vy=0.0, noise_yaw=0.0, noise_yaw_rate=0.0, noise_y=0.0)
+SILENT_ROAD = ROAD.replace(noise_vy=0.0, noise_yaw=0.0, noise_yaw_rate=0.0, noise_y=0.0)
 
 
 class Scripted:
@@ -357,7 +359,7 @@ def test_the_scheduler_is_told_the_estimates():
     trajectory = simulate(DualTrack(CAR), controller, road(20.0, 0.9, 15.0, 1.0), profile="road")
     assert [(c.friction, c.wind) for c in told] == [(e.friction, e.wind) for e in controller.estimates]
     assert [c.speed for c in told] == trajectory.vx.tolist()
-    assert isinstance(told[0], Condition)
+    assert isinstance(told[0], SchedulingVariables)
     assert controller.describe()["estimator"]["nominal_friction"] == NOMINAL
 
 

@@ -7,7 +7,7 @@ import pytest
 
 from adaptrack.errors import ConfigError, InvalidInput, StorageError
 from adaptrack.learning import ANFIS, read_fis, write_fis
-from adaptrack.learning.sugeno import ANY
+from adaptrack.scheduling.functions.sugeno import ANY
 
 SAMPLE = """\
 [System]

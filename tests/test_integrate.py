@@ -2,11 +2,12 @@
 
 import numpy as np
 import pytest
-
 from adaptrack.kernels.dynamics import CUSTOM, DUAL_TRACK, INPUTS, STATES, compile_plant
 from adaptrack.kernels.integrate import BLOCK, LANE_STEP, LANES, integrate, integrate_custom
 from adaptrack.kernels.tyre import CURVED_MAGIC_FORMULA, LINEAR, MAGIC_FORMULA
+
 from adaptrack.plant import DualTrack, SingleTrack, UserPlant
+from adaptrack.profile import load_profile
 from adaptrack.vehicle import SteeringActuator, load_tyre, load_vehicle
 from references import vehicle as reference
 
@@ -16,7 +17,7 @@ LAWS = {
     MAGIC_FORMULA: load_tyre("magic-formula"),
     CURVED_MAGIC_FORMULA: load_tyre("passenger-car").replace(curvature=-1.0),
 }
-ROAD = SteeringActuator.road()
+ROAD = load_profile("road").steering
 
 every_plant = pytest.mark.parametrize("plant", [SingleTrack, DualTrack])
 every_law = pytest.mark.parametrize("law", LAWS, ids=("linear", "magic-formula", "curved"))

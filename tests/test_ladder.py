@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from adaptrack.closed_loop import LOST_COST, Course
+from adaptrack.controllers import MPC, Tuning
 from adaptrack.errors import InvalidInput
 from adaptrack.evaluate.ladder import (
     CHOICE_SEEDS,
@@ -24,17 +25,18 @@ from adaptrack.evaluate.ladder import (
     per_run_best,
 )
 from adaptrack.evaluate.road import condition_course, objective
-from adaptrack.kernels import inference
-from adaptrack.mpc import MPC, Tuning
-from adaptrack.plant import ROAD, SingleTrack
+from adaptrack.kernels import guard
+from adaptrack.plant import SingleTrack
+from adaptrack.profile import load_profile
 from adaptrack.scenario import load_scenario
-from adaptrack.schedule import Constant, Guarded, Learned
+from adaptrack.scheduling import Constant, Guarded, Learned
 from adaptrack.tuning.config import list_campaigns, load_campaign
 from adaptrack.tuning.objective import Objective
 from adaptrack.tuning.pso import SearchSpace, SwarmSettings
 from adaptrack.vehicle import load_vehicle
 
 CAR = load_vehicle("paper")
+ROAD = load_profile("road")
 START = Tuning(29, 5, 1.0, 4000.0)
 HASTY = Tuning(30, 10, 1.0, 10.0)
 """Steers on every bit of noise: loses the car."""
@@ -193,7 +195,7 @@ def test_a_climb_over_real_runs_counts_what_is_lost_and_what_the_schedules_did()
     assert rows["narrow"]["clipped"] == rows["guarded"]["clipped"] == pytest.approx(outside)
     assert rows["schedule"]["clipped"] == 0.0
     assert rows["guarded"]["fallback"] > 0.0
-    assert set(made.counts["guarded"]) == set(inference.COUNTS) - {"steps"}
+    assert set(made.counts["guarded"]) == set(guard.COUNTS) - {"steps"}
     assert heard == [(rung, k, 5) for k, rung in enumerate(rungs)]
 
 

@@ -18,14 +18,11 @@ from adaptrack.learning.landscape import (
     FuzzySurface,
     Level,
     NetworkSurface,
-    blended,
     check_inputs,
     preferred_moves,
-    shifted,
 )
-from adaptrack.mpc import Condition
-from adaptrack.schedule import SLOTS, Learned
-from small_models import random_network, random_sugeno
+from adaptrack.scheduling import ENTRIES, Number, SchedulingVariables
+from small_models import random_network
 
 DOMAIN = np.array([[3.0, 30.0], [0.3, 1.0]])
 
@@ -126,9 +123,7 @@ def test_a_surface_begins_with_one_value_everywhere_and_is_what_it_runs_as(kind,
     start = every_surface(x)[kind]
     np.testing.assert_allclose(start.predict(x), 25.0, rtol=1e-13)
     learned = start.fit(x, target, weight)
-    function = learned.function()
-    runs = np.full(len(x), function) if kind == "level" else function.predict(x)
-    np.testing.assert_array_equal(learned.predict(x), runs)
+    np.testing.assert_array_equal(learned.predict(x), learned.function().predict(x))
     np.testing.assert_allclose(start.predict(x), 25.0, rtol=1e-13, err_msg="the one it began with is left alone")
 
 
@@ -157,7 +152,7 @@ def test_only_the_ratio_of_the_weights_matters_and_a_row_of_none_does_not(kind):
 def test_a_level_fits_the_weighted_mean():
     level = Level(3.0).fit(np.zeros((3, 1)), np.array([1.0, 2.0, 10.0]), np.array([1.0, 1.0, 2.0]))
     assert level.value == pytest.approx(23.0 / 4.0)
-    assert level.function() == level.value
+    assert level.function() == Number(level.value)
 
 
 def test_a_networks_gradient_is_that_of_finite_differences(rng):
@@ -250,61 +245,6 @@ def test_the_same_rules_can_begin_at_another_level():
     np.testing.assert_array_equal(other.system.premises, made.system.premises)
 
 
-# -- shifts -----------------------------------------------------------------------------------------------------------
-def functions(rng):
-    return {"number": 4.25, "network": random_network(rng, 2), "fuzzy": random_sugeno(rng, 2)}
-
-
-@pytest.mark.parametrize("kind", ["number", "network", "fuzzy"])
-@pytest.mark.parametrize("by", [3.0, -1.5, 0.15, 0.0])
-def test_a_function_is_shifted_by_exactly_that_much_everywhere(kind, by, rng):
-    function = functions(rng)[kind]
-    moved = shifted(function, by)
-    if kind == "number":
-        assert moved == function + by
-        return
-    x = rng.normal(size=(50, 2)) * 3.0
-    np.testing.assert_allclose(moved.predict(x) - function.predict(x), by, rtol=0, atol=1e-9)
-
-
-@pytest.mark.parametrize("kind", ["number", "network", "fuzzy"])
-def test_the_compiled_schedule_is_shifted_too_each_slot_by_its_own(kind, rng):
-    """Horizons by whole numbers, so that rounding does not hide it; R by decades."""
-    raw = functions(rng)[kind]
-    rows = np.zeros((20, len(Condition._fields)))
-    rows[:, :2] = rng.uniform(-2.0, 2.0, (20, 2))
-    wide = {"Np": (1.0, 1000.0), "Nc": (1.0, 1000.0), "R": (1e-300, 1e300)}
-
-    def batch(by):
-        values = np.full(20, raw) if kind == "number" else raw.predict(rows[:, :2])
-        low = 100.0 - float(np.min(values))  # well within the bounds, and Nc below Np
-        moved = {
-            "Np": shifted(raw, low + 300.0 + by[0]),
-            "Nc": shifted(raw, low + by[1]),
-            "log10_ratio": shifted(raw, by[2]),
-        }
-        return Learned(moved, ("speed", "y_ref"), [[-2.0, 2.0]] * 2, wide).batch(rows)
-
-    base, moved = batch((0.0, 0.0, 0.0)), batch((3.0, -2.0, 0.15))
-    assert base[:, :2].min() > 1.0
-    assert (base[:, 1] < base[:, 0]).all()
-    np.testing.assert_array_equal((moved - base)[:, :3], np.tile([3.0, -2.0, 0.0], (20, 1)))
-    np.testing.assert_allclose(np.log10(moved[:, 3] / base[:, 3]), 0.15, rtol=0, atol=1e-9)
-
-
-@pytest.mark.parametrize("kind", ["number", "network", "fuzzy"])
-@pytest.mark.parametrize("share", [0.0, 0.3, 1.0])
-def test_a_function_goes_a_share_of_the_way_to_a_value_everywhere(kind, share, rng):
-    function = functions(rng)[kind]
-    moved = blended(function, share, 7.0)
-    if kind == "number":
-        assert moved == pytest.approx(function + share * (7.0 - function))
-        return
-    x = rng.normal(size=(50, 2)) * 3.0
-    before = function.predict(x)
-    np.testing.assert_allclose(moved.predict(x), before + share * (7.0 - before), rtol=1e-12, atol=1e-9)
-
-
 @pytest.mark.parametrize("kind", ["level", "network", "fuzzy"])
 def test_an_average_has_the_mean_of_the_parameters_and_of_one_alone_it_is_itself(kind):
     x, target, weight = examples()
@@ -325,12 +265,12 @@ def test_an_average_has_the_mean_of_the_parameters_and_of_one_alone_it_is_itself
 
 
 # -- names ------------------------------------------------------------------------------------------------------------
-def test_the_outputs_are_slots_of_a_schedule():
-    assert (*SLOTS[:2], "log10_ratio") == OUTPUTS
+def test_the_outputs_are_entries_of_a_schedule():
+    assert (*ENTRIES[:2], "log10_ratio") == OUTPUTS
     assert len(SHIFT) == len(LEAST_CURVATURE) == len(OUTPUTS)
 
 
 def test_an_unknown_input_is_named_with_those_that_are_known():
-    assert check_inputs(["friction", "speed"], Condition._fields) == [2, 0]
+    assert check_inputs(["friction", "speed"], SchedulingVariables._fields) == [2, 0]
     with pytest.raises(InvalidInput, match=r"'grip'.*friction"):
-        check_inputs(["grip"], Condition._fields)
+        check_inputs(["grip"], SchedulingVariables._fields)

@@ -217,7 +217,8 @@ def test_an_interrupt_ends_the_training(monkeypatch):
 
 
 def test_what_was_learned_runs_without_the_library_that_trained_it(run_python):
-    assert "sklearn" not in run_python(code="import sys, adaptrack.learning.network; print(*sys.modules)").split()
+    code = "import sys, adaptrack.scheduling.functions.network; print(*sys.modules)"
+    assert "sklearn" not in run_python(code=code).split()
 
 
 def test_every_public_name_of_the_room_is_there():

@@ -6,11 +6,12 @@ import math
 import numpy as np
 import pytest
 
+from adaptrack.controllers import MPC, Limits, Moves, Scheduler, Tuning
 from adaptrack.errors import InvalidInput, MissingExtra, UnknownName
 from adaptrack.kernels import loop
-from adaptrack.mpc import MPC, Condition, Limits, Moves, Scheduler, Tuning
-from adaptrack.prediction import PredictionModel, limit_bounds, limit_matrix
+from adaptrack.models import PredictionModel, limit_bounds, limit_matrix
 from adaptrack.qp import QPStatus, get_qp_solver, list_qp_solvers
+from adaptrack.scheduling import SchedulingVariables
 from adaptrack.vehicle import load_vehicle
 from references import mpc as reference
 
@@ -229,7 +230,7 @@ class Playlist:
         return self.tunings[self.k - 1]
 
 
-HERE = Condition(speed=15.0, y_ref=0.5, friction=0.8, wind=3.0)
+HERE = SchedulingVariables(speed=15.0, y_ref=0.5, friction=0.8, wind=3.0)
 
 
 @every_parametrisation
@@ -595,18 +596,3 @@ def test_a_controller_describes_itself():
     assert MPC(CAR).describe()["moves"] == {"kind": "pulse"}
     assert MPC(CAR).name == "standard MPC (pulse)"
     assert "scheduled" in MPC(CAR, scheduler=Playlist([])).name
-
-
-def test_the_demand_ahead_is_that_of_the_reference_and_nothing_else():
-    from adaptrack.mpc import demand
-
-    t = 0.05 * np.arange(400)
-    change, acceleration = demand(2.0 * t, 0.05, len(t))  # straight on, beyond the end too
-    np.testing.assert_allclose(change, 6.0, atol=1e-9)
-    np.testing.assert_allclose(acceleration, 0.0, atol=1e-9)
-    bend = 0.5 * 1.5 * np.maximum(t - 10.0, 0.0) ** 2
-    change, acceleration = demand(bend, 0.05, len(t))
-    assert acceleration[t < 6.9].max() == 0.0
-    np.testing.assert_allclose(acceleration[(t > 7.2) & (t < 16.0)], 1.5, rtol=1e-6)
-    assert change[200] == pytest.approx(0.5 * 1.5 * 3.0**2)  # at 10 s
-    np.testing.assert_array_equal(demand(-bend, 0.05, len(t)), (change, acceleration))

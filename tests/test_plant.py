@@ -9,14 +9,10 @@ import pytest
 from adaptrack.errors import ContractError, InvalidInput, UnknownName
 from adaptrack.plant import (
     MOTION,
-    PAPER,
-    ROAD,
     DualTrack,
-    Profile,
     SingleTrack,
     UserPlant,
     check_plant,
-    load_profile,
 )
 from adaptrack.vehicle import SteeringActuator, list_tyres, list_vehicles, load_tyre, load_vehicle
 
@@ -265,27 +261,3 @@ def test_steps_grow_with_speed_over_a_relaxation_length_and_with_the_period(car,
     assert plant.substeps(0.2, 15.0) >= 2 * plant.substeps(0.1, 15.0) - 1
     fast = 60.0 / plant.tyre.relaxation_length
     assert 0.1 / plant.substeps(0.1, 60.0) * fast <= 2.2 + 1e-9
-
-
-# -- profiles ---------------------------------------------------------------------------------------------------------
-def test_the_paper_profile_is_ideal_and_the_road_profile_is_not():
-    assert load_profile("paper") is PAPER
-    assert load_profile("road") is ROAD
-    assert PAPER.noise == (0.0, 0.0, 0.0, 0.0)
-    assert (PAPER.delay, PAPER.preview, PAPER.move_price) == (False, False, 0.0)
-    assert PAPER.steering == SteeringActuator.ideal()
-    assert ROAD.noise == (0.05, 0.003, 0.01, 0.03)
-    assert (ROAD.delay, ROAD.preview, ROAD.move_price) == (True, True, 3.0)
-    assert load_profile(ROAD) is ROAD
-
-
-def test_a_misspelt_profile_is_named():
-    with pytest.raises(UnknownName, match="'paper'"):
-        load_profile("papper")
-
-
-@pytest.mark.parametrize("field", ["noise_vy", "noise_yaw", "noise_yaw_rate", "noise_y", "move_price"])
-@pytest.mark.parametrize("value", [-0.1, math.nan, math.inf])
-def test_a_profile_refuses_what_is_no_standard_deviation(field, value):
-    with pytest.raises(InvalidInput, match=field):
-        Profile("own", SteeringActuator.ideal(), **{field: value})

@@ -9,7 +9,7 @@ import pytest
 from adaptrack import prediction
 from adaptrack.errors import InvalidInput
 from adaptrack.kernels import prediction as kernels
-from adaptrack.prediction import PredictionModel, limit_bounds, limit_matrix
+from adaptrack.models import PredictionModel, limit_bounds, limit_matrix
 from adaptrack.vehicle import list_vehicles, load_vehicle
 from references import mpc as reference
 

@@ -12,9 +12,9 @@ from numba import njit
 from scipy import stats
 
 from adaptrack.errors import ConfigError, InvalidInput
+from adaptrack.files import build, read_toml
 from adaptrack.kernels.maths import random, swarm
 from adaptrack.kernels.maths.random import counted_normal, counted_uniform
-from adaptrack.toml_files import build, read_toml
 from adaptrack.tuning.pso import SearchSpace, Swarm, SwarmSettings, minimise
 
 TUNING = SearchSpace.tuning()

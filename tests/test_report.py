@@ -66,17 +66,22 @@ def drive(controller="standard", scenario="triple-lane-change", *, scale=1.0, n=
         friction=np.full((n, 4), 0.7),
         wind=np.stack([0 * t, 20 * wave], axis=1),
         lateral_acceleration=wave,
-        Np=horizon,
-        Nc=np.full(n, 8),
-        Q=np.full(n, 10.0),
-        R=np.full(n, 0.01) * (1 + adapt * np.abs(wave)),
-        qp_status=np.zeros(n, int),
-        qp_iterations=np.full(n, 3),
-        qp_residual=np.full(n, 1e-12),
-        at_limit=np.zeros(n, int),
         held=np.zeros(n, bool),
         step_time=np.full(n, 1e-5),
         period=0.1,
+        tuning={
+            "Np": horizon,
+            "Nc": np.full(n, 8),
+            "Q": np.full(n, 10.0),
+            "R": np.full(n, 0.01) * (1 + adapt * np.abs(wave)),
+        },
+        diagnostics={
+            "qp_status": np.zeros(n, int),
+            "qp_iterations": np.full(n, 3),
+            "qp_residual": np.full(n, 1e-12),
+            "at_limit": np.zeros(n, int),
+        },
+        units={"tuning.Q": "1/m^2", "tuning.R": "1/rad^2"},
         meta=record | meta,
     )
 
@@ -200,7 +205,7 @@ def test_the_papers_numbers_stand_beside_ours(report):
 def test_a_lost_run_is_said_to_be_lost_and_never_best(report):
     _, text, _ = report
     shown = Outline(text).text
-    assert re.search(r"Lost: ANFIS-MPC, at 10\.\d s; the vehicle left the reference by more than 5 m\.", shown)
+    assert re.search(r"Failed: ANFIS-MPC, at 10\.\d s; the vehicle left the reference by more than 5 m\.", shown)
     assert "Best tracking: NN-MPC" in shown
     assert "∞" in shown
 
@@ -373,7 +378,9 @@ def test_a_lost_run_ends_where_it_was_lost_and_does_not_set_the_scale():
 def test_runs_that_hold_only_nan_can_be_drawn():
     broken = drive()
     empty = np.full(len(broken), np.nan)
-    broken = dataclasses.replace(broken, Y=empty, vx=empty, yaw_rate=empty, command=empty, Q=empty)
+    broken = dataclasses.replace(
+        broken, Y=empty, vx=empty, yaw_rate=empty, command=empty, tuning={**broken.tuning, "Q": empty}
+    )
     for figure in (
         tracking_figure({"x": broken}),
         conditions_figure({"x": broken}),

@@ -10,10 +10,11 @@ import pytest
 from matplotlib.figure import Figure
 
 from adaptrack.dataset import DataSet, describe
+from adaptrack.learning.boosting import explained_shares
 from adaptrack.report import dataset as page
 from adaptrack.report import style
 from adaptrack.report.dataset import write_dataset_report
-from adaptrack.tuning.conditions import grid, sobol
+from adaptrack.tuning.operating_points import grid, sobol
 
 BOX = {"speed": (3.0, 30.0), "y_ref": (-15.0, 15.0), "friction": (0.3, 1.0), "wind": (-30.0, 30.0)}
 LEVELS = {"speed": (5.0, 10.0, 15.0), "y_ref": (-4.0, 4.0, 8.0), "friction": (0.5, 0.9), "wind": (-10.0, 0.0, 10.0)}
@@ -25,7 +26,7 @@ def made(conditions, size=6, generations=5, **changes):
     rng, n = np.random.default_rng(3), len(conditions)
     cost = rng.uniform(1.0, 2.0, n)
     arrays = {
-        "conditions": conditions,
+        "operating_points": conditions,
         "tunings": np.column_stack(
             [
                 10 + np.round(conditions[:, 0]),
@@ -74,7 +75,7 @@ def data():
 
 @pytest.fixture(scope="module")
 def told(data):
-    return describe(data)
+    return describe(data, explained_shares(data))
 
 
 @pytest.fixture(scope="module")
@@ -90,7 +91,7 @@ def test_the_folder_holds_the_page_and_a_png_of_every_picture(report):
 
 def test_the_page_says_what_the_set_is_and_how_to_make_it_again(report, data):
     words = words_of(report)
-    for part in ("60 driving conditions", "lane-change", "road", "8 s a run", "0123abcd", "9.8.7", "adaptrack tune"):
+    for part in ("60 operating points", "lane-change", "road", "8 s a run", "0123abcd", "9.8.7", "adaptrack tune"):
         assert part in words
     assert "4.00 times" in words
     assert "made &lt;b&gt;" in words, "a name cannot break the page"
@@ -113,9 +114,9 @@ def test_a_target_that_conditions_decide_is_told_from_noise(told):
 def test_a_cell_of_a_map_is_the_median_of_its_conditions():
     data = made(grid(**LEVELS))
     target = page._targets(data)[1]
-    own = page._binned(data, data.conditions[:, 2], target)
+    own = page._binned(data, data.operating_points[:, 2], target)
     assert own.values.shape == (2, 3)
-    here = (data.conditions[:, 0] == 10.0) & (data.conditions[:, 2] == 0.9)
+    here = (data.operating_points[:, 0] == 10.0) & (data.operating_points[:, 2] == 0.9)
     assert own.values[1, 1] == np.median(data.tunings[here, 1])
 
 
@@ -130,7 +131,7 @@ def test_levels_have_bins_of_their_own_and_samples_equal_widths():
 
 def test_cells_without_conditions_stay_empty():
     own = made(sobol(4, BOX, 1))
-    medians = page._binned(own, own.conditions[:, 2], page._targets(own)[0]).values
+    medians = page._binned(own, own.operating_points[:, 2], page._targets(own)[0]).values
     assert np.isfinite(medians).sum() <= 4
 
 
@@ -155,7 +156,7 @@ def with_losses(data):
 def test_lost_cars_are_said_and_not_averaged():
     data = with_losses(made(sobol(20, BOX, 2)))
     words, picture = page._costs(data, describe(data)).items
-    assert "the standard tuning in 3, the swarm's best in 2 and every tuning in 1 of 20 conditions" in words
+    assert "the standard tuning in 3, the swarm's best in 2 and every tuning in 1 of 20 operating points" in words
     assert not any(re.search("nan|∞", panel.description) for panel in picture.panels)
     words, picture = page._convergence(data.rows(np.isfinite(data.costs)))[0].items
     assert "infinitely far above its last cost, after generation 3" in words

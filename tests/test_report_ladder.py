@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 
 from adaptrack.closed_loop import LOST_COST
+from adaptrack.controllers import Tuning
 from adaptrack.evaluate.ladder import Ladder
-from adaptrack.mpc import Tuning
 from adaptrack.report import ladder as page
 from adaptrack.report import style
 from adaptrack.report.ladder import best, importance, knowledge, losses, on_tests, ratio, standing, write_ladder
 from adaptrack.report.words import number
-from adaptrack.schedule import Constant, Guarded, Learned, StabilityMap, Table
+from adaptrack.scheduling import Constant, Guarded, Learned, StabilityMap, Table
 
 CONDITIONS = {"standard": 9.0, "best constant": 2.5, "speed only": 1.6, "look-up": 1.2, "nn": 1.1, "anfis": 1.15}
 REGRETS = CONDITIONS | {"optimum": 1.0}

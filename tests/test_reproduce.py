@@ -17,7 +17,7 @@ from adaptrack.learning.training import train
 from adaptrack.metrics import PUBLISHED
 from adaptrack.report import reproduce as page
 from adaptrack.report import style
-from adaptrack.schedule import Constant, check_scheduler
+from adaptrack.scheduling import Constant, check_scheduler
 from adaptrack.simulate import rollout_batch
 from small_data import LIBRARY, SEARCH, small
 
@@ -69,7 +69,7 @@ def test_a_constant_that_loses_the_car_comes_after_one_that_does_not():
 def test_the_look_up_table_holds_the_tuning_of_every_condition():
     data = small()
     table = lookup(data)
-    assert table.batch(data.conditions) == pytest.approx(data.tunings)
+    assert table.batch(data.operating_points) == pytest.approx(data.tunings)
     check_scheduler(table)
 
 
@@ -87,7 +87,7 @@ def test_a_look_up_table_needs_a_full_grid():
 def test_a_learned_schedule_is_admitted_and_stays_within_the_bounds_of_the_search(trained, which):
     schedule = scheduler(trained[which], small())
     check_scheduler(schedule)
-    wild = small().conditions * [3.0, 9.0, 1.0, 5.0]
+    wild = small().operating_points * [3.0, 9.0, 1.0, 5.0]
     tunings = schedule.batch(wild)
     low, high = np.array([SEARCH[name] for name in ("Np", "Nc", "Q", "R")], dtype=float).T
     if which[1] == "ratio":  # R is then R/Q
@@ -258,7 +258,7 @@ def rigged(made, **errors):
 
     def changed(row):
         mse = errors.get(row["controller"].replace("-", "_"))
-        return row if mse is None or row["preview"] else {**row, "mse": mse, "lost": False}
+        return row if mse is None or row["preview"] else {**row, "mse": mse, "failed": False}
 
     return dataclasses.replace(made, rows=[changed(row) for row in made.rows])
 
@@ -284,7 +284,7 @@ def test_the_page_tells_one_winner_from_one_loser(made):
 
 def test_a_lost_run_never_wins(made):
     rows = [
-        {**row, "mse": 1e-9, "lost": True} if row["controller"] == "nn" and not row["preview"] else row
+        {**row, "mse": 1e-9, "failed": True} if row["controller"] == "nn" and not row["preview"] else row
         for row in rigged(made, anfis=2.0, best_constant=1.0).rows
     ]
     assert page.against(rows, "released", "best-constant").startswith("neither")
@@ -292,10 +292,10 @@ def test_a_lost_run_never_wins(made):
 
 
 def test_a_lost_run_is_told_with_its_cause():
-    row = {"configuration": "released", "scenario": TESTS[0], "controller": "lookup", "preview": False, "lost": True,
-           "lost_at": 3.04, "lost_because": "spun"}  # fmt: skip
-    assert page.losses([row, {**row, "lost": False}], "released") == [
-        "Lost: the look-up table on the triple lane change without preview, at 3.0 s; the vehicle spun."
+    row = {"configuration": "released", "scenario": TESTS[0], "controller": "lookup", "preview": False, "failed": True,
+           "failed_at": 3.04, "failed_because": "spun"}  # fmt: skip
+    assert page.failures([row, {**row, "failed": False}], "released") == [
+        "Failed: the look-up table on the triple lane change without preview, at 3.0 s; the vehicle spun."
     ]
 
 

@@ -1,7 +1,6 @@
 """The linear closed loop: its eigenvalues foretell what simulations show."""
 
 import math
-from dataclasses import replace
 from itertools import product
 
 import numpy as np
@@ -23,7 +22,8 @@ from adaptrack import (
     load_tyre,
     load_vehicle,
 )
-from adaptrack.plant import PAPER, ROAD
+from adaptrack.failure import Failure
+from adaptrack.profile import load_profile
 from adaptrack.scenario import Scenario, Wind
 from adaptrack.simulate import rollout
 from adaptrack.stability import (
@@ -44,7 +44,8 @@ from adaptrack.stability import (
 
 pytestmark = pytest.mark.compiled
 CAR = load_vehicle("paper")
-QUIET = replace(ROAD, noise_vy=0.0, noise_yaw=0.0, noise_yaw_rate=0.0, noise_y=0.0)
+PAPER, ROAD = load_profile("paper"), load_profile("road")
+QUIET = ROAD.replace(noise_vy=0.0, noise_yaw=0.0, noise_yaw_rate=0.0, noise_y=0.0)
 PLANT, ROAD_MPC = DualTrack(CAR, "magic-formula"), MPC(CAR, period=0.05)
 
 
@@ -98,7 +99,7 @@ def test_in_the_simulator_a_tiny_offset_goes_the_way_of_the_matrix(tuning, speed
         name="offset", duration=20.0, reference=0.0, speed=speed, friction=0.75, wind=Wind(y=0.0), start_y=offset
     )
     mpc = MPC(CAR, Tuning(*tuning), period=0.05)
-    driven = rollout(PLANT, mpc, scenario, profile=QUIET, lost_beyond=math.inf).Y
+    driven = rollout(PLANT, mpc, scenario, profile=QUIET, failure=Failure(math.inf, math.inf)).Y
     k = laws(mpc, speed, tuning)
     body = sampled(PLANT, 0.05, speed, friction=0.75, profile="road")
     matrix = loops(body, k)[0]
@@ -137,7 +138,7 @@ def literal_loop(plant, mpc, speed, tuning, profile):
     return np.array([step(unit) for unit in np.eye(n + 6)]).T
 
 
-@pytest.mark.parametrize("profile", [ROAD, replace(ROAD, delay=False)])
+@pytest.mark.parametrize("profile", [ROAD, ROAD.replace(delay=0)])
 def test_the_summed_up_law_has_the_eigenvalues_of_the_law_of_moves(profile):
     for speed, tuning in product((5.0, 15.0, 25.0), (Tuning(35, 5, 1.0, 1e4), Tuning(20, 8, 2.0, 300.0))):
         short = closed_loop(PLANT, ROAD_MPC, speed, tuning=tuning, profile=profile)
@@ -149,7 +150,7 @@ def test_the_summed_up_law_has_the_eigenvalues_of_the_law_of_moves(profile):
 @pytest.mark.parametrize("moves", [Moves.pulses(), Moves.laguerre(0.8, 4)])
 def test_many_laws_at_once_are_the_law_of_each(moves):
     mpc, tunings = MPC(CAR, moves=moves, period=0.05), some_tunings(1, 40)
-    from adaptrack.prediction import laguerre_basis
+    from adaptrack.models import laguerre_basis
 
     for speed in (0.5, 9.0, 25.0):
         found = laws(mpc, speed, tunings)
@@ -310,7 +311,7 @@ def test_the_modulus_margin_bounds_the_gain_margins():
 
 
 def test_a_delay_of_one_period_is_the_road_profiles_delay():
-    prompt = replace(ROAD, delay=False)
+    prompt = ROAD.replace(delay=0)
     mine, its = (
         np.sort(np.abs(np.linalg.eigvals(closed_loop(PLANT, ROAD_MPC, 15.0, profile=profile, delay=delay))))
         for profile, delay in ((prompt, 0.05), (ROAD, 0.0))
@@ -322,8 +323,8 @@ def test_a_delay_of_one_period_is_the_road_profiles_delay():
 def test_a_fractional_delay_is_what_commands_do_that_change_within_the_period(profile):
     """Against the same plant sampled ten times as often, each command held for ten samples, three samples late."""
     period, x = 0.1, np.random.default_rng(5).normal(size=12)
-    late = sampled(PLANT, period, 15.0, profile=replace(profile, delay=False), delay=0.3 * period)
-    fine = sampled(PLANT, period / 10, 15.0, profile=replace(profile, delay=False))
+    late = sampled(PLANT, period, 15.0, profile=profile.replace(delay=0), delay=0.3 * period)
+    fine = sampled(PLANT, period / 10, 15.0, profile=profile.replace(delay=0))
     n = len(fine.b)
     z, state, before = np.append(x[:n], 0.3), x[:n], 0.3
     for command in (1.0, -0.5, 0.2):

@@ -5,11 +5,12 @@ import dataclasses
 import numpy as np
 import pytest
 
-from adaptrack.dataset import DataSet, boosting
+from adaptrack.dataset import DataSet
 from adaptrack.errors import InvalidInput, UnknownName
-from adaptrack.learning import ANFIS, MLP, TARGETS, Network, Sugeno, train
+from adaptrack.learning import ANFIS, MLP, TARGETS, boosting, train
 from adaptrack.learning import training as module
-from adaptrack.tuning.conditions import NAMES, fold, grid, mirrored, sobol
+from adaptrack.scheduling import Network, Sugeno
+from adaptrack.tuning.operating_points import NAMES, fold, grid, mirrored, sobol
 
 BOX = {"speed": (3.0, 30.0), "y_ref": (-15.0, 15.0), "friction": (0.3, 1.0), "wind": (-30.0, 30.0)}
 OPTIONS = {"nn": {"solver": "adam", "epochs": 200, "batch_size": 30}, "anfis": {"epochs": 3}}
@@ -25,7 +26,7 @@ def tuned(conditions, noise=0.0):
     Q, R = 1.0 + friction * np.abs(y_ref), 10.0 ** (-3.0 + speed / 30.0 + (wind * y_ref) / 900.0)
     n = len(conditions)
     return DataSet(
-        conditions=conditions,
+        operating_points=conditions,
         tunings=np.column_stack((Np, Nc, Q, R)),
         costs=np.ones(n),
         standard_costs=np.ones(n),
@@ -79,7 +80,7 @@ def test_the_quality_is_what_anybody_computes_on_the_hold_out(dataset, trained):
     learned, held = dataset.split(0.2, 1)
     targets = {"Np": held.tunings[:, 0], "Nc": held.tunings[:, 1], "log10_ratio": np.log10(held.ratios)}
     for row in trained.quality:
-        y, predicted = targets[row["slot"]], trained.estimators[row["slot"]].predict(held.conditions)
+        y, predicted = targets[row["slot"]], trained.estimators[row["slot"]].predict(held.operating_points)
         assert row["r2"] == pytest.approx(1.0 - ((y - predicted) ** 2).sum() / ((y - y.mean()) ** 2).sum(), rel=1e-9)
         assert row["rmse"] == pytest.approx(np.sqrt(((y - predicted) ** 2).mean()), rel=1e-9)
         assert (row["model"], row["n_train"], row["n_holdout"]) == (trained.model, len(learned), len(held))
@@ -98,8 +99,8 @@ def test_a_smooth_schedule_is_learned(dataset, trained):
 
 def test_the_domain_is_that_of_the_rows_trained_on(dataset, trained):
     learned, _ = dataset.split(0.2, 1)
-    np.testing.assert_array_equal(trained.domain[:, 0], learned.conditions.min(axis=0))
-    np.testing.assert_array_equal(trained.domain[:, 1], learned.conditions.max(axis=0))
+    np.testing.assert_array_equal(trained.domain[:, 0], learned.operating_points.min(axis=0))
+    np.testing.assert_array_equal(trained.domain[:, 1], learned.operating_points.max(axis=0))
 
 
 def test_what_runs_is_plain_arrays(trained):
@@ -119,7 +120,7 @@ def test_no_twin_of_a_held_out_condition_is_trained_on(monkeypatch):
     monkeypatch.setattr(ANFIS, "fit", lambda self, x, y: seen.append(x) or fit(self, x, y))
     train(dataset, "anfis", epochs=0, seed=2)
     _, held = dataset.split(0.2, 2)
-    either = np.vstack((held.conditions, mirrored(held.conditions)))
+    either = np.vstack((held.operating_points, mirrored(held.operating_points)))
     assert len(held) >= 10
     assert len(seen) == 4
     for x in seen:
@@ -132,7 +133,7 @@ def test_the_ceiling_has_not_seen_the_twins_of_what_it_predicts():
     dataset = tuned(conditions, noise=50.0)  # the speed explains next to nothing: what a twin tells would be seen
     learned, held = dataset.split(0.3, 0)
     y, y_held = module.target(learned, "Np"), module.target(held, "Np")
-    r2, _ = module.score(y_held, module.ceiling(learned.conditions, y, held.conditions, y_held, 0))
+    r2, _ = module.score(y_held, module.ceiling(learned.operating_points, y, held.operating_points, y_held, 0))
     assert -0.3 < r2 < 0.3
 
 

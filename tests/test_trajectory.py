@@ -1,7 +1,10 @@
 """A trajectory is checked at the door, says its errors with a sign, and survives its file bit for bit."""
 
+import copy
 import dataclasses
+import json
 import os
+import pickle
 import subprocess
 import sys
 from datetime import UTC, datetime
@@ -25,7 +28,17 @@ def record(n=8, period=0.1, **changes):
         shape = (n, len(column.parts)) if column.parts else (n,)
         arrays[column.name] = np.zeros(shape, dtype=column.dtype)
     arrays |= {"t": period * np.arange(n), "vx": np.full(n, 10.0), "friction": np.ones((n, 4))}
-    return Trajectory(**(arrays | {"period": period} | changes))
+    return Trajectory(**(arrays | {"period": period} | named(n) | changes))
+
+
+def named(n):
+    """What an MPC adds: its tuning and its diagnostics, all zero."""
+    whole, real = np.zeros(n, np.int64), np.zeros(n)
+    return {
+        "tuning": {"Np": whole, "Nc": whole, "Q": real, "R": real},
+        "diagnostics": {"qp_status": whole, "qp_iterations": whole, "qp_residual": real, "at_limit": whole},
+        "units": {"tuning.Q": "1/m^2", "tuning.R": "1/rad^2"},
+    }
 
 
 def wild(n=50, seed=1):
@@ -37,26 +50,44 @@ def wild(n=50, seed=1):
         top = 20 if column.kind == "real" else 15
         arrays[column.name] = (rng.normal(size=shape) * 10.0 ** rng.integers(-20, top, shape)).astype(column.dtype)
     arrays["t"] = 0.05 * np.arange(n) + 3.0
-    arrays["qp_residual"][3] = np.nan
+    residual = rng.normal(size=n)
+    residual[3] = np.nan
     arrays["Y"][-1] = np.inf
     arrays["vy"][-1] = -0.0
-    return Trajectory(**arrays, period=0.05, meta={"scenario": "step", "limits": (1, 2.5), "µ": None})
+    return Trajectory(
+        **arrays,
+        period=0.05,
+        tuning={"Np": rng.integers(1, 60, n), "gain": rng.normal(size=n)},
+        diagnostics={"qp_residual": residual, "saturated": rng.normal(size=n) > 0},
+        units={"tuning.gain": "1/s"},
+        failed="off-road",
+        failed_at=5.1,
+        meta={"scenario": "step", "limits": (1, 2.5), "µ": None},
+    )
 
 
 def test_the_column_list_names_every_array_of_the_dataclass():
     fields = [field.name for field in dataclasses.fields(Trajectory)]
-    assert fields == [column.name for column in COLUMNS] + ["period", "meta"]
+    more = ["period", "tuning", "diagnostics", "units", "failed", "failed_at", "meta"]
+    assert fields == [column.name for column in COLUMNS] + more
 
 
 def test_a_file_gives_back_every_bit_and_all_provenance(tmp_path):
     before = wild()
     before.save(tmp_path / "run.parquet")
     after = Trajectory.load(tmp_path / "run.parquet")
-    for column in COLUMNS:
-        a, b = getattr(before, column.name), getattr(after, column.name)
+    same(before, after)
+
+
+def same(before, after):
+    assert list(before.columns()) == list(after.columns())
+    for name, a in before.columns().items():
+        b = after.columns()[name]
         assert a.dtype == b.dtype
-        assert a.tobytes() == b.tobytes(), column.name
-    assert (after.period, after.meta) == (before.period, before.meta)
+        assert a.tobytes() == b.tobytes(), name
+    for name in ("period", "units", "failed", "meta"):
+        assert getattr(after, name) == getattr(before, name), name
+    np.testing.assert_equal(after.failed_at, before.failed_at)
 
 
 def test_the_same_trajectory_gives_the_same_file(tmp_path):
@@ -70,8 +101,10 @@ def test_any_parquet_reader_finds_units_and_versions(tmp_path):
     schema = pq.read_schema(tmp_path / "run.parquet")
     assert schema.field("yaw_rate").metadata[b"unit"] == b"rad/s"
     assert schema.field("friction_rear_left").metadata[b"unit"] == b"-"
-    assert schema.metadata[b"adaptrack"].decode() == __version__
-    assert float(schema.metadata[b"period"]) == 0.1
+    assert schema.field("tuning.Q").metadata[b"unit"] == b"1/m^2"
+    about = json.loads(schema.metadata[b"about"])
+    assert about["adaptrack"] == __version__
+    assert about["period"] == 0.1
 
 
 def test_error_is_positive_to_the_left_of_the_reference():
@@ -109,7 +142,10 @@ def test_between_keeps_times_and_cuts_every_array():
     part = run.between(3.5, 4.5)
     assert (part.t[0], len(part)) == (pytest.approx(3.5), 20)
     assert all(len(getattr(part, column.name)) == 20 for column in COLUMNS)
+    assert {len(values) for values in part.columns().values()} == {20}
     assert part.meta == run.meta
+    assert part.failed is None  # it failed later
+    assert run.between(3.5).failed == "off-road"
 
 
 def test_a_window_of_280_periods_is_not_lost_to_rounding():
@@ -136,8 +172,15 @@ def test_arrays_cannot_be_changed_in_place_and_the_callers_stay_writable():
         ({"Y": np.zeros(7)}, r"`Y` must have the shape \(8,\).*\(7,\)"),
         ({"friction": np.zeros(8)}, r"`friction` must have the shape \(8, 4\)"),
         ({"wind": np.zeros((8, 4))}, r"`wind` must have the shape \(8, 2\)"),
-        ({"Np": np.full(8, 3.5)}, "`Np` must hold int64 values"),
-        ({"Np": np.full(8, np.nan)}, "`Np` must hold int64 values"),
+        ({"held": np.full(8, 3.5)}, "`held` must hold bool values"),
+        ({"held": np.full(8, np.nan)}, "`held` must hold bool values"),
+        ({"tuning": {"Np": np.zeros(7)}, "units": {}}, r"`tuning\['Np'\]` must have the shape \(8,\)"),
+        ({"tuning": {"Np": ["35"] * 8}, "units": {}}, r"`tuning\['Np'\]` must hold numbers"),
+        ({"tuning": {"../x": np.zeros(8)}, "units": {}}, r"'\.\./x' must be a name"),
+        ({"units": {"tuning.gain": "-"}}, "`units` names 'tuning.gain'"),
+        ({"failed": "spun"}, "`failed` and `failed_at` go together"),
+        ({"meta": {"scenario": "a\0b"}}, r"`meta`: scenario = 'a\\x00b': holds a NUL"),
+        ({"meta": {"plant": {"name": "\ud800"}}}, r"`meta`: plant.name = '\\ud800'"),
         ({"vx": np.array(["10"] * 8)}, "`vx` must hold float64 values"),
         ({"t": np.zeros(8)}, "one period"),
         ({"t": 0.2 * np.arange(8)}, "one period"),
@@ -154,7 +197,7 @@ def test_what_does_not_fit_is_refused_with_the_name_of_the_array(changes, compla
 
 
 def test_whole_numbers_held_as_floats_are_taken():
-    assert record(Np=np.full(8, 35.0)).Np.dtype == np.int64
+    assert record(held=np.full(8, 1.0)).held.dtype == np.bool_
 
 
 def test_a_missing_file_a_folder_and_a_text_file_are_refused(tmp_path):
@@ -172,7 +215,7 @@ def test_a_missing_file_a_folder_and_a_text_file_are_refused(tmp_path):
 
 def test_a_foreign_parquet_file_is_refused(tmp_path):
     pq.write_table(pa.table({"t": [0.0, 1.0]}), tmp_path / "foreign.parquet")
-    with pytest.raises(StorageError, match="not a trajectory"):
+    with pytest.raises(StorageError, match="holds no trajectory, but a table of another program"):
         Trajectory.load(tmp_path / "foreign.parquet")
 
 
@@ -187,7 +230,9 @@ def test_another_format_version_is_refused_with_both_versions(tmp_path):
     path = tmp_path / "run.parquet"
     record().save(path)
     rewritten(path, format_version="7", adaptrack="9.9.9")
-    with pytest.raises(StorageError, match=r"9\.9\.9 in format version 7, this one reads version 1"):
+    with pytest.raises(
+        StorageError, match=r"9\.9\.9 in format version 7, this adaptrack reads version 2: run the simulation"
+    ):
         Trajectory.load(path)
 
 
@@ -195,13 +240,18 @@ def test_an_edited_file_is_refused_with_the_reason(tmp_path):
     path = tmp_path / "run.parquet"
     record().save(path)
     whole = pq.read_table(path)
+    about = whole.schema.metadata[b"about"].decode()
     holes = whole.set_column(2, "Y", pa.array([None] + [0.0] * 7))
     for table, entries, complaint in (
         (whole.drop_columns(["psi"]), {}, "no column 'psi'"),
         (holes.replace_schema_metadata(whole.schema.metadata), {}, "1 missing values in column 'Y'"),
-        (whole, {"period": "soon"}, "could not convert"),
-        (whole, {"period": "-1"}, "period must be a positive"),
-        (whole, {"meta": "{"}, "damaged, or edited"),
+        (whole, {"about": "{"}, "damaged, or edited"),
+        (whole, {"about": about.replace('"period": 0.1', '"period": 0.2')}, "the checksum of its content does not fit"),
+        (
+            whole,
+            {"about": about.replace('"meta": {', '"meta": {"seed": 1')},
+            "the checksum of its content does not fit",
+        ),
     ):
         rewritten(path, table, **entries)
         with pytest.raises(StorageError, match=complaint):
@@ -228,6 +278,38 @@ def test_a_flipped_byte_in_the_data_does_not_go_unnoticed(tmp_path):
     path.write_bytes(bytes(content))
     with pytest.raises(StorageError, match="damaged"):
         Trajectory.load(path)
+
+
+@pytest.mark.parametrize("stride", [11, pytest.param(1, marks=pytest.mark.slow)])
+def test_a_flipped_bit_anywhere_gives_the_same_content_or_a_storage_error(tmp_path, stride):
+    path = tmp_path / "run.parquet"
+    before = record(n=1, tuning={}, diagnostics={"qp_status": np.zeros(1, int)}, units={}, meta={"scenario": "step"})
+    before.save(path)
+    content = path.read_bytes()
+    for place in range(0, len(content), stride):
+        changed = bytearray(content)
+        changed[place] ^= 1 << place % 8
+        path.write_bytes(changed)
+        try:
+            after = Trajectory.load(path)
+        except StorageError:
+            continue
+        same(before, after)
+
+
+def test_a_file_of_version_1_is_refused_with_the_remedy(tmp_path):
+    schema = pa.schema(
+        [("t", pa.float64())], metadata={"format": "adaptrack trajectory", "format_version": "1", "adaptrack": "0.1.0"}
+    )
+    pq.write_table(pa.Table.from_arrays([pa.array([0.0])], schema=schema), tmp_path / "old.parquet")
+    with pytest.raises(StorageError, match=r"adaptrack 0\.1\.0 in format version 1, .* run the simulation again"):
+        Trajectory.load(tmp_path / "old.parquet")
+
+
+def test_copies_and_pickles_hold_the_same():
+    run = wild()
+    for other in (copy.copy(run), copy.deepcopy(run), pickle.loads(pickle.dumps(run))):
+        same(run, other)
 
 
 def test_a_failed_save_leaves_the_old_file_and_nothing_else(tmp_path, monkeypatch):

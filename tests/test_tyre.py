@@ -4,7 +4,6 @@ import math
 
 import numpy as np
 import pytest
-
 from adaptrack.kernels.dynamics import unpack
 from adaptrack.kernels.tyre import (
     CURVED_MAGIC_FORMULA,
@@ -14,6 +13,7 @@ from adaptrack.kernels.tyre import (
     lateral_force,
     tyre_law,
 )
+
 from adaptrack.vehicle import SteeringActuator, list_tyres, load_tyre, load_vehicle, pack_plant
 from references.vehicle import cornering_stiffness, tyre_force
 

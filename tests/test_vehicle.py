@@ -16,9 +16,10 @@ from hypothesis import strategies as st
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from adaptrack.errors import AdaptrackError, ConfigError, ContractError, InvalidInput, StorageError, UnknownName
-from adaptrack.toml_files import Record, build, dump_toml, read_toml, write_toml
+from adaptrack.files import Record, build, dump_toml, read_toml, write_toml
 from adaptrack.vehicle import (
     GRAVITY,
+    Steering,
     SteeringActuator,
     Tyre,
     Vehicle,
@@ -186,7 +187,7 @@ class TestNamedSets:
 
 
 class TestFields:
-    @pytest.mark.parametrize("model", [Vehicle, Tyre, SteeringActuator])
+    @pytest.mark.parametrize("model", [Vehicle, Tyre, SteeringActuator, Steering])
     def test_every_number_says_its_unit_and_every_field_its_meaning(self, model):
         units = ("kg", "kg m^2", "kg/m^3", "m", "m^2", "N", "N/rad", "1/rad", "rad", "rad/s", "s", "W", "-")
         for name, field in model.model_fields.items():
@@ -272,12 +273,6 @@ class TestActuator:
         assert ideal.lag == 0
         assert ideal.rate == math.inf
         assert ideal.limit >= math.pi / 6  # the MPC's own bound stays the tighter one
-
-    def test_road_lies_within_the_published_range(self):
-        road = SteeringActuator.road()
-        assert 0.1 <= road.lag <= 0.27
-        assert 0.4 <= road.rate <= 5.0
-        assert road.limit == math.pi / 6
 
     def test_a_rate_limit_without_a_lag_is_refused_because_the_plant_would_ignore_it(self):
         with pytest.raises(InvalidInput, match=r"rate = 0.5: a rate limit acts on the lag: give lag > 0"):
@@ -459,7 +454,7 @@ class TestPage:
         (tmp_path / "my-car.toml").write_text(toml)
         assert load_vehicle(tmp_path / "my-car.toml").name == "my-car"
         run_python(code="\n".join(re.findall(r"```python\n(.*?)```", page, re.DOTALL)), cwd=tmp_path)
-        assert load_vehicle(tmp_path / "my-car.toml") == load_vehicle("midsize-sedan")
+        assert load_vehicle(tmp_path / "my-car.toml") == load_vehicle("midsize-sedan").replace(name="my-car")
 
     def test_the_refusal_shown_on_the_page_is_the_real_one(self, page, tmp_path, monkeypatch):
         monkeypatch.chdir(tmp_path)
@@ -503,18 +498,43 @@ class TestOwnFiles:
     @pytest.mark.parametrize("name", list_vehicles())
     def test_a_written_vehicle_reads_back_equal(self, name, tmp_path):
         load_vehicle(name).to_toml(tmp_path / "copy.toml")
-        assert load_vehicle(tmp_path / "copy.toml") == load_vehicle(name)
+        assert load_vehicle(tmp_path / "copy.toml") == load_vehicle(name).replace(name="copy")
 
     @pytest.mark.parametrize("name", list_tyres())
     def test_a_written_tyre_reads_back_equal(self, name, tmp_path):
         load_tyre(name).to_toml(tmp_path / "copy.toml")
         assert load_tyre(tmp_path / "copy.toml") == load_tyre(name)
 
-    @given(vehicle=cars, name=st.text(min_size=1, max_size=20))
-    def test_any_vehicle_reads_back_equal_to_the_last_bit(self, vehicle, name, tmp_path_factory):
+    @given(vehicle=cars, text=st.text(max_size=20))
+    def test_any_vehicle_reads_back_equal_to_the_last_bit(self, vehicle, text, tmp_path_factory):
         path = tmp_path_factory.mktemp("any") / "any.toml"
-        vehicle.replace(name=name).to_toml(path)
-        assert load_vehicle(path) == vehicle.replace(name=name)
+        vehicle.replace(description=text).to_toml(path)
+        assert load_vehicle(path) == vehicle.replace(name="any", description=text)
+
+    def test_a_car_made_from_another_has_its_own_name(self, tmp_path):
+        load_vehicle("midsize-sedan").to_toml(tmp_path / "my-car.toml")
+        assert load_vehicle(tmp_path / "my-car.toml").name == "my-car"
+
+    def test_a_car_may_say_what_is_known_of_its_steering(self, tmp_path):
+        path = self.write(tmp_path, OWN_CAR + "[steering]\nlag = 0.2\nratio = 15\n")
+        steering = load_vehicle(path).steering
+        assert (steering.lag, steering.ratio) == (0.2, 15.0)
+        assert steering.dead_time is steering.rate is steering.limit is None
+        load_vehicle(path).to_toml(tmp_path / "copy.toml")
+        assert load_vehicle(tmp_path / "copy.toml").steering == steering
+        assert load_vehicle("paper").steering is None
+
+    @pytest.mark.parametrize(
+        ("line", "message"),
+        [
+            ("lagg = 0.2", r"steering.lagg: unknown key. Did you mean 'lag'\?"),
+            ("dead_time = -1", r"steering.dead_time = -1: must be a finite number >= 0 and <= 10 \(s, "),
+            ("rate = inf", r"steering.rate = inf: must be a finite number > 0 and <= 100 \(rad/s, "),
+        ],
+    )
+    def test_an_impossible_steering_is_named_with_its_section(self, tmp_path, line, message):
+        with pytest.raises(ConfigError, match=message):
+            load_vehicle(self.write(tmp_path, OWN_CAR + f"[steering]\n{line}\n"))
 
     def test_an_infinite_rate_reads_back(self, tmp_path):
         SteeringActuator.ideal().to_toml(tmp_path / "ideal.toml")
@@ -718,4 +738,4 @@ class TestTomlFiles:
         (tmp_path / "link.toml").symlink_to(tmp_path / "real.toml")
         car().to_toml(tmp_path / "link.toml")
         assert (tmp_path / "link.toml").is_symlink()
-        assert load_vehicle(tmp_path / "real.toml") == car()
+        assert load_vehicle(tmp_path / "real.toml") == car(name="link")

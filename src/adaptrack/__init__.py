@@ -22,11 +22,21 @@ _PUBLIC = {
         "StorageError",
         "UnknownName",
     ),
-    "vehicle": ("SteeringActuator", "Tyre", "Vehicle", "list_tyres", "list_vehicles", "load_tyre", "load_vehicle"),
-    "plant": ("DualTrack", "Plant", "Profile", "SingleTrack", "UserPlant", "check_plant"),
+    "vehicle": (
+        "Steering",
+        "SteeringActuator",
+        "Tyre",
+        "Vehicle",
+        "list_tyres",
+        "list_vehicles",
+        "load_tyre",
+        "load_vehicle",
+    ),
+    "plant": ("DualTrack", "Plant", "SingleTrack", "UserPlant", "check_plant"),
+    "profile": ("Profile", "list_profiles", "load_profile"),
     "prediction": ("PredictionModel",),
     "qp": ("QP", "Solution", "check_qp_solver", "get_qp_solver", "list_qp_solvers", "register_qp_solver"),
-    "mpc": ("MPC", "Condition", "Limits", "Moves", "Tuning", "demand"),
+    "mpc": ("MPC", "Limits", "Moves", "Tuning"),
     "estimation": ("Estimating", "FrictionWindEstimator"),
     "scenario": ("Scenario", "list_scenarios", "load_scenario", "random_drive"),
     "trajectory": ("Trajectory",),
@@ -38,15 +48,18 @@ _PUBLIC = {
     "tuning.campaign": ("run_campaign",),
     "dataset": ("DataSet", "list_datasets", "load_dataset"),
     "learning.training": ("train",),
-    "schedule": (
+    "scheduling": (
         "Constant",
         "Guarded",
         "Learned",
         "Lookup",
         "Schedule",
+        "SchedulingVariables",
+        "SchedulingVariables",
         "check_scheduler",
         "list_schedulers",
         "load_scheduler",
+        "reference_preview",
         "save_scheduler",
     ),
     "adapt": ("adapt", "load_adaptation"),
@@ -55,6 +68,7 @@ _PUBLIC = {
 
 if TYPE_CHECKING:
     from adaptrack.adapt import adapt, load_adaptation
+    from adaptrack.controllers import MPC, Limits, Moves, Tuning
     from adaptrack.dataset import DataSet, list_datasets, load_dataset
     from adaptrack.errors import (
         AdaptrackError,
@@ -68,20 +82,22 @@ if TYPE_CHECKING:
     from adaptrack.estimation import Estimating, FrictionWindEstimator
     from adaptrack.learning.training import train
     from adaptrack.metrics import Metrics, compute_metrics
-    from adaptrack.mpc import MPC, Condition, Limits, Moves, Tuning, demand
-    from adaptrack.plant import DualTrack, Plant, Profile, SingleTrack, UserPlant, check_plant
-    from adaptrack.prediction import PredictionModel
+    from adaptrack.models import PredictionModel
+    from adaptrack.plant import DualTrack, Plant, SingleTrack, UserPlant, check_plant
+    from adaptrack.profile import Profile, list_profiles, load_profile
     from adaptrack.qp import QP, Solution, check_qp_solver, get_qp_solver, list_qp_solvers, register_qp_solver
     from adaptrack.scenario import Scenario, list_scenarios, load_scenario, random_drive
-    from adaptrack.schedule import (
+    from adaptrack.scheduling import (
         Constant,
         Guarded,
         Learned,
         Lookup,
         Schedule,
+        SchedulingVariables,
         check_scheduler,
         list_schedulers,
         load_scheduler,
+        reference_preview,
         save_scheduler,
     )
     from adaptrack.simulate import Driver, rollout, rollout_batch, simulate
@@ -91,6 +107,7 @@ if TYPE_CHECKING:
     from adaptrack.tuning.objective import Objective
     from adaptrack.tuning.pso import SearchSpace, Swarm, SwarmSettings, minimise
     from adaptrack.vehicle import (
+        Steering,
         SteeringActuator,
         Tyre,
         Vehicle,
@@ -107,7 +124,6 @@ __all__ = [
     "QP",
     "AdaptrackError",
     "CampaignConfig",
-    "Condition",
     "ConfigError",
     "Constant",
     "ContractError",
@@ -130,9 +146,11 @@ __all__ = [
     "Profile",
     "Scenario",
     "Schedule",
+    "SchedulingVariables",
     "SearchSpace",
     "SingleTrack",
     "Solution",
+    "Steering",
     "SteeringActuator",
     "StorageError",
     "Swarm",
@@ -149,10 +167,10 @@ __all__ = [
     "check_qp_solver",
     "check_scheduler",
     "compute_metrics",
-    "demand",
     "get_qp_solver",
     "list_campaigns",
     "list_datasets",
+    "list_profiles",
     "list_qp_solvers",
     "list_scenarios",
     "list_schedulers",
@@ -161,12 +179,14 @@ __all__ = [
     "load_adaptation",
     "load_campaign",
     "load_dataset",
+    "load_profile",
     "load_scenario",
     "load_scheduler",
     "load_tyre",
     "load_vehicle",
     "minimise",
     "random_drive",
+    "reference_preview",
     "register_qp_solver",
     "rollout",
     "rollout_batch",

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from pydantic import BeforeValidator, Field, model_validator
 
 from adaptrack.closed_loop import LOST_COST, Course, Policy, improve
+from adaptrack.controllers import MPC, Tuning
 from adaptrack.dataset import DataSet, load_dataset
 from adaptrack.errors import InvalidInput, UnknownName, did_you_mean
 from adaptrack.evaluate.ladder import EVALUATION_SEEDS, Ladder, best_constant, climb, optimum, per_run_best
@@ -37,18 +38,26 @@ from adaptrack.evaluate.road import (
     paper_test,
     told,
 )
+from adaptrack.files import Record, build, read_toml, safe_name
 from adaptrack.learning.landscape import FuzzySurface, NetworkSurface, Surface
 from adaptrack.learning.training import train
 from adaptrack.metrics import PUBLISHED
-from adaptrack.mpc import MPC, Condition, Tuning
 from adaptrack.plant import DualTrack, SingleTrack
-from adaptrack.schedule import Constant, Guarded, Schedule, StabilityMap, Table, list_schedulers, load_scheduler
+from adaptrack.scheduling import (
+    Constant,
+    Guarded,
+    Schedule,
+    SchedulingVariables,
+    StabilityMap,
+    Table,
+    list_schedulers,
+    load_scheduler,
+)
 from adaptrack.stability import loop_map
-from adaptrack.toml_files import Record, build, read_toml
 from adaptrack.tuning.campaign import Progress as CampaignProgress
 from adaptrack.tuning.campaign import run_campaign
-from adaptrack.tuning.conditions import NAMES, sobol
 from adaptrack.tuning.config import Box, CampaignConfig, Pair, Plan, Sobol, load_campaign
+from adaptrack.tuning.operating_points import NAMES, sobol
 
 Array = NDArray[np.float64]
 Progress = Callable[[str, int, int], None]
@@ -77,7 +86,7 @@ _METHOD = [
     list(_NODES.items()), NEIGHBOURS, SPEED_NEIGHBOURS,
 ]  # fmt: skip
 """What results depend on beside the configuration."""
-_ANYWHERE = Condition(15.0, 0.0, 0.7, 0.0)
+_ANYWHERE = SchedulingVariables(15.0, 0.0, 0.7, 0.0)
 
 
 def _tuples(value: Any) -> Any:
@@ -87,7 +96,9 @@ def _tuples(value: Any) -> Any:
 class Learning(Record):
     """How the network and the fuzzy systems learn."""
 
-    inputs: Annotated[tuple[str, ...], BeforeValidator(_tuples)] = Field(min_length=1, description="of `Condition`")
+    inputs: Annotated[tuple[str, ...], BeforeValidator(_tuples)] = Field(
+        min_length=1, description="scheduling variables"
+    )
     domain: dict[str, Pair] = Field(description="lowest and highest value of each input")
     rounds: int = Field(default=60, ge=1, description="of improvement")
     conditions: int = Field(default=2048, ge=16, description="lane changes in a gust to learn from")
@@ -97,7 +108,7 @@ class Learning(Record):
 
     @model_validator(mode="after")
     def _has_a_domain(self) -> Self:
-        known = Condition._fields[:-1]
+        known = SchedulingVariables._fields[:-1]
         for what, names in (("inputs", self.inputs), ("domain", self.domain)):
             for name in names:
                 if name not in known:
@@ -203,7 +214,7 @@ class Workshop:
             of the usual length and price, which are what is learned from and judged by.
         """
         campaign = load_campaign(config.campaign)
-        if not isinstance(campaign.conditions, Sobol):
+        if not isinstance(campaign.operating_points, Sobol):
             raise InvalidInput(f"campaign {campaign.name!r}: its conditions must be a Sobol sample of a box.")
         usual = campaign.replace(scenario="lane-change", duration=None, move_price=None).settled()
         for key in ("scenario", "duration", "move_price"):
@@ -221,7 +232,7 @@ class Workshop:
     @property
     def box(self) -> dict[str, tuple[float, float]]:
         """The operating domain."""
-        conditions = self.campaign.conditions
+        conditions = self.campaign.operating_points
         assert isinstance(conditions, Sobol)
         box: Box = conditions.box
         return {"speed": box.speed, "y_ref": box.y_ref, "friction": box.friction, "wind": box.wind}
@@ -240,7 +251,7 @@ class Workshop:
         InvalidInput
             When the seed makes them conditions that something was tuned on or learned from.
         """
-        conditions = self.campaign.conditions
+        conditions = self.campaign.operating_points
         assert isinstance(conditions, Sobol)
         if FIRST_EVALUATION_SEED + seed in (conditions.seed, *(first + self.config.seed for first in _SEEDS)):
             raise InvalidInput(f"seed = {seed}: these conditions were learned from: choose another.")
@@ -277,8 +288,10 @@ class Workshop:
                 slot: NetworkSurface.start(domain, value, span, seed=10 * seed + i)
                 for i, (slot, (value, span)) in enumerate(_STEPS.items())
             }
-        columns = [Condition._fields.index(name) for name in inputs]
-        seen = np.concatenate([course.seen[:, ::40].reshape(-1, len(Condition._fields)) for course, _ in courses])
+        columns = [SchedulingVariables._fields.index(name) for name in inputs]
+        seen = np.concatenate(
+            [course.seen[:, ::40].reshape(-1, len(SchedulingVariables._fields)) for course, _ in courses]
+        )
         rng = np.random.default_rng((seed, 0xF522))
         rows = np.clip(seen[np.sort(rng.choice(len(seen), 6000))][:, columns], *domain.T)
         made = FuzzySurface.start(rows, 0.0, self.config.learning.rules, seed)
@@ -322,7 +335,7 @@ def shipped(name: str) -> dict[str, Schedule]:
 
 
 def _file_name(adaptation: str, rung: str) -> str:
-    return f"{adaptation}-{rung.replace(' ', '-')}"
+    return safe_name(f"{adaptation}-{rung.replace(' ', '-')}")
 
 
 def learn(

@@ -18,14 +18,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from adaptrack.learning.network import Network
-from adaptrack.learning.sugeno import Sugeno
-from adaptrack.mpc import MPC, Command, Condition, Tuning
+from adaptrack.controllers import MPC, Command, Tuning
+from adaptrack.models import limit_bounds, limit_matrix
 from adaptrack.plant import DualTrack, Plant
-from adaptrack.prediction import limit_bounds, limit_matrix
 from adaptrack.qp import QPStatus
 from adaptrack.scenario import Constant, Scenario, Sine, load_scenario
-from adaptrack.schedule import SLOTS, Learned, Schedule
+from adaptrack.scheduling import ENTRIES, VARIABLES, Learned, Network, Schedule, SchedulingVariables, Sugeno
 from adaptrack.simulate import rollout_batch, simulate
 from adaptrack.vehicle import Vehicle, load_vehicle
 
@@ -60,7 +58,7 @@ class PlainController:
         """The configuration."""
         return self.mpc.describe()
 
-    def step(self, state: Any, speed: float, reference: Any, condition: Condition | None = None) -> Command:
+    def step(self, state: Any, speed: float, reference: Any, condition: SchedulingVariables | None = None) -> Command:
         """One control step, as `MPC.step`."""
         import ctypes
 
@@ -118,7 +116,7 @@ def bench_step(count: int = 4000) -> dict[str, Any]:
     low, high = np.array([SPEEDS, AMPLITUDES, FRICTIONS, WINDS]).T
     rows = rng.uniform(low, high, (count, 4))
     rows[:, 1] = references
-    conditions = [Condition(*row) for row in rows.tolist()]
+    conditions = [SchedulingVariables(*row) for row in rows.tolist()]
     schedules = {"nn": _networks(rng), "anfis": _fuzzy_systems(rng)}
     scheduled = {name: MPC(car, Tuning(), scheduler=schedule) for name, schedule in schedules.items()}
 
@@ -189,15 +187,15 @@ def _learned(functions: Mapping[str, Network | Sugeno], domain: Array) -> Schedu
 
 def _schedule_us(schedule: Schedule, conditions: Array, pieces: int = 100) -> float:
     """Microseconds that the kernel of a schedule takes for one condition: all in `pieces` calls, the median call."""
-    from adaptrack.kernels import inference
+    from adaptrack.kernels import schedule as kernel
 
-    rows = np.zeros((len(conditions), len(Condition._fields)))
+    rows = np.zeros((len(conditions), len(VARIABLES)))
     rows[:, : conditions.shape[1]] = conditions
     plan, times = schedule.plan(1), []
     for piece in np.array_split(rows, pieces):
-        tunings = np.empty((len(piece), len(SLOTS)))
+        tunings = np.empty((len(piece), len(ENTRIES)))
         begun = time.perf_counter()
-        inference.schedule_all(piece, plan, tunings)
+        kernel.schedule_all(piece, plan, tunings)
         times.append((time.perf_counter() - begun) / len(piece))
     return 1e6 * float(np.median(times))
 
@@ -274,9 +272,9 @@ def bench_campaign(conditions: int = 48, threads: int | None = None) -> dict[str
     over that of `PlainController` on runs of the same conditions; `ratio_to_scalar`: over one run at a time on one
     thread, the same kernels with a single lane.
     """
-    from adaptrack.tuning.conditions import paper_grid
     from adaptrack.tuning.config import load_campaign
     from adaptrack.tuning.objective import Objective
+    from adaptrack.tuning.operating_points import paper_grid
 
     threads = threads or os.cpu_count() or 1
     car = load_vehicle("paper")

@@ -14,24 +14,22 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from adaptrack.controllers import MPC, Scheduler, read_tuning
 from adaptrack.errors import ContractError, InvalidInput, real
-from adaptrack.mpc import MPC, Condition, Scheduler, astuple
-from adaptrack.plant import Plant, Profile, load_profile
-from adaptrack.schedule import SLOTS, Schedule
+from adaptrack.plant import Plant
+from adaptrack.profile import Profile, load_profile
+from adaptrack.scheduling import ENTRIES, VARIABLES, Schedule, SchedulingVariables
 from adaptrack.stability import Margins, hard_turn, laws, margins, sampled
 
 Array = NDArray[np.float64]
 Progress = Callable[[str, int, int], None]
 
-OPERATING: dict[str, tuple[float, float]] = {
-    "speed": (3.0, 30.0), "y_ref": (-15.0, 15.0), "friction": (0.3, 1.0), "wind": (-30.0, 30.0),
-    "change": (0.0, 8.0), "acceleration": (0.0, 3.5), "offset": (-5.0, 5.0),
-}  # fmt: skip
-"""Where a car drives, by entry of `Condition`; a scheduler is certified where this and its own domain overlap."""
+OPERATING = {name: (variable.low, variable.high) for name, variable in VARIABLES.items()}
+"""The operating domain, by scheduling variable; a scheduler is certified where this and its own domain overlap."""
 Driving = Literal["straight", "turn"]
 DRIVING: tuple[Driving, ...] = ("straight", "turn")
 """Ways of driving about which the loop is linearised, in the order of tables and maps."""
-_CELL = 64  # values combinations, at most, of the inputs beside speed and friction, for each pair of those
+_CELL = 64  # combinations, at most, of the inputs beside speed and friction, for each pair of those
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,7 +66,7 @@ class Certificate:
     """m/s"""
     frictions: Array
     points: Array
-    """(n, entries of `Condition`)"""
+    """(n, entries of `SchedulingVariables`)"""
     bare: Sweep
     """of the scheduler without its guard"""
     guarded: Sweep | None
@@ -108,7 +106,7 @@ class Certificate:
     def worst_points(
         self, count: int = 5, sweep: Sweep | None = None, driving: Driving = "straight"
     ) -> list[dict[str, Any]]:
-        """The points with the smallest modulus margin, the worst first: condition, tuning and margins."""
+        """The points with the smallest modulus margin, the worst first: variables, tuning and margins."""
         sweep = sweep or self.counted
         found: Margins = getattr(sweep, driving)
         order = np.argsort(found.modulus_margin, kind="stable")[:count]
@@ -159,8 +157,8 @@ class Certificate:
     def _point(self, sweep: Sweep, driving: Driving, i: int) -> dict[str, Any]:
         found: Margins = getattr(sweep, driving)
         return {
-            **dict(zip(Condition._fields, self.points[i].tolist(), strict=True)),
-            **dict(zip(SLOTS, sweep.tunings[i].tolist(), strict=True)),
+            **dict(zip(SchedulingVariables._fields, self.points[i].tolist(), strict=True)),
+            **dict(zip(ENTRIES, sweep.tunings[i].tolist(), strict=True)),
             "driving": driving,
             **_finite({each.name: float(getattr(found, each.name)[i]) for each in fields(Margins)}),
         }
@@ -192,11 +190,11 @@ def certify(
     Parameters
     ----------
     scheduler
-        A `Schedule`, guarded or not, or any function of a `Condition`.
+        A `Schedule`, guarded or not, or any function of `SchedulingVariables`.
     mpc
         Vehicle of the prediction model, period, moves, longest horizons; its own tuning and scheduler play no part.
     domain
-        Lowest and highest value by entry of `Condition`; by default where `OPERATING` and the schedule's own domain
+        Lowest and highest value by scheduling variable; by default where `OPERATING` and the schedule's own domain
         overlap. Beside speed and friction, only what a schedule looks at is varied; of a plain function, everything.
     levels
         Values of speed and of friction. Other inputs get 2 to 5 each, together at most 64 combinations or 2 each.
@@ -206,7 +204,7 @@ def certify(
     Raises
     ------
     ContractError
-        When the scheduler fails for a condition or gives what is no tuning.
+        When the scheduler fails at a point or gives what is no tuning.
     InvalidInput
         When a range makes no sense, or the plant cannot drive such a turn.
     """
@@ -214,7 +212,7 @@ def certify(
     axes = _axes(scheduler, mpc, domain or {}, levels)
     grid = np.meshgrid(*axes.values(), indexing="ij")
     columns = dict(zip(axes, (values.ravel() for values in grid), strict=True))
-    points = np.column_stack([columns.get(name, np.zeros(grid[0].size)) for name in Condition._fields])
+    points = np.column_stack([columns.get(name, np.zeros(grid[0].size)) for name in SchedulingVariables._fields])
     guarded = scheduler if isinstance(scheduler, Schedule) and scheduler.guard is not None else None
     bare = replace(guarded, guard=None) if guarded is not None else scheduler
     asked = [_as_used(_tunings(each, points), mpc) for each in (bare, guarded) if each is not None]
@@ -230,12 +228,12 @@ def _axes(
     scheduler: Scheduler, mpc: MPC, domain: Mapping[str, tuple[float, float]], levels: tuple[int, int]
 ) -> dict[str, Array]:
     """The levels of each scheduling variable that is varied: speed and friction first."""
-    unknown = set(domain) - set(Condition._fields)
+    unknown = set(domain) - set(SchedulingVariables._fields)
     if unknown:
-        raise InvalidInput(f"certify: domain: {unknown.pop()!r} is no entry of Condition.")
+        raise InvalidInput(f"certify: domain: {unknown.pop()!r} is no scheduling variable.")
     own = dict(zip(scheduler.inputs, scheduler.domain.tolist(), strict=True)) if isinstance(scheduler, Schedule) else {}
     seen = own if isinstance(scheduler, Schedule) else OPERATING
-    others = [name for name in Condition._fields if name in seen and name not in ("speed", "friction")]
+    others = [name for name in SchedulingVariables._fields if name in seen and name not in ("speed", "friction")]
     count = max(2, min(5, int(_CELL ** (1.0 / max(len(others), 1)) + 1e-9)))
     axes = {}
     for name, number in zip(("speed", "friction", *others), (*levels, *[count] * len(others)), strict=True):
@@ -270,15 +268,15 @@ def _tunings(scheduler: Scheduler, points: Array) -> Array:
         rows = []
         for row in points.tolist():
             try:
-                rows.append(astuple(scheduler(Condition(*row))))
+                rows.append(read_tuning(scheduler(SchedulingVariables(*row))))
             except Exception as error:
-                raise ContractError(f"scheduler: failed for {Condition(*row)}: {error}") from error
+                raise ContractError(f"scheduler: failed for {SchedulingVariables(*row)}: {error}") from error
         given = np.array(rows)
     bad = ~(np.isfinite(given).all(axis=1) & (given[:, 2] >= 0.0) & (given[:, 3] > 0.0))
     if bad.any():
         i = int(np.argmax(bad))
         raise ContractError(
-            f"scheduler: gave {tuple(given[i].tolist())} for {Condition(*points[i].tolist())}: "
+            f"scheduler: gave {tuple(given[i].tolist())} for {SchedulingVariables(*points[i].tolist())}: "
             "must be finite, with Q >= 0 and R > 0."
         )
     return given
@@ -299,7 +297,7 @@ def _sweep(
     """The margins of each set of tunings; a plant and a tuning that recur are analysed once."""
     n, names = len(points), [each.name for each in fields(Margins)]
     results = np.empty((len(asked), 2, len(names), n))
-    places = points[:, [Condition._fields.index("speed"), Condition._fields.index("friction")]]
+    places = points[:, [SchedulingVariables._fields.index(name) for name in ("speed", "friction")]]
     cells, where = np.unique(places, axis=0, return_inverse=True)
     for cell, (speed, friction) in enumerate(cells.tolist()):
         progress("certify", cell, len(cells))

@@ -33,13 +33,6 @@ dataset_app = typer.Typer(help="Data sets of tuned conditions.", no_args_is_help
 app.add_typer(dataset_app, name="dataset")
 
 
-class ProfileName(StrEnum):
-    """Profiles."""
-
-    paper = "paper"
-    road = "road"
-
-
 class PlantName(StrEnum):
     """Plants."""
 
@@ -128,7 +121,7 @@ def simulate(
     vehicle: Annotated[str, Option(help="Name (see `vehicles`) or .toml file.")] = "paper",
     plant: Annotated[PlantName, Option(help="What is driven.")] = PlantName.dual_track,
     tyre: Annotated[str | None, Option(help="Name (see `vehicles`) or .toml file; by default the vehicle's.")] = None,
-    profile: Annotated[ProfileName, Option(help="paper: ideal; road: steering lag, noise, delay.")] = ProfileName.paper,
+    profile: Annotated[str, Option(help="paper: ideal; road: steering lag, noise, delay; or a .toml file.")] = "paper",
     driver: Annotated[bool, Option("--driver/--perfect-speed", help="Powertrain and driver, or exact speed.")] = False,
     np_: Annotated[int, Option("--np", help="Prediction horizon (periods).")] = 35,
     nc: Annotated[int, Option("--nc", help="Control horizon (periods).")] = 8,
@@ -154,11 +147,12 @@ def simulate(
     as_json: Annotated[bool, Option("--json", help="One JSON object on standard output, nothing else.")] = False,
 ) -> None:
     """Drive scenarios with the MPC; print the metrics, write the report."""
+    from adaptrack.controllers import MPC, Moves, Tuning
     from adaptrack.metrics import compute_metrics
-    from adaptrack.mpc import MPC, Moves, Tuning
-    from adaptrack.plant import DualTrack, SingleTrack, load_profile
+    from adaptrack.plant import DualTrack, SingleTrack
+    from adaptrack.profile import load_profile
     from adaptrack.scenario import load_scenario
-    from adaptrack.schedule import load_scheduler
+    from adaptrack.scheduling import load_scheduler
     from adaptrack.simulate import Driver
     from adaptrack.simulate import simulate as drive
     from adaptrack.vehicle import load_vehicle
@@ -166,7 +160,7 @@ def simulate(
     options = _scenario_options(option or [])
     loaded = [load_scenario(name, **options) for name in scenarios]
     car = load_vehicle(vehicle)
-    world = load_profile(str(profile))
+    world = load_profile(profile)
     ahead = world.preview if preview is None else preview
     ts = period or world.period
     body = (SingleTrack if plant is PlantName.single_track else DualTrack)(car, tyre)
@@ -200,10 +194,13 @@ def simulate(
                 runs.append((name, run))
     rows = [_row(label, run, compute_metrics(run).as_row()) for label, run in runs]
     if out is not None:
+        from adaptrack.files import safe_names
         from adaptrack.report import Run, write_report
 
-        for label, run in runs:
-            run.save(out / f"{run.name_of('scenario')}-{label}.parquet")
+        for name, (_, run) in zip(
+            safe_names(f"{r.name_of('scenario')}-{label}" for label, r in runs), runs, strict=True
+        ):
+            run.save(out / f"{name}.parquet")
         page = write_report(out, [Run(run, label=label) for label, run in runs], command=_command())
         _tell(f"Report: {page}", quiet=as_json)
     if as_json:
@@ -314,7 +311,7 @@ def train(
     from adaptrack.dataset import load_dataset
     from adaptrack.evaluate import quality, scheduler
     from adaptrack.learning.training import train as learn
-    from adaptrack.schedule import check_scheduler
+    from adaptrack.scheduling import check_scheduler
 
     if out.suffix != ".json":
         raise InvalidInput(f"--out {out}: a scheduler's file is called *.json.")
@@ -356,7 +353,7 @@ def reproduce(
     if as_json:
         print(json.dumps(made.as_json(), allow_nan=False))
         return
-    columns = ("scenario", "controller", "preview", "moves", "mse", "paper_mse", "ratio", "lost")
+    columns = ("scenario", "controller", "preview", "moves", "mse", "paper_mse", "ratio", "failed")
     for configuration in dict.fromkeys(row["configuration"] for row in made.rows):
         _table(configuration, columns, [row for row in made.rows if row["configuration"] == configuration])
     print(f"{made.seconds:.0f} s, of which {made.training_seconds:.0f} s learning")
@@ -385,7 +382,7 @@ def adapt(
 @app.command()
 def certify(
     scheduler: Annotated[str, typer.Argument(help="Name (see `schedulers`) or .json file (see `train`).")],
-    profile: Annotated[ProfileName, Option(help="paper: ideal; road: steering lag, delay.")] = ProfileName.road,
+    profile: Annotated[str, Option(help="paper: ideal; road: steering lag, delay; or a .toml file.")] = "road",
     vehicle: Annotated[str, Option(help="Name (see `vehicles`) or .toml file.")] = "paper",
     plant: Annotated[PlantName, Option(help="What is driven.")] = PlantName.dual_track,
     tyre: Annotated[str | None, Option(help="Name (see `vehicles`) or .toml file; by default the vehicle's.")] = None,
@@ -394,16 +391,17 @@ def certify(
 ) -> None:
     """Map spectral radius, gain and delay margins over the operating domain; exit code 1 when a point is unstable."""
     from adaptrack.certify import certify as look
-    from adaptrack.mpc import MPC
-    from adaptrack.plant import DualTrack, SingleTrack, load_profile
-    from adaptrack.schedule import load_scheduler
+    from adaptrack.controllers import MPC
+    from adaptrack.plant import DualTrack, SingleTrack
+    from adaptrack.profile import load_profile
+    from adaptrack.scheduling import load_scheduler
     from adaptrack.vehicle import load_vehicle
 
     schedule = load_scheduler(scheduler)
     car = load_vehicle(vehicle)
     body = (SingleTrack if plant is PlantName.single_track else DualTrack)(car, tyre)
     longest, most = schedule.largest
-    mpc = MPC(car, period=load_profile(str(profile)).period, longest_horizon=max(60, longest), most_moves=max(20, most))
+    mpc = MPC(car, period=load_profile(profile).period, longest_horizon=max(60, longest), most_moves=max(20, most))
     if out is not None:
         _make_folder(out)
     with _progress(1, quiet=as_json) as show:
@@ -445,7 +443,7 @@ def evaluate(
     drives: Annotated[int | None, Option(min=1, help="So many random drives of 60 s.")] = None,
     tests: Annotated[bool, Option("--tests", help="The paper's two tests.")] = False,
     config: Annotated[str, Option(help="Whose vehicle, profile and domain: name (road) or .toml file.")] = "road",
-    profile: Annotated[ProfileName | None, Option(help="Must be the configuration's; for the record.")] = None,
+    profile: Annotated[str | None, Option(help="Must be the configuration's; for the record.")] = None,
     knowledge: Annotated[
         list[str] | None,
         Option("--told", help="How friction and wind are known: exact, noisy, lagged, estimated, withheld, ..."),
@@ -465,7 +463,7 @@ def evaluate(
         test_ladders,
     )
     from adaptrack.evaluate.road import sample_size, told
-    from adaptrack.schedule import check_scheduler, load_scheduler
+    from adaptrack.scheduling import check_scheduler, load_scheduler
 
     settings = load_adaptation(config)
     shop = Workshop.of(settings)
@@ -539,7 +537,7 @@ def _ladders(views: dict[str, Any], as_json: bool) -> None:
 @app.command()
 def schedulers(as_json: Annotated[bool, typer.Option("--json", help="One JSON object.")] = False) -> None:
     """List the schedulers that ship with the package."""
-    from adaptrack.schedule import list_schedulers, load_scheduler
+    from adaptrack.scheduling import list_schedulers, load_scheduler
 
     rows = [
         {"name": name, "rung": load_scheduler(name).name, "inputs": ", ".join(load_scheduler(name).inputs)}
@@ -556,9 +554,10 @@ def describe_dataset(
 ) -> None:
     """Tell what is in a data set: ranges, optimum, how much the conditions explain, how flat the optimum is."""
     from adaptrack.dataset import describe, load_dataset
+    from adaptrack.learning.boosting import explained_shares
 
     dataset = load_dataset(name)
-    told = describe(dataset)
+    told = describe(dataset, explained_shares(dataset))
     if out is not None:
         from adaptrack.report import write_dataset_report
 
@@ -663,7 +662,10 @@ def _tell(text: str, quiet: bool = False) -> None:
 def _progress(total: int, quiet: bool) -> Iterator[Callable[[str, int, int], None]]:
     """A progress bar on standard error; yields show(label, steps done, steps in all), for one drive at a time."""
     from rich.console import Console
+    from rich.markup import escape
     from rich.progress import Progress
+
+    from adaptrack.files import printable
 
     console = Console(stderr=True)
     with Progress(console=console, transient=True, disable=quiet or not console.is_terminal) as bar:
@@ -672,7 +674,7 @@ def _progress(total: int, quiet: bool) -> Iterator[Callable[[str, int, int], Non
 
         def show(label: str, done: int, steps: int) -> None:
             nonlocal finished
-            bar.update(task, completed=finished + done / steps, description=label)
+            bar.update(task, completed=finished + done / steps, description=escape(printable(label)))
             finished += done == steps
 
         yield show
@@ -695,12 +697,15 @@ def _flat(title: str, values: dict[str, Any], as_json: bool) -> None:
 def _table(title: str, columns: tuple[str, ...], rows: list[dict[str, Any]]) -> None:
     from rich.console import Console
     from rich.table import Table
+    from rich.text import Text
 
-    table = Table(title=title)
+    from adaptrack.files import printable
+
+    table = Table(title=Text(printable(title)))
     for column in columns:
-        table.add_column(column, overflow="fold")
+        table.add_column(Text(column), overflow="fold")
     for row in rows:
-        table.add_row(*(_show(row[column]) for column in columns))
+        table.add_row(*(Text(printable(_show(row[column]))) for column in columns))  # names are no markup
     Console(width=None if sys.stdout.isatty() else 140).print(table)
 
 

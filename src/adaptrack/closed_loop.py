@@ -17,13 +17,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from adaptrack.controllers import MPC, Tuning
 from adaptrack.errors import InvalidInput, whole
 from adaptrack.estimation import FrictionWindEstimator, Perception
-from adaptrack.learning.landscape import OUTPUTS, SHIFT, Surface, blended, check_inputs, preferred_moves, shifted
-from adaptrack.mpc import MPC, Condition, Tuning
-from adaptrack.plant import Plant, load_profile
+from adaptrack.learning.landscape import OUTPUTS, SHIFT, Surface, check_inputs, preferred_moves
+from adaptrack.plant import Plant
+from adaptrack.profile import load_profile
 from adaptrack.scenario import Scenario
-from adaptrack.schedule import Learned, Schedule
+from adaptrack.scheduling import Learned, Schedule, SchedulingVariables
 from adaptrack.simulate import Batch
 
 Array = NDArray[np.float64]
@@ -59,7 +60,7 @@ class Rescue:
     schedule: Callable[[float], Schedule]
     """the schedule a share of the way, 0..1"""
     way: Callable[[Array], Array]
-    """(m, 3) the whole way of each output at conditions (m, Condition)"""
+    """(m, 3) the whole way of each output at conditions (m, SchedulingVariables)"""
 
 
 class Course:
@@ -78,7 +79,7 @@ class Course:
     ) -> None:  # fmt: skip
         self.told = told
         self.batch = Batch(plant, mpc, scenarios, profile, None, LOST_BEYOND, told, SPIN_BEYOND)
-        self.price = load_profile(profile).move_price
+        self.price = load_profile(profile).move_weight
         self.periods = self.batch.signals[0].n
         self.stretch, self.lead, self.stride = stretch or self.periods, lead, stride
         from adaptrack.kernels import loop
@@ -86,7 +87,7 @@ class Course:
         rows = self.batch.samples[:, :, :-1]
         columns = [rows[:, loop.SPEED], rows[:, loop.Y_REF], *(rows[:, loop.TOLD + i] for i in range(4))]
         self.seen = np.stack([*columns, np.zeros_like(columns[0])], axis=-1)
-        """(runs, periods, Condition): what a scheduler sees; the offset, which depends on the driving, is left zero."""
+        """(runs, periods, SchedulingVariables); the offset, which depends on the driving, is left zero."""
 
     def __len__(self) -> int:
         return len(self.batch.signals)
@@ -99,7 +100,7 @@ class Course:
         return np.stack([self._run(policy, int(seed), which, False)[0] for seed in seeds], axis=1)
 
     def counts(self, policy: Schedule, seed: int) -> Array:
-        """(runs, COUNTS) what the schedule counted, see `kernels.inference.COUNTS`."""
+        """(runs, COUNTS) what the schedule counted, see `kernels.guard.COUNTS`."""
         return self._run(policy, seed, None, False)[2]
 
     def costs(self, policy: Policy, seeds: Sequence[int], which: NDArray[np.int64] | None = None) -> Array:
@@ -132,7 +133,7 @@ class Course:
     def landscape(
         self, make: Callable[[Array], Schedule], seed: int, which: NDArray[np.int64], rescue: Rescue | None = None
     ) -> tuple[Array, Array, Array]:
-        """What the landscape around a schedule says: inputs (m, Condition), moves (m, 3) and weights (m, 3).
+        """What the landscape around a schedule says: inputs (m, SchedulingVariables), moves (m, 3) and weights (m, 3).
 
         make: the schedule with its outputs shifted by (3,); rescue: what lost runs are driven with again.
 
@@ -239,7 +240,7 @@ def improve(
         raise InvalidInput(f"improve: need a surface for each of {', '.join(OUTPUTS)}.")
     if "offset" in inputs:
         raise InvalidInput("improve: the offset depends on the driving itself; it cannot be an input here.")
-    columns = check_inputs(inputs, Condition._fields)
+    columns = check_inputs(inputs, SchedulingVariables._fields)
     for _, count in courses:
         whole("improve", "count", count)
     rng = np.random.default_rng((seed, 0xADA))
@@ -257,7 +258,7 @@ def improve(
         return Learned(dict(zip(OUTPUTS, functions, strict=True)), inputs, domain, BOUNDS, name=name)
 
     def made(by: Array) -> Schedule:
-        return learned([shifted(now[slot].function(), float(shift)) for slot, shift in zip(OUTPUTS, by, strict=True)])
+        return learned([now[slot].function().shifted(float(shift)) for slot, shift in zip(OUTPUTS, by, strict=True)])
 
     def outputs(rows: Array) -> Array:
         return np.stack([now[slot].predict(np.clip(rows[:, columns], *domain.T)) for slot in OUTPUTS], axis=1)
@@ -267,7 +268,7 @@ def improve(
         goal = [safe.Np, safe.Nc, math.log10(safe.R / safe.Q)]
         rescue = Rescue(
             lambda share: learned(
-                [blended(now[slot].function(), share, value) for slot, value in zip(OUTPUTS, goal, strict=True)]
+                [now[slot].function().blended(share, value) for slot, value in zip(OUTPUTS, goal, strict=True)]
             ),
             lambda rows: goal - outputs(rows),
         )

@@ -1,21 +1,25 @@
-"""What a car can know of road friction and side wind: an estimator from its own signals, and a controller that uses it.
+"""What a controller knows: the state and the disturbance that it predicts from, and friction and wind.
 
-Friction and wind are not measured. Friction shows only where the tyres are near their limit; everywhere else the
+The estimator of an MPC gives the state of its prediction model (`Estimator`). The scheduler of one is told friction and
+wind, exactly, with errors (`Perception`) or as a car's own signals show them (`FrictionWindEstimator`). Friction and wind are not measured. Friction shows only where the tyres are near their limit; everywhere else the
 estimate drifts back to a nominal value, and its standard deviation says so.
 """
 
 from __future__ import annotations
 
 import math
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields
-from typing import Any, NamedTuple, Self
+from typing import Any, NamedTuple, Self, final
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from adaptrack.errors import InvalidInput, real
-from adaptrack.mpc import Command, Condition, Controller
-from adaptrack.plant import DualTrack, Profile, SingleTrack, load_profile
+from adaptrack.errors import ContractError, InvalidInput, UnknownName, did_you_mean, real
+from adaptrack.models import PredictionModel
+from adaptrack.plant import DualTrack, SingleTrack
+from adaptrack.profile import Profile, load_profile
 from adaptrack.vehicle import SteeringActuator, Tyre, Vehicle, load_tyre, pack_plant
 
 Array = NDArray[np.float64]
@@ -26,6 +30,191 @@ LEAST_NOISE_VY, LEAST_NOISE_YAW_RATE = 0.005, 0.001
 
 SLOWEST = 5.0
 """m/s: from this speed on a step of the filter is no longer than the time constants of the lateral motion."""
+
+
+class Estimator(ABC):
+    """From measurements to the state x (n,) of the MPC's prediction model and a disturbance d (n,).
+
+    The controller predicts from x(k+1) = A x(k) + B u(k) + d. `check_estimator` admits one.
+    """
+
+    name: str
+    """how tables call it"""
+
+    @property
+    def kind(self) -> int:
+        """`kernels.estimators.contract.DEADBEAT`, or BY_FUNCTION."""
+        from adaptrack.kernels.estimators import contract
+
+        return contract.DEADBEAT if self.function is None else contract.BY_FUNCTION
+
+    @property
+    @abstractmethod
+    def function(self) -> Any:
+        """The compiled ``estimate(measured, command, a, b, parameters, memory, x, d)``, see `kernels.estimators.contract`.
+
+        None: the controller's own form on increments of the measured state.
+        """
+
+    def parameters(self) -> Array:
+        """The constant numbers of its function."""
+        return np.zeros(0)
+
+    def memory_size(self, model: PredictionModel) -> int:
+        """Numbers that it remembers from step to step."""
+        return 0
+
+    def check_fits(self, model: PredictionModel) -> None:
+        """Refuse a model that it cannot serve.
+
+        Raises
+        ------
+        InvalidInput
+            When it is none for this model.
+        """
+
+
+@final
+class Deadbeat(Estimator):
+    """The paper's: x is the measured state, and d explains the last measurement whole.
+
+    d(k) = x(k) - A x(k-1) - B u(k-1), all at the present speed: the free response is then F [x(k) - x(k-1); y], the
+    incremental form of eqs. (9), (10). It needs the whole state measured.
+    """
+
+    name = "deadbeat"
+
+    @property
+    def function(self) -> Any:
+        return None
+
+    def check_fits(self, model: PredictionModel) -> None:
+        if "wheel_angle" in model.states:
+            raise InvalidInput(
+                f"estimator 'deadbeat': needs the whole state of model {model.name!r} measured, and wheel_angle is not "
+                "given to every controller: use an estimator that reconstructs it."
+            )
+
+
+@final
+class UserEstimator(Estimator):
+    """An estimator of one's own: one function and its numbers. `check_estimator` admits it.
+
+    estimate(measured, command, a, b, parameters, memory, x, d), compiled by numba, writes x and d, see
+    `kernels.estimators.contract`; parameters: name -> number; memory_size: numbers that it remembers, a whole number or
+    a function of the number of states.
+
+    Raises
+    ------
+    ContractError
+        When numba cannot compile the function.
+    """
+
+    def __init__(
+        self, estimate: Callable[..., None], *, parameters: Mapping[str, float] | None = None,
+        memory_size: int | Callable[[int], int] = 0, label: str = "user",
+    ) -> None:  # fmt: skip
+        from adaptrack.kernels.estimators.contract import compile_estimator
+
+        self.name = label
+        self.numbers = {key: real(f"UserEstimator {label!r}", key, value) for key, value in (parameters or {}).items()}
+        self._memory_size = memory_size
+        try:
+            self._function = compile_estimator(estimate)
+        except Exception as error:
+            raise ContractError(
+                f"UserEstimator {label!r}: numba cannot compile its function as "
+                f"f(measured, command, a, b, parameters, memory, x, d) on float64 numbers and arrays: {error}"
+            ) from error
+
+    @property
+    def function(self) -> Any:
+        return self._function
+
+    def parameters(self) -> Array:
+        return np.array(list(self.numbers.values()), dtype=float)
+
+    def memory_size(self, model: PredictionModel) -> int:
+        size = self._memory_size
+        return size(model.n) if callable(size) else int(size)
+
+
+_factories: dict[str, Callable[..., Estimator]] = {"deadbeat": Deadbeat}
+
+
+def register_estimator(name: str, factory: Callable[..., Estimator]) -> None:
+    """Make ``get_estimator(name, **options)`` call ``factory(**options)``.
+
+    Raises
+    ------
+    InvalidInput
+        For a name that is taken or empty, or a factory that cannot be called.
+    """
+    if not name or not isinstance(name, str) or name in _factories or not callable(factory):
+        raise InvalidInput(f"register_estimator({name!r}, {factory!r}): need a name that is free and a callable.")
+    _factories[name] = factory
+
+
+def get_estimator(name: str, **options: Any) -> Estimator:
+    """A registered estimator.
+
+    Raises
+    ------
+    UnknownName
+        When none has this name.
+    """
+    if name not in _factories:
+        raise UnknownName(f"There is no estimator {name!r}. {did_you_mean(str(name), _factories)}")
+    return _factories[name](**options)
+
+
+def list_estimators() -> list[str]:
+    """The known names, sorted."""
+    return sorted(_factories)
+
+
+def check_estimator(estimator: Estimator, model: PredictionModel, speed: float = 15.0, steps: int = 200) -> None:
+    """Test that an estimator keeps the contract on which the controller relies, with a model that it is meant for.
+
+    It fits the model. Driven by measurements that the model itself gives, at rest first, then under a steering command
+    that wanders: it writes x and d, finite, leaves its other arguments alone, and in the end predicts the output of the
+    next period to a millimetre; a measurement that is not finite gives no NaN.
+
+    Raises
+    ------
+    ContractError
+        Naming the clause that is broken and the evidence.
+    """
+
+    def fail(clause: str, evidence: str) -> None:
+        raise ContractError(f"estimator {estimator.name!r}: {clause}: {evidence}.")
+
+    estimator.check_fits(model)
+    if estimator.function is None:
+        return
+    a, b, c = model.discrete(speed)
+    matrix, column, places = np.ascontiguousarray(a), b[:, 0].copy(), model.measured_places()
+    parameters, memory = estimator.parameters(), np.zeros(estimator.memory_size(model))
+    x, found, d = np.zeros(model.n), np.full(model.n, np.nan), np.full(model.n, np.nan)
+    command = 0.0
+    for k in range(steps):
+        measured = np.full(5, np.nan)
+        measured[places] = x
+        given = [each.copy() for each in (measured, matrix, column, parameters)]
+        estimator.function(measured, command, matrix, column, parameters, memory, found, d)
+        after = (measured, matrix, column, parameters)
+        if any(not np.array_equal(one, other, equal_nan=True) for one, other in zip(given, after, strict=True)):
+            fail("it must write to memory, x and d only", f"step {k}")
+        if not (np.isfinite(found).all() and np.isfinite(d).all()):
+            fail("x and d must be written and finite", f"x = {found}, d = {d} at step {k}")
+        command = 0.01 * math.sin(0.2 * k)
+        ahead = (c @ (matrix @ found + column * command + d)).item()
+        x = matrix @ x + column * command
+        if k == steps - 1 and not abs(ahead - (c @ x).item()) < 1e-3:
+            fail("it must predict the model that it is driven by", f"y = {ahead:g} m instead of {(c @ x).item():g} m")
+    estimator.function(np.full(5, np.nan), command, matrix, column, parameters, memory, found, d)
+    if not (np.isfinite(found).all() and np.isfinite(d).all()):
+        fail("a measurement that is not finite must leave x and d finite", f"x = {found}, d = {d}")
 
 
 class Estimate(NamedTuple):
@@ -176,7 +365,7 @@ class FrictionWindEstimator:
             plant.tyre,
             plant.steering or profile.steering,
             period=profile.period if period is None else period,
-            delay=profile.delay,
+            delay=profile.delay > 0.0,
             noise_vy=max(profile.noise_vy, LEAST_NOISE_VY),
             noise_yaw_rate=max(profile.noise_yaw_rate, LEAST_NOISE_YAW_RATE),
             noise_acceleration=noise_acceleration,
@@ -184,8 +373,8 @@ class FrictionWindEstimator:
         )
 
     def settings(self) -> Array:
-        """Everything but the vehicle as the kernel expects it (`kernels.estimation.ESTIMATOR_SETTINGS`)."""
-        from adaptrack.kernels.estimation import ESTIMATOR_SETTINGS
+        """Everything but the vehicle as the kernel expects it (`kernels.estimators.friction_wind.ESTIMATOR_SETTINGS`)."""
+        from adaptrack.kernels.estimators.friction_wind import ESTIMATOR_SETTINGS
 
         belief, step = self.belief, self.period / self.steps
         root = math.sqrt(step)
@@ -211,15 +400,15 @@ class FrictionWindEstimator:
         return np.array([values[name] for name in ESTIMATOR_SETTINGS], dtype=float)
 
     def packed(self) -> Array:
-        """The vehicle as the kernel expects it (`kernels.abi.PLANT_PARAMETERS`)."""
+        """The vehicle as the kernel expects it (`kernels.plants.parameters.PLANT_PARAMETERS`)."""
         return self._packed.copy()
 
     def reset(self) -> None:
         """Forget the past: the next step is the first, with the wheels straight ahead."""
-        from adaptrack.kernels import estimation
+        from adaptrack.kernels.estimators import friction_wind
 
-        self._kernel = estimation
-        self._memory = np.zeros((1, estimation.MEMORY))
+        self._kernel = friction_wind
+        self._memory = np.zeros((1, friction_wind.MEMORY))
 
     def step(self, measured: ArrayLike, speed: float, command: float, acceleration: float | None = None) -> Estimate:
         """One step, at a control instant, before the controller's.
@@ -258,7 +447,7 @@ class FrictionWindEstimator:
 
 @dataclass(frozen=True)
 class Perception:
-    """What a scheduler is told of friction and wind, when that is neither the truth nor an estimate from signals.
+    """What a scheduler knows of friction and wind, when that is neither the truth nor an estimate from signals.
 
     Raises
     ------
@@ -269,11 +458,11 @@ class Perception:
     noise: float = 0.0
     """standard deviation of a relative error of friction and of wind, new at every step"""
     bias: float = 0.0
-    """relative error of both: 0.2 tells 20 % more"""
+    """relative error of both: 0.2: 20 % too much"""
     delay: float = 0.0
-    """s, age of what is told"""
+    """s, age of what is known"""
     withheld: bool = False
-    """tells the nominal friction and no wind"""
+    """the nominal friction and no wind"""
     nominal_friction: float = 0.65
 
     def __post_init__(self) -> None:
@@ -282,64 +471,14 @@ class Perception:
             if not math.isfinite(value) or (value < 0.0 and name != "bias"):
                 raise InvalidInput(f"Perception: {name} = {value!r}: must be finite and not negative.")
 
-    def told(self, friction: Array, wind: Array, period: float, seed: int) -> tuple[Array, Array]:
-        """What is told at the instants of a run, given the true friction and wind (n,) there."""
+    def known(self, friction: Array, wind: Array, period: float, seed: int) -> tuple[Array, Array]:
+        """What is known at the instants of a run, given the true friction and wind (n,) there."""
         if self.withheld:
             return np.full_like(friction, self.nominal_friction), np.zeros_like(wind)
         late = np.maximum(np.arange(len(friction)) - round(self.delay / period), 0)
         rng = np.random.default_rng((seed, 0x7E11))
-        told = []
+        known = []
         for truth in (friction, wind):
             error = 1.0 + self.bias + self.noise * rng.normal(size=len(truth))
-            told.append(truth[late] * error)
-        return np.maximum(told[0], 0.01), told[1]
-
-
-class Estimating:
-    """A controller whose scheduler is told estimated friction and wind instead of the true ones.
-
-    controller: any, such as an `MPC` with a scheduler; estimator: run before each of its steps.
-    `estimates` holds what was found at each step since the last reset.
-    """
-
-    def __init__(self, controller: Controller, estimator: FrictionWindEstimator) -> None:
-        if not math.isclose(controller.period, estimator.period):
-            raise InvalidInput(
-                f"the controller's period is {controller.period!r} s, the estimator's {estimator.period!r} s: "
-                "both run at the same instants."
-            )
-        self.controller = controller
-        self.estimator = estimator
-        self.reset()
-
-    @property
-    def name(self) -> str:
-        """How tables call it."""
-        return f"{self.controller.name}, friction and wind estimated"
-
-    @property
-    def period(self) -> float:
-        """Control period (s)."""
-        return self.controller.period
-
-    def reset(self) -> None:
-        """Forget the past."""
-        self.controller.reset()
-        self.estimator.reset()
-        self.estimates: list[Estimate] = []
-        self._command = 0.0
-
-    def step(self, state: ArrayLike, speed: float, reference: ArrayLike, condition: Condition | None = None) -> Command:
-        """One control step, see `MPC.step`; of `condition`, friction and wind are replaced."""
-        found = self.estimator.step(state, speed, self._command)
-        self.estimates.append(found)
-        if condition is not None:
-            condition = condition._replace(friction=found.friction, wind=found.wind)
-        command = self.controller.step(state, speed, reference, condition)
-        self._command = command.angle
-        return command
-
-    def describe(self) -> dict[str, Any]:
-        """The configuration, for provenance."""
-        belief = {field.name: getattr(self.estimator.belief, field.name) for field in fields(Belief)}
-        return {**self.controller.describe(), "estimator": belief}
+            known.append(truth[late] * error)
+        return np.maximum(known[0], 0.01), known[1]

@@ -16,37 +16,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adaptrack.errors import InvalidInput
-from adaptrack.plant import ROAD
+from adaptrack.failure import SLOW, Failure, find_failure, state_is_finite
 from adaptrack.trajectory import Trajectory
 
-LOST_BEYOND = 5.0
-"""m, the distance from the reference at which a run counts as lost."""
-
-SPIN_BEYOND = math.pi / 4
-"""rad, the sideslip angle at which a vehicle counts as spinning; passenger cars are hard to catch beyond 10-15°."""
-
-SLOW = 1.0
-"""m/s: below it sideslip and path heading are ill-defined, and samples are not judged by them."""
-
-ROAD_ACTIVITY_PRICE = ROAD.move_price
-"""m²/rad², what the road profile's tuning cost charges for steering activity; the paper charges nothing."""
-
 AT_CHANGE_LIMIT, AT_ANGLE_LIMIT, AT_OUTPUT_LIMIT = 1, 2, 4
-"""The bits of `Trajectory.at_limit`: Δu (13), u (14) and y (15)."""
+"""The bits of the diagnostic ``at_limit``: Δu (13), u (14) and y (15)."""
 
-_SOLVED, _CAPPED = 0, 1  # of Trajectory.qp_status; everything else is a failure
-
-
-@dataclass(frozen=True)
-class Loss:
-    """When and why a run was lost."""
-
-    step: int
-    """Index of the first control instant at which it was."""
-    time: float
-    """s, that instant."""
-    reason: str
-    """A clause that completes "the run was lost: the vehicle ..."."""
+_SOLVED, _CAPPED = 0, 1  # of the diagnostic ``qp_status``; everything else is no answer
+_NOTHING = np.empty(0, np.int64)  # of a controller that does not say
 
 
 @dataclass(frozen=True)
@@ -57,12 +34,12 @@ class Metrics:
     """n"""
     driven: int
     """Control periods with a finite command; fewer than n when the run was ended early. Shares, QPs count these."""
-    lost: bool
-    """Whether the run was lost, as `find_loss` defines it."""
-    lost_at: float
-    """s, when; NaN for a run that was not."""
-    lost_because: str
-    """Why; empty for a run that was not."""
+    failed: bool
+    """Whether the run failed, as `find_failure` defines it."""
+    failed_at: float
+    """s, when; NaN for a run that did not."""
+    failed_because: str
+    """Why, to complete "the vehicle ..."; empty for a run that did not."""
 
     mse: float
     """m², mean e²: the paper's MSE."""
@@ -89,7 +66,7 @@ class Metrics:
     """m/s³, RMS of the lateral acceleration's differences over Ts; NaN for a single instant."""
 
     at_change_limit: float
-    """Share of the driven control periods, 0..1, in which a limit on Δu was active; NaN when none was driven."""
+    """Share of the driven control periods, 0..1, in which a limit on Δu was active; NaN when unknown."""
     at_angle_limit: float
     """Likewise on u."""
     at_output_limit: float
@@ -132,49 +109,50 @@ def compute_metrics(
     trajectory: Trajectory,
     *,
     activity_price: float | None = None,
-    lost_beyond: float = LOST_BEYOND,
-    spin_beyond: float = SPIN_BEYOND,
+    failure: Failure | None = None,
 ) -> Metrics:
     """All measures of a run; `Trajectory.between` cuts out the window to measure.
 
     Parameters
     ----------
     activity_price
-        m²/rad², the w of J = mean e² + w mean Δu²; by default what the profile of the run charges: 3 for ``"road"`` in
-        its `meta`, else 0.
-    lost_beyond, spin_beyond
-        m and rad, see `find_loss`.
+        m²/rad², the w of J = mean e² + w mean Δu²; by default ``move_weight`` of
+        the run's `meta` (its profile's), else 0.
+    failure
+        When a run has failed, by default `Failure()`.
 
     Raises
     ------
     InvalidInput
-        When a parameter is negative or NaN. A trajectory with NaN is no error: it is lost, and its MSE infinite.
+        When a parameter is negative or NaN. A trajectory with NaN is no error: it failed, and its MSE is infinite.
     """
     if activity_price is None:
-        activity_price = ROAD_ACTIVITY_PRICE if trajectory.meta.get("profile") == "road" else 0.0
+        activity_price = float(trajectory.meta.get("move_weight", 0.0))
     if not activity_price >= 0.0:
         raise InvalidInput(f"metrics: activity_price must be a number >= 0, got {activity_price!r}.")
-    loss = find_loss(trajectory, lost_beyond=lost_beyond, spin_beyond=spin_beyond)
+    failed = find_failure(trajectory, failure)
 
     with np.errstate(invalid="ignore", over="ignore"):
-        error = trajectory.error if _state_is_finite(trajectory).all() else np.full(len(trajectory), np.nan)
+        error = trajectory.error if state_is_finite(trajectory).all() else np.full(len(trajectory), np.nan)
         heading_error = trajectory.heading_error[~(trajectory.vx < SLOW)]  # NaN speeds stay in
         jerk = np.diff(trajectory.lateral_acceleration) / trajectory.period
     mse = _mean_square(error)
     activity = _mean_square(trajectory.command_change)
     acceleration = trajectory.lateral_acceleration
     driven = np.isfinite(trajectory.command)
-    limits = trajectory.at_limit[driven]
-    status = trajectory.qp_status[driven]
-    failed = (status != _SOLVED) & (status != _CAPPED)
+    said = {name: values[driven] for name, values in trajectory.diagnostics.items()}
+    limits = said.get("at_limit", _NOTHING)
+    status = said.get("qp_status", _NOTHING)
+    iterations = said.get("qp_iterations", _NOTHING)
+    answered = (status == _SOLVED) | (status == _CAPPED)
     step_times = trajectory.step_time[np.isfinite(trajectory.step_time)] * 1e6
 
     return Metrics(
         steps=len(trajectory),
         driven=int(np.count_nonzero(driven)),
-        lost=loss is not None,
-        lost_at=loss.time if loss else math.nan,
-        lost_because=loss.reason if loss else "",
+        failed=failed is not None,
+        failed_at=failed.time if failed else math.nan,
+        failed_because=failed.clause if failed else "",
         mse=mse,
         rms_error=math.sqrt(mse),
         max_abs_error=_max_abs(error),
@@ -192,54 +170,16 @@ def compute_metrics(
         at_any_limit=_mean(limits != 0),
         qp_solved=int(np.count_nonzero(status == _SOLVED)),
         qp_capped=int(np.count_nonzero(status == _CAPPED)),
-        qp_failed=int(np.count_nonzero(failed)),
+        qp_failed=int(np.count_nonzero(~answered)),
         held=int(np.count_nonzero(trajectory.held[driven])),
-        qp_residual_max=_largest_known(trajectory.qp_residual[driven][~failed]),
-        qp_iterations_mean=_mean(trajectory.qp_iterations[driven]),
-        qp_iterations_max=int(np.max(trajectory.qp_iterations[driven], initial=0)),
+        qp_residual_max=_largest_known(said.get("qp_residual", np.full(status.size, math.nan))[answered]),
+        qp_iterations_mean=_mean(iterations),
+        qp_iterations_max=int(np.max(iterations, initial=0)),
         step_us_p50=float(np.percentile(step_times, 50)) if step_times.size else math.nan,
         step_us_p99=float(np.percentile(step_times, 99)) if step_times.size else math.nan,
         step_us_max=_largest_known(step_times),
         cost=mse + activity_price * activity if activity_price else mse,
     )
-
-
-def find_loss(
-    trajectory: Trajectory, *, lost_beyond: float = LOST_BEYOND, spin_beyond: float = SPIN_BEYOND
-) -> Loss | None:
-    """When and why the run was lost; None when it was not. The first of these decides:
-
-    * a state or a command is not finite;
-    * |e| > `lost_beyond` [m] at an instant that follows one with |e| <= `lost_beyond`: a run that starts further away
-      (a large step) is judged once it has arrived, and is lost from its start when it never arrives;
-    * the sideslip angle |atan2(v_y, v_x)| exceeds `spin_beyond` [rad] at 1 m/s or more.
-
-    Raises
-    ------
-    InvalidInput
-        When a limit is not a positive number.
-    """
-    if not (lost_beyond > 0.0 and spin_beyond > 0.0):
-        raise InvalidInput(
-            f"metrics: the limits must be positive, got lost_beyond={lost_beyond!r} and spin_beyond={spin_beyond!r}."
-        )
-    broken = ~_state_is_finite(trajectory)
-    with np.errstate(invalid="ignore", over="ignore"):
-        inside = np.abs(trajectory.error) <= lost_beyond
-        outside = ~inside & (np.arange(inside.size) >= np.argmax(inside))  # argmax is 0 when it never arrives
-        sideslip = np.abs(np.arctan2(trajectory.vy, trajectory.vx))
-        spinning = (np.hypot(trajectory.vx, trajectory.vy) >= SLOW) & (sideslip > spin_beyond)
-    away = "left the reference by more than" if inside.any() else "never came within"
-    events = (  # in the order in which reasons at the same instant are preferred
-        (broken, "reached a state that is not finite"),
-        (spinning, f"spun (sideslip beyond {math.degrees(spin_beyond):.0f}°)"),
-        (outside, f"{away} {lost_beyond:g} m" + ("" if inside.any() else " of the reference")),
-    )
-    found = [(int(np.argmax(event)), reason) for event, reason in events if event.any()]
-    if not found:
-        return None
-    step, reason = min(found, key=lambda item: item[0])
-    return Loss(step, float(trajectory.t[step]), reason)
 
 
 @dataclass(frozen=True)
@@ -273,12 +213,6 @@ def published_mse(trajectory: Trajectory) -> float | None:
         return None
     controller = re.sub(r"\(.*\)", "", trajectory.name_of("controller").lower()).strip()
     return published.mse.get(controller.removesuffix("mpc").rstrip(" -_"))
-
-
-def _state_is_finite(trajectory: Trajectory) -> NDArray[np.bool_]:
-    """(n,) whether pose, velocities, steering, command and reference are all finite at each instant."""
-    names = ("X", "Y", "psi", "vx", "vy", "yaw_rate", "steering", "command", "y_ref")
-    return np.isfinite(np.stack([getattr(trajectory, name) for name in names])).all(axis=0)
 
 
 def _mean(values: NDArray[Any]) -> float:

@@ -1,4 +1,4 @@
-"""Plants: what the controller drives. Two built-in vehicles, a user's own, and the profile of a car around them.
+"""Plants: what the controller drives. Two built-in vehicles, and a user's own.
 
 A plant is a right-hand side and a parameter record. The state begins with (X, Y, yaw, v_x, v_y, yaw rate); signs
 are those of ISO 8855 (x forward, y left, yaw and steering positive to the left); SI units, radians.
@@ -25,82 +25,6 @@ MOTION = ("X", "Y", "psi", "vx", "vy", "yaw_rate")
 
 
 @dataclass(frozen=True)
-class Profile:
-    """What stands between the controller and an ideal vehicle, and what a test of it charges.
-
-    Raises
-    ------
-    InvalidInput
-        When a standard deviation or the price is negative or not finite.
-    """
-
-    name: str
-    steering: SteeringActuator
-    """Lag, rate limit and angle limit of the steering."""
-    period: float = 0.1
-    """s, control period, unless the controller is told otherwise."""
-    noise_vy: float = 0.0
-    """m/s, standard deviation of the measured lateral velocity; likewise the following."""
-    noise_yaw: float = 0.0
-    """rad"""
-    noise_yaw_rate: float = 0.0
-    """rad/s"""
-    noise_y: float = 0.0
-    """m"""
-    delay: bool = False
-    """Whether a command takes effect one control period after its measurement."""
-    preview: bool = False
-    """Whether the controller knows the reference ahead, unless it is told otherwise."""
-    move_price: float = 0.0
-    """m^2/rad^2, price w of steering activity in the tuning cost J = mean e^2 + w mean (change of command)^2."""
-
-    def __post_init__(self) -> None:
-        for name in ("noise_vy", "noise_yaw", "noise_yaw_rate", "noise_y", "move_price"):
-            value = getattr(self, name)
-            if not 0.0 <= value < math.inf:
-                raise InvalidInput(f"Profile {self.name!r}: {name} = {value!r}: must be finite and not negative.")
-
-    @property
-    def noise(self) -> tuple[float, float, float, float]:
-        """Standard deviations of the measured x_c = [v_y (m/s), yaw (rad), yaw rate (rad/s), y (m)]."""
-        return self.noise_vy, self.noise_yaw, self.noise_yaw_rate, self.noise_y
-
-
-PAPER = Profile("paper", SteeringActuator.ideal())
-"""The paper's setting: ideal actuator, exact state, no delay, no preview, tracking alone counts."""
-ROAD = Profile(
-    "road",
-    SteeringActuator.road(),
-    period=0.05,
-    noise_vy=0.05,
-    noise_yaw=0.003,
-    noise_yaw_rate=0.01,
-    noise_y=0.03,
-    delay=True,
-    preview=True,
-    move_price=3.0,
-)
-"""A car at 20 Hz: steering lag and rate limit, sensor noise, one period of computation delay, preview."""
-PROFILES = {profile.name: profile for profile in (PAPER, ROAD)}
-
-
-def load_profile(profile: str | Profile) -> Profile:
-    """A profile by name (`paper`, `road`), or the given one.
-
-    Raises
-    ------
-    UnknownName
-        When no profile has that name.
-    """
-    if isinstance(profile, Profile):
-        return profile
-    try:
-        return PROFILES[profile]
-    except KeyError:
-        raise UnknownName(f"Unknown profile {profile!r}. {did_you_mean(profile, PROFILES)}") from None
-
-
-@dataclass(frozen=True)
 class Plant(ABC):
     """A vehicle that can be driven: right-hand side, parameters, integration step.
 
@@ -119,11 +43,6 @@ class Plant(ABC):
 
     @property
     @abstractmethod
-    def kind(self) -> int:
-        """Which kernel integrates it: `kernels.dynamics.SINGLE_TRACK`, `DUAL_TRACK` or `CUSTOM`."""
-
-    @property
-    @abstractmethod
     def state_names(self) -> tuple[str, ...]:
         """The plant's own states, beginning with `MOTION`."""
 
@@ -134,8 +53,17 @@ class Plant(ABC):
 
     @property
     @abstractmethod
-    def function(self) -> Any:
-        """The compiled right-hand side that the kernels call for a user's plant."""
+    def compiled(self) -> Any:
+        """What the kernels call (`kernels.plants.contract.CompiledPlant`)."""
+
+    def initial_state(self, motion: ArrayLike) -> Array:
+        """All states (n,) in equilibrium with the first six, X (m), Y (m), yaw (rad), v_x, v_y (m/s), yaw rate (rad/s).
+
+        What is not said otherwise starts at zero.
+        """
+        state = np.zeros(len(self.state_names))
+        state[: len(MOTION)] = _vector("motion", motion, len(MOTION))
+        return state
 
     @abstractmethod
     def packed(self) -> Array:
@@ -197,10 +125,10 @@ class _Car(Plant):
         return {key: getattr(self.vehicle, key) for key in ("mass", "engine_power", "traction_limit", "brake_limit")}
 
     @property
-    def function(self) -> Any:
-        from adaptrack.kernels.dynamics import no_plant
+    def _law(self) -> int:
+        from adaptrack.kernels.plants.tyre import tyre_law
 
-        return no_plant
+        return tyre_law(self.tyre.kind == "linear", self.tyre.curvature)
 
     def packed(self) -> Array:
         return pack_plant(self.vehicle, self.tyre, self.steering or SteeringActuator.ideal())
@@ -231,17 +159,18 @@ class _Car(Plant):
         return max(1, math.ceil(period / 0.0125 - 1e-9), math.ceil(period * rate / 2.2 - 1e-9))
 
     def derivative(self, x: ArrayLike, u: ArrayLike, environment: ArrayLike) -> Array:
-        from adaptrack.kernels.dynamics import INPUTS, STATES, derivative
+        from adaptrack.kernels.plants.contract import INPUT, INPUTS, STATES
 
         n = len(self.state_names)
         state = np.zeros(STATES)
         state[:n] = _vector("x", x, n)
         steering, force = _vector("u", u, 2)
         inputs = np.zeros(INPUTS)
-        inputs[0], inputs[1], inputs[2] = steering, force, math.nan
-        inputs[3:] = _vector("environment", environment, 6)
+        inputs[INPUT.command], inputs[INPUT.force], inputs[INPUT.acceleration] = steering, force, math.nan
+        inputs[INPUT.friction_front_left :] = _vector("environment", environment, 6)
         slope = np.empty(STATES)
-        derivative(self.kind, state, inputs, self.with_steering(SteeringActuator.ideal()).packed(), slope)
+        packed = self.with_steering(SteeringActuator.ideal()).packed()
+        self.compiled.right_hand_side(state, inputs, packed, slope)
         return slope[:n]
 
 
@@ -257,10 +186,10 @@ class SingleTrack(_Car):
         return "single-track"
 
     @property
-    def kind(self) -> int:
-        from adaptrack.kernels.dynamics import SINGLE_TRACK
+    def compiled(self) -> Any:
+        from adaptrack.kernels.plants import single_track
 
-        return SINGLE_TRACK
+        return single_track.compiled(self._law)
 
     @property
     def state_names(self) -> tuple[str, ...]:
@@ -279,10 +208,10 @@ class DualTrack(_Car):
         return "dual-track"
 
     @property
-    def kind(self) -> int:
-        from adaptrack.kernels.dynamics import DUAL_TRACK
+    def compiled(self) -> Any:
+        from adaptrack.kernels.plants import dual_track
 
-        return DUAL_TRACK
+        return dual_track.compiled(self._law)
 
     @property
     def state_names(self) -> tuple[str, ...]:
@@ -312,6 +241,8 @@ class UserPlant(Plant):
     """kg, with which the driver turns acceleration into force"""
     own_states: tuple[str, ...] = ()
     """names of the states behind `MOTION`"""
+    start: Callable[[Array], Any] | None = None
+    """start(motion) -> the own states in equilibrium with the first six, such as the speeds of rolling wheels; None: 0"""
     steps: int = 20
     """Runge-Kutta steps per control period"""
     engine_power: float = 1e5
@@ -325,7 +256,7 @@ class UserPlant(Plant):
     tyres: str = "own"
 
     def __post_init__(self) -> None:
-        from adaptrack.kernels.dynamics import compile_plant
+        from adaptrack.kernels.plants.user import compile_plant
 
         bad = [f"{key} = {value!r}" for key, value in self.parameters.items() if not math.isfinite(value)]
         if bad:
@@ -353,12 +284,6 @@ class UserPlant(Plant):
         return self.tyres
 
     @property
-    def kind(self) -> int:
-        from adaptrack.kernels.dynamics import CUSTOM
-
-        return CUSTOM
-
-    @property
     def state_names(self) -> tuple[str, ...]:
         return (*MOTION, *self.own_states)
 
@@ -367,12 +292,20 @@ class UserPlant(Plant):
         return {key: getattr(self, key) for key in ("mass", "engine_power", "traction_limit", "brake_limit")}
 
     @property
-    def function(self) -> Any:
+    def compiled(self) -> Any:
         return self._compiled  # type: ignore[attr-defined]
+
+    def initial_state(self, motion: ArrayLike) -> Array:
+        state = super().initial_state(motion)
+        if self.start is not None:
+            own = np.asarray(self.start(state[: len(MOTION)].copy()), dtype=np.float64)
+            where = f"UserPlant {self.label!r}: start"
+            state[len(MOTION) :] = _vector(where, own, len(self.own_states))
+        return state
 
     def packed(self) -> Array:
         steering = self.steering or SteeringActuator.ideal()
-        return np.array([*self._own, steering.lag, steering.rate, steering.limit])  # type: ignore[attr-defined]
+        return np.array([steering.lag, steering.rate, steering.limit, *self._own])  # type: ignore[attr-defined]
 
     def with_steering(self, steering: SteeringActuator) -> Self:
         return replace(self, steering=steering)
@@ -385,8 +318,52 @@ class UserPlant(Plant):
         slope = np.full(n, np.nan)
         # not copies: what the function writes to its arguments must be seen by `check_plant`
         state, inputs, around = _vector("x", x, n), _vector("u", u, 2), _vector("environment", environment, 6)
-        self.function(state, inputs, around, self._own, slope)  # type: ignore[attr-defined]
+        self.compiled.right_hand_side(state, inputs, around, self._own, slope)  # type: ignore[attr-defined]
         return slope
+
+
+class SteppedPlant(ABC):
+    """A vehicle in Python that moves by being told to: any outside simulator. `simulate` drives it as it drives ours.
+
+    The loop's steering actuator (the profile's, or `steering`) stands before it; compiled runs cannot take it.
+    """
+
+    steering: SteeringActuator | None = None
+    """None for the profile's"""
+    longest_step: float = 0.02
+    """s, the loop never asks for a longer one"""
+    mass: float = 1500.0
+    """kg, with which a driver turns force into acceleration; likewise the following three (W, N, N)"""
+    engine_power: float = 1e5
+    traction_limit: float = 8000.0
+    brake_limit: float = 15000.0
+
+    @property
+    def name(self) -> str:
+        """How tables call the plant."""
+        return type(self).__name__
+
+    @property
+    def tyre_name(self) -> str:
+        """How tables call its tyres."""
+        return "own"
+
+    @property
+    def powertrain(self) -> dict[str, float]:
+        """mass (kg), engine_power (W), traction_limit and brake_limit (N): what the driver may ask for."""
+        return {key: getattr(self, key) for key in ("mass", "engine_power", "traction_limit", "brake_limit")}
+
+    @abstractmethod
+    def reset(self, motion: Array) -> None:
+        """Begin at X (m), Y (m), yaw (rad), v_x, v_y (m/s, body frame), yaw rate (rad/s), all else in equilibrium."""
+
+    @abstractmethod
+    def step(self, dt: float, steering: float, acceleration: float, environment: Array) -> Any:
+        """Advance by dt (s) under inputs that are held; the new motion (6,), as in `reset`.
+
+        steering: front-wheel angle (rad); acceleration: dv_x/dt that the speed control asks for (m/s^2); environment:
+        friction front-left, front-right, rear-left, rear-right; wind along X and Y (m/s).
+        """
 
 
 def _vector(name: str, values: ArrayLike, size: int) -> Array:
@@ -397,7 +374,9 @@ def _vector(name: str, values: ArrayLike, size: int) -> Array:
     return array
 
 
-def check_plant(plant: Plant, speeds: Sequence[float] = (5.0, 15.0, 25.0), symmetric: bool = True) -> None:
+def check_plant(
+    plant: Plant | SteppedPlant, speeds: Sequence[float] = (5.0, 15.0, 25.0), symmetric: bool = True
+) -> None:
     """Test that a plant keeps the contract on which controllers and the loop rely.
 
     At each speed (m/s), on dry friction without wind: the states begin with `MOTION`; the right-hand side writes
@@ -412,18 +391,23 @@ def check_plant(plant: Plant, speeds: Sequence[float] = (5.0, 15.0, 25.0), symme
         Naming the clause that is broken and the evidence.
     """
 
+    if isinstance(plant, SteppedPlant):
+        _check_stepped(plant, speeds, symmetric)
+        return
+
     def fail(clause: str, evidence: str) -> None:
         raise ContractError(f"Plant {plant.name!r}: {clause}: {evidence}.")
 
     n = len(plant.state_names)
     if plant.state_names[:6] != MOTION:
         fail(f"its states must begin with {MOTION}", f"they are {plant.state_names}")
-    if plant.packed().ndim != 1 or not np.isfinite(plant.packed()[:-2]).all():
+    if plant.packed().ndim != 1 or np.isnan(plant.packed()).any():
         fail("packed() must give one row of finite parameters", f"it gives {plant.packed()!r}")
     road = np.array([0.9, 0.9, 0.9, 0.9, 0.0, 0.0])
     for speed in speeds:
-        straight = np.zeros(n)
-        straight[3] = speed
+        straight = plant.initial_state([0.0, 0.0, 0.0, speed, 0.0, 0.0])
+        if not np.isfinite(straight).all() or straight[3] != speed:
+            fail("initial_state() must be finite and begin with the motion given", f"{straight} at {speed} m/s")
         turning = straight.copy()
         turning[:6] = 3.0, -2.0, 0.1, speed, 0.1, 0.05
         here = f"at {speed} m/s"
@@ -475,3 +459,70 @@ def _settled(plant: Plant, x: Array, steering: float, road: Array, duration: flo
         k4 = plant.derivative(x + h * k3, u, road)
         x = x + h / 6.0 * (k1 + 2 * k2 + 2 * k3 + k4)
     return x
+
+
+def _check_stepped(plant: SteppedPlant, speeds: Sequence[float], symmetric: bool) -> None:
+    """`check_plant` for a plant that is stepped: one second of driving, straight and under constant steering."""
+
+    def fail(clause: str, evidence: str) -> None:
+        raise ContractError(f"Plant {plant.name!r}: {clause}: {evidence}.")
+
+    road = np.array([0.9, 0.9, 0.9, 0.9, 0.0, 0.0])
+
+    def driven(speed: float, steering: float) -> Array:
+        plant.reset(np.array([0.0, 0.0, 0.0, speed, 0.0, 0.0]))
+        for _ in range(max(1, round(1.0 / plant.longest_step))):
+            given = road.copy()
+            motion = np.asarray(plant.step(plant.longest_step, steering, 0.0, given), dtype=np.float64)
+            if motion.shape != (6,) or not np.isfinite(motion).all():
+                fail("step() must return six finite numbers", f"it returned {motion!r} at {speed} m/s")
+            if (given != road).any():
+                fail("step() must not write to its arguments", f"at {speed} m/s")
+        return motion
+
+    for speed in speeds:
+        straight, left, right = (driven(speed, angle) for angle in (0.0, 0.02, -0.02))
+        if symmetric and abs(straight[[1, 2, 4, 5]]).max() > 1e-6:
+            fail("at zero steering the vehicle must go straight", f"{straight} at {speed} m/s")
+        if not abs(straight[0] - speed) < 0.2 * speed:
+            fail("position must follow the speed", f"X = {straight[0]:g} m after 1 s at {speed} m/s")
+        if not left[2] > 0.0:
+            fail("steering to the left (positive) must begin a turn to the left", f"yaw {left[2]:g} rad at {speed} m/s")
+        if symmetric and not np.allclose(left * [1, -1, -1, 1, -1, -1], right, atol=1e-6):
+            fail("the mirrored steering must give the mirrored motion", f"{left} and {right} at {speed} m/s")
+        if (driven(speed, 0.02) != left).any():
+            fail("after reset() the same steps must give the same motion", f"at {speed} m/s")
+
+
+_factories: dict[str, Callable[..., Plant | SteppedPlant]] = {"single-track": SingleTrack, "dual-track": DualTrack}
+
+
+def register_plant(name: str, factory: Callable[..., Plant | SteppedPlant]) -> None:
+    """Make ``get_plant(name, vehicle, tyre)`` call ``factory(vehicle, tyre)``.
+
+    Raises
+    ------
+    InvalidInput
+        For a name that is taken or empty, or a factory that cannot be called.
+    """
+    if not name or not isinstance(name, str) or name in _factories or not callable(factory):
+        raise InvalidInput(f"register_plant({name!r}, {factory!r}): need a name that is free and a callable.")
+    _factories[name] = factory
+
+
+def get_plant(name: str, vehicle: Vehicle, tyre: Tyre | str | None = None) -> Plant | SteppedPlant:
+    """A registered plant of a vehicle on a tyre, by default the vehicle's own.
+
+    Raises
+    ------
+    UnknownName
+        When no plant has this name.
+    """
+    if name not in _factories:
+        raise UnknownName(f"There is no plant {name!r}. {did_you_mean(str(name), _factories)}")
+    return _factories[name](vehicle, tyre)
+
+
+def list_plants() -> list[str]:
+    """The known names, sorted."""
+    return sorted(_factories)

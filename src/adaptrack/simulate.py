@@ -1,7 +1,8 @@
 """Closed-loop runs: one at a time from Python, or thousands compiled.
 
 `simulate` loops in Python, so any controller, plant, scheduler or QP back-end can take part. `rollout` and
-`rollout_batch` run the same control periods inside the kernels. Both give the same trajectory.
+`rollout_batch` run the same control periods inside the kernels. Both call the same pieces (`kernels.loop`) in the same
+order and give the same trajectory.
 """
 
 from __future__ import annotations
@@ -14,18 +15,25 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from datetime import UTC, datetime
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from adaptrack.errors import InvalidInput, real, whole
+from adaptrack.controllers import MPC, CompiledController, CompiledScheduler, Controller
+from adaptrack.errors import InvalidInput, whole
 from adaptrack.estimation import FrictionWindEstimator, Perception
-from adaptrack.mpc import MPC, CompiledScheduler, Condition, Controller, demand
-from adaptrack.plant import Plant, Profile, load_profile
+from adaptrack.failure import Failure, Reason
+from adaptrack.plant import Plant, SteppedPlant
+from adaptrack.profile import Profile, load_profile
 from adaptrack.scenario import Scenario, Signals
+from adaptrack.scheduling.variables import SchedulingVariables, reference_preview
 from adaptrack.trajectory import Trajectory, provenance
+from adaptrack.vehicle import SteeringActuator
 
 Array = NDArray[np.float64]
+KnownAs = Perception | FrictionWindEstimator | None
+"""How a scheduler knows friction and wind: exactly (None), with errors, or as an estimator finds them."""
 
 
 @dataclass(frozen=True)
@@ -46,80 +54,310 @@ class Driver:
             raise InvalidInput(f"Driver: preview = {self.preview!r} s must be positive, integral not negative.")
 
 
-def _loop_settings(
-    plant: Plant,
-    profile: Profile,
-    driver: Driver | None,
-    substeps: int,
-    lost_beyond: float,
-    spin_beyond: float = math.inf,
-) -> Array:
-    """`kernels.loop.LOOP_SETTINGS`; without a driver the speed follows its profile exactly."""
-    from adaptrack.kernels import loop
+# -- what both drivers share ------------------------------------------------------------------------------------------
+@dataclass(frozen=True, eq=False)
+class World:
+    """Everything around the controller that all runs of a batch share."""
 
-    values = {
-        "plant": plant.kind,
-        "substeps": substeps,
-        "prescribed_speed": driver is None,
-        "delay": profile.delay,
-        "noise_vy": profile.noise_vy,
-        "noise_yaw": profile.noise_yaw,
-        "noise_yaw_rate": profile.noise_yaw_rate,
-        "noise_y": profile.noise_y,
-        "driver_preview": driver.preview if driver else 1.0,
-        "driver_integral": driver.integral if driver else 0.0,
-        **plant.powertrain,
-        "lost_beyond": lost_beyond,
-        "spin_beyond": spin_beyond,
-    }
-    return np.array([values[name] for name in loop.LOOP_SETTINGS], dtype=float)
+    plant: Plant | SteppedPlant
+    """behind its steering"""
+    profile: Profile
+    period: float
+    """s, of the controller"""
+    driver: Driver | None
+    known_as: KnownAs
+    failure: Failure
+
+    @classmethod
+    def of(
+        cls, plant: Plant | SteppedPlant, controller: Controller, profile: str | Profile, driver: Driver | None,
+        known_as: KnownAs, failure: Failure | None,
+    ) -> World:  # fmt: skip
+        """The world of a controller.
+
+        Raises
+        ------
+        InvalidInput
+            When the parts do not fit each other.
+        """
+        if not isinstance(plant, Plant | SteppedPlant):
+            raise InvalidInput(f"plant = {plant!r}: must be a Plant, such as DualTrack(load_vehicle('paper')).")
+        profile = load_profile(profile)
+        if isinstance(plant, Plant) and getattr(plant, "steering", None) is None:
+            plant = plant.with_steering(profile.steering)
+        if failure is not None and not isinstance(failure, Failure):
+            raise InvalidInput(f"failure = {failure!r}: must be a Failure(distance=..., sideslip=...).")
+        if isinstance(known_as, FrictionWindEstimator) and not math.isclose(known_as.period, controller.period):
+            raise InvalidInput(
+                f"known_as: the estimator's period is {known_as.period!r} s, the controller's {controller.period!r} s: "
+                "both run at the same instants."
+            )
+        return cls(plant, profile, controller.period, driver, known_as, failure or Failure())
+
+    @property
+    def steering(self) -> SteeringActuator:
+        """The actuator between command and wheels."""
+        return getattr(self.plant, "steering", None) or self.profile.steering
+
+    def substeps(self, top_speed: float) -> int:
+        """Integration steps per control period up to a speed (m/s)."""
+        if isinstance(self.plant, SteppedPlant):
+            return math.ceil(self.period / self.plant.longest_step - 1e-9)
+        return self.plant.substeps(self.period, top_speed)
+
+    def settings(self, substeps: int) -> Any:
+        """`kernels.loop.SETTINGS`; without a driver the speed follows its profile exactly."""
+        from adaptrack.kernels import loop
+
+        profile, driver, steering = self.profile, self.driver, self.steering
+        return loop.SETTINGS.new(
+            period=self.period,
+            substeps=substeps,
+            prescribed_speed=driver is None,
+            delay=profile.delay,
+            noise_vy=profile.noise_vy,
+            noise_yaw=profile.noise_yaw,
+            noise_yaw_rate=profile.noise_yaw_rate,
+            noise_y=profile.noise_y,
+            steering_lag=steering.lag,
+            steering_limit=steering.limit,
+            driver_preview=driver.preview if driver else 1.0,
+            driver_integral=driver.integral if driver else 0.0,
+            **self.plant.powertrain,
+            failure_distance=self.failure.distance,
+            failure_sideslip=self.failure.sideslip,
+        )
+
+    def samples(self, signals: Signals, number: int) -> Array:
+        """A scenario's samples as the kernels read them, (`kernels.loop.SIGNAL`, n + 1).
+
+        number: of the scenario in its batch, from which errors of perception are drawn.
+        """
+        known = (signals.friction.mean(axis=1), signals.wind[:, 1])
+        if isinstance(self.known_as, Perception):
+            known = self.known_as.known(*known, signals.period, number)
+        ahead = reference_preview(signals.y_ref, signals.period, len(signals.y_ref))
+        return np.ascontiguousarray(
+            np.vstack([signals.y_ref, signals.speed, signals.friction.T, signals.wind.T, *known, *ahead])
+        )
+
+    def start(self, scenario: Scenario, signals: Signals) -> Array:
+        """All states of the plant at the start (n,): in equilibrium at the speed of the scenario."""
+        motion = np.array([0.0, scenario.initial_y, scenario.start_heading, signals.speed[0], 0.0, 0.0])
+        return motion if isinstance(self.plant, SteppedPlant) else self.plant.initial_state(motion)
 
 
-def _rows(signals: Signals, perception: Perception | None = None, number: int = 0) -> Array:
-    """A scenario's samples as the kernels read them, (`kernels.loop.SIGNALS`, n + 1)."""
-    told = (signals.friction.mean(axis=1), signals.wind[:, 1])
-    if perception is not None:
-        told = perception.told(*told, signals.period, number)
-    ahead = demand(signals.y_ref, signals.period, len(signals.y_ref))
-    return np.ascontiguousarray(
-        np.vstack([signals.y_ref, signals.speed, signals.friction.T, signals.wind.T, *told, *ahead])
-    )
-
-
-def _start(scenario: Scenario, signals: Signals) -> Array:
-    """X, Y, yaw, v_x, v_y, yaw rate at the start."""
-    return np.array([0.0, scenario.initial_y, scenario.start_heading, signals.speed[0], 0.0, 0.0])
-
-
-def vehicle_arrays(plant: Plant) -> tuple[Array, Array, Array]:
-    """What the kernels need to move a block of vehicles: the block, a user's plant's own states, scratch."""
-    from adaptrack.kernels import integrate
-    from adaptrack.kernels.dynamics import STATES
-
-    n = len(plant.state_names)
-    return np.zeros(integrate.BLOCK), np.zeros((integrate.LANES, n)), np.zeros((7, max(n, STATES)))
-
-
-def _outfit(plant: Plant, profile: str | Profile) -> tuple[Plant, Profile]:
-    """The plant behind the profile's steering, unless it has its own."""
-    if not isinstance(plant, Plant):
-        raise InvalidInput(f"plant = {plant!r}: must be a Plant, such as DualTrack(load_vehicle('paper')).")
-    profile = load_profile(profile)
-    if getattr(plant, "steering", None) is None:
-        plant = plant.with_steering(profile.steering)
-    return plant, profile
-
-
-def _refuse_nonsense(scenario: Scenario, seed: int, lost_beyond: float) -> None:
+def _refuse_nonsense(scenario: Scenario, seed: int) -> None:
     if not isinstance(scenario, Scenario):
         raise InvalidInput(f"scenario = {scenario!r}: must be a Scenario; load_scenario(name) gives one.")
     if whole("simulate", "seed", seed, least=0) >= 2**63:
         raise InvalidInput(f"seed = {seed!r}: must be below 2^63.")
-    if not real("simulate", "lost_beyond", lost_beyond) > 0.0:
-        raise InvalidInput(f"lost_beyond = {lost_beyond!r} m: must be positive.")
+
+
+def _reason(ended: int) -> str | None:
+    """The name of what ended a run early; None for a run that came to its end, or that was stopped for its cost."""
+    from adaptrack.kernels import loop
+
+    return {
+        loop.OFF_ROAD: Reason.OFF_ROAD.value,
+        loop.NEVER_ARRIVED: Reason.OFF_ROAD.value,
+        loop.SPUN: Reason.SPUN.value,
+        loop.NOT_FINITE: Reason.NOT_FINITE.value,
+    }.get(ended)
+
+
+# -- one run, from Python ---------------------------------------------------------------------------------------------
+class _CompiledVehicle:
+    """A compiled plant in slot 0 of a block."""
+
+    def __init__(self, world: World, settings: Any, start: Array) -> None:
+        from adaptrack.kernels.plants.contract import place, vehicle_batch
+
+        assert isinstance(world.plant, Plant)
+        self._compiled, self._steps = world.plant.compiled, int(settings[0].substeps)
+        self._h = world.period / self._steps
+        self._arrays = vehicle_batch(world.plant.packed(), start[None])
+        self.block = self._arrays.block
+        place(1, self._arrays.start, self.block, self._arrays.states)
+
+    def observe(self, seen: Array) -> None:
+        """Write lateral acceleration and front-wheel angle under the present input."""
+        v = self._arrays
+        self._compiled.observe(v.parameters, v.block, v.states, v.work, 0, seen)
+
+    def advance(self) -> None:
+        """Move on by one control period."""
+        v = self._arrays
+        self._compiled.advance(v.parameters, v.block, v.states, v.work, 1, self._steps, self._h)
+
+
+class _SteppedVehicle:
+    """A stepped plant behind the loop's steering actuator; its motion is kept in slot 0 of a block."""
+
+    def __init__(self, world: World, settings: Any, start: Array) -> None:
+        from adaptrack.kernels.plants import contract
+
+        assert isinstance(world.plant, SteppedPlant)
+        self._plant, self._steering, self._period = world.plant, world.steering, world.period
+        self._steps = int(settings[0].substeps)
+        self._mass = world.plant.powertrain["mass"]
+        self._contract = contract
+        self.block = np.zeros(contract.BLOCK)
+        self._state = self.block[: contract.STATES * contract.SLOTS : contract.SLOTS]
+        self._input = self.block[contract.STATES * contract.SLOTS :: contract.SLOTS]
+        self._lateral = 0.0
+        self._state[:6] = start
+        world.plant.reset(start.copy())
+
+    def observe(self, seen: Array) -> None:
+        """Lateral acceleration over the last period, and the front-wheel angle under the present input."""
+        seen[0], seen[1] = self._lateral, self._angle(0.0)
+
+    def _angle(self, time: float) -> float:
+        """The front-wheel angle (rad) after a time (s) under the present command."""
+        command = float(np.clip(self._input[0], -self._steering.limit, self._steering.limit))
+        angle = float(self._state[self._contract.STATE.steering])
+        if self._steering.lag <= 0.0:
+            return command
+        gap, limited = command - angle, 0.0
+        if abs(gap) > self._steering.rate * self._steering.lag:  # at the rate limit until the gap is small enough
+            limited = min(time, abs(gap) / self._steering.rate - self._steering.lag)
+            gap -= math.copysign(self._steering.rate * limited, gap)
+        return command - gap * math.exp((limited - time) / self._steering.lag)
+
+    def advance(self) -> None:
+        """Move on by one control period."""
+        names, h = self._contract.INPUT, self._period / self._steps
+        force, acceleration = self._input[names.force], self._input[names.acceleration]
+        wanted = force / self._mass if math.isnan(acceleration) else acceleration
+        environment = self._input[names.friction_front_left :].copy()
+        before = self._state[:6].copy()
+        for _ in range(self._steps):
+            middle, after = self._angle(0.5 * h), self._angle(h)
+            motion = np.asarray(self._plant.step(h, middle, float(wanted), environment), dtype=np.float64)
+            if motion.shape != (6,):
+                raise InvalidInput(f"plant {self._plant.name!r}: step() gave {motion!r}: must be six numbers.")
+            self._state[:6] = motion
+            self._state[self._contract.STATE.steering] = after if self._steering.lag > 0.0 else 0.0
+        turn = 0.5 * (before[3] * before[5] + self._state[3] * self._state[5])
+        self._lateral = (self._state[4] - before[4]) / self._period + turn
+
+
+class _Recorder:
+    """What one run leaves: a row for each control instant."""
+
+    def __init__(self, n: int, controller: Controller) -> None:
+        from adaptrack.kernels.plants.contract import STATES
+
+        self.tuning_names = tuple(getattr(controller, "tuning_names", ()))
+        self.diagnostic_names = tuple(getattr(controller, "diagnostic_names", ()))
+        self.state = np.full((n, STATES), np.nan)
+        self.command = np.full((n, 3), np.nan)  # command, its change, held
+        self.tuning = np.full((n, len(self.tuning_names)), np.nan)
+        self.diagnostics = np.full((n, len(self.diagnostic_names)), np.nan)
+        self.seen = np.full((n, 2), np.nan)
+        self.times = np.full(n, np.nan)
+        self.failed: str | None = None
+        self.failed_at = math.nan
+        self.counted: dict[str, int] = {}
+
+    def take(self, k: int, answer: Any, before: float) -> float:
+        """Keep the answer of step k; its command (rad). before: the last command (rad)."""
+        angle = float(getattr(answer, "angle", answer))
+        self.command[k] = angle, angle - before, bool(getattr(answer, "held", False))
+        tuning, diagnostics = getattr(answer, "tuning", ()), getattr(answer, "diagnostics", ())
+        if isinstance(diagnostics, dict):
+            diagnostics = [diagnostics.get(name, math.nan) for name in self.diagnostic_names]
+        if len(self.tuning_names):
+            self.tuning[k] = tuning
+        if len(self.diagnostic_names):
+            self.diagnostics[k] = diagnostics
+        return angle
 
 
 def simulate(
+    plant: Plant | SteppedPlant,
+    controller: Controller,
+    scenario: Scenario,
+    *,
+    profile: str | Profile = "paper",
+    driver: Driver | None = None,
+    seed: int = 0,
+    known_as: KnownAs = None,
+    failure: Failure | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> Trajectory:
+    """Drive a scenario with a controller.
+
+    profile: `paper` (ideal), `road` (steering actuator, noise, delay) or one's own; driver: None to follow the speed
+    profile exactly, else the longitudinal driver that moves the vehicle with its powertrain; seed: of the sensor
+    noise; known_as: how a scheduler knows friction and wind; failure: when the run has failed, by default `Failure()`:
+    it ends there, its rest NaN, `Trajectory.failed` and `failed_at` say why and when; progress: called now and then
+    with (periods done, periods in all).
+
+    Raises
+    ------
+    InvalidInput
+        When an argument does not fit the others.
+    """
+    from adaptrack.kernels import guard, loop
+    from adaptrack.kernels.models.contract import MEASURED
+    from adaptrack.kernels.plants.contract import SLOTS, STATE, STATES
+
+    world = World.of(plant, controller, profile, driver, known_as, failure)
+    _refuse_nonsense(scenario, seed)
+    signals = scenario.sample(controller.period)
+    samples = world.samples(signals, 0)
+    rows = samples[None]
+    settings = world.settings(world.substeps(float(signals.speed.max())))
+    vehicle = (_SteppedVehicle if isinstance(world.plant, SteppedPlant) else _CompiledVehicle)(
+        world, settings, world.start(scenario, signals)
+    )
+    record, memory = _Recorder(signals.n, controller), loop.MEMORY.new()
+    block, own = vehicle.block, memory[0]
+    measured, look = np.zeros(len(MEASURED)), np.zeros(len(guard.VARIABLES))
+    estimator = known_as if isinstance(known_as, FrictionWindEstimator) else None
+    if estimator is not None:
+        estimator.reset()
+    controller.reset()
+    for k in range(signals.n):
+        if progress is not None and k % 64 == 0:
+            progress(k, signals.n)
+        record.state[k] = block[: STATES * SLOTS : SLOTS]
+        speed, error = float(block[STATE.vx * SLOTS]), block[STATE.y * SLOTS] - samples[0, k]
+        own.arrived = own.arrived or abs(error) <= world.failure.distance
+        own.ended = loop.judge(samples[0, k], block, 0, settings, bool(own.arrived))
+        if own.ended != loop.RUNNING:
+            own.ended_at = k * signals.period
+            break
+        loop.sense(k, 0, block, settings, seed, measured)
+        loop.look(k, speed, measured, rows, 0, look)
+        if estimator is not None:
+            found = estimator.step(measured[:4], speed, own.command)
+            look[guard.FRICTION], look[guard.WIND] = found.friction, found.wind
+        variables = SchedulingVariables(*look.tolist())
+        begun = time.perf_counter()
+        answer = controller.step(measured[:4], speed, samples[0, k:], variables)
+        record.times[k] = time.perf_counter() - begun
+        command = record.take(k, answer, float(own.command))
+        loop.actuate(k, 0, command, block, settings, rows, 0, memory)
+        vehicle.observe(record.seen[k])
+        vehicle.advance()
+    if progress is not None:
+        progress(signals.n, signals.n)
+    if not own.arrived:
+        own.ended, own.ended_at = loop.NEVER_ARRIVED, 0.0
+    record.failed, record.failed_at = _failure_of(int(own.ended), float(own.ended_at))
+    record.counted = dict(getattr(controller, "scheduler_counts", {}))
+    return _trajectory(world, controller, scenario, signals, seed, record)
+
+
+def _failure_of(ended: int, at: float) -> tuple[str | None, float]:
+    reason = _reason(ended)
+    return reason, at if reason is not None else math.nan
+
+
+def rollout(
     plant: Plant,
     controller: Controller,
     scenario: Scenario,
@@ -127,110 +365,50 @@ def simulate(
     profile: str | Profile = "paper",
     driver: Driver | None = None,
     seed: int = 0,
-    lost_beyond: float = 1000.0,
-    progress: Callable[[int, int], None] | None = None,
-) -> Trajectory:
-    """Drive a scenario with a controller.
-
-    profile: `paper` (ideal), `road` (steering actuator, noise, delay) or one's own; driver: None to follow the speed
-    profile exactly, else the longitudinal driver that moves the vehicle with its powertrain; seed: of the sensor
-    noise; lost_beyond: the run ends, its rest NaN, when |Y - y_ref| (m) exceeds this or the state is not finite;
-    progress: called now and then with (periods done, periods in all).
-
-    Raises
-    ------
-    InvalidInput
-        When an argument does not fit the others.
-    """
-    from adaptrack.kernels import integrate, loop
-    from adaptrack.kernels.dynamics import STATES
-
-    plant, profile = _outfit(plant, profile)
-    _refuse_nonsense(scenario, seed, lost_beyond)
-    signals = scenario.sample(controller.period)
-    n = signals.n
-    samples = _rows(signals)
-    rows = samples.reshape(1, *samples.shape)
-    substeps = plant.substeps(controller.period, float(signals.speed.max()))
-    lap = _loop_settings(plant, profile, driver, substeps, lost_beyond)
-    block, own, work = vehicle_arrays(plant)
-    seen, measured, look = np.zeros(2), np.zeros(4), np.zeros(len(Condition._fields))
-    memory = loop.memory(1)
-    packed, function, kind = plant.packed(), plant.function, plant.kind
-    lanes = block.reshape(-1, integrate.LANES)
-    trace = np.full((n, loop.TRACE), np.nan)
-    times = np.full(n, np.nan)
-
-    controller.reset()
-    loop.place(1, _start(scenario, signals)[None], block, own)
-    waiting = 0.0
-    for k in range(n):
-        if progress is not None and k % 64 == 0:
-            progress(k, n)
-        trace[k, :STATES] = lanes[:STATES, 0]
-        loop.sense(k, 0, block, lap, seed, measured)
-        speed = float(lanes[3, 0])
-        loop.look(k, speed, measured, rows, 0, look)
-        condition = Condition(*look.tolist())
-        begun = time.perf_counter()
-        command = controller.step(measured, speed, samples[0, k:], condition)
-        times[k] = time.perf_counter() - begun
-        loop.actuate(k, 0, waiting if profile.delay else command.angle, block, controller.period, lap, rows, 0, memory)
-        waiting = command.angle
-        loop.observe(0, kind, function, packed, block, own, work, seen)
-        trace[k, STATES:] = (*command[:7], *command.tuning, *seen)
-        loop.move_vehicles(1, kind, function, packed, block, own, work, controller.period, lap)
-        error = lanes[1, 0] - samples[0, k + 1]
-        if not (abs(error) <= lost_beyond and math.isfinite(lanes[5, 0])):
-            break
-    if progress is not None:
-        progress(n, n)
-    counted = controller.scheduler_counts if isinstance(controller, MPC) else {}
-    return _trajectory(plant, controller, scenario, signals, profile, driver, seed, trace, times, counted)
-
-
-def rollout(
-    plant: Plant,
-    mpc: MPC,
-    scenario: Scenario,
-    *,
-    profile: str | Profile = "paper",
-    driver: Driver | None = None,
-    seed: int = 0,
-    lost_beyond: float = 1000.0,
+    known_as: KnownAs = None,
+    failure: Failure | None = None,
 ) -> Trajectory:
     """`simulate`, compiled: the same trajectory, without the step times.
 
     Raises
     ------
     InvalidInput
-        When the MPC needs Python at every step: a scheduler or a QP back-end outside the kernels.
+        When a part needs Python at every step: a stepped plant, a controller, a scheduler or a QP back-end outside the
+        kernels.
     """
-    from adaptrack.kernels import inference
-
-    _refuse_nonsense(scenario, seed, lost_beyond)
-    batch = Batch(plant, mpc, [scenario], profile, driver, lost_beyond)
+    _refuse_nonsense(scenario, seed)
+    batch = Batch(plant, controller, [scenario], profile, driver, failure, known_as)
     first = np.zeros(1, np.int64)
-    _, trace, counts, _ = batch.run(first, mpc.tuning.as_array()[None], np.array([seed]), 1, traced=True)
-    times = np.full(len(trace[0]), np.nan)
-    counted = dict(zip(inference.COUNTS, counts[0].astype(int).tolist(), strict=False))
-    return _trajectory(
-        batch.plant, mpc, scenario, batch.signals[0], batch.profile, driver, seed, trace[0], times, counted
-    )
+    runs = batch.run(first, batch.tuning[None], np.array([seed]), 1, traced=True)
+    record = _Recorder(batch.signals[0].n, controller)
+    found, T = runs.result[0], len(record.tuning_names)
+    record.state[:], record.seen[:], answer = runs.trace.state[0], runs.trace.seen[0], runs.trace.answer[0]
+    record.command[:] = answer[:, :3]
+    if isinstance(controller, MPC):
+        record.tuning[:], record.diagnostics[:] = answer[:, 3 : 3 + T], answer[:, 3 + T :]
+    else:
+        D = len(record.diagnostic_names)
+        record.diagnostics[:], record.tuning[:] = answer[:, 3 : 3 + D], answer[:, 3 + D :]
+    record.failed, record.failed_at = _failure_of(int(found.ended), float(found.ended_at))
+    record.counted = {name: int(values[0]) for name, values in runs.counts.items()}
+    return _trajectory(batch.world, controller, scenario, batch.signals[0], seed, record)
 
 
+# -- many runs, compiled ----------------------------------------------------------------------------------------------
 @dataclass(frozen=True, eq=False)
 class BatchResult:
     """What `rollout_batch` measured, an entry per run; arrays of shape (runs,)."""
 
     mse: Array
-    """m^2, mean over the control instants of (Y - y_ref)^2; inf when the run was lost"""
+    """m^2, mean over the control instants of (Y - y_ref)^2; inf when the run has failed"""
     mean_squared_move: Array
     """rad^2, mean of the squared changes of the command"""
     max_abs_error: Array
     """m"""
-    lost: NDArray[np.bool_]
-    """|Y - y_ref| exceeded `lost_beyond`, or the state was no longer finite"""
+    failed: NDArray[np.object_]
+    """why a run failed (`failure.Reason`), None where it did not"""
+    failed_at: Array
+    """s, NaN where it did not"""
     steps: NDArray[np.int64]
     """control steps done"""
     qp_capped: NDArray[np.int64]
@@ -238,22 +416,22 @@ class BatchResult:
     qp_failed: NDArray[np.int64]
     """steps whose QP had no solution (infeasible, not finite, not convex)"""
     held: NDArray[np.int64]
-    """steps that held the previous angle"""
+    """steps without a new answer: the last plan was followed, or the angle held"""
     limited: NDArray[np.int64]
     """steps at a limit"""
     qp_iterations: NDArray[np.int64]
     """of the QP solver, in all steps"""
     scheduler: dict[str, NDArray[np.int64]]
-    """what the scheduler counted, by name, see `kernels.inference.COUNTS`; empty without one"""
+    """what the scheduler counted, by name, see `kernels.guard.COUNTS`; empty without one"""
 
-    def cost(self, move_price: float = 0.0) -> Array:
-        """J = mean e^2 + move_price * mean (change of command)^2, the cost that tuning minimises; inf when lost."""
-        return self.mse + move_price * self.mean_squared_move
+    def cost(self, move_weight: float = 0.0) -> Array:
+        """J = mean e^2 + move_weight * mean (change of command)^2, the cost that tuning minimises; inf when failed."""
+        return self.mse + move_weight * self.mean_squared_move
 
 
 def rollout_batch(
     plant: Plant,
-    mpc: MPC,
+    controller: Controller,
     scenarios: Scenario | Sequence[Scenario],
     tunings: ArrayLike | None = None,
     *,
@@ -261,35 +439,31 @@ def rollout_batch(
     profile: str | Profile = "paper",
     driver: Driver | None = None,
     seeds: ArrayLike = 0,
-    lost_beyond: float = 1000.0,
+    known_as: KnownAs = None,
+    failure: Failure | None = None,
     threads: int | None = None,
 ) -> BatchResult:
     """Many runs at once, compiled and vectorised: run i drives scenario which[i] with tunings[i] and seeds[i].
 
-    tunings: (runs, 4) of Np, Nc, Q, R, the horizons rounded and clamped to 1 <= Nc <= Np <= mpc.longest_horizon and
-    mpc.most_moves; without them every run has the MPC's scheduler, or its tuning; which: (runs,) indices into
-    `scenarios`, by default 0, without tunings one run for each; seeds: noise seeds, one or one per run; threads: None
-    for all cores. A run's result does not depend on the others, nor on the number of threads. The scenarios must last
-    equally long.
+    controller: an `MPC`, or any compiled controller; tunings: (runs, entries) of its named tuning entries (Np, Nc, Q, R
+    of an MPC, the horizons rounded and clamped to 1 <= Nc <= Np <= longest_horizon and most_moves); without them every
+    run has the MPC's scheduler, or the controller's tuning; which: (runs,) indices into `scenarios`, by default 0,
+    without tunings one run for each; seeds: noise seeds, one or one per run; threads: None for all cores. A run's
+    result does not depend on the others, nor on the number of threads. The scenarios must last equally long.
 
     Raises
     ------
     InvalidInput
-        When shapes do not fit, a tuning is not finite, tunings meet a scheduler, or the MPC needs Python at every step.
+        When shapes do not fit, a tuning is not finite, tunings meet a scheduler, or a part needs Python at every step.
     """
-    batch = Batch(
-        plant, mpc, [scenarios] if isinstance(scenarios, Scenario) else scenarios, profile, driver, lost_beyond
-    )
+    several = [scenarios] if isinstance(scenarios, Scenario) else scenarios
+    batch = Batch(plant, controller, several, profile, driver, failure, known_as)
     if tunings is None:
         which = np.arange(len(batch.signals)) if which is None else which
-        tunings = np.repeat(mpc.tuning.as_array()[None], np.size(which), axis=0)
-    elif mpc.scheduler is not None:
+        tunings = np.repeat(batch.tuning[None], np.size(which), axis=0)
+    elif batch.scheduler is not None:
         raise InvalidInput("tunings: this MPC has a scheduler, which chooses them; leave them out.")
-    asked = np.array(tunings, dtype=np.float64, ndmin=2)
-    if asked.ndim != 2 or asked.shape[1] != 4 or not np.isfinite(asked).all():
-        raise InvalidInput(f"tunings: need finite (runs, 4) of Np, Nc, Q, R; got shape {asked.shape}.")
-    if (asked[:, 2] < 0.0).any() or (asked[:, 3] <= 0.0).any():
-        raise InvalidInput("tunings: every Q must be >= 0 and every R > 0.")
+    asked = batch.checked_tunings(tunings)
     runs = len(asked)
     index = np.zeros(runs, np.int64) if which is None else np.array(which)
     if index.dtype.kind not in "iu":
@@ -300,234 +474,336 @@ def rollout_batch(
     seeded = np.array(seeds, dtype=np.int64)
     if seeded.shape not in ((), (runs,)):
         raise InvalidInput(f"seeds: need one, or one for each of the {runs} runs; got shape {seeded.shape}.")
-    seeded = np.broadcast_to(seeded, (runs,)).copy()
-    result, _, counts, _ = batch.run(index, asked, seeded, threads or os.cpu_count() or 1)
-    return batch_result(result, counts)
+    return batch.run(index, asked, np.broadcast_to(seeded, (runs,)).copy(), threads or os.cpu_count() or 1).measured()
 
 
-def batch_result(result: Array, counts: Array) -> BatchResult:
-    """What `Batch.run` gave, by name."""
-    from adaptrack.kernels import inference, loop
+@dataclass(frozen=True, eq=False)
+class BatchRuns:
+    """What `Batch.run` gives."""
 
-    steps = np.maximum(result[:, loop.INSTANTS], 1.0)
-    return BatchResult(
-        mse=result[:, loop.SQUARED_ERROR] / steps,
-        mean_squared_move=result[:, loop.SQUARED_MOVE] / steps,
-        max_abs_error=result[:, loop.LARGEST_ERROR],
-        lost=result[:, loop.RUN_LOST] > 0.5,
-        steps=result[:, loop.INSTANTS].astype(np.int64),
-        qp_capped=result[:, loop.CAPPED].astype(np.int64),
-        qp_failed=result[:, loop.FAILED].astype(np.int64),
-        held=result[:, loop.RUN_HELD].astype(np.int64),
-        limited=result[:, loop.LIMITED].astype(np.int64),
-        qp_iterations=result[:, loop.RUN_ITERATIONS].astype(np.int64),
-        scheduler={
-            name: counts[:, i].astype(np.int64) for i, name in enumerate(inference.COUNTS) if counts.shape[1] > 0
-        },
-    )
+    result: Any
+    """(runs,) `kernels.rollout.RESULT`"""
+    trace: Any
+    """`kernels.rollout.Trace`, empty unless asked for"""
+    counts: dict[str, NDArray[np.int64]]
+    """what the scheduler counted, (runs,) by name; empty without one"""
+    segments: Array
+    """(runs, segments) cost of each segment: sum of squared error plus weight times squared move; inf where a run ended
+    early, NaN after that; (runs, 0) unless asked for"""
+
+    @property
+    def failed(self) -> NDArray[np.bool_]:
+        """(runs,) whether the run failed."""
+        return np.asarray(self.result["ended"] != 0)
+
+    def measured(self) -> BatchResult:
+        """By name, as means."""
+        found = self.result
+        steps = np.maximum(found["instants"], 1)
+        reasons = [_reason(int(ended)) for ended in found["ended"]]
+        return BatchResult(
+            mse=found["squared_error"] / steps,
+            mean_squared_move=found["squared_move"] / steps,
+            max_abs_error=found["largest_error"].copy(),
+            failed=np.array(reasons, dtype=object),
+            failed_at=np.where(self.failed, found["ended_at"], np.nan),
+            steps=found["instants"].copy(),
+            qp_capped=found["capped"].copy(),
+            qp_failed=found["unsolved"].copy(),
+            held=found["held"].copy(),
+            limited=found["limited"].copy(),
+            qp_iterations=found["iterations"].copy(),
+            scheduler=self.counts,
+        )
 
 
 class Batch:
-    """The arguments that all runs of a batch share, packed for the kernels.
-
-    told: how a scheduler knows friction and wind: None exactly, else as a `Perception` or an estimator tells them;
-    spin_beyond: |v_y/v_x| beyond which a run counts as lost.
-    """
+    """What all runs of a batch share, packed for the kernels; arguments as for `rollout_batch`."""
 
     def __init__(
         self,
         plant: Plant,
-        mpc: MPC,
+        controller: Controller,
         scenarios: Sequence[Scenario],
         profile: str | Profile = "paper",
         driver: Driver | None = None,
-        lost_beyond: float = 1000.0,
-        told: Perception | FrictionWindEstimator | None = None,
-        spin_beyond: float = math.inf,
+        failure: Failure | None = None,
+        known_as: KnownAs = None,
     ) -> None:
-        self.told = told
-        if isinstance(told, FrictionWindEstimator) and not math.isclose(told.period, mpc.period):
-            raise InvalidInput(f"told: the estimator's period is {told.period!r} s, the controller's {mpc.period!r} s.")
-        self.scheduler = mpc.scheduler
-        if not (self.scheduler is None or isinstance(self.scheduler, CompiledScheduler)) or not mpc.in_kernel:
-            raise InvalidInput(
-                "compiled runs need a scheduler of adaptrack.schedule, or none, and a QP solver of the kernels "
-                "('active-set', 'hildreth'); use simulate(...) for this MPC."
-            )
-        self.plant, self.profile = _outfit(plant, profile)
-        self.mpc = mpc
-        self.signals = [scenario.sample(mpc.period) for scenario in scenarios]
+        self.world = World.of(plant, controller, profile, driver, known_as, failure)
+        self.controller, self.scheduler = controller, getattr(controller, "scheduler", None)
+        self._refuse_python()
+        self.signals = [scenario.sample(controller.period) for scenario in scenarios]
         if not self.signals:
             raise InvalidInput("scenarios: none given.")
         if len({signals.n for signals in self.signals}) > 1:
             raise InvalidInput(
                 "scenarios: must last equally long; run those of different length in batches of their own."
             )
-        perception = told if isinstance(told, Perception) else None
-        self.samples = np.ascontiguousarray([_rows(s, perception, i) for i, s in enumerate(self.signals)])
-        self.starts = np.array([_start(scenario, s) for scenario, s in zip(scenarios, self.signals, strict=True)])
-        self.substeps = np.array([self.plant.substeps(mpc.period, float(s.speed.max())) for s in self.signals])
-        self.loops = {
-            int(steps): _loop_settings(self.plant, self.profile, driver, int(steps), lost_beyond, spin_beyond)
-            for steps in np.unique(self.substeps)
-        }
-        self.settings = mpc.settings()
-        self.model = mpc.model.packed()
-        self.packed, self.function = self.plant.packed(), self.plant.function
+        world = self.world
+        self.samples = np.ascontiguousarray([world.samples(s, i) for i, s in enumerate(self.signals)])
+        self.starts = np.array([world.start(scenario, s) for scenario, s in zip(scenarios, self.signals, strict=True)])
+        self.substeps = np.array([world.substeps(float(s.speed.max())) for s in self.signals])
+        self.settings = {int(steps): world.settings(int(steps)) for steps in np.unique(self.substeps)}
 
-    def sized(self, longest: float, most: float) -> Array:
-        """The MPC's settings with a workspace no larger than horizons up to these need, and no residuals."""
-        from adaptrack.kernels import loop
+    def _refuse_python(self) -> None:
+        controller = self.controller
+        fit = isinstance(controller, CompiledController) or (isinstance(controller, MPC) and controller.in_kernel)
+        scheduled = self.scheduler is None or isinstance(self.scheduler, CompiledScheduler)
+        if not (fit and scheduled and isinstance(self.world.plant, Plant)):
+            raise InvalidInput(
+                "compiled runs need a compiled plant, an MPC or a compiled controller, a scheduler of "
+                "adaptrack.scheduling, or none, and a QP solver of the kernels ('active-set', 'hildreth'); "
+                "use simulate(...) for this one."
+            )
 
-        settings = self.settings.copy()
-        settings[loop.RESIDUALS] = 0.0
-        for place, value in ((loop.LONGEST_HORIZON, longest), (loop.MOST_MOVES, most)):
-            settings[place] = min(settings[place], max(1.0, math.floor(value + 0.5)))
-        return settings
+    @property
+    def tuning(self) -> Array:
+        """(entries,) the controller's own tuning."""
+        own = self.controller
+        return own.packed_tuning() if isinstance(own, CompiledController) else own.tuning.as_array()  # type: ignore[attr-defined]
+
+    def checked_tunings(self, tunings: ArrayLike) -> Array:
+        """(runs, entries) tunings that a controller may have.
+
+        Raises
+        ------
+        InvalidInput
+            When they are none.
+        """
+        names = self.controller.tuning_names  # type: ignore[attr-defined]
+        asked = np.array(tunings, dtype=np.float64, ndmin=2)
+        if asked.ndim != 2 or asked.shape[1] != len(names) or not np.isfinite(asked).all():
+            raise InvalidInput(
+                f"tunings: need finite (runs, {len(names)}) of {', '.join(names)}; got shape {asked.shape}."
+            )
+        if isinstance(self.controller, MPC) and ((asked[:, 2] < 0.0).any() or (asked[:, 3] <= 0.0).any()):
+            raise InvalidInput("tunings: every Q must be >= 0 and every R > 0.")
+        return asked
+
+    def mpc_settings(self, longest: float, most: float, residuals: bool) -> Any:
+        """The MPC's settings with a workspace no larger than horizons up to these need; tiny for other controllers."""
+        if isinstance(self.controller, MPC):
+            return self.controller.settings(longest, most, residuals)
+        from adaptrack.kernels.controllers.mpc import SETTINGS
+
+        return SETTINGS.new(period=self.world.period, longest_horizon=1, most_moves=1, output_min=-np.inf,
+                            output_max=np.inf)  # fmt: skip
+
+    def arena(self, slots: int, steps: int, mpc_settings: Any, segments: int = 0, periods: int = 0) -> Any:
+        """The kernels' arrays for up to `slots` runs that integrate `steps` times a period (`kernels.rollout.Run`).
+
+        segments: of each run; periods: to trace, 0 for no trace.
+        """
+        from adaptrack.kernels import guard, loop, rollout
+        from adaptrack.kernels.controllers import mpc as kernel
+        from adaptrack.kernels.estimators.friction_wind import MEMORY as KNOWING
+        from adaptrack.kernels.plants.contract import STATES, vehicle_batch
+        from adaptrack.kernels.schedule import no_schedule
+
+        own, known = self.controller, self.world.known_as
+        assert isinstance(self.world.plant, Plant)
+        if isinstance(own, CompiledController):
+            mpc = kernel.batch(slots, mpc_settings, (np.zeros(6), np.arange(4), np.zeros(4)), (np.zeros(0), 0))
+            law = rollout.law_batch(slots, own.parameters(), own.memory_size, own.diagnostic_names, own.preview)
+            width = law.answer.shape[1] + len(own.tuning_names)
+        else:
+            assert isinstance(own, MPC)
+            mpc, law = own.batch(slots, mpc_settings), rollout.no_law_batch()
+            width = len(kernel.ANSWER)
+        none = np.zeros(0)
+        perceiving = rollout.Perceiving(none, none, np.zeros((0, 0)))
+        if isinstance(known, FrictionWindEstimator):
+            perceiving = rollout.Perceiving(known.packed(), known.settings(), np.zeros((slots, KNOWING)))
+        traced = slots if periods else 0
+        planned = isinstance(self.scheduler, CompiledScheduler)
+        return rollout.Run(
+            settings=self.settings[steps],
+            vehicles=vehicle_batch(self.world.plant.packed(), np.zeros((slots, self.starts.shape[1]))),
+            road=rollout.Road(self.samples, np.zeros(slots, np.int64), np.zeros(slots, np.int64)),
+            mpc=mpc,
+            law=law,
+            schedule=self.scheduler.plan(slots) if planned else no_schedule(),  # type: ignore[union-attr]
+            perceiving=perceiving,
+            tuning=np.zeros((slots, len(self.tuning))),
+            variables=np.zeros(len(guard.VARIABLES)),
+            memory=loop.MEMORY.new(slots),
+            result=rollout.RESULT.new(slots),
+            ceiling=np.full(slots, np.inf),
+            segments=np.zeros((slots, segments)),
+            trace=rollout.Trace(
+                np.full((traced, periods, STATES), np.nan), np.full((traced, periods, width), np.nan),
+                np.full((traced, periods, 2), np.nan),
+            ),
+        )  # fmt: skip
+
+    @property
+    def members(self) -> tuple[Any, ...]:
+        """`kernels.rollout.MEMBERS`."""
+        from adaptrack.kernels.controllers.contract import no_law
+        from adaptrack.kernels.estimators.contract import no_estimate
+        from adaptrack.kernels.models.single_track import discretise
+
+        assert isinstance(self.world.plant, Plant)
+        plant, own = self.world.plant.compiled, self.controller
+        if isinstance(own, MPC):
+            return plant.advance, plant.observe, own.model.function, own.estimator.function or no_estimate, no_law
+        return plant.advance, plant.observe, discretise, no_estimate, own.function  # type: ignore[attr-defined]
+
+    def chunks(self, which: NDArray[np.int64]) -> list[NDArray[np.int64]]:
+        """Runs that are driven together: the slots of one batch integrate with the same number of steps."""
+        from adaptrack.kernels.plants.contract import SLOTS
+
+        found = []
+        for steps in self.settings:
+            members = np.flatnonzero(self.substeps[which] == steps)
+            found += [members[first : first + SLOTS] for first in range(0, len(members), SLOTS)]
+        return found
+
+    def longest(self, tunings: Array) -> tuple[float, float]:
+        """The longest Np and Nc that runs with these tunings may ask for."""
+        if not isinstance(self.controller, MPC):
+            return 1.0, 1.0
+        longest, most = tunings[:, 0].max(initial=1), tunings[:, 1].max(initial=1)
+        if isinstance(self.scheduler, CompiledScheduler):
+            longest, most = max(longest, self.scheduler.largest[0]), max(most, self.scheduler.largest[1])
+        return float(longest), float(most)
 
     def run(
         self, which: NDArray[np.int64], tunings: Array, seeds: NDArray[np.int64], threads: int, traced: bool = False,
-        stretch: int = 0, price: float = 0.0,
-    ) -> tuple[Array, Array, Array, Array]:  # fmt: skip
-        """Results (runs, RESULT), traces (runs, periods or 0, TRACE), the scheduler's counts (runs, COUNTS or 0).
+        segment: int = 0, weight: float = 0.0,
+    ) -> BatchRuns:  # fmt: skip
+        """Drive run i with scenario which[i], tunings[i] and seeds[i]; with a scheduler, tunings are what it begins with.
 
-        Fourth, when asked for, the cost of each stretch of `stretch` periods (runs, stretches): the sum of squared
-        error plus `price` times squared move; inf where a run was lost, NaN after that.
-
-        With a scheduler, `tunings` are what it begins with.
+        segment: periods of a segment whose cost is asked for, with `weight` (m^2/rad^2) on the squared moves; 0: none.
         """
-        from adaptrack.kernels import estimation, inference, integrate, loop
+        from adaptrack.kernels import guard, rollout
 
         runs, n = len(which), self.signals[0].n
-        result = np.empty((runs, len(loop.RESULT)))
-        trace = np.full((runs, n if traced else 0, loop.TRACE), np.nan)
-        scheduler = self.scheduler
-        counts = np.zeros((runs, 0 if scheduler is None else len(inference.COUNTS)))
-        stretches = np.zeros((runs, math.ceil(n / stretch) if stretch else 0))
-        longest, most = tunings[:, 0].max(initial=1), tunings[:, 1].max(initial=1)
-        if isinstance(scheduler, CompiledScheduler):
-            longest, most = max(longest, scheduler.largest[0]), max(most, scheduler.largest[1])
-        settings = self.settings if traced else self.sized(longest, most)
-        # Lanes of one block integrate with the same number of steps.
-        chunks: queue.SimpleQueue[NDArray[np.int64]] = queue.SimpleQueue()
-        count = 0
-        for steps in self.loops:
-            members = np.flatnonzero(self.substeps[which] == steps)
-            for first in range(0, len(members), integrate.LANES):
-                chunks.put(members[first : first + integrate.LANES])
-                count += 1
+        plan = _Plan(which, tunings, seeds, segment, weight, n if traced else 0)
+        settings = self.mpc_settings(*((math.inf, math.inf) if traced else self.longest(tunings)), residuals=traced)
+        result, counts = rollout.RESULT.new(runs), np.zeros((len(guard.COUNTS), runs), np.int64)
+        segments = np.zeros((runs, math.ceil(n / segment) if segment else 0))
+        traces: dict[int, Any] = {}
+        waiting: queue.SimpleQueue[NDArray[np.int64]] = queue.SimpleQueue()
+        chunks = self.chunks(which)
+        for chunk in chunks:
+            waiting.put(chunk)
 
         def work() -> None:
-            lanes = min(integrate.LANES, runs)
-            ws = loop.workspace(lanes, settings)
-            block, own, scratch = vehicle_arrays(self.plant)
             while True:
                 try:
-                    chunk = chunks.get_nowait()
+                    chunk = waiting.get_nowait()
                 except queue.Empty:
                     return
-                size = len(chunk)
-                part = np.zeros((size, len(loop.RESULT)))
-                part_trace = np.full((size, trace.shape[1], loop.TRACE), np.nan)
-                part_stretches = np.zeros((size, stretches.shape[1]))
-                plan = scheduler.plan(size) if isinstance(scheduler, CompiledScheduler) else inference.no_schedule()
-                if isinstance(self.told, FrictionWindEstimator):
-                    plan = plan._replace(
-                        believed=self.told.packed(), estimating=self.told.settings(),
-                        estimates=np.zeros((size, estimation.MEMORY)),
-                    )  # fmt: skip
-                loop.rollout(
-                    n, size, self.function, self.packed, block, own, scratch, self.model, settings,
-                    self.loops[int(self.substeps[which[chunk[0]]])], self.samples, which[chunk],
-                    np.ascontiguousarray(tunings[chunk]), seeds[chunk], loop.memory(size),
-                    np.zeros((size, len(loop.RECORD))), ws, plan, np.zeros((size if traced else 0, 2)),
-                    self.starts[which[chunk]], np.full(size, np.inf), price, max(stretch, 1),
-                    part_stretches, part, part_trace,
-                )  # fmt: skip
-                result[chunk] = part
-                trace[chunk] = part_trace
-                stretches[chunk] = part_stretches
-                if scheduler is not None:
-                    counts[chunk] = plan.state[:, : counts.shape[1]]
+                done = self._drive(chunk, plan, settings)
+                result[chunk], segments[chunk] = done.result, done.segments
+                if traced:
+                    traces[int(chunk[0])] = done.trace
+                if self.scheduler is not None:
+                    counts[:, chunk] = [done.schedule.memory[name] for name in guard.COUNTS]
 
-        workers = max(1, min(threads, count))
+        workers = max(1, min(threads, len(chunks)))
         if workers == 1:
             work()
         else:
             with ThreadPoolExecutor(workers) as pool:
                 for future in [pool.submit(work) for _ in range(workers)]:
                     future.result()
-        return result, trace, counts, stretches
+        named = {} if self.scheduler is None else dict(zip(guard.COUNTS, counts, strict=True))
+        return BatchRuns(result, traces.get(0, rollout.no_trace()), named, segments)
+
+    def _drive(self, chunk: NDArray[np.int64], plan: _Plan, mpc_settings: Any) -> Any:
+        """Drive the runs of one chunk; the `kernels.rollout.Run` that they leave."""
+        from adaptrack.kernels import rollout
+
+        which, size, n = plan.which[chunk], len(chunk), self.signals[0].n
+        segments = math.ceil(n / plan.segment) if plan.segment else 0
+        run = self.arena(size, int(self.substeps[which[0]]), mpc_settings, segments, plan.traced)
+        run.road.scenario[:], run.road.seeds[:] = which, plan.seeds[chunk]
+        run.vehicles.start[:], run.tuning[:] = self.starts[which], plan.tunings[chunk]
+        rollout.begin(size, run)
+        rollout.rollout(n, size, (plan.weight, float(max(plan.segment, 1))), run, self.members)
+        return run
+
+
+@dataclass(frozen=True, eq=False)
+class _Plan:
+    """What the runs of `Batch.run` differ in."""
+
+    which: NDArray[np.int64]
+    tunings: Array
+    seeds: NDArray[np.int64]
+    segment: int
+    weight: float
+    traced: int
+
+
+# -- the trajectory ---------------------------------------------------------------------------------------------------
+_WHOLE = {"Np", "Nc", "qp_status", "qp_iterations", "at_limit"}
+_UNITS = {"tuning.Q": "1/m^2", "tuning.R": "1/rad^2"}
+
+
+def _named(names: tuple[str, ...], columns: Array, driven: NDArray[np.bool_]) -> dict[str, NDArray[Any]]:
+    """The columns by name; of quantities that are whole numbers as such, the QP's status where nothing was driven
+    being that of data that are not finite.
+    """
+    found: dict[str, NDArray[Any]] = {}
+    for name, values in zip(names, columns.T, strict=True):
+        found[name] = np.nan_to_num(values, nan=0.0).astype(np.int64) if name in _WHOLE else values.copy()
+        if name == "qp_status" and not driven.all():
+            from adaptrack.qp import QPStatus
+
+            found[name][~driven] = QPStatus.NON_FINITE
+    return found
 
 
 def _trajectory(
-    plant: Plant,
-    controller: Controller,
-    scenario: Scenario,
-    signals: Signals,
-    profile: Profile,
-    driver: Driver | None,
-    seed: int,
-    trace: Array,
-    times: Array,
-    counted: dict[str, int],
+    world: World, controller: Controller, scenario: Scenario, signals: Signals, seed: int, record: _Recorder
 ) -> Trajectory:
-    from adaptrack.kernels import loop
-    from adaptrack.kernels.dynamics import STATES
+    from adaptrack.kernels.plants.contract import STATE
 
-    n = signals.n
-    record = {name: trace[:, STATES + i] for i, name in enumerate(loop.RECORD)}
-
-    def whole(name: str) -> NDArray[np.int64]:
-        return np.nan_to_num(record[name], nan=0.0).astype(np.int64)
-
-    status = whole("qp_status")
-    ended = ~np.isfinite(record["command"])  # the run was lost before these steps
-    if ended.any():
-        from adaptrack.qp import QPStatus
-
-        status[ended] = QPStatus.NON_FINITE
+    n, state, plant = signals.n, record.state, world.plant
+    driven = np.isfinite(record.command[:, 0])
     described = controller.describe()
     return Trajectory(
         t=signals.t[:n],
-        X=trace[:, 0],
-        Y=trace[:, 1],
-        psi=trace[:, 2],
-        vx=trace[:, 3],
-        vy=trace[:, 4],
-        yaw_rate=trace[:, 5],
-        steering=trace[:, loop.STEERING],
-        command=record["command"],
-        command_change=record["command_change"],
+        X=state[:, STATE.x],
+        Y=state[:, STATE.y],
+        psi=state[:, STATE.yaw],
+        vx=state[:, STATE.vx],
+        vy=state[:, STATE.vy],
+        yaw_rate=state[:, STATE.yaw_rate],
+        steering=record.seen[:, 1],
+        command=record.command[:, 0],
+        command_change=record.command[:, 1],
         y_ref=signals.y_ref[:n],
         v_ref=signals.speed[:n],
         friction=signals.friction[:n],
         wind=signals.wind[:n],
-        lateral_acceleration=trace[:, loop.LATERAL_ACCELERATION],
-        Np=whole("Np"),
-        Nc=whole("Nc"),
-        Q=record["Q"],
-        R=record["R"],
-        qp_status=status,
-        qp_iterations=whole("qp_iterations"),
-        qp_residual=record["qp_residual"],
-        at_limit=whole("at_limit"),
-        held=np.nan_to_num(record["held"], nan=1.0) > 0.5,
-        step_time=times,
+        lateral_acceleration=record.seen[:, 0],
+        held=np.nan_to_num(record.command[:, 2], nan=1.0) > 0.5,
+        step_time=record.times,
         period=signals.period,
+        tuning=_named(record.tuning_names, record.tuning, driven),
+        diagnostics=_named(record.diagnostic_names, record.diagnostics, driven),
+        units={key: unit for key, unit in _UNITS.items() if key.partition(".")[2] in record.tuning_names},
+        failed=record.failed,
+        failed_at=record.failed_at,
         meta=provenance(
             scenario=scenario.name,
             plant=plant.name,
             tyre=plant.tyre_name,
             vehicle=getattr(getattr(plant, "vehicle", None), "name", plant.name),
-            profile=profile.name,
+            profile=world.profile.name,
+            move_weight=world.profile.move_weight,
             seed=seed,
             preview=bool(described.get("preview", False)),
             controller=controller.name,
             tuning=described.get("tuning", {}),
             created=datetime.now(UTC),
             control=described,
-            speed="profile" if driver is None else "driver",
-            scheduler_counts=counted,
+            speed="profile" if world.driver is None else "driver",
+            scheduler_counts=record.counted,
         ),
     )

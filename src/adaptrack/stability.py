@@ -17,10 +17,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from adaptrack.controllers import MPC, Tuning
 from adaptrack.errors import InvalidInput, real
-from adaptrack.mpc import MPC, Tuning
-from adaptrack.plant import Plant, Profile, load_profile
-from adaptrack.prediction import laguerre_basis
+from adaptrack.models import laguerre_basis
+from adaptrack.plant import Plant
+from adaptrack.profile import Profile, load_profile
 from adaptrack.vehicle import GRAVITY
 
 Array = NDArray[np.float64]
@@ -111,8 +112,7 @@ def linearised(
 
     About a straight line, or about a `steady_turn` with `lateral_acceleration` (m/s^2), in which tyres are softer; then
     deviations are those from the turn, in axes along its velocity. The input is the front-wheel angle; the speed is
-    held. States that do not influence what the controller measures are left out. By
-    central differences.
+    held. States that do not influence what the controller measures are left out. By central differences.
     """
     x, steering = steady_turn(plant, speed, lateral_acceleration, friction)
     road = _road(friction)

@@ -3,30 +3,31 @@
 from __future__ import annotations
 
 import dataclasses
-import io
 import json
+import math
 import os
 import platform
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from datetime import datetime
 from importlib import metadata
-from pathlib import Path
 from typing import Any, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from adaptrack import __version__
-from adaptrack.errors import InvalidInput, StorageError
-from adaptrack.toml_files import write_atomically
+from adaptrack.errors import ConfigError, InvalidInput
+from adaptrack.files import Column as Stored
+from adaptrack.files import Damaged, check_texts, decode_parquet, encode_parquet, read_bytes, write_atomically
 
 Array = NDArray[Any]
 
 FORMAT = "adaptrack trajectory"
 """The word by which a Parquet file says that it holds a trajectory of ours."""
 
-FORMAT_VERSION = 1
+FORMAT_VERSION = 2
 """Raised whenever a column is added, dropped, renamed or changes its unit."""
 
 _WHEELS = ("front_left", "front_right", "rear_left", "rear_right")
@@ -72,18 +73,12 @@ COLUMNS = (
     Column("friction", "-", parts=_WHEELS),
     Column("wind", "m/s", parts=("x", "y")),
     Column("lateral_acceleration", "m/s^2"),
-    Column("Np", "-", "whole"),
-    Column("Nc", "-", "whole"),
-    Column("Q", "1/m^2"),
-    Column("R", "1/rad^2"),
-    Column("qp_status", "-", "whole"),
-    Column("qp_iterations", "-", "whole"),
-    Column("qp_residual", "-"),
-    Column("at_limit", "-", "whole"),
     Column("held", "-", "truth"),
     Column("step_time", "s"),
 )
-"""Every array of a `Trajectory`, in the order of its fields and of a file's columns."""
+"""The arrays that every `Trajectory` has, in the order of its fields and of a file's columns."""
+
+_NAMED = ("tuning", "diagnostics")
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,7 +86,7 @@ class Trajectory:
     """What happened at each of n control instants t = k Ts, k = 0..n-1, of one run.
 
     ISO 8855: x forward, y left, yaw and steering positive to the left. Arrays are read-only views, float64 unless
-    said otherwise. A run that was lost may hold NaN from some step on.
+    said otherwise. A run that failed may hold NaN from some step on.
 
     Raises
     ------
@@ -130,28 +125,31 @@ class Trajectory:
     """(n, 2) m/s, velocity of the air in the world: along +X, along +Y (the paper's v_w)."""
     lateral_acceleration: Array
     """(n,) m/s², at the centre of gravity, in the body frame."""
-    Np: Array
-    """(n,) int64, prediction horizon in use."""
-    Nc: Array
-    """(n,) int64, control horizon in use."""
-    Q: Array
-    """(n,) 1/m², weight of the tracking error in use."""
-    R: Array
-    """(n,) 1/rad², weight of the moves in use."""
-    qp_status: Array
-    """(n,) int64: 0 solved, 1 capped, 2 infeasible, 3 not finite, 4 not convex."""
-    qp_iterations: Array
-    """(n,) int64, of the solver that gave the answer."""
-    qp_residual: Array
-    """(n,) largest KKT residual of the answer; NaN when there was none."""
-    at_limit: Array
-    """(n,) int64, sum of 1 (Δu), 2 (u) and 4 (y) for the limits that were active."""
     held: Array
     """(n,) bool, whether a safe steering angle was held for want of a usable solution."""
     step_time: Array
     """(n,) s, wall-clock time of the control step; NaN when it was not measured."""
     period: float
     """s, the control period Ts."""
+    tuning: Mapping[str, Array] = field(default_factory=dict)
+    """Name -> (n,), each float64, int64 or bool: what the controller was tuned to at each instant.
+
+    An MPC's: ``Np`` and ``Nc`` (int64, horizons in control periods), ``Q`` (1/m², weight of the tracking error) and
+    ``R`` (1/rad², weight of the moves).
+    """
+    diagnostics: Mapping[str, Array] = field(default_factory=dict)
+    """Name -> (n,), each float64, int64 or bool: what the controller says of each step.
+
+    An MPC's: ``qp_status`` (int64, as `qp.QPStatus`: 0 solved, 1 capped, 2 infeasible, 3 not convex, 4 not finite),
+    ``qp_iterations`` (int64, of the solver that gave the answer), ``qp_residual`` (largest KKT residual of the answer;
+    NaN when there was none) and ``at_limit`` (int64, sum of 1 (Δu), 2 (u) and 4 (y) for the limits that were active).
+    """
+    units: Mapping[str, str] = field(default_factory=dict)
+    """The units of named arrays, such as ``{"tuning.Q": "1/m^2"}``; ``-`` where left out."""
+    failed: str | None = None
+    """Why the loop that drove it ended the run, by the name that `failure.Reason` gives it; None when it did not."""
+    failed_at: float = math.nan
+    """s, when it did; NaN when it did not."""
     meta: dict[str, Any] = field(default_factory=dict)
     """Provenance, see `provenance`; anything that JSON can hold."""
 
@@ -167,6 +165,13 @@ class Trajectory:
             object.__setattr__(self, column.name, _checked(column, getattr(self, column.name), steps))
         if not (np.isfinite(self.t[0]) and np.allclose(np.diff(self.t), period, rtol=1e-6, atol=0.0)):
             raise InvalidInput(f"trajectory: the times `t` must be finite and one period ({period:g} s) apart.")
+        for name in _NAMED:
+            object.__setattr__(self, name, _named(name, getattr(self, name), steps))
+        object.__setattr__(self, "units", _units(self))
+        if (self.failed is None) != math.isnan(self.failed_at):
+            raise InvalidInput("trajectory: `failed` and `failed_at` go together: the reason and the time, or neither.")
+        object.__setattr__(self, "failed", None if self.failed is None else str(self.failed))
+        object.__setattr__(self, "failed_at", float(self.failed_at))
         object.__setattr__(self, "meta", _as_json(self.meta))
 
     def __len__(self) -> int:
@@ -225,34 +230,21 @@ class Trajectory:
                 f"trajectory: no control period begins in [{start:g}, {end:g}) s; "
                 f"this one covers [{self.t[0]:g}, {self.t[-1] + self.period:g}) s."
             )
-        return dataclasses.replace(self, **{c.name: getattr(self, c.name)[inside] for c in COLUMNS})
+        changes: dict[str, Any] = {c.name: getattr(self, c.name)[inside] for c in COLUMNS}
+        changes |= {name: {k: values[inside] for k, values in getattr(self, name).items()} for name in _NAMED}
+        if self.failed_at > changes["t"][-1] + self.period + rounding:  # not within this window
+            changes |= {"failed": None, "failed_at": math.nan}
+        return dataclasses.replace(self, **changes)
 
     def columns(self) -> dict[str, Array]:
-        """The arrays by the names that they have in a file, each of shape (n,)."""
+        """The arrays by the names that they have in a file (``tuning.Np``), each of shape (n,)."""
         columns: dict[str, Array] = {}
         for column in COLUMNS:
             values = getattr(self, column.name)
             columns |= dict(zip(column.stored_names, values.T if column.parts else (values,), strict=True))
+        for name in _NAMED:
+            columns |= {f"{name}.{key}": values for key, values in getattr(self, name).items()}
         return columns
-
-    def to_table(self) -> Any:
-        """A `pyarrow.Table` with one row per control period; each column's unit is in its field's metadata."""
-        import pyarrow as pa
-
-        units = {name: column.unit for column in COLUMNS for name in column.stored_names}
-        arrays = {name: pa.array(np.ascontiguousarray(values)) for name, values in self.columns().items()}
-        schema = pa.schema(
-            [pa.field(name, a.type, nullable=False, metadata={"unit": units[name]}) for name, a in arrays.items()],
-            metadata={
-                "format": FORMAT,
-                "format_version": str(FORMAT_VERSION),
-                "adaptrack": __version__,
-                "period": repr(self.period),
-                "units": json.dumps(units),
-                "meta": json.dumps(self.meta),
-            },
-        )
-        return pa.Table.from_arrays(list(arrays.values()), schema=schema)
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the trajectory as Parquet: the file appears whole or not at all.
@@ -262,11 +254,17 @@ class Trajectory:
         StorageError
             When that fails; an older file at `path` is then untouched.
         """
-        import pyarrow.parquet as pq
-
-        content = io.BytesIO()
-        pq.write_table(self.to_table(), content, compression="zstd", write_page_checksum=True)
-        write_atomically(path, content.getvalue())
+        units = {name: column.unit for column in COLUMNS for name in column.stored_names} | dict(self.units)
+        stored = [Stored(name, units[name], values) for name, values in self.columns().items()]
+        about = {
+            "adaptrack": __version__,
+            "period": self.period,
+            "units": dict(self.units),
+            "failed": self.failed,
+            "failed_at": None if self.failed is None else self.failed_at,
+            "meta": self.meta,
+        }
+        write_atomically(path, encode_parquet(FORMAT, FORMAT_VERSION, stored, about))
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Self:
@@ -277,23 +275,20 @@ class Trajectory:
         StorageError
             When the file is missing, damaged, not a trajectory, or of another format version; the message says which.
         """
-        table = _read_parquet(path)
-        stored = {key.decode(): value.decode() for key, value in (table.schema.metadata or {}).items()}
-        if stored.get("format") != FORMAT:
-            raise StorageError(f"{os.fspath(path)}: a Parquet file, but not a trajectory that adaptrack saved.")
-        version = stored.get("format_version")
-        if version != str(FORMAT_VERSION):
-            raise StorageError(
-                f"{os.fspath(path)}: written by adaptrack {stored.get('adaptrack', '(unknown)')} in format version "
-                f"{version}, this one reads version {FORMAT_VERSION}; run the simulation again or use that release."
-            )
+        required = [name for column in COLUMNS for name in column.stored_names]
+        remedy = "run the simulation again or use the release that wrote it"
+        columns, about = decode_parquet(read_bytes(path), path, FORMAT, FORMAT_VERSION, remedy, required)
         try:
-            period, meta = float(stored["period"]), json.loads(stored["meta"])
-            arrays = {column.name: _from_table(table, column) for column in COLUMNS}
-            return cls(**arrays, period=period, meta=meta)
-        except (KeyError, ValueError) as error:  # InvalidInput is a ValueError
-            reason = f"no entry {error.args[0]!r}" if isinstance(error, KeyError) else str(error)
-            raise StorageError(f"{os.fspath(path)}: damaged, or edited by another program: {reason}") from error
+            fields: dict[str, Any] = {c.name: _joined([columns.pop(name) for name in c.stored_names]) for c in COLUMNS}
+            fields |= {name: {} for name in _NAMED}
+            for stored, values in columns.items():
+                name, _, key = stored.partition(".")
+                fields[name][key] = values
+            fields |= about | {"failed_at": math.nan if about["failed_at"] is None else about["failed_at"]}
+            del fields["adaptrack"]
+            return cls(**fields)
+        except (KeyError, TypeError, ValueError, AttributeError) as error:  # InvalidInput is a ValueError
+            raise Damaged(f"{os.fspath(path)}: damaged, or edited by another program: {error}") from error
 
 
 def provenance(
@@ -355,43 +350,45 @@ def _checked(column: Column, values: Any, steps: int) -> Array:
     return view
 
 
+def _named(group: str, given: Mapping[str, Any], steps: int) -> Mapping[str, Array]:
+    """Arrays by name, each of one of the types that a file stores."""
+    kinds: dict[str, Literal["real", "whole", "truth"]] = {"f": "real", "i": "whole", "u": "whole", "b": "truth"}
+    arrays = {}
+    for name, values in given.items():
+        if not re.fullmatch(r"[A-Za-z]\w*", name, re.ASCII):
+            raise InvalidInput(f"trajectory: {group}: {name!r} must be a name of letters, digits and _.")
+        kind = kinds.get(np.asarray(values).dtype.kind)
+        if kind is None:
+            raise InvalidInput(f"trajectory: `{group}[{name!r}]` must hold numbers or truth values.")
+        arrays[name] = _checked(Column(f"{group}[{name!r}]", "-", kind), values, steps)
+    return arrays
+
+
+def _units(run: Trajectory) -> Mapping[str, str]:
+    """The unit of each named array, by the name that it has in a file."""
+    names = [f"{group}.{name}" for group in _NAMED for name in getattr(run, group)]
+    unknown = sorted(set(run.units) - set(names))
+    if unknown:
+        raise InvalidInput(f"trajectory: `units` names {unknown[0]!r}, which this run does not hold.")
+    return {name: str(run.units.get(name, "-")) for name in names}
+
+
 def _as_json(meta: Mapping[str, Any]) -> dict[str, Any]:
     """`meta` as JSON would give it back, so that a saved and a loaded trajectory hold the same."""
     for key, value in meta.items():
         try:
             json.dumps(value)
-        except (TypeError, ValueError) as error:
+        except (TypeError, ValueError, RecursionError) as error:
             raise InvalidInput(f"trajectory: `meta[{key!r}]` cannot be written as JSON: {error}.") from None
+    try:
+        check_texts("trajectory: `meta`", meta)
+    except ConfigError as error:
+        raise InvalidInput(str(error)) from None
     return json.loads(json.dumps(dict(meta)))
 
 
-def _read_parquet(path: str | os.PathLike[str]) -> Any:
-    import pyarrow as pa
-    import pyarrow.parquet as pq
-
-    try:
-        content = Path(path).read_bytes()
-    except OSError as error:
-        raise StorageError(f"{os.fspath(path)}: cannot be read: {error.strerror or error}.") from error
-    try:
-        # without threads: one that outlives the interpreter aborts it
-        return pq.ParquetFile(pa.BufferReader(content), page_checksum_verification=True).read(use_threads=False)
-    except (pa.ArrowException, OSError) as error:
-        reason = str(error).splitlines()[0].rstrip(".")
-        raise StorageError(f"{os.fspath(path)}: not a Parquet file, or damaged: {reason}.") from error
-
-
-def _from_table(table: Any, column: Column) -> Array:
-    """The array of shape (n,) or (n, m) that `column` has in a file; ValueError with the reason when it has not."""
-    arrays = []
-    for name in column.stored_names:
-        if name not in table.column_names:
-            raise ValueError(f"no column {name!r}")
-        values = table.column(name)
-        if values.null_count:
-            raise ValueError(f"{values.null_count} missing values in column {name!r}")
-        arrays.append(values.to_numpy())
-    return np.stack(arrays, axis=1) if column.parts else arrays[0]
+def _joined(columns: list[Array]) -> Array:
+    return np.stack(columns, axis=1) if len(columns) > 1 else columns[0]
 
 
 def _version_of(package: str) -> str:

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, Literal, Self
 from pydantic import Field, ValidationInfo, field_validator
 
 from adaptrack.errors import ContractError, InvalidInput, UnknownName, did_you_mean
-from adaptrack.toml_files import Record, build, read_toml
+from adaptrack.files import Record, build, read_toml
 
 if TYPE_CHECKING:
     import numpy as np
@@ -129,15 +129,22 @@ class SteeringActuator(Record):
         """The wheels follow the command at once and without limit (the MPC's own limits remain)."""
         return cls()
 
-    @classmethod
-    def road(cls) -> Self:
-        """A production car under computer control: lag 0.15 s, rate 0.5 rad/s, limit pi/6.
 
-        Published values lie on both sides of them. Delay of the steering: 0.1 s, some cars 0.2 s (opendbc,
-        `steerActuatorDelay`); lag 0.27 s behind 0.24 s of dead time (Autoware, simple_planning_simulator). Rate:
-        0.4 rad/s (CommonRoad vehicle models, vehicle 2). Limit: the bound on the command in the paper's table.
-        """
-        return cls(lag=0.15, rate=0.5, limit=math.pi / 6)
+class Steering(Record):
+    """What is known of a car's steering: the section ``[steering]`` of a car file. What is left out is unknown.
+
+    All angles are those of the road wheels. The simulated actuator is a profile's, see `SteeringActuator`.
+    """
+
+    lag: float | None = Field(default=None, ge=0, le=10, description="s, time constant of the first-order lag; 0: none")
+    dead_time: float | None = Field(
+        default=None, ge=0, le=10, description="s, from a command until the wheels begin to move"
+    )
+    rate: float | None = Field(default=None, gt=0, le=100, description="rad/s, fastest change of the angle")
+    limit: float | None = Field(default=None, gt=0, le=math.pi / 2, description="rad, largest angle to either side")
+    ratio: float | None = Field(
+        default=None, gt=0, le=100, description="-, angle of the steering wheel over that of the road wheels"
+    )
 
 
 class Vehicle(Record):
@@ -184,6 +191,8 @@ class Vehicle(Record):
     brake_limit: float = Field(default=15000.0, gt=0, le=1e6, description="N, braking force, all wheels together")
     drive_front: float = Field(default=1.0, ge=0, le=1, description="-, share of the driving force on the front axle")
     brake_front: float = Field(default=0.65, ge=0, le=1, description="-, share of the braking force on the front axle")
+
+    steering: Steering | None = Field(default=None, description="what is known of the steering, see `Steering`")
 
     @field_validator("tyre")
     @classmethod
@@ -243,6 +252,16 @@ class Vehicle(Record):
             )
         return vx / (self.wheelbase + self.understeer_gradient * vx**2)
 
+    def to_toml(self, path: str | os.PathLike[str]) -> None:
+        """Write the car as TOML, each value with its meaning and unit behind it; the new car has the file's name.
+
+        Raises
+        ------
+        StorageError
+            When the file cannot be written.
+        """
+        super(Vehicle, self.replace(name=Path(path).stem)).to_toml(path)
+
     def matched_to(self, tyre: Tyre) -> Self:
         """A copy whose prediction model has the stiffness of `tyre` at the car's static wheel loads."""
         front, rear = tyre.stiffness_at(*self.static_loads)
@@ -259,7 +278,7 @@ def pack_plant(vehicle: Vehicle, tyre: Tyre, actuator: SteeringActuator) -> NDAr
     """
     import numpy as np
 
-    from adaptrack.kernels.abi import PLANT_PARAMETERS
+    from adaptrack.kernels.plants.parameters import PLANT_PARAMETERS
 
     s0, s1, s2 = tyre.stiffness_load_coefficients
     values = {
@@ -276,7 +295,9 @@ def pack_plant(vehicle: Vehicle, tyre: Tyre, actuator: SteeringActuator) -> NDAr
     if set(values) != set(PLANT_PARAMETERS):
         missing = sorted(set(PLANT_PARAMETERS) - set(values))
         unused = sorted(set(values) - set(PLANT_PARAMETERS))
-        raise ContractError(f"pack_plant and kernels.abi.PLANT_PARAMETERS differ: missing {missing}, unused {unused}.")
+        raise ContractError(
+            f"pack_plant and kernels.plants.parameters.PLANT_PARAMETERS differ: missing {missing}, unused {unused}."
+        )
     return np.array([values[name] for name in PLANT_PARAMETERS], dtype=np.float64)
 
 
@@ -315,12 +336,12 @@ _FROM_TYRE = (
 
 def list_vehicles() -> list[str]:
     """The names that `load_vehicle` knows, sorted."""
-    return _names("vehicles")
+    return list_data("vehicles")
 
 
 def list_tyres() -> list[str]:
     """The names that `load_tyre` knows, sorted."""
-    return _names("tyres")
+    return list_data("tyres")
 
 
 def load_vehicle(name_or_path: str | os.PathLike[str]) -> Vehicle:
@@ -338,7 +359,7 @@ def load_vehicle(name_or_path: str | os.PathLike[str]) -> Vehicle:
     ConfigError
         When it is not TOML, or holds an unknown, missing or impossible value; all of them are in the message.
     """
-    path = _find("vehicles", name_or_path)
+    path = find_data("vehicles", name_or_path)
     data = {"name": path.stem, **read_toml(path)}
     tyre = data.get("tyre")
     if isinstance(tyre, str) and _is_path(tyre):
@@ -348,20 +369,30 @@ def load_vehicle(name_or_path: str | os.PathLike[str]) -> Vehicle:
 
 def load_tyre(name_or_path: str | os.PathLike[str]) -> Tyre:
     """The named tyre, or the one that a TOML file describes (keys: the fields of `Tyre`); see `load_vehicle`."""
-    path = _find("tyres", name_or_path)
+    path = find_data("tyres", name_or_path)
     return build(Tyre, {"name": path.stem, **read_toml(path)}, path)
 
 
-def _names(folder: str) -> list[str]:
+def list_data(folder: str) -> list[str]:
+    """The names of the shipped TOML files of one folder (vehicles, tyres, profiles), sorted."""
     return sorted(path.stem for path in (_DATA / folder).glob("*.toml"))
 
 
-def _find(folder: str, name_or_path: str | os.PathLike[str]) -> Path:
+def find_data(folder: str, name_or_path: str | os.PathLike[str]) -> Path:
+    """The TOML file that a name (of a shipped one in the folder) or a path means.
+
+    Raises
+    ------
+    UnknownName
+        When nothing has this name.
+    InvalidInput
+        For what is neither text nor a path.
+    """
     if isinstance(name_or_path, os.PathLike) or _is_path(name_or_path):
         return Path(name_or_path)
     if not isinstance(name_or_path, str):
         raise InvalidInput(f"a {folder[:-1]} is given by its name or by the path of its file, not by {name_or_path!r}.")
-    known = _names(folder)
+    known = list_data(folder)
     if name_or_path not in known:
         hint = did_you_mean(name_or_path, known)
         raise UnknownName(f"no {folder[:-1]} is named {name_or_path!r}. {hint} A file is given by its .toml path.")

@@ -1,4 +1,4 @@
-"""The record of tuned conditions, its file, and the data sets that ship with the package."""
+"""The record of tuned operating points, its file, and the data sets that ship with the package."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from adaptrack.errors import InvalidInput, StorageError, UnknownName, did_you_mean
-from adaptrack.toml_files import write_atomically
-from adaptrack.tuning.conditions import NAMES, check_conditions, fold
-from adaptrack.tuning.store import COLUMNS, DATA_SET, Columns, Damaged, decode, encode, unfinished
+from adaptrack.files import Damaged, read_bytes, safe_name, write_atomically
+from adaptrack.tuning.operating_points import NAMES, check_operating_points, fold
+from adaptrack.tuning.store import COLUMNS, DATA_SET, Columns, decode, encode, unfinished
 
 Array = NDArray[Any]
 
@@ -25,7 +25,7 @@ _MORE = ("evaluations", "control_steps", "stream", "mirrored_from", "seed")
 
 @dataclass(frozen=True, eq=False)
 class DataSet:
-    """n tuned conditions: the best tuning that a swarm found on each, and what a library of T tunings costs there.
+    """n tuned operating points: the best tuning that a swarm found at each, and what a library of T tunings costs.
 
     Costs are J = mean e^2 + w mean (change of command)^2 in m^2, over one run of the profile and scenario that the
     provenance names; inf where the car was lost. Arrays are read-only, float64 unless said otherwise.
@@ -33,10 +33,10 @@ class DataSet:
     Raises
     ------
     InvalidInput
-        When arrays do not fit together or a condition makes no sense.
+        When arrays do not fit together or an operating point makes no sense.
     """
 
-    conditions: Array
+    operating_points: Array
     """(n, 4) speed (m/s), y_ref (m), friction, wind (m/s)"""
     tunings: Array
     """(n, 4) Np, Nc (control periods), Q (1/m^2), R (1/rad^2) of the best tuning found"""
@@ -55,7 +55,7 @@ class DataSet:
     control_steps: Array
     """(n,) int64, control periods that it simulated"""
     stream: Array
-    """(n,) int64, number of the condition in its campaign"""
+    """(n,) int64, number of the operating point in its campaign"""
     mirrored_from: Array
     """(n,) int64, number of the left-right twin that was computed instead, or -1"""
     seed: Array
@@ -64,7 +64,7 @@ class DataSet:
     """name, settings, identity (their SHA-256), versions of the software"""
 
     def __post_init__(self) -> None:
-        rows = check_conditions(self.conditions)
+        rows = check_operating_points(self.operating_points)
         n, library = len(rows), np.asarray(self.library, dtype=np.float64)
         if library.ndim != 2 or library.shape[1] != 4:
             raise InvalidInput(f"data set: `library` must have the shape (T, 4), it has {library.shape}.")
@@ -72,13 +72,13 @@ class DataSet:
         for each in fields(self):
             if each.name == "provenance":
                 continue
-            value = rows if each.name == "conditions" else getattr(self, each.name)
+            value = rows if each.name == "operating_points" else getattr(self, each.name)
             kind = "float32" if each.name in wide else whole.get(each.name, "float64")
             array = np.ascontiguousarray(value, dtype=kind).view()
             shape: tuple[int | None, ...] = (n,)
             if each.name == "library":
                 shape = library.shape
-            elif each.name in ("conditions", "tunings"):
+            elif each.name in ("operating_points", "tunings"):
                 shape = (n, 4)
             elif each.name in wide:
                 shape = (n, wide[each.name])
@@ -88,11 +88,11 @@ class DataSet:
             object.__setattr__(self, each.name, array)
 
     def __len__(self) -> int:
-        """The number n of conditions."""
-        return len(self.conditions)
+        """The number n of operating points."""
+        return len(self.operating_points)
 
     def __repr__(self) -> str:
-        return f"<DataSet {self.name!r}: {len(self)} conditions, library of {len(self.library)} tunings>"
+        return f"<DataSet {self.name!r}: {len(self)} operating points, library of {len(self.library)} tunings>"
 
     @property
     def name(self) -> str:
@@ -102,9 +102,9 @@ class DataSet:
     @property
     def command(self) -> str:
         """The command that makes it again (with the campaign's own file, unless that ships with the package)."""
-        ships = (_DATA.with_name("campaigns") / f"{self.name}.toml").exists()
-        config = self.name if ships else f"{self.name}.toml"
-        return shlex.join(["adaptrack", "tune", "--config", config, "--out", self.name])
+        name = safe_name(self.name)
+        ships = name in {path.stem for path in _DATA.with_name("campaigns").glob("*.toml")}
+        return shlex.join(["adaptrack", "tune", "--config", name if ships else f"{name}.toml", "--out", name])
 
     @property
     def ratios(self) -> Array:
@@ -113,12 +113,12 @@ class DataSet:
 
     @property
     def best_costs(self) -> Array:
-        """(n,) the lowest cost known on each condition: the swarm's or a tuning's of the library."""
+        """(n,) the lowest cost known at each operating point: the swarm's or a tuning's of the library."""
         return np.minimum(self.costs, self.landscape.min(axis=1, initial=np.inf).astype(np.float64))
 
     @property
     def computed(self) -> NDArray[np.bool_]:
-        """(n,) whether a swarm searched this very condition, rather than its left-right twin."""
+        """(n,) whether a swarm searched this very operating point, rather than its left-right twin."""
         return self.mirrored_from < 0
 
     def rows(self, which: ArrayLike) -> Self:
@@ -137,20 +137,22 @@ class DataSet:
         InvalidInput
             When one part would be empty.
         """
-        family = fold(self.conditions).family
+        family = fold(self.operating_points).family
         families = int(family.max()) + 1
         out = round(fraction * families) if 0.0 < fraction < 1.0 else 0
         if not 0 < out < families:
             raise InvalidInput(
-                f"fraction = {fraction!r}: holds {out} of {families} independent conditions out; need at least one, "
-                "and one left to learn from."
+                f"fraction = {fraction!r}: holds {out} of {families} independent operating points out; need at "
+                "least one, and one left to learn from."
             )
         held = np.isin(family, np.random.default_rng(seed).permutation(families)[:out])
         return self.rows(~held), self.rows(held)
 
     def columns(self) -> Columns:
         """The arrays by the names that they have in a file."""
-        columns = dict(zip(NAMES, self.conditions.T, strict=True)) | dict(zip(_TUNING, self.tunings.T, strict=True))
+        columns = dict(zip(NAMES, self.operating_points.T, strict=True)) | dict(
+            zip(_TUNING, self.tunings.T, strict=True)
+        )
         columns |= {name: getattr(self, name) for name in _MORE}
         columns |= {"r_over_q": self.ratios, "cost": self.costs, "standard_cost": self.standard_costs}
         columns |= {"trace": self.traces, "landscape": self.landscape}
@@ -176,11 +178,11 @@ class DataSet:
         StorageError
             When the file is missing, damaged, no data set, or of another format version; the message says which.
         """
-        columns, about = decode(path, DATA_SET)
+        columns, about = decode(read_bytes(path), path, DATA_SET)
         try:
             library = np.array(about.pop("library"), dtype=np.float64)
             return cls(
-                conditions=np.column_stack([columns[name] for name in NAMES]),
+                operating_points=np.column_stack([columns[name] for name in NAMES]),
                 tunings=np.column_stack([columns[name] for name in _TUNING]),
                 costs=columns["cost"],
                 standard_costs=columns["standard_cost"],
@@ -190,7 +192,7 @@ class DataSet:
                 provenance=about,
                 **{name: columns[name] for name in _MORE},
             )
-        except (KeyError, ValueError) as error:
+        except (KeyError, ValueError, TypeError, OverflowError) as error:
             raise Damaged(f"{os.fspath(path)}: damaged, or edited by another program: {error}.") from error
 
 

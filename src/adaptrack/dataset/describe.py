@@ -1,23 +1,23 @@
-"""What is in a data set: its ranges, its optimum, how much of that the conditions explain, and how flat it is."""
+"""What is in a data set: its ranges, its optimum, what they cost, and how flat it is."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from adaptrack.dataset.boosting import CrossValidated, cross_validate
 from adaptrack.dataset.data import DataSet
-from adaptrack.errors import InvalidInput
-from adaptrack.tuning.conditions import COLUMNS, canonical
+from adaptrack.tuning.operating_points import COLUMNS
 
 Array = NDArray[np.float64]
 
 TARGETS = ("Np", "Nc", "log Q", "log R", "log R/Q")
-"""What is learnt from a data set, of the best tuning found on each condition."""
+"""What is learnt from a data set, of the best tuning found at each operating point."""
 
-LEARNER = "boosted oblivious trees, 5-fold cross-validation"
+LEARNER = "gradient-boosted trees (scikit-learn), 5-fold cross-validation"
+"""What R^2 is of, see `learning.boosting`."""
 
 
 def targets(dataset: DataSet) -> dict[str, Array]:
@@ -26,39 +26,21 @@ def targets(dataset: DataSet) -> dict[str, Array]:
     return dict(zip(TARGETS, (Np, Nc, np.log(Q), np.log(R), np.log(R / Q)), strict=True))
 
 
-def explained(dataset: DataSet, target: str, folds: int = 5, seed: int = 0) -> CrossValidated:
-    """How much of a target the conditions explain: cross-validated R^2 of a strong learner, see `boosting`.
-
-    Only rows that a swarm searched count, without those where every tuning lost the car; each is shown to the learner
-    from its left side, so that left-right twins cannot stand on both sides of a fold.
-
-    Raises
-    ------
-    InvalidInput
-        For a target that is none of `TARGETS`, or fewer rows than ten per fold.
-    """
-    if target not in TARGETS:
-        raise InvalidInput(f"target = {target!r}: must be one of {', '.join(map(repr, TARGETS))}.")
-    rows = dataset.rows(dataset.computed & np.isfinite(dataset.costs))
-    if len(rows) < 10 * folds:
-        raise InvalidInput(f"{len(rows)} usable conditions are too few for {folds} folds: need {10 * folds}.")
-    return cross_validate(canonical(rows.conditions), targets(rows)[target], folds, seed)
-
-
 def flatness(dataset: DataSet, within: float) -> Array:
-    """(m,) share of the library whose cost is at most (1 + within) times the lowest known, on each condition.
+    """(m,) share of the library whose cost is at most (1 + within) times the lowest known, at each operating point.
 
-    Conditions count that a swarm searched and where some tuning kept the car.
+    Operating points count that a swarm searched and where some tuning kept the car.
     """
     best = dataset.best_costs
     rows = dataset.computed & np.isfinite(best)
     return (dataset.landscape[rows] <= ((1.0 + within) * best[rows])[:, np.newaxis]).mean(axis=1)
 
 
-def describe(dataset: DataSet, r2: bool = True) -> dict[str, Any]:
-    """What is in a data set, as plain JSON: tables are lists of rows; r2: some seconds of cross-validation.
+def describe(dataset: DataSet, r2: Mapping[str, float] | None = None) -> dict[str, Any]:
+    """What is in a data set, as plain JSON: tables are lists of rows.
 
-    Statistics are over the conditions that a swarm searched; their left-right twins would count twice.
+    r2: how much of each target the operating points explain, see `learning.boosting.explained_shares`; unknown when
+    left out. Statistics are over the operating points that a swarm searched; their left-right twins would count twice.
     """
     rows = dataset.rows(dataset.computed)
     settings = dataset.provenance.get("settings", {})
@@ -67,10 +49,9 @@ def describe(dataset: DataSet, r2: bool = True) -> dict[str, Any]:
     known = np.isfinite(rows.best_costs) & (rows.best_costs > 0.0)
     behind = rows.costs[known] / rows.best_costs[known] - 1.0
     bounds = _bounds(settings.get("search"))
-    enough = int(np.isfinite(rows.costs).sum()) >= 50
     return {
         "name": dataset.name,
-        "conditions": len(dataset),
+        "operating_points": len(dataset),
         "computed": len(rows),
         "library": len(dataset.library),
         **{key: settings.get(key) for key in ("profile", "scenario", "duration", "plant", "move_price", "noise_seeds")},
@@ -89,14 +70,14 @@ def describe(dataset: DataSet, r2: bool = True) -> dict[str, Any]:
                 "highest": float(values.max()),
                 "levels": int(np.unique(values).size),
             }
-            for column, values in zip(COLUMNS, dataset.conditions.T, strict=True)
+            for column, values in zip(COLUMNS, dataset.operating_points.T, strict=True)
         ],
         "optimum": [
             {
                 "target": name,
                 **_spread(values),
                 "at_a_bound": _at_bounds(values, bounds.get(name)),
-                "r2": explained(dataset, name).r2 if r2 and enough else None,
+                "r2": (r2 or {}).get(name),
             }
             for name, values in targets(rows).items()
         ],

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from adaptrack.closed_loop import LOST_COST, Course, Policy
 from adaptrack.errors import InvalidInput
-from adaptrack.schedule import Schedule
+from adaptrack.scheduling import Schedule
 from adaptrack.tuning.objective import Objective
 from adaptrack.tuning.pso import SearchSpace, SwarmSettings
 
@@ -108,10 +108,10 @@ def climb(
 
 
 def _shares(counts: Array) -> dict[str, float]:
-    from adaptrack.kernels import inference
+    from adaptrack.kernels import guard
 
     total = counts.sum(axis=0)
-    return {name: float(total[i] / total[0]) for i, name in enumerate(inference.COUNTS) if i > 0}
+    return {name: float(total[i] / total[0]) for i, name in enumerate(guard.COUNTS) if i > 0}
 
 
 def optimum(

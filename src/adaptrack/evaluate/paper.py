@@ -20,18 +20,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from adaptrack.controllers import MPC, Moves, Tuning
 from adaptrack.dataset import DataSet, load_dataset
 from adaptrack.errors import InvalidInput
 from adaptrack.learning.mlp import MLP
 from adaptrack.learning.training import Trained, train
 from adaptrack.metrics import PUBLISHED, compute_metrics, published_mse
-from adaptrack.mpc import MPC, Condition, Moves, Tuning
 from adaptrack.plant import DualTrack, Plant, SingleTrack
 from adaptrack.scenario import Scenario, load_scenario
-from adaptrack.schedule import SLOTS, Learned, Lookup, Schedule
+from adaptrack.scheduling import ENTRIES, Learned, Lookup, Schedule, SchedulingVariables
 from adaptrack.simulate import rollout, rollout_batch, simulate
 from adaptrack.trajectory import Trajectory
-from adaptrack.tuning.conditions import NAMES
+from adaptrack.tuning.operating_points import NAMES
 from adaptrack.vehicle import load_vehicle
 
 Array = NDArray[np.float64]
@@ -118,7 +118,7 @@ class Reproduction:
     """a closed-loop run each: configuration, scenario, controller, preview, moves, paper_mse, ratio (to the paper),
     clipped_share (of the steps, with a scheduler's input outside its domain), and all of `Metrics`"""
     ablation: list[Row]
-    """scenario, moves, controller, adapts, mse, lost, constants_better (tunings of the library with a lower MSE)"""
+    """scenario, moves, controller, adapts, mse, failed, constants_better (tunings of the library with a lower MSE)"""
     shares: list[Row]
     """scenario, controller, gain (standard MSE over its own), pole, adaptation (factors of the gain), pole_share,
     adaptation_share (of its logarithm)"""
@@ -160,9 +160,9 @@ def search_bounds(dataset: DataSet) -> dict[str, tuple[float, float]]:
         When the provenance does not tell.
     """
     search = dataset.provenance.get("settings", {}).get("search", {})
-    if not set(SLOTS) <= set(search):
+    if not set(ENTRIES) <= set(search):
         raise InvalidInput(f"data set {dataset.name!r}: its provenance does not tell the bounds of its search.")
-    return {slot: (float(search[slot][0]), float(search[slot][1])) for slot in SLOTS}
+    return {slot: (float(search[slot][0]), float(search[slot][1])) for slot in ENTRIES}
 
 
 def scheduler(trained: Trained, dataset: DataSet, clamps: Mapping[str, tuple[float, float]] | None = None) -> Schedule:
@@ -232,13 +232,13 @@ def lookup(dataset: DataSet) -> Schedule:
     InvalidInput
         When they do not.
     """
-    nodes, places = zip(*(np.unique(column, return_inverse=True) for column in dataset.conditions.T), strict=True)
+    nodes, places = zip(*(np.unique(column, return_inverse=True) for column in dataset.operating_points.T), strict=True)
     sizes = tuple(map(len, nodes))
     if not len(dataset) == math.prod(sizes) == np.unique(np.ravel_multi_index(places, sizes)).size:
         raise InvalidInput(
             f"data set {dataset.name!r}: its {len(dataset)} conditions do not fill a grid, which a look-up table needs."
         )
-    tunings = np.empty((*sizes, len(SLOTS)))
+    tunings = np.empty((*sizes, len(ENTRIES)))
     tunings[places] = dataset.tunings
     return Lookup(dict(zip(NAMES, nodes, strict=True)), tunings)
 
@@ -381,7 +381,7 @@ def measure(configuration: Configuration, contender: Contender, scenario: Scenar
 def outside(run: Trajectory, schedule: Schedule) -> dict[str, float]:
     """Share of the driven steps at which each input of `schedule` is outside its domain, by name; `any` of them."""
     conditions = dict(
-        zip(Condition._fields, (run.vx, run.y_ref, run.friction.mean(axis=1), run.wind[:, 1]), strict=False)
+        zip(SchedulingVariables._fields, (run.vx, run.y_ref, run.friction.mean(axis=1), run.wind[:, 1]), strict=False)
     )
     inputs = np.column_stack([conditions[name] for name in schedule.inputs])[np.isfinite(run.command)]
     clipped = (inputs < schedule.domain[:, 0]) | (inputs > schedule.domain[:, 1])
@@ -416,7 +416,7 @@ def ablation(
                     "controller": name,
                     "adapts": adapts,
                     "mse": _finite(measures.mse),
-                    "lost": measures.lost,
+                    "failed": measures.failed,
                     "constants_better": int((by_constants < measures.mse).sum()),
                 }
                 for name, adapts, measures in told
@@ -428,7 +428,7 @@ def ablation(
                     "controller": "best-in-hindsight",
                     "adapts": False,
                     "mse": _finite(float(by_constants.min())),
-                    "lost": not math.isfinite(by_constants.min()),
+                    "failed": not math.isfinite(by_constants.min()),
                     "constants_better": 0,
                 }
             )

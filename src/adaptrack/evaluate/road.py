@@ -10,16 +10,17 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import cKDTree
 
 from adaptrack.closed_loop import LOST_BEYOND, SPIN_BEYOND, Course
+from adaptrack.controllers import MPC, Tuning
 from adaptrack.dataset import DataSet
 from adaptrack.errors import InvalidInput
 from adaptrack.estimation import FrictionWindEstimator, Perception
 from adaptrack.metrics import PUBLISHED
-from adaptrack.mpc import MPC, Tuning
-from adaptrack.plant import DualTrack, Plant, SingleTrack, load_profile
+from adaptrack.plant import DualTrack, Plant, SingleTrack
+from adaptrack.profile import load_profile
 from adaptrack.scenario import load_scenario, random_drive
-from adaptrack.schedule import Lookup, Schedule
-from adaptrack.tuning.conditions import NAMES, check_conditions
+from adaptrack.scheduling import Lookup, Schedule
 from adaptrack.tuning.objective import Objective
+from adaptrack.tuning.operating_points import NAMES, check_operating_points
 from adaptrack.vehicle import Vehicle
 
 Array = NDArray[np.float64]
@@ -70,7 +71,7 @@ def condition_course(
     plant: Plant, mpc: MPC, conditions: ArrayLike, profile: str = "road", known: Told = None
 ) -> Course:
     """One smooth lane change in a gust for each condition (n, 4)."""
-    rows = check_conditions(conditions)
+    rows = check_operating_points(conditions)
     runs = [load_scenario("lane-change", speed=v, amplitude=y, friction=mu, gust=w) for v, y, mu, w in rows.tolist()]
     return Course(plant, mpc, runs, profile, stride=8, told=known)
 
@@ -126,7 +127,7 @@ def neighbour_lookup(dataset: DataSet, nodes: Mapping[str, ArrayLike], neighbour
     at. nodes: along some or all of speed, y_ref, friction and wind; distances are measured in ranges of the data.
     """
     axes = {name: np.asarray(values, dtype=float) for name, values in nodes.items()}
-    seen = dataset.conditions[:, [NAMES.index(name) for name in axes]]
+    seen = dataset.operating_points[:, [NAMES.index(name) for name in axes]]
     reach = np.ptp(seen, axis=0)
     grid = np.stack(np.meshgrid(*axes.values(), indexing="ij"), axis=-1)
     _, near = cKDTree(seen / reach).query(

@@ -16,6 +16,7 @@ import logging
 import os
 import re
 import sys
+import warnings
 from collections import namedtuple
 from collections.abc import Callable, Iterable, Iterator
 from functools import cache
@@ -23,9 +24,11 @@ from pathlib import Path
 from typing import Any
 
 import numba
+import numpy as np
 from llvmlite import ir
 from numba import types
 from numba.core import config as _numba_config
+from numba.core.errors import NumbaExperimentalFeatureWarning
 from numba.extending import intrinsic
 
 INTERPRETED = bool(_numba_config.DISABLE_JIT)
@@ -35,11 +38,15 @@ INLINE: dict[str, Any] = {"nogil": True, "error_model": "numpy", "forceinline": 
 """Options of the small formulas that are always inlined. Without numba's run-time (`_nrt`) nothing can be allocated,
 and no array is counted in and out of a call."""
 
+PART: dict[str, Any] = {"nogil": True, "error_model": "numpy", "inline": "always"}
+"""Options of a part of a longer algorithm: it is put in the place of its call before anything is compiled. A function
+that is compiled by itself is optimised with all that it calls, so deep calls of large functions would cost minutes."""
+
 ROUTINE: dict[str, Any] = {"nogil": True, "error_model": "numpy", "cache": True, "_nrt": False}
 """Options of the routines that are compiled once and loaded from the cache."""
 
-INLINED_ROUTINE: dict[str, Any] = {**ROUTINE, "forceinline": True}
-"""A routine that Python calls and that kernels inline: handing a workspace of many arrays on costs time."""
+SHARED_PART: dict[str, Any] = {**ROUTINE, "inline": "always"}
+"""A part of a longer algorithm that Python calls as well."""
 
 float64 = types.float64
 int64 = types.int64
@@ -80,6 +87,64 @@ def record(name: str, fields: Iterable[str]) -> Any:
     It belongs to the module that asks for it: the compiler's cache finds a class again by module and name.
     """
     return namedtuple(name, list(fields), module=sys._getframe(1).f_globals["__name__"])
+
+
+def structure(fields: Iterable[tuple[Any, ...]]) -> Any:
+    """A structured data type: rows of an array of it are read as `array[i].name`, compiled or not."""
+    return np.dtype((np.record, np.dtype(list(fields), align=True)))
+
+
+def row(kind: Any) -> Any:
+    """The compiler's type of one row of a `structure`."""
+    return numba.from_dtype(kind)
+
+
+def rows(kind: Any) -> Any:
+    """The compiler's type of an array of a `structure`."""
+    return types.Array(row(kind), 1, "C")
+
+
+def columns(*names: str) -> Any:
+    """The places 0, 1, ... of columns (or rows) under their names: ``C = columns("x", "y")``, then ``row[C.y]``."""
+    return namedtuple("Columns", names)(*range(len(names)))
+
+
+def function_tuple(*kinds: Any) -> Any:
+    """The type of a tuple of functions."""
+    with warnings.catch_warnings():  # see `_compiled`
+        warnings.simplefilter("ignore", NumbaExperimentalFeatureWarning)
+        return types.Tuple(kinds)
+
+
+def unpacker(kind: Any) -> Any:
+    """A kernel that gives the entries of a vector the names of a `record`, in the order of its fields."""
+    places = ", ".join(f"p[{i}]" for i in range(len(kind._fields)))
+    scope: dict[str, Any] = {"kind": kind}
+    exec(f"def unpack(p):\n    return kind({places})", scope)
+    return njit(**INLINE)(scope["unpack"])
+
+
+class Structure:
+    """Rows of numbers under names, one row per slot of a batch (or a single one): an array of NumPy records.
+
+    In a kernel ``rows[i].name`` reads and writes; `type` stands in signatures. Fields are float64, or int64 where the
+    name is in `whole`.
+    """
+
+    def __init__(self, fields: Iterable[str], whole: Iterable[str] = ()) -> None:
+        self.fields, integers = tuple(fields), set(whole)
+        self.dtype = structure([(name, "i8" if name in integers else "f8") for name in self.fields])
+        self.type = rows(self.dtype)
+
+    def new(self, count: int = 1, **values: Any) -> Any:
+        """An array (count,), zero but for the fields given; every row alike.
+
+        Raises KeyError for a name that is no field.
+        """
+        rows = np.zeros(count, self.dtype)
+        for name, value in values.items():
+            rows[name] = value
+        return rows
 
 
 _ROOM = Path(__file__).parent
@@ -158,6 +223,12 @@ def _say_once(text: str) -> None:
     logging.getLogger("adaptrack").warning("adaptrack: %s", text)
 
 
+def _compiled(function: Any, signature: Any, options: dict[str, Any]) -> Any:
+    with warnings.catch_warnings():  # functions as arguments work; numba calls them experimental each time
+        warnings.simplefilter("ignore", NumbaExperimentalFeatureWarning)
+        return numba.njit(*signature, **options)(function)
+
+
 def njit(*signature: Any, **options: Any) -> Callable[[Any], Any]:
     """`numba.njit`, its cache in the `cache_directory` of the file that holds the function."""
 
@@ -166,55 +237,11 @@ def njit(*signature: Any, **options: Any) -> Callable[[Any], Any]:
             cache_directory(Path(function.__code__.co_filename)) if options.get("cache") and not INTERPRETED else None
         )
         if kept is None:
-            return numba.njit(*signature, **{**options, "cache": False})(function)
+            return _compiled(function, signature, {**options, "cache": False})
         users, _numba_config.CACHE_DIR = _numba_config.CACHE_DIR, str(kept)
         try:
-            return numba.njit(*signature, **options)(function)
+            return _compiled(function, signature, options)
         finally:
             _numba_config.CACHE_DIR = users
 
     return decorate
-
-
-PLANT_PARAMETERS = (
-    # body
-    "mass",  # kg
-    "yaw_inertia",  # kg m^2
-    "lf",  # m, centre of gravity to front axle
-    "lr",  # m, centre of gravity to rear axle
-    "track_front",  # m
-    "track_rear",  # m
-    "cg_height",  # m
-    "load_transfer_time",  # s, first-order lag from acceleration to wheel load
-    # air
-    "frontal_area",  # m^2
-    "air_density",  # kg/m^3
-    "drag_coefficient",  # -
-    "side_force_slope",  # 1/rad, side-force coefficient per relative wind angle
-    "yaw_moment_slope",  # 1/rad
-    "wind_angle_limit",  # rad, both coefficients stay constant beyond it
-    # powertrain
-    "rolling_resistance",  # -
-    "engine_power",  # W
-    "traction_limit",  # N, wheel-force limit of the drivetrain
-    "brake_limit",  # N
-    "drive_front",  # share of the traction on the front axle, 0..1
-    "brake_front",  # share of the braking on the front axle, 0..1
-    # tyre
-    "tyre_linear",  # 1 linear, 0 Magic Formula
-    "stiffness_front",  # N/rad per tyre at the nominal load
-    "stiffness_rear",  # N/rad per tyre at the nominal load
-    "nominal_load",  # N
-    "stiffness_load_0",  # stiffness(F_z)/stiffness = (s0 + s1 q)/(1 + s2 q^2), q = F_z/nominal_load
-    "stiffness_load_1",
-    "stiffness_load_2",
-    "shape",  # Magic Formula C
-    "curvature",  # Magic Formula E
-    "friction_load_sensitivity",  # D = mu F_z (1 - d (q - 1))
-    "relaxation_length",  # m, 0: none
-    # steering actuator
-    "steering_lag",  # s, 0: none
-    "steering_rate",  # rad/s, inf: none
-    "steering_limit",  # rad
-)
-"""The plants' packed parameters, in this order; a user's plant packs its own record behind its own names."""

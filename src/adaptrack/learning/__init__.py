@@ -1,9 +1,10 @@
 """Learning from tuned conditions, with estimators that work as well on anybody's data.
 
-* `mlp` holds the scikit-learn estimator of small networks; `network` what it learns: plain arrays, and what they mean.
-* `anfis` holds the neuro-fuzzy estimator; `sugeno` what it learns: the five layers of the fuzzy system.
+* `mlp` holds the scikit-learn estimator of small networks, `anfis` the neuro-fuzzy one; what they learn are functions
+  of a schedule (`scheduling.functions.network`, `sugeno`).
 * `holding` chooses the rows that are held out while one learns.
 * `partition` divides an input space into fuzzy rules, by clusters or by a grid.
+* `boosting` says how much can be learned from a data set at all.
 * `fis` reads and writes the text files of MATLAB's Fuzzy Logic Toolbox.
 * `training` makes models of the tuning from a data set of tuned conditions, and says how good they are.
 
@@ -19,17 +20,13 @@ if TYPE_CHECKING:
     from adaptrack.learning.anfis import ANFIS
     from adaptrack.learning.fis import read_fis, write_fis
     from adaptrack.learning.mlp import MLP
-    from adaptrack.learning.network import Network
     from adaptrack.learning.partition import subtractive_clustering
-    from adaptrack.learning.sugeno import Sugeno
     from adaptrack.learning.training import TARGETS, Trained, train
 
 _HOME = {
     "ANFIS": "anfis",
     "MLP": "mlp",
     "TARGETS": "training",
-    "Network": "network",
-    "Sugeno": "sugeno",
     "Trained": "training",
     "read_fis": "fis",
     "subtractive_clustering": "partition",
@@ -41,8 +38,6 @@ __all__ = [
     "ANFIS",
     "MLP",
     "TARGETS",
-    "Network",
-    "Sugeno",
     "Trained",
     "read_fis",
     "subtractive_clustering",

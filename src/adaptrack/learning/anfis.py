@@ -27,7 +27,7 @@ from sklearn.utils.validation import check_is_fitted, validate_data
 from adaptrack.errors import InvalidInput, real, whole
 from adaptrack.learning import partition as partitions
 from adaptrack.learning.holding import held_out
-from adaptrack.learning.sugeno import (
+from adaptrack.scheduling.functions.sugeno import (
     CENTRE,
     SLOPE,
     WIDTH,

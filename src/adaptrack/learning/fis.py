@@ -16,9 +16,9 @@ from typing import NamedTuple, NoReturn
 import numpy as np
 
 from adaptrack.errors import ConfigError, InvalidInput, StorageError, whole
+from adaptrack.files import write_atomically
 from adaptrack.learning.anfis import ANFIS
-from adaptrack.learning.sugeno import ANY, SLOPE, WIDTH, Sugeno
-from adaptrack.toml_files import write_atomically
+from adaptrack.scheduling.functions.sugeno import ANY, SLOPE, WIDTH, Sugeno
 
 _FUNCTION = re.compile(r"'([^']*)'\s*:\s*'([^']*)'\s*,\s*\[([^\]]*)\]\s*")
 _RULE = re.compile(r"([-\d\s]+),([-\d\s]+)\(([^()]*)\)\s*:\s*(\d+)\s*")

@@ -22,8 +22,8 @@ from numpy.typing import NDArray
 from scipy.special import expit
 
 from adaptrack.errors import InvalidInput
-from adaptrack.learning.network import Network
-from adaptrack.learning.sugeno import SLOPE, WIDTH, Sugeno
+from adaptrack.scheduling.functions import Function, Network, Number, Sugeno
+from adaptrack.scheduling.functions.sugeno import SLOPE, WIDTH
 
 Array = NDArray[np.float64]
 
@@ -70,7 +70,7 @@ class Surface(ABC):
         """The mean of the parameters of this one and others that it became by `fit`."""
 
     @abstractmethod
-    def function(self) -> float | Network | Sugeno:
+    def function(self) -> Function:
         """What runs."""
 
 
@@ -89,8 +89,8 @@ class Level(Surface):
     def average(self, others: Sequence[Self]) -> Self:
         return replace(self, value=float(np.mean([self.value, *(each.value for each in others)])))
 
-    def function(self) -> float:
-        return self.value
+    def function(self) -> Number:
+        return Number(self.value)
 
 
 @dataclass(frozen=True, eq=False)
@@ -229,29 +229,6 @@ class FuzzySurface(Surface):
 
     def function(self) -> Sugeno:
         return self.system
-
-
-def shifted(function: float | Network | Sugeno, by: float) -> float | Network | Sugeno:
-    """The same function, `by` higher everywhere."""
-    if isinstance(function, Network):
-        return replace(function, out_low=function.out_low + by, out_high=function.out_high + by)
-    if isinstance(function, Sugeno):
-        consequents = function.consequents.copy()
-        consequents[:, -1] += by
-        return replace(function, consequents=consequents)
-    return function + by
-
-
-def blended(function: float | Network | Sugeno, share: float, value: float) -> float | Network | Sugeno:
-    """The function that lies a share of the way from `function` to `value` everywhere."""
-    kept, added = 1.0 - share, share * value
-    if isinstance(function, Network):
-        return replace(function, out_low=kept * function.out_low + added, out_high=kept * function.out_high + added)
-    if isinstance(function, Sugeno):
-        consequents = kept * function.consequents
-        consequents[:, -1] += added
-        return replace(function, consequents=consequents)
-    return kept * function + added
 
 
 def check_inputs(inputs: Sequence[str], known: Sequence[str]) -> list[int]:

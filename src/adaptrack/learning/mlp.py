@@ -24,7 +24,7 @@ from threadpoolctl import threadpool_limits
 
 from adaptrack.errors import InvalidInput, real, whole
 from adaptrack.learning.holding import held_out
-from adaptrack.learning.network import Network
+from adaptrack.scheduling.functions.network import Network
 
 Array = NDArray[np.float64]
 

@@ -16,13 +16,13 @@ from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from adaptrack.dataset import DataSet
-from adaptrack.dataset.boosting import cross_validate
 from adaptrack.errors import InvalidInput, UnknownName, did_you_mean
 from adaptrack.learning.anfis import ANFIS
+from adaptrack.learning.boosting import cross_validate
 from adaptrack.learning.mlp import MLP
-from adaptrack.learning.network import Network
-from adaptrack.learning.sugeno import Sugeno
-from adaptrack.tuning.conditions import NAMES, canonical, fold
+from adaptrack.scheduling.functions.network import Network
+from adaptrack.scheduling.functions.sugeno import Sugeno
+from adaptrack.tuning.operating_points import NAMES, canonical, fold
 
 Array = NDArray[np.float64]
 
@@ -96,7 +96,7 @@ def train(
     the paper's. Conditions where every tuning lost the car teach nothing and are left out.
 
     The ceiling is what boosted trees reach on the same hold-out: a strong learner of another kind that is shown every
-    condition from its left side, and never the row that it predicts (5-fold cross-validation, see `dataset.boosting`).
+    condition from its left side, and never the row that it predicts (5-fold cross-validation, see `boosting`).
 
     Raises
     ------
@@ -118,10 +118,10 @@ def train(
         y, y_held = target(learned, slot), target(held, slot)
         start = time.perf_counter()
         with threadpool_limits(1):  # the matrices are small: more threads only wait for each other
-            estimators[slot] = MODELS[model](**options).fit(learned.conditions, y)
+            estimators[slot] = MODELS[model](**options).fit(learned.operating_points, y)
         seconds = time.perf_counter() - start
-        r2, rmse = score(y_held, estimators[slot].predict(held.conditions))
-        best_r2, best_rmse = score(y_held, ceiling(learned.conditions, y, held.conditions, y_held, seed))
+        r2, rmse = score(y_held, estimators[slot].predict(held.operating_points))
+        best_r2, best_rmse = score(y_held, ceiling(learned.operating_points, y, held.operating_points, y_held, seed))
         quality.append({
             "slot": slot, "model": model, "r2": r2, "rmse": rmse, "ceiling_r2": best_r2, "ceiling_rmse": best_rmse,
             "n_train": len(y), "n_holdout": len(y_held), "seconds": seconds,
@@ -131,7 +131,7 @@ def train(
         targets=targets,
         inputs=NAMES,
         estimators=estimators,
-        domain=np.column_stack((learned.conditions.min(axis=0), learned.conditions.max(axis=0))),
+        domain=np.column_stack((learned.operating_points.min(axis=0), learned.operating_points.max(axis=0))),
         quality=quality,
         provenance={
             "dataset": dataset.name,

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from adaptrack.kernels import qp as kernels
 from adaptrack.kernels.maths.vectors import padded
+from adaptrack.kernels.qp import problem as kernels
+from adaptrack.kernels.qp.active_set import active_set
+from adaptrack.kernels.qp.factor import factorise
 from adaptrack.qp.problem import QP, Array, QPStatus
 
 
@@ -20,45 +22,51 @@ class Workspace:
         """Copy the problem in and factorise E: the status of the factorisation."""
         n, m = qp.n, qp.m
         if n > self._n or m > self._m or (hildreth and not self._with_h):
-            self._n, self._m, self._with_h = max(n, self._n), max(m, self._m), hildreth or self._with_h
-            shapes = kernels.workspace_sizes(self._n, self._m, self._with_h)
-            width, depth = padded(self._n), padded(self._m)
-            self.E, self.Mt = kernels.aligned((self._n, width)), kernels.aligned((self._n, depth))
-            self.K, self.x = kernels.aligned((width,)), kernels.aligned((width,))
-            self.gamma, self.lam = kernels.aligned((depth,)), kernels.aligned((depth,))
-            self.factor, self.work = kernels.aligned(shapes["factor"]), kernels.aligned(shapes["work"])
-            self.rows, self.index = kernels.aligned(shapes["rows"]), np.zeros(shapes["index"], dtype=np.int64)
-        self.E[:n, :n] = qp.E
-        self.K[:n] = qp.K
-        self.Mt[:n, :m] = qp.M.T
-        self.gamma[:m] = qp.gamma
-        self.n, self.m = n, m
-        status, self.condition = kernels.factorise(n, self.E, self.factor)
+            self._grow(max(n, self._n), max(m, self._m), hildreth or self._with_h)
+        E, Mt = self._E, self._Mt
+        E[:n, :n] = qp.E
+        self._K[:n] = qp.K
+        Mt[:n, :m] = qp.M.T
+        self._gamma[:m] = qp.gamma
+        self.problem = kernels.Problem(n, m, E, self._K, Mt, self._gamma)
+        status, condition = factorise(n, E, self._inverses)
+        self.factor = kernels.Factor(self._inverses[0], self._inverses[1], condition)
         return QPStatus(status)
+
+    def _grow(self, n: int, m: int, with_h: bool) -> None:
+        self._n, self._m, self._with_h = n, m, with_h
+        shapes = kernels.workspace_sizes(n, m, with_h)
+        width, depth = padded(n), padded(m)
+        self._E, self._Mt = kernels.aligned((n, width)), kernels.aligned((n, depth))
+        self._K, self._gamma = kernels.aligned((width,)), kernels.aligned((depth,))
+        self._inverses = kernels.aligned(shapes["factor"])
+        self.solution = kernels.Solution(kernels.aligned((width,)), kernels.aligned((depth,)))
+        index = np.zeros(shapes["index"], dtype=np.int64)
+        self.scratch = kernels.Scratch(kernels.aligned(shapes["work"]), kernels.aligned(shapes["rows"]), index)
 
     def active_set(self, max_iterations: int, guess: Array | None = None) -> tuple[QPStatus, int]:
         """Run the exact solver, from the active rows of the multipliers ``guess`` if given: status and iterations."""
         known = 0
         if guess is not None:
-            likely = np.flatnonzero(guess > 0.0)[: self.n]
+            likely = np.flatnonzero(guess > 0.0)[: self.problem.n]
             known = len(likely)
-            self.index[:known] = likely
-        status, iterations, _ = kernels.active_set(
-            self.n, self.m, self.E, self.K, self.Mt, self.gamma, self.factor, self.condition, self.x, self.lam,
-            self.work, self.rows, self.index, known, False, max_iterations,
-        )  # fmt: skip
+            self.scratch.index[:known] = likely
+        status, iterations, _ = active_set(
+            self.problem, self.factor, self.solution, self.scratch, known, False, max_iterations
+        )
         return QPStatus(status), iterations
 
     def hildreth(self, max_sweeps: int, tolerance: float, start: Array | None) -> tuple[QPStatus, int]:
         """Run Hildreth's procedure from the multipliers ``start``, or from zero: status and sweeps."""
+        from adaptrack.kernels.qp.hildreth import hildreth
+
         if start is not None:
-            self.lam[: self.m] = start
-        status, sweeps = kernels.hildreth(
-            self.n, self.m, self.E, self.K, self.Mt, self.gamma, self.factor, self.condition, self.x, self.lam,
-            self.work, self.rows, self.index, max_sweeps, tolerance, start is not None,
-        )  # fmt: skip
+            self.solution.lam[: self.problem.m] = start
+        status, sweeps = hildreth(
+            self.problem, self.factor, self.solution, self.scratch, max_sweeps, tolerance, start is not None
+        )
         return QPStatus(status), sweeps
 
     def result(self) -> tuple[Array, Array]:
         """Copies of x and lam."""
-        return self.x[: self.n].copy(), self.lam[: self.m].copy()
+        return self.solution.x[: self.problem.n].copy(), self.solution.lam[: self.problem.m].copy()

@@ -1,6 +1,6 @@
-"""The report on a data set of tuned conditions: what it is, its optimum in pictures, what explains it, how flat it is.
+"""The report on a data set of tuned operating points: its optimum in pictures, what explains it, how flat it is.
 
-Statistics are over the conditions that a swarm searched, as in `dataset.describe`: left-right twins would count twice.
+Statistics are over those that a swarm searched, as in `dataset.describe`: left-right twins would count twice.
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
 from adaptrack.dataset import DataSet, describe, flatness
+from adaptrack.learning.boosting import explained_shares
 from adaptrack.report import style
 from adaptrack.report.maps import Cells, Heat, edges_around, norm_of
 from adaptrack.report.page import (
@@ -92,7 +93,7 @@ def write_dataset_report(out_dir: str | os.PathLike[str], dataset: DataSet, *, s
     Raises
     ------
     InvalidInput
-        When no condition of the data set was searched by a swarm.
+        When no operating point of the data set was searched by a swarm.
     StorageError
         When the files cannot be written, see `page.write_page`.
     """
@@ -115,7 +116,7 @@ def _summary(dataset: DataSet) -> Summary:
     with warnings.catch_warnings():
         if not len(dataset.library):  # shares of nothing are not numbers, which numpy warns of
             warnings.simplefilter("ignore", RuntimeWarning)
-        return describe(dataset)
+        return describe(dataset, explained_shares(dataset))
 
 
 # -- sections ---------------------------------------------------------------------------------------------------------
@@ -123,20 +124,20 @@ def _in_short(told: Summary) -> str:
     gain = told["costs"]["standard_over_best_geomean"]
     paid = f" The standard tuning costs {number(gain)} times as much, in the geometric mean." if gain else ""
     return (
-        f"{counted(told['conditions'], 'driving condition')}, on each the best tuning that a particle swarm found for "
+        f"{counted(told['operating_points'], 'operating point')}, at each the best tuning that a swarm found for "
         f"the MPC, and the cost of {counted(told['library'], 'common tuning')}.{paid}"
     )
 
 
 def _contents(dataset: DataSet, told: Summary) -> Section:
     """What the set is, the command that makes it again, the ranges."""
-    twins = told["conditions"] - told["computed"]
+    twins = told["operating_points"] - told["computed"]
     mirrored = f" The other {number(twins)} are left-right twins, whose rows are copies." if twins else ""
     words = (
-        "A condition is a speed, a lateral reference, a friction and a side wind. "
+        "An operating point is a speed, a lateral reference, a friction and a side wind. "
         f"Swarms searched {number(told['computed'])} of them, with {number(told['evaluations'])} closed-loop "
         f"evaluations of {number(told['control_steps'])} control steps in all.{mirrored} "
-        "Pictures and tables below count only conditions that were searched."
+        "Pictures and tables below count only operating points that were searched."
     )
     body = [
         [
@@ -150,7 +151,10 @@ def _contents(dataset: DataSet, told: Summary) -> Section:
     ]
     heads = [Head("Quantity", is_text=True), Head("Unit", is_text=True), Head("Lowest"), Head("Highest")]
     ranges = Table(
-        "Ranges of the conditions", [*heads, Head("Distinct values")], body, "Positive is to the left, also for wind."
+        "Ranges of the operating points",
+        [*heads, Head("Distinct values")],
+        body,
+        "Positive is to the left, also for wind.",
     )
     entries = [
         (key.replace("_", " ").capitalize(), in_words(told[key])) for key in _LISTED if told.get(key) is not None
@@ -165,8 +169,8 @@ def _optimum(found: DataSet, told: Summary) -> Section:
     targets = _targets(found)
     maps = [target for target in targets if target.name in ("Np", "Nc", "log R/Q")]
     over = {
-        "lateral reference": (np.abs(found.conditions[:, 1]), r"$|y_\mathrm{ref}|$ (m)"),
-        "friction": (found.conditions[:, 2], "Friction (–)"),
+        "lateral reference": (np.abs(found.operating_points[:, 1]), r"$|y_\mathrm{ref}|$ (m)"),
+        "friction": (found.operating_points[:, 2], "Friction (–)"),
     }
     labels = {t.name: t.label for t in maps}
     cells = {(t.name, other): _binned(found, values, t) for t in maps for other, (values, _) in over.items()}
@@ -181,8 +185,8 @@ def _optimum(found: DataSet, told: Summary) -> Section:
         for (name, other), heat in heats.items()
     ]
     heat = Picture(
-        "The best tuning over the conditions. Each cell is the median over all conditions in it, whatever their other "
-        "two numbers; empty cells hold none. Both maps of a target have the same colours.",
+        "The best tuning over the operating points. Each cell is the median over all that lie in it, whatever their "
+        "other two numbers; empty cells hold none. Both maps of a target have the same colours.",
         [panel.drawing() for panel in panels],
         file="optimum.png",
         print_figure=_heat_figure(list(labels.values()), [[heats[name, other] for name in labels] for other in over]),
@@ -214,7 +218,7 @@ def _costs(rows: DataSet, told: Summary) -> Section:
             Panel(
                 "Cost of one run",
                 partial(_draw_cumulative, usable),
-                "Share of the conditions that cost at most so much, over the cost in m², logarithmic. "
+                "Share of the operating points that cost at most so much, over the cost in m², logarithmic. "
                 + " ".join(f"{name}: {_range_of(_positive(values))}." for name, values in usable.items()),
             )
         ]
@@ -224,16 +228,16 @@ def _costs(rows: DataSet, told: Summary) -> Section:
             panels.append(
                 Panel(
                     "Standard over optimum",
-                    partial(_draw_gain, rows.conditions[both, 0], gain),
+                    partial(_draw_gain, rows.operating_points[both, 0], gain),
                     f"Cost of the standard tuning over the swarm's best, by speed: {_range_of(gain)}.",
                 )
             )
         key = [(name, _STROKES[name]) for name in usable]
         items.append(
             Picture(
-                "Left: the share of conditions that cost at most so much; further left is better. A curve that ends "
-                "below 100 % lost the car in the rest. Right: how many times the optimum the standard tuning costs, by "
-                "speed: median, with a band from the lower to the upper quartile.",
+                "Left: the share of operating points that cost at most so much; further left is better. A curve that "
+                "ends below 100 % lost the car in the rest. Right: how many times the optimum the standard tuning costs, "
+                "by speed: median, with a band from the lower to the upper quartile.",
                 [panel.drawing() for panel in panels],
                 key,
                 "cost.png",
@@ -264,7 +268,9 @@ def _convergence(found: DataSet) -> list[Section]:
         ". A curve that is flat well before its end has had generations enough for what this swarm can find; that says "
         "nothing about optima that it never saw."
     )
-    caption = "Lowest cost up to each generation, over that of the last: median and quartiles over the conditions."
+    caption = (
+        "Lowest cost up to each generation, over that of the last: median and quartiles over the operating points."
+    )
     return [Section("Convergence", [words, Picture(caption, [panel.drawing()], file="convergence.png")])]
 
 
@@ -278,13 +284,13 @@ def _explained(told: Summary) -> Section:
         body.append([name, *map(number, shown), bound, _r2(row["r2"])])
     heads = [Head("Target", is_text=True), Head("Lowest"), Head("P10"), Head("Median"), Head("P90"), Head("Highest")]
     table = Table(
-        "The optimum, and how much of it the conditions explain",
+        "The optimum, and how much of it the operating points explain",
         [*heads, Head("At a bound", "%"), Head("R²")],
         body,
-        "Np, Nc in control periods, Q in 1/m², R in 1/rad². P10 and P90: a tenth of the conditions lies below, above. "
+        "Np, Nc in control periods, Q in 1/m², R in 1/rad². P10 and P90: a tenth of all points lies below, above. "
         f"R²: {told['learner']}; for Q, R and R/Q of the logarithm.",
     )
-    return Section("What the conditions explain", [_explained_in_words(told), table])
+    return Section("What the operating points explain", [_explained_in_words(told), table])
 
 
 def _flatness(dataset: DataSet, told: Summary) -> Section:
@@ -308,20 +314,20 @@ def _flatness(dataset: DataSet, told: Summary) -> Section:
         "Share of the library whose cost is near the best",
         heads,
         body,
-        f"Of {counted(told['library'], 'tuning')}, on each condition; the best is the lowest cost known there, the "
-        "swarm's or the library's.",
+        f"Of {counted(told['library'], 'tuning')}, at each operating point; the best is the lowest cost known there, "
+        "the swarm's or the library's.",
     )
     strokes = style.strokes(f"within {100 * within:g} %" for within in shares)
     panel = Panel(
         "Tunings that are nearly as good",
         partial(_draw_shares, dict(zip(strokes, shares.values(), strict=True)), strokes),
-        "Share of the conditions over the share of the library that is near the best. "
+        "Share of the operating points over the share of the library that is near the best. "
         + " ".join(f"{name}: {_range_of(100 * s)} %." for name, s in zip(strokes, shares.values(), strict=True)),
     )
-    caption = "For how many conditions at least so much of the library is near the best: further right is flatter."
+    caption = "At how many operating points at least so much of the library is near the best; further right is flatter."
     wide = rows[-1]
     words = (
-        f"In the median over conditions, {percent(wide['p50'])} % of the library costs at most "
+        f"In the median over operating points, {percent(wide['p50'])} % of the library costs at most "
         f"{100 * wide['within']:g} % more than the best tuning known. Where many tunings are that close, which of them "
         "comes out best says little, and a model loses little by a wrong one; where few are, the tuning matters."
     )
@@ -360,7 +366,7 @@ def _costs_in_words(costs: Summary, n: int, library: int) -> str:
         )
         if costs[key]
     ]
-    of = f"of {counted(n, 'condition')}"
+    of = f"of {counted(n, 'operating point')}"
     none = f"Neither of the two lost the car in any {of}."
     sentences.append(f"The car was lost by {listed(lost)} {of}." if lost else none)
     if costs["library_lost"]:
@@ -371,12 +377,12 @@ def _costs_in_words(costs: Summary, n: int, library: int) -> str:
 def _explained_in_words(told: Summary) -> str:
     known = {row["target"].removeprefix("log "): row["r2"] for row in told["optimum"] if row["r2"] is not None}
     meaning = (
-        "R² says how well a strong learner predicts the optimum of conditions that it has not seen: 1 means perfectly, "
-        "0 no better than the mean of all. Near 0 the tuning at which a swarm stops carries no signal: whatever learns "
-        "from it learns noise, and should learn from the costs of the library instead."
+        "R² says how well a strong learner predicts the optimum of operating points that it has not seen: 1 means "
+        "perfectly, 0 no better than the mean of all. Near 0 the tuning at which a swarm stops carries no signal: "
+        "whatever learns from it learns noise, and should learn from the costs of the library instead."
     )
     if not known:
-        return f"{meaning} Here the conditions are too few to tell."
+        return f"{meaning} Here the operating points are too few to tell."
     groups = (
         ("largely explained", [name for name, r2 in known.items() if r2 >= _STRONG]),
         ("partly explained", [name for name, r2 in known.items() if _WEAK <= r2 < _STRONG]),
@@ -436,7 +442,7 @@ def _bins(values: Array, edges: Array) -> NDArray[np.int64]:
 
 
 def _binned(found: DataSet, other: Array, target: _Target) -> Cells:
-    speed = found.conditions[:, 0]
+    speed = found.operating_points[:, 0]
     x_edges, y_edges = _edges(speed), _edges(other)
     columns, rows = _bins(speed, x_edges), _bins(other, y_edges)
     medians = np.full((len(y_edges) - 1, len(x_edges) - 1), np.nan)
@@ -474,7 +480,7 @@ def _heat_figure(titles: Sequence[str], rows: Sequence[Sequence[Heat]]) -> Figur
 
 
 def _histogram(target: _Target, limits: tuple[float, float]) -> Panel:
-    text = f"Share of the conditions in percent; {_range_of(target.values)}."
+    text = f"Share of the operating points in percent; {_range_of(target.values)}."
     return Panel(target.symbol, partial(_draw_histogram, target, limits), text)
 
 

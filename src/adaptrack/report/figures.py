@@ -19,7 +19,7 @@ from matplotlib.ticker import MaxNLocator, NullLocator
 from numpy.typing import NDArray
 
 from adaptrack.errors import InvalidInput
-from adaptrack.metrics import find_loss
+from adaptrack.failure import find_failure
 from adaptrack.report import style
 from adaptrack.report.words import lettered, plain, span
 from adaptrack.trajectory import Trajectory
@@ -40,12 +40,12 @@ _DOTTED, _DASHED = (0, (1.2, 1.6)), (0, (4, 2))
 
 @dataclass(frozen=True)
 class Line:
-    """One run, ready to be drawn: cut where it was lost."""
+    """One run, ready to be drawn: cut where it failed."""
 
     label: str
     run: Trajectory
     stroke: style.Stroke
-    lost: bool
+    failed: bool
     end: float
     """s, when the scenario ends, whether or not the run got there."""
 
@@ -84,7 +84,7 @@ def speed_figure(scenarios: Mapping[str, Runs], strokes: Mapping[str, style.Stro
         columns = min(len(lines), 2)
         figure, axes = style.grid_figure(math.ceil(len(lines) / columns), columns, 2.3)
         for i, (name, group) in enumerate(lines.items()):
-            SPEED.show(axes[i], group, title=lettered(i, name) if len(lines) > 1 else name)
+            SPEED.show(axes[i], group, title=style.data_text(lettered(i, name) if len(lines) > 1 else name))
         for spare in axes[len(lines) :]:
             spare.remove()
         style.legend_above(figure, speed_key(list(lines.values())))
@@ -101,17 +101,17 @@ def speed_key(groups: Sequence[Sequence[Line]]) -> list[tuple[str, style.Stroke]
 
 
 def conditions_figure(runs: Runs, strokes: Mapping[str, style.Stroke] | None = None) -> Figure:
-    """Figs. 7 and 9: gust, friction, horizons Nc and Np, weights Q and R, over time."""
-    return _four_panels(CONDITIONS, runs, strokes)
+    """Figs. 7 and 9: gust, friction, horizons Nc and Np, weights Q and R, over time, as far as the runs have them."""
+    return _panels(condition_panels(runs), runs, strokes)
 
 
 def tracking_figure(runs: Runs, strokes: Mapping[str, style.Stroke] | None = None) -> Figure:
     """Figs. 8 and 10: lateral position, tracking error, steering command, yaw rate, over time."""
-    return _four_panels(TRACKING, runs, strokes, reference="Reference")
+    return _panels(TRACKING, runs, strokes, reference="Reference")
 
 
 def as_lines(runs: Runs, strokes: Mapping[str, style.Stroke] | None = None) -> list[Line]:
-    """The runs with their strokes, those that were lost cut at the instant of the loss.
+    """The runs with their strokes, those that failed cut at the instant of the failure.
 
     Raises
     ------
@@ -126,28 +126,30 @@ def as_lines(runs: Runs, strokes: Mapping[str, style.Stroke] | None = None) -> l
         raise InvalidInput(f"figure: no stroke for {', '.join(map(repr, missing))}.")
     lines = []
     for label, run in runs.items():
-        loss = find_loss(run)
-        seen = run if loss is None else run.between(run.t[0], _last_drawn(run, loss.step) + 0.5 * run.period)
+        failed = find_failure(run)
+        seen = run if failed is None else run.between(run.t[0], _last_drawn(run, failed.step) + 0.5 * run.period)
         end = float(run.t[-1]) + run.period
-        lines.append(Line(label, seen, strokes[label], loss is not None, end))
+        lines.append(Line(label, seen, strokes[label], failed is not None, end))
     return lines
 
 
-def _last_drawn(run: Trajectory, lost: int) -> float:
-    """s, the last instant with a position, up to the one at which the run was lost."""
-    known = np.flatnonzero(np.isfinite(run.Y[: lost + 1]))
+def _last_drawn(run: Trajectory, failed: int) -> float:
+    """s, the last instant with a position, up to the one at which the run failed."""
+    known = np.flatnonzero(np.isfinite(run.Y[: failed + 1]))
     return float(run.t[known[-1] if known.size else 0])
 
 
-def _four_panels(
+def _panels(
     panels: Sequence[Panel], runs: Runs, strokes: Mapping[str, style.Stroke] | None, reference: str = ""
 ) -> Figure:
     lines = as_lines(runs, strokes)
     with style.styled():
-        figure, axes = style.grid_figure(2, 2, 2.25)
-        for i, (panel, ax) in enumerate(zip(panels, axes, strict=True)):
+        figure, axes = style.grid_figure(-(-len(panels) // 2), 2, 2.25)
+        for i, (panel, ax) in enumerate(zip(panels, axes, strict=False)):
             panel.show(ax, lines, title=lettered(i, panel.title))
-            ax.set_xlabel("Time (s)" if i >= 2 else "")
+            ax.set_xlabel("Time (s)" if i >= len(panels) - 2 else "")
+        for spare in axes[len(panels) :]:
+            spare.remove()
         figure.align_ylabels(axes)
         key = [(reference, style.REFERENCE)] if reference else []
         style.legend_above(figure, [*key, *((line.label, line.stroke) for line in lines)])
@@ -163,7 +165,7 @@ def _draw_speed(axes: Axes, lines: Sequence[Line]) -> None:
     _plot_reference(axes, lines, lambda run: run.v_ref)
     if all(np.nanmin(line.run.vx, initial=0.0) >= 0.0 for line in lines):
         axes.set_ylim(bottom=0.0)
-    _mark_losses(axes, lines, lambda run: run.vx)
+    _mark_failures(axes, lines, lambda run: run.vx)
 
 
 def _draw_position(axes: Axes, lines: Sequence[Line]) -> None:
@@ -171,7 +173,7 @@ def _draw_position(axes: Axes, lines: Sequence[Line]) -> None:
         _plot(axes, line, line.run.Y)
     _plot_reference(axes, lines, lambda run: run.y_ref)
     _frame(axes, lines, lambda run: run.Y)
-    _mark_losses(axes, lines, lambda run: run.Y)
+    _mark_failures(axes, lines, lambda run: run.Y)
 
 
 def _draw_signal(value: Callable[[Trajectory], Array], axes: Axes, lines: Sequence[Line], steps: bool = False) -> None:
@@ -180,7 +182,7 @@ def _draw_signal(value: Callable[[Trajectory], Array], axes: Axes, lines: Sequen
     for line in lines:
         _plot(axes, line, value(line.run), drawstyle="steps-post" if steps else "default")
     _frame(axes, lines, value)
-    _mark_losses(axes, lines, value)
+    _mark_failures(axes, lines, value)
 
 
 def _draw_command(axes: Axes, lines: Sequence[Line]) -> None:
@@ -213,23 +215,48 @@ def _draw_friction(axes: Axes, lines: Sequence[Line]) -> None:
 
 
 def _draw_horizons(axes: Axes, lines: Sequence[Line]) -> None:
-    _plot_stacked(axes, lines, lambda run: run.Np, drawstyle="steps-post", linestyle="-")
-    _plot_stacked(axes, lines, lambda run: run.Nc, drawstyle="steps-post", linestyle=_DOTTED)
+    _plot_stacked(axes, lines, tuned("Np"), drawstyle="steps-post", linestyle="-")
+    _plot_stacked(axes, lines, tuned("Nc"), drawstyle="steps-post", linestyle=_DOTTED)
     axes.set_ylim(bottom=0.0)
-    axes.set_ylim(top=1.08 * max(float(line.run.Np.max()) for line in lines))
+    axes.set_ylim(top=1.08 * max(float(line.run.tuning["Np"].max()) for line in lines if "Np" in line.run.tuning))
     axes.yaxis.set_major_locator(MaxNLocator(integer=True, nbins=6, steps=[1, 2, 5, 10]))
     style.line_key(axes, [("$N_p$", "-"), ("$N_c$", _DOTTED)])
 
 
 def _draw_weights(axes: Axes, lines: Sequence[Line]) -> None:
     axes.set_yscale("log")
-    _plot_stacked(axes, lines, lambda run: run.Q, drawstyle="steps-post", linestyle="-")
-    _plot_stacked(axes, lines, lambda run: run.R, drawstyle="steps-post", linestyle=_DOTTED)
-    positive = np.concatenate([w[w > 0] for line in lines for w in (line.run.Q, line.run.R)] or [np.ones(1)])
+    _plot_stacked(axes, lines, tuned("Q"), drawstyle="steps-post", linestyle="-")
+    _plot_stacked(axes, lines, tuned("R"), drawstyle="steps-post", linestyle=_DOTTED)
+    positive = np.concatenate([w[w > 0] for line in lines for w in (tuned("Q")(line.run), tuned("R")(line.run))])
     if positive.size:
         axes.set_ylim(10 ** np.floor(np.log10(positive.min()) - 0.1), 10 ** np.ceil(np.log10(positive.max()) + 0.1))
     axes.yaxis.set_minor_locator(NullLocator())
     style.line_key(axes, [("$Q$", "-"), ("$R$", _DOTTED)])
+
+
+def tuned(*names: str) -> Callable[[Trajectory], Array]:
+    """What gives the tuning entry of a run, (n,), or several, (names, n); NaN for what its controller does not have."""
+
+    def values(run: Trajectory) -> Array:
+        found = [run.tuning.get(name, np.full(len(run), np.nan)) for name in names]
+        return found[0] if len(found) == 1 else np.stack(found)
+
+    return values
+
+
+def condition_panels(runs: Runs) -> list[Panel]:
+    """Gust, friction and what the controllers were tuned to: an MPC's horizons and weights, else an entry a panel."""
+    entries = {name: run for run in runs.values() for name in run.tuning}
+    mpc = [CONDITIONS[2]] * ({"Np", "Nc"} <= set(entries)) + [CONDITIONS[3]] * ({"Q", "R"} <= set(entries))
+    others = [name for name in entries if name not in ("Np", "Nc", "Q", "R")]
+    return [*CONDITIONS[:2], *mpc, *(_tuning_panel(name, entries[name].units[f"tuning.{name}"]) for name in others)]
+
+
+def _tuning_panel(name: str, unit: str) -> Panel:
+    def draw(axes: Axes, lines: Sequence[Line]) -> None:
+        _plot_stacked(axes, lines, tuned(name), drawstyle="steps-post", linestyle="-")
+
+    return Panel(style.data_text(name), style.data_text(f"{name} ({unit.replace('-', '–')})"), draw, tuned(name))
 
 
 SPEED = Panel("Speed", "Speed (m/s)", _draw_speed, lambda run: run.vx)
@@ -237,8 +264,8 @@ SPEED = Panel("Speed", "Speed (m/s)", _draw_speed, lambda run: run.vx)
 CONDITIONS = (
     Panel("Lateral gust", "Wind speed (m/s)", _draw_gust, lambda run: run.wind[:, 1]),
     Panel("Road friction", "Friction coefficient (–)", _draw_friction, lambda run: run.friction),
-    Panel("Horizons", "Control periods (–)", _draw_horizons, lambda run: np.stack([run.Nc, run.Np])),
-    Panel("Weights", "$Q$ (1/m²), $R$ (1/rad²)", _draw_weights, lambda run: np.stack([run.Q, run.R])),
+    Panel("Horizons", "Control periods (–)", _draw_horizons, tuned("Nc", "Np")),
+    Panel("Weights", "$Q$ (1/m²), $R$ (1/rad²)", _draw_weights, tuned("Q", "R")),
 )
 
 TRACKING = (
@@ -275,9 +302,9 @@ def _coincide(a: Array, b: Array, tolerance: float) -> bool:
     return bool(np.mean(np.abs(a[:n] - b[:n]) <= tolerance) > 0.05) if n else False
 
 
-def _mark_losses(axes: Axes, lines: Sequence[Line], value: Callable[[Trajectory], Array]) -> None:
-    """A cross where a lost run ends, at the edge of the frame when it left that too."""
-    for line in (line for line in lines if line.lost):
+def _mark_failures(axes: Axes, lines: Sequence[Line], value: Callable[[Trajectory], Array]) -> None:
+    """A cross where a failed run ends, at the edge of the frame when it left that too."""
+    for line in (line for line in lines if line.failed):
         values = value(line.run)
         finite = np.flatnonzero(np.isfinite(values))
         if finite.size:
@@ -335,12 +362,12 @@ def _distinct_wheels(lines: Sequence[Line]) -> list[tuple[int, str]]:
 
 
 def _frame(axes: Axes, lines: Sequence[Line], value: Callable[[Trajectory], Array]) -> None:
-    """Limits that show what matters: the runs that were not lost, and them at driving speed.
+    """Limits that show what matters: the runs that did not fail, and them at driving speed.
 
     A start from standstill may need wild steering for a second or two. Where that would flatten all the rest, it
     leaves the frame, and a line above the panel says how far it goes.
     """
-    kept = [line.run for line in lines if not line.lost] or [line.run for line in lines]
+    kept = [line.run for line in lines if not line.failed] or [line.run for line in lines]
     everything = _extent(np.concatenate([value(run) for run in kept]))
     driving = _extent(np.concatenate([value(run)[run.vx >= CREEPING] for run in kept]))
     if everything is None:
@@ -349,7 +376,7 @@ def _frame(axes: Axes, lines: Sequence[Line], value: Callable[[Trajectory], Arra
     if driving is not None and 3.0 * (driving[1] - driving[0]) < high - low:
         _note(axes, f"start: {span(np.array(everything), 2)}")
         low, high = driving
-    elif not any(line.lost for line in lines):
+    elif not any(line.failed for line in lines):
         return
     margin = 0.2 * max(high - low, 1e-6)
     axes.set_ylim(low - margin, high + margin)

@@ -21,12 +21,11 @@ from numpy.typing import NDArray
 
 from adaptrack.closed_loop import LOST_BEYOND, LOST_COST
 from adaptrack.evaluate.ladder import Ladder
-from adaptrack.mpc import Condition
 from adaptrack.report import style
 from adaptrack.report.maps import Cells, Heat, norm_of
 from adaptrack.report.page import Cell, Head, Panel, Picture, Section, Table, Terms, Verbatim, printed, write_page
 from adaptrack.report.words import INPUTS, counted, listed, number, percent, span, title_of
-from adaptrack.schedule import Schedule
+from adaptrack.scheduling import Schedule, SchedulingVariables
 
 Array = NDArray[np.float64]
 Ladders = Mapping[str, Ladder]
@@ -84,7 +83,7 @@ _COUNTS = {
     "rate_limited": "Change limited",
     "broken": "Not a number",
     "outside": "Fallback begun, input outside",
-    "astray": "Fallback begun, offset too large",
+    "off_reference": "Fallback begun, offset too large",
     "unstable": "Gave way, near instability",
     "fallback": "On the fallback",
 }
@@ -378,7 +377,7 @@ def _maps(ladder: Ladder) -> list[Picture]:
         for ax, (rung, name) in zip(axes, ((rung, name) for name in over for rung in rungs), strict=True):
             heats[rung, name].draw(ax)
             first_row, first_column = ax in axes[: len(rungs)], rung == rungs[0]
-            ax.set_title(_label(rung) if first_row else "")
+            ax.set_title(style.data_text(_label(rung)) if first_row else "")
             ax.set_xlabel("" if first_row else "Speed (m/s)")
             ax.set_ylabel(over[name][1] if first_column else "")
         bar = next(iter(heats.values())).bar(figure, ax=axes, location="bottom", aspect=50, shrink=0.7, pad=0.02)
@@ -504,7 +503,7 @@ def _learned(schedules: Mapping[str, Schedule]) -> list[Section]:
         figure, axes = style.grid_figure(len(drawn), len(_OUTPUTS), 2.1)
         for ax, (name, k) in zip(axes, sorted(heats, key=lambda key: LEARNED.index(key[0])), strict=True):
             heats[name, k].draw(ax)
-            ax.set_title(f"{_label(name)}: {_OUTPUTS[k][0]}")
+            ax.set_title(f"{style.data_text(_label(name))}: {_OUTPUTS[k][0]}")
             ax.set_ylabel("" if k else _axis(other[name]))
             heats[name, k].bar(figure, ax=ax, aspect=22)
     caption = (
@@ -615,8 +614,8 @@ def importance(schedule: Schedule, samples: int = 512, seed: int = 0) -> dict[st
 
 def _tuning(schedule: Schedule, x: Array) -> Array:
     """(n, 3) Np, Nc and log10 R/Q at inputs (n, D)."""
-    rows = np.zeros((len(x), len(Condition._fields)))
-    rows[:, [Condition._fields.index(name) for name in schedule.inputs]] = x
+    rows = np.zeros((len(x), len(SchedulingVariables._fields)))
+    rows[:, [SchedulingVariables._fields.index(name) for name in schedule.inputs]] = x
     Np, Nc, Q, R = schedule.batch(rows).T
     return np.column_stack([Np, Nc, np.log10(R / Q)])
 

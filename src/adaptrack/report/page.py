@@ -24,6 +24,7 @@ from matplotlib.figure import Figure
 
 from adaptrack import __version__
 from adaptrack.errors import InvalidInput, StorageError
+from adaptrack.files import printable
 from adaptrack.report import style
 from adaptrack.report.words import lettered, plain, slug
 
@@ -202,6 +203,7 @@ def render(sections: Sequence[Section], *, title: str, lead: Sequence[str] = (),
         undefined=jinja2.StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
+        finalize=_printable,
     )
     counter = itertools.count(1)
 
@@ -225,6 +227,11 @@ def _pictures(items: Sequence[Item]) -> Iterator[Picture]:
             yield item
         elif isinstance(item, Section):
             yield from _pictures(item.items)
+
+
+def _printable(value: Any) -> Any:
+    """Names are data: what no page can hold is shown as an escape (the template escapes the rest)."""
+    return printable(value, keep="\n\t") if type(value) is str else value
 
 
 def _is(kind: type) -> Any:

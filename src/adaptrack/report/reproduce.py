@@ -171,7 +171,7 @@ def winners(rows: Sequence[Row], configuration: str) -> str:
         found = _by_test(rows, configuration, preview)
         best: dict[str, list[str]] = {}
         for test, runs in found.items():
-            kept = {name: run["mse"] for name, run in runs.items() if not run["lost"]}
+            kept = {name: run["mse"] for name, run in runs.items() if not run["failed"]}
             if kept:
                 best.setdefault(min(kept, key=lambda name: kept[name]), []).append(test)
         told = [f"{_said(name)} on {_tests(tests, found)}" for name, tests in best.items()]
@@ -179,13 +179,13 @@ def winners(rows: Sequence[Row], configuration: str) -> str:
     return f"Smallest error: {'; '.join(parts)}."
 
 
-def losses(rows: Sequence[Row], configuration: str) -> list[str]:
-    """A sentence on each run that was lost."""
+def failures(rows: Sequence[Row], configuration: str) -> list[str]:
+    """A sentence on each run that failed."""
     return [
-        f"Lost: {_said(row['controller'])} on the {_test(row['scenario'])} {'with' if row['preview'] else 'without'} "
-        f"preview, at {row['lost_at']:.1f} s; the vehicle {row['lost_because']}."
+        f"Failed: {_said(row['controller'])} on the {_test(row['scenario'])} {'with' if row['preview'] else 'without'} "
+        f"preview, at {row['failed_at']:.1f} s; the vehicle {row['failed_because']}."
         for row in rows
-        if row["configuration"] == configuration and row["lost"]
+        if row["configuration"] == configuration and row["failed"]
     ]
 
 
@@ -195,8 +195,8 @@ def preview_or_adaptation(rows: Sequence[Row]) -> str:
     parts = []
     for test, runs in blind.items():
         standard, ahead = runs["standard-as-released"], seeing[test]["standard-as-released"]
-        adaptive = [runs[name] for name in LEARNED if not runs[name]["lost"]]
-        if standard["lost"] or ahead["lost"] or not adaptive:
+        adaptive = [runs[name] for name in LEARNED if not runs[name]["failed"]]
+        if standard["failed"] or ahead["failed"] or not adaptive:
             continue
         gain = standard["mse"] / min(run["mse"] for run in adaptive)
         parts.append(f"{_factor(standard['mse'] / ahead['mse'])} ({_factor(gain)}) on the {_test(test)}")
@@ -214,7 +214,7 @@ def _both(made: Reproduction) -> Section:
     for configuration, (title, words) in CONFIGURATIONS.items():
         compared = [against(made.rows, configuration, other) for other in ("standard-as-written", "best-constant")]
         outcome = [
-            " ".join([winners(made.rows, configuration), *losses(made.rows, configuration)]),
+            " ".join([winners(made.rows, configuration), *failures(made.rows, configuration)]),
             *(clause[:1].upper() + clause[1:] for clause in compared),
         ]
         items.append(Section(title, [words, _configuration_table(made.rows, configuration), *outcome]))
@@ -240,7 +240,7 @@ def _configuration_table(rows: Sequence[Row], configuration: str) -> Table:
             paper = "–" if run["paper_mse"] is None else f"{run['paper_mse']:g}"
             cells += [_cell(run, blind[test]), paper, number(run["ratio"]), _cell(ahead, seeing[test])]
         body.append(cells)
-    return Table("Mean square tracking error", heads, body, "Bold: the smallest of its column that was not lost.")
+    return Table("Mean square tracking error", heads, body, "Bold: the smallest of its column that did not fail.")
 
 
 def _gain(made: Reproduction) -> Section:
@@ -312,13 +312,13 @@ def _ablation_picture(ablation: Sequence[Row]) -> Picture:
         draw = partial(_draw_ablation, rows=rows, strokes=strokes, title=title_of(test))
         panels.append(Drawing(style.panel_figure(draw), f"Mean square error, {title_of(test)}. {told}."))
     key = [(NAMES[name], stroke) for name, stroke in strokes.items()]
-    return Picture("Mean square error by moves and by tuning; lost runs are left out.", panels, key)
+    return Picture("Mean square error by moves and by tuning; failed runs are left out.", panels, key)
 
 
 def _draw_ablation(axes: Axes, rows: Sequence[Row], strokes: Mapping[str, style.Stroke], title: str) -> None:
     moves = list(dict.fromkeys(row["moves"] for row in rows))
     for name, stroke in strokes.items():
-        kept = [row for row in rows if row["controller"] == name and not row["lost"]]
+        kept = [row for row in rows if row["controller"] == name and not row["failed"]]
         places, values = [moves.index(row["moves"]) for row in kept], [row["mse"] for row in kept]
         axes.plot(places, values, "o", color=stroke.colour, linestyle=stroke.dash, markersize=4)
     axes.set_title(title)
@@ -499,9 +499,9 @@ def _grouped(rows: Iterable[Row], key: str) -> dict[str, list[Row]]:
 
 
 def _compare(one: Row, other: Row) -> str:
-    """`one` beside `other`: better than, worse than, level with; a lost run is worse than one that was not."""
-    if one["lost"] or other["lost"]:
-        return "level with" if one["lost"] and other["lost"] else "worse than" if one["lost"] else "better than"
+    """`one` beside `other`: better than, worse than, level with; a failed run is worse than one that did not."""
+    if one["failed"] or other["failed"]:
+        return "level with" if one["failed"] and other["failed"] else "worse than" if one["failed"] else "better than"
     return _order(one["mse"], other["mse"])
 
 
@@ -516,14 +516,16 @@ _ANSWERS = {"better than": "yes", "worse than": "no", "level with": "level"}
 
 
 def _mse(row: Row) -> str:
-    return "lost" if row["lost"] else number(row["mse"])
+    return "failed" if row["failed"] else number(row["mse"])
 
 
 def _cell(row: Row, column: Mapping[str, Row]) -> Cell:
     """The MSE of a run; bold when it is the smallest of its column."""
-    kept = [each["mse"] for each in column.values() if not each["lost"]]
-    text = number(row["mse"]) + (" (lost)" if row["lost"] else "")
-    return Cell(text, strong=not row["lost"] and row in column.values() and row["mse"] == min(kept), warn=row["lost"])
+    kept = [each["mse"] for each in column.values() if not each["failed"]]
+    text = number(row["mse"]) + (" (failed)" if row["failed"] else "")
+    return Cell(
+        text, strong=not row["failed"] and row in column.values() and row["mse"] == min(kept), warn=row["failed"]
+    )
 
 
 def _said(name: str) -> str:

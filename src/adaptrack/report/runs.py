@@ -13,6 +13,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from adaptrack.errors import InvalidInput
+from adaptrack.files import safe_names
 from adaptrack.metrics import PUBLISHED, Metrics, compute_metrics, published_mse
 from adaptrack.report import figures, style
 from adaptrack.report.page import Drawing, Item, Picture, Section, Terms, Verbatim, write_page
@@ -30,6 +31,7 @@ from adaptrack.report.words import (
     clock,
     controller_name,
     describe,
+    legible,
     listed,
     number,
     recorded,
@@ -127,10 +129,12 @@ def write_report(
     scenarios = grouped([run if isinstance(run, Run) else Run(run) for run in runs])
     shown = [run for settings in scenarios.values() for group in settings.values() for run in group]
     strokes = style.strokes(run.label for run in shown)
+    figures_of = [(name, words) for name, settings in scenarios.items() for words in settings]
+    stems = dict(zip(figures_of, safe_names(slug(f"{name} {words}") for name, words in figures_of), strict=True))
     sections = [
         *first,
         *([_at_a_glance(scenarios, strokes)] if len(scenarios) > 1 else []),
-        *(_scenario(name, settings, strokes, with_speed=len(scenarios) == 1) for name, settings in scenarios.items()),
+        *(_scenario(name, settings, strokes, stems, len(scenarios) == 1) for name, settings in scenarios.items()),
         *more,
         reading(),
         _provenance(shown, command),
@@ -157,7 +161,7 @@ def grouped(runs: Sequence[Run]) -> dict[str, Settings]:
 
 def _labelled(runs: Sequence[Run]) -> list[Shown]:
     """The runs of one figure, under distinct labels."""
-    labels = [run.label or controller_name(run.trajectory.name_of("controller")) for run in runs]
+    labels = [legible(run.label) or controller_name(run.trajectory.name_of("controller")) for run in runs]
     for label in set(labels):
         same = [i for i, other in enumerate(labels) if other == label]
         if len(same) > 1:
@@ -191,8 +195,10 @@ def _at_a_glance(scenarios: Mapping[str, Settings], strokes: Strokes) -> Section
     return Section("At a glance", [overview_table(scenarios), speed])
 
 
-def _scenario(name: str, settings: Settings, strokes: Strokes, with_speed: bool) -> Section:
-    """Words, tables and figures of one scenario."""
+def _scenario(
+    name: str, settings: Settings, strokes: Strokes, stems: Mapping[tuple[str, str], str], with_speed: bool
+) -> Section:
+    """Words, tables and figures of one scenario; stems: what the files of its figures begin with, by setting."""
     shown = [run for group in settings.values() for run in group]
     registered = shown[0].trajectory.name_of("scenario")
     numbers = _PAPER_FIGURES.get(registered, {})
@@ -201,7 +207,7 @@ def _scenario(name: str, settings: Settings, strokes: Strokes, with_speed: bool)
         items.append(_paper_in_words(registered, shown))
     items.append(tracking_table(settings))
     for words, group in settings.items():
-        pictures = _pictures(slug(f"{name} {words}"), group, strokes, numbers)
+        pictures = _pictures(stems[name, words], group, strokes, numbers)
         items += [Section(words[:1].upper() + words[1:], pictures)] if words else pictures
     if with_speed:
         caption = "Speed: profile (dashed) and driven."
@@ -222,7 +228,8 @@ def _pictures(stem: str, group: Sequence[Shown], strokes: Strokes, numbers: Mapp
         return Picture(caption, [_drawing(panel, lines) for panel in panels], key, f"{stem}-{kind}.png", whole)
 
     tracking = "Lateral position, tracking error, steering command and yaw rate." + _marks(group)
-    conditions = "Lateral gust, road friction, horizons and weights; black is shared by all runs."
+    panels = figures.condition_panels(runs)
+    conditions = f"Lateral gust, {listed([panel.title.lower() for panel in panels[1:]])}; black is shared by all runs."
     return [
         picture(
             "tracking",
@@ -231,7 +238,7 @@ def _pictures(stem: str, group: Sequence[Shown], strokes: Strokes, numbers: Mapp
             figures.tracking_figure(runs, strokes),
             [("Reference", style.REFERENCE), *key],
         ),
-        picture("conditions", conditions, figures.CONDITIONS, figures.conditions_figure(runs, strokes), key),
+        picture("conditions", conditions, panels, figures.conditions_figure(runs, strokes), key),
     ]
 
 
@@ -254,7 +261,7 @@ def _shape(number: str) -> str:
 
 def _drawing(panel: figures.Panel, lines: Sequence[figures.Line], title: str = "") -> Drawing:
     """A panel alone, with its alternative text."""
-    figure = style.panel_figure(partial(panel.show, lines=lines, title=title))
+    figure = style.panel_figure(partial(panel.show, lines=lines, title=style.data_text(title)))
     return Drawing(figure, f"{title}. {panel.describe(lines)}" if title else panel.describe(lines))
 
 
@@ -263,7 +270,7 @@ def _runs(group: Sequence[Shown]) -> dict[str, Trajectory]:
 
 
 def _marks(group: Sequence[Shown]) -> str:
-    return " A cross marks where a run was lost." if any(run.metrics.lost for run in group) else ""
+    return " A cross marks where a run failed." if any(run.metrics.failed for run in group) else ""
 
 
 def _in_short(scenarios: Mapping[str, Settings]) -> str:
@@ -302,12 +309,12 @@ def _conditions_in_words(shown: Sequence[Shown]) -> str:
 
 
 def _outcome_in_words(settings: Settings) -> str:
-    """What came of it: the smallest MSE, the lost runs, the QPs that were not solved."""
+    """What came of it: the smallest MSE, the failed runs, the QPs that were not solved."""
     runs = [
         (f"{run.label} ({words})" if words else run.label, run.metrics) for words in settings for run in settings[words]
     ]
     sentences = []
-    kept = [(name, metrics) for name, metrics in runs if not metrics.lost]
+    kept = [(name, metrics) for name, metrics in runs if not metrics.failed]
     if kept:
         name, best = min(kept, key=lambda item: item[1].mse)
         sentences.append(
@@ -315,18 +322,19 @@ def _outcome_in_words(settings: Settings) -> str:
             f"{number(best.mse)} m², never more than {number(best.max_abs_error)} m from the reference."
         )
     sentences += [
-        f"Lost: {name}, at {metrics.lost_at:.1f} s; the vehicle {metrics.lost_because}."
+        f"Failed: {name}, at {metrics.failed_at:.1f} s; the vehicle {metrics.failed_because}."
         for name, metrics in runs
-        if metrics.lost
+        if metrics.failed
     ]
-    total, capped, failed, held = (
-        sum(getattr(metrics, name) for _, metrics in runs) for name in ("driven", "qp_capped", "qp_failed", "held")
+    solved, capped, failed, held = (
+        sum(getattr(metrics, name) for _, metrics in runs) for name in ("qp_solved", "qp_capped", "qp_failed", "held")
     )
+    total = solved + capped + failed
     troubles = [f"{number(capped)} stopped at the iteration cap"] * bool(capped)
     troubles += [f"{number(failed)} had no answer"] * bool(failed)
     if troubles:
         sentences.append(f"Of {number(total)} QPs, {listed(troubles)}.")
-    else:
+    elif total:
         sentences.append(f"All {number(total)} QPs were solved to their tolerance.")
     if held:
         sentences.append(f"A safe steering angle was held in {number(held)} control periods.")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import re
+import warnings
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -16,6 +17,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import FixedLocator, FuncFormatter, MaxNLocator, NullLocator
+
+from adaptrack.files import printable
+from adaptrack.report.words import legible
 
 INK = "#1d2733"
 """Text, ticks, and the reference that controllers follow."""
@@ -156,8 +160,14 @@ def panel_figure(draw: Callable[[Axes], None]) -> Figure:
     return figure
 
 
+def data_text(text: str) -> str:
+    """A name out of the data for a picture: shown as it is, never read as mathematics, cut where it is too long."""
+    return legible(text).replace("$", r"\$")
+
+
 def legend_above(figure: Figure, key: Sequence[tuple[str, Stroke]]) -> None:
     """A legend in rows above all panels, where it covers nothing."""
+    key = [(data_text(label), stroke) for label, stroke in key]
     handles = [Line2D([], [], color=s.colour, linestyle=s.dash, linewidth=1.6, label=label) for label, s in key]
 
     def width(columns: int) -> int:
@@ -207,9 +217,14 @@ def logarithmic(axes: Axes, which: Literal["x", "y"], limits: tuple[float, float
 def png(figure: Figure) -> bytes:
     """The figure as a PNG file."""
     buffer = io.BytesIO()
-    with styled():
-        figure.savefig(buffer, format="png", dpi=PNG_DPI, metadata={"Software": None})
+    _save(figure, buffer, format="png", dpi=PNG_DPI, metadata={"Software": None})
     return buffer.getvalue()
+
+
+def _save(figure: Figure, to: io.BytesIO | io.StringIO, **how: Any) -> None:
+    with styled(), warnings.catch_warnings():
+        warnings.filterwarnings("ignore", "Glyph .* missing")  # a name in a script that the font does not have
+        figure.savefig(to, **how)
 
 
 def inline_svg(figure: Figure, prefix: str, description: str) -> str:
@@ -219,8 +234,7 @@ def inline_svg(figure: Figure, prefix: str, description: str) -> str:
     ``var(--ink, ...)``, ``var(--grid, ...)``, ``var(--series-0, ...)``, for the page to redefine.
     """
     buffer = io.StringIO()
-    with styled():
-        figure.savefig(buffer, format="svg", transparent=True, metadata={"Date": None, "Creator": None})
+    _save(figure, buffer, format="svg", transparent=True, metadata={"Date": None, "Creator": None})
     text = buffer.getvalue()
     text = text[text.index("<svg") :]
     text = re.sub(r"<metadata>.*?</metadata>", "", text, flags=re.DOTALL)
@@ -232,7 +246,7 @@ def inline_svg(figure: Figure, prefix: str, description: str) -> str:
     for colour, variable in theme().items():
         text = re.sub(colour, f"var(--{variable}, {colour})", text, flags=re.IGNORECASE)
     text = re.sub(r"\n\s*", "\n", text)
-    return text.replace("<svg", f'<svg role="img" aria-label="{_attribute(description)}"', 1).strip()
+    return text.replace("<svg", f'<svg role="img" aria-label="{_attribute(printable(description))}"', 1).strip()
 
 
 def theme() -> dict[str, str]:

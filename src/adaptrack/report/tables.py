@@ -9,7 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from adaptrack.metrics import LOST_BEYOND, ROAD_ACTIVITY_PRICE, SLOW, Metrics, published_mse
+from adaptrack.failure import DISTANCE, SLOW
+from adaptrack.metrics import Metrics, published_mse
+from adaptrack.profile import load_profile
 from adaptrack.report.figures import CREEPING
 from adaptrack.report.page import Cell, Head, Section, Table, Terms
 from adaptrack.report.words import describe, number, percent, recorded, scientific, span, title_of
@@ -30,7 +32,7 @@ Settings = Mapping[str, Sequence[Shown]]
 
 _Column = tuple[Head, Callable[[Shown], Cell | str]]
 _CONTROLLER = Head("Controller", is_text=True)
-_BOLD = "Bold: the smallest MSE of a setting, among the runs that were not lost."
+_BOLD = "Bold: the smallest MSE of a setting, among the runs that did not fail."
 
 
 def overview_table(scenarios: Mapping[str, Settings]) -> Table:
@@ -81,11 +83,11 @@ def differences_table(runs: Sequence[Shown], entries: Sequence[tuple[str, str]])
 
 def reading() -> Section:
     """What the columns, and the small words above some panels, mean."""
-    road = f"{ROAD_ACTIVITY_PRICE:g}"
+    road = f"{load_profile('road').move_weight:g}"
     meanings = (
         ("MSE", "mean of e² over the control instants, e = Y − y_ref: the paper's measure"),
         ("Heading", f"heading minus the reference's, atan2(dy_ref/dt, v_x), where v_x ≥ {SLOW:g} m/s"),
-        ("Lost", f"left the reference by more than {LOST_BEYOND:g} m, spun, or reached a state that is not finite"),
+        ("Failed", f"left the reference by more than {DISTANCE:g} m, spun, or reached a state that is not finite"),
         ("Steering", "RMS of the commanded road-wheel angle u, and of its change per second"),
         ("Cost J", f"mean e² + w · mean Δu², which tuning minimises; w = 0, in the road profile {road} m²/rad²"),
         ("Δu, u, y limit", "share of the control periods in which a limit (13), (14), (15) of the paper was active"),
@@ -120,7 +122,13 @@ def _share(text: str, name: str) -> _Column:
 
 def _trouble(text: str, unit: str, name: str) -> _Column:
     """A count that should be zero."""
-    return Head(text, unit), lambda run: Cell(number(getattr(run.metrics, name)), warn=getattr(run.metrics, name) > 0)
+    return Head(text, unit), lambda run: Cell(_count(run, name), warn=getattr(run.metrics, name) > 0)
+
+
+def _count(run: Shown, name: str) -> str:
+    """A count; a dash for one of QPs where the controller solves none."""
+    none = name.startswith("qp_") and "qp_status" not in run.trajectory.diagnostics
+    return "–" if none else number(getattr(run.metrics, name))
 
 
 def _tracking_columns(shown: Sequence[Shown], best: set[int]) -> list[_Column]:
@@ -139,8 +147,8 @@ def _tracking_columns(shown: Sequence[Shown], best: set[int]) -> list[_Column]:
         *(paper if any(known is not None for known in published.values()) else []),
         _measure("RMS error", "m", "rms_error"),
         _measure("Max |error|", "m", "max_abs_error"),
-        (Head("Lost"), lambda run: _lost(run.metrics)),
-        *(_tuning(name, unit) for name, unit in (("Np", ""), ("Nc", ""), ("Q", "1/m²"), ("R", "1/rad²"))),
+        (Head("Failed"), lambda run: _failed(run.metrics)),
+        *(_tuning(name, unit) for name, unit in _entries(shown).items()),
     ]
 
 
@@ -159,7 +167,7 @@ _SOLVER: Sequence[_Column] = (
     _share("Δu limit", "at_change_limit"),
     _share("u limit", "at_angle_limit"),
     _share("y limit", "at_output_limit"),
-    _measure("QPs", "solved", "qp_solved"),
+    (Head("QPs", "solved"), lambda run: _count(run, "qp_solved")),
     _trouble("QPs", "capped", "qp_capped"),
     _trouble("QPs", "failed", "qp_failed"),
     _trouble("Held", "steps", "held"),
@@ -175,7 +183,7 @@ def _best(settings: Settings) -> set[int]:
     """The ids of the runs with the smallest MSE of their setting; none where there is no choice."""
     found = set()
     for runs in settings.values():
-        kept = [run for run in runs if not run.metrics.lost]
+        kept = [run for run in runs if not run.metrics.failed]
         if len(runs) > 1 and kept:
             found.add(id(min(kept, key=lambda run: run.metrics.mse)))
     return found
@@ -184,8 +192,8 @@ def _best(settings: Settings) -> set[int]:
 def _mse_and_published(run: Shown | None, best: set[int]) -> tuple[Cell, Cell]:
     if run is None:
         return Cell("–"), Cell("–")
-    lost = run.metrics.lost
-    mse = Cell(number(run.metrics.mse) + (" (lost)" if lost else ""), strong=id(run) in best, warn=lost)
+    failed = run.metrics.failed
+    mse = Cell(number(run.metrics.mse) + (" (failed)" if failed else ""), strong=id(run) in best, warn=failed)
     return mse, Cell(_published(published_mse(run.trajectory)))
 
 
@@ -193,8 +201,15 @@ def _published(value: float | None) -> str:
     return "–" if value is None else f"{value:g}"
 
 
-def _lost(metrics: Metrics) -> Cell:
-    return Cell(f"at {metrics.lost_at:.1f} s", warn=True) if metrics.lost else Cell("no")
+def _failed(metrics: Metrics) -> Cell:
+    return Cell(f"at {metrics.failed_at:.1f} s", warn=True) if metrics.failed else Cell("no")
+
+
+def _entries(shown: Sequence[Shown]) -> dict[str, str]:
+    """The tuning entries of the runs and their units, as a reader writes them."""
+    powers = str.maketrans("-23", "–²³")
+    units = {name: run.trajectory.units[f"tuning.{name}"] for run in shown for name in run.trajectory.tuning}
+    return {name: "" if unit == "-" else unit.replace("^", "").translate(powers) for name, unit in units.items()}
 
 
 def _tuning(name: str, unit: str) -> _Column:
@@ -203,8 +218,8 @@ def _tuning(name: str, unit: str) -> _Column:
 
 
 def _driven(run: Trajectory, name: str) -> NDArray[Any]:
-    """An array of the run, as long as it was driven."""
-    return getattr(run, name)[np.isfinite(run.command)]
+    """A tuning entry of the run, as long as it was driven."""
+    return run.tuning.get(name, np.full(len(run), np.nan))[np.isfinite(run.command)]
 
 
 def _about_times(shown: Sequence[Shown]) -> str:

@@ -11,19 +11,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from adaptrack.files import printable
+from adaptrack.scheduling.variables import VARIABLES
+
 _SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 _THIN_SPACE = "\u202f"
 
-INPUTS = {
-    "speed": ("Speed", "m/s"),
-    "y_ref": ("Lateral reference", "m"),
-    "friction": ("Friction", "–"),
-    "wind": ("Side wind", "m/s"),
-    "change": ("Reference change ahead", "m"),
-    "acceleration": ("Acceleration ahead", "m/s²"),
-    "offset": ("Offset", "m"),
-}
-"""What a scheduler may look at, with its unit, see `mpc.Condition`."""
+INPUTS = {name: (variable.label, variable.unit) for name, variable in VARIABLES.items()}
+"""The label and unit of each scheduling variable."""
 
 
 def number(value: float | int | None, digits: int = 3) -> str:
@@ -54,9 +49,9 @@ def scientific(value: float) -> str:
 
 
 def percent(share: float) -> str:
-    """A share 0..1 in percent, without the sign; what is not zero does not look like zero."""
-    if share == 0.0:
-        return "0"
+    """A share 0..1 in percent, without the sign; what is not zero does not look like zero; a dash for NaN."""
+    if share == 0.0 or math.isnan(share):
+        return number(share)
     return "< 0.1" if share < 0.001 else f"{100 * share:.1f}"
 
 
@@ -89,15 +84,22 @@ def plain(label: str) -> str:
     return re.sub(r"\\mathrm\{(\w+)\}|\$", r"\1", label).replace(r"\log_{10}", "log10")
 
 
+def legible(name: str, longest: int = 80) -> str:
+    """A name, whatever it holds, as it can stand on a page: printable, and cut where it is too long."""
+    text = printable(name[: longest + 1])
+    return text if len(text) <= longest else text[: longest - 1] + "…"
+
+
 def title_of(name: str) -> str:
     """A registered name as words: ``triple-lane-change`` becomes "Triple lane change"."""
-    words = name.replace("-", " ").replace("_", " ").strip()
+    words = legible(name).replace("-", " ").replace("_", " ").strip()
     return words[:1].upper() + words[1:] if words else "Unnamed scenario"
 
 
 def controller_name(name: str) -> str:
     """A controller's name as a label: as the paper writes it, where the paper has it."""
     known = {"standard": "Standard MPC", "nn": "NN-MPC", "anfis": "ANFIS-MPC"}
+    name = legible(name)
     return known.get(name) or name[:1].upper() + name[1:] or "Controller"
 
 

@@ -16,10 +16,10 @@ from typing import Any
 import numpy as np
 
 from adaptrack.errors import InvalidInput, UnknownName, did_you_mean
+from adaptrack.files import read_toml
 from adaptrack.scenario.scenario import Scenario
 from adaptrack.scenario.shapes import Gust, LaneChange, Shape, Sine, as_shape
 from adaptrack.scenario.surroundings import as_friction
-from adaptrack.toml_files import read_toml
 from adaptrack.vehicle import GRAVITY
 
 QUINTIC_PEAK = 10.0 / math.sqrt(3.0)

@@ -13,11 +13,11 @@ from numpy.typing import ArrayLike
 from pydantic import BeforeValidator, Field, model_validator
 
 from adaptrack.errors import ConfigError, InvalidInput, did_you_mean
+from adaptrack.files import Record, build, dump_toml, read_toml, write_atomically
 from adaptrack.scenario.shapes import Array, Constant, Knots, Method, Shape, Signal, as_tuples
 from adaptrack.scenario.signals import Signals, instants
 from adaptrack.scenario.surroundings import WHEELS, Patch, PolarWind, Wind, as_friction, as_patches, as_wind
 from adaptrack.scenario.tables import FRICTION_COLUMNS, insert_csv_columns, read_scenario_table
-from adaptrack.toml_files import Record, build, dump_toml, read_toml, write_atomically
 
 CONTROL_PERIOD = 0.1
 """The sampling time of the paper's controller, s."""

@@ -22,7 +22,7 @@ from numpy.typing import ArrayLike, NDArray
 from pydantic import BeforeValidator, Field, model_validator
 
 from adaptrack.errors import InvalidInput, UnknownName, did_you_mean
-from adaptrack.toml_files import Record, build
+from adaptrack.files import Record, build
 
 Array = NDArray[np.float64]
 

@@ -11,9 +11,9 @@ from numpy.typing import ArrayLike
 from pydantic import Field, model_validator
 
 from adaptrack.errors import InvalidInput, did_you_mean
+from adaptrack.files import Record, build
 from adaptrack.scenario.shapes import Array, Constant, Shape, Signal, as_shape
 from adaptrack.scenario.signals import HIGHEST_FRICTION
-from adaptrack.toml_files import Record, build
 
 WHEELS = {
     "all": (0, 1, 2, 3),

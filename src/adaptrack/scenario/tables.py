@@ -12,9 +12,9 @@ from typing import Any, Literal
 import numpy as np
 
 from adaptrack.errors import ConfigError, InvalidInput, StorageError, did_you_mean
+from adaptrack.files import Record, build
 from adaptrack.scenario.shapes import Array, Knots, Method, as_tuples
 from adaptrack.scenario.signals import HIGHEST_FRICTION
-from adaptrack.toml_files import Record, build
 
 FRICTION_COLUMNS = (
     ("friction",),

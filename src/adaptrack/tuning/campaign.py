@@ -28,8 +28,8 @@ from numpy.typing import NDArray
 
 from adaptrack import __version__
 from adaptrack.errors import AdaptrackError, ContractError, InvalidInput, MissingExtra, StorageError
-from adaptrack.tuning.conditions import NAMES
 from adaptrack.tuning.config import STANDARD, CampaignConfig, Plan, Setup
+from adaptrack.tuning.operating_points import NAMES
 from adaptrack.tuning.store import COLUMNS, FORMAT_VERSION, Columns, Folder
 
 if TYPE_CHECKING:
@@ -223,7 +223,7 @@ def run_campaign(
         "name": config.name,
         "format_version": FORMAT_VERSION,
         "identity": plan.identity,
-        "conditions": len(plan.conditions),
+        "conditions": len(plan.operating_points),
         "computed": count,
         "chunk": config.chunk,
         "chunks": math.ceil(count / config.chunk),
@@ -329,7 +329,7 @@ class _Session:
         try:
             for number in missing:
                 streams = self.part(number)
-                task = pool.executor.submit(compute, self.job, streams, self.plan.conditions[streams], *more)
+                task = pool.executor.submit(compute, self.job, streams, self.plan.operating_points[streams], *more)
                 waiting[task] = number
             self._collect(waiting)
         except KeyboardInterrupt:
@@ -400,10 +400,10 @@ class _Session:
         generations = {part["trace"].shape[1] for part in parts}
         if len(generations) > 1:
             raise ContractError(f"the objective's traces differ in length: {sorted(generations)} generations.")
-        fold, numbers = self.plan.fold, np.arange(len(self.plan.conditions))
+        fold, numbers = self.plan.fold, np.arange(len(self.plan.operating_points))
         columns = {each.name: np.concatenate([part[each.name] for part in parts])[fold.family] for each in COLUMNS}
         origin = fold.representatives[fold.family]
-        columns |= dict(zip(NAMES, self.plan.conditions.T, strict=True))
+        columns |= dict(zip(NAMES, self.plan.operating_points.T, strict=True))
         columns |= {"stream": numbers, "mirrored_from": np.where(origin == numbers, -1, origin)}
         settings = self.plan.settings
         about = {**self.about, "settings": settings, "library": self.plan.library.tolist()}

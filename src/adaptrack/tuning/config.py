@@ -1,4 +1,4 @@
-"""What a campaign is: one validated TOML file, the conditions and the library of tunings that it stands for."""
+"""What a campaign is: one validated TOML file, the operating points and the library of tunings that it stands for."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BeforeValidator, Field, model_validator
 
+from adaptrack.controllers import Tuning
 from adaptrack.errors import UnknownName, did_you_mean
-from adaptrack.mpc import Tuning
-from adaptrack.plant import PROFILES
-from adaptrack.toml_files import Record, build, read_toml
-from adaptrack.tuning.conditions import Fold, check_box, fold, grid, paper_grid, sobol, unit_sobol
+from adaptrack.files import Record, build, read_toml
+from adaptrack.profile import load_profile
+from adaptrack.tuning.operating_points import Fold, check_box, fold, grid, paper_grid, sobol, unit_sobol
 from adaptrack.tuning.pso import SearchSpace, SwarmSettings
 from adaptrack.vehicle import Tyre, Vehicle, load_tyre, load_vehicle
 
@@ -42,19 +42,19 @@ Levels = Annotated[tuple[float, ...], BeforeValidator(_tuples), Field(min_length
 Seed = Annotated[int, Field(ge=0, le=LARGEST_SEED)]
 
 
-# -- conditions -------------------------------------------------------------------------------------------------------
+# -- operating points ------------------------------------------------------------------------------------------------
 class PaperGrid(Record):
-    """The 6,435 conditions of the authors' published data."""
+    """The 6,435 operating points of the authors' published data."""
 
     kind: Literal["paper-grid"] = "paper-grid"
 
     def rows(self) -> Array:
-        """The conditions, (n, 4)."""
+        """The operating points, (n, 4)."""
         return paper_grid()
 
 
 class Grid(Record):
-    """All combinations of the given levels, see `conditions.grid`."""
+    """All combinations of the given levels, see `operating_points.grid`."""
 
     kind: Literal["grid"] = "grid"
     speed: Levels = Field(description="m/s")
@@ -68,7 +68,7 @@ class Grid(Record):
         return self
 
     def rows(self) -> Array:
-        """The conditions, (n, 4)."""
+        """The operating points, (n, 4)."""
         return grid(speed=self.speed, y_ref=self.y_ref, friction=self.friction, wind=self.wind)
 
 
@@ -87,19 +87,19 @@ class Box(Record):
 
 
 class Sobol(Record):
-    """Points of a scrambled Sobol sequence in a box, see `conditions.sobol`."""
+    """Points of a scrambled Sobol sequence in a box, see `operating_points.sobol`."""
 
     kind: Literal["sobol"] = "sobol"
-    n: int = Field(ge=1, le=10_000_000, description="how many conditions")
+    n: int = Field(ge=1, le=10_000_000, description="how many operating points")
     seed: Seed = Field(default=0, description="of the scrambling")
     box: Box = Field(description="lowest and highest value of each quantity")
 
     def rows(self) -> Array:
-        """The conditions, (n, 4)."""
+        """The operating points, (n, 4)."""
         return sobol(self.n, dict(self.box), self.seed)
 
 
-Conditions = Annotated[PaperGrid | Grid | Sobol, Field(discriminator="kind")]
+OperatingPoints = Annotated[PaperGrid | Grid | Sobol, Field(discriminator="kind")]
 
 
 # -- tunings ----------------------------------------------------------------------------------------------------------
@@ -144,7 +144,7 @@ class Search(Record):
 
 
 class Library(Record):
-    """The common library: tunings whose cost is found on every condition (the landscape)."""
+    """The common library: tunings whose cost is found at every operating point (the landscape)."""
 
     size: int = Field(default=200, ge=1, le=10_000, description="how many tunings, the standard one included")
     seed: Seed = Field(default=0, description="of the scrambled Sobol sequence")
@@ -188,7 +188,7 @@ def spread_tunings(size: int, search: Search, seed: int = 0) -> Array:
 
 # -- the file ---------------------------------------------------------------------------------------------------------
 class CampaignConfig(Record):
-    """A campaign: on every condition one particle swarm, and the cost of every tuning of a common library."""
+    """A campaign: at every operating point one particle swarm, and the cost of every tuning of a common library."""
 
     name: str = Field(
         pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*$", description="letters, digits, . _ -; the data set is called so"
@@ -212,11 +212,13 @@ class CampaignConfig(Record):
     mirror: bool | None = Field(
         default=None, description="compute only one of two left-right twins; by default without sensor noise only"
     )
-    chunk: int = Field(default=32, ge=1, le=100_000, description="conditions per chunk: what a kill can cost at most")
-    conditions: Conditions = Field(description="where to tune")
+    chunk: int = Field(default=32, ge=1, le=100_000, description="points per chunk: what a kill can cost at most")
+    operating_points: OperatingPoints = Field(description="where to tune")
     search: Search = Field(default_factory=Search, description="bounds of the tunings")
     swarm: SwarmSettings = Field(default_factory=SwarmSettings, description="how a swarm searches")
-    library: Library = Field(default_factory=Library, description="tunings whose cost is found on every condition")
+    library: Library = Field(
+        default_factory=Library, description="tunings whose cost is found at every operating point"
+    )
 
     @model_validator(mode="after")
     def _fits_together(self) -> Self:
@@ -234,13 +236,13 @@ class CampaignConfig(Record):
     @property
     def noisy(self) -> bool:
         """Whether the profile has sensor noise."""
-        return any(PROFILES[self.profile].noise)
+        return any(load_profile(self.profile).noise)
 
     def settled(self) -> Self:
         """A copy in which every value that may be left out has been given."""
         return self.replace(
             duration=self.duration or {"step": 18.0, "lane-change": 8.0}[self.scenario],
-            move_price=PROFILES[self.profile].move_price if self.move_price is None else self.move_price,
+            move_price=load_profile(self.profile).move_weight if self.move_price is None else self.move_price,
             noise_seeds=self.noise_seeds or ((0, 1, 2, 3) if self.noisy else (0,)),
             mirror=not self.noisy if self.mirror is None else self.mirror,
         )
@@ -290,7 +292,7 @@ def _is_path(text: str) -> bool:
 # -- what follows from it ---------------------------------------------------------------------------------------------
 @dataclass(frozen=True)
 class Setup:
-    """Everything that decides the cost of a tuning on a condition: what a worker needs to build the objective."""
+    """Everything that decides the cost of a tuning: what a worker needs to build the objective."""
 
     config: CampaignConfig
     """settled"""
@@ -300,7 +302,7 @@ class Setup:
 
 @dataclass(frozen=True, eq=False)
 class Plan:
-    """A campaign ready to run: its files read, its conditions and tunings counted.
+    """A campaign ready to run: its files read, its operating points and tunings counted.
 
     Raises
     ------
@@ -309,7 +311,7 @@ class Plan:
     """
 
     setup: Setup
-    conditions: Array
+    operating_points: Array
     """(n, 4)"""
     fold: Fold
     """which of them are computed"""
@@ -322,7 +324,7 @@ class Plan:
         config = config.settled()
         vehicle = load_vehicle(config.vehicle)
         tyre = load_tyre(config.tyre or vehicle.tyre)
-        rows = config.conditions.rows()
+        rows = config.operating_points.rows()
         numbers = np.arange(len(rows))
         twins = fold(rows) if config.mirror else Fold(numbers, numbers, np.ones_like(numbers))
         return cls(Setup(config, vehicle, tyre), rows, twins, config.library.rows(config.search))
@@ -339,15 +341,15 @@ class Plan:
         All that the data depend on, and nothing else: no chunk size, no description, no path.
         """
         values = self.config.model_dump(mode="json", exclude={"description", "chunk"})
-        values["vehicle"] = self.setup.vehicle.model_dump(mode="json", exclude={"description", "tyre"})
+        values["vehicle"] = self.setup.vehicle.model_dump(mode="json", exclude={"description", "tyre", "steering"})
         values["tyre"] = self.setup.tyre.model_dump(mode="json", exclude={"description"})
         return _plain(values)
 
     @cached_property
     def identity(self) -> str:
-        """SHA-256 of the settings, the conditions and the library: equal for equal data only."""
+        """SHA-256 of the settings, the operating points and the library: equal for equal data only."""
         digest = hashlib.sha256(json.dumps(self.settings, sort_keys=True).encode())
-        for array in (self.conditions, self.library):
+        for array in (self.operating_points, self.library):
             digest.update(np.ascontiguousarray(array, dtype="<f8").tobytes())
         return digest.hexdigest()
 

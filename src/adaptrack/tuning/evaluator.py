@@ -10,8 +10,9 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from adaptrack.mpc import MPC
-from adaptrack.plant import DualTrack, SingleTrack, load_profile
+from adaptrack.controllers import MPC
+from adaptrack.plant import DualTrack, SingleTrack
+from adaptrack.profile import load_profile
 from adaptrack.tuning.config import Setup
 from adaptrack.tuning.objective import Objective
 

@@ -6,18 +6,19 @@ stream, never shared, so a result depends on its own arguments only.
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from adaptrack.controllers import MPC
 from adaptrack.errors import InvalidInput
-from adaptrack.mpc import MPC
-from adaptrack.plant import Plant, Profile, load_profile
+from adaptrack.failure import Failure
+from adaptrack.plant import Plant
+from adaptrack.profile import Profile, load_profile
 from adaptrack.scenario import Scenario, load_scenario
-from adaptrack.simulate import Batch, vehicle_arrays
+from adaptrack.simulate import Batch
 from adaptrack.tuning.pso import SearchSpace, SwarmSettings
 
 Array = NDArray[np.float64]
@@ -33,7 +34,7 @@ class Tuned:
     tuning: Array
     """(4,) Np, Nc, Q, R"""
     cost: float
-    """m^2, inf when every run was lost"""
+    """m^2, inf when every run failed"""
     trace: Array
     """(generations,) m^2, the best cost after each"""
     evaluations: int
@@ -43,11 +44,11 @@ class Tuned:
 
 @dataclass(frozen=True, eq=False)
 class Objective:
-    """J = mean e^2 + move_price * mean (change of command)^2 of a run under a condition.
+    """J = mean e^2 + move_weight * mean (change of command)^2 of a run under a condition.
 
     plant, mpc: what is driven, by which controller (its tuning is ignored); test: `step` (the paper: constant y_ref
     from y = 0) or `lane-change` (smooth, with one gust of the condition's wind); profile: with its noise, J is the
-    mean over `noise_seeds`; move_price: m^2/rad^2, None for the profile's; duration: s, None for 18 (step) or 8.
+    mean over `noise_seeds`; move_weight: m^2/rad^2, None for the profile's; duration: s, None for 18 (step) or 8.
 
     Raises
     ------
@@ -60,12 +61,10 @@ class Objective:
     test: Literal["step", "lane-change"] = "step"
     profile: str | Profile = "paper"
     noise_seeds: tuple[int, ...] = (0,)
-    move_price: float | None = None
+    move_weight: float | None = None
     duration: float | None = None
-    lost_beyond: float = 1000.0
-    """m, a run is lost when |Y - y_ref| exceeds this"""
-    spin_beyond: float = math.inf
-    """or |v_y/v_x| this"""
+    failure: Failure = Failure()  # noqa: RUF009 (frozen)
+    """when a run has failed"""
 
     def __post_init__(self) -> None:
         if self.test not in ("step", "lane-change"):
@@ -75,10 +74,10 @@ class Objective:
         object.__setattr__(self, "profile", load_profile(self.profile))
 
     @property
-    def price(self) -> float:
-        """The price of steering activity in use (m^2/rad^2)."""
+    def weight(self) -> float:
+        """The weight of steering activity in use (m^2/rad^2)."""
         assert isinstance(self.profile, Profile)
-        return self.profile.move_price if self.move_price is None else self.move_price
+        return self.profile.move_weight if self.move_weight is None else self.move_weight
 
     def scenario(self, condition: ArrayLike) -> Scenario:
         """The run under a condition."""
@@ -91,20 +90,19 @@ class Objective:
         )
 
     def costs(self, condition: ArrayLike, tunings: ArrayLike) -> Array:
-        """J of each of the tunings (n, 4) on one condition, (n,); inf where a run was lost."""
-        from adaptrack.kernels import tuning as kernels
-        from adaptrack.kernels.integrate import LANES
+        """J of each of the tunings (n, 4) on one condition, (n,); inf where a run failed."""
+        from adaptrack.kernels import tune as kernels
+        from adaptrack.kernels.plants.contract import SLOTS
 
         asked = np.array(tunings, dtype=np.float64, ndmin=2)
         costs = np.empty(len(asked))
-        arena = _Arena(self, condition, min(len(asked), LANES), asked[:, 0].max(), asked[:, 1].max())
-        for first in range(0, len(asked), LANES):
-            part = np.ascontiguousarray(asked[first : first + LANES])
-            found = np.empty(len(part))
-            never = np.full(len(part), np.inf)
-            arena.memory[:, arena.key] = np.nan
-            kernels.evaluate(part, never, arena.noise, self.price, found, *arena.arguments(len(part)))
-            costs[first : first + LANES] = found
+        trial, members = self._trial(condition, min(len(asked), SLOTS), asked[:, 0].max(), asked[:, 1].max())
+        for first in range(0, len(asked), SLOTS):
+            part = np.ascontiguousarray(asked[first : first + SLOTS])
+            found, never = np.empty(len(part)), np.full(len(part), np.inf)
+            trial.run.mpc.memory["speed"] = np.nan  # nothing is formed yet
+            kernels.evaluate(part, never, found, len(part), trial, members)
+            costs[first : first + SLOTS] = found
         return costs
 
     landscape = costs
@@ -120,49 +118,28 @@ class Objective:
     ) -> Tuned:
         """The best tuning that one swarm finds on a condition; the swarm's random numbers are those of its stream."""
         from adaptrack.kernels import swarm as rules
-        from adaptrack.kernels import tuning as kernels
-        from adaptrack.kernels.integrate import LANES
+        from adaptrack.kernels import tune as kernels
+        from adaptrack.kernels.plants.contract import SLOTS
 
         swarm, space = swarm or SwarmSettings(), space or SearchSpace.tuning()
-        lanes = min(swarm.particles, LANES)
-        arena = _Arena(self, condition, lanes, space.high[0], space.high[1])
-        particles = rules.particles(swarm.particles, 4)
-        trace = np.empty(swarm.generations)
-        evaluations, steps = kernels.tune(
-            seed, stream, swarm.packed(space), space.packed(), particles, np.zeros((swarm.particles, 4)), trace,
-            np.empty(swarm.particles),
-            arena.noise, self.price, *arena.arguments(lanes),
+        slots, count = min(swarm.particles, SLOTS), swarm.particles
+        trial, members = self._trial(condition, slots, space.high[0], space.high[1])
+        search = kernels.Search(
+            swarm.packed(space), space.packed(), rules.particles(count, 4), np.zeros((count, 4)), np.empty(count),
+            np.empty(swarm.generations),
         )  # fmt: skip
+        evaluations, steps = kernels.tune(seed, stream, slots, search, trial, members)
+        best = search.swarm
         return Tuned(
-            space.values(particles.leader), float(particles.progress[rules.LEADER_COST]), trace, evaluations, steps
+            space.values(best.leader), float(best.progress[rules.LEADER_COST]), search.best, evaluations, steps
         )
 
+    def _trial(self, condition: ArrayLike, slots: int, longest: float, most: float) -> tuple[Any, tuple[Any, ...]]:
+        """`kernels.tune.Trial` of a condition for up to `slots` tunings with horizons up to these, and its members."""
+        from adaptrack.kernels import tune as kernels
 
-class _Arena:
-    """The kernels' arrays for runs of one condition."""
-
-    def __init__(self, objective: Objective, condition: ArrayLike, lanes: int, longest: float, most: float) -> None:
-        from adaptrack.kernels import inference, loop
-
-        batch = Batch(
-            objective.plant, objective.mpc, [objective.scenario(condition)], objective.profile,
-            lost_beyond=objective.lost_beyond, spin_beyond=objective.spin_beyond,
-        )  # fmt: skip
-        settings = batch.sized(longest, most)
-        block, own, scratch = vehicle_arrays(batch.plant)
-        self.key = loop.KEY
-        self.noise = np.array(objective.noise_seeds, dtype=np.int64)
-        self.memory = loop.memory(lanes)
-        self._fixed: tuple[Any, ...] = (
-            batch.function, batch.packed, block, own, scratch, batch.model, settings,
-            batch.loops[int(batch.substeps[0])], batch.samples,
-            np.zeros(lanes, np.int64), np.zeros(lanes, np.int64), self.memory, np.zeros((lanes, len(loop.RECORD))),
-            loop.workspace(lanes, settings), inference.no_schedule(), np.zeros((0, 2)),
-            np.repeat(batch.starts, lanes, axis=0), np.zeros(lanes), np.zeros((lanes, 0)),
-            np.zeros((lanes, len(loop.RESULT))), np.zeros((lanes, 0, loop.TRACE)),
-        )  # fmt: skip
-        self._periods = batch.signals[0].n
-
-    def arguments(self, lanes: int) -> tuple[Any, ...]:
-        """The arguments of `kernels.tuning.evaluate` and `tune` that stay the same."""
-        return (self._periods, lanes, *self._fixed)
+        batch = Batch(self.plant, self.mpc, [self.scenario(condition)], self.profile, failure=self.failure)
+        run = batch.arena(slots, int(batch.substeps[0]), batch.mpc_settings(longest, most, residuals=False))
+        run.vehicles.start[:] = batch.starts
+        noise = np.array(self.noise_seeds, dtype=np.int64)
+        return kernels.Trial(run, batch.signals[0].n, self.weight, noise), batch.members

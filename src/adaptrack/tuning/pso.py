@@ -24,8 +24,8 @@ from numpy.typing import ArrayLike, NDArray
 from pydantic import BeforeValidator, Field, model_validator
 
 from adaptrack.errors import InvalidInput
+from adaptrack.files import Record
 from adaptrack.kernels import swarm as kernel
-from adaptrack.toml_files import Record
 
 Array = NDArray[np.float64]
 

@@ -7,8 +7,6 @@ how often the work was interrupted.
 from __future__ import annotations
 
 import contextlib
-import hashlib
-import io
 import json
 import os
 from collections.abc import Iterator, Mapping
@@ -19,9 +17,10 @@ from typing import Any, NamedTuple, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from adaptrack.errors import StorageError
-from adaptrack.toml_files import write_atomically
-from adaptrack.tuning import conditions
+from adaptrack.errors import ConfigError, StorageError
+from adaptrack.files import Column as Stored
+from adaptrack.files import Damaged, decode_parquet, encode_parquet, read_bytes, read_json, write_atomically, write_json
+from adaptrack.tuning import operating_points
 
 Columns = dict[str, NDArray[Any]]
 
@@ -34,7 +33,7 @@ CHUNK = "adaptrack campaign chunk"
 
 
 class Column(NamedTuple):
-    """One column of a table of tuned conditions."""
+    """One column of a table of tuned operating points."""
 
     name: str
     unit: str
@@ -45,8 +44,8 @@ class Column(NamedTuple):
 
 
 COLUMNS = (
-    Column("stream", "-", "int64", "number of the condition; its random numbers depend on seed and stream only"),
-    *(Column(each.name, each.unit, "float64", each.meaning) for each in conditions.COLUMNS),
+    Column("stream", "-", "int64", "number of the operating point; its random numbers depend on seed and stream only"),
+    *(Column(each.name, each.unit, "float64", each.meaning) for each in operating_points.COLUMNS),
     Column("Np", "-", "int64", "prediction horizon of the best tuning found, control periods"),
     Column("Nc", "-", "int64", "control horizon of the best tuning found, control periods"),
     Column("Q", "1/m^2", "float64", "weight of the tracking error of the best tuning found"),
@@ -64,120 +63,35 @@ COLUMNS = (
 """The columns of chunks and of data sets, in the order of their files."""
 
 
-class Damaged(StorageError):
-    """A file that is torn, was edited, or cannot be read as what its name says."""
-
-
 # -- one file ---------------------------------------------------------------------------------------------------------
 def encode(kind: str, columns: Columns, about: Mapping[str, Any]) -> bytes:
-    """A Parquet file (zstd) of the columns in `COLUMNS`; the same content gives the same bytes.
-
-    about: what the file says of itself, plain JSON. A checksum of it and of all numbers goes along.
-    """
-    import pyarrow as pa
-    import pyarrow.parquet as pq
-
-    fields, arrays = [], []
-    floats: list[str] = []
-    others: list[str] = []
-    for column in COLUMNS:
-        values = np.ascontiguousarray(columns[column.name], dtype=column.dtype)
-        array = pa.array(values.reshape(-1))
-        if column.wide:
-            array = pa.FixedSizeListArray.from_arrays(array, values.shape[1])
-        arrays.append(array)
-        about_column = {"unit": column.unit, "meaning": column.meaning}
-        fields.append(pa.field(column.name, array.type, nullable=False, metadata=about_column))
-        path = f"{column.name}.list.element" if column.wide else column.name
-        (floats if column.wide else others).append(path)
-    text = json.dumps(dict(about), sort_keys=True)
-    schema = pa.schema(
-        fields,
-        metadata={
-            "format": kind,
-            "format_version": str(FORMAT_VERSION),
-            "about": text,
-            "sha256": checksum(columns, text),
-        },
-    )
-    content = io.BytesIO()
-    pq.write_table(
-        pa.Table.from_arrays(arrays, schema=schema),
-        content,
-        compression="zstd",
-        compression_level=12,
-        use_dictionary=others,
-        use_byte_stream_split=floats,
-        write_page_checksum=True,
-    )
-    return content.getvalue()
+    """A Parquet file of the columns in `COLUMNS`, see `files.encode_parquet`."""
+    stored = [
+        Stored(each.name, each.unit, np.ascontiguousarray(columns[each.name], dtype=each.dtype), each.meaning)
+        for each in COLUMNS
+    ]
+    return encode_parquet(kind, FORMAT_VERSION, stored, about)
 
 
-def decode(path: str | os.PathLike[str], kind: str) -> tuple[Columns, dict[str, Any]]:
-    """The columns of a file that `encode` made, and what it says of itself.
+def decode(content: bytes, where: str | os.PathLike[str], kind: str) -> tuple[Columns, dict[str, Any]]:
+    """The columns of a file that `encode` made, and what it says of itself; `where` opens every message.
 
     Raises
     ------
     StorageError
-        When it cannot be read, is something else, or of another format version.
+        When it is something else, or of another format version.
     Damaged
         When it is torn or was edited.
     """
-    import pyarrow as pa
-    import pyarrow.parquet as pq
-
-    where = os.fspath(path)
-    try:
-        content = Path(path).read_bytes()
-    except OSError as error:
-        raise StorageError(f"{where}: cannot be read: {error.strerror or error}.") from error
-    try:
-        # Without threads: one of Arrow's that lets go of `content` while Python exits would abort the process.
-        file = pq.ParquetFile(pa.BufferReader(content), page_checksum_verification=True)
-        table = file.read(use_threads=False)
-    except (pa.ArrowException, OSError) as error:
-        reason = str(error).splitlines()[0].rstrip(".")
-        raise Damaged(f"{where}: not a Parquet file, or damaged: {reason}.") from error
-    stored = {key.decode(): value.decode() for key, value in (table.schema.metadata or {}).items()}
-    if stored.get("format") != kind:
-        what = stored.get("format", "a table of another program")
-        raise StorageError(f"{where}: holds no {kind.removeprefix('adaptrack ')}, but {what}.")
-    if stored.get("format_version") != str(FORMAT_VERSION):
-        raise StorageError(
-            f"{where}: written in format version {stored.get('format_version')}, this adaptrack reads version "
-            f"{FORMAT_VERSION}: run its campaign again, or use the release that wrote it."
-        )
-    try:
-        columns = {column.name: _array(table, column) for column in COLUMNS}
-        about = json.loads(stored["about"])
-    except (KeyError, ValueError) as error:
-        raise Damaged(f"{where}: damaged, or edited by another program: {error}.") from error
-    if checksum(columns, stored["about"]) != stored.get("sha256"):
-        raise Damaged(f"{where}: damaged, or edited by another program: the checksum of its content does not fit.")
+    remedy = "run its campaign again, or use the release that wrote it"
+    columns, about = decode_parquet(content, where, kind, FORMAT_VERSION, remedy, [each.name for each in COLUMNS])
+    for each in COLUMNS:
+        values = columns[each.name]
+        if values.dtype != np.dtype(each.dtype) or values.ndim != 1 + each.wide:
+            raise Damaged(f"{os.fspath(where)}: damaged: column {each.name!r} holds {values.dtype}, not {each.dtype}.")
+    if not isinstance(about, dict):
+        raise Damaged(f"{os.fspath(where)}: damaged: what it says of itself is no table.")
     return columns, about
-
-
-def checksum(columns: Columns, about: str) -> str:
-    """SHA-256 of every number and of `about`."""
-    digest = hashlib.sha256(about.encode())
-    for column in COLUMNS:
-        values = np.ascontiguousarray(columns[column.name], dtype=column.dtype)
-        digest.update(f"{column.name} {column.dtype} {values.shape}".encode())
-        digest.update(values.tobytes())
-    return digest.hexdigest()
-
-
-def _array(table: Any, column: Column) -> NDArray[Any]:
-    if column.name not in table.column_names:
-        raise ValueError(f"there is no column {column.name!r}")
-    values = table.column(column.name).combine_chunks()
-    if values.null_count:
-        raise ValueError(f"column {column.name!r} has missing values")
-    flat = values.flatten() if column.wide else values
-    array = flat.to_numpy(zero_copy_only=False)
-    if array.dtype != np.dtype(column.dtype):
-        raise ValueError(f"column {column.name!r} holds {array.dtype}, not {column.dtype}")
-    return array.reshape(len(values), -1) if column.wide else array
 
 
 # -- the folder -------------------------------------------------------------------------------------------------------
@@ -192,9 +106,11 @@ class Folder:
     path: Path
     identity: str
     size: int
-    """conditions per chunk"""
+    """operating points per chunk"""
     chunks: int
     """how many there are in all"""
+    computed: int
+    """operating points in all chunks"""
 
     @property
     def dataset(self) -> Path:
@@ -214,8 +130,8 @@ class Folder:
     def opened(cls, path: str | os.PathLike[str], manifest: Mapping[str, Any], resume: bool) -> Iterator[Self]:
         """Take possession of a folder: a new or an empty one, or (`resume`) one of the same campaign.
 
-        manifest: identity, versions, settings, chunk (conditions per chunk), chunks. A campaign under way keeps its own
-        chunk size.
+        manifest: identity, versions, settings, chunk (operating points per chunk), chunks. A campaign under way keeps
+        its own chunk size.
 
         Raises
         ------
@@ -241,9 +157,9 @@ class Folder:
                         f"{path}: holds other files ({names}) and no campaign: choose a new or an empty folder."
                     )
                 there = dict(manifest)
-                write_atomically(known, (json.dumps(there, indent=1) + "\n").encode())
+                write_json(known, there)
                 resume = True
-            folder = cls(path, str(there["identity"]), int(there["chunk"]), int(there["chunks"]))
+            folder = cls(path, there["identity"], there["chunk"], there["chunks"], there["computed"])
             if not resume:
                 raise StorageError(
                     f"{path}: holds this campaign already ({folder.state()}): continue it with --resume "
@@ -285,16 +201,22 @@ class Folder:
         if found is None:
             return None
         columns, about = found
-        if about["chunk"] != number:
-            raise StorageError(f"{self.chunk(number)}: is chunk {about['chunk']} under another name: remove it.")
+        if about.get("chunk") != number:
+            raise StorageError(f"{self.chunk(number)}: is chunk {about.get('chunk')} under another name: remove it.")
+        rows = min(self.size, self.computed - number * self.size)
+        if len(columns["stream"]) != rows:  # its size was changed in campaign.json
+            self.note(damaged=f"{self.chunk(number)}: {len(columns['stream'])} operating points, not {rows}.")
+            return None
         return columns
 
     def _verified(self, file: Path, kind: str) -> tuple[Columns, dict[str, Any]] | None:
+        """What a file of this folder holds; None when it is missing or is no such file, and must be made again."""
         if not file.exists():
             return None
+        content = read_bytes(file)
         try:
-            columns, about = decode(file, kind)
-        except Damaged as reason:
+            columns, about = decode(content, file, kind)
+        except StorageError as reason:  # torn, or something else under our name: a flipped bit may make it so
             self.note(damaged=str(reason))
             return None
         if about.get("identity") != self.identity:
@@ -312,7 +234,7 @@ class Folder:
             When the file cannot be written; nothing half-written is left.
         """
         content = encode(CHUNK, columns, {**about, "identity": self.identity, "chunk": number})
-        write_atomically(self.chunk(number), content)
+        write_atomically(self.chunk(number), content, through_links=False)
 
     def write_dataset(self, columns: Columns, about: Mapping[str, Any]) -> None:
         """Keep the result, then drop the chunks.
@@ -322,7 +244,8 @@ class Folder:
         StorageError
             When the file cannot be written; the chunks are then still there.
         """
-        write_atomically(self.dataset, encode(DATA_SET, columns, {**about, "identity": self.identity}))
+        content = encode(DATA_SET, columns, {**about, "identity": self.identity})
+        write_atomically(self.dataset, content, through_links=False)
         self.drop_chunks()
 
     def drop_chunks(self) -> None:
@@ -344,21 +267,35 @@ def unfinished(path: Path) -> str:
         manifest = _read_manifest(path / "campaign.json")
     except StorageError:
         return "a folder, but not of a campaign: there is no dataset.parquet in it."
-    folder = Folder(path, manifest["identity"], int(manifest["chunk"]), int(manifest["chunks"]))
+    folder = Folder(path, manifest["identity"], manifest["chunk"], manifest["chunks"], manifest["computed"])
     return f"its campaign is not finished ({folder.state()}): go on with `adaptrack tune ... --resume`."
 
 
+_MANIFEST = {
+    "format_version": int, "identity": str, "computed": int, "chunks": int, "chunk": int, "versions": dict,
+    "settings": dict,
+}  # fmt: skip
+
+
 def _read_manifest(path: Path) -> dict[str, Any]:
+    """What campaign.json says; `StorageError` unless every entry is there and can be what it says."""
     try:
-        manifest = json.loads(path.read_text(encoding="utf-8"))
-        missing = {"format_version", "identity", "chunks", "chunk", "versions", "settings"} - set(manifest)
-    except OSError as error:
-        raise StorageError(f"{path}: cannot be read: {error.strerror or error}.") from error
-    except (ValueError, TypeError):
-        manifest, missing = {}, {"everything"}
-    if missing:
-        raise StorageError(f"{path}: not a campaign's, or damaged: choose another folder, or empty this one.")
+        manifest = read_json(path)
+    except ConfigError as error:
+        raise StorageError(f"{path}: not a campaign's, or damaged: {_ANOTHER}. {error}") from error
+    if not isinstance(manifest, dict):
+        raise StorageError(f"{path}: not a campaign's, or damaged: it holds no table: {_ANOTHER}.")
+    for key, kind in _MANIFEST.items():
+        value = manifest.get(key)
+        if not isinstance(value, kind) or isinstance(value, bool) or (isinstance(value, int) and value < 1):
+            found = "is missing" if key not in manifest else f"is {_short(value)}"
+            raise StorageError(f"{path}: not a campaign's, or damaged: {key!r} {found}: {_ANOTHER}.")
+    if manifest["chunks"] != -(-manifest["computed"] // manifest["chunk"]):
+        raise StorageError(f"{path}: not a campaign's, or damaged: its chunks do not add up: {_ANOTHER}.")
     return manifest
+
+
+_ANOTHER = "choose another folder, or empty this one"
 
 
 def _compare(path: Path, ours: Mapping[str, Any], theirs: Mapping[str, Any]) -> None:
@@ -374,8 +311,8 @@ def _compare(path: Path, ours: Mapping[str, Any], theirs: Mapping[str, Any]) -> 
             f"{path}: begun by other software, whose numbers may differ in their last digits ({'; '.join(software)}): "
             "choose another folder, or go on with that software."
         )
-    if theirs["identity"] != ours["identity"]:
-        what = _differences(ours["settings"], theirs["settings"]) or ["its conditions or its library differ"]
+    if theirs["identity"] != ours["identity"] or theirs["computed"] != ours["computed"]:
+        what = _differences(ours["settings"], theirs["settings"]) or ["its operating points or its library differ"]
         more = f"; and {len(what) - 5} more" if len(what) > 5 else ""
         raise StorageError(f"{path}: belongs to another campaign ({'; '.join(what[:5])}{more}): choose another folder.")
 

@@ -1,4 +1,4 @@
-"""The operations of `simd` on NumPy arrays of length eight: what they are when the compiler is switched off."""
+"""The operations of `vectors` on NumPy arrays of length eight: what they are when the compiler is switched off."""
 
 from __future__ import annotations
 
@@ -6,34 +6,34 @@ from typing import Any
 
 import numpy as np
 
-LANES = 8
+WIDTH = 8
 
 _ieee = np.errstate(all="ignore")  # infinities and NaN pass in silence, as they do compiled
 
 
 def load(array: Any, *index: int) -> Any:
     row, at = array[index[:-1]], index[-1]
-    if at + LANES > row.shape[0]:
-        raise IndexError(f"rows must be padded to a multiple of {LANES}")
-    return row[at : at + LANES].copy()
+    if at + WIDTH > row.shape[0]:
+        raise IndexError(f"rows must be padded to a multiple of {WIDTH}")
+    return row[at : at + WIDTH].copy()
 
 
 def store(array: Any, *index_and_value: Any) -> None:
     *index, value = index_and_value
     row, at = array[tuple(index[:-1])], index[-1]
-    row[at : at + LANES] = value
+    row[at : at + WIDTH] = value
 
 
 def spread(array: Any, *index: int) -> Any:
-    return np.full(LANES, array[index])
+    return np.full(WIDTH, array[index])
 
 
 def splat(value: float) -> Any:
-    return np.full(LANES, value)
+    return np.full(WIDTH, value)
 
 
 def zeros() -> Any:
-    return np.zeros(LANES)
+    return np.zeros(WIDTH)
 
 
 @_ieee
@@ -74,7 +74,7 @@ def where_positive(a: Any, b: Any, c: Any) -> Any:
 
 
 def column(array: Any, count: int, first: int, j: int) -> Any:
-    return np.array([array[i, j] if i < count else 0.0 for i in range(first, first + LANES)])
+    return np.array([array[i, j] if i < count else 0.0 for i in range(first, first + WIDTH)])
 
 
 @_ieee
@@ -98,25 +98,25 @@ def all_below_infinity(a: Any) -> bool:
     return bool(np.all(a < np.inf))
 
 
-def with_lane(a: Any, lane: int, value: float) -> Any:
+def with_entry(a: Any, i: int, value: float) -> Any:
     a = a.copy()
-    if 0 <= lane < LANES:
-        a[lane] = value
+    if 0 <= i < WIDTH:
+        a[i] = value
     return a
 
 
-def first_lanes(a: Any, count: int) -> Any:
-    return np.where(np.arange(LANES) < count, a, 0.0)
+def keep_first(a: Any, count: int) -> Any:
+    return np.where(np.arange(WIDTH) < count, a, 0.0)
 
 
 def smallest(a: Any) -> float:
     return float(np.min(a))
 
 
-def last_lanes(a: Any, start: int) -> Any:
-    return np.where(np.arange(LANES) >= start, a, 0.0)
+def keep_last(a: Any, start: int) -> Any:
+    return np.where(np.arange(WIDTH) >= start, a, 0.0)
 
 
 def first_equal(a: Any, value: float) -> int:
     found = np.flatnonzero(a == value)
-    return int(found[0]) if found.size else LANES
+    return int(found[0]) if found.size else WIDTH

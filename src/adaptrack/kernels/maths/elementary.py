@@ -1,4 +1,4 @@
-"""Arctangent, sine and cosine without branches, so that loops over lanes become vector instructions.
+"""Arctangent, sine and cosine without branches, so that loops over slots become vector instructions.
 
 Near-minimax polynomials (Chebyshev fits computed in 40-digit arithmetic): relative error below 4e-15 against libm,
 for every finite argument of `arctangent` and for |x| < 1e5 rad of `sine` and `cosine`.

@@ -1,8 +1,8 @@
-"""Eight double-precision lanes as one value, so that short loops are vector code by construction.
+"""Eight double-precision numbers as one value, so that short loops are vector code by construction.
 
 The matrices of the quadratic programmes are tiny (5 to 20 columns). The compiler's loop vectoriser needs longer
 loops and a proof that arrays do not overlap; here each operation is a vector instruction because it says so.
-Rows are padded to a multiple of `LANES` (`padded`), and what stands in the padding never reaches a result.
+Rows are padded to a multiple of `WIDTH` (`padded`), and what stands in the padding never reaches a result.
 
     total = zeros()
     for k in range(n):
@@ -26,17 +26,17 @@ from numba.core import errors as _numba_errors
 from numba.extending import intrinsic, models, register_jitable, register_model
 
 __all__ = [
-    "LANES",
+    "WIDTH",
     "add",
     "all_below_infinity",
     "column",
     "div",
     "first_equal",
-    "first_lanes",
     "fma8",
+    "keep_first",
+    "keep_last",
     "larger",
     "largest",
-    "last_lanes",
     "lesser",
     "load",
     "mul",
@@ -49,17 +49,17 @@ __all__ = [
     "total",
     "totals",
     "where_positive",
-    "with_lane",
+    "with_entry",
     "zeros",
 ]
 
-LANES = 8
+WIDTH = 8
 
 
 @register_jitable(forceinline=True)
 def padded(count: int) -> int:
-    """The smallest multiple of `LANES` that is not below ``count``: the row length that arrays need."""
-    return (count + LANES - 1) // LANES * LANES
+    """The smallest multiple of `WIDTH` that is not below ``count``: the row length that arrays need."""
+    return (count + WIDTH - 1) // WIDTH * WIDTH
 
 
 if _numba_config.DISABLE_JIT:
@@ -69,11 +69,11 @@ if _numba_config.DISABLE_JIT:
         column,
         div,
         first_equal,
-        first_lanes,
         fma8,
+        keep_first,
+        keep_last,
         larger,
         largest,
-        last_lanes,
         lesser,
         load,
         mul,
@@ -85,24 +85,24 @@ if _numba_config.DISABLE_JIT:
         total,
         totals,
         where_positive,
-        with_lane,
+        with_entry,
         zeros,
     )
 
 else:
-    _VECTOR = ir.VectorType(ir.DoubleType(), LANES)
+    _VECTOR = ir.VectorType(ir.DoubleType(), WIDTH)
     _I32 = ir.IntType(32)
 
-    class Lanes(types.Type):  # type: ignore[misc]
+    class Vector(types.Type):  # type: ignore[misc]
         """Numba's name for eight float64 values in one register."""
 
         def __init__(self) -> None:
-            super().__init__(name="Lanes8")
+            super().__init__(name="Vector8")
 
-    lanes = Lanes()
+    vector8 = Vector()
 
-    @register_model(Lanes)
-    class _LanesModel(models.PrimitiveModel):  # type: ignore[misc]
+    @register_model(Vector)
+    class _VectorModel(models.PrimitiveModel):  # type: ignore[misc]
         def __init__(self, dmm: Any, fe_type: Any) -> None:
             super().__init__(dmm, fe_type, _VECTOR)
 
@@ -120,7 +120,7 @@ else:
         """``array[..., i, j:j+8]``."""
         index = index[0] if len(index) == 1 and isinstance(index[0], types.BaseTuple) else index
         _check(array, index)
-        signature = lanes(array, types.StarArgTuple.from_types(index))
+        signature = vector8(array, types.StarArgTuple.from_types(index))
 
         def codegen(context, builder, signature, args):
             indices = cgutils.unpack_tuple(builder, args[1], len(index))
@@ -145,15 +145,15 @@ else:
 
     def _splat(builder: Any, value: Any) -> Any:
         one = builder.insert_element(ir.Constant(_VECTOR, ir.Undefined), value, _I32(0))
-        mask = ir.Constant(ir.VectorType(_I32, LANES), [0] * LANES)
+        mask = ir.Constant(ir.VectorType(_I32, WIDTH), [0] * WIDTH)
         return builder.shuffle_vector(one, ir.Constant(_VECTOR, ir.Undefined), mask)
 
     @intrinsic
     def spread(typingctx, array, *index):
-        """The number ``array[..., i, j]`` in every lane (indices are not negative)."""
+        """The number ``array[..., i, j]`` in every entry (indices are not negative)."""
         index = index[0] if len(index) == 1 and isinstance(index[0], types.BaseTuple) else index
         _check(array, index)
-        signature = lanes(array, types.StarArgTuple.from_types(index))
+        signature = vector8(array, types.StarArgTuple.from_types(index))
 
         def codegen(context, builder, signature, args):
             struct = context.make_array(signature.args[0])(context, builder, args[0])
@@ -165,21 +165,21 @@ else:
 
     @intrinsic
     def splat(typingctx, value):
-        """The same number in every lane."""
+        """The same number in every entry."""
 
         def codegen(context, builder, signature, args):
             return _splat(builder, args[0])
 
-        return lanes(types.float64), codegen
+        return vector8(types.float64), codegen
 
     @intrinsic
     def zeros(typingctx):
-        """Zero in every lane."""
+        """Zero in every entry."""
 
         def codegen(context, builder, signature, args):
-            return ir.Constant(_VECTOR, [0.0] * LANES)
+            return ir.Constant(_VECTOR, [0.0] * WIDTH)
 
-        return lanes(), codegen
+        return vector8(), codegen
 
     def _binary(name: str) -> Any:
         @intrinsic
@@ -187,7 +187,7 @@ else:
             def codegen(context, builder, signature, args):
                 return getattr(builder, name)(args[0], args[1])
 
-            return lanes(lanes, lanes), codegen
+            return vector8(vector8, vector8), codegen
 
         return operation
 
@@ -198,77 +198,77 @@ else:
 
     @intrinsic
     def fma8(typingctx, a, b, c):
-        """``a*b + c`` with one rounding, lane by lane."""
+        """``a*b + c`` with one rounding, entry by entry."""
 
         def codegen(context, builder, signature, args):
             function = ir.FunctionType(_VECTOR, [_VECTOR] * 3)
-            declared = cgutils.get_or_insert_function(builder.module, function, f"llvm.fma.v{LANES}f64")
+            declared = cgutils.get_or_insert_function(builder.module, function, f"llvm.fma.v{WIDTH}f64")
             return builder.call(declared, args)
 
-        return lanes(lanes, lanes, lanes), codegen
+        return vector8(vector8, vector8, vector8), codegen
 
     @intrinsic
     def larger(typingctx, a, b):
-        """``a if a > b else b``, lane by lane: a NaN in ``a`` is passed over."""
+        """``a if a > b else b``, entry by entry: a NaN in ``a`` is passed over."""
 
         def codegen(context, builder, signature, args):
             return builder.select(builder.fcmp_ordered(">", args[0], args[1]), args[0], args[1])
 
-        return lanes(lanes, lanes), codegen
+        return vector8(vector8, vector8), codegen
 
     @intrinsic
     def lesser(typingctx, a, b):
-        """``a if a < b else b``, lane by lane: a NaN in ``a`` is passed over."""
+        """``a if a < b else b``, entry by entry: a NaN in ``a`` is passed over."""
 
         def codegen(context, builder, signature, args):
             return builder.select(builder.fcmp_ordered("<", args[0], args[1]), args[0], args[1])
 
-        return lanes(lanes, lanes), codegen
+        return vector8(vector8, vector8), codegen
 
     @intrinsic
     def where_positive(typingctx, a, b, c):
-        """``b if a > 0 else c``, lane by lane."""
+        """``b if a > 0 else c``, entry by entry."""
 
         def codegen(context, builder, signature, args):
-            zero = ir.Constant(_VECTOR, [0.0] * LANES)
+            zero = ir.Constant(_VECTOR, [0.0] * WIDTH)
             return builder.select(builder.fcmp_ordered(">", args[0], zero), args[1], args[2])
 
-        return lanes(lanes, lanes, lanes), codegen
+        return vector8(vector8, vector8, vector8), codegen
 
     @intrinsic
     def column(typingctx, array, count, first, j):
         """``array[first:first+8, j]``, with zero for the rows from ``count`` on; needs ``first < count``."""
         _check(array, (first, j))
-        signature = lanes(array, types.int64, types.int64, types.int64)
+        signature = vector8(array, types.int64, types.int64, types.int64)
 
         def codegen(context, builder, signature, args):
             array_type = signature.args[0]
             struct = context.make_array(array_type)(context, builder, args[0])
             last = builder.sub(args[1], ir.Constant(ir.IntType(64), 1))
             value = ir.Constant(_VECTOR, ir.Undefined)
-            for lane in range(LANES):
-                row = builder.add(args[2], ir.Constant(ir.IntType(64), lane))
+            for i in range(WIDTH):
+                row = builder.add(args[2], ir.Constant(ir.IntType(64), i))
                 row = builder.select(builder.icmp_signed("<", row, last), row, last)
                 where = cgutils.get_item_pointer(context, builder, array_type, struct, [row, args[3]], wraparound=False)
-                value = builder.insert_element(value, builder.load(where), _I32(lane))
-            mask = _lane_mask(builder, "<", builder.sub(args[1], args[2]))
-            return builder.select(mask, value, ir.Constant(_VECTOR, [0.0] * LANES))
+                value = builder.insert_element(value, builder.load(where), _I32(i))
+            mask = _mask(builder, "<", builder.sub(args[1], args[2]))
+            return builder.select(mask, value, ir.Constant(_VECTOR, [0.0] * WIDTH))
 
         return signature, codegen
 
     @intrinsic
     def totals(typingctx, a, b, c, d, e, f, g, h):
-        """The eight sums of the lanes of eight values, as one value: neighbours first, then pairs, then fours."""
+        """The eight sums of the entries of eight values, as one value: neighbours first, then pairs, then fours."""
 
         def codegen(context, builder, signature, args):
             def merge(x, y, low, high):
-                kind = ir.VectorType(_I32, LANES)
+                kind = ir.VectorType(_I32, WIDTH)
                 return builder.fadd(
                     builder.shuffle_vector(x, y, ir.Constant(kind, low)),
                     builder.shuffle_vector(x, y, ir.Constant(kind, high)),
                 )
 
-            # pairs[i] holds, for rows 2i and 2i+1, the sums of lanes (01, 23, 45, 67), alternating between the rows
+            # pairs[i] holds, for rows 2i and 2i+1, the sums of entries (01, 23, 45, 67), alternating between the rows
             low, high = [0, 8, 2, 10, 4, 12, 6, 14], [1, 9, 3, 11, 5, 13, 7, 15]
             pairs = [merge(args[i], args[i + 1], low, high) for i in (0, 2, 4, 6)]
             low, high = [0, 1, 8, 9, 4, 5, 12, 13], [2, 3, 10, 11, 6, 7, 14, 15]
@@ -276,11 +276,11 @@ else:
             low, high = [0, 1, 2, 3, 8, 9, 10, 11], [4, 5, 6, 7, 12, 13, 14, 15]
             return merge(fours[0], fours[1], low, high)
 
-        return lanes(*[lanes] * LANES), codegen
+        return vector8(*[vector8] * WIDTH), codegen
 
     def _fold(builder: Any, value: Any, combine: Any) -> Any:
-        """Halve three times: lanes (0+4, 1+5, 2+6, 3+7), then (0+2, 1+3), then (0+1)."""
-        width = LANES
+        """Halve three times: entries (0+4, 1+5, 2+6, 3+7), then (0+2, 1+3), then (0+1)."""
+        width = WIDTH
         while width > 1:
             width //= 2
             low = ir.Constant(ir.VectorType(_I32, width), list(range(width)))
@@ -293,16 +293,16 @@ else:
 
     @intrinsic
     def total(typingctx, a):
-        """The sum of the lanes, always in the same order."""
+        """The sum of the entries, always in the same order."""
 
         def codegen(context, builder, signature, args):
             return _fold(builder, args[0], builder.fadd)
 
-        return types.float64(lanes), codegen
+        return types.float64(vector8), codegen
 
     @intrinsic
     def largest(typingctx, a):
-        """The largest lane."""
+        """The largest entry."""
 
         def codegen(context, builder, signature, args):
             def combine(x, y):
@@ -310,11 +310,11 @@ else:
 
             return _fold(builder, args[0], combine)
 
-        return types.float64(lanes), codegen
+        return types.float64(vector8), codegen
 
     @intrinsic
     def smallest(typingctx, a):
-        """The smallest lane."""
+        """The smallest entry."""
 
         def codegen(context, builder, signature, args):
             def combine(x, y):
@@ -322,60 +322,60 @@ else:
 
             return _fold(builder, args[0], combine)
 
-        return types.float64(lanes), codegen
+        return types.float64(vector8), codegen
 
     @intrinsic
     def all_below_infinity(typingctx, a):
-        """Whether no lane is NaN or +inf."""
+        """Whether no entry is NaN or +inf."""
 
         def codegen(context, builder, signature, args):
-            infinity = ir.Constant(_VECTOR, [float("inf")] * LANES)
-            bits = builder.bitcast(builder.fcmp_ordered("<", args[0], infinity), ir.IntType(LANES))
-            return builder.icmp_unsigned("==", bits, ir.Constant(ir.IntType(LANES), 2**LANES - 1))
+            infinity = ir.Constant(_VECTOR, [float("inf")] * WIDTH)
+            bits = builder.bitcast(builder.fcmp_ordered("<", args[0], infinity), ir.IntType(WIDTH))
+            return builder.icmp_unsigned("==", bits, ir.Constant(ir.IntType(WIDTH), 2**WIDTH - 1))
 
-        return types.boolean(lanes), codegen
+        return types.boolean(vector8), codegen
 
-    def _lane_mask(builder: Any, compare: str, count: Any) -> Any:
-        wide = ir.VectorType(ir.IntType(64), LANES)
+    def _mask(builder: Any, compare: str, count: Any) -> Any:
+        wide = ir.VectorType(ir.IntType(64), WIDTH)
         undefined = ir.Constant(wide, ir.Undefined)
-        mask = ir.Constant(ir.VectorType(_I32, LANES), [0] * LANES)
+        mask = ir.Constant(ir.VectorType(_I32, WIDTH), [0] * WIDTH)
         counts = builder.shuffle_vector(builder.insert_element(undefined, count, _I32(0)), undefined, mask)
-        return builder.icmp_signed(compare, ir.Constant(wide, list(range(LANES))), counts)
+        return builder.icmp_signed(compare, ir.Constant(wide, list(range(WIDTH))), counts)
 
     @intrinsic
-    def with_lane(typingctx, a, lane, value):
-        """``a`` with ``value`` in one lane; ``a`` itself when there is no such lane."""
+    def with_entry(typingctx, a, i, value):
+        """``a`` with ``value`` as entry ``i``; ``a`` itself when there is no such entry."""
 
         def codegen(context, builder, signature, args):
-            return builder.select(_lane_mask(builder, "==", args[1]), _splat(builder, args[2]), args[0])
+            return builder.select(_mask(builder, "==", args[1]), _splat(builder, args[2]), args[0])
 
-        return lanes(lanes, types.int64, types.float64), codegen
+        return vector8(vector8, types.int64, types.float64), codegen
 
     @intrinsic
-    def first_lanes(typingctx, a, count):
-        """``a`` in the first ``count`` lanes (any integer), zero in the others."""
+    def keep_first(typingctx, a, count):
+        """The first ``count`` entries of ``a`` (any integer), zero in the others."""
 
         def codegen(context, builder, signature, args):
-            return builder.select(_lane_mask(builder, "<", args[1]), args[0], ir.Constant(_VECTOR, [0.0] * LANES))
+            return builder.select(_mask(builder, "<", args[1]), args[0], ir.Constant(_VECTOR, [0.0] * WIDTH))
 
-        return lanes(lanes, types.int64), codegen
+        return vector8(vector8, types.int64), codegen
 
     @intrinsic
-    def last_lanes(typingctx, a, start):
-        """``a`` from lane ``start`` on (any integer), zero before it."""
+    def keep_last(typingctx, a, start):
+        """The entries of ``a`` from ``start`` on (any integer), zero before."""
 
         def codegen(context, builder, signature, args):
-            return builder.select(_lane_mask(builder, ">=", args[1]), args[0], ir.Constant(_VECTOR, [0.0] * LANES))
+            return builder.select(_mask(builder, ">=", args[1]), args[0], ir.Constant(_VECTOR, [0.0] * WIDTH))
 
-        return lanes(lanes, types.int64), codegen
+        return vector8(vector8, types.int64), codegen
 
     @intrinsic
     def first_equal(typingctx, a, value):
-        """The first lane that equals ``value``; `LANES` when none does."""
+        """The first entry that equals ``value``; `WIDTH` when none does."""
 
         def codegen(context, builder, signature, args):
-            bits = builder.bitcast(builder.fcmp_ordered("==", args[0], _splat(builder, args[1])), ir.IntType(LANES))
-            wide = builder.or_(builder.zext(bits, ir.IntType(64)), ir.Constant(ir.IntType(64), 1 << LANES))
+            bits = builder.bitcast(builder.fcmp_ordered("==", args[0], _splat(builder, args[1])), ir.IntType(WIDTH))
+            wide = builder.or_(builder.zext(bits, ir.IntType(64)), ir.Constant(ir.IntType(64), 1 << WIDTH))
             return builder.cttz(wide, ir.Constant(ir.IntType(1), 1))
 
-        return types.int64(lanes, types.float64), codegen
+        return types.int64(vector8, types.float64), codegen

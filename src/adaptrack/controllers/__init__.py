@@ -1,0 +1,35 @@
+"""Controllers: what `simulate` drives with. One file each; `check_controller` tells whether one keeps the contract."""
+
+from adaptrack.controllers.base import Command, CompiledController, Controller
+from adaptrack.controllers.check import check_controller
+from adaptrack.controllers.limits import Limits, Moves
+from adaptrack.controllers.lqr import LQR
+from adaptrack.controllers.mpc import MPC, CompiledScheduler, MPCCommand, Scheduler
+from adaptrack.controllers.pure_pursuit import PurePursuit
+from adaptrack.controllers.registry import get_controller, list_controllers, register_controller
+from adaptrack.controllers.stanley import Stanley
+from adaptrack.controllers.tuning import ENTRIES, Tuning, read_tuning
+from adaptrack.controllers.user import UserController
+
+__all__ = [
+    "ENTRIES",
+    "LQR",
+    "MPC",
+    "Command",
+    "CompiledController",
+    "CompiledScheduler",
+    "Controller",
+    "Limits",
+    "MPCCommand",
+    "Moves",
+    "PurePursuit",
+    "Scheduler",
+    "Stanley",
+    "Tuning",
+    "UserController",
+    "check_controller",
+    "get_controller",
+    "list_controllers",
+    "read_tuning",
+    "register_controller",
+]

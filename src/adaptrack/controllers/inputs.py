@@ -1,0 +1,84 @@
+"""What comes from outside, made into numbers that kernels take."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from adaptrack.errors import InvalidInput
+
+Array = NDArray[np.float64]
+
+
+def vector(name: str, values: Any, size: int | None = None, most: int | None = None) -> Array:
+    """A writeable, contiguous float64 row of the given size (None: any, not empty); masked entries become NaN.
+
+    most: only the first so many are read. A row that is fit already is given back as it is, not copied.
+
+    Raises
+    ------
+    InvalidInput
+        When the values are not real numbers, or the shape is wrong.
+    """
+    if type(values) is np.ndarray and values.dtype == np.float64 and values.ndim == 1:
+        row = values
+    else:
+        row = _converted(name, values)
+    if size is not None and row.shape != (size,):
+        raise InvalidInput(f"{name}: shape {row.shape}, expected ({size},).")
+    if size is None:
+        row = row.reshape(-1)
+        if row.size == 0:
+            raise InvalidInput(f"{name}: empty; give at least its present value.")
+    row = row[:most]
+    return row if row.flags.c_contiguous and row.flags.writeable and row.flags.aligned else row.copy()
+
+
+def number(name: str, value: Any) -> float:
+    """A real number as a float; beyond the largest one infinity. Truth values and text are none.
+
+    Raises
+    ------
+    InvalidInput
+        When it is no real number.
+    """
+    if type(value) is float:
+        return value
+    row = _converted(name, value)
+    if row.shape != ():
+        raise InvalidInput(f"{name} = {_short(value)}: must be one number.")
+    return float(row)
+
+
+def _converted(name: str, values: Any) -> Array:
+    try:
+        given = np.asarray(values)
+        if given.dtype == object:  # whole numbers beyond 64 bits, decimals, fractions
+            given = np.array([_as_float(value) for value in given.ravel()]).reshape(given.shape)
+    except (TypeError, ValueError, RecursionError):
+        given = np.empty(0, dtype=str)
+    if given.dtype.kind not in "iuf":
+        raise InvalidInput(f"{name} = {_short(values)}: must be real numbers.")
+    row = given.astype(np.float64)
+    if isinstance(values, np.ma.MaskedArray):
+        row[np.ma.getmaskarray(values)] = np.nan
+    return row
+
+
+def _as_float(value: Any) -> float:
+    if isinstance(value, bool | str | bytes) or value is None:
+        raise TypeError
+    try:
+        return float(value)
+    except OverflowError:
+        return np.inf if value > 0 else -np.inf
+
+
+def _short(value: Any) -> str:
+    try:
+        text = repr(value)
+    except Exception:
+        text = f"<{type(value).__name__}>"
+    return text if len(text) <= 80 else f"{text[:77]}..."

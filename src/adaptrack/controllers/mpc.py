@@ -1,0 +1,429 @@
+"""The incremental linear MPC of the paper's section II-B: a tuning, limits, a way to parametrise moves, a QP solver.
+
+Its numbers (Np, Nc, Q, R) may change at every step, nothing is rebuilt or allocated for it.
+"""
+
+from __future__ import annotations
+
+import copy
+import logging
+import math
+import threading
+from collections.abc import Sequence
+from typing import Any, NamedTuple, Protocol, Self, runtime_checkable
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from adaptrack.controllers.inputs import number, vector
+from adaptrack.controllers.limits import Limits, Moves
+from adaptrack.controllers.tuning import ENTRIES, Tuning, read_tuning
+from adaptrack.errors import InvalidInput, real, whole
+from adaptrack.estimation import Estimator, get_estimator
+from adaptrack.models import PredictionModel, SingleTrackModel
+from adaptrack.qp import QP, QPSolver, QPStatus, get_qp_solver
+from adaptrack.qp.active_set import ActiveSet
+from adaptrack.qp.hildreth import Hildreth
+from adaptrack.vehicle import Vehicle
+
+Array = NDArray[np.float64]
+
+_log = logging.getLogger("adaptrack")
+
+
+@runtime_checkable
+class Scheduler(Protocol):
+    """Chooses the tuning for scheduling variables. Horizons may be real numbers: they are rounded and clamped."""
+
+    def __call__(self, variables: Any) -> Tuning | tuple[float, float, float, float]:
+        """(Np, Nc, Q, R) for `scheduling.SchedulingVariables`."""
+
+
+@runtime_checkable
+class CompiledScheduler(Scheduler, Protocol):
+    """A scheduler that compiled runs can ask, see `kernels.schedule`."""
+
+    def plan(self, slots: int) -> Any:
+        """The packed scheduler with a fresh memory for `slots` runs."""
+
+    @property
+    def largest(self) -> tuple[int, int]:
+        """The longest Np and Nc that it can ask for."""
+
+
+class MPCCommand(NamedTuple):
+    """What one step of the MPC gives."""
+
+    angle: float
+    """rad, steering angle to apply, u(k)"""
+    move: float
+    """rad, u(k) - u(k-1)"""
+    held: bool
+    """no usable solution: the next move of the last plan is taken, none when the data are not finite"""
+    tuning: tuple[float, ...]
+    """Np, Nc, Q, R as used: rounded and clamped"""
+    status: QPStatus
+    """of the QP"""
+    iterations: int
+    """of the QP solver"""
+    residual: float
+    """largest KKT residual of the solution, see `qp.kkt_residuals`; NaN when there is none"""
+    at_limit: int
+    """sum of 1 (move), 2 (angle), 4 (output)"""
+
+    @property
+    def diagnostics(self) -> tuple[float, ...]:
+        """In the order of `MPC.diagnostic_names`."""
+        return float(self.status), float(self.iterations), self.residual, float(self.at_limit)
+
+
+class MPC:
+    """Linear MPC with re-discretisation at every step, eqs. (8)-(17).
+
+    vehicle: parameters of the prediction model; tuning: constant one, or the one before the scheduler speaks;
+    period: control period (s); preview: whether R_s holds the reference ahead or its present value; solver:
+    "active-set" (exact), "hildreth" (the paper's), the name of another registered QP solver, or a `QPSolver`; what is
+    done with an answer that is not certified says `QPSolver.on_uncertified`; model: a `PredictionModel`, by default the
+    paper's of `vehicle`; estimator: a registered name or an `Estimator`, by default the paper's increments of the
+    measured state ("deadbeat"); speed_floor: m/s, the model is never formed below it (A_c is singular at standstill);
+    longest_horizon, most_moves: largest Np and Nc that a scheduler may ask for.
+
+    A controller drives one vehicle. A copy (`copy`, `deepcopy`, pickle) is a controller of its own, in the same state.
+    Used by two threads at once it refuses the second.
+
+    Raises
+    ------
+    InvalidInput
+        For arguments that make no controller: the message says which.
+    """
+
+    tuning_names = ENTRIES
+    diagnostic_names = ("qp_status", "qp_iterations", "qp_residual", "at_limit")
+
+    def __init__(
+        self,
+        vehicle: Vehicle,
+        tuning: Tuning | None = None,
+        *,
+        period: float = 0.1,
+        limits: Limits | None = None,
+        moves: Moves | None = None,
+        preview: bool = False,
+        solver: str | QPSolver = "active-set",
+        scheduler: Scheduler | None = None,
+        model: PredictionModel | None = None,
+        estimator: str | Estimator = "deadbeat",
+        speed_floor: float = 1.0,
+        longest_horizon: int | None = None,
+        most_moves: int | None = None,
+    ) -> None:
+        self.tuning = Tuning() if tuning is None else tuning
+        if not isinstance(self.tuning, Tuning):
+            raise InvalidInput(f"MPC: tuning = {tuning!r}: must be a Tuning(Np, Nc, Q, R).")
+        self.model = SingleTrackModel(vehicle, period) if model is None else model
+        if not isinstance(self.model, PredictionModel):
+            raise InvalidInput(f"MPC: model = {model!r}: must be a PredictionModel.")
+        if self.model.period != period:
+            raise InvalidInput(
+                f"MPC: period = {period!r} s, but the model's is {self.model.period!r} s: give both alike."
+            )
+        self.estimator = get_estimator(estimator) if isinstance(estimator, str) else estimator
+        if not isinstance(self.estimator, Estimator):
+            raise InvalidInput(f"MPC: estimator = {estimator!r}: must be the name of an estimator or an Estimator.")
+        self.estimator.check_fits(self.model)
+        self.limits = limits or Limits()
+        self.moves = moves or Moves()
+        self.preview = bool(preview)
+        self.solver = get_qp_solver(solver) if isinstance(solver, str) else solver
+        if not isinstance(self.solver, QPSolver):
+            raise InvalidInput(f"MPC: solver = {solver!r}: must be the name of a QP solver or a QPSolver.")
+        if scheduler is not None and not callable(scheduler):
+            raise InvalidInput(f"MPC: scheduler = {scheduler!r}: must be callable, variables -> (Np, Nc, Q, R).")
+        self.scheduler = scheduler
+        if not 0.0 < real("MPC", "speed_floor", speed_floor) < math.inf:
+            raise InvalidInput(f"speed_floor = {speed_floor!r} m/s: must be positive and finite.")
+        self.speed_floor = float(speed_floor)
+        self._set_sizes(longest_horizon, most_moves)
+        self.reset()
+
+    def _set_sizes(self, longest_horizon: int | None, most_moves: int | None) -> None:
+        longest_horizon = max(60, self.tuning.Np) if longest_horizon is None else longest_horizon
+        most_moves = max(20, self.tuning.Nc) if most_moves is None else most_moves
+        self.longest_horizon = whole("MPC", "longest_horizon", longest_horizon)
+        self.most_moves = whole("MPC", "most_moves", most_moves)
+        if self.tuning.Np > self.longest_horizon or self.tuning.Nc > self.most_moves:
+            raise InvalidInput(
+                f"Np = {self.tuning.Np}, Nc = {self.tuning.Nc} exceed longest_horizon = {self.longest_horizon} or "
+                f"most_moves = {self.most_moves}: raise those."
+            )
+        if self.moves.kind == "laguerre" and self.most_moves > self.longest_horizon:
+            raise InvalidInput("most_moves must not exceed longest_horizon.")
+
+    @property
+    def period(self) -> float:
+        """Control period (s)."""
+        return self.model.period
+
+    @property
+    def name(self) -> str:
+        """How tables call the controller."""
+        moves = f"laguerre {self.moves.pole:g}" if self.moves.kind == "laguerre" else "pulse"
+        return f"{'scheduled' if self.scheduler else 'standard'} MPC ({moves})"
+
+    @property
+    def in_kernel(self) -> bool:
+        """Whether the kernels solve the QP, rather than a back-end called from Python."""
+        return isinstance(self.solver, ActiveSet | Hildreth)
+
+    def settings(self, longest: float = math.inf, most: float = math.inf, residuals: bool = True) -> Any:
+        """Everything but model and tuning as the kernels expect it (`kernels.controllers.mpc.SETTINGS`).
+
+        longest, most: horizons for which a smaller workspace is enough; residuals: whether each step computes its KKT
+        residual.
+        """
+        from adaptrack.kernels.controllers import mpc as kernel
+
+        solver, sweeps, tolerance = kernel.ACTIVE_SET, 1, 0.0
+        if isinstance(self.solver, Hildreth):
+            solver = {
+                "exact": kernel.HILDRETH_THEN_EXACT,
+                "apply": kernel.HILDRETH_APPLIED,
+                "hold": kernel.HILDRETH_OR_HOLD,
+            }[self.solver.on_uncertified]
+            sweeps, tolerance = self.solver.max_sweeps, self.solver.tolerance
+        limits = self.limits
+        return kernel.SETTINGS.new(
+            period=self.period,
+            move_min=limits.move[0],
+            move_max=limits.move[1],
+            angle_min=limits.angle[0],
+            angle_max=limits.angle[1],
+            output_min=limits.output[0],
+            output_max=limits.output[1],
+            output_weight=limits.output_weight,
+            laguerre=self.moves.kind == "laguerre",
+            pole=self.moves.pole,
+            terms=self.moves.terms,
+            preview=self.preview,
+            speed_floor=self.speed_floor,
+            estimator=self.estimator.kind,
+            solver=solver,
+            max_sweeps=sweeps,
+            tolerance=tolerance,
+            residuals=residuals,
+            longest_horizon=min(
+                self.longest_horizon, max(1.0, math.floor(longest + 0.5)) if longest < math.inf else 1e9
+            ),
+            most_moves=min(self.most_moves, max(1.0, math.floor(most + 0.5)) if most < math.inf else 1e9),
+        )
+
+    def batch(self, slots: int, settings: Any) -> Any:
+        """Fresh compiled controllers for `slots` runs (`kernels.controllers.mpc.Mpc`)."""
+        from adaptrack.kernels.controllers import mpc as kernel
+
+        model, estimator = self.model, self.estimator
+        return kernel.batch(
+            slots, settings, (model.parameters(), model.measured_places(), model.output),
+            (estimator.parameters(), estimator.memory_size(model)),
+        )  # fmt: skip
+
+    def reset(self) -> None:
+        """Forget the past: the next step is the first, from steering angle 0."""
+        self._load()
+        self._mpc = self.batch(1, self.settings())
+        self._asked = self.tuning.as_array()
+        self._plan = self.scheduler.plan(1) if isinstance(self.scheduler, CompiledScheduler) else None
+        self._variables = np.zeros(len(self._names))
+        self._raised = 0
+
+    def _load(self) -> None:
+        """What a copy cannot carry along: kernels and the lock."""
+        from adaptrack.kernels.controllers import mpc as kernel
+        from adaptrack.kernels.guard import VARIABLES
+
+        self._kernel, self._names = kernel, VARIABLES
+        self._lock = threading.Lock()
+        self._built_in = isinstance(self.model, SingleTrackModel) and self.estimator.function is None
+
+    def __getstate__(self) -> dict[str, Any]:
+        state = self.__dict__.copy()
+        for name in ("_kernel", "_lock"):
+            state.pop(name, None)
+        return state
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        self._load()
+
+    def __copy__(self) -> Self:
+        """A controller of its own: memories are never shared."""
+        return copy.deepcopy(self)
+
+    @property
+    def scheduler_counts(self) -> dict[str, int]:
+        """What the scheduler did since the last reset, by name, see `kernels.guard.COUNTS`.
+
+        ``raised``: steps at which a scheduler in Python raised an error or answered what is no tuning; the tuning
+        before was kept.
+        """
+        if self._plan is None:
+            return {"raised": self._raised} if self.scheduler is not None else {}
+        from adaptrack.kernels.guard import COUNTS
+
+        return {name: int(self._plan.memory[0][name]) for name in COUNTS}
+
+    @property
+    def angle(self) -> float:
+        """The last command (rad)."""
+        return float(self._mpc.memory[0].command)
+
+    def step(
+        self, state: ArrayLike, speed: float, reference: ArrayLike, variables: Sequence[float] | None = None
+    ) -> MPCCommand:
+        """One control step.
+
+        state: what is measured, x_c = [v_y (m/s), yaw (rad), yaw rate (rad/s), y (m)], and for a model that needs it
+        the wheel angle (rad) as a fifth; speed: v_x (m/s); reference: y_ref (m) now and, for preview, at the instants
+        that follow (the last value is repeated as needed); variables: what the scheduler looks at
+        (`SchedulingVariables`), needed when there is one.
+
+        A state or reference that is not finite (or masked) gives no exception but a command that holds the previous
+        angle, its status saying why: a controller in a running vehicle must answer. So does a scheduler that raises an
+        error or answers what is no tuning: the tuning before is kept, the step counted, and a warning logged once.
+
+        Raises
+        ------
+        InvalidInput
+            When an argument is not made of numbers or has a wrong shape, when the scheduler has nothing to look at, or
+            when another thread is in a step of this controller.
+        """
+        if not self._lock.acquire(blocking=False):
+            raise InvalidInput("this MPC is in a step of another thread: each vehicle needs a controller of its own.")
+        try:
+            ahead, pace = self._take(state, speed, reference)
+            self._schedule(variables)
+            if not self.in_kernel:
+                self._step_through(pace, ahead)
+            elif self._built_in:
+                self._kernel.step(0, pace, ahead, self._asked, self._mpc)
+            else:
+                self._parts.step_by(0, pace, ahead, self._asked, self._mpc, *self._members)
+            return self._command()
+        finally:
+            self._lock.release()
+
+    def problem(
+        self, state: ArrayLike, speed: float, reference: ArrayLike, variables: Sequence[float] | None = None
+    ) -> QP:
+        """The QP that `step` would solve with these arguments; the controller stays as it is."""
+        twin = copy.deepcopy(self)
+        ahead, pace = twin._take(state, speed, reference)
+        twin._schedule(variables)
+        _, n, m = twin._form(pace, ahead)
+        return twin._qp(n, m)
+
+    def _take(self, state: ArrayLike, speed: float, reference: ArrayLike) -> tuple[Array, float]:
+        """Take in the measured state; the reference and the speed as the kernels want them."""
+        measured = self._mpc.measured
+        given = vector("state", state)
+        if given.size not in (4, len(measured)):
+            raise InvalidInput(f"state: shape {given.shape}, expected (4,): v_y, yaw, yaw rate, y.")
+        ahead = vector("reference", reference, most=self.longest_horizon + 1)
+        pace = number("speed", speed)
+        measured[: given.size] = given
+        measured[given.size :] = math.nan
+        return ahead, pace
+
+    def _schedule(self, variables: Sequence[float] | None) -> None:
+        """Let the scheduler choose the tuning."""
+        if self.scheduler is None:
+            return
+        if variables is None:
+            raise InvalidInput("this MPC has a scheduler: step(..., variables=SchedulingVariables(...)) is needed.")
+        if self._plan is None:
+            self._ask(variables)
+            return
+        from adaptrack.kernels.schedule import schedule
+
+        self._variables[:] = vector("variables", variables, len(self._names))
+        schedule(0, self._variables, self._plan, self._asked)
+
+    def _ask(self, variables: Sequence[float]) -> None:
+        """Ask a scheduler in Python; what is no tuning leaves the one before."""
+        assert self.scheduler is not None
+        try:
+            self._asked[:] = read_tuning(self.scheduler(variables))
+        except Exception as error:
+            self._raised += 1
+            if self._raised == 1:
+                _log.warning(
+                    "adaptrack: the scheduler failed, its last tuning is kept: %s: %s", type(error).__name__, error
+                )
+
+    @property
+    def _parts(self) -> Any:
+        from adaptrack.kernels.controllers import mpc_parts
+
+        return mpc_parts
+
+    @property
+    def _members(self) -> tuple[Any, Any]:
+        """The compiled functions of the model and of the estimator."""
+        from adaptrack.kernels.estimators.contract import no_estimate
+
+        return self.model.function, self.estimator.function or no_estimate
+
+    def _form(self, speed: float, ahead: Array) -> tuple[int, int, int]:
+        return self._parts.form_qp(0, speed, ahead, self._asked, self._mpc, *self._members)
+
+    def _qp(self, n: int, m: int) -> QP:
+        ws = self._mpc.ws
+        return QP(
+            E=ws.hessian[0, :n, :n].copy(),
+            K=ws.gradient[:n].copy(),
+            M=ws.rows[0, :n, :m].T.copy(),
+            gamma=ws.bounds[:m].copy(),
+        )
+
+    def _step_through(self, speed: float, ahead: Array) -> None:
+        """A step whose QP goes to a back-end in Python; the rest is the kernels' work all the same."""
+        ws = self._mpc.ws
+        status, n, m = self._form(speed, ahead)
+        iterations = 0
+        if not (np.isfinite(ws.gradient[:n]).all() and np.isfinite(ws.hessian[0, :n, :n]).all()):
+            status = QPStatus.NON_FINITE
+        if status == QPStatus.SOLVED:
+            solution = self.solver.solve(self._qp(n, m))
+            status, iterations = solution.status, solution.iterations
+            ws.solution[:n] = solution.x
+            ws.multipliers[:m] = solution.lam
+        self._parts.apply_move(0, int(status), iterations, (n, m), self._mpc)
+
+    def _command(self) -> MPCCommand:
+        angle, move, held, Np, Nc, Q, R, status, iterations, residual, at_limit = self._mpc.answer[0].tolist()
+        return MPCCommand(
+            angle, move, held > 0.5, (Np, Nc, Q, R), QPStatus(int(status)), int(iterations), residual, int(at_limit)
+        )
+
+    def describe(self) -> dict[str, Any]:
+        """The controller's configuration, for provenance."""
+        return {
+            "tuning": {"Np": self.tuning.Np, "Nc": self.tuning.Nc, "Q": self.tuning.Q, "R": self.tuning.R},
+            "period": self.period,
+            "limits": {
+                "move": list(self.limits.move),
+                "angle": list(self.limits.angle),
+                "output": [repr(value) for value in self.limits.output],
+            },
+            "moves": {"kind": self.moves.kind, "pole": self.moves.pole, "terms": self.moves.terms}
+            if self.moves.kind == "laguerre"
+            else {"kind": "pulse"},
+            "preview": self.preview,
+            "solver": self.solver.name,
+            "model": self.model.name,
+            "estimator": self.estimator.name,
+            "speed_floor": self.speed_floor,
+            "scheduler": None
+            if self.scheduler is None
+            else getattr(self.scheduler, "name", type(self.scheduler).__name__),
+        }

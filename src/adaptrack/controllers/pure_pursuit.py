@@ -1,0 +1,60 @@
+"""Pure pursuit."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from adaptrack.controllers.base import CompiledController, known_vehicle
+from adaptrack.controllers.limits import Limits
+from adaptrack.errors import InvalidInput
+from adaptrack.vehicle import Vehicle
+
+
+class PurePursuit(CompiledController):
+    """Pure pursuit: steer the arc that leads the rear axle to a point of the path ahead.
+
+        delta = atan(2 L sin(alpha)/l_d)
+
+    alpha: angle from the car's axis to the target; l_d: distance from the rear axle to it; L: wheelbase. The target is
+    the point of the path that lies max(lookahead_time v, lookahead_min) ahead of the centre of gravity. Tyre slip is
+    not modelled. R. C. Coulter, *Implementation of the Pure Pursuit Path Tracking Algorithm*, CMU-RI-TR-92-01, 1992;
+    a look-ahead that grows with the speed is common practice.
+
+    lookahead_time: s; lookahead_min: m; the rest: see `CompiledController`.
+    """
+
+    def __init__(
+        self,
+        vehicle: Vehicle,
+        *,
+        lookahead_time: float = 1.0,
+        lookahead_min: float = 4.0,
+        period: float = 0.1,
+        limits: Limits | None = None,
+        preview: bool = False,
+    ) -> None:
+        from adaptrack.kernels.controllers import pure_pursuit as kernel
+
+        self.vehicle = known_vehicle("PurePursuit", vehicle)
+        self.tuning_names, self.diagnostic_names = kernel.TUNING, kernel.DIAGNOSTICS
+        self.memory_size = kernel.MEMORY
+        tuning = {"lookahead_time": lookahead_time, "lookahead_min": lookahead_min}
+        super().__init__(tuning, period=period, limits=limits, preview=preview)
+        if self.tuning["lookahead_min"] == 0.0:
+            raise InvalidInput("PurePursuit: lookahead_min = 0.0 m: must be positive, or a standing car has no target.")
+
+    @property
+    def name(self) -> str:
+        return "pure pursuit"
+
+    @property
+    def function(self) -> Any:
+        from adaptrack.kernels.controllers.pure_pursuit import pure_pursuit
+
+        return pure_pursuit
+
+    def own_parameters(self) -> tuple[float, ...]:
+        return self.vehicle.wheelbase, self.vehicle.lr
+
+    def describe(self) -> dict[str, Any]:
+        return {**super().describe(), "law": "pure-pursuit", "vehicle": self.vehicle.name}

@@ -1,0 +1,77 @@
+"""A compiled controller of one's own."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, final
+
+from adaptrack.controllers.base import CompiledController
+from adaptrack.controllers.limits import Limits
+from adaptrack.errors import ContractError, InvalidInput, real, whole
+
+
+@final
+class UserController(CompiledController):
+    """A controller of one's own: one law, compiled by numba, and its numbers. `check_controller` admits it.
+
+    law(situation, reference, tuning, parameters, memory, answer) writes the steering command (rad) to answer[0] and its
+    diagnostics behind it, and returns nothing; see `kernels.controllers.contract`. situation: v_y (m/s), yaw (rad), yaw
+    rate (rad/s), y (m), v_x (m/s), last command (rad); parameters: period (s), least and largest move (rad per period),
+    least and largest angle (rad), then `parameters` in their order. It must keep its command within those limits,
+    answer a finite command on finite input, and write to memory and answer only.
+
+    tuning: name -> number; parameters: name -> number; memory_size: numbers that it remembers; diagnostics: names of
+    answer[1:], of which ``held`` (1 where the last command is held) is known to the drivers; label: how tables call it.
+
+    Raises
+    ------
+    ContractError
+        When numba cannot compile the law.
+    """
+
+    def __init__(
+        self,
+        law: Callable[..., None],
+        *,
+        tuning: Mapping[str, float] | None = None,
+        parameters: Mapping[str, float] | None = None,
+        memory_size: int = 0,
+        diagnostics: Sequence[str] = (),
+        period: float = 0.1,
+        limits: Limits | None = None,
+        preview: bool = False,
+        label: str = "user",
+    ) -> None:
+        from adaptrack.kernels.controllers.contract import compile_law
+
+        self.law, self.label = law, label
+        where = f"UserController {label!r}"
+        self.constants = {name: real(where, name, value) for name, value in (parameters or {}).items()}
+        bad = [f"{name} = {value!r}" for name, value in self.constants.items() if not math.isfinite(value)]
+        if bad:
+            raise InvalidInput(f"{where}: parameters must be finite numbers: {', '.join(bad)}.")
+        self.memory_size = whole(where, "memory_size", memory_size, least=0)
+        self.tuning_names, self.diagnostic_names = tuple(tuning or {}), tuple(diagnostics)
+        try:
+            self._compiled = compile_law(law)
+        except Exception as error:
+            raise ContractError(
+                f"{where}: numba cannot compile its law as "
+                f"f(situation, reference, tuning, parameters, memory, answer) on float64 arrays: {error}"
+            ) from error
+        super().__init__(tuning or {}, period=period, limits=limits, preview=preview)
+
+    @property
+    def name(self) -> str:
+        return self.label
+
+    @property
+    def function(self) -> Any:
+        return self._compiled
+
+    def own_parameters(self) -> Sequence[float]:
+        return tuple(self.constants.values())
+
+    def describe(self) -> dict[str, Any]:
+        return {**super().describe(), "law": self.label, "parameters": dict(self.constants)}

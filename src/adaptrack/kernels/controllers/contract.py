@@ -1,0 +1,158 @@
+"""The contract of a compiled controller, and what our own laws share: limits and the geometry of y_ref(t).
+
+A law is one function, called once per control period:
+
+    law(situation, reference, tuning, parameters, memory, answer) -> None
+
+all float64, one-dimensional and C-contiguous:
+
+    situation   (6,) measurements and the last command, see `SITUATION`
+    reference   (n,), n >= 1: y_ref (m) now and at the control instants that follow, one period apart; without preview
+                its present value alone, once or repeated
+    tuning      the law's named tuning entries: they may change at every step
+    parameters  constant numbers, which begin with `COMMON`
+    memory      the law's own state, zeros before the first step
+    answer      [steering command (rad), then the law's named diagnostics]
+
+A law writes to memory and answer only. It keeps its command within the limits on angle and move, and answers a finite
+command on finite input; on input that is not finite it holds the last command and says so in a diagnostic. Axes and
+signs are those of ISO 8855: y, yaw and steering are positive to the left.
+"""
+
+from __future__ import annotations
+
+import math
+from functools import lru_cache
+from typing import Any
+
+from numba import types
+
+from ..abi import INLINE, ROUTINE, njit, record, vector
+from ..maths.elementary import clip
+
+SITUATION = (
+    "vy",  # m/s, measured lateral velocity
+    "yaw",  # rad, measured
+    "yaw_rate",  # rad/s, measured
+    "y",  # m, measured lateral position
+    "speed",  # m/s, v_x
+    "command",  # rad, the last command
+)
+COMMON = (
+    "period",  # s, control period
+    "move_min",  # rad per period
+    "move_max",
+    "angle_min",  # rad
+    "angle_max",
+)
+"""What the parameters of every law begin with."""
+
+LAW_SIGNATURE = types.void(vector, vector, vector, vector, vector, vector)
+"""``law(situation, reference, tuning, parameters, memory, answer)``."""
+LAW_FUNCTION = types.FunctionType(LAW_SIGNATURE)
+
+COMMAND, HELD = 0, 1
+"""Entries of an answer: the command (rad), and, as our laws' first diagnostic, 1 where the last command is held."""
+
+SLOWEST = 1.0
+"""m/s: below it the heading of y_ref(t) is ill-defined, and laws work as at this speed."""
+MOST_LATERAL = 9.81
+"""m/s^2: the curvature of a kink in the reference counts as one that is driven with this lateral acceleration."""
+FURTHEST = 1e6
+"""periods, how far ahead a reference is read at most"""
+
+Situation = record("Situation", SITUATION)
+Path = record("Path", ("y", "heading", "curvature"))
+
+
+@njit(LAW_SIGNATURE, **ROUTINE)
+def no_law(situation, reference, tuning, parameters, memory, answer):
+    """Stands where a law would: controllers that are none do not call it."""
+
+
+@lru_cache(maxsize=64)
+def compile_law(function: Any) -> Any:
+    """A user's law, compiled for `LAW_SIGNATURE`; numba's own error when it cannot be."""
+    plain = getattr(function, "py_func", function)
+    return njit(LAW_SIGNATURE, nogil=True, error_model="numpy")(plain)
+
+
+@njit(**INLINE)
+def read_situation(situation):
+    """The situation by name."""
+    return Situation(situation[0], situation[1], situation[2], situation[3], situation[4], situation[5])
+
+
+@njit(**INLINE)
+def all_finite(values):
+    """Whether every entry is finite."""
+    finite = True
+    for value in values:
+        finite = finite and math.isfinite(value)
+    return finite
+
+
+@njit(**INLINE)
+def limited(wanted, last, p):
+    """The command (rad) nearest to the wanted one within the limits on move and angle, and 1.0 where it is held.
+
+    last: the last command (rad); p: any record with the fields of `COMMON`. A wanted command that is not finite holds
+    the last one; a last one that is not finite counts as 0.
+    """
+    start = last if math.isfinite(last) else 0.0
+    held = not math.isfinite(wanted)
+    move = 0.0 if held else clip(wanted - start, p.move_min, p.move_max)
+    return clip(start + move, p.angle_min, p.angle_max), 1.0 if held else 0.0
+
+
+@njit(**INLINE)
+def wrapped(angle):
+    """The angle (rad) less whole turns, in [-pi, pi]; NaN unless it is finite."""
+    if not math.isfinite(angle):
+        return math.nan
+    rest = math.fmod(angle, 2.0 * math.pi)
+    if rest > math.pi:
+        return rest - 2.0 * math.pi
+    return rest + 2.0 * math.pi if rest < -math.pi else rest
+
+
+@njit(**INLINE)
+def reference_at(reference, i):
+    """y_ref (m) at the i-th instant; beyond its end it goes straight on."""
+    last = reference.size - 1
+    if i <= last:
+        return reference[i]
+    slope = reference[last] - reference[last - 1] if last > 0 else 0.0
+    return reference[last] + (i - last) * slope
+
+
+@njit(**INLINE)
+def path_at(reference, time, speed, period):
+    """The path that y_ref(t) draws at a speed (m/s), `time` (s) ahead: y (m), heading (rad), curvature (1/m).
+
+    heading = atan2(dy/dt, v), curvature = (d^2y/dt^2)/v^2/(1 + (dy/dt/v)^2)^(3/2), both of the parabola through three
+    successive samples; v is `SLOWEST` at least.
+    """
+    v = max(speed, SLOWEST)
+    steps = clip(time / period, 0.0, FURTHEST)
+    i = int(steps)
+    s = steps - i
+    now, following, later = reference_at(reference, i), reference_at(reference, i + 1), reference_at(reference, i + 2)
+    bend = later - 2.0 * following + now
+    slope = following - now - 0.5 * bend
+    y = now + s * (slope + 0.5 * s * bend)
+    rate = (slope + s * bend) / period
+    steepness = rate / v
+    curvature = bend / (period * v) ** 2 / (1.0 + steepness * steepness) ** 1.5
+    tightest = MOST_LATERAL / (v * v)
+    return Path(y, math.atan2(rate, v), clip(curvature, -tightest, tightest))
+
+
+@njit(**INLINE)
+def path_ahead(reference, time, speed, period, memory):
+    """`path_at`; below `SLOWEST` it is a straight line in the last known direction, which memory[0] keeps."""
+    path = path_at(reference, time, speed, period)
+    if speed < SLOWEST:
+        return Path(path.y, memory[0], 0.0)
+    memory[0] = path.heading if math.isfinite(path.heading) else memory[0]
+    return path

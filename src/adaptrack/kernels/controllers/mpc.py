@@ -1,0 +1,535 @@
+"""One step of the MPC: form the QP, solve it, take the first move. Eqs. (8) to (17).
+
+Every slot of a batch is a controller of its own, with its own memory and tuning. A model and an estimator come as
+compiled functions (`models.contract`, `estimators.contract`); nothing here knows how many states they have.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from numba import types
+
+from ..abi import (
+    PART,
+    ROUTINE,
+    Structure,
+    columns,
+    cube,
+    float64,
+    int64,
+    int_matrix,
+    int_vector,
+    matrix,
+    njit,
+    record,
+    vector,
+)
+from ..estimators.contract import BY_FUNCTION, no_estimate
+from ..maths import vectors
+from ..maths.elementary import clip
+from ..models import single_track
+from ..models.contract import MEASURED
+from ..qp import problem as qp
+from ..qp.active_set import active_set
+from ..qp.factor import factorise
+from ..qp.hildreth import hildreth
+from ..qp.residual import kkt_residual
+from .condensing import (
+    DISCRETE,
+    Discrete,
+    condensed_gradient,
+    condensed_hessian,
+    laguerre_moves,
+    laguerre_response,
+    positional_error,
+    pulse_gradient,
+    pulse_hessian,
+    responses,
+    tracking_error,
+)
+
+# -- settings, fixed over a run ---------------------------------------------------------------------------------------
+SETTINGS = Structure(
+    (
+        "period",  # s
+        "move_min", "move_max",  # rad per period, eq. (13)
+        "angle_min", "angle_max",  # rad, eq. (14)
+        "output_min", "output_max",  # m, eq. (15), soft; -inf and inf: none
+        "output_weight",  # 1/m^2, weight of the squared violation of eq. (15)
+        "laguerre",  # 1: moves by Laguerre functions, 0: by pulses
+        "pole",  # of the Laguerre functions
+        "terms",  # number of Laguerre functions
+        "preview",  # 1: the reference ahead is known, 0: held at its present value
+        "speed_floor",  # m/s, the prediction model is never formed below this speed
+        "estimator",  # DEADBEAT or BY_FUNCTION
+        "solver",  # ACTIVE_SET, ...
+        "max_sweeps",  # of Hildreth's procedure
+        "tolerance",  # of Hildreth's procedure, on the squared change of the multipliers in a sweep
+        "residuals",  # 1: compute the KKT residual of every solution
+        "longest_horizon", "most_moves",  # Np and Nc are clamped to what the workspace was made for
+    ),
+    whole=(
+        "laguerre", "terms", "preview", "estimator", "solver", "max_sweeps", "residuals", "longest_horizon",
+        "most_moves",
+    ),
+)  # fmt: skip
+
+ACTIVE_SET, HILDRETH_THEN_EXACT, HILDRETH_APPLIED, HILDRETH_OR_HOLD = 0, 1, 2, 3
+"""Solvers: the exact one; Hildreth finished by the exact one when not converged; Hildreth's last iterate whatever it
+is, as the authors released it; Hildreth, its answer not used when not converged."""
+
+# -- what is remembered from step to step, and what a step answers; a row per slot ------------------------------------
+MEMORY = Structure(
+    (
+        "started",  # 1 after the first step
+        "command",  # rad, the last one
+        "speed", "Np", "Nc", "Q", "R",  # what the workspace holds for this slot; NaN: nothing
+        "factor_status", "condition",  # of the Hessian
+        "active", "kept",  # active rows of the last solution, and whether their factor still belongs to E
+        "planned", "age",  # entries of the last plan (0: none), and periods since it was made
+    ),
+    whole=("started", "factor_status", "active", "kept", "planned", "age"),
+)  # fmt: skip
+
+TUNING = columns("Np", "Nc", "Q", "R")
+"""The MPC's named tuning entries."""
+ANSWER = columns(
+    "command", "command_change", "held", "Np", "Nc", "Q", "R", "qp_status", "qp_iterations", "qp_residual", "at_limit"
+)
+"""What a step answers: command (rad), its change (rad), 1 when no solution could be used, the tuning as used, and the
+diagnostics: status, iterations and largest KKT residual (NaN unless asked for) of the QP, sum of AT_MOVE, ..."""
+AT_MOVE, AT_ANGLE, AT_OUTPUT = 1, 2, 4
+NEAR = 1e-9
+"""rad, how near to a limit counts as at it."""
+
+FOUR_DIMENSIONS = types.Array(types.float64, 4, "C")
+_FIELDS = (
+    ("free", cube),  # (slots, n, Np) F
+    ("step", matrix),  # (slots, Np) response to a unit move
+    ("moves", matrix),  # (terms, Np) Laguerre functions, shared by all slots
+    ("phi", cube),  # (slots, terms, Np) Phi L, transposed
+    ("hessian", cube),  # (slots, n, n) E
+    ("factor", FOUR_DIMENSIONS),  # (slots, 2, n, n) of E
+    ("rows", cube),  # (slots or 1, n, m) M, transposed
+    ("bounds", vector),  # (m,) gamma
+    ("reference", vector),  # (Np,) R_s
+    ("error", vector),  # (Np,) R_s - F x~
+    ("change", vector),  # (n,) x(k) - x(k-1)
+    ("gradient", vector),  # (n,) K
+    ("solution", vector),  # (n,)
+    ("multipliers", vector),  # (m,)
+    ("qp_work", FOUR_DIMENSIONS),  # (slots, ...) kept from one step to the next
+    ("qp_rows", matrix),
+    ("qp_index", int_matrix),  # (slots, ...) likewise
+)
+Workspace = record("Workspace", (name for name, _ in _FIELDS))
+WORKSPACE = types.NamedTuple([kind for _, kind in _FIELDS], Workspace)
+"""Every array that a step needs, made once for the longest horizons. Row lengths are padded to multiples of the vector
+width, as the QP routines ask."""
+
+_PARTS = (
+    ("settings", SETTINGS.type),  # (1,)
+    ("model", DISCRETE),  # scratch: the model at the present speed
+    ("parameters", vector),  # of the model
+    ("states", int_vector),  # (n,) which measured quantities the model's states are
+    ("estimate", matrix),  # (4, n) state, disturbance, and scratch; (0, n) for the deadbeat estimator
+    ("estimator", vector),  # parameters of the estimator
+    ("estimates", matrix),  # (slots, .) memory of the estimator
+    ("memory", MEMORY.type),  # (slots,)
+    ("previous", matrix),  # (slots, n) measured state of the last step
+    ("plan", matrix),  # (slots, n) last solution
+    ("answer", matrix),  # (slots, ANSWER)
+    ("measured", vector),  # (MEASURED,)
+    ("ws", WORKSPACE),
+)
+Mpc = record("Mpc", (name for name, _ in _PARTS))
+MPC = types.NamedTuple([kind for _, kind in _PARTS], Mpc)
+"""A batch of MPCs that share all but tuning and memory."""
+
+
+def workspace(slots: int, states: int, settings: Any) -> Any:
+    """A workspace for up to `slots` slots under `SETTINGS`, for a model with `states` states."""
+    own = settings[0]
+    horizon = int(own.longest_horizon)
+    moves = min(int(own.most_moves), horizon)
+    limited = own.output_min > -math.inf or own.output_max < math.inf
+    terms = int(own.terms) if own.laguerre else moves
+    columns_of_e = terms + (1 if limited else 0)
+    count = 4 * moves + (2 * horizon if limited else 0)
+    np_, n, m = vectors.padded(horizon), vectors.padded(columns_of_e), vectors.padded(count)
+    sizes = qp.workspace_sizes(columns_of_e, count, hildreth=own.solver != ACTIVE_SET)
+    ws = Workspace(
+        free=np.zeros((slots, states, np_)),
+        step=np.zeros((slots, np_)),
+        moves=np.zeros((columns_of_e, np_)),
+        phi=np.zeros((slots if own.laguerre else 1, columns_of_e, np_)),
+        hessian=qp.aligned((slots, columns_of_e, n)),
+        factor=qp.aligned((slots, *sizes["factor"])),
+        rows=qp.aligned((slots if limited else 1, columns_of_e, m)),
+        bounds=qp.aligned((m,)),
+        reference=np.zeros(np_),
+        error=np.zeros(np_ + n + vectors.WIDTH),
+        change=np.zeros(states),
+        gradient=qp.aligned((n,)),
+        solution=qp.aligned((n,)),
+        multipliers=qp.aligned((m,)),
+        qp_work=qp.aligned((slots, *sizes["work"])),
+        qp_rows=qp.aligned(sizes["rows"]),
+        qp_index=np.zeros((slots, *sizes["index"]), dtype=np.int64),
+    )
+    if own.laguerre:
+        laguerre_moves(horizon, int(own.terms), own.pole, ws.moves)
+    for rows in ws.rows:
+        limit_rows(moves, terms, bool(own.laguerre), ws.moves, rows)
+    return ws
+
+
+def batch(slots: int, settings: Any, model: tuple[Any, Any, Any], estimator: tuple[Any, int]) -> Any:
+    """Fresh MPCs for `slots` slots.
+
+    model: parameters (p,), places of its states in `MEASURED` (n,), output row (n,); estimator: parameters (q,) and
+    length of the memory.
+    """
+    parameters, states, output = model
+    own, length = estimator
+    n = len(states)
+    ws = workspace(slots, n, settings)
+    discrete = Discrete(np.zeros((n, n)), np.zeros(n), np.array(output, float), np.zeros(n), np.zeros((3, n)))
+    return Mpc(
+        settings=settings,
+        model=discrete,
+        parameters=np.array(parameters, float),
+        states=np.array(states, np.int64),
+        estimate=np.zeros((4 if settings[0].estimator == BY_FUNCTION else 0, n)),
+        estimator=np.array(own, float),
+        estimates=np.zeros((slots, length)),
+        memory=memory(slots),
+        previous=np.zeros((slots, n)),
+        plan=np.zeros((slots, len(ws.solution))),
+        answer=np.zeros((slots, len(ANSWER))),
+        measured=np.zeros(len(MEASURED)),
+        ws=ws,
+    )
+
+
+def memory(slots: int) -> Any:
+    """What MPCs remember before their first step, (slots,)."""
+    return MEMORY.new(slots, speed=math.nan)
+
+
+@njit(**PART)
+def forget(slot, mpc):
+    """Back to before the first step; the model and factor that the workspace holds stay valid."""
+    own = mpc.memory[slot]
+    own.started, own.command, own.active, own.kept, own.planned, own.age = 0, 0.0, 0, 0, 0, 0
+    mpc.previous[slot, :] = 0.0
+    mpc.estimates[slot, :] = 0.0
+
+
+@njit(**PART)
+def _has_output_limits(settings):
+    return settings.output_min > -math.inf or settings.output_max < math.inf
+
+
+# -- the QP -----------------------------------------------------------------------------------------------------------
+@njit(types.void(int64, int64, types.boolean, matrix, matrix), **ROUTINE)
+def limit_rows(samples, columns_of_e, laguerre, moves, rows):
+    """Write M of eq. (16) for eqs. (13), (14), transposed: rows (columns, >= 4 samples).
+
+    Four rows a sample: the move, its negative, the angle (the sum of moves), its negative. In this order the rows
+    of a shorter control horizon are the leading block of a longer one's, so they are written once.
+    """
+    for c in range(columns_of_e):
+        angle = 0.0
+        for i in range(samples):
+            move = moves[c, i] if laguerre else (1.0 if c == i else 0.0)
+            angle += move
+            rows[c, 4 * i] = move
+            rows[c, 4 * i + 1] = -move
+            rows[c, 4 * i + 2] = angle
+            rows[c, 4 * i + 3] = -angle
+
+
+@njit(types.void(int64, int64, int64, types.boolean, vector, matrix, matrix), **ROUTINE)
+def output_rows(first, horizon, columns_of_e, laguerre, step, phi, rows):
+    """Add to M of eq. (16) the soft eq. (15): y_j - s <= y_max, -y_j - s <= -y_min, s the column after the moves."""
+    for j in range(horizon):
+        for c in range(columns_of_e):
+            effect = phi[c, j] if laguerre else (step[j - c] if j >= c else 0.0)
+            rows[c, first + 2 * j] = effect
+            rows[c, first + 2 * j + 1] = -effect
+        rows[columns_of_e, first + 2 * j] = -1.0
+        rows[columns_of_e, first + 2 * j + 1] = -1.0
+
+
+@njit(**PART)
+def _horizon(value, most):
+    """A horizon: the nearest integer, between 1 and `most`; 1 when it is not a number."""
+    return int(clip(math.floor(value + 0.5), 1.0, most)) if math.isfinite(value) else 1
+
+
+@njit(**PART)
+def _take_tuning(slot, tuning, mpc):
+    """Write the tuning as used to the answer, its horizons rounded and clamped; returns whether it makes a QP."""
+    settings, out = mpc.settings[0], mpc.answer[slot]
+    horizon = _horizon(tuning[TUNING.Np], float(settings.longest_horizon))
+    out[ANSWER.Np] = horizon
+    out[ANSWER.Nc] = _horizon(tuning[TUNING.Nc], min(float(horizon), float(settings.most_moves)))
+    q, r = tuning[TUNING.Q], tuning[TUNING.R]
+    out[ANSWER.Q], out[ANSWER.R] = q, r
+    whole = math.isfinite(tuning[TUNING.Np]) and math.isfinite(tuning[TUNING.Nc])
+    if not (whole and math.isfinite(q) and math.isfinite(r)):
+        return qp.NON_FINITE
+    return qp.SOLVED if q >= 0.0 and r > 0.0 else qp.NOT_CONVEX
+
+
+@njit(**PART)
+def _form_model(slot, speed, mpc, discretise):
+    """What depends on speed and tuning alone: F, Phi, E and its factor, and the rows of eq. (15) in M."""
+    settings, own, out, ws = mpc.settings[0], mpc.memory[slot], mpc.answer[slot], mpc.ws
+    np_, nc, q, r = int(out[ANSWER.Np]), int(out[ANSWER.Nc]), out[ANSWER.Q], out[ANSWER.R]
+    laguerre, limited = settings.laguerre > 0, _has_output_limits(settings)
+    moves = settings.terms if laguerre else nc
+    step, phi = ws.step[slot], ws.phi[slot if laguerre else 0]
+    hessian, rows = ws.hessian[slot], ws.rows[slot if limited else 0]
+    discretise(speed, settings.period, mpc.parameters, mpc.model.a, mpc.model.b, mpc.model.e)
+    responses(np_, mpc.model, ws.free[slot], step)
+    if laguerre:
+        laguerre_response(np_, moves, step, ws.moves, phi)
+        condensed_hessian(np_, moves, phi, q, r, hessian)
+    else:
+        pulse_hessian(np_, moves, step, q, r, hessian)
+    if limited:
+        for i in range(moves):
+            hessian[i, moves] = 0.0
+            hessian[moves, i] = 0.0
+        hessian[moves, moves] = 2.0 * settings.output_weight
+        limit_rows(nc, moves, laguerre, ws.moves, rows)
+        for i in range(4 * nc):
+            rows[moves, i] = 0.0
+        output_rows(4 * nc, np_, moves, laguerre, step, phi, rows)
+    own.factor_status, own.condition = factorise(moves + (1 if limited else 0), hessian, ws.factor[slot])
+    own.kept = 0
+    own.speed, own.Np, own.Nc, own.Q, own.R = speed, np_, nc, q, r
+
+
+@njit(**PART)
+def _is_formed(slot, speed, mpc):
+    """Whether the workspace holds this very speed and tuning, to the last bit."""
+    own, out = mpc.memory[slot], mpc.answer[slot]
+    same_horizons = out[ANSWER.Np] == own.Np and out[ANSWER.Nc] == own.Nc
+    return own.speed == speed and same_horizons and out[ANSWER.Q] == own.Q and out[ANSWER.R] == own.R
+
+
+@njit(**PART)
+def _look_ahead(horizon, reference, mpc):
+    """R_s: the reference from the next instant on with preview (its last value repeated), else its present value."""
+    ws = mpc.ws
+    if mpc.settings[0].preview > 0:
+        for j in range(horizon):
+            ws.reference[j] = reference[min(j + 1, reference.size - 1)]
+    else:
+        for b in range(0, horizon, vectors.WIDTH):
+            vectors.store(ws.reference, b, vectors.spread(reference, 0))
+
+
+@njit(**PART)
+def _free_response(slot, horizon, mpc, discretise, estimate):
+    """R_s - Y without moves, from the measured increments or from an estimate."""
+    settings, own, ws = mpc.settings[0], mpc.memory[slot], mpc.ws
+    if settings.estimator == BY_FUNCTION:
+        model, x, d = mpc.model, mpc.estimate[0], mpc.estimate[1]
+        discretise(own.speed, settings.period, mpc.parameters, model.a, model.b, model.e)
+        estimate(mpc.measured, own.command, model.a, model.b, mpc.estimator, mpc.estimates[slot], x, d)
+        positional_error(horizon, model, mpc.estimate, own.command, ws.reference, ws.error)
+        return
+    for i in range(mpc.states.size):
+        now = mpc.measured[mpc.states[i]]
+        ws.change[i] = now - mpc.previous[slot, i] if own.started > 0 else 0.0 * now
+    output = mpc.measured[mpc.states[mpc.states.size - 1]]
+    tracking_error(horizon, ws.free[slot], ws.change, output, ws.reference, ws.error)
+
+
+@njit(**PART)
+def _bound(slot, nc, horizon, mpc):
+    """gamma of eq. (16)."""
+    settings, ws, angle = mpc.settings[0], mpc.ws, mpc.memory[slot].command
+    for i in range(2):
+        ws.bounds[4 * i] = settings.move_max
+        ws.bounds[4 * i + 1] = -settings.move_min
+        ws.bounds[4 * i + 2] = settings.angle_max - angle
+        ws.bounds[4 * i + 3] = angle - settings.angle_min
+    for b in range(vectors.WIDTH, 4 * nc, vectors.WIDTH):
+        vectors.store(ws.bounds, b, vectors.load(ws.bounds, 0))
+    if _has_output_limits(settings):
+        for j in range(horizon):
+            response = ws.reference[j] - ws.error[j]  # F x~
+            ws.bounds[4 * nc + 2 * j] = settings.output_max - response
+            ws.bounds[4 * nc + 2 * j + 1] = response - settings.output_min
+
+
+@njit(**PART)
+def _form_qp(slot, speed, reference, tuning, mpc, discretise, estimate):
+    """See `form_qp`."""
+    settings, out, ws = mpc.settings[0], mpc.answer[slot], mpc.ws
+    status = _take_tuning(slot, tuning, mpc)
+    np_, nc = int(out[ANSWER.Np]), int(out[ANSWER.Nc])
+    laguerre, limited = settings.laguerre > 0, _has_output_limits(settings)
+    moves = settings.terms if laguerre else nc
+    n = moves + (1 if limited else 0)
+    m = 4 * nc + (2 * np_ if limited else 0)
+    if status != qp.SOLVED:
+        return status, n, m
+    speed = max(speed, settings.speed_floor)
+    if not _is_formed(slot, speed, mpc):
+        _form_model(slot, speed, mpc, discretise)
+    _look_ahead(np_, reference, mpc)
+    _free_response(slot, np_, mpc, discretise, estimate)
+    if laguerre:
+        condensed_gradient(np_, moves, ws.phi[slot], out[ANSWER.Q], ws.error, ws.gradient)
+    else:
+        pulse_gradient(np_, moves, ws.step[slot], out[ANSWER.Q], ws.error, ws.gradient)
+    if limited:
+        ws.gradient[moves] = 0.0
+    _bound(slot, nc, np_, mpc)
+    return mpc.memory[slot].factor_status, n, m
+
+
+@njit(**PART)
+def _qp_in(slot, n, m, mpc):
+    """The problem, the solution and the scratch of a slot in the workspace."""
+    ws = mpc.ws
+    rows = ws.rows[slot if _has_output_limits(mpc.settings[0]) else 0]
+    problem = qp.Problem(n, m, ws.hessian[slot], ws.gradient, rows, ws.bounds)
+    return (
+        problem,
+        qp.Solution(ws.solution, ws.multipliers),
+        qp.Scratch(ws.qp_work[slot], ws.qp_rows, ws.qp_index[slot]),
+    )
+
+
+@njit(**PART)
+def _solve_qp(slot, n, m, mpc):
+    """Solve the QP in the workspace with the solver of the settings: (status, iterations)."""
+    settings, own = mpc.settings[0], mpc.memory[slot]
+    problem, solution, scratch = _qp_in(slot, n, m, mpc)
+    factor = qp.Factor(mpc.ws.factor[slot, 0], mpc.ws.factor[slot, 1], own.condition)
+    status, iterations = qp.CAPPED, 0
+    if settings.solver != ACTIVE_SET:
+        own.active = 0
+        status, iterations = hildreth(
+            problem, factor, solution, scratch, settings.max_sweeps, settings.tolerance, False
+        )
+    if settings.solver == ACTIVE_SET or (settings.solver == HILDRETH_THEN_EXACT and status == qp.CAPPED):
+        # The rows that were active a period ago are a good guess, and while E stays so does their factor.
+        status, more, active = active_set(problem, factor, solution, scratch, own.active, own.kept > 0, 10 * (n + m))
+        own.active, own.kept = active, 1
+        iterations += more
+    return status, iterations
+
+
+# -- the move ---------------------------------------------------------------------------------------------------------
+@njit(**PART)
+def _move_of(settings, sample, solution, moves):
+    """The move at a sample of a plan: its pulse, or the sum of the Laguerre functions there."""
+    if settings.laguerre == 0:
+        return solution[sample]
+    move = 0.0
+    for i in range(settings.terms):
+        move += moves[i, sample] * solution[i]
+    return move
+
+
+@njit(**PART)
+def _planned_move(slot, mpc):
+    """The move that the last plan has for this period, zero behind its end."""
+    settings, own = mpc.settings[0], mpc.memory[slot]
+    own.age += 1
+    last = int(own.Np) if settings.laguerre > 0 else own.planned
+    if own.planned == 0 or own.age >= last:
+        return 0.0
+    return _move_of(settings, own.age, mpc.plan[slot], mpc.ws.moves)
+
+
+@njit(**PART)
+def _residual(slot, n, m, mpc):
+    """Largest KKT residual of the solution in the workspace."""
+    problem, solution, scratch = _qp_in(slot, n, m, mpc)
+    stationarity, primal, dual, complementarity = kkt_residual(problem, solution, scratch)
+    return max(max(stationarity, primal), max(dual, complementarity))
+
+
+@njit(**PART)
+def _limits_reached(slot, move, angle, m, mpc):
+    """Sum of AT_MOVE, AT_ANGLE, AT_OUTPUT for the limits at which a solved step is."""
+    settings = mpc.settings[0]
+    at_limit = 0
+    if move <= settings.move_min + NEAR or move >= settings.move_max - NEAR:
+        at_limit |= AT_MOVE
+    if angle <= settings.angle_min + NEAR or angle >= settings.angle_max - NEAR:
+        at_limit |= AT_ANGLE
+    if _has_output_limits(settings):
+        for j in range(4 * int(mpc.answer[slot, ANSWER.Nc]), m):
+            if mpc.ws.multipliers[j] > 0.0:
+                return at_limit | AT_OUTPUT
+    return at_limit
+
+
+@njit(**PART)
+def _remember(slot, angle, mpc):
+    """What the next step needs of this one."""
+    own = mpc.memory[slot]
+    own.command = angle
+    for i in range(mpc.states.size):
+        now = mpc.measured[mpc.states[i]]
+        if math.isfinite(now):
+            mpc.previous[slot, i] = now
+    own.started = 1
+
+
+@njit(**PART)
+def _apply_move(slot, status, iterations, size, mpc):
+    """See `apply_move`; size: (n, m)."""
+    n, m = size
+    settings, own, out, ws = mpc.settings[0], mpc.memory[slot], mpc.answer[slot], mpc.ws
+    usable = status == qp.SOLVED or (status == qp.CAPPED and settings.solver == HILDRETH_APPLIED)
+    move = _move_of(settings, 0, ws.solution, ws.moves) if usable else 0.0
+    usable = usable and math.isfinite(move)
+    if usable:
+        for b in range(0, vectors.padded(n), vectors.WIDTH):
+            vectors.store(mpc.plan, slot, b, vectors.load(ws.solution, b))
+        own.planned, own.age = n, 0
+    else:
+        planned = _planned_move(slot, mpc)
+        move = 0.0 if status == qp.NON_FINITE else planned
+    out[ANSWER.qp_residual] = _residual(slot, n, m, mpc) if usable and settings.residuals > 0 else math.nan
+    move = clip(move, settings.move_min, settings.move_max)
+    angle = clip(own.command + move, settings.angle_min, settings.angle_max)
+    out[ANSWER.command], out[ANSWER.command_change] = angle, angle - own.command
+    out[ANSWER.qp_status], out[ANSWER.qp_iterations] = status, iterations
+    out[ANSWER.held] = 0.0 if usable else 1.0
+    out[ANSWER.at_limit] = _limits_reached(slot, move, angle, m, mpc) if usable else 0.0
+    _remember(slot, angle, mpc)
+
+
+@njit(**PART)
+def step_with(slot, speed, reference, tuning, mpc, discretise, estimate):
+    """One step of a slot: form the QP, solve it, take the first move. Arguments as for `form_qp`.
+
+    discretise, estimate: the model's and the estimator's function, see their contracts.
+    """
+    status, n, m = _form_qp(slot, speed, reference, tuning, mpc, discretise, estimate)
+    iterations = 0
+    if status == qp.SOLVED:
+        status, iterations = _solve_qp(slot, n, m, mpc)
+    _apply_move(slot, status, iterations, (n, m), mpc)
+
+
+# -- for callers in Python: the paper's model and estimator -----------------------------------------------------------
+@njit(types.void(int64, float64, vector, vector, MPC), **ROUTINE)
+def step(slot, speed, reference, tuning, mpc):
+    """One step of a slot with the paper's model, on increments of the measured state, see `form_qp`."""
+    step_with(slot, speed, reference, tuning, mpc, single_track.discretise, no_estimate)

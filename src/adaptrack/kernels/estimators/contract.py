@@ -1,0 +1,37 @@
+"""What an estimator is to the controller: from measurements to the state of the prediction model and a disturbance.
+
+The paper's controller needs none: its increments of the measured state are the *deadbeat* estimator, whose disturbance
+explains the last measurement whole, d(k) = x(k) - A x(k-1) - B u(k-1), with A and B at the present speed. The MPC keeps
+that form as it is (`condensing.tracking_error`); any other estimator gives x and d, and the MPC predicts from them
+(`condensing.positional_error`). The deadbeat one needs the whole state measured.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from typing import Any
+
+from numba import types
+
+from ..abi import ROUTINE, float64, matrix, njit, vector
+
+DEADBEAT, BY_FUNCTION = 0, 1
+"""How the MPC estimates."""
+
+ESTIMATE = types.void(vector, float64, matrix, vector, vector, vector, vector, vector)
+"""``estimate(measured, command, a, b, parameters, memory, x, d)``: write the state x (n,) and the disturbance d (n,),
+what every period adds to it, from the measured quantities (`models.contract.MEASURED`), the command that acted over the
+last period (rad), and A, B of the model at the present speed. memory: the estimator's own numbers of this run, zero
+before its first step. A measurement that is not finite is one that is missing."""
+ESTIMATE_FUNCTION = types.FunctionType(ESTIMATE)
+
+
+@njit(ESTIMATE, **ROUTINE)
+def no_estimate(measured, command, a, b, parameters, memory, x, d):
+    """Stands where an estimator would: the deadbeat form does not call it."""
+
+
+@lru_cache(maxsize=64)
+def compile_estimator(function: Any) -> Any:
+    """A user's function, compiled for `ESTIMATE`; numba's own error when it cannot be."""
+    return njit(ESTIMATE, nogil=True, error_model="numpy")(getattr(function, "py_func", function))

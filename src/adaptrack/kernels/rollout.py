@@ -1,0 +1,300 @@
+"""Whole runs, compiled: the control periods of `loop` over the slots of a batch, each a vehicle with its controller.
+
+Plants, prediction models, estimators and control laws come as compiled functions (see their contracts); the MPC alone
+is built in.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from numba import types
+
+from . import guard
+from .abi import (
+    PART,
+    ROUTINE,
+    Structure,
+    cube,
+    float64,
+    function_tuple,
+    int64,
+    int_vector,
+    matrix,
+    njit,
+    record,
+    vector,
+)
+from .controllers import mpc
+from .controllers.contract import LAW_FUNCTION, SITUATION, Situation
+from .estimators import friction_wind
+from .estimators.contract import ESTIMATE_FUNCTION
+from .loop import (
+    MEMORY,
+    NEVER_ARRIVED,
+    RUNNING,
+    SETTINGS,
+    SIGNAL,
+    STOPPED,
+    actuate,
+    judge,
+    look,
+    sense,
+)
+from .models.contract import DISCRETISE_FUNCTION, MEASURED
+from .plants.contract import ADVANCE_FUNCTION, OBSERVE_FUNCTION, STATE, STATES, VEHICLES, place, place_one, state_at
+from .qp import problem as qp
+from .schedule import SCHEDULE, schedule
+
+COMMON = 3
+"""Every controller's answer begins with command, command change and `held`, as `mpc.ANSWER` does."""
+
+RESULT = Structure(
+    (
+        "squared_error",  # m^2, sum over the control instants of (Y - y_ref)^2; inf when the run has failed
+        "squared_move",  # rad^2, sum of the squared changes of the command
+        "largest_error",  # m
+        "instants",  # control instants completed
+        "ended",  # RUNNING when the run came to its end, else why it ended, see `loop`
+        "ended_at",  # s
+        "capped",  # steps whose QP stopped at its cap
+        "unsolved",  # steps without a solution of the QP (infeasible, not finite, not convex)
+        "held",  # steps whose controller had nothing new to apply
+        "limited",  # steps at some limit
+        "iterations",  # of the QP solver, summed
+    ),
+    whole=("instants", "ended", "capped", "unsolved", "held", "limited", "iterations"),
+)
+"""What is measured of each run."""
+
+Road = record("Road", ("signals", "scenario", "seeds"))
+ROAD = types.NamedTuple((cube, int_vector, int_vector), Road)
+"""signals (scenarios, SIGNAL, instants): what happens; which of them a slot drives, and its noise seed (slots,)."""
+
+Law = record("Law", ("parameters", "memory", "situation", "own_answer", "answer", "held", "preview"))
+LAW = types.NamedTuple((vector, matrix, vector, vector, matrix, int64, int64), Law)
+"""A batch of controllers that are not the MPC: memory (slots, m); what the law answers (1 + diagnostics,); that behind
+the COMMON columns (slots, COMMON + diagnostics); place of the diagnostic ``held`` in a law's answer, 0 for none; whether
+the law sees the reference ahead. answer is (0, 0) where the MPC drives."""
+
+Perceiving = record("Perceiving", ("parameters", "settings", "memory"))
+PERCEIVING = types.NamedTuple((vector, vector, matrix), Perceiving)
+"""An estimator of friction and wind for the scheduler (see `estimators.friction_wind`): the vehicle that it believes
+in, its settings, its memory (slots, .); empty for none."""
+
+Trace = record("Trace", ("state", "answer", "seen"))
+TRACE = types.NamedTuple((cube, cube, cube), Trace)
+"""Of every instant: state (slots, periods, STATES), the controller's answer with the tuning as used (slots, periods, .),
+lateral acceleration (m/s^2) and front-wheel angle (rad) under the new input (slots, periods, 2). Empty when not asked."""
+
+_PARTS = (
+    ("settings", SETTINGS.type),  # (1,)
+    ("vehicles", VEHICLES),
+    ("road", ROAD),
+    ("mpc", mpc.MPC),
+    ("law", LAW),
+    ("schedule", SCHEDULE),
+    ("perceiving", PERCEIVING),
+    ("tuning", matrix),  # (slots, entries) of the controller, written by the scheduler if there is one
+    ("variables", vector),  # (guard.VARIABLES,)
+    ("memory", MEMORY.type),  # (slots,)
+    ("result", RESULT.type),  # (slots,)
+    ("ceiling", vector),  # (slots,) sum of squared error plus weight times squared move at which a run stops
+    ("segments", matrix),  # (slots, .) cost of each segment of a run; empty when not asked
+    ("trace", TRACE),
+)
+Run = record("Run", (name for name, _ in _PARTS))
+RUN = types.NamedTuple([kind for _, kind in _PARTS], Run)
+"""A batch of runs."""
+
+MEMBERS = function_tuple(ADVANCE_FUNCTION, OBSERVE_FUNCTION, DISCRETISE_FUNCTION, ESTIMATE_FUNCTION, LAW_FUNCTION)
+"""What the members of the contracts give: two functions of the plant, those of model, estimator and law. (A tuple of its
+own: numba takes no functions in a record.)"""
+
+
+def no_law_batch() -> Any:
+    """The laws of a batch that the MPC drives."""
+    none = np.zeros(0)
+    return Law(none, np.zeros((0, 0)), none, none, np.zeros((0, 0)), 0, 0)
+
+
+def law_batch(slots: int, parameters: Any, memory: int, diagnostics: tuple[str, ...], preview: bool) -> Any:
+    """Fresh control laws for `slots` slots; diagnostics: the names of what the law answers behind the command."""
+    held = 1 + diagnostics.index("held") if "held" in diagnostics else 0
+    return Law(
+        np.array(parameters, float), np.zeros((slots, memory)), np.zeros(len(SITUATION)), np.zeros(1 + len(diagnostics)),
+        np.zeros((slots, COMMON + len(diagnostics))), held, int(preview),
+    )  # fmt: skip
+
+
+def no_trace() -> Any:
+    """No trace."""
+    return Trace(*[np.zeros((0, 0, 0))] * 3)
+
+
+# -- one control period -----------------------------------------------------------------------------------------------
+@njit(**PART)
+def _schedule(k, slot, speed, run):
+    """Let the scheduler, if there is one, write the slot's tuning."""
+    if run.schedule.settings[0].n_inputs == 0:
+        return
+    look(k, speed, run.mpc.measured, run.road.signals, run.road.scenario[slot], run.variables)
+    knowing = run.perceiving
+    if knowing.settings.size > 0:
+        friction_wind.estimate(
+            slot, run.mpc.measured, speed, run.memory[slot].command, math.nan, knowing.parameters, knowing.settings,
+            knowing.memory,
+        )  # fmt: skip
+        run.variables[guard.FRICTION] = knowing.memory[slot, friction_wind.FRICTION_HAT]
+        run.variables[guard.WIND] = knowing.memory[slot, friction_wind.WIND_HAT]
+    schedule(slot, run.variables, run.schedule, run.tuning[slot])
+
+
+@njit(**PART)
+def _apply_law(slot, speed, reference, run, law):
+    """One step of a control law; a command that is not finite holds the last one."""
+    own, out, given, seen = run.memory[slot], run.law.answer[slot], run.law.situation, run.mpc.measured
+    now = Situation(
+        seen[MEASURED.vy], seen[MEASURED.yaw], seen[MEASURED.yaw_rate], seen[MEASURED.y], speed, own.command
+    )
+    for i in range(len(now)):
+        given[i] = now[i]
+    told = run.law.own_answer
+    ahead = reference if run.law.preview > 0 else reference[:1]
+    law(given, ahead, run.tuning[slot], run.law.parameters, run.law.memory[slot], told)
+    usable = math.isfinite(told[0])
+    out[0] = told[0] if usable else own.command
+    out[1] = out[0] - own.command
+    out[2] = 1.0 if not usable or (run.law.held > 0 and told[run.law.held] > 0.5) else 0.0
+    for i in range(1, told.size):
+        out[COMMON - 1 + i] = told[i]
+
+
+@njit(**PART)
+def _control(k, slot, speed, run, discretise, estimate, law):
+    """The controller's answer at instant k."""
+    reference = run.road.signals[run.road.scenario[slot], SIGNAL.y_ref, k:]
+    if run.law.answer.size > 0:
+        _apply_law(slot, speed, reference, run, law)
+        return run.law.answer[slot]
+    mpc.step_with(slot, speed, reference, run.tuning[slot], run.mpc, discretise, estimate)
+    return run.mpc.answer[slot]
+
+
+# -- what is measured of a run ----------------------------------------------------------------------------------------
+@njit(**PART)
+def _begin_instant(k, slot, segment, run):
+    """Judge the run; count the error at instant k, unless the run ends here."""
+    own, found, block = run.memory[slot], run.result[slot], run.vehicles.block
+    y_ref = run.road.signals[run.road.scenario[slot], SIGNAL.y_ref, k]
+    error = block[state_at(STATE.y, slot)] - y_ref
+    if abs(error) <= run.settings[0].failure_distance:
+        own.arrived = 1
+    own.ended = judge(y_ref, block, slot, run.settings, own.arrived > 0)
+    if run.trace.state.size > 0:
+        for j in range(STATES):
+            run.trace.state[slot, k, j] = block[state_at(j, slot)]
+    if own.ended != RUNNING:
+        own.ended_at = k * run.settings[0].period
+        return
+    found.squared_error += error * error
+    if run.segments.size > 0:
+        run.segments[slot, k // segment] += error * error
+    found.largest_error = max(found.largest_error, abs(error))
+    found.instants += 1
+
+
+@njit(**PART)
+def _count_step(k, slot, answer, segment, weight, run):
+    """Count what the controller answered at instant k; end the run when its cost has reached the ceiling."""
+    found, change = run.result[slot], answer[1]
+    found.squared_move += change * change
+    if run.segments.size > 0:
+        run.segments[slot, k // segment] += weight * change * change
+    found.held += 1 if answer[COMMON - 1] > 0.5 else 0
+    if run.law.answer.size == 0:
+        status = int(answer[mpc.ANSWER.qp_status])
+        found.capped += 1 if status == qp.CAPPED else 0
+        found.unsolved += 1 if status > qp.CAPPED else 0
+        found.limited += 1 if answer[mpc.ANSWER.at_limit] > 0.5 else 0
+        found.iterations += int(answer[mpc.ANSWER.qp_iterations])
+    if run.trace.state.size > 0:
+        for j in range(answer.size):
+            run.trace.answer[slot, k, j] = answer[j]
+        for j in range(run.trace.answer.shape[2] - answer.size):
+            run.trace.answer[slot, k, answer.size + j] = run.tuning[slot, j]
+    if found.squared_error + weight * found.squared_move >= run.ceiling[slot]:
+        run.memory[slot].ended = STOPPED
+
+
+@njit(**PART)
+def _end(k, slot, segment, run):
+    """Close a run that ends at instant k before its time, and park its slot in its initial state."""
+    own, found = run.memory[slot], run.result[slot]
+    found.ended, found.ended_at = own.ended, own.ended_at
+    if own.ended != STOPPED:
+        found.squared_error = math.inf
+    if run.segments.size > 0:
+        first = max(k - 1, 0) // segment
+        run.segments[slot, first:] = math.nan
+        run.segments[slot, first] = math.inf
+    place_one(slot, run.vehicles.start, run.vehicles.block, run.vehicles.states)
+
+
+@njit(types.void(int64, RUN), **ROUTINE)
+def begin(slots, run):
+    """Everything as it is before the first instant, for the first `slots` slots; the models that the MPC holds stay."""
+    place(slots, run.vehicles.start, run.vehicles.block, run.vehicles.states)
+    run.segments[:, :] = 0.0
+    for i in range(slots):
+        own, found = run.memory[i], run.result[i]
+        own.command, own.integral, own.arrived, own.ended, own.ended_at = 0.0, 0.0, 0, RUNNING, 0.0
+        found.squared_error, found.squared_move, found.largest_error, found.instants = 0.0, 0.0, 0.0, 0
+        found.ended, found.ended_at, found.capped, found.unsolved, found.held = RUNNING, 0.0, 0, 0, 0
+        found.limited, found.iterations = 0, 0
+        mpc.forget(i, run.mpc)
+    run.law.memory[:, :] = 0.0
+
+
+@njit(types.void(int64, int64, types.UniTuple(float64, 2), RUN, MEMBERS), **ROUTINE)
+def rollout(periods, slots, costing, run, members):
+    """Whole runs of the first `slots` slots over `periods` control periods, from what `begin` left.
+
+    costing: (weight of the squared moves in the cost (m^2/rad^2), periods of a segment). A run ends early when it has
+    failed (`loop.judge`), or, as STOPPED, once its cost has reached its ceiling and can only grow. The cost of each
+    segment is written to `segments`: inf for the one in which a run ends, NaN after.
+    """
+    weight, segment = costing[0], int(costing[1])
+    advance, observe, discretise, estimate, law = members
+    vehicles, settings = run.vehicles, run.settings[0]
+    block, states, work = vehicles.block, vehicles.states, vehicles.work
+    h = settings.period / settings.substeps
+    for k in range(periods):
+        running = 0
+        for i in range(slots):
+            if run.memory[i].ended != RUNNING:
+                continue
+            _begin_instant(k, i, segment, run)
+            if run.memory[i].ended != RUNNING:
+                _end(k, i, segment, run)
+                continue
+            speed = block[state_at(STATE.vx, i)]
+            sense(k, i, block, run.settings, run.road.seeds[i], run.mpc.measured)
+            _schedule(k, i, speed, run)
+            answer = _control(k, i, speed, run, discretise, estimate, law)
+            actuate(k, i, answer[0], block, run.settings, run.road.signals, run.road.scenario[i], run.memory)
+            if run.trace.seen.size > 0:
+                observe(vehicles.parameters, block, states, work, i, run.trace.seen[i, k])
+            _count_step(k, i, answer, segment, weight, run)
+            if run.memory[i].ended != RUNNING:
+                _end(k, i, segment, run)
+                continue
+            running += 1
+        if running == 0:
+            break
+        advance(vehicles.parameters, block, states, work, slots, settings.substeps, h)
+    for i in range(slots):
+        if run.memory[i].arrived == 0 and run.result[i].ended != STOPPED:
+            run.result[i].ended, run.result[i].ended_at, run.result[i].squared_error = NEVER_ARRIVED, 0.0, math.inf

@@ -1,0 +1,85 @@
+"""A run has failed off the road, spun or not finite: when, and why, by one rule that everything shares."""
+
+import math
+
+import numpy as np
+import pytest
+
+from adaptrack import failure
+from adaptrack.errors import InvalidInput
+from adaptrack.failure import Failure, Reason, find_failure
+from test_metrics import NAN, record
+
+
+def test_a_run_has_failed_beyond_the_limit_not_on_it():
+    assert find_failure(record(Y=5.0)) is None
+    left = np.array([0.0, 1.0, 4.0, 5.1, 6.0, 0.0, 0.0, 0.0])
+    failed = find_failure(record(Y=left))
+    assert (failed.step, failed.time) == (3, pytest.approx(0.3))
+    assert failed.clause == "left the reference by more than 5 m"
+    assert find_failure(record(Y=left), Failure(distance=7.0)) is None
+
+
+def test_a_large_step_is_judged_once_it_has_arrived():
+    approach = np.array([0.0, 2.0, 6.0, 9.5, 12.0, 14.0, 14.5, 14.0])
+    assert find_failure(record(Y=approach, y_ref=14.0)) is None
+    runaway = np.array([0.0, 2.0, 6.0, 9.5, 12.0, 14.0, 18.0, 19.5])
+    assert find_failure(record(Y=runaway, y_ref=14.0)).step == 7
+
+
+def test_a_run_that_never_arrives_has_failed_from_its_start():
+    failed = find_failure(record(Y=0.0, y_ref=14.0))
+    assert failed.step == 0
+    assert failed.clause == "never came within 5 m of the reference"
+
+
+def test_a_spin_is_a_failure_at_driving_speed_only():
+    sideways = np.array([0.0, 0.0, 9.0, 11.0, 11.0, 11.0, 11.0, 11.0])
+    failed = find_failure(record(vy=sideways))
+    assert failed.step == 3
+    assert failed.clause.startswith("spun")
+    assert find_failure(record(vy=-sideways)).step == 3
+    assert find_failure(record(vx=0.05, vy=0.5)) is None
+    assert find_failure(record(vx=-10.0)).step == 0  # going backwards
+
+
+def test_the_first_event_gives_the_reason():
+    failed = find_failure(record(vy=[0, 0, 20, 20, NAN, NAN, NAN, NAN], Y=[0, 0, 0, 6, 7, 8, 9, 10]))
+    assert failed.step == 2
+    assert failed.clause.startswith("spun")
+
+
+def test_reasons_have_names_and_sentences():
+    found = [
+        find_failure(record(Y=[0, 0, 6, 6, 6, 6, 6, 6])),
+        find_failure(record(vy=11.0)),
+        find_failure(record(Y=NAN)),
+    ]
+    assert [each.reason for each in found] == ["off-road", "spun", "not-finite"] == list(Reason)
+    assert all(reason.sentence.endswith(".") for reason in Reason)
+
+
+def test_infinity_switches_a_part_of_the_rule_off():
+    assert find_failure(record(Y=[0, 0, 600, 6, 6, 6, 6, 6]), Failure(distance=math.inf)) is None
+    assert find_failure(record(vy=11.0), Failure(sideslip=math.inf)) is None
+    assert find_failure(record(Y=NAN), Failure(math.inf, math.inf)).reason == Reason.NOT_FINITE
+
+
+@pytest.mark.parametrize("limits", [{"distance": 0.0}, {"distance": NAN}, {"sideslip": -1.0}, {"sideslip": "wide"}])
+def test_a_limit_that_makes_no_sense_is_refused(limits):
+    with pytest.raises(InvalidInput, match="Failure: "):
+        Failure(**limits)
+
+
+def test_the_rule_is_the_exported_numbers():
+    assert Failure() == Failure(failure.DISTANCE, failure.SIDESLIP) == Failure(5.0, math.pi / 4)
+
+
+def test_what_the_loop_knew_counts_when_it_came_first():
+    Y = np.array([0.0, 1.0, 3.0, 4.0, NAN, NAN, NAN, NAN])  # the loop saw 5.2 m at the end of the fourth period
+    failed = find_failure(record(Y=Y, failed="off-road", failed_at=0.4))
+    assert (failed.step, failed.reason) == (4, Reason.OFF_ROAD)
+    late = find_failure(record(Y=[0, 0, 6, 6, 6, 6, 6, 6], failed="spun", failed_at=0.5))
+    assert (late.step, late.reason) == (2, Reason.OFF_ROAD)
+    own = find_failure(record(failed="battery empty", failed_at=0.8))
+    assert (own.step, own.clause) == (7, "was given up: battery empty")

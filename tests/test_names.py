@@ -1,0 +1,115 @@
+"""A name is data: whatever it is, it is driven, saved, drawn and printed, and its files stay in their folder."""
+
+import json
+import os
+import sys
+
+import pytest
+from adaptrack.mpc import Tuning
+from adaptrack.schedule import Constant
+from rich.console import Console
+
+from adaptrack import cli
+from adaptrack.report import Run, write_report
+from adaptrack.scenario import load_scenario
+from adaptrack.trajectory import Trajectory
+from test_report import Outline, drive
+
+NASTY = {
+    "path": "/../../../x",
+    "markup": "[/red] [bold]x",
+    "mathematics": r"$\frac{$ \$ $$",
+    "html": "<script>alert(1)</script>&amp;\"'",
+    "long": "x" * 10_000,
+    "right to left": "\u202eabc\u200f",
+    "terminal": "\x1b[31mred\x07",
+    "scripts": "名前 é 🚗",
+    "nothing": " ",
+}
+
+
+@pytest.fixture
+def command(monkeypatch, capsys):
+    """Run one command: (exit code, standard output, standard error)."""
+
+    def run(*arguments):
+        monkeypatch.setattr(sys, "argv", ["adaptrack", *map(str, arguments)])
+        code = cli.main()
+        captured = capsys.readouterr()
+        return code, captured.out, captured.err
+
+    return run
+
+
+@pytest.mark.parametrize("name", NASTY.values(), ids=NASTY)
+def test_any_name_is_driven_saved_loaded_and_printed(command, monkeypatch, tmp_path, name):
+    monkeypatch.setattr("adaptrack.report.write_report", lambda out, *_, **__: out)  # drawn below
+    inside = tmp_path / "in" / "deep"
+    inside.mkdir(parents=True)
+    load_scenario("sine", duration=0.5).replace(name=name).to_toml(inside / "scenario.toml")
+    Constant(Tuning(), name=name).save(inside / "scheduler.json")
+    before = sorted(tmp_path.rglob("*"))
+
+    arguments = ["simulate", inside / "scenario.toml", "--scheduler", inside / "scheduler.json", "--period", "0.1"]
+    code, out, err = command(*arguments, "--out", inside / "out", "--json")
+    assert code == 0, err
+    (row,) = json.loads(out)["rows"]
+    assert (row["scenario"], row["controller"]) == (name, name)
+    assert {path.parent for path in set(tmp_path.rglob("*")) - set(before) - {inside / "out"}} == {inside / "out"}
+    (file,) = (inside / "out").glob("*.parquet")
+    assert Trajectory.load(file).name_of("scenario") == name
+
+    code, out, err = command(*arguments)
+    assert code == 0, err
+    assert not {"\x1b", "\u202e", "\x07"} & set(out)
+    assert name[:6] in out or not name.isprintable() or name == " "
+
+
+def test_pages_show_a_name_whole_and_its_controls_as_escapes(tmp_path, monkeypatch):
+    monkeypatch.setattr("adaptrack.report.style.PNG_DPI", 20)
+    names = list(NASTY.values())
+    runs = [Run(drive(n=40, scenario=names[i % 3]), label=name) for i, name in enumerate(names)]
+    page = write_report(tmp_path, runs, title="\ud800 [/red] $\0", command="simulate '\ud800'")
+    assert "<script>alert" not in page.read_text(encoding="utf-8")
+    text = Outline(page.read_text(encoding="utf-8")).text
+    for shown in (
+        r"\ud800 [/red] $\x00",
+        "[/red] [bold]x",
+        r"$\frac{$ \$ $$",
+        "名前 é 🚗",
+        r"\x1b[31mred\x07",
+        r"\u202eabc",
+    ):
+        assert shown in text
+    assert len(list(tmp_path.glob("*-tracking.png"))) == 3
+
+
+def test_labels_that_are_cut_are_still_told_apart(tmp_path, monkeypatch):
+    monkeypatch.setattr("adaptrack.report.style.PNG_DPI", 20)
+    runs = [Run(drive(n=40, seed=seed), label="x" * 200 + str(seed)) for seed in (1, 2)]
+    text = write_report(tmp_path, runs).read_text(encoding="utf-8")
+    assert "…, seed 1" in text
+    assert "…, seed 2" in text
+
+
+def test_scenarios_of_one_name_get_a_file_each(command, tmp_path):
+    code, _, err = command("simulate", "sine", "sine", "-o", "duration=0.5", "--out", tmp_path)
+    assert code == 0, err
+    assert {path.name for path in tmp_path.glob("*.parquet")} == {"sine-standard.parquet", "sine-standard-2.parquet"}
+
+
+@pytest.mark.parametrize("name", [r"a\u0000b", r"\u0000"])
+def test_a_name_that_is_no_text_is_refused_with_file_and_key(command, tmp_path, name):
+    load_scenario("sine", duration=0.5).to_toml(tmp_path / "scenario.toml")
+    text = (tmp_path / "scenario.toml").read_text()
+    (tmp_path / "scenario.toml").write_text(text.replace('name = "sine"', f'name = "{name}"'))
+    code, _, err = command("simulate", tmp_path / "scenario.toml")
+    assert code == 2
+    assert "scenario.toml: name = " in err
+    assert os.listdir(tmp_path) == ["scenario.toml"]
+
+
+def test_tables_print_what_is_in_them(capsys, monkeypatch):
+    monkeypatch.setattr(Console, "width", 400)
+    cli._table("[/red]", ("name",), [{"name": name} for name in NASTY.values()])
+    assert "[/red] [bold]x" in capsys.readouterr().out

@@ -1,0 +1,174 @@
+"""Conditions: the authors' grid, even samples of a box, and left-right twins that are computed once."""
+
+import itertools
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from adaptrack.errors import InvalidInput
+from adaptrack.tuning.operating_points import (
+    COLUMNS,
+    NAMES,
+    PAPER_GRID,
+    canonical,
+    check_operating_points,
+    fold,
+    grid,
+    mirrored,
+    paper_grid,
+    sobol,
+    unit_sobol,
+)
+
+BOX = {"speed": (3.0, 30.0), "y_ref": (-15.0, 15.0), "friction": (0.3, 1.0), "wind": (-30.0, 30.0)}
+ONE = {"speed": [10.0], "y_ref": [2.0], "friction": [0.9], "wind": [0.0]}
+
+some_conditions = st.lists(
+    st.tuples(
+        st.sampled_from([3.0, 10.0]),
+        st.sampled_from([-2.0, -1.0, -0.0, 0.0, 1.0, 2.0]),
+        st.sampled_from([0.5, 0.9]),
+        st.sampled_from([-6.0, -0.0, 0.0, 6.0]),
+    ),
+    min_size=1,
+    max_size=30,
+)
+
+
+def test_the_papers_grid_has_its_6435_conditions_in_the_published_order():
+    rows = paper_grid()
+    assert rows.shape == (6435, 4) == (9 * 13 * 5 * 11, len(COLUMNS))
+    order = ("y_ref", "speed", "friction", "wind")  # the last changes fastest
+    combinations = itertools.product(*(PAPER_GRID[name] for name in order))
+    expected = np.array([[dict(zip(order, values, strict=True))[name] for name in NAMES] for values in combinations])
+    np.testing.assert_array_equal(rows, expected)
+    assert len(np.unique(rows, axis=0)) == 6435
+    assert sorted(set(rows[:, 0])) == [3, 5, 7, 9, 11, 13, 15, 17, 19, 21, 23, 25, 27]
+    assert sorted(set(rows[:, 3])) == list(range(-30, 31, 6))
+
+
+def test_the_papers_grid_needs_5005_swarms_because_two_amplitudes_have_twins():
+    # Of its nine references only 14 and 2 m stand on both sides: 2 x 13 x 5 x 11 twins.
+    twins = fold(paper_grid())
+    assert len(twins.representatives) == 6435 - 2 * 13 * 5 * 11 == 5005
+    assert (twins.sign == -1).sum() == 1430
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"speed": []}, "speed: need a list of one level or more"),
+        ({"wind": 3.0}, "wind: need a list of one level or more"),
+        ({"wind": ["x"]}, "wind: need a list of numbers"),
+        ({"y_ref": [1.0, 2.0, 1.0]}, "y_ref: a level is given twice"),
+        ({"friction": [0.0]}, r"friction = 0 in row 0: must be in \[0.05, 2\]"),
+        ({"speed": [float("nan")]}, "speed = nan"),
+        ({"speed": [-5.0]}, r"speed = -5 in row 0: must be in \[1, 100\] m/s"),
+    ],
+)
+def test_a_grid_that_makes_no_sense_is_refused_with_its_quantity(change, message):
+    with pytest.raises(InvalidInput, match=message):
+        grid(**{**ONE, **change})
+
+
+def test_a_grid_too_large_to_be_meant_is_refused_before_it_is_made():
+    with pytest.raises(InvalidInput, match="more than 10,000,000"):
+        grid(
+            speed=np.linspace(3, 30, 1000), y_ref=np.linspace(0, 1, 1000), friction=[0.9], wind=np.linspace(0, 1, 1000)
+        )
+
+
+def test_conditions_of_another_shape_are_refused():
+    for wrong in ([], [1.0, 2.0, 3.0, 4.0], [[1.0, 2.0, 3.0]], "text"):
+        with pytest.raises(InvalidInput, match="operating points"):
+            check_operating_points(wrong)
+
+
+def test_a_sobol_sample_is_the_same_every_time_and_another_for_another_seed():
+    np.testing.assert_array_equal(sobol(100, BOX, 7), sobol(100, BOX, 7))
+    assert not (sobol(100, BOX, 7) == sobol(100, BOX, 8)).any()
+
+
+def test_a_longer_sobol_sample_begins_with_the_shorter_one():
+    np.testing.assert_array_equal(sobol(100, BOX, 7), sobol(1000, BOX, 7)[:100])
+
+
+def test_a_sobol_sample_fills_the_box_more_evenly_than_chance(rng):
+    from scipy.stats import qmc
+
+    points = sobol(512, BOX, 3)
+    low, high = np.array([BOX[name] for name in NAMES]).T
+    assert ((points >= low) & (points <= high)).all()
+    assert qmc.discrepancy((points - low) / (high - low)) < 0.5 * qmc.discrepancy(rng.random((512, 4)))
+    for column in ((points - low) / (high - low)).T:  # each of 16 slices holds its share, 32
+        np.testing.assert_array_equal(np.histogram(column, 16, (0, 1))[0], 32)
+
+
+def test_a_quantity_may_be_held_in_a_box():
+    assert set(sobol(20, {**BOX, "friction": (0.7, 0.7)}, 1)[:, 2]) == {0.7}
+
+
+@pytest.mark.parametrize(
+    ("box", "message"),
+    [
+        ({**BOX, "speed": (30.0, 3.0)}, r"speed = \[30, 3\] is empty"),
+        ({**BOX, "speed": (30.0, float("nan"))}, "is empty"),
+        ({**BOX, "friction": (0.0, 1.0)}, r"friction = \[0, 1\]: must be within"),
+        ({**BOX, "wind": (-3.0,)}, "wind.*need a pair"),
+        ({"speed": (1.0, 2.0), "winds": (0.0, 1.0)}, "missing: friction, wind, y_ref; unknown: winds"),
+    ],
+)
+def test_an_empty_or_senseless_box_is_refused(box, message):
+    with pytest.raises(InvalidInput, match=message):
+        sobol(10, box)
+
+
+@pytest.mark.parametrize("n", [0, -1, 2.5, True, 10**9])
+def test_a_sample_needs_a_sensible_number_of_points(n):
+    with pytest.raises(InvalidInput, match="n = "):
+        sobol(n, BOX)
+
+
+def test_a_seed_must_be_a_whole_number():
+    for seed in (-1, 1.5, True):
+        with pytest.raises(InvalidInput, match="seed"):
+            unit_sobol(4, 2, seed)
+
+
+@given(some_conditions)
+def test_mirroring_twice_gives_the_condition_back(rows):
+    np.testing.assert_array_equal(mirrored(mirrored(rows)), check_operating_points(rows))
+
+
+def test_mirroring_leaves_speed_and_friction_and_makes_no_negative_zero():
+    image = mirrored([[10.0, 0.0, 0.9, -6.0], [20.0, 3.0, 0.5, 0.0]])
+    np.testing.assert_array_equal(image, [[10.0, 0.0, 0.9, 6.0], [20.0, -3.0, 0.5, 0.0]])
+    assert not np.signbit(image[0, 1])
+    assert not np.signbit(image[1, 3])
+
+
+@given(some_conditions)
+def test_folding_can_be_undone_and_leaves_no_twin(rows):
+    rows = check_operating_points(rows)
+    twins = fold(rows)
+    kept = rows[twins.representatives]
+    rebuilt = np.where(twins.sign[:, None] == 1, kept[twins.family], mirrored(kept)[twins.family])
+    np.testing.assert_array_equal(rebuilt, rows)
+    assert (np.diff(twins.representatives) > 0).all()
+    families = {frozenset({tuple(a), tuple(b)}) for a, b in zip(kept, mirrored(kept), strict=True)}
+    assert len(families) == len(kept)  # no two of them are twins
+    for i, row in enumerate(rows):  # the first of a family represents it
+        family = [k for k in range(len(rows)) if (rows[k] == row).all() or (mirrored(rows[k : k + 1])[0] == row).all()]
+        assert twins.representatives[twins.family[i]] == family[0]
+
+
+@given(some_conditions)
+def test_twins_share_one_canonical_condition(rows):
+    np.testing.assert_array_equal(canonical(rows), canonical(mirrored(rows)))
+    assert (canonical(rows)[:, 1] >= 0).all()
+
+
+def test_a_sobol_sample_has_no_twins():
+    assert len(fold(sobol(500, BOX, 0)).representatives) == 500

@@ -1,0 +1,850 @@
+"""Schedulers: every number reaches its own entry, every file is whole or refused, every driver is told the same."""
+
+import copy
+import dataclasses
+import hashlib
+import itertools
+import json
+import math
+import pickle
+import re
+
+import numpy as np
+import pytest
+
+from adaptrack.controllers import MPC, CompiledScheduler, Moves, Scheduler, Tuning
+from adaptrack.errors import ContractError, InvalidInput, StorageError, UnknownName
+from adaptrack.kernels import guard
+from adaptrack.kernels import schedule as kernel
+from adaptrack.plant import DualTrack, SingleTrack
+from adaptrack.qp import QPStatus
+from adaptrack.scenario import Scenario, load_scenario
+from adaptrack.scheduling import (
+    ENTRIES,
+    Constant,
+    Entry,
+    Guarded,
+    Learned,
+    Lookup,
+    Network,
+    Number,
+    Schedule,
+    SchedulingVariables,
+    StabilityMap,
+    Sugeno,
+    Table,
+    check_scheduler,
+    list_schedulers,
+    load_scheduler,
+    made_for,
+    reference_preview,
+    save_scheduler,
+)
+from adaptrack.scheduling.functions.sugeno import ANY
+from adaptrack.simulate import rollout, rollout_batch, simulate
+from adaptrack.vehicle import load_vehicle
+from small_data import small
+from small_models import line, random_network, random_sugeno, stability_map
+from test_simulate import same
+
+# The counted noise multiplies integers that wrap around, of which the interpreter warns; compiled code is silent.
+pytestmark = pytest.mark.filterwarnings("ignore:overflow encountered in scalar:RuntimeWarning")
+
+CAR = load_vehicle("paper")
+PAPER_INPUTS = ("speed", "y_ref", "friction", "wind")
+PAPER_DOMAIN = np.array([[3.0, 27.0], [-15.0, 15.0], [0.5, 0.9], [-30.0, 30.0]])
+BOUNDS = {"Np": (21, 60), "Nc": (1, 20), "Q": (0.1, 10.0), "R": (1.0, 1e4)}
+FALLBACK = Tuning(30, 6, 1.0, 3000.0)
+HERE = SchedulingVariables(speed=14.0, y_ref=2.0, friction=0.7, wind=-4.0)
+
+
+def stretched(function, low, high):
+    """A network or a fuzzy system over the paper's domain, its output from `low` to `high`."""
+    span = PAPER_DOMAIN[:, 1] - PAPER_DOMAIN[:, 0]
+    if isinstance(function, Network):
+        function = dataclasses.replace(function, low=PAPER_DOMAIN[:, 0], high=PAPER_DOMAIN[:, 1], relu=False)
+        inside = PAPER_DOMAIN[:, 0] + span * np.random.default_rng(0).uniform(size=(500, 4))
+        least, most = (
+            edge(dataclasses.replace(function, out_low=0.0, out_high=1.0).predict(inside)) for edge in (min, max)
+        )
+        biases = (*function.biases[:-1], function.biases[-1] - least)
+        return dataclasses.replace(
+            function, biases=biases, relu=True, out_low=low, out_high=low + (high - low) / (most - least)
+        )
+    premises = function.premises.copy()
+    premises[:, 0] *= span[function.owner]
+    premises[:, 2] = PAPER_DOMAIN[function.owner, 0] + span[function.owner] * premises[:, 2]
+    consequents = function.consequents / np.append(span, 1.0) * 0.02 * (high - low)
+    consequents[:, -1] += 0.5 * (low + high)
+    return dataclasses.replace(function, premises=premises, consequents=consequents)
+
+
+def learned(kind, rng):
+    """Four networks or four fuzzy systems of the paper's inputs."""
+    make = {"network": random_network, "sugeno": random_sugeno}[kind]
+    functions = {entry: stretched(make(rng, 4), *BOUNDS[entry]) for entry in ENTRIES}
+    return Learned(functions, PAPER_INPUTS, PAPER_DOMAIN, BOUNDS, name=kind, provenance={"seed": 1, "of": ["π", None]})
+
+
+def lookup(method, rng, axes=None):
+    axes = axes or {"speed": [5.0, 12.0, 25.0], "friction": [0.5, 0.8], "change": [0.0, 2.0, 5.0, 9.0]}
+    shape = tuple(map(len, axes.values()))
+    horizons = [rng.integers(21, 60, shape), rng.integers(1, 20, shape)]
+    weights = [rng.uniform(0.5, 2.0, shape), 10 ** rng.uniform(1.0, 4.0, shape)]
+    return Lookup(axes, np.stack(horizons + weights, axis=-1), method)
+
+
+def guarded(rng):
+    radius = stability_map(lambda speed, friction, Np, Nc, ratio: 1.0 if speed > 15 and ratio < 0 else 0.9)
+    return Guarded(learned("network", rng), FALLBACK, stability=radius, hold=7, offset_limit=0.1)
+
+
+def flat(rng):
+    """Fuzzy systems without a premise, and a number."""
+    plane = Sugeno(
+        np.zeros(0, np.intp), np.zeros(0, bool), np.zeros((0, 3)), np.array([[ANY]]), np.array([[0.5, 9.0]]), np.ones(1)
+    )
+    return Learned({"Np": plane, "Nc": plane, "log10_ratio": 2.0}, ("speed",), [[0.0, 30.0]])
+
+
+KINDS = {
+    "constant": lambda rng: Constant(Tuning(31, 7, 2.5, 0.1)),
+    "nearest": lambda rng: lookup("nearest", rng),
+    "multilinear": lambda rng: lookup("multilinear", rng),
+    "network": lambda rng: learned("network", rng),
+    "sugeno": lambda rng: learned("sugeno", rng),
+    "guarded": guarded,
+    "flat": flat,
+}
+every_kind = pytest.mark.parametrize("kind", KINDS)
+
+
+def variables(rng, count=50):
+    """Scheduling variables inside the domain and around it."""
+    low = np.array([0.0, -20.0, 0.3, -40.0, 0.0, 0.0, -3.0])
+    high = np.array([35.0, 20.0, 1.0, 40.0, 12.0, 6.0, 3.0])
+    return rng.uniform(low, high, (count, 7))
+
+
+# -- entries ----------------------------------------------------------------------------------------------------------
+def shifted(function):
+    """The same function, a little higher."""
+    if isinstance(function, Network):
+        biases = (*function.biases[:-1], function.biases[-1] + 0.2)
+        return dataclasses.replace(function, biases=biases, relu=False)
+    if isinstance(function, Sugeno):
+        return dataclasses.replace(function, consequents=function.consequents * 1.2)
+    return dataclasses.replace(function, values=function.values + 0.3)
+
+
+@pytest.mark.parametrize("entry", ENTRIES)
+@pytest.mark.parametrize("kind", ["network", "sugeno", "multilinear"])
+def test_a_function_moves_the_number_of_its_own_entry_and_no_other(kind, entry, rng):
+    schedule = KINDS[kind](rng)
+    tuning = dict(schedule.tuning)
+    tuning[entry] = dataclasses.replace(tuning[entry], function=shifted(tuning[entry].function))
+    rows = variables(rng, 200)
+    moved = schedule.batch(rows) != dataclasses.replace(schedule, tuning=tuning).batch(rows)
+    assert moved.any(axis=0).tolist() == [name == entry for name in ENTRIES]
+
+
+@every_kind
+def test_the_order_in_which_entries_are_given_does_not_matter(kind, rng):
+    schedule = KINDS[kind](rng)
+    rows = variables(rng)
+    backwards = dataclasses.replace(schedule, tuning=dict(reversed(schedule.tuning.items())))
+    assert np.array_equal(backwards.batch(rows), schedule.batch(rows))
+
+
+@every_kind
+def test_every_kind_keeps_the_contract(kind, rng):
+    schedule = KINDS[kind](rng)
+    assert isinstance(schedule, Scheduler)
+    assert isinstance(schedule, CompiledScheduler)
+    check_scheduler(schedule)
+
+
+@every_kind
+def test_one_row_is_answered_as_in_a_batch(kind, rng):
+    schedule, rows = KINDS[kind](rng), variables(rng)
+    assert np.array_equal(schedule.batch(rows), [schedule(SchedulingVariables(*row)) for row in rows])
+    assert np.array_equal(schedule.batch(rows[:, :4]), schedule.batch(np.where(np.arange(7) < 4, rows, 0.0)))
+
+
+@pytest.mark.parametrize(("first", "second"), list(itertools.combinations(ENTRIES, 2)))
+@pytest.mark.parametrize("kind", ["network", "multilinear"])
+def test_the_checker_finds_every_crossed_pair_of_wires(kind, first, second, rng):
+    class Crossed(Schedule):
+        """Says one thing and packs another."""
+
+        def plan(self, slots):
+            tuning, wires = self.tuning, dict(self.tuning)
+            for entry, other in ((first, second), (second, first)):
+                wires[entry] = dataclasses.replace(tuning[entry], function=tuning[other].function)
+            return Schedule(self.inputs, self.domain, wires).plan(slots)
+
+    honest = KINDS[kind](rng)
+    with pytest.raises(ContractError, match="its own function gives"):
+        check_scheduler(Crossed(honest.inputs, honest.domain, honest.tuning))
+
+
+def test_the_checker_finds_an_entry_that_is_given_the_function_of_another(rng):
+    class Copied(Schedule):
+        """Takes its Nc from where Np comes from."""
+
+        def plan(self, slots):
+            copied = dataclasses.replace(self.tuning["Nc"], function=self.tuning["Np"].function)
+            return Schedule(self.inputs, self.domain, {**self.tuning, "Nc": copied}).plan(slots)
+
+    honest = lookup("multilinear", rng)
+    with pytest.raises(ContractError, match="entry Nc"):
+        check_scheduler(Copied(honest.inputs, honest.domain, honest.tuning))
+
+
+def test_the_checker_finds_a_scheduler_that_tells_python_and_kernels_different_things(rng):
+    class Forked(Schedule):
+        """Swaps the weights when called."""
+
+        def __call__(self, condition):
+            Np, Nc, Q, R = super().__call__(condition)
+            return Np, Nc, R, Q
+
+    honest = lookup("multilinear", rng)
+    with pytest.raises(ContractError, match="compiled"):
+        check_scheduler(Forked(honest.inputs, honest.domain, honest.tuning))
+
+
+# -- kinds ------------------------------------------------------------------------------------------------------------
+def test_a_constant_gives_its_tuning_everywhere(rng):
+    schedule = Constant(Tuning(31, 7, 2.5, 0.1))
+    assert np.array_equal(schedule.batch(variables(rng)), np.tile([31, 7, 2.5, 0.1], (50, 1)))
+    assert schedule.largest == (31, 7)
+
+
+@pytest.mark.parametrize("method", ["nearest", "multilinear"])
+def test_a_look_up_gives_at_its_nodes_what_was_put_there(method, rng):
+    axes = {"speed": [5.0, 12.0, 25.0], "wind": [-10.0, 3.0]}
+    tunings = np.stack([
+        rng.integers(21, 60, (3, 2)), rng.integers(1, 20, (3, 2)), rng.uniform(0, 9, (3, 2)), rng.uniform(0, 9, (3, 2))
+    ], axis=-1)  # fmt: skip
+    schedule = Lookup(axes, tunings, method)
+    for (i, speed), (j, wind) in itertools.product(enumerate(axes["speed"]), enumerate(axes["wind"])):
+        asked = schedule(SchedulingVariables(speed, 0.0, 0.8, wind))
+        assert asked[:2] == tuple(tunings[i, j, :2])
+        assert asked[2:] == pytest.approx(tunings[i, j, 2:], rel=0.0 if method == "nearest" else 1e-14)
+
+
+def test_between_nodes_a_look_up_takes_the_mean_of_horizons_and_of_the_logarithms_of_weights():
+    schedule = Lookup({"friction": [0.4, 0.8]}, [[20, 4, 1.0, 10.0], [30, 8, 4.0, 1000.0]])
+    assert schedule(SchedulingVariables(10.0, 0.0, 0.6, 0.0)) == (25.0, 6.0, pytest.approx(2.0), pytest.approx(100.0))
+    assert schedule(SchedulingVariables(10.0, 0.0, 0.2, 0.0))[:2] == (20.0, 4.0)
+    assert schedule(SchedulingVariables(10.0, 0.0, 0.9, 0.0))[:2] == (30.0, 8.0)
+
+
+def test_learned_decades_of_the_ratio_of_the_weights_become_r(rng):
+    schedule = Learned({"Np": 30, "Nc": 5, "log10_ratio": line(0.0, 30.0, 0.0, 3.0)}, ("speed",), [[0.0, 30.0]])
+    assert schedule(HERE) == (30.0, 5.0, 1.0, pytest.approx(10**1.4))
+
+
+def test_a_schedule_tells_the_longest_horizons_it_may_ask_for():
+    schedule = Learned({"Np": 30, "Nc": 5, "Q": 1.0, "R": 1.0}, ("speed",), [[0, 30]], {"Np": (1, 40), "Nc": (1, 9)})
+    assert schedule.largest == (40, 9)
+    assert Guarded(schedule, Tuning(50, 12, 1.0, 1.0)).largest == (50, 12)
+
+
+GOOD = {"Np": 30.0, "Nc": 5.0, "Q": 1.0, "R": 1.0}
+
+
+def made(inputs=("speed",), domain=((0.0, 30.0),), bounds=None, **functions):
+    return Learned({**GOOD, **functions}, inputs, domain, bounds)
+
+
+@pytest.mark.parametrize(
+    ("build", "message"),
+    [
+        (lambda: made(("sped",)), "'sped'. Did you mean 'speed'"),
+        (lambda: made(()), "one or more different"),
+        (lambda: made(("speed", "speed"), [[0, 1]] * 2), "one or more different"),
+        (lambda: made(domain=[[0.0, math.nan]]), "domain"),
+        (lambda: made(domain=[[2.0, 1.0]]), "domain"),
+        (lambda: made(domain=[[0.0, 1.0]] * 2), "domain"),
+        (lambda: Learned({"Np": 3.0, "Nc": 1.0, "Q": 1.0}, ("speed",), [[0, 1]]), "there must be Np, Nc, Q, R"),
+        (lambda: made(r=1.0), "unknown entry 'r'"),
+        (lambda: made(bounds={"NP": (1, 2)}), "unknown entry 'NP'"),
+        (lambda: made(log10_ratio=1.0), "either R or log10_ratio"),
+        (lambda: Learned({"Np": 3.0, "Nc": 1.0, "Q": 2.0, "log10_ratio": 0.0}, ("speed",), [[0, 1]]), "Q must be 1"),
+        (lambda: made(Q=math.nan), "Q = nan: must be finite"),
+        (lambda: made(Q=math.inf), "Q = inf: must be finite"),
+        (lambda: made(R=None), "must be a number"),
+        (lambda: made(R=True), "must be a number"),
+        (lambda: made(Np=line(0.0, 1.0, 2.0, 3.0), inputs=("speed", "wind"), domain=[[0, 1]] * 2), "has 1 inputs"),
+        (lambda: made(Np=random_network(np.random.default_rng(0), 3)), "has 3 inputs, the schedule 1"),
+        (lambda: made(Np=random_sugeno(np.random.default_rng(0), 2)), "has 2 inputs, the schedule 1"),
+        (lambda: made(bounds={"Np": (0, 20)}), "bounds of Np"),
+        (lambda: made(bounds={"Nc": (4, 3)}), "bounds of Nc"),
+        (lambda: made(bounds={"R": (0.0, 1.0)}), "bounds of R"),
+        (lambda: made(bounds={"Q": (0.0, math.inf)}), "bounds of Q"),
+        (lambda: made(bounds={"Q": (math.nan, 1.0)}), "bounds of Q"),
+        (lambda: made(bounds={"Q": ("low", 1.0)}), "must be a number"),
+        (lambda: made(bounds={"Np": (1, 2000)}), "up to 2000 steps"),
+        (lambda: dataclasses.replace(made(), name=None), "name must be text"),
+        (lambda: made().batch(np.zeros((2, 8))), "need a row for each"),
+        (lambda: Lookup({"speed": [1, 2]}, np.ones((2, 3))), r"shape \(2, 4\)"),
+        (lambda: Lookup({"speed": [2, 1]}, np.ones((2, 4))), "ascend"),
+        (lambda: Lookup({"speed": [1, 1]}, np.ones((2, 4))), "ascend"),
+        (lambda: Lookup({"speed": [1, 2]}, np.zeros((2, 4))), "positive"),
+        (lambda: Lookup({"speed": [1, 2]}, np.full((2, 4), math.nan)), "finite"),
+        (lambda: Lookup({"sped": [1, 2]}, np.ones((2, 4))), "'sped'. Did you mean 'speed'"),
+        (lambda: Lookup({"speed": [1, 2]}, np.ones((2, 4)), "cubic"), "'nearest' or 'multilinear'"),
+        (lambda: Table(([1.0, 2.0],), np.array([1.0, math.nan])), "finite values"),
+        (lambda: Table((), np.float64(1.0)), "finite values"),
+        (lambda: Guarded(lambda condition: FALLBACK, FALLBACK), "a plain function cannot be guarded"),
+        (lambda: Guarded(made(), (30, 5, 1.0, 1.0)), "must be a Tuning"),
+        (lambda: Guarded(made(), FALLBACK, rates=(5, 2)), "three positive numbers"),
+        (lambda: Guarded(made(), FALLBACK, rates=(5, 2, -0.3)), "three positive numbers"),
+        (lambda: Guarded(made(), FALLBACK, rates=(5, 2, math.nan)), "three positive numbers"),
+        (lambda: Guarded(made(), FALLBACK, rates=(0.4, 2, 0.3)), "whole numbers"),  # Np would never move
+        (lambda: Guarded(made(), FALLBACK, slack=math.nan), "slack"),
+        (lambda: Guarded(made(), FALLBACK, offset_limit=0.0), "offset_limit"),
+        (lambda: Guarded(made(), FALLBACK, offset_limit=math.inf), "offset_limit"),
+        (lambda: Guarded(made(), FALLBACK, hold=0), "hold"),
+        (lambda: Guarded(made(), FALLBACK, hold=2.5), "hold"),
+        (lambda: StabilityMap(line(0.0, 1.0, 0.9, 0.9)), "table over speed, friction"),
+        (lambda: dataclasses.replace(stability_map(lambda *_: 0.5), limit=math.nan), "limit"),
+    ],
+)  # fmt: skip
+def test_what_makes_no_schedule_is_refused_with_a_reason(build, message):
+    with pytest.raises(InvalidInput, match=message):
+        build()
+
+
+def test_a_membership_function_of_an_input_that_is_not_there_is_refused():
+    """Else the kernel would read beyond its inputs."""
+    with pytest.raises(InvalidInput, match="reads an input that is not one of 1"):
+        Sugeno(
+            np.array([0, 5]), np.zeros(2, bool), np.ones((2, 3)), np.array([[0]]), np.array([[0.0, 9.0]]), np.ones(1)
+        )
+
+
+# -- other controllers ------------------------------------------------------------------------------------------------
+def pursuit(**options):
+    """A schedule for a controller that has one entry, a look-ahead distance."""
+    entry = Entry(line(0.0, 30.0, 2.5, 20.0), 3.0, 15.0)
+    return Schedule(("speed",), [[0.0, 30.0]], {"lookahead": entry}, entries=("lookahead",), **options)
+
+
+def test_a_schedule_tunes_a_controller_with_other_entries(tmp_path):
+    schedule = pursuit()
+    check_scheduler(schedule)
+    assert not schedule.of_mpc
+    rows = np.zeros((3, 7))
+    rows[:, 0] = 0.0, 12.3, 30.0
+    assert schedule.batch(rows).tolist() == [[3.0], [pytest.approx(2.5 + 17.5 * 12.3 / 30.0)], [15.0]]  # not rounded
+    schedule.save(tmp_path / "one.json")
+    again = load_scheduler(tmp_path / "one.json")
+    assert again.entries == ("lookahead",)
+    assert np.array_equal(again.batch(rows), schedule.batch(rows))
+
+
+def test_entries_of_another_controller_keep_their_order_and_may_be_negative(rng):
+    names = ("gain", "R", "Np")
+    tuning = {name: Entry(-1.5 - i, -10.0, 10.0) for i, name in enumerate(names)}
+    schedule = Schedule(("wind",), [[-5.0, 5.0]], dict(reversed(tuning.items())), entries=names)
+    assert schedule(HERE) == (-1.5, -2.5, -3.5)
+    assert schedule.largest == (0, 0)
+
+
+@pytest.mark.parametrize(
+    ("build", "message"),
+    [
+        (lambda: Guarded(pursuit(), FALLBACK), "only the MPC's entries can be guarded"),
+        (lambda: dataclasses.replace(pursuit(), entries=ENTRIES), "there must be Np, Nc, Q, R"),
+        (lambda: dataclasses.replace(pursuit(), entries=()), "1 to 8 different names"),
+        (lambda: dataclasses.replace(pursuit(), entries=("lookahead", "lookahead")), "1 to 8 different names"),
+        (lambda: dataclasses.replace(pursuit(), entries=tuple("abcdefghi")), "1 to 8 different names"),
+        (lambda: dataclasses.replace(pursuit(), entries=(None,)), "1 to 8 different names"),
+        (lambda: dataclasses.replace(pursuit(), made_for="the paper's car"), "made_for mappings"),
+    ],
+)  # fmt: skip
+def test_entries_that_make_no_schedule_are_refused(build, message):
+    with pytest.raises(InvalidInput, match=message):
+        build()
+
+
+# -- what a schedule is asked -----------------------------------------------------------------------------------------
+def test_a_short_row_of_variables_is_filled_with_zeros_never_with_what_was_asked_before():
+    schedule = Learned({"Np": line(0.0, 10.0, 20.0, 40.0), "Nc": 5, "Q": 1.0, "R": 1.0}, ("change",), [[0.0, 10.0]])
+    assert schedule(HERE._replace(change=10.0))[0] == 40.0
+    assert schedule([14.0, 2.0, 0.7, -4.0])[0] == 20.0
+    for missing in ([], [14.0], [14.0, 2.0, 0.7]):
+        with pytest.raises(InvalidInput, match="need 7 numbers"):
+            schedule(missing)
+        with pytest.raises(InvalidInput, match="need a row for each"):
+            schedule.batch([missing])
+    with pytest.raises(InvalidInput, match="must be numbers"):
+        schedule.batch([["fast", 0.0, 0.8, 0.0]])
+
+
+def test_copies_of_a_schedule_answer_alike(rng):
+    schedule, rows = KINDS["guarded"](rng), variables(rng)
+    expected = schedule.batch(rows)
+    for again in (copy.copy(schedule), copy.deepcopy(schedule), pickle.loads(pickle.dumps(schedule))):
+        assert np.array_equal(again.batch(rows), expected)
+
+
+# -- what a schedule was made for -------------------------------------------------------------------------------------
+def test_a_file_names_what_the_schedule_was_made_for(tmp_path):
+    told = made_for(MPC(CAR, period=0.05, preview=True), "road")
+    assert told["car"] == "paper"
+    assert told["profile"] == "road"
+    assert told["controller"] == {"kind": "MPC", "moves": {"kind": "pulse"}, "period": 0.05, "preview": True}
+    assert re.fullmatch("[0-9a-f]{16}", told["kernels"])
+    dataclasses.replace(Constant(Tuning()), made_for=told).save(tmp_path / "one.json")
+    assert load_scheduler(tmp_path / "one.json").made_for == told
+
+
+def test_every_scheduler_that_ships_names_its_car_profile_controller_and_kernels():
+    for name in list_schedulers():
+        told = load_scheduler(name).made_for
+        assert told["car"] == "paper"
+        assert told["profile"] == "road"
+        assert told["controller"]["kind"] == "MPC"
+        assert told["kernels"]
+
+
+# -- the contract -----------------------------------------------------------------------------------------------------
+def test_a_plain_function_that_keeps_the_contract_is_admitted():
+    check_scheduler(lambda condition: (20 + min(max(condition.speed, 0.0), 30.0), 5, 1.0, 10.0))
+    check_scheduler(lambda condition: Tuning(30, 5, 1.0, 10.0))
+
+
+class Moody:
+    """Never says the same twice."""
+
+    def __init__(self):
+        self.asked = 0
+
+    def __call__(self, condition):
+        self.asked += 1
+        return 30, 5, 1.0, float(self.asked)
+
+
+def fails(condition):
+    raise ZeroDivisionError("no friction")
+
+
+@pytest.mark.parametrize(
+    ("scheduler", "message"),
+    [
+        (Tuning(), "must be callable"),
+        (None, "must be callable"),
+        (lambda condition: (30, 5, 1.0), "numbers Np, Nc, Q, R"),
+        (lambda condition: "tune", "must be a number"),
+        (lambda condition: None, "numbers Np, Nc, Q, R"),
+        (lambda condition: (30, 5, math.nan, 1.0), "must be finite"),
+        (lambda condition: (math.inf, 5, 1.0, 1.0), "must be finite"),
+        (lambda condition: (5, 6, 1.0, 1.0), "need 1 <= Nc <= Np"),
+        (lambda condition: (30, 0, 1.0, 1.0), "need 1 <= Nc <= Np"),
+        (lambda condition: (30, 5, -1.0, 1.0), "Q >= 0"),
+        (lambda condition: (30, 5, 1.0, 0.0), "R > 0"),
+        (lambda condition: (30, 5, 1.0, -1.0), "R > 0"),
+        (Moody(), "for the same"),
+        (fails, "no friction"),
+        (lambda condition: (30, 5, 1.0, 27.5 - condition.speed), "R > 0"),  # sound in the domain, but not beyond
+        (lambda condition: (30, 5, 1.0, math.sqrt(condition.friction)), "failed for"),
+    ],
+)
+def test_what_breaks_the_contract_is_refused_with_the_evidence(scheduler, message):
+    with pytest.raises(ContractError, match=message):
+        check_scheduler(scheduler)
+
+
+# -- files ------------------------------------------------------------------------------------------------------------
+def signed(content):
+    """The text of a scheduler's file with any content, its checksum made to fit."""
+    text = json.dumps(content, separators=(",", ":"))
+    digest = hashlib.sha256(text.encode()).hexdigest()
+    return json.dumps({"format": "adaptrack-scheduler", "version": 2, "sha256": digest, "content": content})
+
+
+@every_kind
+def test_a_schedule_reads_back_to_the_last_bit(kind, rng, tmp_path):
+    schedule, rows = KINDS[kind](rng), variables(rng, 200)
+    schedule.save(tmp_path / "one.json")
+    again = load_scheduler(tmp_path / "one.json")
+    assert np.array_equal(again.batch(rows), schedule.batch(rows))
+    for ours, theirs in zip(again.plan(1), schedule.plan(1), strict=True):
+        assert ours.tobytes() == theirs.tobytes()
+    for field in ("name", "inputs", "provenance", "made_for", "entries"):
+        assert getattr(again, field) == getattr(schedule, field)
+    save_scheduler(again, tmp_path / "two.json")
+    assert (tmp_path / "one.json").read_bytes() == (tmp_path / "two.json").read_bytes()
+
+
+def test_numbers_of_every_precision_can_be_saved(tmp_path):
+    entries = {name: Entry(np.float32(value), np.int64(1), np.float32(60)) for name, value in GOOD.items()}
+    Schedule(("speed",), [[0, 30]], entries).save(tmp_path / "one.json")
+    assert load_scheduler(str(tmp_path / "one.json"))(HERE) == (30.0, 5.0, 1.0, 1.0)
+
+
+@every_kind
+def test_a_flipped_bit_is_found_wherever_it_lies(kind, rng, tmp_path):
+    path = tmp_path / "one.json"
+    KINDS[kind](rng).save(path)
+    sound = path.read_bytes()
+    content = json.loads(sound)["content"]
+    places = {0, len(sound) - 2, *rng.integers(0, len(sound) - 1, 150).tolist()}
+    harmless = 0
+    for place in places:
+        damaged = bytearray(sound)
+        damaged[place] ^= 1 << int(rng.integers(8))
+        path.write_bytes(damaged)
+        try:
+            load_scheduler(path)
+        except StorageError:
+            continue
+        harmless += 1  # it hit what means nothing, like the e of 1e-05
+        assert json.loads(bytes(damaged))["content"] == content
+    assert harmless < 0.05 * len(places)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("", "not a scheduler file, or damaged"),
+        ("Np = 35", "not a scheduler file, or damaged"),
+        ("[" * 100_000, "not a scheduler file, or damaged"),
+        ("9" * 5000, "not a scheduler file, or damaged"),
+        ("[]", "its format is not"),
+        ("35", "its format is not"),
+        ('{"type": "FeatureCollection", "features": []}', "its format is not"),
+        ('{"format": "adaptrack-scheduler"}', "version None"),
+        ('{"format": "adaptrack-scheduler", "version": 1}', "version 1 of the scheduler format; this program reads 2"),
+        ('{"format": "adaptrack-scheduler", "version": 2}', "checksum"),
+        ('{"format": "adaptrack-scheduler", "version": 2, "sha256": 3, "content": {}}', "checksum"),
+    ],
+    ids=range(11),
+)
+def test_a_file_that_is_no_scheduler_is_refused_with_a_reason(text, message, tmp_path):
+    (tmp_path / "one.json").write_text(text)
+    with pytest.raises(StorageError, match=message):
+        load_scheduler(tmp_path / "one.json")
+
+
+def test_a_file_that_is_no_text_is_refused(tmp_path):
+    (tmp_path / "one.json").write_bytes(b"\x80\x04\x95\xff")
+    with pytest.raises(StorageError, match="cannot be read"):
+        load_scheduler(tmp_path / "one.json")
+
+
+def places(tree, path=()):
+    """The path to every entry of nested dictionaries and lists; of lists of numbers to the first alone."""
+    keys = tree
+    if isinstance(tree, list):
+        keys = range(len(tree) if tree and isinstance(tree[0], dict) else min(len(tree), 1))
+    for index in keys:
+        yield (*path, index)
+        if isinstance(tree[index], dict | list):
+            yield from places(tree[index], (*path, index))
+
+
+@pytest.mark.parametrize("kind", ["guarded", "sugeno", "multilinear"])
+def test_a_file_that_lacks_a_key_is_refused(kind, rng, tmp_path):
+    path = tmp_path / "one.json"
+    KINDS[kind](rng).save(path)
+    content = json.loads(path.read_text())["content"]
+    keys = [where for where in places(content) if isinstance(where[-1], str) and where[0] != "provenance"]
+    assert len(keys) > 15
+    for where in keys:
+        lacking = copy.deepcopy(content)
+        *upwards, last = where
+        inner = lacking
+        for key in upwards:
+            inner = inner[key]
+        del inner[last]
+        path.write_text(signed(lacking))
+        with pytest.raises(StorageError, match="makes no scheduler"):
+            load_scheduler(path)
+
+
+JUNK = (math.nan, math.inf, -1, 0, 0.5, 1e300, 10**30, 10**400, "1", None, [], {}, [[1, "a"]])
+
+
+@pytest.mark.filterwarnings("ignore:(overflow|invalid value):RuntimeWarning")  # said by the interpreter alone
+@pytest.mark.parametrize("kind", ["guarded", "sugeno", "multilinear"])
+def test_junk_in_a_file_is_refused_or_harmless(kind, rng, tmp_path):
+    path = tmp_path / "one.json"
+    KINDS[kind](rng).save(path)
+    content = json.loads(path.read_text())["content"]
+    rows = variables(rng, 5)
+    refused = 0
+    for where in places(content):
+        if where[0] == "entries" and where[1:2] not in ((), (0,)):
+            continue  # they are like these
+        for junk in JUNK:
+            spoilt = copy.deepcopy(content)
+            inner = spoilt
+            for key in where[:-1]:
+                inner = inner[key]
+            inner[where[-1]] = junk
+            path.write_text(signed(spoilt))
+            try:
+                schedule = load_scheduler(path)
+            except StorageError:
+                refused += 1
+                continue
+            told = schedule.batch(rows)
+            assert told.shape == (5, 4)
+            sound = np.isfinite(told).all(axis=1)
+            assert (told[sound, 1] <= told[sound, 0]).all()
+    assert refused > 200
+
+
+def test_what_json_cannot_hold_is_refused_before_anything_is_written(tmp_path):
+    for provenance in ({"when": object()}, {"r2": math.nan}):
+        schedule = Constant(Tuning())
+        with pytest.raises(InvalidInput, match="provenance"):
+            dataclasses.replace(schedule, provenance=provenance).save(tmp_path / "one.json")
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_folder_that_cannot_be_written_to_is_an_error_with_its_name(tmp_path):
+    (tmp_path / "file").write_text("")
+    for path in (tmp_path / "none" / "one.json", tmp_path / "file" / "one.json"):
+        with pytest.raises(StorageError, match=re.escape(str(path))):
+            Constant(Tuning()).save(path)
+
+
+def test_a_file_is_replaced_whole_or_not_at_all(tmp_path, monkeypatch):
+    path = tmp_path / "one.json"
+    Constant(Tuning(Np=20)).save(path)
+
+    def no_space(*arguments):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("os.fsync", no_space)
+    with pytest.raises(StorageError, match="No space left"):
+        Constant(Tuning(Np=40)).save(path)
+    assert load_scheduler(path)(HERE)[0] == 20.0
+    assert [each.name for each in tmp_path.iterdir()] == ["one.json"]
+
+
+def test_a_file_that_is_not_there_is_an_error_with_its_name(tmp_path):
+    with pytest.raises(StorageError, match=r"none\.json"):
+        load_scheduler(tmp_path / "none.json")
+    with pytest.raises(StorageError):
+        load_scheduler("no\0path.json")
+
+
+def test_an_unknown_name_is_told_so():
+    with pytest.raises(UnknownName, match=r"no scheduler is named 'best'.*\.json"):
+        load_scheduler("best")
+
+
+def test_every_scheduler_that_ships_keeps_the_contract():
+    for name in list_schedulers():
+        check_scheduler(load_scheduler(name))
+
+
+def test_a_saved_schedule_loads_without_the_learning_library(rng, tmp_path, run_python):
+    learned("sugeno", rng).save(tmp_path / "one.json")
+    code = (
+        "import sys; from adaptrack.scheduling import load_scheduler; load_scheduler('one.json'); print(*sys.modules)"
+    )
+    assert not {"sklearn", "pandas", "matplotlib"} & set(run_python(code=code, cwd=tmp_path).split())
+
+
+# -- driving ----------------------------------------------------------------------------------------------------------
+LANE_CHANGE = load_scenario("lane-change", duration=1.5, start=0.2, change_time=2.0, gust_start=0.3, gust_duration=1.0)
+LONG = load_scenario("lane-change", duration=6.0, speed=15.0, amplitude=2.0)
+
+
+def sober(kind, rng):
+    """A schedule that keeps the car on a road."""
+    schedule = KINDS[kind](rng)
+    bounds = {"Np": (20.0, 45.0), "Nc": (2.0, 10.0), "Q": (0.8, 1.2), "R": (1e3, 1e4)}
+    held = {}
+    for name, entry in schedule.tuning.items():
+        low, high = bounds[name]
+        function = 0.5 * (low + high) if isinstance(entry.function, Number) else entry.function
+        held[name] = dataclasses.replace(entry, function=function, low=low, high=high)
+    return dataclasses.replace(schedule, tuning=held)
+
+
+def driven(kind, rng, **options):
+    """An MPC that preview and a schedule steer through the road profile."""
+    return MPC(CAR, FALLBACK, period=0.05, preview=True, scheduler=sober(kind, rng), **options)
+
+
+@every_kind
+@pytest.mark.parametrize("plant", [SingleTrack, DualTrack])
+def test_python_and_compiled_runs_take_the_same_tunings(plant, kind, rng):
+    mpc = driven(kind, rng)
+    ours = simulate(plant(CAR), mpc, LANE_CHANGE, profile="road", seed=5)
+    assert same(ours, rollout(plant(CAR), mpc, LANE_CHANGE, profile="road", seed=5))
+    assert len(ours.t) == 30
+
+
+@pytest.mark.compiled
+@every_kind
+def test_alone_and_in_a_batch_a_scheduler_drives_to_the_same_bits_and_counts(kind, rng):
+    mpc, plant = driven(kind, rng), DualTrack(CAR, "magic-formula")
+    ours = simulate(plant, mpc, LONG, profile="road", seed=5)
+    counts = mpc.scheduler_counts
+    assert same(ours, rollout(plant, mpc, LONG, profile="road", seed=5))
+    batch = rollout_batch(plant, mpc, LONG, which=[0] * 20, seeds=[5] * 20, profile="road", threads=2)
+    error = ours.Y - ours.y_ref
+    assert not batch.lost.any()
+    assert set(batch.max_abs_error) == {np.abs(error).max()}
+    assert batch.mse == pytest.approx(np.mean(error**2), rel=1e-12)
+    assert len(set(batch.mse)) == 1
+    assert {name: set(values) for name, values in batch.scheduler.items()} == {
+        name: {count} for name, count in counts.items()
+    }
+
+
+@pytest.mark.compiled
+def test_runs_of_a_batch_have_guards_of_their_own(rng):
+    plant = DualTrack(CAR)
+    schedule = Guarded(lookup("multilinear", rng, {"speed": [5.0, 12.0, 25.0]}), FALLBACK, slack=0.0, hold=5)
+    mpc = MPC(CAR, FALLBACK, period=0.05, preview=True, scheduler=schedule)
+    drives = [load_scenario("lane-change", duration=3.0, speed=speed) for speed in (15.0, 24.9, 25.5)]
+    together = rollout_batch(plant, mpc, drives, profile="road").scheduler
+    apart = [rollout_batch(plant, mpc, drive, profile="road").scheduler for drive in drives]
+    for name, values in together.items():
+        assert values.tolist() == [one[name].item() for one in apart]
+    assert together["fallback"].tolist() == [0, 0, 60]
+
+
+@pytest.mark.parametrize("kind", ["network", "multilinear", "guarded"])
+def test_a_trajectory_records_the_tuning_of_every_step(kind, rng):
+    mpc = driven(kind, rng)
+    run = simulate(DualTrack(CAR), mpc, LANE_CHANGE, profile="road")
+    signals = LANE_CHANGE.sample(0.05)
+    change, acceleration = reference_preview(signals.y_ref, 0.05, len(run.t))
+    seen = np.column_stack([run.vx, run.y_ref, run.friction.mean(axis=1), run.wind[:, 1], change, acceleration])
+    plan, expected = mpc.scheduler.plan(1), np.tile(FALLBACK.as_array(), (len(seen), 1))
+    for k, row in enumerate(seen):
+        expected[k] = expected[k - 1]
+        kernel.schedule(0, np.append(row, 0.0), plan, expected[k])
+    assert np.array_equal(np.column_stack([run.tuning[name] for name in ("Np", "Nc", "Q", "R")]), expected)
+    assert len(np.unique(expected, axis=0)) > 1
+
+
+def test_the_counts_are_those_of_the_run_since_the_last_reset(rng):
+    mpc = driven("guarded", rng)
+    assert mpc.scheduler_counts == dict.fromkeys(guard.COUNTS, 0)
+    simulate(SingleTrack(CAR), mpc, LANE_CHANGE, profile="road")
+    first = mpc.scheduler_counts
+    assert first["steps"] == 30
+    simulate(SingleTrack(CAR), mpc, LANE_CHANGE, profile="road")
+    assert mpc.scheduler_counts == first
+    mpc.step(np.zeros(4), 15.0, [0.0], HERE._replace(wind=99.0))
+    assert mpc.scheduler_counts["steps"] == 31
+    assert mpc.scheduler_counts["outside"] == first["outside"] + 1
+    mpc.reset()
+    assert not any(mpc.scheduler_counts.values())
+    assert MPC(CAR).scheduler_counts == {}
+    assert MPC(CAR, scheduler=lambda condition: FALLBACK).scheduler_counts == {}
+
+
+@pytest.mark.parametrize("kind", ["network", "multilinear"])
+def test_a_plain_function_drives_as_the_schedule_that_it_asks(kind, rng):
+    mpc = driven(kind, rng)
+    schedule = mpc.scheduler
+    ours = simulate(DualTrack(CAR), mpc, LANE_CHANGE, profile="road")
+    plain = MPC(CAR, FALLBACK, period=0.05, preview=True, scheduler=lambda condition: schedule(condition))
+    assert same(ours, simulate(DualTrack(CAR), plain, LANE_CHANGE, profile="road"))
+    assert plain.scheduler_counts == {}
+
+
+def test_a_constant_drives_as_the_tuning_itself():
+    scheduled = MPC(CAR, Tuning(), scheduler=Constant(FALLBACK))
+    ours = simulate(DualTrack(CAR), scheduled, LANE_CHANGE)
+    assert same(ours, simulate(DualTrack(CAR), MPC(CAR, FALLBACK), LANE_CHANGE))
+
+
+def test_a_condition_that_is_no_number_keeps_the_car_steering(rng):
+    mpc = driven("network", rng)
+    first = mpc.step([0.1, 0.01, 0.0, 0.2], 15.0, [0.0], HERE)
+    second = mpc.step([0.1, 0.01, 0.0, 0.2], 15.0, [0.0], HERE._replace(friction=math.nan))
+    assert second.status is QPStatus.SOLVED
+    assert second.tuning == first.tuning
+    assert mpc.scheduler_counts["broken"] == 1
+
+
+def test_a_step_that_is_given_fewer_variables_does_not_use_those_of_the_step_before():
+    functions = {"Np": line(0.0, 10.0, 20.0, 40.0), "Nc": 5, "Q": 1.0, "R": 100.0}
+    mpc = MPC(CAR, scheduler=Learned(functions, ("change",), [[0.0, 10.0]]))
+    state = [0.1, 0.01, 0.0, 0.2]
+    assert mpc.step(state, 15.0, [0.0], HERE._replace(change=10.0)).tuning[0] == 40.0
+    assert mpc.step(state, 15.0, [0.0], (15.0, 0.0, 0.8, 0.0)).tuning[0] == 20.0
+    for nonsense in ((15.0, 0.0, 0.8), np.zeros(8), "fast", 15.0, (15.0, 0.0, None, 0.0)):
+        with pytest.raises(InvalidInput, match="need 7 numbers"):
+            mpc.step(state, 15.0, [0.0], nonsense)
+
+
+def test_an_mpc_refuses_a_schedule_for_another_controller():
+    with pytest.raises(InvalidInput, match="gives lookahead; this controller needs Np, Nc, Q, R"):
+        MPC(CAR, scheduler=pursuit())
+
+
+# -- horizons change without a bump -----------------------------------------------------------------------------------
+@pytest.mark.parametrize("moves", ["pulse", "laguerre"])
+def test_at_rest_on_the_reference_a_change_of_horizons_moves_nothing(moves, rng):
+    schedule = Lookup(
+        {"wind": np.arange(40.0)},
+        np.column_stack([rng.integers(18, 60, 40), rng.integers(1, 18, 40), np.ones(40), np.full(40, 50.0)]),
+        "nearest",
+    )
+    mpc = MPC(CAR, scheduler=schedule, moves=Moves(moves, 0.8, 6))
+    for place in (0.0, 3.7, -151.3):
+        mpc.reset()
+        tunings = set()
+        for wind in range(40):
+            command = mpc.step([0.0, 0.0, 0.0, place], 14.0, [place], HERE._replace(wind=float(wind)))
+            assert command.move == command.angle == 0.0
+            assert command.status is QPStatus.SOLVED
+            tunings.add(command.tuning)
+        assert len(tunings) > 30
+
+
+@pytest.mark.compiled
+def test_on_a_straight_road_in_steady_wind_a_change_of_horizons_moves_nothing():
+    """The angle that holds the car against the wind is kept, whatever the horizons that found it."""
+    road = Scenario(name="road", duration=40.0, reference=0.0, speed=20.0, friction=0.9, wind=12.0)
+    horizons = itertools.cycle([(20, 3), (45, 12), (30, 1), (60, 18)])
+    steps = itertools.count()
+
+    def switching(condition):
+        return (30, 6, 1.0, 50.0) if next(steps) < 300 else (*next(horizons), 1.0, 50.0)
+
+    run = simulate(DualTrack(CAR), MPC(CAR, scheduler=switching), road)
+    assert set(run.tuning["Np"][300:]) == {20, 45, 30, 60}
+    assert abs(run.command[299]) > 1e-3
+    assert np.abs(run.command_change[300:]).max() < 1e-9
+    assert np.abs(run.command[300:] - run.command[299]).max() < 1e-8
+
+
+# -- the pages --------------------------------------------------------------------------------------------------------
+@pytest.mark.compiled
+@pytest.mark.parametrize("name", ["schedulers", "anfis", "extending"])
+def test_the_examples_of_the_page_run_one_after_the_other(name, project, tmp_path, monkeypatch):
+    import adaptrack
+
+    page = (project / "docs" / f"{name}.md").read_text(encoding="utf-8")
+    if name == "extending":
+        page = page.partition("\n## A scheduler\n")[2].partition("\n## ")[0]
+    examples = re.findall(r"```python\n(.*?)```", page, re.DOTALL)
+    assert examples
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(adaptrack, "load_dataset", lambda _: small())
+    names = {}
+    for code in examples:
+        exec(compile(code, f"{name}.md", "exec"), names)
+
+
+def test_the_page_names_every_count_and_every_scheduling_variable(project):
+    page = (project / "docs" / "schedulers.md").read_text(encoding="utf-8")
+    rows = re.findall(r"^\| `(\w+)` \|", page, re.MULTILINE)
+    assert set(rows) == {*guard.COUNTS, *SchedulingVariables._fields}

@@ -1,0 +1,152 @@
+"""Every kind of function keeps one contract: what it packs is what it predicts, moves and saves."""
+
+import json
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+
+from adaptrack.errors import InvalidInput
+from adaptrack.kernels import functions as kernel
+from adaptrack.scheduling import (
+    VARIABLES,
+    Function,
+    Learned,
+    Number,
+    Table,
+    check_scheduler,
+    load_scheduler,
+    register_function,
+)
+from adaptrack.scheduling.functions import load_function, save_function
+from small_models import random_network, random_sugeno, random_table
+
+KINDS = ("number", "network", "sugeno", "table")
+every_kind = pytest.mark.parametrize("kind", KINDS)
+
+
+# -- shifts -----------------------------------------------------------------------------------------------------------
+def functions(rng):
+    return {
+        "number": Number(4.25),
+        "network": random_network(rng, 2),
+        "sugeno": random_sugeno(rng, 2),
+        "table": random_table(rng, 2, "multilinear"),
+    }
+
+
+@every_kind
+def test_what_a_function_packs_is_what_it_predicts(kind, rng):
+    function = functions(rng)[kind]
+    x = rng.normal(size=(50, 2)) * 3.0
+    packed = function.pack()
+    integers, numbers = np.array(packed.integers, np.int64), np.array(packed.numbers, float)
+    work = np.zeros(packed.scratch)
+    found = [kernel.evaluate(packed.kind, row, integers, numbers, work) for row in x]
+    np.testing.assert_allclose(found, function.predict(x), rtol=1e-10, atol=1e-10)
+
+
+@every_kind
+def test_a_function_reads_back_to_the_last_bit(kind, rng):
+    function = functions(rng)[kind]
+    saved = json.loads(json.dumps(save_function(function)))
+    assert saved["kind"] == kind == function.kind
+    again = load_function(saved)
+    assert type(again) is type(function)
+    assert again.n_inputs == function.n_inputs
+    ours, theirs = again.pack(), function.pack()
+    assert ours.kind == theirs.kind
+    assert list(ours.integers) == list(theirs.integers)
+    assert list(ours.numbers) == list(theirs.numbers)
+
+
+def test_a_kind_that_nobody_registered_is_refused_with_those_that_are_known():
+    for kind in ("spline", None, ["number"]):
+        with pytest.raises(InvalidInput, match="unknown kind of function"):
+            load_function({"kind": kind})
+
+
+def test_a_kind_of_ones_own_is_driven_saved_and_loaded(tmp_path):
+    """Any function that packs itself as one that the kernels know."""
+
+    @register_function
+    @dataclass(frozen=True)
+    class Ramp(Function):
+        """A straight line between two points."""
+
+        x: tuple[float, float]
+        y: tuple[float, float]
+        kind = "test-ramp"
+        n_inputs = 1
+
+        def predict(self, x):
+            return np.interp(x[:, 0], self.x, self.y)
+
+        def pack(self):
+            return Table((np.array(self.x),), np.array(self.y)).pack()
+
+        def shifted(self, by):
+            return Ramp(self.x, tuple(each + by for each in self.y))
+
+        def blended(self, share, value):
+            return Ramp(self.x, tuple((1.0 - share) * each + share * value for each in self.y))
+
+        def save(self):
+            return {"x": self.x, "y": self.y}
+
+        @classmethod
+        def load(cls, saved):
+            return cls(tuple(saved["x"]), tuple(saved["y"]))
+
+    ramp = Ramp((0.0, 30.0), (20.0, 50.0))
+    schedule = Learned({"Np": ramp, "Nc": 5, "log10_ratio": 2.0}, ("speed",), [[0.0, 30.0]])
+    check_scheduler(schedule)
+    schedule.save(tmp_path / "one.json")
+    again = load_scheduler(tmp_path / "one.json")
+    assert again.tuning["Np"].function == ramp
+    assert again([10.0, 0.0, 0.8, 0.0]) == (30.0, 5.0, 1.0, 100.0)
+    with pytest.raises(InvalidInput, match="another kind of function is named 'test-ramp'"):
+        register_function(type("Other", (Number,), {"kind": "test-ramp"}))
+
+
+@every_kind
+@pytest.mark.parametrize("by", [3.0, -1.5, 0.15, 0.0])
+def test_a_function_is_shifted_by_exactly_that_much_everywhere(kind, by, rng):
+    function = functions(rng)[kind]
+    moved = function.shifted(by)
+    x = rng.normal(size=(50, 2)) * 3.0
+    np.testing.assert_allclose(moved.predict(x) - function.predict(x), by, rtol=0, atol=1e-9)
+
+
+@every_kind
+def test_the_compiled_schedule_is_shifted_too_each_entry_by_its_own(kind, rng):
+    """Horizons by whole numbers, so that rounding does not hide it; R by decades."""
+    raw = functions(rng)[kind]
+    rows = np.zeros((20, len(VARIABLES)))
+    rows[:, :2] = rng.uniform(-2.0, 2.0, (20, 2))
+    wide = {"Np": (1.0, 1000.0), "Nc": (1.0, 1000.0), "R": (1e-300, 1e300)}
+
+    def batch(by):
+        low = 100.0 - float(raw.predict(rows[:, :2]).min())  # well within the bounds, and Nc below Np
+        moved = {
+            "Np": raw.shifted(low + 300.0 + by[0]),
+            "Nc": raw.shifted(low + by[1]),
+            "log10_ratio": raw.shifted(by[2]),
+        }
+        return Learned(moved, ("speed", "y_ref"), [[-2.0, 2.0]] * 2, wide).batch(rows)
+
+    base, moved = batch((0.0, 0.0, 0.0)), batch((3.0, -2.0, 0.15))
+    assert base[:, :2].min() > 1.0
+    assert (base[:, 1] < base[:, 0]).all()
+    np.testing.assert_array_equal((moved - base)[:, :3], np.tile([3.0, -2.0, 0.0], (20, 1)))
+    np.testing.assert_allclose(np.log10(moved[:, 3] / base[:, 3]), 0.15, rtol=0, atol=1e-9)
+
+
+@every_kind
+@pytest.mark.parametrize("share", [0.0, 0.3, 1.0])
+def test_a_function_goes_a_share_of_the_way_to_a_value_everywhere(kind, share, rng):
+    function = functions(rng)[kind]
+    moved = function.blended(share, 7.0)
+    x = rng.normal(size=(50, 2)) * 3.0
+    before = function.predict(x)
+    np.testing.assert_allclose(moved.predict(x), before + share * (7.0 - before), rtol=1e-12, atol=1e-9)

@@ -1,0 +1,116 @@
+"""The scheduling variables are defined once, and what a scheduler answers is read or refused."""
+
+import math
+
+import numpy as np
+import pytest
+
+from adaptrack.certify import OPERATING
+from adaptrack.controllers import Tuning
+from adaptrack.errors import InvalidInput
+from adaptrack.report.words import INPUTS
+from adaptrack.scheduling import VARIABLES, SchedulingVariables, read_tuning, reference_preview
+from adaptrack.scheduling.variables import complete
+
+
+def test_every_variable_has_a_label_a_unit_and_a_range():
+    assert tuple(VARIABLES) == SchedulingVariables._fields
+    for variable in VARIABLES.values():
+        assert variable.label
+        assert variable.unit
+        assert variable.meaning
+        assert variable.low < variable.high
+
+
+def test_pages_and_certificates_take_labels_and_ranges_from_the_variables():
+    assert {name: (each.label, each.unit) for name, each in VARIABLES.items()} == INPUTS
+    assert {name: (each.low, each.high) for name, each in VARIABLES.items()} == OPERATING
+
+
+def test_the_operating_domain_is_the_one_that_the_shipped_certificates_were_made_on():
+    assert OPERATING == {
+        "speed": (3.0, 30.0), "y_ref": (-15.0, 15.0), "friction": (0.3, 1.0), "wind": (-30.0, 30.0),
+        "change": (0.0, 8.0), "acceleration": (0.0, 3.5), "offset": (-5.0, 5.0),
+    }  # fmt: skip
+
+
+def test_what_may_be_left_out_at_the_end_is_zero():
+    assert complete([15.0, 1.0, 0.8, 3.0]) == SchedulingVariables(15.0, 1.0, 0.8, 3.0, 0.0, 0.0, 0.0)
+    assert complete(np.arange(7.0)) == SchedulingVariables(*range(7))
+    assert complete(all_given := SchedulingVariables(*range(7))) is all_given
+
+
+@pytest.mark.parametrize(
+    "given",
+    [
+        [],
+        [15.0, 1.0, 0.8],
+        np.zeros(8),
+        None,
+        15.0,
+        "1234",
+        ["15"] * 7,
+        [None] * 7,
+        [10**400] * 7,
+        np.zeros((4, 4)),
+        [[]] * 4,
+    ],
+    ids=range(11),
+)
+def test_missing_variables_and_what_is_no_number_are_refused(given):
+    with pytest.raises(InvalidInput, match="need 7 numbers, speed, y_ref"):
+        complete(given)
+
+
+# -- the reference ahead ----------------------------------------------------------------------------------------------
+def test_the_preview_is_that_of_the_reference_and_nothing_else():
+    t = 0.05 * np.arange(400)
+    change, acceleration = reference_preview(2.0 * t, 0.05, len(t))  # straight on, beyond the end too
+    np.testing.assert_allclose(change, 6.0, atol=1e-9)
+    np.testing.assert_allclose(acceleration, 0.0, atol=1e-9)
+    bend = 0.5 * 1.5 * np.maximum(t - 10.0, 0.0) ** 2
+    change, acceleration = reference_preview(bend, 0.05, len(t))
+    assert acceleration[t < 6.9].max() == 0.0
+    np.testing.assert_allclose(acceleration[(t > 7.2) & (t < 16.0)], 1.5, rtol=1e-6)
+    assert change[200] == pytest.approx(0.5 * 1.5 * 3.0**2)  # at 10 s
+    np.testing.assert_array_equal(reference_preview(-bend, 0.05, len(t)), (change, acceleration))
+
+
+# -- answers ----------------------------------------------------------------------------------------------------------
+@pytest.mark.parametrize(
+    "answer", [Tuning(30, 5, 1.0, 10.0), (30, 5, 1, 10.0), [30, 5, 1.0, 10], np.array([30.0, 5, 1, 10])]
+)
+def test_a_tuning_and_four_numbers_are_an_answer(answer):
+    read = read_tuning(answer)
+    assert read == (30.0, 5.0, 1.0, 10.0)
+    assert all(type(value) is float for value in read)
+
+
+def test_another_controller_names_its_own_entries():
+    assert read_tuning([1.5], ("lookahead",)) == (1.5,)
+    with pytest.raises(InvalidInput, match="numbers lookahead"):
+        read_tuning((30, 5, 1.0, 10.0), ("lookahead",))
+
+
+@pytest.mark.parametrize(
+    ("answer", "message"),
+    [
+        (None, "answered None"),
+        (30.0, "answered 30.0"),
+        ("tune", "must be a number"),
+        ("tuning", "answered 'tuning'"),
+        ((30, 5, 1.0), "must be a Tuning or the numbers Np, Nc, Q, R"),
+        ((30, 5, 1.0, 10.0, 0.0), "must be a Tuning or the numbers"),
+        ((30, 5, 1.0, None), "R = None"),
+        ((30, 5, True, 1.0), "Q = True"),
+        ((30, 5, 1.0, [10.0]), "must be a number"),
+        ((30, 5, math.nan, 10.0), "must be finite"),
+        ((30, 5, 1.0, math.inf), "must be finite"),
+        ((10**400, 5, 1.0, 10.0), "must be finite"),
+        (np.zeros((4, 4)), "must be a number"),
+    ],
+    ids=range(13),
+)  # fmt: skip
+def test_nonsense_is_no_answer(answer, message):
+    with pytest.raises(InvalidInput, match=message):
+        read_tuning(answer)
