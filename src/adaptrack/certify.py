@@ -190,7 +190,7 @@ def certify(
     Parameters
     ----------
     scheduler
-        A `Schedule`, guarded or not, or any function of `SchedulingVariables`.
+        A `Schedule`, guarded or not, or any function of a `SchedulingVariables`.
     mpc
         Vehicle of the prediction model, period, moves, longest horizons; its own tuning and scheduler play no part.
     domain
@@ -230,7 +230,7 @@ def _axes(
     """The levels of each scheduling variable that is varied: speed and friction first."""
     unknown = set(domain) - set(SchedulingVariables._fields)
     if unknown:
-        raise InvalidInput(f"certify: domain: {unknown.pop()!r} is no scheduling variable.")
+        raise InvalidInput(f"certify: domain: {unknown.pop()!r} is no entry of SchedulingVariables.")
     own = dict(zip(scheduler.inputs, scheduler.domain.tolist(), strict=True)) if isinstance(scheduler, Schedule) else {}
     seen = own if isinstance(scheduler, Schedule) else OPERATING
     others = [name for name in SchedulingVariables._fields if name in seen and name not in ("speed", "friction")]
