@@ -35,7 +35,7 @@ LONG_SNIPPETS = {
     ("adaptation.md", "made = improve("): "1 minute",
     ("adaptation.md", "compare("): "10 s, and needs the one before",
     ("campaign.md", "run_campaign("): "5 minutes",
-    ("campaign.md", "data.landscape"): "needs the one before",
+    ("campaign.md", "data.landscape"): "20 s",
     ("certify.md", "loop_map("): "10 s",
     ("mlp.md", 'train(load_dataset("paper-grid")'): "20 s",
     ("reproduce.md", "train(data"): "10 s",
