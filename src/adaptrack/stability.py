@@ -112,8 +112,7 @@ def linearised(
 
     About a straight line, or about a `steady_turn` with `lateral_acceleration` (m/s^2), in which tyres are softer; then
     deviations are those from the turn, in axes along its velocity. The input is the front-wheel angle; the speed is
-    held. States that do not influence what the controller measures are left out. By
-    central differences.
+    held. States that do not influence what the controller measures are left out. By central differences.
     """
     x, steering = steady_turn(plant, speed, lateral_acceleration, friction)
     road = _road(friction)
