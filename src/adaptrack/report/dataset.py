@@ -235,9 +235,9 @@ def _costs(rows: DataSet, told: Summary) -> Section:
         key = [(name, _STROKES[name]) for name in usable]
         items.append(
             Picture(
-                "Left: the share of operating points that cost at most so much; further left is better. A curve that "
-                "ends below 100 % lost the car in the rest. Right: how many times the optimum the standard tuning costs, "
-                "by speed: median, with a band from the lower to the upper quartile.",
+                "Left: the share of operating points that cost at most so much; further left is better. A curve "
+                "that ends below 100 % lost the car in the rest. Right: how many times the optimum the standard tuning "
+                "costs, by speed: median, with a band from the lower to the upper quartile.",
                 [panel.drawing() for panel in panels],
                 key,
                 "cost.png",
