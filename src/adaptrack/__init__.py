@@ -49,12 +49,13 @@ _PUBLIC = {
         "load_scheduler",
         "save_scheduler",
     ),
-    "adapt": ("adapt", "load_adaptation"),
+    "adaptation.config": ("load_adaptation",),
+    "studies.adapt": ("adapt",),
 }
 """Module -> the names that the package exposes from it; the imports below repeat it for type checkers."""
 
 if TYPE_CHECKING:
-    from adaptrack.adapt import adapt, load_adaptation
+    from adaptrack.adaptation.config import load_adaptation
     from adaptrack.dataset import DataSet, list_datasets, load_dataset
     from adaptrack.errors import (
         AdaptrackError,
@@ -85,6 +86,7 @@ if TYPE_CHECKING:
         save_scheduler,
     )
     from adaptrack.simulate import Driver, rollout, rollout_batch, simulate
+    from adaptrack.studies.adapt import adapt
     from adaptrack.trajectory import Trajectory
     from adaptrack.tuning.campaign import run_campaign
     from adaptrack.tuning.config import CampaignConfig, list_campaigns, load_campaign

@@ -311,8 +311,8 @@ def train(
     as_json: Annotated[bool, Option("--json", help="One JSON object on standard output, nothing else.")] = False,
 ) -> None:
     """Learn a scheduler from the tuned conditions of a data set; print how well, on conditions held out."""
+    from adaptrack.adaptation.recipes import trained_schedule
     from adaptrack.dataset import load_dataset
-    from adaptrack.evaluate import quality, scheduler
     from adaptrack.learning.training import train as learn
     from adaptrack.schedule import check_scheduler
 
@@ -321,10 +321,10 @@ def train(
     dataset = load_dataset(data)
     _make_folder(out.parent)
     trained = learn(dataset, str(model), str(targets), seed=seed)
-    schedule = scheduler(trained, dataset)
+    schedule = trained_schedule(trained, dataset)
     check_scheduler(schedule)
     schedule.save(out)
-    rows = quality(trained)
+    rows = trained.quality
     if as_json:
         told = {"scheduler": str(out), "data": dataset.name, "model": str(model), "targets": str(targets), "rows": rows}
         print(json.dumps(told, allow_nan=False))
@@ -344,13 +344,13 @@ def reproduce(
 ) -> None:
     """Run the paper's experiment again: learn, drive both tests with every controller, write the page about it."""
     from adaptrack.dataset import load_dataset
-    from adaptrack.evaluate import reproduce as run_again
     from adaptrack.report.reproduce import write_reproduction
+    from adaptrack.studies.reproduce import reproduce as run_again
 
     dataset = load_dataset(data)
     _make_folder(out)
     with _progress(1, quiet=as_json) as show:
-        made = run_again(dataset, quick=quick, seed=seed, progress=show)
+        made = run_again(dataset, quick=quick, seed=seed, folder=out, progress=show)
     page = write_reproduction(out, made, command=_command())
     _tell(f"Report: {page}", quiet=as_json)
     if as_json:
@@ -370,16 +370,17 @@ def adapt(
     as_json: Annotated[bool, Option("--json", help="One JSON object on standard output, nothing else.")] = False,
 ) -> None:
     """The whole chain: tune on conditions, learn schedulers, guard them, evaluate them on roads nobody trained on."""
-    from adaptrack.adapt import Adapted, load_adaptation
-    from adaptrack.adapt import adapt as run
+    from adaptrack.adaptation.config import load_adaptation
+    from adaptrack.studies.adapt import Adapted
+    from adaptrack.studies.adapt import adapt as run
 
     settings = load_adaptation(config)
     _make_folder(out)
     with _progress(1, quiet=as_json) as show:
         made: Adapted = run(settings, out, workers=workers, progress=show)
-    page = _ladder_page(out, made)
+    page = _comparison_page(out, made)
     _tell(f"Schedulers: {out / 'schedulers'}\nReport: {page}", quiet=as_json)
-    _ladders({"conditions": made.conditions, "drives": made.drives, "tests": made.tests}, as_json)
+    _comparisons(made, as_json)
 
 
 @app.command()
@@ -441,7 +442,10 @@ def evaluate(
     schedulers: Annotated[
         list[str] | None, Option(help="Names (see `schedulers`) or files, beside those that ship with the package.")
     ] = None,
-    conditions: Annotated[str | None, Option(metavar="sobol:N", help="So many unseen conditions.")] = None,
+    contenders: Annotated[
+        list[str] | None, Option("--contender", help="Name of a registered contender, driven beside the schedulers.")
+    ] = None,
+    conditions: Annotated[str | None, Option(metavar="sobol:N", help="So many unseen operating points.")] = None,
     drives: Annotated[int | None, Option(min=1, help="So many random drives of 60 s.")] = None,
     tests: Annotated[bool, Option("--tests", help="The paper's two tests.")] = False,
     config: Annotated[str, Option(help="Whose vehicle, profile and domain: name (road) or .toml file.")] = "road",
@@ -455,58 +459,60 @@ def evaluate(
     as_json: Annotated[bool, Option("--json", help="One JSON object on standard output, nothing else.")] = False,
 ) -> None:
     """Compare schedulers with the best constant and the per-condition optimum, on conditions and drives never seen."""
-    from adaptrack.adapt import (
-        Adapted,
-        Workshop,
-        condition_ladder,
-        drive_ladder,
-        load_adaptation,
-        shipped,
-        test_ladders,
-    )
-    from adaptrack.evaluate.road import sample_size, told
+    from adaptrack.adaptation.config import load_adaptation
+    from adaptrack.adaptation.splits import SetUp
+    from adaptrack.comparison.evaluate import on_drives, on_operating_points, on_tests
+    from adaptrack.runs import perception
     from adaptrack.schedule import check_scheduler, load_scheduler
+    from adaptrack.studies.adapt import Adapted, shipped
 
     settings = load_adaptation(config)
-    shop = Workshop.of(settings)
-    if profile is not None and str(profile) != shop.campaign.profile:
-        raise InvalidInput(f"--profile {profile}: configuration {settings.name!r} is for {shop.campaign.profile!r}.")
-    rungs = shipped(settings.name)
+    setup = SetUp.of(settings)
+    if profile is not None and str(profile) != setup.profile:
+        raise InvalidInput(f"--profile {profile}: configuration {settings.name!r} is for {setup.profile!r}.")
+    schedules = shipped(settings.name)
     for name in schedulers or []:
         schedule = load_scheduler(name)
         check_scheduler(schedule)
-        rungs[schedule.name if schedule.name not in rungs else f"{schedule.name} ({name})"] = schedule
+        schedules[schedule.name if schedule.name not in schedules else f"{schedule.name} ({name})"] = schedule
     if conditions is None and drives is None and not tests:
         conditions = "sobol:2000"
+    points = 0 if conditions is None else _sample_size(conditions)
     ways = tuple(dict.fromkeys(["exact", *(knowledge or [])]))
     for way in ways:
-        told(way, shop.plant, shop.campaign.profile)  # an unknown one is refused before any work
+        perception(way, setup.plant, setup.profile)  # an unknown one is refused before any work
     if out is not None:
         _make_folder(out)
+    more = contenders or []
     with _progress(1, quiet=as_json) as show:
+        told = {"known_as": ways, "more": more, "progress": show}
         made = Adapted(
-            rungs,
+            schedules,
             {},
-            condition_ladder(shop, rungs, sample_size(conditions), seed, knowledge=ways, progress=show)
-            if conditions
-            else {},
-            drive_ladder(shop, rungs, drives, seed, knowledge=ways, progress=show) if drives else {},
-            test_ladders(shop, rungs) if tests else {},
+            on_operating_points(setup, schedules, points, seed, **told) if points else {},
+            on_drives(setup, schedules, drives, seed, **told) if drives else {},
+            on_tests(setup, schedules, more=more) if tests else {},
         )
     if out is not None:
-        _tell(f"Report: {_ladder_page(out, made)}", quiet=as_json)
-    _ladders({"conditions": made.conditions, "drives": made.drives, "tests": made.tests}, as_json)
+        _tell(f"Report: {_comparison_page(out, made)}", quiet=as_json)
+    _comparisons(made, as_json)
 
 
-def _ladder_page(out: Path, made: Any) -> Path:
-    from adaptrack.report.ladder import write_ladder
+def _sample_size(text: str) -> int:
+    """The N of `sobol:N`."""
+    kind, _, count = text.partition(":")
+    if kind != "sobol" or not count.isdecimal() or int(count) < 1:
+        raise InvalidInput(f"conditions = {text!r}: write sobol:N, for instance sobol:2000.")
+    return int(count)
 
-    return write_ladder(
+
+def _comparison_page(out: Path, made: Any) -> Path:
+    from adaptrack.report.comparison import write_comparison
+
+    return write_comparison(
         out,
-        conditions=made.conditions.get("exact"),
-        drives=made.drives.get("exact"),
-        perceptions=made.conditions,
-        drive_perceptions=made.drives,
+        operating_points=made.operating_points,
+        drives=made.drives,
         tests=made.tests,
         schedules=made.schedules,
         histories=made.histories,
@@ -514,26 +520,27 @@ def _ladder_page(out: Path, made: Any) -> Path:
     )
 
 
-def _ladders(views: dict[str, Any], as_json: bool) -> None:
-    """The rows of ladders: by view, then by how friction and wind are known, or by test."""
-    from adaptrack.evaluate.ladder import finite
+def _comparisons(made: Any, as_json: bool) -> None:
+    """The rows of comparisons: by view, then by how friction and wind are known, or by test."""
+    from adaptrack.comparison.compare import finite
 
+    views = {"operating points": made.operating_points, "drives": made.drives, "tests": made.tests}
     rows: list[dict[str, Any]] = []
-    for view, ladders in views.items():
-        for name, ladder in ladders.items():
+    for view, comparisons in views.items():
+        for name, each in comparisons.items():
             rows += [
-                {"view": view, "scenario" if view == "tests" else "told": name, "reference": ladder.reference, **row}
-                for row in finite(ladder.rows())
+                {"view": view, "scenario" if view == "tests" else "known_as": name, "reference": each.reference, **row}
+                for row in finite(each.rows())
             ]
     if as_json:
         print(json.dumps({"rows": rows}, allow_nan=False))
         return
-    columns = ("scheduler", "cost_geomean", "regret_geomean", "regret_low", "regret_high", "regret_p50", "regret_p90",
+    columns = ("contender", "cost_geomean", "regret_geomean", "regret_low", "regret_high", "regret_p50", "regret_p90",
                "regret_p99", "regret_worst", "failures")  # fmt: skip
-    for view, ladders in views.items():
-        for name, ladder in ladders.items():
-            title = f"{view}, {name}: {len(ladder.where)} runs, regret to {ladder.reference}"
-            _table(title, columns, ladder.rows())
+    for view, comparisons in views.items():
+        for name, each in comparisons.items():
+            title = f"{view}, {name}: {len(each.where)} runs, regret to {each.reference}"
+            _table(title, columns, each.rows())
 
 
 @app.command()
@@ -542,7 +549,7 @@ def schedulers(as_json: Annotated[bool, typer.Option("--json", help="One JSON ob
     from adaptrack.schedule import list_schedulers, load_scheduler
 
     rows = [
-        {"name": name, "rung": load_scheduler(name).name, "inputs": ", ".join(load_scheduler(name).inputs)}
+        {"name": name, "contender": load_scheduler(name).name, "inputs": ", ".join(load_scheduler(name).inputs)}
         for name in list_schedulers()
     ]
     _list("Schedulers", rows, as_json)

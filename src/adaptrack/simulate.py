@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from adaptrack.errors import InvalidInput, real, whole
 from adaptrack.estimation import FrictionWindEstimator, Perception
-from adaptrack.mpc import MPC, CompiledScheduler, Condition, Controller, demand
+from adaptrack.mpc import MPC, CompiledScheduler, Condition, Controller, Scheduler, demand
 from adaptrack.plant import Plant, Profile, load_profile
 from adaptrack.scenario import Scenario, Signals
 from adaptrack.trajectory import Trajectory, provenance
@@ -387,21 +387,21 @@ class Batch:
 
     def run(
         self, which: NDArray[np.int64], tunings: Array, seeds: NDArray[np.int64], threads: int, traced: bool = False,
-        stretch: int = 0, price: float = 0.0,
+        stretch: int = 0, price: float = 0.0, scheduler: Scheduler | None = None,
     ) -> tuple[Array, Array, Array, Array]:  # fmt: skip
         """Results (runs, RESULT), traces (runs, periods or 0, TRACE), the scheduler's counts (runs, COUNTS or 0).
 
         Fourth, when asked for, the cost of each stretch of `stretch` periods (runs, stretches): the sum of squared
         error plus `price` times squared move; inf where a run was lost, NaN after that.
 
-        With a scheduler, `tunings` are what it begins with.
+        With a scheduler, by default the MPC's, `tunings` are what it begins with.
         """
         from adaptrack.kernels import estimation, inference, integrate, loop
 
         runs, n = len(which), self.signals[0].n
         result = np.empty((runs, len(loop.RESULT)))
         trace = np.full((runs, n if traced else 0, loop.TRACE), np.nan)
-        scheduler = self.scheduler
+        scheduler = self.scheduler if scheduler is None else scheduler
         counts = np.zeros((runs, 0 if scheduler is None else len(inference.COUNTS)))
         stretches = np.zeros((runs, math.ceil(n / stretch) if stretch else 0))
         longest, most = tunings[:, 0].max(initial=1), tunings[:, 1].max(initial=1)

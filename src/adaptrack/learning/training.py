@@ -49,7 +49,8 @@ class Trained:
     """(D, 2) lowest and highest value of each input in the rows trained on"""
     quality: list[dict[str, Any]]
     """A row per slot: slot, model; r2 and rmse on the hold-out; ceiling_r2 and ceiling_rmse there, see `train`;
-    n_train, n_holdout; seconds that the training took"""
+    n_train, n_holdout; seconds that the training took; parameters; rules (of a fuzzy system); dead_share (of the rows,
+    those at which a network's output is dead)"""
     provenance: dict[str, Any]
     """data set and its identity, hold-out, seed, options of the models"""
 
@@ -57,6 +58,11 @@ class Trained:
     def histories(self) -> dict[str, dict[str, Array]]:
         """The learning curves of each slot, see `MLP` and `ANFIS`."""
         return {slot: made.history_ for slot, made in self.estimators.items()}
+
+    @property
+    def functions(self) -> dict[str, Network | Sugeno]:
+        """What runs, by slot."""
+        return {slot: _size_and_function(made)[1] for slot, made in self.estimators.items()}
 
     def network(self, slot: str) -> Network:
         """The network that runs for this slot.
@@ -124,7 +130,7 @@ def train(
         best_r2, best_rmse = score(y_held, ceiling(learned.conditions, y, held.conditions, y_held, seed))
         quality.append({
             "slot": slot, "model": model, "r2": r2, "rmse": rmse, "ceiling_r2": best_r2, "ceiling_rmse": best_rmse,
-            "n_train": len(y), "n_holdout": len(y_held), "seconds": seconds,
+            "n_train": len(y), "n_holdout": len(y_held), "seconds": seconds, **_size_and_function(estimators[slot])[0],
         })  # fmt: skip
     return Trained(
         model=model,
@@ -141,6 +147,13 @@ def train(
             "options": options,
         },
     )
+
+
+def _size_and_function(made: MLP | ANFIS) -> tuple[dict[str, Any], Network | Sugeno]:
+    if isinstance(made, MLP):
+        network = made.network_
+        return {"parameters": network.n_parameters, "rules": None, "dead_share": float(made.dead_share_)}, network
+    return {"parameters": made.n_parameters_, "rules": made.n_rules_, "dead_share": None}, made.system_
 
 
 def target(dataset: DataSet, slot: str) -> Array:
