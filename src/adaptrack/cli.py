@@ -461,6 +461,7 @@ def evaluate(
     """Compare schedulers with the best constant and the per-condition optimum, on conditions and drives never seen."""
     from adaptrack.adaptation.config import load_adaptation
     from adaptrack.adaptation.splits import SetUp
+    from adaptrack.comparison.contenders import check_contender
     from adaptrack.comparison.evaluate import on_drives, on_operating_points, on_tests
     from adaptrack.runs import perception
     from adaptrack.schedule import check_scheduler, load_scheduler
@@ -481,11 +482,13 @@ def evaluate(
     ways = tuple(dict.fromkeys(["exact", *(knowledge or [])]))
     for way in ways:
         perception(way, setup.plant, setup.profile)  # an unknown one is refused before any work
+    more = contenders or []
+    for name in more:
+        check_contender(name)
     if out is not None:
         _make_folder(out)
-    more = contenders or []
     with _progress(1, quiet=as_json) as show:
-        told = {"known_as": ways, "more": more, "progress": show}
+        told: dict[str, Any] = {"known_as": ways, "more": more, "progress": show}
         made = Adapted(
             schedules,
             {},

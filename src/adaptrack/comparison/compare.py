@@ -20,6 +20,7 @@ from adaptrack.adaptation.config import Evaluation
 from adaptrack.comparison.contenders import Contender
 from adaptrack.comparison.statistics import Ratio, geometric_mean, ratio, regret_percentiles, resamples
 from adaptrack.errors import InvalidInput
+from adaptrack.failure import Failure
 from adaptrack.runs import RunSet
 from adaptrack.schedule import Schedule
 from adaptrack.tuning.objective import Objective
@@ -54,6 +55,8 @@ class Comparison:
     """(runs, k) what tells the runs apart: the operating points, or the numbers of the drives"""
     roles: Mapping[str, Role] = field(default_factory=dict)
     """by contender"""
+    failure: Failure = field(default_factory=Failure)
+    """when a run has failed"""
 
     def regret(self, name: str) -> Array:
         """(runs,) cost over the reference's."""
@@ -122,6 +125,7 @@ class Comparison:
             "reference": self.reference,
             "where": self.where.tolist(),
             "roles": {name: vars(each) for name, each in self.roles.items()},
+            "failure": vars(self.failure),
         }
 
     @classmethod
@@ -132,7 +136,8 @@ class Comparison:
         )
         roles = {name: Role(**each) for name, each in content["roles"].items()}
         where = np.array(content["where"], dtype=float)
-        return cls(costs, failures, content["counts"], content["reference"], where, roles)
+        failure = Failure(**content["failure"])
+        return cls(costs, failures, content["counts"], content["reference"], where, roles, failure)
 
 
 def compare(
@@ -166,7 +171,7 @@ def compare(
             counts[each.name] = _shares(runs.counts(each.policy, int(seeds[0])))
     roles = {each.name: Role(each.controller, each.adapts, each.hindsight) for each in entered}
     rows = np.arange(len(runs), dtype=float)[:, None] if where is None else np.asarray(where, dtype=float)
-    return Comparison(costs, failures, counts, reference, rows, roles)
+    return Comparison(costs, failures, counts, reference, rows, roles, runs.failure)
 
 
 def _shares(counts: Mapping[str, Array]) -> dict[str, float]:

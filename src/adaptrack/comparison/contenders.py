@@ -101,6 +101,21 @@ def list_contenders() -> list[str]:
     return sorted({*_MAKERS, *list_schedulers()})
 
 
+def check_contender(name: str) -> None:
+    """Refuse a name that `get_contender` would not know.
+
+    Raises
+    ------
+    UnknownName
+        With the nearest names that it knows.
+    """
+    if not name.endswith(".json") and name not in list_contenders():
+        raise UnknownName(
+            f"no contender is named {name!r}. {did_you_mean(name, list_contenders())} "
+            "A scheduler's file is given by its .json path."
+        )
+
+
 def get_contender(name: str, runs: RunSet) -> Contender:
     """The contender of this name, made for the runs at hand; a path to a scheduler's .json file is one, too.
 
@@ -113,15 +128,11 @@ def get_contender(name: str, runs: RunSet) -> Contender:
     InvalidInput
         When what was made is no policy.
     """
+    check_contender(name)
     if name in _MAKERS:
         return Contender(name, _MAKERS[name](runs))
-    if name.endswith(".json") or name in list_schedulers():
-        schedule = load_scheduler(name)
-        return Contender(schedule.name, schedule)
-    raise UnknownName(
-        f"no contender is named {name!r}. {did_you_mean(name, list_contenders())} "
-        "A scheduler's file is given by its .json path."
-    )
+    schedule = load_scheduler(name)
+    return Contender(schedule.name, schedule)
 
 
 # -- of an adaptation -------------------------------------------------------------------------------------------------

@@ -1,4 +1,4 @@
-"""The page on the ladder: what every way of tuning costs on conditions and drives that nobody trained on.
+"""The page on a comparison: what contenders cost on operating points and drives that nobody trained on.
 
 Every judgement on the page is chosen by the numbers of the runs behind it.
 """
@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -19,9 +19,15 @@ from matplotlib.colors import LogNorm
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
-from adaptrack.closed_loop import LOST_BEYOND, LOST_COST
-from adaptrack.evaluate.ladder import Ladder
-from adaptrack.mpc import Condition
+from adaptrack.comparison.compare import Comparison
+from adaptrack.comparison.statistics import (
+    Ratio,
+    binned_geometric_mean,
+    geometric_mean,
+    importance,
+    outputs_of,
+    regret_percentiles,
+)
 from adaptrack.report import style
 from adaptrack.report.maps import Cells, Heat, norm_of
 from adaptrack.report.page import Cell, Head, Panel, Picture, Section, Table, Terms, Verbatim, printed, write_page
@@ -29,22 +35,19 @@ from adaptrack.report.words import INPUTS, counted, listed, number, percent, spa
 from adaptrack.schedule import Schedule
 
 Array = NDArray[np.float64]
-Ladders = Mapping[str, Ladder]
+Comparisons = Mapping[str, Comparison]
 Rows = Mapping[str, Mapping[str, Any]]
 Histories = Mapping[str, list[dict[str, Any]]]
 Strokes = Mapping[str, style.Stroke]
 Value: TypeAlias = "float | int | str | Cell | None"
-"""Of a table: a number, a count of lost runs, words, a finished cell, or nothing."""
+"""Of a table: a number, a count of failed runs, words, a finished cell, or nothing."""
 
 CONSTANT, SPEED, OPTIMUM, HINDSIGHT = "best constant", "speed only", "optimum", "per-drive constant"
 LEARNED = ("nn", "anfis")
 MAPPED = (CONSTANT, SPEED, "look-up", *LEARNED)
-"""The rungs whose regret is drawn over the domain."""
-FIXED = ("standard", CONSTANT, OPTIMUM, HINDSIGHT)
-"""The rungs that do not change the tuning while driving."""
-_UNKNOWABLE = (OPTIMUM, HINDSIGHT)
+"""The contenders whose regret is drawn over the domain."""
 
-_RUNGS = {
+_NAMES = {
     "nn": ("NN-MPC", "NN-MPC", "networks fill the slots of the tuning; they learned from the cost of driving."),
     "anfis": ("ANFIS-MPC", "ANFIS-MPC", "neuro-fuzzy systems fill the slots; they learned in the same way."),
     CONSTANT: (
@@ -63,20 +66,20 @@ _RUNGS = {
         "of many constants the one that turns out best on that drive, which nobody can know before.",
     ),
     OPTIMUM: (
-        "Optimum of each condition",
-        "the optimum of each condition",
-        "what a search on that condition alone found, with noise of its own.",
+        "Optimum of each operating point",
+        "the optimum of each operating point",
+        "what a search on that point alone found, with noise of its own.",
     ),
     "speed look-up": ("Look-up table of the speed", "the look-up table of the speed", "as schedules made by hand are."),
-    "best constant of conditions": (
-        "Best constant of conditions",
-        "the best constant of conditions",
+    "best constant of operating points": (
+        "Best constant of operating points",
+        "the best constant of operating points",
         "the one tuning that is best on single lane changes.",
     ),
     "nn unguarded": ("NN-MPC, unguarded", "NN-MPC without its guard", "the same networks alone."),
     "anfis unguarded": ("ANFIS-MPC, unguarded", "ANFIS-MPC without its guard", "the same systems alone."),
 }
-"""By rung: its name in tables, in a sentence, and what it is; their order gives the strokes."""
+"""By contender: its name in tables, in a sentence, and what it is; their order gives the strokes."""
 
 _OUTPUTS = (("$N_p$", "periods"), ("$N_c$", "periods"), (r"$\log_{10} R/Q$", "R/Q in m²/rad²"))
 _COUNTS = {
@@ -84,59 +87,42 @@ _COUNTS = {
     "rate_limited": "Change limited",
     "broken": "Not a number",
     "outside": "Fallback begun, input outside",
-    "astray": "Fallback begun, offset too large",
+    "astray": "Fallback begun, off the reference",
     "unstable": "Gave way, near instability",
     "fallback": "On the fallback",
 }
 _SPREAD = {"regret_p50": "P50", "regret_p90": "P90", "regret_p99": "P99", "regret_worst": "Worst"}
 _BOLD = "Bold: the lowest of its column, but for what needs hindsight. "
-_LOST = f"Lost: more than {LOST_BEYOND:g} m off the reference, or spun, with any of the noise seeds."
-
 _CEILING = 10.0
 """Regrets above this share a colour."""
 _PER_CELL, _MOST_CELLS = 6, 12
-"""Conditions that a cell of a map holds at least, on average; and the most cells along one of its axes."""
+"""Operating points that a cell of a map holds at least, on average; and the most cells along one of its axes."""
 _CURVE = 400
 """Points of a distribution's curve."""
 _NODES = (64, 44)
 """of a learned surface, along its axes"""
 
 
-class Ratio(NamedTuple):
-    """Geometric mean of one rung's cost over another's on the same runs, and its 95 % interval."""
+class _Compared(NamedTuple):
+    """A comparison, its rows, and what one of its runs is."""
 
-    mean: float
-    low: float
-    high: float
-
-    @property
-    def verdict(self) -> str:
-        """cheaper, dearer, or level: the interval holds 1."""
-        return "cheaper" if self.high < 1.0 else "dearer" if self.low > 1.0 else "level"
-
-
-class _Told(NamedTuple):
-    """A ladder, its rows, and what one of its runs is."""
-
-    ladder: Ladder
+    comparison: Comparison
     rows: Rows
     noun: str
 
     def column(self, key: str) -> dict[str, Value]:
-        return {rung: row[key] for rung, row in self.rows.items()}
+        return {name: row[key] for name, row in self.rows.items()}
 
     def intervals(self) -> dict[str, Value]:
-        return {rung: _between(row) for rung, row in self.rows.items() if rung != self.ladder.reference}
+        return {name: _between(row) for name, row in self.rows.items() if name != self.comparison.reference}
 
 
-def write_ladder(
+def write_comparison(
     out_dir: str | os.PathLike[str],
     *,
-    conditions: Ladder | None,
-    drives: Ladder | None,
-    perceptions: Ladders,
-    drive_perceptions: Ladders | None = None,
-    tests: Ladders,
+    operating_points: Comparisons,
+    drives: Comparisons,
+    tests: Comparisons,
     schedules: Mapping[str, Schedule],
     histories: Histories,
     command: str,
@@ -146,19 +132,15 @@ def write_ladder(
 
     Parameters
     ----------
-    conditions, drives
-        What every rung costs on single conditions (`where`: speed, y_ref, friction, wind) and on long drives.
-    perceptions
-        The conditions with friction and wind told "exact", "noisy", "lagged", "estimated", "withheld", ...; where
-        `conditions` is None and no `drive_perceptions` are given, these are taken to be drives.
-    drive_perceptions
-        The drives, likewise.
+    operating_points, drives
+        By how friction and wind are known: "exact", "noisy", "lagged", "estimated", "withheld", ... The exact one is
+        compared in full; `where` of the operating points: speed, y_ref, friction, wind.
     tests
         The paper's tests, by the scenario's name.
     schedules
-        By rung; what "nn" and "anfis" learned is drawn.
+        By contender; what "nn" and "anfis" learned is drawn.
     histories
-        By rung, what `closed_loop.improve` noted of its rounds.
+        By contender, what `improve` noted of its rounds.
     command
         The command line that makes it again.
     notes
@@ -169,137 +151,130 @@ def write_ladder(
     StorageError
         When the files cannot be written, see `page.write_page`.
     """
-    climbed = [
-        _Told(ladder, {row["scheduler"]: row for row in ladder.rows()}, noun)
-        for ladder, noun in ((conditions, "condition"), (drives, "drive"))
-        if ladder is not None
-    ]
-    known = {"condition": perceptions, "drive": drive_perceptions or {}}
-    if conditions is None and not drive_perceptions:
-        known = {"drive": perceptions}
+    known = {"operating point": operating_points, "drive": drives}
+    compared = [_compared(found["exact"], noun) for noun, found in known.items() if "exact" in found]
     sections = [
-        *(_on_conditions(told) if told.noun == "condition" else _on_drives(told) for told in climbed),
-        *_spread(climbed),
+        *(_on_operating_points(each) if each.noun == "operating point" else _on_drives(each) for each in compared),
+        *_spread(compared),
         *_perceived(known),
         *_tested(tests),
         *_learned(schedules),
         *_learning(histories),
-        *_interventions(climbed),
+        *_interventions(compared),
         *([Section("Limits", list(notes))] if notes else []),
         Section("How it was made", ["This command makes it again:", Verbatim(command)]),
     ]
-    said = [" ".join(filter(None, (standing(*told), against_constant(*told), losses(*told)))) for told in climbed]
-    said += [knowledge(ladders, noun) for noun, ladders in known.items()]
+    said = [" ".join(filter(None, (standing(*each), against_constant(*each), failures(*each)))) for each in compared]
+    said += [knowledge(found, noun) for noun, found in known.items()]
     lead = [words for words in (*said, on_tests(tests)) if words]
     lead = lead or ["Nothing was driven: there are no costs to compare."]
     return write_page(out_dir, sections, title="What adaptation pays", lead=lead)
 
 
+def _compared(comparison: Comparison, noun: str) -> _Compared:
+    return _Compared(comparison, {row["contender"]: row for row in comparison.rows()}, noun)
+
+
 # -- judgements, chosen by the numbers --------------------------------------------------------------------------------
-def ratio(ladder: Ladder, rung: str, other: str) -> Ratio:
-    """The cost of `rung` over that of `other`, run by run; the interval is that of a normal mean of the logarithms."""
-    logs = np.log(ladder.costs[rung] / ladder.costs[other])
-    mean = float(logs.mean())
-    half = 1.96 * float(logs.std(ddof=1)) / math.sqrt(len(logs)) if len(logs) > 1 else 0.0
-    return Ratio(math.exp(mean), math.exp(mean - half), math.exp(mean + half))
+def best(comparison: Comparison) -> list[str]:
+    """The cheapest contender that needs no hindsight, then those level with it."""
+    ranked = sorted(_judged(comparison), key=lambda who: geometric_mean(comparison.costs[who]))
+    return ranked[:1] + [who for who in ranked[1:] if comparison.ratio(who, ranked[0]).verdict == "level"]
 
 
-def best(ladder: Ladder) -> list[str]:
-    """The cheapest rung that needs no hindsight, then those level with it."""
-    ranked = sorted(_judged(ladder), key=lambda rung: _geomean(ladder.costs[rung]))
-    return ranked[:1] + [rung for rung in ranked[1:] if ratio(ladder, rung, ranked[0]).verdict == "level"]
-
-
-def standing(ladder: Ladder, rows: Rows, noun: str) -> str:
-    """Which rung is best, and how it and the learned ones stand to the reference, the best constant and speed only."""
-    first, *level = best(ladder)
-    head = f"On {counted(_runs(ladder), noun)} that nobody trained on, {_said(first)} is best"
-    sentences = [f"{head}, level with {listed([_said(rung) for rung in level])}." if level else f"{head}."]
-    against = [other for other in dict.fromkeys((ladder.reference, CONSTANT, SPEED)) if other in ladder.costs]
-    for rung in dict.fromkeys((first, *LEARNED)):
-        others = [other for other in against if other != rung]
-        if rung not in ladder.costs or not others:
+def standing(comparison: Comparison, rows: Rows, noun: str) -> str:
+    """Which contender is best, and how it and the learned ones stand to reference, best constant and speed only."""
+    first, *level = best(comparison)
+    head = f"On {counted(_runs(comparison), noun)} that nobody trained on, {_said(first)} is best"
+    sentences = [f"{head}, level with {listed([_said(each) for each in level])}." if level else f"{head}."]
+    against = [other for other in dict.fromkeys((comparison.reference, CONSTANT, SPEED)) if other in comparison.costs]
+    for who in dict.fromkeys((first, *LEARNED)):
+        others = [other for other in against if other != who]
+        if who not in comparison.costs or not others:
             continue
-        told = [f"{number(ratio(ladder, rung, other).mean)} times {_said(other)}" for other in others]
-        if rung != first:
-            sentences.append(f"{_said(rung)} costs {listed(told)}.")
+        ratios = [f"{number(comparison.mean_ratio(who, other))} times {_said(other)}" for other in others]
+        if who != first:
+            sentences.append(f"{_said(who)} costs {listed(ratios)}.")
             continue
-        if others[0] == ladder.reference:
-            told[0] += f" (95 % interval {_between(rows[rung])})"
-        sentences.append(f"In the geometric mean it costs {listed(told)}.")
-        if ladder.reference == OPTIMUM:
-            p90, worst = (f"{number(rows[rung][f'regret_{key}'])} times the optimum" for key in ("p90", "worst"))
+        if others[0] == comparison.reference:
+            ratios[0] += f" (95 % interval {_between(rows[who])})"
+        sentences.append(f"In the geometric mean it costs {listed(ratios)}.")
+        if comparison.reference == OPTIMUM:
+            p90, worst = (f"{number(rows[who][f'regret_{key}'])} times the optimum" for key in ("p90", "worst"))
             sentences.append(f"On a tenth of the {noun}s it costs {p90} or more, at worst {worst}.")
     return " ".join(sentences)
 
 
-def against_constant(ladder: Ladder, rows: Rows, noun: str) -> str:
-    """Which adaptive rungs do not beat the best constant."""
-    if CONSTANT not in ladder.costs or not adaptive(ladder):
+def against_constant(comparison: Comparison, rows: Rows, noun: str) -> str:
+    """Which adaptive contenders do not beat the best constant."""
+    if CONSTANT not in comparison.costs or not comparison.adaptive:
         return ""
-    beside = {rung: ratio(ladder, rung, CONSTANT) for rung in adaptive(ladder)}
-    failed = [_unbeaten(_said(rung), it) for rung, it in beside.items() if it.verdict != "cheaper"]
-    if failed:
-        return f"Not every adaptive controller beats the best constant on these {noun}s: {listed(failed)}."
+    beside = {who: comparison.ratio(who, CONSTANT) for who in comparison.adaptive}
+    unbeaten = [_unbeaten(_said(who), it) for who, it in beside.items() if it.verdict != "cheaper"]
+    if unbeaten:
+        return f"Not every adaptive controller beats the best constant on these {noun}s: {listed(unbeaten)}."
     return f"Every adaptive controller beats the best constant on these {noun}s."
 
 
-def losses(ladder: Ladder, rows: Rows, noun: str) -> str:
-    """Who lost the car, and how often."""
-    lost = {rung: row["failures"] for rung, row in rows.items()}
-    total = counted(_runs(ladder), noun)
-    if not any(lost.values()):
-        return f"No controller lost the car in any of {total}."
-    told = listed([f"{_said(rung)} in {number(count)}" for rung, count in lost.items() if count])
-    return f"The car was lost by {told} of {total}{'' if all(lost.values()) else '; by no other'}."
+def failures(comparison: Comparison, rows: Rows, noun: str) -> str:
+    """Who failed, and how often."""
+    failed = {who: row["failures"] for who, row in rows.items()}
+    total = counted(_runs(comparison), noun)
+    if not any(failed.values()):
+        return f"No controller failed in any of {total}."
+    named = listed([f"{_said(who)} in {number(count)}" for who, count in failed.items() if count])
+    return f"Failed: {named} of {total}{'' if all(failed.values()) else '; no other'}."
 
 
-def knowledge(perceptions: Ladders, noun: str) -> str:
-    """What it costs the learned rungs not to know friction and wind exactly; empty where nothing else was told."""
-    clauses, failed, lost, compared = [], [], [], False
-    for rung in LEARNED:
-        known = {name: ladder for name, ladder in perceptions.items() if rung in ladder.costs}
+def knowledge(perceptions: Comparisons, noun: str) -> str:
+    """What it costs the learned contenders not to know friction and wind exactly; empty where they are."""
+    clauses, unbeaten, failed, compared = [], [], [], False
+    for who in LEARNED:
+        known = {name: comparison for name, comparison in perceptions.items() if who in comparison.costs}
         if not set(known) - {"exact"}:
             continue
-        means = {name: _geomean(ladder.regret(rung)) for name, ladder in known.items()}
+        means = {name: geometric_mean(comparison.regret(who)) for name, comparison in known.items()}
         worst = max(means, key=lambda name: means[name])
         chosen: dict[str, str] = {name: name for name in ("exact", "estimated", "withheld") if name in means}
         chosen.setdefault(worst, f"{worst}, the worst")
         parts = listed([f"{number(means[name])} ({how})" for name, how in chosen.items()])
-        clauses.append(f"{_said(rung)} costs {parts} times {_said(next(iter(known.values())).reference)}")
-        beside = {name: ratio(ladder, rung, CONSTANT) for name, ladder in known.items() if CONSTANT in ladder.costs}
-        failed += [_unbeaten(f"{_said(rung)}, {name},", it) for name, it in beside.items() if it.verdict != "cheaper"]
+        clauses.append(f"{_said(who)} costs {parts} times {_said(next(iter(known.values())).reference)}")
+        beside = {
+            name: comparison.ratio(who, CONSTANT) for name, comparison in known.items() if CONSTANT in comparison.costs
+        }
+        unbeaten += [_unbeaten(f"{_said(who)}, {name},", it) for name, it in beside.items() if it.verdict != "cheaper"]
         compared |= bool(beside)
-        counts = {name: int((ladder.failures[rung] > 0.0).sum()) for name, ladder in known.items()}
-        lost += [f"{_said(rung)} in {count} ({name})" for name, count in counts.items() if count]
+        counts = {name: int((comparison.failures[who] > 0.0).sum()) for name, comparison in known.items()}
+        failed += [f"{_said(who)} in {count} ({name})" for name, count in counts.items() if count]
     sentences = [f"By how friction and wind are known on these {noun}s, {'; '.join(clauses)}."] if clauses else []
-    if failed:
-        sentences.append(f"The best constant is not always beaten: {listed(failed)}.")
+    if unbeaten:
+        sentences.append(f"The best constant is not always beaten: {listed(unbeaten)}.")
     elif compared:
         sentences.append("However they are known, the best constant costs more.")
-    if lost:
-        sentences.append(f"The car was lost by {listed(lost)} of the {noun}s.")
+    if failed:
+        sentences.append(f"Failed: {listed(failed)} of the {noun}s.")
     return " ".join(sentences)
 
 
-def on_tests(tests: Ladders) -> str:
-    """How the learned rungs do on the paper's tests, and what hindsight would reach there."""
+def on_tests(tests: Comparisons) -> str:
+    """How the learned contenders do on the paper's tests, and what hindsight would reach there."""
     sentences = []
-    for name, ladder in tests.items():
-        if CONSTANT not in ladder.costs:
+    for name, comparison in tests.items():
+        if CONSTANT not in comparison.costs:
             continue
-        beside = {rung: ratio(ladder, rung, CONSTANT) for rung in LEARNED if rung in ladder.costs}
-        floor = [ratio(ladder, rung, CONSTANT).mean for rung in _UNKNOWABLE if rung in ladder.costs]
+        beside = {who: comparison.ratio(who, CONSTANT) for who in LEARNED if who in comparison.costs}
+        known_after = [who for who in comparison.costs if comparison.role(who).hindsight]
+        floor = [comparison.mean_ratio(who, CONSTANT) for who in known_after]
         if not beside:
             continue
-        costs = listed([f"{_said(rung)} costs {number(it.mean)} times" for rung, it in beside.items()])
-        told = [f"On the paper's {title_of(name).lower()} {costs} the best constant"]
-        told += [f"the best tuning in hindsight costs {number(min(floor))} times"] if floor else []
-        failed = [_said(rung) for rung, it in beside.items() if it.verdict != "cheaper"]
-        told += [f"{listed(failed)} {'does' if len(failed) == 1 else 'do'} not beat it"] if failed else []
-        lost = [_said(rung) for rung in beside if ladder.failures[rung].any()]
-        told += [f"{listed(lost)} lost the car"] if lost else []
-        sentences.append(f"{'; '.join(told)}.")
+        costs = listed([f"{_said(who)} costs {number(it.mean)} times" for who, it in beside.items()])
+        said = [f"On the paper's {title_of(name).lower()} {costs} the best constant"]
+        said += [f"the best tuning in hindsight costs {number(min(floor))} times"] if floor else []
+        level = [_said(who) for who, it in beside.items() if it.verdict != "cheaper"]
+        said += [f"{listed(level)} {'does' if len(level) == 1 else 'do'} not beat it"] if level else []
+        failed = [_said(who) for who in beside if comparison.failures[who].any()]
+        said += [f"{listed(failed)} failed"] if failed else []
+        sentences.append(f"{'; '.join(said)}.")
     return " ".join(sentences)
 
 
@@ -308,107 +283,109 @@ def _unbeaten(who: str, it: Ratio) -> str:
     return f"{who} {how} ({number(it.mean)} times, {number(it.low)} to {number(it.high)})"
 
 
-def adaptive(ladder: Ladder) -> list[str]:
-    """The rungs that change the tuning while driving."""
-    return [rung for rung in ladder.costs if rung not in FIXED]
-
-
 # -- sections ---------------------------------------------------------------------------------------------------------
-def _on_conditions(told: _Told) -> Section:
-    ladder = told.ladder
+def _on_operating_points(found: _Compared) -> Section:
+    comparison = found.comparison
     words = (
-        f"Regret is the cost over that of {_said(ladder.reference)} on the same condition. Costs are means over noise "
-        f"that neither tuning nor learning has met; a lost run counts as {LOST_COST:g} m²."
+        f"Regret is the cost over that of {_said(comparison.reference)} on the same operating point. Costs are means "
+        "over noise that neither tuning nor learning has met; a failed run counts as "
+        f"{_failed_cost(comparison)} m²."
     )
-    if ladder.reference == OPTIMUM:
+    if comparison.reference == OPTIMUM:
         words += " The optimum was chosen on other noise, so a regret somewhat below 1 can occur."
     columns = {
-        Head("Regret", "geometric mean"): told.column("regret_geomean"),
-        Head("95 % interval"): told.intervals(),
-        **{Head(text): told.column(key) for key, text in _SPREAD.items()},
-        Head("Lost", f"of {number(_runs(ladder))}"): told.column("failures"),
+        Head("Regret", "geometric mean"): found.column("regret_geomean"),
+        Head("95 % interval"): found.intervals(),
+        **{Head(text): found.column(key) for key, text in _SPREAD.items()},
+        Head("Failed", f"of {number(_runs(comparison))}"): found.column("failures"),
     }
-    table = _table("Regret on single conditions", columns, ladder.costs, _BOLD + _LOST)
-    return Section("Conditions", [words, table, _meanings(ladder), *_maps(ladder)])
+    table = _table("Regret on single operating points", columns, comparison, _BOLD + _failed(comparison))
+    return Section("Operating points", [words, table, _meanings(comparison), *_maps(comparison)])
 
 
-def _on_drives(told: _Told) -> Section:
-    ladder = told.ladder
+def _on_drives(found: _Compared) -> Section:
+    comparison = found.comparison
     words = (
         "A drive is a random road: speed that varies, patches of other friction, gusts, lane changes and curves. Costs "
-        f"are means over noise that neither tuning nor learning has met; a lost drive counts as {LOST_COST:g} m²."
+        f"are means over noise that neither tuning nor learning has met; a failed drive counts as "
+        f"{_failed_cost(comparison)} m²."
     )
-    over = f"/ {ladder.reference}"
+    over = f"/ {comparison.reference}"
     columns = {
-        Head("Cost", "geometric mean, m²"): told.column("cost_geomean"),
-        Head("Cost", over): told.column("regret_geomean"),
-        Head("95 % interval", over): told.intervals(),
-        Head("P90", over): told.column("regret_p90"),
-        Head("Worst", over): told.column("regret_worst"),
-        Head("Cost", "/ speed only"): _ratios(ladder, SPEED),
-        Head("Lost", f"of {number(_runs(ladder))}"): told.column("failures"),
+        Head("Cost", "geometric mean, m²"): found.column("cost_geomean"),
+        Head("Cost", over): found.column("regret_geomean"),
+        Head("95 % interval", over): found.intervals(),
+        Head("P90", over): found.column("regret_p90"),
+        Head("Worst", over): found.column("regret_worst"),
+        Head("Cost", "/ speed only"): _ratios(comparison, SPEED),
+        Head("Failed", f"of {number(_runs(comparison))}"): found.column("failures"),
     }
-    table = _table("Cost of long drives", columns, ladder.costs, _BOLD + _LOST)
-    return Section("Drives", [words, table, _meanings(ladder)])
+    table = _table("Cost of long drives", columns, comparison, _BOLD + _failed(comparison))
+    return Section("Drives", [words, table, _meanings(comparison)])
 
 
-def _meanings(ladder: Ladder) -> Terms:
-    return Terms([_RUNGS[rung][::2] for rung in ladder.costs if rung in _RUNGS], "What the rungs are")
+def _meanings(comparison: Comparison) -> Terms:
+    return Terms([_NAMES[who][::2] for who in comparison.costs if who in _NAMES], "What the contenders are")
 
 
-def _maps(ladder: Ladder) -> list[Picture]:
-    """The regret of the main rungs over speed and friction, and over speed and the reference."""
-    rungs = [rung for rung in MAPPED if rung in ladder.costs and rung != ladder.reference]
-    if not rungs:
+def _maps(comparison: Comparison) -> list[Picture]:
+    """The regret of the main contenders over speed and friction, and over speed and the reference."""
+    contenders = [who for who in MAPPED if who in comparison.costs and who != comparison.reference]
+    if not contenders:
         return []
-    speed, y_ref, friction = ladder.where[:, 0], np.abs(ladder.where[:, 1]), ladder.where[:, 2]
+    speed, y_ref, friction = comparison.where[:, 0], np.abs(comparison.where[:, 1]), comparison.where[:, 2]
     over = {"friction": (friction, "Friction (–)"), "lateral reference": (y_ref, r"$|y_\mathrm{ref}|$ (m)")}
-    grids = {(r, name): _mean_regret(ladder.regret(r), speed, y) for r in rungs for name, (y, _) in over.items()}
+    grids = {
+        (r, name): _mean_regret(comparison.regret(r), speed, y) for r in contenders for name, (y, _) in over.items()
+    }
     means = np.concatenate([grid.values.ravel() for grid in grids.values()])
     low, high = min(1.0, float(np.nanmin(means))), float(np.nanmax(means))
     norm = LogNorm(low, max(min(high, _CEILING), 1.2 * low))
     beyond = "max" if high > _CEILING else "neither"
-    heats = {(rung, name): Heat(grid, over[name][1], norm, extend=beyond) for (rung, name), grid in grids.items()}
+    heats = {(who, name): Heat(grid, over[name][1], norm, extend=beyond) for (who, name), grid in grids.items()}
     panels = [
-        Panel(_label(rung), heat.show, f"Geometric mean regret over speed and {name}: {span(heat.cells.values)}.")
-        for (rung, name), heat in heats.items()
+        Panel(_label(who), heat.show, f"Geometric mean regret over speed and {name}: {span(heat.cells.values)}.")
+        for (who, name), heat in heats.items()
     ]
     with style.styled():
-        figure, axes = style.grid_figure(len(over), len(rungs), 1.75)
-        for ax, (rung, name) in zip(axes, ((rung, name) for name in over for rung in rungs), strict=True):
-            heats[rung, name].draw(ax)
-            first_row, first_column = ax in axes[: len(rungs)], rung == rungs[0]
-            ax.set_title(_label(rung) if first_row else "")
+        figure, axes = style.grid_figure(len(over), len(contenders), 1.75)
+        for ax, (who, name) in zip(axes, ((who, name) for name in over for who in contenders), strict=True):
+            heats[who, name].draw(ax)
+            first_row, first_column = ax in axes[: len(contenders)], who == contenders[0]
+            ax.set_title(_label(who) if first_row else "")
             ax.set_xlabel("" if first_row else "Speed (m/s)")
             ax.set_ylabel(over[name][1] if first_column else "")
         bar = next(iter(heats.values())).bar(figure, ax=axes, location="bottom", aspect=50, shrink=0.7, pad=0.02)
         bar.set_label("Regret (–)")
     caption = (
-        "Regret over the domain: geometric mean of all conditions in a cell, whatever their other two numbers; left "
-        "over friction, right over the size of the reference. All maps share one logarithmic scale of colours"
+        "Regret over the domain: geometric mean of all operating points in a cell, whatever their other two numbers; "
+        "left over friction, right over the size of the reference. All maps share one logarithmic scale of colours"
         f"{f', which ends at {_CEILING:g}' if high > _CEILING else ''}."
     )
     return [Picture(caption, [panel.drawing() for panel in panels], file="regret-map.png", print_figure=figure)]
 
 
-def _spread(climbed: Sequence[_Told]) -> list[Section]:
+def _spread(compared: Sequence[_Compared]) -> list[Section]:
     """The distribution of what single runs cost."""
-    climbed = [told for told in climbed if len(told.ladder.costs) > 1]
-    if not climbed:
+    compared = [each for each in compared if len(each.comparison.costs) > 1]
+    if not compared:
         return []
     drawn = [
-        [rung for rung in told.ladder.costs if rung != told.ladder.reference and not rung.endswith(" unguarded")]
-        for told in climbed
+        [who for who in each.comparison.costs if who != each.comparison.reference and not who.endswith(" unguarded")]
+        for each in compared
     ]  # beside what has a guard, the same without it is hard to see
-    strokes = _strokes(rung for rungs in drawn for rung in rungs)
+    strokes = _strokes(who for contenders in drawn for who in contenders)
     panels = []
-    for (ladder, _, noun), rungs in zip(climbed, drawn, strict=True):
-        ratios = {rung: ladder.regret(rung) for rung in rungs}
-        quantiles = {rung: [number(float(np.quantile(it, q))) for q in (0.5, 0.9)] for rung, it in ratios.items()}
-        told = " ".join(f"{_label(r)}: median {p50}, nine tenths below {p90}." for r, (p50, p90) in quantiles.items())
-        over = "Regret (–)" if ladder.reference == OPTIMUM else f"Cost / {ladder.reference} (–)"
+    for (comparison, _, noun), contenders in zip(compared, drawn, strict=True):
+        ratios = {who: comparison.regret(who) for who in contenders}
+        spread = {who: regret_percentiles(regret) for who, regret in ratios.items()}
+        described = " ".join(
+            f"{_label(who)}: median {number(each['p50'])}, nine tenths below {number(each['p90'])}."
+            for who, each in spread.items()
+        )
+        over = "Regret (–)" if comparison.reference == OPTIMUM else f"Cost / {comparison.reference} (–)"
         draw = partial(_draw_distribution, ratios, strokes, over, f"{noun.capitalize()}s (%)")
-        panels.append(Panel(f"{noun.capitalize()}s", draw, f"{over}, logarithmic, and the share below. {told}"))
+        panels.append(Panel(f"{noun.capitalize()}s", draw, f"{over}, logarithmic, and the share below. {described}"))
     caption = (
         "Share of the runs that cost at most so many times the reference, which is the upright line: further left is "
         "better. What lies far out is cut off."
@@ -416,57 +393,58 @@ def _spread(climbed: Sequence[_Told]) -> list[Section]:
     return [Section("Run by run", [_picture(caption, panels, strokes, "spread.png")])]
 
 
-def _perceived(known: Mapping[str, Ladders]) -> list[Section]:
-    """What not knowing friction and wind exactly costs the rungs that look at them; known: by what a run is."""
-    tables = [_perceived_table(noun, ladders) for noun, ladders in known.items() if _lookers(ladders)]
+def _perceived(known: Mapping[str, Comparisons]) -> list[Section]:
+    """What not knowing friction and wind exactly costs the contenders that look at them; known: by what a run is."""
+    tables = [_perceived_table(noun, comparisons) for noun, comparisons in known.items() if _lookers(comparisons)]
     words = (
-        "Cars measure neither friction nor wind. Here schedulers are told them in other ways than as they are; the "
+        "Cars measure neither friction nor wind. Here schedulers know them otherwise than as they are; the "
         "runs of a table are the same in every row."
     )
     return [Section("What a car really knows", [words, *tables])] if tables else []
 
 
-def _lookers(perceptions: Ladders) -> list[str]:
-    """The rungs that may look at friction and wind, where those are told otherwise than as they are."""
-    told = (rung for name, ladder in perceptions.items() if name != "exact" for rung in adaptive(ladder))
-    return [rung for rung in dict.fromkeys(told) if rung != SPEED]
+def _lookers(perceptions: Comparisons) -> list[str]:
+    """The contenders that may look at friction and wind, where those are not known exactly."""
+    looking = (who for name, comparison in perceptions.items() if name != "exact" for who in comparison.adaptive)
+    return [who for who in dict.fromkeys(looking) if who != SPEED]
 
 
-def _perceived_table(noun: str, perceptions: Ladders) -> Table:
+def _perceived_table(noun: str, perceptions: Comparisons) -> Table:
     first = next(iter(perceptions.values()))
     exact = perceptions["exact"].costs if "exact" in perceptions else {}
     over = f"/ {first.reference}"
     heads = [Head("Friction and wind", is_text=True), Head("Cost", over), Head("P90", over), Head("Worst", over)]
     heads += [Head("Cost", "/ best constant")] if first.reference != CONSTANT else []
-    heads += [Head("Cost", "/ exact"), Head("Lost", f"of {number(_runs(first))}")]
+    heads += [Head("Cost", "/ exact"), Head("Failed", f"of {number(_runs(first))}")]
     body: list[Sequence[Cell | str] | str] = []
-    for rung in _lookers(perceptions):
-        body.append(_label(rung))
-        for name, ladder in perceptions.items():
-            if rung not in ladder.costs:
+    for who in _lookers(perceptions):
+        body.append(_label(who))
+        for name, comparison in perceptions.items():
+            if who not in comparison.costs:
                 continue
-            regret = ladder.regret(rung)
-            cells: list[Value] = [_geomean(regret), math.exp(np.percentile(np.log(regret), 90)), float(regret.max())]
-            cells += [_ratios(ladder, CONSTANT).get(rung)] if first.reference != CONSTANT else []
-            cells.append(_geomean(ladder.costs[rung] / exact[rung]) if rung in exact else None)
-            cells.append(int((ladder.failures[rung] > 0.0).sum()))
+            regret = comparison.regret(who)
+            spread = regret_percentiles(regret)
+            cells: list[Value] = [geometric_mean(regret), spread["p90"], spread["worst"]]
+            cells += [_ratios(comparison, CONSTANT).get(who)] if first.reference != CONSTANT else []
+            cells.append(geometric_mean(comparison.costs[who] / exact[who]) if who in exact else None)
+            cells.append(int((comparison.failures[who] > 0.0).sum()))
             body.append([title_of(name), *map(_cell, cells)])
     caption = f"Imperfect knowledge of friction and wind: {noun}s"
-    return Table(caption, heads, body, f"Cost: geometric mean. {_LOST}")
+    return Table(caption, heads, body, f"Cost: geometric mean. {_failed(first)}")
 
 
-def _tested(tests: Ladders) -> list[Section]:
+def _tested(tests: Comparisons) -> list[Section]:
     if not tests:
         return []
-    heads = [Head("Rung", is_text=True), Head("Cost", "m²"), Head("Cost", "/ best constant")]
-    heads += [Head("Cost", "/ speed only"), Head("Lost", "% of noise seeds")]
+    heads = [Head("Contender", is_text=True), Head("Cost", "m²"), Head("Cost", "/ best constant")]
+    heads += [Head("Cost", "/ speed only"), Head("Failed", "% of noise seeds")]
     body: list[Sequence[Cell | str] | str] = []
-    for name, ladder in tests.items():
-        means: dict[str, Value] = {rung: _geomean(costs) for rung, costs in ladder.costs.items()}
-        shares = {rung: float(each.mean()) for rung, each in ladder.failures.items()}
-        lost: dict[str, Value] = {rung: Cell(percent(share), warn=share > 0.0) for rung, share in shares.items()}
-        columns = [means, _ratios(ladder, CONSTANT), _ratios(ladder, SPEED), lost]
-        body += [title_of(name), *_body(columns, ladder.costs)]
+    for name, comparison in tests.items():
+        means: dict[str, Value] = {who: geometric_mean(costs) for who, costs in comparison.costs.items()}
+        shares = {who: float(each.mean()) for who, each in comparison.failures.items()}
+        failed: dict[str, Value] = {who: Cell(percent(share), warn=share > 0.0) for who, share in shares.items()}
+        columns = [means, _ratios(comparison, CONSTANT), _ratios(comparison, SPEED), failed]
+        body += [title_of(name), *_body(columns, comparison)]
     words = "The signals of the paper's two tests, on the plant, the sensors and the actuator of the road profile."
     return [Section("The paper's tests", [words, Table("Cost on the paper's tests", heads, body, _BOLD.strip())])]
 
@@ -527,62 +505,66 @@ def _learned(schedules: Mapping[str, Schedule]) -> list[Section]:
 
 def _learning(histories: Histories) -> list[Section]:
     """How the cost of the held-out runs fell."""
-    told = {name: history for name, history in histories.items() if history}
-    if not told:
+    shown = {name: history for name, history in histories.items() if history}
+    if not shown:
         return []
-    strokes = _strokes(told)
-    costs = {name: [(check["round"], math.exp(check["score"])) for check in checks] for name, checks in told.items()}
-    losses = {name: [(check["round"], check["lost"]) for check in checks] for name, checks in told.items()}
-    words = [_course(name, costs[name], told[name]) for name in told]
+    strokes = _strokes(shown)
+    costs = {name: [(check["round"], math.exp(check["score"])) for check in checks] for name, checks in shown.items()}
+    failing = {name: [(check["round"], check["failed"]) for check in checks] for name, checks in shown.items()}
+    words = [_progress_of(name, costs[name], shown[name]) for name in shown]
     draw = partial(_draw_learning, costs, strokes, "Cost (m²)")
     panels = [Panel("Cost of the held-out runs", draw, f"Geometric mean over the rounds. {' '.join(words)}")]
-    if any(check["lost"] for checks in told.values() for check in checks):
-        draw = partial(_draw_learning, losses, strokes, "Lost runs (–)")
-        counts = " ".join(f"{_label(n)}: {line[0][1]:g} to {line[-1][1]:g}." for n, line in losses.items())
-        panels.append(Panel("Held-out runs lost", draw, f"Number over the rounds. {counts}"))
+    if any(check["failed"] for checks in shown.values() for check in checks):
+        draw = partial(_draw_learning, failing, strokes, "Failed runs (–)")
+        counts = " ".join(f"{_label(n)}: {line[0][1]:g} to {line[-1][1]:g}." for n, line in failing.items())
+        panels.append(Panel("Held-out runs that failed", draw, f"Number over the rounds. {counts}"))
     caption = "What held-out runs cost after each check, in the geometric mean; the schedule with the lowest was kept."
     return [Section("How it was learned", [" ".join(words), _picture(caption, panels, strokes, "learning.png")])]
 
 
-def _course(name: str, costs: Sequence[tuple[float, float]], history: Sequence[Mapping[str, Any]]) -> str:
+def _progress_of(name: str, costs: Sequence[tuple[float, float]], history: Sequence[Mapping[str, Any]]) -> str:
     """From where to where learning went, and whether it was still going."""
     kept = min(range(len(costs)), key=lambda i: costs[i][1])
     (first, high), (best_round, low) = costs[0], costs[kept]
-    lost = f"; it loses {history[kept]['lost']:g} of them" if history[kept]["lost"] else ""
+    failed = f"; {history[kept]['failed']:g} of them fail" if history[kept]["failed"] else ""
     fell = f"{number(high)} m² after round {first:g} and {number(low)} m² after round {best_round:g}"
     kept_how = ", the last, so more rounds may help" if 0 < kept == len(costs) - 1 else ", which was kept"
-    return f"With {_said(name)} the held-out runs cost {fell}{kept_how}{lost}."
+    return f"With {_said(name)} the held-out runs cost {fell}{kept_how}{failed}."
 
 
-def _interventions(climbed: Sequence[_Told]) -> list[Section]:
+def _interventions(compared: Sequence[_Compared]) -> list[Section]:
     """How often inputs were clipped, and how often the guard stepped in."""
     body: list[Sequence[Cell | str] | str] = []
-    for told in climbed:
-        counted = {rung: counts for rung, counts in told.ladder.counts.items() if counts}
-        body += [f"{told.noun.capitalize()}s"] if counted else []
-        for rung, counts in counted.items():
-            body.append([_label(rung), *(percent(counts[key]) if key in counts else "–" for key in _COUNTS)])
+    for each in compared:
+        counted = {who: counts for who, counts in each.comparison.counts.items() if counts}
+        body += [f"{each.noun.capitalize()}s"] if counted else []
+        for who, counts in counted.items():
+            body.append([_label(who), *(percent(counts[key]) if key in counts else "–" for key in _COUNTS)])
     if not body:
         return []
-    heads = [Head("Rung", is_text=True), *(Head(text, "% of steps") for text in _COUNTS.values())]
+    heads = [Head("Contender", is_text=True), *(Head(text, "% of steps") for text in _COUNTS.values())]
     note = "With the first of the noise seeds. Clipped: held within the domain that the schedule was made for."
     return [Section("What the guard did", [Table("Interventions", heads, body, note)])]
 
 
 # -- tables -----------------------------------------------------------------------------------------------------------
-def _table(caption: str, columns: Mapping[Head, Mapping[str, Value]], rungs: Collection[str], note: str) -> Table:
-    """A row for each rung; columns that are empty are left out, and the lowest number of each is bold."""
+def _table(caption: str, columns: Mapping[Head, Mapping[str, Value]], comparison: Comparison, note: str) -> Table:
+    """A row for each contender; columns that are empty are left out, and the lowest number of each is bold."""
     shown = {head: values for head, values in columns.items() if values}
-    return Table(caption, [Head("Rung", is_text=True), *shown], _body(list(shown.values()), rungs), note)
+    return Table(caption, [Head("Contender", is_text=True), *shown], _body(list(shown.values()), comparison), note)
 
 
-def _body(columns: Sequence[Mapping[str, Value]], rungs: Collection[str]) -> list[list[Cell | str]]:
-    body: list[list[Cell | str]] = [[_label(rung)] for rung in rungs]
+def _body(columns: Sequence[Mapping[str, Value]], comparison: Comparison) -> list[list[Cell | str]]:
+    def hindsight(who: str) -> bool:
+        return comparison.role(who).hindsight
+
+    contenders = list(comparison.costs)
+    body: list[list[Cell | str]] = [[_label(who)] for who in contenders]
     for values in columns:
-        judged = (v for rung, v in values.items() if rung not in _UNKNOWABLE and isinstance(v, float))
+        judged = (v for who, v in values.items() if not hindsight(who) and isinstance(v, float))
         least = min(judged, default=None)
-        for row, rung in zip(body, rungs, strict=True):
-            row.append(_cell(values.get(rung), rung not in _UNKNOWABLE and values.get(rung) == least))
+        for row, who in zip(body, contenders, strict=True):
+            row.append(_cell(values.get(who), not hindsight(who) and values.get(who) == least))
     return body
 
 
@@ -593,41 +575,13 @@ def _cell(value: Value, strong: bool = False) -> Cell:
 
 
 # -- numbers ----------------------------------------------------------------------------------------------------------
-def importance(schedule: Schedule, samples: int = 512, seed: int = 0) -> dict[str, float]:
-    """In how much of the tuning's variance over the domain each input has a part: total Sobol index, 0..1.
-
-    The mean over Np, Nc and log10 R/Q, by the estimator of M. J. W. Jansen, "Analysis of variance designs for model
-    output" (1999).
-    """
-    rng = np.random.default_rng((seed, 0x50B0))
-    low, high = schedule.domain.T
-    x = rng.uniform(low, high, (samples, len(low)))
-    here = _tuning(schedule, x)
-    variance = here.var(axis=0)
-    found = {}
-    for i, name in enumerate(schedule.inputs):
-        moved = x.copy()
-        moved[:, i] = rng.uniform(low[i], high[i], samples)
-        change = ((_tuning(schedule, moved) - here) ** 2).mean(axis=0) / 2.0
-        found[name] = float(np.mean(np.divide(change, variance, out=np.zeros(3), where=variance > 0.0)))
-    return found
-
-
-def _tuning(schedule: Schedule, x: Array) -> Array:
-    """(n, 3) Np, Nc and log10 R/Q at inputs (n, D)."""
-    rows = np.zeros((len(x), len(Condition._fields)))
-    rows[:, [Condition._fields.index(name) for name in schedule.inputs]] = x
-    Np, Nc, Q, R = schedule.batch(rows).T
-    return np.column_stack([Np, Nc, np.log10(R / Q)])
-
-
 def _surface(schedule: Schedule, other: str) -> Array:
     """(nodes of `other`, nodes of speed, 3) the tuning, the remaining inputs in the middle of their domain."""
     columns, rows = _NODES
     x = np.broadcast_to(schedule.domain.mean(axis=1), (rows, columns, len(schedule.inputs))).copy()
     x[..., schedule.inputs.index("speed")] = np.linspace(*_domain(schedule, "speed"), columns)
     x[..., schedule.inputs.index(other)] = np.linspace(*_domain(schedule, other), rows)[:, np.newaxis]
-    return _tuning(schedule, x.reshape(-1, x.shape[-1])).reshape(rows, columns, 3)
+    return outputs_of(schedule, x.reshape(-1, x.shape[-1])).reshape(rows, columns, 3)
 
 
 def _domain(schedule: Schedule, name: str) -> tuple[float, float]:
@@ -637,42 +591,48 @@ def _domain(schedule: Schedule, name: str) -> tuple[float, float]:
 
 def _mean_regret(regret: Array, x: Array, y: Array) -> Cells:
     cells = int(np.clip(math.sqrt(len(regret) / _PER_CELL), 2, _MOST_CELLS))
-    x_edges, y_edges = (np.histogram_bin_edges(values, cells) for values in (x, y))
-    count = np.histogram2d(y, x, (y_edges, x_edges))[0]
-    total = np.histogram2d(y, x, (y_edges, x_edges), weights=np.log(regret))[0]
-    return Cells(x_edges, y_edges, np.exp(np.divide(total, count, out=np.full(count.shape, np.nan), where=count > 0.0)))
+    return Cells(*binned_geometric_mean(regret, x, y, cells))
 
 
-def _geomean(values: Array) -> float:
-    return float(np.exp(np.log(values).mean()))
+def _ratios(comparison: Comparison, other: str) -> dict[str, Value]:
+    """By contender, the geometric mean of its cost over that of `other`; empty without that one."""
+    return {who: comparison.mean_ratio(who, other) for who in comparison.costs} if other in comparison.costs else {}
 
 
-def _ratios(ladder: Ladder, other: str) -> dict[str, Value]:
-    """By rung, the geometric mean of its cost over that of `other`; empty without that one."""
-    return {rung: ratio(ladder, rung, other).mean for rung in ladder.costs} if other in ladder.costs else {}
+def _judged(comparison: Comparison) -> list[str]:
+    """The contenders that need no hindsight, where there are such."""
+    return [each for each in comparison.costs if not comparison.role(each).hindsight] or [comparison.reference]
 
 
-def _judged(ladder: Ladder) -> list[str]:
-    """The rungs that need no hindsight, where there are such."""
-    return [rung for rung in ladder.costs if rung not in _UNKNOWABLE] or [ladder.reference]
+def _failed_cost(comparison: Comparison) -> str:
+    return f"{comparison.failure.distance**2:g}"
 
 
-def _runs(ladder: Ladder) -> int:
-    return len(ladder.costs[ladder.reference])
+def _failed(comparison: Comparison) -> str:
+    """When a run has failed."""
+    rule = comparison.failure
+    return (
+        f"Failed: more than {rule.distance:g} m off the reference, or spun (sideslip above "
+        f"{math.degrees(rule.sideslip):.0f} degrees), with any of the noise seeds."
+    )
+
+
+def _runs(comparison: Comparison) -> int:
+    return len(comparison.costs[comparison.reference])
 
 
 # -- words ------------------------------------------------------------------------------------------------------------
-def _label(rung: str) -> str:
-    return _RUNGS[rung][0] if rung in _RUNGS else rung[:1].upper() + rung[1:]
+def _label(who: str) -> str:
+    return _NAMES[who][0] if who in _NAMES else who[:1].upper() + who[1:]
 
 
-def _said(rung: str) -> str:
-    """A rung inside a sentence."""
-    return _RUNGS[rung][1] if rung in _RUNGS else rung
+def _said(who: str) -> str:
+    """A contender inside a sentence."""
+    return _NAMES[who][1] if who in _NAMES else who
 
 
 def _between(row: Mapping[str, Any]) -> str:
-    """The interval of a rung's regret, with as many digits as tell its ends apart."""
+    """The interval of a contender's regret, with as many digits as tell its ends apart."""
     low, high = row["regret_low"], row["regret_high"]
     digits = 3 if number(low) != number(high) else 4
     return f"{number(low, digits)} to {number(high, digits)}"
@@ -682,23 +642,23 @@ def _axis(name: str) -> str:
     return "{} ({})".format(*INPUTS[name])
 
 
-def _strokes(rungs: Iterable[str]) -> dict[str, style.Stroke]:
-    """The strokes of these rungs, alike in all pictures: the paper's recipe is dashed, in the colour of its model."""
-    given = dict.fromkeys(rungs)
-    return {rung: stroke for rung, stroke in style.strokes([*_RUNGS, *given]).items() if rung in given}
+def _strokes(contenders: Iterable[str]) -> dict[str, style.Stroke]:
+    """The strokes of these contenders, alike in all pictures: the paper's recipe is dashed, in its model's colour."""
+    given = dict.fromkeys(contenders)
+    return {who: stroke for who, stroke in style.strokes([*_NAMES, *given]).items() if who in given}
 
 
 # -- drawing ----------------------------------------------------------------------------------------------------------
 def _draw_distribution(ratios: Mapping[str, Array], strokes: Strokes, label: str, shares: str, axes: Axes) -> None:
     axes.axvline(1.0, color=style.MUTED, linewidth=0.7)
-    for rung, values in ratios.items():
+    for who, values in ratios.items():
         levels = np.linspace(0.0, 1.0, min(len(values), _CURVE) + 1)[1:]
         placed = np.quantile(values, levels, method="inverted_cdf")
         x, y = np.concatenate([placed[:1], placed]), 100.0 * np.concatenate([[0.0], levels])
-        axes.step(x, y, where="post", color=strokes[rung].colour, linestyle=strokes[rung].dash)
+        axes.step(x, y, where="post", color=strokes[who].colour, linestyle=strokes[who].dash)
     shown = [0.9, 1.1, *(np.clip(np.median(values), 0.1, _CEILING) for values in ratios.values())]
-    for rung in set(ratios) & set(MAPPED):
-        shown += np.clip(np.quantile(ratios[rung], (0.005, 0.97)), 0.05, 5.0 * _CEILING).tolist()
+    for who in set(ratios) & set(MAPPED):
+        shown += np.clip(np.quantile(ratios[who], (0.005, 0.97)), 0.05, 5.0 * _CEILING).tolist()
     style.logarithmic(axes, "x", (min(shown), max(shown)))
     axes.set_ylim(0.0, 103.0)
     axes.set_xlabel(label)
@@ -721,6 +681,6 @@ def _draw_learning(
 
 def _picture(caption: str, panels: Sequence[Panel], strokes: Strokes, file: str) -> Picture:
     """Panels with a common legend, side by side in print."""
-    key = [(_label(rung), stroke) for rung, stroke in strokes.items()]
+    key = [(_label(who), stroke) for who, stroke in strokes.items()]
     drawings = [panel.drawing() for panel in panels]
     return Picture(caption, drawings, key, file, printed(panels, len(panels), 2.8, key))

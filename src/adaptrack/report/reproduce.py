@@ -14,11 +14,11 @@ from typing import Any
 
 from matplotlib.axes import Axes
 
-from adaptrack.evaluate.paper import LEARNED, Reproduction
 from adaptrack.report import style
 from adaptrack.report.page import Cell, Drawing, Head, Item, Picture, Section, Table
 from adaptrack.report.runs import Run, write_report
 from adaptrack.report.words import listed, number, percent, title_of
+from adaptrack.studies.reproduce import LEARNED, Reproduction
 
 Row = Mapping[str, Any]
 
@@ -91,7 +91,8 @@ def in_short(made: Reproduction) -> list[str]:
     if made.quick:
         lead.append(
             f"This was a quick run: the models learned for fewer epochs, from {number(made.learned_from)} of the "
-            f"{number(made.conditions)} conditions. The figures that count are those of the run without --quick."
+            f"{number(made.operating_points)} operating points. The figures that count are those of the run without "
+            "--quick."
         )
     return lead
 
@@ -248,9 +249,9 @@ def _gain(made: Reproduction) -> Section:
     words = (
         "The same plant as released, without preview, every kind of moves with every way to tune. The constant of "
         f"the paper's table is 35/8/10/0.01 (Np/Nc/Q/R). The best constant of the data, {_tuning(made)}, has the "
-        f"lowest geometric mean of its cost over all conditions among the {constant.candidates} of a common library; "
-        f"that took {number(constant.runs)} closed-loop runs, and the swarms that the models learned from took "
-        f"{number(constant.swarm_runs)}. In hindsight: the tuning of the library that happens to be the best on that "
+        "lowest geometric mean of its cost over all operating points among the "
+        f"{constant.candidates} of a common library; that took {number(constant.runs)} closed-loop "
+        f"runs, and the swarms that the models learned from took {number(constant.swarm_runs)}. In hindsight: the tuning of the library that happens to be the best on that "
         "run."
     )
     items: list[Item] = [words, _ablation_picture(made.ablation), _ablation_table(made), _shares_table(made.shares)]
@@ -349,8 +350,8 @@ def _learning(made: Reproduction) -> Section:
         "What the models learned",
         heads,
         body,
-        "R² and RMSE on conditions that were held out; ceiling: a strong regressor on the same rows; dead: rows at "
-        "which the ReLU holds the output at the target's lowest value.",
+        "R² and RMSE on operating points that were held out; ceiling: a strong regressor on the same rows; dead: rows "
+        "at which the ReLU holds the output at the target's lowest value.",
     )
     inputs = [key for key in made.domain[0] if key not in ("scenario", "any")]
     domain = Table(
@@ -361,8 +362,8 @@ def _learning(made: Reproduction) -> Section:
     )
     ahead = constant.cost / constant.swarm_cost - 1.0
     words = (
-        f"Both models learn the best tunings of {number(made.learned_from)} conditions of the data set {made.data}. "
-        f"On those conditions the best constant costs {100 * ahead:.1f} % more than the best tuning of each condition "
+        f"Both models learn the best tunings of {number(made.learned_from)} operating points of the data set "
+        f"{made.data}. On those the best constant costs {100 * ahead:.1f} % more than the best tuning of each "
         "(geometric mean): about as much as perfect adaptation could gain there. The paper's table costs "
         f"{number(constant.standard_cost / constant.cost)} times the best constant."
     )
@@ -370,7 +371,7 @@ def _learning(made: Reproduction) -> Section:
 
 
 def _poorly(learning: Sequence[Row]) -> list[str]:
-    """A paragraph on the targets that the conditions do not explain, if there are any."""
+    """A paragraph on the targets that the operating points do not explain, if there are any."""
     ceilings = {row["slot"]: row["ceiling_r2"] for row in learning}
     noise = [slot for slot, r2 in ceilings.items() if r2 is not None and r2 < 0.1]
     if not noise:
@@ -398,8 +399,8 @@ def _elsewhere(made: Reproduction) -> list[Item]:
     )
     if made.data_test == "step":
         told += (
-            " The conditions of the data are steps of the reference, as in the paper; the tests are slow ramps. What "
-            "the models learn from the steps they bring to the ramps."
+            " The operating points of the data are steps of the reference, as in the paper; the tests are slow ramps. "
+            "What the models learn from the steps they bring to the ramps."
         )
     swapped = {
         f"with its {rows[0]['changed']}, {number(rows[0]['constant'])} instead of {number(rows[0]['table'])}": [
