@@ -417,12 +417,11 @@ class Fatal(Bowl):
 def test_a_run_that_ever_failed_is_driven_in_every_round():
     fatal = Fatal(same_everywhere)
     fatal.driven = []
-    improve(
-        beginning("constant"), INPUTS, DOMAIN, [(fatal, METHOD.improvement.revisited)], [Judge([1.0], [1.0])], rounds=4
-    )
-    few = [which for which in fatal.driven if len(which) == METHOD.improvement.revisited]
+    count = METHOD.improvement.revisited
+    improve(beginning("constant"), INPUTS, DOMAIN, [(fatal, count)], [Judge([1.0], [1.0])], rounds=4)
+    few = [which for which in fatal.driven if len(which) == count]
     assert all(5 in which for which in few)
-    assert len(set.union(*map(set, few))) > METHOD.improvement.revisited, "the others are drawn anew"
+    assert len(set.union(*map(set, few))) > count, "the others are drawn anew"
 
 
 @pytest.mark.compiled

@@ -194,7 +194,7 @@ def test_the_counts_of_a_run_set_are_those_of_its_schedule():
     assert (guarded["fallback"] == 40.0).all()
 
 
-# -- what is known of friction and wind ------------------------------------------------------------------------------------
+# -- what is known of friction and wind --------------------------------------------------------------------------------
 FRICTION, WIND = np.linspace(0.3, 0.9, 40), np.linspace(-20.0, 30.0, 40)
 
 
