@@ -413,5 +413,5 @@ def test_who_adapts_is_told_from_the_policy():
     assert Contender("a", controller(scheduler=lambda variables: START)).adapts
     assert Contender("a", [[29, 5, 1, 4e3], [30, 5, 1, 4e3]]).adapts
     assert not Contender("a", [[29, 5, 1, 4e3], [30, 5, 1, 4e3]], hindsight=True).adapts
-    assert not Contender("a", [[29, 5, 1, 4e3], [29, 5, 1, 4e3]]).adapts
+    assert not Contender("a", [29, 5, 1, 4e3]).adapts
     assert Role().adapts

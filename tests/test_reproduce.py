@@ -8,17 +8,19 @@ import re
 
 import numpy as np
 import pytest
+from adaptrack.evaluate import best_constant, lookup, paper, quality, reproduce, scheduler
 from hypothesis import given
 from hypothesis import strategies as st
 
 from adaptrack.errors import InvalidInput
-from adaptrack.evaluate import best_constant, lookup, paper, quality, reproduce, scheduler
 from adaptrack.learning.training import train
 from adaptrack.metrics import PUBLISHED
 from adaptrack.report import reproduce as page
 from adaptrack.report import style
 from adaptrack.schedule import Constant, check_scheduler
 from adaptrack.simulate import rollout_batch
+from adaptrack.studies import reproduce as paper
+from adaptrack.studies.reproduce import best_of_library, grid_lookup, reproduce
 from small_data import LIBRARY, SEARCH, small
 
 pytestmark = pytest.mark.compiled
@@ -48,7 +50,7 @@ def words_of(path):
 # -- what a data set gives --------------------------------------------------------------------------------------------
 def test_the_best_constant_has_the_lowest_geometric_mean_of_the_cost():
     data = small()
-    found = best_constant(data)
+    found = best_of_library(data)
     assert found.tuning.as_array() == pytest.approx(LIBRARY[1])
     assert found.cost == pytest.approx(1.1 * np.exp(np.log(data.costs).mean()))
     assert found.standard_cost / found.swarm_cost == pytest.approx(4.0)
@@ -58,17 +60,17 @@ def test_the_best_constant_has_the_lowest_geometric_mean_of_the_cost():
 def test_a_constant_that_loses_the_car_comes_after_one_that_does_not():
     landscape = small().landscape.copy()
     landscape[5, 1] = np.inf
-    found = best_constant(small(landscape=landscape))
+    found = best_of_library(small(landscape=landscape))
     assert found.tuning.as_array() == pytest.approx(LIBRARY[2])
     assert found.lost == 0
     landscape[6, :] = np.inf
-    assert best_constant(small(landscape=landscape)).lost == 1
-    assert math.isfinite(best_constant(small(landscape=landscape)).cost)
+    assert best_of_library(small(landscape=landscape)).lost == 1
+    assert math.isfinite(best_of_library(small(landscape=landscape)).cost)
 
 
 def test_the_look_up_table_holds_the_tuning_of_every_condition():
     data = small()
-    table = lookup(data)
+    table = grid_lookup(data)
     assert table.batch(data.conditions) == pytest.approx(data.tunings)
     check_scheduler(table)
 
@@ -76,16 +78,16 @@ def test_the_look_up_table_holds_the_tuning_of_every_condition():
 def test_a_look_up_table_needs_a_full_grid():
     data = small()
     with pytest.raises(InvalidInput, match="do not fill a grid"):
-        lookup(data.rows(np.arange(len(data)) != 7))
+        grid_lookup(data.rows(np.arange(len(data)) != 7))
     twice = np.arange(len(data))
     twice[7] = 8
     with pytest.raises(InvalidInput, match="do not fill a grid"):
-        lookup(data.rows(twice))
+        grid_lookup(data.rows(twice))
 
 
 @pytest.mark.parametrize("which", [("nn", "paper"), ("anfis", "paper"), ("nn", "ratio")])
 def test_a_learned_schedule_is_admitted_and_stays_within_the_bounds_of_the_search(trained, which):
-    schedule = scheduler(trained[which], small())
+    schedule = trained_schedule(trained[which], small())
     check_scheduler(schedule)
     wild = small().conditions * [3.0, 9.0, 1.0, 5.0]
     tunings = schedule.batch(wild)
@@ -98,19 +100,19 @@ def test_a_learned_schedule_is_admitted_and_stays_within_the_bounds_of_the_searc
 
 def test_clamps_replace_the_bounds_where_they_are_finite(trained):
     data, fitted = small(), trained["nn", "paper"]
-    slots = scheduler(fitted, data, {"Np": (9, math.inf), "Q": (0.75, 20.0)}).slots
+    slots = trained_schedule(fitted, data, {"Np": (9, math.inf), "Q": (0.75, 20.0)}).slots
     bounds = {name: (slot.low, slot.high) for name, slot in slots.items()}
     assert bounds == {"Np": (9.0, 55.0), "Nc": (1.0, 18.0), "Q": (0.75, 20.0), "R": (0.001, 0.1)}
 
 
 def test_a_data_set_that_does_not_tell_its_search_is_refused(trained):
     with pytest.raises(InvalidInput, match="bounds of its search"):
-        scheduler(trained["nn", "paper"], small(provenance={"name": "mute"}))
+        trained_schedule(trained["nn", "paper"], small(provenance={"name": "mute"}))
 
 
 def test_quality_tells_the_size_of_every_function(trained):
     for (model, _), fitted in trained.items():
-        for row in quality(fitted):
+        for row in fitted.quality:
             assert row["parameters"] > 0
             assert (row["rules"] is None) == (model == "nn")
             assert (row["dead_share"] is None) == (model == "anfis")
@@ -170,10 +172,10 @@ def test_all_that_was_measured_is_strict_json(made):
 
 
 def test_clipped_steps_are_those_that_the_scheduler_counts(made):
-    contender = paper.Contender("lookup", paper.FAST, schedule=lookup(small()))
+    controller = paper.PaperController("lookup", paper.FAST, schedule=grid_lookup(small()))
     plant = paper.SingleTrack(paper.load_vehicle("paper"), "constant-stiffness")
     for test in TESTS:
-        counted = rollout_batch(plant, contender.mpc(preview=False), paper.load_scenario(test)).scheduler
+        counted = rollout_batch(plant, controller.mpc(preview=False), paper.load_scenario(test)).scheduler
         (row,) = [
             row
             for row in made.rows

@@ -57,7 +57,7 @@ class Contender:
             return any(not isinstance(slot.function, float | int) for slot in self.policy.slots.values())
         if hasattr(self.policy, "step"):
             return getattr(self.policy, "scheduler", None) is not None
-        return len(np.unique(np.atleast_2d(np.asarray(self.policy, dtype=float)), axis=0)) > 1
+        return np.ndim(self.policy) == 2 and len(np.asarray(self.policy)) > 1
 
 
 def _check_tunings(name: str, policy: ArrayLike) -> None:
