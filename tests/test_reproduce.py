@@ -8,10 +8,10 @@ import re
 
 import numpy as np
 import pytest
-from adaptrack.evaluate import best_constant, lookup, paper, quality, reproduce, scheduler
 from hypothesis import given
 from hypothesis import strategies as st
 
+from adaptrack.adaptation.recipes import trained_schedule
 from adaptrack.errors import InvalidInput
 from adaptrack.learning.training import train
 from adaptrack.metrics import PUBLISHED
@@ -57,18 +57,18 @@ def test_the_best_constant_has_the_lowest_geometric_mean_of_the_cost():
     assert (found.runs, found.swarm_runs) == (72 * 4, 72 * 300)
 
 
-def test_a_constant_that_loses_the_car_comes_after_one_that_does_not():
+def test_a_constant_that_fails_comes_after_one_that_does_not():
     landscape = small().landscape.copy()
     landscape[5, 1] = np.inf
     found = best_of_library(small(landscape=landscape))
     assert found.tuning.as_array() == pytest.approx(LIBRARY[2])
-    assert found.lost == 0
+    assert found.failed == 0
     landscape[6, :] = np.inf
-    assert best_of_library(small(landscape=landscape)).lost == 1
+    assert best_of_library(small(landscape=landscape)).failed == 1
     assert math.isfinite(best_of_library(small(landscape=landscape)).cost)
 
 
-def test_the_look_up_table_holds_the_tuning_of_every_condition():
+def test_the_look_up_table_holds_the_tuning_of_every_operating_point():
     data = small()
     table = grid_lookup(data)
     assert table.batch(data.conditions) == pytest.approx(data.tunings)
@@ -221,6 +221,29 @@ def test_a_schedule_that_says_the_tables_constant_makes_adaptation_nothing():
     for row in paper.shares(rows):
         assert row["adaptation"] == pytest.approx(1.0)
         assert row["pole_share"] == pytest.approx(1.0)
+
+
+def test_an_experiment_that_was_stopped_goes_on_with_the_first_stage_that_is_missing(made, tmp_path, monkeypatch):
+    def equal(one, other):
+        timed = {"seconds", "training_seconds", "learning"}
+        one, other = one.as_json(), other.as_json()
+        assert {key: one[key] for key in one.keys() - timed} == {key: other[key] for key in other.keys() - timed}
+
+    first = reproduce(small(), quick=True, folder=tmp_path)
+    equal(first, made)
+    kept = {path.name for path in (tmp_path / "stages").iterdir()}
+    assert kept == {
+        "training-nn.json", "training-anfis.json", "driving-both-configurations.json", "taking-the-gain-apart.json",
+        "swapping-numbers.json",
+    }  # fmt: skip
+    (tmp_path / "stages" / "swapping-numbers.json").unlink()
+    for name in ("train", "measure", "ablation"):
+        monkeypatch.setattr(paper, name, lambda *given, name=name, **more: pytest.fail(f"{name} was called"))
+    heard = []
+    again = reproduce(small(), quick=True, folder=tmp_path, progress=lambda *at: heard.append(at))
+    equal(again, first)
+    assert again.learning == first.learning, "the times of the training, too"
+    assert heard == [("swapping numbers", 0, 6), ("timing steps", 1, 6)]
 
 
 # -- the gain, taken apart --------------------------------------------------------------------------------------------
