@@ -250,9 +250,9 @@ def _gain(made: Reproduction) -> Section:
         "The same plant as released, without preview, every kind of moves with every way to tune. The constant of "
         f"the paper's table is 35/8/10/0.01 (Np/Nc/Q/R). The best constant of the data, {_tuning(made)}, has the "
         "lowest geometric mean of its cost over all operating points among the "
-        f"{constant.candidates} of a common library; that took {number(constant.runs)} closed-loop "
-        f"runs, and the swarms that the models learned from took {number(constant.swarm_runs)}. In hindsight: the tuning of the library that happens to be the best on that "
-        "run."
+        f"{constant.candidates} of a common library; that took {number(constant.runs)} closed-loop runs, and the "
+        f"swarms that the models learned from took {number(constant.swarm_runs)}. In hindsight: the tuning of the "
+        "library that happens to be the best on that run."
     )
     items: list[Item] = [words, _ablation_picture(made.ablation), _ablation_table(made), _shares_table(made.shares)]
     told = pole_or_adaptation(made.shares)
