@@ -56,10 +56,10 @@ def write(folder: Path, pond: dict[str, Any] | None = None, **changes: Any) -> P
     """The file of an adaptation called tiny, its campaign beside it as pond; changes of a table are merged."""
     folder.mkdir(parents=True, exist_ok=True)
     write_toml(folder / "pond.toml", CAMPAIGN | (pond or {}))
-    told = dict(ADAPTATION)
+    values = dict(ADAPTATION)
     for key, value in changes.items():
-        told[key] = told[key] | value if isinstance(value, dict) and key in told else value
-    write_toml(folder / "tiny.toml", {key: value for key, value in told.items() if value is not None})
+        values[key] = values[key] | value if isinstance(value, dict) and key in values else value
+    write_toml(folder / "tiny.toml", {key: value for key, value in values.items() if value is not None})
     return folder / "tiny.toml"
 
 

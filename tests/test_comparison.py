@@ -260,9 +260,9 @@ def test_on_its_choice_seeds_the_optimum_is_never_worse_than_any_known_tuning(rn
     def short(seeds):
         return Objective(SingleTrack(CAR), controller(), "lane-change", "road", tuple(seeds), duration=2.5)
 
-    told = []
+    heard = []
     options = {"swarm": SwarmSettings(particles=6, generations=2), "known": known, "seed": 4}
-    found = optimum(short, points, SPACE, **options, threads=2, progress=lambda *at: told.append(at))
+    found = optimum(short, points, SPACE, **options, threads=2, progress=lambda *at: heard.append(at))
     judge = short(CHOICE_SEEDS)
     better = 0
     for point, tuning in zip(points, found, strict=True):
@@ -272,7 +272,7 @@ def test_on_its_choice_seeds_the_optimum_is_never_worse_than_any_known_tuning(rn
         better += cost < judge.costs(point, known).min()
     assert better > 0, "the swarms found something"
     np.testing.assert_array_equal(found, optimum(short, points, SPACE, **options, threads=1))
-    assert told == [("optimum", 0, 3)]
+    assert heard == [("optimum", 0, 3)]
 
 
 # -- constants --------------------------------------------------------------------------------------------------------

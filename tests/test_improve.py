@@ -51,7 +51,7 @@ def run_set(scenarios=None, plant=SingleTrack, **options):
 
 
 def three_costs(cost):
-    """Costs without a shift, and with each output shifted up and down, of stretches that cost cost(shifts) (n,)."""
+    """Costs without a shift, and with each output shifted up and down, of segments that cost cost(shifts) (n,)."""
     base = cost(np.zeros(3))
     up, down = (np.stack([cost(sign * by) for by in np.diag(SHIFT)], axis=1) for sign in (1.0, -1.0))
     return base, up, down
@@ -122,7 +122,7 @@ def test_an_unknown_cost_weighs_nothing_and_says_so_of_its_own_output_only(unkno
 
 # -- the landscape ----------------------------------------------------------------------------------------------------
 class Bowl(RunSet):
-    """Stretches whose cost is a parabola around a tuning that their condition prefers; nothing is driven."""
+    """Segments whose cost is a parabola around a tuning that their speed and friction prefer; nothing is driven."""
 
     def __init__(self, best, runs=48, segments=3, noise=0.3, seed=0, scale=None):
         rng = np.random.default_rng(seed)

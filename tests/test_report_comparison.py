@@ -75,7 +75,7 @@ EVERYTHING = {
 NOTHING = {key: {} for key in ("operating_points", "drives", "tests", "schedules", "histories")}
 
 
-def told(comparison):
+def rows_of(comparison):
     return {row["contender"]: row for row in comparison.rows()}
 
 
@@ -114,19 +114,19 @@ def test_the_cheapest_rung_is_best_but_for_those_with_hindsight():
 def test_rungs_that_the_runs_cannot_tell_apart_are_level():
     alike = compared({"nn": 1.1, "anfis": 1.1, "optimum": 1.0}, spread=0.2)
     assert alike.ratio("nn", "anfis").verdict == "level"
-    said = standing(alike, told(alike), "operating point")
+    said = standing(alike, rows_of(alike), "operating point")
     assert re.search("(NN|ANFIS)-MPC is best, level with (ANFIS|NN)-MPC.", said)
 
 
 def test_the_words_say_that_nn_loses_when_it_loses():
     comparison = compared(REGRETS | {"nn": 4.0})
-    said = standing(comparison, told(comparison), "operating point")
+    said = standing(comparison, rows_of(comparison), "operating point")
     assert "ANFIS-MPC is best." in said
     mean, over = (comparison.ratio("nn", other).mean for other in ("optimum", "best constant"))
     assert (
         f"NN-MPC costs {number(mean)} times the optimum of each operating point, {number(over)} times the best" in said
     )
-    said = page.against_constant(comparison, told(comparison), "operating point")
+    said = page.against_constant(comparison, rows_of(comparison), "operating point")
     assert re.fullmatch(
         r"Not every adaptive .*on these operating points: NN-MPC costs more \(1\.\d\d times, .*\)\.", said
     )
@@ -142,14 +142,14 @@ def test_the_words_say_that_every_adaptive_rung_wins_only_when_it_does():
 
 def test_the_best_constant_is_called_best_when_it_is():
     comparison = compared(DRIVES | {"nn": 1.3, "anfis": 1.4, "speed only": 1.2}, reference="best constant")
-    said = standing(comparison, told(comparison), "drive")
+    said = standing(comparison, rows_of(comparison), "drive")
     assert "the best constant is best." in said
     assert f"ANFIS-MPC costs {number(comparison.ratio('anfis', 'best constant').mean)} times the best constant" in said
 
 
 def test_the_numbers_in_words_are_those_of_the_rows():
     comparison = compared(REGRETS)
-    rows = told(comparison)
+    rows = rows_of(comparison)
     said = standing(comparison, rows, "operating point")
     assert f"it costs {number(rows['nn']['regret_geomean'])} times the optimum of each operating point" in said
     low, high = (number(rows["nn"][f"regret_{end}"]) for end in ("low", "high"))
@@ -162,7 +162,7 @@ def test_a_sentence_has_the_interval_of_the_table():
     """And it is nearly that of a normal mean."""
     comparison = compared({"nn": 0.5, "best constant": 1.0}, 400, "best constant", spread=0.2)
     found = comparison.ratio("nn", "best constant")
-    row = told(comparison)["nn"]
+    row = rows_of(comparison)["nn"]
     assert found == (row["regret_geomean"], row["regret_low"], row["regret_high"])
     logs = np.log(comparison.regret("nn"))
     half = 1.96 * logs.std(ddof=1) / 20.0
@@ -171,10 +171,10 @@ def test_a_sentence_has_the_interval_of_the_table():
 
 def test_failed_runs_are_counted_and_named():
     comparison = compared(REGRETS, failed={"standard": 3, "nn": 1})
-    said = failures(comparison, told(comparison), "operating point")
+    said = failures(comparison, rows_of(comparison), "operating point")
     assert said == "Failed: the standard MPC in 3 and NN-MPC in 1 of 40 operating points; no other."
     comparison = compared(REGRETS)
-    assert failures(comparison, told(comparison), "drive") == "No controller failed in any of 40 drives."
+    assert failures(comparison, rows_of(comparison), "drive") == "No controller failed in any of 40 drives."
 
 
 def test_imperfect_knowledge_is_told_by_its_costs():
@@ -244,7 +244,7 @@ def test_every_picture_is_described_in_words_with_numbers(report):
 
 
 def test_the_tables_hold_the_rows_and_mark_the_best_and_the_lost(report):
-    row = told(EXACT_POINTS)["nn"]
+    row = rows_of(EXACT_POINTS)["nn"]
     cells = cells_of(report, "Regret on single operating points", "NN-MPC")
     assert cells[0] == (number(row["regret_geomean"]), "strong")
     assert [text for text, _ in cells[2:6]] == [number(row[f"regret_{key}"]) for key in ("p50", "p90", "p99", "worst")]
@@ -254,7 +254,7 @@ def test_the_tables_hold_the_rows_and_mark_the_best_and_the_lost(report):
     )
     drives = EXACT_DRIVES
     cells = cells_of(report, "Cost of long drives", "ANFIS-MPC")
-    assert cells[0][0] == number(told(drives)["anfis"]["cost_geomean"])
+    assert cells[0][0] == number(rows_of(drives)["anfis"]["cost_geomean"])
     assert cells[1][0] == number(drives.ratio("anfis", "best constant").mean)
     assert cells[5][0] == number(drives.ratio("anfis", "speed only").mean)
     assert not any(kind for _, kind in cells_of(report, "Cost of long drives", "Best constant of each drive"))
@@ -286,15 +286,15 @@ def table_of(path, caption):
 def test_drives_that_are_known_otherwise_stand_beside_the_best_constant(report):
     told_otherwise = EVERYTHING["drives"]
     rows = table_of(report, "Imperfect knowledge of friction and wind: drives")
-    assert list(rows) == ["NN-MPC", "ANFIS-MPC"], "who looks at neither is not told"
+    assert list(rows) == ["NN-MPC", "ANFIS-MPC"], "who looks at neither is not shown"
     assert list(rows["NN-MPC"]) == ["Exact", "Noisy", "Withheld"]
     for name, comparison in told_otherwise.items():
-        over_constant, p90, worst, over_exact, lost = rows["NN-MPC"][name.capitalize()]
-        row = told(comparison)["nn"]
+        over_constant, p90, worst, over_exact, failed = rows["NN-MPC"][name.capitalize()]
+        row = rows_of(comparison)["nn"]
         assert [over_constant, p90, worst] == [number(row[f"regret_{key}"]) for key in ("geomean", "p90", "worst")]
         both = comparison.costs["nn"], told_otherwise["exact"].costs["nn"]
         assert over_exact == number(float(np.exp(np.log(both[0] / both[1]).mean())))
-        assert lost == str(row["failures"])
+        assert failed == str(row["failures"])
     assert [rows["NN-MPC"][name][-1] for name in rows["NN-MPC"]] == ["0", "2", "3"]
     first, last = (rows["NN-MPC"][name][0] for name in ("Exact", "Withheld"))
     assert f"on these drives, NN-MPC costs {first} (exact) and {last} (withheld) times the best" in words_of(report)
@@ -304,7 +304,7 @@ def test_operating_points_keep_a_table_of_their_own_beside_that_of_the_drives(re
     rows = table_of(report, "Imperfect knowledge of friction and wind: operating points")
     comparison = EVERYTHING["operating_points"]["biased low"]
     assert list(rows) == ["NN-MPC"]
-    assert rows["NN-MPC"]["Biased low"][0] == number(told(comparison)["nn"]["regret_geomean"])
+    assert rows["NN-MPC"]["Biased low"][0] == number(rows_of(comparison)["nn"]["regret_geomean"])
     assert rows["NN-MPC"]["Biased low"][3] == number(comparison.ratio("nn", "best constant").mean)
 
 
@@ -325,7 +325,7 @@ def test_the_words_and_tables_do_without_any_rung(missing, monkeypatch):
     monkeypatch.setattr(page, "MAPPED", ())
     kept = {"nn": 1.1} if missing.startswith("every") else {r: f for r, f in REGRETS.items() if r != missing}
     comparison = compared(kept, reference=next(reversed(kept)))
-    rows = told(comparison)
+    rows = rows_of(comparison)
     assert standing(comparison, rows, "operating point").startswith("On 40 operating points that nobody trained on, ")
     section = page._on_operating_points(page._Compared(comparison, rows, "operating point"))
     table = next(item for item in section.items if isinstance(item, page.Table))
@@ -346,7 +346,7 @@ def test_a_page_of_one_rung_and_a_page_of_nothing_are_pages(tmp_path):
 
 def test_a_rung_of_ones_own_is_compared_like_the_others():
     comparison = compared({"best constant": 1.0, "mine": 0.7}, 20, "best constant")
-    said = standing(comparison, told(comparison), "drive")
+    said = standing(comparison, rows_of(comparison), "drive")
     assert f"mine is best. In the geometric mean it costs {number(comparison.rows()[1]['regret_geomean'])}" in said
     assert comparison.adaptive == ["mine"]
 

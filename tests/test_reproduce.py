@@ -165,10 +165,10 @@ def test_with_the_same_moves_all_but_the_controller_as_released_have_pulses(made
 
 
 def test_all_that_was_measured_is_strict_json(made):
-    told = json.loads(json.dumps(made.as_json(), allow_nan=False))
-    assert told.keys() >= {"rows", "ablation", "shares", "learning", "domain", "constant", "seconds", "quick"}
-    assert len(told["learning"]) == 8
-    assert told["constant"]["tuning"] == {"Np": 50, "Nc": 3, "Q": 0.5, "R": 0.05}
+    found = json.loads(json.dumps(made.as_json(), allow_nan=False))
+    assert found.keys() >= {"rows", "ablation", "shares", "learning", "domain", "constant", "seconds", "quick"}
+    assert len(found["learning"]) == 8
+    assert found["constant"]["tuning"] == {"Np": 50, "Nc": 3, "Q": 0.5, "R": 0.05}
 
 
 def test_clipped_steps_are_those_that_the_scheduler_counts(made):
@@ -249,10 +249,10 @@ def test_an_experiment_that_was_stopped_goes_on_with_the_first_stage_that_is_mis
 # -- the gain, taken apart --------------------------------------------------------------------------------------------
 def corners(standard, pole_only, adapted_only, both):
     moves = ("laguerre 0.95", "laguerre 0.75")
-    told = {"table-constant": (standard, pole_only), "nn": (adapted_only, both), "anfis": (adapted_only, both)}
+    found = {"table-constant": (standard, pole_only), "nn": (adapted_only, both), "anfis": (adapted_only, both)}
     return [
         {"scenario": "test", "moves": each, "controller": name, "mse": mse}
-        for name, pair in told.items()
+        for name, pair in found.items()
         for each, mse in zip(moves, pair, strict=True)
     ]
 
@@ -307,7 +307,7 @@ def test_the_page_tells_one_winner_from_one_loser(made):
     )
 
 
-def test_a_lost_run_never_wins(made):
+def test_a_failed_run_never_wins(made):
     rows = [
         {**row, "mse": 1e-9, "lost": True} if row["controller"] == "nn" and not row["preview"] else row
         for row in rigged(made, anfis=2.0, best_constant=1.0).rows
@@ -316,11 +316,11 @@ def test_a_lost_run_never_wins(made):
     assert "NN-MPC" not in page.winners(rows, "released").split("; with preview")[0]
 
 
-def test_a_lost_run_is_told_with_its_cause():
+def test_a_failed_run_is_named_with_its_cause():
     row = {"configuration": "released", "scenario": TESTS[0], "controller": "lookup", "preview": False, "lost": True,
            "lost_at": 3.04, "lost_because": "spun"}  # fmt: skip
-    assert page.losses([row, {**row, "lost": False}], "released") == [
-        "Lost: the look-up table on the triple lane change without preview, at 3.0 s; the vehicle spun."
+    assert page.failures([row, {**row, "lost": False}], "released") == [
+        "Failed: the look-up table on the triple lane change without preview, at 3.0 s; the vehicle spun."
     ]
 
 

@@ -167,8 +167,8 @@ def test_the_scheduling_variables_of_a_run_set_are_what_the_scheduler_sees():
     scenario = random_drive(11, 6.0)
     seen = []
 
-    def watch(condition):
-        seen.append(condition)
+    def watch(variables):
+        seen.append(variables)
         return START
 
     simulate(SingleTrack(CAR), controller(scheduler=watch), scenario, profile="road")
@@ -235,14 +235,14 @@ def test_noise_is_relative_white_and_independent_for_friction_and_wind():
     assert abs(np.corrcoef(*errors)[0, 1]) < 0.03
 
 
-def test_what_is_told_depends_on_its_seed_alone():
+def test_what_is_known_depends_on_its_seed_alone():
     one, again, other = (Perception(noise=0.1).told(FRICTION, WIND, 0.05, seed) for seed in (1, 1, 2))
     np.testing.assert_array_equal(one, again)
     assert (one[0] != other[0]).all()
     assert (one[1] != other[1]).all()
 
 
-def test_friction_that_is_told_is_always_positive():
+def test_friction_that_is_known_is_always_positive():
     friction, _ = Perception(noise=3.0).told(np.full(500, 0.5), np.zeros(500), 0.05, 0)
     assert friction.min() == 0.01
 
@@ -308,15 +308,15 @@ def test_an_estimator_tells_the_scheduler_of_a_batch_the_same_as_from_python(pla
     np.testing.assert_allclose(trace[:, STATES + loop.COMMAND], slow.command, rtol=0, atol=1e-9)
     assert np.ptp(estimates, axis=0).min() > 0.05
     true = scenario.sample(ROAD.period).friction.mean(axis=1)
-    assert np.abs(estimates[:, 0] - true[:-1]).max() > 0.05, "it is not the truth that was told"
+    assert np.abs(estimates[:, 0] - true[:-1]).max() > 0.05, "it is not the truth that the schedule knows"
 
 
 @pytest.mark.compiled
 def test_the_runs_of_a_batch_have_estimators_of_their_own():
     scenarios = [random_drive(seed, 3.0) for seed in range(6, 10)]
-    told = FrictionWindEstimator.of(SingleTrack(CAR))
-    together = run_set(scenarios, known_as=told).drive(by_friction(), [1])
-    alone = [run_set([each], known_as=told).drive(by_friction(), [1])[0] for each in scenarios]
+    known = FrictionWindEstimator.of(SingleTrack(CAR))
+    together = run_set(scenarios, known_as=known).drive(by_friction(), [1])
+    alone = [run_set([each], known_as=known).drive(by_friction(), [1])[0] for each in scenarios]
     np.testing.assert_array_equal(together, alone)
     assert (together != run_set(scenarios).drive(by_friction(), [1])).all()
 
@@ -356,8 +356,8 @@ def test_a_controller_in_python_is_driven_run_by_run():
 def test_an_mpc_costs_the_same_compiled_and_in_python_and_may_be_another_than_that_of_the_runs():
     runs, other = run_set(lane_changes(2)), controller(Tuning(40, 6, 1.0, 9000.0))
     np.testing.assert_array_equal(runs.drive(other, [1]), runs.drive(other.tuning, [1]))
-    told = controller(other.tuning, scheduler=lambda variables: other.tuning)
-    np.testing.assert_allclose(runs.drive(told, [1]), runs.drive(other, [1]), rtol=1e-9)
+    in_python = controller(other.tuning, scheduler=lambda variables: other.tuning)
+    np.testing.assert_allclose(runs.drive(in_python, [1]), runs.drive(other, [1]), rtol=1e-9)
 
 
 @pytest.mark.compiled

@@ -455,8 +455,8 @@ def test_the_map_covers_the_box_driving_straight_and_counts_slow_loops_as_nearer
     asked = {}
     axes = tuple(np.array(axis) for axis in ([3.0, 5.9, 6.0, 20.0], [0.3, 1.0], [10.0, 20.0], [1.0, 2.0], [2.0, 5.0]))
 
-    def flat(plant, mpc, profile, **told):
-        asked.update(told, profile=profile)
+    def flat(plant, mpc, profile, **options):
+        asked.update(options, profile=profile)
         return axes, np.full([len(axis) for axis in axes], 0.5)
 
     monkeypatch.setattr(recipes, "loop_map", flat)
@@ -479,7 +479,7 @@ def check_guard(guarded, bare, rng):
     def coordinates(tunings):
         return np.column_stack([tunings[:, :2], np.log10(tunings[:, 3] / tunings[:, 2])])
 
-    def nearness(tunings, at=rows[:, [0, 2]]):
+    def peak(tunings, at=rows[:, [0, 2]]):
         return near(known, np.column_stack([at, coordinates(tunings)]))
 
     columns = [Condition._fields.index(name) for name in guarded.inputs]
@@ -490,9 +490,9 @@ def check_guard(guarded, bare, rng):
     off_reference = np.zeros_like(far) if limit is None else np.abs(rows[:, 6]) > limit * GRAVITY * rows[:, 2]
     held, untouched = (given == safe).all(axis=1), (given == free).all(axis=1)
     assert held[far | off_reference].all()
-    assert untouched[~far & ~off_reference & (nearness(free) < known.limit - 1e-9)].all()
+    assert untouched[~far & ~off_reference & (peak(free) < known.limit - 1e-9)].all()
     assert min(untouched.sum(), held.sum(), far.sum()) > 20
-    assert nearness(given)[~held].max() <= known.limit + 1e-9
+    assert peak(given)[~held].max() <= known.limit + 1e-9
     ends = np.sort(np.stack([coordinates(free), np.broadcast_to(coordinates(safe[None]), (len(rows), 3))]), axis=0)
     between = (coordinates(given) >= ends[0] - 1e-9) & (coordinates(given) <= ends[1] + 1e-9)
     assert between.all()
@@ -503,7 +503,7 @@ def check_guard(guarded, bare, rng):
     assert (given[:, 2] == 1.0).all()
     assert 1.0 - Method().constants.fallback_margin < known.limit < 1.0
     corners = np.array(list(itertools.product(*known.table.axes[:2])))
-    assert nearness(np.tile(safe, (len(corners), 1)), corners).max() <= 1.0 - Method().constants.fallback_margin + 1e-9
+    assert peak(np.tile(safe, (len(corners), 1)), corners).max() <= 1.0 - Method().constants.fallback_margin + 1e-9
 
 
 @pytest.mark.compiled

@@ -146,7 +146,9 @@ class RunSet:
 
     def _simulated(self, controller: Controller, seed: int, which: Indices) -> Array:
         if self.known_as is not None:
-            raise InvalidInput(f"controller {controller.name!r} runs in Python: it can only be told friction exactly.")
+            raise InvalidInput(
+                f"controller {controller.name!r} runs in Python, without a perception: leave out known_as."
+            )
         return np.array([self._simulated_cost(controller, self.scenarios[i], seed) for i in which])
 
     def _simulated_cost(self, controller: Controller, scenario: Scenario, seed: int) -> float:

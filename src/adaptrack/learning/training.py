@@ -1,7 +1,7 @@
-"""From a data set of tuned conditions to models of the tuning: the paper's section IV, with a hold-out.
+"""From a data set of tuned operating points to models of the tuning: the paper's section IV, with a hold-out.
 
-One model for each slot of the tuning, each of the four inputs of a condition. What is held out trains nothing and
-chooses nothing; a condition and its left-right twin are always on the same side.
+One model for each slot of the tuning, each of the four numbers of an operating point. What is held out trains nothing
+and chooses nothing; an operating point and its left-right twin are always on the same side.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ class Trained:
     targets: str
     """"paper" or "ratio", see `TARGETS`"""
     inputs: tuple[str, ...]
-    """the D columns of a condition that the models see, in this order"""
+    """the D columns of an operating point that the models see, in this order"""
     estimators: Mapping[str, MLP | ANFIS]
     """fitted, by slot"""
     domain: Array
@@ -95,19 +95,20 @@ class Trained:
 def train(
     dataset: DataSet, model: str = "nn", targets: str = "paper", *, holdout: float = 0.2, seed: int = 0, **options: Any
 ) -> Trained:
-    """Learn the best tuning of each condition from a data set, one model per slot.
+    """Learn the best tuning of each operating point from a data set, one model per slot.
 
-    model: "nn" for networks, "anfis" for fuzzy systems; targets: see `TARGETS`; holdout: share of the conditions that
-    is held out; seed: of the hold-out and of the models; options: parameters of `MLP` or `ANFIS`, whose defaults are
-    the paper's. Conditions where every tuning lost the car teach nothing and are left out.
+    model: "nn" for networks, "anfis" for fuzzy systems; targets: see `TARGETS`; holdout: share of the operating
+    points that is held out; seed: of the hold-out and of the models; options: parameters of `MLP` or `ANFIS`, whose
+    defaults are the paper's. Points where every tuning fails teach nothing and are left out.
 
     The ceiling is what boosted trees reach on the same hold-out: a strong learner of another kind that is shown every
-    condition from its left side, and never the row that it predicts (5-fold cross-validation, see `dataset.boosting`).
+    operating point from its left side, and never the row that it predicts (5-fold cross-validation, see
+    `dataset.boosting`).
 
     Raises
     ------
     InvalidInput
-        For an unknown model, target or option, an option that is not allowed, or too few conditions for a hold-out.
+        For an unknown model, target or option, an option that is not allowed, or too few points for a hold-out.
     """
     for what, given, known in (("model", model, MODELS), ("targets", targets, TARGETS)):
         if given not in known:
@@ -157,7 +158,7 @@ def _size_and_function(made: MLP | ANFIS) -> tuple[dict[str, Any], Network | Sug
 
 
 def target(dataset: DataSet, slot: str) -> Array:
-    """(n,) what a slot should be on each condition, see `TARGETS`."""
+    """(n,) what a slot should be on each operating point, see `TARGETS`."""
     if slot == "log10_ratio":
         return np.log10(dataset.ratios)
     return dataset.tunings[:, TARGETS["paper"].index(slot)]
@@ -170,9 +171,9 @@ def score(y: Array, predicted: Array) -> tuple[float, float]:
 
 
 def ceiling(x: Array, y: Array, x_held: Array, y_held: Array, seed: int) -> Array:
-    """(m,) what boosted trees predict at the held-out conditions x_held (m, 4), see `train`."""
-    conditions = np.vstack((x, x_held))
-    families = fold(conditions)  # one row of each family: twins would tell the trees the answer
+    """(m,) what boosted trees predict at the held-out operating points x_held (m, 4), see `train`."""
+    points = np.vstack((x, x_held))
+    families = fold(points)  # one row of each family: twins would tell the trees the answer
     once = families.representatives
-    trees = cross_validate(canonical(conditions[once]), np.concatenate((y, y_held))[once], seed=seed)
+    trees = cross_validate(canonical(points[once]), np.concatenate((y, y_held))[once], seed=seed)
     return trees.predictions[families.family[len(x) :]]

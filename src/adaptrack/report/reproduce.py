@@ -111,9 +111,9 @@ def agreement(rows: Iterable[Row], configuration: str) -> str:
         return "None of these runs compares with the paper's."
     count = f"{len(near) or 'none'} of the {len(near) + len(far)}" if far else f"all {len(near)}"
     title = CONFIGURATIONS[configuration][0]
-    told = f"{title}: {count} mean square errors of the paper come out within {100 * AGREES:g} %"
+    sentence = f"{title}: {count} mean square errors of the paper come out within {100 * AGREES:g} %"
     outliers = [f"{NAMES[row['controller']]}, {_test(row['scenario'])}: {number(row['ratio'])} times" for row in far]
-    return f"{told}; not {listed(outliers)} the paper's." if outliers else f"{told}."
+    return f"{sentence}; not {listed(outliers)} the paper's." if outliers else f"{sentence}."
 
 
 def pole_or_adaptation(shares: Sequence[Row]) -> str:
@@ -150,19 +150,19 @@ def against(rows: Iterable[Row], configuration: str, other: str) -> str:
         for model in LEARNED
     }
     if not any(won.values()):
-        told = (
+        sentence = (
             f"neither NN-MPC nor ANFIS-MPC tracks better than {_said(other)} on {_tests(found, found, 'either test')}"
         )
     elif all(len(tests) == len(found) for tests in won.values()):
-        told = f"both NN-MPC and ANFIS-MPC track better than {_said(other)} on {_tests(found, found)}"
+        sentence = f"both NN-MPC and ANFIS-MPC track better than {_said(other)} on {_tests(found, found)}"
     else:
         nn, anfis = (_tests(won[model], found) for model in LEARNED)
-        told = f"NN-MPC tracks better than {_said(other)} on {nn}, ANFIS-MPC on {anfis}"
+        sentence = f"NN-MPC tracks better than {_said(other)} on {nn}, ANFIS-MPC on {anfis}"
     numbers = [
         f"{listed([_mse(runs[model]) for model in LEARNED])} against {_mse(runs[other])} m² on the {_test(test)}"
         for test, runs in found.items()
     ]
-    return f"{told} ({'; '.join(numbers)})."
+    return f"{sentence} ({'; '.join(numbers)})."
 
 
 def winners(rows: Sequence[Row], configuration: str) -> str:
@@ -175,15 +175,15 @@ def winners(rows: Sequence[Row], configuration: str) -> str:
             kept = {name: run["mse"] for name, run in runs.items() if not run["lost"]}
             if kept:
                 best.setdefault(min(kept, key=lambda name: kept[name]), []).append(test)
-        told = [f"{_said(name)} on {_tests(tests, found)}" for name, tests in best.items()]
-        parts.append(f"{how} preview {listed(told) if told else 'no controller keeps the car'}")
+        sentence = [f"{_said(name)} on {_tests(tests, found)}" for name, tests in best.items()]
+        parts.append(f"{how} preview {listed(sentence) if sentence else 'no controller keeps the car'}")
     return f"Smallest error: {'; '.join(parts)}."
 
 
-def losses(rows: Sequence[Row], configuration: str) -> list[str]:
-    """A sentence on each run that was lost."""
+def failures(rows: Sequence[Row], configuration: str) -> list[str]:
+    """A sentence on each run that failed."""
     return [
-        f"Lost: {_said(row['controller'])} on the {_test(row['scenario'])} {'with' if row['preview'] else 'without'} "
+        f"Failed: {_said(row['controller'])} on the {_test(row['scenario'])} {'with' if row['preview'] else 'without'} "
         f"preview, at {row['lost_at']:.1f} s; the vehicle {row['lost_because']}."
         for row in rows
         if row["configuration"] == configuration and row["lost"]
@@ -215,12 +215,12 @@ def _both(made: Reproduction) -> Section:
     for configuration, (title, words) in CONFIGURATIONS.items():
         compared = [against(made.rows, configuration, other) for other in ("standard-as-written", "best-constant")]
         outcome = [
-            " ".join([winners(made.rows, configuration), *losses(made.rows, configuration)]),
+            " ".join([winners(made.rows, configuration), *failures(made.rows, configuration)]),
             *(clause[:1].upper() + clause[1:] for clause in compared),
         ]
         items.append(Section(title, [words, _configuration_table(made.rows, configuration), *outcome]))
-    told = preview_or_adaptation(made.rows)
-    return Section("All controllers", [*items, *([Section("Preview", [told])] if told else [])])
+    sentence = preview_or_adaptation(made.rows)
+    return Section("All controllers", [*items, *([Section("Preview", [sentence])] if sentence else [])])
 
 
 def _configuration_table(rows: Sequence[Row], configuration: str) -> Table:
@@ -241,7 +241,7 @@ def _configuration_table(rows: Sequence[Row], configuration: str) -> Table:
             paper = "–" if run["paper_mse"] is None else f"{run['paper_mse']:g}"
             cells += [_cell(run, blind[test]), paper, number(run["ratio"]), _cell(ahead, seeing[test])]
         body.append(cells)
-    return Table("Mean square tracking error", heads, body, "Bold: the smallest of its column that was not lost.")
+    return Table("Mean square tracking error", heads, body, "Bold: the smallest of its column that did not fail.")
 
 
 def _gain(made: Reproduction) -> Section:
@@ -255,8 +255,8 @@ def _gain(made: Reproduction) -> Section:
         "library that happens to be the best on that run."
     )
     items: list[Item] = [words, _ablation_picture(made.ablation), _ablation_table(made), _shares_table(made.shares)]
-    told = pole_or_adaptation(made.shares)
-    return Section("Where the gain comes from", [*items, *([told] if told else [])])
+    sentence = pole_or_adaptation(made.shares)
+    return Section("Where the gain comes from", [*items, *([sentence] if sentence else [])])
 
 
 def _ablation_table(made: Reproduction) -> Table:
@@ -305,15 +305,15 @@ def _ablation_picture(ablation: Sequence[Row]) -> Picture:
     strokes = style.strokes(sorted(names, key=("table-constant", *LEARNED).__contains__, reverse=True))
     panels = []
     for test, rows in _grouped(ablation, "scenario").items():
-        told = "; ".join(
+        sentence = "; ".join(
             f"{NAMES[name]}: "
             + ", ".join(f"{_mse(row)} with {row['moves']}" for row in rows if row["controller"] == name)
             for name in names
         )
         draw = partial(_draw_ablation, rows=rows, strokes=strokes, title=title_of(test))
-        panels.append(Drawing(style.panel_figure(draw), f"Mean square error, {title_of(test)}. {told}."))
+        panels.append(Drawing(style.panel_figure(draw), f"Mean square error, {title_of(test)}. {sentence}."))
     key = [(NAMES[name], stroke) for name, stroke in strokes.items()]
-    return Picture("Mean square error by moves and by tuning; lost runs are left out.", panels, key)
+    return Picture("Mean square error by moves and by tuning; failed runs are left out.", panels, key)
 
 
 def _draw_ablation(axes: Axes, rows: Sequence[Row], strokes: Mapping[str, style.Stroke], title: str) -> None:
@@ -393,12 +393,12 @@ def _elsewhere(made: Reproduction) -> list[Item]:
     if not worse or constant.cost >= constant.standard_cost:
         return []
     numbers = [f"{_mse(found[t]['best-constant'])} against {_mse(found[t]['standard-as-written'])} m²" for t in worse]
-    told = (
+    sentence = (
         "What is best on the data is not best on the tests: with the same moves, the constant that beats the table's "
         f"on the data tracks worse than it on {_tests(worse, found)} ({listed(numbers)})."
     )
     if made.data_test == "step":
-        told += (
+        sentence += (
             " The operating points of the data are steps of the reference, as in the paper; the tests are slow ramps. "
             "What the models learn from the steps they bring to the ramps."
         )
@@ -417,7 +417,7 @@ def _elsewhere(made: Reproduction) -> list[Item]:
             [NAMES["best-constant"], *(_mse(runs["best-constant"]) for runs in found.values())],
         ],
     )
-    return [told, table]
+    return [sentence, table]
 
 
 def _statements(made: Reproduction) -> Section:
@@ -500,7 +500,7 @@ def _grouped(rows: Iterable[Row], key: str) -> dict[str, list[Row]]:
 
 
 def _compare(one: Row, other: Row) -> str:
-    """`one` beside `other`: better than, worse than, level with; a lost run is worse than one that was not."""
+    """`one` beside `other`: better than, worse than, level with; a failed run is worse than one that did not fail."""
     if one["lost"] or other["lost"]:
         return "level with" if one["lost"] and other["lost"] else "worse than" if one["lost"] else "better than"
     return _order(one["mse"], other["mse"])
@@ -517,13 +517,13 @@ _ANSWERS = {"better than": "yes", "worse than": "no", "level with": "level"}
 
 
 def _mse(row: Row) -> str:
-    return "lost" if row["lost"] else number(row["mse"])
+    return "failed" if row["lost"] else number(row["mse"])
 
 
 def _cell(row: Row, column: Mapping[str, Row]) -> Cell:
     """The MSE of a run; bold when it is the smallest of its column."""
     kept = [each["mse"] for each in column.values() if not each["lost"]]
-    text = number(row["mse"]) + (" (lost)" if row["lost"] else "")
+    text = number(row["mse"]) + (" (failed)" if row["lost"] else "")
     return Cell(text, strong=not row["lost"] and row in column.values() and row["mse"] == min(kept), warn=row["lost"])
 
 
