@@ -15,6 +15,8 @@ from adaptrack.controllers import (
     LQR,
     Command,
     CompiledController,
+    Limits,
+    MPCCommand,
     PurePursuit,
     Stanley,
     UserController,
@@ -26,8 +28,6 @@ from adaptrack.controllers import (
 from adaptrack.controllers.lqr import SPEEDS, WEIGHT_FACTORS, error_model, lqr_gain, sampled_error_model
 from adaptrack.errors import ContractError, InvalidInput, UnknownName
 from adaptrack.kernels.controllers.contract import path_at, wrapped
-from adaptrack.mpc import Command as MPCCommand
-from adaptrack.mpc import Limits
 from adaptrack.plant import DualTrack
 from adaptrack.qp import QPStatus
 from adaptrack.scenario import load_scenario

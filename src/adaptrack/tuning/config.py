@@ -244,7 +244,7 @@ class CampaignConfig(Record):
         """A copy in which every value that may be left out has been given."""
         return self.replace(
             duration=self.duration or {"step": 18.0, "lane-change": 8.0}[self.scenario],
-            move_price=load_profile(self.profile).move_weight if self.move_price is None else self.move_price,
+            move_weight=load_profile(self.profile).move_weight if self.move_weight is None else self.move_weight,
             noise_seeds=self.noise_seeds or ((0, 1, 2, 3) if self.noisy else (0,)),
             mirror=not self.noisy if self.mirror is None else self.mirror,
         )

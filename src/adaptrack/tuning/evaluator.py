@@ -79,7 +79,7 @@ class ClosedLoop:
             test=config.scenario,
             profile=profile,
             noise_seeds=config.noise_seeds or (0,),
-            move_price=config.move_price,
+            move_weight=config.move_weight,
             duration=config.duration,
         )
 
