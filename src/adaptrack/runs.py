@@ -18,7 +18,7 @@ from typing import Any, NamedTuple, TypeGuard
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from adaptrack.controllers import MPC, Controller, Tuning
+from adaptrack.controllers import MPC, CompiledController, Controller, Tuning
 from adaptrack.errors import InvalidInput
 from adaptrack.estimation import FrictionWindEstimator, Perception
 from adaptrack.failure import Failure
@@ -27,16 +27,13 @@ from adaptrack.plant import DualTrack, Plant, SingleTrack
 from adaptrack.profile import load_profile
 from adaptrack.scenario import Scenario, load_scenario, random_drive
 from adaptrack.scheduling import Schedule
-from adaptrack.simulate import Batch, simulate
+from adaptrack.simulate import Batch, KnownAs, simulate
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
 Policy = Schedule | Tuning | Controller | ArrayLike
 """What drives: a schedule, one tuning, one tuning (Np, Nc, Q, R) for each run, or a controller of its own."""
-
-KnownAs = Perception | FrictionWindEstimator | None
-"""How a scheduler knows friction and wind; None: exactly."""
 
 PERCEPTIONS: dict[str, Perception] = {
     "noisy": Perception(noise=0.1),
@@ -55,8 +52,8 @@ class Outcome(NamedTuple):
     """(runs,) m^2, J; inf where the run failed"""
     segments: Array
     """(runs, segments) m^2, see `RunSet.segments`; (runs, 0) where they were not asked for"""
-    counts: Array
-    """(runs, COUNTS) what the schedule counted; (runs, 0) without one"""
+    counts: dict[str, NDArray[np.int64]]
+    """what the schedule counted, (runs,) by name; empty without one"""
 
 
 class RunSet:
@@ -82,11 +79,12 @@ class RunSet:
         self.periods = self.batch.signals[0].n
         self.segment, self.lead, self.stride = segment or self.periods, lead, stride
         self.variables = _scheduling_variables(self.batch)
-        """(runs, periods, SchedulingVariables) what a scheduler looks at; the offset, which depends on the driving, is zero"""
+        """(runs, periods, SchedulingVariables) what a scheduler looks at; the offset, unknown before driving, is zero"""
 
-    def _batch(self, controller: MPC) -> Batch:
-        limits = failure_limits(self.failure)
-        return Batch(self.plant, controller, self.scenarios, self.profile, None, told=self.known_as, **limits)
+    def _batch(self, controller: Controller) -> Batch:
+        return Batch(
+            self.plant, controller, self.scenarios, self.profile, failure=self.failure, known_as=self.known_as
+        )
 
     def __len__(self) -> int:
         return len(self.batch.signals)
@@ -100,15 +98,11 @@ class RunSet:
         """(runs, seeds) m^2, J of each run of `which` with each noise seed; inf where it failed.
 
         Of a policy (runs, 4), row i drives the run which[i].
-
-        Raises
-        ------
-        InvalidInput
-            When a controller that runs in Python meets a perception, which `simulate` cannot give it.
         """
         which = np.arange(len(self)) if which is None else which
         if _is_controller(policy) and not _compiles(policy):
-            return np.stack([self._simulated(policy, int(seed), which) for seed in seeds], axis=1)
+            costs = [[self._simulated_cost(policy, self.scenarios[i], int(seed)) for i in which] for seed in seeds]
+            return np.array(costs, dtype=float).T
         return np.stack([self._run(policy, int(seed), which).costs for seed in seeds], axis=1)
 
     def costs(self, policy: Policy, seeds: Sequence[int], which: Indices | None = None) -> Array:
@@ -120,53 +114,35 @@ class RunSet:
         """(runs, segments) m^2, cost of each segment (sum); inf in the one where a run failed, NaN after it."""
         return self._run(policy, seed, which, segmented=True).segments
 
-    def counts(self, schedule: Schedule, seed: int) -> dict[str, Array]:
+    def counts(self, schedule: Schedule, seed: int) -> dict[str, NDArray[np.int64]]:
         """(runs,) how many steps a schedule counted of each kind, by name: "steps", "clipped", ..."""
-        from adaptrack.kernels import inference
-
-        found = self._run(schedule, seed, np.arange(len(self))).counts
-        return dict(zip(inference.COUNTS, found.T, strict=False))
+        return self._run(schedule, seed, np.arange(len(self))).counts
 
     def _run(self, policy: Policy, seed: int, which: Indices, segmented: bool = False) -> Outcome:
-        from adaptrack.kernels import loop
-
-        batch, tuning, scheduler = self.batch, self.mpc.tuning.as_array(), None
+        batch, tuning, scheduler = self.batch, self.batch.tuning, None
         if isinstance(policy, Schedule):
             scheduler = policy
         elif _is_controller(policy):
-            assert isinstance(policy, MPC)
-            batch, tuning = self._batch(policy), policy.tuning.as_array()
+            batch = self._batch(policy)
+            tuning, scheduler = batch.tuning, batch.scheduler
         else:
             tuning = policy.as_array() if isinstance(policy, Tuning) else np.asarray(policy, dtype=float)
-        result, _, counts, segments = batch.run(
-            which, np.broadcast_to(tuning, (len(which), 4)).copy(), np.full(len(which), seed, np.int64),
-            os.cpu_count() or 1, stretch=self.segment if segmented else 0, price=self.weight, scheduler=scheduler,
+        found = batch.run(
+            which, np.broadcast_to(tuning, (len(which), tuning.shape[-1])).copy(),
+            np.full(len(which), seed, np.int64), os.cpu_count() or 1,
+            segment=self.segment if segmented else 0, weight=self.weight, scheduler=scheduler,
         )  # fmt: skip
-        costs = (result[:, loop.SQUARED_ERROR] + self.weight * result[:, loop.SQUARED_MOVE]) / self.periods
-        return Outcome(np.where(result[:, loop.RUN_LOST] > 0.5, np.inf, costs), segments, counts)
-
-    def _simulated(self, controller: Controller, seed: int, which: Indices) -> Array:
-        if self.known_as is not None:
-            raise InvalidInput(
-                f"controller {controller.name!r} runs in Python, without a perception: leave out known_as."
-            )
-        return np.array([self._simulated_cost(controller, self.scenarios[i], seed) for i in which])
+        costs = (found.result["squared_error"] + self.weight * found.result["squared_move"]) / self.periods
+        return Outcome(np.where(found.failed, np.inf, costs), found.segments, found.counts)
 
     def _simulated_cost(self, controller: Controller, scenario: Scenario, seed: int) -> float:
-        limits = failure_limits(self.failure)
         run = simulate(
-            self.plant, controller, scenario, profile=self.profile, seed=seed, lost_beyond=limits["lost_beyond"]
-        )
-        with np.errstate(invalid="ignore"):
-            slope = np.abs(run.vy / run.vx)
-        if not np.isfinite(run.command).all() or (slope > limits["spin_beyond"]).any():
+            self.plant, controller, scenario, profile=self.profile, seed=seed, known_as=self.known_as,
+            failure=self.failure,
+        )  # fmt: skip
+        if run.failed is not None:
             return math.inf
         return float((run.error**2).mean() + self.weight * (run.command_change**2).mean())
-
-
-def failure_limits(failure: Failure) -> dict[str, float]:
-    """The failure rule as compiled runs take it: m, and |v_y/v_x| (rounded, so that 45 degrees are 1)."""
-    return {"lost_beyond": failure.distance, "spin_beyond": round(math.tan(failure.sideslip), 12)}
 
 
 def _is_controller(policy: Any) -> TypeGuard[Controller]:
@@ -174,20 +150,20 @@ def _is_controller(policy: Any) -> TypeGuard[Controller]:
 
 
 def _compiles(controller: Controller) -> bool:
-    """Whether the kernels can run it: an MPC with a QP solver of theirs, and no scheduler in Python."""
-    return (
-        isinstance(controller, MPC)
-        and controller.in_kernel
-        and (controller.scheduler is None or isinstance(controller.scheduler, Schedule))
-    )
+    """Whether the kernels can run it: a compiled law, or an MPC with a solver and a scheduler of theirs."""
+    if isinstance(controller, CompiledController):
+        return True
+    scheduled = isinstance(controller, MPC) and not isinstance(controller.scheduler, Schedule | None)
+    return isinstance(controller, MPC) and controller.in_kernel and not scheduled
 
 
 def _scheduling_variables(batch: Batch) -> Array:
     """What a scheduler looks at in every period of a batch, with an offset of zero."""
-    from adaptrack.kernels import loop
+    from adaptrack.kernels.loop import SIGNAL
 
     rows = batch.samples[:, :, :-1]
-    columns = [rows[:, loop.SPEED], rows[:, loop.Y_REF], *(rows[:, loop.TOLD + i] for i in range(4))]
+    seen = ("speed", "y_ref", "known_friction", "known_wind", "change", "acceleration")
+    columns = [rows[:, getattr(SIGNAL, name)] for name in seen]
     return np.stack([*columns, np.zeros_like(columns[0])], axis=-1)
 
 

@@ -18,7 +18,7 @@ from adaptrack.adaptation.method import Method
 from adaptrack.adaptation.splits import Training, held_out_noise, training_noise
 from adaptrack.controllers import Tuning
 from adaptrack.errors import InvalidInput, did_you_mean, whole
-from adaptrack.learning.surfaces import Surface, blended, shifted
+from adaptrack.learning.surfaces import Surface
 from adaptrack.runs import Indices, RunSet
 from adaptrack.scheduling import Function, Learned, Schedule, SchedulingVariables
 
@@ -143,7 +143,9 @@ class _Learner:
             raise InvalidInput(f"improve: need a surface for each of {', '.join(OUTPUTS)}.")
         for each in inputs:
             if each not in SchedulingVariables._fields:
-                raise InvalidInput(f"improve: unknown input {each!r}. {did_you_mean(each, SchedulingVariables._fields)}")
+                raise InvalidInput(
+                    f"improve: unknown input {each!r}. {did_you_mean(each, SchedulingVariables._fields)}"
+                )
         if "offset" in inputs:
             raise InvalidInput("improve: the offset depends on the driving itself; it cannot be an input here.")
         for _, count in training:
@@ -185,7 +187,7 @@ class _Learner:
 
         def around(by: Array) -> Schedule:
             functions = [surfaces[slot].function() for slot in OUTPUTS]
-            return self._learned([shifted(each, float(shift)) for each, shift in zip(functions, by, strict=True)])
+            return self._learned([each.shifted(float(shift)) for each, shift in zip(functions, by, strict=True)])
 
         rescue = self._rescue(surfaces)
         found = [
@@ -202,7 +204,7 @@ class _Learner:
         def schedule(share: float) -> Schedule:
             functions = [surfaces[slot].function() for slot in OUTPUTS]
             return self._learned(
-                [blended(each, share, float(value)) for each, value in zip(functions, goal, strict=True)]
+                [each.blended(share, float(value)) for each, value in zip(functions, goal, strict=True)]
             )
 
         return Rescue(schedule, lambda variables: goal - self._outputs(surfaces, variables))

@@ -26,7 +26,7 @@ from adaptrack.learning.surfaces import FuzzySurface, NetworkSurface
 from adaptrack.learning.training import Trained, train
 from adaptrack.runs import Indices, RunSet
 from adaptrack.scheduling import (
-    SLOTS,
+    ENTRIES,
     Constant,
     Guarded,
     Learned,
@@ -228,7 +228,7 @@ def neighbour_lookup(dataset: DataSet, nodes: Mapping[str, ArrayLike], neighbour
     look at. nodes: along some or all of speed, y_ref, friction and wind; distances are in ranges of the data.
     """
     axes = {name: np.asarray(values, dtype=float) for name, values in nodes.items()}
-    seen = dataset.conditions[:, [NAMES.index(name) for name in axes]]
+    seen = dataset.operating_points[:, [NAMES.index(name) for name in axes]]
     reach = np.ptp(seen, axis=0)
     grid = np.stack(np.meshgrid(*axes.values(), indexing="ij"), axis=-1)
     _, near = cKDTree(seen / reach).query(
@@ -277,9 +277,9 @@ def search_bounds(dataset: DataSet) -> dict[str, tuple[float, float]]:
         When the provenance does not tell.
     """
     search = dataset.provenance.get("settings", {}).get("search", {})
-    if not set(SLOTS) <= set(search):
+    if not set(ENTRIES) <= set(search):
         raise InvalidInput(f"data set {dataset.name!r}: its provenance does not tell the bounds of its search.")
-    return {slot: (float(search[slot][0]), float(search[slot][1])) for slot in SLOTS}
+    return {slot: (float(search[slot][0]), float(search[slot][1])) for slot in ENTRIES}
 
 
 def trained_schedule(

@@ -82,15 +82,15 @@ class SetUp:
 
 
 def _points(campaign: CampaignConfig) -> Sobol:
-    assert isinstance(campaign.conditions, Sobol)
-    return campaign.conditions
+    assert isinstance(campaign.operating_points, Sobol)
+    return campaign.operating_points
 
 
 def _check_campaign(campaign: CampaignConfig) -> None:
-    if not isinstance(campaign.conditions, Sobol):
+    if not isinstance(campaign.operating_points, Sobol):
         raise InvalidInput(f"campaign {campaign.name!r}: its operating points must be a Sobol sample of a box.")
     usual = campaign.replace(scenario="lane-change", duration=None, move_weight=None).settled()
-    for key in ("scenario", "duration", "move_price"):
+    for key in ("scenario", "duration", "move_weight"):
         if getattr(campaign.settled(), key) != getattr(usual, key):
             raise InvalidInput(
                 f"campaign {campaign.name!r}: {key} = {getattr(campaign.settled(), key)!r}: must be "

@@ -55,7 +55,7 @@ _WEAK, _STRONG = 0.15, 0.5
 """R^2 below which a target counts as hardly explained, and from which as largely explained."""
 
 _QUANTITIES = {"speed": "Speed", "y_ref": "Lateral reference", "friction": "Friction", "wind": "Side wind"}
-_LISTED = ("vehicle", "tyre", "plant", "profile", "scenario", "duration", "move_price", "noise_seeds")
+_LISTED = ("vehicle", "tyre", "plant", "profile", "scenario", "duration", "move_weight", "noise_seeds")
 
 _STANDARD = "Standard tuning"
 _SWARM = "Swarm's best"
@@ -349,7 +349,7 @@ def _costs_in_words(costs: Summary, n: int, library: int) -> str:
         costs[key]
         for key in ("standard_over_best_geomean", "swarm_behind_the_best_known_p50", "swarm_behind_the_best_known_p90")
     )
-    sentences = ["The cost is the mean square tracking error, plus the price of steering activity where there is one."]
+    sentences = ["The cost is the mean square tracking error, plus the weight of steering activity where there is one."]
     if gain:
         sentences.append(f"The standard tuning costs {number(gain)} times the swarm's best (geometric mean).")
     if library and middle is not None and high is not None:
