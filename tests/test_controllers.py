@@ -357,6 +357,31 @@ def test_a_car_that_knows_its_steering_tells_its_controllers_the_delay():
     assert Stanley(CAR.replace(steering=Steering(ratio=15.0))).tuning["dead_time"] == 0.2
 
 
+@pytest.mark.compiled
+@every_law
+def test_a_law_crosses_into_a_kernel_as_a_function_of_the_contract(law):
+    from numba import njit
+
+    from adaptrack.kernels.abi import vector
+    from adaptrack.kernels.controllers.contract import LAW_FUNCTION, LAW_SIGNATURE, no_law
+
+    @njit(LAW_SIGNATURE.return_type(LAW_FUNCTION, *[vector] * 6))
+    def kernel(law, situation, reference, tuning, parameters, memory, answer):
+        law(situation, reference, tuning, parameters, memory, answer)
+
+    controller = law(CAR, preview=True)
+    expected = controller.step([0.1, 0.02, 0.0, 0.3], 15.0, np.linspace(0.0, 2.0, 60))
+    answer = np.zeros(1 + len(controller.diagnostic_names))
+    given = (
+        np.array([0.1, 0.02, 0.0, 0.3, 15.0, 0.0]), np.linspace(0.0, 2.0, 60), controller.packed_tuning(),
+        controller.parameters(), np.zeros(controller.memory_size), answer,
+    )  # fmt: skip
+    kernel(no_law, *given)
+    assert (answer == 0.0).all()
+    kernel(controller.function, *given)
+    assert answer[0] == expected.angle
+
+
 # -- closed loop -------------------------------------------------------------------------------------------------------
 class AsMPC:
     """A compiled controller whose commands look like the MPC's, for the driver of today."""
