@@ -556,7 +556,7 @@ def test_the_best_round_is_kept_with_its_surfaces():
     assert [row["lost"] for row in made.history] == [0.0, 0.0, 0.0, 0.0, 2.0]
     assert made.schedule is first.asked[int(np.argmin(logs))]
     for slot, surface in made.surfaces.items():
-        assert made.schedule.slots["R" if slot == "log10_ratio" else slot].function == surface.value
+        assert made.schedule.tuning["R" if slot == "log10_ratio" else slot].function == surface.function()
 
 
 @pytest.mark.compiled
