@@ -444,10 +444,9 @@ def test_so_are_those_that_ship(rng, rung):
 def test_the_schedulers_that_ship_were_made_by_the_configuration_that_ships():
     schedules, shop = adapting.shipped("road"), adapting.Workshop.of(adapting.load_adaptation("road"))
     assert set(schedules) == RUNGS
+    fallback = schedules["fallback"].batch([15.0, 0.0, 0.7, 0.0])[0]
     for rung in ("nn", "anfis"):
-        np.testing.assert_array_equal(
-            schedules["fallback"].batch([15.0, 0.0, 0.7, 0.0])[0], schedules[rung].guard.fallback.as_array()
-        )
+        np.testing.assert_array_equal(fallback, schedules[rung].guard.fallback.as_array())
     for rung, schedule in schedules.items():
         assert schedule.provenance["stage"] == shop.identity(rung), rung
         check_scheduler(schedule, 40, seed=3)
