@@ -100,8 +100,8 @@ def test_a_learned_schedule_is_admitted_and_stays_within_the_bounds_of_the_searc
 
 def test_clamps_replace_the_bounds_where_they_are_finite(trained):
     data, fitted = small(), trained["nn", "paper"]
-    slots = trained_schedule(fitted, data, {"Np": (9, math.inf), "Q": (0.75, 20.0)}).slots
-    bounds = {name: (slot.low, slot.high) for name, slot in slots.items()}
+    entries = trained_schedule(fitted, data, {"Np": (9, math.inf), "Q": (0.75, 20.0)}).tuning
+    bounds = {name: (entry.low, entry.high) for name, entry in entries.items()}
     assert bounds == {"Np": (9.0, 55.0), "Nc": (1.0, 18.0), "Q": (0.75, 20.0), "R": (0.001, 0.1)}
 
 

@@ -232,7 +232,8 @@ if TYPE_CHECKING:
         save_scheduler,
     )
     from adaptrack.simulate import Driver, rollout, rollout_batch, simulate
-    from adaptrack.studies.adapt import adapt, load_adaptation
+    from adaptrack.adaptation.config import load_adaptation
+    from adaptrack.studies.adapt import adapt
     from adaptrack.trajectory import Trajectory
     from adaptrack.tuning.campaign import run_campaign
     from adaptrack.tuning.config import CampaignConfig, list_campaigns, load_campaign

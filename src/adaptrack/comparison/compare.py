@@ -174,7 +174,7 @@ def compare(
     return Comparison(costs, failures, counts, reference, rows, roles, runs.failure)
 
 
-def _shares(counts: Mapping[str, Array]) -> dict[str, float]:
+def _shares(counts: Mapping[str, NDArray[np.int64]]) -> dict[str, float]:
     total = {name: float(each.sum()) for name, each in counts.items()}
     return {name: each / total["steps"] for name, each in total.items() if name != "steps"}
 

@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from adaptrack.controllers import Tuning
 from adaptrack.errors import ContractError, InvalidInput, UnknownName, did_you_mean
 from adaptrack.runs import Policy, RunSet
-from adaptrack.scheduling import Schedule, list_schedulers, load_scheduler
+from adaptrack.scheduling import Number, Schedule, list_schedulers, load_scheduler
 
 Array = NDArray[np.float64]
 
@@ -54,7 +54,7 @@ class Contender:
         if self.hindsight or isinstance(self.policy, Tuning):
             return False
         if isinstance(self.policy, Schedule):
-            return any(not isinstance(slot.function, float | int) for slot in self.policy.slots.values())
+            return any(not isinstance(entry.function, Number) for entry in self.policy.tuning.values())
         if hasattr(self.policy, "step"):
             return getattr(self.policy, "scheduler", None) is not None
         return np.ndim(self.policy) == 2 and len(np.asarray(self.policy)) > 1

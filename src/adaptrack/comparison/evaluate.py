@@ -15,15 +15,14 @@ from adaptrack.comparison.contenders import Contender, contenders_of, get_conten
 from adaptrack.errors import InvalidInput
 from adaptrack.metrics import PUBLISHED
 from adaptrack.runs import (
-    KnownAs,
     RunSet,
-    failure_limits,
     operating_point_runs,
     paper_test_runs,
     perception,
     random_drive_runs,
 )
 from adaptrack.scheduling import Schedule
+from adaptrack.simulate import KnownAs
 from adaptrack.tuning.objective import Objective
 
 Array = NDArray[np.float64]
@@ -117,9 +116,8 @@ def _told_apart(contenders: Mapping[str, Contender], known_as: str, perceiving: 
 
 def _objective(setup: SetUp) -> Callable[[Sequence[int]], Objective]:
     """The cost of a tuning on an operating point; a run fails when it does in a `RunSet`."""
-    limits = failure_limits(setup.method.runs.failure)
     return lambda noise_seeds: Objective(
-        setup.plant, setup.mpc, "lane-change", setup.profile, tuple(noise_seeds), **limits
+        setup.plant, setup.mpc, "lane-change", setup.profile, tuple(noise_seeds), failure=setup.method.runs.failure
     )
 
 

@@ -34,7 +34,7 @@ from adaptrack.learning.training import train
 from adaptrack.metrics import PUBLISHED, compute_metrics, published_mse
 from adaptrack.plant import DualTrack, Plant, SingleTrack
 from adaptrack.scenario import Scenario, load_scenario
-from adaptrack.scheduling import Lookup, Schedule, Slot
+from adaptrack.scheduling import ENTRIES, Lookup, Schedule, SchedulingVariables
 from adaptrack.simulate import rollout, rollout_batch, simulate
 from adaptrack.studies.pipeline import JSONFile, Keeper, Progress, SchedulerFile, Stage, identity_of, run
 from adaptrack.trajectory import Trajectory
@@ -355,16 +355,13 @@ def _clamped(schedules: Mapping[str, Schedule]) -> dict[str, Schedule]:
 
 
 def _within(schedule: Schedule, clamps: Mapping[str, tuple[float, float]]) -> Schedule:
-    slots = dict(schedule.slots)
+    entries = dict(schedule.tuning)
     for name, (low, high) in clamps.items():
-        slot = slots[name]
-        slots[name] = Slot(
-            slot.function,
-            low if math.isfinite(low) else slot.low,
-            high if math.isfinite(high) else slot.high,
-            slot.decades,
+        entry = entries[name]
+        entries[name] = dataclasses.replace(
+            entry, low=low if math.isfinite(low) else entry.low, high=high if math.isfinite(high) else entry.high
         )
-    return dataclasses.replace(schedule, slots=slots)
+    return dataclasses.replace(schedule, tuning=entries)
 
 
 def configurations(

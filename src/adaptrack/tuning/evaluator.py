@@ -85,10 +85,10 @@ class ClosedLoop:
 
     def versions(self) -> dict[str, str]:
         """The kernels' own hash, and the libraries that have a say in the numbers."""
-        from adaptrack.kernels import abi, tuning
+        from adaptrack.kernels import abi, tune
 
         return {
-            "kernels": abi.source_hash(Path(tuning.__file__)) + (" (interpreted)" if abi.INTERPRETED else ""),
+            "kernels": abi.source_hash(Path(tune.__file__)) + (" (interpreted)" if abi.INTERPRETED else ""),
             "numba": version("numba"),
             "numpy": version("numpy"),
         }
