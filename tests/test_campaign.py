@@ -73,12 +73,12 @@ def test_the_shipped_campaigns_are_those_of_the_paper_and_of_the_road():
     paper, road = (Plan.of(load_campaign(name)) for name in ("paper-grid", "road-sobol"))
     assert len(paper.operating_points) == 6435
     assert (paper.config.swarm.particles, paper.config.swarm.generations, paper.config.duration) == (20, 15, 18.0)
-    assert (paper.config.profile, paper.config.scenario, paper.config.move_price) == ("paper", "step", 0.0)
+    assert (paper.config.profile, paper.config.scenario, paper.config.move_weight) == ("paper", "step", 0.0)
     assert len(paper.fold.representatives) == 5005
     assert len(road.operating_points) == len(road.fold.representatives) == 6400
     assert road.operating_points.min(axis=0) == pytest.approx([3, -7, 0.3, -30], abs=0.02)
     assert road.operating_points.max(axis=0) == pytest.approx([30, 7, 1.0, 30], abs=0.02)
-    assert (road.config.profile, road.config.scenario, road.config.move_price) == ("road", "lane-change", 3.0)
+    assert (road.config.profile, road.config.scenario, road.config.move_weight) == ("road", "lane-change", 3.0)
     assert len(road.config.noise_seeds) > 1
 
 
@@ -86,9 +86,9 @@ def test_a_file_needs_little_and_takes_its_name_from_itself(toml):
     config = load_campaign(toml())
     assert config.name == "my-campaign"
     settled = config.settled()
-    assert (settled.duration, settled.move_price, settled.noise_seeds, settled.mirror) == (18.0, 0.0, (0,), True)
+    assert (settled.duration, settled.move_weight, settled.noise_seeds, settled.mirror) == (18.0, 0.0, (0,), True)
     road = config.replace(profile="road", scenario="lane-change").settled()
-    assert (road.duration, road.move_price, road.noise_seeds, road.mirror) == (8.0, 3.0, (0, 1, 2, 3), False)
+    assert (road.duration, road.move_weight, road.noise_seeds, road.mirror) == (8.0, 3.0, (0, 1, 2, 3), False)
 
 
 @pytest.mark.parametrize(
@@ -743,9 +743,9 @@ def test_two_processes_do_not_share_a_folder(tmp_path):
 
 
 # -- workers ----------------------------------------------------------------------------------------------------------
-def test_an_answer_that_makes_no_sense_names_its_condition(tmp_path):
+def test_an_answer_that_makes_no_sense_names_its_operating_point(tmp_path):
     with pytest.raises(
-        ContractError, match=r"condition \{'speed': 10.0, 'y_ref': -4.0.* the tuning \[3.0, 9.0, 1.0, 1.0\]"
+        ContractError, match=r"operating point \{'speed': 10.0, 'y_ref': -4.0.* the tuning \[3.0, 9.0, 1.0, 1.0\]"
     ):
         run_campaign(small(mirror=False), tmp_path, evaluate=Broken)
 
@@ -838,12 +838,54 @@ def test_the_closed_loop_on_a_local_dask_cluster_gives_the_same_bytes(run_python
 
 
 @needs_dask
-@pytest.mark.parametrize("address", ["tcp://127.0.0.1:9", "nonsense"])
+@pytest.mark.parametrize("address", ["tcp://127.0.0.1:9", "nowhere.invalid:8786"])
 @pytest.mark.filterwarnings("ignore")
 def test_a_scheduler_that_does_not_answer_is_one_clear_error(tmp_path, monkeypatch, address):
-    monkeypatch.setattr(module, "DASK_TIMEOUT", "1s")
+    monkeypatch.setattr(module, "DASK_TIMEOUT", 1.0)
     with pytest.raises(InvalidInput, match=f"dask = '{address}': no scheduler answers there"):
         run_campaign(small(), tmp_path / "out", dask=address, evaluate=Fake)
+    assert not (tmp_path / "out").exists()
+
+
+@needs_dask
+@pytest.mark.parametrize(
+    "address", ["nonsense", "", "tcp://", "tcp://127.0.0.1", "tcp://127.0.0.1:99999", ":8786", "a b:1"]
+)
+def test_what_is_no_address_is_refused_at_once(tmp_path, monkeypatch, address):
+    import distributed
+
+    monkeypatch.setattr(distributed, "Client", lambda *given, **more: pytest.fail("it looked for a scheduler"))
+    with pytest.raises(InvalidInput, match=f"dask = {address!r}: is no address; one looks like tcp://127.0.0.1:8786"):
+        run_campaign(small(), tmp_path / "out", dask=address, evaluate=Fake)
+    assert not (tmp_path / "out").exists()
+
+
+WITHOUT_WORKERS = """
+import sys, time, warnings
+sys.path.insert(0, sys.argv[1])
+warnings.simplefilter("ignore")
+from distributed import LocalCluster
+from campaign_fakes import Fake, small
+from adaptrack.errors import InvalidInput
+from adaptrack.tuning.campaign import run_campaign
+
+if __name__ == "__main__":
+    cluster = LocalCluster(n_workers=0, processes=True, host="127.0.0.1", dashboard_address=None, silence_logs=50)
+    begun = time.monotonic()
+    try:
+        run_campaign(small(), "out", dask=cluster.scheduler_address, evaluate=lambda setup: 1 / 0)
+    except InvalidInput as error:
+        print(time.monotonic() - begun < 12.0, error)
+"""
+
+
+@needs_dask
+def test_a_scheduler_without_workers_is_told_in_seconds_with_the_remedy(run_python, project, tmp_path):
+    script = tmp_path / "on_dask.py"
+    script.write_text(WITHOUT_WORKERS)
+    said = run_python(str(script), str(project / "tests"), cwd=tmp_path)
+    assert said.startswith("True dask = 'tcp://127.0.0.1:")
+    assert "the scheduler has no workers; start one or more: dask worker tcp://127.0.0.1:" in said
     assert not (tmp_path / "out").exists()
 
 

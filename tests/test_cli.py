@@ -12,7 +12,7 @@ from small_data import small
 
 ROW_KEYS = {
     "scenario", "controller", "plant", "tyre", "profile", "preview", "seed", "mse", "max_abs_error",
-    "qp_capped", "qp_failed", "step_us_p50", "step_us_p99",
+    "qp_capped", "qp_failed", "step_us_p50", "step_us_p99", "vehicle", "failed", "failed_at",
 }  # fmt: skip
 pytestmark = pytest.mark.compiled
 
@@ -71,6 +71,25 @@ def test_out_holds_the_page_the_pictures_and_the_trajectories(monkeypatch, capsy
         (["simulate", "step", "-o", "amplitude"], ["KEY=VALUE"]),
         (["simulate", "step", "-o", "friction=80"], ["friction"]),
         (["simulate", "no-such-file.toml"], ["no-such-file.toml"]),
+        (["simulate", "step", "--controller", "as-relased"], ["Did you mean 'as-released'"]),
+        (["simulate", "step", "--period", "0"], ["period = 0.0 s", "positive"]),
+        (["simulate", "step", "--period", "-0.1"], ["period = -0.1 s", "positive"]),
+        (["simulate", "step", "--period", "nan"], ["period = nan s", "positive"]),
+        (["simulate", "step", "--period", "1e-9"], ["2,000,000 are possible"]),
+        (["simulate", "step", "--np", "1000000000"], ["Np = 1000000000", "at most 1,000"]),
+        (["simulate", "step", "-o", "speed=1e15"], ["at most 100 m/s"]),
+        (["evaluate", "--drives", "1000000000"], ["--drives = 1000000000", "at most 10,000"]),
+        (["evaluate", "--drives", "-5"], ["--drives = -5", "at least 1"]),
+        (["evaluate", "--conditions", "sobol:1000000000"], ["at most 100,000 operating points"]),
+        (["evaluate", "--operating-points", "sobol:" + 5000 * "9"], ["at most 100,000 operating points"]),
+        (["evaluate", "--seed", "10" + 30 * "0"], ["--seed", "at most 10,000"]),
+        (["bench", "step", "--count", "0"], ["--count = 0", "at least 1"]),
+        (["bench", "step", "--count", "-5"], ["--count = -5", "at least 1"]),
+        (["bench", "step", "--count", "1000000000000"], ["--count = 1000000000000", "at most 1,000,000"]),
+        (["bench", "rollout", "--conditions", "0"], ["--conditions = 0", "at least 1"]),
+        (["bench", "campaign", "--conditions", "6436"], ["--conditions = 6436", "at most 6,435"]),
+        (["bench", "rollout", "--threads", "-5"], ["--threads = -5", "at least 1"]),
+        (["adapt", "--out", "nowhere", "--workers", "100000"], ["--workers = 100000", "at most 1,024"]),
     ],
 )
 def test_a_wrong_argument_gives_one_clear_message_and_exit_code_2(monkeypatch, capsys, arguments, words):
@@ -86,6 +105,52 @@ def test_an_unwritable_folder_is_found_before_anything_is_driven(monkeypatch, ca
     code, _, err = run(monkeypatch, capsys, "simulate", "step", "--out", tmp_path / "file" / "folder")
     assert code == 2
     assert "cannot be written" in err
+
+
+# -- runs that failed -------------------------------------------------------------------------------------------------
+FAILING = ["simulate", "step", "-o", "friction=0.1", "-o", "speed=30", "-o", "wind=60", "-o", "duration=8"]
+
+
+def test_a_run_that_failed_is_loud_and_says_when_and_why(monkeypatch, capsys):
+    code, out, err = run(monkeypatch, capsys, *FAILING, "--json")
+    (row,) = json.loads(out)["rows"]
+    assert code == 3
+    assert row["failed"]
+    assert 0.0 <= row["failed_at"] <= 8.0
+    sentence = f"FAILED step, standard: at {row['failed_at']:.2f} s the vehicle {row['failed']}."
+    assert sentence in err
+    code, out, _ = run(monkeypatch, capsys, *FAILING)
+    assert code == 3
+    assert sentence in out
+
+
+def test_a_failed_run_may_be_allowed(monkeypatch, capsys):
+    code, out, _ = run(monkeypatch, capsys, *FAILING, "--json", "--allow-failed")
+    assert code == 0
+    assert json.loads(out)["rows"][0]["failed"]
+
+
+def test_a_run_that_was_driven_to_its_end_has_no_failure(monkeypatch, capsys):
+    code, out, _ = run(monkeypatch, capsys, "simulate", "sine", "-o", "duration=1.0", "--json")
+    (row,) = json.loads(out)["rows"]
+    assert code == 0
+    assert (row["failed"], row["failed_at"]) == (None, None)
+    assert not row.keys() & {"lost", "lost_at", "lost_because"}
+
+
+def test_tables_call_a_scheduler_as_the_command_line_does(monkeypatch, capsys, tmp_path):
+    from adaptrack.controllers import Tuning
+    from adaptrack.scheduling import Constant
+
+    Constant(Tuning(30, 5, 1.0, 4000.0), name="nn").save(tmp_path / "mine.json")
+    for given, label in (("road-nn", "road-nn"), (tmp_path / "mine.json", "mine")):
+        _, out, err = run(
+            monkeypatch, capsys, "simulate", "sine", "-o", "duration=1.0", "--scheduler", given, "--json",
+            "--controller", "standard", "--controller", "as-written",
+        )  # fmt: skip
+        rows = json.loads(out)["rows"]
+        assert [row["controller"] for row in rows] == [label, f"{label}-as-written"], err
+        assert {row["scheduler"] for row in rows} == {"nn"}
 
 
 @pytest.fixture(scope="module")
@@ -109,15 +174,15 @@ def test_train_saves_a_scheduler_that_simulate_drives_with(monkeypatch, capsys, 
         monkeypatch, capsys, "simulate", "sine", "-o", "duration=2.0", "--scheduler", out, "--out", tmp_path, "--json"
     )
     assert code == 0, err
-    assert [(row["controller"], row["scheduler"]) for row in json.loads(printed)["rows"]] == [("anfis", "anfis")]
-    assert (tmp_path / "sine-anfis.parquet").exists()
+    assert [(row["controller"], row["scheduler"]) for row in json.loads(printed)["rows"]] == [("fuzzy", "anfis")]
+    assert (tmp_path / "sine-fuzzy.parquet").exists()
 
 
 def test_train_prints_the_quality_on_the_hold_out(monkeypatch, capsys, tmp_path, data):
     arguments = ["train", "--data", data, "--model", "anfis", "--targets", "ratio", "--out", tmp_path / "fuzzy.json"]
     code, out, _ = run(monkeypatch, capsys, *arguments)
     assert code == 0
-    assert all(word in out for word in ("held out", "log10_ratio", "ceiling_r2", "fuzzy.json"))
+    assert all(word in out for word in ("held out", "log10_ratio", "of trees", "fuzzy.json"))
 
 
 def test_reproduce_writes_the_page_and_prints_its_rows(monkeypatch, capsys, tmp_path, data):

@@ -217,7 +217,7 @@ def laws(mpc: MPC, speed: float, tunings: ArrayLike) -> Array:
     asked = np.atleast_2d(np.asarray(tunings, dtype=np.float64))
     horizons, group = np.unique(asked[:, :2].astype(np.int64), axis=0, return_inverse=True)
     longest = int(horizons[:, 0].max())
-    free, step = _responses(mpc, speed, longest)
+    free, step = mpc.model.responses(max(speed, mpc.speed_floor), longest)
     below = np.subtract.outer(np.arange(longest), np.arange(longest))
     phi = np.where(below >= 0, step[below], 0.0)
     gains = np.empty((len(asked), 5))
@@ -231,17 +231,6 @@ def laws(mpc: MPC, speed: float, tunings: ArrayLike) -> Array:
         moves = np.linalg.solve(Q * (effect.T @ effect) + R * np.eye(effect.shape[1]), Q * (effect.T @ free[:, :Np].T))
         gains[which] = basis[0] @ moves
     return gains
-
-
-def _responses(mpc: MPC, speed: float, longest: int) -> tuple[Array, Array]:
-    """F' (5, longest) and the response to a unit move (longest,), eq. (10)."""
-    from adaptrack.kernels.controllers.condensing import Discrete, responses
-
-    a, b, c = mpc.model.discrete(max(speed, mpc.speed_floor))
-    n = len(a)
-    free, step = np.ones((n + 1, longest)), np.empty(longest)
-    responses(longest, Discrete(a, b[:, 0].copy(), c[0].copy(), np.zeros(n), np.empty((3, n))), free[:n], step)
-    return free, step
 
 
 def loops(body: Sampled, k: Array, gain: float = 1.0) -> Array:

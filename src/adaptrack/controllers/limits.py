@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import Self
 
 from adaptrack.errors import InvalidInput, real, whole
+from adaptrack.limits import LAGUERRE_TERMS, check_limit
 
 
 @dataclass(frozen=True)
@@ -70,7 +71,7 @@ class Moves:
             raise InvalidInput(f"Moves: kind = {self.kind!r}: must be 'pulse' or 'laguerre'.")
         if not 0.0 <= real("Moves", "pole", self.pole) < 1.0:
             raise InvalidInput(f"Moves: pole = {self.pole!r}: must be in [0, 1).")
-        whole("Moves", "terms", self.terms)
+        check_limit("Moves: terms", whole("Moves", "terms", self.terms), LAGUERRE_TERMS)
 
     @classmethod
     def pulses(cls) -> Self:

@@ -20,6 +20,7 @@ from adaptrack.controllers.limits import Limits, Moves
 from adaptrack.controllers.tuning import ENTRIES, Tuning, read_tuning
 from adaptrack.errors import InvalidInput, real, whole
 from adaptrack.estimation import Estimator, get_estimator
+from adaptrack.limits import CONTROL_HORIZON, PREDICTION_HORIZON, check_limit
 from adaptrack.models import PredictionModel, SingleTrackModel
 from adaptrack.qp import QP, QPSolver, QPStatus, get_qp_solver
 from adaptrack.qp.active_set import ActiveSet
@@ -35,8 +36,8 @@ _log = logging.getLogger("adaptrack")
 class Scheduler(Protocol):
     """Chooses the tuning for scheduling variables. Horizons may be real numbers: they are rounded and clamped."""
 
-    def __call__(self, variables: Any) -> Tuning | tuple[float, float, float, float]:
-        """(Np, Nc, Q, R) for `scheduling.SchedulingVariables`."""
+    def __call__(self, variables: Any) -> Any:
+        """A `Tuning`, or the four numbers Np, Nc, Q, R, for `scheduling.SchedulingVariables`."""
 
 
 @runtime_checkable
@@ -151,6 +152,8 @@ class MPC:
         most_moves = max(20, self.tuning.Nc) if most_moves is None else most_moves
         self.longest_horizon = whole("MPC", "longest_horizon", longest_horizon)
         self.most_moves = whole("MPC", "most_moves", most_moves)
+        check_limit("MPC: longest_horizon", self.longest_horizon, PREDICTION_HORIZON)
+        check_limit("MPC: most_moves", self.most_moves, CONTROL_HORIZON)
         if self.tuning.Np > self.longest_horizon or self.tuning.Nc > self.most_moves:
             raise InvalidInput(
                 f"Np = {self.tuning.Np}, Nc = {self.tuning.Nc} exceed longest_horizon = {self.longest_horizon} or "

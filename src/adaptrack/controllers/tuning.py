@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adaptrack.errors import InvalidInput, real, whole
+from adaptrack.limits import CONTROL_HORIZON, PREDICTION_HORIZON, check_limit
 
 Array = NDArray[np.float64]
 
@@ -42,6 +43,8 @@ class Tuning:
             object.__setattr__(self, name, whole("Tuning", name, getattr(self, name)))
         for name in ("Q", "R"):
             object.__setattr__(self, name, real("Tuning", name, getattr(self, name)))
+        check_limit("Tuning: Np", self.Np, PREDICTION_HORIZON)
+        check_limit("Tuning: Nc", self.Nc, CONTROL_HORIZON)
         if self.Nc > self.Np:
             raise InvalidInput(f"Tuning: Nc = {self.Nc} > Np = {self.Np}: the control horizon must not be longer.")
         if not 0.0 <= self.Q < math.inf:

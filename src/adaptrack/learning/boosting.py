@@ -6,6 +6,7 @@ measure data: they are the ceiling for what is learned, and are not made to be d
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -55,11 +56,21 @@ def explained(dataset: DataSet, target: str, folds: int = 5, seed: int = 0) -> C
     return cross_validate(canonical(rows.operating_points), targets(rows)[target], folds, seed)
 
 
-def explained_shares(dataset: DataSet) -> dict[str, float]:
-    """R^2 of each target, see `explained`; none where there are too few rows."""
+def explained_shares(
+    dataset: DataSet, progress: Callable[[str, int, int], None] | None = None
+) -> dict[str, float]:
+    """R^2 of each target, see `explained`; none where there are too few rows.
+
+    progress: called with ("describe", targets done, targets).
+    """
     if np.count_nonzero(dataset.computed & np.isfinite(dataset.costs)) < 50:
         return {}
-    return {target: explained(dataset, target).r2 for target in TARGETS}
+    shares: dict[str, float] = {}
+    for number, target in enumerate(TARGETS):
+        if progress is not None:
+            progress("describe", number, len(TARGETS))
+        shares[target] = explained(dataset, target).r2
+    return shares
 
 
 def cross_validate(x: Array, y: Array, folds: int = 5, seed: int = 0) -> CrossValidated:

@@ -14,6 +14,7 @@ from pydantic import BeforeValidator, Field, model_validator
 
 from adaptrack.errors import ConfigError, InvalidInput, did_you_mean
 from adaptrack.files import Record, build, dump_toml, read_toml, write_atomically
+from adaptrack.limits import DURATION, PERIODS, check_limit
 from adaptrack.scenario.shapes import Array, Constant, Knots, Method, Shape, Signal, as_tuples
 from adaptrack.scenario.signals import Signals, instants
 from adaptrack.scenario.surroundings import WHEELS, Patch, PolarWind, Wind, as_friction, as_patches, as_wind
@@ -22,7 +23,6 @@ from adaptrack.scenario.tables import FRICTION_COLUMNS, insert_csv_columns, read
 CONTROL_PERIOD = 0.1
 """The sampling time of the paper's controller, s."""
 
-_MOST_PERIODS = 10_000_000  # 11 days at 0.1 s: more is a slip of the pen
 _MIRRORED = " (mirrored)"
 
 
@@ -64,6 +64,7 @@ class Scenario(Record):
 
     @model_validator(mode="after")
     def _check_signals(self) -> Self:
+        check_limit("duration", self.duration, DURATION)
         self.sample(self.duration / 1000.0)
         return self
 
@@ -117,11 +118,11 @@ class Scenario(Record):
         if not 0.0 < period < np.inf:
             raise InvalidInput(f"period = {period!r}: must be a finite time > 0 s.")
         ratio = self.duration / period
-        n = round(min(ratio, 2.0 * _MOST_PERIODS))
-        if not 1 <= n <= _MOST_PERIODS:
+        n = round(min(ratio, 2.0 * PERIODS.most))
+        if not 1 <= n <= PERIODS.most:
             raise InvalidInput(
                 f"scenario {self.name!r} lasts {self.duration!r} s: {ratio:.3g} periods of {period!r} s; "
-                f"1 to {_MOST_PERIODS:,} are possible."
+                f"1 to {PERIODS.most:,} are possible ({PERIODS.reason})."
             )
         t = instants(n, period)
         return Signals(period, t, self.reference_at(t), self.speed_at(t), self.friction_at(t), self.wind_at(t))

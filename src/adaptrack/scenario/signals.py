@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from adaptrack.errors import InvalidInput
+from adaptrack.limits import SPEED
 from adaptrack.scenario.shapes import Array
 
 HIGHEST_FRICTION = 3.0
@@ -23,8 +24,8 @@ class Signals:
     Raises
     ------
     InvalidInput
-        When lengths differ, a value is NaN or infinite, the time does not advance by the period, a speed is negative,
-        or a friction coefficient is outside (0, 3].
+        When lengths differ, a value is NaN or infinite, the time does not advance by the period, a speed is negative
+        or above 100 m/s, or a friction coefficient is outside (0, 3].
     """
 
     period: float  # s
@@ -54,6 +55,7 @@ class Signals:
             k = int(drift.argmax())
             raise InvalidInput(f"t[{k}] = {float(self.t[k])!r} s; it must be {k} periods of {self.period!r} s.")
         self._refuse(self.speed < 0.0, "speed", "must be >= 0 m/s")
+        self._refuse(self.speed > SPEED.most, "speed", f"must be at most {SPEED.most} m/s ({SPEED.reason})")
         self._refuse(self.friction <= 0.0, "friction", "must be > 0")
         self._refuse(self.friction > HIGHEST_FRICTION, "friction", "must be a coefficient such as 0.8, at most 3")
 

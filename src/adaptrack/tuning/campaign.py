@@ -1,9 +1,9 @@
-"""Campaigns: a particle swarm on every condition, on all cores or many machines, that survives being stopped.
+"""Campaigns: a particle swarm at every operating point, on all cores or many machines, that survives being stopped.
 
     config = load_campaign("paper-grid")
     file = run_campaign(config, "out", resume=True, progress=print)
 
-Work is split into chunks of conditions; each becomes one file the moment it is done. The result depends on the
+Work is split into chunks of operating points; each becomes one file the moment it is done. The result depends on the
 configuration only: not on the number of workers, the order of the chunks, or how often the work was interrupted.
 """
 
@@ -12,6 +12,7 @@ from __future__ import annotations
 import importlib
 import math
 import os
+import re
 import socket
 import threading
 import time
@@ -37,8 +38,11 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-DASK_TIMEOUT = "10s"
-"""How long a scheduler may take to answer the first time."""
+DASK_TIMEOUT = 5.0
+"""s, how long a scheduler may take to answer the first time, and then to have its first worker."""
+
+_DASK_ADDRESS = re.compile(r"(?:[a-z]+://)?(?:[^\s:/\[\]]+|\[[0-9A-Fa-f:.]+\]):(?P<port>[0-9]{1,5})/?")
+"""tcp://host:port or host:port"""
 
 
 def closed_loop(setup: Setup) -> Evaluator:
@@ -61,7 +65,7 @@ class Job:
 
 
 class Chunk(NamedTuple):
-    """The finished rows of some conditions."""
+    """The finished rows of some operating points."""
 
     columns: Columns
     seconds: float
@@ -87,8 +91,8 @@ def versions_of(evaluator: Evaluator) -> dict[str, str]:
     return {"adaptrack": __version__, **evaluator.versions()}
 
 
-def compute(job: Job, streams: NDArray[np.int64], conditions: Array, give_up: threading.Event | None = None) -> Chunk:
-    """Tune each condition (n, 4) and find the landscape there.
+def compute(job: Job, streams: NDArray[np.int64], points: Array, give_up: threading.Event | None = None) -> Chunk:
+    """Tune at each operating point (n, 4) and find the landscape there.
 
     Raises
     ------
@@ -103,41 +107,43 @@ def compute(job: Job, streams: NDArray[np.int64], conditions: Array, give_up: th
     here = versions_of(evaluator)
     if here != job.versions:
         raise ContractError(f"worker {worker} has other software than the campaign: {here}, not {job.versions}.")
-    standard, library = np.array([STANDARD]), job.library
-    place = np.flatnonzero((library == standard).all(axis=1))
-    asked = library if place.size else np.vstack([library, standard])
-    seed = job.setup.config.seed
-    rows: dict[str, list[Any]] = {column.name: [] for column in COLUMNS}
-    for stream, condition in zip(streams.tolist(), conditions, strict=True):
+    rows = []
+    for stream, point in zip(streams.tolist(), points, strict=True):
         if give_up is not None and give_up.is_set():
             raise CancelledError
-        tuned = evaluator.tune(condition, seed, stream)
-        costs = np.asarray(evaluator.landscape(condition, asked), dtype=float)
-        Np, Nc, Q, R = _checked(tuned, costs, len(asked), condition)
-        values = {
-            "stream": stream,
-            **dict(zip(NAMES, condition.tolist(), strict=True)),
-            "Np": Np,
-            "Nc": Nc,
-            "Q": Q,
-            "R": R,
-            "r_over_q": R / Q,
-            "cost": float(tuned.cost),
-            "standard_cost": costs[place[0] if place.size else -1],
-            "evaluations": int(tuned.evaluations),
-            "control_steps": int(tuned.control_steps),
-            "seed": seed,
-            "mirrored_from": -1,
-            "trace": np.asarray(tuned.trace, dtype=np.float32),
-            "landscape": costs[: len(library)].astype(np.float32),
-        }
-        for name, value in values.items():
-            rows[name].append(value)
-    columns = {column.name: np.array(rows[column.name], dtype=column.dtype) for column in COLUMNS}
+        rows.append(_row(evaluator, job, stream, point))
+    columns = {each.name: np.array([row[each.name] for row in rows], dtype=each.dtype) for each in COLUMNS}
     return Chunk(columns, time.perf_counter() - begun, worker)
 
 
-def _checked(tuned: Tuned, costs: Array, size: int, condition: Array) -> tuple[int, int, float, float]:
+def _row(evaluator: Evaluator, job: Job, stream: int, point: Array) -> dict[str, Any]:
+    """What a data set holds of one operating point."""
+    seed, standard, library = job.setup.config.seed, np.array([STANDARD]), job.library
+    place = np.flatnonzero((library == standard).all(axis=1))
+    asked = library if place.size else np.vstack([library, standard])
+    tuned = evaluator.tune(point, seed, stream)
+    costs = np.asarray(evaluator.landscape(point, asked), dtype=float)
+    Np, Nc, Q, R = _checked(tuned, costs, len(asked), point)
+    return {
+        "stream": stream,
+        **dict(zip(NAMES, point.tolist(), strict=True)),
+        "Np": Np,
+        "Nc": Nc,
+        "Q": Q,
+        "R": R,
+        "r_over_q": R / Q,
+        "cost": float(tuned.cost),
+        "standard_cost": costs[place[0] if place.size else -1],
+        "evaluations": int(tuned.evaluations),
+        "control_steps": int(tuned.control_steps),
+        "seed": seed,
+        "mirrored_from": -1,
+        "trace": np.asarray(tuned.trace, dtype=np.float32),
+        "landscape": costs[: len(library)].astype(np.float32),
+    }
+
+
+def _checked(tuned: Tuned, costs: Array, size: int, point: Array) -> tuple[int, int, float, float]:
     """The tuning of an answer that makes sense."""
     Np, Nc, Q, R = (float(value) for value in tuned.tuning)
     horizons = Np.is_integer() and Nc.is_integer() and 1 <= Nc <= Np
@@ -149,8 +155,8 @@ def _checked(tuned: Tuned, costs: Array, size: int, condition: Array) -> tuple[i
         fault = f"a landscape of shape {costs.shape} for {size} tunings, {int(np.isnan(costs).sum())} of them NaN"
     else:
         return int(Np), int(Nc), Q, R
-    where = dict(zip(NAMES, condition.tolist(), strict=True))
-    raise ContractError(f"the objective answered condition {where} with {fault}.")
+    where = dict(zip(NAMES, point.tolist(), strict=True))
+    raise ContractError(f"the objective answered operating point {where} with {fault}.")
 
 
 # -- the whole --------------------------------------------------------------------------------------------------------
@@ -159,9 +165,9 @@ class Progress:
     """How far a campaign is."""
 
     done: int
-    """conditions finished, earlier sessions included"""
+    """operating points finished, earlier sessions included"""
     total: int
-    """conditions to compute; left-right twins count once"""
+    """operating points to compute; left-right twins count once"""
     runs: int
     """closed-loop runs of this session"""
     seconds: float
@@ -206,7 +212,8 @@ def run_campaign(
     Raises
     ------
     InvalidInput
-        When the configuration or the arguments fit nothing; before any work, like the next two.
+        When the configuration or the arguments fit nothing, or the Dask scheduler has no workers; before any work, like
+        the next two.
     StorageError
         When `out` cannot be used, see `store.Folder`; later, when a file cannot be written.
     MissingExtra
@@ -217,21 +224,10 @@ def run_campaign(
         After Ctrl-C.
     """
     plan = Plan.of(config)
-    versions = versions_of(evaluator_of(evaluate, plan.setup))
-    count = len(plan.fold.representatives)
-    manifest = {
-        "name": config.name,
-        "format_version": FORMAT_VERSION,
-        "identity": plan.identity,
-        "conditions": len(plan.operating_points),
-        "computed": count,
-        "chunk": config.chunk,
-        "chunks": math.ceil(count / config.chunk),
-        "versions": versions,
-        "settings": plan.settings,
-    }
     with ExitStack() as stack:
-        pool = stack.enter_context(_pool(workers, dask, executor))
+        pool = stack.enter_context(_pool(workers, dask, executor))  # first: it takes seconds, compilation minutes
+        versions = versions_of(evaluator_of(evaluate, plan.setup))
+        manifest = _manifest(plan, versions)
         folder = stack.enter_context(Folder.opened(out, manifest, resume))
         if folder.has_dataset():
             folder.drop_chunks()
@@ -242,6 +238,22 @@ def run_campaign(
         session.run(pool)
         session.merge()
         return folder.dataset
+
+
+def _manifest(plan: Plan, versions: dict[str, str]) -> dict[str, Any]:
+    """What a folder says about its campaign."""
+    config, count = plan.config, len(plan.fold.representatives)
+    return {
+        "name": config.name,
+        "format_version": FORMAT_VERSION,
+        "identity": plan.identity,
+        "conditions": len(plan.operating_points),
+        "computed": count,
+        "chunk": config.chunk,
+        "chunks": math.ceil(count / config.chunk),
+        "versions": versions,
+        "settings": plan.settings,
+    }
 
 
 @dataclass(frozen=True)
@@ -259,19 +271,7 @@ def _pool(workers: int | None, dask: str | None, executor: Executor | None) -> I
     if executor is not None:
         yield _Pool(executor)
     elif dask is not None:
-        try:
-            distributed = importlib.import_module("distributed")
-        except ImportError:
-            raise MissingExtra(
-                "Dask is not installed; it comes with: python -m pip install 'adaptrack[cluster]'"
-            ) from None
-        try:
-            client = distributed.Client(dask, timeout=DASK_TIMEOUT, set_as_default=False)
-        except (OSError, ValueError, TypeError) as error:
-            raise InvalidInput(
-                f"dask = {dask!r}: no scheduler answers there ({error}); an address looks like tcp://127.0.0.1:8786."
-            ) from None
-        with client:
+        with _dask_client(dask) as client:
             yield _Pool(client.get_executor(retries=3, pure=False))
     else:
         if workers is not None and (isinstance(workers, bool) or not isinstance(workers, int) or workers < 1):
@@ -282,6 +282,34 @@ def _pool(workers: int | None, dask: str | None, executor: Executor | None) -> I
                 yield _Pool(threads, give_up)
             finally:
                 give_up.set()  # nobody waits for what is still in work
+
+
+def _dask_client(address: str) -> Any:
+    """A client of a Dask scheduler that has workers."""
+    try:
+        distributed = importlib.import_module("distributed")
+    except ImportError:
+        raise MissingExtra("Dask is not installed; it comes with: python -m pip install 'adaptrack[cluster]'") from None
+    form = _DASK_ADDRESS.fullmatch(address)
+    if form is None or not 0 < int(form["port"]) < 65536:
+        raise InvalidInput(f"dask = {address!r}: is no address; one looks like tcp://127.0.0.1:8786.")
+    try:
+        client = distributed.Client(address, timeout=DASK_TIMEOUT, set_as_default=False)
+    except (OSError, ValueError, TypeError) as error:
+        raise InvalidInput(
+            f"dask = {address!r}: no scheduler answers there ({error}); an address looks like tcp://127.0.0.1:8786."
+        ) from None
+    try:
+        client.wait_for_workers(1, timeout=DASK_TIMEOUT)
+    except TimeoutError:
+        client.close()
+        raise InvalidInput(
+            f"dask = {address!r}: the scheduler has no workers; start one or more: dask worker {address}"
+        ) from None
+    except BaseException:
+        client.close()
+        raise
+    return client
 
 
 def _cores() -> int:
@@ -303,9 +331,9 @@ class _Session:
     kept: dict[int, Columns] = field(default_factory=dict)
     """finished chunks"""
     found: int = 0
-    """conditions that earlier sessions finished"""
+    """operating points that earlier sessions finished"""
     done: int = 0
-    """conditions finished"""
+    """operating points finished"""
     runs: int = 0
     begun: float = 0.0
 
@@ -368,7 +396,7 @@ class _Session:
     def _keep(self, number: int, columns: Columns) -> None:
         streams = self.part(number)
         if not np.array_equal(columns["stream"], streams):
-            raise StorageError(f"{self.folder.chunk(number)}: holds other conditions than it should: remove it.")
+            raise StorageError(f"{self.folder.chunk(number)}: holds other operating points than it should: remove it.")
         self.kept[number] = columns
         self.done += len(streams)
 
@@ -395,7 +423,7 @@ class _Session:
             self.progress(Progress(self.done, total, self.runs, seconds, left))
 
     def merge(self) -> None:
-        """Put the chunks together in the order of the conditions, twins included."""
+        """Put the chunks together in the order of the operating points, twins included."""
         parts = [self.kept[number] for number in range(self.folder.chunks)]
         generations = {part["trace"].shape[1] for part in parts}
         if len(generations) > 1:

@@ -19,6 +19,7 @@ from pydantic import BeforeValidator, Field, model_validator
 from adaptrack.controllers import Tuning
 from adaptrack.errors import UnknownName, did_you_mean
 from adaptrack.files import Record, build, read_toml
+from adaptrack.limits import LANDSCAPE, NOISE_SEEDS, check_limit
 from adaptrack.profile import load_profile
 from adaptrack.tuning.operating_points import Fold, check_box, fold, grid, paper_grid, sobol, unit_sobol
 from adaptrack.tuning.pso import SearchSpace, SwarmSettings
@@ -202,8 +203,8 @@ class CampaignConfig(Record):
         description="step: constant reference y_ref and wind; lane-change: smooth, with a gust"
     )
     duration: float | None = Field(default=None, gt=0, le=600, description="s; 18 for step, 8 for lane-change")
-    move_price: float | None = Field(
-        default=None, ge=0, le=1e6, description="m^2/rad^2, price of steering activity; by default the profile's"
+    move_weight: float | None = Field(
+        default=None, ge=0, le=1e6, description="m^2/rad^2, weight of steering activity; by default the profile's"
     )
     noise_seeds: Annotated[tuple[Seed, ...], BeforeValidator(_tuples)] | None = Field(
         default=None, description="each cost is the mean over these; by default [0], with sensor noise [0, 1, 2, 3]"
@@ -225,6 +226,7 @@ class CampaignConfig(Record):
         if self.noise_seeds is not None:
             if not self.noise_seeds:
                 raise ValueError("noise_seeds: give one seed at least.")
+            check_limit("noise_seeds", len(self.noise_seeds), NOISE_SEEDS)
             if len(set(self.noise_seeds)) < len(self.noise_seeds):
                 raise ValueError("noise_seeds: one is given twice.")
             if len(self.noise_seeds) > 1 and not self.noisy:
@@ -242,7 +244,7 @@ class CampaignConfig(Record):
         """A copy in which every value that may be left out has been given."""
         return self.replace(
             duration=self.duration or {"step": 18.0, "lane-change": 8.0}[self.scenario],
-            move_price=load_profile(self.profile).move_weight if self.move_price is None else self.move_price,
+            move_weight=load_profile(self.profile).move_weight if self.move_weight is None else self.move_weight,
             noise_seeds=self.noise_seeds or ((0, 1, 2, 3) if self.noisy else (0,)),
             mirror=not self.noisy if self.mirror is None else self.mirror,
         )
@@ -307,7 +309,8 @@ class Plan:
     Raises
     ------
     InvalidInput
-        When a vehicle or tyre does not exist or cannot be read, as `load_vehicle` and `load_tyre` say.
+        When a vehicle or tyre does not exist or cannot be read, as `load_vehicle` and `load_tyre` say, or the landscape
+        is larger than `limits.LANDSCAPE`.
     """
 
     setup: Setup
@@ -324,10 +327,11 @@ class Plan:
         config = config.settled()
         vehicle = load_vehicle(config.vehicle)
         tyre = load_tyre(config.tyre or vehicle.tyre)
-        rows = config.operating_points.rows()
+        rows, library = config.operating_points.rows(), config.library.rows(config.search)
+        check_limit("landscape", len(rows) * len(library), LANDSCAPE)
         numbers = np.arange(len(rows))
         twins = fold(rows) if config.mirror else Fold(numbers, numbers, np.ones_like(numbers))
-        return cls(Setup(config, vehicle, tyre), rows, twins, config.library.rows(config.search))
+        return cls(Setup(config, vehicle, tyre), rows, twins, library)
 
     @property
     def config(self) -> CampaignConfig:

@@ -1,0 +1,132 @@
+"""The command line: `main` runs one command and turns whatever ends it into one message and an exit code.
+
+Exit codes: 0 done; 1 a certificate found an unstable loop; 2 an error, one sentence on standard error; 3 a run failed;
+130 Ctrl-C; 141 the reader of standard output has gone (`adaptrack ... | head -1`), as for any program in a pipe.
+
+Nothing but the standard library is imported here, so that Ctrl-C is answered from the first moment on. Every command
+imports what it needs when it runs: `adaptrack --help` loads no numerics.
+"""
+
+from __future__ import annotations
+
+import errno
+import os
+import signal
+import sys
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from types import FrameType
+from typing import Any
+
+from adaptrack.cli import interrupt
+from adaptrack.errors import AdaptrackError
+
+DONE, ERROR, INTERRUPTED, PIPE_CLOSED = 0, 2, 130, 141
+
+REPEAT = 0.5
+"""s, between the repetitions of a Ctrl-C that nothing has heard."""
+
+_NO_OUTPUT = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EBADF)
+"""What the system says when standard output takes no more."""
+
+
+def main() -> int:
+    """Run the command line; the exit code."""
+    _prepare_output()
+    interrupt.kept("Nothing was written.")
+    with _noting_ctrl_c() as pressed:
+        try:
+            code = _run()
+        except BaseException as error:
+            # An import that Ctrl-C hits may end in any exception, not only in KeyboardInterrupt.
+            code = INTERRUPTED if pressed else _told(error)
+    if code == INTERRUPTED:
+        print(f"adaptrack: interrupted. {interrupt.what_is_kept()}", file=sys.stderr)
+    return code
+
+
+def _run() -> int:
+    from adaptrack.cli.app import app
+
+    code = app(standalone_mode=False)
+    sys.stdout.flush()
+    return code if isinstance(code, int) else DONE
+
+
+def _told(error: BaseException) -> int:
+    """Say what ended the command; its exit code. A fault of ours is raised again, with its traceback."""
+    if isinstance(error, AdaptrackError):
+        print(f"adaptrack: {error}", file=sys.stderr)
+        return ERROR
+    if isinstance(error, KeyboardInterrupt) or type(error).__name__ == "Abort":  # typer's word for it
+        return INTERRUPTED
+    if isinstance(error, BrokenPipeError | SystemExit):  # typer and rich end with the latter when a pipe is closed
+        _give_up_output()
+        return PIPE_CLOSED
+    if isinstance(error, OSError) and error.errno in _NO_OUTPUT and error.filename is None:
+        _give_up_output()
+        print(f"adaptrack: standard output cannot be written: {error.strerror}.", file=sys.stderr)
+        return ERROR
+    show: Any = getattr(error, "show", None)  # of typer's complaints about the command line
+    if show is None:
+        raise error
+    show()
+    return int(getattr(error, "exit_code", ERROR))
+
+
+def _prepare_output() -> None:
+    """Any text can be written; a standard stream that is closed (`>&-`) takes everything and keeps nothing."""
+    for name in ("stdout", "stderr"):
+        if getattr(sys, name) is None:
+            setattr(sys, name, open(os.devnull, "w", encoding="utf-8"))  # noqa: SIM115
+        with suppress(AttributeError, ValueError):
+            getattr(sys, name).reconfigure(errors="backslashreplace")
+
+
+def _give_up_output() -> None:
+    """Send what is still in the buffer nowhere: the interpreter flushes it when it ends."""
+    with suppress(OSError, ValueError), open(os.devnull, "w", encoding="utf-8") as nowhere:
+        os.dup2(nowhere.fileno(), sys.stdout.fileno())
+
+
+@contextmanager
+def _noting_ctrl_c() -> Iterator[list[int]]:
+    """A list that is no longer empty once Ctrl-C was pressed, which raises KeyboardInterrupt as ever.
+
+    Callbacks from compiled code swallow exceptions. While something is imported or compiled, Ctrl-C is repeated until
+    it is heard: else a minute of compilation would go on.
+    """
+    pressed: list[int] = []
+
+    def note(number: int, frame: FrameType | None) -> None:
+        pressed.append(number)
+        signal.setitimer(signal.ITIMER_REAL, REPEAT, REPEAT)
+        signal.default_int_handler(number, frame)
+
+    def repeat(number: int, frame: FrameType | None) -> None:
+        if _importing(frame):
+            raise KeyboardInterrupt
+
+    main_thread = threading.current_thread() is threading.main_thread()
+    if not main_thread or signal.getsignal(signal.SIGINT) is not signal.default_int_handler:
+        yield pressed
+        return
+    signal.signal(signal.SIGINT, note)
+    before = signal.signal(signal.SIGALRM, repeat)
+    try:
+        yield pressed
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0.0)
+        signal.signal(signal.SIGALRM, before)
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+def _importing(frame: FrameType | None) -> bool:
+    """Whether a module is being imported, or numba compiles, somewhere below."""
+    while frame is not None:
+        name = frame.f_code.co_filename
+        if "importlib._bootstrap" in name or f"{os.sep}numba{os.sep}" in name:
+            return True
+        frame = frame.f_back
+    return False

@@ -1,0 +1,30 @@
+"""`adaptrack adapt`: the whole chain."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+from typer import Option
+
+from adaptrack.cli import comparison, interrupt, options, show
+
+
+def adapt(
+    out: Annotated[Path, Option(help="Folder of the chain; one that was interrupted goes on.")],
+    config: Annotated[str, Option(help="Name (road) or .toml file.")] = "road",
+    workers: options.Workers = None,
+    as_json: options.Json = False,
+) -> None:
+    """The whole chain: tune, learn schedulers, guard them, evaluate them on roads nobody trained on."""
+    from adaptrack.adaptation.config import load_adaptation
+    from adaptrack.studies.adapt import adapt as run
+
+    settings = load_adaptation(config)
+    options.make_folder(out)
+    interrupt.kept(f"Finished chunks and schedulers are kept in {out}: run the command again to go on.")
+    with show.progress("adapt") as advance:
+        made = run(settings, out, workers=workers, progress=advance)
+    page = comparison.write_page(out, made)
+    show.say(f"Schedulers: {out / 'schedulers'}\nReport: {page}", aside=as_json)
+    comparison.print_comparison(made, as_json)

@@ -1,0 +1,50 @@
+"""The commands, put together."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import typer
+
+from adaptrack import __version__
+from adaptrack.cli import adapt, bench, certify, dataset, evaluate, lists, reproduce, simulate, train, tune
+
+app = typer.Typer(
+    name="adaptrack",
+    help="Auto-tuned, auto-adaptive model predictive control for path tracking.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+)
+
+
+def _version(asked: bool) -> None:
+    if asked:
+        typer.echo(f"adaptrack {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def _options(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_version, is_eager=True, help="Show the version.")
+    ] = False,
+) -> None:
+    """Auto-tuned, auto-adaptive model predictive control for path tracking."""
+
+
+for command in (
+    simulate.simulate,
+    lists.scenarios,
+    lists.vehicles,
+    tune.tune,
+    train.train,
+    reproduce.reproduce,
+    adapt.adapt,
+    certify.certify,
+    evaluate.evaluate,
+    lists.schedulers,
+):
+    app.command()(command)
+app.add_typer(bench.app, name="bench")
+app.add_typer(dataset.app, name="dataset")

@@ -1,0 +1,53 @@
+"""`adaptrack dataset describe` and `list`."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import typer
+
+from adaptrack.cli import options, show
+
+app = typer.Typer(help="Data sets of tuned operating points.", no_args_is_help=True)
+
+
+@app.command("describe")
+def describe_dataset(name: options.DataSetName, out: options.Page = None, as_json: options.Json = False) -> None:
+    """Tell what is in a data set: ranges, optimum, how much the points explain, how flat the optimum is."""
+    from adaptrack.dataset import describe, load_dataset
+    from adaptrack.learning.boosting import explained_shares
+
+    dataset = load_dataset(name)
+    if out is not None:
+        options.make_folder(out)
+    with show.progress("describe") as advance:
+        found = describe(dataset, explained_shares(dataset, advance))
+    if out is not None:
+        from adaptrack.report import write_dataset_report
+
+        with show.progress("write the page"):
+            page = write_dataset_report(out, dataset, summary=found)
+        show.say(f"Report: {page}", aside=as_json)
+    if as_json:
+        show.say_json(found)
+    else:
+        _print(found)
+
+
+def _print(found: Mapping[str, Any]) -> None:
+    plain = {key: value for key, value in found.items() if not isinstance(value, dict | list)}
+    show.flat(found["name"], plain, False)
+    for key, value in found.items():
+        if isinstance(value, dict):
+            value = [{"what": what.replace("_", " "), "value": entry} for what, entry in value.items()]
+        if isinstance(value, list) and value and isinstance(value[0], dict):
+            show.listing(key.replace("_", " "), value, False)
+
+
+@app.command("list")
+def datasets(as_json: options.Json = False) -> None:
+    """List the data sets that have a name."""
+    from adaptrack.dataset import list_datasets
+
+    show.listing("Data sets", [{"name": name} for name in list_datasets()], as_json)

@@ -1,0 +1,111 @@
+"""`adaptrack evaluate`: compare schedulers on what nobody tuned or trained on."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Annotated, Any
+
+from typer import Option
+
+from adaptrack.cli import comparison, options, show
+from adaptrack.errors import InvalidInput
+from adaptrack.limits import DRIVES, OPERATING_POINTS, SEED, check_limit
+
+if TYPE_CHECKING:
+    from adaptrack.scheduling import Schedule
+
+USUAL = "sobol:2000"
+"""The operating points when nothing is asked for."""
+
+
+def evaluate(
+    schedulers: Annotated[
+        list[str] | None, Option(help="Names (see `schedulers`) or files, beside those that ship with the package.")
+    ] = None,
+    contender: Annotated[
+        list[str] | None, Option("--contender", help="Name of a registered contender, driven beside the schedulers.")
+    ] = None,
+    operating_points: Annotated[
+        str | None,
+        Option(
+            "--operating-points", "--conditions", metavar="sobol:N",
+            help=f"So many unseen operating points, {OPERATING_POINTS.range} (also: --conditions).",
+        ),
+    ] = None,
+    drives: Annotated[
+        int | None, Option(callback=options.at_most(DRIVES), help=f"So many random drives of 60 s, {DRIVES.range}.")
+    ] = None,
+    tests: Annotated[bool, Option("--tests", help="The paper's two tests.")] = False,
+    config: Annotated[str, Option(help="Whose vehicle, profile and domain: name (road) or .toml file.")] = "road",
+    profile: Annotated[str | None, Option(help="Must be the configuration's; for the record.")] = None,
+    known_as: Annotated[
+        list[str] | None,
+        Option(
+            "--known-as", "--told",
+            help="How friction and wind are known: exact, noisy, lagged, estimated, withheld, ... (also: --told).",
+        ),
+    ] = None,
+    seed: Annotated[
+        int, Option("--seed", callback=options.at_most(SEED, least=0), help="Which operating points and drives.")
+    ] = 7,
+    out: options.Page = None,
+    as_json: options.Json = False,
+) -> None:  # fmt: skip
+    """Compare schedulers with the best constant and the optimum of each operating point, where none was trained."""
+    from adaptrack.adaptation.config import load_adaptation
+    from adaptrack.adaptation.splits import SetUp
+    from adaptrack.comparison.contenders import check_contender
+    from adaptrack.comparison.evaluate import on_drives, on_operating_points, on_tests
+    from adaptrack.runs import perception
+    from adaptrack.studies.adapt import Adapted
+
+    settings = load_adaptation(config)
+    setup = SetUp.of(settings)
+    if profile is not None and profile != setup.profile:
+        raise InvalidInput(f"--profile {profile}: configuration {settings.name!r} is for {setup.profile!r}.")
+    compared, more = schedules(settings.name, schedulers or []), contender or []
+    if operating_points is None and drives is None and not tests:
+        operating_points = USUAL
+    count = 0 if operating_points is None else _sample_size(operating_points)
+    ways = tuple(dict.fromkeys(["exact", *(known_as or [])]))
+    for way in ways:
+        perception(way, setup.plant, setup.profile)  # an unknown one is refused before any work
+    for name in more:
+        check_contender(name)
+    if out is not None:
+        options.make_folder(out)
+    with show.progress("evaluate") as advance:
+        how: dict[str, Any] = {"known_as": ways, "more": more, "progress": advance}
+        made = Adapted(
+            compared,
+            {},
+            on_operating_points(setup, compared, count, seed, **how) if count else {},
+            on_drives(setup, compared, drives, seed, **how) if drives else {},
+            on_tests(setup, compared, more=more) if tests else {},
+        )
+    if out is not None:
+        show.say(f"Report: {comparison.write_page(out, made)}", aside=as_json)
+    comparison.print_comparison(made, as_json)
+
+
+def schedules(adaptation: str, given: Sequence[str]) -> dict[str, Schedule]:
+    """What ships for an adaptation, and the schedulers given by name or file; a name that recurs says whose it is."""
+    from adaptrack.scheduling import check_scheduler, load_scheduler
+    from adaptrack.studies.adapt import shipped
+
+    found = shipped(adaptation)
+    for name in given:
+        schedule = load_scheduler(name)
+        check_scheduler(schedule)
+        found[schedule.name if schedule.name not in found else f"{schedule.name} ({name})"] = schedule
+    return found
+
+
+def _sample_size(text: str) -> int:
+    """The N of `sobol:N`."""
+    kind, _, digits = text.partition(":")
+    if kind != "sobol" or not digits.isdecimal() or not digits.strip("0"):
+        raise InvalidInput(f"--operating-points {text[:40]!r}: write sobol:N, for instance {USUAL}.")
+    count = int(digits[:20])  # of more digits it is too large in any case
+    check_limit("--operating-points", count, OPERATING_POINTS)
+    return count

@@ -1,0 +1,118 @@
+"""The options that commands share, each declared once; and what follows from them."""
+
+from __future__ import annotations
+
+import shlex
+import sys
+from collections.abc import Callable
+from enum import StrEnum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+from typer import Option
+
+from adaptrack.errors import InvalidInput, StorageError
+from adaptrack.limits import WORKERS, Limit, check_limit
+
+if TYPE_CHECKING:
+    from adaptrack.plant import DualTrack, SingleTrack
+    from adaptrack.vehicle import Vehicle as Car
+
+
+class PlantName(StrEnum):
+    """Plants."""
+
+    single_track = "single-track"
+    dual_track = "dual-track"
+
+
+class MovesName(StrEnum):
+    """Parametrisations of the moves."""
+
+    pulse = "pulse"
+    laguerre = "laguerre"
+
+
+class ModelName(StrEnum):
+    """Models that learn a tuning."""
+
+    nn = "nn"
+    anfis = "anfis"
+
+
+class TargetsName(StrEnum):
+    """What they learn."""
+
+    paper = "paper"
+    ratio = "ratio"
+
+
+def at_most(limit: Limit, least: int = 1) -> Callable[[typer.CallbackParam, int | None], int | None]:
+    """A callback that refuses a count outside its bounds by the name of its option."""
+
+    def check(option: typer.CallbackParam, value: int | None) -> int | None:
+        if value is not None:
+            name = max(option.opts, key=len)
+            if value < least:
+                raise InvalidInput(f"{name} = {value}: must be a whole number, at least {least}.")
+            check_limit(name, value, limit)
+        return value
+
+    return check
+
+
+def count_of(what: str, limit: Limit) -> typer.models.OptionInfo:
+    """An option that counts something, from 1 to its bound."""
+    return Option(callback=at_most(limit), help=f"{what}, {limit.range}.")
+
+
+Vehicle = Annotated[str, Option("--vehicle", help="Name (see `vehicles`) or .toml file.")]
+Plant = Annotated[PlantName, Option("--plant", help="What is driven.")]
+Tyre = Annotated[str | None, Option("--tyre", help="Name (see `vehicles`) or .toml file; by default the vehicle's.")]
+Profile = Annotated[
+    str, Option("--profile", metavar="NAME", help="paper: ideal; road: steering lag, noise, delay; or a .toml file.")
+]
+Json = Annotated[bool, Option("--json", help="One JSON object on standard output, nothing else.")]
+Data = Annotated[str, Option("--data", help="Name (see `dataset list`), file, or folder of a campaign.")]
+DataSetName = Annotated[
+    str, typer.Argument(metavar="NAME", help="Name (see `dataset list`), file, or folder of a campaign.")
+]
+Page = Annotated[Path | None, Option("--out", help="Folder for the page and its pictures.")]
+LearningSeed = Annotated[int, Option("--seed", min=0, help="Of the hold-out and of the first weights.")]
+Workers = Annotated[
+    int | None,
+    Option("--workers", callback=at_most(WORKERS), help="Threads of the campaign, by default one per core."),
+]
+Threads = Annotated[int | None, Option("--threads", callback=at_most(WORKERS), help="By default one per core.")]
+
+
+def car_and_plant(vehicle: str, plant: PlantName, tyre: str | None) -> tuple[Car, SingleTrack | DualTrack]:
+    """The car that the controller knows, and the plant that is driven."""
+    from adaptrack.plant import DualTrack, SingleTrack
+    from adaptrack.vehicle import load_vehicle
+
+    car = load_vehicle(vehicle)
+    return car, (SingleTrack if plant is PlantName.single_track else DualTrack)(car, tyre)
+
+
+def make_folder(path: Path) -> None:
+    """A folder that can be written to.
+
+    Raises
+    ------
+    StorageError
+        When there can be none.
+    """
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+        probe = path / ".writable"
+        probe.touch()
+        probe.unlink()
+    except (OSError, ValueError) as error:  # ValueError: a path with NUL
+        raise StorageError(f"{path}: cannot be written to: {getattr(error, 'strerror', None) or error}.") from error
+
+
+def command_line() -> str:
+    """The command line at hand."""
+    return shlex.join(["adaptrack", *sys.argv[1:]])

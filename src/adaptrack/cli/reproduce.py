@@ -1,0 +1,52 @@
+"""`adaptrack reproduce`: the paper's experiment again."""
+
+from __future__ import annotations
+
+from operator import itemgetter
+from pathlib import Path
+from typing import Annotated
+
+from typer import Option
+
+from adaptrack.cli import options, show
+from adaptrack.cli.show import Column
+
+COLUMNS = (
+    Column("controller", "controller"),
+    Column("moves", "moves"),
+    Column("mse", "MSE", "m²"),
+    Column("paper_mse", "paper", "m²"),
+    Column("ratio", "ratio", "", show.digits(3)),
+    Column("failed", "failed"),
+)
+
+GROUP = itemgetter("configuration", "scenario", "preview")
+"""What the rows of one table have in common."""
+
+
+def reproduce(
+    out: Annotated[Path, Option(help="Folder for the page and its pictures.")],
+    quick: Annotated[bool, Option("--quick", help="Learn for fewer epochs, from fewer operating points.")] = False,
+    data: Annotated[str, Option(help="Data set to learn from; its points must fill a grid.")] = "paper-grid",
+    seed: options.LearningSeed = 0,
+    as_json: options.Json = False,
+) -> None:
+    """Run the paper's experiment again: learn, drive both tests with every controller, write the page about it."""
+    from adaptrack.dataset import load_dataset
+    from adaptrack.report.reproduce import write_reproduction
+    from adaptrack.studies.reproduce import reproduce as run_again
+
+    dataset = load_dataset(data)
+    options.make_folder(out)
+    with show.progress("reproduce") as advance:
+        made = run_again(dataset, quick=quick, seed=seed, folder=out, progress=advance)
+    with show.progress("write the page"):
+        page = write_reproduction(out, made, command=options.command_line())
+    show.say(f"Report: {page}", aside=as_json)
+    if as_json:
+        show.say_json(made.as_json())
+        return
+    for configuration, scenario, preview in dict.fromkeys(map(GROUP, made.rows)):
+        rows = [row for row in made.rows if GROUP(row) == (configuration, scenario, preview)]
+        show.table(f"{configuration}, {scenario}, with{'' if preview else 'out'} preview", COLUMNS, rows)
+    show.say(f"{made.seconds:.0f} s, of which {made.training_seconds:.0f} s learning")

@@ -1,0 +1,232 @@
+"""What commands print: tables, lists, JSON and one's progress. Names are data: no markup in them is read."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+if TYPE_CHECKING:
+    from rich.text import Text
+
+Rows = Sequence[Mapping[str, Any]]
+
+WIDE = 140
+"""Columns of text where standard output is no terminal; every table of numbers fits 80."""
+FIRST_LINE, NEXT_LINE, RAREST_LINE = 2.0, 5.0, 60.0
+"""s, until progress without a terminal is first told, then until the next line; and at most, in work of hours."""
+
+
+class Column(NamedTuple):
+    """A column of a table; a title may have two lines where there is no unit."""
+
+    key: str
+    """of the row's entry"""
+    title: str
+    unit: str = ""
+    show: Callable[[Any], str] | None = None
+    """how an entry is written; by default `written`"""
+
+
+# -- text -------------------------------------------------------------------------------------------------------------
+def say(text: str, aside: bool = False) -> None:
+    """A line on standard output; aside: on standard error, where standard output is for JSON."""
+    print(printable(text), file=sys.stderr if aside else sys.stdout)
+
+
+def say_failed(text: str, aside: bool = False) -> None:
+    """A line that begins with a red word."""
+    from rich.console import Console
+    from rich.text import Text
+
+    line = Text.assemble(("FAILED", "bold red"), " ", printable(text))
+    Console(file=sys.stderr if aside else sys.stdout, width=_width(aside), highlight=False).print(line, soft_wrap=True)
+
+
+def say_json(values: Any) -> None:
+    """One strict JSON object."""
+    print(json.dumps(values, allow_nan=False))
+
+
+def printable(text: str) -> str:
+    """The text with control characters, and what is no character at all, written as escapes."""
+    from adaptrack.files import printable as escaped
+
+    return escaped(text, keep="\n")
+
+
+def written(value: Any) -> str:
+    """A table's entry: four significant digits, "-" for nothing."""
+    if value is None:
+        return "-"
+    return f"{value:.4g}" if isinstance(value, float) else printable(str(value))
+
+
+def digits(count: int) -> Callable[[Any], str]:
+    """Writes numbers with so many significant digits."""
+    return lambda value: f"{value:.{count}g}" if isinstance(value, float) else written(value)
+
+
+def whole(value: Any) -> str:
+    """Writes a number without its fraction."""
+    return "-" if value is None else f"{value:,.0f}"
+
+
+def percent(value: Any) -> str:
+    """Writes a share in per cent."""
+    return "-" if value is None else f"{100.0 * value:.0f}"
+
+
+# -- tables -----------------------------------------------------------------------------------------------------------
+def table(title: str, columns: Sequence[Column], rows: Rows) -> None:
+    """A table with a line of titles and units; numbers stand to the right."""
+    from rich import box
+    from rich.console import Console
+    from rich.table import Table
+    from rich.text import Text
+
+    made = Table(
+        title=Text(printable(title)), title_justify="left", box=box.SIMPLE_HEAD, show_edge=False, pad_edge=False,
+        padding=(0, 1, 0, 0),
+    )  # fmt: skip
+    for column in columns:
+        known = [row[column.key] for row in rows if row[column.key] is not None]
+        numbers = all(isinstance(value, int | float) for value in known)
+        least = min(30, max(map(len, map(str, known)), default=0)) if column is columns[0] else None  # names stay whole
+        made.add_column(_heading(column), overflow="fold", justify="right" if numbers else "left", min_width=least)
+    for row in rows:
+        made.add_row(*(Text((column.show or written)(row[column.key])) for column in columns))
+    console = Console(file=sys.stdout, width=_width())
+    console.print(made)
+    console.print()
+
+
+def _heading(column: Column) -> Text:
+    from rich.text import Text
+
+    return Text(f"{column.title}\n({column.unit})" if column.unit else column.title)
+
+
+def _width(aside: bool = False) -> int | None:
+    stream = sys.stderr if aside else sys.stdout
+    return None if stream.isatty() or "COLUMNS" in os.environ else WIDE
+
+
+def listing(title: str, rows: Rows, as_json: bool) -> None:
+    """Rows that need no choice of columns."""
+    if as_json:
+        say_json({"rows": rows})
+    elif rows:
+        table(title, [Column(key, key.replace("_", " ")) for key in rows[0]], rows)
+
+
+def flat(title: str, values: Mapping[str, Any], as_json: bool) -> None:
+    """Names and values."""
+    if as_json:
+        say_json(values)
+    else:
+        listing(title, [{"what": key.replace("_", " "), "value": value} for key, value in values.items()], False)
+
+
+# -- progress ---------------------------------------------------------------------------------------------------------
+Show = Callable[[str, int, int], None]
+"""show(what is done, steps done, steps in all)"""
+
+
+class _State:
+    """How far the work is, and how long it will take."""
+
+    def __init__(self, label: str, total: int) -> None:
+        self.label, self.total, self.finished, self.share = label, total, 0, 0.0
+        self.begun = time.monotonic()
+
+    def update(self, label: str, done: int, steps: int) -> None:
+        """One of `total` pieces of work is so far; a single piece may have stages, each with a label of its own."""
+        if self.total == 1 and label != self.label:
+            self.begun = time.monotonic()
+        self.label = label
+        share = done / steps if steps else 1.0
+        self.share = (self.finished + share) / self.total
+        if self.total > 1 and done == steps:
+            self.finished += 1
+
+    def left(self) -> float | None:
+        """s until the end at the speed so far; None where that is not known."""
+        if not 0.0 < self.share < 1.0:
+            return None
+        return (time.monotonic() - self.begun) * (1.0 - self.share) / self.share
+
+    def line(self) -> str:
+        """For logs."""
+        left = self.left()
+        rest = f"{time.monotonic() - self.begun:.0f} s so far" if left is None else f"about {duration(left)} left"
+        share = f" {100.0 * self.share:.0f} %," if 0.0 < self.share < 1.0 else ""
+        return f"adaptrack: {printable(self.label)}:{share} {rest}"
+
+
+def duration(seconds: float) -> str:
+    """A time as one says it."""
+    if seconds < 90.0:
+        return f"{math.ceil(seconds)} s"
+    return f"{seconds / 60.0:.0f} min" if seconds < 5400.0 else f"{seconds / 3600.0:.1f} h"
+
+
+@contextmanager
+def progress(label: str, total: int = 1) -> Iterator[Show]:
+    """Progress on standard error: a bar on a terminal, else a line now and then. Yields the function that tells it.
+
+    label: what is done, until the function says more; total: pieces of work, each of which goes from 0 to its steps.
+    """
+    state = _State(label, total)
+    with _bar(state) if sys.stderr.isatty() else _lines(state) as update:
+        yield update
+
+
+@contextmanager
+def _bar(state: _State) -> Iterator[Show]:
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, ProgressColumn, SpinnerColumn, Task, TextColumn, TimeElapsedColumn
+    from rich.text import Text
+
+    class Left(ProgressColumn):
+        def render(self, task: Task) -> Text:
+            left = state.left()
+            return Text("" if left is None else f"{duration(left)} left")
+
+    columns = (
+        SpinnerColumn(), TextColumn("{task.description}", markup=False), BarColumn(20), TimeElapsedColumn(), Left()
+    )  # fmt: skip
+    # Records of the logger, such as that a kernel is compiled, appear above the bar.
+    with Progress(*columns, console=Console(file=sys.stderr), transient=True, redirect_stdout=False) as bar:
+        task = bar.add_task(printable(state.label), total=None)  # no total: the bar only moves to and fro
+
+        def update(label: str, done: int, steps: int) -> None:
+            state.update(label, done, steps)
+            bar.update(task, description=printable(label), completed=state.share, total=1.0 if state.share else None)
+
+        yield update
+
+
+@contextmanager
+def _lines(state: _State) -> Iterator[Show]:
+    over = threading.Event()
+
+    def tell() -> None:
+        pause, begun = FIRST_LINE, time.monotonic()
+        while not over.wait(pause):
+            print(state.line(), file=sys.stderr, flush=True)
+            pause = min(max(NEXT_LINE, 0.1 * (time.monotonic() - begun)), RAREST_LINE)
+
+    teller = threading.Thread(target=tell, daemon=True)
+    teller.start()
+    try:
+        yield state.update
+    finally:
+        over.set()
+        teller.join()

@@ -1,0 +1,254 @@
+"""`adaptrack simulate`: drive scenarios, print the metrics, write the report."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+from typer import Option
+
+from adaptrack.cli import interrupt, options, show
+from adaptrack.cli.show import Column
+from adaptrack.errors import InvalidInput, UnknownName, did_you_mean
+
+if TYPE_CHECKING:
+    from adaptrack.controllers import Controller, Moves, Tuning
+    from adaptrack.profile import Profile
+    from adaptrack.scheduling import Schedule
+    from adaptrack.trajectory import Trajectory
+    from adaptrack.vehicle import Vehicle
+
+FAILED = 3
+"""The exit code when a run failed."""
+
+STANDARD, AS_WRITTEN, AS_RELEASED = "standard", "as-written", "as-released"
+
+COLUMNS = (
+    Column("scenario", "scenario"),
+    Column("controller", "controller"),
+    Column("mse", "MSE", "m²"),
+    Column("max_abs_error", "max |e|", "m", show.digits(3)),
+    Column("at_any_limit", "limits", "%", show.percent),
+    Column("step_us_p50", "step", "µs", show.whole),
+    Column("result", "result"),
+)
+
+
+def simulate(
+    scenarios: Annotated[
+        list[str], typer.Argument(metavar="SCENARIO...", help="Names (see `scenarios`) or .toml/.csv files.")
+    ],
+    controller: Annotated[
+        list[str] | None,
+        Option(
+            metavar="NAME",
+            help="standard: the MPC as the options say [default]; as-written: pulses; as-released: Laguerre functions, "
+            "pole 0.95; lqr, pure-pursuit, stanley.",
+        ),
+    ] = None,
+    vehicle: options.Vehicle = "paper",
+    plant: options.Plant = options.PlantName.dual_track,
+    tyre: options.Tyre = None,
+    profile: options.Profile = "paper",
+    driver: Annotated[bool, Option("--driver/--perfect-speed", help="Powertrain and driver, or exact speed.")] = False,
+    np_: Annotated[int, Option("--np", help="Prediction horizon (periods).")] = 35,
+    nc: Annotated[int, Option("--nc", help="Control horizon (periods).")] = 8,
+    q: Annotated[float, Option("--q", help="Weight of the tracking error (1/m^2).")] = 10.0,
+    r: Annotated[float, Option("--r", help="Weight of the moves (1/rad^2).")] = 0.01,
+    moves: Annotated[
+        options.MovesName, Option(help="pulse: eq. (10); laguerre: Laguerre functions.")
+    ] = options.MovesName.pulse,
+    laguerre_pole: Annotated[float, Option(help="Pole a of the Laguerre functions.")] = 0.95,
+    laguerre_terms: Annotated[int, Option(help="Number of Laguerre functions.")] = 10,
+    preview: Annotated[
+        bool | None, Option("--preview/--no-preview", help="Know the reference ahead; by default the profile's.")
+    ] = None,
+    scheduler: Annotated[
+        str | None, Option(help="Name or .json file (see `train`) of a scheduler that retunes the MPC at every step.")
+    ] = None,
+    solver: Annotated[str, Option(help="QP solver: active-set, hildreth, daqp, ...")] = "active-set",
+    period: Annotated[float | None, Option(help="Control period (s); by default the profile's.")] = None,
+    seed: Annotated[int, Option("--seed", help="Seed of the sensor noise.")] = 0,
+    option: Annotated[
+        list[str] | None,
+        Option("--option", "-o", metavar="KEY=VALUE", help="Option of the scenario, e.g. speed=20."),
+    ] = None,
+    out: Annotated[Path | None, Option(help="Folder for the report and the trajectories.")] = None,
+    allow_failed: Annotated[
+        bool, Option("--allow-failed", help=f"Exit code 0, not {FAILED}, when a run failed.")
+    ] = False,
+    as_json: options.Json = False,
+) -> None:
+    """Drive scenarios with a controller; print the metrics, write the report. Exit code 3 when a run failed."""
+    from adaptrack.controllers import Moves, Tuning
+    from adaptrack.profile import load_profile
+    from adaptrack.scenario import load_scenario
+    from adaptrack.scheduling import load_scheduler
+
+    loaded = [load_scenario(name, **scenario_options(option or [])) for name in scenarios]
+    car, body = options.car_and_plant(vehicle, plant, tyre)
+    world = load_profile(profile)
+    asked = Asked(
+        car=car,
+        tuning=Tuning(np_, nc, q, r),
+        moves=Moves(str(moves), laguerre_pole, laguerre_terms),
+        period=world.period if period is None else period,
+        preview=world.preview if preview is None else preview,
+        solver=solver,
+        schedule=None if scheduler is None else load_scheduler(scheduler),
+        label="" if scheduler is None else Path(scheduler).stem if scheduler.endswith(".json") else scheduler,
+    )
+    controllers = [make_controller(name, asked) for name in dict.fromkeys(controller or [STANDARD])]
+    if out is not None:
+        options.make_folder(out)
+    runs = _drive(loaded, controllers, body, world, driver, seed, out)
+    rows = [_row(label, run) for label, run in runs]
+    if out is not None:
+        show.say(f"Report: {_write_report(out, runs)}", aside=as_json)
+    _print(rows, as_json)
+    if any(row["failed"] for row in rows) and not allow_failed:
+        raise typer.Exit(FAILED)
+
+
+# -- controllers ------------------------------------------------------------------------------------------------------
+@dataclass(frozen=True)
+class Asked:
+    """What the options say about the controllers."""
+
+    car: Vehicle
+    tuning: Tuning
+    moves: Moves
+    period: float
+    """s"""
+    preview: bool
+    solver: str
+    schedule: Schedule | None
+    label: str
+    """how tables call the scheduler: as the command line does"""
+
+
+def make_controller(name: str, asked: Asked) -> tuple[str, Controller]:
+    """A controller by its name, and how tables call it: an MPC, or one that is registered.
+
+    Raises
+    ------
+    UnknownName
+        For a name that no controller has.
+    InvalidInput
+        When the options make no controller.
+    """
+    from adaptrack.controllers import Moves, get_controller, list_controllers
+
+    moves = {STANDARD: asked.moves, AS_WRITTEN: Moves.pulses(), AS_RELEASED: Moves.laguerre(0.95, asked.moves.terms)}
+    others = [each for each in list_controllers() if each != "mpc"]  # which is the standard one
+    if name in others:
+        if asked.schedule is not None:
+            raise InvalidInput(f"--scheduler {asked.label}: tunes the MPC; controller {name!r} takes none.")
+        return name, get_controller(name, asked.car, period=asked.period, preview=asked.preview)
+    if name not in moves:
+        raise UnknownName(f"no controller is named {name!r}. {did_you_mean(name, [*moves, *others])}")
+    mpc = get_controller(
+        "mpc", asked.car, tuning=asked.tuning, period=asked.period, moves=moves[name], preview=asked.preview,
+        solver=asked.solver, scheduler=asked.schedule, most_moves=_most_moves(asked),
+    )  # fmt: skip
+    if not asked.label:
+        return name, mpc
+    return asked.label if name == STANDARD else f"{asked.label}-{name}", mpc
+
+
+def _most_moves(asked: Asked) -> int:
+    return max(20, asked.tuning.Nc, 0 if asked.schedule is None else asked.schedule.largest[1])
+
+
+# -- runs -------------------------------------------------------------------------------------------------------------
+def scenario_options(given: Sequence[str]) -> dict[str, Any]:
+    """`speed=20`, `friction=[0.9, 0.5]`, `window=full`: values are read as TOML, else taken as text."""
+    import tomllib
+
+    found: dict[str, Any] = {}
+    for text in given:
+        key, sign, value = text.partition("=")
+        if not sign:
+            raise InvalidInput(f"--option {text}: write KEY=VALUE, for instance speed=20.")
+        try:
+            found[key.strip()] = tomllib.loads(f"value = {value}")["value"]
+        except (tomllib.TOMLDecodeError, RecursionError, ValueError):
+            found[key.strip()] = value.strip()
+    return found
+
+
+def _drive(
+    scenarios: Sequence[Any], controllers: Sequence[tuple[str, Any]], body: Any, world: Profile, driver: bool,
+    seed: int, out: Path | None,
+) -> list[tuple[str, Trajectory]]:  # fmt: skip
+    """Every scenario with every controller; each trajectory is saved as soon as it is driven."""
+    from adaptrack.files import safe_names
+    from adaptrack.simulate import Driver
+    from adaptrack.simulate import simulate as drive
+
+    pairs = [(scenario, *named) for scenario in scenarios for named in controllers]
+    files = safe_names(f"{scenario.name}-{label}" for scenario, label, _ in pairs)
+    where = f"their trajectories are in {out}, without a report" if out else "nothing was written"
+    runs: list[tuple[str, Trajectory]] = []
+    with show.progress("simulate", len(pairs)) as advance:
+        for file, (scenario, label, controller) in zip(files, pairs, strict=True):
+            step = partial(advance, f"{scenario.name}, {label}")
+            pace = Driver() if driver else None
+            run = drive(body, controller, scenario, profile=world, driver=pace, seed=seed, progress=step)
+            if out is not None:
+                run.save(out / f"{file}.parquet")
+            runs.append((label, run))
+            interrupt.kept(f"{len(runs)} of {len(pairs)} runs were finished; {where}. Run the command again.")
+    return runs
+
+
+def _write_report(out: Path, runs: Sequence[tuple[str, Trajectory]]) -> Path:
+    from adaptrack.report import Run, write_report
+
+    with show.progress("write the report"):
+        return write_report(out, [Run(run, label=label) for label, run in runs], command=options.command_line())
+
+
+def _row(controller: str, run: Trajectory) -> dict[str, Any]:
+    """What --json says about a run: what was driven, `failed` (why, or null), `failed_at` (s), the metrics."""
+    from adaptrack.metrics import compute_metrics
+
+    meta, measures = run.meta, compute_metrics(run).as_row()
+    why, when, failed = measures.pop("failed_because"), measures.pop("failed_at"), measures.pop("failed")
+    return {
+        "scenario": run.name_of("scenario"),
+        "controller": controller,
+        "vehicle": run.name_of("vehicle"),
+        "plant": run.name_of("plant"),
+        "tyre": run.name_of("tyre"),
+        "profile": meta["profile"],
+        "preview": meta["preview"],
+        "speed": meta["speed"],
+        "seed": meta["seed"],
+        "period": run.period,
+        **{key.lower(): value for key, value in meta["tuning"].items()},
+        "moves": meta["control"].get("moves"),
+        "scheduler": meta["control"].get("scheduler"),
+        "solver": meta["control"].get("solver"),
+        "failed": why if failed else None,
+        "failed_at": when,
+        **measures,
+    }
+
+
+def _print(rows: Sequence[dict[str, Any]], as_json: bool) -> None:
+    if as_json:
+        show.say_json({"rows": rows})
+    else:
+        shown = [{**row, "result": "failed" if row["failed"] else "ok"} for row in rows]
+        show.table("Closed-loop runs", COLUMNS, shown)
+    for row in rows:
+        run, open_qps = f"{row['scenario']}, {row['controller']}", row["qp_capped"] + row["qp_failed"]
+        if row["failed"]:
+            show.say_failed(f"{run}: at {row['failed_at']:.2f} s the vehicle {row['failed']}.", aside=as_json)
+        if open_qps and not as_json:
+            show.say(f"Warning, {run}: {open_qps:,} of {row['driven']:,} QPs not solved.")

@@ -1,0 +1,59 @@
+"""`adaptrack train`: learn a scheduler from a data set."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+from typer import Option
+
+from adaptrack.cli import interrupt, options, show
+from adaptrack.cli.show import Column
+from adaptrack.errors import InvalidInput
+
+COLUMNS = (
+    Column("slot", "learned"),
+    Column("r2", "R²\nheld out", "", show.digits(3)),
+    Column("ceiling_r2", "R²\nof trees", "", show.digits(3)),
+    Column("rmse", "RMSE\nheld out", "", show.digits(3)),
+    Column("ceiling_rmse", "RMSE\nof trees", "", show.digits(3)),
+    Column("dead_share", "dead", "%", show.percent),
+    Column("parameters", "parameters"),
+    Column("seconds", "time", "s", show.digits(3)),
+)
+
+
+def train(
+    data: options.Data,
+    model: Annotated[options.ModelName, Option(help="nn: 4-16-8-1 networks; anfis: fuzzy systems.")],
+    out: Annotated[Path, Option(help="File of the scheduler, *.json.")],
+    targets: Annotated[
+        options.TargetsName, Option(help="paper: Np, Nc, Q and R; ratio: log10 R/Q in place of the two weights.")
+    ] = options.TargetsName.paper,
+    seed: options.LearningSeed = 0,
+    as_json: options.Json = False,
+) -> None:
+    """Learn a scheduler from the tuned operating points of a data set; print how well, on points held out."""
+    from adaptrack.adaptation.recipes import trained_schedule
+    from adaptrack.dataset import load_dataset
+    from adaptrack.learning.training import train as learn
+    from adaptrack.scheduling import check_scheduler
+
+    if out.suffix != ".json":
+        raise InvalidInput(f"--out {out}: a scheduler's file is called *.json.")
+    dataset = load_dataset(data)
+    options.make_folder(out.parent)
+    with show.progress("train") as advance:
+        trained = learn(dataset, str(model), str(targets), seed=seed, progress=advance)
+        schedule = trained_schedule(trained, dataset)
+        check_scheduler(schedule)
+    schedule.save(out)
+    interrupt.kept(f"The scheduler is in {out}.")
+    rows = trained.quality
+    if as_json:
+        about = {"scheduler": str(out), "data": dataset.name, "model": str(model), "targets": str(targets)}
+        show.say_json({**about, "rows": rows})
+        return
+    held_out = f"{rows[0]['n_holdout']} of {len(dataset)} operating points held out"
+    show.table(f"{dataset.name}, {held_out}; RMSE in the unit of what is learned", COLUMNS, rows)
+    show.say(f"Scheduler: {out}")

@@ -1,0 +1,72 @@
+"""`adaptrack tune`: run a campaign."""
+
+from __future__ import annotations
+
+import os
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+from typer import Option
+
+from adaptrack.cli import interrupt, options, show
+
+if TYPE_CHECKING:
+    from adaptrack.tuning.campaign import Progress
+    from adaptrack.tuning.config import CampaignConfig
+
+STEPS_PER_S = 8e5
+"""Control steps that one thread simulates in a second (docs/campaign.md), for an estimate."""
+
+
+def tune(
+    config: Annotated[str, Option(help="Name (paper-grid, road-sobol) or .toml file of the campaign.")],
+    out: Annotated[Path, Option(help="Folder of the campaign.")],
+    resume: Annotated[bool, Option("--resume", help="Go on with the campaign in that folder.")] = False,
+    workers: options.Workers = None,
+    dask: Annotated[
+        str | None, Option(metavar="ADDRESS", help="Dask scheduler whose workers do it instead, tcp://HOST:PORT.")
+    ] = None,
+    as_json: options.Json = False,
+) -> None:
+    """Tune the MPC on every operating point of a campaign: a swarm each, and the cost of a common library."""
+    from adaptrack.tuning.campaign import CampaignInterrupted, run_campaign
+    from adaptrack.tuning.config import load_campaign
+
+    campaign = load_campaign(config)
+    show.say(_estimate(campaign, None if dask else workers or os.cpu_count() or 1), aside=True)
+    interrupt.kept(f"Finished chunks, if any, are kept in {out}: go on with --resume.")
+    begun, runs = time.perf_counter(), 0
+    try:
+        with show.progress("campaign") as advance:
+
+            def tell(at: Progress) -> None:
+                nonlocal runs
+                runs = at.runs
+                advance(f"{at.done:,} of {at.total:,} operating points, {at.runs_per_s:,.0f} runs/s", at.done, at.total)
+
+            file = run_campaign(campaign, out, resume=resume, workers=workers, dask=dask, progress=tell)
+    except CampaignInterrupted as stop:
+        interrupt.kept(str(stop).removeprefix("interrupted. "))
+        raise
+    seconds = time.perf_counter() - begun
+    if as_json:
+        show.say_json({"dataset": str(file), "seconds": seconds, "runs": runs})
+    else:
+        show.say(f"Data set: {file} ({seconds:,.0f} s)")
+
+
+def _estimate(campaign: CampaignConfig, threads: int | None) -> str:
+    """How much work a campaign is: runs, memory, and the time on so many threads of this machine."""
+    from adaptrack.profile import load_profile
+    from adaptrack.tuning.config import Plan
+
+    plan = Plan.of(campaign)
+    settled, points = plan.config, len(plan.fold.representatives)
+    runs = points * (settled.swarm.evaluations + len(plan.library)) * len(settled.noise_seeds or (0,))
+    size = 4e-6 * len(plan.operating_points) * len(plan.library)
+    told = f"adaptrack: {points:,} operating points, {runs:,} runs, {size:,.0f} MB"
+    if threads is None or settled.duration is None:
+        return f"{told}."
+    steps = runs * settled.duration / load_profile(settled.profile).period
+    return f"{told}; about {show.duration(steps / (STEPS_PER_S * threads))} on {threads} threads, in all."

@@ -1,0 +1,178 @@
+"""The command line as a process: Ctrl-C, pipes that close, disks that are full."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+
+import pytest
+
+from adaptrack import cli
+from adaptrack.cli import interrupt
+
+
+def adaptrack(*arguments, prepend=None, **options):
+    """A process that runs the command line; prepend: a folder whose modules come first."""
+    environment = os.environ | ({"PYTHONPATH": os.pathsep.join([str(prepend), *sys.path])} if prepend else {})
+    return subprocess.Popen(
+        [sys.executable, "-m", "adaptrack", *arguments], stderr=subprocess.PIPE, text=True, env=environment, **options
+    )
+
+
+# -- Ctrl-C -----------------------------------------------------------------------------------------------------------
+PRESS = "import os, signal, time\nos.kill(os.getpid(), signal.SIGINT)\n"
+GUARDED = (
+    "import os, signal, time\ntry:\n    os.kill(os.getpid(), signal.SIGINT)\n    time.sleep(30)\nexcept BaseException:"
+)
+
+
+@pytest.mark.parametrize(
+    ("module", "code"),
+    [
+        ("typer", f"{PRESS}time.sleep(30)"),
+        ("numba", f"{PRESS}time.sleep(30)"),
+        ("numba", f"{GUARDED}\n    raise ImportError"),
+        ("numba", f"{GUARDED}\n    pass\ntime.sleep(30)"),
+    ],
+    ids=["of-typer", "of-numba", "turned-into-another-error", "swallowed-by-a-callback"],
+)
+def test_ctrl_c_during_an_import_is_one_sentence_and_exit_code_130(tmp_path, module, code):
+    (tmp_path / f"{module}.py").write_text(code)
+    begun = time.monotonic()
+    process = adaptrack("simulate", "step", prepend=tmp_path, stdout=subprocess.PIPE)
+    out, err = process.communicate(timeout=60)
+    assert process.returncode == 130
+    assert out == ""
+    assert err == "adaptrack: interrupted. Nothing was written.\n"
+    assert time.monotonic() - begun < 25.0
+
+
+def press_ctrl_c(*given, **more):
+    os.kill(os.getpid(), signal.SIGINT)
+    time.sleep(5.0)
+    pytest.fail("Ctrl-C was not heard")
+
+
+def run(monkeypatch, capsys, *arguments):
+    monkeypatch.setattr(sys, "argv", ["adaptrack", *map(str, arguments)])
+    code = cli.main()
+    captured = capsys.readouterr()
+    return code, captured.out, captured.err
+
+
+@pytest.mark.parametrize(
+    ("command", "stopped_in", "words"),
+    [
+        ("simulate step", "adaptrack.scenario.load_scenario", "Nothing was written"),
+        ("train --data paper-grid --model nn --out {out}/nn.json", "adaptrack.dataset.load_dataset", "Nothing was"),
+        ("reproduce --out {out}", "adaptrack.dataset.load_dataset", "Nothing was written"),
+        ("adapt --out {out}", "adaptrack.adapt.adapt", "{out}: run the command again to go on"),
+        ("evaluate", "adaptrack.adapt.load_adaptation", "Nothing was written"),
+        ("certify road-nn", "adaptrack.scheduling.load_scheduler", "Nothing was written"),
+        (
+            "tune --config paper-grid --out {out}",
+            "adaptrack.tuning.campaign.run_campaign",
+            "{out}: go on with --resume",
+        ),
+        ("dataset describe paper-grid", "adaptrack.dataset.load_dataset", "Nothing was written"),
+        ("bench step", "adaptrack.benchmark.bench_step", "Nothing was written"),
+    ],
+)
+def test_every_command_answers_ctrl_c_with_what_is_kept(monkeypatch, capsys, tmp_path, command, stopped_in, words):
+    import importlib
+
+    module, _, name = stopped_in.rpartition(".")
+    monkeypatch.setattr(importlib.import_module(module), name, press_ctrl_c)
+    before = signal.getsignal(signal.SIGINT), signal.getsignal(signal.SIGALRM)
+    code, out, err = run(monkeypatch, capsys, *command.format(out=tmp_path).split())
+    assert code == 130
+    assert out == ""
+    assert "Traceback" not in err
+    assert err.splitlines()[-1].startswith("adaptrack: interrupted. ")
+    assert words.format(out=tmp_path) in err
+    assert (signal.getsignal(signal.SIGINT), signal.getsignal(signal.SIGALRM)) == before
+
+
+def test_a_campaign_that_was_stopped_says_how_many_chunks_it_keeps(monkeypatch, capsys, tmp_path):
+    from adaptrack.tuning import campaign
+
+    def stop(*given, **more):
+        raise campaign.CampaignInterrupted("interrupted. 3 of 6 chunks are kept in out; go on with --resume.")
+
+    monkeypatch.setattr(campaign, "run_campaign", stop)
+    code, _, err = run(monkeypatch, capsys, "tune", "--config", "paper-grid", "--out", tmp_path)
+    assert code == 130
+    assert err.splitlines()[-1] == "adaptrack: interrupted. 3 of 6 chunks are kept in out; go on with --resume."
+
+
+def test_ctrl_c_between_runs_tells_which_trajectories_are_there(monkeypatch, capsys, tmp_path):
+    from adaptrack.simulate import simulate as drive
+    from adaptrack.trajectory import Trajectory
+
+    saved = []
+    monkeypatch.setattr(Trajectory, "save", lambda self, path: saved.append(path))
+
+    def once(*given, **more):
+        return press_ctrl_c() if saved else drive(*given, **more)
+
+    monkeypatch.setattr(sys.modules["adaptrack.simulate"], "simulate", once)
+    code, _, err = run(monkeypatch, capsys, "simulate", "step", "sine", "-o", "duration=0.3", "--out", tmp_path)
+    assert code == 130
+    assert f"1 of 2 runs were finished; their trajectories are in {tmp_path}" in err
+
+
+def test_a_thread_may_call_the_command_line(monkeypatch, capsys):
+    monkeypatch.setattr(sys, "argv", ["adaptrack", "--version"])
+    codes = []
+    thread = threading.Thread(target=lambda: codes.append(cli.main()))
+    thread.start()
+    thread.join()
+    assert codes == [0]
+
+
+def test_what_is_kept_is_forgotten_by_the_next_command(monkeypatch, capsys):
+    interrupt.kept("All is lost.")
+    run(monkeypatch, capsys, "--version")
+    assert interrupt.what_is_kept() == "Nothing was written."
+
+
+# -- standard output --------------------------------------------------------------------------------------------------
+COMMANDS = [["--help"], ["--version"], ["scenarios"], ["scenarios", "--json"], ["evaluate", "--help"]]
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_a_full_disk_is_one_sentence_and_exit_code_2(command):
+    with open("/dev/full", "w") as full:
+        process = adaptrack(*command, stdout=full)
+        _, err = process.communicate(timeout=60)
+    assert process.returncode == 2
+    assert err == "adaptrack: standard output cannot be written: No space left on device.\n"
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_a_reader_that_has_gone_ends_the_command_quietly_with_exit_code_141(command):
+    reader, writer = os.pipe()
+    os.close(reader)
+    process = adaptrack(*command, stdout=writer)
+    os.close(writer)
+    _, err = process.communicate(timeout=60)
+    assert process.returncode == 141
+    assert err == ""
+
+
+def test_a_closed_standard_output_takes_everything():
+    command = f"exec {sys.executable} -m adaptrack scenarios >&-"
+    done = subprocess.run(["sh", "-c", command], stderr=subprocess.PIPE, text=True, timeout=60, check=False)
+    assert (done.returncode, done.stderr) == (0, "")
+
+
+def test_text_that_the_terminal_cannot_show_is_escaped():
+    environment = os.environ | {"PYTHONIOENCODING": "ascii"}
+    done = subprocess.run(
+        [sys.executable, "-m", "adaptrack", "scenarios"], capture_output=True, env=environment, timeout=60, check=False
+    )
+    assert (done.returncode, done.stderr) == (0, b"")

@@ -1,0 +1,58 @@
+"""Every request has an upper bound, and a refusal names value, bound and reason before any work."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from adaptrack import limits
+from adaptrack.controllers import MPC, Moves, Tuning
+from adaptrack.errors import InvalidInput
+from adaptrack.scenario import Scenario, load_scenario
+from adaptrack.tuning.config import CampaignConfig, Plan
+from adaptrack.vehicle import load_vehicle
+from campaign_fakes import small
+
+LIMITS = [value for value in vars(limits).values() if isinstance(value, limits.Limit)]
+
+
+@pytest.mark.parametrize("limit", LIMITS)
+def test_a_limit_takes_its_largest_value_and_refuses_more_by_name_with_its_reason(limit):
+    limits.check_limit("it", limit.most, limit)
+    with pytest.raises(InvalidInput) as refused:
+        limits.check_limit("it", limit.most + 1, limit)
+    assert str(refused.value).startswith(f"it = {limit.most + 1}: at most {limit.most:,}")
+    assert limit.reason in str(refused.value)
+
+
+@pytest.mark.parametrize("value", [10**400, 1e300, np.inf])
+def test_a_value_of_any_size_is_refused_in_a_short_sentence(value):
+    with pytest.raises(InvalidInput) as refused:
+        limits.check_limit("it", value, limits.SPEED)
+    assert len(str(refused.value)) < 120
+
+
+@pytest.mark.parametrize(
+    ("what", "make"),
+    [
+        ("speed", lambda: load_scenario("step", speed=1e15)),
+        ("duration", lambda: load_scenario("step", duration=1e12)),
+        ("duration", lambda: Scenario(name="long", duration=1e9, reference=0.0, speed=10.0, friction=0.8)),
+        ("periods", lambda: load_scenario("step", duration=100.0).sample(1e-6)),
+        ("Np", lambda: Tuning(Np=10**9)),
+        ("Nc", lambda: Tuning(Np=1000, Nc=1000)),
+        ("terms", lambda: Moves("laguerre", terms=10**9)),
+        ("longest_horizon", lambda: MPC(load_vehicle("paper"), longest_horizon=10**9)),
+        ("most_moves", lambda: MPC(load_vehicle("paper"), most_moves=10**9)),
+        ("noise_seeds", lambda: small(profile="road", noise_seeds=tuple(range(100_000)))),
+        ("landscape", lambda: Plan.of(sobol(10**6, 10_000))),
+    ],
+)
+def test_what_would_take_hours_or_all_memory_is_refused_where_it_is_said(what, make):
+    with pytest.raises(InvalidInput, match=what):
+        make()
+
+
+def sobol(points: int, tunings: int) -> CampaignConfig:
+    box = {"speed": (5.0, 20.0), "y_ref": (-4.0, 4.0), "friction": (0.5, 0.9), "wind": (-5.0, 5.0)}
+    return small(operating_points={"kind": "sobol", "n": points, "box": box}, library={"size": tunings})
