@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import lru_cache
@@ -12,15 +11,12 @@ from typing import Any, NamedTuple
 import numpy as np
 import pytest
 
+from adaptrack.adaptation.config import load_adaptation
+from adaptrack.adaptation.splits import SetUp
 from adaptrack.files import write_toml
 from adaptrack.scheduling import Schedule
+from adaptrack.studies import adapt as study
 
-adapting = importlib.import_module("adaptrack.adapt")  # the attribute of the package is the function
-
-RUNGS = {
-    "best constant", "best constant on drives", "fallback", "speed look-up", "look-up", "speed only",
-    "nn unguarded", "nn", "anfis unguarded", "anfis", "paper recipe nn", "paper recipe anfis",
-}  # fmt: skip
 CAMPAIGN: dict[str, Any] = {
     "profile": "road",
     "scenario": "lane-change",
@@ -41,13 +37,18 @@ ADAPTATION: dict[str, Any] = {
     "learning": {
         "inputs": ["speed", "friction"],
         "rounds": 2,
-        "conditions": 16,
+        "operating_points": 16,
         "drives": 8,
         "hard_drives": 8,
         "rules": 4,
         "domain": {"speed": [3.0, 30.0], "friction": [0.3, 1.0]},
     },
-    "evaluation": {"conditions": 8, "drives": 8},
+    "method": {  # few runs held out, short searches for constants, short training of the paper's recipe
+        "runs": {"held_out_points": 8, "held_out_drives": 2},
+        "constants": {"evaluations": 20},
+        "recipe": {"nn_epochs": 20, "anfis_epochs": 2},
+    },
+    "evaluation": {"operating_points": 8, "drives": 8, "known_as": ["exact"]},
 }
 
 
@@ -55,23 +56,17 @@ def write(folder: Path, pond: dict[str, Any] | None = None, **changes: Any) -> P
     """The file of an adaptation called tiny, its campaign beside it as pond; changes of a table are merged."""
     folder.mkdir(parents=True, exist_ok=True)
     write_toml(folder / "pond.toml", CAMPAIGN | (pond or {}))
-    told = dict(ADAPTATION)
+    values = dict(ADAPTATION)
     for key, value in changes.items():
-        told[key] = told[key] | value if isinstance(value, dict) and key in told else value
-    write_toml(folder / "tiny.toml", {key: value for key, value in told.items() if value is not None})
+        values[key] = values[key] | value if isinstance(value, dict) and key in values else value
+    write_toml(folder / "tiny.toml", {key: value for key, value in values.items() if value is not None})
     return folder / "tiny.toml"
 
 
 @contextmanager
 def short_cuts() -> Iterator[pytest.MonkeyPatch]:
-    """Few runs held out, short searches for constants, short training of the paper's recipe and no ceiling to it."""
-    epochs = {"nn": 20, "anfis": 2}
-    search, train = adapting.best_constant, adapting.train
+    """No ceiling to the paper's recipe."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(adapting, "HELD_OUT_CONDITIONS", 8)
-        patch.setattr(adapting, "HELD_OUT_DRIVES", 2)
-        patch.setattr(adapting, "best_constant", lambda *given, **more: search(*given, evaluations=20, **more))
-        patch.setattr(adapting, "train", lambda data, model, *given: train(data, model, *given, epochs=epochs[model]))
         patch.setattr("adaptrack.learning.training.ceiling", lambda x, y, held, *more: np.full(len(held), y.mean()))
         yield patch
 
@@ -79,15 +74,14 @@ def short_cuts() -> Iterator[pytest.MonkeyPatch]:
 class Chain(NamedTuple):
     """A chain that has run."""
 
-    shop: Any
+    setup: SetUp
     folder: Path
     schedules: dict[str, Schedule]
-    histories: dict[str, list[dict[str, float]]]
 
 
 @lru_cache(maxsize=1)
 def learned(place: Path) -> Chain:
     """The chain of `write`, run once in each process; nobody may change its folder."""
-    shop = adapting.Workshop.of(adapting.load_adaptation(write(place)))
+    setup = SetUp.of(load_adaptation(write(place)))
     with short_cuts():
-        return Chain(shop, place / "out", *adapting.learn(shop, place / "out"))
+        return Chain(setup, place / "out", study.learn(setup, place / "out"))

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from adaptrack.dataset import TARGETS, load_dataset
+from adaptrack.dataset import TARGETS
 from adaptrack.errors import InvalidInput
 from adaptrack.learning import boosting
 from adaptrack.learning.boosting import cross_validate, explained, explained_shares
@@ -71,10 +71,3 @@ def test_the_shares_are_those_of_every_target_and_none_of_too_few_rows(monkeypat
     data = wild(100)
     assert explained_shares(data) == {target: explained(data, target).r2 for target in TARGETS}
     assert explained_shares(wild(50)) == {}
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", ["paper-grid", "road-sobol"])
-def test_the_shipped_data_sets_explain_the_ratio_of_the_weights_best(name):
-    shares = explained_shares(load_dataset(name))
-    assert shares["log R/Q"] > max(shares["log Q"], shares["log R"])

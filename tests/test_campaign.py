@@ -73,12 +73,12 @@ def test_the_shipped_campaigns_are_those_of_the_paper_and_of_the_road():
     paper, road = (Plan.of(load_campaign(name)) for name in ("paper-grid", "road-sobol"))
     assert len(paper.operating_points) == 6435
     assert (paper.config.swarm.particles, paper.config.swarm.generations, paper.config.duration) == (20, 15, 18.0)
-    assert (paper.config.profile, paper.config.scenario, paper.config.move_price) == ("paper", "step", 0.0)
+    assert (paper.config.profile, paper.config.scenario, paper.config.move_weight) == ("paper", "step", 0.0)
     assert len(paper.fold.representatives) == 5005
     assert len(road.operating_points) == len(road.fold.representatives) == 6400
     assert road.operating_points.min(axis=0) == pytest.approx([3, -7, 0.3, -30], abs=0.02)
     assert road.operating_points.max(axis=0) == pytest.approx([30, 7, 1.0, 30], abs=0.02)
-    assert (road.config.profile, road.config.scenario, road.config.move_price) == ("road", "lane-change", 3.0)
+    assert (road.config.profile, road.config.scenario, road.config.move_weight) == ("road", "lane-change", 3.0)
     assert len(road.config.noise_seeds) > 1
 
 
@@ -86,9 +86,9 @@ def test_a_file_needs_little_and_takes_its_name_from_itself(toml):
     config = load_campaign(toml())
     assert config.name == "my-campaign"
     settled = config.settled()
-    assert (settled.duration, settled.move_price, settled.noise_seeds, settled.mirror) == (18.0, 0.0, (0,), True)
+    assert (settled.duration, settled.move_weight, settled.noise_seeds, settled.mirror) == (18.0, 0.0, (0,), True)
     road = config.replace(profile="road", scenario="lane-change").settled()
-    assert (road.duration, road.move_price, road.noise_seeds, road.mirror) == (8.0, 3.0, (0, 1, 2, 3), False)
+    assert (road.duration, road.move_weight, road.noise_seeds, road.mirror) == (8.0, 3.0, (0, 1, 2, 3), False)
 
 
 @pytest.mark.parametrize(

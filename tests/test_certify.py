@@ -117,16 +117,15 @@ def test_the_guard_keeps_scrambled_numbers_from_the_road(scrambled, stability):
 
 
 @pytest.mark.compiled
-def test_with_the_guard_scrambled_numbers_lose_no_drive(scrambled, stability):
+def test_with_the_guard_scrambled_numbers_fail_in_no_drive(scrambled, stability):
     drives = [random_drive(seed) for seed in range(900, 908)]
-    lost = {}
+    failed = {}
     for schedule in (scrambled, Guarded(scrambled, SOUND, stability=stability)):
         mpc = MPC(CAR, period=0.05, preview=True, scheduler=schedule)
-        lost[schedule.name] = rollout_batch(
-            PLANT, mpc, drives, profile="road", seeds=np.arange(8), lost_beyond=5.0
-        ).lost.sum()
-    assert lost["table"] > 4
-    assert lost["table (guarded)"] == 0
+        runs = rollout_batch(PLANT, mpc, drives, profile="road", seeds=np.arange(8))
+        failed[schedule.name] = runs.failed.sum()
+    assert failed["table"] > 4
+    assert failed["table (guarded)"] == 0
 
 
 def test_the_guard_leaves_a_sound_scheduler_alone(sound, stability):
@@ -136,11 +135,11 @@ def test_the_guard_leaves_a_sound_scheduler_alone(sound, stability):
 
 
 # -- any scheduler, any domain ----------------------------------------------------------------------------------------
-def test_a_plain_function_is_asked_over_everything_that_a_condition_holds():
+def test_a_plain_function_is_asked_over_all_scheduling_variables():
     asked = []
 
-    def careful(condition):
-        asked.append(condition)
+    def careful(variables):
+        asked.append(variables)
         return 38.0, 4.0, 1.0, 8000.0
 
     found = certify(careful, PLANT, MPC_, "road", levels=FEW)
@@ -152,16 +151,16 @@ def test_a_plain_function_is_asked_over_everything_that_a_condition_holds():
 
 
 @pytest.mark.parametrize("nonsense", [(30, 5, 1.0, 0.0), (30, 5, -1.0, 1.0), (30, np.nan, 1.0, 1.0), (30, 5), None])
-def test_a_function_that_gives_no_tuning_is_refused_with_the_condition(nonsense):
+def test_a_function_that_gives_no_tuning_is_refused_with_the_point(nonsense):
     with pytest.raises(ContractError, match=r"SchedulingVariables\(speed=3\.0"):
-        certify(lambda condition: nonsense, PLANT, MPC_, "road", levels=FEW)
+        certify(lambda variables: nonsense, PLANT, MPC_, "road", levels=FEW)
 
 
 def test_horizons_count_as_the_mpc_uses_them():
     short = MPC(CAR, Tuning(30, 5, 1.0, 8000.0), period=0.05, longest_horizon=40, most_moves=6)
-    found = certify(lambda condition: (99.5, 35.2, 1.0, 8000.0), PLANT, short, "road", levels=(2, 1))
+    found = certify(lambda variables: (99.5, 35.2, 1.0, 8000.0), PLANT, short, "road", levels=(2, 1))
     assert (found.counted.tunings[:, :2] == [40.0, 6.0]).all()
-    rounded = certify(lambda condition: (37.5, 0.2, 1.0, 8000.0), PLANT, short, "road", levels=(2, 1))
+    rounded = certify(lambda variables: (37.5, 0.2, 1.0, 8000.0), PLANT, short, "road", levels=(2, 1))
     assert (rounded.counted.tunings[:, :2] == [38.0, 1.0]).all()
 
 

@@ -10,14 +10,20 @@ from functools import partial
 import pytest
 
 from adaptrack import cli
+from adaptrack.adaptation import config as configuration
+from adaptrack.adaptation import recipes, splits
+from adaptrack.adaptation.config import load_adaptation
 from adaptrack.certify import certify
+from adaptrack.comparison import contenders, evaluate
 from adaptrack.controllers import Tuning
 from adaptrack.errors import AdaptrackError
 from adaptrack.scheduling import Constant, list_schedulers
-from small_chain import RUNGS, adapting, learned, write
+from adaptrack.studies.adapt import CONTENDERS, shipped
+from small_chain import learned, write
 
-EVALUATED = {"view", "told", "reference", "scheduler", "runs", "cost_geomean", "regret_geomean", "regret_low",
-             "regret_high", "regret_p50", "regret_p90", "regret_p99", "regret_worst", "failures"}  # fmt: skip
+EVALUATED = {"view", "known_as", "reference", "contender", "controller", "runs", "cost_geomean", "regret_geomean",
+             "regret_low", "regret_high", "regret_p50", "regret_p90", "regret_p99", "regret_worst", "failures",
+            }  # fmt: skip
 CERTIFIED = {"scheduler", "plant", "tyre", "profile", "passed", "points", "unstable", "unstable_without_guard",
              "radius", "gain_up", "gain_down", "delay", "nearness", "worst", "rows"}  # fmt: skip
 
@@ -74,6 +80,7 @@ def places(tmp_path):
         ("evaluate --seed -1", ["--seed"]),
         ("evaluate --profile paper", ["--profile paper", "'road'"]),
         ("evaluate --out {file}/out", ["cannot be written"]),
+        ("evaluate --contender standrd", ["no contender is named 'standrd'", "Did you mean 'standard'"]),
         ("certify", ["scheduler"]),
         ("certify road-n", ["no scheduler is named 'road-n'", "Did you mean"]),
         ("certify nowhere.json", ["nowhere.json", "cannot be read"]),
@@ -89,7 +96,8 @@ def places(tmp_path):
     ],
 )
 def test_a_wrong_argument_gives_one_clear_message_and_exit_code_2(monkeypatch, capsys, places, command, words):
-    monkeypatch.setattr(adapting, "condition_course", lambda *given: pytest.fail("it went to work"))
+    for module in (splits, evaluate):
+        monkeypatch.setattr(module, "operating_point_runs", lambda *given, **more: pytest.fail("it went to work"))
     before = places["file"].stat().st_size
     code, out, err = run(monkeypatch, capsys, *(part.format(**places) for part in command.split()))
     assert code == 2
@@ -101,8 +109,8 @@ def test_a_wrong_argument_gives_one_clear_message_and_exit_code_2(monkeypatch, c
 
 @pytest.mark.parametrize("what", [("--conditions", "sobol:8"), ("--drives", "1"), ("--tests",)])
 def test_an_unknown_way_of_knowing_is_told_before_anything_is_driven(monkeypatch, capsys, places, what):
-    for name in ("optimum", "climb", "per_run_best"):
-        monkeypatch.setattr(adapting, name, lambda *given, **more: pytest.fail("it went to work"))
+    for name in ("optimum", "compare", "per_run_best"):
+        monkeypatch.setattr(evaluate, name, lambda *given, **more: pytest.fail("it went to work"))
     config = write(places["out"], name="road")
     code, out, err = run(monkeypatch, capsys, "evaluate", "--config", config, *what, "--told", "nosy")
     assert code == 2
@@ -117,7 +125,7 @@ def test_a_number_must_be_written_in_digits(monkeypatch, capsys):
 
 
 def test_the_drives_of_ones_own_configuration_ask_for_its_best_constant(monkeypatch, capsys, places):
-    monkeypatch.setattr(adapting, "drive_course", lambda *given: None)
+    monkeypatch.setattr(evaluate, "random_drive_runs", lambda *given, **more: None)
     code, _, err = run(monkeypatch, capsys, "evaluate", "--config", places["tiny"], "--drives", "1")
     assert code == 2
     assert "best constant" in err
@@ -143,9 +151,9 @@ def test_the_list_of_schedulers_names_every_one_that_ships(monkeypatch, capsys):
     rows = strict(out)["rows"]
     assert code == 0
     assert [row["name"] for row in rows] == list_schedulers()
-    assert {row["rung"] for row in rows} <= RUNGS
+    assert {row["contender"] for row in rows} <= set(CONTENDERS)
     inputs = {row["name"]: row["inputs"] for row in rows}
-    assert inputs["road-nn"] == ", ".join(adapting.load_adaptation("road").learning.inputs)
+    assert inputs["road-nn"] == ", ".join(load_adaptation("road").learning.inputs)
     code, out, _ = run(monkeypatch, capsys, "schedulers")
     assert code == 0
     assert all(name in out for name in list_schedulers())
@@ -159,17 +167,17 @@ def test_evaluate_compares_what_ships_and_what_is_given_with_the_optimum(monkeyp
     assert code == 0, err
     rows = strict(out)["rows"]
     assert all(row.keys() >= EVALUATED for row in rows)
-    assert {(row["view"], row["reference"], row["runs"]) for row in rows} == {("conditions", "optimum", 8)}
-    exact = {row["scheduler"]: row for row in rows if row["told"] == "exact"}
+    assert {(row["view"], row["reference"], row["runs"]) for row in rows} == {("operating points", "optimum", 8)}
+    exact = {row["contender"]: row for row in rows if row["known_as"] == "exact"}
     hidden = {"fallback", "best constant on drives"}
-    assert set(exact) == {"standard", "optimum", "mine", *adapting.shipped("road")} - hidden
+    assert set(exact) == {"standard", "optimum", "mine", *shipped("road")} - hidden
     assert exact["optimum"]["regret_worst"] == 1.0
     assert all(row["regret_worst"] >= row["regret_p90"] >= row["regret_p50"] > 0.0 for row in exact.values())
-    assert {row["scheduler"] for row in rows if row["told"] == "noisy"} == {*adapting.TOLD_RUNGS, "optimum"}
+    assert {row["contender"] for row in rows if row["known_as"] == "noisy"} == {*evaluate.PERCEIVING, "optimum"}
     again = strict(run(monkeypatch, capsys, *arguments)[1])["rows"]
     assert again == list(exact.values())
     others = strict(run(monkeypatch, capsys, *arguments, "--seed", "8")[1])["rows"]
-    assert others[0]["scheduler"] == again[0]["scheduler"]
+    assert others[0]["contender"] == again[0]["contender"]
     assert others[-1]["cost_geomean"] != again[-1]["cost_geomean"]
 
 
@@ -183,7 +191,7 @@ def test_evaluate_judges_drives_by_the_best_constant_and_prints_a_table(monkeypa
     first = {line.split("  ")[0] for line in out.splitlines()}
     assert {"standard", "best constant", "nn", "anfis", "mine"} <= first
     assert "drives, exact: 1 runs, regret to best constant" in out
-    assert "conditions, exact" not in out
+    assert "operating points, exact" not in out
 
 
 @pytest.mark.compiled
@@ -194,17 +202,16 @@ def test_adapt_goes_on_with_a_folder_and_tells_schedulers_report_and_rows(
     out = shutil.copytree(chain.folder, tmp_path / "out")
     monkeypatch.setattr("adaptrack.report.style.PNG_DPI", 20)
     monkeypatch.setattr("adaptrack.report.style.inline_svg", lambda *given: "")  # takes most of the time
-    monkeypatch.setattr("adaptrack.report.ladder._NODES", (9, 7))
-    monkeypatch.setattr(adapting, "KNOWLEDGE", ("exact",))
-    monkeypatch.setattr(adapting, "per_run_best", lambda course, rows, seeds: rows[:1].repeat(len(course), axis=0))
-    monkeypatch.setattr(adapting, "improve", lambda *given, **more: pytest.fail("it learned again"))
+    monkeypatch.setattr("adaptrack.report.comparison._NODES", (9, 7))
+    monkeypatch.setattr(evaluate, "per_run_best", lambda runs, rows, seeds: rows[:1].repeat(len(runs), axis=0))
+    monkeypatch.setattr(recipes, "improve", lambda *given, **more: pytest.fail("it learned again"))
     config = chain.folder.parent / "tiny.toml"
     code, printed, err = run(monkeypatch, capsys, "adapt", "--config", config, "--out", out, "--json")
     assert code == 0, err
     rows = strict(printed)["rows"]
-    assert {row["view"] for row in rows} == {"conditions", "drives", "tests"}
-    assert all(row.keys() >= EVALUATED - {"told"} for row in rows)
-    assert all(("told" in row) == (row["view"] != "tests") for row in rows)
+    assert {row["view"] for row in rows} == {"operating points", "drives", "tests"}
+    assert all(row.keys() >= EVALUATED - {"known_as"} for row in rows)
+    assert all(("known_as" in row) == (row["view"] != "tests") for row in rows)
     assert {row["runs"] for row in rows if row["view"] != "tests"} == {8}
     assert str(out / "schedulers") in err
     assert (out / "index.html").exists()
@@ -270,6 +277,18 @@ def test_every_error_of_the_package_becomes_one_message(monkeypatch, capsys):
     def fail(*given, **more):
         raise AdaptrackError("no way")
 
-    monkeypatch.setattr(adapting, "load_adaptation", fail)
+    monkeypatch.setattr(configuration, "load_adaptation", fail)
     code, out, err = run(monkeypatch, capsys, "evaluate")
     assert (code, out, err) == (2, "", "adaptrack: no way\n")
+
+
+@pytest.mark.compiled
+def test_evaluate_drives_a_registered_contender_by_name(monkeypatch, capsys, places):
+    monkeypatch.setattr(contenders, "_MAKERS", {**contenders._MAKERS, "cautious": lambda runs: Tuning(40, 4, 1.0, 1e5)})
+    config = write(places["out"], name="road")
+    arguments = ("evaluate", "--config", config, "--conditions", "sobol:8", "--contender", "cautious", "--json")
+    code, out, err = run(monkeypatch, capsys, *arguments)
+    assert code == 0, err
+    rows = {row["contender"]: row for row in strict(out)["rows"]}
+    assert rows["cautious"]["controller"] == "mpc"
+    assert rows["cautious"]["regret_geomean"] > 0.0

@@ -167,6 +167,9 @@ def test_an_unknown_name_is_answered_with_the_nearest(monkeypatch, tmp_path):
     assert load_dataset("paper-grid").name == "wild"
     with pytest.raises(UnknownName, match=r"no data set is named 'paper_grid'\. Did you mean 'paper-grid'"):
         load_dataset("paper_grid")
+    for nonsense in ("x" * 10_000, "[red]", "a\0b"):
+        with pytest.raises(UnknownName, match="no data set is named"):
+            load_dataset(nonsense)
 
 
 # -- the record -------------------------------------------------------------------------------------------------------

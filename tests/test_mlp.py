@@ -11,8 +11,9 @@ from sklearn.utils.estimator_checks import check_estimator
 
 from adaptrack import learning as room
 from adaptrack.errors import InvalidInput
-from adaptrack.learning import MLP, Network
+from adaptrack.learning import MLP
 from adaptrack.learning.holding import held_out
+from adaptrack.scheduling import Network
 
 QUICK = {"epochs": 60, "batch_size": 20}
 

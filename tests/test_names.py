@@ -5,13 +5,13 @@ import os
 import sys
 
 import pytest
-from adaptrack.mpc import Tuning
-from adaptrack.schedule import Constant
 from rich.console import Console
 
 from adaptrack import cli
+from adaptrack.controllers import Tuning
 from adaptrack.report import Run, write_report
 from adaptrack.scenario import load_scenario
+from adaptrack.scheduling import Constant
 from adaptrack.trajectory import Trajectory
 from test_report import Outline, drive
 

@@ -5,9 +5,11 @@ import dataclasses
 import numpy as np
 import pytest
 
+from adaptrack import MPC, Tuning, load_vehicle
 from adaptrack.errors import ContractError, InvalidInput, MissingExtra, UnknownName
 from adaptrack.qp import (
     QP,
+    Attempt,
     QPSolver,
     QPStatus,
     Solution,
@@ -107,8 +109,8 @@ def test_a_result_that_its_residuals_contradict_is_not_solved(rng):
     class Boaster(ActiveSet):
         name = "boaster"
 
-        def solve(self, qp, warm_start=None):
-            return self._answer(qp, QPStatus.SOLVED, np.ones(qp.n), np.zeros(qp.m), 1)
+        def attempt(self, qp, warm_start=None):
+            return Attempt(QPStatus.SOLVED, np.ones(qp.n), np.zeros(qp.m), 1)
 
     solution = Boaster().solve(QP(*drawn_problem(rng, 5, 15)))
     assert solution.status is QPStatus.CAPPED
@@ -120,7 +122,7 @@ def test_a_result_that_its_residuals_contradict_is_not_solved(rng):
 def test_small_residuals_alone_do_not_make_a_solution(name):
     # At cond(E) = 8e11 these back-ends stop with residuals of 1e-9 and x off by 3e-3 to 0.1 rad.
     qp, _ = ill_conditioned_problem()
-    solution = get_qp_solver(name).solve(qp)
+    solution = get_qp_solver(name, on_uncertified="hold").solve(qp)
     assert solution.residuals.worst < 1e-6
     assert solution.status is QPStatus.CAPPED
     assert not solution.usable
@@ -163,6 +165,79 @@ def test_hildreth_may_apply_or_hold_instead_and_says_capped(slow_to_converge):
 def test_hildreth_refuses_options_without_meaning(options):
     with pytest.raises(InvalidInput, match=next(iter(options))):
         get_qp_solver("hildreth", **options)
+
+
+# -- what is not certified --------------------------------------------------------------------------------------------
+class _Idle(QPSolver):
+    """Gives up at once, with an iterate."""
+
+    name = "idle"
+    accuracy = 1e-6
+
+    def attempt(self, qp, warm_start=None):
+        return Attempt(QPStatus.CAPPED, np.full(qp.n, 0.5), np.zeros(qp.m), 3)
+
+
+@pytest.mark.parametrize("name", EXTRAS)
+def test_the_exact_method_finishes_what_a_back_end_is_not_sure_of(name):
+    qp, _ = ill_conditioned_problem()
+    solver = get_qp_solver(name)
+    for count in (1, 2):
+        solution = solver.solve(qp)
+        assert solution.solved
+        np.testing.assert_allclose(solution.x, get_qp_solver().solve(qp).x, rtol=1e-12)
+        assert (solution.solver, solution.finished_by, solution.finishes) == (name, "active-set", count)
+        assert "the exact method finished" in solution.message
+
+
+@pytest.mark.parametrize("name", [*EXTRAS, "daqp", "hildreth"])
+def test_with_any_back_end_no_step_of_a_controller_is_held(name):
+    car = load_vehicle("paper")
+    ours, exact = MPC(car, Tuning(35, 8, 10.0, 0.01), solver=name), MPC(car, Tuning(35, 8, 10.0, 0.01))
+    for k in range(40):
+        state, reference = [0.0, 0.01 * k, 0.0, 0.02 * k], [np.sin(0.3 * k)]
+        expected, command = exact.step(state, 20.0, reference), ours.step(state, 20.0, reference)
+        assert command.status is QPStatus.SOLVED
+        assert not command.held
+        assert abs(command.move - expected.move) < 1e-4
+
+
+def test_an_answer_of_ones_own_solver_is_finished_applied_or_held(rng):
+    qp = QP(*drawn_problem(rng, 5, 15))
+    finished = _Idle().solve(qp)
+    assert finished.solved
+    assert (finished.finished_by, finished.finishes) == ("active-set", 1)
+    applied = _Idle(on_uncertified="apply").solve(qp)
+    assert applied.status is QPStatus.CAPPED
+    assert applied.usable
+    assert (applied.finished_by, applied.finishes) == ("idle", 0)
+    held = _Idle(on_uncertified="hold").solve(qp)
+    assert held.status is QPStatus.CAPPED
+    assert not held.usable
+    check_qp_solver(_Idle())
+
+
+def test_a_claim_of_infeasibility_is_not_believed(rng):
+    class Pessimist(_Idle):
+        def attempt(self, qp, warm_start=None):
+            return Attempt(QPStatus.INFEASIBLE)
+
+    qp = QP(*drawn_problem(rng, 5, 15))
+    assert Pessimist().solve(qp).solved
+    assert Pessimist(on_uncertified="apply").solve(qp).status is QPStatus.INFEASIBLE
+
+
+def test_an_infeasible_problem_stays_infeasible_when_the_exact_method_finishes(infeasible):
+    solution = _Idle().solve(infeasible)
+    assert solution.status is QPStatus.INFEASIBLE
+    assert not solution.usable
+
+
+@every_solver
+def test_a_policy_without_meaning_is_refused(name):
+    if name != "active-set":
+        with pytest.raises(InvalidInput, match="on_uncertified"):
+            get_qp_solver(name, on_uncertified="hope")
 
 
 # -- the problem ------------------------------------------------------------------------------------------------------
@@ -251,9 +326,12 @@ class _Breaker(QPSolver):
         self.inner = ActiveSet()
         self.calls = 0
 
+    def attempt(self, qp, warm_start=None):
+        return self.inner.attempt(qp, warm_start)
+
     def solve(self, qp, warm_start=None):
         self.calls += 1
-        return self.spoil(qp, self.inner.solve(qp, warm_start), warm_start)
+        return self.spoil(qp, super().solve(qp, warm_start), warm_start)
 
     def spoil(self, qp, solution, warm_start):
         return solution
@@ -304,6 +382,10 @@ def _has_negative_multipliers(self, qp, solution, warm_start):
     return dataclasses.replace(solution, lam=-solution.lam - 1e-9)
 
 
+def _hides_who_finished(self, qp, solution, warm_start):
+    return dataclasses.replace(solution, finishes=solution.finishes + 1)
+
+
 @pytest.mark.compiled
 @pytest.mark.parametrize(("spoil", "clause"), [
     (_writes, "wrote to the problem"),
@@ -314,6 +396,7 @@ def _has_negative_multipliers(self, qp, solution, warm_start):
     (_is_inaccurate, "misses by|conditions miss"),
     (_returns_a_tuple, "not a Solution"),
     (_has_negative_multipliers, "multiplier is negative"),
+    (_hides_who_finished, "not counted"),
 ])  # fmt: skip
 def test_the_checker_names_the_clause_that_a_solver_breaks(spoil, clause):
     with pytest.raises(ContractError, match=f"breaker.*({clause})"):
@@ -345,5 +428,5 @@ def test_solutions_are_plain_records(rng):
     solution = get_qp_solver().solve(QP(*drawn_problem(rng, 3, 4)))
     assert isinstance(solution, Solution)
     assert {f.name for f in dataclasses.fields(solution)} == {
-        "x", "lam", "status", "residuals", "iterations", "solver", "message",
+        "x", "lam", "status", "residuals", "iterations", "solver", "message", "finished_by", "finishes",
     }  # fmt: skip

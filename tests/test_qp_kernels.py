@@ -5,7 +5,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from adaptrack.kernels import qp as kernels
+from adaptrack.kernels.qp import problem as kernels
+from adaptrack.kernels.qp.active_set import active_set
+from adaptrack.kernels.qp.residual import kkt_residual
 from adaptrack.qp import QP, QPStatus, kkt_residuals
 from adaptrack.qp.check import ill_conditioned_problem, known_problems
 from adaptrack.qp.kernel import Workspace
@@ -47,12 +49,12 @@ def test_the_factor_holds_the_inverses_of_e_and_of_its_cholesky_factor(n, rng):
     qp = QP(*drawn_problem(rng, n, 1))
     workspace = Workspace()
     assert workspace.load(qp) is QPStatus.SOLVED
-    root, inverse = workspace.factor[0, :n, :n], workspace.factor[1, :n, :n]
+    root, inverse = workspace.factor.inverse_root[:n, :n], workspace.factor.inverse[:n, :n]
     np.testing.assert_allclose(root @ qp.E @ root.T, np.eye(n), atol=1e-11)
     np.testing.assert_allclose(inverse @ qp.E, np.eye(n), atol=1e-11)
     assert np.array_equal(root, np.tril(root))
     condition = np.linalg.cond(qp.E)
-    assert condition * (1 - 1e-9) <= workspace.condition <= n * n * condition * (1 + 1e-9)
+    assert condition * (1 - 1e-9) <= workspace.factor.condition <= n * n * condition * (1 + 1e-9)
 
 
 @pytest.mark.parametrize("E", [[[1.0, 2.0], [2.0, 1.0]], [[0.0, 0.0], [0.0, 1.0]], [[1.0, 1.0], [1.0, 1.0 + 1e-16]]])
@@ -153,11 +155,10 @@ def test_a_kept_factor_leads_to_the_same_solution(rng):
         qp = QP(E, K + 3.0 * rng.normal(size=9), M, gamma + rng.uniform(0.0, 0.3, size=30))
         if active == 0:
             kept.load(qp)
-        kept.K[:9], kept.gamma[:30] = qp.K, qp.gamma
-        status, _, active = kernels.active_set(
-            9, 30, kept.E, kept.K, kept.Mt, kept.gamma, kept.factor, kept.condition, kept.x, kept.lam,
-            kept.work, kept.rows, kept.index, active, active > 0, ENOUGH,
-        )  # fmt: skip
+        kept.problem.K[:9], kept.problem.gamma[:30] = qp.K, qp.gamma
+        status, _, active = active_set(
+            kept.problem, kept.factor, kept.solution, kept.scratch, active, active > 0, ENOUGH
+        )
         assert status == kernels.SOLVED
         np.testing.assert_allclose(kept.result()[0], solve(qp)[1], atol=1e-12)
 
@@ -168,9 +169,7 @@ def test_neither_the_padding_nor_earlier_problems_reach_the_result(rng):
     for n, m in ((3, 11), (12, 40), (8, 0)):
         qp = QP(*drawn_problem(rng, n, m))
         _, x, lam, _ = solve(qp)
-        for array in (used.E, used.Mt, used.work, used.rows, used.factor):
-            array[...] = 1e6 * rng.normal(size=array.shape)
-        for array in (used.K, used.gamma, used.x, used.lam):
+        for array in (*used.problem[2:], *used.factor[:2], *used.solution, *used.scratch[:2]):
             array[...] = 1e6 * rng.normal(size=array.shape)
         _, y, mu, _ = solve(qp, used)
         assert np.array_equal(x, y)
@@ -180,12 +179,12 @@ def test_neither_the_padding_nor_earlier_problems_reach_the_result(rng):
 def test_the_problem_and_its_factor_are_left_as_they_were(rng):
     workspace = Workspace()
     workspace.load(QP(*drawn_problem(rng, 7, 25)), hildreth=True)
-    names = ("E", "K", "Mt", "gamma", "factor")
-    before = {name: getattr(workspace, name).copy() for name in names}
+    given = (*workspace.problem[2:], *workspace.factor[:2])
+    before = [array.copy() for array in given]
     workspace.active_set(ENOUGH)
     workspace.hildreth(38, 1e-7, None)
-    for name in names:
-        assert np.array_equal(getattr(workspace, name), before[name]), name
+    for array, copy in zip(given, before, strict=True):
+        assert np.array_equal(array, copy)
 
 
 def test_the_iteration_cap_is_a_status(rng):
@@ -211,6 +210,46 @@ def test_data_that_are_not_finite_are_a_status(name, value, method, rng):
             continue
         status, _ = workspace.active_set(ENOUGH) if method == "active-set" else workspace.hildreth(38, 1e-7, None)
         assert status is QPStatus.NON_FINITE
+
+
+@pytest.mark.parametrize("kept", [True, False], ids=["kept factor", "guessed rows"])
+@pytest.mark.parametrize("n", range(1, 21))
+def test_with_as_many_active_rows_as_variables_a_gradient_that_is_not_finite_is_a_status(n, kept, rng):
+    # x then follows from the rows alone: only the multipliers tell.
+    E, _, _, _ = drawn_problem(rng, n, 1)
+    rows = np.vstack([np.eye(n), -np.eye(n)])
+    good = QP(E, -E @ np.ones(n) - 10.0, rows, np.ones(2 * n))  # x = 1, each multiplier 10
+    for place in {0, n // 2, n - 1}:
+        for value in (np.nan, np.inf, -np.inf):
+            w = Workspace()
+            w.load(good)
+            status, _, active = active_set(w.problem, w.factor, w.solution, w.scratch, 0, False, ENOUGH)
+            assert (status, active) == (kernels.SOLVED, n)
+            w.problem.K[place] = value
+            status, _, active = active_set(w.problem, w.factor, w.solution, w.scratch, active, kept, ENOUGH)
+            assert (status, active) == (kernels.NON_FINITE, 0)
+            w.problem.K[:n] = good.K
+            status, _, _ = active_set(w.problem, w.factor, w.solution, w.scratch, active, kept, ENOUGH)
+            assert status == kernels.SOLVED
+
+
+@pytest.mark.compiled
+def test_a_solution_too_large_for_double_precision_is_capped_and_never_called_solved(rng):
+    # Large coefficients of nearly dependent functions cancel in M x: their rounding exceeds what a row allows.
+    capped = 0
+    time = np.linspace(0.0, 1.0, 12)
+    functions = np.exp(-np.outer(time, 0.3 * np.arange(1, 9)))
+    rows = np.vstack([functions, -functions])
+    for _ in range(300):
+        size = 10.0 ** rng.uniform(0.0, 16.0)
+        phi = rng.normal(size=(20, 8)) * 10.0 ** rng.uniform(-4.0, 0.0)
+        qp = QP(phi.T @ phi + 1e-6 * np.eye(8), -phi.T @ rng.normal(size=20) * size, rows, np.full(24, 0.25))
+        status, x, lam, _ = solve(qp)
+        assert status in (QPStatus.SOLVED, QPStatus.CAPPED)
+        if status is QPStatus.SOLVED:
+            assert kkt_residuals(qp, x, lam).worst < 2e-6
+        capped += status is QPStatus.CAPPED
+    assert 0 < capped < 200
 
 
 # -- Hildreth's procedure ---------------------------------------------------------------------------------------------
@@ -307,9 +346,8 @@ def test_the_compiled_residuals_equal_the_readable_ones(seed, n, m):
     workspace = Workspace()
     workspace.load(qp)
     x, lam = rng.normal(size=n), np.where(np.isfinite(gamma), rng.normal(size=m), 0.0)
-    workspace.x[:n], workspace.lam[:m] = x, lam
-    w = workspace
-    computed = kernels.kkt_residual(n, m, w.E, w.K, w.Mt, w.gamma, w.x, w.lam, w.work)
+    workspace.solution.x[:n], workspace.solution.lam[:m] = x, lam
+    computed = kkt_residual(workspace.problem, workspace.solution, workspace.scratch)
     np.testing.assert_allclose(computed, kkt_residuals(qp, x, lam), rtol=1e-10, atol=1e-14)
 
 
@@ -318,8 +356,8 @@ def test_a_nan_reaches_the_residuals(name, rng):
     w = Workspace()
     w.load(QP(*drawn_problem(rng, 4, 10)))
     w.active_set(ENOUGH)
-    getattr(w, name).flat[0] = np.nan
-    residuals = kernels.kkt_residual(4, 10, w.E, w.K, w.Mt, w.gamma, w.x, w.lam, w.work)
+    getattr(w.solution if name in ("x", "lam") else w.problem, name).flat[0] = np.nan
+    residuals = kkt_residual(w.problem, w.solution, w.scratch)
     assert np.isnan(residuals).any()
 
 

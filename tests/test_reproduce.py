@@ -11,14 +11,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from adaptrack.adaptation.recipes import trained_schedule
 from adaptrack.errors import InvalidInput
-from adaptrack.evaluate import best_constant, lookup, paper, quality, reproduce, scheduler
 from adaptrack.learning.training import train
 from adaptrack.metrics import PUBLISHED
 from adaptrack.report import reproduce as page
 from adaptrack.report import style
 from adaptrack.scheduling import Constant, check_scheduler
 from adaptrack.simulate import rollout_batch
+from adaptrack.studies import reproduce as paper
+from adaptrack.studies.reproduce import best_of_library, grid_lookup, reproduce
 from small_data import LIBRARY, SEARCH, small
 
 pytestmark = pytest.mark.compiled
@@ -48,44 +50,44 @@ def words_of(path):
 # -- what a data set gives --------------------------------------------------------------------------------------------
 def test_the_best_constant_has_the_lowest_geometric_mean_of_the_cost():
     data = small()
-    found = best_constant(data)
+    found = best_of_library(data)
     assert found.tuning.as_array() == pytest.approx(LIBRARY[1])
     assert found.cost == pytest.approx(1.1 * np.exp(np.log(data.costs).mean()))
     assert found.standard_cost / found.swarm_cost == pytest.approx(4.0)
     assert (found.runs, found.swarm_runs) == (72 * 4, 72 * 300)
 
 
-def test_a_constant_that_loses_the_car_comes_after_one_that_does_not():
+def test_a_constant_that_fails_comes_after_one_that_does_not():
     landscape = small().landscape.copy()
     landscape[5, 1] = np.inf
-    found = best_constant(small(landscape=landscape))
+    found = best_of_library(small(landscape=landscape))
     assert found.tuning.as_array() == pytest.approx(LIBRARY[2])
-    assert found.lost == 0
+    assert found.failed == 0
     landscape[6, :] = np.inf
-    assert best_constant(small(landscape=landscape)).lost == 1
-    assert math.isfinite(best_constant(small(landscape=landscape)).cost)
+    assert best_of_library(small(landscape=landscape)).failed == 1
+    assert math.isfinite(best_of_library(small(landscape=landscape)).cost)
 
 
-def test_the_look_up_table_holds_the_tuning_of_every_condition():
+def test_the_look_up_table_holds_the_tuning_of_every_operating_point():
     data = small()
-    table = lookup(data)
-    assert table.batch(data.operating_points) == pytest.approx(data.tunings)
+    table = grid_lookup(data)
+    assert table.batch(data.conditions) == pytest.approx(data.tunings)
     check_scheduler(table)
 
 
 def test_a_look_up_table_needs_a_full_grid():
     data = small()
     with pytest.raises(InvalidInput, match="do not fill a grid"):
-        lookup(data.rows(np.arange(len(data)) != 7))
+        grid_lookup(data.rows(np.arange(len(data)) != 7))
     twice = np.arange(len(data))
     twice[7] = 8
     with pytest.raises(InvalidInput, match="do not fill a grid"):
-        lookup(data.rows(twice))
+        grid_lookup(data.rows(twice))
 
 
 @pytest.mark.parametrize("which", [("nn", "paper"), ("anfis", "paper"), ("nn", "ratio")])
 def test_a_learned_schedule_is_admitted_and_stays_within_the_bounds_of_the_search(trained, which):
-    schedule = scheduler(trained[which], small())
+    schedule = trained_schedule(trained[which], small())
     check_scheduler(schedule)
     wild = small().operating_points * [3.0, 9.0, 1.0, 5.0]
     tunings = schedule.batch(wild)
@@ -98,19 +100,19 @@ def test_a_learned_schedule_is_admitted_and_stays_within_the_bounds_of_the_searc
 
 def test_clamps_replace_the_bounds_where_they_are_finite(trained):
     data, fitted = small(), trained["nn", "paper"]
-    slots = scheduler(fitted, data, {"Np": (9, math.inf), "Q": (0.75, 20.0)}).slots
-    bounds = {name: (slot.low, slot.high) for name, slot in slots.items()}
+    entries = trained_schedule(fitted, data, {"Np": (9, math.inf), "Q": (0.75, 20.0)}).tuning
+    bounds = {name: (entry.low, entry.high) for name, entry in entries.items()}
     assert bounds == {"Np": (9.0, 55.0), "Nc": (1.0, 18.0), "Q": (0.75, 20.0), "R": (0.001, 0.1)}
 
 
 def test_a_data_set_that_does_not_tell_its_search_is_refused(trained):
     with pytest.raises(InvalidInput, match="bounds of its search"):
-        scheduler(trained["nn", "paper"], small(provenance={"name": "mute"}))
+        trained_schedule(trained["nn", "paper"], small(provenance={"name": "mute"}))
 
 
 def test_quality_tells_the_size_of_every_function(trained):
     for (model, _), fitted in trained.items():
-        for row in quality(fitted):
+        for row in fitted.quality:
             assert row["parameters"] > 0
             assert (row["rules"] is None) == (model == "nn")
             assert (row["dead_share"] is None) == (model == "anfis")
@@ -163,17 +165,17 @@ def test_with_the_same_moves_all_but_the_controller_as_released_have_pulses(made
 
 
 def test_all_that_was_measured_is_strict_json(made):
-    told = json.loads(json.dumps(made.as_json(), allow_nan=False))
-    assert told.keys() >= {"rows", "ablation", "shares", "learning", "domain", "constant", "seconds", "quick"}
-    assert len(told["learning"]) == 8
-    assert told["constant"]["tuning"] == {"Np": 50, "Nc": 3, "Q": 0.5, "R": 0.05}
+    found = json.loads(json.dumps(made.as_json(), allow_nan=False))
+    assert found.keys() >= {"rows", "ablation", "shares", "learning", "domain", "constant", "seconds", "quick"}
+    assert len(found["learning"]) == 8
+    assert found["constant"]["tuning"] == {"Np": 50, "Nc": 3, "Q": 0.5, "R": 0.05}
 
 
 def test_clipped_steps_are_those_that_the_scheduler_counts(made):
-    contender = paper.Contender("lookup", paper.FAST, schedule=lookup(small()))
+    controller = paper.PaperController("lookup", paper.FAST, schedule=grid_lookup(small()))
     plant = paper.SingleTrack(paper.load_vehicle("paper"), "constant-stiffness")
     for test in TESTS:
-        counted = rollout_batch(plant, contender.mpc(preview=False), paper.load_scenario(test)).scheduler
+        counted = rollout_batch(plant, controller.mpc(preview=False), paper.load_scenario(test)).scheduler
         (row,) = [
             row
             for row in made.rows
@@ -221,13 +223,36 @@ def test_a_schedule_that_says_the_tables_constant_makes_adaptation_nothing():
         assert row["pole_share"] == pytest.approx(1.0)
 
 
+def test_an_experiment_that_was_stopped_goes_on_with_the_first_stage_that_is_missing(made, tmp_path, monkeypatch):
+    def equal(one, other):
+        timed = {"seconds", "training_seconds", "learning"}
+        one, other = one.as_json(), other.as_json()
+        assert {key: one[key] for key in one.keys() - timed} == {key: other[key] for key in other.keys() - timed}
+
+    first = reproduce(small(), quick=True, folder=tmp_path)
+    equal(first, made)
+    kept = {path.name for path in (tmp_path / "stages").iterdir()}
+    assert kept == {
+        "training-nn.json", "training-anfis.json", "driving-both-configurations.json", "taking-the-gain-apart.json",
+        "swapping-numbers.json",
+    }  # fmt: skip
+    (tmp_path / "stages" / "swapping-numbers.json").unlink()
+    for name in ("train", "measure", "ablation"):
+        monkeypatch.setattr(paper, name, lambda *given, name=name, **more: pytest.fail(f"{name} was called"))
+    heard = []
+    again = reproduce(small(), quick=True, folder=tmp_path, progress=lambda *at: heard.append(at))
+    equal(again, first)
+    assert again.learning == first.learning, "the times of the training, too"
+    assert heard == [("swapping numbers", 0, 6), ("timing steps", 1, 6)]
+
+
 # -- the gain, taken apart --------------------------------------------------------------------------------------------
 def corners(standard, pole_only, adapted_only, both):
     moves = ("laguerre 0.95", "laguerre 0.75")
-    told = {"table-constant": (standard, pole_only), "nn": (adapted_only, both), "anfis": (adapted_only, both)}
+    found = {"table-constant": (standard, pole_only), "nn": (adapted_only, both), "anfis": (adapted_only, both)}
     return [
         {"scenario": "test", "moves": each, "controller": name, "mse": mse}
-        for name, pair in told.items()
+        for name, pair in found.items()
         for each, mse in zip(moves, pair, strict=True)
     ]
 
@@ -282,7 +307,7 @@ def test_the_page_tells_one_winner_from_one_loser(made):
     )
 
 
-def test_a_lost_run_never_wins(made):
+def test_a_failed_run_never_wins(made):
     rows = [
         {**row, "mse": 1e-9, "failed": True} if row["controller"] == "nn" and not row["preview"] else row
         for row in rigged(made, anfis=2.0, best_constant=1.0).rows

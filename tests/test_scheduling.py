@@ -390,6 +390,7 @@ def test_copies_of_a_schedule_answer_alike(rng):
     expected = schedule.batch(rows)
     for again in (copy.copy(schedule), copy.deepcopy(schedule), pickle.loads(pickle.dumps(schedule))):
         assert np.array_equal(again.batch(rows), expected)
+        assert again.plan(1).settings.dtype is schedule.plan(1).settings.dtype  # else a step takes twice as long
 
 
 # -- what a schedule was made for -------------------------------------------------------------------------------------

@@ -22,6 +22,7 @@ from adaptrack import (
     load_tyre,
     load_vehicle,
 )
+from adaptrack.failure import Failure
 from adaptrack.profile import load_profile
 from adaptrack.scenario import Scenario, Wind
 from adaptrack.simulate import rollout
@@ -98,7 +99,7 @@ def test_in_the_simulator_a_tiny_offset_goes_the_way_of_the_matrix(tuning, speed
         name="offset", duration=20.0, reference=0.0, speed=speed, friction=0.75, wind=Wind(y=0.0), start_y=offset
     )
     mpc = MPC(CAR, Tuning(*tuning), period=0.05)
-    driven = rollout(PLANT, mpc, scenario, profile=QUIET, lost_beyond=math.inf).Y
+    driven = rollout(PLANT, mpc, scenario, profile=QUIET, failure=Failure(math.inf, math.inf)).Y
     k = laws(mpc, speed, tuning)
     body = sampled(PLANT, 0.05, speed, friction=0.75, profile="road")
     matrix = loops(body, k)[0]

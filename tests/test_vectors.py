@@ -36,7 +36,13 @@ def _every_operation(A, out):
             vectors.load(A, 4, 8), vectors.load(A, 5, 8), vectors.load(A, 6, 8), vectors.load(A, 7, 8),
         ),
     )  # fmt: skip
-    return vectors.total(a), vectors.largest(a), vectors.smallest(a), vectors.first_equal(a, A[0, 5]), vectors.first_equal(a, 99.0)
+    return (
+        vectors.total(a),
+        vectors.largest(a),
+        vectors.smallest(a),
+        vectors.first_equal(a, A[0, 5]),
+        vectors.first_equal(a, 99.0),
+    )
 
 
 def test_each_operation_equals_numpy(rng):

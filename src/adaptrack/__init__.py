@@ -10,7 +10,7 @@ import sys
 from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 
 _PUBLIC = {
     "errors": (
@@ -23,7 +23,6 @@ _PUBLIC = {
         "UnknownName",
     ),
     "vehicle": (
-        "Steering",
         "SteeringActuator",
         "Tyre",
         "Vehicle",
@@ -32,22 +31,70 @@ _PUBLIC = {
         "load_tyre",
         "load_vehicle",
     ),
-    "plant": ("DualTrack", "Plant", "SingleTrack", "UserPlant", "check_plant"),
-    "profile": ("Profile", "list_profiles", "load_profile"),
-    "prediction": ("PredictionModel",),
-    "qp": ("QP", "Solution", "check_qp_solver", "get_qp_solver", "list_qp_solvers", "register_qp_solver"),
-    "mpc": ("MPC", "Limits", "Moves", "Tuning"),
-    "estimation": ("Estimating", "FrictionWindEstimator"),
-    "scenario": ("Scenario", "list_scenarios", "load_scenario", "random_drive"),
-    "trajectory": ("Trajectory",),
-    "simulate": ("Driver", "rollout", "rollout_batch", "simulate"),
-    "metrics": ("Metrics", "compute_metrics"),
-    "tuning.pso": ("SearchSpace", "Swarm", "SwarmSettings", "minimise"),
-    "tuning.objective": ("Objective",),
-    "tuning.config": ("CampaignConfig", "list_campaigns", "load_campaign"),
-    "tuning.campaign": ("run_campaign",),
-    "dataset": ("DataSet", "list_datasets", "load_dataset"),
-    "learning.training": ("train",),
+    "profile": (
+        "Profile",
+        "list_profiles",
+        "load_profile",
+    ),
+    "plant": (
+        "DualTrack",
+        "Plant",
+        "SingleTrack",
+        "SteppedPlant",
+        "UserPlant",
+        "check_plant",
+        "get_plant",
+        "list_plants",
+        "register_plant",
+    ),
+    "scenario": (
+        "Scenario",
+        "list_scenarios",
+        "load_scenario",
+        "random_drive",
+    ),
+    "models": (
+        "PredictionModel",
+        "SingleTrackModel",
+        "UserModel",
+        "check_model",
+        "get_model",
+        "list_models",
+        "register_model",
+    ),
+    "estimation": (
+        "Deadbeat",
+        "Estimator",
+        "FrictionWindEstimator",
+        "Perception",
+        "UserEstimator",
+        "check_estimator",
+        "get_estimator",
+        "list_estimators",
+        "register_estimator",
+    ),
+    "qp": (
+        "QP",
+        "Solution",
+        "check_qp_solver",
+        "get_qp_solver",
+        "list_qp_solvers",
+        "register_qp_solver",
+    ),
+    "controllers": (
+        "LQR",
+        "MPC",
+        "Limits",
+        "Moves",
+        "PurePursuit",
+        "Stanley",
+        "Tuning",
+        "UserController",
+        "check_controller",
+        "get_controller",
+        "list_controllers",
+        "register_controller",
+    ),
     "scheduling": (
         "Constant",
         "Guarded",
@@ -55,20 +102,75 @@ _PUBLIC = {
         "Lookup",
         "Schedule",
         "SchedulingVariables",
-        "SchedulingVariables",
         "check_scheduler",
         "list_schedulers",
         "load_scheduler",
         "reference_preview",
         "save_scheduler",
     ),
-    "adapt": ("adapt", "load_adaptation"),
+    "trajectory": ("Trajectory",),
+    "failure": (
+        "Failure",
+        "find_failure",
+    ),
+    "simulate": (
+        "Driver",
+        "rollout",
+        "rollout_batch",
+        "simulate",
+    ),
+    "metrics": (
+        "Metrics",
+        "compute_metrics",
+    ),
+    "tuning.pso": (
+        "SearchSpace",
+        "Swarm",
+        "SwarmSettings",
+        "minimise",
+    ),
+    "tuning.objective": ("Objective",),
+    "tuning.config": (
+        "CampaignConfig",
+        "list_campaigns",
+        "load_campaign",
+    ),
+    "tuning.campaign": ("run_campaign",),
+    "dataset": (
+        "DataSet",
+        "list_datasets",
+        "load_dataset",
+    ),
+    "learning.training": ("train",),
+    "comparison.contenders": (
+        "Contender",
+        "get_contender",
+        "list_contenders",
+        "register_contender",
+    ),
+    "studies.adapt": (
+        "adapt",
+        "load_adaptation",
+    ),
 }
 """Module -> the names that the package exposes from it; the imports below repeat it for type checkers."""
 
 if TYPE_CHECKING:
-    from adaptrack.adapt import adapt, load_adaptation
-    from adaptrack.controllers import MPC, Limits, Moves, Tuning
+    from adaptrack.comparison.contenders import Contender, get_contender, list_contenders, register_contender
+    from adaptrack.controllers import (
+        LQR,
+        MPC,
+        Limits,
+        Moves,
+        PurePursuit,
+        Stanley,
+        Tuning,
+        UserController,
+        check_controller,
+        get_controller,
+        list_controllers,
+        register_controller,
+    )
     from adaptrack.dataset import DataSet, list_datasets, load_dataset
     from adaptrack.errors import (
         AdaptrackError,
@@ -79,11 +181,40 @@ if TYPE_CHECKING:
         StorageError,
         UnknownName,
     )
-    from adaptrack.estimation import Estimating, FrictionWindEstimator
+    from adaptrack.estimation import (
+        Deadbeat,
+        Estimator,
+        FrictionWindEstimator,
+        Perception,
+        UserEstimator,
+        check_estimator,
+        get_estimator,
+        list_estimators,
+        register_estimator,
+    )
+    from adaptrack.failure import Failure, find_failure
     from adaptrack.learning.training import train
     from adaptrack.metrics import Metrics, compute_metrics
-    from adaptrack.models import PredictionModel
-    from adaptrack.plant import DualTrack, Plant, SingleTrack, UserPlant, check_plant
+    from adaptrack.models import (
+        PredictionModel,
+        SingleTrackModel,
+        UserModel,
+        check_model,
+        get_model,
+        list_models,
+        register_model,
+    )
+    from adaptrack.plant import (
+        DualTrack,
+        Plant,
+        SingleTrack,
+        SteppedPlant,
+        UserPlant,
+        check_plant,
+        get_plant,
+        list_plants,
+        register_plant,
+    )
     from adaptrack.profile import Profile, list_profiles, load_profile
     from adaptrack.qp import QP, Solution, check_qp_solver, get_qp_solver, list_qp_solvers, register_qp_solver
     from adaptrack.scenario import Scenario, list_scenarios, load_scenario, random_drive
@@ -101,36 +232,33 @@ if TYPE_CHECKING:
         save_scheduler,
     )
     from adaptrack.simulate import Driver, rollout, rollout_batch, simulate
+    from adaptrack.adaptation.config import load_adaptation
+    from adaptrack.studies.adapt import adapt
     from adaptrack.trajectory import Trajectory
     from adaptrack.tuning.campaign import run_campaign
     from adaptrack.tuning.config import CampaignConfig, list_campaigns, load_campaign
     from adaptrack.tuning.objective import Objective
     from adaptrack.tuning.pso import SearchSpace, Swarm, SwarmSettings, minimise
-    from adaptrack.vehicle import (
-        Steering,
-        SteeringActuator,
-        Tyre,
-        Vehicle,
-        list_tyres,
-        list_vehicles,
-        load_tyre,
-        load_vehicle,
-    )
+    from adaptrack.vehicle import SteeringActuator, Tyre, Vehicle, list_tyres, list_vehicles, load_tyre, load_vehicle
 
 _HOME = {name: module for module, names in _PUBLIC.items() for name in names}
 
 __all__ = [
+    "LQR",
     "MPC",
     "QP",
     "AdaptrackError",
     "CampaignConfig",
     "ConfigError",
     "Constant",
+    "Contender",
     "ContractError",
     "DataSet",
+    "Deadbeat",
     "Driver",
     "DualTrack",
-    "Estimating",
+    "Estimator",
+    "Failure",
     "FrictionWindEstimator",
     "Guarded",
     "InvalidInput",
@@ -141,17 +269,21 @@ __all__ = [
     "MissingExtra",
     "Moves",
     "Objective",
+    "Perception",
     "Plant",
     "PredictionModel",
     "Profile",
+    "PurePursuit",
     "Scenario",
     "Schedule",
     "SchedulingVariables",
     "SearchSpace",
     "SingleTrack",
+    "SingleTrackModel",
     "Solution",
-    "Steering",
+    "Stanley",
     "SteeringActuator",
+    "SteppedPlant",
     "StorageError",
     "Swarm",
     "SwarmSettings",
@@ -159,17 +291,34 @@ __all__ = [
     "Tuning",
     "Tyre",
     "UnknownName",
+    "UserController",
+    "UserEstimator",
+    "UserModel",
     "UserPlant",
     "Vehicle",
     "__version__",
     "adapt",
+    "check_controller",
+    "check_estimator",
+    "check_model",
     "check_plant",
     "check_qp_solver",
     "check_scheduler",
     "compute_metrics",
+    "find_failure",
+    "get_contender",
+    "get_controller",
+    "get_estimator",
+    "get_model",
+    "get_plant",
     "get_qp_solver",
     "list_campaigns",
+    "list_contenders",
+    "list_controllers",
     "list_datasets",
+    "list_estimators",
+    "list_models",
+    "list_plants",
     "list_profiles",
     "list_qp_solvers",
     "list_scenarios",
@@ -187,6 +336,11 @@ __all__ = [
     "minimise",
     "random_drive",
     "reference_preview",
+    "register_contender",
+    "register_controller",
+    "register_estimator",
+    "register_model",
+    "register_plant",
     "register_qp_solver",
     "rollout",
     "rollout_batch",

@@ -18,8 +18,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from adaptrack.controllers import MPC, Command, Tuning
-from adaptrack.models import limit_bounds, limit_matrix
+from adaptrack.controllers import MPC, MPCCommand, Tuning
+from adaptrack.models import SingleTrackModel, limit_bounds, limit_matrix
 from adaptrack.plant import DualTrack, Plant
 from adaptrack.qp import QPStatus
 from adaptrack.scenario import Constant, Scenario, Sine, load_scenario
@@ -58,7 +58,7 @@ class PlainController:
         """The configuration."""
         return self.mpc.describe()
 
-    def step(self, state: Any, speed: float, reference: Any, condition: SchedulingVariables | None = None) -> Command:
+    def step(self, state: Any, speed: float, reference: Any, condition: SchedulingVariables | None = None) -> MPCCommand:
         """One control step, as `MPC.step`."""
         import ctypes
 
@@ -69,7 +69,7 @@ class PlainController:
         Np, Nc, q, r = t.Np, t.Nc, t.Q, t.R
         x = np.array(state, dtype=float)
         change = np.zeros(4) if self.previous is None else x - self.previous
-        a, b, c = self.mpc.model.continuous(max(speed, self.mpc.speed_floor))
+        a, b, c = SingleTrackModel(self.vehicle, self.period).continuous(max(speed, self.mpc.speed_floor))
         block = np.zeros((5, 5))
         block[:4, :4], block[:4, 4:] = a, b
         block = expm(block * self.period)
@@ -97,7 +97,7 @@ class PlainController:
         self.angle += move
         self.previous = x
         status = QPStatus.SOLVED if flag > 0 else QPStatus.CAPPED
-        return Command(self.angle, move, status, 0, float("nan"), 0, flag <= 0, (Np, Nc, q, r))
+        return MPCCommand(self.angle, move, flag <= 0, (Np, Nc, q, r), status, 0, float("nan"), 0)
 
 
 def bench_step(count: int = 4000) -> dict[str, Any]:
@@ -202,7 +202,8 @@ def _schedule_us(schedule: Schedule, conditions: Array, pieces: int = 100) -> fl
 
 def _rest(mpc: MPC) -> None:
     """Set the angle and the past back without forming the controller anew."""
-    mpc._memory[0, :8] = 0.0
+    mpc._mpc.memory["started"], mpc._mpc.memory["command"] = 0, 0.0
+    mpc._mpc.previous[:] = 0.0
 
 
 def bench_rollout(conditions: int = 150, threads: int | None = None) -> dict[str, Any]:
@@ -326,23 +327,25 @@ def bench_campaign(conditions: int = 48, threads: int | None = None) -> dict[str
     }
 
 
-def _plant_ns(plant: Plant, conditions: Array) -> float:
-    """Nanoseconds that a full block's integration takes per vehicle and control period, mean over the conditions."""
-    from adaptrack.kernels import integrate
+def _plant_ns(plant: Plant, points: Array) -> float:
+    """Nanoseconds that a full batch's integration takes per vehicle and control period, mean over the points."""
+    from adaptrack.kernels.plants.contract import INPUT, SLOTS, STATE, STATES, vehicle_batch
 
-    period, packed = 0.1, plant.packed()
-    block = np.zeros((integrate.BLOCK // integrate.LANES, integrate.LANES))
+    period, advance = 0.1, plant.compiled.advance
+    start = np.zeros((SLOTS, len(plant.state_names)))
+    vehicles = vehicle_batch(plant.packed(), start)
+    rows = vehicles.block.reshape(-1, SLOTS)
     times = []
-    for speed in conditions[:, 0]:
+    for speed in points[:, 0]:
         steps = plant.substeps(period, float(speed))
-        block[:] = 0.0
-        block[3], block[13], block[16:20] = speed, 0.02, 0.7
-        flat = block.reshape(-1)
+        rows[:] = 0.0
+        rows[STATE.vx], rows[STATES + INPUT.command] = speed, 0.02
+        rows[STATES + INPUT.friction_front_left : STATES + INPUT.wind_x] = 0.7
         begun = time.perf_counter()
         for _ in range(20):
-            integrate.integrate(plant.kind, packed, flat, integrate.LANES, steps, period / steps)
+            advance(vehicles.parameters, vehicles.block, vehicles.states, vehicles.work, SLOTS, steps, period / steps)
         times.append((time.perf_counter() - begun) / 20)
-    return 1e9 * float(np.median(times)) / integrate.LANES
+    return 1e9 * float(np.median(times)) / SLOTS
 
 
 def one_blas_thread() -> Any:

@@ -29,7 +29,7 @@ OPERATING = {name: (variable.low, variable.high) for name, variable in VARIABLES
 Driving = Literal["straight", "turn"]
 DRIVING: tuple[Driving, ...] = ("straight", "turn")
 """Ways of driving about which the loop is linearised, in the order of tables and maps."""
-_CELL = 64  # values combinations, at most, of the inputs beside speed and friction, for each pair of those
+_CELL = 64  # combinations, at most, of the inputs beside speed and friction, for each pair of those
 
 
 @dataclass(frozen=True, eq=False)
@@ -194,7 +194,7 @@ def certify(
     mpc
         Vehicle of the prediction model, period, moves, longest horizons; its own tuning and scheduler play no part.
     domain
-        Lowest and highest value by entry of `SchedulingVariables`; by default where `OPERATING` and the schedule's own domain
+        Lowest and highest value by scheduling variable; by default where `OPERATING` and the schedule's own domain
         overlap. Beside speed and friction, only what a schedule looks at is varied; of a plain function, everything.
     levels
         Values of speed and of friction. Other inputs get 2 to 5 each, together at most 64 combinations or 2 each.
@@ -297,7 +297,7 @@ def _sweep(
     """The margins of each set of tunings; a plant and a tuning that recur are analysed once."""
     n, names = len(points), [each.name for each in fields(Margins)]
     results = np.empty((len(asked), 2, len(names), n))
-    places = points[:, [SchedulingVariables._fields.index("speed"), SchedulingVariables._fields.index("friction")]]
+    places = points[:, [SchedulingVariables._fields.index(name) for name in ("speed", "friction")]]
     cells, where = np.unique(places, axis=0, return_inverse=True)
     for cell, (speed, friction) in enumerate(cells.tolist()):
         progress("certify", cell, len(cells))

@@ -1,8 +1,9 @@
 """What a controller knows: the state and the disturbance that it predicts from, and friction and wind.
 
 The estimator of an MPC gives the state of its prediction model (`Estimator`). The scheduler of one is told friction and
-wind, exactly, with errors (`Perception`) or as a car's own signals show them (`FrictionWindEstimator`). Friction and wind are not measured. Friction shows only where the tyres are near their limit; everywhere else the
-estimate drifts back to a nominal value, and its standard deviation says so.
+wind exactly, with errors (`Perception`), or as a car's own signals show them (`FrictionWindEstimator`): neither is
+measured. Friction shows only where the tyres are near their limit; everywhere else the estimate drifts back to a nominal
+value, and its standard deviation says so.
 """
 
 from __future__ import annotations
@@ -51,9 +52,9 @@ class Estimator(ABC):
     @property
     @abstractmethod
     def function(self) -> Any:
-        """The compiled ``estimate(measured, command, a, b, parameters, memory, x, d)``, see `kernels.estimators.contract`.
+        """The compiled ``estimate(measured, command, a, b, parameters, memory, x, d)``.
 
-        None: the controller's own form on increments of the measured state.
+        See `kernels.estimators.contract`. None: the controller's own form on increments of the measured state.
         """
 
     def parameters(self) -> Array:
@@ -64,7 +65,7 @@ class Estimator(ABC):
         """Numbers that it remembers from step to step."""
         return 0
 
-    def check_fits(self, model: PredictionModel) -> None:
+    def check_fits(self, model: PredictionModel) -> None:  # noqa: B027 (most fit any model)
         """Refuse a model that it cannot serve.
 
         Raises
@@ -373,7 +374,7 @@ class FrictionWindEstimator:
         )
 
     def settings(self) -> Array:
-        """Everything but the vehicle as the kernel expects it (`kernels.estimators.friction_wind.ESTIMATOR_SETTINGS`)."""
+        """Everything but the vehicle, see `kernels.estimators.friction_wind.ESTIMATOR_SETTINGS`."""
         from adaptrack.kernels.estimators.friction_wind import ESTIMATOR_SETTINGS
 
         belief, step = self.belief, self.period / self.steps

@@ -82,6 +82,16 @@ class PredictionModel(ABC):
         self.function(float(speed), self.period, self.parameters(), a, b, e)
         return a, b[:, None], self.output[None]
 
+    def responses(self, speed: float, horizon: int) -> tuple[Array, Array]:
+        """F of eq. (10), transposed (n+1, horizon), and the response to a unit move C~ A~^j B~ (horizon,); compiled."""
+        from adaptrack.kernels.controllers import condensing
+
+        a, b, c = self.discrete(speed)
+        free, step = np.ones((self.n + 1, horizon)), np.empty(horizon)
+        model = condensing.Discrete(a, b[:, 0].copy(), c[0].copy(), np.zeros(self.n), np.zeros((3, self.n)))
+        condensing.responses(horizon, model, free, step)
+        return free, step
+
     def augmented(self, speed: float) -> tuple[Array, Array, Array]:
         """Eq. (9): A~ (n+1, n+1), B~ (n+1, 1), C~ (1, n+1) in x~ = [change of x, y], with the move as input."""
         a, b, c = self.discrete(speed)
@@ -240,7 +250,8 @@ class UserModel(PredictionModel):
         unknown = [name for name in self.states if name not in MEASURED]
         if unknown or len(set(self.states)) < len(self.states) or self.states[-1:] != ("y",):
             raise InvalidInput(
-                f"{where}: states = {self.states!r}: must be different ones of {', '.join(MEASURED)}, with y as the last."
+                f"{where}: states = {self.states!r}: must be different ones of "
+                f"{', '.join(MEASURED)}, with y as the last."
             )
         self.period = real(where, "period", period)
         if not 0.0 < self.period < math.inf:
@@ -362,6 +373,6 @@ def limit_matrix(Nc: int) -> Array:
 
 
 def limit_bounds(Nc: int, angle: float, limits: Any) -> Array:
-    """gamma of eq. (16) in the order of `limit_matrix`, shape (4 Nc,); angle: u(k-1) (rad); limits: `controllers.Limits`."""
+    """gamma of eq. (16) in the order of `limit_matrix`, shape (4 Nc,); angle: u(k-1) (rad); limits: a `Limits`."""
     (low, high), (least, most) = limits.move, limits.angle
     return np.tile([high, -low, most - angle, angle - least], Nc)

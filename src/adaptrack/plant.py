@@ -242,7 +242,7 @@ class UserPlant(Plant):
     own_states: tuple[str, ...] = ()
     """names of the states behind `MOTION`"""
     start: Callable[[Array], Any] | None = None
-    """start(motion) -> the own states in equilibrium with the first six, such as the speeds of rolling wheels; None: 0"""
+    """start(motion) -> the own states in equilibrium with the first six, such as speeds of rolling wheels; None: 0"""
     steps: int = 20
     """Runge-Kutta steps per control period"""
     engine_power: float = 1e5

@@ -379,7 +379,7 @@ def rollout(
     _refuse_nonsense(scenario, seed)
     batch = Batch(plant, controller, [scenario], profile, driver, failure, known_as)
     first = np.zeros(1, np.int64)
-    runs = batch.run(first, batch.tuning[None], np.array([seed]), 1, traced=True)
+    runs = batch.run(first, batch.tuning[None], np.array([seed]), 1, traced=True, scheduler=batch.scheduler)
     record = _Recorder(batch.signals[0].n, controller)
     found, T = runs.result[0], len(record.tuning_names)
     record.state[:], record.seen[:], answer = runs.trace.state[0], runs.trace.seen[0], runs.trace.answer[0]
@@ -474,7 +474,10 @@ def rollout_batch(
     seeded = np.array(seeds, dtype=np.int64)
     if seeded.shape not in ((), (runs,)):
         raise InvalidInput(f"seeds: need one, or one for each of the {runs} runs; got shape {seeded.shape}.")
-    return batch.run(index, asked, np.broadcast_to(seeded, (runs,)).copy(), threads or os.cpu_count() or 1).measured()
+    found = batch.run(
+        index, asked, np.broadcast_to(seeded, (runs,)).copy(), threads or os.cpu_count() or 1, scheduler=batch.scheduler
+    )
+    return found.measured()
 
 
 @dataclass(frozen=True, eq=False)
@@ -590,7 +593,10 @@ class Batch:
         return SETTINGS.new(period=self.world.period, longest_horizon=1, most_moves=1, output_min=-np.inf,
                             output_max=np.inf)  # fmt: skip
 
-    def arena(self, slots: int, steps: int, mpc_settings: Any, segments: int = 0, periods: int = 0) -> Any:
+    def arena(
+        self, slots: int, steps: int, mpc_settings: Any, segments: int = 0, periods: int = 0,
+        scheduler: CompiledScheduler | None = None,
+    ) -> Any:  # fmt: skip
         """The kernels' arrays for up to `slots` runs that integrate `steps` times a period (`kernels.rollout.Run`).
 
         segments: of each run; periods: to trace, 0 for no trace.
@@ -616,14 +622,13 @@ class Batch:
         if isinstance(known, FrictionWindEstimator):
             perceiving = rollout.Perceiving(known.packed(), known.settings(), np.zeros((slots, KNOWING)))
         traced = slots if periods else 0
-        planned = isinstance(self.scheduler, CompiledScheduler)
         return rollout.Run(
             settings=self.settings[steps],
             vehicles=vehicle_batch(self.world.plant.packed(), np.zeros((slots, self.starts.shape[1]))),
             road=rollout.Road(self.samples, np.zeros(slots, np.int64), np.zeros(slots, np.int64)),
             mpc=mpc,
             law=law,
-            schedule=self.scheduler.plan(slots) if planned else no_schedule(),  # type: ignore[union-attr]
+            schedule=no_schedule() if scheduler is None else scheduler.plan(slots),
             perceiving=perceiving,
             tuning=np.zeros((slots, len(self.tuning))),
             variables=np.zeros(len(guard.VARIABLES)),
@@ -660,28 +665,29 @@ class Batch:
             found += [members[first : first + SLOTS] for first in range(0, len(members), SLOTS)]
         return found
 
-    def longest(self, tunings: Array) -> tuple[float, float]:
-        """The longest Np and Nc that runs with these tunings may ask for."""
+    def longest(self, tunings: Array, scheduler: CompiledScheduler | None) -> tuple[float, float]:
+        """The longest Np and Nc that runs with these tunings or this scheduler may ask for."""
         if not isinstance(self.controller, MPC):
             return 1.0, 1.0
         longest, most = tunings[:, 0].max(initial=1), tunings[:, 1].max(initial=1)
-        if isinstance(self.scheduler, CompiledScheduler):
-            longest, most = max(longest, self.scheduler.largest[0]), max(most, self.scheduler.largest[1])
+        if scheduler is not None:
+            longest, most = max(longest, scheduler.largest[0]), max(most, scheduler.largest[1])
         return float(longest), float(most)
 
     def run(
         self, which: NDArray[np.int64], tunings: Array, seeds: NDArray[np.int64], threads: int, traced: bool = False,
-        segment: int = 0, weight: float = 0.0,
+        segment: int = 0, weight: float = 0.0, scheduler: CompiledScheduler | None = None,
     ) -> BatchRuns:  # fmt: skip
-        """Drive run i with scenario which[i], tunings[i] and seeds[i]; with a scheduler, tunings are what it begins with.
+        """Drive run i with scenario which[i], tunings[i] and seeds[i]; a scheduler begins with the tuning.
 
         segment: periods of a segment whose cost is asked for, with `weight` (m^2/rad^2) on the squared moves; 0: none.
         """
         from adaptrack.kernels import guard, rollout
 
         runs, n = len(which), self.signals[0].n
-        plan = _Plan(which, tunings, seeds, segment, weight, n if traced else 0)
-        settings = self.mpc_settings(*((math.inf, math.inf) if traced else self.longest(tunings)), residuals=traced)
+        plan = _Plan(which, tunings, seeds, segment, weight, n if traced else 0, scheduler)
+        longest = (math.inf, math.inf) if traced else self.longest(tunings, scheduler)
+        settings = self.mpc_settings(*longest, residuals=traced)
         result, counts = rollout.RESULT.new(runs), np.zeros((len(guard.COUNTS), runs), np.int64)
         segments = np.zeros((runs, math.ceil(n / segment) if segment else 0))
         traces: dict[int, Any] = {}
@@ -700,7 +706,7 @@ class Batch:
                 result[chunk], segments[chunk] = done.result, done.segments
                 if traced:
                     traces[int(chunk[0])] = done.trace
-                if self.scheduler is not None:
+                if scheduler is not None:
                     counts[:, chunk] = [done.schedule.memory[name] for name in guard.COUNTS]
 
         workers = max(1, min(threads, len(chunks)))
@@ -710,7 +716,7 @@ class Batch:
             with ThreadPoolExecutor(workers) as pool:
                 for future in [pool.submit(work) for _ in range(workers)]:
                     future.result()
-        named = {} if self.scheduler is None else dict(zip(guard.COUNTS, counts, strict=True))
+        named = {} if scheduler is None else dict(zip(guard.COUNTS, counts, strict=True))
         return BatchRuns(result, traces.get(0, rollout.no_trace()), named, segments)
 
     def _drive(self, chunk: NDArray[np.int64], plan: _Plan, mpc_settings: Any) -> Any:
@@ -719,7 +725,7 @@ class Batch:
 
         which, size, n = plan.which[chunk], len(chunk), self.signals[0].n
         segments = math.ceil(n / plan.segment) if plan.segment else 0
-        run = self.arena(size, int(self.substeps[which[0]]), mpc_settings, segments, plan.traced)
+        run = self.arena(size, int(self.substeps[which[0]]), mpc_settings, segments, plan.traced, plan.scheduler)
         run.road.scenario[:], run.road.seeds[:] = which, plan.seeds[chunk]
         run.vehicles.start[:], run.tuning[:] = self.starts[which], plan.tunings[chunk]
         rollout.begin(size, run)
@@ -737,6 +743,8 @@ class _Plan:
     segment: int
     weight: float
     traced: int
+    """periods to trace, 0 for no trace"""
+    scheduler: CompiledScheduler | None
 
 
 # -- the trajectory ---------------------------------------------------------------------------------------------------

@@ -112,8 +112,7 @@ def linearised(
 
     About a straight line, or about a `steady_turn` with `lateral_acceleration` (m/s^2), in which tyres are softer; then
     deviations are those from the turn, in axes along its velocity. The input is the front-wheel angle; the speed is
-    held. States that do not influence what the controller measures are left out. By
-    central differences.
+    held. States that do not influence what the controller measures are left out. By central differences.
     """
     x, steering = steady_turn(plant, speed, lateral_acceleration, friction)
     road = _road(friction)
@@ -202,14 +201,10 @@ def laws(mpc: MPC, speed: float, tunings: ArrayLike) -> Array:
 
     `PredictionModel.feedback` for many tunings at once. The horizons must be whole numbers, 1 <= Nc <= Np.
     """
-    from adaptrack.kernels.prediction import responses
-
     asked = np.atleast_2d(np.asarray(tunings, dtype=np.float64))
     horizons, group = np.unique(asked[:, :2].astype(np.int64), axis=0, return_inverse=True)
     longest = int(horizons[:, 0].max())
-    a, b, _ = mpc.model.discrete(max(speed, mpc.speed_floor))
-    free, step = np.ones((5, longest)), np.empty(longest)
-    responses(longest, a, b[:, 0].copy(), free, step)
+    free, step = mpc.model.responses(max(speed, mpc.speed_floor), longest)
     below = np.subtract.outer(np.arange(longest), np.arange(longest))
     phi = np.where(below >= 0, step[below], 0.0)
     gains = np.empty((len(asked), 5))

@@ -159,6 +159,25 @@ def reference_solve(
     return _certificate(problem, x, u, active, exact=True)
 
 
+def exact_residual(E: Array, K: Array, M: Array, gamma: Array, x: Array, lam: Array) -> float:
+    """The largest violation of the KKT conditions by the float64 pair (x, lam), evaluated without rounding.
+
+    Each is relative to one plus the sum of the sizes of its terms; complementarity to the largest multiplier as well.
+    """
+    problem = _Exact(E, K, M, gamma)
+    xi = _fixed(x)
+    lami = _fixed(lam) if len(lam) else np.zeros(0, dtype=object)
+    terms = 1.0 + np.abs(E) @ np.abs(x) + np.abs(K) + (np.abs(M).T @ np.abs(lam) if len(lam) else 0.0)
+    worst = [float((np.abs(problem.stationarity(xi, lami)) / terms).max())]
+    if len(lam):
+        here = problem.present
+        slack = problem.slack(xi)[here] / (1.0 + np.abs(M[here]) @ np.abs(x) + np.abs(gamma[here]))
+        worst += [float(slack.max(initial=0.0)), float((-lam).max() / (1.0 + np.abs(lam).max()))]
+        worst += [float((lam[here] * np.abs(slack)).max(initial=0.0) / (1.0 + lam.max()))]
+        worst += [float(np.delete(lam, here).max(initial=0.0))]
+    return max(worst)
+
+
 def _certificate(
     problem: _Exact, x: npt.NDArray, u: npt.NDArray, active: list[int], exact: bool, tiny: float = 1e-25
 ) -> Reference:

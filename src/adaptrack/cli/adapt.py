@@ -17,8 +17,8 @@ def adapt(
     as_json: options.Json = False,
 ) -> None:
     """The whole chain: tune, learn schedulers, guard them, evaluate them on roads nobody trained on."""
-    from adaptrack.adapt import adapt as run
-    from adaptrack.adapt import load_adaptation
+    from adaptrack.adaptation.config import load_adaptation
+    from adaptrack.studies.adapt import adapt as run
 
     settings = load_adaptation(config)
     options.make_folder(out)

@@ -10,10 +10,10 @@ from adaptrack.cli import options, show
 from adaptrack.cli.show import Column
 
 if TYPE_CHECKING:
-    from adaptrack.adapt import Adapted
+    from adaptrack.studies.adapt import Adapted
 
 COLUMNS = (
-    Column("scheduler", "scheduler"),
+    Column("contender", "contender"),
     Column("cost_geomean", "cost J", "m²", show.digits(3)),
     Column("regret_geomean", "regret\nmean", "", show.digits(4)),
     Column("interval", "95 %\ninterval"),
@@ -25,15 +25,13 @@ COLUMNS = (
 
 def write_page(out: Path, made: Adapted) -> Path:
     """The page about a comparison."""
-    from adaptrack.report.ladder import write_ladder
+    from adaptrack.report.comparison import write_comparison
 
     with show.progress("write the page"):
-        return write_ladder(
+        return write_comparison(
             out,
-            conditions=made.conditions.get("exact"),
-            drives=made.drives.get("exact"),
-            perceptions=made.conditions,
-            drive_perceptions=made.drives,
+            operating_points=made.operating_points,
+            drives=made.drives,
             tests=made.tests,
             schedules=made.schedules,
             histories=made.histories,
@@ -43,22 +41,24 @@ def write_page(out: Path, made: Adapted) -> Path:
 
 def print_comparison(made: Adapted, as_json: bool) -> None:
     """The rows of all views: operating points and drives by how friction and wind are known, tests by their name."""
-    views: dict[str, Mapping[str, Any]] = {"conditions": made.conditions, "drives": made.drives, "tests": made.tests}
+    views: dict[str, Mapping[str, Any]] = {
+        "operating points": made.operating_points, "drives": made.drives, "tests": made.tests
+    }  # fmt: skip
     if as_json:
         show.say_json({"rows": _rows(views)})
         return
-    for view, ladders in views.items():
-        for name, ladder in ladders.items():
-            rows = [{**row, "interval": f"{row['regret_low']:.3g}-{row['regret_high']:.3g}"} for row in ladder.rows()]
-            show.table(f"{view}, {name}: {len(ladder.where)} runs, regret to {ladder.reference}", COLUMNS, rows)
+    for view, comparisons in views.items():
+        for name, each in comparisons.items():
+            rows = [{**row, "interval": f"{row['regret_low']:.3g}-{row['regret_high']:.3g}"} for row in each.rows()]
+            show.table(f"{view}, {name}: {len(each.where)} runs, regret to {each.reference}", COLUMNS, rows)
 
 
 def _rows(views: Mapping[str, Mapping[str, Any]]) -> list[dict[str, Any]]:
-    from adaptrack.evaluate.ladder import finite
+    from adaptrack.comparison.compare import finite
 
     return [
-        {"view": view, "scenario" if view == "tests" else "told": name, "reference": ladder.reference, **row}
-        for view, ladders in views.items()
-        for name, ladder in ladders.items()
-        for row in finite(ladder.rows())
+        {"view": view, "scenario" if view == "tests" else "known_as": name, "reference": each.reference, **row}
+        for view, comparisons in views.items()
+        for name, each in comparisons.items()
+        for row in finite(each.rows())
     ]

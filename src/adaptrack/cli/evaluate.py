@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 from typer import Option
 
@@ -21,6 +21,9 @@ USUAL = "sobol:2000"
 def evaluate(
     schedulers: Annotated[
         list[str] | None, Option(help="Names (see `schedulers`) or files, beside those that ship with the package.")
+    ] = None,
+    contender: Annotated[
+        list[str] | None, Option("--contender", help="Name of a registered contender, driven beside the schedulers.")
     ] = None,
     operating_points: Annotated[
         str | None,
@@ -49,39 +52,46 @@ def evaluate(
     as_json: options.Json = False,
 ) -> None:  # fmt: skip
     """Compare schedulers with the best constant and the optimum of each operating point, where none was trained."""
-    from adaptrack.adapt import Adapted, Workshop, condition_ladder, drive_ladder, load_adaptation, test_ladders
-    from adaptrack.evaluate.road import told
+    from adaptrack.adaptation.config import load_adaptation
+    from adaptrack.adaptation.splits import SetUp
+    from adaptrack.comparison.contenders import check_contender
+    from adaptrack.comparison.evaluate import on_drives, on_operating_points, on_tests
+    from adaptrack.runs import perception
+    from adaptrack.studies.adapt import Adapted
 
     settings = load_adaptation(config)
-    shop = Workshop.of(settings)
-    if profile is not None and profile != shop.campaign.profile:
-        raise InvalidInput(f"--profile {profile}: configuration {settings.name!r} is for {shop.campaign.profile!r}.")
-    compared = contenders(settings.name, schedulers or [])
+    setup = SetUp.of(settings)
+    if profile is not None and profile != setup.profile:
+        raise InvalidInput(f"--profile {profile}: configuration {settings.name!r} is for {setup.profile!r}.")
+    compared, more = schedules(settings.name, schedulers or []), contender or []
     if operating_points is None and drives is None and not tests:
         operating_points = USUAL
     count = 0 if operating_points is None else _sample_size(operating_points)
     ways = tuple(dict.fromkeys(["exact", *(known_as or [])]))
     for way in ways:
-        told(way, shop.plant, shop.campaign.profile)  # an unknown one is refused before any work
+        perception(way, setup.plant, setup.profile)  # an unknown one is refused before any work
+    for name in more:
+        check_contender(name)
     if out is not None:
         options.make_folder(out)
     with show.progress("evaluate") as advance:
+        how: dict[str, Any] = {"known_as": ways, "more": more, "progress": advance}
         made = Adapted(
             compared,
             {},
-            condition_ladder(shop, compared, count, seed, knowledge=ways, progress=advance) if count else {},
-            drive_ladder(shop, compared, drives, seed, knowledge=ways, progress=advance) if drives else {},
-            test_ladders(shop, compared) if tests else {},
+            on_operating_points(setup, compared, count, seed, **how) if count else {},
+            on_drives(setup, compared, drives, seed, **how) if drives else {},
+            on_tests(setup, compared, more=more) if tests else {},
         )
     if out is not None:
         show.say(f"Report: {comparison.write_page(out, made)}", aside=as_json)
     comparison.print_comparison(made, as_json)
 
 
-def contenders(adaptation: str, given: Sequence[str]) -> dict[str, Schedule]:
+def schedules(adaptation: str, given: Sequence[str]) -> dict[str, Schedule]:
     """What ships for an adaptation, and the schedulers given by name or file; a name that recurs says whose it is."""
-    from adaptrack.adapt import shipped
     from adaptrack.scheduling import check_scheduler, load_scheduler
+    from adaptrack.studies.adapt import shipped
 
     found = shipped(adaptation)
     for name in given:

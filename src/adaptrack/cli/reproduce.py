@@ -33,13 +33,13 @@ def reproduce(
 ) -> None:
     """Run the paper's experiment again: learn, drive both tests with every controller, write the page about it."""
     from adaptrack.dataset import load_dataset
-    from adaptrack.evaluate import reproduce as run_again
     from adaptrack.report.reproduce import write_reproduction
+    from adaptrack.studies.reproduce import reproduce as run_again
 
     dataset = load_dataset(data)
     options.make_folder(out)
     with show.progress("reproduce") as advance:
-        made = run_again(dataset, quick=quick, seed=seed, progress=advance)
+        made = run_again(dataset, quick=quick, seed=seed, folder=out, progress=advance)
     with show.progress("write the page"):
         page = write_reproduction(out, made, command=options.command_line())
     show.say(f"Report: {page}", aside=as_json)

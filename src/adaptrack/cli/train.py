@@ -34,8 +34,8 @@ def train(
     as_json: options.Json = False,
 ) -> None:
     """Learn a scheduler from the tuned operating points of a data set; print how well, on points held out."""
+    from adaptrack.adaptation.recipes import trained_schedule
     from adaptrack.dataset import load_dataset
-    from adaptrack.evaluate import quality, scheduler
     from adaptrack.learning.training import train as learn
     from adaptrack.scheduling import check_scheduler
 
@@ -45,11 +45,11 @@ def train(
     options.make_folder(out.parent)
     with show.progress("train") as advance:
         trained = learn(dataset, str(model), str(targets), seed=seed, progress=advance)
-        schedule = scheduler(trained, dataset)
+        schedule = trained_schedule(trained, dataset)
         check_scheduler(schedule)
     schedule.save(out)
     interrupt.kept(f"The scheduler is in {out}.")
-    rows = quality(trained)
+    rows = trained.quality
     if as_json:
         about = {"scheduler": str(out), "data": dataset.name, "model": str(model), "targets": str(targets)}
         show.say_json({**about, "rows": rows})

@@ -36,8 +36,8 @@ _log = logging.getLogger("adaptrack")
 class Scheduler(Protocol):
     """Chooses the tuning for scheduling variables. Horizons may be real numbers: they are rounded and clamped."""
 
-    def __call__(self, variables: Any) -> Tuning | tuple[float, float, float, float]:
-        """(Np, Nc, Q, R) for `scheduling.SchedulingVariables`."""
+    def __call__(self, variables: Any) -> Any:
+        """A `Tuning`, or the four numbers Np, Nc, Q, R, for `scheduling.SchedulingVariables`."""
 
 
 @runtime_checkable

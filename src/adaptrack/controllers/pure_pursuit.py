@@ -27,7 +27,7 @@ class PurePursuit(CompiledController):
         self,
         vehicle: Vehicle,
         *,
-        lookahead_time: float = 1.0,
+        lookahead_time: float = 0.6,
         lookahead_min: float = 4.0,
         period: float = 0.1,
         limits: Limits | None = None,

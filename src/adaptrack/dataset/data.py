@@ -215,7 +215,7 @@ def load_dataset(name_or_path: str | os.PathLike[str]) -> DataSet:
     path = Path(name_or_path)
     if isinstance(name_or_path, str) and name_or_path in list_datasets():
         return DataSet.load(_DATA / f"{name_or_path}.parquet")
-    if path.is_dir():
+    if os.path.isdir(path):
         if not (path / "dataset.parquet").exists():
             raise StorageError(f"{path}: {unfinished(path)}")
         return DataSet.load(path / "dataset.parquet")

@@ -52,7 +52,7 @@ MEMORY = Structure(
 """What the loop remembers of each slot."""
 
 RUNNING, OFF_ROAD, SPUN, NOT_FINITE, NEVER_ARRIVED, STOPPED = range(6)
-"""Why a run ended: left the reference, spun, a state that is not finite, never came near; its cost reached a ceiling."""
+"""Why a run ended: left its reference, spun, a state that is not finite, never came near; or too dear to go on."""
 SLOW = 1.0
 """m/s: below it sideslip is ill-defined, and a vehicle is not said to spin."""
 

@@ -76,8 +76,8 @@ ROAD = types.NamedTuple((cube, int_vector, int_vector), Road)
 Law = record("Law", ("parameters", "memory", "situation", "own_answer", "answer", "held", "preview"))
 LAW = types.NamedTuple((vector, matrix, vector, vector, matrix, int64, int64), Law)
 """A batch of controllers that are not the MPC: memory (slots, m); what the law answers (1 + diagnostics,); that behind
-the COMMON columns (slots, COMMON + diagnostics); place of the diagnostic ``held`` in a law's answer, 0 for none; whether
-the law sees the reference ahead. answer is (0, 0) where the MPC drives."""
+the COMMON columns (slots, COMMON + diagnostics), (0, 0) where the MPC drives; place of the diagnostic ``held`` in a
+law's answer, 0 for none; whether the law sees the reference ahead."""
 
 Perceiving = record("Perceiving", ("parameters", "settings", "memory"))
 PERCEIVING = types.NamedTuple((vector, vector, matrix), Perceiving)
@@ -86,8 +86,8 @@ in, its settings, its memory (slots, .); empty for none."""
 
 Trace = record("Trace", ("state", "answer", "seen"))
 TRACE = types.NamedTuple((cube, cube, cube), Trace)
-"""Of every instant: state (slots, periods, STATES), the controller's answer with the tuning as used (slots, periods, .),
-lateral acceleration (m/s^2) and front-wheel angle (rad) under the new input (slots, periods, 2). Empty when not asked."""
+"""Of every instant: state (slots, periods, STATES), the controller's answer with the tuning as used (slots, periods,
+.), lateral acceleration (m/s^2) and front-wheel angle (rad) under the new input (slots, periods, 2). Empty for none."""
 
 _PARTS = (
     ("settings", SETTINGS.type),  # (1,)
@@ -110,8 +110,8 @@ RUN = types.NamedTuple([kind for _, kind in _PARTS], Run)
 """A batch of runs."""
 
 MEMBERS = function_tuple(ADVANCE_FUNCTION, OBSERVE_FUNCTION, DISCRETISE_FUNCTION, ESTIMATE_FUNCTION, LAW_FUNCTION)
-"""What the members of the contracts give: two functions of the plant, those of model, estimator and law. (A tuple of its
-own: numba takes no functions in a record.)"""
+"""What the members of the contracts give: two functions of the plant, those of model, estimator and law. (A tuple of
+its own: numba takes no functions in a record.)"""
 
 
 def no_law_batch() -> Any:
@@ -124,8 +124,8 @@ def law_batch(slots: int, parameters: Any, memory: int, diagnostics: tuple[str, 
     """Fresh control laws for `slots` slots; diagnostics: the names of what the law answers behind the command."""
     held = 1 + diagnostics.index("held") if "held" in diagnostics else 0
     return Law(
-        np.array(parameters, float), np.zeros((slots, memory)), np.zeros(len(SITUATION)), np.zeros(1 + len(diagnostics)),
-        np.zeros((slots, COMMON + len(diagnostics))), held, int(preview),
+        np.array(parameters, float), np.zeros((slots, memory)), np.zeros(len(SITUATION)),
+        np.zeros(1 + len(diagnostics)), np.zeros((slots, COMMON + len(diagnostics))), held, int(preview),
     )  # fmt: skip
 
 

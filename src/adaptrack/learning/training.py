@@ -1,7 +1,7 @@
-"""From a data set of tuned conditions to models of the tuning: the paper's section IV, with a hold-out.
+"""From a data set of tuned operating points to models of the tuning: the paper's section IV, with a hold-out.
 
-One model for each slot of the tuning, each of the four inputs of a condition. What is held out trains nothing and
-chooses nothing; a condition and its left-right twin are always on the same side.
+One model for each slot of the tuning, each of the four numbers of an operating point. What is held out trains nothing
+and chooses nothing; an operating point and its left-right twin are always on the same side.
 """
 
 from __future__ import annotations
@@ -42,14 +42,15 @@ class Trained:
     targets: str
     """"paper" or "ratio", see `TARGETS`"""
     inputs: tuple[str, ...]
-    """the D columns of a condition that the models see, in this order"""
+    """the D columns of an operating point that the models see, in this order"""
     estimators: Mapping[str, MLP | ANFIS]
     """fitted, by slot"""
     domain: Array
     """(D, 2) lowest and highest value of each input in the rows trained on"""
     quality: list[dict[str, Any]]
     """A row per slot: slot, model; r2 and rmse on the hold-out; ceiling_r2 and ceiling_rmse there, see `train`;
-    n_train, n_holdout; seconds that the training took"""
+    n_train, n_holdout; seconds that the training took; parameters; rules (of a fuzzy system); dead_share (of the rows,
+    those at which a network's output is dead)"""
     provenance: dict[str, Any]
     """data set and its identity, hold-out, seed, options of the models"""
 
@@ -57,6 +58,11 @@ class Trained:
     def histories(self) -> dict[str, dict[str, Array]]:
         """The learning curves of each slot, see `MLP` and `ANFIS`."""
         return {slot: made.history_ for slot, made in self.estimators.items()}
+
+    @property
+    def functions(self) -> dict[str, Network | Sugeno]:
+        """What runs, by slot."""
+        return {slot: _size_and_function(made)[1] for slot, made in self.estimators.items()}
 
     def network(self, slot: str) -> Network:
         """The network that runs for this slot.
@@ -103,7 +109,7 @@ def train(
     Raises
     ------
     InvalidInput
-        For an unknown model, target or option, an option that is not allowed, or too few conditions for a hold-out.
+        For an unknown model, target or option, an option that is not allowed, or too few points for a hold-out.
     """
     for what, given, known in (("model", model, MODELS), ("targets", targets, TARGETS)):
         if given not in known:
@@ -128,7 +134,7 @@ def train(
         best_r2, best_rmse = score(y_held, ceiling(learned.operating_points, y, held.operating_points, y_held, seed))
         quality.append({
             "slot": slot, "model": model, "r2": r2, "rmse": rmse, "ceiling_r2": best_r2, "ceiling_rmse": best_rmse,
-            "n_train": len(y), "n_holdout": len(y_held), "seconds": seconds,
+            "n_train": len(y), "n_holdout": len(y_held), "seconds": seconds, **_size_and_function(estimators[slot])[0],
         })  # fmt: skip
     return Trained(
         model=model,
@@ -147,8 +153,15 @@ def train(
     )
 
 
+def _size_and_function(made: MLP | ANFIS) -> tuple[dict[str, Any], Network | Sugeno]:
+    if isinstance(made, MLP):
+        network = made.network_
+        return {"parameters": network.n_parameters, "rules": None, "dead_share": float(made.dead_share_)}, network
+    return {"parameters": made.n_parameters_, "rules": made.n_rules_, "dead_share": None}, made.system_
+
+
 def target(dataset: DataSet, slot: str) -> Array:
-    """(n,) what a slot should be on each condition, see `TARGETS`."""
+    """(n,) what a slot should be on each operating point, see `TARGETS`."""
     if slot == "log10_ratio":
         return np.log10(dataset.ratios)
     return dataset.tunings[:, TARGETS["paper"].index(slot)]
@@ -161,9 +174,9 @@ def score(y: Array, predicted: Array) -> tuple[float, float]:
 
 
 def ceiling(x: Array, y: Array, x_held: Array, y_held: Array, seed: int) -> Array:
-    """(m,) what boosted trees predict at the held-out conditions x_held (m, 4), see `train`."""
-    conditions = np.vstack((x, x_held))
-    families = fold(conditions)  # one row of each family: twins would tell the trees the answer
+    """(m,) what boosted trees predict at the held-out operating points x_held (m, 4), see `train`."""
+    points = np.vstack((x, x_held))
+    families = fold(points)  # one row of each family: twins would tell the trees the answer
     once = families.representatives
-    trees = cross_validate(canonical(conditions[once]), np.concatenate((y, y_held))[once], seed=seed)
+    trees = cross_validate(canonical(points[once]), np.concatenate((y, y_held))[once], seed=seed)
     return trees.predictions[families.family[len(x) :]]

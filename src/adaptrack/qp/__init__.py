@@ -9,10 +9,11 @@ solution.x, solution.status.sentence, solution.residuals
 from adaptrack.qp.check import check_qp_solver
 from adaptrack.qp.problem import QP, QPStatus, Residuals, Solution, kkt_residuals
 from adaptrack.qp.registry import get_qp_solver, list_qp_solvers, register_qp_solver
-from adaptrack.qp.solver import QPSolver
+from adaptrack.qp.solver import Attempt, QPSolver
 
 __all__ = [
     "QP",
+    "Attempt",
     "QPSolver",
     "QPStatus",
     "Residuals",

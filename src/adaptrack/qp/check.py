@@ -125,6 +125,7 @@ def _near(solver: QPSolver, solution: Solution, x: Array, tolerance: float, labe
 def _solve(solver: QPSolver, qp: QP, label: str, warm_start: Solution | None = None) -> Solution:
     """Solve, and test the clauses that hold for every problem."""
     before = [a.copy() for a in (qp.E, qp.K, qp.M, qp.gamma)]
+    finishes = solver.finishes
     try:
         solution = solver.solve(qp, warm_start)
     except AdaptrackError as error:
@@ -143,6 +144,10 @@ def _solve(solver: QPSolver, qp: QP, label: str, warm_start: Solution | None = N
     demand(solution.lam.shape == (qp.m,), f"lam has shape {solution.lam.shape}, not ({qp.m},)")
     demand(solution.iterations >= 0, "iterations is negative")
     demand(bool(solution.message), "the message is empty")
+    others = ("active-set",) if solver.on_uncertified == "exact" else ()
+    demand(solution.finished_by in (solver.name, *others), f"finished by {solution.finished_by!r}, not by itself")
+    counted = int(solution.finished_by != solver.name)
+    demand(solution.finishes - finishes == counted, "an answer finished by the exact method is not counted once")
     after = (qp.E, qp.K, qp.M, qp.gamma)
     same: Callable[[Array, Array], bool] = np.array_equal
     demand(all(same(a, b) for a, b in zip(before, after, strict=True)), "it wrote to the problem's arrays")

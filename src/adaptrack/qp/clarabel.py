@@ -10,19 +10,20 @@ from scipy import sparse
 from adaptrack.errors import InvalidInput
 from adaptrack.qp.problem import QP, QPStatus, Solution
 from adaptrack.qp.registry import require
-from adaptrack.qp.solver import QPSolver, all_multipliers, is_convex, is_finite, present_rows
+from adaptrack.qp.solver import Attempt, OnUncertified, QPSolver, all_multipliers, is_convex, is_finite, present_rows
 
 
 class Clarabel(QPSolver):
     """Clarabel with tol_feas = tol_gap_abs = tol_gap_rel = 1e-11 (its default: 1e-8), one thread.
 
-    ``settings`` overrides Clarabel's settings.
+    ``settings`` overrides Clarabel's settings; ``on_uncertified``: see `QPSolver`.
     """
 
     name: ClassVar[str] = "clarabel"
     accuracy: ClassVar[float] = 1e-3
 
-    def __init__(self, **settings: Any) -> None:
+    def __init__(self, on_uncertified: OnUncertified = "exact", **settings: Any) -> None:
+        super().__init__(on_uncertified)
         self._library = require("clarabel", self.name)
         self._settings = self._library.DefaultSettings()
         tight = {"verbose": False, "max_threads": 1, "tol_feas": 1e-11, "tol_gap_abs": 1e-11, "tol_gap_rel": 1e-11}
@@ -31,12 +32,12 @@ class Clarabel(QPSolver):
                 raise InvalidInput(f"clarabel has no setting {key!r}.")
             setattr(self._settings, key, value)
 
-    def solve(self, qp: QP, warm_start: Solution | None = None) -> Solution:
-        """See `QPSolver.solve`. The warm start is not used: an interior-point method cannot."""
+    def attempt(self, qp: QP, warm_start: Solution | None = None) -> Attempt:
+        """See `QPSolver.attempt`. The warm start is not used: an interior-point method cannot."""
         if not is_finite(qp):
-            return self._answer(qp, QPStatus.NON_FINITE, None, None, 0)
+            return Attempt(QPStatus.NON_FINITE)
         if not is_convex(qp):
-            return self._answer(qp, QPStatus.NOT_CONVEX, None, None, 0)
+            return Attempt(QPStatus.NOT_CONVEX)
         library = self._library
         rows, M, gamma = present_rows(qp)
         cones = [library.NonnegativeConeT(len(rows))] if len(rows) else []
@@ -51,7 +52,7 @@ class Clarabel(QPSolver):
             str(library.SolverStatus.AlmostPrimalInfeasible): QPStatus.INFEASIBLE,
         }
         status = statuses.get(str(result.status), QPStatus.CAPPED)
-        if status is not QPStatus.SOLVED:
-            return self._answer(qp, status, None, None, result.iterations)
+        if status not in (QPStatus.SOLVED, QPStatus.CAPPED):
+            return Attempt(status, iterations=result.iterations)
         lam = all_multipliers(qp, rows, np.array(result.z))
-        return self._answer(qp, status, np.array(result.x), lam, result.iterations)
+        return Attempt(status, np.array(result.x), lam, result.iterations)

@@ -8,7 +8,7 @@ import numpy as np
 
 from adaptrack.qp.problem import QP, QPStatus, Solution
 from adaptrack.qp.registry import require
-from adaptrack.qp.solver import QPSolver, all_multipliers, is_finite, present_rows
+from adaptrack.qp.solver import Attempt, OnUncertified, QPSolver, all_multipliers, is_finite, present_rows
 
 _STATUS = {
     1: QPStatus.SOLVED,
@@ -27,25 +27,27 @@ class Daqp(QPSolver):
 
     It works in plain double precision: at cond(E) ~ 1e11 its x[0] is good to about 1e-6 rad.
     ``settings`` overrides DAQP's settings (``primal_tol``, ``dual_tol``, ``iter_limit``, ...).
+    ``on_uncertified``: see `QPSolver`.
     """
 
     name: ClassVar[str] = "daqp"
     accuracy: ClassVar[float] = 1e-4
 
-    def __init__(self, **settings: Any) -> None:
+    def __init__(self, on_uncertified: OnUncertified = "exact", **settings: Any) -> None:
+        super().__init__(on_uncertified)
         self._library = require("daqp", self.name)
         self._settings = {"primal_tol": 1e-11, "dual_tol": 1e-14, "iter_limit": 10_000, **settings}
 
-    def solve(self, qp: QP, warm_start: Solution | None = None) -> Solution:
-        """See `QPSolver.solve`. The warm start is not used: DAQP starts from scratch as quickly."""
+    def attempt(self, qp: QP, warm_start: Solution | None = None) -> Attempt:
+        """See `QPSolver.attempt`. The warm start is not used: DAQP starts from scratch as quickly."""
         if not is_finite(qp):
-            return self._answer(qp, QPStatus.NON_FINITE, None, None, 0)
+            return Attempt(QPStatus.NON_FINITE)
         rows, M, gamma = present_rows(qp)
         x, _, flag, info = self._library.solve(
             np.array(qp.E), np.array(qp.K), M, gamma, np.full(len(rows), _NO_LOWER_BOUND),
             np.zeros(len(rows), dtype=np.int32), **self._settings,
         )  # fmt: skip
         status = _STATUS.get(flag, QPStatus.CAPPED)
-        if status is not QPStatus.SOLVED:
-            return self._answer(qp, status, None, None, info["iterations"])
-        return self._answer(qp, status, np.array(x), all_multipliers(qp, rows, info["lam"]), info["iterations"])
+        if status not in (QPStatus.SOLVED, QPStatus.CAPPED):
+            return Attempt(status, iterations=info["iterations"])
+        return Attempt(status, np.array(x), all_multipliers(qp, rows, info["lam"]), info["iterations"])

@@ -10,19 +10,21 @@ from scipy import sparse
 from adaptrack.errors import InvalidInput
 from adaptrack.qp.problem import QP, QPStatus, Solution
 from adaptrack.qp.registry import require
-from adaptrack.qp.solver import QPSolver, all_multipliers, is_convex, is_finite, present_rows
+from adaptrack.qp.solver import Attempt, OnUncertified, QPSolver, all_multipliers, is_convex, is_finite, present_rows
 
 
 class Osqp(QPSolver):
     """OSQP with eps_abs = eps_rel = 1e-10 (its default: 1e-3) and up to 200,000 iterations.
 
     A first-order method: on ill-conditioned problems it often ends CAPPED. ``settings`` overrides OSQP's settings.
+    ``on_uncertified``: see `QPSolver`.
     """
 
     name: ClassVar[str] = "osqp"
     accuracy: ClassVar[float] = 1e-3
 
-    def __init__(self, **settings: Any) -> None:
+    def __init__(self, on_uncertified: OnUncertified = "exact", **settings: Any) -> None:
+        super().__init__(on_uncertified)
         self._library = require("osqp", self.name)
         self._settings = {
             "verbose": False, "eps_abs": 1e-10, "eps_rel": 1e-10, "max_iter": 200_000,
@@ -30,12 +32,12 @@ class Osqp(QPSolver):
             **settings,
         }  # fmt: skip
 
-    def solve(self, qp: QP, warm_start: Solution | None = None) -> Solution:
-        """See `QPSolver.solve`."""
+    def attempt(self, qp: QP, warm_start: Solution | None = None) -> Attempt:
+        """See `QPSolver.attempt`."""
         if not is_finite(qp):
-            return self._answer(qp, QPStatus.NON_FINITE, None, None, 0)
+            return Attempt(QPStatus.NON_FINITE)
         if not is_convex(qp):
-            return self._answer(qp, QPStatus.NOT_CONVEX, None, None, 0)
+            return Attempt(QPStatus.NOT_CONVEX)
         rows, M, gamma = present_rows(qp)
         names = self._library.SolverStatus
         statuses = {
@@ -56,6 +58,6 @@ class Osqp(QPSolver):
         except (ValueError, self._library.OSQPException) as error:
             raise InvalidInput(f"osqp refuses the problem or its settings: {error}") from error
         status = statuses.get(result.info.status_val, QPStatus.CAPPED)
-        if status is not QPStatus.SOLVED:
-            return self._answer(qp, status, None, None, result.info.iter)
-        return self._answer(qp, status, np.array(result.x), all_multipliers(qp, rows, result.y), result.info.iter)
+        if status not in (QPStatus.SOLVED, QPStatus.CAPPED):
+            return Attempt(status, iterations=result.info.iter)
+        return Attempt(status, np.array(result.x), all_multipliers(qp, rows, result.y), result.info.iter)

@@ -9,19 +9,20 @@ import numpy as np
 from adaptrack.errors import InvalidInput
 from adaptrack.qp.problem import QP, QPStatus, Solution
 from adaptrack.qp.registry import require
-from adaptrack.qp.solver import QPSolver, all_multipliers, is_convex, is_finite, present_rows
+from adaptrack.qp.solver import Attempt, OnUncertified, QPSolver, all_multipliers, is_convex, is_finite, present_rows
 
 
 class Piqp(QPSolver):
     """PIQP (dense) with eps_abs = 1e-10 and eps_rel = 1e-11 (its defaults: 1e-8 and 1e-9).
 
-    ``settings`` overrides PIQP's settings.
+    ``settings`` overrides PIQP's settings; ``on_uncertified``: see `QPSolver`.
     """
 
     name: ClassVar[str] = "piqp"
     accuracy: ClassVar[float] = 1e-3
 
-    def __init__(self, **settings: Any) -> None:
+    def __init__(self, on_uncertified: OnUncertified = "exact", **settings: Any) -> None:
+        super().__init__(on_uncertified)
         self._library = require("piqp", self.name)
         self._settings = {"eps_abs": 1e-10, "eps_rel": 1e-11, **settings}
         known = self._library.DenseSolver().settings
@@ -29,12 +30,12 @@ class Piqp(QPSolver):
             if not hasattr(known, key):
                 raise InvalidInput(f"piqp has no setting {key!r}.")
 
-    def solve(self, qp: QP, warm_start: Solution | None = None) -> Solution:
-        """See `QPSolver.solve`. The warm start is not used: an interior-point method cannot."""
+    def attempt(self, qp: QP, warm_start: Solution | None = None) -> Attempt:
+        """See `QPSolver.attempt`. The warm start is not used: an interior-point method cannot."""
         if not is_finite(qp):
-            return self._answer(qp, QPStatus.NON_FINITE, None, None, 0)
+            return Attempt(QPStatus.NON_FINITE)
         if not is_convex(qp):
-            return self._answer(qp, QPStatus.NOT_CONVEX, None, None, 0)
+            return Attempt(QPStatus.NOT_CONVEX)
         rows, M, gamma = present_rows(qp)
         solver = self._library.DenseSolver()
         for key, value in self._settings.items():
@@ -48,7 +49,7 @@ class Piqp(QPSolver):
         }
         status = statuses.get(flag, QPStatus.CAPPED)
         iterations = solver.result.info.iter
-        if status is not QPStatus.SOLVED:
-            return self._answer(qp, status, None, None, iterations)
+        if status not in (QPStatus.SOLVED, QPStatus.CAPPED):
+            return Attempt(status, iterations=iterations)
         lam = np.asarray(solver.result.z_u) if len(rows) else np.zeros(0)
-        return self._answer(qp, status, np.array(solver.result.x), all_multipliers(qp, rows, lam), iterations)
+        return Attempt(status, np.array(solver.result.x), all_multipliers(qp, rows, lam), iterations)

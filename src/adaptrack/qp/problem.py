@@ -166,7 +166,7 @@ def kkt_residuals(qp: QP, x: npt.ArrayLike, lam: npt.ArrayLike) -> Residuals:
         dual            = max_j (-lam_j)^+ / (1 + |lam|)
         complementarity = max_j lam_j^+ |M_j x - gamma_j| / ((1 + |lam|) (1 + |M x|))
 
-    The kernels compute the same (`adaptrack.kernels.qp.kkt_residual`); rows with gamma = inf and lam = 0 do not count.
+    The kernels compute the same (`adaptrack.kernels.qp.residual`); rows with gamma = inf and lam = 0 do not count.
     """
     x, lam = np.asarray(x, dtype=float), np.asarray(lam, dtype=float)
     with np.errstate(invalid="ignore", over="ignore"):
@@ -190,6 +190,8 @@ class Solution:
 
     ``x`` (n,), the moves in rad; NaN when there is nothing to apply. ``lam`` (m,), the rows' multipliers, >= 0.
     ``residuals`` as `kkt_residuals` defines them; ``iterations`` in the solver's own unit; ``message``: a sentence.
+    ``finished_by``: the method that gave x, ``solver`` itself or "active-set" where its own answer was not certified;
+    ``finishes``: how many answers of this solver the exact method has finished so far, this one included.
     """
 
     x: Array
@@ -199,6 +201,8 @@ class Solution:
     iterations: int
     solver: str
     message: str
+    finished_by: str
+    finishes: int
 
     @property
     def solved(self) -> bool:

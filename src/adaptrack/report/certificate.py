@@ -15,11 +15,11 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from adaptrack.certify import DRIVING, Certificate, Driving, Sweep, extremes
-from adaptrack.scheduling import SchedulingVariables
 from adaptrack.report import style
 from adaptrack.report.maps import COLOURS, Cells, Heat, edges_around
 from adaptrack.report.page import Cell, Head, Item, Panel, Picture, Section, Table, Verbatim, write_page
 from adaptrack.report.words import INPUTS, number, percent
+from adaptrack.scheduling import SchedulingVariables
 from adaptrack.stability import Margins
 
 Array = NDArray[np.float64]

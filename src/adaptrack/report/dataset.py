@@ -55,7 +55,7 @@ _WEAK, _STRONG = 0.15, 0.5
 """R^2 below which a target counts as hardly explained, and from which as largely explained."""
 
 _QUANTITIES = {"speed": "Speed", "y_ref": "Lateral reference", "friction": "Friction", "wind": "Side wind"}
-_LISTED = ("vehicle", "tyre", "plant", "profile", "scenario", "duration", "move_price", "noise_seeds")
+_LISTED = ("vehicle", "tyre", "plant", "profile", "scenario", "duration", "move_weight", "noise_seeds")
 
 _STANDARD = "Standard tuning"
 _SWARM = "Swarm's best"
@@ -235,9 +235,9 @@ def _costs(rows: DataSet, told: Summary) -> Section:
         key = [(name, _STROKES[name]) for name in usable]
         items.append(
             Picture(
-                "Left: the share of operating points that cost at most so much; further left is better. A curve that "
-                "ends below 100 % lost the car in the rest. Right: how many times the optimum the standard tuning costs, "
-                "by speed: median, with a band from the lower to the upper quartile.",
+                "Left: the share of operating points that cost at most so much; further left is better. A curve "
+                "that ends below 100 % lost the car in the rest. Right: how many times the optimum the standard tuning "
+                "costs, by speed: median, with a band from the lower to the upper quartile.",
                 [panel.drawing() for panel in panels],
                 key,
                 "cost.png",
@@ -349,7 +349,7 @@ def _costs_in_words(costs: Summary, n: int, library: int) -> str:
         costs[key]
         for key in ("standard_over_best_geomean", "swarm_behind_the_best_known_p50", "swarm_behind_the_best_known_p90")
     )
-    sentences = ["The cost is the mean square tracking error, plus the price of steering activity where there is one."]
+    sentences = ["The cost is the mean square tracking error, plus the weight of steering activity where there is one."]
     if gain:
         sentences.append(f"The standard tuning costs {number(gain)} times the swarm's best (geometric mean).")
     if library and middle is not None and high is not None:

@@ -14,11 +14,11 @@ from typing import Any
 
 from matplotlib.axes import Axes
 
-from adaptrack.evaluate.paper import LEARNED, Reproduction
 from adaptrack.report import style
 from adaptrack.report.page import Cell, Drawing, Head, Item, Picture, Section, Table
 from adaptrack.report.runs import Run, write_report
 from adaptrack.report.words import listed, number, percent, title_of
+from adaptrack.studies.reproduce import LEARNED, Reproduction
 
 Row = Mapping[str, Any]
 
@@ -91,7 +91,8 @@ def in_short(made: Reproduction) -> list[str]:
     if made.quick:
         lead.append(
             f"This was a quick run: the models learned for fewer epochs, from {number(made.learned_from)} of the "
-            f"{number(made.conditions)} conditions. The figures that count are those of the run without --quick."
+            f"{number(made.operating_points)} operating points. The figures that count are those of the run without "
+            "--quick."
         )
     return lead
 
@@ -110,9 +111,9 @@ def agreement(rows: Iterable[Row], configuration: str) -> str:
         return "None of these runs compares with the paper's."
     count = f"{len(near) or 'none'} of the {len(near) + len(far)}" if far else f"all {len(near)}"
     title = CONFIGURATIONS[configuration][0]
-    told = f"{title}: {count} mean square errors of the paper come out within {100 * AGREES:g} %"
+    sentence = f"{title}: {count} mean square errors of the paper come out within {100 * AGREES:g} %"
     outliers = [f"{NAMES[row['controller']]}, {_test(row['scenario'])}: {number(row['ratio'])} times" for row in far]
-    return f"{told}; not {listed(outliers)} the paper's." if outliers else f"{told}."
+    return f"{sentence}; not {listed(outliers)} the paper's." if outliers else f"{sentence}."
 
 
 def pole_or_adaptation(shares: Sequence[Row]) -> str:
@@ -149,19 +150,19 @@ def against(rows: Iterable[Row], configuration: str, other: str) -> str:
         for model in LEARNED
     }
     if not any(won.values()):
-        told = (
+        sentence = (
             f"neither NN-MPC nor ANFIS-MPC tracks better than {_said(other)} on {_tests(found, found, 'either test')}"
         )
     elif all(len(tests) == len(found) for tests in won.values()):
-        told = f"both NN-MPC and ANFIS-MPC track better than {_said(other)} on {_tests(found, found)}"
+        sentence = f"both NN-MPC and ANFIS-MPC track better than {_said(other)} on {_tests(found, found)}"
     else:
         nn, anfis = (_tests(won[model], found) for model in LEARNED)
-        told = f"NN-MPC tracks better than {_said(other)} on {nn}, ANFIS-MPC on {anfis}"
+        sentence = f"NN-MPC tracks better than {_said(other)} on {nn}, ANFIS-MPC on {anfis}"
     numbers = [
         f"{listed([_mse(runs[model]) for model in LEARNED])} against {_mse(runs[other])} m² on the {_test(test)}"
         for test, runs in found.items()
     ]
-    return f"{told} ({'; '.join(numbers)})."
+    return f"{sentence} ({'; '.join(numbers)})."
 
 
 def winners(rows: Sequence[Row], configuration: str) -> str:
@@ -174,8 +175,8 @@ def winners(rows: Sequence[Row], configuration: str) -> str:
             kept = {name: run["mse"] for name, run in runs.items() if not run["failed"]}
             if kept:
                 best.setdefault(min(kept, key=lambda name: kept[name]), []).append(test)
-        told = [f"{_said(name)} on {_tests(tests, found)}" for name, tests in best.items()]
-        parts.append(f"{how} preview {listed(told) if told else 'no controller keeps the car'}")
+        sentence = [f"{_said(name)} on {_tests(tests, found)}" for name, tests in best.items()]
+        parts.append(f"{how} preview {listed(sentence) if sentence else 'no controller keeps the car'}")
     return f"Smallest error: {'; '.join(parts)}."
 
 
@@ -218,8 +219,8 @@ def _both(made: Reproduction) -> Section:
             *(clause[:1].upper() + clause[1:] for clause in compared),
         ]
         items.append(Section(title, [words, _configuration_table(made.rows, configuration), *outcome]))
-    told = preview_or_adaptation(made.rows)
-    return Section("All controllers", [*items, *([Section("Preview", [told])] if told else [])])
+    sentence = preview_or_adaptation(made.rows)
+    return Section("All controllers", [*items, *([Section("Preview", [sentence])] if sentence else [])])
 
 
 def _configuration_table(rows: Sequence[Row], configuration: str) -> Table:
@@ -248,14 +249,14 @@ def _gain(made: Reproduction) -> Section:
     words = (
         "The same plant as released, without preview, every kind of moves with every way to tune. The constant of "
         f"the paper's table is 35/8/10/0.01 (Np/Nc/Q/R). The best constant of the data, {_tuning(made)}, has the "
-        f"lowest geometric mean of its cost over all conditions among the {constant.candidates} of a common library; "
-        f"that took {number(constant.runs)} closed-loop runs, and the swarms that the models learned from took "
-        f"{number(constant.swarm_runs)}. In hindsight: the tuning of the library that happens to be the best on that "
-        "run."
+        "lowest geometric mean of its cost over all operating points among the "
+        f"{constant.candidates} of a common library; that took {number(constant.runs)} closed-loop runs, and the "
+        f"swarms that the models learned from took {number(constant.swarm_runs)}. In hindsight: the tuning of the "
+        "library that happens to be the best on that run."
     )
     items: list[Item] = [words, _ablation_picture(made.ablation), _ablation_table(made), _shares_table(made.shares)]
-    told = pole_or_adaptation(made.shares)
-    return Section("Where the gain comes from", [*items, *([told] if told else [])])
+    sentence = pole_or_adaptation(made.shares)
+    return Section("Where the gain comes from", [*items, *([sentence] if sentence else [])])
 
 
 def _ablation_table(made: Reproduction) -> Table:
@@ -304,13 +305,13 @@ def _ablation_picture(ablation: Sequence[Row]) -> Picture:
     strokes = style.strokes(sorted(names, key=("table-constant", *LEARNED).__contains__, reverse=True))
     panels = []
     for test, rows in _grouped(ablation, "scenario").items():
-        told = "; ".join(
+        sentence = "; ".join(
             f"{NAMES[name]}: "
             + ", ".join(f"{_mse(row)} with {row['moves']}" for row in rows if row["controller"] == name)
             for name in names
         )
         draw = partial(_draw_ablation, rows=rows, strokes=strokes, title=title_of(test))
-        panels.append(Drawing(style.panel_figure(draw), f"Mean square error, {title_of(test)}. {told}."))
+        panels.append(Drawing(style.panel_figure(draw), f"Mean square error, {title_of(test)}. {sentence}."))
     key = [(NAMES[name], stroke) for name, stroke in strokes.items()]
     return Picture("Mean square error by moves and by tuning; failed runs are left out.", panels, key)
 
@@ -349,8 +350,8 @@ def _learning(made: Reproduction) -> Section:
         "What the models learned",
         heads,
         body,
-        "R² and RMSE on conditions that were held out; ceiling: a strong regressor on the same rows; dead: rows at "
-        "which the ReLU holds the output at the target's lowest value.",
+        "R² and RMSE on operating points that were held out; ceiling: a strong regressor on the same rows; dead: rows "
+        "at which the ReLU holds the output at the target's lowest value.",
     )
     inputs = [key for key in made.domain[0] if key not in ("scenario", "any")]
     domain = Table(
@@ -361,8 +362,8 @@ def _learning(made: Reproduction) -> Section:
     )
     ahead = constant.cost / constant.swarm_cost - 1.0
     words = (
-        f"Both models learn the best tunings of {number(made.learned_from)} conditions of the data set {made.data}. "
-        f"On those conditions the best constant costs {100 * ahead:.1f} % more than the best tuning of each condition "
+        f"Both models learn the best tunings of {number(made.learned_from)} operating points of the data set "
+        f"{made.data}. On those the best constant costs {100 * ahead:.1f} % more than the best tuning of each "
         "(geometric mean): about as much as perfect adaptation could gain there. The paper's table costs "
         f"{number(constant.standard_cost / constant.cost)} times the best constant."
     )
@@ -370,7 +371,7 @@ def _learning(made: Reproduction) -> Section:
 
 
 def _poorly(learning: Sequence[Row]) -> list[str]:
-    """A paragraph on the targets that the conditions do not explain, if there are any."""
+    """A paragraph on the targets that the operating points do not explain, if there are any."""
     ceilings = {row["slot"]: row["ceiling_r2"] for row in learning}
     noise = [slot for slot, r2 in ceilings.items() if r2 is not None and r2 < 0.1]
     if not noise:
@@ -392,14 +393,14 @@ def _elsewhere(made: Reproduction) -> list[Item]:
     if not worse or constant.cost >= constant.standard_cost:
         return []
     numbers = [f"{_mse(found[t]['best-constant'])} against {_mse(found[t]['standard-as-written'])} m²" for t in worse]
-    told = (
+    sentence = (
         "What is best on the data is not best on the tests: with the same moves, the constant that beats the table's "
         f"on the data tracks worse than it on {_tests(worse, found)} ({listed(numbers)})."
     )
     if made.data_test == "step":
-        told += (
-            " The conditions of the data are steps of the reference, as in the paper; the tests are slow ramps. What "
-            "the models learn from the steps they bring to the ramps."
+        sentence += (
+            " The operating points of the data are steps of the reference, as in the paper; the tests are slow ramps. "
+            "What the models learn from the steps they bring to the ramps."
         )
     swapped = {
         f"with its {rows[0]['changed']}, {number(rows[0]['constant'])} instead of {number(rows[0]['table'])}": [
@@ -416,7 +417,7 @@ def _elsewhere(made: Reproduction) -> list[Item]:
             [NAMES["best-constant"], *(_mse(runs["best-constant"]) for runs in found.values())],
         ],
     )
-    return [told, table]
+    return [sentence, table]
 
 
 def _statements(made: Reproduction) -> Section:

@@ -3,7 +3,7 @@
 * `variables`: the scheduling variables, their units and ranges.
 * `functions`: what an entry of the tuning may be: a network, a fuzzy system, a table, a number, or one's own kind.
 * `schedule`: schedules as data; `guard`: what makes their output safe to use.
-* `files`: schedules as files; `check`: the contract; `answer`: reading what a scheduler says.
+* `files`: schedules as files; `check`: the contract.
 
 The names are loaded when they are first used: a controller needs the variables alone.
 """
@@ -13,8 +13,9 @@ from __future__ import annotations
 import importlib
 from typing import TYPE_CHECKING, Any
 
+from adaptrack.controllers.tuning import ENTRIES, read_tuning
+
 if TYPE_CHECKING:
-    from adaptrack.controllers.tuning import ENTRIES, read_tuning
     from adaptrack.scheduling.check import check_scheduler
     from adaptrack.scheduling.files import list_schedulers, load_scheduler, made_for, save_scheduler
     from adaptrack.scheduling.functions import Function, Network, Number, Sugeno, Table, register_function
@@ -23,7 +24,6 @@ if TYPE_CHECKING:
     from adaptrack.scheduling.variables import VARIABLES, SchedulingVariables, reference_preview
 
 _NAMES = {
-    "answer": ("ENTRIES", "read_tuning"),
     "check": ("check_scheduler",),
     "files": ("list_schedulers", "load_scheduler", "made_for", "save_scheduler"),
     "functions": ("Function", "Network", "Number", "Sugeno", "Table", "register_function"),

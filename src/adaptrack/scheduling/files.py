@@ -77,7 +77,7 @@ def made_for(mpc: MPC, profile: str) -> dict[str, Any]:
 
     described = mpc.describe()
     return {
-        "car": mpc.model.vehicle.name,
+        "car": getattr(getattr(mpc.model, "vehicle", None), "name", mpc.model.name),
         "profile": profile,
         "controller": {"kind": "MPC", **{key: described[key] for key in ("moves", "period", "preview")}},
         "kernels": abi.source_hash(Path(schedule.__file__)),

@@ -211,6 +211,10 @@ class Schedule:
             object.__setattr__(self, "_cache", cached)
         return cached
 
+    def __getstate__(self) -> dict[str, Any]:
+        """Without what is packed: data types that were pickled are slower to pass to a kernel."""
+        return {name: value for name, value in self.__dict__.items() if name != "_cache"}
+
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write it to one file, see `files.save_scheduler`."""
         from adaptrack.scheduling.files import save_scheduler

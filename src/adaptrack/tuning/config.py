@@ -203,8 +203,8 @@ class CampaignConfig(Record):
         description="step: constant reference y_ref and wind; lane-change: smooth, with a gust"
     )
     duration: float | None = Field(default=None, gt=0, le=600, description="s; 18 for step, 8 for lane-change")
-    move_price: float | None = Field(
-        default=None, ge=0, le=1e6, description="m^2/rad^2, price of steering activity; by default the profile's"
+    move_weight: float | None = Field(
+        default=None, ge=0, le=1e6, description="m^2/rad^2, weight of steering activity; by default the profile's"
     )
     noise_seeds: Annotated[tuple[Seed, ...], BeforeValidator(_tuples)] | None = Field(
         default=None, description="each cost is the mean over these; by default [0], with sensor noise [0, 1, 2, 3]"
@@ -244,7 +244,7 @@ class CampaignConfig(Record):
         """A copy in which every value that may be left out has been given."""
         return self.replace(
             duration=self.duration or {"step": 18.0, "lane-change": 8.0}[self.scenario],
-            move_price=load_profile(self.profile).move_weight if self.move_price is None else self.move_price,
+            move_weight=load_profile(self.profile).move_weight if self.move_weight is None else self.move_weight,
             noise_seeds=self.noise_seeds or ((0, 1, 2, 3) if self.noisy else (0,)),
             mirror=not self.noisy if self.mirror is None else self.mirror,
         )

@@ -79,16 +79,16 @@ class ClosedLoop:
             test=config.scenario,
             profile=profile,
             noise_seeds=config.noise_seeds or (0,),
-            move_price=config.move_price,
+            move_weight=config.move_weight,
             duration=config.duration,
         )
 
     def versions(self) -> dict[str, str]:
         """The kernels' own hash, and the libraries that have a say in the numbers."""
-        from adaptrack.kernels import abi, tuning
+        from adaptrack.kernels import abi, tune
 
         return {
-            "kernels": abi.source_hash(Path(tuning.__file__)) + (" (interpreted)" if abi.INTERPRETED else ""),
+            "kernels": abi.source_hash(Path(tune.__file__)) + (" (interpreted)" if abi.INTERPRETED else ""),
             "numba": version("numba"),
             "numpy": version("numpy"),
         }

@@ -110,10 +110,10 @@ def wrapped(angle):
     """The angle (rad) less whole turns, in [-pi, pi]; NaN unless it is finite."""
     if not math.isfinite(angle):
         return math.nan
-    rest = math.fmod(angle, 2.0 * math.pi)
+    rest = abs(angle) % (2.0 * math.pi)
     if rest > math.pi:
-        return rest - 2.0 * math.pi
-    return rest + 2.0 * math.pi if rest < -math.pi else rest
+        rest -= 2.0 * math.pi
+    return rest if angle >= 0.0 else -rest
 
 
 @njit(**INLINE)

@@ -322,8 +322,9 @@ def active_set(problem, factor, solution, scratch, guess, kept, max_iterations):
     are changed, and so on until nothing changes.
 
     ``iterations`` counts steps and is capped by ``max_iterations``.
-    Status: SOLVED; CAPPED (x is then the last iterate: not optimal, or so large that double precision cannot tell); INFEASIBLE (no x satisfies the rows; x is
-    meaningless); NON_FINITE when E, K, M hold NaN or infinity, or gamma NaN or -inf.
+    Status: SOLVED; CAPPED (x is then the last iterate: not optimal, or so large that double precision cannot tell);
+    INFEASIBLE (no x satisfies the rows; x is meaningless); NON_FINITE when E, K, M hold NaN or infinity, or gamma NaN
+    or -inf.
     """
     n, x, w = problem.n, solution.x, work_of(scratch)
     worst = 0.0
@@ -366,4 +367,4 @@ def active_set(problem, factor, solution, scratch, guess, kept, max_iterations):
     for i in range(q):
         solution.lam[w.index[i]] = w.u[i]
     status = _verdict(problem, factor, solution, scratch, reach, tolerance)
-    return status, max_iterations - left, q
+    return status, max_iterations - left, q if status == SOLVED else 0

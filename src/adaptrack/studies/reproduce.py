@@ -11,33 +11,38 @@ The ablation then tells the pole's part of the gain from adaptation's.
 from __future__ import annotations
 
 import dataclasses
+import hashlib
+import itertools
+import json
 import math
+import os
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from adaptrack.adaptation.recipes import search_bounds, trained_schedule
 from adaptrack.controllers import MPC, Moves, Tuning
 from adaptrack.dataset import DataSet, load_dataset
 from adaptrack.errors import InvalidInput
-from adaptrack.learning.mlp import MLP
-from adaptrack.learning.training import Trained, train
+from adaptrack.learning.training import train
 from adaptrack.metrics import PUBLISHED, compute_metrics, published_mse
 from adaptrack.plant import DualTrack, Plant, SingleTrack
 from adaptrack.scenario import Scenario, load_scenario
-from adaptrack.scheduling import ENTRIES, Learned, Lookup, Schedule, SchedulingVariables
+from adaptrack.scheduling import ENTRIES, Lookup, Schedule, SchedulingVariables
 from adaptrack.simulate import rollout, rollout_batch, simulate
+from adaptrack.studies.pipeline import JSONFile, Keeper, Progress, SchedulerFile, Stage, identity_of, run
 from adaptrack.trajectory import Trajectory
 from adaptrack.tuning.operating_points import NAMES
 from adaptrack.vehicle import load_vehicle
 
 Array = NDArray[np.float64]
 Row = dict[str, Any]
-Progress = Callable[[str, int, int], None]
-"""Called with what is being done, and how many steps of how many are."""
 
 TESTS = tuple(PUBLISHED)
 """The scenarios for which the paper gives mean square errors."""
@@ -58,7 +63,10 @@ CLAMPS: Mapping[str, Mapping[str, tuple[float, float]]] = {
 
 QUICK: Mapping[str, Mapping[str, Any]] = {"nn": {"epochs": 100}, "anfis": {"epochs": 5}}
 QUICK_ROWS = 1500
-"""A quick run trains for fewer epochs, and on fewer conditions."""
+"""A quick run trains for fewer epochs, and on fewer operating points."""
+
+_METHOD = repr((TABLE, SLOW, FAST, PULSES, CLAMPS, QUICK, QUICK_ROWS))
+"""What every stage depends on beside the data and the software."""
 
 
 @dataclass(frozen=True)
@@ -67,13 +75,13 @@ class BestConstant:
 
     tuning: Tuning
     cost: float
-    """m², geometric mean of its cost over the conditions"""
+    """m², geometric mean of its cost over the operating points"""
     standard_cost: float
     """m², likewise for the paper's table"""
     swarm_cost: float
-    """m², likewise for the best tuning that a swarm found on each condition: what perfect adaptation would cost"""
-    lost: int
-    """conditions on which it lost the car; the means are over those where none of the three did"""
+    """m², likewise for the best tuning that a swarm found on each of them: what perfect adaptation would cost"""
+    failed: int
+    """operating points on which it fails; the means are over those where none of the three does"""
     candidates: int
     runs: int
     """closed-loop runs behind the choice"""
@@ -82,8 +90,8 @@ class BestConstant:
 
 
 @dataclass(frozen=True, eq=False)
-class Contender:
-    """A controller of the comparison."""
+class PaperController:
+    """A controller of the paper's comparison: a tuning or a schedule, and how it moves."""
 
     name: str
     moves: Moves
@@ -107,7 +115,7 @@ class Configuration:
 
     name: str
     plant: Plant
-    contenders: tuple[Contender, ...]
+    controllers: tuple[PaperController, ...]
 
 
 @dataclass(frozen=True, eq=False)
@@ -137,8 +145,8 @@ class Reproduction:
     data_test: str
     """the scenario on which its tunings were judged"""
     learned_from: int
-    """conditions behind the learned functions, those held out included"""
-    conditions: int
+    """operating points behind the learned functions, those held out included"""
+    operating_points: int
     """of the data set"""
     quick: bool
     seconds: float
@@ -146,62 +154,15 @@ class Reproduction:
 
     def as_json(self) -> Row:
         """Everything but the trajectories."""
-        told = {field.name: getattr(self, field.name) for field in dataclasses.fields(self) if field.name != "runs"}
-        return told | {"constant": dataclasses.asdict(self.constant)}
+        values = {field.name: getattr(self, field.name) for field in dataclasses.fields(self) if field.name != "runs"}
+        return values | {"constant": dataclasses.asdict(self.constant)}
 
 
-# -- what a data set gives --------------------------------------------------------------------------------------
-def search_bounds(dataset: DataSet) -> dict[str, tuple[float, float]]:
-    """(low, high) of each slot in the search behind a data set.
+# -- what a data set gives ---------------------------------------------------------------------------------------------
+def best_of_library(dataset: DataSet) -> BestConstant:
+    """The tuning of the library with the lowest geometric mean of its cost over all operating points.
 
-    Raises
-    ------
-    InvalidInput
-        When the provenance does not tell.
-    """
-    search = dataset.provenance.get("settings", {}).get("search", {})
-    if not set(ENTRIES) <= set(search):
-        raise InvalidInput(f"data set {dataset.name!r}: its provenance does not tell the bounds of its search.")
-    return {slot: (float(search[slot][0]), float(search[slot][1])) for slot in ENTRIES}
-
-
-def scheduler(trained: Trained, dataset: DataSet, clamps: Mapping[str, tuple[float, float]] | None = None) -> Schedule:
-    """The functions learned from a data set as a schedule, held within its search's bounds, or within `clamps`.
-
-    A clamp that is infinite leaves the search's bound; log10 R/Q is held within what the bounds of both allow.
-    """
-    bounds = search_bounds(dataset)
-    for slot, (low, high) in (clamps or {}).items():
-        bounds[slot] = (
-            low if math.isfinite(low) else bounds[slot][0],
-            high if math.isfinite(high) else bounds[slot][1],
-        )
-    functions: dict[str, Any] = {
-        slot: each.network_ if isinstance(each, MLP) else each.system_ for slot, each in trained.estimators.items()
-    }
-    if "log10_ratio" in functions:
-        (q_low, q_high), (r_low, r_high) = bounds.pop("Q"), bounds["R"]
-        bounds["R"] = (r_low / q_high, r_high / q_low)
-    return Learned(functions, trained.inputs, trained.domain, bounds, trained.model, trained.provenance)
-
-
-def quality(trained: Trained) -> list[Row]:
-    """`Trained.quality` with the size of each function, and the share of rows at which a network's output is dead."""
-    rows = []
-    for row in trained.quality:
-        each = trained.estimators[row["slot"]]
-        if isinstance(each, MLP):
-            more = {"parameters": each.network_.n_parameters, "rules": None, "dead_share": float(each.dead_share_)}
-        else:
-            more = {"parameters": each.n_parameters_, "rules": each.n_rules_, "dead_share": None}
-        rows.append({**row, **more})
-    return rows
-
-
-def best_constant(dataset: DataSet) -> BestConstant:
-    """The tuning of the library with the lowest geometric mean of its cost over all conditions.
-
-    One that loses the car on fewer conditions always comes first.
+    One that fails on fewer of them always comes first.
     """
     landscape = dataset.landscape.astype(np.float64)
     kept = np.isfinite(landscape)
@@ -217,15 +178,15 @@ def best_constant(dataset: DataSet) -> BestConstant:
         cost=cost,
         standard_cost=standard,
         swarm_cost=swarm,
-        lost=int((~kept[:, best]).sum()),
+        failed=int((~kept[:, best]).sum()),
         candidates=len(dataset.library),
         runs=computed * len(dataset.library),
         swarm_runs=int(dataset.evaluations[dataset.computed].sum()),
     )
 
 
-def lookup(dataset: DataSet) -> Schedule:
-    """A table of the best tunings found, interpolated between the conditions, which must fill a grid.
+def grid_lookup(dataset: DataSet) -> Schedule:
+    """A table of the best tunings found, interpolated between the operating points, which must fill a grid.
 
     Raises
     ------
@@ -236,7 +197,8 @@ def lookup(dataset: DataSet) -> Schedule:
     sizes = tuple(map(len, nodes))
     if not len(dataset) == math.prod(sizes) == np.unique(np.ravel_multi_index(places, sizes)).size:
         raise InvalidInput(
-            f"data set {dataset.name!r}: its {len(dataset)} conditions do not fill a grid, which a look-up table needs."
+            f"data set {dataset.name!r}: its {len(dataset)} operating points do not fill a grid, which a look-up table "
+            "needs."
         )
     tunings = np.empty((*sizes, len(ENTRIES)))
     tunings[places] = dataset.tunings
@@ -245,74 +207,161 @@ def lookup(dataset: DataSet) -> Schedule:
 
 # -- the experiment ---------------------------------------------------------------------------------------------------
 def reproduce(
-    dataset: DataSet | None = None, *, quick: bool = False, seed: int = 0, progress: Progress | None = None
-) -> Reproduction:
+    dataset: DataSet | None = None, *, quick: bool = False, seed: int = 0,
+    folder: str | os.PathLike[str] | None = None, progress: Progress | None = None,
+) -> Reproduction:  # fmt: skip
     """Train both models on a data set, drive both tests with every controller, take the gain apart.
 
-    dataset: by default `paper-grid`; its conditions must fill a grid; quick: train less, see `QUICK`; seed: of the
-    hold-out and of the models; progress: see `Progress`.
+    dataset: by default `paper-grid`; its operating points must fill a grid; quick: train less, see `QUICK`; seed: of
+    the hold-out and of the models; folder: where the results of the stages are kept and found again, by default
+    nowhere; progress: called with what is being done, and how many steps of how many are.
 
     Raises
     ------
     InvalidInput
-        When the data set does not fit, see `lookup` and `search_bounds`.
+        When the data set does not fit, see `grid_lookup` and `search_bounds`.
+    StorageError
+        When the folder cannot be written, or holds something damaged.
     """
     begun = time.perf_counter()
-    tell = progress or (lambda *_: None)
     dataset = load_dataset("paper-grid") if dataset is None else dataset
     search_bounds(dataset)
-    constant, table = best_constant(dataset), lookup(dataset)
+    constant, table = best_of_library(dataset), grid_lookup(dataset)
     source = dataset
     if quick and len(dataset) > QUICK_ROWS:
         source = dataset.rows(np.sort(np.random.default_rng(seed).permutation(len(dataset))[:QUICK_ROWS]))
-    models: dict[str, Trained] = {}
-    for i, model in enumerate(LEARNED):
-        tell(f"training {model}", i, 5)
-        models[model] = train(source, model, "paper", seed=seed, **(QUICK[model] if quick else {}))
-    trained = time.perf_counter()
-
-    free = {model: scheduler(made, dataset) for model, made in models.items()}
-    clamped = {model: scheduler(made, dataset, CLAMPS[model]) for model, made in models.items()}
-    released, same = configurations(constant.tuning, table, clamped, free)
-    scenarios = [load_scenario(name) for name in TESTS]
-    tell("driving both configurations", 2, 5)
-    rows = [
-        measure(configuration, contender, scenario, preview)
-        for configuration in (released, same)
-        for scenario in scenarios
-        for contender in configuration.contenders
-        for preview in (False, True)
-    ]
-    tell("taking the gain apart", 3, 5)
-    parts = ablation(released.plant, scenarios, constant.tuning, clamped, dataset.library)
-    swapped = swaps(same.plant, scenarios, constant.tuning)
-    tell("timing steps", 4, 5)
-    runs = [
-        (contender.stands_for, drive(released.plant, contender, scenario, timed=True))
-        for scenario in scenarios
-        for contender in released.contenders
-        if contender.stands_for
-    ]
-    tell("done", 5, 5)
+    stages = _Stages(dataset, source, constant, table, quick, seed, None if folder is None else Path(folder))
+    made = run(stages.all(), _counted(progress, len(stages.all())))
+    learned = {model: made[f"training {model}"] for model in LEARNED}
     return Reproduction(
-        rows=rows,
-        ablation=parts,
-        shares=shares(parts),
-        swaps=swapped,
-        learning=[row for made in models.values() for row in quality(made)],
+        rows=made["driving both configurations"],
+        ablation=made["taking the gain apart"],
+        shares=shares(made["taking the gain apart"]),
+        swaps=made["swapping numbers"],
+        learning=[row for each in learned.values() for row in each.provenance["quality"]],
         domain=[
-            {"scenario": run.name_of("scenario"), **outside(run, free["nn"])} for name, run in runs if name == "nn"
+            {"scenario": run.name_of("scenario"), **outside(run, learned["nn"])}
+            for name, run in made["timing steps"]
+            if name == "nn"
         ],
         constant=constant,
-        runs=runs,
+        runs=made["timing steps"],
         data=dataset.name,
         data_test=str(dataset.provenance["settings"].get("scenario", "")),
         learned_from=len(source),
-        conditions=len(dataset),
+        operating_points=len(dataset),
         quick=quick,
         seconds=time.perf_counter() - begun,
-        training_seconds=trained - begun,
+        training_seconds=sum(each.provenance["seconds"] for each in learned.values()),
     )
+
+
+@dataclass(frozen=True, eq=False)
+class _Stages:
+    """The stages of the experiment."""
+
+    dataset: DataSet
+    source: DataSet
+    """what the models learn from"""
+    constant: BestConstant
+    table: Schedule
+    quick: bool
+    seed: int
+    folder: Path | None
+
+    def all(self) -> list[Stage]:
+        """In their order."""
+        settings = [_METHOD, _fingerprint(self.dataset), self.quick, self.seed]
+        makers: dict[str, Callable[[Mapping[str, Any]], Any]] = {
+            **{f"training {model}": partial(self.trained, model) for model in LEARNED},
+            "driving both configurations": self.driven,
+            "taking the gain apart": self.taken_apart,
+            "swapping numbers": self.swapped,
+            "timing steps": self.timed,
+        }
+        return [Stage(name, identity_of(name, settings), make, self._keeper(name)) for name, make in makers.items()]
+
+    def _keeper(self, name: str) -> Keeper | None:
+        if self.folder is None or name == "timing steps":  # times are those of this session
+            return None
+        place, file = self.folder / "stages", f"{name.replace(' ', '-')}.json"
+        return SchedulerFile(place / file, name, {}) if name.startswith("training") else JSONFile(place / file)
+
+    def trained(self, model: str, made: Mapping[str, Any]) -> Schedule:
+        """The learned functions as a schedule, how good they are in its provenance."""
+        begun = time.perf_counter()
+        trained = train(self.source, model, "paper", seed=self.seed, **(QUICK[model] if self.quick else {}))
+        schedule = trained_schedule(trained, self.dataset)
+        more = {"quality": trained.quality, "seconds": time.perf_counter() - begun}
+        return dataclasses.replace(schedule, provenance={**schedule.provenance, **more})
+
+    def _configurations(self, made: Mapping[str, Any]) -> tuple[Configuration, Configuration]:
+        free = {model: made[f"training {model}"] for model in LEARNED}
+        return configurations(self.constant.tuning, self.table, _clamped(free), free)
+
+    def driven(self, made: Mapping[str, Any]) -> list[Row]:
+        """Every controller on both tests, without preview and with it."""
+        return [
+            measure(configuration, controller, load_scenario(name), preview)
+            for configuration in self._configurations(made)
+            for name in TESTS
+            for controller in configuration.controllers
+            for preview in (False, True)
+        ]
+
+    def taken_apart(self, made: Mapping[str, Any]) -> list[Row]:
+        """Moves and tuning, apart."""
+        released, _ = self._configurations(made)
+        clamped = _clamped({model: made[f"training {model}"] for model in LEARNED})
+        scenarios = [load_scenario(name) for name in TESTS]
+        return ablation(released.plant, scenarios, self.constant.tuning, clamped, self.dataset.library)
+
+    def swapped(self, made: Mapping[str, Any]) -> list[Row]:
+        """From the paper's table to the best constant, number by number."""
+        _, same = self._configurations(made)
+        return swaps(same.plant, [load_scenario(name) for name in TESTS], self.constant.tuning)
+
+    def timed(self, made: Mapping[str, Any]) -> list[tuple[str, Trajectory]]:
+        """Standard, nn and anfis from Python, with their step times."""
+        released, _ = self._configurations(made)
+        return [
+            (controller.stands_for, drive(released.plant, controller, load_scenario(name), timed=True))
+            for name in TESTS
+            for controller in released.controllers
+            if controller.stands_for
+        ]
+
+
+def _counted(progress: Progress | None, stages: int) -> Progress | None:
+    """Progress by the number of the stage."""
+    if progress is None:
+        return None
+    done = itertools.count()
+    return lambda what, at, of: progress(what, next(done), stages)
+
+
+def _fingerprint(dataset: DataSet) -> str:
+    """SHA-256 of a data set."""
+    digest = hashlib.sha256(json.dumps(dataset.provenance, sort_keys=True, default=str).encode())
+    for each in dataclasses.fields(dataset):
+        if each.name != "provenance":
+            digest.update(np.ascontiguousarray(getattr(dataset, each.name)).tobytes())
+    return digest.hexdigest()
+
+
+def _clamped(schedules: Mapping[str, Schedule]) -> dict[str, Schedule]:
+    """Learned schedules within the clamps of the authors' programs."""
+    return {model: _within(schedule, CLAMPS[model]) for model, schedule in schedules.items()}
+
+
+def _within(schedule: Schedule, clamps: Mapping[str, tuple[float, float]]) -> Schedule:
+    entries = dict(schedule.tuning)
+    for name, (low, high) in clamps.items():
+        entry = entries[name]
+        entries[name] = dataclasses.replace(
+            entry, low=low if math.isfinite(low) else entry.low, high=high if math.isfinite(high) else entry.high
+        )
+    return dataclasses.replace(schedule, tuning=entries)
 
 
 def configurations(
@@ -324,33 +373,33 @@ def configurations(
         "released",
         SingleTrack(car, "constant-stiffness"),
         (
-            Contender("standard-as-released", SLOW, stands_for="standard"),
-            Contender("standard-as-written", PULSES),
-            Contender("best-constant", FAST, constant),
-            Contender("lookup", FAST, schedule=table),
-            *(Contender(model, FAST, schedule=clamped[model], stands_for=model) for model in LEARNED),
+            PaperController("standard-as-released", SLOW, stands_for="standard"),
+            PaperController("standard-as-written", PULSES),
+            PaperController("best-constant", FAST, constant),
+            PaperController("lookup", FAST, schedule=table),
+            *(PaperController(model, FAST, schedule=clamped[model], stands_for=model) for model in LEARNED),
         ),
     )
     same = Configuration(
         "same-moves",
         DualTrack(car, "magic-formula"),
         (
-            Contender("standard-as-released", SLOW),
-            Contender("standard-as-written", PULSES, stands_for="standard"),
-            Contender("best-constant", PULSES, constant),
-            Contender("lookup", PULSES, schedule=table),
-            *(Contender(model, PULSES, schedule=free[model], stands_for=model) for model in LEARNED),
+            PaperController("standard-as-released", SLOW),
+            PaperController("standard-as-written", PULSES, stands_for="standard"),
+            PaperController("best-constant", PULSES, constant),
+            PaperController("lookup", PULSES, schedule=table),
+            *(PaperController(model, PULSES, schedule=free[model], stands_for=model) for model in LEARNED),
         ),
     )
     return released, same
 
 
 def drive(
-    plant: Plant, contender: Contender, scenario: Scenario, preview: bool = False, timed: bool = False
+    plant: Plant, controller: PaperController, scenario: Scenario, preview: bool = False, timed: bool = False
 ) -> Trajectory:
     """One run, in the paper profile at exactly the scenario's speed; timed: from Python, with its step times."""
-    run = (simulate if timed else rollout)(plant, contender.mpc(preview), scenario)
-    name = f"{contender.stands_for or contender.name} ({describe_moves(contender.moves)})"
+    run = (simulate if timed else rollout)(plant, controller.mpc(preview), scenario)
+    name = f"{controller.stands_for or controller.name} ({describe_moves(controller.moves)})"
     return dataclasses.replace(run, meta={**run.meta, "controller": name})
 
 
@@ -359,18 +408,18 @@ def describe_moves(moves: Moves) -> str:
     return "pulse" if moves.kind == "pulse" else f"laguerre {moves.pole:g}"
 
 
-def measure(configuration: Configuration, contender: Contender, scenario: Scenario, preview: bool) -> Row:
+def measure(configuration: Configuration, controller: PaperController, scenario: Scenario, preview: bool) -> Row:
     """A run as a row, see `Reproduction.rows`."""
-    run = drive(configuration.plant, contender, scenario, preview)
+    run = drive(configuration.plant, controller, scenario, preview)
     measures = compute_metrics(run)
     published = published_mse(run)
-    schedule = contender.schedule
+    schedule = controller.schedule
     return {
         "configuration": configuration.name,
         "scenario": scenario.name,
-        "controller": contender.name,
+        "controller": controller.name,
         "preview": preview,
-        "moves": describe_moves(contender.moves),
+        "moves": describe_moves(controller.moves),
         "paper_mse": published,
         "ratio": None if published is None else _finite(measures.mse / published),
         "clipped_share": None if schedule is None else outside(run, schedule)["any"],
@@ -380,10 +429,10 @@ def measure(configuration: Configuration, contender: Contender, scenario: Scenar
 
 def outside(run: Trajectory, schedule: Schedule) -> dict[str, float]:
     """Share of the driven steps at which each input of `schedule` is outside its domain, by name; `any` of them."""
-    conditions = dict(
+    variables = dict(
         zip(SchedulingVariables._fields, (run.vx, run.y_ref, run.friction.mean(axis=1), run.wind[:, 1]), strict=False)
     )
-    inputs = np.column_stack([conditions[name] for name in schedule.inputs])[np.isfinite(run.command)]
+    inputs = np.column_stack([variables[name] for name in schedule.inputs])[np.isfinite(run.command)]
     clipped = (inputs < schedule.domain[:, 0]) | (inputs > schedule.domain[:, 1])
     by_input = dict(zip(schedule.inputs, clipped.mean(axis=0).tolist(), strict=True))
     return by_input | {"any": float(clipped.any(axis=1).mean())}
@@ -399,15 +448,15 @@ def ablation(
     rows: list[Row] = []
     for scenario in scenarios:
         for moves in (SLOW, FAST, PULSES):
-            contenders = [
-                Contender("table-constant", moves),
-                Contender("best-constant", moves, constant),
-                *(Contender(name, moves, schedule=schedule) for name, schedule in schedules.items()),
+            controllers = [
+                PaperController("table-constant", moves),
+                PaperController("best-constant", moves, constant),
+                *(PaperController(name, moves, schedule=schedule) for name, schedule in schedules.items()),
             ]
-            by_constants = rollout_batch(plant, contenders[0].mpc(preview=False), scenario, library).mse
-            told = [
-                (contender.name, contender.schedule is not None, compute_metrics(drive(plant, contender, scenario)))
-                for contender in contenders
+            by_constants = rollout_batch(plant, controllers[0].mpc(preview=False), scenario, library).mse
+            found = [
+                (controller.name, controller.schedule is not None, compute_metrics(drive(plant, controller, scenario)))
+                for controller in controllers
             ]
             rows += [
                 {
@@ -419,7 +468,7 @@ def ablation(
                     "failed": measures.failed,
                     "constants_better": int((by_constants < measures.mse).sum()),
                 }
-                for name, adapts, measures in told
+                for name, adapts, measures in found
             ]
             rows.append(
                 {
@@ -449,7 +498,7 @@ def swaps(plant: Plant, scenarios: Iterable[Scenario], constant: Tuning) -> list
             "changed": name,
             "table": table,
             "constant": value,
-            "mse": _finite(compute_metrics(drive(plant, Contender(name, PULSES, tuning), scenario)).mse),
+            "mse": _finite(compute_metrics(drive(plant, PaperController(name, PULSES, tuning), scenario)).mse),
         }
         for scenario in scenarios
         for name, (table, value, tuning) in changes.items()

@@ -1,11 +1,6 @@
-"""Learning a tuning from the landscape of the closed loop's cost around it, not from argmins.
+"""Surfaces: one output as a function of the inputs, which can take a step of a weighted regression.
 
-An argmin is noisy and not unique; how the cost changes when the tuning does is neither. So a scheduler is improved
-where it stands: its three outputs (Np, Nc, log10 R/Q) are shifted a little up and down, the cost of every stretch of
-driving is found for each shift, and a parabola through the three costs tells how far each output should move there
-(`preferred_moves`) and how much that matters. Moves and weights of all stretches are one weighted regression, which a
-`Surface` - a constant, a small network, a fuzzy system - takes a step of (`fit`). Repeated, this is Newton's method on
-the mean cost, averaged over everything that the surface cannot tell apart.
+A level (a number), a small network, a fuzzy system. What runs is their `function`.
 """
 
 from __future__ import annotations
@@ -21,34 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import expit
 
-from adaptrack.errors import InvalidInput
 from adaptrack.scheduling.functions import Function, Network, Number, Sugeno
 from adaptrack.scheduling.functions.sugeno import SLOPE, WIDTH
 
 Array = NDArray[np.float64]
-
-OUTPUTS = ("Np", "Nc", "log10_ratio")
-SHIFT = np.array([3.0, 1.5, 0.15])
-"""How far each output is shifted to look at the landscape."""
-LEAST_CURVATURE = np.array([0.002, 0.005, 0.3])
-"""Of the relative cost, along each output: what is flatter than this is treated as this curved, and stays in place."""
-
-
-def preferred_moves(base: Array, up: Array, down: Array, share: Array) -> tuple[Array, Array]:
-    """How far each output should move, and the weight of that, from the costs at three points along it.
-
-    base (n,), up and down (n, 3): cost of n stretches with the outputs as they are, and with each output shifted by
-    `SHIFT`, all relative to the cost of the whole run; share (n,): the stretch's part of that cost. Where a cost is not
-    finite nothing is known: weight zero. Returns moves and weights (n, 3); a move is at most two shifts long.
-    """
-    known = np.isfinite(up) & np.isfinite(down) & np.isfinite(base)[:, None]
-    base, up, down = (np.where(known, costs, 0.0) for costs in (base[:, None], up, down))
-    slope = (up - down) / (2.0 * SHIFT)
-    curvature = (up + down - 2.0 * base) / SHIFT**2
-    weight = np.maximum(curvature, LEAST_CURVATURE * share[:, None])
-    weight = np.maximum(weight, np.abs(slope) / (2.0 * SHIFT))
-    moves = np.divide(-slope, weight, out=np.zeros_like(slope), where=weight > 0.0)
-    return moves, np.where(known, weight, 0.0)
 
 
 class Surface(ABC):
@@ -103,9 +74,14 @@ class NetworkSurface(Surface):
 
     @classmethod
     def start(
-        cls, domain: Array, value: float, span: float, seed: int, hidden: Sequence[int] = (16, 8)
-    ) -> NetworkSurface:
-        """A network of random hidden layers whose output is `value` everywhere; `span` is the scale of its changes."""
+        cls, domain: Array, value: float, span: float, seed: int, hidden: Sequence[int] = (16, 8), *,
+        epochs: int = 100, rate: float = 0.01,
+    ) -> NetworkSurface:  # fmt: skip
+        """A network of random hidden layers whose output is `value` everywhere; `span` is the scale of its changes.
+
+        domain: (D, 2) lowest and highest value of each input; hidden: neurons of each layer; epochs, rate: of Adam in
+        a step, the rate that of the first epoch.
+        """
         rng = np.random.default_rng(seed)
         widths = [len(domain), *hidden, 1]
         weights, biases = [], []
@@ -114,7 +90,8 @@ class NetworkSurface(Surface):
             reach = 8.0 if layer == 0 else 3.0  # over inputs 0..1, then over neurons 0..1
             weights.append(np.zeros((wide, out)) if last else rng.normal(size=(wide, out)) * reach / math.sqrt(wide))
             biases.append(np.zeros(out) if last else rng.normal(size=out) * 1.5 - weights[-1].sum(axis=0) / 2.0)
-        return cls(Network(domain[:, 0], domain[:, 1], tuple(weights), tuple(biases), value, value + span, relu=False))
+        network = Network(domain[:, 0], domain[:, 1], tuple(weights), tuple(biases), value, value + span, relu=False)
+        return cls(network, epochs, rate)
 
     def predict(self, x: Array) -> Array:
         return self.network.predict(x)
@@ -170,25 +147,29 @@ class FuzzySurface(Surface):
     scale: Array
     """(D,) half range of each input: what a consequent's slope is measured by"""
     hold: float = 0.02
-    """price of a change of the consequents, relative to the data"""
+    """weight of a change of the consequents, relative to the data"""
 
     @classmethod
-    def start(cls, rows: Array, value: float, rules: int, seed: int) -> FuzzySurface:
+    def start(
+        cls, rows: Array, value: float, rules: int, seed: int, *, restarts: int = 2, neighbours: int = 3,
+        width: float = 0.7, hold: float = 0.02,
+    ) -> FuzzySurface:  # fmt: skip
         """Gaussian rules around the centres of `rules` clusters of the inputs `rows` (n, D); `value` everywhere.
 
-        Scatter partitioning by k-means; each rule is as wide as the way to its nearest neighbours.
+        Scatter partitioning by k-means with so many restarts. The standard deviation of a rule is `width` times its
+        mean distance from its nearest neighbours, in half ranges of the inputs.
         """
         from sklearn.cluster import KMeans
 
         low, high = rows.min(axis=0), rows.max(axis=0)
         half = np.where(high > low, (high - low) / 2.0, 1.0)
         z = (rows - low) / half
-        centres = KMeans(rules, n_init=2, random_state=seed).fit(z).cluster_centers_
+        centres = KMeans(rules, n_init=restarts, random_state=seed).fit(z).cluster_centers_
         distances = np.sort(np.sqrt(((centres[:, None] - centres[None]) ** 2).sum(axis=2)), axis=1)
-        near = distances[:, 1 : min(4, rules)].mean(axis=1) if rules > 1 else np.ones(1)
+        near = distances[:, 1 : min(neighbours + 1, rules)].mean(axis=1) if rules > 1 else np.ones(1)
         inputs = rows.shape[1]
         premises = np.empty((rules * inputs, 3))
-        premises[:, WIDTH] = (near[:, None] * half * 0.7).ravel()
+        premises[:, WIDTH] = (near[:, None] * half * width).ravel()
         premises[:, SLOPE] = 1.0
         premises[:, 2] = (centres * half + low).ravel()
         consequents = np.zeros((rules, inputs + 1))
@@ -201,7 +182,7 @@ class FuzzySurface(Surface):
             consequents=consequents,
             weights=np.ones(rules),
         )
-        return cls(system, half)
+        return cls(system, half, hold)
 
     def level(self, value: float) -> FuzzySurface:
         """The same rules with the output `value` everywhere."""
@@ -229,17 +210,3 @@ class FuzzySurface(Surface):
 
     def function(self) -> Sugeno:
         return self.system
-
-
-def check_inputs(inputs: Sequence[str], known: Sequence[str]) -> list[int]:
-    """The places of `inputs` in `known`.
-
-    Raises
-    ------
-    InvalidInput
-        When one is unknown.
-    """
-    for name in inputs:
-        if name not in known:
-            raise InvalidInput(f"inputs: unknown {name!r}: known are {', '.join(known)}.")
-    return [list(known).index(name) for name in inputs]

@@ -1,4 +1,4 @@
-"""Learning from the landscape: what three costs say about a move, and surfaces that take a step of a regression."""
+"""Surfaces that take a step of a weighted regression, and functions that are shifted and blended."""
 
 from __future__ import annotations
 
@@ -6,32 +6,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
-from adaptrack.errors import InvalidInput
-from adaptrack.learning import landscape as module
-from adaptrack.learning.landscape import (
-    LEAST_CURVATURE,
-    OUTPUTS,
-    SHIFT,
-    FuzzySurface,
-    Level,
-    NetworkSurface,
-    check_inputs,
-    preferred_moves,
-)
-from adaptrack.scheduling import ENTRIES, Number, SchedulingVariables
+from adaptrack.learning import surfaces as module
+from adaptrack.learning.surfaces import FuzzySurface, Level, NetworkSurface
 from small_models import random_network
 
 DOMAIN = np.array([[3.0, 30.0], [0.3, 1.0]])
-
-
-def three_costs(cost):
-    """Costs without a shift, and with each output shifted up and down, of stretches that cost cost(shifts) (n,)."""
-    base = cost(np.zeros(3))
-    up, down = (np.stack([cost(sign * by) for by in np.diag(SHIFT)], axis=1) for sign in (1.0, -1.0))
-    return base, up, down
 
 
 def examples(n=400, seed=0):
@@ -51,69 +31,6 @@ def every_surface(x):
         "network": NetworkSurface.start(DOMAIN, 25.0, 10.0, seed=3),
         "fuzzy": FuzzySurface.start(x, 25.0, rules=6, seed=3),
     }
-
-
-# -- moves ------------------------------------------------------------------------------------------------------------
-def test_the_minimum_of_a_parabola_is_found_exactly(rng):
-    best = rng.uniform(-2.0, 2.0, (50, 3)) * SHIFT
-    bend = LEAST_CURVATURE * rng.uniform(2.0, 50.0, (50, 3))  # the second derivative
-    moves, weights = preferred_moves(
-        *three_costs(lambda by: 0.4 + 0.5 * (bend * (by - best) ** 2).sum(axis=1)), np.ones(50)
-    )
-    np.testing.assert_allclose(moves, best, rtol=0, atol=1e-11)
-    np.testing.assert_allclose(weights, bend, rtol=1e-9)
-
-
-def test_the_minimum_of_a_sum_of_parabolas_is_the_weighted_mean_of_their_minima(rng):
-    """Why the weight is the curvature: what no input can tell apart shares one move, and it is Newton's."""
-    best = rng.uniform(-1.0, 1.0, (30, 3)) * SHIFT
-    bend = LEAST_CURVATURE * rng.uniform(2.0, 50.0, (30, 3))
-    moves, weights = preferred_moves(*three_costs(lambda by: 0.5 * (bend * (by - best) ** 2).sum(axis=1)), np.ones(30))
-    for i in range(3):
-        together = Level(0.0).fit(np.zeros((30, 1)), moves[:, i], weights[:, i]).value
-        assert (bend[:, i] * (together - best[:, i])).sum() == pytest.approx(0.0, abs=1e-11)
-
-
-def test_what_is_flatter_than_the_least_curvature_is_treated_as_that_curved():
-    share = np.array([1.0, 0.25])
-    slope = 1e-3 * LEAST_CURVATURE
-    moves, weights = preferred_moves(*three_costs(lambda by: np.full(2, slope @ by)), share)
-    np.testing.assert_allclose(weights, LEAST_CURVATURE * share[:, None])
-    np.testing.assert_allclose(moves, -slope / weights)
-
-
-COSTS = st.floats(-1e3, 1e3) | st.sampled_from([0.0, np.nan, np.inf, -np.inf, 1e-300, 1e300])
-
-
-@given(costs=st.lists(COSTS, min_size=7, max_size=7), share=st.floats(0.0, 1.0))
-def test_whatever_the_costs_a_move_is_at_most_two_shifts_long(costs, share):
-    base, up, down = np.array(costs[:1]), np.array([costs[1:4]]), np.array([costs[4:]])
-    moves, weights = preferred_moves(base, up, down, np.array([share]))
-    assert (np.abs(moves) <= 2.0 * SHIFT * (1.0 + 1e-12)).all()
-    assert (weights >= 0.0).all()
-    assert np.isfinite(weights).all()
-
-
-def test_on_a_concave_landscape_the_move_goes_downhill_two_shifts_and_no_further():
-    moves, weights = preferred_moves(
-        *three_costs(lambda by: np.array([5.0 - (by / SHIFT + 0.5) @ (by / SHIFT + 0.5)])), np.ones(1)
-    )
-    np.testing.assert_allclose(moves, [2.0 * SHIFT])
-    np.testing.assert_allclose(weights, [1.0 / (2.0 * SHIFT**2)])
-
-
-@pytest.mark.parametrize("unknown", [np.nan, np.inf])
-@pytest.mark.parametrize("which", ["base", "up", "down"])
-def test_an_unknown_cost_weighs_nothing_and_says_so_of_its_own_output_only(unknown, which):
-    costs = dict(
-        zip(("base", "up", "down"), three_costs(lambda by: np.full(2, 1.0 + (by / SHIFT) @ (by / SHIFT))), strict=True)
-    )
-    costs[which] = costs[which].copy()
-    costs[which][(0,) if which == "base" else (0, 1)] = unknown
-    moves, weights = preferred_moves(**costs, share=np.ones(2))
-    assert np.isfinite(moves).all()
-    assert (weights[0] == 0.0).tolist() == ([True] * 3 if which == "base" else [False, True, False])
-    assert (weights[1] > 0.0).all()
 
 
 # -- surfaces ---------------------------------------------------------------------------------------------------------
@@ -202,7 +119,7 @@ def test_far_outside_its_domain_a_network_learns_without_a_warning():
 
 
 def test_a_fuzzy_fit_is_the_weighted_ridge_solution():
-    """Of the change of the consequents, measured in half ranges: sum share (a c - error)^2 + price |c|^2."""
+    """Of the change of the consequents, measured in half ranges: sum share (a c - error)^2 + hold |c|^2."""
     x, target, weight = examples()
     start = replace(FuzzySurface.start(x, 25.0, rules=6, seed=3), hold=0.05)
     for effort in (1.0, 0.3):
@@ -210,8 +127,8 @@ def test_a_fuzzy_fit_is_the_weighted_ridge_solution():
         extended = np.column_stack((x / start.scale, np.ones(len(x))))
         a = np.einsum("nr,nd->nrd", start.system.strengths(x), extended).reshape(len(x), -1)
         root = np.sqrt(weight / weight.sum())
-        price = 0.05 / effort * ((root[:, None] * a) ** 2).sum() / a.shape[1]
-        stacked = np.vstack((root[:, None] * a, np.sqrt(price) * np.eye(a.shape[1])))
+        hold = 0.05 / effort * ((root[:, None] * a) ** 2).sum() / a.shape[1]
+        stacked = np.vstack((root[:, None] * a, np.sqrt(hold) * np.eye(a.shape[1])))
         expected = np.linalg.lstsq(stacked, np.concatenate((root * (target - 25.0), np.zeros(a.shape[1]))), rcond=None)[
             0
         ]
@@ -220,7 +137,7 @@ def test_a_fuzzy_fit_is_the_weighted_ridge_solution():
         assert learned.system.premises is start.system.premises
 
 
-def test_a_fuzzy_system_without_a_price_on_change_finds_a_plane():
+def test_a_fuzzy_system_that_may_change_freely_finds_a_plane():
     x, _, weight = examples()
     plane = 3.0 + 0.4 * x[:, 0] - 5.0 * x[:, 1]
     learned = replace(FuzzySurface.start(x, 0.0, rules=4, seed=0), hold=1e-12).fit(x, plane, weight)
@@ -262,15 +179,3 @@ def test_an_average_has_the_mean_of_the_parameters_and_of_one_alone_it_is_itself
                 mean.network.biases[i], np.mean([each.network.biases[i] for each in fits], axis=0)
             )
     np.testing.assert_array_equal(first.average([]).predict(x), first.predict(x))
-
-
-# -- names ------------------------------------------------------------------------------------------------------------
-def test_the_outputs_are_entries_of_a_schedule():
-    assert (*ENTRIES[:2], "log10_ratio") == OUTPUTS
-    assert len(SHIFT) == len(LEAST_CURVATURE) == len(OUTPUTS)
-
-
-def test_an_unknown_input_is_named_with_those_that_are_known():
-    assert check_inputs(["friction", "speed"], SchedulingVariables._fields) == [2, 0]
-    with pytest.raises(InvalidInput, match=r"'grip'.*friction"):
-        check_inputs(["grip"], SchedulingVariables._fields)

@@ -1,0 +1,1 @@
+"""Contenders compared on runs that nobody trained on."""

@@ -1,0 +1,145 @@
+"""Contenders on operating points, drives and tests that nobody trained on."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from adaptrack.adaptation.config import Evaluation
+from adaptrack.adaptation.recipes import ANYWHERE
+from adaptrack.adaptation.splits import SetUp, evaluation_drives, evaluation_points
+from adaptrack.comparison.compare import Comparison, compare, optimum, per_run_best
+from adaptrack.comparison.contenders import Contender, contenders_of, get_contender
+from adaptrack.errors import InvalidInput
+from adaptrack.metrics import PUBLISHED
+from adaptrack.runs import (
+    RunSet,
+    operating_point_runs,
+    paper_test_runs,
+    perception,
+    random_drive_runs,
+)
+from adaptrack.scheduling import Schedule
+from adaptrack.simulate import KnownAs
+from adaptrack.tuning.objective import Objective
+
+Array = NDArray[np.float64]
+Progress = Callable[[str, int, int], None]
+More = Sequence[Contender | str]
+"""Contenders beside the schedules, the registered ones by name."""
+
+PERCEIVING = ("best constant", "nn", "anfis")
+"""The contenders that are driven when friction and wind are not known exactly."""
+
+
+def on_operating_points(
+    setup: SetUp, schedules: Mapping[str, Schedule], count: int, seed: int, *, known_as: Sequence[str] = ("exact",),
+    more: More = (), progress: Progress | None = None,
+) -> dict[str, Comparison]:  # fmt: skip
+    """On `count` unseen operating points, for each way of knowing friction and wind (see `runs.perception`).
+
+    Sobol points of the campaign's box; every cost is the mean over noise seeds that nothing was tuned on; regret is to
+    the optimum of each point.
+    """
+    points = evaluation_points(setup, count, seed)
+    ways = {name: perception(name, setup.plant, setup.profile) for name in known_as}
+    best = optimum(
+        _objective(setup), points, setup.campaign.search.space(), evaluation=setup.evaluation,
+        swarm=setup.campaign.swarm, known=_constants(schedules), seed=seed, progress=progress,
+    )  # fmt: skip
+    found = {}
+    for name, known in ways.items():
+        runs = operating_point_runs(
+            setup.plant, setup.mpc, points, setup.profile, known_as=known, failure=setup.method.runs.failure
+        )
+        contenders = contenders_of(schedules, points, _made(more, runs))
+        contenders["optimum"] = Contender("optimum", best, hindsight=True)
+        chosen = _told_apart(contenders, name, (*PERCEIVING, "optimum"))
+        found[name] = compare(runs, chosen, setup.evaluation.noise_seeds, "optimum", points, progress)
+    return found
+
+
+def on_drives(
+    setup: SetUp, schedules: Mapping[str, Schedule], count: int, seed: int, *, known_as: Sequence[str] = ("exact",),
+    more: More = (), progress: Progress | None = None,
+) -> dict[str, Comparison]:  # fmt: skip
+    """On `count` random drives that nothing was trained on; regret is to the best constant."""
+    ways = {name: perception(name, setup.plant, setup.profile) for name in known_as}
+    _needs_constants(schedules)
+    numbers, noise = evaluation_drives(setup.evaluation, count, seed), setup.evaluation.noise_seeds[:1]
+    found = {}
+    for name, known in ways.items():
+        runs = drive_runs(setup, numbers, known)
+        contenders = contenders_of(schedules, more=_made(more, runs))
+        if name == "exact":
+            best = per_run_best(runs, _hindsight(schedules, setup.evaluation), noise)
+            contenders["per-drive constant"] = Contender("per-drive constant", best, hindsight=True)
+        chosen = _told_apart(contenders, name, PERCEIVING)
+        found[name] = compare(runs, chosen, noise, "best constant", np.array(numbers, dtype=float)[:, None], progress)
+    return found
+
+
+def on_tests(setup: SetUp, schedules: Mapping[str, Schedule], *, more: More = ()) -> dict[str, Comparison]:
+    """On the paper's two tests, in the campaign's profile."""
+    _needs_constants(schedules)
+    found = {}
+    for name in PUBLISHED:
+        runs = paper_test_runs(setup.plant, setup.mpc, name, setup.profile, failure=setup.method.runs.failure)
+        contenders = contenders_of(schedules, more=_made(more, runs))
+        found[name] = compare(
+            runs, contenders.values(), setup.evaluation.noise_seeds, "best constant", np.zeros((1, 1))
+        )
+    return found
+
+
+def drive_runs(setup: SetUp, numbers: range, known: KnownAs = None) -> RunSet:
+    """Random drives as an evaluation drives them."""
+    runs = setup.method.runs
+    return random_drive_runs(
+        setup.plant, setup.mpc, numbers, setup.evaluation.duration, setup.profile, segment_seconds=runs.segment,
+        known_as=known, failure=runs.failure,
+    )  # fmt: skip
+
+
+def _made(more: More, runs: RunSet) -> list[Contender]:
+    return [get_contender(each, runs) if isinstance(each, str) else each for each in more]
+
+
+def _told_apart(contenders: Mapping[str, Contender], known_as: str, perceiving: Sequence[str]) -> list[Contender]:
+    """All contenders where friction and wind are known exactly; else those for which it matters."""
+    if known_as == "exact":
+        return list(contenders.values())
+    return [contenders[name] for name in perceiving if name in contenders]
+
+
+def _objective(setup: SetUp) -> Callable[[Sequence[int]], Objective]:
+    """The cost of a tuning on an operating point; a run fails when it does in a `RunSet`."""
+    return lambda noise_seeds: Objective(
+        setup.plant, setup.mpc, "lane-change", setup.profile, tuple(noise_seeds), failure=setup.method.runs.failure
+    )
+
+
+def _constants(schedules: Mapping[str, Schedule]) -> Array:
+    rows = [schedules[name](ANYWHERE) for name in ("best constant", "fallback") if name in schedules]
+    return np.reshape(rows, (-1, 4))
+
+
+def _needs_constants(schedules: Mapping[str, Schedule]) -> None:
+    if "best constant on drives" not in schedules:
+        raise InvalidInput(
+            "the best constant on drives, to which all is compared, is not among the schedulers: those of one's own "
+            "configuration are files of `adaptrack adapt --out DIR`, given as --schedulers DIR/schedulers/*.json."
+        )
+
+
+def _hindsight(schedules: Mapping[str, Schedule], evaluation: Evaluation) -> Array:
+    """Tunings around the best constant on drives, for hindsight."""
+    grid = [
+        (Np, Nc, 1.0, ratio)
+        for Np in evaluation.hindsight_Np
+        for Nc in evaluation.hindsight_Nc
+        for ratio in evaluation.hindsight_R
+    ]
+    return np.array([schedules["best constant on drives"](ANYWHERE), *grid])

@@ -1,0 +1,228 @@
+"""Sets of runs, and what a policy costs on them.
+
+A `RunSet` holds scenarios of equal length, the plant that drives them and the MPC whose tuning a policy chooses. The
+cost of a run of n control periods, with the weight w of steering activity, is
+
+    J = (1/n) sum e^2 + w (1/n) sum (change of command)^2.
+
+Schedules, tunings and compiled controllers run in batches; any other controller is driven by `simulate`, run by run.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any, NamedTuple, TypeGuard
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from adaptrack.controllers import MPC, CompiledController, Controller, Tuning
+from adaptrack.errors import InvalidInput
+from adaptrack.estimation import FrictionWindEstimator, Perception
+from adaptrack.failure import Failure
+from adaptrack.metrics import PUBLISHED
+from adaptrack.plant import DualTrack, Plant, SingleTrack
+from adaptrack.profile import load_profile
+from adaptrack.scenario import Scenario, load_scenario, random_drive
+from adaptrack.scheduling import Schedule
+from adaptrack.simulate import Batch, KnownAs, simulate
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
+
+Policy = Schedule | Tuning | Controller | ArrayLike
+"""What drives: a schedule, one tuning, one tuning (Np, Nc, Q, R) for each run, or a controller of its own."""
+
+PERCEPTIONS: dict[str, Perception] = {
+    "noisy": Perception(noise=0.1),
+    "lagged": Perception(delay=1.0),
+    "biased high": Perception(bias=0.2),
+    "biased low": Perception(bias=-0.2),
+    "withheld": Perception(withheld=True),
+}
+"""Ways of knowing friction and wind by name, beside "exact" and "estimated"."""
+
+
+class Outcome(NamedTuple):
+    """Of runs with one noise seed."""
+
+    costs: Array
+    """(runs,) m^2, J; inf where the run failed"""
+    segments: Array
+    """(runs, segments) m^2, see `RunSet.segments`; (runs, 0) where they were not asked for"""
+    counts: dict[str, NDArray[np.int64]]
+    """what the schedule counted, (runs,) by name; empty without one"""
+
+
+class RunSet:
+    """Scenarios of equal length, driven by one plant in one profile.
+
+    segment: length of the segments that cost is attributed to (control periods), by default the whole run; lead: how
+    long before a segment its causes may lie (periods); stride: every how many periods its inputs are looked at;
+    known_as: how schedulers know friction and wind; failure: when a run has failed.
+    """
+
+    known_as: KnownAs = None
+    failure = Failure()
+
+    def __init__(
+        self, plant: Plant, mpc: MPC, scenarios: Sequence[Scenario], profile: str = "road", *,
+        segment: int | None = None, lead: int = 0, stride: int = 20, known_as: KnownAs = None,
+        failure: Failure | None = None,
+    ) -> None:  # fmt: skip
+        self.plant, self.mpc, self.scenarios, self.profile = plant, mpc, list(scenarios), profile
+        self.known_as, self.failure = known_as, failure or Failure()
+        self.batch = self._batch(mpc)
+        self.weight = load_profile(profile).move_weight
+        self.periods = self.batch.signals[0].n
+        self.segment, self.lead, self.stride = segment or self.periods, lead, stride
+        self.variables = _scheduling_variables(self.batch)
+        """(runs, periods, SchedulingVariables) what a scheduler looks at; the offset, unknown before driving, is zero"""
+
+    def _batch(self, controller: Controller) -> Batch:
+        return Batch(
+            self.plant, controller, self.scenarios, self.profile, failure=self.failure, known_as=self.known_as
+        )
+
+    def __len__(self) -> int:
+        return len(self.batch.signals)
+
+    @property
+    def failed_cost(self) -> float:
+        """m^2, what a failed run counts as costing: the square of the distance at which it leaves the road."""
+        return self.failure.distance**2
+
+    def drive(self, policy: Policy, seeds: Sequence[int], which: Indices | None = None) -> Array:
+        """(runs, seeds) m^2, J of each run of `which` with each noise seed; inf where it failed.
+
+        Of a policy (runs, 4), row i drives the run which[i].
+        """
+        which = np.arange(len(self)) if which is None else which
+        if _is_controller(policy) and not _compiles(policy):
+            costs = [[self._simulated_cost(policy, self.scenarios[i], int(seed)) for i in which] for seed in seeds]
+            return np.array(costs, dtype=float).T
+        return np.stack([self._run(policy, int(seed), which).costs for seed in seeds], axis=1)
+
+    def costs(self, policy: Policy, seeds: Sequence[int], which: Indices | None = None) -> Array:
+        """(runs,) m^2, mean of J over the noise seeds; a failed run counts as `failed_cost`."""
+        found = self.drive(policy, seeds, which)
+        return np.where(np.isfinite(found), found, self.failed_cost).mean(axis=1)
+
+    def segments(self, policy: Policy, seed: int, which: Indices) -> Array:
+        """(runs, segments) m^2, cost of each segment (sum); inf in the one where a run failed, NaN after it."""
+        return self._run(policy, seed, which, segmented=True).segments
+
+    def counts(self, schedule: Schedule, seed: int) -> dict[str, NDArray[np.int64]]:
+        """(runs,) how many steps a schedule counted of each kind, by name: "steps", "clipped", ..."""
+        return self._run(schedule, seed, np.arange(len(self))).counts
+
+    def _run(self, policy: Policy, seed: int, which: Indices, segmented: bool = False) -> Outcome:
+        batch, tuning, scheduler = self.batch, self.batch.tuning, None
+        if isinstance(policy, Schedule):
+            scheduler = policy
+        elif _is_controller(policy):
+            batch = self._batch(policy)
+            tuning, scheduler = batch.tuning, batch.scheduler
+        else:
+            tuning = policy.as_array() if isinstance(policy, Tuning) else np.asarray(policy, dtype=float)
+        found = batch.run(
+            which, np.broadcast_to(tuning, (len(which), tuning.shape[-1])).copy(),
+            np.full(len(which), seed, np.int64), os.cpu_count() or 1,
+            segment=self.segment if segmented else 0, weight=self.weight, scheduler=scheduler,
+        )  # fmt: skip
+        costs = (found.result["squared_error"] + self.weight * found.result["squared_move"]) / self.periods
+        return Outcome(np.where(found.failed, np.inf, costs), found.segments, found.counts)
+
+    def _simulated_cost(self, controller: Controller, scenario: Scenario, seed: int) -> float:
+        run = simulate(
+            self.plant, controller, scenario, profile=self.profile, seed=seed, known_as=self.known_as,
+            failure=self.failure,
+        )  # fmt: skip
+        if run.failed is not None:
+            return math.inf
+        return float((run.error**2).mean() + self.weight * (run.command_change**2).mean())
+
+
+def _is_controller(policy: Any) -> TypeGuard[Controller]:
+    return hasattr(policy, "step")
+
+
+def _compiles(controller: Controller) -> bool:
+    """Whether the kernels can run it: a compiled law, or an MPC with a solver and a scheduler of theirs."""
+    if isinstance(controller, CompiledController):
+        return True
+    scheduled = isinstance(controller, MPC) and not isinstance(controller.scheduler, Schedule | None)
+    return isinstance(controller, MPC) and controller.in_kernel and not scheduled
+
+
+def _scheduling_variables(batch: Batch) -> Array:
+    """What a scheduler looks at in every period of a batch, with an offset of zero."""
+    from adaptrack.kernels.loop import SIGNAL
+
+    rows = batch.samples[:, :, :-1]
+    seen = ("speed", "y_ref", "known_friction", "known_wind", "change", "acceleration")
+    columns = [rows[:, getattr(SIGNAL, name)] for name in seen]
+    return np.stack([*columns, np.zeros_like(columns[0])], axis=-1)
+
+
+# -- makers -----------------------------------------------------------------------------------------------------------
+def operating_point_runs(plant: Plant, mpc: MPC, points: ArrayLike, profile: str = "road", **options: Any) -> RunSet:
+    """One smooth lane change in a gust for each operating point: speed m/s, y_ref m, friction, wind m/s (n, 4).
+
+    options: of `RunSet`.
+
+    Raises
+    ------
+    InvalidInput
+        When the points are no such rows.
+    """
+    rows = np.asarray(points, dtype=np.float64) + 0.0  # no negative zeros: equal points are equal bit for bit
+    if rows.ndim != 2 or rows.shape[1] != 4 or not len(rows):
+        raise InvalidInput(f"operating points: need rows of speed, y_ref, friction, wind; got the shape {rows.shape}.")
+    runs = [load_scenario("lane-change", speed=v, amplitude=y, friction=mu, gust=w) for v, y, mu, w in rows.tolist()]
+    return RunSet(plant, mpc, runs, profile, **{"stride": 8, **options})
+
+
+def random_drive_runs(
+    plant: Plant, mpc: MPC, numbers: Iterable[int], duration: float = 60.0, profile: str = "road", *,
+    roads: Mapping[str, Any] | None = None, segment_seconds: float = 2.0, **options: Any,
+) -> RunSet:  # fmt: skip
+    """The random drives of these numbers; cost is attributed to segments, and to inputs up to one segment older.
+
+    duration: s; roads: other options of `random_drive`; options: of `RunSet`.
+    """
+    drives = [random_drive(number, duration, **(roads or {})) for number in numbers]
+    segment = round(segment_seconds / mpc.period)
+    return RunSet(plant, mpc, drives, profile, **{"segment": segment, "lead": segment, **options})
+
+
+def paper_test_runs(plant: Plant, mpc: MPC, name: str, profile: str = "road", **options: Any) -> RunSet:
+    """One of the paper's two tests.
+
+    Raises
+    ------
+    InvalidInput
+        When it is neither.
+    """
+    if name not in PUBLISHED:
+        raise InvalidInput(f"test = {name!r}: must be one of {', '.join(PUBLISHED)}.")
+    return RunSet(plant, mpc, [load_scenario(name)], profile, **options)
+
+
+def perception(name: str, plant: SingleTrack | DualTrack, profile: str = "road") -> KnownAs:
+    """How friction and wind are known, by name: exact, estimated, or one of `PERCEPTIONS`.
+
+    Raises
+    ------
+    InvalidInput
+        For another name.
+    """
+    if name == "exact":
+        return None
+    if name == "estimated":
+        return FrictionWindEstimator.of(plant, profile)
+    if name not in PERCEPTIONS:
+        raise InvalidInput(f"known_as = {name!r}: must be exact, estimated, {', '.join(PERCEPTIONS)}.")
+    return PERCEPTIONS[name]

@@ -1,0 +1,418 @@
+"""Comparisons: their statistics, reference, best constant and contenders, and the seeds that they keep apart."""
+
+from __future__ import annotations
+
+import itertools
+import json
+import math
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from adaptrack.adaptation.config import Evaluation
+from adaptrack.adaptation.method import Constants, Method
+from adaptrack.adaptation.recipes import best_constant
+from adaptrack.comparison import contenders
+from adaptrack.comparison.compare import Comparison, Role, compare, finite, optimum, per_run_best
+from adaptrack.comparison.contenders import Contender, get_contender, list_contenders, register_contender
+from adaptrack.comparison.statistics import RESAMPLES, geometric_mean
+from adaptrack.controllers import MPC, Tuning
+from adaptrack.errors import ContractError, InvalidInput, UnknownName
+from adaptrack.kernels import inference
+from adaptrack.plant import SingleTrack
+from adaptrack.profile import load_profile
+from adaptrack.runs import RunSet, failure_limits, operating_point_runs
+from adaptrack.scenario import load_scenario
+from adaptrack.scheduling import Constant, Guarded, Learned
+from adaptrack.tuning.config import list_campaigns, load_campaign
+from adaptrack.tuning.objective import Objective
+from adaptrack.tuning.pso import SearchSpace, SwarmSettings
+from adaptrack.vehicle import load_vehicle
+
+JUDGED = Evaluation()
+EVALUATION_SEEDS, CHOICE_SEEDS = JUDGED.noise_seeds, JUDGED.choice_seeds
+SEARCH_SEEDS = tuple(itertools.chain(*JUDGED.search_seeds))
+FAILED_COST = 25.0
+CAR = load_vehicle("paper")
+START = Tuning(29, 5, 1.0, 4000.0)
+HASTY = Tuning(30, 10, 1.0, 10.0)
+"""Steers on every bit of noise: fails."""
+SPACE = SearchSpace(
+    names=("Np", "Nc", "Q", "R"), low=(10.0, 1.0, 1.0, 10.0), high=(60.0, 18.0, 1.0, 1e6), whole=("Np", "Nc"),
+    decades=("R",), ordered=("Nc", "Np"), spread=2.0,
+)  # fmt: skip
+
+
+def controller(**options):
+    return MPC(CAR, START, period=load_profile("road").period, preview=True, **options)
+
+
+def run_set(n=4, duration=3.0):
+    rng = np.random.default_rng(8)
+    runs = [
+        load_scenario("lane-change", speed=v, amplitude=y, friction=mu, gust=w, duration=duration)
+        for v, y, mu, w in rng.uniform((8.0, -4.0, 0.5, -20.0), (26.0, 4.0, 1.0, 20.0), (n, 4))
+    ]
+    return RunSet(SingleTrack(CAR), controller(), runs)
+
+
+class Rated(RunSet):
+    """Runs whose cost is a function of the tuning and of the number of the run; nothing is driven."""
+
+    def __init__(self, cost, runs=6):
+        self.cost, self.runs, self.seeds = cost, runs, set()
+
+    def __len__(self):
+        return self.runs
+
+    def drive(self, policy, seeds, which=None):
+        self.seeds |= set(seeds)
+        which = np.arange(self.runs) if which is None else which
+        tuning = policy.as_array() if isinstance(policy, Tuning) else np.asarray(policy, dtype=float)
+        rows = np.broadcast_to(tuning, (len(which), 4))
+        return np.stack(
+            [np.array([self.cost(row, run) for row, run in zip(rows, which, strict=True)])] * len(seeds), axis=1
+        )
+
+
+def bowl(ratio=3.5):
+    """A cost that is lowest, 1, at Np = 35, Nc = 8 and this log10 R/Q, and the same in all runs."""
+
+    def cost(row, run):
+        away = (row[0] - 35.0) / 10.0, (row[1] - 8.0) / 5.0, math.log10(row[3] / row[2]) - ratio
+        return math.exp(sum(each**2 for each in away))
+
+    return cost
+
+
+def compared(failures=None, **regrets):
+    costs = {"optimum": np.full(len(next(iter(regrets.values()))), 0.02)}
+    costs |= {name: 0.02 * np.array(values, dtype=float) for name, values in regrets.items()}
+    failures = failures or {name: np.zeros(len(values)) for name, values in costs.items()}
+    return Comparison(costs, failures, {}, "optimum", np.zeros((len(costs["optimum"]), 1)))
+
+
+# -- the table --------------------------------------------------------------------------------------------------------
+def test_known_regrets_give_their_geometric_mean_and_percentiles():
+    reference, row = compared(nn=2.0 ** np.arange(11.0)[::-1]).rows()
+    assert [reference["contender"], row["contender"]] == ["optimum", "nn"]
+    expected = {"geomean": 5.0, "p50": 5.0, "p90": 9.0, "p99": 9.9, "worst": 10.0}
+    for name, power in expected.items():
+        assert reference[f"regret_{name}"] == 1.0
+        assert row[f"regret_{name}"] == pytest.approx(2.0**power, rel=1e-12)
+    assert row["cost_geomean"] == pytest.approx(0.02 * 2.0**5)
+    assert row["runs"] == 11
+
+
+def test_regret_is_taken_run_by_run():
+    """Not as the ratio of two means: where one is better and where the other counts."""
+    costs = {"a": np.array([1.0, 4.0]), "b": np.array([4.0, 1.0])}
+    row = Comparison(costs, {name: np.zeros(2) for name in costs}, {}, "a", np.zeros((2, 1))).rows()[1]
+    assert row["regret_geomean"] == pytest.approx(1.0)
+    assert row["regret_worst"] == pytest.approx(4.0)
+
+
+def test_the_bootstrap_interval_covers_the_true_mean_as_often_as_it_says(rng):
+    covered = 0
+    for trial in range(200):
+        row = compared(nn=np.exp(0.3 + 0.5 * rng.normal(size=60))).rows(trial)[1]
+        covered += row["regret_low"] <= math.exp(0.3) <= row["regret_high"]
+    assert 0.90 <= covered / 200 <= 0.985
+
+
+def test_the_interval_is_as_wide_as_the_standard_error_says(rng):
+    logs = 0.5 * rng.normal(size=400)
+    row = compared(nn=np.exp(logs)).rows()[1]
+    half = 1.96 * logs.std() / 20.0
+    assert math.log(row["regret_high"]) - logs.mean() == pytest.approx(half, rel=0.1)
+    assert logs.mean() - math.log(row["regret_low"]) == pytest.approx(half, rel=0.1)
+
+
+def test_the_interval_depends_on_its_seed_alone(rng):
+    regrets = rng.uniform(1.0, 3.0, 50)
+    one, again, other = (compared(nn=regrets).rows(seed)[1] for seed in (1, 1, 2))
+    assert one == again
+    assert one["regret_low"] != other["regret_low"]
+    assert one["regret_geomean"] == other["regret_geomean"]
+    assert RESAMPLES >= 1000
+
+
+def test_a_run_that_fails_with_any_of_its_seeds_is_one_failure():
+    failures = {"optimum": np.zeros(4), "nn": np.array([0.0, 0.125, 1.0, 0.0])}
+    assert [row["failures"] for row in compared(failures, nn=[1.0, 2.0, 3.0, 4.0]).rows()] == [0, 2]
+
+
+def test_the_rows_are_strict_json_with_none_for_what_is_no_number():
+    rows = finite([*compared(nn=[1.0, 2.0]).rows(), {"contender": "x", "regret_worst": math.inf, "clipped": math.nan}])
+    read = json.loads(json.dumps(rows, allow_nan=False))
+    assert read[2] == {"contender": "x", "regret_worst": None, "clipped": None}
+    assert {"contender", "regret_geomean", "regret_p90", "regret_worst", "failures"} <= set(read[1])
+
+
+# -- comparing --------------------------------------------------------------------------------------------------------
+def entered(**policies):
+    return [Contender(name, policy) for name, policy in policies.items()]
+
+
+def test_a_reference_that_is_no_contender_and_a_name_given_twice_are_refused():
+    with pytest.raises(InvalidInput, match=r"'optimum'.*a, b"):
+        compare(Rated(bowl()), entered(a=START, b=HASTY), [1], "optimum")
+    with pytest.raises(InvalidInput, match="two have the same name"):
+        compare(Rated(bowl()), [Contender("a", START), Contender("a", HASTY)], [1], "a")
+
+
+def test_costs_and_failures_of_a_comparison_are_those_of_the_runs():
+    rated = Rated(lambda row, run: math.inf if run < 2 and row[0] > 29 else row[0] * (1.0 + run))
+    made = compare(rated, entered(a=START, b=HASTY), [5, 6], "a")
+    np.testing.assert_allclose(made.costs["a"], 29.0 * (1.0 + np.arange(6)))
+    np.testing.assert_allclose(made.costs["b"], [FAILED_COST, FAILED_COST, *(30.0 * (1.0 + np.arange(2, 6)))])
+    assert made.failures["b"].tolist() == [1.0, 1.0, 0.0, 0.0, 0.0, 0.0]
+    assert made.regret("a").tolist() == [1.0] * 6
+    assert rated.seeds == {5, 6}
+    assert made.counts == {}
+
+
+@pytest.mark.compiled
+def test_a_comparison_over_real_runs_counts_what_fails_and_what_the_schedules_did():
+    runs = run_set()
+    narrow = Learned({"Np": 29.0, "Nc": 5.0, "Q": 1.0, "R": 4000.0}, ("speed",), [[10.0, 18.0]])
+    field = {
+        "constant": START,
+        "hasty": HASTY,
+        "schedule": Constant(START),
+        "narrow": narrow,
+        "guarded": Guarded(narrow, START),
+    }
+    heard = []
+    made = compare(runs, entered(**field), [3, 4], "constant", progress=lambda *at: heard.append(at))
+    np.testing.assert_array_equal(made.costs["constant"], runs.costs(START, [3, 4]))
+    for name in ("schedule", "narrow", "guarded"):
+        np.testing.assert_array_equal(made.costs[name], made.costs["constant"])
+    rows = {row["contender"]: row for row in made.rows()}
+    failed = np.isinf(runs.drive(HASTY, [3, 4]))
+    assert 0 < failed.any(axis=1).sum() == rows["hasty"]["failures"]
+    np.testing.assert_array_equal(made.failures["hasty"], failed.mean(axis=1))
+    assert rows["constant"]["regret_low"] == rows["constant"]["regret_high"] == 1.0
+    outside = ((runs.variables[..., 0] < 10.0) | (runs.variables[..., 0] > 18.0)).mean()
+    assert 0.2 < outside < 0.9
+    assert rows["narrow"]["clipped"] == rows["guarded"]["clipped"] == pytest.approx(outside)
+    assert rows["schedule"]["clipped"] == 0.0
+    assert rows["guarded"]["fallback"] > 0.0
+    assert set(made.counts["guarded"]) == set(inference.COUNTS) - {"steps"}
+    assert heard == [(name, k, 5) for k, name in enumerate(field)]
+
+
+# -- the optimum ------------------------------------------------------------------------------------------------------
+class Recorded:
+    """An objective that writes down what it was asked; the cost is |log R - the first entry of the point|."""
+
+    def __init__(self, seeds, book):
+        self.seeds, self.book = tuple(seeds), book
+
+    def tune(self, point, swarm, seed, stream, space):
+        self.book.append(("tune", self.seeds, float(point[0]), seed, stream, swarm, space))
+        return SimpleNamespace(tuning=np.array([30.0, 5.0, 1.0, 10.0 ** (point[0] + 0.1 * (1 + seed % 3))]))
+
+    def costs(self, point, tunings):
+        self.book.append(("costs", self.seeds, float(point[0]), len(tunings)))
+        return np.abs(np.log10(tunings[:, 3]) - point[0])
+
+
+def test_the_optimum_takes_three_swarms_on_seeds_of_their_own_and_chooses_on_further_ones():
+    book, points, swarm = [], np.array([[2.0], [3.0]]), SwarmSettings(generations=2)
+    found = optimum(lambda seeds: Recorded(seeds, book), points, SPACE, swarm=swarm, seed=30, threads=1)
+    np.testing.assert_allclose(np.log10(found[:, 3]), [2.1, 3.1])
+    for i, point in enumerate((2.0, 3.0)):
+        asked = [entry for entry in book if entry[2] == point]
+        searches, (choice,) = asked[:3], asked[3:]
+        assert [entry[1] for entry in searches] == [SEARCH_SEEDS[k : k + 3] for k in (0, 3, 6)]
+        assert len({entry[3] for entry in searches}) == 3, "three different swarms"
+        assert all(entry[4:] == (i, swarm, SPACE) for entry in searches)
+        assert choice == ("costs", CHOICE_SEEDS, point, 3)
+
+
+def test_a_known_tuning_that_is_better_than_what_the_swarms_found_is_taken():
+    points = np.array([[2.0], [3.0], [4.0]])
+    known = np.array([[40.0, 9.0, 1.0, 1e3], [40.0, 9.0, 1.0, 10.0**4.05]])
+    found = optimum(lambda seeds: Recorded(seeds, []), points, SPACE, known=known)
+    np.testing.assert_allclose(np.log10(found[:, 3]), [2.1, 3.0, 4.05])
+
+
+@pytest.mark.compiled
+def test_the_search_for_the_optimum_and_the_comparison_mean_the_same_cost(rng):
+    points = rng.uniform((8.0, -4.0, 0.5, -20.0), (26.0, 4.0, 1.0, 20.0), (3, 4))
+    searched = Objective(
+        SingleTrack(CAR), controller(), "lane-change", "road", (3, 4), **failure_limits(RunSet.failure)
+    )
+    driven = operating_point_runs(SingleTrack(CAR), controller(), points)
+    for tuning in (START.as_array(), np.array([40.0, 9.0, 1.0, 2e4])):
+        costs = [searched.costs(point, tuning)[0] for point in points]
+        np.testing.assert_allclose(driven.costs(tuning, [3, 4]), costs, rtol=1e-12)
+
+
+@pytest.mark.compiled
+def test_on_its_choice_seeds_the_optimum_is_never_worse_than_any_known_tuning(rng):
+    points = rng.uniform((8.0, -4.0, 0.4, -20.0), (26.0, 4.0, 1.0, 20.0), (3, 4))
+    known = np.column_stack(
+        [rng.integers(20, 50, 6), rng.integers(2, 12, 6), np.ones(6), 10.0 ** rng.uniform(2.5, 5, 6)]
+    )
+
+    def short(seeds):
+        return Objective(SingleTrack(CAR), controller(), "lane-change", "road", tuple(seeds), duration=2.5)
+
+    heard = []
+    options = {"swarm": SwarmSettings(particles=6, generations=2), "known": known, "seed": 4}
+    found = optimum(short, points, SPACE, **options, threads=2, progress=lambda *at: heard.append(at))
+    judge = short(CHOICE_SEEDS)
+    better = 0
+    for point, tuning in zip(points, found, strict=True):
+        assert SPACE.contains(tuning)
+        cost = judge.costs(point, tuning)[0]
+        assert cost <= judge.costs(point, known).min()
+        better += cost < judge.costs(point, known).min()
+    assert better > 0, "the swarms found something"
+    np.testing.assert_array_equal(found, optimum(short, points, SPACE, **options, threads=1))
+    assert heard == [("optimum", 0, 3)]
+
+
+# -- constants --------------------------------------------------------------------------------------------------------
+def searching(evaluations):
+    return Method(constants=Constants(evaluations=evaluations))
+
+
+def test_the_best_constant_is_found():
+    tuning = best_constant([(Rated(bowl()), 6)], method=searching(1000))
+    assert tuning[2] == 1.0
+    assert bowl()(tuning, 0) < 1.05
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_the_best_constant_is_never_worse_than_its_start(seed):
+    best, far = [35.0, 8.0, 1.0, 10.0**3.5], [59.0, 17.0, 1.0, 11.0]
+    found = [best_constant([(Rated(bowl()), 6)], start, method=searching(20), seed=seed) for start in (best, far)]
+    np.testing.assert_array_equal(found[0], best)
+    assert bowl()(found[1], 0) < bowl()(far, 0)
+
+
+def test_each_run_set_counts_alike_however_many_runs_and_whatever_they_cost():
+    """So the best constant lies half way between two run sets that disagree."""
+    few = Rated(bowl(ratio=3.0), runs=2)
+    many = Rated(lambda row, run: 1e4 * bowl(ratio=4.0)(row, run), runs=40)
+    tuning = best_constant([(few, 2), (many, 40)], method=searching(1000))
+    assert math.log10(tuning[3]) == pytest.approx(3.5, abs=0.1)
+
+
+@pytest.mark.compiled
+def test_on_real_runs_too_the_best_constant_is_never_worse_than_its_start():
+    runs = run_set(3, 2.0)
+    start = [45.0, 3.0, 1.0, 4e4]
+    tuning = best_constant([(runs, 3)], start, method=searching(20), seed=1)
+    assert np.log(runs.costs(tuning, [700_001])).mean() <= np.log(runs.costs(start, [700_001])).mean()
+    np.testing.assert_array_equal(tuning, best_constant([(runs, 3)], start, method=searching(20), seed=1))
+
+
+def test_the_constant_of_hindsight_is_the_best_candidate_of_each_run():
+    rated = Rated(lambda row, run: abs(row[0] - (20.0, 30.0, 40.0)[run]), runs=3)
+    candidates = np.array([[Np, 5.0, 1.0, 1e3] for Np in (39.0, 22.0, 31.0)])
+    np.testing.assert_array_equal(per_run_best(rated, candidates, [1]), candidates[[1, 2, 0]])
+
+
+# -- seeds ------------------------------------------------------------------------------------------------------------
+def test_evaluation_search_and_choice_have_noise_seeds_of_their_own():
+    every = [*EVALUATION_SEEDS, *SEARCH_SEEDS, *CHOICE_SEEDS]
+    assert len(set(every)) == len(every)
+    assert len(EVALUATION_SEEDS) >= 8
+    assert len(CHOICE_SEEDS) >= 8
+    assert len(SEARCH_SEEDS) == 9
+    assert min(EVALUATION_SEEDS) >= 900_000 > max(*SEARCH_SEEDS, *CHOICE_SEEDS)
+
+
+@pytest.mark.parametrize("name", sorted(list_campaigns()))
+def test_no_campaign_tunes_on_a_seed_of_the_evaluation(name):
+    seeds = load_campaign(name).settled().noise_seeds
+    assert not set(seeds) & {*EVALUATION_SEEDS, *SEARCH_SEEDS, *CHOICE_SEEDS}
+
+
+@pytest.mark.parametrize("seed", [0, 1, 7, 1000])
+def test_the_best_constant_is_chosen_on_a_seed_of_its_own(seed):
+    rated = Rated(bowl())
+    best_constant([(rated, 2)], method=searching(20), seed=seed)
+    assert len(rated.seeds) == 1
+    assert not rated.seeds & {*EVALUATION_SEEDS, *SEARCH_SEEDS, *CHOICE_SEEDS}
+
+
+# -- one interval for tables and sentences ----------------------------------------------------------------------------
+def test_the_interval_of_a_ratio_to_the_reference_is_that_of_the_row(rng):
+    made = compared(nn=rng.uniform(1.0, 3.0, 50), anfis=rng.uniform(1.0, 3.0, 50))
+    for row in made.rows():
+        over = made.ratio(row["contender"], "optimum")
+        assert (over.mean, over.low, over.high) == tuple(row[f"regret_{key}"] for key in ("geomean", "low", "high"))
+    assert made.ratio("nn", "anfis").mean == pytest.approx(made.mean_ratio("nn", "anfis"))
+    assert made.ratio("nn", "nn") == (1.0, 1.0, 1.0)
+
+
+def test_a_verdict_is_level_while_the_interval_holds_one(rng):
+    made = compared(nn=np.exp(0.5 * rng.normal(size=200)), cheap=np.full(200, 0.9), dear=np.full(200, 1.1))
+    assert [made.ratio(name, "optimum").verdict for name in ("nn", "cheap", "dear")] == ["level", "cheaper", "dearer"]
+
+
+def test_the_geometric_mean_is_that_of_logarithms():
+    assert geometric_mean([1.0, 10.0, 100.0]) == pytest.approx(10.0)
+
+
+def test_a_comparison_comes_back_from_json_to_the_bit(rng):
+    made = compare(Rated(bowl()), entered(a=START, b=HASTY), [5], "a", np.arange(6.0)[:, None])
+    again = Comparison.from_json(json.loads(json.dumps(made.as_json(), allow_nan=False)))
+    assert again.rows() == made.rows()
+    assert (again.reference, again.roles, again.failure) == (made.reference, made.roles, made.failure)
+    np.testing.assert_array_equal(again.where, made.where)
+
+
+# -- contenders -------------------------------------------------------------------------------------------------------
+@pytest.fixture
+def registry(monkeypatch):
+    monkeypatch.setattr(contenders, "_MAKERS", dict(contenders._MAKERS))
+
+
+def test_a_contender_of_ones_own_is_driven_by_name(registry):
+    register_contender("cautious", lambda runs: Tuning(40, 4, 1.0, 1e5))
+    runs = Rated(bowl())
+    runs.mpc = controller()
+    found = get_contender("cautious", runs)
+    made = compare(runs, [found, get_contender("standard", runs)], [1], "standard")
+    assert [(row["contender"], row["controller"]) for row in made.rows()] == [("cautious", "mpc"), ("standard", "mpc")]
+    assert {"cautious", "standard", "road-nn"} <= set(list_contenders())
+
+
+def test_shipped_schedulers_are_contenders_by_name():
+    assert get_contender("road-nn", Rated(bowl())).name == "nn"
+
+
+@pytest.mark.parametrize(("name", "make"), [("standard", START), ("", lambda runs: START), ("mine", START), (3, None)])
+def test_a_name_that_is_taken_and_a_maker_that_cannot_be_called_are_refused(registry, name, make):
+    with pytest.raises(ContractError, match="register_contender"):
+        register_contender(name, make)
+
+
+def test_an_unknown_contender_is_told_with_the_nearest_name():
+    with pytest.raises(UnknownName, match=r"'standrd'.*'standard'"):
+        get_contender("standrd", Rated(bowl()))
+
+
+@pytest.mark.parametrize("policy", ["nn", [1.0, 2.0], [[1.0, 2.0, 3.0, math.nan]], None], ids=str)
+def test_what_cannot_drive_is_no_contender(policy):
+    with pytest.raises(InvalidInput, match="'mine'"):
+        Contender("mine", policy)
+
+
+def test_who_adapts_is_told_from_the_policy():
+    speed = Learned({"Np": 29.0, "Nc": 5.0, "Q": 1.0, "R": 4000.0}, ("speed",), [[10.0, 18.0]])
+    assert not Contender("a", START).adapts
+    assert not Contender("a", speed).adapts, "the same numbers everywhere"
+    assert not Contender("a", controller()).adapts
+    assert Contender("a", controller(scheduler=lambda variables: START)).adapts
+    assert Contender("a", [[29, 5, 1, 4e3], [30, 5, 1, 4e3]]).adapts
+    assert not Contender("a", [[29, 5, 1, 4e3], [30, 5, 1, 4e3]], hindsight=True).adapts
+    assert not Contender("a", [29, 5, 1, 4e3]).adapts
+    assert Role().adapts

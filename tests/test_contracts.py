@@ -1,0 +1,217 @@
+"""It grows: a model of another size, a controller, an estimator and plants of one's own drive without a line in src."""
+
+import math
+
+import numpy as np
+import pytest
+
+from adaptrack.controllers import LQR, MPC, PurePursuit, Stanley, Tuning, UserController, check_controller
+from adaptrack.errors import ContractError, InvalidInput
+from adaptrack.estimation import Deadbeat, UserEstimator, check_estimator
+from adaptrack.models import SingleTrackModel, UserModel, check_model
+from adaptrack.plant import DualTrack, SingleTrack, SteppedPlant, UserPlant, check_plant
+from adaptrack.scenario import load_scenario
+from adaptrack.simulate import rollout, rollout_batch, simulate
+from adaptrack.vehicle import load_vehicle
+
+CAR = load_vehicle("paper")
+PLANT = SingleTrack(CAR)
+LANE_CHANGE = load_scenario("lane-change", amplitude=2.0, speed=10.0, friction=0.9, duration=4.0)
+
+
+def kinematic(speed, period, p, a, b, e):
+    """Two states, yaw and y, of a bicycle without slip: yaw' = v u/L, y' = v yaw."""
+    rate = speed / p[0]
+    a[0, 0], a[0, 1], a[1, 0], a[1, 1] = 1.0, 0.0, speed * period, 1.0
+    b[0], b[1] = rate * period, 0.5 * speed * rate * period**2
+    e[0], e[1] = 0.0, 0.0
+
+
+def deadbeat(measured, command, a, b, parameters, memory, x, d):
+    """The paper's estimator written out: d = x - A x_before - B u, with the last good measurement for a missing one."""
+    n = x.size
+    places = (0, 1, 2, 3) if n == 4 else (1, 3, 0, 0)
+    for i in range(n):
+        value = measured[places[i]]
+        x[i] = value if math.isfinite(value) else memory[i]
+    for i in range(n):
+        expected = b[i] * command
+        for j in range(n):
+            expected += a[i, j] * memory[j]
+        d[i] = x[i] - expected if memory[n] > 0.5 else x[i] - b[i] * command
+        if memory[n] < 0.5:
+            for j in range(n):
+                d[i] -= a[i, j] * x[j]
+    for i in range(n):
+        memory[i] = x[i]
+    memory[n] = 1.0
+
+
+def proportional(situation, reference, tuning, parameters, memory, answer):
+    """Steer by the offset and the yaw angle; count the steps in the memory."""
+    wanted = tuning[0] * (reference[0] - situation[3]) - tuning[1] * situation[1]
+    memory[0] += 1.0
+    answer[0] = min(max(wanted, parameters[3]), parameters[4])
+    answer[1] = memory[0]
+
+
+def same(one, other):
+    """Whether two trajectories hold the same numbers."""
+    columns = one.columns()
+    return all(
+        np.array_equal(columns[name], values, equal_nan=True)
+        for name, values in other.columns().items()
+        if name != "step_time"
+    )
+
+
+# -- a prediction model of another size -------------------------------------------------------------------------------
+MODEL = UserModel(kinematic, ("yaw", "y"), parameters={"wheelbase": CAR.wheelbase}, period=0.05, label="kinematic")
+
+
+def test_a_model_of_two_states_is_admitted_and_drives_alike_from_python_and_compiled():
+    check_model(MODEL)
+    mpc = MPC(CAR, Tuning(30, 4, 1.0, 10.0), period=0.05, model=MODEL, preview=True)
+    run = simulate(PLANT, mpc, LANE_CHANGE)
+    assert same(run, rollout(PLANT, mpc, LANE_CHANGE))
+    assert run.failed is None
+    assert np.abs(run.error).max() < 0.5
+    batch = rollout_batch(PLANT, mpc, LANE_CHANGE, [[30, 4, 1.0, 10.0], [20, 3, 1.0, 50.0]])
+    assert batch.mse[0] == pytest.approx(np.mean(run.error**2), rel=1e-12)
+
+
+def test_the_qp_of_a_model_of_two_states_is_that_of_its_readable_form():
+    mpc = MPC(CAR, Tuning(12, 3, 2.0, 0.5), period=0.05, model=MODEL)
+    mpc.step([0.0, 0.01, 0.0, 0.2], 12.0, [1.0])
+    qp = mpc.problem([0.0, 0.02, 0.0, 0.25], 12.0, [1.0])
+    x = np.array([0.02 - 0.01, 0.25 - 0.2, 0.25])
+    E, K = MODEL.quadratic(12.0, x, np.full(12, 1.0), 12, 3, 2.0, 0.5)
+    assert np.allclose(qp.E, E, rtol=1e-12)
+    assert np.allclose(qp.K, K, rtol=1e-10)
+
+
+def test_a_model_that_leaves_an_entry_unwritten_is_refused():
+    def lazy(speed, period, p, a, b, e):
+        a[0, 0] = 1.0
+
+    with pytest.raises(ContractError, match="must be written"):
+        check_model(UserModel(lazy, ("yaw", "y")))
+    with pytest.raises(InvalidInput, match="with y as the last"):
+        UserModel(lazy, ("y", "yaw"))
+
+
+# -- an estimator of one's own ----------------------------------------------------------------------------------------
+def test_increments_of_the_measured_state_are_the_deadbeat_estimator():
+    model = SingleTrackModel(CAR, 0.05)
+    own = UserEstimator(deadbeat, memory_size=lambda n: n + 1, label="written out")
+    check_estimator(own, model)
+    check_estimator(Deadbeat(), model)
+    tuning = Tuning(25, 5, 1.0, 2.0)
+    theirs = simulate(PLANT, MPC(CAR, tuning, period=0.05), LANE_CHANGE)
+    ours = simulate(PLANT, MPC(CAR, tuning, period=0.05, estimator=own), LANE_CHANGE)
+    assert np.abs(ours.command - theirs.command).max() < 1e-9
+    assert same(ours, rollout(PLANT, MPC(CAR, tuning, period=0.05, estimator=own), LANE_CHANGE))
+
+
+def test_the_deadbeat_estimator_refuses_a_model_with_a_state_that_is_not_measured():
+    def with_wheels(speed, period, p, a, b, e):
+        a[:], b[:], e[:] = 0.0, 0.0, 0.0
+
+    with pytest.raises(InvalidInput, match="whole state"):
+        MPC(CAR, model=UserModel(with_wheels, ("wheel_angle", "yaw", "y")))
+
+
+# -- a compiled controller of one's own -------------------------------------------------------------------------------
+def test_a_compiled_controller_drives_alike_from_python_and_compiled_with_named_diagnostics():
+    own = UserController(
+        proportional, tuning={"offset_gain": 0.05, "yaw_gain": 1.0}, memory_size=1, diagnostics=("steps",),
+        period=0.05, label="proportional",
+    )  # fmt: skip
+    check_controller(own)
+    run = simulate(PLANT, own, LANE_CHANGE)
+    assert same(run, rollout(PLANT, own, LANE_CHANGE))
+    assert run.diagnostics["steps"].tolist() == list(range(1, len(run) + 1))
+    assert set(run.tuning) == {"offset_gain", "yaw_gain"}
+    batch = rollout_batch(PLANT, own, LANE_CHANGE, [[0.05, 1.0], [0.02, 0.5]])
+    assert batch.mse[0] == pytest.approx(np.mean(run.error**2), rel=1e-12)
+    assert batch.mse[1] != batch.mse[0]
+
+
+@pytest.mark.parametrize("law", [LQR, PurePursuit, Stanley])
+def test_our_laws_drive_alike_from_python_and_compiled(law):
+    controller = law(CAR, period=0.05, preview=True)
+    run = simulate(DualTrack(CAR), controller, LANE_CHANGE, profile="road", seed=3)
+    assert same(run, rollout(DualTrack(CAR), controller, LANE_CHANGE, profile="road", seed=3))
+    assert run.failed is None
+
+
+# -- plants of one's own ----------------------------------------------------------------------------------------------
+class Bicycle(SteppedPlant):
+    """A kinematic bicycle in plain Python, as an outside simulator would be."""
+
+    def reset(self, motion):
+        self.motion = np.array(motion)
+
+    def step(self, dt, steering, acceleration, environment):
+        x, y, yaw, v, _, _ = self.motion
+        rate = v * math.tan(steering) / 2.8
+        middle = yaw + 0.5 * dt * rate
+        self.motion = np.array(
+            [x + dt * v * math.cos(middle), y + dt * v * math.sin(middle), yaw + dt * rate, v + dt * acceleration, 0, rate]
+        )
+        return self.motion
+
+
+def test_a_stepped_plant_is_admitted_and_driven():
+    plant = Bicycle()
+    check_plant(plant)
+    run = simulate(plant, MPC(CAR, Tuning(30, 5, 1.0, 5.0), period=0.05, preview=True), LANE_CHANGE, profile="road")
+    assert run.failed is None
+    assert np.abs(run.error).max() < 1.0
+    assert np.allclose(run.vx, 10.0)
+    with pytest.raises(InvalidInput, match="compiled plant"):
+        rollout(plant, MPC(CAR, period=0.05), LANE_CHANGE)
+
+
+def test_a_stepped_plant_steers_behind_the_profiles_actuator():
+    plant = Bicycle()
+    run = simulate(plant, MPC(CAR, Tuning(30, 5, 1.0, 5.0), period=0.05), LANE_CHANGE, profile="road")
+    late = run.command[:-2] - run.steering[1:-1]
+    assert np.abs(late).max() > 1e-4  # lag and delay
+    assert np.abs(np.diff(run.steering)).max() <= 0.5 * 0.05 + 1e-9  # rad/s
+
+
+def rolling(x, u, environment, p, dx):
+    """A bicycle with the speeds of two wheels, which follow the vehicle's with a lag."""
+    slip_f = u[0] - math.atan2(x[4] + 1.2 * x[5], max(x[3], 1.0))
+    slip_r = -math.atan2(x[4] - 1.6 * x[5], max(x[3], 1.0))
+    front, rear = 60e3 * slip_f, 80e3 * slip_r
+    dx[0] = x[3] * math.cos(x[2]) - x[4] * math.sin(x[2])
+    dx[1] = x[3] * math.sin(x[2]) + x[4] * math.cos(x[2])
+    dx[2] = x[5]
+    brake = 1000.0 * ((x[3] - p[0] * x[6]) + (x[3] - p[0] * x[7]))  # N, what slipping wheels take
+    dx[3] = (u[1] - brake) / 1500.0 + x[4] * x[5]
+    dx[4] = (front + rear) / 1500.0 - x[3] * x[5]
+    dx[5] = (1.2 * front - 1.6 * rear) / 2500.0
+    dx[6] = (x[3] / p[0] - x[6]) / 0.05
+    dx[7] = (x[3] / p[0] - x[7]) / 0.05
+
+
+def wheeled(start):
+    return UserPlant(rolling, {"radius": 0.3}, 1500.0, own_states=("front_wheel", "rear_wheel"), start=start)
+
+
+def test_a_compiled_plant_starts_at_its_rolling_equilibrium():
+    plant = wheeled(lambda motion: [motion[3] / 0.3, motion[3] / 0.3])
+    check_plant(plant)
+    assert plant.initial_state([0, 0, 0, 12.0, 0, 0])[6:].tolist() == pytest.approx([40.0, 40.0])
+    mpc = MPC(CAR, Tuning(30, 5, 1.0, 5.0), period=0.05)
+    still = load_scenario("step", amplitude=0.0, speed=12.0, duration=1.0)
+    slope = plant.derivative(plant.initial_state([0, 0, 0, 12.0, 0, 0]), [0.0, 0.0], [0.9, 0.9, 0.9, 0.9, 0.0, 0.0])
+    assert np.allclose(slope[3:], 0.0, atol=1e-12)  # nothing changes: it rolls
+    assert not np.allclose(wheeled(None).derivative(wheeled(None).initial_state([0, 0, 0, 12.0, 0, 0]), [0.0, 0.0],
+                                                    [0.9, 0.9, 0.9, 0.9, 0.0, 0.0])[3:], 0.0)  # fmt: skip
+    assert same(simulate(plant, mpc, still), rollout(plant, mpc, still))
+    run = simulate(plant, mpc, LANE_CHANGE)
+    assert same(run, rollout(plant, mpc, LANE_CHANGE))
+    assert run.failed is None
