@@ -156,6 +156,7 @@ _PUBLIC = {
 """Module -> the names that the package exposes from it; the imports below repeat it for type checkers."""
 
 if TYPE_CHECKING:
+    from adaptrack.adaptation.config import load_adaptation
     from adaptrack.comparison.contenders import Contender, get_contender, list_contenders, register_contender
     from adaptrack.controllers import (
         LQR,
@@ -232,7 +233,6 @@ if TYPE_CHECKING:
         save_scheduler,
     )
     from adaptrack.simulate import Driver, rollout, rollout_batch, simulate
-    from adaptrack.adaptation.config import load_adaptation
     from adaptrack.studies.adapt import adapt
     from adaptrack.trajectory import Trajectory
     from adaptrack.tuning.campaign import run_campaign

@@ -123,7 +123,7 @@ class World:
             steering_limit=steering.limit,
             driver_preview=driver.preview if driver else 1.0,
             driver_integral=driver.integral if driver else 0.0,
-            **self.plant.powertrain,
+            **self.plant.powertrain,  # type: ignore[arg-type]
             failure_distance=self.failure.distance,
             failure_sideslip=self.failure.sideslip,
         )
