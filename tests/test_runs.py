@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from adaptrack.kernels.dynamics import STATES
 
+from adaptrack.batch import Batch
 from adaptrack.controllers import MPC, Tuning
 from adaptrack.errors import InvalidInput
 from adaptrack.estimation import Estimating, FrictionWindEstimator, Perception
@@ -27,7 +28,7 @@ from adaptrack.runs import (
 )
 from adaptrack.scenario import load_scenario, random_drive
 from adaptrack.scheduling import Constant, Guarded, Learned, SchedulingVariables, Table
-from adaptrack.simulate import Batch, rollout, simulate
+from adaptrack.simulate import rollout, simulate
 from adaptrack.vehicle import load_vehicle
 
 DISTANCE = Failure().distance
@@ -117,7 +118,9 @@ def test_a_run_that_spins_has_failed_though_it_stays_on_the_road():
         spun = (sideways[:, : periods + 1] > math.tan(Failure().sideslip)).any(axis=1)
         left = (away[:, : periods + 1] > DISTANCE).any(axis=1)
         assert (spun & ~left).any() == spinning
-        failed = np.isinf(run_set([swerve.with_duration(periods * load_profile("road").period)]).drive(nervous, range(16))[0])
+        failed = np.isinf(
+            run_set([swerve.with_duration(periods * load_profile("road").period)]).drive(nervous, range(16))[0]
+        )
         np.testing.assert_array_equal(failed, spun | left)
 
 

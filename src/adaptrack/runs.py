@@ -18,6 +18,7 @@ from typing import Any, NamedTuple, TypeGuard
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from adaptrack.batch import Batch
 from adaptrack.controllers import MPC, CompiledController, Controller, Tuning
 from adaptrack.errors import InvalidInput
 from adaptrack.estimation import FrictionWindEstimator, Perception
@@ -27,7 +28,8 @@ from adaptrack.plant import DualTrack, Plant, SingleTrack
 from adaptrack.profile import load_profile
 from adaptrack.scenario import Scenario, load_scenario, random_drive
 from adaptrack.scheduling import Schedule
-from adaptrack.simulate import Batch, KnownAs, simulate
+from adaptrack.simulate import simulate
+from adaptrack.world import KnownAs
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -82,9 +84,7 @@ class RunSet:
         """(runs, periods, SchedulingVariables) what a scheduler looks at; the offset, unknown before driving, is zero"""
 
     def _batch(self, controller: Controller) -> Batch:
-        return Batch(
-            self.plant, controller, self.scenarios, self.profile, failure=self.failure, known_as=self.known_as
-        )
+        return Batch(self.plant, controller, self.scenarios, self.profile, failure=self.failure, known_as=self.known_as)
 
     def __len__(self) -> int:
         return len(self.batch.signals)

@@ -54,7 +54,9 @@ def describe(dataset: DataSet, r2: Mapping[str, float] | None = None) -> dict[st
         "operating_points": len(dataset),
         "computed": len(rows),
         "library": len(dataset.library),
-        **{key: settings.get(key) for key in ("profile", "scenario", "duration", "plant", "move_weight", "noise_seeds")},
+        **{
+            key: settings.get(key) for key in ("profile", "scenario", "duration", "plant", "move_weight", "noise_seeds")
+        },
         "vehicle": _name(settings.get("vehicle")),
         "tyre": _name(settings.get("tyre")),
         "evaluations": int(rows.evaluations.sum()),
