@@ -113,12 +113,9 @@ _PUBLIC = {
         "Failure",
         "find_failure",
     ),
-    "simulate": (
-        "Driver",
-        "rollout",
-        "rollout_batch",
-        "simulate",
-    ),
+    "world": ("Driver",),
+    "batch": ("rollout_batch",),
+    "simulate": ("rollout", "simulate"),
     "metrics": (
         "Metrics",
         "compute_metrics",
