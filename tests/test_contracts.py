@@ -137,6 +137,19 @@ def test_a_compiled_controller_drives_alike_from_python_and_compiled_with_named_
     assert batch.mse[1] != batch.mse[0]
 
 
+def test_a_law_that_answers_no_number_holds_the_last_command_alike_from_python_and_compiled():
+    def fails_at_times(situation, reference, tuning, parameters, memory, answer):
+        memory[0] += 1.0
+        answer[0] = math.nan if memory[0] % 3.0 == 0.0 else 0.001 * memory[0]
+
+    own = UserController(fails_at_times, memory_size=1, period=0.05, label="moody")
+    run = simulate(PLANT, own, LANE_CHANGE)
+    assert same(run, rollout(PLANT, own, LANE_CHANGE))
+    assert run.held.tolist() == [(k + 1) % 3 == 0 for k in range(len(run))]
+    assert (np.diff(run.command)[1::3] == 0.0).all()
+    assert run.failed is None
+
+
 @pytest.mark.parametrize("law", [LQR, PurePursuit, Stanley])
 def test_our_laws_drive_alike_from_python_and_compiled(law):
     controller = law(CAR, period=0.05, preview=True)
