@@ -50,8 +50,10 @@ def deadbeat(measured, command, a, b, parameters, memory, x, d):
 def proportional(situation, reference, tuning, parameters, memory, answer):
     """Steer by the offset and the yaw angle; count the steps in the memory."""
     wanted = tuning[0] * (reference[0] - situation[3]) - tuning[1] * situation[1]
+    last = situation[5]
     memory[0] += 1.0
-    answer[0] = min(max(wanted, parameters[3]), parameters[4])
+    least, most = max(parameters[3], last + parameters[1]), min(parameters[4], last + parameters[2])
+    answer[0] = min(max(wanted, least), most) if math.isfinite(wanted) else last
     answer[1] = memory[0]
 
 

@@ -139,6 +139,7 @@ def test_a_hole_in_any_entry_holds_the_angle_for_one_step(moves, hole, solver):
         assert mpc.step(STATE, 15.0, ahead)[:3] == (before, 0.0, True)
     assert mpc.step(STATE, math.nan, AHEAD)[:3] == (before, 0.0, True)
     assert mpc.step(STATE, math.inf, AHEAD)[:3] == (before, 0.0, True)
+    assert mpc.step(STATE, -math.inf, AHEAD)[:3] == (before, 0.0, True)
     again = mpc.step(STATE, 15.0, AHEAD)
     assert (again.status, again.held) == (QPStatus.SOLVED, False)
 
@@ -199,9 +200,9 @@ VALUES = (0.0, 1.0, -3.0, math.nan, math.inf, -math.inf, 1e-308, 1e300, -1e300, 
 )
 def test_whatever_numbers_come_the_command_keeps_its_limits_and_solved_means_solved(options, rng):
     mpc = MPC(CAR, Tuning(12, 2, 1.0, 0.1), **options)
-    before = 0.0
+    before, calm = 0.0, True
     for _ in range(60):
-        good = rng.random() < 0.4
+        good = rng.random() < 0.6
         state = list(rng.normal(size=4) * [0.5, 0.05, 0.1, 1.0])
         speed, ahead, look = float(rng.uniform(-2.0, 40.0)), list(rng.normal(size=14)), list(HERE)
         if not good:
@@ -217,8 +218,9 @@ def test_whatever_numbers_come_the_command_keeps_its_limits_and_solved_means_sol
         if command.status is QPStatus.SOLVED:
             assert not command.held
             assert command.residual < 1e-6
-        assert not good or not command.held or command.status is QPStatus.CAPPED
-        before = command.angle
+        if good and calm:  # after an absurd sample the increments are absurd, too
+            assert not command.held or command.status is QPStatus.CAPPED
+        before, calm = command.angle, good
 
 
 # -- the problem ------------------------------------------------------------------------------------------------------
@@ -259,13 +261,14 @@ def copied(how):
     [
         {},
         {"moves": MOVES["laguerre"], "limits": Limits(output=(-0.5, 0.5))},
-        {"solver": "hildreth"},
-        {"solver": "daqp"},
         {"scheduler": Constant(CALM)},
+        *({"solver": name} for name in ("hildreth", "daqp", "osqp", "piqp", "clarabel")),
     ],
-    ids=["pulse", "soft laguerre", "hildreth", "daqp", "scheduled"],
+    ids=["pulse", "soft laguerre", "scheduled", "hildreth", "daqp", "osqp", "piqp", "clarabel"],
 )
 def test_a_copy_made_in_mid_run_goes_on_alike_and_apart(how, options, rng):
+    if isinstance(options.get("solver"), str):
+        pytest.importorskip(options["solver"]) if options["solver"] != "hildreth" else None
     drive = [(rng.normal(size=4) * [0.5, 0.05, 0.1, 1.0], rng.uniform(3, 25), rng.normal(size=20)) for _ in range(9)]
     mpc, undisturbed = (MPC(CAR, CALM, preview=True, **options) for _ in range(2))
     expected = [undisturbed.step(*given, HERE) for given in drive]
@@ -324,6 +327,17 @@ def test_where_nothing_solves_the_last_plan_is_followed_to_its_end(moves, output
     assert {command.status for command in followed} == {QPStatus.CAPPED}
     assert all(command.held for command in followed)
     assert [first.move, *(command.move for command in followed)] == pytest.approx(plan, abs=1e-6)
+
+
+def test_the_slack_of_an_output_limit_is_no_move_of_the_plan():
+    limits = Limits(output=(-0.03, 0.03), output_weight=1.0)
+    mpc = MPC(CAR, CALM, limits=limits, solver=get_qp_solver("hildreth", on_uncertified="hold"))
+    near = [0.0, 0.0, 0.0, 0.05]
+    plan = get_qp_solver("active-set").solve(mpc.problem(near, 15.0, [0.0])).x
+    assert plan[CALM.Nc] > 1e-3  # m, how far the limit is violated
+    assert mpc.step(near, 15.0, [0.0]).status is QPStatus.SOLVED
+    followed = [mpc.step(FAR * (-1) ** k, 25.0, [0.0]).move for k in range(CALM.Nc + 1)]
+    assert followed == pytest.approx([*plan[1 : CALM.Nc], 0.0, 0.0], abs=1e-6)
 
 
 def test_without_finite_data_the_plan_waits_for_nobody_and_nothing_moves():

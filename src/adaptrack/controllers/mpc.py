@@ -331,6 +331,8 @@ class MPC:
         given = vector("state", state, (4, len(measured)))
         ahead = vector("reference", reference, most=self.longest_horizon + 1)
         pace = number("speed", speed)
+        if pace == -math.inf:
+            pace = math.nan  # the speed's floor would make a number of it
         measured[: given.size] = given
         measured[given.size :] = math.nan
         return ahead, pace
