@@ -359,7 +359,7 @@ class Batch:
         run.road.scenario[:], run.road.seeds[:] = which, plan.seeds[chunk]
         run.vehicles.start[:], run.tuning[:] = self.starts[which], plan.tunings[chunk]
         rollout.begin(size, run)
-        rollout.rollout(n, size, (plan.weight, float(max(plan.segment, 1))), run, self.members)
+        rollout.rollout(rollout.Span(n, size, max(plan.segment, 1), plan.weight), run, *self.members)
         return run
 
 

@@ -116,13 +116,6 @@ def columns(*names: str) -> Any:
     return namedtuple("Columns", names)(*range(len(names)))
 
 
-def function_tuple(*kinds: Any) -> Any:
-    """The type of a tuple of functions."""
-    with warnings.catch_warnings():  # see `_compiled`
-        warnings.simplefilter("ignore", NumbaExperimentalFeatureWarning)
-        return types.Tuple(kinds)
-
-
 def unpacker(kind: Any) -> Any:
     """A kernel that gives the entries of a vector the names of a `record`, in the order of its fields."""
     places = ", ".join(f"p[{i}]" for i in range(len(kind._fields)))

@@ -19,7 +19,6 @@ from .abi import (
     Structure,
     cube,
     float64,
-    function_tuple,
     int64,
     int_vector,
     matrix,
@@ -109,9 +108,14 @@ Run = record("Run", (name for name, _ in _PARTS))
 RUN = types.NamedTuple([kind for _, kind in _PARTS], Run)
 """A batch of runs."""
 
-MEMBERS = function_tuple(ADVANCE_FUNCTION, OBSERVE_FUNCTION, DISCRETISE_FUNCTION, ESTIMATE_FUNCTION, LAW_FUNCTION)
-"""What the members of the contracts give: two functions of the plant, those of model, estimator and law. (A tuple of
-its own: numba takes no functions in a record.)"""
+Span = record("Span", ("periods", "slots", "segment", "weight"))
+SPAN = types.NamedTuple((int64, int64, int64, float64), Span)
+"""What is driven: control periods, slots in use, periods of a segment, and the weight of the squared moves in the cost
+(m^2/rad^2)."""
+
+MEMBERS = (ADVANCE_FUNCTION, OBSERVE_FUNCTION, DISCRETISE_FUNCTION, ESTIMATE_FUNCTION, LAW_FUNCTION)
+"""What the members of the contracts give: two functions of the plant, those of model, estimator and law. They are
+arguments of their own: numba takes no functions in a record."""
 
 
 def no_law_batch() -> Any:
@@ -258,16 +262,15 @@ def begin(slots, run):
     run.law.memory[:, :] = 0.0
 
 
-@njit(types.void(int64, int64, types.UniTuple(float64, 2), RUN, MEMBERS), **ROUTINE)
-def rollout(periods, slots, costing, run, members):
-    """Whole runs of the first `slots` slots over `periods` control periods, from what `begin` left.
+@njit(types.void(SPAN, RUN, *MEMBERS), **ROUTINE)
+def rollout(span, run, advance, observe, discretise, estimate, law):
+    """Whole runs, from what `begin` left.
 
-    costing: (weight of the squared moves in the cost (m^2/rad^2), periods of a segment). A run ends early when it has
+    A run ends early when it has
     failed (`loop.judge`), or, as STOPPED, once its cost has reached its ceiling and can only grow. The cost of each
     segment is written to `segments`: inf for the one in which a run ends, NaN after.
     """
-    weight, segment = costing[0], int(costing[1])
-    advance, observe, discretise, estimate, law = members
+    periods, slots, segment, weight = span
     vehicles, settings = run.vehicles, run.settings[0]
     block, states, work = vehicles.block, vehicles.states, vehicles.work
     h = settings.period / settings.substeps

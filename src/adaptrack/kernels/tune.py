@@ -6,32 +6,38 @@ import math
 
 from numba import types
 
-from .abi import ROUTINE, float64, int64, int_vector, matrix, njit, record, vector
-from .loop import STOPPED
-from .rollout import MEMBERS, RUN, begin, rollout
+from .abi import ROUTINE, int64, int_vector, matrix, njit, record, vector
+from .loop import RUNNING, STOPPED
+from .rollout import MEMBERS, RUN, SPAN, Span, begin, rollout
 from .swarm import LEADER_COST, PARTICLES, decode, learn, move
 from .swarm import begin as begin_swarm
 
-Trial = record("Trial", ("run", "periods", "weight", "noise"))
-TRIAL = types.NamedTuple((RUN, int64, float64, int_vector), Trial)
-"""What a tuning is tried on: a batch of runs, their control periods, the weight of the squared moves (m^2/rad^2), and
-the noise seeds over which a cost is the mean."""
+Trial = record("Trial", ("run", "span", "noise"))
+TRIAL = types.NamedTuple((RUN, SPAN, int_vector), Trial)
+"""What a tuning is tried on: a batch of runs, what is driven (its slots are the most at a time), and the noise seeds
+over which a cost is the mean."""
 
-Search = record("Search", ("settings", "space", "swarm", "tunings", "costs", "best"))
-SEARCH = types.NamedTuple((vector, matrix, PARTICLES, matrix, vector, vector), Search)
-"""A swarm: its settings and space (see `swarm`), particles, scratch (particles, 4) and (particles,), and the best cost
-after each generation (generations,), which is written."""
+Judged = record("Judged", ("tunings", "ceilings", "costs"))
+JUDGED = types.NamedTuple((matrix, vector, vector), Judged)
+"""Tunings (n, entries), the cost (n,) below which each must come out, and its cost (n,), which is written."""
+
+Search = record("Search", ("seed", "stream", "settings", "space", "swarm", "judged", "best"))
+SEARCH = types.NamedTuple((int64, int64, vector, matrix, PARTICLES, JUDGED, vector), Search)
+"""A swarm: seed and stream of its random numbers, settings and space (see `swarm`), particles, scratch for all of them,
+and the best cost after each generation (generations,), which is written."""
 
 
-@njit(types.int64(matrix, vector, vector, int64, TRIAL, MEMBERS), **ROUTINE)
-def evaluate(tunings, ceilings, costs, slots, trial, members):
-    """Write the cost of each of the first `slots` tunings (.., 4): J = mean e^2 + weight * mean (change of command)^2.
+@njit(types.int64(types.UniTuple(int64, 2), JUDGED, TRIAL, *MEMBERS), **ROUTINE)
+def evaluate(part, judged, trial, advance, observe, discretise, estimate, law):
+    """Write the cost of the tunings of a part (first, slots): J = mean e^2 + weight * mean (change of command)^2.
 
     The mean of J over the noise seeds; inf when a run has failed, or was stopped because J cannot come out below its
-    ceiling any more. Returns the control steps done. members: see `rollout.MEMBERS`.
+    ceiling any more. Returns the control steps done.
     """
-    run, periods, weight, noise = trial
-    count = noise.size
+    first, slots = part
+    run, span, count = trial.run, trial.span, trial.noise.size
+    span = Span(span.periods, slots, span.segment, span.weight)
+    tunings, ceilings, costs = judged.tunings[first:], judged.ceilings[first:], judged.costs[first:]
     steps = 0
     for i in range(slots):
         costs[i] = 0.0
@@ -40,44 +46,43 @@ def evaluate(tunings, ceilings, costs, slots, trial, members):
         for i in range(slots):
             for j in range(tunings.shape[1]):
                 run.tuning[i, j] = tunings[i, j]
-            run.road.seeds[i] = noise[s]
-            run.ceiling[i] = (ceilings[i] * count - costs[i]) * periods
+            run.road.seeds[i] = trial.noise[s]
+            run.ceiling[i] = (ceilings[i] * count - costs[i]) * span.periods
             if not costs[i] < math.inf:
                 run.memory[i].ended = STOPPED
-        rollout(periods, slots, (weight, 1.0), run, members)
+        rollout(span, run, advance, observe, discretise, estimate, law)
         for i in range(slots):
             found = run.result[i]
             steps += found.instants
-            if found.ended != 0 or not costs[i] < math.inf:
+            if found.ended != RUNNING or not costs[i] < math.inf:
                 costs[i] = math.inf
             else:
-                costs[i] += (found.squared_error + weight * found.squared_move) / periods
+                costs[i] += (found.squared_error + span.weight * found.squared_move) / span.periods
     for i in range(slots):
         costs[i] /= count
     return steps
 
 
-@njit(types.UniTuple(int64, 2)(int64, int64, int64, SEARCH, TRIAL, MEMBERS), **ROUTINE)
-def tune(seed, stream, slots, search, trial, members):
+@njit(types.UniTuple(int64, 2)(SEARCH, TRIAL, *MEMBERS), **ROUTINE)
+def tune(search, trial, advance, observe, discretise, estimate, law):
     """One run of the swarm (see `swarm`) over Np, Nc, Q, R; returns (evaluations, control steps done).
 
-    On return search.swarm.leader is the best position and search.swarm.progress[LEADER_COST] its cost. The particles
-    are driven `slots` at a time. A particle's run is stopped once it cannot improve on that particle's best: the swarm
-    takes the same way as without, in less time.
+    On return search.swarm.leader is the best position and search.swarm.progress[LEADER_COST] its cost. A particle's run
+    is stopped once it cannot improve on that particle's best: the swarm takes the same way as without, in less time.
     """
     steps = 0
-    swarm, costs = search.swarm, search.costs
-    begin_swarm(seed, stream, search.settings, search.space, swarm)
+    swarm, judged, slots = search.swarm, search.judged, trial.span.slots
+    judged = Judged(judged.tunings, swarm.best_costs, judged.costs)
+    begin_swarm(search.seed, search.stream, search.settings, search.space, swarm)
     generations, count = search.best.size, swarm.x.shape[0]
     for g in range(generations):
-        decode(count, search.space, swarm.x, search.tunings)
+        decode(count, search.space, swarm.x, judged.tunings)
         for first in range(0, count, slots):
             steps += evaluate(
-                search.tunings[first:], swarm.best_costs[first:], costs[first:], min(slots, count - first), trial,
-                members,
-            )  # fmt: skip
-        learn(costs, swarm)
+                (first, min(slots, count - first)), judged, trial, advance, observe, discretise, estimate, law
+            )
+        learn(judged.costs, swarm)
         search.best[g] = swarm.progress[LEADER_COST]
         if g < generations - 1:
-            move(g, seed, stream, search.settings, search.space, swarm)
+            move(g, search.seed, search.stream, search.settings, search.space, swarm)
     return generations * count, steps

@@ -97,12 +97,10 @@ class Objective:
         asked = np.array(tunings, dtype=np.float64, ndmin=2)
         costs = np.empty(len(asked))
         trial, members = self._trial(condition, min(len(asked), SLOTS), asked[:, 0].max(), asked[:, 1].max())
+        judged = kernels.Judged(np.ascontiguousarray(asked), np.full(len(asked), np.inf), costs)
         for first in range(0, len(asked), SLOTS):
-            part = np.ascontiguousarray(asked[first : first + SLOTS])
-            found, never = np.empty(len(part)), np.full(len(part), np.inf)
             trial.run.mpc.memory["speed"] = np.nan  # nothing is formed yet
-            kernels.evaluate(part, never, found, len(part), trial, members)
-            costs[first : first + SLOTS] = found
+            kernels.evaluate((first, min(SLOTS, len(asked) - first)), judged, trial, *members)
         return costs
 
     landscape = costs
@@ -124,11 +122,12 @@ class Objective:
         swarm, space = swarm or SwarmSettings(), space or SearchSpace.tuning()
         slots, count = min(swarm.particles, SLOTS), swarm.particles
         trial, members = self._trial(condition, slots, space.high[0], space.high[1])
+        judged = kernels.Judged(np.zeros((count, 4)), np.empty(count), np.empty(count))
         search = kernels.Search(
-            swarm.packed(space), space.packed(), rules.particles(count, 4), np.zeros((count, 4)), np.empty(count),
+            seed, stream, swarm.packed(space), space.packed(), rules.particles(count, 4), judged,
             np.empty(swarm.generations),
         )  # fmt: skip
-        evaluations, steps = kernels.tune(seed, stream, slots, search, trial, members)
+        evaluations, steps = kernels.tune(search, trial, *members)
         best = search.swarm
         return Tuned(
             space.values(best.leader), float(best.progress[rules.LEADER_COST]), search.best, evaluations, steps
@@ -136,10 +135,12 @@ class Objective:
 
     def _trial(self, condition: ArrayLike, slots: int, longest: float, most: float) -> tuple[Any, tuple[Any, ...]]:
         """`kernels.tune.Trial` of a condition for up to `slots` tunings with horizons up to these, and its members."""
+        from adaptrack.kernels import rollout
         from adaptrack.kernels import tune as kernels
 
         batch = Batch(self.plant, self.mpc, [self.scenario(condition)], self.profile, failure=self.failure)
         run = batch.arena(slots, int(batch.substeps[0]), batch.mpc_settings(longest, most, residuals=False))
         run.vehicles.start[:] = batch.starts
         noise = np.array(self.noise_seeds, dtype=np.int64)
-        return kernels.Trial(run, batch.signals[0].n, self.weight, noise), batch.members
+        span = rollout.Span(batch.signals[0].n, slots, 1, self.weight)
+        return kernels.Trial(run, span, noise), batch.members
