@@ -70,8 +70,8 @@ def run(monkeypatch, capsys, *arguments):
         ("simulate step", "adaptrack.scenario.load_scenario", "Nothing was written"),
         ("train --data paper-grid --model nn --out {out}/nn.json", "adaptrack.dataset.load_dataset", "Nothing was"),
         ("reproduce --out {out}", "adaptrack.dataset.load_dataset", "Nothing was written"),
-        ("adapt --out {out}", "adaptrack.adapt.adapt", "{out}: run the command again to go on"),
-        ("evaluate", "adaptrack.adapt.load_adaptation", "Nothing was written"),
+        ("adapt --out {out}", "adaptrack.studies.adapt.adapt", "{out}: run the command again to go on"),
+        ("evaluate", "adaptrack.adaptation.config.load_adaptation", "Nothing was written"),
         ("certify road-nn", "adaptrack.scheduling.load_scheduler", "Nothing was written"),
         (
             "tune --config paper-grid --out {out}",

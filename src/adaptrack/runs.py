@@ -67,6 +67,7 @@ class RunSet:
 
     known_as: KnownAs = None
     failure = Failure()
+    _latest: Batch | None = None
 
     def __init__(
         self, plant: Plant, mpc: MPC, scenarios: Sequence[Scenario], profile: str = "road", *,
@@ -86,6 +87,12 @@ class RunSet:
         return Batch(
             self.plant, controller, self.scenarios, self.profile, failure=self.failure, known_as=self.known_as
         )
+
+    def _batch_of(self, controller: Controller) -> Batch:
+        """The batch of a controller of its own; that of the last one is kept."""
+        if self._latest is None or self._latest.controller is not controller:
+            self._latest = self._batch(controller)
+        return self._latest
 
     def __len__(self) -> int:
         return len(self.batch.signals)
@@ -124,7 +131,7 @@ class RunSet:
         if isinstance(policy, Schedule):
             scheduler = policy
         elif _is_controller(policy):
-            batch = self._batch(policy)
+            batch = self._batch_of(policy)
             tuning, scheduler = batch.tuning, batch.scheduler
         else:
             tuning = policy.as_array() if isinstance(policy, Tuning) else np.asarray(policy, dtype=float)

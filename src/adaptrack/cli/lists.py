@@ -33,5 +33,5 @@ def schedulers(as_json: options.Json = False) -> None:
     from adaptrack.scheduling import list_schedulers, load_scheduler
 
     loaded = [(name, load_scheduler(name)) for name in list_schedulers()]
-    rows = [{"name": name, "rung": each.name, "inputs": ", ".join(each.inputs)} for name, each in loaded]
+    rows = [{"name": name, "contender": each.name, "inputs": ", ".join(each.inputs)} for name, each in loaded]
     show.listing("Schedulers", rows, as_json)

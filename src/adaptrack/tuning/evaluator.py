@@ -28,7 +28,7 @@ class Tuned(Protocol):
 
     @property
     def cost(self) -> float:
-        """of that tuning, m^2; inf when every one lost the car"""
+        """of that tuning, m^2; inf when the run failed with every one"""
 
     @property
     def trace(self) -> Array:

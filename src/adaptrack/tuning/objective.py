@@ -1,4 +1,4 @@
-"""The cost of a tuning on an operating point, and the best tuning that a swarm finds there: compiled closed-loop runs.
+"""The cost of a tuning on an operating point, and the best tuning that a swarm finds there, by compiled runs.
 
 An operating point is (speed m/s, y_ref m, friction, wind m/s), held over the run. Random numbers are counted by seed and
 stream, never shared, so a result depends on its own arguments only.
