@@ -19,8 +19,8 @@ from typing import Any, NamedTuple
 
 PACKAGE = "adaptrack"
 ROOMS = (
-    "errors", "files", "kernels", "vehicle", "profile", "plant", "scenario", "models", "estimation", "qp",
-    "controllers", "scheduling", "failure", "trajectory", "metrics", "simulate", "stability", "certify", "runs",
+    "errors", "limits", "files", "kernels", "vehicle", "profile", "plant", "scenario", "models", "estimation", "qp",
+    "controllers", "scheduling", "trajectory", "failure", "metrics", "simulate", "stability", "certify", "runs",
     "tuning", "dataset", "learning", "adaptation", "comparison", "studies", "report", "cli",
 )  # fmt: skip
 """The rooms in the order of the data flow: a module imports from its own room and from those before it."""

@@ -20,9 +20,9 @@ from dataclasses import asdict, dataclass
 
 import numba
 import numpy as np
-
 from adaptrack.kernels.dynamics import INPUTS, STATES
 from adaptrack.kernels.integrate import BLOCK, LANES, integrate
+
 from adaptrack.plant import DualTrack, Plant, SingleTrack
 from adaptrack.profile import load_profile
 from adaptrack.vehicle import GRAVITY, load_tyre, load_vehicle

@@ -875,7 +875,7 @@ if __name__ == "__main__":
     try:
         run_campaign(small(), "out", dask=cluster.scheduler_address, evaluate=lambda setup: 1 / 0)
     except InvalidInput as error:
-        print(time.monotonic() - begun < 12.0, error)
+        print(time.monotonic() - begun < 30.0, error)
 """
 
 
@@ -885,6 +885,7 @@ def test_a_scheduler_without_workers_is_told_in_seconds_with_the_remedy(run_pyth
     script.write_text(WITHOUT_WORKERS)
     said = run_python(str(script), str(project / "tests"), cwd=tmp_path)
     assert said.startswith("True dask = 'tcp://127.0.0.1:")
+    assert 2.0 * module.DASK_TIMEOUT <= 10.0  # that is what it takes; the rest of the 30 s are a slow machine's
     assert "the scheduler has no workers; start one or more: dask worker tcp://127.0.0.1:" in said
     assert not (tmp_path / "out").exists()
 

@@ -237,13 +237,13 @@ def test_a_users_scenario_and_vehicle_files_are_driven(monkeypatch, capsys, tmp_
     from adaptrack import load_scenario, load_vehicle
 
     load_scenario("sine", duration=2.0).to_toml(tmp_path / "mine.toml")
-    load_vehicle("midsize-sedan").replace(name="mine").to_toml(tmp_path / "car.toml")
-    assert tomllib.loads((tmp_path / "car.toml").read_text())["name"] == "mine"
+    load_vehicle("midsize-sedan").to_toml(tmp_path / "car.toml")
+    assert tomllib.loads((tmp_path / "car.toml").read_text())["name"] == "car"
     code, out, err = run(
         monkeypatch, capsys, "simulate", tmp_path / "mine.toml", "--vehicle", tmp_path / "car.toml", "--json"
     )
     assert code == 0, err
-    assert json.loads(out)["rows"][0]["vehicle"] == "mine"
+    assert json.loads(out)["rows"][0]["vehicle"] == "car"
 
 
 @pytest.mark.parametrize(

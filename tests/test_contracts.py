@@ -5,13 +5,14 @@ import math
 import numpy as np
 import pytest
 
+from adaptrack.batch import rollout_batch
 from adaptrack.controllers import LQR, MPC, PurePursuit, Stanley, Tuning, UserController, check_controller
 from adaptrack.errors import ContractError, InvalidInput
 from adaptrack.estimation import Deadbeat, UserEstimator, check_estimator
 from adaptrack.models import SingleTrackModel, UserModel, check_model
 from adaptrack.plant import DualTrack, SingleTrack, SteppedPlant, UserPlant, check_plant
 from adaptrack.scenario import load_scenario
-from adaptrack.simulate import rollout, rollout_batch, simulate
+from adaptrack.simulate import rollout, simulate
 from adaptrack.vehicle import load_vehicle
 
 CAR = load_vehicle("paper")
@@ -157,7 +158,14 @@ class Bicycle(SteppedPlant):
         rate = v * math.tan(steering) / 2.8
         middle = yaw + 0.5 * dt * rate
         self.motion = np.array(
-            [x + dt * v * math.cos(middle), y + dt * v * math.sin(middle), yaw + dt * rate, v + dt * acceleration, 0, rate]
+            [
+                x + dt * v * math.cos(middle),
+                y + dt * v * math.sin(middle),
+                yaw + dt * rate,
+                v + dt * acceleration,
+                0,
+                rate,
+            ]
         )
         return self.motion
 

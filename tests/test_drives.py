@@ -11,10 +11,10 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 import adaptrack as at
+from adaptrack.batch import rollout_batch
 from adaptrack.errors import InvalidInput
 from adaptrack.scenario import LaneChange, Scenario, Step, list_scenarios, load_scenario, random_drive
 from adaptrack.scenario.drives import BRAKING, GRIP_ALONG, TRACTION
-from adaptrack.simulate import rollout_batch
 from adaptrack.vehicle import GRAVITY
 
 STEP = 0.01

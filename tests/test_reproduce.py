@@ -12,13 +12,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from adaptrack.adaptation.recipes import trained_schedule
+from adaptrack.batch import rollout_batch
 from adaptrack.errors import InvalidInput
 from adaptrack.learning.training import train
 from adaptrack.metrics import PUBLISHED
 from adaptrack.report import reproduce as page
 from adaptrack.report import style
 from adaptrack.scheduling import Constant, check_scheduler
-from adaptrack.simulate import rollout_batch
 from adaptrack.studies import reproduce as paper
 from adaptrack.studies.reproduce import best_of_library, grid_lookup, reproduce
 from small_data import LIBRARY, SEARCH, small

@@ -8,6 +8,7 @@ import os
 import numpy as np
 import pytest
 
+from adaptrack.batch import Batch
 from adaptrack.controllers import MPC, Tuning
 from adaptrack.errors import InvalidInput
 from adaptrack.estimation import FrictionWindEstimator, Perception
@@ -28,7 +29,7 @@ from adaptrack.runs import (
 )
 from adaptrack.scenario import load_scenario, random_drive
 from adaptrack.scheduling import Constant, Guarded, Learned, SchedulingVariables, Table
-from adaptrack.simulate import Batch, rollout, simulate
+from adaptrack.simulate import rollout, simulate
 from adaptrack.vehicle import load_vehicle
 
 DISTANCE = Failure().distance

@@ -12,6 +12,7 @@ import re
 import numpy as np
 import pytest
 
+from adaptrack.batch import rollout_batch
 from adaptrack.controllers import MPC, CompiledScheduler, Moves, Scheduler, Tuning
 from adaptrack.errors import ContractError, InvalidInput, StorageError, UnknownName
 from adaptrack.kernels import guard
@@ -41,7 +42,7 @@ from adaptrack.scheduling import (
     save_scheduler,
 )
 from adaptrack.scheduling.functions.sugeno import ANY
-from adaptrack.simulate import rollout, rollout_batch, simulate
+from adaptrack.simulate import rollout, simulate
 from adaptrack.vehicle import load_vehicle
 from small_data import small
 from small_models import line, random_network, random_sugeno, stability_map

@@ -6,6 +6,7 @@ import math
 import numpy as np
 import pytest
 
+from adaptrack.batch import rollout_batch
 from adaptrack.controllers import MPC, Limits, Moves, Tuning
 from adaptrack.errors import ContractError, InvalidInput, UnknownName
 from adaptrack.kernels import loop
@@ -15,8 +16,9 @@ from adaptrack.profile import Profile, load_profile
 from adaptrack.qp import QPStatus
 from adaptrack.scenario import Ramp, Scenario, load_scenario
 from adaptrack.scheduling import SchedulingVariables
-from adaptrack.simulate import Driver, rollout, rollout_batch, simulate
+from adaptrack.simulate import rollout, simulate
 from adaptrack.vehicle import GRAVITY, SteeringActuator, load_vehicle
+from adaptrack.world import Driver
 
 # The counted noise multiplies integers that wrap around, of which the interpreter warns; compiled code is silent.
 pytestmark = pytest.mark.filterwarnings("ignore:overflow encountered in scalar:RuntimeWarning")

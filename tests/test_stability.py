@@ -2,6 +2,7 @@
 
 import math
 from itertools import product
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -23,6 +24,7 @@ from adaptrack import (
     load_vehicle,
 )
 from adaptrack.failure import Failure
+from adaptrack.plant import SteppedPlant
 from adaptrack.profile import load_profile
 from adaptrack.scenario import Scenario, Wind
 from adaptrack.simulate import rollout
@@ -233,6 +235,24 @@ def test_a_mode_that_never_reaches_what_is_measured_does_not_count():
     assert "unseen" not in names
     assert "X" not in names
     assert spectral_radius(plant, MPC(CAR, Tuning(35, 8, 1.0, 100.0)), 15.0) < 1.0
+
+
+class Stepped(SteppedPlant):
+    def reset(self, motion):
+        self.motion = motion
+
+    def step(self, dt, steering, acceleration, environment):
+        return self.motion
+
+
+def test_what_has_no_linear_loop_is_refused():
+    with pytest.raises(InvalidInput, match="stepped"):
+        sampled(Stepped(), 0.05, 15.0)
+    other = SimpleNamespace(
+        model=SimpleNamespace(name="kinematic", states=("yaw", "y")), estimator=SimpleNamespace(name="deadbeat")
+    )
+    with pytest.raises(InvalidInput, match="'kinematic'"):
+        laws(other, 15.0, [30, 5, 1.0, 100.0])
 
 
 # -- margins ----------------------------------------------------------------------------------------------------------

@@ -113,12 +113,9 @@ _PUBLIC = {
         "Failure",
         "find_failure",
     ),
-    "simulate": (
-        "Driver",
-        "rollout",
-        "rollout_batch",
-        "simulate",
-    ),
+    "world": ("Driver",),
+    "batch": ("rollout_batch",),
+    "simulate": ("rollout", "simulate"),
     "metrics": (
         "Metrics",
         "compute_metrics",
@@ -157,6 +154,7 @@ _PUBLIC = {
 
 if TYPE_CHECKING:
     from adaptrack.adaptation.config import load_adaptation
+    from adaptrack.batch import rollout_batch
     from adaptrack.comparison.contenders import Contender, get_contender, list_contenders, register_contender
     from adaptrack.controllers import (
         LQR,
@@ -232,7 +230,7 @@ if TYPE_CHECKING:
         reference_preview,
         save_scheduler,
     )
-    from adaptrack.simulate import Driver, rollout, rollout_batch, simulate
+    from adaptrack.simulate import rollout, simulate
     from adaptrack.studies.adapt import adapt
     from adaptrack.trajectory import Trajectory
     from adaptrack.tuning.campaign import run_campaign
@@ -240,6 +238,7 @@ if TYPE_CHECKING:
     from adaptrack.tuning.objective import Objective
     from adaptrack.tuning.pso import SearchSpace, Swarm, SwarmSettings, minimise
     from adaptrack.vehicle import SteeringActuator, Tyre, Vehicle, list_tyres, list_vehicles, load_tyre, load_vehicle
+    from adaptrack.world import Driver
 
 _HOME = {name: module for module, names in _PUBLIC.items() for name in names}
 

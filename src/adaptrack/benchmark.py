@@ -18,13 +18,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from adaptrack.batch import rollout_batch
 from adaptrack.controllers import MPC, MPCCommand, Tuning
 from adaptrack.models import SingleTrackModel, limit_bounds, limit_matrix
 from adaptrack.plant import DualTrack, Plant
 from adaptrack.qp import QPStatus
 from adaptrack.scenario import Constant, Scenario, Sine, load_scenario
 from adaptrack.scheduling import ENTRIES, VARIABLES, Learned, Network, Schedule, SchedulingVariables, Sugeno
-from adaptrack.simulate import rollout_batch, simulate
+from adaptrack.simulate import simulate
 from adaptrack.vehicle import Vehicle, load_vehicle
 
 Array = NDArray[np.float64]
@@ -58,7 +59,9 @@ class PlainController:
         """The configuration."""
         return self.mpc.describe()
 
-    def step(self, state: Any, speed: float, reference: Any, condition: SchedulingVariables | None = None) -> MPCCommand:
+    def step(
+        self, state: Any, speed: float, reference: Any, condition: SchedulingVariables | None = None
+    ) -> MPCCommand:
         """One control step, as `MPC.step`."""
         import ctypes
 

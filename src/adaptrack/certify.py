@@ -14,11 +14,11 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from adaptrack.controllers import MPC, Scheduler, read_tuning
+from adaptrack.controllers import ENTRIES, MPC, Scheduler, read_tuning
 from adaptrack.errors import ContractError, InvalidInput, real
 from adaptrack.plant import Plant
 from adaptrack.profile import Profile, load_profile
-from adaptrack.scheduling import ENTRIES, VARIABLES, Schedule, SchedulingVariables
+from adaptrack.scheduling import VARIABLES, Schedule, SchedulingVariables
 from adaptrack.stability import Margins, hard_turn, laws, margins, sampled
 
 Array = NDArray[np.float64]

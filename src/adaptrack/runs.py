@@ -19,6 +19,7 @@ from typing import Any, NamedTuple, TypeGuard
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from adaptrack.batch import Batch
 from adaptrack.controllers import MPC, CompiledController, Controller, Tuning
 from adaptrack.errors import InvalidInput
 from adaptrack.estimation import FrictionWindEstimator, Perception
@@ -28,7 +29,8 @@ from adaptrack.plant import DualTrack, Plant, SingleTrack
 from adaptrack.profile import load_profile
 from adaptrack.scenario import Scenario, load_scenario, random_drive
 from adaptrack.scheduling import Schedule
-from adaptrack.simulate import Batch, KnownAs, simulate
+from adaptrack.simulate import simulate
+from adaptrack.world import KnownAs
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -84,9 +86,7 @@ class RunSet:
         """(runs, periods, SchedulingVariables) what a scheduler looks at; the offset, unknown before driving, zero"""
 
     def _batch(self, controller: Controller) -> Batch:
-        return Batch(
-            self.plant, controller, self.scenarios, self.profile, failure=self.failure, known_as=self.known_as
-        )
+        return Batch(self.plant, controller, self.scenarios, self.profile, failure=self.failure, known_as=self.known_as)
 
     def _batch_of(self, controller: Controller) -> Batch:
         """The batch of a controller of its own; that of the last one is kept."""

@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike, NDArray
 from adaptrack.controllers import MPC, Tuning
 from adaptrack.errors import InvalidInput, real
 from adaptrack.models import laguerre_basis
-from adaptrack.plant import Plant
+from adaptrack.plant import Plant, SteppedPlant
 from adaptrack.profile import Profile, load_profile
 from adaptrack.vehicle import GRAVITY
 
@@ -29,6 +29,8 @@ Complex = NDArray[np.complex128]
 
 MEASURED = ("vy", "psi", "yaw_rate", "Y")
 """The states of the plant that the controller measures: its x_c."""
+
+_STATES = ("vy", "yaw", "yaw_rate", "y")  # the same, as the prediction model calls them
 
 _HELD = ("X", "vx", "felt_ax")  # X does not matter; speed and longitudinal load transfer are held
 _STEP = 1e-6  # of the central differences
@@ -47,14 +49,15 @@ def steady_turn(plant: Plant, speed: float, lateral_acceleration: float, frictio
     Raises
     ------
     InvalidInput
-        When the plant has no such turn, for instance because friction is too low for it.
+        When the plant has no such turn, for instance because friction is too low for it, or no right-hand side.
     """
+    if isinstance(plant, SteppedPlant):
+        raise InvalidInput(f"Plant {plant.name!r}: is stepped and has no right-hand side that could be linearised.")
     acceleration = real("steady_turn", "lateral_acceleration", lateral_acceleration)
     names = list(plant.state_names)
     free = [i for i, name in enumerate(names) if name not in (*_HELD, "Y", "psi")]
     yaw_rate, road = names.index("yaw_rate"), _road(friction)
-    x = np.zeros(len(names))
-    x[names.index("vx")] = speed
+    x = np.array(plant.initial_state([0.0, 0.0, 0.0, speed, 0.0, 0.0]), dtype=np.float64)
 
     def residual(values: Array, wanted: float) -> Array:
         state = x.copy()
@@ -62,7 +65,7 @@ def steady_turn(plant: Plant, speed: float, lateral_acceleration: float, frictio
         slope = plant.derivative(state, [values[-1], 0.0], road)[free]
         return np.append(slope, state[yaw_rate] * speed - wanted)
 
-    unknown, reached = _raised(residual, np.zeros(len(free) + 1), acceleration)
+    unknown, reached = _raised(residual, np.append(x[free], 0.0), acceleration)
     if reached < abs(acceleration):
         raise InvalidInput(
             f"Plant {plant.name!r}: no steady turn with more than {reached:.4g} m/s^2 at {speed:g} m/s on friction "
@@ -200,7 +203,17 @@ def laws(mpc: MPC, speed: float, tunings: ArrayLike) -> Array:
     """k (n, 5) of du = -k [change of x_c; y] at a speed (m/s) for n tunings (n, 4) of Np, Nc, Q, R.
 
     `PredictionModel.feedback` for many tunings at once. The horizons must be whole numbers, 1 <= Nc <= Np.
+
+    Raises
+    ------
+    InvalidInput
+        When the MPC has another prediction model or estimator than the paper's.
     """
+    if mpc.model.states != _STATES or mpc.estimator.name != "deadbeat":
+        raise InvalidInput(
+            f"MPC: model {mpc.model.name!r} with estimator {mpc.estimator.name!r}: the linear loop is known for the "
+            f"states {', '.join(_STATES)}, all of them measured, with the estimator 'deadbeat' only."
+        )
     asked = np.atleast_2d(np.asarray(tunings, dtype=np.float64))
     horizons, group = np.unique(asked[:, :2].astype(np.int64), axis=0, return_inverse=True)
     longest = int(horizons[:, 0].max())

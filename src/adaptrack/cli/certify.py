@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -97,11 +98,12 @@ def _print(found: Certificate) -> None:
 def _tell_verdict(found: Certificate, as_json: bool) -> None:
     """The sentence that stands on the page and in the JSON; with the worst point when it failed."""
     if found.passed:
-        show.say(found.verdict, aside=as_json)
+        if not as_json:
+            show.say(found.verdict)
         return
-    at = found.summary()["straight"]["worst"]
+    at = max(found.worst_points(len(found.points)), key=lambda point: point["radius"] or math.inf)
     show.say_failed(
         f"{found.verdict} The worst: {at['speed']:g} m/s on friction {at['friction']:g}, with Np = {at['Np']:g}, "
-        f"Nc = {at['Nc']:g}, Q = {at['Q']:g}, R = {at['R']:g}: spectral radius {at['radius']:.4f}.",
+        f"Nc = {at['Nc']:g}, Q = {at['Q']:g}, R = {at['R']:g}: spectral radius {at['radius'] or math.inf:.4f}.",
         aside=True,
     )

@@ -8,7 +8,7 @@ from typing import Annotated
 
 from typer import Option
 
-from adaptrack.cli import options, show
+from adaptrack.cli import interrupt, options, show
 from adaptrack.cli.show import Column
 
 COLUMNS = (
@@ -38,6 +38,7 @@ def reproduce(
 
     dataset = load_dataset(data)
     options.make_folder(out)
+    interrupt.kept(f"Finished stages are kept in {out}: run the command again to go on.")
     with show.progress("reproduce") as advance:
         made = run_again(dataset, quick=quick, seed=seed, folder=out, progress=advance)
     with show.progress("write the page"):

@@ -187,8 +187,8 @@ def _drive(
 ) -> list[tuple[str, Trajectory]]:  # fmt: skip
     """Every scenario with every controller; each trajectory is saved as soon as it is driven."""
     from adaptrack.files import safe_names
-    from adaptrack.simulate import Driver
     from adaptrack.simulate import simulate as drive
+    from adaptrack.world import Driver
 
     pairs = [(scenario, *named) for scenario in scenarios for named in controllers]
     files = safe_names(f"{scenario.name}-{label}" for scenario, label, _ in pairs)

@@ -22,8 +22,8 @@ from adaptrack.runs import (
     random_drive_runs,
 )
 from adaptrack.scheduling import Schedule
-from adaptrack.simulate import KnownAs
 from adaptrack.tuning.objective import Objective
+from adaptrack.world import KnownAs
 
 Array = NDArray[np.float64]
 Progress = Callable[[str, int, int], None]

@@ -194,6 +194,8 @@ class MPC:
                 "hold": kernel.HILDRETH_OR_HOLD,
             }[self.solver.on_uncertified]
             sweeps, tolerance = self.solver.max_sweeps, self.solver.tolerance
+        elif self.solver.on_uncertified == "apply":
+            solver = kernel.HILDRETH_APPLIED  # of a back-end in Python: what is not certified steers as well
         limits = self.limits
         return kernel.SETTINGS.new(
             period=self.period,

@@ -34,9 +34,16 @@ from numba.extending import intrinsic
 INTERPRETED = bool(_numba_config.DISABLE_JIT)
 """Whether the compiler is switched off (NUMBA_DISABLE_JIT): every kernel is then plain Python."""
 
-INLINE: dict[str, Any] = {"nogil": True, "error_model": "numpy", "forceinline": True, "_nrt": False}
+INLINE: dict[str, Any] = {
+    "nogil": True,
+    "error_model": "numpy",
+    "forceinline": True,
+    "_nrt": False,
+    "no_cpython_wrapper": True,
+    "no_cfunc_wrapper": True,
+}
 """Options of the small formulas that are always inlined. Without numba's run-time (`_nrt`) nothing can be allocated,
-and no array is counted in and out of a call."""
+and no array is counted in and out of a call. Python must not call them: they have no entry for it."""
 
 PART: dict[str, Any] = {"nogil": True, "error_model": "numpy", "inline": "always"}
 """Options of a part of a longer algorithm: it is put in the place of its call before anything is compiled. A function

@@ -85,7 +85,7 @@ PERCEIVING = types.NamedTuple((vector, vector, matrix), Perceiving)
 in, its settings, its memory (slots, .); empty for none."""
 
 Trace = record("Trace", ("state", "answer", "seen"))
-TRACE = types.NamedTuple((cube, cube, cube), Trace)
+TRACE = types.NamedUniTuple(cube, 3, Trace)
 """Of every instant: state (slots, periods, STATES), the controller's answer with the tuning as used (slots, periods,
 .), lateral acceleration (m/s^2) and front-wheel angle (rad) under the new input (slots, periods, 2). Empty for none."""
 

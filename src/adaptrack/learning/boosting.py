@@ -56,9 +56,7 @@ def explained(dataset: DataSet, target: str, folds: int = 5, seed: int = 0) -> C
     return cross_validate(canonical(rows.operating_points), targets(rows)[target], folds, seed)
 
 
-def explained_shares(
-    dataset: DataSet, progress: Callable[[str, int, int], None] | None = None
-) -> dict[str, float]:
+def explained_shares(dataset: DataSet, progress: Callable[[str, int, int], None] | None = None) -> dict[str, float]:
     """R^2 of each target, see `explained`; none where there are too few rows.
 
     progress: called with ("describe", targets done, targets).

@@ -27,6 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adaptrack.adaptation.recipes import search_bounds, trained_schedule
+from adaptrack.batch import rollout_batch
 from adaptrack.controllers import MPC, Moves, Tuning
 from adaptrack.dataset import DataSet, load_dataset
 from adaptrack.errors import InvalidInput
@@ -36,7 +37,7 @@ from adaptrack.metrics import PUBLISHED, compute_metrics, published_mse
 from adaptrack.plant import DualTrack, Plant, SingleTrack
 from adaptrack.scenario import Scenario, load_scenario
 from adaptrack.scheduling import ENTRIES, Lookup, Schedule, SchedulingVariables
-from adaptrack.simulate import rollout, rollout_batch, simulate
+from adaptrack.simulate import rollout, simulate
 from adaptrack.studies.pipeline import JSONFile, Keeper, Progress, SchedulerFile, Stage, identity_of, run
 from adaptrack.trajectory import Trajectory
 from adaptrack.tuning.operating_points import NAMES

@@ -12,13 +12,13 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from adaptrack.batch import Batch
 from adaptrack.controllers import MPC
 from adaptrack.errors import InvalidInput
 from adaptrack.failure import Failure
 from adaptrack.plant import Plant
 from adaptrack.profile import Profile, load_profile
 from adaptrack.scenario import Scenario, load_scenario
-from adaptrack.simulate import Batch
 from adaptrack.tuning.pso import SearchSpace, SwarmSettings
 
 Array = NDArray[np.float64]

@@ -6,7 +6,7 @@ import math
 
 from numba import types
 
-from ..abi import INLINE, ROUTINE, int64, njit, record
+from ..abi import INLINE, PART, ROUTINE, int64, njit, record
 from ..maths.vectors import (
     WIDTH,
     add,
@@ -64,7 +64,7 @@ Violation = record("Violation", ("row", "size", "length"))
 
 
 # -- where to begin ---------------------------------------------------------------------------------------------------
-@njit(**INLINE)
+@njit(**PART)
 def _begin(problem, factor, solution, w, guess, kept):
     """x, u and the active rows to begin with: the guessed ones that do not pull the wrong way, or none.
 
@@ -84,7 +84,7 @@ def _begin(problem, factor, solution, w, guess, kept):
     return q, finite
 
 
-@njit(**INLINE)
+@njit(**PART)
 def _take_over(problem, factor, guess, kept, w):
     """Make the rows ``index[:guess]`` active; with the factor at hand when it is theirs. Returns how many are."""
     for i in range(guess):
@@ -105,7 +105,7 @@ def _trace(n, A):
     return trace
 
 
-@njit(**INLINE)
+@njit(**PART)
 def _adopt(problem, guess, inverse_trace, w):
     """Make the rows ``index[:guess]`` active one after the other, leaving out what is absent or dependent."""
     q = 0
@@ -122,7 +122,7 @@ def _adopt(problem, guess, inverse_trace, w):
     return q
 
 
-@njit(**INLINE)
+@njit(**PART)
 def _settle(problem, q, x, w):
     """x on the active rows and their multipliers; rows that pull the wrong way leave. (Active rows, all finite).
 
@@ -142,7 +142,7 @@ def _settle(problem, q, x, w):
 
 
 # -- the most violated row becomes active -----------------------------------------------------------------------------
-@njit(**INLINE)
+@njit(**PART)
 def _most_violated(problem, x, w, worst, tolerance, reach):
     """The most violated row, the largest slack being ``worst``; a = this row. Rounding does not count."""
     while worst > 0.0:
@@ -172,7 +172,7 @@ def _row_with(value, m, w):
     return row
 
 
-@njit(**INLINE)
+@njit(**PART)
 def _make_active(problem, x, w, q, violation, reach, inverse_trace, left):
     """Steps until the violated row is active; (status, active rows, steps left, whether it was put off).
 
@@ -227,7 +227,7 @@ def _place_of(ratio, n, w):
     return place
 
 
-@njit(**INLINE)
+@njit(**PART)
 def _contradicts(problem, violation, missing, q, reach, w):
     """a = N r with r <= 0: then a'x >= r'gamma_A for every x that satisfies the active rows."""
     scale = abs(problem.gamma[violation.row]) + math.sqrt(violation.length) * reach
@@ -236,7 +236,7 @@ def _contradicts(problem, violation, missing, q, reach, w):
     return missing > CONTRADICTION * scale
 
 
-@njit(**INLINE)
+@njit(**PART)
 def _move(n, step, dependent, x, w):
     """u -= step r, x -= step z; x stays where the row depends on the active ones."""
     backwards = splat(-step)
@@ -247,7 +247,7 @@ def _move(n, step, dependent, x, w):
 
 
 # -- no row is violated -----------------------------------------------------------------------------------------------
-@njit(**INLINE)
+@njit(**PART)
 def _polish(problem, condition, q, x, w):
     """Newton steps on the active rows, residuals in twice the working precision where the conditioning asks for it.
 
@@ -265,7 +265,7 @@ def _polish(problem, condition, q, x, w):
     return finite
 
 
-@njit(**INLINE)
+@njit(**PART)
 def _polish_and_release(problem, condition, q, x, w, tolerance, left):
     """Polish (x, u) and release rows that pull the wrong way; (status, active rows, steps left)."""
     while True:
@@ -283,7 +283,7 @@ def _polish_and_release(problem, condition, q, x, w, tolerance, left):
     return SOLVED, q, left
 
 
-@njit(**INLINE)
+@njit(**PART)
 def _reconsider(problem, q, w):
     """Rows that were put off count again."""
     copy_bounds(problem, w)
@@ -291,7 +291,7 @@ def _reconsider(problem, q, w):
         set_entry(w.bounds, w.index[i], math.inf)
 
 
-@njit(**INLINE)
+@njit(**PART)
 def _verdict(problem, factor, solution, scratch, reach, tolerance):
     """SOLVED; CAPPED where the accuracy is in doubt and the optimality conditions do not hold to `ACCEPTED`.
 

@@ -1,0 +1,377 @@
+"""Many runs at once, compiled and vectorised."""
+
+from __future__ import annotations
+
+import math
+import os
+import queue
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from adaptrack.controllers import MPC, CompiledController, CompiledScheduler, Controller
+from adaptrack.errors import InvalidInput
+from adaptrack.estimation import FrictionWindEstimator
+from adaptrack.failure import Failure
+from adaptrack.plant import Plant
+from adaptrack.profile import Profile
+from adaptrack.scenario import Scenario
+from adaptrack.world import Driver, KnownAs, World, reason_of
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class BatchResult:
+    """What `rollout_batch` measured, an entry per run; arrays of shape (runs,)."""
+
+    mse: Array
+    """m^2, mean over the control instants of (Y - y_ref)^2; inf when the run has failed"""
+    mean_squared_move: Array
+    """rad^2, mean of the squared changes of the command"""
+    max_abs_error: Array
+    """m"""
+    failed: NDArray[np.object_]
+    """why a run failed (`failure.Reason`), None where it did not"""
+    failed_at: Array
+    """s, NaN where it did not"""
+    steps: NDArray[np.int64]
+    """control steps done"""
+    qp_capped: NDArray[np.int64]
+    """steps whose QP stopped at its cap"""
+    qp_failed: NDArray[np.int64]
+    """steps whose QP had no solution (infeasible, not finite, not convex)"""
+    held: NDArray[np.int64]
+    """steps without a new answer: the last plan was followed, or the angle held"""
+    limited: NDArray[np.int64]
+    """steps at a limit"""
+    qp_iterations: NDArray[np.int64]
+    """of the QP solver, in all steps"""
+    scheduler: dict[str, NDArray[np.int64]]
+    """what the scheduler counted, by name, see `kernels.guard.COUNTS`; empty without one"""
+
+    def cost(self, move_weight: float = 0.0) -> Array:
+        """J = mean e^2 + move_weight * mean (change of command)^2, the cost that tuning minimises; inf when failed."""
+        return self.mse + move_weight * self.mean_squared_move
+
+
+def rollout_batch(
+    plant: Plant,
+    controller: Controller,
+    scenarios: Scenario | Sequence[Scenario],
+    tunings: ArrayLike | None = None,
+    *,
+    which: ArrayLike | None = None,
+    profile: str | Profile = "paper",
+    driver: Driver | None = None,
+    seeds: ArrayLike = 0,
+    known_as: KnownAs = None,
+    failure: Failure | None = None,
+    threads: int | None = None,
+) -> BatchResult:
+    """Many runs at once, compiled and vectorised: run i drives scenario which[i] with tunings[i] and seeds[i].
+
+    controller: an `MPC`, or any compiled controller; tunings: (runs, entries) of its named tuning entries (Np, Nc, Q, R
+    of an MPC, the horizons rounded and clamped to 1 <= Nc <= Np <= longest_horizon and most_moves); without them every
+    run has the MPC's scheduler, or the controller's tuning; which: (runs,) indices into `scenarios`, by default 0,
+    without tunings one run for each; seeds: noise seeds, one or one per run; threads: None for all cores. A run's
+    result does not depend on the others, nor on the number of threads. The scenarios must last equally long.
+
+    Raises
+    ------
+    InvalidInput
+        When shapes do not fit, a tuning is not finite, tunings meet a scheduler, or a part needs Python at every step.
+    """
+    several = [scenarios] if isinstance(scenarios, Scenario) else scenarios
+    batch = Batch(plant, controller, several, profile, driver, failure, known_as)
+    if tunings is None:
+        which = np.arange(len(batch.signals)) if which is None else which
+        tunings = np.repeat(batch.tuning[None], np.size(which), axis=0)
+    elif batch.scheduler is not None:
+        raise InvalidInput("tunings: this MPC has a scheduler, which chooses them; leave them out.")
+    asked = batch.checked_tunings(tunings)
+    runs = len(asked)
+    index = np.zeros(runs, np.int64) if which is None else np.array(which)
+    if index.dtype.kind not in "iu":
+        raise InvalidInput("which: must be whole numbers.")
+    index = index.astype(np.int64)
+    if index.shape != (runs,) or (runs and not (index.min() >= 0 and index.max() < len(batch.signals))):
+        raise InvalidInput(f"which: need {runs} indices into {len(batch.signals)} scenarios.")
+    seeded = np.array(seeds, dtype=np.int64)
+    if seeded.shape not in ((), (runs,)):
+        raise InvalidInput(f"seeds: need one, or one for each of the {runs} runs; got shape {seeded.shape}.")
+    found = batch.run(
+        index, asked, np.broadcast_to(seeded, (runs,)).copy(), threads or os.cpu_count() or 1, scheduler=batch.scheduler
+    )
+    return found.measured()
+
+
+@dataclass(frozen=True, eq=False)
+class BatchRuns:
+    """What `Batch.run` gives."""
+
+    result: Any
+    """(runs,) `kernels.rollout.RESULT`"""
+    trace: Any
+    """`kernels.rollout.Trace`, empty unless asked for"""
+    counts: dict[str, NDArray[np.int64]]
+    """what the scheduler counted, (runs,) by name; empty without one"""
+    segments: Array
+    """(runs, segments) cost of each segment: sum of squared error plus weight times squared move; inf where a run ended
+    early, NaN after that; (runs, 0) unless asked for"""
+
+    @property
+    def failed(self) -> NDArray[np.bool_]:
+        """(runs,) whether the run failed."""
+        return np.asarray(self.result["ended"] != 0)
+
+    def measured(self) -> BatchResult:
+        """By name, as means."""
+        found = self.result
+        steps = np.maximum(found["instants"], 1)
+        reasons = [reason_of(int(ended)) for ended in found["ended"]]
+        return BatchResult(
+            mse=found["squared_error"] / steps,
+            mean_squared_move=found["squared_move"] / steps,
+            max_abs_error=found["largest_error"].copy(),
+            failed=np.array(reasons, dtype=object),
+            failed_at=np.where(self.failed, found["ended_at"], np.nan),
+            steps=found["instants"].copy(),
+            qp_capped=found["capped"].copy(),
+            qp_failed=found["unsolved"].copy(),
+            held=found["held"].copy(),
+            limited=found["limited"].copy(),
+            qp_iterations=found["iterations"].copy(),
+            scheduler=self.counts,
+        )
+
+
+class Batch:
+    """What all runs of a batch share, packed for the kernels; arguments as for `rollout_batch`."""
+
+    def __init__(
+        self,
+        plant: Plant,
+        controller: Controller,
+        scenarios: Sequence[Scenario],
+        profile: str | Profile = "paper",
+        driver: Driver | None = None,
+        failure: Failure | None = None,
+        known_as: KnownAs = None,
+    ) -> None:
+        self.world = World.of(plant, controller, profile, driver, known_as, failure)
+        self.controller, self.scheduler = controller, getattr(controller, "scheduler", None)
+        self._refuse_python()
+        self.signals = [scenario.sample(controller.period) for scenario in scenarios]
+        if not self.signals:
+            raise InvalidInput("scenarios: none given.")
+        if len({signals.n for signals in self.signals}) > 1:
+            raise InvalidInput(
+                "scenarios: must last equally long; run those of different length in batches of their own."
+            )
+        world = self.world
+        self.samples = np.ascontiguousarray([world.samples(s, i) for i, s in enumerate(self.signals)])
+        self.starts = np.array([world.start(scenario, s) for scenario, s in zip(scenarios, self.signals, strict=True)])
+        self.substeps = np.array([world.substeps(float(s.speed.max())) for s in self.signals])
+        self.settings = {int(steps): world.settings(int(steps)) for steps in np.unique(self.substeps)}
+
+    def _refuse_python(self) -> None:
+        controller = self.controller
+        fit = isinstance(controller, CompiledController) or (isinstance(controller, MPC) and controller.in_kernel)
+        scheduled = self.scheduler is None or isinstance(self.scheduler, CompiledScheduler)
+        if not (fit and scheduled and isinstance(self.world.plant, Plant)):
+            raise InvalidInput(
+                "compiled runs need a compiled plant, an MPC or a compiled controller, a scheduler of "
+                "adaptrack.scheduling, or none, and a QP solver of the kernels ('active-set', 'hildreth'); "
+                "use simulate(...) for this one."
+            )
+
+    @property
+    def tuning(self) -> Array:
+        """(entries,) the controller's own tuning."""
+        own = self.controller
+        return own.packed_tuning() if isinstance(own, CompiledController) else own.tuning.as_array()  # type: ignore[attr-defined]
+
+    def checked_tunings(self, tunings: ArrayLike) -> Array:
+        """(runs, entries) tunings that a controller may have.
+
+        Raises
+        ------
+        InvalidInput
+            When they are none.
+        """
+        names = self.controller.tuning_names  # type: ignore[attr-defined]
+        asked = np.array(tunings, dtype=np.float64, ndmin=2)
+        if asked.ndim != 2 or asked.shape[1] != len(names) or not np.isfinite(asked).all():
+            raise InvalidInput(
+                f"tunings: need finite (runs, {len(names)}) of {', '.join(names)}; got shape {asked.shape}."
+            )
+        if isinstance(self.controller, MPC) and ((asked[:, 2] < 0.0).any() or (asked[:, 3] <= 0.0).any()):
+            raise InvalidInput("tunings: every Q must be >= 0 and every R > 0.")
+        return asked
+
+    def mpc_settings(self, longest: float, most: float, residuals: bool) -> Any:
+        """The MPC's settings with a workspace no larger than horizons up to these need; tiny for other controllers."""
+        if isinstance(self.controller, MPC):
+            return self.controller.settings(longest, most, residuals)
+        from adaptrack.kernels.controllers.mpc import SETTINGS
+
+        return SETTINGS.new(period=self.world.period, longest_horizon=1, most_moves=1, output_min=-np.inf,
+                            output_max=np.inf)  # fmt: skip
+
+    def arena(
+        self, slots: int, steps: int, mpc_settings: Any, segments: int = 0, periods: int = 0,
+        scheduler: CompiledScheduler | None = None,
+    ) -> Any:  # fmt: skip
+        """The kernels' arrays for up to `slots` runs that integrate `steps` times a period (`kernels.rollout.Run`).
+
+        segments: of each run; periods: to trace, 0 for no trace.
+        """
+        from adaptrack.kernels import guard, loop, rollout
+        from adaptrack.kernels.controllers import mpc as kernel
+        from adaptrack.kernels.estimators.friction_wind import MEMORY as KNOWING
+        from adaptrack.kernels.plants.contract import STATES, vehicle_batch
+        from adaptrack.kernels.schedule import no_schedule
+
+        own, known = self.controller, self.world.known_as
+        assert isinstance(self.world.plant, Plant)
+        if isinstance(own, CompiledController):
+            mpc = kernel.batch(slots, mpc_settings, (np.zeros(6), np.arange(4), np.zeros(4)), (np.zeros(0), 0))
+            law = rollout.law_batch(slots, own.parameters(), own.memory_size, own.diagnostic_names, own.preview)
+            width = law.answer.shape[1] + len(own.tuning_names)
+        else:
+            assert isinstance(own, MPC)
+            mpc, law = own.batch(slots, mpc_settings), rollout.no_law_batch()
+            width = len(kernel.ANSWER)
+        none = np.zeros(0)
+        perceiving = rollout.Perceiving(none, none, np.zeros((0, 0)))
+        if isinstance(known, FrictionWindEstimator):
+            perceiving = rollout.Perceiving(known.packed(), known.settings(), np.zeros((slots, KNOWING)))
+        traced = slots if periods else 0
+        return rollout.Run(
+            settings=self.settings[steps],
+            vehicles=vehicle_batch(self.world.plant.packed(), np.zeros((slots, self.starts.shape[1]))),
+            road=rollout.Road(self.samples, np.zeros(slots, np.int64), np.zeros(slots, np.int64)),
+            mpc=mpc,
+            law=law,
+            schedule=no_schedule() if scheduler is None else scheduler.plan(slots),
+            perceiving=perceiving,
+            tuning=np.zeros((slots, len(self.tuning))),
+            variables=np.zeros(len(guard.VARIABLES)),
+            memory=loop.MEMORY.new(slots),
+            result=rollout.RESULT.new(slots),
+            ceiling=np.full(slots, np.inf),
+            segments=np.zeros((slots, segments)),
+            trace=rollout.Trace(
+                np.full((traced, periods, STATES), np.nan), np.full((traced, periods, width), np.nan),
+                np.full((traced, periods, 2), np.nan),
+            ),
+        )  # fmt: skip
+
+    @property
+    def members(self) -> tuple[Any, ...]:
+        """`kernels.rollout.MEMBERS`."""
+        from adaptrack.kernels.controllers.contract import no_law
+        from adaptrack.kernels.estimators.contract import no_estimate
+        from adaptrack.kernels.models.single_track import discretise
+
+        assert isinstance(self.world.plant, Plant)
+        plant, own = self.world.plant.compiled, self.controller
+        if isinstance(own, MPC):
+            return plant.advance, plant.observe, own.model.function, own.estimator.function or no_estimate, no_law
+        return plant.advance, plant.observe, discretise, no_estimate, own.function  # type: ignore[attr-defined]
+
+    def chunks(self, which: NDArray[np.int64]) -> list[NDArray[np.int64]]:
+        """Runs that are driven together: the slots of one batch integrate with the same number of steps."""
+        from adaptrack.kernels.plants.contract import SLOTS
+
+        found = []
+        for steps in self.settings:
+            members = np.flatnonzero(self.substeps[which] == steps)
+            found += [members[first : first + SLOTS] for first in range(0, len(members), SLOTS)]
+        return found
+
+    def longest(self, tunings: Array, scheduler: CompiledScheduler | None) -> tuple[float, float]:
+        """The longest Np and Nc that runs with these tunings or this scheduler may ask for."""
+        if not isinstance(self.controller, MPC):
+            return 1.0, 1.0
+        longest, most = tunings[:, 0].max(initial=1), tunings[:, 1].max(initial=1)
+        if scheduler is not None:
+            longest, most = max(longest, scheduler.largest[0]), max(most, scheduler.largest[1])
+        return float(longest), float(most)
+
+    def run(
+        self, which: NDArray[np.int64], tunings: Array, seeds: NDArray[np.int64], threads: int, traced: bool = False,
+        segment: int = 0, weight: float = 0.0, scheduler: CompiledScheduler | None = None,
+    ) -> BatchRuns:  # fmt: skip
+        """Drive run i with scenario which[i], tunings[i] and seeds[i]; a scheduler begins with the tuning.
+
+        segment: periods of a segment whose cost is asked for, with `weight` (m^2/rad^2) on the squared moves; 0: none.
+        """
+        from adaptrack.kernels import guard, rollout
+
+        runs, n = len(which), self.signals[0].n
+        plan = _Plan(which, tunings, seeds, segment, weight, n if traced else 0, scheduler)
+        longest = (math.inf, math.inf) if traced else self.longest(tunings, scheduler)
+        settings = self.mpc_settings(*longest, residuals=traced)
+        result, counts = rollout.RESULT.new(runs), np.zeros((len(guard.COUNTS), runs), np.int64)
+        segments = np.zeros((runs, math.ceil(n / segment) if segment else 0))
+        traces: dict[int, Any] = {}
+        waiting: queue.SimpleQueue[NDArray[np.int64]] = queue.SimpleQueue()
+        chunks = self.chunks(which)
+        for chunk in chunks:
+            waiting.put(chunk)
+
+        def work() -> None:
+            while True:
+                try:
+                    chunk = waiting.get_nowait()
+                except queue.Empty:
+                    return
+                done = self._drive(chunk, plan, settings)
+                result[chunk], segments[chunk] = done.result, done.segments
+                if traced:
+                    traces[int(chunk[0])] = done.trace
+                if scheduler is not None:
+                    counts[:, chunk] = [done.schedule.memory[name] for name in guard.COUNTS]
+
+        workers = max(1, min(threads, len(chunks)))
+        if workers == 1:
+            work()
+        else:
+            with ThreadPoolExecutor(workers) as pool:
+                for future in [pool.submit(work) for _ in range(workers)]:
+                    future.result()
+        named = {} if scheduler is None else dict(zip(guard.COUNTS, counts, strict=True))
+        return BatchRuns(result, traces.get(0, rollout.no_trace()), named, segments)
+
+    def _drive(self, chunk: NDArray[np.int64], plan: _Plan, mpc_settings: Any) -> Any:
+        """Drive the runs of one chunk; the `kernels.rollout.Run` that they leave."""
+        from adaptrack.kernels import rollout
+
+        which, size, n = plan.which[chunk], len(chunk), self.signals[0].n
+        segments = math.ceil(n / plan.segment) if plan.segment else 0
+        run = self.arena(size, int(self.substeps[which[0]]), mpc_settings, segments, plan.traced, plan.scheduler)
+        run.road.scenario[:], run.road.seeds[:] = which, plan.seeds[chunk]
+        run.vehicles.start[:], run.tuning[:] = self.starts[which], plan.tunings[chunk]
+        rollout.begin(size, run)
+        rollout.rollout(n, size, (plan.weight, float(max(plan.segment, 1))), run, self.members)
+        return run
+
+
+@dataclass(frozen=True, eq=False)
+class _Plan:
+    """What the runs of `Batch.run` differ in."""
+
+    which: NDArray[np.int64]
+    tunings: Array
+    seeds: NDArray[np.int64]
+    segment: int
+    weight: float
+    traced: int
+    """periods to trace, 0 for no trace"""
+    scheduler: CompiledScheduler | None

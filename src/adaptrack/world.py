@@ -1,0 +1,149 @@
+"""The world around a controller: plant, profile, driver, what is known of friction and wind, when a run has failed.
+
+Runs from Python and compiled ones share it, and so they share what the kernels' control period (`kernels.loop`) needs.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from adaptrack.controllers import Controller
+from adaptrack.errors import InvalidInput
+from adaptrack.estimation import FrictionWindEstimator, Perception
+from adaptrack.failure import Failure, Reason
+from adaptrack.plant import Plant, SteppedPlant
+from adaptrack.profile import Profile, load_profile
+from adaptrack.scenario import Scenario, Signals
+from adaptrack.scheduling.variables import reference_preview
+from adaptrack.vehicle import SteeringActuator
+
+Array = NDArray[np.float64]
+KnownAs = Perception | FrictionWindEstimator | None
+"""How a scheduler knows friction and wind: exactly (None), with errors, or as an estimator finds them."""
+
+
+@dataclass(frozen=True)
+class Driver:
+    """Longitudinal driver: asks for the acceleration that reaches the profile's speed a preview time ahead.
+
+    dv = (v_ref(t + preview) - v_x)/preview + integral * (integral of v_ref - v_x), times the mass, within engine
+    power, traction and brakes.
+    """
+
+    preview: float = 0.5
+    """s"""
+    integral: float = 0.2
+    """1/s^2"""
+
+    def __post_init__(self) -> None:
+        if not 0.0 < self.preview < math.inf or not 0.0 <= self.integral < math.inf:
+            raise InvalidInput(f"Driver: preview = {self.preview!r} s must be positive, integral not negative.")
+
+
+@dataclass(frozen=True, eq=False)
+class World:
+    """Everything around the controller that all runs of a batch share."""
+
+    plant: Plant | SteppedPlant
+    """behind its steering"""
+    profile: Profile
+    period: float
+    """s, of the controller"""
+    driver: Driver | None
+    known_as: KnownAs
+    failure: Failure
+
+    @classmethod
+    def of(
+        cls, plant: Plant | SteppedPlant, controller: Controller, profile: str | Profile, driver: Driver | None,
+        known_as: KnownAs, failure: Failure | None,
+    ) -> World:  # fmt: skip
+        """The world of a controller.
+
+        Raises
+        ------
+        InvalidInput
+            When the parts do not fit each other.
+        """
+        if not isinstance(plant, Plant | SteppedPlant):
+            raise InvalidInput(f"plant = {plant!r}: must be a Plant, such as DualTrack(load_vehicle('paper')).")
+        profile = load_profile(profile)
+        if isinstance(plant, Plant) and getattr(plant, "steering", None) is None:
+            plant = plant.with_steering(profile.steering)
+        if failure is not None and not isinstance(failure, Failure):
+            raise InvalidInput(f"failure = {failure!r}: must be a Failure(distance=..., sideslip=...).")
+        if isinstance(known_as, FrictionWindEstimator) and not math.isclose(known_as.period, controller.period):
+            raise InvalidInput(
+                f"known_as: the estimator's period is {known_as.period!r} s, the controller's {controller.period!r} s: "
+                "both run at the same instants."
+            )
+        return cls(plant, profile, controller.period, driver, known_as, failure or Failure())
+
+    @property
+    def steering(self) -> SteeringActuator:
+        """The actuator between command and wheels."""
+        return getattr(self.plant, "steering", None) or self.profile.steering
+
+    def substeps(self, top_speed: float) -> int:
+        """Integration steps per control period up to a speed (m/s)."""
+        if isinstance(self.plant, SteppedPlant):
+            return math.ceil(self.period / self.plant.longest_step - 1e-9)
+        return self.plant.substeps(self.period, top_speed)
+
+    def settings(self, substeps: int) -> Any:
+        """`kernels.loop.SETTINGS`; without a driver the speed follows its profile exactly."""
+        from adaptrack.kernels import loop
+
+        profile, driver, steering = self.profile, self.driver, self.steering
+        return loop.SETTINGS.new(
+            period=self.period,
+            substeps=substeps,
+            prescribed_speed=driver is None,
+            delay=profile.delay,
+            noise_vy=profile.noise_vy,
+            noise_yaw=profile.noise_yaw,
+            noise_yaw_rate=profile.noise_yaw_rate,
+            noise_y=profile.noise_y,
+            steering_lag=steering.lag,
+            steering_limit=steering.limit,
+            driver_preview=driver.preview if driver else 1.0,
+            driver_integral=driver.integral if driver else 0.0,
+            **self.plant.powertrain,  # type: ignore[arg-type]
+            failure_distance=self.failure.distance,
+            failure_sideslip=self.failure.sideslip,
+        )
+
+    def samples(self, signals: Signals, number: int) -> Array:
+        """A scenario's samples as the kernels read them, (`kernels.loop.SIGNAL`, n + 1).
+
+        number: of the scenario in its batch, from which errors of perception are drawn.
+        """
+        known = (signals.friction.mean(axis=1), signals.wind[:, 1])
+        if isinstance(self.known_as, Perception):
+            known = self.known_as.known(*known, signals.period, number)
+        ahead = reference_preview(signals.y_ref, signals.period, len(signals.y_ref))
+        return np.ascontiguousarray(
+            np.vstack([signals.y_ref, signals.speed, signals.friction.T, signals.wind.T, *known, *ahead])
+        )
+
+    def start(self, scenario: Scenario, signals: Signals) -> Array:
+        """All states of the plant at the start (n,): in equilibrium at the speed of the scenario."""
+        motion = np.array([0.0, scenario.initial_y, scenario.start_heading, signals.speed[0], 0.0, 0.0])
+        return motion if isinstance(self.plant, SteppedPlant) else self.plant.initial_state(motion)
+
+
+def reason_of(ended: int) -> str | None:
+    """The name of what ended a run early; None for a run that came to its end, or that was stopped for its cost."""
+    from adaptrack.kernels import loop
+
+    return {
+        loop.OFF_ROAD: Reason.OFF_ROAD.value,
+        loop.NEVER_ARRIVED: Reason.OFF_ROAD.value,
+        loop.SPUN: Reason.SPUN.value,
+        loop.NOT_FINITE: Reason.NOT_FINITE.value,
+    }.get(ended)
