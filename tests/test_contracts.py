@@ -51,8 +51,10 @@ def deadbeat(measured, command, a, b, parameters, memory, x, d):
 def proportional(situation, reference, tuning, parameters, memory, answer):
     """Steer by the offset and the yaw angle; count the steps in the memory."""
     wanted = tuning[0] * (reference[0] - situation[3]) - tuning[1] * situation[1]
+    last = situation[5]
     memory[0] += 1.0
-    answer[0] = min(max(wanted, parameters[3]), parameters[4])
+    least, most = max(parameters[3], last + parameters[1]), min(parameters[4], last + parameters[2])
+    answer[0] = min(max(wanted, least), most) if math.isfinite(wanted) else last
     answer[1] = memory[0]
 
 
@@ -136,6 +138,19 @@ def test_a_compiled_controller_drives_alike_from_python_and_compiled_with_named_
     batch = rollout_batch(PLANT, own, LANE_CHANGE, [[0.05, 1.0], [0.02, 0.5]])
     assert batch.mse[0] == pytest.approx(np.mean(run.error**2), rel=1e-12)
     assert batch.mse[1] != batch.mse[0]
+
+
+def test_a_law_that_answers_no_number_holds_the_last_command_alike_from_python_and_compiled():
+    def fails_at_times(situation, reference, tuning, parameters, memory, answer):
+        memory[0] += 1.0
+        answer[0] = math.nan if memory[0] % 3.0 == 0.0 else 0.001 * memory[0]
+
+    own = UserController(fails_at_times, memory_size=1, period=0.05, label="moody")
+    run = simulate(PLANT, own, LANE_CHANGE)
+    assert same(run, rollout(PLANT, own, LANE_CHANGE))
+    assert run.held.tolist() == [(k + 1) % 3 == 0 for k in range(len(run))]
+    assert (np.diff(run.command)[1::3] == 0.0).all()
+    assert run.failed is None
 
 
 @pytest.mark.parametrize("law", [LQR, PurePursuit, Stanley])

@@ -5,10 +5,9 @@ import math
 
 import numpy as np
 import pytest
-from adaptrack.kernels.dynamics import DUAL_TRACK, INPUTS, SINGLE_TRACK, STATES, derivative, unpack
-from adaptrack.kernels.integrate import BLOCK, LANES, integrate
 
-from adaptrack.kernels.abi import PLANT_PARAMETERS
+from adaptrack.kernels.plants.contract import BLOCK, INPUT, INPUTS, SLOTS, STATE, STATES, vehicle_batch
+from adaptrack.kernels.plants.parameters import PLANT_PARAMETERS, unpack
 from adaptrack.plant import DualTrack, SingleTrack
 from adaptrack.profile import load_profile
 from adaptrack.vehicle import GRAVITY, SteeringActuator, Tyre, load_tyre, load_vehicle
@@ -50,18 +49,18 @@ def moving(speed, **states):
 def slope(plant, x, u):
     """dx/dt (STATES,) as the kernel computes it."""
     dx = np.full(STATES, np.nan)
-    derivative(plant.kind, x, u, plant.packed(), dx)
+    plant.compiled.right_hand_side(x, u, plant.packed(), dx)
     return dx
 
 
 def ride(plant, x, u, duration, h=0.005):
     """The state (STATES,) after `duration` (s) of constant input, by RK4 with steps of h (s)."""
-    block = np.zeros(BLOCK)
-    rows = block.reshape(-1, LANES)
+    batch = vehicle_batch(plant.packed(), x[None, :6])
+    rows = batch.block.reshape(-1, SLOTS)
     rows[:STATES] = x[:, None]
     rows[STATES:] = u[:, None]
     steps = round(duration / h)
-    integrate(plant.kind, plant.packed(), block, 1, steps, duration / steps)
+    plant.compiled.advance(batch.parameters, batch.block, batch.states, batch.work, 1, steps, duration / steps)
     return rows[:STATES, 0].copy()
 
 
@@ -77,7 +76,7 @@ def mirrored_inputs(u):
 def wild_state(rng, plant):
     x = np.zeros(STATES)
     x[:6] = rng.uniform([-100, -50, -4, 0, -4, -1.5], [100, 50, 4, 45, 4, 1.5])
-    if plant.kind == DUAL_TRACK:
+    if isinstance(plant, DualTrack):
         x[6:10] = rng.uniform(-0.4, 0.4, 4)
         x[10:12] = rng.uniform(-14, 14, 2)  # far enough to lift wheels
     return x
@@ -99,7 +98,7 @@ def wild_inputs(rng, driven):
 @every_plant
 @pytest.mark.parametrize("driven", [True, False], ids=["driven", "prescribed"])
 def test_the_compiled_derivative_agrees_with_an_independent_one(plant, driven, rng):
-    written = reference.single_track if plant.kind == SINGLE_TRACK else reference.dual_track
+    written = reference.single_track if isinstance(plant, SingleTrack) else reference.dual_track
     own = len(plant.state_names)
     for _ in range(120):
         x, u = wild_state(rng, plant), wild_inputs(rng, driven)
@@ -123,6 +122,14 @@ def test_parameters_are_unpacked_in_the_order_of_their_names():
     assert c._fields == PLANT_PARAMETERS
     assert [getattr(c, name) for name in PLANT_PARAMETERS] == numbers.tolist()
     assert inputs().size == INPUTS
+
+
+def test_a_block_begins_with_what_every_plant_has_and_ends_with_its_surroundings():
+    names = STATE._fields[:6]
+    assert names == ("x", "y", "yaw", "vx", "vy", "yaw_rate")
+    assert [getattr(STATE, name) for name in STATE._fields] == list(range(STATES))
+    assert [getattr(INPUT, name) for name in INPUT._fields] == list(range(INPUTS))
+    assert BLOCK == (STATES + INPUTS) * SLOTS
 
 
 # -- the integrator ---------------------------------------------------------------------------------------------------

@@ -6,15 +6,25 @@ import math
 
 import numpy as np
 import pytest
-from adaptrack.kernels.dynamics import unpack
 
-from adaptrack.controllers import MPC, Command, Tuning
-from adaptrack.errors import InvalidInput
-from adaptrack.estimation import Belief, Estimating, FrictionWindEstimator
-from adaptrack.kernels import estimation as kernel
+from adaptrack import estimation
+from adaptrack.controllers import MPC, Tuning
+from adaptrack.errors import ContractError, InvalidInput, UnknownName
+from adaptrack.estimation import (
+    Belief,
+    FrictionWindEstimator,
+    UserEstimator,
+    check_estimator,
+    get_estimator,
+    list_estimators,
+    register_estimator,
+)
+from adaptrack.kernels.estimators import friction_wind as kernel
+from adaptrack.kernels.plants.parameters import unpack
+from adaptrack.models import SingleTrackModel
 from adaptrack.plant import DualTrack, SingleTrack
 from adaptrack.profile import load_profile
-from adaptrack.qp import QPStatus
+from adaptrack.failure import Failure
 from adaptrack.scenario import Scenario, load_scenario
 from adaptrack.scheduling import SchedulingVariables
 from adaptrack.simulate import simulate
@@ -25,6 +35,9 @@ PAPER, ROAD = load_profile("paper"), load_profile("road")
 NOMINAL = Belief().nominal_friction
 PRIOR_STD = NOMINAL * Belief().friction_spread
 SILENT_ROAD = ROAD.replace(noise_vy=0.0, noise_yaw=0.0, noise_yaw_rate=0.0, noise_y=0.0)
+
+
+NEVER = Failure(distance=math.inf, sideslip=math.inf)
 
 
 class Scripted:
@@ -39,13 +52,27 @@ class Scripted:
     def reset(self):
         self.k = 0
 
-    def step(self, state, speed, reference, condition=None):
+    def step(self, state, speed, reference, variables=None):
         angle = self.steering(self.k * self.period)
         self.k += 1
-        return Command(angle, 0.0, QPStatus.SOLVED, 0, 0.0, 0, False, (1.0, 1.0, 1.0, 1.0))
+        return angle
 
     def describe(self):
         return {}
+
+
+class Recording:
+    """Keeps what an estimator answers, in the place of its `step`."""
+
+    def __init__(self, estimator):
+        self.own, self.estimates = estimator, []
+        step = type(estimator).step
+
+        def recorded(*arguments):
+            self.estimates.append(step(estimator, *arguments))
+            return self.estimates[-1]
+
+        estimator.step = recorded
 
 
 def road(speed=20.0, friction=0.9, wind=0.0, duration=10.0, **others):
@@ -56,13 +83,14 @@ def road(speed=20.0, friction=0.9, wind=0.0, duration=10.0, **others):
 
 
 def drive(scenario, steering, profile=ROAD, plant=None, estimator=None, seed=0):
-    """The trajectory under a steering law, and the estimates (n, 5)."""
+    """The trajectory under a steering law, and the estimates (n, 5); nobody stops a car that slides."""
     plant = plant or DualTrack(CAR)
-    controller = Estimating(
-        Scripted(steering) if callable(steering) else steering, estimator or FrictionWindEstimator.of(plant, profile)
+    controller = Scripted(steering) if callable(steering) else steering
+    estimator = Recording(estimator or FrictionWindEstimator.of(plant, profile))
+    trajectory = simulate(
+        plant, controller, scenario, profile=profile, seed=seed, known_as=estimator.own, failure=NEVER
     )
-    trajectory = simulate(plant, controller, scenario, profile=profile, seed=seed)
-    return trajectory, np.array(controller.estimates)
+    return trajectory, np.array(estimator.estimates)
 
 
 def weave(amplitude, frequency=0.4):
@@ -348,19 +376,20 @@ def test_reset_forgets():
 
 # -- the door ---------------------------------------------------------------------------------------------------------
 def test_the_scheduler_is_told_the_estimates():
-    told = []
+    seen = []
 
-    def scheduler(condition):
-        told.append(condition)
+    def scheduler(variables):
+        seen.append(variables)
         return 20.0, 5.0, 1.0, 3000.0
 
     mpc = MPC(CAR, period=0.05, scheduler=scheduler)
-    controller = Estimating(mpc, FrictionWindEstimator.of(DualTrack(CAR)))
-    trajectory = simulate(DualTrack(CAR), controller, road(20.0, 0.9, 15.0, 1.0), profile="road")
-    assert [(c.friction, c.wind) for c in told] == [(e.friction, e.wind) for e in controller.estimates]
-    assert [c.speed for c in told] == trajectory.vx.tolist()
-    assert isinstance(told[0], SchedulingVariables)
-    assert controller.describe()["estimator"]["nominal_friction"] == NOMINAL
+    estimator = Recording(FrictionWindEstimator.of(DualTrack(CAR)))
+    trajectory = simulate(
+        DualTrack(CAR), mpc, road(20.0, 0.9, 15.0, 1.0), profile="road", known_as=estimator.own
+    )  # fmt: skip
+    assert [(v.friction, v.wind) for v in seen] == [(e.friction, e.wind) for e in estimator.estimates]
+    assert [v.speed for v in seen] == trajectory.vx.tolist()
+    assert isinstance(seen[0], SchedulingVariables)
 
 
 @pytest.mark.parametrize("name", ["period", "noise_vy", "noise_yaw_rate", "noise_acceleration"])
@@ -395,4 +424,54 @@ def test_a_measurement_of_another_shape_is_refused():
 
 def test_estimator_and_controller_must_share_their_period():
     with pytest.raises(InvalidInput, match="same instants"):
-        Estimating(MPC(CAR, period=0.1), FrictionWindEstimator(CAR, period=0.05))
+        simulate(
+            DualTrack(CAR), MPC(CAR, period=0.1), road(duration=1.0), known_as=FrictionWindEstimator(CAR, period=0.05)
+        )  # fmt: skip
+
+
+# -- the state of the prediction model --------------------------------------------------------------------------------
+def hold_still(measured, command, a, b, parameters, memory, x, d):
+    """Whatever is measured: the origin, undisturbed."""
+    x[:] = 0.0
+    d[:] = 0.0
+
+
+def test_an_estimator_of_ones_own_may_be_registered_and_found_by_name(monkeypatch):
+    monkeypatch.setattr(estimation, "_factories", dict(estimation._factories))
+    register_estimator("still", lambda: UserEstimator(hold_still, label="still"))
+    assert list_estimators() == ["deadbeat", "still"]
+    assert get_estimator("still").name == "still"
+    assert MPC(CAR, estimator="still").describe()["estimator"] == "still"
+    for name, factory in (("deadbeat", UserEstimator), ("", UserEstimator), ("mine", 3)):
+        with pytest.raises(InvalidInput, match="register_estimator"):
+            register_estimator(name, factory)
+    with pytest.raises(UnknownName, match="'deadbeat'"):
+        MPC(CAR, estimator="deadbead")
+    with pytest.raises(InvalidInput, match="estimator"):
+        MPC(CAR, estimator=3)
+
+
+def leaves_gaps(measured, command, a, b, parameters, memory, x, d):
+    """A disturbance that nobody writes, and a state that is what is measured, gaps and all."""
+    for i in range(x.size):
+        x[i] = measured[i]
+
+
+def scribbles(measured, command, a, b, parameters, memory, x, d):
+    """Writes to the model."""
+    x[:] = 0.0
+    d[:] = 0.0
+    a[0, 0] = 0.0
+
+
+@pytest.mark.parametrize(
+    ("estimate", "clause"),
+    [
+        (leaves_gaps, "x and d must be written and finite"),
+        (scribbles, "must write to memory, x and d only"),
+        (hold_still, "must predict the model"),
+    ],
+)
+def test_the_checker_refuses_an_estimator_that_breaks(estimate, clause):
+    with pytest.raises(ContractError, match=clause):
+        check_estimator(UserEstimator(estimate), SingleTrackModel(CAR, 0.05))

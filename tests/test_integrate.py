@@ -1,11 +1,11 @@
-"""Many vehicles at once: a lane's numbers are its own, to the last bit, whoever rides beside it."""
+"""Many vehicles at once: a slot's numbers are its own, to the last bit, whoever rides beside it."""
 
 import numpy as np
 import pytest
-from adaptrack.kernels.dynamics import CUSTOM, DUAL_TRACK, INPUTS, STATES, compile_plant
-from adaptrack.kernels.integrate import BLOCK, LANE_STEP, LANES, integrate, integrate_custom
-from adaptrack.kernels.tyre import CURVED_MAGIC_FORMULA, LINEAR, MAGIC_FORMULA
 
+from adaptrack.kernels.plants.contract import GROUP, INPUT, INPUTS, SLOTS, STATE, STATES, vehicle_batch
+from adaptrack.kernels.plants.tyre import CURVED_MAGIC_FORMULA, LINEAR, MAGIC_FORMULA
+from adaptrack.kernels.plants.user import ACTUATOR, compile_plant
 from adaptrack.plant import DualTrack, SingleTrack, UserPlant
 from adaptrack.profile import load_profile
 from adaptrack.vehicle import SteeringActuator, load_tyre, load_vehicle
@@ -23,43 +23,43 @@ every_plant = pytest.mark.parametrize("plant", [SingleTrack, DualTrack])
 every_law = pytest.mark.parametrize("law", LAWS, ids=("linear", "magic-formula", "curved"))
 
 
-def crowd(rng, kind):
-    """LANES different vehicles: rows of state and input (STATES + INPUTS, LANES), half of them driven by a force."""
-    rows = np.zeros((STATES + INPUTS, LANES))
-    rows[:6] = rng.uniform([[-50], [-9], [-3], [0], [-2], [-1]], [[50], [9], [3], [40], [2], [1]], (6, LANES))
-    if kind == DUAL_TRACK:
-        rows[6:10] = rng.uniform(-0.2, 0.2, (4, LANES))
-        rows[10:12] = rng.uniform(-5, 5, (2, LANES))
-    rows[12:14] = rng.uniform(-0.3, 0.3, (2, LANES))
-    rows[14] = rng.uniform(-9000, 6000, LANES)
-    rows[15] = np.where(np.arange(LANES) % 2, np.nan, rng.uniform(-3, 3, LANES))
-    rows[16:20] = rng.uniform(0.2, 1.1, (4, LANES))
-    rows[20:22] = rng.uniform(-30, 30, (2, LANES))
+def crowd(rng, plant):
+    """SLOTS different vehicles: rows of state and input (STATES + INPUTS, SLOTS), half of them driven by a force."""
+    rows = np.zeros((STATES + INPUTS, SLOTS))
+    rows[:6] = rng.uniform([[-50], [-9], [-3], [0], [-2], [-1]], [[50], [9], [3], [40], [2], [1]], (6, SLOTS))
+    if isinstance(plant, DualTrack):
+        rows[6:10] = rng.uniform(-0.2, 0.2, (4, SLOTS))
+        rows[10:12] = rng.uniform(-5, 5, (2, SLOTS))
+    rows[12:14] = rng.uniform(-0.3, 0.3, (2, SLOTS))
+    rows[14] = rng.uniform(-9000, 6000, SLOTS)
+    rows[15] = np.where(np.arange(SLOTS) % 2, np.nan, rng.uniform(-3, 3, SLOTS))
+    rows[16:20] = rng.uniform(0.2, 1.1, (4, SLOTS))
+    rows[20:22] = rng.uniform(-30, 30, (2, SLOTS))
     return rows
 
 
 def advanced(plant, rows, members, substeps=12, h=0.008):
     """The vehicles `members` (columns of `rows`) after some steps, in a block of their own."""
-    block = np.zeros(BLOCK)
-    lanes = block.reshape(STATES + INPUTS, LANES)
-    lanes[:] = rows[:, members[:1]]  # whoever fills up the last group of lanes
-    lanes[:, : len(members)] = rows[:, members]
-    integrate(plant.kind, plant.packed(), block, len(members), substeps, h)
-    return lanes[:, : len(members)]
+    batch = vehicle_batch(plant.packed(), np.zeros((SLOTS, 6)))
+    slots = batch.block.reshape(STATES + INPUTS, SLOTS)
+    slots[:] = rows[:, members[:1]]  # whoever fills up the last group of slots
+    slots[:, : len(members)] = rows[:, members]
+    plant.compiled.advance(batch.parameters, batch.block, batch.states, batch.work, len(members), substeps, h)
+    return slots[:, : len(members)]
 
 
 @every_plant
 @every_law
-@pytest.mark.parametrize("size", [1, 7, 20, LANES])
-def test_a_lane_is_the_same_to_the_last_bit_alone_and_in_any_company(plant, law, size, rng):
+@pytest.mark.parametrize("size", [1, 7, 20, SLOTS])
+def test_a_slot_is_the_same_to_the_last_bit_alone_and_in_any_company(plant, law, size, rng):
     car = plant(CAR, LAWS[law], ROAD)
-    rows = crowd(rng, car.kind)
-    members = rng.permutation(LANES)[:size]
+    rows = crowd(rng, car)
+    members = rng.permutation(SLOTS)[:size]
     together = advanced(car, rows, members)
     assert np.isfinite(together[:STATES]).all()
-    for lane in rng.permutation(size)[:4]:
-        alone = advanced(car, rows, members[lane : lane + 1])[:, 0]
-        assert np.array_equal(alone, together[:, lane], equal_nan=True)
+    for slot in rng.permutation(size)[:4]:
+        alone = advanced(car, rows, members[slot : slot + 1])[:, 0]
+        assert np.array_equal(alone, together[:, slot], equal_nan=True)
     other_order = advanced(car, rows, members[::-1])[:, ::-1]
     assert np.array_equal(other_order, together, equal_nan=True)
 
@@ -67,34 +67,35 @@ def test_a_lane_is_the_same_to_the_last_bit_alone_and_in_any_company(plant, law,
 @every_plant
 def test_two_short_rides_are_one_long_one(plant, rng):
     car = plant(CAR, steering=ROAD)
-    rows, members = crowd(rng, car.kind), np.arange(5)
+    rows, members = crowd(rng, car), np.arange(5)
     twice = rows.copy()
     twice[:, :5] = advanced(car, rows, members, 5)
     assert np.array_equal(advanced(car, twice, members, 7), advanced(car, rows, members, 12), equal_nan=True)
 
 
 @every_plant
-def test_inputs_are_held_and_lanes_that_nobody_asked_for_stay(plant, rng):
+def test_inputs_are_held_and_slots_that_nobody_asked_for_stay(plant, rng):
     car = plant(CAR, steering=ROAD)
-    rows = crowd(rng, car.kind)
-    block = rows.ravel().copy()
-    integrate(car.kind, car.packed(), block, LANE_STEP, 3, 0.01)
-    after = block.reshape(rows.shape)
+    rows = crowd(rng, car)
+    batch = vehicle_batch(car.packed(), np.zeros((SLOTS, 6)))
+    batch.block[:] = rows.ravel()
+    car.compiled.advance(batch.parameters, batch.block, batch.states, batch.work, GROUP, 3, 0.01)
+    after = batch.block.reshape(rows.shape)
     assert np.array_equal(after[STATES:], rows[STATES:], equal_nan=True)
-    assert np.array_equal(after[:, LANE_STEP:], rows[:, LANE_STEP:], equal_nan=True)
+    assert np.array_equal(after[:, GROUP:], rows[:, GROUP:], equal_nan=True)
 
 
 @every_plant
 @every_law
 def test_a_step_is_the_classical_runge_kutta_step(plant, law, rng):
     car = plant(CAR, LAWS[law])
-    written = reference.dual_track if car.kind == DUAL_TRACK else reference.single_track
+    written = reference.dual_track if plant is DualTrack else reference.single_track
     own, h = len(car.state_names), 0.005
-    rows = crowd(rng, car.kind)
+    rows = crowd(rng, car)
     after = advanced(car, rows, np.arange(6), substeps=1, h=h)
-    for lane in range(6):
-        x, u, environment = rows[:own, lane], rows[13:15, lane], rows[16:, lane]
-        acceleration = None if np.isnan(rows[15, lane]) else rows[15, lane]
+    for slot in range(6):
+        x, u, environment = rows[:own, slot], rows[13:15, slot], rows[16:, slot]
+        acceleration = None if np.isnan(rows[15, slot]) else rows[15, slot]
 
         def f(x, u=u, environment=environment, acceleration=acceleration):
             return written(CAR, car.tyre, x, u, environment, acceleration)
@@ -103,7 +104,7 @@ def test_a_step_is_the_classical_runge_kutta_step(plant, law, rng):
         k2 = f(x + h / 2 * k1)
         k3 = f(x + h / 2 * k2)
         k4 = f(x + h * k3)
-        np.testing.assert_allclose(after[:own, lane], x + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4), rtol=1e-11, atol=1e-11)
+        np.testing.assert_allclose(after[:own, slot], x + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4), rtol=1e-11, atol=1e-11)
 
 
 # -- a user's plant ---------------------------------------------------------------------------------------------------
@@ -122,14 +123,14 @@ def copy_of_the_single_track(x, u, environment, p, dx):
 
 
 def custom_ride(function, parameters, steering, start, inputs, substeps, h, own=6):
-    """A block's first lane (STATES + INPUTS,) and the plant's own states after a ride of a user's plant."""
-    block, states = np.zeros(BLOCK), np.zeros((LANES, own))
-    rows = block.reshape(-1, LANES)
+    """A block's first slot (STATES + INPUTS,) and the plant's own states after a ride of a user's plant."""
+    packed = np.array([steering.lag, steering.rate, steering.limit, *parameters])
+    batch = vehicle_batch(packed, np.zeros((SLOTS, own)))
+    rows = batch.block.reshape(-1, SLOTS)
     rows[:6], rows[STATES:] = start[:6, None], inputs[:, None]
-    states[:, :6] = start[:6]
-    packed = np.array([*parameters, steering.lag, steering.rate, steering.limit])
-    integrate_custom(compile_plant(function), packed, block, states, 3, substeps, h, np.zeros((7, max(own, 6))))
-    return rows[:, 0].copy(), states
+    batch.states[:, :6] = start[:6]
+    compile_plant(function).advance(packed, batch.block, batch.states, batch.work, 3, substeps, h)
+    return rows[:, 0].copy(), batch.states
 
 
 @pytest.mark.parametrize("steering", [SteeringActuator.ideal(), ROAD], ids=["ideal", "road"])
@@ -141,7 +142,7 @@ def test_a_users_plant_is_integrated_as_the_built_in_ones_are(steering, accelera
     inputs = np.array([0.4, 800.0, acceleration, 1.0, 1.0, 1.0, 1.0, 0.0, 0.0])
     parameters = (CAR.mass, CAR.yaw_inertia, CAR.lf, CAR.lr, 19000.0, 33000.0)
     own, states = custom_ride(copy_of_the_single_track, parameters, steering, start, inputs, 40, 0.01)
-    rows = np.zeros((STATES + INPUTS, LANES))
+    rows = np.zeros((STATES + INPUTS, SLOTS))
     rows[:6], rows[STATES:] = start[:, None], inputs[:, None]
     built_in = advanced(car, rows, np.arange(1), 40, 0.01)[:, 0]
     np.testing.assert_allclose(own[:6], built_in[:6], rtol=1e-11, atol=1e-11)
@@ -167,11 +168,28 @@ def test_a_users_own_states_are_integrated_and_see_steering_and_environment():
     rest = (command + wind) / omega**2
     assert states[0, 6] == pytest.approx(rest * (1 - np.cos(omega * 1.0)), rel=1e-7)
     assert states[0, 0] == pytest.approx(10.0, rel=1e-12)
-    assert np.array_equal(states[0], states[2])  # the third of three lanes
+    assert np.array_equal(states[0], states[2])  # the third of three slots
     assert (states[3:, 6:] == 0.0).all()  # nobody asked for the fourth
 
 
-def test_a_users_plant_is_of_its_own_kind():
+def test_a_users_plant_packs_its_own_parameters_behind_those_of_the_steering():
     plant = UserPlant(pendulum_beside_the_car, {"omega": 1.0}, mass=1000.0, own_states=("angle", "rate"))
-    assert plant.kind == CUSTOM
-    assert plant.packed().tolist() == [1.0, 0.0, np.inf, np.pi / 2]
+    assert plant.packed().tolist() == [0.0, np.inf, np.pi / 2, 1.0]
+    behind = plant.with_steering(SteeringActuator(lag=0.3, rate=0.4, limit=0.5)).packed()
+    assert [behind[ACTUATOR.lag], behind[ACTUATOR.rate], behind[ACTUATOR.limit]] == [0.3, 0.4, 0.5]
+
+
+@every_plant
+@pytest.mark.parametrize("steering", [SteeringActuator.ideal(), ROAD], ids=["ideal", "road"])
+def test_what_is_observed_is_the_slope_and_the_angle_of_the_wheels(plant, steering, rng):
+    car = plant(CAR, steering=steering)
+    batch = vehicle_batch(car.packed(), np.zeros((SLOTS, 6)))
+    rows = batch.block.reshape(STATES + INPUTS, SLOTS)
+    rows[:] = crowd(rng, car)
+    for slot in (0, 5, SLOTS - 1):
+        seen, slope = np.full(2, np.nan), np.full(STATES, np.nan)
+        car.compiled.observe(batch.parameters, batch.block, batch.states, batch.work, slot, seen)
+        x, u = rows[:STATES, slot].copy(), rows[STATES:, slot].copy()
+        car.compiled.right_hand_side(x, u, car.packed(), slope)
+        assert seen[0] == slope[STATE.vy] + x[STATE.vx] * x[STATE.yaw_rate]
+        assert seen[1] == (x[STATE.steering] if steering is ROAD else np.clip(u[INPUT.command], -np.pi / 2, np.pi / 2))

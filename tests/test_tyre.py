@@ -4,8 +4,9 @@ import math
 
 import numpy as np
 import pytest
-from adaptrack.kernels.dynamics import unpack
-from adaptrack.kernels.tyre import (
+
+from adaptrack.kernels.plants.parameters import unpack
+from adaptrack.kernels.plants.tyre import (
     CURVED_MAGIC_FORMULA,
     LINEAR,
     MAGIC_FORMULA,
@@ -13,7 +14,6 @@ from adaptrack.kernels.tyre import (
     lateral_force,
     tyre_law,
 )
-
 from adaptrack.vehicle import SteeringActuator, list_tyres, load_tyre, load_vehicle, pack_plant
 from references.vehicle import cornering_stiffness, tyre_force
 
@@ -27,7 +27,7 @@ TYRES["curved"] = TYRES["passenger-car"].replace(name="curved", curvature=-1.5, 
 def compiled(tyre):
     """The tyre's force as the plant computes it: (slip, load, friction) -> N, of a front tyre."""
     c = unpack(pack_plant(load_vehicle("paper"), tyre, SteeringActuator.ideal()))
-    law = tyre_law(c)
+    law = tyre_law(tyre.kind == "linear", tyre.curvature)
     return lambda slip, load, friction: lateral_force(slip, load, friction, tyre.stiffness_front, c, law)
 
 
@@ -54,7 +54,7 @@ def friction_force(tyre, load, friction):
 def test_each_law_is_chosen_by_its_parameters():
     laws = {}
     for name, tyre in TYRES.items():
-        laws[name] = tyre_law(unpack(pack_plant(load_vehicle("paper"), tyre, SteeringActuator.ideal())))
+        laws[name] = tyre_law(tyre.kind == "linear", tyre.curvature)
     assert laws == {
         "constant-stiffness": LINEAR,
         "magic-formula": MAGIC_FORMULA,

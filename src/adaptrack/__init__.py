@@ -145,10 +145,8 @@ _PUBLIC = {
         "list_contenders",
         "register_contender",
     ),
-    "studies.adapt": (
-        "adapt",
-        "load_adaptation",
-    ),
+    "adaptation.config": ("load_adaptation",),
+    "studies.adapt": ("adapt",),
 }
 """Module -> the names that the package exposes from it; the imports below repeat it for type checkers."""
 

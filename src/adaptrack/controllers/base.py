@@ -11,6 +11,7 @@ from typing import Any, NamedTuple, Protocol, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from adaptrack.controllers.inputs import number, vector
 from adaptrack.controllers.limits import Limits
 from adaptrack.errors import InvalidInput, real
 from adaptrack.vehicle import Vehicle
@@ -146,17 +147,19 @@ class CompiledController(ABC):
             When an argument is not made of numbers or has a wrong shape.
         """
         situation = np.empty(6)
-        situation[:4] = _numbers("state", state, (4,))
-        situation[4] = _numbers("speed", speed, ())
+        situation[:4] = vector("state", state, 4)
+        situation[4] = number("speed", speed)
         situation[5] = self._angle
-        ahead = _numbers("reference", reference, None)
+        ahead = vector("reference", reference)
         if not self.preview:
             ahead = ahead[:1]
         self.function(situation, ahead, self._tuning, self._parameters, self._memory, self._answer)
         angle, *told = self._answer.tolist()
-        move, self._angle = angle - self._angle, angle
         diagnostics = dict(zip(self.diagnostic_names, told, strict=True))
-        return Command(angle, move, diagnostics.get("held", 0.0) > 0.5, tuple(self.tuning.values()), diagnostics)
+        held = not math.isfinite(angle) or diagnostics.get("held", 0.0) > 0.5
+        angle = angle if math.isfinite(angle) else self._angle
+        move, self._angle = angle - self._angle, angle
+        return Command(angle, move, held, tuple(self.tuning.values()), diagnostics)
 
     def describe(self) -> dict[str, Any]:
         """The controller's configuration, for provenance."""
@@ -185,23 +188,3 @@ def steering_delay(vehicle: Vehicle) -> float:
     if steering is None or (steering.lag is None and steering.dead_time is None):
         return STEERING_DELAY
     return (steering.lag or 0.0) + (steering.dead_time or 0.0)
-
-
-def _numbers(name: str, values: Any, shape: tuple[int, ...] | None) -> Array:
-    """A new float64 array of the given shape (None: one row of any length >= 1), masked entries NaN."""
-    try:
-        given = np.asarray(values)
-    except (TypeError, ValueError, OverflowError):
-        given = np.empty(0, dtype=object)
-    if given.dtype.kind not in "iuf":
-        raise InvalidInput(f"{name} = {str(values)[:80]}: must be {'a number' if shape == () else 'real numbers'}.")
-    numbers = given.astype(np.float64)
-    if isinstance(values, np.ma.MaskedArray):
-        numbers[np.ma.getmaskarray(values)] = np.nan
-    if shape is None:
-        numbers = numbers.reshape(-1)
-        if numbers.size == 0:
-            raise InvalidInput(f"{name}: empty; give at least its present value.")
-    elif numbers.shape != shape:
-        raise InvalidInput(f"{name}: shape {numbers.shape}, expected {shape}.")
-    return numbers

@@ -12,10 +12,10 @@ from adaptrack.errors import InvalidInput
 Array = NDArray[np.float64]
 
 
-def vector(name: str, values: Any, size: int | None = None, most: int | None = None) -> Array:
-    """A writeable, contiguous float64 row of the given size (None: any, not empty); masked entries become NaN.
+def vector(name: str, values: Any, size: int | tuple[int, ...] | None = None, most: int | None = None) -> Array:
+    """A writeable, contiguous float64 row; masked entries become NaN.
 
-    most: only the first so many are read. A row that is fit already is given back as it is, not copied.
+    size: how long it may be, None: any length but 0; most: only the first so many are read. A row that is fit already is given back as it is, not copied.
 
     Raises
     ------
@@ -26,9 +26,12 @@ def vector(name: str, values: Any, size: int | None = None, most: int | None = N
         row = values
     else:
         row = _converted(name, values)
-    if size is not None and row.shape != (size,):
-        raise InvalidInput(f"{name}: shape {row.shape}, expected ({size},).")
-    if size is None:
+    if size is not None:
+        fitting = (size,) if isinstance(size, int) else size
+        if row.ndim != 1 or row.size not in fitting:
+            expected = " or ".join(f"({length},)" for length in fitting)
+            raise InvalidInput(f"{name}: shape {row.shape}, expected {expected}.")
+    else:
         row = row.reshape(-1)
         if row.size == 0:
             raise InvalidInput(f"{name}: empty; give at least its present value.")
@@ -57,11 +60,12 @@ def _converted(name: str, values: Any) -> Array:
         given = np.asarray(values)
         if given.dtype == object:  # whole numbers beyond 64 bits, decimals, fractions
             given = np.array([_as_float(value) for value in given.ravel()]).reshape(given.shape)
-    except (TypeError, ValueError, RecursionError):
+    except Exception:  # whatever an object of others raises when it is asked for its numbers
         given = np.empty(0, dtype=str)
     if given.dtype.kind not in "iuf":
         raise InvalidInput(f"{name} = {_short(values)}: must be real numbers.")
-    row = given.astype(np.float64)
+    with np.errstate(over="ignore"):  # wider than float64
+        row = given.astype(np.float64)
     if isinstance(values, np.ma.MaskedArray):
         row[np.ma.getmaskarray(values)] = np.nan
     return row

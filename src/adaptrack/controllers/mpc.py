@@ -333,11 +333,11 @@ class MPC:
     def _take(self, state: ArrayLike, speed: float, reference: ArrayLike) -> tuple[Array, float]:
         """Take in the measured state; the reference and the speed as the kernels want them."""
         measured = self._mpc.measured
-        given = vector("state", state)
-        if given.size not in (4, len(measured)):
-            raise InvalidInput(f"state: shape {given.shape}, expected (4,): v_y, yaw, yaw rate, y.")
+        given = vector("state", state, (4, len(measured)))
         ahead = vector("reference", reference, most=self.longest_horizon + 1)
         pace = number("speed", speed)
+        if pace == -math.inf:
+            pace = math.nan  # the speed's floor would make a number of it
         measured[: given.size] = given
         measured[given.size :] = math.nan
         return ahead, pace

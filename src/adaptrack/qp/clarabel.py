@@ -9,7 +9,6 @@ from scipy import sparse
 
 from adaptrack.errors import InvalidInput
 from adaptrack.qp.problem import QP, QPStatus, Solution
-from adaptrack.qp.registry import require
 from adaptrack.qp.solver import Attempt, OnUncertified, QPSolver, all_multipliers, is_convex, is_finite, present_rows
 
 
@@ -24,13 +23,12 @@ class Clarabel(QPSolver):
 
     def __init__(self, on_uncertified: OnUncertified = "exact", **settings: Any) -> None:
         super().__init__(on_uncertified)
-        self._library = require("clarabel", self.name)
-        self._settings = self._library.DefaultSettings()
+        known = self._library.DefaultSettings()
         tight = {"verbose": False, "max_threads": 1, "tol_feas": 1e-11, "tol_gap_abs": 1e-11, "tol_gap_rel": 1e-11}
-        for key, value in {**tight, **settings}.items():
-            if not hasattr(self._settings, key):
+        self._settings = {**tight, **settings}
+        for key in self._settings:
+            if not hasattr(known, key):
                 raise InvalidInput(f"clarabel has no setting {key!r}.")
-            setattr(self._settings, key, value)
 
     def attempt(self, qp: QP, warm_start: Solution | None = None) -> Attempt:
         """See `QPSolver.attempt`. The warm start is not used: an interior-point method cannot."""
@@ -39,10 +37,13 @@ class Clarabel(QPSolver):
         if not is_convex(qp):
             return Attempt(QPStatus.NOT_CONVEX)
         library = self._library
+        own = library.DefaultSettings()
+        for key, value in self._settings.items():
+            setattr(own, key, value)
         rows, M, gamma = present_rows(qp)
         cones = [library.NonnegativeConeT(len(rows))] if len(rows) else []
         solver = library.DefaultSolver(
-            sparse.csc_matrix(np.triu(qp.E)), np.array(qp.K), sparse.csc_matrix(M), gamma, cones, self._settings
+            sparse.csc_matrix(np.triu(qp.E)), np.array(qp.K), sparse.csc_matrix(M), gamma, cones, own
         )
         result = solver.solve()
         statuses = {

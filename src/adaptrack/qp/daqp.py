@@ -35,7 +35,7 @@ class Daqp(QPSolver):
 
     def __init__(self, on_uncertified: OnUncertified = "exact", **settings: Any) -> None:
         super().__init__(on_uncertified)
-        self._library = require("daqp", self.name)
+        require("daqp", self.name)
         self._settings = {"primal_tol": 1e-11, "dual_tol": 1e-14, "iter_limit": 10_000, **settings}
 
     def attempt(self, qp: QP, warm_start: Solution | None = None) -> Attempt:

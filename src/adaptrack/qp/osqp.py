@@ -25,7 +25,7 @@ class Osqp(QPSolver):
 
     def __init__(self, on_uncertified: OnUncertified = "exact", **settings: Any) -> None:
         super().__init__(on_uncertified)
-        self._library = require("osqp", self.name)
+        require("osqp", self.name)
         self._settings = {
             "verbose": False, "eps_abs": 1e-10, "eps_rel": 1e-10, "max_iter": 200_000,
             "adaptive_rho_interval": 50,  # by iterations, not by the clock: the same problem gives the same bits

@@ -8,7 +8,6 @@ import numpy as np
 
 from adaptrack.errors import InvalidInput
 from adaptrack.qp.problem import QP, QPStatus, Solution
-from adaptrack.qp.registry import require
 from adaptrack.qp.solver import Attempt, OnUncertified, QPSolver, all_multipliers, is_convex, is_finite, present_rows
 
 
@@ -23,7 +22,6 @@ class Piqp(QPSolver):
 
     def __init__(self, on_uncertified: OnUncertified = "exact", **settings: Any) -> None:
         super().__init__(on_uncertified)
-        self._library = require("piqp", self.name)
         self._settings = {"eps_abs": 1e-10, "eps_rel": 1e-11, **settings}
         known = self._library.DenseSolver().settings
         for key in self._settings:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from typing import ClassVar, Literal, NamedTuple, get_args
+from typing import Any, ClassVar, Literal, NamedTuple, get_args
 
 import numpy as np
 
@@ -66,6 +66,13 @@ class QPSolver(ABC):
         if on_uncertified not in get_args(OnUncertified):
             raise InvalidInput(f"on_uncertified is {on_uncertified!r}; choose 'exact', 'apply' or 'hold'.")
         self.on_uncertified = on_uncertified
+
+    @property
+    def _library(self) -> Any:
+        """The package behind a back-end of others: looked up anew, for a copy or a pickle cannot hold a module."""
+        from adaptrack.qp.registry import require
+
+        return require(self.name, self.name)
 
     @abstractmethod
     def attempt(self, qp: QP, warm_start: Solution | None = None) -> Attempt:

@@ -501,7 +501,7 @@ def _apply_move(slot, status, iterations, size, mpc):
     if usable:
         for b in range(0, vectors.padded(n), vectors.WIDTH):
             vectors.store(mpc.plan, slot, b, vectors.load(ws.solution, b))
-        own.planned, own.age = n, 0
+        own.planned, own.age = n - (1 if _has_output_limits(settings) else 0), 0  # the slack is no move
     else:
         planned = _planned_move(slot, mpc)
         move = 0.0 if status == qp.NON_FINITE else planned

@@ -6,10 +6,21 @@ import math
 import numpy as np
 import pytest
 
-from adaptrack import prediction
-from adaptrack.errors import InvalidInput
-from adaptrack.kernels import prediction as kernels
-from adaptrack.models import PredictionModel, limit_bounds, limit_matrix
+from adaptrack import models
+from adaptrack.errors import ContractError, InvalidInput, UnknownName
+from adaptrack.kernels.controllers import condensing
+from adaptrack.kernels.models import single_track as kernel
+from adaptrack.models import (
+    PredictionModel,
+    SingleTrackModel,
+    check_model,
+    get_model,
+    laguerre_basis,
+    limit_bounds,
+    limit_matrix,
+    list_models,
+    register_model,
+)
 from adaptrack.vehicle import list_vehicles, load_vehicle
 from references import mpc as reference
 
@@ -35,9 +46,10 @@ def padded(values, length=STRIDE):
 def compiled(model, speed, Np):
     """F without its last column (Np, 4) and the step response (Np,) as the kernels compute them."""
     a, b = np.empty((4, 4)), np.empty(4)
-    free, step = np.zeros((4, STRIDE)), np.zeros(STRIDE)
-    kernels.discretise(speed, model.period, model.packed(), a, b)
-    kernels.responses(Np, a, b, free, step)
+    free, step, e = np.zeros((4, STRIDE)), np.zeros(STRIDE), np.full(4, np.nan)
+    kernel.discretise(speed, model.period, model.parameters(), a, b, e)
+    assert (e == 0.0).all()  # the heading is that in the ground frame: no road bends it
+    condensing.responses(Np, condensing.Discrete(a, b, model.output, e, np.full((3, 4), np.nan)), free, step)
     return free[:, :Np].T, step[:Np]
 
 
@@ -45,19 +57,19 @@ def compiled(model, speed, Np):
 @every_car
 @every_speed
 def test_the_continuous_model_is_the_linearised_plant(car, speed):
-    a, b, c = PredictionModel(car).continuous(speed)
+    a, b, c = SingleTrackModel(car).continuous(speed)
     expected_a, expected_b = reference.continuous(car, speed)
     close(a, expected_a, 1e-14)
     close(b[:, 0], expected_b, 1e-14)
     assert c.tolist() == [[0, 0, 0, 1]]
     compiled_a, compiled_b = np.empty((4, 4)), np.empty(4)
-    kernels.linearise(speed, PredictionModel(car).packed(), compiled_a, compiled_b)
+    kernel.linearise(speed, SingleTrackModel(car).parameters(), compiled_a, compiled_b)
     np.testing.assert_allclose(compiled_a, a, rtol=1e-14)
     np.testing.assert_allclose(compiled_b, b[:, 0], rtol=1e-14)
 
 
 def test_the_continuous_model_has_the_papers_numbers():
-    a, b, _ = PredictionModel(CARS["paper"]).continuous(20.0)
+    a, b, _ = SingleTrackModel(CARS["paper"]).continuous(20.0)
     assert a[0, 0] == pytest.approx(-2 * 52000 / (1575 * 20))
     assert a[0, 2] == pytest.approx(-20 - 2 * (19000 * 1.2 - 33000 * 1.6) / (1575 * 20))
     assert a[2, 0] == pytest.approx(-2 * (19000 * 1.2 - 33000 * 1.6) / (2875 * 20))
@@ -69,7 +81,7 @@ def test_the_continuous_model_has_the_papers_numbers():
 @every_speed
 @pytest.mark.parametrize("period", [0.01, 0.05, 0.1, 0.5])
 def test_zero_order_hold_equals_the_matrix_exponential(car, speed, period):
-    a, b, _ = PredictionModel(car, period).discrete(speed)
+    a, b, _ = SingleTrackModel(car, period).discrete(speed)
     expected_a, expected_b = reference.discrete(car, speed, period)
     close(a, expected_a, 1e-12)
     close(b[:, 0], expected_b, 1e-12)
@@ -78,8 +90,8 @@ def test_zero_order_hold_equals_the_matrix_exponential(car, speed, period):
 @every_car
 def test_holding_twice_for_half_the_period_is_holding_once(car):
     for speed in SPEEDS:
-        half_a, half_b, _ = PredictionModel(car, 0.05).discrete(speed)
-        a, b, _ = PredictionModel(car, 0.1).discrete(speed)
+        half_a, half_b, _ = SingleTrackModel(car, 0.05).discrete(speed)
+        a, b, _ = SingleTrackModel(car, 0.1).discrete(speed)
         close(half_a @ half_a, a, 1e-13)
         close(half_a @ half_b + half_b, b, 1e-13)
 
@@ -88,7 +100,7 @@ def test_holding_twice_for_half_the_period_is_holding_once(car):
 @every_car
 @every_speed
 def test_the_augmented_model_moves_as_the_plain_one(car, speed, rng):
-    model = PredictionModel(car)
+    model = SingleTrackModel(car)
     a, b, c = model.augmented(speed)
     before, now = rng.normal(size=(2, 4))
     moves = rng.normal(size=20)
@@ -105,7 +117,7 @@ def test_the_augmented_model_moves_as_the_plain_one(car, speed, rng):
 @every_speed
 @pytest.mark.parametrize(("Np", "Nc"), [(1, 1), (5, 5), (20, 3), (35, 8), (60, 20)])
 def test_F_and_Phi_equal_the_simulated_model(car, speed, Np, Nc, rng):
-    model = PredictionModel(car)
+    model = SingleTrackModel(car)
     free, phi = model.prediction(speed, Np, Nc)
     before, now, moves = rng.normal(size=4), rng.normal(size=4), np.zeros(Np)
     moves[:Nc] = rng.normal(size=Nc)
@@ -116,7 +128,7 @@ def test_F_and_Phi_equal_the_simulated_model(car, speed, Np, Nc, rng):
 @every_car
 @every_speed
 def test_the_compiled_responses_are_F_and_Phi(car, speed):
-    model, Np = PredictionModel(car), 55
+    model, Np = SingleTrackModel(car), 55
     free, phi = model.prediction(speed, Np, Np)
     compiled_free, step = compiled(model, speed, Np)
     close(compiled_free, free[:, :4], 1e-12)
@@ -130,7 +142,7 @@ def test_the_compiled_responses_are_F_and_Phi(car, speed):
 # -- eqs. (11), (17): the cost ----------------------------------------------------------------------------------------
 @every_car
 def test_the_quadratic_form_is_the_cost_up_to_a_constant(car, rng):
-    model, Np, Nc, Q, R = PredictionModel(car), 25, 6, 3.0, 0.4
+    model, Np, Nc, Q, R = SingleTrackModel(car), 25, 6, 3.0, 0.4
     x, reference_ahead = rng.normal(size=5), rng.normal(size=Np)
     E, K = model.quadratic(12.0, x, reference_ahead, Np, Nc, Q, R)
     free, phi = model.prediction(12.0, Np, Nc)
@@ -146,7 +158,7 @@ def test_the_quadratic_form_is_the_cost_up_to_a_constant(car, rng):
 
 @every_car
 def test_the_compiled_cost_is_that_of_eq_17(car, rng):
-    model = PredictionModel(car)
+    model = SingleTrackModel(car)
     for _ in range(60):
         Np = int(rng.integers(1, 61))
         Nc = int(rng.integers(1, min(Np, 20) + 1))
@@ -156,9 +168,9 @@ def test_the_compiled_cost_is_that_of_eq_17(car, rng):
         free, step = compiled(model, speed, Np)
         error, hessian, gradient = np.full(STRIDE + 24, np.nan), np.zeros((20, 24)), np.zeros(24)
         rows = np.ascontiguousarray([padded(column) for column in free.T])
-        kernels.tracking_error(Np, rows, x[:4].copy(), x[4], padded(ahead), error)
-        kernels.pulse_hessian(Np, Nc, padded(step), Q, R, hessian)
-        kernels.pulse_gradient(Np, Nc, padded(step), Q, error, gradient)
+        condensing.tracking_error(Np, rows, x[:4].copy(), x[4], padded(ahead), error)
+        condensing.pulse_hessian(Np, Nc, padded(step), Q, R, hessian)
+        condensing.pulse_gradient(Np, Nc, padded(step), Q, error, gradient)
         close(error[:Np], ahead - model.prediction(speed, Np, Nc)[0] @ x, 1e-11)
         close(hessian[:Nc, :Nc], E, 1e-11)
         close(gradient[:Nc], K, 1e-10)
@@ -168,7 +180,7 @@ def test_the_compiled_cost_is_that_of_eq_17(car, rng):
 def laguerre(samples, terms, pole):
     """(samples, terms): a function a column, as the kernel computes them."""
     moves = np.zeros((terms, samples))
-    kernels.laguerre_moves(samples, terms, pole, moves)
+    condensing.laguerre_moves(samples, terms, pole, moves)
     return moves.T
 
 
@@ -183,6 +195,10 @@ def test_laguerre_functions_are_orthonormal(pole, samples):
     close(functions.T @ functions, np.eye(10), 1e-12)
 
 
+def test_the_public_basis_is_that_of_the_kernel():
+    assert np.array_equal(laguerre_basis(40, 6, 0.75), laguerre(40, 6, 0.75))
+
+
 def test_laguerre_functions_with_pole_zero_are_the_pulses():
     assert np.array_equal(laguerre(30, 8, 0.0), np.eye(30)[:, :8])
 
@@ -190,16 +206,16 @@ def test_laguerre_functions_with_pole_zero_are_the_pulses():
 @every_car
 @pytest.mark.parametrize("pole", [0.0, 0.75, 0.95])
 def test_the_laguerre_cost_is_the_pulse_cost_projected(car, pole, rng):
-    model, Np, terms, Q, R = PredictionModel(car), 40, 7, 10.0, 0.02
+    model, Np, terms, Q, R = SingleTrackModel(car), 40, 7, 10.0, 0.02
     speed = 17.0
     _, step = compiled(model, speed, Np)
     basis = laguerre(Np, terms, pole)
     phi, hessian, gradient = np.zeros((terms, STRIDE)), np.zeros((terms, 8)), np.zeros(8)
     ahead = rng.normal(size=Np)
     moves = np.ascontiguousarray([padded(function) for function in basis.T])
-    kernels.laguerre_response(Np, terms, padded(step), moves, phi)
-    kernels.condensed_hessian(Np, terms, phi, Q, R, hessian)
-    kernels.condensed_gradient(Np, terms, phi, Q, padded(ahead), gradient)
+    condensing.laguerre_response(Np, terms, padded(step), moves, phi)
+    condensing.condensed_hessian(Np, terms, phi, Q, R, hessian)
+    condensing.condensed_gradient(Np, terms, phi, Q, padded(ahead), gradient)
     E, K = model.quadratic(speed, np.zeros(5), ahead, Np, Np, Q, 0.0)
     close(phi[:, :Np].T, model.prediction(speed, Np, Np)[1] @ basis, 1e-12)
     close(hessian[:, :terms], basis.T @ E @ basis + 2 * R * np.eye(terms), 1e-12)
@@ -228,7 +244,7 @@ def test_the_rows_of_a_shorter_control_horizon_lead_those_of_a_longer_one():
 
 # -- documents and refusals -------------------------------------------------------------------------------------------
 EQUATIONS = {
-    PredictionModel.continuous: 7,
+    SingleTrackModel.continuous: 7,
     PredictionModel.discrete: 8,
     PredictionModel.augmented: 9,
     PredictionModel.prediction: 10,
@@ -236,11 +252,11 @@ EQUATIONS = {
     PredictionModel.quadratic: 17,
     limit_matrix: 16,
     limit_bounds: 16,
-    kernels.linearise: 7,
-    kernels.discretise: 8,
-    kernels.responses: 10,
-    kernels.pulse_hessian: 17,
-    kernels.pulse_gradient: 17,
+    kernel.linearise: 7,
+    kernel.discretise: 8,
+    condensing.responses: 10,
+    condensing.pulse_hessian: 17,
+    condensing.pulse_gradient: 17,
 }
 
 
@@ -249,16 +265,16 @@ def test_every_function_names_its_equation_of_the_paper(function):
     assert f"({EQUATIONS[function]})" in inspect.getdoc(getattr(function, "py_func", function)).split("\n")[0]
 
 
-def test_the_packed_model_follows_the_kernels_order():
-    packed = PredictionModel(CARS["paper"]).packed()
-    assert dict(zip(kernels.MODEL_PARAMETERS, packed, strict=True)) == {
+def test_the_parameters_follow_the_kernels_order():
+    packed = SingleTrackModel(CARS["paper"]).parameters()
+    assert kernel.unpack(packed)._asdict() == {
         "mass": 1575, "yaw_inertia": 2875, "lf": 1.2, "lr": 1.6, "stiffness_front": 19000, "stiffness_rear": 33000
     }  # fmt: skip
 
 
 @pytest.mark.parametrize("speed", [0.0, -3.0, math.nan, math.inf])
 def test_a_speed_without_a_model_is_refused(speed):
-    model = PredictionModel(CARS["paper"])
+    model = SingleTrackModel(CARS["paper"])
     for method in (model.continuous, model.discrete, model.augmented):
         with pytest.raises(InvalidInput, match="speed = "):
             method(speed)
@@ -267,16 +283,87 @@ def test_a_speed_without_a_model_is_refused(speed):
 @pytest.mark.parametrize("period", [0.0, -0.1, math.nan, math.inf])
 def test_a_period_that_is_no_time_is_refused(period):
     with pytest.raises(InvalidInput, match="period = "):
-        PredictionModel(CARS["paper"], period)
+        SingleTrackModel(CARS["paper"], period)
 
 
 @pytest.mark.parametrize(("Np", "Nc"), [(0, 0), (5, 6), (5, 0), (-1, -1)])
 def test_horizons_out_of_order_are_refused(Np, Nc):
     with pytest.raises(InvalidInput, match="1 <= Nc <= Np"):
-        PredictionModel(CARS["paper"]).prediction(10.0, Np, Nc)
+        SingleTrackModel(CARS["paper"]).prediction(10.0, Np, Nc)
 
 
 def test_the_public_objects_of_the_module_are_documented():
-    for name, value in vars(prediction).items():
-        if inspect.isfunction(value) or inspect.isclass(value):
+    for name, value in vars(models).items():
+        if getattr(value, "__module__", None) == models.__name__:
             assert inspect.getdoc(value), name
+
+
+# -- names ------------------------------------------------------------------------------------------------------------
+def test_a_model_of_ones_own_may_be_registered_and_found_by_name(monkeypatch):
+    monkeypatch.setattr(models, "_factories", dict(models._factories))
+    register_model("stiffer", lambda car, period: SingleTrackModel(car.replace(stiffness_front=30000.0), period))
+    assert list_models() == ["single-track", "stiffer"]
+    assert get_model("stiffer", CARS["paper"], 0.05).vehicle.stiffness_front == 30000.0
+    assert get_model("single-track", CARS["paper"], 0.05) == SingleTrackModel(CARS["paper"], 0.05)
+    for name, factory in (("single-track", SingleTrackModel), ("", SingleTrackModel), ("mine", None)):
+        with pytest.raises(InvalidInput, match="register_model"):
+            register_model(name, factory)
+    with pytest.raises(UnknownName, match="'single-track'"):
+        get_model("single-trak", CARS["paper"])
+
+
+# -- the checker ------------------------------------------------------------------------------------------------------
+@every_car
+@pytest.mark.parametrize("period", [0.02, 0.1, 0.25])
+def test_ours_is_admitted(car, period):
+    check_model(SingleTrackModel(car, period))
+
+
+class Broken:
+    """A model whose function writes the matrices of the paper's, but for one thing."""
+
+    def __init__(self, **changes):
+        own = SingleTrackModel(CARS["paper"])
+        self.name, self.period, self.n, self.output = "broken", own.period, own.n, own.output
+        self.numbers, self.changes, self.asked = own.parameters(), changes, 0
+
+    def parameters(self):
+        return self.numbers
+
+    def function(self, speed, period, parameters, a, b, e):
+        self.asked += 1
+        kernel.discretise(speed, period, parameters, a, b, e)
+        for name, change in self.changes.items():
+            change({"a": a, "b": b, "e": e, "p": parameters}[name], self.asked)
+
+
+@pytest.mark.parametrize(
+    ("changes", "clause"),
+    [
+        ({"e": lambda e, asked: e.fill(math.nan)}, "must be written and finite"),
+        ({"b": lambda b, asked: b.__setitem__(0, asked)}, "must give the same matrices"),
+        ({"a": lambda a, asked: a.__setitem__((1, 3), 0.1)}, "must stay where it is"),
+        ({"b": lambda b, asked: b.__imul__(-1.0)}, "to the left must move y to the left"),
+    ],
+    ids=lambda value: value if isinstance(value, str) else "",
+)
+def test_the_checker_refuses_a_model_that_breaks(changes, clause):
+    with pytest.raises(ContractError, match=clause):
+        check_model(Broken(**changes))
+
+
+def test_the_checker_refuses_a_model_that_writes_to_its_parameters():
+    class Careless(Broken):
+        def parameters(self):
+            return self.numbers if self.asked else SingleTrackModel(CARS["paper"]).parameters()
+
+    careless = Careless(p=lambda p, asked: None)
+    kept = careless.numbers
+
+    def scribble(p, asked):
+        p[0] += 1e-9
+        careless.numbers = kept
+
+    careless.changes = {"p": scribble}
+    with pytest.raises(ContractError, match="parameters must not be written to|same matrices"):
+        check_model(careless)
