@@ -21,7 +21,7 @@ class Found:
 
 
 class Fake:
-    """A bowl around a best tuning that depends on the condition; symmetric to left and right, as a car is."""
+    """A bowl around a best tuning that depends on the operating point; symmetric to left and right, as a car is."""
 
     def __init__(self, setup: Setup) -> None:
         self.config = setup.config
@@ -30,51 +30,51 @@ class Fake:
     def versions(self):
         return {"fake": os.environ.get("FAKE_VERSION", "1")}
 
-    def best(self, condition):
-        speed, y_ref, friction, wind = condition
+    def best(self, point):
+        speed, y_ref, friction, wind = point
         ratio = 1e-3 * (1.0 + 0.05 * speed + 0.01 * y_ref * wind / 30.0 + friction)
         return np.array([5.0 + round(speed), 3.0 + round(4.0 * friction), 2.0, 2.0 * ratio])
 
-    def landscape(self, condition, library):
+    def landscape(self, point, library):
         if self.pause:
             time.sleep(self.pause)
         Np, Nc, Q, R = np.asarray(library).T
-        best = self.best(condition)
-        scale = 0.01 * (1.0 + condition[1] ** 2)
+        best = self.best(point)
+        scale = 0.01 * (1.0 + point[1] ** 2)
         away = (Np - best[0]) ** 2 / 400 + (Nc - best[1]) ** 2 / 40 + np.log(R / Q * best[2] / best[3]) ** 2
         return np.where(Np < 2, np.inf, scale * (1.0 + away))
 
-    def tune(self, condition, seed, stream):
+    def tune(self, point, seed, stream):
         swarm = self.config.swarm
         near = np.random.default_rng([seed, stream]).normal(size=2)
-        best = self.best(condition)
+        best = self.best(point)
         found = best * [1.0, 1.0, 1.0, np.exp(0.1 * near[0])]
-        cost = float(self.landscape(condition, found[None])[0])
+        cost = float(self.landscape(point, found[None])[0])
         trace = cost * (1.0 + np.exp(-np.arange(swarm.generations)))
         trace[-1] = cost
         return Found(found, cost, trace, swarm.evaluations, 160 * swarm.evaluations)
 
 
 class Broken(Fake):
-    """Answers one condition with nonsense."""
+    """Answers one operating point with nonsense."""
 
-    def tune(self, condition, seed, stream):
+    def tune(self, point, seed, stream):
         if stream == 5:
             return Found(np.array([3.0, 9.0, 1.0, 1.0]), 1.0, np.ones(4), 1, 1)
-        return super().tune(condition, seed, stream)
+        return super().tune(point, seed, stream)
 
 
 class Failing(Fake):
-    """Fails on one condition, as code does."""
+    """Fails on one operating point, as code does."""
 
-    def tune(self, condition, seed, stream):
+    def tune(self, point, seed, stream):
         if stream == 5:
             raise ZeroDivisionError("a bug in the objective")
-        return super().tune(condition, seed, stream)
+        return super().tune(point, seed, stream)
 
 
 def small(**changes) -> CampaignConfig:
-    """48 conditions, 36 of which are computed, in 6 chunks."""
+    """48 operating points, 36 of which are computed, in 6 chunks."""
     return CampaignConfig(
         **{
             "name": "small",

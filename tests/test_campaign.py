@@ -175,7 +175,7 @@ def test_the_identity_changes_with_everything_that_the_data_depend_on_and_with_n
     for other in (
         {"seed": "1"},
         {"duration": "17.0"},
-        {"move_price": "0.5"},
+        {"move_weight": "0.5"},
         {"profile": '"road"'},
         {"scenario": '"lane-change"'},
         {"plant": '"single-track"'},
@@ -233,7 +233,7 @@ def test_each_row_holds_what_the_swarm_and_the_library_found_there(tmp_path):
     np.testing.assert_array_equal(data.operating_points, plan.operating_points)
     np.testing.assert_array_equal(data.library, plan.library)
     for i, row in enumerate(plan.operating_points):
-        found = fake.tune(row, 3, i)  # the stream is the condition's number
+        found = fake.tune(row, 3, i)  # the stream is the number of the operating point
         np.testing.assert_array_equal(data.tunings[i], found.tuning)
         assert data.costs[i] == found.cost
         np.testing.assert_array_equal(data.traces[i], found.trace.astype(np.float32))
@@ -379,9 +379,9 @@ def test_finished_chunks_are_not_computed_again(tmp_path):
     asked = []
 
     class Listening(Fake):
-        def tune(self, condition, seed, stream):
+        def tune(self, point, seed, stream):
             asked.append(stream)
-            return super().tune(condition, seed, stream)
+            return super().tune(point, seed, stream)
 
     run_campaign(small(), tmp_path, resume=True, workers=1, evaluate=Listening)
     assert sorted(asked) == Plan.of(small()).fold.representatives[18:].tolist()
@@ -392,7 +392,7 @@ def test_resuming_a_finished_campaign_computes_nothing(tmp_path, whole):
     before = (tmp_path / "dataset.parquet").stat().st_mtime_ns
 
     class Idle(Fake):
-        def tune(self, condition, seed, stream):
+        def tune(self, point, seed, stream):
             raise AssertionError("computed again")
 
     assert digest(run_campaign(small(), tmp_path, resume=True, evaluate=Idle)) == whole
@@ -464,10 +464,10 @@ def test_ctrl_c_keeps_what_is_in_work_and_a_second_one_gives_it_up(tmp_path, who
     entered, noticed, given_up, go_on = (threading.Event() for _ in range(4))
 
     class Waiting(Fake):
-        def tune(self, condition, seed, stream):
+        def tune(self, point, seed, stream):
             entered.set()
             go_on.wait(10.0)
-            return super().tune(condition, seed, stream)
+            return super().tune(point, seed, stream)
 
     class Session(module._Session):
         def _wind_up(self, waiting):

@@ -19,10 +19,10 @@ from adaptrack.comparison.contenders import Contender, get_contender, list_conte
 from adaptrack.comparison.statistics import RESAMPLES, geometric_mean
 from adaptrack.controllers import MPC, Tuning
 from adaptrack.errors import ContractError, InvalidInput, UnknownName
-from adaptrack.kernels import inference
+from adaptrack.kernels import guard
 from adaptrack.plant import SingleTrack
 from adaptrack.profile import load_profile
-from adaptrack.runs import RunSet, failure_limits, operating_point_runs
+from adaptrack.runs import RunSet, operating_point_runs
 from adaptrack.scenario import load_scenario
 from adaptrack.scheduling import Constant, Guarded, Learned
 from adaptrack.tuning.config import list_campaigns, load_campaign
@@ -199,7 +199,7 @@ def test_a_comparison_over_real_runs_counts_what_fails_and_what_the_schedules_di
     assert rows["narrow"]["clipped"] == rows["guarded"]["clipped"] == pytest.approx(outside)
     assert rows["schedule"]["clipped"] == 0.0
     assert rows["guarded"]["fallback"] > 0.0
-    assert set(made.counts["guarded"]) == set(inference.COUNTS) - {"steps"}
+    assert set(made.counts["guarded"]) == set(guard.COUNTS) - {"steps"}
     assert heard == [(name, k, 5) for k, name in enumerate(field)]
 
 
@@ -242,9 +242,7 @@ def test_a_known_tuning_that_is_better_than_what_the_swarms_found_is_taken():
 @pytest.mark.compiled
 def test_the_search_for_the_optimum_and_the_comparison_mean_the_same_cost(rng):
     points = rng.uniform((8.0, -4.0, 0.5, -20.0), (26.0, 4.0, 1.0, 20.0), (3, 4))
-    searched = Objective(
-        SingleTrack(CAR), controller(), "lane-change", "road", (3, 4), **failure_limits(RunSet.failure)
-    )
+    searched = Objective(SingleTrack(CAR), controller(), "lane-change", "road", (3, 4), failure=RunSet.failure)
     driven = operating_point_runs(SingleTrack(CAR), controller(), points)
     for tuning in (START.as_array(), np.array([40.0, 9.0, 1.0, 2e4])):
         costs = [searched.costs(point, tuning)[0] for point in points]

@@ -240,7 +240,7 @@ def test_flatness_is_the_share_of_the_library_near_the_best():
     twins = dataclasses.replace(data, mirrored_from=[-1, 0, -1])
     assert len(flatness(twins, 0.05)) == 2  # twins count once
     lost = dataclasses.replace(data, costs=[np.inf, 2.0, 1.0], landscape=np.full((3, 4), np.inf))
-    assert flatness(lost, 0.05) == pytest.approx([0.0, 0.0])  # a condition that loses every car is not flat
+    assert flatness(lost, 0.05) == pytest.approx([0.0, 0.0])  # a condition that fails with every tuning is not flat
 
 
 def test_a_description_is_plain_json_and_says_what_is_in_the_data(campaign):
@@ -272,12 +272,12 @@ def test_optima_at_the_bounds_of_the_search_are_counted():
     assert shares == {"Np": 0.5, "Nc": 0.5, "log Q": 0.75, "log R": 0.75, "log R/Q": 0.5}
 
 
-def test_a_description_survives_conditions_that_lose_every_car():
+def test_a_description_survives_operating_points_where_every_tuning_fails():
     n = 60
     data = wild(n, costs=np.full(n, np.inf), standard_costs=np.full(n, np.inf), landscape=np.full((n, 7), np.inf))
     said = describe(data)
     assert json.dumps(said, allow_nan=False)
-    assert (said["costs"]["lost_by_all"], said["costs"]["library_lost"]) == (60, 1.0)
+    assert (said["costs"]["failed_by_all"], said["costs"]["library_failed"]) == (60, 1.0)
 
 
 def test_every_public_name_of_the_room_is_there():

@@ -17,12 +17,12 @@ from adaptrack.adaptation.method import Improvement, Method
 from adaptrack.comparison.statistics import geometric_mean
 from adaptrack.controllers import MPC, Tuning
 from adaptrack.errors import InvalidInput
-from adaptrack.learning.surfaces import FuzzySurface, Level, NetworkSurface, shifted
+from adaptrack.learning.surfaces import FuzzySurface, Level, NetworkSurface
 from adaptrack.plant import SingleTrack
 from adaptrack.profile import load_profile
 from adaptrack.runs import RunSet
 from adaptrack.scenario import load_scenario
-from adaptrack.scheduling import SLOTS, Learned, SchedulingVariables
+from adaptrack.scheduling import ENTRIES, Learned, Number, SchedulingVariables
 from adaptrack.vehicle import load_vehicle
 
 METHOD = Method()
@@ -183,7 +183,7 @@ def checked_every(rounds):
 def constant_schedule(by):
     """START, shifted."""
     values = (float(START.Np), float(START.Nc), math.log10(START.R))
-    functions = {slot: shifted(value, by[i]) for i, (slot, value) in enumerate(zip(OUTPUTS, values, strict=True))}
+    functions = {slot: Number(value).shifted(by[i]) for i, (slot, value) in enumerate(zip(OUTPUTS, values, strict=True))}
     return Learned(functions, INPUTS, DOMAIN, BOUNDS)
 
 
@@ -199,8 +199,8 @@ def test_the_landscape_says_for_every_segment_where_its_inputs_want_to_go():
     assert near.sum() > 5
     np.testing.assert_allclose(moves[near], wanted[near], rtol=0, atol=1e-9)
     assert (np.sign(moves) == np.sign(wanted))[:, exact].all()
-    per_stretch = weights.reshape(3, 3, 2, 3)  # segments, runs, looks
-    np.testing.assert_array_equal(per_stretch[:, :, 0], per_stretch[:, :, 1])
+    per_segment = weights.reshape(3, 3, 2, 3)  # segments, runs, looks
+    np.testing.assert_array_equal(per_segment[:, :, 0], per_segment[:, :, 1])
 
 
 def test_every_run_counts_alike_however_much_it_costs():
@@ -324,7 +324,7 @@ def test_what_no_input_tells_apart_gets_the_compromise():
     made = improve(beginning("constant"), INPUTS, DOMAIN, [(bowl, 48)], [bowl], rounds=30)
 
     def cost(by):
-        functions = {slot: shifted(made.surfaces[slot].value, shift) for slot, shift in zip(OUTPUTS, by, strict=True)}
+        functions = {slot: Number(made.surfaces[slot].value).shifted(shift) for slot, shift in zip(OUTPUTS, by, strict=True)}
         return bowl.costs(Learned(functions, INPUTS, DOMAIN, BOUNDS), [0]).mean()
 
     for by in 2.0 * np.diag(SHIFT):
@@ -370,7 +370,7 @@ def test_the_best_round_is_kept_with_its_surfaces():
     assert [row["failed"] for row in made.history] == [0.0, 0.0, 0.0, 0.0, 2.0]
     assert made.schedule is first.asked[int(np.argmin(logs))]
     for slot, surface in made.surfaces.items():
-        assert made.schedule.slots["R" if slot == "log10_ratio" else slot].function == surface.value
+        assert made.schedule.tuning["R" if slot == "log10_ratio" else slot].function == Number(surface.value)
 
 
 @pytest.mark.compiled
@@ -485,6 +485,6 @@ def test_an_unknown_input_is_named_with_those_that_are_known():
         improve(beginning("constant"), ("speed", "grip"), DOMAIN, [], [])
 
 
-def test_the_outputs_are_slots_of_a_schedule():
-    assert (*SLOTS[:2], "log10_ratio") == OUTPUTS
+def test_the_outputs_are_entries_of_a_schedule():
+    assert (*ENTRIES[:2], "log10_ratio") == OUTPUTS
     assert len(SHIFT) == len(LEAST_CURVATURE) == len(OUTPUTS)

@@ -61,7 +61,7 @@ def test_a_sine_has_the_rms_of_a_sine():
 def test_the_papers_cost_is_the_mse_and_the_road_charges_activity():
     run = record(Y=0.5, command_change=0.1)
     assert compute_metrics(run).cost == compute_metrics(run).mse == 0.25
-    assert compute_metrics(run, activity_price=2.0).cost == pytest.approx(0.25 + 2.0 * 0.01)
+    assert compute_metrics(run, move_weight=2.0).cost == pytest.approx(0.25 + 2.0 * 0.01)
     road = record(Y=0.5, command_change=0.1, meta={"profile": "road", "move_weight": 3.0})
     assert compute_metrics(road).cost == pytest.approx(0.25 + 3.0 * 0.01)
 
@@ -117,7 +117,7 @@ def test_step_times_are_in_microseconds_and_unmeasured_ones_are_nan():
 def test_a_state_that_is_not_finite_is_a_failed_run_of_infinite_cost(name, value):
     values = np.full(8, 10.0 if name == "vx" else 0.0)
     values[5:] = value
-    metrics = compute_metrics(record(**{name: values}), activity_price=3.0)
+    metrics = compute_metrics(record(**{name: values}), move_weight=3.0)
     assert metrics.failed
     assert metrics.failed_at == pytest.approx(0.5)
     assert "not finite" in metrics.failed_because
@@ -137,7 +137,7 @@ def test_a_divergence_to_huge_numbers_gives_numbers_not_warnings():
     assert metrics.mse == INF
 
 
-@pytest.mark.parametrize("parameters", [{"activity_price": -1.0}, {"activity_price": NAN}, {"activity_price": -INF}])
+@pytest.mark.parametrize("parameters", [{"move_weight": -1.0}, {"move_weight": NAN}, {"move_weight": -INF}])
 def test_a_parameter_that_makes_no_sense_is_refused(parameters):
     with pytest.raises(InvalidInput):
         compute_metrics(record(), **parameters)

@@ -54,7 +54,7 @@ def test_any_name_is_driven_saved_loaded_and_printed(command, monkeypatch, tmp_p
     code, out, err = command(*arguments, "--out", inside / "out", "--json")
     assert code == 0, err
     (row,) = json.loads(out)["rows"]
-    assert (row["scenario"], row["controller"]) == (name, name)
+    assert (row["scenario"], row["scheduler"], row["controller"]) == (name, name, "scheduler")
     assert {path.parent for path in set(tmp_path.rglob("*")) - set(before) - {inside / "out"}} == {inside / "out"}
     (file,) = (inside / "out").glob("*.parquet")
     assert Trajectory.load(file).name_of("scenario") == name
@@ -111,5 +111,5 @@ def test_a_name_that_is_no_text_is_refused_with_file_and_key(command, tmp_path, 
 
 def test_tables_print_what_is_in_them(capsys, monkeypatch):
     monkeypatch.setattr(Console, "width", 400)
-    cli._table("[/red]", ("name",), [{"name": name} for name in NASTY.values()])
+    show.table("[/red]", [show.Column("name", "[/red]")], [{"name": name} for name in NASTY.values()])
     assert "[/red] [bold]x" in capsys.readouterr().out

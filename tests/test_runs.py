@@ -7,14 +7,15 @@ import os
 
 import numpy as np
 import pytest
-from adaptrack.kernels.dynamics import STATES
 
 from adaptrack.batch import Batch
 from adaptrack.controllers import MPC, Tuning
 from adaptrack.errors import InvalidInput
-from adaptrack.estimation import Estimating, FrictionWindEstimator, Perception
+from adaptrack.estimation import FrictionWindEstimator, Perception
 from adaptrack.failure import Failure
 from adaptrack.kernels import loop
+from adaptrack.kernels.controllers.mpc import ANSWER
+from adaptrack.kernels.plants.contract import STATE
 from adaptrack.metrics import PUBLISHED
 from adaptrack.plant import DualTrack, SingleTrack
 from adaptrack.profile import load_profile
@@ -118,9 +119,8 @@ def test_a_run_that_spins_has_failed_though_it_stays_on_the_road():
         spun = (sideways[:, : periods + 1] > math.tan(Failure().sideslip)).any(axis=1)
         left = (away[:, : periods + 1] > DISTANCE).any(axis=1)
         assert (spun & ~left).any() == spinning
-        failed = np.isinf(
-            run_set([swerve.with_duration(periods * load_profile("road").period)]).drive(nervous, range(16))[0]
-        )
+        shortened = run_set([swerve.with_duration(periods * load_profile("road").period)])
+        failed = np.isinf(shortened.drive(nervous, range(16))[0])
         np.testing.assert_array_equal(failed, spun | left)
 
 
@@ -203,25 +203,25 @@ FRICTION, WIND = np.linspace(0.3, 0.9, 40), np.linspace(-20.0, 30.0, 40)
 
 
 def test_a_perception_without_errors_tells_the_truth():
-    for told, truth in zip(Perception().told(FRICTION, WIND, 0.05, 0), (FRICTION, WIND), strict=True):
-        np.testing.assert_array_equal(told, truth)
+    for known, truth in zip(Perception().known(FRICTION, WIND, 0.05, 0), (FRICTION, WIND), strict=True):
+        np.testing.assert_array_equal(known, truth)
 
 
 @pytest.mark.parametrize("bias", [0.2, -0.2])
 def test_a_bias_tells_that_much_more_of_both(bias):
-    for told, truth in zip(Perception(bias=bias).told(FRICTION, WIND, 0.05, 0), (FRICTION, WIND), strict=True):
-        np.testing.assert_allclose(told, (1.0 + bias) * truth, rtol=1e-14)
+    for known, truth in zip(Perception(bias=bias).known(FRICTION, WIND, 0.05, 0), (FRICTION, WIND), strict=True):
+        np.testing.assert_allclose(known, (1.0 + bias) * truth, rtol=1e-14)
 
 
 @pytest.mark.parametrize(("delay", "periods"), [(0.0, 0), (0.05, 1), (1.0, 20), (5.0, 39)])
 def test_a_delay_tells_what_was_true_before_and_at_first_what_was_true_at_the_start(delay, periods):
-    for told, truth in zip(Perception(delay=delay).told(FRICTION, WIND, 0.05, 0), (FRICTION, WIND), strict=True):
-        np.testing.assert_array_equal(told, np.concatenate((np.full(periods, truth[0]), truth[: 40 - periods])))
+    for known, truth in zip(Perception(delay=delay).known(FRICTION, WIND, 0.05, 0), (FRICTION, WIND), strict=True):
+        np.testing.assert_array_equal(known, np.concatenate((np.full(periods, truth[0]), truth[: 40 - periods])))
 
 
 def test_what_is_withheld_is_nominal_whatever_else_is_wrong():
     perception = Perception(noise=0.5, bias=0.5, delay=1.0, withheld=True, nominal_friction=0.7)
-    friction, wind = perception.told(FRICTION, WIND, 0.05, 0)
+    friction, wind = perception.known(FRICTION, WIND, 0.05, 0)
     assert (friction == 0.7).all()
     assert (wind == 0.0).all()
 
@@ -229,8 +229,8 @@ def test_what_is_withheld_is_nominal_whatever_else_is_wrong():
 def test_noise_is_relative_white_and_independent_for_friction_and_wind():
     friction, wind = np.full(20_000, 0.6), np.full(20_000, -12.0)
     errors = [
-        told / truth - 1.0
-        for told, truth in zip(Perception(noise=0.1).told(friction, wind, 0.05, 4), (friction, wind), strict=True)
+        known / truth - 1.0
+        for known, truth in zip(Perception(noise=0.1).known(friction, wind, 0.05, 4), (friction, wind), strict=True)
     ]
     for error in errors:
         assert error.mean() == pytest.approx(0.0, abs=0.003)
@@ -240,14 +240,14 @@ def test_noise_is_relative_white_and_independent_for_friction_and_wind():
 
 
 def test_what_is_known_depends_on_its_seed_alone():
-    one, again, other = (Perception(noise=0.1).told(FRICTION, WIND, 0.05, seed) for seed in (1, 1, 2))
+    one, again, other = (Perception(noise=0.1).known(FRICTION, WIND, 0.05, seed) for seed in (1, 1, 2))
     np.testing.assert_array_equal(one, again)
     assert (one[0] != other[0]).all()
     assert (one[1] != other[1]).all()
 
 
 def test_friction_that_is_known_is_always_positive():
-    friction, _ = Perception(noise=3.0).told(np.full(500, 0.5), np.zeros(500), 0.05, 0)
+    friction, _ = Perception(noise=3.0).known(np.full(500, 0.5), np.zeros(500), 0.05, 0)
     assert friction.min() == 0.01
 
 
@@ -262,11 +262,11 @@ def test_a_perception_refuses_what_cannot_be(wrong):
 
 
 def tunings_of(batch, schedule, seed=0):
-    """(periods, 4) tunings that a schedule gave in the first run of a batch, and its whole trace."""
-    _, trace, _, _ = batch.run(
+    """(periods, 4) tunings that a schedule gave in the first run of a batch; its states and answers."""
+    trace = batch.run(
         np.zeros(1, int), START.as_array()[None], np.array([seed]), 1, traced=True, scheduler=schedule
-    )
-    return trace[0, :, STATES + loop.R_NP : STATES + loop.R_R + 1], trace[0]
+    ).trace
+    return trace.answer[0, :, ANSWER.Np : ANSWER.R + 1], trace.state[0], trace.answer[0]
 
 
 @pytest.mark.compiled
@@ -275,24 +275,24 @@ def tunings_of(batch, schedule, seed=0):
 )
 def test_a_batch_tells_its_scheduler_what_its_perception_says_and_the_car_feels_the_truth(perception):
     scenario = random_drive(3, 4.0)
-    batch = Batch(SingleTrack(CAR), controller(), [scenario], "road", told=perception)
+    batch = Batch(SingleTrack(CAR), controller(), [scenario], "road", known_as=perception)
     signals = scenario.sample(load_profile("road").period)
-    told = truth = signals.friction.mean(axis=1), signals.wind[:, 1]
+    known = truth = signals.friction.mean(axis=1), signals.wind[:, 1]
     if perception is not None:
-        told = perception.told(*truth, load_profile("road").period, 0)
+        known = perception.known(*truth, load_profile("road").period, 0)
         np.testing.assert_array_equal(
-            run_set([scenario], known_as=perception).variables[0, :, 2:4].T, np.stack(told)[:, :-1]
+            run_set([scenario], known_as=perception).variables[0, :, 2:4].T, np.stack(known)[:, :-1]
         )
-    given, _ = tunings_of(batch, by_friction())
-    np.testing.assert_allclose(given[:, 3], 1e3 + 1e4 * np.clip(told[0][:-1], 0.0, 2.0), rtol=1e-12)
-    np.testing.assert_allclose(given[:, 0], 30.0 + told[1][:-1] / 2.0, rtol=0, atol=0.5 + 1e-9)
+    given, _, _ = tunings_of(batch, by_friction())
+    np.testing.assert_allclose(given[:, 3], 1e3 + 1e4 * np.clip(known[0][:-1], 0.0, 2.0), rtol=1e-12)
+    np.testing.assert_allclose(given[:, 0], 30.0 + known[1][:-1] / 2.0, rtol=0, atol=0.5 + 1e-9)
     plain = Batch(SingleTrack(CAR), controller(), [scenario], "road")
-    np.testing.assert_array_equal(batch.samples[:, : loop.TOLD], plain.samples[:, : loop.TOLD])
+    np.testing.assert_array_equal(batch.samples[:, : loop.SIGNAL.known_friction], plain.samples[:, : loop.SIGNAL.known_friction])
 
 
 def test_equal_roads_are_not_known_with_equal_errors():
-    told = run_set([random_drive(3, 2.0)] * 2, known_as=Perception(noise=0.1)).variables[..., 2:4]
-    assert (told[0] != told[1]).all()
+    known = run_set([random_drive(3, 2.0)] * 2, known_as=Perception(noise=0.1)).variables[..., 2:4]
+    assert (known[0] != known[1]).all()
 
 
 @pytest.mark.compiled
@@ -300,16 +300,25 @@ def test_equal_roads_are_not_known_with_equal_errors():
 def test_an_estimator_tells_the_scheduler_of_a_batch_the_same_as_from_python(plant):
     """And so the whole run is the same."""
     scenario, estimator = random_drive(6, 8.0), FrictionWindEstimator.of(plant(CAR))
-    estimating = Estimating(controller(scheduler=by_friction()), FrictionWindEstimator.of(plant(CAR)))
-    slow = simulate(plant(CAR), estimating, scenario, profile="road", seed=5)
-    batch = Batch(plant(CAR), controller(), [scenario], "road", told=estimator)
-    given, trace = tunings_of(batch, by_friction(), seed=5)
-    estimates = np.array([(each.friction, each.wind) for each in estimating.estimates])
+    schedule, estimates = by_friction(), []
+
+    def watched(variables):
+        estimates.append((variables.friction, variables.wind))
+        return schedule(variables)
+
+    slow = simulate(
+        plant(CAR), controller(scheduler=watched), scenario, profile="road", seed=5,
+        known_as=FrictionWindEstimator.of(plant(CAR)),
+    )  # fmt: skip
+    batch = Batch(plant(CAR), controller(), [scenario], "road", known_as=estimator)
+    given, states, answers = tunings_of(batch, schedule, seed=5)
+    estimates = np.array(estimates)
     np.testing.assert_allclose(given[:, 3], 1e3 + 1e4 * estimates[:, 0], rtol=1e-9)
     np.testing.assert_allclose(given[:, 0], 30.0 + estimates[:, 1] / 2.0, rtol=0, atol=0.5 + 1e-9)
-    for column, name in enumerate(("X", "Y", "psi", "vx", "vy", "yaw_rate")):
-        np.testing.assert_allclose(trace[:, column], getattr(slow, name), rtol=1e-9, atol=1e-9, err_msg=name)
-    np.testing.assert_allclose(trace[:, STATES + loop.COMMAND], slow.command, rtol=0, atol=1e-9)
+    for name in ("x", "y", "yaw", "vx", "vy", "yaw_rate"):
+        recorded = getattr(slow, {"x": "X", "y": "Y", "yaw": "psi"}.get(name, name))
+        np.testing.assert_allclose(states[:, getattr(STATE, name)], recorded, rtol=1e-9, atol=1e-9, err_msg=name)
+    np.testing.assert_allclose(answers[:, ANSWER.command], slow.command, rtol=0, atol=1e-9)
     assert np.ptp(estimates, axis=0).min() > 0.05
     true = scenario.sample(load_profile("road").period).friction.mean(axis=1)
     assert np.abs(estimates[:, 0] - true[:-1]).max() > 0.05, "it is not the truth that the schedule knows"
@@ -337,7 +346,7 @@ class Proportional:
     def reset(self):
         self.mpc.reset()
 
-    def step(self, state, speed, reference, condition=None):
+    def step(self, state, speed, reference, variables=None):
         angle = float(np.clip(self.gain * (reference[0] - state[3]), -0.1, 0.1))
         return self.mpc.step(state, speed, reference)._replace(angle=angle)
 
@@ -372,10 +381,23 @@ def test_a_controller_in_python_that_leaves_the_road_has_failed():
     assert runs.costs(Proportional(-0.5), [1])[0] == FAILED_COST
 
 
-def test_a_controller_in_python_cannot_be_given_a_perception_and_says_so():
-    runs = run_set([each.with_duration(1.0) for each in lane_changes(1)], known_as=Perception(noise=0.1))
-    with pytest.raises(InvalidInput, match="'proportional' runs in Python"):
-        runs.drive(Proportional(), [1])
+class Curious(Proportional):
+    """Writes down the friction and the wind that it knows."""
+
+    def __init__(self):
+        super().__init__()
+        self.known = []
+
+    def step(self, state, speed, reference, variables=None):
+        self.known.append((variables.friction, variables.wind))
+        return super().step(state, speed, reference)
+
+
+def test_a_controller_in_python_knows_what_the_perception_says_in_every_run_as_compiled_ones_do():
+    runs = run_set([each.with_duration(0.5) for each in lane_changes(3)], known_as=Perception(noise=0.1, seed=4))
+    watching = Curious()
+    runs.drive(watching, [1])
+    np.testing.assert_array_equal(np.reshape(watching.known, (3, 10, 2)), runs.variables[..., 2:4])
 
 
 # -- makers -----------------------------------------------------------------------------------------------------------

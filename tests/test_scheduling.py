@@ -747,7 +747,7 @@ def test_the_counts_are_those_of_the_run_since_the_last_reset(rng):
     mpc.reset()
     assert not any(mpc.scheduler_counts.values())
     assert MPC(CAR).scheduler_counts == {}
-    assert MPC(CAR, scheduler=lambda condition: FALLBACK).scheduler_counts == {}
+    assert MPC(CAR, scheduler=lambda variables: FALLBACK).scheduler_counts == {"raised": 0}
 
 
 @pytest.mark.parametrize("kind", ["network", "multilinear"])
@@ -755,9 +755,9 @@ def test_a_plain_function_drives_as_the_schedule_that_it_asks(kind, rng):
     mpc = driven(kind, rng)
     schedule = mpc.scheduler
     ours = simulate(DualTrack(CAR), mpc, LANE_CHANGE, profile="road")
-    plain = MPC(CAR, FALLBACK, period=0.05, preview=True, scheduler=lambda condition: schedule(condition))
+    plain = MPC(CAR, FALLBACK, period=0.05, preview=True, scheduler=lambda variables: schedule(variables))
     assert same(ours, simulate(DualTrack(CAR), plain, LANE_CHANGE, profile="road"))
-    assert plain.scheduler_counts == {}
+    assert plain.scheduler_counts == {"raised": 0}
 
 
 def test_a_constant_drives_as_the_tuning_itself():
@@ -766,7 +766,7 @@ def test_a_constant_drives_as_the_tuning_itself():
     assert same(ours, simulate(DualTrack(CAR), MPC(CAR, FALLBACK), LANE_CHANGE))
 
 
-def test_a_condition_that_is_no_number_keeps_the_car_steering(rng):
+def test_a_variable_that_is_no_number_keeps_the_car_steering(rng):
     mpc = driven("network", rng)
     first = mpc.step([0.1, 0.01, 0.0, 0.2], 15.0, [0.0], HERE)
     second = mpc.step([0.1, 0.01, 0.0, 0.2], 15.0, [0.0], HERE._replace(friction=math.nan))
@@ -818,7 +818,7 @@ def test_on_a_straight_road_in_steady_wind_a_change_of_horizons_moves_nothing():
     horizons = itertools.cycle([(20, 3), (45, 12), (30, 1), (60, 18)])
     steps = itertools.count()
 
-    def switching(condition):
+    def switching(variables):
         return (30, 6, 1.0, 50.0) if next(steps) < 300 else (*next(horizons), 1.0, 50.0)
 
     run = simulate(DualTrack(CAR), MPC(CAR, scheduler=switching), road)

@@ -23,7 +23,7 @@ from adaptrack.dataset import load_dataset
 from adaptrack.errors import ConfigError, InvalidInput, StorageError, UnknownName
 from adaptrack.files import Record
 from adaptrack.metrics import PUBLISHED
-from adaptrack.scheduling import SLOTS, Constant, Lookup, SchedulingVariables, check_scheduler, load_scheduler
+from adaptrack.scheduling import ENTRIES, Constant, Lookup, SchedulingVariables, check_scheduler, load_scheduler
 from adaptrack.studies import adapt as study
 from adaptrack.studies import pipeline
 from adaptrack.studies.adapt import CONTENDERS, histories, shipped, stage_identity
@@ -95,9 +95,9 @@ def test_the_configuration_that_ships_is_the_road_one():
     config = load_adaptation("road")
     campaign = load_campaign(config.campaign)
     assert (config.name, campaign.name, campaign.profile) == ("road", "road-sobol", "road")
-    assert set(campaign.conditions.box.model_dump()) >= {"speed", "friction"}
+    assert set(campaign.operating_points.box.model_dump()) >= {"speed", "friction"}
     assert list_adaptations()["road"] == config.description != ""
-    assert SetUp.of(config).box["speed"] == campaign.conditions.box.speed
+    assert SetUp.of(config).box["speed"] == campaign.operating_points.box.speed
 
 
 @pytest.mark.parametrize(
@@ -305,7 +305,7 @@ def recorded(setup, monkeypatch, evaluation_seed):
         use()
         parts[part], found = found, SimpleNamespace(rows=set(), drives=set(), noise=set())
     parts["campaign"] = SimpleNamespace(
-        rows=set(map(tuple, setup.plan.conditions.tolist())), drives=set(), noise=set(setup.plan.config.noise_seeds)
+        rows=set(map(tuple, setup.plan.operating_points.tolist())), drives=set(), noise=set(setup.plan.config.noise_seeds)
     )
     return parts
 
@@ -343,7 +343,7 @@ def test_drives_that_would_be_in_two_parts_are_refused(tmp_path, seeds):
         setup_of(tmp_path, method={"seeds": seeds})
 
 
-@pytest.mark.parametrize("changes", [{"scenario": "step"}, {"duration": 6.0}, {"move_price": 1.0}])
+@pytest.mark.parametrize("changes", [{"scenario": "step"}, {"duration": 6.0}, {"move_weight": 1.0}])
 def test_a_campaign_of_other_runs_than_the_schedulers_are_judged_by_is_refused(tmp_path, changes):
     (name,) = changes
     with pytest.raises(InvalidInput, match=f"{name} = .*must be"):
@@ -497,7 +497,7 @@ def check_guard(guarded, bare, rng):
     between = (coordinates(given) >= ends[0] - 1e-9) & (coordinates(given) <= ends[1] + 1e-9)
     assert between.all()
     for name, (low, high) in BOUNDS.items():
-        values = given[:, SLOTS.index(name)]
+        values = given[:, ENTRIES.index(name)]
         assert low <= values.min() <= values.max() <= high
     assert (given[:, 1] <= given[:, 0]).all()
     assert (given[:, 2] == 1.0).all()
@@ -524,7 +524,7 @@ def test_the_schedulers_that_ship_name_the_settings_of_the_configuration_that_sh
     assert set(schedules) == set(CONTENDERS)
     assert config.method == Method()
     for name in ("nn", "anfis"):
-        np.testing.assert_array_equal(schedules["fallback"].batch([15.0])[0], schedules[name].guard.fallback.as_array())
+        np.testing.assert_array_equal(schedules["fallback"].batch([15.0, 0.0, 0.7, 0.0])[0], schedules[name].guard.fallback.as_array())
     for schedule in schedules.values():
         made = schedule.provenance
         assert made["settings"] == config.settings

@@ -1,4 +1,4 @@
-"""Surfaces that take a step of a weighted regression, and functions that are shifted and blended."""
+"""Surfaces that take a step of a weighted regression."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ import pytest
 
 from adaptrack.learning import surfaces as module
 from adaptrack.learning.surfaces import FuzzySurface, Level, NetworkSurface
+from adaptrack.scheduling import Number
 from small_models import random_network
 
 DOMAIN = np.array([[3.0, 30.0], [0.3, 1.0]])

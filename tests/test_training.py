@@ -137,7 +137,7 @@ def test_the_ceiling_has_not_seen_the_twins_of_what_it_predicts():
     assert -0.3 < r2 < 0.3
 
 
-def test_conditions_that_lose_every_car_teach_nothing(dataset):
+def test_operating_points_where_every_tuning_fails_teach_nothing(dataset):
     costs, tunings = dataset.costs.copy(), dataset.tunings.copy()
     costs[:40], tunings[:40] = np.inf, 1e6
     rows = train(dataclasses.replace(dataset, costs=costs, tunings=tunings), "anfis", epochs=0).quality

@@ -17,7 +17,7 @@ from typing import Any, NamedTuple, Self, final
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from adaptrack.errors import ContractError, InvalidInput, UnknownName, did_you_mean, real
+from adaptrack.errors import ContractError, InvalidInput, UnknownName, did_you_mean, real, whole
 from adaptrack.models import PredictionModel
 from adaptrack.plant import DualTrack, SingleTrack
 from adaptrack.profile import Profile, load_profile
@@ -465,19 +465,25 @@ class Perception:
     withheld: bool = False
     """the nominal friction and no wind"""
     nominal_friction: float = 0.65
+    seed: int = 0
+    """of the noise: the scenario i of a batch has that of seed + i"""
 
     def __post_init__(self) -> None:
+        whole("Perception", "seed", self.seed, least=0)
         for name in ("noise", "bias", "delay", "nominal_friction"):
             value = real("Perception", name, getattr(self, name))
             if not math.isfinite(value) or (value < 0.0 and name != "bias"):
                 raise InvalidInput(f"Perception: {name} = {value!r}: must be finite and not negative.")
 
-    def known(self, friction: Array, wind: Array, period: float, seed: int) -> tuple[Array, Array]:
-        """What is known at the instants of a run, given the true friction and wind (n,) there."""
+    def known(self, friction: Array, wind: Array, period: float, number: int) -> tuple[Array, Array]:
+        """What is known at the instants of a run, given the true friction and wind (n,) there.
+
+        number: of the scenario in its batch.
+        """
         if self.withheld:
             return np.full_like(friction, self.nominal_friction), np.zeros_like(wind)
         late = np.maximum(np.arange(len(friction)) - round(self.delay / period), 0)
-        rng = np.random.default_rng((seed, 0x7E11))
+        rng = np.random.default_rng((self.seed + number, 0x7E11))
         known = []
         for truth in (friction, wind):
             error = 1.0 + self.bias + self.noise * rng.normal(size=len(truth))

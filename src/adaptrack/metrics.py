@@ -97,7 +97,7 @@ class Metrics:
     """µs, the slowest."""
 
     cost: float
-    """m², J = mean e² + w mean Δu²: what tuning minimises; w is `compute_metrics`' `activity_price`."""
+    """m², J = mean e² + w mean Δu²: what tuning minimises; w is `compute_metrics`' `move_weight`."""
 
     def as_row(self) -> dict[str, Any]:
         """The measures by name, ready for strict JSON: what is not finite becomes None."""
@@ -108,14 +108,14 @@ class Metrics:
 def compute_metrics(
     trajectory: Trajectory,
     *,
-    activity_price: float | None = None,
+    move_weight: float | None = None,
     failure: Failure | None = None,
 ) -> Metrics:
     """All measures of a run; `Trajectory.between` cuts out the window to measure.
 
     Parameters
     ----------
-    activity_price
+    move_weight
         m²/rad², the w of J = mean e² + w mean Δu²; by default ``move_weight`` of
         the run's `meta` (its profile's), else 0.
     failure
@@ -126,10 +126,10 @@ def compute_metrics(
     InvalidInput
         When a parameter is negative or NaN. A trajectory with NaN is no error: it failed, and its MSE is infinite.
     """
-    if activity_price is None:
-        activity_price = float(trajectory.meta.get("move_weight", 0.0))
-    if not activity_price >= 0.0:
-        raise InvalidInput(f"metrics: activity_price must be a number >= 0, got {activity_price!r}.")
+    if move_weight is None:
+        move_weight = float(trajectory.meta.get("move_weight", 0.0))
+    if not move_weight >= 0.0:
+        raise InvalidInput(f"metrics: move_weight must be a number >= 0, got {move_weight!r}.")
     failed = find_failure(trajectory, failure)
 
     with np.errstate(invalid="ignore", over="ignore"):
@@ -178,7 +178,7 @@ def compute_metrics(
         step_us_p50=float(np.percentile(step_times, 50)) if step_times.size else math.nan,
         step_us_p99=float(np.percentile(step_times, 99)) if step_times.size else math.nan,
         step_us_max=_largest_known(step_times),
-        cost=mse + activity_price * activity if activity_price else mse,
+        cost=mse + move_weight * activity if move_weight else mse,
     )
 
 

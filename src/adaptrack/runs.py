@@ -13,6 +13,7 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 from typing import Any, NamedTuple, TypeGuard
 
 import numpy as np
@@ -68,6 +69,7 @@ class RunSet:
 
     known_as: KnownAs = None
     failure = Failure()
+    _latest: Batch | None = None
 
     def __init__(
         self, plant: Plant, mpc: MPC, scenarios: Sequence[Scenario], profile: str = "road", *,
@@ -81,10 +83,16 @@ class RunSet:
         self.periods = self.batch.signals[0].n
         self.segment, self.lead, self.stride = segment or self.periods, lead, stride
         self.variables = _scheduling_variables(self.batch)
-        """(runs, periods, SchedulingVariables) what a scheduler looks at; the offset, unknown before driving, is zero"""
+        """(runs, periods, SchedulingVariables) what a scheduler looks at; the offset, unknown before driving, zero"""
 
     def _batch(self, controller: Controller) -> Batch:
         return Batch(self.plant, controller, self.scenarios, self.profile, failure=self.failure, known_as=self.known_as)
+
+    def _batch_of(self, controller: Controller) -> Batch:
+        """The batch of a controller of its own; that of the last one is kept."""
+        if self._latest is None or self._latest.controller is not controller:
+            self._latest = self._batch(controller)
+        return self._latest
 
     def __len__(self) -> int:
         return len(self.batch.signals)
@@ -101,7 +109,7 @@ class RunSet:
         """
         which = np.arange(len(self)) if which is None else which
         if _is_controller(policy) and not _compiles(policy):
-            costs = [[self._simulated_cost(policy, self.scenarios[i], int(seed)) for i in which] for seed in seeds]
+            costs = [[self._simulated_cost(policy, int(i), int(seed)) for i in which] for seed in seeds]
             return np.array(costs, dtype=float).T
         return np.stack([self._run(policy, int(seed), which).costs for seed in seeds], axis=1)
 
@@ -123,7 +131,7 @@ class RunSet:
         if isinstance(policy, Schedule):
             scheduler = policy
         elif _is_controller(policy):
-            batch = self._batch(policy)
+            batch = self._batch_of(policy)
             tuning, scheduler = batch.tuning, batch.scheduler
         else:
             tuning = policy.as_array() if isinstance(policy, Tuning) else np.asarray(policy, dtype=float)
@@ -135,9 +143,12 @@ class RunSet:
         costs = (found.result["squared_error"] + self.weight * found.result["squared_move"]) / self.periods
         return Outcome(np.where(found.failed, np.inf, costs), found.segments, found.counts)
 
-    def _simulated_cost(self, controller: Controller, scenario: Scenario, seed: int) -> float:
+    def _simulated_cost(self, controller: Controller, i: int, seed: int) -> float:
+        known_as = self.known_as
+        if isinstance(known_as, Perception):  # with the errors that the run has in the batch
+            known_as = replace(known_as, seed=known_as.seed + i)
         run = simulate(
-            self.plant, controller, scenario, profile=self.profile, seed=seed, known_as=self.known_as,
+            self.plant, controller, self.scenarios[i], profile=self.profile, seed=seed, known_as=known_as,
             failure=self.failure,
         )  # fmt: skip
         if run.failed is not None:

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from adaptrack.controllers import Tuning
+from adaptrack.controllers import Controller, Tuning, get_controller
 from adaptrack.errors import ContractError, InvalidInput, UnknownName, did_you_mean
 from adaptrack.runs import Policy, RunSet
 from adaptrack.scheduling import Number, Schedule, list_schedulers, load_scheduler
@@ -76,7 +76,23 @@ def _check_tunings(name: str, policy: ArrayLike) -> None:
 Maker = Callable[[RunSet], Policy]
 """Makes a policy for the runs at hand, from their plant, MPC (vehicle, period) and profile."""
 
-_MAKERS: dict[str, Maker] = {"standard": lambda runs: Tuning()}
+
+def _by_name(name: str) -> Maker:
+    """Makes a registered controller with its default tuning, for the car, period and preview of the runs' MPC."""
+
+    def make(runs: RunSet) -> Controller:
+        vehicle = getattr(runs.mpc.model, "vehicle", None) or getattr(runs.plant, "vehicle", None)
+        if vehicle is None:
+            raise InvalidInput(f"contender {name!r}: neither the MPC's model nor the plant of the runs has a vehicle.")
+        return get_controller(name, vehicle, period=runs.mpc.period, preview=runs.mpc.preview)
+
+    return make
+
+
+_MAKERS: dict[str, Maker] = {
+    "standard": lambda runs: Tuning(),
+    **{name: _by_name(name) for name in ("lqr", "pure-pursuit", "stanley")},
+}
 
 
 def register_contender(name: str, make: Maker) -> None:

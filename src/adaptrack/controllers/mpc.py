@@ -140,6 +140,9 @@ class MPC:
             raise InvalidInput(f"MPC: solver = {solver!r}: must be the name of a QP solver or a QPSolver.")
         if scheduler is not None and not callable(scheduler):
             raise InvalidInput(f"MPC: scheduler = {scheduler!r}: must be callable, variables -> (Np, Nc, Q, R).")
+        entries = tuple(getattr(scheduler, "entries", ENTRIES))
+        if entries != ENTRIES:
+            raise InvalidInput(f"MPC: scheduler gives {', '.join(entries)}; this controller needs {', '.join(ENTRIES)}.")
         self.scheduler = scheduler
         if not 0.0 < real("MPC", "speed_floor", speed_floor) < math.inf:
             raise InvalidInput(f"speed_floor = {speed_floor!r} m/s: must be positive and finite.")
@@ -350,8 +353,21 @@ class MPC:
             return
         from adaptrack.kernels.schedule import schedule
 
-        self._variables[:] = vector("variables", variables, len(self._names))
+        given = self._given(variables)
+        self._variables[: given.size], self._variables[given.size :] = given, 0.0
         schedule(0, self._variables, self._plan, self._asked)
+
+    def _given(self, variables: Sequence[float]) -> Array:
+        """The variables as numbers; the last three may be left out."""
+        try:
+            given = vector("variables", variables, most=len(self._names) + 1)
+        except InvalidInput:
+            given = np.empty(0)
+        if not len(self._names) - 3 <= given.size <= len(self._names):
+            raise InvalidInput(
+                f"variables: need {len(self._names)} numbers, {', '.join(self._names)}; the last three may be left out."
+            )
+        return given
 
     def _ask(self, variables: Sequence[float]) -> None:
         """Ask a scheduler in Python; what is no tuning leaves the one before."""

@@ -28,7 +28,7 @@ class DataSet:
     """n tuned operating points: the best tuning that a swarm found at each, and what a library of T tunings costs.
 
     Costs are J = mean e^2 + w mean (change of command)^2 in m^2, over one run of the profile and scenario that the
-    provenance names; inf where the car was lost. Arrays are read-only, float64 unless said otherwise.
+    provenance names; inf where the run failed. Arrays are read-only, float64 unless said otherwise.
 
     Raises
     ------

@@ -16,6 +16,8 @@ Array = NDArray[np.float64]
 TARGETS = ("Np", "Nc", "log Q", "log R", "log R/Q")
 """What is learnt from a data set, of the best tuning found at each operating point."""
 
+SETTINGS = ("profile", "scenario", "duration", "plant", "move_weight", "noise_seeds")
+"""What a description repeats of the campaign."""
 LEARNER = "gradient-boosted trees (scikit-learn), 5-fold cross-validation"
 """What R^2 is of, see `learning.boosting`."""
 
@@ -54,9 +56,7 @@ def describe(dataset: DataSet, r2: Mapping[str, float] | None = None) -> dict[st
         "operating_points": len(dataset),
         "computed": len(rows),
         "library": len(dataset.library),
-        **{
-            key: settings.get(key) for key in ("profile", "scenario", "duration", "plant", "move_weight", "noise_seeds")
-        },
+        **{key: settings.get(key) for key in SETTINGS},
         "vehicle": _name(settings.get("vehicle")),
         "tyre": _name(settings.get("tyre")),
         "evaluations": int(rows.evaluations.sum()),
@@ -93,10 +93,10 @@ def describe(dataset: DataSet, r2: Mapping[str, float] | None = None) -> dict[st
             "standard_over_best_geomean": _finite(np.exp(np.log(gain).mean()) if gain.size else np.nan),
             "swarm_behind_the_best_known_p50": _quantile(behind, 0.5),
             "swarm_behind_the_best_known_p90": _quantile(behind, 0.9),
-            "lost_by_the_standard": int(np.isinf(rows.standard_costs).sum()),
-            "lost_by_the_swarm": int(np.isinf(rows.costs).sum()),
-            "lost_by_all": int(np.isinf(rows.best_costs).sum()),
-            "library_lost": float(np.isinf(rows.landscape).mean()) if rows.landscape.size else 0.0,
+            "failed_by_the_standard": int(np.isinf(rows.standard_costs).sum()),
+            "failed_by_the_swarm": int(np.isinf(rows.costs).sum()),
+            "failed_by_all": int(np.isinf(rows.best_costs).sum()),
+            "library_failed": float(np.isinf(rows.landscape).mean()) if rows.landscape.size else 0.0,
         },
     }
 

@@ -1,4 +1,4 @@
-"""Learning from tuned conditions, with estimators that work as well on anybody's data.
+"""Learning from tuned operating points, with estimators that work as well on anybody's data.
 
 * `mlp` holds the scikit-learn estimator of small networks, `anfis` the neuro-fuzzy one; what they learn are functions
   of a schedule (`scheduling.functions.network`, `sugeno`).
@@ -6,7 +6,7 @@
 * `partition` divides an input space into fuzzy rules, by clusters or by a grid.
 * `boosting` says how much can be learned from a data set at all.
 * `fis` reads and writes the text files of MATLAB's Fuzzy Logic Toolbox.
-* `training` makes models of the tuning from a data set of tuned conditions, and says how good they are.
+* `training` makes models of the tuning from a data set of tuned operating points, and says how good they are.
 
 The names are loaded when they are first used: what has been learned runs without scikit-learn.
 """

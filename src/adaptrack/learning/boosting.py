@@ -40,8 +40,8 @@ class CrossValidated(NamedTuple):
 def explained(dataset: DataSet, target: str, folds: int = 5, seed: int = 0) -> CrossValidated:
     """How much of a target the operating points explain: cross-validated R^2 of a strong learner.
 
-    Only rows that a swarm searched count, without those where every tuning lost the car; each is shown to the learner
-    from its left side, so that left-right twins cannot stand on both sides of a fold.
+    Only rows that a swarm searched count, without those where the run failed with every tuning; each is shown to the
+    learner from its left side, so that left-right twins cannot stand on both sides of a fold.
 
     Raises
     ------

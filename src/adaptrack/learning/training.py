@@ -96,15 +96,15 @@ def train(
     dataset: DataSet, model: str = "nn", targets: str = "paper", *, holdout: float = 0.2, seed: int = 0,
     progress: Callable[[str, int, int], None] | None = None, **options: Any,
 ) -> Trained:  # fmt: skip
-    """Learn the best tuning of each condition from a data set, one model per slot.
+    """Learn the best tuning of each operating point from a data set, one model per slot.
 
-    model: "nn" for networks, "anfis" for fuzzy systems; targets: see `TARGETS`; holdout: share of the conditions that
-    is held out; seed: of the hold-out and of the models; progress: called with ("train", slots done, slots); options:
-    parameters of `MLP` or `ANFIS`, whose defaults are the paper's. Conditions where every tuning lost the car teach
-    nothing and are left out.
+    model: "nn" for networks, "anfis" for fuzzy systems; targets: see `TARGETS`; holdout: share of the operating
+    points that is held out; seed: of the hold-out and of the models; progress: called with ("train", slots done,
+    slots); options: parameters of `MLP` or `ANFIS`, whose defaults are the paper's. Operating points where the run
+    failed with every tuning teach nothing and are left out.
 
     The ceiling is what boosted trees reach on the same hold-out: a strong learner of another kind that is shown every
-    condition from its left side, and never the row that it predicts (5-fold cross-validation, see `boosting`).
+    operating point from its left side, and never the row that it predicts (5-fold cross-validation, see `boosting`).
 
     Raises
     ------

@@ -3,7 +3,7 @@
 * `figures` draws the paper's figures 6 to 10 from trajectories; `style` says how every picture looks.
 * `maps` draws heat maps over the speed and one more quantity.
 * `page` writes any list of sections as one self-contained HTML page with its PNG files.
-* `runs` reports on closed-loop runs: `write_report`; `dataset` on tuned conditions: `write_dataset_report`.
+* `runs` reports on closed-loop runs: `write_report`; `dataset` on tuned operating points: `write_dataset_report`.
 """
 
 from adaptrack.report.dataset import write_dataset_report

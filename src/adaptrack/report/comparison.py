@@ -87,7 +87,7 @@ _COUNTS = {
     "rate_limited": "Change limited",
     "broken": "Not a number",
     "outside": "Fallback begun, input outside",
-    "astray": "Fallback begun, off the reference",
+    "off_reference": "Fallback begun, off the reference",
     "unstable": "Gave way, near instability",
     "fallback": "On the fallback",
 }

@@ -159,7 +159,7 @@ def _contents(dataset: DataSet, told: Summary) -> Section:
     entries = [
         (key.replace("_", " ").capitalize(), in_words(told[key])) for key in _LISTED if told.get(key) is not None
     ]
-    units = {"Duration": " s a run", "Move price": " m²/rad²"}
+    units = {"Duration": " s a run", "Move weight": " m²/rad²"}
     terms = Terms([(name, value + units.get(name, "")) for name, value in entries])
     again: list[Item] = ["This command makes the data set again:", Verbatim(dataset.command)]
     return Section("What it is", [words, *again, *([terms] if entries else []), ranges])
@@ -236,7 +236,7 @@ def _costs(rows: DataSet, told: Summary) -> Section:
         items.append(
             Picture(
                 "Left: the share of operating points that cost at most so much; further left is better. A curve "
-                "that ends below 100 % lost the car in the rest. Right: how many times the optimum the standard tuning "
+                "that ends below 100 % failed in the rest. Right: how many times the optimum the standard tuning "
                 "costs, by speed: median, with a band from the lower to the upper quartile.",
                 [panel.drawing() for panel in panels],
                 key,
@@ -299,7 +299,7 @@ def _flatness(dataset: DataSet, told: Summary) -> Section:
         {row["within"]: flatness(dataset, row["within"]) for row in told["flatness"]} if len(dataset.library) else {}
     )
     if not any(share.size for share in shares.values()):
-        missing = "no library was evaluated" if not len(dataset.library) else "every tuning lost the car"
+        missing = "no library was evaluated" if not len(dataset.library) else "the run failed with every tuning"
         return Section(title, [f"Not known: {missing}."])
     rows = [row for row in told["flatness"] if row["mean"] is not None]
     body = [
@@ -357,20 +357,20 @@ def _costs_in_words(costs: Summary, n: int, library: int) -> str:
             "Against the lowest cost known, be it the swarm's or a library tuning's, the swarm's best is "
             f"{percent(middle)} % behind in the median, and {percent(high)} % or more in the worst tenth of them."
         )
-    lost = [
+    failed = [
         f"{who} in {number(costs[key])}"
         for key, who in (
-            ("lost_by_the_standard", "the standard tuning"),
-            ("lost_by_the_swarm", "the swarm's best"),
-            ("lost_by_all", "every tuning"),
+            ("failed_by_the_standard", "the standard tuning"),
+            ("failed_by_the_swarm", "the swarm's best"),
+            ("failed_by_all", "every tuning"),
         )
         if costs[key]
     ]
     of = f"of {counted(n, 'operating point')}"
-    none = f"Neither of the two lost the car in any {of}."
-    sentences.append(f"The car was lost by {listed(lost)} {of}." if lost else none)
-    if costs["library_lost"]:
-        sentences.append(f"Of all runs of the library, {percent(costs['library_lost'])} % lost the car.")
+    none = f"Neither of the two failed in any {of}."
+    sentences.append(f"The run failed with {listed(failed)} {of}." if failed else none)
+    if costs["library_failed"]:
+        sentences.append(f"Of all runs of the library, {percent(costs['library_failed'])} % failed.")
     return " ".join(sentences)
 
 
@@ -503,7 +503,7 @@ def _draw_histogram(target: _Target, limits: tuple[float, float], axes: Axes) ->
     axes.set_xmargin(0.03)
     axes.autoscale(axis="x")
     axes.set_xlabel(target.label)
-    axes.set_ylabel("Conditions (%)")
+    axes.set_ylabel("Operating points (%)")
 
 
 def _draw_cumulative(costs: Mapping[str, Array], axes: Axes) -> None:
@@ -516,7 +516,7 @@ def _draw_cumulative(costs: Mapping[str, Array], axes: Axes) -> None:
     axes.set_ylim(0.0, 103.0)
     style.logarithmic(axes, "x")
     axes.set_xlabel("Cost (m²)")
-    axes.set_ylabel("Conditions (%)")
+    axes.set_ylabel("Operating points (%)")
 
 
 def _draw_gain(speed: Array, gain: Array, axes: Axes) -> None:
@@ -550,7 +550,7 @@ def _draw_shares(shares: Mapping[str, Array], strokes: Mapping[str, style.Stroke
     axes.set_xlim(0.0, 100.0)
     axes.set_ylim(0.0, 103.0)
     axes.set_xlabel("At least so much of the library (%)")
-    axes.set_ylabel("Conditions (%)")
+    axes.set_ylabel("Operating points (%)")
 
 
 def _band(axes: Axes, x: NDArray[Any], low: Array, middle: Array, high: Array) -> None:

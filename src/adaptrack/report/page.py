@@ -53,7 +53,7 @@ class Cell:
     strong: bool = False
     """The best of its column."""
     warn: bool = False
-    """Something the reader must not miss (a lost run, a failed QP)."""
+    """Something the reader must not miss (a failed run, a failed QP)."""
 
 
 @dataclass(frozen=True)

@@ -1,1 +1,1 @@
-"""Finding the tuning that a condition needs: the particle swarm, the cost it minimises, and campaigns of it."""
+"""Finding the tuning that an operating point needs: the particle swarm, the cost it minimises, and campaigns of it."""

@@ -247,7 +247,7 @@ def _manifest(plan: Plan, versions: dict[str, str]) -> dict[str, Any]:
         "name": config.name,
         "format_version": FORMAT_VERSION,
         "identity": plan.identity,
-        "conditions": len(plan.operating_points),
+        "operating_points": len(plan.operating_points),
         "computed": count,
         "chunk": config.chunk,
         "chunks": math.ceil(count / config.chunk),

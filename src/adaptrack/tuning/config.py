@@ -18,6 +18,7 @@ from pydantic import BeforeValidator, Field, model_validator
 
 from adaptrack.controllers import Tuning
 from adaptrack.errors import UnknownName, did_you_mean
+from adaptrack.failure import DISTANCE, SIDESLIP, Failure
 from adaptrack.files import Record, build, read_toml
 from adaptrack.limits import LANDSCAPE, NOISE_SEEDS, check_limit
 from adaptrack.profile import load_profile
@@ -187,6 +188,19 @@ def spread_tunings(size: int, search: Search, seed: int = 0) -> Array:
     return np.vstack([STANDARD, np.column_stack([Np, Nc, np.exp(q), np.exp(q + ratio)])])
 
 
+# -- failure ----------------------------------------------------------------------------------------------------------
+class FailureRule(Record):
+    """When a run has failed and its cost is infinite, see `failure.Failure`; `inf` switches a limit off."""
+
+    distance: float = Field(default=DISTANCE, gt=0, allow_inf_nan=True, description="m off the reference")
+    sideslip: float = Field(default=SIDESLIP, gt=0, allow_inf_nan=True, description="rad, at 1 m/s or more")
+
+    @property
+    def rule(self) -> Failure:
+        """The rule by which runs are judged."""
+        return Failure(self.distance, self.sideslip)
+
+
 # -- the file ---------------------------------------------------------------------------------------------------------
 class CampaignConfig(Record):
     """A campaign: at every operating point one particle swarm, and the cost of every tuning of a common library."""
@@ -215,6 +229,7 @@ class CampaignConfig(Record):
     )
     chunk: int = Field(default=32, ge=1, le=100_000, description="points per chunk: what a kill can cost at most")
     operating_points: OperatingPoints = Field(description="where to tune")
+    failure: FailureRule = Field(default_factory=FailureRule, description="when a run has failed")
     search: Search = Field(default_factory=Search, description="bounds of the tunings")
     swarm: SwarmSettings = Field(default_factory=SwarmSettings, description="how a swarm searches")
     library: Library = Field(

@@ -28,7 +28,7 @@ class Tuned(Protocol):
 
     @property
     def cost(self) -> float:
-        """of that tuning, m^2; inf when every one lost the car"""
+        """of that tuning, m^2; inf when the run failed with every one"""
 
     @property
     def trace(self) -> Array:
@@ -52,11 +52,11 @@ class Evaluator(Protocol):
     def versions(self) -> Mapping[str, str]:
         """The software on which the last digit of an answer may depend."""
 
-    def tune(self, condition: Array, seed: int, stream: int) -> Tuned:
-        """A whole swarm on one condition (4,); its random numbers depend on seed and stream only."""
+    def tune(self, point: Array, seed: int, stream: int) -> Tuned:
+        """A whole swarm on one operating point (4,); its random numbers depend on seed and stream only."""
 
-    def landscape(self, condition: Array, library: Array) -> Array:
-        """(T,) cost of each tuning of the library (T, 4); inf where the car is lost."""
+    def landscape(self, point: Array, library: Array) -> Array:
+        """(T,) cost of each tuning of the library (T, 4); inf where the run fails."""
 
 
 class ClosedLoop:
@@ -81,6 +81,7 @@ class ClosedLoop:
             noise_seeds=config.noise_seeds or (0,),
             move_weight=config.move_weight,
             duration=config.duration,
+            failure=config.failure.rule,
         )
 
     def versions(self) -> dict[str, str]:
@@ -93,8 +94,8 @@ class ClosedLoop:
             "numpy": version("numpy"),
         }
 
-    def tune(self, condition: Array, seed: int, stream: int) -> Tuned:
-        return self.objective.tune(condition.tolist(), self._swarm, seed, stream, self._space)
+    def tune(self, point: Array, seed: int, stream: int) -> Tuned:
+        return self.objective.tune(point.tolist(), self._swarm, seed, stream, self._space)
 
-    def landscape(self, condition: Array, library: Array) -> Array:
-        return self.objective.landscape(condition.tolist(), library)
+    def landscape(self, point: Array, library: Array) -> Array:
+        return self.objective.landscape(point.tolist(), library)

@@ -1,6 +1,6 @@
-"""The cost of a tuning on a condition, and the best tuning that a swarm finds there: compiled closed-loop runs.
+"""The cost of a tuning on an operating point, and the best tuning that a swarm finds there, by compiled runs.
 
-A condition is (speed m/s, y_ref m, friction, wind m/s), held over the run. Random numbers are counted by seed and
+An operating point is (speed m/s, y_ref m, friction, wind m/s), held over the run. Random numbers are counted by seed and
 stream, never shared, so a result depends on its own arguments only.
 """
 
@@ -23,13 +23,9 @@ from adaptrack.tuning.pso import SearchSpace, SwarmSettings
 
 Array = NDArray[np.float64]
 
-CONDITION = ("speed", "y_ref", "friction", "wind")
-"""The entries of a condition: m/s, m, -, m/s along +Y."""
-
-
 @dataclass(frozen=True, eq=False)
 class Tuned:
-    """What a swarm found on one condition."""
+    """What a swarm found on one operating point."""
 
     tuning: Array
     """(4,) Np, Nc, Q, R"""
@@ -44,10 +40,10 @@ class Tuned:
 
 @dataclass(frozen=True, eq=False)
 class Objective:
-    """J = mean e^2 + move_weight * mean (change of command)^2 of a run under a condition.
+    """J = mean e^2 + move_weight * mean (change of command)^2 of a run on an operating point.
 
     plant, mpc: what is driven, by which controller (its tuning is ignored); test: `step` (the paper: constant y_ref
-    from y = 0) or `lane-change` (smooth, with one gust of the condition's wind); profile: with its noise, J is the
+    from y = 0) or `lane-change` (smooth, with one gust of the operating point's wind); profile: with its noise, J is the
     mean over `noise_seeds`; move_weight: m^2/rad^2, None for the profile's; duration: s, None for 18 (step) or 8.
 
     Raises
@@ -79,9 +75,9 @@ class Objective:
         assert isinstance(self.profile, Profile)
         return self.profile.move_weight if self.move_weight is None else self.move_weight
 
-    def scenario(self, condition: ArrayLike) -> Scenario:
-        """The run under a condition."""
-        speed, y_ref, friction, wind = np.asarray(condition, dtype=float).tolist()
+    def scenario(self, point: ArrayLike) -> Scenario:
+        """The run on an operating point."""
+        speed, y_ref, friction, wind = np.asarray(point, dtype=float).tolist()
         if self.test == "step":
             duration = self.duration or 18.0
             return load_scenario("step", amplitude=y_ref, speed=speed, friction=friction, wind=wind, duration=duration)
@@ -89,14 +85,14 @@ class Objective:
             "lane-change", amplitude=y_ref, speed=speed, friction=friction, gust=wind, duration=self.duration or 8.0
         )
 
-    def costs(self, condition: ArrayLike, tunings: ArrayLike) -> Array:
-        """J of each of the tunings (n, 4) on one condition, (n,); inf where a run failed."""
+    def costs(self, point: ArrayLike, tunings: ArrayLike) -> Array:
+        """J of each of the tunings (n, 4) on one operating point, (n,); inf where a run failed."""
         from adaptrack.kernels import tune as kernels
         from adaptrack.kernels.plants.contract import SLOTS
 
         asked = np.array(tunings, dtype=np.float64, ndmin=2)
         costs = np.empty(len(asked))
-        trial, members = self._trial(condition, min(len(asked), SLOTS), asked[:, 0].max(), asked[:, 1].max())
+        trial, members = self._trial(point, min(len(asked), SLOTS), asked[:, 0].max(), asked[:, 1].max())
         judged = kernels.Judged(np.ascontiguousarray(asked), np.full(len(asked), np.inf), costs)
         for first in range(0, len(asked), SLOTS):
             trial.run.mpc.memory["speed"] = np.nan  # nothing is formed yet
@@ -104,24 +100,24 @@ class Objective:
         return costs
 
     landscape = costs
-    """J of a common library of tunings on one condition: the same numbers under the name that campaigns use."""
+    """J of a common library of tunings on one operating point: the same numbers under the name that campaigns use."""
 
     def tune(
         self,
-        condition: ArrayLike,
+        point: ArrayLike,
         swarm: SwarmSettings | None = None,
         seed: int = 0,
         stream: int = 0,
         space: SearchSpace | None = None,
     ) -> Tuned:
-        """The best tuning that one swarm finds on a condition; the swarm's random numbers are those of its stream."""
+        """The best tuning that one swarm finds on an operating point; the swarm's random numbers are those of its stream."""
         from adaptrack.kernels import swarm as rules
         from adaptrack.kernels import tune as kernels
         from adaptrack.kernels.plants.contract import SLOTS
 
         swarm, space = swarm or SwarmSettings(), space or SearchSpace.tuning()
         slots, count = min(swarm.particles, SLOTS), swarm.particles
-        trial, members = self._trial(condition, slots, space.high[0], space.high[1])
+        trial, members = self._trial(point, slots, space.high[0], space.high[1])
         judged = kernels.Judged(np.zeros((count, 4)), np.empty(count), np.empty(count))
         search = kernels.Search(
             seed, stream, swarm.packed(space), space.packed(), rules.particles(count, 4), judged,
@@ -133,12 +129,12 @@ class Objective:
             space.values(best.leader), float(best.progress[rules.LEADER_COST]), search.best, evaluations, steps
         )
 
-    def _trial(self, condition: ArrayLike, slots: int, longest: float, most: float) -> tuple[Any, tuple[Any, ...]]:
-        """`kernels.tune.Trial` of a condition for up to `slots` tunings with horizons up to these, and its members."""
+    def _trial(self, point: ArrayLike, slots: int, longest: float, most: float) -> tuple[Any, tuple[Any, ...]]:
+        """`kernels.tune.Trial` for up to `slots` tunings with horizons up to these, and the members that it needs."""
         from adaptrack.kernels import rollout
         from adaptrack.kernels import tune as kernels
 
-        batch = Batch(self.plant, self.mpc, [self.scenario(condition)], self.profile, failure=self.failure)
+        batch = Batch(self.plant, self.mpc, [self.scenario(point)], self.profile, failure=self.failure)
         run = batch.arena(slots, int(batch.substeps[0]), batch.mpc_settings(longest, most, residuals=False))
         run.vehicles.start[:] = batch.starts
         noise = np.array(self.noise_seeds, dtype=np.int64)

@@ -1,6 +1,6 @@
 """Operating points as rows (speed, y_ref, friction, wind): grids, Sobol samples, left-right twins.
 
-An operating point is what the paper's section III varies: the conditions of one run. Here it is a row of an array of
+An operating point is what the paper's section III varies: what one run meets. Here it is a row of an array of
 shape (n, 4), float64, its columns named and explained by `COLUMNS`; the number of a row is the point's number.
 """
 

@@ -51,7 +51,7 @@ COLUMNS = (
     Column("Q", "1/m^2", "float64", "weight of the tracking error of the best tuning found"),
     Column("R", "1/rad^2", "float64", "weight of the moves of the best tuning found"),
     Column("r_over_q", "m^2/rad^2", "float64", "R/Q, the only part of the two that changes the control law"),
-    Column("cost", "m^2", "float64", "cost of the best tuning found; inf when every one lost the car"),
+    Column("cost", "m^2", "float64", "cost of the best tuning found; inf when the run failed with every one"),
     Column("standard_cost", "m^2", "float64", "cost of the paper's tuning, 35/8/10/0.01"),
     Column("evaluations", "-", "int64", "tunings that the swarm evaluated"),
     Column("control_steps", "-", "int64", "control periods that the swarm simulated"),
