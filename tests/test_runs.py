@@ -287,7 +287,8 @@ def test_a_batch_tells_its_scheduler_what_its_perception_says_and_the_car_feels_
     np.testing.assert_allclose(given[:, 3], 1e3 + 1e4 * np.clip(known[0][:-1], 0.0, 2.0), rtol=1e-12)
     np.testing.assert_allclose(given[:, 0], 30.0 + known[1][:-1] / 2.0, rtol=0, atol=0.5 + 1e-9)
     plain = Batch(SingleTrack(CAR), controller(), [scenario], "road")
-    np.testing.assert_array_equal(batch.samples[:, : loop.SIGNAL.known_friction], plain.samples[:, : loop.SIGNAL.known_friction])
+    felt = slice(loop.SIGNAL.known_friction)
+    np.testing.assert_array_equal(batch.samples[:, felt], plain.samples[:, felt])
 
 
 def test_equal_roads_are_not_known_with_equal_errors():

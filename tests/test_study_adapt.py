@@ -305,7 +305,9 @@ def recorded(setup, monkeypatch, evaluation_seed):
         use()
         parts[part], found = found, SimpleNamespace(rows=set(), drives=set(), noise=set())
     parts["campaign"] = SimpleNamespace(
-        rows=set(map(tuple, setup.plan.operating_points.tolist())), drives=set(), noise=set(setup.plan.config.noise_seeds)
+        rows=set(map(tuple, setup.plan.operating_points.tolist())),
+        drives=set(),
+        noise=set(setup.plan.config.noise_seeds),
     )
     return parts
 

@@ -2,7 +2,7 @@
 
 The estimator of an MPC gives the state of its prediction model (`Estimator`). The scheduler of one is told friction and
 wind exactly, with errors (`Perception`), or as a car's own signals show them (`FrictionWindEstimator`): neither is
-measured. Friction shows only where the tyres are near their limit; everywhere else the estimate drifts back to a nominal
+measured. Friction shows only where the tyres are near their limit; elsewhere the estimate drifts back to a nominal
 value, and its standard deviation says so.
 """
 

@@ -398,7 +398,6 @@ def check_plant(
     def fail(clause: str, evidence: str) -> None:
         raise ContractError(f"Plant {plant.name!r}: {clause}: {evidence}.")
 
-    n = len(plant.state_names)
     if plant.state_names[:6] != MOTION:
         fail(f"its states must begin with {MOTION}", f"they are {plant.state_names}")
     if plant.packed().ndim != 1 or np.isnan(plant.packed()).any():

@@ -142,7 +142,7 @@ class MPC:
             raise InvalidInput(f"MPC: scheduler = {scheduler!r}: must be callable, variables -> (Np, Nc, Q, R).")
         entries = tuple(getattr(scheduler, "entries", ENTRIES))
         if entries != ENTRIES:
-            raise InvalidInput(f"MPC: scheduler gives {', '.join(entries)}; this controller needs {', '.join(ENTRIES)}.")
+            raise InvalidInput(f"MPC: the scheduler gives {', '.join(entries)}; an MPC needs {', '.join(ENTRIES)}.")
         self.scheduler = scheduler
         if not 0.0 < real("MPC", "speed_floor", speed_floor) < math.inf:
             raise InvalidInput(f"speed_floor = {speed_floor!r} m/s: must be positive and finite.")

@@ -1,7 +1,7 @@
 """The cost of a tuning on an operating point, and the best tuning that a swarm finds there, by compiled runs.
 
-An operating point is (speed m/s, y_ref m, friction, wind m/s), held over the run. Random numbers are counted by seed and
-stream, never shared, so a result depends on its own arguments only.
+An operating point is (speed m/s, y_ref m, friction, wind m/s), held over the run. Random numbers are counted by seed
+and stream, never shared, so a result depends on its own arguments only.
 """
 
 from __future__ import annotations
@@ -43,8 +43,8 @@ class Objective:
     """J = mean e^2 + move_weight * mean (change of command)^2 of a run on an operating point.
 
     plant, mpc: what is driven, by which controller (its tuning is ignored); test: `step` (the paper: constant y_ref
-    from y = 0) or `lane-change` (smooth, with one gust of the operating point's wind); profile: with its noise, J is the
-    mean over `noise_seeds`; move_weight: m^2/rad^2, None for the profile's; duration: s, None for 18 (step) or 8.
+    from y = 0) or `lane-change` (smooth, with one gust of the operating point's wind); profile: with its noise, J is
+    the mean over `noise_seeds`; move_weight: m^2/rad^2, None for the profile's; duration: s, None for 18 (step) or 8.
 
     Raises
     ------
@@ -110,7 +110,7 @@ class Objective:
         stream: int = 0,
         space: SearchSpace | None = None,
     ) -> Tuned:
-        """The best tuning that one swarm finds on an operating point; the swarm's random numbers are those of its stream."""
+        """The best tuning that one swarm finds on an operating point; its random numbers are those of its stream."""
         from adaptrack.kernels import swarm as rules
         from adaptrack.kernels import tune as kernels
         from adaptrack.kernels.plants.contract import SLOTS
