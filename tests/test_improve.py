@@ -183,7 +183,8 @@ def checked_every(rounds):
 def constant_schedule(by):
     """START, shifted."""
     values = (float(START.Np), float(START.Nc), math.log10(START.R))
-    functions = {slot: Number(value).shifted(by[i]) for i, (slot, value) in enumerate(zip(OUTPUTS, values, strict=True))}
+    pairs = enumerate(zip(OUTPUTS, values, strict=True))
+    functions = {slot: Number(value).shifted(by[i]) for i, (slot, value) in pairs}
     return Learned(functions, INPUTS, DOMAIN, BOUNDS)
 
 
@@ -324,7 +325,8 @@ def test_what_no_input_tells_apart_gets_the_compromise():
     made = improve(beginning("constant"), INPUTS, DOMAIN, [(bowl, 48)], [bowl], rounds=30)
 
     def cost(by):
-        functions = {slot: Number(made.surfaces[slot].value).shifted(shift) for slot, shift in zip(OUTPUTS, by, strict=True)}
+        pairs = zip(OUTPUTS, by, strict=True)
+        functions = {slot: Number(made.surfaces[slot].value).shifted(shift) for slot, shift in pairs}
         return bowl.costs(Learned(functions, INPUTS, DOMAIN, BOUNDS), [0]).mean()
 
     for by in 2.0 * np.diag(SHIFT):

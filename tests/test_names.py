@@ -8,6 +8,7 @@ import pytest
 from rich.console import Console
 
 from adaptrack import cli
+from adaptrack.cli import show
 from adaptrack.controllers import Tuning
 from adaptrack.report import Run, write_report
 from adaptrack.scenario import load_scenario

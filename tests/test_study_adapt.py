@@ -526,7 +526,8 @@ def test_the_schedulers_that_ship_name_the_settings_of_the_configuration_that_sh
     assert set(schedules) == set(CONTENDERS)
     assert config.method == Method()
     for name in ("nn", "anfis"):
-        np.testing.assert_array_equal(schedules["fallback"].batch([15.0, 0.0, 0.7, 0.0])[0], schedules[name].guard.fallback.as_array())
+        fallback = schedules[name].guard.fallback.as_array()
+        np.testing.assert_array_equal(schedules["fallback"].batch([15.0, 0.0, 0.7, 0.0])[0], fallback)
     for schedule in schedules.values():
         made = schedule.provenance
         assert made["settings"] == config.settings

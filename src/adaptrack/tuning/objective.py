@@ -23,6 +23,7 @@ from adaptrack.tuning.pso import SearchSpace, SwarmSettings
 
 Array = NDArray[np.float64]
 
+
 @dataclass(frozen=True, eq=False)
 class Tuned:
     """What a swarm found on one operating point."""
