@@ -21,7 +21,6 @@ from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
 from adaptrack.dataset import DataSet, describe, flatness
-from adaptrack.learning.boosting import explained_shares
 from adaptrack.report import style
 from adaptrack.report.maps import Cells, Heat, edges_around, norm_of
 from adaptrack.report.page import (
@@ -116,6 +115,8 @@ def _summary(dataset: DataSet) -> Summary:
     with warnings.catch_warnings():
         if not len(dataset.library):  # shares of nothing are not numbers, which numpy warns of
             warnings.simplefilter("ignore", RuntimeWarning)
+        from adaptrack.learning.boosting import explained_shares  # here: scikit-learn takes a second to load
+
         return describe(dataset, explained_shares(dataset))
 
 
