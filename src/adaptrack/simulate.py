@@ -82,6 +82,8 @@ class World:
         """
         if not isinstance(plant, Plant | SteppedPlant):
             raise InvalidInput(f"plant = {plant!r}: must be a Plant, such as DualTrack(load_vehicle('paper')).")
+        if not callable(getattr(controller, "step", None)):
+            raise InvalidInput(f"controller = {controller!r}: must be a controller, such as MPC(load_vehicle('paper')).")
         profile = load_profile(profile)
         if isinstance(plant, Plant) and getattr(plant, "steering", None) is None:
             plant = plant.with_steering(profile.steering)
@@ -316,6 +318,7 @@ def simulate(
     record, memory = _Recorder(signals.n, controller), loop.MEMORY.new()
     block, own = vehicle.block, memory[0]
     measured, look = np.zeros(len(MEASURED)), np.zeros(len(guard.VARIABLES))
+    seen = measured if isinstance(controller, MPC) else measured[:4]  # its model or estimator may use the wheel angle
     estimator = known_as if isinstance(known_as, FrictionWindEstimator) else None
     if estimator is not None:
         estimator.reset()
@@ -337,9 +340,12 @@ def simulate(
             look[guard.FRICTION], look[guard.WIND] = found.friction, found.wind
         variables = SchedulingVariables(*look.tolist())
         begun = time.perf_counter()
-        answer = controller.step(measured[:4], speed, samples[0, k:], variables)
+        answer = controller.step(seen, speed, samples[0, k:], variables)
         record.times[k] = time.perf_counter() - begun
         command = record.take(k, answer, float(own.command))
+        if not math.isfinite(command):
+            own.ended, own.ended_at = loop.NOT_FINITE, k * signals.period
+            break
         loop.actuate(k, 0, command, block, settings, rows, 0, memory)
         vehicle.observe(record.seen[k])
         vehicle.advance()
