@@ -172,7 +172,14 @@ class Bicycle(SteppedPlant):
         rate = v * math.tan(steering) / 2.8
         middle = yaw + 0.5 * dt * rate
         self.motion = np.array(
-            [x + dt * v * math.cos(middle), y + dt * v * math.sin(middle), yaw + dt * rate, v + dt * acceleration, 0, rate]
+            [
+                x + dt * v * math.cos(middle),
+                y + dt * v * math.sin(middle),
+                yaw + dt * rate,
+                v + dt * acceleration,
+                0,
+                rate,
+            ]
         )
         return self.motion
 

@@ -19,12 +19,12 @@ from adaptrack.estimation import (
     list_estimators,
     register_estimator,
 )
+from adaptrack.failure import Failure
 from adaptrack.kernels.estimators import friction_wind as kernel
 from adaptrack.kernels.plants.parameters import unpack
 from adaptrack.models import SingleTrackModel
 from adaptrack.plant import DualTrack, SingleTrack
 from adaptrack.profile import load_profile
-from adaptrack.failure import Failure
 from adaptrack.scenario import Scenario, load_scenario
 from adaptrack.scheduling import SchedulingVariables
 from adaptrack.simulate import simulate

@@ -10,8 +10,8 @@ from adaptrack.controllers import MPC, Limits, Moves, Tuning
 from adaptrack.errors import ContractError, InvalidInput, UnknownName
 from adaptrack.estimation import FrictionWindEstimator, Perception, UserEstimator
 from adaptrack.failure import Failure, Reason, find_failure
-from adaptrack.kernels import abi
-from adaptrack.kernels import loop, rollout as compiled
+from adaptrack.kernels import abi, loop
+from adaptrack.kernels import rollout as compiled
 from adaptrack.kernels.controllers import mpc as kernel
 from adaptrack.kernels.maths.random import counted_normal
 from adaptrack.kernels.plants import contract
@@ -312,8 +312,9 @@ def test_a_failed_run_of_a_batch_is_flagged_and_harms_nobody(rng):
     leaving = good.replace(reference=Ramp(after=40.0, start=0.5, duration=1.0))
     plant, mpc = DualTrack(CAR), MPC(CAR, CALM)
     which = np.arange(20) % 2
-    batch = rollout_batch(plant, mpc, [good, leaving], [CALM.as_array()] * 20, which=which, failure=Failure(distance=3.0))
-    alone = rollout_batch(plant, mpc, good, [CALM.as_array()], failure=Failure(distance=3.0))
+    rule = Failure(distance=3.0)
+    batch = rollout_batch(plant, mpc, [good, leaving], [CALM.as_array()] * 20, which=which, failure=rule)
+    alone = rollout_batch(plant, mpc, good, [CALM.as_array()], failure=rule)
     assert [reason is not None for reason in batch.failed] == (which == 1).tolist()
     assert set(batch.failed[which == 1]) == {Reason.OFF_ROAD}
     assert np.isnan(batch.failed_at[which == 0]).all()
@@ -368,9 +369,10 @@ def driven_by(right_hand_side):
 
 
 LEAVING = straight_then(reference=Ramp(after=40.0, start=0.5, duration=1.0), duration=3.0)
+FAR_AWAY = straight_then(reference=50.0, start_y=0.0, duration=1.0)
 FAILURES = {
     "off the road": (lambda: SingleTrack(CAR), LEAVING, Reason.OFF_ROAD),
-    "never there": (lambda: SingleTrack(CAR), straight_then(reference=50.0, start_y=0.0, duration=1.0), Reason.OFF_ROAD),
+    "never there": (lambda: SingleTrack(CAR), FAR_AWAY, Reason.OFF_ROAD),
     "spun": (lambda: driven_by(drifts), straight_then(duration=2.0), Reason.SPUN),
     "not finite": (lambda: driven_by(breaks), straight_then(duration=2.0), Reason.NOT_FINITE),
 }
@@ -730,7 +732,12 @@ def test_the_drivers_numbers_are_checked():
     ids=lambda arguments: next(iter(arguments)),
 )
 def test_a_batch_refuses_what_does_not_fit(arguments):
-    given = {"plant": SingleTrack(CAR), "controller": MPC(CAR), "scenarios": SHORT, "tunings": [CALM.as_array()]} | arguments
+    given = {
+        "plant": SingleTrack(CAR),
+        "controller": MPC(CAR),
+        "scenarios": SHORT,
+        "tunings": [CALM.as_array()],
+    } | arguments
     with pytest.raises(InvalidInput):
         rollout_batch(**given)
 
@@ -749,8 +756,8 @@ def test_a_misspelt_profile_is_named():
 EVERY_KERNEL = """
 import importlib, pkgutil
 import adaptrack.kernels as room
-names = [found.name for found in pkgutil.walk_packages(room.__path__, "adaptrack.kernels.") if "_interpreted" not in found.name]
-rooms = [importlib.import_module(name) for name in sorted(names)]
+found = sorted(each.name for each in pkgutil.walk_packages(room.__path__, "adaptrack.kernels."))
+rooms = [importlib.import_module(name) for name in found if "_interpreted" not in name]
 """
 
 
@@ -782,7 +789,9 @@ def test_the_kernels_columns_have_names_of_their_own(columns):
 
 
 @pytest.mark.parametrize(
-    "structure", [loop.SETTINGS, loop.MEMORY, kernel.SETTINGS, kernel.MEMORY, compiled.RESULT], ids=lambda s: s.fields[0]
+    "structure",
+    [loop.SETTINGS, loop.MEMORY, kernel.SETTINGS, kernel.MEMORY, compiled.RESULT],
+    ids=lambda s: s.fields[0],
 )
 def test_the_kernels_rows_have_fields_of_their_own(structure):
     assert structure.dtype.names == structure.fields
