@@ -15,8 +15,8 @@ Array = NDArray[np.float64]
 def vector(name: str, values: Any, size: int | tuple[int, ...] | None = None, most: int | None = None) -> Array:
     """A writeable, contiguous float64 row; masked entries become NaN.
 
-    size: how long it may be, None: any length but 0; most: only the first so many are read. A row that is fit already is
-    given back as it is, not copied.
+    size: how long it may be, None: any length but 0; most: only the first so many are read. A row that is fit already
+    is given back as it is, not copied.
 
     Raises
     ------
