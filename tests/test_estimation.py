@@ -102,7 +102,7 @@ def straight(t):
 
 
 def lane_change(seed):
-    """A drive under the MPC, its conditions drawn from the domain of the tuning campaign."""
+    """A drive under the MPC, its operating point drawn from the domain of the tuning campaign."""
     rng = np.random.default_rng(seed)
     speed, y, friction, gust = rng.uniform((6.0, -7.0, 0.3, -30.0), (30.0, 7.0, 1.0, 30.0))
     mpc = MPC(CAR, Tuning(30, 10, 1, 3000), period=0.05, preview=True)
@@ -354,7 +354,7 @@ def test_estimates_stay_within_their_bounds():
         assert np.abs(found[:, 1]).max() <= 5.0
 
 
-def test_lanes_do_not_touch_each_other():
+def test_slots_do_not_touch_each_other():
     estimator = FrictionWindEstimator.of(DualTrack(CAR))
     p, settings, memory = estimator.packed(), estimator.settings(), np.zeros((3, kernel.MEMORY))
     memory[[0, 2]] = 7.0
@@ -375,7 +375,7 @@ def test_reset_forgets():
 
 
 # -- the door ---------------------------------------------------------------------------------------------------------
-def test_the_scheduler_is_told_the_estimates():
+def test_the_scheduler_knows_the_estimates():
     seen = []
 
     def scheduler(variables):

@@ -355,15 +355,7 @@ def test_the_checker_refuses_a_model_that_breaks(changes, clause):
 def test_the_checker_refuses_a_model_that_writes_to_its_parameters():
     class Careless(Broken):
         def parameters(self):
-            return self.numbers if self.asked else SingleTrackModel(CARS["paper"]).parameters()
+            return np.append(self.numbers, 0.0)  # one more, which the matrices do not need
 
-    careless = Careless(p=lambda p, asked: None)
-    kept = careless.numbers
-
-    def scribble(p, asked):
-        p[0] += 1e-9
-        careless.numbers = kept
-
-    careless.changes = {"p": scribble}
-    with pytest.raises(ContractError, match=r"parameters must not be written to|same matrices"):
-        check_model(careless)
+    with pytest.raises(ContractError, match="parameters must not be written to"):
+        check_model(Careless(p=lambda p, asked: p.__setitem__(6, 1.0)))

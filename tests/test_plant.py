@@ -11,8 +11,12 @@ from adaptrack.plant import (
     MOTION,
     DualTrack,
     SingleTrack,
+    SteppedPlant,
     UserPlant,
     check_plant,
+    get_plant,
+    list_plants,
+    register_plant,
 )
 from adaptrack.vehicle import SteeringActuator, list_tyres, list_vehicles, load_tyre, load_vehicle
 
@@ -59,7 +63,7 @@ def test_a_lopsided_plant_passes_when_it_says_so():
         linear_car_compiled(x, u, environment, p, dx)
         dx[5] += 0.01
 
-    linear_car_compiled = user_plant().function
+    linear_car_compiled = user_plant().compiled.right_hand_side
     plant = user_plant(pulls_left)
     check_plant(plant, symmetric=False)
     with pytest.raises(ContractError, match="must go straight"):
@@ -72,7 +76,7 @@ def test_a_users_plant_has_its_own_states_and_parameters():
     assert (plant.name, plant.tyre_name) == ("rolling car", "linear")
     assert plant.substeps(0.1, 50.0) == 7
     packed = plant.with_steering(SteeringActuator(lag=0.2, rate=0.4, limit=0.5)).packed()
-    assert packed.tolist() == [*PARAMETERS.values(), 0.2, 0.4, 0.5]
+    assert packed.tolist() == [0.2, 0.4, 0.5, *PARAMETERS.values()]
     assert plant.powertrain == {"mass": 1575.0, "engine_power": 1e5, "traction_limit": 8000.0, "brake_limit": 15000.0}
 
 
@@ -178,7 +182,7 @@ def writes_to_parameters(x, u, environment, p, dx):
 @pytest.mark.parametrize("function", [writes_to_x, writes_to_environment, writes_to_parameters])
 def test_the_checker_refuses_a_users_plant_that_writes_to_its_arguments(function):
     global linear_car_function
-    linear_car_function = user_plant().function
+    linear_car_function = user_plant().compiled.right_hand_side
     with pytest.raises(ContractError, match="must not be written to"):
         check_plant(user_plant(function), speeds=(10.0,))
 
@@ -261,3 +265,75 @@ def test_steps_grow_with_speed_over_a_relaxation_length_and_with_the_period(car,
     assert plant.substeps(0.2, 15.0) >= 2 * plant.substeps(0.1, 15.0) - 1
     fast = 60.0 / plant.tyre.relaxation_length
     assert 0.1 / plant.substeps(0.1, 60.0) * fast <= 2.2 + 1e-9
+
+
+# -- where a plant starts ---------------------------------------------------------------------------------------------
+@pytest.mark.parametrize("plant", [SingleTrack(CAR), DualTrack(CAR)], ids=lambda plant: plant.name)
+def test_what_the_start_does_not_say_is_zero_and_the_motion_must_have_six_numbers(plant):
+    motion = [1.0, -2.0, 0.1, 12.0, 0.3, -0.2]
+    start = plant.initial_state(motion)
+    assert start.tolist() == motion + [0.0] * (len(plant.state_names) - 6)
+    with pytest.raises(InvalidInput, match="motion: shape"):
+        plant.initial_state(motion[:5])
+
+
+def test_a_users_plant_says_its_own_equilibrium():
+    def with_wheel(x, u, environment, p, dx):
+        linear_car(x, u, environment, p, dx)
+        dx[6] = (x[3] / 0.3 - x[6]) / 0.05
+
+    plant = user_plant(with_wheel, own_states=("wheel",), start=lambda motion: [motion[3] / 0.3])
+    assert plant.initial_state([0, 0, 0, 12.0, 0, 0]).tolist() == [0, 0, 0, 12.0, 0, 0, pytest.approx(40.0)]
+    wrong = user_plant(with_wheel, own_states=("wheel",), start=lambda motion: [1.0, 2.0])
+    with pytest.raises(InvalidInput, match="start: shape"):
+        wrong.initial_state([0, 0, 0, 12.0, 0, 0])
+
+
+# -- stepped plants ---------------------------------------------------------------------------------------------------
+class Bicycle(SteppedPlant):
+    """A kinematic bicycle; `fault` names the clause that it breaks."""
+
+    def __init__(self, fault=""):
+        self.fault = fault
+        self.drift = 0.0
+
+    def reset(self, motion):
+        self.motion = np.array(motion)
+        if self.fault != "after reset":
+            self.drift = 0.0
+
+    def step(self, dt, steering, acceleration, environment):
+        x, y, yaw, v, _, _ = self.motion
+        rate = v * math.tan(-steering if self.fault == "to the left" else steering) / 2.8
+        if self.fault == "mirrored":
+            rate *= 1.0 + 10.0 * max(steering, 0.0)
+        self.drift += 1e-3
+        rate += 1e-4 * (self.fault == "go straight") + 1e-3 * self.drift * (self.fault == "after reset")
+        middle = yaw + 0.5 * dt * rate
+        pace = 0.0 if self.fault == "follow the speed" else v
+        self.motion = np.array(
+            [x + dt * pace * math.cos(middle), y + dt * v * math.sin(middle), yaw + dt * rate, v, 0.0, rate]
+        )
+        if self.fault == "write to its arguments":
+            environment[0] = 0.0
+        return self.motion[:5] if self.fault == "six finite numbers" else self.motion
+
+
+def test_a_stepped_plant_passes_the_checker_and_may_be_registered(monkeypatch):
+    from adaptrack import plant as module
+
+    check_plant(Bicycle())
+    monkeypatch.setattr(module, "_factories", dict(module._factories))
+    register_plant("bicycle", lambda car, tyre: Bicycle())
+    assert "bicycle" in list_plants()
+    assert isinstance(get_plant("bicycle", CAR), Bicycle)
+
+
+@pytest.mark.parametrize(
+    "fault",
+    ["six finite numbers", "write to its arguments", "go straight", "follow the speed", "to the left", "mirrored",
+     "after reset"],
+)  # fmt: skip
+def test_the_checker_refuses_a_stepped_plant_that_breaks(fault):
+    with pytest.raises(ContractError, match=fault):
+        check_plant(Bicycle(fault), symmetric=fault != "after reset")

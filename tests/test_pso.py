@@ -13,7 +13,8 @@ from scipy import stats
 
 from adaptrack.errors import ConfigError, InvalidInput
 from adaptrack.files import build, read_toml
-from adaptrack.kernels.maths import random, swarm
+from adaptrack.kernels import swarm
+from adaptrack.kernels.maths import random
 from adaptrack.kernels.maths.random import counted_normal, counted_uniform
 from adaptrack.tuning.pso import SearchSpace, Swarm, SwarmSettings, minimise
 

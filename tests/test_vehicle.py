@@ -365,7 +365,7 @@ class TestPackPlant:
         return vehicle, own, SteeringActuator(lag=0.15, rate=0.5, limit=0.52)
 
     def test_each_number_reaches_its_own_slot(self):
-        from adaptrack.kernels.abi import PLANT_PARAMETERS
+        from adaptrack.kernels.plants.parameters import PLANT_PARAMETERS
 
         vehicle, own, actuator = self.distinct()
         packed = pack_plant(vehicle, own, actuator)
@@ -394,7 +394,7 @@ class TestPackPlant:
         assert dead == ({"stiffness_front", "stiffness_rear"} if kind == "vehicle" else set())
 
     def test_the_kind_of_tyre_is_a_number_of_the_record(self):
-        from adaptrack.kernels.abi import PLANT_PARAMETERS
+        from adaptrack.kernels.plants.parameters import PLANT_PARAMETERS
 
         vehicle, own, actuator = self.distinct()
         slot = PLANT_PARAMETERS.index("tyre_linear")
@@ -409,23 +409,23 @@ class TestPackPlant:
         ],
     )
     def test_a_kernel_that_asks_for_other_parameters_is_noticed(self, monkeypatch, edit, message):
-        from adaptrack.kernels import abi
+        from adaptrack.kernels.plants import parameters
 
-        monkeypatch.setattr(abi, "PLANT_PARAMETERS", edit(abi.PLANT_PARAMETERS))
+        monkeypatch.setattr(parameters, "PLANT_PARAMETERS", edit(parameters.PLANT_PARAMETERS))
         with pytest.raises(ContractError, match=message):
             pack_plant(*self.distinct())
 
     def test_the_order_of_the_kernels_does_not_matter(self, monkeypatch):
-        from adaptrack.kernels import abi
+        from adaptrack.kernels.plants import parameters
 
         packed = pack_plant(*self.distinct())
-        monkeypatch.setattr(abi, "PLANT_PARAMETERS", abi.PLANT_PARAMETERS[::-1])
+        monkeypatch.setattr(parameters, "PLANT_PARAMETERS", parameters.PLANT_PARAMETERS[::-1])
         assert np.array_equal(pack_plant(*self.distinct()), packed[::-1])
 
     def test_kernels_use_the_same_gravity(self):
-        from adaptrack.kernels import dynamics
+        from adaptrack.kernels.plants import forces
 
-        assert dynamics.GRAVITY == GRAVITY
+        assert forces.GRAVITY == GRAVITY
 
     def test_describing_a_car_loads_no_compiler(self, run_python):
         loaded = run_python(

@@ -187,6 +187,7 @@ def simulate(
     record, memory = _Recorder(signals.n, controller), loop.MEMORY.new()
     block, own = vehicle.block, memory[0]
     measured, look = np.zeros(len(MEASURED)), np.zeros(len(guard.VARIABLES))
+    seen = measured if isinstance(controller, MPC) else measured[:4]  # its model or estimator may use the wheel angle
     estimator = known_as if isinstance(known_as, FrictionWindEstimator) else None
     if estimator is not None:
         estimator.reset()
@@ -208,9 +209,12 @@ def simulate(
             look[guard.FRICTION], look[guard.WIND] = found.friction, found.wind
         variables = SchedulingVariables(*look.tolist())
         begun = time.perf_counter()
-        answer = controller.step(measured[:4], speed, samples[0, k:], variables)
+        answer = controller.step(seen, speed, samples[0, k:], variables)
         record.times[k] = time.perf_counter() - begun
         command = record.take(k, answer, float(own.command))
+        if not math.isfinite(command):
+            own.ended, own.ended_at = loop.NOT_FINITE, k * signals.period
+            break
         loop.actuate(k, 0, command, block, settings, rows, 0, memory)
         vehicle.observe(record.seen[k])
         vehicle.advance()

@@ -72,6 +72,10 @@ class World:
         """
         if not isinstance(plant, Plant | SteppedPlant):
             raise InvalidInput(f"plant = {plant!r}: must be a Plant, such as DualTrack(load_vehicle('paper')).")
+        if not callable(getattr(controller, "step", None)):
+            raise InvalidInput(
+                f"controller = {controller!r}: must be a controller, such as MPC(load_vehicle('paper'))."
+            )
         profile = load_profile(profile)
         if isinstance(plant, Plant) and getattr(plant, "steering", None) is None:
             plant = plant.with_steering(profile.steering)
