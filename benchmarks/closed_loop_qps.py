@@ -1,4 +1,4 @@
-"""Quadratic programmes met in closed loops: both profiles, pulses and Laguerre moves, random tunings, points and gusts."""
+"""Quadratic programmes met in closed loops: both profiles, pulses and Laguerre moves, random tunings and situations."""
 
 from __future__ import annotations
 
