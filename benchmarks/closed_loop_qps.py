@@ -1,13 +1,15 @@
-"""Quadratic programmes met in closed loops: both profiles, pulses and Laguerre moves, random tunings and conditions."""
+"""Quadratic programmes met in closed loops: both profiles, pulses and Laguerre moves, random tunings and situations."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
 
-from adaptrack.controllers import MPC, Command, Limits, Moves, Tuning
+from adaptrack.controllers import MPC, Limits, Moves, MPCCommand, Tuning
+from adaptrack.failure import Failure
 from adaptrack.plant import DualTrack
 from adaptrack.qp import QP
 from adaptrack.scenario import load_scenario
@@ -26,11 +28,11 @@ class Recorder:
         self.name, self.period = mpc.name, mpc.period
         self.reset, self.describe = mpc.reset, mpc.describe
 
-    def step(self, state: Any, speed: float, reference: Any, condition: Any = None) -> Command:
+    def step(self, state: Any, speed: float, reference: Any, variables: Any = None) -> MPCCommand:
         """As `MPC.step`."""
         if self.rng.random() < SHARE and np.isfinite(state).all():
             self.met.append(self.mpc.problem(state, speed, reference))
-        return self.mpc.step(state, speed, reference, condition)
+        return self.mpc.step(state, speed, reference, variables)
 
 
 def recorded_qps(count: int, seed: int) -> Iterator[QP]:
@@ -61,6 +63,7 @@ def recorded_qps(count: int, seed: int) -> Iterator[QP]:
         )
         recorder = Recorder(mpc, rng)
         profile = "road" if road else "paper"
-        simulate(DualTrack(car), recorder, drive, profile=profile, seed=int(rng.integers(1 << 30)), lost_beyond=50.0)
+        end = Failure(distance=50.0, sideslip=math.inf)
+        simulate(DualTrack(car), recorder, drive, profile=profile, seed=int(rng.integers(1 << 30)), failure=end)
         yield from recorder.met[: count - given]
         given += len(recorder.met)

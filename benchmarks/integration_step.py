@@ -20,9 +20,8 @@ from dataclasses import asdict, dataclass
 
 import numba
 import numpy as np
-from adaptrack.kernels.dynamics import INPUTS, STATES
-from adaptrack.kernels.integrate import BLOCK, LANES, integrate
 
+from adaptrack.kernels.plants.contract import INPUTS, SLOTS, STATES, place, vehicle_batch
 from adaptrack.plant import DualTrack, Plant, SingleTrack
 from adaptrack.profile import load_profile
 from adaptrack.vehicle import GRAVITY, load_tyre, load_vehicle
@@ -83,14 +82,14 @@ def manoeuvres(plant: Plant, speed: float, period: float, runs: int, rng: np.ran
 def paths(plant: Plant, speed: float, inputs: np.ndarray, period: float, steps: int) -> np.ndarray:
     """X, Y and yaw (periods, 3, runs) at the control instants."""
     runs = inputs.shape[2]
-    block = np.zeros(BLOCK)
-    rows = block.reshape(-1, LANES)
-    rows[3] = speed
-    packed, seen = plant.packed(), np.empty((len(inputs), 3, runs))
+    start = plant.initial_state(np.array([0.0, 0.0, 0.0, speed, 0.0, 0.0]))
+    fleet, advance = vehicle_batch(plant.packed(), np.tile(start, (SLOTS, 1))), plant.compiled.advance
+    place(SLOTS, fleet.start, fleet.block, fleet.states)
+    rows, seen = fleet.block.reshape(-1, SLOTS), np.empty((len(inputs), 3, runs))
     for k, held in enumerate(inputs):
         rows[STATES:, :runs] = held
         rows[STATES:, runs:] = held[:, :1]
-        integrate(plant.kind, packed, block, runs, steps, period / steps)
+        advance(fleet.parameters, fleet.block, fleet.states, fleet.work, runs, steps, period / steps)
         seen[k] = rows[:3, :runs]
     return seen
 
@@ -136,11 +135,11 @@ def main(arguments: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--json", action="store_true", help="print one JSON object")
     parser.add_argument("--period", type=float, default=0.1, help="control period, s")
-    parser.add_argument("--runs", type=int, default=LANES, help=f"manoeuvres per line, at most {LANES}")
+    parser.add_argument("--runs", type=int, default=SLOTS, help=f"manoeuvres per line, at most {SLOTS}")
     parser.add_argument("--seed", type=int, default=0)
     options = parser.parse_args(arguments)
-    if not 1 <= options.runs <= LANES:
-        parser.error(f"--runs must be between 1 and {LANES}")
+    if not 1 <= options.runs <= SLOTS:
+        parser.error(f"--runs must be between 1 and {SLOTS}")
 
     rows = [
         measure(plant, actuator, speed, options.period, options.runs, options.seed)

@@ -17,14 +17,17 @@ from adaptrack.comparison import contenders
 from adaptrack.comparison.compare import Comparison, Role, compare, finite, optimum, per_run_best
 from adaptrack.comparison.contenders import Contender, get_contender, list_contenders, register_contender
 from adaptrack.comparison.statistics import RESAMPLES, geometric_mean
-from adaptrack.controllers import MPC, Tuning
+from adaptrack.controllers import MPC, CompiledController, Tuning, UserController
 from adaptrack.errors import ContractError, InvalidInput, UnknownName
 from adaptrack.kernels import guard
+from adaptrack.metrics import compute_metrics
 from adaptrack.plant import SingleTrack
 from adaptrack.profile import load_profile
+from adaptrack.report.comparison import write_comparison
 from adaptrack.runs import RunSet, operating_point_runs
 from adaptrack.scenario import load_scenario
 from adaptrack.scheduling import Constant, Guarded, Learned
+from adaptrack.simulate import simulate
 from adaptrack.tuning.config import list_campaigns, load_campaign
 from adaptrack.tuning.objective import Objective
 from adaptrack.tuning.pso import SearchSpace, SwarmSettings
@@ -414,3 +417,50 @@ def test_who_adapts_is_told_from_the_policy():
     assert not Contender("a", [[29, 5, 1, 4e3], [30, 5, 1, 4e3]], hindsight=True).adapts
     assert not Contender("a", [29, 5, 1, 4e3]).adapts
     assert Role().adapts
+
+
+# -- other controllers ------------------------------------------------------------------------------------------------
+def proportional(situation, reference, tuning, parameters, memory, answer):
+    """Steers by the offset and the yaw angle."""
+    wanted = tuning[0] * (reference[0] - situation[3]) - tuning[1] * situation[1]
+    answer[0] = min(max(wanted, parameters[3]), parameters[4])
+
+
+def owned(runs):
+    tuning = {"offset_gain": 0.02, "yaw_gain": 0.5}
+    return UserController(proportional, tuning=tuning, period=runs.mpc.period, label="proportional")
+
+
+@pytest.mark.parametrize("name", ["lqr", "pure-pursuit", "stanley"])
+def test_other_controllers_are_contenders_by_name_made_for_the_runs(name):
+    found = get_contender(name, run_set(1, 0.5))
+    assert isinstance(found.policy, CompiledController)
+    assert (found.name, found.policy.period, found.policy.preview) == (name, controller().period, True)
+    assert found.policy.vehicle.name == CAR.name
+    assert not found.adapts
+
+
+@pytest.mark.compiled
+def test_controllers_by_name_and_a_compiled_one_of_ones_own_cost_what_simulate_says_and_have_a_page(tmp_path):
+    runs = run_set(2, 3.0)
+    entered = [get_contender(name, runs) for name in ("standard", "lqr", "pure-pursuit", "stanley")]
+    entered.append(Contender("mine", owned(runs)))
+    made = compare(runs, entered, [3, 4], "standard")
+    for each in entered[1:]:
+        driven = [
+            [
+                simulate(runs.plant, each.policy, scenario, profile="road", seed=seed, failure=runs.failure)
+                for seed in (3, 4)
+            ]
+            for scenario in runs.scenarios
+        ]
+        costs = [[compute_metrics(run).cost for run in both] for both in driven]
+        np.testing.assert_allclose(made.costs[each.name], np.mean(costs, axis=1), rtol=1e-9, err_msg=each.name)
+    rows = {row["contender"]: row["controller"] for row in made.rows()}
+    assert rows["mine"] == "proportional"
+    assert len(set(rows.values())) == 5
+    page = write_comparison(
+        tmp_path, operating_points={}, drives={"exact": made}, tests={}, schedules={}, histories={}, command="x"
+    )
+    text = page.read_text(encoding="utf-8").lower()
+    assert all(name.lower() in text for name in ("lqr", "pure", "stanley", "mine"))

@@ -71,7 +71,7 @@ def test_a_constant_that_fails_comes_after_one_that_does_not():
 def test_the_look_up_table_holds_the_tuning_of_every_operating_point():
     data = small()
     table = grid_lookup(data)
-    assert table.batch(data.conditions) == pytest.approx(data.tunings)
+    assert table.batch(data.operating_points) == pytest.approx(data.tunings)
     check_scheduler(table)
 
 
