@@ -25,13 +25,10 @@ $(INSTALLED): requirements.lock pyproject.toml src/adaptrack/__init__.py
 run: install ## run the paper's experiment again: results/index.html
 	$(BIN)/adaptrack reproduce --out results
 
-# The kernels are compiled once, before two test workers would both do it.
 test: install ## run the tests
-	@$(BIN)/python -c 'import adaptrack.kernels'
 	$(BIN)/pytest -q -n 2 --dist worksteal
 
 test-slow: install ## run all tests, those that take minutes too
-	@$(BIN)/python -c 'import adaptrack.kernels'
 	$(BIN)/pytest -q -n 2 --dist worksteal -m 'slow or not slow'
 
 test-interpreted: install ## run the tests with the compiler switched off

@@ -123,7 +123,7 @@ def test_with_the_guard_scrambled_numbers_fail_in_no_drive(scrambled, stability)
     for schedule in (scrambled, Guarded(scrambled, SOUND, stability=stability)):
         mpc = MPC(CAR, period=0.05, preview=True, scheduler=schedule)
         runs = rollout_batch(PLANT, mpc, drives, profile="road", seeds=np.arange(8))
-        failed[schedule.name] = runs.failed.sum()
+        failed[schedule.name] = sum(each is not None for each in runs.failed)
     assert failed["table"] > 4
     assert failed["table (guarded)"] == 0
 

@@ -6,12 +6,16 @@ import numpy as np
 import pytest
 
 from adaptrack.batch import rollout_batch
+from adaptrack.comparison.compare import compare
+from adaptrack.comparison.contenders import Contender
 from adaptrack.controllers import LQR, MPC, PurePursuit, Stanley, Tuning, UserController, check_controller
 from adaptrack.errors import ContractError, InvalidInput
 from adaptrack.estimation import Deadbeat, UserEstimator, check_estimator
 from adaptrack.models import SingleTrackModel, UserModel, check_model
 from adaptrack.plant import DualTrack, SingleTrack, SteppedPlant, UserPlant, check_plant
+from adaptrack.runs import operating_point_runs
 from adaptrack.scenario import load_scenario
+from adaptrack.scheduling import Constant
 from adaptrack.simulate import rollout, simulate
 from adaptrack.vehicle import load_vehicle
 
@@ -194,6 +198,24 @@ def test_a_stepped_plant_is_admitted_and_driven():
     assert np.allclose(run.vx, 10.0)
     with pytest.raises(InvalidInput, match="compiled plant"):
         rollout(plant, MPC(CAR, period=0.05), LANE_CHANGE)
+
+
+def test_a_stepped_plant_enters_a_comparison_and_costs_what_simulate_says():
+    mpc = MPC(CAR, Tuning(30, 5, 1.0, 300.0), period=0.05)
+    runs = operating_point_runs(Bicycle(), mpc, [[10.0, 1.0, 0.9, 0.0], [15.0, -1.0, 0.9, 0.0]], "road")
+    schedule = Constant(Tuning(30, 5, 1.0, 100.0))
+    policies = {"own": mpc, "tuning": mpc.tuning, "rows": [[30, 5, 1.0, 300.0]] * 2, "schedule": schedule}
+    found = {name: runs.drive(policy, [3, 4]) for name, policy in policies.items()}
+    assert found["own"].shape == (2, 2)
+    np.testing.assert_array_equal(found["own"], found["tuning"])
+    np.testing.assert_array_equal(found["own"], found["rows"])
+    run = simulate(Bicycle(), mpc, runs.scenarios[1], profile="road", seed=4)
+    assert found["own"][1, 1] == np.mean(run.error**2) + runs.weight * np.mean(run.command_change**2)
+    made = compare(runs, [Contender("own", mpc), Contender("softer", schedule)], [3], "own")
+    assert np.isfinite(made.costs["softer"]).all()
+    assert (made.costs["softer"] != made.costs["own"]).all()
+    with pytest.raises(InvalidInput, match="stepped in Python"):
+        runs.segments(mpc.tuning, 3, np.arange(2))
 
 
 def test_a_stepped_plant_steers_behind_the_profiles_actuator():

@@ -14,9 +14,7 @@ from scipy.linalg import solve_discrete_are
 from adaptrack.controllers import (
     LQR,
     Command,
-    CompiledController,
     Limits,
-    MPCCommand,
     PurePursuit,
     Stanley,
     UserController,
@@ -29,10 +27,13 @@ from adaptrack.controllers.lqr import SPEEDS, WEIGHT_FACTORS, error_model, lqr_g
 from adaptrack.errors import ContractError, InvalidInput, UnknownName
 from adaptrack.kernels.controllers.contract import path_at, wrapped
 from adaptrack.plant import DualTrack
-from adaptrack.qp import QPStatus
 from adaptrack.scenario import load_scenario
 from adaptrack.simulate import simulate
 from adaptrack.vehicle import Steering, load_vehicle
+from inlined import entry
+
+path_at = entry(path_at)
+wrapped = entry(wrapped)
 
 CAR, SEDAN = load_vehicle("paper"), load_vehicle("midsize-sedan")
 LAWS = {"lqr": LQR, "pure-pursuit": PurePursuit, "stanley": Stanley}
@@ -383,25 +384,11 @@ def test_a_law_crosses_into_a_kernel_as_a_function_of_the_contract(law):
 
 
 # -- closed loop -------------------------------------------------------------------------------------------------------
-class AsMPC:
-    """A compiled controller whose commands look like the MPC's, for the driver of today."""
-
-    def __init__(self, controller: CompiledController) -> None:
-        self.controller = controller
-        self.name, self.period = controller.name, controller.period
-        self.reset, self.describe = controller.reset, controller.describe
-
-    def step(self, state, speed, reference, variables=None) -> MPCCommand:
-        command = self.controller.step(state, speed, reference, variables)
-        none = (1.0, 1.0, 1.0, 1.0)
-        return MPCCommand(command.angle, command.move, QPStatus.SOLVED, 0, math.nan, 0, command.held, none)
-
-
 @pytest.mark.compiled
 @every_law
 @every_car
 def test_each_law_drives_a_double_lane_change_on_the_road(law, car):
-    controller = AsMPC(law(car, period=0.05, preview=True))
+    controller = law(car, period=0.05, preview=True)
     run = simulate(DualTrack(car), controller, load_scenario("double-lane-change"), profile="road")
     assert np.abs(run.error).max() < 2.0
     assert not run.held.any()
@@ -457,7 +444,7 @@ def test_a_parameter_that_is_not_finite_is_refused():
     "name",
     [
         "lqr",
-        pytest.param("mpc", marks=pytest.mark.xfail(reason="the MPC does not take read-only arrays yet")),
+        "mpc",
         "pure-pursuit",
         "stanley",
     ],

@@ -253,7 +253,7 @@ def test_one_good_tuning_keeps_to_most_drives() -> None:
         tunings,
         which=np.arange(len(drives)),
         profile="road",
-        lost_beyond=5.0,
+        failure=at.Failure(distance=5.0),
     )
-    assert result.lost.sum() <= 5
+    assert sum(each is not None for each in result.failed) <= 5
     assert np.median(result.max_abs_error) < 0.5

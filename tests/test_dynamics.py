@@ -11,7 +11,10 @@ from adaptrack.kernels.plants.parameters import PLANT_PARAMETERS, unpack
 from adaptrack.plant import DualTrack, SingleTrack
 from adaptrack.profile import load_profile
 from adaptrack.vehicle import GRAVITY, SteeringActuator, Tyre, load_tyre, load_vehicle
+from inlined import entry
 from references import vehicle as reference
+
+unpack = entry(unpack)
 
 PAPER, SEDAN = load_vehicle("paper"), load_vehicle("midsize-sedan")
 VACUUM = {"frontal_area": 0.0}  # even still air pushes a car that drifts

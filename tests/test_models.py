@@ -22,6 +22,7 @@ from adaptrack.models import (
     register_model,
 )
 from adaptrack.vehicle import list_vehicles, load_vehicle
+from inlined import entry
 from references import mpc as reference
 
 CARS = {name: load_vehicle(name) for name in list_vehicles()}
@@ -267,7 +268,7 @@ def test_every_function_names_its_equation_of_the_paper(function):
 
 def test_the_parameters_follow_the_kernels_order():
     packed = SingleTrackModel(CARS["paper"]).parameters()
-    assert kernel.unpack(packed)._asdict() == {
+    assert entry(kernel.unpack)(packed)._asdict() == {
         "mass": 1575, "yaw_inertia": 2875, "lf": 1.2, "lr": 1.6, "stiffness_front": 19000, "stiffness_rear": 33000
     }  # fmt: skip
 

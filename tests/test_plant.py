@@ -278,8 +278,10 @@ def test_what_the_start_does_not_say_is_zero_and_the_motion_must_have_six_number
 
 
 def test_a_users_plant_says_its_own_equilibrium():
+    linear_car_compiled = user_plant().compiled.right_hand_side
+
     def with_wheel(x, u, environment, p, dx):
-        linear_car(x, u, environment, p, dx)
+        linear_car_compiled(x, u, environment, p, dx)
         dx[6] = (x[3] / 0.3 - x[6]) / 0.05
 
     plant = user_plant(with_wheel, own_states=("wheel",), start=lambda motion: [motion[3] / 0.3])

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from scipy.interpolate import RegularGridInterpolator
 
 from adaptrack.controllers import Tuning
-from adaptrack.kernels import functions, guard
+from adaptrack.kernels import functions, guard, variables
 from adaptrack.kernels import schedule as kernel
 from adaptrack.scheduling import (
     ENTRIES,
@@ -168,7 +168,7 @@ def speedy(**functions):
 
 
 def test_kernels_and_schedules_name_the_same_variables_and_entries():
-    assert SchedulingVariables._fields == tuple(VARIABLES) == guard.VARIABLES
+    assert SchedulingVariables._fields == tuple(VARIABLES) == variables.NAMES
     assert [ENTRIES[i] for i in (guard.NP, guard.NC, guard.Q, guard.R)] == ["Np", "Nc", "Q", "R"]
     assert scheduling.MOST_ENTRIES == guard.MOST_ENTRIES
 

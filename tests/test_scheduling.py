@@ -696,7 +696,7 @@ def test_alone_and_in_a_batch_a_scheduler_drives_to_the_same_bits_and_counts(kin
     assert same(ours, rollout(plant, mpc, LONG, profile="road", seed=5))
     batch = rollout_batch(plant, mpc, LONG, which=[0] * 20, seeds=[5] * 20, profile="road", threads=2)
     error = ours.Y - ours.y_ref
-    assert not batch.lost.any()
+    assert not any(batch.failed)
     assert set(batch.max_abs_error) == {np.abs(error).max()}
     assert batch.mse == pytest.approx(np.mean(error**2), rel=1e-12)
     assert len(set(batch.mse)) == 1
@@ -787,7 +787,7 @@ def test_a_step_that_is_given_fewer_variables_does_not_use_those_of_the_step_bef
 
 
 def test_an_mpc_refuses_a_schedule_for_another_controller():
-    with pytest.raises(InvalidInput, match="gives lookahead; this controller needs Np, Nc, Q, R"):
+    with pytest.raises(InvalidInput, match="gives lookahead; an MPC needs Np, Nc, Q, R"):
         MPC(CAR, scheduler=pursuit())
 
 

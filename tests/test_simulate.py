@@ -773,7 +773,7 @@ asked = 0
 for room in rooms:
     for name, routine in vars(room).items():
         stats = getattr(routine, "stats", None)
-        if stats is not None and stats.cache_path:
+        if hasattr(stats, "cache_path") and stats.cache_path:
             asked += 1
             if stats.cache_misses:
                 print(room.__name__, name)

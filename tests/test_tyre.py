@@ -15,7 +15,12 @@ from adaptrack.kernels.plants.tyre import (
     tyre_law,
 )
 from adaptrack.vehicle import SteeringActuator, list_tyres, load_tyre, load_vehicle, pack_plant
+from inlined import entry
 from references.vehicle import cornering_stiffness, tyre_force
+
+unpack = entry(unpack)
+friction_ellipse = entry(friction_ellipse)
+lateral_force = entry(lateral_force)
 
 LOADS = (800.0, 2500.0, 4850.0, 7000.0)
 FRICTIONS = (0.3, 0.9)

@@ -19,7 +19,7 @@ from adaptrack.estimation import FrictionWindEstimator
 from adaptrack.failure import Failure
 from adaptrack.plant import Plant
 from adaptrack.profile import Profile
-from adaptrack.scenario import Scenario
+from adaptrack.scenario import Scenario, Signals
 from adaptrack.world import Driver, KnownAs, World, reason_of
 
 Array = NDArray[np.float64]
@@ -150,6 +150,22 @@ class BatchRuns:
         )
 
 
+def sampled(world: World, scenarios: Sequence[Scenario]) -> tuple[list[Signals], Array]:
+    """Scenarios at the control instants, and as kernels read them: (runs, `kernels.loop.SIGNAL`, n + 1).
+
+    Raises
+    ------
+    InvalidInput
+        When there are none, or they do not last equally long.
+    """
+    signals = [scenario.sample(world.period) for scenario in scenarios]
+    if not signals:
+        raise InvalidInput("scenarios: none given.")
+    if len({each.n for each in signals}) > 1:
+        raise InvalidInput("scenarios: must last equally long; run those of different length in batches of their own.")
+    return signals, np.ascontiguousarray([world.samples(each, i) for i, each in enumerate(signals)])
+
+
 class Batch:
     """What all runs of a batch share, packed for the kernels; arguments as for `rollout_batch`."""
 
@@ -166,15 +182,8 @@ class Batch:
         self.world = World.of(plant, controller, profile, driver, known_as, failure)
         self.controller, self.scheduler = controller, getattr(controller, "scheduler", None)
         self._refuse_python()
-        self.signals = [scenario.sample(controller.period) for scenario in scenarios]
-        if not self.signals:
-            raise InvalidInput("scenarios: none given.")
-        if len({signals.n for signals in self.signals}) > 1:
-            raise InvalidInput(
-                "scenarios: must last equally long; run those of different length in batches of their own."
-            )
         world = self.world
-        self.samples = np.ascontiguousarray([world.samples(s, i) for i, s in enumerate(self.signals)])
+        self.signals, self.samples = sampled(world, scenarios)
         self.starts = np.array([world.start(scenario, s) for scenario, s in zip(scenarios, self.signals, strict=True)])
         self.substeps = np.array([world.substeps(float(s.speed.max())) for s in self.signals])
         self.settings = {int(steps): world.settings(int(steps)) for steps in np.unique(self.substeps)}
@@ -231,11 +240,12 @@ class Batch:
 
         segments: of each run; periods: to trace, 0 for no trace.
         """
-        from adaptrack.kernels import guard, loop, rollout
+        from adaptrack.kernels import loop, rollout
         from adaptrack.kernels.controllers import mpc as kernel
         from adaptrack.kernels.estimators.friction_wind import MEMORY as KNOWING
         from adaptrack.kernels.plants.contract import STATES, vehicle_batch
         from adaptrack.kernels.schedule import no_schedule
+        from adaptrack.kernels.variables import VARIABLES
 
         own, known = self.controller, self.world.known_as
         assert isinstance(self.world.plant, Plant)
@@ -261,7 +271,7 @@ class Batch:
             schedule=no_schedule() if scheduler is None else scheduler.plan(slots),
             perceiving=perceiving,
             tuning=np.zeros((slots, len(self.tuning))),
-            variables=np.zeros(len(guard.VARIABLES)),
+            variables=np.zeros(len(VARIABLES)),
             memory=loop.MEMORY.new(slots),
             result=rollout.RESULT.new(slots),
             ceiling=np.full(slots, np.inf),

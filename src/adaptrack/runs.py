@@ -5,32 +5,35 @@ cost of a run of n control periods, with the weight w of steering activity, is
 
     J = (1/n) sum e^2 + w (1/n) sum (change of command)^2.
 
-Schedules, tunings and compiled controllers run in batches; any other controller is driven by `simulate`, run by run.
+Schedules, tunings and compiled controllers run in batches; any other controller, and every controller of a stepped
+plant, is driven by `simulate`, run by run.
 """
 
 from __future__ import annotations
 
+import copy
 import math
 import os
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
+from functools import cached_property
 from typing import Any, NamedTuple, TypeGuard
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from adaptrack.batch import Batch
+from adaptrack.batch import Batch, sampled
 from adaptrack.controllers import MPC, CompiledController, Controller, Tuning
 from adaptrack.errors import InvalidInput
 from adaptrack.estimation import FrictionWindEstimator, Perception
 from adaptrack.failure import Failure
 from adaptrack.metrics import PUBLISHED
-from adaptrack.plant import DualTrack, Plant, SingleTrack
+from adaptrack.plant import DualTrack, Plant, SingleTrack, SteppedPlant
 from adaptrack.profile import load_profile
 from adaptrack.scenario import Scenario, load_scenario, random_drive
 from adaptrack.scheduling import Schedule
 from adaptrack.simulate import simulate
-from adaptrack.world import KnownAs
+from adaptrack.world import KnownAs, World
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -72,20 +75,27 @@ class RunSet:
     _latest: Batch | None = None
 
     def __init__(
-        self, plant: Plant, mpc: MPC, scenarios: Sequence[Scenario], profile: str = "road", *,
+        self, plant: Plant | SteppedPlant, mpc: MPC, scenarios: Sequence[Scenario], profile: str = "road", *,
         segment: int | None = None, lead: int = 0, stride: int = 20, known_as: KnownAs = None,
         failure: Failure | None = None,
     ) -> None:  # fmt: skip
         self.plant, self.mpc, self.scenarios, self.profile = plant, mpc, list(scenarios), profile
         self.known_as, self.failure = known_as, failure or Failure()
-        self.batch = self._batch(mpc)
         self.weight = load_profile(profile).move_weight
-        self.periods = self.batch.signals[0].n
+        self.signals, samples = sampled(World.of(plant, mpc, profile, None, known_as, failure), self.scenarios)
+        self.periods = self.signals[0].n
         self.segment, self.lead, self.stride = segment or self.periods, lead, stride
-        self.variables = _scheduling_variables(self.batch)
+        self.variables = _scheduling_variables(samples)
         """(runs, periods, SchedulingVariables) what a scheduler looks at; the offset, unknown before driving, zero"""
 
+    @cached_property
+    def _own(self) -> Batch:
+        """The batch of the MPC."""
+        return self._batch(self.mpc)
+
     def _batch(self, controller: Controller) -> Batch:
+        if isinstance(self.plant, SteppedPlant):
+            raise InvalidInput("runs: segments of the cost need compiled runs, and this plant is stepped in Python.")
         return Batch(self.plant, controller, self.scenarios, self.profile, failure=self.failure, known_as=self.known_as)
 
     def _batch_of(self, controller: Controller) -> Batch:
@@ -95,7 +105,7 @@ class RunSet:
         return self._latest
 
     def __len__(self) -> int:
-        return len(self.batch.signals)
+        return len(self.signals)
 
     @property
     def failed_cost(self) -> float:
@@ -108,9 +118,9 @@ class RunSet:
         Of a policy (runs, 4), row i drives the run which[i].
         """
         which = np.arange(len(self)) if which is None else which
-        if _is_controller(policy) and not _compiles(policy):
-            costs = [[self._simulated_cost(policy, int(i), int(seed)) for i in which] for seed in seeds]
-            return np.array(costs, dtype=float).T
+        if not self._compiles(policy):
+            rows = list(enumerate(which.tolist()))
+            return np.array([[self._simulated_cost(policy, k, i, int(seed)) for seed in seeds] for k, i in rows])
         return np.stack([self._run(policy, int(seed), which).costs for seed in seeds], axis=1)
 
     def costs(self, policy: Policy, seeds: Sequence[int], which: Indices | None = None) -> Array:
@@ -124,16 +134,21 @@ class RunSet:
 
     def counts(self, schedule: Schedule, seed: int) -> dict[str, NDArray[np.int64]]:
         """(runs,) how many steps a schedule counted of each kind, by name: "steps", "clipped", ..."""
-        return self._run(schedule, seed, np.arange(len(self))).counts
+        if self._compiles(schedule):
+            return self._run(schedule, seed, np.arange(len(self))).counts
+        found = []
+        for i in range(len(self)):
+            mpc = self._controller(schedule, i)
+            self._simulated_cost(mpc, i, i, seed)
+            found.append(mpc.scheduler_counts)  # type: ignore[attr-defined]
+        return {name: np.array([each[name] for each in found]) for name in found[0]}
 
     def _run(self, policy: Policy, seed: int, which: Indices, segmented: bool = False) -> Outcome:
-        batch, tuning, scheduler = self.batch, self.batch.tuning, None
+        batch = self._batch_of(policy) if _is_controller(policy) else self._own
+        tuning, scheduler = batch.tuning, batch.scheduler
         if isinstance(policy, Schedule):
             scheduler = policy
-        elif _is_controller(policy):
-            batch = self._batch_of(policy)
-            tuning, scheduler = batch.tuning, batch.scheduler
-        else:
+        elif not _is_controller(policy):
             tuning = policy.as_array() if isinstance(policy, Tuning) else np.asarray(policy, dtype=float)
         found = batch.run(
             which, np.broadcast_to(tuning, (len(which), tuning.shape[-1])).copy(),
@@ -143,8 +158,25 @@ class RunSet:
         costs = (found.result["squared_error"] + self.weight * found.result["squared_move"]) / self.periods
         return Outcome(np.where(found.failed, np.inf, costs), found.segments, found.counts)
 
-    def _simulated_cost(self, controller: Controller, i: int, seed: int) -> float:
-        known_as = self.known_as
+    def _compiles(self, policy: Policy) -> bool:
+        return not isinstance(self.plant, SteppedPlant) and (not _is_controller(policy) or _compiles(policy))
+
+    def _controller(self, policy: Policy, k: int) -> Controller:
+        """What drives the k-th of the runs: a controller itself, or the MPC with a schedule or its k-th tuning."""
+        if _is_controller(policy):
+            return policy
+        mpc = copy.copy(self.mpc)
+        mpc.scheduler = policy if isinstance(policy, Schedule) else None
+        if not isinstance(policy, Schedule):
+            asked = np.atleast_2d(policy.as_array() if isinstance(policy, Tuning) else np.asarray(policy, dtype=float))
+            Np, Nc, Q, R = asked[min(k, len(asked) - 1)]
+            Np = min(max(round(Np), 1), mpc.longest_horizon)
+            mpc.tuning = Tuning(Np, min(max(round(Nc), 1), Np, mpc.most_moves), Q, R)
+        mpc.reset()
+        return mpc
+
+    def _simulated_cost(self, policy: Policy, k: int, i: int, seed: int) -> float:
+        controller, known_as = self._controller(policy, k), self.known_as
         if isinstance(known_as, Perception):  # with the errors that the run has in the batch
             known_as = replace(known_as, seed=known_as.seed + i)
         run = simulate(
@@ -168,11 +200,11 @@ def _compiles(controller: Controller) -> bool:
     return isinstance(controller, MPC) and controller.in_kernel and not scheduled
 
 
-def _scheduling_variables(batch: Batch) -> Array:
-    """What a scheduler looks at in every period of a batch, with an offset of zero."""
+def _scheduling_variables(samples: Array) -> Array:
+    """What a scheduler looks at in every period of each run, with an offset of zero."""
     from adaptrack.kernels.loop import SIGNAL
 
-    rows = batch.samples[:, :, :-1]
+    rows = samples[:, :, :-1]
     seen = ("speed", "y_ref", "known_friction", "known_wind", "change", "acceleration")
     columns = [rows[:, getattr(SIGNAL, name)] for name in seen]
     return np.stack([*columns, np.zeros_like(columns[0])], axis=-1)

@@ -171,9 +171,10 @@ def simulate(
     InvalidInput
         When an argument does not fit the others.
     """
-    from adaptrack.kernels import guard, loop
+    from adaptrack.kernels import loop
     from adaptrack.kernels.models.contract import MEASURED
     from adaptrack.kernels.plants.contract import SLOTS, STATE, STATES
+    from adaptrack.kernels.variables import VARIABLES
 
     world = World.of(plant, controller, profile, driver, known_as, failure)
     _refuse_nonsense(scenario, seed)
@@ -186,7 +187,7 @@ def simulate(
     )
     record, memory = _Recorder(signals.n, controller), loop.MEMORY.new()
     block, own = vehicle.block, memory[0]
-    measured, look = np.zeros(len(MEASURED)), np.zeros(len(guard.VARIABLES))
+    measured, look = np.zeros(len(MEASURED)), np.zeros(len(VARIABLES))
     seen = measured if isinstance(controller, MPC) else measured[:4]  # its model or estimator may use the wheel angle
     estimator = known_as if isinstance(known_as, FrictionWindEstimator) else None
     if estimator is not None:
@@ -206,7 +207,7 @@ def simulate(
         loop.look(k, speed, measured, rows, 0, look)
         if estimator is not None:
             found = estimator.step(measured[:4], speed, own.command)
-            look[guard.FRICTION], look[guard.WIND] = found.friction, found.wind
+            look[VARIABLES.friction], look[VARIABLES.wind] = found.friction, found.wind
         variables = SchedulingVariables(*look.tolist())
         begun = time.perf_counter()
         answer = controller.step(seen, speed, samples[0, k:], variables)

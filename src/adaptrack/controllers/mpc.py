@@ -247,9 +247,9 @@ class MPC:
     def _load(self) -> None:
         """What a copy cannot carry along: kernels and the lock."""
         from adaptrack.kernels.controllers import mpc as kernel
-        from adaptrack.kernels.guard import VARIABLES
+        from adaptrack.kernels.variables import NAMES
 
-        self._kernel, self._names = kernel, VARIABLES
+        self._kernel, self._names = kernel, NAMES
         self._lock = threading.Lock()
         self._built_in = isinstance(self.model, SingleTrackModel) and self.estimator.function is None
 
@@ -359,15 +359,13 @@ class MPC:
 
     def _given(self, variables: Sequence[float]) -> Array:
         """The variables as numbers; the last three may be left out."""
+        count = len(self._names)
         try:
-            given = vector("variables", variables, most=len(self._names) + 1)
-        except InvalidInput:
-            given = np.empty(0)
-        if not len(self._names) - 3 <= given.size <= len(self._names):
+            return vector("variables", variables, tuple(range(count - 3, count + 1)))
+        except InvalidInput as error:
             raise InvalidInput(
-                f"variables: need {len(self._names)} numbers, {', '.join(self._names)}; the last three may be left out."
-            )
-        return given
+                f"variables: need {count} numbers, {', '.join(self._names)}; the last three may be left out."
+            ) from error
 
     def _ask(self, variables: Sequence[float]) -> None:
         """Ask a scheduler in Python; what is no tuning leaves the one before."""

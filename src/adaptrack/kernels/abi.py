@@ -29,6 +29,7 @@ from llvmlite import ir
 from numba import types
 from numba.core import config as _numba_config
 from numba.core.errors import NumbaExperimentalFeatureWarning
+from numba.core.registry import CPUDispatcher
 from numba.extending import intrinsic
 
 INTERPRETED = bool(_numba_config.DISABLE_JIT)
@@ -226,7 +227,17 @@ def _say_once(text: str) -> None:
 def _compiled(function: Any, signature: Any, options: dict[str, Any]) -> Any:
     with warnings.catch_warnings():  # functions as arguments work; numba calls them experimental each time
         warnings.simplefilter("ignore", NumbaExperimentalFeatureWarning)
-        return numba.njit(*signature, **options)(function)
+        made = numba.njit(*signature, **options)(function)
+    if options.get("no_cpython_wrapper") and not INTERPRETED:
+        made.__class__ = _ForKernels
+    return made
+
+
+class _ForKernels(CPUDispatcher):  # type: ignore[misc]
+    """A kernel without an entry for Python: a call of it from there would end the process."""
+
+    def __call__(self, *arguments: Any, **named: Any) -> Any:
+        raise TypeError(f"{self.py_func.__name__}: is inlined into kernels and cannot be called from Python.")
 
 
 def njit(*signature: Any, **options: Any) -> Callable[[Any], Any]:

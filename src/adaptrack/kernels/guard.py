@@ -13,10 +13,7 @@ from numba import types
 from .abi import INLINE, ROUTINE, int_vector, njit, row, structure, vector
 from .functions import multilinear
 from .maths.elementary import clip
-
-VARIABLES = ("speed", "y_ref", "friction", "wind", "change", "acceleration", "offset")
-"""The scheduling variables, in the order in which a kernel is given them; see `scheduling.variables.VARIABLES`."""
-SPEED, Y_REF, FRICTION, WIND, CHANGE, ACCELERATION, OFFSET = range(len(VARIABLES))
+from .variables import VARIABLES
 
 MOST_ENTRIES = 8
 """Entries of a controller's tuning, at most."""
@@ -65,7 +62,7 @@ def too_near_instability(variables, tuning, guard, integers, numbers, point, wor
     """
     if guard.mapped == 0:
         return False
-    point[0], point[1] = variables[SPEED], variables[FRICTION]
+    point[0], point[1] = variables[VARIABLES.speed], variables[VARIABLES.friction]
     point[2], point[3] = tuning[NP], tuning[NC]
     point[4] = math.log10(tuning[R] / tuning[Q]) if tuning[Q] > 0.0 else math.inf
     # not <=: a value that is no number is too near
@@ -124,7 +121,7 @@ def supervise(variables, tuning, untrusted, guard, own, integers, numbers, scrat
     `multilinear`.
     """
     off_reference = guard.offset_limit < math.inf and not (
-        abs(variables[OFFSET]) <= guard.offset_limit * variables[FRICTION]
+        abs(variables[VARIABLES.offset]) <= guard.offset_limit * variables[VARIABLES.friction]
     )
     if untrusted:
         own.outside += 1

@@ -12,13 +12,13 @@ import math
 
 from numba import types
 
-from . import guard
 from .abi import PART, SHARED_PART, Structure, columns, cube, float64, int64, njit, vector
 from .maths.elementary import clip
 from .maths.random import counted_normal
 from .models.contract import MEASURED
 from .plants.contract import ENVIRONMENT, INPUT, STATE, input_at, state_at
 from .plants.forces import wheel_angle
+from .variables import VARIABLES
 
 SETTINGS = Structure(
     (
@@ -110,15 +110,15 @@ def sense(k, slot, block, settings, seed, measured):
 
 @njit(types.void(int64, float64, vector, cube, int64, vector), **SHARED_PART)
 def look(k, speed, measured, signals, scenario, variables):
-    """Write the scheduling variables at instant k, see `guard.VARIABLES`; measured: see `sense`, speed: v_x (m/s)."""
+    """Write the scheduling variables (`VARIABLES`) at instant k; measured: see `sense`, speed: v_x (m/s)."""
     y_ref = signals[scenario, SIGNAL.y_ref, k]
-    variables[guard.SPEED] = speed
-    variables[guard.Y_REF] = y_ref
-    variables[guard.FRICTION] = signals[scenario, SIGNAL.known_friction, k]
-    variables[guard.WIND] = signals[scenario, SIGNAL.known_wind, k]
-    variables[guard.CHANGE] = signals[scenario, SIGNAL.change, k]
-    variables[guard.ACCELERATION] = signals[scenario, SIGNAL.acceleration, k]
-    variables[guard.OFFSET] = y_ref - measured[MEASURED.y]
+    variables[VARIABLES.speed] = speed
+    variables[VARIABLES.y_ref] = y_ref
+    variables[VARIABLES.friction] = signals[scenario, SIGNAL.known_friction, k]
+    variables[VARIABLES.wind] = signals[scenario, SIGNAL.known_wind, k]
+    variables[VARIABLES.change] = signals[scenario, SIGNAL.change, k]
+    variables[VARIABLES.acceleration] = signals[scenario, SIGNAL.acceleration, k]
+    variables[VARIABLES.offset] = y_ref - measured[MEASURED.y]
 
 
 # -- the vehicle's side -----------------------------------------------------------------------------------------------

@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 from numba import types
 
-from . import guard
 from .abi import (
     PART,
     ROUTINE,
@@ -46,6 +45,7 @@ from .models.contract import DISCRETISE_FUNCTION, MEASURED
 from .plants.contract import ADVANCE_FUNCTION, OBSERVE_FUNCTION, STATE, STATES, VEHICLES, place, place_one, state_at
 from .qp import problem as qp
 from .schedule import SCHEDULE, schedule
+from .variables import VARIABLES
 
 COMMON = 3
 """Every controller's answer begins with command, command change and `held`, as `mpc.ANSWER` does."""
@@ -97,7 +97,7 @@ _PARTS = (
     ("schedule", SCHEDULE),
     ("perceiving", PERCEIVING),
     ("tuning", matrix),  # (slots, entries) of the controller, written by the scheduler if there is one
-    ("variables", vector),  # (guard.VARIABLES,)
+    ("variables", vector),  # (variables.VARIABLES,)
     ("memory", MEMORY.type),  # (slots,)
     ("result", RESULT.type),  # (slots,)
     ("ceiling", vector),  # (slots,) sum of squared error plus weight times squared move at which a run stops
@@ -151,8 +151,8 @@ def _schedule(k, slot, speed, run):
             slot, run.mpc.measured, speed, run.memory[slot].command, math.nan, knowing.parameters, knowing.settings,
             knowing.memory,
         )  # fmt: skip
-        run.variables[guard.FRICTION] = knowing.memory[slot, friction_wind.FRICTION_HAT]
-        run.variables[guard.WIND] = knowing.memory[slot, friction_wind.WIND_HAT]
+        run.variables[VARIABLES.friction] = knowing.memory[slot, friction_wind.FRICTION_HAT]
+        run.variables[VARIABLES.wind] = knowing.memory[slot, friction_wind.WIND_HAT]
     schedule(slot, run.variables, run.schedule, run.tuning[slot])
 
 

@@ -16,8 +16,9 @@ from numba import types
 
 from .abi import INLINE, ROUTINE, int64, int_vector, matrix, njit, record, rows, structure, vector
 from .functions import evaluate
-from .guard import COUNTS, GUARD, MAP_AXES, MEMORY, MOST_ENTRIES, NC, NP, VARIABLES, supervise
+from .guard import COUNTS, GUARD, MAP_AXES, MEMORY, MOST_ENTRIES, NC, NP, supervise
 from .maths.elementary import clip
+from .variables import VARIABLES
 
 INPUT = structure(
     [

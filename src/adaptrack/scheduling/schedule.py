@@ -241,13 +241,14 @@ class Pool:
 
 
 def _pack(made: Schedule) -> tuple[Any, NDArray[np.int64], Array, int]:
-    from adaptrack.kernels import guard, schedule
+    from adaptrack.kernels import schedule
+    from adaptrack.kernels.variables import NAMES
 
     array = np.zeros(1, schedule.SETTINGS)
     settings, pool = array[0], Pool()
     settings.n_inputs, settings.n_entries, settings.of_mpc = len(made.inputs), len(made.entries), made.of_mpc
     for row, name, (low, high) in zip(settings.inputs, made.inputs, made.domain.tolist(), strict=False):
-        row.place, row.low, row.high = guard.VARIABLES.index(name), low, high
+        row.place, row.low, row.high = NAMES.index(name), low, high
     for row, name in zip(settings.entries, made.entries, strict=False):
         entry = made.tuning[name]
         row.kind = pool.add(entry.function, row)
