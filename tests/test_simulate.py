@@ -189,11 +189,12 @@ def test_a_run_of_a_batch_depends_neither_on_the_others_nor_on_the_threads(plant
 def test_a_batch_measures_what_its_trajectories_show(drives, rng):
     tunings, which, seeds = random_runs(rng, 6)
     plant, mpc = DualTrack(CAR), MPC(CAR, preview=True)
-    batch = rollout_batch(plant, mpc, drives, tunings, which=which, seeds=seeds, profile="road", driver=Driver())
+    driven_on = {"profile": "road", "driver": Driver(), "failure": Failure(1000.0, math.inf)}
+    batch = rollout_batch(plant, mpc, drives, tunings, which=which, seeds=seeds, **driven_on)
     for i in range(6):
         Np, Nc, Q, R = tunings[i]
         own = MPC(CAR, Tuning(int(Np), int(min(Nc, Np)), Q, R), preview=True)
-        run = rollout(plant, own, drives[which[i]], profile="road", driver=Driver(), seed=int(seeds[i]))
+        run = rollout(plant, own, drives[which[i]], seed=int(seeds[i]), **driven_on)
         error = run.Y - run.y_ref
         assert batch.mse[i] == pytest.approx(np.mean(error**2), rel=1e-12)
         assert batch.max_abs_error[i] == np.abs(error).max()
