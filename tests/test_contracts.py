@@ -218,6 +218,15 @@ def test_a_stepped_plant_enters_a_comparison_and_costs_what_simulate_says():
         runs.segments(mpc.tuning, 3, np.arange(2))
 
 
+@pytest.mark.parametrize("plant", [SingleTrack(CAR), Bicycle()], ids=["compiled", "stepped"])
+def test_a_tuning_drives_as_it_stands_though_the_mpc_of_the_runs_has_a_scheduler(plant):
+    tuning, points = Tuning(30, 5, 1.0, 300.0), [[10.0, 1.0, 0.9, 0.0], [15.0, -1.0, 0.9, 0.0]]
+    plain = MPC(CAR, tuning, period=0.05)
+    scheduled = MPC(CAR, tuning, period=0.05, scheduler=Constant(Tuning(20, 3, 1.0, 3000.0)))
+    alone, beside = (operating_point_runs(plant, mpc, points, "road").drive(tuning, [3]) for mpc in (plain, scheduled))
+    np.testing.assert_array_equal(alone, beside)
+
+
 def test_a_stepped_plant_steers_behind_the_profiles_actuator():
     plant = Bicycle()
     run = simulate(plant, MPC(CAR, Tuning(30, 5, 1.0, 300.0), period=0.05), LANE_CHANGE, profile="road")

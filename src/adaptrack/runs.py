@@ -149,6 +149,7 @@ class RunSet:
         if isinstance(policy, Schedule):
             scheduler = policy
         elif not _is_controller(policy):
+            scheduler = None
             tuning = policy.as_array() if isinstance(policy, Tuning) else np.asarray(policy, dtype=float)
         found = batch.run(
             which, np.broadcast_to(tuning, (len(which), tuning.shape[-1])).copy(),
