@@ -360,15 +360,15 @@ def test_a_car_that_knows_its_steering_tells_its_controllers_the_delay():
 
 @pytest.mark.compiled
 @every_law
-def test_a_law_crosses_into_a_kernel_as_a_function_of_the_contract(law):
+def test_a_law_crosses_into_a_kernel_by_its_address(law):
     from numba import njit
 
-    from adaptrack.kernels.abi import vector
-    from adaptrack.kernels.controllers.contract import LAW_FUNCTION, LAW_SIGNATURE, no_law
+    from adaptrack.kernels.abi import address_of, int64, vector
+    from adaptrack.kernels.controllers.contract import LAW_SIGNATURE, call_law
 
-    @njit(LAW_SIGNATURE.return_type(LAW_FUNCTION, *[vector] * 6))
+    @njit(LAW_SIGNATURE.return_type(int64, *[vector] * 6))
     def kernel(law, situation, reference, tuning, parameters, memory, answer):
-        law(situation, reference, tuning, parameters, memory, answer)
+        call_law(law, situation, reference, tuning, parameters, memory, answer)
 
     controller = law(CAR, preview=True)
     expected = controller.step([0.1, 0.02, 0.0, 0.3], 15.0, np.linspace(0.0, 2.0, 60))
@@ -377,9 +377,7 @@ def test_a_law_crosses_into_a_kernel_as_a_function_of_the_contract(law):
         np.array([0.1, 0.02, 0.0, 0.3, 15.0, 0.0]), np.linspace(0.0, 2.0, 60), controller.packed_tuning(),
         controller.parameters(), np.zeros(controller.memory_size), answer,
     )  # fmt: skip
-    kernel(no_law, *given)
-    assert (answer == 0.0).all()
-    kernel(controller.function, *given)
+    kernel(address_of(controller.function, LAW_SIGNATURE), *given)
     assert answer[0] == expected.angle
 
 

@@ -8,6 +8,7 @@ import queue
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -133,12 +134,12 @@ class BatchRuns:
         """By name, as means."""
         found = self.result
         steps = np.maximum(found["instants"], 1)
-        reasons = [reason_of(int(ended)) for ended in found["ended"]]
+        reasons = {int(ended): reason_of(int(ended)) for ended in np.unique(found["ended"])}
         return BatchResult(
             mse=found["squared_error"] / steps,
             mean_squared_move=found["squared_move"] / steps,
             max_abs_error=found["largest_error"].copy(),
-            failed=np.array(reasons, dtype=object),
+            failed=np.array([reasons[ended] for ended in found["ended"].tolist()], dtype=object),
             failed_at=np.where(self.failed, found["ended_at"], np.nan),
             steps=found["instants"].copy(),
             qp_capped=found["capped"].copy(),
@@ -250,12 +251,14 @@ class Batch:
         own, known = self.controller, self.world.known_as
         assert isinstance(self.world.plant, Plant)
         if isinstance(own, CompiledController):
+            functions = kernel.functions()
             mpc = kernel.batch(slots, mpc_settings, (np.zeros(6), np.arange(4), np.zeros(4)), (np.zeros(0), 0))
             law = rollout.law_batch(slots, own.parameters(), own.memory_size, own.diagnostic_names, own.preview)
             width = law.answer.shape[1] + len(own.tuning_names)
         else:
             assert isinstance(own, MPC)
             mpc, law = own.batch(slots, mpc_settings), rollout.no_law_batch()
+            functions = own.functions
             width = len(kernel.ANSWER)
         none = np.zeros(0)
         perceiving = rollout.Perceiving(none, none, np.zeros((0, 0)))
@@ -264,9 +267,11 @@ class Batch:
         traced = slots if periods else 0
         return rollout.Run(
             settings=self.settings[steps],
+            members=self.members,
             vehicles=vehicle_batch(self.world.plant.packed(), np.zeros((slots, self.starts.shape[1]))),
             road=rollout.Road(self.samples, np.zeros(slots, np.int64), np.zeros(slots, np.int64)),
             mpc=mpc,
+            functions=functions,
             law=law,
             schedule=no_schedule() if scheduler is None else scheduler.plan(slots),
             perceiving=perceiving,
@@ -282,18 +287,15 @@ class Batch:
             ),
         )  # fmt: skip
 
-    @property
-    def members(self) -> tuple[Any, ...]:
-        """`kernels.rollout.MEMBERS`."""
-        from adaptrack.kernels.controllers.contract import no_law
-        from adaptrack.kernels.estimators.contract import no_estimate
-        from adaptrack.kernels.models.single_track import discretise
+    @cached_property
+    def members(self) -> Any:
+        """`kernels.rollout.Members`."""
+        from adaptrack.kernels import rollout
 
         assert isinstance(self.world.plant, Plant)
         plant, own = self.world.plant.compiled, self.controller
-        if isinstance(own, MPC):
-            return plant.advance, plant.observe, own.model.function, own.estimator.function or no_estimate, no_law
-        return plant.advance, plant.observe, discretise, no_estimate, own.function  # type: ignore[attr-defined]
+        law = own.function if isinstance(own, CompiledController) else None
+        return rollout.members(advance=plant.advance, observe=plant.observe, law=law)
 
     def chunks(self, which: NDArray[np.int64]) -> list[NDArray[np.int64]]:
         """Runs that are driven together: the slots of one batch integrate with the same number of steps."""
@@ -337,12 +339,13 @@ class Batch:
             waiting.put(chunk)
 
         def work() -> None:
+            done = None
             while True:
                 try:
                     chunk = waiting.get_nowait()
                 except queue.Empty:
                     return
-                done = self._drive(chunk, plan, settings)
+                done = self._drive(chunk, plan, settings, done)
                 result[chunk], segments[chunk] = done.result, done.segments
                 if traced:
                     traces[int(chunk[0])] = done.trace
@@ -359,17 +362,23 @@ class Batch:
         named = {} if scheduler is None else dict(zip(guard.COUNTS, counts, strict=True))
         return BatchRuns(result, traces.get(0, rollout.no_trace()), named, segments)
 
-    def _drive(self, chunk: NDArray[np.int64], plan: _Plan, mpc_settings: Any) -> Any:
-        """Drive the runs of one chunk; the `kernels.rollout.Run` that they leave."""
+    def _drive(self, chunk: NDArray[np.int64], plan: _Plan, mpc_settings: Any, last: Any) -> Any:
+        """Drive the runs of one chunk; the `kernels.rollout.Run` that they leave.
+
+        last: that of a chunk before, None: none; its arrays are used again where they fit and nothing in them is kept.
+        """
         from adaptrack.kernels import rollout
 
         which, size, n = plan.which[chunk], len(chunk), self.signals[0].n
         segments = math.ceil(n / plan.segment) if plan.segment else 0
-        run = self.arena(size, int(self.substeps[which[0]]), mpc_settings, segments, plan.traced, plan.scheduler)
+        steps, run = int(self.substeps[which[0]]), last
+        fits = run is not None and len(run.memory) == size and run.settings is self.settings[steps]
+        if not fits or plan.traced or plan.scheduler is not None:
+            run = self.arena(size, steps, mpc_settings, segments, plan.traced, plan.scheduler)
         run.road.scenario[:], run.road.seeds[:] = which, plan.seeds[chunk]
         run.vehicles.start[:], run.tuning[:] = self.starts[which], plan.tunings[chunk]
         rollout.begin(size, run)
-        rollout.rollout(rollout.Span(n, size, max(plan.segment, 1), plan.weight), run, *self.members)
+        rollout.rollout(rollout.Span(n, size, max(plan.segment, 1), plan.weight), run)
         return run
 
 

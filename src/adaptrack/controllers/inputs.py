@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from adaptrack.errors import InvalidInput
 
 Array = NDArray[np.float64]
+FLOAT = np.dtype(np.float64)
 
 
 def vector(name: str, values: Any, size: int | tuple[int, ...] | None = None, most: int | None = None) -> Array:
@@ -23,7 +24,7 @@ def vector(name: str, values: Any, size: int | tuple[int, ...] | None = None, mo
     InvalidInput
         When the values are not real numbers, or the shape is wrong.
     """
-    if type(values) is np.ndarray and values.dtype == np.float64 and values.ndim == 1:
+    if type(values) is np.ndarray and values.dtype is FLOAT and values.ndim == 1:
         row = values
     else:
         row = _converted(name, values)
@@ -36,8 +37,9 @@ def vector(name: str, values: Any, size: int | tuple[int, ...] | None = None, mo
         row = row.reshape(-1)
         if row.size == 0:
             raise InvalidInput(f"{name}: empty; give at least its present value.")
-    row = row[:most]
-    return row if row.flags.c_contiguous and row.flags.writeable and row.flags.aligned else row.copy()
+    if most is not None and row.size > most:
+        row = row[:most]
+    return row if row.flags.carray else row.copy()  # contiguous, aligned and writeable
 
 
 def number(name: str, value: Any) -> float:
@@ -63,6 +65,8 @@ def _converted(name: str, values: Any) -> Array:
             given = np.array([_as_float(value) for value in given.ravel()]).reshape(given.shape)
     except Exception:  # whatever an object of others raises when it is asked for its numbers
         given = np.empty(0, dtype=str)
+    if given.dtype is FLOAT and isinstance(values, tuple | list):
+        return given
     if given.dtype.kind not in "iuf":
         raise InvalidInput(f"{name} = {_short(values)}: must be real numbers.")
     with np.errstate(over="ignore"):  # wider than float64

@@ -9,7 +9,8 @@ import copy
 import logging
 import math
 import threading
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import cached_property
 from typing import Any, NamedTuple, Protocol, Self, runtime_checkable
 
 import numpy as np
@@ -29,6 +30,9 @@ from adaptrack.vehicle import Vehicle
 
 Array = NDArray[np.float64]
 
+_STATUSES = tuple(QPStatus)
+_STATE_SIZES = (4, 5)
+"""with or without the wheel angle, see `kernels.models.contract.MEASURED`"""
 _log = logging.getLogger("adaptrack")
 
 
@@ -237,25 +241,28 @@ class MPC:
 
     def reset(self) -> None:
         """Forget the past: the next step is the first, from steering angle 0."""
-        self._load()
+        from adaptrack.kernels.variables import NAMES
+
         self._mpc = self.batch(1, self.settings())
         self._asked = self.tuning.as_array()
         self._plan = self.scheduler.plan(1) if isinstance(self.scheduler, CompiledScheduler) else None
-        self._variables = np.zeros(len(self._names))
+        self._names = NAMES
+        self._variables = np.zeros(len(NAMES))
         self._raised = 0
+        self._load()
 
     def _load(self) -> None:
-        """What a copy cannot carry along: kernels and the lock."""
-        from adaptrack.kernels.controllers import mpc as kernel
-        from adaptrack.kernels.variables import NAMES
+        """What a copy cannot carry along: the lock, addresses, compiled functions."""
+        from adaptrack.kernels.abi import Resident
 
-        self._kernel, self._names = kernel, NAMES
         self._lock = threading.Lock()
-        self._built_in = isinstance(self.model, SingleTrackModel) and self.estimator.function is None
+        self._resident = Resident(self._mpc)
+        self._resident_plan = None if self._plan is None else Resident(self._plan)
+        self._step: Callable[[float, Array], None] | None = None
 
     def __getstate__(self) -> dict[str, Any]:
         state = self.__dict__.copy()
-        for name in ("_kernel", "_lock"):
+        for name in ("_lock", "_resident", "_resident_plan", "_step", "_schedule_step", "functions"):
             state.pop(name, None)
         return state
 
@@ -309,16 +316,25 @@ class MPC:
             raise InvalidInput("this MPC is in a step of another thread: each vehicle needs a controller of its own.")
         try:
             ahead, pace = self._take(state, speed, reference)
-            self._schedule(variables)
-            if not self.in_kernel:
-                self._step_through(pace, ahead)
-            elif self._built_in:
-                self._kernel.step(0, pace, ahead, self._asked, self._mpc)
-            else:
-                self._parts.step_by(0, pace, ahead, self._asked, self._mpc, *self._members)
+            if self.scheduler is not None:
+                self._schedule(variables)
+            step = self._step or self._compiled_step()
+            step(pace, ahead)
             return self._command()
         finally:
             self._lock.release()
+
+    def _compiled_step(self) -> Callable[[float, Array], None]:
+        """The step behind the arguments, compiled on first use."""
+        asked = self._asked
+        if not self.in_kernel:
+            self._step = self._step_through
+        else:
+            from adaptrack.kernels.controllers.mpc_step import step
+
+            address, functions = self._resident.address, self.functions
+            self._step = lambda speed, ahead: step(speed, ahead, asked, address, functions)
+        return self._step
 
     def problem(
         self, state: ArrayLike, speed: float, reference: ArrayLike, variables: Sequence[float] | None = None
@@ -326,42 +342,41 @@ class MPC:
         """The QP that `step` would solve with these arguments; the controller stays as it is."""
         twin = copy.deepcopy(self)
         ahead, pace = twin._take(state, speed, reference)
-        twin._schedule(variables)
+        if twin.scheduler is not None:
+            twin._schedule(variables)
         _, n, m = twin._form(pace, ahead)
         return twin._qp(n, m)
 
     def _take(self, state: ArrayLike, speed: float, reference: ArrayLike) -> tuple[Array, float]:
         """Take in the measured state; the reference and the speed as the kernels want them."""
         measured = self._mpc.measured
-        given = vector("state", state, (4, len(measured)))
+        given = vector("state", state, _STATE_SIZES)
         ahead = vector("reference", reference, most=self.longest_horizon + 1)
         pace = number("speed", speed)
         if pace == -math.inf:
             pace = math.nan  # the speed's floor would make a number of it
+        measured[4] = math.nan
         measured[: given.size] = given
-        measured[given.size :] = math.nan
         return ahead, pace
 
     def _schedule(self, variables: Sequence[float] | None) -> None:
         """Let the scheduler choose the tuning."""
-        if self.scheduler is None:
-            return
         if variables is None:
             raise InvalidInput("this MPC has a scheduler: step(..., variables=SchedulingVariables(...)) is needed.")
-        if self._plan is None:
+        if self._resident_plan is None:
             self._ask(variables)
             return
-        from adaptrack.kernels.schedule import schedule
-
-        given = self._given(variables)
-        self._variables[: given.size], self._variables[given.size :] = given, 0.0
-        schedule(0, self._variables, self._plan, self._asked)
+        given, own = self._given(variables), self._variables
+        if given.size < own.size:
+            own[given.size :] = 0.0
+        own[: given.size] = given
+        self._schedule_step(own, self._resident_plan.address, self._asked)
 
     def _given(self, variables: Sequence[float]) -> Array:
         """The variables as numbers; the last three may be left out."""
-        count = len(self._names)
+        count = self._variables.size
         try:
-            return vector("variables", variables, tuple(range(count - 3, count + 1)))
+            return vector("variables", variables, (count - 3, count - 2, count - 1, count))
         except InvalidInput as error:
             raise InvalidInput(
                 f"variables: need {count} numbers, {', '.join(self._names)}; the last three may be left out."
@@ -379,21 +394,36 @@ class MPC:
                     "adaptrack: the scheduler failed, its last tuning is kept: %s: %s", type(error).__name__, error
                 )
 
+    @cached_property
+    def _schedule_step(self) -> Any:
+        from adaptrack.kernels.schedule_step import schedule_step
+
+        return schedule_step
+
     @property
     def _parts(self) -> Any:
         from adaptrack.kernels.controllers import mpc_parts
 
         return mpc_parts
 
-    @property
-    def _members(self) -> tuple[Any, Any]:
-        """The compiled functions of the model and of the estimator."""
-        from adaptrack.kernels.estimators.contract import no_estimate
+    @cached_property
+    def functions(self) -> Any:
+        """What the kernels call for this controller (`kernels.controllers.mpc.Functions`)."""
+        from adaptrack.kernels.controllers import mpc as kernel
 
-        return self.model.function, self.estimator.function or no_estimate
+        solvers = {}
+        if self.in_kernel and (isinstance(self.solver, ActiveSet) or self.solver.on_uncertified == "exact"):
+            from adaptrack.kernels.qp.active_set import active_set
+
+            solvers["active_set"] = active_set
+        if isinstance(self.solver, Hildreth):
+            from adaptrack.kernels.qp.hildreth import hildreth
+
+            solvers["hildreth"] = hildreth
+        return kernel.functions(discretise=self.model.function, estimate=self.estimator.function, **solvers)
 
     def _form(self, speed: float, ahead: Array) -> tuple[int, int, int]:
-        return self._parts.form_qp(0, speed, ahead, self._asked, self._mpc, *self._members)
+        return self._parts.form_qp(0, speed, ahead, self._asked, self._mpc, self.functions)
 
     def _qp(self, n: int, m: int) -> QP:
         ws = self._mpc.ws
@@ -421,7 +451,7 @@ class MPC:
     def _command(self) -> MPCCommand:
         angle, move, held, Np, Nc, Q, R, status, iterations, residual, at_limit = self._mpc.answer[0].tolist()
         return MPCCommand(
-            angle, move, held > 0.5, (Np, Nc, Q, R), QPStatus(int(status)), int(iterations), residual, int(at_limit)
+            angle, move, held > 0.5, (Np, Nc, Q, R), _STATUSES[int(status)], int(iterations), residual, int(at_limit)
         )
 
     def describe(self) -> dict[str, Any]:

@@ -27,6 +27,7 @@ import numba
 import numpy as np
 from llvmlite import ir
 from numba import types
+from numba.core import cgutils
 from numba.core import config as _numba_config
 from numba.core.errors import NumbaExperimentalFeatureWarning
 from numba.core.registry import CPUDispatcher
@@ -95,6 +96,81 @@ def record(name: str, fields: Iterable[str]) -> Any:
     It belongs to the module that asks for it: the compiler's cache finds a class again by module and name.
     """
     return namedtuple(name, list(fields), module=sys._getframe(1).f_globals["__name__"])
+
+
+class Resident:
+    """A record that stays in memory, for kernels that Python calls at every step: they take its `address`.
+
+    To unbox a nested record of forty arrays takes longer than a step of the controller. So where its arrays lie is
+    written down once, in the layout of the compiler's own array structure, and `reader` loads it from there. The
+    record's arrays must not be replaced, and the address is valid as long as this object lives.
+    """
+
+    def __init__(self, record: Any) -> None:
+        self.record = record
+        self._words = np.array(_layout(record), np.int64)
+        self.address = record if INTERPRETED else self._words.ctypes.data
+
+
+def _layout(value: Any) -> list[int]:
+    """What numba's array structure holds of each array of a record (numba.core.datamodel.models.ArrayModel)."""
+    if isinstance(value, tuple):
+        return [word for each in value for word in _layout(each)]
+    memory_and_owner = [0, 0]  # for counting references, which kernels do not
+    return [*memory_and_owner, value.size, value.itemsize, value.ctypes.data, *value.shape, *value.strides]
+
+
+def reader(kind: Any) -> Any:
+    """A kernel ``read(address)`` that gives the `Resident` record of a type whose leaves are arrays."""
+    if INTERPRETED:
+        return lambda address: address
+
+    @intrinsic
+    def read(typingctx, address):
+        def codegen(context, builder, signature, args):
+            place = builder.inttoptr(args[0], context.get_value_type(kind).as_pointer())
+            return builder.load(place)
+
+        return kind(types.int64), codegen
+
+    return read
+
+
+def caller(signature: Any) -> Any:
+    """A kernel ``call(address, *arguments)`` that calls the compiled function at an address, see `address_of`.
+
+    So functions cross in records and cost a call nothing; one of numba's function types costs 100 microseconds.
+    """
+    if INTERPRETED:
+        return lambda function, *arguments: function(*arguments)
+
+    def typed(typingctx, address, *arguments):
+        def codegen(context, builder, signature, args):
+            convention, kinds = context.call_conv, signature.args[1:]
+            prototype = convention.get_function_type(signature.return_type, kinds)
+            function = builder.inttoptr(args[0], prototype.as_pointer())
+            status, answer = convention.call_function(builder, function, signature.return_type, kinds, args[1:])
+            with cgutils.if_unlikely(builder, status.is_error):
+                convention.return_status_propagate(builder, status)
+            return context.get_dummy_value() if signature.return_type == types.void else answer
+
+        return signature.return_type(types.int64, *signature.args), codegen
+
+    names = ", ".join(["typingctx", "address"] + [f"a{i}" for i in range(len(signature.args))])
+    scope: dict[str, Any] = {"typed": typed}
+    exec(f"def call({names}):\n    return typed({names})", scope)  # an intrinsic takes no *arguments
+    return intrinsic(scope["call"])
+
+
+@cache
+def address_of(function: Any, signature: Any) -> Any:
+    """Where a compiled function of a signature begins, for the life of the process; 0 where there is none (None)."""
+    if INTERPRETED:
+        return function
+    if function is None:
+        return 0
+    compiled = function.get_compile_result(signature)
+    return compiled.library.get_pointer_to_function(compiled.fndesc.llvm_func_name)
 
 
 def structure(fields: Iterable[tuple[Any, ...]]) -> Any:

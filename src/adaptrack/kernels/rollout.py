@@ -16,6 +16,7 @@ from .abi import (
     PART,
     ROUTINE,
     Structure,
+    address_of,
     cube,
     float64,
     int64,
@@ -26,9 +27,8 @@ from .abi import (
     vector,
 )
 from .controllers import mpc
-from .controllers.contract import LAW_FUNCTION, SITUATION, Situation
+from .controllers.contract import LAW_SIGNATURE, SITUATION, Situation, call_law
 from .estimators import friction_wind
-from .estimators.contract import ESTIMATE_FUNCTION
 from .loop import (
     MEMORY,
     NEVER_ARRIVED,
@@ -41,8 +41,19 @@ from .loop import (
     look,
     sense,
 )
-from .models.contract import DISCRETISE_FUNCTION, MEASURED
-from .plants.contract import ADVANCE_FUNCTION, OBSERVE_FUNCTION, STATE, STATES, VEHICLES, place, place_one, state_at
+from .models.contract import MEASURED
+from .plants.contract import (
+    ADVANCE,
+    OBSERVE,
+    STATE,
+    STATES,
+    VEHICLES,
+    call_advance,
+    call_observe,
+    place,
+    place_one,
+    state_at,
+)
 from .qp import problem as qp
 from .schedule import SCHEDULE, schedule
 from .variables import VARIABLES
@@ -88,11 +99,18 @@ TRACE = types.NamedUniTuple(cube, 3, Trace)
 """Of every instant: state (slots, periods, STATES), the controller's answer with the tuning as used (slots, periods,
 .), lateral acceleration (m/s^2) and front-wheel angle (rad) under the new input (slots, periods, 2). Empty for none."""
 
+_MEMBERS = {"advance": ADVANCE, "observe": OBSERVE, "law": LAW_SIGNATURE}
+Members = record("Members", _MEMBERS)
+MEMBERS = types.NamedUniTuple(int64, len(_MEMBERS), Members)
+"""Addresses of the plant's two functions and of the control law, see their contracts; 0: none."""
+
 _PARTS = (
     ("settings", SETTINGS.type),  # (1,)
+    ("members", MEMBERS),
     ("vehicles", VEHICLES),
     ("road", ROAD),
     ("mpc", mpc.MPC),
+    ("functions", mpc.FUNCTIONS),  # of the MPC
     ("law", LAW),
     ("schedule", SCHEDULE),
     ("perceiving", PERCEIVING),
@@ -113,9 +131,10 @@ SPAN = types.NamedTuple((int64, int64, int64, float64), Span)
 """What is driven: control periods, slots in use, periods of a segment, and the weight of the squared moves in the cost
 (m^2/rad^2)."""
 
-MEMBERS = (ADVANCE_FUNCTION, OBSERVE_FUNCTION, DISCRETISE_FUNCTION, ESTIMATE_FUNCTION, LAW_FUNCTION)
-"""What the members of the contracts give: two functions of the plant, those of model, estimator and law. They are
-arguments of their own: numba takes no functions in a record."""
+
+def members(**compiled: Any) -> Any:
+    """`Members`, from compiled functions by name."""
+    return Members(*[address_of(compiled.get(name), signature) for name, signature in _MEMBERS.items()])
 
 
 def no_law_batch() -> Any:
@@ -157,7 +176,7 @@ def _schedule(k, slot, speed, run):
 
 
 @njit(**PART)
-def _apply_law(slot, speed, reference, run, law):
+def _apply_law(slot, speed, reference, run):
     """One step of a control law; a command that is not finite holds the last one."""
     own, out, given, seen = run.memory[slot], run.law.answer[slot], run.law.situation, run.mpc.measured
     now = Situation(
@@ -167,7 +186,9 @@ def _apply_law(slot, speed, reference, run, law):
         given[i] = now[i]
     told = run.law.own_answer
     ahead = reference if run.law.preview > 0 else reference[:1]
-    law(given, ahead, run.tuning[slot], run.law.parameters, run.law.memory[slot], told)
+    call_law(
+        run.members.law, given, ahead, run.tuning[slot], run.law.parameters, run.law.memory[slot], told
+    )  # fmt: skip
     usable = math.isfinite(told[0])
     out[0] = told[0] if usable else own.command
     out[1] = out[0] - own.command
@@ -177,13 +198,13 @@ def _apply_law(slot, speed, reference, run, law):
 
 
 @njit(**PART)
-def _control(k, slot, speed, run, discretise, estimate, law):
+def _control(k, slot, speed, run):
     """The controller's answer at instant k."""
     reference = run.road.signals[run.road.scenario[slot], SIGNAL.y_ref, k:]
     if run.law.answer.size > 0:
-        _apply_law(slot, speed, reference, run, law)
+        _apply_law(slot, speed, reference, run)
         return run.law.answer[slot]
-    mpc.step_with(slot, speed, reference, run.tuning[slot], run.mpc, discretise, estimate)
+    mpc.step_with(slot, speed, reference, run.tuning[slot], run.mpc, run.functions)
     return run.mpc.answer[slot]
 
 
@@ -262,16 +283,15 @@ def begin(slots, run):
     run.law.memory[:, :] = 0.0
 
 
-@njit(types.void(SPAN, RUN, *MEMBERS), **ROUTINE)
-def rollout(span, run, advance, observe, discretise, estimate, law):
+@njit(types.void(SPAN, RUN), **ROUTINE)
+def rollout(span, run):
     """Whole runs, from what `begin` left.
 
-    A run ends early when it has
-    failed (`loop.judge`), or, as STOPPED, once its cost has reached its ceiling and can only grow. The cost of each
-    segment is written to `segments`: inf for the one in which a run ends, NaN after.
+    A run ends early when it has failed (`loop.judge`), or, as STOPPED, once its cost has reached its ceiling and can
+    only grow. The cost of each segment is written to `segments`: inf for the one in which a run ends, NaN after.
     """
     periods, slots, segment, weight = span
-    vehicles, settings = run.vehicles, run.settings[0]
+    vehicles, settings, members = run.vehicles, run.settings[0], run.members
     block, states, work = vehicles.block, vehicles.states, vehicles.work
     h = settings.period / settings.substeps
     for k in range(periods):
@@ -286,10 +306,10 @@ def rollout(span, run, advance, observe, discretise, estimate, law):
             speed = block[state_at(STATE.vx, i)]
             sense(k, i, block, run.settings, run.road.seeds[i], run.mpc.measured)
             _schedule(k, i, speed, run)
-            answer = _control(k, i, speed, run, discretise, estimate, law)
+            answer = _control(k, i, speed, run)
             actuate(k, i, answer[0], block, run.settings, run.road.signals, run.road.scenario[i], run.memory)
             if run.trace.seen.size > 0:
-                observe(vehicles.parameters, block, states, work, i, run.trace.seen[i, k])
+                call_observe(members.observe, vehicles.parameters, block, states, work, i, run.trace.seen[i, k])
             _count_step(k, i, answer, segment, weight, run)
             if run.memory[i].ended != RUNNING:
                 _end(k, i, segment, run)
@@ -297,7 +317,7 @@ def rollout(span, run, advance, observe, discretise, estimate, law):
             running += 1
         if running == 0:
             break
-        advance(vehicles.parameters, block, states, work, slots, settings.substeps, h)
+        call_advance(members.advance, vehicles.parameters, block, states, work, slots, settings.substeps, h)
     for i in range(slots):
         if run.memory[i].arrived == 0 and run.result[i].ended != STOPPED:
             run.result[i].ended, run.result[i].ended_at, run.result[i].squared_error = NEVER_ARRIVED, 0.0, math.inf

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numba import types
 
-from .abi import INLINE, ROUTINE, int64, int_vector, matrix, njit, record, rows, structure, vector
+from .abi import INLINE, ROUTINE, int64, int_vector, matrix, njit, reader, record, rows, structure, vector
 from .functions import evaluate
 from .guard import COUNTS, GUARD, MAP_AXES, MEMORY, MOST_ENTRIES, NC, NP, supervise
 from .maths.elementary import clip
@@ -52,6 +52,7 @@ SETTINGS = structure(
 Schedule = record("Schedule", ("settings", "memory", "integers", "numbers", "scratch"))
 SCHEDULE = types.NamedTuple((rows(SETTINGS), rows(MEMORY), int_vector, vector, vector), Schedule)
 """settings (1,): see SETTINGS; memory (slots,): of each run, see MEMORY; integers, numbers: the packed functions."""
+read_schedule = reader(SCHEDULE)
 _Scratch = record("_Scratch", ("x", "asked", "work"))
 
 SCRATCH = len(VARIABLES) + MOST_ENTRIES + MAP_AXES

@@ -8,7 +8,7 @@ from numba import types
 
 from .abi import ROUTINE, int64, int_vector, matrix, njit, record, vector
 from .loop import RUNNING, STOPPED
-from .rollout import MEMBERS, RUN, SPAN, Span, begin, rollout
+from .rollout import RUN, SPAN, Span, begin, rollout
 from .swarm import LEADER_COST, PARTICLES, decode, learn, move
 from .swarm import begin as begin_swarm
 
@@ -27,8 +27,8 @@ SEARCH = types.NamedTuple((int64, int64, vector, matrix, PARTICLES, JUDGED, vect
 and the best cost after each generation (generations,), which is written."""
 
 
-@njit(types.int64(types.UniTuple(int64, 2), JUDGED, TRIAL, *MEMBERS), **ROUTINE)
-def evaluate(part, judged, trial, advance, observe, discretise, estimate, law):
+@njit(types.int64(types.UniTuple(int64, 2), JUDGED, TRIAL), **ROUTINE)
+def evaluate(part, judged, trial):
     """Write the cost of the tunings of a part (first, slots): J = mean e^2 + weight * mean (change of command)^2.
 
     The mean of J over the noise seeds; inf when a run has failed, or was stopped because J cannot come out below its
@@ -50,7 +50,7 @@ def evaluate(part, judged, trial, advance, observe, discretise, estimate, law):
             run.ceiling[i] = (ceilings[i] * count - costs[i]) * span.periods
             if not costs[i] < math.inf:
                 run.memory[i].ended = STOPPED
-        rollout(span, run, advance, observe, discretise, estimate, law)
+        rollout(span, run)
         for i in range(slots):
             found = run.result[i]
             steps += found.instants
@@ -63,8 +63,8 @@ def evaluate(part, judged, trial, advance, observe, discretise, estimate, law):
     return steps
 
 
-@njit(types.UniTuple(int64, 2)(SEARCH, TRIAL, *MEMBERS), **ROUTINE)
-def tune(search, trial, advance, observe, discretise, estimate, law):
+@njit(types.UniTuple(int64, 2)(SEARCH, TRIAL), **ROUTINE)
+def tune(search, trial):
     """One run of the swarm (see `swarm`) over Np, Nc, Q, R; returns (evaluations, control steps done).
 
     On return search.swarm.leader is the best position and search.swarm.progress[LEADER_COST] its cost. A particle's run
@@ -78,9 +78,7 @@ def tune(search, trial, advance, observe, discretise, estimate, law):
     for g in range(generations):
         decode(count, search.space, swarm.x, judged.tunings)
         for first in range(0, count, slots):
-            steps += evaluate(
-                (first, min(slots, count - first)), judged, trial, advance, observe, discretise, estimate, law
-            )
+            steps += evaluate((first, min(slots, count - first)), judged, trial)
         learn(judged.costs, swarm)
         search.best[g] = swarm.progress[LEADER_COST]
         if g < generations - 1:

@@ -93,11 +93,11 @@ class Objective:
 
         asked = np.array(tunings, dtype=np.float64, ndmin=2)
         costs = np.empty(len(asked))
-        trial, members = self._trial(point, min(len(asked), SLOTS), asked[:, 0].max(), asked[:, 1].max())
+        trial = self._trial(point, min(len(asked), SLOTS), asked[:, 0].max(), asked[:, 1].max())
         judged = kernels.Judged(np.ascontiguousarray(asked), np.full(len(asked), np.inf), costs)
         for first in range(0, len(asked), SLOTS):
             trial.run.mpc.memory["speed"] = np.nan  # nothing is formed yet
-            kernels.evaluate((first, min(SLOTS, len(asked) - first)), judged, trial, *members)
+            kernels.evaluate((first, min(SLOTS, len(asked) - first)), judged, trial)
         return costs
 
     landscape = costs
@@ -118,20 +118,20 @@ class Objective:
 
         swarm, space = swarm or SwarmSettings(), space or SearchSpace.tuning()
         slots, count = min(swarm.particles, SLOTS), swarm.particles
-        trial, members = self._trial(point, slots, space.high[0], space.high[1])
+        trial = self._trial(point, slots, space.high[0], space.high[1])
         judged = kernels.Judged(np.zeros((count, 4)), np.empty(count), np.empty(count))
         search = kernels.Search(
             seed, stream, swarm.packed(space), space.packed(), rules.particles(count, 4), judged,
             np.empty(swarm.generations),
         )  # fmt: skip
-        evaluations, steps = kernels.tune(search, trial, *members)
+        evaluations, steps = kernels.tune(search, trial)
         best = search.swarm
         return Tuned(
             space.values(best.leader), float(best.progress[rules.LEADER_COST]), search.best, evaluations, steps
         )
 
-    def _trial(self, point: ArrayLike, slots: int, longest: float, most: float) -> tuple[Any, tuple[Any, ...]]:
-        """`kernels.tune.Trial` for up to `slots` tunings with horizons up to these, and the members that it needs."""
+    def _trial(self, point: ArrayLike, slots: int, longest: float, most: float) -> Any:
+        """`kernels.tune.Trial` for up to `slots` tunings with horizons up to these."""
         from adaptrack.kernels import rollout
         from adaptrack.kernels import tune as kernels
 
@@ -140,4 +140,4 @@ class Objective:
         run.vehicles.start[:] = batch.starts
         noise = np.array(self.noise_seeds, dtype=np.int64)
         span = rollout.Span(batch.signals[0].n, slots, 1, self.weight)
-        return kernels.Trial(run, span, noise), batch.members
+        return kernels.Trial(run, span, noise)

@@ -27,7 +27,7 @@ from typing import Any
 
 from numba import types
 
-from ..abi import INLINE, ROUTINE, njit, record, vector
+from ..abi import INLINE, caller, njit, record, vector
 from ..maths.elementary import clip
 
 SITUATION = (
@@ -49,7 +49,7 @@ COMMON = (
 
 LAW_SIGNATURE = types.void(vector, vector, vector, vector, vector, vector)
 """``law(situation, reference, tuning, parameters, memory, answer)``."""
-LAW_FUNCTION = types.FunctionType(LAW_SIGNATURE)
+call_law = caller(LAW_SIGNATURE)
 
 COMMAND, HELD = 0, 1
 """Entries of an answer: the command (rad), and, as our laws' first diagnostic, 1 where the last command is held."""
@@ -63,11 +63,6 @@ FURTHEST = 1e6
 
 Situation = record("Situation", SITUATION)
 Path = record("Path", ("y", "heading", "curvature"))
-
-
-@njit(LAW_SIGNATURE, **ROUTINE)
-def no_law(situation, reference, tuning, parameters, memory, answer):
-    """Stands where a law would: controllers that are none do not call it."""
 
 
 @lru_cache(maxsize=64)

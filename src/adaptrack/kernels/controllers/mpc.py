@@ -16,26 +16,24 @@ from ..abi import (
     PART,
     ROUTINE,
     Structure,
+    address_of,
     columns,
     cube,
-    float64,
     int64,
     int_matrix,
     int_vector,
     matrix,
     njit,
+    reader,
     record,
     vector,
 )
-from ..estimators.contract import BY_FUNCTION, no_estimate
+from ..estimators.contract import BY_FUNCTION, ESTIMATE, call_estimate
 from ..maths import vectors
 from ..maths.elementary import clip
-from ..models import single_track
-from ..models.contract import MEASURED
+from ..models.contract import DISCRETISE, MEASURED, call_discretise
 from ..qp import problem as qp
-from ..qp.active_set import active_set
 from ..qp.factor import factorise
-from ..qp.hildreth import hildreth
 from ..qp.residual import kkt_residual
 from .condensing import (
     DISCRETE,
@@ -148,6 +146,17 @@ _PARTS = (
 Mpc = record("Mpc", (name for name, _ in _PARTS))
 MPC = types.NamedTuple([kind for _, kind in _PARTS], Mpc)
 """A batch of MPCs that share all but tuning and memory."""
+read_mpc = reader(MPC)
+
+_FUNCTIONS = {"discretise": DISCRETISE, "estimate": ESTIMATE, "active_set": qp.ACTIVE_SET, "hildreth": qp.HILDRETH}
+Functions = record("Functions", _FUNCTIONS)
+FUNCTIONS = types.NamedUniTuple(int64, len(_FUNCTIONS), Functions)
+"""Addresses of what the model and the estimator give, see their contracts, and of the QP methods in use; 0: none."""
+
+
+def functions(**compiled: Any) -> Any:
+    """`Functions`, from compiled ones by name."""
+    return Functions(*[address_of(compiled.get(name), signature) for name, signature in _FUNCTIONS.items()])
 
 
 def workspace(slots: int, states: int, settings: Any) -> Any:
@@ -287,7 +296,14 @@ def _take_tuning(slot, tuning, mpc):
 
 
 @njit(**PART)
-def _form_model(slot, speed, mpc, discretise):
+def _discretise(speed, mpc, functions):
+    """Write the model at a speed to the workspace."""
+    model = mpc.model
+    call_discretise(functions.discretise, speed, mpc.settings[0].period, mpc.parameters, model.a, model.b, model.e)
+
+
+@njit(**PART)
+def _form_model(slot, speed, mpc, functions):
     """What depends on speed and tuning alone: F, Phi, E and its factor, and the rows of eq. (15) in M."""
     settings, own, out, ws = mpc.settings[0], mpc.memory[slot], mpc.answer[slot], mpc.ws
     np_, nc, q, r = int(out[ANSWER.Np]), int(out[ANSWER.Nc]), out[ANSWER.Q], out[ANSWER.R]
@@ -295,7 +311,7 @@ def _form_model(slot, speed, mpc, discretise):
     moves = settings.terms if laguerre else nc
     step, phi = ws.step[slot], ws.phi[slot if laguerre else 0]
     hessian, rows = ws.hessian[slot], ws.rows[slot if limited else 0]
-    discretise(speed, settings.period, mpc.parameters, mpc.model.a, mpc.model.b, mpc.model.e)
+    _discretise(speed, mpc, functions)
     responses(np_, mpc.model, ws.free[slot], step)
     if laguerre:
         laguerre_response(np_, moves, step, ws.moves, phi)
@@ -337,13 +353,15 @@ def _look_ahead(horizon, reference, mpc):
 
 
 @njit(**PART)
-def _free_response(slot, horizon, mpc, discretise, estimate):
+def _free_response(slot, horizon, mpc, functions):
     """R_s - Y without moves, from the measured increments or from an estimate."""
     settings, own, ws = mpc.settings[0], mpc.memory[slot], mpc.ws
     if settings.estimator == BY_FUNCTION:
         model, x, d = mpc.model, mpc.estimate[0], mpc.estimate[1]
-        discretise(own.speed, settings.period, mpc.parameters, model.a, model.b, model.e)
-        estimate(mpc.measured, own.command, model.a, model.b, mpc.estimator, mpc.estimates[slot], x, d)
+        _discretise(own.speed, mpc, functions)
+        call_estimate(
+            functions.estimate, mpc.measured, own.command, model.a, model.b, mpc.estimator, mpc.estimates[slot], x, d
+        )
         positional_error(horizon, model, mpc.estimate, own.command, ws.reference, ws.error)
         return
     for i in range(mpc.states.size):
@@ -372,7 +390,7 @@ def _bound(slot, nc, horizon, mpc):
 
 
 @njit(**PART)
-def _form_qp(slot, speed, reference, tuning, mpc, discretise, estimate):
+def _form_qp(slot, speed, reference, tuning, mpc, functions):
     """See `form_qp`."""
     settings, out, ws = mpc.settings[0], mpc.answer[slot], mpc.ws
     status = _take_tuning(slot, tuning, mpc)
@@ -385,9 +403,9 @@ def _form_qp(slot, speed, reference, tuning, mpc, discretise, estimate):
         return status, n, m
     speed = max(speed, settings.speed_floor)
     if not _is_formed(slot, speed, mpc):
-        _form_model(slot, speed, mpc, discretise)
+        _form_model(slot, speed, mpc, functions)
     _look_ahead(np_, reference, mpc)
-    _free_response(slot, np_, mpc, discretise, estimate)
+    _free_response(slot, np_, mpc, functions)
     if laguerre:
         condensed_gradient(np_, moves, ws.phi[slot], out[ANSWER.Q], ws.error, ws.gradient)
     else:
@@ -412,7 +430,7 @@ def _qp_in(slot, n, m, mpc):
 
 
 @njit(**PART)
-def _solve_qp(slot, n, m, mpc):
+def _solve_qp(slot, n, m, mpc, functions):
     """Solve the QP in the workspace with the solver of the settings: (status, iterations)."""
     settings, own = mpc.settings[0], mpc.memory[slot]
     problem, solution, scratch = _qp_in(slot, n, m, mpc)
@@ -420,12 +438,14 @@ def _solve_qp(slot, n, m, mpc):
     status, iterations = qp.CAPPED, 0
     if settings.solver != ACTIVE_SET:
         own.active = 0
-        status, iterations = hildreth(
-            problem, factor, solution, scratch, settings.max_sweeps, settings.tolerance, False
+        status, iterations = qp.call_hildreth(
+            functions.hildreth, problem, factor, solution, scratch, settings.max_sweeps, settings.tolerance, False
         )
     if settings.solver == ACTIVE_SET or (settings.solver == HILDRETH_THEN_EXACT and status == qp.CAPPED):
         # The rows that were active a period ago are a good guess, and while E stays so does their factor.
-        status, more, active = active_set(problem, factor, solution, scratch, own.active, own.kept > 0, 10 * (n + m))
+        status, more, active = qp.call_active_set(
+            functions.active_set, problem, factor, solution, scratch, own.active, own.kept > 0, 10 * (n + m)
+        )
         own.active, own.kept = active, 1
         iterations += more
     return status, iterations
@@ -516,20 +536,13 @@ def _apply_move(slot, status, iterations, size, mpc):
 
 
 @njit(**PART)
-def step_with(slot, speed, reference, tuning, mpc, discretise, estimate):
+def step_with(slot, speed, reference, tuning, mpc, functions):
     """One step of a slot: form the QP, solve it, take the first move. Arguments as for `form_qp`.
 
-    discretise, estimate: the model's and the estimator's function, see their contracts.
+    functions: see `FUNCTIONS`.
     """
-    status, n, m = _form_qp(slot, speed, reference, tuning, mpc, discretise, estimate)
+    status, n, m = _form_qp(slot, speed, reference, tuning, mpc, functions)
     iterations = 0
     if status == qp.SOLVED:
-        status, iterations = _solve_qp(slot, n, m, mpc)
+        status, iterations = _solve_qp(slot, n, m, mpc, functions)
     _apply_move(slot, status, iterations, (n, m), mpc)
-
-
-# -- for callers in Python: the paper's model and estimator -----------------------------------------------------------
-@njit(types.void(int64, float64, vector, vector, MPC), **ROUTINE)
-def step(slot, speed, reference, tuning, mpc):
-    """One step of a slot with the paper's model, on increments of the measured state, see `form_qp`."""
-    step_with(slot, speed, reference, tuning, mpc, single_track.discretise, no_estimate)

@@ -1,20 +1,15 @@
-"""The parts of an MPC step for Python: for QP back-ends that are not kernels, for models and estimators of others."""
+"""The parts of an MPC step for Python: for QP back-ends that are not kernels."""
 
 from __future__ import annotations
 
 from numba import types
 
 from ..abi import ROUTINE, float64, int64, njit, vector
-from ..estimators.contract import ESTIMATE_FUNCTION
-from ..models.contract import DISCRETISE_FUNCTION
-from .mpc import MPC, _apply_move, _form_qp, step_with
+from .mpc import FUNCTIONS, MPC, _apply_move, _form_qp
 
 
-@njit(
-    types.UniTuple(int64, 3)(int64, float64, vector, vector, MPC, DISCRETISE_FUNCTION, ESTIMATE_FUNCTION),
-    **ROUTINE,
-)
-def form_qp(slot, speed, reference, tuning, mpc, discretise, estimate):
+@njit(types.UniTuple(int64, 3)(int64, float64, vector, vector, MPC, FUNCTIONS), **ROUTINE)
+def form_qp(slot, speed, reference, tuning, mpc, functions):
     """The QP of eq. (17) for a slot; returns its status so far, its variables n and its rows m.
 
     Takes the measurement from mpc.measured. speed: v_x (m/s); reference: y_ref (m) now and at the instants that follow;
@@ -22,7 +17,7 @@ def form_qp(slot, speed, reference, tuning, mpc, discretise, estimate):
     without. tuning: Np, Nc, Q, R as asked, the horizons rounded and clamped so that 1 <= Nc <= Np <= longest_horizon.
     The model, E and its factor are formed again when speed or tuning has changed by even one bit, and not otherwise.
     """
-    return _form_qp(slot, speed, reference, tuning, mpc, discretise, estimate)
+    return _form_qp(slot, speed, reference, tuning, mpc, functions)
 
 
 @njit(types.void(int64, int64, int64, types.UniTuple(int64, 2), MPC), **ROUTINE)
@@ -34,9 +29,3 @@ def apply_move(slot, status, iterations, size, mpc):
     finite, and the answer says `held`.
     """
     _apply_move(slot, status, iterations, size, mpc)
-
-
-@njit(types.void(int64, float64, vector, vector, MPC, DISCRETISE_FUNCTION, ESTIMATE_FUNCTION), **ROUTINE)
-def step_by(slot, speed, reference, tuning, mpc, discretise, estimate):
-    """`mpc.step` with any model and estimator."""
-    step_with(slot, speed, reference, tuning, mpc, discretise, estimate)

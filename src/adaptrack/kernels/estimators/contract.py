@@ -13,7 +13,7 @@ from typing import Any
 
 from numba import types
 
-from ..abi import ROUTINE, float64, matrix, njit, vector
+from ..abi import caller, float64, matrix, njit, vector
 
 DEADBEAT, BY_FUNCTION = 0, 1
 """How the MPC estimates."""
@@ -23,12 +23,7 @@ ESTIMATE = types.void(vector, float64, matrix, vector, vector, vector, vector, v
 what every period adds to it, from the measured quantities (`models.contract.MEASURED`), the command that acted over the
 last period (rad), and A, B of the model at the present speed. memory: the estimator's own numbers of this run, zero
 before its first step. A measurement that is not finite is one that is missing."""
-ESTIMATE_FUNCTION = types.FunctionType(ESTIMATE)
-
-
-@njit(ESTIMATE, **ROUTINE)
-def no_estimate(measured, command, a, b, parameters, memory, x, d):
-    """Stands where an estimator would: the deadbeat form does not call it."""
+call_estimate = caller(ESTIMATE)
 
 
 @lru_cache(maxsize=64)

@@ -12,7 +12,7 @@ from typing import Any
 
 from numba import types
 
-from ..abi import columns, float64, matrix, njit, vector
+from ..abi import caller, columns, float64, matrix, njit, vector
 
 MEASURED = columns("vy", "yaw", "yaw_rate", "y", "wheel_angle")
 """What the sensors give: m/s, rad, rad/s, m, rad."""
@@ -20,7 +20,7 @@ MEASURED = columns("vy", "yaw", "yaw_rate", "y", "wheel_angle")
 DISCRETISE = types.void(float64, float64, vector, matrix, vector, vector)
 """``discretise(speed, period, parameters, a, b, e)``: write A (n, n), B (n,) and E (n,) of one control period (s) at a
 speed (m/s, > 0)."""
-DISCRETISE_FUNCTION = types.FunctionType(DISCRETISE)
+call_discretise = caller(DISCRETISE)
 
 
 @lru_cache(maxsize=64)

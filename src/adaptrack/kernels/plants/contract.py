@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numba import types
 
-from ..abi import INLINE, ROUTINE, columns, float64, int64, matrix, njit, record, vector
+from ..abi import INLINE, ROUTINE, caller, columns, float64, int64, matrix, njit, record, vector
 
 SLOTS = 32
 """Vehicles of a batch."""
@@ -57,7 +57,7 @@ ADVANCE = types.void(vector, vector, matrix, matrix, int64, int64, float64)
 OBSERVE = types.void(vector, vector, matrix, matrix, int64, vector)
 """``observe(parameters, block, states, work, slot, seen)``: write lateral acceleration (m/s^2) and front-wheel angle
 (rad) of a vehicle under its present input to ``seen`` (2,)."""
-ADVANCE_FUNCTION, OBSERVE_FUNCTION = types.FunctionType(ADVANCE), types.FunctionType(OBSERVE)
+call_advance, call_observe = caller(ADVANCE), caller(OBSERVE)
 
 
 Vehicles = record("Vehicles", ("parameters", "block", "states", "work", "start"))

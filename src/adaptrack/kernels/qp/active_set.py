@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import math
 
-from numba import types
-
-from ..abi import INLINE, PART, ROUTINE, int64, njit, record
+from ..abi import INLINE, PART, ROUTINE, njit, record
 from ..maths.vectors import (
     WIDTH,
     add,
@@ -40,7 +38,7 @@ from .operations import (
     magnitude,
     stationarity,
 )
-from .problem import CAPPED, FACTOR, INFEASIBLE, NON_FINITE, PROBLEM, SCRATCH, SOLUTION, SOLVED, work_of
+from .problem import ACTIVE_SET, CAPPED, INFEASIBLE, NON_FINITE, SOLVED, work_of
 from .residual import kkt_residual
 from .unconstrained import unconstrained
 
@@ -305,7 +303,7 @@ def _verdict(problem, factor, solution, scratch, reach, tolerance):
 
 
 # -- the method -------------------------------------------------------------------------------------------------------
-@njit(types.UniTuple(int64, 3)(PROBLEM, FACTOR, SOLUTION, SCRATCH, int64, types.boolean, int64), **ROUTINE)
+@njit(ACTIVE_SET, **ROUTINE)
 def active_set(problem, factor, solution, scratch, guess, kept, max_iterations):
     """Write the exact solution to ``solution``; returns (status, iterations, active rows).
 

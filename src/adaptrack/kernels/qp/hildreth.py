@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import math
 
-from numba import boolean, types
-
-from ..abi import INLINE, ROUTINE, float64, int64, njit
+from ..abi import INLINE, ROUTINE, njit
 from ..maths.vectors import (
     WIDTH,
     add,
@@ -25,7 +23,7 @@ from ..maths.vectors import (
     zeros,
 )
 from .operations import advance, copy_bounds, find_gaps, magnitude
-from .problem import CAPPED, FACTOR, NON_FINITE, PROBLEM, ROW_VECTORS, SCRATCH, SOLUTION, SOLVED, work_of
+from .problem import CAPPED, HILDRETH, NON_FINITE, ROW_VECTORS, SOLVED, work_of
 from .unconstrained import unconstrained
 
 SWEEPS = 38
@@ -117,7 +115,7 @@ def _minimiser(problem, factor, solution, V, w):
     return finite
 
 
-@njit(types.UniTuple(int64, 2)(PROBLEM, FACTOR, SOLUTION, SCRATCH, int64, float64, boolean), **ROUTINE)
+@njit(HILDRETH, **ROUTINE)
 def hildreth(problem, factor, solution, scratch, max_sweeps, tolerance, warm):
     """Hildreth's procedure (1957; Luenberger 1969, section 10.10; Wang 2009, section 2.4); returns (status, sweeps).
 

@@ -27,7 +27,7 @@ from typing import Any
 import numpy as np
 from numba import types
 
-from ..abi import INLINE, cube, float64, int64, int_vector, matrix, njit, record, vector
+from ..abi import INLINE, caller, cube, float64, int64, int_vector, matrix, njit, record, vector
 from ..maths.vectors import WIDTH, padded
 
 SOLVED = 0
@@ -77,6 +77,12 @@ Work = record(
 )
 """The parts of `Scratch` by name. ``work``: three matrices, each a plane, and nine vectors in n, the rows of a fourth
 plane; ``rows``: four vectors in m, then Hildreth's V (n rows) and H (m rows)."""
+
+ACTIVE_SET = types.UniTuple(int64, 3)(PROBLEM, FACTOR, SOLUTION, SCRATCH, int64, types.boolean, int64)
+HILDRETH = types.UniTuple(int64, 2)(PROBLEM, FACTOR, SOLUTION, SCRATCH, int64, float64, types.boolean)
+"""Signatures of `active_set.active_set` and `hildreth.hildreth`."""
+call_active_set, call_hildreth = caller(ACTIVE_SET), caller(HILDRETH)
+"""A function compiled into another is optimised once more with it: minutes for methods as long as these."""
 
 _PLANES, _VECTORS, ROW_VECTORS = 4, 9, 4
 
