@@ -15,9 +15,11 @@ from numba import types
 from ..abi import (
     PART,
     ROUTINE,
+    SUBROUTINE,
     Structure,
     address_of,
     columns,
+    float64,
     cube,
     int64,
     int_matrix,
@@ -302,7 +304,7 @@ def _discretise(speed, mpc, functions):
     call_discretise(functions.discretise, speed, mpc.settings[0].period, mpc.parameters, model.a, model.b, model.e)
 
 
-@njit(**PART)
+@njit(types.void(int64, float64, MPC, FUNCTIONS), **SUBROUTINE)
 def _form_model(slot, speed, mpc, functions):
     """What depends on speed and tuning alone: F, Phi, E and its factor, and the rows of eq. (15) in M."""
     settings, own, out, ws = mpc.settings[0], mpc.memory[slot], mpc.answer[slot], mpc.ws
@@ -389,7 +391,7 @@ def _bound(slot, nc, horizon, mpc):
             ws.bounds[4 * nc + 2 * j + 1] = response - settings.output_min
 
 
-@njit(**PART)
+@njit(types.UniTuple(int64, 3)(int64, float64, vector, vector, MPC, FUNCTIONS), **SUBROUTINE)
 def _form_qp(slot, speed, reference, tuning, mpc, functions):
     """See `form_qp`."""
     settings, out, ws = mpc.settings[0], mpc.answer[slot], mpc.ws
@@ -429,7 +431,7 @@ def _qp_in(slot, n, m, mpc):
     )
 
 
-@njit(**PART)
+@njit(types.UniTuple(int64, 2)(int64, int64, int64, MPC, FUNCTIONS), **SUBROUTINE)
 def _solve_qp(slot, n, m, mpc, functions):
     """Solve the QP in the workspace with the solver of the settings: (status, iterations)."""
     settings, own = mpc.settings[0], mpc.memory[slot]
@@ -510,7 +512,7 @@ def _remember(slot, angle, mpc):
     own.started = 1
 
 
-@njit(**PART)
+@njit(types.void(int64, int64, int64, types.UniTuple(int64, 2), MPC), **SUBROUTINE)
 def _apply_move(slot, status, iterations, size, mpc):
     """See `apply_move`; size: (n, m)."""
     n, m = size

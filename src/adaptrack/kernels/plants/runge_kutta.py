@@ -6,7 +6,7 @@ of straight arithmetic for each law that is asked for.
 
 from __future__ import annotations
 
-from ..abi import INLINE, fma, njit
+from ..abi import INLINE, PART, fma, njit
 from .contract import GROUP, INPUT, INPUTS, SLOTS, STATE, STATES, input_at, state_at
 from .forces import wheel_angle
 from .parameters import unpack
@@ -99,7 +99,7 @@ def _load_input(z, i):
     )
 
 
-@njit(**INLINE)
+@njit(**PART)
 def _sweep(right_hand_side, block, slots, substeps, h, c, law):
     for _ in range(substeps):
         for i in range(slots):
@@ -108,7 +108,7 @@ def _sweep(right_hand_side, block, slots, substeps, h, c, law):
             _store(block, i, _rk4(right_hand_side, x, u, h, c, law))
 
 
-@njit(**INLINE)
+@njit(**PART)
 def _fill_group(block, slots):
     """Copy slot 0 to the slots between the last vehicle and the next multiple of GROUP; returns that multiple."""
     whole = (slots + GROUP - 1) // GROUP * GROUP
@@ -118,7 +118,7 @@ def _fill_group(block, slots):
     return whole
 
 
-@njit(**INLINE)
+@njit(**PART)
 def advance_all(right_hand_side, parameters, block, slots, steps, law):
     """Advance the first `slots` vehicles of a built-in plant, see `contract.ADVANCE`; steps: (substeps, h)."""
     substeps, h = steps
