@@ -52,13 +52,13 @@ class Estimator(ABC):
     @property
     @abstractmethod
     def function(self) -> Any:
-        """The compiled ``estimate(measured, command, a, b, parameters, memory, x, d)``.
+        """The compiled ``estimate(speed, measured, command, a, b, parameters, memory, x, d)``.
 
         See `kernels.estimators.contract`. None: the controller's own form on increments of the measured state.
         """
 
-    def parameters(self) -> Array:
-        """The constant numbers of its function."""
+    def parameters(self, model: PredictionModel) -> Array:
+        """The constant numbers of its function, with a model."""
         return np.zeros(0)
 
     def memory_size(self, model: PredictionModel) -> int:
@@ -95,13 +95,18 @@ class Deadbeat(Estimator):
                 f"estimator 'deadbeat': needs the whole state of model {model.name!r} measured, and wheel_angle is not "
                 "given to every controller: use an estimator that reconstructs it."
             )
+        if model.dead_time > 0.0:
+            raise InvalidInput(
+                f"estimator 'deadbeat': knows no dead time, and model {model.name!r} has {model.dead_time:g} s: use an "
+                "estimator that carries the state over it, such as 'kalman'."
+            )
 
 
 @final
 class UserEstimator(Estimator):
     """An estimator of one's own: one function and its numbers. `check_estimator` admits it.
 
-    estimate(measured, command, a, b, parameters, memory, x, d), compiled by numba, writes x and d, see
+    estimate(speed, measured, command, a, b, parameters, memory, x, d), compiled by numba, writes x and d, see
     `kernels.estimators.contract`; parameters: name -> number; memory_size: numbers that it remembers, a whole number or
     a function of the number of states.
 
@@ -125,14 +130,14 @@ class UserEstimator(Estimator):
         except Exception as error:
             raise ContractError(
                 f"UserEstimator {label!r}: numba cannot compile its function as "
-                f"f(measured, command, a, b, parameters, memory, x, d) on float64 numbers and arrays: {error}"
+                f"f(speed, measured, command, a, b, parameters, memory, x, d) on float64 numbers and arrays: {error}"
             ) from error
 
     @property
     def function(self) -> Any:
         return self._function
 
-    def parameters(self) -> Array:
+    def parameters(self, model: PredictionModel) -> Array:
         return np.array(list(self.numbers.values()), dtype=float)
 
     def memory_size(self, model: PredictionModel) -> int:
@@ -140,7 +145,13 @@ class UserEstimator(Estimator):
         return size(model.n) if callable(size) else int(size)
 
 
-_factories: dict[str, Callable[..., Estimator]] = {"deadbeat": Deadbeat}
+def _kalman(**options: Any) -> Estimator:
+    from adaptrack.kalman import KalmanFilter
+
+    return KalmanFilter(**options)
+
+
+_factories: dict[str, Callable[..., Estimator]] = {"deadbeat": Deadbeat, "kalman": _kalman}
 
 
 def register_estimator(name: str, factory: Callable[..., Estimator]) -> None:
@@ -195,14 +206,14 @@ def check_estimator(estimator: Estimator, model: PredictionModel, speed: float =
         return
     a, b, c = model.discrete(speed)
     matrix, column, places = np.ascontiguousarray(a), b[:, 0].copy(), model.measured_places()
-    parameters, memory = estimator.parameters(), np.zeros(estimator.memory_size(model))
+    parameters, memory = estimator.parameters(model), np.zeros(estimator.memory_size(model))
     x, found, d = np.zeros(model.n), np.full(model.n, np.nan), np.full(model.n, np.nan)
     command = 0.0
     for k in range(steps):
         measured = np.full(5, np.nan)
         measured[places] = x
         given = [each.copy() for each in (measured, matrix, column, parameters)]
-        estimator.function(measured, command, matrix, column, parameters, memory, found, d)
+        estimator.function(speed, measured, command, matrix, column, parameters, memory, found, d)
         after = (measured, matrix, column, parameters)
         if any(not np.array_equal(one, other, equal_nan=True) for one, other in zip(given, after, strict=True)):
             fail("it must write to memory, x and d only", f"step {k}")
@@ -213,7 +224,7 @@ def check_estimator(estimator: Estimator, model: PredictionModel, speed: float =
         x = matrix @ x + column * command
         if k == steps - 1 and not abs(ahead - (c @ x).item()) < 1e-3:
             fail("it must predict the model that it is driven by", f"y = {ahead:g} m instead of {(c @ x).item():g} m")
-    estimator.function(np.full(5, np.nan), command, matrix, column, parameters, memory, found, d)
+    estimator.function(speed, np.full(5, np.nan), command, matrix, column, parameters, memory, found, d)
     if not (np.isfinite(found).all() and np.isfinite(d).all()):
         fail("a measurement that is not finite must leave x and d finite", f"x = {found}, d = {d}")
 

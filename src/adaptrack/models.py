@@ -41,6 +41,8 @@ class PredictionModel(ABC):
     """s, control period"""
     states: tuple[str, ...]
     """of `MEASURED`; the last one is the output"""
+    dead_time: float = 0.0
+    """s, from an instant until its command begins to act; the estimator and the controller take it out"""
 
     @abstractmethod
     def parameters(self) -> Array:
@@ -224,6 +226,78 @@ class SingleTrackModel(PredictionModel):
 
 
 @final
+@dataclass(frozen=True)
+class PathModel(PredictionModel):
+    """The single track that knows its steering: x = [v_y, psi, r, delta, y] along a path, see `kernels.models.path`.
+
+    psi and y: heading and lateral offset against the path; delta: wheel angle behind the lag, left out when `lag` is 0.
+    vehicle: mass, inertia, axle distances and cornering stiffness per tyre; period: control period (s); lag: time
+    constant of the steering (s); dead_time: from an instant until its command begins to act (s), the computer's time
+    included.
+
+    Raises
+    ------
+    InvalidInput
+        When the period is not positive and finite, or lag or dead time is negative or not finite.
+    """
+
+    vehicle: Vehicle
+    period: float = 0.1
+    lag: float = 0.0
+    dead_time: float = 0.0
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.vehicle, Vehicle):
+            raise InvalidInput(f"PathModel: vehicle = {self.vehicle!r}: must be a Vehicle, see load_vehicle.")
+        if not 0.0 < real("PathModel", "period", self.period) < np.inf:
+            raise InvalidInput(f"PathModel: period = {self.period!r} s: must be positive and finite.")
+        for name in ("lag", "dead_time"):
+            if not 0.0 <= real("PathModel", name, getattr(self, name)) < np.inf:
+                raise InvalidInput(f"PathModel: {name} = {getattr(self, name)!r} s: must not be negative, and finite.")
+
+    @property
+    def name(self) -> str:
+        return "path"
+
+    @property
+    def states(self) -> tuple[str, ...]:  # type: ignore[override]
+        return ("vy", "yaw", "yaw_rate", *(("wheel_angle",) if self.lag > 0.0 else ()), "y")
+
+    def parameters(self) -> Array:
+        from adaptrack.kernels.models.path import Parameters
+
+        known = [getattr(self.vehicle, name) for name in Parameters._fields if name != "lag"]
+        return np.array([*known, self.lag], dtype=float)
+
+    @property
+    def function(self) -> Any:
+        from adaptrack.kernels.models.path import discretise
+
+        return discretise
+
+    def continuous(self, speed: float) -> tuple[Array, Array]:
+        """A_c (n, n) and the columns (n, 4) of u, d_y, d_r and of the path's curvature times speed."""
+        v = self.vehicle
+        cf, cr = 2 * v.stiffness_front, 2 * v.stiffness_rear
+        turn = cf * v.lf - cr * v.lr
+        side = [-(cf + cr) / (v.mass * speed), 0, -speed - turn / (v.mass * speed), cf / v.mass, 0]
+        yawing = [
+            -turn / (v.yaw_inertia * speed), 0, -(cf * v.lf**2 + cr * v.lr**2) / (v.yaw_inertia * speed),
+            cf * v.lf / v.yaw_inertia, 0,
+        ]  # fmt: skip
+        a = np.array([side, [0, 0, 1, 0, 0], yawing, [0, 0, 0, 0, 0], [1, speed, 0, 0, 0]], dtype=float)
+        inputs = np.zeros((5, 4))
+        inputs[0, 1] = inputs[2, 2] = 1.0  # d_y, d_r
+        inputs[1, 3] = -1.0  # the path turns away
+        if self.lag > 0.0:
+            a[3, 3], inputs[3, 0] = -1.0 / self.lag, 1.0 / self.lag
+            return a, inputs
+        inputs[:, 0] = a[:, 3]
+        keep = [0, 1, 2, 4]
+        return a[np.ix_(keep, keep)], inputs[keep]
+
+
+@final
 class UserModel(PredictionModel):
     """A model of one's own: one function and its numbers. `check_model` admits it.
 
@@ -277,7 +351,7 @@ class UserModel(PredictionModel):
         return self._function
 
 
-_factories: dict[str, Callable[..., PredictionModel]] = {"single-track": SingleTrackModel}
+_factories: dict[str, Callable[..., PredictionModel]] = {"single-track": SingleTrackModel, "path": PathModel}
 
 
 def register_model(name: str, factory: Callable[..., PredictionModel]) -> None:

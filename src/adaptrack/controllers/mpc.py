@@ -166,6 +166,8 @@ class MPC:
                 f"Np = {self.tuning.Np}, Nc = {self.tuning.Nc} exceed longest_horizon = {self.longest_horizon} or "
                 f"most_moves = {self.most_moves}: raise those."
             )
+        lead = math.ceil(self.model.dead_time / self.period)
+        self._furthest = self.longest_horizon + 1 + (lead + 1 if lead else 0)
         if self.moves.kind == "laguerre" and self.most_moves > self.longest_horizon:
             raise InvalidInput("most_moves must not exceed longest_horizon.")
 
@@ -217,6 +219,7 @@ class MPC:
             pole=self.moves.pole,
             terms=self.moves.terms,
             preview=self.preview,
+            lead=self.model.dead_time / self.period,
             speed_floor=self.speed_floor,
             estimator=self.estimator.kind,
             solver=solver,
@@ -236,7 +239,7 @@ class MPC:
         model, estimator = self.model, self.estimator
         return kernel.batch(
             slots, settings, (model.parameters(), model.measured_places(), model.output),
-            (estimator.parameters(), estimator.memory_size(model)),
+            (estimator.parameters(model), estimator.memory_size(model)),
         )  # fmt: skip
 
     def reset(self) -> None:
@@ -351,7 +354,7 @@ class MPC:
         """Take in the measured state; the reference and the speed as the kernels want them."""
         measured = self._mpc.measured
         given = vector("state", state, _STATE_SIZES)
-        ahead = vector("reference", reference, most=self.longest_horizon + 1)
+        ahead = vector("reference", reference, most=self._furthest)
         pace = number("speed", speed)
         if pace == -math.inf:
             pace = math.nan  # the speed's floor would make a number of it

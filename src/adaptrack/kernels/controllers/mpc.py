@@ -63,6 +63,7 @@ SETTINGS = Structure(
         "pole",  # of the Laguerre functions
         "terms",  # number of Laguerre functions
         "preview",  # 1: the reference ahead is known, 0: held at its present value
+        "lead",  # periods, dead time of the model: the predicted outputs are so much later
         "speed_floor",  # m/s, the prediction model is never formed below this speed
         "estimator",  # DEADBEAT or BY_FUNCTION
         "solver",  # ACTIVE_SET, ...
@@ -344,11 +345,20 @@ def _is_formed(slot, speed, mpc):
 
 @njit(**PART)
 def _look_ahead(horizon, reference, mpc):
-    """R_s: the reference from the next instant on with preview (its last value repeated), else its present value."""
-    ws = mpc.ws
-    if mpc.settings[0].preview > 0:
+    """R_s: the reference from the next instant on with preview (its last value repeated), else its present value.
+
+    With a dead time the first output is that of a period after it; between instants the reference is interpolated.
+    """
+    ws, last, lead = mpc.ws, reference.size - 1, mpc.settings[0].lead
+    if mpc.settings[0].preview > 0 and lead > 0.0:
+        first = int(lead)
+        share = lead - first
         for j in range(horizon):
-            ws.reference[j] = reference[min(j + 1, reference.size - 1)]
+            here, following = reference[min(first + j + 1, last)], reference[min(first + j + 2, last)]
+            ws.reference[j] = here + share * (following - here)
+    elif mpc.settings[0].preview > 0:
+        for j in range(horizon):
+            ws.reference[j] = reference[min(j + 1, last)]
     else:
         for b in range(0, horizon, vectors.WIDTH):
             vectors.store(ws.reference, b, vectors.spread(reference, 0))
@@ -362,8 +372,9 @@ def _free_response(slot, horizon, mpc, functions):
         model, x, d = mpc.model, mpc.estimate[0], mpc.estimate[1]
         _discretise(own.speed, mpc, functions)
         call_estimate(
-            functions.estimate, mpc.measured, own.command, model.a, model.b, mpc.estimator, mpc.estimates[slot], x, d
-        )
+            functions.estimate, own.speed, mpc.measured, own.command, model.a, model.b, mpc.estimator,
+            mpc.estimates[slot], x, d,
+        )  # fmt: skip
         positional_error(horizon, model, mpc.estimate, own.command, ws.reference, ws.error)
         return
     for i in range(mpc.states.size):

@@ -18,11 +18,12 @@ from ..abi import caller, float64, matrix, njit, vector
 DEADBEAT, BY_FUNCTION = 0, 1
 """How the MPC estimates."""
 
-ESTIMATE = types.void(vector, float64, matrix, vector, vector, vector, vector, vector)
-"""``estimate(measured, command, a, b, parameters, memory, x, d)``: write the state x (n,) and the disturbance d (n,),
-what every period adds to it, from the measured quantities (`models.contract.MEASURED`), the command that acted over the
-last period (rad), and A, B of the model at the present speed. memory: the estimator's own numbers of this run, zero
-before its first step. A measurement that is not finite is one that is missing."""
+ESTIMATE = types.void(float64, vector, float64, matrix, vector, vector, vector, vector, vector)
+"""``estimate(speed, measured, command, a, b, parameters, memory, x, d)``: write the state x (n,) and the disturbance d
+(n,), what every period adds to it, from the speed (m/s), the measured quantities (`models.contract.MEASURED`), the
+command given a period ago (rad), and A, B of the model at the present speed. x is the state at the time when the next
+command begins to act: behind the dead time, for a model that has one. memory: the estimator's own numbers of this run,
+zero before its first step. A measurement that is not finite is one that is missing."""
 call_estimate = caller(ESTIMATE)
 
 
