@@ -91,7 +91,7 @@ class PredictionModel(ABC):
         a, b, c = self.discrete(speed)
         free, step = np.ones((self.n + 1, horizon)), np.empty(horizon)
         model = condensing.Discrete(a, b[:, 0].copy(), c[0].copy(), np.zeros(self.n), np.zeros((3, self.n)))
-        condensing.responses(horizon, model, free, step)
+        condensing.responses(horizon, False, model, free, step)
         return free, step
 
     def augmented(self, speed: float) -> tuple[Array, Array, Array]:

@@ -20,7 +20,7 @@ DISCRETE = types.NamedTuple((matrix, vector, vector, vector, matrix), Discrete)
 
 
 @njit(**INLINE)
-def _responses(n, horizon, model, free, step):
+def _responses(n, horizon, of_next, model, free, step):
     """See `responses`; n: number of states."""
     row, following, total_row = model.rows[0], model.rows[1], model.rows[2]
     for i in range(n):
@@ -39,22 +39,23 @@ def _responses(n, horizon, model, free, step):
                 product += row[k] * model.a[k, i]
             following[i] = product
         for i in range(n):
+            total_row[i] += row[i] if of_next else following[i]
             row[i] = following[i]
-            total_row[i] += following[i]
             free[i, j] = total_row[i]
 
 
-@njit(types.void(int64, DISCRETE, matrix, vector), **ROUTINE)
-def responses(horizon, model, free, step):
+@njit(types.void(int64, types.boolean, DISCRETE, matrix, vector), **ROUTINE)
+def responses(horizon, of_next, model, free, step):
     """Eqs. (9), (10): fill `free` (n, >= horizon) and `step` (>= horizon) from A_k and B of eq. (8).
 
     With the augmented matrices of eq. (9), C~ A~^j = [C (A + .. + A^j), 1]: so row j of F is the running sum of
-    C A^i, i = 1..j, and C~ A~^(j) B~ the running sum of C A^i B, i = 0..j.
+    C A^i, i = 1..j, and C~ A~^(j) B~ the running sum of C A^i B, i = 0..j. That is for the last increment of the state,
+    x(k) - x(k-1); `of_next`: for the next one, x(k+1) - x(k), whose sums begin with i = 0 and end one earlier.
     """
     if model.b.size == 4:  # the size of the paper's model as a constant: its loops are unrolled
-        _responses(4, horizon, model, free, step)
+        _responses(4, horizon, of_next, model, free, step)
     else:
-        _responses(model.b.size, horizon, model, free, step)
+        _responses(model.b.size, horizon, of_next, model, free, step)
 
 
 @njit(types.void(int64, matrix, vector, float64, vector, vector), **ROUTINE)
@@ -71,32 +72,6 @@ def tracking_error(horizon, free, change, output, reference, error):
         store(error, b, keep_first(sub(load(reference, b), response), horizon - b))
     for b in range(padded(horizon), error.size, WIDTH):
         store(error, b, zeros())
-
-
-@njit(types.void(int64, DISCRETE, matrix, float64, vector, vector), **ROUTINE)
-def positional_error(horizon, model, estimate, command, reference, error):
-    """R_s - Y for the free response of x(k+1) = A x + B u(k-1) + d from an estimate of x and of the disturbance d.
-
-    d: what every period adds to the state. With d(k) = x(k) - A x(k-1) - B u(k-1), all at the present speed, this is
-    the R_s - F x~ of `tracking_error`. estimate (4, n): x, d, and two rows of scratch.
-    """
-    x, d, now, following = estimate[0], estimate[1], estimate[2], estimate[3]
-    n = x.size
-    for i in range(n):
-        now[i] = x[i]
-    for j in range(horizon):
-        output = 0.0
-        for i in range(n):
-            total = model.b[i] * command + d[i]
-            for k in range(n):
-                total += model.a[i, k] * now[k]
-            following[i] = total
-            output += model.c[i] * total
-        for i in range(n):
-            now[i] = following[i]
-        error[j] = reference[j] - output
-    for j in range(horizon, error.size):
-        error[j] = 0.0
 
 
 @njit(types.void(int64, int64, vector, float64, float64, matrix), **ROUTINE)

@@ -44,7 +44,6 @@ from .condensing import (
     condensed_hessian,
     laguerre_moves,
     laguerre_response,
-    positional_error,
     pulse_gradient,
     pulse_hessian,
     responses,
@@ -118,7 +117,9 @@ _FIELDS = (
     ("bounds", vector),  # (m,) gamma
     ("reference", vector),  # (Np,) R_s
     ("error", vector),  # (Np,) R_s - F x~
-    ("change", vector),  # (n,) x(k) - x(k-1)
+    ("change", vector),  # (n,) x(k) - x(k-1), or x(k+1) - x(k) when an estimator gives the state
+    ("a", cube),  # (slots, n, n) A and
+    ("b", matrix),  # (slots, n) B at the speed of the slot, for an estimator
     ("gradient", vector),  # (n,) K
     ("solution", vector),  # (n,)
     ("multipliers", vector),  # (m,)
@@ -136,7 +137,7 @@ _PARTS = (
     ("model", DISCRETE),  # scratch: the model at the present speed
     ("parameters", vector),  # of the model
     ("states", int_vector),  # (n,) which measured quantities the model's states are
-    ("estimate", matrix),  # (4, n) state, disturbance, and scratch; (0, n) for the deadbeat estimator
+    ("estimate", matrix),  # (2, n) state and disturbance; (0, n) for the deadbeat estimator
     ("estimator", vector),  # parameters of the estimator
     ("estimates", matrix),  # (slots, .) memory of the estimator
     ("memory", MEMORY.type),  # (slots,)
@@ -185,6 +186,8 @@ def workspace(slots: int, states: int, settings: Any) -> Any:
         reference=np.zeros(np_),
         error=np.zeros(np_ + n + vectors.WIDTH),
         change=np.zeros(states),
+        a=np.zeros((slots if own.estimator == BY_FUNCTION else 0, states, states)),
+        b=np.zeros((slots if own.estimator == BY_FUNCTION else 0, states)),
         gradient=qp.aligned((n,)),
         solution=qp.aligned((n,)),
         multipliers=qp.aligned((m,)),
@@ -215,7 +218,7 @@ def batch(slots: int, settings: Any, model: tuple[Any, Any, Any], estimator: tup
         model=discrete,
         parameters=np.array(parameters, float),
         states=np.array(states, np.int64),
-        estimate=np.zeros((4 if settings[0].estimator == BY_FUNCTION else 0, n)),
+        estimate=np.zeros((2 if settings[0].estimator == BY_FUNCTION else 0, n)),
         estimator=np.array(own, float),
         estimates=np.zeros((slots, length)),
         memory=memory(slots),
@@ -315,7 +318,13 @@ def _form_model(slot, speed, mpc, functions):
     step, phi = ws.step[slot], ws.phi[slot if laguerre else 0]
     hessian, rows = ws.hessian[slot], ws.rows[slot if limited else 0]
     _discretise(speed, mpc, functions)
-    responses(np_, mpc.model, ws.free[slot], step)
+    by_function = settings.estimator == BY_FUNCTION
+    responses(np_, by_function, mpc.model, ws.free[slot], step)
+    if by_function:
+        for i in range(mpc.model.b.size):
+            ws.b[slot, i] = mpc.model.b[i]
+            for j in range(mpc.model.b.size):
+                ws.a[slot, i, j] = mpc.model.a[i, j]
     if laguerre:
         laguerre_response(np_, moves, step, ws.moves, phi)
         condensed_hessian(np_, moves, phi, q, r, hessian)
@@ -366,16 +375,19 @@ def _look_ahead(horizon, reference, mpc):
 
 @njit(**PART)
 def _free_response(slot, horizon, mpc, functions):
-    """R_s - Y without moves, from the measured increments or from an estimate."""
+    """R_s - Y without moves: from the last increments as measured, or from the next ones of x(k+1) = A x + B u + d."""
     settings, own, ws = mpc.settings[0], mpc.memory[slot], mpc.ws
     if settings.estimator == BY_FUNCTION:
-        model, x, d = mpc.model, mpc.estimate[0], mpc.estimate[1]
-        _discretise(own.speed, mpc, functions)
+        x, d, a, b = mpc.estimate[0], mpc.estimate[1], ws.a[slot], ws.b[slot]
         call_estimate(
-            functions.estimate, own.speed, mpc.measured, own.command, model.a, model.b, mpc.estimator,
-            mpc.estimates[slot], x, d,
-        )  # fmt: skip
-        positional_error(horizon, model, mpc.estimate, own.command, ws.reference, ws.error)
+            functions.estimate, own.speed, mpc.measured, own.command, a, b, mpc.estimator, mpc.estimates[slot], x, d
+        )
+        for i in range(x.size):
+            total = b[i] * own.command + d[i] - x[i]
+            for j in range(x.size):
+                total += a[i, j] * x[j]
+            ws.change[i] = total
+        tracking_error(horizon, ws.free[slot], ws.change, x[x.size - 1], ws.reference, ws.error)
         return
     for i in range(mpc.states.size):
         now = mpc.measured[mpc.states[i]]
