@@ -58,19 +58,19 @@ class Drifts:
     They are random walks: after t seconds the deviation is sqrt(t) times that.
     """
 
-    vy: float = 0.09
+    vy: float = 0.045
     """m/s"""
     yaw: float = 0.001
     """rad"""
-    yaw_rate: float = 0.045
+    yaw_rate: float = 0.022
     """rad/s"""
     y: float = 0.01
     """m"""
     wheel_angle: float = 0.01
     """rad"""
-    side: float = 0.45
+    side: float = 0.3
     """m/s^2, of the lateral disturbance d_y: side wind, bank, a steering bias"""
-    turn: float = 0.9
+    turn: float = 0.6
     """rad/s^2, of the yaw disturbance d_r"""
 
     def __post_init__(self) -> None:

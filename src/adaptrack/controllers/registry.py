@@ -14,6 +14,7 @@ Factory = Callable[..., Controller]
 
 _factories: dict[str, Factory | str] = {
     "mpc": "adaptrack.controllers.mpc:MPC",
+    "informed": "adaptrack.controllers.informed:informed_mpc",
     "lqr": "adaptrack.controllers.lqr:LQR",
     "pure-pursuit": "adaptrack.controllers.pure_pursuit:PurePursuit",
     "stanley": "adaptrack.controllers.stanley:Stanley",

@@ -1,0 +1,74 @@
+"""The MPC that knows its car: the path model with its steering, a Kalman filter for its sensors, one constant tuning."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from adaptrack.controllers.limits import Limits
+from adaptrack.controllers.mpc import MPC
+from adaptrack.controllers.tuning import Tuning
+from adaptrack.errors import InvalidInput
+from adaptrack.kalman import Drifts, KalmanFilter
+from adaptrack.models import PathModel
+from adaptrack.profile import Profile, load_profile
+from adaptrack.vehicle import SteeringActuator, Vehicle
+
+HORIZON, MOVES = 1.1, 0.5
+"""s, over which the outputs are predicted and the command may change."""
+MOVE_WEIGHT = 7.0 / 6.0
+"""R/Q over the weight that the profile itself gives to squared moves; found on random drives in `road`."""
+LEAST_MOVE_WEIGHT = 4e-5
+"""s^2, R/Q times the squared control period where the profile gives them none."""
+
+
+def informed_tuning(profile: str | Profile = "road", period: float | None = None) -> Tuning:
+    """The constant tuning in a profile; period: control period (s), by default the profile's."""
+    world = load_profile(profile)
+    pace = world.period if period is None else period
+    weight = max(MOVE_WEIGHT * world.move_weight * world.period**2, LEAST_MOVE_WEIGHT) / pace**2
+    return Tuning(max(2, round(HORIZON / pace)), max(1, round(MOVES / pace)), 1.0, float(f"{weight:.6g}"))
+
+
+def informed_mpc(
+    vehicle: Vehicle,
+    profile: str | Profile = "road",
+    *,
+    tuning: Tuning | None = None,
+    period: float | None = None,
+    steering: SteeringActuator | None = None,
+    dead_time: float | None = None,
+    drifts: Drifts | None = None,
+    **options: Any,
+) -> MPC:
+    """An `MPC` that models the lag and the dead time of its steering and estimates state and disturbances.
+
+    vehicle: mass, inertia, axle distances and stiffness of the model; profile: the sensors and the computer that it
+    runs on, whose period, preview, actuator and delay it believes unless told otherwise; tuning: `informed_tuning` by
+    default; steering: lag (s), and rate (rad/s) and angle limit (rad), which limit the moves and the command; dead_time:
+    from an instant until its command begins to act (s), the computer's time included; options: of `MPC`.
+
+    Raises
+    ------
+    InvalidInput
+        For arguments that make no controller.
+    """
+    world = load_profile(profile)
+    pace = world.period if period is None else period
+    actuator = world.steering if steering is None else steering
+    delay = world.delay * pace if dead_time is None else dead_time
+    if not isinstance(actuator, SteeringActuator):
+        raise InvalidInput(f"steering = {steering!r}: must be a SteeringActuator(lag=..., rate=..., limit=...).")
+    usual = Limits()
+    fastest = actuator.rate * pace
+    if math.isfinite(fastest) and "limits" not in options:
+        options["limits"] = Limits(move=(-fastest, fastest), angle=usual.angle)
+    options.setdefault("preview", world.preview)
+    return MPC(
+        vehicle,
+        informed_tuning(world, pace) if tuning is None else tuning,
+        period=pace,
+        model=PathModel(vehicle, pace, actuator.lag, delay),
+        estimator=KalmanFilter.of_profile(world, drifts),
+        **options,
+    )
