@@ -1,0 +1,278 @@
+"""The controller that knows its car: path model, Kalman filter, dead time, and the MPC on top of them."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from scipy.linalg import expm
+
+from adaptrack.batch import rollout_batch
+from adaptrack.controllers import MPC, Tuning
+from adaptrack.controllers.informed import informed_mpc, informed_tuning
+from adaptrack.errors import InvalidInput
+from adaptrack.estimation import Deadbeat, check_estimator, get_estimator
+from adaptrack.kalman import Drifts, KalmanFilter, ReadableFilter, SensorNoise
+from adaptrack.models import MEASURED, PathModel, check_model, get_model
+from adaptrack.plant import DualTrack
+from adaptrack.profile import load_profile
+from adaptrack.scenario import load_scenario, random_drive
+from adaptrack.simulate import simulate
+from adaptrack.vehicle import SteeringActuator, load_vehicle
+
+CAR = load_vehicle("paper")
+PERIOD = 0.05
+every_lag = pytest.mark.parametrize("lag", [0.0, 0.15])
+every_dead_time = pytest.mark.parametrize("dead_time", [0.0, 0.05, 0.08, 0.12])
+
+
+def run_kernel(estimator, model, speeds, samples, commands):
+    """(x, d) of every instant, by the compiled function."""
+    a, b, _ = model.discrete(15.0)
+    a, b = np.ascontiguousarray(a), b[:, 0].copy()
+    numbers, memory = estimator.parameters(model), np.zeros(estimator.memory_size(model))
+    x, d, found = np.zeros(model.n), np.zeros(model.n), []
+    for speed, measured, command in zip(speeds, samples, commands, strict=True):
+        estimator.function(float(speed), measured, float(command), a, b, numbers, memory, x, d)
+        found.append(np.concatenate([x, d]))
+    return np.array(found)
+
+
+# -- the model --------------------------------------------------------------------------------------------------------
+@every_lag
+@pytest.mark.parametrize("speed", [0.05, 1.0, 3.0, 12.0, 40.0])
+def test_the_path_model_is_the_exact_zero_order_hold_of_its_equations(lag, speed):
+    model = PathModel(CAR, PERIOD, lag)
+    a_c, inputs = model.continuous(speed)
+    n = model.n
+    block = np.zeros((n + 4, n + 4))
+    block[:n, :n], block[:n, n:] = a_c, inputs
+    exact = expm(block * PERIOD)
+    a, b, e = np.empty((n, n)), np.empty(n), np.empty(n)
+    model.function(speed, PERIOD, model.parameters(), a, b, e)
+    np.testing.assert_allclose(a, exact[:n, :n], rtol=0, atol=1e-13)
+    np.testing.assert_allclose(b, exact[:n, n], rtol=0, atol=1e-13)
+    np.testing.assert_allclose(e, exact[:n, n + 3], rtol=0, atol=1e-13)
+
+
+@every_lag
+def test_the_path_model_keeps_the_contract_of_models(lag):
+    check_model(PathModel(CAR, PERIOD, lag))
+    assert get_model("path", CAR, PERIOD) == PathModel(CAR, PERIOD)
+
+
+def test_without_lag_the_path_model_is_the_papers_model():
+    a, b, _ = PathModel(CAR, 0.1).discrete(17.0)
+    a_paper, b_paper, _ = get_model("single-track", CAR, 0.1).discrete(17.0)
+    np.testing.assert_allclose(a, a_paper, rtol=0, atol=1e-13)
+    np.testing.assert_allclose(b, b_paper, rtol=0, atol=1e-13)
+
+
+def test_towards_standstill_the_path_model_is_a_kinematic_bicycle():
+    a, b, _ = PathModel(CAR, 0.1).discrete(0.1)
+    x, angle = np.zeros(4), 0.2
+    for _ in range(5):
+        x = a @ x + b[:, 0] * angle
+    assert x[2] == pytest.approx(0.1 * angle / (CAR.lf + CAR.lr), rel=1e-3)
+    assert x[0] == pytest.approx(CAR.lr * x[2], rel=1e-2)
+
+
+@pytest.mark.parametrize("numbers", [{"lag": -0.1}, {"dead_time": math.inf}, {"lag": math.nan}, {"period": 0.0}])
+def test_an_impossible_lag_dead_time_or_period_is_refused_by_name(numbers):
+    with pytest.raises(InvalidInput, match=next(iter(numbers))):
+        PathModel(CAR, **{"period": PERIOD, **numbers})
+
+
+# -- the filter -------------------------------------------------------------------------------------------------------
+@every_lag
+@every_dead_time
+def test_the_compiled_filter_is_the_readable_one(lag, dead_time, rng):
+    model, estimator = PathModel(CAR, PERIOD, lag, dead_time), KalmanFilter(SensorNoise(wheel_angle=0.002))
+    count = 150
+    speeds = 15.0 + 3.0 * np.sin(0.1 * np.arange(count))
+    samples = rng.normal(size=(count, 5)) * [0.1, 0.01, 0.02, 0.1, 0.01]
+    samples[rng.random(samples.shape) < 0.2] = np.nan
+    commands = 0.02 * np.sin(0.3 * np.arange(count))
+    readable = ReadableFilter(estimator, model)
+    expected = [np.concatenate(readable.step(*each)) for each in zip(speeds, samples, commands, strict=True)]
+    np.testing.assert_allclose(run_kernel(estimator, model, speeds, samples, commands), expected, rtol=0, atol=1e-10)
+
+
+@every_lag
+@every_dead_time
+def test_the_filter_knows_where_the_car_will_be_when_its_next_command_begins_to_act(lag, dead_time):
+    """A car that obeys the model, measured exactly, with its commands in a queue as long as the dead time."""
+    model = PathModel(CAR, PERIOD, lag, dead_time)
+    readable = ReadableFilter(KalmanFilter(), model)
+    fine = 0.01
+    steps, late = round(PERIOD / fine), round(dead_time / fine)
+    f, b = readable.matrices(15.0, fine)
+    given = 0.03 * np.sin(0.25 * np.arange(80))
+    acting = np.concatenate([np.zeros(late), np.repeat(given, steps)])
+    states = [np.zeros(model.n)]
+    for command in acting:
+        states.append(f[: model.n, : model.n] @ states[-1] + b[: model.n] * command)
+    samples = np.full((80, 5), np.nan)
+    for k in range(80):
+        for i, name in enumerate(model.states):
+            samples[k, MEASURED.index(name)] = states[steps * k][i]
+    before = np.concatenate([[0.0], given[:-1]])
+    found = run_kernel(KalmanFilter(SensorNoise(wheel_angle=0.001)), model, np.full(80, 15.0), samples, before)
+    expected = np.array([states[steps * k + late] for k in range(80)])
+    np.testing.assert_allclose(found[:, : model.n], expected, rtol=0, atol=1e-9)
+
+
+@every_lag
+def test_on_its_own_model_innovations_and_errors_of_the_filter_are_as_large_as_it_says(lag, rng):
+    """NIS and NEES (Bar-Shalom, Li and Kirubarajan 2001, section 5.4) average inside their 95 % bounds."""
+    model, drifts = PathModel(CAR, PERIOD, lag), Drifts(yaw=0.01, y=0.05)
+    nis, nees = [], []
+    for _ in range(40):
+        own = KalmanFilter(drifts=drifts, bound=math.inf)
+        readable = ReadableFilter(own, model)
+        f, b = readable.matrices(18.0, PERIOD)
+        n, z = model.n, np.zeros(model.n + 2)
+        z[n:] = rng.normal(size=2) * own.spread
+        noise = np.sqrt(own.variances())
+        command = 0.0
+        for k in range(60):
+            measured = np.full(5, np.nan)
+            for i, name in enumerate(model.states):
+                place = MEASURED.index(name)
+                measured[place] = z[i] + (rng.normal() * noise[place] if math.isfinite(noise[place]) else math.nan)
+            if k == 0:
+                readable.step(18.0, measured, 0.0)
+            else:
+                readable.sent = [command, *readable.sent[:-1]]
+                readable.predict(18.0)
+                for i, value, variance in readable.sensors(measured):
+                    if k >= 20:
+                        nis.append((value - readable.z[i]) ** 2 / (readable.P[i, i] + variance))
+                    readable.correct(i, value, variance)
+                if k >= 20:
+                    error = readable.z - z
+                    nees.append(error @ np.linalg.solve(readable.P, error) / len(z))
+            command = 0.02 * math.sin(0.3 * k)
+            z = f @ z + b * command + rng.normal(size=len(z)) * readable.drift * math.sqrt(PERIOD)
+    assert abs(np.mean(nis) - 1.0) < 1.96 * math.sqrt(2.0 / len(nis))
+    # errors of neighbouring instants go together: the bound is that of one instant in ten
+    assert abs(np.mean(nees) - 1.0) < 1.96 * math.sqrt(2.0 / (model.n + 2) / (len(nees) / 10))
+
+
+def test_an_outlier_moves_the_estimate_by_no_more_than_its_bound(rng):
+    model = PathModel(CAR, PERIOD, 0.15)
+    samples = np.tile([0.0, 0.0, 0.0, 0.0, np.nan], (41, 1))
+    wild = samples.copy()
+    wild[-1, 3] = 50.0
+    at = (np.full(41, 15.0), np.zeros(41))
+    calm = run_kernel(KalmanFilter(), model, at[0], samples, at[1])[-1]
+    thrown = run_kernel(KalmanFilter(), model, at[0], wild, at[1])[-1]
+    assert 0.0 < abs(thrown[4] - calm[4]) < 5.0 * KalmanFilter().noise.y
+
+
+def test_without_samples_the_filter_goes_on_by_the_model():
+    model = PathModel(CAR, PERIOD, 0.15, 0.05)
+    samples = np.full((60, 5), np.nan)
+    samples[:20] = [0.0, 0.0, 0.0, 0.0, np.nan]
+    commands = np.where(np.arange(60) >= 20, 0.01, 0.0)
+    found = run_kernel(KalmanFilter(), model, np.full(60, 15.0), samples, commands)
+    a, b, _ = model.discrete(15.0)
+    x = found[19, :5]
+    for k in range(20, 60):
+        x = a @ x + b[:, 0] * commands[k]
+        np.testing.assert_allclose(found[k, :5], x, rtol=0, atol=1e-9)
+
+
+def test_the_filter_keeps_the_contract_of_estimators():
+    check_estimator(KalmanFilter(SensorNoise(wheel_angle=0.001)), PathModel(CAR, PERIOD, 0.15))
+    check_estimator(KalmanFilter(), PathModel(CAR, PERIOD))
+    assert get_estimator("kalman") == KalmanFilter()
+
+
+def test_filters_and_models_that_do_not_fit_each_other_are_refused():
+    with pytest.raises(InvalidInput, match="path model"):
+        MPC(CAR, estimator="kalman")
+    with pytest.raises(InvalidInput, match="dead time"):
+        Deadbeat().check_fits(PathModel(CAR, PERIOD, dead_time=0.05))
+    with pytest.raises(InvalidInput, match="wheel_angle"):
+        MPC(CAR, period=PERIOD, model=PathModel(CAR, PERIOD, 0.1))
+
+
+@pytest.mark.parametrize(
+    "make",
+    [
+        lambda: SensorNoise(vy=-1.0),
+        lambda: SensorNoise(y=math.inf),
+        lambda: SensorNoise(yaw=math.nan),
+        lambda: Drifts(side=-0.1),
+        lambda: Drifts(turn=math.inf),
+        lambda: KalmanFilter(bound=0.0),
+        lambda: KalmanFilter(spread=(0.1, math.nan)),
+    ],
+)
+def test_impossible_numbers_of_a_filter_are_refused(make):
+    with pytest.raises(InvalidInput):
+        make()
+
+
+# -- the controller ---------------------------------------------------------------------------------------------------
+@every_dead_time
+def test_the_qp_predicts_what_the_model_does_from_the_estimate(dead_time, rng):
+    """K of eq. (17) for the free response by recursion, its reference from behind the dead time."""
+    model, estimator = PathModel(CAR, PERIOD, 0.15, dead_time), KalmanFilter()
+    mpc = MPC(CAR, Tuning(12, 4, 2.0, 3.0), period=PERIOD, preview=True, model=model, estimator=estimator)
+    readable, reference = ReadableFilter(estimator, model), rng.normal(size=40)
+    for _ in range(6):
+        state, speed = rng.normal(size=4) * [0.1, 0.01, 0.02, 0.1], rng.uniform(8.0, 20.0)
+        command = mpc.angle
+        qp = mpc.problem(state, speed, reference)
+        mpc.step(state, speed, reference)
+        x, d = readable.step(speed, [*state, np.nan], command)
+        a, b, c = model.discrete(speed)
+        error, ahead = np.empty(12), x
+        for j in range(12):
+            ahead = a @ ahead + b[:, 0] * command + d
+            wanted = np.interp(j + 1 + dead_time / PERIOD, np.arange(40), reference)
+            error[j] = wanted - (c @ ahead).item()
+        _, phi = model.prediction(speed, 12, 4)
+        np.testing.assert_allclose(qp.K, -2.0 * 2.0 * phi.T @ error, rtol=1e-9, atol=1e-9)
+
+
+def test_the_tuning_weighs_the_same_steering_rate_at_any_period():
+    here, there = informed_tuning("road"), informed_tuning("road", 0.025)
+    assert here.R * 0.05**2 == pytest.approx(there.R * 0.025**2, rel=1e-5)
+    assert there.Np == 2 * here.Np
+
+
+def test_a_constant_side_wind_leaves_no_offset():
+    calm = load_profile("road").replace(noise_vy=0.0, noise_yaw=0.0, noise_yaw_rate=0.0, noise_y=0.0)
+    run = simulate(
+        DualTrack(CAR, "magic-formula"), informed_mpc(CAR, calm), load_scenario("step", amplitude=0.0, wind=15.0),
+        profile=calm,
+    )  # fmt: skip
+    error = run.error
+    assert abs(error).max() > 0.01
+    assert abs(error[-40:].mean()) < 1e-3
+
+
+def test_one_constant_drives_either_car_in_noise_lag_and_delay_without_a_failure():
+    drives = [random_drive(4_000_000 + number) for number in range(16)]
+    for name, most in (("paper", 0.0012), ("midsize-sedan", 0.0008)):
+        car = load_vehicle(name)
+        plant, mpc = DualTrack(car, "magic-formula") if name == "paper" else DualTrack(car), informed_mpc(car, "road")
+        runs = rollout_batch(
+            plant, mpc, drives, np.tile(mpc.tuning.as_array(), (16, 1)), which=np.arange(16), profile="road",
+            seeds=np.arange(16),
+        )  # fmt: skip
+        cost = runs.mse + load_profile("road").move_weight * runs.mean_squared_move
+        assert all(failed is None for failed in runs.failed)
+        assert np.exp(np.log(cost).mean()) < most
+
+
+def test_a_controller_told_of_another_steering_believes_it():
+    mpc = informed_mpc(CAR, "road", steering=SteeringActuator(lag=0.3, rate=0.4), dead_time=0.12)
+    assert (mpc.model.lag, mpc.model.dead_time) == (0.3, 0.12)
+    assert mpc.limits.move == pytest.approx((-0.02, 0.02))
+    with pytest.raises(InvalidInput, match="SteeringActuator"):
+        informed_mpc(CAR, "road", steering=0.3)
