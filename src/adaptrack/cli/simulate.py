@@ -85,8 +85,7 @@ def simulate(
 ) -> None:
     """Drive scenarios with a controller; print the metrics, write the report.
 
-    A run fails when the vehicle leaves the road, spins or reaches a state that is not finite. It is printed as FAILED
-    with its time and reason, and the exit code is 3; with --allow-failed it is 0.
+    A run that leaves the road, spins or is not finite is printed as FAILED; the exit code is then 3.
     """
     from adaptrack.controllers import Moves, Tuning
     from adaptrack.profile import load_profile
