@@ -1,6 +1,7 @@
 """The command line: what it prints, where, and how it fails."""
 
 import json
+import re
 import subprocess
 import sys
 import tomllib
@@ -8,11 +9,12 @@ import tomllib
 import pytest
 
 from adaptrack import cli
+from adaptrack.failure import Reason
 from small_data import small
 
 ROW_KEYS = {
     "scenario", "controller", "plant", "tyre", "profile", "preview", "seed", "mse", "max_abs_error",
-    "qp_capped", "qp_failed", "step_us_p50", "step_us_p99", "vehicle", "failed", "failed_at",
+    "qp_capped", "qp_failed", "step_us_p50", "step_us_p99", "vehicle", "failed", "failed_at", "failed_because",
 }  # fmt: skip
 pytestmark = pytest.mark.compiled
 
@@ -115,26 +117,53 @@ def test_a_run_that_failed_is_loud_and_says_when_and_why(monkeypatch, capsys):
     code, out, err = run(monkeypatch, capsys, *FAILING, "--json")
     (row,) = json.loads(out)["rows"]
     assert code == 3
-    assert row["failed"]
+    assert row["failed"] in list(Reason)
     assert 0.0 <= row["failed_at"] <= 8.0
-    sentence = f"FAILED step, standard: at {row['failed_at']:.2f} s the vehicle {row['failed']}."
+    sentence = f"FAILED step, standard: at {row['failed_at']:.2f} s the vehicle {row['failed_because']}."
     assert sentence in err
     code, out, _ = run(monkeypatch, capsys, *FAILING)
     assert code == 3
     assert sentence in out
+    assert "\x1b" not in out
+
+
+def test_one_failed_run_of_several_gives_exit_code_3_and_rows_for_all(monkeypatch, capsys):
+    code, out, err = run(monkeypatch, capsys, *FAILING, "--controller", "standard", "--controller", "lqr", "--json")
+    rows = json.loads(out)["rows"]
+    assert code == 3
+    assert [row["controller"] for row in rows] == ["standard", "lqr"]
+    assert all(row.keys() >= ROW_KEYS for row in rows)
+    assert err.count("FAILED ") == sum(row["failed"] is not None for row in rows)
 
 
 def test_a_failed_run_may_be_allowed(monkeypatch, capsys):
-    code, out, _ = run(monkeypatch, capsys, *FAILING, "--json", "--allow-failed")
+    code, out, err = run(monkeypatch, capsys, *FAILING, "--json", "--allow-failed")
     assert code == 0
     assert json.loads(out)["rows"][0]["failed"]
+    assert "FAILED" in err
+
+
+OFF_ROAD = ["simulate", "general-trajectory", "--profile", "road", "-o", "duration=15"]
+
+
+def test_a_run_off_the_road_gives_exit_code_3_and_a_page_whose_heading_says_so(monkeypatch, capsys, tmp_path):
+    monkeypatch.setattr("adaptrack.report.style.PNG_DPI", 20)
+    code, out, _ = run(monkeypatch, capsys, *OFF_ROAD, "--out", tmp_path, "--json")
+    (row,) = json.loads(out)["rows"]
+    assert (code, row["failed"]) == (3, "off-road")
+    heading = f"Failed at {row['failed_at']:.1f} s: the vehicle left the road"
+    page = (tmp_path / "index.html").read_text()
+    assert re.search(rf"<title>{heading}[^<]* · General trajectory, standard</title>", page)
+    assert re.search(rf"<h1><strong class=\"failed\">{heading}[^<]*</strong> <span>General trajectory, standard<", page)
+    assert (tmp_path / "general-trajectory-standard.parquet").exists()
+    assert run(monkeypatch, capsys, *OFF_ROAD, "--allow-failed")[0] == 0
 
 
 def test_a_run_that_was_driven_to_its_end_has_no_failure(monkeypatch, capsys):
     code, out, _ = run(monkeypatch, capsys, "simulate", "sine", "-o", "duration=1.0", "--json")
     (row,) = json.loads(out)["rows"]
     assert code == 0
-    assert (row["failed"], row["failed_at"]) == (None, None)
+    assert (row["failed"], row["failed_at"], row["failed_because"]) == (None, None, None)
     assert not row.keys() & {"lost", "lost_at", "lost_because"}
 
 
@@ -192,8 +221,11 @@ def test_reproduce_writes_the_page_and_prints_its_rows(monkeypatch, capsys, tmp_
     assert code == 0, err
     assert len(told["rows"]) == 48
     keys = {"configuration", "scenario", "controller", "preview", "mse", "paper_mse", "ratio", "max_abs_error",
-            "steering_activity", "failed", "clipped_share"}  # fmt: skip
+            "steering_activity", "failed", "failed_at", "failed_reason", "clipped_share", "plant", "vehicle", "profile",
+            "seed"}  # fmt: skip
     assert all(row.keys() >= keys for row in told["rows"])
+    assert all((row["failed_at"] is not None, row["failed_reason"] != "") == (row["failed"],) * 2
+               for row in told["rows"])  # fmt: skip
     assert told["quick"]
     assert (tmp_path / "index.html").exists()
     assert "index.html" in err

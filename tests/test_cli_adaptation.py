@@ -146,6 +146,13 @@ def test_help_names_the_options_and_loads_no_numerics(run_python, command):
     assert all(option in text for option in ["Usage: adaptrack", "--json", *options])
 
 
+@pytest.mark.parametrize("command", ["adapt", "evaluate", "reproduce"])
+def test_help_says_that_failed_runs_are_counted_and_the_exit_code_is_0(monkeypatch, capsys, command):
+    code, out, _ = run(monkeypatch, capsys, command, "--help")
+    assert code == 0
+    assert all(words in " ".join(out.split()) for words in ("Failed runs", "they are counted", "the exit code is 0"))
+
+
 # -- what is right is done --------------------------------------------------------------------------------------------
 def test_the_list_of_schedulers_names_every_one_that_ships(monkeypatch, capsys):
     code, out, _ = run(monkeypatch, capsys, "schedulers", "--json")

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+import math
 import os
 import signal
 import subprocess
@@ -107,6 +109,24 @@ def test_a_campaign_that_was_stopped_says_how_many_chunks_it_keeps(monkeypatch, 
     code, _, err = run(monkeypatch, capsys, "tune", "--config", "paper-grid", "--out", tmp_path)
     assert code == 130
     assert err.splitlines()[-1] == "adaptrack: interrupted. 3 of 6 chunks are kept in out; go on with --resume."
+
+
+def test_tune_counts_the_operating_points_that_fail_with_every_tuning(monkeypatch, capsys, tmp_path):
+    from adaptrack import dataset
+    from adaptrack.tuning import campaign
+    from small_data import small
+
+    data = small()
+    costs, landscape = data.costs.copy(), data.landscape.copy()
+    costs[:3], landscape[:2] = math.inf, math.inf  # at the third a tuning of the library does not fail
+    monkeypatch.setattr(campaign, "run_campaign", lambda *given, **more: tmp_path / "dataset.parquet")
+    monkeypatch.setattr(dataset, "load_dataset", lambda file: small(costs=costs, landscape=landscape))
+    arguments = ("tune", "--config", "paper-grid", "--out", tmp_path)
+    code, out, _ = run(monkeypatch, capsys, *arguments)
+    assert code == 0
+    assert f"At 2 of the {len(data)} operating points the run failed with every tuning." in out
+    code, out, _ = run(monkeypatch, capsys, *arguments, "--json")
+    assert (code, json.loads(out)["failures"]) == (0, 2)
 
 
 def test_ctrl_c_between_runs_tells_which_trajectories_are_there(monkeypatch, capsys, tmp_path):

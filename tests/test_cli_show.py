@@ -20,7 +20,7 @@ NAMES = {
     "driving": "straight", "slot": "log10_ratio", "interval": "1.02-1.05", "moves": "laguerre 0.95", "result": "failed",
     "Np": 38.0, "Nc": 10.0,
 }  # fmt: skip
-FLAGS = {"guard", "preview", "lost"}
+FLAGS = {"guard", "preview"}
 
 
 def typical(columns):
@@ -52,6 +52,25 @@ def test_names_are_data_in_every_table(capsys, name):
     assert out.count(show.printable(name)) == 4
     assert "\x1b" not in out
     assert "\0" not in out
+
+
+@pytest.mark.parametrize(
+    ("environment", "red"),
+    [
+        ({"FORCE_COLOR": "1", "TERM": "xterm-256color"}, True),
+        ({"FORCE_COLOR": "1", "TERM": "xterm-256color", "NO_COLOR": "1"}, False),
+        ({"FORCE_COLOR": "1", "TERM": "dumb"}, False),
+        ({"TERM": "xterm-256color"}, False),  # no terminal
+    ],
+)
+def test_failed_is_red_only_where_colour_is_on(monkeypatch, capsys, environment, red):
+    for name in ("FORCE_COLOR", "NO_COLOR", "TTY_COMPATIBLE", "COLORTERM"):
+        monkeypatch.delenv(name, raising=False)
+    for name, value in environment.items():
+        monkeypatch.setenv(name, value)
+    show.say_failed("step, standard: at 1.20 s the vehicle spun.")
+    word = "\x1b[1;31mFAILED\x1b[0m" if red else "FAILED"
+    assert capsys.readouterr().out == f"{word} step, standard: at 1.20 s the vehicle spun.\n"
 
 
 def test_numbers_and_nothing_are_written_short():

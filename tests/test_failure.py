@@ -16,7 +16,7 @@ def test_a_run_has_failed_beyond_the_limit_not_on_it():
     left = np.array([0.0, 1.0, 4.0, 5.1, 6.0, 0.0, 0.0, 0.0])
     failed = find_failure(record(Y=left))
     assert (failed.step, failed.time) == (3, pytest.approx(0.3))
-    assert failed.clause == "left the reference by more than 5 m"
+    assert failed.clause == "left the road (more than 5 m from the reference)"
     assert find_failure(record(Y=left), Failure(distance=7.0)) is None
 
 

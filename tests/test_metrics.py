@@ -121,6 +121,7 @@ def test_a_state_that_is_not_finite_is_a_failed_run_of_infinite_cost(name, value
     assert metrics.failed
     assert metrics.failed_at == pytest.approx(0.5)
     assert "not finite" in metrics.failed_because
+    assert metrics.failed_reason == "not-finite"
     assert metrics.mse == metrics.rms_error == metrics.max_abs_error == metrics.cost == INF
 
 

@@ -585,6 +585,9 @@ def test_an_empty_reference_is_refused():
     ids=["pulse", "laguerre", "soft", "hildreth"],
 )
 def test_what_a_workspace_held_before_changes_no_bit(options, rng):
+    from adaptrack.kernels.abi import Resident
+    from adaptrack.kernels.controllers.mpc_step import step
+
     mpc = MPC(CAR, **options)
     settings = mpc.settings()
     used = mpc.batch(1, settings)
@@ -600,7 +603,8 @@ def test_what_a_workspace_held_before_changes_no_bit(options, rng):
             state, ahead = wild_state(rng, 0.6), rng.normal(size=1)
             for one in (fresh, used):
                 one.measured[:4] = state
-                kernel.step(0, speed, ahead, tuning, one)
+                held = Resident(one)
+                step(speed, ahead, tuning, held.address, mpc.functions)
             assert np.array_equal(fresh.answer, used.answer, equal_nan=True)
 
 

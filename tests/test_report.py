@@ -205,9 +205,30 @@ def test_the_papers_numbers_stand_beside_ours(report):
 def test_a_lost_run_is_said_to_be_lost_and_never_best(report):
     _, text, _ = report
     shown = Outline(text).text
-    assert re.search(r"Failed: ANFIS-MPC, at 10\.\d s; the vehicle left the reference by more than 5 m\.", shown)
+    why = r"the vehicle left the road \(more than 5 m from the reference\)\."
+    assert re.search(rf"Failed: ANFIS-MPC, at 10\.\d s; {why}", shown)
     assert "Best tracking: NN-MPC" in shown
     assert "∞" in shown
+
+
+def test_the_heading_says_first_that_runs_failed(report, tmp_path, monkeypatch):
+    monkeypatch.setattr("adaptrack.report.style.PNG_DPI", 20)
+    _, text, _ = report
+    assert "<title>1 of 5 runs failed · Both tests</title>" in text
+    shown = Outline(text).text
+    assert shown.index("1 of 5 runs failed") < shown.index("adaptrack ")
+    assert "Failed: Triple lane change, ANFIS-MPC, at 10." in shown[: shown.index("At a glance")]
+
+    words = [part.strip() for part in Outline(write_report(tmp_path / "one", [lost(drive())]).read_text()).words]
+    title, heading, subject, *_ = filter(None, words)
+    assert re.fullmatch(r"Failed at 1\d\.\d s: the vehicle left the road \(more than 5 m from the reference\)", heading)
+    assert (title, subject) == (f"{heading} · Triple lane change, Standard MPC", "Triple lane change, Standard MPC")
+
+
+def test_a_page_without_a_failed_run_does_not_speak_of_one_in_its_heading(tmp_path, monkeypatch):
+    monkeypatch.setattr("adaptrack.report.style.PNG_DPI", 20)
+    text = write_report(tmp_path, [drive()]).read_text()
+    assert "<h1>Closed-loop runs</h1>" in text
 
 
 def test_the_provenance_is_complete(report):

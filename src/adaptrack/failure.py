@@ -90,11 +90,12 @@ def find_failure(trajectory: Trajectory, rule: Failure | None = None) -> Failed 
         outside = ~inside & (np.arange(inside.size) >= np.argmax(inside))  # argmax is 0 when it never arrives
         sideslip = np.abs(np.arctan2(trajectory.vy, trajectory.vx))
         spinning = (np.hypot(trajectory.vx, trajectory.vy) >= SLOW) & (sideslip > rule.sideslip)
-    away = "left the reference by more than" if inside.any() else "never came within"
+    left = f"left the road (more than {rule.distance:g} m from the reference)"
+    never = f"never came within {rule.distance:g} m of the reference"
     clauses = {
         Reason.NOT_FINITE: "reached a state that is not finite",
         Reason.SPUN: f"spun (sideslip beyond {math.degrees(rule.sideslip):.0f}°)",
-        Reason.OFF_ROAD: f"{away} {rule.distance:g} m" + ("" if inside.any() else " of the reference"),
+        Reason.OFF_ROAD: left if inside.any() else never,
     }
     ended = np.zeros(len(trajectory), bool)
     if trajectory.failed is not None:  # at the end of a period, when the next instant was not recorded any more

@@ -38,6 +38,8 @@ class Metrics:
     """Whether the run failed, as `find_failure` defines it."""
     failed_at: float
     """s, when; NaN for a run that did not."""
+    failed_reason: str
+    """A `failure.Reason`, or what the loop that drove it said; empty for a run that did not."""
     failed_because: str
     """Why, to complete "the vehicle ..."; empty for a run that did not."""
 
@@ -152,6 +154,7 @@ def compute_metrics(
         driven=int(np.count_nonzero(driven)),
         failed=failed is not None,
         failed_at=failed.time if failed else math.nan,
+        failed_reason=str(failed.reason) if failed else "",
         failed_because=failed.clause if failed else "",
         mse=mse,
         rms_error=math.sqrt(mse),

@@ -16,7 +16,10 @@ def adapt(
     workers: options.Workers = None,
     as_json: options.Json = False,
 ) -> None:
-    """The whole chain: tune, learn schedulers, guard them, evaluate them on roads nobody trained on."""
+    """The whole chain: tune, learn schedulers, guard them, evaluate them on roads nobody trained on.
+
+    Failed runs are part of the result: they are counted for each contender, and the exit code is 0.
+    """
     from adaptrack.adaptation.config import load_adaptation
     from adaptrack.studies.adapt import adapt as run
 

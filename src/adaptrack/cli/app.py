@@ -12,6 +12,7 @@ from adaptrack.cli import adapt, bench, certify, dataset, evaluate, lists, repro
 app = typer.Typer(
     name="adaptrack",
     help="Auto-tuned, auto-adaptive model predictive control for path tracking.",
+    epilog="Exit codes: 0 done; 1 an unstable certificate; 2 an error; 3 a run of `simulate` failed; 130 Ctrl-C.",
     no_args_is_help=True,
     add_completion=False,
     pretty_exceptions_enable=False,

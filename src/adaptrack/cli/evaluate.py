@@ -51,7 +51,10 @@ def evaluate(
     out: options.Page = None,
     as_json: options.Json = False,
 ) -> None:  # fmt: skip
-    """Compare schedulers with the best constant and the optimum of each operating point, where none was trained."""
+    """Compare schedulers with the best constant and the optimum of each operating point, where none was trained.
+
+    Failed runs are part of the result: they are counted for each contender, and the exit code is 0.
+    """
     from adaptrack.adaptation.config import load_adaptation
     from adaptrack.adaptation.splits import SetUp
     from adaptrack.comparison.contenders import check_contender

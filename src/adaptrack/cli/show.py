@@ -10,9 +10,10 @@ import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 if TYPE_CHECKING:
+    from rich.console import Console
     from rich.text import Text
 
 Rows = Sequence[Mapping[str, Any]]
@@ -41,12 +42,11 @@ def say(text: str, aside: bool = False) -> None:
 
 
 def say_failed(text: str, aside: bool = False) -> None:
-    """A line that begins with a red word."""
-    from rich.console import Console
+    """A line that begins with the word FAILED: red on a terminal with colours, plain anywhere else."""
     from rich.text import Text
 
     line = Text.assemble(("FAILED", "bold red"), " ", printable(text))
-    Console(file=sys.stderr if aside else sys.stdout, width=_width(aside), highlight=False).print(line, soft_wrap=True)
+    _console(aside).print(line, soft_wrap=True)
 
 
 def say_json(values: Any) -> None:
@@ -87,7 +87,6 @@ def percent(value: Any) -> str:
 def table(title: str, columns: Sequence[Column], rows: Rows) -> None:
     """A table with a line of titles and units; numbers stand to the right."""
     from rich import box
-    from rich.console import Console
     from rich.table import Table
     from rich.text import Text
 
@@ -102,7 +101,7 @@ def table(title: str, columns: Sequence[Column], rows: Rows) -> None:
         made.add_column(_heading(column), overflow="fold", justify="right" if numbers else "left", min_width=least)
     for row in rows:
         made.add_row(*(Text((column.show or written)(row[column.key])) for column in columns))
-    console = Console(file=sys.stdout, width=_width())
+    console = _console()
     console.print(made)
     console.print()
 
@@ -111,6 +110,15 @@ def _heading(column: Column) -> Text:
     from rich.text import Text
 
     return Text(f"{column.title}\n({column.unit})" if column.unit else column.title)
+
+
+def _console(aside: bool = False) -> Console:
+    """Where rich text goes; with NO_COLOR set it writes no escape codes at all, where rich alone keeps bold."""
+    from rich.console import Console
+
+    colours: Literal["auto"] | None = None if os.environ.get("NO_COLOR") else "auto"
+    stream = sys.stderr if aside else sys.stdout
+    return Console(file=stream, width=_width(aside), color_system=colours, highlight=False)
 
 
 def _width(aside: bool = False) -> int | None:

@@ -83,7 +83,10 @@ def simulate(
     ] = False,
     as_json: options.Json = False,
 ) -> None:
-    """Drive scenarios with a controller; print the metrics, write the report. Exit code 3 when a run failed."""
+    """Drive scenarios with a controller; print the metrics, write the report.
+
+    A run that leaves the road, spins or is not finite is printed as FAILED; the exit code is then 3.
+    """
     from adaptrack.controllers import Moves, Tuning
     from adaptrack.profile import load_profile
     from adaptrack.scenario import load_scenario
@@ -214,11 +217,12 @@ def _write_report(out: Path, runs: Sequence[tuple[str, Trajectory]]) -> Path:
 
 
 def _row(controller: str, run: Trajectory) -> dict[str, Any]:
-    """What --json says about a run: what was driven, `failed` (why, or null), `failed_at` (s), the metrics."""
+    """What --json says about a run: what was driven, `failed` (the reason, or null), `failed_at` (s), the metrics."""
     from adaptrack.metrics import compute_metrics
 
     meta, measures = run.meta, compute_metrics(run).as_row()
-    why, when, failed = measures.pop("failed_because"), measures.pop("failed_at"), measures.pop("failed")
+    del measures["failed"]
+    reason, clause = measures.pop("failed_reason"), measures.pop("failed_because")
     return {
         "scenario": run.name_of("scenario"),
         "controller": controller,
@@ -234,8 +238,9 @@ def _row(controller: str, run: Trajectory) -> dict[str, Any]:
         "moves": meta["control"].get("moves"),
         "scheduler": meta["control"].get("scheduler"),
         "solver": meta["control"].get("solver"),
-        "failed": why if failed else None,
-        "failed_at": when,
+        "failed": reason or None,
+        "failed_at": measures.pop("failed_at"),
+        "failed_because": clause or None,
         **measures,
     }
 
@@ -249,6 +254,6 @@ def _print(rows: Sequence[dict[str, Any]], as_json: bool) -> None:
     for row in rows:
         run, open_qps = f"{row['scenario']}, {row['controller']}", row["qp_capped"] + row["qp_failed"]
         if row["failed"]:
-            show.say_failed(f"{run}: at {row['failed_at']:.2f} s the vehicle {row['failed']}.", aside=as_json)
+            show.say_failed(f"{run}: at {row['failed_at']:.2f} s the vehicle {row['failed_because']}.", aside=as_json)
         if open_qps and not as_json:
             show.say(f"Warning, {run}: {open_qps:,} of {row['driven']:,} QPs not solved.")

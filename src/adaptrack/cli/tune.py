@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import time
 from pathlib import Path
@@ -29,7 +30,11 @@ def tune(
     ] = None,
     as_json: options.Json = False,
 ) -> None:
-    """Tune the MPC on every operating point of a campaign: a swarm each, and the cost of a common library."""
+    """Tune the MPC on every operating point of a campaign: a swarm each, and the cost of a common library.
+
+    Operating points at which the run fails with every tuning are counted; the exit code is 0.
+    """
+    from adaptrack.dataset import load_dataset
     from adaptrack.tuning.campaign import CampaignInterrupted, run_campaign
     from adaptrack.tuning.config import load_campaign
 
@@ -50,10 +55,13 @@ def tune(
         interrupt.kept(str(stop).removeprefix("interrupted. "))
         raise
     seconds = time.perf_counter() - begun
+    costs = load_dataset(file).best_costs
+    failures = int((costs == math.inf).sum())
     if as_json:
-        show.say_json({"dataset": str(file), "seconds": seconds, "runs": runs})
-    else:
-        show.say(f"Data set: {file} ({seconds:,.0f} s)")
+        show.say_json({"dataset": str(file), "seconds": seconds, "runs": runs, "failures": failures})
+        return
+    show.say(f"Data set: {file} ({seconds:,.0f} s)")
+    show.say(f"At {failures or 'none'} of the {len(costs):,} operating points the run failed with every tuning.")
 
 
 def _estimate(campaign: CampaignConfig, threads: int | None) -> str:

@@ -161,6 +161,7 @@ def write_page(
     sections: Sequence[Section],
     *,
     title: str,
+    failed: str = "",
     lead: Sequence[str] = (),
     created: str = "",
 ) -> Path:
@@ -171,6 +172,8 @@ def write_page(
 
     Parameters
     ----------
+    failed
+        What failed, to stand before the title.
     lead
         Paragraphs under the title.
     created
@@ -190,12 +193,14 @@ def write_page(
         if not re.fullmatch(r"[\w.-]+\.png", picture.file) or picture.file in files:
             raise InvalidInput(f"report: {picture.file!r} is not a name for a PNG file, or is used twice on this page.")
         files[picture.file] = style.png(picture.print_figure or picture.panels[0].figure)
-    files[PAGE] = render(sections, title=title, lead=lead, created=created).encode()
+    files[PAGE] = render(sections, title=title, failed=failed, lead=lead, created=created).encode()
     _write_files(Path(out_dir), files)
     return Path(out_dir) / PAGE
 
 
-def render(sections: Sequence[Section], *, title: str, lead: Sequence[str] = (), created: str = "") -> str:
+def render(
+    sections: Sequence[Section], *, title: str, failed: str = "", lead: Sequence[str] = (), created: str = ""
+) -> str:
     """The page as HTML text, see `write_page`."""
     environment = jinja2.Environment(
         loader=jinja2.PackageLoader("adaptrack.report"),
@@ -217,8 +222,9 @@ def render(sections: Sequence[Section], *, title: str, lead: Sequence[str] = (),
     environment.filters |= {"inline": inline, "anchor": slug, "dasharray": _dasharray, "cell": _as_cell}
     template = environment.get_template("page.html.j2")
     return template.render(
-        title=title, lead=lead, sections=sections, created=created, version=__version__, variables=_css_colour
-    )
+        title=title, failed=failed, lead=lead, sections=sections, created=created, version=__version__,
+        variables=_css_colour,
+    )  # fmt: skip
 
 
 def _pictures(items: Sequence[Item]) -> Iterator[Picture]:

@@ -95,7 +95,7 @@ def write_report(
     out_dir: str | os.PathLike[str],
     runs: Sequence[Run | Trajectory],
     *,
-    title: str = "Closed-loop runs",
+    title: str = "",
     command: str = "",
     lead: Sequence[str] = (),
     first: Sequence[Section] = (),
@@ -104,10 +104,13 @@ def write_report(
     """Write the page on `runs` and its PNG files into `out_dir`; return the page's path.
 
     Runs are grouped by scenario, and within it by profile, plant, tyre, vehicle and preview. Runs of one controller
-    are told apart by what differs in their provenance. A label keeps its colour on the whole page.
+    are told apart by what differs in their provenance. A label keeps its colour on the whole page. The heading and the
+    first paragraph say which runs failed, if any.
 
     Parameters
     ----------
+    title
+        When left out: the scenario and the controller of a single run that failed, else "Closed-loop runs".
     command
         The command line that repeats the runs.
     lead
@@ -140,7 +143,16 @@ def write_report(
         _provenance(shown, command),
     ]
     created = max(str(run.trajectory.meta.get("created", "")) for run in shown)
-    return write_page(out_dir, sections, title=title, lead=lead or [_in_short(scenarios)], created=clock(created))
+    failed = _failed_runs(scenarios)
+    alone = len(shown) == 1
+    return write_page(
+        out_dir,
+        sections,
+        title=title or (failed[0][0] if alone and failed else "Closed-loop runs"),
+        failed=_failed_heading(failed, len(shown)),
+        lead=[*([] if alone else map(_failed_sentence, failed)), *(lead or [_in_short(scenarios)])],
+        created=clock(created),
+    )
 
 
 def grouped(runs: Sequence[Run]) -> dict[str, Settings]:
@@ -273,6 +285,32 @@ def _marks(group: Sequence[Shown]) -> str:
     return " A cross marks where a run failed." if any(run.metrics.failed for run in group) else ""
 
 
+def _failed_runs(scenarios: Mapping[str, Settings]) -> list[tuple[str, Metrics]]:
+    """The runs that failed, by scenario, controller and setting in words."""
+    return [
+        (", ".join(filter(None, (title_of(name), run.label, words))), run.metrics)
+        for name, settings in scenarios.items()
+        for words, group in settings.items()
+        for run in group
+        if run.metrics.failed
+    ]
+
+
+def _failed_heading(failed: Sequence[tuple[str, Metrics]], runs: int) -> str:
+    """What the page's heading begins with; empty when no run failed."""
+    if not failed:
+        return ""
+    if runs > 1:
+        return f"{number(len(failed))} of {number(runs)} runs failed"
+    (_, metrics), *_ = failed
+    return f"Failed at {metrics.failed_at:.1f} s: the vehicle {metrics.failed_because}"
+
+
+def _failed_sentence(failed: tuple[str, Metrics]) -> str:
+    name, metrics = failed
+    return f"Failed: {name}, at {metrics.failed_at:.1f} s; the vehicle {metrics.failed_because}."
+
+
 def _in_short(scenarios: Mapping[str, Settings]) -> str:
     shown = [run for settings in scenarios.values() for group in settings.values() for run in group]
     labels = list(dict.fromkeys(run.label for run in shown))
@@ -321,11 +359,7 @@ def _outcome_in_words(settings: Settings) -> str:
             f"{'Best tracking' if len(runs) > 1 else 'Tracking'}: {name}, with a mean square error of "
             f"{number(best.mse)} m², never more than {number(best.max_abs_error)} m from the reference."
         )
-    sentences += [
-        f"Failed: {name}, at {metrics.failed_at:.1f} s; the vehicle {metrics.failed_because}."
-        for name, metrics in runs
-        if metrics.failed
-    ]
+    sentences += [_failed_sentence(each) for each in runs if each[1].failed]
     solved, capped, failed, held = (
         sum(getattr(metrics, name) for _, metrics in runs) for name in ("qp_solved", "qp_capped", "qp_failed", "held")
     )

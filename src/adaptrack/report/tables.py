@@ -87,7 +87,10 @@ def reading() -> Section:
     meanings = (
         ("MSE", "mean of e² over the control instants, e = Y − y_ref: the paper's measure"),
         ("Heading", f"heading minus the reference's, atan2(dy_ref/dt, v_x), where v_x ≥ {SLOW:g} m/s"),
-        ("Failed", f"left the reference by more than {DISTANCE:g} m, spun, or reached a state that is not finite"),
+        (
+            "Failed",
+            f"left the road (more than {DISTANCE:g} m from the reference), spun, or reached a state that is not finite",
+        ),
         ("Steering", "RMS of the commanded road-wheel angle u, and of its change per second"),
         ("Cost J", f"mean e² + w · mean Δu², which tuning minimises; w = 0, in the road profile {road} m²/rad²"),
         ("Δu, u, y limit", "share of the control periods in which a limit (13), (14), (15) of the paper was active"),

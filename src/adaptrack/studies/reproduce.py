@@ -128,8 +128,9 @@ class Reproduction:
     """All that `reproduce` measured; the lists are rows of plain JSON values, None for what is not finite or absent."""
 
     rows: list[Row]
-    """a closed-loop run each: configuration, scenario, controller, preview, moves, paper_mse, ratio (to the paper),
-    clipped_share (of the steps, with a scheduler's input outside its domain), and all of `Metrics`"""
+    """a closed-loop run each: configuration, scenario, controller, plant, vehicle, profile, seed, preview, moves,
+    paper_mse, ratio (to the paper), clipped_share (of the steps, with a scheduler's input outside its domain), and all
+    of `Metrics`"""
     ablation: list[Row]
     """scenario, moves, controller, adapts, mse, failed, constants_better (tunings of the library with a lower MSE)"""
     shares: list[Row]
@@ -423,6 +424,10 @@ def measure(configuration: Configuration, controller: PaperController, scenario:
         "configuration": configuration.name,
         "scenario": scenario.name,
         "controller": controller.name,
+        "plant": run.name_of("plant"),
+        "vehicle": run.name_of("vehicle"),
+        "profile": run.meta["profile"],
+        "seed": run.meta["seed"],
         "preview": preview,
         "moves": describe_moves(controller.moves),
         "paper_mse": published,
