@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from adaptrack.adaptation.config import Evaluation
 from adaptrack.adaptation.recipes import ANYWHERE
 from adaptrack.adaptation.splits import SetUp, evaluation_drives, evaluation_points
-from adaptrack.comparison.compare import Comparison, compare, optimum, per_run_best
+from adaptrack.comparison.compare import Comparison, Search, compare, optimum, per_run_best
 from adaptrack.comparison.contenders import Contender, contenders_of, get_contender
 from adaptrack.errors import InvalidInput
 from adaptrack.metrics import PUBLISHED
@@ -46,8 +46,8 @@ def on_operating_points(
     points = evaluation_points(setup, count, seed)
     ways = {name: perception(name, setup.plant, setup.profile) for name in known_as}
     best = optimum(
-        _objective(setup), points, setup.campaign.search.space(), evaluation=setup.evaluation,
-        swarm=setup.campaign.swarm, known=_constants(schedules), seed=seed, progress=progress,
+        _objective(setup), points, Search(setup.campaign.search.space(), setup.campaign.swarm, seed),
+        evaluation=setup.evaluation, known=_constants(schedules), progress=progress,
     )  # fmt: skip
     found = {}
     for name, known in ways.items():
