@@ -16,40 +16,17 @@ from adaptrack.adaptation.improve import Learnable, improve
 from adaptrack.adaptation.landscape import OUTPUTS, Rescue, landscape, preferred_moves
 from adaptrack.adaptation.method import Improvement, Method
 from adaptrack.comparison.statistics import geometric_mean
-from adaptrack.controllers import MPC, Tuning
+from adaptrack.controllers import Tuning
 from adaptrack.errors import InvalidInput
 from adaptrack.learning.surfaces import FuzzySurface, Level, NetworkSurface
-from adaptrack.plant import SingleTrack
-from adaptrack.profile import load_profile
 from adaptrack.runs import RunSet
-from adaptrack.scenario import load_scenario
 from adaptrack.scheduling import ENTRIES, Learned, Number, SchedulingVariables
-from adaptrack.vehicle import load_vehicle
+from small_runs import START, lane_changes, run_set
 
 METHOD = Method()
 SHIFT, LEAST_CURVATURE = np.array(METHOD.landscape.shift), np.array(METHOD.landscape.least_curvature)
 BOUNDS = METHOD.improvement.bounds
 FAILED_COST = RunSet.failure.distance**2
-CAR = load_vehicle("paper")
-START = Tuning(29, 5, 1.0, 4000.0)
-HASTY = Tuning(30, 10, 1.0, 10.0)
-"""Steers on every bit of noise: fails."""
-
-
-def controller(tuning=START, **options):
-    return MPC(CAR, tuning, period=load_profile("road").period, preview=True, **options)
-
-
-def lane_changes(n=5, duration=4.0):
-    rng = np.random.default_rng(3)
-    return [
-        load_scenario("lane-change", speed=v, amplitude=y, friction=mu, gust=w, duration=duration)
-        for v, y, mu, w in rng.uniform((8.0, -4.0, 0.4, -20.0), (28.0, 4.0, 1.0, 20.0), (n, 4))
-    ]
-
-
-def run_set(scenarios=None, plant=SingleTrack, **options):
-    return RunSet(plant(CAR), controller(), scenarios or lane_changes(), **options)
 
 
 def three_costs(cost):
