@@ -97,14 +97,15 @@ def load_plugins(modules: Sequence[str] | None) -> None:
     if modules and "" not in sys.path:
         sys.path.append("")
     for name in modules or ():
+        missing = f"--plugin {name}: there is no such module in the Python path or in this folder."
+        if not all(part.isidentifier() for part in name.split(".")):
+            raise InvalidInput(missing)
         try:
             importlib.import_module(name)
-        except (ModuleNotFoundError, ValueError, TypeError) as error:
-            if isinstance(error, ModuleNotFoundError) and not f"{name}.".startswith(f"{error.name}."):
+        except ModuleNotFoundError as error:
+            if not f"{name}.".startswith(f"{error.name}."):
                 raise  # one that it imports itself
-            raise InvalidInput(
-                f"--plugin {name}: there is no such module in the Python path or in this folder."
-            ) from error
+            raise InvalidInput(missing) from error
 
 
 def car_and_plant(vehicle: str, plant: str, tyre: str | None) -> tuple[Car, PlantOf | SteppedPlant]:

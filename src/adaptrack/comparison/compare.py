@@ -180,7 +180,7 @@ def _shares(counts: Mapping[str, NDArray[np.int64]]) -> dict[str, float]:
 
 
 # -- hindsight --------------------------------------------------------------------------------------------------------
-class Search(NamedTuple):
+class SwarmSearch(NamedTuple):
     """A swarm's search for the best tuning."""
 
     space: SearchSpace
@@ -193,7 +193,7 @@ class Search(NamedTuple):
 def optimum(
     objective: Callable[[Sequence[int]], Objective],
     points: Array,
-    search: Search,
+    search: SwarmSearch,
     *,
     evaluation: Evaluation | None = None,
     known: Array | None = None,

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from adaptrack.adaptation.config import Evaluation
 from adaptrack.adaptation.recipes import ANYWHERE
 from adaptrack.adaptation.splits import SetUp, evaluation_drives, evaluation_points
-from adaptrack.comparison.compare import Comparison, Search, compare, optimum, per_run_best
+from adaptrack.comparison.compare import Comparison, SwarmSearch, compare, optimum, per_run_best
 from adaptrack.comparison.contenders import Contender, contenders_of, get_contender
 from adaptrack.errors import InvalidInput
 from adaptrack.metrics import PUBLISHED
@@ -52,9 +52,10 @@ def on_operating_points(
         _needs_constants(schedules)
     else:
         reference = "optimum"
+        search = SwarmSearch(setup.campaign.search.space(), setup.campaign.swarm, seed)
         best = optimum(
-            _objective(setup, setup.driven), points, Search(setup.campaign.search.space(), setup.campaign.swarm, seed),
-            evaluation=setup.evaluation, known=_constants(schedules), progress=progress,
+            _objective(setup, setup.driven), points, search, evaluation=setup.evaluation, known=_constants(schedules),
+            progress=progress,
         )  # fmt: skip
     found = {}
     for name, known in ways.items():
