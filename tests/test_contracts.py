@@ -264,6 +264,7 @@ def test_simulate_drives_a_registered_stepped_plant_and_writes_its_page(plugged,
     assert "Bicycle" in Path("run/index.html").read_text()
 
 
+@pytest.mark.compiled
 def test_evaluate_drives_a_registered_stepped_plant_beside_the_best_constant_and_writes_its_page(plugged, capsys):
     arguments = ["evaluate", "--operating-points", "sobol:2", "--known-as", "estimated", "--plant", "bicycle"]
     assert plugged(*arguments, "--plugin", "bicycles", "--out", "page", "--json") == 0
