@@ -14,7 +14,7 @@ from adaptrack.adaptation.config import Evaluation
 from adaptrack.adaptation.method import Constants, Method
 from adaptrack.adaptation.recipes import best_constant
 from adaptrack.comparison import contenders
-from adaptrack.comparison.compare import Comparison, Role, compare, finite, optimum, per_run_best
+from adaptrack.comparison.compare import Comparison, Role, SwarmSearch, compare, finite, optimum, per_run_best
 from adaptrack.comparison.contenders import Contender, get_contender, list_contenders, register_contender
 from adaptrack.comparison.statistics import RESAMPLES, geometric_mean
 from adaptrack.controllers import MPC, CompiledController, Tuning, UserController
@@ -224,7 +224,7 @@ class Recorded:
 
 def test_the_optimum_takes_three_swarms_on_seeds_of_their_own_and_chooses_on_further_ones():
     book, points, swarm = [], np.array([[2.0], [3.0]]), SwarmSettings(generations=2)
-    found = optimum(lambda seeds: Recorded(seeds, book), points, SPACE, swarm=swarm, seed=30, threads=1)
+    found = optimum(lambda seeds: Recorded(seeds, book), points, SwarmSearch(SPACE, swarm, seed=30), threads=1)
     np.testing.assert_allclose(np.log10(found[:, 3]), [2.1, 3.1])
     for i, point in enumerate((2.0, 3.0)):
         asked = [entry for entry in book if entry[2] == point]
@@ -238,7 +238,7 @@ def test_the_optimum_takes_three_swarms_on_seeds_of_their_own_and_chooses_on_fur
 def test_a_known_tuning_that_is_better_than_what_the_swarms_found_is_taken():
     points = np.array([[2.0], [3.0], [4.0]])
     known = np.array([[40.0, 9.0, 1.0, 1e3], [40.0, 9.0, 1.0, 10.0**4.05]])
-    found = optimum(lambda seeds: Recorded(seeds, []), points, SPACE, known=known)
+    found = optimum(lambda seeds: Recorded(seeds, []), points, SwarmSearch(SPACE), known=known)
     np.testing.assert_allclose(np.log10(found[:, 3]), [2.1, 3.0, 4.05])
 
 
@@ -263,8 +263,8 @@ def test_on_its_choice_seeds_the_optimum_is_never_worse_than_any_known_tuning(rn
         return Objective(SingleTrack(CAR), controller(), "lane-change", "road", tuple(seeds), duration=2.5)
 
     heard = []
-    options = {"swarm": SwarmSettings(particles=6, generations=2), "known": known, "seed": 4}
-    found = optimum(short, points, SPACE, **options, threads=2, progress=lambda *at: heard.append(at))
+    search = SwarmSearch(SPACE, SwarmSettings(particles=6, generations=2), seed=4)
+    found = optimum(short, points, search, known=known, threads=2, progress=lambda *at: heard.append(at))
     judge = short(CHOICE_SEEDS)
     better = 0
     for point, tuning in zip(points, found, strict=True):
@@ -273,7 +273,7 @@ def test_on_its_choice_seeds_the_optimum_is_never_worse_than_any_known_tuning(rn
         assert cost <= judge.costs(point, known).min()
         better += cost < judge.costs(point, known).min()
     assert better > 0, "the swarms found something"
-    np.testing.assert_array_equal(found, optimum(short, points, SPACE, **options, threads=1))
+    np.testing.assert_array_equal(found, optimum(short, points, search, known=known, threads=1))
     assert heard == [("optimum", 0, 3)]
 
 

@@ -1,10 +1,17 @@
 """It grows: a model of another size, a controller, an estimator and plants of one's own drive without a line in src."""
 
+import inspect
+import json
 import math
+import sys
+from html import unescape
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+from adaptrack import cli
+from adaptrack import plant as plant_module
 from adaptrack.batch import rollout_batch
 from adaptrack.comparison.compare import compare
 from adaptrack.comparison.contenders import Contender
@@ -225,6 +232,58 @@ def test_a_tuning_drives_as_it_stands_though_the_mpc_of_the_runs_has_a_scheduler
     scheduled = MPC(CAR, tuning, period=0.05, scheduler=Constant(Tuning(20, 3, 1.0, 3000.0)))
     alone, beside = (operating_point_runs(plant, mpc, points, "road").drive(tuning, [3]) for mpc in (plain, scheduled))
     np.testing.assert_array_equal(alone, beside)
+
+
+@pytest.fixture
+def plugged(monkeypatch, tmp_path):
+    """Run a command with the module `bicycles` in the folder at hand, which registers the bicycle."""
+    head = "import math\nimport numpy as np\nfrom adaptrack.plant import SteppedPlant, register_plant\n\n"
+    last = '\nregister_plant("bicycle", lambda vehicle, tyre: Bicycle())\n'
+    (tmp_path / "bicycles.py").write_text(head + inspect.getsource(Bicycle) + last)
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", [*sys.path])
+    monkeypatch.setattr(plant_module._registry, "factories", dict(plant_module._registry.factories))
+    monkeypatch.setattr("adaptrack.report.style.PNG_DPI", 20)
+
+    def run(*arguments):
+        monkeypatch.setattr(sys, "argv", ["adaptrack", *arguments])
+        monkeypatch.delitem(sys.modules, "bicycles", raising=False)
+        return cli.main()
+
+    yield run
+    sys.modules.pop("bicycles", None)
+
+
+def test_simulate_drives_a_registered_stepped_plant_and_writes_its_page(plugged, capsys):
+    scenario = ["lane-change", "-o", "amplitude=2.0", "-o", "speed=10.0", "-o", "duration=3.0", "--profile", "road"]
+    tuning = ["--np", "30", "--nc", "5", "--q", "1", "--r", "300"]
+    plant = ["--plugin", "bicycles", "--plant", "bicycle"]
+    assert plugged("simulate", *scenario, *tuning, *plant, "--out", "run", "--json") == 0
+    (row,) = json.loads(capsys.readouterr().out)["rows"]
+    assert (row["plant"], row["failed"]) == ("Bicycle", None)
+    assert "Bicycle" in Path("run/index.html").read_text()
+
+
+@pytest.mark.compiled
+def test_evaluate_drives_a_registered_stepped_plant_beside_the_best_constant_and_writes_its_page(plugged, capsys):
+    arguments = ["evaluate", "--operating-points", "sobol:2", "--known-as", "estimated", "--plant", "bicycle"]
+    assert plugged(*arguments, "--plugin", "bicycles", "--out", "page", "--json") == 0
+    rows = json.loads(capsys.readouterr().out)["rows"]
+    assert {row["reference"] for row in rows} == {"best constant"}
+    assert {row["known_as"] for row in rows} == {"exact", "estimated"}
+    assert {"standard", "nn", "anfis"} <= {row["contender"] for row in rows if row["known_as"] == "exact"}
+    assert "--plant bicycle" in unescape(Path("page/index.html").read_text())
+
+
+def test_a_plant_without_a_name_a_plug_in_without_a_file_and_a_certificate_of_steps_are_refused(plugged, capsys):
+    for arguments, said in (
+        (["simulate", "step", "--plant", "bicycle"], "There is no plant 'bicycle'"),
+        (["simulate", "step", "--plugin", "tricycles"], "--plugin tricycles: there is no such module"),
+        (["simulate", "step", "--plugin", "."], "--plugin .: there is no such module"),
+        (["certify", "road-nn", "--plugin", "bicycles", "--plant", "bicycle"], "is stepped in Python"),
+    ):
+        assert plugged(*arguments) == 2
+        assert said in capsys.readouterr().err
 
 
 def test_a_stepped_plant_steers_behind_the_profiles_actuator():

@@ -22,6 +22,7 @@ from adaptrack.controllers import (
     get_controller,
     list_controllers,
     register_controller,
+    registry,
 )
 from adaptrack.controllers.lqr import SPEEDS, WEIGHT_FACTORS, error_model, lqr_gain, sampled_error_model
 from adaptrack.errors import ContractError, InvalidInput, UnknownName
@@ -564,6 +565,7 @@ def test_the_checker_refuses_a_controller_that_breaks(clause):
         check_controller(BROKEN[clause])
 
 
-def test_a_controller_in_python_may_be_registered_and_found_by_name():
+def test_a_controller_in_python_may_be_registered_and_found_by_name(monkeypatch):
+    monkeypatch.setattr(registry._registry, "factories", dict(registry._registry.factories))
     register_controller("in-python", lambda vehicle, **options: InPython())
     assert get_controller("in-python", "paper").name == "in Python"

@@ -440,7 +440,7 @@ def hold_still(measured, command, a, b, parameters, memory, x, d):
 
 
 def test_an_estimator_of_ones_own_may_be_registered_and_found_by_name(monkeypatch):
-    monkeypatch.setattr(estimation, "_factories", dict(estimation._factories))
+    monkeypatch.setattr(estimation._registry, "factories", dict(estimation._registry.factories))
     register_estimator("still", lambda: UserEstimator(hold_still, label="still"))
     assert list_estimators() == ["deadbeat", "still"]
     assert get_estimator("still").name == "still"

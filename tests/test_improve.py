@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,44 +12,21 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from adaptrack.adaptation.config import Evaluation
-from adaptrack.adaptation.improve import improve
+from adaptrack.adaptation.improve import Learnable, improve
 from adaptrack.adaptation.landscape import OUTPUTS, Rescue, landscape, preferred_moves
 from adaptrack.adaptation.method import Improvement, Method
 from adaptrack.comparison.statistics import geometric_mean
-from adaptrack.controllers import MPC, Tuning
+from adaptrack.controllers import Tuning
 from adaptrack.errors import InvalidInput
 from adaptrack.learning.surfaces import FuzzySurface, Level, NetworkSurface
-from adaptrack.plant import SingleTrack
-from adaptrack.profile import load_profile
 from adaptrack.runs import RunSet
-from adaptrack.scenario import load_scenario
 from adaptrack.scheduling import ENTRIES, Learned, Number, SchedulingVariables
-from adaptrack.vehicle import load_vehicle
+from small_runs import START, lane_changes, run_set
 
 METHOD = Method()
 SHIFT, LEAST_CURVATURE = np.array(METHOD.landscape.shift), np.array(METHOD.landscape.least_curvature)
 BOUNDS = METHOD.improvement.bounds
 FAILED_COST = RunSet.failure.distance**2
-CAR = load_vehicle("paper")
-START = Tuning(29, 5, 1.0, 4000.0)
-HASTY = Tuning(30, 10, 1.0, 10.0)
-"""Steers on every bit of noise: fails."""
-
-
-def controller(tuning=START, **options):
-    return MPC(CAR, tuning, period=load_profile("road").period, preview=True, **options)
-
-
-def lane_changes(n=5, duration=4.0):
-    rng = np.random.default_rng(3)
-    return [
-        load_scenario("lane-change", speed=v, amplitude=y, friction=mu, gust=w, duration=duration)
-        for v, y, mu, w in rng.uniform((8.0, -4.0, 0.4, -20.0), (28.0, 4.0, 1.0, 20.0), (n, 4))
-    ]
-
-
-def run_set(scenarios=None, plant=SingleTrack, **options):
-    return RunSet(plant(CAR), controller(), scenarios or lane_changes(), **options)
 
 
 def three_costs(cost):
@@ -166,7 +144,7 @@ BEGIN = dict(zip(OUTPUTS, ((29.0, 10.0), (6.0, 5.0), (3.6, 0.5)), strict=True))
 
 def beginning(kind):
     rows = np.random.default_rng(0).uniform(*DOMAIN.T, (300, 2))
-    return {
+    surfaces = {
         slot: {
             "constant": lambda value, _: Level(value),
             "network": lambda value, span: NetworkSurface.start(DOMAIN, value, span, seed=1),
@@ -174,6 +152,7 @@ def beginning(kind):
         }[kind](value, span)
         for slot, (value, span) in BEGIN.items()
     }
+    return Learnable(surfaces, INPUTS, DOMAIN)
 
 
 def checked_every(rounds):
@@ -300,7 +279,7 @@ def test_what_saves_a_failed_run_is_learned_where_it_failed_and_before():
 def test_beyond_a_cliff_only_what_saves_the_runs_shows_the_way(safe):
     # Three shifts away from where every run fails: no shift says anything of the failure.
     runs = Narrow(np.full(24, 4.2))
-    made = improve(beginning("constant"), INPUTS, DOMAIN, [(runs, 24)], [runs], rounds=12, safe=safe)
+    made = improve(beginning("constant"), [(runs, 24)], [runs], rounds=12, safe=safe)
     failed = ~np.isfinite(runs.drive(made.schedule, [5]))
     assert failed.all() if safe is None else not failed.any()
 
@@ -310,7 +289,7 @@ def test_beyond_a_cliff_only_what_saves_the_runs_shows_the_way(safe):
 @pytest.mark.parametrize("kind", ["constant", "network", "fuzzy"])
 def test_improving_finds_the_known_optimum(kind):
     best = same_everywhere if kind == "constant" else along_speed_and_friction
-    made = improve(beginning(kind), INPUTS, DOMAIN, [(Bowl(best), 32)], [Bowl(best, seed=1)], rounds=40)
+    made = improve(beginning(kind), [(Bowl(best), 32)], [Bowl(best, seed=1)], rounds=40)
     rows = Bowl(best, seed=2).variables.reshape(-1, len(SchedulingVariables._fields))
     Np, Nc, Q, R = made.schedule.batch(rows).T
     off = np.abs(np.column_stack([Np, Nc, np.log10(R / Q)]) - best(rows))
@@ -322,7 +301,7 @@ def test_improving_finds_the_known_optimum(kind):
 def test_what_no_input_tells_apart_gets_the_compromise():
     """One tuning for all speeds and frictions: away from it, each output's cost rises on either side."""
     bowl = Bowl(along_speed_and_friction, noise=0.0)
-    made = improve(beginning("constant"), INPUTS, DOMAIN, [(bowl, 48)], [bowl], rounds=30)
+    made = improve(beginning("constant"), [(bowl, 48)], [bowl], rounds=30)
 
     def cost(by):
         pairs = zip(OUTPUTS, by, strict=True)
@@ -356,8 +335,6 @@ def test_the_best_round_is_kept_with_its_surfaces():
     )
     made = improve(
         beginning("constant"),
-        INPUTS,
-        DOMAIN,
         [(Bowl(same_everywhere), 8)],
         [first, second],
         rounds=11,
@@ -380,7 +357,7 @@ def test_learned_tunings_stay_within_their_bounds_and_the_wish_to_leave_them_doe
     def beyond(rows):
         return np.broadcast_to([90.0, -5.0, 9.0], (*rows.shape[:-1], 3))
 
-    made = improve(beginning("constant"), INPUTS, DOMAIN, [(Bowl(beyond), 8)], [Bowl(beyond)], rounds=30)
+    made = improve(beginning("constant"), [(Bowl(beyond), 8)], [Bowl(beyond)], rounds=30)
     assert made.schedule(SchedulingVariables(10.0, 0.0, 0.5, 0.0)) == pytest.approx((60.0, 1.0, 1.0, 1e6))
     assert [made.surfaces[slot].value for slot in OUTPUTS] == pytest.approx([60.0, 1.0, 6.0])
 
@@ -400,7 +377,7 @@ def test_it_learns_at_the_inputs_that_a_scheduler_would_see():
     """In their order, and clipped to the domain."""
     inputs, domain, bowl = ("friction", "speed"), np.array([[0.5, 0.8], [10.0, 20.0]]), Bowl(same_everywhere)
     Watched.fitted = []
-    improve({slot: Watched(30.0) for slot in OUTPUTS}, inputs, domain, [(bowl, 48)], [bowl], rounds=1)
+    improve(Learnable({slot: Watched(30.0) for slot in OUTPUTS}, inputs, domain), [(bowl, 48)], [bowl], rounds=1)
     seen = bowl.variables[:, ::5].reshape(-1, len(SchedulingVariables._fields))[:, [2, 0]]
     for fitted in Watched.fitted:
         np.testing.assert_array_equal(np.unique(fitted, axis=0), np.unique(np.clip(seen, *domain.T), axis=0))
@@ -421,7 +398,7 @@ def test_a_run_that_ever_failed_is_driven_in_every_round():
     fatal = Fatal(same_everywhere)
     fatal.driven = []
     count = METHOD.improvement.revisited
-    improve(beginning("constant"), INPUTS, DOMAIN, [(fatal, count)], [Judge([1.0], [1.0])], rounds=4)
+    improve(beginning("constant"), [(fatal, count)], [Judge([1.0], [1.0])], rounds=4)
     few = [which for which in fatal.driven if len(which) == count]
     assert all(5 in which for which in few)
     assert len(set.union(*map(set, few))) > count, "the others are drawn anew"
@@ -430,9 +407,7 @@ def test_a_run_that_ever_failed_is_driven_in_every_round():
 @pytest.mark.compiled
 def test_learning_depends_on_its_seed_alone():
     one, again, other = (
-        improve(
-            beginning("fuzzy"), INPUTS, DOMAIN, [(Bowl(same_everywhere), 16)], [Bowl(same_everywhere)], rounds=3, seed=n
-        )
+        improve(beginning("fuzzy"), [(Bowl(same_everywhere), 16)], [Bowl(same_everywhere)], rounds=3, seed=n)
         for n in (1, 1, 2)
     )
     rows = Bowl(same_everywhere).variables[:, 0]
@@ -445,7 +420,7 @@ def test_learning_depends_on_its_seed_alone():
 @pytest.mark.parametrize("seed", [0, 1, 7])
 def test_noise_is_new_in_every_round_and_never_that_of_a_search_or_an_evaluation(seed):
     bowl, judge = Bowl(same_everywhere), Judge(*[[1.0]] * 10)
-    improve(beginning("constant"), INPUTS, DOMAIN, [(bowl, 4)], [judge], rounds=10, seed=seed, method=checked_every(5))
+    improve(beginning("constant"), [(bowl, 4)], [judge], rounds=10, seed=seed, method=checked_every(5))
     rounds = [noise for noise, _ in itertools.groupby(bowl.asked)]
     assert len(rounds) == len(set(rounds)) == 10, "one for each, under which all shifts are compared"
     assert len(judge.seeds) == 3, "the start and two checks"
@@ -458,7 +433,7 @@ def test_noise_is_new_in_every_round_and_never_that_of_a_search_or_an_evaluation
 def test_progress_is_told_before_every_round():
     heard = []
     improve(
-        beginning("constant"), INPUTS, DOMAIN, [(Bowl(same_everywhere, runs=4), 2)], [Judge([1.0], [1.0])], rounds=2,
+        beginning("constant"), [(Bowl(same_everywhere, runs=4), 2)], [Judge([1.0], [1.0])], rounds=2,
         progress=lambda *at: heard.append(at),
     )  # fmt: skip
     assert heard == [(0, 2), (1, 2)]
@@ -467,24 +442,24 @@ def test_progress_is_told_before_every_round():
 def test_a_missing_surface_and_an_input_that_depends_on_the_driving_are_refused():
     given = beginning("constant")
     with pytest.raises(InvalidInput, match="offset"):
-        improve(given, ("speed", "offset"), DOMAIN, [], [])
-    del given["Nc"]
+        improve(replace(given, inputs=("speed", "offset")), [], [])
+    del given.surfaces["Nc"]
     with pytest.raises(InvalidInput, match="Np, Nc, log10_ratio"):
-        improve(given, INPUTS, DOMAIN, [], [])
+        improve(given, [], [])
 
 
 @pytest.mark.compiled
 def test_on_real_runs_learning_lowers_the_cost_of_runs_that_it_never_saw():
     slow = {slot: Level(value) for slot, value in zip(OUTPUTS, (45.0, 3.0, 4.6), strict=True)}
     train, held_out = run_set(lane_changes(24, 4.0)[:16]), run_set(lane_changes(24, 4.0)[16:])
-    made = improve(slow, INPUTS, DOMAIN, [(train, 16)], [held_out], rounds=8, method=checked_every(2))
+    made = improve(Learnable(slow, INPUTS, DOMAIN), [(train, 16)], [held_out], rounds=8, method=checked_every(2))
     before = held_out.costs(Tuning(45, 3, 1.0, 10.0**4.6), [12345])
     assert geometric_mean(held_out.costs(made.schedule, [12345])) < 0.7 * geometric_mean(before)
 
 
 def test_an_unknown_input_is_named_with_those_that_are_known():
     with pytest.raises(InvalidInput, match=r"'grip'.*friction"):
-        improve(beginning("constant"), ("speed", "grip"), DOMAIN, [], [])
+        improve(replace(beginning("constant"), inputs=("speed", "grip")), [], [])
 
 
 def test_the_outputs_are_entries_of_a_schedule():

@@ -301,7 +301,7 @@ def test_the_public_objects_of_the_module_are_documented():
 
 # -- names ------------------------------------------------------------------------------------------------------------
 def test_a_model_of_ones_own_may_be_registered_and_found_by_name(monkeypatch):
-    monkeypatch.setattr(models, "_factories", dict(models._factories))
+    monkeypatch.setattr(models._registry, "factories", dict(models._registry.factories))
     register_model("stiffer", lambda car, period: SingleTrackModel(car.replace(stiffness_front=30000.0), period))
     assert list_models() == ["single-track", "stiffer"]
     assert get_model("stiffer", CARS["paper"], 0.05).vehicle.stiffness_front == 30000.0

@@ -2,6 +2,7 @@
 
 import dataclasses
 import math
+import threading
 
 import numpy as np
 import pytest
@@ -423,6 +424,34 @@ def test_a_scheduler_that_gives_no_four_numbers_keeps_the_tuning_before_is_count
     assert "the scheduler failed" in caplog.text
     mpc.reset()
     assert mpc.scheduler_counts == {"raised": 0}
+
+
+class Locked(Playlist):
+    """Cannot be copied."""
+
+    def __init__(self, tunings):
+        super().__init__(tunings)
+        self.lock = threading.Lock()
+
+
+def contents(record):
+    return [contents(each) for each in record] if isinstance(record, tuple) else record.tobytes()
+
+
+@pytest.mark.parametrize("kind", [Playlist, Locked])
+def test_to_ask_for_the_qp_changes_neither_the_controller_nor_a_scheduler_that_can_be_copied(kind):
+    tunings = [Tuning(20, 4, 2.0, 0.5), Tuning(30, 6, 1.0, 0.2), Tuning(10, 2, 1.0, 0.2)]
+    mpc, twin = MPC(CAR, scheduler=kind(tunings)), MPC(CAR, scheduler=Playlist(tunings))
+    assert mpc.step(REST, 15.0, [0.1], HERE) == twin.step(REST, 15.0, [0.1], HERE)
+    memory = contents(mpc._mpc)
+    qp = mpc.problem(REST, 15.0, [0.3], HERE)
+    assert qp.E.shape == (6, 6), "the tuning that comes next"
+    assert mpc.scheduler.k == (1 if kind is Playlist else 2)
+    assert mpc.scheduler_counts == {"raised": 0}
+    assert mpc._asked.tolist() == [20, 4, 2.0, 0.5]
+    assert contents(mpc._mpc) == memory
+    if kind is Playlist:
+        assert mpc.step(REST, 15.0, [0.3], HERE) == twin.step(REST, 15.0, [0.3], HERE)
 
 
 def test_a_scheduler_that_raises_keeps_the_tuning_before_and_is_counted():

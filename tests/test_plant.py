@@ -325,7 +325,7 @@ def test_a_stepped_plant_passes_the_checker_and_may_be_registered(monkeypatch):
     from adaptrack import plant as module
 
     check_plant(Bicycle())
-    monkeypatch.setattr(module, "_factories", dict(module._factories))
+    monkeypatch.setattr(module._registry, "factories", dict(module._registry.factories))
     register_plant("bicycle", lambda car, tyre: Bicycle())
     assert "bicycle" in list_plants()
     assert isinstance(get_plant("bicycle", CAR), Bicycle)

@@ -293,7 +293,7 @@ def test_the_libraries_are_loaded_only_when_their_solver_is_asked_for(run_python
 
 @pytest.fixture
 def clean_registry(monkeypatch):
-    monkeypatch.setattr(registry, "_factories", dict(registry._factories))
+    monkeypatch.setattr(registry._registry, "factories", dict(registry._registry.factories))
 
 
 @pytest.mark.usefixtures("clean_registry")

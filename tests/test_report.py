@@ -30,7 +30,7 @@ from adaptrack.report import (
     write_report,
 )
 from adaptrack.report.page import Panel
-from adaptrack.trajectory import Trajectory, provenance
+from adaptrack.trajectory import Origin, Trajectory, provenance
 
 
 def drive(controller="standard", scenario="triple-lane-change", *, scale=1.0, n=280, adapt=False, **meta):
@@ -39,16 +39,18 @@ def drive(controller="standard", scenario="triple-lane-change", *, scale=1.0, n=
     wave = np.sin(0.9 * t)
     horizon = np.round(30 + 15 * wave).astype(int) if adapt else np.full(n, 35)
     record = provenance(
-        scenario=scenario,
-        plant="dual-track",
-        tyre="constant-stiffness",
-        vehicle="paper",
-        profile="paper",
-        seed=7,
-        preview=False,
-        controller=controller,
-        tuning={"Np": 35, "Nc": 8, "Q": 10.0, "R": 0.01},
-        created="2026-01-02T03:04:05+00:00",
+        Origin(
+            scenario=scenario,
+            plant="dual-track",
+            tyre="constant-stiffness",
+            vehicle="paper",
+            profile="paper",
+            seed=7,
+            preview=False,
+            controller=controller,
+            tuning={"Np": 35, "Nc": 8, "Q": 10.0, "R": 0.01},
+        ),
+        "2026-01-02T03:04:05+00:00",
     )
     return Trajectory(
         t=t,

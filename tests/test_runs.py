@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from adaptrack.batch import Batch
-from adaptrack.controllers import MPC, Tuning
+from adaptrack.controllers import Tuning
 from adaptrack.errors import InvalidInput
 from adaptrack.estimation import FrictionWindEstimator, Perception
 from adaptrack.failure import Failure
@@ -21,7 +21,6 @@ from adaptrack.plant import DualTrack, SingleTrack
 from adaptrack.profile import load_profile
 from adaptrack.runs import (
     PERCEPTIONS,
-    RunSet,
     operating_point_runs,
     paper_test_runs,
     perception,
@@ -30,30 +29,10 @@ from adaptrack.runs import (
 from adaptrack.scenario import load_scenario, random_drive
 from adaptrack.scheduling import Constant, Guarded, Learned, SchedulingVariables, Table
 from adaptrack.simulate import rollout, simulate
-from adaptrack.vehicle import load_vehicle
+from small_runs import CAR, HASTY, START, controller, lane_changes, run_set
 
 DISTANCE = Failure().distance
 FAILED_COST = DISTANCE**2
-CAR = load_vehicle("paper")
-START = Tuning(29, 5, 1.0, 4000.0)
-HASTY = Tuning(30, 10, 1.0, 10.0)
-"""Steers on every bit of noise: fails."""
-
-
-def controller(tuning=START, **options):
-    return MPC(CAR, tuning, period=load_profile("road").period, preview=True, **options)
-
-
-def lane_changes(n=5, duration=4.0):
-    rng = np.random.default_rng(3)
-    return [
-        load_scenario("lane-change", speed=v, amplitude=y, friction=mu, gust=w, duration=duration)
-        for v, y, mu, w in rng.uniform((8.0, -4.0, 0.4, -20.0), (28.0, 4.0, 1.0, 20.0), (n, 4))
-    ]
-
-
-def run_set(scenarios=None, plant=SingleTrack, **options):
-    return RunSet(plant(CAR), controller(), scenarios or lane_changes(), **options)
 
 
 def by_friction():

@@ -414,11 +414,11 @@ def test_an_adaptation_that_was_stopped_goes_on_with_the_first_stage_that_is_mis
     forbid(quick, "run_campaign", "best_constant", "loop_map")
     improve, asked = recipes.improve, []
 
-    def stopped(*given, name, **more):
-        asked.append(name)
-        if name == "nn" and asked.count("nn") == 1:
+    def stopped(start, *given, **more):
+        asked.append(start.name)
+        if start.name == "nn" and asked.count("nn") == 1:
             raise KeyboardInterrupt
-        return improve(*given, name=name, **more)
+        return improve(start, *given, **more)
 
     quick.setattr(recipes, "improve", stopped)
     with pytest.raises(KeyboardInterrupt):

@@ -18,7 +18,7 @@ from hypothesis import strategies as st
 
 from adaptrack import __version__
 from adaptrack.errors import InvalidInput, StorageError
-from adaptrack.trajectory import COLUMNS, Trajectory, provenance
+from adaptrack.trajectory import COLUMNS, Origin, Trajectory, provenance
 
 
 def record(n=8, period=0.1, **changes):
@@ -335,16 +335,18 @@ def test_saving_into_a_missing_folder_is_refused(tmp_path):
 
 def test_provenance_names_the_software_and_takes_the_callers_clock():
     meta = provenance(
-        scenario={"name": "step", "duration": 18.0},
-        plant="dual-track",
-        tyre="magic-formula",
-        vehicle="paper",
-        profile="paper",
-        seed=0,
-        preview=False,
-        controller="standard",
-        tuning={"Np": 35, "Nc": 8, "Q": 10.0, "R": 0.01},
-        created=datetime(2026, 1, 2, 3, 4, tzinfo=UTC),
+        Origin(
+            scenario={"name": "step", "duration": 18.0},
+            plant="dual-track",
+            tyre="magic-formula",
+            vehicle="paper",
+            profile="paper",
+            seed=0,
+            preview=False,
+            controller="standard",
+            tuning={"Np": 35, "Nc": 8, "Q": 10.0, "R": 0.01},
+        ),
+        datetime(2026, 1, 2, 3, 4, tzinfo=UTC),
         moves="pulses",
     )
     run = record(meta=meta)

@@ -31,10 +31,10 @@ def _every_operation(A, out):
     vectors.store(out, 15, 0, vectors.column(A, 5, 3, 4))
     vectors.store(
         out, 16, 0,
-        vectors.totals(
+        vectors.totals((
             vectors.load(A, 0, 8), vectors.load(A, 1, 8), vectors.load(A, 2, 8), vectors.load(A, 3, 8),
             vectors.load(A, 4, 8), vectors.load(A, 5, 8), vectors.load(A, 6, 8), vectors.load(A, 7, 8),
-        ),
+        )),
     )  # fmt: skip
     return (
         vectors.total(a),

@@ -64,7 +64,7 @@ class PlainController:
         return self.mpc.describe()
 
     def step(
-        self, state: Any, speed: float, reference: Any, condition: SchedulingVariables | None = None
+        self, state: Any, speed: float, reference: Any, variables: SchedulingVariables | None = None
     ) -> MPCCommand:
         """One control step, as `MPC.step`."""
         import ctypes
@@ -112,8 +112,8 @@ def bench_step(count: int = 4000) -> dict[str, Any]:
 
     `step`: at 35/8/10/0.01; `nn`: scheduled by four 4-16-8-1 networks; `anfis`: by four fuzzy systems of `RULES` rules
     on the four inputs, all of them with random numbers; `python_daqp`: `PlainController` at 35/8/10/0.01. Speed and
-    condition change at every step, so that the schedule is asked, the model discretised and the QP formed and
-    factorised anew each time. `nn_kernel`, `anfis_kernel`: the schedule alone, compiled.
+    scheduling variables change at every step, so that the schedule is asked, the model discretised and the QP formed
+    and factorised anew each time. `nn_kernel`, `anfis_kernel`: the schedule alone, compiled.
     """
     car = load_vehicle("paper")
     rng = np.random.default_rng(0)
@@ -123,7 +123,7 @@ def bench_step(count: int = 4000) -> dict[str, Any]:
     low, high = np.array([SPEEDS, AMPLITUDES, FRICTIONS, WINDS]).T
     rows = rng.uniform(low, high, (count, 4))
     rows[:, 1] = references
-    conditions = [SchedulingVariables(*row) for row in rows.tolist()]
+    looks = [SchedulingVariables(*row) for row in rows.tolist()]
     schedules = {"nn": _networks(rng), "anfis": _fuzzy_systems(rng)}
     scheduled = {name: MPC(car, Tuning(), scheduler=schedule) for name, schedule in schedules.items()}
 
@@ -131,9 +131,9 @@ def bench_step(count: int = 4000) -> dict[str, Any]:
         times, active = np.empty(repeats), 0
         for i in range(repeats):
             controller.reset() if isinstance(controller, PlainController) else _rest(controller)
-            state, reference, condition = states[i], references[i : i + 1], conditions[i]
+            state, reference, variables = states[i], references[i : i + 1], looks[i]
             begun = time.perf_counter_ns()
-            command = controller.step(state, condition.speed, reference, condition)
+            command = controller.step(state, variables.speed, reference, variables)
             times[i] = time.perf_counter_ns() - begun
             active += command.iterations > 0
         return times / 1e3, active / repeats
@@ -192,12 +192,12 @@ def _learned(functions: Mapping[str, Network | Sugeno], domain: Array) -> Schedu
     return Learned(functions, ("speed", "y_ref", "friction", "wind"), domain, SEARCH)
 
 
-def _schedule_us(schedule: Schedule, conditions: Array, pieces: int = 100) -> float:
-    """Microseconds that the kernel of a schedule takes for one condition: all in `pieces` calls, the median call."""
+def _schedule_us(schedule: Schedule, variables: Array, pieces: int = 100) -> float:
+    """Microseconds that the kernel of a schedule takes for a row of variables: all in `pieces` calls, the median."""
     from adaptrack.kernels import schedule as kernel
 
-    rows = np.zeros((len(conditions), len(VARIABLES)))
-    rows[:, : conditions.shape[1]] = conditions
+    rows = np.zeros((len(variables), len(VARIABLES)))
+    rows[:, : variables.shape[1]] = variables
     plan, times = schedule.plan(1), []
     for piece in np.array_split(rows, pieces):
         tunings = np.empty((len(piece), len(ENTRIES)))
@@ -216,8 +216,8 @@ def _rest(mpc: MPC) -> None:
 def bench_rollout(conditions: int = 150, threads: int | None = None) -> dict[str, Any]:
     """Control steps per second of `rollout_batch`: dual track, Magic Formula, paper profile, 180 steps a run.
 
-    20 random tunings within the swarm's bounds on each of `conditions` random conditions of the paper's domain; the
-    same with a speed that varies, where every step has a model of its own; a sample of the runs by `PlainController`.
+    20 random tunings within the swarm's bounds on each of `conditions` random operating points of the paper's domain;
+    the same with a speed that varies, where every step has a model of its own; a sample of them by `PlainController`.
     """
     rng = np.random.default_rng(0)
     car = load_vehicle("paper")
@@ -277,8 +277,8 @@ def bench_campaign(conditions: int = 48, threads: int | None = None) -> dict[str
 
     control_steps_per_s counts the steps simulated; a swarm's runs that cannot improve any more are stopped, so
     `nominal_steps_per_s`, the steps that whole runs would have had, is higher. `ratio_to_python_daqp`: nominal rate
-    over that of `PlainController` on runs of the same conditions; `ratio_to_scalar`: over one run at a time on one
-    thread, the same kernels with a single lane.
+    over that of `PlainController` at the same operating points; `ratio_to_scalar`: over one run at a time on one
+    thread, the same kernels with a single slot.
     """
     from adaptrack.tuning.config import load_campaign
     from adaptrack.tuning.objective import Objective

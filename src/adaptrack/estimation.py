@@ -1,9 +1,9 @@
 """What a controller knows: the state and the disturbance that it predicts from, and friction and wind.
 
-The estimator of an MPC gives the state of its prediction model (`Estimator`). The scheduler of one is told friction and
-wind exactly, with errors (`Perception`), or as a car's own signals show them (`FrictionWindEstimator`): neither is
-measured. Friction shows only where the tyres are near their limit; elsewhere the estimate drifts back to a nominal
-value, and its standard deviation says so.
+The estimator of an MPC gives the state of its prediction model (`Estimator`). The scheduler of one is given
+friction and wind exactly, with errors (`Perception`), or as a car's own signals show them (`FrictionWindEstimator`):
+neither is measured. Friction shows only where the tyres are near their limit; elsewhere the estimate drifts back to a
+nominal value, and its standard deviation says so.
 """
 
 from __future__ import annotations
@@ -17,10 +17,11 @@ from typing import Any, NamedTuple, Self, final
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from adaptrack.errors import ContractError, InvalidInput, UnknownName, did_you_mean, real, whole
+from adaptrack.errors import ContractError, InvalidInput, real, whole
 from adaptrack.models import PredictionModel
 from adaptrack.plant import DualTrack, SingleTrack
 from adaptrack.profile import Profile, load_profile
+from adaptrack.registry import Registry
 from adaptrack.vehicle import SteeringActuator, Tyre, Vehicle, load_tyre, pack_plant
 
 Array = NDArray[np.float64]
@@ -145,26 +146,18 @@ class UserEstimator(Estimator):
         return size(model.n) if callable(size) else int(size)
 
 
-def _kalman(**options: Any) -> Estimator:
-    from adaptrack.kalman import KalmanFilter
-
-    return KalmanFilter(**options)
+_registry: Registry[Estimator] = Registry("estimator", "register_estimator", {"deadbeat": Deadbeat, "kalman": "adaptrack.kalman:KalmanFilter"})
 
 
-_factories: dict[str, Callable[..., Estimator]] = {"deadbeat": Deadbeat, "kalman": _kalman}
-
-
-def register_estimator(name: str, factory: Callable[..., Estimator]) -> None:
+def register_estimator(name: str, factory: Callable[..., Estimator] | str) -> None:
     """Make ``get_estimator(name, **options)`` call ``factory(**options)``.
 
     Raises
     ------
     InvalidInput
-        For a name that is taken or empty, or a factory that cannot be called.
+        For a name that is taken or empty, or a factory that is neither callable nor ``"package.module:name"``.
     """
-    if not name or not isinstance(name, str) or name in _factories or not callable(factory):
-        raise InvalidInput(f"register_estimator({name!r}, {factory!r}): need a name that is free and a callable.")
-    _factories[name] = factory
+    _registry.add(name, factory)
 
 
 def get_estimator(name: str, **options: Any) -> Estimator:
@@ -175,14 +168,12 @@ def get_estimator(name: str, **options: Any) -> Estimator:
     UnknownName
         When none has this name.
     """
-    if name not in _factories:
-        raise UnknownName(f"There is no estimator {name!r}. {did_you_mean(str(name), _factories)}")
-    return _factories[name](**options)
+    return _registry.make(name, **options)
 
 
 def list_estimators() -> list[str]:
     """The known names, sorted."""
-    return sorted(_factories)
+    return _registry.names()
 
 
 def check_estimator(estimator: Estimator, model: PredictionModel, speed: float = 15.0, steps: int = 200) -> None:
@@ -240,7 +231,7 @@ class Estimate(NamedTuple):
     wind_std: float
     """m/s"""
     stiffness: float
-    """cornering stiffness of the tyres, over what the estimator was told"""
+    """cornering stiffness of the tyres, over what the estimator was given"""
 
 
 @dataclass(frozen=True)

@@ -48,8 +48,8 @@ SEED = Limit(10_000, "", "it numbers the drives")
 
 # -- timings ----------------------------------------------------------------------------------------------------------
 TIMED_STEPS = Limit(1_000_000, "control steps", "a minute")
-TIMED_CONDITIONS = Limit(10_000, "conditions", "20 runs each, three times: some minutes")
-TIMED_GRID = Limit(6435, "conditions", "the paper's grid has no more")
+TIMED_POINTS = Limit(10_000, "operating points", "20 runs each, three times: some minutes")
+TIMED_GRID = Limit(6435, "operating points", "the paper's grid has no more")
 
 
 def check_limit(what: str, value: float, limit: Limit) -> None:

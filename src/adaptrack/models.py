@@ -15,7 +15,8 @@ from typing import Any, final
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from adaptrack.errors import ContractError, InvalidInput, UnknownName, did_you_mean, real
+from adaptrack.errors import ContractError, InvalidInput, real
+from adaptrack.registry import Registry
 from adaptrack.vehicle import Vehicle
 
 Array = NDArray[np.float64]
@@ -351,20 +352,20 @@ class UserModel(PredictionModel):
         return self._function
 
 
-_factories: dict[str, Callable[..., PredictionModel]] = {"single-track": SingleTrackModel, "path": PathModel}
+_registry: Registry[PredictionModel] = Registry(
+    "prediction model", "register_model", {"single-track": SingleTrackModel, "path": PathModel}
+)
 
 
-def register_model(name: str, factory: Callable[..., PredictionModel]) -> None:
+def register_model(name: str, factory: Callable[..., PredictionModel] | str) -> None:
     """Make ``get_model(name, vehicle, period)`` call ``factory(vehicle, period)``.
 
     Raises
     ------
     InvalidInput
-        For a name that is taken or empty, or a factory that cannot be called.
+        For a name that is taken or empty, or a factory that is neither callable nor ``"package.module:name"``.
     """
-    if not name or not isinstance(name, str) or name in _factories or not callable(factory):
-        raise InvalidInput(f"register_model({name!r}, {factory!r}): need a name that is free and a callable.")
-    _factories[name] = factory
+    _registry.add(name, factory)
 
 
 def get_model(name: str, vehicle: Vehicle, period: float = 0.1) -> PredictionModel:
@@ -375,14 +376,12 @@ def get_model(name: str, vehicle: Vehicle, period: float = 0.1) -> PredictionMod
     UnknownName
         When no model has this name.
     """
-    if name not in _factories:
-        raise UnknownName(f"There is no prediction model {name!r}. {did_you_mean(str(name), _factories)}")
-    return _factories[name](vehicle, period)
+    return _registry.make(name, vehicle, period)
 
 
 def list_models() -> list[str]:
     """The known names, sorted."""
-    return sorted(_factories)
+    return _registry.names()
 
 
 def check_model(model: PredictionModel, speeds: Sequence[float] = (2.0, 10.0, 30.0)) -> None:

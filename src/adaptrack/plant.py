@@ -15,7 +15,8 @@ from typing import Any, Self, final
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from adaptrack.errors import ContractError, InvalidInput, UnknownName, did_you_mean, real, whole
+from adaptrack.errors import ContractError, InvalidInput, real, whole
+from adaptrack.registry import Registry
 from adaptrack.vehicle import SteeringActuator, Tyre, Vehicle, load_tyre, pack_plant
 
 Array = NDArray[np.float64]
@@ -493,20 +494,20 @@ def _check_stepped(plant: SteppedPlant, speeds: Sequence[float], symmetric: bool
             fail("after reset() the same steps must give the same motion", f"at {speed} m/s")
 
 
-_factories: dict[str, Callable[..., Plant | SteppedPlant]] = {"single-track": SingleTrack, "dual-track": DualTrack}
+_registry: Registry[Plant | SteppedPlant] = Registry(
+    "plant", "register_plant", {"single-track": SingleTrack, "dual-track": DualTrack}
+)
 
 
-def register_plant(name: str, factory: Callable[..., Plant | SteppedPlant]) -> None:
+def register_plant(name: str, factory: Callable[..., Plant | SteppedPlant] | str) -> None:
     """Make ``get_plant(name, vehicle, tyre)`` call ``factory(vehicle, tyre)``.
 
     Raises
     ------
     InvalidInput
-        For a name that is taken or empty, or a factory that cannot be called.
+        For a name that is taken or empty, or a factory that is neither callable nor ``"package.module:name"``.
     """
-    if not name or not isinstance(name, str) or name in _factories or not callable(factory):
-        raise InvalidInput(f"register_plant({name!r}, {factory!r}): need a name that is free and a callable.")
-    _factories[name] = factory
+    _registry.add(name, factory)
 
 
 def get_plant(name: str, vehicle: Vehicle, tyre: Tyre | str | None = None) -> Plant | SteppedPlant:
@@ -517,11 +518,9 @@ def get_plant(name: str, vehicle: Vehicle, tyre: Tyre | str | None = None) -> Pl
     UnknownName
         When no plant has this name.
     """
-    if name not in _factories:
-        raise UnknownName(f"There is no plant {name!r}. {did_you_mean(str(name), _factories)}")
-    return _factories[name](vehicle, tyre)
+    return _registry.make(name, vehicle, tyre)
 
 
 def list_plants() -> list[str]:
     """The known names, sorted."""
-    return sorted(_factories)
+    return _registry.names()

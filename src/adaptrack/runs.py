@@ -212,7 +212,9 @@ def _scheduling_variables(samples: Array) -> Array:
 
 
 # -- makers -----------------------------------------------------------------------------------------------------------
-def operating_point_runs(plant: Plant, mpc: MPC, points: ArrayLike, profile: str = "road", **options: Any) -> RunSet:
+def operating_point_runs(
+    plant: Plant | SteppedPlant, mpc: MPC, points: ArrayLike, profile: str = "road", **options: Any
+) -> RunSet:
     """One smooth lane change in a gust for each operating point: speed m/s, y_ref m, friction, wind m/s (n, 4).
 
     options: of `RunSet`.
@@ -230,7 +232,7 @@ def operating_point_runs(plant: Plant, mpc: MPC, points: ArrayLike, profile: str
 
 
 def random_drive_runs(
-    plant: Plant, mpc: MPC, numbers: Iterable[int], duration: float = 60.0, profile: str = "road", *,
+    plant: Plant | SteppedPlant, mpc: MPC, numbers: Iterable[int], duration: float = 60.0, profile: str = "road", *,
     roads: Mapping[str, Any] | None = None, segment_seconds: float = 2.0, **options: Any,
 ) -> RunSet:  # fmt: skip
     """The random drives of these numbers; cost is attributed to segments, and to inputs up to one segment older.
@@ -242,7 +244,7 @@ def random_drive_runs(
     return RunSet(plant, mpc, drives, profile, **{"segment": segment, "lead": segment, **options})
 
 
-def paper_test_runs(plant: Plant, mpc: MPC, name: str, profile: str = "road", **options: Any) -> RunSet:
+def paper_test_runs(plant: Plant | SteppedPlant, mpc: MPC, name: str, profile: str = "road", **options: Any) -> RunSet:
     """One of the paper's two tests.
 
     Raises

@@ -25,7 +25,7 @@ from adaptrack.plant import Plant, SteppedPlant
 from adaptrack.profile import Profile
 from adaptrack.scenario import Scenario, Signals
 from adaptrack.scheduling.variables import SchedulingVariables
-from adaptrack.trajectory import Trajectory, provenance
+from adaptrack.trajectory import Origin, Trajectory, provenance
 from adaptrack.world import Driver, KnownAs, World, reason_of
 
 Array = NDArray[np.float64]
@@ -322,17 +322,19 @@ def _trajectory(
         failed=record.failed,
         failed_at=record.failed_at,
         meta=provenance(
-            scenario=scenario.name,
-            plant=plant.name,
-            tyre=plant.tyre_name,
-            vehicle=getattr(getattr(plant, "vehicle", None), "name", plant.name),
-            profile=world.profile.name,
+            Origin(
+                scenario=scenario.name,
+                plant=plant.name,
+                tyre=plant.tyre_name,
+                vehicle=getattr(getattr(plant, "vehicle", None), "name", plant.name),
+                profile=world.profile.name,
+                seed=seed,
+                preview=bool(described.get("preview", False)),
+                controller=controller.name,
+                tuning=described.get("tuning", {}),
+            ),
+            datetime.now(UTC),
             move_weight=world.profile.move_weight,
-            seed=seed,
-            preview=bool(described.get("preview", False)),
-            controller=controller.name,
-            tuning=described.get("tuning", {}),
-            created=datetime.now(UTC),
             control=described,
             speed="profile" if world.driver is None else "driver",
             scheduler_counts=record.counted,

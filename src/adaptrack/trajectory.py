@@ -291,36 +291,31 @@ class Trajectory:
             raise Damaged(f"{os.fspath(path)}: damaged, or edited by another program: {error}") from error
 
 
-def provenance(
-    *,
-    scenario: Any,
-    plant: Any,
-    tyre: Any,
-    vehicle: Any,
-    profile: str,
-    seed: int | None,
-    preview: bool,
-    controller: Any,
-    tuning: Any,
-    created: str | datetime,
-    **more: Any,
-) -> dict[str, Any]:
-    """What a result has to name, as the `meta` of a `Trajectory`: how it was made and with which software.
+@dataclass(frozen=True)
+class Origin:
+    """What was driven where, by what: a name each, or a table with a ``name`` and the parameters in use."""
 
-    `scenario`, `plant`, `tyre`, `vehicle`, `controller` and `tuning` are a name, or a table with a ``name`` and the
-    parameters in use. `created` is the caller's clock, so that nothing here depends on the time of day. `more` adds
-    entries (``moves``, ``qp_solver``, ``command``, ...).
+    scenario: Any
+    plant: Any
+    tyre: Any
+    vehicle: Any
+    profile: str
+    seed: int | None
+    """of the sensor noise"""
+    preview: bool
+    """whether the controller knew the reference ahead"""
+    controller: Any
+    tuning: Any
+
+
+def provenance(origin: Origin, created: str | datetime, **more: Any) -> dict[str, Any]:
+    """What a result has to name, as the `meta` of a `Trajectory`: its origin, and with which software it was made.
+
+    `created` is the caller's clock, so that nothing here depends on the time of day. `more` adds entries (``moves``,
+    ``qp_solver``, ``command``, ...).
     """
     return {
-        "scenario": scenario,
-        "plant": plant,
-        "tyre": tyre,
-        "vehicle": vehicle,
-        "profile": profile,
-        "seed": seed,
-        "preview": preview,
-        "controller": controller,
-        "tuning": tuning,
+        **vars(origin),
         **more,
         "versions": {
             "adaptrack": __version__,

@@ -28,6 +28,19 @@ Surfaces = Mapping[str, Surface]
 
 
 @dataclass(frozen=True, eq=False)
+class Learnable:
+    """A schedule whose outputs can learn."""
+
+    surfaces: Surfaces
+    """of Np, Nc and log10_ratio (R/Q, Q = 1)"""
+    inputs: Sequence[str]
+    """scheduling variables, in the order of the surfaces' inputs"""
+    domain: Array
+    """(inputs, 2) low and high, see `Schedule`"""
+    name: str = "learned"
+
+
+@dataclass(frozen=True, eq=False)
 class Improvement:
     """A schedule that learned, and how."""
 
@@ -38,9 +51,7 @@ class Improvement:
 
 
 def improve(
-    surfaces: Surfaces,
-    inputs: Sequence[str],
-    domain: Array,
+    start: Learnable,
     training: Training,
     held_out: Sequence[RunSet],
     *,
@@ -48,26 +59,24 @@ def improve(
     seed: int = 0,
     method: Method | None = None,
     safe: Tuning | None = None,
-    name: str = "learned",
     progress: Callable[[int, int], None] | None = None,
 ) -> Improvement:
     """Move a schedule's three outputs towards what the landscape of its own closed loop prefers, `rounds` times.
 
-    surfaces: for Np, Nc and log10_ratio (R/Q, Q = 1); inputs, domain: see `Schedule`; training: run sets, each with the
-    number of its runs that a round drives, drawn anew; held_out: after every few rounds the schedule, its parameters
-    averaged over the latest rounds (Polyak and Juditsky, 1992), is scored on them by the mean log cost, each run set
-    alike, and the best one is returned; safe: a tuning towards which failed runs are driven again, so that what saves
-    them is learned, too.
+    start: the schedule before the first round; training: run sets, each with the number of its runs that a round
+    drives, drawn anew; held_out: after every few rounds the schedule, its parameters averaged over the latest rounds
+    (Polyak and Juditsky, 1992), is scored on them by the mean log cost, each run set alike, and the best one is
+    returned; safe: a tuning towards which failed runs are driven again, so that what saves them is learned, too.
 
     Raises
     ------
     InvalidInput
         When a surface is missing, or an input cannot be known before driving.
     """
-    learner = _Learner.of(surfaces, inputs, domain, training, method or Method(), safe, name)
+    learner = _Learner.of(start, training, method or Method(), safe)
     rng = np.random.default_rng((seed, 0xADA))
-    state = _State(dict(surfaces), [set() for _ in training])
-    state.keep_if_best(*learner.judged(surfaces, held_out, seed, k=0))
+    state = _State(dict(start.surfaces), [set() for _ in training])
+    state.keep_if_best(*learner.judged(start.surfaces, held_out, seed, k=0))
     for k in range(rounds):
         if progress is not None:
             progress(k, rounds)
@@ -135,11 +144,9 @@ class _Learner:
     name: str
 
     @classmethod
-    def of(
-        cls, surfaces: Surfaces, inputs: Sequence[str], domain: Array, training: Training, method: Method,
-        safe: Tuning | None, name: str,
-    ) -> _Learner:  # fmt: skip
-        if set(surfaces) != set(OUTPUTS):
+    def of(cls, start: Learnable, training: Training, method: Method, safe: Tuning | None) -> _Learner:
+        inputs = tuple(start.inputs)
+        if set(start.surfaces) != set(OUTPUTS):
             raise InvalidInput(f"improve: need a surface for each of {', '.join(OUTPUTS)}.")
         for each in inputs:
             if each not in SchedulingVariables._fields:
@@ -152,7 +159,7 @@ class _Learner:
             whole("improve", "count", count)
         goal = None if safe is None else np.array([safe.Np, safe.Nc, math.log10(safe.R / safe.Q)])
         columns = [SchedulingVariables._fields.index(each) for each in inputs]
-        return cls(tuple(inputs), columns, domain, method, goal, name)
+        return cls(inputs, columns, start.domain, method, goal, start.name)
 
     @property
     def check(self) -> int:

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import cKDTree
 
-from adaptrack.adaptation.improve import Surfaces, improve
+from adaptrack.adaptation.improve import Learnable, Surfaces, improve
 from adaptrack.adaptation.landscape import OUTPUTS
 from adaptrack.adaptation.method import Constants, Method
 from adaptrack.adaptation.splits import SetUp, Training, constants_noise, held_out_runs, training_runs
@@ -112,9 +112,10 @@ class Recipes:
     def learned(self, model: str, inputs: tuple[str, ...], name: str, made: Made) -> Schedule:
         """What learns from the landscape."""
         asked, seed = self.setup.config.learning, self.setup.config.seed
+        surfaces = first_surfaces(self.setup, model, self.training, inputs)
         found = improve(
-            first_surfaces(self.setup, model, self.training, inputs), inputs, asked.box(inputs), self.training,
-            self.held_out, rounds=asked.rounds, seed=seed, method=self.setup.method, safe=safe_tuning(made), name=name,
+            Learnable(surfaces, inputs, asked.box(inputs), name), self.training, self.held_out, rounds=asked.rounds,
+            seed=seed, method=self.setup.method, safe=safe_tuning(made),
             progress=lambda done, of: self.show(name, done, of),
         )  # fmt: skip
         return replace(found.schedule, provenance={"history": found.history})

@@ -6,7 +6,7 @@ No run and no noise seed is in two of these parts.
 from __future__ import annotations
 
 import itertools
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +15,7 @@ from adaptrack.adaptation.config import AdaptationConfig, Evaluation
 from adaptrack.adaptation.method import Method
 from adaptrack.controllers import MPC
 from adaptrack.errors import InvalidInput
-from adaptrack.plant import DualTrack, SingleTrack
+from adaptrack.plant import DualTrack, Plant, SingleTrack, SteppedPlant, get_plant
 from adaptrack.profile import load_profile
 from adaptrack.runs import RunSet, operating_point_runs, random_drive_runs
 from adaptrack.tuning.config import Box, CampaignConfig, Plan, Sobol, load_campaign
@@ -36,8 +36,11 @@ class SetUp:
     plan: Plan
     """of the campaign"""
     plant: SingleTrack | DualTrack
+    """the campaign's: what is tuned and learned on, and what an estimator of friction and wind believes in"""
     mpc: MPC
     """pulses, preview and period of the profile; the contenders choose its tuning"""
+    driven: Plant | SteppedPlant
+    """what an evaluation drives, the same unless `driving` says otherwise"""
 
     @classmethod
     def of(cls, config: AdaptationConfig) -> SetUp:
@@ -57,7 +60,18 @@ class SetUp:
         vehicle, profile = plan.setup.vehicle, load_profile(campaign.profile)
         body = SingleTrack if campaign.plant == "single-track" else DualTrack
         mpc = MPC(vehicle, config.method.constants.tuning, period=profile.period, preview=profile.preview)
-        return cls(config, campaign, plan, body(vehicle, plan.setup.tyre), mpc)
+        plant = body(vehicle, plan.setup.tyre)
+        return cls(config, campaign, plan, plant, mpc, plant)
+
+    def driving(self, name: str) -> SetUp:
+        """The same with a registered plant to be judged on.
+
+        Raises
+        ------
+        UnknownName
+            When no plant has this name.
+        """
+        return replace(self, driven=get_plant(name, self.plan.setup.vehicle, self.plan.setup.tyre))
 
     @property
     def method(self) -> Method:

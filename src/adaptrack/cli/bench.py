@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from adaptrack.cli import options, show
-from adaptrack.limits import TIMED_CONDITIONS, TIMED_GRID, TIMED_STEPS
+from adaptrack.limits import TIMED_GRID, TIMED_POINTS, TIMED_STEPS
 
 app = typer.Typer(help="Time the package on this machine.", no_args_is_help=True)
 
@@ -29,7 +29,7 @@ def bench_step(
 
 @app.command("rollout")
 def bench_rollout(
-    conditions: Annotated[int, options.count_of("Conditions to run, 20 tunings each", TIMED_CONDITIONS)] = 150,
+    conditions: Annotated[int, options.count_of("Operating points to run, 20 tunings each", TIMED_POINTS)] = 150,
     threads: options.Threads = None,
     as_json: options.Json = False,
 ) -> None:
@@ -42,12 +42,12 @@ def bench_rollout(
 
 @app.command("campaign")
 def bench_campaign(
-    conditions: Annotated[int, options.count_of("Conditions of the paper's grid to tune", TIMED_GRID)] = 48,
+    conditions: Annotated[int, options.count_of("Operating points of the paper's grid to tune", TIMED_GRID)] = 48,
     threads: options.Threads = None,
     as_json: options.Json = False,
 ) -> None:
     """Time swarms and landscape on a sample of the paper's campaign."""
     from adaptrack.benchmark import bench_campaign as measure
 
-    show.say(f"adaptrack: timing the swarms of {conditions:,} conditions; {ALONE}", aside=True)
+    show.say(f"adaptrack: timing the swarms of {conditions:,} operating points; {ALONE}", aside=True)
     show.flat("A sample of the paper's campaign", measure(conditions, threads), as_json)

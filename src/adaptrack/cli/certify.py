@@ -11,6 +11,7 @@ from typer import Option
 
 from adaptrack.cli import options, show
 from adaptrack.cli.show import Column
+from adaptrack.errors import InvalidInput
 
 if TYPE_CHECKING:
     from adaptrack.certify import Certificate
@@ -39,8 +40,9 @@ def certify(
     scheduler: Annotated[str, typer.Argument(help="Name (see `schedulers`) or .json file (see `train`).")],
     profile: options.Profile = "road",
     vehicle: options.Vehicle = "paper",
-    plant: options.Plant = options.PlantName.dual_track,
+    plant: options.Plant = "dual-track",
     tyre: options.Tyre = None,
+    plugin: options.Plugin = None,
     out: Annotated[Path | None, Option(help="Folder for the page with the maps.")] = None,
     as_json: options.Json = False,
 ) -> None:
@@ -51,11 +53,17 @@ def certify(
     """
     from adaptrack.certify import certify as look
     from adaptrack.controllers import MPC
+    from adaptrack.plant import SteppedPlant
     from adaptrack.profile import load_profile
     from adaptrack.scheduling import load_scheduler
 
+    options.load_plugins(plugin)
     schedule = load_scheduler(scheduler)
     car, body = options.car_and_plant(vehicle, plant, tyre)
+    if isinstance(body, SteppedPlant):
+        raise InvalidInput(
+            f"--plant {plant}: is stepped in Python; a certificate needs equations that it can linearise."
+        )
     longest, most = schedule.largest
     mpc = MPC(car, period=load_profile(profile).period, longest_horizon=max(60, longest), most_moves=max(20, most))
     if out is not None:

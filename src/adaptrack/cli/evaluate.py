@@ -37,6 +37,10 @@ def evaluate(
     ] = None,
     tests: Annotated[bool, Option("--tests", help="The paper's two tests.")] = False,
     config: Annotated[str, Option(help="Whose vehicle, profile and domain: name (road) or .toml file.")] = "road",
+    plant: Annotated[
+        str | None, Option("--plant", help="A registered plant to drive instead of the configuration's.")
+    ] = None,
+    plugin: options.Plugin = None,
     profile: Annotated[str | None, Option(help="Must be the configuration's; for the record.")] = None,
     known_as: Annotated[
         list[str] | None,
@@ -53,7 +57,8 @@ def evaluate(
 ) -> None:  # fmt: skip
     """Compare schedulers with the best constant and the optimum of each operating point, where none was trained.
 
-    Failed runs are part of the result: they are counted for each contender, and the exit code is 0.
+    A plant that is stepped in Python is driven run by run; no optimum is searched for on it. Failed runs are part of
+    the result: they are counted for each contender, and the exit code is 0.
     """
     from adaptrack.adaptation.config import load_adaptation
     from adaptrack.adaptation.splits import SetUp
@@ -62,8 +67,11 @@ def evaluate(
     from adaptrack.runs import perception
     from adaptrack.studies.adapt import Adapted
 
+    options.load_plugins(plugin)
     settings = load_adaptation(config)
     setup = SetUp.of(settings)
+    if plant is not None:
+        setup = setup.driving(plant)
     if profile is not None and profile != setup.profile:
         raise InvalidInput(f"--profile {profile}: configuration {settings.name!r} is for {setup.profile!r}.")
     compared, more = schedules(settings.name, schedulers or []), contender or []

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import importlib
 import shlex
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -16,15 +17,9 @@ from adaptrack.errors import InvalidInput, StorageError
 from adaptrack.limits import WORKERS, Limit, check_limit
 
 if TYPE_CHECKING:
-    from adaptrack.plant import DualTrack, SingleTrack
+    from adaptrack.plant import Plant as PlantOf
+    from adaptrack.plant import SteppedPlant
     from adaptrack.vehicle import Vehicle as Car
-
-
-class PlantName(StrEnum):
-    """Plants."""
-
-    single_track = "single-track"
-    dual_track = "dual-track"
 
 
 class MovesName(StrEnum):
@@ -68,7 +63,11 @@ def count_of(what: str, limit: Limit) -> typer.models.OptionInfo:
 
 
 Vehicle = Annotated[str, Option("--vehicle", help="Name (see `vehicles`) or .toml file.")]
-Plant = Annotated[PlantName, Option("--plant", help="What is driven.")]
+Plant = Annotated[str, Option("--plant", help="What is driven: single-track, dual-track, or a registered plant.")]
+Plugin = Annotated[
+    list[str] | None,
+    Option("--plugin", metavar="MODULE", help="Python module to import first: what it registers has a name."),
+]
 Tyre = Annotated[str | None, Option("--tyre", help="Name (see `vehicles`) or .toml file; by default the vehicle's.")]
 Profile = Annotated[
     str, Option("--profile", metavar="NAME", help="paper: ideal; road: steering lag, noise, delay; or a .toml file.")
@@ -87,13 +86,35 @@ Workers = Annotated[
 Threads = Annotated[int | None, Option("--threads", callback=at_most(WORKERS), help="By default one per core.")]
 
 
-def car_and_plant(vehicle: str, plant: PlantName, tyre: str | None) -> tuple[Car, SingleTrack | DualTrack]:
+def load_plugins(modules: Sequence[str] | None) -> None:
+    """Import modules, from where Python looks for them or from the folder at hand.
+
+    Raises
+    ------
+    InvalidInput
+        When there is no such module.
+    """
+    if modules and "" not in sys.path:
+        sys.path.append("")
+    for name in modules or ():
+        missing = f"--plugin {name}: there is no such module in the Python path or in this folder."
+        if not all(part.isidentifier() for part in name.split(".")):
+            raise InvalidInput(missing)
+        try:
+            importlib.import_module(name)
+        except ModuleNotFoundError as error:
+            if not f"{name}.".startswith(f"{error.name}."):
+                raise  # one that it imports itself
+            raise InvalidInput(missing) from error
+
+
+def car_and_plant(vehicle: str, plant: str, tyre: str | None) -> tuple[Car, PlantOf | SteppedPlant]:
     """The car that the controller knows, and the plant that is driven."""
-    from adaptrack.plant import DualTrack, SingleTrack
+    from adaptrack.plant import get_plant
     from adaptrack.vehicle import load_vehicle
 
     car = load_vehicle(vehicle)
-    return car, (SingleTrack if plant is PlantName.single_track else DualTrack)(car, tyre)
+    return car, get_plant(plant, car, tyre)
 
 
 def make_folder(path: Path) -> None:

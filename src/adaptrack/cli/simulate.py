@@ -51,7 +51,7 @@ def simulate(
         ),
     ] = None,
     vehicle: options.Vehicle = "paper",
-    plant: options.Plant = options.PlantName.dual_track,
+    plant: options.Plant = "dual-track",
     tyre: options.Tyre = None,
     profile: options.Profile = "paper",
     driver: Annotated[bool, Option("--driver/--perfect-speed", help="Powertrain and driver, or exact speed.")] = False,
@@ -81,6 +81,7 @@ def simulate(
     allow_failed: Annotated[
         bool, Option("--allow-failed", help=f"Exit code 0, not {FAILED}, when a run failed.")
     ] = False,
+    plugin: options.Plugin = None,
     as_json: options.Json = False,
 ) -> None:
     """Drive scenarios with a controller; print the metrics, write the report.
@@ -92,6 +93,7 @@ def simulate(
     from adaptrack.scenario import load_scenario
     from adaptrack.scheduling import load_scheduler
 
+    options.load_plugins(plugin)
     loaded = [load_scenario(name, **scenario_options(option or [])) for name in scenarios]
     car, body = options.car_and_plant(vehicle, plant, tyre)
     world = load_profile(profile)

@@ -11,7 +11,7 @@ import os
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -180,15 +180,23 @@ def _shares(counts: Mapping[str, NDArray[np.int64]]) -> dict[str, float]:
 
 
 # -- hindsight --------------------------------------------------------------------------------------------------------
+class SwarmSearch(NamedTuple):
+    """A swarm's search for the best tuning."""
+
+    space: SearchSpace
+    swarm: SwarmSettings | None = None
+    """by default the improved swarm's"""
+    seed: int = 0
+    """of its random numbers; further swarms count up from it"""
+
+
 def optimum(
     objective: Callable[[Sequence[int]], Objective],
     points: Array,
-    space: SearchSpace,
+    search: SwarmSearch,
     *,
     evaluation: Evaluation | None = None,
-    swarm: SwarmSettings | None = None,
     known: Array | None = None,
-    seed: int = 0,
     threads: int | None = None,
     progress: Progress | None = None,
 ) -> Array:
@@ -204,7 +212,8 @@ def optimum(
 
     def best(i: int) -> Array:
         found = [
-            part.tune(points[i], swarm, seed=seed + s, stream=i, space=space).tuning for s, part in enumerate(parts)
+            part.tune(points[i], search.swarm, seed=search.seed + s, stream=i, space=search.space).tuning
+            for s, part in enumerate(parts)
         ]
         candidates = np.vstack([*found, others])
         return np.asarray(candidates[np.argmin(judge.costs(points[i], candidates))])

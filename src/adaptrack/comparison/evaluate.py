@@ -10,10 +10,11 @@ from numpy.typing import NDArray
 from adaptrack.adaptation.config import Evaluation
 from adaptrack.adaptation.recipes import ANYWHERE
 from adaptrack.adaptation.splits import SetUp, evaluation_drives, evaluation_points
-from adaptrack.comparison.compare import Comparison, compare, optimum, per_run_best
+from adaptrack.comparison.compare import Comparison, SwarmSearch, compare, optimum, per_run_best
 from adaptrack.comparison.contenders import Contender, contenders_of, get_contender
 from adaptrack.errors import InvalidInput
 from adaptrack.metrics import PUBLISHED
+from adaptrack.plant import Plant, SteppedPlant
 from adaptrack.runs import (
     RunSet,
     operating_point_runs,
@@ -41,23 +42,31 @@ def on_operating_points(
     """On `count` unseen operating points, for each way of knowing friction and wind (see `runs.perception`).
 
     Sobol points of the campaign's box; every cost is the mean over noise seeds that nothing was tuned on; regret is to
-    the optimum of each point.
+    the optimum of each point, or to the best constant where the plant is stepped in Python: to search there would take
+    days.
     """
     points = evaluation_points(setup, count, seed)
     ways = {name: perception(name, setup.plant, setup.profile) for name in known_as}
-    best = optimum(
-        _objective(setup), points, setup.campaign.search.space(), evaluation=setup.evaluation,
-        swarm=setup.campaign.swarm, known=_constants(schedules), seed=seed, progress=progress,
-    )  # fmt: skip
+    best, reference = None, "best constant"
+    if isinstance(setup.driven, SteppedPlant):
+        _needs_constants(schedules)
+    else:
+        reference = "optimum"
+        search = SwarmSearch(setup.campaign.search.space(), setup.campaign.swarm, seed)
+        best = optimum(
+            _objective(setup, setup.driven), points, search, evaluation=setup.evaluation, known=_constants(schedules),
+            progress=progress,
+        )  # fmt: skip
     found = {}
     for name, known in ways.items():
         runs = operating_point_runs(
-            setup.plant, setup.mpc, points, setup.profile, known_as=known, failure=setup.method.runs.failure
+            setup.driven, setup.mpc, points, setup.profile, known_as=known, failure=setup.method.runs.failure
         )
         contenders = contenders_of(schedules, points, _made(more, runs))
-        contenders["optimum"] = Contender("optimum", best, hindsight=True)
-        chosen = _told_apart(contenders, name, (*PERCEIVING, "optimum"))
-        found[name] = compare(runs, chosen, setup.evaluation.noise_seeds, "optimum", points, progress)
+        if best is not None:
+            contenders["optimum"] = Contender("optimum", best, hindsight=True)
+        chosen = _driven(contenders, name, (*PERCEIVING, "optimum"))
+        found[name] = compare(runs, chosen, setup.evaluation.noise_seeds, reference, points, progress)
     return found
 
 
@@ -76,7 +85,7 @@ def on_drives(
         if name == "exact":
             best = per_run_best(runs, _hindsight(schedules, setup.evaluation), noise)
             contenders["per-drive constant"] = Contender("per-drive constant", best, hindsight=True)
-        chosen = _told_apart(contenders, name, PERCEIVING)
+        chosen = _driven(contenders, name, PERCEIVING)
         found[name] = compare(runs, chosen, noise, "best constant", np.array(numbers, dtype=float)[:, None], progress)
     return found
 
@@ -86,7 +95,7 @@ def on_tests(setup: SetUp, schedules: Mapping[str, Schedule], *, more: More = ()
     _needs_constants(schedules)
     found = {}
     for name in PUBLISHED:
-        runs = paper_test_runs(setup.plant, setup.mpc, name, setup.profile, failure=setup.method.runs.failure)
+        runs = paper_test_runs(setup.driven, setup.mpc, name, setup.profile, failure=setup.method.runs.failure)
         contenders = contenders_of(schedules, more=_made(more, runs))
         found[name] = compare(
             runs, contenders.values(), setup.evaluation.noise_seeds, "best constant", np.zeros((1, 1))
@@ -98,7 +107,7 @@ def drive_runs(setup: SetUp, numbers: range, known: KnownAs = None) -> RunSet:
     """Random drives as an evaluation drives them."""
     runs = setup.method.runs
     return random_drive_runs(
-        setup.plant, setup.mpc, numbers, setup.evaluation.duration, setup.profile, segment_seconds=runs.segment,
+        setup.driven, setup.mpc, numbers, setup.evaluation.duration, setup.profile, segment_seconds=runs.segment,
         known_as=known, failure=runs.failure,
     )  # fmt: skip
 
@@ -107,17 +116,17 @@ def _made(more: More, runs: RunSet) -> list[Contender]:
     return [get_contender(each, runs) if isinstance(each, str) else each for each in more]
 
 
-def _told_apart(contenders: Mapping[str, Contender], known_as: str, perceiving: Sequence[str]) -> list[Contender]:
+def _driven(contenders: Mapping[str, Contender], known_as: str, perceiving: Sequence[str]) -> list[Contender]:
     """All contenders where friction and wind are known exactly; else those for which it matters."""
     if known_as == "exact":
         return list(contenders.values())
     return [contenders[name] for name in perceiving if name in contenders]
 
 
-def _objective(setup: SetUp) -> Callable[[Sequence[int]], Objective]:
+def _objective(setup: SetUp, plant: Plant) -> Callable[[Sequence[int]], Objective]:
     """The cost of a tuning on an operating point; a run fails when it does in a `RunSet`."""
     return lambda noise_seeds: Objective(
-        setup.plant, setup.mpc, "lane-change", setup.profile, tuple(noise_seeds), failure=setup.method.runs.failure
+        plant, setup.mpc, "lane-change", setup.profile, tuple(noise_seeds), failure=setup.method.runs.failure
     )
 
 

@@ -154,8 +154,8 @@ class CompiledController(ABC):
         if not self.preview:
             ahead = ahead[:1]
         self.function(situation, ahead, self._tuning, self._parameters, self._memory, self._answer)
-        angle, *told = self._answer.tolist()
-        diagnostics = dict(zip(self.diagnostic_names, told, strict=True))
+        angle, *said = self._answer.tolist()
+        diagnostics = dict(zip(self.diagnostic_names, said, strict=True))
         held = not math.isfinite(angle) or diagnostics.get("held", 0.0) > 0.5
         angle = angle if math.isfinite(angle) else self._angle
         move, self._angle = angle - self._angle, angle

@@ -10,6 +10,7 @@ import logging
 import math
 import threading
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from functools import cached_property
 from typing import Any, NamedTuple, Protocol, Self, runtime_checkable
 
@@ -342,13 +343,27 @@ class MPC:
     def problem(
         self, state: ArrayLike, speed: float, reference: ArrayLike, variables: Sequence[float] | None = None
     ) -> QP:
-        """The QP that `step` would solve with these arguments; the controller stays as it is."""
-        twin = copy.deepcopy(self)
+        """The QP that `step` would solve with these arguments; the controller stays as it is.
+
+        A scheduler in Python stays as it is, too, if it can be copied; one that cannot is asked itself.
+        """
+        twin = self._twin()
         ahead, pace = twin._take(state, speed, reference)
         if twin.scheduler is not None:
             twin._schedule(variables)
         _, n, m = twin._form(pace, ahead)
         return twin._qp(n, m)
+
+    def _twin(self) -> Self:
+        """A controller in the same state, to form a QP with; what that does not change is shared."""
+        state = self.__getstate__()
+        state |= copy.deepcopy({name: state[name] for name in ("_mpc", "_asked", "_plan", "_variables")})
+        if self._plan is None:
+            with suppress(Exception):  # it may hold a lock, a file, a connection
+                state["scheduler"] = copy.deepcopy(self.scheduler)
+        twin = object.__new__(type(self))
+        twin.__setstate__(state)
+        return twin
 
     def _take(self, state: ArrayLike, speed: float, reference: ArrayLike) -> tuple[Array, float]:
         """Take in the measured state; the reference and the speed as the kernels want them."""

@@ -6,7 +6,7 @@ Rules of the room
 * Arithmetic is strict IEEE double precision: no re-association and no implicit contraction. Where a fused
   multiply-add is wanted it is written, `fma(a, b, c)`. So a run gives the same bits alone or in a batch.
 * `ROUTINE` functions are compiled once for a fixed signature and cached on disk; `INLINE` functions are small
-  formulas that the optimiser must see through, because the loops that call them are vectorised over lanes.
+  formulas that the optimiser must see through, because the loops that call them are vectorised over slots.
 """
 
 from __future__ import annotations

@@ -60,7 +60,7 @@ SIGNAL = columns(
     "y_ref", "speed", "friction_front_left", "friction_front_right", "friction_rear_left", "friction_rear_right",
     "wind_x", "wind_y", "known_friction", "known_wind", "change", "acceleration",
 )  # fmt: skip
-"""Rows of a scenario's samples. The last four are what a scheduler is told: friction and wind as they are known, and
+"""Rows of a scenario's samples. The last four are scheduling variables: friction and wind as they are known, and
 the reference preview."""
 
 

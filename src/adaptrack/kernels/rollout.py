@@ -184,17 +184,17 @@ def _apply_law(slot, speed, reference, run):
     )
     for i in range(len(now)):
         given[i] = now[i]
-    told = run.law.own_answer
+    found = run.law.own_answer
     ahead = reference if run.law.preview > 0 else reference[:1]
     call_law(
-        run.members.law, given, ahead, run.tuning[slot], run.law.parameters, run.law.memory[slot], told
+        run.members.law, given, ahead, run.tuning[slot], run.law.parameters, run.law.memory[slot], found
     )  # fmt: skip
-    usable = math.isfinite(told[0])
-    out[0] = told[0] if usable else own.command
+    usable = math.isfinite(found[0])
+    out[0] = found[0] if usable else own.command
     out[1] = out[0] - own.command
-    out[2] = 1.0 if not usable or (run.law.held > 0 and told[run.law.held] > 0.5) else 0.0
-    for i in range(1, told.size):
-        out[COMMON - 1 + i] = told[i]
+    out[2] = 1.0 if not usable or (run.law.held > 0 and found[run.law.held] > 0.5) else 0.0
+    for i in range(1, found.size):
+        out[COMMON - 1 + i] = found[i]
 
 
 @njit(**PART)

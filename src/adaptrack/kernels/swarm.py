@@ -111,10 +111,14 @@ def accelerations(g, G, c1, c2, steps):
     return c1 + alpha, c2 - alpha
 
 
+Coefficients = record("Coefficients", ("w", "c1", "c2"))
+"""Of eq. (18): inertia, cognitive and social acceleration of a generation."""
+
+
 @njit(**INLINE)
-def velocity(v, x, best, leader, w, c1, c2, r1, r2):
-    """One dimension of eq. (18): w v + c1 r1 (Pb - x) + c2 r2 (Gb - x)."""
-    return w * v + c1 * r1 * (best - x) + c2 * r2 * (leader - x)
+def velocity(v, x, best, leader, by, r1, r2):
+    """One dimension of eq. (18): w v + c1 r1 (Pb - x) + c2 r2 (Gb - x); by: `Coefficients`."""
+    return by.w * v + by.c1 * r1 * (best - x) + by.c2 * r2 * (leader - x)
 
 
 # -- one run ----------------------------------------------------------------------------------------------------------
@@ -212,6 +216,7 @@ def move(g, seed, stream, settings, space, swarm):
     else:
         w = settings[W]
     swarm.progress[LAST_W] = w
+    by = Coefficients(w, c1, c2)
     count, dims = swarm.x.shape
     for i in range(count):
         x, v = swarm.x[i], swarm.v[i]
@@ -219,6 +224,6 @@ def move(g, seed, stream, settings, space, swarm):
             r1 = counted_uniform(seed, stream, g + 1, i, 2 * d)
             r2 = counted_uniform(seed, stream, g + 1, i, 2 * d + 1)
             fastest = settings[VELOCITY_CLAMP] * (space[HIGH, d] - space[LOW, d])
-            v[d] = clip(velocity(v[d], x[d], swarm.best[i, d], swarm.leader[d], w, c1, c2, r1, r2), -fastest, fastest)
+            v[d] = clip(velocity(v[d], x[d], swarm.best[i, d], swarm.leader[d], by, r1, r2), -fastest, fastest)
             x[d] += v[d]
         repair(settings, space, x)

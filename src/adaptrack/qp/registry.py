@@ -6,19 +6,24 @@ import importlib
 from collections.abc import Callable
 from typing import Any
 
-from adaptrack.errors import InvalidInput, MissingExtra, UnknownName, did_you_mean
+from adaptrack.errors import MissingExtra
 from adaptrack.qp.solver import QPSolver
+from adaptrack.registry import Registry
 
 Factory = Callable[..., QPSolver]
 
-_factories: dict[str, Factory | str] = {
-    "active-set": "adaptrack.qp.active_set:ActiveSet",
-    "hildreth": "adaptrack.qp.hildreth:Hildreth",
-    "daqp": "adaptrack.qp.daqp:Daqp",
-    "osqp": "adaptrack.qp.osqp:Osqp",
-    "piqp": "adaptrack.qp.piqp:Piqp",
-    "clarabel": "adaptrack.qp.clarabel:Clarabel",
-}
+_registry: Registry[QPSolver] = Registry(
+    "QP solver",
+    "register_qp_solver",
+    {
+        "active-set": "adaptrack.qp.active_set:ActiveSet",
+        "hildreth": "adaptrack.qp.hildreth:Hildreth",
+        "daqp": "adaptrack.qp.daqp:Daqp",
+        "osqp": "adaptrack.qp.osqp:Osqp",
+        "piqp": "adaptrack.qp.piqp:Piqp",
+        "clarabel": "adaptrack.qp.clarabel:Clarabel",
+    },
+)
 
 DEFAULT = "active-set"
 
@@ -28,13 +33,7 @@ def register_qp_solver(name: str, factory: Factory | str) -> None:
 
     Raises `InvalidInput` for a name that is taken. `check_qp_solver` tells whether the solver keeps the contract.
     """
-    if not name or not isinstance(name, str):
-        raise InvalidInput(f"A QP solver needs a name, not {name!r}.")
-    if name in _factories:
-        raise InvalidInput(f"There is a QP solver {name!r} already: choose another name.")
-    if not callable(factory) and not (isinstance(factory, str) and factory.count(":") == 1):
-        raise InvalidInput(f"The factory of {name!r} must be callable or 'package.module:name', not {factory!r}.")
-    _factories[name] = factory
+    _registry.add(name, factory)
 
 
 def get_qp_solver(name: str = DEFAULT, **options: Any) -> QPSolver:
@@ -42,20 +41,12 @@ def get_qp_solver(name: str = DEFAULT, **options: Any) -> QPSolver:
 
     Raises `UnknownName` (with the nearest known one), or `MissingExtra` when its library is not installed.
     """
-    try:
-        factory = _factories[name]
-    except (KeyError, TypeError):
-        raise UnknownName(f"There is no QP solver {name!r}. {did_you_mean(str(name), _factories)}") from None
-    if isinstance(factory, str):
-        module, attribute = factory.split(":")
-        factory = getattr(importlib.import_module(module), attribute)
-    assert callable(factory)
-    return factory(**options)
+    return _registry.make(name, **options)
 
 
 def list_qp_solvers() -> list[str]:
     """The known names, sorted. Some may need an extra to be installed."""
-    return sorted(_factories)
+    return _registry.names()
 
 
 def require(package: str, solver: str) -> Any:

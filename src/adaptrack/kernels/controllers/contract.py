@@ -27,7 +27,7 @@ from typing import Any
 
 from numba import types
 
-from ..abi import INLINE, caller, njit, record, vector
+from ..abi import INLINE, caller, njit, record, unpacker, vector
 from ..maths.elementary import clip
 
 SITUATION = (
@@ -62,6 +62,7 @@ FURTHEST = 1e6
 """periods, how far ahead a reference is read at most"""
 
 Situation = record("Situation", SITUATION)
+read_situation = unpacker(Situation)
 Path = record("Path", ("y", "heading", "curvature"))
 
 
@@ -70,12 +71,6 @@ def compile_law(function: Any) -> Any:
     """A user's law, compiled for `LAW_SIGNATURE`; numba's own error when it cannot be."""
     plain = getattr(function, "py_func", function)
     return njit(LAW_SIGNATURE, nogil=True, error_model="numpy")(plain)
-
-
-@njit(**INLINE)
-def read_situation(situation):
-    """The situation by name."""
-    return Situation(situation[0], situation[1], situation[2], situation[3], situation[4], situation[5])
 
 
 @njit(**INLINE)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from ..abi import INLINE, ROUTINE, njit, record
+from ..abi import INLINE, ROUTINE, njit, record, unpacker
 from ..maths.elementary import clip
 from .contract import (
     COMMAND,
@@ -50,20 +50,7 @@ MEMORY = 1
 
 Tuning = record("Tuning", TUNING)
 Parameters = record("Parameters", PARAMETERS)
-
-
-@njit(**INLINE)
-def read_tuning(t):
-    """The tuning by name."""
-    return Tuning(t[0], t[1], t[2], t[3])
-
-
-@njit(**INLINE)
-def read_parameters(p):
-    """The parameters by name, without the grid."""
-    return Parameters(
-        p[0], p[1], p[2], p[3], p[4], p[5], p[6], p[7], p[8], p[9], p[10], p[11], p[12], p[13], p[14], p[15]
-    )
+read_tuning, read_parameters = unpacker(Tuning), unpacker(Parameters)
 
 
 @njit(**INLINE)

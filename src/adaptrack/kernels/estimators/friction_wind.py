@@ -56,7 +56,7 @@ N = 5
 VY, YAW_RATE, LOG_FRICTION, WIND, LOG_STIFFNESS = range(N)
 """The state z."""
 
-# What an estimator remembers, a row per lane: the state from 0 on, its covariance by rows, then
+# What an estimator remembers, a row per slot: the state from 0 on, its covariance by rows, then
 COVARIANCE = N
 STARTED, ANGLE, WAITING, YAW, SPEED = range(COVARIANCE + N * N, COVARIANCE + N * N + 5)
 """0 before the first step; steering angle of the replica (rad); last command (rad); last yaw and speed."""
@@ -239,18 +239,18 @@ def correct(innovation, deviation, own):
 
 
 @njit(types.void(int64, vector, float64, float64, float64, vector, vector, matrix), **ROUTINE)
-def estimate(lane, measured, speed, command, acceleration, p, settings, memory):
-    """One step of lane `lane`'s estimator, at a control instant before the controller's step.
+def estimate(slot, measured, speed, command, acceleration, p, settings, memory):
+    """One step of the estimator of a slot, at a control instant before the controller's step.
 
     measured: x_c = [v_y, yaw, yaw rate, y]; speed: v_x (m/s); command: the controller's last steering command (rad);
     acceleration: measured lateral acceleration (m/s^2), NaN where there is no such sensor; p: the vehicle that the
     estimator believes in, packed as a plant (`abi.PLANT_PARAMETERS`); settings: see ESTIMATOR_SETTINGS. A row of zeros
-    in memory (lanes, MEMORY) is an estimator before its first step; its row then holds the state and FRICTION_HAT, ...
+    in memory (slots, MEMORY) is an estimator before its first step; its row then holds the state and FRICTION_HAT, ...
 
     A measurement that is absurd or not a number is left out; in the place of yaw, speed or command the last one stands.
     A filter that has lost itself begins anew.
     """
-    own = memory[lane]
+    own = memory[slot]
     s = _unpack_settings(settings)
     yaw = measured[1] if abs(measured[1]) < ABSURD else own[YAW]
     speed = speed if abs(speed) < ABSURD else own[SPEED]

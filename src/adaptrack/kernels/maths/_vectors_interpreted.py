@@ -78,8 +78,8 @@ def column(array: Any, count: int, first: int, j: int) -> Any:
 
 
 @_ieee
-def totals(a: Any, b: Any, c: Any, d: Any, e: Any, f: Any, g: Any, h: Any) -> Any:
-    stack = np.stack([a, b, c, d, e, f, g, h])
+def totals(rows: Any) -> Any:
+    stack = np.stack(rows)
     pairs = stack[:, 0::2] + stack[:, 1::2]
     fours = pairs[:, 0::2] + pairs[:, 1::2]
     return fours[:, 0] + fours[:, 1]

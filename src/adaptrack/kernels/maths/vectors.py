@@ -257,7 +257,7 @@ else:
         return signature, codegen
 
     @intrinsic
-    def totals(typingctx, a, b, c, d, e, f, g, h):
+    def totals(typingctx, rows):
         """The eight sums of the entries of eight values, as one value: neighbours first, then pairs, then fours."""
 
         def codegen(context, builder, signature, args):
@@ -268,15 +268,16 @@ else:
                     builder.shuffle_vector(x, y, ir.Constant(kind, high)),
                 )
 
+            rows = cgutils.unpack_tuple(builder, args[0], WIDTH)
             # pairs[i] holds, for rows 2i and 2i+1, the sums of entries (01, 23, 45, 67), alternating between the rows
             low, high = [0, 8, 2, 10, 4, 12, 6, 14], [1, 9, 3, 11, 5, 13, 7, 15]
-            pairs = [merge(args[i], args[i + 1], low, high) for i in (0, 2, 4, 6)]
+            pairs = [merge(rows[i], rows[i + 1], low, high) for i in (0, 2, 4, 6)]
             low, high = [0, 1, 8, 9, 4, 5, 12, 13], [2, 3, 10, 11, 6, 7, 14, 15]
             fours = [merge(pairs[i], pairs[i + 1], low, high) for i in (0, 2)]
             low, high = [0, 1, 2, 3, 8, 9, 10, 11], [4, 5, 6, 7, 12, 13, 14, 15]
             return merge(fours[0], fours[1], low, high)
 
-        return vector8(*[vector8] * WIDTH), codegen
+        return vector8(types.UniTuple(vector8, WIDTH)), codegen
 
     def _fold(builder: Any, value: Any, combine: Any) -> Any:
         """Halve three times: entries (0+4, 1+5, 2+6, 3+7), then (0+2, 1+3), then (0+1)."""

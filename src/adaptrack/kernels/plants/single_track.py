@@ -54,6 +54,7 @@ def right_hand_side(x, u, c, law):
     )
 
 
+# Written out for each plant: a right-hand side that a common factory is given would have another cache key every time.
 @cache
 def compiled(law: int) -> CompiledPlant:
     """The plant on tyres that follow a law, see `tyre`: only what is driven is compiled."""

@@ -54,7 +54,7 @@ def _dots(count, A, v, width, out):
             s5 = fma8(load(A, b + 5, c), entries, s5)
             s6 = fma8(load(A, b + 6, c), entries, s6)
             s7 = fma8(load(A, b + 7, c), entries, s7)
-        store(out, b, keep_first(totals(s0, s1, s2, s3, s4, s5, s6, s7), count - b))
+        store(out, b, keep_first(totals((s0, s1, s2, s3, s4, s5, s6, s7)), count - b))
 
 
 @njit(**INLINE)

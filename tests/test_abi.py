@@ -1,0 +1,135 @@
+"""What crosses from Python to the kernels by its address is what was given."""
+
+from __future__ import annotations
+
+import math
+
+import numba
+import numpy as np
+import pytest
+from numba import types
+
+from adaptrack.controllers import MPC, Limits
+from adaptrack.kernels.abi import INTERPRETED, ROUTINE, Resident, address_of, caller, float64, reader, vector
+from adaptrack.kernels.controllers import mpc as kernel
+from adaptrack.vehicle import load_vehicle
+
+UNCACHED = {**ROUTINE, "cache": False}
+
+
+# -- records ----------------------------------------------------------------------------------------------------------
+def leaves(record, path="source"):
+    """(path, array) of every array of a nested record."""
+    for name, value in zip(record._fields, record, strict=True):
+        here = f"{path}.{name}"
+        yield from leaves(value, here) if isinstance(value, tuple) else [(here, value)]
+
+
+def copier(record):
+    """A kernel that copies a record entry by entry into another, and every array's shape into the rows of `shapes`."""
+    lines = ["def copy(source, target, shapes):"]
+    for k, (path, array) in enumerate(leaves(record)):
+        lines += [f"    for i in range({path}.size):"]
+        lines += [f"        {path.replace('source', 'target')}.flat[i] = {path}.flat[i]"]
+        lines += [f"    shapes[{k}, {axis}] = {path}.shape[{axis}]" for axis in range(array.ndim)]
+    scope = {}
+    exec("\n".join(lines), scope)
+    return numba.njit(**UNCACHED)(scope["copy"])
+
+
+def batch():
+    """MPCs of three slots, every number of theirs another one."""
+    mpc = MPC(load_vehicle("paper"), limits=Limits(output=(-3.0, 3.0)), solver="hildreth", longest_horizon=60)
+    record, count = mpc.batch(3, mpc.settings()), 1
+    for _, array in leaves(record):
+        for name in array.dtype.names or (None,):
+            column = array if name is None else array[name]
+            column[...] = np.arange(count, count + column.size).reshape(column.shape)
+            count += column.size
+    return record
+
+
+def empty_like(record):
+    """A record of the same arrays, all zero."""
+    return type(record)(*(empty_like(each) if isinstance(each, tuple) else np.zeros_like(each) for each in record))
+
+
+@pytest.mark.compiled
+def test_a_record_read_by_its_address_is_the_one_that_was_given_entry_by_entry():
+    record = batch()
+    arrays = dict(leaves(record))
+    assert {array.ndim for array in arrays.values()} == {1, 2, 3, 4}
+    assert {array.dtype.kind for array in arrays.values()} == {"f", "i", "V"}
+    assert any(not array.size for array in arrays.values())
+    copy, read = copier(record), reader(kernel.MPC)
+    by_address = numba.njit(**UNCACHED)(lambda address, target, shapes: copy(read(address), target, shapes))
+    shapes = np.zeros((2, len(arrays), 4), np.int64)
+    found, given = empty_like(record), empty_like(record)
+    resident = Resident(record)
+    by_address(resident.address, found, shapes[0])
+    copy(record, given, shapes[1])
+    np.testing.assert_array_equal(shapes[0], shapes[1])
+    for (path, array), row, (_, one), (_, other) in zip(
+        arrays.items(), shapes[0], leaves(found), leaves(given), strict=True
+    ):
+        assert tuple(row[: array.ndim]) == array.shape, path
+        assert one.tobytes() == other.tobytes() == array.tobytes(), path
+
+
+def test_what_a_kernel_writes_to_a_record_at_an_address_is_seen_in_the_record():
+    record = batch()
+    resident, read = Resident(record), reader(kernel.MPC)
+
+    @numba.njit(**UNCACHED)
+    def write(address):
+        mpc = read(address)
+        mpc.answer[1, 2] = 0.5
+        mpc.memory[2].command = 0.25
+
+    write(resident.address)
+    assert (record.answer[1, 2], record.memory[2].command) == (0.5, 0.25)
+
+
+# -- functions --------------------------------------------------------------------------------------------------------
+MEAN = types.float64(float64, vector)
+call_mean = caller(MEAN)
+
+
+def mean(first, others):
+    return (first + others.sum()) / (1.0 + others.size)
+
+
+def doubtful(first, others):
+    if first < 0.0:
+        raise ValueError("negative")
+    return math.sqrt(first)
+
+
+@pytest.fixture(params=[UNCACHED, {}], ids=["kernel", "plain"])
+def by_address(request):
+    """A function that calls the one at an address, compiled as kernels are or as numba does by itself."""
+    return numba.njit(**request.param)(lambda address, first, others: call_mean(address, first, others) + 1.0)
+
+
+def test_a_function_called_by_its_address_gives_what_it_gives(by_address, rng):
+    compiled = numba.njit(MEAN)(mean)
+    for size in (0, 1, 7):
+        first, others = rng.normal(), rng.normal(size=size)
+        assert by_address(address_of(compiled, MEAN), first, others) == compiled(first, others) + 1.0
+
+
+def test_an_error_raised_in_a_function_called_by_its_address_arrives(by_address):
+    compiled = numba.njit(MEAN)(doubtful)
+    where = address_of(compiled, MEAN)
+    assert by_address(where, 4.0, np.zeros(1)) == 3.0
+    with pytest.raises(ValueError, match="negative"):
+        by_address(where, -4.0, np.zeros(1))
+    assert by_address(where, 9.0, np.zeros(1)) == 4.0
+
+
+@pytest.mark.compiled
+def test_where_there_is_no_function_the_address_is_zero_and_else_it_stays():
+    assert not INTERPRETED
+    compiled = numba.njit(MEAN)(mean)
+    assert address_of(None, MEAN) == 0
+    assert address_of(compiled, MEAN) == address_of(compiled, MEAN) != 0
