@@ -28,6 +28,7 @@ STILL = {"drifts": Drifts(side=0.0, turn=0.0), "spread": (0.0, 0.0)}
 
 
 def lane_changes(count: int, seed: int) -> list[Any]:
+    """Lane changes in a gust, over the paper's speeds and more slippery roads."""
     rng = np.random.default_rng(seed)
     return [
         load_scenario(
@@ -39,6 +40,7 @@ def lane_changes(count: int, seed: int) -> list[Any]:
 
 
 def costs(plant: Any, mpc: Any, tuning: at.Tuning, runs: list[Any], profile: Any, seed: int) -> Any:
+    """J of each run (runs,), and which failed."""
     count = len(runs)
     found = rollout_batch(
         plant, mpc, runs, np.tile(tuning.as_array(), (count, 1)), which=np.arange(count), profile=profile,
@@ -55,10 +57,9 @@ def rows(car: Any, profile: Any) -> dict[str, tuple[Any, list[at.Tuning], Any]]:
     blind = [at.Tuning(50, 8, 1.0, r) for r in (300.0, 1000.0, 3000.0, 1e4, 3e4, 5e4, 1e5)]
 
     def filtered(lag: float, late: float, **options: Any) -> Any:
-        filter_ = KalmanFilter(SensorNoise(*profile.noise), **options)
-        return informed_mpc(
-            car, profile, steering=profile.steering.replace(lag=lag, rate=profile.steering.rate if lag else np.inf),
-            dead_time=late, estimator=filter_,
+        return at.MPC(
+            car, period=period, preview=profile.preview, model=PathModel(car, period, lag, late),
+            estimator=KalmanFilter(SensorNoise(*profile.noise), **options),
         )  # fmt: skip
 
     quiet = profile.replace(noise_vy=0.0, noise_yaw=0.0, noise_yaw_rate=0.0, noise_y=0.0)
@@ -78,6 +79,7 @@ def rows(car: Any, profile: Any) -> dict[str, tuple[Any, list[at.Tuning], Any]]:
 
 
 def main() -> None:
+    """Choose a weight for each row, judge it, print the table."""
     ask = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     ask.add_argument("--drives", type=int, default=200)
     ask.add_argument("--changes", type=int, default=200)

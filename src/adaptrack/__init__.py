@@ -54,6 +54,7 @@ _PUBLIC = {
         "random_drive",
     ),
     "models": (
+        "PathModel",
         "PredictionModel",
         "SingleTrackModel",
         "UserModel",
@@ -72,6 +73,11 @@ _PUBLIC = {
         "get_estimator",
         "list_estimators",
         "register_estimator",
+    ),
+    "kalman": (
+        "Drifts",
+        "KalmanFilter",
+        "SensorNoise",
     ),
     "qp": (
         "QP",
@@ -92,6 +98,8 @@ _PUBLIC = {
         "UserController",
         "check_controller",
         "get_controller",
+        "informed_mpc",
+        "informed_tuning",
         "list_controllers",
         "register_controller",
     ),
@@ -165,6 +173,8 @@ if TYPE_CHECKING:
         UserController,
         check_controller,
         get_controller,
+        informed_mpc,
+        informed_tuning,
         list_controllers,
         register_controller,
     )
@@ -190,9 +200,11 @@ if TYPE_CHECKING:
         register_estimator,
     )
     from adaptrack.failure import Failure, find_failure
+    from adaptrack.kalman import Drifts, KalmanFilter, SensorNoise
     from adaptrack.learning.training import train
     from adaptrack.metrics import Metrics, compute_metrics
     from adaptrack.models import (
+        PathModel,
         PredictionModel,
         SingleTrackModel,
         UserModel,
@@ -252,6 +264,7 @@ __all__ = [
     "ContractError",
     "DataSet",
     "Deadbeat",
+    "Drifts",
     "Driver",
     "DualTrack",
     "Estimator",
@@ -259,6 +272,7 @@ __all__ = [
     "FrictionWindEstimator",
     "Guarded",
     "InvalidInput",
+    "KalmanFilter",
     "Learned",
     "Limits",
     "Lookup",
@@ -266,6 +280,7 @@ __all__ = [
     "MissingExtra",
     "Moves",
     "Objective",
+    "PathModel",
     "Perception",
     "Plant",
     "PredictionModel",
@@ -275,6 +290,7 @@ __all__ = [
     "Schedule",
     "SchedulingVariables",
     "SearchSpace",
+    "SensorNoise",
     "SingleTrack",
     "SingleTrackModel",
     "Solution",
@@ -309,6 +325,8 @@ __all__ = [
     "get_model",
     "get_plant",
     "get_qp_solver",
+    "informed_mpc",
+    "informed_tuning",
     "list_campaigns",
     "list_contenders",
     "list_controllers",

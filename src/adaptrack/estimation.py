@@ -146,7 +146,9 @@ class UserEstimator(Estimator):
         return size(model.n) if callable(size) else int(size)
 
 
-_registry: Registry[Estimator] = Registry("estimator", "register_estimator", {"deadbeat": Deadbeat, "kalman": "adaptrack.kalman:KalmanFilter"})
+_registry: Registry[Estimator] = Registry(
+    "estimator", "register_estimator", {"deadbeat": Deadbeat, "kalman": "adaptrack.kalman:KalmanFilter"}
+)
 
 
 def register_estimator(name: str, factory: Callable[..., Estimator] | str) -> None:

@@ -94,14 +94,14 @@ class KalmanFilter(Estimator):
         When a number is not allowed.
     """
 
-    noise: SensorNoise = SensorNoise()  # noqa: RUF009 (frozen)
-    drifts: Drifts = Drifts()  # noqa: RUF009 (frozen)
+    noise: SensorNoise = SensorNoise()
+    drifts: Drifts = Drifts()
     bound: float = 5.0
     spread: tuple[float, float] = (0.3, 0.3)
     name = "kalman"
 
     def __post_init__(self) -> None:
-        if not 0.0 < real("KalmanFilter", "bound", self.bound):
+        if not real("KalmanFilter", "bound", self.bound) > 0.0:
             raise InvalidInput(f"KalmanFilter: bound = {self.bound!r}: must be positive; inf: no bound.")
         if not all(0.0 <= real("KalmanFilter", "spread", each) < math.inf for each in self.spread):
             raise InvalidInput(f"KalmanFilter: spread = {self.spread!r}: must not be negative, and finite.")

@@ -46,6 +46,16 @@ class Registry(Generic[Member]):
         UnknownName
             When none has this name; the message holds the nearest that is known.
         """
+        return self.factory(name)(*arguments, **options)
+
+    def factory(self, name: str) -> Callable[..., Member]:
+        """The factory of this name.
+
+        Raises
+        ------
+        UnknownName
+            When none has this name; the message holds the nearest that is known.
+        """
         if not isinstance(name, str) or name not in self.factories:
             raise UnknownName(f"There is no {self.what} {name!r}. {did_you_mean(str(name), self.factories)}")
         factory = self.factories[name]
@@ -53,7 +63,7 @@ class Registry(Generic[Member]):
             module, attribute = factory.split(":")
             factory = getattr(importlib.import_module(module), attribute)
         assert callable(factory)
-        return factory(*arguments, **options)
+        return factory
 
     def names(self) -> list[str]:
         """The known names, sorted."""

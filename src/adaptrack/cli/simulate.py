@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 FAILED = 3
 """The exit code when a run failed."""
 
-STANDARD, AS_WRITTEN, AS_RELEASED = "standard", "as-written", "as-released"
+INFORMED, STANDARD, AS_WRITTEN, AS_RELEASED = "informed", "standard", "as-written", "as-released"
 
 COLUMNS = (
     Column("scenario", "scenario"),
@@ -46,8 +46,9 @@ def simulate(
         list[str] | None,
         Option(
             metavar="NAME",
-            help="standard: the MPC as the options say [default]; as-written: pulses; as-released: Laguerre functions, "
-            "pole 0.95; lqr, pure-pursuit, stanley.",
+            help="informed: the MPC that knows its steering and estimates its state [default]; standard: the paper's, "
+            "as --scheduler, --np, --nc, --q, --r and --moves say [default when one of these is given]; as-written: "
+            "pulses; as-released: Laguerre functions, pole 0.95; lqr, pure-pursuit, stanley.",
         ),
     ] = None,
     vehicle: options.Vehicle = "paper",
@@ -55,10 +56,10 @@ def simulate(
     tyre: options.Tyre = None,
     profile: options.Profile = "paper",
     driver: Annotated[bool, Option("--driver/--perfect-speed", help="Powertrain and driver, or exact speed.")] = False,
-    np_: Annotated[int, Option("--np", help="Prediction horizon (periods).")] = 35,
-    nc: Annotated[int, Option("--nc", help="Control horizon (periods).")] = 8,
-    q: Annotated[float, Option("--q", help="Weight of the tracking error (1/m^2).")] = 10.0,
-    r: Annotated[float, Option("--r", help="Weight of the moves (1/rad^2).")] = 0.01,
+    np_: Annotated[int | None, Option("--np", help="Prediction horizon (periods); standard: 35.")] = None,
+    nc: Annotated[int | None, Option("--nc", help="Control horizon (periods); standard: 8.")] = None,
+    q: Annotated[float | None, Option("--q", help="Weight of the tracking error (1/m^2); standard: 10.")] = None,
+    r: Annotated[float | None, Option("--r", help="Weight of the moves (1/rad^2); standard: 0.01.")] = None,
     moves: Annotated[
         options.MovesName, Option(help="pulse: eq. (10); laguerre: Laguerre functions.")
     ] = options.MovesName.pulse,
@@ -88,7 +89,7 @@ def simulate(
 
     A run that leaves the road, spins or is not finite is printed as FAILED; the exit code is then 3.
     """
-    from adaptrack.controllers import Moves, Tuning
+    from adaptrack.controllers import Moves
     from adaptrack.profile import load_profile
     from adaptrack.scenario import load_scenario
     from adaptrack.scheduling import load_scheduler
@@ -99,7 +100,8 @@ def simulate(
     world = load_profile(profile)
     asked = Asked(
         car=car,
-        tuning=Tuning(np_, nc, q, r),
+        profile=world,
+        tuning={key: value for key, value in (("Np", np_), ("Nc", nc), ("Q", q), ("R", r)) if value is not None},
         moves=Moves(str(moves), laguerre_pole, laguerre_terms),
         period=world.period if period is None else period,
         preview=world.preview if preview is None else preview,
@@ -107,7 +109,7 @@ def simulate(
         schedule=None if scheduler is None else load_scheduler(scheduler),
         label="" if scheduler is None else Path(scheduler).stem if scheduler.endswith(".json") else scheduler,
     )
-    controllers = [make_controller(name, asked) for name in dict.fromkeys(controller or [STANDARD])]
+    controllers = [make_controller(name, asked) for name in dict.fromkeys(controller or [asked.usual])]
     if out is not None:
         options.make_folder(out)
     runs = _drive(loaded, controllers, body, world, driver, seed, out)
@@ -125,7 +127,9 @@ class Asked:
     """What the options say about the controllers."""
 
     car: Vehicle
-    tuning: Tuning
+    profile: Profile
+    tuning: dict[str, Any]
+    """the entries that are given, by name"""
     moves: Moves
     period: float
     """s"""
@@ -134,6 +138,16 @@ class Asked:
     schedule: Schedule | None
     label: str
     """how tables call the scheduler: as the command line does"""
+
+    @property
+    def usual(self) -> str:
+        """The controller that drives unless one is named."""
+        paper = self.schedule is not None or self.tuning or self.moves.kind != "pulse"
+        return STANDARD if paper else INFORMED
+
+    def tuned(self, base: Tuning) -> Tuning:
+        """A tuning with the entries that are given."""
+        return replace(base, **self.tuning)
 
 
 def make_controller(name: str, asked: Asked) -> tuple[str, Controller]:
@@ -146,27 +160,33 @@ def make_controller(name: str, asked: Asked) -> tuple[str, Controller]:
     InvalidInput
         When the options make no controller.
     """
-    from adaptrack.controllers import Moves, get_controller, list_controllers
+    from adaptrack.controllers import Moves, Tuning, get_controller, list_controllers
+    from adaptrack.controllers.informed import informed_tuning
 
     moves = {STANDARD: asked.moves, AS_WRITTEN: Moves.pulses(), AS_RELEASED: Moves.laguerre(0.95, asked.moves.terms)}
     others = [each for each in list_controllers() if each != "mpc"]  # which is the standard one
     if name in others:
         if asked.schedule is not None:
             raise InvalidInput(f"--scheduler {asked.label}: tunes the MPC; controller {name!r} takes none.")
-        return name, get_controller(name, asked.car, period=asked.period, preview=asked.preview)
+        options: dict[str, Any] = {"period": asked.period, "preview": asked.preview}
+        if name == INFORMED:
+            tuning = asked.tuned(informed_tuning(asked.profile, asked.period))
+            options |= {"tuning": tuning, "moves": asked.moves, "solver": asked.solver}
+        return name, get_controller(name, asked.car, profile=asked.profile, **options)
     if name not in moves:
         raise UnknownName(f"no controller is named {name!r}. {did_you_mean(name, [*moves, *others])}")
+    tuning = asked.tuned(Tuning())
     mpc = get_controller(
-        "mpc", asked.car, tuning=asked.tuning, period=asked.period, moves=moves[name], preview=asked.preview,
-        solver=asked.solver, scheduler=asked.schedule, most_moves=_most_moves(asked),
+        "mpc", asked.car, tuning=tuning, period=asked.period, moves=moves[name], preview=asked.preview,
+        solver=asked.solver, scheduler=asked.schedule, most_moves=_most_moves(tuning, asked),
     )  # fmt: skip
     if not asked.label:
         return name, mpc
     return asked.label if name == STANDARD else f"{asked.label}-{name}", mpc
 
 
-def _most_moves(asked: Asked) -> int:
-    return max(20, asked.tuning.Nc, 0 if asked.schedule is None else asked.schedule.largest[1])
+def _most_moves(tuning: Tuning, asked: Asked) -> int:
+    return max(20, tuning.Nc, 0 if asked.schedule is None else asked.schedule.largest[1])
 
 
 # -- runs -------------------------------------------------------------------------------------------------------------

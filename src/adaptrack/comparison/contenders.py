@@ -84,14 +84,14 @@ def _by_name(name: str) -> Maker:
         vehicle = getattr(runs.mpc.model, "vehicle", None) or getattr(runs.plant, "vehicle", None)
         if vehicle is None:
             raise InvalidInput(f"contender {name!r}: neither the MPC's model nor the plant of the runs has a vehicle.")
-        return get_controller(name, vehicle, period=runs.mpc.period, preview=runs.mpc.preview)
+        return get_controller(name, vehicle, profile=runs.profile, period=runs.mpc.period, preview=runs.mpc.preview)
 
     return make
 
 
 _MAKERS: dict[str, Maker] = {
     "standard": lambda runs: Tuning(),
-    **{name: _by_name(name) for name in ("lqr", "pure-pursuit", "stanley")},
+    **{name: _by_name(name) for name in ("informed", "lqr", "pure-pursuit", "stanley")},
 }
 
 

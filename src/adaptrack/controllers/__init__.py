@@ -2,6 +2,7 @@
 
 from adaptrack.controllers.base import Command, CompiledController, Controller
 from adaptrack.controllers.check import check_controller
+from adaptrack.controllers.informed import informed_mpc, informed_tuning
 from adaptrack.controllers.limits import Limits, Moves
 from adaptrack.controllers.lqr import LQR
 from adaptrack.controllers.mpc import MPC, CompiledScheduler, MPCCommand, Scheduler
@@ -29,6 +30,8 @@ __all__ = [
     "UserController",
     "check_controller",
     "get_controller",
+    "informed_mpc",
+    "informed_tuning",
     "list_controllers",
     "read_tuning",
     "register_controller",

@@ -1,4 +1,4 @@
-"""The MPC that knows its car: the path model with its steering, a Kalman filter for its sensors, one constant tuning."""
+"""The MPC that knows its car: a model with its steering, a Kalman filter for its sensors, one constant tuning."""
 
 from __future__ import annotations
 
@@ -45,8 +45,8 @@ def informed_mpc(
 
     vehicle: mass, inertia, axle distances and stiffness of the model; profile: the sensors and the computer that it
     runs on, whose period, preview, actuator and delay it believes unless told otherwise; tuning: `informed_tuning` by
-    default; steering: lag (s), and rate (rad/s) and angle limit (rad), which limit the moves and the command; dead_time:
-    from an instant until its command begins to act (s), the computer's time included; options: of `MPC`.
+    default; steering: its lag (s), and its rate (rad/s), which limits the moves; dead_time: from an instant until its
+    command begins to act (s), the computer's time included; options: of `MPC`.
 
     Raises
     ------

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import inspect
 from collections.abc import Callable
 from typing import Any
 
 from adaptrack.controllers.base import Controller
+from adaptrack.profile import Profile
 from adaptrack.registry import Registry
 from adaptrack.vehicle import Vehicle, load_vehicle
 
@@ -38,15 +40,22 @@ def register_controller(name: str, factory: Factory | str) -> None:
     _registry.add(name, factory)
 
 
-def get_controller(name: str, vehicle: Vehicle | str, **options: Any) -> Controller:
+def get_controller(
+    name: str, vehicle: Vehicle | str, *, profile: str | Profile | None = None, **options: Any
+) -> Controller:
     """A new controller for a vehicle (or its name or file); ``options`` go to its factory.
+
+    profile: what the controller runs on; goes to a factory that has an argument of this name.
 
     Raises
     ------
     UnknownName
         When no controller has this name; the message holds the nearest that is known.
     """
-    return _registry.make(name, vehicle if isinstance(vehicle, Vehicle) else load_vehicle(vehicle), **options)
+    factory = _registry.factory(name)
+    if profile is not None and "profile" in inspect.signature(factory).parameters:
+        options["profile"] = profile
+    return factory(vehicle if isinstance(vehicle, Vehicle) else load_vehicle(vehicle), **options)
 
 
 def list_controllers() -> list[str]:

@@ -3,7 +3,8 @@
 The paper's controller needs none: its increments of the measured state are the *deadbeat* estimator, whose disturbance
 explains the last measurement whole, d(k) = x(k) - A x(k-1) - B u(k-1), with A and B at the present speed. The MPC keeps
 that form as it is; any other estimator gives x and d, and the MPC predicts from them: Y = F [x(k+1) - x(k); y] with
-x(k+1) = A x + B u + d, F being that of the next increment (`condensing.responses`). The deadbeat one needs the whole state measured.
+x(k+1) = A x + B u + d, F being that of the next increment (`condensing.responses`). The deadbeat one needs the whole
+state measured.
 """
 
 from __future__ import annotations

@@ -19,9 +19,7 @@ from numba import types
 from ..abi import INLINE, ROUTINE, float64, int64, njit, record, unpacker, vector
 from .contract import DISCRETISE
 
-Parameters = record(
-    "Parameters", ("mass", "yaw_inertia", "lf", "lr", "stiffness_front", "stiffness_rear", "lag")
-)
+Parameters = record("Parameters", ("mass", "yaw_inertia", "lf", "lr", "stiffness_front", "stiffness_rear", "lag"))
 """kg, kg m^2, m, m, N/rad and N/rad per tyre, s."""
 unpack = unpacker(Parameters)
 DISTURBANCES = 2
