@@ -54,7 +54,7 @@ that is compiled by itself is optimised with all that it calls, so deep calls of
 ROUTINE: dict[str, Any] = {"nogil": True, "error_model": "numpy", "cache": True, "_nrt": False}
 """Options of the routines that are compiled once and loaded from the cache."""
 
-SUBROUTINE: dict[str, Any] = {**ROUTINE, "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
+SUBROUTINE: dict[str, Any] = {**ROUTINE, "forceinline": True, "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
 """Options of a long part that is compiled by itself, once for all that call it."""
 
 SHARED_PART: dict[str, Any] = {**ROUTINE, "inline": "always"}
