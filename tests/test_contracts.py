@@ -39,7 +39,7 @@ def kinematic(speed, period, p, a, b, e):
     e[0], e[1] = 0.0, 0.0
 
 
-def deadbeat(measured, command, a, b, parameters, memory, x, d):
+def deadbeat(speed, measured, command, a, b, parameters, memory, x, d):
     """The paper's estimator written out: d = x - A x_before - B u, with the last good measurement for a missing one."""
     n = x.size
     places = (0, 1, 2, 3) if n == 4 else (1, 3, 0, 0)

@@ -433,7 +433,7 @@ def test_estimator_and_controller_must_share_their_period():
 
 
 # -- the state of the prediction model --------------------------------------------------------------------------------
-def hold_still(measured, command, a, b, parameters, memory, x, d):
+def hold_still(speed, measured, command, a, b, parameters, memory, x, d):
     """Whatever is measured: the origin, undisturbed."""
     x[:] = 0.0
     d[:] = 0.0
@@ -442,7 +442,7 @@ def hold_still(measured, command, a, b, parameters, memory, x, d):
 def test_an_estimator_of_ones_own_may_be_registered_and_found_by_name(monkeypatch):
     monkeypatch.setattr(estimation._registry, "factories", dict(estimation._registry.factories))
     register_estimator("still", lambda: UserEstimator(hold_still, label="still"))
-    assert list_estimators() == ["deadbeat", "still"]
+    assert list_estimators() == ["deadbeat", "kalman", "still"]
     assert get_estimator("still").name == "still"
     assert MPC(CAR, estimator="still").describe()["estimator"] == "still"
     for name, factory in (("deadbeat", UserEstimator), ("", UserEstimator), ("mine", 3)):
@@ -454,13 +454,13 @@ def test_an_estimator_of_ones_own_may_be_registered_and_found_by_name(monkeypatc
         MPC(CAR, estimator=3)
 
 
-def leaves_gaps(measured, command, a, b, parameters, memory, x, d):
+def leaves_gaps(speed, measured, command, a, b, parameters, memory, x, d):
     """A disturbance that nobody writes, and a state that is what is measured, gaps and all."""
     for i in range(x.size):
         x[i] = measured[i]
 
 
-def scribbles(measured, command, a, b, parameters, memory, x, d):
+def scribbles(speed, measured, command, a, b, parameters, memory, x, d):
     """Writes to the model."""
     x[:] = 0.0
     d[:] = 0.0

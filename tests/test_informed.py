@@ -154,7 +154,7 @@ def test_on_its_own_model_innovations_and_errors_of_the_filter_are_as_large_as_i
                     error = readable.z - z
                     nees.append(error @ np.linalg.solve(readable.P, error) / len(z))
             command = 0.02 * math.sin(0.3 * k)
-            z = f @ z + b * command + rng.normal(size=len(z)) * readable.drift * math.sqrt(PERIOD)
+            z = f @ z + b * command + rng.multivariate_normal(np.zeros(len(z)), readable.Q)
     assert abs(np.mean(nis) - 1.0) < 1.96 * math.sqrt(2.0 / len(nis))
     # errors of neighbouring instants go together: the bound is that of one instant in ten
     assert abs(np.mean(nees) - 1.0) < 1.96 * math.sqrt(2.0 / (model.n + 2) / (len(nees) / 10))

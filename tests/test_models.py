@@ -303,7 +303,7 @@ def test_the_public_objects_of_the_module_are_documented():
 def test_a_model_of_ones_own_may_be_registered_and_found_by_name(monkeypatch):
     monkeypatch.setattr(models._registry, "factories", dict(models._registry.factories))
     register_model("stiffer", lambda car, period: SingleTrackModel(car.replace(stiffness_front=30000.0), period))
-    assert list_models() == ["single-track", "stiffer"]
+    assert list_models() == ["path", "single-track", "stiffer"]
     assert get_model("stiffer", CARS["paper"], 0.05).vehicle.stiffness_front == 30000.0
     assert get_model("single-track", CARS["paper"], 0.05) == SingleTrackModel(CARS["paper"], 0.05)
     for name, factory in (("single-track", SingleTrackModel), ("", SingleTrackModel), ("mine", None)):

@@ -503,7 +503,7 @@ def test_what_a_scheduler_knows_changes_what_it_asks_for():
     assert asked["withheld"] == pytest.approx(expected, rel=1e-9)
 
 
-def from_the_wheels(measured, command, a, b, parameters, memory, x, d):
+def from_the_wheels(speed, measured, command, a, b, parameters, memory, x, d):
     """The measured state, and a disturbance that the angle of the wheels alone decides."""
     for i in range(x.size):
         x[i] = measured[i] if math.isfinite(measured[i]) else 0.0

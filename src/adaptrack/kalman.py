@@ -18,6 +18,7 @@ from adaptrack.errors import InvalidInput, real
 from adaptrack.estimation import Estimator
 from adaptrack.models import MEASURED, PathModel, PredictionModel
 from adaptrack.profile import Profile
+from adaptrack.vehicle import Vehicle
 
 Array = NDArray[np.float64]
 
@@ -68,10 +69,12 @@ class Drifts:
     """m"""
     wheel_angle: float = 0.01
     """rad"""
-    side: float = 0.3
+    side: float = 0.15
     """m/s^2, of the lateral disturbance d_y: side wind, bank, a steering bias"""
-    turn: float = 0.6
+    turn: float = 0.4
     """rad/s^2, of the yaw disturbance d_r"""
+    wind: float = 0.2
+    """m/s^2, of what side wind adds to d_y; it adds to d_r as well, in the proportion of the car's body"""
 
     def __post_init__(self) -> None:
         for each in fields(self):
@@ -132,12 +135,28 @@ class KalmanFilter(Estimator):
         noise = [getattr(self.noise, name) for name in MEASURED]
         return np.maximum(noise, LEAST_NOISE) ** 2
 
+    def disturbance_drift(self, model: PathModel) -> Array:
+        """(2, 2) variances and covariance that a second adds to d_y and d_r."""
+        side_wind = self.drifts.wind * np.array([1.0, wind_turn(model.vehicle)])
+        return np.diag([self.drifts.side**2, self.drifts.turn**2]) + np.outer(side_wind, side_wind)
+
     def parameters(self, model: PredictionModel) -> Array:
         whole, share = _periods(model)
-        drifts = [getattr(self.drifts, name) ** 2 * model.period for name in (*MEASURED, "side", "turn")]
+        assert isinstance(model, PathModel)
+        drifts = [getattr(self.drifts, name) ** 2 * model.period for name in MEASURED]
+        together = self.disturbance_drift(model) * model.period
+        drifts += [together[0, 0], together[1, 1], together[0, 1]]
         spread = [each**2 for each in self.spread]
         own = [model.period, whole, share, self.bound, *self.variances(), *drifts, *spread]
         return np.concatenate([own, model.parameters()])
+
+
+def wind_turn(vehicle: Vehicle) -> float:
+    """d_r over d_y (1/m) of side wind: L C_ym m/(C_s I_z), 0 for a body that feels none."""
+    if vehicle.side_force_slope == 0.0:
+        return 0.0
+    arm = (vehicle.lf + vehicle.lr) * vehicle.yaw_moment_slope / vehicle.side_force_slope
+    return arm * vehicle.mass / vehicle.yaw_inertia
 
 
 def _periods(model: PredictionModel) -> tuple[int, float]:
@@ -157,7 +176,10 @@ class ReadableFilter:
     def __init__(self, estimator: KalmanFilter, model: PathModel) -> None:
         self.own, self.model, self.n = estimator, model, model.n
         self.whole, self.share = _periods(model)
-        self.drift = np.array([getattr(estimator.drifts, name) for name in (*model.states, "side", "turn")])
+        self.Q = np.zeros((model.n + 2, model.n + 2))  # covariance that a period adds
+        self.Q[: model.n, : model.n] = np.diag([getattr(estimator.drifts, name) ** 2 for name in model.states])
+        self.Q[model.n :, model.n :] = estimator.disturbance_drift(model)
+        self.Q *= model.period
         self.z: Array | None = None
 
     def matrices(self, speed: float, time: float) -> tuple[Array, Array]:
@@ -176,21 +198,21 @@ class ReadableFilter:
         self.sent = [command] * (self.whole + 2)
         self.z, variance = np.zeros(self.n + 2), np.full(self.n + 2, UNKNOWN)
         if "wheel_angle" in self.model.states:
-            self.z[3], variance[3] = command, self.drift[3] ** 2 * self.model.period
+            self.z[3], variance[3] = command, self.Q[3, 3]
         for i, value, noise in self.sensors(measured):
             self.z[i], variance[i] = value, noise
         variance[self.n :] = np.square(self.own.spread)
         self.P = np.diag(variance)
 
     def predict(self, speed: float) -> None:
-        """z(k) = F z(k-1) + B u, where in a period first the older, then the newer command acts; P = F P F' + drift."""
+        """z(k) = F z(k-1) + B u, where in a period first the older, then the newer command acts; P = F P F' + Q."""
         period, old, new = self.model.period, self.sent[self.whole + 1], self.sent[self.whole]
         assert self.z is not None
         for time, command in ((self.share * period, old), ((1.0 - self.share) * period, new)):
             f, b = self.matrices(speed, time)
             self.z = f @ self.z + b * command
         f, _ = self.matrices(speed, period)
-        self.P = f @ self.P @ f.T + np.diag(self.drift**2 * period)
+        self.P = f @ self.P @ f.T + self.Q
 
     def sensors(self, measured: Array) -> list[tuple[int, float, float]]:
         """State, value and variance of every sensor that gave a sample."""

@@ -27,7 +27,7 @@ NUMBERS = (
     "bound",  # standard deviations up to which an innovation counts
     "variance_vy", "variance_yaw", "variance_yaw_rate", "variance_y", "variance_wheel_angle",  # of sensors; inf: none
     "drift_vy", "drift_yaw", "drift_yaw_rate", "drift_y", "drift_wheel_angle",  # variances that a period adds
-    "drift_side", "drift_turn",  # likewise, of d_y and d_r
+    "drift_side", "drift_turn", "drift_both",  # likewise, of d_y and d_r, and their covariance
     "spread_side", "spread_turn",  # variances of d_y and d_r before the first sample
 )  # fmt: skip
 Numbers = record("Numbers", NUMBERS)
@@ -158,6 +158,8 @@ def _predict(n, p, parameters, memory):
             memory[_P + WIDTH * i + i] += parameters[_DRIFT + sensor]
     memory[_P + WIDTH * n + n] += p.drift_side
     memory[_P + WIDTH * (n + 1) + n + 1] += p.drift_turn
+    memory[_P + WIDTH * n + n + 1] += p.drift_both
+    memory[_P + WIDTH * (n + 1) + n] += p.drift_both
 
 
 @njit(**INLINE)
