@@ -24,7 +24,7 @@ from adaptrack.scenario import load_scenario, random_drive
 
 FAILED = 25.0
 TRAINING, JUDGED = 7_000_000, 8_000_000
-STILL = {"drifts": Drifts(side=0.0, turn=0.0), "spread": (0.0, 0.0)}
+STILL = {"drifts": Drifts(side=0.0, turn=0.0, wind=0.0), "spread": (0.0, 0.0)}
 
 
 def lane_changes(count: int, seed: int) -> list[Any]:
@@ -53,7 +53,7 @@ def costs(plant: Any, mpc: Any, tuning: at.Tuning, runs: list[Any], profile: Any
 def rows(car: Any, profile: Any) -> dict[str, tuple[Any, list[at.Tuning], Any]]:
     """Name -> (controller, tunings to choose from, profile that it drives in)."""
     period, lag, late = profile.period, profile.steering.lag, profile.delay * profile.period
-    knowing = [at.Tuning(22, 10, 1.0, r) for r in (1.0, 2.0, 3.5, 7.0, 16.0, 64.0, 256.0, 1000.0)]
+    knowing = [at.Tuning(30, 10, 1.0, r) for r in (1.0, 2.0, 3.0, 7.0, 16.0, 64.0, 256.0, 1000.0)]
     blind = [at.Tuning(50, 8, 1.0, r) for r in (300.0, 1000.0, 3000.0, 1e4, 3e4, 5e4, 1e5)]
 
     def filtered(lag: float, late: float, **options: Any) -> Any:
@@ -74,7 +74,7 @@ def rows(car: Any, profile: Any) -> dict[str, tuple[Any, list[at.Tuning], Any]]:
         "+ dead time": (filtered(lag, late, **STILL), knowing, profile),
         "+ disturbances": (filtered(lag, late), knowing, profile),
         "its default constant": (informed_mpc(car, profile), [informed_mpc(car, profile).tuning], profile),
-        "exact sensors": (exact, [at.Tuning(22, 10, 1.0, r) for r in (0.3, 1.0, 3.5)], quiet),
+        "exact sensors": (exact, [at.Tuning(30, 10, 1.0, r) for r in (0.1, 0.3, 1.0)], quiet),
     }
 
 

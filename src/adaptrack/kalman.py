@@ -69,9 +69,9 @@ class Drifts:
     """m"""
     wheel_angle: float = 0.01
     """rad"""
-    side: float = 0.15
+    side: float = 0.03
     """m/s^2, of the lateral disturbance d_y: side wind, bank, a steering bias"""
-    turn: float = 0.4
+    turn: float = 0.05
     """rad/s^2, of the yaw disturbance d_r"""
     wind: float = 0.2
     """m/s^2, of what side wind adds to d_y; it adds to d_r as well, in the proportion of the car's body"""

@@ -14,19 +14,20 @@ from adaptrack.models import PathModel
 from adaptrack.profile import Profile, load_profile
 from adaptrack.vehicle import SteeringActuator, Vehicle
 
-HORIZON, MOVES = 1.1, 0.5
+HORIZON, MOVES = 1.5, 0.5
 """s, over which the outputs are predicted and the command may change."""
-MOVE_WEIGHT = 7.0 / 6.0
-"""R/Q over the weight that the profile itself gives to squared moves; found on random drives in `road`."""
 LEAST_MOVE_WEIGHT = 4e-5
 """s^2, R/Q times the squared control period where the profile gives them none."""
 
 
 def informed_tuning(profile: str | Profile = "road", period: float | None = None) -> Tuning:
-    """The constant tuning in a profile; period: control period (s), by default the profile's."""
+    """The constant tuning in a profile; period: control period (s), by default the profile's.
+
+    R/Q is the weight that the profile itself gives to squared moves.
+    """
     world = load_profile(profile)
     pace = world.period if period is None else period
-    weight = max(MOVE_WEIGHT * world.move_weight * world.period**2, LEAST_MOVE_WEIGHT) / pace**2
+    weight = max(world.move_weight * world.period**2, LEAST_MOVE_WEIGHT) / pace**2
     return Tuning(max(2, round(HORIZON / pace)), max(1, round(MOVES / pace)), 1.0, float(f"{weight:.6g}"))
 
 
@@ -45,8 +46,8 @@ def informed_mpc(
 
     vehicle: mass, inertia, axle distances and stiffness of the model; profile: the sensors and the computer that it
     runs on, whose period, preview, actuator and delay it believes unless told otherwise; tuning: `informed_tuning` by
-    default; steering: its lag (s), and its rate (rad/s), which limits the moves; dead_time: from an instant until its
-    command begins to act (s), the computer's time included; options: of `MPC`.
+    default; steering: its lag (s) is believed, and its rate (rad/s) bounds the moves; dead_time: from an instant until
+    its command begins to act (s), the computer's time included; options: of `MPC`.
 
     Raises
     ------
@@ -59,10 +60,9 @@ def informed_mpc(
     delay = world.delay * pace if dead_time is None else dead_time
     if not isinstance(actuator, SteeringActuator):
         raise InvalidInput(f"steering = {steering!r}: must be a SteeringActuator(lag=..., rate=..., limit=...).")
-    usual = Limits()
     fastest = actuator.rate * pace
-    if math.isfinite(fastest) and "limits" not in options:
-        options["limits"] = Limits(move=(-fastest, fastest), angle=usual.angle)
+    if math.isfinite(fastest):
+        options.setdefault("limits", Limits(move=(-fastest, fastest)))
     options.setdefault("preview", world.preview)
     return MPC(
         vehicle,
