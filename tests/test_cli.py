@@ -56,7 +56,7 @@ def test_out_holds_the_page_the_pictures_and_the_trajectories(monkeypatch, capsy
     code, _, _ = run(monkeypatch, capsys, "simulate", "sine", "-o", "duration=2.0", "--out", out)
     names = {path.name for path in out.iterdir()}
     assert code == 0
-    assert {"index.html", "sine-standard.parquet", "sine-tracking.png"} <= names
+    assert {"index.html", "sine-informed.parquet", "sine-tracking.png"} <= names
 
 
 @pytest.mark.parametrize(
@@ -119,7 +119,7 @@ def test_a_run_that_failed_is_loud_and_says_when_and_why(monkeypatch, capsys):
     assert code == 3
     assert row["failed"] in list(Reason)
     assert 0.0 <= row["failed_at"] <= 8.0
-    sentence = f"FAILED step, standard: at {row['failed_at']:.2f} s the vehicle {row['failed_because']}."
+    sentence = f"FAILED step, informed: at {row['failed_at']:.2f} s the vehicle {row['failed_because']}."
     assert sentence in err
     code, out, _ = run(monkeypatch, capsys, *FAILING)
     assert code == 3
@@ -148,7 +148,7 @@ OFF_ROAD = ["simulate", "general-trajectory", "--profile", "road", "-o", "durati
 
 def test_a_run_off_the_road_gives_exit_code_3_and_a_page_whose_heading_says_so(monkeypatch, capsys, tmp_path):
     monkeypatch.setattr("adaptrack.report.style.PNG_DPI", 20)
-    code, out, _ = run(monkeypatch, capsys, *OFF_ROAD, "--out", tmp_path, "--json")
+    code, out, _ = run(monkeypatch, capsys, *OFF_ROAD, "--controller", "standard", "--out", tmp_path, "--json")
     (row,) = json.loads(out)["rows"]
     assert (code, row["failed"]) == (3, "off-road")
     heading = f"Failed at {row['failed_at']:.1f} s: the vehicle left the road"
@@ -156,7 +156,7 @@ def test_a_run_off_the_road_gives_exit_code_3_and_a_page_whose_heading_says_so(m
     assert re.search(rf"<title>{heading}[^<]* · General trajectory, standard</title>", page)
     assert re.search(rf"<h1><strong class=\"failed\">{heading}[^<]*</strong> <span>General trajectory, standard<", page)
     assert (tmp_path / "general-trajectory-standard.parquet").exists()
-    assert run(monkeypatch, capsys, *OFF_ROAD, "--allow-failed")[0] == 0
+    assert run(monkeypatch, capsys, *OFF_ROAD, "--controller", "standard", "--allow-failed")[0] == 0
 
 
 def test_a_run_that_was_driven_to_its_end_has_no_failure(monkeypatch, capsys):

@@ -96,7 +96,7 @@ def test_labels_that_are_cut_are_still_told_apart(tmp_path, monkeypatch):
 def test_scenarios_of_one_name_get_a_file_each(command, tmp_path):
     code, _, err = command("simulate", "sine", "sine", "-o", "duration=0.5", "--out", tmp_path)
     assert code == 0, err
-    assert {path.name for path in tmp_path.glob("*.parquet")} == {"sine-standard.parquet", "sine-standard-2.parquet"}
+    assert {path.name for path in tmp_path.glob("*.parquet")} == {"sine-informed.parquet", "sine-informed-2.parquet"}
 
 
 @pytest.mark.parametrize("name", [r"a\u0000b", r"\u0000"])

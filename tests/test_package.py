@@ -101,6 +101,6 @@ def test_wheel_holds_every_module_and_data_file(project, run_python, tmp_path):
     assert {name for name in files if "__pycache__" not in name} <= packed
 
 
-def test_readme_example_runs(project, run_python):
-    (example,) = re.findall(r"```python\n(.*?)```", (project / "README.md").read_text(), re.DOTALL)
-    assert "mse" in run_python(code=example).lower()
+def test_readme_examples_run(project, run_python):
+    examples = re.findall(r"```python\n(.*?)```", (project / "README.md").read_text(), re.DOTALL)
+    assert "mse" in run_python(code="\n".join(examples)).lower()

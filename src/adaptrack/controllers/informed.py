@@ -8,8 +8,9 @@ from typing import Any
 from adaptrack.controllers.limits import Limits
 from adaptrack.controllers.mpc import MPC
 from adaptrack.controllers.tuning import Tuning
-from adaptrack.errors import InvalidInput
+from adaptrack.errors import InvalidInput, real
 from adaptrack.kalman import Drifts, KalmanFilter
+from adaptrack.limits import CONTROL_HORIZON, PREDICTION_HORIZON
 from adaptrack.models import PathModel
 from adaptrack.profile import Profile, load_profile
 from adaptrack.vehicle import SteeringActuator, Vehicle
@@ -20,15 +21,23 @@ LEAST_MOVE_WEIGHT = 4e-5
 """s^2, R/Q times the squared control period where the profile gives them none."""
 
 
+def _checked(period: float) -> float:
+    if not 0.0 < real("informed controller", "period", period) < math.inf:
+        raise InvalidInput(f"informed controller: period = {period!r} s: must be positive and finite.")
+    return float(period)
+
+
 def informed_tuning(profile: str | Profile = "road", period: float | None = None) -> Tuning:
     """The constant tuning in a profile; period: control period (s), by default the profile's.
 
     R/Q is the weight that the profile itself gives to squared moves.
     """
     world = load_profile(profile)
-    pace = world.period if period is None else period
+    pace = _checked(world.period if period is None else period)
     weight = max(world.move_weight * world.period**2, LEAST_MOVE_WEIGHT) / pace**2
-    return Tuning(max(2, round(HORIZON / pace)), max(1, round(MOVES / pace)), 1.0, float(f"{weight:.6g}"))
+    horizon = min(max(2, round(HORIZON / pace)), int(PREDICTION_HORIZON.most))
+    moves = min(max(1, round(MOVES / pace)), int(CONTROL_HORIZON.most))
+    return Tuning(horizon, moves, 1.0, float(f"{weight:.6g}"))
 
 
 def informed_mpc(
@@ -55,7 +64,7 @@ def informed_mpc(
         For arguments that make no controller.
     """
     world = load_profile(profile)
-    pace = world.period if period is None else period
+    pace = _checked(world.period if period is None else period)
     actuator = world.steering if steering is None else steering
     delay = world.delay * pace if dead_time is None else dead_time
     if not isinstance(actuator, SteeringActuator):
