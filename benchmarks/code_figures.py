@@ -20,7 +20,7 @@ from typing import Any, NamedTuple
 PACKAGE = "adaptrack"
 ROOMS = (
     "errors", "registry", "limits", "files", "kernels", "vehicle", "profile", "plant", "scenario", "models",
-    "estimation", "qp", "controllers", "scheduling", "trajectory", "failure", "metrics", "world", "batch", "simulate",
+    "estimation", "kalman", "qp", "controllers", "scheduling", "trajectory", "failure", "metrics", "world", "batch", "simulate",
     "stability", "certify", "runs", "tuning", "dataset", "learning", "adaptation", "comparison", "studies", "report",
     "cli",
 )  # fmt: skip
