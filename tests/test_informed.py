@@ -245,6 +245,7 @@ def test_the_tuning_weighs_the_same_steering_rate_at_any_period():
     assert there.Np == 2 * here.Np
 
 
+@pytest.mark.compiled
 def test_a_constant_side_wind_leaves_no_offset():
     calm = load_profile("road").replace(noise_vy=0.0, noise_yaw=0.0, noise_yaw_rate=0.0, noise_y=0.0)
     run = simulate(
@@ -256,6 +257,7 @@ def test_a_constant_side_wind_leaves_no_offset():
     assert abs(error[-40:].mean()) < 1e-3
 
 
+@pytest.mark.compiled
 def test_one_constant_drives_either_car_in_noise_lag_and_delay():
     """Near the limit of grip the paper's car, on its slow tyres, is lost in about one random drive of 150."""
     drives = [random_drive(4_000_000 + number) for number in range(16)]
