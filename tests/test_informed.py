@@ -78,6 +78,13 @@ def test_towards_standstill_the_path_model_is_a_kinematic_bicycle():
     assert x[0] == pytest.approx(CAR.lr * x[2], rel=1e-2)
 
 
+@pytest.mark.parametrize("speed", [0.0, -1.0, math.inf, math.nan])
+def test_a_speed_at_which_the_path_model_is_singular_is_refused(speed):
+    for equations in (PathModel(CAR, PERIOD).continuous, PathModel(CAR, PERIOD).discrete):
+        with pytest.raises(InvalidInput, match="positive and finite"):
+            equations(speed)
+
+
 @pytest.mark.parametrize("numbers", [{"lag": -0.1}, {"dead_time": math.inf}, {"lag": math.nan}, {"period": 0.0}])
 def test_an_impossible_lag_dead_time_or_period_is_refused_by_name(numbers):
     with pytest.raises(InvalidInput, match=next(iter(numbers))):

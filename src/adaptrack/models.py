@@ -25,6 +25,15 @@ MEASURED = ("vy", "yaw", "yaw_rate", "y", "wheel_angle")
 """What is measured, and what a model's states may be: m/s, rad, rad/s, m, rad."""
 
 
+def _check_speed(speed: float) -> None:
+    """Refuse a speed at which a model has no matrices."""
+    if not 0.0 < speed < np.inf:
+        raise InvalidInput(
+            f"speed = {speed!r} m/s: must be positive and finite, a model is singular at standstill; "
+            "the controller floors the speed (MPC(speed_floor=...))."
+        )
+
+
 class PredictionModel(ABC):
     """x(k+1) = A x(k) + B u(k) + E w(k), y(k) = C x(k), re-discretised at each speed.
 
@@ -76,11 +85,7 @@ class PredictionModel(ABC):
         InvalidInput
             When the speed is not positive and finite.
         """
-        if not 0.0 < speed < np.inf:
-            raise InvalidInput(
-                f"speed = {speed!r} m/s: must be positive and finite, a model is singular at standstill; "
-                "the controller floors the speed (MPC(speed_floor=...))."
-            )
+        _check_speed(speed)
         a, b, e = np.zeros((self.n, self.n)), np.zeros(self.n), np.zeros(self.n)
         self.function(float(speed), self.period, self.parameters(), a, b, e)
         return a, b[:, None], self.output[None]
@@ -278,6 +283,7 @@ class PathModel(PredictionModel):
 
     def continuous(self, speed: float) -> tuple[Array, Array]:
         """A_c (n, n) and the columns (n, 4) of u, d_y, d_r and of the path's curvature times speed."""
+        _check_speed(speed)
         v = self.vehicle
         cf, cr = 2 * v.stiffness_front, 2 * v.stiffness_rear
         turn = cf * v.lf - cr * v.lr
