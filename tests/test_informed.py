@@ -13,7 +13,7 @@ from adaptrack.controllers import MPC, Tuning
 from adaptrack.controllers.informed import informed_mpc, informed_tuning
 from adaptrack.errors import InvalidInput
 from adaptrack.estimation import Deadbeat, check_estimator, get_estimator
-from adaptrack.kalman import Drifts, KalmanFilter, ReadableFilter, SensorNoise
+from adaptrack.kalman import SENSORS, Drifts, KalmanFilter, ReadableFilter, SensorNoise
 from adaptrack.models import MEASURED, PathModel, check_model, get_model
 from adaptrack.plant import DualTrack
 from adaptrack.profile import load_profile
@@ -28,12 +28,14 @@ every_dead_time = pytest.mark.parametrize("dead_time", [0.0, 0.05, 0.08, 0.12])
 
 
 def run_kernel(estimator, model, speeds, samples, commands):
-    """(x, d) of every instant, by the compiled function."""
+    """(x, d) of every instant, by the compiled function; samples: as many of what is measured as there are."""
     a, b, _ = model.discrete(15.0)
     a, b = np.ascontiguousarray(a), b[:, 0].copy()
     numbers, memory = estimator.parameters(model), np.zeros(estimator.memory_size(model))
     x, d, found = np.zeros(model.n), np.zeros(model.n), []
-    for speed, measured, command in zip(speeds, samples, commands, strict=True):
+    for speed, given, command in zip(speeds, samples, commands, strict=True):
+        measured = np.array([math.nan] * len(SENSORS) + [0.0, 0.0])
+        measured[: len(given)] = given
         estimator.function(float(speed), measured, float(command), a, b, numbers, memory, x, d)
         found.append(np.concatenate([x, d]))
     return np.array(found)
@@ -94,12 +96,17 @@ def test_an_impossible_lag_dead_time_or_period_is_refused_by_name(numbers):
 # -- the filter -------------------------------------------------------------------------------------------------------
 @every_lag
 @every_dead_time
-def test_the_compiled_filter_is_the_readable_one(lag, dead_time, rng):
-    model, estimator = PathModel(CAR, PERIOD, lag, dead_time), KalmanFilter(SensorNoise(wheel_angle=0.002))
-    count = 150
+@pytest.mark.parametrize("oldest", [0.0, 0.12])
+def test_the_compiled_filter_is_the_readable_one(lag, dead_time, oldest, rng):
+    noise = SensorNoise(wheel_angle=0.002, lateral_acceleration=0.1, yaw_rate_offset=0.002)
+    estimator = KalmanFilter(noise if oldest else SensorNoise(), Drifts(force=0.1), oldest=oldest)
+    model, count = PathModel(CAR, PERIOD, lag, dead_time), 150
     speeds = 15.0 + 3.0 * np.sin(0.1 * np.arange(count))
-    samples = rng.normal(size=(count, 5)) * [0.1, 0.01, 0.02, 0.1, 0.01]
+    samples = rng.normal(size=(count, 8)) * [0.1, 0.01, 0.02, 0.1, 0.01, 0.5, 0.0, 0.0]
     samples[rng.random(samples.shape) < 0.2] = np.nan
+    samples[0] = 0.0  # everything is known at first
+    samples[40:44] = samples[40]  # repeated
+    samples[:, 6:] = rng.uniform(0.0, 1.2 * oldest, (count, 2))
     commands = 0.02 * np.sin(0.3 * np.arange(count))
     readable = ReadableFilter(estimator, model)
     expected = [np.concatenate(readable.step(*each)) for each in zip(speeds, samples, commands, strict=True)]
@@ -133,7 +140,7 @@ def test_the_filter_knows_where_the_car_will_be_when_its_next_command_begins_to_
 @every_lag
 def test_on_its_own_model_innovations_and_errors_of_the_filter_are_as_large_as_it_says(lag, rng):
     """NIS and NEES (Bar-Shalom, Li and Kirubarajan 2001, section 5.4) average inside their 95 % bounds."""
-    model, drifts = PathModel(CAR, PERIOD, lag), Drifts(yaw=0.01, y=0.05)
+    model, drifts = PathModel(CAR, PERIOD, lag), Drifts(yaw=0.01, y=0.05, force=0.0)
     nis, nees = [], []
     for _ in range(40):
         own = KalmanFilter(drifts=drifts, bound=math.inf)
@@ -153,10 +160,13 @@ def test_on_its_own_model_innovations_and_errors_of_the_filter_are_as_large_as_i
             else:
                 readable.sent = [command, *readable.sent[:-1]]
                 readable.predict(18.0)
-                for i, value, variance in readable.sensors(measured):
+                for name, value, variance in zip(SENSORS, measured, own.variances(), strict=False):
+                    if not math.isfinite(value):
+                        continue
+                    h, _ = readable.reading(name, 0, 0.0, 18.0)
                     if k >= 20:
-                        nis.append((value - readable.z[i]) ** 2 / (readable.P[i, i] + variance))
-                    readable.correct(i, value, variance)
+                        nis.append((value - h @ readable.z) ** 2 / (h @ readable.P @ h + variance))
+                    readable.correct(h, value, variance)
                 if k >= 20:
                     error = readable.z - z
                     nees.append(error @ np.linalg.solve(readable.P, error) / len(z))
@@ -169,7 +179,8 @@ def test_on_its_own_model_innovations_and_errors_of_the_filter_are_as_large_as_i
 
 def test_an_outlier_moves_the_estimate_by_no_more_than_its_bound(rng):
     model = PathModel(CAR, PERIOD, 0.15)
-    samples = np.tile([0.0, 0.0, 0.0, 0.0, np.nan], (41, 1))
+    samples = 1e-9 * rng.normal(size=(41, 5))
+    samples[:, 4] = np.nan
     wild = samples.copy()
     wild[-1, 3] = 50.0
     at = (np.full(41, 15.0), np.zeros(41))
@@ -181,14 +192,99 @@ def test_an_outlier_moves_the_estimate_by_no_more_than_its_bound(rng):
 def test_without_samples_the_filter_goes_on_by_the_model():
     model = PathModel(CAR, PERIOD, 0.15, 0.05)
     samples = np.full((60, 5), np.nan)
-    samples[:20] = [0.0, 0.0, 0.0, 0.0, np.nan]
+    samples[:20, :4] = 1e-9 * np.arange(20)[:, None]
     commands = np.where(np.arange(60) >= 20, 0.01, 0.0)
     found = run_kernel(KalmanFilter(), model, np.full(60, 15.0), samples, commands)
     a, b, _ = model.discrete(15.0)
     x = found[19, :5]
     for k in range(20, 60):
         x = a @ x + b[:, 0] * commands[k]
-        np.testing.assert_allclose(found[k, :5], x, rtol=0, atol=1e-9)
+        np.testing.assert_allclose(found[k, :5], x, rtol=0, atol=1e-8)
+
+
+def test_samples_of_a_known_age_tell_what_they_told_when_they_were_taken(rng):
+    """All of them two periods late: the estimate is that of two periods ago, carried on by the commands since."""
+    model = PathModel(CAR, PERIOD, 0.15)
+    count, late, speed = 60, 2, 15.0
+    samples = rng.normal(size=(count, 5)) * [0.05, 0.005, 0.01, 0.05, 0.0]
+    commands = 0.02 * np.sin(0.2 * np.arange(count))
+    prompt, delayed = ReadableFilter(KalmanFilter(), model), KalmanFilter(oldest=late * PERIOD)
+    arriving = np.full((count, 8), late * PERIOD)
+    arriving[:, :6] = np.nan
+    arriving[0, :4] = samples[0, :4]  # where both begin
+    arriving[late + 1 :, :4] = samples[1 : count - late, :4]
+    found = run_kernel(delayed, model, np.full(count, speed), arriving, commands)
+    f, b = prompt.matrices(speed, PERIOD)
+    samples[:, 4] = np.nan
+    for k in range(count - late):
+        prompt.step(speed, samples[k], commands[k])
+        z = prompt.z
+        for command in commands[k + 1 : k + late + 1]:
+            z = f @ z + b * command
+        if k > 0:
+            np.testing.assert_allclose(found[k + late, : model.n], z[: model.n], rtol=0, atol=1e-9)
+
+
+def test_a_sample_older_than_the_filter_looks_back_is_left_out(rng):
+    model = PathModel(CAR, PERIOD, 0.15)
+    samples = np.zeros((30, 8))
+    samples[:, :5] = rng.normal(size=(30, 5)) * 0.01
+    samples[:, 4:6] = np.nan
+    aged, missing = samples.copy(), samples.copy()
+    aged[10:, 6] = 0.2
+    missing[10:, [1, 3]] = np.nan
+    at = np.full(30, 15.0), np.zeros(30)
+    own = KalmanFilter(oldest=0.1)
+    np.testing.assert_array_equal(run_kernel(own, model, at[0], aged, at[1]), run_kernel(own, model, at[0], missing, at[1]))
+
+
+def test_a_position_that_stays_the_same_is_blindness_only_where_the_car_is_elsewhere():
+    model, speed, own = PathModel(CAR, PERIOD), 15.0, KalmanFilter(patience=0.5)
+    still = np.tile([0.0, 0.0, 0.0, 0.0], (100, 1))
+    assert np.isfinite(run_kernel(own, model, np.full(100, speed), still, np.zeros(100))).all()
+    turning = run_kernel(own, model, np.full(100, speed), still, np.full(100, 0.03))
+    assert not np.isfinite(turning[-1, : model.n]).any()
+
+
+def test_a_sample_that_repeats_the_one_before_is_left_out(rng):
+    model = PathModel(CAR, PERIOD, 0.15)
+    samples = rng.normal(size=(30, 4)) * [0.05, 0.003, 0.01, 0.03]
+    stuck, missing = samples.copy(), samples.copy()
+    stuck[11:, 3], missing[11:, 3] = samples[10, 3], np.nan
+    at = np.full(30, 15.0), np.zeros(30)
+    own = KalmanFilter()
+    np.testing.assert_array_equal(run_kernel(own, model, at[0], stuck, at[1]), run_kernel(own, model, at[0], missing, at[1]))
+
+
+def test_without_a_position_for_longer_than_its_patience_there_is_no_estimate(rng):
+    model, own = PathModel(CAR, PERIOD, 0.15), KalmanFilter(patience=0.5)
+    samples = rng.normal(size=(60, 4)) * 0.01
+    samples[20:40, 3] = np.nan
+    found = run_kernel(own, model, np.full(60, 15.0), samples, np.zeros(60))
+    known = np.isfinite(found[:, : model.n]).all(axis=1)
+    assert known[:30].all() and not known[30:40].any() and known[40:].all()
+
+
+def test_the_offset_of_a_gyro_and_a_banked_road_are_told_apart_from_the_motion():
+    """A car that obeys the model, going straight on a banked road, with a gyro that is off, no noise."""
+    model = PathModel(CAR, PERIOD, 0.15)
+    noise = SensorNoise(vy=math.inf, yaw_rate=0.002, lateral_acceleration=0.1, yaw_rate_offset=0.002)
+    own = KalmanFilter(noise)
+    readable = ReadableFilter(own, model)
+    bank, offset, speed = 0.5, 0.003, 20.0
+    a_c, inputs = model.continuous(speed)
+    equilibrium = np.linalg.solve(  # v_y, yaw and command at which nothing changes under the push
+        np.column_stack([a_c[[0, 2, 4]][:, [0, 1]], a_c[[0, 2, 4], 3] + inputs[[0, 2, 4], 0]]), [-bank, 0.0, 0.0]
+    )
+    vy, yaw, command = equilibrium
+    truth = np.array([vy, yaw, 0.0, command, 0.0])
+    felt = a_c[0] @ truth
+    for k in range(4000):
+        seen = np.array([math.nan, yaw, offset, 0.0, math.nan, felt, 0.0, 0.0])
+        x, _ = readable.step(speed, seen + 1e-9 * (k % 2), command)
+    np.testing.assert_allclose(x, truth, rtol=0, atol=2e-3)
+    assert readable.z[-1] == pytest.approx(offset, abs=1e-4)
+    assert readable.z[model.n] == pytest.approx(bank, abs=0.02)
 
 
 def test_the_filter_keeps_the_contract_of_estimators():

@@ -30,7 +30,7 @@ def test_the_steering_of_the_road_lies_within_the_published_range():
 
 
 def test_every_shipped_profile_has_the_name_of_its_file_and_a_description():
-    assert list_profiles() == ["paper", "road"]
+    assert list_profiles() == ["paper", "production", "road"]
     for name in list_profiles():
         assert load_profile(name).name == name
         assert load_profile(name).description
@@ -43,7 +43,7 @@ def test_a_misspelt_profile_is_answered_with_the_nearest():
         load_profile(3)
 
 
-@pytest.mark.parametrize("field", ["noise_vy", "noise_yaw", "noise_yaw_rate", "noise_y", "move_weight", "delay"])
+@pytest.mark.parametrize("field", ["noise_y", "noise_speed", "bias_yaw_rate", "pose_age", "missing", "move_weight", "delay"])
 @pytest.mark.parametrize("value", [-0.1, math.nan, math.inf, "0", True, None])
 def test_a_profile_refuses_what_is_no_standard_deviation_weight_or_delay(field, value):
     with pytest.raises(InvalidInput, match=field):
@@ -52,7 +52,7 @@ def test_a_profile_refuses_what_is_no_standard_deviation_weight_or_delay(field, 
 
 @pytest.mark.parametrize("delay", [0.5, 2])
 def test_a_delay_other_than_none_or_one_period_is_refused_with_the_remedy(delay):
-    with pytest.raises(InvalidInput, match=r"only 0 .* and 1 .* or change `period` so that the delay is one period"):
+    with pytest.raises(InvalidInput, match=r"must be 0 .* or 1 .* what the steering adds is its dead_time"):
         Profile(name="own", delay=delay)
 
 
@@ -77,7 +77,7 @@ def test_a_written_profile_reads_back_equal_under_the_name_of_its_file(name, tmp
         ("noise_yy = 0.1", r"own.toml: noise_yy: unknown key. Did you mean 'noise_y'\?"),
         ("move_price = 3", r"own.toml: move_price: unknown key. Known: .*'move_weight'"),
         ("period = 0", r"own.toml: period = 0: must be a finite number > 0 and <= 10 \(s, "),
-        ("delay = 1.5", r"own.toml: delay = 1.5: only 0 "),
+        ("delay = 1.5", r"own.toml: delay = 1.5: must be 0 "),
         ("[steering]\nrate = 0.5", r"own.toml: steering.rate = 0.5: a rate limit acts on the lag"),
         ("[steering]\nlagg = 0.5", r"own.toml: steering.lagg: unknown key. Did you mean 'lag'\?"),
         ("period 3", r"own.toml, line 1, column \d+: not valid TOML"),
@@ -100,6 +100,6 @@ def test_every_number_says_its_unit_and_every_field_its_meaning():
         assert field.description, name
         if field.annotation is float:
             unit, comma, meaning = field.description.partition(", ")
-            assert unit in {"s", "-", "m/s", "rad", "rad/s", "m", "m^2/rad^2"}, name
+            assert unit in {"s", "-", "m/s", "m/s^2", "rad", "rad/s", "m", "m^2/rad^2"}, name
             assert comma
             assert meaning

@@ -277,7 +277,7 @@ class Batch:
             perceiving=perceiving,
             tuning=np.zeros((slots, len(self.tuning))),
             variables=np.zeros(len(VARIABLES)),
-            memory=loop.MEMORY.new(slots),
+            memory=self.world.memory(slots),
             result=rollout.RESULT.new(slots),
             ceiling=np.full(slots, np.inf),
             segments=np.zeros((slots, segments)),
@@ -285,6 +285,7 @@ class Batch:
                 np.full((traced, periods, STATES), np.nan), np.full((traced, periods, width), np.nan),
                 np.full((traced, periods, 2), np.nan),
             ),
+            seen=np.zeros(2),
         )  # fmt: skip
 
     @cached_property
@@ -372,7 +373,7 @@ class Batch:
         which, size, n = plan.which[chunk], len(chunk), self.signals[0].n
         segments = math.ceil(n / plan.segment) if plan.segment else 0
         steps, run = int(self.substeps[which[0]]), last
-        fits = run is not None and len(run.memory) == size and run.settings is self.settings[steps]
+        fits = run is not None and len(run.memory.own) == size and run.settings is self.settings[steps]
         if not fits or plan.traced or plan.scheduler is not None:
             run = self.arena(size, steps, mpc_settings, segments, plan.traced, plan.scheduler)
         run.road.scenario[:], run.road.seeds[:] = which, plan.seeds[chunk]

@@ -18,12 +18,16 @@ from adaptrack.errors import InvalidInput, real
 from adaptrack.estimation import Estimator
 from adaptrack.models import MEASURED, PathModel, PredictionModel
 from adaptrack.profile import Profile
-from adaptrack.vehicle import Vehicle
+from adaptrack.vehicle import Vehicle, in_periods
 
 Array = NDArray[np.float64]
 
-LEAST_NOISE = (0.005, 0.0002, 0.001, 0.002, 0.0005)
-"""Of vy, yaw, yaw_rate, y, wheel_angle: with better sensors than these the model's own errors limit the filter."""
+SENSORS = (*MEASURED, "lateral_acceleration")
+"""What the filter takes in."""
+
+
+OLDEST = 2.0
+"""s, of a sample that is still taken in."""
 
 
 @dataclass(frozen=True)
@@ -43,6 +47,10 @@ class SensorNoise:
     """m"""
     wheel_angle: float = math.inf
     """rad"""
+    lateral_acceleration: float = math.inf
+    """m/s^2, of an accelerometer at the centre of gravity"""
+    yaw_rate_offset: float = 0.0
+    """rad/s, of an error of the yaw rate that stays; 0: there is none to be estimated"""
 
     def __post_init__(self) -> None:
         for each in fields(self):
@@ -75,6 +83,10 @@ class Drifts:
     """rad/s^2, of the yaw disturbance d_r"""
     wind: float = 0.2
     """m/s^2, of what side wind adds to d_y; it adds to d_r as well, in the proportion of the car's body"""
+    yaw_rate_offset: float = 0.0002
+    """rad/s, of the yaw-rate sensor's offset"""
+    force: float = 0.05
+    """s, of what the model gets wrong of each axle's force, as a share of that force: v_y and r drift by it"""
 
     def __post_init__(self) -> None:
         for each in fields(self):
@@ -89,7 +101,9 @@ class KalmanFilter(Estimator):
 
     noise: of the sensors; drifts: of what is estimated; bound: an innovation counts up to so many of its own standard
     deviations, so that an outlier moves the estimate by no more; spread: standard deviations of d_y (m/s^2) and d_r
-    (rad/s^2) before the first sample.
+    (rad/s^2) before the first sample; oldest: samples up to this age (s) are taken in where they belong, older ones
+    left out; patience: how long the estimate goes on by the model without a measured position (s), before the
+    controller holds; settling: time (s) over which the offsets of accelerometer and wheel-angle sensor are averaged.
 
     Raises
     ------
@@ -101,6 +115,9 @@ class KalmanFilter(Estimator):
     drifts: Drifts = Drifts()
     bound: float = 5.0
     spread: tuple[float, float] = (0.3, 0.3)
+    oldest: float = 0.0
+    patience: float = 3.0
+    settling: float = 10.0
     name = "kalman"
 
     def __post_init__(self) -> None:
@@ -108,12 +125,23 @@ class KalmanFilter(Estimator):
             raise InvalidInput(f"KalmanFilter: bound = {self.bound!r}: must be positive; inf: no bound.")
         if not all(0.0 <= real("KalmanFilter", "spread", each) < math.inf for each in self.spread):
             raise InvalidInput(f"KalmanFilter: spread = {self.spread!r}: must not be negative, and finite.")
+        if not 0.0 <= real("KalmanFilter", "oldest", self.oldest) <= OLDEST:
+            raise InvalidInput(f"KalmanFilter: oldest = {self.oldest!r} s: must be within 0 .. {OLDEST:g}.")
+        if not real("KalmanFilter", "patience", self.patience) >= 0.0:
+            raise InvalidInput(f"KalmanFilter: patience = {self.patience!r} s: must not be negative; inf: for ever.")
+        if not real("KalmanFilter", "settling", self.settling) > 0.0:
+            raise InvalidInput(f"KalmanFilter: settling = {self.settling!r} s: must be positive; inf: no averaging.")
 
     @classmethod
     def of_profile(cls, profile: Profile, drifts: Drifts | None = None) -> KalmanFilter:
         """For the sensors of a profile."""
-        vy, yaw, yaw_rate, y = profile.noise
-        return cls(SensorNoise(vy, yaw, yaw_rate, y), drifts or Drifts())
+        names = [each.name for each in fields(SensorNoise) if each.name != "yaw_rate_offset"]
+        noise = {name: getattr(profile, f"noise_{name}") for name in names}
+        if profile.bias_wheel_angle > 0.0 or profile.noise_wheel_angle == 0.0:
+            noise["wheel_angle"] = math.inf  # the model knows the angle better than a sensor that is off, or as well
+        offset = profile.bias_yaw_rate / math.sqrt(3.0)  # standard deviation of a uniform error
+        oldest = max(profile.pose_age + profile.pose_age_spread, profile.motion_age)
+        return cls(SensorNoise(**noise, yaw_rate_offset=offset), drifts or Drifts(), oldest=oldest)
 
     @property
     def function(self) -> Any:
@@ -128,11 +156,17 @@ class KalmanFilter(Estimator):
     def memory_size(self, model: PredictionModel) -> int:
         from adaptrack.kernels.estimators.kalman import memory_size
 
-        return int(memory_size(_periods(model)[0]))
+        return int(memory_size(_periods(model)[0], self.late(model)))
+
+    def late(self, model: PredictionModel) -> int:
+        """Periods that are gone through anew at every step, for the samples that come late."""
+        return math.floor(self.oldest / model.period + 0.5)
 
     def variances(self) -> Array:
-        """(5,) of what the sensors of `MEASURED` give; inf: none."""
-        noise = [getattr(self.noise, name) for name in MEASURED]
+        """(6,) of what `SENSORS` give; inf: none."""
+        from adaptrack.kernels.estimators.kalman import LEAST_NOISE
+
+        noise = [getattr(self.noise, name) for name in SENSORS]
         return np.maximum(noise, LEAST_NOISE) ** 2
 
     def disturbance_drift(self, model: PathModel) -> Array:
@@ -146,8 +180,10 @@ class KalmanFilter(Estimator):
         drifts = [getattr(self.drifts, name) ** 2 * model.period for name in MEASURED]
         together = self.disturbance_drift(model) * model.period
         drifts += [together[0, 0], together[1, 1], together[0, 1]]
-        spread = [each**2 for each in self.spread]
-        own = [model.period, whole, share, self.bound, *self.variances(), *drifts, *spread]
+        drifts += [self.drifts.yaw_rate_offset**2 * model.period, self.drifts.force**2 * model.period]
+        spread = [each**2 for each in (*self.spread, self.noise.yaw_rate_offset)]
+        own = [model.period, whole, share, self.late(model), self.bound, self.patience / model.period]
+        own += [min(1.0, model.period / self.settling), *self.variances(), *drifts, *spread]
         return np.concatenate([own, model.parameters()])
 
 
@@ -161,75 +197,162 @@ def wind_turn(vehicle: Vehicle) -> float:
 
 def _periods(model: PredictionModel) -> tuple[int, float]:
     """The dead time of a model in periods: whole ones and the share of one more."""
-    periods = model.dead_time / model.period
-    whole = math.floor(periods + 1e-9)
-    share = periods - whole
-    return whole, share if share > 1e-9 else 0.0
+    return in_periods(model.dead_time, model.period)
 
 
 class ReadableFilter:
     """`KalmanFilter` in NumPy, for reading and testing: ``step(speed, measured, command)`` gives (x, d).
 
-    z = [x, d_y, d_r]; F = [[A, G], [0, I]] over a period.
+    z = [x, d_y, d_r] and, where it is estimated, the yaw-rate sensor's offset; F = [[A, G], [0, I]] over a period.
     """
 
     def __init__(self, estimator: KalmanFilter, model: PathModel) -> None:
         self.own, self.model, self.n = estimator, model, model.n
         self.whole, self.share = _periods(model)
-        self.Q = np.zeros((model.n + 2, model.n + 2))  # covariance that a period adds
+        self.late = estimator.late(model)
+        self.offset_known = estimator.noise.yaw_rate_offset == 0.0
+        self.size = model.n + 2 + (not self.offset_known)
+        self.Q = np.zeros((self.size, self.size))  # covariance that a period adds
         self.Q[: model.n, : model.n] = np.diag([getattr(estimator.drifts, name) ** 2 for name in model.states])
-        self.Q[model.n :, model.n :] = estimator.disturbance_drift(model)
+        self.Q[model.n : model.n + 2, model.n : model.n + 2] = estimator.disturbance_drift(model)
+        if not self.offset_known:
+            self.Q[-1, -1] = estimator.drifts.yaw_rate_offset**2
         self.Q *= model.period
         self.z: Array | None = None
 
     def matrices(self, speed: float, time: float) -> tuple[Array, Array]:
-        """F (n+2, n+2) and B (n+2,) over a time (s), by one matrix exponential."""
+        """F (size, size) and B (size,) over a time (s), by one matrix exponential."""
         a, inputs = self.model.continuous(speed)
-        n = self.n
-        block = np.zeros((n + 3, n + 3))
-        block[:n, :n], block[:n, n : n + 2], block[:n, n + 2] = a, inputs[:, 1:3], inputs[:, 0]
+        n, size = self.n, self.size
+        block = np.zeros((size + 1, size + 1))
+        block[:n, :n], block[:n, n : n + 2], block[:n, size] = a, inputs[:, 1:3], inputs[:, 0]
         whole = expm(block * time)
-        return whole[: n + 2, : n + 2], whole[: n + 2, n + 2]
+        return whole[:size, :size], whole[:size, size]
 
     def begin(self, measured: Array, command: float) -> None:
         """z and its covariance from the first sample."""
         from adaptrack.kernels.estimators.kalman import UNKNOWN
 
-        self.sent = [command] * (self.whole + 2)
-        self.z, variance = np.zeros(self.n + 2), np.full(self.n + 2, UNKNOWN)
+        n, own = self.n, self.own
+        self.sent = [command] * (self.whole + self.late + 2)
+        self.z, variance = np.zeros(self.size), np.full(self.size, UNKNOWN)
+        for name, noise in zip(MEASURED, own.variances(), strict=False):
+            if name in self.model.states and name != "wheel_angle":
+                value = measured[MEASURED.index(name)]
+                if math.isfinite(noise) and math.isfinite(value):
+                    i = self.model.states.index(name)
+                    self.z[i], variance[i] = value, noise
         if "wheel_angle" in self.model.states:
             self.z[3], variance[3] = command, self.Q[3, 3]
-        for i, value, noise in self.sensors(measured):
-            self.z[i], variance[i] = value, noise
-        variance[self.n :] = np.square(self.own.spread)
+        variance[n:] = np.square([*own.spread, own.noise.yaw_rate_offset][: self.size - n])
+        if not self.offset_known:
+            variance[2] += own.noise.yaw_rate_offset**2
         self.P = np.diag(variance)
+        self.past = self.z.copy(), self.P.copy()
+        self.ring: list[dict[str, float]] = [{} for _ in range(self.late + 1)]
+        self.last, self.offsets = np.array(measured[: len(SENSORS)]), np.zeros(len(SENSORS))
+        self.steps, self.blind = 0, 0
 
-    def predict(self, speed: float) -> None:
+    def sort_in(self, measured: Array) -> None:
+        """Give each sample to the instant at which it was taken: value, and how much earlier (s) than that."""
+        from adaptrack.kernels.estimators.kalman import LEAST_NOISE
+
+        self.ring = [{}, *self.ring[:-1]]
+        self.blind += 1
+        pose_age, motion_age = (each if math.isfinite(each) else 0.0 for each in measured[len(SENSORS) :])
+        for i, (name, variance) in enumerate(zip(SENSORS, self.own.variances(), strict=True)):
+            value, age = float(measured[i]), pose_age if name in ("yaw", "y") else motion_age
+            repeated = value == self.last[i] and variance > LEAST_NOISE[i] ** 2
+            self.last[i] = value
+            instants = math.floor(age / self.model.period + 0.5)
+            if not (math.isfinite(value) and math.isfinite(variance) and 0 <= instants <= self.late):
+                continue
+            if not repeated:
+                self.ring[instants][name] = value
+                if name in ("yaw", "y"):
+                    self.ring[instants]["tau"] = age - instants * self.model.period
+            if name == "y" and (not repeated or self.agrees(value, variance)):
+                self.blind = 0
+
+    def agrees(self, value: float, variance: float) -> bool:
+        """Whether a position is where the estimate is, by the noise of its sensor."""
+        assert self.z is not None
+        return bool(abs(value - self.z[self.n - 1]) <= self.own.bound * math.sqrt(variance))
+
+    def predict(self, speed: float, instant: int = 0) -> None:
         """z(k) = F z(k-1) + B u, where in a period first the older, then the newer command acts; P = F P F' + Q."""
-        period, old, new = self.model.period, self.sent[self.whole + 1], self.sent[self.whole]
+        period = self.model.period
+        old, new = self.sent[self.whole + instant + 1], self.sent[self.whole + instant]
         assert self.z is not None
         for time, command in ((self.share * period, old), ((1.0 - self.share) * period, new)):
             f, b = self.matrices(speed, time)
             self.z = f @ self.z + b * command
         f, _ = self.matrices(speed, period)
         self.P = f @ self.P @ f.T + self.Q
+        places = np.ix_([0, 2], [0, 2])
+        self.P[places] += self.own.drifts.force**2 * period * self.force_errors(speed, new)
 
-    def sensors(self, measured: Array) -> list[tuple[int, float, float]]:
-        """State, value and variance of every sensor that gave a sample."""
-        found = []
-        for place, (name, variance) in enumerate(zip(MEASURED, self.own.variances(), strict=True)):
-            if name in self.model.states and math.isfinite(variance) and math.isfinite(measured[place]):
-                found.append((self.model.states.index(name), float(measured[place]), float(variance)))
-        return found
-
-    def correct(self, i: int, value: float, variance: float) -> None:
-        """z += K nu, P -= K P_i with K = P_i/(P_ii + R): one sensor of state i, its innovation nu bounded."""
+    def force_errors(self, speed: float, command: float) -> Array:
+        """(2, 2) covariance of dv_y/dt and dr/dt for a force of each axle that is wrong by a share of one."""
         assert self.z is not None
-        scatter = self.P[i, i] + variance
+        v = self.model.vehicle
+        angle = self.z[3] if "wheel_angle" in self.model.states else command
+        front = 2 * v.stiffness_front * (angle - (self.z[0] + v.lf * self.z[2]) / speed)
+        rear = -2 * v.stiffness_rear * (self.z[0] - v.lr * self.z[2]) / speed
+        by_force = np.array([[1 / v.mass, 1 / v.mass], [v.lf / v.yaw_inertia, -v.lr / v.yaw_inertia]])
+        return by_force @ np.diag([front**2, rear**2]) @ by_force.T
+
+    def reading(self, name: str, instant: int, tau: float, speed: float) -> tuple[Array, float]:
+        """h (size,) of a sensor tau (s) before an instant, so many ago, and what it reads beside h z."""
+        h, states = np.zeros(self.size), self.model.states
+        if name == "lateral_acceleration":
+            a, inputs = self.model.continuous(speed)
+            h[: self.n] = a[0]
+            h[2] += speed
+            h[self.n] = 1.0
+            return h, float(inputs[0, 0]) * self.sent[self.whole + instant]
+        h[states.index(name)] = 1.0
+        if name == "yaw":
+            h[2] = -tau
+        elif name == "y":
+            h[:3] = -tau, -tau * speed, 0.5 * tau**2 * speed
+        elif name == "yaw_rate" and not self.offset_known:
+            h[-1] = 1.0
+        return h, 0.0
+
+    def correct(self, h: Array, value: float, variance: float) -> float:
+        """z += K nu, P -= K h'P with K = P h/(h'P h + R): one sensor that reads h z, its innovation nu bounded."""
+        assert self.z is not None
+        scatter = h @ self.P @ h + variance
         reach = self.own.bound * math.sqrt(scatter)
-        innovation = float(np.clip(value - self.z[i], -reach, reach))
-        gain = self.P[i] / scatter
-        self.z, self.P = self.z + gain * innovation, self.P - np.outer(gain, self.P[i])
+        innovation = float(np.clip(value - h @ self.z, -reach, reach))
+        gain = self.P @ h / scatter
+        self.z, self.P = self.z + gain * innovation, self.P - np.outer(gain, h @ self.P)
+        return innovation
+
+    def take_in(self, instant: int, speed: float) -> None:
+        """The samples of an instant, so many periods ago; the latest move the offsets of their sensors."""
+        period, variances = self.model.period, self.own.variances()
+        tau = self.ring[instant].get("tau", 0.0)
+        for i, name in enumerate(SENSORS):
+            if name not in self.ring[instant] or (name == "wheel_angle" and name not in self.model.states):
+                continue
+            h, beside = self.reading(name, instant, tau, speed)
+            value = self.ring[instant][name] - beside - self.offsets[i]
+            innovation = self.correct(h, value, float(variances[i]))
+            if instant == 0 and name in ("lateral_acceleration", "wheel_angle"):
+                self.offsets[i] += min(1.0, period / self.own.settling) * innovation
+
+    def go_on(self, speed: float) -> None:
+        """From z of `late` periods before the last instant to the present one, with all samples since then."""
+        if self.late:
+            self.z, self.P = self.past
+        for instant in range(min(self.late, self.steps - 1), -1, -1):
+            self.predict(speed, instant)
+            self.take_in(instant, speed)
+            if instant == self.late:
+                assert self.z is not None
+                self.past = self.z, self.P
 
     def ahead(self, speed: float) -> Array:
         """z at the time when the next command begins to act, through the commands already sent."""
@@ -244,14 +367,18 @@ class ReadableFilter:
 
     def step(self, speed: float, measured: ArrayLike, command: float) -> tuple[Array, Array]:
         """One control instant; command: the one given a period ago (rad)."""
-        seen = np.asarray(measured, dtype=float)
+        seen = np.full(len(SENSORS) + 2, math.nan)
+        given = np.asarray(measured, dtype=float)
+        seen[: given.size] = given
         if self.z is None:
             self.begin(seen, command)
         else:
             self.sent = [command, *self.sent[:-1]]
-            self.predict(speed)
-        for sensor in self.sensors(seen):
-            self.correct(*sensor)
+            self.sort_in(seen)
+            self.go_on(speed)
+        self.steps += 1
         assert self.z is not None
         f, _ = self.matrices(speed, self.model.period)
-        return self.ahead(speed)[: self.n], f[: self.n, self.n :] @ self.z[self.n :]
+        x = self.ahead(speed)[: self.n]
+        known = self.blind <= self.own.patience / self.model.period
+        return x if known else np.full(self.n, math.nan), f[: self.n, self.n : self.n + 2] @ self.z[self.n : self.n + 2]

@@ -80,9 +80,10 @@ class Plant(ABC):
 
     @abstractmethod
     def derivative(self, x: ArrayLike, u: ArrayLike, environment: ArrayLike) -> Array:
-        """dx/dt at state x (n,), input u (steering angle, longitudinal force) and environment (6,).
+        """dx/dt at state x (n,), input u (steering angle, longitudinal force) and environment (7,).
 
-        environment: friction front-left, front-right, rear-left, rear-right; wind along X and Y (m/s).
+        environment: friction front-left, front-right, rear-left, rear-right; wind along X and Y (m/s); the pull of a
+        banked road to the left (m/s^2), 0 when it is left out.
         The steering actuator and the prescribed speed are not part of it.
         """
 
@@ -168,7 +169,7 @@ class _Car(Plant):
         steering, force = _vector("u", u, 2)
         inputs = np.zeros(INPUTS)
         inputs[INPUT.command], inputs[INPUT.force], inputs[INPUT.acceleration] = steering, force, math.nan
-        inputs[INPUT.friction_front_left :] = _vector("environment", environment, 6)
+        inputs[INPUT.friction_front_left :] = _environment(environment)
         slope = np.empty(STATES)
         packed = self.with_steering(SteeringActuator.ideal()).packed()
         self.compiled.right_hand_side(state, inputs, packed, slope)
@@ -232,7 +233,7 @@ class UserPlant(Plant):
     right_hand_side(x, u, environment, p, dx) writes dx/dt into dx and returns nothing; it is compiled by numba, so
     it may use floats, loops, `math` and array elements. x: (n,) beginning with `MOTION`; u: steering angle of the
     front wheels (rad), longitudinal force asked of the wheels (N); environment: friction front-left, front-right,
-    rear-left, rear-right, wind along X and Y (m/s); p: `parameters` as an array, in their order.
+    rear-left, rear-right, wind along X and Y (m/s), pull of a banked road to the left (m/s^2); p: `parameters` as an array, in their order.
     It must not write to x, u, environment or p. `check_plant` admits it.
     """
 
@@ -318,7 +319,7 @@ class UserPlant(Plant):
         n = len(self.state_names)
         slope = np.full(n, np.nan)
         # not copies: what the function writes to its arguments must be seen by `check_plant`
-        state, inputs, around = _vector("x", x, n), _vector("u", u, 2), _vector("environment", environment, 6)
+        state, inputs, around = _vector("x", x, n), _vector("u", u, 2), _environment(environment)
         self.compiled.right_hand_side(state, inputs, around, self._own, slope)  # type: ignore[attr-defined]
         return slope
 
@@ -363,7 +364,8 @@ class SteppedPlant(ABC):
         """Advance by dt (s) under inputs that are held; the new motion (6,), as in `reset`.
 
         steering: front-wheel angle (rad); acceleration: dv_x/dt that the speed control asks for (m/s^2); environment:
-        friction front-left, front-right, rear-left, rear-right; wind along X and Y (m/s).
+        friction front-left, front-right, rear-left, rear-right; wind along X and Y (m/s); pull of a banked road to the
+        left (m/s^2).
         """
 
 
@@ -373,6 +375,12 @@ def _vector(name: str, values: ArrayLike, size: int) -> Array:
     if array.shape != (size,):
         raise InvalidInput(f"{name}: shape {array.shape}, expected ({size},).")
     return array
+
+
+def _environment(values: ArrayLike) -> Array:
+    """(7,); a bank that is left out is none."""
+    given = np.asarray(values, dtype=np.float64)
+    return _vector("environment", np.append(given, 0.0) if given.shape == (6,) else given, 7)
 
 
 def check_plant(
@@ -403,7 +411,7 @@ def check_plant(
         fail(f"its states must begin with {MOTION}", f"they are {plant.state_names}")
     if plant.packed().ndim != 1 or np.isnan(plant.packed()).any():
         fail("packed() must give one row of finite parameters", f"it gives {plant.packed()!r}")
-    road = np.array([0.9, 0.9, 0.9, 0.9, 0.0, 0.0])
+    road = np.array([0.9, 0.9, 0.9, 0.9, 0.0, 0.0, 0.0])
     for speed in speeds:
         straight = plant.initial_state([0.0, 0.0, 0.0, speed, 0.0, 0.0])
         if not np.isfinite(straight).all() or straight[3] != speed:
@@ -467,7 +475,7 @@ def _check_stepped(plant: SteppedPlant, speeds: Sequence[float], symmetric: bool
     def fail(clause: str, evidence: str) -> None:
         raise ContractError(f"Plant {plant.name!r}: {clause}: {evidence}.")
 
-    road = np.array([0.9, 0.9, 0.9, 0.9, 0.0, 0.0])
+    road = np.array([0.9, 0.9, 0.9, 0.9, 0.0, 0.0, 0.0])
 
     def driven(speed: float, steering: float) -> Array:
         plant.reset(np.array([0.0, 0.0, 0.0, speed, 0.0, 0.0]))

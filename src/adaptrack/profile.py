@@ -2,14 +2,28 @@
 
 from __future__ import annotations
 
+import math
 import os
 from functools import cache
 from pathlib import Path
+from typing import Any, Self
 
-from pydantic import Field, field_validator
+from pydantic import Field, field_validator, model_validator
 
 from adaptrack.files import Record, build, read_toml
 from adaptrack.vehicle import SteeringActuator, find_data, list_data
+
+
+def _noise(description: str) -> Any:
+    return Field(default=0.0, ge=0, allow_inf_nan=True, description=description)
+
+
+SENSING = (
+    "noise_vy", "noise_yaw", "noise_yaw_rate", "noise_y", "noise_wheel_angle", "noise_lateral_acceleration",
+    "noise_speed", "bias_yaw_rate", "bias_wheel_angle", "pose_age", "pose_age_spread", "motion_age", "missing",
+    "dropout_pause", "dropout_least", "dropout_most",
+)  # fmt: skip
+"""What a profile says of sensors."""
 
 
 class Profile(Record):
@@ -26,7 +40,7 @@ class Profile(Record):
     name: str = Field(min_length=1, description="how lists and tables call the profile")
     description: str = Field(default="", description="one sentence for lists")
     steering: SteeringActuator = Field(
-        default_factory=SteeringActuator.ideal, description="lag, rate limit and angle limit of the steering"
+        default_factory=SteeringActuator.ideal, description="lag, dead time, bias and limits of the steering"
     )
     period: float = Field(
         default=0.1, gt=0, le=10, description="s, control period, unless the controller is told otherwise"
@@ -37,10 +51,30 @@ class Profile(Record):
     preview: bool = Field(
         default=False, description="whether the controller knows the reference ahead, unless it is told otherwise"
     )
-    noise_vy: float = Field(default=0.0, ge=0, description="m/s, standard deviation of the measured lateral velocity")
-    noise_yaw: float = Field(default=0.0, ge=0, description="rad, standard deviation of the measured yaw angle")
-    noise_yaw_rate: float = Field(default=0.0, ge=0, description="rad/s, standard deviation of the measured yaw rate")
-    noise_y: float = Field(default=0.0, ge=0, description="m, standard deviation of the measured lateral position")
+    noise_vy: float = _noise("m/s, standard deviation of the measured lateral velocity; inf: no such sensor")
+    noise_yaw: float = _noise("rad, of the measured yaw angle")
+    noise_yaw_rate: float = _noise("rad/s, of the measured yaw rate")
+    noise_y: float = Field(default=0.0, ge=0, description="m, of the measured lateral position")
+    noise_wheel_angle: float = _noise("rad, of the measured angle of the front wheels")
+    noise_lateral_acceleration: float = Field(
+        default=math.inf, ge=0, allow_inf_nan=True, description="m/s^2, of an accelerometer; inf: none"
+    )
+    noise_speed: float = Field(default=0.0, ge=0, le=1, description="-, of the measured speed, over the speed")
+    bias_yaw_rate: float = Field(
+        default=0.0, ge=0, description="rad/s, each run has an offset of the yaw rate within +- that"
+    )
+    bias_wheel_angle: float = Field(
+        default=0.0, ge=0, description="rad, each run has an offset of the measured wheel angle within +- that"
+    )
+    pose_age: float = Field(default=0.0, ge=0, le=2, description="s, how old yaw and y are when they arrive")
+    pose_age_spread: float = Field(default=0.0, ge=0, le=2, description="s, that age varies by +- that, and is known")
+    motion_age: float = Field(default=0.0, ge=0, le=2, description="s, how old the other samples are")
+    missing: float = Field(default=0.0, ge=0, lt=1, description="-, share of the samples that are missing")
+    dropout_pause: float = Field(
+        default=0.0, ge=0, description="s, mean time between times without yaw and y; 0: there are none"
+    )
+    dropout_least: float = Field(default=0.0, ge=0, le=60, description="s, shortest time without yaw and y")
+    dropout_most: float = Field(default=0.0, ge=0, le=60, description="s, longest time without yaw and y")
     move_weight: float = Field(
         default=0.0,
         ge=0,
@@ -52,10 +86,23 @@ class Profile(Record):
     def _whole_periods(cls, delay: float) -> float:
         if delay not in (0.0, 1.0):
             raise ValueError(
-                "only 0 (a command acts at once) and 1 (it acts one period later) are simulated: "
-                "give one of them, or change `period` so that the delay is one period."
+                "must be 0 (a command acts at once) or 1 (it is computed while the one before acts); "
+                "what the steering adds is its dead_time (s), in the section [steering]."
             )
         return delay
+
+    @model_validator(mode="after")
+    def _ages_and_dropouts_fit(self) -> Self:
+        if self.pose_age_spread > self.pose_age:
+            raise ValueError(f"pose_age_spread = {self.pose_age_spread:g} s: must not exceed pose_age.")
+        if self.dropout_least > self.dropout_most:
+            raise ValueError(f"dropout_least = {self.dropout_least:g} s: must not exceed dropout_most.")
+        return self
+
+    @property
+    def dead_time(self) -> float:
+        """From an instant until its command begins to act (s), at this profile's own period."""
+        return self.delay * self.period + self.steering.dead_time
 
     @property
     def noise(self) -> tuple[float, float, float, float]:

@@ -45,8 +45,7 @@ class _CompiledVehicle:
         from adaptrack.kernels.plants.contract import place, vehicle_batch
 
         assert isinstance(world.plant, Plant)
-        self._compiled, self._steps = world.plant.compiled, int(settings[0].substeps)
-        self._h = world.period / self._steps
+        self._compiled = world.plant.compiled
         self._arrays = vehicle_batch(world.plant.packed(), start[None])
         self.block = self._arrays.block
         place(1, self._arrays.start, self.block, self._arrays.states)
@@ -56,10 +55,10 @@ class _CompiledVehicle:
         v = self._arrays
         self._compiled.observe(v.parameters, v.block, v.states, v.work, 0, seen)
 
-    def advance(self) -> None:
-        """Move on by one control period."""
+    def advance(self, steps: int, h: float) -> None:
+        """Move on by so many steps of h (s)."""
         v = self._arrays
-        self._compiled.advance(v.parameters, v.block, v.states, v.work, 1, self._steps, self._h)
+        self._compiled.advance(v.parameters, v.block, v.states, v.work, 1, steps, h)
 
 
 class _SteppedVehicle:
@@ -69,8 +68,7 @@ class _SteppedVehicle:
         from adaptrack.kernels.plants import contract
 
         assert isinstance(world.plant, SteppedPlant)
-        self._plant, self._steering, self._period = world.plant, world.steering, world.period
-        self._steps = int(settings[0].substeps)
+        self._plant, self._steering = world.plant, world.steering
         self._mass = world.plant.powertrain["mass"]
         self._contract = contract
         self.block = np.zeros(contract.BLOCK)
@@ -81,7 +79,7 @@ class _SteppedVehicle:
         world.plant.reset(start.copy())
 
     def observe(self, seen: Array) -> None:
-        """Lateral acceleration over the last period, and the front-wheel angle under the present input."""
+        """Lateral acceleration over the last steps, and the front-wheel angle under the present input."""
         seen[0], seen[1] = self._lateral, self._angle(0.0)
 
     def _angle(self, time: float) -> float:
@@ -96,14 +94,14 @@ class _SteppedVehicle:
             gap -= math.copysign(self._steering.rate * limited, gap)
         return command - gap * math.exp((limited - time) / self._steering.lag)
 
-    def advance(self) -> None:
-        """Move on by one control period."""
-        names, h = self._contract.INPUT, self._period / self._steps
+    def advance(self, steps: int, h: float) -> None:
+        """Move on by so many steps of h (s)."""
+        names = self._contract.INPUT
         force, acceleration = self._input[names.force], self._input[names.acceleration]
         wanted = force / self._mass if math.isnan(acceleration) else acceleration
         environment = self._input[names.friction_front_left :].copy()
         before = self._state[:6].copy()
-        for _ in range(self._steps):
+        for _ in range(steps):
             middle, after = self._angle(0.5 * h), self._angle(h)
             motion = np.asarray(self._plant.step(h, middle, float(wanted), environment), dtype=np.float64)
             if motion.shape != (6,):
@@ -111,7 +109,7 @@ class _SteppedVehicle:
             self._state[:6] = motion
             self._state[self._contract.STATE.steering] = after if self._steering.lag > 0.0 else 0.0
         turn = 0.5 * (before[3] * before[5] + self._state[3] * self._state[5])
-        self._lateral = (self._state[4] - before[4]) / self._period + turn
+        self._lateral = (self._state[4] - before[4]) / (steps * h) + turn - self._input[names.bank]
 
 
 class _Recorder:
@@ -185,9 +183,12 @@ def simulate(
     vehicle = (_SteppedVehicle if isinstance(world.plant, SteppedPlant) else _CompiledVehicle)(
         world, settings, world.start(scenario, signals)
     )
-    record, memory = _Recorder(signals.n, controller), loop.MEMORY.new()
-    block, own = vehicle.block, memory[0]
+    record, memory = _Recorder(signals.n, controller), world.memory(1)
+    block, own = vehicle.block, memory.own[0]
     measured, look = np.zeros(len(MEASURED)), np.zeros(len(VARIABLES))
+    felt = np.zeros(2)
+    before, after = loop.substeps_around_change(settings)
+    share = float(settings[0].dead_share)
     seen = measured if isinstance(controller, MPC) else measured[:4]  # its model or estimator may use the wheel angle
     estimator = known_as if isinstance(known_as, FrictionWindEstimator) else None
     if estimator is not None:
@@ -197,13 +198,16 @@ def simulate(
         if progress is not None and k % 64 == 0:
             progress(k, signals.n)
         record.state[k] = block[: STATES * SLOTS : SLOTS]
-        speed, error = float(block[STATE.vx * SLOTS]), block[STATE.y * SLOTS] - samples[0, k]
+        error = block[STATE.y * SLOTS] - samples[0, k]
         own.arrived = own.arrived or abs(error) <= world.failure.distance
         own.ended = loop.judge(samples[0, k], block, 0, settings, bool(own.arrived))
         if own.ended != loop.RUNNING:
             own.ended_at = k * signals.period
             break
-        loop.sense(k, 0, block, settings, seed, measured)
+        if settings[0].noise_lateral_acceleration < math.inf:
+            vehicle.observe(felt)
+            measured[MEASURED.lateral_acceleration] = felt[0]
+        speed = float(loop.sense(k, 0, block, settings, seed, memory, measured))
         loop.look(k, speed, measured, rows, 0, look)
         if estimator is not None:
             found = estimator.step(measured[:4], speed, own.command)
@@ -218,7 +222,10 @@ def simulate(
             break
         loop.actuate(k, 0, command, block, settings, rows, 0, memory)
         vehicle.observe(record.seen[k])
-        vehicle.advance()
+        if before:
+            vehicle.advance(before, share * signals.period / before)
+            loop.change_command(1, block, settings, memory)
+        vehicle.advance(after, (1.0 - share) * signals.period / after)
     if progress is not None:
         progress(signals.n, signals.n)
     if not own.arrived:

@@ -104,11 +104,18 @@ class Tyre(Record):
         )
 
 
+def in_periods(time: float, period: float) -> tuple[int, float]:
+    """A time (s) in whole periods (s), and the share of one more."""
+    whole = math.floor(time / period + 1e-9)
+    share = time / period - whole
+    return whole, share if share > 1e-9 else 0.0
+
+
 class SteeringActuator(Record):
     """The steering actuator of the plant: first-order lag behind a rate limit and an angle limit, at the road wheels.
 
-    d(delta)/dt = (command - delta)/lag, clipped to +-rate; the command is clipped to +-limit. With a lag of 0 the
-    wheels are where the command is.
+    d(delta)/dt = (command + bias - delta)/lag, clipped to +-rate, with the command of a dead time ago, clipped to
+    +-limit. With a lag of 0 the wheels are where the command is.
     """
 
     lag: float = Field(default=0.0, ge=0, le=10, description="s, time constant of the first-order lag; 0: none")
@@ -116,6 +123,10 @@ class SteeringActuator(Record):
         default=math.inf, gt=0, allow_inf_nan=True, description="rad/s, fastest change of the angle; inf: no limit"
     )
     limit: float = Field(default=math.pi / 2, gt=0, le=math.pi / 2, description="rad, largest angle to either side")
+    dead_time: float = Field(default=0.0, ge=0, le=10, description="s, from a command until the wheels begin to move")
+    bias: float = Field(
+        default=0.0, ge=-math.pi / 4, le=math.pi / 4, description="rad, what the wheels turn beyond the command"
+    )
 
     @field_validator("rate")
     @classmethod

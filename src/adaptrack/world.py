@@ -17,10 +17,10 @@ from adaptrack.errors import InvalidInput
 from adaptrack.estimation import FrictionWindEstimator, Perception
 from adaptrack.failure import Failure, Reason
 from adaptrack.plant import Plant, SteppedPlant
-from adaptrack.profile import Profile, load_profile
+from adaptrack.profile import SENSING, Profile, load_profile
 from adaptrack.scenario import Scenario, Signals
 from adaptrack.scheduling.variables import reference_preview
-from adaptrack.vehicle import SteeringActuator
+from adaptrack.vehicle import SteeringActuator, in_periods
 
 Array = NDArray[np.float64]
 KnownAs = Perception | FrictionWindEstimator | None
@@ -108,19 +108,31 @@ class World:
             period=self.period,
             substeps=substeps,
             prescribed_speed=driver is None,
-            delay=profile.delay,
-            noise_vy=profile.noise_vy,
-            noise_yaw=profile.noise_yaw,
-            noise_yaw_rate=profile.noise_yaw_rate,
-            noise_y=profile.noise_y,
+            dead_whole=self.dead_periods[0],
+            dead_share=self.dead_periods[1],
+            **{name: getattr(profile, name) for name in SENSING},
             steering_lag=steering.lag,
             steering_limit=steering.limit,
+            steering_bias=steering.bias,
             driver_preview=driver.preview if driver else 1.0,
             driver_integral=driver.integral if driver else 0.0,
             **self.plant.powertrain,  # type: ignore[arg-type]
             failure_distance=self.failure.distance,
             failure_sideslip=self.failure.sideslip,
         )
+
+    @property
+    def dead_periods(self) -> tuple[int, float]:
+        """From an instant until its command acts: whole control periods, and the share of one more."""
+        return in_periods(self.profile.delay * self.period + self.steering.dead_time, self.period)
+
+    def memory(self, slots: int) -> Any:
+        """What the loop remembers of `slots` runs before their first instant (`kernels.loop.Memory`)."""
+        from adaptrack.kernels import loop
+
+        oldest = max(self.profile.pose_age + self.profile.pose_age_spread, self.profile.motion_age)
+        past = math.ceil(oldest / self.period) + 2 if oldest > 0.0 else 0
+        return loop.memory(slots, self.dead_periods[0], past)
 
     def samples(self, signals: Signals, number: int) -> Array:
         """A scenario's samples as the kernels read them, (`kernels.loop.SIGNAL`, n + 1).
@@ -132,7 +144,9 @@ class World:
             known = self.known_as.known(*known, signals.period, number)
         ahead = reference_preview(signals.y_ref, signals.period, len(signals.y_ref))
         return np.ascontiguousarray(
-            np.vstack([signals.y_ref, signals.speed, signals.friction.T, signals.wind.T, *known, *ahead])
+            np.vstack(
+                [signals.y_ref, signals.speed, signals.friction.T, signals.wind.T, signals.push, *known, *ahead]
+            )
         )
 
     def start(self, scenario: Scenario, signals: Signals) -> Array:

@@ -54,7 +54,7 @@ def informed_mpc(
     """An `MPC` that models the lag and the dead time of its steering and estimates state and disturbances.
 
     vehicle: mass, inertia, axle distances and stiffness of the model; profile: the sensors and the computer that it
-    runs on, whose period, preview, actuator and delay it believes unless told otherwise; tuning: `informed_tuning` by
+    runs on, whose period, preview, actuator and dead time it believes unless told otherwise; tuning: `informed_tuning` by
     default; steering: its lag (s) is believed, and its rate (rad/s) bounds the moves; dead_time: from an instant until
     its command begins to act (s), the computer's time included; options: of `MPC`.
 
@@ -66,9 +66,9 @@ def informed_mpc(
     world = load_profile(profile)
     pace = _checked(world.period if period is None else period)
     actuator = world.steering if steering is None else steering
-    delay = world.delay * pace if dead_time is None else dead_time
     if not isinstance(actuator, SteeringActuator):
         raise InvalidInput(f"steering = {steering!r}: must be a SteeringActuator(lag=..., rate=..., limit=...).")
+    delay = world.delay * pace + actuator.dead_time if dead_time is None else dead_time
     fastest = actuator.rate * pace
     if math.isfinite(fastest):
         options.setdefault("limits", Limits(move=(-fastest, fastest)))

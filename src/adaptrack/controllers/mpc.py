@@ -32,8 +32,9 @@ from adaptrack.vehicle import Vehicle
 Array = NDArray[np.float64]
 
 _STATUSES = tuple(QPStatus)
-_STATE_SIZES = (4, 5)
-"""with or without the wheel angle, see `kernels.models.contract.MEASURED`"""
+_STATE_SIZES = (4, 5, 6, 7, 8)
+"""with or without wheel angle, lateral acceleration and ages, see `kernels.models.contract.MEASURED`"""
+_NOT_GIVEN = (math.nan, math.nan, 0.0, 0.0)
 _log = logging.getLogger("adaptrack")
 
 
@@ -301,8 +302,9 @@ class MPC:
     ) -> MPCCommand:
         """One control step.
 
-        state: what is measured, x_c = [v_y (m/s), yaw (rad), yaw rate (rad/s), y (m)], and for a model that needs it
-        the wheel angle (rad) as a fifth; speed: v_x (m/s); reference: y_ref (m) now and, for preview, at the instants
+        state: what is measured, x_c = [v_y (m/s), yaw (rad), yaw rate (rad/s), y (m)]; for a model or an estimator
+        that uses them also the wheel angle (rad), the lateral acceleration (m/s^2), the age of yaw and y (s) and that
+        of all others; speed: v_x (m/s); reference: y_ref (m) now and, for preview, at the instants
         that follow (the last value is repeated as needed); variables: what the scheduler looks at
         (`SchedulingVariables`), needed when there is one.
 
@@ -373,7 +375,7 @@ class MPC:
         pace = number("speed", speed)
         if pace == -math.inf:
             pace = math.nan  # the speed's floor would make a number of it
-        measured[4] = math.nan
+        measured[4:] = _NOT_GIVEN
         measured[: given.size] = given
         return ahead, pace
 

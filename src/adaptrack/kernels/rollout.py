@@ -37,9 +37,12 @@ from .loop import (
     SIGNAL,
     STOPPED,
     actuate,
+    change_command,
+    forget,
     judge,
     look,
     sense,
+    substeps_around_change,
 )
 from .models.contract import MEASURED
 from .plants.contract import (
@@ -116,11 +119,12 @@ _PARTS = (
     ("perceiving", PERCEIVING),
     ("tuning", matrix),  # (slots, entries) of the controller, written by the scheduler if there is one
     ("variables", vector),  # (variables.VARIABLES,)
-    ("memory", MEMORY.type),  # (slots,)
+    ("memory", MEMORY),
     ("result", RESULT.type),  # (slots,)
     ("ceiling", vector),  # (slots,) sum of squared error plus weight times squared move at which a run stops
     ("segments", matrix),  # (slots, .) cost of each segment of a run; empty when not asked
     ("trace", TRACE),
+    ("seen", vector),  # (2,) scratch
 )
 Run = record("Run", (name for name, _ in _PARTS))
 RUN = types.NamedTuple([kind for _, kind in _PARTS], Run)
@@ -159,6 +163,18 @@ def no_trace() -> Any:
 
 # -- one control period -----------------------------------------------------------------------------------------------
 @njit(**PART)
+def _sense(k, slot, run):
+    """What the sensors of a slot give at instant k; the measured speed."""
+    measured, vehicles = run.mpc.measured, run.vehicles
+    if run.settings[0].noise_lateral_acceleration < math.inf:
+        call_observe(
+            run.members.observe, vehicles.parameters, vehicles.block, vehicles.states, vehicles.work, slot, run.seen
+        )
+        measured[MEASURED.lateral_acceleration] = run.seen[0]
+    return sense(k, slot, vehicles.block, run.settings, run.road.seeds[slot], run.memory, measured)
+
+
+@njit(**PART)
 def _schedule(k, slot, speed, run):
     """Let the scheduler, if there is one, write the slot's tuning."""
     if run.schedule.settings[0].n_inputs == 0:
@@ -167,7 +183,7 @@ def _schedule(k, slot, speed, run):
     knowing = run.perceiving
     if knowing.settings.size > 0:
         friction_wind.estimate(
-            slot, run.mpc.measured, speed, run.memory[slot].command, math.nan, knowing.parameters, knowing.settings,
+            slot, run.mpc.measured, speed, run.memory.own[slot].command, math.nan, knowing.parameters, knowing.settings,
             knowing.memory,
         )  # fmt: skip
         run.variables[VARIABLES.friction] = knowing.memory[slot, friction_wind.FRICTION_HAT]
@@ -178,7 +194,7 @@ def _schedule(k, slot, speed, run):
 @njit(**PART)
 def _apply_law(slot, speed, reference, run):
     """One step of a control law; a command that is not finite holds the last one."""
-    own, out, given, seen = run.memory[slot], run.law.answer[slot], run.law.situation, run.mpc.measured
+    own, out, given, seen = run.memory.own[slot], run.law.answer[slot], run.law.situation, run.mpc.measured
     now = Situation(
         seen[MEASURED.vy], seen[MEASURED.yaw], seen[MEASURED.yaw_rate], seen[MEASURED.y], speed, own.command
     )
@@ -212,7 +228,7 @@ def _control(k, slot, speed, run):
 @njit(**PART)
 def _begin_instant(k, slot, segment, run):
     """Judge the run; count the error at instant k, unless the run ends here."""
-    own, found, block = run.memory[slot], run.result[slot], run.vehicles.block
+    own, found, block = run.memory.own[slot], run.result[slot], run.vehicles.block
     y_ref = run.road.signals[run.road.scenario[slot], SIGNAL.y_ref, k]
     error = block[state_at(STATE.y, slot)] - y_ref
     if abs(error) <= run.settings[0].failure_distance:
@@ -251,13 +267,13 @@ def _count_step(k, slot, answer, segment, weight, run):
         for j in range(run.trace.answer.shape[2] - answer.size):
             run.trace.answer[slot, k, answer.size + j] = run.tuning[slot, j]
     if found.squared_error + weight * found.squared_move >= run.ceiling[slot]:
-        run.memory[slot].ended = STOPPED
+        run.memory.own[slot].ended = STOPPED
 
 
 @njit(**PART)
 def _end(k, slot, segment, run):
     """Close a run that ends at instant k before its time, and park its slot in its initial state."""
-    own, found = run.memory[slot], run.result[slot]
+    own, found = run.memory.own[slot], run.result[slot]
     found.ended, found.ended_at = own.ended, own.ended_at
     if own.ended != STOPPED:
         found.squared_error = math.inf
@@ -274,8 +290,8 @@ def begin(slots, run):
     place(slots, run.vehicles.start, run.vehicles.block, run.vehicles.states)
     run.segments[:, :] = 0.0
     for i in range(slots):
-        own, found = run.memory[i], run.result[i]
-        own.command, own.integral, own.arrived, own.ended, own.ended_at = 0.0, 0.0, 0, RUNNING, 0.0
+        found = run.result[i]
+        forget(i, run.memory)
         found.squared_error, found.squared_move, found.largest_error, found.instants = 0.0, 0.0, 0.0, 0
         found.ended, found.ended_at, found.capped, found.unsolved, found.held = RUNNING, 0.0, 0, 0, 0
         found.limited, found.iterations = 0, 0
@@ -293,31 +309,37 @@ def rollout(span, run):
     periods, slots, segment, weight = span
     vehicles, settings, members = run.vehicles, run.settings[0], run.members
     block, states, work = vehicles.block, vehicles.states, vehicles.work
-    h = settings.period / settings.substeps
+    before, after = substeps_around_change(run.settings)
+    h = (1.0 - settings.dead_share) * settings.period / after
     for k in range(periods):
         running = 0
         for i in range(slots):
-            if run.memory[i].ended != RUNNING:
+            if run.memory.own[i].ended != RUNNING:
                 continue
             _begin_instant(k, i, segment, run)
-            if run.memory[i].ended != RUNNING:
+            if run.memory.own[i].ended != RUNNING:
                 _end(k, i, segment, run)
                 continue
-            speed = block[state_at(STATE.vx, i)]
-            sense(k, i, block, run.settings, run.road.seeds[i], run.mpc.measured)
+            speed = _sense(k, i, run)
             _schedule(k, i, speed, run)
             answer = _control(k, i, speed, run)
             actuate(k, i, answer[0], block, run.settings, run.road.signals, run.road.scenario[i], run.memory)
             if run.trace.seen.size > 0:
                 call_observe(members.observe, vehicles.parameters, block, states, work, i, run.trace.seen[i, k])
             _count_step(k, i, answer, segment, weight, run)
-            if run.memory[i].ended != RUNNING:
+            if run.memory.own[i].ended != RUNNING:
                 _end(k, i, segment, run)
                 continue
             running += 1
         if running == 0:
             break
-        call_advance(members.advance, vehicles.parameters, block, states, work, slots, settings.substeps, h)
+        if before > 0:
+            call_advance(
+                members.advance, vehicles.parameters, block, states, work, slots, before,
+                settings.dead_share * settings.period / before,
+            )  # fmt: skip
+            change_command(slots, block, run.settings, run.memory)
+        call_advance(members.advance, vehicles.parameters, block, states, work, slots, after, h)
     for i in range(slots):
-        if run.memory[i].arrived == 0 and run.result[i].ended != STOPPED:
+        if run.memory.own[i].arrived == 0 and run.result[i].ended != STOPPED:
             run.result[i].ended, run.result[i].ended_at, run.result[i].squared_error = NEVER_ARRIVED, 0.0, math.inf

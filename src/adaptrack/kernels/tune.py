@@ -49,7 +49,7 @@ def evaluate(part, judged, trial):
             run.road.seeds[i] = trial.noise[s]
             run.ceiling[i] = (ceilings[i] * count - costs[i]) * span.periods
             if not costs[i] < math.inf:
-                run.memory[i].ended = STOPPED
+                run.memory.own[i].ended = STOPPED
         rollout(span, run)
         for i in range(slots):
             found = run.result[i]

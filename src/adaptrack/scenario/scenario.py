@@ -55,6 +55,7 @@ class Scenario(Record):
     )
     wind: Annotated[Wind | PolarWind, BeforeValidator(as_wind)] = Field(default=Wind(), description="m/s")
     wind_gain: float = Field(default=1.0, description="factor on the wind")
+    bank: Signal | None = Field(default=None, description="of the road, rad, positive when it pushes to the left")
     start_y: float | None = Field(default=None, description="m, lateral position at the start; none: on the reference")
     start_heading: float = Field(default=0.0, description="rad, heading at the start, positive to the left")
 
@@ -101,6 +102,10 @@ class Scenario(Record):
         """Wind vectors (..., 2) along world X and Y, m/s, times `wind_gain`, at the times `t` (s)."""
         return self.wind_gain * self.wind.at(t)
 
+    def bank_at(self, t: ArrayLike) -> Array:
+        """The bank angle of the road (rad) at the times `t` (s), in the shape of `t`."""
+        return np.zeros(np.shape(t)) if self.bank is None else self.bank.at(t)
+
     @property
     def initial_y(self) -> float:
         """The lateral position at the start, m: `start_y`, or the reference there."""
@@ -125,7 +130,9 @@ class Scenario(Record):
                 f"1 to {PERIODS.most:,} are possible ({PERIODS.reason})."
             )
         t = instants(n, period)
-        return Signals(period, t, self.reference_at(t), self.speed_at(t), self.friction_at(t), self.wind_at(t))
+        return Signals(
+            period, t, self.reference_at(t), self.speed_at(t), self.friction_at(t), self.wind_at(t), self.bank_at(t)
+        )
 
     # ---- variants
 
@@ -139,6 +146,7 @@ class Scenario(Record):
             friction=tuple(self.friction[k] for k in pairs),
             friction_patches=tuple(patch.mirrored() for patch in self.friction_patches),
             wind=self.wind.mirrored(),
+            bank=None if self.bank is None else self.bank.scaled(-1.0),
             start_y=None if self.start_y is None else 0.0 - self.start_y,
             start_heading=0.0 - self.start_heading,
         )
@@ -270,7 +278,10 @@ class Scenario(Record):
             "wind": self.wind.table(),
             "windows": dict(self.windows) or None,
         }
-        return {name: tables.get(name, getattr(self, name)) for name in type(self).model_fields}
+        if self.bank is not None:
+            tables["bank"] = self.bank.table()
+        names = [name for name in type(self).model_fields if name != "bank" or self.bank is not None]
+        return {name: tables.get(name, getattr(self, name)) for name in names}
 
     def to_toml(self, path: str | os.PathLike[str]) -> None:
         """Write the scenario to a file that `load_scenario` reads back as its equal; whole or not at all.

@@ -9,9 +9,12 @@ import numpy as np
 from adaptrack.errors import InvalidInput
 from adaptrack.limits import SPEED
 from adaptrack.scenario.shapes import Array
+from adaptrack.vehicle import GRAVITY
 
 HIGHEST_FRICTION = 3.0
 """Racing tyres stay below 2; 80 is a percentage."""
+STEEPEST_BANK = 0.8
+"""rad, either side"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,6 +37,7 @@ class Signals:
     speed: Array  # (n + 1,) m/s, reference of the longitudinal speed
     friction: Array  # (n + 1, 4) front-left, front-right, rear-left, rear-right
     wind: Array  # (n + 1, 2) m/s, velocity of the air along world X and Y
+    bank: Array | float = 0.0  # (n + 1,) rad, of the road, positive when it pushes to the left
 
     def __post_init__(self) -> None:
         if not 0.0 < self.period < np.inf:
@@ -41,7 +45,9 @@ class Signals:
         for name in ("t", "y_ref", "speed", "friction", "wind"):
             object.__setattr__(self, name, np.array(getattr(self, name), dtype=np.float64, order="C"))
         samples = self.t.size
-        columns = {"t": (), "y_ref": (), "speed": (), "friction": (4,), "wind": (2,)}
+        bank = np.broadcast_to(np.asarray(self.bank, dtype=np.float64), (samples,))
+        object.__setattr__(self, "bank", np.array(bank, order="C"))
+        columns = {"t": (), "y_ref": (), "speed": (), "friction": (4,), "wind": (2,), "bank": ()}
         for name, width in columns.items():
             shape = (samples, *width)
             values = getattr(self, name)
@@ -58,6 +64,7 @@ class Signals:
         self._refuse(self.speed > SPEED.most, "speed", f"must be at most {SPEED.most} m/s ({SPEED.reason})")
         self._refuse(self.friction <= 0.0, "friction", "must be > 0")
         self._refuse(self.friction > HIGHEST_FRICTION, "friction", "must be a coefficient such as 0.8, at most 3")
+        self._refuse(np.abs(self.bank) > STEEPEST_BANK, "bank", f"must be within +-{STEEPEST_BANK} rad")
 
     def _refuse(self, wrong: np.ndarray, name: str, rule: str) -> None:
         """Raise for the first sample that is `wrong`."""
@@ -66,6 +73,11 @@ class Signals:
             value = float(getattr(self, name)[first])
             where = f"sample {first[0]}" if name == "t" else f"t = {float(self.t[first[0]]):g} s"
             raise InvalidInput(f"{name} is {value!r} at {where}: {rule}.")
+
+    @property
+    def push(self) -> Array:
+        """(n + 1,) m/s^2, the pull of the banked road to the left, g sin(bank)."""
+        return GRAVITY * np.sin(self.bank)
 
     @property
     def n(self) -> int:

@@ -1,11 +1,21 @@
-"""A Kalman filter on the path model: its state, a lateral and a yaw disturbance, behind the dead time of the steering.
+"""A Kalman filter on the path model: its state, two disturbances and the yaw-rate sensor's offset, behind a dead time.
 
-    z = [x, d_y, d_r],   x(k+1) = A x(k) + B u + G d(k) + noise,   d(k+1) = d(k) + noise
+    z = [x, d_y, d_r, b],   x(k+1) = A x(k) + B u(k) + G d(k) + noise,   d and b: random walks
 
 The command of instant j acts from T_d = (m + s) T after it (m whole periods, a share s of one more). Between two
 instants the filter carries z along with the commands that acted; what it hands to the controller is x at the time when
-the new command begins to act, carried on through the commands already sent. Each sensor is taken in by itself, so one
-that is missing (not finite) is left out; an innovation counts up to `bound` of its own standard deviations.
+the new command begins to act, carried on through the commands already sent.
+
+Each sensor is taken in by itself, as value = h z + noise, so one that is missing (not finite) is left out; an
+innovation counts up to `bound` of its own standard deviations. A sample of a known age belongs to the control instant
+next to the time at which it was taken: the filter keeps z of `late` periods ago and goes through the instants since
+then anew at every step, with all that has arrived of them. What was taken a little before or after its instant is
+compared with z carried there, psi - tau r and y - tau (v_y + v psi) + tau^2/2 v r. A sample that repeats the one before
+to the last bit, from a sensor that has noise, is an old one and left out.
+
+The offsets of an accelerometer (the pull of a banked road is one to it) and of the wheel-angle sensor are slow averages
+of their innovations. Without a position for longer than `patience`, or with one that stays the same and disagrees with the
+estimate by more than `bound` times its noise, the estimate is not finite: the controller holds.
 """
 
 from __future__ import annotations
@@ -24,24 +34,37 @@ from .contract import ESTIMATE
 NUMBERS = (
     "period",  # s
     "whole", "share",  # dead time in periods: m, and the share s of one more, 0 <= s < 1
+    "late",  # periods that are gone through anew at every step
     "bound",  # standard deviations up to which an innovation counts
+    "patience",  # periods without a position after which there is no estimate
+    "settling",  # share of an innovation by which a sensor's offset moves
     "variance_vy", "variance_yaw", "variance_yaw_rate", "variance_y", "variance_wheel_angle",  # of sensors; inf: none
+    "variance_lateral_acceleration",
     "drift_vy", "drift_yaw", "drift_yaw_rate", "drift_y", "drift_wheel_angle",  # variances that a period adds
     "drift_side", "drift_turn", "drift_both",  # likewise, of d_y and d_r, and their covariance
-    "spread_side", "spread_turn",  # variances of d_y and d_r before the first sample
+    "drift_bias",  # likewise, of the yaw-rate sensor's offset
+    "drift_force",  # likewise, of v_y and r, by the squared share of each axle's force that the model gets wrong
+    "spread_side", "spread_turn", "spread_bias",  # variances of d_y, d_r and b before the first sample; b: 0, no offset
 )  # fmt: skip
 Numbers = record("Numbers", NUMBERS)
 """What the parameters begin with; those of the path model follow."""
 _unpack = unpacker(Numbers)
-_SENSORS = len(MEASURED)
+SENSORS = 6
+"""The first of `MEASURED`; their ages follow."""
+_STATES = 5  # as many of them may be states
 _VARIANCE, _DRIFT = NUMBERS.index("variance_vy"), NUMBERS.index("drift_vy")
 UNKNOWN = 1e2
 """Variance of a state of which the first sample says nothing."""
+LEAST_NOISE = (0.005, 0.0002, 0.001, 0.002, 0.0005, 0.02)
+"""Of the sensors: with better ones the model's own errors limit the filter."""
 
 # Memory, in rows of the vector width; matrices take eight rows.
-_STARTED, _SPEED = 0, 1
-_Z = WIDTH
-_P = 2 * WIDTH  # covariance
+_COUNT, _SPEED, _BLIND = 0, 1, 2  # steps; speed of the matrices; periods since a position was taken in
+_OF_COMMAND = 3  # what the command adds to the lateral acceleration, where there is no lag
+_LAST = WIDTH  # samples of the step before, to tell repeated ones
+_OFFSET = 2 * WIDTH  # of the sensors
+_Z = 3 * WIDTH
+_P = _Z + WIDTH  # covariance
 _F = _P + WIDTH * WIDTH  # z(k+1) = F z(k) + ...
 _FT = _F + WIDTH * WIDTH
 _W = _FT + WIDTH * WIDTH  # scratch
@@ -50,13 +73,24 @@ _B_OLD = _A_SHARE + WIDTH * WIDTH  # of the command that acts first in a period
 _B_NEW = _B_OLD + WIDTH  # of the one that acts then
 _B = _B_NEW + WIDTH  # of a command over a whole period
 _B_SHARE = _B + WIDTH  # over the share s
-_NEXT = _B_SHARE + WIDTH  # scratch
-_SENT = _NEXT + WIDTH  # commands sent, the latest first
+_FELT = _B_SHARE + WIDTH  # h of the accelerometer
+_H = _FELT + WIDTH  # h of a sensor
+_NEXT = _H + WIDTH  # scratch
+_PAST_Z = _NEXT + WIDTH  # z and its covariance `late` periods before the last instant
+_PAST_P = _PAST_Z + WIDTH
+_RING = _PAST_P + WIDTH * WIDTH  # rows of samples, the latest instant first: the sensors, then tau of the pose
+_TAU = SENSORS
 
 
-def memory_size(whole: int) -> int:
+def memory_size(whole: int, late: int) -> int:
     """Numbers that the filter remembers, for a dead time of `whole` periods and a share."""
-    return _SENT + whole + 2
+    return _RING + WIDTH * (late + 1) + whole + late + 2
+
+
+@njit(**INLINE)
+def _sent(p):
+    """Where the commands that were sent begin, the latest first."""
+    return _RING + WIDTH * (int(p.late) + 1)
 
 
 @njit(**INLINE)
@@ -66,7 +100,7 @@ def _place(sensor, n):
         return n - 1
     if sensor == MEASURED.wheel_angle:
         return 3 if n == 5 else -1
-    return sensor
+    return sensor if sensor < _STATES else -1
 
 
 @njit(types.void(float64, int64, vector, vector), **ROUTINE)
@@ -85,8 +119,10 @@ def _form(speed, n, parameters, memory):
     if not p.share > 0.0:
         for i in range(n):
             memory[_B_NEW + i] = memory[_B + i]
-    for i in range(n, n + path.DISTURBANCES):
+    for i in range(n, WIDTH):
         memory[_F + WIDTH * i + i] = 1.0
+    memory[_OF_COMMAND] = path.lateral_acceleration_row(speed, model, n, memory, _FELT)
+    memory[_FELT + n] = 1.0
     for i in range(WIDTH):
         for j in range(WIDTH):
             memory[_FT + WIDTH * j + i] = memory[_F + WIDTH * i + j]
@@ -123,23 +159,67 @@ def _begin(n, p, parameters, measured, command, memory):
         memory[_P + WIDTH * i + i] = UNKNOWN
     if n == 5:
         memory[_Z + 3], memory[_P + WIDTH * 3 + 3] = command, parameters[_DRIFT + MEASURED.wheel_angle]
-    for sensor in range(_SENSORS):
+    for sensor in range(SENSORS):
         i, variance = _place(sensor, n), parameters[_VARIANCE + sensor]
-        if i >= 0 and variance < math.inf and math.isfinite(measured[sensor]):
+        if i >= 0 and variance < math.inf and math.isfinite(measured[sensor]) and sensor != MEASURED.wheel_angle:
             memory[_Z + i], memory[_P + WIDTH * i + i] = measured[sensor], variance
     memory[_P + WIDTH * n + n], memory[_P + WIDTH * (n + 1) + n + 1] = p.spread_side, p.spread_turn
-    memory[_STARTED] = 1.0
+    if p.spread_bias > 0.0:
+        memory[_P + WIDTH * (n + 2) + n + 2] = p.spread_bias
+        memory[_P + WIDTH * 2 + 2] += p.spread_bias
+    for i in range(int(p.whole) + int(p.late) + 2):
+        memory[_sent(p) + i] = command
+    for i in range(WIDTH * (int(p.late) + 1)):
+        memory[_RING + i] = math.nan
+    _keep(_Z, _PAST_Z, memory)
 
 
 @njit(**INLINE)
-def _predict(n, p, parameters, memory):
-    """z and its covariance at this instant from those at the last one: F P F' + drift."""
-    size, whole = n + path.DISTURBANCES, int(p.whole)
+def _keep(source, target, memory):
+    """Copy z and its covariance."""
+    for i in range(WIDTH + WIDTH * WIDTH):
+        memory[target + i] = memory[source + i]
+
+
+@njit(**INLINE)
+def _sort_in(n, p, measured, parameters, memory):
+    """Add the samples that have arrived to the instants at which they were taken."""
+    late = int(p.late)
+    for i in range(WIDTH * (late + 1) - 1, WIDTH - 1, -1):
+        memory[_RING + i] = memory[_RING + i - WIDTH]
+    for i in range(WIDTH):
+        memory[_RING + i] = math.nan
+    memory[_BLIND] += 1.0
+    for sensor in range(SENSORS):
+        value, variance = measured[sensor], parameters[_VARIANCE + sensor]
+        repeated = value == memory[_LAST + sensor] and variance > LEAST_NOISE[sensor] ** 2
+        memory[_LAST + sensor] = value
+        posed = sensor == MEASURED.yaw or sensor == MEASURED.y
+        age = measured[MEASURED.pose_age] if posed else measured[MEASURED.motion_age]
+        instants = math.floor(age / p.period + 0.5) if math.isfinite(age) else 0.0
+        if not (math.isfinite(value) and variance < math.inf and 0.0 <= instants <= p.late):
+            continue
+        if repeated:
+            if sensor == MEASURED.y and abs(value - memory[_Z + n - 1]) <= p.bound * math.sqrt(variance):
+                memory[_BLIND] = 0.0
+            continue
+        row = _RING + WIDTH * int(instants)
+        memory[row + sensor] = value
+        if posed:
+            memory[row + _TAU] = age - instants * p.period if math.isfinite(age) else 0.0
+        if sensor == MEASURED.y:
+            memory[_BLIND] = 0.0
+
+
+@njit(**INLINE)
+def _predict(n, size, instant, p, parameters, memory):
+    """z and its covariance at an instant, so many before the present one, from those a period earlier: F P F' + drift."""
+    acting = _sent(p) + int(p.whole) + instant
     for i in range(size):
         memory[_NEXT + i] = memory[_Z + i]
     _carry(n, _F, memory)
-    _add_command(n, _B_OLD, memory[_SENT + whole + 1], memory)
-    _add_command(n, _B_NEW, memory[_SENT + whole], memory)
+    _add_command(n, _B_OLD, memory[acting + 1], memory)
+    _add_command(n, _B_NEW, memory[acting], memory)
     for i in range(size):
         memory[_Z + i] = memory[_NEXT + i]
     for i in range(size):
@@ -152,71 +232,132 @@ def _predict(n, p, parameters, memory):
         for k in range(size):
             row = fma8(spread(memory, _W + WIDTH * i + k), load(memory, _FT + WIDTH * k), row)
         store(memory, _P + WIDTH * i, row)
-    for sensor in range(_SENSORS):
+    for sensor in range(_STATES):
         i = _place(sensor, n)
         if i >= 0:
             memory[_P + WIDTH * i + i] += parameters[_DRIFT + sensor]
+    if p.drift_force > 0.0:
+        angle = memory[_Z + 3] if n == 5 else memory[acting]
+        of_vy, of_r, of_both = path.force_errors(
+            memory[_SPEED], memory[_Z], memory[_Z + 2], angle, parameters[len(NUMBERS) :]
+        )
+        memory[_P] += p.drift_force * of_vy
+        memory[_P + WIDTH * 2 + 2] += p.drift_force * of_r
+        memory[_P + 2] += p.drift_force * of_both
+        memory[_P + WIDTH * 2] += p.drift_force * of_both
     memory[_P + WIDTH * n + n] += p.drift_side
     memory[_P + WIDTH * (n + 1) + n + 1] += p.drift_turn
     memory[_P + WIDTH * n + n + 1] += p.drift_both
     memory[_P + WIDTH * (n + 1) + n] += p.drift_both
+    if size > n + path.DISTURBANCES:
+        memory[_P + WIDTH * (n + 2) + n + 2] += p.drift_bias
 
 
 @njit(**INLINE)
-def _take_in(i, value, variance, bound, size, memory):
-    """One sensor that reads state i: z += K nu, P -= K P_i."""
-    scatter = memory[_P + WIDTH * i + i] + variance
-    reach = bound * math.sqrt(scatter)
-    innovation = clip(value - memory[_Z + i], -reach, reach)
-    row = load(memory, _P + WIDTH * i)
+def _reading(sensor, instant, n, tau, p, memory):
+    """Write h of a sensor, tau (s) before an instant; what it reads beside h z."""
+    for i in range(WIDTH):
+        memory[_H + i] = 0.0
+    speed = memory[_SPEED]
+    if sensor == MEASURED.lateral_acceleration:
+        for i in range(WIDTH):
+            memory[_H + i] = memory[_FELT + i]
+        return memory[_OF_COMMAND] * memory[_sent(p) + int(p.whole) + instant]
+    memory[_H + _place(sensor, n)] = 1.0
+    if sensor == MEASURED.yaw:
+        memory[_H + 2] = -tau
+    elif sensor == MEASURED.y:
+        memory[_H], memory[_H + 1], memory[_H + 2] = -tau, -tau * speed, 0.5 * tau * tau * speed
+    elif sensor == MEASURED.yaw_rate and p.spread_bias > 0.0:
+        memory[_H + n + 2] = 1.0
+    return 0.0
+
+
+@njit(**INLINE)
+def _take_in(sensor, value, variance, size, p, memory):
+    """A sensor that reads h z, with h in the scratch: z += K nu, P -= K (P h)', K = P h/(h' P h + R)."""
+    read, row = 0.0, zeros()
+    for i in range(size):
+        share = memory[_H + i]
+        if share != 0.0:
+            read += share * memory[_Z + i]
+            row = fma8(splat(share), load(memory, _P + WIDTH * i), row)
+    store(memory, _W, row)
+    scatter = variance
+    for i in range(size):
+        scatter += memory[_H + i] * memory[_W + i]
+    reach = p.bound * math.sqrt(scatter)
+    innovation = clip(value - read, -reach, reach)
     store(memory, _Z, fma8(splat(innovation / scatter), row, load(memory, _Z)))
     gains = mul(splat(1.0 / scatter), row)
     store(memory, _W, gains)
     for j in range(size):
         taken = mul(spread(memory, _W + j), row)
         store(memory, _P + WIDTH * j, sub(load(memory, _P + WIDTH * j), taken))
+    return innovation
 
 
 @njit(**INLINE)
-def _remember(command, whole, memory):
-    for i in range(whole + 1, 0, -1):
-        memory[_SENT + i] = memory[_SENT + i - 1]
-    memory[_SENT] = command
+def _correct(n, size, instant, p, parameters, memory):
+    """Take in the samples of an instant, so many before the present one."""
+    row = _RING + WIDTH * instant
+    for sensor in range(SENSORS):
+        value = memory[row + sensor]
+        if not math.isfinite(value) or (sensor == MEASURED.wheel_angle and n == 4):
+            continue
+        beside = _reading(sensor, instant, n, memory[row + _TAU], p, memory) + memory[_OFFSET + sensor]
+        innovation = _take_in(sensor, value - beside, parameters[_VARIANCE + sensor], size, p, memory)
+        if instant == 0 and (sensor == MEASURED.lateral_acceleration or sensor == MEASURED.wheel_angle):
+            memory[_OFFSET + sensor] += p.settling * innovation
 
 
 @njit(**INLINE)
 def _roll(n, p, memory):
     """x at the time when the new command begins to act, in the scratch."""
-    whole = int(p.whole)
+    whole, sent = int(p.whole), _sent(p)
     for i in range(n + path.DISTURBANCES):
         memory[_NEXT + i] = memory[_Z + i]
     if p.share > 0.0:
         _carry(n, _A_SHARE, memory)
-        _add_command(n, _B_SHARE, memory[_SENT + whole], memory)
+        _add_command(n, _B_SHARE, memory[sent + whole], memory)
     for j in range(whole - 1, -1, -1):
         _carry(n, _F, memory)
-        _add_command(n, _B, memory[_SENT + j], memory)
+        _add_command(n, _B, memory[sent + j], memory)
+
+
+@njit(**INLINE)
+def _go_on(n, size, p, parameters, memory):
+    """From z of `late` periods before the last instant to the present one."""
+    late = int(p.late)
+    first = min(late, int(memory[_COUNT]) - 1)
+    if late > 0:
+        _keep(_PAST_Z, _Z, memory)
+    for instant in range(first, -1, -1):
+        _predict(n, size, instant, p, parameters, memory)
+        _correct(n, size, instant, p, parameters, memory)
+        if late > 0 and instant == late:
+            _keep(_Z, _PAST_Z, memory)
 
 
 @njit(ESTIMATE, **ROUTINE)
 def kalman(speed, measured, command, a, b, parameters, memory, x, d):
     """See `contract.ESTIMATE`."""
     p, n = _unpack(parameters), x.size
-    whole = int(p.whole)
+    size = n + path.DISTURBANCES + (1 if p.spread_bias > 0.0 else 0)
     if speed != memory[_SPEED] and math.isfinite(speed):
         _form(speed, n, parameters, memory)
-    if memory[_STARTED] > 0.5:
-        _remember(command, whole, memory)
-        _predict(n, p, parameters, memory)
+    if memory[_COUNT] > 0.5:
+        sent = _sent(p)
+        for i in range(int(p.whole) + int(p.late) + 1, 0, -1):
+            memory[sent + i] = memory[sent + i - 1]
+        memory[sent] = command
+        _sort_in(n, p, measured, parameters, memory)
+        _go_on(n, size, p, parameters, memory)
     else:
-        for i in range(whole + 2):
-            memory[_SENT + i] = command
         _begin(n, p, parameters, measured, command, memory)
-    for sensor in range(_SENSORS):
-        i, variance = _place(sensor, n), parameters[_VARIANCE + sensor]
-        if i >= 0 and variance < math.inf and math.isfinite(measured[sensor]):
-            _take_in(i, measured[sensor], variance, p.bound, n + path.DISTURBANCES, memory)
+    memory[_COUNT] += 1.0
     _roll(n, p, memory)
+    known = memory[_BLIND] <= p.patience
     for i in range(n):
-        x[i] = memory[_NEXT + i]
+        x[i] = memory[_NEXT + i] if known else math.nan
         d[i] = memory[_F + WIDTH * i + n] * memory[_Z + n] + memory[_F + WIDTH * i + n + 1] * memory[_Z + n + 1]

@@ -14,8 +14,12 @@ from numba import types
 
 from ..abi import caller, columns, float64, matrix, njit, vector
 
-MEASURED = columns("vy", "yaw", "yaw_rate", "y", "wheel_angle")
-"""What the sensors give: m/s, rad, rad/s, m, rad."""
+MEASURED = columns(
+    "vy", "yaw", "yaw_rate", "y", "wheel_angle",  # m/s, rad, rad/s, m, rad: the states of a model are some of these
+    "lateral_acceleration",  # m/s^2, of an accelerometer: it does not feel the pull of a banked road
+    "pose_age", "motion_age",  # s, how old yaw and y are, and all others
+)  # fmt: skip
+"""What the sensors give; what is missing is not finite."""
 
 DISCRETISE = types.void(float64, float64, vector, matrix, vector, vector)
 """``discretise(speed, period, parameters, a, b, e)``: write A (n, n), B (n,) and E (n,) of one control period (s) at a

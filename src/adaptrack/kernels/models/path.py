@@ -169,6 +169,32 @@ def discretise_rows(speed, period, parameters, stride, target, rows, column):
     target[rows + stride + 1], target[last + 1], target[last + n - 1] = 1.0, speed * period, 1.0
 
 
+@njit(**INLINE)
+def force_errors(speed, vy, r, angle, parameters):
+    """What a share of one in error of each axle's force adds to the variances of dv_y/dt and dr/dt, and to both."""
+    c = unpack(parameters)
+    front = 2.0 * c.stiffness_front / c.mass * (angle - (vy + c.lf * r) / speed)  # F/m
+    rear = -2.0 * c.stiffness_rear / c.mass * (vy - c.lr * r) / speed
+    by_front, by_rear = front * front, rear * rear
+    turning = c.mass / c.yaw_inertia
+    return (
+        by_front + by_rear,
+        turning * turning * (c.lf * c.lf * by_front + c.lr * c.lr * by_rear),
+        turning * (c.lf * by_front - c.lr * by_rear),
+    )
+
+
+@njit(**INLINE)
+def lateral_acceleration_row(speed, parameters, n, target, row):
+    """Write dv_y/dt + v r of the states (n,) to target[row:]; what a command adds to it (m/s^2 per rad)."""
+    m, command = _continuous(speed, unpack(parameters))
+    target[row], target[row + 1], target[row + 2] = m[0], 0.0, m[1] + speed
+    if n == 5:
+        target[row + 3] = m[2]
+    target[row + n - 1] = 0.0
+    return command[0]
+
+
 @njit(DISCRETISE, **ROUTINE)
 def discretise(speed, period, parameters, a, b, e):
     """Eq. (8) for the path model: write A (n, n), B (n,) and E (n,), the column of w."""

@@ -41,13 +41,14 @@ INPUT = columns(
     "acceleration",  # m/s^2, prescribed dv_x/dt; NaN: none, the force acts
     "friction_front_left", "friction_front_right", "friction_rear_left", "friction_rear_right",
     "wind_x", "wind_y",  # m/s
+    "bank",  # m/s^2, what the pull of a banked road adds to dv_y/dt, positive to the left
 )  # fmt: skip
 """Rows of a block behind those of the state: the input, held over a control period."""
 STATES, INPUTS = len(STATE), len(INPUT)
 MOTION = 6
 """Every plant's states begin with X, Y, yaw, v_x, v_y, yaw rate."""
-ENVIRONMENT = 6
-"""Friction of the four wheels and both components of the wind: the last rows of the input."""
+ENVIRONMENT = 7
+"""Friction of the four wheels, both components of the wind and the bank: the last rows of the input."""
 BLOCK = (STATES + INPUTS) * SLOTS
 """Length of a block."""
 

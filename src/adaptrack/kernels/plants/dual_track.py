@@ -25,7 +25,7 @@ def right_hand_side(x, u, c, law):
     lateral ones. A prescribed acceleration moves v_x without longitudinal tyre force.
     """
     _, _, yaw, vx, vy, r, s_fl, s_fr, s_rl, s_rr, ax, ay, angle = x
-    command, force, acceleration, mu_fl, mu_fr, mu_rl, mu_rr, wind_x, wind_y = u
+    command, force, acceleration, mu_fl, mu_fr, mu_rl, mu_rr, wind_x, wind_y, bank = u
     ideal = c.steering_lag <= 0.0
     delta = clip(command, -c.steering_limit, c.steering_limit) if ideal else angle
 
@@ -96,7 +96,7 @@ def right_hand_side(x, u, c, law):
         vx * s + vy * co,
         r,
         dvx,
-        lateral - vx * r,
+        lateral + bank - vx * r,
         yawing,
         rate * (a_fl - s_fl) if relaxed else 0.0,
         rate * (a_fr - s_fr) if relaxed else 0.0,

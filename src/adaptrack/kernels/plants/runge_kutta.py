@@ -96,6 +96,7 @@ def _load_input(z, i):
         z[6 * SLOTS + j],
         z[7 * SLOTS + j],
         z[8 * SLOTS + j],
+        z[9 * SLOTS + j],
     )
 
 
@@ -130,8 +131,9 @@ def observe_one(right_hand_side, parameters, block, slot, seen, law):
     """Lateral acceleration and front-wheel angle of a built-in plant's vehicle, see `contract.OBSERVE`."""
     c = unpack(parameters)
     x = _load(block, slot)
-    slope = right_hand_side(x, _load_input(block, slot), c, law)
-    seen[0] = slope[STATE.vy] + x[STATE.vx] * x[STATE.yaw_rate]
+    u = _load_input(block, slot)
+    slope = right_hand_side(x, u, c, law)
+    seen[0] = slope[STATE.vy] + x[STATE.vx] * x[STATE.yaw_rate] - u[INPUT.bank]
     command = block[input_at(INPUT.command, slot)]
     seen[1] = wheel_angle(block[state_at(STATE.steering, slot)], command, c.steering_lag, c.steering_limit)
 
@@ -140,7 +142,7 @@ def observe_one(right_hand_side, parameters, block, slot, seen, law):
 def slope_of(right_hand_side, x, u, parameters, dx, law):
     """Write dx/dt (STATES,) of a built-in plant at state x (STATES,) and input u (INPUTS,)."""
     state = (x[0], x[1], x[2], x[3], x[4], x[5], x[6], x[7], x[8], x[9], x[10], x[11], x[12])
-    inputs = (u[0], u[1], u[2], u[3], u[4], u[5], u[6], u[7], u[8])
+    inputs = (u[0], u[1], u[2], u[3], u[4], u[5], u[6], u[7], u[8], u[9])
     slope = right_hand_side(state, inputs, unpack(parameters), law)
     dx[0], dx[1], dx[2], dx[3], dx[4], dx[5], dx[6] = slope[0:7]
     dx[7], dx[8], dx[9], dx[10], dx[11], dx[12] = slope[7:13]

@@ -22,7 +22,7 @@ def right_hand_side(x, u, c, law):
     v_x follows the prescribed acceleration where there is one, else m(dv_x/dt - v_y r) = F_x - drag.
     """
     _, _, yaw, vx, vy, r, _, _, _, _, _, _, angle = x
-    command, force, acceleration, mu0, mu1, mu2, mu3, wind_x, wind_y = u
+    command, force, acceleration, mu0, mu1, mu2, mu3, wind_x, wind_y, bank = u
     ideal = c.steering_lag <= 0.0
     delta = clip(command, -c.steering_limit, c.steering_limit) if ideal else angle
     weight = 0.5 * c.mass * GRAVITY / (c.lf + c.lr)
@@ -42,7 +42,7 @@ def right_hand_side(x, u, c, law):
         vx * s + vy * co,
         r,
         dvx,
-        lateral - vx * r,
+        lateral + bank - vx * r,
         yawing,
         0.0,
         0.0,

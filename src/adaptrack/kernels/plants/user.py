@@ -88,7 +88,7 @@ def _observe(right_hand_side, parameters, block, states, work, slot, seen):
     for j in range(n):
         x[j] = states[slot, j]
     right_hand_side(x, work[_U, :2], work[_AROUND, :ENVIRONMENT], parameters[OWN:], slope)
-    seen[0] = slope[STATE.vy] + x[STATE.vx] * x[STATE.yaw_rate]
+    seen[0] = slope[STATE.vy] + x[STATE.vx] * x[STATE.yaw_rate] - block[input_at(INPUT.bank, slot)]
     seen[1] = angle
 
 
