@@ -26,6 +26,8 @@ from adaptrack.vehicle import SteeringActuator, Tyre, Vehicle, load_tyre, pack_p
 
 Array = NDArray[np.float64]
 
+NOTHING_MEASURED = np.array([math.nan] * 6 + [0.0, 0.0])
+"""Sensors without a sample, and their ages, see `kernels.models.contract.MEASURED`."""
 LEAST_NOISE_VY, LEAST_NOISE_YAW_RATE = 0.005, 0.001
 """m/s and rad/s: with better sensors than these, the model's own errors are what limits the filter."""
 
@@ -203,7 +205,7 @@ def check_estimator(estimator: Estimator, model: PredictionModel, speed: float =
     x, found, d = np.zeros(model.n), np.full(model.n, np.nan), np.full(model.n, np.nan)
     command = 0.0
     for k in range(steps):
-        measured = np.full(5, np.nan)
+        measured = NOTHING_MEASURED.copy()
         measured[places] = x
         given = [each.copy() for each in (measured, matrix, column, parameters)]
         estimator.function(speed, measured, command, matrix, column, parameters, memory, found, d)
@@ -217,7 +219,7 @@ def check_estimator(estimator: Estimator, model: PredictionModel, speed: float =
         x = matrix @ x + column * command
         if k == steps - 1 and not abs(ahead - (c @ x).item()) < 1e-3:
             fail("it must predict the model that it is driven by", f"y = {ahead:g} m instead of {(c @ x).item():g} m")
-    estimator.function(speed, np.full(5, np.nan), command, matrix, column, parameters, memory, found, d)
+    estimator.function(speed, NOTHING_MEASURED.copy(), command, matrix, column, parameters, memory, found, d)
     if not (np.isfinite(found).all() and np.isfinite(d).all()):
         fail("a measurement that is not finite must leave x and d finite", f"x = {found}, d = {d}")
 

@@ -67,11 +67,11 @@ class Drifts:
     They are random walks: after t seconds the deviation is sqrt(t) times that.
     """
 
-    vy: float = 0.045
+    vy: float = 0.02
     """m/s"""
     yaw: float = 0.001
     """rad"""
-    yaw_rate: float = 0.022
+    yaw_rate: float = 0.01
     """rad/s"""
     y: float = 0.01
     """m"""
@@ -81,12 +81,12 @@ class Drifts:
     """m/s^2, of the lateral disturbance d_y: side wind, bank, a steering bias"""
     turn: float = 0.05
     """rad/s^2, of the yaw disturbance d_r"""
-    wind: float = 0.2
+    wind: float = 0.35
     """m/s^2, of what side wind adds to d_y; it adds to d_r as well, in the proportion of the car's body"""
     yaw_rate_offset: float = 0.0002
     """rad/s, of the yaw-rate sensor's offset"""
-    force: float = 0.05
-    """s, of what the model gets wrong of each axle's force, as a share of that force: v_y and r drift by it"""
+    force: float = 0.08
+    """-, share of each axle's force that the model gets wrong, for some .3 s at a time: v_y and r drift by it"""
 
     def __post_init__(self) -> None:
         for each in fields(self):
@@ -180,7 +180,7 @@ class KalmanFilter(Estimator):
         drifts = [getattr(self.drifts, name) ** 2 * model.period for name in MEASURED]
         together = self.disturbance_drift(model) * model.period
         drifts += [together[0, 0], together[1, 1], together[0, 1]]
-        drifts += [self.drifts.yaw_rate_offset**2 * model.period, self.drifts.force**2 * model.period]
+        drifts += [self.drifts.yaw_rate_offset**2 * model.period, self.drifts.force**2]
         spread = [each**2 for each in (*self.spread, self.noise.yaw_rate_offset)]
         own = [model.period, whole, share, self.late(model), self.bound, self.patience / model.period]
         own += [min(1.0, model.period / self.settling), *self.variances(), *drifts, *spread]
@@ -281,6 +281,8 @@ class ReadableFilter:
 
     def predict(self, speed: float, instant: int = 0) -> None:
         """z(k) = F z(k-1) + B u, where in a period first the older, then the newer command acts; P = F P F' + Q."""
+        from adaptrack.kernels.estimators.kalman import FORCE_TIME
+
         period = self.model.period
         old, new = self.sent[self.whole + instant + 1], self.sent[self.whole + instant]
         assert self.z is not None
@@ -290,17 +292,19 @@ class ReadableFilter:
         f, _ = self.matrices(speed, period)
         self.P = f @ self.P @ f.T + self.Q
         places = np.ix_([0, 2], [0, 2])
-        self.P[places] += self.own.drifts.force**2 * period * self.force_errors(speed, new)
+        errors = self.force_errors(speed, new)
+        self.P[places] += 2.0 * FORCE_TIME * period * errors
+        self.felt_error = errors[0, 0]
 
     def force_errors(self, speed: float, command: float) -> Array:
-        """(2, 2) covariance of dv_y/dt and dr/dt for a force of each axle that is wrong by a share of one."""
+        """(2, 2) covariance of dv_y/dt and dr/dt for a force of each axle that is wrong by its share."""
         assert self.z is not None
         v = self.model.vehicle
         angle = self.z[3] if "wheel_angle" in self.model.states else command
         front = 2 * v.stiffness_front * (angle - (self.z[0] + v.lf * self.z[2]) / speed)
         rear = -2 * v.stiffness_rear * (self.z[0] - v.lr * self.z[2]) / speed
         by_force = np.array([[1 / v.mass, 1 / v.mass], [v.lf / v.yaw_inertia, -v.lr / v.yaw_inertia]])
-        return by_force @ np.diag([front**2, rear**2]) @ by_force.T
+        return self.own.drifts.force**2 * by_force @ np.diag([front**2, rear**2]) @ by_force.T
 
     def reading(self, name: str, instant: int, tau: float, speed: float) -> tuple[Array, float]:
         """h (size,) of a sensor tau (s) before an instant, so many ago, and what it reads beside h z."""
@@ -339,7 +343,8 @@ class ReadableFilter:
                 continue
             h, beside = self.reading(name, instant, tau, speed)
             value = self.ring[instant][name] - beside - self.offsets[i]
-            innovation = self.correct(h, value, float(variances[i]))
+            more = self.felt_error if name == "lateral_acceleration" else 0.0
+            innovation = self.correct(h, value, float(variances[i]) + more)
             if instant == 0 and name in ("lateral_acceleration", "wheel_angle"):
                 self.offsets[i] += min(1.0, period / self.own.settling) * innovation
 

@@ -21,7 +21,7 @@ from adaptrack.controllers.inputs import number, vector
 from adaptrack.controllers.limits import Limits, Moves
 from adaptrack.controllers.tuning import ENTRIES, Tuning, read_tuning
 from adaptrack.errors import InvalidInput, real, whole
-from adaptrack.estimation import Estimator, get_estimator
+from adaptrack.estimation import NOTHING_MEASURED, Estimator, get_estimator
 from adaptrack.limits import CONTROL_HORIZON, PREDICTION_HORIZON, check_limit
 from adaptrack.models import PredictionModel, SingleTrackModel
 from adaptrack.qp import QP, QPSolver, QPStatus, get_qp_solver
@@ -34,7 +34,6 @@ Array = NDArray[np.float64]
 _STATUSES = tuple(QPStatus)
 _STATE_SIZES = (4, 5, 6, 7, 8)
 """with or without wheel angle, lateral acceleration and ages, see `kernels.models.contract.MEASURED`"""
-_NOT_GIVEN = (math.nan, math.nan, 0.0, 0.0)
 _log = logging.getLogger("adaptrack")
 
 
@@ -375,7 +374,7 @@ class MPC:
         pace = number("speed", speed)
         if pace == -math.inf:
             pace = math.nan  # the speed's floor would make a number of it
-        measured[4:] = _NOT_GIVEN
+        measured[4:] = NOTHING_MEASURED[4:]
         measured[: given.size] = given
         return ahead, pace
 

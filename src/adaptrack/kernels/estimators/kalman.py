@@ -13,6 +13,9 @@ then anew at every step, with all that has arrived of them. What was taken a lit
 compared with z carried there, psi - tau r and y - tau (v_y + v psi) + tau^2/2 v r. A sample that repeats the one before
 to the last bit, from a sensor that has noise, is an old one and left out.
 
+The model gets each axle's force wrong by a share of it, for some `FORCE_TIME` at a time: that much v_y and r drift, and
+an accelerometer disagrees. So the harder the driving, the less of what the model cannot explain is called a push.
+
 The offsets of an accelerometer (the pull of a banked road is one to it) and of the wheel-angle sensor are slow averages
 of their innovations. Without a position for longer than `patience`, or with one that stays the same and disagrees with the
 estimate by more than `bound` times its noise, the estimate is not finite: the controller holds.
@@ -43,7 +46,7 @@ NUMBERS = (
     "drift_vy", "drift_yaw", "drift_yaw_rate", "drift_y", "drift_wheel_angle",  # variances that a period adds
     "drift_side", "drift_turn", "drift_both",  # likewise, of d_y and d_r, and their covariance
     "drift_bias",  # likewise, of the yaw-rate sensor's offset
-    "drift_force",  # likewise, of v_y and r, by the squared share of each axle's force that the model gets wrong
+    "force",  # squared share of each axle's force that the model gets wrong
     "spread_side", "spread_turn", "spread_bias",  # variances of d_y, d_r and b before the first sample; b: 0, no offset
 )  # fmt: skip
 Numbers = record("Numbers", NUMBERS)
@@ -55,12 +58,15 @@ _STATES = 5  # as many of them may be states
 _VARIANCE, _DRIFT = NUMBERS.index("variance_vy"), NUMBERS.index("drift_vy")
 UNKNOWN = 1e2
 """Variance of a state of which the first sample says nothing."""
+FORCE_TIME = 0.3
+"""s, how long the model gets a force wrong at a time."""
 LEAST_NOISE = (0.005, 0.0002, 0.001, 0.002, 0.0005, 0.02)
 """Of the sensors: with better ones the model's own errors limit the filter."""
 
 # Memory, in rows of the vector width; matrices take eight rows.
 _COUNT, _SPEED, _BLIND = 0, 1, 2  # steps; speed of the matrices; periods since a position was taken in
 _OF_COMMAND = 3  # what the command adds to the lateral acceleration, where there is no lag
+_FELT_ERROR = 4  # variance of the predicted lateral acceleration, by forces that the model gets wrong
 _LAST = WIDTH  # samples of the step before, to tell repeated ones
 _OFFSET = 2 * WIDTH  # of the sensors
 _Z = 3 * WIDTH
@@ -236,15 +242,16 @@ def _predict(n, size, instant, p, parameters, memory):
         i = _place(sensor, n)
         if i >= 0:
             memory[_P + WIDTH * i + i] += parameters[_DRIFT + sensor]
-    if p.drift_force > 0.0:
-        angle = memory[_Z + 3] if n == 5 else memory[acting]
-        of_vy, of_r, of_both = path.force_errors(
-            memory[_SPEED], memory[_Z], memory[_Z + 2], angle, parameters[len(NUMBERS) :]
-        )
-        memory[_P] += p.drift_force * of_vy
-        memory[_P + WIDTH * 2 + 2] += p.drift_force * of_r
-        memory[_P + 2] += p.drift_force * of_both
-        memory[_P + WIDTH * 2] += p.drift_force * of_both
+    angle = memory[_Z + 3] if n == 5 else memory[acting]
+    of_vy, of_r, of_both = path.force_errors(
+        memory[_SPEED], memory[_Z], memory[_Z + 2], angle, parameters[len(NUMBERS) :]
+    )
+    share = 2.0 * FORCE_TIME * p.period * p.force
+    memory[_P] += share * of_vy
+    memory[_P + WIDTH * 2 + 2] += share * of_r
+    memory[_P + 2] += share * of_both
+    memory[_P + WIDTH * 2] += share * of_both
+    memory[_FELT_ERROR] = p.force * of_vy
     memory[_P + WIDTH * n + n] += p.drift_side
     memory[_P + WIDTH * (n + 1) + n + 1] += p.drift_turn
     memory[_P + WIDTH * n + n + 1] += p.drift_both
@@ -306,7 +313,10 @@ def _correct(n, size, instant, p, parameters, memory):
         if not math.isfinite(value) or (sensor == MEASURED.wheel_angle and n == 4):
             continue
         beside = _reading(sensor, instant, n, memory[row + _TAU], p, memory) + memory[_OFFSET + sensor]
-        innovation = _take_in(sensor, value - beside, parameters[_VARIANCE + sensor], size, p, memory)
+        variance = parameters[_VARIANCE + sensor]
+        if sensor == MEASURED.lateral_acceleration:
+            variance += memory[_FELT_ERROR]
+        innovation = _take_in(sensor, value - beside, variance, size, p, memory)
         if instant == 0 and (sensor == MEASURED.lateral_acceleration or sensor == MEASURED.wheel_angle):
             memory[_OFFSET + sensor] += p.settling * innovation
 
