@@ -35,9 +35,9 @@ def label(plant):
 every_plant = pytest.mark.parametrize("plant", PLANTS, ids=label)
 
 
-def inputs(command=0.0, force=0.0, acceleration=0.0, friction=0.9, wind=(0.0, 0.0)):
+def inputs(command=0.0, force=0.0, acceleration=0.0, friction=0.9, wind=(0.0, 0.0), bank=0.0):
     """A row of INPUTS; acceleration NaN lets the force act."""
-    return np.array([command, force, acceleration, *np.broadcast_to(friction, 4), *wind], dtype=float)
+    return np.array([command, force, acceleration, *np.broadcast_to(friction, 4), *wind, bank], dtype=float)
 
 
 def moving(speed, **states):
@@ -133,6 +133,22 @@ def test_a_block_begins_with_what_every_plant_has_and_ends_with_its_surroundings
     assert [getattr(STATE, name) for name in STATE._fields] == list(range(STATES))
     assert [getattr(INPUT, name) for name in INPUT._fields] == list(range(INPUTS))
     assert BLOCK == (STATES + INPUTS) * SLOTS
+
+
+@every_plant
+def test_a_banked_road_pushes_the_car_aside_and_an_accelerometer_does_not_feel_it(plant, rng):
+    x, push = moving(15.0, x4=0.3, x5=0.2), 0.7
+    level, banked = slope(plant, x, inputs(0.02)), slope(plant, x, inputs(0.02, bank=push))
+    assert banked[4] - level[4] == pytest.approx(push, rel=1e-12)
+    np.testing.assert_array_equal(np.delete(banked, 4), np.delete(level, 4))
+    felt = []
+    for bank in (0.0, push):
+        batch, seen = vehicle_batch(plant.packed(), x[None, :6]), np.zeros(2)
+        rows = batch.block.reshape(-1, SLOTS)
+        rows[:, 0] = [*x, *inputs(0.02, bank=bank)]
+        plant.compiled.observe(batch.parameters, batch.block, batch.states, batch.work, 0, seen)
+        felt.append(seen[0])
+    assert felt[0] == pytest.approx(felt[1], abs=1e-12)
 
 
 # -- the integrator ---------------------------------------------------------------------------------------------------

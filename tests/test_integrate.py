@@ -35,6 +35,7 @@ def crowd(rng, plant):
     rows[15] = np.where(np.arange(SLOTS) % 2, np.nan, rng.uniform(-3, 3, SLOTS))
     rows[16:20] = rng.uniform(0.2, 1.1, (4, SLOTS))
     rows[20:22] = rng.uniform(-30, 30, (2, SLOTS))
+    rows[22] = rng.uniform(-2, 2, SLOTS)
     return rows
 
 
@@ -139,7 +140,7 @@ def test_a_users_plant_is_integrated_as_the_built_in_ones_are(steering, accelera
     tyre = LAWS[LINEAR].replace(stiffness_load="constant", relaxation_length=0.0)
     car = SingleTrack(CAR.replace(frontal_area=0.0, rolling_resistance=0.0), tyre, steering)
     start = np.array([1.0, 2.0, 0.2, 12.0, 0.3, -0.1])
-    inputs = np.array([0.4, 800.0, acceleration, 1.0, 1.0, 1.0, 1.0, 0.0, 0.0])
+    inputs = np.array([0.4, 800.0, acceleration, 1.0, 1.0, 1.0, 1.0, 0.0, 0.0, 0.0])
     parameters = (CAR.mass, CAR.yaw_inertia, CAR.lf, CAR.lr, 19000.0, 33000.0)
     own, states = custom_ride(copy_of_the_single_track, parameters, steering, start, inputs, 40, 0.01)
     rows = np.zeros((STATES + INPUTS, SLOTS))
@@ -163,7 +164,7 @@ def pendulum_beside_the_car(x, u, environment, p, dx):
 def test_a_users_own_states_are_integrated_and_see_steering_and_environment():
     omega, command, wind = 3.0, 0.2, 1.5
     start = np.array([0.0, 0.0, 0.0, 10.0, 0.0, 0.0])
-    inputs = np.array([command, 0.0, np.nan, 1.0, 1.0, 1.0, 1.0, 0.0, wind])
+    inputs = np.array([command, 0.0, np.nan, 1.0, 1.0, 1.0, 1.0, 0.0, wind, 0.0])
     _, states = custom_ride(pendulum_beside_the_car, (omega,), SteeringActuator.ideal(), start, inputs, 200, 0.005, 8)
     rest = (command + wind) / omega**2
     assert states[0, 6] == pytest.approx(rest * (1 - np.cos(omega * 1.0)), rel=1e-7)
