@@ -18,7 +18,7 @@ from adaptrack.errors import InvalidInput, real
 from adaptrack.estimation import Estimator
 from adaptrack.models import MEASURED, PathModel, PredictionModel
 from adaptrack.profile import Profile
-from adaptrack.vehicle import Vehicle
+from adaptrack.vehicle import GRAVITY, Vehicle
 
 Array = NDArray[np.float64]
 
@@ -59,22 +59,26 @@ class Drifts:
     They are random walks: after t seconds the deviation is sqrt(t) times that.
     """
 
-    vy: float = 0.045
+    vy: float = 0.015
     """m/s"""
     yaw: float = 0.001
     """rad"""
-    yaw_rate: float = 0.022
+    yaw_rate: float = 0.007
     """rad/s"""
     y: float = 0.01
     """m"""
     wheel_angle: float = 0.01
     """rad"""
-    side: float = 0.03
+    side: float = 0.02
     """m/s^2, of the lateral disturbance d_y: side wind, bank, a steering bias"""
-    turn: float = 0.05
+    turn: float = 0.035
     """rad/s^2, of the yaw disturbance d_r"""
-    wind: float = 0.2
+    wind: float = 0.3
     """m/s^2, of what side wind adds to d_y; it adds to d_r as well, in the proportion of the car's body"""
+    sliding: float = 0.2
+    """s^0.5, of the force of an axle: its impulse deviates by `sliding` F^2/F_z after a second, F being its force in
+    the model and F_z its load. In the brush model of a tyre F^2/(3 mu F_z) is lost to sliding (Pacejka, Tire and
+    Vehicle Dynamics, 3rd ed., section 3.2), and mu is not known."""
 
     def __post_init__(self) -> None:
         for each in fields(self):
@@ -147,6 +151,7 @@ class KalmanFilter(Estimator):
         together = self.disturbance_drift(model) * model.period
         drifts += [together[0, 0], together[1, 1], together[0, 1]]
         spread = [each**2 for each in self.spread]
+        spread.append(self.drifts.sliding)
         own = [model.period, whole, share, self.bound, *self.variances(), *drifts, *spread]
         return np.concatenate([own, model.parameters()])
 
@@ -212,7 +217,32 @@ class ReadableFilter:
             f, b = self.matrices(speed, time)
             self.z = f @ self.z + b * command
         f, _ = self.matrices(speed, period)
-        self.P = f @ self.P @ f.T + self.Q
+        self.P = f @ self.P @ f.T + self.Q + self.sliding(speed, new)
+
+    def axles(self, speed: float, command: float) -> list[tuple[float, float, float]]:
+        """Slip angle (rad) of either axle at the state, its stiffness (N/rad) and its load (N)."""
+        from adaptrack.kernels.estimators.kalman import SLOWEST
+
+        assert self.z is not None
+        car, pace = self.model.vehicle, max(speed, SLOWEST)
+        vy, yaw_rate = self.z[0], self.z[2]
+        angle = self.z[3] if "wheel_angle" in self.model.states else command
+        weight = car.mass * GRAVITY / (car.lf + car.lr)
+        return [
+            (angle - (vy + car.lf * yaw_rate) / pace, 2.0 * car.stiffness_front, weight * car.lr),
+            (-(vy - car.lr * yaw_rate) / pace, 2.0 * car.stiffness_rear, weight * car.lf),
+        ]
+
+    def sliding(self, speed: float, command: float) -> Array:
+        """(n+2, n+2) what a period adds for the sliding of the tyres: (sliding F^2/F_z)^2 T on the impulse of an axle."""
+        car, found = self.model.vehicle, np.zeros_like(self.Q)
+        for (slip, stiffness, load), arm in zip(self.axles(speed, command), (car.lf, -car.lr), strict=True):
+            force = min(stiffness * abs(slip), load)
+            of_impulse = np.zeros(self.n + 2)
+            of_impulse[[0, 2]] = 1.0 / car.mass, arm / car.yaw_inertia
+            variance = (self.own.drifts.sliding * force**2 / load) ** 2 * self.model.period
+            found += variance * np.outer(of_impulse, of_impulse)
+        return found
 
     def sensors(self, measured: Array) -> list[tuple[int, float, float]]:
         """State, value and variance of every sensor that gave a sample."""

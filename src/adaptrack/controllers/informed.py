@@ -71,7 +71,7 @@ def informed_mpc(
         raise InvalidInput(f"steering = {steering!r}: must be a SteeringActuator(lag=..., rate=..., limit=...).")
     fastest = actuator.rate * pace
     if math.isfinite(fastest):
-        options.setdefault("limits", Limits(move=(-fastest, fastest)))
+        options.setdefault("limits", Limits(move=(-fastest, fastest), ahead=actuator.rate * actuator.lag))
     options.setdefault("preview", world.preview)
     return MPC(
         vehicle,

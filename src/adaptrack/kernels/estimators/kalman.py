@@ -4,7 +4,8 @@
 
 The command of instant j acts from T_d = (m + s) T after it (m whole periods, a share s of one more). Between two
 instants the filter carries z along with the commands that acted; what it hands to the controller is x at the time when
-the new command begins to act, carried on through the commands already sent. Each sensor is taken in by itself, so one
+the new command begins to act, carried on through the commands already sent. The noise of v_y and r grows with the force
+of the axles, for what a tyre slides away is not in the model. Each sensor is taken in by itself, so one
 that is missing (not finite) is left out; an innovation counts up to `bound` of its own standard deviations.
 """
 
@@ -19,6 +20,7 @@ from ..maths.elementary import clip
 from ..maths.vectors import WIDTH, fma8, load, mul, splat, spread, store, sub, zeros
 from ..models import path
 from ..models.contract import MEASURED
+from ..plants.forces import GRAVITY
 from .contract import ESTIMATE
 
 NUMBERS = (
@@ -29,12 +31,15 @@ NUMBERS = (
     "drift_vy", "drift_yaw", "drift_yaw_rate", "drift_y", "drift_wheel_angle",  # variances that a period adds
     "drift_side", "drift_turn", "drift_both",  # likewise, of d_y and d_r, and their covariance
     "spread_side", "spread_turn",  # variances of d_y and d_r before the first sample
+    "sliding",  # s^0.5, how uncertain the force of an axle is, in its square over its load
 )  # fmt: skip
 Numbers = record("Numbers", NUMBERS)
 """What the parameters begin with; those of the path model follow."""
 _unpack = unpacker(Numbers)
 _SENSORS = len(MEASURED)
 _VARIANCE, _DRIFT = NUMBERS.index("variance_vy"), NUMBERS.index("drift_vy")
+SLOWEST = 3.0
+"""m/s: slip angles are formed with at least this speed, for noise over a small one is no slip."""
 UNKNOWN = 1e2
 """Variance of a state of which the first sample says nothing."""
 
@@ -132,6 +137,34 @@ def _begin(n, p, parameters, measured, command, memory):
 
 
 @njit(**INLINE)
+def _sliding(slip, stiffness, load, p):
+    """Variance (N^2 s^2) that a period adds to the impulse of an axle: (sliding F^2/F_z)^2 T, F = C alpha <= F_z.
+
+    In the brush model an axle loses F^2/(3 mu F_z) to sliding, in first order (Pacejka, Tire and Vehicle Dynamics,
+    3rd ed., section 3.2); mu is not known, and so neither is the loss.
+    """
+    force = min(stiffness * abs(slip), load)
+    return (p.sliding * force * force / load) ** 2 * p.period
+
+
+@njit(**INLINE)
+def _add_sliding(speed, n, p, parameters, memory):
+    """What the tyres' sliding adds to the covariance of v_y and r, at the slip of the predicted state."""
+    c = path.unpack(parameters[len(NUMBERS) :])
+    pace, weight = max(speed, SLOWEST), c.mass * GRAVITY / (c.lf + c.lr)
+    angle = memory[_Z + 3] if n == 5 else memory[_SENT + int(p.whole)]
+    vy, yaw_rate = memory[_Z + MEASURED.vy], memory[_Z + MEASURED.yaw_rate]
+    front = _sliding(angle - (vy + c.lf * yaw_rate) / pace, 2.0 * c.stiffness_front, weight * c.lr, p)
+    rear = _sliding((vy - c.lr * yaw_rate) / pace, 2.0 * c.stiffness_rear, weight * c.lf, p)
+    side, turn = _P + WIDTH * MEASURED.vy, _P + WIDTH * MEASURED.yaw_rate
+    both = (c.lf * front - c.lr * rear) / (c.mass * c.yaw_inertia)
+    memory[side + MEASURED.vy] += (front + rear) / (c.mass * c.mass)
+    memory[turn + MEASURED.yaw_rate] += (c.lf * c.lf * front + c.lr * c.lr * rear) / (c.yaw_inertia * c.yaw_inertia)
+    memory[side + MEASURED.yaw_rate] += both
+    memory[turn + MEASURED.vy] += both
+
+
+@njit(**INLINE)
 def _predict(n, p, parameters, memory):
     """z and its covariance at this instant from those at the last one: F P F' + drift."""
     size, whole = n + path.DISTURBANCES, int(p.whole)
@@ -208,6 +241,7 @@ def kalman(speed, measured, command, a, b, parameters, memory, x, d):
     if memory[_STARTED] > 0.5:
         _remember(command, whole, memory)
         _predict(n, p, parameters, memory)
+        _add_sliding(speed, n, p, parameters, memory)
     else:
         for i in range(whole + 2):
             memory[_SENT + i] = command
