@@ -99,7 +99,7 @@ def test_an_impossible_lag_dead_time_or_period_is_refused_by_name(numbers):
 @pytest.mark.parametrize("oldest", [0.0, 0.12])
 def test_the_compiled_filter_is_the_readable_one(lag, dead_time, oldest, rng):
     noise = SensorNoise(wheel_angle=0.002, lateral_acceleration=0.1, yaw_rate_offset=0.002)
-    estimator = KalmanFilter(noise if oldest else SensorNoise(), Drifts(force=0.13), oldest=oldest)
+    estimator = KalmanFilter(noise if oldest else SensorNoise(), Drifts(sliding=0.3), oldest=oldest)
     model, count = PathModel(CAR, PERIOD, lag, dead_time), 150
     speeds = 15.0 + 3.0 * np.sin(0.1 * np.arange(count))
     samples = rng.normal(size=(count, 8)) * [0.1, 0.01, 0.02, 0.1, 0.01, 0.5, 0.0, 0.0]
@@ -140,7 +140,7 @@ def test_the_filter_knows_where_the_car_will_be_when_its_next_command_begins_to_
 @every_lag
 def test_on_its_own_model_innovations_and_errors_of_the_filter_are_as_large_as_it_says(lag, rng):
     """NIS and NEES (Bar-Shalom, Li and Kirubarajan 2001, section 5.4) average inside their 95 % bounds."""
-    model, drifts = PathModel(CAR, PERIOD, lag), Drifts(yaw=0.01, y=0.05, force=0.0)
+    model, drifts = PathModel(CAR, PERIOD, lag), Drifts(yaw=0.01, y=0.05, sliding=0.0)
     nis, nees = [], []
     for _ in range(40):
         own = KalmanFilter(drifts=drifts, bound=math.inf)

@@ -18,7 +18,7 @@ from adaptrack.errors import InvalidInput, real
 from adaptrack.estimation import Estimator
 from adaptrack.models import MEASURED, PathModel, PredictionModel
 from adaptrack.profile import Profile
-from adaptrack.vehicle import Vehicle, in_periods
+from adaptrack.vehicle import GRAVITY, Vehicle, in_periods
 
 Array = NDArray[np.float64]
 
@@ -67,26 +67,28 @@ class Drifts:
     They are random walks: after t seconds the deviation is sqrt(t) times that.
     """
 
-    vy: float = 0.02
+    vy: float = 0.015
     """m/s"""
     yaw: float = 0.001
     """rad"""
-    yaw_rate: float = 0.01
+    yaw_rate: float = 0.007
     """rad/s"""
     y: float = 0.01
     """m"""
     wheel_angle: float = 0.01
     """rad"""
-    side: float = 0.03
+    side: float = 0.02
     """m/s^2, of the lateral disturbance d_y: side wind, bank, a steering bias"""
-    turn: float = 0.05
+    turn: float = 0.035
     """rad/s^2, of the yaw disturbance d_r"""
-    wind: float = 0.35
+    wind: float = 0.3
     """m/s^2, of what side wind adds to d_y; it adds to d_r as well, in the proportion of the car's body"""
     yaw_rate_offset: float = 0.0002
     """rad/s, of the yaw-rate sensor's offset"""
-    force: float = 0.08
-    """-, share of each axle's force that the model gets wrong, for some .3 s at a time: v_y and r drift by it"""
+    sliding: float = 0.2
+    """s^0.5, of the force of an axle: its impulse deviates by `sliding` F^2/F_z after a second, F being its force in
+    the model and F_z its load. In the brush model of a tyre F^2/(3 mu F_z) is lost to sliding (Pacejka, Tire and
+    Vehicle Dynamics, 3rd ed., section 3.2), and mu is not known."""
 
     def __post_init__(self) -> None:
         for each in fields(self):
@@ -180,7 +182,7 @@ class KalmanFilter(Estimator):
         drifts = [getattr(self.drifts, name) ** 2 * model.period for name in MEASURED]
         together = self.disturbance_drift(model) * model.period
         drifts += [together[0, 0], together[1, 1], together[0, 1]]
-        drifts += [self.drifts.yaw_rate_offset**2 * model.period, self.drifts.force**2]
+        drifts += [self.drifts.yaw_rate_offset**2 * model.period, self.drifts.sliding**2]
         spread = [each**2 for each in (*self.spread, self.noise.yaw_rate_offset)]
         own = [model.period, whole, share, self.late(model), self.bound, self.patience / model.period]
         own += [min(1.0, model.period / self.settling), *self.variances(), *drifts, *spread]
@@ -281,7 +283,7 @@ class ReadableFilter:
 
     def predict(self, speed: float, instant: int = 0) -> None:
         """z(k) = F z(k-1) + B u, where in a period first the older, then the newer command acts; P = F P F' + Q."""
-        from adaptrack.kernels.estimators.kalman import FORCE_TIME
+        from adaptrack.kernels.estimators.kalman import SLIDING_TIME
 
         period = self.model.period
         old, new = self.sent[self.whole + instant + 1], self.sent[self.whole + instant]
@@ -292,19 +294,23 @@ class ReadableFilter:
         f, _ = self.matrices(speed, period)
         self.P = f @ self.P @ f.T + self.Q
         places = np.ix_([0, 2], [0, 2])
-        errors = self.force_errors(speed, new)
-        self.P[places] += 2.0 * FORCE_TIME * period * errors
-        self.felt_error = errors[0, 0]
+        errors = self.sliding(speed, new)
+        self.P[places] += period * errors
+        self.felt_error = errors[0, 0] / (2.0 * SLIDING_TIME)
 
-    def force_errors(self, speed: float, command: float) -> Array:
-        """(2, 2) covariance of dv_y/dt and dr/dt for a force of each axle that is wrong by its share."""
+    def sliding(self, speed: float, command: float) -> Array:
+        """(2, 2) what a second adds to the variances of v_y and r for the sliding of the tyres."""
+        from adaptrack.kernels.models.path import SLOWEST
+
         assert self.z is not None
-        v = self.model.vehicle
+        v, pace = self.model.vehicle, max(speed, SLOWEST)
         angle = self.z[3] if "wheel_angle" in self.model.states else command
-        front = 2 * v.stiffness_front * (angle - (self.z[0] + v.lf * self.z[2]) / speed)
-        rear = -2 * v.stiffness_rear * (self.z[0] - v.lr * self.z[2]) / speed
+        slips = angle - (self.z[0] + v.lf * self.z[2]) / pace, (self.z[0] - v.lr * self.z[2]) / pace
+        weight = v.mass * GRAVITY / (v.lf + v.lr)
+        loads = np.array([weight * v.lr, weight * v.lf])
+        forces = np.minimum(2.0 * np.array([v.stiffness_front, v.stiffness_rear]) * np.abs(slips), loads)
         by_force = np.array([[1 / v.mass, 1 / v.mass], [v.lf / v.yaw_inertia, -v.lr / v.yaw_inertia]])
-        return self.own.drifts.force**2 * by_force @ np.diag([front**2, rear**2]) @ by_force.T
+        return self.own.drifts.sliding**2 * by_force @ np.diag((forces**2 / loads) ** 2) @ by_force.T
 
     def reading(self, name: str, instant: int, tau: float, speed: float) -> tuple[Array, float]:
         """h (size,) of a sensor tau (s) before an instant, so many ago, and what it reads beside h z."""

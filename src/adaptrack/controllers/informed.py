@@ -71,7 +71,7 @@ def informed_mpc(
     delay = world.delay * pace + actuator.dead_time if dead_time is None else dead_time
     fastest = actuator.rate * pace
     if math.isfinite(fastest):
-        options.setdefault("limits", Limits(move=(-fastest, fastest)))
+        options.setdefault("limits", Limits(move=(-fastest, fastest), ahead=actuator.rate * actuator.lag))
     options.setdefault("preview", world.preview)
     return MPC(
         vehicle,

@@ -24,6 +24,9 @@ class Limits:
 
     move: tuple[float, float] = (-math.pi / 12, math.pi / 12)
     """rad per control period, eq. (13)"""
+    ahead: float = 0.0
+    """rad, the next command may be so far ahead of the wheels, even where that takes more than a `move`; of a steering
+    with rate and lag their product, up to which the lag is linear. For models with a wheel angle; 0: not looked at."""
     angle: tuple[float, float] = (-math.pi / 6, math.pi / 6)
     """rad, eq. (14)"""
     output: tuple[float, float] = (-math.inf, math.inf)
@@ -44,6 +47,8 @@ class Limits:
                     f"Limits: {name} = ({low!r}, {high!r}) {unit}: must be finite and contain 0, "
                     "or some step has no feasible move."
                 )
+        if not 0.0 <= real("Limits", "ahead", self.ahead) < math.inf:
+            raise InvalidInput(f"Limits: ahead = {self.ahead!r} rad: must be finite and not negative.")
         if not 0.0 < real("Limits", "output_weight", self.output_weight) < math.inf:
             raise InvalidInput(f"Limits: output_weight = {self.output_weight!r}: must be finite and positive.")
 

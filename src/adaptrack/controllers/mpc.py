@@ -138,6 +138,8 @@ class MPC:
             raise InvalidInput(f"MPC: estimator = {estimator!r}: must be the name of an estimator or an Estimator.")
         self.estimator.check_fits(self.model)
         self.limits = limits or Limits()
+        if self.limits.ahead > 0.0 and "wheel_angle" not in self.model.states:
+            raise InvalidInput(f"Limits: ahead: model {self.model.name!r} knows no wheel angle; leave it at 0.")
         self.moves = moves or Moves()
         self.preview = bool(preview)
         self.solver = get_qp_solver(solver) if isinstance(solver, str) else solver
@@ -211,6 +213,8 @@ class MPC:
             period=self.period,
             move_min=limits.move[0],
             move_max=limits.move[1],
+            ahead_max=limits.ahead,
+            wheel=list(self.model.states).index("wheel_angle") if limits.ahead > 0.0 else 0,
             angle_min=limits.angle[0],
             angle_max=limits.angle[1],
             output_min=limits.output[0],
@@ -480,6 +484,7 @@ class MPC:
             "period": self.period,
             "limits": {
                 "move": list(self.limits.move),
+                "ahead": self.limits.ahead,
                 "angle": list(self.limits.angle),
                 "output": [repr(value) for value in self.limits.output],
             },

@@ -55,6 +55,7 @@ SETTINGS = Structure(
     (
         "period",  # s
         "move_min", "move_max",  # rad per period, eq. (13)
+        "ahead_max",  # rad, the next command may be so far ahead of the wheels, whatever its move; 0: not looked at
         "angle_min", "angle_max",  # rad, eq. (14)
         "output_min", "output_max",  # m, eq. (15), soft; -inf and inf: none
         "output_weight",  # 1/m^2, weight of the squared violation of eq. (15)
@@ -65,6 +66,7 @@ SETTINGS = Structure(
         "lead",  # periods, dead time of the model: the predicted outputs are so much later
         "speed_floor",  # m/s, the prediction model is never formed below this speed
         "estimator",  # DEADBEAT or BY_FUNCTION
+        "wheel",  # which state of the model the wheel angle is, where `ahead_max` asks for it
         "solver",  # ACTIVE_SET, ...
         "max_sweeps",  # of Hildreth's procedure
         "tolerance",  # of Hildreth's procedure, on the squared change of the multipliers in a sweep
@@ -72,7 +74,7 @@ SETTINGS = Structure(
         "longest_horizon", "most_moves",  # Np and Nc are clamped to what the workspace was made for
     ),
     whole=(
-        "laguerre", "terms", "preview", "estimator", "solver", "max_sweeps", "residuals", "longest_horizon",
+        "laguerre", "terms", "preview", "estimator", "wheel", "solver", "max_sweeps", "residuals", "longest_horizon",
         "most_moves",
     ),
 )  # fmt: skip
@@ -407,6 +409,10 @@ def _bound(slot, nc, horizon, mpc):
         ws.bounds[4 * i + 3] = angle - settings.angle_min
     for b in range(vectors.WIDTH, 4 * nc, vectors.WIDTH):
         vectors.store(ws.bounds, b, vectors.load(ws.bounds, 0))
+    if settings.ahead_max > 0.0:
+        ahead = angle - mpc.estimate[0, settings.wheel]
+        ws.bounds[0] = max(settings.move_max, settings.ahead_max - ahead)
+        ws.bounds[1] = max(-settings.move_min, settings.ahead_max + ahead)
     if _has_output_limits(settings):
         for j in range(horizon):
             response = ws.reference[j] - ws.error[j]  # F x~
@@ -510,9 +516,9 @@ def _residual(slot, n, m, mpc):
 @njit(**PART)
 def _limits_reached(slot, move, angle, m, mpc):
     """Sum of AT_MOVE, AT_ANGLE, AT_OUTPUT for the limits at which a solved step is."""
-    settings = mpc.settings[0]
+    settings, bounds = mpc.settings[0], mpc.ws.bounds
     at_limit = 0
-    if move <= settings.move_min + NEAR or move >= settings.move_max - NEAR:
+    if move <= -bounds[1] + NEAR or move >= bounds[0] - NEAR:
         at_limit |= AT_MOVE
     if angle <= settings.angle_min + NEAR or angle >= settings.angle_max - NEAR:
         at_limit |= AT_ANGLE
@@ -551,7 +557,7 @@ def _apply_move(slot, status, iterations, size, mpc):
         planned = _planned_move(slot, mpc)
         move = 0.0 if status == qp.NON_FINITE else planned
     out[ANSWER.qp_residual] = _residual(slot, n, m, mpc) if usable and settings.residuals > 0 else math.nan
-    move = clip(move, settings.move_min, settings.move_max)
+    move = clip(move, -ws.bounds[1], ws.bounds[0]) if usable else clip(move, settings.move_min, settings.move_max)
     angle = clip(own.command + move, settings.angle_min, settings.angle_max)
     out[ANSWER.command], out[ANSWER.command_change] = angle, angle - own.command
     out[ANSWER.qp_status], out[ANSWER.qp_iterations] = status, iterations

@@ -13,8 +13,8 @@ then anew at every step, with all that has arrived of them. What was taken a lit
 compared with z carried there, psi - tau r and y - tau (v_y + v psi) + tau^2/2 v r. A sample that repeats the one before
 to the last bit, from a sensor that has noise, is an old one and left out.
 
-The model gets each axle's force wrong by a share of it, for some `FORCE_TIME` at a time: that much v_y and r drift, and
-an accelerometer disagrees. So the harder the driving, the less of what the model cannot explain is called a push.
+What a tyre slides away is not in the model: v_y and r drift by it, and an accelerometer disagrees. So the harder the
+driving, the less of what the model cannot explain is called a push.
 
 The offsets of an accelerometer (the pull of a banked road is one to it) and of the wheel-angle sensor are slow averages
 of their innovations. Without a position for longer than `patience`, or with one that stays the same and disagrees with the
@@ -46,7 +46,7 @@ NUMBERS = (
     "drift_vy", "drift_yaw", "drift_yaw_rate", "drift_y", "drift_wheel_angle",  # variances that a period adds
     "drift_side", "drift_turn", "drift_both",  # likewise, of d_y and d_r, and their covariance
     "drift_bias",  # likewise, of the yaw-rate sensor's offset
-    "force",  # squared share of each axle's force that the model gets wrong
+    "sliding",  # s, squared, of what the tyres' sliding makes uncertain of each axle's force, over F^2/F_z
     "spread_side", "spread_turn", "spread_bias",  # variances of d_y, d_r and b before the first sample; b: 0, no offset
 )  # fmt: skip
 Numbers = record("Numbers", NUMBERS)
@@ -58,8 +58,8 @@ _STATES = 5  # as many of them may be states
 _VARIANCE, _DRIFT = NUMBERS.index("variance_vy"), NUMBERS.index("drift_vy")
 UNKNOWN = 1e2
 """Variance of a state of which the first sample says nothing."""
-FORCE_TIME = 0.3
-"""s, how long the model gets a force wrong at a time."""
+SLIDING_TIME = 0.3
+"""s, how long the model gets a force wrong at a time, as far as an accelerometer is concerned."""
 LEAST_NOISE = (0.005, 0.0002, 0.001, 0.002, 0.0005, 0.02)
 """Of the sensors: with better ones the model's own errors limit the filter."""
 
@@ -243,15 +243,15 @@ def _predict(n, size, instant, p, parameters, memory):
         if i >= 0:
             memory[_P + WIDTH * i + i] += parameters[_DRIFT + sensor]
     angle = memory[_Z + 3] if n == 5 else memory[acting]
-    of_vy, of_r, of_both = path.force_errors(
+    of_vy, of_r, of_both = path.sliding(
         memory[_SPEED], memory[_Z], memory[_Z + 2], angle, parameters[len(NUMBERS) :]
     )
-    share = 2.0 * FORCE_TIME * p.period * p.force
+    share = p.sliding * p.period
     memory[_P] += share * of_vy
     memory[_P + WIDTH * 2 + 2] += share * of_r
     memory[_P + 2] += share * of_both
     memory[_P + WIDTH * 2] += share * of_both
-    memory[_FELT_ERROR] = p.force * of_vy
+    memory[_FELT_ERROR] = p.sliding / (2.0 * SLIDING_TIME) * of_vy
     memory[_P + WIDTH * n + n] += p.drift_side
     memory[_P + WIDTH * (n + 1) + n + 1] += p.drift_turn
     memory[_P + WIDTH * n + n + 1] += p.drift_both

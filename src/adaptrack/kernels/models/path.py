@@ -17,11 +17,14 @@ from __future__ import annotations
 from numba import types
 
 from ..abi import INLINE, ROUTINE, float64, int64, njit, record, unpacker, vector
+from ..plants.forces import GRAVITY
 from .contract import DISCRETISE
 
 Parameters = record("Parameters", ("mass", "yaw_inertia", "lf", "lr", "stiffness_front", "stiffness_rear", "lag"))
 """kg, kg m^2, m, m, N/rad and N/rad per tyre, s."""
 unpack = unpacker(Parameters)
+SLOWEST = 3.0
+"""m/s: slip angles are formed with at least this speed, for noise over a small one is no slip."""
 DISTURBANCES = 2
 """d_y (m/s^2) and d_r (rad/s^2)."""
 
@@ -170,11 +173,23 @@ def discretise_rows(speed, period, parameters, stride, target, rows, column):
 
 
 @njit(**INLINE)
-def force_errors(speed, vy, r, angle, parameters):
-    """What a share of one in error of each axle's force adds to the variances of dv_y/dt and dr/dt, and to both."""
+def _slid(slip, stiffness, load):
+    """F^2/F_z (N) of an axle at a slip angle, F = C alpha <= F_z."""
+    force = min(stiffness * abs(slip), load)
+    return force * force / load
+
+
+@njit(**INLINE)
+def sliding(speed, vy, r, angle, parameters):
+    """Variances of dv_y/dt and dr/dt, and their covariance, when each axle's force deviates by F^2/F_z.
+
+    In the brush model a tyre loses F^2/(3 mu F_z) to sliding, in first order (Pacejka, Tire and Vehicle Dynamics,
+    3rd ed., section 3.2).
+    """
     c = unpack(parameters)
-    front = 2.0 * c.stiffness_front / c.mass * (angle - (vy + c.lf * r) / speed)  # F/m
-    rear = -2.0 * c.stiffness_rear / c.mass * (vy - c.lr * r) / speed
+    pace, weight = max(speed, SLOWEST), c.mass * GRAVITY / (c.lf + c.lr)
+    front = _slid(angle - (vy + c.lf * r) / pace, 2.0 * c.stiffness_front, weight * c.lr) / c.mass
+    rear = _slid((vy - c.lr * r) / pace, 2.0 * c.stiffness_rear, weight * c.lf) / c.mass
     by_front, by_rear = front * front, rear * rear
     turning = c.mass / c.yaw_inertia
     return (
