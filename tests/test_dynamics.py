@@ -73,7 +73,7 @@ def mirrored(x):
 
 
 def mirrored_inputs(u):
-    return (u * [-1, 1, 1, 1, 1, 1, 1, 1, -1])[[0, 1, 2, 4, 3, 6, 5, 7, 8]]
+    return (u * [-1, 1, 1, 1, 1, 1, 1, 1, -1, -1])[[0, 1, 2, 4, 3, 6, 5, 7, 8, 9]]
 
 
 def wild_state(rng, plant):
@@ -93,6 +93,7 @@ def wild_inputs(rng, driven):
             np.nan if driven else rng.uniform(-6, 4),
             *rng.uniform(0.05, 1.2, 4),
             *rng.uniform(-40, 40, 2),
+            rng.uniform(-2, 2),
         ]
     )
 

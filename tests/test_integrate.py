@@ -192,5 +192,5 @@ def test_what_is_observed_is_the_slope_and_the_angle_of_the_wheels(plant, steeri
         car.compiled.observe(batch.parameters, batch.block, batch.states, batch.work, slot, seen)
         x, u = rows[:STATES, slot].copy(), rows[STATES:, slot].copy()
         car.compiled.right_hand_side(x, u, car.packed(), slope)
-        assert seen[0] == slope[STATE.vy] + x[STATE.vx] * x[STATE.yaw_rate]
+        assert seen[0] == slope[STATE.vy] + x[STATE.vx] * x[STATE.yaw_rate] - u[INPUT.bank]
         assert seen[1] == (x[STATE.steering] if steering is ROAD else np.clip(u[INPUT.command], -np.pi / 2, np.pi / 2))

@@ -793,7 +793,7 @@ def test_the_kernels_columns_have_names_of_their_own(columns):
 
 @pytest.mark.parametrize(
     "structure",
-    [loop.SETTINGS, loop.MEMORY, kernel.SETTINGS, kernel.MEMORY, compiled.RESULT],
+    [loop.SETTINGS, loop.OWN, kernel.SETTINGS, kernel.MEMORY, compiled.RESULT],
     ids=lambda s: s.fields[0],
 )
 def test_the_kernels_rows_have_fields_of_their_own(structure):

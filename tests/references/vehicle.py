@@ -91,7 +91,13 @@ def single_track(
     motion = force / car.mass + r * np.array([vy, -vx])
     if acceleration is not None:
         motion[0] = acceleration
+    motion[1] += pull_of_bank(environment)
     return np.concatenate([kinematics(x), motion, [moment / car.yaw_inertia]])
+
+
+def pull_of_bank(environment: Array) -> float:
+    """What a banked road adds to dv_y/dt (m/s^2), behind friction and wind; 0 where it is left out."""
+    return float(environment[6:].sum())
 
 
 def wheel_loads(car: Vehicle, felt: Array) -> Array:
@@ -150,6 +156,7 @@ def dual_track(
     if acceleration is not None:
         motion[0] = acceleration
     felt_rates = (motion - r * np.array([velocity[1], -velocity[0]]) - felt) / car.load_transfer_time
+    motion[1] += pull_of_bank(environment)
     return np.concatenate([kinematics(x), motion, [moment / car.yaw_inertia], slip_rates, felt_rates])
 
 
