@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 
 from adaptrack.adaptation.recipes import search_bounds, trained_schedule
 from adaptrack.batch import rollout_batch
-from adaptrack.controllers import MPC, Moves, Tuning
+from adaptrack.controllers import MPC, Moves, Tuning, published_mpc
 from adaptrack.dataset import DataSet, load_dataset
 from adaptrack.errors import InvalidInput
 from adaptrack.failure import Failure
@@ -108,7 +108,7 @@ class PaperController:
     def mpc(self, preview: bool) -> MPC:
         """The controller itself, at the start of a run."""
         most = 20 if self.schedule is None else max(20, self.schedule.largest[1])
-        return MPC(
+        return published_mpc(
             load_vehicle("paper"), self.tuning, moves=self.moves, preview=preview, scheduler=self.schedule,
             most_moves=most,
         )  # fmt: skip
