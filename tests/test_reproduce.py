@@ -166,7 +166,17 @@ def test_with_the_same_moves_all_but_the_controller_as_released_have_pulses(made
 
 def test_all_that_was_measured_is_strict_json(made):
     found = json.loads(json.dumps(made.as_json(), allow_nan=False))
-    assert found.keys() >= {"rows", "ablation", "shares", "learning", "domain", "constant", "seconds", "quick"}
+    assert found.keys() >= {
+        "rows",
+        "ablation",
+        "shares",
+        "knowing",
+        "learning",
+        "domain",
+        "constant",
+        "seconds",
+        "quick",
+    }
     assert len(found["learning"]) == 8
     assert found["constant"]["tuning"] == {"Np": 50, "Nc": 3, "Q": 0.5, "R": 0.05}
 
@@ -234,7 +244,7 @@ def test_an_experiment_that_was_stopped_goes_on_with_the_first_stage_that_is_mis
     kept = {path.name for path in (tmp_path / "stages").iterdir()}
     assert kept == {
         "training-nn.json", "training-anfis.json", "driving-both-configurations.json", "taking-the-gain-apart.json",
-        "swapping-numbers.json",
+        "swapping-numbers.json", "knowing-the-car.json",
     }  # fmt: skip
     (tmp_path / "stages" / "swapping-numbers.json").unlink()
     for name in ("train", "measure", "ablation"):
@@ -243,7 +253,7 @@ def test_an_experiment_that_was_stopped_goes_on_with_the_first_stage_that_is_mis
     again = reproduce(small(), quick=True, folder=tmp_path, progress=lambda *at: heard.append(at))
     equal(again, first)
     assert again.learning == first.learning, "the times of the training, too"
-    assert heard == [("swapping numbers", 0, 6), ("timing steps", 1, 6)]
+    assert heard == [("swapping numbers", 0, 7), ("timing steps", 1, 7)]
 
 
 # -- the gain, taken apart --------------------------------------------------------------------------------------------
