@@ -1,4 +1,4 @@
-"""The section on what knowing the car brings, beside what adapting the tuning brings. Its sentences follow the numbers."""
+"""The section on what knowing the car brings, beside adapting the tuning; its sentences follow the numbers."""
 
 from __future__ import annotations
 
@@ -69,8 +69,8 @@ def outcome(rows: Sequence[Row], profile: str) -> str:
 
 
 def in_a_sentence(rows: Sequence[Row]) -> str:
-    """For the top of the page: the error of the better of the paper's adaptations over the informed constant's."""
-    factors = []
+    """For the top of the page: the informed constant's error over that of the better of the paper's adaptations."""
+    said_of: dict[str, list[str]] = {}
     for profile in _profiles(rows):
         for test, found in _by([row for row in rows if row["profile"] == profile], "scenario").items():
             named = {row["controller"]: row for row in found}
@@ -81,15 +81,10 @@ def in_a_sentence(rows: Sequence[Row]) -> str:
             elif not kept:
                 said = "stays on the road where both adaptations of the paper fail"
             else:
-                ratio = number(float(f"{min(kept) / informed['mse']:.2g}"), 2)
-                said = f"tracks with 1/{ratio} of the mean square error of the better adaptation of the paper"
-            factors.append((said, f"{profile}, {_test(test)}"))
-    grouped: dict[str, list[str]] = {}
-    for said, where in factors:
-        grouped.setdefault(said, []).append(where)
-    return (
-        f"A constant tuning that knows its car {'; '.join(f'{said} ({listed(at)})' for said, at in grouped.items())}."
-    )
+                ratio = number(float(f"{informed['mse'] / min(kept):.2g}"), 2)
+                said = f"has {ratio} times the mean square error of the better adaptation of the paper"
+            said_of.setdefault(said, []).append(f"{profile}, {_test(test)}")
+    return f"One constant that knows its car {'; '.join(f'{said} ({listed(at)})' for said, at in said_of.items())}."
 
 
 def _table(rows: Sequence[Row]) -> Table:
@@ -104,8 +99,8 @@ def _table(rows: Sequence[Row]) -> Table:
             cells += [_cell(found, name, key) for _, found in columns]
         body.append(cells)
     note = (
-        "Steering: RMS rate of the command. In road, means over ten noise seeds of the runs that did not fail. Bold: the "
-        "smallest error of its column without a failed run. A dash: not driven in this profile."
+        "Steering: RMS rate of the command. In road, means over ten noise seeds of the runs that did not fail. Bold: "
+        "the smallest error of its column without a failed run. A dash: not driven in this profile."
     )
     return Table("Known car beside adapted tuning", heads, body, note)
 
@@ -145,9 +140,8 @@ def _draw(axes: Axes, rows: Sequence[Row], strokes: Mapping[str, style.Stroke], 
         values = [top if row["failed"] else row["mse"] for row in own.values()]
         axes.plot(places, values, color=stroke.colour, linestyle=stroke.dash, linewidth=1.0)
         for place, value, row in zip(places, values, own.values(), strict=True):
-            axes.plot(
-                place, value, "x" if row["failed"] else "o", color=stroke.colour, markersize=6 if row["failed"] else 4
-            )
+            mark, size = ("x", 6) if row["failed"] else ("o", 4)
+            axes.plot(place, value, mark, color=stroke.colour, markersize=size)
     axes.set_title(title)
     axes.set_ylabel("MSE (m²)")
     style.logarithmic(axes, "y")

@@ -5,8 +5,8 @@ constant stiffness, Laguerre moves with the pole 0.95 for the standard MPC and 0
 clamps on what the learned functions say. `same-moves` is what the paper describes: the dual track on the Magic Formula
 tyre and the moves of eq. (10) for everybody, so that the controllers differ in their tuning only.
 
-The ablation then tells the pole's part of the gain from adaptation's, and `knowing` puts a controller that knows its car
-beside both.
+The ablation then tells the pole's part of the gain from adaptation's, and `knowing` puts a controller that knows its
+car beside both.
 """
 
 from __future__ import annotations
