@@ -287,15 +287,21 @@ def known(**errors):
 
 def test_the_words_on_knowing_follow_the_numbers():
     rows = known(standard_as_written=None, nn=0.5, anfis=0.25, informed=0.5)
-    assert "has 2.0 times the mean square error of the better adaptation" in knowing.in_a_sentence(rows)
+    assert (
+        "its mean square error is 2.0 (triple lane change) times that of the better adaptation"
+        in knowing.in_a_sentence(rows)
+    )
     said = knowing.outcome(rows, "road")
     assert "0.500 m², that of the best other, the paper's ANFIS, 0.250 m²" in said
     assert said.endswith("Runs fail with the published constant as written.")
     alone = known(standard_as_written=None, nn=None, anfis=None, informed=0.5)
-    assert "both adaptations of the paper fail" in knowing.in_a_sentence(alone)
+    assert (
+        "it keeps the car on the triple lane change, where both adaptations of the paper fail"
+        in knowing.in_a_sentence(alone)
+    )
     assert "it alone stays on the road" in knowing.outcome(alone, "road")
     lost = known(standard_as_written=1.0, nn=1.0, anfis=1.0, informed=None)
-    assert "fails itself" in knowing.in_a_sentence(lost)
+    assert "in profile road it fails on the triple lane change" in knowing.in_a_sentence(lost)
     assert "it fails in 10 of 10 runs" in knowing.outcome(lost, "road")
 
 
@@ -303,7 +309,8 @@ def test_the_table_on_knowing_shows_failed_runs_and_never_prefers_one():
     rows = known(standard_as_written=None, nn=0.5, informed=0.4)
     rows[1]["failed"] = 3
     table = knowing.knowing_section(rows).items[-2]
-    cells = {str(row[0]): row[1] for row in table.rows}
+    assert table.rows[0] == "Profile road"
+    cells = {row[0]: row[1] for row in table.rows[1:]}
     assert cells[knowing.NAMES["nn"]].text == "failed, 3 of 10"
     assert [name for name, cell in cells.items() if cell.strong] == [knowing.NAMES["informed"]]
 

@@ -15,19 +15,19 @@ from adaptrack.report.words import listed, number, title_of
 Row = Mapping[str, Any]
 
 NAMES = {
-    "standard-as-written": "Published, constant, as written",
-    "standard-as-released": "Published, constant, as released",
-    "nn": "Published, NN of the paper",
-    "anfis": "Published, ANFIS of the paper",
-    "road-constant": "Published, constant tuned in road",
-    "road-nn": "Published, guarded NN learned in road",
-    "informed": "Informed, constant",
+    "standard-as-written": "Published constant, as written",
+    "standard-as-released": "Published constant, as released",
+    "nn": "NN of the paper",
+    "anfis": "ANFIS of the paper",
+    "road-constant": "Published MPC, constant tuned here",
+    "road-nn": "Published MPC, guarded NN learned here",
+    "informed": "Informed constant",
 }
 SHORT = {
     "nn": "the paper's NN",
     "anfis": "the paper's ANFIS",
-    "road-constant": "the constant tuned in this profile",
-    "road-nn": "the guarded NN learned in this profile",
+    "road-constant": "the published MPC with the constant tuned in this profile",
+    "road-nn": "the published MPC with the guarded NN learned in this profile",
     "standard-as-written": "the published constant as written",
     "standard-as-released": "the published constant as released",
 }
@@ -40,8 +40,8 @@ def knowing_section(rows: Sequence[Row]) -> Section:
         "All other controllers on this page predict with wheels that are where the command is, and take what they "
         "measure as it is. The informed one is the same quadratic programme with one constant tuning: its model has "
         "the lag and the dead time of the steering, and a Kalman filter gives it state and disturbances. Dual track, "
-        "Magic Formula tyre; period and preview of the profile: paper 0.1 s without, ideal car; road 0.05 s with, "
-        "steering lag, rate limit, sensor noise and delay."
+        "Magic Formula tyre; profile paper: ideal car, 0.1 s, no preview; profile road: steering lag, rate "
+        "limit, sensor noise and delay, 0.05 s, preview."
     )
     return Section(SECTION, [words, *(outcome(rows, name) for name in _profiles(rows)), _table(rows), _picture(rows)])
 
@@ -69,51 +69,56 @@ def outcome(rows: Sequence[Row], profile: str) -> str:
 
 
 def in_a_sentence(rows: Sequence[Row]) -> str:
-    """For the top of the page: the informed constant's error over that of the better of the paper's adaptations."""
-    said_of: dict[str, list[str]] = {}
-    for profile in _profiles(rows):
-        for test, found in _by([row for row in rows if row["profile"] == profile], "scenario").items():
+    """For the top of the page: the informed constant's error beside that of the better of the paper's adaptations."""
+    parts = []
+    for profile, driven in _by(rows, "profile").items():
+        ratios, alone, lost = [], [], []
+        for test, found in _by(driven, "scenario").items():
             named = {row["controller"]: row for row in found}
-            informed, adapted = named["informed"], [named[name] for name in ("nn", "anfis") if name in named]
-            kept = [row["mse"] for row in adapted if not row["failed"]]
-            if informed["failed"]:
-                said = "fails itself"
+            kept = [row["mse"] for name, row in named.items() if name in ("nn", "anfis") and not row["failed"]]
+            if named["informed"]["failed"]:
+                lost.append(f"the {_test(test)}")
             elif not kept:
-                said = "stays on the road where both adaptations of the paper fail"
+                alone.append(f"the {_test(test)}")
             else:
-                ratio = number(float(f"{informed['mse'] / min(kept):.2g}"), 2)
-                said = f"has {ratio} times the mean square error of the better adaptation of the paper"
-            said_of.setdefault(said, []).append(f"{profile}, {_test(test)}")
-    return f"One constant that knows its car {'; '.join(f'{said} ({listed(at)})' for said, at in said_of.items())}."
+                ratio = number(float(f"{named['informed']['mse'] / min(kept):.2g}"), 2)
+                ratios.append(f"{ratio} ({_test(test)})")
+        words = []
+        if ratios:
+            words.append(f"its mean square error is {listed(ratios)} times that of the better adaptation of the paper")
+        words += [f"it keeps the car on {listed(alone)}, where both adaptations of the paper fail"] * bool(alone)
+        words += [f"it fails on {listed(lost)}"] * bool(lost)
+        parts.append(f"in profile {profile} {', '.join(words)}")
+    return f"One constant tuning that knows its car: {'; '.join(parts)}."
 
 
 def _table(rows: Sequence[Row]) -> Table:
-    columns = list(_by(rows, "profile", "scenario").items())
     heads = [Head("Controller", is_text=True)]
-    heads += [Head(f"{profile}, {_test(test)}", "MSE, m²") for (profile, test), _ in columns]
-    heads += [Head(f"{profile}, {_test(test)}", "steering, rad/s") for (profile, test), _ in columns]
+    for test in _by(rows, "scenario"):
+        heads += [Head(title_of(test), "MSE, m²"), Head("Steering", "RMS, rad/s")]
     body: list[Sequence[Cell | str] | str] = []
-    for name in [name for name in NAMES if any(row["controller"] == name for row in rows)]:
-        cells: list[Cell | str] = [NAMES[name]]
-        for key in ("mse", "rms_rate"):
-            cells += [_cell(found, name, key) for _, found in columns]
-        body.append(cells)
+    for profile, driven in _by(rows, "profile").items():
+        body.append(f"Profile {profile}")
+        columns = _by(driven, "scenario").values()
+        for name in [name for name in NAMES if any(row["controller"] == name for row in driven)]:
+            cells: list[Cell | str] = [NAMES[name]]
+            for found in columns:
+                cells += [_cell(found, name, key) for key in ("mse", "rms_rate")]
+            body.append(cells)
     note = (
-        "Steering: RMS rate of the command. In road, means over ten noise seeds of the runs that did not fail. Bold: "
-        "the smallest error of its column without a failed run. A dash: not driven in this profile."
+        "Steering: rate of the command. In road, means over ten noise seeds of the runs that did not fail. Bold: the "
+        "smallest error of its column and profile without a failed run."
     )
     return Table("Known car beside adapted tuning", heads, body, note)
 
 
 def _cell(found: Sequence[Row], name: str, key: str) -> Cell:
-    own = [row for row in found if row["controller"] == name]
-    if not own:
-        return Cell("–")
-    (row,) = own
-    if row["failed"] and key == "mse":
-        return Cell(f"failed, {row['failed']} of {row['runs']}" if row["runs"] > 1 else "failed", warn=True)
-    best = min((each[key] for each in found if not each["failed"]), default=None)
-    return Cell(number(row[key]), strong=key == "mse" and not row["failed"] and row[key] == best)
+    (row,) = (row for row in found if row["controller"] == name)
+    if row["failed"]:
+        count = f", {row['failed']} of {row['runs']}" if row["runs"] > 1 else ""
+        return Cell(f"failed{count}" if key == "mse" else number(row[key]), warn=key == "mse")
+    best = min(each["mse"] for each in found if not each["failed"])
+    return Cell(number(row[key]), strong=key == "mse" and row[key] == best)
 
 
 def _picture(rows: Sequence[Row]) -> Picture:
@@ -127,7 +132,7 @@ def _picture(rows: Sequence[Row]) -> Picture:
         )
         draw = partial(_draw, rows=found, strokes=strokes, title=title_of(test))
         panels.append(Drawing(style.panel_figure(draw), f"Mean square error, {title_of(test)}. {said}."))
-    caption = "Mean square error in both profiles; a cross at the top: failed."
+    caption = "Mean square error in both profiles; a cross at the top: failed; an open circle: dashed in the key."
     return Picture(caption, panels, [(NAMES[name], strokes[name]) for name in names])
 
 
@@ -139,9 +144,10 @@ def _draw(axes: Axes, rows: Sequence[Row], strokes: Mapping[str, style.Stroke], 
         places = [profiles.index(each) + 0.03 * (i - len(strokes) / 2) for each in own]
         values = [top if row["failed"] else row["mse"] for row in own.values()]
         axes.plot(places, values, color=stroke.colour, linestyle=stroke.dash, linewidth=1.0)
+        filled = stroke.colour if stroke.dash == "-" else "none"
         for place, value, row in zip(places, values, own.values(), strict=True):
             mark, size = ("x", 6) if row["failed"] else ("o", 4)
-            axes.plot(place, value, mark, color=stroke.colour, markersize=size)
+            axes.plot(place, value, mark, color=stroke.colour, markersize=size, markerfacecolor=filled)
     axes.set_title(title)
     axes.set_ylabel("MSE (m²)")
     style.logarithmic(axes, "y")
