@@ -86,8 +86,10 @@ def in_a_sentence(rows: Sequence[Row]) -> str:
         words = []
         if ratios:
             words.append(f"its mean square error is {listed(ratios)} times that of the better adaptation of the paper")
-        words += [f"it keeps the car on {listed(alone)}, where both adaptations of the paper fail"] * bool(alone)
-        words += [f"it fails on {listed(lost)}"] * bool(lost)
+        if alone:
+            words.append(f"it keeps the car on {listed(alone)}, where both adaptations of the paper fail")
+        if lost:
+            words.append(f"it fails on {listed(lost)}")
         parts.append(f"in profile {profile} {', '.join(words)}")
     return f"One constant tuning that knows its car: {'; '.join(parts)}."
 
