@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 
 import numpy as np
@@ -382,4 +383,5 @@ def test_a_scheduler_made_for_the_published_controller_is_not_taken_silently(cap
     assert "published_mpc" in caplog.text
     caplog.clear()
     published_mpc(CAR, scheduler=load_scheduler("road-nn"))
+    MPC(CAR, scheduler=dataclasses.replace(load_scheduler("road-fallback"), made_for={"controller": "MPC"}))
     assert not caplog.text

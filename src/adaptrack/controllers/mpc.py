@@ -9,7 +9,7 @@ import copy
 import logging
 import math
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from functools import cached_property
 from typing import Any, NamedTuple, Protocol, Self, runtime_checkable
@@ -115,11 +115,11 @@ class MPC:
     believed before the car's file. What nobody says of the steering is taken from the slow end of published values,
     and R is raised; `belief` of the controller says what it believes, and from whom.
 
-    period: control period (s); limits: by default the believed rate times the period, and the believed angle; preview:
-    whether R_s holds the reference ahead or its present value; solver: "active-set" (exact), "hildreth" (the paper's),
-    the name of another registered QP solver, or a `QPSolver`; what is done with an answer that is not certified says
-    `QPSolver.on_uncertified`; speed_floor: m/s, the model is never formed below it; longest_horizon, most_moves:
-    largest Np and Nc that a scheduler may ask for.
+    period: control period (s); limits: by default the believed rate times the period (the paper's table where the delay
+    is assumed) and the believed angle; preview: whether R_s holds the reference ahead or its present value; solver:
+    "active-set" (exact), "hildreth" (the paper's), the name of another registered QP solver, or a `QPSolver`; what is
+    done with an answer that is not certified says `QPSolver.on_uncertified`; speed_floor: m/s, the model is never
+    formed below it; longest_horizon, most_moves: largest Np and Nc that a scheduler may ask for.
 
     model, estimator: a `PredictionModel`, and an `Estimator` or its registered name. A `KalmanFilter` alone takes the
     place of the default one. Any other of them leaves nothing to profile and belief: the other part, the tuning, the
@@ -328,8 +328,9 @@ class MPC:
 
     def _warn_of_another_mpc(self) -> None:
         """Say once per controller that its scheduler was made for an MPC with another model."""
-        told = getattr(self.scheduler, "made_for", {}).get("controller", {}).get("model", self.kind_of_model)
-        if told != self.kind_of_model:
+        named = getattr(self.scheduler, "made_for", {}).get("controller")
+        told = named.get("model") if isinstance(named, Mapping) else None  # a file may say anything
+        if told not in (None, self.kind_of_model):
             remedy = "published_mpc(...) is that one" if told == INCREMENTAL else "learn it on this one"
             _log.warning(
                 "adaptrack: scheduler %r tunes an MPC whose model is %r, not %r, for which it was made: %s.",
