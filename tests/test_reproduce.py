@@ -436,7 +436,7 @@ def test_the_page_has_figures_6_to_10_and_every_table(report):
 
 def test_the_comparison_with_the_paper_comes_before_the_figures(report):
     titles = [html.unescape(title) for title in re.findall(r"<h2>(.*?)</h2>", report.read_text())]
-    assert titles[:3] == ["All controllers", "The paper's statements", "At a glance"]
+    assert titles[:4] == ["All controllers", "The paper's statements", "What knowing the car brings", "At a glance"]
     assert titles.index("General trajectory") < titles.index("Where the gain comes from")
 
 
