@@ -126,6 +126,7 @@ def measure_rollouts(file: str) -> None:
 
     rng, found = np.random.default_rng(5), {}
     car = at.load_vehicle("paper")
+    published = getattr(at, "published_mpc", at.MPC)  # the release knows no other
     options: dict[str, Any] = {"lost_beyond": 1000.0}
     if "failure" in inspect.signature(at.rollout_batch).parameters:
         options = {"failure": at.Failure(distance=1000.0, sideslip=math.pi)}
@@ -134,11 +135,11 @@ def measure_rollouts(file: str) -> None:
 
         def controller(tuning: Any, period: float = period, preview: bool = preview) -> Any:
             chosen = at.Tuning(int(tuning[0]), int(tuning[1]), float(tuning[2]), float(tuning[3]))
-            return at.MPC(car, chosen, period=period, preview=preview)
+            return published(car, chosen, period=period, preview=preview)
 
         batch = at.rollout_batch(
-            plant, at.MPC(car, period=period, preview=preview), scenarios, tunings, which=np.repeat(np.arange(500), 20),
-            profile=profile, seeds=np.arange(10_000), **options,
+            plant, published(car, period=period, preview=preview), scenarios, tunings,
+            which=np.repeat(np.arange(500), 20), profile=profile, seeds=np.arange(10_000), **options,
         )  # fmt: skip
         for name in ("mse", "mean_squared_move", "max_abs_error", "steps", "qp_capped", "qp_failed", "held"):
             found[f"{profile} {name}"] = np.asarray(getattr(batch, name))

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from adaptrack.controllers import MPC, Limits, Moves, MPCCommand, Tuning
+from adaptrack.controllers import MPC, Limits, Moves, MPCCommand, Tuning, published_mpc
 from adaptrack.failure import Failure
 from adaptrack.plant import DualTrack
 from adaptrack.qp import QP
@@ -46,7 +46,7 @@ def recorded_qps(count: int, seed: int) -> Iterator[QP]:
         r = 10.0 ** rng.uniform(0.0, 4.0) if road and rng.random() < 0.8 else rng.uniform(0.001, 0.1)
         tuning = Tuning(Np, int(rng.integers(1, min(Np, 18) + 1)), rng.uniform(0.1, 10.0), r)
         laguerre = rng.random() < 0.2
-        mpc = MPC(
+        mpc = published_mpc(
             car,
             tuning,
             period=0.05 if road else 0.1,

@@ -39,7 +39,7 @@ def offsets(runs: int) -> list[dict[str, Any]]:
         for bias, bank in ((BIAS, 0.0), (0.0, BANK), (BIAS, BANK)):
             straight = Scenario(name="straight", duration=90.0, reference=0.0, speed=speed, friction=0.9, bank=bank)
             profile = with_bias(ROAD, bias)
-            mpc = at.informed_mpc(CAR, ROAD)
+            mpc = at.MPC(CAR, profile=ROAD)
             mean = [rollout(PLANT, mpc, straight, profile=profile, seed=60_000 + i).Y[-1200:].mean() for i in range(runs)]
             silent = profile.replace(noise_vy=0.0, noise_yaw=0.0, noise_yaw_rate=0.0, noise_y=0.0)
             quiet = rollout(PLANT, mpc, straight, profile=silent).Y[-1200:].mean()
@@ -70,12 +70,8 @@ def grip(runs: int) -> list[dict[str, Any]]:
         tests = [weaving(acceleration, friction, float(speed)) for speed in rng.uniform(10.0, 27.0, runs)]
         failed = {}
         for name, drifts, spread in (("with", Drifts(), (0.3, 0.3)), ("without", still, (0.0, 0.0))):
-            filtered = KalmanFilter.of_profile(ROAD, drifts)
-            mpc = at.informed_mpc(CAR, ROAD)
-            mpc = at.MPC(
-                CAR, mpc.tuning, period=mpc.period, limits=mpc.limits, preview=mpc.preview, model=mpc.model,
-                estimator=KalmanFilter(filtered.noise, drifts, spread=spread),
-            )  # fmt: skip
+            own = KalmanFilter(KalmanFilter.of_profile(ROAD).noise, drifts, spread=spread)
+            mpc = at.MPC(CAR, profile=ROAD, estimator=own)
             _, failed[name] = costs(PLANT, mpc, mpc.tuning, tests, with_bias(ROAD, BIAS), 70_000)
         found.append(
             {
@@ -110,7 +106,7 @@ def samples(runs: int) -> list[dict[str, Any]]:
     }  # fmt: skip
     found = []
     for name, profile in cases.items():
-        mpc = at.informed_mpc(CAR, profile)
+        mpc = at.MPC(CAR, profile=profile)
         cost, failed = costs(PLANT, mpc, mpc.tuning, tests, profile, 80_000)
         found.append(
             {
@@ -126,7 +122,7 @@ def nis(runs: int) -> list[dict[str, Any]]:
     inside: dict[str, list[bool]] = {}
     for i in range(min(runs, 20)):
         scenario = random_drive(9_100_000 + i)
-        run = rollout(PLANT, at.informed_mpc(CAR, ROAD), scenario, profile=ROAD, seed=90_000 + i)
+        run = rollout(PLANT, at.MPC(CAR, profile=ROAD), scenario, profile=ROAD, seed=90_000 + i)
         rng = np.random.default_rng(i)
         readable = ReadableFilter(
             KalmanFilter.of_profile(ROAD), PathModel(CAR, ROAD.period, ROAD.steering.lag, ROAD.dead_time)

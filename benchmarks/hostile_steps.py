@@ -39,8 +39,10 @@ def random_controller(rng: np.random.Generator) -> Any:
     angle = float(rng.uniform(0.05, 0.6))
     move = float(rng.uniform(0.005, 0.3))
     limits = Limits(move=(-move, move), angle=(-angle, angle))
-    return at.MPC(at.load_vehicle("paper"), tuning, period=float(rng.choice([0.05, 0.1])), limits=limits, moves=moves,
-                  preview=bool(rng.random() < 0.5), solver=solver)  # fmt: skip
+    return at.published_mpc(
+        at.load_vehicle("paper"), tuning, period=float(rng.choice([0.05, 0.1])), limits=limits, moves=moves,
+        preview=bool(rng.random() < 0.5), solver=solver,
+    )  # fmt: skip
 
 
 def spoil(

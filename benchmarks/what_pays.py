@@ -16,7 +16,6 @@ import numpy as np
 
 import adaptrack as at
 from adaptrack.batch import rollout_batch
-from adaptrack.controllers.informed import informed_mpc
 from adaptrack.kalman import Drifts, KalmanFilter, SensorNoise
 from adaptrack.models import PathModel
 from adaptrack.profile import load_profile
@@ -68,12 +67,12 @@ def rows(car: Any, profile: Any) -> dict[str, tuple[Any, list[at.Tuning], Any]]:
         estimator=KalmanFilter.of_profile(quiet, Drifts(side=3.0, turn=6.0)),
     )  # fmt: skip
     return {
-        "published (increments)": (at.MPC(car, period=period, preview=profile.preview), blind, profile),
+        "published (increments)": (at.published_mpc(car, period=period, preview=profile.preview), blind, profile),
         "filter": (filtered(0.0, 0.0, **STILL), [*knowing, *blind], profile),
         "+ lag": (filtered(lag, 0.0, **STILL), knowing, profile),
         "+ dead time": (filtered(lag, late, **STILL), knowing, profile),
         "+ disturbances": (filtered(lag, late), knowing, profile),
-        "its default constant": (informed_mpc(car, profile), [informed_mpc(car, profile).tuning], profile),
+        "its default constant": (at.MPC(car, profile=profile), [at.MPC(car, profile=profile).tuning], profile),
         "exact sensors": (exact, [at.Tuning(30, 10, 1.0, r) for r in (0.1, 0.3, 1.0)], quiet),
     }
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from adaptrack.controllers import MPC, Tuning
+from adaptrack.controllers import Tuning, published_mpc
 from adaptrack.plant import SingleTrack
 from adaptrack.profile import load_profile
 from adaptrack.runs import RunSet
@@ -18,7 +18,7 @@ HASTY = Tuning(30, 10, 1.0, 10.0)
 
 
 def controller(tuning=START, **options):
-    return MPC(CAR, tuning, period=load_profile("road").period, preview=True, **options)
+    return published_mpc(CAR, tuning, period=load_profile("road").period, preview=True, **options)
 
 
 def lane_changes(n=5, duration=4.0):

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numba import types
 
-from adaptrack.controllers import MPC, Limits
+from adaptrack.controllers import Limits, published_mpc
 from adaptrack.kernels.abi import INTERPRETED, ROUTINE, Resident, address_of, caller, float64, reader, vector
 from adaptrack.kernels.controllers import mpc as kernel
 from adaptrack.vehicle import load_vehicle
@@ -39,7 +39,7 @@ def copier(record):
 
 def batch():
     """MPCs of three slots, every number of theirs another one."""
-    mpc = MPC(load_vehicle("paper"), limits=Limits(output=(-3.0, 3.0)), solver="hildreth", longest_horizon=60)
+    mpc = published_mpc(load_vehicle("paper"), limits=Limits(output=(-3.0, 3.0)), solver="hildreth", longest_horizon=60)
     record, count = mpc.batch(3, mpc.settings()), 1
     for _, array in leaves(record):
         for name in array.dtype.names or (None,):

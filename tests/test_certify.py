@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 
-from adaptrack import MPC, ContractError, DualTrack, InvalidInput, Moves, Tuning, load_vehicle, rollout_batch
+from adaptrack import ContractError, DualTrack, InvalidInput, Moves, Tuning, load_vehicle, published_mpc, rollout_batch
 from adaptrack.certify import OPERATING, certify
 from adaptrack.report.certificate import write_certificate
 from adaptrack.scenario import random_drive
@@ -14,7 +14,7 @@ from adaptrack.stability import hard_turn, loop_map, spectral_radius
 
 CAR = load_vehicle("paper")
 PLANT = DualTrack(CAR, "magic-formula")
-MPC_ = MPC(CAR, period=0.05, preview=True)
+MPC_ = published_mpc(CAR, period=0.05, preview=True)
 SOUND, AGGRESSIVE = Tuning(38, 4, 1.0, 8000.0), Tuning(28, 8, 1.0, 2800.0)
 SPEEDS, FRICTIONS, AHEAD = np.linspace(3.0, 30.0, 6), np.array([0.3, 0.6, 1.0]), np.array([0.0, 3.5])
 FEW = (10, 2)
@@ -121,7 +121,7 @@ def test_with_the_guard_scrambled_numbers_fail_in_no_drive(scrambled, stability)
     drives = [random_drive(seed) for seed in range(900, 908)]
     failed = {}
     for schedule in (scrambled, Guarded(scrambled, SOUND, stability=stability)):
-        mpc = MPC(CAR, period=0.05, preview=True, scheduler=schedule)
+        mpc = published_mpc(CAR, period=0.05, preview=True, scheduler=schedule)
         runs = rollout_batch(PLANT, mpc, drives, profile="road", seeds=np.arange(8))
         failed[schedule.name] = sum(each is not None for each in runs.failed)
     assert failed["table"] > 4
@@ -157,7 +157,7 @@ def test_a_function_that_gives_no_tuning_is_refused_with_the_point(nonsense):
 
 
 def test_horizons_count_as_the_mpc_uses_them():
-    short = MPC(CAR, Tuning(30, 5, 1.0, 8000.0), period=0.05, longest_horizon=40, most_moves=6)
+    short = published_mpc(CAR, Tuning(30, 5, 1.0, 8000.0), period=0.05, longest_horizon=40, most_moves=6)
     found = certify(lambda variables: (99.5, 35.2, 1.0, 8000.0), PLANT, short, "road", levels=(2, 1))
     assert (found.counted.tunings[:, :2] == [40.0, 6.0]).all()
     rounded = certify(lambda variables: (37.5, 0.2, 1.0, 8000.0), PLANT, short, "road", levels=(2, 1))
@@ -182,7 +182,7 @@ def test_a_domain_that_makes_no_sense_is_refused(sound, domain):
 
 
 def test_laguerre_moves_and_the_papers_profile_are_certified_too():
-    mpc = MPC(CAR, moves=Moves.laguerre(0.95))
+    mpc = published_mpc(CAR, moves=Moves.laguerre(0.95))
     found = certify(Constant(Tuning()), DualTrack(CAR, "magic-formula"), mpc, "paper", levels=FEW)
     expected = spectral_radius(PLANT, mpc, 30.0, friction=1.0)
     assert found.counted.straight.radius[-1] == pytest.approx(expected)

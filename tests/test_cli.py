@@ -159,6 +159,32 @@ def test_a_run_off_the_road_gives_exit_code_3_and_a_page_whose_heading_says_so(m
     assert run(monkeypatch, capsys, *OFF_ROAD, "--controller", "standard", "--allow-failed")[0] == 0
 
 
+def test_a_failed_car_whose_model_and_tyre_disagree_is_told_the_remedy(monkeypatch, capsys, tmp_path):
+    numbers = {"mass": 1500.0, "yaw_inertia": 2500.0, "lf": 1.1, "lr": 1.6, "stiffness_front": 15000.0,
+               "stiffness_rear": 60000.0}  # fmt: skip
+    (tmp_path / "soft.toml").write_text("".join(f"{name} = {value}\n" for name, value in numbers.items()))
+    asked = ["simulate", "double-lane-change", "-o", "speed=27", "--profile", "road", "--vehicle"]
+    code, out, _ = run(monkeypatch, capsys, *asked, tmp_path / "soft.toml")
+    assert code == 3
+    assert re.search(r"believes 15000 and 60000 N/rad.* has 79\d+ and 59\d+\..*stiffness_front.*matched_to", out)
+    code, out, _ = run(monkeypatch, capsys, *FAILING)  # whose tyre is the model's
+    assert code == 3
+    assert "matched_to" not in out
+
+
+def test_an_informed_run_says_what_it_believes_of_the_steering_and_who_says_so(monkeypatch, capsys):
+    asked = ["simulate", "sine", "-o", "duration=1.0", "--profile", "road"]
+    code, out, _ = run(monkeypatch, capsys, *asked, "--vehicle", "midsize-sedan")
+    assert code == 0
+    assert "lag 0.15 s, dead time 0 s, computation 0.05 s (profile road)" in out
+    assert "rate 0.4 rad/s, limit 1.066 rad (car file midsize-sedan)" in out
+    assert "The simulated steering is another" in out
+    _, out, _ = run(monkeypatch, capsys, *asked, "--json", "--controller", "informed", "--controller", "standard")
+    beliefs = [row["belief"] for row in json.loads(out)["rows"]]
+    assert "profile road" in beliefs[0]
+    assert beliefs[1] is None
+
+
 def test_a_run_that_was_driven_to_its_end_has_no_failure(monkeypatch, capsys):
     code, out, _ = run(monkeypatch, capsys, "simulate", "sine", "-o", "duration=1.0", "--json")
     (row,) = json.loads(out)["rows"]

@@ -17,7 +17,7 @@ from adaptrack.comparison import contenders
 from adaptrack.comparison.compare import Comparison, Role, SwarmSearch, compare, finite, optimum, per_run_best
 from adaptrack.comparison.contenders import Contender, get_contender, list_contenders, register_contender
 from adaptrack.comparison.statistics import RESAMPLES, geometric_mean
-from adaptrack.controllers import MPC, CompiledController, Tuning, UserController
+from adaptrack.controllers import CompiledController, Tuning, UserController, published_mpc
 from adaptrack.errors import ContractError, InvalidInput, UnknownName
 from adaptrack.kernels import guard
 from adaptrack.metrics import compute_metrics
@@ -48,7 +48,7 @@ SPACE = SearchSpace(
 
 
 def controller(**options):
-    return MPC(CAR, START, period=load_profile("road").period, preview=True, **options)
+    return published_mpc(CAR, START, period=load_profile("road").period, preview=True, **options)
 
 
 def run_set(n=4, duration=3.0):

@@ -15,7 +15,16 @@ from adaptrack import plant as plant_module
 from adaptrack.batch import rollout_batch
 from adaptrack.comparison.compare import compare
 from adaptrack.comparison.contenders import Contender
-from adaptrack.controllers import LQR, MPC, PurePursuit, Stanley, Tuning, UserController, check_controller
+from adaptrack.controllers import (
+    LQR,
+    MPC,
+    PurePursuit,
+    Stanley,
+    Tuning,
+    UserController,
+    check_controller,
+    published_mpc,
+)
 from adaptrack.errors import ContractError, InvalidInput
 from adaptrack.estimation import Deadbeat, UserEstimator, check_estimator
 from adaptrack.models import SingleTrackModel, UserModel, check_model
@@ -121,7 +130,7 @@ def test_increments_of_the_measured_state_are_the_deadbeat_estimator():
     check_estimator(own, model)
     check_estimator(Deadbeat(), model)
     tuning = Tuning(25, 5, 1.0, 2.0)
-    theirs = simulate(PLANT, MPC(CAR, tuning, period=0.05), LANE_CHANGE)
+    theirs = simulate(PLANT, published_mpc(CAR, tuning, period=0.05), LANE_CHANGE)
     ours = simulate(PLANT, MPC(CAR, tuning, period=0.05, estimator=own), LANE_CHANGE)
     assert np.abs(ours.command - theirs.command).max() < 1e-9
     assert same(ours, rollout(PLANT, MPC(CAR, tuning, period=0.05, estimator=own), LANE_CHANGE))
@@ -199,16 +208,18 @@ class Bicycle(SteppedPlant):
 def test_a_stepped_plant_is_admitted_and_driven():
     plant = Bicycle()
     check_plant(plant)
-    run = simulate(plant, MPC(CAR, Tuning(30, 5, 1.0, 300.0), period=0.05, preview=True), LANE_CHANGE, profile="road")
+    run = simulate(
+        plant, published_mpc(CAR, Tuning(30, 5, 1.0, 300.0), period=0.05, preview=True), LANE_CHANGE, profile="road"
+    )
     assert run.failed is None
     assert np.abs(run.error).max() < 0.5
     assert np.allclose(run.vx, 10.0)
     with pytest.raises(InvalidInput, match="compiled plant"):
-        rollout(plant, MPC(CAR, period=0.05), LANE_CHANGE)
+        rollout(plant, published_mpc(CAR, period=0.05), LANE_CHANGE)
 
 
 def test_a_stepped_plant_enters_a_comparison_and_costs_what_simulate_says():
-    mpc = MPC(CAR, Tuning(30, 5, 1.0, 300.0), period=0.05)
+    mpc = published_mpc(CAR, Tuning(30, 5, 1.0, 300.0), period=0.05)
     runs = operating_point_runs(Bicycle(), mpc, [[10.0, 1.0, 0.9, 0.0], [15.0, -1.0, 0.9, 0.0]], "road")
     schedule = Constant(Tuning(30, 5, 1.0, 100.0))
     policies = {"own": mpc, "tuning": mpc.tuning, "rows": [[30, 5, 1.0, 300.0]] * 2, "schedule": schedule}
@@ -228,8 +239,8 @@ def test_a_stepped_plant_enters_a_comparison_and_costs_what_simulate_says():
 @pytest.mark.parametrize("plant", [SingleTrack(CAR), Bicycle()], ids=["compiled", "stepped"])
 def test_a_tuning_drives_as_it_stands_though_the_mpc_of_the_runs_has_a_scheduler(plant):
     tuning, points = Tuning(30, 5, 1.0, 300.0), [[10.0, 1.0, 0.9, 0.0], [15.0, -1.0, 0.9, 0.0]]
-    plain = MPC(CAR, tuning, period=0.05)
-    scheduled = MPC(CAR, tuning, period=0.05, scheduler=Constant(Tuning(20, 3, 1.0, 3000.0)))
+    plain = published_mpc(CAR, tuning, period=0.05)
+    scheduled = published_mpc(CAR, tuning, period=0.05, scheduler=Constant(Tuning(20, 3, 1.0, 3000.0)))
     alone, beside = (operating_point_runs(plant, mpc, points, "road").drive(tuning, [3]) for mpc in (plain, scheduled))
     np.testing.assert_array_equal(alone, beside)
 
@@ -288,7 +299,7 @@ def test_a_plant_without_a_name_a_plug_in_without_a_file_and_a_certificate_of_st
 
 def test_a_stepped_plant_steers_behind_the_profiles_actuator():
     plant = Bicycle()
-    run = simulate(plant, MPC(CAR, Tuning(30, 5, 1.0, 300.0), period=0.05), LANE_CHANGE, profile="road")
+    run = simulate(plant, published_mpc(CAR, Tuning(30, 5, 1.0, 300.0), period=0.05), LANE_CHANGE, profile="road")
     late = run.command[:-2] - run.steering[1:-1]
     assert np.abs(late).max() > 1e-4  # lag and delay
     assert np.abs(np.diff(run.steering)).max() <= 0.5 * 0.05 + 1e-9  # rad/s
@@ -318,7 +329,7 @@ def test_a_compiled_plant_starts_at_its_rolling_equilibrium():
     plant = wheeled(lambda motion: [motion[3] / 0.3, motion[3] / 0.3])
     check_plant(plant)
     assert plant.initial_state([0, 0, 0, 12.0, 0, 0])[6:].tolist() == pytest.approx([40.0, 40.0])
-    mpc = MPC(CAR, Tuning(30, 5, 1.0, 5.0), period=0.05)
+    mpc = published_mpc(CAR, Tuning(30, 5, 1.0, 5.0), period=0.05)
     still = load_scenario("step", amplitude=0.0, speed=12.0, duration=1.0)
     slope = plant.derivative(plant.initial_state([0, 0, 0, 12.0, 0, 0]), [0.0, 0.0], [0.9, 0.9, 0.9, 0.9, 0.0, 0.0])
     assert np.allclose(slope[3:], 0.0, atol=1e-12)  # nothing changes: it rolls

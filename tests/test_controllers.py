@@ -442,8 +442,10 @@ def test_a_parameter_that_is_not_finite_is_refused():
 @pytest.mark.parametrize(
     "name",
     [
+        "as-released",
+        "as-written",
+        "informed",
         "lqr",
-        "mpc",
         "pure-pursuit",
         "stanley",
     ],
@@ -459,7 +461,7 @@ def test_a_law_of_ones_own_passes_the_checker():
 
 
 def test_names_are_known_once_and_a_misspelt_one_is_answered_with_the_nearest():
-    assert {"lqr", "mpc", "pure-pursuit", "stanley"} <= set(list_controllers())
+    assert {"as-released", "as-written", "informed", "lqr", "pure-pursuit", "stanley"} <= set(list_controllers())
     assert isinstance(get_controller("stanley", CAR, gain=2.0), Stanley)
     with pytest.raises(UnknownName, match="Did you mean 'stanley'"):
         get_controller("stanly", CAR)

@@ -248,7 +248,7 @@ def test_one_good_tuning_keeps_to_most_drives() -> None:
     tunings = np.tile(at.Tuning(30, 10, 1.0, 3000.0).as_array(), (len(drives), 1))
     result = rollout_batch(
         at.DualTrack(car),
-        at.MPC(car, period=0.05, preview=True),
+        at.published_mpc(car, period=0.05, preview=True),
         drives,
         tunings,
         which=np.arange(len(drives)),

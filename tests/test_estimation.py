@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from adaptrack import estimation
-from adaptrack.controllers import MPC, Tuning
+from adaptrack.controllers import MPC, Tuning, published_mpc
 from adaptrack.errors import ContractError, InvalidInput, UnknownName
 from adaptrack.estimation import (
     Belief,
@@ -108,7 +108,7 @@ def lane_change(seed):
     """A drive under the MPC, its operating point drawn from the domain of the tuning campaign."""
     rng = np.random.default_rng(seed)
     speed, y, friction, gust = rng.uniform((6.0, -7.0, 0.3, -30.0), (30.0, 7.0, 1.0, 30.0))
-    mpc = MPC(CAR, Tuning(30, 10, 1, 3000), period=0.05, preview=True)
+    mpc = published_mpc(CAR, Tuning(30, 10, 1, 3000), period=0.05, preview=True)
     scenario = load_scenario("lane-change", amplitude=y, speed=speed, friction=friction, gust=gust)
     return drive(scenario, mpc, seed=seed)
 
@@ -191,7 +191,7 @@ def test_a_gust_is_tracked():
     squares, truth = 0.0, 0.0
     for seed in range(3):
         scenario = load_scenario("lane-change", amplitude=1.0, speed=22.0, friction=0.8, gust=18.0)
-        mpc = MPC(CAR, Tuning(30, 10, 1, 3000), period=0.05, preview=True)
+        mpc = published_mpc(CAR, Tuning(30, 10, 1, 3000), period=0.05, preview=True)
         trajectory, found = drive(scenario, mpc, seed=seed)
         squares += np.mean((found[:, 1] - trajectory.wind[:, 1]) ** 2)
         truth += np.mean(trajectory.wind[:, 1] ** 2)
@@ -385,7 +385,7 @@ def test_the_scheduler_knows_the_estimates():
         seen.append(variables)
         return 20.0, 5.0, 1.0, 3000.0
 
-    mpc = MPC(CAR, period=0.05, scheduler=scheduler)
+    mpc = published_mpc(CAR, period=0.05, scheduler=scheduler)
     estimator = Recording(FrictionWindEstimator.of(DualTrack(CAR)))
     trajectory = simulate(
         DualTrack(CAR), mpc, road(20.0, 0.9, 15.0, 1.0), profile="road", known_as=estimator.own
@@ -428,7 +428,8 @@ def test_a_measurement_of_another_shape_is_refused():
 def test_estimator_and_controller_must_share_their_period():
     with pytest.raises(InvalidInput, match="same instants"):
         simulate(
-            DualTrack(CAR), MPC(CAR, period=0.1), road(duration=1.0), known_as=FrictionWindEstimator(CAR, period=0.05)
+            DualTrack(CAR), published_mpc(CAR, period=0.1), road(duration=1.0),
+            known_as=FrictionWindEstimator(CAR, period=0.05),
         )  # fmt: skip
 
 

@@ -4,14 +4,14 @@ import math
 
 import pytest
 
-from adaptrack import MPC, Tuning, load_vehicle
+from adaptrack import Tuning, load_vehicle, published_mpc
 from adaptrack.qp import QPStatus
 
 
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
 @pytest.mark.parametrize("moves", range(1, 21))
 def test_after_a_step_at_every_limit_a_sample_that_is_not_finite_is_not_solved(moves, value):
-    mpc = MPC(load_vehicle("paper"), Tuning(35, moves, 10.0, 0.01))
+    mpc = published_mpc(load_vehicle("paper"), Tuning(35, moves, 10.0, 0.01))
     for entry in range(5):
         mpc.reset()
         assert mpc.step([0.0, 0.0, 0.0, 0.0], 20.0, [50.0]).status is QPStatus.SOLVED

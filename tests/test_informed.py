@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 
 import numpy as np
@@ -9,17 +10,18 @@ import pytest
 from scipy.linalg import expm
 
 from adaptrack.batch import rollout_batch
-from adaptrack.controllers import MPC, Tuning
-from adaptrack.controllers.informed import informed_mpc, informed_tuning
+from adaptrack.controllers import MPC, Limits, Moves, Tuning, get_controller, informed_tuning, published_mpc
+from adaptrack.controllers.belief import ASSUMED
 from adaptrack.errors import InvalidInput
 from adaptrack.estimation import Deadbeat, check_estimator, get_estimator
 from adaptrack.kalman import SENSORS, Drifts, KalmanFilter, ReadableFilter, SensorNoise
-from adaptrack.models import MEASURED, PathModel, check_model, get_model
+from adaptrack.models import MEASURED, PathModel, SingleTrackModel, check_model, get_model
 from adaptrack.plant import DualTrack
 from adaptrack.profile import load_profile
 from adaptrack.scenario import load_scenario, random_drive
+from adaptrack.scheduling import load_scheduler
 from adaptrack.simulate import simulate
-from adaptrack.vehicle import SteeringActuator, load_vehicle
+from adaptrack.vehicle import Steering, SteeringActuator, load_vehicle
 
 CAR = load_vehicle("paper")
 PERIOD = 0.05
@@ -295,7 +297,7 @@ def test_the_filter_keeps_the_contract_of_estimators():
 
 def test_filters_and_models_that_do_not_fit_each_other_are_refused():
     with pytest.raises(InvalidInput, match="path model"):
-        MPC(CAR, estimator="kalman")
+        MPC(CAR, model=SingleTrackModel(CAR), estimator="kalman")
     with pytest.raises(InvalidInput, match="dead time"):
         Deadbeat().check_fits(PathModel(CAR, PERIOD, dead_time=0.05))
     with pytest.raises(InvalidInput, match="wheel_angle"):
@@ -352,7 +354,7 @@ def test_the_tuning_weighs_the_same_steering_rate_at_any_period():
 def test_a_constant_side_wind_leaves_no_offset():
     calm = load_profile("road").replace(noise_vy=0.0, noise_yaw=0.0, noise_yaw_rate=0.0, noise_y=0.0)
     run = simulate(
-        DualTrack(CAR, "magic-formula"), informed_mpc(CAR, calm), load_scenario("step", amplitude=0.0, wind=15.0),
+        DualTrack(CAR, "magic-formula"), MPC(CAR, profile=calm), load_scenario("step", amplitude=0.0, wind=15.0),
         profile=calm,
     )  # fmt: skip
     error = run.error
@@ -366,7 +368,7 @@ def test_one_constant_drives_either_car_in_noise_lag_and_delay():
     drives = [random_drive(4_000_000 + number) for number in range(16)]
     for name, most, failures in (("paper", 0.0012, 1), ("midsize-sedan", 0.0008, 0)):
         car = load_vehicle(name)
-        plant, mpc = DualTrack(car, "magic-formula") if name == "paper" else DualTrack(car), informed_mpc(car, "road")
+        plant, mpc = DualTrack(car, "magic-formula") if name == "paper" else DualTrack(car), MPC(car, profile="road")
         runs = rollout_batch(
             plant, mpc, drives, np.tile(mpc.tuning.as_array(), (16, 1)), which=np.arange(16), profile="road",
             seeds=np.arange(16),
@@ -377,9 +379,105 @@ def test_one_constant_drives_either_car_in_noise_lag_and_delay():
         assert np.exp(np.log(cost[ended]).mean()) < most
 
 
+# -- the default ------------------------------------------------------------------------------------------------------
+KNOWN = CAR.replace(steering=Steering(lag=0.2, dead_time=0.07, rate=0.8, limit=0.6))
+
+
+def test_by_default_the_mpc_models_the_steering_of_its_car_file_and_filters():
+    mpc = MPC(KNOWN)
+    assert isinstance(mpc.estimator, KalmanFilter)
+    assert mpc.model == PathModel(KNOWN, mpc.period, 0.2, 0.07 + load_profile("road").delay * mpc.period)
+    assert mpc.limits == Limits(move=(-0.8 * mpc.period, 0.8 * mpc.period), angle=(-0.6, 0.6))
+    assert mpc.tuning == informed_tuning("road")
+    assert mpc.belief.assumed == ()
+
+
+def test_a_tuning_alone_tunes_the_mpc_that_knows_its_car():
+    mpc = MPC(KNOWN, Tuning(20, 4, 1.0, 7.0))
+    assert mpc.tuning == Tuning(20, 4, 1.0, 7.0)
+    assert (mpc.model, mpc.estimator) == (MPC(KNOWN).model, MPC(KNOWN).estimator)
+
+
 def test_a_controller_told_of_another_steering_believes_it():
-    mpc = informed_mpc(CAR, "road", steering=SteeringActuator(lag=0.3, rate=0.4), dead_time=0.12)
-    assert (mpc.model.lag, mpc.model.dead_time) == (0.3, 0.12)
+    mpc = MPC(KNOWN, profile="road", belief=Steering(lag=0.3, rate=0.4))
+    assert (mpc.model.lag, mpc.model.dead_time) == (0.3, pytest.approx(0.07 + 0.05))
     assert mpc.limits.move == pytest.approx((-0.02, 0.02))
-    with pytest.raises(InvalidInput, match="SteeringActuator"):
-        informed_mpc(CAR, "road", steering=0.3)
+    with pytest.raises(InvalidInput, match=r"must be a Steering\("):
+        MPC(CAR, belief=0.3)
+
+
+def test_the_car_file_is_believed_before_the_profile_and_the_profile_where_the_file_is_silent():
+    partly = CAR.replace(steering=Steering(rate=0.4))
+    belief = MPC(partly, profile="road").belief
+    assert (belief.lag.value, belief.lag.source) == (load_profile("road").steering.lag, "profile road")
+    assert (belief.rate.value, belief.rate.source) == (0.4, "car file paper")
+
+
+def test_of_a_steering_that_nobody_knows_the_slow_end_is_believed_cautiously_and_said():
+    mpc = MPC(CAR)
+    assert mpc.belief.lag.value + mpc.belief.dead_time.value >= 0.35
+    assert set(mpc.belief.assumed) == {"lag", "dead_time", "rate", "limit"}
+    assert mpc.tuning.R > informed_tuning("road").R
+    assert mpc.limits.move == Limits().move  # too slow a model behind bounded moves loses the car
+    assert ASSUMED in repr(mpc)
+    assert ASSUMED in mpc.describe()["belief"]
+
+
+@pytest.mark.parametrize("known", [{"lag": 0.1}, {"dead_time": 0.1}, {"lag": 0.5}, {"dead_time": 0.5}])
+def test_what_is_known_of_the_delay_is_taken_off_what_is_assumed(known):
+    belief = MPC(CAR, belief=Steering(**known)).belief
+    assert belief.lag.value + belief.dead_time.value == pytest.approx(max(0.35, *known.values()), abs=0.051)
+    assert belief.lag.value > 0.0
+
+
+@pytest.mark.compiled
+@pytest.mark.parametrize("lag", [0.05, 0.2, 0.4])
+def test_without_any_knowledge_of_the_steering_either_car_is_kept(lag):
+    drives = [random_drive(5_000_000 + number) for number in range(8)]
+    for name in ("paper", "midsize-sedan"):
+        car = load_vehicle(name).replace(steering=None)
+        plant = DualTrack(car, steering=SteeringActuator(lag=lag, rate=0.5))
+        mpc = MPC(car)
+        runs = rollout_batch(
+            plant, mpc, drives, np.tile(mpc.tuning.as_array(), (8, 1)), which=np.arange(8), profile="road",
+            seeds=np.arange(8),
+        )  # fmt: skip
+        assert not any(runs.failed)
+        assert runs.mse.max() < 0.05
+
+
+def test_a_model_or_an_estimator_of_ones_own_leaves_the_rest_to_the_paper():
+    own = PathModel(CAR, PERIOD, 0.15)
+    mpc = MPC(CAR, model=own, estimator=KalmanFilter())
+    assert (mpc.period, mpc.tuning, mpc.limits, mpc.preview) == (PERIOD, Tuning(), Limits(), False)
+    assert isinstance(MPC(CAR, model=PathModel(CAR, PERIOD)).estimator, Deadbeat)
+    assert MPC(CAR, estimator="deadbeat").model == SingleTrackModel(CAR, 0.1)
+    for given in ({"profile": "road"}, {"belief": Steering(lag=0.1)}):
+        with pytest.raises(InvalidInput, match="profile and belief"):
+            MPC(CAR, model=own, estimator=KalmanFilter(), **given)
+
+
+def test_a_filter_of_ones_own_takes_the_place_of_the_default_one():
+    own = KalmanFilter(SensorNoise(y=0.1), Drifts(side=0.2))
+    mpc = MPC(KNOWN, profile="road", estimator=own)
+    assert mpc.estimator == own
+    assert mpc.model == MPC(KNOWN, profile="road").model
+
+
+def test_the_published_controller_is_asked_for_by_name():
+    for mpc in (published_mpc(CAR), get_controller("as-written", CAR)):
+        assert (mpc.model, mpc.tuning, mpc.period, mpc.preview) == (SingleTrackModel(CAR, 0.1), Tuning(), 0.1, False)
+        assert isinstance(mpc.estimator, Deadbeat)
+        assert mpc.moves == Moves.pulses()
+        assert mpc.name == "standard MPC (pulse)"
+    assert get_controller("as-released", CAR, period=0.05).moves == Moves.laguerre(0.95)
+    assert "standard" not in MPC(CAR).name
+
+
+def test_a_scheduler_made_for_the_published_controller_is_not_taken_silently(caplog):
+    MPC(CAR, scheduler=load_scheduler("road-nn"))
+    assert "published_mpc" in caplog.text
+    caplog.clear()
+    published_mpc(CAR, scheduler=load_scheduler("road-nn"))
+    MPC(CAR, scheduler=dataclasses.replace(load_scheduler("road-fallback"), made_for={"controller": "MPC"}))
+    assert not caplog.text

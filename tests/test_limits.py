@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from adaptrack import limits
-from adaptrack.controllers import MPC, Moves, Tuning
+from adaptrack.controllers import Moves, Tuning, published_mpc
 from adaptrack.errors import InvalidInput
 from adaptrack.scenario import Scenario, load_scenario
 from adaptrack.tuning.config import CampaignConfig, Plan
@@ -42,8 +42,8 @@ def test_a_value_of_any_size_is_refused_in_a_short_sentence(value):
         ("Np", lambda: Tuning(Np=10**9)),
         ("Nc", lambda: Tuning(Np=1000, Nc=1000)),
         ("terms", lambda: Moves("laguerre", terms=10**9)),
-        ("longest_horizon", lambda: MPC(load_vehicle("paper"), longest_horizon=10**9)),
-        ("most_moves", lambda: MPC(load_vehicle("paper"), most_moves=10**9)),
+        ("longest_horizon", lambda: published_mpc(load_vehicle("paper"), longest_horizon=10**9)),
+        ("most_moves", lambda: published_mpc(load_vehicle("paper"), most_moves=10**9)),
         ("noise_seeds", lambda: small(profile="road", noise_seeds=tuple(range(100_000)))),
         ("landscape", lambda: Plan.of(sobol(10**6, 10_000))),
     ],

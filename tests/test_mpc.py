@@ -7,7 +7,7 @@ import threading
 import numpy as np
 import pytest
 
-from adaptrack.controllers import MPC, Limits, Moves, Scheduler, Tuning
+from adaptrack.controllers import MPC, Limits, Moves, Scheduler, Tuning, published_mpc
 from adaptrack.errors import InvalidInput, MissingExtra, UnknownName
 from adaptrack.kernels.controllers import mpc as kernel
 from adaptrack.models import SingleTrackModel, limit_bounds, limit_matrix
@@ -49,7 +49,7 @@ def test_without_limits_a_step_is_the_least_squares_solution(moves, preview, car
     for _ in range(25):
         Np = int(rng.integers(5, 40))
         tuning = Tuning(Np, int(rng.integers(1, min(Np, 12) + 1)), 10 ** rng.uniform(0, 1), 10 ** rng.uniform(-1, 2))
-        mpc = MPC(car, tuning, limits=WIDE, moves=moves, preview=preview)
+        mpc = published_mpc(car, tuning, limits=WIDE, moves=moves, preview=preview)
         before, now = wild_state(rng), wild_state(rng)
         mpc.step(before, 12.0, [0.0])
         ahead, speed = rng.normal(size=60), rng.uniform(3, 30)
@@ -65,7 +65,7 @@ def test_without_limits_a_step_is_the_least_squares_solution(moves, preview, car
 
 def test_the_first_step_takes_the_state_for_unchanged(rng):
     state, ahead = wild_state(rng), rng.normal(size=1)
-    mpc = MPC(CAR, Tuning(20, 5, 1.0, 1.0), limits=WIDE)
+    mpc = published_mpc(CAR, Tuning(20, 5, 1.0, 1.0), limits=WIDE)
     expected = reference.unconstrained_move(
         CAR, 10.0, 0.1, state, state, np.full(20, ahead[0]), 1.0, 1.0, basis(MOVES["pulse"], 20, 5)
     )
@@ -74,7 +74,7 @@ def test_the_first_step_takes_the_state_for_unchanged(rng):
 
 @pytest.mark.parametrize("period", [0.02, 0.05, 0.1])
 def test_the_qp_is_that_of_eq_17(period, rng):
-    mpc = MPC(CAR, period=period)
+    mpc = published_mpc(CAR, period=period)
     model = SingleTrackModel(CAR, period)
     for _ in range(20):
         before, now, speed = wild_state(rng), wild_state(rng), rng.uniform(1, 40)
@@ -90,14 +90,14 @@ def test_the_qp_is_that_of_eq_17(period, rng):
 
 def test_the_laguerre_qp_limits_the_moves_that_its_functions_make(rng):
     moves = Moves.laguerre(0.8, 5)
-    mpc = MPC(CAR, moves=moves)
+    mpc = published_mpc(CAR, moves=moves)
     qp = mpc.problem(wild_state(rng), 15.0, [0.7])
     assert qp.E.shape == (5, 5)
     np.testing.assert_allclose(qp.M, limit_matrix(8) @ reference.laguerre(8, 5, 0.8), rtol=1e-12, atol=1e-14)
 
 
 def test_asking_for_the_problem_leaves_the_controller_as_it_is(rng):
-    first, second = MPC(CAR), MPC(CAR)
+    first, second = published_mpc(CAR), published_mpc(CAR)
     for _ in range(5):
         state = wild_state(rng, 0.1)
         first.problem(wild_state(rng), 11.0, [5.0])
@@ -108,40 +108,40 @@ def test_asking_for_the_problem_leaves_the_controller_as_it_is(rng):
 
 def test_only_the_ratio_of_the_weights_matters(rng):
     state = wild_state(rng)
-    small, large = MPC(CAR, Tuning(Q=0.1, R=0.02)), MPC(CAR, Tuning(Q=10.0, R=2.0))
+    small, large = published_mpc(CAR, Tuning(Q=0.1, R=0.02)), published_mpc(CAR, Tuning(Q=10.0, R=2.0))
     assert small.step(state, 15.0, [1.0]).move == pytest.approx(large.step(state, 15.0, [1.0]).move, rel=1e-9)
 
 
 def test_a_car_left_of_its_path_steers_right():
-    assert MPC(CAR).step([0, 0, 0, 0.5], 15.0, [0.0]).move < 0.0
-    assert MPC(CAR).step(REST, 15.0, [0.5]).move > 0.0
+    assert published_mpc(CAR).step([0, 0, 0, 0.5], 15.0, [0.0]).move < 0.0
+    assert published_mpc(CAR).step(REST, 15.0, [0.5]).move > 0.0
 
 
 def test_the_model_speed_has_a_floor():
-    slow = [MPC(CAR, speed_floor=2.0).step(REST, speed, [1e-3]).move for speed in (0.0, 0.5, 2.0)]
+    slow = [published_mpc(CAR, speed_floor=2.0).step(REST, speed, [1e-3]).move for speed in (0.0, 0.5, 2.0)]
     assert slow[0] == slow[1] == slow[2]
-    assert MPC(CAR, speed_floor=2.0).step(REST, 2.1, [1e-3]).move != slow[0]
+    assert published_mpc(CAR, speed_floor=2.0).step(REST, 2.1, [1e-3]).move != slow[0]
 
 
 # -- preview ----------------------------------------------------------------------------------------------------------
 def test_without_preview_only_the_present_reference_counts(rng):
     future = rng.normal(size=50)
     future[0] = 0.4
-    assert MPC(CAR).step(REST, 12.0, future) == MPC(CAR).step(REST, 12.0, [0.4])
+    assert published_mpc(CAR).step(REST, 12.0, future) == published_mpc(CAR).step(REST, 12.0, [0.4])
 
 
 def test_with_preview_the_last_reference_is_held(rng):
     ahead = np.array([0.0, 0.1, 0.4])
-    short = MPC(CAR, preview=True).step(REST, 12.0, ahead)
-    padded = MPC(CAR, preview=True).step(REST, 12.0, np.concatenate([ahead, np.full(60, 0.4)]))
+    short = published_mpc(CAR, preview=True).step(REST, 12.0, ahead)
+    padded = published_mpc(CAR, preview=True).step(REST, 12.0, np.concatenate([ahead, np.full(60, 0.4)]))
     assert short == padded
-    assert MPC(CAR, preview=True).step(REST, 12.0, [0.3]) == MPC(CAR).step(REST, 12.0, [0.3])
+    assert published_mpc(CAR, preview=True).step(REST, 12.0, [0.3]) == published_mpc(CAR).step(REST, 12.0, [0.3])
 
 
 def test_preview_begins_before_the_reference_moves():
     ahead = np.where(np.arange(40) >= 10, 1.0, 0.0)
-    assert MPC(CAR).step(REST, 12.0, ahead).move == 0.0
-    assert abs(MPC(CAR, preview=True).step(REST, 12.0, ahead).move) > 1e-4
+    assert published_mpc(CAR).step(REST, 12.0, ahead).move == 0.0
+    assert abs(published_mpc(CAR, preview=True).step(REST, 12.0, ahead).move) > 1e-4
 
 
 # -- limits -----------------------------------------------------------------------------------------------------------
@@ -149,7 +149,7 @@ def test_preview_begins_before_the_reference_moves():
 @pytest.mark.parametrize("solver", ["active-set", "hildreth"])
 def test_moves_and_angles_stay_within_their_limits(moves, solver, rng):
     limits = Limits(move=(-0.05, 0.03), angle=(-0.2, 0.25))
-    mpc = MPC(CAR, limits=limits, moves=moves, solver=solver)
+    mpc = published_mpc(CAR, limits=limits, moves=moves, solver=solver)
     angle, seen = 0.0, 0
     for _ in range(60):
         command = mpc.step(wild_state(rng, 3.0), rng.uniform(1, 30), rng.normal(size=1) * 10)
@@ -167,22 +167,22 @@ def test_moves_and_angles_stay_within_their_limits(moves, solver, rng):
 def test_limits_that_do_not_bite_change_nothing(rng):
     state = wild_state(rng, 0.05)
     calm = Tuning(R=10.0)
-    free = MPC(CAR, calm, limits=WIDE).step(state, 15.0, [0.05])
+    free = published_mpc(CAR, calm, limits=WIDE).step(state, 15.0, [0.05])
     assert free.at_limit == 0
-    assert MPC(CAR, calm).step(state, 15.0, [0.05]).move == pytest.approx(free.move, rel=1e-9)
+    assert published_mpc(CAR, calm).step(state, 15.0, [0.05]).move == pytest.approx(free.move, rel=1e-9)
 
 
 def test_soft_output_limits_that_do_not_bite_change_nothing(rng):
     state = wild_state(rng, 0.05)
     calm = Tuning(R=10.0)
-    soft = MPC(CAR, calm, limits=Limits(output=(-5.0, 5.0))).step(state, 15.0, [0.05])
-    assert soft.move == pytest.approx(MPC(CAR, calm).step(state, 15.0, [0.05]).move, rel=1e-8)
+    soft = published_mpc(CAR, calm, limits=Limits(output=(-5.0, 5.0))).step(state, 15.0, [0.05])
+    assert soft.move == pytest.approx(published_mpc(CAR, calm).step(state, 15.0, [0.05]).move, rel=1e-8)
     assert soft.at_limit == 0
 
 
 @every_parametrisation
 def test_soft_output_limits_always_leave_a_solution(moves, rng):
-    mpc = MPC(CAR, limits=Limits(output=(-0.5, 0.5)), moves=moves)
+    mpc = published_mpc(CAR, limits=Limits(output=(-0.5, 0.5)), moves=moves)
     for _ in range(40):
         command = mpc.step(wild_state(rng, 4.0), rng.uniform(1, 30), rng.normal(size=1) * 10)
         assert command.status is QPStatus.SOLVED
@@ -192,7 +192,7 @@ def test_soft_output_limits_always_leave_a_solution(moves, rng):
 @every_parametrisation
 def test_an_output_limit_is_violated_only_as_far_as_it_must(moves):
     limits = Limits(output=(-math.inf, 0.6))
-    mpc = MPC(CAR, Tuning(30, 8, 1.0, 0.1), limits=limits, moves=moves)
+    mpc = published_mpc(CAR, Tuning(30, 8, 1.0, 0.1), limits=limits, moves=moves)
     a, b = reference.discrete(CAR, 12.0, 0.1)
     x, seen, path = np.zeros(4), 0, []
     for _ in range(80):
@@ -204,12 +204,12 @@ def test_an_output_limit_is_violated_only_as_far_as_it_must(moves):
     assert 0.59 < path[-1] < 0.605
     assert max(path) < 0.63
     # far outside, the weight leaves only one way: back
-    assert MPC(CAR, limits=Limits(output=(-0.1, 0.1))).step([0, 0, 0, 2.0], 12.0, [2.0]).move < 0.0
+    assert published_mpc(CAR, limits=Limits(output=(-0.1, 0.1))).step([0, 0, 0, 2.0], 12.0, [2.0]).move < 0.0
 
 
 def test_a_higher_weight_violates_an_output_limit_less():
     def overshoot(weight):
-        mpc = MPC(CAR, Tuning(30, 8, 1.0, 0.1), limits=Limits(output=(-1.0, 0.6), output_weight=weight))
+        mpc = published_mpc(CAR, Tuning(30, 8, 1.0, 0.1), limits=Limits(output=(-1.0, 0.6), output_weight=weight))
         a, b = reference.discrete(CAR, 12.0, 0.1)
         x = np.zeros(4)
         for _ in range(80):
@@ -246,9 +246,9 @@ def test_a_new_tuning_acts_as_if_the_controller_had_always_had_it(moves, output,
         tunings.append(
             Tuning(Np, int(rng.integers(1, min(Np, 20) + 1)), 10 ** rng.uniform(-1, 1), 10 ** rng.uniform(-2, 1))
         )
-    changing = MPC(CAR, limits=limits, moves=moves, scheduler=Playlist(tunings))
+    changing = published_mpc(CAR, limits=limits, moves=moves, scheduler=Playlist(tunings))
     for tuning in tunings:
-        fresh = MPC(CAR, tuning, limits=limits, moves=moves, longest_horizon=60, most_moves=20)
+        fresh = published_mpc(CAR, tuning, limits=limits, moves=moves, longest_horizon=60, most_moves=20)
         transfer(changing, fresh)
         state, speed, ahead = wild_state(rng, 0.7), rng.uniform(1, 30), rng.normal(size=1)
         expected = fresh.step(state, speed, ahead)
@@ -261,7 +261,7 @@ def test_a_new_tuning_acts_as_if_the_controller_had_always_had_it(moves, output,
 @every_parametrisation
 def test_at_rest_on_the_reference_no_change_of_tuning_moves_the_steering(moves, rng):
     tunings = [(int(Np), int(Nc), 10.0, 0.01) for Np, Nc in rng.integers(1, 40, (20, 2))]
-    mpc = MPC(CAR, moves=moves, scheduler=Playlist(tunings))
+    mpc = published_mpc(CAR, moves=moves, scheduler=Playlist(tunings))
     for _ in tunings:
         command = mpc.step([0, 0, 0, 1.7], rng.uniform(1, 30), [1.7], HERE)
         assert command.move == 0.0
@@ -282,24 +282,24 @@ def test_at_rest_on_the_reference_no_change_of_tuning_moves_the_steering(moves, 
     ],
 )
 def test_real_valued_horizons_are_rounded_and_clamped(asked, used):
-    mpc = MPC(CAR, scheduler=lambda variables: (*asked, 10.0, 0.01))
+    mpc = published_mpc(CAR, scheduler=lambda variables: (*asked, 10.0, 0.01))
     command = mpc.step(REST, 15.0, [0.2], HERE)
     assert command.tuning == (*used, 10.0, 0.01)
-    plain = MPC(CAR, Tuning(*used, 10.0, 0.01)).step(REST, 15.0, [0.2])
+    plain = published_mpc(CAR, Tuning(*used, 10.0, 0.01)).step(REST, 15.0, [0.2])
     assert command.move == pytest.approx(plain.move, rel=1e-9)
 
 
 def test_a_scheduler_is_given_its_variables_and_may_answer_with_a_tuning():
     schedule = Playlist([Tuning(20, 4, 2.0, 0.5)])
     assert isinstance(schedule, Scheduler)
-    command = MPC(CAR, scheduler=schedule).step(REST, 15.0, [0.1], HERE)
+    command = published_mpc(CAR, scheduler=schedule).step(REST, 15.0, [0.1], HERE)
     assert schedule.seen == [HERE]
     assert command.tuning == (20, 4, 2.0, 0.5)
 
 
 def test_a_scheduler_with_nothing_to_look_at_is_an_error():
     with pytest.raises(InvalidInput, match="SchedulingVariables"):
-        MPC(CAR, scheduler=Playlist([Tuning()])).step(REST, 15.0, [0.1])
+        published_mpc(CAR, scheduler=Playlist([Tuning()])).step(REST, 15.0, [0.1])
 
 
 @pytest.mark.parametrize("place", range(4))
@@ -308,7 +308,9 @@ def test_a_scheduler_that_gives_no_number_keeps_the_tuning_before_and_is_counted
     asked = [20.0, 4.0, 1.0, 0.5]
     asked[place] = value
     good, other = (35, 8, 10.0, 0.01), (20, 4, 1.0, 0.5)
-    mpc, plain = (MPC(CAR, scheduler=Playlist(tunings)) for tunings in ([good, asked, other], [good, good, other]))
+    mpc, plain = (
+        published_mpc(CAR, scheduler=Playlist(tunings)) for tunings in ([good, asked, other], [good, good, other])
+    )
     for raised in (0, 1, 1):
         command, expected = mpc.step(REST, 15.0, [0.5], HERE), plain.step(REST, 15.0, [0.5], HERE)
         assert command == expected
@@ -318,7 +320,7 @@ def test_a_scheduler_that_gives_no_number_keeps_the_tuning_before_and_is_counted
 
 @pytest.mark.parametrize("weights", [(-1.0, 0.01), (10.0, 0.0), (10.0, -1.0)])
 def test_a_scheduler_that_gives_impossible_weights_holds_the_angle_and_says_so(weights):
-    mpc = MPC(CAR, scheduler=lambda variables: (35, 8, *weights))
+    mpc = published_mpc(CAR, scheduler=lambda variables: (35, 8, *weights))
     command = mpc.step(REST, 15.0, [0.5], HERE)
     assert command.held
     assert command.status is QPStatus.NOT_CONVEX
@@ -335,7 +337,7 @@ quiet = pytest.mark.filterwarnings("ignore:.* encountered in:RuntimeWarning")
 @pytest.mark.parametrize("place", range(4))
 @pytest.mark.parametrize("value", [math.nan, math.inf])
 def test_a_state_that_is_no_number_holds_the_angle_for_one_step(moves, place, value, rng):
-    mpc = MPC(CAR, moves=moves)
+    mpc = published_mpc(CAR, moves=moves)
     states = [wild_state(rng, 0.1) for _ in range(3)]
     bad = states[1].copy()
     bad[place] = value
@@ -355,7 +357,7 @@ def test_a_state_that_is_no_number_holds_the_angle_for_one_step(moves, place, va
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
 @pytest.mark.parametrize("preview", [False, True])
 def test_a_reference_that_is_no_number_holds_the_angle_for_one_step(value, preview):
-    mpc = MPC(CAR, preview=preview)
+    mpc = published_mpc(CAR, preview=preview)
     first = mpc.step(REST, 15.0, [0.3])
     broken = mpc.step(REST, 15.0, [value] if not preview else [0.3, 0.3, value, 0.3])
     assert (broken.held, broken.status, broken.angle) == (True, QPStatus.NON_FINITE, first.angle)
@@ -365,7 +367,7 @@ def test_a_reference_that_is_no_number_holds_the_angle_for_one_step(value, previ
 @quiet
 @pytest.mark.parametrize("value", [math.nan, math.inf])
 def test_a_speed_that_is_no_number_holds_the_angle_for_one_step(value):
-    mpc = MPC(CAR)
+    mpc = published_mpc(CAR)
     first = mpc.step(REST, 15.0, [0.3])
     broken = mpc.step(REST, value, [0.3])
     assert (broken.held, broken.status, broken.angle) == (True, QPStatus.NON_FINITE, first.angle)
@@ -374,10 +376,10 @@ def test_a_speed_that_is_no_number_holds_the_angle_for_one_step(value):
 
 @quiet
 def test_the_first_step_may_be_broken_and_holds_angle_zero():
-    mpc = MPC(CAR)
+    mpc = published_mpc(CAR)
     broken = mpc.step([math.nan] * 4, 15.0, [0.3])
     assert (broken.held, broken.angle) == (True, 0.0)
-    assert mpc.step(REST, 15.0, [0.3]).move == pytest.approx(MPC(CAR).step(REST, 15.0, [0.3]).move, rel=1e-12)
+    assert mpc.step(REST, 15.0, [0.3]).move == pytest.approx(published_mpc(CAR).step(REST, 15.0, [0.3]).move, rel=1e-12)
 
 
 @pytest.mark.parametrize("status", QPStatus)
@@ -396,7 +398,7 @@ def test_every_back_end_gives_the_move_of_the_kernel(name, output, rng):
         pytest.skip(str(missing))
     limits = Limits(move=(-0.05, 0.05), angle=(-0.3, 0.3), output=output)
     tuning = Tuning(25, 6, 1.0, 0.5)
-    exact, other = (MPC(CAR, tuning, limits=limits, solver=each) for each in ("active-set", solver))
+    exact, other = (published_mpc(CAR, tuning, limits=limits, solver=each) for each in ("active-set", solver))
     limited = 0
     for _ in range(20):
         state, speed, ahead = wild_state(rng), rng.uniform(3, 25), rng.normal(size=1)
@@ -415,7 +417,7 @@ def test_every_back_end_gives_the_move_of_the_kernel(name, output, rng):
 )  # fmt: skip
 def test_a_scheduler_that_gives_no_four_numbers_keeps_the_tuning_before_is_counted_and_said_once(answer, caplog):
     own = Tuning(20, 4, 2.0, 0.5)
-    mpc = MPC(CAR, own, scheduler=lambda variables: answer)
+    mpc = published_mpc(CAR, own, scheduler=lambda variables: answer)
     for steps in (1, 2, 3):
         command = mpc.step(REST, 15.0, [0.1], HERE)
         assert (command.tuning, command.held) == (dataclasses.astuple(own), False)
@@ -441,7 +443,7 @@ def contents(record):
 @pytest.mark.parametrize("kind", [Playlist, Locked])
 def test_to_ask_for_the_qp_changes_neither_the_controller_nor_a_scheduler_that_can_be_copied(kind):
     tunings = [Tuning(20, 4, 2.0, 0.5), Tuning(30, 6, 1.0, 0.2), Tuning(10, 2, 1.0, 0.2)]
-    mpc, twin = MPC(CAR, scheduler=kind(tunings)), MPC(CAR, scheduler=Playlist(tunings))
+    mpc, twin = published_mpc(CAR, scheduler=kind(tunings)), published_mpc(CAR, scheduler=Playlist(tunings))
     assert mpc.step(REST, 15.0, [0.1], HERE) == twin.step(REST, 15.0, [0.1], HERE)
     memory = contents(mpc._mpc)
     qp = mpc.problem(REST, 15.0, [0.3], HERE)
@@ -460,7 +462,7 @@ def test_a_scheduler_that_raises_keeps_the_tuning_before_and_is_counted():
             raise RuntimeError("the network is down")
         return 20, 4, 2.0, 0.5
 
-    mpc = MPC(CAR, scheduler=schedule)
+    mpc = published_mpc(CAR, scheduler=schedule)
     first = mpc.step(REST, 15.0, [0.1], HERE)
     second = mpc.step(REST, 25.0, [0.1], HERE._replace(speed=25.0))
     assert first.tuning == second.tuning == (20, 4, 2.0, 0.5)
@@ -472,21 +474,23 @@ FAR = np.array([0.0, 0.0, 0.0, 4.0])  # metres off the path: every move at its l
 
 
 def test_hildreth_uncertified_is_finished_by_the_exact_method():
-    exact, finished = (MPC(CAR, solver=solver).step(FAR, 25.0, [0.0]) for solver in ("active-set", "hildreth"))
+    exact, finished = (
+        published_mpc(CAR, solver=solver).step(FAR, 25.0, [0.0]) for solver in ("active-set", "hildreth")
+    )
     assert finished.status is QPStatus.SOLVED
     assert finished.iterations > 38
     assert finished.move == pytest.approx(exact.move, abs=1e-9)
 
 
 def test_hildreth_uncertified_may_hold_the_angle():
-    mpc = MPC(CAR, solver=get_qp_solver("hildreth", on_uncertified="hold"))
+    mpc = published_mpc(CAR, solver=get_qp_solver("hildreth", on_uncertified="hold"))
     held = mpc.step(FAR, 25.0, [0.0])
     assert (held.status, held.held, held.angle) == (QPStatus.CAPPED, True, 0.0)
 
 
 @every_parametrisation
 def test_hildreth_uncertified_may_be_applied_within_the_limits_and_says_so(moves):
-    mpc = MPC(CAR, moves=moves, solver=get_qp_solver("hildreth", on_uncertified="apply"))
+    mpc = published_mpc(CAR, moves=moves, solver=get_qp_solver("hildreth", on_uncertified="apply"))
     capped = 0
     for _ in range(5):
         command = mpc.step(FAR, 25.0, [0.0])
@@ -500,7 +504,7 @@ def test_hildreth_uncertified_may_be_applied_within_the_limits_and_says_so(moves
 
 def test_a_misspelt_solver_is_named():
     with pytest.raises(UnknownName, match="hildreth"):
-        MPC(CAR, solver="hildret")
+        published_mpc(CAR, solver="hildret")
 
 
 # -- bad arguments ----------------------------------------------------------------------------------------------------
@@ -564,7 +568,7 @@ def test_moves_refuse_what_is_no_parametrisation(arguments):
 )
 def test_a_controller_refuses_what_makes_none(arguments, named):
     with pytest.raises(InvalidInput, match=named):
-        MPC(CAR, **arguments)
+        published_mpc(CAR, **arguments)
 
 
 @pytest.mark.parametrize(
@@ -587,23 +591,25 @@ def test_an_argument_of_the_wrong_type_is_refused_by_name(make, arguments):
 @pytest.mark.parametrize("state", [["a", 0, 0, 0], [None, {}, 0, 0]], ids=["text", "nothing"])
 def test_a_state_that_holds_no_numbers_is_refused(state):
     with pytest.raises(InvalidInput, match="state"):
-        MPC(CAR).step(state, 15.0, [0.0])
+        published_mpc(CAR).step(state, 15.0, [0.0])
 
 
 @pytest.mark.parametrize("state", [np.zeros(3), np.zeros((4, 1)), 0.0, np.zeros(6), np.zeros((2, 2)), []],
                          ids=["3", "4x1", "scalar", "6", "2x2", "none"])  # fmt: skip
 def test_a_state_of_the_wrong_shape_is_refused(state):
     with pytest.raises(InvalidInput, match="state: shape"):
-        MPC(CAR).step(state, 15.0, [0.0])
+        published_mpc(CAR).step(state, 15.0, [0.0])
 
 
 def test_a_fifth_entry_is_the_angle_of_the_wheels_which_the_papers_model_does_not_need():
-    assert MPC(CAR).step([0.1, 0.0, 0.0, 0.2, 0.3], 15.0, [0.0]) == MPC(CAR).step([0.1, 0.0, 0.0, 0.2], 15.0, [0.0])
+    assert published_mpc(CAR).step([0.1, 0.0, 0.0, 0.2, 0.3], 15.0, [0.0]) == published_mpc(CAR).step(
+        [0.1, 0.0, 0.0, 0.2], 15.0, [0.0]
+    )
 
 
 def test_an_empty_reference_is_refused():
     with pytest.raises(InvalidInput, match="reference: empty"):
-        MPC(CAR).step(REST, 15.0, [])
+        published_mpc(CAR).step(REST, 15.0, [])
 
 
 # -- workspace --------------------------------------------------------------------------------------------------------
@@ -617,7 +623,7 @@ def test_what_a_workspace_held_before_changes_no_bit(options, rng):
     from adaptrack.kernels.abi import Resident
     from adaptrack.kernels.controllers.mpc_step import step
 
-    mpc = MPC(CAR, **options)
+    mpc = published_mpc(CAR, **options)
     settings = mpc.settings()
     used = mpc.batch(1, settings)
     for _ in range(40):
@@ -639,22 +645,22 @@ def test_what_a_workspace_held_before_changes_no_bit(options, rng):
 
 # -- memory -----------------------------------------------------------------------------------------------------------
 def test_after_a_reset_a_controller_answers_as_a_new_one(rng):
-    mpc = MPC(CAR)
+    mpc = published_mpc(CAR)
     for _ in range(4):
         mpc.step(wild_state(rng, 0.2), 15.0, rng.normal(size=1))
     assert mpc.angle != 0.0
     mpc.reset()
     assert mpc.angle == 0.0
     state = wild_state(rng, 0.2)
-    assert mpc.step(state, 15.0, [0.4]) == MPC(CAR).step(state, 15.0, [0.4])
+    assert mpc.step(state, 15.0, [0.4]) == published_mpc(CAR).step(state, 15.0, [0.4])
 
 
 def test_a_controller_describes_itself():
-    described = MPC(CAR, moves=Moves.laguerre(0.75, 6), preview=True).describe()
+    described = published_mpc(CAR, moves=Moves.laguerre(0.75, 6), preview=True).describe()
     assert described["tuning"] == {"Np": 35, "Nc": 8, "Q": 10.0, "R": 0.01}
     assert described["moves"] == {"kind": "laguerre", "pole": 0.75, "terms": 6}
     assert described["preview"] is True
     assert described["solver"] == "active-set"
-    assert MPC(CAR).describe()["moves"] == {"kind": "pulse"}
-    assert MPC(CAR).name == "standard MPC (pulse)"
-    assert "scheduled" in MPC(CAR, scheduler=Playlist([])).name
+    assert published_mpc(CAR).describe()["moves"] == {"kind": "pulse"}
+    assert published_mpc(CAR).name == "standard MPC (pulse)"
+    assert "scheduled" in published_mpc(CAR, scheduler=Playlist([])).name

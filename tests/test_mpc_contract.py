@@ -10,7 +10,7 @@ import threading
 import numpy as np
 import pytest
 
-from adaptrack.controllers import MPC, Limits, Moves, Tuning
+from adaptrack.controllers import Limits, Moves, Tuning, published_mpc
 from adaptrack.errors import InvalidInput
 from adaptrack.qp import QPStatus, get_qp_solver
 from adaptrack.scheduling import Constant, SchedulingVariables
@@ -69,7 +69,7 @@ NO_NUMBERS = {
 @pytest.mark.parametrize("given", NO_NUMBERS.values(), ids=NO_NUMBERS)
 @pytest.mark.parametrize("which", ["state", "speed", "reference", "variables"])
 def test_what_is_not_made_of_numbers_is_refused_by_name_and_changes_nothing(which, given):
-    mpc, twin = (MPC(CAR, CALM, scheduler=Constant(CALM)) for _ in range(2))
+    mpc, twin = (published_mpc(CAR, CALM, scheduler=Constant(CALM)) for _ in range(2))
     for each in (mpc, twin):
         each.step(STATE, 15.0, AHEAD, HERE)
     arguments = {"state": STATE, "speed": 15.0, "reference": AHEAD, "variables": HERE} | {which: given}
@@ -80,7 +80,7 @@ def test_what_is_not_made_of_numbers_is_refused_by_name_and_changes_nothing(whic
 
 @pytest.mark.parametrize("given", [[], np.zeros(3), np.zeros((4, 1)), 0.0, HERE[:3], [*HERE, 0.0]], ids=str)
 def test_variables_of_another_number_are_refused(given):
-    mpc = MPC(CAR, scheduler=Constant(CALM))
+    mpc = published_mpc(CAR, scheduler=Constant(CALM))
     mpc.step(STATE, 15.0, AHEAD, HERE)
     with pytest.raises(InvalidInput, match="need 7 numbers"):
         mpc.step(STATE, 15.0, AHEAD, given)
@@ -98,12 +98,12 @@ KINDS = {
 @pytest.mark.parametrize("kind", KINDS.values(), ids=KINDS)
 def test_numbers_may_come_in_any_kind(kind):
     exact = [np.float32(x).astype(float) for x in (STATE, AHEAD)]
-    expected = MPC(CAR, CALM, preview=True).step(exact[0], 15.0, exact[1])
-    assert MPC(CAR, CALM, preview=True).step(kind(exact[0]), np.float32(15.0), kind(exact[1])) == expected
+    expected = published_mpc(CAR, CALM, preview=True).step(exact[0], 15.0, exact[1])
+    assert published_mpc(CAR, CALM, preview=True).step(kind(exact[0]), np.float32(15.0), kind(exact[1])) == expected
 
 
 def test_what_is_given_may_be_read_only_and_stays_as_it_is():
-    mpc, twin = (MPC(CAR, scheduler=Constant(CALM), preview=True) for _ in range(2))
+    mpc, twin = (published_mpc(CAR, scheduler=Constant(CALM), preview=True) for _ in range(2))
     for k in range(3):
         given = [STATE + 0.01 * k, AHEAD.copy(), np.array(HERE)]
         kept = [array.copy() for array in given]
@@ -123,7 +123,7 @@ HOLES = {"NaN": math.nan, "inf": math.inf, "-inf": -math.inf, "10^400": 10**400,
 @pytest.mark.parametrize("hole", HOLES.values(), ids=HOLES)
 @pytest.mark.parametrize("solver", ["active-set", "hildreth", "daqp"])
 def test_a_hole_in_any_entry_holds_the_angle_for_one_step(moves, hole, solver):
-    mpc = MPC(CAR, CALM, moves=moves, preview=True, solver=solver)
+    mpc = published_mpc(CAR, CALM, moves=moves, preview=True, solver=solver)
     before = mpc.step(STATE, 15.0, AHEAD).angle
     assert before != 0.0
     for place in range(4):
@@ -145,7 +145,7 @@ def test_a_hole_in_any_entry_holds_the_angle_for_one_step(moves, hole, solver):
 
 
 def test_what_a_mask_hides_is_not_read():
-    mpc = MPC(CAR, CALM, preview=True)
+    mpc = published_mpc(CAR, CALM, preview=True)
     before = mpc.step(STATE, 15.0, AHEAD).angle
     for place in range(4):
         state = np.ma.masked_array(STATE, np.arange(4) == place)
@@ -159,7 +159,7 @@ def test_what_a_mask_hides_is_not_read():
 @pytest.mark.parametrize("start", [50.0, -50.0])
 def test_a_hole_after_a_step_with_as_many_active_limits_as_moves_steers_nothing(tuning, solver, start):
     for place in range(4):
-        mpc = MPC(CAR, tuning, solver=solver)
+        mpc = published_mpc(CAR, tuning, solver=solver)
         first = mpc.step(np.zeros(4), 20.0, [start])
         assert first.at_limit
         state = np.zeros(4)
@@ -171,7 +171,7 @@ def test_a_hole_after_a_step_with_as_many_active_limits_as_moves_steers_nothing(
 @every_parametrisation
 @pytest.mark.parametrize("size", [1e3, 1e6, 1e9, 1e50, 1e150, 1e300])
 def test_absurd_states_are_solved_to_the_last_digits_or_not_at_all(moves, size, rng):
-    mpc = MPC(CAR, CALM, moves=moves)
+    mpc = published_mpc(CAR, CALM, moves=moves)
     before = 0.0
     for _ in range(4):
         command = mpc.step(rng.normal(size=4) * size, 15.0, rng.normal(size=1) * size)
@@ -199,7 +199,7 @@ VALUES = (0.0, 1.0, -3.0, math.nan, math.inf, -math.inf, 1e-308, 1e300, -1e300, 
     ids=["exact", "hildreth", "hold", "apply", "laguerre", "soft", "soft laguerre", "scheduled"],
 )
 def test_whatever_numbers_come_the_command_keeps_its_limits_and_solved_means_solved(options, rng):
-    mpc = MPC(CAR, Tuning(12, 2, 1.0, 0.1), **options)
+    mpc = published_mpc(CAR, Tuning(12, 2, 1.0, 0.1), **options)
     before, calm = 0.0, True
     for _ in range(60):
         good = rng.random() < 0.6
@@ -234,9 +234,9 @@ def test_the_problem_is_what_the_step_solves_and_asking_changes_nothing(moves, o
 
     calls = []
     options = {"moves": moves, "limits": Limits(move=(-0.05, 0.05), output=output), "preview": True}
-    mpc, twin = (MPC(CAR, Tuning(12, 3, 1.0, 0.3), **options) for _ in range(2))
+    mpc, twin = (published_mpc(CAR, Tuning(12, 3, 1.0, 0.3), **options) for _ in range(2))
     if scheduled:
-        mpc, twin = (MPC(CAR, scheduler=Constant(CALM), **options) for _ in range(2))
+        mpc, twin = (published_mpc(CAR, scheduler=Constant(CALM), **options) for _ in range(2))
     exact = get_qp_solver("active-set")
     for _ in range(6):
         state, speed, ahead = rng.normal(size=4) * [0.5, 0.05, 0.1, 1.0], rng.uniform(3, 25), rng.normal(size=20)
@@ -270,7 +270,7 @@ def test_a_copy_made_in_mid_run_goes_on_alike_and_apart(how, options, rng):
     if isinstance(options.get("solver"), str):
         pytest.importorskip(options["solver"]) if options["solver"] != "hildreth" else None
     drive = [(rng.normal(size=4) * [0.5, 0.05, 0.1, 1.0], rng.uniform(3, 25), rng.normal(size=20)) for _ in range(9)]
-    mpc, undisturbed = (MPC(CAR, CALM, preview=True, **options) for _ in range(2))
+    mpc, undisturbed = (published_mpc(CAR, CALM, preview=True, **options) for _ in range(2))
     expected = [undisturbed.step(*given, HERE) for given in drive]
     for given in drive[:4]:
         mpc.step(*given, HERE)
@@ -290,7 +290,7 @@ def test_a_controller_in_a_step_refuses_a_second_thread_and_goes_on():
         assert leave.wait(30.0)
         return 20, 4, 1.0, 5.0
 
-    mpc, answers = MPC(CAR, scheduler=slow), []
+    mpc, answers = published_mpc(CAR, scheduler=slow), []
     thread = threading.Thread(target=lambda: answers.append(mpc.step(STATE, 15.0, AHEAD, HERE)))
     thread.start()
     assert inside.wait(30.0)
@@ -298,7 +298,7 @@ def test_a_controller_in_a_step_refuses_a_second_thread_and_goes_on():
         mpc.step(STATE, 15.0, AHEAD, HERE)
     leave.set()
     thread.join()
-    assert answers == [MPC(CAR, CALM).step(STATE, 15.0, AHEAD)]
+    assert answers == [published_mpc(CAR, CALM).step(STATE, 15.0, AHEAD)]
     assert not mpc.step(STATE, 15.0, AHEAD, HERE).held
 
 
@@ -310,7 +310,7 @@ FAR = np.array([0.0, 0.0, 0.0, 4.0])  # metres off the path: every move at its l
 @pytest.mark.parametrize("output", [(-math.inf, math.inf), (-9.0, 9.0)], ids=["free", "soft"])
 def test_where_nothing_solves_the_last_plan_is_followed_to_its_end(moves, output):
     limits = Limits(output=output)
-    mpc = MPC(CAR, CALM, limits=limits, moves=moves, solver=get_qp_solver("hildreth", on_uncertified="hold"))
+    mpc = published_mpc(CAR, CALM, limits=limits, moves=moves, solver=get_qp_solver("hildreth", on_uncertified="hold"))
     near = [0.0, 0.0, 0.0, 0.05]
     qp = mpc.problem(near, 15.0, [0.0])
     first = mpc.step(near, 15.0, [0.0])
@@ -331,7 +331,7 @@ def test_where_nothing_solves_the_last_plan_is_followed_to_its_end(moves, output
 
 def test_the_slack_of_an_output_limit_is_no_move_of_the_plan():
     limits = Limits(output=(-0.03, 0.03), output_weight=1.0)
-    mpc = MPC(CAR, CALM, limits=limits, solver=get_qp_solver("hildreth", on_uncertified="hold"))
+    mpc = published_mpc(CAR, CALM, limits=limits, solver=get_qp_solver("hildreth", on_uncertified="hold"))
     near = [0.0, 0.0, 0.0, 0.05]
     plan = get_qp_solver("active-set").solve(mpc.problem(near, 15.0, [0.0])).x
     assert plan[CALM.Nc] > 1e-3  # m, how far the limit is violated
@@ -341,7 +341,7 @@ def test_the_slack_of_an_output_limit_is_no_move_of_the_plan():
 
 
 def test_without_finite_data_the_plan_waits_for_nobody_and_nothing_moves():
-    mpc = MPC(CAR, CALM, solver=get_qp_solver("hildreth", on_uncertified="hold"))
+    mpc = published_mpc(CAR, CALM, solver=get_qp_solver("hildreth", on_uncertified="hold"))
     near = [0.0, 0.0, 0.0, 0.05]
     plan = get_qp_solver("active-set").solve(mpc.problem(near, 15.0, [0.0])).x
     mpc.step(near, 15.0, [0.0])
@@ -350,13 +350,13 @@ def test_without_finite_data_the_plan_waits_for_nobody_and_nothing_moves():
 
 
 def test_before_any_plan_the_wheels_stay():
-    mpc = MPC(CAR, CALM, solver=get_qp_solver("hildreth", on_uncertified="hold"))
+    mpc = published_mpc(CAR, CALM, solver=get_qp_solver("hildreth", on_uncertified="hold"))
     assert mpc.step(FAR, 25.0, [0.0])[:3] == (0.0, 0.0, True)
 
 
 def test_the_planned_move_keeps_the_limits():
     limits = Limits(angle=(-0.02, 0.02))
-    mpc = MPC(CAR, CALM, limits=limits, solver=get_qp_solver("hildreth", on_uncertified="hold"))
+    mpc = published_mpc(CAR, CALM, limits=limits, solver=get_qp_solver("hildreth", on_uncertified="hold"))
     before = mpc.step([0.0, 0.0, 0.0, 0.05], 15.0, [0.0]).angle
     for k in range(8):
         command = mpc.step(FAR * (-1) ** k, 25.0, [0.0])

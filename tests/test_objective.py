@@ -16,7 +16,7 @@ HERE = (12.0, 2.0, 0.8, 10.0)
 def objective(**changes):
     options = {"duration": 2.0, **changes}
     road = options.get("profile") == "road"
-    mpc = at.MPC(CAR, period=0.05 if road else 0.1, preview=road)
+    mpc = at.published_mpc(CAR, period=0.05 if road else 0.1, preview=road)
     return Objective(at.DualTrack(CAR, "magic-formula"), mpc, **options)
 
 
@@ -35,7 +35,7 @@ def test_the_cost_is_that_of_simulated_runs(changes):
         runs = [
             at.simulate(
                 target.plant,
-                at.MPC(CAR, at.Tuning(Np, Nc, Q, R), period=target.mpc.period, preview=target.mpc.preview),
+                at.published_mpc(CAR, at.Tuning(Np, Nc, Q, R), period=target.mpc.period, preview=target.mpc.preview),
                 target.scenario(HERE),
                 profile=target.profile,
                 seed=seed,

@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from adaptrack import MPC, Tuning, load_vehicle
+from adaptrack import Tuning, load_vehicle, published_mpc
 from adaptrack.errors import ContractError, InvalidInput, MissingExtra, UnknownName
 from adaptrack.qp import (
     QP,
@@ -193,7 +193,10 @@ def test_the_exact_method_finishes_what_a_back_end_is_not_sure_of(name):
 @pytest.mark.parametrize("name", [*EXTRAS, "daqp", "hildreth"])
 def test_with_any_back_end_no_step_of_a_controller_is_held(name):
     car = load_vehicle("paper")
-    ours, exact = MPC(car, Tuning(35, 8, 10.0, 0.01), solver=name), MPC(car, Tuning(35, 8, 10.0, 0.01))
+    ours, exact = (
+        published_mpc(car, Tuning(35, 8, 10.0, 0.01), solver=name),
+        published_mpc(car, Tuning(35, 8, 10.0, 0.01)),
+    )
     for k in range(40):
         state, reference = [0.0, 0.01 * k, 0.0, 0.02 * k], [np.sin(0.3 * k)]
         expected, command = exact.step(state, 20.0, reference), ours.step(state, 20.0, reference)

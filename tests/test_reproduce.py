@@ -16,8 +16,8 @@ from adaptrack.batch import rollout_batch
 from adaptrack.errors import InvalidInput
 from adaptrack.learning.training import train
 from adaptrack.metrics import PUBLISHED
+from adaptrack.report import knowing, style
 from adaptrack.report import reproduce as page
-from adaptrack.report import style
 from adaptrack.scheduling import Constant, check_scheduler
 from adaptrack.studies import reproduce as paper
 from adaptrack.studies.reproduce import best_of_library, grid_lookup, reproduce
@@ -166,7 +166,17 @@ def test_with_the_same_moves_all_but_the_controller_as_released_have_pulses(made
 
 def test_all_that_was_measured_is_strict_json(made):
     found = json.loads(json.dumps(made.as_json(), allow_nan=False))
-    assert found.keys() >= {"rows", "ablation", "shares", "learning", "domain", "constant", "seconds", "quick"}
+    assert found.keys() >= {
+        "rows",
+        "ablation",
+        "shares",
+        "knowing",
+        "learning",
+        "domain",
+        "constant",
+        "seconds",
+        "quick",
+    }
     assert len(found["learning"]) == 8
     assert found["constant"]["tuning"] == {"Np": 50, "Nc": 3, "Q": 0.5, "R": 0.05}
 
@@ -234,7 +244,7 @@ def test_an_experiment_that_was_stopped_goes_on_with_the_first_stage_that_is_mis
     kept = {path.name for path in (tmp_path / "stages").iterdir()}
     assert kept == {
         "training-nn.json", "training-anfis.json", "driving-both-configurations.json", "taking-the-gain-apart.json",
-        "swapping-numbers.json",
+        "swapping-numbers.json", "knowing-the-car.json",
     }  # fmt: skip
     (tmp_path / "stages" / "swapping-numbers.json").unlink()
     for name in ("train", "measure", "ablation"):
@@ -243,7 +253,66 @@ def test_an_experiment_that_was_stopped_goes_on_with_the_first_stage_that_is_mis
     again = reproduce(small(), quick=True, folder=tmp_path, progress=lambda *at: heard.append(at))
     equal(again, first)
     assert again.learning == first.learning, "the times of the training, too"
-    assert heard == [("swapping numbers", 0, 6), ("timing steps", 1, 6)]
+    assert heard == [("swapping numbers", 0, 7), ("timing steps", 1, 7)]
+
+
+# -- what knowing the car brings --------------------------------------------------------------------------------------
+def test_both_profiles_are_driven_by_the_published_the_adapted_and_the_informed_controller(made):
+    for profile in ("paper", "road"):
+        for test in TESTS:
+            drove = [row["controller"] for row in made.knowing if (row["profile"], row["scenario"]) == (profile, test)]
+            assert len(drove) == len(set(drove))
+            assert {"standard-as-written", "standard-as-released", "nn", "anfis", "informed"} <= set(drove)
+
+
+def test_on_the_ideal_car_there_is_nothing_to_know_and_on_the_road_it_keeps_the_car(made):
+    found = {(row["profile"], row["scenario"], row["controller"]): row for row in made.knowing}
+    for test in TESTS:
+        ideal, published = (found["paper", test, name]["mse"] for name in ("informed", "standard-as-written"))
+        assert ideal == pytest.approx(published, rel=0.05)
+        assert found["road", test, "standard-as-written"]["failed"] == found["road", test, "informed"]["runs"]
+        assert found["road", test, "informed"]["failed"] == 0
+
+
+def known(**errors):
+    """Rows of one profile and test; None: every run failed."""
+    return [
+        {
+            "profile": "road", "scenario": TESTS[0], "controller": name.replace("_", "-"), "runs": 10, "mse": mse,
+            "failed": 10 if mse is None else 0, "rms_rate": None if mse is None else 0.1,
+        }
+        for name, mse in errors.items()
+    ]  # fmt: skip
+
+
+def test_the_words_on_knowing_follow_the_numbers():
+    rows = known(standard_as_written=None, nn=0.5, anfis=0.25, informed=0.5)
+    assert (
+        "its mean square error is 2.0 (triple lane change) times that of the better adaptation"
+        in knowing.in_a_sentence(rows)
+    )
+    said = knowing.outcome(rows, "road")
+    assert "0.500 m², that of the best other, the paper's ANFIS, 0.250 m²" in said
+    assert said.endswith("Runs fail with the published constant as written.")
+    alone = known(standard_as_written=None, nn=None, anfis=None, informed=0.5)
+    assert (
+        "it keeps the car on the triple lane change, where both adaptations of the paper fail"
+        in knowing.in_a_sentence(alone)
+    )
+    assert "it alone stays on the road" in knowing.outcome(alone, "road")
+    lost = known(standard_as_written=1.0, nn=1.0, anfis=1.0, informed=None)
+    assert "in profile road it fails on the triple lane change" in knowing.in_a_sentence(lost)
+    assert "it fails in 10 of 10 runs" in knowing.outcome(lost, "road")
+
+
+def test_the_table_on_knowing_shows_failed_runs_and_never_prefers_one():
+    rows = known(standard_as_written=None, nn=0.5, informed=0.4)
+    rows[1]["failed"] = 3
+    table = knowing.knowing_section(rows).items[-2]
+    assert table.rows[0] == "Profile road"
+    cells = {row[0]: row[1] for row in table.rows[1:]}
+    assert cells[knowing.NAMES["nn"]].text == "failed, 3 of 10"
+    assert [name for name, cell in cells.items() if cell.strong] == [knowing.NAMES["informed"]]
 
 
 # -- the gain, taken apart --------------------------------------------------------------------------------------------
@@ -367,7 +436,7 @@ def test_the_page_has_figures_6_to_10_and_every_table(report):
 
 def test_the_comparison_with_the_paper_comes_before_the_figures(report):
     titles = [html.unescape(title) for title in re.findall(r"<h2>(.*?)</h2>", report.read_text())]
-    assert titles[:3] == ["All controllers", "The paper's statements", "At a glance"]
+    assert titles[:4] == ["All controllers", "The paper's statements", "What knowing the car brings", "At a glance"]
     assert titles.index("General trajectory") < titles.index("Where the gain comes from")
 
 

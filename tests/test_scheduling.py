@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from adaptrack.batch import rollout_batch
-from adaptrack.controllers import MPC, CompiledScheduler, Moves, Scheduler, Tuning
+from adaptrack.controllers import CompiledScheduler, Moves, Scheduler, Tuning, published_mpc
 from adaptrack.errors import ContractError, InvalidInput, StorageError, UnknownName
 from adaptrack.kernels import guard
 from adaptrack.kernels import schedule as kernel
@@ -396,10 +396,12 @@ def test_copies_of_a_schedule_answer_alike(rng):
 
 # -- what a schedule was made for -------------------------------------------------------------------------------------
 def test_a_file_names_what_the_schedule_was_made_for(tmp_path):
-    told = made_for(MPC(CAR, period=0.05, preview=True), "road")
+    told = made_for(published_mpc(CAR, period=0.05, preview=True), "road")
     assert told["car"] == "paper"
     assert told["profile"] == "road"
-    assert told["controller"] == {"kind": "MPC", "moves": {"kind": "pulse"}, "period": 0.05, "preview": True}
+    assert told["controller"] == {
+        "kind": "MPC", "model": "incremental", "moves": {"kind": "pulse"}, "period": 0.05, "preview": True,
+    }  # fmt: skip
     assert re.fullmatch("[0-9a-f]{16}", told["kernels"])
     dataclasses.replace(Constant(Tuning()), made_for=told).save(tmp_path / "one.json")
     assert load_scheduler(tmp_path / "one.json").made_for == told
@@ -675,7 +677,7 @@ def sober(kind, rng):
 
 def driven(kind, rng, **options):
     """An MPC that preview and a schedule steer through the road profile."""
-    return MPC(CAR, FALLBACK, period=0.05, preview=True, scheduler=sober(kind, rng), **options)
+    return published_mpc(CAR, FALLBACK, period=0.05, preview=True, scheduler=sober(kind, rng), **options)
 
 
 @every_kind
@@ -709,7 +711,7 @@ def test_alone_and_in_a_batch_a_scheduler_drives_to_the_same_bits_and_counts(kin
 def test_runs_of_a_batch_have_guards_of_their_own(rng):
     plant = DualTrack(CAR)
     schedule = Guarded(lookup("multilinear", rng, {"speed": [5.0, 12.0, 25.0]}), FALLBACK, slack=0.0, hold=5)
-    mpc = MPC(CAR, FALLBACK, period=0.05, preview=True, scheduler=schedule)
+    mpc = published_mpc(CAR, FALLBACK, period=0.05, preview=True, scheduler=schedule)
     drives = [load_scenario("lane-change", duration=3.0, speed=speed) for speed in (15.0, 24.9, 25.5)]
     together = rollout_batch(plant, mpc, drives, profile="road").scheduler
     apart = [rollout_batch(plant, mpc, drive, profile="road").scheduler for drive in drives]
@@ -746,8 +748,8 @@ def test_the_counts_are_those_of_the_run_since_the_last_reset(rng):
     assert mpc.scheduler_counts["outside"] == first["outside"] + 1
     mpc.reset()
     assert not any(mpc.scheduler_counts.values())
-    assert MPC(CAR).scheduler_counts == {}
-    assert MPC(CAR, scheduler=lambda variables: FALLBACK).scheduler_counts == {"raised": 0}
+    assert published_mpc(CAR).scheduler_counts == {}
+    assert published_mpc(CAR, scheduler=lambda variables: FALLBACK).scheduler_counts == {"raised": 0}
 
 
 @pytest.mark.parametrize("kind", ["network", "multilinear"])
@@ -755,15 +757,15 @@ def test_a_plain_function_drives_as_the_schedule_that_it_asks(kind, rng):
     mpc = driven(kind, rng)
     schedule = mpc.scheduler
     ours = simulate(DualTrack(CAR), mpc, LANE_CHANGE, profile="road")
-    plain = MPC(CAR, FALLBACK, period=0.05, preview=True, scheduler=lambda variables: schedule(variables))
+    plain = published_mpc(CAR, FALLBACK, period=0.05, preview=True, scheduler=lambda variables: schedule(variables))
     assert same(ours, simulate(DualTrack(CAR), plain, LANE_CHANGE, profile="road"))
     assert plain.scheduler_counts == {"raised": 0}
 
 
 def test_a_constant_drives_as_the_tuning_itself():
-    scheduled = MPC(CAR, Tuning(), scheduler=Constant(FALLBACK))
+    scheduled = published_mpc(CAR, Tuning(), scheduler=Constant(FALLBACK))
     ours = simulate(DualTrack(CAR), scheduled, LANE_CHANGE)
-    assert same(ours, simulate(DualTrack(CAR), MPC(CAR, FALLBACK), LANE_CHANGE))
+    assert same(ours, simulate(DualTrack(CAR), published_mpc(CAR, FALLBACK), LANE_CHANGE))
 
 
 def test_a_variable_that_is_no_number_keeps_the_car_steering(rng):
@@ -777,7 +779,7 @@ def test_a_variable_that_is_no_number_keeps_the_car_steering(rng):
 
 def test_a_step_that_is_given_fewer_variables_does_not_use_those_of_the_step_before():
     functions = {"Np": line(0.0, 10.0, 20.0, 40.0), "Nc": 5, "Q": 1.0, "R": 100.0}
-    mpc = MPC(CAR, scheduler=Learned(functions, ("change",), [[0.0, 10.0]]))
+    mpc = published_mpc(CAR, scheduler=Learned(functions, ("change",), [[0.0, 10.0]]))
     state = [0.1, 0.01, 0.0, 0.2]
     assert mpc.step(state, 15.0, [0.0], HERE._replace(change=10.0)).tuning[0] == 40.0
     assert mpc.step(state, 15.0, [0.0], (15.0, 0.0, 0.8, 0.0)).tuning[0] == 20.0
@@ -788,7 +790,7 @@ def test_a_step_that_is_given_fewer_variables_does_not_use_those_of_the_step_bef
 
 def test_an_mpc_refuses_a_schedule_for_another_controller():
     with pytest.raises(InvalidInput, match="gives lookahead; an MPC needs Np, Nc, Q, R"):
-        MPC(CAR, scheduler=pursuit())
+        published_mpc(CAR, scheduler=pursuit())
 
 
 # -- horizons change without a bump -----------------------------------------------------------------------------------
@@ -799,7 +801,7 @@ def test_at_rest_on_the_reference_a_change_of_horizons_moves_nothing(moves, rng)
         np.column_stack([rng.integers(18, 60, 40), rng.integers(1, 18, 40), np.ones(40), np.full(40, 50.0)]),
         "nearest",
     )
-    mpc = MPC(CAR, scheduler=schedule, moves=Moves(moves, 0.8, 6))
+    mpc = published_mpc(CAR, scheduler=schedule, moves=Moves(moves, 0.8, 6))
     for place in (0.0, 3.7, -151.3):
         mpc.reset()
         tunings = set()
@@ -821,7 +823,7 @@ def test_on_a_straight_road_in_steady_wind_a_change_of_horizons_moves_nothing():
     def switching(variables):
         return (30, 6, 1.0, 50.0) if next(steps) < 300 else (*next(horizons), 1.0, 50.0)
 
-    run = simulate(DualTrack(CAR), MPC(CAR, scheduler=switching), road)
+    run = simulate(DualTrack(CAR), published_mpc(CAR, scheduler=switching), road)
     assert set(run.tuning["Np"][300:]) == {20, 45, 30, 60}
     assert abs(run.command[299]) > 1e-3
     assert np.abs(run.command_change[300:]).max() < 1e-9

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from adaptrack.batch import rollout_batch
-from adaptrack.controllers import MPC, Limits, Moves, Tuning
+from adaptrack.controllers import MPC, Limits, Moves, Tuning, published_mpc
 from adaptrack.errors import ContractError, InvalidInput, UnknownName
 from adaptrack.estimation import FrictionWindEstimator, Perception, UserEstimator
 from adaptrack.failure import Failure, Reason, find_failure
@@ -47,8 +47,8 @@ def same(first, second, names=None):
 def controller(profile, car=CAR, **options):
     """An MPC that keeps its course with the sensors and the steering of a profile."""
     if profile == "road":
-        return MPC(car, Tuning(30, 6, 1.0, 3000.0), preview=True, period=ROAD.period, **options)
-    return MPC(car, CALM, **options)
+        return published_mpc(car, Tuning(30, 6, 1.0, 3000.0), preview=True, period=ROAD.period, **options)
+    return published_mpc(car, CALM, **options)
 
 
 def straight_then(**options):
@@ -74,7 +74,7 @@ def test_simulate_and_rollout_give_the_same_trajectory_to_the_last_bit(profile, 
 @pytest.mark.parametrize("profile", ["paper", "road"])
 @pytest.mark.parametrize("plant", [SingleTrack, DualTrack])
 def test_both_drivers_agree_on_a_short_run(profile, plant):
-    mpc = MPC(CAR, CALM)
+    mpc = published_mpc(CAR, CALM)
     driven = simulate(plant(CAR, "magic-formula"), mpc, SHORT, profile=profile, driver=Driver(), seed=3)
     assert same(driven, rollout(plant(CAR, "magic-formula"), mpc, SHORT, profile=profile, driver=Driver(), seed=3))
     assert len(driven.t) == 15
@@ -84,7 +84,7 @@ def test_both_drivers_agree_on_a_short_run(profile, plant):
 @pytest.mark.parametrize("name", ["triple-lane-change", "general-trajectory"])
 @pytest.mark.parametrize("limits", [Limits(), Limits(output=(-1.0, 5.0))], ids=["hard", "soft"])
 def test_the_papers_tests_are_the_same_from_python_and_compiled(name, limits):
-    scenario, mpc = load_scenario(name), MPC(CAR, limits=limits)
+    scenario, mpc = load_scenario(name), published_mpc(CAR, limits=limits)
     plant = DualTrack(CAR, "constant-stiffness")
     assert same(simulate(plant, mpc, scenario), rollout(plant, mpc, scenario))
 
@@ -112,7 +112,7 @@ def users_car():
 @pytest.mark.parametrize("profile", ["paper", "road"])
 @pytest.mark.parametrize("driver", [None, Driver()], ids=["prescribed", "driver"])
 def test_a_users_plant_drives_in_both_loops(profile, driver):
-    plant, mpc = users_car(), MPC(CAR, CALM)
+    plant, mpc = users_car(), published_mpc(CAR, CALM)
     driven = simulate(plant, mpc, SHORT, profile=profile, driver=driver)
     assert same(driven, rollout(plant, mpc, SHORT, profile=profile, driver=driver))
     assert driven.meta["plant"] == "bicycle"
@@ -124,7 +124,7 @@ def test_a_users_plant_drives_as_the_built_in_one_with_its_equations():
     tyre = DualTrack(CAR, "constant-stiffness").tyre.replace(stiffness_load="constant", relaxation_length=0.0)
     built_in = SingleTrack(CAR.replace(**air), tyre, steps=20)
     scenario = load_scenario("lane-change", friction=1.0, amplitude=0.5)
-    ours, theirs = (rollout(plant, MPC(CAR, CALM), scenario) for plant in (built_in, users_car()))
+    ours, theirs = (rollout(plant, published_mpc(CAR, CALM), scenario) for plant in (built_in, users_car()))
     assert np.abs(ours.Y - theirs.Y).max() < 2e-4  # it takes tan(gamma) for gamma
     assert np.abs(ours.yaw_rate - theirs.yaw_rate).max() < 1e-3
 
@@ -165,7 +165,7 @@ def drives():
 @pytest.mark.parametrize("moves", [Moves.pulses(), Moves.laguerre(0.8, 6)], ids=["pulse", "laguerre"])
 def test_a_run_of_a_batch_depends_neither_on_the_others_nor_on_the_threads(plant, profile, moves, drives, rng):
     tunings, which, seeds = random_runs(rng, 75)
-    mpc = MPC(CAR, moves=moves)
+    mpc = published_mpc(CAR, moves=moves)
 
     def run(chosen, **options):
         return rollout_batch(
@@ -188,12 +188,12 @@ def test_a_run_of_a_batch_depends_neither_on_the_others_nor_on_the_threads(plant
 @pytest.mark.compiled
 def test_a_batch_measures_what_its_trajectories_show(drives, rng):
     tunings, which, seeds = random_runs(rng, 6)
-    plant, mpc = DualTrack(CAR), MPC(CAR, preview=True)
+    plant, mpc = DualTrack(CAR), published_mpc(CAR, preview=True)
     driven_on = {"profile": "road", "driver": Driver(), "failure": Failure(1000.0, math.inf)}
     batch = rollout_batch(plant, mpc, drives, tunings, which=which, seeds=seeds, **driven_on)
     for i in range(6):
         Np, Nc, Q, R = tunings[i]
-        own = MPC(CAR, Tuning(int(Np), int(min(Nc, Np)), Q, R), preview=True)
+        own = published_mpc(CAR, Tuning(int(Np), int(min(Nc, Np)), Q, R), preview=True)
         run = rollout(plant, own, drives[which[i]], seed=int(seeds[i]), **driven_on)
         error = run.Y - run.y_ref
         assert batch.mse[i] == pytest.approx(np.mean(error**2), rel=1e-12)
@@ -213,21 +213,21 @@ def test_a_batch_measures_what_its_trajectories_show(drives, rng):
 def test_a_real_valued_horizon_is_rounded_alike_alone_and_in_company(horizon):
     step = load_scenario("step", amplitude=0.02, duration=0.6)
     company = [[horizon, 8, 1, 30], [50, 8, 1, 30]]
-    together = rollout_batch(SingleTrack(CAR), MPC(CAR), step, company).mse[0]
-    assert rollout_batch(SingleTrack(CAR), MPC(CAR), step, company[:1]).mse[0] == together
+    together = rollout_batch(SingleTrack(CAR), published_mpc(CAR), step, company).mse[0]
+    assert rollout_batch(SingleTrack(CAR), published_mpc(CAR), step, company[:1]).mse[0] == together
     whole = [[math.floor(horizon + 0.5), 8, 1, 30]]
-    assert rollout_batch(SingleTrack(CAR), MPC(CAR), step, whole).mse[0] == together
+    assert rollout_batch(SingleTrack(CAR), published_mpc(CAR), step, whole).mse[0] == together
 
 
 def test_a_control_horizon_longer_than_every_prediction_horizon_is_clamped():
     step = load_scenario("step", amplitude=0.02, duration=0.4)
-    mpc = MPC(CAR, moves=Moves.laguerre(0.8, 4))
+    mpc = published_mpc(CAR, moves=Moves.laguerre(0.8, 4))
     long, exact = (rollout_batch(SingleTrack(CAR), mpc, step, [[3, Nc, 1, 30]]).mse[0] for Nc in (18, 3))
     assert long == exact
 
 
 def test_an_empty_batch_has_no_results():
-    assert rollout_batch(SingleTrack(CAR), MPC(CAR), SHORT, np.zeros((0, 4))).mse.shape == (0,)
+    assert rollout_batch(SingleTrack(CAR), published_mpc(CAR), SHORT, np.zeros((0, 4))).mse.shape == (0,)
 
 
 # -- noise ------------------------------------------------------------------------------------------------------------
@@ -255,7 +255,7 @@ def test_counted_noise_depends_on_its_counters_alone():
 
 @pytest.mark.compiled
 def test_noise_depends_on_the_seed_alone():
-    plant, mpc = SingleTrack(CAR), MPC(CAR, CALM)
+    plant, mpc = SingleTrack(CAR), published_mpc(CAR, CALM)
     first, again, other = (simulate(plant, mpc, SHORT, profile="road", seed=seed) for seed in (1, 1, 2))
     assert same(first, again)
     assert not np.array_equal(first.command, other.command)
@@ -266,9 +266,9 @@ def test_noise_depends_on_the_seed_alone():
 @pytest.mark.compiled
 def test_the_first_commands_see_only_the_noise_of_their_instant():
     noisy = load_profile("paper").replace(name="noisy", noise_y=0.1)
-    run = simulate(SingleTrack(CAR), MPC(CAR, CALM), straight_then(), profile=noisy, seed=11)
+    run = simulate(SingleTrack(CAR), published_mpc(CAR, CALM), straight_then(), profile=noisy, seed=11)
     seen = 0.1 * counted_normal(11, 0, 3)
-    assert run.command[0] == MPC(CAR, CALM).step([0, 0, 0, seen], 15.0, [0.0]).angle
+    assert run.command[0] == published_mpc(CAR, CALM).step([0, 0, 0, seen], 15.0, [0.0]).angle
     assert run.Y[0] == 0.0  # the car itself is where it is
 
 
@@ -278,7 +278,7 @@ def test_the_first_commands_see_only_the_noise_of_their_instant():
 @pytest.mark.parametrize("driver", [None, Driver()], ids=["prescribed", "driver"])
 def test_the_mirrored_scenario_gives_the_mirrored_trajectory(plant, driver):
     scenario = load_scenario("double-lane-change", friction=[0.9, 0.6], wind=[2.0, 6.0], start_y=0.3)
-    car, mpc = plant(CAR, "passenger-car"), MPC(CAR, CALM)
+    car, mpc = plant(CAR, "passenger-car"), published_mpc(CAR, CALM)
     here, there = (rollout(car, mpc, road, driver=driver) for road in (scenario, scenario.mirrored()))
     for name in ("X", "vx"):
         np.testing.assert_allclose(getattr(there, name), getattr(here, name), rtol=1e-9)
@@ -291,7 +291,7 @@ def test_the_mirrored_scenario_gives_the_mirrored_trajectory(plant, driver):
 def test_a_failed_run_ends_with_not_a_number_and_says_so():
     leaving = straight_then(reference=Ramp(after=20.0, start=0.5, duration=1.0), duration=2.0)
     rule = Failure(distance=2.0)
-    run = simulate(SingleTrack(CAR), MPC(CAR, CALM), leaving, failure=rule)
+    run = simulate(SingleTrack(CAR), published_mpc(CAR, CALM), leaving, failure=rule)
     assert run.failed == Reason.OFF_ROAD
     first = round(run.failed_at / run.period)
     assert 5 < first < 19
@@ -304,7 +304,7 @@ def test_a_failed_run_ends_with_not_a_number_and_says_so():
     assert run.held[first:].all()
     assert not run.held[:first].any()
     assert np.abs(run.error[:first]).max() <= 2.0 < np.abs(run.error[first])
-    again = rollout(SingleTrack(CAR), MPC(CAR, CALM), leaving, failure=rule)
+    again = rollout(SingleTrack(CAR), published_mpc(CAR, CALM), leaving, failure=rule)
     assert same(run, again)
     assert (again.failed, again.failed_at) == (run.failed, run.failed_at)
 
@@ -313,7 +313,7 @@ def test_a_failed_run_ends_with_not_a_number_and_says_so():
 def test_a_failed_run_of_a_batch_is_flagged_and_harms_nobody(rng):
     good = load_scenario("lane-change", duration=3.0)
     leaving = good.replace(reference=Ramp(after=40.0, start=0.5, duration=1.0))
-    plant, mpc = DualTrack(CAR), MPC(CAR, CALM)
+    plant, mpc = DualTrack(CAR), published_mpc(CAR, CALM)
     which = np.arange(20) % 2
     rule = Failure(distance=3.0)
     batch = rollout_batch(plant, mpc, [good, leaving], [CALM.as_array()] * 20, which=which, failure=rule)
@@ -343,7 +343,7 @@ def explodes(x, u, environment, p, dx):
 
 @pytest.mark.compiled  # the interpreter warns of the overflow
 def test_a_state_that_is_no_longer_finite_ends_the_run():
-    run = simulate(UserPlant(explodes, {}, mass=1000.0), MPC(CAR), straight_then(duration=3.0))
+    run = simulate(UserPlant(explodes, {}, mass=1000.0), published_mpc(CAR), straight_then(duration=3.0))
     assert run.failed == Reason.NOT_FINITE
     first = round(run.failed_at / run.period)
     assert not math.isfinite(run.yaw_rate[first])
@@ -386,7 +386,7 @@ NO_RULE = Failure(distance=math.inf, sideslip=math.inf)
 @pytest.mark.parametrize("kind", FAILURES)
 def test_both_drivers_batches_and_the_rule_for_records_agree_on_why_and_when_a_run_failed(kind, profile):
     make, scenario, reason = FAILURES[kind]
-    plant, mpc = make(), MPC(CAR, Tuning(15, 3, 1.0, 300.0))
+    plant, mpc = make(), published_mpc(CAR, Tuning(15, 3, 1.0, 300.0))
     run, again = (drive(plant, mpc, scenario, profile=profile) for drive in (simulate, rollout))
     assert same(run, again)
     assert run.failed == again.failed == reason
@@ -411,7 +411,7 @@ def test_both_drivers_batches_and_the_rule_for_records_agree_on_why_and_when_a_r
 
 def test_a_run_that_failed_is_judged_at_each_instant_and_not_after_the_last():
     def times(rule):
-        return simulate(SingleTrack(CAR), MPC(CAR, CALM), LEAVING, failure=rule).failed_at
+        return simulate(SingleTrack(CAR), published_mpc(CAR, CALM), LEAVING, failure=rule).failed_at
 
     near, far = times(Failure(distance=2.0)), times(Failure(distance=5.0))
     assert 0.5 < near < far < 2.0
@@ -482,7 +482,7 @@ KNOWN = {
 
 
 def known_run(drive, known, **options):
-    mpc = MPC(CAR, period=ROAD.period, preview=True, scheduler=by_friction_and_wind())
+    mpc = published_mpc(CAR, period=ROAD.period, preview=True, scheduler=by_friction_and_wind())
     return drive(DualTrack(CAR), mpc, WINDY, profile="road", known_as=KNOWN[known], **options)
 
 
@@ -520,15 +520,15 @@ def test_an_estimator_sees_the_angle_of_the_wheels_in_both_drivers():
 # -- what the profile stands for --------------------------------------------------------------------------------------
 def test_a_delay_shifts_the_steering_by_one_period():
     delayed = Profile(name="delayed", steering=SteeringActuator.ideal(), delay=1)
-    run = simulate(SingleTrack(CAR), MPC(CAR, CALM), SHORT, profile=delayed)
+    run = simulate(SingleTrack(CAR), published_mpc(CAR, CALM), SHORT, profile=delayed)
     assert run.steering[0] == 0.0
     assert np.array_equal(run.steering[1:], run.command[:-1])
-    prompt = simulate(SingleTrack(CAR), MPC(CAR, CALM), SHORT)
+    prompt = simulate(SingleTrack(CAR), published_mpc(CAR, CALM), SHORT)
     assert np.array_equal(prompt.steering, prompt.command)
 
 
 def test_the_road_profile_steers_no_faster_than_its_actuator():
-    run = simulate(SingleTrack(CAR), MPC(CAR), SHORT, profile="road", seed=5)
+    run = simulate(SingleTrack(CAR), published_mpc(CAR), SHORT, profile="road", seed=5)
     assert np.abs(np.diff(run.steering)).max() <= ROAD.steering.rate * run.period * (1 + 1e-9)
     assert np.abs(run.steering).max() <= ROAD.steering.limit
     assert np.abs(np.diff(run.command)).max() > ROAD.steering.rate * run.period  # the controller asked for more
@@ -536,7 +536,7 @@ def test_the_road_profile_steers_no_faster_than_its_actuator():
 
 def test_a_plants_own_actuator_stands_before_the_profiles():
     lagging = SingleTrack(CAR, steering=SteeringActuator(lag=0.3))
-    run = simulate(lagging, MPC(CAR, CALM), SHORT, profile="paper")
+    run = simulate(lagging, published_mpc(CAR, CALM), SHORT, profile="paper")
     assert np.abs(run.steering - run.command).max() > 1e-3
 
 
@@ -545,7 +545,7 @@ def test_a_plants_own_actuator_stands_before_the_profiles():
 @pytest.mark.parametrize("name", ["triple-lane-change", "general-trajectory"])
 @pytest.mark.parametrize("plant", [SingleTrack, DualTrack])
 def test_a_prescribed_speed_is_followed_exactly(name, plant):
-    run = rollout(plant(CAR, "constant-stiffness"), MPC(CAR), load_scenario(name))
+    run = rollout(plant(CAR, "constant-stiffness"), published_mpc(CAR), load_scenario(name))
     assert np.abs(run.vx - run.v_ref).max() < 1e-9
 
 
@@ -553,7 +553,7 @@ def test_a_prescribed_speed_is_followed_exactly(name, plant):
 @pytest.mark.parametrize("plant", [SingleTrack, DualTrack])
 def test_the_driver_follows_a_ramp_of_speed(plant):
     ramp = straight_then(speed=Ramp(before=10.0, after=20.0, start=3.0, duration=10.0), duration=25.0)
-    run = rollout(plant(CAR), MPC(CAR), ramp, driver=Driver())
+    run = rollout(plant(CAR), published_mpc(CAR), ramp, driver=Driver())
     behind = run.v_ref - run.vx
     assert np.abs(behind).max() < 0.4
     assert np.abs(behind[-20:]).max() < 0.02  # drag and rolling resistance are what the integral is for
@@ -562,7 +562,7 @@ def test_the_driver_follows_a_ramp_of_speed(plant):
 @pytest.mark.compiled
 @pytest.mark.parametrize("plant", [SingleTrack, DualTrack])
 def test_at_top_speed_the_engine_gives_what_drag_and_rolling_take(plant):
-    run = rollout(plant(CAR), MPC(CAR), straight_then(speed=75.0, duration=150.0), driver=Driver())
+    run = rollout(plant(CAR), published_mpc(CAR), straight_then(speed=75.0, duration=150.0), driver=Driver())
     drag = 0.5 * CAR.air_density * CAR.frontal_area * CAR.drag_coefficient
     rolling = CAR.rolling_resistance * CAR.mass * GRAVITY
     top = np.roots([drag, 0.0, rolling, -CAR.engine_power])
@@ -574,7 +574,7 @@ def test_the_driver_brakes_no_harder_than_brakes_and_accelerates_no_harder_than_
     weak = CAR.replace(brake_limit=3000.0, traction_limit=2000.0, frontal_area=0.0, rolling_resistance=0.0)
     down = straight_then(speed=Ramp(before=25.0, after=5.0, start=0.5, duration=0.5), duration=5.0)
     up = straight_then(speed=Ramp(before=5.0, after=25.0, start=0.5, duration=0.5), duration=5.0)
-    braking, driving = (rollout(DualTrack(weak), MPC(CAR), road, driver=Driver()) for road in (down, up))
+    braking, driving = (rollout(DualTrack(weak), published_mpc(CAR), road, driver=Driver()) for road in (down, up))
     assert np.diff(braking.vx).min() / 0.1 == pytest.approx(-3000.0 / CAR.mass, rel=1e-6)
     assert np.diff(driving.vx).max() / 0.1 == pytest.approx(2000.0 / CAR.mass, rel=1e-6)
 
@@ -583,7 +583,7 @@ def test_the_driver_brakes_no_harder_than_brakes_and_accelerates_no_harder_than_
 def test_the_drivers_integral_does_not_wind_up_behind_a_limit():
     weak = CAR.replace(traction_limit=1000.0)
     road = straight_then(speed=Ramp(before=10.0, after=20.0, start=1.0, duration=0.5), duration=60.0)
-    run = rollout(DualTrack(weak), MPC(CAR), road, driver=Driver())
+    run = rollout(DualTrack(weak), published_mpc(CAR), road, driver=Driver())
     assert run.vx.max() < 20.3
     assert run.vx[-1] == pytest.approx(20.0, abs=0.02)
 
@@ -592,7 +592,7 @@ def test_the_drivers_integral_does_not_wind_up_behind_a_limit():
 @pytest.mark.parametrize("plant", [SingleTrack, DualTrack])
 def test_a_car_that_is_told_to_stop_stands(plant):
     stop = straight_then(speed=Ramp(before=10.0, after=0.0, start=1.0, duration=5.0), duration=20.0)
-    run = rollout(plant(CAR), MPC(CAR), stop, driver=Driver())
+    run = rollout(plant(CAR), published_mpc(CAR), stop, driver=Driver())
     assert run.vx.min() > -0.05
     assert np.abs(run.vx[-20:]).max() < 0.02
     assert np.ptp(run.X[-20:]) < 0.02
@@ -607,7 +607,7 @@ def test_each_wheel_has_the_friction_of_its_own_track(wheel, side):
         friction_patches=[{"start": 0.0, "end": 9.0, "friction": 0.05, "wheels": wheel}],
         duration=1.0,
     )
-    fixed = MPC(CAR, limits=Limits(move=(0.0, 0.0)))  # a controller that may not steer
+    fixed = published_mpc(CAR, limits=Limits(move=(0.0, 0.0)))  # a controller that may not steer
     run = simulate(DualTrack(CAR), fixed, braking, driver=Driver())
     assert (run.command == 0.0).all()
     assert side * run.yaw_rate[-1] > 1e-3  # the wheels with grip hold their side back
@@ -621,7 +621,7 @@ def test_the_controller_sees_the_cars_speed_and_the_scheduler_its_variables():
         return CALM
 
     scenario = SHORT.replace(friction=(0.9, 0.5), wind=(1.0, -4.0))
-    run = simulate(SingleTrack(CAR), MPC(CAR, scheduler=watch), scenario, driver=Driver())
+    run = simulate(SingleTrack(CAR), published_mpc(CAR, scheduler=watch), scenario, driver=Driver())
     assert len(seen) == len(run.t)
     for k in (0, 7, 14):
         assert isinstance(seen[k], SchedulingVariables)
@@ -638,7 +638,7 @@ def test_the_controller_sees_the_cars_speed_and_the_scheduler_its_variables():
 @pytest.mark.parametrize("wind", [0.0, 12.0, -25.0])
 def test_a_step_is_reached_without_steady_state_error_in_any_constant_wind(plant, moves, wind):
     step = load_scenario("step", amplitude=1.0, wind=wind, duration=30.0)
-    run = rollout(plant(CAR), MPC(CAR, CALM, moves=moves), step)
+    run = rollout(plant(CAR), published_mpc(CAR, CALM, moves=moves), step)
     assert np.abs(run.error[-20:]).max() < 1e-4
     assert np.abs(run.command[-1]) > 1e-3 or wind == 0.0
     assert (run.diagnostics["qp_status"] == QPStatus.SOLVED).all()
@@ -646,7 +646,7 @@ def test_a_step_is_reached_without_steady_state_error_in_any_constant_wind(plant
 
 @pytest.mark.parametrize("plant", [SingleTrack, DualTrack])
 def test_on_a_straight_road_without_wind_nothing_moves(plant):
-    run = simulate(plant(CAR), MPC(CAR), straight_then(duration=1.0))
+    run = simulate(plant(CAR), published_mpc(CAR), straight_then(duration=1.0))
     for name in ("Y", "psi", "vy", "yaw_rate", "steering", "command", "lateral_acceleration"):
         assert (getattr(run, name) == 0.0).all(), name
     assert run.X[-1] == pytest.approx(15.0 * 0.9, rel=1e-12)
@@ -655,12 +655,12 @@ def test_on_a_straight_road_without_wind_nothing_moves(plant):
 @pytest.mark.compiled
 def test_a_side_wind_blows_the_car_downwind_before_it_is_corrected():
     for wind, sign in ((10.0, 1.0), (-10.0, -1.0)):
-        run = simulate(DualTrack(CAR), MPC(CAR, CALM), straight_then(wind=wind))
+        run = simulate(DualTrack(CAR), published_mpc(CAR, CALM), straight_then(wind=wind))
         assert sign * run.Y[run.Y.size // 4] > 0.0
 
 
 def test_the_recorded_acceleration_is_that_of_the_recorded_motion():
-    run = simulate(SingleTrack(CAR), MPC(CAR, CALM, period=0.005), SHORT.with_duration(0.6))
+    run = simulate(SingleTrack(CAR), published_mpc(CAR, CALM, period=0.005), SHORT.with_duration(0.6))
     change = np.diff(run.vy) / run.period  # over the period that begins with the recorded instant
     assert run.lateral_acceleration[:-1] == pytest.approx(change + (run.vx * run.yaw_rate)[:-1], abs=0.1)
     assert np.abs(run.lateral_acceleration).max() > 2.0
@@ -668,7 +668,7 @@ def test_the_recorded_acceleration_is_that_of_the_recorded_motion():
 
 def test_a_run_starts_where_the_scenario_says():
     scenario = straight_then(start_y=0.4, start_heading=0.05, speed=12.0, duration=0.3)
-    run = simulate(SingleTrack(CAR), MPC(CAR), scenario)
+    run = simulate(SingleTrack(CAR), published_mpc(CAR), scenario)
     assert (run.X[0], run.Y[0], run.psi[0], run.vx[0]) == (0.0, 0.4, 0.05, 12.0)
 
 
@@ -688,7 +688,7 @@ def test_the_default_steps_leave_less_than_a_millimetre(profile, plant, tyre):
 
 # -- records and refusals ---------------------------------------------------------------------------------------------
 def test_a_trajectory_knows_where_it_comes_from():
-    mpc = MPC(CAR, CALM, preview=True)
+    mpc = published_mpc(CAR, CALM, preview=True)
     run = simulate(DualTrack(CAR, "passenger-car"), mpc, SHORT, profile="road", seed=4, driver=Driver())
     wanted = {"scenario": "lane-change", "plant": "dual-track", "tyre": "passenger-car", "vehicle": "paper"}
     wanted |= {"profile": "road", "seed": 4, "preview": True, "speed": "driver", "controller": "standard MPC (pulse)"}
@@ -702,7 +702,7 @@ def test_a_trajectory_knows_where_it_comes_from():
 
 def test_progress_is_reported_from_nothing_to_everything():
     heard = []
-    simulate(SingleTrack(CAR), MPC(CAR), SHORT, progress=lambda done, of: heard.append((done, of)))
+    simulate(SingleTrack(CAR), published_mpc(CAR), SHORT, progress=lambda done, of: heard.append((done, of)))
     assert heard[0] == (0, 15)
     assert heard[-1] == (15, 15)
 
@@ -724,9 +724,9 @@ def test_the_drivers_numbers_are_checked():
         {"which": [0, 0]},
         {"scenarios": []},
         {"scenarios": [SHORT, LANE_CHANGE]},
-        {"controller": MPC(CAR, scheduler=lambda variables: CALM)},
-        {"controller": MPC(CAR, solver="daqp")},
-        {"controller": MPC(CAR, scheduler=Constant(CALM))},
+        {"controller": published_mpc(CAR, scheduler=lambda variables: CALM)},
+        {"controller": published_mpc(CAR, solver="daqp")},
+        {"controller": published_mpc(CAR, scheduler=Constant(CALM))},
         {"controller": None},
         {"failure": 5.0},
         {"known_as": FrictionWindEstimator(CAR, period=0.05)},
@@ -737,7 +737,7 @@ def test_the_drivers_numbers_are_checked():
 def test_a_batch_refuses_what_does_not_fit(arguments):
     given = {
         "plant": SingleTrack(CAR),
-        "controller": MPC(CAR),
+        "controller": published_mpc(CAR),
         "scenarios": SHORT,
         "tunings": [CALM.as_array()],
     } | arguments
@@ -746,14 +746,14 @@ def test_a_batch_refuses_what_does_not_fit(arguments):
 
 
 def test_a_compiled_run_refuses_a_controller_that_needs_python():
-    for mpc in (MPC(CAR, scheduler=lambda variables: CALM), MPC(CAR, solver="daqp")):
+    for mpc in (published_mpc(CAR, scheduler=lambda variables: CALM), published_mpc(CAR, solver="daqp")):
         with pytest.raises(InvalidInput, match="simulate"):
             rollout(SingleTrack(CAR), mpc, SHORT)
 
 
 def test_a_misspelt_profile_is_named():
     with pytest.raises(UnknownName, match="'road'"):
-        simulate(SingleTrack(CAR), MPC(CAR), SHORT, profile="raod")
+        simulate(SingleTrack(CAR), published_mpc(CAR), SHORT, profile="raod")
 
 
 EVERY_KERNEL = """

@@ -11,7 +11,6 @@ from scipy.linalg import expm
 from scipy.optimize import brentq
 
 from adaptrack import (
-    MPC,
     DualTrack,
     InvalidInput,
     Moves,
@@ -22,6 +21,7 @@ from adaptrack import (
     load_scenario,
     load_tyre,
     load_vehicle,
+    published_mpc,
 )
 from adaptrack.failure import Failure
 from adaptrack.plant import SteppedPlant
@@ -48,7 +48,7 @@ pytestmark = pytest.mark.compiled
 CAR = load_vehicle("paper")
 PAPER, ROAD = load_profile("paper"), load_profile("road")
 QUIET = ROAD.replace(noise_vy=0.0, noise_yaw=0.0, noise_yaw_rate=0.0, noise_y=0.0)
-PLANT, ROAD_MPC = DualTrack(CAR, "magic-formula"), MPC(CAR, period=0.05)
+PLANT, ROAD_MPC = DualTrack(CAR, "magic-formula"), published_mpc(CAR, period=0.05)
 
 
 def decay(plant, mpc, speed, profile="paper"):
@@ -70,7 +70,7 @@ def test_the_single_tracks_linearisation_is_the_prediction_model(speed):
     still_air = CAR.replace(frontal_area=0.0)
     names, a, b = linearised(SingleTrack(still_air, "magic-formula"), speed)
     order = [names.index(name) for name in ("vy", "psi", "yaw_rate", "Y")]
-    model_a, model_b, _ = MPC(CAR).model.continuous(speed)
+    model_a, model_b, _ = published_mpc(CAR).model.continuous(speed)
     np.testing.assert_allclose(a[np.ix_(order, order)], model_a, rtol=1e-5, atol=1e-5)
     np.testing.assert_allclose(b[order], model_b[:, 0], rtol=1e-5)
 
@@ -80,7 +80,7 @@ def test_the_single_tracks_linearisation_is_the_prediction_model(speed):
 def test_the_matrix_moves_small_states_as_the_simulation_does(profile, moves):
     plant = DualTrack(CAR, "magic-formula")
     period = 0.1 if profile == "paper" else 0.05
-    mpc = MPC(CAR, Tuning(Np=30, Nc=6, Q=1.0, R=100.0), moves=moves, period=period)
+    mpc = published_mpc(CAR, Tuning(Np=30, Nc=6, Q=1.0, R=100.0), moves=moves, period=period)
     size = decay(plant, mpc, 15.0, profile)
     radius = spectral_radius(plant, mpc, 15.0, friction=0.75, profile=profile)
     late = slice(-100, None)
@@ -100,7 +100,7 @@ def test_in_the_simulator_a_tiny_offset_goes_the_way_of_the_matrix(tuning, speed
     scenario = Scenario(
         name="offset", duration=20.0, reference=0.0, speed=speed, friction=0.75, wind=Wind(y=0.0), start_y=offset
     )
-    mpc = MPC(CAR, Tuning(*tuning), period=0.05)
+    mpc = published_mpc(CAR, Tuning(*tuning), period=0.05)
     driven = rollout(PLANT, mpc, scenario, profile=QUIET, failure=Failure(math.inf, math.inf)).Y
     k = laws(mpc, speed, tuning)
     body = sampled(PLANT, 0.05, speed, friction=0.75, profile="road")
@@ -151,7 +151,7 @@ def test_the_summed_up_law_has_the_eigenvalues_of_the_law_of_moves(profile):
 
 @pytest.mark.parametrize("moves", [Moves.pulses(), Moves.laguerre(0.8, 4)])
 def test_many_laws_at_once_are_the_law_of_each(moves):
-    mpc, tunings = MPC(CAR, moves=moves, period=0.05), some_tunings(1, 40)
+    mpc, tunings = published_mpc(CAR, moves=moves, period=0.05), some_tunings(1, 40)
     from adaptrack.models import laguerre_basis
 
     for speed in (0.5, 9.0, 25.0):
@@ -234,7 +234,7 @@ def test_a_mode_that_never_reaches_what_is_measured_does_not_count():
     names, _, _ = linearised(plant, 15.0)
     assert "unseen" not in names
     assert "X" not in names
-    assert spectral_radius(plant, MPC(CAR, Tuning(35, 8, 1.0, 100.0)), 15.0) < 1.0
+    assert spectral_radius(plant, published_mpc(CAR, Tuning(35, 8, 1.0, 100.0)), 15.0) < 1.0
 
 
 class Stepped(SteppedPlant):
@@ -417,7 +417,7 @@ def test_an_unstable_loop_is_foretold_and_happens():
     """Tyre relaxation of 0.1 m destabilises the paper's tuning with pulses at low speed, not with Laguerre 0.95."""
     plant = DualTrack(CAR, "constant-stiffness")
     for moves, unstable in ((Moves.pulses(), True), (Moves.laguerre(0.95), False)):
-        mpc = MPC(CAR, moves=moves)
+        mpc = published_mpc(CAR, moves=moves)
         radius = spectral_radius(plant, mpc, 6.0, friction=0.75)
         size = decay(plant, mpc, 6.0)
         assert (radius > 1.0) is unstable
@@ -426,7 +426,7 @@ def test_an_unstable_loop_is_foretold_and_happens():
 
 def test_without_relaxation_the_dual_track_is_as_stable_as_the_single_track():
     stiff = load_tyre("constant-stiffness").replace(relaxation_length=0.0)
-    mpc = MPC(CAR)
+    mpc = published_mpc(CAR)
     for speed in (4.0, 12.0, 24.0):
         radii = [spectral_radius(plant(CAR, stiff), mpc, speed, friction=0.75) for plant in (SingleTrack, DualTrack)]
         assert radii[0] == pytest.approx(radii[1], abs=2e-4)
@@ -442,6 +442,6 @@ REPLICA = {  # an independent replica of the authors' released system: (general 
 @pytest.mark.parametrize("name", REPLICA)
 def test_the_released_configuration_reproduces_the_replica(name):
     moves, general, lane_change = REPLICA[name]
-    plant, mpc = SingleTrack(CAR, "constant-stiffness"), MPC(CAR, moves=moves)
+    plant, mpc = SingleTrack(CAR, "constant-stiffness"), published_mpc(CAR, moves=moves)
     for scenario, expected in (("general-trajectory", general), ("triple-lane-change", lane_change)):
         assert compute_metrics(rollout(plant, mpc, load_scenario(scenario))).mse == pytest.approx(expected, rel=0.05)

@@ -118,8 +118,8 @@ def test_the_compiled_run_and_the_one_from_python_meet_the_same_world(name):
     profile = load_profile(name).replace(missing=0.05, motion_age=0.03)
     bent = profile.steering.replace(dead_time=0.07, bias=0.01)
     profile = profile.replace(steering=bent)
-    one = simulate(PLANT, at.informed_mpc(CAR, profile), scenario, profile=profile, seed=11)
-    other = rollout(PLANT, at.informed_mpc(CAR, profile), scenario, profile=profile, seed=11)
+    one = simulate(PLANT, at.MPC(CAR, profile=profile), scenario, profile=profile, seed=11)
+    other = rollout(PLANT, at.MPC(CAR, profile=profile), scenario, profile=profile, seed=11)
     for quantity in ("X", "Y", "psi", "command", "steering"):
         np.testing.assert_array_equal(getattr(one, quantity), getattr(other, quantity))
     assert one.failed is None
@@ -130,7 +130,7 @@ def test_the_compiled_run_and_the_one_from_python_meet_the_same_world(name):
 def test_a_steering_bias_and_a_banked_road_leave_no_offset(speed, bias, bank):
     profile = SILENT.replace(delay=1, steering=SILENT.steering.replace(bias=bias))
     scenario = STRAIGHT.replace(speed=speed, bank=bank, duration=60.0)
-    run = rollout(PLANT, at.informed_mpc(CAR, profile), scenario, profile=profile)
+    run = rollout(PLANT, at.MPC(CAR, profile=profile), scenario, profile=profile)
     assert np.abs(run.Y[-400:]).mean() < 1e-3
 
 

@@ -23,6 +23,7 @@ _PUBLIC = {
         "UnknownName",
     ),
     "vehicle": (
+        "Steering",
         "SteeringActuator",
         "Tyre",
         "Vehicle",
@@ -98,9 +99,9 @@ _PUBLIC = {
         "UserController",
         "check_controller",
         "get_controller",
-        "informed_mpc",
         "informed_tuning",
         "list_controllers",
+        "published_mpc",
         "register_controller",
     ),
     "scheduling": (
@@ -173,9 +174,9 @@ if TYPE_CHECKING:
         UserController,
         check_controller,
         get_controller,
-        informed_mpc,
         informed_tuning,
         list_controllers,
+        published_mpc,
         register_controller,
     )
     from adaptrack.dataset import DataSet, list_datasets, load_dataset
@@ -247,7 +248,16 @@ if TYPE_CHECKING:
     from adaptrack.tuning.config import CampaignConfig, list_campaigns, load_campaign
     from adaptrack.tuning.objective import Objective
     from adaptrack.tuning.pso import SearchSpace, Swarm, SwarmSettings, minimise
-    from adaptrack.vehicle import SteeringActuator, Tyre, Vehicle, list_tyres, list_vehicles, load_tyre, load_vehicle
+    from adaptrack.vehicle import (
+        Steering,
+        SteeringActuator,
+        Tyre,
+        Vehicle,
+        list_tyres,
+        list_vehicles,
+        load_tyre,
+        load_vehicle,
+    )
     from adaptrack.world import Driver
 
 _HOME = {name: module for module, names in _PUBLIC.items() for name in names}
@@ -295,6 +305,7 @@ __all__ = [
     "SingleTrackModel",
     "Solution",
     "Stanley",
+    "Steering",
     "SteeringActuator",
     "SteppedPlant",
     "StorageError",
@@ -325,7 +336,6 @@ __all__ = [
     "get_model",
     "get_plant",
     "get_qp_solver",
-    "informed_mpc",
     "informed_tuning",
     "list_campaigns",
     "list_contenders",
@@ -349,6 +359,7 @@ __all__ = [
     "load_tyre",
     "load_vehicle",
     "minimise",
+    "published_mpc",
     "random_drive",
     "reference_preview",
     "register_contender",

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adaptrack.batch import rollout_batch
-from adaptrack.controllers import MPC, MPCCommand, Tuning
+from adaptrack.controllers import MPC, MPCCommand, Tuning, published_mpc
 from adaptrack.failure import Failure
 from adaptrack.models import SingleTrackModel, limit_bounds, limit_matrix
 from adaptrack.plant import DualTrack, Plant
@@ -49,7 +49,7 @@ class PlainController:
     name = "NumPy + DAQP"
 
     def __init__(self, vehicle: Vehicle, tuning: Tuning, period: float = 0.1) -> None:
-        self.mpc = MPC(vehicle, tuning, period=period)  # for its limits and speed floor only
+        self.mpc = published_mpc(vehicle, tuning, period=period)  # for its limits and speed floor only
         self.vehicle, self.tuning, self.period = vehicle, tuning, period
         self.rows = limit_matrix(tuning.Nc)
         self.reset()
@@ -125,7 +125,7 @@ def bench_step(count: int = 4000) -> dict[str, Any]:
     rows[:, 1] = references
     looks = [SchedulingVariables(*row) for row in rows.tolist()]
     schedules = {"nn": _networks(rng), "anfis": _fuzzy_systems(rng)}
-    scheduled = {name: MPC(car, Tuning(), scheduler=schedule) for name, schedule in schedules.items()}
+    scheduled = {name: published_mpc(car, Tuning(), scheduler=schedule) for name, schedule in schedules.items()}
 
     def timed(controller: Any, repeats: int) -> tuple[Array, float]:
         times, active = np.empty(repeats), 0
@@ -139,7 +139,8 @@ def bench_step(count: int = 4000) -> dict[str, Any]:
         return times / 1e3, active / repeats
 
     found: dict[str, Any] = {}
-    for name, controller in {"step": MPC(car), **scheduled, "python_daqp": PlainController(car, Tuning())}.items():
+    plain = PlainController(car, Tuning())
+    for name, controller in {"step": published_mpc(car), **scheduled, "python_daqp": plain}.items():
         repeats = min(count, max(200, count // 10)) if name == "python_daqp" else count
         with one_blas_thread():
             timed(controller, min(count, 50))
@@ -222,7 +223,7 @@ def bench_rollout(conditions: int = 150, threads: int | None = None) -> dict[str
     rng = np.random.default_rng(0)
     car = load_vehicle("paper")
     plant = DualTrack(car, "magic-formula")
-    mpc = MPC(car)
+    mpc = published_mpc(car)
     threads = threads or os.cpu_count() or 1
 
     def scenario(varying: bool) -> Scenario:
@@ -286,7 +287,7 @@ def bench_campaign(conditions: int = 48, threads: int | None = None) -> dict[str
 
     threads = threads or os.cpu_count() or 1
     car = load_vehicle("paper")
-    objective = Objective(DualTrack(car, "magic-formula"), MPC(car), failure=NEVER)
+    objective = Objective(DualTrack(car, "magic-formula"), published_mpc(car), failure=NEVER)
     campaign = load_campaign("paper-grid")
     library = campaign.library.rows(campaign.search)
     grid = paper_grid()

@@ -212,7 +212,8 @@ def laws(mpc: MPC, speed: float, tunings: ArrayLike) -> Array:
     if mpc.model.states != _STATES or mpc.estimator.name != "deadbeat":
         raise InvalidInput(
             f"MPC: model {mpc.model.name!r} with estimator {mpc.estimator.name!r}: the linear loop is known for the "
-            f"states {', '.join(_STATES)}, all of them measured, with the estimator 'deadbeat' only."
+            f"states {', '.join(_STATES)}, all of them measured, with the estimator 'deadbeat' only: take "
+            "published_mpc(...)."
         )
     asked = np.atleast_2d(np.asarray(tunings, dtype=np.float64))
     horizons, group = np.unique(asked[:, :2].astype(np.int64), axis=0, return_inverse=True)

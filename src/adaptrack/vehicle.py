@@ -278,6 +278,11 @@ class Vehicle(Record):
         front, rear = tyre.stiffness_at(*self.static_loads)
         return self.replace(stiffness_front=front, stiffness_rear=rear)
 
+    def stiffness_factors(self, tyre: Tyre) -> tuple[float, float]:
+        """Stiffness of `tyre` at the static wheel loads over that of the prediction model, front and rear."""
+        matched = self.matched_to(tyre)
+        return matched.stiffness_front / self.stiffness_front, matched.stiffness_rear / self.stiffness_rear
+
 
 def pack_plant(vehicle: Vehicle, tyre: Tyre, actuator: SteeringActuator) -> NDArray[np.float64]:
     """The plant's parameters as one array, shape (len(PLANT_PARAMETERS),), in the order that the kernels expect.

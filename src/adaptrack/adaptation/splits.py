@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from adaptrack.adaptation.config import AdaptationConfig, Evaluation
 from adaptrack.adaptation.method import Method
-from adaptrack.controllers import MPC
+from adaptrack.controllers import MPC, published_mpc
 from adaptrack.errors import InvalidInput
 from adaptrack.plant import DualTrack, Plant, SingleTrack, SteppedPlant, get_plant
 from adaptrack.profile import load_profile
@@ -59,7 +59,7 @@ class SetUp:
         plan = Plan.of(campaign)
         vehicle, profile = plan.setup.vehicle, load_profile(campaign.profile)
         body = SingleTrack if campaign.plant == "single-track" else DualTrack
-        mpc = MPC(vehicle, config.method.constants.tuning, period=profile.period, preview=profile.preview)
+        mpc = published_mpc(vehicle, config.method.constants.tuning, period=profile.period, preview=profile.preview)
         plant = body(vehicle, plan.setup.tyre)
         return cls(config, campaign, plan, plant, mpc, plant)
 

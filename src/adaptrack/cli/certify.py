@@ -52,7 +52,7 @@ def certify(
     turn are counted beside it, as a warning.
     """
     from adaptrack.certify import certify as look
-    from adaptrack.controllers import MPC
+    from adaptrack.controllers import published_mpc
     from adaptrack.plant import SteppedPlant
     from adaptrack.profile import load_profile
     from adaptrack.scheduling import load_scheduler
@@ -65,7 +65,9 @@ def certify(
             f"--plant {plant}: is stepped in Python; a certificate needs equations that it can linearise."
         )
     longest, most = schedule.largest
-    mpc = MPC(car, period=load_profile(profile).period, longest_horizon=max(60, longest), most_moves=max(20, most))
+    mpc = published_mpc(
+        car, period=load_profile(profile).period, longest_horizon=max(60, longest), most_moves=max(20, most)
+    )
     if out is not None:
         options.make_folder(out)
     with show.progress("certify") as advance:

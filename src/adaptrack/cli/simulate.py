@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -25,6 +26,9 @@ if TYPE_CHECKING:
 FAILED = 3
 """The exit code when a run failed."""
 
+STIFFNESS = 1.25
+"""Factor between the tyre's stiffness and the model's from which a failed run is told of it."""
+
 INFORMED, STANDARD, AS_WRITTEN, AS_RELEASED = "informed", "standard", "as-written", "as-released"
 
 COLUMNS = (
@@ -46,7 +50,7 @@ def simulate(
         list[str] | None,
         Option(
             metavar="NAME",
-            help="informed: the MPC that knows its steering and estimates its state [default]; standard: the paper's, "
+            help="informed: the MPC that knows its car [default]; standard: the published one, "
             "as --scheduler, --np, --nc, --q, --r and --moves say [default when one of these is given]; as-written: "
             "pulses; as-released: Laguerre functions, pole 0.95; lqr, pure-pursuit, stanley.",
         ),
@@ -117,6 +121,10 @@ def simulate(
     if out is not None:
         show.say(f"Report: {_write_report(out, runs)}", aside=as_json)
     _print(rows, as_json)
+    for label, each in controllers:
+        _tell_belief(label, each, body, world, as_json)
+    if any(row["failed"] for row in rows):
+        _tell_stiffness(car, body, as_json)
     if any(row["failed"] for row in rows) and not allow_failed:
         raise typer.Exit(FAILED)
 
@@ -160,25 +168,32 @@ def make_controller(name: str, asked: Asked) -> tuple[str, Controller]:
     InvalidInput
         When the options make no controller.
     """
-    from adaptrack.controllers import Moves, Tuning, get_controller, list_controllers
-    from adaptrack.controllers.informed import informed_tuning
+    from adaptrack.controllers import (
+        Moves,
+        Tuning,
+        get_controller,
+        informed_tuning,
+        list_controllers,
+        published_mpc,
+    )
 
     moves = {STANDARD: asked.moves, AS_WRITTEN: Moves.pulses(), AS_RELEASED: Moves.laguerre(0.95, asked.moves.terms)}
-    others = [each for each in list_controllers() if each != "mpc"]  # which is the standard one
+    others = [each for each in list_controllers() if each not in moves]
     if name in others:
         if asked.schedule is not None:
             raise InvalidInput(f"--scheduler {asked.label}: tunes the MPC; controller {name!r} takes none.")
         options: dict[str, Any] = {"period": asked.period, "preview": asked.preview}
         if name == INFORMED:
-            tuning = asked.tuned(informed_tuning(asked.profile, asked.period))
-            options |= {"tuning": tuning, "moves": asked.moves, "solver": asked.solver}
+            options |= {"moves": asked.moves, "solver": asked.solver}
+            if asked.tuning:
+                options["tuning"] = asked.tuned(informed_tuning(asked.profile, asked.period))
         return name, get_controller(name, asked.car, profile=asked.profile, **options)
     if name not in moves:
         raise UnknownName(f"no controller is named {name!r}. {did_you_mean(name, [*moves, *others])}")
     tuning = asked.tuned(Tuning())
-    mpc = get_controller(
-        "mpc", asked.car, tuning=tuning, period=asked.period, moves=moves[name], preview=asked.preview,
-        solver=asked.solver, scheduler=asked.schedule, most_moves=_most_moves(tuning, asked),
+    mpc = published_mpc(
+        asked.car, tuning, period=asked.period, moves=moves[name], preview=asked.preview, solver=asked.solver,
+        scheduler=asked.schedule, most_moves=_most_moves(tuning, asked),
     )  # fmt: skip
     if not asked.label:
         return name, mpc
@@ -260,6 +275,7 @@ def _row(controller: str, run: Trajectory) -> dict[str, Any]:
         "moves": meta["control"].get("moves"),
         "scheduler": meta["control"].get("scheduler"),
         "solver": meta["control"].get("solver"),
+        "belief": meta["control"].get("belief"),
         "failed": reason or None,
         "failed_at": measures.pop("failed_at"),
         "failed_because": clause or None,
@@ -279,3 +295,36 @@ def _print(rows: Sequence[dict[str, Any]], as_json: bool) -> None:
             show.say_failed(f"{run}: at {row['failed_at']:.2f} s the vehicle {row['failed_because']}.", aside=as_json)
         if open_qps and not as_json:
             show.say(f"Warning, {run}: {open_qps:,} of {row['driven']:,} QPs not solved.")
+
+
+def _tell_belief(label: str, controller: Controller, body: Any, world: Profile, aside: bool) -> None:
+    """What a controller believes of its steering, and the simulated one where it is another."""
+    belief = getattr(controller, "belief", None)
+    if belief is None:
+        return
+    warning = "Warning, " if belief.assumed else ""
+    show.say(f"{warning}{label} believes of its steering: {belief}.", aside=aside)
+    actuator = getattr(body, "steering", None) or world.steering
+    driven = (actuator.lag, world.delay * controller.period, actuator.rate)
+    if not all(map(math.isclose, (belief.lag.value, belief.delay, belief.rate.value), driven)):
+        lag, late, rate = driven
+        show.say(
+            f"The simulated steering is another: lag {lag:.4g} s, {late:.4g} s from measurement to actuator, rate "
+            f"{rate:.4g} rad/s.",
+            aside=aside,
+        )
+
+
+def _tell_stiffness(car: Vehicle, body: Any, aside: bool) -> None:
+    """The remedy where a failed car's model and its tyre disagree about the stiffness."""
+    tyre = getattr(body, "tyre", None)
+    if tyre is None or max(abs(math.log(factor)) for factor in car.stiffness_factors(tyre)) < math.log(STIFFNESS):
+        return
+    matched = car.matched_to(tyre)
+    show.say(
+        f"The model of car {car.name!r} believes {car.stiffness_front:.0f} and {car.stiffness_rear:.0f} N/rad (a front "
+        f"and a rear tyre), the driven tyre {tyre.name!r} has {matched.stiffness_front:.0f} and "
+        f"{matched.stiffness_rear:.0f}. Write these into the car's file as stiffness_front and stiffness_rear (in "
+        "Python: car.matched_to(tyre)), or drive another tyre.",
+        aside=aside,
+    )

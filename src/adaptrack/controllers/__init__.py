@@ -1,11 +1,13 @@
 """Controllers: what `simulate` drives with. One file each; `check_controller` tells whether one keeps the contract."""
 
 from adaptrack.controllers.base import Command, CompiledController, Controller
+from adaptrack.controllers.belief import Belief
 from adaptrack.controllers.check import check_controller
-from adaptrack.controllers.informed import informed_mpc, informed_tuning
+from adaptrack.controllers.informed import informed_tuning
 from adaptrack.controllers.limits import Limits, Moves
 from adaptrack.controllers.lqr import LQR
 from adaptrack.controllers.mpc import MPC, CompiledScheduler, MPCCommand, Scheduler
+from adaptrack.controllers.published import published_mpc, released_mpc
 from adaptrack.controllers.pure_pursuit import PurePursuit
 from adaptrack.controllers.registry import get_controller, list_controllers, register_controller
 from adaptrack.controllers.stanley import Stanley
@@ -16,6 +18,7 @@ __all__ = [
     "ENTRIES",
     "LQR",
     "MPC",
+    "Belief",
     "Command",
     "CompiledController",
     "CompiledScheduler",
@@ -30,9 +33,10 @@ __all__ = [
     "UserController",
     "check_controller",
     "get_controller",
-    "informed_mpc",
     "informed_tuning",
     "list_controllers",
+    "published_mpc",
     "read_tuning",
     "register_controller",
+    "released_mpc",
 ]

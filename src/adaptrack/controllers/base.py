@@ -20,6 +20,11 @@ Array = NDArray[np.float64]
 
 STEERING_DELAY = 0.2
 """s, lag and dead time together of a steering of which nothing is known: published values are 0.1 to 0.5 s."""
+MOST_STEERING_DELAY = 0.35
+"""s, the same at its upper end: with a control period of computation what opendbc lists for series cars, 0.1 to 0.4 s
+(`steerActuatorDelay`). The MPC believes it, because too short a delay loses the car and too long a one costs little."""
+LEAST_STEERING_RATE = 0.4
+"""rad/s at the road wheels, the lowest of published rate limits (CommonRoad vehicle models, vehicle 2)."""
 
 
 class Command(NamedTuple):

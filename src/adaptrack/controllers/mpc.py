@@ -9,7 +9,7 @@ import copy
 import logging
 import math
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from functools import cached_property
 from typing import Any, NamedTuple, Protocol, Self, runtime_checkable
@@ -17,21 +17,26 @@ from typing import Any, NamedTuple, Protocol, Self, runtime_checkable
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from adaptrack.controllers.informed import Parts, informed_parts
 from adaptrack.controllers.inputs import number, vector
 from adaptrack.controllers.limits import Limits, Moves
 from adaptrack.controllers.tuning import ENTRIES, Tuning, read_tuning
 from adaptrack.errors import InvalidInput, real, whole
-from adaptrack.estimation import NOTHING_MEASURED, Estimator, get_estimator
+from adaptrack.estimation import NOTHING_MEASURED, Deadbeat, Estimator, get_estimator
+from adaptrack.kalman import KalmanFilter
 from adaptrack.limits import CONTROL_HORIZON, PREDICTION_HORIZON, check_limit
 from adaptrack.models import PredictionModel, SingleTrackModel
+from adaptrack.profile import Profile
 from adaptrack.qp import QP, QPSolver, QPStatus, get_qp_solver
 from adaptrack.qp.active_set import ActiveSet
 from adaptrack.qp.hildreth import Hildreth
-from adaptrack.vehicle import Vehicle
+from adaptrack.vehicle import Steering, Vehicle
 
 Array = NDArray[np.float64]
 
 _STATUSES = tuple(QPStatus)
+INCREMENTAL = "incremental"
+"""What the files of schedulers call the paper's model and estimator."""
 _STATE_SIZES = (4, 5, 6, 7, 8)
 """with or without wheel angle, lateral acceleration and ages, see `kernels.models.contract.MEASURED`"""
 _log = logging.getLogger("adaptrack")
@@ -83,16 +88,42 @@ class MPCCommand(NamedTuple):
         return float(self.status), float(self.iterations), self.residual, float(self.at_limit)
 
 
+def _given_parts(
+    vehicle: Vehicle, model: PredictionModel | None, estimator: Estimator | None, period: float | None
+) -> Parts:
+    """A model or an estimator of the caller's, the rest as in the paper."""
+    if not isinstance(model, PredictionModel | None):
+        raise InvalidInput(f"MPC: model = {model!r}: must be a PredictionModel.")
+    if not isinstance(estimator, Estimator | None):
+        raise InvalidInput(f"MPC: estimator = {estimator!r}: must be the name of an estimator or an Estimator.")
+    own = SingleTrackModel(vehicle, 0.1 if period is None else period) if model is None else model
+    if period not in (None, own.period):
+        raise InvalidInput(f"MPC: period = {period!r} s, but the model's is {own.period!r} s: give both alike.")
+    return Parts(Tuning(), own, Deadbeat() if estimator is None else estimator, Limits(), preview=False)
+
+
 class MPC:
     """Linear MPC with re-discretisation at every step, eqs. (8)-(17).
 
-    vehicle: parameters of the prediction model; tuning: constant one, or the one before the scheduler speaks;
-    period: control period (s); preview: whether R_s holds the reference ahead or its present value; solver:
+    By default it knows its car: a `PathModel` with the lag and the dead time of its steering, and a `KalmanFilter` for
+    the sensors of a profile. `published_mpc` is the paper's.
+
+    vehicle: mass, inertia, axle distances and stiffness of the model, and what its file says of the steering; tuning:
+    constant one, or the one before the scheduler speaks, by default `informed_tuning`; profile: name, file or
+    `Profile` whose period, preview and sensors are taken, and whose actuator is believed where nobody else says; by
+    default the period, preview and sensors of "road", and of its actuator nothing; belief: a `Steering` that is
+    believed before the car's file. What nobody says of the steering is taken from the slow end of published values,
+    and R is raised; `belief` of the controller says what it believes, and from whom.
+
+    period: control period (s); limits: by default the believed rate times the period (the paper's table where the delay
+    is assumed) and the believed angle; preview: whether R_s holds the reference ahead or its present value; solver:
     "active-set" (exact), "hildreth" (the paper's), the name of another registered QP solver, or a `QPSolver`; what is
-    done with an answer that is not certified says `QPSolver.on_uncertified`; model: a `PredictionModel`, by default the
-    paper's of `vehicle`; estimator: a registered name or an `Estimator`, by default the paper's increments of the
-    measured state ("deadbeat"); speed_floor: m/s, the model is never formed below it (A_c is singular at standstill);
-    longest_horizon, most_moves: largest Np and Nc that a scheduler may ask for.
+    done with an answer that is not certified says `QPSolver.on_uncertified`; speed_floor: m/s, the model is never
+    formed below it; longest_horizon, most_moves: largest Np and Nc that a scheduler may ask for.
+
+    model, estimator: a `PredictionModel`, and an `Estimator` or its registered name. A `KalmanFilter` alone takes the
+    place of the default one. Any other of them leaves nothing to profile and belief: the other part, the tuning, the
+    limits and a period of 0.1 s are then the paper's (single track, "deadbeat", table) where they are not given.
 
     A controller drives one vehicle. A copy (`copy`, `deepcopy`, pickle) is a controller of its own, in the same state.
     Used by two threads at once it refuses the second.
@@ -111,37 +142,37 @@ class MPC:
         vehicle: Vehicle,
         tuning: Tuning | None = None,
         *,
-        period: float = 0.1,
+        profile: str | Profile | None = None,
+        belief: Steering | None = None,
+        period: float | None = None,
         limits: Limits | None = None,
         moves: Moves | None = None,
-        preview: bool = False,
+        preview: bool | None = None,
         solver: str | QPSolver = "active-set",
         scheduler: Scheduler | None = None,
         model: PredictionModel | None = None,
-        estimator: str | Estimator = "deadbeat",
+        estimator: str | Estimator | None = None,
         speed_floor: float = 1.0,
         longest_horizon: int | None = None,
         most_moves: int | None = None,
     ) -> None:
-        self.tuning = Tuning() if tuning is None else tuning
+        filtering = get_estimator(estimator) if isinstance(estimator, str) else estimator
+        if model is None and isinstance(filtering, KalmanFilter | None):
+            parts = informed_parts(vehicle, profile, belief, period, filtering)
+        else:
+            if profile is not None or belief is not None:
+                raise InvalidInput("MPC: profile and belief choose model and estimator: give those, or these.")
+            parts = _given_parts(vehicle, model, filtering, period)
+        self.tuning = parts.tuning if tuning is None else tuning
         if not isinstance(self.tuning, Tuning):
             raise InvalidInput(f"MPC: tuning = {tuning!r}: must be a Tuning(Np, Nc, Q, R).")
-        self.model = SingleTrackModel(vehicle, period) if model is None else model
-        if not isinstance(self.model, PredictionModel):
-            raise InvalidInput(f"MPC: model = {model!r}: must be a PredictionModel.")
-        if self.model.period != period:
-            raise InvalidInput(
-                f"MPC: period = {period!r} s, but the model's is {self.model.period!r} s: give both alike."
-            )
-        self.estimator = get_estimator(estimator) if isinstance(estimator, str) else estimator
-        if not isinstance(self.estimator, Estimator):
-            raise InvalidInput(f"MPC: estimator = {estimator!r}: must be the name of an estimator or an Estimator.")
+        self.model, self.estimator, self.belief = parts.model, parts.estimator, parts.belief
         self.estimator.check_fits(self.model)
-        self.limits = limits or Limits()
+        self.limits = limits or parts.limits
         if self.limits.ahead > 0.0 and "wheel_angle" not in self.model.states:
             raise InvalidInput(f"Limits: ahead: model {self.model.name!r} knows no wheel angle; leave it at 0.")
+        self.preview = parts.preview if preview is None else bool(preview)
         self.moves = moves or Moves()
-        self.preview = bool(preview)
         self.solver = get_qp_solver(solver) if isinstance(solver, str) else solver
         if not isinstance(self.solver, QPSolver):
             raise InvalidInput(f"MPC: solver = {solver!r}: must be the name of a QP solver or a QPSolver.")
@@ -151,6 +182,7 @@ class MPC:
         if entries != ENTRIES:
             raise InvalidInput(f"MPC: the scheduler gives {', '.join(entries)}; an MPC needs {', '.join(ENTRIES)}.")
         self.scheduler = scheduler
+        self._warn_of_another_mpc()
         if not 0.0 < real("MPC", "speed_floor", speed_floor) < math.inf:
             raise InvalidInput(f"speed_floor = {speed_floor!r} m/s: must be positive and finite.")
         self.speed_floor = float(speed_floor)
@@ -183,7 +215,23 @@ class MPC:
     def name(self) -> str:
         """How tables call the controller."""
         moves = f"laguerre {self.moves.pole:g}" if self.moves.kind == "laguerre" else "pulse"
-        return f"{'scheduled' if self.scheduler else 'standard'} MPC ({moves})"
+        scheduled = "scheduled" if self.scheduler else ""
+        if self.is_published:
+            return f"{scheduled or 'standard'} MPC ({moves})"
+        if self.belief is not None:
+            return f"{scheduled} informed MPC ({moves})".strip()
+        return f"{scheduled} MPC ({self.model.name}, {self.estimator.name}, {moves})".strip()
+
+    @property
+    def is_published(self) -> bool:
+        """Whether model and estimator are the paper's."""
+        return isinstance(self.model, SingleTrackModel) and isinstance(self.estimator, Deadbeat)
+
+    def __repr__(self) -> str:
+        car, tuning = getattr(self.model, "vehicle", None), self.tuning
+        numbers = f"{tuning.Np}/{tuning.Nc}/{tuning.Q:g}/{tuning.R:g}"
+        known = f"; steering: {self.belief}" if self.belief is not None else ""
+        return f"<{self.name} of {getattr(car, 'name', 'a car')}: {numbers}, every {self.period:g} s{known}>"
 
     @property
     def in_kernel(self) -> bool:
@@ -281,6 +329,22 @@ class MPC:
     def __copy__(self) -> Self:
         """A controller of its own: memories are never shared."""
         return copy.deepcopy(self)
+
+    def _warn_of_another_mpc(self) -> None:
+        """Say once per controller that its scheduler was made for an MPC with another model."""
+        named = getattr(self.scheduler, "made_for", {}).get("controller")
+        told = named.get("model") if isinstance(named, Mapping) else None  # a file may say anything
+        if told not in (None, self.kind_of_model):
+            remedy = "published_mpc(...) is that one" if told == INCREMENTAL else "learn it on this one"
+            _log.warning(
+                "adaptrack: scheduler %r tunes an MPC whose model is %r, not %r, for which it was made: %s.",
+                getattr(self.scheduler, "name", ""), self.kind_of_model, told, remedy,
+            )  # fmt: skip
+
+    @property
+    def kind_of_model(self) -> str:
+        """What a scheduler's file calls the model and the estimator behind its tuning."""
+        return INCREMENTAL if self.is_published else f"{self.model.name}, {self.estimator.name}"
 
     @property
     def scheduler_counts(self) -> dict[str, int]:
@@ -495,6 +559,7 @@ class MPC:
             "solver": self.solver.name,
             "model": self.model.name,
             "estimator": self.estimator.name,
+            "belief": None if self.belief is None else str(self.belief),
             "speed_floor": self.speed_floor,
             "scheduler": None
             if self.scheduler is None

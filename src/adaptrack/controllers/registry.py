@@ -17,8 +17,9 @@ _registry: Registry[Controller] = Registry(
     "controller",
     "register_controller",
     {
-        "mpc": "adaptrack.controllers.mpc:MPC",
-        "informed": "adaptrack.controllers.informed:informed_mpc",
+        "informed": "adaptrack.controllers.mpc:MPC",
+        "as-written": "adaptrack.controllers.published:published_mpc",
+        "as-released": "adaptrack.controllers.published:released_mpc",
         "lqr": "adaptrack.controllers.lqr:LQR",
         "pure-pursuit": "adaptrack.controllers.pure_pursuit:PurePursuit",
         "stanley": "adaptrack.controllers.stanley:Stanley",

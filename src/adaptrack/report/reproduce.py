@@ -15,6 +15,7 @@ from typing import Any
 from matplotlib.axes import Axes
 
 from adaptrack.report import style
+from adaptrack.report.knowing import in_a_sentence, knowing_section
 from adaptrack.report.page import Cell, Drawing, Head, Item, Picture, Section, Table
 from adaptrack.report.runs import Run, write_report
 from adaptrack.report.words import listed, number, percent, title_of
@@ -74,7 +75,7 @@ def write_reproduction(out_dir: str | os.PathLike[str], made: Reproduction, *, c
         title="The paper, reproduced",
         command=command,
         lead=in_short(made),
-        first=[_both(made), _statements(made)],
+        first=[_both(made), _statements(made), knowing_section(made.knowing)],
         more=[_gain(made), _learning(made), _limits(made)],
     )
 
@@ -85,6 +86,7 @@ def in_short(made: Reproduction) -> list[str]:
     lead = [
         f"{agreement(made.rows, 'released')} {pole_or_adaptation(made.shares)}".strip(),
         "The same moves for all: " + against(made.rows, "same-moves", "standard-as-written"),
+        in_a_sentence(made.knowing),
         "The comparison with the paper comes first. The figures after it show the released configuration without "
         "preview; what the gain is made of and what was learned come last.",
     ]

@@ -62,6 +62,7 @@ _LISTED = {
     "tuning": "Tuning",
     "limits": "Limits",
     "solver": "QP solver",
+    "belief": "Steering, as believed",
     "versions": "Versions",
 }
 """Entries of the provenance block, with their names there."""

@@ -79,7 +79,11 @@ def made_for(mpc: MPC, profile: str) -> dict[str, Any]:
     return {
         "car": getattr(getattr(mpc.model, "vehicle", None), "name", mpc.model.name),
         "profile": profile,
-        "controller": {"kind": "MPC", **{key: described[key] for key in ("moves", "period", "preview")}},
+        "controller": {
+            "kind": "MPC",
+            "model": mpc.kind_of_model,
+            **{key: described[key] for key in ("moves", "period", "preview")},
+        },
         "kernels": abi.source_hash(Path(schedule.__file__)),
     }
 

@@ -5,7 +5,8 @@ constant stiffness, Laguerre moves with the pole 0.95 for the standard MPC and 0
 clamps on what the learned functions say. `same-moves` is what the paper describes: the dual track on the Magic Formula
 tyre and the moves of eq. (10) for everybody, so that the controllers differ in their tuning only.
 
-The ablation then tells the pole's part of the gain from adaptation's.
+The ablation then tells the pole's part of the gain from adaptation's, and `knowing` puts a controller that knows its
+car beside both.
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ from numpy.typing import NDArray
 
 from adaptrack.adaptation.recipes import search_bounds, trained_schedule
 from adaptrack.batch import rollout_batch
-from adaptrack.controllers import MPC, Moves, Tuning
+from adaptrack.controllers import MPC, Moves, Tuning, published_mpc
 from adaptrack.dataset import DataSet, load_dataset
 from adaptrack.errors import InvalidInput
 from adaptrack.failure import Failure
@@ -38,6 +39,7 @@ from adaptrack.plant import DualTrack, Plant, SingleTrack
 from adaptrack.scenario import Scenario, load_scenario
 from adaptrack.scheduling import ENTRIES, Lookup, Schedule, SchedulingVariables
 from adaptrack.simulate import rollout, simulate
+from adaptrack.studies.knowing import SEEDS, compare_knowing, told
 from adaptrack.studies.pipeline import JSONFile, Keeper, Progress, SchedulerFile, Stage, identity_of, run
 from adaptrack.trajectory import Trajectory
 from adaptrack.tuning.operating_points import NAMES
@@ -108,7 +110,7 @@ class PaperController:
     def mpc(self, preview: bool) -> MPC:
         """The controller itself, at the start of a run."""
         most = 20 if self.schedule is None else max(20, self.schedule.largest[1])
-        return MPC(
+        return published_mpc(
             load_vehicle("paper"), self.tuning, moves=self.moves, preview=preview, scheduler=self.schedule,
             most_moves=most,
         )  # fmt: skip
@@ -139,6 +141,8 @@ class Reproduction:
     swaps: list[Row]
     """scenario, changed, table, constant (its value there), mse: the paper's table with one
     number of the best constant, where all have the same moves"""
+    knowing: list[Row]
+    """what knowing the car brings, see `studies.knowing.compare_knowing`"""
     learning: list[Row]
     """a learned function each: see `learning.training.Trained.quality`"""
     domain: list[Row]
@@ -244,6 +248,7 @@ def reproduce(
         ablation=made["taking the gain apart"],
         shares=shares(made["taking the gain apart"]),
         swaps=made["swapping numbers"],
+        knowing=made["knowing the car"],
         learning=[row for each in learned.values() for row in each.provenance["quality"]],
         domain=[
             {"scenario": run.name_of("scenario"), **outside(run, learned["nn"])}
@@ -278,14 +283,19 @@ class _Stages:
     def all(self) -> list[Stage]:
         """In their order."""
         settings = [_METHOD, _fingerprint(self.dataset), self.quick, self.seed]
+        more = {"knowing the car": [*told(), repr(SEEDS)]}
         makers: dict[str, Callable[[Mapping[str, Any]], Any]] = {
             **{f"training {model}": partial(self.trained, model) for model in LEARNED},
             "driving both configurations": self.driven,
             "taking the gain apart": self.taken_apart,
             "swapping numbers": self.swapped,
+            "knowing the car": self.known,
             "timing steps": self.timed,
         }
-        return [Stage(name, identity_of(name, settings), make, self._keeper(name)) for name, make in makers.items()]
+        return [
+            Stage(name, identity_of(name, settings + more.get(name, [])), make, self._keeper(name))
+            for name, make in makers.items()
+        ]
 
     def _keeper(self, name: str) -> Keeper | None:
         if self.folder is None or name == "timing steps":  # times are those of this session
@@ -326,6 +336,10 @@ class _Stages:
         """From the paper's table to the best constant, number by number."""
         _, same = self._configurations(made)
         return swaps(same.plant, [load_scenario(name) for name in TESTS], self.constant.tuning)
+
+    def known(self, made: Mapping[str, Any]) -> list[Row]:
+        """The controller that knows its car beside the paper's, these as released."""
+        return compare_knowing(TESTS, _clamped({model: made[f"training {model}"] for model in LEARNED}), FAST)
 
     def timed(self, made: Mapping[str, Any]) -> list[tuple[str, Trajectory]]:
         """Standard, nn and anfis from Python, with their step times."""

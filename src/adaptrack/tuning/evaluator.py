@@ -10,7 +10,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from adaptrack.controllers import MPC
+from adaptrack.controllers import published_mpc
 from adaptrack.plant import DualTrack, SingleTrack
 from adaptrack.profile import load_profile
 from adaptrack.tuning.config import Setup
@@ -69,7 +69,7 @@ class ClosedLoop:
         self._swarm, self._space = config.swarm, config.search.space()
         self.objective = Objective(
             plant=plant(setup.vehicle, setup.tyre),
-            mpc=MPC(
+            mpc=published_mpc(
                 setup.vehicle,
                 period=profile.period,
                 preview=profile.preview,

@@ -1,0 +1,62 @@
+"""What the default controller does with a steering that it does not know, or knows wrongly.
+
+    python benchmarks/unknown_steering.py [--drives 48]
+
+Random drives in the profile `road` (noise), the true lag and delay behind them changed: geometric mean of
+J = mean e^2 + 3 mean (change of command)^2 (a failed run counts 25 m^2), and the failed runs.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+from typing import Any
+
+import numpy as np
+
+import adaptrack as at
+
+FAILED = 25.0
+CARS = {"paper": "magic-formula", "midsize-sedan": None}
+LAGS = (0.0, 0.05, 0.1, 0.2, 0.35, 0.45)
+BELIEVED = (0.05, 0.1, 0.15, 0.2, 0.25, 0.35)
+
+
+def driven(plant: at.Plant, mpc: at.MPC, profile: at.Profile, drives: list[at.Scenario]) -> str:
+    """J and the failed runs."""
+    count = len(drives)
+    found = at.rollout_batch(plant, mpc, drives, which=np.arange(count), profile=profile, seeds=np.arange(count))
+    failed = np.array([reason is not None for reason in found.failed])
+    cost = np.where(failed, FAILED, found.cost(profile.move_weight))
+    return f"{math.exp(np.log(cost).mean()):.5f} ({failed.sum()})"
+
+
+def main() -> None:
+    """Drive both cars and print a row each."""
+    ask = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    ask.add_argument("--drives", type=int, default=48)
+    drives: list[Any] = [at.random_drive(5_200_000 + number) for number in range(ask.parse_args().drives)]
+    road = at.load_profile("road")
+    print("nothing known of the steering; true lag", *LAGS)
+    for name, tyre in CARS.items():
+        car = at.load_vehicle(name).replace(steering=None)
+        for delay in (0.0, 1.0):
+            row = []
+            for lag in LAGS:
+                actuator = at.SteeringActuator(lag=lag, rate=road.steering.rate if lag else math.inf)
+                plant = at.DualTrack(car, tyre, steering=actuator)
+                row.append(driven(plant, at.MPC(car), road.replace(delay=delay), drives))
+            print(f"{name}, {delay:g} periods of delay:", *row, flush=True)
+    print("lag told wrongly, true 0.15 s; believed", *BELIEVED)
+    for name, tyre in CARS.items():
+        car = at.load_vehicle(name).replace(steering=None)
+        for words, limits in (("moves bounded", None), ("not bounded", at.Limits())):
+            row = []
+            for lag in BELIEVED:
+                mpc = at.MPC(car, profile=road, belief=at.Steering(lag=lag), limits=limits)
+                row.append(driven(at.DualTrack(car, tyre), mpc, road, drives))
+            print(f"{name}, {words}:", *row, flush=True)
+
+
+if __name__ == "__main__":
+    main()
