@@ -2,7 +2,7 @@
 
 from adaptrack.controllers.base import Command, CompiledController, Controller
 from adaptrack.controllers.check import check_controller
-from adaptrack.controllers.informed import informed_mpc, informed_tuning
+from adaptrack.controllers.informed import Uncertainty, informed_mpc, informed_tuning
 from adaptrack.controllers.limits import Limits, Moves
 from adaptrack.controllers.lqr import LQR
 from adaptrack.controllers.mpc import MPC, CompiledScheduler, MPCCommand, Scheduler
@@ -27,6 +27,7 @@ __all__ = [
     "Scheduler",
     "Stanley",
     "Tuning",
+    "Uncertainty",
     "UserController",
     "check_controller",
     "get_controller",

@@ -213,9 +213,11 @@ class MPC:
             move_max=limits.move[1],
             angle_min=limits.angle[0],
             angle_max=limits.angle[1],
+            ahead=limits.ahead,
             output_min=limits.output[0],
             output_max=limits.output[1],
             output_weight=limits.output_weight,
+            error_max=limits.error,
             laguerre=self.moves.kind == "laguerre",
             pole=self.moves.pole,
             terms=self.moves.terms,
@@ -481,6 +483,8 @@ class MPC:
                 "move": list(self.limits.move),
                 "angle": list(self.limits.angle),
                 "output": [repr(value) for value in self.limits.output],
+                **({"ahead": self.limits.ahead} if self.limits.ahead > 0.0 else {}),
+                **({"error": self.limits.error} if self.limits.error < math.inf else {}),
             },
             "moves": {"kind": self.moves.kind, "pole": self.moves.pole, "terms": self.moves.terms}
             if self.moves.kind == "laguerre"
