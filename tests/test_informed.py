@@ -10,18 +10,27 @@ import pytest
 from scipy.linalg import expm
 
 from adaptrack.batch import rollout_batch
-from adaptrack.controllers import MPC, Limits, Moves, Tuning, get_controller, informed_tuning, published_mpc
+from adaptrack.controllers import (
+    MPC,
+    Limits,
+    Moves,
+    Tuning,
+    Uncertainty,
+    get_controller,
+    informed_tuning,
+    published_mpc,
+)
 from adaptrack.controllers.belief import ASSUMED
 from adaptrack.errors import InvalidInput
 from adaptrack.estimation import Deadbeat, check_estimator, get_estimator
 from adaptrack.kalman import SENSORS, Drifts, KalmanFilter, ReadableFilter, SensorNoise
 from adaptrack.models import MEASURED, PathModel, SingleTrackModel, check_model, get_model
 from adaptrack.plant import DualTrack
-from adaptrack.profile import load_profile
-from adaptrack.scenario import load_scenario, random_drive
+from adaptrack.profile import list_profiles, load_profile
+from adaptrack.scenario import list_scenarios, load_scenario, random_drive
 from adaptrack.scheduling import load_scheduler
-from adaptrack.simulate import simulate
-from adaptrack.vehicle import Steering, SteeringActuator, load_vehicle
+from adaptrack.simulate import rollout, simulate
+from adaptrack.vehicle import Steering, SteeringActuator, Vehicle, list_vehicles, load_tyre, load_vehicle
 
 CAR = load_vehicle("paper")
 PERIOD = 0.05
@@ -481,3 +490,161 @@ def test_a_scheduler_made_for_the_published_controller_is_not_taken_silently(cap
     published_mpc(CAR, scheduler=load_scheduler("road-nn"))
     MPC(CAR, scheduler=dataclasses.replace(load_scheduler("road-fallback"), made_for={"controller": "MPC"}))
     assert not caplog.text
+
+
+# -- what it asks of the car ------------------------------------------------------------------------------------------
+def test_of_a_large_error_the_qp_sees_as_much_as_the_limit():
+    """R_s of the QP is the reference moved to the limit, its shape kept."""
+    road = 0.3 * np.sin(0.2 * np.arange(80))
+    for lead in (0.0, 0.05, 0.12):
+        mpc = MPC(CAR, profile=load_profile("road").replace(delay=0), belief=Steering(dead_time=lead))
+        now = float(np.interp(lead / PERIOD, np.arange(80), road))
+        far, near = (mpc.problem(np.zeros(4), 15.0, road - now + offset) for offset in (2.0, 0.25))
+        np.testing.assert_allclose(far.K, near.K, rtol=1e-9)
+        inside = mpc.problem(np.zeros(4), 15.0, road - now + 0.1)
+        assert abs(inside.K - near.K).max() > 1e-3 * abs(near.K).max()
+
+
+def test_without_preview_a_moving_reference_may_be_further_away_and_a_jump_may_not():
+    def second(step):
+        mpc = MPC(CAR, profile="paper")
+        mpc.step(np.zeros(4), 15.0, [0.0])
+        return mpc.problem(np.zeros(4), 15.0, [step]).K
+
+    unlimited = MPC(CAR, profile="paper", limits=Limits())
+    unlimited.step(np.zeros(4), 15.0, [0.0])
+    np.testing.assert_allclose(second(0.5), unlimited.problem(np.zeros(4), 15.0, [0.5]).K, rtol=1e-9)
+    np.testing.assert_allclose(second(2.0), second(4.0), rtol=1e-9)  # more than 7.5 m/s
+
+
+def test_the_first_move_may_lead_the_wheels_as_far_as_the_actuator_follows(rng):
+    """|command - wheels| <= rate (lag + period), or the moves that the rate allows."""
+    mpc = MPC(CAR, profile="road")
+    readable = ReadableFilter(mpc.estimator, mpc.model)
+    for _ in range(12):
+        state, command = rng.normal(size=4) * [0.05, 0.01, 0.02, 0.1], mpc.angle
+        qp = mpc.problem(state, 15.0, np.zeros(60))
+        mpc.step(state, 15.0, np.zeros(60))
+        wheels = readable.step(15.0, [*state, np.nan], command)[0][3]
+        reach = 0.5 * (0.15 + PERIOD)
+        assert qp.gamma[0] == pytest.approx(max(0.025, wheels + reach - command), abs=1e-9)
+        assert qp.gamma[1] == pytest.approx(max(0.025, command - wheels + reach), abs=1e-9)
+        assert qp.gamma[4:6] == pytest.approx([0.025, 0.025])
+        assert abs(mpc.angle - command) <= max(qp.gamma[:2]) + 1e-12
+
+
+@pytest.mark.parametrize("limits", [{"error": 0.0}, {"error": math.nan}, {"ahead": -0.1}, {"ahead": math.inf}])
+def test_impossible_limits_are_refused(limits):
+    with pytest.raises(InvalidInput, match=next(iter(limits))):
+        Limits(**limits)
+
+
+def six_numbers() -> Vehicle:
+    """The car of docs/vehicles.md, not matched to the tyres it drives on."""
+    return Vehicle(
+        name="six", mass=1500.0, yaw_inertia=2500.0, lf=1.1, lr=1.6, stiffness_front=55000.0, stiffness_rear=60000.0
+    )
+
+
+CARS = {"six": six_numbers(), **{name: load_vehicle(name) for name in list_vehicles()}}
+every_car = pytest.mark.parametrize("name", CARS)
+every_profile = pytest.mark.parametrize("profile", list_profiles())
+
+
+@every_car
+@every_profile
+@pytest.mark.compiled
+def test_no_step_of_the_reference_throws_a_car_off_the_road(name, profile):
+    grid = [(0.4, speed) for speed in (5.0, 10.0, 15.0, 20.0)] + [(0.9, speed) for speed in (5.0, 15.0, 25.0, 30.0)]
+    steps = [
+        load_scenario("step", amplitude=amplitude, speed=speed, friction=friction, duration=12.0)
+        for friction, speed in grid
+        for amplitude in (0.5, 2.0, 4.5)
+    ]
+    runs = rollout_batch(DualTrack(CARS[name]), MPC(CARS[name], profile=profile), steps, profile=profile)
+    assert [each.source for each, failed in zip(steps, runs.failed, strict=True) if failed is not None] == []
+
+
+@every_car
+@every_profile
+@pytest.mark.slow
+@pytest.mark.compiled
+def test_every_scenario_is_driven_by_every_car_with_nothing_but_defaults(name, profile):
+    plant = DualTrack(CARS[name])
+    runs = {each: rollout(plant, MPC(CARS[name], profile=profile), load_scenario(each), profile=profile)
+            for each in list_scenarios()}  # fmt: skip
+    assert {each: run.failed for each, run in runs.items() if run.failed} == {}
+
+
+@pytest.mark.slow
+@pytest.mark.compiled
+@pytest.mark.parametrize("name", [*(each for each in CARS if each != "paper"), "six, matched"])
+def test_the_same_constant_and_filter_drive_any_car(name):
+    """100 drives each, none failed, J <= 0.0005 m^2."""
+    car = CARS[name.removesuffix(", matched")]
+    car = car.matched_to(load_tyre(car.tyre)) if name.endswith("matched") else car
+    drives, profile = [random_drive(31_000_000 + number) for number in range(100)], load_profile("road")
+    runs = rollout_batch(DualTrack(car), MPC(car, profile="road"), drives, profile="road", seeds=np.arange(100))
+    assert all(failed is None for failed in runs.failed)
+    assert np.exp(np.log(runs.cost(profile.move_weight)).mean()) <= 0.0005
+
+
+# -- wrong beliefs ----------------------------------------------------------------------------------------------------
+def test_without_uncertainty_nothing_changes_and_with_it_the_controller_is_late_and_cautious():
+    sure, plain = MPC(CAR, profile="road", uncertainty=Uncertainty()), MPC(CAR, profile="road")
+    assert (sure.tuning, sure.model, sure.estimator, sure.limits) == (
+        plain.tuning, plain.model, plain.estimator, plain.limits
+    )  # fmt: skip
+    unsure = MPC(CAR, profile="road", uncertainty=Uncertainty(lag=0.1, dead_time=0.05, stiffness=1.6, mass=0.3))
+    # the 0.95 quantile of a uniform distribution of half width h lies 0.9 h above its middle
+    assert (unsure.model.lag, unsure.model.dead_time) == pytest.approx((0.15 + 0.09, 0.05 + 0.045))
+    assert unsure.tuning.R > 16.0 * plain.tuning.R
+    assert unsure.estimator.drifts.wheel_angle > plain.estimator.drifts.wheel_angle
+    given = MPC(CAR, Tuning(20, 5, 1.0, 7.0), profile="road", uncertainty=Uncertainty(lag=0.1))
+    assert given.tuning.R == 7.0
+
+
+def test_caution_grows_with_every_uncertainty():
+    for name, values in {"lag": (0.0, 0.02, 0.08), "dead_time": (0.0, 0.02, 0.08), "stiffness": (1.0, 1.2, 2.0),
+                         "mass": (0.0, 0.1, 0.4)}.items():  # fmt: skip
+        cautions = [Uncertainty(**{name: value}).caution for value in values]
+        assert cautions[0] == 1.0
+        assert sorted(set(cautions)) == cautions
+
+
+@pytest.mark.parametrize(
+    "wrong", [{"lag": -0.1}, {"dead_time": math.nan}, {"stiffness": 0.6}, {"mass": 1.0}, {"lag": True}]
+)
+def test_an_impossible_uncertainty_is_refused(wrong):
+    with pytest.raises(InvalidInput, match=next(iter(wrong))):
+        Uncertainty(**wrong)
+    with pytest.raises(InvalidInput, match="Uncertainty"):
+        MPC(CAR, profile="road", uncertainty=0.1)
+
+
+@pytest.mark.slow
+@pytest.mark.compiled
+@pytest.mark.parametrize("name", ["paper", "midsize-sedan"])
+@pytest.mark.parametrize(
+    ("told", "wrong"),
+    [(Uncertainty(lag=0.1), {"lag": value}) for value in (-0.1, 0.0, 0.1)]
+    + [(Uncertainty(dead_time=0.05), {"dead_time": value}) for value in (-0.05, 0.0, 0.05)]
+    + [(Uncertainty(stiffness=1.6), {"stiffness": value}) for value in (0.625, 1.6)]
+    + [(Uncertainty(mass=0.3), {"mass": value}) for value in (0.7, 1.3)],
+)
+def test_a_belief_that_is_as_wrong_as_was_told_loses_no_drive(name, told, wrong):
+    """The true value lies at an end, or in the middle, of what the controller was told; J <= 0.0025 m^2."""
+    car, stiffer, heavier = load_vehicle(name), wrong.get("stiffness", 1.0), wrong.get("mass", 1.0)
+    believed = car.replace(
+        mass=car.mass / heavier, yaw_inertia=car.yaw_inertia / heavier,
+        stiffness_front=car.stiffness_front / stiffer, stiffness_rear=car.stiffness_rear / stiffer,
+    )  # fmt: skip
+    profile = load_profile("road")
+    mpc = MPC(
+        believed, profile="road", steering=profile.steering.replace(lag=0.15 - wrong.get("lag", 0.0)),
+        dead_time=0.05 - wrong.get("dead_time", 0.0), uncertainty=told,
+    )  # fmt: skip
+    drives = [random_drive(41_000_000 + number) for number in range(24)]
+    runs = rollout_batch(DualTrack(car), mpc, drives, profile="road", seeds=np.arange(24))
+    assert all(failed is None for failed in runs.failed)
+    assert np.exp(np.log(runs.cost(profile.move_weight)).mean()) <= 0.0025

@@ -122,7 +122,7 @@ class TestNamedSets:
         assert load_tyre(name).description
 
     def test_the_published_names_are_there(self):
-        assert {"paper", "midsize-sedan"} <= set(list_vehicles())
+        assert {"paper", "midsize-sedan", "compact-ev", "van"} <= set(list_vehicles())
         assert {"magic-formula", "constant-stiffness", "passenger-car"} <= set(list_tyres())
 
     def test_the_paper_car_has_the_papers_table(self):
@@ -153,11 +153,36 @@ class TestNamedSets:
         lengths = (sedan.lf, sedan.lr, sedan.track_front, sedan.track_rear, sedan.cg_height)
         assert lengths == pytest.approx([foot * x for x in (3.793293, 4.667707, 4.55, 4.475, 1.886053)], rel=1e-4)
 
-    def test_the_sedans_prediction_model_knows_its_own_tyres_at_rest(self):
-        sedan = load_vehicle("midsize-sedan")
-        matched = sedan.matched_to(load_tyre(sedan.tyre))
-        assert sedan.stiffness_front == pytest.approx(matched.stiffness_front, rel=1e-3)
-        assert sedan.stiffness_rear == pytest.approx(matched.stiffness_rear, rel=1e-3)
+    @pytest.mark.parametrize("name", list_vehicles())
+    def test_a_prediction_model_knows_its_own_tyres_at_rest(self, name):
+        car = load_vehicle(name)
+        matched = car.matched_to(load_tyre(car.tyre))
+        assert car.stiffness_front == pytest.approx(matched.stiffness_front, rel=1e-3)
+        assert car.stiffness_rear == pytest.approx(matched.stiffness_rear, rel=1e-3)
+
+    def test_the_electric_car_is_what_opendbc_makes_of_its_kerb_mass_and_wheelbase(self):
+        car, mass, wheelbase = load_vehicle("compact-ev"), 1685 + 136, 2.6
+        assert (car.mass, car.lf, car.lr) == pytest.approx((mass, 0.4 * wheelbase, 0.6 * wheelbase))
+        civic_mass, civic_wheelbase = 1326 + 136, 2.7
+        scaled = 2500 * mass * wheelbase**2 / (civic_mass * civic_wheelbase**2)
+        assert car.yaw_inertia == pytest.approx(scaled, rel=1e-3)
+        # between a Civic's axles, scaled by mass alone (both have their centre of gravity at 0.4), and the bare tyre
+        share = 0.385 * mass / civic_mass / 2
+        bare = load_tyre("passenger-car").stiffness_at(*car.static_loads)
+        assert 192150 * share < car.stiffness_front < bare[0]
+        assert 202500 * share < car.stiffness_rear < bare[1]
+
+    def test_the_van_has_the_published_axles_and_the_inertia_of_commonroads_van_in_proportion(self):
+        van = load_vehicle("van")
+        assert (van.lf, van.lr, van.mass) == (1.484, 1.644, 2520 + 4 * 70)
+        ratio = 2473.12 / (1478.898 * 1.150792 * 1.321136)  # vehicle 3 of CommonRoad: I_z/(m a b)
+        assert van.yaw_inertia == pytest.approx(ratio * van.mass * van.lf * van.lr, rel=2e-3)
+
+    def test_the_vans_tyre_is_the_passenger_cars_at_other_loads(self):
+        ours, base, scale = load_tyre("van"), load_tyre("passenger-car"), 875 / 800
+        for load in (3000.0, 5305.0, 7200.0):
+            mine, theirs = ours.stiffness_at(load, load), base.stiffness_at(load / scale, load / scale)
+            assert mine == pytest.approx([scale * each for each in theirs], rel=1e-3)
 
     def test_the_passenger_car_tyre_is_the_published_pac2002_set(self):
         published, ours = Pac2002(), load_tyre("passenger-car")

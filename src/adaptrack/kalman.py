@@ -67,21 +67,21 @@ class Drifts:
     They are random walks: after t seconds the deviation is sqrt(t) times that.
     """
 
-    vy: float = 0.015
+    vy: float = 0.03
     """m/s"""
     yaw: float = 0.001
     """rad"""
-    yaw_rate: float = 0.007
+    yaw_rate: float = 0.015
     """rad/s"""
     y: float = 0.01
     """m"""
     wheel_angle: float = 0.01
     """rad"""
-    side: float = 0.02
+    side: float = 0.03
     """m/s^2, of the lateral disturbance d_y: side wind, bank, a steering bias"""
-    turn: float = 0.035
+    turn: float = 0.05
     """rad/s^2, of the yaw disturbance d_r"""
-    wind: float = 0.3
+    wind: float = 0.35
     """m/s^2, of what side wind adds to d_y; it adds to d_r as well, in the proportion of the car's body"""
     yaw_rate_offset: float = 0.0002
     """rad/s, of the yaw-rate sensor's offset"""

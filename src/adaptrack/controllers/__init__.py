@@ -1,7 +1,7 @@
 """Controllers: what `simulate` drives with. One file each; `check_controller` tells whether one keeps the contract."""
 
 from adaptrack.controllers.base import Command, CompiledController, Controller
-from adaptrack.controllers.belief import Belief
+from adaptrack.controllers.belief import Belief, Uncertainty
 from adaptrack.controllers.check import check_controller
 from adaptrack.controllers.informed import informed_tuning
 from adaptrack.controllers.limits import Limits, Moves
@@ -30,6 +30,7 @@ __all__ = [
     "Scheduler",
     "Stanley",
     "Tuning",
+    "Uncertainty",
     "UserController",
     "check_controller",
     "get_controller",

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 from adaptrack.controllers.base import LEAST_STEERING_RATE, MOST_STEERING_DELAY
 from adaptrack.controllers.limits import Limits
-from adaptrack.errors import InvalidInput
+from adaptrack.errors import InvalidInput, real
+from adaptrack.kalman import Drifts
 from adaptrack.profile import Profile
 from adaptrack.vehicle import Steering, Vehicle
 
@@ -17,6 +18,63 @@ ASSUMED = "nobody says, so the slow end of published values"
 LEAST_LAG = 0.05
 """s, believed at least where only the dead time is known."""
 _NAMES = {"lag": "s", "dead_time": "s", "computation": "s", "rate": "rad/s", "limit": "rad"}
+QUANTILE, TOLERATED_DELAY, MOST_CAUTION, USUAL_RATE = 0.95, 0.018, 16.0, 0.5
+"""Of what a delay may be, the share that is not above what is believed; s, an error of the delay that doubles R; the
+largest factor on R for it; rad/s, steering rate."""
+
+
+@dataclass(frozen=True)
+class Uncertainty:
+    """How far what is believed of the car may be wrong: by so much to either side.
+
+    A delay that is believed too short loses the car, one that is believed too long costs little. So the controller
+    believes the `QUANTILE` of what lag and dead time may be, its filter lets the wheels be where the model does not
+    expect them, and the moves weigh more.
+
+    Raises
+    ------
+    InvalidInput
+        When a number is not allowed.
+    """
+
+    lag: float = 0.0
+    """s, of the steering's lag"""
+    dead_time: float = 0.0
+    """s, of its dead time"""
+    stiffness: float = 1.0
+    """-, factor by which the cornering stiffness of an axle may be larger or smaller, >= 1"""
+    mass: float = 0.0
+    """-, share by which mass and yaw inertia may be larger or smaller, below 1"""
+
+    def __post_init__(self) -> None:
+        ranges = {"lag": (0.0, 1.0), "dead_time": (0.0, 1.0), "stiffness": (1.0, 4.0), "mass": (0.0, 0.9)}
+        for name, (low, high) in ranges.items():
+            if not low <= real("Uncertainty", name, getattr(self, name)) <= high:
+                raise InvalidInput(f"Uncertainty: {name} = {getattr(self, name)!r}: must be from {low:g} to {high:g}.")
+
+    def late(self, half: float) -> float:
+        """What is added to a delay (s) that may be wrong by `half` (s), all values being equally likely."""
+        return (2.0 * QUANTILE - 1.0) * half
+
+    @property
+    def caution(self) -> float:
+        """By which R is multiplied."""
+        delay = math.hypot(self.lag, self.dead_time) / TOLERATED_DELAY
+        return min(1.0 + delay**2, MOST_CAUTION) * self.stiffness * (1.0 + self.mass)
+
+    def widened(self, drifts: Drifts) -> Drifts:
+        """Drifts of the filter: a delay that is wrong puts the wheels elsewhere, by the steering rate times it."""
+        unknown = USUAL_RATE * (self.lag + self.dead_time)
+        return replace(drifts, wheel_angle=math.hypot(drifts.wheel_angle, unknown))
+
+    @classmethod
+    def declared(cls, uncertainty: Uncertainty | None) -> Uncertainty:
+        """What was told; none where nothing was."""
+        if uncertainty is None:
+            return cls()
+        if not isinstance(uncertainty, Uncertainty):
+            raise InvalidInput(f"uncertainty = {uncertainty!r}: must be an Uncertainty(lag=..., dead_time=...).")
+        return uncertainty
 
 
 class Said(NamedTuple):
@@ -56,17 +114,25 @@ class Belief:
         """Whether the delay of the steering, lag or dead time, is assumed."""
         return bool({"lag", "dead_time"} & set(self.assumed))
 
+    def later(self, unsure: Uncertainty) -> Belief:
+        """The belief with lag and dead time as long as they may be."""
+        return replace(
+            self,
+            lag=self.lag._replace(value=self.lag.value + unsure.late(unsure.lag)),
+            dead_time=self.dead_time._replace(value=self.dead_time.value + unsure.late(unsure.dead_time)),
+        )
+
     def bounds(self, period: float) -> Limits:
         """Limits on the command: on its change the rate times a period (s), on its size the limit.
 
-        The next command may lead the wheels by rate times lag, up to which the lag is linear.
+        The next command may lead the wheels by the rate times lag and period, as far as they follow within the rate.
 
         Behind a delay that is assumed, thus probably too long, bounded moves lose the car: the change has then the
         bound of the paper's table, as it has where there is no rate limit.
         """
         bounded = math.isfinite(self.rate.value) and not self.is_cautious
         fastest = self.rate.value * period if bounded else Limits().move[1]
-        ahead = self.rate.value * self.lag.value if bounded else 0.0
+        ahead = self.rate.value * (self.lag.value + period) if bounded else 0.0
         return Limits(move=(-fastest, fastest), ahead=ahead, angle=(-self.limit.value, self.limit.value))
 
     def __str__(self) -> str:

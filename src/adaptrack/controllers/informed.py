@@ -7,7 +7,7 @@ from dataclasses import replace
 from typing import NamedTuple
 
 from adaptrack.controllers.base import known_vehicle
-from adaptrack.controllers.belief import Belief, believed
+from adaptrack.controllers.belief import Belief, Uncertainty, believed
 from adaptrack.controllers.limits import Limits
 from adaptrack.controllers.tuning import Tuning
 from adaptrack.errors import InvalidInput, real
@@ -22,6 +22,8 @@ UNNAMED = "road"
 """The profile whose period, preview and sensors are taken where none is named."""
 CAUTION = 10.0
 """Factor on R where the delay of the steering is assumed."""
+LARGEST_CORRECTION = 0.25
+"""m, lateral error that is corrected at once: a larger one would ask the tyres for more than they have."""
 
 HORIZON, MOVES = 1.5, 0.5
 """s, over which the outputs are predicted and the command may change, with preview."""
@@ -37,14 +39,17 @@ def _checked(period: float) -> float:
     return float(period)
 
 
-def informed_tuning(profile: str | Profile = "road", period: float | None = None) -> Tuning:
+def informed_tuning(
+    profile: str | Profile = "road", period: float | None = None, uncertainty: Uncertainty | None = None
+) -> Tuning:
     """The constant tuning in a profile; period: control period (s), by default the profile's.
 
-    R/Q is the weight that the profile itself gives to squared moves.
+    R/Q is the weight that the profile itself gives to squared moves, times the caution of an uncertainty.
     """
     world = load_profile(profile)
     pace = _checked(world.period if period is None else period)
     weight = max(world.move_weight * world.period**2, LEAST_MOVE_WEIGHT) / pace**2
+    weight *= Uncertainty.declared(uncertainty).caution
     ahead, free = (HORIZON, MOVES) if world.preview else (BLIND_HORIZON, BLIND_MOVES)
     horizon = min(max(2, round(ahead / pace)), int(PREDICTION_HORIZON.most))
     moves = min(max(1, round(free / pace)), int(CONTROL_HORIZON.most))
@@ -64,10 +69,10 @@ class Parts(NamedTuple):
 
 
 def informed_parts(
-    vehicle: Vehicle, profile: str | Profile | None, told: Steering | None, period: float | None,
-    estimator: KalmanFilter | None,
+    vehicle: Vehicle, profile: str | Profile | None, told: tuple[Steering | None, Uncertainty | None],
+    period: float | None, estimator: KalmanFilter | None,
 ) -> Parts:  # fmt: skip
-    """The parts of an MPC that knows its car; arguments as for `MPC`.
+    """The parts of an MPC that knows its car; arguments as for `MPC`, told: belief and uncertainty.
 
     Raises
     ------
@@ -76,13 +81,15 @@ def informed_parts(
     """
     car, world = known_vehicle("MPC", vehicle), load_profile(UNNAMED if profile is None else profile)
     pace = _checked(world.period if period is None else period)
-    belief = believed(car, told, world, pace, named=profile is not None)
-    tuning = informed_tuning(world, pace)
+    unsure = Uncertainty.declared(told[1])
+    belief = believed(car, told[0], world, pace, named=profile is not None).later(unsure)
+    tuning = informed_tuning(world, pace, unsure)
+    drifts = unsure.widened(KalmanFilter().drifts)
     return Parts(
         tuning=replace(tuning, R=tuning.R * CAUTION) if belief.is_cautious else tuning,
         model=PathModel(car, pace, belief.lag.value, belief.delay),
-        estimator=KalmanFilter.of_profile(world) if estimator is None else estimator,
-        limits=belief.bounds(pace),
+        estimator=KalmanFilter.of_profile(world, drifts) if estimator is None else estimator,
+        limits=replace(belief.bounds(pace), error=LARGEST_CORRECTION),
         preview=world.preview,
         belief=belief,
     )

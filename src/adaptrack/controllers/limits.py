@@ -18,21 +18,24 @@ class Limits:
     Raises
     ------
     InvalidInput
-        When a pair is not low <= high, a move or an angle of 0 is not allowed, or the weight is not positive: limits
-        that contain 0 always leave a feasible move.
+        When a pair is not low <= high, a move or an angle of 0 is not allowed, or the weight or the error is not
+        positive: limits that contain 0 always leave a feasible move.
     """
 
     move: tuple[float, float] = (-math.pi / 12, math.pi / 12)
     """rad per control period, eq. (13)"""
-    ahead: float = 0.0
-    """rad, the next command may be so far ahead of the wheels, even where that takes more than a `move`; of a steering
-    with rate and lag their product, up to which the lag is linear. For models with a wheel angle; 0: not looked at."""
     angle: tuple[float, float] = (-math.pi / 6, math.pi / 6)
     """rad, eq. (14)"""
     output: tuple[float, float] = (-math.inf, math.inf)
     """m, eq. (15); soft: one slack variable, its square weighed, so that the QP stays feasible"""
     output_weight: float = 1e4
     """1/m^2, weight of the squared violation of `output`"""
+    ahead: float = 0.0
+    """rad; a first move may exceed `move` while the command is not further than this ahead of the wheels, whose angle
+    an estimator knows by the model: an actuator with a lag follows so far without its rate limit"""
+    error: float = math.inf
+    """m, of a larger lateral error the QP is asked to correct so much at once: the reference is moved towards the car.
+    Without preview it is larger by what the reference moves in 1 s"""
 
     def __post_init__(self) -> None:
         for name, unit in (("move", "rad"), ("angle", "rad"), ("output", "m")):
@@ -48,7 +51,9 @@ class Limits:
                     "or some step has no feasible move."
                 )
         if not 0.0 <= real("Limits", "ahead", self.ahead) < math.inf:
-            raise InvalidInput(f"Limits: ahead = {self.ahead!r} rad: must be finite and not negative.")
+            raise InvalidInput(f"Limits: ahead = {self.ahead!r} rad: must not be negative, and finite.")
+        if not real("Limits", "error", self.error) > 0.0:
+            raise InvalidInput(f"Limits: error = {self.error!r} m: must be positive; inf: no limit.")
         if not 0.0 < real("Limits", "output_weight", self.output_weight) < math.inf:
             raise InvalidInput(f"Limits: output_weight = {self.output_weight!r}: must be finite and positive.")
 

@@ -17,6 +17,7 @@ from typing import Any, NamedTuple, Protocol, Self, runtime_checkable
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from adaptrack.controllers.belief import Uncertainty
 from adaptrack.controllers.informed import Parts, informed_parts
 from adaptrack.controllers.inputs import number, vector
 from adaptrack.controllers.limits import Limits, Moves
@@ -112,8 +113,9 @@ class MPC:
     constant one, or the one before the scheduler speaks, by default `informed_tuning`; profile: name, file or
     `Profile` whose period, preview and sensors are taken, and whose actuator is believed where nobody else says; by
     default the period, preview and sensors of "road", and of its actuator nothing; belief: a `Steering` that is
-    believed before the car's file. What nobody says of the steering is taken from the slow end of published values,
-    and R is raised; `belief` of the controller says what it believes, and from whom.
+    believed before the car's file; uncertainty: how far the belief may be wrong, for which the delay is believed longer
+    and R is raised. What nobody says of the steering is taken from the slow end of published values, with R raised as
+    well; `belief` of the controller says what it believes, and from whom.
 
     period: control period (s); limits: by default the believed rate times the period (the paper's table where the delay
     is assumed) and the believed angle; preview: whether R_s holds the reference ahead or its present value; solver:
@@ -144,6 +146,7 @@ class MPC:
         *,
         profile: str | Profile | None = None,
         belief: Steering | None = None,
+        uncertainty: Uncertainty | None = None,
         period: float | None = None,
         limits: Limits | None = None,
         moves: Moves | None = None,
@@ -158,10 +161,12 @@ class MPC:
     ) -> None:
         filtering = get_estimator(estimator) if isinstance(estimator, str) else estimator
         if model is None and isinstance(filtering, KalmanFilter | None):
-            parts = informed_parts(vehicle, profile, belief, period, filtering)
+            parts = informed_parts(vehicle, profile, (belief, uncertainty), period, filtering)
         else:
-            if profile is not None or belief is not None:
-                raise InvalidInput("MPC: profile and belief choose model and estimator: give those, or these.")
+            if not (profile is None and belief is None and uncertainty is None):
+                raise InvalidInput(
+                    "MPC: profile, belief and uncertainty choose model and estimator: give those, or these."
+                )
             parts = _given_parts(vehicle, model, filtering, period)
         self.tuning = parts.tuning if tuning is None else tuning
         if not isinstance(self.tuning, Tuning):
@@ -169,8 +174,6 @@ class MPC:
         self.model, self.estimator, self.belief = parts.model, parts.estimator, parts.belief
         self.estimator.check_fits(self.model)
         self.limits = limits or parts.limits
-        if self.limits.ahead > 0.0 and "wheel_angle" not in self.model.states:
-            raise InvalidInput(f"Limits: ahead: model {self.model.name!r} knows no wheel angle; leave it at 0.")
         self.preview = parts.preview if preview is None else bool(preview)
         self.moves = moves or Moves()
         self.solver = get_qp_solver(solver) if isinstance(solver, str) else solver
@@ -261,13 +264,13 @@ class MPC:
             period=self.period,
             move_min=limits.move[0],
             move_max=limits.move[1],
-            ahead_max=limits.ahead,
-            wheel=list(self.model.states).index("wheel_angle") if limits.ahead > 0.0 else 0,
             angle_min=limits.angle[0],
             angle_max=limits.angle[1],
+            ahead=limits.ahead,
             output_min=limits.output[0],
             output_max=limits.output[1],
             output_weight=limits.output_weight,
+            error_max=limits.error,
             laguerre=self.moves.kind == "laguerre",
             pole=self.moves.pole,
             terms=self.moves.terms,
@@ -548,9 +551,10 @@ class MPC:
             "period": self.period,
             "limits": {
                 "move": list(self.limits.move),
-                "ahead": self.limits.ahead,
                 "angle": list(self.limits.angle),
                 "output": [repr(value) for value in self.limits.output],
+                **({"ahead": self.limits.ahead} if self.limits.ahead > 0.0 else {}),
+                **({"error": self.limits.error} if self.limits.error < math.inf else {}),
             },
             "moves": {"kind": self.moves.kind, "pole": self.moves.pole, "terms": self.moves.terms}
             if self.moves.kind == "laguerre"

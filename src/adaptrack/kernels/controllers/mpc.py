@@ -55,10 +55,11 @@ SETTINGS = Structure(
     (
         "period",  # s
         "move_min", "move_max",  # rad per period, eq. (13)
-        "ahead_max",  # rad, the next command may be so far ahead of the wheels, whatever its move; 0: not looked at
         "angle_min", "angle_max",  # rad, eq. (14)
+        "ahead",  # rad, by which the command may be ahead of the wheels in spite of eq. (13); 0: not
         "output_min", "output_max",  # m, eq. (15), soft; -inf and inf: none
         "output_weight",  # 1/m^2, weight of the squared violation of eq. (15)
+        "error_max",  # m, of a larger error the QP is asked to correct so much; inf: all of it
         "laguerre",  # 1: moves by Laguerre functions, 0: by pulses
         "pole",  # of the Laguerre functions
         "terms",  # number of Laguerre functions
@@ -66,7 +67,6 @@ SETTINGS = Structure(
         "lead",  # periods, dead time of the model: the predicted outputs are so much later
         "speed_floor",  # m/s, the prediction model is never formed below this speed
         "estimator",  # DEADBEAT or BY_FUNCTION
-        "wheel",  # which state of the model the wheel angle is, where `ahead_max` asks for it
         "solver",  # ACTIVE_SET, ...
         "max_sweeps",  # of Hildreth's procedure
         "tolerance",  # of Hildreth's procedure, on the squared change of the multipliers in a sweep
@@ -74,7 +74,7 @@ SETTINGS = Structure(
         "longest_horizon", "most_moves",  # Np and Nc are clamped to what the workspace was made for
     ),
     whole=(
-        "laguerre", "terms", "preview", "estimator", "wheel", "solver", "max_sweeps", "residuals", "longest_horizon",
+        "laguerre", "terms", "preview", "estimator", "solver", "max_sweeps", "residuals", "longest_horizon",
         "most_moves",
     ),
 )  # fmt: skip
@@ -92,6 +92,7 @@ MEMORY = Structure(
         "factor_status", "condition",  # of the Hessian
         "active", "kept",  # active rows of the last solution, and whether their factor still belongs to E
         "planned", "age",  # entries of the last plan (0: none), and periods since it was made
+        "reference",  # m, y_ref of the last step
     ),
     whole=("started", "factor_status", "active", "kept", "planned", "age"),
 )  # fmt: skip
@@ -106,6 +107,8 @@ diagnostics: status, iterations and largest KKT residual (NaN unless asked for) 
 AT_MOVE, AT_ANGLE, AT_OUTPUT = 1, 2, 4
 NEAR = 1e-9
 """rad, how near to a limit counts as at it."""
+RESPONSE, STEEPEST = 1.0, 0.5
+"""s, by which a car without preview follows a moving reference late; rad, a steeper reference has jumped."""
 
 FOUR_DIMENSIONS = types.Array(types.float64, 4, "C")
 _FIELDS = (
@@ -242,6 +245,7 @@ def forget(slot, mpc):
     """Back to before the first step; the model and factor that the workspace holds stay valid."""
     own = mpc.memory[slot]
     own.started, own.command, own.active, own.kept, own.planned, own.age = 0, 0.0, 0, 0, 0, 0
+    own.reference = 0.0
     mpc.previous[slot, :] = 0.0
     mpc.estimates[slot, :] = 0.0
 
@@ -376,7 +380,33 @@ def _look_ahead(horizon, reference, mpc):
 
 
 @njit(**PART)
-def _free_response(slot, horizon, mpc, functions):
+def _limit_error(slot, horizon, output, reference, mpc):
+    """Shift R_s towards the car, so that the error that it is asked to correct is no larger than the limit.
+
+    output: predicted or measured y (m) at the end of the dead time. A car that does not know the reference ahead
+    follows it `RESPONSE` late, and the limit is larger by that; a jump is no motion of the reference.
+    """
+    settings, own, ws = mpc.settings[0], mpc.memory[slot], mpc.ws
+    limit, wanted = settings.error_max, reference[0]
+    if not limit < math.inf:
+        return
+    if settings.preview > 0:
+        last, first = reference.size - 1, int(settings.lead)
+        here, following = reference[min(first, last)], reference[min(first + 1, last)]
+        wanted = here + (settings.lead - first) * (following - here)
+    elif own.started > 0:
+        pace = abs(wanted - own.reference) / settings.period
+        limit += RESPONSE * pace if pace <= STEEPEST * own.speed else 0.0
+    own.reference = reference[0]
+    gap = wanted - output
+    beyond = gap - clip(gap, -limit, limit)
+    if beyond != 0.0:
+        for j in range(horizon):
+            ws.reference[j] -= beyond
+
+
+@njit(**PART)
+def _free_response(slot, horizon, reference, mpc, functions):
     """R_s - Y without moves: from the last increments as measured, or from the next ones of x(k+1) = A x + B u + d."""
     settings, own, ws = mpc.settings[0], mpc.memory[slot], mpc.ws
     if settings.estimator == BY_FUNCTION:
@@ -389,13 +419,29 @@ def _free_response(slot, horizon, mpc, functions):
             for j in range(x.size):
                 total += a[i, j] * x[j]
             ws.change[i] = total
+        _limit_error(slot, horizon, x[x.size - 1], reference, mpc)
         tracking_error(horizon, ws.free[slot], ws.change, x[x.size - 1], ws.reference, ws.error)
         return
     for i in range(mpc.states.size):
         now = mpc.measured[mpc.states[i]]
         ws.change[i] = now - mpc.previous[slot, i] if own.started > 0 else 0.0 * now
     output = mpc.measured[mpc.states[mpc.states.size - 1]]
+    _limit_error(slot, horizon, output, reference, mpc)
     tracking_error(horizon, ws.free[slot], ws.change, output, ws.reference, ws.error)
+
+
+@njit(**PART)
+def _widen_first_move(command, mpc):
+    """Let the first move bring the command ahead of the wheels, as far as the actuator follows without its rate limit.
+
+    A first-order lag turns the wheels at (command - angle)/lag, so |command - angle| <= rate lag is what it can do.
+    """
+    settings, ws = mpc.settings[0], mpc.ws
+    for i in range(mpc.states.size):
+        if mpc.states[i] == MEASURED.wheel_angle:
+            wheels = mpc.estimate[0, i]
+            ws.bounds[0] = max(settings.move_max, wheels + settings.ahead - command)
+            ws.bounds[1] = max(-settings.move_min, command - wheels + settings.ahead)
 
 
 @njit(**PART)
@@ -409,10 +455,8 @@ def _bound(slot, nc, horizon, mpc):
         ws.bounds[4 * i + 3] = angle - settings.angle_min
     for b in range(vectors.WIDTH, 4 * nc, vectors.WIDTH):
         vectors.store(ws.bounds, b, vectors.load(ws.bounds, 0))
-    if settings.ahead_max > 0.0:
-        ahead = angle - mpc.estimate[0, settings.wheel]
-        ws.bounds[0] = max(settings.move_max, settings.ahead_max - ahead)
-        ws.bounds[1] = max(-settings.move_min, settings.ahead_max + ahead)
+    if settings.ahead > 0.0 and mpc.estimate.shape[0] > 0:
+        _widen_first_move(angle, mpc)
     if _has_output_limits(settings):
         for j in range(horizon):
             response = ws.reference[j] - ws.error[j]  # F x~
@@ -436,7 +480,7 @@ def _form_qp(slot, speed, reference, tuning, mpc, functions):
     if not _is_formed(slot, speed, mpc):
         _form_model(slot, speed, mpc, functions)
     _look_ahead(np_, reference, mpc)
-    _free_response(slot, np_, mpc, functions)
+    _free_response(slot, np_, reference, mpc, functions)
     if laguerre:
         condensed_gradient(np_, moves, ws.phi[slot], out[ANSWER.Q], ws.error, ws.gradient)
     else:

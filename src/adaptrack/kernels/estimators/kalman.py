@@ -56,6 +56,8 @@ SENSORS = 6
 """The first of `MEASURED`; their ages follow."""
 _STATES = 5  # as many of them may be states
 _VARIANCE, _DRIFT = NUMBERS.index("variance_vy"), NUMBERS.index("drift_vy")
+GRIP, LEAST_SPARE = 7.0, 0.5
+"""m/s^2, what tyres can pull at most, and what a disturbance may always be."""
 UNKNOWN = 1e2
 """Variance of a state of which the first sample says nothing."""
 SLIDING_TIME = 0.3
@@ -66,6 +68,7 @@ LEAST_NOISE = (0.005, 0.0002, 0.001, 0.002, 0.0005, 0.02)
 # Memory, in rows of the vector width; matrices take eight rows.
 _COUNT, _SPEED, _BLIND = 0, 1, 2  # steps; speed of the matrices; periods since a position was taken in
 _OF_COMMAND = 3  # what the command adds to the lateral acceleration, where there is no lag
+_SPARE = 5  # what the tyres can still answer, m/s^2
 _FELT_ERROR = 4  # variance of the predicted lateral acceleration, by forces that the model gets wrong
 _LAST = WIDTH  # samples of the step before, to tell repeated ones
 _OFFSET = 2 * WIDTH  # of the sensors
@@ -243,7 +246,7 @@ def _predict(n, size, instant, p, parameters, memory):
         if i >= 0:
             memory[_P + WIDTH * i + i] += parameters[_DRIFT + sensor]
     angle = memory[_Z + 3] if n == 5 else memory[acting]
-    of_vy, of_r, of_both = path.sliding(
+    pull, of_vy, of_r, of_both = path.sliding(
         memory[_SPEED], memory[_Z], memory[_Z + 2], angle, parameters[len(NUMBERS) :]
     )
     share = p.sliding * p.period
@@ -251,6 +254,7 @@ def _predict(n, size, instant, p, parameters, memory):
     memory[_P + WIDTH * 2 + 2] += share * of_r
     memory[_P + 2] += share * of_both
     memory[_P + WIDTH * 2] += share * of_both
+    memory[_SPARE] = max(LEAST_SPARE, GRIP - pull)
     memory[_FELT_ERROR] = p.sliding / (2.0 * SLIDING_TIME) * of_vy
     memory[_P + WIDTH * n + n] += p.drift_side
     memory[_P + WIDTH * (n + 1) + n + 1] += p.drift_turn
@@ -345,6 +349,9 @@ def _go_on(n, size, p, parameters, memory):
     for instant in range(first, -1, -1):
         _predict(n, size, instant, p, parameters, memory)
         _correct(n, size, instant, p, parameters, memory)
+        most = memory[_SPARE] / max(abs(memory[_Z + n]), memory[_SPARE])
+        memory[_Z + n] *= most
+        memory[_Z + n + 1] *= most
         if late > 0 and instant == late:
             _keep(_Z, _PAST_Z, memory)
 

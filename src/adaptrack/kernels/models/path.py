@@ -181,18 +181,23 @@ def _slid(slip, stiffness, load):
 
 @njit(**INLINE)
 def sliding(speed, vy, r, angle, parameters):
-    """Variances of dv_y/dt and dr/dt, and their covariance, when each axle's force deviates by F^2/F_z.
+    """What the tyres pull (m/s^2); variances of dv_y/dt and dr/dt and their covariance when each axle's force deviates
+    by F^2/F_z.
 
     In the brush model a tyre loses F^2/(3 mu F_z) to sliding, in first order (Pacejka, Tire and Vehicle Dynamics,
     3rd ed., section 3.2).
     """
     c = unpack(parameters)
     pace, weight = max(speed, SLOWEST), c.mass * GRAVITY / (c.lf + c.lr)
-    front = _slid(angle - (vy + c.lf * r) / pace, 2.0 * c.stiffness_front, weight * c.lr) / c.mass
-    rear = _slid((vy - c.lr * r) / pace, 2.0 * c.stiffness_rear, weight * c.lf) / c.mass
+    stiff_front, stiff_rear = 2.0 * c.stiffness_front, 2.0 * c.stiffness_rear
+    front_slip, rear_slip = angle - (vy + c.lf * r) / pace, (vy - c.lr * r) / pace
+    front = _slid(front_slip, stiff_front, weight * c.lr) / c.mass
+    rear = _slid(rear_slip, stiff_rear, weight * c.lf) / c.mass
     by_front, by_rear = front * front, rear * rear
     turning = c.mass / c.yaw_inertia
+    pull = abs(stiff_front * front_slip - stiff_rear * rear_slip) / c.mass
     return (
+        pull,
         by_front + by_rear,
         turning * turning * (c.lf * c.lf * by_front + c.lr * c.lr * by_rear),
         turning * (c.lf * by_front - c.lr * by_rear),
