@@ -20,7 +20,7 @@ HORIZON, MOVES = 1.5, 0.5
 """s, over which the outputs are predicted and the command may change."""
 LARGEST_CORRECTION = 0.25
 """m, lateral error that is corrected at once: a larger one would ask the tyres for more than they have."""
-QUANTILE, TOLERATED_DELAY, MOST_CAUTION, USUAL_RATE = 0.85, 0.025, 16.0, 0.5
+QUANTILE, TOLERATED_DELAY, MOST_CAUTION, USUAL_RATE = 0.95, 0.018, 16.0, 0.5
 """Of what a delay may be, the share that is not above what is believed; s, an error of the delay that doubles R; the
 largest factor on R for it; rad/s, steering rate."""
 LEAST_MOVE_WEIGHT = 4e-5
