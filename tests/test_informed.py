@@ -396,7 +396,8 @@ def test_by_default_the_mpc_models_the_steering_of_its_car_file_and_filters():
     mpc = MPC(KNOWN)
     assert isinstance(mpc.estimator, KalmanFilter)
     assert mpc.model == PathModel(KNOWN, mpc.period, 0.2, 0.07 + load_profile("road").delay * mpc.period)
-    assert mpc.limits == Limits(move=(-0.8 * mpc.period, 0.8 * mpc.period), angle=(-0.6, 0.6))
+    fastest = 0.8 * mpc.period
+    assert mpc.limits == Limits(move=(-fastest, fastest), angle=(-0.6, 0.6), ahead=0.8 * (0.2 + mpc.period), error=0.25)
     assert mpc.tuning == informed_tuning("road")
     assert mpc.belief.assumed == ()
 
@@ -462,7 +463,7 @@ def test_a_model_or_an_estimator_of_ones_own_leaves_the_rest_to_the_paper():
     assert isinstance(MPC(CAR, model=PathModel(CAR, PERIOD)).estimator, Deadbeat)
     assert MPC(CAR, estimator="deadbeat").model == SingleTrackModel(CAR, 0.1)
     for given in ({"profile": "road"}, {"belief": Steering(lag=0.1)}):
-        with pytest.raises(InvalidInput, match="profile and belief"):
+        with pytest.raises(InvalidInput, match="profile, belief and uncertainty"):
             MPC(CAR, model=own, estimator=KalmanFilter(), **given)
 
 
@@ -578,11 +579,10 @@ def test_every_scenario_is_driven_by_every_car_with_nothing_but_defaults(name, p
 
 @pytest.mark.slow
 @pytest.mark.compiled
-@pytest.mark.parametrize("name", [*(each for each in CARS if each != "paper"), "six, matched"])
+@pytest.mark.parametrize("name", [name for name in CARS if name != "paper"])
 def test_the_same_constant_and_filter_drive_any_car(name):
-    """100 drives each, none failed, J <= 0.0005 m^2."""
-    car = CARS[name.removesuffix(", matched")]
-    car = car.matched_to(load_tyre(car.tyre)) if name.endswith("matched") else car
+    """100 drives each, none failed, J <= 0.0005 m^2, the stiffness known."""
+    car = CARS[name].matched_to(load_tyre(CARS[name].tyre))
     drives, profile = [random_drive(31_000_000 + number) for number in range(100)], load_profile("road")
     runs = rollout_batch(DualTrack(car), MPC(car, profile="road"), drives, profile="road", seeds=np.arange(100))
     assert all(failed is None for failed in runs.failed)
