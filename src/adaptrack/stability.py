@@ -1,17 +1,16 @@
 """The closed loop for small deviations: its matrix over one control period, its stability and its stability margins.
 
-The plant is linearised about driving straight, or about a steady turn, at a speed; the controller's law is
-`PredictionModel.feedback`. What the controller's own model leaves out (tyre relaxation, steering lag, computation
-delay) is part of the loop; the reference, with or without preview, is not: it cannot make a linear loop unstable.
-
-The law du = -k [change of x_c; y] sums up to u = w - k_1..4 x_c, where w grows by -k_5 y at every step: besides the
-vehicle, the wheel angle and the commands not yet applied, w is the loop's only state.
+The plant is linearised about driving straight, or about a steady turn, at a speed; the controller is its estimator,
+linear for small innovations, and the feedback of its MPC far from all limits. What the car is (`sampled`: plant,
+steering, dead time) and what the controller believes of it (`laws`: model, estimator) are arguments of their own. What
+the controller leaves out (tyre relaxation, a lag or dead time that it does not know) is part of the loop; the
+reference, with or without preview, is not: it cannot make a linear loop unstable.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import NamedTuple
 
 import numpy as np
@@ -19,8 +18,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from adaptrack.controllers import MPC, Tuning
 from adaptrack.errors import InvalidInput, real
-from adaptrack.models import laguerre_basis
-from adaptrack.plant import Plant, SteppedPlant
+from adaptrack.models import MEASURED as SENSED
+from adaptrack.models import PredictionModel, laguerre_basis
+from adaptrack.plant import DualTrack, Plant, SingleTrack, SteppedPlant
 from adaptrack.profile import Profile, load_profile
 from adaptrack.vehicle import GRAVITY
 
@@ -28,13 +28,12 @@ Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
 MEASURED = ("vy", "psi", "yaw_rate", "Y")
-"""The states of the plant that the controller measures: its x_c."""
-
-_STATES = ("vy", "yaw", "yaw_rate", "y")  # the same, as the prediction model calls them
+"""The states of the plant that sensors read; the wheel angle is the fifth quantity of `models.MEASURED`."""
 
 _HELD = ("X", "vx", "felt_ax")  # X does not matter; speed and longitudinal load transfer are held
 _STEP = 1e-6  # of the central differences
 _ROUNDING = 1e-15  # share of the largest entry of A below which an entry is a rounding error
+_SETTLED, _LONGEST = 1e-12, 20_000  # of an estimator's memory: largest relative change in a step, and steps at most
 _ANGLES = np.geomspace(1e-3, np.pi, 768)  # rad per period, at which the loop gain is looked at
 
 
@@ -134,14 +133,14 @@ def linearised(
 
 
 class Sampled(NamedTuple):
-    """The plant behind its steering over one control period: z(k+1) = A z(k) + b u(k), x_c(k) = C z(k)."""
+    """The plant behind its steering over one control period: z(k+1) = A z(k) + b u(k), measured: C z(k)."""
 
     a: Array
     """(m, m); z: the plant's states, the front-wheel angle where the steering has a lag, commands not yet applied"""
     b: Array
     """(m,)"""
     c: Array
-    """(4, m)"""
+    """(5, m), by `models.MEASURED`; the wheel angle's row is zero where the steering has no lag"""
 
 
 def sampled(
@@ -150,19 +149,107 @@ def sampled(
 ) -> Sampled:  # fmt: skip
     """The linearised plant, exactly discretised under commands held over the period (s).
 
-    A command acts `delay` (s, >= 0, any fraction of a period) after its measurement, a period later still when the
-    profile says so. The steering's rate limit plays no part in small deviations.
+    A command acts `delay` (s, any fraction of a period) later than the profile says. The steering's rate limit plays no
+    part in small deviations.
+
+    Raises
+    ------
+    InvalidInput
+        When a command would act before it is given, and as `steady_turn`.
     """
-    if not 0.0 <= real("sampled", "delay", delay) < np.inf:
-        raise InvalidInput(f"delay = {delay!r} s: must be finite and not negative.")
     world = load_profile(profile)
+    late = world.delay + real("sampled", "delay", delay) / period
+    if not -1e-9 < late < np.inf:
+        raise InvalidInput(f"delay = {delay!r} s: a command would act {-late:g} periods before it is given.")
     lag = (getattr(plant, "steering", None) or world.steering).lag
     names, a, b = linearised(plant, speed, friction, lateral_acceleration)
-    step = _held(_with_lag(a, b, lag), period, world.delay + delay / period)
+    step = _held(_with_lag(a, b, lag), period, max(late, 0.0))
     size = len(step)
-    outputs = np.zeros((len(MEASURED), size))
+    outputs = np.zeros((len(SENSED), size))
     outputs[range(len(MEASURED)), [names.index(name) for name in MEASURED]] = 1.0
+    if lag > 0.0:
+        outputs[SENSED.index("wheel_angle"), len(b)] = 1.0
     return Sampled(step[:, :size], step[:, size], outputs)
+
+
+@dataclass(frozen=True)
+class Mismatch:
+    """How the true car differs from the one that the controller was told of.
+
+    lag, dead_time: s, more than told (less: negative; neither gets below zero); stiffness: true over told, of the
+    tyres; mass: likewise, of mass and yaw inertia.
+
+    Raises
+    ------
+    InvalidInput
+        When a number is not finite, or a factor not positive.
+    """
+
+    lag: float = 0.0
+    dead_time: float = 0.0
+    stiffness: float = 1.0
+    mass: float = 1.0
+
+    def __post_init__(self) -> None:
+        for each in fields(self):
+            if not np.isfinite(real("Mismatch", each.name, getattr(self, each.name))):
+                raise InvalidInput(f"Mismatch: {each.name} = {getattr(self, each.name)!r}: must be finite.")
+        if not min(self.stiffness, self.mass) > 0.0:
+            raise InvalidInput("Mismatch: stiffness and mass are factors: they must be positive.")
+
+    @property
+    def name(self) -> str:
+        """How tables call it."""
+        sums = (("lag", self.lag), ("dead time", self.dead_time))
+        factors = (("stiffness", self.stiffness), ("mass", self.mass))
+        words = [f"{what} {value:+.3g} s" for what, value in sums if value != 0.0]
+        return ", ".join(words + [f"{what} x {value:.3g}" for what, value in factors if value != 1.0]) or "none"
+
+    def sampled(
+        self, plant: Plant, period: float, speed: float, *, friction: float = 0.9, profile: str | Profile = "paper"
+    ) -> Sampled:
+        """`sampled` of the true car, driving straight; `plant` and `profile` are as told.
+
+        Raises
+        ------
+        InvalidInput
+            As `true_car`.
+        """
+        world = load_profile(profile)
+        delay = max(self.dead_time, -world.delay * period)
+        return sampled(self.true_car(plant, world), period, speed, friction=friction, profile=world, delay=delay)
+
+    def true_car(self, plant: Plant, profile: str | Profile = "paper") -> Plant:
+        """The true car behind its true steering; its dead time is the caller's.
+
+        Raises
+        ------
+        InvalidInput
+            When stiffness or mass differ and the plant is neither `SingleTrack` nor `DualTrack`.
+        """
+        world = load_profile(profile)
+        told = getattr(plant, "steering", None) or world.steering
+        lag = max(told.lag + self.lag, 0.0)
+        steering = told.replace(lag=lag, rate=told.rate if lag > 0.0 else np.inf)
+        if (self.stiffness, self.mass) == (1.0, 1.0):
+            return plant.with_steering(steering)
+        if not isinstance(plant, SingleTrack | DualTrack):
+            raise InvalidInput(
+                f"Mismatch {self.name}: plant {plant.name!r} has no vehicle and tyre of ours to change: analyse a "
+                "second plant, with other numbers, against the same MPC."
+            )
+        car, tyre = plant.vehicle, plant.tyre
+        heavier = car.replace(mass=self.mass * car.mass, yaw_inertia=self.mass * car.yaw_inertia)
+        stiffness = {name: self.stiffness * getattr(tyre, name) for name in ("stiffness_front", "stiffness_rear")}
+        return type(plant)(heavier, tyre.replace(**stiffness), steering, plant.steps)
+
+
+def usual_mismatches(period: float) -> tuple[Mismatch, ...]:
+    """One thing at a time: lag 0.1 s off, dead time one period (s), stiffness by a factor of 1.6, mass by 30 %."""
+    return (
+        Mismatch(lag=0.1), Mismatch(lag=-0.1), Mismatch(dead_time=period), Mismatch(dead_time=-period),
+        Mismatch(stiffness=1.6), Mismatch(stiffness=1.0 / 1.6), Mismatch(mass=1.3), Mismatch(mass=0.7),
+    )  # fmt: skip
 
 
 def _with_lag(a: Array, b: Array, lag: float) -> Array:
@@ -198,29 +285,135 @@ def _road(friction: float) -> Array:
     return np.array([friction] * 4 + [0.0, 0.0])
 
 
-# -- the loop ---------------------------------------------------------------------------------------------------------
-def laws(mpc: MPC, speed: float, tunings: ArrayLike) -> Array:
-    """k (n, 5) of du = -k [change of x_c; y] at a speed (m/s) for n tunings (n, 4) of Np, Nc, Q, R.
+# -- the controller ---------------------------------------------------------------------------------------------------
+class LinearEstimator(NamedTuple):
+    """An estimator at one speed, for small deviations, as the MPC sees it.
 
-    `PredictionModel.feedback` for many tunings at once. The horizons must be whole numbers, 1 <= Nc <= Np.
+        u(k) = h s(k) - k xi(k),   xi(k) = C s(k) + D m(k),   s(k+1) = A s(k) + E m(k) + f u(k)
 
-    Raises
-    ------
-    InvalidInput
-        When the MPC has another prediction model or estimator than the paper's.
+    s (q,): what is remembered; m (5,): what is measured, by `models.MEASURED`; u: the command (rad); k: the feedback of
+    the MPC; xi: what that feeds back, or its sum over all steps where h = 0.
     """
-    if mpc.model.states != _STATES or mpc.estimator.name != "deadbeat":
-        raise InvalidInput(
-            f"MPC: model {mpc.model.name!r} with estimator {mpc.estimator.name!r}: the linear loop is known for the "
-            f"states {', '.join(_STATES)}, all of them measured, with the estimator 'deadbeat' only."
-        )
+
+    a: Array
+    """(q, q)"""
+    e: Array
+    """(q, 5)"""
+    f: Array
+    """(q,)"""
+    c: Array
+    """(n + 1, q)"""
+    d: Array
+    """(n + 1, 5)"""
+    h: Array
+    """(q,)"""
+
+
+def linear_estimator(mpc: MPC, speed: float) -> LinearEstimator:
+    """The estimator of an MPC at a speed (m/s), settled after a long drive at that speed.
+
+    A Kalman filter is linear as long as its innovations are small. What a step of the compiled one makes of each number
+    that it is given, or has made of them before, is seen by changing that number: so every estimator, one's own
+    included, is analysed as it runs. Numbers that do not move with the measurements (gains, covariances), or that move
+    no command, are left out.
+    """
+    model, own = mpc.model, mpc.estimator
+    if own.function is None:
+        return _increments(model)
+    pace, parameters = max(speed, mpc.speed_floor), own.parameters(model)
+    a, b, _ = model.discrete(pace)
+    sensors, memory = len(SENSED), own.memory_size(model)
+    x, d = np.zeros(model.n), np.zeros(model.n)
+
+    def step(given: Array) -> Array:
+        """[memory, xi] after a step from [memory, measured, command]."""
+        after, measured, command = given[:memory].copy(), given[memory:-1].copy(), float(given[-1])
+        own.function(pace, measured, command, a, b[:, 0], parameters, after, x, d)
+        return np.concatenate([after, a @ x + b[:, 0] * command + d - x, x[-1:]])
+
+    rest = np.zeros(memory + sensors + 1)
+    for _ in range(_LONGEST):
+        before, rest[:memory] = rest[:memory].copy(), step(rest)[:memory]
+        if np.abs(rest[:memory] - before).max(initial=0.0) <= _SETTLED * np.abs(before).max(initial=0.0):
+            break
+    found = _differences(step, rest, memory)
+    moved = [i for i in found if i < memory]
+    matter = _that_matter(np.array([found[i] for i in moved]).reshape(len(moved), -1), moved, memory)
+    inputs = [*matter, *range(memory, memory + sensors + 1)]
+    rows = np.array([found[i] for i in inputs]).T[[*matter, *range(memory, memory + model.n + 1)]]
+    return _with_last_command(rows, len(matter))
+
+
+def _increments(model: PredictionModel) -> LinearEstimator:
+    """The increments of the measured state: their sum is that state, s that of y over the steps before."""
+    d = np.zeros((model.n + 1, len(SENSED)))
+    d[range(model.n), model.measured_places()] = 1.0
+    d[model.n] = d[model.n - 1]
+    return LinearEstimator(
+        np.ones((1, 1)), d[-1:].copy(), np.zeros(1), np.eye(model.n + 1)[:, -1:].copy(), d, np.zeros(1)
+    )
+
+
+def _differences(step: Callable[[Array], Array], rest: Array, memory: int) -> dict[int, Array]:
+    """By place in `rest`: what a unit change there does to a step, for inputs and the memory that moves with them."""
+    settled, found, waiting = step(rest), {}, list(range(memory, len(rest)))
+    while waiting:
+        place = waiting.pop()
+        given = rest.copy()
+        given[place] += _STEP
+        found[place] = (step(given) - settled) / _STEP
+        moved = np.flatnonzero(found[place][:memory]).tolist()
+        waiting += [i for i in moved if i not in found and i not in waiting]
+    return found
+
+
+def _that_matter(moves: Array, places: list[int], memory: int) -> list[int]:
+    """Of the places in memory, those that have a say in xi, now or later; moves: row by row what each one does."""
+    matters = np.abs(moves[:, memory:]).max(axis=1, initial=0.0) > 0.0
+    for _ in places:
+        seen = [place for place, says in zip(places, matters, strict=True) if says]
+        matters |= np.abs(moves[:, seen]).max(axis=1, initial=0.0) > 0.0
+    return [place for place, says in zip(places, matters, strict=True) if says]
+
+
+def _with_last_command(rows: Array, size: int) -> LinearEstimator:
+    """From [s, xi] of [s before, m, last command]: the last command joins what is remembered."""
+    sensors, q = len(SENSED), size + 1
+    last = np.eye(q)[-1]
+    a, e = np.zeros((q, q)), np.zeros((q, sensors))
+    a[:size, :size], a[:size, size] = rows[:size, :size], rows[:size, -1]
+    e[:size] = rows[:size, size:-1]
+    c = np.column_stack([rows[size:, :size], rows[size:, -1]])
+    return LinearEstimator(a, e, last, c, rows[size:, size:-1], last)
+
+
+@dataclass(frozen=True, eq=False)
+class Laws:
+    """The linear controllers of n tunings at one speed."""
+
+    estimator: LinearEstimator
+    k: Array
+    """(n, states + 1) feedback of each tuning, du = -k xi"""
+
+    def __getitem__(self, which: slice) -> Laws:
+        return Laws(self.estimator, self.k[which])
+
+
+def laws(mpc: MPC, speed: float, tunings: ArrayLike, estimator: LinearEstimator | None = None) -> Laws:
+    """The controllers at a speed (m/s) with n tunings (n, 4) of Np, Nc, Q, R.
+
+    `PredictionModel.feedback` for many tunings at once, behind the `linear_estimator`, made here unless it is given.
+    The horizons must be whole numbers, 1 <= Nc <= Np.
+    """
     asked = np.atleast_2d(np.asarray(tunings, dtype=np.float64))
     horizons, group = np.unique(asked[:, :2].astype(np.int64), axis=0, return_inverse=True)
     longest = int(horizons[:, 0].max())
-    free, step = mpc.model.responses(max(speed, mpc.speed_floor), longest)
+    estimator = linear_estimator(mpc, speed) if estimator is None else estimator
+    of_next = mpc.estimator.function is not None
+    free, step = mpc.model.responses(max(speed, mpc.speed_floor), longest, of_next)
     below = np.subtract.outer(np.arange(longest), np.arange(longest))
     phi = np.where(below >= 0, step[below], 0.0)
-    gains = np.empty((len(asked), 5))
+    gains = np.empty((len(asked), mpc.model.n + 1))
     for i, (Np, Nc) in enumerate(horizons.tolist()):
         which = np.flatnonzero(group.ravel() == i)
         basis = np.eye(Np, Nc)
@@ -230,26 +423,35 @@ def laws(mpc: MPC, speed: float, tunings: ArrayLike) -> Array:
         Q, R = asked[which, 2, None, None], asked[which, 3, None, None]
         moves = np.linalg.solve(Q * (effect.T @ effect) + R * np.eye(effect.shape[1]), Q * (effect.T @ free[:, :Np].T))
         gains[which] = basis[0] @ moves
-    return gains
+    return Laws(estimator, gains)
 
 
-def loops(body: Sampled, k: Array, gain: float = 1.0) -> Array:
-    """The matrices (n, m + 1, m + 1) that take [z, w] from one control instant to the next, for n laws k (n, 5).
+# -- the loop ---------------------------------------------------------------------------------------------------------
+def loops(body: Sampled, law: Laws, gain: float = 1.0) -> Array:
+    """The matrices (n, m + q, m + q) that take [z, s] from one control instant to the next, for n laws.
 
     gain: a factor on every command between the controller and the steering.
     """
-    m = len(body.b)
-    matrices = np.empty((len(k), m + 1, m + 1))
-    matrices[:, :m, :m] = body.a - gain * body.b[:, None] * (_direct(k) @ body.c)[:, None, :]
-    matrices[:, :m, m] = gain * body.b
-    matrices[:, m, :m] = -k[:, 4, None] * body.c[3]
-    matrices[:, m, m] = 1.0
+    own, seen = law.estimator, _measured(body, law)
+    m, q = len(body.b), len(own.a)
+    of_z, of_s = -law.k @ (own.d @ seen), own.h - law.k @ own.c  # u = of_z z + of_s s
+    matrices = np.empty((len(law.k), m + q, m + q))
+    matrices[:, :m, :m] = body.a + gain * body.b[:, None] * of_z[:, None, :]
+    matrices[:, :m, m:] = gain * body.b[:, None] * of_s[:, None, :]
+    matrices[:, m:, :m] = own.e @ seen + own.f[:, None] * of_z[:, None, :]
+    matrices[:, m:, m:] = own.a + own.f[:, None] * of_s[:, None, :]
     return matrices
 
 
-def _direct(k: Array) -> Array:
-    """(n, 4): what the newest x_c adds to -u; y acts through w as well, at once."""
-    return k[:, :4] + k[:, 4, None] * np.array([0.0, 0.0, 0.0, 1.0])
+def _measured(body: Sampled, law: Laws) -> Array:
+    """C of the body; refused where the estimator reads a wheel angle that has no state."""
+    wheel = SENSED.index("wheel_angle")
+    if not body.c[wheel].any() and (law.estimator.e[:, wheel].any() or law.estimator.d[:, wheel].any()):
+        raise InvalidInput(
+            "the estimator reads the wheel angle, and this steering has no lag, so that the angle is no state of the "
+            "linear loop: give the steering a short lag (0.001 s)."
+        )
+    return body.c
 
 
 def closed_loop(
@@ -258,7 +460,7 @@ def closed_loop(
 ) -> Array:  # fmt: skip
     """The matrix that takes the loop's state from one control instant to the next, with a reference of zero.
 
-    State: that of `sampled`, then w (see above). delay: s, additional dead time of the commands.
+    State: that of `sampled`, then that of `linear_estimator`. delay: s, additional dead time of the commands.
     """
     body = sampled(
         plant, mpc.period, speed, friction=friction, profile=profile, lateral_acceleration=lateral_acceleration,
@@ -311,27 +513,40 @@ class Margins:
         )
 
 
-def loop_gain(body: Sampled, k: Array, angles: ArrayLike = _ANGLES) -> Complex:
+def loop_gain(body: Sampled, law: Laws, angles: ArrayLike = _ANGLES) -> Complex:
     """The loop gain L (n, angles) of n laws at z = e^(i angle), the loop being cut at the steering command.
 
-    The loop with a factor g on its commands has the characteristic equation 1 + g L(z) = 0.
+    The loop with a factor g on its commands has the characteristic equation 1 + g L(z) = 0. The controller itself knows
+    the commands that it gave.
     """
-    z = np.exp(1j * np.asarray(angles, dtype=np.float64))
-    resolvents = z[:, None, None] * np.eye(len(body.b)) - body.a
-    states = np.linalg.solve(resolvents, np.broadcast_to(body.b[:, None], (len(z), len(body.b), 1)))[..., 0]
-    measured = (states @ body.c.T).T
-    return np.asarray(_direct(k) @ measured + k[:, 4, None] * (measured[3] / (z - 1.0)))
+    own, z = law.estimator, np.exp(1j * np.asarray(angles, dtype=np.float64))
+    measured = _measured(body, law) @ _resolvent(z, body.a, body.b[:, None])[:, 0]  # (5, angles), by a unit command
+    remembered = _resolvent(z, own.a, np.column_stack([own.e, own.f]))  # (q, 6, angles)
+    by_measured, by_own = np.einsum("qsz,sz->qz", remembered[:, :-1], measured), remembered[:, -1]
+    fed_back = law.k @ (own.c @ by_measured + own.d @ measured) - own.h @ by_measured
+    return np.asarray(fed_back / (1.0 + law.k @ (own.c @ by_own) - own.h @ by_own))
 
 
-def modulus_margin(body: Sampled, k: Array) -> Array:
-    """Modulus margin min |1 + L| (n,) of the loops of n laws k (n, 5): the distance of the loop gain from -1.
+def _resolvent(z: Complex, a: Array, b: Array) -> Complex:
+    """(z - A)^-1 B (n, columns, len(z)), from the Schur form of A: one back substitution for all z."""
+    from scipy.linalg import schur
+
+    t, u = schur(a, output="complex")
+    given, x = u.conj().T @ b, np.empty((*b.shape, len(z)), dtype=np.complex128)
+    for i in reversed(range(len(a))):
+        x[i] = (given[i][:, None] + np.tensordot(t[i, i + 1 :], x[i + 1 :], 1)) / (z - t[i, i])
+    return np.asarray(np.tensordot(u, x, 1))
+
+
+def modulus_margin(body: Sampled, law: Laws, angles: ArrayLike = _ANGLES) -> Array:
+    """Modulus margin min |1 + L| (n,) of the loops of n laws: the distance of the loop gain from -1.
 
     It is 1/M, M the largest sensitivity |1/(1 + L)|: 0.5 is a comfortable loop, 0 the stability limit (I. D. Landau,
     G. Zito, Digital Control Systems, Springer 2006, chapter 2). It bounds all other margins: with a modulus margin m
     the loop is stable for factors on its commands from 1/(1 + m) to 1/(1 - m). At most 1. An unstable loop has the
     negative value -10 (spectral radius - 1), so that tables can be interpolated across the limit.
     """
-    return _modulus_margin(loop_gain(body, k), radii(loops(body, k)))
+    return _modulus_margin(loop_gain(body, law, angles), radii(loops(body, law)))
 
 
 def _modulus_margin(gains: Complex, radius: Array) -> Array:
@@ -339,14 +554,14 @@ def _modulus_margin(gains: Complex, radius: Array) -> Array:
     return np.where(radius < 1.0, np.minimum(distance, 1.0), -10.0 * (radius - 1.0))
 
 
-def margins(body: Sampled, k: Array, period: float) -> Margins:
-    """Stability margins of the loops of n laws k (n, 5) around a sampled plant; period: s.
+def margins(body: Sampled, law: Laws, period: float) -> Margins:
+    """Stability margins of the loops of n laws around a sampled plant; period: s.
 
     From the loop gain L on the unit circle, which an eigenvalue must cross: where g L = -1 for a factor g, where
     L e^(-i angle tau/period) = -1 for a delay tau. Crossings are interpolated between 768 frequencies.
     """
-    gains = loop_gain(body, k)
-    radius = radii(loops(body, k))
+    gains = loop_gain(body, law)
+    radius = radii(loops(body, law))
     stable = radius < 1.0
     factor, delay = _critical_factors(gains), _critical_delays(gains, period)
     return Margins(
@@ -396,12 +611,16 @@ def hard_turn(speed: float, friction: float) -> float:
     return min(0.027 * speed, 0.75) * friction * GRAVITY
 
 
-_NODES = (
-    (6, 10, 14, 18, 22, 26, 30, 36, 42, 50, 60),
-    (1, 2, 3, 5, 8, 13, 20),
-    np.linspace(1.0, 6.0, 16),
-)
-"""Np, Nc and log10 R/Q (R/Q in m^2/rad^2) of the guard's table, for the `road` profile."""
+_HORIZONS = ((6, 10, 14, 18, 22, 26, 30, 36, 42, 50, 60), (1, 2, 3, 5, 8, 13, 20))
+_RATIOS = {"deadbeat": np.linspace(1.0, 6.0, 16), "informed": np.linspace(-1.0, 4.0, 16)}
+
+
+def guard_nodes(mpc: MPC) -> tuple[ArrayLike, ...]:
+    """Np, Nc and log10 R/Q (R/Q in m^2/rad^2) of a guard's table, for the `road` profile.
+
+    Without an estimator the weight of the moves is what keeps lag and noise from the loop, so that it is larger.
+    """
+    return (*_HORIZONS, _RATIOS["deadbeat" if mpc.estimator.function is None else "informed"])
 
 
 def _speeds(low: float, high: float) -> Array:
@@ -414,8 +633,8 @@ def _speeds(low: float, high: float) -> Array:
 
 def loop_map(
     plant: Plant, mpc: MPC, profile: str | Profile = "road", *, speed: tuple[float, float] = (2.0, 30.0),
-    friction: tuple[float, float] = (0.3, 1.0), nodes: Sequence[ArrayLike] = _NODES,
-    turn: Callable[[float, float], float] = hard_turn,
+    friction: Sequence[float] = (0.3, 1.0), nodes: Sequence[ArrayLike] | None = None,
+    turn: Callable[[float, float], float] = hard_turn, angles: ArrayLike = _ANGLES,
 ) -> tuple[tuple[Array, ...], Array]:  # fmt: skip
     """The table of a guard over speed, friction, Np, Nc and log10 R/Q: the axes of a grid, and its values.
 
@@ -423,13 +642,14 @@ def loop_map(
     interpolated linearly. 1 is the stability limit. It foretells failed drives better than the spectral radius, which
     also counts slow modes that are well damped.
 
-    speed (m/s), friction: ranges; nodes: of Np, Nc and log10 R/Q; turn: lateral acceleration (m/s^2) of the turn at a
-    speed on a friction, 0 for driving straight only. A node with Nc > Np stands for Nc = Np.
+    speed (m/s): range, nodes at most a quarter of it and 2 m/s apart; friction: nodes; nodes: of Np, Nc and log10 R/Q,
+    by default `guard_nodes`; turn: lateral acceleration (m/s^2) of the turn at a speed on a friction, 0 for driving
+    straight only; angles: see `loop_gain`. A node with Nc > Np stands for Nc = Np.
     """
     axes = (
         _speeds(*speed),
         np.array(friction, dtype=np.float64),
-        *(np.asarray(axis, dtype=np.float64) for axis in nodes),
+        *(np.asarray(axis, dtype=np.float64) for axis in (guard_nodes(mpc) if nodes is None else nodes)),
     )
     horizon, moves, ratio = (axis.ravel() for axis in np.meshgrid(*axes[2:], indexing="ij"))
     tunings = np.column_stack([horizon, np.minimum(moves, horizon), np.ones_like(ratio), 10.0**ratio])
@@ -439,7 +659,7 @@ def loop_map(
         for j, mu in enumerate(axes[1].tolist()):
             bodies = [
                 sampled(plant, mpc.period, v, friction=mu, profile=profile, lateral_acceleration=acceleration)
-                for acceleration in (0.0, turn(v, mu))
+                for acceleration in {0.0, turn(v, mu)}
             ]
-            least[i, j] = np.minimum(*(modulus_margin(body, k) for body in bodies))
+            least[i, j] = np.min([modulus_margin(body, k, angles) for body in bodies], axis=0)
     return axes, np.ceil(1000.0 * (1.0 - least.reshape([len(axis) for axis in axes]))) / 1000.0
