@@ -21,7 +21,17 @@ from adaptrack.errors import ContractError, InvalidInput, real
 from adaptrack.plant import Plant
 from adaptrack.profile import Profile, load_profile
 from adaptrack.scheduling import VARIABLES, Constant, Schedule, SchedulingVariables
-from adaptrack.stability import Margins, Mismatch, Sampled, hard_turn, laws, linear_estimator, margins, sampled
+from adaptrack.stability import (
+    Body,
+    Margins,
+    Mismatch,
+    Turn,
+    bodies_of,
+    hard_turn,
+    laws,
+    linear_estimator,
+    margins,
+)
 
 Array = NDArray[np.float64]
 Progress = Callable[[str, int, int], None]
@@ -31,8 +41,6 @@ OPERATING = {name: (variable.low, variable.high) for name, variable in VARIABLES
 Driving = Literal["straight", "turn"]
 DRIVING: tuple[Driving, ...] = ("straight", "turn")
 """Ways of driving about which the loop is linearised, in the order of tables and maps."""
-Body = Callable[[float, float], Sampled]
-"""The plant behind its steering at a speed (m/s) and friction."""
 _CELL = 64  # combinations, at most, of the inputs beside speed and friction, for each pair of those
 
 
@@ -212,7 +220,7 @@ def _finite(values: Mapping[str, float]) -> dict[str, float | None]:
 def certify(
     scheduler: Scheduler | Tuning, plant: Plant, mpc: MPC, profile: str | Profile = "road", *,
     domain: Mapping[str, tuple[float, float]] | None = None, levels: tuple[int, int] = (28, 5),
-    turn: Callable[[float, float], float] = hard_turn, mismatches: Sequence[Mismatch] = (),
+    turn: Turn = hard_turn, mismatches: Sequence[Mismatch] = (),
     progress: Progress | None = None,
 ) -> Certificate:  # fmt: skip
     """Stability and margins of the closed loop with the scheduler's tunings over its whole operating domain.
@@ -253,7 +261,7 @@ def certify(
     guarded = scheduler if isinstance(scheduler, Schedule) and scheduler.guard is not None else None
     bare = replace(guarded, guard=None) if guarded is not None else scheduler
     asked = [_as_used(_tunings(each, points), mpc) for each in (bare, guarded) if each is not None]
-    bodies = _bodies(plant, mpc.period, world, turn, mismatches)
+    bodies = bodies_of(plant, mpc.period, world, turn, mismatches)
     found = _sweep(points, asked, mpc, bodies, progress or (lambda what, done, of: None))
     sweeps = [Sweep(tunings, *each[:2]) for tunings, each in zip(asked, found, strict=True)]
     return Certificate(
@@ -329,23 +337,6 @@ def _as_used(tunings: Array, mpc: MPC) -> Array:
     used[:, 0] = np.clip(np.floor(tunings[:, 0] + 0.5), 1.0, mpc.longest_horizon)
     used[:, 1] = np.clip(np.floor(tunings[:, 1] + 0.5), 1.0, np.minimum(used[:, 0], mpc.most_moves))
     return used
-
-
-def _bodies(
-    plant: Plant, period: float, profile: Profile, turn: Callable[[float, float], float],
-    mismatches: Sequence[Mismatch],
-) -> list[Body]:  # fmt: skip
-    """What is driven at a speed and friction: straight, in a turn, straight with each mismatch."""
-
-    def steady(speed: float, friction: float, acceleration: float = 0.0) -> Sampled:
-        return sampled(plant, period, speed, friction=friction, profile=profile, lateral_acceleration=acceleration)
-
-    def mismatched(by: Mismatch) -> Body:
-        return lambda speed, friction: by.sampled(plant, period, speed, friction=friction, profile=profile)
-
-    return [
-        steady, lambda speed, friction: steady(speed, friction, turn(speed, friction)), *map(mismatched, mismatches)
-    ]  # fmt: skip
 
 
 def _sweep(

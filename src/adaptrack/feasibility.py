@@ -6,7 +6,7 @@ The linear loops of a grid of tunings tell it in seconds, before anything is dri
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple, Self
 
@@ -17,7 +17,7 @@ from adaptrack.controllers import ENTRIES, MPC, Tuning
 from adaptrack.errors import InvalidInput, real
 from adaptrack.plant import Plant
 from adaptrack.profile import Profile
-from adaptrack.stability import hard_turn, loop_map
+from adaptrack.stability import Mismatch, Turn, bodies_of, hard_turn, margin_map, speed_nodes
 
 Array = NDArray[np.float64]
 
@@ -56,13 +56,13 @@ class Feasibility:
     """modulus margin of a loop that counts as held"""
 
     @classmethod
-    def of_map(cls, axes: Sequence[Array], values: Array, least: float = MARGIN) -> Self:
-        """From the table of `stability.loop_map`; nodes with Nc > Np are left out."""
+    def of_map(cls, axes: Sequence[Array], margins: Array, least: float = MARGIN) -> Self:
+        """From the margins of `stability.margin_map`; nodes with Nc > Np are left out."""
         Np, Nc, ratio = (axis.ravel() for axis in np.meshgrid(*axes[2:], indexing="ij"))
         tunings = np.column_stack([Np, Nc, np.ones_like(ratio), 10.0**ratio])
         fits = Nc <= Np
-        margins = 1.0 - values.reshape(len(axes[0]), len(axes[1]), -1)
-        return cls(axes[0], axes[1], tunings[fits], margins[:, :, fits], least)
+        by_tuning = margins.reshape(len(axes[0]), len(axes[1]), -1)
+        return cls(axes[0], axes[1], tunings[fits], by_tuning[:, :, fits], least)
 
     def among(self, allowed: NDArray[np.bool_]) -> Self:
         """With some of the tunings only (n,)."""
@@ -189,11 +189,12 @@ def _ranges(values: Array, chosen: NDArray[np.bool_]) -> list[str]:
 def feasibility(
     plant: Plant, mpc: MPC, profile: str | Profile = "road", *, speed: tuple[float, float] = (3.0, 30.0),
     friction: tuple[float, float] = (0.3, 1.0), margin: float = MARGIN, nodes: Sequence[ArrayLike] = TUNINGS,
-    turn: Callable[[float, float], float] = hard_turn,
+    turn: Turn | None = hard_turn, mismatches: Sequence[Mismatch] = (),
 ) -> Feasibility:  # fmt: skip
     """Which speeds and frictions some tuning of a controller holds, and the largest domain of those.
 
-    Speeds at most 2 m/s apart, three frictions; the margin is the worse of driving straight and in a turn.
+    Speeds at most 2 m/s apart, three frictions; the margin is the worst of driving straight, in a turn, and with each
+    mismatch.
 
     Parameters
     ----------
@@ -209,7 +210,9 @@ def feasibility(
         The tunings that are allowed: values of Np and Nc (periods), as far as the MPC's longest horizons go, and of
         log10 R/Q (R/Q in m^2/rad^2).
     turn
-        Lateral acceleration (m/s^2) of the turn at a speed (m/s) on a friction, 0 for driving straight only.
+        Lateral acceleration (m/s^2) of the turn at a speed (m/s) on a friction, None for driving straight only.
+    mismatches
+        Other cars that the same tuning has to hold as well, driving straight.
 
     Raises
     ------
@@ -226,13 +229,14 @@ def feasibility(
     )  # fmt: skip
     if min(len(axis) for axis in allowed) == 0 or allowed[1].min() > allowed[0].max():
         raise InvalidInput(f"feasibility: nodes = {nodes!r}: no tuning with 1 <= Nc <= Np within the MPC's horizons.")
-    frictions = tuple(np.linspace(*friction, 3 if friction[1] > friction[0] else 1).tolist())
     slowest = max(speed[0], mpc.speed_floor)
-    axes, values = loop_map(
-        plant, mpc, profile, speed=(slowest, max(slowest, speed[1])), friction=frictions, nodes=allowed, turn=turn,
-        angles=_ANGLES,
-    )  # fmt: skip
-    return Feasibility.of_map(axes, values, margin)
+    axes = (
+        speed_nodes(slowest, max(slowest, speed[1])),
+        np.linspace(*friction, 3 if friction[1] > friction[0] else 1),
+        *allowed,
+    )
+    found = margin_map(mpc, bodies_of(plant, mpc.period, profile, turn, mismatches), axes, _ANGLES)
+    return Feasibility.of_map(axes, found, margin)
 
 
 def _up_to(axis: ArrayLike, most: int) -> Array:

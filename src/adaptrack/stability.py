@@ -285,6 +285,27 @@ def _road(friction: float) -> Array:
     return np.array([friction] * 4 + [0.0, 0.0])
 
 
+Turn = Callable[[float, float], float]
+"""Lateral acceleration (m/s^2) of a turn at a speed (m/s) on a friction."""
+Body = Callable[[float, float], Sampled]
+"""The plant behind its steering at a speed (m/s) on a friction."""
+
+
+def bodies_of(
+    plant: Plant, period: float, profile: str | Profile, turn: Turn | None, mismatches: Sequence[Mismatch] = ()
+) -> list[Body]:
+    """What drives: straight; in a turn, if there is one; straight with each mismatch. period: s."""
+
+    def steady(speed: float, friction: float, acceleration: float = 0.0) -> Sampled:
+        return sampled(plant, period, speed, friction=friction, profile=profile, lateral_acceleration=acceleration)
+
+    def mismatched(by: Mismatch) -> Body:
+        return lambda speed, friction: by.sampled(plant, period, speed, friction=friction, profile=profile)
+
+    bent = [] if turn is None else [lambda speed, friction: steady(speed, friction, turn(speed, friction))]
+    return [steady, *bent, *map(mismatched, mismatches)]
+
+
 # -- the controller ---------------------------------------------------------------------------------------------------
 class LinearEstimator(NamedTuple):
     """An estimator at one speed, for small deviations, as the MPC sees it.
@@ -623,18 +644,42 @@ def guard_nodes(mpc: MPC) -> tuple[ArrayLike, ...]:
     return (*_HORIZONS, _RATIOS["deadbeat" if mpc.estimator.function is None else "informed"])
 
 
-def _speeds(low: float, high: float) -> Array:
-    """Nodes at most a quarter of the speed and 2 m/s apart: slow loops change fastest with it."""
+def speed_nodes(low: float, high: float) -> Array:
+    """Speeds (m/s) at most a quarter of the speed and 2 m/s apart: slow loops change fastest with it."""
     nodes = [low]
     while nodes[-1] < high:
         nodes.append(min(nodes[-1] + min(0.25 * nodes[-1], 2.0), high))
     return np.array(nodes)
 
 
+def margin_map(mpc: MPC, bodies: Sequence[Body], axes: Sequence[Array], angles: ArrayLike = _ANGLES) -> Array:
+    """Least modulus margin of an MPC around some bodies, at a grid over speed, friction, Np, Nc and log10 R/Q (axes).
+
+    A node with Nc > Np stands for Nc = Np.
+    """
+    horizon, moves, ratio = (axis.ravel() for axis in np.meshgrid(*axes[2:], indexing="ij"))
+    tunings = np.column_stack([horizon, np.minimum(moves, horizon), np.ones_like(ratio), 10.0**ratio])
+    least = np.empty((len(axes[0]), len(axes[1]), len(tunings)))
+    for i, v in enumerate(axes[0].tolist()):
+        law, known = laws(mpc, v, tunings), {}  # driving straight, most tyres are alike on every friction
+        for j, mu in enumerate(axes[1].tolist()):
+            for body in bodies:
+                here = body(v, mu)
+                if body not in known or not _alike(here, known[body][0]):
+                    known[body] = here, modulus_margin(here, law, angles)
+            least[i, j] = np.min([margin for _, margin in known.values()], axis=0)
+    return least.reshape([len(axis) for axis in axes])
+
+
+def _alike(one: Sampled, other: Sampled) -> bool:
+    """Whether two bodies differ by no more than the rounding of their linearisation."""
+    return bool(np.allclose(one.a, other.a, rtol=1e-7, atol=1e-9) and np.allclose(one.b, other.b, rtol=1e-7, atol=1e-9))
+
+
 def loop_map(
     plant: Plant, mpc: MPC, profile: str | Profile = "road", *, speed: tuple[float, float] = (2.0, 30.0),
-    friction: Sequence[float] = (0.3, 1.0), nodes: Sequence[ArrayLike] | None = None,
-    turn: Callable[[float, float], float] = hard_turn, angles: ArrayLike = _ANGLES,
+    friction: tuple[float, float] = (0.3, 1.0), nodes: Sequence[ArrayLike] | None = None,
+    turn: Turn | None = hard_turn,
 ) -> tuple[tuple[Array, ...], Array]:  # fmt: skip
     """The table of a guard over speed, friction, Np, Nc and log10 R/Q: the axes of a grid, and its values.
 
@@ -642,24 +687,11 @@ def loop_map(
     interpolated linearly. 1 is the stability limit. It foretells failed drives better than the spectral radius, which
     also counts slow modes that are well damped.
 
-    speed (m/s): range, nodes at most a quarter of it and 2 m/s apart; friction: nodes; nodes: of Np, Nc and log10 R/Q,
-    by default `guard_nodes`; turn: lateral acceleration (m/s^2) of the turn at a speed on a friction, 0 for driving
-    straight only; angles: see `loop_gain`. A node with Nc > Np stands for Nc = Np.
+    speed (m/s), friction: ranges; nodes: of Np, Nc and log10 R/Q, by default `guard_nodes`; turn: lateral acceleration
+    (m/s^2) of the turn at a speed on a friction, None for driving straight only. A node with Nc > Np stands for
+    Nc = Np.
     """
-    axes = (
-        _speeds(*speed),
-        np.array(friction, dtype=np.float64),
-        *(np.asarray(axis, dtype=np.float64) for axis in (guard_nodes(mpc) if nodes is None else nodes)),
-    )
-    horizon, moves, ratio = (axis.ravel() for axis in np.meshgrid(*axes[2:], indexing="ij"))
-    tunings = np.column_stack([horizon, np.minimum(moves, horizon), np.ones_like(ratio), 10.0**ratio])
-    least = np.empty((len(axes[0]), len(axes[1]), len(tunings)))
-    for i, v in enumerate(axes[0].tolist()):
-        k = laws(mpc, v, tunings)
-        for j, mu in enumerate(axes[1].tolist()):
-            bodies = [
-                sampled(plant, mpc.period, v, friction=mu, profile=profile, lateral_acceleration=acceleration)
-                for acceleration in {0.0, turn(v, mu)}
-            ]
-            least[i, j] = np.min([modulus_margin(body, k, angles) for body in bodies], axis=0)
-    return axes, np.ceil(1000.0 * (1.0 - least.reshape([len(axis) for axis in axes]))) / 1000.0
+    chosen = guard_nodes(mpc) if nodes is None else nodes
+    axes = (speed_nodes(*speed), np.array(friction), *(np.asarray(axis, dtype=np.float64) for axis in chosen))
+    least = margin_map(mpc, bodies_of(plant, mpc.period, profile, turn), axes)
+    return axes, np.ceil(1000.0 * (1.0 - least)) / 1000.0

@@ -210,7 +210,7 @@ def safe_candidates(known: StabilityMap, law: Constants) -> Array:
     InvalidInput
         When there is none: with the largest domain that one of them holds.
     """
-    found = Feasibility.of_map(known.table.axes, known.table.values, law.fallback_margin)
+    found = Feasibility.of_map(known.table.axes, 1.0 - known.table.values, law.fallback_margin)
     found = found.among(found.tunings[:, 3] >= 10.0**law.fallback_ratio)
     far = found.enough.all(axis=(0, 1))
     if far.any():
@@ -235,9 +235,7 @@ def stability_map(setup: SetUp) -> StabilityMap:
     map has few nodes.
     """
     speed, friction, guard = setup.box["speed"], setup.box["friction"], setup.method.guard
-    axes, values = loop_map(
-        setup.plant, setup.mpc, setup.profile, speed=speed, friction=friction, turn=lambda v, mu: 0.0
-    )
+    axes, values = loop_map(setup.plant, setup.mpc, setup.profile, speed=speed, friction=friction, turn=None)
     values[axes[0] < guard.slow] += guard.slow_margin
     return StabilityMap(Table(axes, values), 1.0 - guard.margin)
 

@@ -91,9 +91,11 @@ def certify(
     mpc = _controller(controller, car, profile, schedule)
     domain = {name: ends for name, ends in (("speed", speed), ("friction", friction)) if ends is not None}
     if feasible:
-        if scheduler is not None or out is not None or mismatch:
-            raise InvalidInput("--feasible: looks at every tuning and writes no page: no scheduler, --out, --mismatch.")
-        _tell_feasible(body, mpc, profile, domain, as_json)
+        if scheduler is not None or out is not None:
+            raise InvalidInput(
+                "--feasible: looks at every tuning and writes no page: leave out the scheduler and --out."
+            )
+        _tell_feasible(body, mpc, profile, domain, mismatch, as_json)
         return
     found = _certificate(schedule, body, mpc, profile, domain, mismatch, out)
     if out is not None:
@@ -181,12 +183,16 @@ def _tell_verdict(found: Certificate, as_json: bool) -> None:
     )
 
 
-def _tell_feasible(body: Any, mpc: MPC, profile: str, domain: dict[str, tuple[float, float]], as_json: bool) -> None:
+def _tell_feasible(
+    body: Any, mpc: MPC, profile: str, domain: dict[str, tuple[float, float]], mismatch: bool, as_json: bool
+) -> None:
     """What can be held; exit code 1 when something cannot."""
     from adaptrack.feasibility import feasibility
+    from adaptrack.stability import usual_mismatches
 
+    against = usual_mismatches(mpc.period) if mismatch else ()
     with show.progress("feasible"):
-        found: Feasibility = feasibility(body, mpc, profile, **domain)  # type: ignore[arg-type]
+        found: Feasibility = feasibility(body, mpc, profile, mismatches=against, **domain)  # type: ignore[arg-type]
     if as_json:
         show.say_json(found.summary())
     else:
