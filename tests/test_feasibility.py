@@ -137,6 +137,7 @@ def test_neighbours_are_told_as_a_range():
     found = Feasibility(np.arange(1.0, 6.0), np.array([0.3, 1.0]), np.array([[30.0, 5.0, 1.0, 10.0]]), margins)
     assert "at 3 of 10 points of 1 to 5 m/s on friction 0.3 to 1: 1 to 2, 5 m/s on friction 0.3." in found.verdict
     assert found.domain == Domain((1.0, 5.0), (1.0, 1.0))
+    assert str(found.domain) == "1 to 5 m/s on friction 1"
     assert found.constant == (Tuning(30, 5, 1.0, 10.0), found.domain)
 
 

@@ -37,8 +37,7 @@ class Domain(NamedTuple):
     friction: tuple[float, float]
 
     def __str__(self) -> str:
-        (slow, fast), (low, high) = self.speed, self.friction
-        return f"{slow:.3g} to {fast:.3g} m/s on friction {low:.3g} to {high:.3g}"
+        return f"{_range(*self.speed)} m/s on friction {_range(*self.friction)}"
 
 
 @dataclass(frozen=True, eq=False)
@@ -182,8 +181,11 @@ def largest_box(ok: NDArray[np.bool_]) -> tuple[slice, slice] | None:
 def _ranges(values: Array, chosen: NDArray[np.bool_]) -> list[str]:
     """The chosen values in words, neighbours as "low to high"."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], chosen, [False]])))
-    ends = [(float(values[first]), float(values[past - 1])) for first, past in edges.reshape(-1, 2)]
-    return [f"{low:.3g}" if low == high else f"{low:.3g} to {high:.3g}" for low, high in ends]
+    return [_range(float(values[first]), float(values[past - 1])) for first, past in edges.reshape(-1, 2)]
+
+
+def _range(low: float, high: float) -> str:
+    return f"{low:.3g}" if low == high else f"{low:.3g} to {high:.3g}"
 
 
 def feasibility(

@@ -661,7 +661,8 @@ def margin_map(mpc: MPC, bodies: Sequence[Body], axes: Sequence[Array], angles: 
     tunings = np.column_stack([horizon, np.minimum(moves, horizon), np.ones_like(ratio), 10.0**ratio])
     least = np.empty((len(axes[0]), len(axes[1]), len(tunings)))
     for i, v in enumerate(axes[0].tolist()):
-        law, known = laws(mpc, v, tunings), {}  # driving straight, most tyres are alike on every friction
+        law = laws(mpc, v, tunings)
+        known: dict[Body, tuple[Sampled, Array]] = {}  # driving straight, most tyres are alike on every friction
         for j, mu in enumerate(axes[1].tolist()):
             for body in bodies:
                 here = body(v, mu)
