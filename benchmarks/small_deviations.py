@@ -19,10 +19,11 @@ import numpy as np
 
 import adaptrack as at
 from adaptrack.controllers.informed import informed_mpc
+from adaptrack.linearisation import Mismatch, laws, linear_estimator, sampled
 from adaptrack.profile import load_profile
 from adaptrack.runs import RunSet
 from adaptrack.scenario import Scenario, Wind
-from adaptrack.stability import Mismatch, laws, linear_estimator, loops, radii, sampled
+from adaptrack.stability import loops, radii
 
 OFFSET, QUARTER = 1e-6, 1200
 """m; control periods in a quarter of a run: long, for the slowest oscillations take a minute."""

@@ -19,9 +19,10 @@ import numpy as np
 
 import adaptrack as at
 from adaptrack.controllers.informed import informed_mpc, informed_tuning
+from adaptrack.linearisation import bodies_of, laws, sampled, usual_mismatches
 from adaptrack.profile import load_profile
 from adaptrack.runs import random_drive_runs
-from adaptrack.stability import bodies_of, laws, modulus_margin, sampled, usual_mismatches
+from adaptrack.stability import modulus_margin
 
 FIRST, NOISE = 9_200_000, 5
 """Number of the first drive, and noise seed; nothing was tuned on them."""

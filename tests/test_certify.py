@@ -18,19 +18,11 @@ from adaptrack import (
     rollout_batch,
 )
 from adaptrack.certify import OPERATING, certify
+from adaptrack.linearisation import Mismatch, laws, usual_mismatches
 from adaptrack.report.certificate import write_certificate
 from adaptrack.scenario import random_drive
 from adaptrack.scheduling import Constant, Guarded, Lookup, SchedulingVariables, StabilityMap, Table
-from adaptrack.stability import (
-    Mismatch,
-    hard_turn,
-    laws,
-    loop_map,
-    loops,
-    radii,
-    spectral_radius,
-    usual_mismatches,
-)
+from adaptrack.stability import hard_turn, loop_map, loops, radii, spectral_radius
 
 CAR = load_vehicle("paper")
 PLANT = DualTrack(CAR, "magic-formula")

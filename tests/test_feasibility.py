@@ -9,8 +9,9 @@ import pytest
 from adaptrack import MPC, DualTrack, InvalidInput, Tuning, informed_mpc, load_vehicle
 from adaptrack.certify import certify
 from adaptrack.feasibility import Domain, Feasibility, feasibility, largest_box
+from adaptrack.linearisation import Mismatch, bodies_of, laws, sampled
 from adaptrack.profile import load_profile
-from adaptrack.stability import Mismatch, bodies_of, hard_turn, laws, modulus_margin, sampled
+from adaptrack.stability import hard_turn, modulus_margin
 
 pytestmark = pytest.mark.compiled
 SEDAN = load_vehicle("midsize-sedan")

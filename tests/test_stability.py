@@ -17,6 +17,7 @@ from adaptrack import (
     SingleTrack,
     SteeringActuator,
     Tuning,
+    UserEstimator,
     UserPlant,
     compute_metrics,
     informed_mpc,
@@ -26,30 +27,14 @@ from adaptrack import (
 )
 from adaptrack.failure import Failure
 from adaptrack.kalman import KalmanFilter, ReadableFilter, SensorNoise
+from adaptrack.linearisation import Laws, Mismatch, Sampled, laws, linear_estimator, linearised, sampled, steady_turn
 from adaptrack.models import PathModel
 from adaptrack.plant import SteppedPlant
 from adaptrack.profile import load_profile
 from adaptrack.runs import RunSet
 from adaptrack.scenario import Scenario, Wind
 from adaptrack.simulate import rollout
-from adaptrack.stability import (
-    Laws,
-    Mismatch,
-    Sampled,
-    closed_loop,
-    hard_turn,
-    laws,
-    linear_estimator,
-    linearised,
-    loop_map,
-    loops,
-    margins,
-    modulus_margin,
-    radii,
-    sampled,
-    spectral_radius,
-    steady_turn,
-)
+from adaptrack.stability import closed_loop, hard_turn, loop_map, loops, margins, modulus_margin, radii, spectral_radius
 
 pytestmark = pytest.mark.compiled
 CAR = load_vehicle("paper")
@@ -429,8 +414,26 @@ def test_the_linear_estimator_is_the_filter_with_the_gain_of_riccatis_equation(l
         np.testing.assert_allclose(found, expected, rtol=1e-6, atol=1e-7 * np.abs(expected).max())
 
 
-@pytest.mark.parametrize("mpc", [ROAD_MPC, knowing(), knowing(0.2, 0.13, SENSORS["no lateral velocity"]),
-                                 knowing(moves=Moves.laguerre(0.8, 4))])  # fmt: skip
+def as_measured(speed, measured, command, a, b, parameters, memory, x, d):
+    for i in range(4):
+        x[i], d[i] = measured[i], 0.0
+
+
+def smoothed(speed, measured, command, a, b, parameters, memory, x, d):
+    for i in range(4):
+        memory[i] += parameters[0] * (measured[i] - memory[i])
+        x[i], d[i] = memory[i], 0.0
+
+
+def with_estimator(of):
+    return MPC(CAR, Tuning(25, 6, 1.0, 4000.0), period=0.05, estimator=of)
+
+
+@pytest.mark.parametrize("mpc", [
+    ROAD_MPC, knowing(), knowing(0.2, 0.13, SENSORS["no lateral velocity"]), knowing(moves=Moves.laguerre(0.8, 4)),
+    with_estimator(UserEstimator(as_measured)),
+    with_estimator(UserEstimator(smoothed, parameters={"share": 0.3}, memory_size=4)),
+])  # fmt: skip
 def test_the_law_gives_the_commands_of_the_controller(mpc):
     """Its own steps, settled, for small measurements; the QP far from its limits."""
     speed, rng = 15.0, np.random.default_rng(9)

@@ -18,20 +18,11 @@ from numpy.typing import NDArray
 
 from adaptrack.controllers import ENTRIES, MPC, Scheduler, Tuning, read_tuning
 from adaptrack.errors import ContractError, InvalidInput, real
+from adaptrack.linearisation import Body, Mismatch, Turn, bodies_of, laws, linear_estimator
 from adaptrack.plant import Plant
 from adaptrack.profile import Profile, load_profile
 from adaptrack.scheduling import VARIABLES, Constant, Schedule, SchedulingVariables
-from adaptrack.stability import (
-    Body,
-    Margins,
-    Mismatch,
-    Turn,
-    bodies_of,
-    hard_turn,
-    laws,
-    linear_estimator,
-    margins,
-)
+from adaptrack.stability import Margins, hard_turn, margins
 
 Array = NDArray[np.float64]
 Progress = Callable[[str, int, int], None]
@@ -242,7 +233,8 @@ def certify(
     turn
         Lateral acceleration (m/s^2) of the turn at a speed (m/s) on a friction.
     mismatches
-        How the true car may differ from `plant` and `profile` as well, each by itself; see `usual_mismatches`.
+        How the true car may differ from `plant` and `profile` as well, each by itself; see
+        `linearisation.usual_mismatches`.
 
     Raises
     ------

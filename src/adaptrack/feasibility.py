@@ -15,9 +15,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from adaptrack.controllers import ENTRIES, MPC, Tuning
 from adaptrack.errors import InvalidInput, real
+from adaptrack.linearisation import Mismatch, Turn, bodies_of
 from adaptrack.plant import Plant
 from adaptrack.profile import Profile
-from adaptrack.stability import Mismatch, Turn, bodies_of, hard_turn, margin_map, speed_nodes
+from adaptrack.stability import hard_turn, margin_map, speed_nodes
 
 Array = NDArray[np.float64]
 

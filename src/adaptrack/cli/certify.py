@@ -130,7 +130,7 @@ def _certificate(
     mismatch: bool, out: Path | None,
 ) -> Certificate:  # fmt: skip
     from adaptrack.certify import certify as look
-    from adaptrack.stability import usual_mismatches
+    from adaptrack.linearisation import usual_mismatches
 
     if out is not None:
         options.make_folder(out)
@@ -188,7 +188,7 @@ def _tell_feasible(
 ) -> None:
     """What can be held; exit code 1 when something cannot."""
     from adaptrack.feasibility import feasibility
-    from adaptrack.stability import usual_mismatches
+    from adaptrack.linearisation import usual_mismatches
 
     against = usual_mismatches(mpc.period) if mismatch else ()
     with show.progress("feasible"):
