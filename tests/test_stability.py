@@ -246,7 +246,7 @@ def test_what_has_no_linear_loop_is_refused():
     feels = MPC(
         CAR, period=0.05, model=PathModel(CAR, 0.05, 0.1), estimator=KalmanFilter(SensorNoise(wheel_angle=0.01))
     )
-    with pytest.raises(InvalidInput, match="wheel angle"):
+    with pytest.raises(InvalidInput, match="reads wheel_angle"):
         spectral_radius(PLANT, feels, 15.0, profile="paper")
 
 

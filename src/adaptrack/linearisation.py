@@ -16,7 +16,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from adaptrack.controllers import MPC
 from adaptrack.errors import InvalidInput, real
-from adaptrack.models import MEASURED as SENSED
 from adaptrack.models import PredictionModel, laguerre_basis
 from adaptrack.plant import DualTrack, Plant, SingleTrack, SteppedPlant
 from adaptrack.profile import Profile, load_profile
@@ -24,7 +23,7 @@ from adaptrack.profile import Profile, load_profile
 Array = NDArray[np.float64]
 
 MEASURED = ("vy", "psi", "yaw_rate", "Y")
-"""The states of the plant that sensors read; the wheel angle is the fifth quantity of `models.MEASURED`."""
+"""The states of the plant that sensors read."""
 
 _HELD = ("X", "vx", "felt_ax")  # X does not matter; speed and longitudinal load transfer are held
 _STEP = 1e-6  # of the central differences
@@ -135,7 +134,7 @@ class Sampled(NamedTuple):
     b: Array
     """(m,)"""
     c: Array
-    """(5, m), by `models.MEASURED`; the wheel angle's row is zero where the steering has no lag"""
+    """(sensors, m), by `sensed`; the wheel angle's row is zero where the steering has no lag"""
 
 
 def sampled(
@@ -160,10 +159,10 @@ def sampled(
     names, a, b = linearised(plant, speed, friction, lateral_acceleration)
     step = _held(_with_lag(a, b, lag), period, max(late, 0.0))
     size = len(step)
-    outputs = np.zeros((len(SENSED), size))
+    outputs = np.zeros((len(sensed()), size))
     outputs[range(len(MEASURED)), [names.index(name) for name in MEASURED]] = 1.0
     if lag > 0.0:
-        outputs[SENSED.index("wheel_angle"), len(b)] = 1.0
+        outputs[sensed().index("wheel_angle"), len(b)] = 1.0
     return Sampled(step[:, :size], step[:, size], outputs)
 
 
@@ -276,6 +275,13 @@ def _held(flow: Array, period: float, delay: float) -> Array:
     return step
 
 
+def sensed() -> tuple[str, ...]:
+    """What a controller is given at an instant, by name: first the states of `MEASURED`, then the wheel angle."""
+    from adaptrack.kernels.models import contract
+
+    return tuple(contract.MEASURED._fields)
+
+
 def _road(friction: float) -> Array:
     return np.array([friction] * 4 + [0.0, 0.0])
 
@@ -307,20 +313,20 @@ class LinearEstimator(NamedTuple):
 
         u(k) = h s(k) - k xi(k),   xi(k) = C s(k) + D m(k),   s(k+1) = A s(k) + E m(k) + f u(k)
 
-    s (q,): what is remembered; m (5,): what is measured, by `models.MEASURED`; u: the command (rad); k: the feedback of
-    the MPC; xi: what that feeds back, or its sum over all steps where h = 0.
+    s (q,): what is remembered; m: what is measured, by `sensed`; u: the command (rad); k: the feedback of the MPC; xi:
+    what that feeds back, or its sum over all steps where h = 0.
     """
 
     a: Array
     """(q, q)"""
     e: Array
-    """(q, 5)"""
+    """(q, sensors)"""
     f: Array
     """(q,)"""
     c: Array
     """(n + 1, q)"""
     d: Array
-    """(n + 1, 5)"""
+    """(n + 1, sensors)"""
     h: Array
     """(q,)"""
 
@@ -338,7 +344,7 @@ def linear_estimator(mpc: MPC, speed: float) -> LinearEstimator:
         return _increments(model)
     pace, parameters = max(speed, mpc.speed_floor), own.parameters(model)
     a, b, _ = model.discrete(pace)
-    sensors, memory = len(SENSED), own.memory_size(model)
+    sensors, memory = len(sensed()), own.memory_size(model)
     x, d = np.zeros(model.n), np.zeros(model.n)
 
     def step(given: Array) -> Array:
@@ -363,7 +369,7 @@ def linear_estimator(mpc: MPC, speed: float) -> LinearEstimator:
 
 def _increments(model: PredictionModel) -> LinearEstimator:
     """The increments of the measured state: their sum is that state, s that of y over the steps before."""
-    d = np.zeros((model.n + 1, len(SENSED)))
+    d = np.zeros((model.n + 1, len(sensed())))
     d[range(model.n), model.measured_places()] = 1.0
     d[model.n] = d[model.n - 1]
     return LinearEstimator(
@@ -395,7 +401,7 @@ def _that_matter(moves: Array, places: list[int], memory: int) -> list[int]:
 
 def _with_last_command(rows: Array, size: int) -> LinearEstimator:
     """From [s, xi] of [s before, m, last command]: the last command joins what is remembered."""
-    sensors, q = len(SENSED), size + 1
+    q, sensors = size + 1, len(sensed())
     last = np.eye(q)[-1]
     a, e = np.zeros((q, q)), np.zeros((q, sensors))
     a[:size, :size], a[:size, size] = rows[:size, :size], rows[:size, -1]

@@ -14,8 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from adaptrack.controllers import MPC, Tuning
 from adaptrack.errors import InvalidInput
-from adaptrack.linearisation import Body, Laws, Sampled, Turn, bodies_of, laws, sampled
-from adaptrack.models import MEASURED
+from adaptrack.linearisation import MEASURED, Body, Laws, Sampled, Turn, bodies_of, laws, sampled, sensed
 from adaptrack.plant import Plant
 from adaptrack.profile import Profile
 from adaptrack.vehicle import GRAVITY
@@ -44,12 +43,14 @@ def loops(body: Sampled, law: Laws, gain: float = 1.0) -> Array:
 
 
 def _measured(body: Sampled, law: Laws) -> Array:
-    """C of the body; refused where the estimator reads a wheel angle that has no state."""
-    wheel = MEASURED.index("wheel_angle")
-    if not body.c[wheel].any() and (law.estimator.e[:, wheel].any() or law.estimator.d[:, wheel].any()):
+    """C of the body; refused where the estimator reads what is no state of it."""
+    read = np.asarray(law.estimator.e.any(axis=0) | law.estimator.d.any(axis=0))
+    without = np.flatnonzero(read & ~body.c.any(axis=1))
+    missing = [sensed()[i] for i in without.tolist() if i >= len(MEASURED)]
+    if missing:
         raise InvalidInput(
-            "the estimator reads the wheel angle, and this steering has no lag, so that the angle is no state of the "
-            "linear loop: give the steering a short lag (0.001 s)."
+            f"the estimator reads {', '.join(missing)}, which is no state of the linear loop: leave that sensor out "
+            "(SensorNoise: inf); a wheel angle is a state where the steering has a lag (0.001 s will do)."
         )
     return body.c
 
@@ -120,8 +121,8 @@ def loop_gain(body: Sampled, law: Laws, angles: ArrayLike = _ANGLES) -> Complex:
     the commands that it gave.
     """
     own, z = law.estimator, np.exp(1j * np.asarray(angles, dtype=np.float64))
-    measured = _measured(body, law) @ _resolvent(z, body.a, body.b[:, None])[:, 0]  # (5, angles), by a unit command
-    remembered = _resolvent(z, own.a, np.column_stack([own.e, own.f]))  # (q, 6, angles)
+    measured = _measured(body, law) @ _resolvent(z, body.a, body.b[:, None])[:, 0]  # (sensors, angles)
+    remembered = _resolvent(z, own.a, np.column_stack([own.e, own.f]))  # (q, sensors + 1, angles)
     by_measured, by_own = np.einsum("qsz,sz->qz", remembered[:, :-1], measured), remembered[:, -1]
     fed_back = law.k @ (own.c @ by_measured + own.d @ measured) - own.h @ by_measured
     return np.asarray(fed_back / (1.0 + law.k @ (own.c @ by_own) - own.h @ by_own))
