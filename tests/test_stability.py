@@ -27,7 +27,17 @@ from adaptrack import (
 )
 from adaptrack.failure import Failure
 from adaptrack.kalman import KalmanFilter, ReadableFilter, SensorNoise
-from adaptrack.linearisation import Laws, Mismatch, Sampled, laws, linear_estimator, linearised, sampled, steady_turn
+from adaptrack.linearisation import (
+    Laws,
+    Mismatch,
+    Sampled,
+    laws,
+    linear_estimator,
+    linearised,
+    sampled,
+    sensed,
+    steady_turn,
+)
 from adaptrack.models import PathModel
 from adaptrack.plant import SteppedPlant
 from adaptrack.profile import load_profile
@@ -253,7 +263,8 @@ def test_what_has_no_linear_loop_is_refused():
 # -- margins ----------------------------------------------------------------------------------------------------------
 def lagging(pole, gain):
     """A body y(k+1) = pole y(k) + u(k) and the law u = w, w growing by -gain y: L = gain / ((z - pole)(z - 1))."""
-    y = np.array([[0.0], [0.0], [0.0], [1.0], [0.0]])
+    y = np.zeros((len(sensed()), 1))
+    y[3] = 1.0
     law = Laws(linear_estimator(MPC(CAR), 10.0), np.array([[0, 0, 0, -gain, gain]]))
     return Sampled(np.array([[pole]]), np.ones(1), y), law
 
@@ -360,6 +371,11 @@ SENSORS = {
 }
 
 
+def given(measured):
+    """What a controller is given: the states that are measured, and nothing of other sensors."""
+    return np.append(measured, np.zeros(len(sensed()) - len(measured)))
+
+
 def knowing(lag=0.15, dead_time=0.05, noise=SENSORS["road"], moves=None):
     model = PathModel(CAR, 0.05, lag, dead_time)
     return MPC(CAR, Tuning(25, 6, 1.0, 4.0), period=0.05, model=model, estimator=KalmanFilter(noise), moves=moves)
@@ -408,8 +424,8 @@ def test_the_linear_estimator_is_the_filter_with_the_gain_of_riccatis_equation(l
         own, found = linear_estimator(mpc, speed), []
         s = np.zeros(len(own.a))
         for m, u in zip(measured, commands, strict=True):
-            found.append(own.c @ s + own.d @ m)
-            s = own.a @ s + own.e @ m + own.f * u
+            found.append(own.c @ s + own.d @ given(m))
+            s = own.a @ s + own.e @ given(m) + own.f * u
         expected = written_out(mpc, noise, speed, measured, commands)
         np.testing.assert_allclose(found, expected, rtol=1e-6, atol=1e-7 * np.abs(expected).max())
 
@@ -445,9 +461,9 @@ def test_the_law_gives_the_commands_of_the_controller(mpc):
     s = np.zeros(len(own.a))
     for _ in range(80):
         m = 1e-6 * rng.normal(size=5)
-        command = own.h @ s - k @ (own.c @ s + own.d @ m)
+        command = own.h @ s - k @ (own.c @ s + own.d @ given(m))
         assert mpc.step(m, speed, [0.0]).angle == pytest.approx(command, rel=1e-6, abs=1e-13)
-        s = own.a @ s + own.e @ m + own.f * command
+        s = own.a @ s + own.e @ given(m) + own.f * command
 
 
 @pytest.mark.parametrize("name", ["published", "informed"])
