@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from adaptrack.controllers import MPC
 from adaptrack.errors import InvalidInput, real
+from adaptrack.models import MEASURED as STATES
 from adaptrack.models import PredictionModel, laguerre_basis
 from adaptrack.plant import DualTrack, Plant, SingleTrack, SteppedPlant
 from adaptrack.profile import Profile, load_profile
@@ -29,6 +30,8 @@ _HELD = ("X", "vx", "felt_ax")  # X does not matter; speed and longitudinal load
 _STEP = 1e-6  # of the central differences
 _ROUNDING = 1e-15  # share of the largest entry of A below which an entry is a rounding error
 _SETTLED, _LONGEST = 1e-12, 20_000  # of an estimator's memory: largest relative change in a step, and steps at most
+_DITHER = 1e-30  # of what is measured while it settles: a sensor that always reads the same may count as stuck
+_NOTHING = 1e-12  # a derivative that is no more than the trace of that
 
 
 # -- the plant --------------------------------------------------------------------------------------------------------
@@ -354,10 +357,13 @@ def linear_estimator(mpc: MPC, speed: float) -> LinearEstimator:
         return np.concatenate([after, a @ x + b[:, 0] * command + d - x, x[-1:]])
 
     rest = np.zeros(memory + sensors + 1)
+    states, dither = slice(memory, memory + len(STATES)), _DITHER
     for _ in range(_LONGEST):
+        rest[states] = dither = -dither
         before, rest[:memory] = rest[:memory].copy(), step(rest)[:memory]
         if np.abs(rest[:memory] - before).max(initial=0.0) <= _SETTLED * np.abs(before).max(initial=0.0):
             break
+    rest[states] = 0.0
     found = _differences(step, rest, memory)
     moved = [i for i in found if i < memory]
     moves = np.array([found[i] for i in moved]).reshape(len(moved), memory + model.n + 1)
@@ -384,7 +390,8 @@ def _differences(step: Callable[[Array], Array], rest: Array, memory: int) -> di
         place = waiting.pop()
         given = rest.copy()
         given[place] += _STEP
-        found[place] = (step(given) - settled) / _STEP
+        change = (step(given) - settled) / _STEP
+        found[place] = np.where(np.abs(change) > _NOTHING, change, 0.0)
         moved = np.flatnonzero(found[place][:memory]).tolist()
         waiting += [i for i in moved if i not in found and i not in waiting]
     return found
