@@ -21,8 +21,8 @@ PACKAGE = "adaptrack"
 ROOMS = (
     "errors", "registry", "limits", "files", "kernels", "vehicle", "profile", "plant", "scenario", "models",
     "estimation", "kalman", "qp", "controllers", "scheduling", "trajectory", "failure", "metrics", "world", "batch",
-    "simulate", "stability", "certify", "runs", "tuning", "dataset", "learning", "adaptation", "comparison", "studies",
-    "report", "cli",
+    "simulate", "linearisation", "stability", "certify", "feasibility", "runs", "tuning", "dataset", "learning",
+    "adaptation", "comparison", "studies", "report", "cli",
 )  # fmt: skip
 """The rooms in the order of the data flow: a module imports from its own room and from those before it."""
 FORMERLY = {

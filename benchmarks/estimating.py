@@ -29,6 +29,7 @@ BIAS, BANK = 0.01, math.asin(0.5 / 9.80665)
 
 
 def with_bias(profile: Any, bias: float) -> Any:
+    """The profile with a steering bias (rad)."""
     return profile.replace(steering=profile.steering.replace(bias=bias))
 
 
@@ -40,7 +41,9 @@ def offsets(runs: int) -> list[dict[str, Any]]:
             straight = Scenario(name="straight", duration=90.0, reference=0.0, speed=speed, friction=0.9, bank=bank)
             profile = with_bias(ROAD, bias)
             mpc = at.MPC(CAR, profile=ROAD)
-            mean = [rollout(PLANT, mpc, straight, profile=profile, seed=60_000 + i).Y[-1200:].mean() for i in range(runs)]
+            mean = [
+                rollout(PLANT, mpc, straight, profile=profile, seed=60_000 + i).Y[-1200:].mean() for i in range(runs)
+            ]
             silent = profile.replace(noise_vy=0.0, noise_yaw=0.0, noise_yaw_rate=0.0, noise_y=0.0)
             quiet = rollout(PLANT, mpc, straight, profile=silent).Y[-1200:].mean()
             found.append(
@@ -148,6 +151,7 @@ def nis(runs: int) -> list[dict[str, Any]]:
 
 
 def main() -> None:
+    """Print what was asked for."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("what", nargs="*", default=[], choices=[[], "offsets", "grip", "samples", "nis"])
     parser.add_argument("--runs", type=int, default=100)

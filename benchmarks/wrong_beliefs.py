@@ -2,8 +2,9 @@
 
     python benchmarks/wrong_beliefs.py [--drives 100] [--vehicle paper midsize-sedan] [--json]
 
-The world is the profile `road` with a dead time of .05 s of the actuator, and the car as it ships. A case tells the controller another lag, dead time, stiffness
-or mass, and by how much it may be wrong; nothing is tuned for a case. The last cases tell it all four, at all corners.
+The world is the profile `road` with a dead time of .05 s of the actuator, and the car as it ships. A case tells the
+controller another lag, dead time, stiffness or mass, and by how much it may be wrong; nothing is tuned for a case. The
+last cases tell it all four, at all corners.
 J = mean e^2 + w mean (change of command)^2 with the profile's w, geometric mean; a failed run counts 25 m^2.
 """
 

@@ -1,16 +1,28 @@
 """Certificates: what is stable passes, what is not is caught and named, with the guard and without."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from adaptrack import ContractError, DualTrack, InvalidInput, Moves, Tuning, load_vehicle, published_mpc, rollout_batch
+from adaptrack import (
+    MPC,
+    ContractError,
+    DualTrack,
+    InvalidInput,
+    Moves,
+    Tuning,
+    load_vehicle,
+    published_mpc,
+    rollout_batch,
+)
 from adaptrack.certify import OPERATING, certify
+from adaptrack.linearisation import Mismatch, laws, usual_mismatches
 from adaptrack.report.certificate import write_certificate
 from adaptrack.scenario import random_drive
 from adaptrack.scheduling import Constant, Guarded, Lookup, SchedulingVariables, StabilityMap, Table
-from adaptrack.stability import hard_turn, loop_map, spectral_radius
+from adaptrack.stability import hard_turn, loop_map, loops, radii, spectral_radius
 
 CAR = load_vehicle("paper")
 PLANT = DualTrack(CAR, "magic-formula")
@@ -188,6 +200,58 @@ def test_laguerre_moves_and_the_papers_profile_are_certified_too():
     assert found.counted.straight.radius[-1] == pytest.approx(expected)
 
 
+# -- the controller that knows its car --------------------------------------------------------------------------------
+INFORMED = MPC(CAR, profile="road")
+
+
+def test_the_informed_constant_is_stable_everywhere_and_its_margins_are_those_of_its_loop():
+    found = certify(INFORMED.tuning, PLANT, INFORMED, "road", levels=FEW)
+    assert found.passed
+    assert (found.model, found.estimator) == ("path", "kalman")
+    assert "model path, estimator kalman" in found.verdict
+    i = int(np.argmax(found.counted.straight.radius))
+    speed, friction = found.points[i, 0], found.points[i, SchedulingVariables._fields.index("friction")]
+    expected = spectral_radius(PLANT, INFORMED, speed, friction=friction, profile="road")
+    assert found.counted.straight.radius[i] == pytest.approx(expected)
+
+
+def test_another_car_than_told_is_analysed_beside_and_named():
+    wrong = (Mismatch(lag=0.1), Mismatch(dead_time=-0.05))
+    found = certify(INFORMED.tuning, PLANT, INFORMED, "road", levels=(4, 2), mismatches=wrong)
+    late, prompt = (found.mismatched[each.name] for each in wrong)
+    assert found.passed
+    assert (late.radius > 1.0).any()
+    assert (prompt.radius < 1.0).all()
+    assert f"Unstable with lag +0.1 s: {(late.radius >= 1.0).sum()}." in found.verdict
+    law = laws(INFORMED, 30.0, INFORMED.tuning.as_array())
+    body = wrong[0].sampled(PLANT, 0.05, 30.0, friction=1.0, profile="road")
+    assert late.radius[-1] == pytest.approx(radii(loops(body, law))[0])
+    rows = json.loads(json.dumps(found.summary(), allow_nan=False))["mismatched"]
+    assert [row["mismatch"] for row in rows] == ["lag +0.1 s", "dead time -0.05 s"]
+    assert rows[0]["unstable"] == (late.radius >= 1.0).sum()
+
+
+def test_a_cautious_tuning_bears_every_usual_mismatch():
+    """Moves at every step are weighed as the errors are: R/Q of 3 bears few of them, one move over 3 s all."""
+    cautious = Tuning(60, 1, 1.0, 100.0)
+    found = certify(cautious, PLANT, INFORMED, "road", levels=(4, 2), mismatches=usual_mismatches(0.05))
+    assert len(found.mismatched) == 8
+    assert min(each.modulus_margin.min() for each in found.mismatched.values()) > 0.2
+    assert found.verdict.endswith("Of 8 mismatches none makes it unstable.")
+
+
+def test_a_guarded_schedule_of_the_informed_controller_is_stable_everywhere():
+    axes, values = loop_map(PLANT, INFORMED, "road", speed=(8.0, 16.0), nodes=((20, 60), (1, 5, 20), (-1.0, 1.0, 3.0)))
+    wild = Lookup({"speed": [8.0, 16.0]}, [[20, 20, 1.0, 0.1], [20, 20, 1.0, 0.1]], name="wild")
+    known = StabilityMap(Table(axes, values), 0.85)
+    domain = {"speed": (8.0, 16.0)}
+    found = certify(Guarded(wild, Tuning(60, 1, 1.0, 3.0), stability=known), PLANT, INFORMED, "road", levels=(5, 2),
+                    domain=domain)  # fmt: skip
+    assert found.bare.straight.worst(found.bare.turn).modulus_margin.min() < 0.1
+    assert found.counted.straight.worst(found.counted.turn).modulus_margin.min() > 0.1
+    assert found.fallback.any()
+
+
 # -- what is told -----------------------------------------------------------------------------------------------------
 def test_rows_hold_the_worst_of_every_speed_and_friction_as_json(scrambled, stability):
     found = certify(Guarded(scrambled, SOUND, stability=stability), PLANT, MPC_, "road", levels=FEW)
@@ -213,7 +277,10 @@ def test_the_page_shows_the_verdict_the_maps_and_the_worst_points(scrambled, sta
     assert {path.name for path in (tmp_path / "guarded").glob("*.png")} == {
         "margins.png", "margins-turn.png", "margins-bare.png", "margins-bare-turn.png", "tunings.png",
     }  # fmt: skip
+    bare = replace(bare, mismatched={"lag +0.1 s": bare.bare.turn})
     text = write_certificate(tmp_path / "bare", bare).read_text()
+    assert "Another car" in text
+    assert "lag +0.1 s" in text
     assert "Failed" in text
     assert "A cross marks" in text
     assert not (tmp_path / "bare" / "margins-bare.png").exists()

@@ -17,7 +17,9 @@ from adaptrack.adaptation.config import load_adaptation
 from adaptrack.certify import certify
 from adaptrack.comparison import contenders, evaluate
 from adaptrack.controllers import Tuning
+from adaptrack.controllers.informed import informed_tuning
 from adaptrack.errors import AdaptrackError
+from adaptrack.feasibility import feasibility
 from adaptrack.scheduling import Constant, list_schedulers
 from adaptrack.studies.adapt import CONTENDERS, shipped
 from small_chain import learned, write
@@ -82,7 +84,10 @@ def places(tmp_path):
         ("evaluate --profile paper", ["--profile paper", "'road'"]),
         ("evaluate --out {file}/out", ["cannot be written"]),
         ("evaluate --contender standrd", ["no contender is named 'standrd'", "Did you mean 'standard'"]),
-        ("certify", ["scheduler"]),
+        ("certify --controller informd", ["'informd'", "Did you mean 'informed'"]),
+        ("certify {mine} --feasible", ["--feasible", "leave out the scheduler"]),
+        ("certify --feasible --out {out}", ["--feasible", "--out"]),
+        ("certify --feasible --speed 9 5", ["speed = 9 to 5"]),
         ("certify road-n", ["no scheduler is named 'road-n'", "Did you mean"]),
         ("certify nowhere.json", ["nowhere.json", "cannot be read"]),
         ("certify {damaged}", ["damaged.json", "checksum"]),
@@ -136,7 +141,8 @@ def test_the_drives_of_ones_own_configuration_ask_for_its_best_constant(monkeypa
 def test_help_names_the_options_and_loads_no_numerics(run_python, command):
     options = {
         "adapt": ["--out", "--config", "--workers"], "evaluate": ["--schedulers", "--conditions", "--told", "sobol:N"],
-        "certify": ["--profile", "--vehicle", "--out"], "schedulers": [], "train": ["--data", "--model", "--targets"],
+        "certify": ["--profile", "--vehicle", "--feasible", "--mismatch", "--out"],
+        "schedulers": [], "train": ["--data", "--model", "--targets"],
     }[command]  # fmt: skip
     code = (
         "import sys; from adaptrack import cli; "
@@ -279,6 +285,35 @@ def test_certify_says_the_same_on_the_console_in_the_json_and_on_the_page(monkey
     assert told["verdict"] in unescape((places["out"] / "index.html").read_text())
     rows = [line.split() for line in out.splitlines() if line.startswith(("straight", "turn"))]
     assert [row[0] for row in rows] == 5 * ["straight"] + 5 * ["turn"]
+
+
+def test_certify_without_a_scheduler_is_about_the_constant_of_the_controller_that_knows_its_car(monkeypatch, capsys):
+    monkeypatch.setattr("adaptrack.certify.certify", partial(certify, levels=(3, 2)))
+    code, out, err = run(monkeypatch, capsys, "certify", "--mismatch", "--json")
+    told = strict(out)
+    assert code == 0, err
+    assert (told["model"], told["estimator"], told["passed"], told["points"]) == ("path", "kalman", True, 6)
+    assert {row["R"] for row in told["rows"]} == {informed_tuning("road").R}
+    assert len(told["mismatched"]) == 8
+    code, out, err = run(monkeypatch, capsys, "certify", "--mismatch", "--speed", 20, 20)
+    assert code == 0, err
+    assert told["mismatched"][0]["mismatch"] in out
+    assert "stable at all 2 points" in " ".join(out.split())
+
+
+def test_certify_names_what_no_tuning_can_hold_with_exit_code_1(monkeypatch, capsys):
+    few = partial(feasibility, nodes=((20.0, 60.0), (1.0, 4.0), (4.0, 5.0)), margin=0.3)
+    monkeypatch.setattr("adaptrack.feasibility.feasibility", few)
+    asked = ("certify", "--feasible", "--controller", "standard", "--vehicle", "midsize-sedan", "--speed", 10, 30)
+    code, out, err = run(monkeypatch, capsys, *asked, "--json")
+    told = strict(out)
+    assert (code, told["passed"]) == (1, False)
+    assert f"FAILED {told['verdict']}" in err
+    assert "Infeasible: no tuning holds the loop" in told["verdict"]
+    code, out, err = run(monkeypatch, capsys, *asked[:-2], 9, 10)
+    assert code == 0, err
+    assert "Feasible: at every point of 9 to 10 m/s on friction 0.3 to 1" in " ".join(out.split())
+    assert "The best tuning at each speed and friction" in out
 
 
 def test_every_error_of_the_package_becomes_one_message(monkeypatch, capsys):

@@ -43,7 +43,9 @@ def test_a_misspelt_profile_is_answered_with_the_nearest():
         load_profile(3)
 
 
-@pytest.mark.parametrize("field", ["noise_y", "noise_speed", "bias_yaw_rate", "pose_age", "missing", "move_weight", "delay"])
+@pytest.mark.parametrize(
+    "field", ["noise_y", "noise_speed", "bias_yaw_rate", "pose_age", "missing", "move_weight", "delay"]
+)
 @pytest.mark.parametrize("value", [-0.1, math.nan, math.inf, "0", True, None])
 def test_a_profile_refuses_what_is_no_standard_deviation_weight_or_delay(field, value):
     with pytest.raises(InvalidInput, match=field):

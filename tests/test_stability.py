@@ -2,20 +2,22 @@
 
 import math
 from itertools import product
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from scipy.interpolate import RegularGridInterpolator
-from scipy.linalg import expm
+from scipy.linalg import expm, solve_discrete_are
 from scipy.optimize import brentq
 
 from adaptrack import (
+    MPC,
     DualTrack,
     InvalidInput,
     Moves,
     SingleTrack,
+    SteeringActuator,
     Tuning,
+    UserEstimator,
     UserPlant,
     compute_metrics,
     load_scenario,
@@ -24,31 +26,32 @@ from adaptrack import (
     published_mpc,
 )
 from adaptrack.failure import Failure
-from adaptrack.plant import SteppedPlant
-from adaptrack.profile import load_profile
-from adaptrack.scenario import Scenario, Wind
-from adaptrack.simulate import rollout
-from adaptrack.stability import (
+from adaptrack.kalman import KalmanFilter, ReadableFilter, SensorNoise
+from adaptrack.linearisation import (
+    Laws,
+    Mismatch,
     Sampled,
-    closed_loop,
-    hard_turn,
     laws,
+    linear_estimator,
     linearised,
-    loop_map,
-    loops,
-    margins,
-    modulus_margin,
-    radii,
     sampled,
-    spectral_radius,
+    sensed,
     steady_turn,
 )
+from adaptrack.models import PathModel
+from adaptrack.plant import SteppedPlant
+from adaptrack.profile import load_profile
+from adaptrack.runs import RunSet
+from adaptrack.scenario import Scenario, Wind
+from adaptrack.simulate import rollout
+from adaptrack.stability import closed_loop, hard_turn, loop_map, loops, margins, modulus_margin, radii, spectral_radius
 
 pytestmark = pytest.mark.compiled
 CAR = load_vehicle("paper")
 PAPER, ROAD = load_profile("paper"), load_profile("road")
 QUIET = ROAD.replace(noise_vy=0.0, noise_yaw=0.0, noise_yaw_rate=0.0, noise_y=0.0)
 PLANT, ROAD_MPC = DualTrack(CAR, "magic-formula"), published_mpc(CAR, period=0.05)
+INFORMED = MPC(CAR, profile="road")
 
 
 def decay(plant, mpc, speed, profile="paper"):
@@ -102,12 +105,12 @@ def test_in_the_simulator_a_tiny_offset_goes_the_way_of_the_matrix(tuning, speed
     )
     mpc = published_mpc(CAR, Tuning(*tuning), period=0.05)
     driven = rollout(PLANT, mpc, scenario, profile=QUIET, failure=Failure(math.inf, math.inf)).Y
-    k = laws(mpc, speed, tuning)
+    law = laws(mpc, speed, tuning)
     body = sampled(PLANT, 0.05, speed, friction=0.75, profile="road")
-    matrix = loops(body, k)[0]
+    matrix = loops(body, law)[0]
     z = np.zeros(len(matrix))
     z[:-1] = offset * body.c[3]
-    z[-1] = k[0, 3] * offset  # w, the last command being zero
+    z[-1] = -law.k[0, 3] / law.k[0, 4] * offset  # the sum of y that makes the last command zero
     foretold = [z := z if i == 0 else matrix @ z for i in range(len(driven))] @ np.append(body.c[3], 0.0)
     small = np.maximum.accumulate(np.abs(foretold)) < 1e-3  # tyres are linear
     np.testing.assert_allclose(driven[small], foretold[small], atol=2e-4 * np.abs(foretold[small]).max())
@@ -155,7 +158,7 @@ def test_many_laws_at_once_are_the_law_of_each(moves):
     from adaptrack.models import laguerre_basis
 
     for speed in (0.5, 9.0, 25.0):
-        found = laws(mpc, speed, tunings)
+        found = laws(mpc, speed, tunings).k
         for k, (Np, Nc, Q, R) in zip(found, tunings, strict=True):
             basis = None if moves.kind == "pulse" else laguerre_basis(int(Np), moves.terms, moves.pole)
             _, expected = mpc.model.feedback(max(speed, mpc.speed_floor), int(Np), int(Nc), Q, R, basis)
@@ -248,19 +251,22 @@ class Stepped(SteppedPlant):
 def test_what_has_no_linear_loop_is_refused():
     with pytest.raises(InvalidInput, match="stepped"):
         sampled(Stepped(), 0.05, 15.0)
-    other = SimpleNamespace(
-        model=SimpleNamespace(name="kinematic", states=("yaw", "y")), estimator=SimpleNamespace(name="deadbeat")
+    with pytest.raises(InvalidInput, match=r"2 periods before it is given"):
+        sampled(PLANT, 0.05, 15.0, profile="paper", delay=-0.1)
+    feels = MPC(
+        CAR, period=0.05, model=PathModel(CAR, 0.05, 0.1), estimator=KalmanFilter(SensorNoise(wheel_angle=0.01))
     )
-    with pytest.raises(InvalidInput, match="'kinematic'"):
-        laws(other, 15.0, [30, 5, 1.0, 100.0])
+    with pytest.raises(InvalidInput, match="reads wheel_angle"):
+        spectral_radius(PLANT, feels, 15.0, profile="paper")
 
 
 # -- margins ----------------------------------------------------------------------------------------------------------
 def lagging(pole, gain):
     """A body y(k+1) = pole y(k) + u(k) and the law u = w, w growing by -gain y: L = gain / ((z - pole)(z - 1))."""
-    return Sampled(np.array([[pole]]), np.ones(1), np.array([[0.0], [0.0], [0.0], [1.0]])), np.array(
-        [[0, 0, 0, -gain, gain]]
-    )
+    y = np.zeros((len(sensed()), 1))
+    y[3] = 1.0
+    law = Laws(linear_estimator(published_mpc(CAR), 10.0), np.array([[0, 0, 0, -gain, gain]]))
+    return Sampled(np.array([[pole]]), np.ones(1), y), law
 
 
 @pytest.mark.parametrize(("pole", "gain"), [(0.0, 0.4), (0.5, 0.1), (0.9, 0.02), (-0.3, 0.7)])
@@ -299,12 +305,15 @@ def test_an_unstable_loop_has_no_margin():
     assert found.modulus_margin[0] == pytest.approx(-10.0 * (found.radius[0] - 1.0))
 
 
+@pytest.mark.parametrize("mpc", [ROAD_MPC, INFORMED], ids=["published", "informed"])
 @pytest.mark.parametrize("turning", [False, True])
-def test_at_its_margins_the_cars_loop_is_at_the_verge(turning):
+def test_at_its_margins_the_cars_loop_is_at_the_verge(turning, mpc):
     tunings = some_tunings(3, 60)
+    if mpc is INFORMED:
+        tunings[:, 3] *= 1e-2
     for speed in (6.0, 16.0, 26.0):
         how = {"friction": 0.7, "profile": "road", "lateral_acceleration": hard_turn(speed, 0.7) if turning else 0.0}
-        k = laws(ROAD_MPC, speed, tunings)
+        k = laws(mpc, speed, tunings)
         body = sampled(PLANT, 0.05, speed, **how)
         found = margins(body, k, 0.05)
         stable = np.flatnonzero(found.radius < 0.995)[:8]
@@ -353,6 +362,197 @@ def test_a_fractional_delay_is_what_commands_do_that_change_within_the_period(pr
             state = fine.a @ state + fine.b * (before if sample < 3 else command)
         before = command
     np.testing.assert_allclose(z[:n], state, rtol=1e-8, atol=1e-8)
+
+
+# -- the controller that knows its car --------------------------------------------------------------------------------
+SENSORS = {
+    "road": SensorNoise(),
+    "no lateral velocity": SensorNoise(vy=math.inf, yaw_rate=0.002, wheel_angle=0.002),
+}
+
+
+def given(measured):
+    """What a controller is given: the states that are measured, and nothing of other sensors."""
+    return np.append(measured, np.zeros(len(sensed()) - len(measured)))
+
+
+def knowing(lag=0.15, dead_time=0.05, noise=SENSORS["road"], moves=None):
+    model = PathModel(CAR, 0.05, lag, dead_time)
+    return MPC(
+        CAR,
+        Tuning(25, 6, 1.0, 4.0),
+        period=0.05,
+        model=model,
+        estimator=KalmanFilter(noise, settling=math.inf),
+        moves=moves,
+    )
+
+
+def steady_gain(readable, speed, noise):
+    """K of the filter in the end, by the algebraic Riccati equation, and the rows that it reads."""
+    f, _ = readable.matrices(speed, 0.05)
+    read = np.zeros((5, len(f)))
+    for row, name in enumerate(("vy", "yaw", "yaw_rate", "y", "wheel_angle")):
+        if name in readable.model.states and math.isfinite(getattr(noise, name)):
+            read[row, readable.model.states.index(name)] = 1.0
+    heard = read.any(axis=1)
+    h, r = read[heard], np.diag(readable.own.variances()[:5][heard])
+    p = solve_discrete_are(f.T, h.T, readable.Q, r)
+    gain = np.zeros((len(f), 5))
+    gain[:, heard] = p @ h.T @ np.linalg.inv(h @ p @ h.T + r)
+    return gain, read
+
+
+def written_out(mpc, noise, speed, measured, commands):
+    """xi of every instant for measurements (n, 5) and commands: the filter's equations, its gain by Riccati's."""
+    readable = ReadableFilter(mpc.estimator, mpc.model)
+    gain, read = steady_gain(readable, speed, noise)
+    readable.z, readable.sent = np.zeros(readable.n + 2), [0.0] * (readable.whole + 2)
+    readable.P = np.zeros((len(gain), len(gain)))
+    a, b, _ = mpc.model.discrete(speed)
+    f, _ = readable.matrices(speed, 0.05)
+    found, last = [], 0.0
+    for seen, command in zip(measured, commands, strict=True):
+        readable.sent = [last, *readable.sent[:-1]]
+        readable.predict(speed)
+        readable.z = readable.z + gain @ (seen * read.any(axis=1) - read @ readable.z)
+        x, d = readable.ahead(speed)[: readable.n], f[: readable.n, readable.n :] @ readable.z[readable.n :]
+        found.append([*(a @ x + b[:, 0] * last + d - x), x[-1]])
+        last = command
+    return np.array(found)
+
+
+@pytest.mark.parametrize("noise", SENSORS.values(), ids=list(SENSORS))
+@pytest.mark.parametrize(("lag", "dead_time"), [(0.15, 0.05), (0.2, 0.13), (0.0, 0.0)])
+def test_the_linear_estimator_is_the_filter_with_the_gain_of_riccatis_equation(lag, dead_time, noise):
+    rng, mpc = np.random.default_rng(8), knowing(lag, dead_time, noise)
+    measured, commands = 1e-3 * rng.normal(size=(60, 5)), 1e-3 * rng.normal(size=60)
+    for speed in (4.0, 22.0):
+        own, found = linear_estimator(mpc, speed), []
+        s = np.zeros(len(own.a))
+        for m, u in zip(measured, commands, strict=True):
+            found.append(own.c @ s + own.d @ given(m))
+            s = own.a @ s + own.e @ given(m) + own.f * u
+        expected = written_out(mpc, noise, speed, measured, commands)
+        np.testing.assert_allclose(found, expected, rtol=1e-6, atol=1e-7 * np.abs(expected).max())
+
+
+def as_measured(speed, measured, command, a, b, parameters, memory, x, d):
+    for i in range(4):
+        x[i], d[i] = measured[i], 0.0
+
+
+def smoothed(speed, measured, command, a, b, parameters, memory, x, d):
+    for i in range(4):
+        memory[i] += parameters[0] * (measured[i] - memory[i])
+        x[i], d[i] = memory[i], 0.0
+
+
+def with_estimator(of):
+    return MPC(CAR, Tuning(25, 6, 1.0, 4000.0), period=0.05, estimator=of)
+
+
+@pytest.mark.parametrize("mpc", [
+    ROAD_MPC, knowing(), knowing(0.2, 0.13, SENSORS["no lateral velocity"]), knowing(moves=Moves.laguerre(0.8, 4)),
+    with_estimator(UserEstimator(as_measured)),
+    with_estimator(UserEstimator(smoothed, parameters={"share": 0.3}, memory_size=4)),
+])  # fmt: skip
+def test_the_law_gives_the_commands_of_the_controller(mpc):
+    """Its own steps, settled, for small measurements; the QP far from its limits."""
+    speed, rng = 15.0, np.random.default_rng(9)
+    law = laws(mpc, speed, mpc.tuning.as_array())
+    own, gain = law.estimator, law.k[0]
+    mpc.reset()
+    for k in range(1500):
+        mpc.step(np.full(5, 1e-30 * (-1.0) ** k), speed, [0.0])  # what always reads the same may count as stuck
+    s = np.zeros(len(own.a))
+    for _ in range(80):
+        m = 1e-6 * rng.normal(size=5)
+        command = own.h @ s - gain @ (own.c @ s + own.d @ given(m))
+        assert mpc.step(m, speed, [0.0]).angle == pytest.approx(command, rel=1e-6, abs=1e-13)
+        s = own.a @ s + own.e @ given(m) + own.f * command
+
+
+@pytest.mark.parametrize("name", ["published", "informed"])
+@pytest.mark.parametrize("by", [Mismatch(), Mismatch(lag=0.06, dead_time=-0.05, stiffness=0.7, mass=1.2)])
+def test_no_loop_that_is_certified_stable_grows_in_the_simulator(name, by):
+    """The small sister of benchmarks/small_deviations.py: random tunings, speeds and frictions."""
+    rng, n, quarter = np.random.default_rng(10), 48, 400
+    mpc = {"published": ROAD_MPC, "informed": INFORMED}[name]
+    world = QUIET.replace(delay=1.0 + round(by.dead_time / 0.05))
+    car, tunings = by.true_car(PLANT, world), some_tunings(11, n)
+    tunings[:, 3] = tunings[:, 2] * 10 ** rng.uniform(*{"published": (2.0, 6.0), "informed": (-4.0, 4.0)}[name], n)
+    speeds, frictions = rng.uniform(3.0, 30.0, n), rng.uniform(0.3, 1.0, n)
+    radius, runs = np.empty(n), []
+    for i, (v, mu) in enumerate(zip(speeds.tolist(), frictions.tolist(), strict=True)):
+        body = by.sampled(PLANT, 0.05, v, friction=mu, profile=QUIET)
+        radius[i] = radii(loops(body, laws(mpc, v, tunings[i])))[0]
+        quiet = {"reference": 0.0, "wind": Wind(y=0.0), "start_y": 1e-6}
+        runs.append(Scenario(name="small", duration=0.2 * quarter, speed=v, friction=mu, **quiet))
+    cost = RunSet(car, mpc, runs, world, segment=quarter).segments(tunings, 0, np.arange(n))[:, :4]
+    size = np.sqrt(np.where(np.isfinite(cost), cost, np.inf) / quarter)
+    grew = (size[:, 3] > 1e-4) | ((size[:, 3] > size[:, 2]) & (size[:, 3] > 1e-15))
+    assert (radius < 1.0).sum() > 10
+    assert (radius > 1.005).sum() > 3
+    assert not (grew & (radius < 0.999)).any()
+    assert grew[radius > 1.005].all()
+
+
+# -- another car ------------------------------------------------------------------------------------------------------
+def test_a_mismatch_is_the_plant_with_those_numbers():
+    heavy = CAR.replace(mass=1.3 * CAR.mass, yaw_inertia=1.3 * CAR.yaw_inertia)
+    soft = load_tyre("magic-formula").replace(stiffness_front=19000.0 / 1.6, stiffness_rear=33000.0 / 1.6)
+    slow = ROAD.replace(steering=ROAD.steering.replace(lag=0.25))
+    for by, (plant, world, late) in {
+        Mismatch(): (PLANT, ROAD, 0.0),
+        Mismatch(mass=1.3): (DualTrack(heavy, "magic-formula"), ROAD, 0.0),
+        Mismatch(stiffness=1.0 / 1.6): (DualTrack(CAR, soft), ROAD, 0.0),
+        Mismatch(lag=0.1): (PLANT, slow, 0.0),
+        Mismatch(dead_time=0.07): (PLANT, ROAD, 0.07),
+        Mismatch(dead_time=-0.05): (PLANT, ROAD.replace(delay=0.0), 0.0),
+    }.items():
+        found = by.sampled(PLANT, 0.05, 18.0, friction=0.6, profile=ROAD)
+        expected = sampled(plant, 0.05, 18.0, friction=0.6, profile=world, delay=late)
+        for one, other in zip(found, expected, strict=True):
+            np.testing.assert_allclose(one, other, rtol=1e-9, atol=1e-12)
+
+
+def test_neither_lag_nor_dead_time_gets_below_zero():
+    less = Mismatch(lag=-0.3, dead_time=-0.3)
+    prompt = ROAD.replace(delay=0.0, steering=SteeringActuator.ideal())
+    found, expected = less.sampled(PLANT, 0.05, 18.0, profile=ROAD), sampled(PLANT, 0.05, 18.0, profile=prompt)
+    for one, other in zip(found, expected, strict=True):
+        np.testing.assert_allclose(one, other, atol=1e-12)
+    assert less.name == "lag -0.3 s, dead time -0.3 s"
+
+
+def test_a_mismatch_that_means_nothing_is_refused():
+    with pytest.raises(InvalidInput, match="finite"):
+        Mismatch(lag=math.nan)
+    with pytest.raises(InvalidInput, match="positive"):
+        Mismatch(mass=0.0)
+    mine = UserPlant(wandering, {"cf": 38000.0, "cr": 66000.0, "mass": 1575.0}, mass=1575.0, own_states=("unseen",))
+    with pytest.raises(InvalidInput, match="second plant"):
+        Mismatch(mass=1.3).sampled(mine, 0.05, 18.0)
+    assert Mismatch(lag=0.1).sampled(mine, 0.05, 18.0).b.shape == (5,)
+
+
+def test_a_lag_that_is_underestimated_takes_the_margin_of_the_informed_loop():
+    """As drives do: with a lag of 0.05 s believed and 0.15 s true all of 64 failed."""
+    law = laws(INFORMED, 20.0, INFORMED.tuning.as_array())
+    late, told = (
+        modulus_margin(Mismatch(lag=lag).sampled(PLANT, 0.05, 20.0, profile=ROAD), law)[0] for lag in (0.1, 0.0)
+    )
+    assert late < 0.0 < 0.1 < told
+
+
+def test_a_dead_time_of_the_actuator_is_delay_for_the_loop_and_late_samples_are_refused():
+    steering = ROAD.steering.replace(dead_time=0.07)
+    known = sampled(PLANT, 0.05, 15.0, profile=ROAD.replace(steering=steering))
+    added = sampled(PLANT, 0.05, 15.0, profile=ROAD, delay=0.07)
+    np.testing.assert_array_equal(known.a, added.a)
+    with pytest.raises(InvalidInput, match="its samples are late"):
+        sampled(PLANT, 0.05, 15.0, profile="production")
 
 
 # -- maps -------------------------------------------------------------------------------------------------------------

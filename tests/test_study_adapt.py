@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import re
 import shutil
 from dataclasses import replace
 from types import SimpleNamespace
@@ -29,7 +30,7 @@ from adaptrack.studies import pipeline
 from adaptrack.studies.adapt import CONTENDERS, histories, shipped, stage_identity
 from adaptrack.tuning.config import load_campaign
 from adaptrack.vehicle import GRAVITY
-from small_chain import learned, short_cuts, write
+from small_chain import CAMPAIGN, learned, short_cuts, write
 
 WORK = {
     "run_campaign": study, "best_constant": recipes, "improve": recipes, "neighbour_lookup": recipes, "train": recipes,
@@ -160,6 +161,21 @@ def test_a_campaign_that_is_no_sobol_sample_is_refused(tmp_path):
     config = load_adaptation(write(tmp_path, campaign="paper-grid"))
     with pytest.raises(InvalidInput, match=r"'paper-grid'.*Sobol"):
         SetUp.of(config)
+
+
+def test_a_domain_that_no_constant_can_hold_is_refused_before_any_run_with_the_largest_one_that_can(tmp_path, quick):
+    forbid(quick, "run_campaign", "best_constant")
+    box = {"speed": [3.0, 30.0], "y_ref": [-4.0, 4.0], "friction": [0.3, 1.0], "wind": [-15.0, 15.0]}
+    asked = {"operating_points": CAMPAIGN["operating_points"] | {"box": box}, "vehicle": "midsize-sedan"}
+    config = load_adaptation(write(tmp_path, asked))
+    with pytest.raises(InvalidInput, match=r"domain of 3 to 30 m/s .* that one can hold is (.*) to 30 m/s on") as told:
+        study.learn(SetUp.of(config), tmp_path / "out")
+    low = float(re.search(r"can hold is (\S+) to", str(told.value))[1])
+    assert 3.0 < low < 10.0
+    assert not (tmp_path / "out" / "campaign").exists()
+    narrow = asked | {"operating_points": asked["operating_points"] | {"box": box | {"speed": [low, 30.0]}}}
+    setup = SetUp.of(load_adaptation(write(tmp_path / "narrow", narrow)))
+    assert len(recipes.safe_candidates(recipes.stability_map(setup), setup.method.constants)) > 0
 
 
 @pytest.mark.parametrize(
@@ -465,7 +481,7 @@ def test_the_map_covers_the_box_driving_straight_and_counts_slow_loops_as_nearer
     setup = setup_of(tmp_path)
     known = recipes.stability_map(setup)
     assert (asked["speed"], asked["friction"], asked["profile"]) == ((8.0, 25.0), (0.5, 1.0), "road")
-    assert asked["turn"](20.0, 0.5) == 0.0
+    assert asked["turn"] is None
     assert known.limit == 0.95 == 1.0 - setup.method.guard.margin
     more = 0.5 + setup.method.guard.slow_margin
     assert [np.unique(each).tolist() for each in known.table.values] == [[more], [more], [0.5], [0.5]]

@@ -241,7 +241,7 @@ class Batch:
 
         segments: of each run; periods: to trace, 0 for no trace.
         """
-        from adaptrack.kernels import loop, rollout
+        from adaptrack.kernels import rollout
         from adaptrack.kernels.controllers import mpc as kernel
         from adaptrack.kernels.estimators.friction_wind import MEMORY as KNOWING
         from adaptrack.kernels.plants.contract import STATES, vehicle_batch

@@ -1,25 +1,28 @@
 """Is the closed loop stable with every tuning that a scheduler can ask for, and with which stability margins?
 
 At each point of a grid over the operating domain the linear closed loop with the scheduler's tuning is analysed about
-driving straight, which decides, and about a turn as hard as driving gets (`stability.hard_turn`), which is reported.
+driving straight, which decides, and about a turn as hard as driving gets (`stability.hard_turn`), which is reported;
+and, when asked, driving straight with a car that differs from the one that the controller was told of (`Mismatch`).
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, fields, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, fields, replace
+from functools import lru_cache, partial
 from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from adaptrack.controllers import ENTRIES, MPC, Scheduler, read_tuning
+from adaptrack.controllers import ENTRIES, MPC, Scheduler, Tuning, read_tuning
 from adaptrack.errors import ContractError, InvalidInput, real
+from adaptrack.linearisation import Body, Mismatch, Turn, bodies_of, laws, linear_estimator
 from adaptrack.plant import Plant
 from adaptrack.profile import Profile, load_profile
-from adaptrack.scheduling import VARIABLES, Schedule, SchedulingVariables
-from adaptrack.stability import Margins, hard_turn, laws, margins, sampled
+from adaptrack.scheduling import VARIABLES, Constant, Schedule, SchedulingVariables
+from adaptrack.stability import Margins, hard_turn, margins
 
 Array = NDArray[np.float64]
 Progress = Callable[[str, int, int], None]
@@ -62,6 +65,9 @@ class Certificate:
     plant: str
     tyre: str
     profile: str
+    model: str
+    """of the prediction"""
+    estimator: str
     speeds: Array
     """m/s"""
     frictions: Array
@@ -71,6 +77,8 @@ class Certificate:
     """of the scheduler without its guard"""
     guarded: Sweep | None
     """of the scheduler with its guard, as at the first step of a run; None when it has none"""
+    mismatched: Mapping[str, Margins] = field(default_factory=dict)
+    """of what drives, driving straight, when the car differs from what the controller was told, by `Mismatch.name`"""
 
     @property
     def counted(self) -> Sweep:
@@ -91,8 +99,17 @@ class Certificate:
         return (
             f"{'Passed' if self.passed else 'Failed'}: the closed loop is {straight} points of the operating domain "
             f"driving straight, and unstable at {turn:,} of them in a hard turn, which does not decide "
-            f"({self.plant}, {self.tyre} tyres, {self.profile} profile)."
+            f"({self.plant}, {self.tyre} tyres, {self.profile} profile; model {self.model}, estimator "
+            f"{self.estimator}).{self._told_wrong()}"
         )
+
+    def _told_wrong(self) -> str:
+        """What mismatches do, as a sentence; empty where none were asked for."""
+        if not self.mismatched:
+            return ""
+        bad = {name: int((found.radius >= 1.0).sum()) for name, found in self.mismatched.items()}
+        named = ", ".join(f"{name}: {count:,}" for name, count in bad.items() if count)
+        return f" Of {len(bad)} mismatches none makes it unstable." if not named else f" Unstable with {named}."
 
     @property
     def fallback(self) -> NDArray[np.bool_]:
@@ -138,6 +155,8 @@ class Certificate:
             "plant": self.plant,
             "tyre": self.tyre,
             "profile": self.profile,
+            "model": self.model,
+            "estimator": self.estimator,
             "verdict": self.verdict,
             "passed": self.passed,
             "points": len(self.points),
@@ -152,10 +171,19 @@ class Certificate:
                 }
                 for driving in DRIVING
             },
+            "mismatched": self.mismatched_rows(),
         }
 
-    def _point(self, sweep: Sweep, driving: Driving, i: int) -> dict[str, Any]:
-        found: Margins = getattr(sweep, driving)
+    def mismatched_rows(self) -> list[dict[str, Any]]:
+        """For each mismatch the point with the smallest modulus margin, and how many are unstable; for JSON."""
+        rows = []
+        for name, found in self.mismatched.items():
+            unstable, i = int((found.radius >= 1.0).sum()), int(np.argmin(found.modulus_margin))
+            rows.append({"mismatch": name, "unstable": unstable, **self._point(self.counted, "straight", i, found)})
+        return rows
+
+    def _point(self, sweep: Sweep, driving: Driving, i: int, found: Margins | None = None) -> dict[str, Any]:
+        found = getattr(sweep, driving) if found is None else found
         return {
             **dict(zip(SchedulingVariables._fields, self.points[i].tolist(), strict=True)),
             **dict(zip(ENTRIES, sweep.tunings[i].tolist(), strict=True)),
@@ -181,18 +209,22 @@ def _finite(values: Mapping[str, float]) -> dict[str, float | None]:
 
 
 def certify(
-    scheduler: Scheduler, plant: Plant, mpc: MPC, profile: str | Profile = "road", *,
+    scheduler: Scheduler | Tuning, plant: Plant, mpc: MPC, profile: str | Profile = "road", *,
     domain: Mapping[str, tuple[float, float]] | None = None, levels: tuple[int, int] = (28, 5),
-    turn: Callable[[float, float], float] = hard_turn, progress: Progress | None = None,
+    turn: Turn = hard_turn, mismatches: Sequence[Mismatch] = (),
+    progress: Progress | None = None,
 ) -> Certificate:  # fmt: skip
     """Stability and margins of the closed loop with the scheduler's tunings over its whole operating domain.
 
     Parameters
     ----------
     scheduler
-        A `Schedule`, guarded or not, or any function of a `SchedulingVariables`.
+        A `Schedule`, guarded or not, any function of a `SchedulingVariables`, or one tuning.
+    plant, profile
+        The true car, and the true steering, dead time and sensors around it.
     mpc
-        Vehicle of the prediction model, period, moves, longest horizons; its own tuning and scheduler play no part.
+        What the controller believes: prediction model, estimator, period, moves, longest horizons; its own tuning and
+        scheduler play no part.
     domain
         Lowest and highest value by scheduling variable; by default where `OPERATING` and the schedule's own domain
         overlap. Beside speed and friction, only what a schedule looks at is varied; of a plain function, everything.
@@ -200,14 +232,19 @@ def certify(
         Values of speed and of friction. Other inputs get 2 to 5 each, together at most 64 combinations or 2 each.
     turn
         Lateral acceleration (m/s^2) of the turn at a speed (m/s) on a friction.
+    mismatches
+        How the true car may differ from `plant` and `profile` as well, each by itself; see
+        `linearisation.usual_mismatches`.
 
     Raises
     ------
     ContractError
         When the scheduler fails at a point or gives what is no tuning.
     InvalidInput
-        When a range makes no sense, or the plant cannot drive such a turn.
+        When a range makes no sense, the plant cannot drive such a turn, or has nothing of what a mismatch changes.
     """
+    if isinstance(scheduler, Tuning):
+        scheduler = Constant(scheduler)
     world = load_profile(profile)
     axes = _axes(scheduler, mpc, domain or {}, levels)
     grid = np.meshgrid(*axes.values(), indexing="ij")
@@ -216,11 +253,15 @@ def certify(
     guarded = scheduler if isinstance(scheduler, Schedule) and scheduler.guard is not None else None
     bare = replace(guarded, guard=None) if guarded is not None else scheduler
     asked = [_as_used(_tunings(each, points), mpc) for each in (bare, guarded) if each is not None]
-    found = _sweep(points, asked, plant, mpc, world, turn, progress or (lambda what, done, of: None))
+    bodies = bodies_of(plant, mpc.period, world, turn, mismatches)
+    found = _sweep(points, asked, mpc, bodies, progress or (lambda what, done, of: None))
+    sweeps = [Sweep(tunings, *each[:2]) for tunings, each in zip(asked, found, strict=True)]
     return Certificate(
         str(getattr(scheduler, "name", getattr(scheduler, "__name__", type(scheduler).__name__))),
-        plant.name, plant.tyre_name, world.name, axes["speed"], axes["friction"], points,
-        found[0], found[1] if guarded is not None else None,
+        plant.name, plant.tyre_name, world.name, mpc.model.name, mpc.estimator.name,
+        axes["speed"], axes["friction"], points,
+        sweeps[0], sweeps[1] if guarded is not None else None,
+        dict(zip([each.name for each in mismatches], found[-1][2:], strict=True)),
     )  # fmt: skip
 
 
@@ -291,27 +332,22 @@ def _as_used(tunings: Array, mpc: MPC) -> Array:
 
 
 def _sweep(
-    points: Array, asked: list[Array], plant: Plant, mpc: MPC, profile: Profile,
-    turn: Callable[[float, float], float], progress: Progress,
-) -> list[Sweep]:  # fmt: skip
-    """The margins of each set of tunings; a plant and a tuning that recur are analysed once."""
+    points: Array, asked: list[Array], mpc: MPC, bodies: Sequence[Body], progress: Progress
+) -> list[list[Margins]]:
+    """The margins of each set of tunings around each body; a cell and a tuning that recur are analysed once."""
     n, names = len(points), [each.name for each in fields(Margins)]
-    results = np.empty((len(asked), 2, len(names), n))
+    results = np.empty((len(asked), len(bodies), len(names), n))
     places = points[:, [SchedulingVariables._fields.index(name) for name in ("speed", "friction")]]
     cells, where = np.unique(places, axis=0, return_inverse=True)
+    at_speed = lru_cache(maxsize=1)(partial(linear_estimator, mpc))  # cells are sorted by speed
     for cell, (speed, friction) in enumerate(cells.tolist()):
         progress("certify", cell, len(cells))
         here = np.flatnonzero(where.ravel() == cell)
         unique, place = np.unique(np.concatenate([tunings[here] for tunings in asked]), axis=0, return_inverse=True)
-        k = laws(mpc, speed, unique)
-        for i, acceleration in enumerate((0.0, turn(speed, friction))):
-            body = sampled(
-                plant, mpc.period, speed, friction=friction, profile=profile, lateral_acceleration=acceleration
-            )
-            found = margins(body, k, mpc.period)
+        law = laws(mpc, speed, unique, at_speed(speed))
+        for i, body in enumerate(bodies):
+            found = margins(body(speed, friction), law, mpc.period)
             values = np.array([getattr(found, name) for name in names])[:, place.ravel()]
             results[:, i, :, here] = values.reshape(len(names), len(asked), len(here)).transpose(2, 1, 0)
     progress("certify", len(cells), len(cells))
-    return [
-        Sweep(tunings, *(Margins(*result) for result in both)) for tunings, both in zip(asked, results, strict=True)
-    ]
+    return [[Margins(*values) for values in each] for each in results]

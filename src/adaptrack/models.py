@@ -90,14 +90,17 @@ class PredictionModel(ABC):
         self.function(float(speed), self.period, self.parameters(), a, b, e)
         return a, b[:, None], self.output[None]
 
-    def responses(self, speed: float, horizon: int) -> tuple[Array, Array]:
-        """F of eq. (10), transposed (n+1, horizon), and the response to a unit move C~ A~^j B~ (horizon,); compiled."""
+    def responses(self, speed: float, horizon: int, of_next: bool = False) -> tuple[Array, Array]:
+        """F of eq. (10), transposed (n+1, horizon), and the response to a unit move C~ A~^j B~ (horizon,); compiled.
+
+        of_next: F of the next increment of the state, which an estimator gives, not of the last one.
+        """
         from adaptrack.kernels.controllers import condensing
 
         a, b, c = self.discrete(speed)
         free, step = np.ones((self.n + 1, horizon)), np.empty(horizon)
         model = condensing.Discrete(a, b[:, 0].copy(), c[0].copy(), np.zeros(self.n), np.zeros((3, self.n)))
-        condensing.responses(horizon, False, model, free, step)
+        condensing.responses(horizon, of_next, model, free, step)
         return free, step
 
     def augmented(self, speed: float) -> tuple[Array, Array, Array]:

@@ -233,8 +233,8 @@ class UserPlant(Plant):
     right_hand_side(x, u, environment, p, dx) writes dx/dt into dx and returns nothing; it is compiled by numba, so
     it may use floats, loops, `math` and array elements. x: (n,) beginning with `MOTION`; u: steering angle of the
     front wheels (rad), longitudinal force asked of the wheels (N); environment: friction front-left, front-right,
-    rear-left, rear-right, wind along X and Y (m/s), pull of a banked road to the left (m/s^2); p: `parameters` as an array, in their order.
-    It must not write to x, u, environment or p. `check_plant` admits it.
+    rear-left, rear-right, wind along X and Y (m/s), pull of a banked road to the left (m/s^2); p: `parameters` as an
+    array, in their order. It must not write to x, u, environment or p. `check_plant` admits it.
     """
 
     right_hand_side: Callable[..., None]

@@ -1,256 +1,58 @@
 """The closed loop for small deviations: its matrix over one control period, its stability and its stability margins.
 
-The plant is linearised about driving straight, or about a steady turn, at a speed; the controller's law is
-`PredictionModel.feedback`. What the controller's own model leaves out (tyre relaxation, steering lag, computation
-delay) is part of the loop; the reference, with or without preview, is not: it cannot make a linear loop unstable.
-
-The law du = -k [change of x_c; y] sums up to u = w - k_1..4 x_c, where w grows by -k_5 y at every step: besides the
-vehicle, the wheel angle and the commands not yet applied, w is the loop's only state.
+What the controller leaves out (tyre relaxation, a lag or dead time that it does not know) is part of the loop; the
+reference, with or without preview, is not: it cannot make a linear loop unstable. Car and controller: `linearisation`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from adaptrack.controllers import MPC, Tuning
-from adaptrack.errors import InvalidInput, real
-from adaptrack.models import laguerre_basis
-from adaptrack.plant import Plant, SteppedPlant
-from adaptrack.profile import Profile, load_profile
+from adaptrack.errors import InvalidInput
+from adaptrack.linearisation import MEASURED, Body, Laws, Sampled, Turn, bodies_of, laws, sampled, sensed
+from adaptrack.plant import Plant
+from adaptrack.profile import Profile
 from adaptrack.vehicle import GRAVITY
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
-MEASURED = ("vy", "psi", "yaw_rate", "Y")
-"""The states of the plant that the controller measures: its x_c."""
-
-_STATES = ("vy", "yaw", "yaw_rate", "y")  # the same, as the prediction model calls them
-
-_HELD = ("X", "vx", "felt_ax")  # X does not matter; speed and longitudinal load transfer are held
-_STEP = 1e-6  # of the central differences
-_ROUNDING = 1e-15  # share of the largest entry of A below which an entry is a rounding error
 _ANGLES = np.geomspace(1e-3, np.pi, 768)  # rad per period, at which the loop gain is looked at
 
 
-# -- the plant --------------------------------------------------------------------------------------------------------
-def steady_turn(plant: Plant, speed: float, lateral_acceleration: float, friction: float = 0.9) -> tuple[Array, float]:
-    """State (n,) and front-wheel angle (rad) of a steady turn to the left at `speed` (m/s), without wind.
-
-    lateral_acceleration: m/s^2, speed times yaw rate. The velocity points along X. Newton's method on the derivatives
-    of all states but X, Y, yaw and v_x, the acceleration raised from zero in steps of at most 1 m/s^2; speed and
-    longitudinal load transfer are held as they are in straight driving.
-
-    Raises
-    ------
-    InvalidInput
-        When the plant has no such turn, for instance because friction is too low for it, or no right-hand side.
-    """
-    if isinstance(plant, SteppedPlant):
-        raise InvalidInput(f"Plant {plant.name!r}: is stepped and has no right-hand side that could be linearised.")
-    acceleration = real("steady_turn", "lateral_acceleration", lateral_acceleration)
-    names = list(plant.state_names)
-    free = [i for i, name in enumerate(names) if name not in (*_HELD, "Y", "psi")]
-    yaw_rate, road = names.index("yaw_rate"), _road(friction)
-    x = np.array(plant.initial_state([0.0, 0.0, 0.0, speed, 0.0, 0.0]), dtype=np.float64)
-
-    def residual(values: Array, wanted: float) -> Array:
-        state = x.copy()
-        state[free] = values[:-1]
-        slope = plant.derivative(state, [values[-1], 0.0], road)[free]
-        return np.append(slope, state[yaw_rate] * speed - wanted)
-
-    unknown, reached = _raised(residual, np.append(x[free], 0.0), acceleration)
-    if reached < abs(acceleration):
-        raise InvalidInput(
-            f"Plant {plant.name!r}: no steady turn with more than {reached:.4g} m/s^2 at {speed:g} m/s on friction "
-            f"{friction:g}: ask for a smaller lateral acceleration."
-        )
-    x[free] = unknown[:-1]
-    x[names.index("psi")] = -np.arctan2(x[names.index("vy")], x[names.index("vx")])
-    return x, float(unknown[-1])
-
-
-def _raised(residual: Callable[[Array, float], Array], unknown: Array, acceleration: float) -> tuple[Array, float]:
-    """Roots of residual(x, a) followed from a = 0 towards `acceleration`: the last one, and the |a| that was reached.
-
-    The steering angle stands last in x. A step that changes it by more than 0.1 rad is beyond the grip, where slip
-    grows without bound.
-    """
-    reached, step = 0.0, min(abs(acceleration), 1.0)
-    ahead = np.zeros_like(unknown)  # change of the unknowns per m/s^2 in the last step
-    while reached < abs(acceleration):
-        wanted = min(reached + step, abs(acceleration))
-        tried, found = _newton(residual, unknown + (wanted - reached) * ahead, np.copysign(wanted, acceleration))
-        if found and abs(tried[-1] - unknown[-1]) < 0.1:
-            ahead, unknown, reached = (tried - unknown) / (wanted - reached), tried, wanted
-        elif step > 1e-3:
-            step *= 0.5
-        else:
-            break
-    return unknown, reached
-
-
-def _newton(residual: Callable[[Array, float], Array], x: Array, wanted: float) -> tuple[Array, bool]:
-    """A root of residual(x, wanted) near x, and whether one was found."""
-    for _ in range(20):
-        error = residual(x, wanted)
-        slopes = [(residual(x + h, wanted) - error) / _STEP for h in _STEP * np.eye(len(x))]
-        change = np.linalg.lstsq(np.array(slopes).T, error)[0]
-        x = x - change
-        if not np.abs(change).max() > 1e-10:
-            break
-    return x, bool(np.abs(residual(x, wanted)).max() < 1e-6)
-
-
-def linearised(
-    plant: Plant, speed: float, friction: float = 0.9, lateral_acceleration: float = 0.0
-) -> tuple[list[str], Array, Array]:
-    """State names, A (n, n) and B (n,) of the plant about steady driving at `speed` (m/s) on `friction`.
-
-    About a straight line, or about a `steady_turn` with `lateral_acceleration` (m/s^2), in which tyres are softer; then
-    deviations are those from the turn, in axes along its velocity. The input is the front-wheel angle; the speed is
-    held. States that do not influence what the controller measures are left out. By central differences.
-    """
-    x, steering = steady_turn(plant, speed, lateral_acceleration, friction)
-    road = _road(friction)
-    keep = [i for i, name in enumerate(plant.state_names) if name not in _HELD]
-
-    def slope(state: Array, angle: float) -> Array:
-        return plant.derivative(state, [angle, 0.0], road)[keep]
-
-    columns = [(slope(x + h, steering) - slope(x - h, steering)) / (2 * _STEP) for h in _STEP * np.eye(len(x))[keep]]
-    a, b = np.array(columns).T, (slope(x, steering + _STEP) - slope(x, steering - _STEP)) / (2 * _STEP)
-    seen = np.array([plant.state_names[i] in MEASURED for i in keep])
-    for _ in keep:
-        seen |= (np.abs(a[seen]) > _ROUNDING * np.abs(a).max()).any(axis=0)
-    part = np.flatnonzero(seen)
-    return [plant.state_names[keep[j]] for j in part], a[np.ix_(part, part)], b[part]
-
-
-class Sampled(NamedTuple):
-    """The plant behind its steering over one control period: z(k+1) = A z(k) + b u(k), x_c(k) = C z(k)."""
-
-    a: Array
-    """(m, m); z: the plant's states, the front-wheel angle where the steering has a lag, commands not yet applied"""
-    b: Array
-    """(m,)"""
-    c: Array
-    """(4, m)"""
-
-
-def sampled(
-    plant: Plant, period: float, speed: float, *, friction: float = 0.9, profile: str | Profile = "paper",
-    lateral_acceleration: float = 0.0, delay: float = 0.0,
-) -> Sampled:  # fmt: skip
-    """The linearised plant, exactly discretised under commands held over the period (s).
-
-    A command acts `delay` (s, >= 0, any fraction of a period) after its measurement, a period later still when the
-    profile says so. The steering's rate limit plays no part in small deviations.
-    """
-    if not 0.0 <= real("sampled", "delay", delay) < np.inf:
-        raise InvalidInput(f"delay = {delay!r} s: must be finite and not negative.")
-    world = load_profile(profile)
-    lag = (getattr(plant, "steering", None) or world.steering).lag
-    names, a, b = linearised(plant, speed, friction, lateral_acceleration)
-    step = _held(_with_lag(a, b, lag), period, world.delay + delay / period)
-    size = len(step)
-    outputs = np.zeros((len(MEASURED), size))
-    outputs[range(len(MEASURED)), [names.index(name) for name in MEASURED]] = 1.0
-    return Sampled(step[:, :size], step[:, size], outputs)
-
-
-def _with_lag(a: Array, b: Array, lag: float) -> Array:
-    """Flow (n + 1, n + 1) of the states, the wheel angle where the steering has a lag (s), and a constant command."""
-    n = len(b) + (lag > 0.0)
-    flow = np.zeros((n + 1, n + 1))
-    flow[: len(b), : len(b)], flow[: len(b), len(b)] = a, b
-    if lag > 0.0:
-        flow[n - 1, n - 1], flow[n - 1, n] = -1.0 / lag, 1.0 / lag
-    return flow
-
-
-def _held(flow: Array, period: float, delay: float) -> Array:
-    """[A b] (m, m + 1) over one period of a flow whose commands act `delay` periods late; the new one stands last."""
-    from scipy.linalg import expm
-
-    n = len(flow) - 1
-    whole, part = divmod(delay, 1.0)
-    pending = int(whole) + (part > 0.0)
-    early, late = expm(flow * (part * period)), expm(flow * ((1.0 - part) * period))
-    size = n + pending
-    step = np.zeros((size, size + 1))
-    step[:n, :n] = late[:n, :n] @ early[:n, :n]
-    place = [size, *range(n, size)]  # columns of the commands of this instant, of the last one, ...
-    step[:n, place[int(whole)]] = late[:n, n]
-    if part > 0.0:
-        step[:n, place[int(whole) + 1]] = late[:n, :n] @ early[:n, n]
-    step[place[1:], place[:-1]] = 1.0
-    return step
-
-
-def _road(friction: float) -> Array:
-    return np.array([friction] * 4 + [0.0, 0.0])
-
-
 # -- the loop ---------------------------------------------------------------------------------------------------------
-def laws(mpc: MPC, speed: float, tunings: ArrayLike) -> Array:
-    """k (n, 5) of du = -k [change of x_c; y] at a speed (m/s) for n tunings (n, 4) of Np, Nc, Q, R.
-
-    `PredictionModel.feedback` for many tunings at once. The horizons must be whole numbers, 1 <= Nc <= Np.
-
-    Raises
-    ------
-    InvalidInput
-        When the MPC has another prediction model or estimator than the paper's.
-    """
-    if mpc.model.states != _STATES or mpc.estimator.name != "deadbeat":
-        raise InvalidInput(
-            f"MPC: model {mpc.model.name!r} with estimator {mpc.estimator.name!r}: the linear loop is known for the "
-            f"states {', '.join(_STATES)}, all of them measured, with the estimator 'deadbeat' only: take "
-            "published_mpc(...)."
-        )
-    asked = np.atleast_2d(np.asarray(tunings, dtype=np.float64))
-    horizons, group = np.unique(asked[:, :2].astype(np.int64), axis=0, return_inverse=True)
-    longest = int(horizons[:, 0].max())
-    free, step = mpc.model.responses(max(speed, mpc.speed_floor), longest)
-    below = np.subtract.outer(np.arange(longest), np.arange(longest))
-    phi = np.where(below >= 0, step[below], 0.0)
-    gains = np.empty((len(asked), 5))
-    for i, (Np, Nc) in enumerate(horizons.tolist()):
-        which = np.flatnonzero(group.ravel() == i)
-        basis = np.eye(Np, Nc)
-        if mpc.moves.kind == "laguerre":
-            basis = laguerre_basis(Np, mpc.moves.terms, mpc.moves.pole)
-        effect = phi[:Np, :Np] @ basis
-        Q, R = asked[which, 2, None, None], asked[which, 3, None, None]
-        moves = np.linalg.solve(Q * (effect.T @ effect) + R * np.eye(effect.shape[1]), Q * (effect.T @ free[:, :Np].T))
-        gains[which] = basis[0] @ moves
-    return gains
-
-
-def loops(body: Sampled, k: Array, gain: float = 1.0) -> Array:
-    """The matrices (n, m + 1, m + 1) that take [z, w] from one control instant to the next, for n laws k (n, 5).
+def loops(body: Sampled, law: Laws, gain: float = 1.0) -> Array:
+    """The matrices (n, m + q, m + q) that take [z, s] from one control instant to the next, for n laws.
 
     gain: a factor on every command between the controller and the steering.
     """
-    m = len(body.b)
-    matrices = np.empty((len(k), m + 1, m + 1))
-    matrices[:, :m, :m] = body.a - gain * body.b[:, None] * (_direct(k) @ body.c)[:, None, :]
-    matrices[:, :m, m] = gain * body.b
-    matrices[:, m, :m] = -k[:, 4, None] * body.c[3]
-    matrices[:, m, m] = 1.0
+    own, seen = law.estimator, _measured(body, law)
+    m, q = len(body.b), len(own.a)
+    of_z, of_s = -law.k @ (own.d @ seen), own.h - law.k @ own.c  # u = of_z z + of_s s
+    matrices = np.empty((len(law.k), m + q, m + q))
+    matrices[:, :m, :m] = body.a + gain * body.b[:, None] * of_z[:, None, :]
+    matrices[:, :m, m:] = gain * body.b[:, None] * of_s[:, None, :]
+    matrices[:, m:, :m] = own.e @ seen + own.f[:, None] * of_z[:, None, :]
+    matrices[:, m:, m:] = own.a + own.f[:, None] * of_s[:, None, :]
     return matrices
 
 
-def _direct(k: Array) -> Array:
-    """(n, 4): what the newest x_c adds to -u; y acts through w as well, at once."""
-    return k[:, :4] + k[:, 4, None] * np.array([0.0, 0.0, 0.0, 1.0])
+def _measured(body: Sampled, law: Laws) -> Array:
+    """C of the body; refused where the estimator reads what is no state of it."""
+    read = np.asarray(law.estimator.e.any(axis=0) | law.estimator.d.any(axis=0))
+    without = np.flatnonzero(read & ~body.c.any(axis=1))
+    missing = [sensed()[i] for i in without.tolist() if i >= len(MEASURED)]
+    if missing:
+        raise InvalidInput(
+            f"the estimator reads {', '.join(missing)}, which is no state of the linear loop: leave that sensor out "
+            "(SensorNoise: inf); a wheel angle is a state where the steering has a lag (0.001 s will do)."
+        )
+    return body.c
 
 
 def closed_loop(
@@ -259,7 +61,7 @@ def closed_loop(
 ) -> Array:  # fmt: skip
     """The matrix that takes the loop's state from one control instant to the next, with a reference of zero.
 
-    State: that of `sampled`, then w (see above). delay: s, additional dead time of the commands.
+    State: that of `sampled`, then that of `linear_estimator`. delay: s, additional dead time of the commands.
     """
     body = sampled(
         plant, mpc.period, speed, friction=friction, profile=profile, lateral_acceleration=lateral_acceleration,
@@ -312,27 +114,40 @@ class Margins:
         )
 
 
-def loop_gain(body: Sampled, k: Array, angles: ArrayLike = _ANGLES) -> Complex:
+def loop_gain(body: Sampled, law: Laws, angles: ArrayLike = _ANGLES) -> Complex:
     """The loop gain L (n, angles) of n laws at z = e^(i angle), the loop being cut at the steering command.
 
-    The loop with a factor g on its commands has the characteristic equation 1 + g L(z) = 0.
+    The loop with a factor g on its commands has the characteristic equation 1 + g L(z) = 0. The controller itself knows
+    the commands that it gave.
     """
-    z = np.exp(1j * np.asarray(angles, dtype=np.float64))
-    resolvents = z[:, None, None] * np.eye(len(body.b)) - body.a
-    states = np.linalg.solve(resolvents, np.broadcast_to(body.b[:, None], (len(z), len(body.b), 1)))[..., 0]
-    measured = (states @ body.c.T).T
-    return np.asarray(_direct(k) @ measured + k[:, 4, None] * (measured[3] / (z - 1.0)))
+    own, z = law.estimator, np.exp(1j * np.asarray(angles, dtype=np.float64))
+    measured = _measured(body, law) @ _resolvent(z, body.a, body.b[:, None])[:, 0]  # (sensors, angles)
+    remembered = _resolvent(z, own.a, np.column_stack([own.e, own.f]))  # (q, sensors + 1, angles)
+    by_measured, by_own = np.einsum("qsz,sz->qz", remembered[:, :-1], measured), remembered[:, -1]
+    fed_back = law.k @ (own.c @ by_measured + own.d @ measured) - own.h @ by_measured
+    return np.asarray(fed_back / (1.0 + law.k @ (own.c @ by_own) - own.h @ by_own))
 
 
-def modulus_margin(body: Sampled, k: Array) -> Array:
-    """Modulus margin min |1 + L| (n,) of the loops of n laws k (n, 5): the distance of the loop gain from -1.
+def _resolvent(z: Complex, a: Array, b: Array) -> Complex:
+    """(z - A)^-1 B (n, columns, len(z)), from the Schur form of A: one back substitution for all z."""
+    from scipy.linalg import schur
+
+    t, u = schur(a, output="complex")
+    given, x = u.conj().T @ b, np.empty((*b.shape, len(z)), dtype=np.complex128)
+    for i in reversed(range(len(a))):
+        x[i] = (given[i][:, None] + np.tensordot(t[i, i + 1 :], x[i + 1 :], 1)) / (z - t[i, i])
+    return np.asarray(np.tensordot(u, x, 1))
+
+
+def modulus_margin(body: Sampled, law: Laws, angles: ArrayLike = _ANGLES) -> Array:
+    """Modulus margin min |1 + L| (n,) of the loops of n laws: the distance of the loop gain from -1.
 
     It is 1/M, M the largest sensitivity |1/(1 + L)|: 0.5 is a comfortable loop, 0 the stability limit (I. D. Landau,
     G. Zito, Digital Control Systems, Springer 2006, chapter 2). It bounds all other margins: with a modulus margin m
     the loop is stable for factors on its commands from 1/(1 + m) to 1/(1 - m). At most 1. An unstable loop has the
     negative value -10 (spectral radius - 1), so that tables can be interpolated across the limit.
     """
-    return _modulus_margin(loop_gain(body, k), radii(loops(body, k)))
+    return _modulus_margin(loop_gain(body, law, angles), radii(loops(body, law)))
 
 
 def _modulus_margin(gains: Complex, radius: Array) -> Array:
@@ -340,14 +155,14 @@ def _modulus_margin(gains: Complex, radius: Array) -> Array:
     return np.where(radius < 1.0, np.minimum(distance, 1.0), -10.0 * (radius - 1.0))
 
 
-def margins(body: Sampled, k: Array, period: float) -> Margins:
-    """Stability margins of the loops of n laws k (n, 5) around a sampled plant; period: s.
+def margins(body: Sampled, law: Laws, period: float) -> Margins:
+    """Stability margins of the loops of n laws around a sampled plant; period: s.
 
     From the loop gain L on the unit circle, which an eigenvalue must cross: where g L = -1 for a factor g, where
     L e^(-i angle tau/period) = -1 for a delay tau. Crossings are interpolated between 768 frequencies.
     """
-    gains = loop_gain(body, k)
-    radius = radii(loops(body, k))
+    gains = loop_gain(body, law)
+    radius = radii(loops(body, law))
     stable = radius < 1.0
     factor, delay = _critical_factors(gains), _critical_delays(gains, period)
     return Margins(
@@ -397,26 +212,55 @@ def hard_turn(speed: float, friction: float) -> float:
     return min(0.027 * speed, 0.75) * friction * GRAVITY
 
 
-_NODES = (
-    (6, 10, 14, 18, 22, 26, 30, 36, 42, 50, 60),
-    (1, 2, 3, 5, 8, 13, 20),
-    np.linspace(1.0, 6.0, 16),
-)
-"""Np, Nc and log10 R/Q (R/Q in m^2/rad^2) of the guard's table, for the `road` profile."""
+_HORIZONS = ((6, 10, 14, 18, 22, 26, 30, 36, 42, 50, 60), (1, 2, 3, 5, 8, 13, 20))
+_RATIOS = {"deadbeat": np.linspace(1.0, 6.0, 16), "informed": np.linspace(-1.0, 4.0, 16)}
 
 
-def _speeds(low: float, high: float) -> Array:
-    """Nodes at most a quarter of the speed and 2 m/s apart: slow loops change fastest with it."""
+def guard_nodes(mpc: MPC) -> tuple[ArrayLike, ...]:
+    """Np, Nc and log10 R/Q (R/Q in m^2/rad^2) of a guard's table, for the `road` profile.
+
+    Without an estimator the weight of the moves is what keeps lag and noise from the loop, so that it is larger.
+    """
+    return (*_HORIZONS, _RATIOS["deadbeat" if mpc.estimator.function is None else "informed"])
+
+
+def speed_nodes(low: float, high: float) -> Array:
+    """Speeds (m/s) at most a quarter of the speed and 2 m/s apart: slow loops change fastest with it."""
     nodes = [low]
     while nodes[-1] < high:
         nodes.append(min(nodes[-1] + min(0.25 * nodes[-1], 2.0), high))
     return np.array(nodes)
 
 
+def margin_map(mpc: MPC, bodies: Sequence[Body], axes: Sequence[Array], angles: ArrayLike = _ANGLES) -> Array:
+    """Least modulus margin of an MPC around some bodies, at a grid over speed, friction, Np, Nc and log10 R/Q (axes).
+
+    A node with Nc > Np stands for Nc = Np.
+    """
+    horizon, moves, ratio = (axis.ravel() for axis in np.meshgrid(*axes[2:], indexing="ij"))
+    tunings = np.column_stack([horizon, np.minimum(moves, horizon), np.ones_like(ratio), 10.0**ratio])
+    least = np.empty((len(axes[0]), len(axes[1]), len(tunings)))
+    for i, v in enumerate(axes[0].tolist()):
+        law = laws(mpc, v, tunings)
+        known: dict[Body, tuple[Sampled, Array]] = {}  # driving straight, most tyres are alike on every friction
+        for j, mu in enumerate(axes[1].tolist()):
+            for body in bodies:
+                here = body(v, mu)
+                if body not in known or not _alike(here, known[body][0]):
+                    known[body] = here, modulus_margin(here, law, angles)
+            least[i, j] = np.min([margin for _, margin in known.values()], axis=0)
+    return least.reshape([len(axis) for axis in axes])
+
+
+def _alike(one: Sampled, other: Sampled) -> bool:
+    """Whether two bodies differ by no more than the rounding of their linearisation."""
+    return bool(np.allclose(one.a, other.a, rtol=1e-7, atol=1e-9) and np.allclose(one.b, other.b, rtol=1e-7, atol=1e-9))
+
+
 def loop_map(
     plant: Plant, mpc: MPC, profile: str | Profile = "road", *, speed: tuple[float, float] = (2.0, 30.0),
-    friction: tuple[float, float] = (0.3, 1.0), nodes: Sequence[ArrayLike] = _NODES,
-    turn: Callable[[float, float], float] = hard_turn,
+    friction: tuple[float, float] = (0.3, 1.0), nodes: Sequence[ArrayLike] | None = None,
+    turn: Turn | None = hard_turn,
 ) -> tuple[tuple[Array, ...], Array]:  # fmt: skip
     """The table of a guard over speed, friction, Np, Nc and log10 R/Q: the axes of a grid, and its values.
 
@@ -424,23 +268,11 @@ def loop_map(
     interpolated linearly. 1 is the stability limit. It foretells failed drives better than the spectral radius, which
     also counts slow modes that are well damped.
 
-    speed (m/s), friction: ranges; nodes: of Np, Nc and log10 R/Q; turn: lateral acceleration (m/s^2) of the turn at a
-    speed on a friction, 0 for driving straight only. A node with Nc > Np stands for Nc = Np.
+    speed (m/s), friction: ranges; nodes: of Np, Nc and log10 R/Q, by default `guard_nodes`; turn: lateral acceleration
+    (m/s^2) of the turn at a speed on a friction, None for driving straight only. A node with Nc > Np stands for
+    Nc = Np.
     """
-    axes = (
-        _speeds(*speed),
-        np.array(friction, dtype=np.float64),
-        *(np.asarray(axis, dtype=np.float64) for axis in nodes),
-    )
-    horizon, moves, ratio = (axis.ravel() for axis in np.meshgrid(*axes[2:], indexing="ij"))
-    tunings = np.column_stack([horizon, np.minimum(moves, horizon), np.ones_like(ratio), 10.0**ratio])
-    least = np.empty((len(axes[0]), len(axes[1]), len(tunings)))
-    for i, v in enumerate(axes[0].tolist()):
-        k = laws(mpc, v, tunings)
-        for j, mu in enumerate(axes[1].tolist()):
-            bodies = [
-                sampled(plant, mpc.period, v, friction=mu, profile=profile, lateral_acceleration=acceleration)
-                for acceleration in (0.0, turn(v, mu))
-            ]
-            least[i, j] = np.minimum(*(modulus_margin(body, k) for body in bodies))
-    return axes, np.ceil(1000.0 * (1.0 - least.reshape([len(axis) for axis in axes]))) / 1000.0
+    chosen = guard_nodes(mpc) if nodes is None else nodes
+    axes = (speed_nodes(*speed), np.array(friction), *(np.asarray(axis, dtype=np.float64) for axis in chosen))
+    least = margin_map(mpc, bodies_of(plant, mpc.period, profile, turn), axes)
+    return axes, np.ceil(1000.0 * (1.0 - least)) / 1000.0

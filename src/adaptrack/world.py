@@ -144,9 +144,7 @@ class World:
             known = self.known_as.known(*known, signals.period, number)
         ahead = reference_preview(signals.y_ref, signals.period, len(signals.y_ref))
         return np.ascontiguousarray(
-            np.vstack(
-                [signals.y_ref, signals.speed, signals.friction.T, signals.wind.T, signals.push, *known, *ahead]
-            )
+            np.vstack([signals.y_ref, signals.speed, signals.friction.T, signals.wind.T, signals.push, *known, *ahead])
         )
 
     def start(self, scenario: Scenario, signals: Signals) -> Array:

@@ -22,6 +22,7 @@ from adaptrack.adaptation.splits import SetUp, Training, constants_noise, held_o
 from adaptrack.controllers import Tuning
 from adaptrack.dataset import DataSet
 from adaptrack.errors import InvalidInput
+from adaptrack.feasibility import Feasibility
 from adaptrack.learning.surfaces import FuzzySurface, NetworkSurface
 from adaptrack.learning.training import Trained, train
 from adaptrack.runs import Indices, RunSet
@@ -186,14 +187,9 @@ def safe_constant(runs: RunSet, known: StabilityMap, law: Constants, noise: int)
     Raises
     ------
     InvalidInput
-        When no tuning of the map is that far from instability.
+        As `safe_candidates`.
     """
-    nodes = np.meshgrid(*known.table.axes[2:], indexing="ij")
-    far = known.table.values.max(axis=(0, 1)) <= 1.0 - law.fallback_margin
-    far &= (nodes[1] <= nodes[0]) & (nodes[2] >= law.fallback_ratio)
-    if not far.any():
-        raise InvalidInput("no constant tuning keeps the loop away from instability over the whole domain.")
-    candidates = np.column_stack([nodes[0][far], nodes[1][far], np.ones(far.sum()), 10.0 ** nodes[2][far]])
+    candidates = safe_candidates(known, law)
 
     def judged(rows: Array, count: int) -> tuple[Indices, Array]:
         """Failures and mean log cost of each tuning, on the first `count` runs."""
@@ -206,6 +202,31 @@ def safe_constant(runs: RunSet, known: StabilityMap, law: Constants, noise: int)
     return as_tuning(best[np.argmin(np.where(failed <= failed.min() + law.fallback_failures, cost, np.inf))])
 
 
+def safe_candidates(known: StabilityMap, law: Constants) -> Array:
+    """(n, 4) of the map's tunings, those that are far from instability at every speed and friction.
+
+    Raises
+    ------
+    InvalidInput
+        When there is none: with the largest domain that one of them holds.
+    """
+    found = Feasibility.of_map(known.table.axes, 1.0 - known.table.values, law.fallback_margin)
+    found = found.among(found.tunings[:, 3] >= 10.0**law.fallback_ratio)
+    far = found.enough.all(axis=(0, 1))
+    if far.any():
+        return found.tunings[far]
+    largest = found.constant
+    raise InvalidInput(
+        f"no constant tuning keeps the loop away from instability (modulus margin {found.least:g}) over the whole "
+        f"domain of {found.whole}: "
+        + (
+            "nor at any point of it."
+            if largest is None
+            else f"the largest part of it that one can hold is {largest[1]}. Narrow the box of the campaign to that."
+        )
+    )
+
+
 def stability_map(setup: SetUp) -> StabilityMap:
     """The map that the guard asks: how near to instability the loop is, driving straight, with all that may be asked.
 
@@ -214,9 +235,7 @@ def stability_map(setup: SetUp) -> StabilityMap:
     map has few nodes.
     """
     speed, friction, guard = setup.box["speed"], setup.box["friction"], setup.method.guard
-    axes, values = loop_map(
-        setup.plant, setup.mpc, setup.profile, speed=speed, friction=friction, turn=lambda v, mu: 0.0
-    )
+    axes, values = loop_map(setup.plant, setup.mpc, setup.profile, speed=speed, friction=friction, turn=None)
     values[axes[0] < guard.slow] += guard.slow_margin
     return StabilityMap(Table(axes, values), 1.0 - guard.margin)
 

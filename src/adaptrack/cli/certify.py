@@ -1,23 +1,28 @@
-"""`adaptrack certify`: is the loop stable with everything that a scheduler can ask for?"""
+"""`adaptrack certify`: is the loop stable with everything that a scheduler can ask for? What can be held at all?"""
 
 from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from typer import Option
 
 from adaptrack.cli import options, show
 from adaptrack.cli.show import Column
-from adaptrack.errors import InvalidInput
+from adaptrack.errors import InvalidInput, UnknownName, did_you_mean
 
 if TYPE_CHECKING:
     from adaptrack.certify import Certificate
+    from adaptrack.controllers import MPC
+    from adaptrack.feasibility import Feasibility
+    from adaptrack.scheduling import Schedule
+    from adaptrack.vehicle import Vehicle
 
 UNSTABLE = 1
-"""The exit code when a loop is unstable, driving straight."""
+"""The exit code when a loop is unstable, driving straight, or a domain cannot be held."""
+INFORMED, STANDARD = "informed", "standard"
 
 COLUMNS = (
     Column("driving", "driving"),
@@ -31,17 +36,39 @@ COLUMNS = (
     Column("delay", "delay", "s", show.digits(3)),
     Column("modulus_margin", "modulus\nmargin", "", show.digits(3)),
 )
+MISMATCHED = (Column("mismatch", "the car has"), Column("unstable", "unstable", "", show.whole), *COLUMNS[2:])
+BEST = (Column("held", "held"), *COLUMNS[2:7], COLUMNS[-1])
+"""Of the table of what can be held."""
 
 TITLES = {"straight": "driving straight (the verdict)", "turn": "in a hard turn (no verdict)"}
 """By way of driving."""
 
 
 def certify(
-    scheduler: Annotated[str, typer.Argument(help="Name (see `schedulers`) or .json file (see `train`).")],
+    scheduler: Annotated[
+        str | None,
+        typer.Argument(help="Name (see `schedulers`) or .json file (see `train`); none: the controller's constant."),
+    ] = None,
+    controller: Annotated[
+        str | None,
+        Option(
+            metavar="NAME",
+            help="informed: the MPC that knows its steering and estimates its state [default without a scheduler]; "
+            "standard: the paper's [default with one].",
+        ),
+    ] = None,
     profile: options.Profile = "road",
     vehicle: options.Vehicle = "paper",
     plant: options.Plant = "dual-track",
     tyre: options.Tyre = None,
+    speed: Annotated[tuple[float, float] | None, Option(help="Lowest and highest (m/s).")] = None,
+    friction: Annotated[tuple[float, float] | None, Option(help="Lowest and highest.")] = None,
+    mismatch: Annotated[
+        bool, Option("--mismatch", help="Also with lag 0.1 s, dead time a period, stiffness 1.6-fold, mass 30 % off.")
+    ] = False,
+    feasible: Annotated[
+        bool, Option("--feasible", help="Which speeds and frictions any tuning can hold, without a scheduler.")
+    ] = False,
     plugin: options.Plugin = None,
     out: Annotated[Path | None, Option(help="Folder for the page with the maps.")] = None,
     as_json: options.Json = False,
@@ -49,29 +76,28 @@ def certify(
     """Map spectral radius, gain and delay margins over the operating domain.
 
     The verdict is on driving straight: exit code 1 when a point is unstable there. Points that are unstable in a hard
-    turn are counted beside it, as a warning.
+    turn are counted beside it, as a warning. With --feasible: exit code 1 when a point can be held by no tuning.
     """
-    from adaptrack.certify import certify as look
-    from adaptrack.controllers import published_mpc
     from adaptrack.plant import SteppedPlant
-    from adaptrack.profile import load_profile
     from adaptrack.scheduling import load_scheduler
 
     options.load_plugins(plugin)
-    schedule = load_scheduler(scheduler)
+    schedule = None if scheduler is None else load_scheduler(scheduler)
     car, body = options.car_and_plant(vehicle, plant, tyre)
     if isinstance(body, SteppedPlant):
         raise InvalidInput(
             f"--plant {plant}: is stepped in Python; a certificate needs equations that it can linearise."
         )
-    longest, most = schedule.largest
-    mpc = published_mpc(
-        car, period=load_profile(profile).period, longest_horizon=max(60, longest), most_moves=max(20, most)
-    )
-    if out is not None:
-        options.make_folder(out)
-    with show.progress("certify") as advance:
-        found = look(schedule, body, mpc, profile, progress=advance)
+    mpc = _controller(controller, car, profile, schedule)
+    domain = {name: ends for name, ends in (("speed", speed), ("friction", friction)) if ends is not None}
+    if feasible:
+        if scheduler is not None or out is not None:
+            raise InvalidInput(
+                "--feasible: looks at every tuning and writes no page: leave out the scheduler and --out."
+            )
+        _tell_feasible(body, mpc, profile, domain, mismatch, as_json)
+        return
+    found = _certificate(schedule, body, mpc, profile, domain, mismatch, out)
     if out is not None:
         show.say(f"Report: {_write_page(out, found)}", aside=as_json)
     if as_json:
@@ -81,6 +107,36 @@ def certify(
     _tell_verdict(found, as_json)
     if not found.passed:
         raise typer.Exit(UNSTABLE)
+
+
+def _controller(name: str | None, car: Vehicle, profile: str, schedule: Schedule | None) -> MPC:
+    """The MPC by name, with horizons as long as the schedule asks for."""
+    from adaptrack.controllers import MPC, published_mpc
+    from adaptrack.profile import load_profile
+
+    name = (INFORMED if schedule is None else STANDARD) if name is None else name
+    longest, most = (60, 20) if schedule is None else schedule.largest
+    sizes: dict[str, Any] = {"longest_horizon": max(60, longest), "most_moves": max(20, most)}
+    if name == INFORMED:
+        return MPC(car, profile=profile, **sizes)
+    if name != STANDARD:
+        raise UnknownName(f"no controller to certify is named {name!r}. {did_you_mean(name, [INFORMED, STANDARD])}")
+    return published_mpc(car, period=load_profile(profile).period, **sizes)
+
+
+def _certificate(
+    schedule: Schedule | None, body: Any, mpc: MPC, profile: str, domain: dict[str, tuple[float, float]],
+    mismatch: bool, out: Path | None,
+) -> Certificate:  # fmt: skip
+    from adaptrack.certify import certify as look
+    from adaptrack.linearisation import usual_mismatches
+
+    if out is not None:
+        options.make_folder(out)
+    against = usual_mismatches(mpc.period) if mismatch else ()
+    asked = mpc.tuning if schedule is None else schedule
+    with show.progress("certify") as advance:
+        return look(asked, body, mpc, profile, domain=domain, mismatches=against, progress=advance)
 
 
 def _write_page(out: Path, found: Certificate) -> Path:
@@ -101,8 +157,15 @@ def _print(found: Certificate) -> None:
         points = [
             {"guard": guard, **point} for guard, sweep in sweeps for point in found.worst_points(5, sweep, driving)
         ]
-        rows = [{**point, "ratio": point["R"] / point["Q"] if point["Q"] else None} for point in points]
-        show.table(f"{found.scheduler}, {TITLES[driving]}: the points nearest to instability", COLUMNS, rows)
+        title = f"{found.scheduler}, {TITLES[driving]}: the points nearest to instability"
+        show.table(title, COLUMNS, _with_ratio(points))
+    if found.mismatched:
+        title = f"{found.scheduler}, driving straight with another car: the points nearest to instability"
+        show.table(title, MISMATCHED, _with_ratio(found.mismatched_rows()))
+
+
+def _with_ratio(points: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    return [{**point, "ratio": point["R"] / point["Q"] if point["Q"] else None} for point in points]
 
 
 def _tell_verdict(found: Certificate, as_json: bool) -> None:
@@ -117,3 +180,25 @@ def _tell_verdict(found: Certificate, as_json: bool) -> None:
         f"Nc = {at['Nc']:g}, Q = {at['Q']:g}, R = {at['R']:g}: spectral radius {at['radius'] or math.inf:.4f}.",
         aside=True,
     )
+
+
+def _tell_feasible(
+    body: Any, mpc: MPC, profile: str, domain: dict[str, tuple[float, float]], mismatch: bool, as_json: bool
+) -> None:
+    """What can be held; exit code 1 when something cannot."""
+    from adaptrack.feasibility import feasibility
+    from adaptrack.linearisation import usual_mismatches
+
+    against = usual_mismatches(mpc.period) if mismatch else ()
+    with show.progress("feasible"):
+        found: Feasibility = feasibility(body, mpc, profile, mismatches=against, **domain)  # type: ignore[arg-type]
+    if as_json:
+        show.say_json(found.summary())
+    else:
+        title = "The best tuning at each speed and friction, by the modulus margin"
+        show.table(title, BEST, _with_ratio(found.summary()["rows"]))
+    if found.passed and not as_json:
+        show.say(found.verdict)
+    if not found.passed:
+        show.say_failed(found.verdict, aside=True)
+        raise typer.Exit(UNSTABLE)

@@ -34,7 +34,7 @@ SETTINGS = Structure(
         "bias_yaw_rate", "bias_wheel_angle",  # rad/s, rad: an error of the sensor that stays over a run is within this
         "pose_age", "pose_age_spread", "motion_age",  # s, how old yaw and y are, +- a spread; and the other samples
         "missing",  # -, share of the samples that are missing
-        "dropout_pause", "dropout_least", "dropout_most",  # s, mean time between times without a pose, which last so long
+        "dropout_pause", "dropout_least", "dropout_most",  # s, mean time between gaps of the pose, which last so long
         "steering_lag", "steering_limit",  # s, rad, of the actuator
         "steering_bias",  # rad, what the wheels are turned beyond the command
         "driver_preview",  # s, how far ahead the driver looks at the speed profile
@@ -276,8 +276,8 @@ def substeps_around_change(settings):
     if not world.dead_share > 0.0:
         return 0, world.substeps
     return (
-        max(1, int(math.ceil(world.dead_share * world.substeps - 1e-9))),
-        max(1, int(math.ceil((1.0 - world.dead_share) * world.substeps - 1e-9))),
+        max(1, math.ceil(world.dead_share * world.substeps - 1e-9)),
+        max(1, math.ceil((1.0 - world.dead_share) * world.substeps - 1e-9)),
     )
 
 

@@ -26,6 +26,11 @@ Array = NDArray[np.float64]
 
 _UNSTABLE = style.SERIES[1]
 _WORST = 8
+_HEADS = (
+    Head("Points"), Head("Unstable"), Head("Largest radius"), Head("Least gain margin up"),
+    Head("Largest gain margin down"), Head("Least delay margin", "ms"), Head("Least modulus margin"),
+)  # fmt: skip
+"""Of the columns of `_row` behind the first."""
 _NAMES: dict[Driving, str] = {"straight": "driving straight", "turn": "in a hard turn"}
 
 
@@ -78,14 +83,16 @@ def write_certificate(out_dir: str | os.PathLike[str], certificate: Certificate,
         When the files cannot be written, see `page.write_page`.
     """
     sections = [_verdict(certificate, command), _margins(certificate), _tunings(certificate), _worst(certificate)]
+    if certificate.mismatched:
+        sections.insert(1, _mismatched(certificate))
     return write_page(out_dir, sections, title=f"Certificate of {certificate.scheduler}", lead=[certificate.verdict])
 
 
 # -- sections ---------------------------------------------------------------------------------------------------------
 def _verdict(found: Certificate, command: str) -> Section:
     words = (
-        "At every point the linear closed loop with the scheduler's tuning is analysed: plant, steering lag, "
-        "computation delay and the law of the MPC far from its limits. It is linearised about driving straight, which "
+        "At every point the linear closed loop with the scheduler's tuning is analysed: plant, steering lag, dead "
+        "time, estimator and the law of the MPC far from its limits. It is linearised about driving straight, which "
         "decides, and about a steady turn as hard as driving gets at that speed and friction, where tyres are softer."
     )
     meaning = (
@@ -94,9 +101,7 @@ def _verdict(found: Certificate, command: str) -> Section:
         "additional delay at which it does. Modulus margin: the smallest distance of the loop gain from −1, which "
         "bounds all other margins; 0 at the stability limit, negative for an unstable loop."
     )
-    heads = [Head("Scheduler", is_text=True), Head("Points"), Head("Unstable"), Head("Largest radius"),
-             Head("Least gain margin up"), Head("Largest gain margin down"), Head("Least delay margin", "ms"),
-             Head("Least modulus margin")]  # fmt: skip
+    heads = [Head("Scheduler", is_text=True), *_HEADS]
     rows: list[list[Cell | str] | str] = []
     for driving in DRIVING:
         rows += [_capital(_NAMES[driving]), *(_row(name, getattr(sweep, driving)) for name, sweep in _sweeps(found))]
@@ -104,6 +109,13 @@ def _verdict(found: Certificate, command: str) -> Section:
     if found.guarded is not None:
         items.append(f"The guard changes the tuning at {percent(found.fallback.mean())} % of them.")
     return Section("Verdict", [*items, *([Verbatim(command)] if command else [])])
+
+
+def _mismatched(found: Certificate) -> Section:
+    words = "Driving straight, with a car that differs from the one that the controller was told of, in one thing each."
+    heads = [Head("True car", is_text=True), *_HEADS]
+    rows = [_row(name, margins) for name, margins in found.mismatched.items()]
+    return Section("Another car", [words, Table("The worst of every margin, over all points", heads, rows)])
 
 
 def _row(name: str, margins: Margins) -> list[Cell | str]:

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from adaptrack.adaptation.config import AdaptationConfig
-from adaptrack.adaptation.recipes import Recipes
+from adaptrack.adaptation.recipes import Recipes, safe_candidates, stability_map
 from adaptrack.adaptation.splits import SetUp, evaluation_points
 from adaptrack.comparison.compare import Comparison
 from adaptrack.comparison.evaluate import on_drives, on_operating_points, on_tests
@@ -58,7 +58,7 @@ def adapt(
     Raises
     ------
     InvalidInput
-        When the configuration makes no sense, see `SetUp.of`.
+        When the configuration makes no sense, see `SetUp.of`, or no constant tuning can hold its domain.
     StorageError
         When the folder cannot be written, or holds something damaged.
     """
@@ -181,12 +181,17 @@ class _CampaignFolder(Keeper):
         return found if current else None
 
     def make(self, made: Mapping[str, Any]) -> DataSet:
-        """Tune, or go on with what is there; the folder refuses another campaign or other software."""
+        """Tune, or go on with what is there; the folder refuses another campaign or other software.
+
+        A domain that no fallback can hold is refused before the first run.
+        """
 
         def tell(at: CampaignProgress) -> None:
             self.show(CAMPAIGN, at.done, at.total)
 
         resume = self.place.exists()
+        if not resume:
+            safe_candidates(stability_map(self.setup), self.setup.method.constants)
         file = run_campaign(self.setup.campaign, self.place, resume=resume, workers=self.workers, progress=tell)
         return load_dataset(file)
 

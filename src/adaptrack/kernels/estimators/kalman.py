@@ -17,8 +17,8 @@ What a tyre slides away is not in the model: v_y and r drift by it, and an accel
 driving, the less of what the model cannot explain is called a push.
 
 The offsets of an accelerometer (the pull of a banked road is one to it) and of the wheel-angle sensor are slow averages
-of their innovations. Without a position for longer than `patience`, or with one that stays the same and disagrees with the
-estimate by more than `bound` times its noise, the estimate is not finite: the controller holds.
+of their innovations. Without a position for longer than `patience`, or with one that stays the same and disagrees with
+the estimate by more than `bound` times its noise, the estimate is not finite: the controller holds.
 """
 
 from __future__ import annotations
@@ -222,7 +222,7 @@ def _sort_in(n, p, measured, parameters, memory):
 
 @njit(**INLINE)
 def _predict(n, size, instant, p, parameters, memory):
-    """z and its covariance at an instant, so many before the present one, from those a period earlier: F P F' + drift."""
+    """z and its covariance at an instant, so many before the present one, from a period earlier: F P F' + drift."""
     acting = _sent(p) + int(p.whole) + instant
     for i in range(size):
         memory[_NEXT + i] = memory[_Z + i]
