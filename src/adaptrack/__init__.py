@@ -47,6 +47,13 @@ _PUBLIC = {
         "list_plants",
         "register_plant",
     ),
+    "road": (
+        "Road",
+        "check_road",
+        "generate_road",
+        "load_road",
+        "plan_speed",
+    ),
     "scenario": (
         "Scenario",
         "list_scenarios",
@@ -226,6 +233,7 @@ if TYPE_CHECKING:
     )
     from adaptrack.profile import Profile, list_profiles, load_profile
     from adaptrack.qp import QP, Solution, check_qp_solver, get_qp_solver, list_qp_solvers, register_qp_solver
+    from adaptrack.road import Road, check_road, generate_road, load_road, plan_speed
     from adaptrack.scenario import Scenario, list_scenarios, load_scenario, random_drive
     from adaptrack.scheduling import (
         Constant,
@@ -286,6 +294,7 @@ __all__ = [
     "PredictionModel",
     "Profile",
     "PurePursuit",
+    "Road",
     "Scenario",
     "Schedule",
     "SchedulingVariables",
@@ -316,9 +325,11 @@ __all__ = [
     "check_model",
     "check_plant",
     "check_qp_solver",
+    "check_road",
     "check_scheduler",
     "compute_metrics",
     "find_failure",
+    "generate_road",
     "get_contender",
     "get_controller",
     "get_estimator",
@@ -344,11 +355,13 @@ __all__ = [
     "load_campaign",
     "load_dataset",
     "load_profile",
+    "load_road",
     "load_scenario",
     "load_scheduler",
     "load_tyre",
     "load_vehicle",
     "minimise",
+    "plan_speed",
     "random_drive",
     "reference_preview",
     "register_contender",

@@ -115,7 +115,7 @@ def foot_near(x, y, near, road):
 @njit(**INLINE)
 def samples_of(row, pieces):
     """How many samples a piece has that are at most a stride apart."""
-    return int(math.ceil(2.0 * pieces[row, HALF] / STRIDE)) + 1
+    return int(2.0 * pieces[row, HALF] / STRIDE) + 2
 
 
 @njit(**INLINE)

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from typing import Literal, Self
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 from pydantic import model_validator
 
 from adaptrack.errors import InvalidInput
@@ -44,16 +44,13 @@ class Along(Record):
 
     @classmethod
     def through(cls, s: ArrayLike, value: ArrayLike, kind: Literal["linear", "steps"] = "linear") -> Self:
-        """Through samples, those left out that the others give already (to rounding)."""
-        s, value = (np.asarray(each, dtype=np.float64) for each in (s, value))
+        """Through samples; of a level stretch only the ends are kept."""
+        s, value = np.asarray(s, dtype=np.float64), np.asarray(value, dtype=np.float64)
         kept = np.ones(s.size, dtype=bool)
         if kind == "steps":
             kept[1:] = value[1:] != value[:-1]
         elif s.size > 2:
-            straight = value[:-2] + (value[2:] - value[:-2]) * (s[1:-1] - s[:-2]) / (s[2:] - s[:-2])
-            level = (value[:-2] == value[1:-1]) & (value[1:-1] == value[2:])
-            kept[1:-1] = ~(level | (np.abs(straight - value[1:-1]) < 1e-12 * np.abs(value).max()))
-            kept[1:-1] |= ~level & np.roll(~kept, 1)[1:-1]  # never two neighbours in a slope: errors would add up
+            kept[1:-1] = (value[:-2] != value[1:-1]) | (value[1:-1] != value[2:])
         return cls(s=tuple(s[kept].tolist()), value=tuple(value[kept].tolist()), kind=kind)
 
     def at(self, s: ArrayLike) -> Array:
@@ -72,7 +69,7 @@ class Along(Record):
             least[k] = min(least[k], *self.value[first[k] : last[k]])
         return least
 
-    def within(self, allowed: Callable[[Array], Array], what: str) -> None:
+    def within(self, allowed: Callable[[Array], NDArray[np.bool_]], what: str) -> None:
         """Refuse values that are not allowed.
 
         Raises
@@ -99,6 +96,8 @@ def as_along(name: str, value: Along | float | tuple[ArrayLike, ArrayLike]) -> A
         if isinstance(value, tuple) and len(value) == 2:
             s, values = (tuple(np.asarray(each, dtype=np.float64).ravel().tolist()) for each in value)
             return Along(s=s, value=values)
-        return Along.constant(float(value))  # type: ignore[arg-type]
+        return Along.constant(float(value))
     except (TypeError, ValueError) as error:
-        raise InvalidInput(f"{name} = {value!r}: must be a number, a pair (arc lengths, values) or an Along: {error}") from None
+        raise InvalidInput(
+            f"{name} = {value!r}: must be a number, a pair (arc lengths, values) or an Along: {error}"
+        ) from None

@@ -8,10 +8,10 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from adaptrack.errors import InvalidInput, real
 from adaptrack.road.road import Road
-from adaptrack.road.segments import Array
 from adaptrack.road.speed import SpeedPlan
 from adaptrack.vehicle import GRAVITY, Vehicle
 
@@ -50,7 +50,7 @@ def smallest_radius(car: Vehicle) -> float:
 
 
 def check_road(road: Road, car: Vehicle, speed: SpeedPlan | float | None = None) -> list[Finding]:
-    """What of a road a car cannot drive, and what it must know; the findings along the road, the worst of a stretch each.
+    """What of a road a car cannot drive, then what it must know: the worst place of each stretch.
 
     Parameters
     ----------
@@ -62,7 +62,11 @@ def check_road(road: Road, car: Vehicle, speed: SpeedPlan | float | None = None)
     InvalidInput
         When a speed is not positive.
     """
-    if not isinstance(speed, SpeedPlan) and speed is not None and not 0.0 < real("check_road", "speed", speed) < math.inf:
+    if (
+        not isinstance(speed, SpeedPlan)
+        and speed is not None
+        and not 0.0 < real("check_road", "speed", speed) < math.inf
+    ):
         raise InvalidInput(f"check_road: speed = {speed!r} m/s: must be > 0.")
     places = _Places(road, speed)
     found = [*_radius(places, car), *_width(places, car), *_fold(places), *_jumps(road, car)]
@@ -84,7 +88,7 @@ class _Places:
         self.curvature = road.table.at(self.s, sides[order]).curvature
         self.speed = speed.at(self.s) if isinstance(speed, SpeedPlan) else np.full(s.shape, speed or 0.0, dtype=float)
 
-    def stretches(self, over: Array) -> Iterator[slice]:
+    def stretches(self, over: NDArray[np.bool_]) -> Iterator[slice]:
         """The stretches of places at which something is over; gaps of 5 m are bridged."""
         index = np.flatnonzero(over)
         if index.size:
@@ -168,11 +172,12 @@ def _jumps(road: Road, car: Vehicle) -> Iterator[Finding]:
         return
     worst = max(jumps, key=lambda jump: abs(jump.after - jump.before))
     size = abs(worst.after - worst.before)
+    step = math.degrees(car.wheelbase * size)
     count = f"{len(jumps)} jumps of curvature, the largest" if len(jumps) > 1 else "the curvature jumps,"
     yield Finding(
         "jump", jumps[0].s, jumps[-1].s, size, SPEAKING_JUMP,
-        f"{count} by {size:.3g} 1/m at s = {worst.s:.0f} m: a step of {math.degrees(car.wheelbase * size):.2g} degrees at "
-        "the wheels, which no car follows exactly; Road.smoothed rounds it",
+        f"{count} by {size:.3g} 1/m at s = {worst.s:.0f} m: a step of {step:.2g} degrees at the wheels,"
+        " which no car follows exactly; Road.smoothed rounds it",
         True,
     )  # fmt: skip
 

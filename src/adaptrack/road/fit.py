@@ -6,7 +6,7 @@ The curve c(t) = sum_j a_j B_j(t) (cubic B-splines on even knots) minimises
 
 so that what is shorter than the smoothing length l counts as noise; c''' vanishes on parabolas, hence nearly on lines
 and wide arcs, and clothoids pay little (P-splines: P. Eilers and B. Marx, *Flexible smoothing with B-splines and
-penalties*, Statistical Science 11 (1996); the penalty is on third differences). Without a wish l is found by generalised
+penalties*, Statistical Science 11 (1996); the penalty is on third differences). l is found by generalised
 cross-validation with the count of parameters taken 1.4 times, which seldom takes noise for road (Y.-J. Kim and C. Gu,
 Journal of the Royal Statistical Society B 66 (2004)), and then made shorter until no point is farther from the curve
 than allowed. The t_i are the arc lengths of the points' feet on the curve, found by fitting more than once.
@@ -14,7 +14,9 @@ than allowed. The t_i are the arc lengths of the points' feet on the curve, foun
 
 from __future__ import annotations
 
+import contextlib
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -49,7 +51,9 @@ EXACT_TRACE = 500
 PROBES = 24
 """Random signs, per point, of that estimate."""
 
-_TO_POWERS = np.array([[1.0, 4.0, 1.0, 0.0], [-3.0, 0.0, 3.0, 0.0], [3.0, -6.0, 3.0, 0.0], [-1.0, 3.0, -3.0, 1.0]]) / 6.0
+_TO_POWERS = (
+    np.array([[1.0, 4.0, 1.0, 0.0], [-3.0, 0.0, 3.0, 0.0], [3.0, -6.0, 3.0, 0.0], [-1.0, 3.0, -3.0, 1.0]]) / 6.0
+)
 """Coefficients of 1, p, p^2, p^3 between two knots, 0 <= p <= 1, from the four B-splines that are not zero there."""
 
 
@@ -174,15 +178,14 @@ def _lap(points: Array, closed: bool | None) -> tuple[int, bool, list[str]]:
     ahead[-1] = points[-1] - points[np.searchsorted(whole, whole[-1] - near)]
     with np.errstate(invalid="ignore"):
         same = (ahead @ start) > 0.5 * np.hypot(*ahead.T) * np.hypot(*start)
-    found = np.flatnonzero(back & same)
+    passes = np.split(np.flatnonzero(back), np.flatnonzero(np.diff(np.flatnonzero(back)) > 1) + 1)
+    first = next((each for each in passes if same[each].any()), np.empty(0, dtype=np.int64))
     if closed is None:
-        closed = found.size > 0
+        closed = first.size > 0
     if not closed:
         return len(points), False, []
-    if not found.size:
-        kept = len(points)
-    else:  # of the first pass by the start, the point before it
-        first = found[: int(np.argmax(np.append(np.diff(found) > 1, True))) + 1]
+    kept = len(points)
+    if first.size:  # the point before the start
         beside = (points[first] - points[0]) @ start / np.hypot(*start)
         before = first[beside < -1e-3 * usual]
         kept = int(before[-1]) + 1 if before.size else int(first[0])
@@ -211,30 +214,53 @@ class _Fit:
 def _chosen(record: _Record, bound: float, smoothest: bool) -> tuple[_Fit, float]:
     """The fit by cross-validation, less smooth where the bound asks for it; and its smoothing length (m)."""
     places, length = record.first_places()
+    nearest: _Fit | None = None
     for refinement in range(REFINEMENTS + 1):
         spacing = max(length / len(record.points), SHORTEST_KNOTS) / 2.0**refinement
         scales = np.geomspace(0.5 * spacing, max(min(0.25 * length, 5000.0), spacing), LENGTHS)
         for _ in range(FITS):
             system = _System(record, places, length, spacing)
             best = LENGTHS - 1 if smoothest else int(np.argmin([system.score(scale) for scale in scales]))
-            found = system.fit(scales[best])
+            best, found = _from(system, scales, best)
             places, length = _kept_in_order(found, record), found.road.length
+        if not refinement or found.deviation < nearest.deviation:  # type: ignore[union-attr]
+            nearest = found
         system = _System(record, places, length, spacing)
-        low, high = 0, best + 1  # the longest that keeps the bound
-        fits: dict[int, _Fit] = {}
-        if (fits.setdefault(best, system.fit(scales[best]))).deviation <= bound:
-            return fits[best], float(scales[best])
-        while high - low > 1:
-            middle = (low + high) // 2
-            fits[middle] = system.fit(scales[middle])
-            low, high = (middle, high) if fits[middle].deviation <= bound else (low, middle)
-        found = fits[low] if low in fits else system.fit(scales[low])
-        if found.deviation <= bound:
-            return found, float(scales[low])
+        for k in _bisected(system, scales, best, bound):
+            return system.fit(scales[k]), float(scales[k])
+    assert nearest is not None
     raise InvalidInput(
-        f"fit_road: the nearest smooth curve is {found.deviation:.3g} m from point {found.worst}, more than "
-        f"max_deviation = {bound:g} m: allow more, or correct the points there."
+        f"fit_road: no smooth curve stays within max_deviation = {bound:g} m of the points; one is {nearest.deviation:.3g} "
+        f"m from point {nearest.worst}: allow more, or correct the points there."
     )
+
+
+def _from(system: _System, scales: Array, first: int) -> tuple[int, _Fit]:
+    """The fit of a smoothing length, or of the next longer one whose curve has no cusp."""
+    for k in range(first, LENGTHS):
+        with contextlib.suppress(InvalidInput):
+            return k, system.fit(scales[k])
+    raise InvalidInput("fit_road: the points fold back on themselves: give them in the order in which they are driven.")
+
+
+def _bisected(system: _System, scales: Array, best: int, bound: float) -> Iterator[int]:
+    """The longest smoothing length up to `best` that keeps the bound, if there is one."""
+
+    def keeps(k: int) -> bool:
+        try:
+            return system.fit(scales[k]).deviation <= bound
+        except InvalidInput:  # a cusp
+            return False
+
+    if keeps(best):
+        yield best
+        return
+    low, high = -1, best
+    while high - low > 1:
+        middle = (low + high) // 2
+        low, high = (middle, high) if keeps(middle) else (low, middle)
+    if low >= 0:
+        yield low
 
 
 def _kept_in_order(found: _Fit, record: _Record) -> Array:

@@ -1,8 +1,9 @@
 """Clothoid roads by design speed: straight lines, clothoids and arcs, drawn from a seed.
 
-A bend is clothoid - arc - clothoid. The clothoids are as long as a lateral jerk of `jerk` asks for at the speed at which
-the bend is driven, v^3/(R jerk) (W. Shortt's transition, 1909), but within R/3 <= A <= R of their parameter A^2 = R length,
-as in the German guidelines (RAL 2012, RAA 2008). The radius is at least v^2/a of the kind's lateral acceleration.
+A bend is clothoid - arc - clothoid. The clothoids are as long as a lateral jerk asks for at the speed at which the bend
+is driven, v^3/(R jerk) (W. Shortt's transition, 1909), but within R/3 <= A <= R of their parameter A^2 = R length, as
+in the German guidelines (RAL 2012, RAA 2008). A bend is driven at the design speed, or as fast as the kind's lateral
+acceleration allows.
 """
 
 from __future__ import annotations
@@ -14,11 +15,13 @@ import numpy as np
 
 from adaptrack.errors import InvalidInput, UnknownName, did_you_mean, real, whole
 from adaptrack.road.road import Road
-from adaptrack.road.segments import Arc, Clothoid, Line, Segment
+from adaptrack.road.segments import Arc, Clothoid, Line
+
+Element = Line | Arc | Clothoid
 
 
 class Kind(NamedTuple):
-    """What a kind of road is made of; ranges are (least, most), drawn evenly, radii and lengths on a logarithmic scale."""
+    """What a kind of road is made of; ranges are (least, most), of radii and lengths drawn on a logarithmic scale."""
 
     speed: float
     """m/s, design speed: the default speed limit"""
@@ -71,8 +74,8 @@ APART = 4.0
 def generate_road(kind: str, seed: int = 0, length: float = 2000.0, **along: Any) -> Road:
     """A road of a kind: "motorway", "country", "town", "mountain", or "lap" (closed).
 
-    A seed gives the same road on every machine. It begins straight along x and comes back to its mean direction; it
-    neither crosses nor touches itself.
+    A seed gives the same road on every machine, to rounding. It begins straight along x and
+    comes back to its mean direction; it neither crosses nor touches itself.
 
     Parameters
     ----------
@@ -101,7 +104,7 @@ def generate_road(kind: str, seed: int = 0, length: float = 2000.0, **along: Any
         rng = np.random.Generator(np.random.PCG64([list(KINDS).index(kind), seed, attempt]))
         segments = _lap(rng, sizes, length) if kind == "lap" else _open(rng, sizes, length)
         road = Road.from_segments(segments, closed=kind == "lap", name=f"{kind}-{seed}", **values)
-        if kind == "motorway" or not _touches_itself(road, APART * sizes.half_width):
+        if not _touches_itself(road, APART * sizes.half_width):
             return road
     raise InvalidInput(
         f"generate_road: none of {ATTEMPTS} draws of kind {kind!r} and {length:g} m keeps off itself: "
@@ -109,9 +112,9 @@ def generate_road(kind: str, seed: int = 0, length: float = 2000.0, **along: Any
     )
 
 
-def _open(rng: np.random.Generator, kind: Kind, length: float) -> list[Segment]:
-    """Straight lines and bends; a bend turns back towards the mean direction, the more the farther off the road heads."""
-    made: list[Segment] = [Line(length=_even(rng, kind.straight))]
+def _open(rng: np.random.Generator, kind: Kind, length: float) -> list[Element]:
+    """Straight lines and bends; the farther off the road heads, the likelier a bend turns back."""
+    made: list[Element] = [Line(length=_even(rng, kind.straight))]
     driven, heading = made[0].length, 0.0
     while driven < length:
         tight = bool(rng.random() < kind.tight)
@@ -126,12 +129,12 @@ def _open(rng: np.random.Generator, kind: Kind, length: float) -> list[Segment]:
     return made
 
 
-def _lap(rng: np.random.Generator, kind: Kind, length: float) -> list[Segment]:
+def _lap(rng: np.random.Generator, kind: Kind, length: float) -> list[Element]:
     """Half a lap that turns by pi, twice: the second half is the first turned by pi, so the lap is closed.
 
     Each weave turns to one side and back, twice as far to the other side and back; the hairpin is what turns the half.
     """
-    half: list[Segment] = [Line(length=_even(rng, kind.straight))]
+    half: list[Element] = [Line(length=_even(rng, kind.straight))]
     while sum(each.length for each in half) < 0.5 * length - 150.0:
         angle = float(rng.uniform(*kind.angle)) * (1.0 if rng.random() < 0.5 else -1.0)
         radius = _even(rng, kind.radius)
@@ -141,7 +144,7 @@ def _lap(rng: np.random.Generator, kind: Kind, length: float) -> list[Segment]:
     return [*half, *_bend(kind, math.pi, _even(rng, kind.tight_radius))] * 2
 
 
-def _bend(kind: Kind, angle: float, radius: float) -> list[Segment]:
+def _bend(kind: Kind, angle: float, radius: float) -> list[Element]:
     """Clothoid, arc, clothoid that turn by `angle` (rad); without the arc where the clothoids take all of it."""
     v = min(kind.speed, math.sqrt(kind.acceleration * radius))
     length = min(max(v**3 / (radius * kind.jerk), radius / 9.0), radius)

@@ -107,7 +107,9 @@ def _read(where: str, element: Element, lane: int | None, along: dict[str, Any])
     segments = [_segment(where, shape) for shape in shapes]
     tables = tabulate(segments)
     poses = [Pose(*(_number(where, shape, key) for key in ("x", "y", "hdg"))) for shape in shapes]
-    reference = joined([placed(table, pose) for table, pose in zip(tables, poses, strict=True)])
+    origin = poses[0]
+    near = [Pose(pose.x - origin.x, pose.y - origin.y, pose.heading) for pose in poses]  # keeps digits of far places
+    reference = joined([placed(table, pose) for table, pose in zip(tables, near, strict=True)])
     stations = _Stations(where, shapes, tables)
     lanes = _Lanes(where, element, stations)
     base = lanes.offset() if lane is None else lanes.middle(lane)
@@ -115,10 +117,8 @@ def _read(where: str, element: Element, lane: int | None, along: dict[str, Any])
     values = {**lanes.widths(lane), **_speed_limit(where, element, stations), **_bank(where, element, stations)}
     moved = {name: _moved(value, reference, table) for name, value in values.items()}
     name = element.get("name") or Path(where.partition(", road ")[0]).stem
-    return Road(
-        name=printable(name), table=table, closed=_meets_itself(table), notes=tuple(stations.notes),
-        **alongs(moved | along),
-    )  # fmt: skip
+    found = {"closed": _meets_itself(table), "notes": tuple(stations.notes), **alongs(moved | along)}
+    return Road(name=printable(name), table=placed(table, Pose(origin.x, origin.y, 0.0)), **found)
 
 
 def _meets_itself(table: Table) -> bool:
@@ -153,7 +153,9 @@ def _segment(where: str, shape: Element) -> Segment:
     kind = next((child for child in shape if child.tag in _READERS), None)
     if kind is None:
         found = ", ".join(f"<{child.tag}>" for child in shape) or "nothing"
-        raise ConfigError(f"{where}: <geometry> at s = {shape.get('s')} holds {printable(found)}; known: {', '.join(_READERS)}.")
+        raise ConfigError(
+            f"{where}: <geometry> at s = {shape.get('s')} holds {printable(found)}; known: {', '.join(_READERS)}."
+        )
     return _READERS[kind.tag](where, kind, length)
 
 
@@ -210,7 +212,9 @@ class _Stations:
         self.notes: list[str] = []
         if off.max() > STATED:
             k = int(off.argmax())
-            self.notes.append(f"the element at s = {self._file[k]:.2f} m is {true[k]:.4f} m long, the file says {stated[k]:.4f}")
+            self.notes.append(
+                f"the element at s = {self._file[k]:.2f} m is {true[k]:.4f} m long, the file says {stated[k]:.4f}"
+            )
         self.length = float(self._own[-1])
 
     def of(self, s: float) -> float:
@@ -230,7 +234,7 @@ class _Lanes:
         self._where, self._stations = where, stations
         lanes = element.find("lanes")
         self._offset = [] if lanes is None else self._laws(lanes.findall("laneOffset"), 0.0)
-        self._sections: list[tuple[float, dict[int, tuple[str, list[tuple[float, Array]]]]]] = []
+        self._sections: list[tuple[float, dict[int, tuple[str, list[tuple[float, Array]] | None]]]] = []
         for section in [] if lanes is None else lanes.findall("laneSection"):
             s = _number(where, section, "s")
             found = {}
@@ -245,7 +249,11 @@ class _Lanes:
         """(arc length, coefficients) of cubics whose elements count s or sOffset."""
         found = []
         for element in elements:
-            station = s + _number(self._where, element, "sOffset") if element.get("sOffset") else _number(self._where, element, "s")
+            station = (
+                s + _number(self._where, element, "sOffset")
+                if element.get("sOffset")
+                else _number(self._where, element, "s")
+            )
             found.append((self._stations.of(station), np.array([_number(self._where, element, key) for key in "abcd"])))
         return sorted(found, key=lambda law: law[0])
 
@@ -264,9 +272,7 @@ class _Lanes:
             When there is no such lane, not all along the road, or one that runs against it.
         """
         if lane >= 0:
-            raise ConfigError(
-                f"{self._where}: lane {lane}: only lanes to the right (negative ids), which run with the road, can be read."
-            )
+            raise ConfigError(f"{self._where}: lane {lane}: only lanes to the right (-1, -2, ...) run with the road.")
         summed: list[tuple[float, list[tuple[float, Array]]]] = [(1.0, self._offset)]
         for inner in range(-1, lane - 1, -1):
             summed.append((-0.5 if inner == lane else -1.0, self._width(inner)))
@@ -343,9 +349,8 @@ def _increasing(s: Any, values: Any) -> Along:
 
 def _shifted(c: Array, b: float) -> Array:
     """The coefficients of a cubic whose argument counts from b."""
-    return np.array([
-        c[0] + b * (c[1] + b * (c[2] + b * c[3])), c[1] + b * (2.0 * c[2] + 3.0 * b * c[3]), c[2] + 3.0 * b * c[3], c[3],
-    ])  # fmt: skip
+    slope = c[1] + b * (2.0 * c[2] + 3.0 * b * c[3])
+    return np.array([c[0] + b * (c[1] + b * (c[2] + b * c[3])), slope, c[2] + 3.0 * b * c[3], c[3]])
 
 
 # -- what else lies along ---------------------------------------------------------------------------------------------
@@ -368,7 +373,7 @@ def _speed_limit(where: str, element: Element, stations: _Stations) -> dict[str,
 
 
 def _bank(where: str, element: Element, stations: _Stations) -> dict[str, Along]:
-    """The superelevation is positive where the road falls to the right (OpenDRIVE, section 10.5.1); the bank, to the left."""
+    """A superelevation, the roll about the line, is positive where the road falls to the right; a bank, to the left."""
     profile = element.find("lateralProfile")
     found = [] if profile is None else profile.findall("superelevation")
     laws = [(stations.of(_number(where, law, "s")), [_number(where, law, key) for key in "abcd"]) for law in found]

@@ -60,7 +60,9 @@ def road_from_csv(path: str | os.PathLike[str], **options: Any) -> Road:
     except InvalidInput as error:
         message = re.sub(r"point (\d+)", lambda found: f"line {table.lines[int(found[1])]}", str(error))
         raise ConfigError(f"{os.fspath(path)}: {message.removeprefix('fit_road: ')}") from None
-    notes = [re.sub(r"at point (\d+)", lambda found: f"in line {table.lines[int(found[1])]}", text) for text in road.notes]
+    notes = [
+        re.sub(r"at point (\d+)", lambda found: f"in line {table.lines[int(found[1])]}", text) for text in road.notes
+    ]
     return road.replace(notes=(*notes, *table.notes))
 
 
@@ -173,5 +175,7 @@ def _number(where: str, line: int, cell: str, wanted: bool) -> float:
     if not wanted:
         return 0.0
     if not _is_number(cell) or not math.isfinite(float(cell)):
-        raise ConfigError(f"{where}, line {line}: {printable(cell)!r} is not a finite number; correct or remove the line.")
+        raise ConfigError(
+            f"{where}, line {line}: {printable(cell)!r} is not a finite number; correct or remove the line."
+        )
     return float(cell)

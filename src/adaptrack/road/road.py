@@ -19,10 +19,11 @@ GAP, KINK = 0.01, 0.01
 """Largest step of the position (m) and of the heading (rad) where elements meet: rounding in files, not geometry."""
 JUMP = 1e-6
 """1/m, a change of curvature at one place that counts as a jump."""
-HALF_LANE = 1.75
+HALF_LANE = Along.constant(1.75)
 """m, half of a lane of 3.5 m: the width to each side where nothing is said."""
-DRY = 0.9
-"""Friction where nothing is said, as in the scenarios."""
+DRY, LEVEL = Along.constant(0.9), Along.constant(0.0)
+"""Friction, as in the scenarios, and bank where nothing is said."""
+AT_ORIGIN = Pose()
 
 
 class Jump(NamedTuple):
@@ -54,7 +55,7 @@ class Road:
     """A centre line with continuous heading, and width, speed limit, friction and bank along it.
 
     Its curvature may jump, as where a straight line meets an arc (`curvature_jumps`); `smoothed` makes another road.
-    An open road goes on straight before its start and after its end. On a closed one s may be any number, lap after lap.
+    An open road goes on straight before its start and after its end. On a closed one s may be any number, lap by lap.
     Conventions: x forward, y left, SI units, radians.
 
     Build one with `from_segments`, `from_points`, `from_csv`, `from_opendrive`, or `generate_road`.
@@ -69,15 +70,15 @@ class Road:
     name: str
     table: Table = field(repr=False)
     closed: bool = False
-    width_left: Along = Along.constant(HALF_LANE)
+    width_left: Along = HALF_LANE
     """m, from the centre line to the left edge"""
-    width_right: Along = Along.constant(HALF_LANE)
+    width_right: Along = HALF_LANE
     """m, from the centre line to the right edge"""
     speed_limit: Along | None = None
     """m/s"""
-    friction: Along = Along.constant(DRY)
+    friction: Along = DRY
     """coefficient of all wheels"""
-    bank: Along = Along.constant(0.0)
+    bank: Along = LEVEL
     """rad, positive where gravity pushes to the left"""
     notes: tuple[str, ...] = ()
     """what its reader has to say: deviations, what was left out"""
@@ -120,7 +121,7 @@ class Road:
         cls,
         segments: Sequence[Segment],
         *,
-        start: Pose | tuple[float, float, float] = Pose(),
+        start: Pose | tuple[float, float, float] = AT_ORIGIN,
         closed: bool = False,
         name: str = "road",
         **along: Any,
@@ -255,15 +256,15 @@ class Road:
         from adaptrack.kernels import road as kernel
 
         try:
-            x, y, near_ = np.broadcast_arrays(*np.atleast_1d(x, y, np.nan if near is None else near))
+            wanted = np.broadcast_arrays(x, y, np.nan if near is None else near)
         except ValueError:
             raise InvalidInput("Road.project: x, y and near must have one shape.") from None
-        feet = np.empty((x.size, 4))
-        wanted = np.stack([each.ravel().astype(np.float64) for each in (x, y, near_)], axis=-1)
-        if not np.isfinite(wanted[:, :2]).all() or (near is not None and not np.isfinite(wanted[:, 2]).all()):
+        rows = np.stack([np.asarray(each, dtype=np.float64).ravel() for each in wanted], axis=-1)
+        if not np.isfinite(rows[:, : 2 if near is None else 3]).all():
             raise InvalidInput("Road.project: x, y and near must be finite; leave missing samples out.")
-        kernel.project_all(self.packed(), wanted, feet)
-        shape = np.broadcast_shapes(np.shape(x) if np.ndim(x) else (), ())
+        feet = np.empty((len(rows), 4))
+        kernel.project_all(self.packed(), rows, feet)
+        shape = wanted[0].shape
         return Projection(*(feet[:, k].reshape(shape) for k in range(4)))
 
     def packed(self) -> Any:
@@ -297,7 +298,7 @@ class Road:
             smoothest=True,
         )  # fmt: skip
         stretch = fitted.length / self.length
-        moved = {name: _stretched(getattr(self, name), stretch) for name in ALONG}
+        moved: dict[str, Any] = {name: _stretched(getattr(self, name), stretch) for name in ALONG}
         return replace(fitted, **moved)
 
     def replace(self, **changes: Any) -> Road:

@@ -20,7 +20,7 @@ Length = Annotated[float, Field(gt=0.0, le=1e6, description="m, along the centre
 Curvature = Annotated[float, Field(ge=-10.0, le=10.0, description="1/m, positive to the left")]
 
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(16)
-_FEW_TURNS = 1e4
+_FEW_TURNS = 10.0
 """k0^2/|k1| of a clothoid up to which the difference of two Fresnel integrals keeps 12 digits."""
 
 

@@ -1,6 +1,6 @@
 """The speed along a road: the fastest one that curvature, friction, bank, comfort and powertrain allow.
 
-With w = v^2 the acceleration along the road is a = w'(s)/2. Tyres feel sideways a_y = v^2 kappa - g sin(bank). Bounded are
+With w = v^2 the acceleration along the road is a = w'(s)/2; sideways tyres feel a_y = v^2 kappa - g sin(bank). Bounds:
 
     |a_y| <= min(comfort, grip),  grip = share mu g cos(bank);   -brake(w, s) <= a <= drive(w, s),
 
@@ -12,8 +12,9 @@ fastest profile is found by one pass forward, with what the car can gain, and on
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -43,6 +44,10 @@ class Comfort(Record):
     brake: float = Field(default=3.0, gt=0.0, le=50.0, description="m/s^2")
     jerk: float = Field(default=math.inf, gt=0.0, allow_inf_nan=True, description="m/s^3, along the road; inf: any")
     grip_share: float = Field(default=0.9, gt=0.0, le=1.0, description="-, of the friction that may be used")
+
+
+USUAL = Comfort()
+"""As most are driven."""
 
 
 class Stop(NamedTuple):
@@ -75,17 +80,17 @@ class SpeedPlan:
         return 0.5 * np.diff(self.speed**2) / np.diff(self.s)
 
     def at(self, s: ArrayLike) -> Array:
-        """The speed (m/s) at the arc lengths `s`, lap after lap on a closed road, constant beyond the ends of an open one."""
-        s = np.asarray(s, dtype=np.float64)
+        """The speed (m/s) at the arc lengths `s`: lap after lap, or constant beyond the ends of an open road."""
+        place = np.asarray(s, dtype=np.float64)
         if self.closed:
-            s = s - np.floor(s / self.s[-1]) * self.s[-1]
-        return np.sqrt(np.interp(s, self.s, self.speed**2))
+            place = place - np.floor(place / self.s[-1]) * self.s[-1]
+        return np.sqrt(np.interp(place, self.s, self.speed**2))
 
 
 def plan_speed(
     road: Road,
     car: Vehicle | None = None,
-    comfort: Comfort = Comfort(),
+    comfort: Comfort = USUAL,
     *,
     start: float | None = None,
     end: float | None = None,
@@ -121,7 +126,9 @@ def plan_speed(
     halts = [stop if isinstance(stop, Stop) else Stop(float(stop)) for stop in stops]
     for stop in halts:
         if not 0.0 <= stop.s <= road.length or not 0.0 <= stop.seconds < math.inf:
-            raise InvalidInput(f"plan_speed: {stop}: must lie on the road, 0 to {road.length:.6g} m, for a time >= 0 s.")
+            raise InvalidInput(
+                f"plan_speed: {stop}: must lie on the road, 0 to {road.length:.6g} m, for a time >= 0 s."
+            )
     if road.closed and (start is not None or end is not None):
         raise InvalidInput("plan_speed: a closed road has no start and no end: leave both out, or give stops.")
     cells = _Cells(road, car, comfort, _places(road, spacing, halts))
@@ -139,6 +146,20 @@ def plan_speed(
     if math.isfinite(comfort.jerk):
         w = _with_jerk(cells, w, comfort.jerk, road.closed, start)
     return _plan(cells.s, w, halts, road.closed, comfort)
+
+
+def constant_speed(road: Road, speed: float) -> SpeedPlan:
+    """One speed (m/s) all along a road, whatever its limits.
+
+    Raises
+    ------
+    InvalidInput
+        When it is not a speed > 0.
+    """
+    if not 0.0 < real("constant_speed", "speed", speed) <= SPEED.most:
+        raise InvalidInput(f"constant_speed: speed = {speed!r} m/s: must be > 0 and at most {SPEED.most:g}.")
+    s = _places(road, SPACING, ())
+    return _plan(s, np.full(s.shape, float(speed) ** 2), (), road.closed, Comfort())
 
 
 def _impose_ends(ceiling: Array, start: float | None, end: float | None) -> None:
@@ -185,7 +206,9 @@ class _Cells:
         bank = road.along("bank", 0.5 * (s[:-1] + s[1:]))
         self.tilt = GRAVITY * np.sin(bank)
         self.grip = comfort.grip_share * road.friction.least(s[:-1], s[1:]) * GRAVITY * np.cos(bank)
-        self.limit = np.full(self.ds.shape, np.inf) if road.speed_limit is None else road.speed_limit.least(s[:-1], s[1:])
+        self.limit = (
+            np.full(self.ds.shape, np.inf) if road.speed_limit is None else road.speed_limit.least(s[:-1], s[1:])
+        )
         allowed = np.minimum(self.grip, comfort.lateral)
         steep = np.flatnonzero(np.abs(self.tilt) >= allowed)
         if steep.size:
@@ -238,28 +261,26 @@ def _passed(cells: _Cells, ceiling: Array, closed: bool) -> Array:
         if lap:
             w[0] = w[-1] = min(w[0], w[-1])
         for k in range(n):
-            w[k + 1] = min(w[k + 1], _next(w[k], w[k + 1], cells.ds[k], lambda value, k=k: cells.drive(k, value)))
+            w[k + 1] = min(w[k + 1], _next(w[k], w[k + 1], cells.ds[k], partial(cells.drive, k)))
     for lap in range(2 if closed else 1):
         if lap:
             w[0] = w[-1] = min(w[0], w[-1])
         for k in range(n - 1, -1, -1):
-            w[k] = min(w[k], _next(w[k + 1], w[k], cells.ds[k], lambda value, k=k: cells.brake(k, value)))
+            w[k] = min(w[k], _next(w[k + 1], w[k], cells.ds[k], partial(cells.brake, k)))
     return w
 
 
-def _next(w: float, ceiling: float, ds: float, most: object) -> float:
+def _next(w: float, ceiling: float, ds: float, most: Callable[[float], float]) -> float:
     """v^2 a cell further, with what is possible at both of its ends."""
-    bound = most
-    reached = min(ceiling, w + 2.0 * ds * bound(w))  # type: ignore[operator]
-    reached = max(reached, 0.0)
-    return max(min(reached, w + 2.0 * ds * bound(reached)), 0.0)  # type: ignore[operator]
+    reached = max(min(ceiling, w + 2.0 * ds * most(w)), 0.0)
+    return max(min(reached, w + 2.0 * ds * most(reached)), 0.0)
 
 
 def _with_jerk(cells: _Cells, fastest: Array, jerk: float, closed: bool, start: float | None) -> Array:
     """The fastest v^2 below `fastest` with a bounded jerk, nearly: a linear programme.
 
-    The jerk is v a' = v w''/2. With v at most the fastest, |w''| <= 2 jerk/v_fastest keeps it, as the bounds on a at the
-    fastest speed keep those at a lower one; the least time is that of the largest sum of w ds/w_fastest^(3/2).
+    The jerk is v a' = v w''/2. With v at most the fastest, |w''| <= 2 jerk/v_fastest keeps it, as the bounds on a at
+    the fastest speed keep those at a lower one; the least time is that of the largest sum of w ds/w_fastest^(3/2).
     """
     n, ds = fastest.size, cells.ds
     v = np.sqrt(fastest)
@@ -277,9 +298,8 @@ def _with_jerk(cells: _Cells, fastest: Array, jerk: float, closed: bool, start: 
     worth = np.concatenate([ds, [ds[-1]]]) / np.maximum(fastest, 1.0) ** 1.5
     low = np.zeros(n)
     low[0] = 0.0 if start is None else fastest[0] * (1.0 - 1e-9)
-    found = linprog(
-        -worth, A_ub=vstack(rows), b_ub=np.concatenate(bounds), bounds=np.stack([low, fastest], axis=-1), method="highs",
-    )  # fmt: skip
+    most = np.concatenate(bounds)
+    found = linprog(-worth, A_ub=vstack(rows), b_ub=most, bounds=np.stack([low, fastest], axis=-1), method="highs")
     if found.x is None:
         raise InvalidInput(
             f"plan_speed: no speed keeps a jerk of {jerk:g} m/s^3 from this start: allow more, or start slower."

@@ -3,7 +3,7 @@
 Every element (`segments`), and a curve that runs beside one (`beside`), is cut into pieces that turn by at most 1 rad.
 On each, position and heading are polynomials of degree 11 in u = (s - middle)/half, -1 <= u <= 1, in a frame at its
 middle. Lines, arcs and clothoids keep their exact heading, so their curvature is exact; of what has no closed form
-(cubics, lane offsets) a piece is halved until it fits within 1e-11 of its length and 1e-9 of its curvature.
+(cubics, lane offsets) a piece is halved until it fits, see `FIT`.
 """
 
 from __future__ import annotations
@@ -17,17 +17,23 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from adaptrack.errors import InvalidInput
-from adaptrack.road.segments import Array, Cubic, Line, Points, Pose, Segment, heading_integral
+from adaptrack.road.segments import Arc, Array, Clothoid, Cubic, Line, Points, Pose, Segment, heading_integral
 
 DEGREE = 11
 """Of the polynomials: with a turn of 1 rad the remainder is below 1e-16 of the length."""
 TURN = 1.0
 """rad, the largest turn of a piece."""
 FIT, CURVATURE_FIT = 1e-11, 1e-9
-"""Largest errors of a piece: of its position, as a share of its length (or of 1 m), and of its curvature (relative, or
-in 1e-2/m)."""
-HALVINGS = 30
-"""How often a piece may be halved before the curve counts as having a point without a direction."""
+"""Largest errors of a piece: of its position, as a share of its length (or of 1 m), and of its curvature, as a share of
+it (or of 0.1/m)."""
+ROUNDING = 1e-12
+"""What rounding may add to the heading (rad), and so to the curvature of short pieces."""
+HALVINGS, MOST = 30, 50
+"""How often a piece may be halved, and how many pieces may wait for it per curve, before the curve counts as having a
+point without a direction."""
+
+SHORTEST = 1e-4
+"""m, a piece beside another that is shorter goes with its neighbour: editors leave elements of micrometres."""
 
 HALF, X, Y, COS, SIN, HEADING, ALONG = range(7)
 """Columns of a piece: half its length (m), the point, direction and heading at its middle; then the coefficients of
@@ -111,12 +117,12 @@ def tabulate(segments: Sequence[Segment]) -> list[Table]:
     InvalidInput
         For a cubic with a point at which it stands still (a cusp).
     """
-    cubics = [k for k, segment in enumerate(segments) if isinstance(segment, Cubic)]
-    tables = dict(zip(cubics, _of_curves(_Cubics([segments[k] for k in cubics])), strict=True)) if cubics else {}
-    return [tables[k] if k in tables else _natural(segment) for k, segment in enumerate(segments)]
+    cubics = [segment for segment in segments if isinstance(segment, Cubic)]
+    fitted = iter(_of_curves(_Cubics(cubics)) if cubics else ())
+    return [next(fitted) if isinstance(segment, Cubic) else _natural(segment) for segment in segments]
 
 
-def _natural(segment: Segment) -> Table:
+def _natural(segment: Line | Arc | Clothoid) -> Table:
     """Line, arc or clothoid: the heading is known, the position is the integral of its direction."""
     k0, k_end = segment.curvatures
     steepest = max(abs(k0), abs(k_end))
@@ -220,7 +226,7 @@ class _Beside:
         """Cut where the base has a new piece or the distance a new polynomial."""
         cuts = np.union1d(self._base.start, self._first)
         cuts = cuts[(cuts >= 0.0) & (cuts <= self._base.length)]
-        cuts = cuts[np.concatenate([[True], np.diff(cuts) > 1e-9 * max(1.0, self._base.length)])]
+        cuts = cuts[np.concatenate([[True], np.diff(cuts) > SHORTEST])]
         cuts[-1] = self._base.length
         middle = 0.5 * (cuts[:-1] + cuts[1:])
         self._piece = np.searchsorted(self._base.start, middle, "right") - 1
@@ -286,10 +292,12 @@ def _of_curves(curves: _Curves) -> list[Table]:
     A piece that fits at `_CHECKED` points in position, curvature and length is kept.
     """
     which, low, high = curves.ranges()
-    owner = np.arange(which.size)
+    owner, count = np.arange(which.size), which.size
+    bad = np.ones(count, dtype=bool)
     made: list[tuple[int, float, float, Array]] = []
     for _ in range(HALVINGS):
-        pieces, length, fits = _fitted(curves, which, low, high)
+        with np.errstate(divide="ignore", invalid="ignore"):  # at a cusp, which does not fit
+            pieces, length, fits = _fitted(curves, which, low, high)
         made += [(int(owner[k]), float(low[k]), float(length[k]), pieces[k]) for k in np.flatnonzero(fits)]
         bad = ~fits
         if not bad.any():
@@ -298,7 +306,10 @@ def _of_curves(curves: _Curves) -> list[Table]:
         owner, which = np.repeat(owner[bad], 2), np.repeat(which[bad], 2)
         low = np.stack([low[bad], middle], axis=1).ravel()
         high = np.stack([middle, high[bad]], axis=1).ravel()
-    else:
+        if low.size > MOST * count:
+            bad = np.ones(1, dtype=bool)
+            break
+    if bad.any():
         raise InvalidInput(
             f"the curve has a cusp, or runs backwards, near its parameter {low[0]:.6g} (element {int(owner[0])}): "
             "a lane must stay on its side of the centre of curvature, and a cubic must not stand still."
@@ -306,16 +317,20 @@ def _of_curves(curves: _Curves) -> list[Table]:
     made.sort(key=lambda piece: piece[:2])
     tables = []
     for _, mine in itertools.groupby(made, key=lambda piece: piece[0]):
-        lengths, pieces = zip(*((length, piece) for _, _, length, piece in mine), strict=True)
-        tables.append(Table(np.concatenate([[0.0], np.cumsum(lengths)]), np.array(pieces)))
+        row = list(mine)
+        start = np.concatenate([[0.0], np.cumsum([length for _, _, length, _ in row])])
+        tables.append(Table(start, np.array([piece for *_, piece in row])))
     return tables
 
 
-def _fitted(curves: _Curves, which: NDArray[np.int64], low: Array, high: Array) -> tuple[Array, Array, NDArray[np.bool_]]:
+def _fitted(
+    curves: _Curves, which: NDArray[np.int64], low: Array, high: Array
+) -> tuple[Array, Array, NDArray[np.bool_]]:
     """Pieces over ranges of p, their lengths, and which of them fit."""
     middle = 0.5 * (low + high)
     whole = _lengths(curves, which, low, high[:, np.newaxis])[:, 0]
-    length = _lengths(curves, which, low, middle[:, np.newaxis])[:, 0] + _lengths(curves, which, middle, high[:, np.newaxis])[:, 0]
+    length = _lengths(curves, which, low, middle[:, np.newaxis])[:, 0]
+    length += _lengths(curves, which, middle, high[:, np.newaxis])[:, 0]
     u = np.concatenate([_U, [0.0], _CHECKED])
     p, solved = _parameters(curves, which, low, high, 0.5 * length[:, np.newaxis] * (1.0 + u))
     state = curves.state(which, p)
@@ -333,11 +348,12 @@ def _fitted(curves: _Curves, which: NDArray[np.int64], low: Array, high: Array) 
     found = of_pieces(pieces[:, np.newaxis, :], _CHECKED[np.newaxis, :])
     checked = slice(n + 1, None)
     off = np.abs(found.x + 1j * found.y - state.place[:, checked]).max(axis=1)
-    bent = (np.abs(found.curvature - state.curvature[:, checked]) / (np.abs(state.curvature[:, checked]) + 1e-2)).max(axis=1)
+    curvature = state.curvature[:, checked]
+    allowed = CURVATURE_FIT * (np.abs(curvature) + 0.1) + ROUNDING / np.maximum(length, 1e-9)[:, np.newaxis]
+    bent = (np.abs(found.curvature - curvature) / allowed).max(axis=1)
     reach = np.maximum(length, 1.0)
-    with np.errstate(invalid="ignore"):
-        fits = (off <= FIT * reach) & (bent <= CURVATURE_FIT) & (np.abs(turned).max(axis=1) <= TURN)
-        fits &= (np.abs(whole - length) <= FIT * reach) & solved & (state.speed.min(axis=1) > 0.0)
+    fits = (off <= FIT * reach) & (bent <= 1.0) & (np.abs(turned).max(axis=1) <= TURN)
+    fits &= (np.abs(whole - length) <= FIT * reach) & solved & (state.speed.min(axis=1) > 0.0)
     return pieces, length, fits
 
 
@@ -363,7 +379,8 @@ def _parameters(
         p = np.clip(p + step, low[:, np.newaxis], high[:, np.newaxis])
         if (np.abs(step) <= 1e-13 * span).all():
             break
-    return p, (np.abs(step) <= 1e-11 * span).all(axis=1)
+    solved: NDArray[np.bool_] = np.all(np.abs(step) <= 1e-11 * span, axis=1)
+    return p, solved
 
 
 # -- put together -----------------------------------------------------------------------------------------------------
