@@ -8,7 +8,7 @@ from scipy.integrate import quad
 
 
 def end_of(k0, k1, length):
-    """(x, y) where a curve of the curvature k0 + k1 s ends that begins at the origin along x, by adaptive quadrature."""
+    """(x, y) where a curve of curvature k0 + k1 s ends that begins at the origin along x, by adaptive quadrature."""
     parts = np.linspace(0.0, length, 21)
 
     def integral(part):
@@ -18,25 +18,28 @@ def end_of(k0, k1, length):
     return integral(math.cos), integral(math.sin)
 
 
-def nearest_by_search(road, x, y, step=1e-3, coarse=0.5):
+def coarse_samples(road, spacing=0.5):
+    """Arc lengths and points of a road, (n,) each, at most `spacing` apart: for many searches."""
+    s = np.linspace(0.0, road.length, math.ceil(road.length / spacing) + 1)
+    return s, *road.at(s)[:2]
+
+
+def nearest_by_search(road, x, y, step=1e-3, samples=None):
     """(arc length, distance) of the nearest of points `step` apart on a road, found without missing any.
 
-    Of samples `coarse` apart only those can have the nearest point beside them that are at most `coarse` farther than
-    the nearest sample.
+    The nearest point lies within half a spacing of a coarse sample, so only samples that are farther than the nearest
+    one by no more than that can have it beside them.
     """
-    s = np.linspace(0.0, road.length, math.ceil(road.length / coarse) + 1)
-    points = road.at(s)
-    best = (math.nan, math.inf)
-    distance = np.hypot(points.x - x, points.y - y)
+    s, px, py = coarse_samples(road) if samples is None else samples
     spacing = s[1]
-    for candidate in s[distance <= distance.min() + spacing]:
-        fine = np.arange(max(candidate - spacing, 0.0), min(candidate + spacing, road.length) + step, step)
-        near = road.at(np.minimum(fine, road.length))
-        away = np.hypot(near.x - x, near.y - y)
-        k = int(away.argmin())
-        if away[k] < best[1]:
-            best = (float(min(fine[k], road.length)), float(away[k]))
-    return best
+    distance = np.hypot(px - x, py - y)
+    near = s[distance <= distance.min() + 0.5 * spacing]
+    ticks = np.unique((near[:, np.newaxis] + np.arange(-0.5 * spacing, 0.5 * spacing + step, step)).ravel() // step)
+    fine = np.clip(ticks * step, 0.0, road.length)
+    points = road.at(fine)
+    away = np.hypot(points.x - x, points.y - y)
+    k = int(away.argmin())
+    return float(fine[k]), float(away[k])
 
 
 def beside(road, s, offset):

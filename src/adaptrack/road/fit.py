@@ -230,8 +230,8 @@ def _chosen(record: _Record, bound: float, smoothest: bool) -> tuple[_Fit, float
             return system.fit(scales[k]), float(scales[k])
     assert nearest is not None
     raise InvalidInput(
-        f"fit_road: no smooth curve stays within max_deviation = {bound:g} m of the points; one is {nearest.deviation:.3g} "
-        f"m from point {nearest.worst}: allow more, or correct the points there."
+        f"fit_road: no smooth curve stays within max_deviation = {bound:g} m of the points; one is "
+        f"{nearest.deviation:.3g} m from point {nearest.worst}: allow more, or correct the points there."
     )
 
 

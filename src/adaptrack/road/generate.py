@@ -63,9 +63,9 @@ KINDS = {
 }  # fmt: skip
 """The kinds of roads that can be generated. A lap is closed: two hairpins of 15 m and weaving between them."""
 
-LONGEST = 1_000_000.0
+LONGEST = 100_000.0
 """m"""
-ATTEMPTS = 200
+ATTEMPTS = 100
 """Draws from which the first road that keeps off itself is taken."""
 APART = 4.0
 """Least distance between parts of a road, in half widths of its lane, where they are not neighbours."""
@@ -82,7 +82,7 @@ def generate_road(kind: str, seed: int = 0, length: float = 2000.0, **along: Any
     seed : int
         Which road, >= 0.
     length : float
-        m, about: the last bend is driven to its end. 100 m to 1,000 km.
+        m, about: the last bend is driven to its end. 100 m to 100 km; a pass of 20 km hardly keeps off itself.
     **along
         As in `Road.from_segments`; the speed limit is the kind's design speed unless given.
 
