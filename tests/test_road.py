@@ -251,6 +251,13 @@ def test_past_both_ends_the_foot_is_on_the_straight_continuation():
     assert (float(foot.s), float(foot.offset)) == pytest.approx((-4.0, -1.0), abs=1e-9)
 
 
+def test_a_foot_out_of_reach_of_its_last_place_is_no_number():
+    road = Road.from_segments([Line(length=2000.0)])
+    for foot in (road.project(1500.0, 2.0, near=0.0), feet_near(road, [1500.0], [2.0], [0.0])):
+        assert np.isnan(foot.offset).all()
+    assert float(road.project(1500.0, 2.0, near=1150.0).offset) == pytest.approx(2.0)
+
+
 def test_where_rounding_left_a_kink_the_foot_is_the_corner_or_beside_it():
     tables = tabulate([Line(length=10.0), Line(length=10.0)])
     road = Road(name="kink", table=joined([tables[0], placed(tables[1], Pose(10.0, 0.0, 0.008))]))

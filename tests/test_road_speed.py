@@ -187,7 +187,7 @@ def test_a_bend_that_is_too_tight_or_too_fast_is_named_with_its_place():
     assert tight.value == pytest.approx(0.9 * least)
     assert 800.0 < tight.start < 810.0 < 814.0 < tight.end < 824.0
     assert found["grip"].value == pytest.approx(25.0**2 / 4.0 / GRAVITY)
-    assert "15.9 g at 25 m/s, radius 4 m at s = 810 m" in found["grip"].text
+    assert "16 g at 25 m/s, radius 4 m at s = 810 m" in found["grip"].text
     assert not found["grip"].drivable
 
 

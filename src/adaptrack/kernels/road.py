@@ -86,8 +86,11 @@ def point_at(s, road):
 
 @njit(**INLINE)
 def foot_near(x, y, near, road):
-    """Arc length, offset, heading and curvature of the first foot downhill in distance from the arc length `near`."""
-    s, low, high = near, -math.inf, math.inf
+    """Arc length, offset, heading and curvature of the first foot downhill in distance from the arc length `near`.
+
+    The offset is NaN when there is none within the steps of a search.
+    """
+    s, low, high, reached = near, -math.inf, math.inf, False
     offset = heading = curvature = 0.0
     for _ in range(STEPS):
         px, py, heading, curvature = point_at(s, road)
@@ -100,6 +103,7 @@ def foot_near(x, y, near, road):
             low = s
         tolerance = CLOSE + ROUNDING * (abs(s) + abs(x) + abs(y))
         if abs(ahead) <= tolerance or high - low <= tolerance:
+            reached = True
             break
         slope = 1.0 - curvature * offset
         step = -ahead / slope if slope > 0.1 else -ahead
@@ -107,9 +111,10 @@ def foot_near(x, y, near, road):
         if target <= low or target >= high:
             target = 0.5 * (low + high)
         if target == s:
+            reached = True
             break
         s = target
-    return s, offset, heading, curvature
+    return s, offset if reached else math.nan, heading, curvature
 
 
 @njit(**INLINE)

@@ -117,7 +117,7 @@ def _grip(places: _Places) -> Iterator[Finding]:
         k = stretch.start + int((felt[stretch] / limit[stretch]).argmax())
         yield _finding(
             places, stretch, "grip", float(felt[k]), float(limit[k]), False,
-            f"{felt[k]:.1f} g at {places.speed[k]:.3g} m/s, radius {1.0 / abs(places.curvature[k]):.0f} m "
+            f"{felt[k]:.2g} g at {places.speed[k]:.3g} m/s, radius {1.0 / abs(places.curvature[k]):.0f} m "
             f"at s = {places.s[k]:.0f} m; the friction gives {limit[k]:.2g} g",
         )  # fmt: skip
 

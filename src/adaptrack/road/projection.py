@@ -23,7 +23,8 @@ CLOSE, ROUNDING = 1e-13, 2.0**-51
 def feet_near(road: Road, x: ArrayLike, y: ArrayLike, near: ArrayLike) -> Projection:
     """The first foot downhill in distance from the arc lengths `near` (m), for points x, y (m), (n,) each.
 
-    Newton's steps, at most `STRIDE` long; where g changes its sign they are kept between the two places.
+    Newton's steps, at most `STRIDE` long; where g changes its sign they are kept between the two places. The offset is
+    NaN when there is no foot within `STEPS` of them.
     """
     x, y, near = (np.asarray(each, dtype=np.float64) for each in (x, y, near))
     s = np.array(near)
@@ -46,6 +47,7 @@ def feet_near(road: Road, x: ArrayLike, y: ArrayLike, near: ArrayLike) -> Projec
             break
     points = road.at(s)
     _, offset, curvature = _deviation(road, s, x, y)
+    offset[active] = np.nan
     return Projection(s, offset, points.heading, curvature)
 
 

@@ -246,7 +246,8 @@ class Road:
         Returns
         -------
         Projection
-            Arrays in the shape of x. Beyond the ends of an open road the foot is on its straight continuation.
+            Arrays in the shape of x. Beyond the ends of an open road the foot is on its straight continuation. The
+            offset is NaN when no foot lies within 400 m of `near`.
 
         Raises
         ------
