@@ -16,7 +16,6 @@ from __future__ import annotations
 
 import contextlib
 import math
-from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -30,7 +29,7 @@ from adaptrack.errors import InvalidInput, real
 from adaptrack.road.projection import feet_near
 from adaptrack.road.road import Road, alongs
 from adaptrack.road.segments import Array, Cubic, Pose
-from adaptrack.road.table import Table, joined, placed, tabulate
+from adaptrack.road.table import Table, X, Y, joined, placed, tabulate
 
 MAX_DEVIATION = 0.5
 """m, allowed unless another is asked for."""
@@ -226,8 +225,9 @@ def _chosen(record: _Record, bound: float, smoothest: bool) -> tuple[_Fit, float
         if not refinement or found.deviation < nearest.deviation:  # type: ignore[union-attr]
             nearest = found
         system = _System(record, places, length, spacing)
-        for k in _bisected(system, scales, best, bound):
-            return system.fit(scales[k]), float(scales[k])
+        kept = _bisected(system, scales, best, bound)
+        if kept is not None:
+            return kept
     assert nearest is not None
     raise InvalidInput(
         f"fit_road: no smooth curve stays within max_deviation = {bound:g} m of the points; one is "
@@ -243,24 +243,21 @@ def _from(system: _System, scales: Array, first: int) -> tuple[int, _Fit]:
     raise InvalidInput("fit_road: the points fold back on themselves: give them in the order in which they are driven.")
 
 
-def _bisected(system: _System, scales: Array, best: int, bound: float) -> Iterator[int]:
-    """The longest smoothing length up to `best` that keeps the bound, if there is one."""
-
-    def keeps(k: int) -> bool:
-        try:
-            return system.fit(scales[k]).deviation <= bound
-        except InvalidInput:  # a cusp
-            return False
-
-    if keeps(best):
-        yield best
-        return
-    low, high = -1, best
+def _bisected(system: _System, scales: Array, best: int, bound: float) -> tuple[_Fit, float] | None:
+    """The fit of the longest smoothing length up to `best` that keeps the bound, and that length; None without one."""
+    low, high, middle, kept = -1, best + 1, best, None
     while high - low > 1:
+        try:
+            found = system.fit(scales[middle])
+            keeps = found.deviation <= bound
+        except InvalidInput:  # a cusp
+            keeps = False
+        if keeps:
+            low, kept = middle, (found, float(scales[middle]))
+        else:
+            high = middle
         middle = (low + high) // 2
-        low, high = (middle, high) if keeps(middle) else (low, middle)
-    if low >= 0:
-        yield low
+    return kept
 
 
 def _kept_in_order(found: _Fit, record: _Record) -> Array:
@@ -335,9 +332,9 @@ class _System:
         powers[:, :, 0] = 0.0
         cubics = [Cubic(x=tuple(x), y=tuple(y)) for x, y in powers.tolist()]
         tables = tabulate(cubics)
-        return joined(
-            [placed(table, Pose(float(x), float(y), 0.0)) for table, (x, y) in zip(tables, start, strict=True)]
-        )
+        table, counts = joined(tables), [len(each.pieces) for each in tables]
+        table.pieces[:, [X, Y]] += np.repeat(start, counts, axis=0)
+        return table
 
 
 def _third_differences(n: int) -> csr_array:
