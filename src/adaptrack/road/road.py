@@ -92,7 +92,7 @@ class Road:
             for along, _ in positive:
                 along.within(lambda value: value > 0.0, "> 0")
             self.friction.within(lambda value: value <= 3.0, "a coefficient such as 0.8, at most 3")
-            self.bank.within(lambda value: np.abs(value) < 1.0, "an angle in rad, below 1 to either side")
+            self.bank.within(lambda value: np.abs(value) < 1.4, "an angle in rad, below 1.4 to either side")
             if self.speed_limit is not None:
                 self.speed_limit.within(lambda value: value > 0.0, "a speed > 0 m/s")
         except InvalidInput as error:
