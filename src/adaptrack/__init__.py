@@ -48,6 +48,13 @@ _PUBLIC = {
         "list_plants",
         "register_plant",
     ),
+    "road": (
+        "Road",
+        "check_road",
+        "generate_road",
+        "load_road",
+        "plan_speed",
+    ),
     "scenario": (
         "Scenario",
         "list_scenarios",
@@ -229,6 +236,7 @@ if TYPE_CHECKING:
     )
     from adaptrack.profile import Profile, list_profiles, load_profile
     from adaptrack.qp import QP, Solution, check_qp_solver, get_qp_solver, list_qp_solvers, register_qp_solver
+    from adaptrack.road import Road, check_road, generate_road, load_road, plan_speed
     from adaptrack.scenario import Scenario, list_scenarios, load_scenario, random_drive
     from adaptrack.scheduling import (
         Constant,
@@ -298,6 +306,7 @@ __all__ = [
     "PredictionModel",
     "Profile",
     "PurePursuit",
+    "Road",
     "Scenario",
     "Schedule",
     "SchedulingVariables",
@@ -330,9 +339,11 @@ __all__ = [
     "check_model",
     "check_plant",
     "check_qp_solver",
+    "check_road",
     "check_scheduler",
     "compute_metrics",
     "find_failure",
+    "generate_road",
     "get_contender",
     "get_controller",
     "get_estimator",
@@ -357,11 +368,13 @@ __all__ = [
     "load_campaign",
     "load_dataset",
     "load_profile",
+    "load_road",
     "load_scenario",
     "load_scheduler",
     "load_tyre",
     "load_vehicle",
     "minimise",
+    "plan_speed",
     "published_mpc",
     "random_drive",
     "reference_preview",

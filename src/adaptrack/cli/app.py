@@ -7,12 +7,13 @@ from typing import Annotated
 import typer
 
 from adaptrack import __version__
-from adaptrack.cli import adapt, bench, certify, dataset, evaluate, lists, reproduce, simulate, train, tune
+from adaptrack.cli import adapt, bench, certify, dataset, evaluate, lists, reproduce, road, simulate, train, tune
 
 app = typer.Typer(
     name="adaptrack",
     help="Auto-tuned, auto-adaptive model predictive control for path tracking.",
-    epilog="Exit codes: 0 done; 1 an unstable certificate; 2 an error; 3 a run of `simulate` failed; 130 Ctrl-C.",
+    epilog="Exit codes: 0 done; 1 an unstable certificate, or a road that cannot be driven; 2 an error; "
+    "3 a run of `simulate` failed; 130 Ctrl-C.",
     no_args_is_help=True,
     add_completion=False,
     pretty_exceptions_enable=False,
@@ -49,3 +50,4 @@ for command in (
     app.command()(command)
 app.add_typer(bench.app, name="bench")
 app.add_typer(dataset.app, name="dataset")
+app.add_typer(road.app, name="road")

@@ -1,0 +1,160 @@
+"""`adaptrack road check` and `plot`: what a road is, what of it cannot be driven, how it looks."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+from typer import Option
+
+from adaptrack.cli import options, show
+from adaptrack.cli.show import Column
+from adaptrack.errors import InvalidInput
+
+if TYPE_CHECKING:
+    from adaptrack.road import Finding, Road, SpeedPlan
+
+app = typer.Typer(help="Roads: points in CSV files, OpenDRIVE, generated ones.", no_args_is_help=True)
+
+NOT_DRIVABLE = 1
+"""The exit code when something of the road cannot be driven."""
+
+COLUMNS = (Column("from", "from", "m"), Column("to", "to", "m"), Column("what", "what"))
+
+RoadName = Annotated[
+    str,
+    typer.Argument(
+        metavar="ROAD",
+        help="A .csv file of x, y (m), an OpenDRIVE file (.xodr), or motorway, country, town, mountain, lap.",
+    ),
+]
+Speed = Annotated[float | None, Option("--speed", help="Constant speed (m/s); by default one that is planned.")]
+Lateral = Annotated[
+    float | None, Option("--lateral-acceleration", metavar="A", help="Of the planned speed (m/s²), by default 3.")
+]
+MaxDeviation = Annotated[
+    float | None,
+    Option("--max-deviation", metavar="M", help=".csv: largest distance from a point (m); 0.5 if not given."),
+]
+Closed = Annotated[bool | None, Option("--closed/--open", help=".csv: whether it is a lap; by default as found.")]
+RoadId = Annotated[str | None, Option("--road", metavar="ID", help=".xodr: which road.")]
+Lane = Annotated[int | None, Option("--lane", metavar="N", help=".xodr: middle of this lane to the right (-1, ...).")]
+Seed = Annotated[int | None, Option("--seed", help="Generated: which road, by default 0.")]
+Length = Annotated[float | None, Option("--length", help="Generated: length (m), by default 2000.")]
+
+
+@app.command()
+def check(
+    road: RoadName,
+    vehicle: options.Vehicle = "paper",
+    speed: Speed = None,
+    lateral_acceleration: Lateral = None,
+    max_deviation: MaxDeviation = None,
+    closed: Closed = None,
+    road_id: RoadId = None,
+    lane: Lane = None,
+    seed: Seed = None,
+    length: Length = None,
+    as_json: options.Json = False,
+) -> None:
+    """Tell what a road is and what of it a car cannot drive; the exit code is then 1."""
+    asked = _options(max_deviation=max_deviation, closed=closed, road=road_id, lane=lane, seed=seed, length=length)
+    seen = _look(road, asked, vehicle, speed, lateral_acceleration)
+    if as_json:
+        show.say_json(_values(seen))
+    else:
+        _print(seen)
+    if not seen.drivable:
+        raise typer.Exit(NOT_DRIVABLE)
+
+
+@app.command()
+def plot(
+    road: RoadName,
+    out: Annotated[Path, Option("--out", help="The picture.")] = Path("road.png"),
+    vehicle: options.Vehicle = "paper",
+    speed: Speed = None,
+    lateral_acceleration: Lateral = None,
+    max_deviation: MaxDeviation = None,
+    closed: Closed = None,
+    road_id: RoadId = None,
+    lane: Lane = None,
+    seed: Seed = None,
+    length: Length = None,
+) -> None:
+    """Draw a road from above, with curvature and speed along it, as a PNG file."""
+    from adaptrack.files import write_atomically
+    from adaptrack.report.road import road_png
+
+    asked = _options(max_deviation=max_deviation, closed=closed, road=road_id, lane=lane, seed=seed, length=length)
+    seen = _look(road, asked, vehicle, speed, lateral_acceleration)
+    write_atomically(out, road_png(seen.road, seen.plan, seen.findings))
+    show.say(f"Picture: {out}")
+
+
+@dataclass(frozen=True)
+class _Seen:
+    """A road, its speed and what was found."""
+
+    road: Road
+    plan: SpeedPlan
+    findings: list[Finding]
+
+    @property
+    def drivable(self) -> bool:
+        return all(each.drivable for each in self.findings)
+
+
+def _options(**given: Any) -> dict[str, Any]:
+    return {name: value for name, value in given.items() if value is not None}
+
+
+def _look(name: str, asked: dict[str, Any], vehicle: str, speed: float | None, lateral: float | None) -> _Seen:
+    from adaptrack.road import Comfort, check_road, load_road, plan_speed
+    from adaptrack.road.speed import constant_speed
+    from adaptrack.vehicle import load_vehicle
+
+    if speed is not None and lateral is not None:
+        raise InvalidInput("give either --speed or --lateral-acceleration.")
+    car, road = load_vehicle(vehicle), load_road(name, **asked)
+    comfort = Comfort() if lateral is None else Comfort(lateral=lateral)
+    plan = plan_speed(road, car, comfort) if speed is None else constant_speed(road, speed)
+    return _Seen(road, plan, check_road(road, car, plan))
+
+
+def _values(seen: _Seen) -> dict[str, Any]:
+    rows = [asdict(each) for each in seen.findings]
+    return {**_summary(seen), "drivable": seen.drivable, "notes": list(seen.road.notes), "rows": rows}
+
+
+def _summary(seen: _Seen) -> dict[str, Any]:
+    import numpy as np
+
+    road, plan = seen.road, seen.plan
+    bends = np.abs(road.at(plan.s).curvature).max()
+    return {
+        "road": road.name,
+        "length": road.length,
+        "closed": road.closed,
+        "smallest_radius": 1.0 / float(bends) if bends > 0.0 else None,
+        "curvature_jumps": len(road.curvature_jumps()),
+        "deviation": road.deviation,
+        "slowest": float(plan.speed.min()),
+        "fastest": float(plan.speed.max()),
+        "duration": plan.duration,
+    }
+
+
+def _print(seen: _Seen) -> None:
+    summary = _summary(seen)
+    show.flat(summary.pop("road"), summary, False)
+    for note in seen.road.notes:
+        show.say(note)
+    for title, drivable in (("What cannot be driven", False), ("Notes", True)):
+        rows = [{"from": f.start, "to": f.end, "what": f.text} for f in seen.findings if f.drivable is drivable]
+        if rows:
+            show.table(title, COLUMNS, rows)
+    if seen.drivable:
+        show.say("The road can be driven.")

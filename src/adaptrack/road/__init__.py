@@ -1,0 +1,36 @@
+"""Roads: a centre line by arc length, what lies along it, and how fast a car can drive it."""
+
+from adaptrack.road.along import Along
+from adaptrack.road.check import Finding, check_road, smallest_radius
+from adaptrack.road.fit import fit_road
+from adaptrack.road.generate import KINDS, generate_road
+from adaptrack.road.load import load_road
+from adaptrack.road.opendrive import read_opendrive
+from adaptrack.road.road import Jump, Projection, Road
+from adaptrack.road.segments import Arc, Clothoid, Cubic, Line, Points, Pose
+from adaptrack.road.speed import Comfort, SpeedPlan, Stop, plan_speed
+
+__all__ = [
+    "KINDS",
+    "Along",
+    "Arc",
+    "Clothoid",
+    "Comfort",
+    "Cubic",
+    "Finding",
+    "Jump",
+    "Line",
+    "Points",
+    "Pose",
+    "Projection",
+    "Road",
+    "SpeedPlan",
+    "Stop",
+    "check_road",
+    "fit_road",
+    "generate_road",
+    "load_road",
+    "plan_speed",
+    "read_opendrive",
+    "smallest_radius",
+]

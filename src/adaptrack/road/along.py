@@ -1,0 +1,103 @@
+"""A quantity along a road (width, speed limit, friction, bank): a table over the arc length."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Literal, Self
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from pydantic import model_validator
+
+from adaptrack.errors import InvalidInput
+from adaptrack.files import Record
+from adaptrack.road.segments import Array
+
+
+class Along(Record):
+    """Values at arc lengths: straight lines between them, or steps; constant before the first and after the last.
+
+    Raises
+    ------
+    InvalidInput
+        When there is no value, the two lists differ in length, or the arc lengths do not increase.
+    """
+
+    s: tuple[float, ...]
+    """m"""
+    value: tuple[float, ...]
+    kind: Literal["linear", "steps"] = "linear"
+    """steps: a value holds from its arc length to the next"""
+
+    @model_validator(mode="after")
+    def _increases(self) -> Self:
+        if not self.s or len(self.s) != len(self.value):
+            raise ValueError(f"{len(self.s)} arc lengths and {len(self.value)} values; give as many, at least one.")
+        if any(b <= a for a, b in zip(self.s, self.s[1:], strict=False)):
+            raise ValueError("the arc lengths must increase; sort the values and remove repetitions.")
+        return self
+
+    @classmethod
+    def constant(cls, value: float) -> Self:
+        """The same value everywhere."""
+        return cls(s=(0.0,), value=(float(value),))
+
+    @classmethod
+    def through(cls, s: ArrayLike, value: ArrayLike, kind: Literal["linear", "steps"] = "linear") -> Self:
+        """Through samples; of a level stretch only the ends are kept."""
+        s, value = np.asarray(s, dtype=np.float64), np.asarray(value, dtype=np.float64)
+        kept = np.ones(s.size, dtype=bool)
+        if kind == "steps":
+            kept[1:] = value[1:] != value[:-1]
+        elif s.size > 2:
+            kept[1:-1] = (value[:-2] != value[1:-1]) | (value[1:-1] != value[2:])
+        return cls(s=tuple(s[kept].tolist()), value=tuple(value[kept].tolist()), kind=kind)
+
+    def at(self, s: ArrayLike) -> Array:
+        """The values at the arc lengths `s` (m), in the shape of `s`."""
+        s, known, value = np.asarray(s, dtype=np.float64), np.array(self.s), np.array(self.value)
+        if self.kind == "linear":
+            return np.interp(s, known, value)
+        return value[np.clip(np.searchsorted(known, s, "right") - 1, 0, known.size - 1)]
+
+    def least(self, start: ArrayLike, end: ArrayLike) -> Array:
+        """The smallest value between arc lengths `start` and `end`, (n,) each: at the ends and at what lies between."""
+        start, end = np.atleast_1d(start).astype(np.float64), np.atleast_1d(end).astype(np.float64)
+        least = np.minimum(self.at(start), self.at(end))
+        first, last = np.searchsorted(self.s, start, "left"), np.searchsorted(self.s, end, "right")
+        for k in np.flatnonzero(last > first):
+            least[k] = min(least[k], *self.value[first[k] : last[k]])
+        return least
+
+    def within(self, allowed: Callable[[Array], NDArray[np.bool_]], what: str) -> None:
+        """Refuse values that are not allowed.
+
+        Raises
+        ------
+        InvalidInput
+            "<where> = <value>: must be <what>."
+        """
+        bad = np.flatnonzero(~allowed(np.array(self.value)))
+        if bad.size:
+            raise InvalidInput(f"{self.value[bad[0]]!r} at s = {self.s[bad[0]]:.6g} m: must be {what}.")
+
+
+def as_along(name: str, value: Along | float | tuple[ArrayLike, ArrayLike]) -> Along:
+    """A number, a pair (arc lengths, values) or an `Along`.
+
+    Raises
+    ------
+    InvalidInput
+        For anything else.
+    """
+    if isinstance(value, Along):
+        return value
+    try:
+        if isinstance(value, tuple) and len(value) == 2:
+            s, values = (tuple(np.asarray(each, dtype=np.float64).ravel().tolist()) for each in value)
+            return Along(s=s, value=values)
+        return Along.constant(float(value))
+    except (TypeError, ValueError) as error:
+        raise InvalidInput(
+            f"{name} = {value!r}: must be a number, a pair (arc lengths, values) or an Along: {error}"
+        ) from None

@@ -1,0 +1,189 @@
+"""What of a road a car cannot drive, named before anything drives."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from adaptrack.errors import InvalidInput, real
+from adaptrack.road.road import Road
+from adaptrack.road.speed import SpeedPlan
+from adaptrack.vehicle import GRAVITY, Vehicle
+
+STEERING_LIMIT = math.pi / 6
+"""rad, of the road wheels, where the car file does not say: the limit of the paper's table."""
+SPACING = 0.5
+"""m, between the places that are looked at, beside those where the shape changes."""
+SPEAKING_JUMP = 1e-3
+"""1/m, from which on a jump of curvature is told: 3 mrad at the wheels of a car."""
+
+Kind = Literal["radius", "grip", "steering-rate", "width", "fold", "jump"]
+
+
+@dataclass(frozen=True)
+class Finding:
+    """Something about a road that a car, or its driver, must know."""
+
+    kind: Kind
+    start: float
+    """m"""
+    end: float
+    """m"""
+    value: float
+    """of the worst place: radius (m), lateral acceleration (g), steering rate (rad/s), width (m), curvature (1/m)"""
+    limit: float
+    """what is possible"""
+    text: str
+    drivable: bool
+    """Whether the road can be driven all the same."""
+
+
+def smallest_radius(car: Vehicle) -> float:
+    """Radius (m) of the tightest circle of the centre of mass at walking pace: sqrt((L/tan delta)^2 + l_r^2)."""
+    limit = car.steering.limit if car.steering is not None and car.steering.limit is not None else STEERING_LIMIT
+    return math.hypot(car.wheelbase / math.tan(limit), car.lr) if limit < 0.5 * math.pi else car.lr
+
+
+def check_road(road: Road, car: Vehicle, speed: SpeedPlan | float | None = None) -> list[Finding]:
+    """What of a road a car cannot drive, then what it must know: the worst place of each stretch.
+
+    Parameters
+    ----------
+    speed : SpeedPlan or float, optional
+        At which it is driven, m/s; without it only the shape is checked.
+
+    Raises
+    ------
+    InvalidInput
+        When a speed is not positive.
+    """
+    if (
+        not isinstance(speed, SpeedPlan)
+        and speed is not None
+        and not 0.0 < real("check_road", "speed", speed) < math.inf
+    ):
+        raise InvalidInput(f"check_road: speed = {speed!r} m/s: must be > 0.")
+    places = _Places(road, speed)
+    found = [*_radius(places, car), *_width(places, car), *_fold(places), *_jumps(road, car)]
+    if speed is not None:
+        found += [*_grip(places), *_steering_rate(places, car)]
+    return sorted(found, key=lambda each: (each.drivable, each.start))
+
+
+class _Places:
+    """The road at many places; where the shape changes, on both sides."""
+
+    def __init__(self, road: Road, speed: SpeedPlan | float | None) -> None:
+        even = np.linspace(0.0, road.length, max(2, math.ceil(road.length / SPACING)) + 1)
+        joints = road.table.start
+        s = np.concatenate([even, joints[:-1], joints[1:]])
+        sides = np.concatenate([np.ones(even.size), np.ones(joints.size - 1), -np.ones(joints.size - 1)])
+        order = np.lexsort([sides, s])
+        self.s, self.road = s[order], road
+        self.curvature = road.table.at(self.s, sides[order]).curvature
+        self.speed = speed.at(self.s) if isinstance(speed, SpeedPlan) else np.full(s.shape, speed or 0.0, dtype=float)
+
+    def stretches(self, over: NDArray[np.bool_]) -> Iterator[slice]:
+        """The stretches of places at which something is over; gaps of 5 m are bridged."""
+        index = np.flatnonzero(over)
+        if index.size:
+            cuts = np.flatnonzero(np.diff(self.s[index]) > 5.0) + 1
+            for group in np.split(index, cuts):
+                yield slice(int(group[0]), int(group[-1]) + 1)
+
+
+def _radius(places: _Places, car: Vehicle) -> Iterator[Finding]:
+    least = smallest_radius(car)
+    size = np.abs(places.curvature)
+    for stretch in places.stretches(size * least > 1.0 + 1e-9):
+        k = stretch.start + int(size[stretch].argmax())
+        radius = 1.0 / size[k]
+        yield _finding(
+            places, stretch, "radius", radius, least, False,
+            f"radius {radius:.1f} m at s = {places.s[k]:.0f} m, below this car's {least:.1f} m",
+        )  # fmt: skip
+
+
+def _grip(places: _Places) -> Iterator[Finding]:
+    bank, friction = (places.road.along(name, places.s) for name in ("bank", "friction"))
+    felt = np.abs(places.speed**2 * places.curvature - GRAVITY * np.sin(bank)) / GRAVITY
+    limit = friction * np.cos(bank)
+    for stretch in places.stretches(felt > limit):
+        k = stretch.start + int((felt[stretch] / limit[stretch]).argmax())
+        yield _finding(
+            places, stretch, "grip", float(felt[k]), float(limit[k]), False,
+            f"{felt[k]:.2g} g at {places.speed[k]:.3g} m/s, radius {1.0 / abs(places.curvature[k]):.0f} m "
+            f"at s = {places.s[k]:.0f} m; the friction gives {limit[k]:.2g} g",
+        )  # fmt: skip
+
+
+def _steering_rate(places: _Places, car: Vehicle) -> Iterator[Finding]:
+    """How fast the wheels must turn within the pieces: (L + K v^2) kappa'(s) v."""
+    rate = car.steering.rate if car.steering is not None else None
+    if rate is None:
+        return
+    step = np.diff(places.s, append=places.s[-1] + 1.0)
+    change = np.diff(places.curvature, append=places.curvature[-1])
+    slope = np.where(step > 1e-6, change / np.maximum(step, 1e-6), 0.0)
+    needed = np.abs((car.wheelbase + car.understeer_gradient * places.speed**2) * slope * places.speed)
+    for stretch in places.stretches(needed > rate):
+        k = stretch.start + int(needed[stretch].argmax())
+        yield _finding(
+            places, stretch, "steering-rate", float(needed[k]), rate, False,
+            f"the wheels must turn at {needed[k]:.2g} rad/s at {places.speed[k]:.3g} m/s at s = {places.s[k]:.0f} m; "
+            f"this car's turn at {rate:.2g} rad/s",
+        )  # fmt: skip
+
+
+def _width(places: _Places, car: Vehicle) -> Iterator[Finding]:
+    width = places.road.along("width_left", places.s) + places.road.along("width_right", places.s)
+    track = max(car.track_front, car.track_rear)
+    for stretch in places.stretches(width < track):
+        k = stretch.start + int(width[stretch].argmin())
+        yield _finding(
+            places, stretch, "width", float(width[k]), track, False,
+            f"{width[k]:.2f} m wide at s = {places.s[k]:.0f} m, less than this car's track of {track:.2f} m",
+        )  # fmt: skip
+
+
+def _fold(places: _Places) -> Iterator[Finding]:
+    """Where the inner edge passes the centre of curvature."""
+    left, right = (places.road.along(name, places.s) for name in ("width_left", "width_right"))
+    inside = np.where(places.curvature > 0.0, left, right)
+    folded = inside * np.abs(places.curvature)
+    for stretch in places.stretches(folded >= 1.0):
+        k = stretch.start + int(folded[stretch].argmax())
+        radius = 1.0 / abs(places.curvature[k])
+        yield _finding(
+            places, stretch, "fold", float(inside[k]), radius, True,
+            f"{inside[k]:.1f} m to the inner edge at s = {places.s[k]:.0f} m, where the radius is {radius:.1f} m: "
+            "the edge crosses itself",
+        )  # fmt: skip
+
+
+def _jumps(road: Road, car: Vehicle) -> Iterator[Finding]:
+    jumps = road.curvature_jumps(SPEAKING_JUMP)
+    if not jumps:
+        return
+    worst = max(jumps, key=lambda jump: abs(jump.after - jump.before))
+    size = abs(worst.after - worst.before)
+    step = math.degrees(car.wheelbase * size)
+    count = f"{len(jumps)} jumps of curvature, the largest" if len(jumps) > 1 else "the curvature jumps,"
+    yield Finding(
+        "jump", jumps[0].s, jumps[-1].s, size, SPEAKING_JUMP,
+        f"{count} by {size:.3g} 1/m at s = {worst.s:.0f} m: a step of {step:.2g} degrees at the wheels,"
+        " which no car follows exactly; Road.smoothed rounds it",
+        True,
+    )  # fmt: skip
+
+
+def _finding(
+    places: _Places, stretch: slice, kind: Kind, value: float, limit: float, drivable: bool, text: str
+) -> Finding:
+    s = places.s[stretch]
+    return Finding(kind, float(s[0]), float(s[-1]), float(value), float(limit), text, drivable)

@@ -1,0 +1,175 @@
+"""Clothoid roads by design speed: straight lines, clothoids and arcs, drawn from a seed.
+
+A bend is clothoid - arc - clothoid. The clothoids are as long as a lateral jerk asks for at the speed at which the bend
+is driven, v^3/(R jerk) (W. Shortt's transition, 1909), but within R/3 <= A <= R of their parameter A^2 = R length, as
+in the German guidelines (RAL 2012, RAA 2008). A bend is driven at the design speed, or as fast as the kind's lateral
+acceleration allows.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from adaptrack.errors import InvalidInput, UnknownName, did_you_mean, real, whole
+from adaptrack.road.road import Road
+from adaptrack.road.segments import Arc, Clothoid, Line
+
+Element = Line | Arc | Clothoid
+
+
+class Kind(NamedTuple):
+    """What a kind of road is made of; ranges are (least, most), of radii and lengths drawn on a logarithmic scale."""
+
+    speed: float
+    """m/s, design speed: the default speed limit"""
+    radius: tuple[float, float]
+    """m, of bends"""
+    angle: tuple[float, float]
+    """rad, by which a bend turns"""
+    straight: tuple[float, float]
+    """m, between bends"""
+    tight: float = 0.0
+    """share of bends that are tight"""
+    tight_radius: tuple[float, float] = (0.0, 0.0)
+    """m, of these: the corners of a town, the hairpins of a pass"""
+    tight_angle: tuple[float, float] = (0.0, 0.0)
+    """rad"""
+    acceleration: float = 3.0
+    """m/s^2, lateral, with which bends are driven below the design speed"""
+    jerk: float = 0.6
+    """m/s^3, lateral, of the clothoids"""
+    half_width: float = 1.75
+    """m, of the lane"""
+
+
+KINDS = {
+    "motorway": Kind(36.0, (900.0, 4000.0), (0.1, 0.6), (150.0, 1200.0), acceleration=1.5, jerk=0.5, half_width=1.875),
+    "country": Kind(25.0, (120.0, 700.0), (0.2, 1.3), (40.0, 500.0), half_width=1.75),
+    "town": Kind(
+        13.9, (40.0, 200.0), (0.1, 0.5), (40.0, 200.0), tight=0.6, tight_radius=(9.0, 16.0),
+        tight_angle=(0.5 * math.pi, 0.5 * math.pi), jerk=2.0, half_width=1.625,
+    ),
+    "mountain": Kind(
+        16.7, (30.0, 130.0), (0.3, 1.5), (15.0, 120.0), tight=0.25, tight_radius=(10.0, 15.0),
+        tight_angle=(2.6, 3.3), acceleration=3.5, jerk=1.5, half_width=1.75,
+    ),
+    "lap": Kind(
+        25.0, (60.0, 200.0), (0.3, 0.9), (10.0, 80.0), tight_radius=(15.0, 15.0), tight_angle=(math.pi, math.pi),
+        acceleration=4.0, jerk=2.0, half_width=3.0,
+    ),
+}  # fmt: skip
+"""The kinds of roads that can be generated. A lap is closed: two hairpins of 15 m and weaving between them."""
+
+LONGEST = 100_000.0
+"""m"""
+ATTEMPTS = 100
+"""Draws from which the first road that keeps off itself is taken."""
+APART = 4.0
+"""Least distance between parts of a road, in half widths of its lane, where they are not neighbours."""
+
+
+def generate_road(kind: str, seed: int = 0, length: float = 2000.0, **along: Any) -> Road:
+    """A road of a kind: "motorway", "country", "town", "mountain", or "lap" (closed).
+
+    A seed gives the same road on every machine, to rounding. It begins straight along x and
+    comes back to its mean direction; it neither crosses nor touches itself.
+
+    Parameters
+    ----------
+    seed : int
+        Which road, >= 0.
+    length : float
+        m, about: the last bend is driven to its end. 100 m to 100 km; a pass of 20 km hardly keeps off itself.
+    **along
+        As in `Road.from_segments`; the speed limit is the kind's design speed unless given.
+
+    Raises
+    ------
+    UnknownName
+        When there is no such kind.
+    InvalidInput
+        For a seed or a length that is not allowed, or so long a lap that none was found that keeps off itself.
+    """
+    if kind not in KINDS:
+        raise UnknownName(f"no kind of road is named {kind!r}. {did_you_mean(str(kind), KINDS)}")
+    seed = whole("generate_road", "seed", seed, least=0)
+    if not 100.0 <= real("generate_road", "length", length) <= LONGEST:
+        raise InvalidInput(f"generate_road: length = {length!r} m: must be 100 to {LONGEST:,.0f}.")
+    sizes = KINDS[kind]
+    values = {"speed_limit": sizes.speed, "width_left": sizes.half_width, "width_right": sizes.half_width} | along
+    for attempt in range(ATTEMPTS):
+        rng = np.random.Generator(np.random.PCG64([list(KINDS).index(kind), seed, attempt]))
+        segments = _lap(rng, sizes, length) if kind == "lap" else _open(rng, sizes, length)
+        road = Road.from_segments(segments, closed=kind == "lap", name=f"{kind}-{seed}", **values)
+        if not _touches_itself(road, APART * sizes.half_width):
+            return road
+    raise InvalidInput(
+        f"generate_road: none of {ATTEMPTS} draws of kind {kind!r} and {length:g} m keeps off itself: "
+        "take another seed or a shorter road."
+    )
+
+
+def _open(rng: np.random.Generator, kind: Kind, length: float) -> list[Element]:
+    """Straight lines and bends; the farther off the road heads, the likelier a bend turns back."""
+    made: list[Element] = [Line(length=_even(rng, kind.straight))]
+    driven, heading = made[0].length, 0.0
+    while driven < length:
+        tight = bool(rng.random() < kind.tight)
+        angle = float(rng.uniform(*(kind.tight_angle if tight else kind.angle)))
+        left = rng.random() < 0.5 * (1.0 - math.tanh(1.5 * heading))
+        angle = angle if left else -angle
+        bend = _bend(kind, angle, _even(rng, kind.tight_radius if tight else kind.radius))
+        bend.append(Line(length=_even(rng, kind.straight)))
+        made += bend
+        driven += sum(each.length for each in bend)
+        heading += angle
+    return made
+
+
+def _lap(rng: np.random.Generator, kind: Kind, length: float) -> list[Element]:
+    """Half a lap that turns by pi, twice: the second half is the first turned by pi, so the lap is closed.
+
+    Each weave turns to one side and back, twice as far to the other side and back; the hairpin is what turns the half.
+    """
+    half: list[Element] = [Line(length=_even(rng, kind.straight))]
+    while sum(each.length for each in half) < 0.5 * length - 150.0:
+        angle = float(rng.uniform(*kind.angle)) * (1.0 if rng.random() < 0.5 else -1.0)
+        radius = _even(rng, kind.radius)
+        for turn in (angle, -2.0 * angle, angle):
+            half += _bend(kind, turn, radius)
+        half.append(Line(length=_even(rng, kind.straight)))
+    return [*half, *_bend(kind, math.pi, _even(rng, kind.tight_radius))] * 2
+
+
+def _bend(kind: Kind, angle: float, radius: float) -> list[Element]:
+    """Clothoid, arc, clothoid that turn by `angle` (rad); without the arc where the clothoids take all of it."""
+    v = min(kind.speed, math.sqrt(kind.acceleration * radius))
+    length = min(max(v**3 / (radius * kind.jerk), radius / 9.0), radius)
+    length = min(length, radius * abs(angle))
+    curvature = math.copysign(1.0 / radius, angle)
+    rest = abs(angle) * radius - length
+    into = Clothoid(length=length, start_curvature=0.0, end_curvature=curvature)
+    out = Clothoid(length=length, start_curvature=curvature, end_curvature=0.0)
+    return [into, Arc(length=rest, curvature=curvature), out] if rest > 1e-6 * radius else [into, out]
+
+
+def _even(rng: np.random.Generator, bounds: tuple[float, float]) -> float:
+    """A length drawn evenly on a logarithmic scale."""
+    return float(np.exp(rng.uniform(math.log(bounds[0]), math.log(bounds[1]))))
+
+
+def _touches_itself(road: Road, apart: float) -> bool:
+    """Whether two places farther than four times `apart`, and a half turn of the tightest bend, along are near."""
+    from scipy.spatial import cKDTree
+
+    step = 0.25 * apart
+    s = np.arange(0.0, road.length, step)
+    points = road.at(s)
+    pairs = cKDTree(np.stack([points.x, points.y], axis=-1)).query_pairs(apart, output_type="ndarray")
+    along = np.abs(s[pairs[:, 0]] - s[pairs[:, 1]])
+    if road.closed:
+        along = np.minimum(along, road.length - along)
+    return bool((along > max(4.0 * apart, 0.5 * math.pi * apart + 1.0)).any())

@@ -1,0 +1,322 @@
+"""A road: its centre line by arc length, and what lies along it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from adaptrack.errors import InvalidInput
+from adaptrack.road.along import Along, as_along
+from adaptrack.road.segments import Array, Points, Pose, Segment
+from adaptrack.road.table import Table, sequence, tabulate
+
+GAP, KINK = 0.01, 0.01
+"""Largest step of the position (m) and of the heading (rad) where elements meet: rounding in files, not geometry."""
+JUMP = 1e-6
+"""1/m, a change of curvature at one place that counts as a jump."""
+HALF_LANE = Along.constant(1.75)
+"""m, half of a lane of 3.5 m: the width to each side where nothing is said."""
+DRY, LEVEL = Along.constant(0.9), Along.constant(0.0)
+"""Friction, as in the scenarios, and bank where nothing is said."""
+AT_ORIGIN = Pose()
+
+
+class Jump(NamedTuple):
+    """A place at which the curvature jumps."""
+
+    s: float
+    """m"""
+    before: float
+    """1/m"""
+    after: float
+    """1/m"""
+
+
+class Projection(NamedTuple):
+    """Where points stand against a road, one entry or array each."""
+
+    s: Array
+    """m, arc length of the foot; on a closed road it goes on growing over the laps"""
+    offset: Array
+    """m, from the centre line to the point, positive to the left"""
+    heading: Array
+    """rad, of the road at the foot; continuous over the laps"""
+    curvature: Array
+    """1/m, of the road at the foot"""
+
+
+@dataclass(frozen=True, eq=False)
+class Road:
+    """A centre line with continuous heading, and width, speed limit, friction and bank along it.
+
+    Its curvature may jump, as where a straight line meets an arc (`curvature_jumps`); `smoothed` makes another road.
+    An open road goes on straight before its start and after its end. On a closed one s may be any number, lap by lap.
+    Conventions: x forward, y left, SI units, radians.
+
+    Build one with `from_segments`, `from_points`, `from_csv`, `from_opendrive`, or `generate_road`.
+
+    Raises
+    ------
+    InvalidInput
+        When the centre line has a gap or a kink, a closed one does not meet its start, or a value along it is not
+        possible; the message says where and what to do.
+    """
+
+    name: str
+    table: Table = field(repr=False)
+    closed: bool = False
+    width_left: Along = HALF_LANE
+    """m, from the centre line to the left edge"""
+    width_right: Along = HALF_LANE
+    """m, from the centre line to the right edge"""
+    speed_limit: Along | None = None
+    """m/s"""
+    friction: Along = DRY
+    """coefficient of all wheels"""
+    bank: Along = LEVEL
+    """rad, positive where gravity pushes to the left"""
+    notes: tuple[str, ...] = ()
+    """what its reader has to say: deviations, what was left out"""
+    deviation: float = 0.0
+    """m, largest distance from a point that the road was fitted to"""
+
+    def __post_init__(self) -> None:
+        self._check_joints()
+        positive = (self.width_left, "width_left"), (self.width_right, "width_right"), (self.friction, "friction")
+        try:
+            for along, _ in positive:
+                along.within(lambda value: value > 0.0, "> 0")
+            self.friction.within(lambda value: value <= 3.0, "a coefficient such as 0.8, at most 3")
+            self.bank.within(lambda value: np.abs(value) < 1.4, "an angle in rad, below 1.4 to either side")
+            if self.speed_limit is not None:
+                self.speed_limit.within(lambda value: value > 0.0, "a speed > 0 m/s")
+        except InvalidInput as error:
+            raise InvalidInput(f"road {self.name!r}: width, friction, bank or speed limit: {error}") from None
+
+    def _check_joints(self) -> None:
+        """Refuse gaps and kinks."""
+        first, last = self.table.ends()
+        after = np.arange(1, len(self.table.pieces) + 1) % len(self.table.pieces)
+        count = after.size if self.closed else after.size - 1
+        turn = first.heading[after] - last.heading
+        kink = np.abs(turn - 2.0 * np.pi * np.round(turn / (2.0 * np.pi)))
+        gap = np.hypot(first.x[after] - last.x, first.y[after] - last.y)
+        for wrong, what, unit in ((gap > GAP, gap, "m apart"), (kink > KINK, kink, "rad of kink")):
+            for k in np.flatnonzero(wrong[:count])[:1]:
+                where = "the end and the start" if k == after.size - 1 else f"s = {self.table.start[k + 1]:.2f} m"
+                raise InvalidInput(
+                    f"road {self.name!r}: {what[k]:.3g} {unit} at {where}; the centre line must be one curve without "
+                    "kinks. Correct the elements, or fit a road to sampled points with Road.from_points."
+                )
+
+    # ---- made of
+
+    @classmethod
+    def from_segments(
+        cls,
+        segments: Sequence[Segment],
+        *,
+        start: Pose | tuple[float, float, float] = AT_ORIGIN,
+        closed: bool = False,
+        name: str = "road",
+        **along: Any,
+    ) -> Road:
+        """A road of elements end to end, each with the heading with which the one before it ends.
+
+        Parameters
+        ----------
+        segments : sequence of Line, Arc, Clothoid, Cubic
+        start : (x, y, heading)
+            m, m, rad.
+        closed : bool
+            Whether its end is its start; it then must meet it within 0.01 m and 0.01 rad.
+        **along
+            `width_left`, `width_right`, `speed_limit`, `friction`, `bank`: a number, (arc lengths, values) or `Along`.
+
+        Raises
+        ------
+        InvalidInput
+            When there is no element, or as `Road`.
+        """
+        if not segments:
+            raise InvalidInput("Road.from_segments: no segments; give at least one Line, Arc, Clothoid or Cubic.")
+        table = sequence(tabulate(segments), Pose(*start))
+        return cls(name=name, table=table, closed=closed, **alongs(along))
+
+    @classmethod
+    def from_points(cls, points: ArrayLike, **options: Any) -> Road:
+        """A smooth road through or near points (n, 2), see `adaptrack.road.fit.fit_road`."""
+        from adaptrack.road.fit import fit_road
+
+        return fit_road(points, **options)
+
+    @classmethod
+    def from_csv(cls, path: Any, **options: Any) -> Road:
+        """A smooth road through or near the points of a CSV file, see `adaptrack.road.points.read_points`."""
+        from adaptrack.road.points import road_from_csv
+
+        return road_from_csv(path, **options)
+
+    @classmethod
+    def from_opendrive(cls, path: Any, **options: Any) -> Road:
+        """A road, or a lane of it, of an OpenDRIVE file, see `adaptrack.road.opendrive.read_opendrive`."""
+        from adaptrack.road.opendrive import read_opendrive
+
+        return read_opendrive(path, **options)
+
+    # ---- geometry
+
+    @property
+    def length(self) -> float:
+        """m, of the centre line; of one lap on a closed road."""
+        return self.table.length
+
+    @property
+    def turn(self) -> float:
+        """rad, by which the heading grows in one lap: 2 pi, -2 pi, or 0 for a figure of eight; 0 on an open road."""
+        if not self.closed:
+            return 0.0
+        first, last = self.table.at(0.0), self.table.at(self.length)
+        return 2.0 * math.pi * round(float(last.heading - first.heading) / (2.0 * math.pi))
+
+    def at(self, s: ArrayLike) -> Points:
+        """The points of the centre line at the arc lengths `s` (m), any numbers, in the shape of `s`."""
+        s = np.asarray(s, dtype=np.float64)
+        laps = np.floor(s / self.length) if self.closed else np.zeros_like(s)
+        inside = np.clip(s - laps * self.length, 0.0, self.length)
+        x, y, heading, curvature = self.table.at(inside)
+        beyond = s - laps * self.length - inside
+        straight = beyond != 0.0
+        return Points(
+            np.where(straight, x + beyond * np.cos(heading), x),
+            np.where(straight, y + beyond * np.sin(heading), y),
+            heading + laps * self.turn,
+            np.where(straight, 0.0, curvature),
+        )
+
+    def along(self, name: str, s: ArrayLike) -> Array:
+        """`width_left`, `width_right`, `speed_limit`, `friction` or `bank` at the arc lengths `s`; no limit: inf.
+
+        Raises
+        ------
+        InvalidInput
+            For another name.
+        """
+        if name not in ALONG:
+            raise InvalidInput(f"Road.along: {name!r}: must be one of {', '.join(ALONG)}.")
+        values: Along | None = getattr(self, name)
+        s = np.asarray(s, dtype=np.float64)
+        if values is None:
+            return np.full(s.shape, np.inf)
+        return values.at(s - np.floor(s / self.length) * self.length if self.closed else s)
+
+    def edges(self, s: ArrayLike) -> tuple[Array, Array]:
+        """The left and the right edge at the arc lengths `s`: two arrays (..., 2) of x, y (m)."""
+        points = self.at(s)
+        normal = np.stack([-np.sin(points.heading), np.cos(points.heading)], axis=-1)
+        centre = np.stack([points.x, points.y], axis=-1)
+        left, right = (self.along(name, s)[..., np.newaxis] for name in ("width_left", "width_right"))
+        return centre + left * normal, centre - right * normal
+
+    def curvature_jumps(self, least: float = JUMP) -> list[Jump]:
+        """The places at which the curvature changes at once, by more than `least` (1/m)."""
+        first, last = self.table.ends()
+        after = np.roll(first.curvature, -1)
+        count = after.size if self.closed else after.size - 1
+        found = np.flatnonzero(np.abs(after - last.curvature)[:count] > least)
+        return [Jump(float(self.table.start[k + 1]), float(last.curvature[k]), float(after[k])) for k in found]
+
+    def project(self, x: ArrayLike, y: ArrayLike, near: ArrayLike | None = None) -> Projection:
+        """The feet of points on the centre line.
+
+        Parameters
+        ----------
+        x, y : array
+            m, of one shape.
+        near : array, optional
+            m, the arc length where the foot was last. The foot is then the first one that is reached from there
+            downhill in distance: continuous in time, on the right branch where the road crosses itself, over any number
+            of laps. Without it: the nearest foot of the whole road, 0 <= s < length on a closed one.
+
+        Returns
+        -------
+        Projection
+            Arrays in the shape of x. Beyond the ends of an open road the foot is on its straight continuation. The
+            offset is NaN when no foot lies within 400 m of `near`.
+
+        Raises
+        ------
+        InvalidInput
+            When a coordinate is not finite, or shapes do not fit.
+        """
+        from adaptrack.kernels import road as kernel
+
+        try:
+            wanted = np.broadcast_arrays(x, y, np.nan if near is None else near)
+        except ValueError:
+            raise InvalidInput("Road.project: x, y and near must have one shape.") from None
+        rows = np.stack([np.asarray(each, dtype=np.float64).ravel() for each in wanted], axis=-1)
+        if not np.isfinite(rows[:, : 2 if near is None else 3]).all():
+            raise InvalidInput("Road.project: x, y and near must be finite; leave missing samples out.")
+        feet = np.empty((len(rows), 4))
+        kernel.project_all(self.packed(), rows, feet)
+        shape = wanted[0].shape
+        return Projection(*(feet[:, k].reshape(shape) for k in range(4)))
+
+    def packed(self) -> Any:
+        """The centre line as the record that `adaptrack.kernels.road` reads."""
+        from adaptrack.kernels import road as kernel
+
+        numbers = np.array([self.length, float(self.closed), self.turn])
+        return kernel.Centreline(
+            np.ascontiguousarray(self.table.start), np.ascontiguousarray(self.table.pieces), numbers
+        )
+
+    # ---- variants
+
+    def smoothed(self, max_deviation: float = 0.1, spacing: float = 1.0) -> Road:
+        """A road without jumps of curvature that stays within `max_deviation` (m) of points of this one.
+
+        spacing: m, between those points. What lies along the road stays where it is, in proportion to the length.
+
+        Raises
+        ------
+        InvalidInput
+            When no smooth curve stays as near.
+        """
+        from adaptrack.road.fit import fit_road
+
+        count = max(8, math.ceil(self.length / spacing))
+        s = np.linspace(0.0, self.length, count + 1)[: count if self.closed else count + 1]
+        points = self.at(s)
+        fitted = fit_road(
+            np.stack([points.x, points.y], axis=-1), max_deviation=max_deviation, closed=self.closed, name=self.name,
+            smoothest=True,
+        )  # fmt: skip
+        stretch = fitted.length / self.length
+        moved: dict[str, Any] = {name: _stretched(getattr(self, name), stretch) for name in ALONG}
+        return replace(fitted, **moved)
+
+    def replace(self, **changes: Any) -> Road:
+        """A copy with other values: `name`, and what lies along the road as in `from_segments`."""
+        return replace(self, **alongs(changes))
+
+
+ALONG = ("width_left", "width_right", "speed_limit", "friction", "bank")
+"""What lies along a road."""
+
+
+def alongs(values: dict[str, Any]) -> dict[str, Any]:
+    """The values with every quantity along the road as an `Along`."""
+    return {
+        name: as_along(name, value) if name in ALONG and value is not None else value for name, value in values.items()
+    }
+
+
+def _stretched(along: Along | None, factor: float) -> Along | None:
+    return None if along is None else along.replace(s=tuple(factor * s for s in along.s))

@@ -1,0 +1,156 @@
+"""The elements of a centre line: straight line, circular arc, clothoid and parametric cubic, each in its exact form.
+
+An element begins at its own origin and heads along its own x axis (a cubic where its coefficients say); y points to
+the left. Lengths in m, curvatures in 1/m, positive to the left.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from pydantic import Field
+from scipy.special import fresnel
+
+from adaptrack.files import Record
+
+Array = NDArray[np.float64]
+Length = Annotated[float, Field(gt=0.0, le=1e6, description="m, along the centre line")]
+Curvature = Annotated[float, Field(ge=-10.0, le=10.0, description="1/m, positive to the left")]
+
+_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(16)
+_FEW_TURNS = 10.0
+"""k0^2/|k1| of a clothoid up to which the difference of two Fresnel integrals keeps 12 digits."""
+
+
+class Points(NamedTuple):
+    """Points of a curve, one entry or array each."""
+
+    x: Array
+    """m"""
+    y: Array
+    """m"""
+    heading: Array
+    """rad, of the tangent; continuous along the curve"""
+    curvature: Array
+    """1/m, positive to the left"""
+
+
+class Pose(NamedTuple):
+    """Where an element begins."""
+
+    x: float = 0.0
+    """m"""
+    y: float = 0.0
+    """m"""
+    heading: float = 0.0
+    """rad"""
+
+
+class Line(Record):
+    """A straight line."""
+
+    kind: Literal["line"] = "line"
+    length: Length
+
+    @property
+    def curvatures(self) -> tuple[float, float]:
+        """Curvature at the start and at the end (1/m)."""
+        return 0.0, 0.0
+
+    def at(self, s: ArrayLike) -> Points:
+        """The points at the arc lengths `s` (m)."""
+        s = np.asarray(s, dtype=np.float64)
+        zero = np.zeros_like(s)
+        return Points(s, zero, zero, zero)
+
+
+class Arc(Record):
+    """A circular arc."""
+
+    kind: Literal["arc"] = "arc"
+    length: Length
+    curvature: Curvature
+
+    @property
+    def curvatures(self) -> tuple[float, float]:
+        """Curvature at the start and at the end (1/m)."""
+        return self.curvature, self.curvature
+
+    def at(self, s: ArrayLike) -> Points:
+        """The points at the arc lengths `s` (m): the chord s sin(a)/a under the angle a = curvature s/2."""
+        s = np.asarray(s, dtype=np.float64)
+        half = 0.5 * self.curvature * s
+        chord = s * np.sinc(half / np.pi)
+        return Points(chord * np.cos(half), chord * np.sin(half), 2.0 * half, np.full_like(s, self.curvature))
+
+
+class Clothoid(Record):
+    """A clothoid: its curvature changes in proportion to the arc length."""
+
+    kind: Literal["clothoid"] = "clothoid"
+    length: Length
+    start_curvature: Curvature
+    end_curvature: Curvature
+
+    @property
+    def curvatures(self) -> tuple[float, float]:
+        """Curvature at the start and at the end (1/m)."""
+        return self.start_curvature, self.end_curvature
+
+    @property
+    def sharpness(self) -> float:
+        """Change of curvature per arc length (1/m^2)."""
+        return (self.end_curvature - self.start_curvature) / self.length
+
+    def at(self, s: ArrayLike) -> Points:
+        """The points at the arc lengths `s` (m), by Fresnel integrals; by quadrature where it is nearly an arc.
+
+        With k(s) = k0 + k1 s the heading k0 s + k1 s^2/2 = (k1/2)(s + k0/k1)^2 - k0^2/(2 k1) makes both integrals
+        Fresnel's (Abramowitz and Stegun, section 7.3, where C and S have pi t^2/2 for argument).
+        """
+        s = np.asarray(s, dtype=np.float64)
+        k0, k1 = self.start_curvature, self.sharpness
+        heading, curvature = k0 * s + 0.5 * k1 * s * s, k0 + k1 * s
+        if k0 * k0 > _FEW_TURNS * abs(k1) or k1 == 0.0:
+            place = heading_integral(k0, k1, s)
+        else:
+            scale = np.sqrt(np.pi / abs(k1))
+            s1, c1 = fresnel((s + k0 / k1) / scale)
+            s0, c0 = fresnel(k0 / k1 / scale)
+            turned = scale * ((c1 - c0) + 1j * np.sign(k1) * (s1 - s0))
+            place = turned * np.exp(-0.5j * k0 * k0 / k1)
+        return Points(place.real, place.imag, heading, curvature)
+
+
+class Cubic(Record):
+    """A parametric cubic, OpenDRIVE's paramPoly3: x(p), y(p) with four coefficients each, from p = 0 to p = `end`.
+
+    OpenDRIVE's poly3, y(x), is the one with x = p.
+    """
+
+    kind: Literal["cubic"] = "cubic"
+    x: tuple[float, float, float, float] = Field(description="coefficients of 1, p, p^2, p^3, m")
+    y: tuple[float, float, float, float] = Field(description="likewise")
+    end: float = Field(default=1.0, gt=0.0, description="the parameter at the end")
+
+
+Segment = Annotated[Line | Arc | Clothoid | Cubic, Field(discriminator="kind")]
+
+
+def heading_integral(k0: ArrayLike, k1: ArrayLike, s: ArrayLike) -> NDArray[np.complex128]:
+    """x + i y = integral of exp(i (k0 r + k1 r^2/2)) dr from 0 to s; all three broadcast.
+
+    Gauss-Legendre with 16 nodes on panels that turn by at most 1 rad each: exact to rounding.
+    """
+    k0, k1, s = np.broadcast_arrays(*(np.asarray(value, dtype=np.float64) for value in (k0, k1, s)))
+    turn = np.abs(s) * np.maximum(np.abs(k0), np.abs(k0 + k1 * s))
+    panels = max(1, int(np.ceil(turn.max(initial=0.0))))
+    total = np.zeros(s.shape, dtype=np.complex128)
+    width = s / panels
+    for panel in range(panels):
+        r = (width * (panel + 0.5))[..., np.newaxis] + 0.5 * width[..., np.newaxis] * _NODES
+        heading = (k0[..., np.newaxis] + 0.5 * k1[..., np.newaxis] * r) * r
+        total += 0.5 * width * (np.exp(1j * heading) @ _WEIGHTS)
+    return total

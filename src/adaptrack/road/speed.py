@@ -1,0 +1,307 @@
+"""The speed along a road: the fastest one that curvature, friction, bank, comfort and powertrain allow.
+
+With w = v^2 the acceleration along the road is a = w'(s)/2; sideways tyres feel a_y = v^2 kappa - g sin(bank). Bounds:
+
+    |a_y| <= min(comfort, grip),  grip = share mu g cos(bank);   -brake(w, s) <= a <= drive(w, s),
+
+where the friction circle leaves sqrt(grip^2 - a_y^2) to accelerate and brake with. Each bound falls as w grows, so the
+fastest profile is found by one pass forward, with what the car can gain, and one backward, with what it can lose
+(E. Velenis and P. Tsiotras, *Minimum-time travel for a vehicle with acceleration limits*, JOTA 138 (2008)).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+from pydantic import Field
+from scipy.optimize import linprog
+from scipy.sparse import csr_array, diags_array, vstack
+
+from adaptrack.errors import InvalidInput, real
+from adaptrack.files import Record
+from adaptrack.limits import SPEED
+from adaptrack.road.road import Road
+from adaptrack.road.segments import Array
+from adaptrack.vehicle import GRAVITY, Vehicle
+
+SPACING = 1.0
+"""m, between the places at which the speed is planned, unless asked otherwise."""
+FLAT = 1e-9
+"""1/m, a curvature that counts as none."""
+
+
+class Comfort(Record):
+    """How hard the road is driven."""
+
+    lateral: float = Field(default=3.0, gt=0.0, le=50.0, description="m/s^2, felt sideways")
+    accelerate: float = Field(default=2.0, gt=0.0, le=50.0, description="m/s^2")
+    brake: float = Field(default=3.0, gt=0.0, le=50.0, description="m/s^2")
+    jerk: float = Field(default=math.inf, gt=0.0, allow_inf_nan=True, description="m/s^3, along the road; inf: any")
+    grip_share: float = Field(default=0.9, gt=0.0, le=1.0, description="-, of the friction that may be used")
+
+
+USUAL = Comfort()
+"""As most are driven."""
+
+
+class Stop(NamedTuple):
+    """A place to stop at."""
+
+    s: float
+    """m"""
+    seconds: float = 0.0
+    """how long to stand"""
+
+
+@dataclass(frozen=True, eq=False)
+class SpeedPlan:
+    """A speed along a road; between its places v^2 is straight: the acceleration is constant."""
+
+    s: Array
+    """(n,) m"""
+    speed: Array
+    """(n,) m/s"""
+    time: Array
+    """(n,) s, of arrival, from the start"""
+    duration: float
+    """s, in all; of a lap on a closed road"""
+    closed: bool
+    comfort: Comfort
+
+    @property
+    def acceleration(self) -> Array:
+        """(n - 1,) m/s^2, along the road, between the places."""
+        return 0.5 * np.diff(self.speed**2) / np.diff(self.s)
+
+    def at(self, s: ArrayLike) -> Array:
+        """The speed (m/s) at the arc lengths `s`: lap after lap, or constant beyond the ends of an open road."""
+        place = np.asarray(s, dtype=np.float64)
+        if self.closed:
+            place = place - np.floor(place / self.s[-1]) * self.s[-1]
+        return np.sqrt(np.interp(place, self.s, self.speed**2))
+
+
+def plan_speed(
+    road: Road,
+    car: Vehicle | None = None,
+    comfort: Comfort = USUAL,
+    *,
+    start: float | None = None,
+    end: float | None = None,
+    stops: Sequence[Stop | float] = (),
+    top_speed: float = SPEED.most,
+    spacing: float = SPACING,
+) -> SpeedPlan:
+    """The fastest speed along a road.
+
+    Parameters
+    ----------
+    car : Vehicle, optional
+        Its power, traction, brakes and resistance; without it comfort and friction alone bound the acceleration.
+    start, end : float, optional
+        m/s, speed at the two ends of an open road; free when left out.
+    stops : sequence of Stop or float
+        Where to stand still, in m, and for how many seconds.
+    top_speed : float
+        m/s, beside the road's own limit.
+    spacing : float
+        m, largest distance of the places.
+
+    Raises
+    ------
+    InvalidInput
+        When a value is not possible, a bank alone exceeds what is allowed sideways, or the speed at the start cannot be
+        lost in time; the message says where.
+    """
+    if not 0.01 <= real("plan_speed", "spacing", spacing) <= 100.0:
+        raise InvalidInput(f"plan_speed: spacing = {spacing!r} m: must be 0.01 to 100.")
+    if not 0.0 < real("plan_speed", "top_speed", top_speed) <= SPEED.most:
+        raise InvalidInput(f"plan_speed: top_speed = {top_speed!r} m/s: must be > 0 and at most {SPEED.most:g}.")
+    halts = [stop if isinstance(stop, Stop) else Stop(float(stop)) for stop in stops]
+    for stop in halts:
+        if not 0.0 <= stop.s <= road.length or not 0.0 <= stop.seconds < math.inf:
+            raise InvalidInput(
+                f"plan_speed: {stop}: must lie on the road, 0 to {road.length:.6g} m, for a time >= 0 s."
+            )
+    if road.closed and (start is not None or end is not None):
+        raise InvalidInput("plan_speed: a closed road has no start and no end: leave both out, or give stops.")
+    cells = _Cells(road, car, comfort, _places(road, spacing, halts))
+    ceiling = cells.ceiling(top_speed)
+    for stop in halts:
+        ceiling[np.abs(cells.s - stop.s) < 1e-9] = 0.0
+    _impose_ends(ceiling, start, end)
+    if road.closed:
+        ceiling[[0, -1]] = ceiling[[0, -1]].min()
+    w = _passed(cells, ceiling, road.closed)
+    if start is not None and w[0] < start * start * (1.0 - 1e-9):
+        raise InvalidInput(
+            f"plan_speed: start = {start:g} m/s cannot be lost in time: at most {math.sqrt(w[0]):.4g} m/s can."
+        )
+    if math.isfinite(comfort.jerk):
+        w = _with_jerk(cells, w, comfort.jerk, road.closed, start)
+    return _plan(cells.s, w, halts, road.closed, comfort)
+
+
+def constant_speed(road: Road, speed: float) -> SpeedPlan:
+    """One speed (m/s) all along a road, whatever its limits.
+
+    Raises
+    ------
+    InvalidInput
+        When it is not a speed > 0.
+    """
+    if not 0.0 < real("constant_speed", "speed", speed) <= SPEED.most:
+        raise InvalidInput(f"constant_speed: speed = {speed!r} m/s: must be > 0 and at most {SPEED.most:g}.")
+    s = _places(road, SPACING, ())
+    return _plan(s, np.full(s.shape, float(speed) ** 2), (), road.closed, Comfort())
+
+
+def _impose_ends(ceiling: Array, start: float | None, end: float | None) -> None:
+    for name, value, place in (("start", start, 0), ("end", end, -1)):
+        if value is None:
+            continue
+        if not 0.0 <= real("plan_speed", name, value) <= math.sqrt(ceiling[place]) * (1.0 + 1e-9):
+            most = math.sqrt(ceiling[place])
+            raise InvalidInput(f"plan_speed: {name} = {value!r} m/s: must be >= 0 and at most {most:.4g} there.")
+        ceiling[place] = value * value
+
+
+def _places(road: Road, spacing: float, halts: Sequence[Stop]) -> Array:
+    """Even places, those where the shape changes, and the stops."""
+    even = np.linspace(0.0, road.length, max(2, math.ceil(road.length / spacing)) + 1)
+    s = np.union1d(np.union1d(even, road.table.start), [stop.s for stop in halts])
+    kept = np.concatenate([[True], np.diff(s) > 1e-6 * spacing])
+    kept[np.searchsorted(s, [stop.s for stop in halts])] = True
+    s = s[kept]
+    s[-1] = road.length
+    return s
+
+
+def _plan(s: Array, w: Array, halts: Sequence[Stop], closed: bool, comfort: Comfort) -> SpeedPlan:
+    v = np.sqrt(np.maximum(w, 0.0))
+    pace = 0.5 * (v[:-1] + v[1:])
+    with np.errstate(divide="ignore"):
+        steps = np.diff(s) / pace  # exact for a constant acceleration
+    standing = np.zeros_like(s)
+    for stop in halts:
+        standing[np.argmin(np.abs(s - stop.s))] += stop.seconds
+    time = np.concatenate([[0.0], np.cumsum(steps)])
+    arrival = time + np.concatenate([[0.0], np.cumsum(standing)[:-1]])
+    return SpeedPlan(s, v, arrival, float(arrival[-1] + standing[-1]), closed, comfort)
+
+
+class _Cells:
+    """What bounds the speed between neighbouring places, and at what."""
+
+    def __init__(self, road: Road, car: Vehicle | None, comfort: Comfort, s: Array) -> None:
+        self.s, self.ds, self.car, self.comfort = s, np.diff(s), car, comfort
+        first, last = road.table.at(s[:-1], 1).curvature, road.table.at(s[1:], -1).curvature
+        self.curvature = np.where(np.abs(first) > np.abs(last), first, last)  # monotonous between: the larger end
+        bank = road.along("bank", 0.5 * (s[:-1] + s[1:]))
+        self.tilt = GRAVITY * np.sin(bank)
+        self.grip = comfort.grip_share * road.friction.least(s[:-1], s[1:]) * GRAVITY * np.cos(bank)
+        self.limit = (
+            np.full(self.ds.shape, np.inf) if road.speed_limit is None else road.speed_limit.least(s[:-1], s[1:])
+        )
+        allowed = np.minimum(self.grip, comfort.lateral)
+        steep = np.flatnonzero(np.abs(self.tilt) >= allowed)
+        if steep.size:
+            k = int(steep[0])
+            raise InvalidInput(
+                f"plan_speed: at s = {s[k]:.6g} m the bank alone pushes with {abs(self.tilt[k]):.3g} m/s^2, and "
+                f"{allowed[k]:.3g} are allowed; allow more, or correct the bank."
+            )
+        sign = np.sign(self.curvature)
+        bent = np.abs(self.curvature) > FLAT
+        self.bend = np.where(bent, (allowed + sign * self.tilt) / np.where(bent, np.abs(self.curvature), 1.0), np.inf)
+
+    def ceiling(self, top_speed: float) -> Array:
+        """(n,) largest v^2 at each place, whatever comes before and after."""
+        w = np.minimum(np.minimum(self.bend, self.limit**2), top_speed**2)
+        return np.minimum(np.concatenate([w, [np.inf]]), np.concatenate([[np.inf], w]))
+
+    def left(self, k: int, w: float) -> float:
+        """What the friction circle leaves along the road (m/s^2)."""
+        sideways = w * self.curvature[k] - self.tilt[k]
+        return math.sqrt(max(self.grip[k] ** 2 - sideways**2, 0.0))
+
+    def drive(self, k: int, w: float) -> float:
+        """The largest acceleration in a cell at v^2 = w."""
+        if self.car is None:
+            return min(self.comfort.accelerate, self.left(k, w))
+        car, v = self.car, math.sqrt(max(w, 1e-6))
+        force = min(car.traction_limit, car.engine_power / v, car.mass * self.left(k, w))
+        return min(self.comfort.accelerate, force / car.mass - self.resistance(w))
+
+    def brake(self, k: int, w: float) -> float:
+        """The largest deceleration in a cell at v^2 = w."""
+        if self.car is None:
+            return min(self.comfort.brake, self.left(k, w))
+        force = min(self.car.brake_limit, self.car.mass * self.left(k, w))
+        return min(self.comfort.brake, force / self.car.mass + self.resistance(w))
+
+    def resistance(self, w: float) -> float:
+        """Deceleration by air and rolling (m/s^2), without wind."""
+        if self.car is None:
+            return 0.0
+        air = 0.5 * self.car.air_density * self.car.frontal_area * self.car.drag_coefficient * w
+        return air / self.car.mass + self.car.rolling_resistance * GRAVITY
+
+
+def _passed(cells: _Cells, ceiling: Array, closed: bool) -> Array:
+    """Forward, then backward; on a closed road once around before it counts."""
+    w, n = ceiling.copy(), cells.ds.size
+    for lap in range(2 if closed else 1):
+        if lap:
+            w[0] = w[-1] = min(w[0], w[-1])
+        for k in range(n):
+            w[k + 1] = min(w[k + 1], _next(w[k], w[k + 1], cells.ds[k], partial(cells.drive, k)))
+    for lap in range(2 if closed else 1):
+        if lap:
+            w[0] = w[-1] = min(w[0], w[-1])
+        for k in range(n - 1, -1, -1):
+            w[k] = min(w[k], _next(w[k + 1], w[k], cells.ds[k], partial(cells.brake, k)))
+    return w
+
+
+def _next(w: float, ceiling: float, ds: float, most: Callable[[float], float]) -> float:
+    """v^2 a cell further, with what is possible at both of its ends."""
+    reached = max(min(ceiling, w + 2.0 * ds * most(w)), 0.0)
+    return max(min(reached, w + 2.0 * ds * most(reached)), 0.0)
+
+
+def _with_jerk(cells: _Cells, fastest: Array, jerk: float, closed: bool, start: float | None) -> Array:
+    """The fastest v^2 below `fastest` with a bounded jerk, nearly: a linear programme.
+
+    The jerk is v a' = v w''/2. With v at most the fastest, |w''| <= 2 jerk/v_fastest keeps it, as the bounds on a at
+    the fastest speed keep those at a lower one; the least time is that of the largest sum of w ds/w_fastest^(3/2).
+    """
+    n, ds = fastest.size, cells.ds
+    v = np.sqrt(fastest)
+    slope = csr_array(diags_array([-1.0 / ds, 1.0 / ds], offsets=[0, 1], shape=(n - 1, n)))
+    gap = 0.5 * (ds[:-1] + ds[1:])
+    bend = csr_array(diags_array([-1.0 / gap, 1.0 / gap], offsets=[0, 1], shape=(n - 2, n - 1))) @ slope
+    drive = np.array([2.0 * min(cells.drive(k, fastest[k]), cells.drive(k, fastest[k + 1])) for k in range(n - 1)])
+    brake = np.array([2.0 * min(cells.brake(k, fastest[k]), cells.brake(k, fastest[k + 1])) for k in range(n - 1)])
+    share = 2.0 * jerk / np.maximum(np.maximum(v[1:-1], 0.5 * (v[:-2] + v[2:])), 0.1)
+    rows, bounds = [slope, -slope, bend, -bend], [np.maximum(drive, 0.0), brake, share, share]
+    if closed:
+        seam = (slope[[0]] - slope[[n - 2]]) * (2.0 / (ds[0] + ds[-1]))
+        rows += [seam, -seam, csr_array(([1.0, -1.0], ([0, 0], [0, n - 1])), shape=(1, n))]
+        bounds += [share[:1], share[:1], np.zeros(1)]
+    worth = np.concatenate([ds, [ds[-1]]]) / np.maximum(fastest, 1.0) ** 1.5
+    low = np.zeros(n)
+    low[0] = 0.0 if start is None else fastest[0] * (1.0 - 1e-9)
+    most = np.concatenate(bounds)
+    found = linprog(-worth, A_ub=vstack(rows), b_ub=most, bounds=np.stack([low, fastest], axis=-1), method="highs")
+    if found.x is None:
+        raise InvalidInput(
+            f"plan_speed: no speed keeps a jerk of {jerk:g} m/s^3 from this start: allow more, or start slower."
+        )
+    return np.minimum(found.x, fastest)

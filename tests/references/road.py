@@ -1,0 +1,59 @@
+"""Independent references for roads: quadrature of the heading, and a search for the nearest point by millimetres."""
+
+import itertools
+import math
+
+import numpy as np
+from scipy.integrate import quad
+
+
+def end_of(k0, k1, length):
+    """(x, y) where a curve of curvature k0 + k1 s ends that begins at the origin along x, by adaptive quadrature."""
+    parts = np.linspace(0.0, length, 21)
+
+    def integral(part):
+        pieces = [quad(lambda s: part((k0 + 0.5 * k1 * s) * s), *ends)[0] for ends in itertools.pairwise(parts)]
+        return math.fsum(pieces)
+
+    return integral(math.cos), integral(math.sin)
+
+
+def coarse_samples(road, spacing=0.5):
+    """Arc lengths and points of a road, (n,) each, at most `spacing` apart: for many searches."""
+    s = np.linspace(0.0, road.length, math.ceil(road.length / spacing) + 1)
+    return s, *road.at(s)[:2]
+
+
+def nearest_by_search(road, x, y, step=1e-3, samples=None):
+    """(arc length, distance) of the nearest of points `step` apart on a road, found without missing any.
+
+    The nearest point lies within half a spacing of a coarse sample, so only samples that are farther than the nearest
+    one by no more than that can have it beside them.
+    """
+    s, px, py = coarse_samples(road) if samples is None else samples
+    spacing = s[1]
+    distance = np.hypot(px - x, py - y)
+    near = s[distance <= distance.min() + 0.5 * spacing]
+    ticks = np.unique((near[:, np.newaxis] + np.arange(-0.5 * spacing, 0.5 * spacing + step, step)).ravel() // step)
+    fine = np.clip(ticks * step, 0.0, road.length)
+    points = road.at(fine)
+    away = np.hypot(points.x - x, points.y - y)
+    k = int(away.argmin())
+    return float(fine[k]), float(away[k])
+
+
+def beside(road, s, offset):
+    """Points at lateral offsets from a road."""
+    p = road.at(s)
+    return p.x - offset * np.sin(p.heading), p.y + offset * np.cos(p.heading)
+
+
+def figure_of_eight(arc, line, radius=30.0):
+    """Elements of a closed road that crosses itself at a right angle."""
+    turn = 1.5 * math.pi * radius
+    return [
+        arc(length=turn, curvature=1.0 / radius),
+        line(length=2.0 * radius),
+        arc(length=turn, curvature=-1.0 / radius),
+        line(length=2.0 * radius),
+    ]

@@ -1,0 +1,311 @@
+"""A road is geometry: its points are those of closed forms, and a point's foot on it is the nearest one."""
+
+import math
+
+import numpy as np
+import pytest
+from scipy.integrate import quad
+
+from adaptrack.errors import InvalidInput, UnknownName
+from adaptrack.kernels import road as kernel
+from adaptrack.road import KINDS, Along, Arc, Clothoid, Cubic, Line, Pose, Road, generate_road
+from adaptrack.road.projection import feet_near, nearest_feet
+from adaptrack.road.table import COLUMNS, DEGREE, joined, placed, tabulate
+from adaptrack.road.table import beside as table_beside
+from references.road import beside, end_of, figure_of_eight, nearest_by_search
+
+BEND = Clothoid(length=60.0, start_curvature=0.0, end_curvature=0.05)
+CUBIC = Cubic(x=(0.0, 40.0, 5.0, -8.0), y=(0.0, 0.0, 25.0, -12.0))
+
+
+def eight():
+    return Road.from_segments(figure_of_eight(Arc, Line), closed=True, name="eight")
+
+
+# -- positions --------------------------------------------------------------------------------------------------------
+@pytest.mark.parametrize(
+    "segment",
+    [
+        Line(length=123.4),
+        Arc(length=200.0, curvature=0.04),
+        Arc(length=150.0, curvature=-0.11),
+        BEND,
+        Clothoid(length=90.0, start_curvature=0.06, end_curvature=-0.03),
+        Clothoid(length=500.0, start_curvature=-1e-3, end_curvature=-1.0001e-3),
+        Clothoid(length=40.0, start_curvature=0.2, end_curvature=1.0),
+    ],
+    ids=lambda segment: segment.kind,
+)
+def test_lines_arcs_and_clothoids_lie_where_closed_forms_and_quadrature_say(segment):
+    (table,) = tabulate([segment])
+    s = np.linspace(0.0, segment.length, 301)
+    for found, exact in zip(table.at(s), segment.at(s), strict=True):
+        np.testing.assert_allclose(found, exact, rtol=0, atol=2e-11)
+    k0, k1 = segment.curvatures
+    end = end_of(k0, (k1 - k0) / segment.length, segment.length)
+    last = table.at(segment.length)
+    assert (float(last.x), float(last.y)) == pytest.approx(end, abs=1e-9)
+
+
+def test_the_curvature_of_a_clothoid_is_exact(rng):
+    (table,) = tabulate([Clothoid(length=300.0, start_curvature=0.013, end_curvature=-0.047)])
+    s = rng.uniform(0.0, 300.0, 2000)
+    assert np.abs(table.at(s).curvature - (0.013 - 0.06 * s / 300.0)).max() < 1e-15
+
+
+def test_a_parametric_cubic_lies_where_its_coefficients_say_at_its_arc_length():
+    (table,) = tabulate([CUBIC])
+    for p in np.linspace(0.0, 1.0, 23):
+        speed = lambda q: math.hypot(40.0 + 10.0 * q - 24.0 * q * q, 50.0 * q - 36.0 * q * q)  # noqa: E731
+        s = quad(speed, 0.0, p, epsabs=1e-13)[0]
+        found = table.at(min(s, table.length))
+        exact = (40.0 * p + 5.0 * p**2 - 8.0 * p**3, 25.0 * p**2 - 12.0 * p**3)
+        bend = (40.0 + 10.0 * p - 24.0 * p * p) * (50.0 - 72.0 * p) - (50.0 * p - 36.0 * p * p) * (10.0 - 48.0 * p)
+        assert (float(found.x), float(found.y)) == pytest.approx(exact, abs=1e-9)
+        assert float(found.curvature) == pytest.approx(bend / speed(p) ** 3, abs=1e-9)
+
+
+@pytest.mark.parametrize("offset", [2.0, -3.5])
+def test_a_line_beside_an_arc_is_an_arc_and_beside_a_clothoid_its_parallel(offset):
+    (arc,) = tabulate([Arc(length=40.0, curvature=0.05)])
+    side = table_beside(arc, [0.0], [[offset, 0.0, 0.0, 0.0]])
+    assert side.length == pytest.approx(40.0 * (1.0 - 0.05 * offset), abs=1e-10)
+    np.testing.assert_allclose(side.at(np.linspace(0, side.length, 50)).curvature, 1 / (20.0 - offset), atol=1e-10)
+    (base,) = tabulate([BEND])
+    side = table_beside(base, [0.0], [[offset, 0.0, 0.0, 0.0]])
+    s = np.linspace(0.0, 60.0, 60)
+    curvature = 0.05 * s / 60.0
+    parallel = s - offset * 0.05 * s**2 / 120.0
+    np.testing.assert_allclose(side.at(parallel).curvature, curvature / (1.0 - offset * curvature), atol=1e-9)
+    np.testing.assert_allclose(side.at(parallel).x, BEND.at(s).x - offset * np.sin(BEND.at(s).heading), atol=1e-9)
+
+
+def test_the_curvature_beside_a_road_is_the_change_of_its_heading_where_the_distance_changes():
+    (base,) = tabulate([Clothoid(length=80.0, start_curvature=-0.01, end_curvature=0.03)])
+    side = table_beside(base, [0.0, 30.0], [[1.0, 0.02, -1e-3, 1e-5], [1.0, -0.013, 1e-3, -2e-5]])
+    s, h = np.linspace(1.0, side.length - 1.0, 200), 1e-4
+    joint = np.abs(s - side.start[np.abs(side.start - 30.0).argmin()]) > 1.0
+    before, after = side.at(s - h), side.at(s + h)
+    assert np.abs((after.heading - before.heading) / (2 * h) - side.at(s).curvature)[joint].max() < 1e-6
+    assert np.abs(np.hypot(after.x - before.x, after.y - before.y) / (2 * h) - 1.0)[joint].max() < 1e-8
+
+
+def test_a_lane_beyond_the_centre_of_curvature_and_a_cusp_are_refused():
+    (arc,) = tabulate([Arc(length=10.0, curvature=0.1)])
+    with pytest.raises(InvalidInput, match="centre of curvature"):
+        table_beside(arc, [0.0], [[11.0, 0.0, 0.0, 0.0]])
+    with pytest.raises(InvalidInput, match="cusp"):
+        tabulate([Cubic(x=(0.0, 0.0, 1.0, 0.0), y=(0.0, 0.0, 0.0, 1.0))])
+
+
+# -- roads ------------------------------------------------------------------------------------------------------------
+def test_elements_follow_one_another_and_jumps_of_curvature_are_reported():
+    road = Road.from_segments([Line(length=50.0), Arc(length=30.0, curvature=0.05), BEND.replace(start_curvature=0.05)])
+    (jump,) = road.curvature_jumps()
+    assert (jump.s, jump.before, jump.after) == pytest.approx((50.0, 0.0, 0.05), abs=1e-12)
+    s = np.linspace(0.0, road.length, 5001)
+    points = road.at(s)
+    assert np.abs(np.diff(points.x) ** 2 + np.diff(points.y) ** 2 - np.diff(s) ** 2).max() < 1e-6
+    assert np.abs(np.diff(points.heading)).max() < 0.06 * np.diff(s).max()
+
+
+def test_an_open_road_goes_on_straight_and_a_closed_one_around():
+    road = Road.from_segments([BEND], start=(5.0, -2.0, 1.0))
+    end = road.at(road.length)
+    beyond = road.at(road.length + 7.0)
+    assert float(beyond.x) == pytest.approx(float(end.x + 7.0 * np.cos(end.heading)))
+    assert float(beyond.curvature) == 0.0
+    assert [float(v) for v in road.at(-3.0)[:2]] == pytest.approx(
+        [5.0 - 3.0 * math.cos(1.0), -2.0 - 3.0 * math.sin(1.0)]
+    )
+    circle = Road.from_segments([Arc(length=40.0 * math.pi, curvature=0.05)], closed=True)
+    assert circle.turn == pytest.approx(2.0 * math.pi)
+    for s in (-300.0, -1.0, 17.0, 5000.0):
+        exact = Arc(length=1.0, curvature=0.05).at(s)
+        np.testing.assert_allclose(circle.at(s), exact, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("make", "words"),
+    [
+        (lambda: Road.from_segments([]), "no segments"),
+        (lambda: Road.from_segments([Line(length=10.0)], closed=True), "10 m apart at the end and the start"),
+        (lambda: Road.from_segments([Line(length=10.0)], friction=0.0), "friction"),
+        (lambda: Road.from_segments([Line(length=10.0)], bank=2.0), "angle in rad"),
+        (lambda: Road.from_segments([Line(length=10.0)], width_left="wide"), "width_left"),
+        (lambda: Road.from_segments([Line(length=10.0)], speed_limit=([0.0, 0.0], [1.0, 2.0])), "increase"),
+        (lambda: Line(length=-1.0), "length"),
+        (lambda: Road.from_segments([Line(length=10.0)]).project(math.nan, 0.0), "finite"),
+        (lambda: Road.from_segments([Line(length=10.0)]).along("colour", 0.0), "width_left"),
+    ],
+)
+def test_what_is_no_road_is_refused_with_a_reason(make, words):
+    with pytest.raises(InvalidInput, match=words):
+        make()
+
+
+def test_a_gap_and_a_kink_are_named_with_their_place():
+    tables = tabulate([Line(length=10.0), Line(length=10.0)])
+    for pose, words in (
+        (Pose(10.0, 0.5, 0.0), "0.5 m apart at s = 10.00 m"),
+        (Pose(10.0, 0.0, 0.1), "0.1 rad of kink"),
+    ):
+        with pytest.raises(InvalidInput, match=words):
+            Road(name="bad", table=joined([tables[0], placed(tables[1], pose)]))
+
+
+def test_what_lies_along_a_road_is_linear_or_in_steps_and_repeats_on_a_lap():
+    limit = Along(s=(0.0, 30.0), value=(20.0, 10.0), kind="steps")
+    road = eight().replace(speed_limit=limit, friction=([0.0, 100.0], [1.0, 0.5]))
+    assert road.along("speed_limit", [29.999, 30.0, road.length + 1.0]).tolist() == [20.0, 10.0, 20.0]
+    assert float(road.along("friction", 50.0 + 2 * road.length)) == pytest.approx(0.75)
+    assert float(eight().along("speed_limit", 3.0)) == math.inf
+    assert limit.least([0.0, 31.0], [40.0, 50.0]).tolist() == [10.0, 10.0]
+
+
+def test_edges_are_at_their_widths_on_the_normal():
+    road = Road.from_segments([BEND], width_left=3.0, width_right=2.0)
+    left, right = road.edges(np.linspace(0.0, 60.0, 30))
+    feet_left, feet_right = road.project(*left.T), road.project(*right.T)
+    np.testing.assert_allclose(feet_left.offset, 3.0, atol=1e-9)
+    np.testing.assert_allclose(feet_right.offset, -2.0, atol=1e-9)
+
+
+# -- projection -------------------------------------------------------------------------------------------------------
+@pytest.mark.compiled
+@pytest.mark.parametrize("kind", [*KINDS, "eight", "cubic"])
+def test_the_foot_is_the_nearest_point_of_a_search_millimetre_by_millimetre(kind, rng):
+    if kind == "cubic":
+        road = Road.from_segments([CUBIC, Line(length=20.0)])
+    else:
+        road = eight() if kind == "eight" else generate_road(kind, seed=5, length=1200.0)
+    s = rng.uniform(0.0, road.length, 60)
+    offset = rng.uniform(-0.9, 0.9, s.size) * np.minimum(6.0, 1.0 / np.maximum(np.abs(road.at(s).curvature), 1e-9))
+    x, y = beside(road, s, offset)
+    foot = road.project(x, y)
+    place = road.at(foot.s)
+    ahead = (place.x - x) * np.cos(place.heading) + (place.y - y) * np.sin(place.heading)
+    assert np.abs(ahead).max() <= 1e-9
+    for i in range(s.size):
+        s_found, distance = nearest_by_search(road, x[i], y[i])
+        if 0.0 < s_found < road.length:
+            assert abs(abs(foot.offset[i]) - distance) < 1e-5, (i, foot.s[i], s_found)
+            assert distance >= abs(foot.offset[i]) - 1e-9
+
+
+@pytest.mark.parametrize("kind", ["town", "lap"])
+def test_the_readable_projection_and_the_kernel_agree(kind, rng):
+    road = generate_road(kind, seed=2, length=800.0)
+    s = rng.uniform(-5.0, road.length + 5.0, 25)
+    x, y = beside(road, s, rng.uniform(-4.0, 4.0, s.size))
+    near = s + rng.uniform(-1.5, 1.5, s.size)
+    for kernels, readable in (
+        (road.project(x, y, near=near), feet_near(road, x, y, near)),
+        (road.project(x, y), nearest_feet(road, x, y)),
+    ):
+        for one, other in zip(kernels, readable, strict=True):
+            np.testing.assert_allclose(one, other, rtol=0, atol=1e-10)
+
+
+def test_the_kernel_and_the_table_agree_on_points_at_any_arc_length(rng):
+    assert (kernel.DEGREE, kernel.TURNED + kernel.DEGREE + 1) == (DEGREE, COLUMNS)
+    for road in (generate_road("lap", seed=1, length=700.0), Road.from_segments([CUBIC, Line(length=5.0)])):
+        s = rng.uniform(-2.0 * road.length, 3.0 * road.length, 50)
+        found = np.empty((s.size, 4))
+        kernel.points_at(road.packed(), s, found)
+        np.testing.assert_allclose(found.T, road.at(s), rtol=0, atol=1e-10)
+
+
+def test_three_laps_of_a_road_that_crosses_itself_are_followed_without_a_jump():
+    road = eight()
+    s = np.arange(0.0, 3.0 * road.length, 0.7)
+    offset = 2.0 * np.sin(s / 9.0)
+    x, y = beside(road, s, offset)
+    near = 0.0
+    for k in range(s.size):
+        foot = road.project(x[k], y[k], near=near)
+        near = float(foot.s)
+        assert near == pytest.approx(s[k], abs=1e-9)
+        assert float(foot.offset) == pytest.approx(offset[k], abs=1e-9)
+    assert near > 2.9 * road.length
+
+
+def test_the_heading_goes_on_over_the_laps_of_a_closed_road():
+    road = generate_road("lap", seed=3, length=600.0)
+    s = np.array([0.25, 1.25, 10.25, -2.75]) * road.length
+    x, y = beside(road, s, 1.0)
+    foot = road.project(x, y, near=s + 0.5)
+    np.testing.assert_allclose(foot.heading - foot.heading[0], np.array([0.0, 1.0, 10.0, -3.0]) * road.turn, atol=1e-9)
+
+
+def test_past_both_ends_the_foot_is_on_the_straight_continuation():
+    road = Road.from_segments([BEND])
+    end = road.at(road.length)
+    along = np.array([np.cos(end.heading), np.sin(end.heading)])
+    point = np.array([end.x, end.y]) + 12.0 * along + 3.0 * np.array([-along[1], along[0]])
+    for near in (None, road.length - 1.0):
+        foot = road.project(*point, near=near)
+        assert (float(foot.s), float(foot.offset)) == pytest.approx((road.length + 12.0, 3.0), abs=1e-9)
+        assert float(foot.curvature) == 0.0
+    foot = road.project(-4.0, -1.0)
+    assert (float(foot.s), float(foot.offset)) == pytest.approx((-4.0, -1.0), abs=1e-9)
+
+
+def test_a_foot_out_of_reach_of_its_last_place_is_no_number():
+    road = Road.from_segments([Line(length=2000.0)])
+    for foot in (road.project(1500.0, 2.0, near=0.0), feet_near(road, [1500.0], [2.0], [0.0])):
+        assert np.isnan(foot.offset).all()
+    assert float(road.project(1500.0, 2.0, near=1150.0).offset) == pytest.approx(2.0)
+
+
+def test_where_rounding_left_a_kink_the_foot_is_the_corner_or_beside_it():
+    tables = tabulate([Line(length=10.0), Line(length=10.0)])
+    road = Road(name="kink", table=joined([tables[0], placed(tables[1], Pose(10.0, 0.0, 0.008))]))
+    foot = road.project([10.0, 10.0], [-20.0, 20.0], near=[9.0, 9.0])
+    assert float(foot.s[0]) == pytest.approx(10.0, abs=1e-9)  # outside: the corner is nearest
+    x, y = road.at(foot.s[1])[:2]
+    assert math.hypot(x - 10.0, y - 20.0) <= 20.0
+
+
+def test_a_foot_moves_no_faster_than_its_point_allows_when_driven_through_a_hairpin():
+    road = generate_road("lap", seed=1, length=800.0)
+    s = np.arange(0.0, road.length, 0.05)
+    x, y = beside(road, s, 3.0 * np.sin(s / 15.0))
+    near, found = 0.0, []
+    for k in range(s.size):
+        near = float(feet_near(road, x[k : k + 1], y[k : k + 1], np.array([near])).s[0])
+        found.append(near)
+        if k > 400:
+            break
+    assert np.abs(np.diff(found)).max() < 0.15
+
+
+# -- generated --------------------------------------------------------------------------------------------------------
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_generated_road_is_of_its_kind_and_its_seed(kind):
+    road, again, other = (generate_road(kind, seed, length=1500.0) for seed in (1, 1, 2))
+    assert np.array_equal(road.table.pieces, again.table.pieces)
+    assert road.length != other.length
+    assert 1300.0 < road.length < 4500.0
+    assert road.curvature_jumps() == []
+    size = KINDS[kind]
+    tightest = min(size.radius[0], size.tight_radius[0] or math.inf)
+    assert 1.0 / np.abs(road.at(np.arange(0.0, road.length, 0.5)).curvature).max() >= tightest * (1.0 - 1e-9)
+    assert road.closed is (kind == "lap")
+
+
+def test_a_generated_road_keeps_off_itself():
+    for seed in range(4):
+        road = generate_road("mountain", seed, length=2500.0)
+        s = np.arange(0.0, road.length, 2.0)
+        p = road.at(s)
+        far = np.abs(s[:, None] - s) > 40.0
+        assert np.hypot(p.x[:, None] - p.x, p.y[:, None] - p.y)[far].min() > 6.0
+
+
+def test_what_cannot_be_generated_is_refused():
+    with pytest.raises(UnknownName, match="Did you mean 'mountain'"):
+        generate_road("mountains")
+    for options, words in (({"seed": -1}, "seed"), ({"length": 3.0}, "length"), ({"width_left": -1.0}, "> 0")):
+        with pytest.raises(InvalidInput, match=words):
+            generate_road("town", **options)

@@ -1,0 +1,309 @@
+"""Roads from files: points recorded with noise, and OpenDRIVE; what is stated of a fit is true."""
+
+import math
+
+import numpy as np
+import pytest
+
+from adaptrack.errors import ConfigError, InvalidInput, StorageError, UnknownName
+from adaptrack.road import Arc, Clothoid, Line, Road, fit_road, generate_road, load_road
+from references.road import figure_of_eight, nearest_by_search
+
+
+def recorded(road, spacing, noise=0.0, seed=0):
+    """Points of a road, (n, 2), with independent errors."""
+    s = np.arange(0.0, road.length, spacing)
+    points = np.stack(road.at(s)[:2], axis=-1)
+    return points + noise * np.random.default_rng(seed).standard_normal(points.shape)
+
+
+def csv(path, rows, header=""):
+    path.write_text(header + "\n".join(",".join(map(str, row)) for row in rows) + "\n")
+    return path
+
+
+# -- fits -------------------------------------------------------------------------------------------------------------
+@pytest.mark.parametrize(
+    ("kind", "spacing", "noise"), [("country", 20.0, 0.3), ("mountain", 8.0, 0.1), ("lap", 12.0, 0.2)]
+)
+def test_the_stated_deviation_of_a_noisy_record_is_the_true_one(kind, spacing, noise):
+    true = generate_road(kind, seed=4, length=1000.0)
+    points = recorded(true, spacing, noise)
+    road = fit_road(points, max_deviation=2.0)
+    away = [nearest_by_search(road, *point)[1] for point in points]
+    assert road.deviation == pytest.approx(max(away), abs=1e-5)
+    assert road.deviation < 2.0
+    assert f"point {int(np.argmax(away))}" in road.notes[-1]
+    assert road.closed is true.closed
+    # The noise is taken for noise: the road is nearer to the truth than the record is.
+    inside = np.linspace(0.05, 0.95, 100) * true.length
+    error = road.project(*true.at(inside)[:2]).offset
+    assert np.sqrt(np.mean(error**2)) < noise
+    assert road.curvature_jumps() == []
+
+
+def test_points_without_noise_are_met_closely_and_smoothly():
+    true = generate_road("country", seed=2, length=800.0)
+    road = fit_road(recorded(true, 5.0))
+    assert road.deviation < 5e-3
+    s = np.linspace(30.0, 770.0, 100)
+    foot = road.project(*true.at(s)[:2])
+    assert np.abs(foot.offset).max() < 5e-3
+    assert np.abs(foot.curvature - true.at(s).curvature).max() < 2e-3
+
+
+def test_a_fit_keeps_the_bound_that_it_is_given():
+    points = recorded(generate_road("country", seed=1, length=600.0), 15.0, noise=1.0)
+    free, bound = fit_road(points, max_deviation=10.0), fit_road(points, max_deviation=0.4)
+    assert free.deviation > 0.5
+    assert bound.deviation <= 0.4
+
+
+def test_a_smoothed_road_has_no_jumps_and_stays_within_its_deviation():
+    sharp = Road.from_segments([Line(length=80.0), Arc(length=60.0, curvature=0.02), Line(length=80.0)], width_left=2.5)
+    smooth = sharp.smoothed(max_deviation=0.1)
+    assert len(sharp.curvature_jumps()) == 2
+    assert smooth.curvature_jumps() == []
+    assert smooth.deviation <= 0.1
+    foot = sharp.project(*smooth.at(np.linspace(0.0, smooth.length, 300))[:2])
+    assert np.abs(foot.offset).max() <= 0.11
+    steepest = np.abs(np.diff(smooth.at(np.arange(0.0, smooth.length, 0.5)).curvature)).max() / 0.5
+    assert steepest < 0.01
+    assert float(smooth.along("width_left", 100.0)) == 2.5
+
+
+def test_a_record_that_goes_on_beyond_its_start_is_cut_there():
+    lap = generate_road("lap", seed=1, length=700.0)
+    s = np.arange(0.0, 1.4 * lap.length, 4.0)
+    road = fit_road(np.stack(lap.at(s)[:2], axis=-1))
+    assert road.closed
+    assert road.length == pytest.approx(lap.length, rel=2e-3)
+    assert any("beyond its start" in note for note in road.notes)
+
+
+def test_crossing_its_start_does_not_close_a_road():
+    eight = Road.from_segments(figure_of_eight(Arc, Line), closed=True)
+    s = np.arange(3.0 * math.pi * 15.0 + 30.0, eight.length, 3.0)  # from the crossing on, once through it
+    open_ = fit_road(np.stack(eight.at(s)[:2], axis=-1))
+    assert not open_.closed
+
+
+def test_noisy_dense_points_and_standing_still_do_not_bend_the_road():
+    rng = np.random.default_rng(0)
+    x = np.concatenate([np.linspace(0.0, 100.0, 400), np.full(100, 100.0), np.linspace(100.0, 200.0, 400)])
+    points = np.stack([x, np.zeros_like(x)], axis=-1) + 0.3 * rng.standard_normal((x.size, 2))
+    road = fit_road(points, max_deviation=2.0)
+    assert road.length == pytest.approx(200.0, abs=4.0)
+    assert np.abs(road.at(np.linspace(5.0, road.length - 5.0, 100)).curvature).max() < 0.01
+
+
+@pytest.mark.parametrize(
+    ("points", "options", "words"),
+    [
+        (np.zeros((3, 2)), {}, "n >= 4"),
+        (np.zeros((9, 2)), {}, "all points are the same"),
+        ([[0.0, 0.0], [1.0, math.nan], [2.0, 0.0], [3.0, 0.0]], {}, "point 1 is not finite"),
+        (np.arange(20.0).reshape(10, 2), {"max_deviation": 0.0}, "max_deviation"),
+        (
+            np.random.default_rng(0).standard_normal((12, 2)) + 4.0 * np.arange(24).reshape(12, 2),
+            {"max_deviation": 1e-15},
+            "allow more",
+        ),
+    ],
+)
+def test_what_no_road_goes_through_is_refused(points, options, words):
+    with pytest.raises(InvalidInput, match=words):
+        fit_road(points, **options)
+
+
+# -- CSV --------------------------------------------------------------------------------------------------------------
+POINTS = [
+    (round(20.0 * math.cos(a), 4), round(20.0 * math.sin(a), 4), 2.0 + 0.1 * a, 3.0) for a in np.arange(0, 6.2, 0.1)
+]
+
+
+@pytest.mark.parametrize(
+    "header",
+    [
+        "",
+        "# a track\n# x_m,y_m,w_tr_right_m,w_tr_left_m\n",
+        "x,y,width_right,width_left\n",
+        "\ufeffx_m, y_m, w_tr_right_m, w_tr_left_m\n\n",
+    ],
+    ids=["none", "comment", "line", "byte order mark"],
+)
+def test_a_track_is_read_with_or_without_a_header(tmp_path, header):
+    road = load_road(csv(tmp_path / "track.csv", POINTS, header))
+    assert road.name == "track"
+    assert road.closed
+    assert road.length == pytest.approx(40.0 * math.pi, rel=1e-3)
+    assert float(road.along("width_left", 10.0)) == pytest.approx(3.0)
+    foot = road.project(20.0 * math.cos(2.0), 20.0 * math.sin(2.0))
+    assert float(road.along("width_right", foot.s)) == pytest.approx(2.2, abs=0.01)
+
+
+def test_other_separators_and_columns_are_read_and_said(tmp_path):
+    path = tmp_path / "log.csv"
+    path.write_text(
+        "t;x [m];y [m];mu\n"
+        + "".join(f"{k};{k}.0;{0.01 * k * k};0.5\n{k};{k}.0;{0.01 * k * k};0.5\n" for k in range(40))
+    )
+    road = load_road(path)
+    assert float(road.along("friction", 5.0)) == 0.5
+    assert any("columns left out: t" in note for note in road.notes)
+    assert any("40 repeated points" in note for note in road.notes)
+    assert "in line" in road.notes[0]
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("x,y\n1,2\n", "1 lines of numbers"),
+        ("x,y\n1,2\n3,4\n5,abc\n7,8\n9,9\n", "line 4: 'abc'"),
+        ("x,y\n1,2\n3,4\n5,nan\n7,8\n9,9\n", "line 4: 'nan'"),
+        ("x,y\n1,2\n3,4\n5,6,7\n7,8\n9,9\n", "line 4: 3 columns"),
+        ("1,2,3\n" * 5, "3 columns without a header"),
+        ("lat,lon\n" + "1,2\n" * 5, "convert them to x"),
+        ("xx,y\n" + "1,2\n" * 5, "'x'"),
+        ("x,y,x\n" + "1,2,3\n" * 5, "two of them"),
+        ("x,y\n" + "1,2\n" * 5, "n >= 4"),
+    ],
+)
+def test_a_table_without_a_road_is_refused_with_its_line(tmp_path, text, words):
+    path = tmp_path / "bad.csv"
+    path.write_text(text)
+    with pytest.raises(ConfigError, match=words):
+        load_road(path)
+
+
+def test_a_file_that_is_not_there_and_a_name_that_is_none_are_refused(tmp_path):
+    with pytest.raises(StorageError, match="cannot be read"):
+        load_road(tmp_path / "none.csv")
+    with pytest.raises(UnknownName, match="country"):
+        load_road("contry")
+    with pytest.raises(InvalidInput, match="lane"):
+        load_road("country", lane=1)
+
+
+# -- OpenDRIVE --------------------------------------------------------------------------------------------------------
+SHAPES = (
+    (Line(length=100.0), "<line/>"),
+    (Clothoid(length=40.0, start_curvature=0.0, end_curvature=0.02), '<spiral curvStart="0.0" curvEnd="0.02"/>'),
+    (Arc(length=50.0, curvature=0.02), '<arc curvature="0.02"/>'),
+)
+
+
+def xodr(path, lanes="", before="", after="", origin=(0.0, 0.0)):
+    """A file of one road: line, spiral, arc."""
+    road = Road.from_segments([segment for segment, _ in SHAPES], start=(*origin, 0.3))
+    s, text = 0.0, ""
+    for segment, shape in SHAPES:
+        p = road.at(s)
+        text += f'<geometry s="{s!r}" x="{float(p.x)!r}" y="{float(p.y)!r}" hdg="{float(p.heading)!r}" '
+        text += f'length="{segment.length!r}">{shape}</geometry>'
+        s += segment.length
+    path.write_text(
+        f'<OpenDRIVE><road name="r" id="7" length="{s}">{before}<planView>{text}</planView>{after}{lanes}'
+        "</road></OpenDRIVE>"
+    )
+    return path, road
+
+
+LANES = """<lanes><laneOffset s="0" a="0" b="0" c="0" d="0"/><laneOffset s="20" a="0" b="0" c="0.0075" d="-0.00025"/>
+<laneOffset s="40" a="1" b="0" c="0" d="0"/><laneSection s="0">
+<left><lane id="1" type="driving"><width sOffset="0" a="3" b="0" c="0" d="0"/></lane></left>
+<center><lane id="0"/></center>
+<right><lane id="-1" type="driving"><width sOffset="0" a="3.5" b="0" c="0" d="0"/></lane>
+<lane id="-2" type="driving"><width sOffset="0" a="3.2" b="0.001" c="0" d="0"/></lane></right></laneSection></lanes>"""
+
+
+def test_the_plan_view_is_read_exactly(tmp_path):
+    path, road = xodr(tmp_path / "a.xodr", origin=(4.5e5, 5.4e6))
+    found = load_road(path)
+    s = np.linspace(0.0, 190.0, 500)
+    for one, other in zip(found.at(s), road.at(s), strict=True):
+        np.testing.assert_allclose(one, other, rtol=0, atol=5e-9)
+    assert found.name == "r"
+
+
+def test_the_lane_offset_and_the_middle_of_a_lane_lie_beside_the_reference_line(tmp_path):
+    path, road = xodr(tmp_path / "a.xodr", LANES)
+    s = np.array([5.0, 33.0, 70.0, 120.0, 170.0])
+    ds = s[1] - 20.0
+    offset = np.array([0.0, 0.0075 * ds**2 - 0.00025 * ds**3, 1.0, 1.0, 1.0])
+    centre, lane = load_road(path), load_road(path, lane=-2)
+    for found, beside in ((centre, offset), (lane, offset - 3.5 - 0.5 * (3.2 + 0.001 * s))):
+        p = road.at(s)
+        foot = found.project(p.x - beside * np.sin(p.heading), p.y + beside * np.cos(p.heading))
+        assert np.abs(foot.offset).max() < 1e-9
+    arc = centre.project(*road.at(165.0)[:2])
+    assert float(arc.curvature) == pytest.approx(0.02 / (1.0 - 0.02), abs=1e-9)
+    assert float(centre.along("width_left", 60.0)) == pytest.approx(3.0)
+    assert float(centre.along("width_right", 0.0)) == pytest.approx(6.7)
+    assert float(lane.along("width_left", 0.0)) == pytest.approx(1.6)
+
+
+def test_bank_and_speed_limits_are_read_with_their_signs_and_units(tmp_path):
+    bank = '<lateralProfile><superelevation s="0" a="0.05" b="0" c="0" d="0"/></lateralProfile>'
+    speed = '<type s="0" type="rural"><speed max="90" unit="km/h"/></type>'
+    speed += '<type s="100" type="town"><speed max="30" unit="mph"/></type>'
+    road = load_road(xodr(tmp_path / "a.xodr", before=speed, after=bank)[0])
+    assert float(road.along("bank", 50.0)) == -0.05  # falls to the right: pushes to the right
+    assert road.along("speed_limit", [50.0, 150.0]).tolist() == pytest.approx([25.0, 13.4112])
+
+
+@pytest.mark.parametrize("span", ["normalized", "arcLength"])
+def test_parametric_cubics_and_poly3_are_the_same_curve_where_they_say_the_same(tmp_path, span):
+    b, c = 0.1, 0.004
+    scale = 1.0 if span == "arcLength" else 30.0
+    u = f'aU="0" bU="{scale}" cU="0" dU="0"'
+    cubic = f'<paramPoly3 pRange="{span}" {u} aV="0" bV="{b * scale}" cV="{c * scale**2}" dV="0"/>'
+    length = 30.4 if span == "normalized" else 30.0
+    roads = []
+    for k, shape in enumerate((cubic, f'<poly3 a="0" b="{b}" c="{c}" d="0"/>')):
+        (tmp_path / f"{k}.xodr").write_text(
+            '<OpenDRIVE><road id="1" length="30"><planView><geometry s="0" x="0" y="0" hdg="0" '
+            f'length="{length}">{shape}</geometry></planView></road></OpenDRIVE>'
+        )
+        roads.append(load_road(tmp_path / f"{k}.xodr"))
+    s = np.linspace(0.0, 29.9, 60)
+    for one, other in zip(roads[0].at(s), roads[1].at(s), strict=True):
+        np.testing.assert_allclose(one, other, rtol=0, atol=1e-9)
+    p = roads[0].at(s)
+    np.testing.assert_allclose(p.y, b * p.x + c * p.x**2, atol=1e-9)
+    assert "the file says" in roads[0].notes[0]
+    assert roads[1].length == pytest.approx(length, abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("text", "options", "words"),
+    [
+        ("<OpenDRIVE>", {}, "not XML"),
+        ("<osm/>", {}, "<osm>"),
+        ("<OpenDRIVE/>", {}, "no <road>"),
+        ('<OpenDRIVE><road id="a" length="1"/><road id="b" length="9"/></OpenDRIVE>', {}, r"'b' \(9 m\), 'a'"),
+        ('<OpenDRIVE><road id="a"/></OpenDRIVE>', {"road": "c"}, "no road has the id 'c'"),
+        ('<OpenDRIVE><road id="a"/></OpenDRIVE>', {}, "planView"),
+    ],
+)
+def test_what_is_no_road_in_opendrive_is_refused(tmp_path, text, options, words):
+    (tmp_path / "a.xodr").write_text(text)
+    with pytest.raises(ConfigError, match=words):
+        load_road(tmp_path / "a.xodr", **options)
+
+
+def test_shapes_and_lanes_that_cannot_be_read_are_named(tmp_path):
+    path, _ = xodr(tmp_path / "a.xodr", LANES)
+    with pytest.raises(ConfigError, match="there is no lane -3; there are -2, -1, 0, 1"):
+        load_road(path, lane=-3)
+    with pytest.raises(ConfigError, match="run with the road"):
+        load_road(path, lane=1)
+    text = path.read_text()
+    for old, new, words in (
+        ('curvature="0.02"', 'curvature="x"', "arc curvature='x'"),
+        ("<line/>", "<curl/>", "<curl>; known: line"),
+        ('hdg="0.3"', 'hdg="0.4"', "10 m apart at s = 100"),
+    ):
+        path.write_text(text.replace(old, new, 1))
+        with pytest.raises(ConfigError, match=words):
+            load_road(path)

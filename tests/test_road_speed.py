@@ -1,0 +1,287 @@
+"""The planned speed is the fastest that the limits allow; what a car cannot drive is named; the commands say so."""
+
+import json
+import math
+import sys
+
+import numpy as np
+import pytest
+from scipy.optimize import linprog
+from scipy.sparse import csr_array, diags_array, vstack
+
+from adaptrack import cli
+from adaptrack.errors import InvalidInput
+from adaptrack.road import (
+    Arc,
+    Clothoid,
+    Comfort,
+    Line,
+    Road,
+    Stop,
+    check_road,
+    generate_road,
+    plan_speed,
+    smallest_radius,
+)
+from adaptrack.road.speed import constant_speed
+from adaptrack.vehicle import GRAVITY, Steering, load_vehicle
+
+CAR = load_vehicle("midsize-sedan")
+KINDS = ("country", "town", "mountain", "lap")
+
+
+# -- speed ------------------------------------------------------------------------------------------------------------
+def test_a_straight_road_from_rest_to_rest_takes_the_time_of_the_trapezoid():
+    road = Road.from_segments([Line(length=500.0)], speed_limit=20.0)
+    plan = plan_speed(road, None, Comfort(accelerate=2.0, brake=4.0), start=0.0, end=0.0)
+    gain, loss = 400.0 / 4.0, 400.0 / 8.0
+    assert plan.duration == pytest.approx(20.0 / 2.0 + 20.0 / 4.0 + (500.0 - gain - loss) / 20.0, rel=1e-6)
+    assert float(plan.at(25.0)) == pytest.approx(10.0)
+
+
+def test_a_stop_is_a_stand_for_its_time():
+    road = Road.from_segments([Line(length=300.0)], speed_limit=10.0)
+    free = plan_speed(road, None, start=0.0, end=0.0)
+    stopped = plan_speed(road, None, start=0.0, end=0.0, stops=[Stop(123.4, 7.0)])
+    assert float(stopped.at(123.4)) == 0.0
+    lost = 0.5 * 10.0 / 2.0 + 0.5 * 10.0 / 3.0  # of a ramp down and one up
+    assert stopped.duration == pytest.approx(free.duration + lost + 7.0, rel=1e-4)
+    assert stopped.time[np.argmin(np.abs(stopped.s - 200.0))] == pytest.approx(
+        200.0 / 10.0 + 2.5 + lost + 7.0, rel=1e-3
+    )
+
+
+@pytest.mark.parametrize(("bank", "sign"), [(0.0, 1.0), (0.1, 1.0), (-0.1, 1.0), (0.1, -1.0)])
+def test_a_circle_is_driven_at_the_speed_that_its_radius_bank_and_friction_allow(bank, sign):
+    road = Road.from_segments([Arc(length=100.0 * math.pi, curvature=sign / 50.0)], closed=True, bank=bank)
+    for comfort, friction in ((Comfort(lateral=3.0), 0.9), (Comfort(lateral=30.0), 0.5)):
+        felt = min(comfort.lateral, comfort.grip_share * friction * GRAVITY * math.cos(bank))
+        exact = math.sqrt(50.0 * (felt + sign * GRAVITY * math.sin(bank)))
+        plan = plan_speed(road.replace(friction=friction), None, comfort)
+        np.testing.assert_allclose(plan.speed, exact, rtol=1e-9)
+        assert plan.duration == pytest.approx(road.length / exact)
+
+
+def test_full_power_on_a_straight_road_gains_what_the_engine_gives():
+    road = Road.from_segments([Line(length=400.0)], friction=1.2)
+    plan = plan_speed(road, CAR, Comfort(accelerate=50.0), start=10.0, spacing=0.25)
+    v, s = 10.0, 0.0
+    while s < 400.0:  # independent: small steps of time
+        force = min(CAR.traction_limit, CAR.engine_power / v)
+        drag = 0.5 * CAR.air_density * CAR.frontal_area * CAR.drag_coefficient * v * v
+        v += 1e-3 * ((force - drag) / CAR.mass - CAR.rolling_resistance * GRAVITY)
+        s += 1e-3 * v
+    assert plan.speed[-1] == pytest.approx(v, rel=5e-3)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_plan_keeps_every_limit_within_two_per_cent(kind):
+    road = generate_road(kind, seed=2, length=1500.0, friction=([0.0, 500.0, 501.0], [0.9, 0.9, 0.4]))
+    comfort = Comfort(lateral=4.0)
+    plan = plan_speed(road, CAR, comfort)
+    s = np.linspace(0.0, road.length, 7001)[1:-1]
+    v, curvature = plan.at(s), road.at(s).curvature
+    along = plan.acceleration[np.searchsorted(plan.s, s, "right") - 1]
+    grip = comfort.grip_share * road.along("friction", s) * GRAVITY
+    sideways = v**2 * curvature
+    assert (np.abs(sideways) / np.minimum(grip, 4.0)).max() < 1.02
+    assert (v / road.along("speed_limit", s)).max() < 1.0 + 1e-9
+    assert along.max() < 2.0 * 1.02
+    assert along.min() > -3.0 * 1.02
+    air = 0.5 * CAR.air_density * CAR.frontal_area * CAR.drag_coefficient * v**2
+    tyres = along + air / CAR.mass + CAR.rolling_resistance * GRAVITY
+    assert (np.hypot(tyres, sideways) / grip).max() < 1.02
+    assert (CAR.mass * tyres * v).max() < CAR.engine_power * 1.02
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_the_time_is_that_of_a_fine_optimum_within_three_per_cent(kind):
+    # v^2 = w: the greatest w below the limits of curvature with |w'| <= 2a on a grid of 0.25 m, by linear programming,
+    # the friction circle as a polygon about it.
+    road = generate_road(kind, seed=3, length=500.0)
+    comfort = Comfort(lateral=4.0)
+    plan = plan_speed(road, None, comfort)
+    s = np.linspace(0.0, road.length, 4 * math.ceil(road.length) + 1)
+    n, ds = s.size, s[1]
+    curvature = np.abs(road.at(s).curvature)
+    grip = comfort.grip_share * 0.9 * GRAVITY
+    top = np.minimum(KIND_SPEED[kind] ** 2, 4.0 / np.maximum(curvature, 1e-9))
+    slope = csr_array(diags_array([-0.5 / ds, 0.5 / ds], offsets=[0, 1], shape=(n - 1, n)))
+    rows, most = [slope, -slope], [np.full(n - 1, 2.0), np.full(n - 1, 3.0)]
+    middle = 0.5 * (curvature[:-1] + curvature[1:])
+    mean = csr_array(diags_array([0.5, 0.5], offsets=[0, 1], shape=(n - 1, n)))
+    for angle in np.linspace(0.0, math.pi, 25):
+        rows.append(math.cos(angle) * slope + csr_array(diags_array(math.sin(angle) * middle)) @ mean)
+        most.append(np.full(n - 1, grip))
+    if road.closed:
+        seam = csr_array(([1.0, -1.0], ([0, 0], [0, n - 1])), shape=(1, n))
+        rows += [seam, -seam]
+        most += [np.zeros(1), np.zeros(1)]
+    bounds = np.stack([np.zeros(n), top], axis=-1)
+    found = linprog(-np.ones(n), A_ub=vstack(rows), b_ub=np.concatenate(most), bounds=bounds, method="highs")
+    v = np.sqrt(found.x)
+    assert plan.duration == pytest.approx(float((ds / (0.5 * (v[1:] + v[:-1]))).sum()), rel=0.03)
+
+
+KIND_SPEED = {"country": 25.0, "town": 13.9, "mountain": 16.7, "lap": 25.0}
+
+
+def test_a_bounded_jerk_is_kept_and_costs_time():
+    road = generate_road("town", seed=1, length=600.0)
+    free = plan_speed(road, CAR, start=0.0, end=0.0)
+    soft = plan_speed(road, CAR, Comfort(jerk=1.5), start=0.0, end=0.0)
+    middle = 0.5 * (soft.time[1:] + soft.time[:-1])
+    assert np.abs(np.diff(soft.acceleration) / np.diff(middle)).max() < 1.5 * 1.02
+    assert (soft.speed <= free.speed + 1e-9).all()
+    assert free.duration < soft.duration < 1.4 * free.duration
+
+
+def test_a_lap_is_planned_without_a_jump_at_its_seam():
+    road = generate_road("lap", seed=1, length=700.0)
+    plan = plan_speed(road, CAR, stops=[5.0])
+    assert plan.speed[0] == plan.speed[-1]
+    assert float(plan.at(road.length + 5.0)) == 0.0
+    assert plan.acceleration[-1] < 0.0  # braking for the stop behind the seam
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"stops": [700.0]}, "on the road, 0 to 100 m"),
+        ({"start": -1.0}, "start"),
+        ({"end": 99.0}, "at most 20"),
+        ({"start": 20.0, "end": 0.0}, "cannot be lost in time"),
+        ({"spacing": 0.0}, "spacing"),
+        ({"top_speed": math.nan}, "top_speed"),
+    ],
+)
+def test_a_plan_that_is_not_possible_is_refused(options, words):
+    road = Road.from_segments([Line(length=60.0 if "cannot" in words else 100.0)], speed_limit=20.0)
+    with pytest.raises(InvalidInput, match=words):
+        plan_speed(road, None, **options)
+
+
+def test_a_bank_that_no_speed_balances_is_refused_with_its_place():
+    road = Road.from_segments([Line(length=100.0)], bank=([0.0, 50.0, 51.0], [0.0, 0.0, 0.5]))
+    with pytest.raises(InvalidInput, match=r"at s = 51 m the bank alone"):
+        plan_speed(road, None)
+
+
+# -- checks -----------------------------------------------------------------------------------------------------------
+def test_the_smallest_radius_is_that_of_the_steering_limit():
+    car = CAR.replace(steering=Steering(limit=0.5))
+    assert smallest_radius(car) == pytest.approx(math.hypot(CAR.wheelbase / math.tan(0.5), CAR.lr))
+
+
+def bent(curvature):
+    ramp = Clothoid(length=10.0, start_curvature=0.0, end_curvature=curvature)
+    back = Clothoid(length=10.0, start_curvature=curvature, end_curvature=0.0)
+    return Road.from_segments([Line(length=800.0), ramp, Arc(length=4.0, curvature=curvature), back])
+
+
+def test_a_bend_that_is_too_tight_or_too_fast_is_named_with_its_place():
+    least = smallest_radius(CAR)
+    found = {each.kind: each for each in check_road(bent(0.25), CAR, 25.0)}
+    assert found["radius"].text == f"radius 4.0 m at s = 810 m, below this car's {least:.1f} m"
+    tight = {each.kind: each for each in check_road(bent(1.0 / (0.9 * least)), CAR)}["radius"]
+    assert tight.value == pytest.approx(0.9 * least)
+    assert 800.0 < tight.start < 810.0 < 814.0 < tight.end < 824.0
+    assert found["grip"].value == pytest.approx(25.0**2 / 4.0 / GRAVITY)
+    assert "16 g at 25 m/s, radius 4 m at s = 810 m" in found["grip"].text
+    assert not found["grip"].drivable
+
+
+def test_a_road_that_suits_the_car_has_nothing_to_name():
+    road = generate_road("country", seed=1, length=1000.0)
+    assert check_road(road, CAR, plan_speed(road, CAR)) == []
+
+
+def test_bank_and_friction_count_for_the_grip():
+    road = Road.from_segments([Arc(length=100.0, curvature=0.02)], friction=0.5)
+    limit = math.sqrt(0.5 * GRAVITY / 0.02)
+    assert check_road(road, CAR, 0.99 * limit) == []
+    assert [each.kind for each in check_road(road, CAR, 1.01 * limit)] == ["grip"]
+    assert check_road(road.replace(bank=0.1), CAR, 1.05 * limit) == []
+
+
+def test_steering_rate_width_edges_and_jumps_are_named():
+    car = CAR.replace(steering=Steering(rate=0.3))
+    kinds = {each.kind for each in check_road(bent(0.1), car, 12.0)}
+    assert "steering-rate" in kinds
+    needed = next(each for each in check_road(bent(0.1), car, 12.0) if each.kind == "steering-rate").value
+    assert needed == pytest.approx((CAR.wheelbase + CAR.understeer_gradient * 144.0) * 0.01 * 12.0, rel=1e-6)
+    narrow = Road.from_segments([Line(length=50.0)], width_left=0.5, width_right=0.5)
+    assert [each.kind for each in check_road(narrow, CAR)] == ["width"]
+    wide = check_road(Road.from_segments([Arc(length=20.0, curvature=0.05)], width_left=25.0), CAR)
+    assert [(each.kind, each.drivable) for each in wide] == [("fold", True)]
+    sharp = check_road(Road.from_segments([Line(length=50.0), Arc(length=20.0, curvature=0.02)]), CAR)
+    assert [(each.kind, each.start, each.drivable) for each in sharp] == [("jump", 50.0, True)]
+    with pytest.raises(InvalidInput, match="speed"):
+        check_road(narrow, CAR, -1.0)
+
+
+# -- commands ---------------------------------------------------------------------------------------------------------
+@pytest.fixture
+def command(monkeypatch, capsys):
+    """Run `adaptrack road`: (exit code, standard output, standard error)."""
+
+    def run(*arguments):
+        monkeypatch.setattr(sys, "argv", ["adaptrack", "road", *map(str, arguments)])
+        code = cli.main()
+        captured = capsys.readouterr()
+        return code, captured.out, captured.err
+
+    return run
+
+
+def test_check_tells_what_a_road_is_and_ends_with_1_when_it_cannot_be_driven(command):
+    code, out, _ = command("check", "mountain", "--seed", "1", "--length", "800")
+    assert code == 0
+    assert "can be driven" in out
+    code, out, _ = command("check", "mountain", "--seed", "1", "--length", "800", "--speed", "25", "--json")
+    found = json.loads(out)
+    assert code == 1
+    assert found["drivable"] is False
+    assert {"grip"} == {row["kind"] for row in found["rows"]}
+    assert found["fastest"] == 25.0
+
+
+def test_check_reads_a_file_and_says_how_near_its_road_comes(command, tmp_path):
+    angle = np.arange(0.0, 6.2, 0.1)
+    lines = [f"{30 * math.cos(a):.3f},{30 * math.sin(a):.3f}" for a in angle]
+    (tmp_path / "lap.csv").write_text("\n".join(lines))
+    code, out, _ = command("check", tmp_path / "lap.csv", "--lateral-acceleration", "2")
+    assert code == 0
+    assert "a closed lap" in out
+    assert "largest deviation" in out
+    code, out, _ = command("check", tmp_path / "lap.csv", "--open", "--json")
+    assert json.loads(out)["closed"] is False
+
+
+def test_plot_writes_a_picture(command, tmp_path, monkeypatch):
+    monkeypatch.setattr("adaptrack.report.style.PNG_DPI", 20)
+    code, out, _ = command("plot", "lap", "--length", "600", "--speed", "30", "--out", tmp_path / "a.png")
+    assert code == 0
+    assert str(tmp_path / "a.png") in out
+    assert (tmp_path / "a.png").read_bytes().startswith(b"\x89PNG")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["check", "contry"], "Did you mean 'country'"),
+        (["check", "country", "--lane", "-1"], "lane"),
+        (["check", "country", "--speed", "5", "--lateral-acceleration", "3"], "either"),
+        (["check", "country", "--speed", "-5"], "speed"),
+        (["plot", "country", "--vehicle", "papr"], "paper"),
+    ],
+)
+def test_what_cannot_be_done_is_one_sentence(command, arguments, words):
+    code, _, err = command(*arguments)
+    assert code == 2
+    assert words in err
+
+
+def test_a_constant_speed_ignores_the_limits():
+    plan = constant_speed(generate_road("lap", length=600.0), 12.0)
+    assert np.unique(plan.speed).tolist() == [12.0]
