@@ -64,6 +64,8 @@ def test_each_law_is_chosen_by_its_parameters():
         "constant-stiffness": LINEAR,
         "magic-formula": MAGIC_FORMULA,
         "passenger-car": MAGIC_FORMULA,
+        "compact-ev": MAGIC_FORMULA,
+        "van": MAGIC_FORMULA,
         "curved": CURVED_MAGIC_FORMULA,
     }
 

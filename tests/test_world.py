@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import adaptrack as at
+from adaptrack.errors import InvalidInput
 from adaptrack.profile import load_profile
 from adaptrack.scenario import Scenario
 from adaptrack.simulate import rollout, simulate
@@ -89,6 +90,11 @@ def test_a_sensor_that_is_not_there_gives_nothing():
     _, told = driven(SILENT.replace(noise_vy=math.inf))
     assert np.isnan(told[:, 0]).all()
     assert np.isfinite(told[:, 1:]).all()
+
+
+def test_an_mpc_that_estimates_nothing_is_refused_where_its_state_is_not_measured():
+    with pytest.raises(InvalidInput, match=r"production.* does not measure vy"):
+        simulate(PLANT, at.published_mpc(CAR, period=0.05), STRAIGHT, profile="production")
 
 
 def test_a_pose_drops_out_as_often_and_as_long_as_the_profile_says():

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from adaptrack.controllers import Controller
+from adaptrack.controllers import MPC, Controller
 from adaptrack.errors import InvalidInput
 from adaptrack.estimation import FrictionWindEstimator, Perception
 from adaptrack.failure import Failure, Reason
@@ -86,6 +86,7 @@ class World:
                 f"known_as: the estimator's period is {known_as.period!r} s, the controller's {controller.period!r} s: "
                 "both run at the same instants."
             )
+        _refuse_missing_sensors(controller, profile)
         return cls(plant, profile, controller.period, driver, known_as, failure or Failure())
 
     @property
@@ -151,6 +152,18 @@ class World:
         """All states of the plant at the start (n,): in equilibrium at the speed of the scenario."""
         motion = np.array([0.0, scenario.initial_y, scenario.start_heading, signals.speed[0], 0.0, 0.0])
         return motion if isinstance(self.plant, SteppedPlant) else self.plant.initial_state(motion)
+
+
+def _refuse_missing_sensors(controller: Controller, profile: Profile) -> None:
+    """The paper's increments need the whole state measured."""
+    if not isinstance(controller, MPC) or controller.estimator.function is not None:
+        return
+    lacking = [name for name in controller.model.states if math.isinf(getattr(profile, f"noise_{name}"))]
+    if lacking:
+        raise InvalidInput(
+            f"profile {profile.name!r} does not measure {', '.join(lacking)}, and this MPC takes its state as it is "
+            "measured (estimator 'deadbeat'): take MPC(car, profile=...), which estimates it."
+        )
 
 
 def reason_of(ended: int) -> str | None:

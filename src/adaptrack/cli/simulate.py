@@ -305,11 +305,11 @@ def _tell_belief(label: str, controller: Controller, body: Any, world: Profile, 
     warning = "Warning, " if belief.assumed else ""
     show.say(f"{warning}{label} believes of its steering: {belief}.", aside=aside)
     actuator = getattr(body, "steering", None) or world.steering
-    driven = (actuator.lag, world.delay * controller.period, actuator.rate)
+    driven = (actuator.lag, world.delay * controller.period + actuator.dead_time, actuator.rate)
     if not all(map(math.isclose, (belief.lag.value, belief.delay, belief.rate.value), driven)):
         lag, late, rate = driven
         show.say(
-            f"The simulated steering is another: lag {lag:.4g} s, {late:.4g} s from measurement to actuator, rate "
+            f"The simulated steering is another: lag {lag:.4g} s, {late:.4g} s from measurement to wheels, rate "
             f"{rate:.4g} rad/s.",
             aside=aside,
         )
