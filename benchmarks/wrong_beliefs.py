@@ -2,9 +2,8 @@
 
     python benchmarks/wrong_beliefs.py [--drives 100] [--vehicle paper midsize-sedan] [--json]
 
-The world is the profile `road` with a dead time of .05 s of the actuator, and the car as it ships. A case tells the
-controller another lag, dead time, stiffness or mass, and by how much it may be wrong; nothing is tuned for a case. The
-last cases tell it all four, at all corners.
+The world is the profile `road` and the car as it ships. A case tells the controller another lag, dead time, stiffness
+or mass, and by how much it may be wrong; nothing is tuned for a case. The last cases tell it all four, at all corners.
 J = mean e^2 + w mean (change of command)^2 with the profile's w, geometric mean; a failed run counts 25 m^2.
 """
 
@@ -24,8 +23,7 @@ from adaptrack.profile import load_profile
 from adaptrack.scenario import random_drive
 
 FAILED = 25.0
-_ROAD = load_profile("road")
-WORLD = _ROAD.replace(steering=_ROAD.steering.replace(dead_time=0.05))
+WORLD = load_profile("road")
 DRIVES = 21_000_000
 TOLD = Uncertainty(lag=0.1, dead_time=0.05, stiffness=1.6, mass=0.3)
 EXACT = {"lag": 0.0, "dead_time": 0.0, "stiffness": 1.0, "mass": 1.0}
@@ -45,8 +43,9 @@ def believing(car: at.Vehicle, wrong: dict[str, float], uncertainty: Uncertainty
         mass=car.mass / off["mass"], yaw_inertia=car.yaw_inertia / off["mass"],
         stiffness_front=car.stiffness_front / off["stiffness"], stiffness_rear=car.stiffness_rear / off["stiffness"],
     )  # fmt: skip
-    told = at.Steering(lag=WORLD.steering.lag - off["lag"], dead_time=WORLD.steering.dead_time - off["dead_time"])
-    return at.MPC(believed, profile=WORLD, belief=told, uncertainty=uncertainty)
+    late = WORLD.delay * WORLD.period - off["dead_time"]  # in all, the computation included
+    steering = WORLD.steering.replace(lag=WORLD.steering.lag - off["lag"], dead_time=late)
+    return at.MPC(believed, profile=WORLD.replace(delay=0, steering=steering), uncertainty=uncertainty)
 
 
 def cases() -> list[tuple[str, dict[str, float], Uncertainty]]:

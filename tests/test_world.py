@@ -13,6 +13,7 @@ from adaptrack.profile import load_profile
 from adaptrack.scenario import Scenario
 from adaptrack.simulate import rollout, simulate
 
+pytestmark = pytest.mark.compiled  # whole drives
 CAR = at.load_vehicle("paper")
 PLANT = at.DualTrack(CAR, "magic-formula")
 SILENT = load_profile("road").replace(noise_vy=0.0, noise_yaw=0.0, noise_yaw_rate=0.0, noise_y=0.0, delay=0)
