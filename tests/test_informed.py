@@ -645,10 +645,9 @@ def test_a_belief_that_is_as_wrong_as_was_told_loses_no_drive(name, told, wrong)
         stiffness_front=car.stiffness_front / stiffer, stiffness_rear=car.stiffness_rear / stiffer,
     )  # fmt: skip
     profile = load_profile("road")
-    mpc = MPC(
-        believed, profile="road", steering=profile.steering.replace(lag=0.15 - wrong.get("lag", 0.0)),
-        dead_time=0.05 - wrong.get("dead_time", 0.0), uncertainty=told,
-    )  # fmt: skip
+    late = 0.05 - wrong.get("dead_time", 0.0)  # in all, the computation included
+    steering = profile.steering.replace(lag=0.15 - wrong.get("lag", 0.0), dead_time=late)
+    mpc = MPC(believed, profile=profile.replace(delay=0, steering=steering), uncertainty=told)
     drives = [random_drive(41_000_000 + number) for number in range(24)]
     runs = rollout_batch(DualTrack(car), mpc, drives, profile="road", seeds=np.arange(24))
     assert all(failed is None for failed in runs.failed)
