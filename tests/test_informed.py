@@ -125,6 +125,22 @@ def test_the_compiled_filter_is_the_readable_one(lag, dead_time, oldest, rng):
 
 
 @every_lag
+def test_a_push_is_no_larger_than_what_the_tyres_can_still_answer(lag, rng):
+    """A car that is dragged sideways harder than any tyre can pull; both forms of the filter."""
+    model, own, count, speed = PathModel(CAR, PERIOD, lag), KalmanFilter(bound=math.inf), 60, 15.0
+    t = PERIOD * np.arange(count)
+    samples = np.column_stack([20.0 * t, 0.0 * t, 0.0 * t, 10.0 * t**2]) + 1e-3 * rng.normal(size=(count, 4))
+    at = np.full(count, speed), samples, np.zeros(count)
+    readable = ReadableFilter(own, model)
+    expected = []
+    for each in zip(*at, strict=True):
+        expected.append(np.concatenate(readable.step(*each)))
+        assert abs(readable.z[model.n]) <= 7.0 + 1e-12
+    np.testing.assert_allclose(run_kernel(own, model, *at), expected, rtol=1e-10, atol=1e-9)
+    assert abs(readable.z[model.n]) == pytest.approx(readable.spare)
+
+
+@every_lag
 @every_dead_time
 def test_the_filter_knows_where_the_car_will_be_when_its_next_command_begins_to_act(lag, dead_time):
     """A car that obeys the model, measured exactly, with its commands in a queue as long as the dead time."""

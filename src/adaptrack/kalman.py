@@ -142,8 +142,7 @@ class KalmanFilter(Estimator):
         if profile.bias_wheel_angle > 0.0 or profile.noise_wheel_angle == 0.0:
             noise["wheel_angle"] = math.inf  # the model knows the angle better than a sensor that is off, or as well
         offset = profile.bias_yaw_rate / math.sqrt(3.0)  # standard deviation of a uniform error
-        oldest = max(profile.pose_age + profile.pose_age_spread, profile.motion_age)
-        return cls(SensorNoise(**noise, yaw_rate_offset=offset), drifts or Drifts(), oldest=oldest)
+        return cls(SensorNoise(**noise, yaw_rate_offset=offset), drifts or Drifts(), oldest=profile.oldest)
 
     @property
     def function(self) -> Any:
@@ -283,7 +282,7 @@ class ReadableFilter:
 
     def predict(self, speed: float, instant: int = 0) -> None:
         """z(k) = F z(k-1) + B u, where in a period first the older, then the newer command acts; P = F P F' + Q."""
-        from adaptrack.kernels.estimators.kalman import SLIDING_TIME
+        from adaptrack.kernels.estimators.kalman import GRIP, LEAST_SPARE, SLIDING_TIME
 
         period = self.model.period
         old, new = self.sent[self.whole + instant + 1], self.sent[self.whole + instant]
@@ -296,19 +295,26 @@ class ReadableFilter:
         places = np.ix_([0, 2], [0, 2])
         errors = self.sliding(speed, new)
         self.P[places] += period * errors
+        front, rear = self.forces(speed, new)
+        self.spare = max(LEAST_SPARE, GRIP - abs(front + rear) / self.model.vehicle.mass)
         self.felt_error = errors[0, 0] / (2.0 * SLIDING_TIME)
 
-    def sliding(self, speed: float, command: float) -> Array:
-        """(2, 2) what a second adds to the variances of v_y and r for the sliding of the tyres."""
+    def forces(self, speed: float, command: float) -> Array:
+        """(2,) N, of the axles in the model."""
         from adaptrack.kernels.models.path import SLOWEST
 
         assert self.z is not None
         v, pace = self.model.vehicle, max(speed, SLOWEST)
         angle = self.z[3] if "wheel_angle" in self.model.states else command
-        slips = angle - (self.z[0] + v.lf * self.z[2]) / pace, (self.z[0] - v.lr * self.z[2]) / pace
+        slips = np.array([angle - (self.z[0] + v.lf * self.z[2]) / pace, -(self.z[0] - v.lr * self.z[2]) / pace])
+        return 2.0 * np.array([v.stiffness_front, v.stiffness_rear]) * slips
+
+    def sliding(self, speed: float, command: float) -> Array:
+        """(2, 2) what a second adds to the variances of v_y and r for the sliding of the tyres."""
+        v = self.model.vehicle
         weight = v.mass * GRAVITY / (v.lf + v.lr)
         loads = np.array([weight * v.lr, weight * v.lf])
-        forces = np.minimum(2.0 * np.array([v.stiffness_front, v.stiffness_rear]) * np.abs(slips), loads)
+        forces = np.minimum(np.abs(self.forces(speed, command)), loads)
         by_force = np.array([[1 / v.mass, 1 / v.mass], [v.lf / v.yaw_inertia, -v.lr / v.yaw_inertia]])
         return self.own.drifts.sliding**2 * by_force @ np.diag((forces**2 / loads) ** 2) @ by_force.T
 
@@ -361,9 +367,18 @@ class ReadableFilter:
         for instant in range(min(self.late, self.steps - 1), -1, -1):
             self.predict(speed, instant)
             self.take_in(instant, speed)
+            self.bound_disturbance()
             if instant == self.late:
                 assert self.z is not None
                 self.past = self.z, self.P
+
+    def bound_disturbance(self) -> None:
+        """A push is no larger than what the tyres can still answer."""
+        assert self.z is not None
+        n = self.n
+        z = self.z.copy()
+        z[n : n + 2] *= self.spare / max(abs(z[n]), self.spare)
+        self.z = z
 
     def ahead(self, speed: float) -> Array:
         """z at the time when the next command begins to act, through the commands already sent."""

@@ -100,6 +100,11 @@ class Profile(Record):
         return self
 
     @property
+    def oldest(self) -> float:
+        """How old a sample may be when it arrives (s)."""
+        return max(self.pose_age + self.pose_age_spread, self.motion_age)
+
+    @property
     def dead_time(self) -> float:
         """From an instant until its command begins to act (s), at this profile's own period."""
         return self.delay * self.period + self.steering.dead_time

@@ -131,7 +131,7 @@ class World:
         """What the loop remembers of `slots` runs before their first instant (`kernels.loop.Memory`)."""
         from adaptrack.kernels import loop
 
-        oldest = max(self.profile.pose_age + self.profile.pose_age_spread, self.profile.motion_age)
+        oldest = self.profile.oldest
         past = math.ceil(oldest / self.period) + 2 if oldest > 0.0 else 0
         return loop.memory(slots, self.dead_periods[0], past)
 

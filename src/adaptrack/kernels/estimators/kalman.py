@@ -14,7 +14,8 @@ compared with z carried there, psi - tau r and y - tau (v_y + v psi) + tau^2/2 v
 to the last bit, from a sensor that has noise, is an old one and left out.
 
 What a tyre slides away is not in the model: v_y and r drift by it, and an accelerometer disagrees. So the harder the
-driving, the less of what the model cannot explain is called a push.
+driving, the less of what the model cannot explain is called a push; and a push is no larger than what the tyres can
+still answer, GRIP less what they pull in the model.
 
 The offsets of an accelerometer (the pull of a banked road is one to it) and of the wheel-angle sensor are slow averages
 of their innovations. Without a position for longer than `patience`, or with one that stays the same and disagrees with
