@@ -19,6 +19,7 @@ from adaptrack.errors import InvalidInput, real
 from adaptrack.models import PredictionModel, laguerre_basis
 from adaptrack.plant import DualTrack, Plant, SingleTrack, SteppedPlant
 from adaptrack.profile import Profile, load_profile
+from adaptrack.vehicle import SteeringActuator
 
 Array = NDArray[np.float64]
 
@@ -159,7 +160,7 @@ def sampled(
             f"profile {world.name!r}: its samples are late, and the linear loop takes them as prompt: analyse it with "
             "pose_age = 0 and motion_age = 0, which is a little kinder than the truth."
         )
-    steering = getattr(plant, "steering", None) or world.steering
+    steering = _steering(plant, world)
     late = world.delay + (steering.dead_time + real("sampled", "delay", delay)) / period
     if not -1e-9 < late < np.inf:
         raise InvalidInput(f"delay = {delay!r} s: a command would act {-late:g} periods before it is given.")
@@ -178,6 +179,11 @@ def sampled(
     if lag == 0.0 and size >= len(flow):
         felt[size - 1] += flow[names.index("vy"), -1]  # the command that acts
     return Sampled(step[:, :size], step[:, size], outputs)
+
+
+def _steering(plant: Plant, world: Profile) -> SteeringActuator:
+    """The actuator between command and wheels: the plant's own, or the profile's."""
+    return getattr(plant, "steering", None) or world.steering
 
 
 @dataclass(frozen=True)
@@ -224,7 +230,7 @@ class Mismatch:
             As `true_car`.
         """
         world = load_profile(profile)
-        told = getattr(plant, "steering", None) or world.steering
+        told = _steering(plant, world)
         delay = max(self.dead_time, -world.delay * period - told.dead_time)
         return sampled(self.true_car(plant, world), period, speed, friction=friction, profile=world, delay=delay)
 
@@ -237,7 +243,7 @@ class Mismatch:
             When stiffness or mass differ and the plant is neither `SingleTrack` nor `DualTrack`.
         """
         world = load_profile(profile)
-        told = getattr(plant, "steering", None) or world.steering
+        told = _steering(plant, world)
         lag = max(told.lag + self.lag, 0.0)
         steering = told.replace(lag=lag, rate=told.rate if lag > 0.0 else np.inf)
         if (self.stiffness, self.mass) == (1.0, 1.0):
