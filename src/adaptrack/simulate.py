@@ -180,7 +180,7 @@ def simulate(
     """
     from adaptrack.kernels import loop
     from adaptrack.kernels.models.contract import MEASURED
-    from adaptrack.kernels.plants.contract import SLOTS, STATE, STATES
+    from adaptrack.kernels.plants.contract import SLOTS, STATES
     from adaptrack.kernels.variables import VARIABLES
 
     world = World.of(plant, controller, profile, driver, known_as, failure)
@@ -224,6 +224,8 @@ def simulate(
         if estimator is not None:
             found = estimator.step(measured[:4], speed, own.command)
             look[VARIABLES.friction], look[VARIABLES.wind] = found.friction, found.wind
+        if not isinstance(controller, MPC) and math.isinf(world.profile.noise_vy):
+            measured[MEASURED.vy] = 0.0  # a car without a sensor of it
         variables = SchedulingVariables(*look.tolist())
         begun = time.perf_counter()
         ahead = {} if road is None else {"road": _seen_ahead(road, own.station, speed, signals.speed[k:])}
@@ -353,9 +355,7 @@ def _trajectory(
         tuning=_named(record.tuning_names, record.tuning, driven),
         diagnostics=_named(record.diagnostic_names, record.diagnostics, driven),
         road=road,
-        units={
-            key: unit for key, unit in _UNITS.items() if key.partition(".")[2] in (*record.tuning_names, *road)
-        },
+        units={key: unit for key, unit in _UNITS.items() if key.partition(".")[2] in (*record.tuning_names, *road)},
         failed=record.failed,
         failed_at=record.failed_at,
         meta=provenance(

@@ -209,7 +209,8 @@ class Trajectory:
     @property
     def heading_error(self) -> Array:
         """(n,) rad in (−π, π], ψ − `reference_heading`, on a curved road against the road and that: positive when the
-        vehicle points to the left of its path."""
+        vehicle points to the left of its path.
+        """
         difference = (self.road["heading_error"] if self.road else self.psi) - self.reference_heading
         return -np.remainder(np.pi - difference, 2.0 * np.pi) + np.pi
 

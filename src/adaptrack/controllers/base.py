@@ -154,8 +154,8 @@ class CompiledController(ABC):
 
         state: measured x_c = [v_y (m/s), yaw (rad), yaw rate (rad/s), y (m)]; speed: v_x (m/s); reference: y_ref (m)
         now and, for preview, at the instants that follow (beyond its end it goes straight on); variables: what a
-        scheduler would look at, not used; road: a curved one from the car's foot on, against which yaw, y and y_ref then
-        count.
+        scheduler would look at, not used; road: a curved one from the car's foot on, against which yaw, y and y_ref
+        then count.
 
         What is not finite gives no exception but a command that holds the previous angle: a controller in a running
         vehicle must answer.

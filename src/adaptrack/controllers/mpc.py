@@ -40,7 +40,7 @@ _STATUSES = tuple(QPStatus)
 INCREMENTAL = "incremental"
 """What the files of schedulers call the paper's model and estimator."""
 _STATE_SIZES = (4, 5, 6, 7, 8, 9)
-"""with or without wheel angle, lateral acceleration, ages and the turn of the path, see `kernels.models.contract.MEASURED`"""
+"""with or without wheel angle, lateral acceleration, ages and the path's turn (`kernels.models.contract.MEASURED`)"""
 _log = logging.getLogger("adaptrack")
 
 
@@ -380,10 +380,10 @@ class MPC:
 
         state: what is measured, x_c = [v_y (m/s), yaw (rad), yaw rate (rad/s), y (m)]; for a model or an estimator
         that uses them also the wheel angle (rad), the lateral acceleration (m/s^2), the age of yaw and y (s) and that
-        of all others, and by how much (rad) the path has turned at the car's foot since the last step; speed: v_x (m/s); reference: y_ref (m) now and, for preview, at the instants
-        that follow (the last value is repeated as needed); variables: what the scheduler looks at
-        (`SchedulingVariables`), needed when there is one; road: a curved one from the car's foot on, against which yaw,
-        y and y_ref then count.
+        of all others, and by how much (rad) the path has turned at the car's foot since the last step; speed: v_x
+        (m/s); reference: y_ref (m) now and, for preview, at the instants that follow (the last value is repeated as
+        needed); variables: what the scheduler looks at (`SchedulingVariables`), needed when there is one; road: a
+        curved one from the car's foot on, against which yaw, y and y_ref then count.
 
         A state or reference that is not finite (or masked) gives no exception but a command that holds the previous
         angle, its status saying why: a controller in a running vehicle must answer. So does a scheduler that raises an

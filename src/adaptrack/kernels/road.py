@@ -28,8 +28,9 @@ ROAD_AHEAD = types.NamedTuple((CENTRELINE, float64), RoadAhead)
 
 Roads = record("Roads", ("of", "numbers", "start", "pieces", "headings"))
 ROADS = types.NamedTuple((int_vector, matrix, vector, matrix, vector), Roads)
-"""Several centre lines behind each other: which of them each scenario has, -1 for a straight road (scenarios,); of each,
-`NUMBERS` (roads, .); start and pieces as in `Centreline`; the heading (rad) every spacing (m), from 0 to the length."""
+"""Several centre lines behind each other: which of them each scenario has, -1 for a straight road (scenarios,); of
+each, `NUMBERS` (roads, .); start and pieces as in `Centreline`; the heading (rad) every spacing (m), from 0 to the
+length."""
 NUMBERS = ("length", "closed", "lap_turn", "first_start", "first_piece", "count", "first_heading", "spacing")
 _START, _PIECE, _COUNT, _HEADING, _SPACING = range(3, 8)
 
@@ -225,9 +226,9 @@ def bend_ahead(station, speeds, pace, lead, period, road, roads, bend):
 
         dY/dt = v theta,   theta: heading of the road where the car will be, less its heading here
 
-    A model whose heading and offset count from the path obeys the same equations as one in the frame of this tangent, in
-    which the path is Y(t). speeds: m/s, planned for the instants from now on (the last one holds), less the present one
-    as it is planned and with what is measured in its place: the road is passed at them; pace: v (m/s) of the model.
+    A model whose heading and offset count from the path obeys the same equations as one in the frame of this tangent,
+    in which the path is Y(t). The road is passed at the speeds (m/s) planned for the instants from now on, the last one
+    holding, all shifted so that the first is `pace`: v (m/s) of the model.
     """
     here = heading_at(station, road, roads)
     last = speeds.size - 1

@@ -49,7 +49,6 @@ from .models.contract import MEASURED
 from .plants.contract import (
     ADVANCE,
     OBSERVE,
-    STATE,
     STATES,
     VEHICLES,
     call_advance,
@@ -200,8 +199,14 @@ def _apply_law(slot, speed, reference, run):
     """One step of a control law; a command that is not finite holds the last one."""
     own, out, given, seen = run.memory.own[slot], run.law.answer[slot], run.law.situation, run.mpc.measured
     road = RoadAhead(line_of(run.given.roads.of[run.given.scenario[slot]], run.given.roads), own.station)
+    no_vy = run.settings[0].noise_vy == math.inf  # a car without a sensor of it
     now = Situation(
-        seen[MEASURED.vy], seen[MEASURED.yaw], seen[MEASURED.yaw_rate], seen[MEASURED.y], speed, own.command
+        0.0 if no_vy else seen[MEASURED.vy],
+        seen[MEASURED.yaw],
+        seen[MEASURED.yaw_rate],
+        seen[MEASURED.y],
+        speed,
+        own.command,
     )
     for i in range(len(now)):
         given[i] = now[i]

@@ -44,7 +44,9 @@ def pack_roads(roads: Sequence[Road | None]) -> Any:
         places += [each.shape[0] for each in own]
         for found, each in zip((start, pieces, headings), own, strict=True):
             found.append(each)
-    return kernel.Roads(of, numbers, *(np.ascontiguousarray(np.concatenate(each)) for each in (start, pieces, headings)))
+    return kernel.Roads(
+        of, numbers, *(np.ascontiguousarray(np.concatenate(each)) for each in (start, pieces, headings))
+    )
 
 
 @lru_cache(maxsize=16)

@@ -51,7 +51,8 @@ class Signals:
             values = np.broadcast_to(np.asarray(getattr(self, name), dtype=np.float64), (samples,))
             object.__setattr__(self, name, np.array(values, order="C"))
         columns = {
-            "t": (), "y_ref": (), "speed": (), "friction": (4,), "wind": (2,), "bank": (), "station": (), "curvature": (),
+            "t": (), "y_ref": (), "speed": (), "friction": (4,), "wind": (2,), "bank": (), "station": (),
+            "curvature": (),
         }  # fmt: skip
         for name, width in columns.items():
             shape = (samples, *width)

@@ -60,6 +60,8 @@ COMMAND, HELD = 0, 1
 
 SLOWEST = 1.0
 """m/s: below it the heading of y_ref(t) is ill-defined, and laws work as at this speed."""
+STANDING = 0.1
+"""m/s: a slower car stands"""
 MOST_LATERAL = 9.81
 """m/s^2: the curvature of a kink in the reference counts as one that is driven with this lateral acceleration."""
 FURTHEST = 1e6
@@ -87,15 +89,16 @@ def all_finite(values):
 
 
 @njit(**INLINE)
-def limited(wanted, last, p):
+def limited(wanted, s, p):
     """The command (rad) nearest to the wanted one within the limits on move and angle, and 1.0 where it is held.
 
-    last: the last command (rad); p: any record with the fields of `COMMON`. A wanted command that is not finite holds
-    the last one; a last one that is not finite counts as 0.
+    s: the situation; p: any record with the fields of `COMMON`. A wanted command that is not finite holds the last one;
+    a last one that is not finite counts as 0. A standing car's wheels stay at rest.
     """
+    last = s.command
     start = last if math.isfinite(last) else 0.0
     held = not math.isfinite(wanted)
-    move = 0.0 if held else clip(wanted - start, p.move_min, p.move_max)
+    move = 0.0 if held or abs(s.speed) < STANDING else clip(wanted - start, p.move_min, p.move_max)
     return clip(start + move, p.angle_min, p.angle_max), 1.0 if held else 0.0
 
 

@@ -104,6 +104,6 @@ def lqr(situation, reference, road, tuning, parameters, memory, answer):
             - gain_of(2, v, t, p, grid) * (heading_error - steady)
             - gain_of(3, v, t, p, grid) * (s.yaw_rate - v * path.curvature)
         )
-    answer[COMMAND], answer[HELD] = limited(wanted, s.command, p)
+    answer[COMMAND], answer[HELD] = limited(wanted, s, p)
     answer[HELD + 1], answer[HELD + 2], answer[HELD + 3] = offset, heading_error, curvature
     answer[HELD + 4] = feed_forward

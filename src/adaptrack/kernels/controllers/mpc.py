@@ -49,6 +49,7 @@ from .condensing import (
     responses,
     tracking_error,
 )
+from .contract import STANDING
 
 # -- settings, fixed over a run ---------------------------------------------------------------------------------------
 SETTINGS = Structure(
@@ -634,6 +635,17 @@ def _apply_move(slot, status, iterations, size, mpc):
 
 
 @njit(**PART)
+def _stand(slot, mpc):
+    """Leave the wheels of a standing car at rest."""
+    own, out = mpc.memory[slot], mpc.answer[slot]
+    for j in range(ANSWER.command, out.size):
+        if j < ANSWER.Np or j > ANSWER.R:
+            out[j] = 0.0
+    out[ANSWER.command] = own.command
+    _remember(slot, own.command, mpc)
+
+
+@njit(**PART)
 def step_with(slot, speed, reference, tuning, mpc, functions):
     """One step of a slot: form the QP, solve it, take the first move. Arguments as for `form_qp`.
 
@@ -641,6 +653,9 @@ def step_with(slot, speed, reference, tuning, mpc, functions):
     """
     status, n, m = _form_qp(slot, speed, reference, tuning, mpc, functions)
     iterations = 0
+    if status == qp.SOLVED and abs(speed) < STANDING and mpc.settings[0].estimator == BY_FUNCTION:
+        _stand(slot, mpc)
+        return
     if status == qp.SOLVED:
         status, iterations = _solve_qp(slot, n, m, mpc, functions)
     _apply_move(slot, status, iterations, (n, m), mpc)

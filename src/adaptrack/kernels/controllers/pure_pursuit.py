@@ -54,5 +54,5 @@ def pure_pursuit(situation, reference, road, tuning, parameters, memory, answer)
         distance = math.hypot(forward, sideways)
         alpha = math.atan2(sideways, forward)
         wanted = math.atan2(2.0 * p.wheelbase * math.sin(alpha), distance)
-    answer[COMMAND], answer[HELD] = limited(wanted, s.command, p)
+    answer[COMMAND], answer[HELD] = limited(wanted, s, p)
     answer[HELD + 1], answer[HELD + 2] = distance, alpha

@@ -72,5 +72,5 @@ def stanley(situation, reference, road, tuning, parameters, memory, answer):
             + math.atan2(t.gain * offset, max(t.softening, 0.0) + v)
             + t.yaw_rate_gain * (v * curvature - s.yaw_rate)
         )
-    answer[COMMAND], answer[HELD] = limited(wanted, s.command, p)
+    answer[COMMAND], answer[HELD] = limited(wanted, s, p)
     answer[HELD + 1], answer[HELD + 2], answer[HELD + 3] = offset, heading_error, curvature
