@@ -400,7 +400,7 @@ class ReadableFilter:
 
     def step(self, speed: float, measured: ArrayLike, command: float) -> tuple[Array, Array]:
         """One control instant; command: the one given a period ago (rad)."""
-        seen = np.full(len(SENSORS) + 2, math.nan)
+        seen = np.array([math.nan] * (len(SENSORS) + 2) + [0.0])
         given = np.asarray(measured, dtype=float)
         seen[: given.size] = given
         if self.z is None:

@@ -87,8 +87,9 @@ SIGNAL = columns(
 )  # fmt: skip
 """Rows of a scenario's samples. Friction and wind as they are known and the reference preview are scheduling variables;
 the last row is where the plan is on a curved road (m)."""
-CATCH_UP, MOST_CATCH_UP = 2.0, 0.1
-"""s, in which a car that follows its plan exactly makes up for being early or late; share of the speed, at most."""
+TOLERATED, CATCH_UP, MOST_CATCH_UP = 0.5, 2.0, 0.1
+"""m, by which a car may be early or late on its plan; s, in which it makes up for the rest; share of the speed, at
+most."""
 
 
 # -- where the car is -------------------------------------------------------------------------------------------------
@@ -276,7 +277,8 @@ def _drive(k, speed, signals, scenario, settings, own):
 @njit(**PART)
 def _catch_up(speed, late):
     """What a car adds to its planned speed (m/s) that is so much (m) late."""
-    return clip(late / CATCH_UP, -MOST_CATCH_UP * speed, MOST_CATCH_UP * speed)
+    beyond = late - clip(late, -TOLERATED, TOLERATED)
+    return clip(beyond / CATCH_UP, -MOST_CATCH_UP * speed, MOST_CATCH_UP * speed)
 
 
 @njit(**PART)

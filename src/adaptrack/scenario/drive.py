@@ -51,9 +51,7 @@ class RoadDrive:
             raise InvalidInput(f"RoadDrive: road = {self.road!r}: must be a Road; load_road(file) gives one.")
         plan = self.speed if isinstance(self.speed, SpeedPlan) else constant_speed(self.road, self.speed)
         if plan.closed != self.road.closed or not math.isclose(plan.s[-1], self.road.length, rel_tol=1e-9):
-            raise InvalidInput(
-                "RoadDrive: speed: a plan of another road; plan_speed(road, ...) makes one."
-            )
+            raise InvalidInput("RoadDrive: speed: a plan of another road; plan_speed(road, ...) makes one.")
         laps = whole("RoadDrive", "laps", self.laps)
         if laps > 1 and not self.road.closed:
             raise InvalidInput(f"RoadDrive: laps = {laps}: the road {self.road.name!r} is open; leave laps out.")
