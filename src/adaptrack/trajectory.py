@@ -12,15 +12,20 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from datetime import datetime
 from importlib import metadata
-from typing import Any, Literal, Self
+from typing import TYPE_CHECKING, Any, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from adaptrack import __version__
-from adaptrack.errors import ConfigError, InvalidInput
+from adaptrack.errors import ConfigError, InvalidInput, MissingExtra
 from adaptrack.files import Column as Stored
 from adaptrack.files import Damaged, check_texts, decode_parquet, encode_parquet, read_bytes, write_atomically
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from adaptrack.road import Road
 
 Array = NDArray[Any]
 
@@ -252,6 +257,46 @@ class Trajectory:
             columns |= {f"{name}.{key}": values for key, values in getattr(self, name).items()}
         return columns
 
+    def to_pandas(self) -> Any:
+        """`columns` as a pandas DataFrame, a row a control instant; units in its ``attrs["units"]``.
+
+        Raises
+        ------
+        MissingExtra
+            When pandas is not installed.
+        """
+        try:
+            import pandas
+        except ImportError:
+            raise MissingExtra("Trajectory.to_pandas needs pandas: python -m pip install pandas") from None
+        frame = pandas.DataFrame(self.columns())
+        frame.attrs["units"] = self._column_units()
+        return frame
+
+    def plot(self, road: Road | None = None) -> Figure:
+        """The run as a matplotlib figure (``.savefig("run.png")``): signals over time; along a road where one is given.
+
+        With a road: from above, the driven line coloured by the offset, and offset, steering and speed along it.
+
+        Raises
+        ------
+        InvalidInput
+            When fewer than two instants lie beside the road.
+        """
+        from adaptrack.report.notebook import run_figure
+
+        return run_figure(self, road)
+
+    def _repr_html_(self) -> str:
+        """The run in a notebook: its measures and its picture."""
+        from adaptrack.report.notebook import run_html
+
+        return run_html(self)
+
+    def _column_units(self) -> dict[str, str]:
+        """The unit of each of `columns`."""
+        return {name: column.unit for column in COLUMNS for name in column.stored_names} | dict(self.units)
+
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the trajectory as Parquet: the file appears whole or not at all.
 
@@ -260,7 +305,7 @@ class Trajectory:
         StorageError
             When that fails; an older file at `path` is then untouched.
         """
-        units = {name: column.unit for column in COLUMNS for name in column.stored_names} | dict(self.units)
+        units = self._column_units()
         stored = [Stored(name, units[name], values) for name, values in self.columns().items()]
         about = {
             "adaptrack": __version__,
