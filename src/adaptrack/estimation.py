@@ -68,6 +68,10 @@ class Estimator(ABC):
         """Numbers that it remembers from step to step."""
         return 0
 
+    def change_path(self, model: PredictionModel, memory: Array, heading: float, offset: float) -> None:
+        """Heading (rad) and offset (m) of the past have grown by so much, against another path; else begin anew."""
+        memory[:] = 0.0
+
     def check_fits(self, model: PredictionModel) -> None:  # noqa: B027 (most fit any model)
         """Refuse a model that it cannot serve.
 

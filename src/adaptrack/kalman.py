@@ -159,6 +159,11 @@ class KalmanFilter(Estimator):
 
         return int(memory_size(_periods(model)[0], self.late(model)))
 
+    def change_path(self, model: PredictionModel, memory: Array, heading: float, offset: float) -> None:
+        from adaptrack.kernels.estimators.kalman import move_path
+
+        move_path(memory, model.n, self.late(model), heading, offset)
+
     def late(self, model: PredictionModel) -> int:
         """Periods that are gone through anew at every step, for the samples that come late."""
         return math.floor(self.oldest / model.period + 0.5)

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple, Protocol, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from adaptrack.controllers.inputs import number, vector
+from adaptrack.controllers.inputs import finite, number, vector
 from adaptrack.controllers.limits import Limits
 from adaptrack.errors import InvalidInput, real
 from adaptrack.road.ahead import RoadAhead, straight
@@ -141,6 +141,21 @@ class CompiledController(ABC):
     def angle(self) -> float:
         """The last command (rad)."""
         return self._angle
+
+    def applied(self, angle: float) -> None:
+        """Say which angle (rad) was asked of the wheels in place of the last command: the next step goes on from it.
+
+        Raises
+        ------
+        InvalidInput
+            When it is no finite number.
+        """
+        self._angle = finite("applied: angle", angle)
+
+    def change_path(self, heading: float, offset: float) -> None:
+        """Say that another path lies under the car, by how much (rad, m) heading and offset have grown against it."""
+        finite("change_path: heading", heading)
+        finite("change_path: offset", offset)
 
     def step(
         self,

@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from adaptrack.controllers.belief import Uncertainty
 from adaptrack.controllers.informed import Parts, informed_parts
-from adaptrack.controllers.inputs import number, vector
+from adaptrack.controllers.inputs import finite, number, vector
 from adaptrack.controllers.limits import Limits, Moves
 from adaptrack.controllers.tuning import ENTRIES, Tuning, read_tuning
 from adaptrack.errors import InvalidInput, real, whole
@@ -367,6 +367,50 @@ class MPC:
     def angle(self) -> float:
         """The last command (rad)."""
         return float(self._mpc.memory[0].command)
+
+    def applied(self, angle: float) -> None:
+        """Say which angle (rad) was asked of the wheels in place of the last command: the next step goes on from it.
+
+        Raises
+        ------
+        InvalidInput
+            When it is no finite number.
+        """
+        self._mpc.memory["command"][0] = finite("applied: angle", angle)
+
+    def change_path(self, heading: float, offset: float) -> None:
+        """Say that another path lies under the car, by how much (rad, m) heading and offset have grown against it.
+
+        What the estimator has learned of the car stays; one that cannot be told so begins anew.
+
+        Raises
+        ------
+        InvalidInput
+            When a number is not finite.
+        """
+        turned, shifted = finite("change_path: heading", heading), finite("change_path: offset", offset)
+        mpc = self._mpc
+        for i, name in enumerate(self.model.states):
+            mpc.previous[0, i] += {"yaw": turned, "y": shifted}.get(name, 0.0)
+        if mpc.memory["started"][0]:
+            self.estimator.change_path(self.model, mpc.estimates[0], turned, shifted)
+
+    def predicted_output(self) -> tuple[Array, Array]:
+        """Times (Np,) s from now and y (Np,) m that the last step predicts for them, with its plan of moves.
+
+        On a curved road y counts from the tangent at the car's foot.
+        """
+        mpc, own = self._mpc, self._mpc.memory[0]
+        count = int(own.Np)
+        free = mpc.ws.reference[:count] - mpc.ws.error[:count]
+        steps = np.arange(count)
+        moves = np.zeros(count)
+        if self.moves.kind == "laguerre":
+            moves = mpc.plan[0, : self.moves.terms] @ mpc.ws.moves[: self.moves.terms, :count]
+        else:
+            moves[: own.planned] = mpc.plan[0, : own.planned]
+        response = np.convolve(moves, mpc.ws.step[0, :count])[:count]
+        return (steps + 1) * self.period + self.model.dead_time, free + response
 
     def step(
         self,

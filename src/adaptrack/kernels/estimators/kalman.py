@@ -25,6 +25,7 @@ the estimate by more than `bound` times its noise, the estimate is not finite: t
 from __future__ import annotations
 
 import math
+from typing import Any
 
 from numba import types
 
@@ -96,6 +97,16 @@ _TURNED = SENSORS + 1  # rad, by how much the path has turned in the period befo
 def memory_size(whole: int, late: int) -> int:
     """Numbers that the filter remembers, for a dead time of `whole` periods and a share."""
     return _RING + WIDTH * (late + 1) + whole + late + 2
+
+
+def move_path(memory: Any, states: int, late: int, heading: float, offset: float) -> None:
+    """Let heading (rad) and offset (m) of all that is remembered grow by so much: another path lies under the car."""
+    for z in (_Z, _PAST_Z):
+        memory[z + 1] += heading
+        memory[z + states - 1] += offset
+    for row in [_LAST, *range(_RING, _RING + WIDTH * (late + 1), WIDTH)]:
+        memory[row + MEASURED.yaw] += heading
+        memory[row + MEASURED.y] += offset
 
 
 @njit(**INLINE)
