@@ -228,7 +228,9 @@ def simulate(
             measured[MEASURED.vy] = 0.0  # a car without a sensor of it
         variables = SchedulingVariables(*look.tolist())
         begun = time.perf_counter()
-        ahead = {} if road is None else {"road": _seen_ahead(road, own.station, speed, signals.speed[k:])}
+        ahead: dict[str, Any] = {}
+        if road is not None:
+            ahead["road"] = _seen_ahead(road, own.station, speed, signals.speed[k:])
         answer = controller.step(seen, speed, samples[0, k:], variables, **ahead)
         record.times[k] = time.perf_counter() - begun
         command = record.take(k, answer, float(own.command))

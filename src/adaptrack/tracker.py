@@ -315,8 +315,9 @@ class Tracker:
         if not self._warned:
             self._warned = True
             _log.warning(
-                "adaptrack: a sample came %.3g s late, and the controller takes in none older than %.3g s: its position "
-                "is carried on by its speed and yaw rate. Better: an MPC with estimator=KalmanFilter(..., oldest=%.2g).",
+                "adaptrack: a sample came %.3g s late, and the controller takes in none older than %.3g s: its "
+                "position is carried on by its speed and yaw rate. Better: an MPC with "
+                "estimator=KalmanFilter(..., oldest=%.2g).",
                 age, self._late * self.period, 1.5 * age,
             )  # fmt: skip
 

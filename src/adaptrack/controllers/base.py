@@ -57,12 +57,10 @@ class Controller(Protocol):
     def reset(self) -> None:
         """Forget the past: the next step is the first, from steering angle 0."""
 
-    def step(
-        self, state: ArrayLike, speed: float, reference: ArrayLike, variables: Any = None, road: Any = None
-    ) -> Any:
+    def step(self, state: ArrayLike, speed: float, reference: ArrayLike, variables: Any = None) -> Any:
         """One control step, see `CompiledController.step`; the answer has `angle` and `move` (rad) at least.
 
-        A controller that never drives a curved road need not take `road`.
+        One that drives curved roads takes ``road=`` besides, see `road.ahead.RoadAhead`.
         """
 
     def describe(self) -> dict[str, Any]:
