@@ -2,7 +2,6 @@
 
 import re
 import sys
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -55,20 +54,23 @@ def test_a_run_that_ends_in_nan_is_cut_there_and_says_why_it_failed(lap):
         DriveRecord.from_trajectory(driven(lap, X=np.full(x.size, np.nan)), lap)
 
 
+class OnRoad(Trajectory):
+    """A run that knows its place on a road."""
+
+    station = property(lambda self: self.t)
+    offset = property(lambda self: np.full(len(self), 0.7))
+    heading_error = property(lambda self: np.full(len(self), 0.1))
+
+
 def test_what_a_run_holds_of_its_road_is_taken_from_it(lap):
     run = driven(lap)
-    signals = {column.name: getattr(run, column.name) for column in COLUMNS}
-    own = {name: np.full(len(run), value) for name, value in (("offset", 0.7), ("heading_error", 0.1))}
-
-    class OnRoad(SimpleNamespace):
-        name_of = Trajectory.name_of
-
-        def __len__(self):
-            return len(run)
-
-    known = OnRoad(**signals, **own, station=run.t, meta=run.meta, failed=None, failed_at=np.nan)
-    record = DriveRecord.from_trajectory(known, lap)
+    record = DriveRecord.from_trajectory(OnRoad(**vars(run)), lap)
     assert (record.station[-1], record.offset[0], record.heading_error[0]) == (run.t[-1], 0.7, 0.1)
+
+
+def test_a_run_along_a_road_is_drawn_without_its_lateral_position(lap):
+    figure = OnRoad(**vars(driven(lap))).plot()
+    assert [axes.get_title("left")[4:] for axes in figure.axes] == ["Tracking error", "Steering", "Yaw rate", "Speed"]
 
 
 def test_a_run_draws_itself_over_time_and_along_a_road(lap):
@@ -76,6 +78,7 @@ def test_a_run_draws_itself_over_time_and_along_a_road(lap):
     assert run.plot().axes[0].get_title("left") == "(a) Trajectory tracking"
     titles = [axes.get_title("left") for axes in run_figure(run, lap).axes]
     assert titles[1:4] == ["Offset", "Steering", "Speed"]
+    assert run.plot(lap)._repr_png_().startswith(b"\x89PNG")  # what a notebook shows
 
 
 def test_a_notebook_shows_measures_and_a_picture_with_nothing_from_outside(lap):

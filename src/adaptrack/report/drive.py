@@ -30,8 +30,8 @@ NEAR_END = 10.0
 """m, before its end at which an open road counts as driven to the end, and 1 % of its length."""
 
 
-_ON_PAGE = (5.2, 3.6)
-"""inch, width and height of the picture on the page."""
+_ON_PAGE = (5.2, 4.0)
+"""inch, width and largest height of the picture on the page."""
 
 
 def write_drive_page(

@@ -97,7 +97,7 @@ def packed(values: Array, unit: float) -> dict[str, Any]:
 
 
 def sampled(drive: DriveRecord) -> np.ndarray:
-    """The indices of the instants that the replay holds: the last before each `PERIOD`, and the ends."""
+    """The indices of the instants that the replay holds: the first of each `PERIOD`, and the last of all."""
     due = np.floor((drive.time - drive.time[0]) / PERIOD + 1e-6)
     return np.unique([*np.flatnonzero(np.diff(due, prepend=-1.0) > 0.0), len(drive) - 1])
 
