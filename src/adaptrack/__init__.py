@@ -22,7 +22,9 @@ _PUBLIC = {
         "StorageError",
         "UnknownName",
     ),
+    "outline": ("Outline",),
     "vehicle": (
+        "Body",
         "Steering",
         "SteeringActuator",
         "Tyre",
@@ -223,6 +225,7 @@ if TYPE_CHECKING:
         list_models,
         register_model,
     )
+    from adaptrack.outline import Outline
     from adaptrack.plant import (
         DualTrack,
         Plant,
@@ -259,6 +262,7 @@ if TYPE_CHECKING:
     from adaptrack.tuning.objective import Objective
     from adaptrack.tuning.pso import SearchSpace, Swarm, SwarmSettings, minimise
     from adaptrack.vehicle import (
+        Body,
         Steering,
         SteeringActuator,
         Tyre,
@@ -277,6 +281,7 @@ __all__ = [
     "MPC",
     "QP",
     "AdaptrackError",
+    "Body",
     "CampaignConfig",
     "ConfigError",
     "Constant",
@@ -300,6 +305,7 @@ __all__ = [
     "MissingExtra",
     "Moves",
     "Objective",
+    "Outline",
     "PathModel",
     "Perception",
     "Plant",

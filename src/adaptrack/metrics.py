@@ -138,8 +138,8 @@ def compute_metrics(
         error = trajectory.error if state_is_finite(trajectory).all() else np.full(len(trajectory), np.nan)
         heading_error = trajectory.heading_error[~(trajectory.vx < SLOW)]  # NaN speeds stay in
         jerk = np.diff(trajectory.lateral_acceleration) / trajectory.period
-    mse = _mean_square(error)
-    activity = _mean_square(trajectory.command_change)
+    mse = mean_square(error)
+    activity = mean_square(trajectory.command_change)
     acceleration = trajectory.lateral_acceleration
     driven = np.isfinite(trajectory.command)
     said = {name: values[driven] for name, values in trajectory.diagnostics.items()}
@@ -158,15 +158,15 @@ def compute_metrics(
         failed_because=failed.clause if failed else "",
         mse=mse,
         rms_error=math.sqrt(mse),
-        max_abs_error=_max_abs(error),
-        heading_rms=math.sqrt(_mean_square(heading_error)),
-        heading_max=_max_abs(heading_error),
-        steering_rms=math.sqrt(_mean_square(trajectory.command)),
+        max_abs_error=largest_magnitude(error),
+        heading_rms=math.sqrt(mean_square(heading_error)),
+        heading_max=largest_magnitude(heading_error),
+        steering_rms=math.sqrt(mean_square(trajectory.command)),
         steering_rate_rms=math.sqrt(activity) / trajectory.period,
         steering_activity=activity,
-        lateral_acceleration_rms=math.sqrt(_mean_square(acceleration)),
-        lateral_acceleration_max=_max_abs(acceleration),
-        jerk_rms=math.sqrt(_mean_square(jerk)),
+        lateral_acceleration_rms=math.sqrt(mean_square(acceleration)),
+        lateral_acceleration_max=largest_magnitude(acceleration),
+        jerk_rms=math.sqrt(mean_square(jerk)),
         at_change_limit=_mean((limits & AT_CHANGE_LIMIT) != 0),
         at_angle_limit=_mean((limits & AT_ANGLE_LIMIT) != 0),
         at_output_limit=_mean((limits & AT_OUTPUT_LIMIT) != 0),
@@ -223,7 +223,7 @@ def _mean(values: NDArray[Any]) -> float:
     return float(np.mean(values)) if values.size else math.nan
 
 
-def _mean_square(values: NDArray[Any]) -> float:
+def mean_square(values: NDArray[Any]) -> float:
     """Mean of the squares; NaN of nothing, infinite when a value is not finite (or its square overflows)."""
     if not values.size:
         return math.nan
@@ -232,7 +232,7 @@ def _mean_square(values: NDArray[Any]) -> float:
     return mean if math.isfinite(mean) else math.inf
 
 
-def _max_abs(values: NDArray[Any]) -> float:
+def largest_magnitude(values: NDArray[Any]) -> float:
     """Largest magnitude; NaN of nothing, infinite when a value is not finite."""
     if not values.size:
         return math.nan

@@ -81,7 +81,7 @@ COLUMNS = (
 )
 """The arrays that every `Trajectory` has, in the order of its fields and of a file's columns."""
 
-_NAMED = ("tuning", "diagnostics")
+_NAMED = ("tuning", "diagnostics", "road")
 
 
 @dataclass(frozen=True, eq=False)
@@ -147,6 +147,10 @@ class Trajectory:
     ``qp_iterations`` (int64, of the solver that gave the answer), ``qp_residual`` (largest KKT residual of the answer;
     NaN when there was none) and ``at_limit`` (int64, sum of 1 (Δu), 2 (u) and 4 (y) for the limits that were active).
     """
+    road: Mapping[str, Array] = field(default_factory=dict)
+    """Of a drive along a curved road, else empty: ``station`` (m, arc length of the car's foot on the centre line, over
+    all laps), ``offset`` (m, from the centre line, positive to the left), ``heading_error`` (rad in (−π, π], against
+    the road) and ``curvature`` (1/m, of the road there)."""
     units: Mapping[str, str] = field(default_factory=dict)
     """The units of named arrays, such as ``{"tuning.Q": "1/m^2"}``; ``-`` where left out."""
     failed: str | None = None
@@ -192,8 +196,8 @@ class Trajectory:
 
     @property
     def error(self) -> Array:
-        """(n,) m, Y − y_ref: positive when the vehicle is to the left of its reference."""
-        return self.Y - self.y_ref
+        """(n,) m, Y − y_ref, on a curved road offset − y_ref: positive when the vehicle is to the left."""
+        return (self.road["offset"] if self.road else self.Y) - self.y_ref
 
     @property
     def reference_heading(self) -> Array:
@@ -207,8 +211,10 @@ class Trajectory:
 
     @property
     def heading_error(self) -> Array:
-        """(n,) rad in (−π, π], ψ − `reference_heading`: positive when the vehicle points to the left of its path."""
-        difference = self.psi - self.reference_heading
+        """(n,) rad in (−π, π], ψ − `reference_heading`, on a curved road against the road and that: positive when the
+        vehicle points to the left of its path.
+        """
+        difference = (self.road["heading_error"] if self.road else self.psi) - self.reference_heading
         return -np.remainder(np.pi - difference, 2.0 * np.pi) + np.pi
 
     def name_of(self, entry: str) -> str:

@@ -15,6 +15,7 @@ from pydantic import Field, ValidationInfo, field_validator
 
 from adaptrack.errors import ContractError, InvalidInput, UnknownName, did_you_mean
 from adaptrack.files import Record, build, read_toml
+from adaptrack.outline import FRONT_SHARE, LENGTH_OVER_WHEELBASE, WIDER_THAN_TRACK, Outline
 
 if TYPE_CHECKING:
     import numpy as np
@@ -158,6 +159,46 @@ class Steering(Record):
     )
 
 
+class Body(Record):
+    """What is known of a car's outline: the section ``[body]`` of a car file. What is left out is estimated."""
+
+    length: float | None = Field(default=None, gt=0, le=30, description="m, over all")
+    width: float | None = Field(default=None, gt=0, le=10, description="m, without mirrors")
+    front_overhang: float | None = Field(default=None, ge=0, le=10, description="m, front axle to the front end")
+    rear_overhang: float | None = Field(default=None, ge=0, le=10, description="m, rear axle to the rear end")
+
+    def overhangs(self, wheelbase: float) -> tuple[float, float]:
+        """Front and rear overhang (m) over a wheelbase (m), estimated where they are not known.
+
+        Raises
+        ------
+        ValueError
+            When the length leaves no room for an axle, or is not wheelbase and overhangs.
+        """
+        front, rear = self.front_overhang, self.rear_overhang
+        if self.length is not None:
+            beyond = self.length - wheelbase
+        elif front is not None and rear is not None:
+            beyond = front + rear
+        elif front is not None:
+            beyond = front / FRONT_SHARE
+        elif rear is not None:
+            beyond = rear / (1.0 - FRONT_SHARE)
+        else:
+            beyond = (LENGTH_OVER_WHEELBASE - 1.0) * wheelbase
+        if front is None:
+            front = FRONT_SHARE * beyond if rear is None else beyond - rear
+        rear = beyond - front if rear is None else rear
+        if min(front, rear) < 0.0:
+            raise ValueError(
+                f"length {self.length} m does not hold the wheelbase of {wheelbase:g} m and the overhangs."
+            )
+        if abs(front + rear - beyond) > 0.02:
+            total = f"{front:g} + {wheelbase:g} + {rear:g} m"
+            raise ValueError(f"length {self.length} m is not overhang, wheelbase and overhang, {total}: leave one out.")
+        return front, rear
+
+
 class Vehicle(Record):
     """Body, air resistance and powertrain of a car, and the tyre stiffness that the controller's model believes in.
 
@@ -204,6 +245,7 @@ class Vehicle(Record):
     brake_front: float = Field(default=0.65, ge=0, le=1, description="-, share of the braking force on the front axle")
 
     steering: Steering | None = Field(default=None, description="what is known of the steering, see `Steering`")
+    body: Body | None = Field(default=None, description="what is known of the outline, see `Body`")
 
     @field_validator("tyre")
     @classmethod
@@ -214,6 +256,27 @@ class Vehicle(Record):
         elif tyre not in list_tyres():
             raise ValueError(f"unknown tyre. {did_you_mean(tyre, list_tyres())} A file is given by its .toml path.")
         return tyre
+
+    @field_validator("body")
+    @classmethod
+    def _body_holds_both_axles(cls, body: Body | None, others: ValidationInfo) -> Body | None:
+        if body is not None and {"lf", "lr"} <= set(others.data):
+            body.overhangs(others.data["lf"] + others.data["lr"])
+        return body
+
+    @property
+    def outline(self) -> Outline:
+        """The body from above; what the car file does not say is estimated from wheelbase and track, and named."""
+        body = self.body or Body()
+        front, rear = body.overhangs(self.wheelbase)
+        known = {
+            "length": body.length is not None or None not in (body.front_overhang, body.rear_overhang),
+            "front_overhang": body.front_overhang is not None or None not in (body.length, body.rear_overhang),
+            "width": body.width is not None,
+        }
+        width = max(self.track_front, self.track_rear) + WIDER_THAN_TRACK if body.width is None else body.width
+        guesses = tuple(name for name, given in known.items() if not given)
+        return Outline(self.lf + front, self.lr + rear, width, guesses)
 
     @property
     def wheelbase(self) -> float:

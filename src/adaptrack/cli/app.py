@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from adaptrack import __version__
-from adaptrack.cli import adapt, bench, certify, dataset, evaluate, lists, reproduce, road, simulate, train, tune
+from adaptrack.cli import adapt, bench, certify, dataset, drive, evaluate, lists, reproduce, road, simulate, train, tune
 
 app = typer.Typer(
     name="adaptrack",
@@ -36,6 +36,7 @@ def _options(
 
 
 for command in (
+    drive.drive,
     simulate.simulate,
     lists.scenarios,
     lists.vehicles,

@@ -232,8 +232,8 @@ class DriveRecord:
 
 def _beside(run: Any, road: Road) -> tuple[Array, Array, Array]:
     """Station, offset and heading error of a run: its own, or by projection."""
-    if getattr(run, "station", None) is not None:
-        return run.station, run.offset, run.heading_error
+    if run.road:
+        return run.road["station"], run.road["offset"], run.road["heading_error"]
     feet = np.full((len(run), 3), np.nan)
     near = None
     for i, (x, y) in enumerate(zip(run.X, run.Y, strict=True)):

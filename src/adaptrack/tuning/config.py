@@ -360,7 +360,9 @@ class Plan:
         All that the data depend on, and nothing else: no chunk size, no description, no path.
         """
         values = self.config.model_dump(mode="json", exclude={"description", "chunk"})
-        values["vehicle"] = self.setup.vehicle.model_dump(mode="json", exclude={"description", "tyre", "steering"})
+        values["vehicle"] = self.setup.vehicle.model_dump(
+            mode="json", exclude={"description", "tyre", "steering", "body"}
+        )
         values["tyre"] = self.setup.tyre.model_dump(mode="json", exclude={"description"})
         return _plain(values)
 
