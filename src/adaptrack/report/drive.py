@@ -184,9 +184,10 @@ def _measures(drives: Drives) -> Section:
 
 def _made(drives: Drives, command: str) -> Section:
     first = next(iter(drives.values()))
-    shape = first.outline
-    car = f"{number(shape.length)} m long, {number(shape.width)} m wide"
-    car += "; overhangs and width are estimated from wheelbase and track, the car's file does not say" * shape.derived
+    body = first.shape.body
+    guesses = [name.replace("_", " ") for name in body.estimated]
+    car = f"{number(body.length)} m long, {number(body.width)} m wide"
+    car += f"; estimated from wheelbase and track: {listed(guesses)}" if guesses else ""
     samples = f"{number(len(first))} instants in {number(float(first.time[-1] - first.time[0]))} s"
     terms: list[tuple[str, str]] = [("Drawn car", car), ("Recorded", samples)]
     terms += [("Road", note) for note in first.road.notes]
