@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from adaptrack.report.record import SIGNALS, DriveRecord, Outline
+from adaptrack.report.record import SIGNALS, DriveRecord, Shape
 from adaptrack.road import Arc, Line, Road
 from adaptrack.vehicle import load_vehicle
 
@@ -32,4 +32,4 @@ def made_drive(road=None, *, amplitude=0.3, seconds=None, **more):
         "lateral_acceleration": SPEED**2 * place.curvature,
     }  # fmt: skip
     assert set(values) == set(SIGNALS)
-    return DriveRecord(road=road, outline=Outline.of(car), **(values | more))
+    return DriveRecord(road=road, shape=Shape.of(car), **(values | more))

@@ -2,20 +2,19 @@
 
 import re
 import sys
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from adaptrack.errors import InvalidInput, MissingExtra
 from adaptrack.report.notebook import run_figure
-from adaptrack.report.record import DriveRecord, Outline
+from adaptrack.report.record import DriveRecord, Shape
 from adaptrack.road import generate_road
 from adaptrack.trajectory import COLUMNS, Trajectory
 from adaptrack.vehicle import load_vehicle
 
 
-def driven(road, *, laps=1.0, offset=0.2, **more):
+def driven(road, /, *, laps=1.0, offset=0.2, **more):
     """A run at 10 m/s, `offset` m to the left of the centre line."""
     t = 0.1 * np.arange(int(laps * road.length))
     place = road.at(10.0 * t)
@@ -41,7 +40,7 @@ def test_a_run_of_two_laps_is_projected_lap_after_lap(lap):
     assert record.offset == pytest.approx(np.full(len(run), 0.2), abs=1e-6)
     assert np.abs(record.heading_error).max() < 1e-6
     assert (record.controller, record.car, record.profile, record.failed) == ("informed", "paper", "road", "")
-    assert record.outline == Outline.of(load_vehicle("paper"))
+    assert record.shape == Shape.of(load_vehicle("paper"))
     assert record.planned_speed == pytest.approx(10.0)
 
 
@@ -55,20 +54,21 @@ def test_a_run_that_ends_in_nan_is_cut_there_and_says_why_it_failed(lap):
         DriveRecord.from_trajectory(driven(lap, X=np.full(x.size, np.nan)), lap)
 
 
-def test_what_a_run_holds_of_its_road_is_taken_from_it(lap):
+def on_road(lap):
+    """A run that knows its place on a road."""
     run = driven(lap)
-    signals = {column.name: getattr(run, column.name) for column in COLUMNS}
-    own = {name: np.full(len(run), value) for name, value in (("offset", 0.7), ("heading_error", 0.1))}
+    place = {"offset": 0.7, "heading_error": 0.1, "curvature": 0.0}
+    return driven(lap, road={"station": run.t} | {name: np.full(len(run), value) for name, value in place.items()})
 
-    class OnRoad(SimpleNamespace):
-        name_of = Trajectory.name_of
 
-        def __len__(self):
-            return len(run)
+def test_what_a_run_knows_of_its_road_is_taken_from_it(lap):
+    record = DriveRecord.from_trajectory(on_road(lap), lap)
+    assert (record.station[-1], record.offset[0], record.heading_error[0]) == (record.time[-1], 0.7, 0.1)
 
-    known = OnRoad(**signals, **own, station=run.t, meta=run.meta, failed=None, failed_at=np.nan)
-    record = DriveRecord.from_trajectory(known, lap)
-    assert (record.station[-1], record.offset[0], record.heading_error[0]) == (run.t[-1], 0.7, 0.1)
+
+def test_a_run_along_a_road_is_drawn_without_its_lateral_position(lap):
+    figure = on_road(lap).plot()
+    assert [axes.get_title("left")[4:] for axes in figure.axes] == ["Tracking error", "Steering", "Yaw rate", "Speed"]
 
 
 def test_a_run_draws_itself_over_time_and_along_a_road(lap):
@@ -76,6 +76,7 @@ def test_a_run_draws_itself_over_time_and_along_a_road(lap):
     assert run.plot().axes[0].get_title("left") == "(a) Trajectory tracking"
     titles = [axes.get_title("left") for axes in run_figure(run, lap).axes]
     assert titles[1:4] == ["Offset", "Steering", "Speed"]
+    assert run.plot(lap)._repr_png_().startswith(b"\x89PNG")  # what a notebook shows
 
 
 def test_a_notebook_shows_measures_and_a_picture_with_nothing_from_outside(lap):

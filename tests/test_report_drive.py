@@ -12,7 +12,7 @@ from adaptrack.errors import InvalidInput
 from adaptrack.report import drive_figures, style
 from adaptrack.report.drive import outcome, write_drive_page
 from adaptrack.report.drive_figures import above_figure, along_figure, labelled, outline_stations, scale_of, thinned
-from adaptrack.report.record import DriveRecord, Measure, Outline
+from adaptrack.report.record import DriveRecord, Measure, Shape
 from adaptrack.report.replay import UNITS, packed, replay_data, sampled
 from adaptrack.road import Line, Road, generate_road
 from adaptrack.vehicle import list_vehicles, load_vehicle
@@ -84,7 +84,7 @@ def test_the_replay_holds_what_was_driven_to_half_of_its_units():
     (car,) = replay_data(labelled([drive]))["cars"]
     for name, unit in UNITS.items():
         assert np.abs(unpacked(car["columns"][name]) - getattr(drive, name)).max() <= 0.5 * unit + 1e-9
-    assert car["outline"]["front"] + car["outline"]["rear"] == pytest.approx(drive.outline.length)
+    assert car["outline"]["front"] + car["outline"]["rear"] == pytest.approx(drive.shape.body.length)
 
 
 def test_a_wrapped_yaw_is_replayed_without_a_turn():
@@ -114,7 +114,7 @@ def test_the_replay_of_an_hour_at_100_hz_holds_20_hz_in_less_than_two_megabytes(
     wave = 0.1 * np.sin(0.01 * s)
     zero = np.zeros(n)
     drive = DriveRecord(
-        road=road, outline=Outline.of(load_vehicle("paper")), time=0.01 * np.arange(n), station=s, x=s, y=wave,
+        road=road, shape=Shape.of(load_vehicle("paper")), time=0.01 * np.arange(n), station=s, x=s, y=wave,
         yaw=0.001 * np.cos(0.01 * s), speed=20.0 + wave, offset=wave, heading_error=zero, steering=0.01 * wave,
         command=zero, lateral_acceleration=zero,
     )  # fmt: skip
@@ -212,18 +212,16 @@ def test_the_errors_of_a_record_are_those_of_its_offsets():
 
 
 @pytest.mark.parametrize("name", list_vehicles())
-def test_estimated_outlines_are_those_of_cars(name):
-    car = load_vehicle(name)
-    outline = Outline.of(car)
-    assert outline.derived
-    assert 3.5 < outline.length < 6.0
-    assert max(car.track_front, car.track_rear) < outline.width < 2.1
-    assert outline.length - outline.front_overhang - outline.rear_overhang == pytest.approx(car.wheelbase)
+def test_axles_lie_inside_the_drawn_body(name):
+    shape = Shape.of(load_vehicle(name))
+    assert shape.lf < shape.body.front
+    assert shape.lr < shape.body.rear
+    assert max(shape.track_front, shape.track_rear) < shape.body.width
 
 
-def test_an_impossible_outline_is_refused():
-    with pytest.raises(InvalidInput, match="width"):
-        dataclasses.replace(Outline.of(load_vehicle("paper")), width=0.0)
+def test_an_impossible_shape_is_refused():
+    with pytest.raises(InvalidInput, match="track_front"):
+        dataclasses.replace(Shape.of(load_vehicle("paper")), track_front=0.0)
 
 
 def test_made_drives_are_where_the_road_says():

@@ -23,8 +23,6 @@ from adaptrack.files import Column as Stored
 from adaptrack.files import Damaged, check_texts, decode_parquet, encode_parquet, read_bytes, write_atomically
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
     from adaptrack.road import Road
 
 Array = NDArray[Any]
@@ -273,7 +271,7 @@ class Trajectory:
         frame.attrs["units"] = self._column_units()
         return frame
 
-    def plot(self, road: Road | None = None) -> Figure:
+    def plot(self, road: Road | None = None) -> Any:
         """The run as a matplotlib figure (``.savefig("run.png")``): signals over time; along a road where one is given.
 
         With a road: from above, the driven line coloured by the offset, and offset, steering and speed along it.

@@ -13,15 +13,15 @@ from adaptrack.report.drive import write_drive_page
 from adaptrack.report.drive_figures import above_figure, along_figure
 from adaptrack.report.figures import conditions_figure, speed_figure, tracking_figure
 from adaptrack.report.page import Section, write_page
-from adaptrack.report.record import DriveRecord, Measure, Outline
+from adaptrack.report.record import DriveRecord, Measure, Shape
 from adaptrack.report.runs import Run, write_report
 
 __all__ = [
     "DriveRecord",
     "Measure",
-    "Outline",
     "Run",
     "Section",
+    "Shape",
     "above_figure",
     "along_figure",
     "conditions_figure",

@@ -30,8 +30,8 @@ NEAR_END = 10.0
 """m, before its end at which an open road counts as driven to the end, and 1 % of its length."""
 
 
-_ON_PAGE = (5.2, 3.6)
-"""inch, width and height of the picture on the page."""
+_ON_PAGE = (5.2, 4.0)
+"""inch, width and largest height of the picture on the page."""
 
 
 def write_drive_page(
@@ -184,9 +184,10 @@ def _measures(drives: Drives) -> Section:
 
 def _made(drives: Drives, command: str) -> Section:
     first = next(iter(drives.values()))
-    shape = first.outline
-    car = f"{number(shape.length)} m long, {number(shape.width)} m wide"
-    car += "; overhangs and width are estimated from wheelbase and track, the car's file does not say" * shape.derived
+    body = first.shape.body
+    guesses = [name.replace("_", " ") for name in body.estimated]
+    car = f"{number(body.length)} m long, {number(body.width)} m wide"
+    car += f"; estimated from wheelbase and track: {listed(guesses)}" if guesses else ""
     samples = f"{number(len(first))} instants in {number(float(first.time[-1] - first.time[0]))} s"
     terms: list[tuple[str, str]] = [("Drawn car", car), ("Recorded", samples)]
     terms += [("Road", note) for note in first.road.notes]

@@ -86,10 +86,10 @@ def road_span(drives: Sequence[DriveRecord]) -> tuple[float, float]:
     return min(0.0, low), max(road.length, high)
 
 
-def above_figure(drives: Sequence[DriveRecord], width: float = style.PAGE_WIDTH, height: float = 4.4) -> Figure:
+def above_figure(drives: Sequence[DriveRecord], width: float = style.PAGE_WIDTH, tallest: float = 5.0) -> Figure:
     """The road from above with the driven line coloured by |e|; a panel a drive, two beside each other.
 
-    width, height: inch, of the figure and of a row of panels.
+    width, tallest: inch, of the figure, and of a row of panels where the road is not flatter.
 
     Raises
     ------
@@ -100,7 +100,7 @@ def above_figure(drives: Sequence[DriveRecord], width: float = style.PAGE_WIDTH,
     columns = 1 if len(shown) == 1 else 2
     rows = -(-len(shown) // columns)
     with style.styled():
-        figure = Figure(figsize=(width, height * (rows if columns == 1 else 0.62 * rows)))
+        figure = style.ShownFigure(figsize=(width, rows * _row_height(drives, width / columns, tallest)))
         panels = list(figure.subplots(rows, columns, squeeze=False).flat)
         for spare in panels[len(shown) :]:
             spare.remove()
@@ -108,6 +108,14 @@ def above_figure(drives: Sequence[DriveRecord], width: float = style.PAGE_WIDTH,
         for axes, label in zip(panels, shown if len(shown) > 1 else (), strict=False):
             axes.set_title(style.data_text(label))
     return figure
+
+
+def _row_height(drives: Sequence[DriveRecord], width: float, tallest: float) -> float:
+    """inch, of a panel as wide as that (inch) that the road fills, within bounds."""
+    road = drives[0].road
+    points = road.at(outline_stations(road, *road_span(drives)))
+    wide, high = (float(np.ptp(values)) for values in points[:2])
+    return min(max(0.75 * width * high / max(wide, 1.0) + 0.8, 0.45 * width), tallest)
 
 
 def draw_above(drives: Sequence[DriveRecord], panels: Sequence[Axes]) -> None:

@@ -110,7 +110,7 @@ def tracking_figure(runs: Runs, strokes: Mapping[str, style.Stroke] | None = Non
 
     Along a road Y says nothing: the speed then takes its place.
     """
-    straight = all(getattr(run, "station", None) is None for run in runs.values())
+    straight = not any(run.road for run in runs.values())
     return _panels(TRACKING if straight else (*TRACKING[1:], SPEED), runs, strokes, reference="Reference")
 
 

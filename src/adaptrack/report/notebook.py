@@ -29,7 +29,7 @@ def run_figure(run: Trajectory, road: Road | None = None) -> Figure:
         return tracking_figure({controller_name(run.name_of("controller")): run})
     drive = DriveRecord.from_trajectory(run, road)
     with style.styled():
-        figure = Figure(figsize=(style.PAGE_WIDTH, 8.4))
+        figure = style.ShownFigure(figsize=(style.PAGE_WIDTH, 8.4))
         above, *along = figure.subplots(4, 1, height_ratios=[3.2, 1.0, 1.0, 1.0])
         draw_above([drive], [above])
         for panel, axes in zip(along_panels(labelled([drive])), along, strict=False):

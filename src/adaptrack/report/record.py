@@ -5,22 +5,19 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple, Self
+from typing import NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from adaptrack.errors import InvalidInput
+from adaptrack.errors import InvalidInput, real
 from adaptrack.failure import Failed
+from adaptrack.outline import Outline
 from adaptrack.road import Road, SpeedPlan
 from adaptrack.trajectory import Trajectory
 from adaptrack.vehicle import Vehicle
 
 Array = NDArray[np.float64]
-
-FRONT_SHARE, REAR_SHARE, SIDES = 0.31, 0.33, 0.25
-"""Overhangs over the wheelbase, and width minus track (m), of cars whose file does not say: near those of a Hyundai
-Kona (4.18 m long, 1.80 m wide, wheelbase 2.60 m) and a BMW E30 (4.33 m, 1.65 m, 2.57 m)."""
 
 SIGNALS = (
     "time", "station", "x", "y", "yaw", "speed", "offset", "heading_error", "steering", "command",
@@ -38,55 +35,37 @@ class Measure(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Outline:
-    """A car from above, about its centre of mass; all in m.
+class Shape:
+    """A car from above, about its centre of mass.
 
     Raises
     ------
     InvalidInput
-        When a length is not positive, or the axles lie outside the body.
+        When a length is not positive.
     """
 
+    body: Outline
     lf: float
-    """centre of mass to front axle"""
+    """m, centre of mass to front axle"""
     lr: float
-    """centre of mass to rear axle"""
-    front_overhang: float
-    """front axle to front end"""
-    rear_overhang: float
-    """rear axle to rear end"""
-    width: float
+    """m, centre of mass to rear axle"""
     track_front: float
+    """m"""
     track_rear: float
-    derived: bool = False
-    """Whether overhangs and width are estimates from wheelbase and track."""
+    """m"""
 
     def __post_init__(self) -> None:
-        for name in ("lf", "lr", "width", "track_front", "track_rear"):
-            if not 0.0 < getattr(self, name) < math.inf:
-                raise InvalidInput(f"Outline: {name} = {getattr(self, name)!r}: must be a length > 0 m.")
-        for name in ("front_overhang", "rear_overhang"):
-            if not 0.0 <= getattr(self, name) < math.inf:
-                raise InvalidInput(f"Outline: {name} = {getattr(self, name)!r}: must be a length >= 0 m.")
+        for name in ("lf", "lr", "track_front", "track_rear"):
+            if not 0.0 < real("Shape", name, getattr(self, name)) < math.inf:
+                raise InvalidInput(f"Shape: {name} = {getattr(self, name)!r} m: must be positive and finite.")
 
     @classmethod
     def of(cls, car: Vehicle) -> Self:
-        """The outline of a car of which only wheelbase and tracks are known: the rest as of usual cars."""
-        return cls(
-            lf=car.lf, lr=car.lr, track_front=car.track_front, track_rear=car.track_rear, derived=True,
-            front_overhang=FRONT_SHARE * car.wheelbase, rear_overhang=REAR_SHARE * car.wheelbase,
-            width=max(car.track_front, car.track_rear) + SIDES,
-        )  # fmt: skip
-
-    @property
-    def length(self) -> float:
-        """m, from end to end."""
-        return self.front_overhang + self.lf + self.lr + self.rear_overhang
+        """The body and the axles of a car."""
+        return cls(car.outline, car.lf, car.lr, car.track_front, car.track_rear)
 
 
-PASSENGER_CAR = Outline(
-    lf=1.3, lr=1.4, front_overhang=0.85, rear_overhang=0.9, width=1.8, track_front=1.55, track_rear=1.55, derived=True
-)
+PASSENGER_CAR = Shape(Outline(2.15, 2.3, 1.8, ("length", "front_overhang", "width")), 1.3, 1.4, 1.55, 1.55)
 """What is drawn where no car is given."""
 
 
@@ -102,7 +81,7 @@ class DriveRecord:
     """
 
     road: Road
-    outline: Outline
+    shape: Shape
     time: Array
     """s, growing"""
     station: Array
@@ -161,7 +140,7 @@ class DriveRecord:
         cls,
         run: Trajectory,
         road: Road,
-        car: Vehicle | Outline = PASSENGER_CAR,
+        car: Vehicle | Shape = PASSENGER_CAR,
         *,
         plan: SpeedPlan | None = None,
         failed: Failed | None = None,
@@ -169,12 +148,12 @@ class DriveRecord:
     ) -> Self:
         """A recorded run beside its road, cut at the first instant that is not finite.
 
-        Where the run holds `station`, `offset` and `heading_error` these are taken; otherwise its positions are
+        Where the run knows its road (`Trajectory.road`) that is taken; otherwise its positions are
         projected onto the road, each from the foot of the one before it.
 
         Parameters
         ----------
-        car : Vehicle or Outline
+        car : Vehicle or Shape
             What is drawn.
         plan : SpeedPlan, optional
             The planned speed; the run's speed reference when left out.
@@ -198,7 +177,7 @@ class DriveRecord:
         told = (failed.clause, failed.time) if failed else (run.failed or "", run.failed_at)
         return cls(
             **{name: values[:end] for name, values in signals.items()},
-            road=road, outline=car if isinstance(car, Outline) else Outline.of(car),
+            road=road, shape=car if isinstance(car, Shape) else Shape.of(car),
             controller=run.name_of("controller"), car=run.name_of("vehicle"), profile=run.name_of("profile"),
             failed=told[0], failed_at=told[1], metrics=metrics,
         )  # fmt: skip
@@ -230,7 +209,7 @@ class DriveRecord:
         return float(np.abs(self.offset).max())
 
 
-def _beside(run: Any, road: Road) -> tuple[Array, Array, Array]:
+def _beside(run: Trajectory, road: Road) -> tuple[Array, Array, Array]:
     """Station, offset and heading error of a run: its own, or by projection."""
     if run.road:
         return run.road["station"], run.road["offset"], run.road["heading_error"]

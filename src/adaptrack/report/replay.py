@@ -97,7 +97,7 @@ def packed(values: Array, unit: float) -> dict[str, Any]:
 
 
 def sampled(drive: DriveRecord) -> np.ndarray:
-    """The indices of the instants that the replay holds: the last before each `PERIOD`, and the ends."""
+    """The indices of the instants that the replay holds: the first of each `PERIOD`, and the last of all."""
     due = np.floor((drive.time - drive.time[0]) / PERIOD + 1e-6)
     return np.unique([*np.flatnonzero(np.diff(due, prepend=-1.0) > 0.0), len(drive) - 1])
 
@@ -116,12 +116,12 @@ def _car(label: str, drive: DriveRecord) -> dict[str, Any]:
     keep = sampled(drive)
     columns = {name: getattr(drive, name)[keep] for name in UNITS}
     columns["yaw"] = np.unwrap(drive.yaw)[keep]
-    shape = drive.outline
+    shape = drive.shape
     return {
         "name": printable(label),
         "failed": drive.failed_at if drive.failed else None,
         "outline": {
-            "front": shape.lf + shape.front_overhang, "rear": shape.lr + shape.rear_overhang, "width": shape.width,
+            "front": shape.body.front, "rear": shape.body.rear, "width": shape.body.width,
             "lf": shape.lf, "lr": shape.lr, "track_front": shape.track_front, "track_rear": shape.track_rear,
         },
         "columns": {name: packed(values, UNITS[name]) for name, values in columns.items()},
