@@ -5,8 +5,10 @@ Runs from Python and compiled ones share it, and so they share what the kernels'
 
 from __future__ import annotations
 
+import logging
 import math
 from dataclasses import dataclass
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -23,6 +25,7 @@ from adaptrack.scheduling.variables import reference_preview
 from adaptrack.vehicle import SteeringActuator, in_periods
 
 Array = NDArray[np.float64]
+_log = logging.getLogger("adaptrack")
 KnownAs = Perception | FrictionWindEstimator | None
 """How a scheduler knows friction and wind: exactly (None), with errors, or as an estimator finds them."""
 
@@ -87,7 +90,22 @@ class World:
                 "both run at the same instants."
             )
         _refuse_missing_sensors(controller, profile)
-        return cls(plant, profile, controller.period, driver, known_as, failure or Failure())
+        world = cls(plant, profile, controller.period, driver, known_as, failure or Failure())
+        world.warn_of_slower_steering(controller)
+        return world
+
+    def warn_of_slower_steering(self, controller: Controller) -> None:
+        """Say it when an MPC believes that the wheels follow its command sooner than they do: it may lose the car."""
+        belief = controller.belief if isinstance(controller, MPC) else None
+        if belief is None:
+            return
+        believed, driven = belief.lag.value + belief.delay, self.steering.lag + sum(self.dead_periods) * self.period
+        if driven > believed + 0.4 * self.period:
+            _warn(
+                f"adaptrack: in profile {self.profile.name!r} the wheels follow a command {driven:.3g} s late, the "
+                f"controller believes {believed:.3g} s: MPC(car, profile={self.profile.name!r}), or belief=Steering(...) "
+                "of the car, tells it."
+            )
 
     @property
     def steering(self) -> SteeringActuator:
@@ -156,6 +174,12 @@ class World:
         """All states of the plant at the start (n,): in equilibrium at the speed of the scenario."""
         motion = np.array([*scenario.start_pose(), signals.speed[0], 0.0, 0.0])
         return motion if isinstance(self.plant, SteppedPlant) else self.plant.initial_state(motion)
+
+
+@cache
+def _warn(text: str) -> None:
+    """Once in a process."""
+    _log.warning(text)
 
 
 def _refuse_missing_sensors(controller: Controller, profile: Profile) -> None:

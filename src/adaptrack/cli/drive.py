@@ -66,7 +66,7 @@ def drive(
     closed: roads.Closed = None,
     road_id: roads.RoadId = None,
     lane: roads.Lane = None,
-    road_seed: Annotated[int | None, Option("--road-seed", help="Generated: which road, by default 0.")] = None,
+    road_seed: roads.Seed = None,
     length: roads.Length = None,
     out: Annotated[Path | None, Option(help="Folder for the page with the replay, and the trajectories.")] = None,
     allow_failed: Annotated[
@@ -179,6 +179,7 @@ def _print(trip: RoadDrive, rows: Sequence[dict[str, Any]], as_json: bool) -> No
 
 
 def _write_page(out: Path, runs: Sequence[_Run]) -> Path:
+    from adaptrack.failure import find_failure
     from adaptrack.report.drive import write_drive_page
     from adaptrack.report.record import DriveRecord, Measure
 
@@ -188,5 +189,8 @@ def _write_page(out: Path, runs: Sequence[_Run]) -> Path:
         for each in runs:
             row = each.row
             measures = [Measure(name, row[name]) for name in shown if row.get(name) is not None]
-            records.append(DriveRecord.from_trajectory(each.run, each.trip.road, each.car, metrics=measures))
+            failed = find_failure(each.run)
+            records.append(
+                DriveRecord.from_trajectory(each.run, each.trip.road, each.car, failed=failed, metrics=measures)
+            )
         return write_drive_page(out, records, command=options.command_line())

@@ -41,7 +41,7 @@ MaxDeviation = Annotated[
 Closed = Annotated[bool | None, Option("--closed/--open", help=".csv: whether it is a lap; by default as found.")]
 RoadId = Annotated[str | None, Option("--road", metavar="ID", help=".xodr: which road.")]
 Lane = Annotated[int | None, Option("--lane", metavar="N", help=".xodr: middle of this lane to the right (-1, ...).")]
-Seed = Annotated[int | None, Option("--seed", help="Generated: which road, by default 0.")]
+Seed = Annotated[int | None, Option("--road-seed", help="Generated: which road, by default 0.")]
 Length = Annotated[float | None, Option("--length", help="Generated: length (m), by default 2000.")]
 
 
@@ -55,12 +55,12 @@ def check(
     closed: Closed = None,
     road_id: RoadId = None,
     lane: Lane = None,
-    seed: Seed = None,
+    road_seed: Seed = None,
     length: Length = None,
     as_json: options.Json = False,
 ) -> None:
     """Tell what a road is and what of it a car cannot drive; the exit code is then 1."""
-    asked = given(max_deviation=max_deviation, closed=closed, road=road_id, lane=lane, seed=seed, length=length)
+    asked = given(max_deviation=max_deviation, closed=closed, road=road_id, lane=lane, seed=road_seed, length=length)
     seen = look(road, asked, vehicle, speed, lateral_acceleration)
     if as_json:
         show.say_json(_values(seen))
@@ -81,14 +81,14 @@ def plot(
     closed: Closed = None,
     road_id: RoadId = None,
     lane: Lane = None,
-    seed: Seed = None,
+    road_seed: Seed = None,
     length: Length = None,
 ) -> None:
     """Draw a road from above, with curvature and speed along it, as a PNG file."""
     from adaptrack.files import write_atomically
     from adaptrack.report.road import road_png
 
-    asked = given(max_deviation=max_deviation, closed=closed, road=road_id, lane=lane, seed=seed, length=length)
+    asked = given(max_deviation=max_deviation, closed=closed, road=road_id, lane=lane, seed=road_seed, length=length)
     seen = look(road, asked, vehicle, speed, lateral_acceleration)
     write_atomically(out, road_png(seen.road, seen.plan, seen.findings))
     show.say(f"Picture: {out}")

@@ -410,8 +410,8 @@ class MPC:
         else:
             moves[: own.planned] = mpc.plan[0, : own.planned]
         response = np.convolve(moves, mpc.ws.step[0, :count])[:count]
-        times = (steps + 1.0) * self.period + self.model.dead_time
-        return times, np.asarray(free + response, dtype=np.float64)
+        times: Array = (steps + 1.0) * self.period + self.model.dead_time
+        return np.asarray(times), np.asarray(free + response)
 
     def step(
         self,

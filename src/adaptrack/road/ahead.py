@@ -32,7 +32,9 @@ def pack_roads(roads: Sequence[Road | None]) -> Any:
             kept.append(road)
         of[i] = known[0] if known else len(kept) - 1
     numbers = np.zeros((len(kept), len(kernel.NUMBERS)))
-    start, pieces, headings = [np.zeros(0)], [np.zeros((0, kernel.TURNED + kernel.DEGREE + 1))], [np.zeros(0)]
+    start: list[Array] = [np.zeros(0)]
+    pieces: list[Array] = [np.zeros((0, kernel.TURNED + kernel.DEGREE + 1))]
+    headings: list[Array] = [np.zeros(0)]
     places = np.zeros(3)
     for k, road in enumerate(kept):
         cells = max(1, math.ceil(road.length / HEADING_SPACING))
