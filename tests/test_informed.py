@@ -110,7 +110,8 @@ def test_an_impossible_lag_dead_time_or_period_is_refused_by_name(numbers):
 @pytest.mark.parametrize("oldest", [0.0, 0.12])
 def test_the_compiled_filter_is_the_readable_one(lag, dead_time, oldest, rng):
     noise = SensorNoise(wheel_angle=0.002, lateral_acceleration=0.1, yaw_rate_offset=0.002)
-    estimator = KalmanFilter(noise if oldest else SensorNoise(), Drifts(sliding=0.3), oldest=oldest)
+    drifts = Drifts(sliding=0.3, sliding_time=0.2, grip=3.0, least_spare=0.2)
+    estimator = KalmanFilter(noise if oldest else SensorNoise(), drifts, oldest=oldest)
     model, count = PathModel(CAR, PERIOD, lag, dead_time), 150
     speeds = 15.0 + 3.0 * np.sin(0.1 * np.arange(count))
     samples = rng.normal(size=(count, 8)) * [0.1, 0.01, 0.02, 0.1, 0.01, 0.5, 0.0, 0.0]
@@ -125,9 +126,11 @@ def test_the_compiled_filter_is_the_readable_one(lag, dead_time, oldest, rng):
 
 
 @every_lag
-def test_a_push_is_no_larger_than_what_the_tyres_can_still_answer(lag, rng):
+@pytest.mark.parametrize("grip", [7.0, 4.0])
+def test_a_push_is_no_larger_than_what_the_tyres_can_still_answer(lag, grip, rng):
     """A car that is dragged sideways harder than any tyre can pull; both forms of the filter."""
-    model, own, count, speed = PathModel(CAR, PERIOD, lag), KalmanFilter(bound=math.inf), 60, 15.0
+    model, own = PathModel(CAR, PERIOD, lag), KalmanFilter(drifts=Drifts(grip=grip), bound=math.inf)
+    count, speed = 60, 15.0
     t = PERIOD * np.arange(count)
     samples = np.column_stack([20.0 * t, 0.0 * t, 0.0 * t, 10.0 * t**2]) + 1e-3 * rng.normal(size=(count, 4))
     at = np.full(count, speed), samples, np.zeros(count)
@@ -135,7 +138,7 @@ def test_a_push_is_no_larger_than_what_the_tyres_can_still_answer(lag, rng):
     expected = []
     for each in zip(*at, strict=True):
         expected.append(np.concatenate(readable.step(*each)))
-        assert abs(readable.z[model.n]) <= 7.0 + 1e-12
+        assert abs(readable.z[model.n]) <= grip + 1e-12
     np.testing.assert_allclose(run_kernel(own, model, *at), expected, rtol=1e-10, atol=1e-9)
     assert abs(readable.z[model.n]) == pytest.approx(readable.spare)
 
@@ -341,6 +344,8 @@ def test_filters_and_models_that_do_not_fit_each_other_are_refused():
         lambda: SensorNoise(yaw=math.nan),
         lambda: Drifts(side=-0.1),
         lambda: Drifts(turn=math.inf),
+        lambda: Drifts(sliding_time=0.0),
+        lambda: Drifts(least_spare=0.0),
         lambda: KalmanFilter(bound=0.0),
         lambda: KalmanFilter(spread=(0.1, math.nan)),
     ],

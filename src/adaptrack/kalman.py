@@ -64,7 +64,8 @@ class SensorNoise:
 class Drifts:
     """How fast what the filter estimates may change beside the model: standard deviations after one second.
 
-    They are random walks: after t seconds the deviation is sqrt(t) times that.
+    They are random walks: after t seconds the deviation is sqrt(t) times that. Behind them stands what is known of the
+    tyres, which says how much of what the model cannot explain is a disturbance.
     """
 
     vy: float = 0.03
@@ -89,11 +90,21 @@ class Drifts:
     """s^0.5, of the force of an axle: its impulse deviates by `sliding` F^2/F_z after a second, F being its force in
     the model and F_z its load. In the brush model of a tyre F^2/(3 mu F_z) is lost to sliding (Pacejka, Tire and
     Vehicle Dynamics, 3rd ed., section 3.2), and mu is not known."""
+    sliding_time: float = 0.3
+    """s, how long such a deviation lasts: what an accelerometer reads is off by sliding F^2/F_z/(m sqrt(2 sliding_time))
+    for each axle"""
+    grip: float = 7.0
+    """m/s^2, what the tyres can pull at most: a disturbance is no larger than that less what they pull in the model,"""
+    least_spare: float = 0.5
+    """m/s^2, but may always be this large"""
 
     def __post_init__(self) -> None:
         for each in fields(self):
             if not 0.0 <= real("Drifts", each.name, getattr(self, each.name)) < math.inf:
                 raise InvalidInput(f"Drifts: {each.name} must not be negative, and finite.")
+        for name in ("sliding_time", "least_spare"):
+            if not getattr(self, name) > 0.0:
+                raise InvalidInput(f"Drifts: {name} = {getattr(self, name)!r}: must be positive.")
 
 
 @final
@@ -182,6 +193,7 @@ class KalmanFilter(Estimator):
         together = self.disturbance_drift(model) * model.period
         drifts += [together[0, 0], together[1, 1], together[0, 1]]
         drifts += [self.drifts.yaw_rate_offset**2 * model.period, self.drifts.sliding**2]
+        drifts += [self.drifts.sliding_time, self.drifts.grip, self.drifts.least_spare]
         spread = [each**2 for each in (*self.spread, self.noise.yaw_rate_offset)]
         own = [model.period, whole, share, self.late(model), self.bound, self.patience / model.period]
         own += [min(1.0, model.period / self.settling), *self.variances(), *drifts, *spread]
@@ -282,9 +294,7 @@ class ReadableFilter:
 
     def predict(self, speed: float, instant: int = 0) -> None:
         """z(k) = F z(k-1) + B u, where in a period first the older, then the newer command acts; P = F P F' + Q."""
-        from adaptrack.kernels.estimators.kalman import GRIP, LEAST_SPARE, SLIDING_TIME
-
-        period = self.model.period
+        period, tyres = self.model.period, self.own.drifts
         old, new = self.sent[self.whole + instant + 1], self.sent[self.whole + instant]
         assert self.z is not None
         for time, command in ((self.share * period, old), ((1.0 - self.share) * period, new)):
@@ -296,8 +306,8 @@ class ReadableFilter:
         errors = self.sliding(speed, new)
         self.P[places] += period * errors
         front, rear = self.forces(speed, new)
-        self.spare = max(LEAST_SPARE, GRIP - abs(front + rear) / self.model.vehicle.mass)
-        self.felt_error = errors[0, 0] / (2.0 * SLIDING_TIME)
+        self.spare = max(tyres.least_spare, tyres.grip - abs(front + rear) / self.model.vehicle.mass)
+        self.felt_error = errors[0, 0] / (2.0 * tyres.sliding_time)
 
     def forces(self, speed: float, command: float) -> Array:
         """(2,) N, of the axles in the model."""

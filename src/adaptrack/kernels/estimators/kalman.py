@@ -15,7 +15,7 @@ to the last bit, from a sensor that has noise, is an old one and left out.
 
 What a tyre slides away is not in the model: v_y and r drift by it, and an accelerometer disagrees. So the harder the
 driving, the less of what the model cannot explain is called a push; and a push is no larger than what the tyres can
-still answer, GRIP less what they pull in the model.
+still answer, `grip` less what they pull in the model.
 
 The offsets of an accelerometer (the pull of a banked road is one to it) and of the wheel-angle sensor are slow averages
 of their innovations. Without a position for longer than `patience`, or with one that stays the same and disagrees with
@@ -48,6 +48,8 @@ NUMBERS = (
     "drift_side", "drift_turn", "drift_both",  # likewise, of d_y and d_r, and their covariance
     "drift_bias",  # likewise, of the yaw-rate sensor's offset
     "sliding",  # s, squared, of what the tyres' sliding makes uncertain of each axle's force, over F^2/F_z
+    "sliding_time",  # s, how long the model gets a force wrong at a time, as far as an accelerometer is concerned
+    "grip", "least_spare",  # m/s^2, what tyres can pull at most, and what a disturbance may always be
     "spread_side", "spread_turn", "spread_bias",  # variances of d_y, d_r and b before the first sample; b: 0, no offset
 )  # fmt: skip
 Numbers = record("Numbers", NUMBERS)
@@ -57,12 +59,8 @@ SENSORS = 6
 """The first of `MEASURED`; their ages follow."""
 _STATES = 5  # as many of them may be states
 _VARIANCE, _DRIFT = NUMBERS.index("variance_vy"), NUMBERS.index("drift_vy")
-GRIP, LEAST_SPARE = 7.0, 0.5
-"""m/s^2, what tyres can pull at most, and what a disturbance may always be."""
 UNKNOWN = 1e2
 """Variance of a state of which the first sample says nothing."""
-SLIDING_TIME = 0.3
-"""s, how long the model gets a force wrong at a time, as far as an accelerometer is concerned."""
 LEAST_NOISE = (0.005, 0.0002, 0.001, 0.002, 0.0005, 0.02)
 """Of the sensors: with better ones the model's own errors limit the filter."""
 
@@ -255,8 +253,8 @@ def _predict(n, size, instant, p, parameters, memory):
     memory[_P + WIDTH * 2 + 2] += share * of_r
     memory[_P + 2] += share * of_both
     memory[_P + WIDTH * 2] += share * of_both
-    memory[_SPARE] = max(LEAST_SPARE, GRIP - pull)
-    memory[_FELT_ERROR] = p.sliding / (2.0 * SLIDING_TIME) * of_vy
+    memory[_SPARE] = max(p.least_spare, p.grip - pull)
+    memory[_FELT_ERROR] = p.sliding / (2.0 * p.sliding_time) * of_vy
     memory[_P + WIDTH * n + n] += p.drift_side
     memory[_P + WIDTH * (n + 1) + n + 1] += p.drift_turn
     memory[_P + WIDTH * n + n + 1] += p.drift_both
