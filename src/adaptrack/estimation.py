@@ -68,6 +68,10 @@ class Estimator(ABC):
         """Numbers that it remembers from step to step."""
         return 0
 
+    def left_out(self, memory: Array) -> str | None:
+        """The sensor that it leaves out because it disagrees with all others, by what it remembers; None: none."""
+        return None
+
     def check_fits(self, model: PredictionModel) -> None:  # noqa: B027 (most fit any model)
         """Refuse a model that it cannot serve.
 

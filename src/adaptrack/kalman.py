@@ -91,8 +91,7 @@ class Drifts:
     the model and F_z its load. In the brush model of a tyre F^2/(3 mu F_z) is lost to sliding (Pacejka, Tire and
     Vehicle Dynamics, 3rd ed., section 3.2), and mu is not known."""
     sliding_time: float = 0.3
-    """s, how long such a deviation lasts: what an accelerometer reads is off by sliding F^2/F_z/(m sqrt(2 sliding_time))
-    for each axle"""
+    """s, how long such a deviation lasts: by it an accelerometer is off by sliding F^2/F_z/(m sqrt(2 sliding_time))"""
     grip: float = 7.0
     """m/s^2, what the tyres can pull at most: a disturbance is no larger than that less what they pull in the model,"""
     least_spare: float = 0.5
@@ -118,6 +117,10 @@ class KalmanFilter(Estimator):
     left out; patience: how long the estimate goes on by the model without a measured position (s), before the
     controller holds; settling: time (s) over which the offsets of accelerometer and wheel-angle sensor are averaged.
 
+    distrust: a sensor other than the pose is left out when the mean of its squared innovations over their variance, 1
+    for a filter that is right, exceeds that; inf: never; trust: it is taken in again below that; window: times (s) over
+    which that mean is taken, of a sensor that is taken in and of one that is left out.
+
     Raises
     ------
     InvalidInput
@@ -131,6 +134,9 @@ class KalmanFilter(Estimator):
     oldest: float = 0.0
     patience: float = 3.0
     settling: float = 10.0
+    distrust: float = 10.0
+    trust: float = 2.0
+    window: tuple[float, float] = (0.5, 5.0)
     name = "kalman"
 
     def __post_init__(self) -> None:
@@ -144,6 +150,13 @@ class KalmanFilter(Estimator):
             raise InvalidInput(f"KalmanFilter: patience = {self.patience!r} s: must not be negative; inf: for ever.")
         if not real("KalmanFilter", "settling", self.settling) > 0.0:
             raise InvalidInput(f"KalmanFilter: settling = {self.settling!r} s: must be positive; inf: no averaging.")
+        if not 0.0 < real("KalmanFilter", "trust", self.trust) <= real("KalmanFilter", "distrust", self.distrust):
+            raise InvalidInput(
+                f"KalmanFilter: trust = {self.trust!r}, distrust = {self.distrust!r}: trust must be positive, distrust "
+                "no less; distrust = inf: no sensor is left out."
+            )
+        if not all(0.0 < real("KalmanFilter", "window", each) < math.inf for each in self.window):
+            raise InvalidInput(f"KalmanFilter: window = {self.window!r} s: must be positive and finite.")
 
     @classmethod
     def of_profile(cls, profile: Profile, drifts: Drifts | None = None) -> KalmanFilter:
@@ -170,6 +183,12 @@ class KalmanFilter(Estimator):
 
         return int(memory_size(_periods(model)[0], self.late(model)))
 
+    def left_out(self, memory: Array) -> str | None:
+        from adaptrack.kernels.estimators.kalman import LEFT_OUT
+
+        out = int(memory[LEFT_OUT])
+        return SENSORS[out - 1] if out else None
+
     def late(self, model: PredictionModel) -> int:
         """Periods that are gone through anew at every step, for the samples that come late."""
         return math.floor(self.oldest / model.period + 0.5)
@@ -180,6 +199,11 @@ class KalmanFilter(Estimator):
 
         noise = [getattr(self.noise, name) for name in SENSORS]
         return np.maximum(noise, LEAST_NOISE) ** 2
+
+    def shares(self, period: float) -> tuple[float, float]:
+        """By which the mean of the squared innovations moves with a sample that is taken in, and with one left out."""
+        taken_in, left_out = self.window
+        return min(1.0, period / taken_in), min(1.0, period / left_out)
 
     def disturbance_drift(self, model: PathModel) -> Array:
         """(2, 2) variances and covariance that a second adds to d_y and d_r."""
@@ -196,6 +220,7 @@ class KalmanFilter(Estimator):
         drifts += [self.drifts.sliding_time, self.drifts.grip, self.drifts.least_spare]
         spread = [each**2 for each in (*self.spread, self.noise.yaw_rate_offset)]
         own = [model.period, whole, share, self.late(model), self.bound, self.patience / model.period]
+        own += [self.distrust, self.trust, *self.shares(model.period)]
         own += [min(1.0, model.period / self.settling), *self.variances(), *drifts, *spread]
         return np.concatenate([own, model.parameters()])
 
@@ -264,6 +289,8 @@ class ReadableFilter:
         self.past = self.z.copy(), self.P.copy()
         self.ring: list[dict[str, float]] = [{} for _ in range(self.late + 1)]
         self.last, self.offsets = np.array(measured[: len(SENSORS)]), np.zeros(len(SENSORS))
+        self.disagreement: dict[str, float] = dict.fromkeys(SENSORS, 0.0)
+        self.left_out: str | None = None
         self.steps, self.blind = 0, 0
 
     def sort_in(self, measured: Array) -> None:
@@ -366,9 +393,35 @@ class ReadableFilter:
             h, beside = self.reading(name, instant, tau, speed)
             value = self.ring[instant][name] - beside - self.offsets[i]
             more = self.felt_error if name == "lateral_acceleration" else 0.0
+            self.judge(name, instant, h, value, float(variances[i]) + more)
+            if name == self.left_out:
+                continue
             innovation = self.correct(h, value, float(variances[i]) + more)
             if instant == 0 and name in ("lateral_acceleration", "wheel_angle"):
                 self.offsets[i] += min(1.0, period / self.own.settling) * innovation
+
+    def judge(self, name: str, instant: int, h: Array, value: float, variance: float) -> None:
+        """Average the squared innovation of a sensor over its variance, every sample once."""
+        assert self.z is not None
+        if instant == self.late:
+            found = float((value - h @ self.z) ** 2 / (h @ self.P @ h + variance))
+            share = self.own.shares(self.model.period)[name == self.left_out]
+            self.disagreement[name] += share * (min(found, 2.0 * self.own.bound**2) - self.disagreement[name])
+
+    def choose_left_out(self) -> None:
+        """The redundant sensor that disagrees the most, beyond the bound, until it agrees again.
+
+        Where the model is wrong the gyro disagrees at least as much; where the gyro is, the heading disagrees with it.
+        """
+        if self.left_out is not None:
+            if self.disagreement[self.left_out] < self.own.trust:
+                self.left_out = None
+            return
+        found = {name: each for name, each in self.disagreement.items() if each >= self.disagreement["yaw_rate"]}
+        found = {name: found.get(name, 0.0) for name in SENSORS if name not in ("yaw", "y")}
+        found["yaw_rate"] = self.disagreement["yaw"]
+        worst = max(found, key=lambda name: found[name])
+        self.left_out = worst if found[worst] > self.own.distrust else None
 
     def go_on(self, speed: float) -> None:
         """From z of `late` periods before the last instant to the present one, with all samples since then."""
@@ -381,6 +434,7 @@ class ReadableFilter:
             if instant == self.late:
                 assert self.z is not None
                 self.past = self.z, self.P
+        self.choose_left_out()
 
     def bound_disturbance(self) -> None:
         """A push is no larger than what the tyres can still answer."""

@@ -279,7 +279,7 @@ def rollout(
 
 # -- the trajectory ---------------------------------------------------------------------------------------------------
 _WHOLE = {"Np", "Nc", "qp_status", "qp_iterations", "at_limit"}
-_UNITS = {"tuning.Q": "1/m^2", "tuning.R": "1/rad^2"}
+_UNITS = {"tuning.Q": "1/m^2", "tuning.R": "1/rad^2", "diagnostics.dead_reckoning": "s"}
 
 
 def _named(names: tuple[str, ...], columns: Array, driven: NDArray[np.bool_]) -> dict[str, NDArray[Any]]:
@@ -325,7 +325,11 @@ def _trajectory(
         period=signals.period,
         tuning=_named(record.tuning_names, record.tuning, driven),
         diagnostics=_named(record.diagnostic_names, record.diagnostics, driven),
-        units={key: unit for key, unit in _UNITS.items() if key.partition(".")[2] in record.tuning_names},
+        units={
+            key: unit
+            for key, unit in _UNITS.items()
+            if key.partition(".")[2] in (*record.tuning_names, *record.diagnostic_names)
+        },
         failed=record.failed,
         failed_at=record.failed_at,
         meta=provenance(

@@ -142,7 +142,8 @@ class Trajectory:
 
     An MPC's: ``qp_status`` (int64, as `qp.QPStatus`: 0 solved, 1 capped, 2 infeasible, 3 not convex, 4 not finite),
     ``qp_iterations`` (int64, of the solver that gave the answer), ``qp_residual`` (largest KKT residual of the answer;
-    NaN when there was none) and ``at_limit`` (int64, sum of 1 (Δu), 2 (u) and 4 (y) for the limits that were active).
+    NaN when there was none), ``at_limit`` (int64, sum of 1 (Δu), 2 (u) and 4 (y) for the limits that were active) and
+    ``dead_reckoning`` (s, for which the estimator had taken in no position; 0 where one was).
     """
     units: Mapping[str, str] = field(default_factory=dict)
     """The units of named arrays, such as ``{"tuning.Q": "1/m^2"}``; ``-`` where left out."""
