@@ -1,8 +1,8 @@
 """What the filter bears: steering bias and bank, missing, late and stuck samples, and how honest its variances are.
 
-    python benchmarks/estimating.py [offsets] [grip] [samples] [nis] [--runs 100] [--json]
+    python benchmarks/estimating.py [offsets] [grip] [samples] [stuck] [nis] [--runs 100] [--json]
 
-Without words all four. Paper's car, default constant and filter, fresh noise; J as in what_pays.py.
+Without words all five. Paper's car, default constant and filter, fresh noise; J as in what_pays.py.
 """
 
 from __future__ import annotations
@@ -10,10 +10,10 @@ from __future__ import annotations
 import argparse
 import json
 import math
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
-from what_pays import costs
+from what_pays import FAILED, costs
 
 import adaptrack as at
 from adaptrack.kalman import SENSORS, Drifts, KalmanFilter, ReadableFilter
@@ -25,6 +25,9 @@ from adaptrack.simulate import rollout
 CAR = at.load_vehicle("paper")
 PLANT = at.DualTrack(CAR, "magic-formula")
 ROAD, PRODUCTION = load_profile("road"), load_profile("production")
+STUCK_AT = {"vy": 0.5, "yaw_rate": 0.1, "wheel_angle": 0.05, "lateral_acceleration": 2.0}
+"""m/s, rad/s, rad, m/s^2: what a sensor reads that is stuck."""
+SENSORS_AT = {name: place for place, name in enumerate(SENSORS)}
 BIAS, BANK = 0.01, math.asin(0.5 / 9.80665)
 
 
@@ -120,6 +123,104 @@ def samples(runs: int) -> list[dict[str, Any]]:
     return found
 
 
+class Fault(NamedTuple):
+    """What fails of the sensors, and how."""
+
+    sensors: tuple[str, ...]
+    reading: float = math.nan
+    """what they read; NaN: their last value; inf: nothing"""
+    noise: float = 0.0
+    """standard deviation that they keep"""
+    begin: float = 20.0
+    """s"""
+    length: float = math.inf
+    """s"""
+
+
+class Faulty(at.MPC):
+    """The MPC behind sensors of which some fail."""
+
+    def __init__(self, car: Any, profile: Any, fault: Fault, seed: int) -> None:
+        self.fault, self.rng = fault, np.random.default_rng(seed)
+        super().__init__(car, profile=profile)
+
+    def reset(self) -> None:
+        """Forget the past."""
+        self.k, self.read, self.doubted = 0, {}, []
+        super().reset()
+
+    def step(self, state: Any, *others: Any) -> Any:
+        """With the samples that the faulty sensors give instead."""
+        seen, fault, since = np.array(state), self.fault, self.k * self.period - self.fault.begin
+        self.k += 1
+        for place in map(SENSORS_AT.get, fault.sensors if 0.0 <= since < fault.length else ()):
+            if math.isfinite(seen[place]):
+                self.read.setdefault(place, seen[place] if math.isnan(fault.reading) else fault.reading)
+            value = self.read.get(place, math.nan)
+            noise = fault.noise * self.rng.normal() if fault.noise else 0.0
+            seen[place] = value + noise if math.isfinite(value) else math.nan
+        answer = super().step(seen, *others)
+        self.doubted.append(self.left_out)
+        return answer
+
+    def seconds_unnoticed(self, run: Any) -> float:
+        """From when a sensor stuck behind noise is first off by five times that, to its being left out; NaN: never."""
+        name = self.fault.sensors[0]
+        truth = getattr(run, {"wheel_angle": "steering"}.get(name, name))[: len(self.doubted)]
+        wrong = np.abs(self.read.get(SENSORS_AT[name], math.nan) - truth) > 5.0 * self.fault.noise
+        wrong &= run.t[: len(wrong)] >= self.fault.begin
+        out = np.array([each == name for each in self.doubted]) & (run.t[: len(wrong)] >= self.fault.begin)
+        if not wrong.any():
+            return math.nan
+        return max(0.0, (int(np.argmax(out)) - int(np.argmax(wrong))) * self.period) if out.any() else math.inf
+
+
+def stuck(runs: int) -> list[dict[str, Any]]:
+    """Random drives with a sensor that is stuck, to the bit or behind its noise, and with a pose stuck or absent."""
+    tests = [random_drive(9_200_000 + i) for i in range(runs)]
+    wheels = PRODUCTION.replace(name="production, wheel angle without offset", bias_wheel_angle=0.0)
+    worlds = (
+        (ROAD, ("vy", "yaw_rate")),
+        (PRODUCTION, ("yaw_rate", "lateral_acceleration")),
+        (wheels, ("wheel_angle",)),
+    )
+    rows = []
+    for world, sensor in ((world, sensor) for world, sensors in worlds for sensor in sensors):
+        noise = getattr(world, f"noise_{sensor}")
+        for fault in (
+            Fault((sensor,), STUCK_AT[sensor], begin=0.0), Fault((sensor,)),
+            Fault((sensor,), STUCK_AT[sensor], noise), Fault((sensor,), noise=noise),
+        ):  # fmt: skip
+            rows.append(faulty(tests, world, fault))
+    for world in (ROAD, PRODUCTION):
+        for reading in (math.inf, math.nan):
+            rows += [
+                faulty(tests, world, Fault(("yaw", "y"), reading, length=length)) for length in (0.5, 1.0, 2.0, 5.0)
+            ]
+    return rows
+
+
+def faulty(tests: list[Any], profile: Any, fault: Fault) -> dict[str, Any]:
+    """Cost and failures of drives with a fault; how long a stuck sensor was taken in, and there was no position."""
+    found, unnoticed, blind, held = [], [], [], 0
+    for i, test in enumerate(tests):
+        mpc = Faulty(CAR, profile, fault, i)
+        run = at.simulate(PLANT, mpc, test, profile=profile, seed=85_000 + i)
+        measures = at.compute_metrics(run)
+        found.append(FAILED if measures.failed else measures.cost)
+        unnoticed.append(mpc.seconds_unnoticed(run) if fault.noise else 0.0)
+        blind.append(measures.dead_reckoning_max)
+        held += measures.held > 0
+    noticed = np.array(unnoticed)[~np.isnan(unnoticed)]
+    return {
+        "world": profile.name, **fault._asdict(),
+        "J": float(np.exp(np.log(found).mean())), "failed": int(np.sum(np.array(found) >= FAILED)),
+        "unnoticed_p50_s": float(np.median(noticed)) if len(noticed) else math.nan,
+        "unnoticed_within_1_s": float(np.mean(noticed <= 1.0)) if len(noticed) else math.nan,
+        "off_in_runs": len(noticed), "without_position_s": float(np.max(blind)), "held_in_runs": held,
+    }  # fmt: skip
+
+
 def nis(runs: int) -> list[dict[str, Any]]:
     """Share of the single-step NIS of each sensor inside their 95 % interval, on the nonlinear plant."""
     inside: dict[str, list[bool]] = {}
@@ -153,11 +254,11 @@ def nis(runs: int) -> list[dict[str, Any]]:
 def main() -> None:
     """Print what was asked for."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("what", nargs="*", default=[], choices=[[], "offsets", "grip", "samples", "nis"])
+    parser.add_argument("what", nargs="*", default=[], choices=[[], "offsets", "grip", "samples", "stuck", "nis"])
     parser.add_argument("--runs", type=int, default=100)
     parser.add_argument("--json", action="store_true")
     asked = parser.parse_args()
-    parts = {"offsets": offsets, "grip": grip, "samples": samples, "nis": nis}
+    parts = {"offsets": offsets, "grip": grip, "samples": samples, "stuck": stuck, "nis": nis}
     found = {name: parts[name](asked.runs) for name in asked.what or parts}
     if asked.json:
         print(json.dumps(found))

@@ -24,6 +24,7 @@ from adaptrack.controllers.belief import ASSUMED
 from adaptrack.errors import InvalidInput
 from adaptrack.estimation import Deadbeat, check_estimator, get_estimator
 from adaptrack.kalman import SENSORS, Drifts, KalmanFilter, ReadableFilter, SensorNoise
+from adaptrack.metrics import compute_metrics
 from adaptrack.models import MEASURED, PathModel, SingleTrackModel, check_model, get_model
 from adaptrack.plant import DualTrack
 from adaptrack.profile import list_profiles, load_profile
@@ -110,7 +111,8 @@ def test_an_impossible_lag_dead_time_or_period_is_refused_by_name(numbers):
 @pytest.mark.parametrize("oldest", [0.0, 0.12])
 def test_the_compiled_filter_is_the_readable_one(lag, dead_time, oldest, rng):
     noise = SensorNoise(wheel_angle=0.002, lateral_acceleration=0.1, yaw_rate_offset=0.002)
-    estimator = KalmanFilter(noise if oldest else SensorNoise(), Drifts(sliding=0.3), oldest=oldest)
+    drifts = Drifts(sliding=0.3, sliding_time=0.2, grip=3.0, least_spare=0.2)
+    estimator = KalmanFilter(noise if oldest else SensorNoise(), drifts, oldest=oldest)
     model, count = PathModel(CAR, PERIOD, lag, dead_time), 150
     speeds = 15.0 + 3.0 * np.sin(0.1 * np.arange(count))
     samples = rng.normal(size=(count, 9)) * [0.1, 0.01, 0.02, 0.1, 0.01, 0.5, 0.0, 0.0, 0.0]
@@ -125,10 +127,46 @@ def test_the_compiled_filter_is_the_readable_one(lag, dead_time, oldest, rng):
     np.testing.assert_allclose(run_kernel(estimator, model, speeds, samples, commands), expected, rtol=0, atol=1e-10)
 
 
+@pytest.mark.parametrize("oldest", [0.0, 0.1])
+@pytest.mark.parametrize(
+    ("sensor", "reading"), [("vy", 0.6), ("yaw_rate", 0.2), ("wheel_angle", 0.05), ("lateral_acceleration", 3.0)]
+)
+def test_a_sensor_stuck_behind_its_noise_is_left_out_within_a_second_until_it_agrees_again(
+    sensor, reading, oldest, rng
+):
+    """A car that weaves on its own model; both forms of the filter."""
+    noise = SensorNoise(yaw_rate=0.002, wheel_angle=0.002, lateral_acceleration=0.1)
+    model, own = PathModel(CAR, PERIOD, 0.15), KalmanFilter(noise, oldest=oldest)
+    count, speed, first, last, place = 800, 20.0, 100, 200, SENSORS.index(sensor)
+    a, b, _ = model.discrete(speed)
+    slope, _ = model.continuous(speed)
+    commands = 0.02 * np.sin(0.12 * np.arange(count))
+    x, samples = np.zeros(model.n), np.zeros((count, 8))
+    for k in range(count):
+        samples[k, :6] = *x[:3], x[4], x[3], slope[0] @ x + speed * x[2]
+        x = a @ x + b[:, 0] * commands[k]
+    samples[:, :6] += rng.normal(size=(count, 6)) * np.sqrt(own.variances())
+    spread = math.sqrt(own.variances()[place])
+    samples[first:last, place] = reading + spread * rng.normal(size=last - first)
+    readable, expected, out = ReadableFilter(own, model), [], []
+    for k in range(count):
+        expected.append(np.concatenate(readable.step(speed, samples[k], commands[k - 1] if k else 0.0)))
+        out.append(readable.left_out)
+    assert not any(out[:first])
+    assert out[first + 20 : last] == [sensor] * (last - first - 20)
+    assert not any(out[-20:])
+    sent = np.concatenate([[0.0], commands[:-1]])
+    np.testing.assert_allclose(
+        run_kernel(own, model, np.full(count, speed), samples, sent), expected, rtol=0, atol=1e-9
+    )
+
+
 @every_lag
-def test_a_push_is_no_larger_than_what_the_tyres_can_still_answer(lag, rng):
+@pytest.mark.parametrize("grip", [7.0, 4.0])
+def test_a_push_is_no_larger_than_what_the_tyres_can_still_answer(lag, grip, rng):
     """A car that is dragged sideways harder than any tyre can pull; both forms of the filter."""
-    model, own, count, speed = PathModel(CAR, PERIOD, lag), KalmanFilter(bound=math.inf), 60, 15.0
+    model, own = PathModel(CAR, PERIOD, lag), KalmanFilter(drifts=Drifts(grip=grip), bound=math.inf)
+    count, speed = 60, 15.0
     t = PERIOD * np.arange(count)
     samples = np.column_stack([20.0 * t, 0.0 * t, 0.0 * t, 10.0 * t**2]) + 1e-3 * rng.normal(size=(count, 4))
     at = np.full(count, speed), samples, np.zeros(count)
@@ -136,7 +174,7 @@ def test_a_push_is_no_larger_than_what_the_tyres_can_still_answer(lag, rng):
     expected = []
     for each in zip(*at, strict=True):
         expected.append(np.concatenate(readable.step(*each)))
-        assert abs(readable.z[model.n]) <= 7.0 + 1e-12
+        assert abs(readable.z[model.n]) <= grip + 1e-12
     np.testing.assert_allclose(run_kernel(own, model, *at), expected, rtol=1e-10, atol=1e-9)
     assert abs(readable.z[model.n]) == pytest.approx(readable.spare)
 
@@ -297,6 +335,41 @@ def test_without_a_position_for_longer_than_its_patience_there_is_no_estimate(rn
     assert known.tolist() == [True] * 30 + [False] * 10 + [True] * 20
 
 
+def test_without_a_position_the_mpc_says_how_long_it_steers_on_its_estimate_and_then_holds(rng):
+    own = dataclasses.replace(KalmanFilter.of_profile(load_profile("road")), patience=0.5)
+    mpc, found = MPC(CAR, profile="road", estimator=own), []
+    for k in range(60):
+        state = rng.normal(size=4) * [0.05, 0.003, 0.01, 0.03]
+        if 20 <= k < 40:
+            state[3] = math.nan
+        found.append(mpc.step(state, 15.0, np.zeros(40)))
+    said = np.array([each.dead_reckoning for each in found])
+    np.testing.assert_allclose(said[:20], 0.0)
+    np.testing.assert_allclose(said[20:40], PERIOD * np.arange(1, 21))
+    np.testing.assert_allclose(said[40:], 0.0)
+    assert [each.held for each in found] == [False] * 30 + [True] * 10 + [False] * 20
+    assert found[35].diagnostics[mpc.diagnostic_names.index("dead_reckoning")] == said[35]
+
+
+def test_a_controller_that_takes_its_state_as_measured_never_steers_on_an_estimate():
+    mpc = published_mpc(CAR)
+    assert mpc.step([0.0, 0.0, 0.0, math.nan], 15.0, [1.0]).dead_reckoning == 0.0
+    assert mpc.left_out is None
+
+
+@pytest.mark.compiled
+def test_gaps_of_the_pose_are_in_the_trajectory_and_counted():
+    profile = load_profile("production").replace(dropout_pause=2.0, dropout_least=0.3, dropout_most=0.3)
+    drive, mpc = random_drive(3).replace(duration=20.0), MPC(CAR, profile=profile)
+    run, slow = (each(DualTrack(CAR), mpc, drive, profile=profile, seed=1) for each in (rollout, simulate))
+    said = run.diagnostics["dead_reckoning"]
+    np.testing.assert_array_equal(said, slow.diagnostics["dead_reckoning"])
+    assert run.units["diagnostics.dead_reckoning"] == "s"
+    metrics = compute_metrics(run)
+    assert metrics.dead_reckoning == np.count_nonzero(said) > 0
+    assert metrics.dead_reckoning_max == said.max() >= 0.3 - 1e-9
+
+
 def test_the_offset_of_a_gyro_and_a_banked_road_are_told_apart_from_the_motion():
     """A car that obeys the model, going straight on a banked road, with a gyro that is off, no noise."""
     model = PathModel(CAR, PERIOD, 0.15)
@@ -342,7 +415,11 @@ def test_filters_and_models_that_do_not_fit_each_other_are_refused():
         lambda: SensorNoise(yaw=math.nan),
         lambda: Drifts(side=-0.1),
         lambda: Drifts(turn=math.inf),
+        lambda: Drifts(sliding_time=0.0),
+        lambda: Drifts(least_spare=0.0),
         lambda: KalmanFilter(bound=0.0),
+        lambda: KalmanFilter(trust=20.0),
+        lambda: KalmanFilter(window=(0.5, 0.0)),
         lambda: KalmanFilter(spread=(0.1, math.nan)),
     ],
 )

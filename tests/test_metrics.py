@@ -84,6 +84,16 @@ def test_every_qp_is_solved_capped_or_failed():
     assert (metrics.qp_solved, metrics.qp_capped, metrics.qp_failed, metrics.held) == (3, 1, 4, 5)
 
 
+def test_periods_without_a_position_count_until_the_angle_is_held():
+    run = record(n=6, held=[0, 0, 0, 0, 1, 1])
+    said = {**run.diagnostics, "dead_reckoning": np.array([0.0, 0.1, 0.2, 0.3, 0.4, 0.5])}
+    metrics = compute_metrics(dataclasses.replace(run, diagnostics=said))
+    assert (metrics.dead_reckoning, metrics.dead_reckoning_max, metrics.held) == (3, 0.5, 2)
+    silent = compute_metrics(run)
+    assert silent.dead_reckoning == 0
+    assert math.isnan(silent.dead_reckoning_max)
+
+
 @given(st.lists(st.integers(-1, 6), min_size=1, max_size=40))
 def test_qp_counts_add_up_to_the_steps(statuses):
     metrics = compute_metrics(record(n=len(statuses), qp_status=statuses))

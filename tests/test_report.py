@@ -422,6 +422,16 @@ def test_start_up_from_standstill_does_not_flatten_the_rest():
     assert steering.get_title("right") == "start: −0.03 to 0.5"
 
 
+def test_the_page_says_for_how_long_a_controller_had_no_position_and_only_then(tmp_path):
+    run = drive()
+    blind = {**run.diagnostics, "dead_reckoning": np.where((run.t > 5.0) & (run.t < 6.05), run.t - 5.0, 0.0)}
+    for each, told in ((dataclasses.replace(run, diagnostics=blind), True), (run, False)):
+        text = Outline(write_report(tmp_path / str(told), [each]).read_text()).text
+        assert ("steered on its estimate" in text) == told
+        assert ("No position steps" in text) == told
+        assert not told or "In 10 control periods there was no new position, for 1.00 s at the longest" in text
+
+
 def test_steps_in_which_a_safe_angle_was_held_are_marked():
     run = drive()
     held = (run.t > 5.0) & (run.t < 6.0)

@@ -72,6 +72,10 @@ class Estimator(ABC):
         """Heading (rad) and offset (m) of the past have grown by so much, against another path; else begin anew."""
         memory[:] = 0.0
 
+    def left_out(self, memory: Array) -> str | None:
+        """The sensor that it leaves out because it disagrees with all others, by what it remembers; None: none."""
+        return None
+
     def check_fits(self, model: PredictionModel) -> None:  # noqa: B027 (most fit any model)
         """Refuse a model that it cannot serve.
 

@@ -64,7 +64,8 @@ class SensorNoise:
 class Drifts:
     """How fast what the filter estimates may change beside the model: standard deviations after one second.
 
-    They are random walks: after t seconds the deviation is sqrt(t) times that.
+    They are random walks: after t seconds the deviation is sqrt(t) times that. Behind them stands what is known of the
+    tyres, which says how much of what the model cannot explain is a disturbance.
     """
 
     vy: float = 0.03
@@ -89,11 +90,20 @@ class Drifts:
     """s^0.5, of the force of an axle: its impulse deviates by `sliding` F^2/F_z after a second, F being its force in
     the model and F_z its load. In the brush model of a tyre F^2/(3 mu F_z) is lost to sliding (Pacejka, Tire and
     Vehicle Dynamics, 3rd ed., section 3.2), and mu is not known."""
+    sliding_time: float = 0.3
+    """s, how long such a deviation lasts: by it an accelerometer is off by sliding F^2/F_z/(m sqrt(2 sliding_time))"""
+    grip: float = 7.0
+    """m/s^2, what the tyres can pull at most: a disturbance is no larger than that less what they pull in the model,"""
+    least_spare: float = 0.5
+    """m/s^2, but may always be this large"""
 
     def __post_init__(self) -> None:
         for each in fields(self):
             if not 0.0 <= real("Drifts", each.name, getattr(self, each.name)) < math.inf:
                 raise InvalidInput(f"Drifts: {each.name} must not be negative, and finite.")
+        for name in ("sliding_time", "least_spare"):
+            if not getattr(self, name) > 0.0:
+                raise InvalidInput(f"Drifts: {name} = {getattr(self, name)!r}: must be positive.")
 
 
 @final
@@ -106,6 +116,10 @@ class KalmanFilter(Estimator):
     (rad/s^2) before the first sample; oldest: samples up to this age (s) are taken in where they belong, older ones
     left out; patience: how long the estimate goes on by the model without a measured position (s), before the
     controller holds; settling: time (s) over which the offsets of accelerometer and wheel-angle sensor are averaged.
+
+    distrust: a sensor other than the pose is left out when the mean of its squared innovations over their variance, 1
+    for a filter that is right, exceeds that; inf: never; trust: it is taken in again below that; window: times (s) over
+    which that mean is taken, of a sensor that is taken in and of one that is left out.
 
     Raises
     ------
@@ -120,6 +134,9 @@ class KalmanFilter(Estimator):
     oldest: float = 0.0
     patience: float = 3.0
     settling: float = 10.0
+    distrust: float = 10.0
+    trust: float = 2.0
+    window: tuple[float, float] = (0.5, 5.0)
     name = "kalman"
 
     def __post_init__(self) -> None:
@@ -133,6 +150,13 @@ class KalmanFilter(Estimator):
             raise InvalidInput(f"KalmanFilter: patience = {self.patience!r} s: must not be negative; inf: for ever.")
         if not real("KalmanFilter", "settling", self.settling) > 0.0:
             raise InvalidInput(f"KalmanFilter: settling = {self.settling!r} s: must be positive; inf: no averaging.")
+        if not 0.0 < real("KalmanFilter", "trust", self.trust) <= real("KalmanFilter", "distrust", self.distrust):
+            raise InvalidInput(
+                f"KalmanFilter: trust = {self.trust!r}, distrust = {self.distrust!r}: trust must be positive, distrust "
+                "no less; distrust = inf: no sensor is left out."
+            )
+        if not all(0.0 < real("KalmanFilter", "window", each) < math.inf for each in self.window):
+            raise InvalidInput(f"KalmanFilter: window = {self.window!r} s: must be positive and finite.")
 
     @classmethod
     def of_profile(cls, profile: Profile, drifts: Drifts | None = None) -> KalmanFilter:
@@ -164,6 +188,12 @@ class KalmanFilter(Estimator):
 
         move_path(memory, model.n, self.late(model), heading, offset)
 
+    def left_out(self, memory: Array) -> str | None:
+        from adaptrack.kernels.estimators.kalman import LEFT_OUT
+
+        out = int(memory[LEFT_OUT])
+        return SENSORS[out - 1] if out else None
+
     def late(self, model: PredictionModel) -> int:
         """Periods that are gone through anew at every step, for the samples that come late."""
         return math.floor(self.oldest / model.period + 0.5)
@@ -174,6 +204,11 @@ class KalmanFilter(Estimator):
 
         noise = [getattr(self.noise, name) for name in SENSORS]
         return np.maximum(noise, LEAST_NOISE) ** 2
+
+    def shares(self, period: float) -> tuple[float, float]:
+        """By which the mean of the squared innovations moves with a sample that is taken in, and with one left out."""
+        taken_in, left_out = self.window
+        return min(1.0, period / taken_in), min(1.0, period / left_out)
 
     def disturbance_drift(self, model: PathModel) -> Array:
         """(2, 2) variances and covariance that a second adds to d_y and d_r."""
@@ -187,8 +222,10 @@ class KalmanFilter(Estimator):
         together = self.disturbance_drift(model) * model.period
         drifts += [together[0, 0], together[1, 1], together[0, 1]]
         drifts += [self.drifts.yaw_rate_offset**2 * model.period, self.drifts.sliding**2]
+        drifts += [self.drifts.sliding_time, self.drifts.grip, self.drifts.least_spare]
         spread = [each**2 for each in (*self.spread, self.noise.yaw_rate_offset)]
         own = [model.period, whole, share, self.late(model), self.bound, self.patience / model.period]
+        own += [self.distrust, self.trust, *self.shares(model.period)]
         own += [min(1.0, model.period / self.settling), *self.variances(), *drifts, *spread]
         return np.concatenate([own, model.parameters()])
 
@@ -258,6 +295,8 @@ class ReadableFilter:
         self.ring: list[dict[str, float]] = [{} for _ in range(self.late + 1)]
         self.turned = [0.0] * (self.late + 1)
         self.last, self.offsets = np.array(measured[: len(SENSORS)]), np.zeros(len(SENSORS))
+        self.disagreement: dict[str, float] = dict.fromkeys(SENSORS, 0.0)
+        self.left_out: str | None = None
         self.steps, self.blind = 0, 0
 
     def sort_in(self, measured: Array) -> None:
@@ -289,9 +328,7 @@ class ReadableFilter:
 
     def predict(self, speed: float, instant: int = 0) -> None:
         """z(k) = F z(k-1) + B u, where in a period first the older, then the newer command acts; P = F P F' + Q."""
-        from adaptrack.kernels.estimators.kalman import GRIP, LEAST_SPARE, SLIDING_TIME
-
-        period = self.model.period
+        period, tyres = self.model.period, self.own.drifts
         old, new = self.sent[self.whole + instant + 1], self.sent[self.whole + instant]
         assert self.z is not None
         for time, command in ((self.share * period, old), ((1.0 - self.share) * period, new)):
@@ -305,8 +342,8 @@ class ReadableFilter:
         errors = self.sliding(speed, new)
         self.P[places] += period * errors
         front, rear = self.forces(speed, new)
-        self.spare = max(LEAST_SPARE, GRIP - abs(front + rear) / self.model.vehicle.mass)
-        self.felt_error = errors[0, 0] / (2.0 * SLIDING_TIME)
+        self.spare = max(tyres.least_spare, tyres.grip - abs(front + rear) / self.model.vehicle.mass)
+        self.felt_error = errors[0, 0] / (2.0 * tyres.sliding_time)
 
     def forces(self, speed: float, command: float) -> Array:
         """(2,) N, of the axles in the model."""
@@ -368,9 +405,35 @@ class ReadableFilter:
             h, beside = self.reading(name, instant, tau, speed)
             value = self.ring[instant][name] - beside - self.offsets[i]
             more = self.felt_error if name == "lateral_acceleration" else 0.0
+            self.judge(name, instant, h, value, float(variances[i]) + more)
+            if name == self.left_out:
+                continue
             innovation = self.correct(h, value, float(variances[i]) + more)
             if instant == 0 and name in ("lateral_acceleration", "wheel_angle"):
                 self.offsets[i] += min(1.0, period / self.own.settling) * innovation
+
+    def judge(self, name: str, instant: int, h: Array, value: float, variance: float) -> None:
+        """Average the squared innovation of a sensor over its variance, every sample once."""
+        assert self.z is not None
+        if instant == self.late:
+            found = float((value - h @ self.z) ** 2 / (h @ self.P @ h + variance))
+            share = self.own.shares(self.model.period)[name == self.left_out]
+            self.disagreement[name] += share * (min(found, 2.0 * self.own.bound**2) - self.disagreement[name])
+
+    def choose_left_out(self) -> None:
+        """The redundant sensor that disagrees the most, beyond the bound, until it agrees again.
+
+        Where the model is wrong the gyro disagrees at least as much; where the gyro is, the heading disagrees with it.
+        """
+        if self.left_out is not None:
+            if self.disagreement[self.left_out] < self.own.trust:
+                self.left_out = None
+            return
+        found = {name: each for name, each in self.disagreement.items() if each >= self.disagreement["yaw_rate"]}
+        found = {name: found.get(name, 0.0) for name in SENSORS if name not in ("yaw", "y")}
+        found["yaw_rate"] = self.disagreement["yaw"]
+        worst = max(found, key=lambda name: found[name])
+        self.left_out = worst if found[worst] > self.own.distrust else None
 
     def go_on(self, speed: float) -> None:
         """From z of `late` periods before the last instant to the present one, with all samples since then."""
@@ -383,6 +446,7 @@ class ReadableFilter:
             if instant == self.late:
                 assert self.z is not None
                 self.past = self.z, self.P
+        self.choose_left_out()
 
     def bound_disturbance(self) -> None:
         """A push is no larger than what the tyres can still answer."""

@@ -84,6 +84,10 @@ class Metrics:
     """QPs without an answer: infeasible, not finite, not convex."""
     held: int
     """Control periods in which a safe steering angle was held."""
+    dead_reckoning: int
+    """Control periods that were steered without a new position, on the estimate; held ones do not count."""
+    dead_reckoning_max: float
+    """s, for which there was none at the longest, held periods included; NaN when unknown."""
     qp_residual_max: float
     """Largest KKT residual among the QPs with an answer; NaN when none was recorded."""
     qp_iterations_mean: float
@@ -146,6 +150,7 @@ def compute_metrics(
     limits = said.get("at_limit", _NOTHING)
     status = said.get("qp_status", _NOTHING)
     iterations = said.get("qp_iterations", _NOTHING)
+    reckoned = said.get("dead_reckoning", np.zeros(driven.sum()))
     answered = (status == _SOLVED) | (status == _CAPPED)
     step_times = trajectory.step_time[np.isfinite(trajectory.step_time)] * 1e6
 
@@ -175,6 +180,8 @@ def compute_metrics(
         qp_capped=int(np.count_nonzero(status == _CAPPED)),
         qp_failed=int(np.count_nonzero(~answered)),
         held=int(np.count_nonzero(trajectory.held[driven])),
+        dead_reckoning=int(np.count_nonzero((reckoned > 0.0) & ~trajectory.held[driven])),
+        dead_reckoning_max=_largest_known(said.get("dead_reckoning", np.empty(0))),
         qp_residual_max=_largest_known(said.get("qp_residual", np.full(status.size, math.nan))[answered]),
         qp_iterations_mean=_mean(iterations),
         qp_iterations_max=int(np.max(iterations, initial=0)),

@@ -304,8 +304,8 @@ def rollout(
 # -- the trajectory ---------------------------------------------------------------------------------------------------
 _WHOLE = {"Np", "Nc", "qp_status", "qp_iterations", "at_limit"}
 _UNITS = {
-    "tuning.Q": "1/m^2", "tuning.R": "1/rad^2", "road.station": "m", "road.offset": "m", "road.heading_error": "rad",
-    "road.curvature": "1/m",
+    "tuning.Q": "1/m^2", "tuning.R": "1/rad^2", "diagnostics.dead_reckoning": "s", "road.station": "m",
+    "road.offset": "m", "road.heading_error": "rad", "road.curvature": "1/m",
 }  # fmt: skip
 
 
@@ -357,7 +357,11 @@ def _trajectory(
         tuning=_named(record.tuning_names, record.tuning, driven),
         diagnostics=_named(record.diagnostic_names, record.diagnostics, driven),
         road=road,
-        units={key: unit for key, unit in _UNITS.items() if key.partition(".")[2] in (*record.tuning_names, *road)},
+        units={
+            key: unit
+            for key, unit in _UNITS.items()
+            if key.partition(".")[2] in (*record.tuning_names, *record.diagnostic_names, *road)
+        },
         failed=record.failed,
         failed_at=record.failed_at,
         meta=provenance(

@@ -145,7 +145,8 @@ class Trajectory:
 
     An MPC's: ``qp_status`` (int64, as `qp.QPStatus`: 0 solved, 1 capped, 2 infeasible, 3 not convex, 4 not finite),
     ``qp_iterations`` (int64, of the solver that gave the answer), ``qp_residual`` (largest KKT residual of the answer;
-    NaN when there was none) and ``at_limit`` (int64, sum of 1 (Δu), 2 (u) and 4 (y) for the limits that were active).
+    NaN when there was none), ``at_limit`` (int64, sum of 1 (Δu), 2 (u) and 4 (y) for the limits that were active) and
+    ``dead_reckoning`` (s, for which the estimator had taken in no position; 0 where one was).
     """
     road: Mapping[str, Array] = field(default_factory=dict)
     """Of a drive along a curved road, else empty: ``station`` (m, arc length of the car's foot on the centre line, over

@@ -83,11 +83,13 @@ class MPCCommand(NamedTuple):
     """largest KKT residual of the solution, see `qp.kkt_residuals`; NaN when there is none"""
     at_limit: int
     """sum of 1 (move), 2 (angle), 4 (output)"""
+    dead_reckoning: float = 0.0
+    """s, for which no position has been taken in: the command rests on the estimate; 0 where the state is measured"""
 
     @property
     def diagnostics(self) -> tuple[float, ...]:
         """In the order of `MPC.diagnostic_names`."""
-        return float(self.status), float(self.iterations), self.residual, float(self.at_limit)
+        return float(self.status), float(self.iterations), self.residual, float(self.at_limit), self.dead_reckoning
 
 
 def _given_parts(
@@ -138,7 +140,7 @@ class MPC:
     """
 
     tuning_names = ENTRIES
-    diagnostic_names = ("qp_status", "qp_iterations", "qp_residual", "at_limit")
+    diagnostic_names = ("qp_status", "qp_iterations", "qp_residual", "at_limit", "dead_reckoning")
 
     def __init__(
         self,
@@ -362,6 +364,11 @@ class MPC:
         from adaptrack.kernels.guard import COUNTS
 
         return {name: int(self._plan.memory[0][name]) for name in COUNTS}
+
+    @property
+    def left_out(self) -> str | None:
+        """The sensor that the estimator leaves out at present because it disagrees with all others; None: none."""
+        return self.estimator.left_out(self._mpc.estimates[0])
 
     @property
     def angle(self) -> float:
@@ -614,10 +621,11 @@ class MPC:
         self._parts.apply_move(0, int(status), iterations, (n, m), self._mpc)
 
     def _command(self) -> MPCCommand:
-        angle, move, held, Np, Nc, Q, R, status, iterations, residual, at_limit = self._mpc.answer[0].tolist()
+        angle, move, held, Np, Nc, Q, R, status, iterations, residual, at_limit, reckoned = self._mpc.answer[0].tolist()
         return MPCCommand(
-            angle, move, held > 0.5, (Np, Nc, Q, R), _STATUSES[int(status)], int(iterations), residual, int(at_limit)
-        )
+            angle, move, held > 0.5, (Np, Nc, Q, R), _STATUSES[int(status)], int(iterations), residual, int(at_limit),
+            reckoned,
+        )  # fmt: skip
 
     def describe(self) -> dict[str, Any]:
         """The controller's configuration, for provenance."""

@@ -373,6 +373,12 @@ def _outcome_in_words(settings: Settings) -> str:
         sentences.append(f"All {number(total)} QPs were solved to their tolerance.")
     if held:
         sentences.append(f"A safe steering angle was held in {number(held)} control periods.")
+    if reckoned := sum(metrics.dead_reckoning for _, metrics in runs):
+        longest = max(metrics.dead_reckoning_max for _, metrics in runs if metrics.dead_reckoning)
+        sentences.append(
+            f"In {number(reckoned)} control periods there was no new position, for {number(longest)} s at the longest: "
+            "the controller steered on its estimate."
+        )
     return " ".join(sentences)
 
 

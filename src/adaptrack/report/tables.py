@@ -71,7 +71,8 @@ def effort_table(settings: Settings) -> Table:
 def solver_table(settings: Settings) -> Table:
     """Limits, QPs and times of the runs of one scenario."""
     shown = [run for runs in settings.values() for run in runs]
-    return _table("Limits, solver and time", settings, _SOLVER, _about_times(shown))
+    columns = [each for each in _SOLVER if each is not _RECKONED or any(run.metrics.dead_reckoning for run in shown)]
+    return _table("Limits, solver and time", settings, columns, _about_times(shown))
 
 
 def differences_table(runs: Sequence[Shown], entries: Sequence[tuple[str, str]]) -> Table:
@@ -96,6 +97,7 @@ def reading() -> Section:
         ("Δu, u, y limit", "share of the control periods in which a limit (13), (14), (15) of the paper was active"),
         ("QPs", "solved to tolerance; capped: stopped at the iteration cap; failed: without an answer"),
         ("Held", "control periods in which a safe steering angle was held, for want of a usable solution"),
+        ("No position", "control periods that were steered on the estimate, no new position having been taken in"),
         ("Step", "wall-clock time of one control step: median, 99th percentile, slowest"),
         ("start", f"above a panel: the range before {CREEPING:g} m/s is reached, where it would flatten all the rest"),
         ("□ held", "above a panel: squares mark the steps in which a safe steering angle was held"),
@@ -166,6 +168,7 @@ _EFFORT: Sequence[_Column] = (
     _measure("Cost J", "m²", "cost"),
 )
 
+_RECKONED: _Column = (Head("No position", "steps"), lambda run: _count(run, "dead_reckoning"))
 _SOLVER: Sequence[_Column] = (
     _share("Δu limit", "at_change_limit"),
     _share("u limit", "at_angle_limit"),
@@ -174,6 +177,7 @@ _SOLVER: Sequence[_Column] = (
     _trouble("QPs", "capped", "qp_capped"),
     _trouble("QPs", "failed", "qp_failed"),
     _trouble("Held", "steps", "held"),
+    _RECKONED,
     (Head("KKT residual", "largest"), lambda run: scientific(run.metrics.qp_residual_max)),
     _measure("Iterations", "mean", "qp_iterations_mean"),
     _measure("Step p50", "µs", "step_us_p50"),

@@ -101,10 +101,12 @@ MEMORY = Structure(
 TUNING = columns("Np", "Nc", "Q", "R")
 """The MPC's named tuning entries."""
 ANSWER = columns(
-    "command", "command_change", "held", "Np", "Nc", "Q", "R", "qp_status", "qp_iterations", "qp_residual", "at_limit"
-)
+    "command", "command_change", "held", "Np", "Nc", "Q", "R", "qp_status", "qp_iterations", "qp_residual", "at_limit",
+    "dead_reckoning",
+)  # fmt: skip
 """What a step answers: command (rad), its change (rad), 1 when no solution could be used, the tuning as used, and the
-diagnostics: status, iterations and largest KKT residual (NaN unless asked for) of the QP, sum of AT_MOVE, ..."""
+diagnostics: status, iterations and largest KKT residual (NaN unless asked for) of the QP, sum of AT_MOVE, ..., and the
+time (s) for which the estimator has had no position; 0 where the state is taken as measured."""
 AT_MOVE, AT_ANGLE, AT_OUTPUT = 1, 2, 4
 NEAR = 1e-9
 """rad, how near to a limit counts as at it."""
@@ -433,7 +435,7 @@ def _free_response(slot, horizon, reference, mpc, functions):
     settings, own, ws = mpc.settings[0], mpc.memory[slot], mpc.ws
     if settings.estimator == BY_FUNCTION:
         x, d, a, b = mpc.estimate[0], mpc.estimate[1], ws.a[slot], ws.b[slot]
-        call_estimate(
+        mpc.answer[slot, ANSWER.dead_reckoning] = call_estimate(
             functions.estimate, own.speed, mpc.measured, own.command, a, b, mpc.estimator, mpc.estimates[slot], x, d
         )
         for i in range(x.size):
@@ -492,6 +494,7 @@ def _bound(slot, nc, horizon, mpc):
 def _form_qp(slot, speed, reference, tuning, mpc, functions):
     """See `form_qp`."""
     settings, out, ws = mpc.settings[0], mpc.answer[slot], mpc.ws
+    out[ANSWER.dead_reckoning] = 0.0
     status = _take_tuning(slot, tuning, mpc)
     np_, nc = int(out[ANSWER.Np]), int(out[ANSWER.Nc])
     laguerre, limited = settings.laguerre > 0, _has_output_limits(settings)
@@ -638,10 +641,9 @@ def _apply_move(slot, status, iterations, size, mpc):
 def _stand(slot, mpc):
     """Leave the wheels of a standing car at rest."""
     own, out = mpc.memory[slot], mpc.answer[slot]
-    for j in range(ANSWER.command, out.size):
-        if j < ANSWER.Np or j > ANSWER.R:
-            out[j] = 0.0
-    out[ANSWER.command] = own.command
+    out[ANSWER.command], out[ANSWER.command_change], out[ANSWER.held] = own.command, 0.0, 0.0
+    out[ANSWER.qp_status], out[ANSWER.qp_iterations], out[ANSWER.qp_residual] = qp.SOLVED, 0, 0.0
+    out[ANSWER.at_limit] = 0.0
     _remember(slot, own.command, mpc)
 
 

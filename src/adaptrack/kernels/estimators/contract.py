@@ -19,9 +19,10 @@ from ..abi import caller, float64, matrix, njit, vector
 DEADBEAT, BY_FUNCTION = 0, 1
 """How the MPC estimates."""
 
-ESTIMATE = types.void(float64, vector, float64, matrix, vector, vector, vector, vector, vector)
-"""``estimate(speed, measured, command, a, b, parameters, memory, x, d)``: write the state x (n,) and the disturbance d
-(n,), what every period adds to it, from the speed (m/s), the measured quantities (`models.contract.MEASURED`), the
+ESTIMATE = types.float64(float64, vector, float64, matrix, vector, vector, vector, vector, vector)
+"""``estimate(speed, measured, command, a, b, parameters, memory, x, d)``: the time (s) of dead reckoning, for which no
+position has been taken in, 0 for a new one. It writes the state x (n,) and the disturbance d (n,), what every period
+adds to it, from the speed (m/s), the measured quantities (`models.contract.MEASURED`), the
 command given a period ago (rad), and A, B of the model at the present speed. x is the state at the time when the next
 command begins to act: behind the dead time, for a model that has one. memory: the estimator's own numbers of this run,
 zero before its first step. A measurement that is not finite is one that is missing."""
@@ -30,5 +31,11 @@ call_estimate = caller(ESTIMATE)
 
 @lru_cache(maxsize=64)
 def compile_estimator(function: Any) -> Any:
-    """A user's function, compiled for `ESTIMATE`; numba's own error when it cannot be."""
-    return njit(ESTIMATE, nogil=True, error_model="numpy")(getattr(function, "py_func", function))
+    """A user's function, compiled for `ESTIMATE`; numba's own error when it cannot be. It may return nothing: 0 s."""
+    own = njit(nogil=True, error_model="numpy")(getattr(function, "py_func", function))
+
+    def estimate(speed, measured, command, a, b, parameters, memory, x, d):
+        found = own(speed, measured, command, a, b, parameters, memory, x, d)
+        return 0.0 if found is None else found
+
+    return njit(ESTIMATE, nogil=True, error_model="numpy")(estimate)

@@ -13,9 +13,13 @@ then anew at every step, with all that has arrived of them. What was taken a lit
 compared with z carried there, psi - tau r and y - tau (v_y + v psi) + tau^2/2 v r. A sample that repeats the one before
 to the last bit, from a sensor that has noise, is an old one and left out.
 
+A sensor that is stuck behind its own noise disagrees: the mean of its squared innovations over their variance, 1 for a
+filter that is right, grows. Beyond `distrust` the sensor that disagrees the most is left out until it agrees again, one
+at a time; the pose never, for nothing else says where the car is.
+
 What a tyre slides away is not in the model: v_y and r drift by it, and an accelerometer disagrees. So the harder the
 driving, the less of what the model cannot explain is called a push; and a push is no larger than what the tyres can
-still answer, GRIP less what they pull in the model.
+still answer, `grip` less what they pull in the model.
 
 The offsets of an accelerometer (the pull of a banked road is one to it) and of the wheel-angle sensor are slow averages
 of their innovations. Without a position for longer than `patience`, or with one that stays the same and disagrees with
@@ -42,6 +46,8 @@ NUMBERS = (
     "late",  # periods that are gone through anew at every step
     "bound",  # standard deviations up to which an innovation counts
     "patience",  # periods without a position after which there is no estimate
+    "distrust", "trust",  # mean of squared innovations over their variance: left out beyond, taken back below
+    "forgetting", "regaining",  # shares by which that mean moves with a sample, taken in or left out
     "settling",  # share of an innovation by which a sensor's offset moves
     "variance_vy", "variance_yaw", "variance_yaw_rate", "variance_y", "variance_wheel_angle",  # of sensors; inf: none
     "variance_lateral_acceleration",
@@ -49,6 +55,8 @@ NUMBERS = (
     "drift_side", "drift_turn", "drift_both",  # likewise, of d_y and d_r, and their covariance
     "drift_bias",  # likewise, of the yaw-rate sensor's offset
     "sliding",  # s, squared, of what the tyres' sliding makes uncertain of each axle's force, over F^2/F_z
+    "sliding_time",  # s, how long the model gets a force wrong at a time, as far as an accelerometer is concerned
+    "grip", "least_spare",  # m/s^2, what tyres can pull at most, and what a disturbance may always be
     "spread_side", "spread_turn", "spread_bias",  # variances of d_y, d_r and b before the first sample; b: 0, no offset
 )  # fmt: skip
 Numbers = record("Numbers", NUMBERS)
@@ -58,12 +66,8 @@ SENSORS = 6
 """The first of `MEASURED`; their ages follow."""
 _STATES = 5  # as many of them may be states
 _VARIANCE, _DRIFT = NUMBERS.index("variance_vy"), NUMBERS.index("drift_vy")
-GRIP, LEAST_SPARE = 7.0, 0.5
-"""m/s^2, what tyres can pull at most, and what a disturbance may always be."""
 UNKNOWN = 1e2
 """Variance of a state of which the first sample says nothing."""
-SLIDING_TIME = 0.3
-"""s, how long the model gets a force wrong at a time, as far as an accelerometer is concerned."""
 LEAST_NOISE = (0.005, 0.0002, 0.001, 0.002, 0.0005, 0.02)
 """Of the sensors: with better ones the model's own errors limit the filter."""
 
@@ -71,6 +75,8 @@ LEAST_NOISE = (0.005, 0.0002, 0.001, 0.002, 0.0005, 0.02)
 _COUNT, _SPEED, _BLIND = 0, 1, 2  # steps; speed of the matrices; periods since a position was taken in
 _OF_COMMAND = 3  # what the command adds to the lateral acceleration, where there is no lag
 _SPARE = 5  # what the tyres can still answer, m/s^2
+LEFT_OUT = 6
+"""Place in the memory of what is left out: 1 + the sensor, 0: none."""
 _FELT_ERROR = 4  # variance of the predicted lateral acceleration, by forces that the model gets wrong
 _LAST = WIDTH  # samples of the step before, to tell repeated ones
 _OFFSET = 2 * WIDTH  # of the sensors
@@ -89,7 +95,8 @@ _H = _FELT + WIDTH  # h of a sensor
 _NEXT = _H + WIDTH  # scratch
 _PAST_Z = _NEXT + WIDTH  # z and its covariance `late` periods before the last instant
 _PAST_P = _PAST_Z + WIDTH
-_RING = _PAST_P + WIDTH * WIDTH  # rows of samples, the latest instant first: the sensors, then tau of the pose
+_DISAGREEMENT = _PAST_P + WIDTH * WIDTH  # mean of the squared innovations of each sensor over their variance
+_RING = _DISAGREEMENT + WIDTH  # rows of samples, the latest instant first: the sensors, then tau of the pose
 _TAU = SENSORS
 _TURNED = SENSORS + 1  # rad, by how much the path has turned in the period before the instant
 
@@ -182,6 +189,7 @@ def _begin(n, p, parameters, measured, command, memory):
     if n == 5:
         memory[_Z + 3], memory[_P + WIDTH * 3 + 3] = command, parameters[_DRIFT + MEASURED.wheel_angle]
     for sensor in range(SENSORS):
+        memory[_LAST + sensor] = measured[sensor]
         i, variance = _place(sensor, n), parameters[_VARIANCE + sensor]
         if i >= 0 and variance < math.inf and math.isfinite(measured[sensor]) and sensor != MEASURED.wheel_angle:
             memory[_Z + i], memory[_P + WIDTH * i + i] = measured[sensor], variance
@@ -279,8 +287,8 @@ def _predict(n, size, instant, p, parameters, memory):
     memory[_P + WIDTH * 2 + 2] += share * of_r
     memory[_P + 2] += share * of_both
     memory[_P + WIDTH * 2] += share * of_both
-    memory[_SPARE] = max(LEAST_SPARE, GRIP - pull)
-    memory[_FELT_ERROR] = p.sliding / (2.0 * SLIDING_TIME) * of_vy
+    memory[_SPARE] = max(p.least_spare, p.grip - pull)
+    memory[_FELT_ERROR] = p.sliding / (2.0 * p.sliding_time) * of_vy
     memory[_P + WIDTH * n + n] += p.drift_side
     memory[_P + WIDTH * (n + 1) + n + 1] += p.drift_turn
     memory[_P + WIDTH * n + n + 1] += p.drift_both
@@ -313,8 +321,11 @@ def _reading(sensor, instant, n, tau, p, memory):
 
 
 @njit(**INLINE)
-def _take_in(sensor, value, variance, size, p, memory):
-    """A sensor that reads h z, with h in the scratch: z += K nu, P -= K (P h)', K = P h/(h' P h + R)."""
+def _take_in(value, variance, left_out, size, p, memory):
+    """A sensor that reads h z, with h in the scratch: z += K nu, P -= K (P h)', K = P h/(h' P h + R), unless left out.
+
+    Its innovation nu, bounded, and nu^2/(h' P h + R), twice the square of that bound at the most.
+    """
     read, row = 0.0, zeros()
     for i in range(size):
         share = memory[_H + i]
@@ -327,13 +338,16 @@ def _take_in(sensor, value, variance, size, p, memory):
         scatter += memory[_H + i] * memory[_W + i]
     reach = p.bound * math.sqrt(scatter)
     innovation = clip(value - read, -reach, reach)
+    disagreement = min((value - read) ** 2 / scatter, 2.0 * p.bound * p.bound)
+    if left_out:
+        return innovation, disagreement
     store(memory, _Z, fma8(splat(innovation / scatter), row, load(memory, _Z)))
     gains = mul(splat(1.0 / scatter), row)
     store(memory, _W, gains)
     for j in range(size):
         taken = mul(spread(memory, _W + j), row)
         store(memory, _P + WIDTH * j, sub(load(memory, _P + WIDTH * j), taken))
-    return innovation
+    return innovation, disagreement
 
 
 @njit(**INLINE)
@@ -348,9 +362,38 @@ def _correct(n, size, instant, p, parameters, memory):
         variance = parameters[_VARIANCE + sensor]
         if sensor == MEASURED.lateral_acceleration:
             variance += memory[_FELT_ERROR]
-        innovation = _take_in(sensor, value - beside, variance, size, p, memory)
-        if instant == 0 and (sensor == MEASURED.lateral_acceleration or sensor == MEASURED.wheel_angle):
+        left_out = memory[LEFT_OUT] == sensor + 1
+        innovation, disagreement = _take_in(value - beside, variance, left_out, size, p, memory)
+        if instant == p.late:  # every sample once
+            share = p.regaining if left_out else p.forgetting
+            memory[_DISAGREEMENT + sensor] += share * (disagreement - memory[_DISAGREEMENT + sensor])
+        if left_out or instant > 0:
+            continue
+        if sensor == MEASURED.lateral_acceleration or sensor == MEASURED.wheel_angle:
             memory[_OFFSET + sensor] += p.settling * innovation
+
+
+@njit(**INLINE)
+def _choose_left_out(p, memory):
+    """Leave out the redundant sensor that disagrees the most, beyond the bound; take it back once it agrees.
+
+    Where the model is wrong the gyro disagrees at least as much as the others, and the heading does not; where the gyro
+    is, the heading disagrees with it.
+    """
+    worst, most = 0, p.distrust
+    for sensor in range(SENSORS):
+        found = memory[_DISAGREEMENT + sensor]
+        if sensor == MEASURED.yaw_rate:
+            found = memory[_DISAGREEMENT + MEASURED.yaw]
+        elif found < memory[_DISAGREEMENT + MEASURED.yaw_rate] or sensor == MEASURED.yaw or sensor == MEASURED.y:
+            continue
+        if found > most:
+            worst, most = sensor + 1, found
+    out = int(memory[LEFT_OUT])
+    if out == 0:
+        memory[LEFT_OUT] = float(worst)
+    elif memory[_DISAGREEMENT + out - 1] < p.trust:
+        memory[LEFT_OUT] = 0.0
 
 
 @njit(**INLINE)
@@ -382,6 +425,7 @@ def _go_on(n, size, p, parameters, memory):
         memory[_Z + n + 1] *= most
         if late > 0 and instant == late:
             _keep(_Z, _PAST_Z, memory)
+    _choose_left_out(p, memory)
 
 
 @njit(ESTIMATE, **ROUTINE)
@@ -406,3 +450,4 @@ def kalman(speed, measured, command, a, b, parameters, memory, x, d):
     for i in range(n):
         x[i] = memory[_NEXT + i] if known else math.nan
         d[i] = memory[_F + WIDTH * i + n] * memory[_Z + n] + memory[_F + WIDTH * i + n + 1] * memory[_Z + n + 1]
+    return memory[_BLIND] * p.period
