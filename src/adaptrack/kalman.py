@@ -121,6 +121,10 @@ class KalmanFilter(Estimator):
     for a filter that is right, exceeds that; inf: never; trust: it is taken in again below that; window: times (s) over
     which that mean is taken, of a sensor that is taken in and of one that is left out.
 
+    friction, shape: coefficient, and shape factor C of the Magic Formula, of tyres as they are thought to be: in the
+    bends of a road they pull less than the model's linear ones, which is known beforehand. Passenger-car tyres have C
+    near 1.3 (Pacejka, Tire and Vehicle Dynamics, 3rd ed., section 4.3).
+
     Raises
     ------
     InvalidInput
@@ -137,6 +141,8 @@ class KalmanFilter(Estimator):
     distrust: float = 10.0
     trust: float = 2.0
     window: tuple[float, float] = (0.5, 5.0)
+    friction: float = 0.9
+    shape: float = 1.3
     name = "kalman"
 
     def __post_init__(self) -> None:
@@ -155,6 +161,10 @@ class KalmanFilter(Estimator):
                 f"KalmanFilter: trust = {self.trust!r}, distrust = {self.distrust!r}: trust must be positive, distrust "
                 "no less; distrust = inf: no sensor is left out."
             )
+        if not 0.0 < real("KalmanFilter", "friction", self.friction) < math.inf:
+            raise InvalidInput(f"KalmanFilter: friction = {self.friction!r}: must be positive.")
+        if not 1.0 < real("KalmanFilter", "shape", self.shape) < 2.0:
+            raise InvalidInput(f"KalmanFilter: shape = {self.shape!r}: must be between 1 and 2.")
         if not all(0.0 < real("KalmanFilter", "window", each) < math.inf for each in self.window):
             raise InvalidInput(f"KalmanFilter: window = {self.window!r} s: must be positive and finite.")
 
@@ -226,6 +236,7 @@ class KalmanFilter(Estimator):
         spread = [each**2 for each in (*self.spread, self.noise.yaw_rate_offset)]
         own = [model.period, whole, share, self.late(model), self.bound, self.patience / model.period]
         own += [self.distrust, self.trust, *self.shares(model.period)]
+        spread = [self.friction, self.shape, *spread]
         own += [min(1.0, model.period / self.settling), *self.variances(), *drifts, *spread]
         return np.concatenate([own, model.parameters()])
 
@@ -261,6 +272,7 @@ class ReadableFilter:
         if not self.offset_known:
             self.Q[-1, -1] = estimator.drifts.yaw_rate_offset**2
         self.Q *= model.period
+        self.unit_side = np.eye(self.size)[model.n]
         self.z: Array | None = None
 
     def matrices(self, speed: float, time: float) -> tuple[Array, Array]:
@@ -331,9 +343,10 @@ class ReadableFilter:
         period, tyres = self.model.period, self.own.drifts
         old, new = self.sent[self.whole + instant + 1], self.sent[self.whole + instant]
         assert self.z is not None
+        lost = self.lost(speed, instant) * self.unit_side
         for time, command in ((self.share * period, old), ((1.0 - self.share) * period, new)):
             f, b = self.matrices(speed, time)
-            self.z = f @ self.z + b * command
+            self.z = f @ (self.z + lost) + b * command - lost
         self.z[1] -= self.turned[instant]  # heading and offset count from the path, which turns evenly
         self.z[self.n - 1] -= 0.5 * speed * period * self.turned[instant]
         f, _ = self.matrices(speed, period)
@@ -344,6 +357,18 @@ class ReadableFilter:
         front, rear = self.forces(speed, new)
         self.spare = max(tyres.least_spare, tyres.grip - abs(front + rear) / self.model.vehicle.mass)
         self.felt_error = errors[0, 0] / (2.0 * tyres.sliding_time)
+
+    def lost(self, speed: float, instant: int = 0) -> float:
+        """m/s^2, what tyres pull less in the bend of an instant than linear ones at the same slip: to the outside.
+
+        By the Magic Formula with E = 0 an axle that pulls the share f of mu F_z slides under the angle at which a
+        linear tyre would pull mu F_z C tan(asin(f)/C).
+        """
+        from adaptrack.kernels.models.path import MOST_SHARE
+
+        turn, most = speed * self.turned[instant] / self.model.period, self.own.friction * GRAVITY
+        share, shape = min(abs(turn) / most, MOST_SHARE), self.own.shape
+        return -math.copysign(most * (shape * math.tan(math.asin(share) / shape) - share), turn)
 
     def forces(self, speed: float, command: float) -> Array:
         """(2,) N, of the axles in the model."""
@@ -372,7 +397,7 @@ class ReadableFilter:
             h[: self.n] = a[0]
             h[2] += speed
             h[self.n] = 1.0
-            return h, float(inputs[0, 0]) * self.sent[self.whole + instant]
+            return h, float(inputs[0, 0]) * self.sent[self.whole + instant] + self.lost(speed, instant)
         h[states.index(name)] = 1.0
         turning = self.turned[instant] / self.model.period
         if name == "yaw":
@@ -459,7 +484,7 @@ class ReadableFilter:
     def ahead(self, speed: float) -> Array:
         """z at the time when the next command begins to act, through the commands already sent."""
         assert self.z is not None
-        z, period = self.z, self.model.period
+        z, period = self.z + self.lost(speed) * self.unit_side, self.model.period
         for time, command in [(self.share * period, self.sent[self.whole])] + [
             (period, self.sent[j]) for j in range(self.whole - 1, -1, -1)
         ]:
@@ -483,4 +508,5 @@ class ReadableFilter:
         f, _ = self.matrices(speed, self.model.period)
         x = self.ahead(speed)[: self.n]
         known = self.blind <= self.own.patience / self.model.period
-        return x if known else np.full(self.n, math.nan), f[: self.n, self.n : self.n + 2] @ self.z[self.n : self.n + 2]
+        pushes = (self.z + self.lost(speed) * self.unit_side)[self.n : self.n + 2]
+        return x if known else np.full(self.n, math.nan), f[: self.n, self.n : self.n + 2] @ pushes

@@ -103,8 +103,8 @@ class World:
         if driven > believed + 0.4 * self.period:
             _warn(
                 f"adaptrack: in profile {self.profile.name!r} the wheels follow a command {driven:.3g} s late, the "
-                f"controller believes {believed:.3g} s: MPC(car, profile={self.profile.name!r}), or belief=Steering(...) "
-                "of the car, tells it."
+                f"controller believes {believed:.3g} s: MPC(car, profile={self.profile.name!r}), or "
+                "belief=Steering(...) of the car, tells it."
             )
 
     @property

@@ -417,8 +417,7 @@ class MPC:
         else:
             moves[: own.planned] = mpc.plan[0, : own.planned]
         response = np.convolve(moves, mpc.ws.step[0, :count])[:count]
-        times: Array = (steps + 1.0) * self.period + self.model.dead_time
-        return np.asarray(times), np.asarray(free + response)
+        return np.asarray((steps + 1.0) * self.period + self.model.dead_time), np.asarray(free + response)
 
     def step(
         self,

@@ -57,6 +57,7 @@ NUMBERS = (
     "sliding",  # s, squared, of what the tyres' sliding makes uncertain of each axle's force, over F^2/F_z
     "sliding_time",  # s, how long the model gets a force wrong at a time, as far as an accelerometer is concerned
     "grip", "least_spare",  # m/s^2, what tyres can pull at most, and what a disturbance may always be
+    "friction", "shape",  # of the tyres, by which they pull less in a bend than linear ones
     "spread_side", "spread_turn", "spread_bias",  # variances of d_y, d_r and b before the first sample; b: 0, no offset
 )  # fmt: skip
 Numbers = record("Numbers", NUMBERS)
@@ -77,6 +78,7 @@ _OF_COMMAND = 3  # what the command adds to the lateral acceleration, where ther
 _SPARE = 5  # what the tyres can still answer, m/s^2
 LEFT_OUT = 6
 """Place in the memory of what is left out: 1 + the sensor, 0: none."""
+_LOST = 7  # m/s^2, what the tyres pull less than linear ones in the bend at hand
 _FELT_ERROR = 4  # variance of the predicted lateral acceleration, by forces that the model gets wrong
 _LAST = WIDTH  # samples of the step before, to tell repeated ones
 _OFFSET = 2 * WIDTH  # of the sensors
@@ -245,6 +247,13 @@ def _sort_in(n, p, measured, parameters, memory):
 
 
 @njit(**INLINE)
+def _lost_at(instant, p, memory):
+    """What the tyres pull less than linear ones in the bend of an instant (m/s^2)."""
+    turned = memory[_RING + WIDTH * instant + _TURNED]
+    return path.lost(memory[_SPEED] * turned / p.period, p.friction, p.shape) if turned != 0.0 else 0.0
+
+
+@njit(**INLINE)
 def _turn(n, turned, p, memory):
     """Count heading and offset from where the path leads after a period in which it turns evenly."""
     if turned != 0.0:
@@ -258,7 +267,10 @@ def _predict(n, size, instant, p, parameters, memory):
     acting = _sent(p) + int(p.whole) + instant
     for i in range(size):
         memory[_NEXT + i] = memory[_Z + i]
+    memory[_LOST] = _lost_at(instant, p, memory)
+    memory[_NEXT + n] += memory[_LOST]
     _carry(n, _F, memory)
+    memory[_NEXT + n] = memory[_Z + n]
     _add_command(n, _B_OLD, memory[acting + 1], memory)
     _add_command(n, _B_NEW, memory[acting], memory)
     _turn(n, memory[_RING + WIDTH * instant + _TURNED], p, memory)
@@ -306,7 +318,7 @@ def _reading(sensor, instant, n, tau, p, memory):
     if sensor == MEASURED.lateral_acceleration:
         for i in range(WIDTH):
             memory[_H + i] = memory[_FELT + i]
-        return memory[_OF_COMMAND] * memory[_sent(p) + int(p.whole) + instant]
+        return memory[_OF_COMMAND] * memory[_sent(p) + int(p.whole) + instant] + _lost_at(instant, p, memory)
     memory[_H + _place(sensor, n)] = 1.0
     turning = memory[_RING + WIDTH * instant + _TURNED] / p.period
     if sensor == MEASURED.yaw:
@@ -402,6 +414,7 @@ def _roll(n, p, memory):
     whole, sent = int(p.whole), _sent(p)
     for i in range(n + path.DISTURBANCES):
         memory[_NEXT + i] = memory[_Z + i]
+    memory[_NEXT + n] += memory[_LOST]
     if p.share > 0.0:
         _carry(n, _A_SHARE, memory)
         _add_command(n, _B_SHARE, memory[sent + whole], memory)
@@ -449,5 +462,8 @@ def kalman(speed, measured, command, a, b, parameters, memory, x, d):
     known = memory[_BLIND] <= p.patience
     for i in range(n):
         x[i] = memory[_NEXT + i] if known else math.nan
-        d[i] = memory[_F + WIDTH * i + n] * memory[_Z + n] + memory[_F + WIDTH * i + n + 1] * memory[_Z + n + 1]
+        d[i] = (
+            memory[_F + WIDTH * i + n] * (memory[_Z + n] + memory[_LOST])
+            + memory[_F + WIDTH * i + n + 1] * memory[_Z + n + 1]
+        )
     return memory[_BLIND] * p.period

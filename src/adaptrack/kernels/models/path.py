@@ -14,6 +14,8 @@ turn the same equations into those of a kinematic bicycle, r = v delta/L; the ex
 
 from __future__ import annotations
 
+import math
+
 from numba import types
 
 from ..abi import INLINE, ROUTINE, float64, int64, njit, record, unpacker, vector
@@ -25,6 +27,8 @@ Parameters = record("Parameters", ("mass", "yaw_inertia", "lf", "lr", "stiffness
 unpack = unpacker(Parameters)
 SLOWEST = 3.0
 """m/s: slip angles are formed with at least this speed, for noise over a small one is no slip."""
+MOST_SHARE = 0.9
+"""Of the friction, that a road is thought to ask for at most: nobody knows the friction better."""
 DISTURBANCES = 2
 """d_y (m/s^2) and d_r (rad/s^2)."""
 
@@ -170,6 +174,18 @@ def discretise_rows(speed, period, parameters, stride, target, rows, column):
         target[column + i] = of_u[from_top]
     last = rows + stride * (n - 1)
     target[rows + stride + 1], target[last + 1], target[last + n - 1] = 1.0, speed * period, 1.0
+
+
+@njit(**INLINE)
+def lost(turn, friction, shape):
+    """What tyres pull less (m/s^2, signed) than linear ones at the same slip in a steady turn of so many m/s^2.
+
+    Each axle pulls its share F/F_z = turn/g. By the Magic Formula with E = 0 (Pacejka, eq. 4.E19) it slides under the
+    angle at which a linear tyre would pull mu F_z C tan(asin(f)/C), f = F/(mu F_z).
+    """
+    most = friction * GRAVITY
+    share = min(abs(turn) / most, MOST_SHARE)
+    return -math.copysign(most * (shape * math.tan(math.asin(share) / shape) - share), turn)
 
 
 @njit(**INLINE)
