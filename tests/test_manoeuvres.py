@@ -60,6 +60,7 @@ def lateral_model(car, v):
     return np.array(A), np.array([[cf / m], [cf * lf / inertia]])
 
 
+@pytest.mark.compiled
 class TestOpenLoop:
     def test_a_coasting_car_slows_down_by_drag_and_rolling_resistance(self, linear):
         car, plant = linear
@@ -105,6 +106,7 @@ class TestOpenLoop:
             Surroundings(friction=0.0)
 
 
+@pytest.mark.compiled
 class TestSteadyCircle:
     def test_linear_tyres_have_the_understeer_gradient_of_their_axles(self, linear):
         car, plant = linear
@@ -133,6 +135,7 @@ class TestSteadyCircle:
             steady_circle(*linear, radius=100.0, speed=20.0)
 
 
+@pytest.mark.compiled
 class TestTransient:
     def test_a_step_is_answered_as_the_linear_model_does(self, linear):
         car, plant = linear
@@ -165,6 +168,7 @@ class TestTransient:
             step_steer(car, get_plant("single-track", car), lateral_acceleration=9.5)
 
 
+@pytest.mark.compiled
 class TestSineWithDwell:
     def test_the_steering_is_one_period_that_rests_half_a_second_at_its_second_peak(self):
         t = np.arange(-0.5, 3.0, 0.001)
@@ -315,6 +319,7 @@ class TestStartStates:
             curvature_step(0.0)
 
 
+@pytest.mark.compiled
 class TestCommand:
     @pytest.fixture
     def command(self, monkeypatch, capsys):
