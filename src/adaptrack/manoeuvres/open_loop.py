@@ -196,7 +196,7 @@ SETTLING = 6.0
 """s, until a turn counts as steady."""
 STEADY = 2e-3
 """Largest change, relative, of the yaw rate over the last half second of a steady turn."""
-TRIES, CLOSE = 25, 1e-6
+TRIES, CLOSE = 15, 1e-6
 """Steps of the secant method at most, and the relative error at which it ends."""
 LARGEST_ANGLE = 0.7
 """rad, of the wheels, that is looked for."""
@@ -275,16 +275,16 @@ def find_turns(
     before, error = np.zeros_like(angle), missing(turns)
     error_before = np.full_like(angle, -1.0)  # without steering there is neither acceleration nor curvature
     for _ in range(TRIES):
-        open_ = np.abs(error) > CLOSE
-        if not open_.any():
+        done, lost = np.abs(error) <= CLOSE, np.isnan(error)
+        if done.all():
             break
         with np.errstate(invalid="ignore", divide="ignore"):
-            step = -error * (angle - before) / (error - error_before)
-        step = np.clip(np.nan_to_num(step, nan=0.0), -0.3 * angle, 0.3 * angle)
-        moved = np.where(np.isnan(error), 0.5 * (angle + before), np.clip(angle + step, 1e-6, LARGEST_ANGLE))
-        keep = np.isnan(error)  # no steady turn: halfway back to the last angle that had one
-        before, error_before = np.where(open_ & ~keep, angle, before), np.where(open_ & ~keep, error, error_before)
-        angle = np.where(open_ | keep, moved, angle)
+            step = np.nan_to_num(-error * (angle - before) / (error - error_before), nan=0.0)
+        moved = np.clip(angle + np.clip(step, -0.3 * angle, 0.3 * angle), 1e-6, LARGEST_ANGLE)
+        halfway = 0.5 * (angle + before)  # back towards the last angle with a steady turn
+        known = ~(done | lost)
+        before, error_before = np.where(known, angle, before), np.where(known, error, error_before)
+        angle = np.where(done, angle, np.where(lost, halfway, moved))
         turns = turns_under(plant, v, angle, surroundings)
         error = missing(turns)
     reached = np.abs(error) <= 100.0 * CLOSE
