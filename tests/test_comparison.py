@@ -420,7 +420,7 @@ def test_who_adapts_is_told_from_the_policy():
 
 
 # -- other controllers ------------------------------------------------------------------------------------------------
-def proportional(situation, reference, tuning, parameters, memory, answer):
+def proportional(situation, reference, road, tuning, parameters, memory, answer):
     """Steers by the offset and the yaw angle."""
     wanted = tuning[0] * (reference[0] - situation[3]) - tuning[1] * situation[1]
     answer[0] = min(max(wanted, parameters[3]), parameters[4])

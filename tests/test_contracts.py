@@ -68,7 +68,7 @@ def deadbeat(speed, measured, command, a, b, parameters, memory, x, d):
     memory[n] = 1.0
 
 
-def proportional(situation, reference, tuning, parameters, memory, answer):
+def proportional(situation, reference, road, tuning, parameters, memory, answer):
     """Steer by the offset and the yaw angle; count the steps in the memory."""
     wanted = tuning[0] * (reference[0] - situation[3]) - tuning[1] * situation[1]
     last = situation[5]
@@ -161,7 +161,7 @@ def test_a_compiled_controller_drives_alike_from_python_and_compiled_with_named_
 
 
 def test_a_law_that_answers_no_number_holds_the_last_command_alike_from_python_and_compiled():
-    def fails_at_times(situation, reference, tuning, parameters, memory, answer):
+    def fails_at_times(situation, reference, road, tuning, parameters, memory, answer):
         memory[0] += 1.0
         answer[0] = math.nan if memory[0] % 3.0 == 0.0 else 0.001 * memory[0]
 

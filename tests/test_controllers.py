@@ -28,6 +28,7 @@ from adaptrack.controllers.lqr import SPEEDS, WEIGHT_FACTORS, error_model, lqr_g
 from adaptrack.errors import ContractError, InvalidInput, UnknownName
 from adaptrack.kernels.controllers.contract import path_at, wrapped
 from adaptrack.plant import DualTrack
+from adaptrack.road.ahead import straight
 from adaptrack.scenario import load_scenario
 from adaptrack.simulate import simulate
 from adaptrack.vehicle import Steering, load_vehicle
@@ -53,7 +54,7 @@ def parabola(curvature: float, speed: float, period: float, n: int = 60) -> np.n
 def test_heading_and_curvature_of_a_parabola_are_exact(time):
     speed, period, bend = 12.0, 0.1, 0.8
     reference = 1.0 + 0.3 * period * np.arange(22) + 0.5 * bend * (period * np.arange(22)) ** 2
-    path = path_at(reference, time, speed, period)
+    path = path_at(reference, straight(), time, speed, period)
     rate = 0.3 + bend * time
     assert path.y == pytest.approx(1.0 + 0.3 * time + 0.5 * bend * time**2, rel=1e-12)
     assert path.heading == pytest.approx(math.atan2(rate, speed), rel=1e-9)
@@ -61,15 +62,15 @@ def test_heading_and_curvature_of_a_parabola_are_exact(time):
 
 
 def test_beyond_its_end_the_reference_goes_straight_on():
-    path = path_at(np.array([0.0, 0.5]), 1.0, 10.0, 0.1)
+    path = path_at(np.array([0.0, 0.5]), straight(), 1.0, 10.0, 0.1)
     assert (path.y, path.curvature) == (pytest.approx(5.0), 0.0)
     assert path.heading == pytest.approx(math.atan2(5.0, 10.0))
-    alone = path_at(np.array([2.0]), 1.0, 10.0, 0.1)
+    alone = path_at(np.array([2.0]), straight(), 1.0, 10.0, 0.1)
     assert (alone.y, alone.heading, alone.curvature) == (2.0, 0.0, 0.0)
 
 
 def test_a_step_in_the_reference_is_no_sharper_than_a_bend_at_one_g():
-    assert path_at(np.array([0.0, 0.0, 10.0]), 0.0, 20.0, 0.1).curvature == pytest.approx(9.81 / 20.0**2)
+    assert path_at(np.array([0.0, 0.0, 10.0]), straight(), 0.0, 20.0, 0.1).curvature == pytest.approx(9.81 / 20.0**2)
 
 
 @pytest.mark.parametrize("turns", [-3, -1, 0, 1, 200])
@@ -151,7 +152,8 @@ def asked_gain(controller: LQR, speed: float, tuning: np.ndarray | None = None) 
     gain = []
     for state in basis:
         controller.function(
-            np.array([*state, speed, 0.0]), np.zeros(50), controller.packed_tuning() if tuning is None else tuning,
+            np.array([*state, speed, 0.0]), np.zeros(50), straight(),
+            controller.packed_tuning() if tuning is None else tuning,
             controller.parameters(), np.zeros(controller.memory_size), answer,
         )  # fmt: skip
         gain.append(-answer[0] / small)
@@ -366,16 +368,18 @@ def test_a_law_crosses_into_a_kernel_by_its_address(law):
 
     from adaptrack.kernels.abi import address_of, int64, vector
     from adaptrack.kernels.controllers.contract import LAW_SIGNATURE, call_law
+    from adaptrack.kernels.road import ROAD_AHEAD
 
-    @njit(LAW_SIGNATURE.return_type(int64, *[vector] * 6))
-    def kernel(law, situation, reference, tuning, parameters, memory, answer):
-        call_law(law, situation, reference, tuning, parameters, memory, answer)
+    @njit(LAW_SIGNATURE.return_type(int64, vector, vector, ROAD_AHEAD, vector, vector, vector, vector))
+    def kernel(law, situation, reference, road, tuning, parameters, memory, answer):
+        call_law(law, situation, reference, road, tuning, parameters, memory, answer)
 
     controller = law(CAR, preview=True)
     expected = controller.step([0.1, 0.02, 0.0, 0.3], 15.0, np.linspace(0.0, 2.0, 60))
     answer = np.zeros(1 + len(controller.diagnostic_names))
     given = (
-        np.array([0.1, 0.02, 0.0, 0.3, 15.0, 0.0]), np.linspace(0.0, 2.0, 60), controller.packed_tuning(),
+        np.array([0.1, 0.02, 0.0, 0.3, 15.0, 0.0]), np.linspace(0.0, 2.0, 60), straight(),
+        controller.packed_tuning(),
         controller.parameters(), np.zeros(controller.memory_size), answer,
     )  # fmt: skip
     kernel(address_of(controller.function, LAW_SIGNATURE), *given)
@@ -394,7 +398,7 @@ def test_each_law_drives_a_double_lane_change_on_the_road(law, car):
 
 
 # -- a controller of one's own -----------------------------------------------------------------------------------------
-def proportional(situation, reference, tuning, parameters, memory, answer):
+def proportional(situation, reference, road, tuning, parameters, memory, answer):
     """Steer by the offset; memory counts the steps."""
     offset = reference[0] - situation[3]
     wanted = tuning[0] * offset / parameters[5]
@@ -425,7 +429,7 @@ def test_a_law_of_ones_own_sees_its_numbers_and_keeps_its_memory():
 
 @pytest.mark.compiled
 def test_what_numba_cannot_compile_is_refused_with_numbas_reason():
-    def nonsense(situation, reference, tuning, parameters, memory, answer):
+    def nonsense(situation, reference, road, tuning, parameters, memory, answer):
         answer[0] = "left"
 
     with pytest.raises(ContractError, match=r"UserController 'x': numba cannot compile.*float64 arrays"):

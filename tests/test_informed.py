@@ -45,7 +45,7 @@ def run_kernel(estimator, model, speeds, samples, commands):
     numbers, memory = estimator.parameters(model), np.zeros(estimator.memory_size(model))
     x, d, found = np.zeros(model.n), np.zeros(model.n), []
     for speed, given, command in zip(speeds, samples, commands, strict=True):
-        measured = np.array([math.nan] * len(SENSORS) + [0.0, 0.0])
+        measured = np.array([math.nan] * len(SENSORS) + [0.0, 0.0, 0.0])
         measured[: len(given)] = given
         estimator.function(float(speed), measured, float(command), a, b, numbers, memory, x, d)
         found.append(np.concatenate([x, d]))
@@ -113,11 +113,12 @@ def test_the_compiled_filter_is_the_readable_one(lag, dead_time, oldest, rng):
     estimator = KalmanFilter(noise if oldest else SensorNoise(), Drifts(sliding=0.3), oldest=oldest)
     model, count = PathModel(CAR, PERIOD, lag, dead_time), 150
     speeds = 15.0 + 3.0 * np.sin(0.1 * np.arange(count))
-    samples = rng.normal(size=(count, 8)) * [0.1, 0.01, 0.02, 0.1, 0.01, 0.5, 0.0, 0.0]
+    samples = rng.normal(size=(count, 9)) * [0.1, 0.01, 0.02, 0.1, 0.01, 0.5, 0.0, 0.0, 0.0]
     samples[rng.random(samples.shape) < 0.2] = np.nan
     samples[0] = 0.0  # everything is known at first
     samples[40:44] = samples[40]  # repeated
-    samples[:, 6:] = rng.uniform(0.0, 1.2 * oldest, (count, 2))
+    samples[:, 6:8] = rng.uniform(0.0, 1.2 * oldest, (count, 2))
+    samples[:, 8] = 0.1 * rng.normal(size=count)  # the path turns
     commands = 0.02 * np.sin(0.3 * np.arange(count))
     readable = ReadableFilter(estimator, model)
     expected = [np.concatenate(readable.step(*each)) for each in zip(speeds, samples, commands, strict=True)]
@@ -311,7 +312,7 @@ def test_the_offset_of_a_gyro_and_a_banked_road_are_told_apart_from_the_motion()
     truth = np.array([vy, yaw, 0.0, command, 0.0])
     felt = a_c[0] @ truth
     for k in range(4000):
-        seen = np.array([math.nan, yaw, offset, 0.0, math.nan, felt, 0.0, 0.0])
+        seen = np.array([math.nan, yaw, offset, 0.0, math.nan, felt, 0.0, 0.0, 0.0])
         x, _ = readable.step(speed, seen + 1e-9 * (k % 2), command)
     np.testing.assert_allclose(x, truth, rtol=0, atol=2e-3)
     assert readable.z[-1] == pytest.approx(offset, abs=1e-4)

@@ -20,7 +20,8 @@ from adaptrack.estimation import FrictionWindEstimator
 from adaptrack.failure import Failure
 from adaptrack.plant import Plant
 from adaptrack.profile import Profile
-from adaptrack.scenario import Scenario, Signals
+from adaptrack.road.ahead import pack_roads
+from adaptrack.scenario import RoadDrive, Scenario, Signals
 from adaptrack.world import Driver, KnownAs, World, reason_of
 
 Array = NDArray[np.float64]
@@ -63,7 +64,7 @@ class BatchResult:
 def rollout_batch(
     plant: Plant,
     controller: Controller,
-    scenarios: Scenario | Sequence[Scenario],
+    scenarios: Scenario | RoadDrive | Sequence[Scenario | RoadDrive],
     tunings: ArrayLike | None = None,
     *,
     which: ArrayLike | None = None,
@@ -87,7 +88,7 @@ def rollout_batch(
     InvalidInput
         When shapes do not fit, a tuning is not finite, tunings meet a scheduler, or a part needs Python at every step.
     """
-    several = [scenarios] if isinstance(scenarios, Scenario) else scenarios
+    several = [scenarios] if isinstance(scenarios, Scenario | RoadDrive) else scenarios
     batch = Batch(plant, controller, several, profile, driver, failure, known_as)
     if tunings is None:
         which = np.arange(len(batch.signals)) if which is None else which
@@ -151,7 +152,7 @@ class BatchRuns:
         )
 
 
-def sampled(world: World, scenarios: Sequence[Scenario]) -> tuple[list[Signals], Array]:
+def sampled(world: World, scenarios: Sequence[Scenario | RoadDrive]) -> tuple[list[Signals], Array]:
     """Scenarios at the control instants, and as kernels read them: (runs, `kernels.loop.SIGNAL`, n + 1).
 
     Raises
@@ -174,7 +175,7 @@ class Batch:
         self,
         plant: Plant,
         controller: Controller,
-        scenarios: Sequence[Scenario],
+        scenarios: Sequence[Scenario | RoadDrive],
         profile: str | Profile = "paper",
         driver: Driver | None = None,
         failure: Failure | None = None,
@@ -185,6 +186,7 @@ class Batch:
         self._refuse_python()
         world = self.world
         self.signals, self.samples = sampled(world, scenarios)
+        self.roads = pack_roads([getattr(scenario, "road", None) for scenario in scenarios])
         self.starts = np.array([world.start(scenario, s) for scenario, s in zip(scenarios, self.signals, strict=True)])
         self.substeps = np.array([world.substeps(float(s.speed.max())) for s in self.signals])
         self.settings = {int(steps): world.settings(int(steps)) for steps in np.unique(self.substeps)}
@@ -257,7 +259,7 @@ class Batch:
             width = law.answer.shape[1] + len(own.tuning_names)
         else:
             assert isinstance(own, MPC)
-            mpc, law = own.batch(slots, mpc_settings), rollout.no_law_batch()
+            mpc, law = own.batch(slots, mpc_settings, curved=bool(len(self.roads.numbers))), rollout.no_law_batch()
             functions = own.functions
             width = len(kernel.ANSWER)
         none = np.zeros(0)
@@ -269,7 +271,9 @@ class Batch:
             settings=self.settings[steps],
             members=self.members,
             vehicles=vehicle_batch(self.world.plant.packed(), np.zeros((slots, self.starts.shape[1]))),
-            road=rollout.Road(self.samples, np.zeros(slots, np.int64), np.zeros(slots, np.int64)),
+            given=rollout.Given(
+                self.samples, self.roads, np.zeros(slots, np.int64), np.zeros(slots, np.int64)
+            ),
             mpc=mpc,
             functions=functions,
             law=law,
@@ -283,7 +287,7 @@ class Batch:
             segments=np.zeros((slots, segments)),
             trace=rollout.Trace(
                 np.full((traced, periods, STATES), np.nan), np.full((traced, periods, width), np.nan),
-                np.full((traced, periods, 2), np.nan),
+                np.full((traced, periods, 5), np.nan),
             ),
             seen=np.zeros(2),
         )  # fmt: skip
@@ -376,7 +380,7 @@ class Batch:
         fits = run is not None and len(run.memory.own) == size and run.settings is self.settings[steps]
         if not fits or plan.traced or plan.scheduler is not None:
             run = self.arena(size, steps, mpc_settings, segments, plan.traced, plan.scheduler)
-        run.road.scenario[:], run.road.seeds[:] = which, plan.seeds[chunk]
+        run.given.scenario[:], run.given.seeds[:] = which, plan.seeds[chunk]
         run.vehicles.start[:], run.tuning[:] = self.starts[which], plan.tunings[chunk]
         rollout.begin(size, run)
         rollout.rollout(rollout.Span(n, size, max(plan.segment, 1), plan.weight), run)

@@ -26,8 +26,8 @@ from adaptrack.vehicle import SteeringActuator, Tyre, Vehicle, load_tyre, pack_p
 
 Array = NDArray[np.float64]
 
-NOTHING_MEASURED = np.array([math.nan] * 6 + [0.0, 0.0])
-"""Sensors without a sample, and their ages, see `kernels.models.contract.MEASURED`."""
+NOTHING_MEASURED = np.array([math.nan] * 6 + [0.0, 0.0, 0.0])
+"""Sensors without a sample, their ages, and a path that does not turn, see `kernels.models.contract.MEASURED`."""
 LEAST_NOISE_VY, LEAST_NOISE_YAW_RATE = 0.005, 0.001
 """m/s and rad/s: with better sensors than these, the model's own errors are what limits the filter."""
 
@@ -67,6 +67,10 @@ class Estimator(ABC):
     def memory_size(self, model: PredictionModel) -> int:
         """Numbers that it remembers from step to step."""
         return 0
+
+    def change_path(self, model: PredictionModel, memory: Array, heading: float, offset: float) -> None:
+        """Heading (rad) and offset (m) of the past have grown by so much, against another path; else begin anew."""
+        memory[:] = 0.0
 
     def check_fits(self, model: PredictionModel) -> None:  # noqa: B027 (most fit any model)
         """Refuse a model that it cannot serve.

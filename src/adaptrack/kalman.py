@@ -159,6 +159,11 @@ class KalmanFilter(Estimator):
 
         return int(memory_size(_periods(model)[0], self.late(model)))
 
+    def change_path(self, model: PredictionModel, memory: Array, heading: float, offset: float) -> None:
+        from adaptrack.kernels.estimators.kalman import move_path
+
+        move_path(memory, model.n, self.late(model), heading, offset)
+
     def late(self, model: PredictionModel) -> int:
         """Periods that are gone through anew at every step, for the samples that come late."""
         return math.floor(self.oldest / model.period + 0.5)
@@ -251,6 +256,7 @@ class ReadableFilter:
         self.P = np.diag(variance)
         self.past = self.z.copy(), self.P.copy()
         self.ring: list[dict[str, float]] = [{} for _ in range(self.late + 1)]
+        self.turned = [0.0] * (self.late + 1)
         self.last, self.offsets = np.array(measured[: len(SENSORS)]), np.zeros(len(SENSORS))
         self.steps, self.blind = 0, 0
 
@@ -259,8 +265,9 @@ class ReadableFilter:
         from adaptrack.kernels.estimators.kalman import LEAST_NOISE
 
         self.ring = [{}, *self.ring[:-1]]
+        self.turned = [float(measured[-1]), *self.turned[:-1]]
         self.blind += 1
-        pose_age, motion_age = (each if math.isfinite(each) else 0.0 for each in measured[len(SENSORS) :])
+        pose_age, motion_age = (each if math.isfinite(each) else 0.0 for each in measured[len(SENSORS) : -1])
         for i, (name, variance) in enumerate(zip(SENSORS, self.own.variances(), strict=True)):
             value, age = float(measured[i]), pose_age if name in ("yaw", "y") else motion_age
             repeated = value == self.last[i] and variance > LEAST_NOISE[i] ** 2
@@ -290,6 +297,8 @@ class ReadableFilter:
         for time, command in ((self.share * period, old), ((1.0 - self.share) * period, new)):
             f, b = self.matrices(speed, time)
             self.z = f @ self.z + b * command
+        self.z[1] -= self.turned[instant]  # heading and offset count from the path, which turns evenly
+        self.z[self.n - 1] -= 0.5 * speed * period * self.turned[instant]
         f, _ = self.matrices(speed, period)
         self.P = f @ self.P @ f.T + self.Q
         places = np.ix_([0, 2], [0, 2])
@@ -328,11 +337,14 @@ class ReadableFilter:
             h[self.n] = 1.0
             return h, float(inputs[0, 0]) * self.sent[self.whole + instant]
         h[states.index(name)] = 1.0
+        turning = self.turned[instant] / self.model.period
         if name == "yaw":
             h[2] = -tau
-        elif name == "y":
+            return h, tau * turning
+        if name == "y":
             h[:3] = -tau, -tau * speed, 0.5 * tau**2 * speed
-        elif name == "yaw_rate" and not self.offset_known:
+            return h, -0.5 * tau**2 * speed * turning
+        if name == "yaw_rate" and not self.offset_known:
             h[-1] = 1.0
         return h, 0.0
 
@@ -393,7 +405,7 @@ class ReadableFilter:
 
     def step(self, speed: float, measured: ArrayLike, command: float) -> tuple[Array, Array]:
         """One control instant; command: the one given a period ago (rad)."""
-        seen = np.full(len(SENSORS) + 2, math.nan)
+        seen = np.array([math.nan] * (len(SENSORS) + 2) + [0.0])
         given = np.asarray(measured, dtype=float)
         seen[: given.size] = given
         if self.z is None:

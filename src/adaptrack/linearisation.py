@@ -300,7 +300,7 @@ def sensed() -> tuple[str, ...]:
     """What a controller is given at an instant, by name, see `kernels.models.contract.MEASURED`."""
     from adaptrack.kernels.models import contract
 
-    return tuple(contract.MEASURED._fields)
+    return tuple(name for name in contract.MEASURED._fields if name != "turned")  # it is known, not measured
 
 
 def _road(friction: float) -> Array:
@@ -370,7 +370,7 @@ def linear_estimator(mpc: MPC, speed: float) -> LinearEstimator:
 
     def step(given: Array) -> Array:
         """[memory, xi] after a step from [memory, measured, command]."""
-        after, measured, command = given[:memory].copy(), given[memory:-1].copy(), float(given[-1])
+        after, measured, command = given[:memory].copy(), np.append(given[memory:-1], 0.0), float(given[-1])
         own.function(pace, measured, command, a, b[:, 0], parameters, after, x, d)
         return np.concatenate([after, a @ x + b[:, 0] * command + d - x, x[-1:]])
 

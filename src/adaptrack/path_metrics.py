@@ -12,7 +12,7 @@ import html
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -22,6 +22,7 @@ from adaptrack.failure import SLOW
 from adaptrack.metrics import largest_magnitude, mean_square
 from adaptrack.models import PredictionModel
 from adaptrack.outline import Outline
+from adaptrack.trajectory import Trajectory
 
 Array = NDArray[np.float64]
 
@@ -76,6 +77,21 @@ class PathRecord:
                     f"PathRecord: {each.name} has the shape {values.shape}: must be ({t.size},), as t, or a number."
                 )
             object.__setattr__(self, each.name, np.broadcast_to(values, t.shape))
+
+    @classmethod
+    def from_trajectory(cls, run: Trajectory) -> Self | None:
+        """A run along a road as far as it is finite; None where fewer than two instants are.
+
+        Offsets count from the reference that it was to follow.
+        """
+        columns = {
+            "t": run.t, "offset": run.error, "heading_error": run.heading_error, "speed": run.vx,
+            "lateral_acceleration": run.lateral_acceleration, "wheel_angle": run.steering, "yaw_rate": run.yaw_rate,
+            "command": run.command, "curvature": run.road.get("curvature", np.zeros(len(run))),
+        }  # fmt: skip
+        whole = np.isfinite(np.stack(list(columns.values()))).all(axis=0)
+        end = len(run) if whole.all() else int(whole.argmin())
+        return None if end < 2 else cls(**{name: values[:end] for name, values in columns.items()})
 
     @property
     def turned(self) -> Array:

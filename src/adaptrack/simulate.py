@@ -23,7 +23,9 @@ from adaptrack.estimation import FrictionWindEstimator
 from adaptrack.failure import Failure
 from adaptrack.plant import Plant, SteppedPlant
 from adaptrack.profile import Profile
-from adaptrack.scenario import Scenario, Signals
+from adaptrack.road import Road
+from adaptrack.road.ahead import RoadAhead, pack_roads
+from adaptrack.scenario import RoadDrive, Scenario, Signals
 from adaptrack.scheduling.variables import SchedulingVariables
 from adaptrack.trajectory import Origin, Trajectory, provenance
 from adaptrack.world import Driver, KnownAs, World, reason_of
@@ -31,11 +33,18 @@ from adaptrack.world import Driver, KnownAs, World, reason_of
 Array = NDArray[np.float64]
 
 
-def _refuse_nonsense(scenario: Scenario, seed: int) -> None:
-    if not isinstance(scenario, Scenario):
-        raise InvalidInput(f"scenario = {scenario!r}: must be a Scenario; load_scenario(name) gives one.")
+def _refuse_nonsense(scenario: Scenario | RoadDrive, seed: int) -> None:
+    if not isinstance(scenario, Scenario | RoadDrive):
+        raise InvalidInput(
+            f"scenario = {scenario!r}: must be a Scenario or a RoadDrive; load_scenario(name) and "
+            "RoadDrive(load_road(file), speed) give one."
+        )
     if whole("simulate", "seed", seed, least=0) >= 2**63:
         raise InvalidInput(f"seed = {seed!r}: must be below 2^63.")
+
+
+LONGEST_PREVIEW = 400
+"""Control instants for which a controller in Python is told the speed ahead."""
 
 
 class _CompiledVehicle:
@@ -124,7 +133,7 @@ class _Recorder:
         self.command = np.full((n, 3), np.nan)  # command, its change, held
         self.tuning = np.full((n, len(self.tuning_names)), np.nan)
         self.diagnostics = np.full((n, len(self.diagnostic_names)), np.nan)
-        self.seen = np.full((n, 2), np.nan)
+        self.seen = np.full((n, 5), np.nan)  # as in `kernels.rollout.Trace`
         self.times = np.full(n, np.nan)
         self.failed: str | None = None
         self.failed_at = math.nan
@@ -147,7 +156,7 @@ class _Recorder:
 def simulate(
     plant: Plant | SteppedPlant,
     controller: Controller,
-    scenario: Scenario,
+    scenario: Scenario | RoadDrive,
     *,
     profile: str | Profile = "paper",
     driver: Driver | None = None,
@@ -156,7 +165,7 @@ def simulate(
     failure: Failure | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> Trajectory:
-    """Drive a scenario with a controller.
+    """Drive a scenario, or along a road, with a controller.
 
     profile: `paper` (ideal), `road` (steering actuator, noise, delay) or one's own; driver: None to follow the speed
     profile exactly, else the longitudinal driver that moves the vehicle with its powertrain; seed: of the sensor
@@ -171,7 +180,7 @@ def simulate(
     """
     from adaptrack.kernels import loop
     from adaptrack.kernels.models.contract import MEASURED
-    from adaptrack.kernels.plants.contract import SLOTS, STATE, STATES
+    from adaptrack.kernels.plants.contract import SLOTS, STATES
     from adaptrack.kernels.variables import VARIABLES
 
     world = World.of(plant, controller, profile, driver, known_as, failure)
@@ -194,13 +203,16 @@ def simulate(
     if estimator is not None:
         estimator.reset()
     controller.reset()
+    road = getattr(scenario, "road", None)
+    roads = pack_roads([road])
     for k in range(signals.n):
         if progress is not None and k % 64 == 0:
             progress(k, signals.n)
         record.state[k] = block[: STATES * SLOTS : SLOTS]
-        error = block[STATE.y * SLOTS] - samples[0, k]
+        loop.locate(0, block, settings, rows, 0, roads, memory)
+        error = own.offset - samples[0, k]
         own.arrived = own.arrived or abs(error) <= world.failure.distance
-        own.ended = loop.judge(samples[0, k], block, 0, settings, bool(own.arrived))
+        own.ended = loop.judge(error, block, 0, settings, bool(own.arrived))
         if own.ended != loop.RUNNING:
             own.ended_at = k * signals.period
             break
@@ -212,9 +224,14 @@ def simulate(
         if estimator is not None:
             found = estimator.step(measured[:4], speed, own.command)
             look[VARIABLES.friction], look[VARIABLES.wind] = found.friction, found.wind
+        if not isinstance(controller, MPC) and math.isinf(world.profile.noise_vy):
+            measured[MEASURED.vy] = 0.0  # a car without a sensor of it
         variables = SchedulingVariables(*look.tolist())
         begun = time.perf_counter()
-        answer = controller.step(seen, speed, samples[0, k:], variables)
+        ahead: dict[str, Any] = {}
+        if road is not None:
+            ahead["road"] = _seen_ahead(road, own.station, speed, signals.speed[k:])
+        answer = controller.step(seen, speed, samples[0, k:], variables, **ahead)
         record.times[k] = time.perf_counter() - begun
         command = record.take(k, answer, float(own.command))
         if not math.isfinite(command):
@@ -222,6 +239,7 @@ def simulate(
             break
         loop.actuate(k, 0, command, block, settings, rows, 0, memory)
         vehicle.observe(record.seen[k])
+        record.seen[k, 2:] = own.station, own.offset, own.heading_error
         if before:
             vehicle.advance(before, share * signals.period / before)
             loop.change_command(1, block, settings, memory)
@@ -235,6 +253,12 @@ def simulate(
     return _trajectory(world, controller, scenario, signals, seed, record)
 
 
+def _seen_ahead(road: Road, station: float, speed: float, planned: Array) -> RoadAhead:
+    """The road ahead of a car that passes it as planned, from its present speed (m/s) on."""
+    speeds = planned[:LONGEST_PREVIEW] + (speed - planned[0])
+    return RoadAhead(road, float(station), np.maximum(speeds, 0.0))
+
+
 def _failure_of(ended: int, at: float) -> tuple[str | None, float]:
     reason = reason_of(ended)
     return reason, at if reason is not None else math.nan
@@ -243,7 +267,7 @@ def _failure_of(ended: int, at: float) -> tuple[str | None, float]:
 def rollout(
     plant: Plant,
     controller: Controller,
-    scenario: Scenario,
+    scenario: Scenario | RoadDrive,
     *,
     profile: str | Profile = "paper",
     driver: Driver | None = None,
@@ -279,7 +303,10 @@ def rollout(
 
 # -- the trajectory ---------------------------------------------------------------------------------------------------
 _WHOLE = {"Np", "Nc", "qp_status", "qp_iterations", "at_limit"}
-_UNITS = {"tuning.Q": "1/m^2", "tuning.R": "1/rad^2"}
+_UNITS = {
+    "tuning.Q": "1/m^2", "tuning.R": "1/rad^2", "road.station": "m", "road.offset": "m", "road.heading_error": "rad",
+    "road.curvature": "1/m",
+}  # fmt: skip
 
 
 def _named(names: tuple[str, ...], columns: Array, driven: NDArray[np.bool_]) -> dict[str, NDArray[Any]]:
@@ -297,13 +324,17 @@ def _named(names: tuple[str, ...], columns: Array, driven: NDArray[np.bool_]) ->
 
 
 def _trajectory(
-    world: World, controller: Controller, scenario: Scenario, signals: Signals, seed: int, record: _Recorder
+    world: World, controller: Controller, scenario: Scenario | RoadDrive, signals: Signals, seed: int, record: _Recorder
 ) -> Trajectory:
     from adaptrack.kernels.plants.contract import STATE
 
     n, state, plant = signals.n, record.state, world.plant
     driven = np.isfinite(record.command[:, 0])
     described = controller.describe()
+    road = {}
+    if isinstance(scenario, RoadDrive):
+        road = dict(zip(("station", "offset", "heading_error"), record.seen[:, 2:].T, strict=True))
+        road["curvature"] = scenario.road.at(np.nan_to_num(road["station"])).curvature
     return Trajectory(
         t=signals.t[:n],
         X=state[:, STATE.x],
@@ -325,7 +356,8 @@ def _trajectory(
         period=signals.period,
         tuning=_named(record.tuning_names, record.tuning, driven),
         diagnostics=_named(record.diagnostic_names, record.diagnostics, driven),
-        units={key: unit for key, unit in _UNITS.items() if key.partition(".")[2] in record.tuning_names},
+        road=road,
+        units={key: unit for key, unit in _UNITS.items() if key.partition(".")[2] in (*record.tuning_names, *road)},
         failed=record.failed,
         failed_at=record.failed_at,
         meta=provenance(

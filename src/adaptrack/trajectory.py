@@ -12,15 +12,18 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from datetime import datetime
 from importlib import metadata
-from typing import Any, Literal, Self
+from typing import TYPE_CHECKING, Any, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from adaptrack import __version__
-from adaptrack.errors import ConfigError, InvalidInput
+from adaptrack.errors import ConfigError, InvalidInput, MissingExtra
 from adaptrack.files import Column as Stored
 from adaptrack.files import Damaged, check_texts, decode_parquet, encode_parquet, read_bytes, write_atomically
+
+if TYPE_CHECKING:
+    from adaptrack.road import Road
 
 Array = NDArray[Any]
 
@@ -78,7 +81,7 @@ COLUMNS = (
 )
 """The arrays that every `Trajectory` has, in the order of its fields and of a file's columns."""
 
-_NAMED = ("tuning", "diagnostics")
+_NAMED = ("tuning", "diagnostics", "road")
 
 
 @dataclass(frozen=True, eq=False)
@@ -144,6 +147,10 @@ class Trajectory:
     ``qp_iterations`` (int64, of the solver that gave the answer), ``qp_residual`` (largest KKT residual of the answer;
     NaN when there was none) and ``at_limit`` (int64, sum of 1 (Δu), 2 (u) and 4 (y) for the limits that were active).
     """
+    road: Mapping[str, Array] = field(default_factory=dict)
+    """Of a drive along a curved road, else empty: ``station`` (m, arc length of the car's foot on the centre line, over
+    all laps), ``offset`` (m, from the centre line, positive to the left), ``heading_error`` (rad in (−π, π], against
+    the road) and ``curvature`` (1/m, of the road there)."""
     units: Mapping[str, str] = field(default_factory=dict)
     """The units of named arrays, such as ``{"tuning.Q": "1/m^2"}``; ``-`` where left out."""
     failed: str | None = None
@@ -189,8 +196,8 @@ class Trajectory:
 
     @property
     def error(self) -> Array:
-        """(n,) m, Y − y_ref: positive when the vehicle is to the left of its reference."""
-        return self.Y - self.y_ref
+        """(n,) m, Y − y_ref, on a curved road offset − y_ref: positive when the vehicle is to the left."""
+        return (self.road["offset"] if self.road else self.Y) - self.y_ref
 
     @property
     def reference_heading(self) -> Array:
@@ -204,8 +211,10 @@ class Trajectory:
 
     @property
     def heading_error(self) -> Array:
-        """(n,) rad in (−π, π], ψ − `reference_heading`: positive when the vehicle points to the left of its path."""
-        difference = self.psi - self.reference_heading
+        """(n,) rad in (−π, π], ψ − `reference_heading`, on a curved road against the road and that: positive when the
+        vehicle points to the left of its path.
+        """
+        difference = (self.road["heading_error"] if self.road else self.psi) - self.reference_heading
         return -np.remainder(np.pi - difference, 2.0 * np.pi) + np.pi
 
     def name_of(self, entry: str) -> str:
@@ -246,6 +255,46 @@ class Trajectory:
             columns |= {f"{name}.{key}": values for key, values in getattr(self, name).items()}
         return columns
 
+    def to_pandas(self) -> Any:
+        """`columns` as a pandas DataFrame, a row a control instant; units in its ``attrs["units"]``.
+
+        Raises
+        ------
+        MissingExtra
+            When pandas is not installed.
+        """
+        try:
+            import pandas
+        except ImportError:
+            raise MissingExtra("Trajectory.to_pandas needs pandas: python -m pip install pandas") from None
+        frame = pandas.DataFrame(self.columns())
+        frame.attrs["units"] = self._column_units()
+        return frame
+
+    def plot(self, road: Road | None = None) -> Any:
+        """The run as a matplotlib figure (``.savefig("run.png")``): signals over time; along a road where one is given.
+
+        With a road: from above, the driven line coloured by the offset, and offset, steering and speed along it.
+
+        Raises
+        ------
+        InvalidInput
+            When fewer than two instants lie beside the road.
+        """
+        from adaptrack.report.notebook import run_figure
+
+        return run_figure(self, road)
+
+    def _repr_html_(self) -> str:
+        """The run in a notebook: its measures and its picture."""
+        from adaptrack.report.notebook import run_html
+
+        return run_html(self)
+
+    def _column_units(self) -> dict[str, str]:
+        """The unit of each of `columns`."""
+        return {name: column.unit for column in COLUMNS for name in column.stored_names} | dict(self.units)
+
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the trajectory as Parquet: the file appears whole or not at all.
 
@@ -254,7 +303,7 @@ class Trajectory:
         StorageError
             When that fails; an older file at `path` is then untouched.
         """
-        units = {name: column.unit for column in COLUMNS for name in column.stored_names} | dict(self.units)
+        units = self._column_units()
         stored = [Stored(name, units[name], values) for name, values in self.columns().items()]
         about = {
             "adaptrack": __version__,

@@ -18,7 +18,7 @@ from adaptrack.estimation import FrictionWindEstimator, Perception
 from adaptrack.failure import Failure, Reason
 from adaptrack.plant import Plant, SteppedPlant
 from adaptrack.profile import SENSING, Profile, load_profile
-from adaptrack.scenario import Scenario, Signals
+from adaptrack.scenario import RoadDrive, Scenario, Signals
 from adaptrack.scheduling.variables import reference_preview
 from adaptrack.vehicle import SteeringActuator, in_periods
 
@@ -144,13 +144,17 @@ class World:
         if isinstance(self.known_as, Perception):
             known = self.known_as.known(*known, signals.period, number)
         ahead = reference_preview(signals.y_ref, signals.period, len(signals.y_ref))
+        ahead[1][:] += np.abs(signals.curvature) * signals.speed**2
         return np.ascontiguousarray(
-            np.vstack([signals.y_ref, signals.speed, signals.friction.T, signals.wind.T, signals.push, *known, *ahead])
-        )
+            np.vstack([
+                signals.y_ref, signals.speed, signals.friction.T, signals.wind.T, signals.push, *known, *ahead,
+                signals.station,
+            ])
+        )  # fmt: skip
 
-    def start(self, scenario: Scenario, signals: Signals) -> Array:
+    def start(self, scenario: Scenario | RoadDrive, signals: Signals) -> Array:
         """All states of the plant at the start (n,): in equilibrium at the speed of the scenario."""
-        motion = np.array([0.0, scenario.initial_y, scenario.start_heading, signals.speed[0], 0.0, 0.0])
+        motion = np.array([*scenario.start_pose(), signals.speed[0], 0.0, 0.0])
         return motion if isinstance(self.plant, SteppedPlant) else self.plant.initial_state(motion)
 
 

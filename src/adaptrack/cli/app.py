@@ -12,6 +12,7 @@ from adaptrack.cli import (
     bench,
     certify,
     dataset,
+    drive,
     evaluate,
     lists,
     manoeuvre,
@@ -50,6 +51,7 @@ def _options(
 
 
 for command in (
+    drive.drive,
     simulate.simulate,
     manoeuvre.manoeuvre,
     lists.scenarios,

@@ -60,8 +60,8 @@ def check(
     as_json: options.Json = False,
 ) -> None:
     """Tell what a road is and what of it a car cannot drive; the exit code is then 1."""
-    asked = _options(max_deviation=max_deviation, closed=closed, road=road_id, lane=lane, seed=seed, length=length)
-    seen = _look(road, asked, vehicle, speed, lateral_acceleration)
+    asked = given(max_deviation=max_deviation, closed=closed, road=road_id, lane=lane, seed=seed, length=length)
+    seen = look(road, asked, vehicle, speed, lateral_acceleration)
     if as_json:
         show.say_json(_values(seen))
     else:
@@ -88,14 +88,14 @@ def plot(
     from adaptrack.files import write_atomically
     from adaptrack.report.road import road_png
 
-    asked = _options(max_deviation=max_deviation, closed=closed, road=road_id, lane=lane, seed=seed, length=length)
-    seen = _look(road, asked, vehicle, speed, lateral_acceleration)
+    asked = given(max_deviation=max_deviation, closed=closed, road=road_id, lane=lane, seed=seed, length=length)
+    seen = look(road, asked, vehicle, speed, lateral_acceleration)
     write_atomically(out, road_png(seen.road, seen.plan, seen.findings))
     show.say(f"Picture: {out}")
 
 
 @dataclass(frozen=True)
-class _Seen:
+class Seen:
     """A road, its speed and what was found."""
 
     road: Road
@@ -107,11 +107,19 @@ class _Seen:
         return all(each.drivable for each in self.findings)
 
 
-def _options(**given: Any) -> dict[str, Any]:
-    return {name: value for name, value in given.items() if value is not None}
+def given(**options: Any) -> dict[str, Any]:
+    """The options that are given."""
+    return {name: value for name, value in options.items() if value is not None}
 
 
-def _look(name: str, asked: dict[str, Any], vehicle: str, speed: float | None, lateral: float | None) -> _Seen:
+def look(name: str, asked: dict[str, Any], vehicle: str, speed: float | None, lateral: float | None) -> Seen:
+    """Load a road by its name and options, plan the speed along it, and check both.
+
+    Raises
+    ------
+    InvalidInput
+        When both a speed and an acceleration are given.
+    """
     from adaptrack.road import Comfort, check_road, load_road, plan_speed
     from adaptrack.road.speed import constant_speed
     from adaptrack.vehicle import load_vehicle
@@ -121,15 +129,15 @@ def _look(name: str, asked: dict[str, Any], vehicle: str, speed: float | None, l
     car, road = load_vehicle(vehicle), load_road(name, **asked)
     comfort = Comfort() if lateral is None else Comfort(lateral=lateral)
     plan = plan_speed(road, car, comfort) if speed is None else constant_speed(road, speed)
-    return _Seen(road, plan, check_road(road, car, plan))
+    return Seen(road, plan, check_road(road, car, plan))
 
 
-def _values(seen: _Seen) -> dict[str, Any]:
+def _values(seen: Seen) -> dict[str, Any]:
     rows = [asdict(each) for each in seen.findings]
     return {**_summary(seen), "drivable": seen.drivable, "notes": list(seen.road.notes), "rows": rows}
 
 
-def _summary(seen: _Seen) -> dict[str, Any]:
+def _summary(seen: Seen) -> dict[str, Any]:
     import numpy as np
 
     road, plan = seen.road, seen.plan
@@ -147,7 +155,7 @@ def _summary(seen: _Seen) -> dict[str, Any]:
     }
 
 
-def _print(seen: _Seen) -> None:
+def _print(seen: Seen) -> None:
     summary = _summary(seen)
     show.flat(summary.pop("road"), summary, False)
     for note in seen.road.notes:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -117,14 +117,14 @@ def simulate(
     if out is not None:
         options.make_folder(out)
     runs = _drive(loaded, controllers, body, world, driver, seed, out)
-    rows = [_row(label, run) for label, run in runs]
+    rows = [measured_row(label, run) for label, run in runs]
     if out is not None:
         show.say(f"Report: {_write_report(out, runs)}", aside=as_json)
     _print(rows, as_json)
     for label, each in controllers:
-        _tell_belief(label, each, body, world, as_json)
+        tell_belief(label, each, body, world, as_json)
     if any(row["failed"] for row in rows):
-        _tell_stiffness(car, body, as_json)
+        tell_stiffness(car, body, as_json)
     if any(row["failed"] for row in rows) and not allow_failed:
         raise typer.Exit(FAILED)
 
@@ -136,21 +136,22 @@ class Asked:
 
     car: Vehicle
     profile: Profile
-    tuning: dict[str, Any]
-    """the entries that are given, by name"""
-    moves: Moves
     period: float
     """s"""
     preview: bool
-    solver: str
-    schedule: Schedule | None
-    label: str
+    tuning: dict[str, Any] = field(default_factory=dict)
+    """the entries that are given, by name"""
+    moves: Moves | None = None
+    """None: pulses"""
+    solver: str = "active-set"
+    schedule: Schedule | None = None
+    label: str = ""
     """how tables call the scheduler: as the command line does"""
 
     @property
     def usual(self) -> str:
         """The controller that drives unless one is named."""
-        paper = self.schedule is not None or self.tuning or self.moves.kind != "pulse"
+        paper = self.schedule is not None or self.tuning or (self.moves is not None and self.moves.kind != "pulse")
         return STANDARD if paper else INFORMED
 
     def tuned(self, base: Tuning) -> Tuning:
@@ -177,14 +178,15 @@ def make_controller(name: str, asked: Asked) -> tuple[str, Controller]:
         published_mpc,
     )
 
-    moves = {STANDARD: asked.moves, AS_WRITTEN: Moves.pulses(), AS_RELEASED: Moves.laguerre(0.95, asked.moves.terms)}
+    own = asked.moves or Moves.pulses()
+    moves = {STANDARD: own, AS_WRITTEN: Moves.pulses(), AS_RELEASED: Moves.laguerre(0.95, own.terms)}
     others = [each for each in list_controllers() if each not in moves]
     if name in others:
         if asked.schedule is not None:
             raise InvalidInput(f"--scheduler {asked.label}: tunes the MPC; controller {name!r} takes none.")
         options: dict[str, Any] = {"period": asked.period, "preview": asked.preview}
         if name == INFORMED:
-            options |= {"moves": asked.moves, "solver": asked.solver}
+            options |= {"moves": own, "solver": asked.solver}
             if asked.tuning:
                 options["tuning"] = asked.tuned(informed_tuning(asked.profile, asked.period))
         return name, get_controller(name, asked.car, profile=asked.profile, **options)
@@ -253,7 +255,7 @@ def _write_report(out: Path, runs: Sequence[tuple[str, Trajectory]]) -> Path:
         return write_report(out, [Run(run, label=label) for label, run in runs], command=options.command_line())
 
 
-def _row(controller: str, run: Trajectory) -> dict[str, Any]:
+def measured_row(controller: str, run: Trajectory) -> dict[str, Any]:
     """What --json says about a run: what was driven, `failed` (the reason, or null), `failed_at` (s), the metrics."""
     from adaptrack.metrics import compute_metrics
 
@@ -290,14 +292,21 @@ def _print(rows: Sequence[dict[str, Any]], as_json: bool) -> None:
         shown = [{**row, "result": "failed" if row["failed"] else "ok"} for row in rows]
         show.table("Closed-loop runs", COLUMNS, shown)
     for row in rows:
-        run, open_qps = f"{row['scenario']}, {row['controller']}", row["qp_capped"] + row["qp_failed"]
+        run = f"{row['scenario']}, {row['controller']}"
         if row["failed"]:
             show.say_failed(f"{run}: at {row['failed_at']:.2f} s the vehicle {row['failed_because']}.", aside=as_json)
-        if open_qps and not as_json:
-            show.say(f"Warning, {run}: {open_qps:,} of {row['driven']:,} QPs not solved.")
+        tell_open_qps(row, as_json)
 
 
-def _tell_belief(label: str, controller: Controller, body: Any, world: Profile, aside: bool) -> None:
+def tell_open_qps(row: dict[str, Any], as_json: bool) -> None:
+    """How many QPs of a run have no certified answer, if any."""
+    unsolved = row["qp_capped"] + row["qp_failed"]
+    if unsolved and not as_json:
+        run = f"{row['scenario']}, {row['controller']}"
+        show.say(f"Warning, {run}: {unsolved:,} of {row['driven']:,} QPs not solved.")
+
+
+def tell_belief(label: str, controller: Controller, body: Any, world: Profile, aside: bool) -> None:
     """What a controller believes of its steering, and the simulated one where it is another."""
     belief = getattr(controller, "belief", None)
     if belief is None:
@@ -315,7 +324,7 @@ def _tell_belief(label: str, controller: Controller, body: Any, world: Profile, 
         )
 
 
-def _tell_stiffness(car: Vehicle, body: Any, aside: bool) -> None:
+def tell_stiffness(car: Vehicle, body: Any, aside: bool) -> None:
     """The remedy where a failed car's model and its tyre disagree about the stiffness."""
     tyre = getattr(body, "tyre", None)
     if tyre is None or max(abs(math.log(factor)) for factor in car.stiffness_factors(tyre)) < math.log(STIFFNESS):

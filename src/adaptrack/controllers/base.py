@@ -11,9 +11,10 @@ from typing import Any, NamedTuple, Protocol, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from adaptrack.controllers.inputs import number, vector
+from adaptrack.controllers.inputs import finite, number, vector
 from adaptrack.controllers.limits import Limits
 from adaptrack.errors import InvalidInput, real
+from adaptrack.road.ahead import RoadAhead, straight
 from adaptrack.vehicle import Vehicle
 
 Array = NDArray[np.float64]
@@ -57,7 +58,10 @@ class Controller(Protocol):
         """Forget the past: the next step is the first, from steering angle 0."""
 
     def step(self, state: ArrayLike, speed: float, reference: ArrayLike, variables: Any = None) -> Any:
-        """One control step, see `CompiledController.step`; the answer has `angle` and `move` (rad) at least."""
+        """One control step, see `CompiledController.step`; the answer has `angle` and `move` (rad) at least.
+
+        One that drives curved roads takes ``road=`` besides, see `road.ahead.RoadAhead`.
+        """
 
     def describe(self) -> dict[str, Any]:
         """The configuration, for provenance."""
@@ -136,12 +140,35 @@ class CompiledController(ABC):
         """The last command (rad)."""
         return self._angle
 
-    def step(self, state: ArrayLike, speed: float, reference: ArrayLike, variables: Any = None) -> Command:
+    def applied(self, angle: float) -> None:
+        """Say which angle (rad) was asked of the wheels in place of the last command: the next step goes on from it.
+
+        Raises
+        ------
+        InvalidInput
+            When it is no finite number.
+        """
+        self._angle = finite("applied: angle", angle)
+
+    def change_path(self, heading: float, offset: float) -> None:
+        """Say that another path lies under the car, by how much (rad, m) heading and offset have grown against it."""
+        finite("change_path: heading", heading)
+        finite("change_path: offset", offset)
+
+    def step(
+        self,
+        state: ArrayLike,
+        speed: float,
+        reference: ArrayLike,
+        variables: Any = None,
+        road: RoadAhead | None = None,
+    ) -> Command:
         """One control step.
 
         state: measured x_c = [v_y (m/s), yaw (rad), yaw rate (rad/s), y (m)]; speed: v_x (m/s); reference: y_ref (m)
         now and, for preview, at the instants that follow (beyond its end it goes straight on); variables: what a
-        scheduler would look at, not used.
+        scheduler would look at, not used; road: a curved one from the car's foot on, against which yaw, y and y_ref
+        then count.
 
         What is not finite gives no exception but a command that holds the previous angle: a controller in a running
         vehicle must answer.
@@ -158,7 +185,8 @@ class CompiledController(ABC):
         ahead = vector("reference", reference)
         if not self.preview:
             ahead = ahead[:1]
-        self.function(situation, ahead, self._tuning, self._parameters, self._memory, self._answer)
+        path = straight() if road is None else road.packed
+        self.function(situation, ahead, path, self._tuning, self._parameters, self._memory, self._answer)
         angle, *said = self._answer.tolist()
         diagnostics = dict(zip(self.diagnostic_names, said, strict=True))
         held = not math.isfinite(angle) or diagnostics.get("held", 0.0) > 0.5

@@ -58,6 +58,20 @@ def number(name: str, value: Any) -> float:
     return float(row)
 
 
+def finite(name: str, value: Any) -> float:
+    """A finite number.
+
+    Raises
+    ------
+    InvalidInput
+        When it is none.
+    """
+    given = number(name, value)
+    if not np.isfinite(given):
+        raise InvalidInput(f"{name} = {value!r}: must be finite.")
+    return given
+
+
 def _converted(name: str, values: Any) -> Array:
     try:
         given = np.asarray(values)

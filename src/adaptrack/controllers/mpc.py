@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from adaptrack.controllers.belief import Uncertainty
 from adaptrack.controllers.informed import Parts, informed_parts
-from adaptrack.controllers.inputs import number, vector
+from adaptrack.controllers.inputs import finite, number, vector
 from adaptrack.controllers.limits import Limits, Moves
 from adaptrack.controllers.tuning import ENTRIES, Tuning, read_tuning
 from adaptrack.errors import InvalidInput, real, whole
@@ -31,6 +31,7 @@ from adaptrack.profile import Profile
 from adaptrack.qp import QP, QPSolver, QPStatus, get_qp_solver
 from adaptrack.qp.active_set import ActiveSet
 from adaptrack.qp.hildreth import Hildreth
+from adaptrack.road.ahead import RoadAhead
 from adaptrack.vehicle import Steering, Vehicle
 
 Array = NDArray[np.float64]
@@ -38,8 +39,8 @@ Array = NDArray[np.float64]
 _STATUSES = tuple(QPStatus)
 INCREMENTAL = "incremental"
 """What the files of schedulers call the paper's model and estimator."""
-_STATE_SIZES = (4, 5, 6, 7, 8)
-"""with or without wheel angle, lateral acceleration and ages, see `kernels.models.contract.MEASURED`"""
+_STATE_SIZES = (4, 5, 6, 7, 8, 9)
+"""with or without wheel angle, lateral acceleration, ages and the path's turn (`kernels.models.contract.MEASURED`)"""
 _log = logging.getLogger("adaptrack")
 
 
@@ -288,14 +289,14 @@ class MPC:
             most_moves=min(self.most_moves, max(1.0, math.floor(most + 0.5)) if most < math.inf else 1e9),
         )
 
-    def batch(self, slots: int, settings: Any) -> Any:
-        """Fresh compiled controllers for `slots` runs (`kernels.controllers.mpc.Mpc`)."""
+    def batch(self, slots: int, settings: Any, curved: bool = False) -> Any:
+        """Fresh compiled controllers for `slots` runs, on curved roads or not (`kernels.controllers.mpc.Mpc`)."""
         from adaptrack.kernels.controllers import mpc as kernel
 
         model, estimator = self.model, self.estimator
         return kernel.batch(
             slots, settings, (model.parameters(), model.measured_places(), model.output),
-            (estimator.parameters(model), estimator.memory_size(model)),
+            (estimator.parameters(model), estimator.memory_size(model)), curved,
         )  # fmt: skip
 
     def reset(self) -> None:
@@ -367,16 +368,67 @@ class MPC:
         """The last command (rad)."""
         return float(self._mpc.memory[0].command)
 
+    def applied(self, angle: float) -> None:
+        """Say which angle (rad) was asked of the wheels in place of the last command: the next step goes on from it.
+
+        Raises
+        ------
+        InvalidInput
+            When it is no finite number.
+        """
+        self._mpc.memory["command"][0] = finite("applied: angle", angle)
+
+    def change_path(self, heading: float, offset: float) -> None:
+        """Say that another path lies under the car, by how much (rad, m) heading and offset have grown against it.
+
+        What the estimator has learned of the car stays; one that cannot be told so begins anew.
+
+        Raises
+        ------
+        InvalidInput
+            When a number is not finite.
+        """
+        turned, shifted = finite("change_path: heading", heading), finite("change_path: offset", offset)
+        mpc = self._mpc
+        for i, name in enumerate(self.model.states):
+            mpc.previous[0, i] += {"yaw": turned, "y": shifted}.get(name, 0.0)
+        if mpc.memory["started"][0]:
+            self.estimator.change_path(self.model, mpc.estimates[0], turned, shifted)
+
+    def predicted_output(self) -> tuple[Array, Array]:
+        """Times (Np,) s from now and y (Np,) m that the last step predicts for them, with its plan of moves.
+
+        On a curved road y counts from the tangent at the car's foot.
+        """
+        mpc, own = self._mpc, self._mpc.memory[0]
+        count = int(own.Np)
+        free = mpc.ws.reference[:count] - mpc.ws.error[:count]
+        steps = np.arange(count)
+        moves = np.zeros(count)
+        if self.moves.kind == "laguerre":
+            moves = mpc.plan[0, : self.moves.terms] @ mpc.ws.moves[: self.moves.terms, :count]
+        else:
+            moves[: own.planned] = mpc.plan[0, : own.planned]
+        response = np.convolve(moves, mpc.ws.step[0, :count])[:count]
+        times = (steps + 1.0) * self.period + self.model.dead_time
+        return times, np.asarray(free + response, dtype=np.float64)
+
     def step(
-        self, state: ArrayLike, speed: float, reference: ArrayLike, variables: Sequence[float] | None = None
+        self,
+        state: ArrayLike,
+        speed: float,
+        reference: ArrayLike,
+        variables: Sequence[float] | None = None,
+        road: RoadAhead | None = None,
     ) -> MPCCommand:
         """One control step.
 
         state: what is measured, x_c = [v_y (m/s), yaw (rad), yaw rate (rad/s), y (m)]; for a model or an estimator
         that uses them also the wheel angle (rad), the lateral acceleration (m/s^2), the age of yaw and y (s) and that
-        of all others; speed: v_x (m/s); reference: y_ref (m) now and, for preview, at the instants
-        that follow (the last value is repeated as needed); variables: what the scheduler looks at
-        (`SchedulingVariables`), needed when there is one.
+        of all others, and by how much (rad) the path has turned at the car's foot since the last step; speed: v_x
+        (m/s); reference: y_ref (m) now and, for preview, at the instants that follow (the last value is repeated as
+        needed); variables: what the scheduler looks at (`SchedulingVariables`), needed when there is one; road: a
+        curved one from the car's foot on, against which yaw, y and y_ref then count.
 
         A state or reference that is not finite (or masked) gives no exception but a command that holds the previous
         angle, its status saying why: a controller in a running vehicle must answer. So does a scheduler that raises an
@@ -392,6 +444,8 @@ class MPC:
             raise InvalidInput("this MPC is in a step of another thread: each vehicle needs a controller of its own.")
         try:
             ahead, pace = self._take(state, speed, reference)
+            if road is not None or self._mpc.bend.size:
+                self._look_along(road, pace)
             if self.scheduler is not None:
                 self._schedule(variables)
             step = self._step or self._compiled_step()
@@ -413,7 +467,12 @@ class MPC:
         return self._step
 
     def problem(
-        self, state: ArrayLike, speed: float, reference: ArrayLike, variables: Sequence[float] | None = None
+        self,
+        state: ArrayLike,
+        speed: float,
+        reference: ArrayLike,
+        variables: Sequence[float] | None = None,
+        road: RoadAhead | None = None,
     ) -> QP:
         """The QP that `step` would solve with these arguments; the controller stays as it is.
 
@@ -421,6 +480,8 @@ class MPC:
         """
         twin = self._twin()
         ahead, pace = twin._take(state, speed, reference)
+        if road is not None or twin._mpc.bend.size:
+            twin._look_along(road, pace)
         if twin.scheduler is not None:
             twin._schedule(variables)
         _, n, m = twin._form(pace, ahead)
@@ -448,6 +509,20 @@ class MPC:
         measured[4:] = NOTHING_MEASURED[4:]
         measured[: given.size] = given
         return ahead, pace
+
+    def _look_along(self, road: RoadAhead | None, pace: float) -> None:
+        """Take in the road ahead."""
+        from adaptrack.kernels.abi import Resident
+
+        bend = self._mpc.bend
+        if bend.size == 0:
+            bend = np.zeros(self.longest_horizon + 1)
+            self._mpc = self._mpc._replace(bend=bend)
+            self._resident, self._step = Resident(self._mpc), None
+        bend[:] = 0.0
+        if road is not None and math.isfinite(pace):
+            lead = self.model.dead_time / self.period
+            bend[:] = road.bend(bend.size, max(pace, self.speed_floor), lead, self.period)
 
     def _schedule(self, variables: Sequence[float] | None) -> None:
         """Let the scheduler choose the tuning."""

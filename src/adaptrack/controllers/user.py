@@ -15,11 +15,12 @@ from adaptrack.errors import ContractError, InvalidInput, real, whole
 class UserController(CompiledController):
     """A controller of one's own: one law, compiled by numba, and its numbers. `check_controller` admits it.
 
-    law(situation, reference, tuning, parameters, memory, answer) writes the steering command (rad) to answer[0] and its
-    diagnostics behind it, and returns nothing; see `kernels.controllers.contract`. situation: v_y (m/s), yaw (rad), yaw
-    rate (rad/s), y (m), v_x (m/s), last command (rad); parameters: period (s), least and largest move (rad per period),
-    least and largest angle (rad), then `parameters` in their order. It must keep its command within those limits,
-    answer a finite command on finite input, and write to memory and answer only.
+    law(situation, reference, road, tuning, parameters, memory, answer) writes the steering command (rad) to answer[0]
+    and its diagnostics behind it, and returns nothing; see `kernels.controllers.contract`. situation: v_y (m/s), yaw
+    (rad), yaw rate (rad/s), y (m), v_x (m/s), last command (rad); road: the centre line and the car's foot on it;
+    parameters: period (s), least and largest move (rad per period), least and largest angle (rad), then `parameters`
+    in their order. It must keep its command within those limits, answer a finite command on finite input, and write to
+    memory and answer only.
 
     tuning: name -> number; parameters: name -> number; memory_size: numbers that it remembers; diagnostics: names of
     answer[1:], of which ``held`` (1 where the last command is held) is known to the drivers; label: how tables call it.
@@ -58,7 +59,7 @@ class UserController(CompiledController):
         except Exception as error:
             raise ContractError(
                 f"{where}: numba cannot compile its law as "
-                f"f(situation, reference, tuning, parameters, memory, answer) on float64 arrays: {error}"
+                f"f(situation, reference, road, tuning, parameters, memory, answer) on float64 arrays: {error}"
             ) from error
         super().__init__(tuning or {}, period=period, limits=limits, preview=preview)
 

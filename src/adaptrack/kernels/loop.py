@@ -1,6 +1,6 @@
 """One control period of the closed loop, piece by piece, in the order in which both drivers call them.
 
-    judge -> sense -> (look -> schedule) -> control -> actuate -> observe -> advance
+    locate -> judge -> sense -> (look -> schedule) -> control -> actuate -> observe -> advance
 
 `simulate` calls them once per period from Python, around any controller; `rollout` inlines them in a compiled loop over
 the slots of a batch.
@@ -20,6 +20,7 @@ from .maths.random import counted_normal, counted_uniform
 from .models.contract import MEASURED
 from .plants.contract import ENVIRONMENT, INPUT, STATE, input_at, state_at
 from .plants.forces import wheel_angle
+from .road import ROADS, foot_near, line_of
 from .variables import VARIABLES
 
 SETTINGS = Structure(
@@ -56,9 +57,14 @@ OWN = Structure(
         "arrived",  # 1 once the vehicle has been within the failure distance
         "ended",  # RUNNING, or why the run ended
         "ended_at",  # s
+        "offset", "heading_error",  # m, rad, of the car against the path
+        "station", "heading",  # m, rad, of its foot on a curved road
+        "turned",  # rad, see `MEASURED`
+        "located",  # 1 once the foot is known
+        "place",  # the instant at which the plan is where the car is
     ),
-    whole=("arrived", "ended"),
-)
+    whole=("arrived", "ended", "located", "place"),
+)  # fmt: skip
 """What the loop remembers of each slot: its scalars."""
 
 Memory = record("Memory", ("own", "sent", "past"))
@@ -77,19 +83,46 @@ SLOW = 1.0
 
 SIGNAL = columns(
     "y_ref", "speed", "friction_front_left", "friction_front_right", "friction_rear_left", "friction_rear_right",
-    "wind_x", "wind_y", "bank", "known_friction", "known_wind", "change", "acceleration",
+    "wind_x", "wind_y", "bank", "known_friction", "known_wind", "change", "acceleration", "station",
 )  # fmt: skip
-"""Rows of a scenario's samples. The last four are scheduling variables: friction and wind as they are known, and
-the reference preview."""
+"""Rows of a scenario's samples. Friction and wind as they are known and the reference preview are scheduling variables;
+the last row is where the plan is on a curved road (m)."""
+TOLERATED, CATCH_UP, MOST_CATCH_UP = 0.5, 2.0, 0.1
+"""m, by which a car may be early or late on its plan; s, in which it makes up for the rest; share of the speed, at
+most."""
+
+
+# -- where the car is -------------------------------------------------------------------------------------------------
+@njit(types.void(int64, vector, SETTINGS.type, cube, int64, ROADS, MEMORY), **SHARED_PART)
+def locate(slot, block, settings, signals, scenario, roads, memory):
+    """Find the car on its road: offset and heading error against the path, the foot and the place in the plan."""
+    own, road = memory.own[slot], roads.of[scenario]
+    x, y, yaw = block[state_at(STATE.x, slot)], block[state_at(STATE.y, slot)], block[state_at(STATE.yaw, slot)]
+    if road < 0:
+        own.offset, own.heading_error = y, yaw
+        return
+    near = signals[scenario, SIGNAL.station, 0]
+    if own.located > 0:
+        near = own.station + block[state_at(STATE.vx, slot)] * settings[0].period
+    station, offset, heading, _ = foot_near(x, y, near, line_of(road, roads))
+    own.turned = heading - own.heading if own.located > 0 else 0.0
+    own.station, own.offset, own.heading, own.located = station, offset, heading, 1
+    turns = (yaw - heading) / (2.0 * math.pi)
+    own.heading_error = 2.0 * math.pi * (turns - math.floor(turns + 0.5))
+    last = signals.shape[2] - 1
+    while own.place < last and signals[scenario, SIGNAL.station, own.place + 1] <= station:
+        own.place += 1
+    while own.place > 0 and signals[scenario, SIGNAL.station, own.place] > station:
+        own.place -= 1
 
 
 # -- failure ----------------------------------------------------------------------------------------------------------
 @njit(types.int64(float64, vector, int64, SETTINGS.type, types.boolean), **SHARED_PART)
-def judge(y_ref, block, slot, settings, arrived):
+def judge(error, block, slot, settings, arrived):
     """Why a run has failed at this instant, RUNNING if it has not.
 
     Not finite: a state. Spun: a sideslip angle |atan2(v_y, v_x)| beyond the limit at 1 m/s or more. Off the road:
-    |Y - y_ref| beyond the distance, once the vehicle has arrived within it.
+    the error (m) against the reference beyond the distance, once the vehicle has arrived within it.
     """
     for row in range(STATE.yaw_rate + 1):
         if not math.isfinite(block[state_at(row, slot)]):
@@ -99,7 +132,7 @@ def judge(y_ref, block, slot, settings, arrived):
     vx, vy = block[state_at(STATE.vx, slot)], block[state_at(STATE.vy, slot)]
     if math.hypot(vx, vy) >= SLOW and abs(math.atan2(vy, vx)) > settings[0].failure_sideslip:
         return SPUN
-    if arrived and not abs(block[state_at(STATE.y, slot)] - y_ref) <= settings[0].failure_distance:
+    if arrived and not abs(error) <= settings[0].failure_distance:
         return OFF_ROAD
     return RUNNING
 
@@ -176,11 +209,12 @@ def sense(k, slot, block, settings, seed, memory, measured):
 
     measured holds the lateral acceleration (m/s^2) if there is a sensor of it.
     """
-    world = settings[0]
+    world, own = settings[0], memory.own[slot]
     measured[MEASURED.vy] = block[state_at(STATE.vy, slot)]
-    measured[MEASURED.yaw] = block[state_at(STATE.yaw, slot)]
+    measured[MEASURED.yaw] = own.heading_error
     measured[MEASURED.yaw_rate] = block[state_at(STATE.yaw_rate, slot)]
-    measured[MEASURED.y] = block[state_at(STATE.y, slot)]
+    measured[MEASURED.y] = own.offset
+    measured[MEASURED.turned] = own.turned
     measured[MEASURED.wheel_angle] = wheel_angle(
         block[state_at(STATE.steering, slot)], block[input_at(INPUT.command, slot)],
         world.steering_lag, world.steering_limit,
@@ -230,12 +264,21 @@ def _drive(k, speed, signals, scenario, settings, own):
     part = ahead - math.floor(ahead)
     near, far = signals[scenario, SIGNAL.speed, j], signals[scenario, SIGNAL.speed, min(j + 1, last)]
     target = near + part * (far - near)
+    if own.located > 0:
+        target += _catch_up(target, signals[scenario, SIGNAL.station, k] - own.station)
     wanted = settings.mass * ((target - speed) / settings.driver_preview + settings.driver_integral * own.integral)
     strongest = min(settings.traction_limit, settings.engine_power / max(speed, 1.0))
     force = clip(wanted, -settings.brake_limit, strongest)
     if force == wanted:
         own.integral += (signals[scenario, SIGNAL.speed, k] - speed) * settings.period
     return force
+
+
+@njit(**PART)
+def _catch_up(speed, late):
+    """What a car adds to its planned speed (m/s) that is so much (m) late."""
+    beyond = late - clip(late, -TOLERATED, TOLERATED)
+    return clip(beyond / CATCH_UP, -MOST_CATCH_UP * speed, MOST_CATCH_UP * speed)
 
 
 @njit(**PART)
@@ -260,13 +303,16 @@ def actuate(k, slot, command, block, settings, signals, scenario, memory):
     own.command = command
     if world.prescribed_speed > 0:
         following = signals[scenario, SIGNAL.speed, min(k + 1, signals.shape[2] - 1)]
+        if own.located > 0:
+            following += _catch_up(following, signals[scenario, SIGNAL.station, k] - own.station)
         block[input_at(INPUT.force, slot)] = 0.0
         block[input_at(INPUT.acceleration, slot)] = (following - vx) / world.period
     else:
         block[input_at(INPUT.force, slot)] = _drive(k, vx, signals, scenario, world, own)
         block[input_at(INPUT.acceleration, slot)] = math.nan
+    place = own.place if own.located > 0 else k
     for j in range(ENVIRONMENT):
-        block[input_at(INPUT.friction_front_left + j, slot)] = signals[scenario, SIGNAL.friction_front_left + j, k]
+        block[input_at(INPUT.friction_front_left + j, slot)] = signals[scenario, SIGNAL.friction_front_left + j, place]
 
 
 @njit(types.UniTuple(int64, 2)(SETTINGS.type), **SHARED_PART)
@@ -299,4 +345,5 @@ def forget(slot, memory):
     """Back to before the first instant."""
     own = memory.own[slot]
     own.command, own.integral, own.arrived, own.ended, own.ended_at, own.blind_until = 0.0, 0.0, 0, RUNNING, 0.0, 0.0
+    own.station, own.turned, own.located, own.place = 0.0, 0.0, 0, 0
     memory.sent[slot, :] = 0.0

@@ -15,12 +15,24 @@ import math
 
 from numba import types
 
-from .abi import INLINE, ROUTINE, matrix, njit, record, vector
+from .abi import INLINE, ROUTINE, float64, int_vector, matrix, njit, record, vector
 
 Centreline = record("Centreline", ("start", "pieces", "numbers"))
 """start: (n + 1,) m, where each piece begins, and the end; pieces: (n, columns), see the places below;
 numbers: length (m), whether closed (1 or 0), growth of the heading in a lap (rad)."""
 CENTRELINE = types.NamedTuple((vector, matrix, vector), Centreline)
+
+RoadAhead = record("RoadAhead", ("line", "station"))
+ROAD_AHEAD = types.NamedTuple((CENTRELINE, float64), RoadAhead)
+"""A centre line, and the arc length (m) of the car's foot on it; a straight road has no pieces."""
+
+Roads = record("Roads", ("of", "numbers", "start", "pieces", "headings"))
+ROADS = types.NamedTuple((int_vector, matrix, vector, matrix, vector), Roads)
+"""Several centre lines behind each other: which of them each scenario has, -1 for a straight road (scenarios,); of
+each, `NUMBERS` (roads, .); start and pieces as in `Centreline`; the heading (rad) every spacing (m), from 0 to the
+length."""
+NUMBERS = ("length", "closed", "lap_turn", "first_start", "first_piece", "count", "first_heading", "spacing")
+_START, _PIECE, _COUNT, _HEADING, _SPACING = range(3, 8)
 
 DEGREE = 11
 HALF, X, Y, COS, SIN, HEADING, ALONG = range(7)
@@ -182,3 +194,61 @@ def points_at(road, s, points):
     """Write x, y, heading and curvature at each arc length of `s` to the rows of `points`."""
     for i in range(s.size):
         points[i, 0], points[i, 1], points[i, 2], points[i, 3] = point_at(s[i], road)
+
+
+# -- several roads, and what lies ahead -------------------------------------------------------------------------------
+@njit(**INLINE)
+def line_of(road, roads):
+    """The centre line of one of several roads; without pieces for road -1."""
+    if road < 0:
+        return Centreline(roads.start[:0], roads.pieces[:0], roads.headings[:0])
+    numbers = roads.numbers[road]
+    first, piece, count = int(numbers[_START]), int(numbers[_PIECE]), int(numbers[_COUNT])
+    return Centreline(roads.start[first : first + count + 1], roads.pieces[piece : piece + count], numbers)
+
+
+@njit(**INLINE)
+def heading_at(s, road, roads):
+    """Heading (rad) at any arc length, a straight line between the entries of the table."""
+    numbers = roads.numbers[road]
+    length, spacing = numbers[LENGTH], numbers[_SPACING]
+    laps = math.floor(s / length) if numbers[CLOSED] > 0.5 else 0.0
+    place = min(max(s - laps * length, 0.0), length) / spacing
+    cell = min(int(place), int(length / spacing + 0.5) - 1)
+    first = int(numbers[_HEADING]) + cell
+    near = roads.headings[first]
+    return near + (place - cell) * (roads.headings[first + 1] - near) + laps * numbers[LAP_TURN]
+
+
+@njit(**INLINE)
+def bend_ahead(station, speeds, pace, lead, period, road, roads, bend):
+    """Write how far (m) the road ahead lies to the left of its tangent here: at the time lead T, then every period T.
+
+        dY/dt = v theta,   theta: heading of the road where the car will be, less its heading here
+
+    A model whose heading and offset count from the path obeys the same equations as one in the frame of this tangent,
+    in which the path is Y(t). The road is passed at the speeds (m/s) planned for the instants from now on, the last one
+    holding, all shifted so that the first is `pace`: v (m/s) of the model.
+    """
+    here = heading_at(station, road, roads)
+    last = speeds.size - 1
+    excess = pace - speeds[0]
+    whole = int(lead)
+    y = before = time = 0.0
+    s = station
+    for j in range(whole + bend.size):
+        step = period if j > 0 else (lead - whole) * period
+        at = min(max(int(time / period), 0), last)
+        s += max(speeds[at] + excess, 0.0) * step
+        time += step
+        after = heading_at(s, road, roads) - here
+        y += 0.5 * pace * step * (before + after)
+        before = after
+        if j >= whole:
+            bend[j - whole] = y
+
+
+@njit(types.void(float64, vector, float64, float64, float64, types.int64, ROADS, vector), **ROUTINE)
+def bend_of(station, speeds, pace, lead, period, road, roads, bend):
+    """`bend_ahead`, for Python."""
+    bend_ahead(station, speeds, pace, lead, period, road, roads, bend)

@@ -40,6 +40,7 @@ from .loop import (
     change_command,
     forget,
     judge,
+    locate,
     look,
     sense,
     substeps_around_change,
@@ -48,7 +49,6 @@ from .models.contract import MEASURED
 from .plants.contract import (
     ADVANCE,
     OBSERVE,
-    STATE,
     STATES,
     VEHICLES,
     call_advance,
@@ -58,6 +58,7 @@ from .plants.contract import (
     state_at,
 )
 from .qp import problem as qp
+from .road import ROADS, RoadAhead, bend_ahead, line_of
 from .schedule import SCHEDULE, schedule
 from .variables import VARIABLES
 
@@ -82,9 +83,10 @@ RESULT = Structure(
 )
 """What is measured of each run."""
 
-Road = record("Road", ("signals", "scenario", "seeds"))
-ROAD = types.NamedTuple((cube, int_vector, int_vector), Road)
-"""signals (scenarios, SIGNAL, instants): what happens; which of them a slot drives, and its noise seed (slots,)."""
+Given = record("Given", ("signals", "roads", "scenario", "seeds"))
+GIVEN = types.NamedTuple((cube, ROADS, int_vector, int_vector), Given)
+"""What happens: signals (scenarios, SIGNAL, instants) and roads of the scenarios; which of them a slot drives, and its
+noise seed (slots,)."""
 
 Law = record("Law", ("parameters", "memory", "situation", "own_answer", "answer", "held", "preview"))
 LAW = types.NamedTuple((vector, matrix, vector, vector, matrix, int64, int64), Law)
@@ -100,7 +102,8 @@ in, its settings, its memory (slots, .); empty for none."""
 Trace = record("Trace", ("state", "answer", "seen"))
 TRACE = types.NamedUniTuple(cube, 3, Trace)
 """Of every instant: state (slots, periods, STATES), the controller's answer with the tuning as used (slots, periods,
-.), lateral acceleration (m/s^2) and front-wheel angle (rad) under the new input (slots, periods, 2). Empty for none."""
+.), lateral acceleration (m/s^2) and front-wheel angle (rad) under the new input, then where the car is on its
+road: arc length and offset (m), heading error (rad) (slots, periods, 5). Empty for none."""
 
 _MEMBERS = {"advance": ADVANCE, "observe": OBSERVE, "law": LAW_SIGNATURE}
 Members = record("Members", _MEMBERS)
@@ -111,7 +114,7 @@ _PARTS = (
     ("settings", SETTINGS.type),  # (1,)
     ("members", MEMBERS),
     ("vehicles", VEHICLES),
-    ("road", ROAD),
+    ("given", GIVEN),
     ("mpc", mpc.MPC),
     ("functions", mpc.FUNCTIONS),  # of the MPC
     ("law", LAW),
@@ -171,7 +174,7 @@ def _sense(k, slot, run):
             run.members.observe, vehicles.parameters, vehicles.block, vehicles.states, vehicles.work, slot, run.seen
         )
         measured[MEASURED.lateral_acceleration] = run.seen[0]
-    return sense(k, slot, vehicles.block, run.settings, run.road.seeds[slot], run.memory, measured)
+    return sense(k, slot, vehicles.block, run.settings, run.given.seeds[slot], run.memory, measured)
 
 
 @njit(**PART)
@@ -179,7 +182,7 @@ def _schedule(k, slot, speed, run):
     """Let the scheduler, if there is one, write the slot's tuning."""
     if run.schedule.settings[0].n_inputs == 0:
         return
-    look(k, speed, run.mpc.measured, run.road.signals, run.road.scenario[slot], run.variables)
+    look(k, speed, run.mpc.measured, run.given.signals, run.given.scenario[slot], run.variables)
     knowing = run.perceiving
     if knowing.settings.size > 0:
         friction_wind.estimate(
@@ -195,15 +198,22 @@ def _schedule(k, slot, speed, run):
 def _apply_law(slot, speed, reference, run):
     """One step of a control law; a command that is not finite holds the last one."""
     own, out, given, seen = run.memory.own[slot], run.law.answer[slot], run.law.situation, run.mpc.measured
+    road = RoadAhead(line_of(run.given.roads.of[run.given.scenario[slot]], run.given.roads), own.station)
+    no_vy = run.settings[0].noise_vy == math.inf  # a car without a sensor of it
     now = Situation(
-        seen[MEASURED.vy], seen[MEASURED.yaw], seen[MEASURED.yaw_rate], seen[MEASURED.y], speed, own.command
+        0.0 if no_vy else seen[MEASURED.vy],
+        seen[MEASURED.yaw],
+        seen[MEASURED.yaw_rate],
+        seen[MEASURED.y],
+        speed,
+        own.command,
     )
     for i in range(len(now)):
         given[i] = now[i]
     found = run.law.own_answer
     ahead = reference if run.law.preview > 0 else reference[:1]
     call_law(
-        run.members.law, given, ahead, run.tuning[slot], run.law.parameters, run.law.memory[slot], found
+        run.members.law, given, ahead, road, run.tuning[slot], run.law.parameters, run.law.memory[slot], found
     )  # fmt: skip
     usable = math.isfinite(found[0])
     out[0] = found[0] if usable else own.command
@@ -214,12 +224,28 @@ def _apply_law(slot, speed, reference, run):
 
 
 @njit(**PART)
+def _see_bend(k, slot, speed, run):
+    """Show the MPC the road ahead."""
+    settings, scenario = run.mpc.settings[0], run.given.scenario[slot]
+    road = run.given.roads.of[scenario]
+    if road < 0:
+        run.mpc.bend[:] = 0.0
+        return
+    bend_ahead(
+        run.memory.own[slot].station, run.given.signals[scenario, SIGNAL.speed, k:], max(speed, settings.speed_floor),
+        settings.lead, settings.period, road, run.given.roads, run.mpc.bend,
+    )  # fmt: skip
+
+
+@njit(**PART)
 def _control(k, slot, speed, run):
     """The controller's answer at instant k."""
-    reference = run.road.signals[run.road.scenario[slot], SIGNAL.y_ref, k:]
+    reference = run.given.signals[run.given.scenario[slot], SIGNAL.y_ref, k:]
     if run.law.answer.size > 0:
         _apply_law(slot, speed, reference, run)
         return run.law.answer[slot]
+    if run.mpc.bend.size > 0:
+        _see_bend(k, slot, speed, run)
     mpc.step_with(slot, speed, reference, run.tuning[slot], run.mpc, run.functions)
     return run.mpc.answer[slot]
 
@@ -229,11 +255,12 @@ def _control(k, slot, speed, run):
 def _begin_instant(k, slot, segment, run):
     """Judge the run; count the error at instant k, unless the run ends here."""
     own, found, block = run.memory.own[slot], run.result[slot], run.vehicles.block
-    y_ref = run.road.signals[run.road.scenario[slot], SIGNAL.y_ref, k]
-    error = block[state_at(STATE.y, slot)] - y_ref
+    y_ref = run.given.signals[run.given.scenario[slot], SIGNAL.y_ref, k]
+    locate(slot, block, run.settings, run.given.signals, run.given.scenario[slot], run.given.roads, run.memory)
+    error = own.offset - y_ref
     if abs(error) <= run.settings[0].failure_distance:
         own.arrived = 1
-    own.ended = judge(y_ref, block, slot, run.settings, own.arrived > 0)
+    own.ended = judge(error, block, slot, run.settings, own.arrived > 0)
     if run.trace.state.size > 0:
         for j in range(STATES):
             run.trace.state[slot, k, j] = block[state_at(j, slot)]
@@ -268,6 +295,16 @@ def _count_step(k, slot, answer, segment, weight, run):
             run.trace.answer[slot, k, answer.size + j] = run.tuning[slot, j]
     if found.squared_error + weight * found.squared_move >= run.ceiling[slot]:
         run.memory.own[slot].ended = STOPPED
+
+
+@njit(**PART)
+def _note(k, slot, run):
+    """Trace what an observer sees under the new input, and where the car is."""
+    own, vehicles, row = run.memory.own[slot], run.vehicles, run.trace.seen[slot, k]
+    call_observe(
+        run.members.observe, vehicles.parameters, vehicles.block, vehicles.states, vehicles.work, slot, row
+    )  # fmt: skip
+    row[2], row[3], row[4] = own.station, own.offset, own.heading_error
 
 
 @njit(**PART)
@@ -323,9 +360,9 @@ def rollout(span, run):
             speed = _sense(k, i, run)
             _schedule(k, i, speed, run)
             answer = _control(k, i, speed, run)
-            actuate(k, i, answer[0], block, run.settings, run.road.signals, run.road.scenario[i], run.memory)
+            actuate(k, i, answer[0], block, run.settings, run.given.signals, run.given.scenario[i], run.memory)
             if run.trace.seen.size > 0:
-                call_observe(members.observe, vehicles.parameters, block, states, work, i, run.trace.seen[i, k])
+                _note(k, i, run)
             _count_step(k, i, answer, segment, weight, run)
             if run.memory.own[i].ended != RUNNING:
                 _end(k, i, segment, run)

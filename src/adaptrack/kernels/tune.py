@@ -46,7 +46,7 @@ def evaluate(part, judged, trial):
         for i in range(slots):
             for j in range(tunings.shape[1]):
                 run.tuning[i, j] = tunings[i, j]
-            run.road.seeds[i] = trial.noise[s]
+            run.given.seeds[i] = trial.noise[s]
             run.ceiling[i] = (ceilings[i] * count - costs[i]) * span.periods
             if not costs[i] < math.inf:
                 run.memory.own[i].ended = STOPPED

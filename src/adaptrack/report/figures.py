@@ -106,8 +106,12 @@ def conditions_figure(runs: Runs, strokes: Mapping[str, style.Stroke] | None = N
 
 
 def tracking_figure(runs: Runs, strokes: Mapping[str, style.Stroke] | None = None) -> Figure:
-    """Figs. 8 and 10: lateral position, tracking error, steering command, yaw rate, over time."""
-    return _panels(TRACKING, runs, strokes, reference="Reference")
+    """Figs. 8 and 10: lateral position, tracking error, steering command, yaw rate, over time.
+
+    Along a road Y says nothing: the speed then takes its place.
+    """
+    straight = not any(run.road for run in runs.values())
+    return _panels(TRACKING if straight else (*TRACKING[1:], SPEED), runs, strokes, reference="Reference")
 
 
 def as_lines(runs: Runs, strokes: Mapping[str, style.Stroke] | None = None) -> list[Line]:

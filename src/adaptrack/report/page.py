@@ -126,6 +126,25 @@ class Verbatim:
 
 
 @dataclass(frozen=True)
+class Verdict:
+    """What came of it, in a box beside a picture: the first thing to see."""
+
+    text: str
+    entries: Terms
+    picture: Picture
+    failed: bool = False
+    table: Table | None = None
+    """Below both."""
+
+
+@dataclass(frozen=True)
+class Embedded:
+    """A part that brings its own HTML, style and script, already escaped."""
+
+    content: Markup
+
+
+@dataclass(frozen=True)
 class Section:
     """A titled part of the page; strings among its items are paragraphs."""
 
@@ -133,7 +152,10 @@ class Section:
     items: Sequence[Item] = ()
 
 
-Item: TypeAlias = "str | Table | Picture | Terms | Verbatim | Section"
+KINDS = (Table, Picture, Terms, Verbatim, Verdict, Embedded, Section)
+"""Of items, beside strings; the template has a macro for each."""
+
+Item: TypeAlias = "str | Table | Picture | Terms | Verbatim | Verdict | Embedded | Section"
 
 
 def printed(panels: Sequence[Panel], columns: int, height: float, legend: Legend = ()) -> Figure:
@@ -217,7 +239,7 @@ def render(
 
     environment.tests |= {
         "words": lambda item: isinstance(item, str),
-        **{kind.__name__.lower(): _is(kind) for kind in (Table, Picture, Terms, Verbatim, Section)},
+        **{kind.__name__.lower(): _is(kind) for kind in KINDS},
     }
     environment.filters |= {"inline": inline, "anchor": slug, "dasharray": _dasharray, "cell": _as_cell}
     template = environment.get_template("page.html.j2")
@@ -231,6 +253,8 @@ def _pictures(items: Sequence[Item]) -> Iterator[Picture]:
     for item in items:
         if isinstance(item, Picture):
             yield item
+        elif isinstance(item, Verdict):
+            yield item.picture
         elif isinstance(item, Section):
             yield from _pictures(item.items)
 

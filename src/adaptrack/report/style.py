@@ -140,9 +140,16 @@ def styled() -> Iterator[None]:
         yield
 
 
+class ShownFigure(Figure):
+    """A figure that a notebook shows by itself, without pyplot."""
+
+    def _repr_png_(self) -> bytes:
+        return png(self)
+
+
 def grid_figure(rows: int, columns: int, height: float) -> tuple[Figure, list[Axes]]:
     """An empty figure of `PAGE_WIDTH` and its axes, row by row; `height` [inch] is that of one row."""
-    figure = Figure(figsize=(PAGE_WIDTH, height * rows))
+    figure = ShownFigure(figsize=(PAGE_WIDTH, height * rows))
     axes = figure.subplots(rows, columns, squeeze=False)
     return figure, list(axes.flat)
 

@@ -86,6 +86,20 @@ class SpeedPlan:
             place = place - np.floor(place / self.s[-1]) * self.s[-1]
         return np.sqrt(np.interp(place, self.s, self.speed**2))
 
+    def motion(self, time: ArrayLike) -> tuple[Array, Array]:
+        """Station (m) and speed (m/s) at times (s) from the start: lap after lap, or at the end of an open road."""
+        t = np.asarray(time, dtype=np.float64)
+        laps = np.floor(t / self.duration) if self.closed else np.zeros_like(t)
+        inside = np.minimum(t - laps * self.duration, self.duration)
+        k = np.clip(np.searchsorted(self.time, inside, side="right") - 1, 0, self.s.size - 2)
+        moving = np.diff(self.s) / (0.5 * (self.speed[:-1] + self.speed[1:]))
+        since = np.clip(inside - (self.time[k + 1] - moving[k]), 0.0, moving[k])  # after standing at k
+        gained = self.acceleration[k] * since
+        reached = inside >= self.time[-1]
+        s = np.where(reached, self.s[-1], self.s[k] + (self.speed[k] + 0.5 * gained) * since)
+        v = np.where(reached, self.speed[-1], self.speed[k] + gained)
+        return s + laps * self.s[-1], np.maximum(v, 0.0)
+
 
 def plan_speed(
     road: Road,

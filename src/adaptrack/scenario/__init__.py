@@ -1,5 +1,6 @@
 """Scenarios: what a test drives through, by name, from a file, from arrays or put together from shapes."""
 
+from adaptrack.scenario.drive import RoadDrive
 from adaptrack.scenario.drives import random_drive
 from adaptrack.scenario.library import list_scenarios, load_scenario, scenario_options
 from adaptrack.scenario.scenario import CONTROL_PERIOD, Scenario
@@ -33,6 +34,7 @@ __all__ = [
     "PolarWind",
     "Pulse",
     "Ramp",
+    "RoadDrive",
     "Scenario",
     "Shape",
     "Signals",

@@ -111,6 +111,10 @@ class Scenario(Record):
         """The lateral position at the start, m: `start_y`, or the reference there."""
         return float(self.reference.at(0.0)) if self.start_y is None else self.start_y
 
+    def start_pose(self) -> tuple[float, float, float]:
+        """x, y (m) and yaw (rad) at the start."""
+        return 0.0, self.initial_y, self.start_heading
+
     def sample(self, period: float = CONTROL_PERIOD) -> Signals:
         """The exact signals at the instants k·period, k = 0..n, with n = round(duration/period) control periods.
 

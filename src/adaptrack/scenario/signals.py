@@ -38,6 +38,8 @@ class Signals:
     friction: Array  # (n + 1, 4) front-left, front-right, rear-left, rear-right
     wind: Array  # (n + 1, 2) m/s, velocity of the air along world X and Y
     bank: Array | float = 0.0  # (n + 1,) rad, of the road, positive when it pushes to the left
+    station: Array | float = 0.0  # (n + 1,) m, along a curved road, where the car is to be
+    curvature: Array | float = 0.0  # (n + 1,) 1/m, of the road there
 
     def __post_init__(self) -> None:
         if not 0.0 < self.period < np.inf:
@@ -45,9 +47,13 @@ class Signals:
         for name in ("t", "y_ref", "speed", "friction", "wind"):
             object.__setattr__(self, name, np.array(getattr(self, name), dtype=np.float64, order="C"))
         samples = self.t.size
-        bank = np.broadcast_to(np.asarray(self.bank, dtype=np.float64), (samples,))
-        object.__setattr__(self, "bank", np.array(bank, order="C"))
-        columns = {"t": (), "y_ref": (), "speed": (), "friction": (4,), "wind": (2,), "bank": ()}
+        for name in ("bank", "station", "curvature"):
+            values = np.broadcast_to(np.asarray(getattr(self, name), dtype=np.float64), (samples,))
+            object.__setattr__(self, name, np.array(values, order="C"))
+        columns = {
+            "t": (), "y_ref": (), "speed": (), "friction": (4,), "wind": (2,), "bank": (), "station": (),
+            "curvature": (),
+        }  # fmt: skip
         for name, width in columns.items():
             shape = (samples, *width)
             values = getattr(self, name)

@@ -2,13 +2,15 @@
 
 A law is one function, called once per control period:
 
-    law(situation, reference, tuning, parameters, memory, answer) -> None
+    law(situation, reference, road, tuning, parameters, memory, answer) -> None
 
-all float64, one-dimensional and C-contiguous:
+all but `road` float64, one-dimensional and C-contiguous:
 
     situation   (6,) measurements and the last command, see `SITUATION`
     reference   (n,), n >= 1: y_ref (m) now and at the control instants that follow, one period apart; without preview
                 its present value alone, once or repeated
+    road        the centre line and the arc length of the car's foot on it (`kernels.road.RoadAhead`); without pieces
+                where the road is straight
     tuning      the law's named tuning entries: they may change at every step
     parameters  constant numbers, which begin with `COMMON`
     memory      the law's own state, zeros before the first step
@@ -16,7 +18,8 @@ all float64, one-dimensional and C-contiguous:
 
 A law writes to memory and answer only. It keeps its command within the limits on angle and move, and answers a finite
 command on finite input; on input that is not finite it holds the last command and says so in a diagnostic. Axes and
-signs are those of ISO 8855: y, yaw and steering are positive to the left.
+signs are those of ISO 8855: y, yaw and steering are positive to the left. On a curved road y and yaw count from the
+path, and y_ref is an offset from it.
 """
 
 from __future__ import annotations
@@ -29,6 +32,7 @@ from numba import types
 
 from ..abi import INLINE, caller, njit, record, unpacker, vector
 from ..maths.elementary import clip
+from ..road import ROAD_AHEAD, point_at
 
 SITUATION = (
     "vy",  # m/s, measured lateral velocity
@@ -47,8 +51,8 @@ COMMON = (
 )
 """What the parameters of every law begin with."""
 
-LAW_SIGNATURE = types.void(vector, vector, vector, vector, vector, vector)
-"""``law(situation, reference, tuning, parameters, memory, answer)``."""
+LAW_SIGNATURE = types.void(vector, vector, ROAD_AHEAD, vector, vector, vector, vector)
+"""``law(situation, reference, road, tuning, parameters, memory, answer)``."""
 call_law = caller(LAW_SIGNATURE)
 
 COMMAND, HELD = 0, 1
@@ -56,6 +60,8 @@ COMMAND, HELD = 0, 1
 
 SLOWEST = 1.0
 """m/s: below it the heading of y_ref(t) is ill-defined, and laws work as at this speed."""
+STANDING = 0.1
+"""m/s: a slower car stands"""
 MOST_LATERAL = 9.81
 """m/s^2: the curvature of a kink in the reference counts as one that is driven with this lateral acceleration."""
 FURTHEST = 1e6
@@ -63,7 +69,7 @@ FURTHEST = 1e6
 
 Situation = record("Situation", SITUATION)
 read_situation = unpacker(Situation)
-Path = record("Path", ("y", "heading", "curvature"))
+Path = record("Path", ("x", "y", "heading", "curvature"))
 
 
 @lru_cache(maxsize=64)
@@ -83,15 +89,16 @@ def all_finite(values):
 
 
 @njit(**INLINE)
-def limited(wanted, last, p):
+def limited(wanted, s, p):
     """The command (rad) nearest to the wanted one within the limits on move and angle, and 1.0 where it is held.
 
-    last: the last command (rad); p: any record with the fields of `COMMON`. A wanted command that is not finite holds
-    the last one; a last one that is not finite counts as 0.
+    s: the situation; p: any record with the fields of `COMMON`. A wanted command that is not finite holds the last one;
+    a last one that is not finite counts as 0. A standing car's wheels stay at rest.
     """
+    last = s.command
     start = last if math.isfinite(last) else 0.0
     held = not math.isfinite(wanted)
-    move = 0.0 if held else clip(wanted - start, p.move_min, p.move_max)
+    move = 0.0 if held or abs(s.speed) < STANDING else clip(wanted - start, p.move_min, p.move_max)
     return clip(start + move, p.angle_min, p.angle_max), 1.0 if held else 0.0
 
 
@@ -117,11 +124,12 @@ def reference_at(reference, i):
 
 
 @njit(**INLINE)
-def path_at(reference, time, speed, period):
-    """The path that y_ref(t) draws at a speed (m/s), `time` (s) ahead: y (m), heading (rad), curvature (1/m).
+def path_at(reference, road, time, speed, period):
+    """The path at a speed (m/s), `time` (s) ahead: x, y (m), heading (rad), curvature (1/m).
 
+    x and y count from the foot of the car along and across the road. The path is what y_ref(t) draws beside the road:
     heading = atan2(dy/dt, v), curvature = (d^2y/dt^2)/v^2/(1 + (dy/dt/v)^2)^(3/2), both of the parabola through three
-    successive samples; v is `SLOWEST` at least.
+    successive samples and added to those of the road there; v is `SLOWEST` at least.
     """
     v = max(speed, SLOWEST)
     steps = clip(time / period, 0.0, FURTHEST)
@@ -135,14 +143,38 @@ def path_at(reference, time, speed, period):
     steepness = rate / v
     curvature = bend / (period * v) ** 2 / (1.0 + steepness * steepness) ** 1.5
     tightest = MOST_LATERAL / (v * v)
-    return Path(y, math.atan2(rate, v), clip(curvature, -tightest, tightest))
+    x, heading, curvature = v * time, math.atan2(rate, v), clip(curvature, -tightest, tightest)
+    if road.line.start.size == 0:
+        return Path(x, y, heading, curvature)
+    return _beside(road, x, Path(x, y, heading, curvature))
 
 
 @njit(**INLINE)
-def path_ahead(reference, time, speed, period, memory):
+def _beside(road, distance, path):
+    """A path beside a straight road, at a distance (m) along it, laid beside the curved one."""
+    x, y, heading, curvature = point_at(road.station + distance, road.line)
+    x0, y0, heading0, _ = point_at(road.station, road.line)
+    cos, sin, turned = math.cos(heading0), math.sin(heading0), heading - heading0
+    ahead, aside = (x - x0) * cos + (y - y0) * sin, (y - y0) * cos - (x - x0) * sin
+    return Path(
+        ahead - path.y * math.sin(turned), aside + path.y * math.cos(turned), path.heading + turned,
+        path.curvature + curvature / max(1.0 - curvature * path.y, 0.1),
+    )  # fmt: skip
+
+
+@njit(**INLINE)
+def left_of(path, x, y):
+    """How far (m) the path lies to the left of a point; beside a straight road only y counts."""
+    return (path.y - y) * math.cos(path.heading) - (path.x - x) * math.sin(path.heading)
+
+
+@njit(**INLINE)
+def path_ahead(reference, road, time, speed, period, memory):
     """`path_at`; below `SLOWEST` it is a straight line in the last known direction, which memory[0] keeps."""
-    path = path_at(reference, time, speed, period)
+    path = path_at(reference, road, time, speed, period)
+    if road.line.start.size > 0:
+        return path
     if speed < SLOWEST:
-        return Path(path.y, memory[0], 0.0)
+        return Path(path.x, path.y, memory[0], 0.0)
     memory[0] = path.heading if math.isfinite(path.heading) else memory[0]
     return path

@@ -80,7 +80,7 @@ def gain_of(state, v, t, p, grid):
 
 
 @njit(LAW_SIGNATURE, **ROUTINE)
-def lqr(situation, reference, tuning, parameters, memory, answer):
+def lqr(situation, reference, road, tuning, parameters, memory, answer):
     """delta = delta_ss - K (x - x_ss): feedback about the steady turn with the curvature of the path.
 
     x = [e, v_y + v psi_e, psi_e, r - v kappa]; x_ss = [0, 0, (rear_slip v^2 - lr) kappa, 0];
@@ -90,8 +90,8 @@ def lqr(situation, reference, tuning, parameters, memory, answer):
     wanted = offset = heading_error = curvature = feed_forward = math.nan
     if all_finite(situation) and all_finite(tuning):
         v = max(s.speed, SLOWEST)
-        path = path_ahead(reference, 0.0, s.speed, p.period, memory)
-        curvature = path_at(reference, t.preview_time, v, p.period).curvature if s.speed >= SLOWEST else 0.0
+        path = path_ahead(reference, road, 0.0, s.speed, p.period, memory)
+        curvature = path_at(reference, road, t.preview_time, v, p.period).curvature if s.speed >= SLOWEST else 0.0
         feed_forward = (p.wheelbase + p.understeer * v * v) * curvature
         offset = (s.y - path.y) * math.cos(path.heading)
         heading_error = wrapped(s.yaw - path.heading)
@@ -104,6 +104,6 @@ def lqr(situation, reference, tuning, parameters, memory, answer):
             - gain_of(2, v, t, p, grid) * (heading_error - steady)
             - gain_of(3, v, t, p, grid) * (s.yaw_rate - v * path.curvature)
         )
-    answer[COMMAND], answer[HELD] = limited(wanted, s.command, p)
+    answer[COMMAND], answer[HELD] = limited(wanted, s, p)
     answer[HELD + 1], answer[HELD + 2], answer[HELD + 3] = offset, heading_error, curvature
     answer[HELD + 4] = feed_forward

@@ -49,6 +49,7 @@ from .condensing import (
     responses,
     tracking_error,
 )
+from .contract import STANDING
 
 # -- settings, fixed over a run ---------------------------------------------------------------------------------------
 SETTINGS = Structure(
@@ -150,6 +151,7 @@ _PARTS = (
     ("plan", matrix),  # (slots, n) last solution
     ("answer", matrix),  # (slots, ANSWER)
     ("measured", vector),  # (MEASURED,)
+    ("bend", vector),  # (Np + 1,) m, the road ahead, see `road.bend_ahead`; empty: a straight one
     ("ws", WORKSPACE),
 )
 Mpc = record("Mpc", (name for name, _ in _PARTS))
@@ -207,8 +209,10 @@ def workspace(slots: int, states: int, settings: Any) -> Any:
     return ws
 
 
-def batch(slots: int, settings: Any, model: tuple[Any, Any, Any], estimator: tuple[Any, int]) -> Any:
-    """Fresh MPCs for `slots` slots.
+def batch(
+    slots: int, settings: Any, model: tuple[Any, Any, Any], estimator: tuple[Any, int], curved: bool = False
+) -> Any:
+    """Fresh MPCs for `slots` slots; curved: whether they drive curved roads.
 
     model: parameters (p,), places of its states in `MEASURED` (n,), output row (n,); estimator: parameters (q,) and
     length of the memory.
@@ -231,6 +235,7 @@ def batch(slots: int, settings: Any, model: tuple[Any, Any, Any], estimator: tup
         plan=np.zeros((slots, len(ws.solution))),
         answer=np.zeros((slots, len(ANSWER))),
         measured=np.zeros(len(MEASURED)),
+        bend=np.zeros(int(settings[0].longest_horizon) + 1 if curved else 0),
         ws=ws,
     )
 
@@ -360,7 +365,8 @@ def _is_formed(slot, speed, mpc):
 
 @njit(**PART)
 def _look_ahead(horizon, reference, mpc):
-    """R_s: the reference from the next instant on with preview (its last value repeated), else its present value.
+    """R_s: the reference from the next instant on with preview (its last value repeated), else its present value;
+    on a curved road with the offset of the road from its tangent.
 
     With a dead time the first output is that of a period after it; between instants the reference is interpolated.
     """
@@ -377,6 +383,9 @@ def _look_ahead(horizon, reference, mpc):
     else:
         for b in range(0, horizon, vectors.WIDTH):
             vectors.store(ws.reference, b, vectors.spread(reference, 0))
+    if mpc.bend.size > 0:
+        for j in range(horizon):
+            ws.reference[j] += mpc.bend[j + 1]
 
 
 @njit(**PART)
@@ -398,11 +407,24 @@ def _limit_error(slot, horizon, output, reference, mpc):
         pace = abs(wanted - own.reference) / settings.period
         limit += RESPONSE * pace if pace <= STEEPEST * own.speed else 0.0
     own.reference = reference[0]
+    if mpc.bend.size > 0:
+        wanted += mpc.bend[0]
     gap = wanted - output
     beyond = gap - clip(gap, -limit, limit)
     if beyond != 0.0:
         for j in range(horizon):
             ws.reference[j] -= beyond
+
+
+@njit(**PART)
+def _turn_previous(slot, mpc):
+    """Count the state of the last step from the tangent of the path at the present foot."""
+    turned, previous = mpc.measured[MEASURED.turned], mpc.previous[slot]
+    for i in range(mpc.states.size):
+        if mpc.states[i] == MEASURED.yaw:
+            previous[i] -= turned
+        elif mpc.states[i] == MEASURED.y:
+            previous[i] += 0.5 * mpc.memory[slot].speed * mpc.settings[0].period * turned
 
 
 @njit(**PART)
@@ -422,6 +444,8 @@ def _free_response(slot, horizon, reference, mpc, functions):
         _limit_error(slot, horizon, x[x.size - 1], reference, mpc)
         tracking_error(horizon, ws.free[slot], ws.change, x[x.size - 1], ws.reference, ws.error)
         return
+    if mpc.bend.size > 0:
+        _turn_previous(slot, mpc)
     for i in range(mpc.states.size):
         now = mpc.measured[mpc.states[i]]
         ws.change[i] = now - mpc.previous[slot, i] if own.started > 0 else 0.0 * now
@@ -611,6 +635,17 @@ def _apply_move(slot, status, iterations, size, mpc):
 
 
 @njit(**PART)
+def _stand(slot, mpc):
+    """Leave the wheels of a standing car at rest."""
+    own, out = mpc.memory[slot], mpc.answer[slot]
+    for j in range(ANSWER.command, out.size):
+        if j < ANSWER.Np or j > ANSWER.R:
+            out[j] = 0.0
+    out[ANSWER.command] = own.command
+    _remember(slot, own.command, mpc)
+
+
+@njit(**PART)
 def step_with(slot, speed, reference, tuning, mpc, functions):
     """One step of a slot: form the QP, solve it, take the first move. Arguments as for `form_qp`.
 
@@ -618,6 +653,9 @@ def step_with(slot, speed, reference, tuning, mpc, functions):
     """
     status, n, m = _form_qp(slot, speed, reference, tuning, mpc, functions)
     iterations = 0
+    if status == qp.SOLVED and abs(speed) < STANDING and mpc.settings[0].estimator == BY_FUNCTION:
+        _stand(slot, mpc)
+        return
     if status == qp.SOLVED:
         status, iterations = _solve_qp(slot, n, m, mpc, functions)
     _apply_move(slot, status, iterations, (n, m), mpc)

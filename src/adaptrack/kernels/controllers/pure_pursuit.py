@@ -36,7 +36,7 @@ read_tuning, read_parameters = unpacker(Tuning), unpacker(Parameters)
 
 
 @njit(LAW_SIGNATURE, **ROUTINE)
-def pure_pursuit(situation, reference, tuning, parameters, memory, answer):
+def pure_pursuit(situation, reference, road, tuning, parameters, memory, answer):
     """delta = atan(2 L sin(alpha)/l_d), with the target l_d away from the rear axle under the angle alpha.
 
     The target is the point of the path that lies max(lookahead_time v, lookahead_min) ahead of the centre of gravity.
@@ -46,12 +46,13 @@ def pure_pursuit(situation, reference, tuning, parameters, memory, answer):
     if all_finite(situation) and all_finite(tuning):
         v = max(s.speed, SLOWEST)
         ahead = max(t.lookahead_time * v, t.lookahead_min)
-        x = ahead + p.lr * math.cos(s.yaw)
-        y = path_at(reference, ahead / v, v, p.period).y - s.y + p.lr * math.sin(s.yaw)
+        target = path_at(reference, road, ahead / v, v, p.period)
+        x = target.x + p.lr * math.cos(s.yaw)
+        y = target.y - s.y + p.lr * math.sin(s.yaw)
         forward = x * math.cos(s.yaw) + y * math.sin(s.yaw)
         sideways = y * math.cos(s.yaw) - x * math.sin(s.yaw)
         distance = math.hypot(forward, sideways)
         alpha = math.atan2(sideways, forward)
         wanted = math.atan2(2.0 * p.wheelbase * math.sin(alpha), distance)
-    answer[COMMAND], answer[HELD] = limited(wanted, s.command, p)
+    answer[COMMAND], answer[HELD] = limited(wanted, s, p)
     answer[HELD + 1], answer[HELD + 2] = distance, alpha

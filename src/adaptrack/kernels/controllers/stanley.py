@@ -12,6 +12,7 @@ from .contract import (
     LAW_SIGNATURE,
     SLOWEST,
     all_finite,
+    left_of,
     limited,
     path_ahead,
     read_situation,
@@ -46,7 +47,7 @@ def predicted(s, time):
 
 
 @njit(LAW_SIGNATURE, **ROUTINE)
-def stanley(situation, reference, tuning, parameters, memory, answer):
+def stanley(situation, reference, road, tuning, parameters, memory, answer):
     """delta = psi_e + front_slip a_y + atan(gain e/(softening + v)) + yaw_rate_gain (r_path - r).
 
     psi_e and e (positive to the left) are the errors of heading and of the front axle after the dead time,
@@ -58,9 +59,12 @@ def stanley(situation, reference, tuning, parameters, memory, answer):
         v = max(s.speed, SLOWEST)
         dead_time = max(t.dead_time, 0.0)
         yaw, y = predicted(s, dead_time)
-        path = path_ahead(reference, dead_time + p.lf / v, s.speed, p.period, memory)
+        path = path_ahead(reference, road, dead_time + p.lf / v, s.speed, p.period, memory)
         curvature = path.curvature
         offset = (path.y - y - p.lf * math.sin(yaw)) * math.cos(path.heading)
+        if road.line.start.size > 0:  # the front axle is not where the point of the path is taken
+            x = dead_time * s.speed * math.cos(s.yaw) + p.lf * math.cos(yaw)
+            offset = left_of(path, x, y + p.lf * math.sin(yaw))
         heading_error = wrapped(path.heading - yaw)
         wanted = (
             heading_error
@@ -68,5 +72,5 @@ def stanley(situation, reference, tuning, parameters, memory, answer):
             + math.atan2(t.gain * offset, max(t.softening, 0.0) + v)
             + t.yaw_rate_gain * (v * curvature - s.yaw_rate)
         )
-    answer[COMMAND], answer[HELD] = limited(wanted, s.command, p)
+    answer[COMMAND], answer[HELD] = limited(wanted, s, p)
     answer[HELD + 1], answer[HELD + 2], answer[HELD + 3] = offset, heading_error, curvature

@@ -25,6 +25,7 @@ the estimate by more than `bound` times its noise, the estimate is not finite: t
 from __future__ import annotations
 
 import math
+from typing import Any
 
 from numba import types
 
@@ -90,11 +91,22 @@ _PAST_Z = _NEXT + WIDTH  # z and its covariance `late` periods before the last i
 _PAST_P = _PAST_Z + WIDTH
 _RING = _PAST_P + WIDTH * WIDTH  # rows of samples, the latest instant first: the sensors, then tau of the pose
 _TAU = SENSORS
+_TURNED = SENSORS + 1  # rad, by how much the path has turned in the period before the instant
 
 
 def memory_size(whole: int, late: int) -> int:
     """Numbers that the filter remembers, for a dead time of `whole` periods and a share."""
     return _RING + WIDTH * (late + 1) + whole + late + 2
+
+
+def move_path(memory: Any, states: int, late: int, heading: float, offset: float) -> None:
+    """Let heading (rad) and offset (m) of all that is remembered grow by so much: another path lies under the car."""
+    for z in (_Z, _PAST_Z):
+        memory[z + 1] += heading
+        memory[z + states - 1] += offset
+    for row in [_LAST, *range(_RING, _RING + WIDTH * (late + 1), WIDTH)]:
+        memory[row + MEASURED.yaw] += heading
+        memory[row + MEASURED.y] += offset
 
 
 @njit(**INLINE)
@@ -181,6 +193,8 @@ def _begin(n, p, parameters, measured, command, memory):
         memory[_sent(p) + i] = command
     for i in range(WIDTH * (int(p.late) + 1)):
         memory[_RING + i] = math.nan
+    for i in range(int(p.late) + 1):
+        memory[_RING + WIDTH * i + _TURNED] = 0.0
     _keep(_Z, _PAST_Z, memory)
 
 
@@ -199,6 +213,7 @@ def _sort_in(n, p, measured, parameters, memory):
         memory[_RING + i] = memory[_RING + i - WIDTH]
     for i in range(WIDTH):
         memory[_RING + i] = math.nan
+    memory[_RING + _TURNED] = measured[MEASURED.turned]
     memory[_BLIND] += 1.0
     for sensor in range(SENSORS):
         value, variance = measured[sensor], parameters[_VARIANCE + sensor]
@@ -222,6 +237,14 @@ def _sort_in(n, p, measured, parameters, memory):
 
 
 @njit(**INLINE)
+def _turn(n, turned, p, memory):
+    """Count heading and offset from where the path leads after a period in which it turns evenly."""
+    if turned != 0.0:
+        memory[_NEXT + 1] -= turned
+        memory[_NEXT + n - 1] -= 0.5 * memory[_SPEED] * p.period * turned
+
+
+@njit(**INLINE)
 def _predict(n, size, instant, p, parameters, memory):
     """z and its covariance at an instant, so many before the present one, from a period earlier: F P F' + drift."""
     acting = _sent(p) + int(p.whole) + instant
@@ -230,6 +253,7 @@ def _predict(n, size, instant, p, parameters, memory):
     _carry(n, _F, memory)
     _add_command(n, _B_OLD, memory[acting + 1], memory)
     _add_command(n, _B_NEW, memory[acting], memory)
+    _turn(n, memory[_RING + WIDTH * instant + _TURNED], p, memory)
     for i in range(size):
         memory[_Z + i] = memory[_NEXT + i]
     for i in range(size):
@@ -276,11 +300,14 @@ def _reading(sensor, instant, n, tau, p, memory):
             memory[_H + i] = memory[_FELT + i]
         return memory[_OF_COMMAND] * memory[_sent(p) + int(p.whole) + instant]
     memory[_H + _place(sensor, n)] = 1.0
+    turning = memory[_RING + WIDTH * instant + _TURNED] / p.period
     if sensor == MEASURED.yaw:
         memory[_H + 2] = -tau
-    elif sensor == MEASURED.y:
+        return tau * turning
+    if sensor == MEASURED.y:
         memory[_H], memory[_H + 1], memory[_H + 2] = -tau, -tau * speed, 0.5 * tau * tau * speed
-    elif sensor == MEASURED.yaw_rate and p.spread_bias > 0.0:
+        return -0.5 * tau * tau * speed * turning
+    if sensor == MEASURED.yaw_rate and p.spread_bias > 0.0:
         memory[_H + n + 2] = 1.0
     return 0.0
 

@@ -18,8 +18,9 @@ MEASURED = columns(
     "vy", "yaw", "yaw_rate", "y", "wheel_angle",  # m/s, rad, rad/s, m, rad: the states of a model are some of these
     "lateral_acceleration",  # m/s^2, of an accelerometer: it does not feel the pull of a banked road
     "pose_age", "motion_age",  # s, how old yaw and y are, and all others
+    "turned",  # rad, heading of the path at the foot of the car now less that of a period ago
 )  # fmt: skip
-"""What the sensors give; what is missing is not finite."""
+"""What the sensors give; what is missing is not finite. On a curved road yaw and y count from the path."""
 
 DISCRETISE = types.void(float64, float64, vector, matrix, vector, vector)
 """``discretise(speed, period, parameters, a, b, e)``: write A (n, n), B (n,) and E (n,) of one control period (s) at a

@@ -1,0 +1,192 @@
+"""`adaptrack drive`: along a road with controllers; the metrics, and a page that replays it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+from typer import Option
+
+from adaptrack.cli import interrupt, options, show
+from adaptrack.cli import road as roads
+from adaptrack.cli.show import Column
+from adaptrack.cli.simulate import (
+    FAILED,
+    Asked,
+    make_controller,
+    measured_row,
+    tell_belief,
+    tell_open_qps,
+    tell_stiffness,
+)
+from adaptrack.errors import InvalidInput
+
+if TYPE_CHECKING:
+    from adaptrack.road import Road, SpeedPlan
+    from adaptrack.scenario import RoadDrive
+    from adaptrack.trajectory import Trajectory
+    from adaptrack.vehicle import Vehicle
+
+COLUMNS = (
+    Column("controller", "controller"),
+    Column("rms_error", "RMS e", "m", show.digits(3)),
+    Column("max_abs_error", "max |e|", "m", show.digits(3)),
+    Column("max_corner_error", "corner", "m", show.digits(3)),
+    Column("in_lane", "in lane", "%", show.percent),
+    Column("max_acceleration", "max a_y", "m/s²", show.digits(3)),
+    Column("driven_length", "driven", "m", show.whole),
+    Column("result", "result"),
+)
+
+
+def drive(
+    road: roads.RoadName,
+    vehicle: options.Vehicle = "paper",
+    controller: Annotated[
+        list[str] | None,
+        Option(metavar="NAME", help="informed [default], standard, lqr, pure-pursuit, stanley, or a registered one."),
+    ] = None,
+    speed: roads.Speed = None,
+    lateral_acceleration: roads.Lateral = None,
+    profile: options.Profile = "road",
+    laps: Annotated[int, Option("--laps", min=1, help="Of a closed road.")] = 1,
+    wind: Annotated[float, Option("--wind", help="Along the world's y axis (m/s).")] = 0.0,
+    offset: Annotated[float, Option("--start-offset", help="From the centre line, to the left (m).")] = 0.0,
+    heading: Annotated[float, Option("--start-heading", help="Against the road, to the left (rad).")] = 0.0,
+    plant: options.Plant = "dual-track",
+    tyre: options.Tyre = None,
+    driver: Annotated[bool, Option("--driver/--perfect-speed", help="Powertrain and driver, or exact speed.")] = False,
+    period: Annotated[float | None, Option(help="Control period (s); by default the profile's.")] = None,
+    seed: Annotated[int, Option("--seed", help="Of the sensor noise.")] = 0,
+    max_deviation: roads.MaxDeviation = None,
+    closed: roads.Closed = None,
+    road_id: roads.RoadId = None,
+    lane: roads.Lane = None,
+    road_seed: Annotated[int | None, Option("--road-seed", help="Generated: which road, by default 0.")] = None,
+    length: roads.Length = None,
+    out: Annotated[Path | None, Option(help="Folder for the page with the replay, and the trajectories.")] = None,
+    allow_failed: Annotated[
+        bool, Option("--allow-failed", help=f"Exit code 0, not {FAILED}, after a failure.")
+    ] = False,
+    plugin: options.Plugin = None,
+    as_json: options.Json = False,
+) -> None:
+    """Drive along a road: a .csv file of x, y, an OpenDRIVE file, or a generated one.
+
+    The speed is planned from curvature, friction and the car, unless --speed gives one. A drive that leaves the road,
+    spins or is not finite is printed as FAILED; the exit code is then 3.
+    """
+    from adaptrack.profile import load_profile
+    from adaptrack.simulate import simulate
+    from adaptrack.world import Driver
+
+    options.load_plugins(plugin)
+    car, body = options.car_and_plant(vehicle, plant, tyre)
+    given = roads.given(max_deviation=max_deviation, closed=closed, road=road_id, lane=lane, seed=road_seed,
+                        length=length)  # fmt: skip
+    seen = roads.look(road, given, vehicle, speed, lateral_acceleration)
+    world = load_profile(profile)
+    trip = _trip(seen.road, seen.plan, laps, wind, offset, heading)
+    asked = Asked(car, world, world.period if period is None else period, preview=True)
+    controllers = [make_controller(name, asked) for name in dict.fromkeys(controller or [asked.usual])]
+    if out is not None:
+        options.make_folder(out)
+    for finding in seen.findings:
+        if not finding.drivable:
+            show.say(f"Warning, {finding.text} (s = {finding.start:.0f} to {finding.end:.0f} m).", aside=as_json)
+    runs = []
+    with show.progress("drive", len(controllers)) as advance:
+        for label, each in controllers:
+            step = partial(advance, label)
+            run = simulate(body, each, trip, profile=world, driver=Driver() if driver else None, seed=seed,
+                           progress=step)  # fmt: skip
+            runs.append(_Run(label, trip, car, run))
+            _keep(runs[-1], out)
+    rows = [run.row for run in runs]
+    if out is not None:
+        show.say(f"Page: {_write_page(out, runs)}", aside=as_json)
+    _print(trip, rows, as_json)
+    for label, each in controllers:
+        tell_belief(label, each, body, world, as_json)
+    if any(row["failed"] for row in rows):
+        tell_stiffness(car, body, as_json)
+        if not allow_failed:
+            raise typer.Exit(FAILED)
+
+
+def _trip(road: Road, plan: SpeedPlan, laps: int, wind: float, offset: float, heading: float) -> RoadDrive:
+    from adaptrack.scenario import RoadDrive
+
+    if laps > 1 and not road.closed:
+        raise InvalidInput(f"--laps {laps}: the road {road.name!r} is open; --closed makes a lap of points.")
+    return RoadDrive(road, plan, laps=laps, wind=wind, start_offset=offset, start_heading=heading)
+
+
+def _keep(done: _Run, out: Path | None) -> None:
+    """Save a drive as soon as it is driven."""
+    from adaptrack.files import safe_names
+
+    if out is not None:
+        (name,) = safe_names([f"{done.trip.name}-{done.label}"])
+        done.run.save(out / f"{name}.parquet")
+        interrupt.kept(f"Finished drives are in {out}, without a page. Run the command again.")
+
+
+@dataclass(frozen=True)
+class _Run:
+    """A drive of one controller."""
+
+    label: str
+    trip: RoadDrive
+    car: Vehicle
+    run: Trajectory
+
+    @property
+    def row(self) -> dict[str, Any]:
+        """What --json says of it: as `simulate`, with the measures of a path."""
+        from adaptrack.path_metrics import PathRecord, path_metrics
+
+        record = PathRecord.from_trajectory(self.run)
+        measures = {} if record is None else path_metrics(record, self.car.outline).to_dict()
+        station = self.run.road["station"]
+        row = measured_row(self.label, self.run) | measures
+        if record is not None:
+            row |= {"rms_error": measures["rms_offset"], "max_abs_error": measures["max_offset"]}
+        known = station[station == station]
+        row["driven_length"] = float(known[-1] - known[0]) if known.size else 0.0
+        row["road_length"] = self.trip.length
+        return row
+
+
+def _print(trip: RoadDrive, rows: Sequence[dict[str, Any]], as_json: bool) -> None:
+    if as_json:
+        show.say_json({"rows": rows})
+    else:
+        title = f"{trip.name}, {trip.length:.0f} m, {trip.plan.speed.min():.3g}-{trip.plan.speed.max():.3g} m/s"
+        show.table(title, COLUMNS, [{**row, "result": "failed" if row["failed"] else "ok"} for row in rows])
+    for row in rows:
+        if row["failed"]:
+            show.say_failed(
+                f"{trip.name}, {row['controller']}: at {row['failed_at']:.2f} s, s = {row['driven_length']:.0f} m, "
+                f"the vehicle {row['failed_because']}.",
+                aside=as_json,
+            )
+        tell_open_qps(row, as_json)
+
+
+def _write_page(out: Path, runs: Sequence[_Run]) -> Path:
+    from adaptrack.report.drive import write_drive_page
+    from adaptrack.report.record import DriveRecord, Measure
+
+    shown = ("rms_offset", "p95_offset", "max_offset", "max_corner", "in_lane", "max_acceleration", "max_jerk_r79")
+    with show.progress("write the page"):
+        records = []
+        for each in runs:
+            row = each.row
+            measures = [Measure(name, row[name]) for name in shown if row.get(name) is not None]
+            records.append(DriveRecord.from_trajectory(each.run, each.trip.road, each.car, metrics=measures))
+        return write_drive_page(out, records, command=options.command_line())

@@ -1,0 +1,108 @@
+"""Roads as the kernels read them, and the road ahead of a car as a controller sees it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cache, lru_cache
+from typing import Any
+
+import numpy as np
+
+from adaptrack.errors import InvalidInput
+from adaptrack.road.road import Road
+from adaptrack.road.segments import Array
+
+HEADING_SPACING = 0.5
+"""m, at most, between the entries of a road's table of headings, from which an MPC reads what lies ahead."""
+
+
+def pack_roads(roads: Sequence[Road | None]) -> Any:
+    """The roads of scenarios, None for a straight one, as `kernels.road.Roads`; equal ones are kept once."""
+    from adaptrack.kernels import road as kernel
+
+    kept: list[Road] = []
+    of = np.full(len(roads), -1, np.int64)
+    for i, road in enumerate(roads):
+        if road is None:
+            continue
+        known = [k for k, each in enumerate(kept) if each is road]
+        if not known:
+            kept.append(road)
+        of[i] = known[0] if known else len(kept) - 1
+    numbers = np.zeros((len(kept), len(kernel.NUMBERS)))
+    start, pieces, headings = [np.zeros(0)], [np.zeros((0, kernel.TURNED + kernel.DEGREE + 1))], [np.zeros(0)]
+    places = np.zeros(3)
+    for k, road in enumerate(kept):
+        cells = max(1, math.ceil(road.length / HEADING_SPACING))
+        own = road.table.start, road.table.pieces, road.at(np.linspace(0.0, road.length, cells + 1)).heading
+        numbers[k] = (
+            road.length, float(road.closed), road.turn, places[0], places[1], len(own[1]), places[2],
+            road.length / cells,
+        )  # fmt: skip
+        places += [each.shape[0] for each in own]
+        for found, each in zip((start, pieces, headings), own, strict=True):
+            found.append(each)
+    return kernel.Roads(
+        of, numbers, *(np.ascontiguousarray(np.concatenate(each)) for each in (start, pieces, headings))
+    )
+
+
+@lru_cache(maxsize=16)
+def stacked(road: Road) -> Any:
+    """A road alone as `kernels.road.Roads`."""
+    return pack_roads([road])
+
+
+@dataclass(frozen=True, eq=False)
+class RoadAhead:
+    """The road from the foot of a car on: what a controller sees of it.
+
+    Raises
+    ------
+    InvalidInput
+        When the station is not finite or the speeds are empty or not finite.
+    """
+
+    road: Road
+    station: float
+    """m, arc length of the foot"""
+    speeds: Array
+    """(n,) m/s, at which the road will be passed, now and at the control instants that follow; the last one holds"""
+
+    def __post_init__(self) -> None:
+        speeds = np.atleast_1d(np.asarray(self.speeds, dtype=np.float64))
+        if not math.isfinite(self.station):
+            raise InvalidInput(f"RoadAhead: station = {self.station!r} m: must be finite.")
+        if speeds.ndim != 1 or not speeds.size or not np.isfinite(speeds).all():
+            raise InvalidInput("RoadAhead: speeds must be finite numbers (m/s), one for each instant.")
+        object.__setattr__(self, "station", float(self.station))
+        object.__setattr__(self, "speeds", np.ascontiguousarray(speeds))
+
+    @property
+    def packed(self) -> Any:
+        """The centre line and the foot, `kernels.road.RoadAhead`."""
+        from adaptrack.kernels import road as kernel
+
+        return kernel.RoadAhead(self.road.packed(), self.station)
+
+    def bend(self, count: int, pace: float, lead: float, period: float) -> Array:
+        """(count,) m, how far the road lies to the left of its tangent here, `lead` periods (s) ahead and later.
+
+        pace: m/s, of the model; see `kernels.road.bend_ahead`.
+        """
+        from adaptrack.kernels import road as kernel
+
+        found = np.zeros(count)
+        kernel.bend_of(self.station, self.speeds, pace, lead, period, 0, stacked(self.road), found)
+        return found
+
+
+@cache
+def straight() -> Any:
+    """`kernels.road.RoadAhead` of a straight road."""
+    from adaptrack.kernels import road as kernel
+
+    line = kernel.Centreline(np.zeros(0), np.zeros((0, kernel.TURNED + kernel.DEGREE + 1)), np.zeros(0))
+    return kernel.RoadAhead(line, 0.0)

@@ -1,0 +1,128 @@
+"""A drive along a road: which road, how fast, from where, in what wind."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import Any, Self
+
+import numpy as np
+
+from adaptrack.errors import InvalidInput, real, whole
+from adaptrack.limits import PERIODS
+from adaptrack.road.road import Road
+from adaptrack.road.speed import SpeedPlan, constant_speed
+from adaptrack.scenario.shapes import Shape, as_shape
+from adaptrack.scenario.signals import Signals, instants
+from adaptrack.scenario.surroundings import PolarWind, Wind, as_wind
+
+
+@dataclass(frozen=True, eq=False)
+class RoadDrive:
+    """A road to drive along, from its start to its end or for some laps, at a planned speed.
+
+    The plan is kept in time, stops included. Where a car is early or late, friction and bank are those of the place
+    where it is. Conventions as for `Scenario`; offsets and headings count from the path, positive to the left.
+
+    Raises
+    ------
+    InvalidInput
+        When a value is not allowed.
+    """
+
+    road: Road
+    speed: SpeedPlan | float
+    """a plan (`plan_speed`), or one speed (m/s)"""
+    laps: int = 1
+    """of a closed road"""
+    reference: Shape | float = 0.0
+    """m, offset from the centre line to follow, over time"""
+    wind: Wind | PolarWind | Any = 0.0
+    """m/s, over time, in the world; what `Scenario` takes"""
+    start_offset: float | None = None
+    """m, at the start; None: on the reference"""
+    start_heading: float = 0.0
+    """rad, at the start, against the road"""
+    name: str = ""
+    """the road's, when empty"""
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.road, Road):
+            raise InvalidInput(f"RoadDrive: road = {self.road!r}: must be a Road; load_road(file) gives one.")
+        plan = self.speed if isinstance(self.speed, SpeedPlan) else constant_speed(self.road, self.speed)
+        if plan.closed != self.road.closed or not math.isclose(plan.s[-1], self.road.length, rel_tol=1e-9):
+            raise InvalidInput("RoadDrive: speed: a plan of another road; plan_speed(road, ...) makes one.")
+        laps = whole("RoadDrive", "laps", self.laps)
+        if laps > 1 and not self.road.closed:
+            raise InvalidInput(f"RoadDrive: laps = {laps}: the road {self.road.name!r} is open; leave laps out.")
+        if not math.isfinite(plan.duration):
+            raise InvalidInput("RoadDrive: speed: the plan never arrives: its speed is 0 over a stretch.")
+        if not abs(real("RoadDrive", "start_heading", self.start_heading)) < 0.5 * math.pi:
+            raise InvalidInput(f"RoadDrive: start_heading = {self.start_heading!r} rad: must be within a right angle.")
+        changed = {
+            "speed": plan,
+            "reference": as_shape(self.reference),
+            "wind": as_wind(self.wind),
+            "name": self.name or self.road.name,
+        }
+        for field, value in changed.items():
+            object.__setattr__(self, field, value)
+
+    @property
+    def plan(self) -> SpeedPlan:
+        """The speed along the road."""
+        assert isinstance(self.speed, SpeedPlan)
+        return self.speed
+
+    @property
+    def duration(self) -> float:
+        """s, of all laps, stops included."""
+        return self.plan.duration * self.laps
+
+    @property
+    def length(self) -> float:
+        """m, of all laps."""
+        return self.road.length * self.laps
+
+    @property
+    def _offset(self) -> Shape:
+        assert isinstance(self.reference, Shape)
+        return self.reference
+
+    def sample(self, period: float = 0.1) -> Signals:
+        """What happens at the instants k·period until the end of the road (see `Signals`).
+
+        Raises
+        ------
+        InvalidInput
+            When the drive has no or too many control periods.
+        """
+        if not 0.0 < period < math.inf:
+            raise InvalidInput(f"period = {period!r}: must be a finite time > 0 s.")
+        count = math.floor(self.duration / period)
+        if not 1 <= count <= PERIODS.most:
+            raise InvalidInput(
+                f"drive {self.name!r} lasts {self.duration:.6g} s: {count:,} periods of {period!r} s; 1 to "
+                f"{PERIODS.most:,} are possible ({PERIODS.reason})."
+            )
+        t = instants(count, period)
+        station, speed = self.plan.motion(t)
+        return Signals(
+            period, t, self._offset.at(t), speed, np.repeat(self.road.along("friction", station)[:, None], 4, axis=1),
+            self.wind.at(t), self.road.along("bank", station), station, self.road.at(station).curvature,
+        )  # fmt: skip
+
+    def start_pose(self) -> tuple[float, float, float]:
+        """x, y (m) and yaw (rad) at the start."""
+        place = self.road.at(0.0)
+        heading = float(place.heading)
+        offset = float(self._offset.at(0.0)) if self.start_offset is None else float(self.start_offset)
+        return (
+            float(place.x) - offset * math.sin(heading),
+            float(place.y) + offset * math.cos(heading),
+            heading + self.start_heading,
+        )
+
+    def replace(self, **changes: Any) -> Self:
+        """A copy with other values."""
+        return replace(self, **changes)

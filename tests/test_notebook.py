@@ -1,0 +1,102 @@
+"""A run shows itself: as a figure, as a table of pandas, and in a notebook."""
+
+import re
+import sys
+
+import numpy as np
+import pytest
+
+from adaptrack.errors import InvalidInput, MissingExtra
+from adaptrack.report.notebook import run_figure
+from adaptrack.report.record import DriveRecord, Shape
+from adaptrack.road import generate_road
+from adaptrack.trajectory import COLUMNS, Trajectory
+from adaptrack.vehicle import load_vehicle
+
+
+def driven(road, /, *, laps=1.0, offset=0.2, **more):
+    """A run at 10 m/s, `offset` m to the left of the centre line."""
+    t = 0.1 * np.arange(int(laps * road.length))
+    place = road.at(10.0 * t)
+    values = {column.name: np.zeros((t.size, len(column.parts)) if column.parts else t.size) for column in COLUMNS}
+    values |= {
+        "t": t, "X": place.x - offset * np.sin(place.heading), "Y": place.y + offset * np.cos(place.heading),
+        "psi": place.heading, "vx": np.full(t.size, 10.0), "v_ref": np.full(t.size, 10.0),
+        "held": np.zeros(t.size, bool),
+    }  # fmt: skip
+    meta = {"scenario": "<lap>", "controller": "informed", "vehicle": {"name": "paper"}, "profile": "road"}
+    return Trajectory(**(values | more), period=0.1, meta=meta)
+
+
+@pytest.fixture(scope="module")
+def lap():
+    return generate_road("lap", seed=3, length=1200.0)
+
+
+def test_a_run_of_two_laps_is_projected_lap_after_lap(lap):
+    run = driven(lap, laps=2.0)
+    record = DriveRecord.from_trajectory(run, lap, load_vehicle("paper"))
+    assert record.station == pytest.approx(10.0 * run.t, abs=1e-6)
+    assert record.offset == pytest.approx(np.full(len(run), 0.2), abs=1e-6)
+    assert np.abs(record.heading_error).max() < 1e-6
+    assert (record.controller, record.car, record.profile, record.failed) == ("informed", "paper", "road", "")
+    assert record.shape == Shape.of(load_vehicle("paper"))
+    assert record.planned_speed == pytest.approx(10.0)
+
+
+def test_a_run_that_ends_in_nan_is_cut_there_and_says_why_it_failed(lap):
+    x = driven(lap).X.copy()
+    x[40:] = np.nan
+    record = DriveRecord.from_trajectory(driven(lap, X=x, failed="off-road", failed_at=3.9), lap)
+    assert len(record) == 40
+    assert (record.failed, record.failed_at) == ("off-road", 3.9)
+    with pytest.raises(InvalidInput, match="at least two instants"):
+        DriveRecord.from_trajectory(driven(lap, X=np.full(x.size, np.nan)), lap)
+
+
+def on_road(lap):
+    """A run that knows its place on a road."""
+    run = driven(lap)
+    place = {"offset": 0.7, "heading_error": 0.1, "curvature": 0.0}
+    return driven(lap, road={"station": run.t} | {name: np.full(len(run), value) for name, value in place.items()})
+
+
+def test_what_a_run_knows_of_its_road_is_taken_from_it(lap):
+    record = DriveRecord.from_trajectory(on_road(lap), lap)
+    assert (record.station[-1], record.offset[0], record.heading_error[0]) == (record.time[-1], 0.7, 0.1)
+
+
+def test_a_run_along_a_road_is_drawn_without_its_lateral_position(lap):
+    figure = on_road(lap).plot()
+    assert [axes.get_title("left")[4:] for axes in figure.axes] == ["Tracking error", "Steering", "Yaw rate", "Speed"]
+
+
+def test_a_run_draws_itself_over_time_and_along_a_road(lap):
+    run = driven(lap)
+    assert run.plot().axes[0].get_title("left") == "(a) Trajectory tracking"
+    titles = [axes.get_title("left") for axes in run_figure(run, lap).axes]
+    assert titles[1:4] == ["Offset", "Steering", "Speed"]
+    assert run.plot(lap)._repr_png_().startswith(b"\x89PNG")  # what a notebook shows
+
+
+def test_a_notebook_shows_measures_and_a_picture_with_nothing_from_outside(lap):
+    text = driven(lap)._repr_html_()
+    assert "&lt;lap&gt;, Informed" in text
+    assert "RMS error" in text
+    assert "<lap>" not in text
+    assert re.findall(r'src="(.{10})', text) == ["data:image"]
+
+
+def test_to_pandas_without_pandas_says_what_to_install(lap, monkeypatch):
+    monkeypatch.setitem(sys.modules, "pandas", None)
+    with pytest.raises(MissingExtra, match="pip install pandas"):
+        driven(lap).to_pandas()
+
+
+def test_to_pandas_gives_a_row_an_instant_with_units(lap):
+    pandas = pytest.importorskip("pandas")
+    run = driven(lap)
+    frame = run.to_pandas()
+    assert isinstance(frame, pandas.DataFrame)
+    assert frame["friction_front_left"].shape == (len(run),)
+    assert frame.attrs["units"]["psi"] == "rad"

@@ -1,0 +1,275 @@
+"""The replay in a browser: it opens without errors, plays, and shows the car where it was."""
+
+import json
+import os
+import queue
+import re
+import shutil
+import signal
+import subprocess
+import tempfile
+import threading
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+
+import numpy as np
+import pytest
+
+from adaptrack.report.drive import write_drive_page
+from made_drives import bend, made_drive
+
+BROWSER = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome", "chrome"))), None)
+pytestmark = pytest.mark.skipif(BROWSER is None, reason="no Chromium on the path (Debian: apt install chromium)")
+
+INSTANTS = (2.0, 9.13, 17.5)
+
+COLLECT = """
+<script>
+const failures = [], found = {}, replay = window.adaptrackReplay;
+addEventListener("error", event => failures.push(String(event.message)));
+addEventListener("unhandledrejection", event => failures.push(String(event.reason)));
+const canvas = document.querySelector("#replay-view canvas");
+const part = name => document.querySelector(`#replay-view [data-replay="${name}"]`);
+const press = key => canvas.dispatchEvent(new KeyboardEvent("keydown", {key, bubbles: true, cancelable: true}));
+const until = async true_now => { while (!true_now()) await new Promise(resolve => setTimeout(resolve, 20)); };
+function colourAt([x, y]) {
+  const one = new OffscreenCanvas(1, 1).getContext("2d"), dense = canvas.width / canvas.clientWidth;
+  one.drawImage(canvas, -Math.round(x * dense), -Math.round(y * dense));
+  return [...one.getImageData(0, 0, 1, 1).data];
+}
+addEventListener("load", async () => {
+  try {
+    %s
+  } catch (error) {
+    failures.push(String(error));
+  }
+  Object.assign(found, {failures, width: innerWidth, overflow: document.documentElement.scrollWidth - innerWidth});
+  await fetch("/found", {method: "POST", body: JSON.stringify(found)});
+});
+</script>
+"""
+
+NOTHING_ELSE = (
+    "default-src 'none'; style-src 'unsafe-inline'; script-src 'unsafe-inline'; img-src data:; connect-src 'self'"
+)
+"""The policy under which the page is served: what it would load from elsewhere is an error."""
+
+
+def server_of(pages, answers):
+    """A server on this machine that gives pages, by their paths, and puts what it is sent into `answers`."""
+
+    class Handler(BaseHTTPRequestHandler):
+        def do_GET(self):
+            self.send_response(200)
+            self.send_header("Content-Type", "text/html; charset=utf-8")
+            if self.path != "/":
+                self.send_header("Content-Security-Policy", NOTHING_ELSE)
+            self.end_headers()
+            self.wfile.write(pages[self.path].encode())
+
+        def do_POST(self):
+            answers.put(json.loads(self.rfile.read(int(self.headers["Content-Length"]))))
+            self.send_response(204)
+            self.end_headers()
+
+        def log_message(self, *words):
+            pass
+
+    return ThreadingHTTPServer(("127.0.0.1", 0), Handler)
+
+
+def ask_page(path, script, width=1400, fragment=""):
+    """What `script` put into ``found``, at the end of the page at `path`, `width` pixels wide, in a browser."""
+    answers = queue.Queue()
+    frame = (
+        f'<link rel="icon" href="data:,"><iframe src="/page{fragment}" width="{width}" height="900" frameborder="0">'
+    )
+    page = path.read_text(encoding="utf-8").replace("</body>", COLLECT % script + "</body>")
+    server = server_of({"/": f"<!doctype html>{frame}</iframe>", "/page": page}, answers)
+    threading.Thread(target=server.serve_forever, daemon=True).start()
+    with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as profile, open(f"{profile}/log", "w+b") as log:
+        command = [
+            BROWSER, "--headless", "--disable-gpu", "--hide-scrollbars", "--window-size=1500,1000", "--no-first-run",
+            "--enable-logging=stderr", f"--user-data-dir={profile}", "--remote-debugging-port=0",
+            *(["--no-sandbox"] if os.geteuid() == 0 else []), f"http://127.0.0.1:{server.server_port}/",
+        ]  # fmt: skip
+        browser = subprocess.Popen(command, stdout=log, stderr=log, start_new_session=True)
+        try:
+            found = answers.get(timeout=60)
+        finally:
+            os.killpg(browser.pid, signal.SIGKILL)
+            browser.wait()
+            server.shutdown()
+            server.server_close()
+        log.seek(0)
+        said = [line for line in log.read().decode(errors="replace").splitlines() if "CONSOLE" in line]
+    assert found["failures"] == []
+    assert said == []
+    return found
+
+
+@pytest.fixture(scope="module")
+def drives():
+    road = bend()
+    return [
+        made_drive(road, controller="informed", amplitude=0.5),
+        made_drive(road, controller="stanley", amplitude=1.0, seconds=10.05, failed="spun", failed_at=10.0),
+    ]
+
+
+@pytest.fixture(scope="module")
+def page(tmp_path_factory, drives):
+    return write_drive_page(tmp_path_factory.mktemp("replay") / "out", drives)
+
+
+SEEK = (
+    f"found.seen = {list(INSTANTS)}.map(t => {{"
+    """
+      replay.seek(t);
+      const near = replay.state(), colour = colourAt(near.cars[0].pixel), beside = colourAt([5, 5]);
+      const words = ["t", "s", "e", "v", "steering"].map(name => part(name).textContent);
+      return {near, colour, beside, words};
+    });
+    replay.showWhole();
+    found.whole = [2, 17.5].map(t => { replay.seek(t); return replay.state(); });
+    replay.followCar();
+"""
+)
+
+
+@pytest.fixture(scope="module", params=[1400, 400])
+def seen(request, page):
+    found = ask_page(page, SEEK, request.param)
+    assert found["width"] == request.param
+    return found
+
+
+def test_the_car_is_where_it_was_at_three_instants(seen, drives):
+    for t, shown in zip(INSTANTS, seen["seen"], strict=True):
+        for drive, car in zip(drives, shown["near"]["cars"], strict=True):
+            when = min(t, float(drive.time[-1]))
+            for name in ("x", "y", "yaw", "station", "speed", "offset", "steering"):
+                assert car[name] == pytest.approx(np.interp(when, drive.time, getattr(drive, name)), abs=6e-3), name
+
+
+def test_the_followed_car_is_drawn_at_the_middle_of_the_picture(seen):
+    for shown in seen["seen"]:
+        state = shown["near"]
+        assert state["follow"]
+        assert state["cars"][0]["pixel"] == pytest.approx([0.5 * state["width"], 0.5 * state["height"]])
+        red, _, blue, opaque = shown["colour"]  # the first series is blue, the road grey
+        assert blue - red > 60
+        assert opaque == 255
+
+
+def test_the_whole_road_is_shown_to_scale_with_the_car_in_it(seen, drives):
+    first, last = seen["whole"]
+    assert first["whole"]
+    ends = [np.array(state["cars"][0]["pixel"]) for state in (first, last)]
+    there = [np.array([np.interp(t, drives[0].time, v) for v in (drives[0].x, drives[0].y)]) for t in (2.0, 17.5)]
+    assert (ends[1] - ends[0]) * [1, -1] == pytest.approx(first["scale"] * (there[1] - there[0]), abs=0.2)
+    for pixel in ends:
+        assert 0.0 < pixel[0] < first["width"]
+        assert 0.0 < pixel[1] < first["height"]
+
+
+def test_values_stand_beside_the_picture(seen, drives):
+    drive = drives[0]
+    words = seen["seen"][0]["words"]
+    assert words[0] == "2.00 s"
+    assert words[1] == "20.0 m"
+    assert words[3] == "10.00 m/s"
+    assert float(words[2].split()[0]) == pytest.approx(np.interp(2.0, drive.time, drive.offset), abs=1e-3)
+    degrees, radians = (float(text) for text in re.findall(r"−?[\d.]+", seen["seen"][1]["words"][4]))
+    assert radians == pytest.approx(np.interp(9.13, drive.time, drive.steering), abs=1e-4)
+    assert degrees == pytest.approx(np.degrees(radians), abs=0.01)
+
+
+def test_nothing_is_wider_than_the_window(seen):
+    assert seen["overflow"] <= 0
+
+
+def test_it_plays_pauses_and_ends(page):
+    found = ask_page(
+        page,
+        """
+        part("play").click();
+        await until(() => replay.state().t > 0.5);
+        found.playing = replay.state();
+        part("play").click();
+        found.paused = replay.state();
+        await new Promise(resolve => setTimeout(resolve, 200));
+        found.later = replay.state();
+        part("rate").value = "5";
+        part("rate").dispatchEvent(new Event("change"));
+        replay.seek(17);
+        replay.play();
+        await until(() => !replay.state().playing);
+        found.ended = replay.state();
+        found.again = (replay.play(), replay.state());""",
+    )
+    assert found["playing"]["playing"]
+    assert not found["paused"]["playing"]
+    assert found["later"]["t"] == found["paused"]["t"]
+    assert found["ended"]["t"] == pytest.approx(18.25, abs=0.03)
+    assert found["again"]["t"] == 0.0
+
+
+def test_keys_slider_wheel_and_drag_do_what_they_say(page):
+    found = ask_page(
+        page,
+        """
+        replay.seek(5);
+        press("ArrowRight"); found.on = replay.state().t;
+        press("ArrowLeft"); press("ArrowLeft"); found.back = replay.state().t;
+        press("End"); found.end = replay.state().t;
+        press("Home"); found.home = replay.state().t;
+        press(" "); found.played = replay.state().playing; press(" ");
+        const slider = part("slider");
+        slider.value = 7.5; slider.dispatchEvent(new Event("input")); found.slid = replay.state().t;
+        found.spoken = slider.getAttribute("aria-valuetext");
+        const before = replay.state().scale;
+        press("+"); found.zoomed = replay.state().scale / before;
+        canvas.dispatchEvent(new WheelEvent("wheel", {deltaY: -200, cancelable: true}));
+        found.wheeled = replay.state().scale / before;
+        found.follows = replay.state().follow;
+        const at = (kind, id, x, y) => canvas.dispatchEvent(
+          new PointerEvent(kind, {pointerId: id, clientX: x, clientY: y, bubbles: true, pointerType: "mouse"}));
+        canvas.setPointerCapture = () => {};
+        const [x, y] = replay.state().cars[0].pixel;
+        at("pointerdown", 1, 100, 100); at("pointermove", 1, 160, 130); at("pointerup", 1, 160, 130);
+        const moved = replay.state().cars[0].pixel;
+        found.moved = [moved[0] - x, moved[1] - y];
+        found.free = !replay.state().follow;
+        const wide = replay.state().scale;
+        at("pointerdown", 1, 100, 100); at("pointerdown", 2, 200, 100); at("pointermove", 2, 300, 100);
+        found.pinched = replay.state().scale / wide;
+        at("pointerup", 1, 100, 100); at("pointerup", 2, 300, 100);
+        const car = part("car");
+        car.value = "1"; car.dispatchEvent(new Event("change")); replay.followCar(); replay.seek(18);
+        found.other = replay.state();
+        found.words = part("t").textContent;
+        const controls = document.querySelector("#replay-view").querySelectorAll("button, select, input, canvas");
+        found.names = [...controls].map(
+          each => each.getAttribute("aria-label") || each.closest("label")?.textContent || each.textContent);""",
+    )
+    assert (found["on"], found["back"], found["home"]) == (6.0, 4.0, 0.0)
+    assert found["end"] == pytest.approx(18.25, abs=0.03)
+    assert found["played"]
+    assert found["slid"] == 7.5
+    assert found["spoken"].startswith("7.50 s, station 75.0 m, offset ")
+    assert found["zoomed"] == pytest.approx(1.4)
+    assert found["wheeled"] > 1.4
+    assert found["follows"]
+    assert found["free"]
+    assert found["moved"] == pytest.approx([60.0, 30.0])
+    assert found["pinched"] == pytest.approx(2.0)
+    other = found["other"]
+    assert other["cars"][1]["pixel"] == pytest.approx([0.5 * other["width"], 0.5 * other["height"]])
+    assert other["cars"][1]["failed"]
+    assert found["words"] == "18.00 s failed"
+    assert all(name.strip() for name in found["names"])
+
+
+def test_a_link_to_an_instant_opens_there(page):
+    found = ask_page(page, "found.t = replay.state().t;", fragment="#t=12.5")
+    assert found["t"] == 12.5

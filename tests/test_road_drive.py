@@ -1,0 +1,219 @@
+"""Driving along curved roads: the road ahead, the loop in path coordinates, every controller."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from adaptrack.batch import rollout_batch
+from adaptrack.controllers import LQR, MPC, PurePursuit, Stanley, published_mpc
+from adaptrack.errors import InvalidInput
+from adaptrack.plant import DualTrack, SingleTrack
+from adaptrack.road import Along, Arc, Clothoid, Comfort, Line, Road, Stop, generate_road, plan_speed
+from adaptrack.road.ahead import RoadAhead
+from adaptrack.scenario import RoadDrive, load_scenario
+from adaptrack.simulate import rollout, simulate
+from adaptrack.trajectory import Trajectory
+from adaptrack.vehicle import load_vehicle
+
+CAR = load_vehicle("paper")
+PLANT = DualTrack(CAR)
+HAIRPIN = Road.from_segments(
+    [Line(length=40.0), Arc(length=15.0 * math.pi, curvature=1 / 15), Line(length=40.0)], name="hairpin"
+)
+CIRCLE = Road.from_segments([Arc(length=100.0 * math.pi, curvature=0.02)], closed=True, name="circle")
+WINDING = generate_road("country", seed=4, length=600.0)
+LAWS = {"lqr": LQR, "pure-pursuit": PurePursuit, "stanley": Stanley}
+
+
+# -- the road ahead ---------------------------------------------------------------------------------------------------
+@pytest.mark.parametrize("lead", [0.0, 0.4, 2.0, 3.3])
+def test_an_arc_lies_beside_its_tangent_as_a_parabola(lead):
+    """With dY/dt = v theta and theta = v kappa t, Y = kappa (v t)^2/2."""
+    found = RoadAhead(CIRCLE, 311.0, [12.0]).bend(30, 12.0, lead, 0.05)  # across the seam of the lap
+    t = (lead + np.arange(30)) * 0.05
+    np.testing.assert_allclose(found, 0.5 * 0.02 * (12.0 * t) ** 2, rtol=1e-9, atol=1e-12)
+
+
+def test_a_clothoid_lies_beside_its_tangent_as_a_cubic():
+    road = Road.from_segments([Clothoid(length=200.0, start_curvature=0.0, end_curvature=0.02)], name="clothoid")
+    found = RoadAhead(road, 0.0, [10.0]).bend(100, 10.0, 0.0, 0.05)
+    s = 0.5 * np.arange(100)
+    np.testing.assert_allclose(found, 1e-4 * s**3 / 6.0, rtol=0, atol=2e-4)  # the table of headings is 0.5 m fine
+
+
+def test_a_car_that_slows_down_meets_the_bend_later():
+    slowing = RoadAhead(HAIRPIN, 20.0, np.linspace(10.0, 5.0, 60)).bend(60, 10.0, 0.0, 0.05)
+    steady = RoadAhead(HAIRPIN, 20.0, [10.0]).bend(60, 10.0, 0.0, 0.05)
+    assert (np.flatnonzero(slowing > 0.01)[0]) > np.flatnonzero(steady > 0.01)[0]
+
+
+def test_nonsense_of_the_road_ahead_is_refused():
+    with pytest.raises(InvalidInput, match="station"):
+        RoadAhead(HAIRPIN, math.nan, [10.0])
+    with pytest.raises(InvalidInput, match="speeds"):
+        RoadAhead(HAIRPIN, 0.0, [])
+
+
+# -- a drive ----------------------------------------------------------------------------------------------------------
+def test_a_drive_follows_its_plan_and_stands_at_its_stops():
+    plan = plan_speed(WINDING, CAR, Comfort(lateral=3.0), start=0.0, end=0.0, stops=[Stop(200.0, 4.0)])
+    signals = RoadDrive(WINDING, plan).sample(0.05)
+    assert np.all(np.diff(signals.station) >= 0.0)
+    np.testing.assert_allclose(  # the station is the integral of the speed, to the order of the trapezoid
+        np.diff(signals.station), 0.025 * (signals.speed[1:] + signals.speed[:-1]), atol=1e-2
+    )
+    assert np.sum(np.abs(signals.station - 200.0) < 1e-9) * 0.05 == pytest.approx(4.0, abs=0.11)
+    assert signals.station[-1] == pytest.approx(WINDING.length, abs=0.05)
+
+
+def test_a_drive_that_makes_no_sense_is_refused():
+    with pytest.raises(InvalidInput, match="must be a Road"):
+        RoadDrive("lap", 10.0)
+    with pytest.raises(InvalidInput, match="is open"):
+        RoadDrive(HAIRPIN, 5.0, laps=2)
+    with pytest.raises(InvalidInput, match="another road"):
+        RoadDrive(HAIRPIN, plan_speed(WINDING))
+    with pytest.raises(InvalidInput, match="right angle"):
+        RoadDrive(HAIRPIN, 5.0, start_heading=2.0)
+
+
+@pytest.mark.compiled
+def test_a_straight_road_is_the_scenario_without_a_road():
+    mpc, test = (
+        MPC(CAR, profile="road"),
+        load_scenario("lane-change", speed=20.0, amplitude=2.0, friction=0.9, gust=0.0),
+    )
+    straight = Road.from_segments([Line(length=300.0)], name="straight", friction=0.9)
+    plain = rollout(PLANT, mpc, test, profile="road", seed=3)
+    bent = rollout(PLANT, mpc, RoadDrive(straight, 20.0, reference=test.reference), profile="road", seed=3)
+    assert np.abs(plain.error).max() > 0.02
+    np.testing.assert_allclose(bent.error[: len(plain)], plain.error, rtol=0, atol=1e-9)
+
+
+@pytest.mark.compiled
+@pytest.mark.parametrize("make", [MPC, *LAWS.values()], ids=["mpc", *LAWS])
+@pytest.mark.parametrize("profile", ["paper", "road"])
+def test_both_drivers_give_the_same_run(make, profile):
+    controller = make(CAR, profile=profile) if make is MPC else make(CAR, period=0.05, preview=True)
+    drive = RoadDrive(HAIRPIN, 6.0)
+    one = simulate(PLANT, controller, drive, profile=profile, seed=5)
+    other = rollout(PLANT, controller, drive, profile=profile, seed=5)
+    for name in ("X", "Y", "psi", "command"):
+        np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
+    for name in one.road:
+        np.testing.assert_array_equal(one.road[name], other.road[name])
+    np.testing.assert_allclose(WINDING.project(0.0, 0.0).s, WINDING.project(0.0, 0.0).s)
+
+
+@pytest.mark.compiled
+def test_offset_and_heading_error_are_those_of_the_projection():
+    run = rollout(PLANT, MPC(CAR, profile="road"), RoadDrive(WINDING, 15.0), profile="road")
+    feet = WINDING.project(run.X, run.Y, near=run.road["station"])
+    np.testing.assert_allclose(run.road["offset"], feet.offset, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(run.road["heading_error"], run.psi - feet.heading, rtol=0, atol=1e-9)
+
+
+@pytest.mark.compiled
+def test_a_mirrored_road_is_driven_in_the_mirror():
+    other = Road.from_segments(
+        [Line(length=40.0), Arc(length=15.0 * math.pi, curvature=-1 / 15), Line(length=40.0)], name="hairpin"
+    )
+    left, right = (rollout(PLANT, MPC(CAR, profile="paper"), RoadDrive(road, 6.0)) for road in (HAIRPIN, other))
+    np.testing.assert_allclose(left.road["offset"], -right.road["offset"], rtol=0, atol=1e-7)
+
+
+@pytest.mark.compiled
+def test_where_the_road_lies_and_points_makes_no_difference():
+    from adaptrack.road import Pose
+
+    moved = Road.from_segments(
+        [Line(length=40.0), Arc(length=15.0 * math.pi, curvature=1 / 15), Line(length=40.0)], name="moved",
+        start=Pose(x=300.0, y=-200.0, heading=2.0),
+    )  # fmt: skip
+    here, there = (rollout(PLANT, MPC(CAR, profile="paper"), RoadDrive(road, 6.0)) for road in (HAIRPIN, moved))
+    np.testing.assert_allclose(here.road["offset"], there.road["offset"], rtol=0, atol=1e-7)
+
+
+@pytest.mark.compiled
+@pytest.mark.parametrize("profile", ["paper", "road", "production"])
+def test_the_informed_controller_stays_within_a_decimetre_in_a_hairpin(profile):
+    run = rollout(PLANT, MPC(CAR, profile=profile, period=0.05), RoadDrive(HAIRPIN, 6.0), profile=profile, seed=1)
+    assert run.failed is None
+    assert np.abs(run.error).max() < 0.1
+    assert run.road["station"][-1] == pytest.approx(HAIRPIN.length, abs=1.0)
+
+
+@pytest.mark.compiled
+@pytest.mark.parametrize("law", LAWS)
+def test_each_law_drives_a_circle_as_geometry_says(law):
+    """On a gentle circle with an ideal actuator the feed-forward of each keeps it near; after laps there is no jump."""
+    controller = LAWS[law](CAR, period=0.05, preview=True)
+    run = rollout(PLANT, controller, RoadDrive(CIRCLE, 6.0, laps=3), profile="paper")
+    assert run.failed is None
+    later = run.t > 20.0
+    assert np.ptp(run.error[later]) < 0.02  # a steady turn, across two seams
+    assert np.abs(run.error[later]).max() < 0.35
+
+
+@pytest.mark.compiled
+def test_pure_pursuit_without_slip_runs_the_circle_that_geometry_gives():
+    """At walking pace the steady turn of the rear axle through the target point: e = 0 where chord and circle agree."""
+    controller = PurePursuit(CAR, period=0.05, preview=True, lookahead_min=3.0, lookahead_time=0.1)
+    run = rollout(SingleTrack(CAR), controller, RoadDrive(CIRCLE, 1.5, laps=1), profile="paper")
+    assert abs(run.error[-1]) < 0.05
+
+
+@pytest.mark.compiled
+def test_the_published_controller_drives_bends_too():
+    run = rollout(PLANT, published_mpc(CAR, period=0.05, preview=True), RoadDrive(WINDING, 10.0), profile="paper")
+    assert run.failed is None
+    assert np.abs(run.error).max() < 0.3
+
+
+@pytest.mark.compiled
+@pytest.mark.parametrize("law", ["mpc", *LAWS])
+def test_the_wheels_of_a_standing_car_rest(law):
+    plan = plan_speed(WINDING, CAR, Comfort(lateral=3.0), start=0.0, end=0.0, stops=[Stop(200.0, 4.0)])
+    controller = MPC(CAR, profile="road") if law == "mpc" else LAWS[law](CAR, period=0.05, preview=True)
+    run = rollout(PLANT, controller, RoadDrive(WINDING, plan), profile="road", seed=2)
+    assert run.failed is None
+    standing = (run.vx[1:] < 0.09) & (run.vx[:-1] < 0.09)
+    assert standing.sum() > 60
+    assert np.abs(np.diff(run.command)[standing]).max() == 0.0
+    assert run.road["station"][-1] == pytest.approx(WINDING.length, abs=2.0)
+
+
+@pytest.mark.compiled
+def test_friction_lies_at_its_place_whatever_the_time():
+    """A car that starts late meets a slippery patch where it lies."""
+    patch = Road.from_segments(
+        [Line(length=200.0)], name="patch", friction=Along.through([0.0, 100.0], [0.9, 0.2], "steps")
+    )
+    run = rollout(PLANT, MPC(CAR, profile="road"), RoadDrive(patch, 15.0), profile="road")
+    signals = RoadDrive(patch, 15.0).sample(0.05)
+    assert signals.friction[signals.station < 99.0].min() == pytest.approx(0.9)
+    assert signals.friction[signals.station > 101.0].max() == pytest.approx(0.2)
+    assert run.failed is None
+
+
+@pytest.mark.compiled
+def test_a_batch_mixes_straight_and_curved_roads():
+    straight = Road.from_segments([Line(length=HAIRPIN.length)], name="straight")
+    drives = [RoadDrive(HAIRPIN, 6.0), RoadDrive(straight, 6.0)]
+    mpc = MPC(CAR, profile="road")
+    found = rollout_batch(PLANT, mpc, drives, which=[0, 1, 0], seeds=[1, 2, 3], profile="road")
+    alone = [rollout(PLANT, mpc, drives[i], profile="road", seed=s) for i, s in ((0, 1), (1, 2), (0, 3))]
+    np.testing.assert_allclose(found.mse, [np.mean(run.error**2) for run in alone], rtol=1e-12)
+
+
+@pytest.mark.compiled
+def test_a_trajectory_of_a_road_goes_through_its_file(tmp_path):
+    run = rollout(PLANT, MPC(CAR, profile="road"), RoadDrive(HAIRPIN, 6.0), profile="road")
+    run.save(tmp_path / "run.parquet")
+    back = Trajectory.load(tmp_path / "run.parquet")
+    assert set(back.road) == {"station", "offset", "heading_error", "curvature"}
+    np.testing.assert_array_equal(back.error, run.error)
+    assert back.units["road.curvature"] == "1/m"
