@@ -15,6 +15,7 @@ from adaptrack.manoeuvres import (
     Surroundings,
     Track,
     clearance,
+    coasting_plan,
     curvature_step,
     drive_open_loop,
     frequency_response,
@@ -31,6 +32,7 @@ from adaptrack.manoeuvres import (
 from adaptrack.manoeuvres.sine_with_dwell import amplitudes, reference_angle, sine_with_dwell_shape
 from adaptrack.outline import Outline
 from adaptrack.plant import SingleTrack, SteppedPlant, get_plant
+from adaptrack.road import Line, Road
 from adaptrack.vehicle import GRAVITY, Tyre, load_vehicle
 
 GRIP = Surroundings(friction=1.0)
@@ -273,6 +275,21 @@ class TestLaneChange:
         inside = (line.x > 1.0) & (line.x < track.gates[0].end - 1.0)
         left = line.y[inside] + road.along("width_left", s[inside])
         assert left == pytest.approx(track.gates[0].left, abs=1e-3)
+
+    def test_off_the_throttle_the_planned_speed_falls_as_that_of_a_plant(self):
+        car = load_vehicle("van")
+        track = iso_3888_2(car.outline.width)
+        road = Road.from_segments([Line(length=150.0)], start=(-50.0, 0.0, 0.0))
+        plan = coasting_plan(track, road, car, 20.0)
+        assert plan.at([0.0, 49.0]) == pytest.approx(20.0)
+        roll = car.rolling_resistance * GRAVITY
+        drag = 0.5 * car.air_density * car.frontal_area * car.drag_coefficient / car.mass
+        v, step = 20.0, 0.001
+        for _ in range(100_000):  # dv/ds = -(roll + drag v^2)/v over 100 m
+            v -= step * (roll + drag * v * v) / v
+        assert plan.speed[-1] == pytest.approx(v, rel=1e-4)
+        with pytest.raises(InvalidInput, match="stands before the end"):
+            coasting_plan(track, road, car, 3.0)
 
     def test_a_body_that_is_too_wide_for_the_track_is_refused(self):
         with pytest.raises(InvalidInput, match="does not fit through iso-3888-2"):

@@ -25,9 +25,11 @@ from scipy.optimize import linprog
 from scipy.sparse import csr_array
 
 from adaptrack.errors import InvalidInput, real
+from adaptrack.limits import SPEED
 from adaptrack.outline import Outline
 from adaptrack.path_metrics import LANE_WIDTH
-from adaptrack.road import Road
+from adaptrack.road import Comfort, Road, SpeedPlan
+from adaptrack.vehicle import GRAVITY, Vehicle
 
 Array = NDArray[np.float64]
 Drive = Callable[[float], tuple[ArrayLike, ArrayLike, ArrayLike]]
@@ -237,6 +239,41 @@ def _widths(track: Track, road: Road) -> dict[str, tuple[list[float], list[float
             values += [wide[0] + LANE_WIDTH, *wide.tolist(), wide[-1] + LANE_WIDTH]
         found[name] = ([float(each) for each in places], [float(each) for each in values])
     return found
+
+
+def coasting_plan(track: Track, road: Road, car: Vehicle, speed: float) -> SpeedPlan:
+    """The speed along a track's road: constant up to the first cones, then falling without throttle.
+
+    By drag and rolling resistance alone, m v dv/ds = -(rho A c_d v^2/2 + f m g); what the bends take is left out.
+
+    Parameters
+    ----------
+    road
+        Of `track_road`.
+    speed
+        m/s, on entry.
+
+    Raises
+    ------
+    InvalidInput
+        When the speed is not positive, or the car stands before the end of the road.
+    """
+    if not 0.0 < real("coasting_plan", "speed", speed) <= SPEED.most:
+        raise InvalidInput(f"coasting_plan: speed = {speed!r} m/s: must be above 0 and at most {SPEED.most:g}.")
+    s = np.linspace(0.0, road.length, math.ceil(road.length / GRID) + 1)
+    entry = float(np.interp(track.gates[0].start, road.at(s).x, s))
+    drag = 0.5 * car.air_density * car.frontal_area * car.drag_coefficient / car.mass
+    rolling = car.rolling_resistance * GRAVITY
+    gone = np.maximum(s - entry, 0.0)
+    if drag > 0.0:
+        square = speed**2 * np.exp(-2.0 * drag * gone) + rolling / drag * np.expm1(-2.0 * drag * gone)
+    else:
+        square = speed**2 - 2.0 * rolling * gone
+    if square.min() <= 0.0:
+        raise InvalidInput(f"coasting_plan: speed = {speed:g} m/s: the car stands before the end; enter faster.")
+    v = np.sqrt(square)
+    time = np.concatenate([[0.0], np.cumsum(np.diff(s) / (0.5 * (v[:-1] + v[1:])))])
+    return SpeedPlan(s, v, time, float(time[-1]), False, Comfort())
 
 
 # -- margins ----------------------------------------------------------------------------------------------------------
