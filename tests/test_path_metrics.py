@@ -61,7 +61,7 @@ class TestOutline:
 
     def test_a_body_that_does_not_hold_both_axles_is_refused(self):
         car = load_vehicle("paper")
-        with pytest.raises(InvalidInput, match=r"does not hold the wheelbase of 2\.8 m"):
+        with pytest.raises(InvalidInput, match="does not hold wheelbase"):
             car.replace(body=Body(length=2.5))
         with pytest.raises(InvalidInput, match="leave one out"):
             car.replace(body=Body(length=4.5, front_overhang=1.0, rear_overhang=1.5))

@@ -43,6 +43,9 @@ LONG_SNIPPETS = {
 }
 """Python blocks of which only the imports are run, by page and something that they hold."""
 
+EXIT_CODES = {"manoeuvre sine-with-dwell": 1}
+"""Of commands whose result is not a success, by how they begin: the plants have no stability control."""
+
 OTHERS = ("dask", "python -m pip", ".ci/run")
 """Commands of other programs: not run."""
 
@@ -157,7 +160,8 @@ def run_command(arguments, monkeypatch, capsys):
         return
     monkeypatch.setattr(sys, "argv", ["adaptrack", *arguments])
     code = cli.main()
-    assert code == 0, capsys.readouterr().err
+    expected = next((code for beginning, code in EXIT_CODES.items() if " ".join(arguments).startswith(beginning)), 0)
+    assert code == expected, capsys.readouterr().err
 
 
 def test_what_is_left_out_is_on_a_page():

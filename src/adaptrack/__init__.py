@@ -139,6 +139,11 @@ _PUBLIC = {
         "Metrics",
         "compute_metrics",
     ),
+    "path_metrics": (
+        "PathMetrics",
+        "PathRecord",
+        "path_metrics",
+    ),
     "tuning.pso": (
         "SearchSpace",
         "Swarm",
@@ -226,6 +231,7 @@ if TYPE_CHECKING:
         register_model,
     )
     from adaptrack.outline import Outline
+    from adaptrack.path_metrics import PathMetrics, PathRecord, path_metrics
     from adaptrack.plant import (
         DualTrack,
         Plant,
@@ -306,7 +312,9 @@ __all__ = [
     "Moves",
     "Objective",
     "Outline",
+    "PathMetrics",
     "PathModel",
+    "PathRecord",
     "Perception",
     "Plant",
     "PredictionModel",
@@ -380,6 +388,7 @@ __all__ = [
     "load_tyre",
     "load_vehicle",
     "minimise",
+    "path_metrics",
     "plan_speed",
     "published_mpc",
     "random_drive",

@@ -190,9 +190,7 @@ class Body(Record):
             front = FRONT_SHARE * beyond if rear is None else beyond - rear
         rear = beyond - front if rear is None else rear
         if min(front, rear) < 0.0:
-            raise ValueError(
-                f"length {self.length} m does not hold the wheelbase of {wheelbase:g} m and the overhangs."
-            )
+            raise ValueError(f"length {self.length} m does not hold wheelbase ({wheelbase:g} m) and overhangs.")
         if abs(front + rear - beyond) > 0.02:
             total = f"{front:g} + {wheelbase:g} + {rear:g} m"
             raise ValueError(f"length {self.length} m is not overhang, wheelbase and overhang, {total}: leave one out.")

@@ -7,12 +7,27 @@ from typing import Annotated
 import typer
 
 from adaptrack import __version__
-from adaptrack.cli import adapt, bench, certify, dataset, drive, evaluate, lists, reproduce, road, simulate, train, tune
+from adaptrack.cli import (
+    adapt,
+    bench,
+    certify,
+    dataset,
+    drive,
+    evaluate,
+    lists,
+    manoeuvre,
+    reproduce,
+    road,
+    simulate,
+    train,
+    tune,
+)
 
 app = typer.Typer(
     name="adaptrack",
     help="Auto-tuned, auto-adaptive model predictive control for path tracking.",
-    epilog="Exit codes: 0 done; 1 an unstable certificate, or a road that cannot be driven; 2 an error; "
+    epilog="Exit codes: 0 done; 1 an unstable certificate, a road that cannot be driven, or criteria of a standard "
+    "that are not met; 2 an error; "
     "3 a run of `simulate` failed; 130 Ctrl-C.",
     no_args_is_help=True,
     add_completion=False,
@@ -38,6 +53,7 @@ def _options(
 for command in (
     drive.drive,
     simulate.simulate,
+    manoeuvre.manoeuvre,
     lists.scenarios,
     lists.vehicles,
     tune.tune,
