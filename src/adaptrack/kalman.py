@@ -449,7 +449,10 @@ class ReadableFilter:
         """The redundant sensor that disagrees the most, beyond the bound, until it agrees again.
 
         Where the model is wrong the gyro disagrees at least as much; where the gyro is, the heading disagrees with it.
+        A sensor without noise of its own is never left out: it is the model that is wrong.
         """
+        from adaptrack.kernels.estimators.kalman import LEAST_NOISE
+
         if self.left_out is not None:
             if self.disagreement[self.left_out] < self.own.trust:
                 self.left_out = None
@@ -457,6 +460,9 @@ class ReadableFilter:
         found = {name: each for name, each in self.disagreement.items() if each >= self.disagreement["yaw_rate"]}
         found = {name: found.get(name, 0.0) for name in SENSORS if name not in ("yaw", "y")}
         found["yaw_rate"] = self.disagreement["yaw"]
+        for name, variance, least in zip(SENSORS, self.own.variances(), LEAST_NOISE, strict=True):
+            if variance <= least**2:
+                found[name] = 0.0
         worst = max(found, key=lambda name: found[name])
         self.left_out = worst if found[worst] > self.own.distrust else None
 

@@ -386,11 +386,11 @@ def _correct(n, size, instant, p, parameters, memory):
 
 
 @njit(**INLINE)
-def _choose_left_out(p, memory):
+def _choose_left_out(p, parameters, memory):
     """Leave out the redundant sensor that disagrees the most, beyond the bound; take it back once it agrees.
 
     Where the model is wrong the gyro disagrees at least as much as the others, and the heading does not; where the gyro
-    is, the heading disagrees with it.
+    is, the heading disagrees with it. A sensor without noise of its own is never left out: it is the model that errs.
     """
     worst, most = 0, p.distrust
     for sensor in range(SENSORS):
@@ -399,7 +399,7 @@ def _choose_left_out(p, memory):
             found = memory[_DISAGREEMENT + MEASURED.yaw]
         elif found < memory[_DISAGREEMENT + MEASURED.yaw_rate] or sensor == MEASURED.yaw or sensor == MEASURED.y:
             continue
-        if found > most:
+        if found > most and parameters[_VARIANCE + sensor] > LEAST_NOISE[sensor] ** 2:
             worst, most = sensor + 1, found
     out = int(memory[LEFT_OUT])
     if out == 0:
@@ -438,7 +438,7 @@ def _go_on(n, size, p, parameters, memory):
         memory[_Z + n + 1] *= most
         if late > 0 and instant == late:
             _keep(_Z, _PAST_Z, memory)
-    _choose_left_out(p, memory)
+    _choose_left_out(p, parameters, memory)
 
 
 @njit(ESTIMATE, **ROUTINE)
