@@ -236,10 +236,10 @@ def command(monkeypatch, capsys):
 
 
 def test_check_tells_what_a_road_is_and_ends_with_1_when_it_cannot_be_driven(command):
-    code, out, _ = command("check", "mountain", "--seed", "1", "--length", "800")
+    code, out, _ = command("check", "mountain", "--road-seed", "1", "--length", "800")
     assert code == 0
     assert "can be driven" in out
-    code, out, _ = command("check", "mountain", "--seed", "1", "--length", "800", "--speed", "25", "--json")
+    code, out, _ = command("check", "mountain", "--road-seed", "1", "--length", "800", "--speed", "25", "--json")
     found = json.loads(out)
     assert code == 1
     assert found["drivable"] is False

@@ -11,12 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adaptrack.errors import InvalidInput, real
+from adaptrack.road.cornering import cornering_limit, steering_limit
 from adaptrack.road.road import Road
 from adaptrack.road.speed import SpeedPlan
 from adaptrack.vehicle import GRAVITY, Vehicle
 
-STEERING_LIMIT = math.pi / 6
-"""rad, of the road wheels, where the car file does not say: the limit of the paper's table."""
 SPACING = 0.5
 """m, between the places that are looked at, beside those where the shape changes."""
 SPEAKING_JUMP = 1e-3
@@ -45,7 +44,7 @@ class Finding:
 
 def smallest_radius(car: Vehicle) -> float:
     """Radius (m) of the tightest circle of the centre of mass at walking pace: sqrt((L/tan delta)^2 + l_r^2)."""
-    limit = car.steering.limit if car.steering is not None and car.steering.limit is not None else STEERING_LIMIT
+    limit = steering_limit(car)
     return math.hypot(car.wheelbase / math.tan(limit), car.lr) if limit < 0.5 * math.pi else car.lr
 
 
@@ -71,7 +70,7 @@ def check_road(road: Road, car: Vehicle, speed: SpeedPlan | float | None = None)
     places = _Places(road, speed)
     found = [*_radius(places, car), *_width(places, car), *_fold(places), *_jumps(road, car)]
     if speed is not None:
-        found += [*_grip(places), *_steering_rate(places, car)]
+        found += [*_grip(places, car), *_steering_rate(places, car)]
     return sorted(found, key=lambda each: (each.drivable, each.start))
 
 
@@ -109,16 +108,16 @@ def _radius(places: _Places, car: Vehicle) -> Iterator[Finding]:
         )  # fmt: skip
 
 
-def _grip(places: _Places) -> Iterator[Finding]:
+def _grip(places: _Places, car: Vehicle) -> Iterator[Finding]:
     bank, friction = (places.road.along(name, places.s) for name in ("bank", "friction"))
     felt = np.abs(places.speed**2 * places.curvature - GRAVITY * np.sin(bank)) / GRAVITY
-    limit = friction * np.cos(bank)
+    limit = np.minimum(friction, cornering_limit(car, places.curvature, friction) / GRAVITY) * np.cos(bank)
     for stretch in places.stretches(felt > limit):
-        k = stretch.start + int((felt[stretch] / limit[stretch]).argmax())
+        k = stretch.start + int((felt[stretch] - limit[stretch]).argmax())
         yield _finding(
             places, stretch, "grip", float(felt[k]), float(limit[k]), False,
             f"{felt[k]:.2g} g at {places.speed[k]:.3g} m/s, radius {1.0 / abs(places.curvature[k]):.0f} m "
-            f"at s = {places.s[k]:.0f} m; the friction gives {limit[k]:.2g} g",
+            f"at s = {places.s[k]:.0f} m; friction and car give {limit[k]:.2g} g",
         )  # fmt: skip
 
 

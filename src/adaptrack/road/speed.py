@@ -26,6 +26,7 @@ from scipy.sparse import csr_array, diags_array, vstack
 from adaptrack.errors import InvalidInput, real
 from adaptrack.files import Record
 from adaptrack.limits import SPEED
+from adaptrack.road.cornering import cornering_limit
 from adaptrack.road.road import Road
 from adaptrack.road.segments import Array
 from adaptrack.vehicle import GRAVITY, Vehicle
@@ -220,6 +221,9 @@ class _Cells:
         bank = road.along("bank", 0.5 * (s[:-1] + s[1:]))
         self.tilt = GRAVITY * np.sin(bank)
         self.grip = comfort.grip_share * road.friction.least(s[:-1], s[1:]) * GRAVITY * np.cos(bank)
+        if car is not None:
+            able = cornering_limit(car, self.curvature, road.friction.least(s[:-1], s[1:]))
+            self.grip = np.minimum(self.grip, comfort.grip_share * able)
         self.limit = (
             np.full(self.ds.shape, np.inf) if road.speed_limit is None else road.speed_limit.least(s[:-1], s[1:])
         )

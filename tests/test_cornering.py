@@ -1,0 +1,64 @@
+"""How hard a car can corner, against the plant that is driven."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from adaptrack.controllers import MPC
+from adaptrack.plant import DualTrack
+from adaptrack.road import Arc, Clothoid, Comfort, Line, Road, generate_road, plan_speed
+from adaptrack.road.cornering import cornering_limit, steering_limit
+from adaptrack.scenario import RoadDrive
+from adaptrack.simulate import rollout
+from adaptrack.vehicle import list_vehicles, load_vehicle
+
+every_car = pytest.mark.parametrize("name", list_vehicles())
+
+
+@every_car
+def test_less_friction_and_tighter_bends_leave_less(name):
+    car = load_vehicle(name)
+    bends = np.linspace(0.0, 0.15, 20)
+    dry, wet = cornering_limit(car, bends, 0.9), cornering_limit(car, bends, 0.5)
+    assert np.all(np.diff(dry) <= 0.05)  # the grid of accelerations
+    assert np.all(wet < dry)
+    assert dry[0] < 1.05 * 0.9 * 9.81  # a lightly loaded tyre has a little more
+
+
+@every_car
+def test_wheels_that_cannot_be_turned_so_far_leave_nothing(name):
+    car = load_vehicle(name)
+    tightest = math.tan(min(steering_limit(car), 1.5)) / car.wheelbase
+    assert cornering_limit(car, [1.01 * tightest], [0.9])[0] == 0.0
+    assert cornering_limit(car, [0.5 * tightest], [0.9])[0] > 1.0
+
+
+@pytest.mark.compiled
+@every_car
+def test_below_the_limit_the_plant_holds_a_circle_and_above_it_does_not(name):
+    car, radius = load_vehicle(name), 50.0
+    limit = cornering_limit(car, [1 / radius], [0.9])[0]
+    circle = Road.from_segments(
+        [Line(length=30.0), Clothoid(length=60.0, start_curvature=0.0, end_curvature=1 / radius),
+         Arc(length=350.0, curvature=1 / radius)], name="circle", friction=0.9,
+    )  # fmt: skip
+    held, lost = (
+        rollout(DualTrack(car), MPC(car, profile="road"), RoadDrive(circle, math.sqrt(share * limit * radius)),
+                profile="road")
+        for share in (0.9, 1.15)
+    )  # fmt: skip
+    assert held.failed is None
+    assert np.abs(held.error).max() < 0.25
+    assert lost.failed is not None or np.abs(lost.error).max() > 0.5
+
+
+@every_car
+def test_a_plan_asks_no_car_for_more_than_it_can(name):
+    car, road = load_vehicle(name), generate_road("mountain", 2, 1500.0)
+    plan = plan_speed(road, car, Comfort(lateral=20.0))
+    bend = np.abs(road.at(plan.s).curvature)
+    asked = plan.speed**2 * bend
+    assert np.all(asked <= 0.9 * cornering_limit(car, bend, np.full(bend.shape, 0.9)) + 0.05)
