@@ -31,8 +31,24 @@ def read_scenario_table(path: str | os.PathLike[str]) -> dict[str, Array]:
     return _read_table(path, _scenario_columns)
 
 
+_ROAD_COLUMNS = {"x", "y", "x_m", "y_m"}
+
+
+def _is_number(cell: str) -> bool:
+    try:
+        float(cell)
+    except ValueError:
+        return False
+    return True
+
+
 def _scenario_columns(header: list[str]) -> list[str]:
     """The header of a scenario's table, checked."""
+    if "t" not in header and (_ROAD_COLUMNS & {name.lower() for name in header} or all(map(_is_number, header))):
+        raise InvalidInput(
+            "these are points of a road, and a scenario is a table over the time t: drive along them with "
+            "`adaptrack drive FILE`, in Python with RoadDrive(load_road(FILE), speed)."
+        )
     for name in header:
         if name not in _ALL_COLUMNS:
             raise InvalidInput(f"unknown column {name!r}. {did_you_mean(name, _ALL_COLUMNS)}")
