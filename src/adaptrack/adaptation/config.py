@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import math
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -12,10 +13,12 @@ from numpy.typing import NDArray
 from pydantic import BeforeValidator, Field, model_validator
 
 from adaptrack.adaptation.method import Method
+from adaptrack.controllers import Tuning
 from adaptrack.errors import UnknownName, did_you_mean
 from adaptrack.files import Record, build, read_toml
 from adaptrack.scheduling import SchedulingVariables
-from adaptrack.tuning.config import Pair
+from adaptrack.tuning.config import Pair, Plan, load_campaign
+from adaptrack.tuning.evaluator import tuned_mpc
 
 Array = NDArray[np.float64]
 
@@ -132,6 +135,40 @@ class AdaptationConfig(Record):
         return self.model_dump(mode="json", include={"seed", "learning", "method"})
 
 
+def around(constant: Tuning) -> dict[str, Any]:
+    """The numbers of method and evaluation that follow from a controller's own constant tuning, by table and key.
+
+    Searches and learning begin there, with six decades of R/Q; the fallback has at least its R/Q. The tables' own
+    defaults are those of the paper's controller in the `road` profile.
+    """
+    horizon, moves, ratio = float(constant.Np), float(constant.Nc), constant.R / constant.Q
+    bounds = {"Np": [min(10.0, horizon), 60.0], "R": [1e-3 * ratio, 1e3 * ratio]}
+    return {
+        "method": {
+            "improvement": {**bounds, "start": [horizon, moves, math.log10(ratio)]},
+            "constants": {
+                **bounds,
+                "start": [constant.Np, constant.Nc, 1.0, ratio],
+                "fallback_ratio": math.floor(100.0 * math.log10(ratio)) / 100.0,
+            },
+        },
+        "evaluation": {
+            "hindsight_Np": [float(round(share * horizon)) for share in (0.65, 0.8, 1.0, 1.3)],
+            "hindsight_Nc": [float(max(1, round(share * moves))) for share in (0.5, 0.75, 1.0, 1.4)],
+            "hindsight_R": [share * ratio for share in (0.1, 0.3, 1.0, 3.0, 10.0, 30.0)],
+        },
+    }
+
+
+def _completed(data: Mapping[str, Any], defaults: Mapping[str, Any]) -> dict[str, Any]:
+    """The data, and defaults where they say nothing; tables are merged."""
+    made = {**defaults, **data}
+    for key in set(data) & set(defaults):
+        if isinstance(data[key], Mapping) and isinstance(defaults[key], Mapping):
+            made[key] = _completed(data[key], defaults[key])
+    return made
+
+
 def list_adaptations() -> dict[str, str]:
     """The configurations that `load_adaptation` knows by name, each with one line of description."""
     return {path.stem: str(read_toml(path).get("description", "")) for path in sorted(_DATA.glob("*.toml"))}
@@ -139,6 +176,8 @@ def list_adaptations() -> dict[str, str]:
 
 def load_adaptation(name_or_path: str | os.PathLike[str]) -> AdaptationConfig:
     """The named configuration, or the one in a TOML file (keys: the fields of `AdaptationConfig`).
+
+    What it leaves out of method and evaluation is for the campaign's controller, see `around`.
 
     Raises
     ------
@@ -160,4 +199,9 @@ def load_adaptation(name_or_path: str | os.PathLike[str]) -> AdaptationConfig:
     data = {"name": path.stem, **read_toml(path)}
     if str(data.get("campaign", "")).endswith(".toml"):
         data["campaign"] = str(path.parent / data["campaign"])
-    return build(AdaptationConfig, data, path)
+    config = build(AdaptationConfig, data, path)
+    campaign = load_campaign(config.campaign)
+    if campaign.controller == "as-written":
+        return config
+    constant = tuned_mpc(Plan.of(campaign).setup).tuning
+    return build(AdaptationConfig, _completed(data, around(constant)), path)

@@ -25,6 +25,7 @@ from adaptrack.errors import InvalidInput
 from adaptrack.feasibility import Feasibility
 from adaptrack.learning.surfaces import FuzzySurface, NetworkSurface
 from adaptrack.learning.training import Trained, train
+from adaptrack.profile import load_profile
 from adaptrack.runs import Indices, RunSet
 from adaptrack.scheduling import (
     ENTRIES,
@@ -232,10 +233,11 @@ def stability_map(setup: SetUp) -> StabilityMap:
 
     Straight: in a turn as hard as driving gets, good tunings are near to instability too, and to keep away from that
     costs more than it saves (see docs/adaptation.md). Slow loops count as nearer: loops change fastest there, and the
-    map has few nodes.
+    map has few nodes. With prompt samples, which is a little kinder than late ones are.
     """
     speed, friction, guard = setup.box["speed"], setup.box["friction"], setup.method.guard
-    axes, values = loop_map(setup.plant, setup.mpc, setup.profile, speed=speed, friction=friction, turn=None)
+    prompt = load_profile(setup.profile).replace(pose_age=0.0, pose_age_spread=0.0, motion_age=0.0)
+    axes, values = loop_map(setup.plant, setup.mpc, prompt, speed=speed, friction=friction, turn=None)
     values[axes[0] < guard.slow] += guard.slow_margin
     return StabilityMap(Table(axes, values), 1.0 - guard.margin)
 
