@@ -87,6 +87,8 @@ class World:
                 "both run at the same instants."
             )
         _refuse_missing_sensors(controller, profile)
+        if isinstance(controller, MPC):
+            controller.warn_of(controller.scheduler, profile.name)
         return cls(plant, profile, controller.period, driver, known_as, failure or Failure())
 
     @property

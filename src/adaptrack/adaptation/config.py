@@ -17,7 +17,7 @@ from adaptrack.controllers import Tuning
 from adaptrack.errors import UnknownName, did_you_mean
 from adaptrack.files import Record, build, read_toml
 from adaptrack.scheduling import SchedulingVariables
-from adaptrack.tuning.config import Pair, Plan, load_campaign
+from adaptrack.tuning.config import CampaignConfig, Controlled, Pair, Plan, load_campaign
 from adaptrack.tuning.evaluator import tuned_mpc
 
 Array = NDArray[np.float64]
@@ -124,6 +124,10 @@ class AdaptationConfig(Record):
     campaign: str = Field(
         description="name, or .toml file beside this one; its operating points must be a Sobol sample"
     )
+    controller: Controlled | None = Field(default=None, description="instead of the campaign's: informed, as-written")
+    profile: str | None = Field(
+        default=None, description="instead of the campaign's: name, or .toml file beside this one"
+    )
     seed: int = Field(default=0, ge=0, description="of the learning")
     learning: Learning
     method: Method = Field(default_factory=Method, description="every number that the learning depends on")
@@ -133,6 +137,17 @@ class AdaptationConfig(Record):
     def settings(self) -> dict[str, Any]:
         """All that the learned schedulers depend on beside the campaign, as plain JSON."""
         return self.model_dump(mode="json", include={"seed", "learning", "method"})
+
+
+def campaign_of(config: AdaptationConfig) -> CampaignConfig:
+    """The campaign of an adaptation, for its controller and its profile.
+
+    Raises
+    ------
+    AdaptrackError
+        As `load_campaign`.
+    """
+    return load_campaign(config.campaign).driven_by(config.controller, config.profile)
 
 
 def around(constant: Tuning) -> dict[str, Any]:
@@ -174,10 +189,32 @@ def list_adaptations() -> dict[str, str]:
     return {path.stem: str(read_toml(path).get("description", "")) for path in sorted(_DATA.glob("*.toml"))}
 
 
-def load_adaptation(name_or_path: str | os.PathLike[str]) -> AdaptationConfig:
+def find_adaptation(controller: str = "informed", profile: str = "road") -> str:
+    """The name of the adaptation that ships for a controller in a profile.
+
+    Raises
+    ------
+    UnknownName
+        When none does: with those that do.
+    """
+    shipped = {name: campaign_of(load_adaptation(name)) for name in list_adaptations()}
+    for name, campaign in shipped.items():
+        if (campaign.controller, campaign.profile) == (controller, profile):
+            return name
+    told = ", ".join(f"{name} ({each.controller}, {each.profile})" for name, each in shipped.items())
+    raise UnknownName(
+        f"no adaptation ships for controller {controller!r} in profile {profile!r}: there are {told}. "
+        "Give one to start from with --config."
+    )
+
+
+def load_adaptation(
+    name_or_path: str | os.PathLike[str], *, controller: str | None = None, profile: str | None = None
+) -> AdaptationConfig:
     """The named configuration, or the one in a TOML file (keys: the fields of `AdaptationConfig`).
 
-    What it leaves out of method and evaluation is for the campaign's controller, see `around`.
+    controller, profile: instead of those that it names; its own name then tells. What it leaves out of method and
+    evaluation is for its controller, see `around`.
 
     Raises
     ------
@@ -197,11 +234,31 @@ def load_adaptation(name_or_path: str | os.PathLike[str]) -> AdaptationConfig:
                 "A file is given by its .toml path."
             )
     data = {"name": path.stem, **read_toml(path)}
-    if str(data.get("campaign", "")).endswith(".toml"):
-        data["campaign"] = str(path.parent / data["campaign"])
-    config = build(AdaptationConfig, data, path)
-    campaign = load_campaign(config.campaign)
-    if campaign.controller == "as-written":
-        return config
-    constant = tuned_mpc(Plan.of(campaign).setup).tuning
+    for key in ("campaign", "profile"):
+        if str(data.get(key, "")).endswith(".toml"):
+            data[key] = str(path.parent / data[key])
+    own = build(AdaptationConfig, data, path)
+    before = campaign_of(own)
+    asked = {"controller": controller or before.controller, "profile": profile or before.profile}
+    changes = {key: value for key, value in asked.items() if value != getattr(before, key)}
+    if changes:
+        suffix = "-".join(Path(value).stem for value in changes.values())
+        data = _without_numbers({**data, **changes, "name": f"{own.name}-{suffix}"})
+        own = build(AdaptationConfig, data, path)
+    if asked["controller"] == "as-written":
+        return own
+    constant = tuned_mpc(Plan.of(campaign_of(own)).setup).tuning
     return build(AdaptationConfig, _completed(data, around(constant)), path)
+
+
+def _without_numbers(data: Mapping[str, Any]) -> dict[str, Any]:
+    """Without the numbers of `around`, which belong to another controller or profile."""
+    left = {key: dict(value) if isinstance(value, Mapping) else value for key, value in data.items()}
+    for table, numbers in around(Tuning()).items():
+        for key, value in numbers.items():
+            inner = left.get(table, {})
+            if isinstance(value, Mapping) and isinstance(inner.get(key), Mapping):
+                inner[key] = {name: each for name, each in inner[key].items() if name not in value}
+            else:
+                inner.pop(key, None)
+    return left

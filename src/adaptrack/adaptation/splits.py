@@ -11,13 +11,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from adaptrack.adaptation.config import AdaptationConfig, Evaluation
+from adaptrack.adaptation.config import AdaptationConfig, Evaluation, campaign_of
 from adaptrack.adaptation.method import Method
 from adaptrack.controllers import MPC
 from adaptrack.errors import InvalidInput
 from adaptrack.plant import DualTrack, Plant, SingleTrack, SteppedPlant, get_plant
 from adaptrack.runs import RunSet, operating_point_runs, random_drive_runs
-from adaptrack.tuning.config import Box, CampaignConfig, Plan, Sobol, load_campaign
+from adaptrack.tuning.config import Box, CampaignConfig, Plan, Sobol
 from adaptrack.tuning.evaluator import tuned_mpc
 from adaptrack.tuning.operating_points import sobol
 
@@ -53,7 +53,7 @@ class SetUp:
             changes of the usual length and weight, which are what is learned from and judged by; or when a run would
             be both learned from and held out or judged by.
         """
-        campaign = load_campaign(config.campaign)
+        campaign = campaign_of(config)
         _check_campaign(campaign)
         _check_drives(config)
         plan = Plan.of(campaign)

@@ -37,6 +37,8 @@ class Role:
     controller: str = "mpc"
     adapts: bool = True
     hindsight: bool = False
+    kind: str = ""
+    """see `Contender.kind`"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,6 +79,10 @@ class Comparison:
         """What a contender is."""
         return self.roles.get(name, Role())
 
+    def of_kind(self, *kinds: str) -> list[str]:
+        """The contenders of some kinds, in the order of the kinds."""
+        return [name for kind in kinds for name in self.costs if self.role(name).kind == kind]
+
     @property
     def adaptive(self) -> list[str]:
         """The contenders whose tuning changes, and not by hindsight."""
@@ -90,6 +96,7 @@ class Comparison:
             made.append(
                 {
                     "contender": name,
+                    "kind": self.role(name).kind,
                     "controller": self.role(name).controller,
                     "runs": len(costs),
                     "cost_geomean": geometric_mean(costs),
@@ -169,9 +176,15 @@ def compare(
         failures[each.name] = failed.mean(axis=1)
         if isinstance(each.policy, Schedule):
             counts[each.name] = _shares(runs.counts(each.policy, int(seeds[0])))
-    roles = {each.name: Role(each.controller, each.adapts, each.hindsight) for each in entered}
+    roles = {each.name: Role(_controller(each, runs), each.adapts, each.hindsight, each.kind) for each in entered}
     rows = np.arange(len(runs), dtype=float)[:, None] if where is None else np.asarray(where, dtype=float)
     return Comparison(costs, failures, counts, reference, rows, roles, runs.failure)
+
+
+def _controller(contender: Contender, runs: RunSet) -> str:
+    """What drives: a controller of the contender's own, or that of the runs."""
+    tuned = contender.controller == "mpc" and getattr(runs.mpc, "belief", None) is not None
+    return "informed" if tuned else contender.controller
 
 
 def _shares(counts: Mapping[str, NDArray[np.int64]]) -> dict[str, float]:

@@ -291,6 +291,20 @@ class CampaignConfig(Record):
         """Whether the profile has sensor noise."""
         return any(load_profile(self.profile).noise)
 
+    def driven_by(self, controller: str | None = None, profile: str | None = None) -> Self:
+        """The same for another controller or profile, None: its own; the name says so.
+
+        For another controller, bounds and library of the tunings are the defaults: they belong to a controller.
+        """
+        changes = {key: value for key, value in (("controller", controller), ("profile", profile)) if value is not None}
+        changes = {key: value for key, value in changes.items() if value != getattr(self, key)}
+        if not changes:
+            return self
+        belonging = {"search", "library"} if "controller" in changes else set()
+        values = {key: value for key, value in self if key in self.model_fields_set - belonging}
+        suffix = "-".join(Path(value).stem for value in changes.values())
+        return type(self)(**{**values, **changes, "name": f"{self.name}-{suffix}"})
+
     def settled(self) -> Self:
         """A copy in which every value that may be left out has been given."""
         return self.replace(
