@@ -205,7 +205,7 @@ def test_tables_call_a_scheduler_as_the_command_line_does(monkeypatch, capsys, t
         )  # fmt: skip
         rows = json.loads(out)["rows"]
         assert [row["controller"] for row in rows] == [label, f"{label}-as-written"], err
-        assert {row["scheduler"] for row in rows} == {"nn"}
+        assert {row["scheduler"] for row in rows} == {label}
 
 
 @pytest.fixture(scope="module")

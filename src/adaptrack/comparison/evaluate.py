@@ -56,8 +56,8 @@ def on_operating_points(
     else:
         search = SwarmSearch(setup.campaign.search.space(), setup.campaign.swarm, seed)
         best = optimum(
-            _objective(setup, setup.driven), points, search, evaluation=setup.evaluation, known=_constants(setup, schedules),
-            progress=progress,
+            _objective(setup, setup.driven), points, search, evaluation=setup.evaluation,
+            known=_constants(setup, schedules), progress=progress,
         )  # fmt: skip
     found = {}
     for name, known in ways.items():
