@@ -16,10 +16,11 @@ from adaptrack.adaptation import config as configuration
 from adaptrack.adaptation import recipes, splits
 from adaptrack.adaptation.config import load_adaptation
 from adaptrack.certify import certify
+from adaptrack.cli import evaluate as evaluate_command
 from adaptrack.comparison import contenders, evaluate
 from adaptrack.controllers import Tuning
 from adaptrack.controllers.informed import informed_tuning
-from adaptrack.errors import AdaptrackError
+from adaptrack.errors import AdaptrackError, InvalidInput
 from adaptrack.feasibility import feasibility
 from adaptrack.scheduling import Constant, list_schedulers
 from adaptrack.studies.adapt import CONTENDERS, shipped
@@ -133,6 +134,16 @@ def test_a_number_must_be_written_in_digits(monkeypatch, capsys):
     code, _, err = run(monkeypatch, capsys, "evaluate", "--conditions", "sobol:²")
     assert code == 2
     assert "write sobol:N" in err
+
+
+def test_a_folder_stands_for_the_schedulers_in_it(tmp_path):
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(InvalidInput, match=r"no scheduler.*in this folder"):
+        evaluate_command._files(str(tmp_path / "empty"))
+    for name in ("b", "a"):
+        Constant(Tuning()).save(tmp_path / f"{name}.json")
+    assert evaluate_command._files(str(tmp_path)) == [str(tmp_path / "a.json"), str(tmp_path / "b.json")]
+    assert evaluate_command._files("road-nn") == ["road-nn"]
 
 
 def test_the_drives_of_ones_own_configuration_ask_for_its_best_constant(monkeypatch, capsys, places):

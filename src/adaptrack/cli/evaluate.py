@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 from typer import Option
@@ -22,7 +24,8 @@ USUAL = "sobol:2000"
 
 def evaluate(
     schedulers: Annotated[
-        list[str] | None, Option(help="Names (see `schedulers`) or files, beside those that ship with the package.")
+        list[str] | None,
+        Option(help="Names (see `schedulers`), files or folders of them, beside those that ship with the package."),
     ] = None,
     contender: Annotated[
         list[str] | None, Option("--contender", help="Name of a registered contender, driven beside the schedulers.")
@@ -120,7 +123,7 @@ def schedules(setup: SetUp, given: Sequence[str]) -> dict[str, Schedule]:
 
     found = shipped(setup.config.name)
     world, files = load_profile(setup.profile).name, {each.name for each in found.values()}
-    for name in given:
+    for name in itertools.chain.from_iterable(map(_files, given)):
         schedule = load_scheduler(name)
         check_scheduler(schedule)
         faults = setup.mpc.mismatches(schedule, world)
@@ -134,6 +137,17 @@ def schedules(setup: SetUp, given: Sequence[str]) -> dict[str, Schedule]:
             schedule = replace(schedule, name=f"{schedule.name} ({name})")
         files.add(schedule.name)
         found[schedule.name] = schedule
+    return found
+
+
+def _files(given: str) -> list[str]:
+    """The schedulers in a folder, else what is given."""
+    folder = Path(given)
+    if not folder.is_dir():
+        return [given]
+    found = sorted(str(path) for path in folder.glob("*.json"))
+    if not found:
+        raise InvalidInput(f"--schedulers {given}: there is no scheduler (*.json) in this folder.")
     return found
 
 

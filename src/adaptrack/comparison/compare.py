@@ -89,7 +89,10 @@ class Comparison:
         return [name for name in self.costs if self.role(name).adapts and not self.role(name).hindsight]
 
     def rows(self, seed: int = 0) -> list[dict[str, Any]]:
-        """One row for each contender: cost, regret and its spread, a 95 % bootstrap interval of its mean, failures."""
+        """One row for each contender: cost, regret and its spread, a 95 % bootstrap interval of its mean, failures.
+
+        constant_...: likewise over the best constant, or without one over the controller's own.
+        """
         made = []
         for name, costs in self.costs.items():
             over = self.ratio(name, self.reference, seed)
@@ -103,12 +106,21 @@ class Comparison:
                     "regret_geomean": over.mean,
                     "regret_low": over.low,
                     "regret_high": over.high,
+                    **self._over_constant(name, seed),
                     **{f"regret_{key}": value for key, value in regret_percentiles(self.regret(name)).items()},
                     "failures": int((self.failures[name] > 0.0).sum()),
                     **self.counts.get(name, {}),
                 }
             )
         return made
+
+    def _over_constant(self, name: str, seed: int) -> dict[str, float]:
+        """The cost over that of the best constant, where that is not the reference anyway."""
+        constants = [each for each in self.of_kind("best constant", "default constant") if each != self.reference]
+        if not constants:
+            return {}
+        over = self.ratio(name, constants[0], seed)
+        return {"constant_geomean": over.mean, "constant_low": over.low, "constant_high": over.high}
 
     def _generator(self, name: str, seed: int) -> np.random.Generator:
         """The random numbers of a contender's resamples, which follow those of the contenders before it."""
