@@ -72,6 +72,8 @@ class RunSet:
 
     known_as: KnownAs = None
     failure = Failure()
+    controller = "mpc"
+    """what tables call the MPC whose tuning is chosen: "informed" for one that knows its car"""
     _latest: Batch | None = None
 
     def __init__(
@@ -81,6 +83,7 @@ class RunSet:
     ) -> None:  # fmt: skip
         self.plant, self.mpc, self.scenarios, self.profile = plant, mpc, list(scenarios), profile
         self.known_as, self.failure = known_as, failure or Failure()
+        self.controller = "mpc" if mpc.belief is None else "informed"
         self.weight = load_profile(profile).move_weight
         self.signals, samples = sampled(World.of(plant, mpc, profile, None, known_as, failure), self.scenarios)
         self.periods = self.signals[0].n

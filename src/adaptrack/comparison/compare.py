@@ -195,8 +195,7 @@ def compare(
 
 def _controller(contender: Contender, runs: RunSet) -> str:
     """What drives: a controller of the contender's own, or that of the runs."""
-    tuned = contender.controller == "mpc" and getattr(runs.mpc, "belief", None) is not None
-    return "informed" if tuned else contender.controller
+    return contender.controller if hasattr(contender.policy, "step") else runs.controller
 
 
 def _shares(counts: Mapping[str, NDArray[np.int64]]) -> dict[str, float]:
