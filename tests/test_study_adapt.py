@@ -20,7 +20,7 @@ from adaptrack.adaptation.splits import SetUp
 from adaptrack.comparison import evaluate
 from adaptrack.comparison.contenders import CONSTANTS, Contender, contenders_of
 from adaptrack.comparison.evaluate import on_drives, on_operating_points, on_tests
-from adaptrack.controllers import Tuning
+from adaptrack.controllers import Tuning, published_mpc
 from adaptrack.controllers.informed import informed_tuning
 from adaptrack.dataset import load_dataset
 from adaptrack.errors import ConfigError, InvalidInput, StorageError, UnknownName
@@ -39,7 +39,7 @@ from adaptrack.studies import adapt as study
 from adaptrack.studies import pipeline
 from adaptrack.studies.adapt import CONTENDERS, histories, shipped, stage_identity
 from adaptrack.tuning.config import load_campaign
-from adaptrack.vehicle import GRAVITY
+from adaptrack.vehicle import GRAVITY, load_vehicle
 from small_chain import CAMPAIGN, learned, short_cuts, write
 
 WORK = {
@@ -565,6 +565,18 @@ def test_the_schedulers_that_ship_name_the_settings_of_the_configuration_that_sh
         assert made["campaign"] == load_dataset("road-sobol").provenance["identity"]
         assert made["software"] == {"adaptrack": "0.1.0"}
         assert len(made["stage"]) == 64
+        check_scheduler(schedule, 40, seed=3)
+
+
+def test_those_of_the_informed_controller_are_of_the_configuration_that_ships_and_say_for_whom():
+    setup, schedules = SetUp.of(load_adaptation("informed-road")), shipped("informed-road")
+    assert {"nn", "nn unguarded", "speed only", "best constant", "best constant on drives"} <= set(schedules)
+    for kind, schedule in schedules.items():
+        assert schedule.name == study.file_name("informed-road", kind)
+        assert schedule.provenance["settings"] == setup.config.settings
+        assert schedule.provenance["campaign"] == setup.plan.identity
+        assert setup.mpc.mismatches(schedule, "road") == []
+        assert len(published_mpc(load_vehicle("van")).mismatches(schedule, "paper")) == 3
         check_scheduler(schedule, 40, seed=3)
 
 
