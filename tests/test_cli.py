@@ -229,7 +229,7 @@ def test_train_saves_a_scheduler_that_simulate_drives_with(monkeypatch, capsys, 
         monkeypatch, capsys, "simulate", "sine", "-o", "duration=2.0", "--scheduler", out, "--out", tmp_path, "--json"
     )
     assert code == 0, err
-    assert [(row["controller"], row["scheduler"]) for row in json.loads(printed)["rows"]] == [("fuzzy", "anfis")]
+    assert [(row["controller"], row["scheduler"]) for row in json.loads(printed)["rows"]] == [("fuzzy", "fuzzy")]
     assert (tmp_path / "sine-fuzzy.parquet").exists()
 
 
