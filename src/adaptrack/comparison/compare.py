@@ -91,7 +91,7 @@ class Comparison:
     def rows(self, seed: int = 0) -> list[dict[str, Any]]:
         """One row for each contender: cost, regret and its spread, a 95 % bootstrap interval of its mean, failures.
 
-        constant_...: likewise over the best constant, or without one over the controller's own.
+        constant_...: likewise over the best constant, or, where that is the reference or missing, the controller's own.
         """
         made = []
         for name, costs in self.costs.items():
@@ -115,7 +115,7 @@ class Comparison:
         return made
 
     def _over_constant(self, name: str, seed: int) -> dict[str, float]:
-        """The cost over that of the best constant, where that is not the reference anyway."""
+        """The cost over that of the first constant that is not the reference."""
         constants = [each for each in self.of_kind("best constant", "default constant") if each != self.reference]
         if not constants:
             return {}
