@@ -317,7 +317,7 @@ def test_surfaces_show_what_was_learned_without_the_guard():
     nowhere_stable = StabilityMap(Table(tuple(axes), np.full((2,) * 5, 2.0)))
     behind = Guarded(scheduler(), Tuning(Np=50, Nc=2, Q=1.0, R=100.0), stability=nowhere_stable)
     assert behind.batch([[15.0, 0.0, 0.7, 0.0]])[0, 0] == 50.0
-    (section,) = page._learned({"nn": behind})
+    (section,) = page._learned({"nn": dataclasses.replace(behind, name="nn")})
     Np, Nc, ratio_ = (panel.description for panel in section.items[0].panels)
     assert Np == "NN-MPC: N_p (periods). Over speed and reference change ahead: 15 to 40."
     assert Nc.endswith("ahead: 4.")
@@ -359,7 +359,7 @@ def test_colours_and_dashes_tell_all_rungs_apart():
     strokes = page._strokes({name: name for name in (*page._NAMES, "mine")})
     assert len(set(map(dataclasses.astuple, strokes.values()))) == len(strokes)
     assert strokes["paper recipe nn"].colour == strokes["nn"].colour
-    assert page._strokes(["anfis"])["anfis"] == strokes["anfis"]
+    assert page._strokes({"anfis": "anfis"})["anfis"] == strokes["anfis"]
 
 
 def test_schedulers_are_called_by_their_files_names_and_told_apart_by_their_kind():
