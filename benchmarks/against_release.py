@@ -86,11 +86,13 @@ def reproduce(tree: Tree) -> dict[str, Any]:
 
 
 def evaluate(tree: Tree) -> dict[str, Any]:
-    """Every number of `evaluate --json`."""
+    """Every number of `evaluate --json` about the paper's controller; contenders by their kind, as the release."""
     points = "--conditions" if tree.is_release else "--operating-points"
-    return json.loads(
-        tree.run("-m", "adaptrack", "evaluate", points, "sobol:200", "--drives", "100", "--tests", "--json")
-    )
+    asked = ["evaluate", "--config", "road", points, "sobol:200", "--drives", "100", "--tests", "--json"]
+    found = json.loads(tree.run("-m", "adaptrack", *asked))
+    for row in found["rows"]:
+        row["contender"] = row.pop("kind", "") or row["contender"]
+    return found
 
 
 def rollouts(tree: Tree) -> dict[str, Any]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import shutil
 import sys
+from dataclasses import replace
 from functools import partial
 from html import unescape
 
@@ -15,10 +16,11 @@ from adaptrack.adaptation import config as configuration
 from adaptrack.adaptation import recipes, splits
 from adaptrack.adaptation.config import load_adaptation
 from adaptrack.certify import certify
+from adaptrack.cli import evaluate as evaluate_command
 from adaptrack.comparison import contenders, evaluate
 from adaptrack.controllers import Tuning
 from adaptrack.controllers.informed import informed_tuning
-from adaptrack.errors import AdaptrackError
+from adaptrack.errors import AdaptrackError, InvalidInput
 from adaptrack.feasibility import feasibility
 from adaptrack.scheduling import Constant, list_schedulers
 from adaptrack.studies.adapt import CONTENDERS, shipped
@@ -52,9 +54,10 @@ def places(tmp_path):
     Constant(Tuning(38, 4, 1.0, 8000.0), name="mine").save(tmp_path / "mine.json")
     (tmp_path / "damaged.json").write_text((tmp_path / "mine.json").read_text().replace("8000", "80"))
     (tmp_path / "file").write_text("")
+    replace(Constant(Tuning()), made_for={"car": "van"}).save(tmp_path / "vans.json")
     return {
         "tiny": tiny, "grid": grid, "mine": tmp_path / "mine.json", "damaged": tmp_path / "damaged.json",
-        "file": tmp_path / "file", "out": tmp_path / "out",
+        "file": tmp_path / "file", "out": tmp_path / "out", "vans": tmp_path / "vans.json",
     }  # fmt: skip
 
 
@@ -81,7 +84,10 @@ def places(tmp_path):
         ("evaluate --drives 0", ["--drives"]),
         ("evaluate --drives many", ["--drives", "integer"]),
         ("evaluate --seed -1", ["--seed"]),
-        ("evaluate --profile paper", ["--profile paper", "'road'"]),
+        ("evaluate --profile paper", ["'paper'", "informed-road (informed, road)", "--config"]),
+        ("evaluate --controller as-written --profile production", ["'as-written'", "'production'"]),
+        ("evaluate --controller informed --schedulers road-nn", ["'road-nn'", "published_mpc"]),
+        ("evaluate --config road --schedulers {vans}", ["'vans'", "car 'van', not 'paper'", "adaptrack adapt"]),
         ("evaluate --out {file}/out", ["cannot be written"]),
         ("evaluate --contender standrd", ["no contender is named 'standrd'", "Did you mean 'standard'"]),
         ("certify --controller informd", ["'informd'", "Did you mean 'informed'"]),
@@ -130,6 +136,16 @@ def test_a_number_must_be_written_in_digits(monkeypatch, capsys):
     assert "write sobol:N" in err
 
 
+def test_a_folder_stands_for_the_schedulers_in_it(tmp_path):
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(InvalidInput, match=r"no scheduler.*in this folder"):
+        evaluate_command._files(str(tmp_path / "empty"))
+    for name in ("b", "a"):
+        Constant(Tuning()).save(tmp_path / f"{name}.json")
+    assert evaluate_command._files(str(tmp_path)) == [str(tmp_path / "a.json"), str(tmp_path / "b.json")]
+    assert evaluate_command._files("road-nn") == ["road-nn"]
+
+
 def test_the_drives_of_ones_own_configuration_ask_for_its_best_constant(monkeypatch, capsys, places):
     monkeypatch.setattr(evaluate, "random_drive_runs", lambda *given, **more: None)
     code, _, err = run(monkeypatch, capsys, "evaluate", "--config", places["tiny"], "--drives", "1")
@@ -166,6 +182,7 @@ def test_the_list_of_schedulers_names_every_one_that_ships(monkeypatch, capsys):
     assert code == 0
     assert [row["name"] for row in rows] == list_schedulers()
     assert {row["contender"] for row in rows} <= set(CONTENDERS)
+    assert {(row["car"], row["profile"]) for row in rows} <= {("paper", "road"), ("paper", "production")}
     inputs = {row["name"]: row["inputs"] for row in rows}
     assert inputs["road-nn"] == ", ".join(load_adaptation("road").learning.inputs)
     code, out, _ = run(monkeypatch, capsys, "schedulers")
@@ -184,10 +201,14 @@ def test_evaluate_compares_what_ships_and_what_is_given_with_the_optimum(monkeyp
     assert {(row["view"], row["reference"], row["runs"]) for row in rows} == {("operating points", "optimum", 8)}
     exact = {row["contender"]: row for row in rows if row["known_as"] == "exact"}
     hidden = {"fallback", "best constant on drives"}
-    assert set(exact) == {"standard", "optimum", "mine", *shipped("road")} - hidden
+    files = {f"road-{kind.replace(' ', '-')}": kind for kind in shipped("road")}
+    named = {kind if kind == "best constant" else name: kind for name, kind in files.items()}
+    kinds = set(shipped("road")) - hidden
+    assert {row["kind"] for row in exact.values()} == {"standard", "optimum", "", *kinds}
+    assert set(exact) == {"standard", "optimum", "mine", *(name for name, kind in named.items() if kind in kinds)}
     assert exact["optimum"]["regret_worst"] == 1.0
     assert all(row["regret_worst"] >= row["regret_p90"] >= row["regret_p50"] > 0.0 for row in exact.values())
-    assert {row["contender"] for row in rows if row["known_as"] == "noisy"} == {*evaluate.PERCEIVING, "optimum"}
+    assert {row["kind"] for row in rows if row["known_as"] == "noisy"} == {*evaluate.PERCEIVING, "optimum"}
     again = strict(run(monkeypatch, capsys, *arguments)[1])["rows"]
     assert again == list(exact.values())
     others = strict(run(monkeypatch, capsys, *arguments, "--seed", "8")[1])["rows"]
@@ -203,7 +224,7 @@ def test_evaluate_judges_drives_by_the_best_constant_and_prints_a_table(monkeypa
     )
     assert code == 0, err
     first = {line.split("  ")[0] for line in out.splitlines()}
-    assert {"standard", "best constant", "nn", "anfis", "mine"} <= first
+    assert {"standard", "best constant", "road-nn", "road-anfis", "mine"} <= first
     assert "drives, exact: 1 runs, regret to best constant" in out
     assert "operating points, exact" not in out
 

@@ -277,12 +277,22 @@ def test_simulate_drives_a_registered_stepped_plant_and_writes_its_page(plugged,
 
 @pytest.mark.compiled
 def test_evaluate_drives_a_registered_stepped_plant_beside_the_best_constant_and_writes_its_page(plugged, capsys):
-    arguments = ["evaluate", "--operating-points", "sobol:2", "--known-as", "estimated", "--plant", "bicycle"]
+    arguments = [
+        "evaluate",
+        "--config",
+        "road",
+        "--operating-points",
+        "sobol:2",
+        "--known-as",
+        "estimated",
+        "--plant",
+        "bicycle",
+    ]
     assert plugged(*arguments, "--plugin", "bicycles", "--out", "page", "--json") == 0
     rows = json.loads(capsys.readouterr().out)["rows"]
     assert {row["reference"] for row in rows} == {"best constant"}
     assert {row["known_as"] for row in rows} == {"exact", "estimated"}
-    assert {"standard", "nn", "anfis"} <= {row["contender"] for row in rows if row["known_as"] == "exact"}
+    assert {"standard", "road-nn", "road-anfis"} <= {row["contender"] for row in rows if row["known_as"] == "exact"}
     assert "--plant bicycle" in unescape(Path("page/index.html").read_text())
 
 

@@ -32,6 +32,7 @@ from adaptrack.scenario import list_scenarios, load_scenario, random_drive
 from adaptrack.scheduling import load_scheduler
 from adaptrack.simulate import rollout, simulate
 from adaptrack.vehicle import Steering, SteeringActuator, Vehicle, list_vehicles, load_tyre, load_vehicle
+from adaptrack.world import World
 
 CAR = load_vehicle("paper")
 PERIOD = 0.05
@@ -589,6 +590,19 @@ def test_a_scheduler_made_for_the_published_controller_is_not_taken_silently(cap
     published_mpc(CAR, scheduler=load_scheduler("road-nn"))
     MPC(CAR, scheduler=dataclasses.replace(load_scheduler("road-fallback"), made_for={"controller": "MPC"}))
     assert not caplog.text
+
+
+def test_a_scheduler_made_for_another_car_or_profile_is_told_once_with_the_remedy(caplog):
+    schedule = dataclasses.replace(load_scheduler("road-fallback"), made_for={"car": "van", "profile": "road"})
+    mpc = MPC(CAR, profile="production", scheduler=schedule)
+    assert "made for the car 'van', not 'paper'" in caplog.text
+    assert "made for the profile 'road', not 'production'" in caplog.text
+    assert caplog.text.count("adaptrack adapt") == 2
+    World.of(DualTrack(CAR), mpc, "production", None, None, None)
+    assert len(caplog.records) == 2
+    World.of(DualTrack(CAR), mpc, "paper", None, None, None)
+    assert "not 'paper'" in caplog.records[-1].getMessage()
+    assert len(caplog.records) == 3
 
 
 # -- what it asks of the car ------------------------------------------------------------------------------------------

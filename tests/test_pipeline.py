@@ -71,9 +71,10 @@ def test_a_folder_that_cannot_be_made_is_told(tmp_path):
 
 
 def test_a_scheduler_is_kept_with_its_identity_and_its_record(tmp_path):
-    keeper = SchedulerFile(tmp_path / "x.json", "mine", {"settings": {"seed": 3}})
+    keeper = SchedulerFile(tmp_path / "x.json", {"settings": {"seed": 3}}, {"car": "mine"})
     made = run([Stage("mine", "a", lambda before: Constant(Tuning()), keeper)])["mine"]
-    assert (made.name, dict(made.provenance)) == ("mine", {"stage": "a", "settings": {"seed": 3}})
+    assert (made.name, dict(made.provenance)) == ("x", {"stage": "a", "settings": {"seed": 3}})
+    assert made.made_for == {"car": "mine"}
     assert keeper.load("another") is None
 
 

@@ -36,16 +36,16 @@ def compared(factors, runs=40, reference="optimum", failed=None, spread=0.05, se
         costs[name][:count], shares[name][:count] = 25.0 / 4.0, 0.25
     where = rng.uniform((3.0, -7.0, 0.4, -20.0), (27.0, 7.0, 1.0, 20.0), (runs, 4))
     counts = {name: {"clipped": 0.125, "rate_limited": 0.0, "fallback": 1e-4} for name in factors if name == "nn"}
-    roles = {name: ROLES.get(name, Role()) for name in factors}
+    roles = {name: dataclasses.replace(ROLES.get(name, Role()), kind=name) for name in factors}
     return Comparison(costs, shares, counts, reference, where, roles)
 
 
-def scheduler(inputs=("speed", "change", "friction"), tilt=(20.0, 5.0, 0.0)):
+def scheduler(inputs=("speed", "change", "friction"), tilt=(20.0, 5.0, 0.0), name="nn"):
     """Np that depends on each input as much as its tilt over the domain; Nc and R on none."""
-    axes = tuple(np.array(DOMAIN[name]) for name in inputs)
+    axes = tuple(np.array(DOMAIN[each]) for each in inputs)
     corners = np.stack(np.meshgrid(*[[0.0, 1.0]] * len(inputs), indexing="ij"), axis=-1)
     Np = Table(axes, 15.0 + corners @ np.array(tilt[: len(inputs)]))
-    return Learned({"Np": Np, "Nc": 4.0, "log10_ratio": 3.5}, inputs, [DOMAIN[name] for name in inputs])
+    return Learned({"Np": Np, "Nc": 4.0, "log10_ratio": 3.5}, inputs, [DOMAIN[each] for each in inputs], name=name)
 
 
 HISTORY = [{"round": r, "score": -5.0 - 0.01 * r, "failed": float(r < 10)} for r in (5, 10, 15)]
@@ -67,7 +67,11 @@ EVERYTHING = {
         },
     },
     "tests": {"triple-lane-change": compared({"best constant": 1.0, "nn": 0.5}, 1, "best constant")},
-    "schedules": {"nn": scheduler(), "anfis": scheduler(tilt=(10.0, 0.0, 8.0)), "look-up": scheduler()},
+    "schedules": {
+        "nn": scheduler(),
+        "anfis": scheduler(tilt=(10.0, 0.0, 8.0), name="anfis"),
+        "look-up": scheduler(name="look-up"),
+    },
     "histories": {"nn": HISTORY, "anfis": []},
     "command": "adaptrack evaluate --seed 7 <now>",
     "notes": ["One car only."],
@@ -313,7 +317,7 @@ def test_surfaces_show_what_was_learned_without_the_guard():
     nowhere_stable = StabilityMap(Table(tuple(axes), np.full((2,) * 5, 2.0)))
     behind = Guarded(scheduler(), Tuning(Np=50, Nc=2, Q=1.0, R=100.0), stability=nowhere_stable)
     assert behind.batch([[15.0, 0.0, 0.7, 0.0]])[0, 0] == 50.0
-    (section,) = page._learned({"nn": behind})
+    (section,) = page._learned({"nn": dataclasses.replace(behind, name="nn")})
     Np, Nc, ratio_ = (panel.description for panel in section.items[0].panels)
     assert Np == "NN-MPC: N_p (periods). Over speed and reference change ahead: 15 to 40."
     assert Nc.endswith("ahead: 4.")
@@ -352,7 +356,18 @@ def test_a_rung_of_ones_own_is_compared_like_the_others():
 
 
 def test_colours_and_dashes_tell_all_rungs_apart():
-    strokes = page._strokes([*page._NAMES, "mine"])
+    strokes = page._strokes({name: name for name in (*page._NAMES, "mine")})
     assert len(set(map(dataclasses.astuple, strokes.values()))) == len(strokes)
     assert strokes["paper recipe nn"].colour == strokes["nn"].colour
-    assert page._strokes(["anfis"])["anfis"] == strokes["anfis"]
+    assert page._strokes({"anfis": "anfis"})["anfis"] == strokes["anfis"]
+
+
+def test_schedulers_are_called_by_their_files_names_and_told_apart_by_their_kind():
+    """A file road-nn is not taken for one's own nn, nor one's own for ours."""
+    costs = {"best constant": np.full(8, 1.0), "road-nn": np.full(8, 0.5), "mine": np.full(8, 0.8)}
+    roles = {"best constant": Role(adapts=False, kind="best constant"), "road-nn": Role(kind="nn"), "mine": Role()}
+    made = Comparison(costs, {name: np.zeros(8) for name in costs}, {}, "best constant", np.zeros((8, 4)), roles)
+    said = standing(made, rows_of(made), "drive")
+    assert "road-nn is best" in said
+    assert [name for name, _ in page._meanings(made).entries] == [page._NAMES["best constant"][0], "road-nn"]
+    assert {row["contender"]: row["kind"] for row in made.rows()} == {name: role.kind for name, role in roles.items()}

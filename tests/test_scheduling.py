@@ -411,8 +411,8 @@ def test_every_scheduler_that_ships_names_its_car_profile_controller_and_kernels
     for name in list_schedulers():
         told = load_scheduler(name).made_for
         assert told["car"] == "paper"
-        assert told["profile"] == "road"
-        assert told["controller"]["kind"] == "MPC"
+        assert told["profile"] == ("production" if "production" in name else "road")
+        assert told["controller"]["model"] == ("path, kalman" if name.startswith("informed") else "incremental")
         assert told["kernels"]
 
 
@@ -479,10 +479,19 @@ def test_a_schedule_reads_back_to_the_last_bit(kind, rng, tmp_path):
     assert np.array_equal(again.batch(rows), schedule.batch(rows))
     for ours, theirs in zip(again.plan(1), schedule.plan(1), strict=True):
         assert ours.tobytes() == theirs.tobytes()
-    for field in ("name", "inputs", "provenance", "made_for", "entries"):
+    for field in ("inputs", "provenance", "made_for", "entries"):
         assert getattr(again, field) == getattr(schedule, field)
-    save_scheduler(again, tmp_path / "two.json")
-    assert (tmp_path / "one.json").read_bytes() == (tmp_path / "two.json").read_bytes()
+    (tmp_path / "copy").mkdir()
+    save_scheduler(again, tmp_path / "copy" / "one.json")
+    assert (tmp_path / "one.json").read_bytes() == (tmp_path / "copy" / "one.json").read_bytes()
+
+
+def test_a_schedule_of_a_file_is_called_as_the_file_is(tmp_path):
+    Constant(Tuning(), name="nn").save(tmp_path / "mine.json")
+    assert load_scheduler(tmp_path / "mine.json").name == "mine"
+    (tmp_path / "mine.json").rename(tmp_path / "yours.json")
+    assert load_scheduler(tmp_path / "yours.json").name == "yours"
+    assert [load_scheduler(name).name for name in list_schedulers()] == list_schedulers()
 
 
 def test_numbers_of_every_precision_can_be_saved(tmp_path):

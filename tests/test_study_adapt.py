@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 import re
 import shutil
 from dataclasses import replace
@@ -17,19 +18,28 @@ from adaptrack.adaptation.config import list_adaptations, load_adaptation
 from adaptrack.adaptation.method import Method
 from adaptrack.adaptation.splits import SetUp
 from adaptrack.comparison import evaluate
-from adaptrack.comparison.contenders import Contender, contenders_of
+from adaptrack.comparison.contenders import CONSTANTS, Contender, contenders_of
 from adaptrack.comparison.evaluate import on_drives, on_operating_points, on_tests
-from adaptrack.controllers import Tuning
+from adaptrack.controllers import Tuning, published_mpc
+from adaptrack.controllers.informed import informed_tuning
 from adaptrack.dataset import load_dataset
 from adaptrack.errors import ConfigError, InvalidInput, StorageError, UnknownName
 from adaptrack.files import Record
 from adaptrack.metrics import PUBLISHED
-from adaptrack.scheduling import ENTRIES, Constant, Lookup, SchedulingVariables, check_scheduler, load_scheduler
+from adaptrack.scheduling import (
+    ENTRIES,
+    Constant,
+    Lookup,
+    SchedulingVariables,
+    check_scheduler,
+    load_scheduler,
+    made_for,
+)
 from adaptrack.studies import adapt as study
 from adaptrack.studies import pipeline
 from adaptrack.studies.adapt import CONTENDERS, histories, shipped, stage_identity
 from adaptrack.tuning.config import load_campaign
-from adaptrack.vehicle import GRAVITY
+from adaptrack.vehicle import GRAVITY, load_vehicle
 from small_chain import CAMPAIGN, learned, short_cuts, write
 
 WORK = {
@@ -215,6 +225,10 @@ def test_the_file_of_a_campaign_is_looked_for_beside_that_of_the_adaptation(tmp_
         ({"plant": "single-track"}, {}),
         ({"tyre": "passenger-car"}, {}),
         ({"profile": "paper", "noise_seeds": [0]}, {}),
+        ({"profile": "production"}, {}),
+        ({"controller": "informed"}, {}),
+        ({}, {"controller": "informed"}),
+        ({}, {"profile": "production"}),
         ({"noise_seeds": [1, 2]}, {}),
         ({"swarm": {"particles": 5, "generations": 2}}, {}),
         ({"library": {"size": 4}}, {}),
@@ -384,7 +398,8 @@ def test_an_adaptation_leaves_one_file_for_every_contender(chain):
     points = np.random.default_rng(5).uniform((3.0, -7.0, 0.3, -30.0), (30.0, 7.0, 1.0, 30.0), (50, 4))
     for name in set(CONTENDERS):
         schedule = load_scheduler(file_of(chain.folder, name))
-        assert schedule.name == name
+        assert schedule.name == file_of(chain.folder, name).stem
+        assert schedule.made_for == made_for(chain.setup.mpc, "road") | {"plant": "dual-track", "tyre": "magic-formula"}
         assert schedule.provenance["stage"] == stage_identity(chain.setup, name)
         np.testing.assert_array_equal(schedule.batch(points), chain.schedules[name].batch(points))
         check_scheduler(schedule, 60)
@@ -553,6 +568,18 @@ def test_the_schedulers_that_ship_name_the_settings_of_the_configuration_that_sh
         check_scheduler(schedule, 40, seed=3)
 
 
+def test_those_of_the_informed_controller_are_of_the_configuration_that_ships_and_say_for_whom():
+    setup, schedules = SetUp.of(load_adaptation("informed-road")), shipped("informed-road")
+    assert {"nn", "nn unguarded", "speed only", "best constant", "best constant on drives"} <= set(schedules)
+    for kind, schedule in schedules.items():
+        assert schedule.name == study.file_name("informed-road", kind)
+        assert schedule.provenance["settings"] == setup.config.settings
+        assert schedule.provenance["campaign"] == setup.plan.identity
+        assert setup.mpc.mismatches(schedule, "road") == []
+        assert len(published_mpc(load_vehicle("van")).mismatches(schedule, "paper")) == 3
+        check_scheduler(schedule, 40, seed=3)
+
+
 @pytest.mark.compiled
 def test_a_scheduler_names_the_settings_and_the_software_that_made_it(chain):
     for schedule in chain.schedules.values():
@@ -565,14 +592,17 @@ def some_schedules():
     """A schedule for every name, each with an Np of its own."""
     table = {name: 20 + i for i, name in enumerate(sorted(set(CONTENDERS)))}
     return {
-        name: Lookup({"speed": [0.0, 40.0]}, [[Np, 5, 1.0, 1e3], [Np, 5, 1.0, 1e5]], name=name)
+        name: Lookup({"speed": [0.0, 40.0]}, [[Np, 5, 1.0, 1e3], [Np, 5, 1.0, 1e5]], name=f"file of {name}")
         for name, Np in table.items()
     }
 
 
 def test_on_operating_points_what_was_learned_from_such_is_asked_once_for_each():
     schedules, rows = some_schedules(), np.array([[10.0, 1.0, 0.5, 0.0], [30.0, 1.0, 0.9, 5.0]])
-    found = {name: each.policy for name, each in contenders_of(schedules, rows).items()}
+    made = contenders_of(schedules, rows)
+    called = {"standard", "best constant", *(f"file of {name}" for name in CONTENDERS)}
+    assert set(made) == called - {f"file of {name}" for name in CONSTANTS}
+    found = {each.kind: each.policy for each in made.values()}
     assert set(found) == {"standard", *CONTENDERS} - {"fallback", "best constant on drives"}
     assert found["standard"] == Tuning()
     once = {name for name, policy in found.items() if isinstance(policy, np.ndarray)}
@@ -584,7 +614,7 @@ def test_on_operating_points_what_was_learned_from_such_is_asked_once_for_each()
 
 def test_on_drives_all_are_asked_at_every_step_and_the_best_constant_is_that_of_drives():
     schedules = some_schedules()
-    found = {name: each.policy for name, each in contenders_of(schedules).items()}
+    found = {each.kind: each.policy for each in contenders_of(schedules).values()}
     assert found["best constant"] is schedules["best constant on drives"]
     assert found["best constant of operating points"] is schedules["best constant"]
     others = set(CONTENDERS) - {"fallback", "best constant", "best constant on drives"}
@@ -610,16 +640,18 @@ def test_on_operating_points_every_contender_is_measured_against_the_optimum(cha
     mine = Contender("mine", START)
     found = on_operating_points(chain.setup, chain.schedules, 4, 7, known_as=("exact", "noisy"), more=[mine])
     rows = finite_rows(found["exact"])
-    assert set(rows) == {"standard", "optimum", "mine", *CONTENDERS} - {"fallback", "best constant on drives"}
+    kinds = {"standard", "optimum", "", *CONTENDERS} - {"fallback", "best constant on drives"}
+    assert {row["kind"] for row in rows.values()} == kinds
+    assert {"mine", "tiny-nn", "best constant"} <= set(rows)
     assert rows["optimum"]["regret_geomean"] == rows["optimum"]["regret_worst"] == 1.0
     assert all(row["runs"] == 4 for row in rows.values())
     assert found["exact"].where.shape == (4, 4)
-    assert set(found["noisy"].costs) == {*evaluate.PERCEIVING, "optimum"}
+    assert set(found["noisy"].costs) == {"best constant", "tiny-nn", "tiny-anfis", "optimum"}
     for name in ("best constant", "optimum"):  # they ask nobody
         np.testing.assert_array_equal(found["noisy"].costs[name], found["exact"].costs[name])
-    assert (found["noisy"].costs["anfis"] != found["exact"].costs["anfis"]).any()
+    assert (found["noisy"].costs["tiny-anfis"] != found["exact"].costs["tiny-anfis"]).any()
     assert not {"standard", "optimum", "best constant", "mine"} & set(found["exact"].adaptive)
-    assert {"nn", "anfis", "look-up", "speed only"} <= set(found["exact"].adaptive)
+    assert {"tiny-nn", "tiny-anfis", "tiny-look-up", "tiny-speed-only"} <= set(found["exact"].adaptive)
 
 
 @pytest.mark.compiled
@@ -630,8 +662,37 @@ def test_on_drives_no_constant_is_better_than_that_of_hindsight(chain):
     assert rows["best constant"]["regret_worst"] == 1.0
     assert (exact.regret("per-drive constant") <= 1.0).all()
     assert exact.where[:, 0].tolist() == [3_070_000.0, 3_070_001.0]
-    assert set(found["withheld"].costs) == set(evaluate.PERCEIVING)
+    assert {found["withheld"].role(name).kind for name in found["withheld"].costs} == set(evaluate.PERCEIVING)
     np.testing.assert_array_equal(found["withheld"].costs["best constant"], exact.costs["best constant"])
+
+
+@pytest.mark.compiled
+@pytest.mark.parametrize("profile", ["road", "production"])
+def test_the_informed_controller_is_judged_by_its_own_constant_where_none_was_sought(tmp_path, profile):
+    setup = SetUp.of(load_adaptation(write(tmp_path), controller="informed", profile=profile))
+    assert (setup.controller, setup.profile, setup.mpc.tuning) == ("informed", profile, informed_tuning(profile))
+    found = on_drives(setup, {}, 2, 7)["exact"]
+    assert found.reference == "default constant"
+    published = {"published", "published, road-nn"} if profile == "road" else set()  # it needs the lateral velocity
+    assert set(found.costs) == {"default constant", "per-drive constant", *published}
+    assert (found.regret("per-drive constant") <= 1.0).all()
+    assert not found.failures["default constant"].any()
+    controllers = {row["contender"]: row["controller"] for row in found.rows()}
+    assert controllers["default constant"] == "informed"
+    assert not published or controllers["published"] == "standard MPC (pulse)"
+
+
+def test_searches_and_learning_begin_at_the_constant_of_the_controller(tmp_path):
+    own = load_adaptation(write(tmp_path))
+    assert own.method.improvement == Method().improvement
+    config, constant = load_adaptation(write(tmp_path), controller="informed"), informed_tuning("road")
+    assert config.name == "tiny-informed"
+    assert config.method.constants.tuning == replace(constant, Q=1.0)
+    assert config.method.improvement.start == (constant.Np, constant.Nc, math.log10(constant.R))
+    assert config.method.constants.evaluations == own.method.constants.evaluations
+    given = load_adaptation(write(tmp_path, controller="informed", method={"improvement": {"start": [20.0, 4.0, 1.0]}}))
+    assert given.method.improvement.start == (20.0, 4.0, 1.0)
+    assert given.method.improvement.R == config.method.improvement.R
 
 
 @pytest.mark.compiled

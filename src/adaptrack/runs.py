@@ -72,6 +72,8 @@ class RunSet:
 
     known_as: KnownAs = None
     failure = Failure()
+    controller = "mpc"
+    """what tables call the MPC whose tuning is chosen: "informed" for one that knows its car"""
     _latest: Batch | None = None
 
     def __init__(
@@ -81,6 +83,7 @@ class RunSet:
     ) -> None:  # fmt: skip
         self.plant, self.mpc, self.scenarios, self.profile = plant, mpc, list(scenarios), profile
         self.known_as, self.failure = known_as, failure or Failure()
+        self.controller = "mpc" if mpc.belief is None else "informed"
         self.weight = load_profile(profile).move_weight
         self.signals, samples = sampled(World.of(plant, mpc, profile, None, known_as, failure), self.scenarios)
         self.periods = self.signals[0].n
@@ -147,6 +150,7 @@ class RunSet:
         batch = self._batch_of(policy) if _is_controller(policy) else self._own
         tuning, scheduler = batch.tuning, batch.scheduler
         if isinstance(policy, Schedule):
+            self._warn_of(policy)
             scheduler = policy
         elif not _is_controller(policy):
             scheduler = None
@@ -159,6 +163,9 @@ class RunSet:
         costs = (found.result["squared_error"] + self.weight * found.result["squared_move"]) / self.periods
         return Outcome(np.where(found.failed, np.inf, costs), found.segments, found.counts)
 
+    def _warn_of(self, schedule: Schedule) -> None:
+        self.mpc.warn_of(schedule, load_profile(self.profile).name)
+
     def _compiles(self, policy: Policy) -> bool:
         return not isinstance(self.plant, SteppedPlant) and (not _is_controller(policy) or _compiles(policy))
 
@@ -166,6 +173,8 @@ class RunSet:
         """What drives the k-th of the runs: a controller itself, or the MPC with a schedule or its k-th tuning."""
         if _is_controller(policy):
             return policy
+        if isinstance(policy, Schedule):
+            self._warn_of(policy)
         mpc = copy.copy(self.mpc)
         mpc.scheduler = policy if isinstance(policy, Schedule) else None
         if not isinstance(policy, Schedule):

@@ -91,12 +91,14 @@ class World:
             )
         _refuse_missing_sensors(controller, profile)
         world = cls(plant, profile, controller.period, driver, known_as, failure or Failure())
-        world.warn_of_slower_steering(controller)
+        if isinstance(controller, MPC):
+            controller.warn_of(controller.scheduler, profile.name)
+            world.warn_of_slower_steering(controller)
         return world
 
-    def warn_of_slower_steering(self, controller: Controller) -> None:
+    def warn_of_slower_steering(self, controller: MPC) -> None:
         """Say it when an MPC believes that the wheels follow its command sooner than they do: it may lose the car."""
-        belief = controller.belief if isinstance(controller, MPC) else None
+        belief = controller.belief
         if belief is None:
             return
         believed, driven = belief.lag.value + belief.delay, self.steering.lag + sum(self.dead_periods) * self.period

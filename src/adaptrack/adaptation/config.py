@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import math
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -12,10 +13,12 @@ from numpy.typing import NDArray
 from pydantic import BeforeValidator, Field, model_validator
 
 from adaptrack.adaptation.method import Method
+from adaptrack.controllers import Tuning
 from adaptrack.errors import UnknownName, did_you_mean
 from adaptrack.files import Record, build, read_toml
 from adaptrack.scheduling import SchedulingVariables
-from adaptrack.tuning.config import Pair
+from adaptrack.tuning.config import CampaignConfig, Controlled, Pair, Plan, load_campaign
+from adaptrack.tuning.evaluator import tuned_mpc
 
 Array = NDArray[np.float64]
 
@@ -121,6 +124,10 @@ class AdaptationConfig(Record):
     campaign: str = Field(
         description="name, or .toml file beside this one; its operating points must be a Sobol sample"
     )
+    controller: Controlled | None = Field(default=None, description="instead of the campaign's: informed, as-written")
+    profile: str | None = Field(
+        default=None, description="instead of the campaign's: name, or .toml file beside this one"
+    )
     seed: int = Field(default=0, ge=0, description="of the learning")
     learning: Learning
     method: Method = Field(default_factory=Method, description="every number that the learning depends on")
@@ -132,13 +139,82 @@ class AdaptationConfig(Record):
         return self.model_dump(mode="json", include={"seed", "learning", "method"})
 
 
+def campaign_of(config: AdaptationConfig) -> CampaignConfig:
+    """The campaign of an adaptation, for its controller and its profile.
+
+    Raises
+    ------
+    AdaptrackError
+        As `load_campaign`.
+    """
+    return load_campaign(config.campaign).driven_by(config.controller, config.profile)
+
+
+def around(constant: Tuning) -> dict[str, Any]:
+    """The numbers of method and evaluation that follow from a controller's own constant tuning, by table and key.
+
+    Searches and learning begin there, with six decades of R/Q; the fallback has at least its R/Q. The tables' own
+    defaults are those of the paper's controller in the `road` profile.
+    """
+    horizon, moves, ratio = float(constant.Np), float(constant.Nc), constant.R / constant.Q
+    bounds = {"Np": [min(10.0, horizon), 60.0], "R": [1e-3 * ratio, 1e3 * ratio]}
+    return {
+        "method": {
+            "improvement": {**bounds, "start": [horizon, moves, math.log10(ratio)]},
+            "constants": {
+                **bounds,
+                "start": [constant.Np, constant.Nc, 1.0, ratio],
+                "fallback_ratio": math.floor(100.0 * math.log10(ratio)) / 100.0,
+            },
+        },
+        "evaluation": {
+            "hindsight_Np": [float(round(share * horizon)) for share in (0.65, 0.8, 1.0, 1.3)],
+            "hindsight_Nc": [float(max(1, round(share * moves))) for share in (0.5, 0.75, 1.0, 1.4)],
+            "hindsight_R": [share * ratio for share in (0.1, 0.3, 1.0, 3.0, 10.0, 30.0)],
+        },
+    }
+
+
+def _completed(data: Mapping[str, Any], defaults: Mapping[str, Any]) -> dict[str, Any]:
+    """The data, and defaults where they say nothing; tables are merged."""
+    made = {**defaults, **data}
+    for key in set(data) & set(defaults):
+        if isinstance(data[key], Mapping) and isinstance(defaults[key], Mapping):
+            made[key] = _completed(data[key], defaults[key])
+    return made
+
+
 def list_adaptations() -> dict[str, str]:
     """The configurations that `load_adaptation` knows by name, each with one line of description."""
     return {path.stem: str(read_toml(path).get("description", "")) for path in sorted(_DATA.glob("*.toml"))}
 
 
-def load_adaptation(name_or_path: str | os.PathLike[str]) -> AdaptationConfig:
+def find_adaptation(controller: str = "informed", profile: str = "road") -> str:
+    """The name of the adaptation that ships for a controller in a profile.
+
+    Raises
+    ------
+    UnknownName
+        When none does: with those that do.
+    """
+    shipped = {name: campaign_of(load_adaptation(name)) for name in list_adaptations()}
+    for name, campaign in shipped.items():
+        if (campaign.controller, campaign.profile) == (controller, profile):
+            return name
+    told = ", ".join(f"{name} ({each.controller}, {each.profile})" for name, each in shipped.items())
+    raise UnknownName(
+        f"no adaptation ships for controller {controller!r} in profile {profile!r}: there are {told}. "
+        "Give one to start from with --config."
+    )
+
+
+def load_adaptation(
+    name_or_path: str | os.PathLike[str], *, controller: str | None = None, profile: str | None = None
+) -> AdaptationConfig:
     """The named configuration, or the one in a TOML file (keys: the fields of `AdaptationConfig`).
+
+    controller, profile: instead of those that it names; its own name then tells. What it leaves out of method and
+    evaluation is for its controller, see `around`.
 
     Raises
     ------
@@ -158,6 +234,31 @@ def load_adaptation(name_or_path: str | os.PathLike[str]) -> AdaptationConfig:
                 "A file is given by its .toml path."
             )
     data = {"name": path.stem, **read_toml(path)}
-    if str(data.get("campaign", "")).endswith(".toml"):
-        data["campaign"] = str(path.parent / data["campaign"])
-    return build(AdaptationConfig, data, path)
+    for key in ("campaign", "profile"):
+        if str(data.get(key, "")).endswith(".toml"):
+            data[key] = str(path.parent / data[key])
+    own = build(AdaptationConfig, data, path)
+    before = campaign_of(own)
+    asked = {"controller": controller or before.controller, "profile": profile or before.profile}
+    changes = {key: value for key, value in asked.items() if value != getattr(before, key)}
+    if changes:
+        suffix = "-".join(Path(value).stem for value in changes.values())
+        data = _without_numbers({**data, **changes, "name": f"{own.name}-{suffix}"})
+        own = build(AdaptationConfig, data, path)
+    if asked["controller"] == "as-written":
+        return own
+    constant = tuned_mpc(Plan.of(campaign_of(own)).setup).tuning
+    return build(AdaptationConfig, _completed(data, around(constant)), path)
+
+
+def _without_numbers(data: Mapping[str, Any]) -> dict[str, Any]:
+    """Without the numbers of `around`, which belong to another controller or profile."""
+    left = {key: dict(value) if isinstance(value, Mapping) else value for key, value in data.items()}
+    for table, numbers in around(Tuning()).items():
+        for key, value in numbers.items():
+            inner = left.get(table, {})
+            if isinstance(value, Mapping) and isinstance(inner.get(key), Mapping):
+                inner[key] = {name: each for name, each in inner[key].items() if name not in value}
+            else:
+                inner.pop(key, None)
+    return left

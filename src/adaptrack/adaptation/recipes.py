@@ -20,11 +20,13 @@ from adaptrack.adaptation.landscape import OUTPUTS
 from adaptrack.adaptation.method import Constants, Method
 from adaptrack.adaptation.splits import SetUp, Training, constants_noise, held_out_runs, training_runs
 from adaptrack.controllers import Tuning
+from adaptrack.controllers.made_for import INCREMENTAL, INFORMED
 from adaptrack.dataset import DataSet
 from adaptrack.errors import InvalidInput
 from adaptrack.feasibility import Feasibility
 from adaptrack.learning.surfaces import FuzzySurface, NetworkSurface
 from adaptrack.learning.training import Trained, train
+from adaptrack.profile import load_profile
 from adaptrack.runs import Indices, RunSet
 from adaptrack.scheduling import (
     ENTRIES,
@@ -232,10 +234,11 @@ def stability_map(setup: SetUp) -> StabilityMap:
 
     Straight: in a turn as hard as driving gets, good tunings are near to instability too, and to keep away from that
     costs more than it saves (see docs/adaptation.md). Slow loops count as nearer: loops change fastest there, and the
-    map has few nodes.
+    map has few nodes. With prompt samples, which is a little kinder than late ones are.
     """
     speed, friction, guard = setup.box["speed"], setup.box["friction"], setup.method.guard
-    axes, values = loop_map(setup.plant, setup.mpc, setup.profile, speed=speed, friction=friction, turn=None)
+    prompt = load_profile(setup.profile).replace(pose_age=0.0, pose_age_spread=0.0, motion_age=0.0)
+    axes, values = loop_map(setup.plant, setup.mpc, prompt, speed=speed, friction=friction, turn=None)
     values[axes[0] < guard.slow] += guard.slow_margin
     return StabilityMap(Table(axes, values), 1.0 - guard.margin)
 
@@ -300,6 +303,19 @@ def search_bounds(dataset: DataSet) -> dict[str, tuple[float, float]]:
     if not set(ENTRIES) <= set(search):
         raise InvalidInput(f"data set {dataset.name!r}: its provenance does not tell the bounds of its search.")
     return {slot: (float(search[slot][0]), float(search[slot][1])) for slot in ENTRIES}
+
+
+def purpose_of(dataset: DataSet) -> dict[str, Any]:
+    """The car, profile and controller that the tunings of a data set were sought for, as far as it tells.
+
+    For the file of what was trained on it, see `Schedule.made_for`.
+    """
+    told = dataset.provenance.get("settings", {})
+    names = {"car": told.get("vehicle"), "profile": told.get("profile"), "tyre": told.get("tyre")}
+    known = {key: each["name"] if isinstance(each, Mapping) else each for key, each in names.items() if each}
+    controller = told.get("controller", "as-written")  # data of before there was a choice are the paper's
+    model = {"as-written": INCREMENTAL, "informed": INFORMED}.get(controller, controller)
+    return {**known, "controller": {"kind": "MPC", "model": model}} if told else {}
 
 
 def trained_schedule(

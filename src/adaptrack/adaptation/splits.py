@@ -11,14 +11,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from adaptrack.adaptation.config import AdaptationConfig, Evaluation
+from adaptrack.adaptation.config import AdaptationConfig, Evaluation, campaign_of
 from adaptrack.adaptation.method import Method
-from adaptrack.controllers import MPC, published_mpc
+from adaptrack.controllers import MPC
 from adaptrack.errors import InvalidInput
 from adaptrack.plant import DualTrack, Plant, SingleTrack, SteppedPlant, get_plant
-from adaptrack.profile import load_profile
 from adaptrack.runs import RunSet, operating_point_runs, random_drive_runs
-from adaptrack.tuning.config import Box, CampaignConfig, Plan, Sobol, load_campaign
+from adaptrack.tuning.config import Box, CampaignConfig, Plan, Sobol
+from adaptrack.tuning.evaluator import tuned_mpc
 from adaptrack.tuning.operating_points import sobol
 
 Array = NDArray[np.float64]
@@ -38,7 +38,7 @@ class SetUp:
     plant: SingleTrack | DualTrack
     """the campaign's: what is tuned and learned on, and what an estimator of friction and wind believes in"""
     mpc: MPC
-    """pulses, preview and period of the profile; the contenders choose its tuning"""
+    """the campaign's controller, with the constant that the search begins with; the contenders choose its tuning"""
     driven: Plant | SteppedPlant
     """what an evaluation drives, the same unless `driving` says otherwise"""
 
@@ -53,14 +53,13 @@ class SetUp:
             changes of the usual length and weight, which are what is learned from and judged by; or when a run would
             be both learned from and held out or judged by.
         """
-        campaign = load_campaign(config.campaign)
+        campaign = campaign_of(config)
         _check_campaign(campaign)
         _check_drives(config)
         plan = Plan.of(campaign)
-        vehicle, profile = plan.setup.vehicle, load_profile(campaign.profile)
         body = SingleTrack if campaign.plant == "single-track" else DualTrack
-        mpc = published_mpc(vehicle, config.method.constants.tuning, period=profile.period, preview=profile.preview)
-        plant = body(vehicle, plan.setup.tyre)
+        mpc = tuned_mpc(plan.setup, config.method.constants.tuning)
+        plant = body(plan.setup.vehicle, plan.setup.tyre)
         return cls(config, campaign, plan, plant, mpc, plant)
 
     def driving(self, name: str) -> SetUp:
@@ -85,8 +84,13 @@ class SetUp:
 
     @property
     def profile(self) -> str:
-        """The name of the profile."""
+        """The name of the profile, or its file."""
         return self.campaign.profile
+
+    @property
+    def controller(self) -> str:
+        """The name of the controller: "informed", or "as-written" for the paper's."""
+        return self.campaign.controller
 
     @property
     def box(self) -> dict[str, tuple[float, float]]:

@@ -12,7 +12,12 @@ from adaptrack.cli import comparison, interrupt, options, show
 
 def adapt(
     out: Annotated[Path, Option(help="Folder of the chain; one that was interrupted goes on.")],
-    config: Annotated[str, Option(help="Name (road) or .toml file.")] = "road",
+    config: Annotated[
+        str | None,
+        Option(help="Name (road, informed-road, ...) or .toml file; by default what ships for controller and profile."),
+    ] = None,
+    controller: options.Tuned = None,
+    profile: options.OtherProfile = None,
     workers: options.Workers = None,
     as_json: options.Json = False,
 ) -> None:
@@ -20,10 +25,9 @@ def adapt(
 
     Failed runs are part of the result: they are counted for each contender, and the exit code is 0.
     """
-    from adaptrack.adaptation.config import load_adaptation
     from adaptrack.studies.adapt import adapt as run
 
-    settings = load_adaptation(config)
+    settings = comparison.study(config, controller, profile)
     options.make_folder(out)
     interrupt.kept(f"Finished chunks and schedulers are kept in {out}: run the command again to go on.")
     with show.progress("adapt") as advance:

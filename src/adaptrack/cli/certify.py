@@ -53,8 +53,8 @@ def certify(
         str | None,
         Option(
             metavar="NAME",
-            help="informed: the MPC that knows its steering and estimates its state [default without a scheduler]; "
-            "standard: the paper's [default with one].",
+            help="informed: the MPC that knows its steering and estimates its state [default]; "
+            "standard: the paper's [default with a scheduler that was made for it].",
         ),
     ] = None,
     profile: options.Profile = "road",
@@ -112,9 +112,11 @@ def certify(
 def _controller(name: str | None, car: Vehicle, profile: str, schedule: Schedule | None) -> MPC:
     """The MPC by name, with horizons as long as the schedule asks for."""
     from adaptrack.controllers import MPC, published_mpc
+    from adaptrack.controllers.made_for import is_for_published
     from adaptrack.profile import load_profile
 
-    name = (INFORMED if schedule is None else STANDARD) if name is None else name
+    if name is None:
+        name = STANDARD if schedule is not None and is_for_published(schedule.made_for) else INFORMED
     longest, most = (60, 20) if schedule is None else schedule.largest
     sizes: dict[str, Any] = {"longest_horizon": max(60, longest), "most_moves": max(20, most)}
     if name == INFORMED:

@@ -10,6 +10,7 @@ from adaptrack.cli import options, show
 from adaptrack.cli.show import Column
 
 if TYPE_CHECKING:
+    from adaptrack.adaptation.config import AdaptationConfig
     from adaptrack.studies.adapt import Adapted
 
 COLUMNS = (
@@ -21,6 +22,18 @@ COLUMNS = (
     Column("regret_worst", "worst", "", show.digits(3)),
     Column("failures", "runs\nfailed"),
 )
+
+
+def study(config: str | None, controller: str | None, profile: str | None) -> AdaptationConfig:
+    """The adaptation that the options ask for: a configuration for a controller and a profile, or what ships for both.
+
+    Without any of them: the informed controller in the profile `road`.
+    """
+    from adaptrack.adaptation.config import find_adaptation, load_adaptation
+
+    if config is None:
+        return load_adaptation(find_adaptation(str(controller or "informed"), profile or "road"))
+    return load_adaptation(config, controller=None if controller is None else str(controller), profile=profile)
 
 
 def write_page(out: Path, made: Adapted) -> Path:

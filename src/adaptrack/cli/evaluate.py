@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 from typer import Option
@@ -12,6 +15,7 @@ from adaptrack.errors import InvalidInput
 from adaptrack.limits import DRIVES, OPERATING_POINTS, SEED, check_limit
 
 if TYPE_CHECKING:
+    from adaptrack.adaptation.splits import SetUp
     from adaptrack.scheduling import Schedule
 
 USUAL = "sobol:2000"
@@ -20,7 +24,8 @@ USUAL = "sobol:2000"
 
 def evaluate(
     schedulers: Annotated[
-        list[str] | None, Option(help="Names (see `schedulers`) or files, beside those that ship with the package.")
+        list[str] | None,
+        Option(help="Names (see `schedulers`), files or folders of them, beside those that ship with the package."),
     ] = None,
     contender: Annotated[
         list[str] | None, Option("--contender", help="Name of a registered contender, driven beside the schedulers.")
@@ -36,12 +41,19 @@ def evaluate(
         int | None, Option(callback=options.at_most(DRIVES), help=f"So many random drives of 60 s, {DRIVES.range}.")
     ] = None,
     tests: Annotated[bool, Option("--tests", help="The paper's two tests.")] = False,
-    config: Annotated[str, Option(help="Whose vehicle, profile and domain: name (road) or .toml file.")] = "road",
+    config: Annotated[
+        str | None,
+        Option(
+            help="Whose vehicle, controller, profile and domain: name (road, informed-road, ...) or .toml file; by "
+            "default what ships for controller and profile."
+        ),
+    ] = None,
+    controller: options.Tuned = None,
+    profile: options.OtherProfile = None,
     plant: Annotated[
         str | None, Option("--plant", help="A registered plant to drive instead of the configuration's.")
     ] = None,
     plugin: options.Plugin = None,
-    profile: Annotated[str | None, Option(help="Must be the configuration's; for the record.")] = None,
     known_as: Annotated[
         list[str] | None,
         Option(
@@ -60,7 +72,6 @@ def evaluate(
     A plant that is stepped in Python is driven run by run; no optimum is searched for on it. Failed runs are part of
     the result: they are counted for each contender, and the exit code is 0.
     """
-    from adaptrack.adaptation.config import load_adaptation
     from adaptrack.adaptation.splits import SetUp
     from adaptrack.comparison.contenders import check_contender
     from adaptrack.comparison.evaluate import on_drives, on_operating_points, on_tests
@@ -68,13 +79,11 @@ def evaluate(
     from adaptrack.studies.adapt import Adapted
 
     options.load_plugins(plugin)
-    settings = load_adaptation(config)
+    settings = comparison.study(config, controller, profile)
     setup = SetUp.of(settings)
     if plant is not None:
         setup = setup.driving(plant)
-    if profile is not None and profile != setup.profile:
-        raise InvalidInput(f"--profile {profile}: configuration {settings.name!r} is for {setup.profile!r}.")
-    compared, more = schedules(settings.name, schedulers or []), contender or []
+    compared, more = schedules(setup, schedulers or []), contender or []
     if operating_points is None and drives is None and not tests:
         operating_points = USUAL
     count = 0 if operating_points is None else _sample_size(operating_points)
@@ -99,16 +108,46 @@ def evaluate(
     comparison.print_comparison(made, as_json)
 
 
-def schedules(adaptation: str, given: Sequence[str]) -> dict[str, Schedule]:
-    """What ships for an adaptation, and the schedulers given by name or file; a name that recurs says whose it is."""
-    from adaptrack.scheduling import check_scheduler, load_scheduler
-    from adaptrack.studies.adapt import shipped
+def schedules(setup: SetUp, given: Sequence[str]) -> dict[str, Schedule]:
+    """What ships for an adaptation, and the schedulers given by name or file; a name that recurs says whose it is.
 
-    found = shipped(adaptation)
-    for name in given:
+    Raises
+    ------
+    InvalidInput
+        When one of them was made for another controller, car or profile.
+    """
+    from adaptrack.comparison.contenders import RESERVED
+    from adaptrack.profile import load_profile
+    from adaptrack.scheduling import check_scheduler, load_scheduler
+    from adaptrack.studies.adapt import contender_of, shipped
+
+    found = shipped(setup.config.name)
+    world, files = load_profile(setup.profile).name, {each.name for each in found.values()}
+    for name in itertools.chain.from_iterable(map(_files, given)):
         schedule = load_scheduler(name)
         check_scheduler(schedule)
-        found[schedule.name if schedule.name not in found else f"{schedule.name} ({name})"] = schedule
+        faults = setup.mpc.mismatches(schedule, world)
+        if faults:
+            raise InvalidInput(f"scheduler {schedule.name!r} {'; it '.join(faults)}.")
+        kind = contender_of(schedule.name, [setup.config.name])
+        if kind is not None and kind not in found:  # of a chain of one's own
+            found[kind] = schedule
+            continue
+        if schedule.name in files | RESERVED:
+            schedule = replace(schedule, name=f"{schedule.name} ({name})")
+        files.add(schedule.name)
+        found[schedule.name] = schedule
+    return found
+
+
+def _files(given: str) -> list[str]:
+    """The schedulers in a folder, else what is given."""
+    folder = Path(given)
+    if not folder.is_dir():
+        return [given]
+    found = sorted(str(path) for path in folder.glob("*.json"))
+    if not found:
+        raise InvalidInput(f"--schedulers {given}: there is no scheduler (*.json) in this folder.")
     return found
 
 

@@ -30,8 +30,19 @@ def vehicles(as_json: options.Json = False) -> None:
 
 def schedulers(as_json: options.Json = False) -> None:
     """List the schedulers that ship with the package."""
+    from adaptrack.adaptation.config import list_adaptations
     from adaptrack.scheduling import list_schedulers, load_scheduler
+    from adaptrack.studies.adapt import contender_of
 
-    loaded = [(name, load_scheduler(name)) for name in list_schedulers()]
-    rows = [{"name": name, "contender": each.name, "inputs": ", ".join(each.inputs)} for name, each in loaded]
+    studies = list_adaptations()
+    rows = [
+        {
+            "name": name,
+            "contender": contender_of(name, studies) or "",
+            "car": each.made_for.get("car", ""),
+            "profile": each.made_for.get("profile", ""),
+            "inputs": ", ".join(each.inputs),
+        }
+        for name, each in ((name, load_scheduler(name)) for name in list_schedulers())
+    ]
     show.listing("Schedulers", rows, as_json)

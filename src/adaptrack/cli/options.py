@@ -36,6 +36,13 @@ class ModelName(StrEnum):
     anfis = "anfis"
 
 
+class TunedName(StrEnum):
+    """Controllers whose tuning is sought."""
+
+    informed = "informed"
+    as_written = "as-written"
+
+
 class TargetsName(StrEnum):
     """What they learn."""
 
@@ -71,6 +78,17 @@ Plugin = Annotated[
 Tyre = Annotated[str | None, Option("--tyre", help="Name (see `vehicles`) or .toml file; by default the vehicle's.")]
 Profile = Annotated[
     str, Option("--profile", metavar="NAME", help="paper: ideal; road: steering lag, noise, delay; or a .toml file.")
+]
+Tuned = Annotated[
+    TunedName | None,
+    Option(
+        "--controller",
+        help="Whose tuning is sought: informed, the MPC that knows its car; as-written, the paper's. By default the "
+        "configuration's.",
+    ),
+]
+OtherProfile = Annotated[
+    str | None, Option("--profile", metavar="NAME", help="Instead of the configuration's: paper, road, production, ...")
 ]
 Json = Annotated[bool, Option("--json", help="One JSON object on standard output, nothing else.")]
 Data = Annotated[str, Option("--data", help="Name (see `dataset list`), file, or folder of a campaign.")]

@@ -51,7 +51,8 @@ def simulate(
         Option(
             metavar="NAME",
             help="informed: the MPC that knows its car [default]; standard: the published one, "
-            "as --scheduler, --np, --nc, --q, --r and --moves say [default when one of these is given]; as-written: "
+            "as --scheduler, --np, --nc, --q, --r and --moves say [default when one of these is given, but for a "
+            "scheduler of the informed one]; as-written: "
             "pulses; as-released: Laguerre functions, pole 0.95; lqr, pure-pursuit, stanley.",
         ),
     ] = None,
@@ -151,8 +152,12 @@ class Asked:
     @property
     def usual(self) -> str:
         """The controller that drives unless one is named."""
-        paper = self.schedule is not None or self.tuning or (self.moves is not None and self.moves.kind != "pulse")
-        return STANDARD if paper else INFORMED
+        from adaptrack.controllers.made_for import is_for_published
+
+        if self.schedule is not None:
+            return STANDARD if is_for_published(self.schedule.made_for) else INFORMED
+        laguerre = self.moves is not None and self.moves.kind != "pulse"
+        return STANDARD if self.tuning or laguerre else INFORMED
 
     def tuned(self, base: Tuning) -> Tuning:
         """A tuning with the entries that are given."""
@@ -177,19 +182,26 @@ def make_controller(name: str, asked: Asked) -> tuple[str, Controller]:
         list_controllers,
         published_mpc,
     )
+    from adaptrack.controllers.made_for import is_for_published
 
     own = asked.moves or Moves.pulses()
     moves = {STANDARD: own, AS_WRITTEN: Moves.pulses(), AS_RELEASED: Moves.laguerre(0.95, own.terms)}
     others = [each for each in list_controllers() if each not in moves]
     if name in others:
-        if asked.schedule is not None:
-            raise InvalidInput(f"--scheduler {asked.label}: tunes the MPC; controller {name!r} takes none.")
+        if asked.schedule is not None and (name != INFORMED or is_for_published(asked.schedule.made_for)):
+            raise InvalidInput(
+                f"--scheduler {asked.label}: tunes the {'published ' if name == INFORMED else ''}MPC; controller "
+                f"{name!r} takes none{', --controller standard does' if name == INFORMED else ''}."
+            )
         options: dict[str, Any] = {"period": asked.period, "preview": asked.preview}
         if name == INFORMED:
             options |= {"moves": own, "solver": asked.solver}
+            if asked.schedule is not None:
+                options |= {"scheduler": asked.schedule, "most_moves": max(20, asked.schedule.largest[1])}
             if asked.tuning:
                 options["tuning"] = asked.tuned(informed_tuning(asked.profile, asked.period))
-        return name, get_controller(name, asked.car, profile=asked.profile, **options)
+        label = asked.label if asked.schedule is not None else name
+        return label, get_controller(name, asked.car, profile=asked.profile, **options)
     if name not in moves:
         raise UnknownName(f"no controller is named {name!r}. {did_you_mean(name, [*moves, *others])}")
     tuning = asked.tuned(Tuning())

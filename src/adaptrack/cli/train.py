@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
@@ -34,7 +35,7 @@ def train(
     as_json: options.Json = False,
 ) -> None:
     """Learn a scheduler from the tuned operating points of a data set; print how well, on points held out."""
-    from adaptrack.adaptation.recipes import trained_schedule
+    from adaptrack.adaptation.recipes import purpose_of, trained_schedule
     from adaptrack.dataset import load_dataset
     from adaptrack.learning.training import train as learn
     from adaptrack.scheduling import check_scheduler
@@ -45,7 +46,7 @@ def train(
     options.make_folder(out.parent)
     with show.progress("train") as advance:
         trained = learn(dataset, str(model), str(targets), seed=seed, progress=advance)
-        schedule = trained_schedule(trained, dataset)
+        schedule = replace(trained_schedule(trained, dataset), made_for=purpose_of(dataset))
         check_scheduler(schedule)
     schedule.save(out)
     interrupt.kept(f"The scheduler is in {out}.")

@@ -21,8 +21,10 @@ STEPS_PER_S = 8e5
 
 
 def tune(
-    config: Annotated[str, Option(help="Name (paper-grid, road-sobol) or .toml file of the campaign.")],
+    config: Annotated[str, Option(help="Name (paper-grid, road-sobol, ...) or .toml file of the campaign.")],
     out: Annotated[Path, Option(help="Folder of the campaign.")],
+    controller: options.Tuned = None,
+    profile: options.OtherProfile = None,
     resume: Annotated[bool, Option("--resume", help="Go on with the campaign in that folder.")] = False,
     workers: options.Workers = None,
     dask: Annotated[
@@ -30,7 +32,7 @@ def tune(
     ] = None,
     as_json: options.Json = False,
 ) -> None:
-    """Tune the MPC on every operating point of a campaign: a swarm each, and the cost of a common library.
+    """Tune an MPC on every operating point of a campaign: a swarm each, and the cost of a common library.
 
     Operating points at which the run fails with every tuning are counted; the exit code is 0.
     """
@@ -38,7 +40,7 @@ def tune(
     from adaptrack.tuning.campaign import CampaignInterrupted, run_campaign
     from adaptrack.tuning.config import load_campaign
 
-    campaign = load_campaign(config)
+    campaign = load_campaign(config).driven_by(None if controller is None else str(controller), profile)
     show.say(_estimate(campaign, None if dask else workers or os.cpu_count() or 1), aside=True)
     interrupt.kept(f"Finished chunks, if any, are kept in {out}: go on with --resume.")
     begun, runs = time.perf_counter(), 0

@@ -37,6 +37,8 @@ class Role:
     controller: str = "mpc"
     adapts: bool = True
     hindsight: bool = False
+    kind: str = ""
+    """see `Contender.kind`"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,31 +79,48 @@ class Comparison:
         """What a contender is."""
         return self.roles.get(name, Role())
 
+    def of_kind(self, *kinds: str) -> list[str]:
+        """The contenders of some kinds, in the order of the kinds."""
+        return [name for kind in kinds for name in self.costs if self.role(name).kind == kind]
+
     @property
     def adaptive(self) -> list[str]:
         """The contenders whose tuning changes, and not by hindsight."""
         return [name for name in self.costs if self.role(name).adapts and not self.role(name).hindsight]
 
     def rows(self, seed: int = 0) -> list[dict[str, Any]]:
-        """One row for each contender: cost, regret and its spread, a 95 % bootstrap interval of its mean, failures."""
+        """One row for each contender: cost, regret and its spread, a 95 % bootstrap interval of its mean, failures.
+
+        constant_...: likewise over the best constant, or, where that is the reference or missing, the controller's own.
+        """
         made = []
         for name, costs in self.costs.items():
             over = self.ratio(name, self.reference, seed)
             made.append(
                 {
                     "contender": name,
+                    "kind": self.role(name).kind,
                     "controller": self.role(name).controller,
                     "runs": len(costs),
                     "cost_geomean": geometric_mean(costs),
                     "regret_geomean": over.mean,
                     "regret_low": over.low,
                     "regret_high": over.high,
+                    **self._over_constant(name, seed),
                     **{f"regret_{key}": value for key, value in regret_percentiles(self.regret(name)).items()},
                     "failures": int((self.failures[name] > 0.0).sum()),
                     **self.counts.get(name, {}),
                 }
             )
         return made
+
+    def _over_constant(self, name: str, seed: int) -> dict[str, float]:
+        """The cost over that of the first constant that is not the reference."""
+        constants = [each for each in self.of_kind("best constant", "default constant") if each != self.reference]
+        if not constants:
+            return {}
+        over = self.ratio(name, constants[0], seed)
+        return {"constant_geomean": over.mean, "constant_low": over.low, "constant_high": over.high}
 
     def _generator(self, name: str, seed: int) -> np.random.Generator:
         """The random numbers of a contender's resamples, which follow those of the contenders before it."""
@@ -169,9 +188,14 @@ def compare(
         failures[each.name] = failed.mean(axis=1)
         if isinstance(each.policy, Schedule):
             counts[each.name] = _shares(runs.counts(each.policy, int(seeds[0])))
-    roles = {each.name: Role(each.controller, each.adapts, each.hindsight) for each in entered}
+    roles = {each.name: Role(_controller(each, runs), each.adapts, each.hindsight, each.kind) for each in entered}
     rows = np.arange(len(runs), dtype=float)[:, None] if where is None else np.asarray(where, dtype=float)
     return Comparison(costs, failures, counts, reference, rows, roles, runs.failure)
+
+
+def _controller(contender: Contender, runs: RunSet) -> str:
+    """What drives: a controller of the contender's own, or that of the runs."""
+    return contender.controller if hasattr(contender.policy, "step") else runs.controller
 
 
 def _shares(counts: Mapping[str, NDArray[np.int64]]) -> dict[str, float]:

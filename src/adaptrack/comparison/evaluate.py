@@ -7,14 +7,15 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from adaptrack.adaptation.config import Evaluation
 from adaptrack.adaptation.recipes import ANYWHERE
 from adaptrack.adaptation.splits import SetUp, evaluation_drives, evaluation_points
 from adaptrack.comparison.compare import Comparison, SwarmSearch, compare, optimum, per_run_best
-from adaptrack.comparison.contenders import Contender, contenders_of, get_contender
+from adaptrack.comparison.contenders import PUBLISHED_CONTENDERS, Contender, contenders_of, get_contender
+from adaptrack.controllers import Tuning
 from adaptrack.errors import InvalidInput
 from adaptrack.metrics import PUBLISHED
 from adaptrack.plant import Plant, SteppedPlant
+from adaptrack.profile import load_profile
 from adaptrack.runs import (
     RunSet,
     operating_point_runs,
@@ -23,6 +24,7 @@ from adaptrack.runs import (
     random_drive_runs,
 )
 from adaptrack.scheduling import Schedule
+from adaptrack.tuning.evaluator import tuned_mpc
 from adaptrack.tuning.objective import Objective
 from adaptrack.world import KnownAs
 
@@ -32,7 +34,7 @@ More = Sequence[Contender | str]
 """Contenders beside the schedules, the registered ones by name."""
 
 PERCEIVING = ("best constant", "nn", "anfis")
-"""The contenders that are driven when friction and wind are not known exactly."""
+"""The kinds of contenders that are driven when friction and wind are not known exactly."""
 
 
 def on_operating_points(
@@ -47,25 +49,25 @@ def on_operating_points(
     """
     points = evaluation_points(setup, count, seed)
     ways = {name: perception(name, setup.plant, setup.profile) for name in known_as}
-    best, reference = None, "best constant"
+    beside = published_beside(setup)
+    best, reference = None, "optimum"
     if isinstance(setup.driven, SteppedPlant):
-        _needs_constants(schedules)
+        reference = _needs_a_constant(setup, schedules)
     else:
-        reference = "optimum"
         search = SwarmSearch(setup.campaign.search.space(), setup.campaign.swarm, seed)
         best = optimum(
-            _objective(setup, setup.driven), points, search, evaluation=setup.evaluation, known=_constants(schedules),
-            progress=progress,
+            _objective(setup, setup.driven), points, search, evaluation=setup.evaluation,
+            known=_constants(setup, schedules), progress=progress,
         )  # fmt: skip
     found = {}
     for name, known in ways.items():
         runs = operating_point_runs(
             setup.driven, setup.mpc, points, setup.profile, known_as=known, failure=setup.method.runs.failure
         )
-        contenders = contenders_of(schedules, points, _made(more, runs))
+        contenders = contenders_of(schedules, points, _made((*beside, *more), runs), own=own_constant(setup))
         if best is not None:
-            contenders["optimum"] = Contender("optimum", best, hindsight=True)
-        chosen = _driven(contenders, name, (*PERCEIVING, "optimum"))
+            contenders["optimum"] = Contender("optimum", best, hindsight=True, kind="optimum")
+        chosen = _driven(contenders, name, ("default constant", *PERCEIVING, "optimum"))
         found[name] = compare(runs, chosen, setup.evaluation.noise_seeds, reference, points, progress)
     return found
 
@@ -74,32 +76,37 @@ def on_drives(
     setup: SetUp, schedules: Mapping[str, Schedule], count: int, seed: int, *, known_as: Sequence[str] = ("exact",),
     more: More = (), progress: Progress | None = None,
 ) -> dict[str, Comparison]:  # fmt: skip
-    """On `count` random drives that nothing was trained on; regret is to the best constant."""
+    """On `count` random drives that nothing was trained on; regret is to the best constant.
+
+    Where none was sought, it is to the constant that the controller has by itself.
+    """
     ways = {name: perception(name, setup.plant, setup.profile) for name in known_as}
-    _needs_constants(schedules)
+    reference = _needs_a_constant(setup, schedules)
     numbers, noise = evaluation_drives(setup.evaluation, count, seed), setup.evaluation.noise_seeds[:1]
     found = {}
     for name, known in ways.items():
         runs = drive_runs(setup, numbers, known)
-        contenders = contenders_of(schedules, more=_made(more, runs))
+        beside = published_beside(setup) if name == "exact" else ()
+        contenders = contenders_of(schedules, more=_made((*beside, *more), runs), own=own_constant(setup))
         if name == "exact":
-            best = per_run_best(runs, _hindsight(schedules, setup.evaluation), noise)
-            contenders["per-drive constant"] = Contender("per-drive constant", best, hindsight=True)
-        chosen = _driven(contenders, name, PERCEIVING)
-        found[name] = compare(runs, chosen, noise, "best constant", np.array(numbers, dtype=float)[:, None], progress)
+            best = per_run_best(runs, _hindsight(setup, schedules), noise)
+            contenders["per-drive constant"] = Contender(
+                "per-drive constant", best, hindsight=True, kind="per-drive constant"
+            )
+        chosen = _driven(contenders, name, ("default constant", *PERCEIVING))
+        found[name] = compare(runs, chosen, noise, reference, np.array(numbers, dtype=float)[:, None], progress)
     return found
 
 
 def on_tests(setup: SetUp, schedules: Mapping[str, Schedule], *, more: More = ()) -> dict[str, Comparison]:
     """On the paper's two tests, in the campaign's profile."""
-    _needs_constants(schedules)
+    reference = _needs_a_constant(setup, schedules)
     found = {}
     for name in PUBLISHED:
         runs = paper_test_runs(setup.driven, setup.mpc, name, setup.profile, failure=setup.method.runs.failure)
-        contenders = contenders_of(schedules, more=_made(more, runs))
-        found[name] = compare(
-            runs, contenders.values(), setup.evaluation.noise_seeds, "best constant", np.zeros((1, 1))
-        )
+        beside = published_beside(setup)
+        contenders = contenders_of(schedules, more=_made((*beside, *more), runs), own=own_constant(setup))
+        found[name] = compare(runs, contenders.values(), setup.evaluation.noise_seeds, reference, np.zeros((1, 1)))
     return found
 
 
@@ -112,6 +119,17 @@ def drive_runs(setup: SetUp, numbers: range, known: KnownAs = None) -> RunSet:
     )  # fmt: skip
 
 
+def own_constant(setup: SetUp) -> Tuning | None:
+    """The constant of a controller that has one of its own; of the paper's None."""
+    return tuned_mpc(setup.plan.setup).tuning if setup.controller == "informed" else None
+
+
+def published_beside(setup: SetUp) -> tuple[str, ...]:
+    """The paper's controller, as contenders beside another, where the profile measures the state that it needs."""
+    measured = np.isfinite(load_profile(setup.profile).noise).all()
+    return PUBLISHED_CONTENDERS if setup.controller == "informed" and measured else ()
+
+
 def _made(more: More, runs: RunSet) -> list[Contender]:
     return [get_contender(each, runs) if isinstance(each, str) else each for each in more]
 
@@ -120,7 +138,7 @@ def _driven(contenders: Mapping[str, Contender], known_as: str, perceiving: Sequ
     """All contenders where friction and wind are known exactly; else those for which it matters."""
     if known_as == "exact":
         return list(contenders.values())
-    return [contenders[name] for name in perceiving if name in contenders]
+    return [each for kind in perceiving for each in contenders.values() if each.kind == kind]
 
 
 def _objective(setup: SetUp, plant: Plant) -> Callable[[Sequence[int]], Objective]:
@@ -130,25 +148,27 @@ def _objective(setup: SetUp, plant: Plant) -> Callable[[Sequence[int]], Objectiv
     )
 
 
-def _constants(schedules: Mapping[str, Schedule]) -> Array:
+def _constants(setup: SetUp, schedules: Mapping[str, Schedule]) -> Array:
+    own = own_constant(setup)
     rows = [schedules[name](ANYWHERE) for name in ("best constant", "fallback") if name in schedules]
-    return np.reshape(rows, (-1, 4))
+    return np.reshape([*rows, *([] if own is None else [own.as_array()])], (-1, 4))
 
 
-def _needs_constants(schedules: Mapping[str, Schedule]) -> None:
-    if "best constant on drives" not in schedules:
-        raise InvalidInput(
-            "the best constant on drives, to which all is compared, is not among the schedulers: those of one's own "
-            "configuration are files of `adaptrack adapt --out DIR`, given as --schedulers DIR/schedulers/*.json."
-        )
+def _needs_a_constant(setup: SetUp, schedules: Mapping[str, Schedule]) -> str:
+    """The constant that regret is measured against."""
+    if "best constant on drives" in schedules:
+        return "best constant"
+    if own_constant(setup) is not None:
+        return "default constant"
+    raise InvalidInput(
+        "the best constant on drives, to which all is compared, is not among the schedulers: those of one's own "
+        "configuration are files of `adaptrack adapt --out DIR`, given as --schedulers DIR/schedulers."
+    )
 
 
-def _hindsight(schedules: Mapping[str, Schedule], evaluation: Evaluation) -> Array:
+def _hindsight(setup: SetUp, schedules: Mapping[str, Schedule]) -> Array:
     """Tunings around the best constant on drives, for hindsight."""
-    grid = [
-        (Np, Nc, 1.0, ratio)
-        for Np in evaluation.hindsight_Np
-        for Nc in evaluation.hindsight_Nc
-        for ratio in evaluation.hindsight_R
-    ]
-    return np.array([schedules["best constant on drives"](ANYWHERE), *grid])
+    law, own = setup.evaluation, own_constant(setup)
+    grid = [(Np, Nc, 1.0, ratio) for Np in law.hindsight_Np for Nc in law.hindsight_Nc for ratio in law.hindsight_R]
+    first = [schedules[kind](ANYWHERE) for kind in ("best constant on drives",) if kind in schedules]
+    return np.array([*first, *([] if own is None else [own.as_array()]), *grid])

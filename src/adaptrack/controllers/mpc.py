@@ -9,7 +9,7 @@ import copy
 import logging
 import math
 import threading
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from functools import cached_property
 from typing import Any, NamedTuple, Protocol, Self, runtime_checkable
@@ -21,13 +21,14 @@ from adaptrack.controllers.belief import Uncertainty
 from adaptrack.controllers.informed import Parts, informed_parts
 from adaptrack.controllers.inputs import finite, number, vector
 from adaptrack.controllers.limits import Limits, Moves
+from adaptrack.controllers.made_for import INCREMENTAL, mismatches
 from adaptrack.controllers.tuning import ENTRIES, Tuning, read_tuning
 from adaptrack.errors import InvalidInput, real, whole
 from adaptrack.estimation import NOTHING_MEASURED, Deadbeat, Estimator, get_estimator
 from adaptrack.kalman import KalmanFilter
 from adaptrack.limits import CONTROL_HORIZON, PREDICTION_HORIZON, check_limit
 from adaptrack.models import PredictionModel, SingleTrackModel
-from adaptrack.profile import Profile
+from adaptrack.profile import Profile, load_profile
 from adaptrack.qp import QP, QPSolver, QPStatus, get_qp_solver
 from adaptrack.qp.active_set import ActiveSet
 from adaptrack.qp.hildreth import Hildreth
@@ -37,8 +38,6 @@ from adaptrack.vehicle import Steering, Vehicle
 Array = NDArray[np.float64]
 
 _STATUSES = tuple(QPStatus)
-INCREMENTAL = "incremental"
-"""What the files of schedulers call the paper's model and estimator."""
 _STATE_SIZES = (4, 5, 6, 7, 8, 9)
 """with or without wheel angle, lateral acceleration, ages and the path's turn (`kernels.models.contract.MEASURED`)"""
 _log = logging.getLogger("adaptrack")
@@ -188,7 +187,8 @@ class MPC:
         if entries != ENTRIES:
             raise InvalidInput(f"MPC: the scheduler gives {', '.join(entries)}; an MPC needs {', '.join(ENTRIES)}.")
         self.scheduler = scheduler
-        self._warn_of_another_mpc()
+        self._said: set[str] = set()
+        self.warn_of(scheduler, None if profile is None else load_profile(profile).name)
         if not 0.0 < real("MPC", "speed_floor", speed_floor) < math.inf:
             raise InvalidInput(f"speed_floor = {speed_floor!r} m/s: must be positive and finite.")
         self.speed_floor = float(speed_floor)
@@ -336,16 +336,18 @@ class MPC:
         """A controller of its own: memories are never shared."""
         return copy.deepcopy(self)
 
-    def _warn_of_another_mpc(self) -> None:
-        """Say once per controller that its scheduler was made for an MPC with another model."""
-        named = getattr(self.scheduler, "made_for", {}).get("controller")
-        told = named.get("model") if isinstance(named, Mapping) else None  # a file may say anything
-        if told not in (None, self.kind_of_model):
-            remedy = "published_mpc(...) is that one" if told == INCREMENTAL else "learn it on this one"
-            _log.warning(
-                "adaptrack: scheduler %r tunes an MPC whose model is %r, not %r, for which it was made: %s.",
-                getattr(self.scheduler, "name", ""), self.kind_of_model, told, remedy,
-            )  # fmt: skip
+    def mismatches(self, scheduler: Any, profile: str | None = None) -> list[str]:
+        """What a scheduler was made for and does not find here, see `made_for.mismatches`; profile: its name."""
+        car = getattr(getattr(self.model, "vehicle", None), "name", None)
+        return mismatches(getattr(scheduler, "made_for", None), self.kind_of_model, car, profile)
+
+    def warn_of(self, scheduler: Any, profile: str | None = None) -> None:
+        """Log what a scheduler was made for and does not find here, each once per controller."""
+        for each in self.mismatches(scheduler, profile):
+            said = f"scheduler {getattr(scheduler, 'name', '')!r} {each}"
+            if said not in self._said:
+                self._said.add(said)
+                _log.warning("adaptrack: %s.", said)
 
     @property
     def kind_of_model(self) -> str:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -20,6 +20,7 @@ from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
 from adaptrack.comparison.compare import Comparison
+from adaptrack.comparison.contenders import shown_as
 from adaptrack.comparison.statistics import (
     Ratio,
     binned_geometric_mean,
@@ -60,6 +61,12 @@ _NAMES = {
     "standard": ("Standard MPC", "the standard MPC", "the tuning of the paper's table, for everything."),
     "paper recipe nn": ("NN, paper's recipe", "the paper's recipe for NN", "learned the swarms' best tunings."),
     "paper recipe anfis": ("ANFIS, paper's recipe", "the paper's recipe for ANFIS", "likewise."),
+    "default constant": ("Default constant", "the default constant", "the tuning that the controller has by itself."),
+    "published": (
+        "Published",
+        "the published controller",
+        "the paper's, with the best constant that was found for it on drives.",
+    ),
     HINDSIGHT: (
         "Best constant of each drive",
         "the best constant of each drive",
@@ -79,7 +86,7 @@ _NAMES = {
     "nn unguarded": ("NN-MPC, unguarded", "NN-MPC without its guard", "the same networks alone."),
     "anfis unguarded": ("ANFIS-MPC, unguarded", "ANFIS-MPC without its guard", "the same systems alone."),
 }
-"""By contender: its name in tables, in a sentence, and what it is; their order gives the strokes."""
+"""By kind: its name in tables and in a sentence where no file gives it one, and what it is; in the strokes' order."""
 
 _OUTPUTS = (("$N_p$", "periods"), ("$N_c$", "periods"), (r"$\log_{10} R/Q$", "R/Q in m²/rad²"))
 _COUNTS = {
@@ -138,9 +145,9 @@ def write_comparison(
     tests
         The paper's tests, by the scenario's name.
     schedules
-        By contender; what "nn" and "anfis" learned is drawn.
+        By kind of contender; what "nn" and "anfis" learned is drawn.
     histories
-        By contender, what `improve` noted of its rounds.
+        By kind of contender, what `improve` noted of its rounds.
     command
         The command line that makes it again.
     notes
@@ -159,7 +166,7 @@ def write_comparison(
         *_perceived(known),
         *_tested(tests),
         *_learned(schedules),
-        *_learning(histories),
+        *_learning(histories, {kind: shown_as(kind, schedules) for kind in histories}),
         *_interventions(compared),
         *([Section("Limits", list(notes))] if notes else []),
         Section("How it was made", ["This command makes it again:", Verbatim(command)]),
@@ -187,10 +194,11 @@ def standing(comparison: Comparison, rows: Rows, noun: str) -> str:
     first, *level = best(comparison)
     head = f"On {counted(_runs(comparison), noun)} that nobody trained on, {_said(first)} is best"
     sentences = [f"{head}, level with {listed([_said(each) for each in level])}." if level else f"{head}."]
-    against = [other for other in dict.fromkeys((comparison.reference, CONSTANT, SPEED)) if other in comparison.costs]
-    for who in dict.fromkeys((first, *LEARNED)):
+    against = [each for each in (comparison.reference, CONSTANT) if each in comparison.costs]
+    against = list(dict.fromkeys([*against, *comparison.of_kind(SPEED)]))
+    for who in dict.fromkeys((first, *comparison.of_kind(*LEARNED))):
         others = [other for other in against if other != who]
-        if who not in comparison.costs or not others:
+        if not others:
             continue
         ratios = [f"{number(comparison.mean_ratio(who, other))} times {_said(other)}" for other in others]
         if who != first:
@@ -229,7 +237,7 @@ def failures(comparison: Comparison, rows: Rows, noun: str) -> str:
 def knowledge(perceptions: Comparisons, noun: str) -> str:
     """What it costs the learned contenders not to know friction and wind exactly; empty where they are."""
     clauses, unbeaten, failed, compared = [], [], [], False
-    for who in LEARNED:
+    for who in dict.fromkeys(who for each in perceptions.values() for who in each.of_kind(*LEARNED)):
         known = {name: comparison for name, comparison in perceptions.items() if who in comparison.costs}
         if not set(known) - {"exact"}:
             continue
@@ -262,7 +270,7 @@ def on_tests(tests: Comparisons) -> str:
     for name, comparison in tests.items():
         if CONSTANT not in comparison.costs:
             continue
-        beside = {who: comparison.ratio(who, CONSTANT) for who in LEARNED if who in comparison.costs}
+        beside = {who: comparison.ratio(who, CONSTANT) for who in comparison.of_kind(*LEARNED)}
         known_after = [who for who in comparison.costs if comparison.role(who).hindsight]
         floor = [comparison.mean_ratio(who, CONSTANT) for who in known_after]
         if not beside:
@@ -317,7 +325,7 @@ def _on_drives(found: _Compared) -> Section:
         Head("95 % interval", over): found.intervals(),
         Head("P90", over): found.column("regret_p90"),
         Head("Worst", over): found.column("regret_worst"),
-        Head("Cost", "/ speed only"): _ratios(comparison, SPEED),
+        Head("Cost", "/ speed only"): _ratios(comparison, *comparison.of_kind(SPEED)),
         Head("Failed", f"of {number(_runs(comparison))}"): found.column("failures"),
     }
     table = _table("Cost of long drives", columns, comparison, _BOLD + _failed(comparison))
@@ -325,12 +333,14 @@ def _on_drives(found: _Compared) -> Section:
 
 
 def _meanings(comparison: Comparison) -> Terms:
-    return Terms([_NAMES[who][::2] for who in comparison.costs if who in _NAMES], "What the contenders are")
+    kinds = {who: _kind(comparison, who) for who in comparison.costs}
+    told = [(_label(who), _NAMES[kind][2]) for who, kind in kinds.items() if kind in _NAMES]
+    return Terms(told, "What the contenders are")
 
 
 def _maps(comparison: Comparison) -> list[Picture]:
     """The regret of the main contenders over speed and friction, and over speed and the reference."""
-    contenders = [who for who in MAPPED if who in comparison.costs and who != comparison.reference]
+    contenders = [who for who in comparison.of_kind(*MAPPED) if who != comparison.reference]
     if not contenders:
         return []
     speed, y_ref, friction = comparison.where[:, 0], np.abs(comparison.where[:, 1]), comparison.where[:, 2]
@@ -371,10 +381,16 @@ def _spread(compared: Sequence[_Compared]) -> list[Section]:
     if not compared:
         return []
     drawn = [
-        [who for who in each.comparison.costs if who != each.comparison.reference and not who.endswith(" unguarded")]
+        [
+            who
+            for who in each.comparison.costs
+            if who != each.comparison.reference and not _kind(each.comparison, who).endswith(" unguarded")
+        ]
         for each in compared
     ]  # beside what has a guard, the same without it is hard to see
-    strokes = _strokes(who for contenders in drawn for who in contenders)
+    strokes = _strokes(
+        {who: _kind(each.comparison, who) for each, whom in zip(compared, drawn, strict=True) for who in whom}
+    )
     panels = []
     for (comparison, _, noun), contenders in zip(compared, drawn, strict=True):
         ratios = {who: comparison.regret(who) for who in contenders}
@@ -384,13 +400,20 @@ def _spread(compared: Sequence[_Compared]) -> list[Section]:
             for who, each in spread.items()
         )
         over = "Regret (–)" if comparison.reference == OPTIMUM else f"Cost / {comparison.reference} (–)"
-        draw = partial(_draw_distribution, ratios, strokes, over, f"{noun.capitalize()}s (%)")
+        main = [who for who in contenders if _kind(comparison, who) in MAPPED]
+        draw = partial(_draw_distribution, ratios, strokes, main, (over, f"{noun.capitalize()}s (%)"))
         panels.append(Panel(f"{noun.capitalize()}s", draw, f"{over}, logarithmic, and the share below. {described}"))
     caption = (
         "Share of the runs that cost at most so many times the reference, which is the upright line: further left is "
         "better. What lies far out is cut off."
     )
     return [Section("Run by run", [_picture(caption, panels, strokes, "spread.png")])]
+
+
+def _drawn(comparison: Comparison) -> list[str]:
+    """All but the reference; beside what has a guard, the same without it is hard to see."""
+    others = [who for who in comparison.costs if who != comparison.reference]
+    return [who for who in others if not _kind(comparison, who).endswith(" unguarded")]
 
 
 def _perceived(known: Mapping[str, Comparisons]) -> list[Section]:
@@ -405,8 +428,9 @@ def _perceived(known: Mapping[str, Comparisons]) -> list[Section]:
 
 def _lookers(perceptions: Comparisons) -> list[str]:
     """The contenders that may look at friction and wind, where those are not known exactly."""
-    looking = (who for name, comparison in perceptions.items() if name != "exact" for who in comparison.adaptive)
-    return [who for who in dict.fromkeys(looking) if who != SPEED]
+    others = [comparison for name, comparison in perceptions.items() if name != "exact"]
+    looking = (who for each in others for who in each.adaptive if each.role(who).kind != SPEED)
+    return list(dict.fromkeys(looking))
 
 
 def _perceived_table(noun: str, perceptions: Comparisons) -> Table:
@@ -443,7 +467,7 @@ def _tested(tests: Comparisons) -> list[Section]:
         means: dict[str, Value] = {who: geometric_mean(costs) for who, costs in comparison.costs.items()}
         shares = {who: float(each.mean()) for who, each in comparison.failures.items()}
         failed: dict[str, Value] = {who: Cell(percent(share), warn=share > 0.0) for who, share in shares.items()}
-        columns = [means, _ratios(comparison, CONSTANT), _ratios(comparison, SPEED), failed]
+        columns = [means, _ratios(comparison, CONSTANT), _ratios(comparison, *comparison.of_kind(SPEED)), failed]
         body += [title_of(name), *_body(columns, comparison)]
     words = "The signals of the paper's two tests, on the plant, the sensors and the actuator of the road profile."
     return [Section("The paper's tests", [words, Table("Cost on the paper's tests", heads, body, _BOLD.strip())])]
@@ -452,9 +476,9 @@ def _tested(tests: Comparisons) -> list[Section]:
 def _learned(schedules: Mapping[str, Schedule]) -> list[Section]:
     """The tuning over speed and the input that matters most beside it, without the guard."""
     drawn = {
-        name: replace(schedules[name], guard=None)
-        for name in LEARNED
-        if name in schedules and "speed" in schedules[name].inputs and len(schedules[name].inputs) > 1
+        shown_as(kind, schedules): replace(schedules[kind], guard=None)
+        for kind in LEARNED
+        if kind in schedules and "speed" in schedules[kind].inputs and len(schedules[kind].inputs) > 1
     }
     if not drawn:
         return []
@@ -480,7 +504,8 @@ def _learned(schedules: Mapping[str, Schedule]) -> list[Section]:
     ]
     with style.styled():
         figure, axes = style.grid_figure(len(drawn), len(_OUTPUTS), 2.1)
-        for ax, (name, k) in zip(axes, sorted(heats, key=lambda key: LEARNED.index(key[0])), strict=True):
+        order = list(drawn)
+        for ax, (name, k) in zip(axes, sorted(heats, key=lambda key: order.index(key[0])), strict=True):
             heats[name, k].draw(ax)
             ax.set_title(f"{_label(name)}: {_OUTPUTS[k][0]}")
             ax.set_ylabel("" if k else _axis(other[name]))
@@ -503,12 +528,12 @@ def _learned(schedules: Mapping[str, Schedule]) -> list[Section]:
     return [Section("What was learned", [Picture(caption, drawings, file="surfaces.png", print_figure=figure), table])]
 
 
-def _learning(histories: Histories) -> list[Section]:
-    """How the cost of the held-out runs fell."""
-    shown = {name: history for name, history in histories.items() if history}
+def _learning(histories: Histories, names: Mapping[str, str]) -> list[Section]:
+    """How the cost of the held-out runs fell; names: of the contenders, by kind."""
+    shown = {names[kind]: history for kind, history in histories.items() if history}
     if not shown:
         return []
-    strokes = _strokes(shown)
+    strokes = _strokes({names[kind]: kind for kind, history in histories.items() if history})
     costs = {name: [(check["round"], math.exp(check["score"])) for check in checks] for name, checks in shown.items()}
     failing = {name: [(check["round"], check["failed"]) for check in checks] for name, checks in shown.items()}
     words = [_progress_of(name, costs[name], shown[name]) for name in shown]
@@ -594,7 +619,7 @@ def _mean_regret(regret: Array, x: Array, y: Array) -> Cells:
     return Cells(*binned_geometric_mean(regret, x, y, cells))
 
 
-def _ratios(comparison: Comparison, other: str) -> dict[str, Value]:
+def _ratios(comparison: Comparison, other: str = "") -> dict[str, Value]:
     """By contender, the geometric mean of its cost over that of `other`; empty without that one."""
     return {who: comparison.mean_ratio(who, other) for who in comparison.costs} if other in comparison.costs else {}
 
@@ -623,7 +648,12 @@ def _runs(comparison: Comparison) -> int:
 
 # -- words ------------------------------------------------------------------------------------------------------------
 def _label(who: str) -> str:
-    return _NAMES[who][0] if who in _NAMES else who[:1].upper() + who[1:]
+    """A contender in tables: one that is called as its file stays as it is."""
+    return _NAMES[who][0] if who in _NAMES else who
+
+
+def _kind(comparison: Comparison, who: str) -> str:
+    return comparison.role(who).kind
 
 
 def _said(who: str) -> str:
@@ -642,14 +672,21 @@ def _axis(name: str) -> str:
     return "{} ({})".format(*INPUTS[name])
 
 
-def _strokes(contenders: Iterable[str]) -> dict[str, style.Stroke]:
-    """The strokes of these contenders, alike in all pictures: the paper's recipe is dashed, in its model's colour."""
-    given = dict.fromkeys(contenders)
-    return {who: stroke for who, stroke in style.strokes([*_NAMES, *given]).items() if who in given}
+def _strokes(kinds: Mapping[str, str]) -> dict[str, style.Stroke]:
+    """The strokes of contenders (by name, with their kinds), alike in all pictures.
+
+    The paper's recipe is dashed, in its model's colour.
+    """
+    of_kinds = {who: kind if kind in _NAMES else who for who, kind in kinds.items()}
+    known = style.strokes([*_NAMES, *dict.fromkeys(of_kinds.values())])
+    return {who: known[kind] for who, kind in of_kinds.items()}
 
 
 # -- drawing ----------------------------------------------------------------------------------------------------------
-def _draw_distribution(ratios: Mapping[str, Array], strokes: Strokes, label: str, shares: str, axes: Axes) -> None:
+def _draw_distribution(
+    ratios: Mapping[str, Array], strokes: Strokes, main: Sequence[str], labels: tuple[str, str], axes: Axes
+) -> None:
+    """main: those whose spread decides what is shown; labels: of the axes."""
     axes.axvline(1.0, color=style.MUTED, linewidth=0.7)
     for who, values in ratios.items():
         levels = np.linspace(0.0, 1.0, min(len(values), _CURVE) + 1)[1:]
@@ -657,12 +694,12 @@ def _draw_distribution(ratios: Mapping[str, Array], strokes: Strokes, label: str
         x, y = np.concatenate([placed[:1], placed]), 100.0 * np.concatenate([[0.0], levels])
         axes.step(x, y, where="post", color=strokes[who].colour, linestyle=strokes[who].dash)
     shown = [0.9, 1.1, *(np.clip(np.median(values), 0.1, _CEILING) for values in ratios.values())]
-    for who in set(ratios) & set(MAPPED):
+    for who in main:
         shown += np.clip(np.quantile(ratios[who], (0.005, 0.97)), 0.05, 5.0 * _CEILING).tolist()
     style.logarithmic(axes, "x", (min(shown), max(shown)))
     axes.set_ylim(0.0, 103.0)
-    axes.set_xlabel(label)
-    axes.set_ylabel(shares)
+    axes.set_xlabel(labels[0])
+    axes.set_ylabel(labels[1])
 
 
 def _draw_learning(

@@ -6,6 +6,7 @@ import hashlib
 import json
 import os
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +15,7 @@ import numpy as np
 from adaptrack.controllers import MPC, Tuning
 from adaptrack.errors import InvalidInput, StorageError, UnknownName, did_you_mean
 from adaptrack.files import write_atomically
+from adaptrack.profile import load_profile
 from adaptrack.scheduling.functions import Table, load_function, save_function
 from adaptrack.scheduling.guard import Guard, StabilityMap
 from adaptrack.scheduling.schedule import Entry, Schedule
@@ -23,7 +25,7 @@ _DATA = Path(__file__).parents[1] / "data" / "schedulers"
 
 
 def save_scheduler(schedule: Schedule, path: str | os.PathLike[str]) -> None:
-    """Write a schedule as one JSON file that `load_scheduler` reads back to the bit.
+    """Write a schedule as one JSON file that `load_scheduler` reads back to the bit; it is then called as the file is.
 
     Raises
     ------
@@ -32,7 +34,7 @@ def save_scheduler(schedule: Schedule, path: str | os.PathLike[str]) -> None:
     StorageError
         When the file cannot be written; an older one at `path` is then untouched.
     """
-    content = _encode(schedule)
+    content = _encode(replace(schedule, name=Path(path).stem))
     try:
         text = json.dumps(content, allow_nan=False, separators=(",", ":"))
     except (TypeError, ValueError) as error:
@@ -47,6 +49,8 @@ def save_scheduler(schedule: Schedule, path: str | os.PathLike[str]) -> None:
 def load_scheduler(name_or_path: str | os.PathLike[str]) -> Schedule:
     """The schedule in a file, or one that ships with the package, by name (`list_schedulers`).
 
+    Its name is that of the file, without the ending.
+
     Raises
     ------
     UnknownName
@@ -57,7 +61,7 @@ def load_scheduler(name_or_path: str | os.PathLike[str]) -> Schedule:
     path = _path(name_or_path)
     content = _read(path)
     try:
-        schedule = _decode(content)
+        schedule = replace(_decode(content), name=path.stem)
         schedule._packed()  # numbers too large for the kernels are found here
     except KeyError as error:
         raise StorageError(f"{path}: its content makes no scheduler: {error} is missing.") from None
@@ -78,7 +82,7 @@ def made_for(mpc: MPC, profile: str) -> dict[str, Any]:
     described = mpc.describe()
     return {
         "car": getattr(getattr(mpc.model, "vehicle", None), "name", mpc.model.name),
-        "profile": profile,
+        "profile": load_profile(profile).name,
         "controller": {
             "kind": "MPC",
             "model": mpc.kind_of_model,

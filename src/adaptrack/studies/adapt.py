@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -15,7 +15,7 @@ from adaptrack.adaptation.splits import SetUp, evaluation_points
 from adaptrack.comparison.compare import Comparison
 from adaptrack.comparison.evaluate import on_drives, on_operating_points, on_tests
 from adaptrack.dataset import DataSet, load_dataset
-from adaptrack.scheduling import Schedule, list_schedulers, load_scheduler
+from adaptrack.scheduling import Schedule, list_schedulers, load_scheduler, made_for
 from adaptrack.studies.pipeline import JSONFile, Keeper, Progress, SchedulerFile, Stage, identity_of, run, software
 from adaptrack.tuning.campaign import Progress as CampaignProgress
 from adaptrack.tuning.campaign import closed_loop, evaluator_of, run_campaign, versions_of
@@ -85,8 +85,15 @@ def histories(schedules: Mapping[str, Schedule]) -> dict[str, History]:
 
 def shipped(name: str) -> dict[str, Schedule]:
     """The schedulers of an adaptation that ship with the package, by contender."""
-    found = {each: load_scheduler(each) for each in list_schedulers() if each.startswith(f"{name}-")}
-    return {each.name: each for file, each in found.items() if file == file_name(name, each.name)}
+    here = set(list_schedulers())
+    names = {contender: file_name(name, contender) for contender in CONTENDERS}
+    return {contender: load_scheduler(file) for contender, file in names.items() if file in here}
+
+
+def contender_of(file: str, adaptations: Iterable[str]) -> str | None:
+    """Which contender of one of these adaptations a file of this name holds (without its ending); None: of none."""
+    named = {file_name(name, contender): contender for name in adaptations for contender in CONTENDERS}
+    return named.get(file)
 
 
 def file_name(adaptation: str, contender: str) -> str:
@@ -113,13 +120,15 @@ def learning_stages(
             recipes.append(Recipes(setup, made[CAMPAIGN], show))
         return recipes[0].all()[name](made)
 
+    purpose = made_for(setup.mpc, setup.profile)
+    purpose |= {"plant": setup.campaign.plant, "tyre": setup.plan.setup.tyre.name}
     record = {"settings": setup.config.settings, "campaign": setup.plan.identity, "software": software()}
     return [
         Stage(CAMPAIGN, setup.plan.identity, keeper.make, keeper),
         *(
             Stage(
                 name, stage_identity(setup, name), partial(maker, name),
-                SchedulerFile(folder / "schedulers" / f"{file_name(setup.config.name, name)}.json", name, record),
+                SchedulerFile(folder / "schedulers" / f"{file_name(setup.config.name, name)}.json", record, purpose),
             )
             for name in CONTENDERS
         ),

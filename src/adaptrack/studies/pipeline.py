@@ -10,7 +10,7 @@ import hashlib
 import json
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -104,10 +104,10 @@ class SchedulerFile(Keeper):
     """A schedule as a file of its own, with its identity and what it was made with in its provenance."""
 
     path: Path
-    name: str
-    """of the schedule"""
     record: Mapping[str, Any]
     """what it was made with: plain JSON"""
+    made_for: Mapping[str, Any] = field(default_factory=dict)
+    """see `Schedule.made_for`"""
 
     def load(self, identity: str) -> Schedule | None:
         if not self.path.exists():
@@ -117,9 +117,8 @@ class SchedulerFile(Keeper):
 
     def save(self, result: Schedule, identity: str) -> None:
         _make_folder(self.path.parent)
-        replace(result, name=self.name, provenance={**result.provenance, "stage": identity, **self.record}).save(
-            self.path
-        )
+        provenance = {**result.provenance, "stage": identity, **self.record}
+        replace(result, provenance=provenance, made_for=self.made_for).save(self.path)
 
 
 @dataclass(frozen=True, eq=False)

@@ -301,7 +301,7 @@ class _Stages:
         if self.folder is None or name == "timing steps":  # times are those of this session
             return None
         place, file = self.folder / "stages", f"{name.replace(' ', '-')}.json"
-        return SchedulerFile(place / file, name, {}) if name.startswith("training") else JSONFile(place / file)
+        return SchedulerFile(place / file, {}) if name.startswith("training") else JSONFile(place / file)
 
     def trained(self, model: str, made: Mapping[str, Any]) -> Schedule:
         """The learned functions as a schedule, how good they are in its provenance."""

@@ -7,6 +7,7 @@ import json
 import math
 import os
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -14,14 +15,15 @@ from typing import Annotated, Any, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BeforeValidator, Field, model_validator
+from pydantic import BeforeValidator, Field, field_validator, model_validator
 
 from adaptrack.controllers import Tuning
-from adaptrack.errors import UnknownName, did_you_mean
+from adaptrack.controllers.informed import informed_tuning
+from adaptrack.errors import AdaptrackError, UnknownName, did_you_mean
 from adaptrack.failure import DISTANCE, SIDESLIP, Failure
 from adaptrack.files import Record, build, read_toml
 from adaptrack.limits import LANDSCAPE, NOISE_SEEDS, check_limit
-from adaptrack.profile import load_profile
+from adaptrack.profile import list_profiles, load_profile
 from adaptrack.tuning.operating_points import Fold, check_box, fold, grid, paper_grid, sobol, unit_sobol
 from adaptrack.tuning.pso import SearchSpace, SwarmSettings
 from adaptrack.vehicle import Tyre, Vehicle, load_tyre, load_vehicle
@@ -131,6 +133,12 @@ class Search(Record):
             raise ValueError(f"Np up to {self.Np[1]}, Nc up to {self.Nc[1]}: must not exceed 500 and 100.")
         return self
 
+    @classmethod
+    def around(cls, constant: Tuning) -> Self:
+        """Six decades of R/Q around a constant tuning, Q being 1: only R/Q changes the control law."""
+        ratio = constant.R / constant.Q
+        return cls(Np=(5, 60), Nc=(1, 18), Q=(1.0, 1.0), R=(1e-3 * ratio, 1e3 * ratio), decades=True)
+
     def space(self) -> SearchSpace:
         """The same for the swarm, whose first draw has Np >= 2 Nc as in the authors' programs."""
         bounds = [tuple(float(each) for each in pair) for pair in (self.Np, self.Nc, self.Q, self.R)]
@@ -202,8 +210,15 @@ class FailureRule(Record):
 
 
 # -- the file ---------------------------------------------------------------------------------------------------------
+Controlled = Literal["informed", "as-written"]
+"""Controllers whose tuning is sought, by the names of `controllers.registry`."""
+
+
 class CampaignConfig(Record):
-    """A campaign: at every operating point one particle swarm, and the cost of every tuning of a common library."""
+    """A campaign: at every operating point one particle swarm, and the cost of every tuning of a common library.
+
+    Without bounds of its own the search of the informed controller is `Search.around` its constant tuning.
+    """
 
     name: str = Field(
         pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*$", description="letters, digits, . _ -; the data set is called so"
@@ -212,7 +227,12 @@ class CampaignConfig(Record):
     vehicle: str = Field(default="paper", description="name, or .toml file beside this one")
     plant: Literal["single-track", "dual-track"] = Field(default="dual-track", description="what is driven")
     tyre: str | None = Field(default=None, description="name, or .toml file beside this one; by default the vehicle's")
-    profile: Literal["paper", "road"] = Field(description="paper: ideal; road: steering lag, noise, delay, preview")
+    profile: str = Field(
+        description="name, or .toml file beside this one; paper: ideal; road, production: steering lag, noise, delay"
+    )
+    controller: Controlled = Field(
+        default="informed", description="whose tuning is sought; informed: it knows its car; as-written: the paper's"
+    )
     scenario: Literal["step", "lane-change"] = Field(
         description="step: constant reference y_ref and wind; lane-change: smooth, with a gust"
     )
@@ -236,6 +256,22 @@ class CampaignConfig(Record):
         default_factory=Library, description="tunings whose cost is found at every operating point"
     )
 
+    @model_validator(mode="before")
+    @classmethod
+    def _searches_around_its_constant(cls, values: Any) -> Any:
+        if not isinstance(values, Mapping) or "search" in values or values.get("controller", "informed") != "informed":
+            return values
+        with suppress(AdaptrackError, TypeError):  # an unknown profile is told below
+            return {**values, "search": Search.around(informed_tuning(values.get("profile", "")))}
+        return values
+
+    @field_validator("profile")
+    @classmethod
+    def _is_a_profile(cls, value: str) -> str:
+        if not _is_path(value) and value not in list_profiles():
+            raise ValueError(f"no profile is named {value!r}. {did_you_mean(value, list_profiles())}")
+        return value
+
     @model_validator(mode="after")
     def _fits_together(self) -> Self:
         if self.noise_seeds is not None:
@@ -254,6 +290,20 @@ class CampaignConfig(Record):
     def noisy(self) -> bool:
         """Whether the profile has sensor noise."""
         return any(load_profile(self.profile).noise)
+
+    def driven_by(self, controller: str | None = None, profile: str | None = None) -> Self:
+        """The same for another controller or profile, None: its own; the name says so.
+
+        For another controller, bounds and library of the tunings are the defaults: they belong to a controller.
+        """
+        changes = {key: value for key, value in (("controller", controller), ("profile", profile)) if value is not None}
+        changes = {key: value for key, value in changes.items() if value != getattr(self, key)}
+        if not changes:
+            return self
+        belonging = {"search", "library"} if "controller" in changes else set()
+        values = {key: value for key, value in self if key in self.model_fields_set - belonging}
+        suffix = "-".join(Path(value).stem for value in changes.values())
+        return type(self)(**{**values, **changes, "name": f"{self.name}-{suffix}"})
 
     def settled(self) -> Self:
         """A copy in which every value that may be left out has been given."""
@@ -274,7 +324,7 @@ def load_campaign(name_or_path: str | os.PathLike[str]) -> CampaignConfig:
     """The named campaign, or the one that a TOML file describes (keys: the fields of `CampaignConfig`).
 
     Text is a path when it ends in ``.toml`` or holds a directory; without the key ``name``, the file's own name is
-    taken. The files of a vehicle and a tyre are looked for beside it.
+    taken. The files of a vehicle, a tyre and a profile are looked for beside it.
 
     Raises
     ------
@@ -296,7 +346,7 @@ def load_campaign(name_or_path: str | os.PathLike[str]) -> CampaignConfig:
             )
         path = _DATA / f"{name_or_path}.toml"
     data = {"name": path.stem, **read_toml(path)}
-    for key in ("vehicle", "tyre"):
+    for key in ("vehicle", "tyre", "profile"):
         if isinstance(data.get(key), str) and _is_path(data[key]):
             data[key] = str(path.parent / data[key])
     return build(CampaignConfig, data, path)
@@ -360,10 +410,11 @@ class Plan:
         All that the data depend on, and nothing else: no chunk size, no description, no path.
         """
         values = self.config.model_dump(mode="json", exclude={"description", "chunk"})
-        values["vehicle"] = self.setup.vehicle.model_dump(
-            mode="json", exclude={"description", "tyre", "steering", "body"}
-        )
+        unused = {"description", "tyre", "body"} | ({"steering"} if self.config.controller == "as-written" else set())
+        values["vehicle"] = self.setup.vehicle.model_dump(mode="json", exclude=unused)
         values["tyre"] = self.setup.tyre.model_dump(mode="json", exclude={"description"})
+        if self.config.profile not in list_profiles():
+            values["profile"] = load_profile(self.config.profile).model_dump(mode="json", exclude={"description"})
         return _plain(values)
 
     @cached_property

@@ -5,18 +5,29 @@ from __future__ import annotations
 from collections.abc import Mapping
 from importlib.metadata import version
 from pathlib import Path
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from adaptrack.controllers import published_mpc
+from adaptrack.controllers import MPC, Tuning, published_mpc
 from adaptrack.plant import DualTrack, SingleTrack
 from adaptrack.profile import load_profile
 from adaptrack.tuning.config import Setup
 from adaptrack.tuning.objective import Objective
 
 Array = NDArray[np.float64]
+
+
+def tuned_mpc(setup: Setup, tuning: Tuning | None = None, **options: Any) -> MPC:
+    """The MPC whose tuning a campaign seeks, for its car and in its profile, by default with its constant tuning.
+
+    options: of `MPC`.
+    """
+    config, profile = setup.config, load_profile(setup.config.profile)
+    if config.controller == "informed":
+        return MPC(setup.vehicle, tuning, profile=profile, **options)
+    return published_mpc(setup.vehicle, tuning, period=profile.period, preview=profile.preview, **options)
 
 
 class Tuned(Protocol):
@@ -69,10 +80,8 @@ class ClosedLoop:
         self._swarm, self._space = config.swarm, config.search.space()
         self.objective = Objective(
             plant=plant(setup.vehicle, setup.tyre),
-            mpc=published_mpc(
-                setup.vehicle,
-                period=profile.period,
-                preview=profile.preview,
+            mpc=tuned_mpc(
+                setup,
                 longest_horizon=max(60, config.search.Np[1]),
                 most_moves=max(20, config.search.Nc[1]),
             ),
