@@ -34,7 +34,8 @@ def vector(name: str, values: Any, size: int | tuple[int, ...] | None = None, mo
             expected = " or ".join(f"({length},)" for length in fitting)
             raise InvalidInput(f"{name}: shape {row.shape}, expected {expected}.")
     else:
-        row = row.reshape(-1)
+        if row.ndim != 1:
+            row = row.reshape(-1)
         if row.size == 0:
             raise InvalidInput(f"{name}: empty; give at least its present value.")
     if most is not None and row.size > most:

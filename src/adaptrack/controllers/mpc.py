@@ -40,6 +40,10 @@ Array = NDArray[np.float64]
 _STATUSES = tuple(QPStatus)
 _STATE_SIZES = (4, 5, 6, 7, 8, 9)
 """with or without wheel angle, lateral acceleration, ages and the path's turn (`kernels.models.contract.MEASURED`)"""
+_NOT_CARRIED = (
+    "_lock", "_measured", "_answer", "_resident", "_resident_plan", "_step", "_schedule_step", "functions",
+)  # fmt: skip
+"""Of a controller, by a copy of it: see `MPC._load`."""
 _log = logging.getLogger("adaptrack")
 
 
@@ -318,13 +322,24 @@ class MPC:
         from adaptrack.kernels.abi import Resident
 
         self._lock = threading.Lock()
+        self._measured, self._answer = self._mpc.measured, self._mpc.answer[0]
+        self._given_size = 0
         self._resident = Resident(self._mpc)
         self._resident_plan = None if self._plan is None else Resident(self._plan)
         self._step: Callable[[float, Array], None] | None = None
 
     def __getstate__(self) -> dict[str, Any]:
         state = self.__dict__.copy()
-        for name in ("_lock", "_resident", "_resident_plan", "_step", "_schedule_step", "functions"):
+        for name in (
+            "_lock",
+            "_measured",
+            "_answer",
+            "_resident",
+            "_resident_plan",
+            "_step",
+            "_schedule_step",
+            "functions",
+        ):
             state.pop(name, None)
         return state
 
@@ -448,7 +463,7 @@ class MPC:
             When an argument is not made of numbers or has a wrong shape, when the scheduler has nothing to look at, or
             when another thread is in a step of this controller.
         """
-        if not self._lock.acquire(blocking=False):
+        if not self._lock.acquire(False):
             raise InvalidInput("this MPC is in a step of another thread: each vehicle needs a controller of its own.")
         try:
             ahead, pace = self._take(state, speed, reference)
@@ -468,10 +483,11 @@ class MPC:
         if not self.in_kernel:
             self._step = self._step_through
         else:
+            from adaptrack.kernels.abi import entry
             from adaptrack.kernels.controllers.mpc_step import step
 
-            address, functions = self._resident.address, self.functions
-            self._step = lambda speed, ahead: step(speed, ahead, asked, address, functions)
+            compiled, address, functions = entry(step), self._resident.address, self.functions
+            self._step = lambda speed, ahead: compiled(speed, ahead, asked, address, functions)
         return self._step
 
     def problem(
@@ -508,14 +524,15 @@ class MPC:
 
     def _take(self, state: ArrayLike, speed: float, reference: ArrayLike) -> tuple[Array, float]:
         """Take in the measured state; the reference and the speed as the kernels want them."""
-        measured = self._mpc.measured
         given = vector("state", state, _STATE_SIZES)
         ahead = vector("reference", reference, most=self._furthest)
         pace = number("speed", speed)
         if pace == -math.inf:
             pace = math.nan  # the speed's floor would make a number of it
-        measured[4:] = NOTHING_MEASURED[4:]
-        measured[: given.size] = given
+        if given.size != self._given_size:
+            self._measured[4:] = NOTHING_MEASURED[4:]
+            self._given_size = given.size
+        self._measured[: given.size] = given
         return ahead, pace
 
     def _look_along(self, road: RoadAhead | None, pace: float) -> None:
@@ -622,11 +639,12 @@ class MPC:
         self._parts.apply_move(0, int(status), iterations, (n, m), self._mpc)
 
     def _command(self) -> MPCCommand:
-        angle, move, held, Np, Nc, Q, R, status, iterations, residual, at_limit, reckoned = self._mpc.answer[0].tolist()
-        return MPCCommand(
+        angle, move, held, Np, Nc, Q, R, status, iterations, residual, at_limit, reckoned = self._answer.tolist()
+        made = (
             angle, move, held > 0.5, (Np, Nc, Q, R), _STATUSES[int(status)], int(iterations), residual, int(at_limit),
             reckoned,
         )  # fmt: skip
+        return MPCCommand._make(made)
 
     def describe(self) -> dict[str, Any]:
         """The controller's configuration, for provenance."""
