@@ -335,6 +335,8 @@ def _trajectory(
     if isinstance(scenario, RoadDrive):
         road = dict(zip(("station", "offset", "heading_error"), record.seen[:, 2:].T, strict=True))
         road["curvature"] = scenario.road.at(np.nan_to_num(road["station"])).curvature
+    groups = {"tuning": record.tuning_names, "diagnostics": record.diagnostic_names, "road": road}
+    held = {f"{group}.{name}" for group, names in groups.items() for name in names}
     return Trajectory(
         t=signals.t[:n],
         X=state[:, STATE.x],
@@ -357,11 +359,7 @@ def _trajectory(
         tuning=_named(record.tuning_names, record.tuning, driven),
         diagnostics=_named(record.diagnostic_names, record.diagnostics, driven),
         road=road,
-        units={
-            key: unit
-            for key, unit in _UNITS.items()
-            if key.partition(".")[2] in (*record.tuning_names, *record.diagnostic_names, *road)
-        },
+        units={key: unit for key, unit in _UNITS.items() if key in held},
         failed=record.failed,
         failed_at=record.failed_at,
         meta=provenance(
