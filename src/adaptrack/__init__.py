@@ -57,7 +57,9 @@ _PUBLIC = {
         "load_road",
         "plan_speed",
     ),
+    "road.ahead": ("RoadAhead",),
     "scenario": (
+        "RoadDrive",
         "Scenario",
         "list_scenarios",
         "load_scenario",
@@ -138,6 +140,11 @@ _PUBLIC = {
     "metrics": (
         "Metrics",
         "compute_metrics",
+    ),
+    "tracker": (
+        "Status",
+        "Tracker",
+        "yaw_of",
     ),
     "tuning.pso": (
         "SearchSpace",
@@ -240,7 +247,8 @@ if TYPE_CHECKING:
     from adaptrack.profile import Profile, list_profiles, load_profile
     from adaptrack.qp import QP, Solution, check_qp_solver, get_qp_solver, list_qp_solvers, register_qp_solver
     from adaptrack.road import Road, check_road, generate_road, load_road, plan_speed
-    from adaptrack.scenario import Scenario, list_scenarios, load_scenario, random_drive
+    from adaptrack.road.ahead import RoadAhead
+    from adaptrack.scenario import RoadDrive, Scenario, list_scenarios, load_scenario, random_drive
     from adaptrack.scheduling import (
         Constant,
         Guarded,
@@ -256,6 +264,7 @@ if TYPE_CHECKING:
     )
     from adaptrack.simulate import rollout, simulate
     from adaptrack.studies.adapt import adapt
+    from adaptrack.tracker import Status, Tracker, yaw_of
     from adaptrack.trajectory import Trajectory
     from adaptrack.tuning.campaign import run_campaign
     from adaptrack.tuning.config import CampaignConfig, list_campaigns, load_campaign
@@ -313,6 +322,8 @@ __all__ = [
     "Profile",
     "PurePursuit",
     "Road",
+    "RoadAhead",
+    "RoadDrive",
     "Scenario",
     "Schedule",
     "SchedulingVariables",
@@ -322,12 +333,14 @@ __all__ = [
     "SingleTrackModel",
     "Solution",
     "Stanley",
+    "Status",
     "Steering",
     "SteeringActuator",
     "SteppedPlant",
     "StorageError",
     "Swarm",
     "SwarmSettings",
+    "Tracker",
     "Trajectory",
     "Tuning",
     "Tyre",
@@ -396,6 +409,7 @@ __all__ = [
     "save_scheduler",
     "simulate",
     "train",
+    "yaw_of",
 ]
 
 
