@@ -1,4 +1,4 @@
-"""A loop that is not ours: the bicycle of the example, 20 Hz at best, with samples as networks and sensors spoil them."""
+"""A loop that is not ours: the bicycle of the example, 20 Hz at best, its samples spoilt by sensors and networks."""
 
 from __future__ import annotations
 
