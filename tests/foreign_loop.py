@@ -11,6 +11,8 @@ from pathlib import Path
 
 import numpy as np
 
+from adaptrack.road import Road
+
 DT = 0.002
 """s, step of the bicycle."""
 NOISE = (0.02, 0.02, 0.002, 0.0, 0.005)
@@ -46,6 +48,12 @@ def on_road(road, s=0.0, speed=15.0, offset=0.0):
     yaw = float(place.heading) - (drift / speed if speed > 2.0 else 0.0)
     x, y = float(place.x) - offset * math.sin(yaw), float(place.y) + offset * math.cos(yaw)
     return Bicycle(x=x, y=y, yaw=yaw, speed=speed, vy=drift, yaw_rate=rate, angle=angle)
+
+
+def window(road, s):
+    """What a planner publishes at s: points a metre apart, from 10 m behind the car to 80 m ahead."""
+    points = road.at(s - 10.0 + np.arange(91.0))
+    return Road.through(np.stack([points.x, points.y], axis=-1))
 
 
 @dataclass

@@ -16,7 +16,7 @@ from adaptrack.profile import load_profile
 from adaptrack.road import Arc, Clothoid, Line, Road, generate_road, plan_speed
 from adaptrack.tracker import Status, Tracker, yaw_of
 from adaptrack.vehicle import Steering, load_vehicle
-from foreign_loop import Bicycle, drive, on_road, steady_turn
+from foreign_loop import Bicycle, drive, on_road, steady_turn, window
 
 CAR = load_vehicle("paper")
 ROAD = generate_road("country", seed=1, length=1500.0)
@@ -266,12 +266,6 @@ def test_a_path_beside_the_other_is_approached_without_a_bump():
     assert driven.offset[:150] == pytest.approx(-0.5, abs=1e-6)
     assert driven.offset.max() < 0.02  # no overshoot to speak of
     assert np.abs(driven.offset[-50:]).max() < 0.005
-
-
-def window(road, s):
-    """What a planner publishes at s: points a metre apart, from 10 m behind the car to 80 m ahead."""
-    points = road.at(s - 10.0 + np.arange(91.0))
-    return Road.through(np.stack([points.x, points.y], axis=-1))
 
 
 def test_a_path_that_is_planned_anew_every_tenth_of_a_second_is_followed_as_well():

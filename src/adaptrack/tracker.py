@@ -408,7 +408,7 @@ class Tracker:
         return Status.OK if fresh else Status.ESTIMATED
 
     def predicted_path(self) -> Array:
-        """(Np, 2) m: where the MPC expects the car at the instants from behind its dead time on.
+        """(Np, 2) m: where the MPC expects the car at the instants from behind its dead time on, as of its last step.
 
         Raises
         ------
@@ -425,7 +425,7 @@ class Tracker:
         way = np.concatenate([[0.0], np.cumsum(speeds) * self.period])
         last = self.period * speeds.size
         gone = np.interp(time, self.period * np.arange(way.size), way) + speeds[-1] * np.maximum(time - last, 0.0)
-        foot = self.path.at(self._station + gone)
+        foot = self._ahead.road.at(self._ahead.station + gone)
         return np.stack([foot.x - offset * np.sin(foot.heading), foot.y + offset * np.cos(foot.heading)], axis=-1)
 
 
