@@ -57,7 +57,9 @@ _PUBLIC = {
         "load_road",
         "plan_speed",
     ),
+    "road.ahead": ("RoadAhead",),
     "scenario": (
+        "RoadDrive",
         "Scenario",
         "list_scenarios",
         "load_scenario",
@@ -143,6 +145,11 @@ _PUBLIC = {
         "PathMetrics",
         "PathRecord",
         "path_metrics",
+    ),
+    "tracker": (
+        "Status",
+        "Tracker",
+        "yaw_of",
     ),
     "tuning.pso": (
         "SearchSpace",
@@ -246,7 +253,8 @@ if TYPE_CHECKING:
     from adaptrack.profile import Profile, list_profiles, load_profile
     from adaptrack.qp import QP, Solution, check_qp_solver, get_qp_solver, list_qp_solvers, register_qp_solver
     from adaptrack.road import Road, check_road, generate_road, load_road, plan_speed
-    from adaptrack.scenario import Scenario, list_scenarios, load_scenario, random_drive
+    from adaptrack.road.ahead import RoadAhead
+    from adaptrack.scenario import RoadDrive, Scenario, list_scenarios, load_scenario, random_drive
     from adaptrack.scheduling import (
         Constant,
         Guarded,
@@ -262,6 +270,7 @@ if TYPE_CHECKING:
     )
     from adaptrack.simulate import rollout, simulate
     from adaptrack.studies.adapt import adapt
+    from adaptrack.tracker import Status, Tracker, yaw_of
     from adaptrack.trajectory import Trajectory
     from adaptrack.tuning.campaign import run_campaign
     from adaptrack.tuning.config import CampaignConfig, list_campaigns, load_campaign
@@ -321,6 +330,8 @@ __all__ = [
     "Profile",
     "PurePursuit",
     "Road",
+    "RoadAhead",
+    "RoadDrive",
     "Scenario",
     "Schedule",
     "SchedulingVariables",
@@ -330,12 +341,14 @@ __all__ = [
     "SingleTrackModel",
     "Solution",
     "Stanley",
+    "Status",
     "Steering",
     "SteeringActuator",
     "SteppedPlant",
     "StorageError",
     "Swarm",
     "SwarmSettings",
+    "Tracker",
     "Trajectory",
     "Tuning",
     "Tyre",
@@ -405,6 +418,7 @@ __all__ = [
     "save_scheduler",
     "simulate",
     "train",
+    "yaw_of",
 ]
 
 

@@ -1,9 +1,9 @@
 """A controller in anybody's loop: samples with time stamps in, steering commands out.
 
-The controller runs at instants of its own, one period apart. A call at any time belongs to the nearest of them; a
-sample is carried there by its own motion (speed, yaw and yaw rate), by half a period at most, or keeps its age in whole
-periods where the controller's filter takes late samples in. Instants without a call are gone through on the estimate,
-with the command that was held.
+The controller runs at instants of its own, one period apart. A call at any time belongs to the nearest of them, and an
+instant to the nearest call. A Kalman filter is told the age of a sample and takes it in where it belongs; what it
+cannot take, and what any other controller is given, is carried to the instant by the car's own motion (speed and yaw
+rate). Instants without a call are gone through on the estimate, with the command that was held.
 """
 
 from __future__ import annotations
@@ -11,7 +11,6 @@ from __future__ import annotations
 import logging
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from enum import StrEnum
 from typing import Any, NamedTuple
 
@@ -23,6 +22,7 @@ from adaptrack.errors import InvalidInput, real
 from adaptrack.kalman import KalmanFilter
 from adaptrack.road import Road, SpeedPlan
 from adaptrack.road.ahead import RoadAhead
+from adaptrack.vehicle import Vehicle
 
 Array = NDArray[np.float64]
 _log = logging.getLogger("adaptrack")
@@ -30,29 +30,39 @@ _log = logging.getLogger("adaptrack")
 STANDING = 0.1
 """m/s: a slower car stands, and a faster one in reverse drives backwards."""
 LONGEST_GAP = 2.0
-"""s without a call, after which the tracker starts anew from the command held."""
+"""s without a call, or a clock that jumps back by more: the tracker begins anew from the command held. A controller
+without a Kalman filter goes on for so long without a position, too."""
 LONGEST_CARRY = 0.3
 """s, by which a sample is carried at most by its own motion."""
+LARGEST_JUMP, JUMPS = 10.0, 3
+"""m, between a position and where the car was expected, beside half of the way since: such a position is left out;
+when so many come one after the other, the car was moved, and the tracker begins anew."""
+ACROSS = 10.0
+"""m of distance that a foot may be nearer for a path at right angles to the car, when a path is looked for its start.
+"""
+PACE = 0.2
+"""Share of the last interval in the mean interval between calls."""
 
 
 class Status(StrEnum):
     """What a step was."""
 
     OK = "ok"
+    """a new position was used; a call between two instants has the status of the last one"""
     ESTIMATED = "estimated"
-    """no new position: the command is that of the estimate"""
+    """no new position, or none to be believed: the command is that of the estimate"""
     HELD = "held"
-    """no position for too long, or no solution: the command before is held; stop the car, or steer by hand"""
+    """no position yet or for too long, or no solution: the command before is held; stop the car, or steer by hand"""
     STANDING = "standing"
     """the car stands, its wheels stay at rest"""
     REVERSE = "reverse"
-    """the car drives backwards, which no controller here can: the command before is held"""
+    """the car drives backwards, which no controller here can: the wheels are left where they are"""
     OFF_PATH = "off-path"
     """further from the path than `furthest`: the command is given all the same; stop the car, or give another path"""
     END = "end"
     """beyond the end of an open path: it goes on straight; stop the car, or give another path"""
     REPEATED = "repeated"
-    """a call at the time of the one before, or an earlier one: the same command"""
+    """a call at the time of the one before, or an earlier one: it is left out, the command is the same"""
 
 
 class Tracked(NamedTuple):
@@ -62,28 +72,11 @@ class Tracked(NamedTuple):
     """rad, angle of the road wheels to ask for, positive to the left"""
     status: Status
     offset: float
-    """m, of the car from the path, positive to the left; NaN before the first position"""
+    """m, of the car from the path, positive to the left; NaN where there is no position to go by"""
     heading_error: float
-    """rad, the car's heading less the path's"""
+    """rad, the car's heading less the path's; likewise"""
     station: float
-    """m, arc length of the car's foot on the path, over all laps"""
-
-
-@dataclass(frozen=True)
-class _Sample:
-    t: float
-    x: float
-    y: float
-    yaw: float
-    speed: float
-    yaw_rate: float
-    vy: float
-    lateral_acceleration: float
-    wheel_angle: float
-
-    @property
-    def posed(self) -> bool:
-        return math.isfinite(self.t + self.x + self.y + self.yaw)
+    """m, arc length of the car's foot on the path, over all laps; likewise"""
 
 
 class _Pose(NamedTuple):
@@ -98,16 +91,33 @@ class _Pose(NamedTuple):
         return _Pose(self.x + way * math.cos(middle), self.y + way * math.sin(middle), self.yaw + time * yaw_rate)
 
 
+class _Sample(NamedTuple):
+    t: float
+    pose: _Pose
+    yaw_rate: float
+    vy: float
+    lateral_acceleration: float
+    wheel_angle: float
+
+    @property
+    def posed(self) -> bool:
+        return math.isfinite(self.t + sum(self.pose))
+
+
+NOWHERE = _Pose(math.nan, math.nan, math.nan)
+
+
 class Tracker:
     """Makes a car follow a path, called whenever a sample comes.
 
     Parameters
     ----------
     controller : Controller
-        An MPC, or any other that takes roads. A filter that takes late samples in (``KalmanFilter(oldest=...)``, as
-        for profile `production`) uses what comes late best.
+        An MPC, or any other that takes roads, without a scheduler. A filter that takes late samples in
+        (``KalmanFilter(oldest=...)``, as for profile `production`) uses what comes late best. One without a filter is
+        given the v_y of a steady turn where none is measured.
     path : Road
-        From points, OpenDRIVE or segments.
+        From points, OpenDRIVE or segments. On one that crosses itself the car begins on the branch in its direction.
     plan : SpeedPlan, optional
         The speed that is planned along it; without one the present speed is expected to stay.
     furthest : float
@@ -122,15 +132,20 @@ class Tracker:
     def __init__(
         self, controller: Controller, path: Road, *, plan: SpeedPlan | None = None, furthest: float = 10.0
     ) -> None:
-        if not callable(getattr(controller, "step", None)) or not callable(getattr(controller, "applied", None)):
+        if not all(hasattr(controller, name) for name in ("step", "reset", "period", "applied", "change_path")):
             raise InvalidInput(f"Tracker: controller = {controller!r}: must be a controller, such as MPC(car).")
+        if getattr(controller, "scheduler", None) is not None:
+            raise InvalidInput(
+                "Tracker: the controller has a scheduler, and nobody here knows its scheduling variables: give a "
+                "controller with a constant tuning."
+            )
         if not real("Tracker", "furthest", furthest) > 0.0:
             raise InvalidInput(f"Tracker: furthest = {furthest!r} m: must be positive.")
         self.controller: Any = controller
         self.furthest = float(furthest)
-        self._late = 0
-        if isinstance(controller, MPC) and isinstance(controller.estimator, KalmanFilter):
-            self._late = controller.estimator.late(controller.model)
+        self._filtered = isinstance(controller, MPC) and isinstance(controller.estimator, KalmanFilter)
+        self._late = controller.estimator.late(controller.model) if self._filtered else 0  # type: ignore[attr-defined]
+        self._car = getattr(getattr(controller, "model", controller), "vehicle", None)
         self._warned = False
         self._set_path(path, plan)
         self.engage()
@@ -148,17 +163,30 @@ class Tracker:
         return float(self.controller.period)
 
     def engage(self, wheel_angle: float = 0.0) -> None:
-        """Begin anew, from the angle (rad) that the wheels have: the first command is near it."""
+        """Begin anew, from the angle (rad) that the wheels have: the first command is near it.
+
+        Raises
+        ------
+        InvalidInput
+            When the angle is not finite.
+        """
         self.controller.reset()
-        self.controller.applied(wheel_angle)
-        self._command = float(wheel_angle)
+        self._hold(wheel_angle)
         self._started = False
-        self._last = -math.inf
-        self._speed, self._yaw_rate = 0.0, 0.0
-        self._pose, self._station, self._heading, self._turned = _Pose(math.nan, math.nan, math.nan), 0.0, 0.0, 0.0
+        self._last, self._between = -math.inf, self.period
+        self._speed, self._yaw_rate = math.nan, 0.0
+        self._pose, self._newest, self._jumps = NOWHERE, -math.inf, 0
+        self._station = self._heading = self._turned = 0.0
+
+    def _hold(self, angle: float) -> None:
+        """Let an angle (rad) be the command before."""
+        self.controller.applied(angle)
+        self._command = float(angle)
 
     def follow(self, path: Road, plan: SpeedPlan | None = None) -> None:
-        """Another path from now on; what the controller has learned of the car stays.
+        """Another path from now on, with its plan; what the controller has learned of the car stays.
+
+        The path had better begin behind the car, by the age of the oldest samples at least.
 
         Raises
         ------
@@ -169,7 +197,7 @@ class Tracker:
         self._set_path(path, plan)
         if before is None:
             return
-        self._station = float(path.project(self._pose.x, self._pose.y).s)
+        self._station = _foot(path, self._pose)
         offset, heading_error = self._beside(self._pose, self._station)
         self._heading = float(path.at(self._station).heading)
         self.controller.change_path(_turn(heading_error - before[1]), offset - before[0])
@@ -190,125 +218,159 @@ class Tracker:
     ) -> Tracked:
         """One call: the command for now.
 
-        t: s, when the sample was taken; x, y: m; yaw: rad, wrapped or not; speed: m/s, negative backwards; yaw_rate:
-        rad/s; lateral_velocity: m/s; lateral_acceleration: m/s^2, without the pull of a bank; wheel_angle: rad, of the
-        road wheels: the first call begins from it; now: s, on the same clock, when later than t. What is not known is
-        NaN; a call without a position is one as well.
+        t: s, when the sample was taken; x, y: m, of the centre of mass; yaw: rad, wrapped or not; speed: m/s, negative
+        backwards; yaw_rate: rad/s; lateral_velocity: m/s; lateral_acceleration: m/s^2, without the pull of a bank;
+        wheel_angle: rad, of the road wheels: where it is given, the first command is near it; now: s, on the same
+        clock, when later than t. What is not known is NaN; a call without a position is one as well.
 
         Raises
         ------
         InvalidInput
             When an argument is no number, or neither t nor now is finite.
         """
-        numbers = [t, x, y, yaw, speed, yaw_rate, lateral_velocity, lateral_acceleration]
-        angle = math.nan if wheel_angle is None else wheel_angle
-        given = _Sample(*(real("Tracker.step", "a sample", each) for each in (*numbers, angle)))
-        at = given.t if now is None else real("Tracker.step", "now", now)
+        numbers = [t, x, y, yaw, yaw_rate, lateral_velocity, lateral_acceleration]
+        numbers.append(math.nan if wheel_angle is None else wheel_angle)
+        taken, *where, rate, vy, pull, angle = (real("Tracker.step", "a sample", each) for each in numbers)
+        given = _Sample(taken, _Pose(*where), rate, vy, pull, angle)
+        at = taken if now is None else real("Tracker.step", "now", now)
         if not math.isfinite(at):
             raise InvalidInput(f"Tracker.step: t = {t!r}, now = {now!r}: the time of the call must be finite.")
-        if self._started and at <= self._last:
-            return self._told(Status.REPEATED)
-        if math.isfinite(given.speed):
-            self._speed = given.speed
-        if self._speed < -STANDING:
+        pace = real("Tracker.step", "speed", speed)
+        if self._started and self._last - LONGEST_GAP <= at <= self._last:
+            return self._tracked._replace(status=Status.REPEATED)
+        if math.isfinite(pace):
+            self._speed = pace
+        if self._started and (self._speed < -STANDING or abs(at - self._last) > LONGEST_GAP):
             self._restart()
-            return self._told(Status.REVERSE)
-        if self._started and at - self._last > LONGEST_GAP:
-            self._restart()
-        if not self._started:
-            return self._begin(at, given)
-        return self._go_on(at, given)
+        return self._go_on(at, given) if self._started else self._begin(at, given)
 
     def _restart(self) -> None:
-        """Forget the past but the command."""
-        if self._started:
-            speed = self._speed
-            self.engage(self._command)
-            self._speed = speed
+        """Forget the past but the command and the speed."""
+        speed = self._speed
+        self.engage(self._command)
+        self._speed = speed
 
     def _begin(self, at: float, given: _Sample) -> Tracked:
-        if not given.posed:
-            return self._told(Status.HELD)
+        """The first call, or one that is still no beginning."""
         if math.isfinite(given.wheel_angle):
-            self.controller.applied(given.wheel_angle)
-            self._command = given.wheel_angle
-        self._began, self._instant, self._started = at, 0, True
-        rate = given.yaw_rate if math.isfinite(given.yaw_rate) else 0.0
-        self._pose = _Pose(given.x, given.y, given.yaw).carried(at - given.t, max(given.speed, 0.0), rate)
-        self._station = float(self.path.project(self._pose.x, self._pose.y).s)
+            self._hold(given.wheel_angle)
+        age = at - given.t
+        if self._speed < -STANDING:
+            return Tracked(self._command, Status.REVERSE, *NOWHERE)
+        if not (given.posed and math.isfinite(self._speed) and -self.period <= age <= LONGEST_CARRY):
+            return Tracked(self._command, Status.HELD, *NOWHERE)
+        self._began = self._last = at
+        self._instant, self._started, self._newest = 0, True, given.t
+        self._yaw_rate = given.yaw_rate if math.isfinite(given.yaw_rate) else 0.0
+        self._pose = given.pose.carried(age, self._forward, self._yaw_rate)
+        self._station = _foot(self.path, self._pose)
         self._heading = float(self.path.at(self._station).heading)
-        self._last = at
-        return self._control(given)
+        return self._control(given._replace(t=at, pose=self._pose))
 
     def _go_on(self, at: float, given: _Sample) -> Tracked:
+        """A call that follows others."""
+        self._between += PACE * (min(at - self._last, self.period) - self._between)
         self._last = at
-        instant = round((at - self._began) / self.period)
-        if instant <= self._instant:  # sooner than half a period after the last one
-            return self._told(self._status(True, False))
+        instant = math.floor((at - self._began + 0.5 * self._between) / self.period)
+        if instant <= self._instant:  # another call is nearer to the next instant
+            return self._tracked
+        if self._has_jumped(at, given):
+            self._jumps += 1
+            if self._jumps == JUMPS:
+                self._restart()
+                return self._begin(at, given)
+            given = given._replace(pose=NOWHERE)
+        elif given.posed:
+            self._jumps = 0
         while self._instant < instant - 1:
+            held = self._command
             self._advance(None)
             self._control(None)
-            self.controller.applied(self._command_before)
-            self._command = self._command_before
+            self._hold(held)
         self._advance(given)
         return self._control(given)
 
-    def _advance(self, given: _Sample | None) -> None:
-        """Where the car is at the next instant."""
-        self._instant += 1
-        pose = self._pose.carried(self.period, max(self._speed, 0.0), self._yaw_rate)
-        if given is not None and given.posed:
-            age = self._time - given.t
-            rate = given.yaw_rate if math.isfinite(given.yaw_rate) else self._yaw_rate
-            if -self.period <= age <= (self._late + 1) * self.period + LONGEST_CARRY:
-                pose = _Pose(given.x, given.y, given.yaw).carried(age, max(self._speed, 0.0), rate)
-        if given is not None and math.isfinite(given.yaw_rate):
-            self._yaw_rate = given.yaw_rate
-        elif given is None or not given.posed:
-            self._yaw_rate = self._speed * float(self.path.at(self._station).curvature)
-        self._pose = pose
-        near = self._station + max(self._speed, 0.0) * self.period
-        self._station = float(self.path.project(pose.x, pose.y, near=near).s)
-        heading = float(self.path.at(self._station).heading)
-        self._turned, self._heading = heading - self._heading, heading
+    def _has_jumped(self, at: float, given: _Sample) -> bool:
+        """Whether a position is far from where the car was expected."""
+        if not given.posed:
+            return False
+        since = at - self._time
+        expected = self._pose.carried(since, self._forward, self._yaw_rate)
+        found = given.pose.carried(at - given.t, self._forward, self._yaw_rate)
+        distance = math.hypot(found.x - expected.x, found.y - expected.y)
+        return distance > LARGEST_JUMP + 0.5 * self._forward * abs(since)
+
+    @property
+    def _forward(self) -> float:
+        """m/s, the speed of a car that does not drive backwards."""
+        return max(self._speed, 0.0)
 
     @property
     def _time(self) -> float:
         """s, of the present instant."""
         return self._began + self._instant * self.period
 
+    def _advance(self, given: _Sample | None) -> None:
+        """Where the car is at the next instant, by the latest sample and its motion since."""
+        self._instant += 1
+        if given is not None and math.isfinite(given.yaw_rate):
+            self._yaw_rate = given.yaw_rate
+        else:
+            self._yaw_rate = self._forward * float(self.path.at(self._station).curvature)
+        pose = self._pose.carried(self.period, self._forward, self._yaw_rate)
+        if given is not None and given.posed and given.t > self._newest:
+            age = self._time - given.t
+            if -self.period <= age <= self._late * self.period + LONGEST_CARRY:
+                pose = given.pose.carried(age, self._forward, self._yaw_rate)
+        self._pose = pose
+        near = self._station + self._forward * self.period
+        self._station = float(self.path.project(pose.x, pose.y, near=near).s)
+        heading = float(self.path.at(self._station).heading)
+        self._turned, self._heading = heading - self._heading, heading
+
     def _control(self, given: _Sample | None) -> Tracked:
         """One step of the controller."""
+        seen, fresh = self._seen(given)
+        state = seen if isinstance(self.controller, MPC) else seen[:4]
+        self._ahead = RoadAhead(self.path, self._station, self._speeds())
+        answer = self.controller.step(state, self._forward, np.zeros(1), road=self._ahead)
+        self._command = float(getattr(answer, "angle", answer))
+        offset, heading_error = self._beside(self._pose, self._station)
+        status = self._status(offset, fresh, bool(getattr(answer, "held", False)))
+        self._tracked = Tracked(self._command, status, offset, heading_error, self._station)
+        return self._tracked
+
+    def _seen(self, given: _Sample | None) -> tuple[Array, bool]:
+        """What the controller is told (`models.MEASURED`), and whether a new position is among it."""
         seen = np.array([math.nan] * 6 + [0.0, 0.0, self._turned])
         fresh = given is not None and self._take(given, seen)
-        state = seen if isinstance(self.controller, MPC) else _for_law(seen)
-        speed = max(self._speed, 0.0)
-        ahead = RoadAhead(self.path, self._station, self._speeds(speed))
-        answer = self.controller.step(state, speed, np.zeros(1), road=ahead)
-        self._command_before = self._command
-        self._command = float(getattr(answer, "angle", answer))
-        return self._told(self._status(fresh, bool(getattr(answer, "held", False))))
+        if not self._filtered:
+            drift = seen[0]
+            seen[:6] = math.nan
+            if self._time - self._newest <= LONGEST_GAP:
+                known = drift if math.isfinite(drift) else _steady_drift(self._car, self._forward, self._yaw_rate)
+                seen[0], seen[2] = known, self._yaw_rate
+                seen[3], seen[1] = self._beside(self._pose, self._station)
+        return seen, fresh
 
     def _take(self, given: _Sample, seen: Array) -> bool:
-        """Write what a sample says, at the instant nearest to it; whether it has a position that can be used."""
-        seen[0], seen[2], seen[5] = given.vy, given.yaw_rate, given.lateral_acceleration
-        seen[4] = given.wheel_angle
-        if not given.posed:
-            return False
-        age = self._time - given.t
-        periods = min(max(round(age / self.period), 0), self._late)
-        carry = age - periods * self.period
-        if carry > 0.75 * self.period:  # the position can be carried on, what moves the car is another by now
-            seen[[0, 2, 4, 5]] = math.nan
+        """Write what a sample says and how old it is; whether it has a position that can be used."""
+        period = self.period
+        age = self._time - given.t if math.isfinite(given.t) else 0.0
+        told = min(max(age, -0.5 * period), (self._late + 0.499) * period)
+        carry = age - told
+        if abs(carry) <= 0.25 * period:  # a position can be carried on, what moves the car is another by then
+            seen[[0, 2, 4, 5]] = given.vy, given.yaw_rate, given.wheel_angle, given.lateral_acceleration
+        elif given.posed:
             self._warn_of_late_samples(age)
-        if not -self.period <= carry <= LONGEST_CARRY:
-            seen[:6] = math.nan
+        seen[6] = seen[7] = told
+        known = given.t <= self._newest and self._instant > 0
+        if not (given.posed and -period <= carry <= LONGEST_CARRY) or (known and not self._late):
             return False
-        rate = given.yaw_rate if math.isfinite(given.yaw_rate) else self._yaw_rate
-        speed = max(self._speed, 0.0)
-        pose = _Pose(given.x, given.y, given.yaw).carried(carry, speed, rate)
-        seen[3], seen[1] = self._beside(pose, self._station - speed * periods * self.period)
-        seen[6] = seen[7] = periods * self.period
+        if self._instant > 0:
+            self._newest = max(self._newest, given.t)
+        pose = given.pose.carried(carry, self._forward, self._yaw_rate)
+        seen[3], seen[1] = self._beside(pose, self._station - self._forward * told)
         return True
 
     def _warn_of_late_samples(self, age: float) -> None:
@@ -326,15 +388,15 @@ class Tracker:
         foot = self.path.project(pose.x, pose.y, near=near)
         return float(foot.offset), _turn(pose.yaw - float(foot.heading))
 
-    def _speeds(self, speed: float) -> Array:
+    def _speeds(self) -> Array:
         """Expected at the next instants."""
+        speed = self._forward
         if self.plan is None:
             return np.array([speed])
         planned = self.plan.at(self._station + max(speed, STANDING) * self.period * np.arange(80))
         return np.maximum(planned + (speed - planned[0]), 0.0)
 
-    def _status(self, fresh: bool, held: bool) -> Status:
-        offset, _ = self._beside(self._pose, self._station)
+    def _status(self, offset: float, fresh: bool, held: bool) -> Status:
         if held:
             return Status.HELD
         if self._speed < STANDING:
@@ -345,14 +407,8 @@ class Tracker:
             return Status.END
         return Status.OK if fresh else Status.ESTIMATED
 
-    def _told(self, status: Status) -> Tracked:
-        offset, heading_error = math.nan, math.nan
-        if self._started:
-            offset, heading_error = self._beside(self._pose, self._station)
-        return Tracked(self._command, status, offset, heading_error, self._station)
-
     def predicted_path(self) -> Array:
-        """(Np, 2) m: where the MPC expects the car at the instants from behind its dead time on.
+        """(Np, 2) m: where the MPC expects the car at the instants from behind its dead time on, as of its last step.
 
         Raises
         ------
@@ -362,10 +418,15 @@ class Tracker:
         if not isinstance(self.controller, MPC) or not self._started:
             raise InvalidInput("Tracker.predicted_path: needs an MPC that has made a step.")
         time, lateral = self.controller.predicted_output()
-        foot = self.path.at(self._station)
-        cos, sin = math.cos(float(foot.heading)), math.sin(float(foot.heading))
-        ahead = max(self._speed, 0.0) * time
-        return np.stack([foot.x + ahead * cos - lateral * sin, foot.y + ahead * sin + lateral * cos], axis=-1)
+        lead = time[0] / self.period - 1.0
+        pace = max(self._forward, self.controller.speed_floor)
+        offset = lateral - self._ahead.bend(time.size + 1, pace, lead, self.period)[1:]
+        speeds = self._ahead.speeds
+        way = np.concatenate([[0.0], np.cumsum(speeds) * self.period])
+        last = self.period * speeds.size
+        gone = np.interp(time, self.period * np.arange(way.size), way) + speeds[-1] * np.maximum(time - last, 0.0)
+        foot = self._ahead.road.at(self._ahead.station + gone)
+        return np.stack([foot.x - offset * np.sin(foot.heading), foot.y + offset * np.cos(foot.heading)], axis=-1)
 
 
 def yaw_of(quaternion: Sequence[float] | ArrayLike) -> float:
@@ -383,11 +444,23 @@ def yaw_of(quaternion: Sequence[float] | ArrayLike) -> float:
     return math.atan2(2.0 * (w * z + x * y), w * w + x * x - y * y - z * z)
 
 
-def _for_law(seen: Array) -> Array:
-    """What a law is given: v_y, yaw, yaw rate, y; it has no v_y sensor where there is none, and no yaw rate is 0."""
-    state = seen[:4].copy()
-    state[[0, 2]] = np.nan_to_num(state[[0, 2]])
-    return state
+def _foot(path: Road, pose: _Pose) -> float:
+    """Arc length (m) of the foot from which a path is followed: near, and in the direction of the car."""
+    s = np.linspace(0.0, path.length, math.ceil(0.5 * path.length) + 1)
+    points = path.at(s)
+    distance = np.hypot(points.x - pose.x, points.y - pose.y) + ACROSS * (1.0 - np.cos(points.heading - pose.yaw))
+    return float(path.project(pose.x, pose.y, near=s[np.argmin(distance)]).s)
+
+
+def _steady_drift(vehicle: Vehicle | None, speed: float, yaw_rate: float) -> float:
+    """v_y (m/s) of a steady turn, (l_r - m l_f v^2/(2 C_r L)) r; 0 where the car is not known.
+
+    R. Rajamani, *Vehicle Dynamics and Control*, 2nd ed., section 3.3: the slip of the rear axle.
+    """
+    if vehicle is None:
+        return 0.0
+    slip = vehicle.mass * vehicle.lf * speed**2 / (2.0 * vehicle.stiffness_rear * vehicle.wheelbase)
+    return (vehicle.lr - slip) * yaw_rate
 
 
 def _turn(angle: float) -> float:

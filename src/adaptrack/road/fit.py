@@ -21,7 +21,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.interpolate import BSpline
+from scipy.interpolate import BSpline, CubicSpline
 from scipy.sparse import csc_array, csr_array, diags_array
 from scipy.sparse.linalg import splu
 
@@ -90,12 +90,7 @@ def fit_road(
     InvalidInput
         When points are too few, not finite or all the same, or no curve comes as near as asked.
     """
-    points = np.array(points, dtype=np.float64)
-    if points.ndim != 2 or points.shape[1] != 2 or len(points) < FEWEST:
-        raise InvalidInput(f"fit_road: points have shape {points.shape}; give (n, 2) with n >= {FEWEST}, x and y in m.")
-    if not np.isfinite(points).all():
-        row = int(np.argwhere(~np.isfinite(points))[0, 0])
-        raise InvalidInput(f"fit_road: point {row} is not finite; leave it out.")
+    points = _checked("fit_road", points)
     if not 0.0 < real("fit_road", "max_deviation", max_deviation) < math.inf:
         raise InvalidInput(f"fit_road: max_deviation = {max_deviation!r}: must be a distance > 0 m.")
     kept, lap, notes = _lap(points, closed)
@@ -114,6 +109,46 @@ def fit_road(
         name=name, table=placed(curve.road.table, moved), closed=lap, notes=tuple(notes), deviation=curve.deviation,
         **alongs({key: _by_place(value, curve.road) for key, value in values.items()}),
     )  # fmt: skip
+
+
+def road_through(points: ArrayLike, *, closed: bool = False, name: str = "points", **along: Any) -> Road:
+    """A road through points without noise, such as a planner publishes, many times as fast as `fit_road`.
+
+    A cubic spline over the length of their polygon: continuous curvature, exact at the points, no smoothing.
+
+    Parameters
+    ----------
+    points : (n, 2) array
+        x, y in m, no two alike in a row; a lap ends before its start.
+    closed, name, **along
+        As in `Road.from_segments`.
+
+    Raises
+    ------
+    InvalidInput
+        When points are too few, not finite, alike in a row, or fold back on themselves.
+    """
+    points = _checked("road_through", points)
+    ring = np.concatenate([points, points[:1]]) if closed else points
+    steps = np.hypot(*np.diff(ring, axis=0).T)
+    if not steps.min() > 0.0:
+        raise InvalidInput(f"road_through: point {int(steps.argmin())} comes twice; leave one out.")
+    places = np.concatenate([[0.0], np.cumsum(steps)])
+    spline = CubicSpline(places, ring, bc_type="periodic" if closed else "not-a-knot")
+    powers = spline.c[::-1].transpose(1, 2, 0) * steps[:, np.newaxis, np.newaxis] ** np.arange(4)
+    start = powers[:, :, 0].copy()
+    powers[:, :, 0] = 0.0
+    return Road(name=name, table=_in_a_row(powers, start), closed=closed, **alongs(along))
+
+
+def _checked(where: str, points: ArrayLike) -> Array:
+    points = np.array(points, dtype=np.float64)
+    if points.ndim != 2 or points.shape[1] != 2 or len(points) < FEWEST:
+        raise InvalidInput(f"{where}: points have shape {points.shape}; give (n, 2) with n >= {FEWEST}, x and y in m.")
+    if not np.isfinite(points).all():
+        row = int(np.argwhere(~np.isfinite(points))[0, 0])
+        raise InvalidInput(f"{where}: point {row} is not finite; leave it out.")
+    return points
 
 
 def _said(curve: _Fit, length: float, kept: int) -> str:
@@ -330,11 +365,15 @@ class _System:
         powers = np.einsum("ij,jkl->kli", _TO_POWERS, corners)
         start = powers[:, :, 0].copy()
         powers[:, :, 0] = 0.0
-        cubics = [Cubic(x=tuple(x), y=tuple(y)) for x, y in powers.tolist()]
-        tables = tabulate(cubics)
-        table, counts = joined(tables), [len(each.pieces) for each in tables]
-        table.pieces[:, [X, Y]] += np.repeat(start, counts, axis=0)
-        return table
+        return _in_a_row(powers, start)
+
+
+def _in_a_row(powers: Array, start: Array) -> Table:
+    """Cubics (n, 2, 4) from their own starts (n, 2), which follow each other."""
+    tables = tabulate([Cubic(x=tuple(x), y=tuple(y)) for x, y in powers.tolist()])
+    table, counts = joined(tables), [len(each.pieces) for each in tables]
+    table.pieces[:, [X, Y]] += np.repeat(start, counts, axis=0)
+    return table
 
 
 def _third_differences(n: int) -> csr_array:

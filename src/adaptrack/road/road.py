@@ -58,7 +58,7 @@ class Road:
     An open road goes on straight before its start and after its end. On a closed one s may be any number, lap by lap.
     Conventions: x forward, y left, SI units, radians.
 
-    Build one with `from_segments`, `from_points`, `from_csv`, `from_opendrive`, or `generate_road`.
+    Build one with `from_segments`, `from_points`, `through`, `from_csv`, `from_opendrive`, or `generate_road`.
 
     Raises
     ------
@@ -154,6 +154,13 @@ class Road:
         from adaptrack.road.fit import fit_road
 
         return fit_road(points, **options)
+
+    @classmethod
+    def through(cls, points: ArrayLike, **options: Any) -> Road:
+        """A road through points (n, 2) without noise, in milliseconds, see `adaptrack.road.fit.road_through`."""
+        from adaptrack.road.fit import road_through
+
+        return road_through(points, **options)
 
     @classmethod
     def from_csv(cls, path: Any, **options: Any) -> Road:

@@ -1,0 +1,393 @@
+"""A tracker in a loop that is not ours: time stamps, hand-over, statuses, paths that change under way."""
+
+from __future__ import annotations
+
+import logging
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from adaptrack.controllers import LQR, MPC, PurePursuit, Stanley, Tuning, published_mpc
+from adaptrack.errors import InvalidInput
+from adaptrack.kalman import KalmanFilter
+from adaptrack.profile import load_profile
+from adaptrack.road import Arc, Clothoid, Line, Road, generate_road, plan_speed
+from adaptrack.tracker import Status, Tracker, yaw_of
+from adaptrack.vehicle import Steering, load_vehicle
+from foreign_loop import Bicycle, drive, on_road, steady_turn, window
+
+CAR = load_vehicle("paper")
+ROAD = generate_road("country", seed=1, length=1500.0)
+CIRCLE = Road.from_segments([Arc(length=120.0 * math.pi, curvature=1 / 60)], closed=True, name="circle")
+SHORT = Road.from_segments([Line(length=60.0)], name="short")
+STEERING = Steering(lag=0.15, dead_time=0.0, rate=0.5)
+"""Of the bicycle; its dead time of one period is the computation delay of the profile."""
+EXACT = (0.0,) * 5
+SPOILT = {
+    "jitter": {"jitter": (0.02, 0.09)},
+    "every seventh missing": {"missing": 7},
+    "wrap": {"wrapped": True},
+    "late": {"late": 0.1},
+    "late and reordered": {"late": 0.1, "reorder": 0.05},
+    "repeated": {"repeat": 5},
+}
+
+
+def informed(oldest=0.25):
+    sensors = replace(KalmanFilter.of_profile(load_profile("road")), oldest=oldest)
+    return MPC(CAR, profile="road", estimator=sensors, belief=STEERING)
+
+
+def at_rest(tracker, path=SHORT, t=0.0, speed=0.0, **more):
+    """A sample at the start of a path."""
+    place = path.at(0.0)
+    return tracker.step(t, float(place.x), float(place.y), float(place.heading), speed, 0.0, **more)
+
+
+# -- samples as they come ---------------------------------------------------------------------------------------------
+@pytest.mark.parametrize("channel", [*SPOILT.values(), {"period": 0.01}], ids=[*SPOILT, "100 Hz"])
+def test_without_noise_no_time_stamp_moves_the_car(channel):
+    """Whatever arrives when, each sample is the truth at its time; a millimetre would be an instant mistaken."""
+    assert drive(Tracker(informed(), ROAD), ROAD, 15.0, noise=EXACT, **channel).rms < 0.001
+
+
+@pytest.fixture(scope="module")
+def exact_rms():
+    return rms_of({})
+
+
+def rms_of(channel):
+    """Over two seeds of the noise."""
+    return math.hypot(*(drive(Tracker(informed(), ROAD), ROAD, seed=seed, **channel).rms for seed in (2, 3)))
+
+
+@pytest.mark.parametrize("channel", SPOILT.values(), ids=SPOILT)
+def test_spoilt_samples_cost_half_at_most(channel, exact_rms):
+    assert exact_rms < 0.02
+    assert rms_of(channel) <= 1.5 * exact_rms
+
+
+def test_all_of_it_together_still_drives():
+    driven = drive(
+        Tracker(informed(0.35), ROAD),
+        ROAD,
+        jitter=(0.02, 0.09),
+        missing=7,
+        late=0.1,
+        reorder=0.05,
+        repeat=5,
+        wrapped=True,
+    )
+    assert np.abs(driven.offset).max() < 0.1
+
+
+def test_a_filter_that_takes_nothing_late_is_told_of(caplog):
+    with caplog.at_level(logging.WARNING, logger="adaptrack"):
+        driven = drive(Tracker(informed(0.0), ROAD), ROAD, 10.0, late=0.1)
+    assert [record.message.count("0.1 s late") for record in caplog.records] == [1]
+    assert np.abs(driven.offset).max() < 0.1
+
+
+def test_a_loop_at_half_the_rate_drives():
+    driven = drive(Tracker(informed(), ROAD), ROAD, 15.0, period=0.1, noise=EXACT)
+    assert driven.rms < 0.01
+
+
+def test_what_is_not_measured_may_be_left_out():
+    """The yaw rate is then that of the path, the speed the last one that was told."""
+    tracker = Tracker(informed(), CIRCLE)
+    car, offset = on_road(CIRCLE, speed=10.0), []
+    tracker.engage(car.angle)
+    for k in range(200):
+        told = tracker.step(0.05 * k, car.x, car.y, car.yaw, 10.0 if k % 3 == 0 else math.nan)
+        offset.append(told.offset)
+        for _ in range(25):
+            car.step(told.command, 0.002)
+    assert np.abs(offset).max() < 0.02
+
+
+# -- standing, starting, engaging -------------------------------------------------------------------------------------
+def speed_of(t):
+    """15 m/s, and from 9 to 16 s a stop."""
+    return float(np.clip(max(15.0 - 3.0 * (t - 4.0), 3.0 * (t - 16.0)), 0.0, 15.0))
+
+
+def test_a_stop_and_a_restart_cost_nothing(exact_rms):
+    tracker = Tracker(informed(), ROAD)
+    driven = drive(tracker, ROAD, speed=speed_of, seed=2)
+    standing = [told for t, told in driven.calls if speed_of(t) == 0.0]
+    assert {told.status for told in standing} == {Status.STANDING}
+    assert len({told.command for told in standing}) == 1
+    assert driven.rms <= 1.5 * exact_rms / math.sqrt(2.0)
+
+
+def test_a_parked_car_keeps_its_wheels():
+    driven = drive(Tracker(informed(), ROAD), ROAD, 5.0, speed=lambda t: 0.0, wheel_angle=0.1)
+    assert set(driven.commands) == {0.1}
+    assert driven.statuses == {"standing": 100}
+
+
+def test_engaging_in_a_bend_makes_no_bump():
+    car = on_road(CIRCLE, speed=10.0)
+    angle = steady_turn(1 / 60, 10.0)[2]
+    driven = drive(Tracker(informed(), CIRCLE), CIRCLE, 10.0, car=car, wheel_angle=angle, noise=EXACT)
+    assert abs(driven.commands[0] - angle) < STEERING.rate * 0.05
+    assert np.abs(driven.commands - angle).max() < 0.01
+    assert np.abs(driven.offset).max() < 0.01
+
+
+def test_a_lap_has_no_seam():
+    car = on_road(CIRCLE, speed=12.0)
+    driven = drive(Tracker(informed(), CIRCLE), CIRCLE, 40.0, car=car, wheel_angle=car.angle, noise=EXACT, wrapped=True)
+    assert driven.calls[-1][1].station == pytest.approx(CIRCLE.length + 103.0, abs=3.0)
+    assert np.abs(np.diff(driven.commands)).max() < 0.003
+
+
+def test_a_wheel_angle_is_taken_over_before_the_first_position():
+    tracker = Tracker(informed(), SHORT)
+    told = tracker.step(0.0, math.nan, math.nan, math.nan, 10.0, wheel_angle=0.2)
+    assert told[:2] == (0.2, Status.HELD)
+    assert math.isnan(told.offset)
+
+
+def test_a_first_sample_that_is_late_is_where_the_car_was():
+    tracker = Tracker(informed(), SHORT)
+    assert tracker.step(0.0, 1.0, 0.0, 0.0, 10.0, 0.0, now=1.0).status is Status.HELD
+    assert tracker.step(1.0, 10.0, 0.0, 0.0, 10.0, 0.0, now=1.1).station == pytest.approx(11.0)
+
+
+# -- statuses ---------------------------------------------------------------------------------------------------------
+def test_reverse_is_refused_and_leaves_the_wheels():
+    driven = drive(Tracker(informed(), ROAD), ROAD, 3.0, speed=lambda t: -3.0, wheel_angle=0.05)
+    assert driven.statuses == {"reverse": 60}
+    assert set(driven.commands) == {0.05}
+
+
+def test_beyond_the_end_it_goes_on_straight_and_says_so():
+    driven = drive(Tracker(informed(), SHORT), SHORT, 6.0, noise=EXACT)
+    statuses = [told.status for _, told in driven.calls]
+    assert statuses == [Status.OK] * statuses.count(Status.OK) + [Status.END] * statuses.count(Status.END)
+    assert statuses.count(Status.OK) == pytest.approx(60.0 / 15.0 / 0.05, abs=1)
+    assert np.abs(driven.offset).max() < 0.001
+
+
+def test_far_from_the_path_is_said_until_the_car_is_back():
+    tracker = Tracker(informed(), ROAD, furthest=1.0)
+    driven = drive(tracker, ROAD, 20.0, car=on_road(ROAD, offset=1.5))
+    assert driven.calls[0][1].status is Status.OFF_PATH
+    assert driven.calls[-1][1].status is Status.OK
+
+
+def test_a_call_at_the_same_time_or_an_earlier_one_repeats_the_command():
+    tracker = Tracker(informed(), SHORT)
+    tracker.step(5.0, 0.0, 0.2, 0.0, 10.0, 0.0)
+    first = tracker.step(5.05, 0.5, 0.2, 0.0, 10.0, 0.0)
+    for t in (5.05, 5.0, 4.0):
+        assert tracker.step(t, 50.0, 9.0, 1.0, 3.0, 0.0) == first._replace(status=Status.REPEATED)
+
+
+@pytest.mark.parametrize("then", [0.0, 60.0])
+def test_a_clock_that_jumps_begins_anew_from_the_command(then):
+    """A simulator that was reset, or a loop that stood still."""
+    tracker = Tracker(informed(), CIRCLE)
+    before = drive(tracker, CIRCLE, 5.0, car=on_road(CIRCLE, speed=10.0), noise=EXACT).commands[-1]
+    car = on_road(CIRCLE, s=200.0, speed=10.0)
+    told = tracker.step(then, car.x, car.y, car.yaw, car.speed, car.yaw_rate)
+    assert told.status is Status.OK
+    assert told.station == pytest.approx(200.0, abs=0.01)
+    assert abs(told.command - before) < STEERING.rate * 0.05
+
+
+def test_positions_that_jump_are_left_out_until_they_stay():
+    tracker = Tracker(informed(), CIRCLE)
+
+    def moved(t, car, tracker):
+        if 5.0 <= t < 5.04:
+            car.x += 40.0
+        elif 5.04 <= t < 5.09:
+            car.x -= 40.0
+
+    car = on_road(CIRCLE, speed=10.0)
+    outlier = drive(tracker, CIRCLE, 6.0, car=car, wheel_angle=car.angle, before_call=moved, noise=EXACT)
+    assert outlier.statuses == {"ok": 119, "estimated": 1}
+    assert np.abs(np.diff(outlier.commands[90:])).max() < 0.001
+
+    tracker.engage()
+    for k in range(6):  # at 10 m/s along the circle, from its other side on after three calls
+        place = CIRCLE.at(0.5 * k + (180.0 if k >= 3 else 0.0))
+        told = tracker.step(0.05 * k, float(place.x), float(place.y), float(place.heading), 10.0, 10.0 / 60.0)
+        assert told.status is (Status.ESTIMATED if k in (3, 4) else Status.OK)
+    assert told.station == pytest.approx(182.5, abs=0.01)
+
+
+def test_without_positions_it_goes_on_by_the_estimate_and_then_holds():
+    tracker, car = Tracker(informed(), ROAD), on_road(ROAD)
+    statuses = []
+    for k in range(200):
+        seen = (car.x, car.y, car.yaw) if k < 40 or k > 150 else (math.nan,) * 3
+        told = tracker.step(0.05 * k, *seen, car.speed, car.yaw_rate)
+        statuses.append(told.status)
+        for _ in range(25):
+            car.step(told.command, 0.002)
+    assert statuses[40:100] == [Status.ESTIMATED] * 60
+    assert statuses[105:150] == [Status.HELD] * 45
+    assert statuses[-1] is Status.OK
+
+
+# -- paths ------------------------------------------------------------------------------------------------------------
+def test_the_same_path_from_another_start_leaves_the_commands_as_they_are():
+    half = Road.from_segments(
+        [Arc(length=120.0 * math.pi, curvature=1 / 60)], start=tuple(map(float, CIRCLE.at(130.0)[:3])), closed=True
+    )
+
+    def change(t, car, tracker):
+        if abs(t - 3.0) < 1e-9:
+            tracker.follow(half)
+
+    runs = [
+        drive(Tracker(informed(), CIRCLE), CIRCLE, 6.0, car=on_road(CIRCLE, speed=10.0), late=0.1, before_call=each)
+        for each in (None, change)
+    ]
+    np.testing.assert_allclose(runs[1].commands, runs[0].commands, rtol=0, atol=1e-6)
+    assert runs[1].calls[-1][1].station != pytest.approx(runs[0].calls[-1][1].station, abs=1.0)
+
+
+def test_a_path_beside_the_other_is_approached_without_a_bump():
+    beside = Road.from_segments([Line(length=400.0)], start=(0.0, 0.5, 0.0))
+    straight = Road.from_segments([Line(length=400.0)])
+
+    def change(t, car, tracker):
+        if abs(t - 3.0) < 1e-9:
+            tracker.follow(beside)
+
+    driven = drive(Tracker(informed(), straight), beside, 10.0, car=on_road(straight), before_call=change, noise=EXACT)
+    assert driven.offset[:150] == pytest.approx(-0.5, abs=1e-6)
+    assert driven.offset.max() < 0.02  # no overshoot to speak of
+    assert np.abs(driven.offset[-50:]).max() < 0.005
+
+
+def test_a_path_that_is_planned_anew_every_tenth_of_a_second_is_followed_as_well():
+    def plan(t, car, tracker):
+        if round(t / 0.05) % 2 == 0:
+            tracker.follow(window(ROAD, float(ROAD.project(car.x, car.y, near=15.0 * t + 10.0).s)))
+
+    runs = [
+        drive(Tracker(informed(), path), ROAD, 12.0, car=on_road(ROAD, s=10.0), before_call=each, seed=2).rms
+        for path, each in ((ROAD, None), (window(ROAD, 10.0), plan))
+    ]
+    assert runs[1] <= 1.5 * runs[0]
+
+
+def test_on_a_path_that_crosses_itself_the_car_begins_on_its_branch():
+    loop = Road.from_segments(
+        [Line(length=100.0), Arc(length=45.0 * math.pi, curvature=1 / 30), Line(length=100.0)], name="loop"
+    )
+    crossing = 100.0 - 30.0  # the last line runs down through y = 0 at x = 100 - 30
+    for heading, s in ((0.0, crossing), (-math.pi / 2, 100.0 + 45.0 * math.pi + 30.0)):
+        tracker = Tracker(informed(), loop)
+        assert tracker.step(0.0, crossing, 0.2, heading, 10.0, 0.0).station == pytest.approx(s, abs=0.5)
+
+
+def test_the_prediction_in_a_steady_bend_is_what_is_driven():
+    tracker = Tracker(informed(), CIRCLE)
+    driven = drive(tracker, CIRCLE, 6.0, car=on_road(CIRCLE, speed=10.0), noise=EXACT)
+    predicted, now = tracker.predicted_path(), driven.calls[-1][0]
+    time, _ = tracker.controller.predicted_output()
+    driven = drive(tracker, CIRCLE, 9.0, car=on_road(CIRCLE, speed=10.0), noise=EXACT)
+    places = np.stack([np.interp(now + time, driven.places[:, 0], driven.places[:, k]) for k in (1, 2)], axis=-1)
+    assert predicted.shape == (tracker.controller.tuning.Np, 2)
+    assert np.abs(predicted - places).max() < 0.03
+
+
+def test_a_plan_tells_of_the_speeds_to_come():
+    """Braking into a bend that a constant 15 m/s would meet earlier."""
+    easing = Clothoid(length=20.0, start_curvature=0.0, end_curvature=1 / 25)
+    bend = Road.from_segments([Line(length=60.0), easing, Arc(length=60.0, curvature=1 / 25)])
+    plan = plan_speed(bend, CAR, start=15.0)
+    runs = []
+    for each in (plan, None):
+        car = on_road(bend)
+
+        def brake(t, car, tracker):
+            car.speed = float(plan.motion(t)[1])
+
+        tracker = Tracker(informed(), bend, plan=each)
+        runs.append(drive(tracker, bend, 6.0, car=car, before_call=brake, noise=EXACT).rms)
+    assert runs[0] < runs[1] < 0.05
+
+
+# -- other controllers ------------------------------------------------------------------------------------------------
+@pytest.mark.parametrize(("law", "most"), [(LQR, 0.1), (Stanley, 0.25), (PurePursuit, 0.5)])
+def test_laws_drive_as_well(law, most):
+    driven = drive(Tracker(law(CAR, period=0.05), ROAD), ROAD, 20.0, jitter=(0.02, 0.09), missing=7, wrapped=True)
+    assert driven.rms < most
+    assert driven.statuses.keys() == {"ok"}
+
+
+def test_a_law_without_positions_holds():
+    tracker = Tracker(LQR(CAR, period=0.05), SHORT)
+    at_rest(tracker, speed=10.0)
+    statuses = [tracker.step(0.05 * k, *(math.nan,) * 3, 10.0).status for k in range(1, 60)]
+    assert statuses[0] is Status.ESTIMATED
+    assert statuses[-1] is Status.HELD
+
+
+def test_the_published_controller_drives_as_well():
+    """Without its knowledge of the steering it is slow; it must not fail."""
+    driven = drive(Tracker(published_mpc(CAR, Tuning(35, 8, 1.0, 3000.0), period=0.05), ROAD), ROAD, 20.0, noise=EXACT)
+    assert driven.statuses.keys() == {"ok"}
+    assert np.abs(driven.offset).max() < 1.0
+
+
+# -- what is refused --------------------------------------------------------------------------------------------------
+def test_nonsense_is_refused():
+    with pytest.raises(InvalidInput, match="must be a controller"):
+        Tracker("informed", SHORT)
+    with pytest.raises(InvalidInput, match="has a scheduler"):
+        Tracker(published_mpc(CAR, scheduler=lambda variables: (10, 2, 1.0, 1.0)), SHORT)
+    with pytest.raises(InvalidInput, match="must be a Road"):
+        Tracker(informed(), [(0.0, 0.0), (1.0, 0.0)])
+    with pytest.raises(InvalidInput, match="must be a SpeedPlan of this path"):
+        Tracker(informed(), SHORT, plan=plan_speed(ROAD))
+    with pytest.raises(InvalidInput, match="furthest"):
+        Tracker(informed(), SHORT, furthest=0.0)
+    tracker = Tracker(informed(), SHORT)
+    with pytest.raises(InvalidInput, match="made a step"):
+        tracker.predicted_path()
+    with pytest.raises(InvalidInput, match="the time of the call"):
+        tracker.step(math.nan, 0.0, 0.0, 0.0, 10.0)
+    with pytest.raises(InvalidInput, match="must be a number"):
+        tracker.step(0.0, "0", 0.0, 0.0, 10.0)
+    with pytest.raises(InvalidInput, match="finite"):
+        tracker.engage(math.nan)
+
+
+@pytest.mark.parametrize("yaw", [-3.0, -0.5, 0.0, 2.0, math.pi])
+def test_a_quaternion_of_any_length_gives_its_yaw(yaw):
+    for length in (1.0, -3.0):  # q and -q turn alike
+        quaternion = length * np.array([0.0, 0.0, math.sin(0.5 * yaw), math.cos(0.5 * yaw)])
+        assert math.remainder(yaw_of(quaternion) - yaw, 2.0 * math.pi) == pytest.approx(0.0, abs=1e-12)
+
+
+def test_the_yaw_of_a_pitched_car_is_that_of_its_axis():
+    """Yaw, then pitch: (0, s, 0, c) behind (0, 0, s, c)."""
+    yaw, pitch = 0.7, 0.3
+    a, b, c, d = math.sin(0.5 * yaw), math.cos(0.5 * yaw), math.sin(0.5 * pitch), math.cos(0.5 * pitch)
+    assert yaw_of([-a * c, b * c, a * d, b * d]) == pytest.approx(yaw)
+
+
+@pytest.mark.parametrize("quaternion", [(0.0,) * 4, (1.0, 0.0, 0.0), (math.nan, 0.0, 0.0, 1.0)])
+def test_what_is_no_rotation_is_refused(quaternion):
+    with pytest.raises(InvalidInput, match="four finite numbers"):
+        yaw_of(quaternion)
+
+
+def test_the_bicycle_of_the_tests_turns_as_the_formula_says():
+    """The reference itself: in the steady turn nothing changes."""
+    drift, rate, angle = steady_turn(1 / 60, 15.0)
+    car = Bicycle(speed=15.0, vy=drift, yaw_rate=rate, angle=angle)
+    for _ in range(100):
+        car.step(angle, 0.002)
+    assert (car.vy, car.yaw_rate) == pytest.approx((drift, rate), rel=1e-9)
