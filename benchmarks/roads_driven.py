@@ -65,6 +65,7 @@ class Found:
 
 
 def drive_all(roads: list[Road], car_name: str, profile: str, lateral: float) -> Found:
+    """Drive roads with the default controller of a car, at the speed planned for a lateral acceleration."""
     car, found = load_vehicle(car_name), Found()
     for number, road in enumerate(roads):
         try:
@@ -82,6 +83,7 @@ def drive_all(roads: list[Road], car_name: str, profile: str, lateral: float) ->
 
 
 def gate(arguments: argparse.Namespace) -> None:
+    """All generated roads."""
     for profile in arguments.profile:
         for car in arguments.car:
             for lateral, friction in DRIVEN:
@@ -106,6 +108,7 @@ def gate(arguments: argparse.Namespace) -> None:
 
 
 def files(arguments: argparse.Namespace) -> None:
+    """Roads from files."""
     for profile in arguments.profile:
         for car in arguments.car:
             for lateral, friction in DRIVEN:
@@ -126,6 +129,7 @@ def files(arguments: argparse.Namespace) -> None:
 
 
 def hairpin(arguments: argparse.Namespace) -> None:
+    """Four controllers in a hairpin and on laps."""
     bend = Road.from_segments(
         [Line(length=60.0), Arc(length=15.0 * math.pi, curvature=1 / 15), Line(length=60.0)], name="hairpin"
     )
@@ -147,6 +151,7 @@ def hairpin(arguments: argparse.Namespace) -> None:
 
 
 def speed(arguments: argparse.Namespace) -> None:
+    """Control steps a second, curved against straight."""
     car = load_vehicle("paper")
     road = generate_road("country", 1, 4000.0)
     drive = RoadDrive(road, plan_speed(road, car, Comfort(lateral=4.0)))
@@ -168,6 +173,7 @@ def speed(arguments: argparse.Namespace) -> None:
 
 
 def main() -> None:
+    """Measure what is asked for."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("what", choices=("gate", "files", "hairpin", "speed"))
     parser.add_argument("roads", nargs="*")
