@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.signal import lsim
 
-from adaptrack import cli, simulate
+from adaptrack import cli
 from adaptrack.cli import closed_loop
 from adaptrack.controllers import get_controller
 from adaptrack.errors import InvalidInput
@@ -46,6 +46,7 @@ from adaptrack.path_metrics import PathRecord
 from adaptrack.plant import SingleTrack, SteppedPlant, get_plant
 from adaptrack.profile import load_profile
 from adaptrack.road import Line, Road
+from adaptrack.simulate import rollout
 from adaptrack.vehicle import GRAVITY, Tyre, load_vehicle
 
 GRIP = Surroundings(friction=1.0)
@@ -385,16 +386,16 @@ class TestEntrySpeed:
         together = obstacle.drive(stanley, 12.0, tunings, (0, 1))
         alone = obstacle.drive(stanley, 12.0, tunings[17:18], (1,))
         assert np.array_equal(together[17, 1], alone[0, 0], equal_nan=True)
-        slow = simulate.rollout(obstacle.plant, stanley, obstacle.trip(12.0), profile=obstacle.profile, seed=1)
+        slow = rollout(obstacle.plant, stanley, obstacle.trip(12.0), profile=obstacle.profile, seed=1)
         own = obstacle.drive(stanley, 12.0, own_tuning(stanley)[None], (1,))[0, 0]
         assert np.array_equal(own[::5, 1], slow.Y)
 
     def test_a_tuning_that_was_searched_is_no_worse_than_the_own_one_where_it_was_searched(self, obstacle):
-        law = driver_of(obstacle, "pure-pursuit")
-        tuning, margin = tune_for_track(obstacle, "pure-pursuit", law, 12.0)
+        law = driver_of(obstacle, "lqr")
+        tuning, margin = tune_for_track(obstacle, "lqr", law, 12.0)
         (own,) = obstacle.margins(law, 12.0, own_tuning(law)[None], TUNING_SEEDS)
         assert margin.least > own.least + 0.05
-        assert any(np.array_equal(tuning, each) for each in tunings_to_try("pure-pursuit", law))
+        assert any(np.array_equal(tuning, each) for each in tunings_to_try("lqr", law))
         with pytest.raises(InvalidInput, match="no search"):
             tune_for_track(obstacle, "mine", law, 12.0)
 

@@ -45,18 +45,18 @@ BETWEEN = 5
 SEARCHED: dict[str, dict[str, tuple[float, ...]]] = {
     "informed": {"Np": (20.0, 30.0, 40.0), "Nc": (10.0, 20.0), "R": (0.3, 1.0, 3.0, 10.0)},
     "lqr": {
-        "q_heading": (10.0, 100.0, 1000.0),
+        "q_heading": (100.0, 300.0, 1000.0, 3000.0),
         "r": (10.0, 30.0, 100.0, 300.0, 1000.0, 3000.0),
         "preview_time": (0.1, 0.15, 0.2, 0.25, 0.3, 0.4),
     },
     "pure-pursuit": {
-        "lookahead_time": (0.15, 0.2, 0.25, 0.3, 0.35, 0.4, 0.5, 0.6),
+        "lookahead_time": (0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 1.0),
         "lookahead_min": (2.0, 3.0, 4.0, 5.0, 6.0),
     },
     "stanley": {
-        "gain": (0.5, 1.0, 2.0, 4.0, 8.0),
+        "gain": (0.5, 1.0, 2.0, 4.0, 8.0, 16.0),
         "yaw_rate_gain": (0.0, 0.05, 0.1, 0.2),
-        "dead_time": (0.1, 0.15, 0.2, 0.25, 0.3, 0.4),
+        "dead_time": (0.05, 0.1, 0.15, 0.2, 0.25, 0.3, 0.4),
     },
 }
 """What `tune_for_track` tries, by the controller's registered name: all combinations of these tuning entries."""

@@ -45,8 +45,8 @@ def _panel(axes: Axes, run: EntrySpeed) -> None:
     axes.plot(*track.cones.T, "^", color=style.SERIES[1], markersize=4, zorder=3)
     for poses in run.poses:
         corners = outline.corners_at(*poses.T)
-        for number, colour in enumerate((0, 0, 2, 2)):
-            axes.plot(*corners[:, number].T, color=style.SERIES[colour], linewidth=0.7)
+        for number, colour, width in ((2, 2, 1.6), (3, 2, 1.6), (0, 0, 0.7), (1, 0, 0.7)):  # rear, then front
+            axes.plot(*corners[:, number].T, color=style.SERIES[colour], linewidth=width)
     first = run.poses[0]
     known = first[np.isfinite(first).all(axis=1)]
     for x in np.arange(track.gates[0].start - BEFORE, track.gates[-1].end + BEHIND, BETWEEN):
