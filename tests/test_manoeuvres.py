@@ -3,21 +3,29 @@
 import json
 import math
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from scipy.signal import lsim
 
 from adaptrack import cli
+from adaptrack.cli import closed_loop
+from adaptrack.controllers import get_controller
 from adaptrack.errors import InvalidInput
 from adaptrack.manoeuvres import (
     Gate,
+    LaneChange,
     Surroundings,
     Track,
     clearance,
     coasting_plan,
     curvature_step,
+    curvature_step_start,
+    drive_lane_start,
     drive_open_loop,
+    driven_line,
+    entry_speed,
     frequency_response,
     highest_clean_speed,
     iso_3888_1,
@@ -28,11 +36,17 @@ from adaptrack.manoeuvres import (
     steady_circle,
     step_steer,
     track_road,
+    tune_for_track,
 )
+from adaptrack.manoeuvres.entry_speed import TUNING_SEEDS, own_tuning, refined_poses, tunings_to_try
+from adaptrack.manoeuvres.lane_runs import crossing, last_offset, settling_time
 from adaptrack.manoeuvres.sine_with_dwell import amplitudes, reference_angle, sine_with_dwell_shape
 from adaptrack.outline import Outline
+from adaptrack.path_metrics import PathRecord
 from adaptrack.plant import SingleTrack, SteppedPlant, get_plant
+from adaptrack.profile import load_profile
 from adaptrack.road import Line, Road
+from adaptrack.simulate import rollout
 from adaptrack.vehicle import GRAVITY, Tyre, load_vehicle
 
 GRIP = Surroundings(friction=1.0)
@@ -297,21 +311,131 @@ class TestLaneChange:
         with pytest.raises(InvalidInput, match="width = 0"):
             iso_3888_1(0)
 
-    def test_bisection_finds_the_last_clean_speed_of_the_grid(self):
+    @pytest.mark.parametrize("car", ["compact-ev", "van"])
+    def test_a_line_for_a_speed_leaves_more_room_the_slower_and_bends_less_the_faster(self, car):
+        car = load_vehicle(car)
+        track = iso_3888_2(car.outline.width)
+        found = {}
+        for speed in (10.0, 14.0, 20.0):
+            road = driven_line(track, car, speed)
+            line = road.at(np.linspace(0.0, road.length, 2000))
+            slip = car.lr - car.mass * car.lf * speed**2 / (2.0 * car.stiffness_rear * car.wheelbase)
+            body = clearance(track, car.outline, line.x, line.y, line.heading - slip * line.curvature)
+            found[speed] = body.least, np.abs(line.curvature).max()
+        assert found[10.0][0] > found[14.0][0] > found[20.0][0] - 0.01
+        assert found[10.0][1] > found[14.0][1]
+        assert all(0.02 < room < 0.16 for room, _ in found.values())
+
+    def test_a_bend_that_allows_it_leaves_all_the_room_asked_for(self):
+        track = iso_3888_2(1.8)
+        wide = track_road(track, BOX, 0.15, bend=10.0)
+        line = wide.at(np.linspace(0.0, wide.length, 2000))
+        assert clearance(track, BOX, line.x, line.y, line.heading).least == pytest.approx(0.15, abs=0.04)
+        with pytest.raises(InvalidInput, match="bend = 0"):
+            track_road(track, BOX, bend=0)
+
+    def test_a_scan_tells_the_speeds_up_to_which_all_are_clean_from_those_that_are_by_luck(self):
         driven = []
 
         def drive(speed):
             driven.append(speed)
-            return straight(0.01 * speed)  # 0.6 m are used up at 60 m/s
+            return straight(0.0 if speed == 64.0 else 0.01 * speed)  # 0.6 m are used up at 60 m/s
 
-        grid = np.arange(1.0, 100.0, 0.7)
-        found = highest_clean_speed(drive, LANE, BOX, grid)
-        assert found.speed <= 60.0 < found.failing == pytest.approx(found.speed + 0.7)
-        assert len(driven) == len(found.tried) <= 9
-        assert math.isnan(highest_clean_speed(drive, LANE, BOX, [70.0, 80.0]).speed)
+        found = highest_clean_speed(drive, LANE, BOX, np.arange(50.0, 100.0, 2.0))
+        assert (found.speed, found.failing, found.highest) == (pytest.approx(60.0, abs=2.0), found.speed + 2.0, 64.0)
+        assert driven == sorted(found.tried)
+        assert max(driven) < 98.0  # the cars that are lost for good are not driven on
+        assert math.isnan(highest_clean_speed(drive, LANE, BOX, [70.0, 80.0]).highest)
         assert math.isnan(highest_clean_speed(drive, LANE, BOX, [10.0, 20.0]).failing)
         with pytest.raises(InvalidInput, match="must increase"):
             highest_clean_speed(drive, LANE, BOX, [2.0, 1.0])
+
+    def test_between_the_instants_the_car_is_on_the_arc_that_it_drives(self):
+        t, v, r = np.arange(0.0, 2.0, 0.1)[:, None], 15.0, 0.5
+        circle = np.hstack([v / r * np.sin(r * t), v / r * (1 - np.cos(r * t)), r * t, v + 0 * t, 0 * t, r + 0 * t])
+        x, y, yaw = refined_poses(circle, 0.1).T
+        assert len(x) == 19 * 5 + 1
+        assert np.hypot(x, y - v / r) == pytest.approx(v / r, abs=1e-6)
+        assert yaw == pytest.approx(np.arctan2(x, v / r - y), abs=1e-6)
+
+
+@pytest.fixture(scope="module")
+def obstacle():
+    car = load_vehicle("compact-ev")
+    profile = load_profile("road")
+    track = iso_3888_2(car.outline.width)
+    return LaneChange(car, get_plant("dual-track", car), track, profile)
+
+
+def driver_of(test, name):
+    return get_controller(name, test.car, profile=test.profile, period=test.profile.period, preview=True)
+
+
+@pytest.mark.compiled
+class TestEntrySpeed:
+    def test_the_informed_mpc_passes_at_40_km_h_and_fails_well_beyond_the_grip(self, obstacle):
+        found = entry_speed(obstacle, "informed", driver_of(obstacle, "informed"), [40 / 3.6, 80 / 3.6])
+        assert found.row["clean"] == pytest.approx(40.0)
+        assert found.row["failing"] == pytest.approx(80.0)
+        assert 0.0 < found.row["margin"] < 0.2
+        assert clearance(obstacle.track, obstacle.car.outline, *found.poses[0].T).clean
+
+    def test_many_tunings_at_once_are_driven_as_each_alone(self, obstacle):
+        stanley = driver_of(obstacle, "stanley")
+        tunings = np.array([[0.5 + 0.1 * k, 1.0, 0.05, 0.2] for k in range(20)])  # more than a block holds
+        together = obstacle.drive(stanley, 12.0, tunings, (0, 1))
+        alone = obstacle.drive(stanley, 12.0, tunings[17:18], (1,))
+        assert np.array_equal(together[17, 1], alone[0, 0], equal_nan=True)
+        slow = rollout(obstacle.plant, stanley, obstacle.trip(12.0), profile=obstacle.profile, seed=1)
+        own = obstacle.drive(stanley, 12.0, own_tuning(stanley)[None], (1,))[0, 0]
+        assert np.array_equal(own[::5, 1], slow.Y)
+
+    def test_a_tuning_that_was_searched_is_no_worse_than_the_own_one_where_it_was_searched(self, obstacle):
+        law = driver_of(obstacle, "lqr")
+        tuning, margin = tune_for_track(obstacle, "lqr", law, 12.0)
+        (own,) = obstacle.margins(law, 12.0, own_tuning(law)[None], TUNING_SEEDS)
+        assert margin.least > own.least + 0.05
+        assert any(np.array_equal(tuning, each) for each in tunings_to_try("lqr", law))
+        with pytest.raises(InvalidInput, match="no search"):
+            tune_for_track(obstacle, "mine", law, 12.0)
+
+
+@pytest.mark.compiled
+class TestLaneRuns:
+    @pytest.mark.parametrize("name", ["informed", "stanley"])
+    def test_a_car_comes_back_from_beside_its_path_and_stays(self, obstacle, name):
+        start = lane_recovery(obstacle.car.outline)
+        run = drive_lane_start(start, obstacle.plant, driver_of(obstacle, name), obstacle.car.outline, obstacle.profile)
+        assert run.passed
+        assert run.largest_offset >= 1.0
+        assert 1.0 < run.settling_time < 10.0
+        assert abs(run.last_offset) < 0.1
+        assert run.row["metrics"]["max_corner"] == run.largest_corner
+
+    def test_a_limit_that_the_start_already_breaks_is_not_passed(self, obstacle):
+        start = replace(lane_drift(obstacle.car.outline, 0.5), limit=1.7)
+        law = driver_of(obstacle, "stanley")
+        run = drive_lane_start(start, obstacle.plant, law, obstacle.car.outline, obstacle.profile, (0,))
+        assert not run.passed
+        assert run.largest_corner >= 1.75
+        assert run.failed is None
+
+    def test_settling_and_crossing_of_a_decaying_oscillation_are_those_of_its_formula(self):
+        t = np.arange(0.0, 10.0, 0.001)
+        e = np.exp(-0.5 * t) * np.cos(np.pi * t)
+        record = PathRecord(t, e, 0.0 * t, 10.0 + 0 * t, 0.0 * t, 0.0 * t)
+        dip = t[np.argmin(e)]
+        assert crossing(record) == pytest.approx(math.exp(-0.5 * dip) * -math.cos(math.pi * dip))
+        assert settling_time(record) == pytest.approx(t[np.flatnonzero(np.abs(e) > 0.1)[-1] + 1])
+        assert last_offset(record, 1e-9) == e[-1]
+        assert math.isnan(settling_time(PathRecord(t, 1.0 + 0 * t, 0 * t, 10 + 0 * t, 0 * t, 0 * t)))
+
+    def test_a_step_of_curvature_is_met_at_3_m_per_s2_unless_a_speed_is_given(self):
+        start = curvature_step_start(75.0)
+        assert start.speed == pytest.approx(15.0)
+        assert (start.offset, start.heading_error, start.limit) == (0.0, 0.0, 1.75)
+        with pytest.raises(InvalidInput, match="speed"):
+            curvature_step_start(75.0, speed=0.0)
 
 
 class TestStartStates:
@@ -364,3 +488,28 @@ class TestCommand:
         code, _, told = command("step-steer", "--radius", "100")
         assert code == 2
         assert "--radius has no meaning for step-steer" in told
+
+    def test_controllers_drive_a_step_of_curvature_within_80_columns_and_all_pass(self, command):
+        code, out, _ = command("curvature-step", "--vehicle", "compact-ev", "--controller", "informed",
+                               "--controller", "stanley")  # fmt: skip
+        assert code == 0
+        assert "passed" in out
+        assert max(map(len, out.splitlines())) <= 80
+
+    def test_a_lane_change_gives_a_table_of_80_columns_and_a_picture(self, command, monkeypatch, tmp_path):
+        track = ("iso-3888-2", np.array([30.0, 35.0, 80.0]), 40.0)
+        monkeypatch.setitem(closed_loop.LANE_CHANGES, "obstacle-avoidance", track)
+        asked = ("obstacle-avoidance", "--vehicle", "compact-ev", "--controller", "pure-pursuit")
+        code, out, _ = command(*asked, "--out", str(tmp_path))
+        assert code == 0
+        assert max(map(len, out.replace(str(tmp_path), "").splitlines())) <= 80
+        assert (tmp_path / "obstacle-avoidance-compact-ev.png").read_bytes().startswith(b"\x89PNG")
+        code, out, _ = command(*asked, "--no-tune", "--json")
+        (row,) = json.loads(out)["rows"]
+        assert (row["vehicle"], row["controller"], row["tuned"]) == ("compact-ev", "pure-pursuit", False)
+        assert len(row["margins"]) == 3
+
+    def test_options_of_the_other_kind_of_manoeuvre_are_refused(self, command):
+        assert command("step-steer", "--controller", "lqr")[0] == 2
+        assert command("step-steer", "--vehicle", "van", "--vehicle", "paper")[0] == 2
+        assert command("lane-drift", "--radius", "100")[0] == 2

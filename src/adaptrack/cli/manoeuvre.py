@@ -1,9 +1,10 @@
-"""`adaptrack manoeuvre`: open-loop tests of the standards on a plant."""
+"""`adaptrack manoeuvre`: tests of the standards on a plant, and those that a controller drives (`closed_loop`)."""
 
 from __future__ import annotations
 
 import math
 from enum import StrEnum
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
@@ -23,12 +24,17 @@ NOT_PASSED = 1
 
 
 class Name(StrEnum):
-    """Manoeuvres that can be driven without a controller."""
+    """Manoeuvres: open loop, and those that a controller drives."""
 
     steady_circle = "steady-circle"
     step_steer = "step-steer"
     frequency_response = "frequency-response"
     sine_with_dwell = "sine-with-dwell"
+    double_lane_change = "double-lane-change"
+    obstacle_avoidance = "obstacle-avoidance"
+    curvature_step = "curvature-step"
+    lane_drift = "lane-drift"
+    lane_recovery = "lane-recovery"
 
 
 TITLES = {
@@ -74,43 +80,117 @@ UNITS = {
 """Of the characteristic values, by name."""
 
 
+KNOWN = {
+    Name.steady_circle: {"speed", "radius"},
+    Name.step_steer: {"speed", "lateral-acceleration"},
+    Name.frequency_response: {"speed", "lateral-acceleration"},
+    Name.sine_with_dwell: set[str](),
+    Name.double_lane_change: {"controller", "profile", "tune", "out"},
+    Name.obstacle_avoidance: {"controller", "profile", "tune", "out"},
+    Name.curvature_step: {"controller", "profile", "speed", "radius"},
+    Name.lane_drift: {"controller", "profile", "speed"},
+    Name.lane_recovery: {"controller", "profile", "speed"},
+}
+"""The options that a manoeuvre takes, beside those of all."""
+OPEN_LOOP = (Name.steady_circle, Name.step_steer, Name.frequency_response, Name.sine_with_dwell)
+
+
 def manoeuvre(
     name: Annotated[Name, typer.Argument(help="Which one.")],
-    vehicle: options.Vehicle = "paper",
+    vehicle: Annotated[
+        list[str] | None,
+        Option("--vehicle", help="Name (see `vehicles`) or .toml file, by default paper; several with a controller."),
+    ] = None,
+    controller: Annotated[
+        list[str] | None,
+        Option(metavar="NAME", help="Closed loop: informed, lqr, pure-pursuit, stanley [default: all four], ..."),
+    ] = None,
+    profile: Annotated[
+        str | None, Option("--profile", metavar="NAME", help="Closed loop: by default road; or a .toml file.")
+    ] = None,
+    tune: Annotated[
+        bool | None,
+        Option("--tune/--no-tune", help="Lane changes: also with a tuning searched on the track [default]."),
+    ] = None,
     plant: options.Plant = "dual-track",
     tyre: options.Tyre = None,
     speed: Annotated[
-        float | None, Option("--speed", help="m/s; by default 80 km/h; steady-circle: instead of a constant radius.")
+        float | None, Option("--speed", help="m/s; open loop by default 80 km/h; not of the lane changes.")
     ] = None,
-    radius: Annotated[float | None, Option("--radius", help="steady-circle: m, by default 100.")] = None,
+    radius: Annotated[
+        float | None, Option("--radius", help="m; steady-circle, by default 100; curvature-step, 50.")
+    ] = None,
     lateral_acceleration: Annotated[
         float | None,
         Option("--lateral-acceleration", metavar="A", help="step-steer, frequency-response: m/s², by default 4."),
     ] = None,
     friction: Annotated[float | None, Option("--friction", help="Of all wheels, by default 0.9.")] = None,
+    out: Annotated[Path | None, Option("--out", help="Lane changes: folder for a picture of each car.")] = None,
     plugin: options.Plugin = None,
     as_json: options.Json = False,
 ) -> None:
-    """Drive an open-loop test of a standard; sine-with-dwell: exit code 1 when its criteria are not met.
+    """Drive a test of a standard or one of ours; exit code 1 when its criteria are not met.
 
-    The plants have no stability control, without which cars may fail the sine with dwell.
+    Open loop: steady-circle, step-steer, frequency-response, sine-with-dwell; the plants have no stability control,
+    without which cars may fail the last. With controllers: double-lane-change and obstacle-avoidance (highest clean
+    entry speed; no criterion), curvature-step, lane-drift, lane-recovery.
     """
+    options.load_plugins(plugin)
+    asked = {
+        "speed": speed, "radius": radius, "lateral-acceleration": lateral_acceleration, "controller": controller,
+        "profile": profile, "tune": tune, "out": out,
+    }  # fmt: skip
+    given = {key: value for key, value in asked.items() if value is not None}
+    for option in sorted(set(given) - KNOWN[name]):
+        raise InvalidInput(f"--{option} has no meaning for {name}: leave it out.")
+    cars = [options.car_and_plant(each, plant, tyre) for each in dict.fromkeys(vehicle or ["paper"])]
+    numbers = {key.replace("-", "_"): value for key, value in given.items() if isinstance(value, float)}
+    if name in OPEN_LOOP:
+        if len(cars) > 1:
+            raise InvalidInput(f"--vehicle: {name} drives one car; name it once.")
+        passed = _open_loop(name, *cars[0], numbers, friction, as_json)
+    else:
+        passed = _closed_loop(name, cars, given, friction, as_json)
+    if not passed:
+        raise typer.Exit(NOT_PASSED)
+
+
+def _open_loop(
+    name: Name, car: Vehicle, body: Plant | SteppedPlant, given: dict[str, float], friction: float | None, as_json: bool
+) -> bool:
+    """Drive and print; whether its criteria are met."""
     from adaptrack.manoeuvres import Surroundings
 
-    options.load_plugins(plugin)
-    car, body = options.car_and_plant(vehicle, plant, tyre)
-    asked = {"speed": speed, "radius": radius, "lateral_acceleration": lateral_acceleration}
-    given = {key: value for key, value in asked.items() if value is not None}
     around = None if friction is None else Surroundings(friction=friction)
     summary, rows = _drive(name, car, body, given, around)
-    passed = bool(summary.get("passed", True))
     if as_json:
         about = {"manoeuvre": str(name), "vehicle": car.name, "plant": body.name, "tyre": body.tyre_name}
         show.say_json(about | {key: _strict(value) for key, value in summary.items()} | {"rows": _plain(rows)})
     else:
         _print(name, f"{car.name}, {body.name}", summary, rows)
-    if not passed:
-        raise typer.Exit(NOT_PASSED)
+    return bool(summary.get("passed", True))
+
+
+def _closed_loop(
+    name: Name, cars: list[tuple[Vehicle, Plant | SteppedPlant]], given: dict[str, Any], friction: float | None,
+    as_json: bool,
+) -> bool:  # fmt: skip
+    """Drive and print; whether its criteria are met."""
+    from adaptrack.cli import closed_loop
+    from adaptrack.plant import Plant as Compiled
+    from adaptrack.profile import load_profile
+
+    compiled = [(car, body) for car, body in cars if isinstance(body, Compiled)]
+    if len(compiled) < len(cars):
+        raise InvalidInput(f"--plant: {name} is driven compiled; a plant in Python has no place in it.")
+    driven = closed_loop.Driven(
+        compiled, given.get("controller", closed_loop.CONTROLLERS), load_profile(given.get("profile", "road")),
+        friction, bool(given.get("tune", True)), given.get("out"),
+    )  # fmt: skip
+    if name in (Name.double_lane_change, Name.obstacle_avoidance):
+        closed_loop.drive_lane_change(str(name), driven, as_json)
+        return True
+    return closed_loop.drive_start(str(name), driven, given, as_json)
 
 
 def _drive(
@@ -119,14 +199,6 @@ def _drive(
     """The characteristic values and the rows of a manoeuvre."""
     from adaptrack import manoeuvres
 
-    known = {
-        Name.steady_circle: {"speed", "radius"},
-        Name.step_steer: {"speed", "lateral_acceleration"},
-        Name.frequency_response: {"speed", "lateral_acceleration"},
-        Name.sine_with_dwell: set(),
-    }
-    for option in sorted(set(given) - known[name]):
-        raise InvalidInput(f"--{option.replace('_', '-')} has no meaning for {name}: leave it out.")
     drive: Any = getattr(manoeuvres, name.name)
     found = drive(car, plant, surroundings=around, **given)
     return found.summary(), found.rows() if name in COLUMNS else []

@@ -22,7 +22,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import linprog
-from scipy.sparse import csr_array
+from scipy.sparse import csr_array, diags_array, eye_array, hstack, vstack
 
 from adaptrack.errors import InvalidInput, real
 from adaptrack.limits import SPEED
@@ -35,6 +35,8 @@ Array = NDArray[np.float64]
 Drive = Callable[[float], tuple[ArrayLike, ArrayLike, ArrayLike]]
 """drive(entry speed, m/s) -> x (m), y (m), yaw (rad) of the centre of mass, (n,) each."""
 
+Pass = tuple[int, float, "Gate"]
+
 APPROACH, RUN_OUT = 60.0, 60.0
 """m, straight road before the first and behind the last cones."""
 GRID = 0.5
@@ -45,6 +47,17 @@ CALM = 0.002
 """Weight (1/m) of the integral of |y''| beside its largest value: the line does not weave where it need not."""
 ROOM = 0.1
 """m, that it leaves between the body and the cones where it can."""
+GRIP_USE = 1.05
+"""Times mu g/v^2: `bend` of a line for a speed. Measured on four cars: with more they do not follow, with less the line
+passes the cones more closely than it must."""
+MOST_ROOM = 0.15
+"""m, that it leaves at most."""
+LEAST_ROOM = 0.07
+"""m, that it leaves even where that takes sharper bends than allowed."""
+ROOM_WEIGHT, EXCESS_WEIGHT = 1.0, 1e3
+"""1/m^2 and 1: how much room counts against curvature (1/m) below and beyond the allowed one."""
+BEYOND_FAILING = 8
+"""Speeds of a grid, one after the other, that are not clean: then no faster one is tried."""
 FINE = 0.05
 """m, between the places at which margins are looked at."""
 
@@ -150,64 +163,108 @@ def _width(width: float) -> float:
 
 
 # -- the line ---------------------------------------------------------------------------------------------------------
-def track_road(track: Track, outline: Outline, room: float = ROOM) -> Road:
+def track_road(
+    track: Track, outline: Outline, room: float = ROOM, *, bend: float = math.inf, sideslip: float = 0.0
+) -> Road:
     """A road along which the body passes all gates: the line for a controller to follow.
 
     The middles of the lanes ask for bends that no car can drive at speed; a driver uses the lanes' width. The line y(x)
     minimises max |y''| + 4 m max |y'''|, and a little of all |y''|, while the corners, and the sides where they pass
-    cones, keep `room` (m) to the limits, for a body that points along the line: a linear programme in the small-angle
-    form. It is straight until the centre of mass is between the first cones, anywhere in that lane, and in the last
-    10 m. The road starts `APPROACH` before the first cones; it is as wide as the gates, and 3.5 m more to both sides
-    between them.
+    cones, keep `room` to the limits: a linear programme in the small-angle form. It is straight until the centre of
+    mass is between the first cones, anywhere in that lane, and in the last 10 m. The road starts `APPROACH` before the
+    first cones; it is as wide as the gates, and 3.5 m more to both sides between them.
+
+    Parameters
+    ----------
+    room
+        m, between the body and the cones; with a `bend`, the most that is asked for.
+    bend
+        1/m, > 0, bound on max |y''| + 4 m max |y'''|: the line keeps as much room as that allows. Where even
+        `LEAST_ROOM` needs more, it keeps that and bends more, but no more than it must. Infinite: the room is kept
+        whatever the bend.
+    sideslip
+        m, sideslip angle of the body over the curvature of the line: so much the body points out of the line.
 
     Raises
     ------
     InvalidInput
-        When the body does not fit between the cones with that room.
+        When the body does not fit between the cones with that room, or the bend is not positive.
     """
+    if not real("track_road", "bend", bend) > 0.0:
+        raise InvalidInput(f"track_road: bend = {bend!r} 1/m: must be positive; inf: no bound.")
     x = np.arange(track.gates[0].start - APPROACH, track.gates[-1].end + RUN_OUT + 0.5 * GRID, GRID)
     n = x.size
-    rows, limits = _constraints(track, outline, room, x)
-    cost = np.concatenate([np.zeros(n), np.full(n, CALM * GRID), [1.0, SHARPNESS_LENGTH]])
+    least = room if math.isinf(bend) else min(room, LEAST_ROOM)
+    beside, limits = _beside(_passes(track, outline, x), outline, n, sideslip)
+    bends = _bends(n)
+    within = csr_array(
+        ([1.0, SHARPNESS_LENGTH, -1.0], ([0, 0, 0], [2 * n, 2 * n + 1, 2 * n + 3])), shape=(1, 2 * n + 4)
+    )
+    rows = vstack([bends, beside] + ([] if math.isinf(bend) else [within]))
+    limits = np.concatenate([np.zeros(bends.shape[0]), limits, [] if math.isinf(bend) else [bend]])
+    cost = np.concatenate([np.zeros(n), np.full(n, CALM * GRID), [1.0, SHARPNESS_LENGTH, -ROOM_WEIGHT, EXCESS_WEIGHT]])
     straight = np.concatenate([np.flatnonzero(x <= track.gates[0].start), np.arange(n - round(10.0 / GRID), n)])
     bent = np.ones(n - 2, dtype=bool)
     bent[straight[straight < n - 2]] = False
     bounds = [(None, None)] * n + [(0.0, None if each else 0.0) for each in bent] + [(0.0, None)] * 4
-    level = np.zeros((2, 2 * n + 2))  # parallel to x at both ends
-    level[0, :2] = level[1, n - 2 : n] = 1.0, -1.0
+    bounds += [(least, room), (0.0, None)]
+    level = csr_array(([1.0, -1.0, 1.0, -1.0], ([0, 0, 1, 1], [0, 1, n - 2, n - 1])), shape=(2, 2 * n + 4))
     found = linprog(cost, A_ub=rows, b_ub=limits, A_eq=level, b_eq=np.zeros(2), bounds=bounds, method="highs")
     if found.x is None:
         raise InvalidInput(
             f"track_road: a body {outline.length:.2f} m long and {outline.width:.2f} m wide does not fit through "
-            f"{track.name} with {room:g} m of room: ask for less room, or make the track for this car's width."
+            f"{track.name} with {least:g} m of room: ask for less room, or make the track for this car's width."
         )
     points = np.stack([x, found.x[:n]], axis=1)
-    road = Road.from_points(points, max_deviation=0.02, closed=False, name=track.name, smoothest=True)
+    road = Road.from_points(points, max_deviation=0.005, closed=False, name=track.name, smoothest=True)
     return road.replace(**_widths(track, road))
 
 
-def _constraints(track: Track, outline: Outline, room: float, x: Array) -> tuple[csr_array, Array]:
-    """A u <= b in u = [y (n), |y''| (n), largest |y''|, largest |y'''|]: the bends, and the body between the cones."""
-    n = x.size
-    second, third = (np.zeros((n - order, 2 * n + 2)) for order in (2, 3))
-    for rows, weights in ((second, (1.0, -2.0, 1.0)), (third, (-1.0, 3.0, -3.0, 1.0))):
-        for k in range(len(rows)):
-            rows[k, k : k + len(weights)] = np.array(weights) / GRID ** (len(weights) - 1)
-    size, largest, change = np.zeros((n - 2, 2 * n + 2)), np.zeros(2 * n + 2), np.zeros(2 * n + 2)
-    size[np.arange(n - 2), n + np.arange(n - 2)] = 1.0
-    largest[2 * n], change[2 * n + 1] = 1.0, 1.0
-    bends = [second - size, -second - size, size - largest, third - change, -third - change]
-    passes = _passes(track, outline, x)
-    beside, upper, lower = np.zeros((len(passes), 2 * n + 2)), np.empty(len(passes)), np.empty(len(passes))
-    half = 0.5 * outline.width + room
+def driven_line(track: Track, car: Vehicle, speed: float, friction: float = 0.9) -> Road:
+    """`track_road` for a car at a speed (m/s): as far from the cones as its grip allows there.
+
+    Bends are held to `GRIP_USE` mu g/v^2, and the body turns out of the line by the sideslip of a steady turn with
+    linear tyres, (l_r - m l_f v^2/(2 C_r L)) times the curvature (Rajamani, *Vehicle Dynamics and Control*, 2nd ed.,
+    section 3.2).
+
+    Raises
+    ------
+    InvalidInput
+        When the speed is not positive, or the body does not fit between the cones.
+    """
+    if not 0.0 < real("driven_line", "speed", speed) <= SPEED.most:
+        raise InvalidInput(f"driven_line: speed = {speed!r} m/s: must be above 0 and at most {SPEED.most:g}.")
+    slip = car.lr - car.mass * car.lf * speed**2 / (2.0 * car.stiffness_rear * car.wheelbase)
+    return track_road(track, car.outline, MOST_ROOM, bend=GRIP_USE * friction * GRAVITY / speed**2, sideslip=slip)
+
+
+def _bends(n: int) -> csr_array:
+    """A u <= 0 in u = [y (n), |y''| (n), largest |y''|, largest |y'''|, room, excess]: what bounds the bends."""
+    second = diags_array([1.0, -2.0, 1.0], offsets=[0, 1, 2], shape=(n - 2, n)) / GRID**2
+    third = diags_array([-1.0, 3.0, -3.0, 1.0], offsets=[0, 1, 2, 3], shape=(n - 3, n)) / GRID**3
+    size, none = eye_array(n - 2, n), csr_array((n - 3, n))
+    largest, change = np.zeros((n - 2, 4)), np.zeros((n - 3, 4))
+    largest[:, 0], change[:, 1] = -1.0, -1.0
+    free = csr_array((n - 2, 4))
+    rows = [hstack([sign * second, -size, free]) for sign in (1.0, -1.0)]
+    rows += [hstack([sign * third, none, change]) for sign in (1.0, -1.0)]
+    return csr_array(vstack([*rows, hstack([csr_array((n - 2, n)), size, largest])]))
+
+
+def _beside(passes: Sequence[Pass], outline: Outline, n: int, sideslip: float) -> tuple[csr_array, Array]:
+    """A u <= b, u as in `_bends`: the body between the cones, with the room."""
+    rows, limits = np.zeros((2 * len(passes), 2 * n + 4)), np.empty(2 * len(passes))
     for row, (place, ahead, gate) in enumerate(passes):
-        beside[row, place - 1 : place + 2] = -0.5 * ahead / GRID, 1.0, 0.5 * ahead / GRID  # y + ahead y'
-        upper[row], lower[row] = gate.left - half, gate.right + half
-    still = np.zeros(sum(len(each) for each in bends))
-    return csr_array(np.concatenate([*bends, beside, -beside])), np.concatenate([still, upper, -lower])
+        lean = ahead * sideslip / GRID**2
+        axis = -0.5 * ahead / GRID - lean, 1.0 + 2.0 * lean, 0.5 * ahead / GRID - lean  # y + ahead (y' - sideslip y'')
+        for sign, side, at in ((1.0, gate.left, 2 * row), (-1.0, -gate.right, 2 * row + 1)):
+            rows[at, place - 1 : place + 2] = sign * np.array(axis)
+            rows[at, 2 * n + 2] = 1.0
+            limits[at] = side - 0.5 * outline.width
+    return csr_array(rows), limits
 
 
-def _passes(track: Track, outline: Outline, x: Array) -> list[tuple[int, float, Gate]]:
+def _passes(track: Track, outline: Outline, x: Array) -> list[Pass]:
     """(grid point, distance ahead of it, gate): where a point of the body's axis must be within a gate.
 
     Both ends of the body while they are in a lane, and what is beside the cones at the lane's ends.
@@ -369,18 +426,17 @@ class CleanSpeed:
     """The result of the search."""
 
     speed: float
-    """m/s, the highest clean entry speed of the grid that was found; NaN when not even its lowest is clean"""
+    """m/s, clean, as all lower ones of the grid are; NaN when not even its lowest is clean"""
     failing: float
-    """m/s, the next speed of the grid, which was not clean; NaN when its highest is clean"""
+    """m/s, the lowest speed of the grid that was not clean; NaN when all are"""
+    highest: float
+    """m/s, the highest clean speed of the grid, above `failing` by luck; NaN when none is clean"""
     tried: dict[float, Clearance]
     """by entry speed (m/s)"""
 
 
 def highest_clean_speed(drive: Drive, track: Track, outline: Outline, speeds: Sequence[float]) -> CleanSpeed:
-    """The highest entry speed of a grid at which a drive is clean, by bisection.
-
-    It is taken for granted that slower drives than a clean one are clean: the speed that is found is clean, and the
-    next one of the grid is not.
+    """The highest entry speed of a grid up to which every drive is clean; see `scan_speeds`.
 
     Parameters
     ----------
@@ -394,19 +450,32 @@ def highest_clean_speed(drive: Drive, track: Track, outline: Outline, speeds: Se
     InvalidInput
         When the speeds do not increase from above 0.
     """
+    return scan_speeds(lambda speed: clearance(track, outline, *drive(speed)), speeds)
+
+
+def scan_speeds(
+    judge: Callable[[float], Clearance], speeds: Sequence[float], beyond: int = BEYOND_FAILING
+) -> CleanSpeed:
+    """Drive a grid of entry speeds (m/s), increasing, from its lowest up: a faster drive may be clean where one is not.
+
+    It ends when `beyond` speeds one after the other were not clean.
+
+    Raises
+    ------
+    InvalidInput
+        When the speeds do not increase from above 0.
+    """
     grid = [float(each) for each in speeds]
     if not grid or grid[0] <= 0.0 or any(b <= a for a, b in pairwise(grid)):
-        raise InvalidInput(f"highest_clean_speed: speeds = {speeds!r}: must increase from above 0 m/s.")
+        raise InvalidInput(f"entry speeds = {speeds!r}: must increase from above 0 m/s.")
     tried: dict[float, Clearance] = {}
-
-    def clean(k: int) -> bool:
-        tried[grid[k]] = clearance(track, outline, *drive(grid[k]))
-        return tried[grid[k]].clean
-
-    if not clean(0):
-        return CleanSpeed(math.nan, grid[0], tried)
-    low, high = 0, len(grid)  # low is clean; high is not, or beyond the grid
-    while high - low > 1:
-        middle = (low + high) // 2
-        low, high = (middle, high) if clean(middle) else (low, middle)
-    return CleanSpeed(grid[low], grid[high] if high < len(grid) else math.nan, tried)
+    row = 0
+    for speed in grid:
+        tried[speed] = judge(speed)
+        row = 0 if tried[speed].clean else row + 1
+        if row >= beyond:
+            break
+    clean = [speed for speed, each in tried.items() if each.clean]
+    failing = min((speed for speed, each in tried.items() if not each.clean), default=math.nan)
+    below = [speed for speed in clean if not speed > failing]
+    return CleanSpeed(max(below, default=math.nan), failing, max(clean, default=math.nan), tried)

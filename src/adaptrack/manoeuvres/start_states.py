@@ -12,6 +12,8 @@ from adaptrack.road import Arc, Line, Road
 
 BEFORE = 50.0
 """m, straight road before a step of curvature."""
+BEND_ACCELERATION = 3.0
+"""m/s^2, in the arc behind a step of curvature, where no speed is given."""
 DRIFT_SPEED = 20.0
 """m/s, 72 km/h: the speed of Euro NCAP's tests of lane support."""
 BEYOND = 0.3
@@ -68,6 +70,23 @@ def curvature_step(radius: float, *, left: bool = True, turn: float = math.pi / 
     return Road.from_segments(
         [Line(length=BEFORE), Arc(length=turn * radius, curvature=curvature)], name=f"curvature-step-{radius:g}m"
     )
+
+
+def curvature_step_start(radius: float = 50.0, *, speed: float | None = None) -> LaneStart:
+    """A car that meets a step of curvature, on the path. Ours: it passes when no corner leaves a lane of 3.5 m.
+
+    radius: m; speed: m/s, by default that of 3 m/s^2 in the arc.
+
+    Raises
+    ------
+    InvalidInput
+        When a value is not positive and finite.
+    """
+    road = curvature_step(radius)
+    pace = math.sqrt(BEND_ACCELERATION * radius) if speed is None else real("curvature_step", "speed", speed)
+    if not 0.0 < pace < math.inf:
+        raise InvalidInput(f"curvature_step: speed = {speed!r} m/s: must be positive and finite.")
+    return LaneStart("curvature-step", road, pace, 0.0, 0.0, 0.5 * LANE_WIDTH, "ours")
 
 
 def lane_drift(
