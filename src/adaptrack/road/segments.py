@@ -139,6 +139,17 @@ class Cubic(Record):
 Segment = Annotated[Line | Arc | Clothoid | Cubic, Field(discriminator="kind")]
 
 
+def moved(points: Points, pose: Pose) -> Points:
+    """The points with their origin at a pose."""
+    cos, sin = np.cos(pose.heading), np.sin(pose.heading)
+    return Points(
+        pose.x + cos * points.x - sin * points.y,
+        pose.y + sin * points.x + cos * points.y,
+        points.heading + pose.heading,
+        points.curvature,
+    )
+
+
 def heading_integral(k0: ArrayLike, k1: ArrayLike, s: ArrayLike) -> NDArray[np.complex128]:
     """x + i y = integral of exp(i (k0 r + k1 r^2/2)) dr from 0 to s; all three broadcast.
 
