@@ -16,7 +16,6 @@ import argparse
 import math
 import time
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 
@@ -65,6 +64,7 @@ class Found:
 
 
 def drive_all(roads: list[Road], car_name: str, profile: str, lateral: float) -> Found:
+    """What the drives of one car along roads come to."""
     car, found = load_vehicle(car_name), Found()
     for number, road in enumerate(roads):
         try:
@@ -82,6 +82,7 @@ def drive_all(roads: list[Road], car_name: str, profile: str, lateral: float) ->
 
 
 def gate(arguments: argparse.Namespace) -> None:
+    """Generated roads of four kinds."""
     for profile in arguments.profile:
         for car in arguments.car:
             for lateral, friction in DRIVEN:
@@ -106,15 +107,16 @@ def gate(arguments: argparse.Namespace) -> None:
 
 
 def files(arguments: argparse.Namespace) -> None:
+    """Roads from files."""
+    loaded = [load_road(path) for path in arguments.roads]
     for profile in arguments.profile:
         for car in arguments.car:
             for lateral, friction in DRIVEN:
                 found = Found()
-                for path in arguments.roads:
-                    road = load_road(path).replace(friction=friction)
-                    one = drive_all([road], car, profile, lateral)
+                for road in loaded:
+                    one = drive_all([road.replace(friction=friction)], car, profile, lateral)
                     print(
-                        f"{profile:10s} {car:14s} {lateral} m/s2, friction {friction}, {Path(path).stem:14s} {one}",
+                        f"{profile:10s} {car:14s} {lateral} m/s2, friction {friction}, {road.name:14s} {one}",
                         flush=True,
                     )
                     for name in ("squares", "instants", "failed", "drives", "metres"):
@@ -126,6 +128,7 @@ def files(arguments: argparse.Namespace) -> None:
 
 
 def hairpin(arguments: argparse.Namespace) -> None:
+    """Controllers in a hairpin and on laps."""
     bend = Road.from_segments(
         [Line(length=60.0), Arc(length=15.0 * math.pi, curvature=1 / 15), Line(length=60.0)], name="hairpin"
     )
@@ -147,6 +150,7 @@ def hairpin(arguments: argparse.Namespace) -> None:
 
 
 def speed(arguments: argparse.Namespace) -> None:
+    """Control steps a second."""
     car = load_vehicle("paper")
     road = generate_road("country", 1, 4000.0)
     drive = RoadDrive(road, plan_speed(road, car, Comfort(lateral=4.0)))
@@ -168,6 +172,7 @@ def speed(arguments: argparse.Namespace) -> None:
 
 
 def main() -> None:
+    """The command line."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("what", choices=("gate", "files", "hairpin", "speed"))
     parser.add_argument("roads", nargs="*")
