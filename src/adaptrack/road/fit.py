@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import contextlib
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -28,8 +29,8 @@ from scipy.sparse.linalg import splu
 from adaptrack.errors import InvalidInput, real
 from adaptrack.road.projection import feet_near
 from adaptrack.road.road import Road, alongs
-from adaptrack.road.segments import Array, Cubic, Pose
-from adaptrack.road.table import Table, X, Y, joined, placed, tabulate
+from adaptrack.road.segments import Array, Cubic, Pose, Segment
+from adaptrack.road.table import Table, joined, placed, tabulate
 
 MAX_DEVIATION = 0.5
 """m, allowed unless another is asked for."""
@@ -112,8 +113,15 @@ def fit_road(
     moved = Pose(float(origin[0]), float(origin[1]), 0.0)
     return Road(
         name=name, table=placed(curve.road.table, moved), closed=lap, notes=tuple(notes), deviation=curve.deviation,
+        elements=tuple(_moved(element, moved) for element in curve.road.elements),
         **alongs({key: _by_place(value, curve.road) for key, value in values.items()}),
     )  # fmt: skip
+
+
+def _moved(element: Segment, by: Pose) -> Segment:
+    assert element.start is not None
+    x, y, heading = element.start
+    return element.replace(start=(by.x + x, by.y + y, heading))
 
 
 def _said(curve: _Fit, length: float, kept: int) -> str:
@@ -321,20 +329,25 @@ class _System:
         coefficients = self._factor(scale).solve(self.right)
         if self.record.closed:
             coefficients = coefficients[np.arange(self.count + 3) % self.count]
-        road = Road(name="fit", table=self._table(coefficients), closed=self.record.closed)
+        cubics = self._cubics(coefficients)
+        road = Road(name="fit", table=_laid(cubics), closed=self.record.closed, elements=cubics)
         return _measured(road, self.record, self.places * (road.length / self.length))
 
-    def _table(self, coefficients: Array) -> Table:
+    def _cubics(self, coefficients: Array) -> tuple[Cubic, ...]:
         """The spline as a row of cubics, each in a frame at its own start: their coefficients then keep all digits."""
         corners = np.stack([coefficients[k : k + self.count] for k in range(4)])
         powers = np.einsum("ij,jkl->kli", _TO_POWERS, corners)
-        start = powers[:, :, 0].copy()
+        start = powers[:, :, 0].tolist()
         powers[:, :, 0] = 0.0
-        cubics = [Cubic(x=tuple(x), y=tuple(y)) for x, y in powers.tolist()]
-        tables = tabulate(cubics)
-        table, counts = joined(tables), [len(each.pieces) for each in tables]
-        table.pieces[:, [X, Y]] += np.repeat(start, counts, axis=0)
-        return table
+        return tuple(
+            Cubic(x=tuple(x), y=tuple(y), start=(*origin, 0.0))
+            for (x, y), origin in zip(powers.tolist(), start, strict=True)
+        )
+
+
+def _laid(cubics: Sequence[Cubic]) -> Table:
+    """The table of cubics where they lie."""
+    return joined([placed(table, cubic.pose or Pose()) for table, cubic in zip(tabulate(cubics), cubics, strict=True)])
 
 
 def _third_differences(n: int) -> csr_array:
