@@ -2,8 +2,7 @@
 
 A lanelet is a piece of a lane between two polygons, driven in one direction (P. Bender, J. Ziegler and C. Stiller,
 *Lanelets: Efficient map representation for autonomous driving*, IEEE Intelligent Vehicles Symposium 2014; M. Althoff,
-M. Koschi and S. Manzinger, *CommonRoad*, the same, 2017). The file is read by commonroad-io, which the extra `commonroad`
-installs.
+M. Koschi and S. Manzinger, *CommonRoad*, the same, 2017). The file is read by commonroad-io (extra `commonroad`).
 """
 
 from __future__ import annotations
