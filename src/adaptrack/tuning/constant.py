@@ -19,8 +19,8 @@ def tune_constant(
     """The tuning (Np, Nc, Q, R) of a run set's MPC with the lowest mean cost over its runs, found by one swarm.
 
     The cost is the mean of J (m^2, see `adaptrack.runs`) over the runs and the noise seeds; a failed run counts as
-    `RunSet.failed_cost`. Runs may differ in length, such as drives along roads. space: by default the paper's, whose R is
-    for its controller; the one that knows its car wants another, such as R from 0.1 to 100 by decades.
+    `RunSet.failed_cost`. Runs may differ in length, such as drives along roads. space: by default the paper's, whose R
+    is for its controller; the one that knows its car wants another, such as R from 0.1 to 100 by decades.
 
     Returns
     -------
