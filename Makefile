@@ -5,7 +5,7 @@ PIP := $(BIN)/python -m pip --quiet --disable-pip-version-check
 INSTALLED := .venv/.installed
 
 .DEFAULT_GOAL := help
-.PHONY: help install run test test-slow test-interpreted lint format docs bench lock clean
+.PHONY: help install install-extras run test test-slow test-interpreted lint format docs bench lock clean
 
 help: ## list the targets
 	@grep -E '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## /\1|/' | column -t -s '|'
@@ -51,9 +51,16 @@ bench: install ## time one control step and the compiled batch of runs
 	$(BIN)/adaptrack bench step --json
 	$(BIN)/adaptrack bench rollout --json
 
-lock: ## renew requirements.lock from pyproject.toml
-	$(BIN)/uv pip compile pyproject.toml --all-extras --universal --fork-strategy fewest --generate-hashes --upgrade \
-	  --no-emit-index-url --no-emit-find-links --custom-compile-command 'make lock' --output-file requirements.lock --quiet
+install-extras: install requirements-extras.lock ## install also what reads CommonRoad files
+	$(PIP) install --no-deps --only-binary :all: --require-hashes -r requirements-extras.lock
+
+COMPILE := $(BIN)/uv pip compile pyproject.toml --universal --fork-strategy fewest --generate-hashes --upgrade \
+	  --no-emit-index-url --no-emit-find-links --custom-compile-command 'make lock' --quiet
+LOCKED := --extra solvers --extra cluster --extra bench --extra docs --extra dev
+
+lock: ## renew requirements.lock and requirements-extras.lock from pyproject.toml
+	$(COMPILE) $(LOCKED) --output-file requirements.lock
+	$(COMPILE) --extra commonroad --constraints requirements.lock --output-file requirements-extras.lock
 
 clean: ## remove everything that can be made again
 	rm -rf .venv build dist results docs/_build .hypothesis .import_linter_cache .mypy_cache .pytest_cache .ruff_cache

@@ -16,7 +16,6 @@ import argparse
 import math
 import time
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 
@@ -109,15 +108,15 @@ def gate(arguments: argparse.Namespace) -> None:
 
 def files(arguments: argparse.Namespace) -> None:
     """Roads from files."""
+    loaded = [load_road(path) for path in arguments.roads]
     for profile in arguments.profile:
         for car in arguments.car:
             for lateral, friction in DRIVEN:
                 found = Found()
-                for path in arguments.roads:
-                    road = load_road(path).replace(friction=friction)
-                    one = drive_all([road], car, profile, lateral)
+                for road in loaded:
+                    one = drive_all([road.replace(friction=friction)], car, profile, lateral)
                     print(
-                        f"{profile:10s} {car:14s} {lateral} m/s2, friction {friction}, {Path(path).stem:14s} {one}",
+                        f"{profile:10s} {car:14s} {lateral} m/s2, friction {friction}, {road.name:14s} {one}",
                         flush=True,
                     )
                     for name in ("squares", "instants", "failed", "drives", "metres"):

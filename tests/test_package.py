@@ -77,17 +77,24 @@ def test_version_is_the_same_in_package_metadata_citation_and_changelog(project)
     assert newest[1] == adaptrack.__version__
 
 
-def test_lock_pins_and_hashes_every_declared_package(project):
-    lock = (project / "requirements.lock").read_text()
-    entries = re.split(r"\n(?=[a-z0-9])", re.sub(r"^\s*#.*\n", "", lock, flags=re.MULTILINE))
-    names = {re.match(r"[a-z0-9.-]+(?===)", entry)[0] for entry in entries}
-    assert all("--hash=sha256:" in entry for entry in entries)
-    assert "://" not in lock
+def test_locks_pin_and_hash_every_declared_package(project):
+    names = {}
+    for file in ("requirements.lock", "requirements-extras.lock"):
+        lock = (project / file).read_text()
+        entries = re.split(r"\n(?=[a-z0-9])", re.sub(r"^\s*#.*\n", "", lock, flags=re.MULTILINE))
+        pins = [re.match(r"([a-z0-9.-]+)==(\S+)", entry).groups() for entry in entries]
+        assert all("--hash=sha256:" in entry for entry in entries)
+        assert "://" not in lock
+        names[file] = dict(pins)
+    first, extras = names.values()
+    assert all(extras[name] == first[name] for name in extras.keys() & first.keys())
 
     configuration = tomllib.loads((project / "pyproject.toml").read_text())["project"]
-    declared = itertools.chain(configuration["dependencies"], *configuration["optional-dependencies"].values())
-    wanted = {re.match(r"[a-z0-9-]+", requirement)[0] for requirement in declared} - {"adaptrack"}
-    assert wanted <= names
+    optional = configuration["optional-dependencies"]
+    extra = optional.pop("commonroad")
+    declared = itertools.chain(configuration["dependencies"], *optional.values())
+    assert {re.match(r"[a-z0-9-]+", each)[0] for each in declared} - {"adaptrack"} <= first.keys()
+    assert {re.match(r"[a-z0-9-]+", each)[0] for each in extra} <= extras.keys()
 
 
 def test_wheel_holds_every_module_and_data_file(project, run_python, tmp_path):

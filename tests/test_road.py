@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 from scipy.integrate import quad
+from scipy.spatial import cKDTree
 
 from adaptrack.errors import InvalidInput, UnknownName
 from adaptrack.kernels import road as kernel
@@ -301,6 +302,19 @@ def test_a_generated_road_keeps_off_itself():
         p = road.at(s)
         far = np.abs(s[:, None] - s) > 40.0
         assert np.hypot(p.x[:, None] - p.x, p.y[:, None] - p.y)[far].min() > 6.0
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_mountain_road_of_twenty_kilometres_keeps_off_itself(seed):
+    road = generate_road("mountain", seed, length=20_000.0)
+    assert 20_000.0 <= road.length < 20_500.0
+    assert road.curvature_jumps() == []
+    s = np.arange(0.0, road.length, 1.0)
+    points = np.stack(road.at(s)[:2], axis=-1)
+    near = cKDTree(points).query_pairs(6.0, output_type="ndarray")
+    assert np.abs(s[near[:, 0]] - s[near[:, 1]]).max() < 40.0
+    bends = np.abs(road.at(s).curvature)
+    assert (bends > 1.0 / 15.5).sum() > 500  # hairpins are left in it
 
 
 def test_what_cannot_be_generated_is_refused():

@@ -13,9 +13,12 @@ from adaptrack.errors import InvalidInput
 from adaptrack.plant import DualTrack, SingleTrack
 from adaptrack.road import Along, Arc, Clothoid, Comfort, Line, Road, Stop, generate_road, plan_speed
 from adaptrack.road.ahead import RoadAhead
+from adaptrack.runs import road_runs
 from adaptrack.scenario import RoadDrive, load_scenario
 from adaptrack.simulate import rollout, simulate
 from adaptrack.trajectory import Trajectory
+from adaptrack.tuning.constant import tune_constant
+from adaptrack.tuning.pso import SwarmSettings
 from adaptrack.vehicle import load_vehicle
 
 CAR = load_vehicle("paper")
@@ -217,3 +220,42 @@ def test_a_trajectory_of_a_road_goes_through_its_file(tmp_path):
     assert set(back.road) == {"station", "offset", "heading_error", "curvature"}
     np.testing.assert_array_equal(back.error, run.error)
     assert back.units["road.curvature"] == "1/m"
+
+
+# -- sets of drives ---------------------------------------------------------------------------------------------------
+def drives_of_two_lengths():
+    return [RoadDrive(HAIRPIN, 6.0), RoadDrive(WINDING, plan_speed(WINDING, CAR)), load_scenario("lane-change")]
+
+
+@pytest.mark.parametrize("law", ["informed", *LAWS])
+def test_a_drive_among_longer_ones_is_what_it_is_alone(law):
+    own = MPC(CAR, profile="road") if law == "informed" else LAWS[law](CAR, period=0.05, preview=True)
+    several = drives_of_two_lengths()[: 2 if law == "informed" else 3]
+    among = rollout_batch(PLANT, own, several, profile="road", seeds=7)
+    for k, each in enumerate(several):
+        alone = rollout_batch(PLANT, own, each, profile="road", seeds=7)
+        for name in ("mse", "mean_squared_move", "max_abs_error", "steps"):
+            assert getattr(among, name)[k] == getattr(alone, name)[0]
+        assert among.failed[k] is None
+
+
+def test_a_run_set_costs_drives_of_different_length_by_their_own_instants():
+    own = MPC(CAR, profile="road")
+    runs = road_runs(PLANT, own, [WINDING, HAIRPIN], profile="road")
+    assert runs.lengths[0] != runs.lengths[1]
+    found = runs.costs(own.tuning, [3])
+    for k, each in enumerate(runs.scenarios):
+        run = simulate(PLANT, own, each, profile="road", seed=3)
+        exact = (run.error**2).mean() + runs.weight * (run.command_change**2).mean()
+        assert found[k] == pytest.approx(exact, rel=1e-9)
+    with pytest.raises(InvalidInput, match="equally long"):
+        runs.segments(own.tuning, 3, np.arange(2))
+
+
+def test_one_tuning_for_several_roads_is_at_least_as_good_as_its_swarm_saw():
+    own = MPC(CAR, profile="road")
+    runs = road_runs(PLANT, own, [HAIRPIN, WINDING], profile="road")
+    best = tune_constant(runs, SwarmSettings(particles=8, generations=3), seed=1)
+    assert runs.costs(np.tile(best.x, (2, 1)), [0]).mean() == pytest.approx(best.cost, rel=1e-9)
+    assert best.cost == best.trace.min()
+    assert best.evaluations == 24

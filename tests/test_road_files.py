@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from adaptrack.errors import ConfigError, InvalidInput, StorageError, UnknownName
-from adaptrack.road import Arc, Clothoid, Line, Road, fit_road, generate_road, load_road
+from adaptrack.road import Along, Arc, Clothoid, Cubic, Line, Road, fit_road, generate_road, load_road
 from references.road import figure_of_eight, nearest_by_search
 
 
@@ -307,3 +307,80 @@ def test_shapes_and_lanes_that_cannot_be_read_are_named(tmp_path):
         path.write_text(text.replace(old, new, 1))
         with pytest.raises(ConfigError, match=words):
             load_road(path)
+
+
+# -- TOML -------------------------------------------------------------------------------------------------------------
+def made(kind, tmp_path):
+    if kind == "elements":
+        segments = [Line(length=50.0), Clothoid(length=30.0, start_curvature=0.0, end_curvature=0.02)]
+        along = {"friction": Along(s=(0.0, 60.0), value=(0.9, 0.3), kind="steps"), "bank": 0.02, "width_left": 2.5}
+        return Road.from_segments(segments, start=(4.5e5, 5.4e6, 1.0), speed_limit=([0.0, 9.0], [20.0, 9.0]), **along)
+    if kind == "cubics":
+        cubic = Cubic(x=(0.0, 40.0, 5.0, -8.0), y=(0.0, 0.0, 25.0, -12.0))
+        return Road.from_segments([Line(length=9.0), cubic, cubic])
+    if kind == "points":
+        return fit_road(recorded(generate_road("lap", seed=1, length=700.0), 9.0, noise=0.1), max_deviation=1.0)
+    if kind == "lane":
+        return load_road(xodr(tmp_path / "a.xodr", LANES)[0], lane=-1)
+    if kind == "opendrive":
+        return load_road(xodr(tmp_path / "a.xodr", origin=(4.5e5, 5.4e6))[0])
+    return generate_road(kind, seed=3, length=700.0)
+
+
+@pytest.mark.parametrize("kind", ["elements", "cubics", "points", "lane", "opendrive", "lap"])
+def test_a_road_of_any_origin_is_read_back_as_it_was_written(tmp_path, kind):
+    road = made(kind, tmp_path)
+    road.to_toml(tmp_path / "road.toml")
+    again = load_road(tmp_path / "road.toml")
+    s = np.linspace(-5.0, road.length + 5.0, 3001)
+    digits = 1e-9 + 4e-16 * np.abs(road.at(0.0).y)
+    for found, true in zip(again.at(s), road.at(s), strict=True):
+        np.testing.assert_allclose(found, true, rtol=0, atol=digits)
+    for name in ("width_left", "width_right", "speed_limit", "friction", "bank"):
+        np.testing.assert_array_equal(again.along(name, s), road.along(name, s))
+    for name in ("name", "closed", "notes", "deviation"):
+        assert getattr(again, name) == getattr(road, name)
+
+
+def test_a_road_file_by_hand_may_give_points(tmp_path):
+    path = tmp_path / "corner.toml"
+    path.write_text("closed = false\npoints = [[0, 0], [10, 0], [20, 0.5], [30, 2.0], [40, 4.5]]\nspeed_limit = 9\n")
+    road = load_road(path, friction=0.4)
+    assert road.name == "corner"
+    assert road.deviation < 0.5
+    assert float(road.along("speed_limit", 3.0)) == 9.0
+    assert float(road.along("friction", 3.0)) == 0.4
+
+
+def test_an_element_may_say_where_it_begins_and_must_meet_the_one_before_it():
+    road = Road.from_segments([Line(length=10.0), Arc(length=5.0, curvature=0.1, start=(10.0, 0.0, 0.0))])
+    assert float(road.at(10.0).x) == 10.0
+    with pytest.raises(InvalidInput, match="1 m apart at s = 10"):
+        Road.from_segments([Line(length=10.0), Arc(length=5.0, curvature=0.1, start=(11.0, 0.0, 0.0))])
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ('name = "x"', "neither elements nor points"),
+        ("points = [[0, 0]]\n[[elements]]\nkind = 'line'\nlength = 3.0", "elements and points: give"),
+        ("[[elements]]\nkind = 'line'\nlength = -3.0", r"elements\[0\].length = -3.0"),
+        ("[[elements]]\nkind = 'lne'\nlength = 3.0", "Did you mean 'line'"),
+        ("frction = 1.0\n[[elements]]\nkind = 'line'\nlength = 3.0", "Did you mean 'friction'"),
+        (
+            "friction = 'wet'\n[[elements]]\nkind = 'line'\nlength = 3.0",
+            "friction = 'wet': must be a number, or a table",
+        ),
+        ("friction = {s = [0.0, 0.0], value = [1.0, 1.0]}\n[[elements]]\nkind = 'line'\nlength = 3.0", "must increase"),
+        ("friction = -0.5\n[[elements]]\nkind = 'line'\nlength = 3.0", "-0.5 at s = 0 m: must be > 0"),
+        ("closed = true\n[[elements]]\nkind = 'line'\nlength = 3.0", "3 m apart at the end and the start"),
+        ("max_deviation = 1.0\n[[elements]]\nkind = 'line'\nlength = 3.0", "max_deviation is for points"),
+        ("points = [[0, 0], [1, 1]]", "n >= 4"),
+        ("points = [", "not valid TOML"),
+    ],
+)
+def test_a_file_that_is_no_road_is_refused_with_its_key(tmp_path, text, words):
+    path = tmp_path / "bad.toml"
+    path.write_text(text)
+    with pytest.raises(ConfigError, match=words):
+        load_road(path)

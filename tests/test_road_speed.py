@@ -23,6 +23,7 @@ from adaptrack.road import (
     plan_speed,
     smallest_radius,
 )
+from adaptrack.road.cornering import cornering_limit
 from adaptrack.road.speed import constant_speed
 from adaptrack.vehicle import GRAVITY, Steering, load_vehicle
 
@@ -92,6 +93,32 @@ def test_a_plan_keeps_every_limit_within_two_per_cent(kind):
     tyres = along + air / CAR.mass + CAR.rolling_resistance * GRAVITY
     assert (np.hypot(tyres, sideways) / grip).max() < 1.02
     assert (CAR.mass * tyres * v).max() < CAR.engine_power * 1.02
+
+
+def test_braking_and_accelerating_in_bends_leave_the_axle_that_they_unload_its_grip():
+    road = generate_road("mountain", seed=2, length=1500.0, friction=0.6)
+    comfort = Comfort(lateral=20.0, accelerate=20.0, brake=20.0, lateral_jerk=math.inf)
+    plan = plan_speed(road, CAR, comfort)
+    s = 0.5 * (plan.s[1:] + plan.s[:-1])
+    sideways = np.abs(plan.at(s) ** 2 * road.at(s).curvature)
+    grip = comfort.grip_share * np.minimum(
+        0.6 * GRAVITY, np.concatenate([cornering_limit(CAR, [k], [0.6]) for k in road.at(s).curvature])
+    )
+    for braking, arm in ((True, CAR.lf), (False, CAR.lr)):
+        along = np.maximum(-plan.acceleration if braking else plan.acceleration, 0.0)
+        carried = 1.0 - along * CAR.cg_height / (GRAVITY * arm)  # of the load of that axle at rest
+        used = np.hypot(along, sideways / carried) / grip
+        assert used[along > 0.0].max() < 1.02
+        assert np.count_nonzero(used[along > 0.0] > 0.97) > 10 or not braking
+
+
+def test_a_clothoid_is_driven_no_faster_than_its_lateral_jerk_allows():
+    road = Road.from_segments([Clothoid(length=80.0, start_curvature=-0.01, end_curvature=0.01), Line(length=20.0)])
+    plan = plan_speed(road, None, Comfort(lateral=50.0, grip_share=1.0, lateral_jerk=6.0), top_speed=60.0)
+    sharpness = 0.02 / 80.0
+    assert plan.speed[plan.s <= 80.0].max() == pytest.approx((6.0 / sharpness) ** (1.0 / 3.0), rel=1e-9)
+    free = plan_speed(road, None, Comfort(lateral=50.0, grip_share=1.0, lateral_jerk=math.inf), top_speed=60.0)
+    assert free.speed.max() > plan.speed.max()
 
 
 @pytest.mark.parametrize("kind", KINDS)

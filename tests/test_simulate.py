@@ -723,7 +723,6 @@ def test_the_drivers_numbers_are_checked():
         {"which": [-1]},
         {"which": [0, 0]},
         {"scenarios": []},
-        {"scenarios": [SHORT, LANE_CHANGE]},
         {"controller": published_mpc(CAR, scheduler=lambda variables: CALM)},
         {"controller": published_mpc(CAR, solver="daqp")},
         {"controller": published_mpc(CAR, scheduler=Constant(CALM))},

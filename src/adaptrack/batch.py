@@ -81,7 +81,7 @@ def rollout_batch(
     of an MPC, the horizons rounded and clamped to 1 <= Nc <= Np <= longest_horizon and most_moves); without them every
     run has the MPC's scheduler, or the controller's tuning; which: (runs,) indices into `scenarios`, by default 0,
     without tunings one run for each; seeds: noise seeds, one or one per run; threads: None for all cores. A run's
-    result does not depend on the others, nor on the number of threads. The scenarios must last equally long.
+    result does not depend on the others, nor on the number of threads.
 
     Raises
     ------
@@ -124,7 +124,7 @@ class BatchRuns:
     """what the scheduler counted, (runs,) by name; empty without one"""
     segments: Array
     """(runs, segments) cost of each segment: sum of squared error plus weight times squared move; inf where a run ended
-    early, NaN after that; (runs, 0) unless asked for"""
+    early, NaN after that and beyond the end of a shorter run; (runs, 0) unless asked for"""
 
     @property
     def failed(self) -> NDArray[np.bool_]:
@@ -155,17 +155,21 @@ class BatchRuns:
 def sampled(world: World, scenarios: Sequence[Scenario | RoadDrive]) -> tuple[list[Signals], Array]:
     """Scenarios at the control instants, and as kernels read them: (runs, `kernels.loop.SIGNAL`, n + 1).
 
+    n is that of the longest; a shorter one goes on with its last sample, which a preview beyond its end sees anyway.
+
     Raises
     ------
     InvalidInput
-        When there are none, or they do not last equally long.
+        When there are none.
     """
     signals = [scenario.sample(world.period) for scenario in scenarios]
     if not signals:
         raise InvalidInput("scenarios: none given.")
-    if len({each.n for each in signals}) > 1:
-        raise InvalidInput("scenarios: must last equally long; run those of different length in batches of their own.")
-    return signals, np.ascontiguousarray([world.samples(each, i) for i, each in enumerate(signals)])
+    longest = max(each.n for each in signals)
+    rows = [
+        np.pad(world.samples(each, i), ((0, 0), (0, longest - each.n)), mode="edge") for i, each in enumerate(signals)
+    ]
+    return signals, np.ascontiguousarray(rows)
 
 
 class Batch:
@@ -186,6 +190,7 @@ class Batch:
         self._refuse_python()
         world = self.world
         self.signals, self.samples = sampled(world, scenarios)
+        self.periods = np.array([each.n for each in self.signals])
         self.roads = pack_roads([getattr(scenario, "road", None) for scenario in scenarios])
         self.starts = np.array([world.start(scenario, s) for scenario, s in zip(scenarios, self.signals, strict=True)])
         self.substeps = np.array([world.substeps(float(s.speed.max())) for s in self.signals])
@@ -303,13 +308,14 @@ class Batch:
         return rollout.members(advance=plant.advance, observe=plant.observe, law=law)
 
     def chunks(self, which: NDArray[np.int64]) -> list[NDArray[np.int64]]:
-        """Runs that are driven together: the slots of one batch integrate with the same number of steps."""
+        """Runs that are driven together: as long, and integrated with the same number of steps."""
         from adaptrack.kernels.plants.contract import SLOTS
 
         found = []
         for steps in self.settings:
-            members = np.flatnonzero(self.substeps[which] == steps)
-            found += [members[first : first + SLOTS] for first in range(0, len(members), SLOTS)]
+            for n in np.unique(self.periods):
+                members = np.flatnonzero((self.substeps[which] == steps) & (self.periods[which] == n))
+                found += [members[first : first + SLOTS] for first in range(0, len(members), SLOTS)]
         return found
 
     def longest(self, tunings: Array, scheduler: CompiledScheduler | None) -> tuple[float, float]:
@@ -331,12 +337,12 @@ class Batch:
         """
         from adaptrack.kernels import guard, rollout
 
-        runs, n = len(which), self.signals[0].n
+        runs, n = len(which), int(self.periods.max())
         plan = _Plan(which, tunings, seeds, segment, weight, n if traced else 0, scheduler)
         longest = (math.inf, math.inf) if traced else self.longest(tunings, scheduler)
         settings = self.mpc_settings(*longest, residuals=traced)
         result, counts = rollout.RESULT.new(runs), np.zeros((len(guard.COUNTS), runs), np.int64)
-        segments = np.zeros((runs, math.ceil(n / segment) if segment else 0))
+        segments = np.full((runs, math.ceil(n / segment) if segment else 0), np.nan)
         traces: dict[int, Any] = {}
         waiting: queue.SimpleQueue[NDArray[np.int64]] = queue.SimpleQueue()
         chunks = self.chunks(which)
@@ -351,7 +357,7 @@ class Batch:
                 except queue.Empty:
                     return
                 done = self._drive(chunk, plan, settings, done)
-                result[chunk], segments[chunk] = done.result, done.segments
+                result[chunk], segments[chunk, : done.segments.shape[1]] = done.result, done.segments
                 if traced:
                     traces[int(chunk[0])] = done.trace
                 if scheduler is not None:
@@ -374,10 +380,12 @@ class Batch:
         """
         from adaptrack.kernels import rollout
 
-        which, size, n = plan.which[chunk], len(chunk), self.signals[0].n
+        which, size = plan.which[chunk], len(chunk)
+        n = int(self.periods[which[0]])
         segments = math.ceil(n / plan.segment) if plan.segment else 0
         steps, run = int(self.substeps[which[0]]), last
         fits = run is not None and len(run.memory.own) == size and run.settings is self.settings[steps]
+        fits = fits and run.segments.shape[1] == segments
         if not fits or plan.traced or plan.scheduler is not None:
             run = self.arena(size, steps, mpc_settings, segments, plan.traced, plan.scheduler)
         run.given.scenario[:], run.given.seeds[:] = which, plan.seeds[chunk]

@@ -1,7 +1,7 @@
 """Sets of runs, and what a policy costs on them.
 
-A `RunSet` holds scenarios of equal length, the plant that drives them and the MPC whose tuning a policy chooses. The
-cost of a run of n control periods, with the weight w of steering activity, is
+A `RunSet` holds scenarios, or drives along roads, the plant that drives them and the MPC whose tuning a policy chooses.
+The cost of a run of n control periods, with the weight w of steering activity, is
 
     J = (1/n) sum e^2 + w (1/n) sum (change of command)^2.
 
@@ -30,7 +30,9 @@ from adaptrack.failure import Failure
 from adaptrack.metrics import PUBLISHED
 from adaptrack.plant import DualTrack, Plant, SingleTrack, SteppedPlant
 from adaptrack.profile import load_profile
-from adaptrack.scenario import Scenario, load_scenario, random_drive
+from adaptrack.road import Comfort, Road, plan_speed
+from adaptrack.road.speed import USUAL
+from adaptrack.scenario import RoadDrive, Scenario, load_scenario, random_drive
 from adaptrack.scheduling import Schedule
 from adaptrack.simulate import simulate
 from adaptrack.world import KnownAs, World
@@ -63,7 +65,7 @@ class Outcome(NamedTuple):
 
 
 class RunSet:
-    """Scenarios of equal length, driven by one plant in one profile.
+    """Scenarios and drives along roads, driven by one plant in one profile; adaptation needs equally long ones.
 
     segment: length of the segments that cost is attributed to (control periods), by default the whole run; lead: how
     long before a segment its causes may lie (periods); stride: every how many periods its inputs are looked at;
@@ -77,8 +79,8 @@ class RunSet:
     _latest: Batch | None = None
 
     def __init__(
-        self, plant: Plant | SteppedPlant, mpc: MPC, scenarios: Sequence[Scenario], profile: str = "road", *,
-        segment: int | None = None, lead: int = 0, stride: int = 20, known_as: KnownAs = None,
+        self, plant: Plant | SteppedPlant, mpc: MPC, scenarios: Sequence[Scenario | RoadDrive], profile: str = "road",
+        *, segment: int | None = None, lead: int = 0, stride: int = 20, known_as: KnownAs = None,
         failure: Failure | None = None,
     ) -> None:  # fmt: skip
         self.plant, self.mpc, self.scenarios, self.profile = plant, mpc, list(scenarios), profile
@@ -86,10 +88,13 @@ class RunSet:
         self.controller = "mpc" if mpc.belief is None else "informed"
         self.weight = load_profile(profile).move_weight
         self.signals, samples = sampled(World.of(plant, mpc, profile, None, known_as, failure), self.scenarios)
-        self.periods = self.signals[0].n
+        self.lengths = np.array([each.n for each in self.signals])
+        """(runs,) control periods"""
+        self.periods = int(self.lengths.max())
         self.segment, self.lead, self.stride = segment or self.periods, lead, stride
         self.variables = _scheduling_variables(samples)
-        """(runs, periods, SchedulingVariables) what a scheduler looks at; the offset, unknown before driving, zero"""
+        """(runs, periods, SchedulingVariables) what a scheduler looks at; the offset, unknown before driving, zero.
+        A run that is shorter goes on with its last row."""
 
     @cached_property
     def _own(self) -> Batch:
@@ -132,7 +137,15 @@ class RunSet:
         return np.where(np.isfinite(found), found, self.failed_cost).mean(axis=1)
 
     def segments(self, policy: Policy, seed: int, which: Indices) -> Array:
-        """(runs, segments) m^2, cost of each segment (sum); inf in the one where a run failed, NaN after it."""
+        """(runs, segments) m^2, cost of each segment (sum); inf in the one where a run failed, NaN after it.
+
+        Raises
+        ------
+        InvalidInput
+            When the runs do not last equally long.
+        """
+        if (self.lengths != self.periods).any():
+            raise InvalidInput("runs: segments of the cost need runs that last equally long.")
         return self._run(policy, seed, which, segmented=True).segments
 
     def counts(self, schedule: Schedule, seed: int) -> dict[str, NDArray[np.int64]]:
@@ -160,7 +173,7 @@ class RunSet:
             np.full(len(which), seed, np.int64), os.cpu_count() or 1,
             segment=self.segment if segmented else 0, weight=self.weight, scheduler=scheduler,
         )  # fmt: skip
-        costs = (found.result["squared_error"] + self.weight * found.result["squared_move"]) / self.periods
+        costs = (found.result["squared_error"] + self.weight * found.result["squared_move"]) / self.lengths[which]
         return Outcome(np.where(found.failed, np.inf, costs), found.segments, found.counts)
 
     def _warn_of(self, schedule: Schedule) -> None:
@@ -251,6 +264,23 @@ def random_drive_runs(
     drives = [random_drive(number, duration, **(roads or {})) for number in numbers]
     segment = round(segment_seconds / mpc.period)
     return RunSet(plant, mpc, drives, profile, **{"segment": segment, "lead": segment, **options})
+
+
+def road_runs(
+    plant: SingleTrack | DualTrack, mpc: MPC, roads: Iterable[Road], comfort: Comfort = USUAL, profile: str = "road",
+    **options: Any,
+) -> RunSet:  # fmt: skip
+    """One drive along each road, at the speed that `plan_speed` gives the plant's vehicle.
+
+    options: of `RunSet`.
+
+    Raises
+    ------
+    InvalidInput
+        When a road cannot be planned, or there is none.
+    """
+    drives = [RoadDrive(road, plan_speed(road, plant.vehicle, comfort)) for road in roads]
+    return RunSet(plant, mpc, drives, profile, **options)
 
 
 def paper_test_runs(plant: Plant | SteppedPlant, mpc: MPC, name: str, profile: str = "road", **options: Any) -> RunSet:

@@ -27,7 +27,8 @@ RoadName = Annotated[
     str,
     typer.Argument(
         metavar="ROAD",
-        help="A .csv file of x, y (m), an OpenDRIVE file (.xodr), or motorway, country, town, mountain, lap.",
+        help="A .csv file of x, y (m), a .toml file, OpenDRIVE (.xodr), CommonRoad (.xml), or motorway, country, town, "
+        "mountain, lap.",
     ),
 ]
 Speed = Annotated[float | None, Option("--speed", help="Constant speed (m/s); by default one that is planned.")]
@@ -39,7 +40,7 @@ MaxDeviation = Annotated[
     Option("--max-deviation", metavar="M", help=".csv: largest distance from a point (m); 0.5 if not given."),
 ]
 Closed = Annotated[bool | None, Option("--closed/--open", help=".csv: whether it is a lap; by default as found.")]
-RoadId = Annotated[str | None, Option("--road", metavar="ID", help=".xodr: which road.")]
+RoadId = Annotated[str | None, Option("--road", metavar="ID", help=".xodr: which road; .xml: lanelets.")]
 Lane = Annotated[int | None, Option("--lane", metavar="N", help=".xodr: middle of this lane to the right (-1, ...).")]
 Seed = Annotated[int | None, Option("--road-seed", help="Generated: which road, by default 0.")]
 Length = Annotated[float | None, Option("--length", help="Generated: length (m), by default 2000.")]

@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import contextlib
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -28,8 +29,8 @@ from scipy.sparse.linalg import splu
 from adaptrack.errors import InvalidInput, real
 from adaptrack.road.projection import feet_near
 from adaptrack.road.road import Road, alongs
-from adaptrack.road.segments import Array, Cubic, Pose
-from adaptrack.road.table import Table, X, Y, joined, placed, tabulate
+from adaptrack.road.segments import Array, Cubic, Pose, Segment
+from adaptrack.road.table import Table, joined, placed, tabulate
 
 MAX_DEVIATION = 0.5
 """m, allowed unless another is asked for."""
@@ -107,6 +108,7 @@ def fit_road(
     moved = Pose(float(origin[0]), float(origin[1]), 0.0)
     return Road(
         name=name, table=placed(curve.road.table, moved), closed=lap, notes=tuple(notes), deviation=curve.deviation,
+        elements=tuple(_moved(element, moved) for element in curve.road.elements),
         **alongs({key: _by_place(value, curve.road) for key, value in values.items()}),
     )  # fmt: skip
 
@@ -136,9 +138,8 @@ def road_through(points: ArrayLike, *, closed: bool = False, name: str = "points
     places = np.concatenate([[0.0], np.cumsum(steps)])
     spline = CubicSpline(places, ring, bc_type="periodic" if closed else "not-a-knot")
     powers = spline.c[::-1].transpose(1, 2, 0) * steps[:, np.newaxis, np.newaxis] ** np.arange(4)
-    start = powers[:, :, 0].copy()
-    powers[:, :, 0] = 0.0
-    return Road(name=name, table=_in_a_row(powers, start), closed=closed, **alongs(along))
+    cubics = _in_a_row(powers)
+    return Road(name=name, table=_laid(cubics), closed=closed, elements=cubics, **alongs(along))
 
 
 def _checked(where: str, points: ArrayLike) -> Array:
@@ -149,6 +150,12 @@ def _checked(where: str, points: ArrayLike) -> Array:
         row = int(np.argwhere(~np.isfinite(points))[0, 0])
         raise InvalidInput(f"{where}: point {row} is not finite; leave it out.")
     return points
+
+
+def _moved(element: Segment, by: Pose) -> Segment:
+    assert element.start is not None
+    x, y, heading = element.start
+    return element.replace(start=(by.x + x, by.y + y, heading))
 
 
 def _said(curve: _Fit, length: float, kept: int) -> str:
@@ -356,24 +363,30 @@ class _System:
         coefficients = self._factor(scale).solve(self.right)
         if self.record.closed:
             coefficients = coefficients[np.arange(self.count + 3) % self.count]
-        road = Road(name="fit", table=self._table(coefficients), closed=self.record.closed)
+        cubics = self._cubics(coefficients)
+        road = Road(name="fit", table=_laid(cubics), closed=self.record.closed, elements=cubics)
         return _measured(road, self.record, self.places * (road.length / self.length))
 
-    def _table(self, coefficients: Array) -> Table:
+    def _cubics(self, coefficients: Array) -> tuple[Cubic, ...]:
         """The spline as a row of cubics, each in a frame at its own start: their coefficients then keep all digits."""
         corners = np.stack([coefficients[k : k + self.count] for k in range(4)])
         powers = np.einsum("ij,jkl->kli", _TO_POWERS, corners)
-        start = powers[:, :, 0].copy()
-        powers[:, :, 0] = 0.0
-        return _in_a_row(powers, start)
+        return _in_a_row(powers)
 
 
-def _in_a_row(powers: Array, start: Array) -> Table:
-    """Cubics (n, 2, 4) from their own starts (n, 2), which follow each other."""
-    tables = tabulate([Cubic(x=tuple(x), y=tuple(y)) for x, y in powers.tolist()])
-    table, counts = joined(tables), [len(each.pieces) for each in tables]
-    table.pieces[:, [X, Y]] += np.repeat(start, counts, axis=0)
-    return table
+def _in_a_row(powers: Array) -> tuple[Cubic, ...]:
+    """Cubics from their coefficients (n, 2, 4), each in a frame at its own start."""
+    start = powers[:, :, 0].tolist()
+    powers[:, :, 0] = 0.0
+    return tuple(
+        Cubic(x=tuple(x), y=tuple(y), start=(*origin, 0.0))
+        for (x, y), origin in zip(powers.tolist(), start, strict=True)
+    )
+
+
+def _laid(cubics: Sequence[Cubic]) -> Table:
+    """The table of cubics where they lie."""
+    return joined([placed(table, cubic.pose or Pose()) for table, cubic in zip(tabulate(cubics), cubics, strict=True)])
 
 
 def _third_differences(n: int) -> csr_array:

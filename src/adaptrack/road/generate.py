@@ -4,18 +4,23 @@ A bend is clothoid - arc - clothoid. The clothoids are as long as a lateral jerk
 is driven, v^3/(R jerk) (W. Shortt's transition, 1909), but within R/3 <= A <= R of their parameter A^2 = R length, as
 in the German guidelines (RAL 2012, RAA 2008). A bend is driven at the design speed, or as fast as the kind's lateral
 acceleration allows.
+
+Roads of up to 5 km are drawn whole until one keeps off itself. Longer ones, of which hardly any draw does, grow bend by
+bend: a bend that comes too near is drawn again, and when none fits the last bends are given up, twice as many each
+time, until the road is longer than it was.
 """
 
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from adaptrack.errors import InvalidInput, UnknownName, did_you_mean, real, whole
 from adaptrack.road.road import Road
-from adaptrack.road.segments import Arc, Clothoid, Line
+from adaptrack.road.segments import Arc, Array, Clothoid, Line, Pose, moved
 
 Element = Line | Arc | Clothoid
 
@@ -67,6 +72,10 @@ LONGEST = 100_000.0
 """m"""
 ATTEMPTS = 100
 """Draws from which the first road that keeps off itself is taken."""
+DRAWN_WHOLE = 5_000.0
+"""m, up to which open roads are drawn whole."""
+TRIES, DRAWS = 12, 50_000
+"""Bends that are drawn for one place before the last ones are given up, and in all."""
 APART = 4.0
 """Least distance between parts of a road, in half widths of its lane, where they are not neighbours."""
 
@@ -82,7 +91,7 @@ def generate_road(kind: str, seed: int = 0, length: float = 2000.0, **along: Any
     seed : int
         Which road, >= 0.
     length : float
-        m, about: the last bend is driven to its end. 100 m to 100 km; a pass of 20 km hardly keeps off itself.
+        m, about: the last bend is driven to its end. 100 m to 100 km.
     **along
         As in `Road.from_segments`; the speed limit is the kind's design speed unless given.
 
@@ -100,33 +109,127 @@ def generate_road(kind: str, seed: int = 0, length: float = 2000.0, **along: Any
         raise InvalidInput(f"generate_road: length = {length!r} m: must be 100 to {LONGEST:,.0f}.")
     sizes = KINDS[kind]
     values = {"speed_limit": sizes.speed, "width_left": sizes.half_width, "width_right": sizes.half_width} | along
-    for attempt in range(ATTEMPTS):
-        rng = np.random.Generator(np.random.PCG64([list(KINDS).index(kind), seed, attempt]))
+    whole_draws = ATTEMPTS if kind == "lap" or length <= DRAWN_WHOLE else 0
+    for attempt in range(whole_draws):
+        rng = _random(kind, seed, attempt)
         segments = _lap(rng, sizes, length) if kind == "lap" else _open(rng, sizes, length)
         road = Road.from_segments(segments, closed=kind == "lap", name=f"{kind}-{seed}", **values)
         if not _touches_itself(road, APART * sizes.half_width):
             return road
+    if kind != "lap":
+        grown = _grown(_random(kind, seed, whole_draws), sizes, length)
+        if grown is not None:
+            return Road.from_segments(grown, name=f"{kind}-{seed}", **values)
     raise InvalidInput(
-        f"generate_road: none of {ATTEMPTS} draws of kind {kind!r} and {length:g} m keeps off itself: "
+        f"generate_road: no road of kind {kind!r} and {length:g} m was found that keeps off itself: "
         "take another seed or a shorter road."
     )
 
 
+def _random(kind: str, seed: int, attempt: int) -> np.random.Generator:
+    return np.random.Generator(np.random.PCG64([list(KINDS).index(kind), seed, attempt]))
+
+
 def _open(rng: np.random.Generator, kind: Kind, length: float) -> list[Element]:
-    """Straight lines and bends; the farther off the road heads, the likelier a bend turns back."""
+    """Straight lines and bends."""
     made: list[Element] = [Line(length=_even(rng, kind.straight))]
     driven, heading = made[0].length, 0.0
     while driven < length:
-        tight = bool(rng.random() < kind.tight)
-        angle = float(rng.uniform(*(kind.tight_angle if tight else kind.angle)))
-        left = rng.random() < 0.5 * (1.0 - math.tanh(1.5 * heading))
-        angle = angle if left else -angle
-        bend = _bend(kind, angle, _even(rng, kind.tight_radius if tight else kind.radius))
-        bend.append(Line(length=_even(rng, kind.straight)))
+        bend, angle = _next_bend(rng, kind, heading)
         made += bend
         driven += sum(each.length for each in bend)
         heading += angle
     return made
+
+
+def _next_bend(rng: np.random.Generator, kind: Kind, heading: float) -> tuple[list[Element], float]:
+    """A bend with the straight line behind it, and its angle (rad).
+
+    The farther off the road heads (rad), the likelier a bend turns back.
+    """
+    tight = bool(rng.random() < kind.tight)
+    angle = float(rng.uniform(*(kind.tight_angle if tight else kind.angle)))
+    left = rng.random() < 0.5 * (1.0 - math.tanh(1.5 * heading))
+    angle = angle if left else -angle
+    bend = _bend(kind, angle, _even(rng, kind.tight_radius if tight else kind.radius))
+    return [*bend, Line(length=_even(rng, kind.straight))], angle
+
+
+def _grown(rng: np.random.Generator, kind: Kind, length: float) -> list[Element] | None:
+    """As `_open`, each bend of which keeps off those before it; None when no road is found."""
+    road = _Growing(APART * kind.half_width)
+    road.accepts([Line(length=_even(rng, kind.straight))])
+    failed, given_up, longest = 0, 1, 0.0
+    for _ in range(DRAWS):
+        if road.length >= length:
+            return [element for part in road.parts for element in part.elements]
+        if road.accepts(_next_bend(rng, kind, road.end.heading)[0]):
+            failed = 0
+        else:
+            failed += 1
+        if road.length > longest:
+            longest, given_up = road.length, 1
+        if failed == TRIES:
+            road.give_up(given_up)
+            failed, given_up = 0, 2 * given_up
+    return None
+
+
+class _Part(NamedTuple):
+    """A bend where it lies."""
+
+    elements: list[Element]
+    s: Array
+    """(n,) m, arc length of its points along the road"""
+    points: Array
+    """(n, 2) m"""
+    end: Pose
+
+
+@dataclass
+class _Growing:
+    """An open road while it grows."""
+
+    apart: float
+    """m, by which parts that are not neighbours keep off each other"""
+    parts: list[_Part] = field(default_factory=list)
+    length: float = 0.0
+    """m"""
+
+    @property
+    def end(self) -> Pose:
+        return self.parts[-1].end if self.parts else Pose()
+
+    def accepts(self, elements: list[Element]) -> bool:
+        """Add a bend if it keeps off the road, itself included; tell whether it did."""
+        part = self._laid(elements)
+        low, high = part.points.min(axis=0) - self.apart, part.points.max(axis=0) + self.apart
+        for other in [*self.parts, part]:
+            if (other.points.min(axis=0) > high).any() or (other.points.max(axis=0) < low).any():
+                continue
+            apart = np.hypot(*(part.points[:, np.newaxis] - other.points).transpose(2, 0, 1))
+            along = np.abs(part.s[:, np.newaxis] - other.s)
+            if ((apart <= self.apart) & (along > _neighbours(self.apart))).any():
+                return False
+        self.parts.append(part)
+        self.length += sum(each.length for each in elements)
+        return True
+
+    def give_up(self, count: int) -> None:
+        """Take the last bends away, never the first line."""
+        for part in self.parts[max(1, len(self.parts) - count) :]:
+            self.length -= sum(each.length for each in part.elements)
+        del self.parts[max(1, len(self.parts) - count) :]
+
+    def _laid(self, elements: list[Element]) -> _Part:
+        here, begun, s, points = self.end, self.length, [], []
+        for element in elements:
+            own = np.linspace(0.0, element.length, math.ceil(element.length / (0.25 * self.apart)) + 1)
+            shape = moved(element.at(own), here)
+            s.append(begun + own)
+            points.append(np.stack([shape.x, shape.y], axis=-1))
+            here, begun = Pose(*(float(value[-1]) for value in shape[:3])), begun + element.length
+        return _Part(elements, np.concatenate(s), np.concatenate(points), here)
 
 
 def _lap(rng: np.random.Generator, kind: Kind, length: float) -> list[Element]:
@@ -162,7 +265,7 @@ def _even(rng: np.random.Generator, bounds: tuple[float, float]) -> float:
 
 
 def _touches_itself(road: Road, apart: float) -> bool:
-    """Whether two places farther than four times `apart`, and a half turn of the tightest bend, along are near."""
+    """Whether two places that are no neighbours are nearer than `apart` (m)."""
     from scipy.spatial import cKDTree
 
     step = 0.25 * apart
@@ -172,4 +275,9 @@ def _touches_itself(road: Road, apart: float) -> bool:
     along = np.abs(s[pairs[:, 0]] - s[pairs[:, 1]])
     if road.closed:
         along = np.minimum(along, road.length - along)
-    return bool((along > max(4.0 * apart, 0.5 * math.pi * apart + 1.0)).any())
+    return bool((along > _neighbours(apart)).any())
+
+
+def _neighbours(apart: float) -> float:
+    """m along the road, up to which places may be nearer than `apart`: four times that, a half turn and more."""
+    return max(4.0 * apart, 0.5 * math.pi * apart + 1.0)

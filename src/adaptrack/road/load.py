@@ -7,12 +7,20 @@ from collections.abc import Callable
 from typing import Any
 
 from adaptrack.errors import InvalidInput, UnknownName, did_you_mean
+from adaptrack.road.commonroad import read_commonroad
 from adaptrack.road.generate import KINDS, generate_road
 from adaptrack.road.opendrive import read_opendrive
 from adaptrack.road.points import road_from_csv
 from adaptrack.road.road import Road
+from adaptrack.road.toml import road_from_toml
 
-_READERS: dict[str, Callable[..., Road]] = {".csv": road_from_csv, ".txt": road_from_csv, ".xodr": read_opendrive}
+_READERS: dict[str, Callable[..., Road]] = {
+    ".csv": road_from_csv,
+    ".txt": road_from_csv,
+    ".toml": road_from_toml,
+    ".xml": read_commonroad,
+    ".xodr": read_opendrive,
+}
 
 
 def load_road(name_or_path: str | os.PathLike[str], **options: Any) -> Road:
@@ -21,8 +29,9 @@ def load_road(name_or_path: str | os.PathLike[str], **options: Any) -> Road:
     Parameters
     ----------
     name_or_path
-        A .csv or .txt file of points (`Road.from_csv`), an OpenDRIVE file (.xodr, `Road.from_opendrive`), or
-        "motorway", "country", "town", "mountain", "lap".
+        A .csv or .txt file of points (`Road.from_csv`), a .toml file of elements, points and what lies along
+        (`Road.from_toml`), an OpenDRIVE file (.xodr, `Road.from_opendrive`), a CommonRoad file (.xml,
+        `Road.from_commonroad`), or "motorway", "country", "town", "mountain", "lap".
     **options
         Of the function that makes the road.
 

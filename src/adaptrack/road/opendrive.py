@@ -118,6 +118,9 @@ def _read(where: str, element: Element, lane: int | None, along: dict[str, Any])
     moved = {name: _moved(value, reference, table) for name, value in values.items()}
     name = element.get("name") or Path(where.partition(", road ")[0]).stem
     found = {"closed": _meets_itself(table), "notes": tuple(stations.notes), **alongs(moved | along)}
+    if base is None:
+        laid = zip(segments, poses, strict=True)
+        found["elements"] = tuple(segment.replace(start=tuple(pose)) for segment, pose in laid)
     return Road(name=printable(name), table=placed(table, Pose(origin.x, origin.y, 0.0)), **found)
 
 

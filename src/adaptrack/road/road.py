@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
@@ -58,7 +59,8 @@ class Road:
     An open road goes on straight before its start and after its end. On a closed one s may be any number, lap by lap.
     Conventions: x forward, y left, SI units, radians.
 
-    Build one with `from_segments`, `from_points`, `through`, `from_csv`, `from_opendrive`, or `generate_road`.
+    Build one with `from_segments`, `from_points`, `through`, `from_csv`, `from_opendrive`, `from_commonroad`, `from_toml`
+    or `generate_road`.
 
     Raises
     ------
@@ -84,6 +86,8 @@ class Road:
     """what its reader has to say: deviations, what was left out"""
     deviation: float = 0.0
     """m, largest distance from a point that the road was fitted to"""
+    elements: tuple[Segment, ...] = field(default=(), repr=False)
+    """what the centre line was made of; empty for a line that runs beside elements, as a lane does"""
 
     def __post_init__(self) -> None:
         self._check_joints()
@@ -131,8 +135,9 @@ class Road:
         Parameters
         ----------
         segments : sequence of Line, Arc, Clothoid, Cubic
+            One with a `start` of its own lies there; it must meet the one before it within 0.01 m and 0.01 rad.
         start : (x, y, heading)
-            m, m, rad.
+            m, m, rad; of the first element, where it has none of its own.
         closed : bool
             Whether its end is its start; it then must meet it within 0.01 m and 0.01 rad.
         **along
@@ -145,8 +150,11 @@ class Road:
         """
         if not segments:
             raise InvalidInput("Road.from_segments: no segments; give at least one Line, Arc, Clothoid or Cubic.")
-        table = sequence(tabulate(segments), Pose(*start))
-        return cls(name=name, table=table, closed=closed, **alongs(along))
+        table = sequence(tabulate(segments), Pose(*start), [segment.pose for segment in segments])
+        first = segments[0]
+        if first.start is None:
+            first = first.replace(start=tuple(float(value) for value in start))
+        return cls(name=name, table=table, closed=closed, elements=(first, *segments[1:]), **alongs(along))
 
     @classmethod
     def from_points(cls, points: ArrayLike, **options: Any) -> Road:
@@ -175,6 +183,32 @@ class Road:
         from adaptrack.road.opendrive import read_opendrive
 
         return read_opendrive(path, **options)
+
+    @classmethod
+    def from_commonroad(cls, path: Any, **options: Any) -> Road:
+        """A chain of lanelets of a CommonRoad file, see `adaptrack.road.commonroad.read_commonroad`."""
+        from adaptrack.road.commonroad import read_commonroad
+
+        return read_commonroad(path, **options)
+
+    @classmethod
+    def from_toml(cls, path: Any, **along: Any) -> Road:
+        """A road from a TOML file, see `adaptrack.road.toml.road_from_toml`."""
+        from adaptrack.road.toml import road_from_toml
+
+        return road_from_toml(path, **along)
+
+    def to_toml(self, path: str | os.PathLike[str]) -> None:
+        """Write the road as a TOML file, which `load_road` reads: the same to rounding.
+
+        Raises
+        ------
+        StorageError
+            When the file cannot be written.
+        """
+        from adaptrack.road.toml import write_road
+
+        write_road(path, self)
 
     # ---- geometry
 

@@ -1,7 +1,8 @@
 """The elements of a centre line: straight line, circular arc, clothoid and parametric cubic, each in its exact form.
 
 An element begins at its own origin and heads along its own x axis (a cubic where its coefficients say); y points to
-the left. Lengths in m, curvatures in 1/m, positive to the left.
+the left. Lengths in m, curvatures in 1/m, positive to the left. Where a road is made of elements, each is laid at the
+end of the one before it, or at its own `start`.
 """
 
 from __future__ import annotations
@@ -48,7 +49,20 @@ class Pose(NamedTuple):
     """rad"""
 
 
-class Line(Record):
+class Placed(Record):
+    """What an element may say of its place."""
+
+    start: tuple[float, float, float] | None = Field(
+        default=None, description="x, y (m) and heading (rad) of its origin and axis; none: at the end of the last one"
+    )
+
+    @property
+    def pose(self) -> Pose | None:
+        """Its `start`."""
+        return None if self.start is None else Pose(*self.start)
+
+
+class Line(Placed):
     """A straight line."""
 
     kind: Literal["line"] = "line"
@@ -66,7 +80,7 @@ class Line(Record):
         return Points(s, zero, zero, zero)
 
 
-class Arc(Record):
+class Arc(Placed):
     """A circular arc."""
 
     kind: Literal["arc"] = "arc"
@@ -86,7 +100,7 @@ class Arc(Record):
         return Points(chord * np.cos(half), chord * np.sin(half), 2.0 * half, np.full_like(s, self.curvature))
 
 
-class Clothoid(Record):
+class Clothoid(Placed):
     """A clothoid: its curvature changes in proportion to the arc length."""
 
     kind: Literal["clothoid"] = "clothoid"
@@ -124,7 +138,7 @@ class Clothoid(Record):
         return Points(place.real, place.imag, heading, curvature)
 
 
-class Cubic(Record):
+class Cubic(Placed):
     """A parametric cubic, OpenDRIVE's paramPoly3: x(p), y(p) with four coefficients each, from p = 0 to p = `end`.
 
     OpenDRIVE's poly3, y(x), is the one with x = p.
@@ -137,6 +151,17 @@ class Cubic(Record):
 
 
 Segment = Annotated[Line | Arc | Clothoid | Cubic, Field(discriminator="kind")]
+
+
+def moved(points: Points, pose: Pose) -> Points:
+    """The points with their origin at a pose."""
+    cos, sin = np.cos(pose.heading), np.sin(pose.heading)
+    return Points(
+        pose.x + cos * points.x - sin * points.y,
+        pose.y + sin * points.x + cos * points.y,
+        points.heading + pose.heading,
+        points.curvature,
+    )
 
 
 def heading_integral(k0: ArrayLike, k1: ArrayLike, s: ArrayLike) -> NDArray[np.complex128]:

@@ -4,7 +4,10 @@ With w = v^2 the acceleration along the road is a = w'(s)/2; sideways tyres feel
 
     |a_y| <= min(comfort, grip),  grip = share mu g cos(bank);   -brake(w, s) <= a <= drive(w, s),
 
-where the friction circle leaves sqrt(grip^2 - a_y^2) to accelerate and brake with. Each bound falls as w grows, so the
+where friction leaves the largest b with b^2 + (a_y/(1 - b h/(g l)))^2 <= grip^2 to brake or accelerate with: the axle
+at the distance l from the centre of mass to the *other* one is unloaded by b h/(g l) of its load, must carry its share
+of a_y all the same, and a car whose rear cannot spins. Without a car h = 0, the friction circle.
+The curvature may change no faster than v^3 |kappa'| = lateral jerk. Each bound falls as w grows, so the
 fastest profile is found by one pass forward, with what the car can gain, and one backward, with what it can lose
 (E. Velenis and P. Tsiotras, *Minimum-time travel for a vehicle with acceleration limits*, JOTA 138 (2008)).
 """
@@ -33,6 +36,8 @@ from adaptrack.vehicle import GRAVITY, Vehicle
 
 SPACING = 1.0
 """m, between the places at which the speed is planned, unless asked otherwise."""
+UNLOADINGS = 6
+"""Steps of Newton's method."""
 FLAT = 1e-9
 """1/m, a curvature that counts as none."""
 
@@ -44,6 +49,9 @@ class Comfort(Record):
     accelerate: float = Field(default=2.0, gt=0.0, le=50.0, description="m/s^2")
     brake: float = Field(default=3.0, gt=0.0, le=50.0, description="m/s^2")
     jerk: float = Field(default=math.inf, gt=0.0, allow_inf_nan=True, description="m/s^3, along the road; inf: any")
+    lateral_jerk: float = Field(
+        default=10.0, gt=0.0, allow_inf_nan=True, description="m/s^3, v^3 d(curvature)/ds within elements; inf: any"
+    )
     grip_share: float = Field(default=0.9, gt=0.0, le=1.0, description="-, of the friction that may be used")
 
 
@@ -218,6 +226,8 @@ class _Cells:
         self.s, self.ds, self.car, self.comfort = s, np.diff(s), car, comfort
         first, last = road.table.at(s[:-1], 1).curvature, road.table.at(s[1:], -1).curvature
         self.curvature = np.where(np.abs(first) > np.abs(last), first, last)  # monotonous between: the larger end
+        with np.errstate(divide="ignore"):
+            self.swerve = (comfort.lateral_jerk * self.ds / np.abs(last - first)) ** (2.0 / 3.0)
         bank = road.along("bank", 0.5 * (s[:-1] + s[1:]))
         self.tilt = GRAVITY * np.sin(bank)
         self.grip = comfort.grip_share * road.friction.least(s[:-1], s[1:]) * GRAVITY * np.cos(bank)
@@ -241,28 +251,44 @@ class _Cells:
 
     def ceiling(self, top_speed: float) -> Array:
         """(n,) largest v^2 at each place, whatever comes before and after."""
-        w = np.minimum(np.minimum(self.bend, self.limit**2), top_speed**2)
+        w = np.minimum(np.minimum(self.bend, self.swerve), np.minimum(self.limit**2, top_speed**2))
         return np.minimum(np.concatenate([w, [np.inf]]), np.concatenate([[np.inf], w]))
 
-    def left(self, k: int, w: float) -> float:
-        """What the friction circle leaves along the road (m/s^2)."""
-        sideways = w * self.curvature[k] - self.tilt[k]
-        return math.sqrt(max(self.grip[k] ** 2 - sideways**2, 0.0))
+    def left(self, k: int, w: float, arm: float) -> float:
+        """What friction leaves along the road (m/s^2): Newton's method from above on a convex function, to rounding.
+
+        arm: m, from the centre of mass to the axle that gains load.
+        """
+        sideways, grip = abs(w * self.curvature[k] - self.tilt[k]), float(self.grip[k])
+        if sideways >= grip:
+            return 0.0
+        b = math.sqrt(grip * grip - sideways * sideways)
+        lever = 0.0 if self.car is None else self.car.cg_height / (GRAVITY * arm)
+        if lever == 0.0:
+            return b
+        b = min(b, (1.0 - sideways / grip) / lever)
+        if sideways < 1e-6 * grip:
+            return b
+        for _ in range(UNLOADINGS):
+            rest = 1.0 - lever * b
+            over = b * b + (sideways / rest) ** 2 - grip * grip
+            b -= over / (2.0 * b + 2.0 * lever * sideways**2 / rest**3)
+        return max(b, 0.0)
 
     def drive(self, k: int, w: float) -> float:
         """The largest acceleration in a cell at v^2 = w."""
         if self.car is None:
-            return min(self.comfort.accelerate, self.left(k, w))
+            return min(self.comfort.accelerate, self.left(k, w, 1.0))
         car, v = self.car, math.sqrt(max(w, 1e-6))
-        force = min(car.traction_limit, car.engine_power / v, car.mass * self.left(k, w))
+        force = min(car.traction_limit, car.engine_power / v, car.mass * self.left(k, w, car.lr))
         return min(self.comfort.accelerate, force / car.mass - self.resistance(w))
 
     def brake(self, k: int, w: float) -> float:
-        """The largest deceleration in a cell at v^2 = w."""
+        """The largest deceleration in a cell at v^2 = w; what air and rolling add is left to the tyres as a reserve."""
         if self.car is None:
-            return min(self.comfort.brake, self.left(k, w))
-        force = min(self.car.brake_limit, self.car.mass * self.left(k, w))
-        return min(self.comfort.brake, force / self.car.mass + self.resistance(w))
+            return min(self.comfort.brake, self.left(k, w, 1.0))
+        brakes = self.car.brake_limit / self.car.mass + self.resistance(w)
+        return min(self.comfort.brake, self.left(k, w, self.car.lf), brakes)
 
     def resistance(self, w: float) -> float:
         """Deceleration by air and rolling (m/s^2), without wind."""

@@ -407,14 +407,15 @@ def joined(tables: Sequence[Table]) -> Table:
     return Table(start, pieces)
 
 
-def sequence(tables: Sequence[Table], start: Pose) -> Table:
-    """Tables in their own frames, laid end to end from a pose."""
+def sequence(tables: Sequence[Table], start: Pose, poses: Sequence[Pose | None] | None = None) -> Table:
+    """Tables in their own frames, laid end to end from a pose; one with a pose in `poses` has its origin there."""
     laid, here = [], start
-    for table in tables:
+    for k, table in enumerate(tables):
         first, last = (Pose(*(float(value) for value in point[:3])) for point in _both_ends(table))
         turn = here.heading - first.heading
         x, y = _turned(first, turn)
-        origin = Pose(here.x - x, here.y - y, turn)
+        origin = (poses[k] if poses else None) or Pose(here.x - x, here.y - y, turn)
+        turn = origin.heading
         laid.append(placed(table, origin))
         x, y = _turned(last, turn)
         here = Pose(origin.x + x, origin.y + y, turn + last.heading)

@@ -1,0 +1,191 @@
+"""Roads as TOML files: elements or points, and what lies along.
+
+    name = "bend"
+    speed_limit = 20.0                # m/s
+
+    [friction]                        # a number, or values at arc lengths
+    s = [0.0, 80.0]                   # m
+    value = [0.9, 0.3]
+    kind = "steps"
+
+    [[elements]]
+    kind = "line"                     # line, arc, clothoid, cubic: the fields of adaptrack.road.Line, ...
+    length = 50.0
+
+    [[elements]]
+    kind = "arc"
+    length = 60.0
+    curvature = 0.02
+
+A line beside elements, such as a lane, has no elements of its own: it is written as the polynomials of its pieces.
+"""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Annotated, Any, Self
+
+import numpy as np
+from pydantic import BeforeValidator, Field, model_validator
+
+from adaptrack.errors import ConfigError, InvalidInput
+from adaptrack.files import Record, build, read_toml, write_toml
+from adaptrack.road.along import Along
+from adaptrack.road.fit import MAX_DEVIATION, fit_road
+from adaptrack.road.road import ALONG, Road, alongs
+from adaptrack.road.segments import Segment
+from adaptrack.road.table import (
+    ACROSS,
+    COLUMNS,
+    COS,
+    DEGREE,
+    HALF,
+    HEADING,
+    SIN,
+    TURNED,
+    Table,
+    X,
+    Y,
+)
+from adaptrack.road.table import ALONG as ALONG_PIECE
+
+
+def _quantity(value: Any) -> Any:
+    """A number as a table of one value."""
+    if isinstance(value, int | float) and not isinstance(value, bool):
+        return {"s": (0.0,), "value": (float(value),)}
+    if not isinstance(value, dict | Along):
+        raise ValueError("must be a number, or a table of s (m) and value.")
+    return value
+
+
+Quantity = Annotated[Along, BeforeValidator(_quantity)]
+Coefficients = Annotated[
+    tuple[float, ...],
+    Field(min_length=DEGREE + 1, max_length=DEGREE + 1, description="of 1, u, u^2, ..., -1 <= u <= 1 along the piece"),
+]
+
+
+class Piece(Record):
+    """A piece of a centre line that is no element, see `adaptrack.road.table`."""
+
+    half: float = Field(gt=0.0, description="m, half of its length")
+    x: float = Field(description="m, at its middle")
+    y: float = Field(description="m")
+    heading: float = Field(description="rad, at its middle")
+    along: Coefficients
+    """m"""
+    across: Coefficients
+    """m"""
+    turned: Coefficients
+    """rad, the heading less that at the middle"""
+
+
+class RoadFile(Record):
+    """What a file says of a road."""
+
+    name: str | None = Field(default=None, description="by default that of the file")
+    closed: bool | None = Field(default=None, description="a lap; by default not, points: as found")
+    deviation: float = Field(default=0.0, ge=0.0, description="m, from the points that it was fitted to")
+    notes: tuple[str, ...] = Field(default=(), description="what its first reader had to say")
+    max_deviation: float | None = Field(default=None, gt=0.0, description="m, of points from the curve near them")
+    width_left: Quantity | None = Field(default=None, description="m, from the centre line to the left edge")
+    width_right: Quantity | None = Field(default=None, description="m, to the right edge")
+    speed_limit: Quantity | None = Field(default=None, description="m/s")
+    friction: Quantity | None = Field(default=None, description="coefficient of all wheels")
+    bank: Quantity | None = Field(default=None, description="rad, positive where gravity pushes to the left")
+    points: tuple[tuple[float, float], ...] | None = Field(default=None, description="x, y (m), as they are driven")
+    elements: tuple[Segment, ...] | None = None
+    pieces: tuple[Piece, ...] | None = None
+
+    @model_validator(mode="after")
+    def _says_one_line(self) -> Self:
+        given = [name for name in ("elements", "points", "pieces") if getattr(self, name)]
+        if len(given) != 1:
+            told = " and ".join(given) or "neither elements nor points"
+            raise ValueError(f"{told}: give the centre line once, as [[elements]] or as points.")
+        if self.max_deviation is not None and self.points is None:
+            raise ValueError("max_deviation is for points; remove it.")
+        return self
+
+
+def road_from_toml(path: str | os.PathLike[str], **along: Any) -> Road:
+    """The road of a TOML file.
+
+    Parameters
+    ----------
+    **along
+        As in `Road.from_segments`, in place of what the file says.
+
+    Raises
+    ------
+    StorageError
+        When the file cannot be read.
+    ConfigError
+        When it describes no road; with the key, the value and the remedy.
+    """
+    where = os.fspath(path)
+    file = build(RoadFile, _tuples(read_toml(path)), where)
+    values = {key: getattr(file, key) for key in ALONG if getattr(file, key) is not None}
+    values |= {"name": file.name or Path(path).stem} | along
+    try:
+        return _made(file, values)
+    except InvalidInput as error:
+        raise ConfigError(f"{where}: {error}") from None
+
+
+def _tuples(data: Any) -> Any:
+    """TOML's arrays as tuples, which records ask for."""
+    if isinstance(data, dict):
+        return {key: _tuples(value) for key, value in data.items()}
+    return tuple(map(_tuples, data)) if isinstance(data, list) else data
+
+
+def _made(file: RoadFile, values: dict[str, Any]) -> Road:
+    if file.points:
+        bound = MAX_DEVIATION if file.max_deviation is None else file.max_deviation
+        return fit_road(np.array(file.points), closed=file.closed, max_deviation=bound, **values)
+    closed = bool(file.closed)
+    if file.elements:
+        made = Road.from_segments(file.elements, closed=closed, **values)
+    else:
+        made = Road(table=_table(file.pieces or ()), closed=closed, **alongs(values))
+    return made.replace(notes=file.notes, deviation=file.deviation)
+
+
+def _table(found: tuple[Piece, ...]) -> Table:
+    pieces = np.zeros((len(found), COLUMNS))
+    for row, piece in zip(pieces, found, strict=True):
+        row[[HALF, X, Y, HEADING]] = piece.half, piece.x, piece.y, piece.heading
+        row[ALONG_PIECE:] = (*piece.along, *piece.across, *piece.turned)
+    pieces[:, COS], pieces[:, SIN] = np.cos(pieces[:, HEADING]), np.sin(pieces[:, HEADING])
+    return Table(np.concatenate([[0.0], np.cumsum(2.0 * pieces[:, HALF])]), pieces)
+
+
+def write_road(path: str | os.PathLike[str], road: Road) -> None:
+    """Write a road as TOML; see `Road.to_toml`."""
+    quantities = {key: getattr(road, key) for key in ALONG if getattr(road, key) is not None}
+    data: dict[str, Any] = {"name": road.name, "closed": road.closed}
+    if road.deviation:
+        data["deviation"] = road.deviation
+    if road.notes:
+        data["notes"] = road.notes
+    data |= {key: _plain(along) for key, along in quantities.items()}
+    if road.elements:
+        data["elements"] = [element.model_dump(exclude_none=True) for element in road.elements]
+    else:
+        data["pieces"] = [_piece(row) for row in road.table.pieces]
+    write_toml(path, data, {name: field.description or "" for name, field in RoadFile.model_fields.items()})
+
+
+def _plain(along: Along) -> Any:
+    return along.value[0] if len(along.value) == 1 else along.model_dump()
+
+
+def _piece(row: Any) -> dict[str, Any]:
+    bounds = {"along": (ALONG_PIECE, ACROSS), "across": (ACROSS, TURNED), "turned": (TURNED, COLUMNS)}
+    place = {"half": HALF, "x": X, "y": Y, "heading": HEADING}
+    return {name: float(row[column]) for name, column in place.items()} | {
+        name: row[first:last].tolist() for name, (first, last) in bounds.items()
+    }
