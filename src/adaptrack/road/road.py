@@ -59,8 +59,8 @@ class Road:
     An open road goes on straight before its start and after its end. On a closed one s may be any number, lap by lap.
     Conventions: x forward, y left, SI units, radians.
 
-    Build one with `from_segments`, `from_points`, `through`, `from_csv`, `from_opendrive`, `from_commonroad`, `from_toml`
-    or `generate_road`.
+    Build one with `from_segments`, `from_points`, `through`, `from_csv`, `from_opendrive`, `from_commonroad`,
+    `from_toml`, or `generate_road`.
 
     Raises
     ------
