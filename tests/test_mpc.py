@@ -594,8 +594,8 @@ def test_a_state_that_holds_no_numbers_is_refused(state):
         published_mpc(CAR).step(state, 15.0, [0.0])
 
 
-@pytest.mark.parametrize("state", [np.zeros(3), np.zeros((4, 1)), 0.0, np.zeros(9), np.zeros((2, 2)), []],
-                         ids=["3", "4x1", "scalar", "9", "2x2", "none"])  # fmt: skip
+@pytest.mark.parametrize("state", [np.zeros(3), np.zeros((4, 1)), 0.0, np.zeros(10), np.zeros((2, 2)), []],
+                         ids=["3", "4x1", "scalar", "10", "2x2", "none"])  # fmt: skip
 def test_a_state_of_the_wrong_shape_is_refused(state):
     with pytest.raises(InvalidInput, match="state: shape"):
         published_mpc(CAR).step(state, 15.0, [0.0])

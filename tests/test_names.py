@@ -55,7 +55,7 @@ def test_any_name_is_driven_saved_loaded_and_printed(command, monkeypatch, tmp_p
     code, out, err = command(*arguments, "--out", inside / "out", "--json")
     assert code == 0, err
     (row,) = json.loads(out)["rows"]
-    assert (row["scenario"], row["scheduler"], row["controller"]) == (name, name, "scheduler")
+    assert (row["scenario"], row["scheduler"], row["controller"]) == (name, "scheduler", "scheduler")
     assert {path.parent for path in set(tmp_path.rglob("*")) - set(before) - {inside / "out"}} == {inside / "out"}
     (file,) = (inside / "out").glob("*.parquet")
     assert Trajectory.load(file).name_of("scenario") == name

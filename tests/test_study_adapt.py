@@ -495,7 +495,7 @@ def test_the_map_covers_the_box_driving_straight_and_counts_slow_loops_as_nearer
     monkeypatch.setattr(recipes, "loop_map", flat)
     setup = setup_of(tmp_path)
     known = recipes.stability_map(setup)
-    assert (asked["speed"], asked["friction"], asked["profile"]) == ((8.0, 25.0), (0.5, 1.0), "road")
+    assert (asked["speed"], asked["friction"], asked["profile"].name) == ((8.0, 25.0), (0.5, 1.0), "road")
     assert asked["turn"] is None
     assert known.limit == 0.95 == 1.0 - setup.method.guard.margin
     more = 0.5 + setup.method.guard.slow_margin

@@ -68,7 +68,7 @@ def wild(n=50, seed=1):
 
 def test_the_column_list_names_every_array_of_the_dataclass():
     fields = [field.name for field in dataclasses.fields(Trajectory)]
-    more = ["period", "tuning", "diagnostics", "units", "failed", "failed_at", "meta"]
+    more = ["period", "tuning", "diagnostics", "road", "units", "failed", "failed_at", "meta"]
     assert fields == [column.name for column in COLUMNS] + more
 
 

@@ -273,6 +273,7 @@ class ReadableFilter:
             self.Q[-1, -1] = estimator.drifts.yaw_rate_offset**2
         self.Q *= model.period
         self.unit_side = np.eye(self.size)[model.n]
+        self.turned = [0.0] * (self.late + 1)
         self.z: Array | None = None
 
     def matrices(self, speed: float, time: float) -> tuple[Array, Array]:

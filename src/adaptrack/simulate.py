@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adaptrack.batch import Batch
-from adaptrack.controllers import MPC, Controller
+from adaptrack.controllers import MPC, CompiledController, Controller
 from adaptrack.errors import InvalidInput, whole
 from adaptrack.estimation import FrictionWindEstimator
 from adaptrack.failure import Failure
@@ -224,7 +224,7 @@ def simulate(
         if estimator is not None:
             found = estimator.step(measured[:4], speed, own.command)
             look[VARIABLES.friction], look[VARIABLES.wind] = found.friction, found.wind
-        if not isinstance(controller, MPC) and math.isinf(world.profile.noise_vy):
+        if isinstance(controller, CompiledController) and math.isinf(world.profile.noise_vy):
             measured[MEASURED.vy] = 0.0  # a car without a sensor of it
         variables = SchedulingVariables(*look.tolist())
         begun = time.perf_counter()

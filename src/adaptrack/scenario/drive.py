@@ -4,17 +4,18 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import Any, Self
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 
 from adaptrack.errors import InvalidInput, real, whole
 from adaptrack.limits import PERIODS
-from adaptrack.road.road import Road
-from adaptrack.road.speed import SpeedPlan, constant_speed
 from adaptrack.scenario.shapes import Shape, as_shape
 from adaptrack.scenario.signals import Signals, instants
 from adaptrack.scenario.surroundings import PolarWind, Wind, as_wind
+
+if TYPE_CHECKING:
+    from adaptrack.road import Road, SpeedPlan
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,6 +48,9 @@ class RoadDrive:
     """the road's, when empty"""
 
     def __post_init__(self) -> None:
+        from adaptrack.road import Road, SpeedPlan
+        from adaptrack.road.speed import constant_speed
+
         if not isinstance(self.road, Road):
             raise InvalidInput(f"RoadDrive: road = {self.road!r}: must be a Road; load_road(file) gives one.")
         plan = self.speed if isinstance(self.speed, SpeedPlan) else constant_speed(self.road, self.speed)
@@ -71,8 +75,7 @@ class RoadDrive:
     @property
     def plan(self) -> SpeedPlan:
         """The speed along the road."""
-        assert isinstance(self.speed, SpeedPlan)
-        return self.speed
+        return self.speed  # type: ignore[return-value]  # since __post_init__
 
     @property
     def duration(self) -> float:
