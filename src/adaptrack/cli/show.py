@@ -97,7 +97,7 @@ def table(title: str, columns: Sequence[Column], rows: Rows) -> None:
     for column in columns:
         known = [row[column.key] for row in rows if row[column.key] is not None]
         numbers = all(isinstance(value, int | float) for value in known)
-        least = min(30, max(map(len, map(str, known)), default=0)) if column is columns[0] else None  # names stay whole
+        least = min(40, max(map(len, map(str, known)), default=0)) if column is columns[0] else None  # names stay whole
         made.add_column(_heading(column), overflow="fold", justify="right" if numbers else "left", min_width=least)
     for row in rows:
         made.add_row(*(Text((column.show or written)(row[column.key])) for column in columns))
