@@ -606,3 +606,12 @@ def _syntax_report(where: str, language: str, text: str, message: str) -> str:
     reason = message[: found.start()].strip()
     line = text.splitlines()[number - 1].strip() if number <= len(text.splitlines()) else ""
     return f"{where}, line {number}, column {found[2]}: not valid {language}: {reason}: {_quote(line)}."
+
+
+def is_number(cell: str) -> bool:
+    """Whether a cell of a table of text is a number."""
+    try:
+        float(cell)
+    except ValueError:
+        return False
+    return True

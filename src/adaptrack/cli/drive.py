@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import partial
+from functools import cached_property, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -23,10 +23,8 @@ from adaptrack.cli.simulate import (
     tell_open_qps,
     tell_stiffness,
 )
-from adaptrack.errors import InvalidInput
 
 if TYPE_CHECKING:
-    from adaptrack.road import Road, SpeedPlan
     from adaptrack.scenario import RoadDrive
     from adaptrack.trajectory import Trajectory
     from adaptrack.vehicle import Vehicle
@@ -80,7 +78,9 @@ def drive(
     The speed is planned from curvature, friction and the car, unless --speed gives one. A drive that leaves the road,
     spins or is not finite is printed as FAILED; the exit code is then 3.
     """
+    from adaptrack.files import safe_names
     from adaptrack.profile import load_profile
+    from adaptrack.scenario import RoadDrive
     from adaptrack.simulate import simulate
     from adaptrack.world import Driver
 
@@ -88,9 +88,9 @@ def drive(
     car, body = options.car_and_plant(vehicle, plant, tyre)
     given = roads.given(max_deviation=max_deviation, closed=closed, road=road_id, lane=lane, seed=road_seed,
                         length=length)  # fmt: skip
-    seen = roads.look(road, given, vehicle, speed, lateral_acceleration)
+    seen = roads.look(road, given, car, speed, lateral_acceleration)
     world = load_profile(profile)
-    trip = _trip(seen.road, seen.plan, laps, wind, offset, heading)
+    trip = RoadDrive(seen.road, seen.plan, laps=laps, wind=wind, start_offset=offset, start_heading=heading)
     asked = Asked(car, world, world.period if period is None else period, preview=True)
     controllers = [make_controller(name, asked) for name in dict.fromkeys(controller or [asked.usual])]
     if out is not None:
@@ -98,14 +98,16 @@ def drive(
     for finding in seen.findings:
         if not finding.drivable:
             show.say(f"Warning, {finding.text} (s = {finding.start:.0f} to {finding.end:.0f} m).", aside=as_json)
+    files = safe_names(f"{trip.name}-{label}" for label, _ in controllers)
     runs = []
     with show.progress("drive", len(controllers)) as advance:
-        for label, each in controllers:
+        for file, (label, each) in zip(files, controllers, strict=True):
             step = partial(advance, label)
             run = simulate(body, each, trip, profile=world, driver=Driver() if driver else None, seed=seed,
                            progress=step)  # fmt: skip
             runs.append(_Run(label, trip, car, run))
-            _keep(runs[-1], out)
+            if out is not None:
+                _keep(run, out / f"{file}.parquet")
     rows = [run.row for run in runs]
     if out is not None:
         show.say(f"Page: {_write_page(out, runs)}", aside=as_json)
@@ -118,22 +120,10 @@ def drive(
             raise typer.Exit(FAILED)
 
 
-def _trip(road: Road, plan: SpeedPlan, laps: int, wind: float, offset: float, heading: float) -> RoadDrive:
-    from adaptrack.scenario import RoadDrive
-
-    if laps > 1 and not road.closed:
-        raise InvalidInput(f"--laps {laps}: the road {road.name!r} is open; --closed makes a lap of points.")
-    return RoadDrive(road, plan, laps=laps, wind=wind, start_offset=offset, start_heading=heading)
-
-
-def _keep(done: _Run, out: Path | None) -> None:
+def _keep(run: Trajectory, file: Path) -> None:
     """Save a drive as soon as it is driven."""
-    from adaptrack.files import safe_names
-
-    if out is not None:
-        (name,) = safe_names([f"{done.trip.name}-{done.label}"])
-        done.run.save(out / f"{name}.parquet")
-        interrupt.kept(f"Finished drives are in {out}, without a page. Run the command again.")
+    run.save(file)
+    interrupt.kept(f"Finished drives are in {file.parent}, without a page. Run the command again.")
 
 
 @dataclass(frozen=True)
@@ -145,9 +135,11 @@ class _Run:
     car: Vehicle
     run: Trajectory
 
-    @property
+    @cached_property
     def row(self) -> dict[str, Any]:
         """What --json says of it: as `simulate`, with the measures of a path."""
+        import numpy as np
+
         from adaptrack.path_metrics import PathRecord, path_metrics
 
         record = PathRecord.from_trajectory(self.run)
@@ -156,7 +148,7 @@ class _Run:
         row = measured_row(self.label, self.run) | measures
         if record is not None:
             row |= {"rms_error": measures["rms_offset"], "max_abs_error": measures["max_offset"]}
-        known = station[station == station]
+        known = station[np.isfinite(station)]
         row["driven_length"] = float(known[-1] - known[0]) if known.size else 0.0
         row["road_length"] = self.trip.length
         return row

@@ -15,6 +15,7 @@ from adaptrack.errors import InvalidInput
 
 if TYPE_CHECKING:
     from adaptrack.road import Finding, Road, SpeedPlan
+    from adaptrack.vehicle import Vehicle
 
 app = typer.Typer(help="Roads: points in CSV files, OpenDRIVE, generated ones.", no_args_is_help=True)
 
@@ -61,8 +62,10 @@ def check(
     as_json: options.Json = False,
 ) -> None:
     """Tell what a road is and what of it a car cannot drive; the exit code is then 1."""
+    from adaptrack.vehicle import load_vehicle
+
     asked = given(max_deviation=max_deviation, closed=closed, road=road_id, lane=lane, seed=road_seed, length=length)
-    seen = look(road, asked, vehicle, speed, lateral_acceleration)
+    seen = look(road, asked, load_vehicle(vehicle), speed, lateral_acceleration)
     if as_json:
         show.say_json(_values(seen))
     else:
@@ -88,9 +91,10 @@ def plot(
     """Draw a road from above, with curvature and speed along it, as a PNG file."""
     from adaptrack.files import write_atomically
     from adaptrack.report.road import road_png
+    from adaptrack.vehicle import load_vehicle
 
     asked = given(max_deviation=max_deviation, closed=closed, road=road_id, lane=lane, seed=road_seed, length=length)
-    seen = look(road, asked, vehicle, speed, lateral_acceleration)
+    seen = look(road, asked, load_vehicle(vehicle), speed, lateral_acceleration)
     write_atomically(out, road_png(seen.road, seen.plan, seen.findings))
     show.say(f"Picture: {out}")
 
@@ -113,7 +117,7 @@ def given(**options: Any) -> dict[str, Any]:
     return {name: value for name, value in options.items() if value is not None}
 
 
-def look(name: str, asked: dict[str, Any], vehicle: str, speed: float | None, lateral: float | None) -> Seen:
+def look(name: str, asked: dict[str, Any], car: Vehicle, speed: float | None, lateral: float | None) -> Seen:
     """Load a road by its name and options, plan the speed along it, and check both.
 
     Raises
@@ -123,11 +127,10 @@ def look(name: str, asked: dict[str, Any], vehicle: str, speed: float | None, la
     """
     from adaptrack.road import Comfort, check_road, load_road, plan_speed
     from adaptrack.road.speed import constant_speed
-    from adaptrack.vehicle import load_vehicle
 
     if speed is not None and lateral is not None:
         raise InvalidInput("give either --speed or --lateral-acceleration.")
-    car, road = load_vehicle(vehicle), load_road(name, **asked)
+    road = load_road(name, **asked)
     comfort = Comfort() if lateral is None else Comfort(lateral=lateral)
     plan = plan_speed(road, car, comfort) if speed is None else constant_speed(road, speed)
     return Seen(road, plan, check_road(road, car, plan))

@@ -466,11 +466,7 @@ class MPC:
         if not self._lock.acquire(False):
             raise InvalidInput("this MPC is in a step of another thread: each vehicle needs a controller of its own.")
         try:
-            ahead, pace = self._take(state, speed, reference)
-            if road is not None or self._mpc.bend.size:
-                self._look_along(road, pace)
-            if self.scheduler is not None:
-                self._schedule(variables)
+            ahead, pace = self._take(state, speed, reference, variables, road)
             step = self._step or self._compiled_step()
             step(pace, ahead)
             return self._command()
@@ -503,11 +499,7 @@ class MPC:
         A scheduler in Python stays as it is, too, if it can be copied; one that cannot is asked itself.
         """
         twin = self._twin()
-        ahead, pace = twin._take(state, speed, reference)
-        if road is not None or twin._mpc.bend.size:
-            twin._look_along(road, pace)
-        if twin.scheduler is not None:
-            twin._schedule(variables)
+        ahead, pace = twin._take(state, speed, reference, variables, road)
         _, n, m = twin._form(pace, ahead)
         return twin._qp(n, m)
 
@@ -522,8 +514,15 @@ class MPC:
         twin.__setstate__(state)
         return twin
 
-    def _take(self, state: ArrayLike, speed: float, reference: ArrayLike) -> tuple[Array, float]:
-        """Take in the measured state; the reference and the speed as the kernels want them."""
+    def _take(
+        self,
+        state: ArrayLike,
+        speed: float,
+        reference: ArrayLike,
+        variables: Sequence[float] | None,
+        road: RoadAhead | None,
+    ) -> tuple[Array, float]:
+        """Take in what a step is given; the reference and the speed as the kernels want them."""
         given = vector("state", state, _STATE_SIZES)
         ahead = vector("reference", reference, most=self._furthest)
         pace = number("speed", speed)
@@ -533,6 +532,10 @@ class MPC:
             self._measured[4:] = NOTHING_MEASURED[4:]
             self._given_size = given.size
         self._measured[: given.size] = given
+        if road is not None or self._mpc.bend.size:
+            self._look_along(road, pace)
+        if self.scheduler is not None:
+            self._schedule(variables)
         return ahead, pace
 
     def _look_along(self, road: RoadAhead | None, pace: float) -> None:

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from adaptrack.errors import ConfigError, InvalidInput, did_you_mean
-from adaptrack.files import printable, read_bytes
+from adaptrack.files import is_number, printable, read_bytes
 from adaptrack.road.fit import FEWEST, fit_road
 from adaptrack.road.road import Road
 from adaptrack.road.segments import Array
@@ -123,7 +123,7 @@ def _split(where: str, text: str) -> tuple[list[str], list[tuple[int, list[str]]
         cells = _cells(content.lstrip("# \t"))
         if not content or (content.startswith("#") and (rows or _column_of(cells[0] if cells else "") is None)):
             continue
-        if content.startswith("#") or (not rows and not header and not _is_number(cells[0])):
+        if content.startswith("#") or (not rows and not header and not is_number(cells[0])):
             header = cells
         else:
             rows.append((line, cells))
@@ -163,18 +163,10 @@ def _names(where: str, header: Sequence[str], count: int) -> list[str]:
     return names
 
 
-def _is_number(cell: str) -> bool:
-    try:
-        float(cell)
-    except ValueError:
-        return False
-    return True
-
-
 def _number(where: str, line: int, cell: str, wanted: bool) -> float:
     if not wanted:
         return 0.0
-    if not _is_number(cell) or not math.isfinite(float(cell)):
+    if not is_number(cell) or not math.isfinite(float(cell)):
         raise ConfigError(
             f"{where}, line {line}: {printable(cell)!r} is not a finite number; correct or remove the line."
         )

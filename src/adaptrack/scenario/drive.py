@@ -58,7 +58,10 @@ class RoadDrive:
             raise InvalidInput("RoadDrive: speed: a plan of another road; plan_speed(road, ...) makes one.")
         laps = whole("RoadDrive", "laps", self.laps)
         if laps > 1 and not self.road.closed:
-            raise InvalidInput(f"RoadDrive: laps = {laps}: the road {self.road.name!r} is open; leave laps out.")
+            raise InvalidInput(
+                f"RoadDrive: laps = {laps}: the road {self.road.name!r} is open; leave laps out, or load its "
+                "points with closed=True (--closed)."
+            )
         if not math.isfinite(plan.duration):
             raise InvalidInput("RoadDrive: speed: the plan never arrives: its speed is 0 over a stretch.")
         if not abs(real("RoadDrive", "start_heading", self.start_heading)) < 0.5 * math.pi:

@@ -12,7 +12,7 @@ from typing import Any, Literal
 import numpy as np
 
 from adaptrack.errors import ConfigError, InvalidInput, StorageError, did_you_mean
-from adaptrack.files import Record, build
+from adaptrack.files import Record, build, is_number
 from adaptrack.scenario.shapes import Array, Knots, Method, as_tuples
 from adaptrack.scenario.signals import HIGHEST_FRICTION
 
@@ -34,17 +34,9 @@ def read_scenario_table(path: str | os.PathLike[str]) -> dict[str, Array]:
 _ROAD_COLUMNS = {"x", "y", "x_m", "y_m"}
 
 
-def _is_number(cell: str) -> bool:
-    try:
-        float(cell)
-    except ValueError:
-        return False
-    return True
-
-
 def _scenario_columns(header: list[str]) -> list[str]:
     """The header of a scenario's table, checked."""
-    if "t" not in header and (_ROAD_COLUMNS & {name.lower() for name in header} or all(map(_is_number, header))):
+    if "t" not in header and (_ROAD_COLUMNS & {name.lower() for name in header} or all(map(is_number, header))):
         raise InvalidInput(
             "these are points of a road, and a scenario is a table over the time t: drive along them with "
             "`adaptrack drive FILE`, in Python with RoadDrive(load_road(FILE), speed)."
