@@ -252,6 +252,7 @@ def test_a_run_set_costs_drives_of_different_length_by_their_own_instants():
         runs.segments(own.tuning, 3, np.arange(2))
 
 
+@pytest.mark.compiled
 def test_one_tuning_for_several_roads_is_at_least_as_good_as_its_swarm_saw():
     own = MPC(CAR, profile="road")
     runs = road_runs(PLANT, own, [HAIRPIN, WINDING], profile="road")

@@ -259,7 +259,9 @@ class Batch:
         assert isinstance(self.world.plant, Plant)
         if isinstance(own, CompiledController):
             functions = kernel.functions()
-            mpc = kernel.batch(slots, mpc_settings, (np.zeros(6), np.arange(4), np.zeros(4)), (np.zeros(0), 0))
+            mpc = kernel.batch(
+                slots, mpc_settings, (np.zeros(6), np.arange(4), np.zeros(4), np.zeros(0)), (np.zeros(0), 0)
+            )
             law = rollout.law_batch(slots, own.parameters(), own.memory_size, own.diagnostic_names, own.preview)
             width = law.answer.shape[1] + len(own.tuning_names)
         else:

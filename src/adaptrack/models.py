@@ -63,6 +63,13 @@ class PredictionModel(ABC):
     def function(self) -> Any:
         """The compiled ``discretise(speed, period, parameters, a, b, e)``, see `kernels.models.contract`."""
 
+    def turning(self) -> Array:
+        """What the steering of a curved road ahead follows from, `kernels.controllers.feed_forward.TURNING`; or (0,).
+
+        Without it the moves of the MPC are counted from none, and a horizon much longer than the free moves cuts bends.
+        """
+        return np.zeros(0)
+
     @property
     def n(self) -> int:
         """How many states."""
@@ -283,6 +290,13 @@ class PathModel(PredictionModel):
         from adaptrack.kernels.models.path import discretise
 
         return discretise
+
+    def turning(self) -> Array:
+        v = self.vehicle
+        cf, cr, wheelbase = 2 * v.stiffness_front, 2 * v.stiffness_rear, v.lf + v.lr
+        understeer = v.mass * (v.lr * cr - v.lf * cf) / (wheelbase * cf * cr)
+        built = ((cf + cr) * v.yaw_inertia + (v.lf**2 * cf + v.lr**2 * cr) * v.mass) / (cf * cr * wheelbase)
+        return np.array([wheelbase, understeer, built, v.lr, self.lag])
 
     def continuous(self, speed: float) -> tuple[Array, Array]:
         """A_c (n, n) and the columns (n, 4) of u, d_y, d_r and of the path's curvature times speed."""

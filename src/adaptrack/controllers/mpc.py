@@ -301,7 +301,7 @@ class MPC:
 
         model, estimator = self.model, self.estimator
         return kernel.batch(
-            slots, settings, (model.parameters(), model.measured_places(), model.output),
+            slots, settings, (model.parameters(), model.measured_places(), model.output, model.turning()),
             (estimator.parameters(model), estimator.memory_size(model)), curved,
         )  # fmt: skip
 
@@ -541,12 +541,12 @@ class MPC:
     def _look_along(self, road: RoadAhead | None, pace: float) -> None:
         """Take in the road ahead."""
         from adaptrack.kernels.abi import Resident
+        from adaptrack.kernels.controllers.mpc import on_curved_roads
 
-        bend = self._mpc.bend
-        if bend.size == 0:
-            bend = np.zeros(self.longest_horizon + 1)
-            self._mpc = self._mpc._replace(bend=bend)
+        if self._mpc.bend.size == 0:
+            self._mpc = on_curved_roads(self._mpc)
             self._resident, self._step = Resident(self._mpc), None
+        bend = self._mpc.bend
         bend[:] = 0.0
         if road is not None and math.isfinite(pace):
             lead = self.model.dead_time / self.period

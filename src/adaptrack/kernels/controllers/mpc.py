@@ -50,6 +50,7 @@ from .condensing import (
     tracking_error,
 )
 from .contract import STANDING
+from .feed_forward import bend_size, road_moves, tell_moves
 
 # -- settings, fixed over a run ---------------------------------------------------------------------------------------
 SETTINGS = Structure(
@@ -153,7 +154,9 @@ _PARTS = (
     ("plan", matrix),  # (slots, n) last solution
     ("answer", matrix),  # (slots, ANSWER)
     ("measured", vector),  # (MEASURED,)
-    ("bend", vector),  # (Np + 1,) m, the road ahead, see `road.bend_ahead`; empty: a straight one
+    ("bend", vector),  # (> Np,) m, the road ahead, see `road.bend_ahead`; empty: a straight one
+    ("turning", vector),  # (5,) `feed_forward.TURNING` of the car; empty: the moves know nothing of the road
+    ("feed", vector),  # (Np,) rad, the moves that the road ahead asks for; empty: none
     ("ws", WORKSPACE),
 )
 Mpc = record("Mpc", (name for name, _ in _PARTS))
@@ -212,19 +215,19 @@ def workspace(slots: int, states: int, settings: Any) -> Any:
 
 
 def batch(
-    slots: int, settings: Any, model: tuple[Any, Any, Any], estimator: tuple[Any, int], curved: bool = False
+    slots: int, settings: Any, model: tuple[Any, Any, Any, Any], estimator: tuple[Any, int], curved: bool = False
 ) -> Any:
     """Fresh MPCs for `slots` slots; curved: whether they drive curved roads.
 
-    model: parameters (p,), places of its states in `MEASURED` (n,), output row (n,); estimator: parameters (q,) and
-    length of the memory.
+    model: parameters (p,), places of its states in `MEASURED` (n,), output row (n,), `feed_forward.TURNING` (5,) or
+    nothing; estimator: parameters (q,) and length of the memory.
     """
-    parameters, states, output = model
+    parameters, states, output, turning = model
     own, length = estimator
     n = len(states)
     ws = workspace(slots, n, settings)
     discrete = Discrete(np.zeros((n, n)), np.zeros(n), np.array(output, float), np.zeros(n), np.zeros((3, n)))
-    return Mpc(
+    made = Mpc(
         settings=settings,
         model=discrete,
         parameters=np.array(parameters, float),
@@ -237,8 +240,20 @@ def batch(
         plan=np.zeros((slots, len(ws.solution))),
         answer=np.zeros((slots, len(ANSWER))),
         measured=np.zeros(len(MEASURED)),
-        bend=np.zeros(int(settings[0].longest_horizon) + 1 if curved else 0),
+        bend=np.zeros(0),
+        turning=np.array(turning, float),
+        feed=np.zeros(0),
         ws=ws,
+    )
+    return on_curved_roads(made) if curved else made
+
+
+def on_curved_roads(mpc: Any) -> Any:
+    """The same MPCs with room for the road ahead."""
+    horizon, period = int(mpc.settings[0].longest_horizon), float(mpc.settings[0].period)
+    return mpc._replace(
+        bend=np.zeros(bend_size(horizon, period, mpc.turning)),
+        feed=np.zeros(vectors.padded(horizon) if mpc.turning.size else 0),
     )
 
 
@@ -483,6 +498,14 @@ def _bound(slot, nc, horizon, mpc):
         vectors.store(ws.bounds, b, vectors.load(ws.bounds, 0))
     if settings.ahead > 0.0 and mpc.estimate.shape[0] > 0:
         _widen_first_move(angle, mpc)
+    if mpc.feed.size > 0:
+        total = 0.0
+        for i in range(nc):
+            total += mpc.feed[i]
+            ws.bounds[4 * i] -= mpc.feed[i]
+            ws.bounds[4 * i + 1] += mpc.feed[i]
+            ws.bounds[4 * i + 2] -= total
+            ws.bounds[4 * i + 3] += total
     if _has_output_limits(settings):
         for j in range(horizon):
             response = ws.reference[j] - ws.error[j]  # F x~
@@ -508,6 +531,9 @@ def _form_qp(slot, speed, reference, tuning, mpc, functions):
         _form_model(slot, speed, mpc, functions)
     _look_ahead(np_, reference, mpc)
     _free_response(slot, np_, reference, mpc, functions)
+    if mpc.feed.size > 0:
+        road_moves(np_, speed, settings, mpc.turning, mpc.bend, mpc.feed)
+        tell_moves(np_, ws.step[slot], mpc.feed, ws.error)
     if laguerre:
         condensed_gradient(np_, moves, ws.phi[slot], out[ANSWER.Q], ws.error, ws.gradient)
     else:
@@ -586,7 +612,7 @@ def _residual(slot, n, m, mpc):
 
 @njit(**PART)
 def _limits_reached(slot, move, angle, m, mpc):
-    """Sum of AT_MOVE, AT_ANGLE, AT_OUTPUT for the limits at which a solved step is."""
+    """Sum of AT_MOVE, AT_ANGLE, AT_OUTPUT for the limits at which a solved step is; move: beyond that of the road."""
     settings, bounds = mpc.settings[0], mpc.ws.bounds
     at_limit = 0
     if move <= -bounds[1] + NEAR or move >= bounds[0] - NEAR:
@@ -628,8 +654,13 @@ def _apply_move(slot, status, iterations, size, mpc):
         planned = _planned_move(slot, mpc)
         move = 0.0 if status == qp.NON_FINITE else planned
     out[ANSWER.qp_residual] = _residual(slot, n, m, mpc) if usable and settings.residuals > 0 else math.nan
-    move = clip(move, -ws.bounds[1], ws.bounds[0]) if usable else clip(move, settings.move_min, settings.move_max)
-    angle = clip(own.command + move, settings.angle_min, settings.angle_max)
+    fed = mpc.feed[0] if mpc.feed.size > 0 and status != qp.NON_FINITE else 0.0
+    if usable:
+        move = clip(move, -ws.bounds[1], ws.bounds[0])
+        total = move + fed
+    else:
+        total = clip(move + fed, settings.move_min, settings.move_max)
+    angle = clip(own.command + total, settings.angle_min, settings.angle_max)
     out[ANSWER.command], out[ANSWER.command_change] = angle, angle - own.command
     out[ANSWER.qp_status], out[ANSWER.qp_iterations] = status, iterations
     out[ANSWER.held] = 0.0 if usable else 1.0

@@ -1,0 +1,148 @@
+"""The moves that a curved road asks for, from which the MPC's free moves are counted."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from adaptrack.controllers import MPC, Tuning, published_mpc
+from adaptrack.kernels.controllers.feed_forward import FURTHEST, TURNING, bend_size, road_moves
+from adaptrack.models import PathModel, SingleTrackModel
+from adaptrack.plant import SingleTrack
+from adaptrack.road import Arc, Clothoid, Line, Road
+from adaptrack.road.ahead import RoadAhead
+from adaptrack.scenario import RoadDrive
+from adaptrack.simulate import rollout
+from adaptrack.vehicle import load_vehicle
+
+CAR, SEDAN = load_vehicle("paper"), load_vehicle("midsize-sedan")
+PERIOD = 0.05
+STRAIGHT = Road.from_segments([Line(length=500.0)], name="straight")
+CIRCLE = Road.from_segments([Arc(length=100.0 * math.pi, curvature=0.02)], closed=True, name="circle")
+
+
+def winding(count):
+    """y (m) in the frame of its tangent of a road that asks for 2 m/s^2 to either side every 6 s."""
+    asked = 2.0 * np.sin(2.0 * math.pi * PERIOD * np.arange(count) / 6.0)
+    y = np.zeros(count)
+    for i in range(1, count - 1):
+        y[i + 1] = 2.0 * y[i] - y[i - 1] + PERIOD**2 * asked[i]
+    return y
+
+
+def moves_of(model, speed, bend, count, most=1.0):
+    settings = MPC(model.vehicle, period=model.period).settings()[0]
+    settings["move_min"], settings["move_max"] = -most, most
+    feed = np.zeros(count)
+    road_moves(count, speed, settings, model.turning(), bend, feed)
+    return feed
+
+
+@pytest.mark.parametrize("car", [CAR, SEDAN], ids=lambda car: car.name)
+@pytest.mark.parametrize("speed", [5.0, 12.0, 25.0])
+@pytest.mark.parametrize("lag", [0.0, 0.2])
+def test_a_car_that_obeys_the_model_and_is_steered_by_them_alone_follows_the_road(car, speed, lag):
+    """In lateral acceleration, to first order in its rate: after the beginning, within 5 % of the largest."""
+    model, count = PathModel(car, PERIOD, lag), 160
+    bend = winding(bend_size(count, PERIOD, model.turning()))
+    a, b, c = model.discrete(speed)
+    x, command, y = np.zeros(model.n), 0.0, [0.0]
+    for move in moves_of(model, speed, bend, count):
+        command += move
+        x = a @ x + b[:, 0] * command
+        y.append((c @ x).item())
+    asked, driven = np.diff(bend[: count + 1], 2) / PERIOD**2, np.diff(y, 2) / PERIOD**2
+    shift = driven[40:].mean() - asked[40:].mean()  # the angle before the first move
+    np.testing.assert_allclose(driven[40:] - shift, asked[40:], atol=0.1)
+
+
+def test_a_steady_bend_asks_for_no_more_moves():
+    bend = RoadAhead(CIRCLE, 0.0, [12.0]).bend(60, 12.0, 0.0, PERIOD)
+    np.testing.assert_allclose(moves_of(PathModel(CAR, PERIOD, 0.1), 12.0, bend, 30), 0.0, atol=1e-9)
+
+
+def test_a_clothoid_asks_for_the_steady_angle_of_its_growing_curvature():
+    """dkappa/ds = 1e-4 1/m^2: the angle (L + K v^2) kappa grows by (L + K v^2) 1e-4 v T a period."""
+    road = Road.from_segments([Clothoid(length=400.0, start_curvature=0.0, end_curvature=0.04)], name="clothoid")
+    speed, model = 10.0, PathModel(CAR, PERIOD, 0.1)
+    bend = RoadAhead(road, 100.0, [speed]).bend(60, speed, 0.0, PERIOD)
+    wheelbase, understeer = model.turning()[:2]
+    growth = (wheelbase + understeer * speed**2) * 1e-4 * speed * PERIOD
+    np.testing.assert_allclose(moves_of(model, speed, bend, 20).mean(), growth, rtol=0.02)
+
+
+def test_the_steady_angle_is_that_of_the_model():
+    """y'' of the model in a steady turn at one radian is v^2/(L + K v^2)."""
+    for speed in (3.0, 15.0, 30.0):
+        model = PathModel(SEDAN, 0.01)
+        a, b, c = model.discrete(speed)
+        x, y = np.zeros(model.n), []
+        for _ in range(1000):
+            x = a @ x + b[:, 0]
+            y.append((c @ x).item())
+        wheelbase, understeer = model.turning()[:2]
+        steady = np.diff(y[-3:], 2).item() / 0.01**2
+        assert steady == pytest.approx(speed**2 / (wheelbase + understeer * speed**2), rel=1e-6)
+
+
+def test_none_is_faster_than_the_steering_may_move():
+    bend = np.zeros(60)
+    bend[20:] = 5.0  # a step to the side
+    assert np.abs(moves_of(PathModel(CAR, PERIOD), 10.0, bend, 40, most=0.01)).max() == 0.01
+
+
+def test_a_lag_without_end_looks_no_farther_than_there_is_to_see():
+    model = PathModel(CAR, PERIOD, 0.3)
+    assert bend_size(30, PERIOD, model.turning()) >= 31 + (0.3 + FURTHEST) / PERIOD
+    assert bend_size(30, PERIOD, np.zeros(0)) == 31
+    assert len(TURNING) == model.turning().size
+
+
+def test_a_straight_road_gives_the_problem_of_none():
+    state, reference = [0.1, 0.01, 0.02, 0.3, 0.01], np.linspace(0.0, 1.0, 40)
+    plain = MPC(CAR, profile="road").problem(state, 15.0, reference)
+    there = MPC(CAR, profile="road").problem(state, 15.0, reference, road=RoadAhead(STRAIGHT, 100.0, [15.0]))
+    for name in ("E", "K", "M", "gamma"):
+        assert (getattr(plain, name) == getattr(there, name)).all(), name
+
+
+def test_limits_hold_for_the_whole_move_of_a_bend():
+    """The free moves get what the road's leave of the limits."""
+    mpc = MPC(CAR, profile="road")
+    ahead = RoadAhead(Road.from_segments([Line(length=5.0), Arc(length=60.0, curvature=0.08)], name="bend"), 0.0, [8.0])
+    state = [0.0, 0.0, 0.0, 0.0, 0.0]
+    problem = mpc.problem(state, 8.0, [0.0], road=ahead)
+    mpc.step(state, 8.0, [0.0], road=ahead)
+    feed = mpc._mpc.feed
+    most = mpc.limits.move[1]
+    assert abs(feed[:30]).max() > 0.0
+    np.testing.assert_allclose(problem.gamma[4::4], most - feed[1 : problem.gamma.size // 4], atol=1e-12)
+    np.testing.assert_allclose(problem.gamma[5::4], most + feed[1 : problem.gamma.size // 4], atol=1e-12)
+    room = mpc.limits.angle[1] - np.cumsum(feed[: problem.gamma.size // 4])
+    np.testing.assert_allclose(problem.gamma[2::4], room, atol=1e-12)
+
+
+def test_the_published_model_knows_of_no_road_ahead():
+    assert SingleTrackModel(CAR, PERIOD).turning().size == 0
+    assert published_mpc(CAR)._mpc.turning.size == 0
+
+
+@pytest.mark.compiled
+def test_a_long_horizon_with_few_free_moves_does_not_cut_bends(monkeypatch):
+    road = Road.from_segments(
+        [
+            Line(length=60.0), Clothoid(length=20.0, start_curvature=0.0, end_curvature=0.04),
+            Arc(length=40.0, curvature=0.04), Clothoid(length=20.0, start_curvature=0.04, end_curvature=0.0),
+            Line(length=60.0),
+        ], name="bend",
+    )  # fmt: skip
+
+    def astray():
+        mpc = MPC(CAR, profile="paper", period=PERIOD, tuning=Tuning(60, 3, 1.0, 1.0), preview=True)
+        return np.abs(rollout(SingleTrack(CAR, "constant-stiffness"), mpc, RoadDrive(road, 9.0)).error).max()
+
+    knowing = astray()
+    monkeypatch.setattr(PathModel, "turning", lambda self: np.zeros(0))
+    assert knowing < 0.15 * astray()
