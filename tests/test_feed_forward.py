@@ -32,12 +32,12 @@ def winding(count):
     return y
 
 
-def moves_of(model, speed, bend, count, most=1.0):
+def moves_of(model, speed, bend, count, most=1.0, tyres=(0.0, 0.0)):
     settings = MPC(model.vehicle, period=model.period).settings()[0]
     settings["move_min"], settings["move_max"] = -most, most
-    feed = np.zeros(count)
-    road_moves(count, speed, settings, model.turning(), bend, feed)
-    return feed
+    feed = np.zeros((3, count + 1))
+    road_moves(count, speed, settings, np.array([*model.turning(), *tyres]), bend, feed)
+    return feed[:2, :count] if tyres[0] else feed[0, :count]
 
 
 @pytest.mark.parametrize("car", [CAR, SEDAN], ids=lambda car: car.name)
@@ -87,17 +87,35 @@ def test_the_steady_angle_is_that_of_the_model():
         assert steady == pytest.approx(speed**2 / (wheelbase + understeer * speed**2), rel=1e-6)
 
 
-def test_none_is_faster_than_the_steering_may_move():
-    bend = np.zeros(60)
-    bend[20:] = 5.0  # a step to the side
-    assert np.abs(moves_of(PathModel(CAR, PERIOD), 10.0, bend, 40, most=0.01)).max() == 0.01
+def test_tyres_that_slide_ask_for_more_angle():
+    """The Magic Formula with E = 0 in a steady turn at f = a/(mu g): K a C tan(asin(f)/C)/f instead of K a."""
+    road = Road.from_segments([Line(length=20.0), Arc(length=200.0, curvature=0.02)], name="bend")
+    speed, friction, shape, model = 17.0, 0.9, 1.3, PathModel(CAR, PERIOD)
+    bend = RoadAhead(road, 10.0, [speed]).bend(70, speed, 0.0, PERIOD)
+    linear, whole = moves_of(model, speed, bend, 55, tyres=(friction, shape)).sum(axis=1)
+    share = 0.02 * speed**2 / (friction * 9.80665)
+    more = model.turning()[1] * 0.02 * speed**2 * (shape * math.tan(math.asin(share) / shape) / share - 1.0)
+    assert whole - linear == pytest.approx(more, rel=1e-3)
+    assert more > 0.01
+
+
+def test_none_is_faster_than_the_steering_may_move_and_fast_turns_begin_early():
+    """A step of the wheels in the middle becomes a ramp about it, with the same sum."""
+    t = PERIOD * np.arange(80)
+    bend = np.where(t > 1.5, 0.5 * 3.0 * (t - 1.5) ** 2, 0.0)  # from straight to 3 m/s^2
+    model = PathModel(CAR, PERIOD)
+    free, slow = (moves_of(model, 10.0, bend, 60, most=each) for each in (1.0, 0.005))
+    assert np.abs(slow).max() <= 0.005 + 1e-12
+    assert slow.sum() == pytest.approx(free.sum(), rel=1e-9)
+    assert (np.arange(60) @ slow) / slow.sum() == pytest.approx((np.arange(60) @ free) / free.sum(), abs=0.5)
+    assert np.flatnonzero(slow)[0] < np.flatnonzero(free)[0]
 
 
 def test_a_lag_without_end_looks_no_farther_than_there_is_to_see():
     model = PathModel(CAR, PERIOD, 0.3)
     assert bend_size(30, PERIOD, model.turning()) >= 31 + (0.3 + FURTHEST) / PERIOD
     assert bend_size(30, PERIOD, np.zeros(0)) == 31
-    assert len(TURNING) == model.turning().size
+    assert len(TURNING) == MPC(CAR, profile="road")._mpc.turning.size
 
 
 def test_a_straight_road_gives_the_problem_of_none():
@@ -115,7 +133,7 @@ def test_limits_hold_for_the_whole_move_of_a_bend():
     state = [0.0, 0.0, 0.0, 0.0, 0.0]
     problem = mpc.problem(state, 8.0, [0.0], road=ahead)
     mpc.step(state, 8.0, [0.0], road=ahead)
-    feed = mpc._mpc.feed
+    feed = mpc._mpc.feed[1]
     most = mpc.limits.move[1]
     assert abs(feed[:30]).max() > 0.0
     np.testing.assert_allclose(problem.gamma[4::4], most - feed[1 : problem.gamma.size // 4], atol=1e-12)

@@ -46,6 +46,11 @@ class Estimator(ABC):
     """how tables call it"""
 
     @property
+    def tyres(self) -> tuple[float, float]:
+        """Friction and shape factor by which it knows that tyres pull less than linear ones; friction 0: not at all."""
+        return 0.0, 0.0
+
+    @property
     def kind(self) -> int:
         """`kernels.estimators.contract.DEADBEAT`, or BY_FUNCTION."""
         from adaptrack.kernels.estimators import contract

@@ -225,6 +225,10 @@ class KalmanFilter(Estimator):
         side_wind = self.drifts.wind * np.array([1.0, wind_turn(model.vehicle)])
         return np.diag([self.drifts.side**2, self.drifts.turn**2]) + np.outer(side_wind, side_wind)
 
+    @property
+    def tyres(self) -> tuple[float, float]:
+        return self.friction, self.shape
+
     def parameters(self, model: PredictionModel) -> Array:
         whole, share = _periods(model)
         assert isinstance(model, PathModel)

@@ -64,7 +64,8 @@ class PredictionModel(ABC):
         """The compiled ``discretise(speed, period, parameters, a, b, e)``, see `kernels.models.contract`."""
 
     def turning(self) -> Array:
-        """What the steering of a curved road ahead follows from, `kernels.controllers.feed_forward.TURNING`; or (0,).
+        """What the steering of a curved road ahead follows from: the first five of
+        `kernels.controllers.feed_forward.TURNING`; or (0,).
 
         Without it the moves of the MPC are counted from none, and a horizon much longer than the free moves cuts bends.
         """

@@ -301,9 +301,14 @@ class MPC:
 
         model, estimator = self.model, self.estimator
         return kernel.batch(
-            slots, settings, (model.parameters(), model.measured_places(), model.output, model.turning()),
+            slots, settings, (model.parameters(), model.measured_places(), model.output, self._turning()),
             (estimator.parameters(model), estimator.memory_size(model)), curved,
         )  # fmt: skip
+
+    def _turning(self) -> Array:
+        """What the moves of a curved road follow from, `kernels.controllers.feed_forward.TURNING`; or (0,)."""
+        known = self.model.turning()
+        return np.concatenate([known, self.estimator.tyres]) if known.size else known
 
     def reset(self) -> None:
         """Forget the past: the next step is the first, from steering angle 0."""

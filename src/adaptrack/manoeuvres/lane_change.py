@@ -47,7 +47,7 @@ CALM = 0.002
 """Weight (1/m) of the integral of |y''| beside its largest value: the line does not weave where it need not."""
 ROOM = 0.1
 """m, that it leaves between the body and the cones where it can."""
-GRIP_USE = 1.05
+GRIP_USE = 0.9
 """Times mu g/v^2: `bend` of a line for a speed. Measured on four cars: with more they do not follow, with less the line
 passes the cones more closely than it must."""
 MOST_ROOM = 0.15

@@ -155,8 +155,8 @@ _PARTS = (
     ("answer", matrix),  # (slots, ANSWER)
     ("measured", vector),  # (MEASURED,)
     ("bend", vector),  # (> Np,) m, the road ahead, see `road.bend_ahead`; empty: a straight one
-    ("turning", vector),  # (5,) `feed_forward.TURNING` of the car; empty: the moves know nothing of the road
-    ("feed", vector),  # (Np,) rad, the moves that the road ahead asks for; empty: none
+    ("turning", vector),  # (7,) `feed_forward.TURNING` of the car; empty: the moves know nothing of the road
+    ("feed", matrix),  # (3, > Np) rad, the moves that the road ahead asks for, see `feed_forward`; empty: none
     ("ws", WORKSPACE),
 )
 Mpc = record("Mpc", (name for name, _ in _PARTS))
@@ -219,7 +219,7 @@ def batch(
 ) -> Any:
     """Fresh MPCs for `slots` slots; curved: whether they drive curved roads.
 
-    model: parameters (p,), places of its states in `MEASURED` (n,), output row (n,), `feed_forward.TURNING` (5,) or
+    model: parameters (p,), places of its states in `MEASURED` (n,), output row (n,), `feed_forward.TURNING` (7,) or
     nothing; estimator: parameters (q,) and length of the memory.
     """
     parameters, states, output, turning = model
@@ -242,7 +242,7 @@ def batch(
         measured=np.zeros(len(MEASURED)),
         bend=np.zeros(0),
         turning=np.array(turning, float),
-        feed=np.zeros(0),
+        feed=np.zeros((3, 0)),
         ws=ws,
     )
     return on_curved_roads(made) if curved else made
@@ -253,7 +253,7 @@ def on_curved_roads(mpc: Any) -> Any:
     horizon, period = int(mpc.settings[0].longest_horizon), float(mpc.settings[0].period)
     return mpc._replace(
         bend=np.zeros(bend_size(horizon, period, mpc.turning)),
-        feed=np.zeros(vectors.padded(horizon) if mpc.turning.size else 0),
+        feed=np.zeros((3, horizon + 1 if mpc.turning.size else 0)),
     )
 
 
@@ -501,9 +501,10 @@ def _bound(slot, nc, horizon, mpc):
     if mpc.feed.size > 0:
         total = 0.0
         for i in range(nc):
-            total += mpc.feed[i]
-            ws.bounds[4 * i] -= mpc.feed[i]
-            ws.bounds[4 * i + 1] += mpc.feed[i]
+            move = mpc.feed[1, i]
+            total += move
+            ws.bounds[4 * i] -= move
+            ws.bounds[4 * i + 1] += move
             ws.bounds[4 * i + 2] -= total
             ws.bounds[4 * i + 3] += total
     if _has_output_limits(settings):
@@ -654,7 +655,7 @@ def _apply_move(slot, status, iterations, size, mpc):
         planned = _planned_move(slot, mpc)
         move = 0.0 if status == qp.NON_FINITE else planned
     out[ANSWER.qp_residual] = _residual(slot, n, m, mpc) if usable and settings.residuals > 0 else math.nan
-    fed = mpc.feed[0] if mpc.feed.size > 0 and status != qp.NON_FINITE else 0.0
+    fed = mpc.feed[1, 0] if mpc.feed.size > 0 and status != qp.NON_FINITE else 0.0
     if usable:
         move = clip(move, -ws.bounds[1], ws.bounds[0])
         total = move + fed
