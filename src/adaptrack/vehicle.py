@@ -9,12 +9,14 @@ from __future__ import annotations
 import math
 import os
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, Self
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
-from pydantic import Field, ValidationInfo, field_validator
+from pydantic import BeforeValidator, Field, ValidationInfo, field_validator
 
+from adaptrack.domain import Domain
 from adaptrack.errors import ContractError, InvalidInput, UnknownName, did_you_mean
 from adaptrack.files import Record, build, read_toml
+from adaptrack.known_within import KnownWithin
 from adaptrack.outline import FRONT_SHARE, LENGTH_OVER_WHEELBASE, WIDER_THAN_TRACK, Outline
 
 if TYPE_CHECKING:
@@ -25,6 +27,10 @@ GRAVITY = 9.80665
 """Standard acceleration of free fall (m/s^2), as in the kernels."""
 
 _DATA = Path(__file__).with_name("data")
+
+
+def _tuples(value: Any) -> Any:
+    return tuple(value) if isinstance(value, list) else value
 
 
 class Tyre(Record):
@@ -242,8 +248,16 @@ class Vehicle(Record):
     drive_front: float = Field(default=1.0, ge=0, le=1, description="-, share of the driving force on the front axle")
     brake_front: float = Field(default=0.65, ge=0, le=1, description="-, share of the braking force on the front axle")
 
+    estimated: Annotated[tuple[str, ...], BeforeValidator(_tuples)] = Field(
+        default=(), description="keys whose numbers no source gives for this car: estimated from others"
+    )
+
     steering: Steering | None = Field(default=None, description="what is known of the steering, see `Steering`")
     body: Body | None = Field(default=None, description="what is known of the outline, see `Body`")
+    known_within: KnownWithin | None = Field(
+        default=None, description="how far the numbers may be off, see `KnownWithin`"
+    )
+    domain: Domain = Field(default_factory=Domain, description="where the car is driven, see `Domain`")
 
     @field_validator("tyre")
     @classmethod
@@ -254,6 +268,15 @@ class Vehicle(Record):
         elif tyre not in list_tyres():
             raise ValueError(f"unknown tyre. {did_you_mean(tyre, list_tyres())} A file is given by its .toml path.")
         return tyre
+
+    @field_validator("estimated")
+    @classmethod
+    def _estimates_are_numbers_of_the_car(cls, estimated: tuple[str, ...]) -> tuple[str, ...]:
+        numbers = [name for name, field in cls.model_fields.items() if field.annotation is float]
+        for name in estimated:
+            if name not in numbers:
+                raise ValueError(f"{name!r} is no number of a car. {did_you_mean(name, numbers)}")
+        return estimated
 
     @field_validator("body")
     @classmethod
