@@ -164,17 +164,17 @@ class Record(BaseModel):
         StorageError
             When the file cannot be written.
         """
-        write_toml(path, self.model_dump(), _meanings(self))
+        write_toml(path, self.model_dump(), meanings(self))
 
 
-def _meanings(record: Record) -> dict[str, str]:
+def meanings(record: Record) -> dict[str, str]:
     """What stands behind each value in a file; of a value in a section, by "section.key"."""
     found = {}
     for name, field in type(record).model_fields.items():
         found[name] = field.description or ""
         inner = getattr(record, name)
         if isinstance(inner, Record):
-            found |= {f"{name}.{key}": meaning for key, meaning in _meanings(inner).items()}
+            found |= {f"{name}.{key}": meaning for key, meaning in meanings(inner).items()}
     return found
 
 

@@ -64,7 +64,7 @@ class KnownWithin(Record):
         return (cls.model_fields[name].description or "").startswith(FACTOR)
 
     def clause(self, name: str) -> str:
-        """ "x/÷ 1.3" for a factor, "± 0.05 m" for a margin; empty where nothing is said."""
+        """A factor as "x/÷ 1.3", a margin as "± 0.05 m"; empty where nothing is said."""
         value = getattr(self, name, None)
         if value is None:
             return ""

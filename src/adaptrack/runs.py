@@ -178,7 +178,7 @@ class RunSet:
         return Outcome(np.where(found.failed, np.inf, costs), found.segments, found.counts)
 
     def _warn_of(self, schedule: Schedule) -> None:
-        self.mpc.warn_of(schedule, load_profile(self.profile).name)
+        self.mpc.warn_of(schedule, load_profile(self.profile).name, self.plant)
 
     def _compiles(self, policy: Policy) -> bool:
         return not isinstance(self.plant, SteppedPlant) and (not _is_controller(policy) or _compiles(policy))

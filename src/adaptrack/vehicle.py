@@ -6,6 +6,7 @@ Each set is one TOML file, see `load_vehicle`; `pack_plant` turns three of them 
 
 from __future__ import annotations
 
+import itertools
 import math
 import os
 from pathlib import Path
@@ -15,7 +16,7 @@ from pydantic import BeforeValidator, Field, ValidationInfo, field_validator
 
 from adaptrack.domain import Domain
 from adaptrack.errors import ContractError, InvalidInput, UnknownName, did_you_mean
-from adaptrack.files import Record, build, read_toml
+from adaptrack.files import Record, build, meanings, read_toml, write_toml
 from adaptrack.known_within import KnownWithin
 from adaptrack.outline import FRONT_SHARE, LENGTH_OVER_WHEELBASE, WIDER_THAN_TRACK, Outline
 
@@ -319,6 +320,20 @@ class Vehicle(Record):
         return self.mass / self.wheelbase * (self.lr / (2 * self.stiffness_front) - self.lf / (2 * self.stiffness_rear))
 
     @property
+    def understeer_range(self) -> tuple[float, float]:
+        """Lowest and highest understeer gradient (rad s^2/m) that `known_within` leaves possible."""
+        said = self.known_within or KnownWithin()
+        found = []
+        for signs in itertools.product((-1.0, 1.0), repeat=4):
+            mass, front, rear = (
+                getattr(self, name) * (getattr(said, name) or 1.0) ** sign
+                for name, sign in zip(("mass", "stiffness_front", "stiffness_rear"), signs, strict=False)
+            )
+            lf = min(max(self.lf + signs[3] * (said.lf or 0.0), 0.0), self.wheelbase)
+            found.append(mass / self.wheelbase * ((self.wheelbase - lf) / (2 * front) - lf / (2 * rear)))
+        return min(found), max(found)
+
+    @property
     def characteristic_speed(self) -> float:
         """Speed (m/s) with the largest yaw gain, sqrt(L/K); infinite unless the car understeers (K > 0)."""
         gradient = self.understeer_gradient
@@ -350,12 +365,17 @@ class Vehicle(Record):
     def to_toml(self, path: str | os.PathLike[str]) -> None:
         """Write the car as TOML, each value with its meaning and unit behind it; the new car has the file's name.
 
+        A tyre file is named as seen from the car's.
+
         Raises
         ------
         StorageError
             When the file cannot be written.
         """
-        super(Vehicle, self.replace(name=Path(path).stem)).to_toml(path)
+        data = self.replace(name=Path(path).stem).model_dump()
+        if _is_path(self.tyre):
+            data["tyre"] = os.path.relpath(self.tyre, Path(path).parent)
+        write_toml(path, data, meanings(self))
 
     def matched_to(self, tyre: Tyre) -> Self:
         """A copy whose prediction model has the stiffness of `tyre` at the car's static wheel loads."""
