@@ -22,6 +22,8 @@ _PUBLIC = {
         "StorageError",
         "UnknownName",
     ),
+    "domain": ("Domain",),
+    "known_within": ("KnownWithin",),
     "outline": ("Outline",),
     "vehicle": (
         "Body",
@@ -34,6 +36,9 @@ _PUBLIC = {
         "load_tyre",
         "load_vehicle",
     ),
+    "data_sheet": ("vehicle_from_data_sheet",),
+    "tyre_file": ("read_tyre_file",),
+    "tyre_table": ("tyre_from_table",),
     "profile": (
         "Profile",
         "list_profiles",
@@ -202,7 +207,9 @@ if TYPE_CHECKING:
         published_mpc,
         register_controller,
     )
+    from adaptrack.data_sheet import vehicle_from_data_sheet
     from adaptrack.dataset import DataSet, list_datasets, load_dataset
+    from adaptrack.domain import Domain
     from adaptrack.errors import (
         AdaptrackError,
         ConfigError,
@@ -225,6 +232,7 @@ if TYPE_CHECKING:
     )
     from adaptrack.failure import Failure, find_failure
     from adaptrack.kalman import Drifts, KalmanFilter, SensorNoise
+    from adaptrack.known_within import KnownWithin
     from adaptrack.learning.training import train
     from adaptrack.metrics import Metrics, compute_metrics
     from adaptrack.models import (
@@ -276,6 +284,8 @@ if TYPE_CHECKING:
     from adaptrack.tuning.config import CampaignConfig, list_campaigns, load_campaign
     from adaptrack.tuning.objective import Objective
     from adaptrack.tuning.pso import SearchSpace, Swarm, SwarmSettings, minimise
+    from adaptrack.tyre_file import read_tyre_file
+    from adaptrack.tyre_table import tyre_from_table
     from adaptrack.vehicle import (
         Body,
         Steering,
@@ -304,6 +314,7 @@ __all__ = [
     "ContractError",
     "DataSet",
     "Deadbeat",
+    "Domain",
     "Drifts",
     "Driver",
     "DualTrack",
@@ -313,6 +324,7 @@ __all__ = [
     "Guarded",
     "InvalidInput",
     "KalmanFilter",
+    "KnownWithin",
     "Learned",
     "Limits",
     "Lookup",
@@ -405,6 +417,7 @@ __all__ = [
     "plan_speed",
     "published_mpc",
     "random_drive",
+    "read_tyre_file",
     "reference_preview",
     "register_contender",
     "register_controller",
@@ -418,6 +431,8 @@ __all__ = [
     "save_scheduler",
     "simulate",
     "train",
+    "tyre_from_table",
+    "vehicle_from_data_sheet",
     "yaw_of",
 ]
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from enum import StrEnum
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -54,6 +55,12 @@ class Failure:
     sideslip: float = SIDESLIP
     """rad, at 1 m/s or more."""
 
+    @classmethod
+    def of(cls, plant: Any) -> Self:
+        """The rule of the car that is driven: the failure distance of its domain; the default where no car is known."""
+        domain = getattr(getattr(plant, "vehicle", None), "domain", None)
+        return cls() if domain is None else cls(distance=domain.failure_distance)
+
     def __post_init__(self) -> None:
         for name in ("distance", "sideslip"):
             if not real("Failure", name, getattr(self, name)) > 0.0:
@@ -75,7 +82,10 @@ class Failed:
 
 
 def find_failure(trajectory: Trajectory, rule: Failure | None = None) -> Failed | None:
-    """When and why a run failed by `rule`, by default `Failure()`; None when it did not. The first of these decides:
+    """When and why a run failed by `rule`; None when it did not.
+
+    Without a rule it is that of the car that was driven (`Trajectory.meta`: ``failure_distance``), else `Failure()`.
+    The first of these decides:
 
     * a state or a command is not finite;
     * |e| > `rule.distance` [m] at an instant that follows one with |e| <= `rule.distance`: a run that starts further
@@ -83,7 +93,7 @@ def find_failure(trajectory: Trajectory, rule: Failure | None = None) -> Failed 
     * the sideslip angle |atan2(v_y, v_x)| exceeds `rule.sideslip` [rad] at 1 m/s or more;
     * the loop that drove it ended it (`Trajectory.failed`).
     """
-    rule = rule or Failure()
+    rule = rule or Failure(distance=trajectory.meta.get("failure_distance", DISTANCE))
     broken = ~state_is_finite(trajectory)
     with np.errstate(invalid="ignore", over="ignore"):
         inside = np.abs(trajectory.error) <= rule.distance

@@ -164,8 +164,18 @@ class Record(BaseModel):
         StorageError
             When the file cannot be written.
         """
-        meanings = {name: field.description or "" for name, field in type(self).model_fields.items()}
-        write_toml(path, self.model_dump(), meanings)
+        write_toml(path, self.model_dump(), meanings(self))
+
+
+def meanings(record: Record) -> dict[str, str]:
+    """What stands behind each value in a file; of a value in a section, by "section.key"."""
+    found = {}
+    for name, field in type(record).model_fields.items():
+        found[name] = field.description or ""
+        inner = getattr(record, name)
+        if isinstance(inner, Record):
+            found |= {f"{name}.{key}": meaning for key, meaning in meanings(inner).items()}
+    return found
 
 
 def read_toml(path: str | os.PathLike[str]) -> dict[str, Any]:
@@ -269,7 +279,7 @@ def write_toml(
 ) -> None:
     """Write `data` as TOML: the file appears whole or not at all.
 
-    `comments` maps a top-level key to a remark that is written behind its value (units, for instance).
+    `comments` maps a key, or "section.key", to a remark that is written behind its value (units, for instance).
     A value of `None` is left out: TOML has no word for it.
 
     Raises
@@ -285,13 +295,22 @@ def dump_toml(data: Mapping[str, Any], comments: Mapping[str, str] | None = None
     remarks = comments or {}
     values = _without_none(dict(data))
     plain = {key: value for key, value in values.items() if not _is_table(value)}  # TOML wants these first
-    lines = []
-    for key, value in plain.items():
-        line = tomli_w.dumps({key: value}).rstrip("\n")
-        remark = " ".join(remarks.get(key, "").split())
-        lines.append(f"{line}  # {remark}" if remark and "\n" not in line else line)
-    tables = tomli_w.dumps({key: value for key, value in values.items() if key not in plain})
-    return "\n".join([*lines, ""]) + ("\n" + tables if lines and tables else tables)
+    lines = [_remarked(key, value, remarks.get(key, "")) for key, value in plain.items()]
+    parts = ["\n".join([*lines, ""])] if lines else []
+    for key, value in values.items():
+        if key in plain:
+            continue
+        own = {name[len(key) + 1 :]: remark for name, remark in remarks.items() if name.startswith(f"{key}.")}
+        parts.append(f"[{key}]\n{dump_toml(value, own)}" if own else tomli_w.dumps({key: value}))
+    return "\n".join(parts)
+
+
+def _remarked(key: str, value: Any, remark: str) -> str:
+    """A line of TOML with a remark behind its value, where there is one and it fits; a list of numbers in one line."""
+    text, remark = tomli_w.dumps({key: value}).rstrip("\n"), " ".join(remark.split())
+    if remark and isinstance(value, list) and not any(isinstance(each, str | list) for each in value):
+        text = re.sub(r",\n\]$", "]", text).replace("[\n    ", "[").replace("\n    ", " ")
+    return f"{text}  # {remark}" if remark and "\n" not in text else text
 
 
 def write_json(path: str | os.PathLike[str], data: Any) -> None:

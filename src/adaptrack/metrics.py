@@ -125,7 +125,7 @@ def compute_metrics(
         m²/rad², the w of J = mean e² + w mean Δu²; by default ``move_weight`` of
         the run's `meta` (its profile's), else 0.
     failure
-        When a run has failed, by default `Failure()`.
+        When a run has failed, by default see `find_failure`.
 
     Raises
     ------

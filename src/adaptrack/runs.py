@@ -24,6 +24,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from adaptrack.batch import Batch, sampled
 from adaptrack.controllers import MPC, CompiledController, Controller, Tuning
+from adaptrack.domain import Domain
 from adaptrack.errors import InvalidInput
 from adaptrack.estimation import FrictionWindEstimator, Perception
 from adaptrack.failure import Failure
@@ -84,7 +85,7 @@ class RunSet:
         failure: Failure | None = None,
     ) -> None:  # fmt: skip
         self.plant, self.mpc, self.scenarios, self.profile = plant, mpc, list(scenarios), profile
-        self.known_as, self.failure = known_as, failure or Failure()
+        self.known_as, self.failure = known_as, failure or Failure.of(plant)
         self.controller = "mpc" if mpc.belief is None else "informed"
         self.weight = load_profile(profile).move_weight
         self.signals, samples = sampled(World.of(plant, mpc, profile, None, known_as, failure), self.scenarios)
@@ -177,7 +178,7 @@ class RunSet:
         return Outcome(np.where(found.failed, np.inf, costs), found.segments, found.counts)
 
     def _warn_of(self, schedule: Schedule) -> None:
-        self.mpc.warn_of(schedule, load_profile(self.profile).name)
+        self.mpc.warn_of(schedule, load_profile(self.profile).name, self.plant)
 
     def _compiles(self, policy: Policy) -> bool:
         return not isinstance(self.plant, SteppedPlant) and (not _is_controller(policy) or _compiles(policy))
@@ -259,9 +260,10 @@ def random_drive_runs(
 ) -> RunSet:  # fmt: skip
     """The random drives of these numbers; cost is attributed to segments, and to inputs up to one segment older.
 
-    duration: s; roads: other options of `random_drive`; options: of `RunSet`.
+    duration: s; roads: other options of `random_drive`, by default the domain of the plant's car; options: of `RunSet`.
     """
-    drives = [random_drive(number, duration, **(roads or {})) for number in numbers]
+    own = getattr(getattr(plant, "vehicle", None), "domain", Domain()).drive_options
+    drives = [random_drive(number, duration, **(own | dict(roads or {}))) for number in numbers]
     segment = round(segment_seconds / mpc.period)
     return RunSet(plant, mpc, drives, profile, **{"segment": segment, "lead": segment, **options})
 

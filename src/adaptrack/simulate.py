@@ -20,7 +20,7 @@ from adaptrack.batch import Batch
 from adaptrack.controllers import MPC, CompiledController, Controller
 from adaptrack.errors import InvalidInput, whole
 from adaptrack.estimation import FrictionWindEstimator
-from adaptrack.failure import Failure
+from adaptrack.failure import DISTANCE, Failure
 from adaptrack.plant import Plant, SteppedPlant
 from adaptrack.profile import Profile
 from adaptrack.road import Road
@@ -169,9 +169,9 @@ def simulate(
 
     profile: `paper` (ideal), `road` (steering actuator, noise, delay) or one's own; driver: None to follow the speed
     profile exactly, else the longitudinal driver that moves the vehicle with its powertrain; seed: of the sensor
-    noise; known_as: how a scheduler knows friction and wind; failure: when the run has failed, by default `Failure()`:
-    it ends there, its rest NaN, `Trajectory.failed` and `failed_at` say why and when; progress: called now and then
-    with (periods done, periods in all).
+    noise; known_as: how a scheduler knows friction and wind; failure: when the run has failed, by default as the
+    driven car's domain says (`Failure.of`): it ends there, its rest NaN, `Trajectory.failed` and `failed_at` say why
+    and when; progress: called now and then with (periods done, periods in all).
 
     Raises
     ------
@@ -379,5 +379,12 @@ def _trajectory(
             control=described,
             speed="profile" if world.driver is None else "driver",
             scheduler_counts=record.counted,
+            **_failure_distance(plant),
         ),
     )
+
+
+def _failure_distance(plant: Plant | SteppedPlant) -> dict[str, float]:
+    """What a record says of the car's own failure distance (m), where it is not the usual one."""
+    own = Failure.of(plant).distance
+    return {} if own == DISTANCE else {"failure_distance": own}

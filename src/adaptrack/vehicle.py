@@ -6,15 +6,18 @@ Each set is one TOML file, see `load_vehicle`; `pack_plant` turns three of them 
 
 from __future__ import annotations
 
+import itertools
 import math
 import os
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, Self
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
-from pydantic import Field, ValidationInfo, field_validator
+from pydantic import BeforeValidator, Field, ValidationInfo, field_validator
 
+from adaptrack.domain import Domain
 from adaptrack.errors import ContractError, InvalidInput, UnknownName, did_you_mean
-from adaptrack.files import Record, build, read_toml
+from adaptrack.files import Record, build, meanings, read_toml, write_toml
+from adaptrack.known_within import KnownWithin
 from adaptrack.outline import FRONT_SHARE, LENGTH_OVER_WHEELBASE, WIDER_THAN_TRACK, Outline
 
 if TYPE_CHECKING:
@@ -25,6 +28,10 @@ GRAVITY = 9.80665
 """Standard acceleration of free fall (m/s^2), as in the kernels."""
 
 _DATA = Path(__file__).with_name("data")
+
+
+def _tuples(value: Any) -> Any:
+    return tuple(value) if isinstance(value, list) else value
 
 
 class Tyre(Record):
@@ -242,8 +249,16 @@ class Vehicle(Record):
     drive_front: float = Field(default=1.0, ge=0, le=1, description="-, share of the driving force on the front axle")
     brake_front: float = Field(default=0.65, ge=0, le=1, description="-, share of the braking force on the front axle")
 
+    estimated: Annotated[tuple[str, ...], BeforeValidator(_tuples)] = Field(
+        default=(), description="keys whose numbers no source gives for this car: estimated from others"
+    )
+
     steering: Steering | None = Field(default=None, description="what is known of the steering, see `Steering`")
     body: Body | None = Field(default=None, description="what is known of the outline, see `Body`")
+    known_within: KnownWithin | None = Field(
+        default=None, description="how far the numbers may be off, see `KnownWithin`"
+    )
+    domain: Domain = Field(default_factory=Domain, description="where the car is driven, see `Domain`")
 
     @field_validator("tyre")
     @classmethod
@@ -254,6 +269,15 @@ class Vehicle(Record):
         elif tyre not in list_tyres():
             raise ValueError(f"unknown tyre. {did_you_mean(tyre, list_tyres())} A file is given by its .toml path.")
         return tyre
+
+    @field_validator("estimated")
+    @classmethod
+    def _estimates_are_numbers_of_the_car(cls, estimated: tuple[str, ...]) -> tuple[str, ...]:
+        numbers = [name for name, field in cls.model_fields.items() if field.annotation is float]
+        for name in estimated:
+            if name not in numbers:
+                raise ValueError(f"{name!r} is no number of a car. {did_you_mean(name, numbers)}")
+        return estimated
 
     @field_validator("body")
     @classmethod
@@ -296,6 +320,20 @@ class Vehicle(Record):
         return self.mass / self.wheelbase * (self.lr / (2 * self.stiffness_front) - self.lf / (2 * self.stiffness_rear))
 
     @property
+    def understeer_range(self) -> tuple[float, float]:
+        """Lowest and highest understeer gradient (rad s^2/m) that `known_within` leaves possible."""
+        said = self.known_within or KnownWithin()
+        found = []
+        for signs in itertools.product((-1.0, 1.0), repeat=4):
+            mass, front, rear = (
+                getattr(self, name) * (getattr(said, name) or 1.0) ** sign
+                for name, sign in zip(("mass", "stiffness_front", "stiffness_rear"), signs, strict=False)
+            )
+            lf = min(max(self.lf + signs[3] * (said.lf or 0.0), 0.0), self.wheelbase)
+            found.append(mass / self.wheelbase * ((self.wheelbase - lf) / (2 * front) - lf / (2 * rear)))
+        return min(found), max(found)
+
+    @property
     def characteristic_speed(self) -> float:
         """Speed (m/s) with the largest yaw gain, sqrt(L/K); infinite unless the car understeers (K > 0)."""
         gradient = self.understeer_gradient
@@ -327,12 +365,17 @@ class Vehicle(Record):
     def to_toml(self, path: str | os.PathLike[str]) -> None:
         """Write the car as TOML, each value with its meaning and unit behind it; the new car has the file's name.
 
+        A tyre file is named as seen from the car's.
+
         Raises
         ------
         StorageError
             When the file cannot be written.
         """
-        super(Vehicle, self.replace(name=Path(path).stem)).to_toml(path)
+        data = self.replace(name=Path(path).stem).model_dump()
+        if _is_path(self.tyre):
+            data["tyre"] = os.path.relpath(self.tyre, Path(path).parent)
+        write_toml(path, data, meanings(self))
 
     def matched_to(self, tyre: Tyre) -> Self:
         """A copy whose prediction model has the stiffness of `tyre` at the car's static wheel loads."""

@@ -90,9 +90,9 @@ class World:
                 "both run at the same instants."
             )
         _refuse_missing_sensors(controller, profile)
-        world = cls(plant, profile, controller.period, driver, known_as, failure or Failure())
+        world = cls(plant, profile, controller.period, driver, known_as, failure or Failure.of(plant))
         if isinstance(controller, MPC):
-            controller.warn_of(controller.scheduler, profile.name)
+            controller.warn_of(controller.scheduler, profile.name, plant)
             world.warn_of_slower_steering(controller)
         return world
 

@@ -10,6 +10,7 @@ from adaptrack import __version__
 from adaptrack.cli import (
     adapt,
     bench,
+    car,
     certify,
     dataset,
     drive,
@@ -56,6 +57,7 @@ for command in (
     manoeuvre.manoeuvre,
     lists.scenarios,
     lists.vehicles,
+    car.car,
     tune.tune,
     train.train,
     reproduce.reproduce,

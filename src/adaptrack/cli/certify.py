@@ -79,6 +79,7 @@ def certify(
     turn are counted beside it, as a warning. With --feasible: exit code 1 when a point can be held by no tuning.
     """
     from adaptrack.plant import SteppedPlant
+    from adaptrack.profile import load_profile
     from adaptrack.scheduling import load_scheduler
 
     options.load_plugins(plugin)
@@ -89,6 +90,7 @@ def certify(
             f"--plant {plant}: is stepped in Python; a certificate needs equations that it can linearise."
         )
     mpc = _controller(controller, car, profile, schedule)
+    mpc.warn_of(schedule, load_profile(profile).name, body)
     domain = {name: ends for name, ends in (("speed", speed), ("friction", friction)) if ends is not None}
     if feasible:
         if scheduler is not None or out is not None:

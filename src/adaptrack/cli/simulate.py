@@ -19,6 +19,7 @@ from adaptrack.errors import InvalidInput, UnknownName, did_you_mean
 if TYPE_CHECKING:
     from adaptrack.controllers import Controller, Moves, Tuning
     from adaptrack.profile import Profile
+    from adaptrack.scenario import Scenario
     from adaptrack.scheduling import Schedule
     from adaptrack.trajectory import Trajectory
     from adaptrack.vehicle import Vehicle
@@ -28,6 +29,9 @@ FAILED = 3
 
 STIFFNESS = 1.25
 """Factor between the tyre's stiffness and the model's from which a failed run is told of it."""
+
+BEYOND = 1.25
+"""Factor on the highest speed of a car's domain from which a scenario is said to leave it."""
 
 INFORMED, STANDARD, AS_WRITTEN, AS_RELEASED = "informed", "standard", "as-written", "as-released"
 
@@ -100,8 +104,8 @@ def simulate(
     from adaptrack.scheduling import load_scheduler
 
     options.load_plugins(plugin)
-    loaded = [load_scenario(name, **scenario_options(option or [])) for name in scenarios]
     car, body = options.car_and_plant(vehicle, plant, tyre)
+    loaded = [load_scenario(name, domain=car.domain, **scenario_options(option or [])) for name in scenarios]
     world = load_profile(profile)
     asked = Asked(
         car=car,
@@ -115,6 +119,8 @@ def simulate(
         label="" if scheduler is None else Path(scheduler).stem if scheduler.endswith(".json") else scheduler,
     )
     controllers = [make_controller(name, asked) for name in dict.fromkeys(controller or [asked.usual])]
+    for scenario in loaded:
+        tell_domain(scenario, car, as_json)
     if out is not None:
         options.make_folder(out)
     runs = _drive(loaded, controllers, body, world, driver, seed, out)
@@ -332,6 +338,17 @@ def tell_belief(label: str, controller: Controller, body: Any, world: Profile, a
         show.say(
             f"The simulated steering is another: lag {lag:.4g} s, {late:.4g} s from measurement to wheels, rate "
             f"{rate:.4g} rad/s.",
+            aside=aside,
+        )
+
+
+def tell_domain(scenario: Scenario, car: Vehicle, aside: bool) -> None:
+    """Say when a scenario is much faster than what a car is driven at."""
+    fastest, usual = float(scenario.sample(0.1).speed.max()), car.domain.speed[1]
+    if fastest > BEYOND * usual:
+        show.say(
+            f"Warning, {scenario.name}: reaches {fastest:.3g} m/s; the domain of car {car.name!r} ends at {usual:g} "
+            "m/s (--option speed=...).",
             aside=aside,
         )
 

@@ -22,6 +22,15 @@ QUANTILE, TOLERATED_DELAY, MOST_CAUTION, USUAL_RATE = 0.95, 0.018, 16.0, 0.5
 """Of what a delay may be, the share that is not above what is believed; s, an error of the delay that doubles R; the
 largest factor on R for it; rad/s, steering rate."""
 
+MOST_DELAY, MOST_STIFFNESS, MOST_MASS = 1.0, 4.0, 0.9
+"""Largest uncertainties: s, of a delay; -, factor of the stiffness; -, share of the mass."""
+_FACTORS = ("mass", "yaw_inertia", "stiffness_front", "stiffness_rear")
+
+
+def car_file(vehicle: Vehicle) -> str:
+    """The source of what a car's file says."""
+    return f"car file {vehicle.name}"
+
 
 @dataclass(frozen=True)
 class Uncertainty:
@@ -47,7 +56,10 @@ class Uncertainty:
     """-, share by which mass and yaw inertia may be larger or smaller, below 1"""
 
     def __post_init__(self) -> None:
-        ranges = {"lag": (0.0, 1.0), "dead_time": (0.0, 1.0), "stiffness": (1.0, 4.0), "mass": (0.0, 0.9)}
+        ranges = {
+            "lag": (0.0, MOST_DELAY), "dead_time": (0.0, MOST_DELAY), "stiffness": (1.0, MOST_STIFFNESS),
+            "mass": (0.0, MOST_MASS),
+        }  # fmt: skip
         for name, (low, high) in ranges.items():
             if not low <= real("Uncertainty", name, getattr(self, name)) <= high:
                 raise InvalidInput(f"Uncertainty: {name} = {getattr(self, name)!r}: must be from {low:g} to {high:g}.")
@@ -66,6 +78,25 @@ class Uncertainty:
         """Drifts of the filter: a delay that is wrong puts the wheels elsewhere, by the steering rate times it."""
         unknown = USUAL_RATE * (self.lag + self.dead_time)
         return replace(drifts, wheel_angle=math.hypot(drifts.wheel_angle, unknown))
+
+    @classmethod
+    def of_car(cls, vehicle: Vehicle, belief: Belief) -> Uncertainty:
+        """What a car's file says in ``[known_within]``; none where it says nothing.
+
+        Of lag and dead time only where the belief has them from the car's file as well.
+        """
+        said = vehicle.known_within
+        if said is None:
+            return cls()
+        factors = {name: getattr(said, name) or 1.0 for name in _FACTORS}
+        delays = {
+            name: min(getattr(said, f"steering_{name}") or 0.0, MOST_DELAY)
+            for name in ("lag", "dead_time")
+            if getattr(belief, name).source == car_file(vehicle)
+        }
+        stiffness = max(factors["stiffness_front"], factors["stiffness_rear"])
+        mass = max(factors["mass"], factors["yaw_inertia"]) - 1.0
+        return cls(**delays, stiffness=min(stiffness, MOST_STIFFNESS), mass=min(mass, MOST_MASS))
 
     @classmethod
     def declared(cls, uncertainty: Uncertainty | None) -> Uncertainty:
@@ -161,7 +192,7 @@ def believed(vehicle: Vehicle, told: Steering | None, profile: Profile, period: 
     actuator = {"lag": profile.steering.lag, "dead_time": profile.steering.dead_time, "rate": profile.steering.rate}
     actuator["limit"] = min(profile.steering.limit, Limits().angle[1])
     said: dict[str, Said] = {}
-    for source, section in (("told", told), (f"car file {vehicle.name}", vehicle.steering)):
+    for source, section in (("told", told), (car_file(vehicle), vehicle.steering)):
         for name in actuator:
             value = getattr(section, name, None)
             if value is not None:

@@ -81,8 +81,9 @@ def informed_parts(
     """
     car, world = known_vehicle("MPC", vehicle), load_profile(UNNAMED if profile is None else profile)
     pace = _checked(world.period if period is None else period)
-    unsure = Uncertainty.declared(told[1])
-    belief = believed(car, told[0], world, pace, named=profile is not None).later(unsure)
+    plain = believed(car, told[0], world, pace, named=profile is not None)
+    unsure = Uncertainty.of_car(car, plain) if told[1] is None else Uncertainty.declared(told[1])
+    belief = plain.later(unsure)
     tuning = informed_tuning(world, pace, unsure)
     drifts = unsure.widened(KalmanFilter().drifts)
     return Parts(

@@ -21,7 +21,7 @@ from adaptrack.controllers.belief import Uncertainty
 from adaptrack.controllers.informed import Parts, informed_parts
 from adaptrack.controllers.inputs import finite, number, vector
 from adaptrack.controllers.limits import Limits, Moves
-from adaptrack.controllers.made_for import INCREMENTAL, mismatches
+from adaptrack.controllers.made_for import INCREMENTAL, car_of, mismatches
 from adaptrack.controllers.tuning import ENTRIES, Tuning, read_tuning
 from adaptrack.errors import InvalidInput, real, whole
 from adaptrack.estimation import NOTHING_MEASURED, Deadbeat, Estimator, get_estimator
@@ -120,8 +120,9 @@ class MPC:
     `Profile` whose period, preview and sensors are taken, and whose actuator is believed where nobody else says; by
     default the period, preview and sensors of "road", and of its actuator nothing; belief: a `Steering` that is
     believed before the car's file; uncertainty: how far the belief may be wrong, for which the delay is believed longer
-    and R is raised. What nobody says of the steering is taken from the slow end of published values, with R raised as
-    well; `belief` of the controller says what it believes, and from whom.
+    and R is raised, by default what the car's file says in ``[known_within]``. What nobody says of the steering is
+    taken from the slow end of published values, with R raised as well; `belief` of the controller says what it
+    believes, and from whom.
 
     period: control period (s); limits: by default the believed rate times the period (the paper's table where the delay
     is assumed) and the believed angle; preview: whether R_s holds the reference ahead or its present value; solver:
@@ -356,14 +357,17 @@ class MPC:
         """A controller of its own: memories are never shared."""
         return copy.deepcopy(self)
 
-    def mismatches(self, scheduler: Any, profile: str | None = None) -> list[str]:
-        """What a scheduler was made for and does not find here, see `made_for.mismatches`; profile: its name."""
-        car = getattr(getattr(self.model, "vehicle", None), "name", None)
-        return mismatches(getattr(scheduler, "made_for", None), self.kind_of_model, car, profile)
+    def mismatches(self, scheduler: Any, profile: str | None = None, plant: Any = None) -> list[str]:
+        """What a scheduler was made for and does not find here, see `made_for.mismatches`.
 
-    def warn_of(self, scheduler: Any, profile: str | None = None) -> None:
+        profile: its name; plant: what is driven, whose car may be another than the controller's.
+        """
+        asked = getattr(scheduler, "made_for", None)
+        return mismatches(asked, self.kind_of_model, car_of(self.model), profile, car_of(plant))
+
+    def warn_of(self, scheduler: Any, profile: str | None = None, plant: Any = None) -> None:
         """Log what a scheduler was made for and does not find here, each once per controller."""
-        for each in self.mismatches(scheduler, profile):
+        for each in self.mismatches(scheduler, profile, plant):
             said = f"scheduler {getattr(scheduler, 'name', '')!r} {each}"
             if said not in self._said:
                 self._said.add(said)

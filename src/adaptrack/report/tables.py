@@ -90,7 +90,8 @@ def reading() -> Section:
         ("Heading", f"heading minus the reference's, atan2(dy_ref/dt, v_x), where v_x ≥ {SLOW:g} m/s"),
         (
             "Failed",
-            f"left the road (more than {DISTANCE:g} m from the reference), spun, or reached a state that is not finite",
+            f"left the road (more than {DISTANCE:g} m from the reference, if its car's file gives no other distance), "
+            "spun, or reached a state that is not finite",
         ),
         ("Steering", "RMS of the commanded road-wheel angle u, and of its change per second"),
         ("Cost J", f"mean e² + w · mean Δu², which tuning minimises; w = 0, in the road profile {road} m²/rad²"),

@@ -10,10 +10,12 @@ from __future__ import annotations
 import inspect
 import math
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from adaptrack.domain import Domain
 from adaptrack.errors import InvalidInput, real, whole
 from adaptrack.scenario.library import QUINTIC_PEAK
 from adaptrack.scenario.scenario import Scenario
@@ -36,8 +38,11 @@ GRIP_ALONG = 0.5
 DRY_SHARE = 0.25
 """Share of the drives whose friction keeps to the highest 30 % of its range."""
 
-CHANGE_WIDTH = (1.0, 6.0)
-"""Amplitudes of lane changes, m."""
+USUAL = Domain()
+"""Speeds, friction, wind and lanes of the roads that passenger cars drive."""
+
+CHANGE_WIDTH = (2.0, 12.0)
+"""Amplitudes of lane changes, in sevenths of the width of a lane: 1 to 6 m where it is 3.5 m."""
 
 SHORTEST_CHANGE, LONGEST_CHANGE = 2.0, 12.0
 """Durations of lane changes, s; one that would need longer is not driven."""
@@ -61,11 +66,12 @@ def random_drive(
     seed: int,
     duration: float = 60.0,
     *,
-    speed: tuple[float, float] = (4.0, 27.0),
-    friction: tuple[float, float] = (0.3, 1.0),
-    wind: float = 30.0,
+    speed: tuple[float, float] = USUAL.speed,
+    friction: tuple[float, float] = USUAL.friction,
+    wind: float = USUAL.wind,
     demand: tuple[float, float] = (0.1, 0.35),
     heading: float = 0.25,
+    lane_width: float = USUAL.lane_width,
 ) -> Scenario:
     """Mixed driving: changing speed and friction, curves, lane changes, wind and gusts.
 
@@ -92,6 +98,10 @@ def random_drive(
         the manoeuvre allows.
     heading : float
         Largest heading of the reference, asin(dy_ref/dt / speed), rad.
+    lane_width : float
+        m; lane changes are 2/7 to 12/7 of it.
+
+    A car's own ranges: ``random_drive(7, **car.domain.drive_options)``.
 
     Raises
     ------
@@ -99,21 +109,27 @@ def random_drive(
         When an option is not allowed.
     """
     seed = whole("random_drive", "seed", seed, least=0)
-    duration, wind, heading = (
+    duration, wind, heading, lane_width = (
         real("random_drive", name, value)
-        for name, value in (("duration", duration), ("wind", wind), ("heading", heading))
-    )
+        for name, value in (
+            ("duration", duration), ("wind", wind), ("heading", heading), ("lane_width", lane_width)
+        )
+    )  # fmt: skip
     if not 0.0 < duration <= LONGEST_DRIVE:
         raise InvalidInput(f"random_drive: duration = {duration!r} s: must be > 0 and at most {LONGEST_DRIVE:g}.")
     if not 0.0 <= wind < math.inf:
         raise InvalidInput(f"random_drive: wind = {wind!r} m/s: must be finite and not negative.")
     if not 0.0 < heading <= 0.5:
         raise InvalidInput(f"random_drive: heading = {heading!r} rad: must be > 0 and, a small angle, at most 0.5.")
+    if not 0.0 < lane_width < math.inf:
+        raise InvalidInput(f"random_drive: lane_width = {lane_width!r} m: must be finite and positive.")
     speed = _pair("speed", speed, math.inf)
     friction = _pair("friction", friction, HIGHEST_FRICTION)
     demand = _pair("demand", demand, 1.0)
-    options = {"speed": speed, "friction": friction, "wind": wind, "demand": demand, "heading": heading}
-    drive = _Drive(seed, duration, demand, heading)
+    options: dict[str, Any] = {"speed": speed, "friction": friction, "wind": wind, "demand": demand, "heading": heading}
+    if lane_width != USUAL.lane_width:
+        options["lane_width"] = lane_width
+    drive = _Drive(seed, duration, demand, (heading, lane_width))
     road, pace = drive.draw_friction(*friction), drive.draw_speed(*speed)
     manoeuvres = (*drive.draw_curves(), *drive.draw_lane_changes())
     return Scenario(
@@ -131,8 +147,12 @@ def random_drive(
 class _Drive:
     """A drive in the making: what is known of it at the instants k·_STEP, and what the manoeuvres may still claim."""
 
-    def __init__(self, seed: int, duration: float, demand: tuple[float, float], heading: float) -> None:
-        self.seed, self.duration, self.demand, self.slope = seed, duration, demand, math.sin(heading)
+    def __init__(
+        self, seed: int, duration: float, demand: tuple[float, float], room: tuple[float, float]
+    ) -> None:  # fmt: skip
+        """room: largest heading (rad), width of a lane (m)."""
+        self.seed, self.duration, self.demand, self.slope = seed, duration, demand, math.sin(room[0])
+        self.widths = tuple(sevenths * room[1] / 7.0 for sevenths in CHANGE_WIDTH)
         self.t = _STEP * np.arange(math.ceil(duration / _STEP) + 1)
         self.friction, self.speed = np.empty_like(self.t), np.empty_like(self.t)
         self.curve_acceleration, self.curve_rate = np.zeros_like(self.t), np.zeros_like(self.t)
@@ -206,7 +226,7 @@ class _Drive:
         changes: list[LaneChange] = []
         start = _between(rng, 1.0, 6.0)
         while start < self.duration:
-            width, share, side = _between(rng, *CHANGE_WIDTH), rng.uniform(*self.demand), _side(rng)
+            width, share, side = _between(rng, *self.widths), rng.uniform(*self.demand), _side(rng)
             span = _shortest(self.lane_change_time, SHORTEST_CHANGE, LONGEST_CHANGE, start, width, share)
             if span <= LONGEST_CHANGE:
                 changes.append(LaneChange(amplitude=side * width, start=start, duration=span))

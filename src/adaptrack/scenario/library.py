@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+from adaptrack.domain import Domain
 from adaptrack.errors import InvalidInput, UnknownName, did_you_mean
 from adaptrack.files import read_toml
 from adaptrack.scenario.scenario import Scenario
@@ -199,18 +200,23 @@ def sine(
 def random_drive(seed: float = 0, duration: float = 60.0) -> Scenario:
     """Mixed driving: changing speed and friction, curves, lane changes, wind and gusts.
 
-    `adaptrack.scenario.random_drive` with its default ranges.
+    `adaptrack.scenario.random_drive` with its default ranges, or those of a car's domain (see `load_scenario`).
 
     Parameters
     ----------
     seed : float
         Which drive, a whole number.
     """
+    return _random_drive(seed, duration, Domain())
+
+
+def _random_drive(seed: float, duration: float, domain: Domain) -> Scenario:
+    """A drive in the domain of a car."""
     from adaptrack.scenario import drives  # which sizes its manoeuvres with this module's lane change
 
     if not float(seed).is_integer():
         raise InvalidInput(f"seed = {seed!r}: must be a whole number.")
-    return drives.random_drive(int(seed), duration)
+    return drives.random_drive(int(seed), duration, **domain.drive_options)
 
 
 def _is_number(value: Any) -> bool:
@@ -247,13 +253,15 @@ def scenario_options(name: str) -> dict[str, Any]:
     return {key: option.default for key, option in inspect.signature(_MANOEUVRES[name]).parameters.items()}
 
 
-def load_scenario(name_or_path: str | os.PathLike[str], **options: Any) -> Scenario:
+def load_scenario(name_or_path: str | os.PathLike[str], *, domain: Domain | None = None, **options: Any) -> Scenario:
     """A scenario by its name or from a TOML or CSV file, with options.
 
     Parameters
     ----------
     name_or_path : str or path
         One of `list_scenarios`, or a file that ends in ``.toml`` or ``.csv``.
+    domain : Domain, optional
+        Of the car that will drive it: what is drawn at random is drawn in it.
     **options
         `COMMON_OPTIONS` for every scenario and `scenario_options` for a named one. ``None`` means: as it is.
 
@@ -282,7 +290,11 @@ def load_scenario(name_or_path: str | os.PathLike[str], **options: Any) -> Scena
     if "window" in options and "duration" in options:
         raise InvalidInput("give either a window or a duration.")
     if name in _MANOEUVRES:
-        scenario = _MANOEUVRES[name](**{key: options.pop(key) for key in own if key in options})
+        chosen = {key: options.pop(key) for key in own if key in options}
+        if name == "random-drive" and domain is not None:
+            scenario = _random_drive(**(own | chosen), domain=domain)
+        else:
+            scenario = _MANOEUVRES[name](**chosen)
     elif name in files:
         scenario = Scenario.from_toml(files[name])
     elif name.lower().endswith(".csv"):

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from adaptrack.controllers import MPC, Tuning
+from adaptrack.controllers.made_for import car_of
 from adaptrack.errors import InvalidInput, StorageError, UnknownName, did_you_mean
 from adaptrack.files import write_atomically
 from adaptrack.profile import load_profile
@@ -81,7 +82,7 @@ def made_for(mpc: MPC, profile: str) -> dict[str, Any]:
 
     described = mpc.describe()
     return {
-        "car": getattr(getattr(mpc.model, "vehicle", None), "name", mpc.model.name),
+        "car": car_of(mpc.model) or mpc.model.name,
         "profile": load_profile(profile).name,
         "controller": {
             "kind": "MPC",

@@ -410,7 +410,11 @@ class Plan:
         All that the data depend on, and nothing else: no chunk size, no description, no path.
         """
         values = self.config.model_dump(mode="json", exclude={"description", "chunk"})
-        unused = {"description", "tyre", "body"} | ({"steering"} if self.config.controller == "as-written" else set())
+        unused = {"description", "tyre", "body", "domain", "estimated"}
+        if self.config.controller == "as-written":
+            unused |= {"steering", "known_within"}
+        elif self.setup.vehicle.known_within is None:
+            unused |= {"known_within"}
         values["vehicle"] = self.setup.vehicle.model_dump(mode="json", exclude=unused)
         values["tyre"] = self.setup.tyre.model_dump(mode="json", exclude={"description"})
         if self.config.profile not in list_profiles():

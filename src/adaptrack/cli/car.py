@@ -1,0 +1,242 @@
+"""`adaptrack car`: show a car and how well it is known; make one from a data sheet, a tyre file or a table."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict
+from enum import StrEnum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+from typer import Option
+
+from adaptrack.cli import options, show
+from adaptrack.cli.show import Column
+from adaptrack.errors import InvalidInput
+
+if TYPE_CHECKING:
+    from adaptrack.tyre_fit import TyreFit
+    from adaptrack.vehicle import Vehicle
+
+
+class BodyStyle(StrEnum):
+    """Kinds of cars whose measurements an estimate rests on."""
+
+    car = "car"
+    truck = "truck"
+
+
+NUMBERS = (
+    Column("key", "number"), Column("value", "value", "", show.digits(5)), Column("unit", "unit"),
+    Column("within", "known within"), Column("from", "from"),
+)  # fmt: skip
+DERIVED = (Column("what", "derived"), Column("value", "value"), Column("unit", "unit"))
+
+
+def car(
+    name: Annotated[
+        str | None, typer.Argument(metavar="[CAR]", help="Name (see `vehicles`) or .toml file of a car to show.")
+    ] = None,
+    mass: Annotated[float | None, Option("--mass", help="Of the data sheet (kg); with --wheelbase, a new car.")] = None,
+    wheelbase: Annotated[float | None, Option("--wheelbase", help="Of a new car (m).")] = None,
+    load: Annotated[
+        float | None, Option("--load", help="People and luggage beside the mass (kg): 75 a driver, 136 with luggage.")
+    ] = None,
+    body_style: Annotated[
+        BodyStyle, Option("--body-style", help="Of a new car: car; truck for pickups, vans and SUVs.")
+    ] = BodyStyle.car,
+    yaw_inertia: Annotated[float | None, Option("--yaw-inertia", help="If known (kg m^2).")] = None,
+    lf: Annotated[float | None, Option("--lf", help="Centre of gravity to front axle, if known (m).")] = None,
+    stiffness_front: Annotated[
+        float | None, Option("--stiffness-front", help="Of one front tyre, if known (N/rad).")
+    ] = None,
+    stiffness_rear: Annotated[
+        float | None, Option("--stiffness-rear", help="Of one rear tyre, if known (N/rad).")
+    ] = None,
+    tir: Annotated[Path | None, Option("--tir", help="Tyre property file: MF 5.2, 6.1, 6.2, PAC2002.")] = None,
+    tyre_table: Annotated[
+        Path | None, Option("--tyre-table", help=".csv of axle forces: slip_rad, force_front_N, force_rear_N.")
+    ] = None,
+    out: Annotated[Path | None, Option("--out", help="The .toml file to write; a new tyre goes beside it.")] = None,
+    as_json: options.Json = False,
+) -> None:
+    """Show a car, or make one from mass and wheelbase, a tyre file or a table of axle forces.
+
+    What --mass and --wheelbase leave open is estimated from published measurements, and marked. Without a car, --tir
+    makes a tyre alone.
+    """
+    given = {"yaw_inertia": yaw_inertia, "lf": lf, "stiffness_front": stiffness_front, "stiffness_rear": stiffness_rear}
+    known = {key: value for key, value in given.items() if value is not None}
+    if out is not None and out.suffix != ".toml":
+        raise InvalidInput(f"--out {out}: must end in .toml.")
+    if tir is not None and tyre_table is not None:
+        raise InvalidInput("--tir and --tyre-table: one tyre at a time.")
+    vehicle = _vehicle(name, (mass, wheelbase), (load, str(body_style)), known, out)
+    if vehicle is None and tir is None:
+        raise InvalidInput("name a car, or give --mass and --wheelbase, or --tir.")
+    fit = _fit(tir, tyre_table, vehicle)
+    written = []
+    if out is not None:
+        options.make_folder(out.parent)
+    if fit is not None and out is not None:
+        beside = out if vehicle is None else out.with_name(f"{out.stem}-tyre.toml")
+        fit.tyre.replace(name=beside.stem).to_toml(beside)
+        written.append(beside)
+    if vehicle is not None:
+        vehicle = _on(vehicle, fit, written)
+        if out is not None:
+            vehicle.to_toml(out)
+            written.append(out)
+    _say(vehicle, fit, written, as_json)
+
+
+def _vehicle(
+    name: str | None, sheet: tuple[float | None, float | None], more: tuple[float | None, str],
+    known: dict[str, Any], out: Path | None,
+) -> Vehicle | None:  # fmt: skip
+    """The car that is named, or the one of a data sheet; None where there is neither."""
+    from adaptrack.data_sheet import vehicle_from_data_sheet
+    from adaptrack.vehicle import load_vehicle
+
+    mass, wheelbase = sheet
+    if name is not None:
+        if (mass, wheelbase, more[0]) != (None, None, None) or known:
+            raise InvalidInput(f"{name}: is a car already; --mass, --wheelbase and the like make a new one.")
+        return load_vehicle(name)
+    if mass is None and wheelbase is None:
+        if known or more[0] is not None:
+            raise InvalidInput("a new car needs --mass and --wheelbase.")
+        return None
+    if mass is None or wheelbase is None:
+        raise InvalidInput(
+            f"a new car needs --mass and --wheelbase: --{'mass' if mass is None else 'wheelbase'} lacks."
+        )
+    new = "new-car" if out is None else out.stem
+    return vehicle_from_data_sheet(new, mass, wheelbase, load=more[0] or 0.0, body_style=more[1], **known)
+
+
+def _fit(tir: Path | None, table: Path | None, vehicle: Vehicle | None) -> TyreFit | None:
+    """The tyre of a file or a table."""
+    if tir is not None:
+        from adaptrack.tyre_file import read_tyre_file
+
+        return read_tyre_file(tir).to_tyre()
+    if table is not None:
+        from adaptrack.tyre_table import tyre_from_table
+
+        return tyre_from_table(table, None if vehicle is None else vehicle.static_loads)
+    return None
+
+
+def _on(vehicle: Vehicle, fit: TyreFit | None, written: list[Path]) -> Vehicle:
+    """The car on its new tyre, whose stiffness its model then believes."""
+    if fit is None:
+        return vehicle
+    guesses = tuple(key for key in vehicle.estimated if key not in ("stiffness_front", "stiffness_rear"))
+    front, rear = (float(f"{each:.5g}") for each in fit.tyre.stiffness_at(*vehicle.static_loads))
+    found = vehicle.replace(stiffness_front=front, stiffness_rear=rear, estimated=guesses)
+    return found.replace(tyre=str(written[0])) if written else found
+
+
+# -- what is said -----------------------------------------------------------------------------------------------------
+def _say(vehicle: Vehicle | None, fit: TyreFit | None, written: list[Path], as_json: bool) -> None:
+    if as_json:
+        show.say_json({
+            "car": None if vehicle is None else vehicle.model_dump(mode="json"),
+            "derived": [] if vehicle is None else derived(vehicle, fit),
+            "tyre": None if fit is None else {
+                **asdict(fit), "tyre": fit.tyre.model_dump(mode="json"), "notes": list(fit.notes),
+            },
+            "written": list(map(str, written)),
+        })  # fmt: skip
+        return
+    if vehicle is not None:
+        title = vehicle.name if not vehicle.description else f"{vehicle.name}: {vehicle.description}"
+        show.table(title, NUMBERS, numbers(vehicle))
+        show.table("Steady turns of its model", DERIVED, derived(vehicle, fit))
+        domain = vehicle.domain
+        show.say(
+            f"Domain: {domain.speed[0]:g} to {domain.speed[1]:g} m/s, friction {domain.friction[0]:g} to "
+            f"{domain.friction[1]:g}, wind to {domain.wind:g} m/s, lanes of {domain.lane_width:g} m,\n"
+            f"failed beyond {domain.failure_distance:g} m from the reference."
+        )
+    if fit is not None:
+        _say_fit(fit)
+    for path in written:
+        show.say(f"Written: {path}")
+
+
+def _say_fit(fit: TyreFit) -> None:
+    import textwrap
+
+    tyre = fit.tyre
+    show.say(
+        f"Tyre {tyre.name}: {tyre.stiffness_front:.0f} and {tyre.stiffness_rear:.0f} N/rad (front, rear) at "
+        f"{tyre.nominal_load:.0f} N."
+    )
+    for sentence in (f"Fit: {fit}.", *fit.notes):
+        show.say("\n".join(textwrap.wrap(sentence, 78, initial_indent="- ", subsequent_indent="  ")))
+
+
+def numbers(vehicle: Vehicle) -> list[dict[str, Any]]:
+    """A row for each number of a car that is known or estimated."""
+    from adaptrack.known_within import KnownWithin
+
+    said = vehicle.known_within or KnownWithin()
+    rows = []
+    for section, record in (("", vehicle), ("steering", vehicle.steering), ("body", vehicle.body)):
+        for key, field in () if record is None else type(record).model_fields.items():
+            value = getattr(record, key)
+            if not isinstance(value, float):
+                continue
+            rows.append({
+                "key": f"{section} {key}".strip().replace("_", " "), "value": value,
+                "unit": (field.description or "").split(",")[0],
+                "within": said.clause(f"steering_{key}" if section == "steering" else key),
+                "from": _source(vehicle, section, key),
+            })  # fmt: skip
+    return rows
+
+
+def _source(vehicle: Vehicle, section: str, key: str) -> str:
+    if key in vehicle.estimated:
+        return "estimated"
+    usual = not section and type(vehicle).model_fields[key].default == getattr(vehicle, key)
+    return "default" if usual and key not in vehicle.model_fields_set else "given"
+
+
+def derived(vehicle: Vehicle, fit: TyreFit | None = None) -> list[dict[str, Any]]:
+    """What follows from the numbers, a row each."""
+    per_g = math.degrees(1.0) * 9.80665
+    low, high = (per_g * each for each in vehicle.understeer_range)
+    gradient = f"{per_g * vehicle.understeer_gradient:.2f}"
+    if low < high:
+        gradient += f" ({low:.2f} to {high:.2f})"
+    speeds = sorted({vehicle.domain.speed[0], sum(vehicle.domain.speed) / 2, vehicle.domain.speed[1]})
+    rows = [
+        ("weight on the front axle", f"{100 * vehicle.lr / vehicle.wheelbase:.1f}", "%"),
+        ("load of a front, a rear wheel", "{:.4g}, {:.4g}".format(*vehicle.static_loads), "N"),
+        ("yaw inertia/(mass lf lr)", f"{vehicle.yaw_inertia / (vehicle.mass * vehicle.lf * vehicle.lr):.3f}", "-"),
+        ("understeer gradient", gradient, "°/g"),
+        ("characteristic speed", _speed(vehicle.characteristic_speed), "m/s"),
+        ("critical speed", _speed(vehicle.critical_speed), "m/s"),
+    ]
+    for speed in speeds:
+        stable = speed < vehicle.critical_speed
+        gain = f"{vehicle.steady_state_yaw_gain(speed):.2f}" if stable else "unstable"
+        rows.append((f"yaw gain at {speed:.3g} m/s", gain, "1/s"))
+    tyre = _tyre(vehicle) if fit is None else fit.tyre
+    front, rear = vehicle.stiffness_factors(tyre)
+    rows.append((f"stiffness of tyre {tyre.name} over the model's", f"{front:.2f}, {rear:.2f}", "-"))
+    return [dict(zip(("what", "value", "unit"), row, strict=True)) for row in rows]
+
+
+def _speed(value: float) -> str:
+    return f"{value:.4g}" if math.isfinite(value) else "none"
+
+
+def _tyre(vehicle: Vehicle) -> Any:
+    from adaptrack.vehicle import load_tyre
+
+    return load_tyre(vehicle.tyre)
