@@ -100,17 +100,11 @@ class LaneChange:
         tunings : (tunings, entries) array
             Of the controller's named entries.
         """
-        from adaptrack.kernels.plants.contract import SLOTS
-
         batch = Batch(self.plant, controller, [self.trip(speed)], self.profile)
         asked = np.repeat(batch.checked_tunings(tunings), len(seeds), axis=0)
         seeded = np.tile(np.array(seeds, dtype=np.int64), len(tunings))
-        driven = []
-        for first in range(0, len(asked), SLOTS):  # a traced run keeps one block
-            part = slice(first, first + SLOTS)
-            which = np.zeros(len(asked[part]), np.int64)
-            found = batch.run(which, asked[part], seeded[part], 1, traced=True)
-            driven += [refined_poses(states, controller.period) for states in found.trace.state]
+        found = batch.run(np.zeros(len(asked), np.int64), asked, seeded, 1, traced=True)
+        driven = [refined_poses(states, controller.period) for states in found.trace.state]
         return np.array(driven).reshape(len(tunings), len(seeds), -1, 3)
 
     def margins(self, controller: Controller, speed: float, tunings: Array, seeds: Sequence[int]) -> list[Clearance]:

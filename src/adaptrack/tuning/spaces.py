@@ -1,0 +1,71 @@
+"""Where the best constant tuning of a controller is sought: a box around its own tuning, by the kind of controller."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from adaptrack.controllers import LQR, MPC, CompiledController, Controller, PurePursuit, Stanley, Tuning
+from adaptrack.errors import InvalidInput
+from adaptrack.tuning.config import Search
+from adaptrack.tuning.pso import SearchSpace
+
+PUBLISHED_RATIO = 30.0
+"""m^2/rad^2, middle of the six decades of R/Q for the paper's controller: its table has 0.001, on a car with lag, noise
+and delay about 4000 serves it."""
+
+
+class Bounds(NamedTuple):
+    """Of a tuning entry."""
+
+    low: float
+    high: float
+    relative: bool = False
+    """low and high are factors on the controller's own value; else they are values"""
+
+
+LAWS: dict[type[CompiledController], dict[str, Bounds]] = {
+    LQR: {
+        "q_e": Bounds(0.01, 100.0, relative=True),
+        "q_heading": Bounds(0.01, 100.0, relative=True),
+        "r": Bounds(1.0, 1.0, relative=True),
+        "preview_time": Bounds(0.0, 0.6),
+    },
+    PurePursuit: {"lookahead_time": Bounds(0.1, 1.5), "lookahead_min": Bounds(1.0, 10.0)},
+    Stanley: {
+        "gain": Bounds(0.1, 10.0, relative=True),
+        "softening": Bounds(0.1, 10.0, relative=True),
+        "yaw_rate_gain": Bounds(0.0, 0.3),
+        "dead_time": Bounds(0.0, 0.6),
+    },
+}
+"""By law, its tuning entries. Of the LQR only the ratios to r count, and its gains are tabulated over two decades to
+either side of its own."""
+
+
+def search_space(controller: Controller) -> SearchSpace:
+    """The space in which `tune_constant` seeks the tuning of a controller; relative bounds are searched by decades.
+
+    An MPC's is `Search.around`: Np 5-60, Nc 1-18, Q = 1, R/Q three decades to either side of its own constant; of the
+    paper's controller, whose constant depends on the car, around `PUBLISHED_RATIO`.
+
+    Raises
+    ------
+    InvalidInput
+        For a controller of another kind: give `tune_constant` a space.
+    """
+    if isinstance(controller, MPC):
+        return Search.around(Tuning(R=PUBLISHED_RATIO, Q=1.0) if controller.is_published else controller.tuning).space()
+    if type(controller) not in LAWS:
+        raise InvalidInput(
+            f"no search space is known for the controller {getattr(controller, 'name', controller)!r}: "
+            "tune_constant(..., space=SearchSpace(...)) takes one."
+        )
+    assert isinstance(controller, CompiledController)
+    own, bounds = controller.tuning, LAWS[type(controller)]
+    scale = {name: own[name] if each.relative else 1.0 for name, each in bounds.items()}
+    return SearchSpace(
+        names=controller.tuning_names,
+        low=tuple(bounds[name].low * scale[name] for name in controller.tuning_names),
+        high=tuple(bounds[name].high * scale[name] for name in controller.tuning_names),
+        decades=tuple(name for name in controller.tuning_names if bounds[name].relative),
+    )
