@@ -172,6 +172,13 @@ def sampled(world: World, scenarios: Sequence[Scenario | RoadDrive]) -> tuple[li
     return signals, np.ascontiguousarray(rows)
 
 
+def own_tuning(controller: Controller) -> Array:
+    """(entries,) a compiled controller's own tuning, in the order of its `tuning_names`."""
+    if isinstance(controller, CompiledController):
+        return controller.packed_tuning()
+    return controller.tuning.as_array()  # type: ignore[attr-defined]
+
+
 class Batch:
     """What all runs of a batch share, packed for the kernels; arguments as for `rollout_batch`."""
 
@@ -211,8 +218,7 @@ class Batch:
     @property
     def tuning(self) -> Array:
         """(entries,) the controller's own tuning."""
-        own = self.controller
-        return own.packed_tuning() if isinstance(own, CompiledController) else own.tuning.as_array()  # type: ignore[attr-defined]
+        return own_tuning(self.controller)
 
     def checked_tunings(self, tunings: ArrayLike) -> Array:
         """(runs, entries) tunings that a controller may have.

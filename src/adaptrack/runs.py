@@ -150,7 +150,7 @@ class RunSet:
     def trajectories(self, policy: Schedule | Tuning | Controller, seeds: Sequence[int]) -> list[list[Trajectory]]:
         """Each run (outer list) with each noise seed (inner list): what `drive` gives the costs of."""
         if self._compiles(policy):
-            return rollouts(self._batch(self._controller(policy, 0)), [int(seed) for seed in seeds])
+            return rollouts(self._batch(self.controller_of(policy, 0)), [int(seed) for seed in seeds])
         return [[self._simulated(policy, i, i, int(seed)) for seed in seeds] for i in range(len(self))]
 
     def segments(self, policy: Policy, seed: int, which: Indices) -> Array:
@@ -171,7 +171,7 @@ class RunSet:
             return self._run(schedule, seed, np.arange(len(self))).counts
         found = []
         for i in range(len(self)):
-            mpc = self._controller(schedule, i)
+            mpc = self.controller_of(schedule, i)
             self._simulated_cost(mpc, i, i, seed)
             found.append(mpc.scheduler_counts)  # type: ignore[attr-defined]
         return {name: np.array([each[name] for each in found]) for name in found[0]}
@@ -201,7 +201,7 @@ class RunSet:
         policy = policy.controller if isinstance(policy, Retuned) else policy
         return not isinstance(self.plant, SteppedPlant) and (not _is_controller(policy) or _compiles(policy))
 
-    def _controller(self, policy: Policy, k: int) -> Controller:
+    def controller_of(self, policy: Policy, k: int = 0) -> Controller:
         """What drives the k-th of the runs: a controller itself, or the MPC with a schedule or its k-th tuning."""
         if _is_controller(policy):
             return policy
@@ -230,7 +230,7 @@ class RunSet:
         return float((run.error**2).mean() + self.weight * (run.command_change**2).mean())
 
     def _simulated(self, policy: Policy, k: int, i: int, seed: int) -> Trajectory:
-        controller, known_as = self._controller(policy, k), self.known_as
+        controller, known_as = self.controller_of(policy, k), self.known_as
         if isinstance(known_as, Perception):  # with the errors that the run has in the batch
             known_as = replace(known_as, seed=known_as.seed + i)
         return simulate(

@@ -15,8 +15,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from adaptrack.batch import Batch
-from adaptrack.controllers import MPC, Controller
+from adaptrack.batch import Batch, own_tuning
+from adaptrack.controllers import Controller
 from adaptrack.errors import InvalidInput
 from adaptrack.manoeuvres.lane_change import (
     CleanSpeed,
@@ -130,11 +130,6 @@ def refined_poses(states: Array, period: float) -> Array:
     after = t**2 * (3.0 - 2.0 * t) * poses[1:] + t**2 * (t - 1.0) * slopes[1:]
     inner = np.swapaxes(before + after, 0, 1).reshape(-1, 3)
     return np.concatenate([inner, poses[-1:]])
-
-
-def own_tuning(controller: Controller) -> Array:
-    """(entries,) the controller's own tuning, in the order of `tuning_names`."""
-    return controller.tuning.as_array() if isinstance(controller, MPC) else controller.packed_tuning()  # type: ignore[attr-defined]
 
 
 def tunings_to_try(name: str, controller: Controller) -> Array:

@@ -13,6 +13,9 @@ from adaptrack.runs import Retuned, RunSet
 from adaptrack.tuning.pso import Result, SearchSpace, Swarm, SwarmSettings
 from adaptrack.tuning.spaces import search_space
 
+LEAST_TUNINGS = 10
+"""That a search must be able to try."""
+
 
 def tune_constant(
     runs: RunSet, swarm: SwarmSettings | None = None, *, noise_seeds: Sequence[int] = (0,), seed: int = 0,
@@ -45,6 +48,24 @@ def tune_constant(
             progress(search.generation, search.settings.generations)
         search.tell(mean_costs(runs, driven, search.ask(), noise_seeds))
     return search.result()
+
+
+def swarm_within(runs: int, each: int) -> SwarmSettings:
+    """A swarm of up to 20 particles that spends at most so many closed-loop runs; a tuning takes `each` of them.
+
+    Raises
+    ------
+    InvalidInput
+        When they are too few for ten tunings.
+    """
+    tunings = runs // each
+    if tunings < LEAST_TUNINGS:
+        raise InvalidInput(
+            f"{runs:,} runs are too few: a tuning takes {each} (roads times noise seeds); give at least "
+            f"{LEAST_TUNINGS * each:,}."
+        )
+    particles = min(SwarmSettings().particles, tunings)
+    return SwarmSettings(particles=particles, generations=tunings // particles)
 
 
 def mean_costs(

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
-from pydantic import Field, model_validator
+from pydantic import BeforeValidator, Field, model_validator
 
 from adaptrack.controllers import MPC, Controller, Tuning, get_controller
 from adaptrack.errors import InvalidInput
@@ -16,6 +16,10 @@ from adaptrack.vehicle import Vehicle
 
 TUNABLE = ("informed", "as-written", "lqr", "pure-pursuit", "stanley")
 """The controllers, by their registered names, that such a file may be about."""
+
+
+def _as_tuple(value: Any) -> Any:
+    return tuple(value) if isinstance(value, list) else value
 
 
 class ConstantTuning(Record):
@@ -31,7 +35,12 @@ class ConstantTuning(Record):
     vehicle: str = Field(min_length=1, description="name of the car that it was found on")
     profile: str = Field(min_length=1, description="name of the profile, likewise")
     period: float = Field(gt=0, le=10, description="s, control period, likewise: horizons are in periods")
-    roads: tuple[str, ...] = Field(default=(), description="names of the roads, likewise")
+    roads: Annotated[tuple[str, ...], BeforeValidator(_as_tuple)] = Field(
+        default=(), description="names of the roads, likewise"
+    )
+    noise_seeds: Annotated[tuple[int, ...], BeforeValidator(_as_tuple)] = Field(
+        default=(), description="of the search: judge with others"
+    )
     command: str = Field(default="", description="the command line that made it")
     tuning: dict[str, float] = Field(description="the controller's tuning entries")
 
