@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -22,6 +23,7 @@ if TYPE_CHECKING:
     from adaptrack.controllers import Controller
     from adaptrack.profile import Profile
     from adaptrack.runs import RunSet
+    from adaptrack.tuning.constant import Sought
     from adaptrack.vehicle import Vehicle
 
 USUAL = ("informed", "published", "lqr", "pure-pursuit", "stanley")
@@ -139,11 +141,10 @@ class SearchOptions:
 
 
 def tune(setting: Setting, name: str, search: SearchOptions, noise_seeds: int, out: Path, as_json: bool) -> None:
-    """Seek the constant of a controller, judge it beside the controller's own with other noise, and write its file."""
-    from adaptrack.batch import own_tuning
+    """Seek the constant of a controller, write its file, and judge it beside the controller's own with other noise."""
     from adaptrack.comparison.contenders import Contender
-    from adaptrack.tuning.constant import mean_costs, swarm_within, tune_constant
-    from adaptrack.tuning.constant_file import TUNABLE, ConstantTuning
+    from adaptrack.tuning.constant import seek_constant, swarm_within
+    from adaptrack.tuning.constant_file import TUNABLE
     from adaptrack.tuning.pso import SwarmSettings
 
     if name not in TUNABLE:
@@ -152,40 +153,39 @@ def tune(setting: Setting, name: str, search: SearchOptions, noise_seeds: int, o
     seeds = range(FIRST_SEARCH_SEED, FIRST_SEARCH_SEED + noise_seeds)
     each = len(runs) * len(seeds)
     swarm = SwarmSettings() if search.runs is None else swarm_within(search.runs, each)
-    spent = swarm.evaluations * each
+    spent, begun = swarm.evaluations * each, time.perf_counter()
     show.say(f"adaptrack: {swarm.evaluations} tunings of {name}, {spent:,} runs; {setting.title}", aside=True)
     interrupt.kept("A search that is interrupted leaves nothing.")
-    begun = time.perf_counter()
-    with show.progress("tune") as advance:
-        label = f"tune {name}"
-        found = tune_constant(runs, swarm, noise_seeds=seeds, seed=search.seed, controller=own,
-                              progress=lambda done, of: advance(label, done, of))  # fmt: skip
-    before = float(mean_costs(runs, own, own_tuning(own)[None], seeds)[0])
-    better = found.cost < before
-    row = found.x if better else own_tuning(own)
-    entries = dict(zip(own.tuning_names, row.tolist(), strict=True))  # type: ignore[attr-defined]
-    kept = ConstantTuning(
-        controller=name, vehicle=setting.car.name, profile=setting.profile.name, period=setting.profile.period,
-        roads=tuple(str(trip.name) for trip in runs.scenarios), noise_seeds=tuple(seeds),
-        command=options.command_line(), tuning=entries,
-    )  # fmt: skip
-    kept.to_toml(out)
+    with show.progress(f"tune {name}") as advance:
+        tell = partial(advance, f"tune {name}")
+        found = seek_constant(runs, own, swarm, noise_seeds=seeds, seed=search.seed, progress=tell)
     seconds = time.perf_counter() - begun
-    pair = [Contender("default", own), Contender("tuned", setting.controller(name, entries))]
+    _keep(setting, name, found, seeds, out)
+    pair = [Contender("default", own), Contender("tuned", setting.controller(name, found.tuning))]
     judged = setting.compare(pair, range(max(3, noise_seeds)), "default")
     if as_json:
-        own_entries = dict(zip(own.tuning_names, own_tuning(own).tolist(), strict=True))  # type: ignore[attr-defined]
-        show.say_json({
-            "tuning": str(out), "controller": name, "entries": entries, "default": own_entries, "better": better,
-            "cost": min(found.cost, before), "default_cost": before, "runs": spent, "seconds": seconds,
-            "rows": judged.rows(),
-        })  # fmt: skip
+        about = {"tuning": str(out), "controller": name, "entries": found.tuning, "better": found.better}
+        told = {key: value for key, value in vars(found).items() if key != "tuning"}
+        show.say_json(about | told | {"runs": spent, "seconds": seconds, "rows": judged.rows()})
         return
     print_rows(f"{name}, {setting.title}; {len(judged.seeds)} noise seeds that the search did not see", judged)
-    if not better:
+    if not found.better:
         show.say("The search found nothing better than the default, which is kept.")
-    told = ", ".join(f"{entry} {value:.4g}" for entry, value in entries.items())
-    show.say(f"Tuning: {told}\nFile: {out} ({seconds:,.0f} s); drive with it: adaptrack drive ROAD --tuning {out}")
+    if found.at_bounds:
+        show.say(f"At the end of what was searched: {', '.join(found.at_bounds)}.")
+    entries = ", ".join(f"{entry} {value:.4g}" for entry, value in found.tuning.items())
+    show.say(f"Tuning: {entries}\nFile: {out} ({seconds:,.0f} s); drive with it: adaptrack drive ROAD --tuning {out}")
+
+
+def _keep(setting: Setting, name: str, found: Sought, seeds: Sequence[int], out: Path) -> None:
+    """Write a tuning's file."""
+    from adaptrack.tuning.constant_file import ConstantTuning
+
+    ConstantTuning(
+        controller=name, vehicle=setting.car.name, profile=setting.profile.name, period=setting.profile.period,
+        roads=tuple(str(trip.name) for trip in setting.runs.scenarios), noise_seeds=tuple(seeds),
+        command=options.command_line(), tuning=found.tuning,
+    ).to_toml(out)  # fmt: skip
 
 
 # -- evaluate ---------------------------------------------------------------------------------------------------------

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from adaptrack.batch import own_tuning
 from adaptrack.controllers import Controller
 from adaptrack.errors import InvalidInput
 from adaptrack.runs import Retuned, RunSet
 from adaptrack.tuning.pso import Result, SearchSpace, Swarm, SwarmSettings
-from adaptrack.tuning.spaces import search_space
+from adaptrack.tuning.spaces import at_bounds, search_space
 
 LEAST_TUNINGS = 10
 """That a search must be able to try."""
@@ -48,6 +50,46 @@ def tune_constant(
             progress(search.generation, search.settings.generations)
         search.tell(mean_costs(runs, driven, search.ask(), noise_seeds))
     return search.result()
+
+
+@dataclass(frozen=True)
+class Sought:
+    """A controller's tuning after a search, which keeps its own where nothing better was found; entries by name."""
+
+    tuning: dict[str, float]
+    default: dict[str, float]
+    """the controller's own"""
+    cost: float
+    """m^2, of the tuning, see `tune_constant`"""
+    default_cost: float
+    at_bounds: list[str]
+    """entries of the tuning at an end of the space: a better value may lie beyond"""
+
+    @property
+    def better(self) -> bool:
+        """Whether the search found something better than the default."""
+        return self.cost < self.default_cost
+
+
+def seek_constant(
+    runs: RunSet, controller: Controller, swarm: SwarmSettings, *, noise_seeds: Sequence[int], seed: int = 0,
+    progress: Callable[[int, int], None] | None = None,
+) -> Sought:  # fmt: skip
+    """`tune_constant` in the controller's `search_space`, held against its own tuning on the same runs and noise."""
+    space = search_space(controller)
+    found = tune_constant(
+        runs, swarm, noise_seeds=noise_seeds, seed=seed, controller=controller, space=space, progress=progress
+    )
+    own = own_tuning(controller)
+    before = float(mean_costs(runs, controller, own[None], noise_seeds)[0])
+    better = found.cost < before
+    return Sought(
+        tuning=dict(zip(space.names, (found.x if better else own).tolist(), strict=True)),
+        default=dict(zip(space.names, own.tolist(), strict=True)),
+        cost=min(found.cost, before),
+        default_cost=before,
+        at_bounds=at_bounds(space, found.x) if better else [],
+    )
 
 
 def swarm_within(runs: int, each: int) -> SwarmSettings:

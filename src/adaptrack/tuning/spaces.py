@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
-from adaptrack.controllers import LQR, MPC, CompiledController, Controller, PurePursuit, Stanley, Tuning
+import numpy as np
+from numpy.typing import ArrayLike
+
+from adaptrack.controllers import LQR, MPC, CompiledController, Controller, PurePursuit, Stanley
 from adaptrack.errors import InvalidInput
 from adaptrack.tuning.config import Search
 from adaptrack.tuning.pso import SearchSpace
 
-PUBLISHED_RATIO = 30.0
-"""m^2/rad^2, middle of the six decades of R/Q for the paper's controller: its table has 0.001, on a car with lag, noise
-and delay about 4000 serves it."""
+PUBLISHED = Search(Np=(5, 60), Nc=(1, 18), Q=(1.0, 1.0), R=(1e-3, 1e7), decades=True)
+"""Of the paper's controller, whose best R/Q (m^2/rad^2) depends on the car: its table has 0.001, a car with lag, noise
+and delay wants thousands, on a fast road more than 1e5."""
 
 
 class Bounds(NamedTuple):
@@ -42,11 +46,23 @@ LAWS: dict[type[CompiledController], dict[str, Bounds]] = {
 either side of its own."""
 
 
+def at_bounds(space: SearchSpace, tuning: ArrayLike) -> list[str]:
+    """The entries of a tuning (entries,) that lie at an end of a space: a better one may lie beyond."""
+    rows = zip(space.names, np.asarray(tuning, dtype=float).tolist(), space.low, space.high, strict=True)
+    return [
+        name for name, value, low, high in rows if low < high and (_near(value, low) or _near(value, high))
+    ]  # fmt: skip
+
+
+def _near(value: float, end: float) -> bool:
+    return math.isclose(value, end, rel_tol=1e-6, abs_tol=1e-9)
+
+
 def search_space(controller: Controller) -> SearchSpace:
     """The space in which `tune_constant` seeks the tuning of a controller; relative bounds are searched by decades.
 
-    An MPC's is `Search.around`: Np 5-60, Nc 1-18, Q = 1, R/Q three decades to either side of its own constant; of the
-    paper's controller, whose constant depends on the car, around `PUBLISHED_RATIO`.
+    An MPC's is `Search.around` its own tuning: Np 5-60, Nc 1-18, Q = 1, R/Q three decades to either side; the paper's
+    controller has `PUBLISHED`.
 
     Raises
     ------
@@ -54,7 +70,7 @@ def search_space(controller: Controller) -> SearchSpace:
         For a controller of another kind: give `tune_constant` a space.
     """
     if isinstance(controller, MPC):
-        return Search.around(Tuning(R=PUBLISHED_RATIO, Q=1.0) if controller.is_published else controller.tuning).space()
+        return (PUBLISHED if controller.is_published else Search.around(controller.tuning)).space()
     if type(controller) not in LAWS:
         raise InvalidInput(
             f"no search space is known for the controller {getattr(controller, 'name', controller)!r}: "
