@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
@@ -41,6 +42,14 @@ COLUMNS = (
     Column("driven_length", "driven", "m", show.whole),
     Column("result", "result"),
 )
+
+SHOWN = (
+    "rms_offset", "p95_offset", "max_offset", "max_corner", "in_lane", "max_acceleration", "max_jerk_r79",
+    "prediction_error_half", "prediction_error_one", "step_us_p50", "step_us_p999",
+)  # fmt: skip
+"""Measures on the page."""
+OTHER_UNITS = {"prediction_error_half": "m", "prediction_error_one": "m", "step_us_p50": "µs", "step_us_p999": "µs"}
+"""Of those that are not `PathMetrics`."""
 
 Tunings = Annotated[
     list[Path] | None, Option("--tuning", metavar="FILE", help="Tuning that `tune ROAD` found; may be repeated.")
@@ -146,6 +155,12 @@ class _Run:
     model: PredictionModel | None
     """of the controller, if it has one"""
 
+    @property
+    def found_in(self) -> str:
+        """Of a tuning, from which file; empty for other controllers."""
+        _, comma, file = self.label.partition(", ")
+        return comma + file
+
     @cached_property
     def row(self) -> dict[str, Any]:
         """What --json says of it: as `simulate`, with the measures of a path."""
@@ -183,20 +198,17 @@ def _print(trip: RoadDrive, rows: Sequence[dict[str, Any]], as_json: bool) -> No
 
 def _write_page(out: Path, runs: Sequence[_Run]) -> Path:
     from adaptrack.failure import find_failure
+    from adaptrack.path_metrics import PathMetrics
     from adaptrack.report.drive import write_drive_page
     from adaptrack.report.record import DriveRecord, Measure
 
-    shown = (
-        "rms_offset", "p95_offset", "max_offset", "max_corner", "in_lane", "max_acceleration", "max_jerk_r79",
-        "prediction_error_half", "prediction_error_one", "step_us_p50", "step_us_p999",
-    )  # fmt: skip
+    units = {each.name: each.metadata["unit"] for each in dataclasses.fields(PathMetrics)} | OTHER_UNITS
     with show.progress("write the page"):
         records = []
         for each in runs:
             row = each.row
-            measures = [Measure(name, row[name]) for name in shown if row.get(name) is not None]
+            measures = [Measure(name, row[name], units[name]) for name in SHOWN if row.get(name) is not None]
             failed = find_failure(each.run)
-            records.append(
-                DriveRecord.from_trajectory(each.run, each.trip.road, each.car, failed=failed, metrics=measures)
-            )
+            record = DriveRecord.from_trajectory(each.run, each.trip.road, each.car, failed=failed, metrics=measures)
+            records.append(dataclasses.replace(record, controller=record.controller + each.found_in))
         return write_drive_page(out, records, command=options.command_line())

@@ -94,10 +94,11 @@ class Setting:
         vehicle, body = options.car_and_plant(car.vehicle or "paper", plant, car.tyre)
         world = load_profile(profile or "road")
         trips = []
-        with show.progress("plan the speeds", len(names)) as advance:
-            for name in dict.fromkeys(names):
+        pairs = [(each, name) for each in asked.each for name in dict.fromkeys(names)]
+        with show.progress("plan the speeds", len(pairs)) as advance:
+            for each, name in pairs:
                 advance(f"plan the speed, {name}", 0, 1)
-                seen = asked.look(name, vehicle)
+                seen = each.look(name, vehicle)
                 seen.warn(aside)
                 trips.append(RoadDrive(seen.road, seen.plan))
                 advance(f"plan the speed, {name}", 1, 1)
@@ -205,8 +206,8 @@ def evaluate(setting: Setting, entered: Entered, seeds: Sequence[int], out: Path
     reference = "informed" if "informed" in names else names[0]
     if out is not None:
         options.make_folder(out)
-    for name, why in left_out.items():
-        show.say(f"Left out: {name}: {why}", aside=as_json)
+    for why in left_out.values():
+        show.say(f"Left out, {why}", aside=as_json)
     made = setting.compare(contenders, seeds, reference)
     if out is not None:
         from adaptrack.report.roads_compared import write_road_comparison

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -52,7 +52,10 @@ class RoadOptions:
     lane: Annotated[
         int | None, Option("--lane", metavar="N", help=".xodr: middle of this lane to the right (-1, ...).")
     ] = None
-    road_seed: Annotated[int | None, Option("--road-seed", help="Generated: which road, by default 0.")] = None
+    road_seed: Annotated[
+        list[int] | None,
+        Option("--road-seed", help="Generated: which road, by default 0; of `tune` and `evaluate` also several times."),
+    ] = None
     length: Annotated[float | None, Option("--length", help="Generated: length (m), by default 2000.")] = None
 
     @property
@@ -63,22 +66,29 @@ class RoadOptions:
             spelt.get(name, f"--{name.replace('_', '-')}") for name, value in vars(self).items() if value is not None
         ]
 
+    @property
+    def each(self) -> list[RoadOptions]:
+        """The same for one seed of a generated road at a time."""
+        return [replace(self, road_seed=[seed]) for seed in dict.fromkeys(self.road_seed or ())] or [self]
+
     def look(self, name: str, car: Vehicle) -> Seen:
         """Load a road by its name, plan the speed along it for a car, and check both.
 
         Raises
         ------
         InvalidInput
-            When both a speed and an acceleration are given.
+            When both a speed and an acceleration are given, or several seeds.
         """
         from adaptrack.road import Comfort, check_road, load_road, plan_speed
         from adaptrack.road.speed import constant_speed
 
         if self.speed is not None and self.lateral_acceleration is not None:
             raise InvalidInput("give either --speed or --lateral-acceleration.")
+        if len(self.road_seed or ()) > 1:
+            raise InvalidInput("--road-seed: give one.")
         asked = {
             "max_deviation": self.max_deviation, "closed": self.closed, "road": self.road_id, "lane": self.lane,
-            "seed": self.road_seed, "length": self.length,
+            "seed": self.road_seed[0] if self.road_seed else None, "length": self.length,
         }  # fmt: skip
         road = load_road(name, **{key: value for key, value in asked.items() if value is not None})
         comfort = Comfort() if self.lateral_acceleration is None else Comfort(lateral=self.lateral_acceleration)

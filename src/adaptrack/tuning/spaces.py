@@ -62,7 +62,7 @@ def search_space(controller: Controller) -> SearchSpace:
     """The space in which `tune_constant` seeks the tuning of a controller; relative bounds are searched by decades.
 
     An MPC's is `Search.around` its own tuning: Np 5-60, Nc 1-18, Q = 1, R/Q three decades to either side; the paper's
-    controller has `PUBLISHED`.
+    controller has `PUBLISHED`. On roads with preview the best Nc is often 18: up to 36 the cost falls by 0.2 % more.
 
     Raises
     ------
