@@ -137,7 +137,7 @@ def compute_metrics(
         the run's `meta` (its profile's), else 0.
     failure
         When a run has failed, by default see `find_failure`.
-        model
+    model
         Of the controller that drove (`MPC.model`), for the prediction errors.
 
     Raises

@@ -30,7 +30,7 @@ from adaptrack.estimation import FrictionWindEstimator, Perception
 from adaptrack.failure import Failure
 from adaptrack.metrics import PUBLISHED
 from adaptrack.plant import DualTrack, Plant, SingleTrack, SteppedPlant
-from adaptrack.profile import load_profile
+from adaptrack.profile import Profile, load_profile
 from adaptrack.road import Comfort, Road, plan_speed
 from adaptrack.road.speed import USUAL
 from adaptrack.scenario import RoadDrive, Scenario, load_scenario, random_drive
@@ -91,7 +91,7 @@ class RunSet:
     _latest: Batch | None = None
 
     def __init__(
-        self, plant: Plant | SteppedPlant, mpc: MPC, scenarios: Sequence[Scenario | RoadDrive], profile: str = "road",
+        self, plant: Plant | SteppedPlant, mpc: MPC, scenarios: Sequence[Scenario | RoadDrive], profile: str | Profile = "road",
         *, segment: int | None = None, lead: int = 0, stride: int = 20, known_as: KnownAs = None,
         failure: Failure | None = None,
     ) -> None:  # fmt: skip
@@ -276,7 +276,7 @@ def _scheduling_variables(samples: Array) -> Array:
 
 # -- makers -----------------------------------------------------------------------------------------------------------
 def operating_point_runs(
-    plant: Plant | SteppedPlant, mpc: MPC, points: ArrayLike, profile: str = "road", **options: Any
+    plant: Plant | SteppedPlant, mpc: MPC, points: ArrayLike, profile: str | Profile = "road", **options: Any
 ) -> RunSet:
     """One smooth lane change in a gust for each operating point: speed m/s, y_ref m, friction, wind m/s (n, 4).
 
@@ -295,7 +295,7 @@ def operating_point_runs(
 
 
 def random_drive_runs(
-    plant: Plant | SteppedPlant, mpc: MPC, numbers: Iterable[int], duration: float = 60.0, profile: str = "road", *,
+    plant: Plant | SteppedPlant, mpc: MPC, numbers: Iterable[int], duration: float = 60.0, profile: str | Profile = "road", *,
     roads: Mapping[str, Any] | None = None, segment_seconds: float = 2.0, **options: Any,
 ) -> RunSet:  # fmt: skip
     """The random drives of these numbers; cost is attributed to segments, and to inputs up to one segment older.
@@ -309,7 +309,7 @@ def random_drive_runs(
 
 
 def road_runs(
-    plant: SingleTrack | DualTrack, mpc: MPC, roads: Iterable[Road], comfort: Comfort = USUAL, profile: str = "road",
+    plant: SingleTrack | DualTrack, mpc: MPC, roads: Iterable[Road], comfort: Comfort = USUAL, profile: str | Profile = "road",
     **options: Any,
 ) -> RunSet:  # fmt: skip
     """One drive along each road, at the speed that `plan_speed` gives the plant's vehicle.
@@ -325,7 +325,7 @@ def road_runs(
     return RunSet(plant, mpc, drives, profile, **options)
 
 
-def paper_test_runs(plant: Plant | SteppedPlant, mpc: MPC, name: str, profile: str = "road", **options: Any) -> RunSet:
+def paper_test_runs(plant: Plant | SteppedPlant, mpc: MPC, name: str, profile: str | Profile = "road", **options: Any) -> RunSet:
     """One of the paper's two tests.
 
     Raises
@@ -338,7 +338,7 @@ def paper_test_runs(plant: Plant | SteppedPlant, mpc: MPC, name: str, profile: s
     return RunSet(plant, mpc, [load_scenario(name)], profile, **options)
 
 
-def perception(name: str, plant: SingleTrack | DualTrack, profile: str = "road") -> KnownAs:
+def perception(name: str, plant: SingleTrack | DualTrack, profile: str | Profile = "road") -> KnownAs:
     """How friction and wind are known, by name: exact, estimated, or one of `PERCEPTIONS`.
 
     Raises

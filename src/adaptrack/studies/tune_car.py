@@ -1,0 +1,254 @@
+"""From a car to the constant tuning of the controller that knows it, sought on random drives and checked, in seconds."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from adaptrack.certify import Certificate, certify
+from adaptrack.comparison.statistics import Ratio, geometric_mean, ratio
+from adaptrack.controllers import ENTRIES, MPC, Tuning
+from adaptrack.controllers.belief import Uncertainty
+from adaptrack.domain import Domain
+from adaptrack.errors import InvalidInput, whole
+from adaptrack.feasibility import Feasibility, feasibility
+from adaptrack.kalman import KalmanFilter
+from adaptrack.plant import DualTrack, Plant, SteppedPlant
+from adaptrack.profile import Profile, load_profile
+from adaptrack.runs import RunSet, random_drive_runs
+from adaptrack.tuning.config import Search
+from adaptrack.tuning.pso import Swarm, SwarmSettings
+from adaptrack.vehicle import Vehicle
+
+Array = NDArray[np.float64]
+Progress = Callable[[str, int, int], None]
+
+FIRST_SOUGHT, FIRST_JUDGED = 13_000_000, 13_500_000
+"""Numbers of the first random drive of the search and of the judgement: nothing else has them."""
+NOISE_SOUGHT, NOISE_JUDGED = 5_001, 5_002
+FAST = 0.57
+"""Share of the range of speeds above which the hard drives of a search are."""
+HARD = (0.2, 0.35)
+"""Share of the grip that their roads ask for."""
+
+
+@dataclass(frozen=True)
+class Effort:
+    """How much a search may cost.
+
+    Raises
+    ------
+    InvalidInput
+        When a number is no whole one, or too small.
+    """
+
+    drives: int = 16
+    """of the search, mixed ones"""
+    hard_drives: int = 8
+    """of the search, fast ones near the grip"""
+    seconds: float = 30.0
+    """of each of these"""
+    swarm: SwarmSettings = field(default_factory=lambda: SwarmSettings(particles=12, generations=8))
+    judged: int = 48
+    """drives of 60 s that nothing was sought on"""
+    levels: tuple[int, int] = (14, 3)
+    """of speed and friction, of the certificate"""
+
+    def __post_init__(self) -> None:
+        for name, least in (("drives", 1), ("hard_drives", 1), ("judged", 4)):
+            whole("Effort", name, getattr(self, name), least=least)
+
+
+@dataclass(frozen=True, eq=False)
+class TunedCar:
+    """What `tune` found for a car."""
+
+    controller: MPC
+    """with the tuning that is kept, ready to drive"""
+    profile: Profile
+    domain: Domain
+    """the car's, less the speeds and frictions that nothing holds"""
+    feasibility: Feasibility
+    default: Tuning
+    """of the controller, before"""
+    sought: Tuning
+    """the best of the search"""
+    costs: dict[str, Array]
+    """(runs,) m^2, J of each unseen drive with "default" and "sought"; infinite where it failed"""
+    gain: Ratio
+    """J sought over J default, drive by drive, failed ones counting the square of the failure distance"""
+    certificate: Certificate
+    """of the tuning that is kept, over the domain"""
+    seconds: float
+
+    @property
+    def tuning(self) -> Tuning:
+        """The one that is kept: that of the search where it is better for sure, else the default."""
+        return self.controller.tuning
+
+    @property
+    def failed(self) -> int:
+        """Unseen drives that failed with the tuning that is kept."""
+        return int(np.isinf(self.costs["sought" if self.tuning is self.sought else "default"]).sum())
+
+    @property
+    def passed(self) -> bool:
+        """Whether no unseen drive failed and the certificate finds the loop stable."""
+        return self.failed == 0 and self.certificate.passed
+
+    @property
+    def verdict(self) -> str:
+        """What was found, in some sentences."""
+        entries = f"Np {self.tuning.Np}, Nc {self.tuning.Nc}, R/Q {self.tuning.R / self.tuning.Q:.4g}"
+        told = f"{self.gain.mean:.3f} [{self.gain.low:.3f}, {self.gain.high:.3f}] of the default's cost"
+        kept = "the best of the search" if self.tuning is self.sought else "the default, which the search does not beat"
+        drives = len(self.costs["default"])
+        first = "" if self.feasibility.passed else f"{self.feasibility.verdict} What follows is for {self.held}. "
+        return (
+            f"{first}{entries}: {kept} ({told}). {self.failed or 'None'} of {drives} unseen drives failed; "
+            f"{self.certificate.verdict}"
+        )
+
+    @property
+    def held(self) -> str:
+        """The domain in words."""
+        (slow, fast), (low, high) = self.domain.speed, self.domain.friction
+        return f"{slow:.3g} to {fast:.3g} m/s on friction {low:.3g} to {high:.3g}"
+
+    def summary(self) -> dict[str, Any]:
+        """Ready for JSON."""
+        worst = self.controller.model.vehicle.domain.failure_distance ** 2  # type: ignore[attr-defined]
+        return {
+            "verdict": self.verdict,
+            "passed": self.passed,
+            "profile": self.profile.name,
+            "domain": self.domain.model_dump(mode="json"),
+            "tuning": _entries(self.tuning),
+            "default": _entries(self.default),
+            "sought": _entries(self.sought),
+            "gain": self.gain._asdict(),
+            "drives": len(self.costs["default"]),
+            "failed": {name: int(np.isinf(each).sum()) for name, each in self.costs.items()},
+            "cost": {name: geometric_mean(np.minimum(each, worst)) for name, each in self.costs.items()},
+            "seconds": self.seconds,
+        }
+
+    def __repr__(self) -> str:
+        return f"<TunedCar: {self.verdict}>"
+
+
+def _entries(tuning: Tuning) -> dict[str, float]:
+    return dict(zip(ENTRIES, tuning.as_array().tolist(), strict=True))
+
+
+def tune(
+    car: Vehicle, profile: str | Profile = "road", *, plant: Plant | None = None,
+    speed: tuple[float, float] | None = None, friction: tuple[float, float] | None = None,
+    uncertainty: Uncertainty | None = None, estimator: KalmanFilter | None = None, effort: Effort | None = None,
+    seed: int = 0, progress: Progress | None = None,
+) -> TunedCar:  # fmt: skip
+    """The constant tuning with which the controller that knows its car drives it best, checked.
+
+    First which speeds and frictions any tuning holds at all, by the linear loops; then one swarm on random drives of
+    the domain that is left; then unseen drives, on which the default is kept unless it is beaten for sure (95 %); then
+    the certificate of what is kept.
+
+    Parameters
+    ----------
+    car
+        What the controller is told; its domain says where it is driven.
+    profile
+        The world: steering actuator, sensors, period.
+    plant
+        What is driven, compiled; by default the car as a dual track.
+    speed, friction
+        Lowest and highest, m/s and without a unit: instead of the domain's.
+    uncertainty, estimator
+        As for `MPC`.
+    effort
+        How much to spend; the default takes about 20 s on two cores.
+    seed
+        Of the search, and which drives.
+
+    Raises
+    ------
+    InvalidInput
+        When no tuning holds the loop anywhere in the domain, the plant is stepped in Python, or a range makes no sense.
+    """
+    began, show, asked = time.perf_counter(), progress or (lambda what, done, of: None), effort or Effort()
+    seed = whole("tune", "seed", seed, least=0)
+    driven = DualTrack(car) if plant is None else plant
+    if isinstance(driven, SteppedPlant):
+        raise InvalidInput("tune: needs thousands of runs, and this plant is stepped in Python: tune a compiled twin.")
+    world = load_profile(profile)
+    mpc = MPC(car, profile=world, uncertainty=uncertainty, estimator=estimator)
+    told = {name: each for name, each in (("speed", speed), ("friction", friction)) if each is not None}
+    wanted = Domain(**{**car.domain.model_dump(), **told})
+    show("which speeds can be held", 0, 1)
+    able = feasibility(driven, mpc, world, speed=wanted.speed, friction=wanted.friction, turn=None)
+    if able.constant is None:
+        raise InvalidInput(f"tune: {able.verdict}")
+    domain = wanted.replace(**able.constant[1]._asdict()) if able.constant[1] != able.whole else wanted
+    default = mpc.tuning
+    found = _sought(_search_runs(driven, mpc, world, domain, asked, seed), default, asked.swarm, seed, show)
+    show("unseen drives", 0, 1)
+    numbers = range(FIRST_JUDGED + 1000 * seed, FIRST_JUDGED + 1000 * seed + asked.judged)
+    unseen = _drives(driven, mpc, world, numbers, 60.0, domain.drive_options)
+    costs = {
+        name: unseen.drive(tuning, [NOISE_JUDGED])[:, 0] for name, tuning in (("default", default), ("sought", found))
+    }
+    known = {name: np.minimum(each, unseen.failed_cost) for name, each in costs.items()}
+    gain = ratio(known["sought"], known["default"], np.random.default_rng((seed, 0x7C)))
+    lost = {name: int(np.isinf(each).sum()) for name, each in costs.items()}
+    kept = found if gain.high < 1.0 and lost["sought"] <= lost["default"] else default
+    certificate = certify(
+        kept, driven, mpc, world, domain={"speed": domain.speed, "friction": domain.friction}, levels=asked.levels,
+        progress=show,
+    )  # fmt: skip
+    controller = MPC(car, profile=world, uncertainty=uncertainty, estimator=estimator, tuning=kept)
+    seconds = time.perf_counter() - began
+    return TunedCar(controller, world, domain, able, default, found, costs, gain, certificate, seconds)
+
+
+def _drives(
+    plant: Plant, mpc: MPC, world: Profile, numbers: range, seconds: float, roads: dict[str, Any]
+) -> RunSet:
+    return random_drive_runs(plant, mpc, numbers, seconds, world, roads=roads)
+
+
+def _search_runs(
+    plant: Plant, mpc: MPC, world: Profile, domain: Domain, asked: Effort, seed: int
+) -> list[RunSet]:
+    """Mixed drives and hard ones."""
+    first = FIRST_SOUGHT + 1000 * seed
+    slow, fast = domain.speed
+    hard = {**domain.drive_options, "speed": (slow + FAST * (fast - slow), fast), "demand": HARD}
+    return [
+        _drives(plant, mpc, world, range(first, first + asked.drives), asked.seconds, domain.drive_options),
+        _drives(plant, mpc, world, range(first + 500, first + 500 + asked.hard_drives), asked.seconds, hard),
+    ]
+
+
+def _sought(training: list[RunSet], default: Tuning, swarm: SwarmSettings, seed: int, show: Progress) -> Tuning:
+    """The tuning with the lowest mean log cost, each run set counting alike."""
+    search = Swarm(Search.around(default).space(), swarm, seed=seed)
+
+    def costs(tunings: Array) -> Array:
+        found = np.zeros(len(tunings))
+        for runs in training:
+            which = np.tile(np.arange(len(runs)), len(tunings))
+            each = runs.costs(np.repeat(tunings, len(runs), axis=0), [NOISE_SOUGHT], which)
+            found += np.log(each).reshape(len(tunings), len(runs)).mean(axis=1)
+        return found
+
+    while not search.done:
+        show("search", search.generation, search.settings.generations)
+        search.tell(costs(search.ask()))
+    best, own = search.result(), default.as_array()
+    Np, Nc, Q, R = (best.x if best.cost < costs(own[None])[0] else own).tolist()
+    return replace(default, Np=round(Np), Nc=round(Nc), Q=Q, R=float(f"{R:.6g}"))
