@@ -24,7 +24,7 @@ largest factor on R for it; rad/s, steering rate."""
 
 WIDE, STIFFNESS_DRIFTS = 1.6, (3.0, 5.0)
 """Factor of the stiffness; by which, at it, the drifts of the disturbances are divided and that of sliding multiplied:
-the best of 12 pairs on 16 drives of each of six cars in `production`, known by mass and wheelbase alone."""
+the best of 12 settings on 16 drives of each of six cars in `production`, known by mass and wheelbase alone."""
 MOST_DELAY, MOST_STIFFNESS, MOST_MASS = 1.0, 4.0, 0.9
 """Largest uncertainties: s, of a delay; -, factor of the stiffness; -, share of the mass."""
 _FACTORS = ("mass", "yaw_inertia", "stiffness_front", "stiffness_rear")
