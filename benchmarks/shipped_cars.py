@@ -1,6 +1,6 @@
 """Random drives of every shipped car, each in its own domain, by the controller with nothing but its defaults.
 
-    python benchmarks/shipped_cars.py [--drives 100] [--profile road production] [--vehicle paper van] [--sheet] [--json]
+    python benchmarks/shipped_cars.py [--drives 100] [--profile road production] [--vehicle van] [--sheet] [--json]
 
 J = mean e^2 + w mean (change of command)^2 in m^2, geometric mean over the drives that did not fail, with its 95 %
 interval. --sheet: the controller knows mass and wheelbase of the car alone, the rest is estimated.

@@ -297,11 +297,14 @@ def dump_toml(data: Mapping[str, Any], comments: Mapping[str, str] | None = None
     plain = {key: value for key, value in values.items() if not _is_table(value)}  # TOML wants these first
     lines = [_remarked(key, value, remarks.get(key, "")) for key, value in plain.items()]
     parts = ["\n".join([*lines, ""])] if lines else []
-    for key, value in values.items():
-        if key in plain:
-            continue
-        own = {name[len(key) + 1 :]: remark for name, remark in remarks.items() if name.startswith(f"{key}.")}
-        parts.append(f"[{key}]\n{dump_toml(value, own)}" if own else tomli_w.dumps({key: value}))
+    tables = {key: value for key, value in values.items() if key not in plain}
+    inner = {
+        key: {name[len(key) + 1 :]: remark for name, remark in remarks.items() if name.startswith(f"{key}.")}
+        for key in tables
+    }
+    if other := {key: value for key, value in tables.items() if not inner[key]}:
+        parts.append(tomli_w.dumps(other))
+    parts += [f"[{key}]\n{dump_toml(value, inner[key])}" for key, value in tables.items() if inner[key]]
     return "\n".join(parts)
 
 

@@ -26,7 +26,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from adaptrack.errors import ConfigError, did_you_mean
 from adaptrack.files import printable, read_bytes
-from adaptrack.tyre_fit import Samples, TyreFit, fit_saturation, judged
+from adaptrack.tyre_fit import Samples, TyreFit, fit_law, judged
 from adaptrack.vehicle import Tyre
 
 Array = NDArray[np.float64]
@@ -148,7 +148,7 @@ class TyreFile:
             stiffness_load="digressive", digressive_load_ratio=ratio,
             relaxation_length=0.0 if reaches is None else float(f"{float(reaches):.3g}"),
         )  # fmt: skip
-        tyre, friction = fit_saturation(start, samples, float(self.friction(self.scaled_load)))
+        tyre, friction, _ = fit_law(start, samples, float(self.friction(self.scaled_load)), ["load sensitivity"])
         return judged(tyre, samples, friction, (*self.notes, *self._said(loads, reaches)))
 
     def _digressive(self, loads: Array) -> tuple[float, float]:

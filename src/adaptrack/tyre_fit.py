@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -56,12 +57,17 @@ class TyreFit:
         )
 
 
+def cornering_stiffness(tyre: Tyre, load: ArrayLike, rear: ArrayLike = False) -> Array:
+    """Cornering stiffness (N/rad) of one tyre at a vertical load (N), rear or front."""
+    q = np.asarray(load, dtype=float) / tyre.nominal_load
+    s0, s1, s2 = tyre.stiffness_load_coefficients
+    return np.asarray(np.where(rear, tyre.stiffness_rear, tyre.stiffness_front) * (s0 + s1 * q) / (1.0 + s2 * q**2))
+
+
 def lateral_force(tyre: Tyre, slip: ArrayLike, load: ArrayLike, friction: float, rear: ArrayLike = False) -> Array:
     """Lateral force (N) of one tyre, the law of `Tyre` in NumPy: slip (rad), vertical load (N), rear or front tyre."""
     slip, load = np.asarray(slip, dtype=float), np.asarray(load, dtype=float)
-    q = load / tyre.nominal_load
-    s0, s1, s2 = tyre.stiffness_load_coefficients
-    stiffness = np.where(rear, tyre.stiffness_rear, tyre.stiffness_front) * (s0 + s1 * q) / (1.0 + s2 * q**2)
+    q, stiffness = load / tyre.nominal_load, cornering_stiffness(tyre, load, rear)
     if tyre.kind == "linear":
         return np.asarray(stiffness * friction * slip)
     peak = friction * load * np.maximum(1.0 - tyre.friction_load_sensitivity * (q - 1.0), 0.1)
@@ -69,13 +75,35 @@ def lateral_force(tyre: Tyre, slip: ArrayLike, load: ArrayLike, friction: float,
     return np.asarray(peak * np.sin(tyre.shape * np.arctan(b - tyre.curvature * (b - np.arctan(b)))))
 
 
-def fit_saturation(
-    tyre: Tyre, samples: Samples, friction: float, *, loads_differ: bool = True, stiffness: bool = False
-) -> tuple[Tyre, float]:
-    """Shape, curvature, load sensitivity of the friction, and friction, by least squares of force over load.
+FREE = ("load sensitivity", "load ratio", "stiffness", "offsets")
+"""What may be fitted beside shape, curvature and friction: how the friction falls with load; the load ratio of a
+digressive stiffness; the stiffness of both axles, within a factor of four; slips at which an axle has no force."""
 
-    loads_differ: else the load sensitivity stays as it is; stiffness: whether that of both axles is fitted as well,
-    within a quarter.
+
+class _Fitted(NamedTuple):
+    """The numbers of a fit in their order, each with its bounds, its scale and what frees it."""
+
+    low: float
+    high: float
+    scale: float
+    freed_by: str
+
+
+_NUMBERS = (
+    _Fitted(*SHAPES, 0.3, ""), _Fitted(*CURVATURES, 1.0, ""), _Fitted(*FRICTIONS, 0.3, ""),
+    _Fitted(0.0, 1.0, 0.1, FREE[0]), _Fitted(0.3, 50.0, 1.0, FREE[1]),
+    _Fitted(0.25, 4.0, 0.1, FREE[2]), _Fitted(0.25, 4.0, 0.1, FREE[2]),
+    _Fitted(-0.1, 0.1, 0.005, FREE[3]), _Fitted(-0.1, 0.1, 0.005, FREE[3]),
+)  # fmt: skip
+
+
+def fit_law(
+    tyre: Tyre, samples: Samples, friction: float, free: Collection[str] = ()
+) -> tuple[Tyre, float, tuple[float, float]]:
+    """The tyre, its friction and the offsets of the slip (rad) that are nearest to samples.
+
+    Least squares of force over load, from `tyre` and `friction` on; free: of `FREE`, what is fitted beside shape,
+    curvature and friction.
 
     Raises
     ------
@@ -84,30 +112,52 @@ def fit_saturation(
     """
     from scipy.optimize import least_squares
 
-    def changed(x: Array) -> tuple[Tyre, float]:
-        values = {"shape": float(x[0]), "curvature": float(x[1])}
-        values["friction_load_sensitivity"] = float(x[3]) if loads_differ else tyre.friction_load_sensitivity
-        values["stiffness_front"] = tyre.stiffness_front * (float(x[4]) if stiffness else 1.0)
-        values["stiffness_rear"] = tyre.stiffness_rear * (float(x[5]) if stiffness else 1.0)
-        return tyre.model_copy(update=values), float(x[2])  # bounded below: no need to validate at every step
+    low, high, scale = (np.array(each) for each in list(zip(*_NUMBERS, strict=True))[:3])
+    moves = np.array([not number.freed_by or number.freed_by in free for number in _NUMBERS])
+    start = np.array([1.35, 0.0, friction, tyre.friction_load_sensitivity, tyre.digressive_load_ratio or 2.0,
+                      1.0, 1.0, 0.0, 0.0])  # fmt: skip
+    if "load sensitivity" in free:
+        start[3] = 0.1
 
-    def residual(x: Array) -> Array:
-        candidate, mu = changed(x)
-        return (lateral_force(candidate, samples.slip, samples.load, mu, samples.rear) - samples.force) / samples.load
+    def residual(x: Array, whole: Array) -> Array:
+        whole[moves] = x
+        candidate, mu = _changed(tyre, whole)
+        slip = samples.slip - np.where(samples.rear, whole[8], whole[7])
+        return (lateral_force(candidate, slip, samples.load, mu, samples.rear) - samples.force) / samples.load
 
-    low = np.array([SHAPES[0], CURVATURES[0], FRICTIONS[0], 0.0, 0.75, 0.75])
-    high = np.array([SHAPES[1], CURVATURES[1], FRICTIONS[1], 1.0, 1.25, 1.25])
     best = None
-    for curvature in (-2.0, 0.0, 0.5):
-        start = np.clip([1.35, curvature, friction, 0.1, 1.0, 1.0], low + 1e-6, high - 1e-6)
-        found = least_squares(residual, start, bounds=(low, high), x_scale=[0.3, 1.0, 0.3, 0.1, 0.1, 0.1])
-        if np.isfinite(found.cost) and (best is None or found.cost < best.cost):
-            best = found
+    for shape, curvature in ((1.35, -2.0), (1.35, 0.0), (1.6, 0.5), (1.2, -0.5)):
+        whole = start.copy()
+        whole[:2] = shape, curvature
+        whole = np.clip(whole, low + 1e-6, high - 1e-6)
+        found = least_squares(
+            residual, whole[moves], bounds=(low[moves], high[moves]), x_scale=scale[moves], args=(whole.copy(),)
+        )
+        if np.isfinite(found.cost) and (best is None or found.cost < best[0]):
+            whole[moves] = found.x
+            best = found.cost, whole
     if best is None:
         raise InvalidInput("the tyre law fits no such forces: they hold values beyond any tyre's.")
-    fitted, mu = changed(best.x)
-    names = ("stiffness_front", "stiffness_rear", "shape", "curvature", "friction_load_sensitivity")
-    return tyre.replace(**{name: _short(getattr(fitted, name)) for name in names}), _short(mu)
+    fitted, mu = _changed(tyre, best[1])
+    return tyre.replace(**{name: _short(getattr(fitted, name)) for name in _changes(tyre)}), _short(mu), (
+        float(best[1][7]), float(best[1][8]),
+    )  # fmt: skip
+
+
+def _changes(tyre: Tyre) -> list[str]:
+    """The keys that a fit changes."""
+    found = ["shape", "curvature", "friction_load_sensitivity", "stiffness_front", "stiffness_rear"]
+    return found if tyre.digressive_load_ratio is None else [*found, "digressive_load_ratio"]
+
+
+def _changed(tyre: Tyre, x: Array) -> tuple[Tyre, float]:
+    """A tyre with the numbers of a fit, and its friction; bounded, hence not validated at every step."""
+    values = {
+        "shape": float(x[0]), "curvature": float(x[1]), "friction_load_sensitivity": float(x[3]),
+        "digressive_load_ratio": float(x[4]), "stiffness_front": tyre.stiffness_front * float(x[5]),
+        "stiffness_rear": tyre.stiffness_rear * float(x[6]),
+    }  # fmt: skip
+    return tyre.model_copy(update={name: values[name] for name in _changes(tyre)}), float(x[2])
 
 
 def judged(tyre: Tyre, samples: Samples, friction: float, notes: tuple[str, ...] = ()) -> TyreFit:

@@ -19,15 +19,17 @@ from numpy.typing import NDArray
 
 from adaptrack.errors import ConfigError, InvalidInput, did_you_mean
 from adaptrack.files import printable, read_bytes
-from adaptrack.tyre_fit import Samples, TyreFit, fit_saturation, judged
+from adaptrack.tyre_fit import Samples, TyreFit, cornering_stiffness, fit_law, judged
 from adaptrack.vehicle import Tyre
 
 Array = NDArray[np.float64]
 
 FORCES, LOADS, SLIPS = ("force_front_N", "force_rear_N"), ("load_front_N", "load_rear_N"), ("slip_rad", "slip_deg")
 LEAST_ROWS = 5
-SMALL = 0.35
-"""Share of the largest force up to which the stiffness is taken from the slope."""
+SMALL = 0.5
+"""Share of the largest force over load up to which the stiffness is first taken from the slope."""
+LEAST_OFFSET = 5e-4
+"""rad, a smaller one is not worth a word."""
 SATURATED = 0.8
 """Largest force over stiffness times slip from which on a table says nothing of where its tyre saturates."""
 ASSUMED_FRICTION = 1.0
@@ -65,21 +67,28 @@ def tyre_from_table(
     where = os.fspath(path)
     columns = _columns(where)
     axles = [_axle(where, columns, i, loads) for i in (0, 1)]
-    several = any(axle.load.max() > APART * axle.load.min() for axle in axles)
-    nominal = float(np.mean([np.median(axle.load) for axle in axles]))
-    notes, start, offsets = _stiffness(axles, nominal, name or Path(path).stem, several)
     samples = Samples(
-        np.concatenate([axle.slip - offset for axle, offset in zip(axles, offsets, strict=True)]),
+        np.concatenate([axle.slip for axle in axles]),
         np.concatenate([axle.load for axle in axles]),
         np.concatenate([axle.force for axle in axles]),
         np.concatenate([np.full(axle.slip.size, i == 1) for i, axle in enumerate(axles)]),
     )
-    linear = np.where(samples.rear, start.stiffness_rear, start.stiffness_front) * np.abs(samples.slip)
-    if not (np.abs(samples.force) < SATURATED * linear).any():
-        notes.append("The forces hardly saturate: shape 1.35 and a friction of 1 are assumed.")
-        return judged(start, samples, ASSUMED_FRICTION, tuple(notes))
-    peak = float((np.abs(samples.force) / samples.load).max())
-    tyre, friction = fit_saturation(start, samples, peak, loads_differ=several, stiffness=True)
+    several = any(axle.load.max() > APART * axle.load.min() for axle in axles)
+    start, notes = _begin(axles, name or Path(path).stem, several), []
+    if not several:
+        notes.append("One load for each axle: the stiffness does not depend on the load.")
+    peak, free = float((np.abs(samples.force) / samples.load).max()), ["stiffness", "offsets"]
+    free += ["load ratio"] if several else []
+    free += ["load sensitivity"] if samples.load.max() > APART * samples.load.min() else []
+    tyre, friction, offsets = fit_law(start, samples, peak, free)
+    for which, offset in zip(("front", "rear"), offsets, strict=True):
+        if abs(offset) > LEAST_OFFSET:
+            notes.append(f"The {which} axle has no force at a slip of {offset:.4f} rad: that offset is taken out.")
+    samples = samples._replace(slip=samples.slip - np.where(samples.rear, offsets[1], offsets[0]))
+    if not _saturates(tyre, samples):
+        notes.append("The forces hardly saturate: shape and friction, 1.35 and 1, are assumed.")
+        tyre, friction = tyre.replace(shape=1.35, curvature=0.0, friction_load_sensitivity=0.0), ASSUMED_FRICTION
+    notes.append("No relaxation length in a table of steady forces: they build up at once.")
     return judged(tyre, samples, friction, tuple(notes))
 
 
@@ -154,52 +163,30 @@ def _axle(where: str, columns: dict[str, Array], i: int, loads: tuple[float, flo
         raise ConfigError(f"{shown}: {LOADS[i]}: every load must be positive.")
     if np.sum((slip - slip.mean()) * (force - force.mean())) <= 0.0:
         raise ConfigError(
-            f"{shown}: {FORCES[i]} falls with slip: here a wheel that is turned left of its velocity has a positive slip "
-            "and is pushed to the left, positive (ISO 8855 axes); change the sign of one of the columns."
+            f"{shown}: {FORCES[i]} falls with slip: here a wheel that is turned left of its velocity has a positive "
+            "slip and is pushed to the left, positive (ISO 8855 axes); change the sign of one of the columns."
         )
     if np.abs(force / load).max() > 3.0:
         raise ConfigError(f"{shown}: {FORCES[i]} is up to {np.abs(force / load).max():.3g} times the load: wrong unit?")
     return _Axle(slip, force, load)
 
 
-def _stiffness(axles: list[_Axle], nominal: float, name: str, several: bool) -> tuple[list[str], Tyre, list[float]]:
-    """A tyre with the slopes of the axles at small forces, and the slip at which each has no force (rad)."""
-    from scipy.optimize import least_squares
+def _saturates(tyre: Tyre, samples: Samples) -> bool:
+    """Whether the forces at large slips tell where the tyre ends."""
+    slip = np.abs(samples.slip)
+    linear = cornering_stiffness(tyre, samples.load, samples.rear) * slip
+    return bool((np.abs(samples.force) < SATURATED * linear)[slip > 0.5 * slip.max()].any())
 
-    notes: list[str] = []
-    small = []
+
+def _begin(axles: list[_Axle], name: str, several: bool) -> Tyre:
+    """A tyre with the slopes of the axles at small forces, where the fit begins."""
+    slopes = []
     for axle in axles:
         near = np.abs(axle.force / axle.load) <= SMALL * np.abs(axle.force / axle.load).max()
-        small.append(_Axle(*(each[near] for each in axle)) if near.sum() >= 3 else axle)
-
-    def slope(x: Array, load: Array) -> Array:
-        q = load / nominal
-        return np.asarray((1.0 + x[4] ** -2) * q / (1.0 + (q / x[4]) ** 2)) if several else np.ones_like(q)
-
-    def residual(x: Array) -> Array:
-        parts = [
-            (1e5 * x[i] * slope(x, axle.load) * (axle.slip - x[2 + i]) - axle.force) / axle.load
-            for i, axle in enumerate(small)
-        ]
-        return np.concatenate(parts)
-
-    scale = [np.polyfit(axle.slip, axle.force, 1)[0] / 1e5 for axle in small]
-    start = [*(max(each, 1e-9) for each in scale), 0.0, 0.0, 2.0]
-    found = least_squares(
-        residual, start, bounds=([1e-10, 1e-10, -0.1, -0.1, 0.3], [99.0, 99.0, 0.1, 0.1, 50.0]),
-        x_scale=[start[0], start[1], 0.01, 0.01, 1.0],
+        x, y = (axle.slip[near], axle.force[near]) if near.sum() >= 3 else (axle.slip, axle.force)
+        slopes.append(max(float(np.polyfit(x, y, 1)[0]), 1e-3))
+    return Tyre(
+        name=name, description="fitted to a table of axle forces", kind="magic-formula", stiffness_front=slopes[0],
+        stiffness_rear=slopes[1], nominal_load=float(f"{np.mean([np.median(axle.load) for axle in axles]):.5g}"),
+        stiffness_load="digressive" if several else "constant", digressive_load_ratio=2.0 if several else None,
     )  # fmt: skip
-    front, rear, *offsets, ratio = found.x
-    if not several:
-        notes.append("One load for each axle: the stiffness does not depend on the load.")
-    for which, offset in zip(("front", "rear"), offsets, strict=True):
-        if abs(offset) > 5e-4:
-            notes.append(f"The {which} axle has no force at a slip of {offset:.4f} rad: that offset is taken out.")
-    tyre = Tyre(
-        name=name, description="fitted to a table of axle forces", kind="magic-formula",
-        stiffness_front=float(f"{1e5 * front:.5g}"), stiffness_rear=float(f"{1e5 * rear:.5g}"), nominal_load=nominal,
-        stiffness_load="digressive" if several else "constant",
-        digressive_load_ratio=float(f"{ratio:.5g}") if several else None,
-    )  # fmt: skip
-    notes.append("No relaxation length in a table of steady forces: they build up at once.")
-    return notes, tyre, list(offsets)

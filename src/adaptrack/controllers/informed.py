@@ -85,7 +85,7 @@ def informed_parts(
     unsure = Uncertainty.of_car(car, plain) if told[1] is None else Uncertainty.declared(told[1])
     belief = plain.later(unsure)
     tuning = informed_tuning(world, pace, unsure)
-    drifts = unsure.widened(KalmanFilter().drifts)
+    drifts = unsure.widened(KalmanFilter().drifts, math.isfinite(world.noise_vy))
     return Parts(
         tuning=replace(tuning, R=tuning.R * CAUTION) if belief.is_cautious else tuning,
         model=PathModel(car, pace, belief.lag.value, belief.delay),

@@ -1,0 +1,223 @@
+"""Cars from mass and wheelbase; what is known of a car, and within what."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from adaptrack.batch import rollout_batch
+from adaptrack.controllers import MPC, Uncertainty
+from adaptrack.data_sheet import AXLE_COEFFICIENTS, vehicle_from_data_sheet
+from adaptrack.errors import ConfigError, InvalidInput, UnknownName
+from adaptrack.failure import Failure, find_failure
+from adaptrack.known_within import KnownWithin
+from adaptrack.metrics import compute_metrics
+from adaptrack.plant import DualTrack
+from adaptrack.profile import load_profile
+from adaptrack.runs import random_drive_runs
+from adaptrack.scenario import load_scenario, random_drive
+from adaptrack.simulate import rollout, simulate
+from adaptrack.vehicle import GRAVITY, Steering, Vehicle, list_vehicles, load_vehicle
+
+REAL = [name for name in list_vehicles() if name not in ("paper", "model-car")]
+"""Full-size cars; the paper's has tyres as no real car."""
+
+
+# -- estimates --------------------------------------------------------------------------------------------------------
+@pytest.mark.parametrize("name", REAL)
+def test_the_shipped_cars_lie_within_what_their_mass_and_wheelbase_tell(name):
+    """None of these cars was used for the estimates; inertia and height are 90 % intervals, hence some slack."""
+    car = load_vehicle(name)
+    guess = vehicle_from_data_sheet("x", car.mass, car.wheelbase, body_style="truck" if name == "van" else "car")
+    said = guess.known_within
+    for key, slack in (("stiffness_front", 1.0), ("stiffness_rear", 1.0), ("yaw_inertia", 1.06)):
+        ratio = getattr(car, key) / getattr(guess, key)
+        assert max(ratio, 1.0 / ratio) <= slack * getattr(said, key), key
+    assert abs(car.lf - guess.lf) <= 1.0 * said.lf
+    assert abs(car.cg_height - guess.cg_height) <= said.cg_height
+    low, high = guess.understeer_range
+    assert low <= car.understeer_gradient <= high
+
+
+def test_what_a_data_sheet_says_is_kept_and_the_rest_is_marked():
+    car = vehicle_from_data_sheet("mine", 1400, 2.6, lf=1.0, stiffness_front=6e4, track_front=1.6)
+    assert (car.mass, car.lf, car.lr, car.stiffness_front, car.track_front) == (1400, 1.0, 1.6, 6e4, 1.6)
+    assert not {"mass", "lf", "lr", "stiffness_front", "track_front"} & set(car.estimated)
+    assert {"yaw_inertia", "stiffness_rear", "cg_height", "track_rear", "engine_power"} <= set(car.estimated)
+    assert car.known_within.lf is car.known_within.stiffness_front is None
+    assert car.known_within.stiffness_rear > 1.5
+    assert vehicle_from_data_sheet("mine", 1400, 2.6, lr=1.6) == vehicle_from_data_sheet("mine", 1400, 2.6, lf=1.0)
+
+
+def test_a_load_makes_the_tyres_stiffer_and_leaves_the_inertia():
+    empty, laden = (vehicle_from_data_sheet("x", 1500, 2.7, load=load) for load in (0.0, 150.0))
+    assert laden.mass == 1650
+    assert laden.yaw_inertia == empty.yaw_inertia
+    assert laden.stiffness_front == pytest.approx(1.1 * empty.stiffness_front, rel=1e-3)
+    weight = laden.mass * GRAVITY * laden.lr / laden.wheelbase
+    assert 2 * laden.stiffness_front == pytest.approx(AXLE_COEFFICIENTS[0] * weight, rel=1e-3)
+
+
+def test_an_estimated_car_reads_back_equal(tmp_path):
+    car = vehicle_from_data_sheet("mine", 1400, 2.6, body_style="truck")
+    car.to_toml(tmp_path / "mine.toml")
+    assert load_vehicle(tmp_path / "mine.toml") == car
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"mass": 3.7}, "mass = 3.7 kg: the estimates are of cars of 600 to 3500 kg; give all six numbers"),
+        ({"wheelbase": 27}, "wheelbase = 27 m"),
+        ({"mass": True}, "must be a number"),
+        ({"load": -1}, "load = -1"),
+        ({"lf": 3.0}, "do not make the wheelbase"),
+        ({"lf": 1.0, "lr": 1.0}, "do not make the wheelbase"),
+        ({"stiffness_frnt": 1e4}, "Did you mean 'stiffness_front'"),
+    ],
+)
+def test_a_data_sheet_that_cannot_be_is_refused(arguments, message):
+    with pytest.raises(InvalidInput, match=message):
+        vehicle_from_data_sheet("x", **({"mass": 1500, "wheelbase": 2.7} | arguments))
+
+
+def test_an_unknown_body_style_is_named():
+    with pytest.raises(UnknownName, match=r"body_style = 'cars': unknown. Did you mean 'car'"):
+        vehicle_from_data_sheet("x", 1500, 2.7, body_style="cars")
+
+
+@pytest.mark.slow
+@pytest.mark.compiled
+@pytest.mark.parametrize("profile", ["road", "production"])
+@pytest.mark.parametrize("name", REAL)
+def test_mass_and_wheelbase_are_enough_to_drive_a_car(name, profile):
+    """16 drives of the car itself by a controller that knows nothing else of it: at most one failed."""
+    car = load_vehicle(name)
+    mpc = MPC(vehicle_from_data_sheet(name, car.mass, car.wheelbase), profile=profile)
+    runs = random_drive_runs(DualTrack(car), mpc, range(52_000_000, 52_000_016), profile=profile)
+    assert np.isinf(runs.drive(mpc, [3])[:, 0]).sum() <= 1
+
+
+# -- known within -----------------------------------------------------------------------------------------------------
+def car(**changes) -> Vehicle:
+    return load_vehicle("midsize-sedan").replace(**changes)
+
+
+def test_the_controller_takes_its_uncertainty_from_the_cars_file_unless_told():
+    known = KnownWithin(stiffness_front=1.3, stiffness_rear=1.5, mass=1.1, yaw_inertia=1.2, steering_lag=0.05)
+    steering = Steering(lag=0.2)
+    of_file = MPC(car(known_within=known, steering=steering), profile="road")
+    told = MPC(car(steering=steering), profile="road", uncertainty=Uncertainty(lag=0.05, stiffness=1.5, mass=0.2))
+    assert of_file.tuning == told.tuning
+    assert of_file.model.lag == told.model.lag == pytest.approx(0.2 + 0.9 * 0.05)
+    assert of_file.estimator == told.estimator
+    plain = MPC(car(steering=steering), profile="road")
+    assert of_file.tuning.R > plain.tuning.R
+    sure = MPC(car(known_within=known, steering=steering), profile="road", uncertainty=Uncertainty())
+    assert (sure.tuning, sure.model.lag, sure.estimator) == (plain.tuning, plain.model.lag, plain.estimator)
+
+
+def test_how_well_a_lag_is_known_concerns_the_lag_of_the_same_file_only():
+    """A lag that the profile says is as sure as the profile."""
+    mpc = MPC(car(known_within=KnownWithin(steering_lag=0.1)), profile="road")
+    assert mpc.model.lag == load_profile("road").steering.lag
+
+
+def test_a_car_without_the_section_drives_as_before():
+    mpc, plain = (MPC(car(known_within=known), profile="production") for known in (None, KnownWithin()))
+    assert (mpc.tuning, mpc.estimator, mpc.limits, mpc.belief) == (
+        plain.tuning, plain.estimator, plain.limits, plain.belief,
+    )  # fmt: skip
+
+
+def test_uncertain_stiffness_slows_the_disturbances_where_the_lateral_velocity_is_not_measured():
+    drifts = MPC(car(), profile="road").estimator.drifts
+    for factor, share in ((1.6, 1.0), (2.5, 1.0), (1.6**0.5, 0.5)):
+        wide = Uncertainty(stiffness=factor).widened(drifts, measures_vy=False)
+        assert wide.side == pytest.approx(drifts.side / 3.0**share)
+        assert wide.sliding == pytest.approx(drifts.sliding * 5.0**share)
+    assert Uncertainty().widened(drifts, measures_vy=False) == drifts
+    assert Uncertainty(stiffness=1.6).widened(drifts) == drifts
+
+
+@pytest.mark.parametrize(
+    ("line", "message"),
+    [
+        ("mass = 0.9", "known_within.mass = 0.9: must be a finite number >= 1"),
+        ("lf = -0.1", "known_within.lf = -0.1: must be a finite number >= 0"),
+        ("masss = 1.1", "known_within.masss: unknown key. Did you mean 'mass'"),
+    ],
+)
+def test_an_impossible_uncertainty_in_a_file_is_named(tmp_path, line, message):
+    path = tmp_path / "mine.toml"
+    six = "mass=1500\nyaw_inertia=2500\nlf=1.1\nlr=1.6\nstiffness_front=55e3\nstiffness_rear=60e3\n"
+    path.write_text(six + "[known_within]\n" + line)
+    with pytest.raises(ConfigError, match=message):
+        load_vehicle(path)
+
+
+def test_what_is_estimated_must_be_a_number_of_a_car():
+    with pytest.raises(InvalidInput, match=r"'masses' is no number of a car. Did you mean 'mass'"):
+        car(estimated=("masses",))
+
+
+def test_a_factor_and_a_margin_are_written_as_such():
+    said = KnownWithin(mass=1.25, lf=0.05, drive_front=0.1)
+    assert [said.clause(key) for key in ("mass", "lf", "drive_front", "lr")] == ["x/÷ 1.25", "± 0.05 m", "± 0.1", ""]
+    assert KnownWithin.is_factor("stiffness_rear")
+    assert not KnownWithin.is_factor("cg_height")
+
+
+# -- domain -----------------------------------------------------------------------------------------------------------
+def test_drives_are_drawn_in_the_domain_of_the_car():
+    model, drive = load_vehicle("model-car"), random_drive(3, **load_vehicle("model-car").domain.drive_options)
+    assert load_scenario("random-drive", seed=3, domain=model.domain) == drive
+    runs = random_drive_runs(DualTrack(model), MPC(model, profile="road"), [3])
+    assert runs.scenarios == [drive]
+    signals, domain = drive.sample(0.05), model.domain
+    assert domain.speed[0] <= signals.speed.min() <= signals.speed.max() <= domain.speed[1]
+    assert domain.friction[0] <= signals.friction.min()
+    assert np.abs(signals.wind).max() <= domain.wind
+    assert eval(drive.source, {"random_drive": random_drive}) == drive
+
+
+@pytest.mark.parametrize("name", ["paper", *REAL])
+def test_full_size_cars_have_the_drives_that_everybody_has(name):
+    assert random_drive(11, **load_vehicle(name).domain.drive_options) == random_drive(11)
+
+
+@pytest.mark.compiled
+def test_a_run_has_failed_where_the_cars_own_domain_says(tmp_path):
+    """In every driver, in the metrics, and in a file that was read back."""
+    model = load_vehicle("model-car")
+    off = load_scenario("step", amplitude=0.2, speed=3.0, duration=3.0)
+    mpc, plant = MPC(model, profile="road"), DualTrack(model.replace(domain=model.domain.replace(failure_distance=0.1)))
+    runs = [simulate(plant, mpc, off, profile="road"), rollout(plant, mpc, off, profile="road")]
+    wide = rollout(DualTrack(model), mpc, off, profile="road")
+    assert wide.failed is None
+    assert wide.meta["failure_distance"] == 0.5
+    near = plant.vehicle.domain.failure_distance
+    assert Failure.of(plant) == Failure(distance=near)
+    away = load_scenario("step", amplitude=0.05, speed=3.0, duration=3.0, start_y=0.0)
+    assert [run.failed for run in runs] == [None, None] or all(run.failed == "off-road" for run in runs)
+    moved = dataclasses.replace(wide, Y=wide.y_ref + np.linspace(0.0, 0.6, len(wide)))
+    assert find_failure(moved).reason == "off-road"
+    assert compute_metrics(moved).failed
+    assert find_failure(moved, Failure()) is None
+    batch = rollout_batch(plant, mpc, [off, away], profile="road")
+    assert (batch.failed[0] is None) == (runs[1].failed is None)
+
+
+@pytest.mark.parametrize(
+    ("line", "message"),
+    [("speed = [9.0, 4.0]", "speed = .9, 4.: need 0 < lowest"), ("friction = [0.0, 1.0]", "friction"),
+     ("lane_width = 0.0", "domain.lane_width"), ("speeds = [1, 2]", "Did you mean 'speed'")],
+)  # fmt: skip
+def test_an_impossible_domain_is_named(tmp_path, line, message):
+    path = tmp_path / "mine.toml"
+    six = "mass=1500\nyaw_inertia=2500\nlf=1.1\nlr=1.6\nstiffness_front=55e3\nstiffness_rear=60e3\n"
+    path.write_text(six + "[domain]\n" + line)
+    with pytest.raises(ConfigError, match=message):
+        load_vehicle(path)

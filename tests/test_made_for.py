@@ -1,0 +1,74 @@
+"""Nothing that ships for one car drives another without a word."""
+
+from __future__ import annotations
+
+import itertools
+
+import pytest
+
+from adaptrack.batch import Batch
+from adaptrack.controllers import MPC, published_mpc
+from adaptrack.controllers.made_for import car_of, is_for_published
+from adaptrack.plant import DualTrack
+from adaptrack.profile import load_profile
+from adaptrack.runs import RunSet
+from adaptrack.scenario import load_scenario
+from adaptrack.scheduling import list_schedulers, load_scheduler
+from adaptrack.simulate import simulate
+from adaptrack.vehicle import list_vehicles, load_vehicle
+
+SCHEDULERS = {name: load_scheduler(name) for name in list_schedulers()}
+CARS = {name: load_vehicle(name) for name in list_vehicles()}
+PAIRS = list(itertools.product(SCHEDULERS, CARS))
+SHORT = load_scenario("lane-change", speed=5.0, amplitude=0.2, duration=1.0)
+
+
+def controller(schedule, car, scheduler=None):
+    """The MPC that a schedule was made for, of a car."""
+    world = load_profile(schedule.made_for["profile"])
+    sizes = {"longest_horizon": max(60, schedule.largest[0]), "most_moves": max(20, schedule.largest[1])}
+    if is_for_published(schedule.made_for):
+        return published_mpc(car, scheduler=scheduler, period=world.period, preview=world.preview, **sizes)
+    return MPC(car, profile=world, scheduler=scheduler, **sizes)
+
+
+def test_every_shipped_scheduler_says_for_which_car_and_profile_it_was_made():
+    for name, schedule in SCHEDULERS.items():
+        assert schedule.made_for["car"] in CARS, name
+        assert schedule.made_for["profile"], name
+
+
+@pytest.mark.parametrize(("name", "car"), PAIRS)
+def test_a_shipped_scheduler_meets_another_car_with_a_word_and_its_own_without(name, car, caplog):
+    """The controller is built; the schedule comes to a run set; the plant is of another car than the controller."""
+    schedule, own = SCHEDULERS[name], CARS[SCHEDULERS[name].made_for["car"]]
+    profile, other = schedule.made_for["profile"], car != own.name
+    mpc = controller(schedule, CARS[car], schedule)
+    words = f"was made for the car '{own.name}', not '{car}'"
+    assert (words in caplog.text) == other
+    assert bool(mpc.mismatches(schedule, profile)) == other
+    caplog.clear()
+    RunSet(DualTrack(CARS[car]), controller(schedule, CARS[car]), [SHORT], profile)._warn_of(schedule)
+    assert (words in caplog.text) == other
+    caplog.clear()
+    Batch(DualTrack(CARS[car]), controller(schedule, own, schedule), [SHORT], profile)
+    assert (words in caplog.text) == other
+
+
+@pytest.mark.compiled
+def test_simulate_tells_it_too_when_only_the_plant_is_another_car(caplog):
+    schedule = SCHEDULERS["road-best-constant"]
+    mpc = controller(schedule, CARS["paper"], schedule)
+    assert "made for" not in caplog.text
+    simulate(DualTrack(CARS["van"]), mpc, SHORT, profile="road")
+    assert "was made for the car 'paper', not 'van'" in caplog.text
+
+
+def test_a_car_with_the_name_of_a_shipped_one_and_other_numbers_is_another_car(caplog):
+    heavy = CARS["paper"].replace(mass=1800.0)
+    schedule = SCHEDULERS["road-nn"]
+    controller(schedule, heavy, schedule)
+    assert "was made for the car 'paper', not 'paper with other numbers'" in caplog.text
+    assert car_of(DualTrack(heavy)) == "paper with other numbers"
+    assert car_of(DualTrack(CARS["paper"].replace(description="another word"))) == "paper"
+    assert car_of(object()) is None

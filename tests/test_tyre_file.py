@@ -1,0 +1,231 @@
+"""Tyre property files against the published equations, written out here once more."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from adaptrack.errors import ConfigError, StorageError
+from adaptrack.tyre_file import read_tyre_file
+from adaptrack.tyre_fit import lateral_force
+from adaptrack.vehicle import Tyre, load_tyre
+from inlined import entry
+
+# Besselink, Schmeitz, Pacejka 2010 (Pacejka, Tire and Vehicle Dynamics, 3rd ed., appendix 3): 205/60 R15 91V
+BOOK = {
+    "PCY1": 1.337, "PDY1": 0.8785, "PDY2": -0.06452, "PEY1": -0.8057, "PEY2": -0.6046, "PEY3": 0.09854,
+    "PKY1": -15.324, "PKY2": 1.715, "PKY3": 0.3695, "PKY4": 2.0005, "PHY1": -0.001806, "PHY2": 0.00352,
+    "PVY1": -0.00661, "PVY2": 0.03592,
+}  # fmt: skip
+# MSC Adams/Tire, example file of PAC2002, 235/60 R16
+PAC = {
+    "PCY1": 1.3507, "PDY1": 1.0489, "PDY2": -0.18033, "PEY1": -0.0074722, "PEY2": -0.0063208, "PKY1": -21.92,
+    "PKY2": 2.0012, "PTY1": 2.1439, "PTY2": 1.9829,
+}  # fmt: skip
+
+
+def tir(path, coefficients, *, model="FITTYP = 61", nominal=4000.0, **changes):
+    """A file; changes: sections by name, None leaves one out."""
+    sections = {
+        "MDI_HEADER": "FILE_TYPE = 'tir'\n! a comment = 3",
+        "UNITS": "LENGTH = 'meter'\nFORCE = 'newton'\nANGLE = 'radians'\nMASS = 'kg'",
+        "MODEL": f"{model}\nTYRESIDE = 'LEFT'",
+        "DIMENSION": "UNLOADED_RADIUS = 0.3135   $free radius",
+        "VERTICAL": f"FNOMIN = {nominal}",
+        "LATERAL_COEFFICIENTS": "\n".join(f"{key} = {value!r} $x" for key, value in coefficients.items()),
+    } | changes
+    text = "\n".join(f"[{name}]\n{body}" for name, body in sections.items() if body is not None)
+    path.write_text(text.replace("= 0.0", "= 0.0"), encoding="latin-1")
+    return path
+
+
+def published(p, slip, load, nominal, lfz=1.0, lky=1.0, lmuy=1.0, lcy=1.0, ley=1.0):
+    """F_y (N) of eqs. (4.E19)-(4.E30), without shifts: ISO axes, a positive slip gives a negative force."""
+    fz0 = lfz * nominal
+    dfz = (load - fz0) / fz0
+    K = p["PKY1"] * fz0 * math.sin(p.get("PKY4", 2.0) * math.atan(load / (p["PKY2"] * fz0))) * lky
+    D = (p["PDY1"] + p.get("PDY2", 0.0) * dfz) * lmuy * load
+    C = p["PCY1"] * lcy
+    E = (p.get("PEY1", 0.0) + p.get("PEY2", 0.0) * dfz) * ley
+    B = K / (C * D)
+    return D * math.sin(C * math.atan(B * slip - E * (B * slip - math.atan(B * slip))))
+
+
+GRID = [(slip, load) for slip in (-0.15, 0.005, 0.03, 0.08, 0.2) for load in (1500.0, 4000.0, 6200.0)]
+
+
+@pytest.mark.parametrize(("model", "p"), [("FITTYP = 61", BOOK), ("FITTYP = 62", BOOK), ("FITTYP = 6", PAC),
+                                          ("PROPERTY_FILE_FORMAT = 'PAC2002'", PAC)])  # fmt: skip
+def test_the_force_is_that_of_the_published_equations_turned_to_the_left(tmp_path, model, p):
+    scaled = "LFZO = 0.9\nLKY = 1.2\nLMUY = 0.85\nLCY = 1.05\nLEY = 0.7"
+    for factors in ({}, {"lfz": 0.9, "lky": 1.2, "lmuy": 0.85, "lcy": 1.05, "ley": 0.7}):
+        more = {"SCALING_COEFFICIENTS": scaled} if factors else {}
+        tyre = read_tyre_file(tir(tmp_path / "a.tir", p, model=model, **more))
+        for slip, load in GRID:
+            assert tyre.force(slip, load) == pytest.approx(-published(p, slip, load, 4000.0, **factors), rel=1e-12)
+            small = 1e-7
+            slope = -published(p, small, load, 4000.0, **factors) / small
+            assert tyre.stiffness(load) == pytest.approx(slope, rel=1e-5)
+
+
+def test_units_other_than_si_give_the_same_tyre(tmp_path):
+    plain = read_tyre_file(tir(tmp_path / "a.tir", BOOK, STRUCTURAL="LATERAL_STIFFNESS = 1e5"))
+    per_degree = BOOK | {"PKY1": math.radians(BOOK["PKY1"]), "PHY1": math.degrees(BOOK["PHY1"])}
+    other = read_tyre_file(
+        tir(
+            tmp_path / "b.tir",
+            per_degree,
+            nominal=4.0,
+            STRUCTURAL="LATERAL_STIFFNESS = 0.1",
+            UNITS="LENGTH = 'mm'\nFORCE = 'kN'\nANGLE = 'degrees'",
+            DIMENSION="UNLOADED_RADIUS = 313.5",
+        )
+    )
+    assert other.nominal_load == pytest.approx(4000.0)
+    assert other.radius == pytest.approx(0.3135)
+    for slip, load in GRID:
+        assert other.force(slip, load) == pytest.approx(plain.force(slip, load), rel=1e-12)
+    assert other.relaxation_length(4000.0) == pytest.approx(plain.relaxation_length(4000.0))
+
+
+def test_the_other_sign_of_slip_gives_the_same_tyre_and_is_said(tmp_path):
+    iso, sae = (read_tyre_file(tir(tmp_path / "a.tir", BOOK | {"PKY1": sign * 15.324})) for sign in (-1, 1))
+    assert [iso.force(*each) for each in GRID] == [sae.force(*each) for each in GRID]
+    assert any("ISO" in note and "turned round" in note for note in iso.notes)
+    assert any("adapted SAE" in note and "negative stiffness" in note for note in sae.notes)
+
+
+def test_a_file_of_negative_friction_is_the_same_tyre(tmp_path):
+    """Some files carry the sign of the force in PDY1."""
+    turned = BOOK | {"PDY1": -0.8785, "PDY2": 0.06452}
+    one, other = (read_tyre_file(tir(tmp_path / "a.tir", p)) for p in (BOOK, turned))
+    assert [float(one.force(*each)) for each in GRID] == pytest.approx([float(other.force(*each)) for each in GRID])
+
+
+def test_the_relaxation_length_is_the_published_one(tmp_path):
+    pac = read_tyre_file(
+        tir(tmp_path / "a.tir", PAC, model="FITTYP = 6", nominal=4850.0, DIMENSION="UNLOADED_RADIUS = 0.344")
+    )
+    assert pac.relaxation_length(2400.0) == pytest.approx(0.35, abs=0.005)  # as the page of the tyres says
+    assert pac.relaxation_length(4850.0) == pytest.approx(0.59, abs=0.005)
+    book = read_tyre_file(tir(tmp_path / "b.tir", BOOK, STRUCTURAL="LATERAL_STIFFNESS = 1e5\nPCFY1 = 0.2"))
+    assert book.relaxation_length(4000.0) == pytest.approx(book.stiffness(4000.0) / 1e5)
+    assert book.relaxation_length(6000.0) == pytest.approx(book.stiffness(6000.0) / 1.1e5)
+    none = read_tyre_file(tir(tmp_path / "c.tir", BOOK)).to_tyre()
+    assert none.tyre.relaxation_length == 0.0
+    assert any("No relaxation length" in note for note in none.notes)
+
+
+@pytest.mark.parametrize(("model", "p", "most"), [("FITTYP = 61", BOOK, 0.02), ("FITTYP = 6", PAC, 0.01)])
+def test_the_fitted_tyre_is_as_near_as_it_says_and_near(tmp_path, model, p, most):
+    """Largest deviation of the force over slip and load, against the published equations."""
+    fit = read_tyre_file(tir(tmp_path / "a.tir", p, model=model)).to_tyre("mine")
+    assert isinstance(fit.tyre, Tyre)
+    assert fit.tyre.name == "mine"
+    worst = 0.0
+    for slip in np.linspace(0.0, fit.slips[1], 40):
+        for load in np.linspace(*fit.loads, 15):
+            peak = abs(p["PDY1"] + p["PDY2"] * (load / 4000.0 - 1.0)) * load
+            off = float(lateral_force(fit.tyre, slip, load, fit.friction)) + published(p, slip, load, 4000.0)
+            worst = max(worst, abs(off) / peak)
+    assert worst <= 1.03 * fit.deviation + 1e-4
+    assert fit.deviation <= most
+    assert f"{100 * fit.deviation:.1f} %" in str(fit)
+
+
+def test_the_shipped_tyres_are_what_their_published_sets_give(tmp_path):
+    for name, p, nominal in (("small-car", BOOK, 4000.0), ("passenger-car", PAC, 4850.0)):
+        shipped = load_tyre(name)
+        file = read_tyre_file(tir(tmp_path / "a.tir", p, nominal=nominal, model="FITTYP = 61"))
+        loads = np.linspace(0.4, 1.4, 11) * nominal
+        for load in loads:
+            assert shipped.stiffness_at(load, load)[0] == pytest.approx(float(file.stiffness(load)), rel=1e-3)
+            slips = np.linspace(0.005, 0.2, 40)
+            ours = lateral_force(shipped, slips, load, abs(p["PDY1"]))
+            assert np.abs(ours - file.force(slips, load)).max() <= 0.06 * abs(p["PDY1"]) * load
+
+
+def test_what_is_left_out_is_said(tmp_path):
+    file = tir(
+        tmp_path / "a.tir", BOOK, OPERATING_CONDITIONS="INFLPRES = 200000\nNOMPRES = 220000",
+        ALIGNING_COEFFICIENTS="QBZ1 = 12", LONGITUDINAL_COEFFICIENTS="PCX1 = 1.6",
+    )  # fmt: skip
+    said = " ".join(read_tyre_file(file).notes)
+    assert "Ply steer and conicity, measured as a left tyre" in said
+    assert "nominal (220000), not as it is (200000)" in said
+    assert all(words in said for words in ("Camber", "aligning moment", "longitudinal slip"))
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"LATERAL_COEFFICIENTS": None}, r"no section \[LATERAL_COEFFICIENTS\]"),
+        ({"UNITS": None}, r"no section \[UNITS\]: write LENGTH"),
+        ({"MODEL": None}, r"no section \[MODEL\]"),
+        ({"VERTICAL": None}, r"no section \[VERTICAL\]: it holds FNOMIN"),
+        ({"VERTICAL": "X = 1"}, r"has no FNOMIN"),
+        ({"UNITS": "LENGTH = 'furlong'\nFORCE = 'newton'\nANGLE = 'rad'"}, r"line 5: LENGTH = 'furlong': unknown unit"),
+        ({"UNITS": "LENGTH = 'meter'\nFORCE = 'newton'"}, r"has no ANGLE"),
+        ({"UNITS": "LENGTH = 'meter'\nFORCE = 'kN'\nANGLE = 'rad'"}, r"FNOMIN = 4000 is 4e\+06 N, .* wrong \[UNITS\]"),
+        ({"UNITS": "LENGTH = 'meter'\nFORCE = 'newton'\nANGLE = 'degrees'"}, r"PKY1 = -15.324.*per degree"),
+        ({"MODEL": "PROPERTY_FILE_FORMAT = 'FTIRE'"}, r"line 10: PROPERTY_FILE_FORMAT = 'FTIRE'"),
+        ({"MODEL": "FITTYP = 7"}, r"FITTYP = 7: is none of"),
+        ({"MODEL": "LONGVL = 16"}, r"neither FITTYP nor PROPERTY_FILE_FORMAT"),
+        ({"DIMENSION": "UNLOADED_RADIUS = 313.5"}, r"line 13: UNLOADED_RADIUS = 313.5 is 313.5 m"),
+        ({"SCALING_COEFFICIENTS": "LKY = -1"}, r"LKY = -1: a scaling factor must be positive"),
+        ({"VERTICAL_FORCE_RANGE": "FZMIN = 9000\nFZMAX = 9500"}, r"holds no load near FNOMIN"),
+        ({"LATERAL_COEFFICIENTS": "PCY1 = 1.3\nPKY1 = -15\nPKY2 = 1.7"}, r"has no PDY1"),
+    ],
+)  # fmt: skip
+def test_what_is_missing_or_impossible_is_named_with_its_line(tmp_path, changes, message):
+    with pytest.raises(ConfigError, match=message):
+        read_tyre_file(tir(tmp_path / "a.tir", BOOK, **changes))
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "message"),
+    [
+        ("PDY1", "nan", r"line \d+: PDY1 = nan: must be a finite number"),
+        ("PKY2", "much", r"line \d+: PKY2 = 'much': must be a number"),
+        ("PKY1", 0.0, r"PKY1 = 0: must not be 0"),
+        ("PKY2", -1.7, r"PKY2 = -1.7: must be positive: else the cornering stiffness is negative"),
+        ("PCY1", -1.3, r"PCY1 = -1.3"),
+        ("PDY2", -3.0, r"the friction is not positive at \d+ N"),
+        ("PKY4", 5.0, r"the cornering stiffness is not positive at \d+ N"),
+    ],
+)
+def test_an_impossible_coefficient_is_named(tmp_path, key, value, message):
+    path = tir(tmp_path / "a.tir", BOOK | {key: value})
+    path.write_text(path.read_text().replace("'nan'", "nan").replace("'much'", "much"))
+    with pytest.raises(ConfigError, match=message):
+        read_tyre_file(path)
+
+
+def test_a_key_with_two_values_and_a_file_that_is_not_there_are_named(tmp_path):
+    path = tir(tmp_path / "a.tir", BOOK)
+    path.write_text(path.read_text() + "\nPCY1 = 1.4\n")
+    with pytest.raises(ConfigError, match=r"line \d+: PCY1 stands in line \d+ with another value"):
+        read_tyre_file(path)
+    with pytest.raises(StorageError):
+        read_tyre_file(tmp_path / "none.tir")
+
+
+def test_the_law_in_numpy_is_the_law_of_the_plant():
+    from adaptrack.kernels.plants.parameters import PlantParameters
+    from adaptrack.kernels.plants.tyre import lateral_force as kernel
+    from adaptrack.kernels.plants.tyre import tyre_law
+    from adaptrack.vehicle import SteeringActuator, load_vehicle, pack_plant
+
+    compiled = entry(kernel)
+    for name in ("passenger-car", "small-car", "constant-stiffness", "model-car"):
+        tyre = load_tyre(name)
+        c = PlantParameters(*pack_plant(load_vehicle("paper"), tyre, SteeringActuator.ideal()))
+        law = tyre_law(tyre.kind == "linear", tyre.curvature)
+        for slip in (-0.2, -0.03, 0.0, 0.01, 0.1):
+            for share in (0.4, 1.0, 1.7):
+                load = share * tyre.nominal_load
+                for rear, stiffness in ((False, tyre.stiffness_front), (True, tyre.stiffness_rear)):
+                    theirs = compiled(slip, load, 0.8, stiffness, c, law)
+                    assert lateral_force(tyre, slip, load, 0.8, rear) == pytest.approx(theirs, rel=1e-9, abs=1e-9)
