@@ -169,6 +169,7 @@ _PUBLIC = {
         "load_campaign",
     ),
     "tuning.campaign": ("run_campaign",),
+    "studies.tune_car": ("TunedCar", "tune"),
     "dataset": (
         "DataSet",
         "list_datasets",

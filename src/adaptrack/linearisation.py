@@ -30,6 +30,7 @@ _HELD = ("X", "vx", "felt_ax")  # X does not matter; speed and longitudinal load
 _STEP = 1e-6  # of the central differences
 _ROUNDING = 1e-15  # share of the largest entry of A below which an entry is a rounding error
 _SETTLED, _LONGEST = 1e-12, 20_000  # of an estimator's memory: largest relative change in a step, and steps at most
+_SETTLING = 20  # steps between two looks at whether it has
 _DITHER = 1e-30  # of what is measured while it settles: a sensor that always reads the same may count as stuck
 _NOTHING = 1e-12  # a derivative that is no more than the trace of that
 
@@ -375,13 +376,17 @@ def linear_estimator(mpc: MPC, speed: float) -> LinearEstimator:
         return np.concatenate([after, a @ x + b[:, 0] * command + d - x, x[-1:]])
 
     rest = np.zeros(memory + sensors + 1)
-    states, dither = slice(memory, memory + sensors - 2), _DITHER
-    for _ in range(_LONGEST):
-        rest[states] = dither = -dither
-        before, rest[:memory] = rest[:memory].copy(), step(rest)[:memory]
-        if np.abs(rest[:memory] - before).max(initial=0.0) <= _SETTLED * np.abs(before).max(initial=0.0):
-            break
-    rest[states] = 0.0
+    function, remembered = own.function, rest[:memory]
+    swing, back = np.zeros(sensors + 1), np.zeros(sensors + 1)
+    swing[: sensors - 2], back[: sensors - 2] = -_DITHER, _DITHER
+    before, change = remembered.copy(), np.full(memory, np.inf)
+    for k in range(_LONGEST):
+        function(pace, back if k % 2 else swing, 0.0, a, b[:, 0], parameters, remembered, x, d)
+        if k % _SETTLING == 0:
+            earlier, change = change, remembered - before  # a counter changes, but always alike
+            if _within(change - earlier, _SETTLED * np.nanmax(np.abs(before), initial=0.0)):
+                break
+            before = remembered.copy()
     found = _differences(step, rest, memory)
     moved = [i for i in found if i < memory]
     moves = np.array([found[i] for i in moved]).reshape(len(moved), memory + model.n + 1)
@@ -389,6 +394,11 @@ def linear_estimator(mpc: MPC, speed: float) -> LinearEstimator:
     inputs = [*matter, *range(memory, memory + sensors + 1)]
     rows = np.array([found[i] for i in inputs]).T[[*matter, *range(memory, memory + model.n + 1)]]
     return _with_last_command(rows, len(matter))
+
+
+def _within(values: Array, most: float) -> bool:
+    """Whether none is larger; NaN, what has never been measured, counts as none."""
+    return not (np.abs(values) > most).any()
 
 
 def _increments(model: PredictionModel) -> LinearEstimator:

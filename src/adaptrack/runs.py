@@ -91,9 +91,9 @@ class RunSet:
     _latest: Batch | None = None
 
     def __init__(
-        self, plant: Plant | SteppedPlant, mpc: MPC, scenarios: Sequence[Scenario | RoadDrive], profile: str | Profile = "road",
-        *, segment: int | None = None, lead: int = 0, stride: int = 20, known_as: KnownAs = None,
-        failure: Failure | None = None,
+        self, plant: Plant | SteppedPlant, mpc: MPC, scenarios: Sequence[Scenario | RoadDrive],
+        profile: str | Profile = "road", *, segment: int | None = None, lead: int = 0, stride: int = 20,
+        known_as: KnownAs = None, failure: Failure | None = None,
     ) -> None:  # fmt: skip
         self.plant, self.mpc, self.scenarios, self.profile = plant, mpc, list(scenarios), profile
         self.known_as, self.failure = known_as, failure or Failure.of(plant)
@@ -295,8 +295,9 @@ def operating_point_runs(
 
 
 def random_drive_runs(
-    plant: Plant | SteppedPlant, mpc: MPC, numbers: Iterable[int], duration: float = 60.0, profile: str | Profile = "road", *,
-    roads: Mapping[str, Any] | None = None, segment_seconds: float = 2.0, **options: Any,
+    plant: Plant | SteppedPlant, mpc: MPC, numbers: Iterable[int], duration: float = 60.0,
+    profile: str | Profile = "road", *, roads: Mapping[str, Any] | None = None, segment_seconds: float = 2.0,
+    **options: Any,
 ) -> RunSet:  # fmt: skip
     """The random drives of these numbers; cost is attributed to segments, and to inputs up to one segment older.
 
@@ -309,8 +310,8 @@ def random_drive_runs(
 
 
 def road_runs(
-    plant: SingleTrack | DualTrack, mpc: MPC, roads: Iterable[Road], comfort: Comfort = USUAL, profile: str | Profile = "road",
-    **options: Any,
+    plant: SingleTrack | DualTrack, mpc: MPC, roads: Iterable[Road], comfort: Comfort = USUAL,
+    profile: str | Profile = "road", **options: Any,
 ) -> RunSet:  # fmt: skip
     """One drive along each road, at the speed that `plan_speed` gives the plant's vehicle.
 
@@ -325,7 +326,9 @@ def road_runs(
     return RunSet(plant, mpc, drives, profile, **options)
 
 
-def paper_test_runs(plant: Plant | SteppedPlant, mpc: MPC, name: str, profile: str | Profile = "road", **options: Any) -> RunSet:
+def paper_test_runs(
+    plant: Plant | SteppedPlant, mpc: MPC, name: str, profile: str | Profile = "road", **options: Any
+) -> RunSet:
     """One of the paper's two tests.
 
     Raises

@@ -1,45 +1,167 @@
-"""`adaptrack adapt`: the whole chain."""
+"""`adaptrack adapt`: the whole chain, for a car or by a configuration."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 from typer import Argument, Option
 
 from adaptrack.cli import comparison, interrupt, options, show
-from adaptrack.errors import InvalidInput
+from adaptrack.errors import AdaptrackError, InvalidInput
+
+if TYPE_CHECKING:
+    from adaptrack.adaptation.config import AdaptationConfig
+    from adaptrack.studies.tune_car import TunedCar
 
 
 def adapt(
     out: Annotated[Path, Option(help="Folder of the chain; one that was interrupted goes on.")],
-    road: Annotated[list[str] | None, Argument(metavar="ROAD", hidden=True)] = None,
+    car: Annotated[
+        list[str] | None,
+        Argument(metavar="CAR", help="Name (see `vehicles`) or .toml file; else see --config.", show_default=False),
+    ] = None,
     config: Annotated[
         str | None,
         Option(help="Name (road, informed-road, ...) or .toml file; by default what ships for controller and profile."),
     ] = None,
     controller: options.Tuned = None,
     profile: options.OtherProfile = None,
+    speed: Annotated[
+        str | None, Option("--speed", metavar="LOW..HIGH", help="Of CAR, m/s: 5..25; by default its domain's.")
+    ] = None,
+    friction: Annotated[
+        str | None, Option("--friction", metavar="LOW..HIGH", help="Of CAR: 0.4..1; by default its domain's.")
+    ] = None,
+    quick: Annotated[bool, Option("--quick", help="Of CAR: some minutes of work, for a first look.")] = False,
     workers: options.Workers = None,
     as_json: options.Json = False,
 ) -> None:
     """The whole chain: tune, learn schedulers, guard them, evaluate them on roads nobody trained on.
 
-    Failed runs are part of the result: they are counted for each contender, and the exit code is 0.
+    For a CAR first its constant tuning, in seconds: which speeds and frictions can be held, the best tuning of a
+    search, unseen drives, certificate. The configuration that follows from it is kept in the folder.
+
+    Failed runs are part of the result: they are counted for each contender, and the exit code is 0; it is 3 when CAR
+    leaves the road with its constant, or the certificate finds that loop unstable.
     """
     from adaptrack.studies.adapt import adapt as run
 
-    if road:
-        raise InvalidInput(
-            f"adapt {' '.join(road)}: schedulers are learned on random drives, not on given roads. For roads seek one "
-            f"tuning: adaptrack tune {' '.join(road)} --out tuning.toml; and compare, a scheduler too: adaptrack "
-            f"evaluate {' '.join(road)} --tuning tuning.toml --schedulers NAME."
-        )
-    settings = comparison.study(config, controller, profile)
-    options.make_folder(out)
+    given = {"--speed": speed, "--friction": friction, "--quick": quick or None}
+    tuned = None
+    if car:
+        if config is not None or controller is not None:
+            raise InvalidInput("adapt CAR: makes its own configuration: leave out --config and --controller.")
+        settings, tuned = _of_car(_one(car), profile or "road", (speed, friction), quick, out, as_json)
+    else:
+        told = [name for name, value in given.items() if value is not None]
+        if told:
+            raise InvalidInput(f"{', '.join(told)}: of a CAR: name one, or give a configuration its numbers.")
+        settings = comparison.study(config, controller, profile)
+        options.make_folder(out)
     interrupt.kept(f"Finished chunks and schedulers are kept in {out}: run the command again to go on.")
     with show.progress("adapt") as advance:
         made = run(settings, out, workers=workers, progress=advance)
     page = comparison.write_page(out, made)
     show.say(f"Schedulers: {out / 'schedulers'}\nReport: {page}", aside=as_json)
     comparison.print_comparison(made, as_json)
+    if tuned is not None and not tuned.passed:
+        raise SystemExit(3)
+
+
+def _one(names: list[str]) -> str:
+    """The car; a word for whoever gives a road."""
+    from adaptrack.vehicle import load_vehicle
+
+    if len(names) == 1:
+        try:
+            load_vehicle(names[0])
+        except AdaptrackError:
+            if not _is_road(names[0]):
+                raise
+        else:
+            return names[0]
+    named = " ".join(names)
+    raise InvalidInput(
+        f"adapt {named}: takes one car; schedulers are learned on random drives, not on given roads. For roads seek "
+        f"one tuning: adaptrack tune {named} --out tuning.toml; and compare, a scheduler too: adaptrack evaluate "
+        f"{named} --tuning tuning.toml --schedulers NAME."
+    )
+
+
+def _is_road(name: str) -> bool:
+    from adaptrack.road import KINDS, load_road
+
+    if name in KINDS:
+        return True
+    try:
+        load_road(name)
+    except AdaptrackError:
+        return False
+    return True
+
+
+def _pair(option: str, text: str | None) -> tuple[float, float] | None:
+    """5..25 as two numbers; None where nothing is asked for."""
+    if text is None:
+        return None
+    try:
+        low, high = (float(each) for each in text.split(".."))
+    except ValueError:
+        raise InvalidInput(f"{option} {text}: must be LOW..HIGH, such as 5..25.") from None
+    return low, high
+
+
+def _of_car(
+    name: str, profile: str, ranges: tuple[str | None, str | None], quick: bool, out: Path, aside: bool
+) -> tuple[AdaptationConfig, TunedCar | None]:
+    """The configuration of a car's adaptation: that in the folder, or a new one with what its constant needs first."""
+    from adaptrack.adaptation.config import load_adaptation
+    from adaptrack.adaptation.for_car import write_configuration
+    from adaptrack.studies.tune_car import tune
+    from adaptrack.tuning.constant_file import ConstantTuning
+    from adaptrack.vehicle import load_vehicle
+
+    options.make_folder(out)
+    vehicle = load_vehicle(name)
+    told: dict[str, Any] = {"speed": _pair("--speed", ranges[0]), "friction": _pair("--friction", ranges[1])}
+    asked = {"car": name, "profile": profile, "quick": quick, **told}
+    if (out / "adaptation.toml").exists():
+        _check_same(out, asked)
+        show.say(f"adaptrack: goes on with {out / 'adaptation.toml'}", aside=True)
+        return load_adaptation(out / "adaptation.toml"), None
+    with show.progress("tune") as advance:
+        tuned = tune(vehicle, profile, **told, progress=advance)
+    show.say(f"{vehicle.name}: {tuned.verdict}\n", aside=aside)
+    own = out / f"{vehicle.name}.toml"
+    vehicle.replace(domain=tuned.domain).to_toml(own)
+    ConstantTuning(
+        controller="informed", vehicle=vehicle.name, profile=tuned.profile.name, period=tuned.profile.period,
+        command=options.command_line(), tuning=tuned.summary()["tuning"],
+    ).to_toml(out / "constant.toml")  # fmt: skip
+    _note(out, asked)
+    file = write_configuration(out, own, profile, tuned.domain, tuned.tuning, quick=quick)
+    return load_adaptation(file), tuned
+
+
+def _note(out: Path, asked: dict[str, Any]) -> None:
+    from adaptrack.files import write_toml
+
+    write_toml(out / "asked.toml", _plain(asked))
+
+
+def _plain(asked: dict[str, Any]) -> dict[str, Any]:
+    return {
+        key: list(value) if isinstance(value, tuple) else value for key, value in asked.items() if value is not None
+    }
+
+
+def _check_same(out: Path, asked: dict[str, Any]) -> None:
+    from adaptrack.files import read_toml
+
+    before = read_toml(out / "asked.toml") if (out / "asked.toml").exists() else {}
+    if before != _plain(asked):
+        raise InvalidInput(
+            f"{out} holds the chain of {before.get('car', 'something else')} with other options: give another folder, "
+            "or the same options to go on."
+        )

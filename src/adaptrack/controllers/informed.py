@@ -20,6 +20,9 @@ from adaptrack.vehicle import Steering, Vehicle
 
 UNNAMED = "road"
 """The profile whose period, preview and sensors are taken where none is named."""
+UNSEEN = 3.0
+"""Factor on R where the lateral velocity is not measured: what the filter makes of it is less sure. Measured on seven
+cars, random drives in `production`: a quarter less cost than without, on the van and the electric car half."""
 CAUTION = 10.0
 """Factor on R where the delay of the steering is assumed."""
 LARGEST_CORRECTION = 0.25
@@ -44,12 +47,13 @@ def informed_tuning(
 ) -> Tuning:
     """The constant tuning in a profile; period: control period (s), by default the profile's.
 
-    R/Q is the weight that the profile itself gives to squared moves, times the caution of an uncertainty.
+    R/Q is the weight that the profile itself gives to squared moves, times the caution of an uncertainty, and
+    `UNSEEN` times that without a sensor of the lateral velocity.
     """
     world = load_profile(profile)
     pace = _checked(world.period if period is None else period)
     weight = max(world.move_weight * world.period**2, LEAST_MOVE_WEIGHT) / pace**2
-    weight *= Uncertainty.declared(uncertainty).caution
+    weight *= Uncertainty.declared(uncertainty).caution * (UNSEEN if math.isinf(world.noise_vy) else 1.0)
     ahead, free = (HORIZON, MOVES) if world.preview else (BLIND_HORIZON, BLIND_MOVES)
     horizon = min(max(2, round(ahead / pace)), int(PREDICTION_HORIZON.most))
     moves = min(max(1, round(free / pace)), int(CONTROL_HORIZON.most))

@@ -1,0 +1,132 @@
+"""From a car to a checked constant tuning, and to the configuration of its adaptation."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+import adaptrack as at
+from adaptrack.adaptation.config import load_adaptation
+from adaptrack.adaptation.for_car import write_configuration
+from adaptrack.adaptation.splits import SetUp, drive_numbers, training_runs
+from adaptrack.controllers import MPC
+from adaptrack.errors import InvalidInput
+from adaptrack.studies.tune_car import FIRST_JUDGED, FIRST_SOUGHT, Effort, tune
+from adaptrack.tuning.pso import SwarmSettings
+from adaptrack.vehicle import list_vehicles
+
+SMALL = Effort(
+    drives=3, hard_drives=2, seconds=10.0, swarm=SwarmSettings(particles=6, generations=3), judged=6, levels=(4, 2)
+)
+
+
+@pytest.fixture(scope="module")
+def tuned():
+    return tune(at.load_vehicle("van"), "production", effort=SMALL, seed=3)
+
+
+@pytest.mark.compiled
+def test_what_is_kept_is_ready_to_drive_and_passes_its_certificate(tuned):
+    assert tuned.controller.tuning == tuned.tuning
+    assert tuned.passed
+    assert tuned.failed == 0
+    assert tuned.domain == at.load_vehicle("van").domain
+    run = at.simulate(
+        at.DualTrack(at.load_vehicle("van")), tuned.controller, at.load_scenario("lane-change"), profile="production"
+    )
+    assert run.failed is None
+
+
+@pytest.mark.compiled
+def test_the_default_is_kept_unless_it_is_beaten_for_sure(tuned):
+    better = tuned.gain.high < 1.0
+    assert (tuned.tuning == tuned.sought) == (better or tuned.sought == tuned.default)
+    assert tuned.default == MPC(at.load_vehicle("van"), profile="production").tuning
+    ratios = np.log(tuned.costs["sought"] / tuned.costs["default"])
+    assert tuned.gain.mean == pytest.approx(math.exp(ratios.mean()))
+
+
+@pytest.mark.compiled
+def test_a_seed_gives_the_same_tuning_again(tuned):
+    again = tune(at.load_vehicle("van"), "production", effort=SMALL, seed=3)
+    assert again.tuning == tuned.tuning
+    assert (again.costs["sought"] == tuned.costs["sought"]).all()
+    assert {"verdict", "tuning", "gain", "failed", "cost", "passed"} <= set(tuned.summary())
+
+
+def _believed_too_fast(lag, dead_time):
+    """A saloon that says its steering follows at once, in a world in which it does not."""
+    car = at.load_vehicle("midsize-sedan").replace(steering=at.Steering(lag=0.02, dead_time=0.0))
+    world = at.load_profile("road")
+    return car, world.replace(steering=world.steering.replace(lag=lag, dead_time=dead_time))
+
+
+@pytest.mark.compiled
+def test_speeds_that_nothing_holds_are_named_and_left_out():
+    found = tune(*_believed_too_fast(0.3, 0.1), effort=SMALL, speed=(3.0, 40.0))
+    assert found.domain.speed[0] == 3.0
+    assert found.domain.speed[1] < 20.0
+    assert "What follows is for 3 to" in found.verdict
+
+
+@pytest.mark.compiled
+def test_where_the_default_fails_a_constant_that_holds_the_loop_is_tried():
+    found = tune(*_believed_too_fast(0.25, 0.05), effort=SMALL, speed=(3.0, 25.0))
+    assert np.isinf(found.costs["default"]).sum() > found.failed
+    assert found.failed == 0
+
+
+def test_a_domain_that_nothing_holds_is_refused():
+    with pytest.raises(InvalidInput, match="no tuning holds the loop"):
+        tune(*_believed_too_fast(0.6, 0.2), effort=SMALL, speed=(10.0, 40.0))
+
+
+def test_nonsense_is_refused():
+    car = at.load_vehicle("paper")
+    with pytest.raises(InvalidInput, match="judged"):
+        Effort(judged=1)
+    with pytest.raises(ValueError, match="lowest"):
+        tune(car, speed=(20.0, 5.0))
+    with pytest.raises(InvalidInput, match="seed"):
+        tune(car, seed=-1)
+
+    class Stepped(at.SteppedPlant):
+        name = "stepped"
+
+        def reset(self, *given):
+            raise AssertionError
+
+        def step(self, *given):
+            raise AssertionError
+
+    with pytest.raises(InvalidInput, match="stepped"):
+        tune(car, plant=Stepped())
+
+
+def test_a_search_drives_what_no_judgement_does():
+    for seed in range(3):
+        sought = range(FIRST_SOUGHT + 1000 * seed, FIRST_SOUGHT + 1000 * (seed + 1))
+        assert sought.stop <= FIRST_JUDGED
+
+
+@pytest.mark.parametrize("name", list_vehicles())
+@pytest.mark.parametrize("quick", [True, False])
+def test_the_configuration_of_any_shipped_car_is_one_and_stays_within_its_domain(name, quick, tmp_path):
+    car = at.load_vehicle(name)
+    file = write_configuration(tmp_path, name, "road", car.domain, at.informed_tuning("road"), quick=quick)
+    setup = SetUp.of(load_adaptation(file))
+    assert setup.plan.setup.vehicle == car
+    assert setup.method.runs.failure.distance == car.domain.failure_distance
+    assert setup.box["speed"] == car.domain.speed
+    assert setup.box["wind"] == (-car.domain.wind, car.domain.wind)
+    assert setup.config.learning.domain["speed"] == car.domain.speed
+    numbers = drive_numbers(setup.config).values()
+    assert not {FIRST_SOUGHT, FIRST_JUDGED} & {each.start for each in numbers}
+    if quick:
+        lane_changes, drives, hard = (runs for runs, _ in training_runs(setup))
+        for runs in (lane_changes, drives, hard):
+            speeds = np.concatenate([each.speed for each in runs.signals])
+            assert car.domain.speed[0] - 1e-9 <= speeds.min()
+            assert speeds.max() <= car.domain.speed[1] + 1e-9
