@@ -50,6 +50,11 @@ _PUBLIC = {
         "list_plants",
         "register_plant",
     ),
+    "commonroad_plants": (
+        "commonroad_parameters",
+        "commonroad_plant",
+        "commonroad_vehicle",
+    ),
     "road": (
         "Road",
         "check_road",
@@ -184,6 +189,7 @@ _PUBLIC = {
 if TYPE_CHECKING:
     from adaptrack.adaptation.config import load_adaptation
     from adaptrack.batch import rollout_batch
+    from adaptrack.commonroad_plants import commonroad_parameters, commonroad_plant, commonroad_vehicle
     from adaptrack.comparison.contenders import Contender, get_contender, list_contenders, register_contender
     from adaptrack.controllers import (
         LQR,
@@ -368,6 +374,9 @@ __all__ = [
     "check_qp_solver",
     "check_road",
     "check_scheduler",
+    "commonroad_parameters",
+    "commonroad_plant",
+    "commonroad_vehicle",
     "compute_metrics",
     "find_failure",
     "generate_road",

@@ -579,6 +579,8 @@ _registry: Registry[Plant | SteppedPlant] = Registry(
     {
         "single-track": SingleTrack,
         "dual-track": DualTrack,
+        "commonroad-single-track-drift": "adaptrack.commonroad_plants:drift_of_car",
+        "commonroad-multi-body": "adaptrack.commonroad_plants:body_of_car",
     },
 )
 
