@@ -55,6 +55,7 @@ _PUBLIC = {
         "commonroad_plant",
         "commonroad_vehicle",
     ),
+    "process_plant": ("ProcessPlant",),
     "road": (
         "Road",
         "check_road",
@@ -256,6 +257,7 @@ if TYPE_CHECKING:
         list_plants,
         register_plant,
     )
+    from adaptrack.process_plant import ProcessPlant
     from adaptrack.profile import Profile, list_profiles, load_profile
     from adaptrack.qp import QP, Solution, check_qp_solver, get_qp_solver, list_qp_solvers, register_qp_solver
     from adaptrack.road import Road, check_road, generate_road, load_road, plan_speed
@@ -333,6 +335,7 @@ __all__ = [
     "Perception",
     "Plant",
     "PredictionModel",
+    "ProcessPlant",
     "Profile",
     "PurePursuit",
     "Road",
