@@ -272,3 +272,17 @@ def test_another_steering_actuator_changes_nothing_else(plant):
     other = plant.with_steering(at.SteeringActuator(lag=0.1))
     assert dataclasses.replace(other, steering=None) == dataclasses.replace(plant, steering=None)
     assert (other.packed()[3:] == plant.packed()[3:]).all()
+
+
+# -- where they have no linear model ----------------------------------------------------------------------------------
+def test_the_drift_model_is_linearised_and_the_multi_body_model_whose_tyres_jump_with_camber_is_refused(drift, body):
+    from adaptrack.linearisation import linearised, steady_turn
+
+    car = commonroad_vehicle(2)
+    _, angle = steady_turn(drift, 15.0, 2.0)
+    assert angle == pytest.approx(2.0 / 15.0 / car.steady_state_yaw_gain(15.0), rel=0.01)
+    names, a, _ = linearised(drift, 15.0)
+    assert {"vy", "yaw_rate"} <= set(names)
+    assert np.linalg.eigvals(a).real.max() < 1e-6
+    with pytest.raises(InvalidInput, match=r"derivatives jump with .*single-track"):
+        linearised(body, 15.0)
