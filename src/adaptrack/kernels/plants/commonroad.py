@@ -11,12 +11,13 @@ Their functions take one tyre: the friction is the mean of the four wheels.
 from __future__ import annotations
 
 import math
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 from numba import types
 
-from ..abi import INLINE, address_of, caller, columns, float64, njit, vector
+from ..abi import INLINE, INTERPRETED, address_of, caller, columns, float64, njit, vector
 from ..maths.elementary import clip
 from .forces import wind_load
 from .user import U
@@ -51,12 +52,26 @@ DYNAMICS = types.void(vector, float64, vector, vector)
 _call = caller(DYNAMICS)
 
 
+@njit(**INLINE)
+def _as_it_is(car):
+    return car
+
+
+def _plain(car):
+    """A NumPy record as a namespace: some parameters are called as methods of records are, min and max."""
+    return SimpleNamespace(
+        **{name: _plain(car[name]) if car[name].dtype.names else float(car[name]) for name in car.dtype.names}
+    )
+
+
 def _dynamics(function, layout):
     """The address of one of their models (`DYNAMICS`), which is long: what calls it need not be compiled with it."""
 
+    given = _plain if INTERPRETED else _as_it_is
+
     @njit(DYNAMICS, nogil=True, error_model="numpy")
     def dynamics(x, acceleration, p, f):
-        slopes = function(x, (0.0, acceleration), p.view(layout)[0].car)
+        slopes = function(x, (0.0, acceleration), given(p.view(layout)[0].car))
         for i in range(f.size):
             f[i] = slopes[i]
 
