@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from adaptrack.errors import ContractError, InvalidInput, UnknownName
+from adaptrack.kernels.plants.contract import INPUT, SLOTS, STATES, place, vehicle_batch
 from adaptrack.plant import (
     MOTION,
     DualTrack,
@@ -100,6 +101,53 @@ def test_a_users_derivative_is_what_the_function_writes():
     assert slope == pytest.approx(by_hand, rel=1e-14)
 
 
+def test_nested_parameters_are_read_by_their_names():
+    def on_tables(x, u, environment, p, dx):
+        dx[:] = 0.0
+        dx[3] = p.body.mass + p.tyres.front.stiffness
+        dx[4] = p.tyres.rear.stiffness
+
+    tables = {"body": {"mass": 2.0}, "tyres": {"front": {"stiffness": 3.0}, "rear": {"stiffness": 5.0}}}
+    plant = UserPlant(on_tables, tables, mass=1.0)
+    assert plant.derivative(np.zeros(6), [0.0, 0.0], np.zeros(7)).tolist() == [0.0, 0.0, 0.0, 5.0, 5.0, 0.0]
+    assert plant.packed()[3:].tolist() == [2.0, 3.0, 5.0]
+    with pytest.raises(InvalidInput, match=r"tyres\.rear\.stiffness = nan"):
+        UserPlant(on_tables, tables | {"tyres": {"front": {"stiffness": 3.0}, "rear": {"stiffness": math.nan}}}, 1.0)
+    with pytest.raises(InvalidInput, match="mass = 'heavy'"):
+        UserPlant(on_tables, tables | {"body": {"mass": "heavy"}}, 1.0)
+
+
+@pytest.mark.parametrize("steering", [SteeringActuator.ideal(), SteeringActuator(lag=0.1)])
+def test_a_users_plant_is_told_the_prescribed_acceleration(steering):
+    def remembers(x, u, environment, p, dx):
+        dx[:] = 0.0
+        dx[0] = x[3]
+        dx[3] = 99.0
+        dx[6] = u[2] if u[2] == u[2] else -1.0
+        dx[7] = u[1]
+
+    plant = UserPlant(remembers, {}, 1.0, own_states=("told", "pushed"), steering=steering)
+    told = plant.derivative(np.zeros(8), [0.0, 0.0, 1.5], np.zeros(7))
+    assert (told[3], told[6]) == (1.5, 1.5)
+    unaware = plant.derivative(np.zeros(8), [0.0, 40.0], np.zeros(7))
+    assert (unaware[3], unaware[6], unaware[7]) == (99.0, -1.0, 40.0)
+
+    vehicles = vehicle_batch(plant.packed(), plant.initial_state([0, 0, 0, 10.0, 0, 0])[None])
+    place(1, vehicles.start, vehicles.block, vehicles.states)
+    for acceleration, force, expected in ((2.0, 0.0, (10.4, 0.4, 0.0)), (math.nan, 7.0, (30.2, 0.2, 1.4))):
+        vehicles.block[(STATES + INPUT.acceleration) * SLOTS] = acceleration
+        vehicles.block[(STATES + INPUT.force) * SLOTS] = force
+        plant.compiled.advance(vehicles.parameters, vehicles.block, vehicles.states, vehicles.work, 1, 4, 0.05)
+        assert vehicles.states[0, [3, 6, 7]] == pytest.approx(expected)
+
+
+def test_the_longest_step_makes_more_steps_of_a_longer_period():
+    plant = user_plant(steps=3, longest_step=2e-3)
+    assert [plant.substeps(period, 20.0) for period in (0.001, 0.05, 0.1)] == [3, 25, 50]
+    with pytest.raises(InvalidInput, match="longest_step"):
+        user_plant(longest_step=0.0)
+
+
 # -- each clause of the contract --------------------------------------------------------------------------------------
 class Altered:
     """A good plant with some of its members replaced; slope(good derivative, x, u, environment, calls) alters one."""
@@ -163,6 +211,34 @@ def test_the_plant_that_is_altered_was_good():
 def test_the_checker_refuses_a_plant_that_breaks(clause):
     with pytest.raises(ContractError, match=clause):
         check_plant(BROKEN[clause], speeds=(2.0, 10.0))
+
+
+@pytest.mark.parametrize(
+    ("clause", "option"),
+    [("go straight", r"symmetric=False"), ("mirrored", r"symmetric=False"), ("steps must be small", r"period=\)")],
+)
+def test_the_checker_names_the_option_that_changes_the_test(clause, option):
+    (broken,) = (plant for name, plant in BROKEN.items() if clause in name)
+    with pytest.raises(ContractError, match=option):
+        check_plant(broken, speeds=(2.0, 10.0))
+
+
+def test_the_checker_integrates_in_the_period_that_will_be_used():
+    plant = user_plant(steps=1)
+    check_plant(plant, speeds=(5.0,), period=0.01)
+    with pytest.raises(ContractError, match=r"1 steps in a control period of 0\.2 s.*longest_step="):
+        check_plant(plant, speeds=(5.0,), period=0.2)
+    check_plant(user_plant(steps=1, longest_step=0.01), speeds=(5.0,), period=0.2)
+    with pytest.raises(InvalidInput, match="period = 0 s"):
+        check_plant(plant, period=0)
+
+
+def test_the_checker_refuses_a_plant_that_only_a_force_can_move():
+    def slope(good, x, u, environment, calls):
+        return np.where(np.isfinite(u[2]), math.nan, good)
+
+    with pytest.raises(ContractError, match=r"must be written and finite.*under a prescribed acceleration, u\[2\]"):
+        check_plant(Altered(slope), speeds=(10.0,))
 
 
 @pytest.mark.parametrize("which", [1, 2], ids=["u", "environment"])
@@ -243,7 +319,7 @@ def test_the_vehicles_own_tyre_is_the_default():
     ("x", "u", "environment", "named"),
     [
         (np.zeros(5), np.zeros(2), np.ones(6), "x:"),
-        (np.zeros(6), np.zeros(3), np.ones(6), "u:"),
+        (np.zeros(6), np.zeros(4), np.ones(6), "u:"),
         (np.zeros(6), np.zeros(2), np.ones(4), "environment:"),
     ],
 )
@@ -336,6 +412,19 @@ def test_a_stepped_plant_passes_the_checker_and_may_be_registered(monkeypatch):
     register_plant("bicycle", lambda car, tyre: Bicycle())
     assert "bicycle" in list_plants()
     assert isinstance(get_plant("bicycle", CAR), Bicycle)
+
+
+def test_a_stepped_plant_is_checked_with_the_steps_of_the_loop():
+    class Noting(Bicycle):
+        longest_step = 0.02
+
+        def step(self, dt, *others):
+            seen.add(round(dt, 9))
+            return super().step(dt, *others)
+
+    seen = set()
+    check_plant(Noting(), speeds=(10.0,), period=0.05)
+    assert seen == {round(0.05 / 3, 9)}
 
 
 @pytest.mark.parametrize(

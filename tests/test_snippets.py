@@ -39,6 +39,8 @@ LONG_SNIPPETS = {
     ("campaign.md", "data.landscape"): "20 s",
     ("certify.md", "loop_map("): "10 s",
     ("mlp.md", 'train(load_dataset("paper-grid")'): "20 s",
+    ("plants.md", "commonroad_plant("): "needs the extra `plants`",
+    ("plants.md", "ProcessPlant("): "is run as an example",
     ("reproduce.md", "train(data"): "10 s",
     ("schedulers.md", "train(data"): "20 s",
 }

@@ -55,6 +55,12 @@ _PUBLIC = {
         "list_plants",
         "register_plant",
     ),
+    "commonroad_plants": (
+        "commonroad_parameters",
+        "commonroad_plant",
+        "commonroad_vehicle",
+    ),
+    "process_plant": ("ProcessPlant",),
     "road": (
         "Road",
         "check_road",
@@ -190,6 +196,7 @@ _PUBLIC = {
 if TYPE_CHECKING:
     from adaptrack.adaptation.config import load_adaptation
     from adaptrack.batch import rollout_batch
+    from adaptrack.commonroad_plants import commonroad_parameters, commonroad_plant, commonroad_vehicle
     from adaptrack.comparison.contenders import Contender, get_contender, list_contenders, register_contender
     from adaptrack.controllers import (
         LQR,
@@ -259,6 +266,7 @@ if TYPE_CHECKING:
         list_plants,
         register_plant,
     )
+    from adaptrack.process_plant import ProcessPlant
     from adaptrack.profile import Profile, list_profiles, load_profile
     from adaptrack.qp import QP, Solution, check_qp_solver, get_qp_solver, list_qp_solvers, register_qp_solver
     from adaptrack.road import Road, check_road, generate_road, load_road, plan_speed
@@ -340,6 +348,7 @@ __all__ = [
     "Perception",
     "Plant",
     "PredictionModel",
+    "ProcessPlant",
     "Profile",
     "PurePursuit",
     "Road",
@@ -381,6 +390,9 @@ __all__ = [
     "check_qp_solver",
     "check_road",
     "check_scheduler",
+    "commonroad_parameters",
+    "commonroad_plant",
+    "commonroad_vehicle",
     "compute_metrics",
     "find_failure",
     "generate_road",

@@ -28,6 +28,7 @@ MEASURED = ("vy", "psi", "yaw_rate", "Y")
 
 _HELD = ("X", "vx", "felt_ax")  # X does not matter; speed and longitudinal load transfer are held
 _STEP = 1e-6  # of the central differences
+_SMOOTH = 1e-3  # share of the largest entry of A by which a difference over a wider step may differ
 _ROUNDING = 1e-15  # share of the largest entry of A below which an entry is a rounding error
 _SETTLED, _LONGEST = 1e-12, 20_000  # of an estimator's memory: largest relative change in a step, and steps at most
 _SETTLING = 20  # steps between two looks at whether it has
@@ -97,8 +98,10 @@ def _newton(residual: Callable[[Array, float], Array], x: Array, wanted: float) 
     """A root of residual(x, wanted) near x, and whether one was found."""
     for _ in range(20):
         error = residual(x, wanted)
-        slopes = [(residual(x + h, wanted) - error) / _STEP for h in _STEP * np.eye(len(x))]
-        change = np.linalg.lstsq(np.array(slopes).T, error)[0]
+        slopes = np.array([(residual(x + h, wanted) - error) / _STEP for h in _STEP * np.eye(len(x))])
+        if not np.isfinite(slopes).all() or not np.isfinite(error).all():
+            return x, False
+        change = np.linalg.lstsq(slopes.T, error)[0]
         x = x - change
         if not np.abs(change).max() > 1e-10:
             break
@@ -113,6 +116,11 @@ def linearised(
     About a straight line, or about a `steady_turn` with `lateral_acceleration` (m/s^2), in which tyres are softer; then
     deviations are those from the turn, in axes along its velocity. The input is the front-wheel angle; the speed is
     held. States that do not influence what the controller measures are left out. By central differences.
+
+    Raises
+    ------
+    InvalidInput
+        When there is no such turn, or the derivatives jump there: a difference over four times the step is another.
     """
     x, steering = steady_turn(plant, speed, lateral_acceleration, friction)
     road = _road(friction)
@@ -121,13 +129,27 @@ def linearised(
     def slope(state: Array, angle: float) -> Array:
         return plant.derivative(state, [angle, 0.0], road)[keep]
 
-    columns = [(slope(x + h, steering) - slope(x - h, steering)) / (2 * _STEP) for h in _STEP * np.eye(len(x))[keep]]
-    a, b = np.array(columns).T, (slope(x, steering + _STEP) - slope(x, steering - _STEP)) / (2 * _STEP)
+    def matrix(step: float) -> Array:
+        moved = step * np.eye(len(x))[keep]
+        return np.array([(slope(x + h, steering) - slope(x - h, steering)) / (2 * step) for h in moved]).T
+
+    a = matrix(_STEP)
+    _refuse_jumps(plant, a, matrix(4 * _STEP), [plant.state_names[i] for i in keep])
+    b = (slope(x, steering + _STEP) - slope(x, steering - _STEP)) / (2 * _STEP)
     seen = np.array([plant.state_names[i] in MEASURED for i in keep])
     for _ in keep:
         seen |= (np.abs(a[seen]) > _ROUNDING * np.abs(a).max()).any(axis=0)
     part = np.flatnonzero(seen)
     return [plant.state_names[keep[j]] for j in part], a[np.ix_(part, part)], b[part]
+
+
+def _refuse_jumps(plant: Plant, a: Array, wider: Array, names: list[str]) -> None:
+    jumps = np.abs(a - wider).max(axis=0) > _SMOOTH * np.abs(a).max()
+    if jumps.any():
+        raise InvalidInput(
+            f"Plant {plant.name!r}: its derivatives jump with {names[int(np.argmax(jumps))]}: it has no linear model "
+            "there. Take a smoother plant of the same car (single-track), or judge it by its drives."
+        )
 
 
 class Sampled(NamedTuple):

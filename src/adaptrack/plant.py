@@ -7,10 +7,11 @@ are those of ISO 8855 (x forward, y left, yaw and steering positive to the left)
 from __future__ import annotations
 
 import math
+import numbers
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, Self, final
+from typing import Any, NoReturn, Self, final
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -80,11 +81,12 @@ class Plant(ABC):
 
     @abstractmethod
     def derivative(self, x: ArrayLike, u: ArrayLike, environment: ArrayLike) -> Array:
-        """dx/dt at state x (n,), input u (steering angle, longitudinal force) and environment (7,).
+        """dx/dt at state x (n,), input u (3,) and environment (7,).
 
-        environment: friction front-left, front-right, rear-left, rear-right; wind along X and Y (m/s); the pull of a
-        banked road to the left (m/s^2), 0 when it is left out.
-        The steering actuator and the prescribed speed are not part of it.
+        u: steering angle of the front wheels (rad), longitudinal force demanded at the wheels (N), prescribed dv_x/dt
+        (m/s^2), NaN, as when it is left out, for none; environment: friction front-left, front-right, rear-left,
+        rear-right; wind along X and Y (m/s); the pull of a banked road to the left (m/s^2), 0 when it is left out.
+        The steering actuator is not part of it.
         """
 
 
@@ -166,9 +168,8 @@ class _Car(Plant):
         n = len(self.state_names)
         state = np.zeros(STATES)
         state[:n] = _vector("x", x, n)
-        steering, force = _vector("u", u, 2)
         inputs = np.zeros(INPUTS)
-        inputs[INPUT.command], inputs[INPUT.force], inputs[INPUT.acceleration] = steering, force, math.nan
+        inputs[[INPUT.command, INPUT.force, INPUT.acceleration]] = _input(u)
         inputs[INPUT.friction_front_left :] = _environment(environment)
         slope = np.empty(STATES)
         packed = self.with_steering(SteeringActuator.ideal()).packed()
@@ -232,13 +233,25 @@ class UserPlant(Plant):
 
     right_hand_side(x, u, environment, p, dx) writes dx/dt into dx and returns nothing; it is compiled by numba, so
     it may use floats, loops, `math` and array elements. x: (n,) beginning with `MOTION`; u: steering angle of the
-    front wheels (rad), longitudinal force asked of the wheels (N); environment: friction front-left, front-right,
-    rear-left, rear-right, wind along X and Y (m/s), pull of a banked road to the left (m/s^2); p: `parameters` as an
-    array, in their order. It must not write to x, u, environment or p. `check_plant` admits it.
+    front wheels (rad), longitudinal force asked of the wheels (N), prescribed dv_x/dt (m/s^2); environment: friction
+    front-left, front-right, rear-left, rear-right, wind along X and Y (m/s), pull of a banked road to the left (m/s^2);
+    p: `parameters` as an array, in their order, or, where they are nested, as a record (``p.tyre.shape``). It must not
+    write to x, u, environment or p. `check_plant` admits it.
+
+    While the speed is prescribed, u[2] is a number, u[1] is 0 and the loop sets dv_x/dt to u[2], whatever dx[3] holds:
+    a plant with wheels or a suspension drives and pitches them with it. While a force acts, u[2] is NaN.
+
+    Raises
+    ------
+    InvalidInput
+        When a number is not allowed.
+    ContractError
+        When numba cannot compile the right-hand side.
     """
 
     right_hand_side: Callable[..., None]
-    parameters: dict[str, float]
+    parameters: Mapping[str, Any]
+    """numbers, or tables of them to any depth, as a TOML file has them"""
     mass: float
     """kg, with which the driver turns acceleration into force"""
     own_states: tuple[str, ...] = ()
@@ -246,7 +259,9 @@ class UserPlant(Plant):
     start: Callable[[Array], Any] | None = None
     """start(motion) -> the own states in equilibrium with the first six, such as speeds of rolling wheels; None: 0"""
     steps: int = 20
-    """Runge-Kutta steps per control period"""
+    """Runge-Kutta steps per control period, at least"""
+    longest_step: float = math.inf
+    """s, longest integration step: in a longer control period there are as many more of them"""
     engine_power: float = 1e5
     """W"""
     traction_limit: float = 8000.0
@@ -258,24 +273,28 @@ class UserPlant(Plant):
     tyres: str = "own"
 
     def __post_init__(self) -> None:
-        from adaptrack.kernels.plants.user import compile_plant
+        from adaptrack.kernels.plants.user import compile_plant, layout_of
 
-        bad = [f"{key} = {value!r}" for key, value in self.parameters.items() if not math.isfinite(value)]
+        values = flattened(self.parameters)
+        bad = [f"{key} = {value!r}" for key, value in values.items() if not _is_finite(value)]
         if bad:
             raise InvalidInput(f"UserPlant {self.label!r}: parameters must be finite numbers: {', '.join(bad)}.")
         whole(f"UserPlant {self.label!r}", "steps", self.steps)
+        if not real(f"UserPlant {self.label!r}", "longest_step", self.longest_step) > 0.0:
+            raise InvalidInput(f"UserPlant {self.label!r}: longest_step = {self.longest_step!r} s: must be positive.")
         for name, value in self.powertrain.items():
             if not 0.0 < real(f"UserPlant {self.label!r}", name, value) < math.inf:
                 raise InvalidInput(f"UserPlant {self.label!r}: {name} = {value!r}: must be positive and finite.")
         try:
-            compiled = compile_plant(self.right_hand_side)
+            nested = any(isinstance(value, Mapping) for value in self.parameters.values())
+            compiled = compile_plant(self.right_hand_side, layout_of(self.parameters) if nested else None)
         except Exception as error:
             raise ContractError(
                 f"UserPlant {self.label!r}: numba cannot compile its right-hand side as "
                 f"f(x, u, environment, p, dx) on float64 arrays: {error}"
             ) from error
         object.__setattr__(self, "_compiled", compiled)
-        object.__setattr__(self, "_own", np.array(list(self.parameters.values()), dtype=float))
+        object.__setattr__(self, "_own", np.array(list(values.values()), dtype=float))
 
     @property
     def name(self) -> str:
@@ -313,14 +332,16 @@ class UserPlant(Plant):
         return replace(self, steering=steering)
 
     def substeps(self, period: float, top_speed: float) -> int:
-        return self.steps
+        return max(self.steps, math.ceil(period / self.longest_step - 1e-9))
 
     def derivative(self, x: ArrayLike, u: ArrayLike, environment: ArrayLike) -> Array:
         n = len(self.state_names)
         slope = np.full(n, np.nan)
         # not copies: what the function writes to its arguments must be seen by `check_plant`
-        state, inputs, around = _vector("x", x, n), _vector("u", u, 2), _environment(environment)
+        state, inputs, around = _vector("x", x, n), _input(u), _environment(environment)
         self.compiled.right_hand_side(state, inputs, around, self._own, slope)  # type: ignore[attr-defined]
+        if math.isfinite(inputs[2]):
+            slope[3] = inputs[2]
         return slope
 
 
@@ -377,6 +398,25 @@ def _vector(name: str, values: ArrayLike, size: int) -> Array:
     return array
 
 
+def flattened(parameters: Mapping[str, Any], before: str = "") -> dict[str, Any]:
+    """Nested parameters as one table: ``{"tyre": {"shape": 1.3}}`` as ``{"tyre.shape": 1.3}``."""
+    found: dict[str, Any] = {}
+    for name, value in parameters.items():
+        inner = flattened(value, f"{before}{name}.") if isinstance(value, Mapping) else {f"{before}{name}": value}
+        found |= inner
+    return found
+
+
+def _is_finite(value: Any) -> bool:
+    return isinstance(value, numbers.Real) and math.isfinite(value)
+
+
+def _input(values: ArrayLike) -> Array:
+    """(3,); without a prescribed acceleration the force acts."""
+    given = np.asarray(values, dtype=np.float64)
+    return _vector("u", np.append(given, math.nan) if given.shape == (2,) else given, 3)
+
+
 def _environment(values: ArrayLike) -> Array:
     """(7,); a bank that is left out is none."""
     given = np.asarray(values, dtype=np.float64)
@@ -384,126 +424,164 @@ def _environment(values: ArrayLike) -> Array:
 
 
 def check_plant(
-    plant: Plant | SteppedPlant, speeds: Sequence[float] = (5.0, 15.0, 25.0), symmetric: bool = True
-) -> None:
+    plant: Plant | SteppedPlant, speeds: Sequence[float] = (5.0, 15.0, 25.0), symmetric: bool = True,
+    period: float = 0.1,
+) -> None:  # fmt: skip
     """Test that a plant keeps the contract on which controllers and the loop rely.
 
     At each speed (m/s), on dry friction without wind: the states begin with `MOTION`; the right-hand side writes
-    every entry, finite, without touching its arguments, and answers twice alike; position and yaw obey kinematics,
-    eq. (5); at zero steering the vehicle goes straight; steering to the left begins a turn to the left; mirrored
-    steering gives the mirrored motion (unless `symmetric` is False: a car may be lopsided); one second of
-    integration at its own step stays finite and near that of half the step.
+    every entry, finite, without touching its arguments, and answers twice alike, under a force and under a prescribed
+    acceleration; position and yaw obey kinematics, eq. (5); at zero steering the vehicle goes straight; steering to the
+    left begins a turn to the left; mirrored steering gives the mirrored motion (unless `symmetric` is False: a car may
+    be lopsided); one second of integration in control periods of `period` (s), at its own step, stays finite and near
+    that of half the step.
 
     Raises
     ------
+    InvalidInput
+        When `period` is no positive number.
     ContractError
-        Naming the clause that is broken and the evidence.
+        Naming the clause that is broken, the evidence and, where there is one, the option that changes the test.
     """
-
+    if not 0.0 < real("check_plant", "period", period) < math.inf:
+        raise InvalidInput(f"check_plant: period = {period!r} s: must be positive and finite.")
     if isinstance(plant, SteppedPlant):
-        _check_stepped(plant, speeds, symmetric)
+        _check_stepped(plant, speeds, symmetric, period)
         return
-
-    def fail(clause: str, evidence: str) -> None:
-        raise ContractError(f"Plant {plant.name!r}: {clause}: {evidence}.")
-
     if plant.state_names[:6] != MOTION:
-        fail(f"its states must begin with {MOTION}", f"they are {plant.state_names}")
+        _break(plant, f"its states must begin with {MOTION}", f"they are {plant.state_names}")
     if plant.packed().ndim != 1 or np.isnan(plant.packed()).any():
-        fail("packed() must give one row of finite parameters", f"it gives {plant.packed()!r}")
-    road = np.array([0.9, 0.9, 0.9, 0.9, 0.0, 0.0, 0.0])
+        _break(plant, "packed() must give one row of finite parameters", f"it gives {plant.packed()!r}")
     for speed in speeds:
         straight = plant.initial_state([0.0, 0.0, 0.0, speed, 0.0, 0.0])
         if not np.isfinite(straight).all() or straight[3] != speed:
-            fail("initial_state() must be finite and begin with the motion given", f"{straight} at {speed} m/s")
-        turning = straight.copy()
-        turning[:6] = 3.0, -2.0, 0.1, speed, 0.1, 0.05
-        here = f"at {speed} m/s"
-        for x, u in ((straight, [0.0, 0.0]), (turning, [0.02, 300.0])):
-            given = [np.array(values, dtype=float) for values in (x, u, road)]
-            kept = [values.copy() for values in given]
-            parameters = plant.packed()
-            slope = plant.derivative(*given)
-            if not np.isfinite(slope).all():
-                missing = [name for name, value in zip(plant.state_names, slope, strict=True) if not np.isfinite(value)]
-                fail("every derivative must be written and finite", f"not so for {missing} {here}")
-            if any((a != b).any() for a, b in zip([*given, plant.packed()], [*kept, parameters], strict=True)):
-                fail("x, u, environment and p must not be written to", here)
-            if (plant.derivative(*given) != slope).any():
-                fail("the same arguments must give the same derivative", here)
-            expected = (
-                x[3] * math.cos(x[2]) - x[4] * math.sin(x[2]),
-                x[3] * math.sin(x[2]) + x[4] * math.cos(x[2]),
-                x[5],
-            )
-            if not np.allclose(slope[:3], expected, rtol=1e-6, atol=1e-9):
-                fail("position and yaw must obey kinematics, eq. (5)", f"{slope[:3]} instead of {expected} {here}")
-        if np.abs(plant.derivative(straight, [0.0, 0.0], road)[4:6]).max() > 1e-6 and symmetric:
-            fail("at zero steering the vehicle must go straight", here)
-        if not plant.derivative(_settled(plant, straight, 0.01, road, 0.05), [0.01, 0.0], road)[5] > 0.0:
-            fail("steering to the left (positive) must begin a turn to the left (positive yaw rate)", here)
-        if symmetric:
-            left = _settled(plant, straight, 0.02, road, 1.0)
-            right = _settled(plant, straight, -0.02, road, 1.0)
-            if not np.allclose(left[[0, 1, 2, 4, 5]] * [1, -1, -1, -1, -1], right[[0, 1, 2, 4, 5]], atol=1e-7):
-                fail("the mirrored steering must give the mirrored motion", f"{left[:6]} and {right[:6]} {here}")
-        coarse = _settled(plant, straight, 0.02, road, 1.0)
-        fine = _settled(plant, straight, 0.02, road, 1.0, refine=2)
-        if not np.isfinite(coarse).all() or not np.allclose(coarse[:6], fine[:6], rtol=1e-3, atol=1e-3):
-            fail(
-                "its steps must be small enough to integrate it", f"{coarse[:6]}, with half the step {fine[:6]} {here}"
-            )
+            evidence = f"{straight} at {speed} m/s"
+            _break(plant, "initial_state() must be finite and begin with the motion given", evidence)
+        _check_derivative(plant, straight)
+        _check_driving(plant, straight, symmetric, period)
 
 
-def _settled(plant: Plant, x: Array, steering: float, road: Array, duration: float, refine: int = 1) -> Array:
+_DRY = np.array([0.9, 0.9, 0.9, 0.9, 0.0, 0.0, 0.0])
+"""The environment of the checker: friction, wind, bank."""
+_LOPSIDED = "a car that is lopsided on purpose passes with check_plant(..., symmetric=False)"
+
+
+def _break(plant: Plant | SteppedPlant, clause: str, evidence: str, remedy: str = "") -> NoReturn:
+    """Refuse a plant."""
+    raise ContractError(f"Plant {plant.name!r}: {clause}: {evidence}{'; ' if remedy else ''}{remedy}.")
+
+
+def _check_derivative(plant: Plant, straight: Array) -> None:
+    """The derivative straight ahead, in a turn under a force, and in a turn under a prescribed acceleration."""
+    turning = straight.copy()
+    turning[:6] = 3.0, -2.0, 0.1, straight[3], 0.1, 0.05
+    here = f"at {straight[3]} m/s"
+    for x, u in ((straight, [0.0, 0.0, math.nan]), (turning, [0.02, 300.0, math.nan]), (turning, [0.02, 0.0, 0.5])):
+        given = [np.array(values, dtype=float) for values in (x, u, _DRY)]
+        kept = [values.copy() for values in given]
+        parameters = plant.packed()
+        slope = plant.derivative(*given)
+        if not np.isfinite(slope).all():
+            missing = [name for name, value in zip(plant.state_names, slope, strict=True) if not np.isfinite(value)]
+            under = "under a prescribed acceleration, u[2]" if math.isfinite(u[2]) else "under a force, u[2] being NaN"
+            _break(plant, "every derivative must be written and finite", f"not so for {missing} {here} {under}")
+        changed = zip([*given, plant.packed()], [*kept, parameters], strict=True)
+        if not all(np.array_equal(a, b, equal_nan=True) for a, b in changed):
+            _break(plant, "x, u, environment and p must not be written to", here)
+        if (plant.derivative(*given) != slope).any():
+            _break(plant, "the same arguments must give the same derivative", here)
+        expected = (
+            x[3] * math.cos(x[2]) - x[4] * math.sin(x[2]),
+            x[3] * math.sin(x[2]) + x[4] * math.cos(x[2]),
+            x[5],
+        )
+        if not np.allclose(slope[:3], expected, rtol=1e-6, atol=1e-9):
+            evidence = f"{slope[:3]} instead of {expected} {here}"
+            _break(plant, "position and yaw must obey kinematics, eq. (5)", evidence)
+
+
+def _check_driving(plant: Plant, straight: Array, symmetric: bool, period: float) -> None:
+    """A second of driving, straight ahead and under constant steering."""
+    here = f"at {straight[3]} m/s"
+    if np.abs(plant.derivative(straight, [0.0, 0.0], _DRY)[4:6]).max() > 1e-6 and symmetric:
+        _break(plant, "at zero steering the vehicle must go straight", here, _LOPSIDED)
+    left = _settled(plant, straight, 0.01, period, 0.05, refine=8)  # however long its own steps are
+    if not plant.derivative(left, [0.01, 0.0], _DRY)[5] > 0.0:
+        _break(plant, "steering to the left (positive) must begin a turn to the left (positive yaw rate)", here)
+    coarse, fine = (_settled(plant, straight, 0.02, period, 1.0, refine) for refine in (1, 2))
+    if symmetric:
+        right = _settled(plant, straight, -0.02, period, 1.0)
+        if not np.allclose(coarse[[0, 1, 2, 4, 5]] * [1, -1, -1, -1, -1], right[[0, 1, 2, 4, 5]], atol=1e-7):
+            evidence = f"{coarse[:6]} and {right[:6]} {here}"
+            _break(plant, "the mirrored steering must give the mirrored motion", evidence, _LOPSIDED)
+    if not np.isfinite(coarse).all() or not np.allclose(coarse[:6], fine[:6], rtol=1e-3, atol=1e-3):
+        _break(
+            plant,
+            "its steps must be small enough to integrate it",
+            f"{coarse[:6]}, with half the step {fine[:6]} {here}, {plant.substeps(period, straight[3])} steps in a "
+            f"control period of {period:g} s",
+            "a UserPlant takes shorter ones with steps= or longest_step=, a shorter control period is tested with "
+            "check_plant(..., period=)",
+        )
+
+
+def _settled(plant: Plant, x: Array, steering: float, period: float, duration: float, refine: int = 1) -> Array:
     """The state after `duration` (s) of constant steering, by RK4 at the plant's own step over `refine`."""
-    period = 0.1
     h = period / (plant.substeps(period, x[3]) * refine)
-    u = np.array([steering, 0.0])
+    u = np.array([steering, 0.0, math.nan])
     for _ in range(max(1, round(duration / h))):
-        k1 = plant.derivative(x, u, road)
-        k2 = plant.derivative(x + 0.5 * h * k1, u, road)
-        k3 = plant.derivative(x + 0.5 * h * k2, u, road)
-        k4 = plant.derivative(x + h * k3, u, road)
+        k1 = plant.derivative(x, u, _DRY)
+        k2 = plant.derivative(x + 0.5 * h * k1, u, _DRY)
+        k3 = plant.derivative(x + 0.5 * h * k2, u, _DRY)
+        k4 = plant.derivative(x + h * k3, u, _DRY)
         x = x + h / 6.0 * (k1 + 2 * k2 + 2 * k3 + k4)
     return x
 
 
-def _check_stepped(plant: SteppedPlant, speeds: Sequence[float], symmetric: bool) -> None:
+def _check_stepped(plant: SteppedPlant, speeds: Sequence[float], symmetric: bool, period: float) -> None:
     """`check_plant` for a plant that is stepped: one second of driving, straight and under constant steering."""
-
-    def fail(clause: str, evidence: str) -> None:
-        raise ContractError(f"Plant {plant.name!r}: {clause}: {evidence}.")
-
-    road = np.array([0.9, 0.9, 0.9, 0.9, 0.0, 0.0, 0.0])
+    steps = max(1, math.ceil(period / plant.longest_step - 1e-9))
+    dt = period / steps
 
     def driven(speed: float, steering: float) -> Array:
         plant.reset(np.array([0.0, 0.0, 0.0, speed, 0.0, 0.0]))
-        for _ in range(max(1, round(1.0 / plant.longest_step))):
-            given = road.copy()
-            motion = np.asarray(plant.step(plant.longest_step, steering, 0.0, given), dtype=np.float64)
+        for _ in range(max(1, round(1.0 / dt))):
+            given = _DRY.copy()
+            motion = np.asarray(plant.step(dt, steering, 0.0, given), dtype=np.float64)
             if motion.shape != (6,) or not np.isfinite(motion).all():
-                fail("step() must return six finite numbers", f"it returned {motion!r} at {speed} m/s")
-            if (given != road).any():
-                fail("step() must not write to its arguments", f"at {speed} m/s")
+                _break(plant, "step() must return six finite numbers", f"it returned {motion!r} at {speed} m/s")
+            if (given != _DRY).any():
+                _break(plant, "step() must not write to its arguments", f"at {speed} m/s")
         return motion
 
     for speed in speeds:
+        here = f"at {speed} m/s"
         straight, left, right = (driven(speed, angle) for angle in (0.0, 0.02, -0.02))
         if symmetric and abs(straight[[1, 2, 4, 5]]).max() > 1e-6:
-            fail("at zero steering the vehicle must go straight", f"{straight} at {speed} m/s")
+            _break(plant, "at zero steering the vehicle must go straight", f"{straight} {here}", _LOPSIDED)
         if not abs(straight[0] - speed) < 0.2 * speed:
-            fail("position must follow the speed", f"X = {straight[0]:g} m after 1 s at {speed} m/s")
+            _break(plant, "position must follow the speed", f"X = {straight[0]:g} m after 1 s {here}")
         if not left[2] > 0.0:
-            fail("steering to the left (positive) must begin a turn to the left", f"yaw {left[2]:g} rad at {speed} m/s")
+            _break(
+                plant, "steering to the left (positive) must begin a turn to the left", f"yaw {left[2]:g} rad {here}"
+            )
         if symmetric and not np.allclose(left * [1, -1, -1, 1, -1, -1], right, atol=1e-6):
-            fail("the mirrored steering must give the mirrored motion", f"{left} and {right} at {speed} m/s")
+            _break(
+                plant, "the mirrored steering must give the mirrored motion", f"{left} and {right} {here}", _LOPSIDED
+            )
         if (driven(speed, 0.02) != left).any():
-            fail("after reset() the same steps must give the same motion", f"at {speed} m/s")
+            _break(plant, "after reset() the same steps must give the same motion", here)
 
 
 _registry: Registry[Plant | SteppedPlant] = Registry(
-    "plant", "register_plant", {"single-track": SingleTrack, "dual-track": DualTrack}
+    "plant",
+    "register_plant",
+    {
+        "single-track": SingleTrack,
+        "dual-track": DualTrack,
+        "commonroad-single-track-drift": "adaptrack.commonroad_plants:drift_of_car",
+        "commonroad-multi-body": "adaptrack.commonroad_plants:body_of_car",
+    },
 )
 
 
