@@ -9,12 +9,18 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from adaptrack.controllers import MPC, Tuning, published_mpc
 from adaptrack.errors import InvalidInput
+from adaptrack.metrics import compute_metrics
 from adaptrack.models import PathModel
 from adaptrack.outline import Outline
-from adaptrack.path_metrics import PathRecord, path_metrics, prediction_error, r79, r79_signals, reversal_rate
+from adaptrack.path_metrics import PathRecord, path_metrics, r79, r79_signals, reversal_rate
+from adaptrack.plant import DualTrack
+from adaptrack.prediction import foretold, prediction_error
 from adaptrack.road import Arc, Line
 from adaptrack.road.road import Road
+from adaptrack.scenario import RoadDrive
+from adaptrack.simulate import rollout
 from adaptrack.vehicle import Body, load_vehicle
 
 BOX = Outline(front=2.0, rear=2.5, width=1.8)
@@ -185,3 +191,22 @@ class TestPrediction:
             prediction_error(self.MODEL, x, u, v)
         with pytest.raises(InvalidInput, match="states"):
             prediction_error(self.MODEL, x[:, :2], u, v)
+
+    @pytest.mark.parametrize("model", ["path", "single-track"])
+    def test_a_model_foretells_a_gentle_drive_along_a_bend_far_better_than_not_turning_would(self, model):
+        car = load_vehicle("midsize-sedan")
+        road = Road.from_segments([Arc(length=300.0, curvature=0.005)], name="bend")
+        mpc = (
+            MPC(car, profile="paper")
+            if model == "path"
+            else published_mpc(car, Tuning(30, 10, 1.0, 100.0), preview=True)
+        )
+        run = rollout(DualTrack(car), mpc, RoadDrive(road, 15.0))
+        found = foretold(run, mpc.model)
+        turned_away = 0.5 * 0.005 * 15.0**2  # m, of a car that goes straight on for 1 s
+        assert 0.0 < found[0.5] < found[1.0] < 0.15 * turned_away
+        assert compute_metrics(run, model=mpc.model).prediction_error_one == found[1.0]
+        assert math.isnan(compute_metrics(run).prediction_error_one)
+        short = foretold(run.between(0.0, 0.8), mpc.model)
+        assert math.isfinite(short[0.5])
+        assert math.isnan(short[1.0])

@@ -13,7 +13,7 @@ from adaptrack.errors import InvalidInput
 from adaptrack.plant import DualTrack, SingleTrack
 from adaptrack.road import Along, Arc, Clothoid, Comfort, Line, Road, Stop, generate_road, plan_speed
 from adaptrack.road.ahead import RoadAhead
-from adaptrack.runs import road_runs
+from adaptrack.runs import Retuned, RunSet, road_runs
 from adaptrack.scenario import RoadDrive, load_scenario
 from adaptrack.simulate import rollout, simulate
 from adaptrack.trajectory import Trajectory
@@ -260,3 +260,23 @@ def test_one_tuning_for_several_roads_is_at_least_as_good_as_its_swarm_saw():
     assert runs.costs(np.tile(best.x, (2, 1)), [0]).mean() == pytest.approx(best.cost, rel=1e-9)
     assert best.cost == best.trace.min()
     assert best.evaluations == 24
+
+
+def test_the_trajectories_of_a_run_set_are_those_of_each_drive_alone():
+    runs = RunSet(PLANT, MPC(CAR, profile="road"), drives_of_two_lengths()[:2], "road")
+    seeds = range(20)  # 40 runs: more than one block of slots
+    for law in (runs.mpc, PurePursuit(CAR, period=0.05, preview=True)):
+        found = runs.trajectories(law, seeds)
+        for k, seed in ((0, 0), (0, 19), (1, 19)):
+            alone = rollout(PLANT, law, runs.scenarios[k], profile="road", seed=seed)
+            for name, values in alone.columns().items():
+                np.testing.assert_array_equal(found[k][seed].columns()[name], values)
+
+
+def test_a_law_retuned_in_a_batch_costs_what_it_costs_with_that_tuning():
+    law = PurePursuit(CAR, period=0.05, preview=True)
+    runs = RunSet(PLANT, MPC(CAR, profile="road"), drives_of_two_lengths()[:2], "road")
+    found = runs.drive(Retuned(law, [[0.6, 4.0], [0.4, 3.0]]), [2])[:, 0]
+    retuned = PurePursuit(CAR, lookahead_time=0.4, lookahead_min=3.0, period=0.05, preview=True)
+    assert found[0] == runs.drive(law, [2])[0, 0]
+    assert found[1] == runs.drive(retuned, [2])[1, 0] != runs.drive(law, [2])[1, 0]

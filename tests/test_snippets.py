@@ -24,6 +24,7 @@ LONG_COMMANDS = {
     "dataset describe paper-grid": "15 s",
     "dataset describe road-sobol": "15 s",
     "dataset describe campaigns": "needs a campaign that is done",
+    "drive mountain --road-seed 2 --vehicle midsize-sedan --tuning": "needs a tuning that is found",
     "evaluate": "1 to 10 minutes",
     "reproduce": "2 minutes",
     "train": "30 s",
@@ -117,7 +118,12 @@ def parse(arguments):
 
 
 def test_a_wrong_option_or_value_would_be_found():
-    for wrong in (["simulate", "sine", "--colour"], ["simulate", "sine", "--seed", "sea"], ["drive"], ["tune"]):
+    for wrong in (
+        ["simulate", "sine", "--colour"],
+        ["simulate", "sine", "--seed", "sea"],
+        ["drive"],
+        ["tune", "--runs", "few"],
+    ):
         with pytest.raises(Exception):  # noqa: B017, PT011 - of whatever kind the parser raises
             parse(wrong)
 

@@ -119,7 +119,7 @@ class BatchRuns:
     result: Any
     """(runs,) `kernels.rollout.RESULT`"""
     trace: Any
-    """`kernels.rollout.Trace`, empty unless asked for"""
+    """`kernels.rollout.Trace` of (runs, periods of the longest, ...), NaN behind a run's end; empty unless asked for"""
     counts: dict[str, NDArray[np.int64]]
     """what the scheduler counted, (runs,) by name; empty without one"""
     segments: Array
@@ -172,6 +172,13 @@ def sampled(world: World, scenarios: Sequence[Scenario | RoadDrive]) -> tuple[li
     return signals, np.ascontiguousarray(rows)
 
 
+def own_tuning(controller: Controller) -> Array:
+    """(entries,) a compiled controller's own tuning, in the order of its `tuning_names`."""
+    if isinstance(controller, CompiledController):
+        return controller.packed_tuning()
+    return controller.tuning.as_array()  # type: ignore[attr-defined]
+
+
 class Batch:
     """What all runs of a batch share, packed for the kernels; arguments as for `rollout_batch`."""
 
@@ -187,6 +194,7 @@ class Batch:
     ) -> None:
         self.world = World.of(plant, controller, profile, driver, known_as, failure)
         self.controller, self.scheduler = controller, getattr(controller, "scheduler", None)
+        self.scenarios = scenarios
         self._refuse_python()
         world = self.world
         self.signals, self.samples = sampled(world, scenarios)
@@ -210,8 +218,7 @@ class Batch:
     @property
     def tuning(self) -> Array:
         """(entries,) the controller's own tuning."""
-        own = self.controller
-        return own.packed_tuning() if isinstance(own, CompiledController) else own.tuning.as_array()  # type: ignore[attr-defined]
+        return own_tuning(self.controller)
 
     def checked_tunings(self, tunings: ArrayLike) -> Array:
         """(runs, entries) tunings that a controller may have.
@@ -335,7 +342,8 @@ class Batch:
     ) -> BatchRuns:  # fmt: skip
         """Drive run i with scenario which[i], tunings[i] and seeds[i]; a scheduler begins with the tuning.
 
-        segment: periods of a segment whose cost is asked for, with `weight` (m^2/rad^2) on the squared moves; 0: none.
+        traced: keep what happened at every control instant, about 200 bytes for each of a run; segment: periods of a
+        segment whose cost is asked for, with `weight` (m^2/rad^2) on the squared moves; 0: none.
         """
         from adaptrack.kernels import guard, rollout
 
@@ -345,7 +353,7 @@ class Batch:
         settings = self.mpc_settings(*longest, residuals=traced)
         result, counts = rollout.RESULT.new(runs), np.zeros((len(guard.COUNTS), runs), np.int64)
         segments = np.full((runs, math.ceil(n / segment) if segment else 0), np.nan)
-        traces: dict[int, Any] = {}
+        traces: list[tuple[NDArray[np.int64], Any]] = []
         waiting: queue.SimpleQueue[NDArray[np.int64]] = queue.SimpleQueue()
         chunks = self.chunks(which)
         for chunk in chunks:
@@ -361,7 +369,7 @@ class Batch:
                 done = self._drive(chunk, plan, settings, done)
                 result[chunk], segments[chunk, : done.segments.shape[1]] = done.result, done.segments
                 if traced:
-                    traces[int(chunk[0])] = done.trace
+                    traces.append((chunk, done.trace))
                 if scheduler is not None:
                     counts[:, chunk] = [done.schedule.memory[name] for name in guard.COUNTS]
 
@@ -373,7 +381,7 @@ class Batch:
                 for future in [pool.submit(work) for _ in range(workers)]:
                     future.result()
         named = {} if scheduler is None else dict(zip(guard.COUNTS, counts, strict=True))
-        return BatchRuns(result, traces.get(0, rollout.no_trace()), named, segments)
+        return BatchRuns(result, _joined(traces, runs) if traces else rollout.no_trace(), named, segments)
 
     def _drive(self, chunk: NDArray[np.int64], plan: _Plan, mpc_settings: Any, last: Any) -> Any:
         """Drive the runs of one chunk; the `kernels.rollout.Run` that they leave.
@@ -395,6 +403,16 @@ class Batch:
         rollout.begin(size, run)
         rollout.rollout(rollout.Span(n, size, max(plan.segment, 1), plan.weight), run)
         return run
+
+
+def _joined(traces: Sequence[tuple[NDArray[np.int64], Any]], runs: int) -> Any:
+    """One trace of all runs, from those of the chunks."""
+    first = traces[0][1]
+    whole = type(first)(*(np.empty((runs, *part.shape[1:])) for part in first))
+    for chunk, trace in traces:
+        for part, values in zip(whole, trace, strict=True):
+            part[chunk] = values
+    return whole
 
 
 @dataclass(frozen=True, eq=False)

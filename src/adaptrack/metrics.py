@@ -17,6 +17,8 @@ from numpy.typing import NDArray
 
 from adaptrack.errors import InvalidInput
 from adaptrack.failure import SLOW, Failure, find_failure, state_is_finite
+from adaptrack.models import PredictionModel
+from adaptrack.prediction import TIMES, foretold
 from adaptrack.trajectory import Trajectory
 
 AT_CHANGE_LIMIT, AT_ANGLE_LIMIT, AT_OUTPUT_LIMIT = 1, 2, 4
@@ -99,8 +101,16 @@ class Metrics:
     """µs, median wall-clock time of a control step; NaN when times were not measured."""
     step_us_p99: float
     """µs, 99th percentile."""
+    step_us_p999: float
+    """µs, 99.9th percentile."""
     step_us_max: float
     """µs, the slowest."""
+
+    prediction_error_half: float
+    """m, RMS error of the output that the controller's model foretells 0.5 s ahead, open loop, see
+    `prediction.foretold`; NaN when `compute_metrics` was given no model."""
+    prediction_error_one: float
+    """m, likewise 1 s ahead."""
 
     cost: float
     """m², J = mean e² + w mean Δu²: what tuning minimises; w is `compute_metrics`' `move_weight`."""
@@ -116,6 +126,7 @@ def compute_metrics(
     *,
     move_weight: float | None = None,
     failure: Failure | None = None,
+    model: PredictionModel | None = None,
 ) -> Metrics:
     """All measures of a run; `Trajectory.between` cuts out the window to measure.
 
@@ -126,6 +137,8 @@ def compute_metrics(
         the run's `meta` (its profile's), else 0.
     failure
         When a run has failed, by default `Failure()`.
+    model
+        Of the controller that drove (`MPC.model`), for the prediction errors.
 
     Raises
     ------
@@ -152,6 +165,7 @@ def compute_metrics(
     iterations = said.get("qp_iterations", _NOTHING)
     reckoned = said.get("dead_reckoning", np.zeros(driven.sum()))
     answered = (status == _SOLVED) | (status == _CAPPED)
+    ahead = dict.fromkeys(TIMES, math.nan) if model is None else foretold(trajectory, model)
     step_times = trajectory.step_time[np.isfinite(trajectory.step_time)] * 1e6
 
     return Metrics(
@@ -187,7 +201,10 @@ def compute_metrics(
         qp_iterations_max=int(np.max(iterations, initial=0)),
         step_us_p50=float(np.percentile(step_times, 50)) if step_times.size else math.nan,
         step_us_p99=float(np.percentile(step_times, 99)) if step_times.size else math.nan,
+        step_us_p999=float(np.percentile(step_times, 99.9)) if step_times.size else math.nan,
         step_us_max=_largest_known(step_times),
+        prediction_error_half=ahead[0.5],
+        prediction_error_one=ahead[1.0],
         cost=mse + move_weight * activity if move_weight else mse,
     )
 

@@ -10,7 +10,6 @@ from __future__ import annotations
 import dataclasses
 import html
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any, Self
 
@@ -20,7 +19,6 @@ from numpy.typing import ArrayLike, NDArray
 from adaptrack.errors import InvalidInput, real
 from adaptrack.failure import SLOW
 from adaptrack.metrics import largest_magnitude, mean_square
-from adaptrack.models import PredictionModel
 from adaptrack.outline import Outline
 from adaptrack.trajectory import Trajectory
 
@@ -292,80 +290,3 @@ def _even(t: Array, values: Array, rate: float | None = None) -> tuple[Array, Ar
 
 def _p95(values: Array) -> float:
     return float(np.percentile(np.abs(values), 95.0)) if np.isfinite(values).all() else math.inf
-
-
-def prediction_error(
-    model: PredictionModel,
-    states: ArrayLike,
-    commands: ArrayLike,
-    speeds: ArrayLike,
-    *,
-    curvatures: ArrayLike = 0.0,
-    outputs: ArrayLike | None = None,
-    times: Sequence[float] = (0.5, 1.0),
-) -> dict[float, float]:
-    """RMS error (m) of the output that a prediction model foretells for some times ahead, open loop.
-
-    From every state the model is stepped over the record with the commands that followed, at their speeds. Its dead
-    time is taken out by the commands of so much earlier, in whole periods: a fraction is rounded.
-
-    Parameters
-    ----------
-    model
-        Its period is that of the record.
-    states : (n, model.n) array
-        In the order of `model.states`, as measured or estimated at each instant.
-    commands : (n,) array
-        rad, of the period that begins at each instant.
-    speeds : (n,) array
-        m/s, > 0.
-    curvatures : (n,) array or float
-        1/m, of the path at the foot.
-    outputs : (n,) array, optional
-        m, what the output was; by default that of `states`.
-    times
-        s, each at least a period and within the record.
-
-    Raises
-    ------
-    InvalidInput
-        When shapes do not fit or a time does not.
-    """
-    x, u, v = (np.asarray(each, dtype=np.float64) for each in (states, commands, speeds))
-    n = len(x)
-    y = u if outputs is None else np.asarray(outputs, dtype=np.float64)
-    if x.shape != (n, model.n) or not u.shape == v.shape == y.shape == (n,):
-        raise InvalidInput(
-            f"prediction_error: states {x.shape}, commands {u.shape}, speeds {v.shape}, outputs {y.shape}: "
-            f"must be (n, {model.n}) for {', '.join(model.states)}, and (n,)."
-        )
-    y = x @ model.output if outputs is None else y
-    late = round(model.dead_time / model.period)
-    steps = {time: round(time / model.period) for time in times}
-    for time, count in steps.items():
-        if not 1 <= count < n - late:
-            raise InvalidInput(
-                f"prediction_error: {time!r} s: must be at least one period ({model.period:g} s) and within the record."
-            )
-    a, b, e = _discretised(model, v)
-    turn = np.broadcast_to(np.asarray(curvatures, dtype=np.float64), (n,)) * v
-    ahead, found = x[late:], {}
-    for k in range(1, max(steps.values()) + 1):
-        count = n - late - k  # states that have a k-th successor
-        now, then = slice(late + k - 1, late + k - 1 + count), slice(k - 1, k - 1 + count)
-        step = b[now] * u[then, None] + e[now] * turn[now, None]
-        ahead = np.einsum("kij,kj->ki", a[now], ahead[:count]) + step
-        if k in steps.values():
-            found[k] = math.sqrt(mean_square(ahead @ model.output - y[late + k :]))
-    return {time: found[count] for time, count in steps.items()}
-
-
-def _discretised(model: PredictionModel, speeds: Array) -> tuple[Array, Array, Array]:
-    """A (n, m, m), B (n, m) and E (n, m) of a model at speeds (n,), each speed once."""
-    each, place = np.unique(speeds, return_inverse=True)
-    if not (np.isfinite(each) & (each > 0.0)).all():
-        raise InvalidInput("prediction_error: speeds must be positive and finite; leave out where the car stands.")
-    a, b, e = np.zeros((each.size, model.n, model.n)), np.zeros((each.size, model.n)), np.zeros((each.size, model.n))
-    for k, speed in enumerate(each.tolist()):
-        model.function(speed, model.period, model.parameters(), a[k], b[k], e[k])
-    return a[place], b[place], e[place]

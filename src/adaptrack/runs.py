@@ -34,14 +34,25 @@ from adaptrack.road import Comfort, Road, plan_speed
 from adaptrack.road.speed import USUAL
 from adaptrack.scenario import RoadDrive, Scenario, load_scenario, random_drive
 from adaptrack.scheduling import Schedule
-from adaptrack.simulate import simulate
+from adaptrack.simulate import rollouts, simulate
+from adaptrack.trajectory import Trajectory
 from adaptrack.world import KnownAs, World
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
-Policy = Schedule | Tuning | Controller | ArrayLike
-"""What drives: a schedule, one tuning, one tuning (Np, Nc, Q, R) for each run, or a controller of its own."""
+
+class Retuned(NamedTuple):
+    """A compiled controller, MPC or not, with tunings instead of its own."""
+
+    controller: Controller
+    tunings: ArrayLike
+    """(entries,) or (runs, entries) in the order of its `tuning_names`"""
+
+
+Policy = Schedule | Tuning | Controller | Retuned | ArrayLike
+"""What drives: a schedule, one tuning, one tuning (Np, Nc, Q, R) for each run, or a controller of its own, `Retuned`
+or as it is."""
 
 PERCEPTIONS: dict[str, Perception] = {
     "noisy": Perception(noise=0.1),
@@ -136,6 +147,12 @@ class RunSet:
         found = self.drive(policy, seeds, which)
         return np.where(np.isfinite(found), found, self.failed_cost).mean(axis=1)
 
+    def trajectories(self, policy: Schedule | Tuning | Controller, seeds: Sequence[int]) -> list[list[Trajectory]]:
+        """Each run (outer list) with each noise seed (inner list): what `drive` gives the costs of."""
+        if self._compiles(policy):
+            return rollouts(self._batch(self.controller_of(policy, 0)), [int(seed) for seed in seeds])
+        return [[self._simulated(policy, i, i, int(seed)) for seed in seeds] for i in range(len(self))]
+
     def segments(self, policy: Policy, seed: int, which: Indices) -> Array:
         """(runs, segments) m^2, cost of each segment (sum); inf in the one where a run failed, NaN after it.
 
@@ -154,20 +171,21 @@ class RunSet:
             return self._run(schedule, seed, np.arange(len(self))).counts
         found = []
         for i in range(len(self)):
-            mpc = self._controller(schedule, i)
+            mpc = self.controller_of(schedule, i)
             self._simulated_cost(mpc, i, i, seed)
             found.append(mpc.scheduler_counts)  # type: ignore[attr-defined]
         return {name: np.array([each[name] for each in found]) for name in found[0]}
 
     def _run(self, policy: Policy, seed: int, which: Indices, segmented: bool = False) -> Outcome:
-        batch = self._batch_of(policy) if _is_controller(policy) else self._own
+        own = policy.controller if isinstance(policy, Retuned) else policy
+        batch = self._batch_of(own) if _is_controller(own) else self._own
         tuning, scheduler = batch.tuning, batch.scheduler
         if isinstance(policy, Schedule):
             self._warn_of(policy)
             scheduler = policy
         elif not _is_controller(policy):
             scheduler = None
-            tuning = policy.as_array() if isinstance(policy, Tuning) else np.asarray(policy, dtype=float)
+            tuning = _rows(policy)
         found = batch.run(
             which, np.broadcast_to(tuning, (len(which), tuning.shape[-1])).copy(),
             np.full(len(which), seed, np.int64), os.cpu_count() or 1,
@@ -180,35 +198,57 @@ class RunSet:
         self.mpc.warn_of(schedule, load_profile(self.profile).name)
 
     def _compiles(self, policy: Policy) -> bool:
+        policy = policy.controller if isinstance(policy, Retuned) else policy
         return not isinstance(self.plant, SteppedPlant) and (not _is_controller(policy) or _compiles(policy))
 
-    def _controller(self, policy: Policy, k: int) -> Controller:
+    def controller_of(self, policy: Policy, k: int = 0) -> Controller:
         """What drives the k-th of the runs: a controller itself, or the MPC with a schedule or its k-th tuning."""
         if _is_controller(policy):
             return policy
         if isinstance(policy, Schedule):
             self._warn_of(policy)
-        mpc = copy.copy(self.mpc)
+        own = policy.controller if isinstance(policy, Retuned) else self.mpc
+        if isinstance(own, CompiledController):
+            law = copy.copy(own)
+            law.tuning = dict(zip(own.tuning_names, _row(policy, k).tolist(), strict=True))
+            law.reset()
+            return law
+        assert isinstance(own, MPC)
+        mpc = copy.copy(own)
         mpc.scheduler = policy if isinstance(policy, Schedule) else None
         if not isinstance(policy, Schedule):
-            asked = np.atleast_2d(policy.as_array() if isinstance(policy, Tuning) else np.asarray(policy, dtype=float))
-            Np, Nc, Q, R = asked[min(k, len(asked) - 1)]
+            Np, Nc, Q, R = _row(policy, k)
             Np = min(max(round(Np), 1), mpc.longest_horizon)
             mpc.tuning = Tuning(Np, min(max(round(Nc), 1), Np, mpc.most_moves), Q, R)
         mpc.reset()
         return mpc
 
     def _simulated_cost(self, policy: Policy, k: int, i: int, seed: int) -> float:
-        controller, known_as = self._controller(policy, k), self.known_as
-        if isinstance(known_as, Perception):  # with the errors that the run has in the batch
-            known_as = replace(known_as, seed=known_as.seed + i)
-        run = simulate(
-            self.plant, controller, self.scenarios[i], profile=self.profile, seed=seed, known_as=known_as,
-            failure=self.failure,
-        )  # fmt: skip
+        run = self._simulated(policy, k, i, seed)
         if run.failed is not None:
             return math.inf
         return float((run.error**2).mean() + self.weight * (run.command_change**2).mean())
+
+    def _simulated(self, policy: Policy, k: int, i: int, seed: int) -> Trajectory:
+        controller, known_as = self.controller_of(policy, k), self.known_as
+        if isinstance(known_as, Perception):  # with the errors that the run has in the batch
+            known_as = replace(known_as, seed=known_as.seed + i)
+        return simulate(
+            self.plant, controller, self.scenarios[i], profile=self.profile, seed=seed, known_as=known_as,
+            failure=self.failure,
+        )  # fmt: skip
+
+
+def _rows(policy: Policy) -> Array:
+    """The tunings of a policy that gives some."""
+    given = policy.tunings if isinstance(policy, Retuned) else policy
+    return given.as_array() if isinstance(given, Tuning) else np.asarray(given, dtype=float)
+
+
+def _row(policy: Policy, k: int) -> Array:
+    """The k-th of them; the last one where there are fewer."""
+    rows = np.atleast_2d(_rows(policy))
+    return np.asarray(rows[min(k, len(rows) - 1)])
 
 
 def _is_controller(policy: Any) -> TypeGuard[Controller]:

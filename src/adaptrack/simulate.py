@@ -8,15 +8,16 @@ control periods inside the kernels, as `batch.rollout_batch` does for many runs.
 from __future__ import annotations
 
 import math
+import os
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from datetime import UTC, datetime
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from adaptrack.batch import Batch
+from adaptrack.batch import Batch, BatchRuns
 from adaptrack.controllers import MPC, CompiledController, Controller
 from adaptrack.errors import InvalidInput, whole
 from adaptrack.estimation import FrictionWindEstimator
@@ -284,12 +285,32 @@ def rollout(
         kernels.
     """
     _refuse_nonsense(scenario, seed)
-    batch = Batch(plant, controller, [scenario], profile, driver, failure, known_as)
-    first = np.zeros(1, np.int64)
-    runs = batch.run(first, batch.tuning[None], np.array([seed]), 1, traced=True, scheduler=batch.scheduler)
-    record = _Recorder(batch.signals[0].n, controller)
-    found, T = runs.result[0], len(record.tuning_names)
-    record.state[:], record.seen[:], answer = runs.trace.state[0], runs.trace.seen[0], runs.trace.answer[0]
+    return rollouts(Batch(plant, controller, [scenario], profile, driver, failure, known_as), (seed,), threads=1)[0][0]
+
+
+def rollouts(batch: Batch, seeds: Sequence[int], threads: int | None = None) -> list[list[Trajectory]]:
+    """`rollout` of each scenario of a batch (outer list) with each noise seed (inner list), vectorised.
+
+    threads: None for all cores.
+    """
+    count = len(batch.signals)
+    which = np.repeat(np.arange(count), len(seeds))
+    seeded = np.tile(np.array(seeds, dtype=np.int64), count)
+    tunings = np.repeat(batch.tuning[None], len(which), axis=0)
+    runs = batch.run(
+        which, tunings, seeded, threads or os.cpu_count() or 1, traced=True, scheduler=batch.scheduler
+    )  # fmt: skip
+    each = [_traced(batch, runs, i, int(k), int(seed)) for i, (k, seed) in enumerate(zip(which, seeded, strict=True))]
+    return [each[first : first + len(seeds)] for first in range(0, len(each), len(seeds))]
+
+
+def _traced(batch: Batch, runs: BatchRuns, i: int, k: int, seed: int) -> Trajectory:
+    """The i-th of the runs, of scenario k."""
+    controller, n = batch.controller, batch.signals[k].n
+    record = _Recorder(n, controller)
+    found, T = runs.result[i], len(record.tuning_names)
+    trace = runs.trace
+    record.state[:], record.seen[:], answer = trace.state[i, :n], trace.seen[i, :n], trace.answer[i, :n]
     record.command[:] = answer[:, :3]
     if isinstance(controller, MPC):
         record.tuning[:], record.diagnostics[:] = answer[:, 3 : 3 + T], answer[:, 3 + T :]
@@ -297,8 +318,8 @@ def rollout(
         D = len(record.diagnostic_names)
         record.diagnostics[:], record.tuning[:] = answer[:, 3 : 3 + D], answer[:, 3 + D :]
     record.failed, record.failed_at = _failure_of(int(found.ended), float(found.ended_at))
-    record.counted = {name: int(values[0]) for name, values in runs.counts.items()}
-    return _trajectory(batch.world, controller, scenario, batch.signals[0], seed, record)
+    record.counted = {name: int(values[i]) for name, values in runs.counts.items()}
+    return _trajectory(batch.world, controller, batch.scenarios[k], batch.signals[k], seed, record)
 
 
 # -- the trajectory ---------------------------------------------------------------------------------------------------

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
@@ -25,6 +26,8 @@ from adaptrack.cli.simulate import (
 )
 
 if TYPE_CHECKING:
+    from adaptrack.controllers import Controller
+    from adaptrack.models import PredictionModel
     from adaptrack.scenario import RoadDrive
     from adaptrack.trajectory import Trajectory
     from adaptrack.vehicle import Vehicle
@@ -40,16 +43,29 @@ COLUMNS = (
     Column("result", "result"),
 )
 
+SHOWN = (
+    "rms_offset", "p95_offset", "max_offset", "max_corner", "in_lane", "max_acceleration", "max_jerk_r79",
+    "prediction_error_half", "prediction_error_one", "step_us_p50", "step_us_p999",
+)  # fmt: skip
+"""Measures on the page."""
+OTHER_UNITS = {"prediction_error_half": "m", "prediction_error_one": "m", "step_us_p50": "µs", "step_us_p999": "µs"}
+"""Of those that are not `PathMetrics`."""
 
+Tunings = Annotated[
+    list[Path] | None, Option("--tuning", metavar="FILE", help="Tuning that `tune ROAD` found; may be repeated.")
+]
+
+
+@options.grouped
 def drive(
     road: roads.RoadName,
+    asked: roads.RoadOptions,
     vehicle: options.Vehicle = "paper",
     controller: Annotated[
         list[str] | None,
         Option(metavar="NAME", help="informed [default], standard, lqr, pure-pursuit, stanley, or a registered one."),
     ] = None,
-    speed: roads.Speed = None,
-    lateral_acceleration: roads.Lateral = None,
+    tuning: Tunings = None,
     profile: options.Profile = "road",
     laps: Annotated[int, Option("--laps", min=1, help="Of a closed road.")] = 1,
     wind: Annotated[float, Option("--wind", help="Along the world's y axis (m/s).")] = 0.0,
@@ -60,12 +76,6 @@ def drive(
     driver: Annotated[bool, Option("--driver/--perfect-speed", help="Powertrain and driver, or exact speed.")] = False,
     period: Annotated[float | None, Option(help="Control period (s); by default the profile's.")] = None,
     seed: Annotated[int, Option("--seed", help="Of the sensor noise.")] = 0,
-    max_deviation: roads.MaxDeviation = None,
-    closed: roads.Closed = None,
-    road_id: roads.RoadId = None,
-    lane: roads.Lane = None,
-    road_seed: roads.Seed = None,
-    length: roads.Length = None,
     out: Annotated[Path | None, Option(help="Folder for the page with the replay, and the trajectories.")] = None,
     allow_failed: Annotated[
         bool, Option("--allow-failed", help=f"Exit code 0, not {FAILED}, after a failure.")
@@ -86,18 +96,16 @@ def drive(
 
     options.load_plugins(plugin)
     car, body = options.car_and_plant(vehicle, plant, tyre)
-    given = roads.given(max_deviation=max_deviation, closed=closed, road=road_id, lane=lane, seed=road_seed,
-                        length=length)  # fmt: skip
-    seen = roads.look(road, given, car, speed, lateral_acceleration)
+    seen = asked.look(road, car)
     world = load_profile(profile)
     trip = RoadDrive(seen.road, seen.plan, laps=laps, wind=wind, start_offset=offset, start_heading=heading)
-    asked = Asked(car, world, world.period if period is None else period, preview=True)
-    controllers = [make_controller(name, asked) for name in dict.fromkeys(controller or [asked.usual])]
+    who = Asked(car, world, world.period if period is None else period, preview=True)
+    usual = [] if tuning else [who.usual]
+    controllers = [make_controller(name, who) for name in dict.fromkeys(controller or usual)]
+    controllers += [tuned(file, who, as_json) for file in dict.fromkeys(tuning or [])]
     if out is not None:
         options.make_folder(out)
-    for finding in seen.findings:
-        if not finding.drivable:
-            show.say(f"Warning, {finding.text} (s = {finding.start:.0f} to {finding.end:.0f} m).", aside=as_json)
+    seen.warn(as_json)
     files = safe_names(f"{trip.name}-{label}" for label, _ in controllers)
     runs = []
     with show.progress("drive", len(controllers)) as advance:
@@ -105,7 +113,7 @@ def drive(
             step = partial(advance, label)
             run = simulate(body, each, trip, profile=world, driver=Driver() if driver else None, seed=seed,
                            progress=step)  # fmt: skip
-            runs.append(_Run(label, trip, car, run))
+            runs.append(_Run(label, trip, car, run, getattr(each, "model", None)))
             if out is not None:
                 _keep(run, out / f"{file}.parquet")
     rows = [run.row for run in runs]
@@ -118,6 +126,16 @@ def drive(
         tell_stiffness(car, body, as_json)
         if not allow_failed:
             raise typer.Exit(FAILED)
+
+
+def tuned(file: Path, who: Asked, aside: bool) -> tuple[str, Controller]:
+    """The controller of a tuning's file, and how tables call it; a word where it was found for something else."""
+    from adaptrack.tuning.constant_file import load_tuning
+
+    kept = load_tuning(file)
+    for clause in kept.mismatches(who.car.name, who.profile.name, who.period):
+        show.say(f"Warning, {file}: {clause}.", aside=aside)
+    return kept.label(file), kept.make(who.car, who.profile, who.period, who.preview)
 
 
 def _keep(run: Trajectory, file: Path) -> None:
@@ -134,6 +152,14 @@ class _Run:
     trip: RoadDrive
     car: Vehicle
     run: Trajectory
+    model: PredictionModel | None
+    """of the controller, if it has one"""
+
+    @property
+    def found_in(self) -> str:
+        """Of a tuning, from which file; empty for other controllers."""
+        _, comma, file = self.label.partition(", ")
+        return comma + file
 
     @cached_property
     def row(self) -> dict[str, Any]:
@@ -145,7 +171,7 @@ class _Run:
         record = PathRecord.from_trajectory(self.run)
         measures = {} if record is None else path_metrics(record, self.car.outline).to_dict()
         station = self.run.road["station"]
-        row = measured_row(self.label, self.run) | measures
+        row = measured_row(self.label, self.run, self.model) | measures
         if record is not None:
             row |= {"rms_error": measures["rms_offset"], "max_abs_error": measures["max_offset"]}
         known = station[np.isfinite(station)]
@@ -172,17 +198,17 @@ def _print(trip: RoadDrive, rows: Sequence[dict[str, Any]], as_json: bool) -> No
 
 def _write_page(out: Path, runs: Sequence[_Run]) -> Path:
     from adaptrack.failure import find_failure
+    from adaptrack.path_metrics import PathMetrics
     from adaptrack.report.drive import write_drive_page
     from adaptrack.report.record import DriveRecord, Measure
 
-    shown = ("rms_offset", "p95_offset", "max_offset", "max_corner", "in_lane", "max_acceleration", "max_jerk_r79")
+    units = {each.name: each.metadata["unit"] for each in dataclasses.fields(PathMetrics)} | OTHER_UNITS
     with show.progress("write the page"):
         records = []
         for each in runs:
             row = each.row
-            measures = [Measure(name, row[name]) for name in shown if row.get(name) is not None]
+            measures = [Measure(name, row[name], units[name]) for name in SHOWN if row.get(name) is not None]
             failed = find_failure(each.run)
-            records.append(
-                DriveRecord.from_trajectory(each.run, each.trip.road, each.car, failed=failed, metrics=measures)
-            )
+            record = DriveRecord.from_trajectory(each.run, each.trip.road, each.car, failed=failed, metrics=measures)
+            records.append(dataclasses.replace(record, controller=record.controller + each.found_in))
         return write_drive_page(out, records, command=options.command_line())

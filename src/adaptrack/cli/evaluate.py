@@ -1,4 +1,4 @@
-"""`adaptrack evaluate`: compare schedulers on what nobody tuned or trained on."""
+"""`adaptrack evaluate`: compare controllers on roads, or schedulers on what nobody tuned or trained on."""
 
 from __future__ import annotations
 
@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from typer import Option
 
-from adaptrack.cli import comparison, options, show
+from adaptrack.cli import comparison, on_roads, options, show
+from adaptrack.cli.road import RoadOptions
 from adaptrack.errors import InvalidInput
 from adaptrack.limits import DRIVES, OPERATING_POINTS, SEED, check_limit
 
@@ -22,13 +23,25 @@ USUAL = "sobol:2000"
 """The operating points when nothing is asked for."""
 
 
+@options.grouped
 def evaluate(
+    asked: RoadOptions,
+    car: on_roads.CarOptions,
+    road: on_roads.Roads = None,
+    tuning: Annotated[
+        list[Path] | None, Option("--tuning", metavar="FILE", help="On roads: tuning that `tune ROAD` found.")
+    ] = None,
     schedulers: Annotated[
         list[str] | None,
         Option(help="Names (see `schedulers`), files or folders of them, beside those that ship with the package."),
     ] = None,
     contender: Annotated[
-        list[str] | None, Option("--contender", help="Name of a registered contender, driven beside the schedulers.")
+        list[str] | None,
+        Option(
+            "--contender",
+            help="Name of a registered contender, driven beside the schedulers; on roads instead of the usual ones "
+            "(informed, published, lqr, pure-pursuit, stanley).",
+        ),
     ] = None,
     operating_points: Annotated[
         str | None,
@@ -62,12 +75,20 @@ def evaluate(
         ),
     ] = None,
     seed: Annotated[
-        int, Option("--seed", callback=options.at_most(SEED, least=0), help="Which operating points and drives.")
+        int,
+        Option(
+            "--seed",
+            callback=options.at_most(SEED, least=0),
+            help="Which operating points and drives; on roads the first noise seed.",
+        ),
     ] = 7,
     out: options.Page = None,
     as_json: options.Json = False,
 ) -> None:  # fmt: skip
-    """Compare schedulers with the best constant and the optimum of each operating point, where none was trained.
+    """Compare controllers, tunings and schedulers on given roads: the same speed, car and noise for all.
+
+    Without a road: compare schedulers with the best constant and the optimum of each operating point, where none was
+    trained.
 
     A plant that is stepped in Python is driven run by run; no optimum is searched for on it. Failed runs are part of
     the result: they are counted for each contender, and the exit code is 0.
@@ -79,6 +100,17 @@ def evaluate(
     from adaptrack.studies.adapt import Adapted
 
     options.load_plugins(plugin)
+    if road:
+        other = {"--operating-points": operating_points, "--drives": drives, "--tests": tests, "--config": config,
+                 "--controller": controller, "--known-as": known_as}  # fmt: skip
+        on_roads.refuse([name for name, value in other.items() if value], "on roads")
+        setting = on_roads.Setting.of(road, asked, car, profile, plant or "dual-track", as_json)
+        entered = on_roads.Entered(contender or (), tuning or (), _all_files(schedulers or []))
+        on_roads.evaluate(setting, entered, range(seed, seed + (car.noise_seeds or 5)), out, as_json)
+        return
+    own = {**vars(car), "tuning": tuning}
+    on_roads.refuse([*asked.named, *(f"--{name.replace('_', '-')}" for name, value in own.items() if value)],
+                    "without a road")  # fmt: skip
     settings = comparison.study(config, controller, profile)
     setup = SetUp.of(settings)
     if plant is not None:
@@ -123,7 +155,7 @@ def schedules(setup: SetUp, given: Sequence[str]) -> dict[str, Schedule]:
 
     found = shipped(setup.config.name)
     world, files = load_profile(setup.profile).name, {each.name for each in found.values()}
-    for name in itertools.chain.from_iterable(map(_files, given)):
+    for name in _all_files(given):
         schedule = load_scheduler(name)
         check_scheduler(schedule)
         faults = setup.mpc.mismatches(schedule, world)
@@ -138,6 +170,11 @@ def schedules(setup: SetUp, given: Sequence[str]) -> dict[str, Schedule]:
         files.add(schedule.name)
         found[schedule.name] = schedule
     return found
+
+
+def _all_files(given: Sequence[str]) -> list[str]:
+    """Of names, files and folders."""
+    return list(itertools.chain.from_iterable(map(_files, given)))
 
 
 def _files(given: str) -> list[str]:

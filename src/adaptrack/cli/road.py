@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -24,48 +24,90 @@ NOT_DRIVABLE = 1
 
 COLUMNS = (Column("from", "from", "m"), Column("to", "to", "m"), Column("what", "what"))
 
-RoadName = Annotated[
-    str,
-    typer.Argument(
-        metavar="ROAD",
-        help="A .csv file of x, y (m), a .toml file, OpenDRIVE (.xodr), CommonRoad (.xml), or motorway, country, town, "
-        "mountain, lap.",
-    ),
-]
-Speed = Annotated[float | None, Option("--speed", help="Constant speed (m/s); by default one that is planned.")]
-Lateral = Annotated[
-    float | None, Option("--lateral-acceleration", metavar="A", help="Of the planned speed (m/s²), by default 3.")
-]
-MaxDeviation = Annotated[
-    float | None,
-    Option("--max-deviation", metavar="M", help=".csv: largest distance from a point (m); 0.5 if not given."),
-]
-Closed = Annotated[bool | None, Option("--closed/--open", help=".csv: whether it is a lap; by default as found.")]
-RoadId = Annotated[str | None, Option("--road", metavar="ID", help=".xodr: which road; .xml: lanelets.")]
-Lane = Annotated[int | None, Option("--lane", metavar="N", help=".xodr: middle of this lane to the right (-1, ...).")]
-Seed = Annotated[int | None, Option("--road-seed", help="Generated: which road, by default 0.")]
-Length = Annotated[float | None, Option("--length", help="Generated: length (m), by default 2000.")]
+ROADS = (
+    "a .csv file of x, y (m), a .toml file, OpenDRIVE (.xodr), CommonRoad (.xml), or motorway, country, town, "
+    "mountain, lap."
+)
+RoadName = Annotated[str, typer.Argument(metavar="ROAD", help=f"Road: {ROADS}")]
+
+
+@dataclass(frozen=True)
+class RoadOptions:
+    """Which road a name stands for, and how fast it is driven: options of every command that takes a road."""
+
+    speed: Annotated[float | None, Option("--speed", help="Constant speed (m/s); by default one that is planned.")] = (
+        None
+    )
+    lateral_acceleration: Annotated[
+        float | None, Option("--lateral-acceleration", metavar="A", help="Of the planned speed (m/s²), by default 3.")
+    ] = None
+    max_deviation: Annotated[
+        float | None,
+        Option("--max-deviation", metavar="M", help=".csv: largest distance from a point (m); 0.5 if not given."),
+    ] = None
+    closed: Annotated[
+        bool | None, Option("--closed/--open", help=".csv: whether it is a lap; by default as found.")
+    ] = None
+    road_id: Annotated[str | None, Option("--road", metavar="ID", help=".xodr: which road; .xml: lanelets.")] = None
+    lane: Annotated[
+        int | None, Option("--lane", metavar="N", help=".xodr: middle of this lane to the right (-1, ...).")
+    ] = None
+    road_seed: Annotated[
+        list[int] | None,
+        Option("--road-seed", help="Generated: which road, by default 0; of `tune` and `evaluate` also several times."),
+    ] = None
+    length: Annotated[float | None, Option("--length", help="Generated: length (m), by default 2000.")] = None
+
+    @property
+    def named(self) -> list[str]:
+        """The options that are given, as one types them."""
+        spelt = {"road_id": "--road"}
+        return [
+            spelt.get(name, f"--{name.replace('_', '-')}") for name, value in vars(self).items() if value is not None
+        ]
+
+    @property
+    def each(self) -> list[RoadOptions]:
+        """The same for one seed of a generated road at a time."""
+        return [replace(self, road_seed=[seed]) for seed in dict.fromkeys(self.road_seed or ())] or [self]
+
+    def look(self, name: str, car: Vehicle) -> Seen:
+        """Load a road by its name, plan the speed along it for a car, and check both.
+
+        Raises
+        ------
+        InvalidInput
+            When both a speed and an acceleration are given, or several seeds.
+        """
+        from adaptrack.road import Comfort, check_road, load_road, plan_speed
+        from adaptrack.road.speed import constant_speed
+
+        if self.speed is not None and self.lateral_acceleration is not None:
+            raise InvalidInput("give either --speed or --lateral-acceleration.")
+        if len(self.road_seed or ()) > 1:
+            raise InvalidInput("--road-seed: give one.")
+        asked = {
+            "max_deviation": self.max_deviation, "closed": self.closed, "road": self.road_id, "lane": self.lane,
+            "seed": self.road_seed[0] if self.road_seed else None, "length": self.length,
+        }  # fmt: skip
+        road = load_road(name, **{key: value for key, value in asked.items() if value is not None})
+        comfort = Comfort() if self.lateral_acceleration is None else Comfort(lateral=self.lateral_acceleration)
+        plan = plan_speed(road, car, comfort) if self.speed is None else constant_speed(road, self.speed)
+        return Seen(road, plan, check_road(road, car, plan))
 
 
 @app.command()
+@options.grouped
 def check(
     road: RoadName,
+    asked: RoadOptions,
     vehicle: options.Vehicle = "paper",
-    speed: Speed = None,
-    lateral_acceleration: Lateral = None,
-    max_deviation: MaxDeviation = None,
-    closed: Closed = None,
-    road_id: RoadId = None,
-    lane: Lane = None,
-    road_seed: Seed = None,
-    length: Length = None,
     as_json: options.Json = False,
 ) -> None:
     """Tell what a road is and what of it a car cannot drive; the exit code is then 1."""
     from adaptrack.vehicle import load_vehicle
 
-    asked = given(max_deviation=max_deviation, closed=closed, road=road_id, lane=lane, seed=road_seed, length=length)
-    seen = look(road, asked, load_vehicle(vehicle), speed, lateral_acceleration)
+    seen = asked.look(road, load_vehicle(vehicle))
     if as_json:
         show.say_json(_values(seen))
     else:
@@ -75,26 +117,19 @@ def check(
 
 
 @app.command()
+@options.grouped
 def plot(
     road: RoadName,
+    asked: RoadOptions,
     out: Annotated[Path, Option("--out", help="The picture.")] = Path("road.png"),
     vehicle: options.Vehicle = "paper",
-    speed: Speed = None,
-    lateral_acceleration: Lateral = None,
-    max_deviation: MaxDeviation = None,
-    closed: Closed = None,
-    road_id: RoadId = None,
-    lane: Lane = None,
-    road_seed: Seed = None,
-    length: Length = None,
 ) -> None:
     """Draw a road from above, with curvature and speed along it, as a PNG file."""
     from adaptrack.files import write_atomically
     from adaptrack.report.road import road_png
     from adaptrack.vehicle import load_vehicle
 
-    asked = given(max_deviation=max_deviation, closed=closed, road=road_id, lane=lane, seed=road_seed, length=length)
-    seen = look(road, asked, load_vehicle(vehicle), speed, lateral_acceleration)
+    seen = asked.look(road, load_vehicle(vehicle))
     write_atomically(out, road_png(seen.road, seen.plan, seen.findings))
     show.say(f"Picture: {out}")
 
@@ -111,29 +146,12 @@ class Seen:
     def drivable(self) -> bool:
         return all(each.drivable for each in self.findings)
 
-
-def given(**options: Any) -> dict[str, Any]:
-    """The options that are given."""
-    return {name: value for name, value in options.items() if value is not None}
-
-
-def look(name: str, asked: dict[str, Any], car: Vehicle, speed: float | None, lateral: float | None) -> Seen:
-    """Load a road by its name and options, plan the speed along it, and check both.
-
-    Raises
-    ------
-    InvalidInput
-        When both a speed and an acceleration are given.
-    """
-    from adaptrack.road import Comfort, check_road, load_road, plan_speed
-    from adaptrack.road.speed import constant_speed
-
-    if speed is not None and lateral is not None:
-        raise InvalidInput("give either --speed or --lateral-acceleration.")
-    road = load_road(name, **asked)
-    comfort = Comfort() if lateral is None else Comfort(lateral=lateral)
-    plan = plan_speed(road, car, comfort) if speed is None else constant_speed(road, speed)
-    return Seen(road, plan, check_road(road, car, plan))
+    def warn(self, aside: bool) -> None:
+        """Say what of it cannot be driven."""
+        for finding in self.findings:
+            if not finding.drivable:
+                where = f"(s = {finding.start:.0f} to {finding.end:.0f} m)"
+                show.say(f"Warning, {self.road.name}: {finding.text} {where}.", aside=aside)
 
 
 def _values(seen: Seen) -> dict[str, Any]:

@@ -18,6 +18,7 @@ from adaptrack.errors import InvalidInput, UnknownName, did_you_mean
 
 if TYPE_CHECKING:
     from adaptrack.controllers import Controller, Moves, Tuning
+    from adaptrack.models import PredictionModel
     from adaptrack.profile import Profile
     from adaptrack.scheduling import Schedule
     from adaptrack.trajectory import Trajectory
@@ -118,7 +119,8 @@ def simulate(
     if out is not None:
         options.make_folder(out)
     runs = _drive(loaded, controllers, body, world, driver, seed, out)
-    rows = [measured_row(label, run) for label, run in runs]
+    models = {label: getattr(each, "model", None) for label, each in controllers}
+    rows = [measured_row(label, run, models[label]) for label, run in runs]
     if out is not None:
         show.say(f"Report: {_write_report(out, runs)}", aside=as_json)
     _print(rows, as_json)
@@ -267,11 +269,14 @@ def _write_report(out: Path, runs: Sequence[tuple[str, Trajectory]]) -> Path:
         return write_report(out, [Run(run, label=label) for label, run in runs], command=options.command_line())
 
 
-def measured_row(controller: str, run: Trajectory) -> dict[str, Any]:
-    """What --json says about a run: what was driven, `failed` (the reason, or null), `failed_at` (s), the metrics."""
+def measured_row(controller: str, run: Trajectory, model: PredictionModel | None = None) -> dict[str, Any]:
+    """What --json says about a run: what was driven, `failed` (the reason, or null), `failed_at` (s), the metrics.
+
+    model: of the controller, if it has one.
+    """
     from adaptrack.metrics import compute_metrics
 
-    meta, measures = run.meta, compute_metrics(run).as_row()
+    meta, measures = run.meta, compute_metrics(run, model=model).as_row()
     del measures["failed"]
     reason, clause = measures.pop("failed_reason"), measures.pop("failed_because")
     return {

@@ -1,4 +1,4 @@
-"""`adaptrack tune`: run a campaign."""
+"""`adaptrack tune`: one constant for roads, or a campaign."""
 
 from __future__ import annotations
 
@@ -10,7 +10,9 @@ from typing import TYPE_CHECKING, Annotated
 
 from typer import Option
 
-from adaptrack.cli import interrupt, options, show
+from adaptrack.cli import interrupt, on_roads, options, show
+from adaptrack.cli.road import RoadOptions
+from adaptrack.errors import InvalidInput
 
 if TYPE_CHECKING:
     from adaptrack.tuning.campaign import Progress
@@ -20,11 +22,33 @@ STEPS_PER_S = 8e5
 """Control steps that one thread simulates in a second (docs/campaign.md), for an estimate."""
 
 
+@options.grouped
 def tune(
-    config: Annotated[str, Option(help="Name (paper-grid, road-sobol, ...) or .toml file of the campaign.")],
-    out: Annotated[Path, Option(help="Folder of the campaign.")],
-    controller: options.Tuned = None,
-    profile: options.OtherProfile = None,
+    asked: RoadOptions,
+    car: on_roads.CarOptions,
+    search: on_roads.SearchOptions,
+    road: on_roads.Roads = None,
+    config: Annotated[
+        str | None, Option(help="Name (paper-grid, road-sobol, ...) or .toml file of a campaign, instead of roads.")
+    ] = None,
+    out: Annotated[
+        Path | None, Option(help="File of the tuning, by default tuning.toml; folder of the campaign.")
+    ] = None,
+    controller: Annotated[
+        str | None,
+        Option(
+            "--controller",
+            help="Whose tuning is sought: informed, the MPC that knows its car; as-written, the paper's; on roads also "
+            "lqr, pure-pursuit, stanley. By default informed, or the campaign's.",
+        ),
+    ] = None,
+    profile: Annotated[
+        str | None,
+        Option("--profile", metavar="NAME", help="paper, road, production, ...: by default road, or the campaign's."),
+    ] = None,
+    plant: Annotated[
+        str | None, Option("--plant", help="On roads: single-track, dual-track [default], or a registered plant.")
+    ] = None,
     resume: Annotated[bool, Option("--resume", help="Go on with the campaign in that folder.")] = False,
     workers: options.Workers = None,
     dask: Annotated[
@@ -32,15 +56,45 @@ def tune(
     ] = None,
     as_json: options.Json = False,
 ) -> None:
-    """Tune an MPC on every operating point of a campaign: a swarm each, and the cost of a common library.
+    """Seek the tuning of a controller that is best on given roads, and write it for `drive --tuning`.
 
-    Operating points at which the run fails with every tuning are counted; the exit code is 0.
+    Or, with --config, tune an MPC on every operating point of a campaign: a swarm each, and the cost of a common
+    library. Runs that fail are counted; the exit code is 0.
     """
+    if bool(road) == (config is not None):
+        raise InvalidInput("tune: give roads, or --config with a campaign.")
+    if road:
+        given = {"--resume": resume, "--workers": workers, "--dask": dask}
+        on_roads.refuse([name for name, value in given.items() if value], "on roads")
+        setting = on_roads.Setting.of(road, asked, car, profile, plant or "dual-track", as_json)
+        file = Path("tuning.toml") if out is None else out
+        on_roads.tune(setting, controller or "informed", search, car.noise_seeds or 2, file, as_json)
+        return
+    on_roads.refuse([*asked.named, *_given(car, plant, search)], "with a campaign")
+    if out is None:
+        raise InvalidInput("tune --config: give the campaign a folder, --out DIR.")
+    if controller not in (None, *options.TunedName):
+        raise InvalidInput(f"--controller {controller}: a campaign tunes {' or '.join(options.TunedName)}.")
+    _campaign(str(config), out, (controller, profile), (resume, workers, dask), as_json)
+
+
+def _given(car: on_roads.CarOptions, plant: str | None, search: on_roads.SearchOptions) -> list[str]:
+    """The options of roads that are given."""
+    values = {**vars(car), "plant": plant, "runs": search.runs, "seed": search.seed or None}
+    return [f"--{name.replace('_', '-')}" for name, value in values.items() if value is not None]
+
+
+def _campaign(
+    config: str, out: Path, driven: tuple[str | None, str | None], how: tuple[bool, int | None, str | None],
+    as_json: bool,
+) -> None:  # fmt: skip
+    """Run a campaign. driven: controller and profile; how: resume, workers, dask."""
     from adaptrack.dataset import load_dataset
     from adaptrack.tuning.campaign import CampaignInterrupted, run_campaign
     from adaptrack.tuning.config import load_campaign
 
-    campaign = load_campaign(config).driven_by(None if controller is None else str(controller), profile)
+    resume, workers, dask = how
+    campaign = load_campaign(config).driven_by(*driven)
     show.say(_estimate(campaign, None if dask else workers or os.cpu_count() or 1), aside=True)
     interrupt.kept(f"Finished chunks, if any, are kept in {out}: go on with --resume.")
     begun, runs = time.perf_counter(), 0

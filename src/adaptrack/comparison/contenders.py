@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from adaptrack.controllers import Controller, Tuning, get_controller, published_mpc
 from adaptrack.errors import ContractError, InvalidInput, UnknownName, did_you_mean
-from adaptrack.runs import Policy, RunSet
+from adaptrack.runs import Policy, Retuned, RunSet
 from adaptrack.scheduling import Number, Schedule, list_schedulers, load_scheduler
 from adaptrack.vehicle import Vehicle
 
@@ -43,7 +43,7 @@ class Contender:
     def __post_init__(self) -> None:
         if not isinstance(self.name, str) or not self.name:
             raise InvalidInput(f"Contender: name = {self.name!r}: must be text.")
-        if not isinstance(self.policy, Schedule | Tuning) and not hasattr(self.policy, "step"):
+        if not isinstance(self.policy, Schedule | Tuning | Retuned) and not hasattr(self.policy, "step"):
             _check_tunings(self.name, self.policy)
 
     @property
@@ -54,7 +54,7 @@ class Contender:
     @property
     def adapts(self) -> bool:
         """Whether its tuning changes from run to run or while driving, and not by hindsight."""
-        if self.hindsight or isinstance(self.policy, Tuning):
+        if self.hindsight or isinstance(self.policy, Tuning | Retuned):
             return False
         if isinstance(self.policy, Schedule):
             return not _is_constant(self.policy)

@@ -15,8 +15,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from adaptrack.batch import Batch
-from adaptrack.controllers import MPC, Controller
+from adaptrack.batch import Batch, own_tuning
+from adaptrack.controllers import Controller
 from adaptrack.errors import InvalidInput
 from adaptrack.manoeuvres.lane_change import (
     CleanSpeed,
@@ -100,17 +100,11 @@ class LaneChange:
         tunings : (tunings, entries) array
             Of the controller's named entries.
         """
-        from adaptrack.kernels.plants.contract import SLOTS
-
         batch = Batch(self.plant, controller, [self.trip(speed)], self.profile)
         asked = np.repeat(batch.checked_tunings(tunings), len(seeds), axis=0)
         seeded = np.tile(np.array(seeds, dtype=np.int64), len(tunings))
-        driven = []
-        for first in range(0, len(asked), SLOTS):  # a traced run keeps one block
-            part = slice(first, first + SLOTS)
-            which = np.zeros(len(asked[part]), np.int64)
-            found = batch.run(which, asked[part], seeded[part], 1, traced=True)
-            driven += [refined_poses(states, controller.period) for states in found.trace.state]
+        found = batch.run(np.zeros(len(asked), np.int64), asked, seeded, 1, traced=True)
+        driven = [refined_poses(states, controller.period) for states in found.trace.state]
         return np.array(driven).reshape(len(tunings), len(seeds), -1, 3)
 
     def margins(self, controller: Controller, speed: float, tunings: Array, seeds: Sequence[int]) -> list[Clearance]:
@@ -136,11 +130,6 @@ def refined_poses(states: Array, period: float) -> Array:
     after = t**2 * (3.0 - 2.0 * t) * poses[1:] + t**2 * (t - 1.0) * slopes[1:]
     inner = np.swapaxes(before + after, 0, 1).reshape(-1, 3)
     return np.concatenate([inner, poses[-1:]])
-
-
-def own_tuning(controller: Controller) -> Array:
-    """(entries,) the controller's own tuning, in the order of `tuning_names`."""
-    return controller.tuning.as_array() if isinstance(controller, MPC) else controller.packed_tuning()  # type: ignore[attr-defined]
 
 
 def tunings_to_try(name: str, controller: Controller) -> Array:

@@ -182,6 +182,7 @@ _SOLVER: Sequence[_Column] = (
     _measure("Iterations", "mean", "qp_iterations_mean"),
     _measure("Step p50", "µs", "step_us_p50"),
     _measure("Step p99", "µs", "step_us_p99"),
+    _measure("Step p99.9", "µs", "step_us_p999"),
     _measure("Step max", "µs", "step_us_max"),
 )
 

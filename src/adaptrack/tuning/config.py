@@ -135,9 +135,9 @@ class Search(Record):
 
     @classmethod
     def around(cls, constant: Tuning) -> Self:
-        """Six decades of R/Q around a constant tuning, Q being 1: only R/Q changes the control law."""
-        ratio = constant.R / constant.Q
-        return cls(Np=(5, 60), Nc=(1, 18), Q=(1.0, 1.0), R=(1e-3 * ratio, 1e3 * ratio), decades=True)
+        """Six decades of R/Q around a constant tuning, and its horizons; Q is 1: only R/Q changes the control law."""
+        ratio, Np, Nc = constant.R / constant.Q, max(60, constant.Np), max(18, constant.Nc)
+        return cls(Np=(5, Np), Nc=(1, Nc), Q=(1.0, 1.0), R=(1e-3 * ratio, 1e3 * ratio), decades=True)
 
     def space(self) -> SearchSpace:
         """The same for the swarm, whose first draw has Np >= 2 Nc as in the authors' programs."""

@@ -2,42 +2,118 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from adaptrack.batch import own_tuning
+from adaptrack.controllers import Controller
 from adaptrack.errors import InvalidInput
-from adaptrack.runs import RunSet
-from adaptrack.tuning.pso import Result, SearchSpace, SwarmSettings, minimise
+from adaptrack.runs import Retuned, RunSet
+from adaptrack.tuning.pso import Result, SearchSpace, Swarm, SwarmSettings
+from adaptrack.tuning.spaces import at_bounds, search_space
+
+LEAST_TUNINGS = 10
+"""That a search must be able to try."""
 
 
 def tune_constant(
     runs: RunSet, swarm: SwarmSettings | None = None, *, noise_seeds: Sequence[int] = (0,), seed: int = 0,
-    space: SearchSpace | None = None,
+    controller: Controller | None = None, space: SearchSpace | None = None,
+    progress: Callable[[int, int], None] | None = None,
 ) -> Result:  # fmt: skip
-    """The tuning (Np, Nc, Q, R) of a run set's MPC with the lowest mean cost over its runs, found by one swarm.
+    """The tuning of a controller with the lowest mean cost over a set of runs, found by one swarm.
 
     The cost is the mean of J (m^2, see `adaptrack.runs`) over the runs and the noise seeds; a failed run counts as
-    `RunSet.failed_cost`. Runs may differ in length, such as drives along roads. space: by default the paper's, whose R
-    is for its controller; the one that knows its car wants another, such as R from 0.1 to 100 by decades.
+    `RunSet.failed_cost`. Runs may differ in length, such as drives along roads. controller: a compiled one, by default
+    the run set's MPC; space: of its tuning entries, by default its `search_space`; progress: called with (generations
+    done, generations).
 
     Returns
     -------
     Result
-        `x` is the tuning (4,), `cost` its cost.
+        `x` is the tuning, in the order of the controller's `tuning_names`, `cost` its cost.
 
     Raises
     ------
     InvalidInput
-        When no noise seed is given.
+        When no noise seed is given, or no space is known for the controller.
     """
     if not noise_seeds:
         raise InvalidInput("tune_constant: noise_seeds: give at least one.")
+    driven = runs.mpc if controller is None else controller
+    search = Swarm(space or search_space(driven), swarm, seed=seed)
+    while not search.done:
+        if progress is not None:
+            progress(search.generation, search.settings.generations)
+        search.tell(mean_costs(runs, driven, search.ask(), noise_seeds))
+    return search.result()
 
-    def costs(tunings: NDArray[np.float64]) -> NDArray[np.float64]:
-        which = np.tile(np.arange(len(runs)), len(tunings))
-        found = runs.costs(np.repeat(tunings, len(runs), axis=0), noise_seeds, which)
-        return found.reshape(len(tunings), len(runs)).mean(axis=1)
 
-    return minimise(costs, space or SearchSpace.tuning(), swarm, seed)
+@dataclass(frozen=True)
+class Sought:
+    """A controller's tuning after a search, which keeps its own where nothing better was found; entries by name."""
+
+    tuning: dict[str, float]
+    default: dict[str, float]
+    """the controller's own"""
+    cost: float
+    """m^2, of the tuning, see `tune_constant`"""
+    default_cost: float
+    at_bounds: list[str]
+    """entries of the tuning at an end of the space: a better value may lie beyond"""
+
+    @property
+    def better(self) -> bool:
+        """Whether the search found something better than the default."""
+        return self.cost < self.default_cost
+
+
+def seek_constant(
+    runs: RunSet, controller: Controller, swarm: SwarmSettings, *, noise_seeds: Sequence[int], seed: int = 0,
+    progress: Callable[[int, int], None] | None = None,
+) -> Sought:  # fmt: skip
+    """`tune_constant` in the controller's `search_space`, held against its own tuning on the same runs and noise."""
+    space = search_space(controller)
+    found = tune_constant(
+        runs, swarm, noise_seeds=noise_seeds, seed=seed, controller=controller, space=space, progress=progress
+    )
+    own = own_tuning(controller)
+    before = float(mean_costs(runs, controller, own[None], noise_seeds)[0])
+    better = found.cost < before
+    return Sought(
+        tuning=dict(zip(space.names, (found.x if better else own).tolist(), strict=True)),
+        default=dict(zip(space.names, own.tolist(), strict=True)),
+        cost=min(found.cost, before),
+        default_cost=before,
+        at_bounds=at_bounds(space, found.x) if better else [],
+    )
+
+
+def swarm_within(runs: int, each: int) -> SwarmSettings:
+    """A swarm of up to 20 particles that spends at most so many closed-loop runs; a tuning takes `each` of them.
+
+    Raises
+    ------
+    InvalidInput
+        When they are too few for ten tunings.
+    """
+    tunings = runs // each
+    if tunings < LEAST_TUNINGS:
+        raise InvalidInput(
+            f"{runs:,} runs are too few: a tuning takes {each} (roads times noise seeds); give at least "
+            f"{LEAST_TUNINGS * each:,}."
+        )
+    particles = min(SwarmSettings().particles, tunings)
+    return SwarmSettings(particles=particles, generations=tunings // particles)
+
+
+def mean_costs(
+    runs: RunSet, controller: Controller, tunings: NDArray[np.float64], noise_seeds: Sequence[int]
+) -> NDArray[np.float64]:
+    """(tunings,) m^2, mean cost over a set of runs and noise seeds with each of the tunings (tunings, entries)."""
+    which = np.tile(np.arange(len(runs)), len(tunings))
+    found = runs.costs(Retuned(controller, np.repeat(tunings, len(runs), axis=0)), noise_seeds, which)
+    return found.reshape(len(tunings), len(runs)).mean(axis=1)

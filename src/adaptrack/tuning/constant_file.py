@@ -1,0 +1,113 @@
+"""A constant tuning as a file: what was found, for which controller, car and profile."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Annotated, Any
+
+from pydantic import BeforeValidator, Field, model_validator
+
+from adaptrack.controllers import MPC, Controller, Tuning, get_controller
+from adaptrack.errors import InvalidInput
+from adaptrack.files import Record, build, read_toml
+from adaptrack.profile import Profile
+from adaptrack.vehicle import Vehicle
+
+TUNABLE = ("informed", "as-written", "lqr", "pure-pursuit", "stanley")
+"""The controllers, by their registered names, that such a file may be about."""
+
+
+def _as_tuple(value: Any) -> Any:
+    return tuple(value) if isinstance(value, list) else value
+
+
+class ConstantTuning(Record):
+    """A tuning that was found for a controller on a car in a profile.
+
+    Raises
+    ------
+    InvalidInput
+        When a value is not allowed; the message names the key and what is.
+    """
+
+    controller: str = Field(description="registered name: informed, as-written, lqr, pure-pursuit, stanley")
+    vehicle: str = Field(min_length=1, description="name of the car that it was found on")
+    profile: str = Field(min_length=1, description="name of the profile, likewise")
+    period: float = Field(gt=0, le=10, description="s, control period, likewise: horizons are in periods")
+    roads: Annotated[tuple[str, ...], BeforeValidator(_as_tuple)] = Field(
+        default=(), description="names of the roads, likewise"
+    )
+    noise_seeds: Annotated[tuple[int, ...], BeforeValidator(_as_tuple)] = Field(
+        default=(), description="of the search: judge with others"
+    )
+    command: str = Field(default="", description="the command line that made it")
+    tuning: dict[str, float] = Field(description="the controller's tuning entries")
+
+    @model_validator(mode="after")
+    def _is_known(self) -> ConstantTuning:
+        if self.controller not in TUNABLE:
+            raise ValueError(f"controller = {self.controller!r}: must be one of {', '.join(TUNABLE)}.")
+        return self
+
+    def make(self, car: Vehicle, profile: Profile, period: float, preview: bool) -> Controller:
+        """The controller with this tuning.
+
+        Raises
+        ------
+        InvalidInput
+            When the entries are not those of the controller, or their values make none.
+        """
+        return tuned_controller(self.controller, car, profile, self.tuning, period=period, preview=preview)
+
+    def label(self, path: str | os.PathLike[str]) -> str:
+        """How tables call it, read from this file."""
+        return f"{self.controller}, {Path(path).stem}"
+
+    def mismatches(self, car: str, profile: str, period: float) -> list[str]:
+        """A clause for each of car, profile and period that is another than the file names."""
+        found = [
+            f"was found for the {what} {told!r}, not {here!r}"
+            for what, told, here in (("car", self.vehicle, car), ("profile", self.profile, profile))
+            if told != here
+        ]
+        if self.period != period:
+            found.append(f"was found for a control period of {self.period:g} s, not {period:g} s")
+        return found
+
+
+def tuned_controller(
+    name: str, car: Vehicle, profile: Profile, tuning: dict[str, float] | None = None, **options: Any
+) -> Controller:
+    """A registered controller with named tuning entries, by default its own.
+
+    options: period (s), preview.
+
+    Raises
+    ------
+    InvalidInput
+        When the entries are not those of the controller, or their values make none.
+    """
+    own = get_controller(name, car, profile=profile, **options)
+    if tuning is None:
+        return own
+    names = tuple(own.tuning_names)  # type: ignore[attr-defined]
+    if set(tuning) != set(names):
+        raise InvalidInput(f"tuning of {name!r}: entries {', '.join(tuning)}: must be {', '.join(names)}.")
+    if not isinstance(own, MPC):
+        return get_controller(name, car, profile=profile, **options, **tuning)
+    asked = Tuning(round(tuning["Np"]), round(tuning["Nc"]), tuning["Q"], tuning["R"])
+    return get_controller(name, car, profile=profile, tuning=asked, **options)
+
+
+def load_tuning(path: str | os.PathLike[str]) -> ConstantTuning:
+    """Read the file of a constant tuning.
+
+    Raises
+    ------
+    StorageError
+        When the file cannot be read.
+    ConfigError
+        When it is not TOML, or holds an unknown, missing or impossible value.
+    """
+    return build(ConstantTuning, read_toml(path), Path(path))

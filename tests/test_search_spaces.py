@@ -1,0 +1,76 @@
+"""Where the constant of a controller is sought: around its own tuning, and nowhere that makes no controller."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from adaptrack.batch import own_tuning
+from adaptrack.controllers import LQR, MPC, PurePursuit, Stanley, Tuning, published_mpc
+from adaptrack.controllers.lqr import WEIGHT_FACTORS
+from adaptrack.errors import InvalidInput
+from adaptrack.profile import load_profile
+from adaptrack.tuning.constant import swarm_within
+from adaptrack.tuning.pso import Swarm
+from adaptrack.tuning.spaces import at_bounds, search_space
+from adaptrack.vehicle import load_vehicle
+
+CAR = load_vehicle("midsize-sedan")
+LAWS = [LQR(CAR, preview=True), PurePursuit(CAR, preview=True), Stanley(CAR, preview=True)]
+
+
+@pytest.mark.parametrize("profile", ["paper", "road", "production"])
+@pytest.mark.parametrize("preview", [False, True])
+def test_the_informed_controllers_own_constant_lies_in_its_space_at_any_period(profile, preview):
+    for period in (0.1, 0.05, 0.01):
+        mpc = MPC(CAR, profile=load_profile(profile), period=period, preview=preview)
+        assert search_space(mpc).contains(own_tuning(mpc))
+
+
+@pytest.mark.parametrize("law", LAWS, ids=lambda law: law.name)
+def test_a_laws_own_tuning_lies_in_its_space_and_every_tuning_there_makes_one(law):
+    space = search_space(law)
+    assert space.names == law.tuning_names
+    assert space.contains(own_tuning(law))
+    for row in Swarm(space, seed=3).ask():
+        type(law)(CAR, **dict(zip(space.names, row.tolist(), strict=True)))
+
+
+def test_the_published_controllers_space_holds_its_table_and_what_a_car_with_lag_wants():
+    space = search_space(published_mpc(CAR))
+    assert space.contains(Tuning(35, 8, 1.0, 0.001).as_array())
+    assert space.contains(Tuning(29, 5, 1.0, 4000.0).as_array())
+
+
+def test_the_lqrs_space_ends_where_its_table_of_gains_ends():
+    law, names = LAWS[0], list(LAWS[0].tuning_names)
+    space = search_space(law)
+    for name in ("q_e", "q_heading"):
+        ends = np.array([space.low[names.index(name)], space.high[names.index(name)]]) / law.tuning[name]
+        np.testing.assert_allclose(ends, WEIGHT_FACTORS[[0, -1]])
+    assert space.low[names.index("r")] == space.high[names.index("r")] == law.tuning["r"]
+
+
+def test_an_entry_at_an_end_of_its_range_is_named_and_a_fixed_one_is_not():
+    law = LAWS[0]
+    space, row = search_space(law), own_tuning(law)
+    assert at_bounds(space, row) == []  # r is fixed
+    row[list(space.names).index("q_heading")] = 1e4 * (1.0 + 1e-13)
+    assert at_bounds(space, row) == ["q_heading"]
+
+
+def test_a_controller_of_ones_own_needs_a_space():
+    class Mine(PurePursuit):
+        pass
+
+    with pytest.raises(InvalidInput, match="space=SearchSpace"):
+        search_space(Mine(CAR))
+
+
+def test_a_swarm_spends_no_more_runs_than_it_is_given():
+    for runs in (80, 160, 1000, 2400, 2401):
+        swarm = swarm_within(runs, 8)
+        assert 10 <= swarm.evaluations <= runs / 8
+    assert swarm_within(2400, 8).evaluations == 300
+    with pytest.raises(InvalidInput, match="at least 80"):
+        swarm_within(79, 8)
