@@ -13,11 +13,11 @@ from adaptrack.adaptation.for_car import write_configuration
 from adaptrack.adaptation.splits import SetUp, drive_numbers, training_runs
 from adaptrack.controllers import MPC
 from adaptrack.errors import InvalidInput
-from adaptrack.studies.tune_car import FIRST_JUDGED, FIRST_SOUGHT, Effort, tune
+from adaptrack.studies.tune_car import FIRST_JUDGED, FIRST_SOUGHT, TuningEffort, tune
 from adaptrack.tuning.pso import SwarmSettings
 from adaptrack.vehicle import list_vehicles
 
-SMALL = Effort(
+SMALL = TuningEffort(
     drives=3, hard_drives=2, seconds=10.0, swarm=SwarmSettings(particles=6, generations=3), judged=6, levels=(4, 2)
 )
 
@@ -86,7 +86,7 @@ def test_a_domain_that_nothing_holds_is_refused():
 def test_nonsense_is_refused():
     car = at.load_vehicle("paper")
     with pytest.raises(InvalidInput, match="judged"):
-        Effort(judged=1)
+        TuningEffort(judged=1)
     with pytest.raises(ValueError, match="lowest"):
         tune(car, speed=(20.0, 5.0))
     with pytest.raises(InvalidInput, match="seed"):

@@ -175,7 +175,7 @@ _PUBLIC = {
         "load_campaign",
     ),
     "tuning.campaign": ("run_campaign",),
-    "studies.tune_car": ("TunedCar", "tune"),
+    "studies.tune_car": ("TunedCar", "TuningEffort", "tune"),
     "dataset": (
         "DataSet",
         "list_datasets",

@@ -38,7 +38,7 @@ HARD = (0.2, 0.35)
 
 
 @dataclass(frozen=True)
-class Effort:
+class TuningEffort:
     """How much a search may cost.
 
     Raises
@@ -61,7 +61,7 @@ class Effort:
 
     def __post_init__(self) -> None:
         for name, least in (("drives", 1), ("hard_drives", 1), ("judged", 4)):
-            whole("Effort", name, getattr(self, name), least=least)
+            whole("TuningEffort", name, getattr(self, name), least=least)
 
 
 @dataclass(frozen=True, eq=False)
@@ -149,7 +149,7 @@ def _entries(tuning: Tuning) -> dict[str, float]:
 def tune(
     car: Vehicle, profile: str | Profile = "road", *, plant: Plant | None = None,
     speed: tuple[float, float] | None = None, friction: tuple[float, float] | None = None,
-    uncertainty: Uncertainty | None = None, estimator: KalmanFilter | None = None, effort: Effort | None = None,
+    uncertainty: Uncertainty | None = None, estimator: KalmanFilter | None = None, effort: TuningEffort | None = None,
     seed: int = 0, progress: Progress | None = None,
 ) -> TunedCar:  # fmt: skip
     """The constant tuning with which the controller that knows its car drives it best, checked.
@@ -180,7 +180,7 @@ def tune(
     InvalidInput
         When no tuning holds the loop anywhere in the domain, the plant is stepped in Python, or a range makes no sense.
     """
-    began, show, asked = time.perf_counter(), progress or (lambda what, done, of: None), effort or Effort()
+    began, show, asked = time.perf_counter(), progress or (lambda what, done, of: None), effort or TuningEffort()
     seed = whole("tune", "seed", seed, least=0)
     driven = DualTrack(car) if plant is None else plant
     if isinstance(driven, SteppedPlant):
@@ -221,7 +221,9 @@ def _drives(plant: Plant, mpc: MPC, world: Profile, numbers: range, seconds: flo
     return random_drive_runs(plant, mpc, numbers, seconds, world, roads=roads)
 
 
-def _search_runs(plant: Plant, mpc: MPC, world: Profile, domain: Domain, asked: Effort, seed: int) -> list[RunSet]:
+def _search_runs(
+    plant: Plant, mpc: MPC, world: Profile, domain: Domain, asked: TuningEffort, seed: int
+) -> list[RunSet]:
     """Mixed drives and hard ones."""
     first = FIRST_SOUGHT + 1000 * seed
     slow, fast = domain.speed
