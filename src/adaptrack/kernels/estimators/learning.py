@@ -1,0 +1,645 @@
+"""What a car does not say of itself, learned while it drives: steering delay, stiffness, steering bias, bank, friction.
+
+A bank of extended Kalman filters, one for each hypothesis of the steering's lag and dead time. Under a hypothesis the
+wheel angle delta(t) follows from the commands that were sent (rate limit included), and the filter estimates
+
+    x = [v_y (m/s), r (rad/s), w (m/s^2), b (rad), p (m/s^2), s, q, ln mu]
+
+    dv_y/dt = F_f + F_r - v r + w + p,     dr/dt = m/I_z (l_f F_f - l_r F_r) + c_w w      F: force of an axle over m
+    F_i = D_i g(C_i alpha_i/D_i),  g(x) = x/sqrt(1 + x^2),  D_i = mu g (share of the load)
+    C_f/m = known exp(s + q),  C_r/m = known exp(s - q),  alpha_f = delta + b - (v_y + l_f r)/v,
+    alpha_r = -(v_y - l_r r)/v
+
+from yaw rate, lateral velocity and acceleration, as far as they are measured. w: side wind, c_w: the turn that goes
+with it; b: steering bias; p: pull of a banked road; s: logarithm of the stiffness over the mass, in units of what is
+known of it; q: half of that of front over rear; mu: friction. Wind, bank and friction return to nothing, nothing and
+the usual friction (first-order Gauss-Markov), the others stay. A wheel-angle sensor is compared with delta up to an
+offset of its own. g keeps the slope C at small slip and the limit D; a Magic Formula with shape 1.35 lies within 5 %.
+
+The logarithms of the likelihoods of the innovations (each counted up to `bound` standard deviations) weigh the
+hypotheses, with a slow forgetting. Sources: D. T. Magill, Optimal adaptive estimation of sampled stochastic processes,
+IEEE Trans. Automatic Control 10 (1965) (the bank); D. Simon, *Optimal State Estimation* (2006), chapters 10.2 and 13;
+R. Rajamani, *Vehicle Dynamics and Control*, 2nd ed., chapter 2.
+
+Evidence about the delay counts while the hypotheses differ in their wheel angles; a car that stands or creeps, samples
+that are missing, repeated to the last bit or left out by the controller's filter teach nothing.
+
+The noise of each sensor is that of third differences of its samples, E(x_k - 3 x_(k-1) + 3 x_(k-2) - x_(k-3))^2 =
+20 sigma^2 for white noise: the motion of a car hardly shows in them.
+"""
+
+from __future__ import annotations
+
+import math
+from numba import types
+
+from ..abi import INLINE, ROUTINE, caller, columns, float64, int64, njit, record, unpacker, vector
+from ..maths.elementary import clip
+from ..maths.vectors import WIDTH, fma8, load, mul, padded, splat, spread, store, sub, zeros
+from ..models import path
+from ..models.contract import MEASURED
+from ..plants.forces import GRAVITY
+from . import kalman
+
+NUMBERS = (
+    "period",  # s
+    "computation",  # s, from a measurement until its command is given
+    "hypotheses",  # how many
+    "kept",  # commands that are remembered
+    "mass", "yaw_inertia", "lf", "lr", "stiffness_front", "stiffness_rear",  # as known; stiffness of an axle
+    "wind_turn",  # 1/m, yaw acceleration over lateral acceleration of side wind
+    "rate",  # rad/s, of the steering; inf: no limit
+    "bound",  # standard deviations up to which an innovation counts
+    "forgetting",  # share of the evidence that an exciting period takes away
+    "tempering",  # share of a log-likelihood that counts: successive innovations are not independent
+    "drift_vy", "drift_yaw_rate", "drift_wind", "drift_bias", "drift_bank", "drift_stiffness", "drift_balance",
+    "drift_friction",  # variances that a period adds
+    "wind_left", "bank_left", "friction_left",  # share of a deviation that is left after a period
+    "usual_friction",  # ln mu to which friction returns
+    "sliding",  # s, variance of an axle's impulse in a second over the square of F^2/D, by which tyres deviate
+    "angle_error",  # rad^2, variance by which a wheel angle deviates from its model, beside the sensor's noise
+    "least_lag", "most_lag", "least_dead_time", "most_dead_time",  # s, what was told
+    "most_stiffness", "most_balance", "most_bias",  # bounds of |s|, |q| and |b|
+    "cautious",  # standard deviations of the delay that are added to its mean
+    "tolerated", "most_caution",  # s, standard deviation that doubles R; largest factor on R
+    "tolerated_stiffness",  # the same of s
+    "longer", "shorter",  # s per period, by which what is believed of lag and dead time changes at most
+    "stiffer",  # likewise of s
+    "turning",  # rad per period, likewise of the bias
+    "wandering",  # rad/s, steering rate by which the wheels are elsewhere for every second of uncertain delay
+    "grain_lag", "grain_dead_time",  # s^2, variances between neighbouring hypotheses
+    "drift_wheels",  # rad^2, variance that a period adds to the wheel angle in the controller's filter
+    "noise_share", "noise_range",  # least share of a new sample in the noise; factor within which it may be
+    "variance_vy", "variance_yaw", "variance_yaw_rate", "variance_y", "variance_wheel_angle",
+    "variance_lateral_acceleration",  # of the sensors, as told; inf: none
+)  # fmt: skip
+Numbers = record("Numbers", NUMBERS)
+_unpack = unpacker(Numbers)
+_VARIANCE = NUMBERS.index("variance_vy")
+
+BELIEFS = (
+    "belief_lag", "belief_lag_sigma", "belief_dead_time", "belief_dead_time_sigma",  # s
+    "belief_delay", "belief_delay_sigma",  # s, lag and dead time together
+    "belief_stiffness", "belief_stiffness_sigma",  # factor on what is known, sigma of its logarithm
+    "belief_balance", "belief_balance_sigma",  # front over rear, likewise
+    "belief_bias", "belief_bias_sigma",  # rad
+    "belief_bank", "belief_bank_sigma",  # m/s^2
+    "belief_friction", "belief_friction_sigma",  # sigma of its logarithm
+    "belief_noise",  # of the yaw rate, over what was told
+    "used_lag", "used_dead_time", "used_stiffness", "used_balance", "used_bias", "used_caution",  # by the controller
+)  # fmt: skip
+"""What is learned, and what the controller believes of it, at every step."""
+BELIEF = columns(*BELIEFS)
+COUNT = 0
+"""Place in the memory of the steps so far."""
+_SLOW = 1  # 1 while the car is too slow to learn from
+_BIAS_BEFORE = 2  # rad, bias in the controller's filter
+ANSWER = WIDTH
+"""Place in the memory where `BELIEFS` begin."""
+NOISE = ANSWER + 4 * WIDTH
+"""Place in the memory of the variances of the sensors as learned."""
+_NOISE_COUNT = NOISE + WIDTH
+_SEEN = _NOISE_COUNT + WIDTH  # the last samples of each sensor, the latest first: three rows
+_SCRATCH = _SEEN + 3 * WIDTH  # two rows of F; h
+SENT = _SCRATCH + 4 * WIDTH
+"""Place in the memory of the commands that were sent, the latest first."""
+LAG, DEAD_TIME, WHEELS, EVIDENCE, PRIOR, OFFSET, OFFSET_VARIANCE, WEIGHT = range(8)
+X, P = WIDTH, 2 * WIDTH
+BLOCK = 2 * WIDTH + WIDTH * WIDTH
+"""Numbers of a hypothesis: lag (s), dead time with the computation (s), wheel angle (rad), log of its likelihood and of
+its prior, offset of the wheel-angle sensor and its variance, weight; x; P."""
+VY, RATE, WIND, BIAS, BANK, STIFFNESS, BALANCE, FRICTION = range(8)
+"""States."""
+SLOWEST = 2.0
+"""m/s, below which nothing is learned."""
+LEAST_DIFFERENCE = 5e-4
+"""rad, root mean square by which wheel angles of hypotheses differ where their evidence counts."""
+LEAST_PULL = 0.3
+"""m/s^2, that tyres pull at least where the stiffness may have drifted."""
+LOWEST = -40.0
+"""Log-likelihood of the least likely hypothesis against the best: it can come back."""
+LIVELY = 3.0
+"""A third difference counts up to so many standard deviations, so that a jump is no noise."""
+_TERMS = 7
+
+LEARN = types.void(float64, vector, float64, int64, vector, vector)
+"""``learn(speed, measured, command, left_out, parameters, memory)``: take in what was measured (`MEASURED`) at a speed
+(m/s) and the command (rad) of a period ago; left_out: 1 + a sensor not to be believed, 0: none."""
+call_learn = caller(LEARN)
+
+BELIEVE = types.void(vector, vector, vector, vector, vector)
+"""``believe(parameters, memory, model, own, remembered)``: let model and filter of the controller believe what is
+learned; model: parameters of the path model; own, remembered: parameters and memory of the filter."""
+call_believe = caller(BELIEVE)
+
+
+def blocks_at(kept: int) -> int:
+    """Place in the memory of the first hypothesis."""
+    return SENT + int(padded(kept))
+
+
+def memory_size(kept: int, hypotheses: int) -> int:
+    """Numbers that the learner remembers."""
+    return blocks_at(kept) + BLOCK * hypotheses
+
+
+@njit(**INLINE)
+def _steer(at, time, rate, command, memory):
+    """Let the wheels of a hypothesis follow a command for a time (s); the integral of their angle."""
+    lag, angle, swept = memory[at + LAG], memory[at + WHEELS], 0.0
+    gap = command - angle
+    if abs(gap) > rate * lag:
+        limited = min(time, abs(gap) / rate - lag)
+        turned = math.copysign(rate * limited, gap)
+        swept = limited * (angle + 0.5 * turned)
+        angle += turned
+        gap -= turned
+        time -= limited
+    left = math.exp(-time / lag)
+    memory[at + WHEELS] = command - gap * left
+    return swept + time * command - gap * lag * (1.0 - left)
+
+
+@njit(**INLINE)
+def _follow(at, age, p, memory):
+    """The mean angle (rad) of the wheels of a hypothesis over the period before the sample, so old (s)."""
+    late = (memory[at + DEAD_TIME] + age) / p.period
+    whole = min(int(late + 1e-9), int(p.kept) - 2)
+    share = max(late - whole, 0.0) if late - whole < 1.0 else 1.0
+    swept = 0.0
+    if share > 0.0:
+        swept += _steer(at, share * p.period, p.rate, memory[SENT + whole + 1], memory)
+    if share < 1.0:
+        swept += _steer(at, (1.0 - share) * p.period, p.rate, memory[SENT + whole], memory)
+    return swept / p.period
+
+
+@njit(**INLINE)
+def _axle(slip, stiffness, most):
+    """Force of an axle, its slope over the slip, and its slope over ln mu; all over the mass."""
+    x = stiffness * slip / most
+    root = 1.0 / math.sqrt(1.0 + x * x)
+    force, slope = most * x * root, stiffness * root * root * root
+    return force, slope, force - slope * slip
+
+
+@njit(**INLINE)
+def _forces(at, speed, angle, p, memory):
+    """Slips, forces and their slopes of both axles at a wheel angle (rad)."""
+    x = at + X
+    vy, r, s, q = memory[x + VY], memory[x + RATE], memory[x + STIFFNESS], memory[x + BALANCE]
+    grip = GRAVITY * math.exp(memory[x + FRICTION]) / (p.lf + p.lr)
+    factor, balance = math.exp(s), math.exp(q)
+    slip_front = angle + memory[x + BIAS] - (vy + p.lf * r) / speed
+    slip_rear = -(vy - p.lr * r) / speed
+    front = _axle(slip_front, p.stiffness_front / p.mass * factor * balance, grip * p.lr)
+    rear = _axle(slip_rear, p.stiffness_rear / p.mass * factor / balance, grip * p.lf)
+    return slip_front, slip_rear, front, rear
+
+
+@njit(**INLINE)
+def _times(a, b):
+    """Product of two 2 x 2 matrices, by rows."""
+    return (
+        a[0] * b[0] + a[1] * b[2], a[0] * b[1] + a[1] * b[3], a[2] * b[0] + a[3] * b[2], a[2] * b[1] + a[3] * b[3],
+    )  # fmt: skip
+
+
+@njit(**INLINE)
+def _phi1(z):
+    """phi_1(Z) = sum_i Z^i/(i+1)! of a 2 x 2 matrix: Taylor series of Z/2^k, then phi_1(2Z) = phi_1(Z)(I + e^Z)/2."""
+    norm = max(abs(z[0]) + abs(z[2]), abs(z[1]) + abs(z[3]))
+    halvings = 0
+    while norm > 0.5 and halvings < 30:
+        norm *= 0.5
+        halvings += 1
+    scale = 0.5**halvings
+    z = (scale * z[0], scale * z[1], scale * z[2], scale * z[3])
+    f = (1.0, 0.0, 0.0, 1.0)
+    for i in range(_TERMS, 1, -1):
+        g = _times(z, f)
+        f = (1.0 + g[0] / i, g[1] / i, g[2] / i, 1.0 + g[3] / i)
+    for _ in range(halvings):
+        e = _times(z, f)
+        g = _times(f, (0.5 * e[0] + 1.0, 0.5 * e[1], 0.5 * e[2], 0.5 * e[3] + 1.0))
+        f = g
+        z = (2.0 * z[0], 2.0 * z[1], 2.0 * z[2], 2.0 * z[3])
+    return f
+
+
+@njit(**INLINE)
+def _predict_state(at, speed, angle, p, memory):
+    """x a period later, by the exponential Euler method; rows of F in the scratch; what the tyres pull (m/s^2)."""
+    x, turning = at + X, p.mass / p.yaw_inertia
+    slip_front, slip_rear, front, rear = _forces(at, speed, angle, p, memory)
+    f, sf, mf = front
+    g, sr, mr = rear
+    lf, lr = p.lf, p.lr
+    wind, bank, r = memory[x + WIND], memory[x + BANK], memory[x + RATE]
+    rate_vy = f + g - speed * r + wind + bank
+    rate_r = turning * (lf * f - lr * g) + p.wind_turn * wind
+    jacobian = (
+        -(sf + sr) / speed, (lr * sr - lf * sf) / speed - speed,
+        turning * (lr * sr - lf * sf) / speed, -turning * (lf * lf * sf + lr * lr * sr) / speed,
+    )  # fmt: skip
+    h = p.period
+    phi = _phi1((h * jacobian[0], h * jacobian[1], h * jacobian[2], h * jacobian[3]))
+    e = _times(phi, jacobian)
+    f0, f1 = _SCRATCH, _SCRATCH + WIDTH
+    of_front, of_rear = sf * slip_front, sr * slip_rear
+    memory[f0 + VY], memory[f0 + RATE] = 1.0 + h * e[0], h * e[1]
+    memory[f1 + VY], memory[f1 + RATE] = h * e[2], 1.0 + h * e[3]
+    for state in range(WIND, FRICTION + 1):
+        by_vy, by_r = 1.0, 0.0  # the pull of a bank
+        if state == WIND:
+            by_r = p.wind_turn
+        elif state == BIAS:
+            by_vy, by_r = sf, turning * lf * sf
+        elif state == STIFFNESS:
+            by_vy, by_r = of_front + of_rear, turning * (lf * of_front - lr * of_rear)
+        elif state == BALANCE:
+            by_vy, by_r = of_front - of_rear, turning * (lf * of_front + lr * of_rear)
+        elif state == FRICTION:
+            by_vy, by_r = mf + mr, turning * (lf * mf - lr * mr)
+        memory[f0 + state] = h * (phi[0] * by_vy + phi[1] * by_r)
+        memory[f1 + state] = h * (phi[2] * by_vy + phi[3] * by_r)
+    memory[x + VY] += h * (phi[0] * rate_vy + phi[1] * rate_r)
+    memory[x + RATE] += h * (phi[2] * rate_vy + phi[3] * rate_r)
+    memory[x + WIND] *= p.wind_left
+    memory[x + BANK] *= p.bank_left
+    memory[x + FRICTION] = p.usual_friction + p.friction_left * (memory[x + FRICTION] - p.usual_friction)
+    return f, g
+
+
+@njit(**INLINE)
+def _dot(a, b, memory):
+    total = 0.0
+    for j in range(WIDTH):
+        total += memory[a + j] * memory[b + j]
+    return total
+
+
+@njit(**INLINE)
+def _predict_covariance(at, f, g, p, memory):
+    """P = F P F' + drift; f, g: forces of the axles over the mass (m/s^2)."""
+    first, f0, f1, r0, r1 = at + P, _SCRATCH, _SCRATCH + WIDTH, _SCRATCH + 2 * WIDTH, _SCRATCH + 3 * WIDTH
+    row0, row1 = zeros(), zeros()
+    for k in range(WIDTH):
+        row = load(memory, first + WIDTH * k)
+        row0 = fma8(spread(memory, f0 + k), row, row0)
+        row1 = fma8(spread(memory, f1 + k), row, row1)
+    store(memory, r0, row0)
+    store(memory, r1, row1)
+    p00, p01, p11 = _dot(r0, f0, memory), _dot(r0, f1, memory), _dot(r1, f1, memory)
+    for i in range(WIND, FRICTION + 1):
+        left = p.wind_left if i == WIND else p.bank_left if i == BANK else p.friction_left if i == FRICTION else 1.0
+        memory[r0 + i] *= left
+        memory[r1 + i] *= left
+        if left != 1.0:
+            for j in range(WIND, FRICTION + 1):
+                memory[first + WIDTH * i + j] *= left
+                memory[first + WIDTH * j + i] *= left
+    for j in range(WIND, FRICTION + 1):
+        memory[first + j], memory[first + WIDTH * j] = memory[r0 + j], memory[r0 + j]
+        memory[first + WIDTH + j], memory[first + WIDTH * j + 1] = memory[r1 + j], memory[r1 + j]
+    turning, weight = p.mass / p.yaw_inertia, GRAVITY / (p.lf + p.lr)
+    front, rear = f * f / (weight * p.lr), g * g / (weight * p.lf)
+    by_front, by_rear = p.sliding * p.period * front * front, p.sliding * p.period * rear * rear
+    both = turning * (p.lf * by_front - p.lr * by_rear)
+    memory[first] = p00 + p.drift_vy + by_front + by_rear
+    memory[first + 1], memory[first + WIDTH] = p01 + both, p01 + both
+    memory[first + WIDTH + 1] = (
+        p11 + p.drift_yaw_rate + turning * turning * (p.lf * p.lf * by_front + p.lr * p.lr * by_rear)
+    )
+    memory[first + (WIDTH + 1) * WIND] += p.drift_wind
+    memory[first + (WIDTH + 1) * BANK] += p.drift_bank
+    memory[first + (WIDTH + 1) * FRICTION] += p.drift_friction
+    if abs(f + g) > LEAST_PULL:
+        memory[first + (WIDTH + 1) * BIAS] += p.drift_bias
+        memory[first + (WIDTH + 1) * STIFFNESS] += p.drift_stiffness
+        memory[first + (WIDTH + 1) * BALANCE] += p.drift_balance
+
+
+@njit(**INLINE)
+def _take_in(at, innovation, row, variance, p, memory):
+    """x += K nu, P -= K h P with row = h P in the scratch at `row`; the log-likelihood of nu."""
+    scatter = variance
+    ratio = innovation * innovation / scatter
+    kept = clip(innovation, -p.bound * math.sqrt(scatter), p.bound * math.sqrt(scatter))
+    line = load(memory, row)
+    gains = mul(splat(1.0 / scatter), line)
+    store(memory, at + X, fma8(splat(kept), gains, load(memory, at + X)))
+    store(memory, _SCRATCH, gains)
+    for j in range(WIDTH):
+        at_row = at + P + WIDTH * j
+        store(memory, at_row, sub(load(memory, at_row), mul(spread(memory, _SCRATCH + j), line)))
+    return -0.5 * (min(ratio, p.bound * p.bound) + math.log(scatter))
+
+
+@njit(**INLINE)
+def _correct_state(at, state, value, variance, p, memory):
+    """Take in a measured state."""
+    row = _SCRATCH + 2 * WIDTH
+    store(memory, row, load(memory, at + P + WIDTH * state))
+    innovation = value - memory[at + X + state]
+    return _take_in(at, innovation, row, memory[at + P + (WIDTH + 1) * state] + variance, p, memory)
+
+
+@njit(**INLINE)
+def _correct_acceleration(at, speed, value, variance, p, memory):
+    """Take in the lateral acceleration, F_f + F_r + w."""
+    slip_front, slip_rear, front, rear = _forces(at, speed, memory[at + WHEELS], p, memory)
+    f, sf, mf = front
+    g, sr, mr = rear
+    h, row = _SCRATCH + 3 * WIDTH, _SCRATCH + 2 * WIDTH
+    memory[h + VY], memory[h + RATE] = -(sf + sr) / speed, (p.lr * sr - p.lf * sf) / speed
+    memory[h + WIND], memory[h + BIAS], memory[h + BANK] = 1.0, sf, 0.0
+    memory[h + STIFFNESS] = sf * slip_front + sr * slip_rear
+    memory[h + BALANCE], memory[h + FRICTION] = sf * slip_front - sr * slip_rear, mf + mr
+    line = zeros()
+    for k in range(WIDTH):
+        line = fma8(spread(memory, h + k), load(memory, at + P + WIDTH * k), line)
+    store(memory, row, line)
+    innovation = value - (f + g + memory[at + X + WIND])
+    return _take_in(at, innovation, row, variance + _dot(h, row, memory), p, memory)
+
+
+@njit(**INLINE)
+def _correct_offset(at, value, variance, p, memory):
+    """Take in the wheel-angle sensor, delta + offset; the log-likelihood."""
+    spread_, before = memory[at + OFFSET_VARIANCE], memory[at + OFFSET]
+    scatter = spread_ + variance
+    innovation = value - memory[at + WHEELS] - before
+    bounded = clip(innovation, -p.bound * math.sqrt(scatter), p.bound * math.sqrt(scatter))
+    memory[at + OFFSET] = before + spread_ / scatter * bounded
+    memory[at + OFFSET_VARIANCE] = spread_ * variance / scatter
+    return -0.5 * (min(innovation * innovation / scatter, p.bound * p.bound) + math.log(scatter))
+
+
+@njit(**INLINE)
+def _bound(at, p, memory):
+    """Keep what is learned within what was told."""
+    x = at + X
+    memory[x + STIFFNESS] = clip(memory[x + STIFFNESS], -p.most_stiffness, p.most_stiffness)
+    memory[x + BALANCE] = clip(memory[x + BALANCE], -p.most_balance, p.most_balance)
+    memory[x + BIAS] = clip(memory[x + BIAS], -p.most_bias, p.most_bias)
+    memory[x + FRICTION] = clip(memory[x + FRICTION], -2.5, 0.5)
+
+
+@njit(**INLINE)
+def _is_usable(sensor, left_out, p, parameters, measured, memory):
+    """Whether a sensor gives a new sample that may be believed."""
+    value, variance = measured[sensor], parameters[_VARIANCE + sensor]
+    stuck = value == memory[_SEEN + sensor] and variance > kalman.LEAST_NOISE[sensor] ** 2
+    return math.isfinite(value) and variance < math.inf and not stuck and left_out != sensor + 1
+
+
+@njit(**INLINE)
+def _hear_noise(p, parameters, measured, memory):
+    """The variance of each sensor, by third differences of its samples."""
+    for sensor in range(kalman.SENSORS):
+        told, value = parameters[_VARIANCE + sensor], measured[sensor]
+        if not told < math.inf:
+            continue
+        one, two, three = (
+            memory[_SEEN + sensor], memory[_SEEN + WIDTH + sensor], memory[_SEEN + 2 * WIDTH + sensor]
+        )  # fmt: skip
+        difference = value - 3.0 * one + 3.0 * two - three
+        if math.isfinite(difference) and value != one and one != two and two != three and memory[_SLOW] < 0.5:
+            count = memory[_NOISE_COUNT + sensor] + 1.0
+            memory[_NOISE_COUNT + sensor] = count
+            share, found = max(1.0 / count, p.noise_share), memory[NOISE + sensor]
+            squared = min(difference * difference / 20.0, LIVELY * LIVELY * found) if count > 8.0 else (
+                difference * difference / 20.0
+            )  # fmt: skip
+            least = max(told / (p.noise_range * p.noise_range), kalman.LEAST_NOISE[sensor] ** 2)
+            memory[NOISE + sensor] = clip(found + share * (squared - found), least, told * p.noise_range * p.noise_range)
+        memory[_SEEN + 2 * WIDTH + sensor] = two
+        memory[_SEEN + WIDTH + sensor] = one
+        memory[_SEEN + sensor] = value
+
+
+@njit(**INLINE)
+def _begin(first, count, p, measured, command, memory):
+    """From the first sample."""
+    for i in range(int(p.kept)):
+        memory[SENT + i] = command
+    for sensor in range(kalman.SENSORS):
+        memory[_SEEN + sensor] = measured[sensor]
+        memory[_SEEN + WIDTH + sensor], memory[_SEEN + 2 * WIDTH + sensor] = math.nan, math.nan
+    for i in range(count):
+        at = first + BLOCK * i
+        memory[at + WHEELS] = command
+        for state, sensor in ((VY, MEASURED.vy), (RATE, MEASURED.yaw_rate)):
+            value = measured[sensor]
+            memory[at + X + state] = value if math.isfinite(value) else 0.0
+
+
+@njit(**INLINE)
+def _creep(first, count, age, p, memory):
+    """Of a car that stands or creeps only the wheels move; its motion is unknown after."""
+    for i in range(count):
+        at = first + BLOCK * i
+        _follow(at, age, p, memory)
+        for state in range(2):
+            memory[at + X + state] = 0.0
+            for j in range(WIDTH):
+                memory[at + P + WIDTH * state + j], memory[at + P + WIDTH * j + state] = 0.0, 0.0
+            memory[at + P + (WIDTH + 1) * state] = 0.1
+
+
+@njit(**INLINE)
+def _difference(first, count, memory):
+    """Variance of the wheel angles of the hypotheses (rad^2)."""
+    mean, square = 0.0, 0.0
+    for i in range(count):
+        angle = memory[first + BLOCK * i + WHEELS]
+        mean += angle / count
+        square += angle * angle / count
+    return square - mean * mean
+
+
+@njit(**INLINE)
+def _weigh(first, count, memory):
+    """The weights of the hypotheses."""
+    best, total = -math.inf, 0.0
+    for i in range(count):
+        at = first + BLOCK * i
+        best = max(best, memory[at + EVIDENCE])
+    top = -math.inf
+    for i in range(count):
+        at = first + BLOCK * i
+        memory[at + EVIDENCE] = max(memory[at + EVIDENCE] - best, LOWEST)
+        top = max(top, memory[at + EVIDENCE] + memory[at + PRIOR])
+    for i in range(count):
+        at = first + BLOCK * i
+        memory[at + WEIGHT] = math.exp(memory[at + EVIDENCE] + memory[at + PRIOR] - top)
+        total += memory[at + WEIGHT]
+    for i in range(count):
+        memory[first + BLOCK * i + WEIGHT] /= total
+
+
+@njit(**INLINE)
+def _mixture(first, count, place, memory):
+    """Mean of an entry over the hypotheses."""
+    mean = 0.0
+    for i in range(count):
+        at = first + BLOCK * i
+        mean += memory[at + WEIGHT] * memory[at + place]
+    return mean
+
+
+@njit(**INLINE)
+def _covariance(first, count, one, other, memory):
+    """Covariance of two entries over the hypotheses."""
+    a, b, total = _mixture(first, count, one, memory), _mixture(first, count, other, memory), 0.0
+    for i in range(count):
+        at = first + BLOCK * i
+        total += memory[at + WEIGHT] * (memory[at + one] - a) * (memory[at + other] - b)
+    return total
+
+
+@njit(**INLINE)
+def _tell_state(first, count, state, place, memory):
+    """Write mean and standard deviation of a state to the answer."""
+    inside = _mixture(first, count, P + (WIDTH + 1) * state, memory)
+    memory[ANSWER + place] = _mixture(first, count, X + state, memory)
+    between = _covariance(first, count, X + state, X + state, memory)
+    memory[ANSWER + place + 1] = math.sqrt(max(inside + between, 0.0))
+
+
+@njit(**INLINE)
+def _toward(now, wanted, more, less):
+    """A step from a number towards a wanted one, so much up or down at most."""
+    return now + clip(wanted - now, -less, more)
+
+
+@njit(**INLINE)
+def _tell(first, count, p, parameters, memory):
+    """Write what is learned, and let what the controller believes follow it."""
+    out = ANSWER
+    lag, dead = _mixture(first, count, LAG, memory), _mixture(first, count, DEAD_TIME, memory)
+    of_lag = _covariance(first, count, LAG, LAG, memory) + p.grain_lag
+    of_dead = _covariance(first, count, DEAD_TIME, DEAD_TIME, memory) + p.grain_dead_time
+    both = _covariance(first, count, LAG, DEAD_TIME, memory)
+    variance = max(of_lag + of_dead + 2.0 * both, 1e-8)
+    sigma = math.sqrt(variance)
+    memory[out + BELIEF.belief_lag], memory[out + BELIEF.belief_lag_sigma] = lag, math.sqrt(of_lag)
+    dead_time = dead - p.computation
+    memory[out + BELIEF.belief_dead_time] = dead_time
+    memory[out + BELIEF.belief_dead_time_sigma] = math.sqrt(of_dead)
+    memory[out + BELIEF.belief_delay], memory[out + BELIEF.belief_delay_sigma] = lag + dead_time, sigma
+    _tell_state(first, count, STIFFNESS, BELIEF.belief_stiffness, memory)
+    _tell_state(first, count, BALANCE, BELIEF.belief_balance, memory)
+    _tell_state(first, count, BIAS, BELIEF.belief_bias, memory)
+    _tell_state(first, count, BANK, BELIEF.belief_bank, memory)
+    _tell_state(first, count, FRICTION, BELIEF.belief_friction, memory)
+    stiffness, balance = memory[out + BELIEF.belief_stiffness], memory[out + BELIEF.belief_balance]
+    unsure = memory[out + BELIEF.belief_stiffness_sigma]
+    memory[out + BELIEF.belief_stiffness] = math.exp(stiffness)
+    memory[out + BELIEF.belief_balance] = math.exp(2.0 * balance)
+    memory[out + BELIEF.belief_balance_sigma] *= 2.0
+    memory[out + BELIEF.belief_friction] = math.exp(memory[out + BELIEF.belief_friction])
+    noise = memory[NOISE + MEASURED.yaw_rate] / parameters[_VARIANCE + MEASURED.yaw_rate]
+    memory[out + BELIEF.belief_noise] = math.sqrt(noise)
+    later = p.cautious / sigma
+    wanted_lag = clip(lag + later * (of_lag + both), p.least_lag, p.most_lag)
+    wanted_dead = clip(dead_time + later * (of_dead + both), p.least_dead_time, p.most_dead_time)
+    used = memory[out + BELIEF.used_lag]
+    memory[out + BELIEF.used_lag] = _toward(used, wanted_lag, p.longer, p.shorter)
+    used = memory[out + BELIEF.used_dead_time]
+    memory[out + BELIEF.used_dead_time] = _toward(used, wanted_dead, p.longer, p.shorter)
+    used = math.log(memory[out + BELIEF.used_stiffness])
+    memory[out + BELIEF.used_stiffness] = math.exp(_toward(used, stiffness, p.stiffer, p.stiffer))
+    used = math.log(memory[out + BELIEF.used_balance])
+    memory[out + BELIEF.used_balance] = math.exp(_toward(used, 2.0 * balance, p.stiffer, p.stiffer))
+    used = memory[out + BELIEF.used_bias]
+    memory[out + BELIEF.used_bias] = _toward(used, memory[out + BELIEF.belief_bias], p.turning, p.turning)
+    caution = min(1.0 + variance / (p.tolerated * p.tolerated), p.most_caution)
+    memory[out + BELIEF.used_caution] = caution * (1.0 + (unsure / p.tolerated_stiffness) ** 2)
+
+
+@njit(LEARN, **ROUTINE)
+def learn(speed, measured, command, left_out, parameters, memory):
+    """See `LEARN`."""
+    p = _unpack(parameters)
+    first, count = SENT + padded(int(p.kept)), int(p.hypotheses)
+    if memory[COUNT] < 0.5:
+        _begin(first, count, p, measured, command, memory)
+        memory[COUNT] = 1.0
+        return
+    memory[COUNT] += 1.0
+    for i in range(int(p.kept) - 1, 0, -1):
+        memory[SENT + i] = memory[SENT + i - 1]
+    memory[SENT] = command
+    age = measured[MEASURED.motion_age]
+    age = age if math.isfinite(age) and age > 0.0 else 0.0
+    memory[_SLOW] = 0.0 if abs(speed) >= SLOWEST and math.isfinite(speed) else 1.0
+    if memory[_SLOW] > 0.5:
+        _creep(first, count, age, p, memory)
+        _hear_noise(p, parameters, measured, memory)
+        return
+    use_vy = _is_usable(MEASURED.vy, left_out, p, parameters, measured, memory)
+    use_rate = _is_usable(MEASURED.yaw_rate, left_out, p, parameters, measured, memory)
+    use_felt = _is_usable(MEASURED.lateral_acceleration, left_out, p, parameters, measured, memory)
+    use_angle = _is_usable(MEASURED.wheel_angle, left_out, p, parameters, measured, memory)
+    _hear_noise(p, parameters, measured, memory)
+    for i in range(count):
+        at = first + BLOCK * i
+        angle = _follow(at, age, p, memory)
+        f, g = _predict_state(at, speed, angle, p, memory)
+        _predict_covariance(at, f, g, p, memory)
+        found = 0.0
+        if use_rate:
+            value, variance = measured[MEASURED.yaw_rate], memory[NOISE + MEASURED.yaw_rate]
+            found += _correct_state(at, RATE, value, variance, p, memory)
+        if use_vy:
+            found += _correct_state(at, VY, measured[MEASURED.vy], memory[NOISE + MEASURED.vy], p, memory)
+        if use_felt:
+            value, variance = measured[MEASURED.lateral_acceleration], memory[NOISE + MEASURED.lateral_acceleration]
+            found += _correct_acceleration(at, speed, value, variance, p, memory)
+        if use_angle:
+            value, variance = measured[MEASURED.wheel_angle], memory[NOISE + MEASURED.wheel_angle]
+            found += _correct_offset(at, value, variance + p.angle_error, p, memory)
+        _bound(at, p, memory)
+        memory[at + WEIGHT] = found
+    if _difference(first, count, memory) > LEAST_DIFFERENCE * LEAST_DIFFERENCE:
+        for i in range(count):
+            at = first + BLOCK * i
+            memory[at + EVIDENCE] = (1.0 - p.forgetting) * memory[at + EVIDENCE] + p.tempering * memory[at + WEIGHT]
+    _weigh(first, count, memory)
+    _tell(first, count, p, parameters, memory)
+
+
+@njit(**INLINE)
+def lead_of(parameters, memory):
+    """Periods from an instant until its command begins to act, as believed."""
+    p = _unpack(parameters)
+    return (memory[ANSWER + BELIEF.used_dead_time] + p.computation) / p.period
+
+
+@njit(BELIEVE, **ROUTINE)
+def believe(parameters, memory, model, own, remembered):
+    """See `BELIEVE`. The part of the disturbances that a change of the bias explains leaves them: no prediction jumps.
+    """
+    p, out = _unpack(parameters), ANSWER
+    factor, balance = memory[out + BELIEF.used_stiffness], math.sqrt(memory[out + BELIEF.used_balance])
+    front, rear = 0.5 * p.stiffness_front * factor * balance, 0.5 * p.stiffness_rear * factor / balance
+    lag = memory[out + BELIEF.used_lag]
+    for target, at in ((model, 0), (own, len(kalman.NUMBERS))):
+        target[at + path.STIFFNESS_FRONT], target[at + path.STIFFNESS_REAR] = front, rear
+        target[at + path.LAG] = lag
+    late = (memory[out + BELIEF.used_dead_time] + p.computation) / p.period
+    whole = math.floor(late + 1e-9)
+    own[kalman.WHOLE], own[kalman.SHARE] = whole, late - whole if late - whole > 1e-9 else 0.0
+    own[kalman.BIAS] = memory[out + BELIEF.used_bias]
+    if memory[COUNT] > 1.5:
+        more = own[kalman.BIAS] - memory[_BIAS_BEFORE]
+        kalman.shift_bias(more, 2.0 * front / p.mass, 2.0 * front * p.lf / p.yaw_inertia, remembered)
+    memory[_BIAS_BEFORE] = own[kalman.BIAS]
+    for sensor in range(kalman.SENSORS):
+        told = parameters[_VARIANCE + sensor]
+        own[kalman.VARIANCE + sensor] = memory[NOISE + sensor] if told < math.inf else told
+    unknown = p.wandering * memory[out + BELIEF.belief_delay_sigma]
+    own[kalman.DRIFT_WHEELS] = p.drift_wheels + unknown * unknown * p.period
+    kalman.forget_speed(remembered)
