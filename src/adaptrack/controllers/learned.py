@@ -27,6 +27,8 @@ MIDDLE = (0.2, 0.125)
 """s, lag and dead time in the middle of published values, believed where nobody says."""
 LEAST_LAG = 0.02
 """s, of a steering that is learned: shorter ones make no difference at a control period of 0.05 s."""
+GRAIN = 0.4
+"""Standard deviation within a hypothesis over the distance of two: together they are nearly even."""
 SPREAD = 1.0 / math.sqrt(3.0)
 """Standard deviation of what may be anywhere within +-1."""
 
@@ -92,8 +94,8 @@ class Learning:
     """
 
     start: Learned | None = None
-    lags: int = 5
-    dead_times: int = 5
+    lags: int = 3
+    dead_times: int = 3
     bias: float = 0.02
     """rad, bias of the steering to either side"""
     balance: float = 1.18
@@ -122,6 +124,8 @@ class Learning:
     """-, after a second, of half the logarithm of the balance"""
     drift_bias: float = 0.00003
     """rad, after a second"""
+    drift_delay: float = 0.0005
+    """s, after a second, of lag and dead time"""
     sliding: float = 0.1
     """s^0.5, as in `kalman.Drifts`"""
     angle_error: float = 0.002
@@ -132,7 +136,7 @@ class Learning:
     """s of exciting driving after which evidence about the delay is forgotten"""
     tempering: float = 0.5
     """-, share of a log-likelihood that counts, for successive innovations are not independent"""
-    cautious: float = 1.0
+    cautious: float = 0.5
     """-, standard deviations of the delay by which the controller believes it longer than its mean"""
     tolerated: float = 0.03
     """s, standard deviation of the delay that doubles R"""
@@ -146,7 +150,7 @@ class Learning:
     """s per s, likewise shorter"""
     stiffer: float = 0.5
     """1/s, by which the logarithm of the believed stiffness changes at most"""
-    turning: float = 0.005
+    turning: float = 0.1
     """rad/s, by which the believed bias changes at most"""
     wandering: float = 0.2
     """rad/s, by which the wheels may be elsewhere for every second of uncertain delay, after a second"""
@@ -218,18 +222,26 @@ class Learner:
     def lags(self) -> Array:
         """(lags,) s."""
         low, high = self.ranges.lag
-        return np.linspace(low, high, self.own.lags if high > low else 1)
+        return _middles(low, high, self.own.lags)
 
     @property
     def dead_times(self) -> Array:
         """(dead_times,) s."""
         low, high = self.ranges.dead_time
-        return np.linspace(low, high, self.own.dead_times if high > low else 1)
+        return _middles(low, high, self.own.dead_times)
 
     @property
     def hypotheses(self) -> Array:
         """(n, 2) lag and dead time (s)."""
         return np.array([(lag, dead) for lag in self.lags for dead in self.dead_times])
+
+    @property
+    def grains(self) -> tuple[float, float]:
+        """Standard deviation of lag and dead time (s) within a hypothesis."""
+        low, high = np.array(self.ranges).T
+        counts = np.array([self.own.lags, self.own.dead_times])
+        lag, dead_time = GRAIN * (high - low) / counts
+        return float(lag), float(dead_time)
 
     def parameters(self) -> Array:
         """In the order of `kernels.estimators.learning.NUMBERS`."""
@@ -241,7 +253,7 @@ class Learner:
             "drift_balance": own.drift_balance, "drift_vy": own.drift_vy, "drift_yaw_rate": own.drift_yaw_rate,
             "drift_bank": own.bank * math.sqrt(2.0 / own.bank_time),
             "drift_friction": own.friction_spread * math.sqrt(2.0 / own.friction_time),
-            "drift_wheels": Drifts().wheel_angle,
+            "drift_lag": own.drift_delay, "drift_dead_time": own.drift_delay, "drift_wheels": Drifts().wheel_angle,
         }  # fmt: skip
         given = {name: value**2 * period for name, value in drifts.items()}
         given |= {name: math.exp(-period / time) for name, time in (
@@ -261,7 +273,6 @@ class Learner:
             "tolerated_stiffness": own.tolerated_stiffness,
             "longer": own.longer * period, "shorter": own.shorter * period, "stiffer": own.stiffer * period,
             "turning": own.turning * period, "wandering": own.wandering,
-            "grain_lag": _grain(self.lags), "grain_dead_time": _grain(self.dead_times),
             "noise_share": min(1.0, period / own.noise_time), "noise_range": own.noise, **variances,
         }  # fmt: skip
         return np.array([given[name] for name in NUMBERS], dtype=float)
@@ -274,13 +285,15 @@ class Learner:
         memory = np.zeros(kernel.memory_size(self.kept, len(pairs)))
         variances = self.sensing.variances()
         memory[kernel.NOISE : kernel.NOISE + len(SENSORS)] = np.where(np.isfinite(variances), variances, 0.0)
-        spread = np.zeros(8)
+        spread = np.zeros(kernel.STATES)
         spread[kernel.VY], spread[kernel.RATE] = 0.3, 0.1
         spread[kernel.WIND] = own.wind * math.sqrt(0.5 * own.wind_time)
         spread[kernel.BIAS], spread[kernel.BANK] = SPREAD * own.bias, own.bank
         spread[kernel.STIFFNESS], spread[kernel.BALANCE] = self.stiffness_spread, SPREAD * 0.5 * math.log(own.balance)
         spread[kernel.FRICTION] = own.friction_spread
-        x = np.zeros(8)
+        spread[kernel.LAG], spread[kernel.DEAD_TIME] = self.grains
+        spread[kernel.OFFSET] = 0.05
+        x = np.zeros(kernel.STATES)
         x[kernel.FRICTION] = math.log(own.friction)
         prior = np.zeros(len(pairs))
         if start is not None:
@@ -291,18 +304,17 @@ class Learner:
         first = kernel.blocks_at(self.kept)
         for i, (lag, dead) in enumerate(pairs):
             at = first + kernel.BLOCK * i
-            memory[at + kernel.LAG], memory[at + kernel.DEAD_TIME] = lag, dead + self.computation
+            x[kernel.LAG], x[kernel.DEAD_TIME] = lag, dead + self.computation
             memory[at + kernel.PRIOR] = prior[i]
-            memory[at + kernel.OFFSET_VARIANCE] = 0.05**2
-            memory[at + kernel.X : at + kernel.X + 8] = x
-            memory[at + kernel.P : at + kernel.P + 64] = np.diag(spread**2).ravel()
+            memory[at + kernel.X : at + kernel.X + kernel.STATES] = x
+            for state in range(kernel.STATES):
+                memory[at + kernel.P + (kernel.ROW + 1) * state] = spread[state] ** 2
         self._tell(memory, pairs, np.exp(prior - prior.max()), x, spread)
         return memory
 
     def _prior_of(self, start: Learned, pairs: Array) -> Array:
         """(n,) log-weights of the hypotheses by what was learned before: normal in lag and dead time."""
-        of_lag = start.lag_sigma**2 + _grain(self.lags)
-        of_dead = start.dead_time_sigma**2 + _grain(self.dead_times)
+        of_lag, of_dead = start.lag_sigma**2, start.dead_time_sigma**2
         both = 0.5 * (start.delay_sigma**2 - start.lag_sigma**2 - start.dead_time_sigma**2)
         limit = 0.95 * math.sqrt(of_lag * of_dead)
         both = min(max(both, -limit), limit)
@@ -318,7 +330,7 @@ class Learner:
 
         weights = weights / weights.sum()
         lag, dead = weights @ pairs
-        grains = np.diag([_grain(self.lags), _grain(self.dead_times)])
+        grains = np.diag(np.square(self.grains))
         cov = (pairs - (lag, dead)).T @ (weights[:, None] * (pairs - (lag, dead))) + grains
         sigma = math.sqrt(max(float(cov.sum()), 1e-8))
         later = self.own.cautious / sigma * cov.sum(axis=1)
@@ -373,6 +385,6 @@ class Learner:
         return Learned(car=self.car.name, **kept, seconds=seconds)
 
 
-def _grain(values: Array) -> float:
-    """Variance of what lies anywhere between evenly spaced hypotheses."""
-    return float(values[1] - values[0]) ** 2 / 12.0 if len(values) > 1 else 0.0
+def _middles(low: float, high: float, count: int) -> Array:
+    """(count,) middles of equal parts of a range; of one that is a point, that point."""
+    return low + (high - low) * (np.arange(count) + 0.5) / count if high > low else np.array([low])

@@ -1,9 +1,11 @@
 """What a car does not say of itself, learned while it drives: steering delay, stiffness, steering bias, bank, friction.
 
-A bank of extended Kalman filters, one for each hypothesis of the steering's lag and dead time. Under a hypothesis the
-wheel angle delta(t) follows from the commands that were sent (rate limit included), and the filter estimates
+A bank of extended Kalman filters, each beginning with a hypothesis of the steering's lag tau and dead time T_d. The
+wheel angle delta(t) follows from the commands that were sent (rate limit included), and a filter estimates
 
-    x = [v_y (m/s), r (rad/s), w (m/s^2), b (rad), p (m/s^2), s, q, ln mu]
+    x = [v_y (m/s), r (rad/s), w (m/s^2), b (rad), p (m/s^2), s, q, ln mu, tau (s), T_d (s), o (rad)]
+
+    ddelta/dt = (u(t - T_d) - delta)/tau,   S = ddelta/dtau: dS/dt = -(S + ddelta/dt)/tau,   ddelta/dT_d = -ddelta/dt
 
     dv_y/dt = F_f + F_r - v r + w + p,     dr/dt = m/I_z (l_f F_f - l_r F_r) + c_w w      F: force of an axle over m
     F_i = D_i g(C_i alpha_i/D_i),  g(x) = x/sqrt(1 + x^2),  D_i = mu g (share of the load)
@@ -13,12 +15,12 @@ wheel angle delta(t) follows from the commands that were sent (rate limit includ
 from yaw rate, lateral velocity and acceleration, as far as they are measured. w: side wind, c_w: the turn that goes
 with it; b: steering bias; p: pull of a banked road; s: logarithm of the stiffness over the mass, in units of what is
 known of it; q: half of that of front over rear; mu: friction. Wind, bank and friction return to nothing, nothing and
-the usual friction (first-order Gauss-Markov), the others stay. A wheel-angle sensor is compared with delta up to an
-offset of its own. g keeps the slope C at small slip and the limit D; a Magic Formula with shape 1.35 lies within 5 %.
+the usual friction (first-order Gauss-Markov), the others stay. A wheel-angle sensor reads delta + o. g keeps the slope C at small slip and the limit D; a Magic Formula with shape 1.35 lies within 5 %.
 
 The logarithms of the likelihoods of the innovations (each counted up to `bound` standard deviations) weigh the
-hypotheses, with a slow forgetting. Sources: D. T. Magill, Optimal adaptive estimation of sampled stochastic processes,
-IEEE Trans. Automatic Control 10 (1965) (the bank); D. Simon, *Optimal State Estimation* (2006), chapters 10.2 and 13;
+filters, with a slow forgetting; what is learned is mean and variance of the mixture. Sources: D. T. Magill, Optimal adaptive estimation of sampled stochastic processes,
+IEEE Trans. Automatic Control 10 (1965) (the bank); H. W. Sorenson, D. L. Alspach, Recursive Bayesian estimation using
+Gaussian sums, Automatica 7 (1971) (the mixture); D. Simon, *Optimal State Estimation* (2006), chapters 10.2 and 13;
 R. Rajamani, *Vehicle Dynamics and Control*, 2nd ed., chapter 2.
 
 Evidence about the delay counts while the hypotheses differ in their wheel angles; a car that stands or creeps, samples
@@ -53,7 +55,7 @@ NUMBERS = (
     "forgetting",  # share of the evidence that an exciting period takes away
     "tempering",  # share of a log-likelihood that counts: successive innovations are not independent
     "drift_vy", "drift_yaw_rate", "drift_wind", "drift_bias", "drift_bank", "drift_stiffness", "drift_balance",
-    "drift_friction",  # variances that a period adds
+    "drift_friction", "drift_lag", "drift_dead_time",  # variances that a period adds
     "wind_left", "bank_left", "friction_left",  # share of a deviation that is left after a period
     "usual_friction",  # ln mu to which friction returns
     "sliding",  # s, variance of an axle's impulse in a second over the square of F^2/D, by which tyres deviate
@@ -67,7 +69,6 @@ NUMBERS = (
     "stiffer",  # likewise of s
     "turning",  # rad per period, likewise of the bias
     "wandering",  # rad/s, steering rate by which the wheels are elsewhere for every second of uncertain delay
-    "grain_lag", "grain_dead_time",  # s^2, variances between neighbouring hypotheses
     "drift_wheels",  # rad^2, variance that a period adds to the wheel angle in the controller's filter
     "noise_share", "noise_range",  # least share of a new sample in the noise; factor within which it may be
     "variance_vy", "variance_yaw", "variance_yaw_rate", "variance_y", "variance_wheel_angle",
@@ -90,6 +91,9 @@ BELIEFS = (
 )  # fmt: skip
 """What is learned, and what the controller believes of it, at every step."""
 BELIEF = columns(*BELIEFS)
+STATES = 11
+ROW = 2 * WIDTH
+"""Numbers between the rows of a covariance."""
 COUNT = 0
 """Place in the memory of the steps so far."""
 _SLOW = 1  # 1 while the car is too slow to learn from
@@ -101,15 +105,15 @@ NOISE = ANSWER + 4 * WIDTH
 _NOISE_COUNT = NOISE + WIDTH
 _SEEN = _NOISE_COUNT + WIDTH  # the last samples of each sensor, the latest first: three rows
 _SCRATCH = _SEEN + 3 * WIDTH  # two rows of F; h
-SENT = _SCRATCH + 4 * WIDTH
+SENT = _SCRATCH + 4 * ROW
 """Place in the memory of the commands that were sent, the latest first."""
-LAG, DEAD_TIME, WHEELS, EVIDENCE, PRIOR, OFFSET, OFFSET_VARIANCE, WEIGHT = range(8)
-X, P = WIDTH, 2 * WIDTH
-BLOCK = 2 * WIDTH + WIDTH * WIDTH
-"""Numbers of a hypothesis: lag (s), dead time with the computation (s), wheel angle (rad), log of its likelihood and of
-its prior, offset of the wheel-angle sensor and its variance, weight; x; P."""
-VY, RATE, WIND, BIAS, BANK, STIFFNESS, BALANCE, FRICTION = range(8)
-"""States."""
+WHEELS, BY_LAG, SWEPT, SWEPT_BY_LAG, EVIDENCE, PRIOR, WEIGHT = range(7)
+X, P = WIDTH, WIDTH + ROW
+BLOCK = P + ROW * STATES
+"""Numbers of a filter: wheel angle (rad), its slope over the lag (rad/s), both integrated over a period, log of its
+likelihood and of its prior, weight; x; P by rows."""
+VY, RATE, WIND, BIAS, BANK, STIFFNESS, BALANCE, FRICTION, LAG, DEAD_TIME, OFFSET = range(STATES)
+"""States; the dead time with the computation."""
 SLOWEST = 2.0
 """m/s, below which nothing is learned."""
 LEAST_DIFFERENCE = 5e-4
@@ -145,33 +149,35 @@ def memory_size(kept: int, hypotheses: int) -> int:
 
 @njit(**INLINE)
 def _steer(at, time, rate, command, memory):
-    """Let the wheels of a hypothesis follow a command for a time (s); the integral of their angle."""
-    lag, angle, swept = memory[at + LAG], memory[at + WHEELS], 0.0
+    """Let the wheels of a filter follow a command for a time (s)."""
+    lag, angle, slope = memory[at + X + LAG], memory[at + WHEELS], memory[at + BY_LAG]
     gap = command - angle
     if abs(gap) > rate * lag:
         limited = min(time, abs(gap) / rate - lag)
         turned = math.copysign(rate * limited, gap)
-        swept = limited * (angle + 0.5 * turned)
+        memory[at + SWEPT] += limited * (angle + 0.5 * turned)
+        memory[at + SWEPT_BY_LAG] += limited * slope
         angle += turned
         gap -= turned
         time -= limited
     left = math.exp(-time / lag)
-    memory[at + WHEELS] = command - gap * left
-    return swept + time * command - gap * lag * (1.0 - left)
+    after = left * (slope - gap * time / (lag * lag))
+    memory[at + SWEPT] += time * command - gap * lag * (1.0 - left)
+    memory[at + SWEPT_BY_LAG] += 0.5 * time * (slope + after)
+    memory[at + WHEELS], memory[at + BY_LAG] = command - gap * left, after
 
 
 @njit(**INLINE)
 def _follow(at, age, p, memory):
-    """The mean angle (rad) of the wheels of a hypothesis over the period before the sample, so old (s)."""
-    late = (memory[at + DEAD_TIME] + age) / p.period
+    """The wheels of a filter over the period before the sample, so old (s)."""
+    late = (memory[at + X + DEAD_TIME] + age) / p.period
     whole = min(int(late + 1e-9), int(p.kept) - 2)
-    share = max(late - whole, 0.0) if late - whole < 1.0 else 1.0
-    swept = 0.0
+    share = clip(late - whole, 0.0, 1.0)
+    memory[at + SWEPT], memory[at + SWEPT_BY_LAG] = 0.0, 0.0
     if share > 0.0:
-        swept += _steer(at, share * p.period, p.rate, memory[SENT + whole + 1], memory)
+        _steer(at, share * p.period, p.rate, memory[SENT + whole + 1], memory)
     if share < 1.0:
-        swept += _steer(at, (1.0 - share) * p.period, p.rate, memory[SENT + whole], memory)
-    return swept / p.period
+        _steer(at, (1.0 - share) * p.period, p.rate, memory[SENT + whole], memory)
 
 
 @njit(**INLINE)
@@ -228,9 +234,13 @@ def _phi1(z):
 
 
 @njit(**INLINE)
-def _predict_state(at, speed, angle, p, memory):
-    """x a period later, by the exponential Euler method; rows of F in the scratch; what the tyres pull (m/s^2)."""
+def _predict_state(at, speed, before, p, memory):
+    """x a period later, by the exponential Euler method; rows of F in the scratch; what the tyres pull (m/s^2).
+
+    before: wheel angle (rad) a period ago.
+    """
     x, turning = at + X, p.mass / p.yaw_inertia
+    angle = memory[at + SWEPT] / p.period
     slip_front, slip_rear, front, rear = _forces(at, speed, angle, p, memory)
     f, sf, mf = front
     g, sr, mr = rear
@@ -245,11 +255,12 @@ def _predict_state(at, speed, angle, p, memory):
     h = p.period
     phi = _phi1((h * jacobian[0], h * jacobian[1], h * jacobian[2], h * jacobian[3]))
     e = _times(phi, jacobian)
-    f0, f1 = _SCRATCH, _SCRATCH + WIDTH
+    f0, f1 = _SCRATCH, _SCRATCH + ROW
+    by_lag, by_dead_time = memory[at + SWEPT_BY_LAG] / h, (before - memory[at + WHEELS]) / h
     of_front, of_rear = sf * slip_front, sr * slip_rear
     memory[f0 + VY], memory[f0 + RATE] = 1.0 + h * e[0], h * e[1]
     memory[f1 + VY], memory[f1 + RATE] = h * e[2], 1.0 + h * e[3]
-    for state in range(WIND, FRICTION + 1):
+    for state in range(WIND, OFFSET):
         by_vy, by_r = 1.0, 0.0  # the pull of a bank
         if state == WIND:
             by_r = p.wind_turn
@@ -261,8 +272,13 @@ def _predict_state(at, speed, angle, p, memory):
             by_vy, by_r = of_front - of_rear, turning * (lf * of_front + lr * of_rear)
         elif state == FRICTION:
             by_vy, by_r = mf + mr, turning * (lf * mf - lr * mr)
+        elif state == LAG:
+            by_vy, by_r = sf * by_lag, turning * lf * sf * by_lag
+        elif state == DEAD_TIME:
+            by_vy, by_r = sf * by_dead_time, turning * lf * sf * by_dead_time
         memory[f0 + state] = h * (phi[0] * by_vy + phi[1] * by_r)
         memory[f1 + state] = h * (phi[2] * by_vy + phi[3] * by_r)
+    memory[f0 + OFFSET], memory[f1 + OFFSET] = 0.0, 0.0
     memory[x + VY] += h * (phi[0] * rate_vy + phi[1] * rate_r)
     memory[x + RATE] += h * (phi[2] * rate_vy + phi[3] * rate_r)
     memory[x + WIND] *= p.wind_left
@@ -274,50 +290,66 @@ def _predict_state(at, speed, angle, p, memory):
 @njit(**INLINE)
 def _dot(a, b, memory):
     total = 0.0
-    for j in range(WIDTH):
+    for j in range(STATES):
         total += memory[a + j] * memory[b + j]
     return total
 
 
 @njit(**INLINE)
+def _project(at, h, target, memory):
+    """Write h P to the scratch."""
+    low, high = zeros(), zeros()
+    for k in range(STATES):
+        row = at + P + ROW * k
+        low = fma8(spread(memory, h + k), load(memory, row), low)
+        high = fma8(spread(memory, h + k), load(memory, row + WIDTH), high)
+    store(memory, target, low)
+    store(memory, target + WIDTH, high)
+
+
+@njit(**INLINE)
+def _leave(state, left, first, memory):
+    """Let the deviation of a state shrink to a share."""
+    for j in range(WIND, STATES):
+        memory[first + ROW * state + j] *= left
+        memory[first + ROW * j + state] *= left
+
+
+@njit(**INLINE)
 def _predict_covariance(at, f, g, p, memory):
     """P = F P F' + drift; f, g: forces of the axles over the mass (m/s^2)."""
-    first, f0, f1, r0, r1 = at + P, _SCRATCH, _SCRATCH + WIDTH, _SCRATCH + 2 * WIDTH, _SCRATCH + 3 * WIDTH
-    row0, row1 = zeros(), zeros()
-    for k in range(WIDTH):
-        row = load(memory, first + WIDTH * k)
-        row0 = fma8(spread(memory, f0 + k), row, row0)
-        row1 = fma8(spread(memory, f1 + k), row, row1)
-    store(memory, r0, row0)
-    store(memory, r1, row1)
+    first, f0, f1, r0, r1 = at + P, _SCRATCH, _SCRATCH + ROW, _SCRATCH + 2 * ROW, _SCRATCH + 3 * ROW
+    _project(at, f0, r0, memory)
+    _project(at, f1, r1, memory)
     p00, p01, p11 = _dot(r0, f0, memory), _dot(r0, f1, memory), _dot(r1, f1, memory)
-    for i in range(WIND, FRICTION + 1):
-        left = p.wind_left if i == WIND else p.bank_left if i == BANK else p.friction_left if i == FRICTION else 1.0
-        memory[r0 + i] *= left
-        memory[r1 + i] *= left
-        if left != 1.0:
-            for j in range(WIND, FRICTION + 1):
-                memory[first + WIDTH * i + j] *= left
-                memory[first + WIDTH * j + i] *= left
-    for j in range(WIND, FRICTION + 1):
-        memory[first + j], memory[first + WIDTH * j] = memory[r0 + j], memory[r0 + j]
-        memory[first + WIDTH + j], memory[first + WIDTH * j + 1] = memory[r1 + j], memory[r1 + j]
+    for row in (r0, r1):
+        memory[row + WIND] *= p.wind_left
+        memory[row + BANK] *= p.bank_left
+        memory[row + FRICTION] *= p.friction_left
+    _leave(WIND, p.wind_left, first, memory)
+    _leave(BANK, p.bank_left, first, memory)
+    _leave(FRICTION, p.friction_left, first, memory)
+    for j in range(WIND, STATES):
+        memory[first + j], memory[first + ROW * j] = memory[r0 + j], memory[r0 + j]
+        memory[first + ROW + j], memory[first + ROW * j + 1] = memory[r1 + j], memory[r1 + j]
     turning, weight = p.mass / p.yaw_inertia, GRAVITY / (p.lf + p.lr)
     front, rear = f * f / (weight * p.lr), g * g / (weight * p.lf)
     by_front, by_rear = p.sliding * p.period * front * front, p.sliding * p.period * rear * rear
     both = turning * (p.lf * by_front - p.lr * by_rear)
     memory[first] = p00 + p.drift_vy + by_front + by_rear
-    memory[first + 1], memory[first + WIDTH] = p01 + both, p01 + both
-    memory[first + WIDTH + 1] = (
+    memory[first + 1], memory[first + ROW] = p01 + both, p01 + both
+    memory[first + ROW + 1] = (
         p11 + p.drift_yaw_rate + turning * turning * (p.lf * p.lf * by_front + p.lr * p.lr * by_rear)
     )
-    memory[first + (WIDTH + 1) * WIND] += p.drift_wind
-    memory[first + (WIDTH + 1) * BANK] += p.drift_bank
-    memory[first + (WIDTH + 1) * FRICTION] += p.drift_friction
+    memory[first + (ROW + 1) * WIND] += p.drift_wind
+    memory[first + (ROW + 1) * BANK] += p.drift_bank
+    memory[first + (ROW + 1) * FRICTION] += p.drift_friction
     if abs(f + g) > LEAST_PULL:
-        memory[first + (WIDTH + 1) * BIAS] += p.drift_bias
-        memory[first + (WIDTH + 1) * STIFFNESS] += p.drift_stiffness
-        memory[first + (WIDTH + 1) * BALANCE] += p.drift_balance
+        memory[first + (ROW + 1) * BIAS] += p.drift_bias
+        memory[first + (ROW + 1) * STIFFNESS] += p.drift_stiffness
+        memory[first + (ROW + 1) * BALANCE] += p.drift_balance
+        memory[first + (ROW + 1) * LAG] += p.drift_lag
+        memory[first + (ROW + 1) * DEAD_TIME] += p.drift_dead_time
 
 
 @njit(**INLINE)
@@ -326,54 +358,55 @@ def _take_in(at, innovation, row, variance, p, memory):
     scatter = variance
     ratio = innovation * innovation / scatter
     kept = clip(innovation, -p.bound * math.sqrt(scatter), p.bound * math.sqrt(scatter))
-    line = load(memory, row)
-    gains = mul(splat(1.0 / scatter), line)
-    store(memory, at + X, fma8(splat(kept), gains, load(memory, at + X)))
-    store(memory, _SCRATCH, gains)
-    for j in range(WIDTH):
-        at_row = at + P + WIDTH * j
-        store(memory, at_row, sub(load(memory, at_row), mul(spread(memory, _SCRATCH + j), line)))
+    low, high, scale = load(memory, row), load(memory, row + WIDTH), splat(1.0 / scatter)
+    gains_low, gains_high, x = mul(scale, low), mul(scale, high), at + X
+    store(memory, x, fma8(splat(kept), gains_low, load(memory, x)))
+    store(memory, x + WIDTH, fma8(splat(kept), gains_high, load(memory, x + WIDTH)))
+    store(memory, _SCRATCH, gains_low)
+    store(memory, _SCRATCH + WIDTH, gains_high)
+    for j in range(STATES):
+        line, gain = at + P + ROW * j, spread(memory, _SCRATCH + j)
+        store(memory, line, sub(load(memory, line), mul(gain, low)))
+        store(memory, line + WIDTH, sub(load(memory, line + WIDTH), mul(gain, high)))
     return -0.5 * (min(ratio, p.bound * p.bound) + math.log(scatter))
 
 
 @njit(**INLINE)
 def _correct_state(at, state, value, variance, p, memory):
     """Take in a measured state."""
-    row = _SCRATCH + 2 * WIDTH
-    store(memory, row, load(memory, at + P + WIDTH * state))
-    innovation = value - memory[at + X + state]
-    return _take_in(at, innovation, row, memory[at + P + (WIDTH + 1) * state] + variance, p, memory)
+    row, line = _SCRATCH + 2 * ROW, at + P + ROW * state
+    store(memory, row, load(memory, line))
+    store(memory, row + WIDTH, load(memory, line + WIDTH))
+    return _take_in(at, value - memory[at + X + state], row, memory[line + state] + variance, p, memory)
 
 
 @njit(**INLINE)
-def _correct_acceleration(at, speed, value, variance, p, memory):
-    """Take in the lateral acceleration, F_f + F_r + w."""
+def _correct_acceleration(at, speed, slope, value, variance, p, memory):
+    """Take in the lateral acceleration, F_f + F_r + w; slope: of the wheel angle over the dead time (rad/s)."""
     slip_front, slip_rear, front, rear = _forces(at, speed, memory[at + WHEELS], p, memory)
     f, sf, mf = front
     g, sr, mr = rear
-    h, row = _SCRATCH + 3 * WIDTH, _SCRATCH + 2 * WIDTH
+    h, row = _SCRATCH + 3 * ROW, _SCRATCH + 2 * ROW
     memory[h + VY], memory[h + RATE] = -(sf + sr) / speed, (p.lr * sr - p.lf * sf) / speed
     memory[h + WIND], memory[h + BIAS], memory[h + BANK] = 1.0, sf, 0.0
     memory[h + STIFFNESS] = sf * slip_front + sr * slip_rear
     memory[h + BALANCE], memory[h + FRICTION] = sf * slip_front - sr * slip_rear, mf + mr
-    line = zeros()
-    for k in range(WIDTH):
-        line = fma8(spread(memory, h + k), load(memory, at + P + WIDTH * k), line)
-    store(memory, row, line)
+    memory[h + LAG], memory[h + DEAD_TIME], memory[h + OFFSET] = sf * memory[at + BY_LAG], sf * slope, 0.0
+    _project(at, h, row, memory)
     innovation = value - (f + g + memory[at + X + WIND])
     return _take_in(at, innovation, row, variance + _dot(h, row, memory), p, memory)
 
 
 @njit(**INLINE)
-def _correct_offset(at, value, variance, p, memory):
-    """Take in the wheel-angle sensor, delta + offset; the log-likelihood."""
-    spread_, before = memory[at + OFFSET_VARIANCE], memory[at + OFFSET]
-    scatter = spread_ + variance
-    innovation = value - memory[at + WHEELS] - before
-    bounded = clip(innovation, -p.bound * math.sqrt(scatter), p.bound * math.sqrt(scatter))
-    memory[at + OFFSET] = before + spread_ / scatter * bounded
-    memory[at + OFFSET_VARIANCE] = spread_ * variance / scatter
-    return -0.5 * (min(innovation * innovation / scatter, p.bound * p.bound) + math.log(scatter))
+def _correct_angle(at, slope, value, variance, p, memory):
+    """Take in the wheel-angle sensor, delta + o; slope: of the wheel angle over the dead time (rad/s)."""
+    h, row = _SCRATCH + 3 * ROW, _SCRATCH + 2 * ROW
+    for state in range(LAG):
+        memory[h + state] = 0.0
+    memory[h + LAG], memory[h + DEAD_TIME], memory[h + OFFSET] = memory[at + BY_LAG], slope, 1.0
+    _project(at, h, row, memory)
+    innovation = value - memory[at + WHEELS] - memory[at + X + OFFSET]
+    return _take_in(at, innovation, row, variance + _dot(h, row, memory), p, memory)
 
 
 @njit(**INLINE)
@@ -384,6 +417,9 @@ def _bound(at, p, memory):
     memory[x + BALANCE] = clip(memory[x + BALANCE], -p.most_balance, p.most_balance)
     memory[x + BIAS] = clip(memory[x + BIAS], -p.most_bias, p.most_bias)
     memory[x + FRICTION] = clip(memory[x + FRICTION], -2.5, 0.5)
+    memory[x + LAG] = clip(memory[x + LAG], p.least_lag, p.most_lag)
+    late = memory[x + DEAD_TIME] - p.computation
+    memory[x + DEAD_TIME] = p.computation + clip(late, p.least_dead_time, p.most_dead_time)
 
 
 @njit(**INLINE)
@@ -443,9 +479,9 @@ def _creep(first, count, age, p, memory):
         _follow(at, age, p, memory)
         for state in range(2):
             memory[at + X + state] = 0.0
-            for j in range(WIDTH):
-                memory[at + P + WIDTH * state + j], memory[at + P + WIDTH * j + state] = 0.0, 0.0
-            memory[at + P + (WIDTH + 1) * state] = 0.1
+            for j in range(STATES):
+                memory[at + P + ROW * state + j], memory[at + P + ROW * j + state] = 0.0, 0.0
+            memory[at + P + (ROW + 1) * state] = 0.1
 
 
 @njit(**INLINE)
@@ -491,21 +527,21 @@ def _mixture(first, count, place, memory):
 
 @njit(**INLINE)
 def _covariance(first, count, one, other, memory):
-    """Covariance of two entries over the hypotheses."""
-    a, b, total = _mixture(first, count, one, memory), _mixture(first, count, other, memory), 0.0
+    """Covariance of two states: that of their means over the filters, and the mean of that within each."""
+    a, b = _mixture(first, count, X + one, memory), _mixture(first, count, X + other, memory)
+    total = 0.0
     for i in range(count):
         at = first + BLOCK * i
-        total += memory[at + WEIGHT] * (memory[at + one] - a) * (memory[at + other] - b)
+        between = (memory[at + X + one] - a) * (memory[at + X + other] - b)
+        total += memory[at + WEIGHT] * (between + memory[at + P + ROW * one + other])
     return total
 
 
 @njit(**INLINE)
 def _tell_state(first, count, state, place, memory):
     """Write mean and standard deviation of a state to the answer."""
-    inside = _mixture(first, count, P + (WIDTH + 1) * state, memory)
     memory[ANSWER + place] = _mixture(first, count, X + state, memory)
-    between = _covariance(first, count, X + state, X + state, memory)
-    memory[ANSWER + place + 1] = math.sqrt(max(inside + between, 0.0))
+    memory[ANSWER + place + 1] = math.sqrt(max(_covariance(first, count, state, state, memory), 0.0))
 
 
 @njit(**INLINE)
@@ -518,9 +554,9 @@ def _toward(now, wanted, more, less):
 def _tell(first, count, p, parameters, memory):
     """Write what is learned, and let what the controller believes follow it."""
     out = ANSWER
-    lag, dead = _mixture(first, count, LAG, memory), _mixture(first, count, DEAD_TIME, memory)
-    of_lag = _covariance(first, count, LAG, LAG, memory) + p.grain_lag
-    of_dead = _covariance(first, count, DEAD_TIME, DEAD_TIME, memory) + p.grain_dead_time
+    lag, dead = _mixture(first, count, X + LAG, memory), _mixture(first, count, X + DEAD_TIME, memory)
+    of_lag = max(_covariance(first, count, LAG, LAG, memory), 0.0)
+    of_dead = max(_covariance(first, count, DEAD_TIME, DEAD_TIME, memory), 0.0)
     both = _covariance(first, count, LAG, DEAD_TIME, memory)
     variance = max(of_lag + of_dead + 2.0 * both, 1e-8)
     sigma = math.sqrt(variance)
@@ -586,10 +622,12 @@ def learn(speed, measured, command, left_out, parameters, memory):
     _hear_noise(p, parameters, measured, memory)
     for i in range(count):
         at = first + BLOCK * i
-        angle = _follow(at, age, p, memory)
-        f, g = _predict_state(at, speed, angle, p, memory)
+        before = memory[at + WHEELS]
+        _follow(at, age, p, memory)
+        f, g = _predict_state(at, speed, before, p, memory)
         _predict_covariance(at, f, g, p, memory)
-        found = 0.0
+        slope = (before - memory[at + WHEELS]) / p.period
+        lag, dead_time, found = memory[at + X + LAG], memory[at + X + DEAD_TIME], 0.0
         if use_rate:
             value, variance = measured[MEASURED.yaw_rate], memory[NOISE + MEASURED.yaw_rate]
             found += _correct_state(at, RATE, value, variance, p, memory)
@@ -597,11 +635,13 @@ def learn(speed, measured, command, left_out, parameters, memory):
             found += _correct_state(at, VY, measured[MEASURED.vy], memory[NOISE + MEASURED.vy], p, memory)
         if use_felt:
             value, variance = measured[MEASURED.lateral_acceleration], memory[NOISE + MEASURED.lateral_acceleration]
-            found += _correct_acceleration(at, speed, value, variance, p, memory)
+            found += _correct_acceleration(at, speed, slope, value, variance, p, memory)
         if use_angle:
             value, variance = measured[MEASURED.wheel_angle], memory[NOISE + MEASURED.wheel_angle]
-            found += _correct_offset(at, value, variance + p.angle_error, p, memory)
+            found += _correct_angle(at, slope, value, variance + p.angle_error, p, memory)
         _bound(at, p, memory)
+        memory[at + WHEELS] += memory[at + BY_LAG] * (memory[at + X + LAG] - lag)
+        memory[at + WHEELS] += slope * (memory[at + X + DEAD_TIME] - dead_time)
         memory[at + WEIGHT] = found
     if _difference(first, count, memory) > LEAST_DIFFERENCE * LEAST_DIFFERENCE:
         for i in range(count):
