@@ -29,6 +29,10 @@ LEAST_LAG = 0.02
 """s, of a steering that is learned: shorter ones make no difference at a control period of 0.05 s."""
 GRAIN = 0.4
 """Standard deviation within a hypothesis over the distance of two: together they are nearly even."""
+AGAIN = 2.0
+"""By which standard deviations of another drive are multiplied: a car changes, and they are its filters' own."""
+LEAST_UNSURE, LEAST_CHANGED = 0.02, 0.05
+"""s, that lag and dead time of an earlier drive may be off; -, that the logarithm of its stiffness may (load, tyres)."""
 SPREAD = 1.0 / math.sqrt(3.0)
 """Standard deviation of what may be anywhere within +-1."""
 
@@ -138,17 +142,17 @@ class Learning:
     """-, share of a log-likelihood that counts, for successive innovations are not independent"""
     cautious: float = 0.5
     """-, standard deviations of the delay by which the controller believes it longer than its mean"""
-    tolerated: float = 0.03
+    tolerated: float = 0.06
     """s, standard deviation of the delay that doubles R"""
     most_caution: float = 16.0
     """-, largest factor on R for the delay"""
-    tolerated_stiffness: float = 0.3
+    tolerated_stiffness: float = 0.6
     """-, standard deviation of the logarithm of the stiffness that doubles R"""
-    longer: float = 0.2
+    longer: float = 2.0
     """s per s, by which lag or dead time are believed longer at most"""
-    shorter: float = 0.1
+    shorter: float = 2.0
     """s per s, likewise shorter"""
-    stiffer: float = 0.5
+    stiffer: float = 5.0
     """1/s, by which the logarithm of the believed stiffness changes at most"""
     turning: float = 0.1
     """rad/s, by which the believed bias changes at most"""
@@ -208,40 +212,41 @@ class Learner:
                  period: float) -> None:  # fmt: skip
         self.own, self.car, self.period, self.sensing = own, car, period, sensing
         self.ranges = Ranges.of(belief, unsure)
-        self.computation, self.rate = belief.computation.value, belief.rate.value
+        self.computation, self.rate, self.lag = belief.computation.value, belief.rate.value, belief.lag.value
         self.stiffness = math.log(unsure.stiffness) + math.log1p(unsure.mass)
         self.stiffness_spread = SPREAD * math.hypot(math.log(unsure.stiffness), math.log1p(unsure.mass))
         if "rate" in belief.assumed:
             self.rate = math.inf
-        # the oldest sample is compared with wheels that moved by a command of its age before
-        longest = self.ranges.dead_time[1] + self.computation
-        self.longest = longest
-        self.kept = math.ceil((longest + sensing.oldest) / period) + 3
+        self.longest = self.ranges.dead_time[1] + self.computation
+        self.kept = math.ceil((self.longest + sensing.oldest) / period) + 3
 
     @property
-    def lags(self) -> Array:
-        """(lags,) s."""
-        low, high = self.ranges.lag
-        return _middles(low, high, self.own.lags)
-
-    @property
-    def dead_times(self) -> Array:
-        """(dead_times,) s."""
-        low, high = self.ranges.dead_time
-        return _middles(low, high, self.own.dead_times)
+    def spread(self) -> tuple[Array, Array]:
+        """Middle, and half the width, of what lag and dead time (s) may be at first, (2,) each."""
+        low, high = np.array(self.ranges).T
+        start = self.own.start
+        if start is None:
+            return 0.5 * (low + high), 0.5 * (high - low)
+        unsure = np.maximum(AGAIN * np.array([start.lag_sigma, start.dead_time_sigma]), LEAST_UNSURE)
+        middle = np.clip([start.lag, start.dead_time], low, high)
+        return middle, np.where(high > low, unsure / SPREAD, 0.0)
 
     @property
     def hypotheses(self) -> Array:
-        """(n, 2) lag and dead time (s)."""
-        return np.array([(lag, dead) for lag in self.lags for dead in self.dead_times])
+        """(n, 2) lag and dead time (s) at which the filters begin: middles of equal parts of what they may be."""
+        middle, half = self.spread
+        low, high = np.array(self.ranges).T
+        counts = (self.own.lags, self.own.dead_times)
+        lags, dead_times = (
+            np.clip(m + h * _middles(n if h > 0.0 else 1), a, b)
+            for m, h, n, a, b in zip(middle, half, counts, low, high, strict=True)
+        )
+        return np.array([(lag, dead_time) for lag in lags for dead_time in dead_times])
 
     @property
-    def grains(self) -> tuple[float, float]:
-        """Standard deviation of lag and dead time (s) within a hypothesis."""
-        low, high = np.array(self.ranges).T
-        counts = np.array([self.own.lags, self.own.dead_times])
-        lag, dead_time = GRAIN * (high - low) / counts
-        return float(lag), float(dead_time)
+    def grains(self) -> Array:
+        """(2,) standard deviation of lag and dead time (s) within a hypothesis."""
+        return GRAIN * 2.0 * self.spread[1] / (self.own.lags, self.own.dead_times)
 
     def parameters(self) -> Array:
         """In the order of `kernels.estimators.learning.NUMBERS`."""
@@ -261,7 +266,7 @@ class Learner:
         (least_lag, most_lag), (least_dead, most_dead) = self.ranges
         variances = dict(zip((f"variance_{name}" for name in SENSORS), self.sensing.variances(), strict=True))
         given |= {
-            "period": period, "computation": self.computation, "hypotheses": len(self.hypotheses), "kept": self.kept,
+            "period": period, "computation": self.computation, "lag": self.lag, "hypotheses": len(self.hypotheses), "kept": self.kept,
             "mass": car.mass, "yaw_inertia": car.yaw_inertia, "lf": car.lf, "lr": car.lr,
             "stiffness_front": 2.0 * car.stiffness_front, "stiffness_rear": 2.0 * car.stiffness_rear,
             "wind_turn": wind_turn(car), "rate": self.rate, "bound": own.bound,
@@ -295,43 +300,29 @@ class Learner:
         spread[kernel.OFFSET] = 0.05
         x = np.zeros(kernel.STATES)
         x[kernel.FRICTION] = math.log(own.friction)
-        prior = np.zeros(len(pairs))
         if start is not None:
-            x[kernel.STIFFNESS], spread[kernel.STIFFNESS] = math.log(start.stiffness), start.stiffness_sigma
-            x[kernel.BALANCE], spread[kernel.BALANCE] = 0.5 * math.log(start.balance), 0.5 * start.balance_sigma
-            x[kernel.BIAS], spread[kernel.BIAS] = start.bias, start.bias_sigma
-            prior = self._prior_of(start, pairs)
+            x[kernel.STIFFNESS], x[kernel.BALANCE] = math.log(start.stiffness), 0.5 * math.log(start.balance)
+            x[kernel.BIAS] = start.bias
+            spread[kernel.STIFFNESS] = min(AGAIN * start.stiffness_sigma + LEAST_CHANGED, spread[kernel.STIFFNESS])
+            spread[kernel.BALANCE] = min(AGAIN * start.balance_sigma, spread[kernel.BALANCE])
+            spread[kernel.BIAS] = min(AGAIN * start.bias_sigma, spread[kernel.BIAS])
         first = kernel.blocks_at(self.kept)
         for i, (lag, dead) in enumerate(pairs):
             at = first + kernel.BLOCK * i
             x[kernel.LAG], x[kernel.DEAD_TIME] = lag, dead + self.computation
-            memory[at + kernel.PRIOR] = prior[i]
             memory[at + kernel.X : at + kernel.X + kernel.STATES] = x
             for state in range(kernel.STATES):
                 memory[at + kernel.P + (kernel.ROW + 1) * state] = spread[state] ** 2
-        self._tell(memory, pairs, np.exp(prior - prior.max()), x, spread)
+        self._tell(memory, x, spread)
         return memory
 
-    def _prior_of(self, start: Learned, pairs: Array) -> Array:
-        """(n,) log-weights of the hypotheses by what was learned before: normal in lag and dead time."""
-        of_lag, of_dead = start.lag_sigma**2, start.dead_time_sigma**2
-        both = 0.5 * (start.delay_sigma**2 - start.lag_sigma**2 - start.dead_time_sigma**2)
-        limit = 0.95 * math.sqrt(of_lag * of_dead)
-        both = min(max(both, -limit), limit)
-        gap = pairs - (start.lag, start.dead_time)
-        if not (of_lag > 0.0 and of_dead > 0.0):
-            return np.zeros(len(pairs))
-        inverse = np.linalg.inv([[of_lag, both], [both, of_dead]])
-        return np.asarray(np.maximum(-0.5 * np.einsum("ij,jk,ik->i", gap, inverse, gap), -20.0))
-
-    def _tell(self, memory: Array, pairs: Array, weights: Array, x: Array, spread: Array) -> None:
+    def _tell(self, memory: Array, x: Array, spread: Array) -> None:
         """The belief before the first sample."""
         from adaptrack.kernels.estimators import learning as kernel
 
-        weights = weights / weights.sum()
-        lag, dead = weights @ pairs
-        grains = np.diag(np.square(self.grains))
-        cov = (pairs - (lag, dead)).T @ (weights[:, None] * (pairs - (lag, dead))) + grains
+        pairs = self.hypotheses
+        lag, dead = pairs.mean(axis=0)
+        cov = np.cov(pairs.T, ddof=0) + np.diag(np.square(self.grains))
         sigma = math.sqrt(max(float(cov.sum()), 1e-8))
         later = self.own.cautious / sigma * cov.sum(axis=1)
         (least_lag, most_lag), (least_dead, most_dead) = self.ranges
@@ -385,6 +376,6 @@ class Learner:
         return Learned(car=self.car.name, **kept, seconds=seconds)
 
 
-def _middles(low: float, high: float, count: int) -> Array:
-    """(count,) middles of equal parts of a range; of one that is a point, that point."""
-    return low + (high - low) * (np.arange(count) + 0.5) / count if high > low else np.array([low])
+def _middles(count: int) -> Array:
+    """(count,) middles of equal parts of -1..1."""
+    return (2.0 * np.arange(count) + 1.0) / count - 1.0

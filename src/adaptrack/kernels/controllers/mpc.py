@@ -503,17 +503,20 @@ def _free_response(slot, horizon, reference, mpc, functions):
 
 
 @njit(**PART)
-def _widen_first_move(command, mpc):
+def _widen_first_move(slot, command, mpc):
     """Let the first move bring the command ahead of the wheels, as far as the actuator follows without its rate limit.
 
     A first-order lag turns the wheels at (command - angle)/lag, so |command - angle| <= rate lag is what it can do.
     """
     settings, ws = mpc.settings[0], mpc.ws
+    ahead = settings.ahead
+    if mpc.learner.size > 0:
+        ahead = learning.ahead_of(ahead, mpc.learner, mpc.learned[slot])
     for i in range(mpc.states.size):
         if mpc.states[i] == MEASURED.wheel_angle:
             wheels = mpc.estimate[0, i]
-            ws.bounds[0] = max(settings.move_max, wheels + settings.ahead - command)
-            ws.bounds[1] = max(-settings.move_min, command - wheels + settings.ahead)
+            ws.bounds[0] = max(settings.move_max, wheels + ahead - command)
+            ws.bounds[1] = max(-settings.move_min, command - wheels + ahead)
 
 
 @njit(**PART)
@@ -528,7 +531,7 @@ def _bound(slot, nc, horizon, mpc):
     for b in range(vectors.WIDTH, 4 * nc, vectors.WIDTH):
         vectors.store(ws.bounds, b, vectors.load(ws.bounds, 0))
     if settings.ahead > 0.0 and mpc.estimate.shape[0] > 0:
-        _widen_first_move(angle, mpc)
+        _widen_first_move(slot, angle, mpc)
     if _has_output_limits(settings):
         for j in range(horizon):
             response = ws.reference[j] - ws.error[j]  # F x~

@@ -46,6 +46,7 @@ from . import kalman
 NUMBERS = (
     "period",  # s
     "computation",  # s, from a measurement until its command is given
+    "lag",  # s, of the steering, as told
     "hypotheses",  # how many
     "kept",  # commands that are remembered
     "mass", "yaw_inertia", "lf", "lr", "stiffness_front", "stiffness_rear",  # as known; stiffness of an axle
@@ -107,11 +108,11 @@ _SEEN = _NOISE_COUNT + WIDTH  # the last samples of each sensor, the latest firs
 _SCRATCH = _SEEN + 3 * WIDTH  # two rows of F; h
 SENT = _SCRATCH + 4 * ROW
 """Place in the memory of the commands that were sent, the latest first."""
-WHEELS, BY_LAG, SWEPT, SWEPT_BY_LAG, EVIDENCE, PRIOR, WEIGHT = range(7)
+WHEELS, BY_LAG, SWEPT, SWEPT_BY_LAG, EVIDENCE, WEIGHT = range(6)
 X, P = WIDTH, WIDTH + ROW
 BLOCK = P + ROW * STATES
 """Numbers of a filter: wheel angle (rad), its slope over the lag (rad/s), both integrated over a period, log of its
-likelihood and of its prior, weight; x; P by rows."""
+likelihood, weight; x; P by rows."""
 VY, RATE, WIND, BIAS, BANK, STIFFNESS, BALANCE, FRICTION, LAG, DEAD_TIME, OFFSET = range(STATES)
 """States; the dead time with the computation."""
 SLOWEST = 2.0
@@ -500,16 +501,11 @@ def _weigh(first, count, memory):
     """The weights of the hypotheses."""
     best, total = -math.inf, 0.0
     for i in range(count):
-        at = first + BLOCK * i
-        best = max(best, memory[at + EVIDENCE])
-    top = -math.inf
+        best = max(best, memory[first + BLOCK * i + EVIDENCE])
     for i in range(count):
         at = first + BLOCK * i
         memory[at + EVIDENCE] = max(memory[at + EVIDENCE] - best, LOWEST)
-        top = max(top, memory[at + EVIDENCE] + memory[at + PRIOR])
-    for i in range(count):
-        at = first + BLOCK * i
-        memory[at + WEIGHT] = math.exp(memory[at + EVIDENCE] + memory[at + PRIOR] - top)
+        memory[at + WEIGHT] = math.exp(memory[at + EVIDENCE])
         total += memory[at + WEIGHT]
     for i in range(count):
         memory[first + BLOCK * i + WEIGHT] /= total
@@ -656,6 +652,13 @@ def lead_of(parameters, memory):
     """Periods from an instant until its command begins to act, as believed."""
     p = _unpack(parameters)
     return (memory[ANSWER + BELIEF.used_dead_time] + p.computation) / p.period
+
+
+@njit(**INLINE)
+def ahead_of(ahead, parameters, memory):
+    """By how much (rad) the command may be ahead of the wheels; ahead: for the lag as told."""
+    p = _unpack(parameters)
+    return ahead * (memory[ANSWER + BELIEF.used_lag] + p.period) / (p.lag + p.period)
 
 
 @njit(BELIEVE, **ROUTINE)
