@@ -17,6 +17,8 @@ from adaptrack.cli.show import Column
 from adaptrack.cli.simulate import (
     FAILED,
     Asked,
+    asked_learning,
+    keep_learned,
     make_controller,
     measured_row,
     tell_belief,
@@ -59,6 +61,8 @@ def drive(
     tyre: options.Tyre = None,
     driver: Annotated[bool, Option("--driver/--perfect-speed", help="Powertrain and driver, or exact speed.")] = False,
     period: Annotated[float | None, Option(help="Control period (s); by default the profile's.")] = None,
+    learn: options.Learn = False,
+    learned: options.LearnedFile = None,
     seed: Annotated[int, Option("--seed", help="Of the sensor noise.")] = 0,
     max_deviation: roads.MaxDeviation = None,
     closed: roads.Closed = None,
@@ -91,7 +95,8 @@ def drive(
     seen = roads.look(road, given, car, speed, lateral_acceleration)
     world = load_profile(profile)
     trip = RoadDrive(seen.road, seen.plan, laps=laps, wind=wind, start_offset=offset, start_heading=heading)
-    asked = Asked(car, world, world.period if period is None else period, preview=True)
+    asked = Asked(car, world, world.period if period is None else period, preview=True,
+                  learning=asked_learning(learn, learned))  # fmt: skip
     controllers = [make_controller(name, asked) for name in dict.fromkeys(controller or [asked.usual])]
     if out is not None:
         options.make_folder(out)
@@ -109,6 +114,8 @@ def drive(
             if out is not None:
                 _keep(run, out / f"{file}.parquet")
     rows = [run.row for run in runs]
+    if not any(row["failed"] for row in rows):
+        keep_learned(learned, controllers, as_json)
     if out is not None:
         show.say(f"Page: {_write_page(out, runs)}", aside=as_json)
     _print(trip, rows, as_json)

@@ -4,7 +4,7 @@ from adaptrack.controllers.base import Command, CompiledController, Controller
 from adaptrack.controllers.belief import Belief, Uncertainty
 from adaptrack.controllers.check import check_controller
 from adaptrack.controllers.informed import informed_tuning
-from adaptrack.controllers.learned import Learned, Learning, load_learned
+from adaptrack.controllers.learned import LearnedCar, Learning, load_learned_car
 from adaptrack.controllers.limits import Limits, Moves
 from adaptrack.controllers.lqr import LQR
 from adaptrack.controllers.mpc import MPC, CompiledScheduler, MPCCommand, Scheduler
@@ -24,7 +24,7 @@ __all__ = [
     "CompiledController",
     "CompiledScheduler",
     "Controller",
-    "Learned",
+    "LearnedCar",
     "Learning",
     "Limits",
     "MPCCommand",
@@ -39,7 +39,7 @@ __all__ = [
     "get_controller",
     "informed_tuning",
     "list_controllers",
-    "load_learned",
+    "load_learned_car",
     "published_mpc",
     "read_tuning",
     "register_controller",

@@ -17,7 +17,7 @@ from adaptrack.errors import InvalidInput, real, whole
 from adaptrack.files import Record, build, read_toml
 from adaptrack.kalman import SENSORS, Drifts, KalmanFilter, wind_turn
 from adaptrack.models import PathModel
-from adaptrack.vehicle import Vehicle
+from adaptrack.vehicle import SteeringActuator, Tyre, Vehicle
 
 Array = NDArray[np.float64]
 
@@ -32,12 +32,12 @@ GRAIN = 0.4
 AGAIN = 2.0
 """By which standard deviations of another drive are multiplied: a car changes, and they are its filters' own."""
 LEAST_UNSURE, LEAST_CHANGED = 0.02, 0.05
-"""s, that lag and dead time of an earlier drive may be off; -, that the logarithm of its stiffness may (load, tyres)."""
+"""s, by which lag and dead time of an earlier drive may be off; -, likewise the logarithm of its stiffness."""
 SPREAD = 1.0 / math.sqrt(3.0)
 """Standard deviation of what may be anywhere within +-1."""
 
 
-class Learned(Record):
+class LearnedCar(Record):
     """What has been learned of a car, each with its standard deviation: for the next drive, see `Learning.start`.
 
     Raises
@@ -71,8 +71,8 @@ class Learned(Record):
         super().to_toml(path)
 
 
-def load_learned(path: str | os.PathLike[str]) -> Learned:
-    """What `Learned.to_toml` has written.
+def load_learned_car(path: str | os.PathLike[str]) -> LearnedCar:
+    """What `LearnedCar.to_toml` has written.
 
     Raises
     ------
@@ -81,7 +81,7 @@ def load_learned(path: str | os.PathLike[str]) -> Learned:
     ConfigError
         When it is not TOML, or holds an unknown, missing or impossible value; all of them are in the message.
     """
-    return build(Learned, read_toml(path), Path(path))
+    return build(LearnedCar, read_toml(path), Path(path))
 
 
 @dataclass(frozen=True)
@@ -97,7 +97,7 @@ class Learning:
         When a number is not allowed.
     """
 
-    start: Learned | None = None
+    start: LearnedCar | None = None
     lags: int = 3
     dead_times: int = 3
     bias: float = 0.02
@@ -167,8 +167,10 @@ class Learning:
         for each in fields(self):
             value = getattr(self, each.name)
             if each.name == "start":
-                if not isinstance(value, Learned | None):
-                    raise InvalidInput(f"Learning: start = {value!r}: must be a Learned; load_learned(file) gives one.")
+                if not isinstance(value, LearnedCar | None):
+                    raise InvalidInput(
+                        f"Learning: start = {value!r}: must be a LearnedCar; load_learned_car(file) gives one."
+                    )
             elif each.name in ("lags", "dead_times"):
                 if not 1 <= whole("Learning", each.name, value) <= 12:
                     raise InvalidInput(f"Learning: {each.name} = {value!r}: must be from 1 to 12.")
@@ -205,12 +207,23 @@ class Ranges(NamedTuple):
 class Learner:
     """`Learning` of a car: the numbers of the compiled learner.
 
-    car: as believed; ranges: of its steering; unsure: how far stiffness and mass may be wrong.
+    car: as believed; belief: of its steering; unsure: how far both may be wrong; sensing: the filter, with its sensors;
+    period: control period (s).
+
+    Raises
+    ------
+    InvalidInput
+        When what was learned before is of another car.
     """
 
     def __init__(self, own: Learning, car: Vehicle, belief: Belief, unsure: Uncertainty, sensing: KalmanFilter,
                  period: float) -> None:  # fmt: skip
         self.own, self.car, self.period, self.sensing = own, car, period, sensing
+        if own.start is not None and own.start.car not in ("", car.name):
+            raise InvalidInput(
+                f"Learning: start: learned of car {own.start.car!r}, and the controller's is {car.name!r}: begin "
+                "without it, or give it as LearnedCar(..., car='') if it is the same."
+            )
         self.ranges = Ranges.of(belief, unsure)
         self.computation, self.rate, self.lag = belief.computation.value, belief.rate.value, belief.lag.value
         self.stiffness = math.log(unsure.stiffness) + math.log1p(unsure.mass)
@@ -261,12 +274,13 @@ class Learner:
             "drift_lag": own.drift_delay, "drift_dead_time": own.drift_delay, "drift_wheels": Drifts().wheel_angle,
         }  # fmt: skip
         given = {name: value**2 * period for name, value in drifts.items()}
-        given |= {name: math.exp(-period / time) for name, time in (
-            ("wind_left", own.wind_time), ("bank_left", own.bank_time), ("friction_left", own.friction_time))}  # fmt: skip
+        times = {"wind_left": own.wind_time, "bank_left": own.bank_time, "friction_left": own.friction_time}
+        given |= {name: math.exp(-period / time) for name, time in times.items()}
         (least_lag, most_lag), (least_dead, most_dead) = self.ranges
         variances = dict(zip((f"variance_{name}" for name in SENSORS), self.sensing.variances(), strict=True))
         given |= {
-            "period": period, "computation": self.computation, "lag": self.lag, "hypotheses": len(self.hypotheses), "kept": self.kept,
+            "period": period, "computation": self.computation, "lag": self.lag,
+            "hypotheses": len(self.hypotheses), "kept": self.kept,
             "mass": car.mass, "yaw_inertia": car.yaw_inertia, "lf": car.lf, "lr": car.lr,
             "stiffness_front": 2.0 * car.stiffness_front, "stiffness_rear": 2.0 * car.stiffness_rear,
             "wind_turn": wind_turn(car), "rate": self.rate, "bound": own.bound,
@@ -362,7 +376,33 @@ class Learner:
         lead = (float(memory[ANSWER + BELIEF.used_dead_time]) + self.computation) / self.period
         return lead * self.period
 
-    def learned(self, memory: Array) -> Learned:
+    def truth(self, steering: SteeringActuator, plant: Any) -> dict[str, float]:
+        """What there is to be learned in a simulated world, by the names of `LearnedCar`: of a plant with its own tyre.
+
+        Stiffness and balance are those of the tyres at the static loads over the mass.
+        """
+        found = {"lag": steering.lag, "dead_time": steering.dead_time, "bias": steering.bias}
+        car, tyre = getattr(plant, "vehicle", None), getattr(plant, "tyre", None)
+        if isinstance(car, Vehicle) and isinstance(tyre, Tyre):
+            front, rear = (
+                stiffness / car.mass / (believed / self.car.mass)
+                for stiffness, believed in zip(
+                    tyre.stiffness_at(*car.static_loads), (self.car.stiffness_front, self.car.stiffness_rear),
+                    strict=True,
+                )
+            )  # fmt: skip
+            found |= {"stiffness": math.sqrt(front * rear), "balance": front / rear}
+        return {**found, "delay": steering.lag + steering.dead_time}
+
+    def again(self, memory: Array) -> Array:
+        """A memory before the first step of another drive."""
+        from adaptrack.kernels.estimators import learning as kernel
+
+        fresh = memory.copy()
+        fresh[kernel.COUNT] = 0.0
+        return fresh
+
+    def learned(self, memory: Array) -> LearnedCar:
         """What a memory holds."""
         from adaptrack.kernels.estimators import learning as kernel
 
@@ -370,10 +410,10 @@ class Learner:
         known: dict[str, Any] = {
             name.removeprefix("belief_"): float(value) for name, value in zip(kernel.BELIEFS, answer, strict=True)
         }
-        kept = {name: known[name] for name in Learned.model_fields if name in known}
+        kept = {name: known[name] for name in LearnedCar.model_fields if name in known}
         seconds = self.period * float(memory[kernel.COUNT])
         seconds += 0.0 if self.own.start is None else self.own.start.seconds
-        return Learned(car=self.car.name, **kept, seconds=seconds)
+        return LearnedCar(car=self.car.name, **kept, seconds=seconds)
 
 
 def _middles(count: int) -> Array:

@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike, NDArray
 from adaptrack.controllers.belief import Uncertainty
 from adaptrack.controllers.informed import Parts, informed_parts
 from adaptrack.controllers.inputs import finite, number, vector
-from adaptrack.controllers.learned import Learned, Learning
+from adaptrack.controllers.learned import LearnedCar, Learning
 from adaptrack.controllers.limits import Limits, Moves
 from adaptrack.controllers.made_for import INCREMENTAL, mismatches
 from adaptrack.controllers.tuning import ENTRIES, Tuning, read_tuning
@@ -176,7 +176,8 @@ class MPC:
         else:
             if not (profile is None and belief is None and uncertainty is None and learning is None):
                 raise InvalidInput(
-                    "MPC: profile, belief, uncertainty and learning choose model and estimator: give those, or these."
+                    "MPC: profile, belief and uncertainty, or learning, choose model and estimator: give those, or "
+                    "these."
                 )
             parts = _given_parts(vehicle, model, filtering, period)
         self.tuning = parts.tuning if tuning is None else tuning
@@ -237,7 +238,7 @@ class MPC:
 
         return (*_DIAGNOSTICS, *BELIEFS)
 
-    def learned(self) -> Learned:
+    def learned(self) -> LearnedCar:
         """What has been learned of the car so far.
 
         Raises
@@ -345,6 +346,13 @@ class MPC:
         self._variables = np.zeros(len(NAMES))
         self._raised = 0
         self._load()
+
+    def restart(self) -> None:
+        """Forget the past, but not what has been learned of the car: for another drive of it."""
+        before = self._mpc.learned
+        self.reset()
+        if self.learner is not None:
+            self._mpc.learned[:] = self.learner.again(before[0])
 
     def _load(self) -> None:
         """What a copy cannot carry along: the lock, addresses, compiled functions."""
@@ -682,9 +690,7 @@ class MPC:
         self._parts.apply_move(0, int(status), iterations, (n, m), self._mpc)
 
     def _command(self) -> MPCCommand:
-        angle, move, held, Np, Nc, Q, R, status, iterations, residual, at_limit, reckoned, *rest = (
-            self._answer.tolist()
-        )
+        angle, move, held, Np, Nc, Q, R, status, iterations, residual, at_limit, reckoned, *rest = self._answer.tolist()
         made = (
             angle, move, held > 0.5, (Np, Nc, Q, R), _STATUSES[int(status)], int(iterations), residual, int(at_limit),
             reckoned, tuple(rest),
