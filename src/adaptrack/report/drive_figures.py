@@ -199,10 +199,12 @@ def along_key(drives: Drives) -> list[tuple[str, style.Stroke]]:
 
 
 LEARNED = {
-    "delay": ("Lag and dead time", "s"), "lag": ("Steering lag", "s"), "stiffness": ("Stiffness over mass", "× model"),
-    "bias": ("Steering bias", "rad"), "bank": ("Bank", "m/s²"), "friction": ("Friction", "–"),
+    "delay": ("Lag and dead time", "Delay (s)", "s"), "lag": ("Steering lag", "Lag (s)", "s"),
+    "stiffness": ("Stiffness over mass, of the model's", "Factor (–)", ""),
+    "bias": ("Steering bias", "Bias (rad)", "rad"), "bank": ("Pull of the bank", "Pull (m/s²)", "m/s²"),
+    "friction": ("Friction", "μ (–)", ""),
 }  # fmt: skip
-"""Learned quantities that are drawn: title and unit."""
+"""Learned quantities that are drawn: title, label and unit."""
 
 
 def learned_panels(drives: Drives) -> list[Panel]:
@@ -210,9 +212,9 @@ def learned_panels(drives: Drives) -> list[Panel]:
     shown = {key: drive for key, drive in drives.items() if drive.learned}
     strokes = style.strokes(drives)
     return [
-        Panel(title, partial(_draw_learned, name, f"{title} ({unit})", shown, strokes),
+        Panel(title, partial(_draw_learned, name, label, shown, strokes),
               "; ".join(f"{key}: {drive.learned[name].mean[-1]:.3g} {unit} in the end" for key, drive in shown.items()))
-        for name, (title, unit) in LEARNED.items() if shown
+        for name, (title, label, unit) in LEARNED.items() if shown
     ]  # fmt: skip
 
 
@@ -248,7 +250,8 @@ def _draw_learned(name: str, label: str, drives: Drives, strokes: Mapping[str, s
         axes.fill_between(time, learnt.low[keep], learnt.high[keep], color=stroke.colour, alpha=0.2, linewidth=0.0)
         axes.plot(time, learnt.mean[keep], color=stroke.colour, linestyle=stroke.dash)
         if learnt.truth is not None:
-            axes.axhline(learnt.truth, color=style.REFERENCE.colour, linestyle=style.REFERENCE.dash, linewidth=1.0)
+            look: dict[str, Any] = {"color": style.REFERENCE.colour, "linestyle": style.REFERENCE.dash}
+            axes.plot(drive.time, learnt.truth, linewidth=1.0, **look)
     axes.set_ylabel(label)
     axes.set_xlabel("Time (s)")
 

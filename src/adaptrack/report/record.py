@@ -41,8 +41,8 @@ class Learnt(NamedTuple):
     low: Array
     """one standard deviation below"""
     high: Array
-    truth: float | None = None
-    """in simulation, where it is one number"""
+    truth: Array | None = None
+    """in simulation"""
 
 
 @dataclass(frozen=True)
@@ -247,7 +247,10 @@ LOGARITHMIC = ("stiffness", "balance", "friction")
 
 def _learned(run: Trajectory, end: int) -> dict[str, Learnt]:
     """What a run says of each learned quantity up to an instant."""
-    truth, found = run.meta.get("truth", {}), {}
+    truth = {name: np.full(len(run), value) for name, value in run.meta.get("truth", {}).items()}
+    if truth:
+        truth["friction"] = run.friction.mean(axis=1)
+    found = {}
     for key, mean in run.diagnostics.items():
         name = key.removeprefix("belief_")
         sigma = run.diagnostics.get(f"{key}_sigma")
@@ -257,5 +260,6 @@ def _learned(run: Trajectory, end: int) -> dict[str, Learnt]:
             low, high = mean * np.exp(-sigma), mean * np.exp(sigma)
         else:
             low, high = mean - sigma, mean + sigma
-        found[name] = Learnt(mean[:end], low[:end], high[:end], truth.get(name))
+        real_one = truth.get(name)
+        found[name] = Learnt(mean[:end], low[:end], high[:end], None if real_one is None else real_one[:end])
     return found

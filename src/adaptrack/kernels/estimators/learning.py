@@ -262,7 +262,10 @@ def _predict_state(at, speed, before, p, memory):
     e = _times(phi, jacobian)
     f0, f1 = _SCRATCH, _SCRATCH + ROW
     by_lag, by_dead_time = memory[at + SWEPT_BY_LAG] / h, (before - memory[at + WHEELS]) / h
-    of_front, of_rear = sf * slip_front, sr * slip_rear
+    more_vy, more_r = h * (phi[0] * rate_vy + phi[1] * rate_r), h * (phi[2] * rate_vy + phi[3] * rate_r)
+    # stiffness acts on the slip in the middle of the period
+    of_front = sf * (slip_front - 0.5 * (more_vy + lf * more_r) / speed)
+    of_rear = sr * (slip_rear - 0.5 * (more_vy - lr * more_r) / speed)
     memory[f0 + VY], memory[f0 + RATE] = 1.0 + h * e[0], h * e[1]
     memory[f1 + VY], memory[f1 + RATE] = h * e[2], 1.0 + h * e[3]
     for state in range(WIND, OFFSET):
@@ -284,8 +287,8 @@ def _predict_state(at, speed, before, p, memory):
         memory[f0 + state] = h * (phi[0] * by_vy + phi[1] * by_r)
         memory[f1 + state] = h * (phi[2] * by_vy + phi[3] * by_r)
     memory[f0 + OFFSET], memory[f1 + OFFSET] = 0.0, 0.0
-    memory[x + VY] += h * (phi[0] * rate_vy + phi[1] * rate_r)
-    memory[x + RATE] += h * (phi[2] * rate_vy + phi[3] * rate_r)
+    memory[x + VY] += more_vy
+    memory[x + RATE] += more_r
     memory[x + WIND] *= p.wind_left
     memory[x + BANK] *= p.bank_left
     memory[x + FRICTION] = p.usual_friction + p.friction_left * (memory[x + FRICTION] - p.usual_friction)
