@@ -29,8 +29,6 @@ LEAST_LAG = 0.02
 """s, of a steering that is learned: shorter ones make no difference at a control period of 0.05 s."""
 GRAIN = 0.4
 """Standard deviation within a hypothesis over the distance of two: together they are nearly even."""
-AGAIN = 2.0
-"""By which standard deviations of another drive are multiplied: a car changes, and they are its filters' own."""
 LEAST_UNSURE, LEAST_CHANGED = 0.02, 0.05
 """s, by which lag and dead time of an earlier drive may be off; -, likewise the logarithm of its stiffness."""
 SPREAD = 1.0 / math.sqrt(3.0)
@@ -98,8 +96,8 @@ class Learning:
     """
 
     start: LearnedCar | None = None
-    lags: int = 3
-    dead_times: int = 3
+    lags: int = 2
+    dead_times: int = 2
     bias: float = 0.02
     """rad, bias of the steering to either side"""
     balance: float = 1.18
@@ -140,6 +138,8 @@ class Learning:
     """s of exciting driving after which evidence about the delay is forgotten"""
     tempering: float = 0.5
     """-, share of a log-likelihood that counts, for successive innovations are not independent"""
+    modest: float = 2.0
+    """-, factor on the standard deviations of the filters, which know nothing of relaxation and load of the tyres"""
     cautious: float = 0.5
     """-, standard deviations of the delay by which the controller believes it longer than its mean"""
     tolerated: float = 0.06
@@ -182,7 +182,7 @@ class Learning:
         ):  # fmt: skip
             if not getattr(self, name) > 0.0:
                 raise InvalidInput(f"Learning: {name} = {getattr(self, name)!r}: must be positive.")
-        for name in ("balance", "most_caution", "noise"):
+        for name in ("balance", "most_caution", "noise", "modest"):
             if not getattr(self, name) >= 1.0:
                 raise InvalidInput(f"Learning: {name} = {getattr(self, name)!r}: must be at least 1.")
 
@@ -240,7 +240,7 @@ class Learner:
         start = self.own.start
         if start is None:
             return 0.5 * (low + high), 0.5 * (high - low)
-        unsure = np.maximum(AGAIN * np.array([start.lag_sigma, start.dead_time_sigma]), LEAST_UNSURE)
+        unsure = np.maximum([start.lag_sigma, start.dead_time_sigma], LEAST_UNSURE)
         middle = np.clip([start.lag, start.dead_time], low, high)
         return middle, np.where(high > low, unsure / SPREAD, 0.0)
 
@@ -288,6 +288,7 @@ class Learner:
             "usual_friction": math.log(own.friction), "sliding": own.sliding**2, "angle_error": own.angle_error**2,
             "least_lag": least_lag, "most_lag": most_lag, "least_dead_time": least_dead, "most_dead_time": most_dead,
             "most_stiffness": self.stiffness, "most_balance": 0.5 * math.log(own.balance), "most_bias": 1.5 * own.bias,
+            "modest": own.modest, **self._priors(),
             "cautious": own.cautious, "tolerated": own.tolerated, "most_caution": own.most_caution,
             "tolerated_stiffness": own.tolerated_stiffness,
             "longer": own.longer * period, "shorter": own.shorter * period, "stiffer": own.stiffer * period,
@@ -295,6 +296,14 @@ class Learner:
             "noise_share": min(1.0, period / own.noise_time), "noise_range": own.noise, **variances,
         }  # fmt: skip
         return np.array([given[name] for name in NUMBERS], dtype=float)
+
+    def _priors(self) -> dict[str, float]:
+        """Standard deviations before the first sample, as the learner is told them."""
+        from adaptrack.kernels.estimators.learning import ANSWER, BELIEFS
+
+        answer = self.fresh()[ANSWER:]
+        names = ("lag", "dead_time", "delay", "stiffness", "balance", "bias")
+        return {f"prior_{name}": float(answer[BELIEFS.index(f"belief_{name}_sigma")]) for name in names}
 
     def fresh(self) -> Array:
         """The learner's memory before the first sample."""
@@ -317,9 +326,9 @@ class Learner:
         if start is not None:
             x[kernel.STIFFNESS], x[kernel.BALANCE] = math.log(start.stiffness), 0.5 * math.log(start.balance)
             x[kernel.BIAS] = start.bias
-            spread[kernel.STIFFNESS] = min(AGAIN * start.stiffness_sigma + LEAST_CHANGED, spread[kernel.STIFFNESS])
-            spread[kernel.BALANCE] = min(AGAIN * start.balance_sigma, spread[kernel.BALANCE])
-            spread[kernel.BIAS] = min(AGAIN * start.bias_sigma, spread[kernel.BIAS])
+            spread[kernel.STIFFNESS] = min(start.stiffness_sigma + LEAST_CHANGED, spread[kernel.STIFFNESS])
+            spread[kernel.BALANCE] = min(start.balance_sigma, spread[kernel.BALANCE])
+            spread[kernel.BIAS] = min(start.bias_sigma, spread[kernel.BIAS])
         first = kernel.blocks_at(self.kept)
         for i, (lag, dead) in enumerate(pairs):
             at = first + kernel.BLOCK * i

@@ -65,6 +65,8 @@ NUMBERS = (
     "angle_error",  # rad^2, variance by which a wheel angle deviates from its model, beside the sensor's noise
     "least_lag", "most_lag", "least_dead_time", "most_dead_time",  # s, what was told
     "most_stiffness", "most_balance", "most_bias",  # bounds of |s|, |q| and |b|
+    "modest",  # factor on the standard deviations of the filters: what they leave out makes them too small
+    "prior_lag", "prior_dead_time", "prior_delay", "prior_stiffness", "prior_balance", "prior_bias",  # what was told
     "cautious",  # standard deviations of the delay that are added to its mean
     "tolerated", "most_caution",  # s, standard deviation that doubles R; largest factor on R
     "tolerated_stiffness",  # the same of s
@@ -557,6 +559,12 @@ def _toward(now, wanted, more, less):
 
 
 @njit(**INLINE)
+def _widen(place, prior, p, memory):
+    """Tell a standard deviation that is not too small, nor larger than what was told."""
+    memory[ANSWER + place] = min(p.modest * memory[ANSWER + place], max(prior, memory[ANSWER + place]))
+
+
+@njit(**INLINE)
 def _tell(first, count, p, parameters, memory):
     """Write what is learned, and let what the controller believes follow it."""
     out = ANSWER
@@ -599,6 +607,12 @@ def _tell(first, count, p, parameters, memory):
     memory[out + BELIEF.used_bias] = _toward(used, memory[out + BELIEF.belief_bias], p.turning, p.turning)
     caution = min(1.0 + variance / (p.tolerated * p.tolerated), p.most_caution)
     memory[out + BELIEF.used_caution] = caution * (1.0 + (unsure / p.tolerated_stiffness) ** 2)
+    _widen(BELIEF.belief_lag_sigma, p.prior_lag, p, memory)
+    _widen(BELIEF.belief_dead_time_sigma, p.prior_dead_time, p, memory)
+    _widen(BELIEF.belief_delay_sigma, p.prior_delay, p, memory)
+    _widen(BELIEF.belief_stiffness_sigma, p.prior_stiffness, p, memory)
+    _widen(BELIEF.belief_balance_sigma, p.prior_balance, p, memory)
+    _widen(BELIEF.belief_bias_sigma, p.prior_bias, p, memory)
 
 
 @njit(LEARN, **ROUTINE)
@@ -695,6 +709,6 @@ def believe(parameters, memory, model, own, remembered):
     for sensor in range(kalman.SENSORS):
         told = parameters[_VARIANCE + sensor]
         own[kalman.VARIANCE + sensor] = memory[NOISE + sensor] if told < math.inf else told
-    unknown = p.wandering * memory[out + BELIEF.belief_delay_sigma]
+    unknown = p.wandering * memory[out + BELIEF.belief_delay_sigma] / p.modest
     own[kalman.DRIFT_WHEELS] = p.drift_wheels + unknown * unknown * p.period
     kalman.forget_speed(remembered)
