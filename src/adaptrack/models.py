@@ -293,11 +293,11 @@ class PathModel(PredictionModel):
         return discretise
 
     def turning(self) -> Array:
-        v = self.vehicle
-        cf, cr, wheelbase = 2 * v.stiffness_front, 2 * v.stiffness_rear, v.lf + v.lr
-        understeer = v.mass * (v.lr * cr - v.lf * cf) / (wheelbase * cf * cr)
-        built = ((cf + cr) * v.yaw_inertia + (v.lf**2 * cf + v.lr**2 * cr) * v.mass) / (cf * cr * wheelbase)
-        return np.array([wheelbase, understeer, built, v.lr, self.lag])
+        from adaptrack.kernels.models.path import write_turning
+
+        found = np.zeros(5)
+        write_turning(self.parameters(), found)
+        return found
 
     def continuous(self, speed: float) -> tuple[Array, Array]:
         """A_c (n, n) and the columns (n, 4) of u, d_y, d_r and of the path's curvature times speed."""

@@ -25,6 +25,10 @@ from .contract import DISCRETISE
 Parameters = record("Parameters", ("mass", "yaw_inertia", "lf", "lr", "stiffness_front", "stiffness_rear", "lag"))
 """kg, kg m^2, m, m, N/rad and N/rad per tyre, s."""
 unpack = unpacker(Parameters)
+STIFFNESS_FRONT, STIFFNESS_REAR, LAG = (
+    Parameters._fields.index(name) for name in ("stiffness_front", "stiffness_rear", "lag")
+)
+"""Places of what may be learned."""
 SLOWEST = 3.0
 """m/s: slip angles are formed with at least this speed, for noise over a small one is no slip."""
 MOST_SHARE = 0.9
@@ -229,6 +233,17 @@ def lateral_acceleration_row(speed, parameters, n, target, row):
         target[row + 3] = m[2]
     target[row + n - 1] = 0.0
     return command[0]
+
+
+@njit(types.void(vector, vector), **ROUTINE)
+def write_turning(parameters, turning):
+    """Write L, K, W, lr and the lag, see `controllers.feed_forward.TURNING`, to turning[:5]."""
+    c = unpack(parameters)
+    cf, cr, wheelbase = 2.0 * c.stiffness_front, 2.0 * c.stiffness_rear, c.lf + c.lr
+    turning[0] = wheelbase
+    turning[1] = c.mass * (c.lr * cr - c.lf * cf) / (wheelbase * cf * cr)
+    turning[2] = ((cf + cr) * c.yaw_inertia + (c.lf * c.lf * cf + c.lr * c.lr * cr) * c.mass) / (cf * cr * wheelbase)
+    turning[3], turning[4] = c.lr, c.lag
 
 
 @njit(DISCRETISE, **ROUTINE)
