@@ -39,6 +39,14 @@ _PUBLIC = {
         "list_profiles",
         "load_profile",
     ),
+    "identification": (
+        "CarRanges",
+        "Identification",
+        "RandomCar",
+        "Reading",
+        "identify",
+        "random_car",
+    ),
     "plant": (
         "DualTrack",
         "Plant",
@@ -224,6 +232,7 @@ if TYPE_CHECKING:
         register_estimator,
     )
     from adaptrack.failure import Failure, find_failure
+    from adaptrack.identification import CarRanges, Identification, RandomCar, Reading, identify, random_car
     from adaptrack.kalman import Drifts, KalmanFilter, SensorNoise
     from adaptrack.learning.training import train
     from adaptrack.metrics import Metrics, compute_metrics
@@ -298,6 +307,7 @@ __all__ = [
     "AdaptrackError",
     "Body",
     "CampaignConfig",
+    "CarRanges",
     "ConfigError",
     "Constant",
     "Contender",
@@ -311,6 +321,7 @@ __all__ = [
     "Failure",
     "FrictionWindEstimator",
     "Guarded",
+    "Identification",
     "InvalidInput",
     "KalmanFilter",
     "Learned",
@@ -329,6 +340,8 @@ __all__ = [
     "PredictionModel",
     "Profile",
     "PurePursuit",
+    "RandomCar",
+    "Reading",
     "Road",
     "RoadAhead",
     "RoadDrive",
@@ -377,6 +390,7 @@ __all__ = [
     "get_model",
     "get_plant",
     "get_qp_solver",
+    "identify",
     "informed_tuning",
     "list_campaigns",
     "list_contenders",
@@ -404,6 +418,7 @@ __all__ = [
     "path_metrics",
     "plan_speed",
     "published_mpc",
+    "random_car",
     "random_drive",
     "reference_preview",
     "register_contender",

@@ -14,6 +14,7 @@ from adaptrack.cli import (
     dataset,
     drive,
     evaluate,
+    identify,
     lists,
     manoeuvre,
     reproduce,
@@ -52,6 +53,7 @@ def _options(
 
 for command in (
     drive.drive,
+    identify.identify,
     simulate.simulate,
     manoeuvre.manoeuvre,
     lists.scenarios,
