@@ -37,6 +37,7 @@ LONG_SNIPPETS = {
     ("campaign.md", "run_campaign("): "5 minutes",
     ("campaign.md", "data.landscape"): "20 s",
     ("certify.md", "loop_map("): "10 s",
+    ("identify.md", "at.identify("): "10 s, and needs a log",
     ("mlp.md", 'train(load_dataset("paper-grid")'): "20 s",
     ("reproduce.md", "train(data"): "10 s",
     ("schedulers.md", "train(data"): "20 s",
