@@ -44,6 +44,14 @@ _PUBLIC = {
         "list_profiles",
         "load_profile",
     ),
+    "identification": (
+        "CarRanges",
+        "Identification",
+        "RandomCar",
+        "Reading",
+        "identify",
+        "random_car",
+    ),
     "plant": (
         "DualTrack",
         "Plant",
@@ -245,6 +253,7 @@ if TYPE_CHECKING:
         register_estimator,
     )
     from adaptrack.failure import Failure, find_failure
+    from adaptrack.identification import CarRanges, Identification, RandomCar, Reading, identify, random_car
     from adaptrack.kalman import Drifts, KalmanFilter, SensorNoise
     from adaptrack.known_within import KnownWithin
     from adaptrack.learning.training import train
@@ -323,6 +332,7 @@ __all__ = [
     "AdaptrackError",
     "Body",
     "CampaignConfig",
+    "CarRanges",
     "ConfigError",
     "Constant",
     "Contender",
@@ -337,6 +347,7 @@ __all__ = [
     "Failure",
     "FrictionWindEstimator",
     "Guarded",
+    "Identification",
     "InvalidInput",
     "KalmanFilter",
     "KnownWithin",
@@ -359,6 +370,8 @@ __all__ = [
     "ProcessPlant",
     "Profile",
     "PurePursuit",
+    "RandomCar",
+    "Reading",
     "Road",
     "RoadAhead",
     "RoadDrive",
@@ -410,6 +423,7 @@ __all__ = [
     "get_model",
     "get_plant",
     "get_qp_solver",
+    "identify",
     "informed_tuning",
     "list_campaigns",
     "list_contenders",
@@ -438,6 +452,7 @@ __all__ = [
     "path_metrics",
     "plan_speed",
     "published_mpc",
+    "random_car",
     "random_drive",
     "read_tyre_file",
     "reference_preview",
