@@ -117,6 +117,13 @@ def test_the_file_of_the_car_holds_what_was_found(found: at.Identification, tmp_
     assert car.steering.dead_time == pytest.approx(found["dead_time"].value)
     assert 2.0 * car.stiffness_front == pytest.approx(found["front"].value)
     assert "90 % intervals" in (tmp_path / "mine.toml").read_text()
+    assert car.known_within is not None
+    front = found["front"]
+    ends = front.value / car.known_within.stiffness_front, front.value * car.known_within.stiffness_front
+    assert ends[0] <= front.low * 1.001
+    assert ends[1] >= front.high * 0.999
+    assert car.known_within.steering_lag >= 0.999 * (found["lag"].high - found["lag"].value)
+    assert at.MPC(car, profile="road").tuning.R > at.MPC(car.replace(known_within=None), profile="road").tuning.R
 
 
 @pytest.mark.compiled

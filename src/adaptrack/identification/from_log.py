@@ -24,6 +24,7 @@ from adaptrack.identification.quantities import (
 )
 from adaptrack.identification.reading import Columns, Reading, read_columns
 from adaptrack.identification.words import findings
+from adaptrack.known_within import KnownWithin
 from adaptrack.vehicle import Steering, Vehicle, load_vehicle
 
 Array = NDArray[np.float64]
@@ -34,6 +35,8 @@ FIRST_DELAYS = (0.12, 0.25, 0.45)
 """s, from the most likely of which the fit starts."""
 BLOCK, EVERY = 10.0, 4
 """s, length of the stretches of a validation; each fourth one is held out."""
+FACTORS = {"stiffness_front": "front", "stiffness_rear": "rear", "yaw_inertia": "yaw_inertia"}
+"""Of a car file's numbers, the estimates that they come from."""
 _STEP = 1e-4
 
 
@@ -123,18 +126,23 @@ class Identification:
             steering=steering if steering != Steering() else None,
         )  # fmt: skip
 
-    def known_within(self) -> dict[str, float]:
-        """Standard errors of what `car` holds of the log, in the units of a car file."""
-        of = {name: each.standard_error for name, each in self.estimates.items()}
+    def known_within(self) -> KnownWithin:
+        """The 90 % intervals of what the log told, and what was known of the car before: for its file."""
+        before = self.car.known_within or KnownWithin()
         found = {
-            "stiffness_front": 0.5 * of["front"], "stiffness_rear": 0.5 * of["rear"], "yaw_inertia": of["yaw_inertia"]
-        }  # fmt: skip
+            name: max(each.high / each.value, each.value / each.low)
+            for name, each in ((key, self.estimates[of]) for key, of in FACTORS.items())
+            if each.low > 0.0
+        }
         if self.log.commanded:
-            found |= {"steering.lag": of["lag"], "steering.dead_time": of["dead_time"], "steering.delay": of["delay"]}
-        return found
+            for name in ("lag", "dead_time"):
+                each = self.estimates[name]
+                found[f"steering_{name}"] = max(each.high - each.value, each.value - each.low)
+        limits = {name: min(value, 10.0 if name in FACTORS else 1.0) for name, value in found.items()}
+        return before.replace(**{name: float(f"{value:.4g}") for name, value in limits.items()})
 
     def to_toml(self, path: str | os.PathLike[str]) -> None:
-        """Write the car; how well it is known stands in comments below it.
+        """Write the car, with how well it is known.
 
         Raises
         ------

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from adaptrack.files import dump_toml, write_atomically
+from adaptrack.identification.from_log import FACTORS
 from adaptrack.vehicle import Vehicle
 
 if TYPE_CHECKING:
@@ -14,14 +15,18 @@ if TYPE_CHECKING:
 
 
 def write_car(found: Identification, path: str | os.PathLike[str]) -> None:
-    """Write a car as TOML; the new one has the file's name. What is known of each number stands in comments above.
+    """Write a car as TOML; the new one has the file's name. Intervals stand in ``[known_within]`` and in comments.
 
     Raises
     ------
     StorageError
         When the file cannot be written.
     """
-    car = found.car.replace(name=Path(path).stem, description="Identified from a log")
+    known = found.known_within()
+    car = found.car.replace(
+        name=Path(path).stem, description="Identified from a log", known_within=known,
+        estimated=tuple(name for name in found.car.estimated if name not in FACTORS),
+    )  # fmt: skip
     values = car.model_dump()
     if os.sep in car.tyre or car.tyre.endswith(".toml"):
         values["tyre"] = os.path.relpath(car.tyre, Path(path).resolve().parent)
