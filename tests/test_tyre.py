@@ -66,6 +66,9 @@ def test_each_law_is_chosen_by_its_parameters():
         "passenger-car": MAGIC_FORMULA,
         "compact-ev": MAGIC_FORMULA,
         "van": MAGIC_FORMULA,
+        "small-car": CURVED_MAGIC_FORMULA,
+        "sports-car": MAGIC_FORMULA,
+        "model-car": MAGIC_FORMULA,
         "curved": CURVED_MAGIC_FORMULA,
     }
 

@@ -302,6 +302,7 @@ if TYPE_CHECKING:
     )
     from adaptrack.simulate import rollout, simulate
     from adaptrack.studies.adapt import adapt
+    from adaptrack.studies.tune_car import TunedCar, TuningEffort, tune
     from adaptrack.tracker import Status, Tracker, yaw_of
     from adaptrack.trajectory import Trajectory
     from adaptrack.tuning.campaign import run_campaign
