@@ -38,6 +38,7 @@ LONG_SNIPPETS = {
     ("campaign.md", "run_campaign("): "5 minutes",
     ("campaign.md", "data.landscape"): "20 s",
     ("certify.md", "loop_map("): "10 s",
+    ("identify.md", "at.identify("): "10 s, and needs a log",
     ("mlp.md", 'train(load_dataset("paper-grid")'): "20 s",
     ("plants.md", "commonroad_plant("): "needs the extra `plants`",
     ("plants.md", "ProcessPlant("): "is run as an example",

@@ -44,6 +44,14 @@ _PUBLIC = {
         "list_profiles",
         "load_profile",
     ),
+    "identification": (
+        "CarRanges",
+        "Identification",
+        "RandomCar",
+        "Reading",
+        "identify",
+        "random_car",
+    ),
     "plant": (
         "DualTrack",
         "Plant",
@@ -239,6 +247,7 @@ if TYPE_CHECKING:
         register_estimator,
     )
     from adaptrack.failure import Failure, find_failure
+    from adaptrack.identification import CarRanges, Identification, RandomCar, Reading, identify, random_car
     from adaptrack.kalman import Drifts, KalmanFilter, SensorNoise
     from adaptrack.known_within import KnownWithin
     from adaptrack.learning.training import train
@@ -317,6 +326,7 @@ __all__ = [
     "AdaptrackError",
     "Body",
     "CampaignConfig",
+    "CarRanges",
     "ConfigError",
     "Constant",
     "Contender",
@@ -331,6 +341,7 @@ __all__ = [
     "Failure",
     "FrictionWindEstimator",
     "Guarded",
+    "Identification",
     "InvalidInput",
     "KalmanFilter",
     "KnownWithin",
@@ -351,6 +362,8 @@ __all__ = [
     "ProcessPlant",
     "Profile",
     "PurePursuit",
+    "RandomCar",
+    "Reading",
     "Road",
     "RoadAhead",
     "RoadDrive",
@@ -402,6 +415,7 @@ __all__ = [
     "get_model",
     "get_plant",
     "get_qp_solver",
+    "identify",
     "informed_tuning",
     "list_campaigns",
     "list_contenders",
@@ -429,6 +443,7 @@ __all__ = [
     "path_metrics",
     "plan_speed",
     "published_mpc",
+    "random_car",
     "random_drive",
     "read_tyre_file",
     "reference_preview",

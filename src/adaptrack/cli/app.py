@@ -15,6 +15,7 @@ from adaptrack.cli import (
     dataset,
     drive,
     evaluate,
+    identify,
     lists,
     manoeuvre,
     reproduce,
@@ -53,6 +54,7 @@ def _options(
 
 for command in (
     drive.drive,
+    identify.identify,
     simulate.simulate,
     manoeuvre.manoeuvre,
     lists.scenarios,

@@ -1,0 +1,129 @@
+"""`adaptrack identify`: from a log of driving to a car file, with what is known of each number."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+from typer import Option
+
+from adaptrack.cli import options, show
+from adaptrack.cli.show import Column
+from adaptrack.errors import InvalidInput
+
+if TYPE_CHECKING:
+    from adaptrack.identification import Identification, Reading
+
+COLUMNS = (
+    Column("quantity", "quantity"),
+    Column("value", "value", "", show.digits(4)),
+    Column("low", "90 % from", "", show.digits(4)),
+    Column("high", "to", "", show.digits(4)),
+    Column("unit", "unit"),
+    Column("before", "believed before"),
+)
+
+
+def identify(
+    log: Annotated[Path, typer.Argument(metavar="LOG", help=".csv or .parquet, also one of `simulate --out`.")],
+    car: Annotated[
+        str | None, Option("--car", help="What is believed of it: a name (see `vehicles`) or .toml file.")
+    ] = None,
+    mass: Annotated[float | None, Option("--mass", help="kg, where there is no --car.")] = None,
+    wheelbase: Annotated[float | None, Option("--wheelbase", help="m, where there is no --car.")] = None,
+    columns: Annotated[
+        list[str] | None, Option("--columns", metavar="SIGNAL=NAME,...", help="Which column is what: yaw_rate=GyroZ.")
+    ] = None,
+    units: Annotated[
+        list[str] | None,
+        Option("--units", metavar="UNITS", help="deg for all angles and rates, or speed=km/h,time=ms,command=deg."),
+    ] = None,
+    flip: Annotated[
+        list[str] | None, Option("--flip", metavar="SIGNAL", help="Is positive to the right in the log.")
+    ] = None,
+    steering_ratio: Annotated[
+        float | None, Option("--steering-ratio", help="Logged steering angles over those of the road wheels.")
+    ] = None,
+    computation: Annotated[
+        float | None, Option("--computation", help="s of the dead time that are the controller's, not the car's.")
+    ] = None,
+    out: Annotated[Path | None, Option("--out", help="The car file to write (.toml).")] = None,
+    page: Annotated[Path | None, Option("--page", help="Page to write (.html).")] = None,
+    as_json: options.Json = False,
+) -> None:
+    """Identify a car from a log: steering delay, tyre stiffness, offsets, noise, each with its interval.
+
+    The log needs time, speed, yaw rate and a steering command (or a measured wheel angle), 10 Hz and up.
+    """
+    from adaptrack.identification import identify as fit
+
+    if out is not None and out.suffix != ".toml":
+        raise InvalidInput(f"--out {out}: a car file ends in .toml.")
+    if page is not None and page.suffix != ".html":
+        raise InvalidInput(f"--page {page}: a page ends in .html.")
+    reading = _reading(columns, units, flip, steering_ratio)
+    with show.progress("identify"):
+        found = fit(log, car, mass=mass, wheelbase=wheelbase, reading=reading, computation=computation)
+    if as_json:
+        show.say_json(_strict(found.to_dict()))
+    else:
+        _print(found)
+    if out is not None:
+        found.to_toml(out)
+        show.say(f"Car: {out}", aside=as_json)
+    if page is not None:
+        from adaptrack.report.identify import write_identification_page
+
+        show.say(f"Page: {write_identification_page(found, page, options.command_line())}", aside=as_json)
+
+
+def _reading(
+    columns: Sequence[str] | None, units: Sequence[str] | None, flip: Sequence[str] | None, ratio: float | None
+) -> Reading:
+    from adaptrack.identification import Reading
+
+    told = dict(_pair("--columns", each) for each in _parts(columns))
+    known = dict(("", each) if "=" not in each else _pair("--units", each) for each in _parts(units))
+    return Reading(told, known, tuple(_parts(flip)), ratio)
+
+
+def _parts(given: Sequence[str] | None) -> list[str]:
+    return [part.strip() for each in given or () for part in each.split(",") if part.strip()]
+
+
+def _pair(option: str, text: str) -> tuple[str, str]:
+    name, mark, value = text.partition("=")
+    if not mark or not name or not value:
+        raise InvalidInput(f"{option} {text}: must be SIGNAL=NAME.")
+    return name, value
+
+
+def _print(found: Identification) -> None:
+    log, checked = found.log, found.validation
+    rows = [
+        {
+            "quantity": each.name.replace("_", " "), "value": each.value, "low": each.low, "high": each.high,
+            "unit": each.unit, "before": f"{each.before[0]:.3g} to {each.before[1]:.3g}",
+        }
+        for each in found.estimates.values()
+        if each.told > 0.0
+    ]  # fmt: skip
+    title = f"{log.driven:.0f} s of driving, {log.samples} samples at {1.0 / log.period:.0f} Hz"
+    show.table(title, COLUMNS, rows)
+    show.say(
+        f"Yaw rate on {checked.held_out:.0f} s that the fit did not see: {100 * checked.one_step:.1f} % of the "
+        f"variance explained one step ahead, {100 * checked.simulated:.1f} % simulated from the command."
+    )
+    for sentence in (*log.notes, *found.findings):
+        show.say(f"Note: {sentence}.")
+
+
+def _strict(values: object) -> object:
+    """Values as JSON takes them: None for NaN."""
+    if isinstance(values, dict):
+        return {key: _strict(value) for key, value in values.items()}
+    if isinstance(values, list):
+        return [_strict(value) for value in values]
+    return None if isinstance(values, float) and values != values else values

@@ -1,0 +1,145 @@
+"""Wrong signs and units of a log, seen in how its signals fit together.
+
+In slow bends yaw rate and road-wheel angle obey r = v delta/(L + K v^2) (R. Rajamani, *Vehicle Dynamics and Control*,
+2nd ed., section 3.3), lateral acceleration a_y = v r. What multiplies the right-hand sides tells the unit.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from adaptrack.errors import InvalidInput
+from adaptrack.identification.log import Log
+
+Array = NDArray[np.float64]
+
+DELAYS = np.arange(0.0, 1.01, 0.1)
+GRADIENTS = (-0.002, -0.001, 0.0, 0.001, 0.002, 0.003, 0.005, 0.008, 0.012, 0.018, 0.026, 0.036, 0.05)
+"""s, between command and yaw rate; rad s^2/m, understeer: all that are tried."""
+WINDOW = 0.5
+"""s to either side, over which signals are averaged before they are compared."""
+CLEAR = 0.6
+"""Least correlation of two signals from which anything is concluded."""
+_DEGREE = math.pi / 180.0
+
+
+class _Slope(NamedTuple):
+    factor: float
+    correlation: float
+
+
+def check_conventions(log: Log, wheelbase: float) -> None:
+    """Refuse a log whose signs or units do not fit together.
+
+    Raises
+    ------
+    InvalidInput
+        Naming what is wrong and the option that mends it.
+    """
+    fastest = float(np.percentile(log.speed, 99))
+    if fastest > 75.0:
+        raise InvalidInput(f"log: a speed of {fastest:.0f} m/s: if it is in km/h, say --units speed=km/h.")
+    steered = "command" if log.commanded else "wheel"
+    turning = _turning(log, wheelbase)
+    felt = _felt(log)
+    if abs(felt.correlation) >= CLEAR:
+        _refuse_felt(felt, turning)
+    if abs(turning.correlation) < CLEAR:
+        return
+    if turning.factor < 0.0:
+        raise InvalidInput(
+            f"log: yaw rate and {steered} have opposite signs. Both must be positive to the left: "
+            f"--flip {steered} or --flip yaw_rate, whichever is positive to the right in the log."
+        )
+    remedy = _remedy(turning.factor, steered, float(np.percentile(np.abs(log.yaw_rate[np.isfinite(log.yaw_rate)]), 99)))
+    if remedy:
+        raise InvalidInput(
+            f"log: the yaw rate is {turning.factor:.3g} times what the steering angle makes of a wheelbase of "
+            f"{wheelbase:g} m: {remedy}"
+        )
+
+
+def _remedy(factor: float, steered: str, turn: float) -> str:
+    """What explains a factor between yaw rate and steering; empty where nothing is wrong."""
+    ratio = f"--steering-ratio {1.0 / factor:.0f}" if factor < 0.5 else ""
+    if turn > 3.0:  # rad/s: no car turns so fast for long
+        both = f" --steering-ratio {1.0 / factor:.0f}" if factor < 0.12 else ""
+        return f"angles in degrees: --units deg{both}"
+    if 0.4 <= factor <= 2.5:
+        return ""
+    if 0.2 <= factor < 0.37:
+        return "a speed in km/h: --units speed=km/h"
+    if 0.035 <= factor <= 0.13:
+        return f"{steered} is the angle of the steering wheel: {ratio}"
+    if 0.008 <= factor < 0.035:
+        return f"{steered} in degrees: --units {steered}=deg"
+    if 0.0004 <= factor < 0.003:
+        options = f"--units {steered}=deg --steering-ratio {_DEGREE / factor:.0f}"
+        return f"{steered} is the angle of the steering wheel in degrees: {options}"
+    if 25.0 <= factor <= 130.0:
+        return "a yaw rate in degrees per second: --units yaw_rate=deg/s"
+    return f"check the units (--units) and the wheelbase, or give {ratio or 'the steering ratio'}."
+
+
+def _refuse_felt(felt: _Slope, turning: _Slope) -> None:
+    """Lateral acceleration against speed times yaw rate."""
+    if felt.factor < 0.0:
+        which = "yaw_rate" if turning.factor < 0.0 and abs(turning.correlation) >= CLEAR else "acceleration"
+        raise InvalidInput(
+            "log: lateral acceleration and yaw rate have opposite signs. Both must be positive to the left: "
+            f"--flip {which}."
+        )
+    if 0.2 <= felt.factor <= 0.4:
+        raise InvalidInput("log: speed times yaw rate is 3.6 times the lateral acceleration: --units speed=km/h.")
+    if 0.07 <= felt.factor <= 0.15:
+        raise InvalidInput("log: the lateral acceleration is in g: --units acceleration=g.")
+    if 0.01 <= felt.factor <= 0.03:
+        raise InvalidInput("log: the yaw rate is in degrees per second: --units yaw_rate=deg/s.")
+
+
+def _turning(log: Log, wheelbase: float) -> _Slope:
+    """Yaw rate against v delta/(L + K v^2), at the delay and gradient where they agree best."""
+    best = _Slope(math.nan, 0.0)
+    yaw_rate = _smooth(log, np.nan_to_num(log.yaw_rate, nan=float(np.nanmean(log.yaw_rate))))
+    steering = _smooth(log, log.command)
+    shift = np.round(DELAYS / log.period).astype(int)
+    for step in np.unique(shift):
+        late = np.concatenate([np.full(step, steering[0]), steering[: steering.size - step]])
+        late = late - np.median(late)
+        for gradient in GRADIENTS:
+            expected = log.speed * late / np.maximum(wheelbase + gradient * log.speed**2, 0.3 * wheelbase)
+            slope = _slope(expected, yaw_rate)
+            if abs(slope.correlation) > abs(best.correlation):
+                best = slope
+    return best
+
+
+def _felt(log: Log) -> _Slope:
+    both = np.isfinite(log.acceleration) & np.isfinite(log.yaw_rate)
+    if both.sum() < 100:
+        return _Slope(math.nan, 0.0)
+    yaw_rate = _smooth(log, np.where(both, log.yaw_rate, 0.0))
+    acceleration = _smooth(log, np.where(both, log.acceleration, 0.0))
+    return _slope(log.speed * yaw_rate, acceleration)
+
+
+def _smooth(log: Log, values: Array) -> Array:
+    """(n,) mean within `WINDOW` of each sample."""
+    total = np.concatenate([[0.0], np.cumsum(values)])
+    low = np.searchsorted(log.time, log.time - WINDOW)
+    high = np.searchsorted(log.time, log.time + WINDOW, side="right")
+    return (total[high] - total[low]) / (high - low)
+
+
+def _slope(x: Array, y: Array) -> _Slope:
+    """y over x: the geometric mean of both regressions, so that noise in either does not flatten it."""
+    x, y = x - x.mean(), y - y.mean()
+    sizes = math.sqrt(float(x @ x)), math.sqrt(float(y @ y))
+    if min(sizes) <= 0.0:
+        return _Slope(math.nan, 0.0)
+    correlation = float(x @ y) / (sizes[0] * sizes[1])
+    return _Slope(math.copysign(sizes[1] / sizes[0], correlation), correlation)

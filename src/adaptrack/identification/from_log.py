@@ -1,0 +1,417 @@
+"""From a log to a car: estimates with standard errors, a validation, and what the log cannot tell."""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from adaptrack.errors import InvalidInput
+from adaptrack.identification.conventions import check_conventions
+from adaptrack.identification.likelihood import NEARLY, Likelihood
+from adaptrack.identification.log import Log, log_of
+from adaptrack.identification.quantities import (
+    INDEX,
+    QUANTITIES,
+    Belief,
+    beliefs_of,
+    plain_car,
+    understeer,
+)
+from adaptrack.identification.reading import Columns, Reading, read_columns
+from adaptrack.identification.words import findings
+from adaptrack.vehicle import Steering, Vehicle, load_vehicle
+
+Array = NDArray[np.float64]
+
+NORMAL_90 = 1.6448536269514722
+"""Half width of a 90 % interval in standard errors."""
+FIRST_DELAYS = (0.12, 0.25, 0.45)
+"""s, from the most likely of which the fit starts."""
+BLOCK, EVERY = 10.0, 4
+"""s, length of the stretches of a validation; each fourth one is held out."""
+_STEP = 1e-4
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """One quantity: what the log says of it, and what was believed before."""
+
+    name: str
+    unit: str
+    meaning: str
+    value: float
+    standard_error: float
+    """in the unit of the value"""
+    low: float
+    """lower end of the 90 % interval"""
+    high: float
+    before: tuple[float, float]
+    """90 % interval of what was believed before"""
+    told: float
+    """share of the spread that was believed before which is left: near 1 the log says nothing"""
+
+
+@dataclass(frozen=True)
+class Validation:
+    """How well the yaw rate is predicted on stretches that the fit did not see."""
+
+    one_step: float
+    """share of the variance that one-step predictions explain (1 is all)"""
+    simulated: float
+    """likewise for simulations from the command alone"""
+    held_out: float
+    """s, in all"""
+    autocorrelation: tuple[float, ...]
+    """of the fit's normalised innovations of the yaw rate, at lags 1 to 5"""
+
+
+@dataclass(frozen=True, eq=False)
+class Series:
+    """What is drawn: signals along the log, (n,) each."""
+
+    time: Array
+    measured: Array
+    """rad/s"""
+    simulated: Array
+    """rad/s, from the command alone, begun anew at every segment"""
+    innovations: Array
+    """-, one-step errors of the yaw rate over their standard deviation"""
+    held_out: NDArray[np.bool_]
+    wheel_angle: Array
+    """rad, of the road wheels as the fit has them"""
+
+
+@dataclass(frozen=True, eq=False)
+class Identification:
+    """What a log tells of a car, see `identify`."""
+
+    estimates: Mapping[str, Estimate]
+    covariance: Array
+    """of `estimates` in their order, logarithms for what is positive, (m, m)"""
+    validation: Validation
+    findings: tuple[str, ...]
+    """in words: what was seen, what was not"""
+    log: Log
+    believed: Vehicle
+    """the car before the log"""
+    computation: float
+    """s, of the log's dead time, that is the controller's"""
+    series: Series = field(repr=False)
+
+    def __getitem__(self, name: str) -> Estimate:
+        """An estimate by its name."""
+        return self.estimates[name]
+
+    @property
+    def car(self) -> Vehicle:
+        """The car as the log has it: stiffness, yaw inertia, steering; the rest as believed."""
+        value = {name: each.value for name, each in self.estimates.items()}
+        steering = self.believed.steering or Steering()
+        if self.log.commanded:
+            dead_time = max(value["dead_time"] - self.computation, 0.0)
+            steering = steering.replace(lag=value["lag"], dead_time=dead_time)
+        if "ratio" in value:
+            steering = steering.replace(ratio=value["ratio"])
+        return self.believed.replace(
+            stiffness_front=0.5 * value["front"], stiffness_rear=0.5 * value["rear"],
+            yaw_inertia=value["yaw_inertia"], lf=value["lf"], lr=self.believed.wheelbase - value["lf"],
+            steering=steering if steering != Steering() else None,
+        )  # fmt: skip
+
+    def known_within(self) -> dict[str, float]:
+        """Standard errors of what `car` holds of the log, in the units of a car file."""
+        of = {name: each.standard_error for name, each in self.estimates.items()}
+        found = {
+            "stiffness_front": 0.5 * of["front"], "stiffness_rear": 0.5 * of["rear"], "yaw_inertia": of["yaw_inertia"]
+        }  # fmt: skip
+        if self.log.commanded:
+            found |= {"steering.lag": of["lag"], "steering.dead_time": of["dead_time"], "steering.delay": of["delay"]}
+        return found
+
+    def to_toml(self, path: str | os.PathLike[str]) -> None:
+        """Write the car; how well it is known stands in comments below it.
+
+        Raises
+        ------
+        StorageError
+            When the file cannot be written.
+        """
+        from adaptrack.identification.writing import write_car
+
+        write_car(self, path)
+
+    def to_dict(self) -> dict[str, object]:
+        """What ``--json`` says."""
+        return {
+            "estimates": {
+                name: {
+                    "value": each.value, "unit": each.unit, "standard_error": each.standard_error, "low": each.low,
+                    "high": each.high, "before": list(each.before), "spread_left": each.told,
+                }
+                for name, each in self.estimates.items()
+            },
+            "validation": {
+                "one_step_vaf": self.validation.one_step, "simulated_vaf": self.validation.simulated,
+                "held_out": self.validation.held_out, "autocorrelation": list(self.validation.autocorrelation),
+            },
+            "findings": list(self.findings),
+            "log": {
+                "samples": self.log.samples, "period": self.log.period, "driven": self.log.driven,
+                "segments": self.log.segments, "notes": list(self.log.notes),
+            },
+            "computation": self.computation,
+        }  # fmt: skip
+
+
+def identify(
+    log: str | os.PathLike[str] | Mapping[str, object],
+    car: str | os.PathLike[str] | Vehicle | None = None,
+    *,
+    mass: float | None = None,
+    wheelbase: float | None = None,
+    reading: Reading | None = None,
+    known: Mapping[str, Belief] | None = None,
+    computation: float | None = None,
+) -> Identification:
+    """Identify a car from a log of its driving.
+
+    Parameters
+    ----------
+    log
+        A .csv or .parquet file, one of `Trajectory.save`, or arrays by name: time (s), command (rad, road wheels; or
+        wheel, a measured angle), speed (m/s), yaw_rate (rad/s), and, where there are, vy, acceleration, yaw.
+    car
+        What is believed of the car: mass and geometry are kept, the rest is estimated about it.
+    mass, wheelbase
+        kg and m, instead of a car.
+    reading
+        Columns, units, signs and steering ratio, where they are not as the names say.
+    known
+        Beliefs that replace those of the car, by the names of `QUANTITIES`.
+    computation
+        s, of the log's dead time that lies in the controller's computation: it is taken off what the car's file
+        gets. By default what the profile of an own trajectory says, else 0.
+
+    Raises
+    ------
+    StorageError
+        When a file cannot be read.
+    InvalidInput
+        When the log lacks a signal, is too short, is hardly steered, or its signs or units do not fit together; the
+        message names the option that mends it.
+    """
+    believed, beliefs = _believed(car, mass, wheelbase, known)
+    columns = read_columns(log, reading or Reading())
+    likelihood = _prepared(columns, believed, beliefs)
+    cleaned = likelihood.log
+    z, covariance = fitted(likelihood)
+    estimates, jacobian = _estimates(likelihood, z, covariance)
+    validation, series = _validated(likelihood, z, cleaned, believed, beliefs)
+    given = columns.computation if computation is None else computation
+    if not 0.0 <= given < 1.0:
+        raise InvalidInput(f"identify: computation = {given!r} s: must be from 0 to 1.")
+    words = findings(cleaned, estimates, validation)
+    return Identification(
+        estimates, jacobian @ covariance @ jacobian.T, validation, words, cleaned, believed, given, series
+    )
+
+
+def _prepared(columns: Columns, believed: Vehicle, beliefs: dict[str, Belief]) -> Likelihood:
+    """The likelihood of a log that is cleaned and whose conventions are checked."""
+    cleaned = log_of(columns.values, believed.wheelbase, columns.notes)
+    check_conventions(cleaned, believed.wheelbase)
+    beliefs |= _noises(cleaned)
+    return Likelihood(cleaned, believed, beliefs)
+
+
+def prepare(log: str | os.PathLike[str] | Mapping[str, object], car: Vehicle) -> Likelihood:
+    """The likelihood of a log and a car, for `fitted`; errors as `identify`."""
+    return _prepared(read_columns(log, Reading()), car, beliefs_of(car))
+
+
+def reported(likelihood: Likelihood, z: Array, covariance: Array) -> dict[str, Estimate]:
+    """What `identify` reports of a fit, without a validation."""
+    return _estimates(likelihood, z, covariance)[0]
+
+
+def _believed(
+    car: str | os.PathLike[str] | Vehicle | None, mass: float | None, wheelbase: float | None,
+    known: Mapping[str, Belief] | None,
+) -> tuple[Vehicle, dict[str, Belief]]:  # fmt: skip
+    if car is not None:
+        if mass is not None or wheelbase is not None:
+            raise InvalidInput("identify: either a car, or mass and wheelbase.")
+        vehicle = car if isinstance(car, Vehicle) else load_vehicle(car)
+        return vehicle, beliefs_of(vehicle, known)
+    if mass is None or wheelbase is None:
+        raise InvalidInput("identify: give --car, or --mass (kg) and --wheelbase (m): no log tells them.")
+    if not 1.0 <= mass <= 1e5 or not 0.1 <= wheelbase <= 20.0:
+        raise InvalidInput(f"identify: mass {mass:g} kg, wheelbase {wheelbase:g} m: must be from 1 kg and .1 m.")
+    vehicle, rough = plain_car(mass, wheelbase)
+    return vehicle, beliefs_of(vehicle, rough | dict(known or {}))
+
+
+def _noises(log: Log) -> dict[str, Belief]:
+    """First guesses of the noise of each sensor: third differences hold little else."""
+    guesses = {}
+    for signal in ("yaw_rate", "vy", "acceleration", "yaw", "wheel"):
+        values = getattr(log, signal)
+        third = np.diff(values[np.isfinite(values)], 3)
+        if third.size:
+            typical = float(np.median(np.abs(third))) / 0.6745 / math.sqrt(20.0)
+            guesses[f"noise_{signal}"] = Belief(max(typical, 1e-5), 1.5)
+    return guesses
+
+
+def fitted(likelihood: Likelihood) -> tuple[Array, Array]:
+    """The most likely point z of a log, and the covariance of its free entries.
+
+    First all gusts are alike; then their spread follows the log; then it is widened, see `Likelihood.widen_gusts`.
+    """
+    starts = []
+    for delay in FIRST_DELAYS:
+        z = np.zeros(len(QUANTITIES))
+        if likelihood.log.commanded and likelihood.spread[INDEX["delay"]] > 0.0:
+            z[INDEX["delay"]] = math.log(delay / likelihood.median[INDEX["delay"]]) / likelihood.spread[INDEX["delay"]]
+        starts.append((likelihood.objective(z), delay, z))
+    z, _ = likelihood.fit(min(starts, key=lambda each: each[0])[2], NEARLY)
+    likelihood.follow_gusts(z)
+    z, _ = likelihood.fit(z, NEARLY)
+    z, at = likelihood.fit(likelihood.widen_gusts(z))
+    return z, likelihood.covariance(at)
+
+
+# -- what is reported -------------------------------------------------------------------------------------------------
+def _value(name: str) -> Callable[[Array], float]:
+    return lambda values: float(values[INDEX[name]])
+
+
+def _reported(likelihood: Likelihood) -> list[tuple[str, str, str, bool, Callable[[Array], float]]]:
+    """Name, unit, meaning, whether it is positive, and how it follows from the quantities."""
+    wheelbase = likelihood.car.wheelbase
+    share, delay = INDEX["lag_share"], INDEX["delay"]
+
+    def gradient(v: Array) -> float:
+        return understeer(v[INDEX["front"]], v[INDEX["rear"]], v[INDEX["mass"]], wheelbase, v[INDEX["front_share"]])
+
+    rows: list[tuple[str, str, str, bool, Callable[[Array], float]]] = []
+    if likelihood.log.commanded:
+        rows += [
+            ("delay", "s", "lag and dead time together", True, _value("delay")),
+            ("lag", "s", "time constant of the steering", True, lambda v: float(v[share] * v[delay])),
+            ("dead_time", "s", "until the wheels begin to move", True, lambda v: float((1.0 - v[share]) * v[delay])),
+        ]
+    rows += [
+        ("understeer_gradient", "rad s^2/m", "steering per lateral acceleration in a steady bend", False, gradient),
+        ("front", "N/rad", "cornering stiffness of the front axle", True, _value("front")),
+        ("rear", "N/rad", "cornering stiffness of the rear axle", True, _value("rear")),
+        ("yaw_inertia", "kg m^2", "yaw inertia", True, _value("yaw_inertia")),
+        ("lf", "m", "centre of gravity to front axle", True, lambda v: float(v[INDEX["front_share"]] * wheelbase)),
+    ]
+    if likelihood.spread[INDEX["gain"]] > 0.0:
+        rows.append(
+            ("ratio", "-", "logged steering angle over road wheels", True, lambda v: 1.0 / float(v[INDEX["gain"]]))
+        )
+    free = {QUANTITIES[i].name for i in likelihood.free}
+    also = (
+        "offset", "push_mean", "gyro_offset", "acceleration_offset", "wheel_offset", "relaxation", "noise_yaw_rate",
+        "noise_vy", "noise_acceleration", "noise_yaw", "noise_wheel",
+    )  # fmt: skip
+    for name in also:
+        if name in free:
+            each = QUANTITIES[INDEX[name]]
+            rows.append((name, each.unit, each.meaning, each.kind == "positive", _value(name)))
+    return rows
+
+
+def _estimates(likelihood: Likelihood, z: Array, covariance: Array) -> tuple[dict[str, Estimate], Array]:
+    """All that is reported, by the delta method; and the derivatives over the free entries of z."""
+    rows = _reported(likelihood)
+
+    def all_of(at: Array) -> Array:
+        values = likelihood.values(at)
+        return np.array([math.log(max(f(values), 1e-12)) if positive else f(values) for *_, positive, f in rows])
+
+    def slopes(at: Array) -> Array:
+        out = np.empty((len(rows), likelihood.free.size))
+        for i, place in enumerate(likelihood.free):
+            up, down = at.copy(), at.copy()
+            up[place] += _STEP
+            down[place] -= _STEP
+            out[:, i] = (all_of(up) - all_of(down)) / (2.0 * _STEP)
+        return out
+
+    jacobian, origin = slopes(z), np.zeros(z.size)
+    spread = np.sqrt(np.maximum(np.einsum("ij,jk,ik->i", jacobian, covariance, jacobian), 0.0))
+    prior = np.linalg.norm(slopes(origin), axis=1)
+    centre, first = all_of(z), all_of(origin)
+    found = {}
+    for i, (name, unit, meaning, positive, _) in enumerate(rows):
+        ends = [centre[i] - NORMAL_90 * spread[i], centre[i] + NORMAL_90 * spread[i]]
+        before = [first[i] - NORMAL_90 * prior[i], first[i] + NORMAL_90 * prior[i]]
+        value, error = float(centre[i]), float(spread[i])
+        if positive:
+            value, ends, before = (
+                math.exp(value),
+                [math.exp(e) for e in ends],
+                [math.exp(min(e, 700.0)) for e in before],
+            )
+            error *= value
+        left = float(spread[i] / prior[i]) if prior[i] > 0.0 else 0.0
+        found[name] = Estimate(
+            name,
+            unit,
+            meaning,
+            value,
+            error,
+            float(ends[0]),
+            float(ends[1]),
+            (float(before[0]), float(before[1])),
+            left,
+        )
+    return found, jacobian
+
+
+# -- validation -------------------------------------------------------------------------------------------------------
+def _validated(
+    likelihood: Likelihood, z: Array, log: Log, car: Vehicle, beliefs: Mapping[str, Belief]
+) -> tuple[Validation, Series]:
+    """A second fit without every fourth stretch, which predicts them."""
+    held = np.floor((log.time - log.time[0]) / BLOCK).astype(np.int64) % EVERY == EVERY - 1
+
+    def errors(at: Array, seen: Array) -> tuple[Array, Array]:
+        each = Likelihood(log, car, beliefs, seen)
+        each.take_gusts(likelihood)
+        e, s = each.innovations(at)
+        return e[0], s[0]
+
+    blind = np.where(held, 0.0, 1.0)
+    fit = Likelihood(log, car, beliefs, blind)
+    fit.take_gusts(likelihood)
+    there, _ = fit.fit(z, NEARLY)
+    stepped, blindly = errors(there, np.ones(log.samples))[0], errors(there, blind)[0]
+    e, s = errors(z, np.ones(log.samples))
+    normal = e / np.sqrt(s)
+    known = normal[np.isfinite(normal)]
+    lags = tuple(float(np.mean(known[k:] * known[:-k]) / np.mean(known**2)) for k in range(1, 6))
+    measured = held & np.isfinite(log.yaw_rate)
+    validation = Validation(
+        _explained(log.yaw_rate[measured], stepped[measured]),
+        _explained(log.yaw_rate[measured], blindly[measured]),
+        float(log.period * held.sum()), lags,
+    )  # fmt: skip
+    wheels = likelihood.found(z)["wheel_angle"]
+    simulated = log.yaw_rate - errors(z, log.begins.astype(np.float64))[0]
+    return validation, Series(log.time, log.yaw_rate, simulated, normal, held, wheels)
+
+
+def _explained(measured: Array, errors: Array) -> float:
+    """1 - var(error)/var(measured); NaN without samples."""
+    if measured.size < 2 or not np.var(measured) > 0.0:
+        return math.nan
+    return float(1.0 - np.var(errors) / np.var(measured))

@@ -1,0 +1,225 @@
+"""The likelihood of a log, and the quantities that maximise it.
+
+With innovations e_i and variances S_i of a Kalman filter (`kernels.identification`), and a standard normal prior on z,
+
+    -ln p = 1/2 sum(e_i^2/S_i + ln S_i) + 1/2 |z|^2
+
+Fisher scoring with Levenberg's damping: gradient sum(e e'/S + (1 - e^2/S) S'/(2 S)) + z, information
+sum(e' e'^T/S + S' S'^T/(2 S^2)) + I, derivatives by differences (L. Ljung, *System Identification*, 2nd ed., sections
+7.4 and 10.2; N. K. Gupta and R. K. Mehra, IEEE Trans. Automatic Control 19 (1974) 774-783).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from adaptrack.identification.log import Log
+from adaptrack.identification.quantities import INDEX, PUSH_TIME, QUANTITIES, SHAPE, Belief, values_of
+from adaptrack.vehicle import Vehicle
+
+Array = NDArray[np.float64]
+
+OUTPUTS = ("yaw_rate", "vy", "acceleration", "yaw", "wheel")
+STEP, MOST_STEPS, ENOUGH, NEARLY = 1e-4, 25, 0.02, 0.5
+"""Of the differences, in spreads; iterations; fall of the objective at which they end, and nearly."""
+SETTLING = 1.0
+"""s at the beginning of each segment whose innovations do not count: commands before it are unknown."""
+GUST_WINDOW, LEAST_GUSTS = 1.0, 0.01
+"""s to either side over which the changes of the wind are averaged; least share of their mean square."""
+WIDER = 3.0
+"""Factor on the most likely spread of the gusts."""
+BLOCK = 4.0
+"""s, of the scores that are summed before their scatter is taken: longer than what innovations may be correlated."""
+
+
+class Likelihood:
+    """What a log says of a car: innovations and objective at any point z."""
+
+    def __init__(self, log: Log, car: Vehicle, beliefs: Mapping[str, Belief], seen: Array | None = None) -> None:
+        """seen: (n,) 1 where a sample is taken in and counts; all when left out."""
+        from adaptrack.kernels import identification as kernel
+
+        self._kernel = kernel
+        self.log, self.car = log, car
+        self.median = np.array([beliefs[each.name].median for each in QUANTITIES])
+        self.spread = np.array([beliefs[each.name].spread for each in QUANTITIES])
+        rows = np.zeros((len(kernel.ROW), log.samples))
+        for name in ("time", "command", "speed", *OUTPUTS):
+            rows[kernel.ROW._fields.index(name)] = getattr(log, name)
+        rows[kernel.ROW.begins] = log.begins
+        rows[kernel.ROW.seen] = 1.0 if seen is None else seen
+        self._rows = rows
+        self._scratch = kernel.scratch()
+        self._answer = np.empty((kernel.ANSWER, log.samples))
+        rows[kernel.ROW.gusts] = 1.0
+        present = np.array([np.isfinite(getattr(log, name)).any() for name in OUTPUTS])
+        self.present = {name: bool(here) for name, here in zip(OUTPUTS, present, strict=True)}
+        settled = log.time - log.time[np.maximum.accumulate(np.where(log.begins, np.arange(log.samples), 0))]
+        counts = (rows[kernel.ROW.seen] > 0.0) & (settled >= SETTLING)
+        measured = np.isfinite(rows[kernel.ROW.yaw_rate : kernel.ROW.yaw_rate + len(OUTPUTS)])
+        self.counts = measured & counts
+        self.free = np.flatnonzero((self.spread > 0.0) & self._has_a_say())
+
+    def _has_a_say(self) -> NDArray[np.bool_]:
+        """Which quantities can change what is predicted."""
+        silent = set()
+        for output, names in (
+            ("vy", ("noise_vy",)), ("acceleration", ("noise_acceleration", "acceleration_offset")),
+            ("yaw", ("noise_yaw",)), ("wheel", ("noise_wheel", "wheel_offset")),
+        ):  # fmt: skip
+            if not self.present[output]:
+                silent |= set(names)
+        if not (self.present["vy"] or self.present["acceleration"]):
+            silent |= {"push_spread"}
+        if not self.log.commanded:
+            silent |= {"delay", "lag_share"}
+        return np.array([each.name not in silent for each in QUANTITIES])
+
+    def values(self, z: Array) -> Array:
+        """The quantities at a point z, in the order of `QUANTITIES`."""
+        return values_of(z, self.median, self.spread)
+
+    def packed(self, values: Array) -> Array:
+        """The kernel's vector of quantities."""
+        value = {name: values[i] for name, i in INDEX.items()}
+        car, wheelbase = self.car, self.car.wheelbase
+        air = 0.5 * car.air_density * car.frontal_area
+        steering = car.steering
+        rate = steering.rate if steering is not None and steering.rate is not None else 1e3
+        # Gusts of a kept spread must not shrink by a larger inertia: their moment over it is that of the believed one.
+        heavier = value["yaw_inertia"] / self.median[INDEX["yaw_inertia"]]
+        delayed = value["delay"] if self.log.commanded else 0.0
+        derived = {
+            "lag": value["lag_share"] * delayed, "dead_time": (1.0 - value["lag_share"]) * delayed, "rate": rate,
+            "lf": value["front_share"] * wheelbase, "lr": (1.0 - value["front_share"]) * wheelbase, "shape": SHAPE,
+            "side": air * car.side_force_slope, "moment": air * car.yaw_moment_slope * wheelbase * heavier,
+            "wind_angle_limit": car.wind_angle_limit,
+            "push_time": PUSH_TIME,
+        }  # fmt: skip
+        if not (self.present["vy"] or self.present["acceleration"]):
+            derived["push_spread"] = 0.0
+        named = value | derived
+        return np.array([named[name] for name in self._kernel.QUANTITY._fields])
+
+    def innovations(self, z: Array) -> tuple[Array, Array]:
+        """All innovations and variances, each (len(OUTPUTS), n), NaN where nothing is measured."""
+        self._kernel.innovations(self.packed(self.values(z)), self._rows, *self._scratch, self._answer)
+        return self._answer[: len(OUTPUTS)].copy(), self._answer[len(OUTPUTS) : 2 * len(OUTPUTS)].copy()
+
+    def found(self, z: Array) -> dict[str, Array]:
+        """What the filter finds at each sample, by the names of the kernel's `FOUND`."""
+        self.innovations(z)
+        return dict(zip(self._kernel.FOUND._fields, self._answer[2 * len(OUTPUTS) :].copy(), strict=True))
+
+    def take_gusts(self, other: Likelihood) -> None:
+        """Let the spread of the wind's noise be that of another likelihood of the same log."""
+        self._rows[self._kernel.ROW.gusts] = other._rows[self._kernel.ROW.gusts]
+        self.median, self.spread, self.free = other.median.copy(), other.spread.copy(), other.free.copy()
+
+    def widen_gusts(self, z: Array) -> Array:
+        """Keep the wind's spread at `WIDER` times that of a point; the point there.
+
+        Gusts have longer tails than a Gaussian process. One that is as likely as can be shrinks them, and leaves the
+        driver's answer to them to the tyres: in closed loop the front axle then looks softer than it is.
+        """
+        place = INDEX["wind_spread"]
+        self.median[place] = WIDER * self.values(z)[place]
+        self.spread[place] = 0.0
+        self.free = self.free[self.free != place]
+        return np.where(np.arange(z.size) == place, 0.0, z)
+
+    def follow_gusts(self, z: Array) -> None:
+        """Let the spread of the wind's noise follow how much the wind changes along the log."""
+        wind, time, begins = self.found(z)["wind"], self.log.time, self.log.begins
+        change = np.zeros_like(wind)
+        change[1:] = np.where(begins[1:], 0.0, np.diff(wind) / np.maximum(np.diff(time), 1e-6))
+        power = _window_mean(time, change**2, GUST_WINDOW)
+        level = power / max(float(np.mean(power)), 1e-12)
+        self._rows[self._kernel.ROW.gusts] = np.sqrt(np.maximum(level, LEAST_GUSTS))
+
+    def counted(self, z: Array) -> tuple[Array, Array]:
+        """Innovations and variances that count, flat."""
+        e, s = self.innovations(z)
+        return e[self.counts], s[self.counts]
+
+    def objective(self, z: Array) -> float:
+        """-ln p, up to a constant; infinite where the filter is not finite."""
+        return _objective(*self.counted(z), z)
+
+    def scored(self, z: Array) -> Scored:
+        """Objective, gradient and information at a point."""
+        e, s = self.counted(z)
+        de, ds = np.empty((self.free.size, e.size)), np.empty((self.free.size, e.size))
+        for i, place in enumerate(self.free):
+            there = z.copy()
+            there[place] += STEP
+            e_up, s_up = self.counted(there)
+            de[i], ds[i] = (e_up - e) / STEP, (s_up - s) / STEP
+        scores = de * (e / s) + ds * ((1.0 - e**2 / s) / (2.0 * s))
+        by_error, by_size = de / np.sqrt(s), ds / (np.sqrt(2.0) * s)
+        information = by_error @ by_error.T + by_size @ by_size.T + np.eye(self.free.size)
+        return Scored(_objective(e, s, z), scores.sum(axis=1) + z[self.free], information, scores)
+
+    def fit(self, z: Array, enough: float = ENOUGH) -> tuple[Array, Scored]:
+        """The most likely point from a start, and what is known there."""
+        now, damping = self.scored(z), 1e-3
+        for _ in range(MOST_STEPS):
+            moved = z.copy()
+            scaled = now.information + damping * np.diag(np.diag(now.information))
+            moved[self.free] -= np.clip(np.linalg.solve(scaled, now.gradient), -1.5, 1.5)
+            there = self.objective(moved)
+            if there < now.objective:
+                fell = now.objective - there
+                z, damping = moved, max(0.2 * damping, 1e-6)
+                now = self.scored(z)
+                if fell < enough:
+                    break
+            else:
+                damping = max(10.0 * damping, 1e-3)
+                if damping > 1e6:
+                    break
+        return z, now
+
+    def covariance(self, at: Scored) -> Array:
+        """Covariance of z where it is free: the inverse information, wider where the scores scatter more than that.
+
+        The scatter of the scores, summed over blocks of time, holds whatever the noise is (the sandwich of H. White,
+        Econometrica 50 (1982) 1-25; in blocks: W. K. Newey and K. D. West, Econometrica 55 (1987) 703-708).
+        """
+        inverse = np.linalg.inv(at.information)
+        block = np.broadcast_to(np.floor(self.log.time / BLOCK).astype(np.int64), self.counts.shape)[self.counts]
+        _, block = np.unique(block, return_inverse=True)
+        sums = np.zeros((int(block.max()) + 1, self.free.size))
+        np.add.at(sums, block, at.scores.T)
+        scatter = inverse @ (sums.T @ sums + np.eye(self.free.size)) @ inverse
+        variance = np.clip(np.diag(scatter), np.diag(inverse), 1.0)  # never more than was believed before
+        widened = np.sqrt(variance / np.diag(inverse))
+        return widened[:, None] * inverse * widened
+
+
+def _window_mean(time: Array, values: Array, half: float) -> Array:
+    """(n,) mean of values within +-half (s) of each time."""
+    total = np.concatenate([[0.0], np.cumsum(values)])
+    low, high = np.searchsorted(time, time - half), np.searchsorted(time, time + half, side="right")
+    return (total[high] - total[low]) / (high - low)
+
+
+@dataclass(frozen=True)
+class Scored:
+    """The objective and its derivatives at a point, with respect to the free entries of z."""
+
+    objective: float
+    gradient: Array
+    information: Array
+    scores: Array
+    """(free, innovations that count): terms of the gradient, without the prior's"""
+
+
+def _objective(e: Array, s: Array, z: Array) -> float:
+    if not (np.isfinite(e).all() and np.isfinite(s).all()) or (s <= 0.0).any():
+        return np.inf
+    return float(0.5 * np.sum(e**2 / s + np.log(s)) + 0.5 * np.sum(z**2))

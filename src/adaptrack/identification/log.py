@@ -1,0 +1,199 @@
+"""A log of driving in SI units: read, cleaned and cut into segments, its conventions checked."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from adaptrack.errors import InvalidInput
+
+Array = NDArray[np.float64]
+
+SIGNALS = ("command", "speed", "yaw_rate", "vy", "acceleration", "yaw", "wheel")
+"""Of a `Log`, beside its time."""
+STANDING = 1.5
+"""m/s, below which samples are left out: slip angles are ill-defined."""
+LONGEST_PERIOD, GAP_PERIODS, LEAST_GAP = 0.12, 5.0, 0.3
+"""s, of the samples; a pause longer than so many periods and so long (s) begins a new segment."""
+LEAST_SEGMENT, LEAST_DRIVEN = 3.0, 20.0
+"""s, of driving, in one piece and in all."""
+LEAST_ACCELERATION = 0.1
+"""m/s^2, RMS of the lateral acceleration that the steering asks for, below which nothing is excited."""
+
+
+@dataclass(frozen=True, eq=False)
+class Log:
+    """n samples in SI units and radians, ISO 8855: yaw rate and steering positive to the left. NaN: not measured.
+
+    `log_of` makes one and refuses what nothing can be learned from.
+    """
+
+    time: Array
+    """(n,) s, increasing"""
+    command: Array
+    """(n,) rad, steering command, held until the next sample; where there is none, the measured wheel angle"""
+    speed: Array
+    """(n,) m/s, forward"""
+    yaw_rate: Array
+    """(n,) rad/s"""
+    vy: Array
+    """(n,) m/s, lateral velocity of the centre of gravity"""
+    acceleration: Array
+    """(n,) m/s^2, as an accelerometer at the centre of gravity reads it"""
+    yaw: Array
+    """(n,) rad, not wrapped"""
+    wheel: Array
+    """(n,) rad, measured angle of the road wheels"""
+    begins: NDArray[np.bool_]
+    """(n,) whether a segment begins with the sample"""
+    commanded: bool = True
+    """whether `command` is one, rather than a measured angle"""
+    notes: tuple[str, ...] = ()
+    """what was left out, and how the columns were read"""
+
+    @property
+    def samples(self) -> int:
+        """n"""
+        return int(self.time.size)
+
+    @property
+    def period(self) -> float:
+        """s, median between samples"""
+        return float(np.median(np.diff(self.time)))
+
+    @property
+    def segments(self) -> int:
+        """Pieces between gaps and halts."""
+        return int(self.begins.sum())
+
+    @property
+    def driven(self) -> float:
+        """s, in all segments"""
+        return float(np.sum(np.diff(self.time)[~self.begins[1:]]))
+
+
+def log_of(columns: dict[str, Array], wheelbase: float, notes: tuple[str, ...] = ()) -> Log:
+    """A log of raw columns: ``time``, ``speed``, ``yaw_rate``, ``command`` or ``wheel`` or both; others may be there.
+
+    Repeated rows are dropped; short holes in command and speed are filled; gaps and halts cut the log. wheelbase (m):
+    of the car, for what the steering asks of it.
+
+    Raises
+    ------
+    InvalidInput
+        When a signal is missing or never a number, times go back, samples are too rare, the car stands all the time,
+        the log is too short, or hardly steered.
+    """
+    _refuse_missing(columns)
+    time = columns["time"]
+    said = list(notes)
+    keep = np.isfinite(time)
+    keep[1:] &= np.diff(np.maximum.accumulate(np.where(keep, time, -np.inf))) > 0.0
+    back = np.isfinite(time[1:]) & np.isfinite(time[:-1]) & (np.diff(time) < -1e-9)
+    if back.any():
+        raise InvalidInput(f"log: time goes back at row {int(np.flatnonzero(back)[0]) + 2}: sort or split the log.")
+    if not keep.all():
+        said.append(f"{int((~keep).sum())} rows that repeat a time, or have none, are left out")
+    data = {name: columns[name][keep] if name in columns else np.full(int(keep.sum()), np.nan) for name in SIGNALS}
+    time = time[keep]
+    if time.size < 50:
+        raise InvalidInput(f"log: {time.size} rows with a time of their own: too few; {LEAST_DRIVEN:g} s are needed.")
+    period = float(np.median(np.diff(time)))
+    if period > LONGEST_PERIOD:
+        raise InvalidInput(
+            f"log: a sample every {period:g} s (median): 10 Hz and up is needed. If the times are not seconds, say "
+            "so: --units time=ms (us, ns)."
+        )
+    commanded = bool(np.isfinite(data["command"]).any())
+    if not commanded:
+        data["command"] = data["wheel"].copy()
+        data["wheel"] = np.full(time.size, np.nan)
+        said.append("no steering command, only a measured angle: lag and dead time cannot be seen")
+    hole = max(3.0 * period, LEAST_GAP)
+    data["command"], data["speed"] = _held(time, data["command"], hole), _filled(time, data["speed"], hole)
+    data["yaw"] = _unwrapped(data["yaw"])
+    log = _cut(time, data, max(GAP_PERIODS * period, LEAST_GAP), commanded, said)
+    _refuse_idle(log, wheelbase)
+    return log
+
+
+def _refuse_missing(columns: dict[str, Array]) -> None:
+    """Without time, speed, yaw rate and steering there is nothing to fit."""
+    for name in ("time", "speed", "yaw_rate"):
+        if name not in columns:
+            raise InvalidInput(f"log: no column for {name}: name it, --columns {name}=NAME.")
+        if not np.isfinite(columns[name]).any():
+            raise InvalidInput(f"log: the column for {name} never holds a number.")
+    steering = [name for name in ("command", "wheel") if name in columns]
+    if not steering:
+        raise InvalidInput("log: no column for the steering: name it, --columns command=NAME or wheel=NAME.")
+    if not any(np.isfinite(columns[name]).any() for name in steering):
+        raise InvalidInput(f"log: the column for {steering[0]} never holds a number.")
+
+
+def _held(time: Array, values: Array, longest: float) -> Array:
+    """Values, each held until the next one for at most so long (s)."""
+    known = np.isfinite(values)
+    last = np.maximum.accumulate(np.where(known, np.arange(values.size), -1))
+    held = np.where(last >= 0, values[last], np.nan)
+    return np.where(time - np.where(last >= 0, time[last], np.nan) <= longest, held, np.nan)
+
+
+def _filled(time: Array, values: Array, longest: float) -> Array:
+    """Values with straight lines over holes of at most so long (s)."""
+    known = np.flatnonzero(np.isfinite(values))
+    inside = np.interp(time, time[known], values[known])
+    after = np.clip(np.searchsorted(known, np.arange(values.size)), 0, known.size - 1)
+    before = np.clip(np.searchsorted(known, np.arange(values.size), side="right") - 1, 0, known.size - 1)
+    near = time[known[after]] - time[known[before]] <= longest
+    return np.where(np.isfinite(values) | near, inside, np.nan)
+
+
+def _unwrapped(yaw: Array) -> Array:
+    """A heading without jumps of 2 pi."""
+    known = np.isfinite(yaw)
+    out = np.full_like(yaw, np.nan)
+    out[known] = np.unwrap(yaw[known])
+    return out
+
+
+def _cut(time: Array, data: dict[str, Array], gap: float, commanded: bool, said: list[str]) -> Log:
+    """Segments between gaps and halts; those that are too short are left out."""
+    usable = np.isfinite(data["command"]) & np.isfinite(data["speed"])
+    driving = usable & (np.nan_to_num(data["speed"]) > STANDING)
+    if not driving.any():
+        raise InvalidInput(f"log: the car never drives faster than {STANDING:g} m/s: its steering shows nothing.")
+    rows = np.flatnonzero(driving)
+    begins = np.ones(rows.size, bool)
+    begins[1:] = (np.diff(rows) > 1) | (np.diff(time[rows]) > gap)
+    number = np.cumsum(begins) - 1
+    first = np.flatnonzero(begins)
+    last = np.append(first[1:], rows.size) - 1
+    long_enough = (time[rows[last]] - time[rows[first]]) >= LEAST_SEGMENT
+    kept = long_enough[number]
+    rows, begins = rows[kept], begins[kept]
+    driven = float(np.sum((time[rows[1:]] - time[rows[:-1]])[~begins[1:]])) if rows.size else 0.0
+    if driven < LEAST_DRIVEN:
+        raise InvalidInput(
+            f"log: {driven:.3g} s of driving in pieces of {LEAST_SEGMENT:g} s and more: at least {LEAST_DRIVEN:g} s "
+            "are needed, and a minute or two are better."
+        )
+    if begins.sum() > 1:
+        said.append(f"gaps and halts cut it into {int(begins.sum())} segments")
+    signals: dict[str, Any] = {name: data[name][rows] for name in SIGNALS}
+    return Log(time=time[rows], begins=begins, commanded=commanded, notes=tuple(said), **signals)
+
+
+def _refuse_idle(log: Log, wheelbase: float) -> None:
+    """A log that is hardly steered holds nothing but noise."""
+    steered = log.command - np.median(log.command)
+    asked = float(np.sqrt(np.mean((np.clip(log.speed, 0.0, 15.0) ** 2 * steered / wheelbase) ** 2)))
+    if not math.isfinite(asked) or asked < LEAST_ACCELERATION:
+        raise InvalidInput(
+            f"log: hardly any steering: it asks for {asked:.2g} m/s^2 (RMS); drive bends and lane changes, or check "
+            "the unit of the steering column (--units)."
+        )

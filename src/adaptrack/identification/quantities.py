@@ -1,0 +1,150 @@
+"""What is estimated of a car, its sensors and what disturbs it: names, units, and what is believed before a log.
+
+A belief is a median and a spread: the standard deviation of the logarithm for what is positive, of the value for what
+has either sign, of the logit for a share. A spread of 0 keeps the value. In units of its spread every quantity z has a
+standard normal prior; all fits are in z.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Literal, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from adaptrack.vehicle import GRAVITY, Vehicle, load_tyre
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """One entry of the fit."""
+
+    name: str
+    unit: str
+    kind: Literal["positive", "real", "share"]
+    meaning: str
+
+
+class Belief(NamedTuple):
+    """What is thought of a quantity before the log is read."""
+
+    median: float
+    spread: float
+    """of its logarithm, value or logit; 0: it is kept"""
+
+
+QUANTITIES = (
+    Quantity("delay", "s", "positive", "lag and dead time together"),
+    Quantity("lag_share", "-", "share", "the lag's share of the delay"),
+    Quantity("gain", "-", "positive", "road wheels over the logged steering angle"),
+    Quantity("offset", "rad", "real", "what the road wheels turn beyond the command"),
+    Quantity("front", "N/rad", "positive", "cornering stiffness of the front axle"),
+    Quantity("rear", "N/rad", "positive", "cornering stiffness of the rear axle"),
+    Quantity("mass", "kg", "positive", "total mass"),
+    Quantity("yaw_inertia", "kg m^2", "positive", "yaw inertia"),
+    Quantity("front_share", "-", "share", "l_f over the wheelbase"),
+    Quantity("relaxation", "m", "positive", "relaxation length of the tyres"),
+    Quantity("friction", "-", "positive", "friction at which the tyres' curve bends, a mean over the log"),
+    Quantity("wind_mean", "m/s", "real", "mean side wind"),
+    Quantity("wind_spread", "m/s", "positive", "standard deviation of the gusts"),
+    Quantity("wind_time", "s", "positive", "correlation time of the gusts"),
+    Quantity("push_mean", "m/s^2", "real", "mean push of the bank"),
+    Quantity("push_spread", "m/s^2", "positive", "standard deviation of the bank's push"),
+    Quantity("jolt", "rad/s^1.5", "positive", "white yaw acceleration of the road"),
+    Quantity("noise_yaw_rate", "rad/s", "positive", "noise of the yaw rate"),
+    Quantity("noise_vy", "m/s", "positive", "noise of the lateral velocity"),
+    Quantity("noise_acceleration", "m/s^2", "positive", "noise of the lateral acceleration"),
+    Quantity("noise_yaw", "rad", "positive", "noise of the yaw angle"),
+    Quantity("noise_wheel", "rad", "positive", "noise of the wheel angle"),
+    Quantity("gyro_offset", "rad/s", "real", "offset of the yaw rate"),
+    Quantity("acceleration_offset", "m/s^2", "real", "offset of the lateral acceleration"),
+    Quantity("wheel_offset", "rad", "real", "offset of the measured wheel angle"),
+)
+"""All, in the order of the fit."""
+INDEX = {each.name: i for i, each in enumerate(QUANTITIES)}
+_KINDS = np.array([("positive", "real", "share").index(each.kind) for each in QUANTITIES])
+
+AXLE_OVER_LOAD = 11.0
+"""1/rad, cornering stiffness of an axle over its load where nothing is known of the tyres."""
+PUSH_TIME = 5.0
+"""s, correlation time of what the bank adds."""
+SHAPE = 1.35
+"""-, shape factor of the tyres' curve where nothing is known of it."""
+
+DISTURBANCES: Mapping[str, Belief] = {
+    "delay": Belief(0.3, 0.7), "lag_share": Belief(0.5, 1.5), "gain": Belief(1.0, 0.0), "offset": Belief(0.0, 0.03),
+    "mass": Belief(1500.0, 0.0), "friction": Belief(0.7, 0.35), "wind_mean": Belief(0.0, 4.0),
+    "wind_spread": Belief(4.0, 1.0), "wind_time": Belief(0.6, 0.6), "push_mean": Belief(0.0, 0.2),
+    "push_spread": Belief(0.1, 1.0), "jolt": Belief(0.01, 1.5), "noise_yaw_rate": Belief(0.01, 1.5),
+    "noise_vy": Belief(0.05, 1.5), "noise_acceleration": Belief(0.1, 1.5), "noise_yaw": Belief(0.003, 1.5),
+    "noise_wheel": Belief(0.002, 1.5), "gyro_offset": Belief(0.0, 0.005), "acceleration_offset": Belief(0.0, 0.2),
+    "wheel_offset": Belief(0.0, 0.02),
+}  # fmt: skip
+"""What is believed of steering, sensors and weather: wide enough for any car on a road."""
+
+
+def values_of(z: Array, median: Array, spread: Array) -> Array:
+    """The quantities of a point z (in spreads from the medians), in their units; all of shape (len(QUANTITIES),)."""
+    moved = spread * z
+    share = np.where(_KINDS == 2, median, 0.5)
+    logit = np.log(share / (1.0 - share))
+    return np.where(
+        _KINDS == 0, median * np.exp(np.where(_KINDS == 0, moved, 0.0)),
+        np.where(_KINDS == 1, median + moved, 1.0 / (1.0 + np.exp(-(logit + moved)))),
+    )  # fmt: skip
+
+
+def beliefs_of(car: Vehicle, known: Mapping[str, Belief] | None = None) -> dict[str, Belief]:
+    """What is believed of every quantity: of a car's body what its file says, of its tyres about that.
+
+    known: replaces entries; a car file that says how well it knows its numbers is read here.
+    """
+    tyre = load_tyre(car.tyre)
+    beliefs = dict(DISTURBANCES)
+    beliefs["mass"] = Belief(car.mass, 0.0)
+    beliefs["front_share"] = Belief(car.lf / car.wheelbase, 0.0)
+    beliefs["yaw_inertia"] = Belief(car.yaw_inertia, 0.1)
+    beliefs["front"] = Belief(2.0 * car.stiffness_front, 0.7)
+    beliefs["rear"] = Belief(2.0 * car.stiffness_rear, 0.7)
+    beliefs["relaxation"] = Belief(max(tyre.relaxation_length, 0.25), 0.7)
+    steering = car.steering
+    if steering is not None and steering.lag is not None and steering.dead_time is not None:
+        delay = max(steering.lag + steering.dead_time, 0.02)
+        beliefs["delay"] = Belief(delay, 0.7)
+        beliefs["lag_share"] = Belief(min(max(steering.lag / delay, 0.1), 0.9), 1.5)
+    return beliefs | dict(known or {})
+
+
+def plain_car(mass: float, wheelbase: float) -> tuple[Vehicle, dict[str, Belief]]:
+    """A car of which only mass (kg) and wheelbase (m) are known, and how far the rest may be off.
+
+    The centre of gravity lies at 0.45 +- 0.03 of the wheelbase behind the front axle, the yaw inertia is m l_f l_r
+    within 15 %, the axles have `AXLE_OVER_LOAD` times their load, within a factor of 2.2.
+    """
+    lf, lr = 0.45 * wheelbase, 0.55 * wheelbase
+    front, rear = (0.5 * AXLE_OVER_LOAD * mass * GRAVITY * arm / wheelbase for arm in (lr, lf))
+    car = Vehicle(
+        name="my-car", description="Identified from a log; mass and wheelbase as given", mass=mass,
+        yaw_inertia=mass * lf * lr, lf=lf, lr=lr, stiffness_front=front, stiffness_rear=rear,
+    )  # fmt: skip
+    spread = 0.03 / (0.45 * 0.55)
+    known = {
+        "front_share": Belief(0.45, spread), "yaw_inertia": Belief(mass * lf * lr, 0.15),
+        "front": Belief(2.0 * front, 0.8), "rear": Belief(2.0 * rear, 0.8), "relaxation": Belief(0.25, 0.7),
+    }  # fmt: skip
+    return car, known
+
+
+def understeer(front: float, rear: float, mass: float, wheelbase: float, front_share: float) -> float:
+    """K = (m/L)(l_r/C_f - l_f/C_r) (rad s^2/m) of two axles (N/rad), as `Vehicle.understeer_gradient`."""
+    return mass * ((1.0 - front_share) / front - front_share / rear)
+
+
+def degrees_per_g(gradient: float) -> float:
+    """An understeer gradient (rad s^2/m) in degrees per g."""
+    return math.degrees(gradient * GRAVITY)

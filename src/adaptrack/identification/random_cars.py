@@ -1,0 +1,117 @@
+"""Random cars about shipped ones: what a method that gets to know a car is measured on."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from adaptrack.errors import InvalidInput, whole
+from adaptrack.profile import Profile, load_profile
+from adaptrack.vehicle import Tyre, Vehicle, load_tyre, load_vehicle
+
+BASES = ("paper", "midsize-sedan")
+_CAR = 0x0CA5  # stream of random numbers
+
+
+@dataclass(frozen=True)
+class CarRanges:
+    """From where random cars are drawn: factors log-uniform, the others uniform, all independent."""
+
+    mass: tuple[float, float] = (0.6, 1.6)
+    """-, factor on mass, yaw inertia and the tyres' nominal load"""
+    stiffness: tuple[float, float] = (0.5, 2.5)
+    """-, factor on the cornering stiffness of both axles"""
+    front_to_rear: tuple[float, float] = (0.85, 1.18)
+    """-, factor on the ratio of front to rear stiffness"""
+    lag: tuple[float, float] = (0.05, 0.35)
+    """s, of the steering"""
+    dead_time: tuple[float, float] = (0.0, 0.25)
+    """s, of the steering, beside the computation that the profile has"""
+    bias: tuple[float, float] = (-0.02, 0.02)
+    """rad, of the steering"""
+    noise: tuple[float, float] = (0.3, 3.0)
+    """-, factor on the noise of all sensors of the profile"""
+
+    def __post_init__(self) -> None:
+        for name in ("mass", "stiffness", "front_to_rear", "noise", "lag", "dead_time", "bias"):
+            low, high = getattr(self, name)
+            factor = name in ("mass", "stiffness", "front_to_rear", "noise")
+            if not (math.isfinite(low) and math.isfinite(high) and low <= high and (low > 0.0 or not factor)):
+                raise InvalidInput(f"CarRanges: {name} = ({low!r}, {high!r}): must be (low, high), factors positive.")
+
+
+@dataclass(frozen=True)
+class RandomCar:
+    """A car, its tyre and its world, as `random_car` draws them."""
+
+    seed: int
+    base: str
+    """the shipped car that it was drawn about"""
+    vehicle: Vehicle
+    """the truth; its prediction model has the stiffness of the tyre at the static loads"""
+    tyre: Tyre
+    profile: Profile
+    """true steering actuator and sensors"""
+    noise: float
+    """-, factor on the noise of the profile's sensors"""
+
+    @property
+    def delay(self) -> float:
+        """s, dead time and lag of the steering, with the computation of the profile."""
+        return self.profile.dead_time + self.profile.steering.lag
+
+
+def random_car(
+    seed: int,
+    *,
+    bases: Sequence[str] = BASES,
+    profile: str | Profile = "road",
+    ranges: CarRanges | None = None,
+) -> RandomCar:
+    """The car of a seed: about one of the shipped cars, each in turn, in a profile with its own steering and noise.
+
+    A seed gives the same car on every machine. The tyre keeps its curve: stiffness and nominal load are scaled. Mass
+    and yaw inertia are scaled alike. Of what a controller knows of the steering nothing is said (`vehicle.steering`
+    is None but for rate and limit).
+
+    Raises
+    ------
+    InvalidInput
+        When the seed is no whole number >= 0, or there is no base.
+    """
+    seed = whole("random_car", "seed", seed, least=0)
+    if not bases:
+        raise InvalidInput("random_car: bases = (): name at least one shipped car.")
+    ranges = ranges or CarRanges()
+    rng = np.random.default_rng((_CAR, seed))
+
+    def factor(bounds: tuple[float, float]) -> float:
+        return float(math.exp(rng.uniform(math.log(bounds[0]), math.log(bounds[1]))))
+
+    base = bases[seed % len(bases)]
+    car = load_vehicle(base)
+    tyre = load_tyre(car.tyre)
+    mass, stiffness, ratio, noise = (
+        factor(each) for each in (ranges.mass, ranges.stiffness, ranges.front_to_rear, ranges.noise)
+    )
+    lag, dead_time, bias = (float(rng.uniform(*each)) for each in (ranges.lag, ranges.dead_time, ranges.bias))
+    tyre = tyre.replace(
+        name=f"{tyre.name}-{seed}",
+        stiffness_front=tyre.stiffness_front * stiffness * math.sqrt(ratio),
+        stiffness_rear=tyre.stiffness_rear * stiffness / math.sqrt(ratio),
+        nominal_load=tyre.nominal_load * mass,
+    )
+    vehicle = car.replace(name=f"{base}-{seed}", mass=car.mass * mass, yaw_inertia=car.yaw_inertia * mass).matched_to(
+        tyre
+    )
+    world = load_profile(profile)
+    noises = ("noise_vy", "noise_yaw", "noise_yaw_rate", "noise_y", "noise_wheel_angle", "noise_lateral_acceleration")
+    world = world.replace(
+        name=f"{world.name}-{seed}",
+        steering=world.steering.replace(lag=lag, dead_time=dead_time, bias=bias),
+        **{name: getattr(world, name) * noise for name in noises},
+    )
+    return RandomCar(seed, base, vehicle, tyre, world, noise)

@@ -1,0 +1,264 @@
+"""Logs from files: CSV, Parquet, own trajectories; columns by name, units from names or as told."""
+
+from __future__ import annotations
+
+import io
+import math
+import os
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from adaptrack.errors import InvalidInput, did_you_mean
+from adaptrack.files import read_bytes
+
+Array = NDArray[np.float64]
+
+ALIASES: Mapping[str, tuple[str, ...]] = {
+    "time": ("time", "t", "timestamp", "stamp", "seconds", "sec"),
+    "command": (
+        "command", "steering_command", "steer_command", "steering_cmd", "steer_cmd", "delta_cmd", "cmd_steering",
+        "steering_wheel_command", "u", "cmd", "command_steering_angle", "desired_steering_angle",
+    ),
+    "wheel": (
+        "wheel", "wheel_angle", "road_wheel_angle", "steering", "steering_angle", "steer", "steer_angle", "delta",
+        "steering_wheel_angle", "steering_wheel", "swa", "hand_wheel_angle", "handwheel_angle", "front_wheel_angle",
+    ),
+    "speed": ("speed", "vx", "v_x", "velocity", "v", "ego_speed", "vehicle_speed", "v_ego", "longitudinal_velocity"),
+    "yaw_rate": (
+        "yaw_rate", "yawrate", "r", "gyro_z", "gyroz", "wz", "omega_z", "psi_dot", "dpsi", "angular_velocity_z",
+    ),
+    "vy": ("vy", "v_y", "lateral_velocity"),
+    "acceleration": (
+        "acceleration", "lateral_acceleration", "ay", "a_y", "acc_y", "accy", "accel_y", "acceleration_y", "a_lat",
+    ),
+    "yaw": ("yaw", "psi", "heading", "yaw_angle"),
+    "x": ("x", "pos_x", "position_x", "east"),
+    "y": ("y", "pos_y", "position_y", "north"),
+}  # fmt: skip
+"""Names by which columns are known, without their unit."""
+_ANGLES = ("command", "wheel", "yaw")
+_UNITS: Mapping[str, Mapping[str, float]] = {
+    "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9},
+    "angle": {"rad": 1.0, "deg": math.pi / 180.0},
+    "yaw_rate": {"rad/s": 1.0, "deg/s": math.pi / 180.0},
+    "speed": {"m/s": 1.0, "km/h": 1 / 3.6, "mph": 0.44704},
+    "acceleration": {"m/s^2": 1.0, "g": 9.80665},
+    "length": {"m": 1.0},
+}
+_SHORT = {
+    "deg": "deg", "degree": "deg", "degrees": "deg", "rad": "rad", "radps": "rad/s", "rad_s": "rad/s", "rad/s": "rad/s",
+    "degps": "deg/s", "dps": "deg/s", "deg_s": "deg/s", "deg/s": "deg/s", "kmh": "km/h", "kph": "km/h", "km_h": "km/h",
+    "km/h": "km/h", "mph": "mph", "mps": "m/s", "m_s": "m/s", "m/s": "m/s", "ms": "ms", "us": "us", "ns": "ns",
+    "s": "s", "g": "g", "m/s^2": "m/s^2", "m/s2": "m/s^2", "mps2": "m/s^2", "m_s2": "m/s^2", "m": "m",
+}  # fmt: skip
+"""Units as column names have them."""
+_NOTHING = ("", "nan", "NaN", "NA", "null")
+_AT_STEERING_WHEEL = re.compile(r"steering_?wheel|swa$|hand_?wheel")
+
+
+@dataclass(frozen=True)
+class Reading:
+    """How the columns of a log are to be understood; what is left out is guessed from their names, and said.
+
+    Raises
+    ------
+    InvalidInput
+        When a signal or unit is unknown.
+    """
+
+    columns: Mapping[str, str] = field(default_factory=dict)
+    """signal -> column"""
+    units: Mapping[str, str] = field(default_factory=dict)
+    """signal -> unit; under ``""`` one for all angles and rates: deg"""
+    flip: tuple[str, ...] = ()
+    """signals that are positive to the right in the log"""
+    steering_ratio: float | None = None
+    """-, of the logged steering angles over those of the road wheels; None: they are those of the road wheels"""
+
+    def __post_init__(self) -> None:
+        for name in (*self.columns, *(u for u in self.units if u), *self.flip):
+            if name not in ALIASES:
+                raise InvalidInput(f"identify: no signal is named {name!r}. {did_you_mean(name, ALIASES)}")
+        for name, unit in self.units.items():
+            if not name and unit not in ("deg", "rad"):
+                raise InvalidInput(f"identify: units = {unit!r}: deg or rad for all, or signal=unit.")
+            if name and _SHORT.get(unit, unit) not in _UNITS[_dimension(name)]:
+                raise InvalidInput(f"identify: {name} in {unit!r}: must be {' or '.join(_UNITS[_dimension(name)])}.")
+        if self.steering_ratio is not None and not 0.1 <= self.steering_ratio <= 100.0:
+            raise InvalidInput(f"identify: steering ratio {self.steering_ratio!r}: must be from 0.1 to 100.")
+
+
+@dataclass(frozen=True, eq=False)
+class Columns:
+    """Columns of a log in SI units, as they were understood."""
+
+    values: dict[str, Array]
+    notes: tuple[str, ...]
+    source: str
+    computation: float = 0.0
+    """s, of the dead time that lies in the controller's computation, where the log tells"""
+
+
+def read_columns(source: str | os.PathLike[str] | Mapping[str, object], reading: Reading) -> Columns:
+    """The signals of a log: a .csv or .parquet file, one of `Trajectory.save`, or arrays by name.
+
+    Raises
+    ------
+    StorageError
+        When the file cannot be read.
+    InvalidInput
+        When it is no table of numbers, or names columns that it does not have.
+    """
+    if isinstance(source, Mapping):
+        table, where, computation = {str(k): np.asarray(v, dtype=np.float64) for k, v in source.items()}, "log", 0.0
+        if len({v.shape for v in table.values()}) > 1 or any(v.ndim != 1 for v in table.values()):
+            raise InvalidInput("log: the columns must be vectors of one length.")
+    else:
+        where = os.fspath(source)
+        table, computation = _table(Path(source))
+    found, notes = _named(table, reading, where)
+    values = {}
+    for signal, column in found.items():
+        unit, factor = _unit(signal, column, reading)
+        sign = -1.0 if signal in reading.flip else 1.0
+        values[signal] = table[column] * factor * sign
+        if unit not in ("s", "rad", "m/s", "rad/s", "m/s^2", "m") or sign < 0.0:
+            notes.append(f"{signal} is read from {column!r} in {unit}" + (", flipped" if sign < 0.0 else ""))
+    for signal in ("command", "wheel"):
+        if signal in values and reading.steering_ratio is not None:
+            values[signal] = values[signal] / reading.steering_ratio
+    if "time" in values:
+        values["time"] = values["time"] - values["time"][np.isfinite(values["time"])][:1].sum()
+    return Columns(values, tuple(notes), where, computation)
+
+
+def _table(path: Path) -> tuple[dict[str, Array], float]:
+    """The columns of a file, and the computation time (s) that it tells of."""
+    content = read_bytes(path)
+    if content[:4] == b"PAR1":
+        return _parquet(path, content)
+    return _csv(path, content), 0.0
+
+
+def _parquet(path: Path, content: bytes) -> tuple[dict[str, Array], float]:
+    import pyarrow
+    import pyarrow.parquet
+
+    from adaptrack.trajectory import FORMAT, Trajectory
+
+    try:
+        table = pyarrow.parquet.read_table(io.BytesIO(content))
+    except (pyarrow.ArrowException, OSError) as error:
+        raise InvalidInput(f"{path}: cannot be read as Parquet: {error}.") from None
+    if any(FORMAT.encode() in value for value in (table.schema.metadata or {}).values()):
+        run = Trajectory.load(path)
+        names = {"time": run.t, "command": run.command, "speed": run.vx, "yaw_rate": run.yaw_rate,
+                 "wheel": run.steering, "acceleration": run.lateral_acceleration}  # fmt: skip
+        return {name: np.asarray(values, dtype=np.float64) for name, values in names.items()}, _computation(run)
+    return {name: _numbers(table.column(name)) for name in table.column_names}, 0.0
+
+
+def _computation(run: object) -> float:
+    """s, delay of the profile that a trajectory was driven in, where it is a shipped one."""
+    from adaptrack.profile import list_profiles, load_profile
+
+    name = getattr(run, "meta", {}).get("profile")
+    return load_profile(name).delay * float(getattr(run, "period", 0.0)) if name in list_profiles() else 0.0
+
+
+def _numbers(column: object) -> Array:
+    import pyarrow
+
+    try:
+        return np.asarray(column.cast(pyarrow.float64()).to_numpy(zero_copy_only=False), dtype=np.float64)  # type: ignore[attr-defined]
+    except (pyarrow.ArrowException, ValueError):
+        return np.full(len(column), np.nan)  # type: ignore[arg-type]
+
+
+def _csv(path: Path, content: bytes) -> dict[str, Array]:
+    import pyarrow
+    import pyarrow.csv
+
+    lines = content.decode("utf-8-sig", errors="replace").splitlines()
+    lines = [line for line in lines if line.strip() and not line.lstrip().startswith("#")]
+    if len(lines) < 2:
+        raise InvalidInput(f"{path}: a header and rows of numbers are needed.")
+    delimiter = max(",;\t", key=lines[0].count)
+    point = "," if delimiter == ";" and "." not in lines[1] else "."
+    try:
+        table = pyarrow.csv.read_csv(
+            io.BytesIO("\n".join(lines).encode()), parse_options=pyarrow.csv.ParseOptions(delimiter=delimiter),
+            convert_options=pyarrow.csv.ConvertOptions(decimal_point=point, null_values=list(_NOTHING)),
+        )  # fmt: skip
+    except pyarrow.ArrowException as error:
+        raise InvalidInput(f"{path}: not a table: {error}.") from None
+    return {name.strip().strip('"'): _numbers(table.column(i)) for i, name in enumerate(table.column_names)}
+
+
+def _plain(column: str) -> tuple[str, str]:
+    """The name of a column without its unit, and the unit; the latter may be empty."""
+    name = re.sub(r"(?<=[a-z])(?=[A-Z][a-z]|[A-Z]$)", "_", column.strip()).lower()
+    bracket = re.search(r"[\[(]\s*([^\])]+?)\s*[\])]\s*$", name)
+    if bracket:
+        return re.sub(r"[^a-z0-9]+", "_", name[: bracket.start()]).strip("_"), _SHORT.get(
+            bracket[1].replace("²", "2").replace("°", "deg"), ""
+        )
+    name = re.sub(r"[^a-z0-9]+", "_", name).strip("_")
+    for ending in sorted(_SHORT, key=len, reverse=True):
+        if name.endswith("_" + ending) and len(name) > len(ending) + 1:
+            return name[: -len(ending) - 1], _SHORT[ending]
+    return name, ""
+
+
+def _named(table: dict[str, Array], reading: Reading, where: str) -> tuple[dict[str, str], list[str]]:
+    """Signal -> column: those that are told, then those whose name is known."""
+    found: dict[str, str] = {}
+    for signal, column in reading.columns.items():
+        if column not in table:
+            raise InvalidInput(f"{where}: has no column {column!r}. {did_you_mean(column, table)}")
+        found[signal] = column
+    notes: list[str] = []
+    plain = {column: _plain(column)[0] for column in table}
+    for signal, names in ALIASES.items():
+        if signal in found:
+            continue
+        for name in names:
+            match = [c for c in table if plain[c] == name and c not in found.values()]
+            if match:
+                found[signal] = match[0]
+                if match[0] != signal:
+                    notes.append(f"guessed: {signal} is the column {match[0]!r}")
+                break
+    for signal in ("command", "wheel"):
+        if signal in found and _AT_STEERING_WHEEL.search(plain[found[signal]]) and reading.steering_ratio is None:
+            notes.append(
+                f"{found[signal]!r} seems to be an angle of the steering wheel: --steering-ratio R turns it into "
+                "one of the road wheels"
+            )
+    return found, notes
+
+
+def _dimension(signal: str) -> str:
+    if signal in _ANGLES:
+        return "angle"
+    return {"x": "length", "y": "length", "vy": "speed"}.get(signal, signal)
+
+
+def _unit(signal: str, column: str, reading: Reading) -> tuple[str, float]:
+    """The unit of a column and its factor to SI."""
+    units = _UNITS[_dimension(signal)]
+    told = reading.units.get(signal)
+    if told is None and "" in reading.units and _dimension(signal) in ("angle", "yaw_rate"):
+        told = reading.units[""] + ("/s" if signal == "yaw_rate" else "")
+    if told is None:
+        told = _plain(column)[1]
+        if _dimension(signal) == "yaw_rate" and told in ("deg", "rad"):
+            told += "/s"
+    told = _SHORT.get(told, told)
+    unit = told if told in units else next(iter(units))
+    return unit, units[unit]

@@ -1,0 +1,68 @@
+"""What a log told of a car and what it could not tell, in words."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from adaptrack.identification.log import Log
+from adaptrack.identification.quantities import degrees_per_g
+
+if TYPE_CHECKING:
+    from adaptrack.identification.from_log import Estimate, Validation
+
+FAST, LITTLE = 15.0, 0.3
+"""m/s; m/s^2, RMS lateral acceleration below which there is hardly any steering."""
+HARDLY, LOOSE = 0.7, 1.25
+"""Share of the earlier spread that is left where a log says next to nothing; factor from which a stiffness is loose."""
+SPLIT = 0.05
+"""s, half width of the lag's interval from which the split of the delay is said to be open."""
+EVEN_SPEED, COLOURED, POOR, HARD = 0.05, 0.1, 0.5, 4.0
+"""Spread over mean of an even speed; autocorrelation of residuals; share of variance explained; m/s^2."""
+
+
+def findings(log: Log, estimates: Mapping[str, Estimate], validation: Validation) -> tuple[str, ...]:
+    """Sentences: what limits what is known, each with what would help."""
+    said = []
+    fast = log.speed > FAST
+    sideways = log.speed * np.nan_to_num(log.yaw_rate)
+    stiff = [estimates["front"], estimates["rear"]]
+    factor = max(each.high / each.value for each in stiff)
+    if factor > LOOSE:
+        idle = not fast.any() or math.sqrt(float(np.mean(sideways[fast] ** 2))) < LITTLE
+        why = f"hardly any steering above {FAST:g} m/s" if idle else "the log tells little of the tyres"
+        said.append(f"{why}: stiffness known within a factor {factor:.2g}")
+        gradient = estimates["understeer_gradient"]
+        if gradient.told < 0.5:
+            within = degrees_per_g(gradient.high - gradient.value)
+            said.append(
+                f"what the axles have in common is open, their balance is not: understeer gradient "
+                f"{degrees_per_g(gradient.value):.2g} deg/g within {within:.2g}"
+            )
+    if log.commanded:
+        lag = estimates["lag"]
+        if 0.5 * (lag.high - lag.low) > SPLIT:
+            said.append(
+                f"lag and dead time are known in sum ({estimates['delay'].value:.3g} s), not how they share it: quick "
+                "steering, or a measured wheel angle, tells them apart"
+            )
+    else:
+        said.append("no steering command in the log: lag and dead time keep what was believed")
+    if estimates["yaw_inertia"].told > HARDLY:
+        said.append("yaw inertia keeps what was believed: steer faster, or log the lateral acceleration")
+    if float(np.std(log.speed)) < EVEN_SPEED * float(np.mean(log.speed)):
+        said.append("the speed hardly changes: steering offset, bank and gyro offset are known in sum only")
+    if float(np.percentile(np.abs(sideways), 99)) > HARD:
+        said.append(f"driven hard, above {HARD:g} m/s^2: stiffness rests on the tyres' curve too")
+    largest = max(validation.autocorrelation, key=abs)
+    if abs(largest) > COLOURED:
+        said.append(f"the residuals are not white (autocorrelation {largest:.2f}): intervals may be too narrow")
+    if not validation.simulated > POOR:
+        said.append(
+            f"simulated from the command alone, {100 * validation.simulated:.0f} % of the yaw rate's variance is "
+            "explained: the rest is wind, road, or a wrong column"
+        )
+    return tuple(said)

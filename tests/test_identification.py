@@ -1,0 +1,297 @@
+"""What `identify` finds in logs whose truth is known."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+import adaptrack as at
+from adaptrack.errors import InvalidInput
+from adaptrack.identification.conventions import check_conventions
+from adaptrack.identification.from_log import fitted, prepare, reported
+from adaptrack.identification.likelihood import Likelihood
+from adaptrack.identification.log import log_of
+from adaptrack.identification.quantities import INDEX, QUANTITIES, Belief, beliefs_of, values_of
+from adaptrack.identification.reading import Reading, read_columns
+from adaptrack.vehicle import Steering, Vehicle
+
+PERIOD, LAG, DEAD_TIME, BIAS, RELAXATION = 0.05, 0.18, 0.13, 0.006, 0.3
+CAR = at.load_vehicle("compact-ev").replace(steering=None, side_force_slope=0.0, yaw_moment_slope=0.0)
+
+
+def driven(
+    duration: float, seed: int = 0, *, noise: float = 0.003, speed: float | None = None
+) -> dict[str, np.ndarray]:
+    """A log of the linear single-track vehicle behind lag and dead time, integrated by SciPy: an independent truth."""
+    rng = np.random.default_rng(seed)
+    time = PERIOD * np.arange(round(duration / PERIOD))
+    waves = rng.uniform(0.05, 1.2, 8), rng.uniform(0.0, math.tau, 8)
+    command = 0.012 * np.sin(math.tau * np.outer(time, waves[0]) + waves[1]).sum(axis=1) / math.sqrt(8) * 2
+    pace = np.full(time.size, speed) if speed else 15.0 + 7.0 * np.sin(0.2 * time)
+    front, rear = 2.0 * CAR.stiffness_front, 2.0 * CAR.stiffness_rear
+
+    def slope(t: float, x: np.ndarray) -> list[float]:
+        vy, r, af, ar, delta = x
+        v = float(np.interp(t, time, pace))
+        late = int(np.clip(math.floor((t - DEAD_TIME) / PERIOD + 1e-9), 0, time.size - 1))
+        return [
+            (front * af + rear * ar) / CAR.mass - v * r,
+            (CAR.lf * front * af - CAR.lr * rear * ar) / CAR.yaw_inertia,
+            (v * (delta - af) - vy - CAR.lf * r) / RELAXATION,
+            (-v * ar - vy + CAR.lr * r) / RELAXATION,
+            (command[late] + BIAS - delta) / LAG,
+        ]
+
+    start = [0.0, 0.0, 0.0, 0.0, command[0] + BIAS]
+    x = solve_ivp(slope, (0.0, time[-1]), start, t_eval=time, max_step=0.01, rtol=1e-7, atol=1e-9).y
+    force = (front * x[2] + rear * x[3]) / CAR.mass
+    return {
+        "time": time, "command": command, "speed": pace, "yaw_rate": x[1] + noise * rng.standard_normal(time.size),
+        "wheel": x[4], "acceleration": force,
+    }  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def log() -> dict[str, np.ndarray]:
+    made = driven(60.0)
+    return {name: made[name] for name in ("time", "command", "speed", "yaw_rate")}
+
+
+@pytest.fixture(scope="module")
+def found(log: dict[str, np.ndarray]) -> at.Identification:
+    believed = CAR.replace(stiffness_front=1.5 * CAR.stiffness_front, stiffness_rear=0.8 * CAR.stiffness_rear)
+    return at.identify(log, believed)
+
+
+def test_the_filter_run_blind_is_the_single_track_vehicle() -> None:
+    made = driven(25.0, noise=0.0)
+    cleaned = log_of(dict(made), CAR.wheelbase)
+    exact = {
+        "delay": LAG + DEAD_TIME, "lag_share": LAG / (LAG + DEAD_TIME), "offset": BIAS,
+        "front": 2.0 * CAR.stiffness_front, "rear": 2.0 * CAR.stiffness_rear, "relaxation": RELAXATION,
+        "friction": 1e3,
+    }  # fmt: skip
+    beliefs = beliefs_of(CAR) | {name: Belief(value, 0.0) for name, value in exact.items()}
+    blind = Likelihood(cleaned, CAR, beliefs, cleaned.begins.astype(np.float64))
+    errors, _ = blind.innovations(np.zeros(len(QUANTITIES)))
+    settled = cleaned.time > 3.0
+    assert np.abs(errors[0][settled]).max() < 4e-3 * np.abs(made["yaw_rate"]).max()
+    assert np.abs(errors[4][settled]).max() < 1e-4  # the wheels
+
+
+@pytest.mark.compiled
+def test_delay_and_its_split_are_found_in_a_log_of_an_independent_simulation(found: at.Identification) -> None:
+    assert found["delay"].value == pytest.approx(LAG + DEAD_TIME, abs=0.01)
+    assert abs(found["lag"].value - LAG) < 3.0 * found["lag"].standard_error + 0.002
+    assert abs(found["dead_time"].value - DEAD_TIME) < 3.0 * found["dead_time"].standard_error + 0.002
+
+
+@pytest.mark.compiled
+def test_tyres_and_offset_lie_within_three_standard_errors(found: at.Identification) -> None:
+    truth = {
+        "front": 2.0 * CAR.stiffness_front, "rear": 2.0 * CAR.stiffness_rear, "offset": BIAS, "noise_yaw_rate": 0.003,
+        "understeer_gradient": CAR.understeer_gradient,
+    }  # fmt: skip
+    for name, value in truth.items():
+        assert abs(found[name].value - value) < 3.0 * found[name].standard_error, name
+    assert found["understeer_gradient"].value == pytest.approx(CAR.understeer_gradient, rel=0.15)
+
+
+@pytest.mark.compiled
+def test_held_out_stretches_are_predicted(found: at.Identification) -> None:
+    assert found.validation.simulated > 0.95
+    assert found.validation.one_step > 0.95
+    assert max(map(abs, found.validation.autocorrelation)) < 0.15
+
+
+@pytest.mark.compiled
+def test_the_file_of_the_car_holds_what_was_found(found: at.Identification, tmp_path) -> None:
+    found.to_toml(tmp_path / "mine.toml")
+    car = at.load_vehicle(tmp_path / "mine.toml")
+    assert car.name == "mine"
+    assert car.steering is not None
+    assert car.steering.lag == pytest.approx(found["lag"].value)
+    assert car.steering.dead_time == pytest.approx(found["dead_time"].value)
+    assert 2.0 * car.stiffness_front == pytest.approx(found["front"].value)
+    assert "90 % intervals" in (tmp_path / "mine.toml").read_text()
+
+
+@pytest.mark.compiled
+def test_the_page_shows_measured_and_simulated(found: at.Identification, tmp_path) -> None:
+    from adaptrack.report.identify import write_identification_page
+
+    text = write_identification_page(found, tmp_path / "page.html", "adaptrack identify").read_text()
+    for words in ("explained", "simulated", "Believed before", "Speed and steering", "Are they white?"):
+        assert words in text
+
+
+@pytest.mark.compiled
+def test_a_measured_wheel_angle_sharpens_the_split_of_the_delay(found: at.Identification) -> None:
+    made = driven(60.0)
+    made["wheel"] = made["wheel"] + 0.001 * np.random.default_rng(5).standard_normal(made["time"].size)
+    likelihood = prepare({k: made[k] for k in ("time", "command", "speed", "yaw_rate", "wheel")}, CAR)
+    estimates = reported(likelihood, *fitted(likelihood))
+    assert estimates["lag"].standard_error < 0.7 * found["lag"].standard_error
+    assert abs(estimates["lag"].value - LAG) < 0.01
+
+
+@pytest.mark.compiled
+def test_at_even_speed_offset_and_gyro_are_said_to_be_inseparable() -> None:
+    made = driven(40.0, speed=15.0)
+    told = at.identify({k: made[k] for k in ("time", "command", "speed", "yaw_rate")}, CAR)
+    assert any("known in sum only" in sentence for sentence in told.findings)
+
+
+@pytest.mark.compiled
+def test_without_a_command_the_delay_is_said_to_be_unseen() -> None:
+    made = driven(40.0)
+    told = at.identify({k: made[k] for k in ("time", "wheel", "speed", "yaw_rate")}, CAR)
+    assert "delay" not in told.estimates
+    assert any("no steering command" in sentence for sentence in told.findings)
+    assert told.car.steering is None
+    assert told["understeer_gradient"].value == pytest.approx(CAR.understeer_gradient, rel=0.2)
+
+
+@pytest.mark.parametrize(
+    ("signal", "factor", "remedy"),
+    [
+        ("command", -1.0, "--flip command"),
+        ("yaw_rate", -1.0, "--flip"),
+        ("command", 180.0 / math.pi, "--units command=deg"),
+        ("command", 16.0, "--steering-ratio 1"),
+        ("command", 16.0 * 180.0 / math.pi, "--units command=deg --steering-ratio"),
+        ("yaw_rate", 180.0 / math.pi, "--units"),
+        ("speed", 3.6, "--units speed=km/h"),
+    ],
+)
+def test_a_wrong_sign_or_unit_is_named_with_the_option_that_mends_it(
+    log: dict[str, np.ndarray], signal: str, factor: float, remedy: str
+) -> None:
+    wrong = log | {signal: log[signal] * factor}
+    with pytest.raises(InvalidInput, match=remedy):
+        check_conventions(log_of(wrong, CAR.wheelbase), CAR.wheelbase)
+
+
+@pytest.mark.parametrize(
+    ("factor", "remedy"), [(-1.0, "--flip acceleration"), (1.0 / 9.80665, "--units acceleration=g")]
+)
+def test_a_lateral_acceleration_that_does_not_fit_is_named(factor: float, remedy: str) -> None:
+    made = driven(40.0)
+    made["acceleration"] = made["acceleration"] * factor
+    with pytest.raises(InvalidInput, match=remedy):
+        check_conventions(log_of(made, CAR.wheelbase), CAR.wheelbase)
+
+
+def test_a_right_log_passes_its_conventions(log: dict[str, np.ndarray]) -> None:
+    check_conventions(log_of(dict(log), CAR.wheelbase), CAR.wheelbase)
+
+
+def test_logs_that_tell_nothing_are_refused(log: dict[str, np.ndarray]) -> None:
+    short = {name: values[:200] for name, values in log.items()}
+    for wrong, words in (
+        (short, "at least 20 s"),
+        (log | {"speed": np.zeros_like(log["speed"])}, "never drives"),
+        (log | {"command": 0.0 * log["command"]}, "hardly any steering"),
+        (log | {"yaw_rate": np.full_like(log["time"], np.nan)}, "never holds a number"),
+        (log | {"time": 1000.0 * log["time"]}, "--units time=ms"),
+        ({k: v for k, v in log.items() if k != "speed"}, "--columns speed=NAME"),
+        (log | {"time": log["time"][::-1].copy()}, "time goes back"),
+    ):
+        with pytest.raises(InvalidInput, match=words):
+            log_of(dict(wrong), CAR.wheelbase)
+
+
+def test_repeated_rows_are_dropped_and_gaps_begin_a_segment(log: dict[str, np.ndarray]) -> None:
+    rows = np.concatenate([np.arange(500), [499, 499], np.arange(600, 1200)])
+    cleaned = log_of({name: values[rows] for name, values in log.items()}, CAR.wheelbase)
+    assert cleaned.segments == 2
+    assert cleaned.samples == 1100
+    assert any("repeat" in note for note in cleaned.notes)
+
+
+def test_columns_are_guessed_with_their_units_and_the_guess_is_said(log: dict[str, np.ndarray], tmp_path) -> None:
+    path = tmp_path / "log.csv"
+    table = np.column_stack([1000 * log["time"], log["command"], 3.6 * log["speed"], np.degrees(log["yaw_rate"])])
+    lines = [";".join(f"{v:.6f}".replace(".", ",") for v in row) for row in table]
+    path.write_text("# a comment\ntime_ms;SteeringCmd;Speed [km/h];GyroZ_dps\n" + "\n".join(lines))
+    read = read_columns(path, Reading())
+    for name in ("command", "speed", "yaw_rate"):
+        assert np.allclose(read.values[name], log[name], atol=1e-5), name
+    assert np.allclose(read.values["time"], log["time"], atol=1e-5)
+    assert any("GyroZ_dps" in note for note in read.notes)
+
+
+def test_columns_units_signs_and_ratio_are_read_as_told(log: dict[str, np.ndarray], tmp_path) -> None:
+    import pyarrow
+    import pyarrow.parquet
+
+    path = tmp_path / "log.parquet"
+    columns = {
+        "T": log["time"], "Lenkrad": -15.0 * np.degrees(log["command"]), "V": log["speed"],
+        "Gier": np.degrees(log["yaw_rate"]),
+    }  # fmt: skip
+    pyarrow.parquet.write_table(pyarrow.table(columns), path)
+    reading = Reading(
+        {"time": "T", "command": "Lenkrad", "speed": "V", "yaw_rate": "Gier"}, {"": "deg"}, ("command",), 15.0
+    )
+    read = read_columns(path, reading)
+    assert np.allclose(read.values["command"], log["command"])
+    assert np.allclose(read.values["yaw_rate"], log["yaw_rate"])
+    with pytest.raises(InvalidInput, match="no column"):
+        read_columns(path, Reading({"time": "Zeit"}))
+    with pytest.raises(InvalidInput, match="no signal"):
+        Reading({"tempo": "V"})
+    with pytest.raises(InvalidInput, match="must be m/s or km/h or mph"):
+        Reading(units={"speed": "knots"})
+
+
+def test_an_own_trajectory_is_read_with_the_computation_of_its_profile(tmp_path) -> None:
+    car = at.load_vehicle("paper")
+    run = at.rollout(at.SingleTrack(car), at.MPC(car, profile="road"), at.random_drive(3, 30.0), profile="road")
+    run.save(tmp_path / "run.parquet")
+    read = read_columns(tmp_path / "run.parquet", Reading())
+    assert np.array_equal(read.values["command"], run.command)
+    assert read.computation == pytest.approx(0.05)
+
+
+def test_medians_and_spreads_are_what_a_point_at_the_origin_and_one_spread_off_mean() -> None:
+    median, spread = np.full(len(QUANTITIES), 0.4), np.full(len(QUANTITIES), 0.5)
+    assert np.allclose(values_of(np.zeros(len(QUANTITIES)), median, spread), 0.4)
+    there = values_of(np.ones(len(QUANTITIES)), median, spread)
+    assert there[INDEX["delay"]] == pytest.approx(0.4 * math.exp(0.5))
+    assert there[INDEX["offset"]] == pytest.approx(0.9)
+    share = there[INDEX["lag_share"]]
+    assert math.log(share / (1.0 - share)) == pytest.approx(math.log(0.4 / 0.6) + 0.5)
+
+
+def test_a_seed_gives_one_random_car_within_its_ranges() -> None:
+    for seed in range(12):
+        car = at.random_car(seed)
+        assert car == at.random_car(seed)
+        base = at.load_vehicle(car.base)
+        assert 0.6 <= car.vehicle.mass / base.mass <= 1.6
+        assert 0.05 <= car.profile.steering.lag <= 0.35
+        assert 0.0 <= car.profile.steering.dead_time <= 0.25
+        assert abs(car.profile.steering.bias) <= 0.02
+        factors = car.vehicle.stiffness_factors(car.tyre)
+        assert factors == pytest.approx((1.0, 1.0))
+        assert car.vehicle.yaw_inertia / car.vehicle.mass == pytest.approx(base.yaw_inertia / base.mass)
+    with pytest.raises(InvalidInput, match="factors positive"):
+        at.CarRanges(mass=(-1.0, 2.0))
+
+
+def test_a_car_of_mass_and_wheelbase_is_asked_for_or_a_car() -> None:
+    with pytest.raises(InvalidInput, match="--mass"):
+        at.identify({"time": np.zeros(3)})
+    with pytest.raises(InvalidInput, match="either a car"):
+        at.identify({"time": np.zeros(3)}, CAR, mass=1000.0)
+
+
+def test_steering_that_is_known_is_believed_before_the_log() -> None:
+    known: Vehicle = CAR.replace(steering=Steering(lag=0.2, dead_time=0.1))
+    beliefs = beliefs_of(known)
+    assert beliefs["delay"].median == pytest.approx(0.3)
+    assert beliefs["lag_share"].median == pytest.approx(2.0 / 3.0)
