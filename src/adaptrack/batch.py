@@ -275,7 +275,7 @@ class Batch:
             assert isinstance(own, MPC)
             mpc, law = own.batch(slots, mpc_settings, curved=bool(len(self.roads.numbers))), rollout.no_law_batch()
             functions = own.functions
-            width = len(kernel.ANSWER)
+            width = mpc.answer.shape[1]
         none = np.zeros(0)
         perceiving = rollout.Perceiving(none, none, np.zeros((0, 0)))
         if isinstance(known, FrictionWindEstimator):

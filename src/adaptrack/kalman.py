@@ -28,6 +28,8 @@ SENSORS = (*MEASURED, "lateral_acceleration")
 
 OLDEST = 2.0
 """s, of a sample that is still taken in."""
+LONGEST = 5.0
+"""s, of a dead time that may be learned."""
 
 
 @dataclass(frozen=True)
@@ -123,7 +125,8 @@ class KalmanFilter(Estimator):
 
     friction, shape: coefficient, and shape factor C of the Magic Formula, of tyres as they are thought to be: in the
     bends of a road they pull less than the model's linear ones, which is known beforehand. Passenger-car tyres have C
-    near 1.3 (Pacejka, Tire and Vehicle Dynamics, 3rd ed., section 4.3).
+    near 1.3 (Pacejka, Tire and Vehicle Dynamics, 3rd ed., section 4.3). longest: dead time (s) that the model may be
+    told to have while driving.
 
     Raises
     ------
@@ -143,6 +146,7 @@ class KalmanFilter(Estimator):
     window: tuple[float, float] = (0.5, 5.0)
     friction: float = 0.9
     shape: float = 1.3
+    longest: float = 0.0
     name = "kalman"
 
     def __post_init__(self) -> None:
@@ -165,6 +169,8 @@ class KalmanFilter(Estimator):
             raise InvalidInput(f"KalmanFilter: friction = {self.friction!r}: must be positive.")
         if not 1.0 < real("KalmanFilter", "shape", self.shape) < 2.0:
             raise InvalidInput(f"KalmanFilter: shape = {self.shape!r}: must be between 1 and 2.")
+        if not 0.0 <= real("KalmanFilter", "longest", self.longest) <= LONGEST:
+            raise InvalidInput(f"KalmanFilter: longest = {self.longest!r} s: must be within 0 .. {LONGEST:g}.")
         if not all(0.0 < real("KalmanFilter", "window", each) < math.inf for each in self.window):
             raise InvalidInput(f"KalmanFilter: window = {self.window!r} s: must be positive and finite.")
 
@@ -191,7 +197,7 @@ class KalmanFilter(Estimator):
     def memory_size(self, model: PredictionModel) -> int:
         from adaptrack.kernels.estimators.kalman import memory_size
 
-        return int(memory_size(_periods(model)[0], self.late(model)))
+        return int(memory_size(self._longest(model), self.late(model)))
 
     def change_path(self, model: PredictionModel, memory: Array, heading: float, offset: float) -> None:
         from adaptrack.kernels.estimators.kalman import move_path
@@ -203,6 +209,10 @@ class KalmanFilter(Estimator):
 
         out = int(memory[LEFT_OUT])
         return SENSORS[out - 1] if out else None
+
+    def _longest(self, model: PredictionModel) -> int:
+        """Whole periods of the longest dead time."""
+        return max(_periods(model)[0], in_periods(self.longest, model.period)[0])
 
     def late(self, model: PredictionModel) -> int:
         """Periods that are gone through anew at every step, for the samples that come late."""
@@ -238,7 +248,8 @@ class KalmanFilter(Estimator):
         drifts += [self.drifts.yaw_rate_offset**2 * model.period, self.drifts.sliding**2]
         drifts += [self.drifts.sliding_time, self.drifts.grip, self.drifts.least_spare]
         spread = [each**2 for each in (*self.spread, self.noise.yaw_rate_offset)]
-        own = [model.period, whole, share, self.late(model), self.bound, self.patience / model.period]
+        own = [model.period, whole, share, self._longest(model), self.late(model), 0.0, self.bound]
+        own += [self.patience / model.period]
         own += [self.distrust, self.trust, *self.shares(model.period)]
         spread = [self.friction, self.shape, *spread]
         own += [min(1.0, model.period / self.settling), *self.variances(), *drifts, *spread]

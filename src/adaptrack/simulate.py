@@ -327,6 +327,10 @@ _WHOLE = {"Np", "Nc", "qp_status", "qp_iterations", "at_limit"}
 _UNITS = {
     "tuning.Q": "1/m^2", "tuning.R": "1/rad^2", "diagnostics.dead_reckoning": "s", "road.station": "m",
     "road.offset": "m", "road.heading_error": "rad", "road.curvature": "1/m",
+    **{f"diagnostics.{name}{end}": unit for end in ("", "_sigma") for name, unit in (
+        ("belief_lag", "s"), ("belief_dead_time", "s"), ("belief_delay", "s"), ("belief_bias", "rad"),
+        ("belief_bank", "m/s^2"), ("used_lag", "s"), ("used_dead_time", "s"), ("used_bias", "rad"),
+    )},
 }  # fmt: skip
 
 
@@ -342,6 +346,12 @@ def _named(names: tuple[str, ...], columns: Array, driven: NDArray[np.bool_]) ->
 
             found[name][~driven] = QPStatus.NON_FINITE
     return found
+
+
+def _learned(world: World, controller: Controller) -> dict[str, Any]:
+    """What a controller that learns was there to learn (`Learner.truth`)."""
+    learner = getattr(controller, "learner", None)
+    return {} if learner is None else {"truth": learner.truth(world.steering, world.plant)}
 
 
 def _trajectory(
@@ -401,6 +411,7 @@ def _trajectory(
             speed="profile" if world.driver is None else "driver",
             scheduler_counts=record.counted,
             **_failure_distance(plant),
+            **_learned(world, controller),
         ),
     )
 

@@ -165,12 +165,14 @@ class Tracker:
     def engage(self, wheel_angle: float = 0.0) -> None:
         """Begin anew, from the angle (rad) that the wheels have: the first command is near it.
 
+        What a controller has learned of its car stays.
+
         Raises
         ------
         InvalidInput
             When the angle is not finite.
         """
-        self.controller.reset()
+        getattr(self.controller, "restart", self.controller.reset)()
         self._hold(wheel_angle)
         self._started = False
         self._last, self._between = -math.inf, self.period

@@ -18,6 +18,8 @@ from adaptrack.cli.show import Column
 from adaptrack.cli.simulate import (
     FAILED,
     Asked,
+    asked_learning,
+    keep_learned,
     make_controller,
     measured_row,
     tell_belief,
@@ -75,6 +77,8 @@ def drive(
     tyre: options.Tyre = None,
     driver: Annotated[bool, Option("--driver/--perfect-speed", help="Powertrain and driver, or exact speed.")] = False,
     period: Annotated[float | None, Option(help="Control period (s); by default the profile's.")] = None,
+    learn: options.Learn = False,
+    learned: options.LearnedFile = None,
     seed: Annotated[int, Option("--seed", help="Of the sensor noise.")] = 0,
     out: Annotated[Path | None, Option(help="Folder for the page with the replay, and the trajectories.")] = None,
     allow_failed: Annotated[
@@ -99,7 +103,8 @@ def drive(
     seen = asked.look(road, car)
     world = load_profile(profile)
     trip = RoadDrive(seen.road, seen.plan, laps=laps, wind=wind, start_offset=offset, start_heading=heading)
-    who = Asked(car, world, world.period if period is None else period, preview=True)
+    who = Asked(car, world, world.period if period is None else period, preview=True,
+                learning=asked_learning(learn, learned))  # fmt: skip
     usual = [] if tuning else [who.usual]
     controllers = [make_controller(name, who) for name in dict.fromkeys(controller or usual)]
     controllers += [tuned(file, who, as_json) for file in dict.fromkeys(tuning or [])]
@@ -117,6 +122,8 @@ def drive(
             if out is not None:
                 _keep(run, out / f"{file}.parquet")
     rows = [run.row for run in runs]
+    if not any(row["failed"] for row in rows):
+        keep_learned(learned, controllers, as_json)
     if out is not None:
         show.say(f"Page: {_write_page(out, runs)}", aside=as_json)
     _print(trip, rows, as_json)

@@ -79,6 +79,13 @@ Plugin = Annotated[
     Option("--plugin", metavar="MODULE", help="Python module to import first: what it registers has a name."),
 ]
 Tyre = Annotated[str | None, Option("--tyre", help="Name (see `vehicles`) or .toml file; by default the vehicle's.")]
+Learn = Annotated[
+    bool, Option("--learn", help="Let the informed controller learn delay, stiffness and bias while it drives.")
+]
+LearnedFile = Annotated[
+    Path | None,
+    Option("--learned", metavar="FILE", help="Learn, beginning with what this TOML file holds, and write it again."),
+]
 Profile = Annotated[
     str, Option("--profile", metavar="NAME", help="paper: ideal; road: steering lag, noise, delay; or a .toml file.")
 ]

@@ -17,7 +17,7 @@ from adaptrack.cli.show import Column
 from adaptrack.errors import InvalidInput, UnknownName, did_you_mean
 
 if TYPE_CHECKING:
-    from adaptrack.controllers import Controller, Moves, Tuning
+    from adaptrack.controllers import Controller, Learning, Moves, Tuning
     from adaptrack.models import PredictionModel
     from adaptrack.profile import Profile
     from adaptrack.scenario import Scenario
@@ -83,6 +83,8 @@ def simulate(
     ] = None,
     solver: Annotated[str, Option(help="QP solver: active-set, hildreth, daqp, ...")] = "active-set",
     period: Annotated[float | None, Option(help="Control period (s); by default the profile's.")] = None,
+    learn: options.Learn = False,
+    learned: options.LearnedFile = None,
     seed: Annotated[int, Option("--seed", help="Seed of the sensor noise.")] = 0,
     option: Annotated[
         list[str] | None,
@@ -118,6 +120,7 @@ def simulate(
         solver=solver,
         schedule=None if scheduler is None else load_scheduler(scheduler),
         label="" if scheduler is None else Path(scheduler).stem if scheduler.endswith(".json") else scheduler,
+        learning=asked_learning(learn, learned),
     )
     controllers = [make_controller(name, asked) for name in dict.fromkeys(controller or [asked.usual])]
     for scenario in loaded:
@@ -127,6 +130,8 @@ def simulate(
     runs = _drive(loaded, controllers, body, world, driver, seed, out)
     models = {label: getattr(each, "model", None) for label, each in controllers}
     rows = [measured_row(label, run, models[label]) for label, run in runs]
+    if not any(row["failed"] for row in rows):
+        keep_learned(learned, controllers, as_json)
     if out is not None:
         show.say(f"Report: {_write_report(out, runs)}", aside=as_json)
     _print(rows, as_json)
@@ -156,6 +161,7 @@ class Asked:
     schedule: Schedule | None = None
     label: str = ""
     """how tables call the scheduler: as the command line does"""
+    learning: Learning | None = None
 
     @property
     def usual(self) -> str:
@@ -204,6 +210,8 @@ def make_controller(name: str, asked: Asked) -> tuple[str, Controller]:
         options: dict[str, Any] = {"period": asked.period, "preview": asked.preview}
         if name == INFORMED:
             options |= {"moves": own, "solver": asked.solver}
+            if asked.learning is not None:
+                options["learning"] = asked.learning
             if asked.schedule is not None:
                 options |= {"scheduler": asked.schedule, "most_moves": max(20, asked.schedule.largest[1])}
             if asked.tuning:
@@ -220,6 +228,25 @@ def make_controller(name: str, asked: Asked) -> tuple[str, Controller]:
     if not asked.label:
         return name, mpc
     return asked.label if name == STANDARD else f"{asked.label}-{name}", mpc
+
+
+def asked_learning(learn: bool, file: Path | None) -> Learning | None:
+    """How the informed controller learns, from the options; None: it does not."""
+    from adaptrack.controllers import Learning, load_learned_car
+
+    if not (learn or file is not None):
+        return None
+    return Learning(start=load_learned_car(file) if file is not None and file.exists() else None)
+
+
+def keep_learned(file: Path | None, controllers: Sequence[tuple[str, Controller]], aside: bool) -> None:
+    """Leave what the informed controller has learned in a file, for the next drive."""
+    if file is None:
+        return
+    for _, each in controllers:
+        if getattr(each, "learner", None) is not None:
+            each.learned().to_toml(file)  # type: ignore[attr-defined]
+            show.say(f"Learned: {file}", aside=aside)
 
 
 def _most_moves(tuning: Tuning, asked: Asked) -> int:

@@ -4,6 +4,7 @@ from adaptrack.controllers.base import Command, CompiledController, Controller
 from adaptrack.controllers.belief import Belief, Uncertainty
 from adaptrack.controllers.check import check_controller
 from adaptrack.controllers.informed import informed_tuning
+from adaptrack.controllers.learned import LearnedCar, Learning, load_learned_car
 from adaptrack.controllers.limits import Limits, Moves
 from adaptrack.controllers.lqr import LQR
 from adaptrack.controllers.mpc import MPC, CompiledScheduler, MPCCommand, Scheduler
@@ -23,6 +24,8 @@ __all__ = [
     "CompiledController",
     "CompiledScheduler",
     "Controller",
+    "LearnedCar",
+    "Learning",
     "Limits",
     "MPCCommand",
     "Moves",
@@ -36,6 +39,7 @@ __all__ = [
     "get_controller",
     "informed_tuning",
     "list_controllers",
+    "load_learned_car",
     "published_mpc",
     "read_tuning",
     "register_controller",

@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 from adaptrack.controllers.base import known_vehicle
 from adaptrack.controllers.belief import Belief, Uncertainty, believed
+from adaptrack.controllers.learned import UNTOLD, Learner, Learning
 from adaptrack.controllers.limits import Limits
 from adaptrack.controllers.tuning import Tuning
 from adaptrack.errors import InvalidInput, real
@@ -70,13 +71,14 @@ class Parts(NamedTuple):
     preview: bool
     belief: Belief | None = None
     """about the steering; None where the model was given"""
+    learner: Learner | None = None
 
 
 def informed_parts(
-    vehicle: Vehicle, profile: str | Profile | None, told: tuple[Steering | None, Uncertainty | None],
+    vehicle: Vehicle, profile: str | Profile | None, told: tuple[Steering | None, Uncertainty | None, Learning | None],
     period: float | None, estimator: KalmanFilter | None,
 ) -> Parts:  # fmt: skip
-    """The parts of an MPC that knows its car; arguments as for `MPC`, told: belief and uncertainty.
+    """The parts of an MPC that knows its car; arguments as for `MPC`, told: belief, uncertainty and learning.
 
     Raises
     ------
@@ -85,6 +87,8 @@ def informed_parts(
     """
     car, world = known_vehicle("MPC", vehicle), load_profile(UNNAMED if profile is None else profile)
     pace = _checked(world.period if period is None else period)
+    if told[2] is not None:
+        return _learning_parts(car, (world, profile is not None), told, pace, estimator)
     plain = believed(car, told[0], world, pace, named=profile is not None)
     unsure = Uncertainty.of_car(car, plain) if told[1] is None else Uncertainty.declared(told[1])
     belief = plain.later(unsure)
@@ -97,4 +101,28 @@ def informed_parts(
         limits=replace(belief.bounds(pace), error=LARGEST_CORRECTION),
         preview=world.preview,
         belief=belief,
+    )
+
+
+def _learning_parts(
+    car: Vehicle, world: tuple[Profile, bool], told: tuple[Steering | None, Uncertainty | None, Learning | None],
+    period: float, estimator: KalmanFilter | None,
+) -> Parts:  # fmt: skip
+    """The parts of an MPC that learns its car; world: the profile, and whether it was named."""
+    profile, named = world
+    learning = told[2]
+    if not isinstance(learning, Learning):
+        raise InvalidInput(f"MPC: learning = {learning!r}: must be a Learning().")
+    unsure = UNTOLD if told[1] is None else Uncertainty.declared(told[1])
+    belief = believed(car, told[0], profile, period, named=named)
+    sensing = KalmanFilter.of_profile(profile) if estimator is None else estimator
+    learner = Learner(learning, car, belief, unsure, sensing, period)
+    return Parts(
+        tuning=informed_tuning(profile, period),
+        model=learner.model(),
+        estimator=replace(sensing, longest=learner.longest),
+        limits=replace(belief.bounds(period), error=LARGEST_CORRECTION),
+        preview=profile.preview,
+        belief=belief,
+        learner=learner,
     )

@@ -20,6 +20,7 @@ from numpy.typing import ArrayLike, NDArray
 from adaptrack.controllers.belief import Uncertainty
 from adaptrack.controllers.informed import Parts, informed_parts
 from adaptrack.controllers.inputs import finite, number, vector
+from adaptrack.controllers.learned import LearnedCar, Learning
 from adaptrack.controllers.limits import Limits, Moves
 from adaptrack.controllers.made_for import INCREMENTAL, car_of, mismatches
 from adaptrack.controllers.tuning import ENTRIES, Tuning, read_tuning
@@ -38,6 +39,7 @@ from adaptrack.vehicle import Steering, Vehicle
 Array = NDArray[np.float64]
 
 _STATUSES = tuple(QPStatus)
+_DIAGNOSTICS = ("qp_status", "qp_iterations", "qp_residual", "at_limit", "dead_reckoning")
 _STATE_SIZES = (4, 5, 6, 7, 8, 9)
 """with or without wheel angle, lateral acceleration, ages and the path's turn (`kernels.models.contract.MEASURED`)"""
 _NOT_CARRIED = (
@@ -88,11 +90,14 @@ class MPCCommand(NamedTuple):
     """sum of 1 (move), 2 (angle), 4 (output)"""
     dead_reckoning: float = 0.0
     """s, for which no position has been taken in: the command rests on the estimate; 0 where the state is measured"""
+    learned: tuple[float, ...] = ()
+    """what a controller that learns has learned, in the order of `kernels.estimators.learning.BELIEFS`"""
 
     @property
     def diagnostics(self) -> tuple[float, ...]:
         """In the order of `MPC.diagnostic_names`."""
-        return float(self.status), float(self.iterations), self.residual, float(self.at_limit), self.dead_reckoning
+        own = float(self.status), float(self.iterations), self.residual, float(self.at_limit), self.dead_reckoning
+        return (*own, *self.learned)
 
 
 def _given_parts(
@@ -144,7 +149,6 @@ class MPC:
     """
 
     tuning_names = ENTRIES
-    diagnostic_names = ("qp_status", "qp_iterations", "qp_residual", "at_limit", "dead_reckoning")
 
     def __init__(
         self,
@@ -154,6 +158,7 @@ class MPC:
         profile: str | Profile | None = None,
         belief: Steering | None = None,
         uncertainty: Uncertainty | None = None,
+        learning: Learning | None = None,
         period: float | None = None,
         limits: Limits | None = None,
         moves: Moves | None = None,
@@ -168,17 +173,19 @@ class MPC:
     ) -> None:
         filtering = get_estimator(estimator) if isinstance(estimator, str) else estimator
         if model is None and isinstance(filtering, KalmanFilter | None):
-            parts = informed_parts(vehicle, profile, (belief, uncertainty), period, filtering)
+            parts = informed_parts(vehicle, profile, (belief, uncertainty, learning), period, filtering)
         else:
-            if not (profile is None and belief is None and uncertainty is None):
+            if not (profile is None and belief is None and uncertainty is None and learning is None):
                 raise InvalidInput(
-                    "MPC: profile, belief and uncertainty choose model and estimator: give those, or these."
+                    "MPC: profile, belief and uncertainty, or learning, choose model and estimator: give those, or "
+                    "these."
                 )
             parts = _given_parts(vehicle, model, filtering, period)
         self.tuning = parts.tuning if tuning is None else tuning
         if not isinstance(self.tuning, Tuning):
             raise InvalidInput(f"MPC: tuning = {tuning!r}: must be a Tuning(Np, Nc, Q, R).")
         self.model, self.estimator, self.belief = parts.model, parts.estimator, parts.belief
+        self.learner = parts.learner
         self.estimator.check_fits(self.model)
         self.limits = limits or parts.limits
         self.preview = parts.preview if preview is None else bool(preview)
@@ -212,7 +219,8 @@ class MPC:
                 f"Np = {self.tuning.Np}, Nc = {self.tuning.Nc} exceed longest_horizon = {self.longest_horizon} or "
                 f"most_moves = {self.most_moves}: raise those."
             )
-        lead = math.ceil(self.model.dead_time / self.period)
+        longest = self.model.dead_time if self.learner is None else self.learner.longest
+        lead = math.ceil(longest / self.period)
         self._furthest = self.longest_horizon + 1 + (lead + 1 if lead else 0)
         if self.moves.kind == "laguerre" and self.most_moves > self.longest_horizon:
             raise InvalidInput("most_moves must not exceed longest_horizon.")
@@ -221,6 +229,27 @@ class MPC:
     def period(self) -> float:
         """Control period (s)."""
         return self.model.period
+
+    @property
+    def diagnostic_names(self) -> tuple[str, ...]:
+        """What a step says beside the command: of the QP, and of what has been learned."""
+        if self.learner is None:
+            return _DIAGNOSTICS
+        from adaptrack.kernels.estimators.learning import BELIEFS
+
+        return (*_DIAGNOSTICS, *BELIEFS)
+
+    def learned(self) -> LearnedCar:
+        """What has been learned of the car so far.
+
+        Raises
+        ------
+        InvalidInput
+            When the controller does not learn.
+        """
+        if self.learner is None:
+            raise InvalidInput("learned: this MPC does not learn: MPC(car, learning=Learning()) does.")
+        return self.learner.learned(self._mpc.learned[0])
 
     @property
     def name(self) -> str:
@@ -304,6 +333,7 @@ class MPC:
         return kernel.batch(
             slots, settings, (model.parameters(), model.measured_places(), model.output, self._turning()),
             (estimator.parameters(model), estimator.memory_size(model)), curved,
+            None if self.learner is None else (self.learner.parameters(), self.learner.fresh()),
         )  # fmt: skip
 
     def _turning(self) -> Array:
@@ -322,6 +352,13 @@ class MPC:
         self._variables = np.zeros(len(NAMES))
         self._raised = 0
         self._load()
+
+    def restart(self) -> None:
+        """Forget the past, but not what has been learned of the car: for another drive of it."""
+        before = self._mpc.learned
+        self.reset()
+        if self.learner is not None:
+            self._mpc.learned[:] = self.learner.again(before[0])
 
     def _load(self) -> None:
         """What a copy cannot carry along: the lock, addresses, compiled functions."""
@@ -428,6 +465,13 @@ class MPC:
         if mpc.memory["started"][0]:
             self.estimator.change_path(self.model, mpc.estimates[0], turned, shifted)
 
+    @property
+    def _dead_time(self) -> float:
+        """s, from an instant until its command begins to act, as believed at present."""
+        if self.learner is None:
+            return self.model.dead_time
+        return self.learner.dead_time(self._mpc.learned[0])
+
     def predicted_output(self) -> tuple[Array, Array]:
         """Times (Np,) s from now and y (Np,) m that the last step predicts for them, with its plan of moves.
 
@@ -443,7 +487,7 @@ class MPC:
         else:
             moves[: own.planned] = mpc.plan[0, : own.planned]
         response = np.convolve(moves, mpc.ws.step[0, :count])[:count]
-        return np.asarray((steps + 1.0) * self.period + self.model.dead_time), np.asarray(free + response)
+        return np.asarray((steps + 1.0) * self.period + self._dead_time), np.asarray(free + response)
 
     def step(
         self,
@@ -558,7 +602,7 @@ class MPC:
         bend = self._mpc.bend
         bend[:] = 0.0
         if road is not None and math.isfinite(pace):
-            lead = self.model.dead_time / self.period
+            lead = self._dead_time / self.period
             bend[:] = road.bend(bend.size, max(pace, self.speed_floor), lead, self.period)
 
     def _schedule(self, variables: Sequence[float] | None) -> None:
@@ -622,6 +666,10 @@ class MPC:
             from adaptrack.kernels.qp.hildreth import hildreth
 
             solvers["hildreth"] = hildreth
+        if self.learner is not None:
+            from adaptrack.kernels.estimators.learning import believe, learn
+
+            solvers |= {"learn": learn, "believe": believe}
         return kernel.functions(discretise=self.model.function, estimate=self.estimator.function, **solvers)
 
     def _form(self, speed: float, ahead: Array) -> tuple[int, int, int]:
@@ -651,10 +699,10 @@ class MPC:
         self._parts.apply_move(0, int(status), iterations, (n, m), self._mpc)
 
     def _command(self) -> MPCCommand:
-        angle, move, held, Np, Nc, Q, R, status, iterations, residual, at_limit, reckoned = self._answer.tolist()
+        angle, move, held, Np, Nc, Q, R, status, iterations, residual, at_limit, reckoned, *rest = self._answer.tolist()
         made = (
             angle, move, held > 0.5, (Np, Nc, Q, R), _STATUSES[int(status)], int(iterations), residual, int(at_limit),
-            reckoned,
+            reckoned, tuple(rest),
         )  # fmt: skip
         return MPCCommand._make(made)
 

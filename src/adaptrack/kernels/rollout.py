@@ -233,7 +233,7 @@ def _see_bend(k, slot, speed, run):
         return
     bend_ahead(
         run.memory.own[slot].station, run.given.signals[scenario, SIGNAL.speed, k:], max(speed, settings.speed_floor),
-        settings.lead, settings.period, road, run.given.roads, run.mpc.bend,
+        mpc.lead_of(slot, run.mpc), settings.period, road, run.given.roads, run.mpc.bend,
     )  # fmt: skip
 
 

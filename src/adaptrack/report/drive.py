@@ -8,7 +8,17 @@ from pathlib import Path
 
 import numpy as np
 
-from adaptrack.report.drive_figures import Drives, above_figure, along_figure, along_key, along_panels, labelled
+from adaptrack.report.drive_figures import (
+    Drives,
+    above_figure,
+    along_figure,
+    along_key,
+    along_panels,
+    labelled,
+    learned_figure,
+    learned_key,
+    learned_panels,
+)
 from adaptrack.report.page import (
     Cell,
     Drawing,
@@ -69,6 +79,7 @@ def write_drive_page(
     sections = [
         Section("The drive" if len(shown) == 1 else "The drives", [_verdict(shown)]),
         Section("Along the road", [_along(shown)]),
+        *([_learned(shown)] if any(drive.learned for drive in drives) else []),
         Section("Replay", [replay(shown)]),
         *([_measures(shown)] if any(drive.metrics for drive in drives) else []),
         *more,
@@ -167,6 +178,16 @@ def _along(drives: Drives) -> Picture:
     caption += " Dotted: where a drive failed." if any(drive.failed for drive in drives.values()) else ""
     panels = [panel.drawing() for panel in along_panels(drives)]
     return Picture(caption, panels, along_key(drives), "along.png", along_figure(list(drives.values())))
+
+
+def _learned(drives: Drives) -> Section:
+    """What the controllers have learned of their car."""
+    caption = "What was learned of the car while driving. Band: one standard deviation to either side"
+    known = any(each.truth is not None for drive in drives.values() for each in drive.learned.values())
+    caption += "; dashed: the simulated truth." if known else "."
+    panels = [panel.drawing() for panel in learned_panels(drives)]
+    picture = Picture(caption, panels, learned_key(drives), "learned.png", learned_figure(list(drives.values())))
+    return Section("Learned while driving", [picture])
 
 
 def _measures(drives: Drives) -> Section:

@@ -198,6 +198,64 @@ def along_key(drives: Drives) -> list[tuple[str, style.Stroke]]:
     return [*style.strokes(drives).items(), *([("Planned speed", style.REFERENCE)] if planned else [])]
 
 
+LEARNED = {
+    "delay": ("Lag and dead time", "Delay (s)", "s"), "lag": ("Steering lag", "Lag (s)", "s"),
+    "stiffness": ("Stiffness over mass, of the model's", "Factor (–)", ""),
+    "bias": ("Steering bias", "Bias (rad)", "rad"), "bank": ("Pull of the bank", "Pull (m/s²)", "m/s²"),
+    "friction": ("Friction", "μ (–)", ""),
+}  # fmt: skip
+"""Learned quantities that are drawn: title, label and unit."""
+
+
+def learned_panels(drives: Drives) -> list[Panel]:
+    """Each learned quantity over time, with one standard deviation to either side and, in simulation, the truth."""
+    shown = {key: drive for key, drive in drives.items() if drive.learned}
+    strokes = style.strokes(drives)
+    return [
+        Panel(title, partial(_draw_learned, name, label, shown, strokes),
+              "; ".join(f"{key}: {drive.learned[name].mean[-1]:.3g} {unit} in the end" for key, drive in shown.items()))
+        for name, (title, label, unit) in LEARNED.items() if shown
+    ]  # fmt: skip
+
+
+def learned_figure(drives: Sequence[DriveRecord]) -> Figure:
+    """The learned quantities, two beside each other, for print.
+
+    Raises
+    ------
+    InvalidInput
+        When no controller has learned.
+    """
+    shown = labelled(drives)
+    panels = learned_panels(shown)
+    if not panels:
+        raise InvalidInput("a picture of what was learned needs a controller that learns: MPC(car, learning=...).")
+    return printed(panels, 2, 1.9, learned_key(shown))
+
+
+def learned_key(drives: Drives) -> list[tuple[str, style.Stroke]]:
+    """The legend of the learned quantities."""
+    strokes = style.strokes(drives)
+    learners = [(key, strokes[key]) for key, drive in drives.items() if drive.learned]
+    known = any(each.truth is not None for drive in drives.values() for each in drive.learned.values())
+    return [*learners, *([("Truth", style.REFERENCE)] if known else [])]
+
+
+def _draw_learned(name: str, label: str, drives: Drives, strokes: Mapping[str, style.Stroke], axes: Axes) -> None:
+    """One learned quantity."""
+    for key, drive in drives.items():
+        learnt, stroke = drive.learned[name], strokes[key]
+        keep = thinned(learnt.mean)
+        time = drive.time[keep]
+        axes.fill_between(time, learnt.low[keep], learnt.high[keep], color=stroke.colour, alpha=0.2, linewidth=0.0)
+        axes.plot(time, learnt.mean[keep], color=stroke.colour, linestyle=stroke.dash)
+        if learnt.truth is not None:
+            look: dict[str, Any] = {"color": style.REFERENCE.colour, "linestyle": style.REFERENCE.dash}
+            axes.plot(drive.time, learnt.truth, linewidth=1.0, **look)
+    axes.set_ylabel(label)
+    axes.set_xlabel("Time (s)")
+
+
 def _draw_along(
     label: str, drives: Drives, strokes: Mapping[str, style.Stroke], draw: Callable[[Axes], None], axes: Axes
 ) -> None:

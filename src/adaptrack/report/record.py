@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import NamedTuple, Self
 
 import numpy as np
@@ -32,6 +32,17 @@ class Measure(NamedTuple):
     name: str
     value: float
     unit: str = ""
+
+
+class Learnt(NamedTuple):
+    """A quantity that a controller has learned while driving, (n,) each."""
+
+    mean: Array
+    low: Array
+    """one standard deviation below"""
+    high: Array
+    truth: Array | None = None
+    """in simulation"""
 
 
 @dataclass(frozen=True)
@@ -114,6 +125,8 @@ class DriveRecord:
     failed_at: float = math.nan
     """s; NaN for a drive that did not."""
     metrics: Sequence[Measure] = ()
+    learned: Mapping[str, Learnt] = field(default_factory=dict)
+    """what the controller has learned of its car, by name; empty for one that does not learn"""
 
     def __post_init__(self) -> None:
         n = np.size(self.time)
@@ -176,6 +189,7 @@ class DriveRecord:
         end = int(whole.argmin()) if not whole.all() else len(run)
         told = (failed.clause, failed.time) if failed else (run.failed or "", run.failed_at)
         return cls(
+            learned=_learned(run, end),
             **{name: values[:end] for name, values in signals.items()},
             road=road, shape=car if isinstance(car, Shape) else Shape.of(car),
             controller=run.name_of("controller"), car=run.name_of("vehicle"), profile=run.name_of("profile"),
@@ -225,3 +239,27 @@ def _beside(run: Trajectory, road: Road) -> tuple[Array, Array, Array]:
         near = foot.s
     turned = run.psi - feet[:, 2]
     return feet[:, 0], feet[:, 1], np.remainder(turned + np.pi, 2.0 * np.pi) - np.pi
+
+
+LOGARITHMIC = ("stiffness", "balance", "friction")
+"""Learned quantities whose standard deviation is that of the logarithm."""
+
+
+def _learned(run: Trajectory, end: int) -> dict[str, Learnt]:
+    """What a run says of each learned quantity up to an instant."""
+    truth = {name: np.full(len(run), value) for name, value in run.meta.get("truth", {}).items()}
+    if truth:
+        truth["friction"] = run.friction.mean(axis=1)
+    found = {}
+    for key, mean in run.diagnostics.items():
+        name = key.removeprefix("belief_")
+        sigma = run.diagnostics.get(f"{key}_sigma")
+        if name == key or sigma is None:
+            continue
+        if name in LOGARITHMIC:
+            low, high = mean * np.exp(-sigma), mean * np.exp(sigma)
+        else:
+            low, high = mean - sigma, mean + sigma
+        real_one = truth.get(name)
+        found[name] = Learnt(mean[:end], low[:end], high[:end], None if real_one is None else real_one[:end])
+    return found

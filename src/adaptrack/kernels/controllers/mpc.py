@@ -30,6 +30,7 @@ from ..abi import (
     record,
     vector,
 )
+from ..estimators import kalman, learning
 from ..estimators.contract import BY_FUNCTION, ESTIMATE, call_estimate
 from ..maths import vectors
 from ..maths.elementary import clip
@@ -149,10 +150,13 @@ _PARTS = (
     ("estimate", matrix),  # (2, n) state and disturbance; (0, n) for the deadbeat estimator
     ("estimator", vector),  # parameters of the estimator
     ("estimates", matrix),  # (slots, .) memory of the estimator
+    ("learner", vector),  # parameters of the learner; empty: nothing is learned
+    ("fresh", vector),  # its memory before the first step
+    ("learned", matrix),  # (slots, .) its memory
     ("memory", MEMORY.type),  # (slots,)
     ("previous", matrix),  # (slots, n) measured state of the last step
     ("plan", matrix),  # (slots, n) last solution
-    ("answer", matrix),  # (slots, ANSWER)
+    ("answer", matrix),  # (slots, ANSWER), then what is learned (`learning.BELIEFS`)
     ("measured", vector),  # (MEASURED,)
     ("bend", vector),  # (> Np,) m, the road ahead, see `road.bend_ahead`; empty: a straight one
     ("turning", vector),  # (7,) `feed_forward.TURNING` of the car; empty: the moves know nothing of the road
@@ -164,7 +168,10 @@ MPC = types.NamedTuple([kind for _, kind in _PARTS], Mpc)
 """A batch of MPCs that share all but tuning and memory."""
 read_mpc = reader(MPC)
 
-_FUNCTIONS = {"discretise": DISCRETISE, "estimate": ESTIMATE, "active_set": qp.ACTIVE_SET, "hildreth": qp.HILDRETH}
+_FUNCTIONS = {
+    "discretise": DISCRETISE, "estimate": ESTIMATE, "active_set": qp.ACTIVE_SET, "hildreth": qp.HILDRETH,
+    "learn": learning.LEARN, "believe": learning.BELIEVE,
+}  # fmt: skip
 Functions = record("Functions", _FUNCTIONS)
 FUNCTIONS = types.NamedUniTuple(int64, len(_FUNCTIONS), Functions)
 """Addresses of what the model and the estimator give, see their contracts, and of the QP methods in use; 0: none."""
@@ -215,15 +222,18 @@ def workspace(slots: int, states: int, settings: Any) -> Any:
 
 
 def batch(
-    slots: int, settings: Any, model: tuple[Any, Any, Any, Any], estimator: tuple[Any, int], curved: bool = False
-) -> Any:
+    slots: int, settings: Any, model: tuple[Any, Any, Any, Any], estimator: tuple[Any, int], curved: bool = False,
+    learner: tuple[Any, Any] | None = None,
+) -> Any:  # fmt: skip
     """Fresh MPCs for `slots` slots; curved: whether they drive curved roads.
 
     model: parameters (p,), places of its states in `MEASURED` (n,), output row (n,), `feed_forward.TURNING` (7,) or
-    nothing; estimator: parameters (q,) and length of the memory.
+    nothing; estimator: parameters (q,) and length of the memory; learner: parameters and first memory, None: nothing
+    is learned.
     """
     parameters, states, output, turning = model
     own, length = estimator
+    learns, fresh = (np.zeros(0), np.zeros(0)) if learner is None else learner
     n = len(states)
     ws = workspace(slots, n, settings)
     discrete = Discrete(np.zeros((n, n)), np.zeros(n), np.array(output, float), np.zeros(n), np.zeros((3, n)))
@@ -235,10 +245,13 @@ def batch(
         estimate=np.zeros((2 if settings[0].estimator == BY_FUNCTION else 0, n)),
         estimator=np.array(own, float),
         estimates=np.zeros((slots, length)),
+        learner=np.array(learns, float),
+        fresh=np.array(fresh, float),
+        learned=np.tile(np.array(fresh, float), (slots, 1)),
         memory=memory(slots),
         previous=np.zeros((slots, n)),
         plan=np.zeros((slots, len(ws.solution))),
-        answer=np.zeros((slots, len(ANSWER))),
+        answer=np.zeros((slots, len(ANSWER) + (0 if learner is None else len(learning.BELIEFS)))),
         measured=np.zeros(len(MEASURED)),
         bend=np.zeros(0),
         turning=np.array(turning, float),
@@ -263,6 +276,13 @@ def memory(slots: int) -> Any:
 
 
 @njit(**PART)
+def _begin_learning(slot, mpc):
+    """Back to what is known before the first step."""
+    for i in range(mpc.fresh.size):
+        mpc.learned[slot, i] = mpc.fresh[i]
+
+
+@njit(**PART)
 def forget(slot, mpc):
     """Back to before the first step; the model and factor that the workspace holds stay valid."""
     own = mpc.memory[slot]
@@ -270,6 +290,30 @@ def forget(slot, mpc):
     own.reference = 0.0
     mpc.previous[slot, :] = 0.0
     mpc.estimates[slot, :] = 0.0
+    _begin_learning(slot, mpc)
+
+
+@njit(**PART)
+def lead_of(slot, mpc):
+    """Periods of dead time in the model of a slot."""
+    if mpc.learner.size > 0:
+        return learning.lead_of(mpc.learner, mpc.learned[slot])
+    return mpc.settings[0].lead
+
+
+@njit(**PART)
+def _learn(slot, speed, mpc, functions):
+    """Learn from what is measured, and let model and estimator of the slot believe it."""
+    out, known = mpc.answer[slot], mpc.learned[slot]
+    left_out = int(mpc.estimates[slot, kalman.LEFT_OUT])
+    learning.call_learn(functions.learn, speed, mpc.measured, mpc.memory[slot].command, left_out, mpc.learner, known)
+    for i in range(out.size - len(ANSWER)):
+        out[len(ANSWER) + i] = known[learning.ANSWER + i]
+        if not math.isfinite(known[learning.ANSWER + i]):
+            _begin_learning(slot, mpc)
+    if math.isfinite(speed):
+        learning.call_believe(functions.believe, mpc.learner, known, mpc.parameters, mpc.estimator, mpc.estimates[slot])
+        mpc.memory[slot].speed = math.nan  # the model is formed anew
 
 
 @njit(**PART)
@@ -322,6 +366,8 @@ def _take_tuning(slot, tuning, mpc):
     out[ANSWER.Np] = horizon
     out[ANSWER.Nc] = _horizon(tuning[TUNING.Nc], min(float(horizon), float(settings.most_moves)))
     q, r = tuning[TUNING.Q], tuning[TUNING.R]
+    if mpc.learner.size > 0:
+        r *= out[len(ANSWER) + learning.BELIEF.used_caution]
     out[ANSWER.Q], out[ANSWER.R] = q, r
     whole = math.isfinite(tuning[TUNING.Np]) and math.isfinite(tuning[TUNING.Nc])
     if not (whole and math.isfinite(q) and math.isfinite(r)):
@@ -381,13 +427,13 @@ def _is_formed(slot, speed, mpc):
 
 
 @njit(**PART)
-def _look_ahead(horizon, reference, mpc):
+def _look_ahead(slot, horizon, reference, mpc):
     """R_s: the reference from the next instant on with preview (its last value repeated), else its present value;
     on a curved road with the offset of the road from its tangent.
 
     With a dead time the first output is that of a period after it; between instants the reference is interpolated.
     """
-    ws, last, lead = mpc.ws, reference.size - 1, mpc.settings[0].lead
+    ws, last, lead = mpc.ws, reference.size - 1, lead_of(slot, mpc)
     if mpc.settings[0].preview > 0 and lead > 0.0:
         first = int(lead)
         share = lead - first
@@ -417,9 +463,10 @@ def _limit_error(slot, horizon, output, reference, mpc):
     if not limit < math.inf:
         return
     if settings.preview > 0:
-        last, first = reference.size - 1, int(settings.lead)
+        lead = lead_of(slot, mpc)
+        last, first = reference.size - 1, int(lead)
         here, following = reference[min(first, last)], reference[min(first + 1, last)]
-        wanted = here + (settings.lead - first) * (following - here)
+        wanted = here + (lead - first) * (following - here)
     elif own.started > 0:
         pace = abs(wanted - own.reference) / settings.period
         limit += RESPONSE * pace if pace <= STEEPEST * own.speed else 0.0
@@ -472,17 +519,20 @@ def _free_response(slot, horizon, reference, mpc, functions):
 
 
 @njit(**PART)
-def _widen_first_move(command, mpc):
+def _widen_first_move(slot, command, mpc):
     """Let the first move bring the command ahead of the wheels, as far as the actuator follows without its rate limit.
 
     A first-order lag turns the wheels at (command - angle)/lag, so |command - angle| <= rate lag is what it can do.
     """
     settings, ws = mpc.settings[0], mpc.ws
+    ahead = settings.ahead
+    if mpc.learner.size > 0:
+        ahead = learning.ahead_of(ahead, mpc.learner, mpc.learned[slot])
     for i in range(mpc.states.size):
         if mpc.states[i] == MEASURED.wheel_angle:
             wheels = mpc.estimate[0, i]
-            ws.bounds[0] = max(settings.move_max, wheels + settings.ahead - command)
-            ws.bounds[1] = max(-settings.move_min, command - wheels + settings.ahead)
+            ws.bounds[0] = max(settings.move_max, wheels + ahead - command)
+            ws.bounds[1] = max(-settings.move_min, command - wheels + ahead)
 
 
 @njit(**PART)
@@ -497,7 +547,7 @@ def _bound(slot, nc, horizon, mpc):
     for b in range(vectors.WIDTH, 4 * nc, vectors.WIDTH):
         vectors.store(ws.bounds, b, vectors.load(ws.bounds, 0))
     if settings.ahead > 0.0 and mpc.estimate.shape[0] > 0:
-        _widen_first_move(angle, mpc)
+        _widen_first_move(slot, angle, mpc)
     if mpc.feed.size > 0:
         total = 0.0
         for i in range(nc):
@@ -519,6 +569,8 @@ def _form_qp(slot, speed, reference, tuning, mpc, functions):
     """See `form_qp`."""
     settings, out, ws = mpc.settings[0], mpc.answer[slot], mpc.ws
     out[ANSWER.dead_reckoning] = 0.0
+    if mpc.learner.size > 0:
+        _learn(slot, speed, mpc, functions)
     status = _take_tuning(slot, tuning, mpc)
     np_, nc = int(out[ANSWER.Np]), int(out[ANSWER.Nc])
     laguerre, limited = settings.laguerre > 0, _has_output_limits(settings)
@@ -530,7 +582,7 @@ def _form_qp(slot, speed, reference, tuning, mpc, functions):
     speed = max(speed, settings.speed_floor)
     if not _is_formed(slot, speed, mpc):
         _form_model(slot, speed, mpc, functions)
-    _look_ahead(np_, reference, mpc)
+    _look_ahead(slot, np_, reference, mpc)
     _free_response(slot, np_, reference, mpc, functions)
     if mpc.feed.size > 0:
         road_moves(np_, speed, settings, mpc.turning, mpc.bend, mpc.feed)

@@ -43,7 +43,9 @@ from .contract import ESTIMATE
 NUMBERS = (
     "period",  # s
     "whole", "share",  # dead time in periods: m, and the share s of one more, 0 <= s < 1
+    "longest",  # whole periods of the longest dead time that there may be: so many commands are remembered
     "late",  # periods that are gone through anew at every step
+    "bias",  # rad, by which the wheels turn beyond the command
     "bound",  # standard deviations up to which an innovation counts
     "patience",  # periods without a position after which there is no estimate
     "distrust", "trust",  # mean of squared innovations over their variance: left out beyond, taken back below
@@ -67,6 +69,10 @@ SENSORS = 6
 """The first of `MEASURED`; their ages follow."""
 _STATES = 5  # as many of them may be states
 _VARIANCE, _DRIFT = NUMBERS.index("variance_vy"), NUMBERS.index("drift_vy")
+WHOLE, SHARE, BIAS, VARIANCE, DRIFT_WHEELS = (
+    NUMBERS.index(name) for name in ("whole", "share", "bias", "variance_vy", "drift_wheel_angle")
+)
+"""Places of what may be learned."""
 UNKNOWN = 1e2
 """Variance of a state of which the first sample says nothing."""
 LEAST_NOISE = (0.005, 0.0002, 0.001, 0.002, 0.0005, 0.02)
@@ -103,9 +109,9 @@ _TAU = SENSORS
 _TURNED = SENSORS + 1  # rad, by how much the path has turned in the period before the instant
 
 
-def memory_size(whole: int, late: int) -> int:
-    """Numbers that the filter remembers, for a dead time of `whole` periods and a share."""
-    return _RING + WIDTH * (late + 1) + whole + late + 2
+def memory_size(longest: int, late: int) -> int:
+    """Numbers that the filter remembers, for a dead time of at most `longest` periods and a share."""
+    return _RING + WIDTH * (late + 1) + longest + late + 2
 
 
 def move_path(memory: Any, states: int, late: int, heading: float, offset: float) -> None:
@@ -116,6 +122,21 @@ def move_path(memory: Any, states: int, late: int, heading: float, offset: float
     for row in [_LAST, *range(_RING, _RING + WIDTH * (late + 1), WIDTH)]:
         memory[row + MEASURED.yaw] += heading
         memory[row + MEASURED.y] += offset
+
+
+@njit(**INLINE)
+def forget_speed(memory):
+    """Let everything that depends on the speed, and on what the model believes, be formed anew."""
+    memory[_SPEED] = math.nan
+
+
+@njit(**INLINE)
+def shift_bias(more, side, turn, memory):
+    """Explain so much (rad) of the disturbances by a bias: per rad it pushes by `side` (m/s^2) and `turn` (rad/s^2)."""
+    for z in (_Z, _PAST_Z):
+        memory[z + 3] += more
+        memory[z + _STATES] -= side * more
+        memory[z + _STATES + 1] -= turn * more
 
 
 @njit(**INLINE)
@@ -199,7 +220,7 @@ def _begin(n, p, parameters, measured, command, memory):
     if p.spread_bias > 0.0:
         memory[_P + WIDTH * (n + 2) + n + 2] = p.spread_bias
         memory[_P + WIDTH * 2 + 2] += p.spread_bias
-    for i in range(int(p.whole) + int(p.late) + 2):
+    for i in range(int(p.longest) + int(p.late) + 2):
         memory[_sent(p) + i] = command
     for i in range(WIDTH * (int(p.late) + 1)):
         memory[_RING + i] = math.nan
@@ -271,8 +292,8 @@ def _predict(n, size, instant, p, parameters, memory):
     memory[_NEXT + n] += memory[_LOST]
     _carry(n, _F, memory)
     memory[_NEXT + n] = memory[_Z + n]
-    _add_command(n, _B_OLD, memory[acting + 1], memory)
-    _add_command(n, _B_NEW, memory[acting], memory)
+    _add_command(n, _B_OLD, memory[acting + 1] + p.bias, memory)
+    _add_command(n, _B_NEW, memory[acting] + p.bias, memory)
     _turn(n, memory[_RING + WIDTH * instant + _TURNED], p, memory)
     for i in range(size):
         memory[_Z + i] = memory[_NEXT + i]
@@ -417,10 +438,10 @@ def _roll(n, p, memory):
     memory[_NEXT + n] += memory[_LOST]
     if p.share > 0.0:
         _carry(n, _A_SHARE, memory)
-        _add_command(n, _B_SHARE, memory[sent + whole], memory)
+        _add_command(n, _B_SHARE, memory[sent + whole] + p.bias, memory)
     for j in range(whole - 1, -1, -1):
         _carry(n, _F, memory)
-        _add_command(n, _B, memory[sent + j], memory)
+        _add_command(n, _B, memory[sent + j] + p.bias, memory)
 
 
 @njit(**INLINE)
@@ -450,7 +471,7 @@ def kalman(speed, measured, command, a, b, parameters, memory, x, d):
         _form(speed, n, parameters, memory)
     if memory[_COUNT] > 0.5:
         sent = _sent(p)
-        for i in range(int(p.whole) + int(p.late) + 1, 0, -1):
+        for i in range(int(p.longest) + int(p.late) + 1, 0, -1):
             memory[sent + i] = memory[sent + i - 1]
         memory[sent] = command
         _sort_in(n, p, measured, parameters, memory)
@@ -465,5 +486,6 @@ def kalman(speed, measured, command, a, b, parameters, memory, x, d):
         d[i] = (
             memory[_F + WIDTH * i + n] * (memory[_Z + n] + memory[_LOST])
             + memory[_F + WIDTH * i + n + 1] * memory[_Z + n + 1]
+            + memory[_B + i] * p.bias
         )
     return memory[_BLIND] * p.period

@@ -25,6 +25,10 @@ from .contract import DISCRETISE
 Parameters = record("Parameters", ("mass", "yaw_inertia", "lf", "lr", "stiffness_front", "stiffness_rear", "lag"))
 """kg, kg m^2, m, m, N/rad and N/rad per tyre, s."""
 unpack = unpacker(Parameters)
+STIFFNESS_FRONT, STIFFNESS_REAR, LAG = (
+    Parameters._fields.index(name) for name in ("stiffness_front", "stiffness_rear", "lag")
+)
+"""Places of what may be learned."""
 SLOWEST = 3.0
 """m/s: slip angles are formed with at least this speed, for noise over a small one is no slip."""
 MOST_SHARE = 0.9

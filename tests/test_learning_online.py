@@ -1,0 +1,388 @@
+"""Learning while driving: the filters' mathematics, what they find, when they are still, and how it is handed over."""
+
+from __future__ import annotations
+
+import copy
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+from scipy.linalg import expm
+
+from adaptrack.controllers import MPC, LearnedCar, Learning, Uncertainty, load_learned_car
+from adaptrack.errors import ConfigError, InvalidInput
+from adaptrack.estimation import NOTHING_MEASURED
+from adaptrack.kalman import KalmanFilter
+from adaptrack.kernels.estimators import learning as kernel
+from adaptrack.models import PathModel, SingleTrackModel
+from adaptrack.plant import DualTrack
+from adaptrack.profile import load_profile
+from adaptrack.report.drive_figures import learned_figure
+from adaptrack.report.record import DriveRecord
+from adaptrack.road import generate_road, plan_speed
+from adaptrack.scenario import RoadDrive, Scenario, random_drive
+from adaptrack.simulate import rollout, simulate
+from adaptrack.tracker import Tracker
+from adaptrack.vehicle import Steering, load_vehicle
+from inlined import entry
+
+CAR = load_vehicle("midsize-sedan")
+PERIOD, SPEED = 0.05, 15.0
+MIDDLE = Steering(lag=0.2, dead_time=0.125)
+UNSURE = Uncertainty(lag=0.15, dead_time=0.125, stiffness=2.2, mass=0.5)
+HALF = CAR.replace(stiffness_front=CAR.stiffness_front / 1.6, stiffness_rear=CAR.stiffness_rear / 1.6)
+both_profiles = pytest.mark.parametrize("profile", ["road", "production"])
+compiled = pytest.mark.compiled
+
+
+def learner(profile="road", car=HALF, **learning):
+    """A controller that believes the middle of what it is told."""
+    return MPC(car, profile=profile, belief=MIDDLE, uncertainty=UNSURE, learning=Learning(**learning))
+
+
+def world(profile="road", lag=0.12, dead_time=0.2, bias=-0.012):
+    own = load_profile(profile)
+    return own.replace(steering=own.steering.replace(lag=lag, dead_time=dead_time, bias=bias))
+
+
+def numbers(mpc):
+    return kernel.Numbers(*mpc.learner.parameters())
+
+
+def first_filter(mpc):
+    """The memory of the learner before the first step, and where its first filter is."""
+    return mpc.learner.fresh(), kernel.blocks_at(mpc.learner.kept)
+
+
+def belief(mpc, name):
+    return float(mpc._mpc.learned[0, kernel.ANSWER + kernel.BELIEFS.index(name)])
+
+
+# -- the mathematics --------------------------------------------------------------------------------------------------
+@pytest.mark.parametrize("norm", [1e-3, 1.0, 20.0])
+def test_phi_1_times_its_matrix_is_the_exponential_less_one(norm):
+    z = norm * np.array([[-1.0, 0.7], [-0.4, -0.3]])
+    found = np.array(entry(kernel._phi1)(tuple(z.ravel()))).reshape(2, 2)
+    np.testing.assert_allclose(found @ z, expm(z) - np.eye(2), rtol=0, atol=1e-7)
+
+
+@pytest.mark.parametrize("command", [0.02, 0.2])
+def test_wheels_follow_a_lag_behind_a_rate_limit_and_the_slope_is_the_derivative_over_the_lag(command):
+    mpc = learner()
+    memory, at = first_filter(mpc)
+    lag, rate, time = 0.12, 0.5, 0.3
+
+    def turn(lag):
+        own = memory.copy()
+        own[at + kernel.X + kernel.LAG] = lag
+        entry(kernel._steer)(at, time, rate, command, own)
+        return own
+
+    def rates(t, x):
+        return [np.clip((command - x[0]) / lag, -rate, rate), x[0]]
+
+    exact = solve_ivp(rates, (0.0, time), [0.0, 0.0], rtol=1e-10, atol=1e-12, max_step=1e-3).y[:, -1]
+    found = turn(lag)
+    assert found[at + kernel.WHEELS] == pytest.approx(exact[0], abs=1e-6)
+    assert found[at + kernel.SWEPT] == pytest.approx(exact[1], abs=1e-6)
+    if command < rate * lag:
+        slope = (turn(lag + 1e-6)[at + kernel.WHEELS] - turn(lag - 1e-6)[at + kernel.WHEELS]) / 2e-6
+        assert found[at + kernel.BY_LAG] == pytest.approx(slope, abs=1e-6)
+
+
+def test_slopes_of_an_axle_are_the_derivatives_of_its_force():
+    axle = entry(kernel._axle)
+    for slip in (-0.2, -0.01, 0.0, 0.03, 0.3):
+        force, by_slip, by_log_friction = axle(slip, 60.0, 5.0)
+        assert abs(force) < 5.0
+        assert by_slip == pytest.approx((axle(slip + 1e-6, 60.0, 5.0)[0] - axle(slip - 1e-6, 60.0, 5.0)[0]) / 2e-6)
+        more, less = (axle(slip, 60.0, 5.0 * math.exp(d))[0] for d in (1e-6, -1e-6))
+        assert by_log_friction == pytest.approx((more - less) / 2e-6, abs=1e-6)
+
+
+@pytest.mark.parametrize("speed", [4.0, 15.0, 30.0])
+def test_in_gentle_driving_the_prediction_is_that_of_the_path_model(speed):
+    mpc = learner()
+    memory, at = first_filter(mpc)
+    x, angle = at + kernel.X, 1e-4
+    memory[x + kernel.VY], memory[x + kernel.RATE], memory[x + kernel.WIND] = 2e-3, 1e-3, 0.0
+    memory[at + kernel.SWEPT] = angle * PERIOD
+    a, inputs = PathModel(HALF, PERIOD).continuous(speed)
+    block = np.zeros((3, 3))
+    block[:2, :2], block[:2, 2] = a[np.ix_([0, 2], [0, 2])], inputs[[0, 2], 0]
+    exact = (expm(block * PERIOD) @ [2e-3, 1e-3, angle])[:2]
+    entry(kernel._predict_state)(at, speed, 0.0, numbers(mpc), memory)
+    np.testing.assert_allclose(memory[[x + kernel.VY, x + kernel.RATE]], exact, rtol=3e-4, atol=1e-9)
+
+
+def test_rows_of_the_prediction_are_its_derivatives():
+    mpc = learner()
+    memory, at = first_filter(mpc)
+    p, x, step = numbers(mpc), at + kernel.X, entry(kernel._predict_state)
+    memory[x : x + 8] = 0.01, 0.005, 0.02, 0.0003, 0.01, 0.2, 0.05, -0.1
+    memory[at + kernel.SWEPT] = 0.002 * PERIOD
+
+    def after(state, change):
+        own = memory.copy()
+        own[x + state] += change
+        step(at, SPEED, 0.0, p, own)
+        return own[[x + kernel.VY, x + kernel.RATE]]
+
+    rows = memory.copy()
+    step(at, SPEED, 0.0, p, rows)
+    for state in range(kernel.LAG):
+        slopes = (after(state, 1e-5) - after(state, -1e-5)) / 2e-5
+        found = rows[[kernel._SCRATCH + state, kernel._SCRATCH + kernel.ROW + state]]
+        # phi_1 is held while it is differentiated
+        assert np.linalg.norm(found - slopes) < 0.1 * np.linalg.norm(slopes) + 1e-5, state
+
+
+def test_a_measured_state_is_taken_in_as_the_textbook_says():
+    mpc = learner()
+    memory, at = first_filter(mpc)
+    n, x = kernel.STATES, at + kernel.X
+    rng = np.random.default_rng(0)
+    root = rng.normal(size=(n, n)) * 0.1
+    P = root @ root.T
+    for i in range(n):
+        memory[at + kernel.P + kernel.ROW * i : at + kernel.P + kernel.ROW * i + n] = P[i]
+    before = memory[x : x + n].copy()
+    entry(kernel._correct_state)(at, kernel.RATE, before[1] + 0.05, 0.01, numbers(mpc), memory)
+    gain = P[:, 1] / (P[1, 1] + 0.01)
+    np.testing.assert_allclose(memory[x : x + n], before + gain * 0.05, atol=1e-12)
+    found = np.array([memory[at + kernel.P + kernel.ROW * i : at + kernel.P + kernel.ROW * i + n] for i in range(n)])
+    np.testing.assert_allclose(found, P - np.outer(gain, P[1]), atol=1e-12)
+
+
+# -- what is found ----------------------------------------------------------------------------------------------------
+@compiled
+@both_profiles
+def test_a_controller_told_wrongly_finds_delay_stiffness_bias_and_noise(profile):
+    mpc = learner(profile)
+    own = world(profile)
+    noisy = own.replace(noise_yaw_rate=2.0 * own.noise_yaw_rate)
+    run = rollout(DualTrack(CAR), mpc, random_drive(11, 60.0), profile=noisy, seed=1)
+    assert run.failed is None
+    last = {name: run.diagnostics[name][-1] for name in kernel.BELIEFS}
+    assert last["belief_delay"] == pytest.approx(0.32, abs=0.03)
+    assert last["belief_stiffness"] == pytest.approx(1.6, rel=0.15)
+    assert last["belief_bias"] == pytest.approx(-0.012, abs=0.004)
+    assert last["belief_noise"] == pytest.approx(2.0, rel=0.2)
+    for name in ("delay", "stiffness", "bias"):
+        assert last[f"belief_{name}_sigma"] < 0.5 * run.diagnostics[f"belief_{name}_sigma"][0]
+    truth = run.meta["truth"]
+    assert truth["delay"] == pytest.approx(0.32)
+    assert truth["stiffness"] == pytest.approx(1.6, rel=0.01)
+
+
+@compiled
+def test_learning_costs_a_car_that_is_known_little_and_saves_one_that_is_not():
+    def cost(mpc, profile):
+        run = rollout(DualTrack(CAR), mpc, random_drive(11, 60.0), profile=profile, seed=1)
+        return 25.0 if run.failed else np.mean(run.error**2) + 3.0 * np.mean(run.command_change**2)
+
+    plain, other = load_profile("road"), world()
+    known = MPC(CAR, profile="road")
+    learning = MPC(CAR, profile="road", uncertainty=UNSURE, learning=Learning())
+    assert cost(learning, plain) < 1.3 * cost(known, plain)
+    told = MPC(HALF, profile="road", belief=MIDDLE, uncertainty=UNSURE)
+    assert cost(learner(), other) < 0.5 * cost(told, other)
+
+
+@compiled
+@both_profiles
+def test_compiled_and_python_loops_learn_the_same_to_the_bit(profile):
+    drive = random_drive(3, 8.0)
+    one = rollout(DualTrack(CAR), learner(profile), drive, profile=world(profile), seed=2)
+    other = simulate(DualTrack(CAR), learner(profile), drive, profile=world(profile), seed=2)
+    np.testing.assert_array_equal(one.command, other.command)
+    for name in kernel.BELIEFS:
+        np.testing.assert_array_equal(one.diagnostics[name], other.diagnostics[name])
+
+
+@compiled
+def test_a_curved_road_teaches_as_well_and_its_page_shows_it():
+    road = generate_road("country", 3, 800.0)
+    trip = RoadDrive(road, plan_speed(road, CAR))
+    mpc = learner()
+    run = rollout(DualTrack(CAR), mpc, trip, profile=world(), seed=1)
+    assert run.failed is None
+    assert run.diagnostics["belief_delay"][-1] == pytest.approx(0.32, abs=0.05)
+    again = simulate(DualTrack(CAR), learner(), trip, profile=world(), seed=1)
+    np.testing.assert_array_equal(run.command, again.command)
+    record = DriveRecord.from_trajectory(run, road, CAR)
+    assert record.learned["delay"].truth[0] == pytest.approx(0.32)
+    figure = learned_figure([record])
+    titles = [axes.get_title(loc="left").split(") ")[1] for axes in figure.axes]
+    assert titles[:2] == ["Lag and dead time", "Steering lag"]
+    blind = dataclasses.replace(record, learned={})
+    with pytest.raises(InvalidInput, match="needs a controller that learns"):
+        learned_figure([blind])
+
+
+@compiled
+def test_what_is_believed_stays_within_what_was_told_even_when_the_truth_does_not():
+    mpc = MPC(HALF, profile="road", belief=Steering(lag=0.2, dead_time=0.1), learning=Learning(),
+              uncertainty=Uncertainty(lag=0.02, dead_time=0.02, stiffness=1.1))  # fmt: skip
+    run = rollout(DualTrack(CAR), mpc, random_drive(11, 20.0), profile=world(lag=0.25, dead_time=0.15), seed=1)
+    said = run.diagnostics
+    assert 0.18 - 1e-9 <= said["used_lag"].min() <= said["used_lag"].max() <= 0.22 + 1e-9
+    assert 0.08 - 1e-9 <= said["used_dead_time"].min() <= said["used_dead_time"].max() <= 0.12 + 1e-9
+    assert np.abs(np.log(said["used_stiffness"])).max() <= math.log(1.1) + 1e-9
+
+
+# -- when it is still -------------------------------------------------------------------------------------------------
+def driven(mpc, steps=60, seed=0):
+    """Steps behind noisy samples of a car that wanders."""
+    rng = np.random.default_rng(seed)
+    for _ in range(steps):
+        state = NOTHING_MEASURED.copy()
+        state[:4] = rng.normal(size=4) * [0.05, 0.003, 0.02, 0.03]
+        mpc.step(state, SPEED, np.zeros(40))
+
+
+def learned_of(mpc):
+    return [belief(mpc, name) for name in ("belief_delay", "belief_stiffness", "belief_bias")]
+
+
+@pytest.mark.parametrize("sample", [math.nan, 0.05])
+def test_missing_and_repeated_samples_teach_nothing(sample):
+    mpc = learner()
+    driven(mpc)
+    before = learned_of(mpc)
+    state = NOTHING_MEASURED.copy()
+    state[[0, 2]] = sample
+    state[[1, 3]] = 0.01
+    mpc.step(state, SPEED, np.zeros(40))  # a first one is new
+    known = learned_of(mpc)
+    for _ in range(20):
+        mpc.step(state, SPEED, np.zeros(40))
+    np.testing.assert_allclose(learned_of(mpc), known, rtol=0.02, atol=1e-4)
+    assert np.isfinite(before).all()
+
+
+def test_a_standing_car_learns_nothing():
+    mpc = learner()
+    driven(mpc)
+    before = learned_of(mpc)
+    rng = np.random.default_rng(1)
+    for _ in range(40):
+        mpc.step([*(0.01 * rng.normal(size=4))], 0.0, np.zeros(40))
+    assert learned_of(mpc) == before
+
+
+def test_what_is_not_finite_brings_back_what_is_known_beforehand():
+    mpc = learner()
+    driven(mpc)
+    mpc._mpc.learned[0, kernel.blocks_at(mpc.learner.kept) + kernel.X] = math.nan
+    answer = mpc.step([0.01, 0.0, 0.01, 0.02], SPEED, np.zeros(40))
+    assert math.isfinite(answer.angle)
+    np.testing.assert_array_equal(mpc._mpc.learned[0], mpc.learner.fresh())
+    driven(mpc)
+    assert np.isfinite(learned_of(mpc)).all()
+
+
+@pytest.mark.parametrize("speed", [math.nan, math.inf, -math.inf])
+def test_a_speed_that_is_no_number_does_not_spoil_what_is_learned(speed):
+    mpc = learner()
+    driven(mpc)
+    mpc.step([0.0, 0.0, 0.0, 0.0], speed, np.zeros(40))
+    driven(mpc, 5)
+    assert np.isfinite(mpc._mpc.learned[0][kernel.ANSWER : kernel.ANSWER + len(kernel.BELIEFS)]).all()
+
+
+# -- asked for, handed over -------------------------------------------------------------------------------------------
+def test_nothing_is_learned_unless_asked():
+    mpc = MPC(CAR, profile="road")
+    assert mpc.learner is None
+    assert not any(name.startswith("belief_") for name in mpc.diagnostic_names)
+    assert mpc.step([0.0] * 4, SPEED, np.zeros(40)).learned == ()
+    with pytest.raises(InvalidInput, match="does not learn"):
+        mpc.learned()
+
+
+def test_learning_needs_the_model_that_it_learns():
+    with pytest.raises(InvalidInput, match="give those, or these"):
+        MPC(CAR, model=SingleTrackModel(CAR), learning=Learning())
+    with pytest.raises(InvalidInput, match=r"must be a Learning\(\)"):
+        MPC(CAR, learning=True)
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [{"lags": 0}, {"lags": 13}, {"tolerated": 0.0}, {"noise": 0.5}, {"bias": -1.0}, {"memory": math.nan}, {"start": 3}],
+)
+def test_a_method_that_cannot_be_is_refused_by_name(wrong):
+    with pytest.raises(InvalidInput, match=next(iter(wrong))):
+        Learning(**wrong)
+
+
+@compiled
+def test_a_file_hands_what_was_learned_to_the_next_drive(tmp_path):
+    first = learner()
+    simulate(DualTrack(CAR), first, random_drive(11, 20.0), profile=world(), seed=1)
+    learned = first.learned()
+    assert learned.seconds == pytest.approx(20.0)
+    learned.to_toml(tmp_path / "car.toml")
+    read = load_learned_car(tmp_path / "car.toml")
+    assert read == learned
+    following = learner(start=read)
+    assert belief(following, "belief_delay") == pytest.approx(learned.lag + learned.dead_time, abs=1e-9)
+    assert belief(following, "belief_delay_sigma") < 0.5 * belief(learner(), "belief_delay_sigma")
+    assert belief(following, "used_bias") == pytest.approx(learned.bias)
+    drive = random_drive(12, 20.0)
+    costs = [np.mean(rollout(DualTrack(CAR), mpc, drive, profile=world(), seed=2).error ** 2)
+             for mpc in (following, learner())]  # fmt: skip
+    assert costs[0] < costs[1]
+
+
+def test_what_was_learned_of_another_car_is_refused(tmp_path):
+    learned = LearnedCar(car="van", lag=0.2, lag_sigma=0.01, dead_time=0.1, dead_time_sigma=0.01, delay_sigma=0.01,
+                         stiffness=1.0, stiffness_sigma=0.1)  # fmt: skip
+    with pytest.raises(InvalidInput, match="'van'"):
+        learner(start=learned)
+    learner(start=learned.replace(car=""))
+    (tmp_path / "bad.toml").write_text("lag = -1.0\n")
+    with pytest.raises(ConfigError, match="lag"):
+        load_learned_car(tmp_path / "bad.toml")
+
+
+def test_a_reset_forgets_and_a_restart_keeps_what_was_learned():
+    mpc = learner()
+    driven(mpc)
+    known = learned_of(mpc)
+    copied = copy.deepcopy(mpc)
+    mpc.restart()
+    assert learned_of(mpc) == known
+    assert mpc.angle == 0.0
+    driven(mpc, 3)
+    mpc.reset()
+    assert learned_of(mpc) == learned_of(learner())
+    assert learned_of(copied) == known
+
+
+def test_a_tracker_that_engages_again_keeps_what_was_learned():
+    mpc = learner()
+    tracker = Tracker(mpc, generate_road("country", 3, 300.0))
+    driven(mpc)
+    known = learned_of(mpc)
+    tracker.engage()
+    assert learned_of(mpc) == known
+
+
+@compiled
+def test_a_change_of_belief_does_not_bump_the_command():
+    straight = Scenario(name="straight", duration=20.0, reference=0.0, speed=SPEED, friction=0.9)
+    run = rollout(DualTrack(CAR), learner(), straight, profile=world(bias=0.0), seed=1)
+    later = run.command_change[40:]
+    settled = np.sqrt(np.mean(later[-200:] ** 2))
+    assert np.abs(later).max() < 8.0 * settled
+
+
+def test_the_filter_remembers_commands_for_the_longest_dead_time():
+    mpc = learner()
+    assert isinstance(mpc.estimator, KalmanFilter)
+    assert mpc.estimator.longest == pytest.approx(0.25 + PERIOD)
+    assert mpc.tuning == MPC(CAR, profile="road").tuning  # caution comes from what is learned
