@@ -7,12 +7,12 @@ and noise. `exactly`: the controller is told the car, in a world without steerin
 logarithms (or seconds) differ by d from the middle of the ranges it believes the middle plus (1 - k) d, and is told an
 uncertainty of k half ranges; k, uniform in 0.25-1, is drawn for each car, and 1 for every fourth.
 
-Each car drives with a grid of constants, 9 weights about the profile's own and 3 pairs of horizons: DRIVES random
+Each car drives with a grid of constants, 11 weights about the profile's own and 4 pairs of horizons: DRIVES random
 drives of 30 s for choosing, DRIVES others for judging. J = mean e^2 + w mean (change of command)^2; a failed drive
 counts 25 m^2. A car's own best constant is chosen on the first and judged on the second, as all others are; regret is
 the geometric mean of J over it, by 10-fold cross-validation: whatever is learned is learned on other cars. Between the
-weights of the grid log J is interpolated; horizons are the pair of the grid that is nearest. What is learned are the
-weight over the profile's own and Np, in logarithms; Nc goes with Np in the grid.
+weights of the grid log J is interpolated; horizons are the pair of the grid that is nearest. What is learned are either
+the weight over the profile's own and Np, in logarithms (Nc goes with Np in the grid), or the costs of the grid.
 """
 
 from __future__ import annotations
@@ -26,8 +26,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from sklearn.decomposition import PCA
 from sklearn.linear_model import RidgeCV
-from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import StandardScaler
 
 import adaptrack as at
@@ -41,8 +41,10 @@ from adaptrack.vehicle import Steering, Vehicle
 Array = NDArray[np.float64]
 
 DRIVES, SECONDS, FAILED, FOLDS, FIRST = 6, 30.0, 25.0, 10, 31_000_000
-PAIRS = ((20, 6), (30, 10), (45, 15))
-WEIGHTS = np.arange(-4, 5) * 0.375
+PAIRS = ((14, 4), (20, 6), (30, 10), (45, 15))
+USUAL = 2
+"""The pair that `informed_tuning` has at a period of 0.05 s with preview."""
+WEIGHTS = np.arange(-5, 6) * 0.375
 """log10 of R over the profile's own"""
 SPEED = 15.0
 """m/s, of the yaw gain"""
@@ -87,9 +89,9 @@ def features(known: Told, car: RandomCar, period: float) -> list[float]:
     understeer = v.mass * (v.lr * rear - v.lf * front) / (length * front * rear)  # rad s^2/m
     gain = SPEED / (length + understeer * SPEED**2)  # 1/s
     unsure = math.hypot(known.uncertainty.lag, known.uncertainty.dead_time)
-    assert known.steering.lag is not None and known.steering.dead_time is not None
+    lag, dead_time = known.steering.lag or 0.0, known.steering.dead_time or 0.0
     return [
-        known.steering.lag / period, known.steering.dead_time / period, understeer * 100.0,
+        lag / period, dead_time / period, understeer * 100.0,
         math.log10(max(gain, 0.1)), math.log10(car.noise), unsure / period,
     ]  # fmt: skip
 
@@ -166,16 +168,49 @@ def by_rule(train: Cars, test: Cars, shift: Callable[[Cars], Array]) -> tuple[Ar
     return np.full(len(test.features), pair), weight + shift(test)
 
 
-def by_learner(train: Cars, test: Cars, make: Callable[[], Any]) -> tuple[Array, Array]:
-    """What is learned from the features of the training cars."""
-    wanted = train.targets()
+def scaled(train: Cars, test: Cars) -> tuple[Array, Array]:
+    """Features of both, standardised; nothing is asked outside what was learned from."""
     scale = StandardScaler().fit(train.features)
     x, z = (scale.transform(each.features) for each in (train, test))
-    z = np.clip(z, x.min(axis=0), x.max(axis=0))  # nothing is asked outside what was learned from
     varying = np.ptp(x, axis=0) > 1e-9
-    found = [make().fit(x[:, varying], target).predict(z[:, varying]) for target in wanted.T]
+    return x[:, varying], np.clip(z, x.min(axis=0), x.max(axis=0))[:, varying]
+
+
+def by_best(train: Cars, test: Cars, make: Callable[[], Any]) -> tuple[Array, Array]:
+    """Learned: what is best for a car."""
+    x, z = scaled(train, test)
+    found = [make().fit(x, target).predict(z) for target in train.targets().T]
     lengths = np.log10([pair[0] for pair in PAIRS])
     return np.abs(found[1][:, None] - lengths).argmin(axis=1), found[0]
+
+
+def by_cost(train: Cars, test: Cars, make: Callable[[], Any]) -> tuple[Array, Array]:
+    """Learned: what each tuning of the grid costs a car, through three principal components; the cheapest is taken.
+
+    A weight too low fails, one too high is slow: the mean of the best weights is not the best in the mean.
+    """
+    x, z = scaled(train, test)
+    cost = train.choosing - train.choosing.min(axis=(1, 2), keepdims=True)
+    reduce = PCA(3, random_state=0).fit(cost.reshape(len(x), -1))
+    parts = reduce.transform(cost.reshape(len(x), -1)).T
+    predicted = reduce.inverse_transform(np.stack([make().fit(x, part).predict(z) for part in parts], axis=1))
+    pair, weight = np.unravel_index(predicted.argmin(axis=1), cost.shape[1:])
+    return pair, WEIGHTS[weight]
+
+
+def linear() -> Any:
+    """A linear map."""
+    return RidgeCV(np.geomspace(0.1, 100.0, 7))
+
+
+def network() -> Any:
+    """The network."""
+    return MLP((6,), solver="lbfgs", epochs=300, relu=False, early_stopping=True, random_state=0)
+
+
+def anfis() -> Any:
+    """ANFIS with few rules."""
+    return ANFIS("subtractive", influence=1.0, ridge=1.0, epochs=10, random_state=0)
 
 
 def zero(cars: Cars) -> Array:
@@ -184,20 +219,17 @@ def zero(cars: Cars) -> Array:
 
 
 CONTENDERS: dict[str, Callable[[Cars, Cars], tuple[Array, Array]]] = {
-    "the profile's constant": lambda train, test: (np.full(len(test.features), 1), zero(test)),
+    "the profile's constant": lambda train, test: (np.full(len(test.features), USUAL), zero(test)),
     "one constant for all": lambda train, test: by_rule(train, test, lambda cars: -cars.caution),
     "one, times the caution": lambda train, test: by_rule(train, test, zero),
     "... times yaw gain^2": lambda train, test: by_rule(train, test, lambda cars: 2.0 * cars.features[:, YAW_GAIN]),
     "... times noise": lambda train, test: by_rule(train, test, lambda cars: cars.features[:, NOISE]),
-    "linear in the logarithms": lambda train, test: by_learner(
-        train, test, lambda: make_pipeline(StandardScaler(), RidgeCV(np.geomspace(0.1, 100.0, 7)))
-    ),
-    "network": lambda train, test: by_learner(
-        train, test, lambda: MLP((6,), solver="lbfgs", epochs=300, relu=False, early_stopping=True, random_state=0)
-    ),
-    "ANFIS": lambda train, test: by_learner(
-        train, test, lambda: ANFIS("subtractive", influence=1.0, ridge=1.0, epochs=10, random_state=0)
-    ),
+    "linear, of the best": lambda train, test: by_best(train, test, linear),
+    "network, of the best": lambda train, test: by_best(train, test, network),
+    "ANFIS, of the best": lambda train, test: by_best(train, test, anfis),
+    "linear, of the cost": lambda train, test: by_cost(train, test, linear),
+    "network, of the cost": lambda train, test: by_cost(train, test, network),
+    "ANFIS, of the cost": lambda train, test: by_cost(train, test, anfis),
 }
 
 
@@ -229,7 +261,7 @@ def collected(given: argparse.Namespace) -> tuple[Cars, Array, int]:
     logs = np.log(cost)
     unsure = [told(random_car(number), each).uncertainty.caution for number, each in enumerate(share)]
     cars = Cars(logs[..., :DRIVES].mean(axis=3), logs[..., DRIVES:].mean(axis=3), rows, np.log10(unsure))
-    return cars, share, int((cost[:, 1, len(WEIGHTS) // 2] >= FAILED).sum())
+    return cars, share, int((cost[:, USUAL, len(WEIGHTS) // 2] >= FAILED).sum())
 
 
 def picture(cars: Cars, found: dict[str, Array], path: Path) -> None:
@@ -276,10 +308,14 @@ def main() -> None:
         print(f"{given.profile}, known {given.known}, {len(share)} cars; the profile's constant fails {lost} drives of "
               f"{len(share) * 2 * DRIVES}")  # fmt: skip
         for row in rows:
-            print("{contender:26s} x{regret:.3f} [{low:.3f}, {high:.3f}]  p90 {p90:.2f}  worst {worst:.2f}".format(**row))
+            print(
+                f"{row['contender']:26s} x{row['regret']:.3f} [{row['low']:.3f}, {row['high']:.3f}]  "
+                f"p90 {row['p90']:.2f}  worst {row['worst']:.2f}"
+            )
         own = cars.best()
-        print("own best: horizons", np.bincount(own[:, 0], minlength=3).tolist(), "of", PAIRS, "; log10 weight, quantiles "
-              "0, 10, 50, 90, 100 %:", np.quantile(WEIGHTS[own[:, 1]], (0.0, 0.1, 0.5, 0.9, 1.0)).tolist())  # fmt: skip
+        quantiles = np.quantile(WEIGHTS[own[:, 1]], (0.0, 0.1, 0.5, 0.9, 1.0)).round(3).tolist()
+        print("own best:", dict(zip(PAIRS, np.bincount(own[:, 0], minlength=len(PAIRS)).tolist(), strict=True)),
+              "of the horizons; log10 weight, quantiles 0, 10, 50, 90, 100 %:", quantiles)  # fmt: skip
     if given.picture is not None:
         picture(cars, found, given.picture)
 
