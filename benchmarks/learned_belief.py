@@ -20,6 +20,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import logging
 import math
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -118,8 +119,9 @@ def drive(number: int, profile: Profile) -> tuple[Array, ...] | None:
         [beliefs[:, BELIEF.belief_delay] + world.dead_time - world.steering.dead_time,
          np.log(beliefs[:, BELIEF.belief_stiffness]), np.log(beliefs[:, BELIEF.belief_friction])], axis=1,
     )  # fmt: skip
-    return (answer[:, ANSWER.command], signals.speed[:n], np.array(measured), np.array([each[1] for each in sensors]),
-            np.array(own), truth, filters)  # fmt: skip
+    noises = np.array([noise for _, noise in sensors])
+    command = answer[:, ANSWER.command].copy()  # not a view that keeps the whole trace
+    return command, signals.speed[:n], np.array(measured), noises, np.array(own), truth, filters
 
 
 def answers(drives: Drives, period: float, vy_measured: bool) -> Array:
@@ -359,6 +361,7 @@ def main() -> None:
     ask.add_argument("--signals", type=Path, default=None, help="file to keep the drives in, or to read them from")
     ask.add_argument("--json", action="store_true")
     given = ask.parse_args()
+    logging.getLogger("adaptrack").setLevel(logging.ERROR)  # a belief that is wrong is the point here
     profile = load_profile(given.profile)
     everything = collected(given, profile)
     data = moments(everything, profile.period, math.isfinite(profile.noise_vy))

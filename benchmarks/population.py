@@ -19,6 +19,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import logging
 import math
 from collections.abc import Callable
 from pathlib import Path
@@ -293,6 +294,7 @@ def main() -> None:
     ask.add_argument("--picture", type=Path, default=None)
     ask.add_argument("--json", action="store_true")
     given = ask.parse_args()
+    logging.getLogger("adaptrack").setLevel(logging.ERROR)  # a belief that is wrong is the point here
     cars, share, lost = collected(given)
     found = judged(cars)
     rng = np.random.default_rng(0)
