@@ -33,9 +33,10 @@ from sklearn.preprocessing import StandardScaler
 
 import adaptrack as at
 from adaptrack.batch import rollout_batch
-from adaptrack.controllers import Uncertainty
+from adaptrack.controllers import Learning, Uncertainty
 from adaptrack.identification.random_cars import CarRanges, RandomCar, random_car
 from adaptrack.learning import ANFIS, MLP
+from adaptrack.profile import Profile
 from adaptrack.scenario import random_drive
 from adaptrack.vehicle import Steering, Vehicle
 
@@ -97,25 +98,39 @@ def features(known: Told, car: RandomCar, period: float) -> list[float]:
     ]  # fmt: skip
 
 
-def costs(number: int, profile: str, known: str) -> tuple[Array, list[float], float]:
-    """J (horizons, weights, 2 DRIVES) of a car, its features, and the share that is unknown."""
-    car = random_car(number, profile=profile)
-    rng = np.random.default_rng((7, number))
-    share = 0.0 if known == "exactly" else 1.0 if number % 4 == 3 else float(rng.uniform(0.25, 1.0))
+def unknown(number: int, known: str) -> float:
+    """The share of a car that is unknown."""
+    drawn = float(np.random.default_rng((7, number)).uniform(0.25, 1.0))
+    return 0.0 if known == "exactly" else 1.0 if number % 4 == 3 else drawn
+
+
+def costs(number: int, profile: str, known: str) -> tuple[Array, Array, list[float], float]:
+    """J (horizons, weights, 2 DRIVES) of a car, J (2 DRIVES,) of learning, its features, the share that is unknown."""
+    car, share = random_car(number, profile=profile), unknown(number, known)
     world, belief = car.profile, told(car, share)
     if known == "exactly":
         world = world.replace(steering=world.steering.replace(bias=0.0))
-    mpc = at.MPC(belief.vehicle, profile=world, belief=belief.steering, uncertainty=belief.uncertainty)
-    tunings = [(np_, nc, 1.0, mpc.tuning.R * 10.0**each) for np_, nc in PAIRS for each in WEIGHTS]
-    drives = [random_drive(FIRST + 100 * number + i, SECONDS) for i in range(2 * DRIVES)]
+    given: dict[str, Any] = {"profile": world, "belief": belief.steering, "uncertainty": belief.uncertainty}
+    mpc = at.MPC(belief.vehicle, **given)
+    grid = [(np_, nc, 1.0, mpc.tuning.R * 10.0**each) for np_, nc in PAIRS for each in WEIGHTS]
+    cost = driven(car, world, mpc, np.array(grid)).reshape(len(PAIRS), len(WEIGHTS), -1)
+    learning = np.full(2 * DRIVES, math.nan)
+    if known != "exactly":
+        mpc = at.MPC(belief.vehicle, **given, learning=Learning())
+        learning = driven(car, world, mpc, mpc.tuning.as_array()[None])
+    return cost, learning, features(belief, car, world.period), share
+
+
+def driven(car: RandomCar, world: Profile, mpc: at.MPC, tunings: Array) -> Array:
+    """J (tunings * 2 DRIVES,) of a car with each tuning on each drive."""
+    drives = [random_drive(FIRST + 100 * car.seed + i, SECONDS) for i in range(2 * DRIVES)]
     which = np.tile(np.arange(2 * DRIVES), len(tunings))
     run = rollout_batch(
         at.DualTrack(car.vehicle, car.tyre), mpc, drives, np.repeat(tunings, 2 * DRIVES, axis=0), which=which,
-        profile=world, seeds=which + 1000 * number,
+        profile=world, seeds=which + 1000 * car.seed,
     )  # fmt: skip
     lost = np.array([reason is not None for reason in run.failed])
-    cost = np.where(lost, FAILED, run.mse + world.move_weight * run.mean_squared_move)
-    return cost.reshape(len(PAIRS), len(WEIGHTS), -1), features(belief, car, world.period), share
+    return np.where(lost, FAILED, run.mse + world.move_weight * run.mean_squared_move)
 
 
 class Cars(NamedTuple):
@@ -128,6 +143,8 @@ class Cars(NamedTuple):
     """(cars, FEATURES)"""
     caution: Array
     """(cars,) log10 of the profile's weight with the caution of its uncertainty, over that without"""
+    learning: Array
+    """(cars,) log J on the drives for judging of the controller that learns; NaN where there is nothing to learn"""
 
     def best(self) -> Array:
         """(cars, 2) each car's own constant: horizons, weight, both as grid numbers."""
@@ -246,6 +263,8 @@ def judged(cars: Cars) -> dict[str, Array]:
         train, test = (Cars(*(part[mask] for part in cars)) for mask in (~out, out))
         for name, choose in CONTENDERS.items():
             found[name][out] = at_weights(test.judging, *choose(train, test)) - floor[out]
+    if np.isfinite(cars.learning).all():
+        found["learning while driving"] = cars.learning - floor
     return found
 
 
@@ -253,15 +272,18 @@ def collected(given: argparse.Namespace) -> tuple[Cars, Array, int]:
     """The cars, the share of each that is unknown, and how many drives the profile's constant fails."""
     if given.costs is not None and given.costs.exists():
         file = np.load(given.costs)
-        cost, rows, share = file["cost"], file["features"], file["share"]
+        cost, learning, rows, share = (file[name] for name in ("cost", "learning", "features", "share"))
     else:
         each = [costs(number, given.profile, given.known) for number in range(given.cars)]
-        cost, rows, share = (np.array(part) for part in zip(*each, strict=True))
+        cost, learning, rows, share = (np.array(part) for part in zip(*each, strict=True))
         if given.costs is not None:
-            np.savez(given.costs, cost=cost, features=rows, share=share)
+            np.savez(given.costs, cost=cost, learning=learning, features=rows, share=share)
     logs = np.log(cost)
     unsure = [told(random_car(number), each).uncertainty.caution for number, each in enumerate(share)]
-    cars = Cars(logs[..., :DRIVES].mean(axis=3), logs[..., DRIVES:].mean(axis=3), rows, np.log10(unsure))
+    cars = Cars(
+        logs[..., :DRIVES].mean(axis=3), logs[..., DRIVES:].mean(axis=3), rows, np.log10(unsure),
+        np.log(learning[:, DRIVES:]).mean(axis=1),
+    )  # fmt: skip
     return cars, share, int((cost[:, USUAL, len(WEIGHTS) // 2] >= FAILED).sum())
 
 

@@ -59,7 +59,7 @@ def _made_up(cars=80):
     best = 2.0 * features[:, population.YAW_GAIN]
     cost = (population.WEIGHTS - best[:, None]) ** 2
     cost = np.repeat(cost[:, None], len(population.PAIRS), axis=1)
-    return population.Cars(cost, cost.copy(), features, np.zeros(cars))
+    return population.Cars(cost, cost.copy(), features, np.zeros(cars), np.full(cars, np.nan))
 
 
 def test_the_judging_finds_a_rule_where_there_is_one():
@@ -86,6 +86,7 @@ def _signals(seconds=20.0, period=0.05, speed=18.0, factor=1.0, delay=0.4):
     return learned_belief.Drives(
         command=command[None], speed=np.full((1, len(t)), speed), measured=np.array([[x[1], x[0]]]),
         noise=np.array([[1e-3, 1e-2]]), car=own[None], truth=np.zeros((1, 10, 3)), filters=np.zeros((1, 10, 3)),
+        number=np.zeros(1, int),
     )  # fmt: skip
 
 
