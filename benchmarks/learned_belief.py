@@ -1,6 +1,6 @@
 """Networks and ANFIS as estimators of what a car is, beside the filters that learn while driving.
 
-    python benchmarks/learned_belief.py [--train 600] [--test 200] [--profile road] [--signals FILE] [--drive]
+    python benchmarks/learned_belief.py [--train 600] [--test 200] [--profile road] [--signals FILE] [--drive CARS]
 
 Random cars (`identification.random_cars`), of which the controller believes the middle of the ranges and learns
 (`MPC(..., learning=Learning())`), drive for 60 s (random_drive); the drives that fail are left out. All estimators see
@@ -52,6 +52,7 @@ STIFFNESS = np.exp(np.linspace(-1.6, 1.6, 5))
 """-, factors on what is believed"""
 DELAYS = np.arange(0.1, 0.701, 0.05)
 """s"""
+DRIVEN = ("filters", "network", "network and filters", "network that corrects the filters", "the truth")
 TARGETS = ("delay", "stiffness", "friction")
 LEAST_SPEED = 2.0
 """m/s, of the model"""
@@ -418,7 +419,7 @@ def main() -> None:
     ask.add_argument("--test", type=int, default=200)
     ask.add_argument("--profile", default="road")
     ask.add_argument("--signals", type=Path, default=None, help="file to keep the drives in, or to read them from")
-    ask.add_argument("--drive", action="store_true", help="J of a controller that believes each, as well")
+    ask.add_argument("--drive", type=int, default=0, help="cars whose J is told of a controller that believes each")
     ask.add_argument("--json", action="store_true")
     given = ask.parse_args()
     logging.getLogger("adaptrack").setLevel(logging.ERROR)  # a belief that is wrong is the point here
@@ -428,7 +429,8 @@ def main() -> None:
     test = round(len(everything.command) * given.test / (given.train + given.test))
     rows, estimated = judged((everything, data), test, profile.period)
     for after, each in estimated.items() if given.drive else ():
-        costs = driven(everything.number[-test:], each, profile)
+        some = {name: each[name][-given.drive :] for name in DRIVEN}
+        costs = driven(everything.number[-given.drive :], some, profile)
         for name, cost in costs.items():
             ratio = float(np.exp(np.log(cost / costs["the truth"]).mean()))
             rows.append({"after": after, "believed": name, "J": ratio, "failed": int((cost >= 25.0).sum())})

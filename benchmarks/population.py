@@ -251,6 +251,16 @@ CONTENDERS: dict[str, Callable[[Cars, Cars], tuple[Array, Array]]] = {
 }
 
 
+DRAWN = (
+    "the profile's constant",
+    "one, times the caution",
+    "... times yaw gain^2",
+    "network, of the best",
+    "ANFIS, of the best",
+)
+"""Contenders in the picture."""
+
+
 def judged(cars: Cars) -> dict[str, Array]:
     """Contender -> (cars,) log regret to the car's own best constant."""
     own = cars.best()
@@ -299,10 +309,10 @@ def picture(cars: Cars, found: dict[str, Array], path: Path) -> None:
         axes.set_xlabel({YAW_GAIN: "log10 yaw gain at 15 m/s (1/s)", NOISE: "log10 noise factor"}[column])
         axes.axhline(0.0, color="0.6", linewidth=0.8)
     left.set_ylabel("log10 of the best R over the profile's")
-    for name, regret in found.items():
-        right.plot(np.exp(np.sort(regret)), np.linspace(0.0, 1.0, len(regret)), linewidth=1.2, label=name)
+    for name in DRAWN:
+        right.plot(np.exp(np.sort(found[name])), np.linspace(0.0, 1.0, len(wanted)), linewidth=1.2, label=name)
     right.set(xlim=(0.9, 1.6), xlabel="J over that of the car's own best constant", ylabel="share of cars")
-    right.legend(fontsize=6)
+    right.legend(fontsize=7, loc="lower right")
     figure.savefig(path, dpi=110)
 
 
