@@ -10,7 +10,9 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm
+from typer.testing import CliRunner
 
+from adaptrack.cli.app import app
 from adaptrack.controllers import MPC, LearnedCar, Learning, Uncertainty, load_learned_car
 from adaptrack.errors import ConfigError, InvalidInput
 from adaptrack.estimation import NOTHING_MEASURED
@@ -386,3 +388,17 @@ def test_the_filter_remembers_commands_for_the_longest_dead_time():
     assert isinstance(mpc.estimator, KalmanFilter)
     assert mpc.estimator.longest == pytest.approx(0.25 + PERIOD)
     assert mpc.tuning == MPC(CAR, profile="road").tuning  # caution comes from what is learned
+
+
+@compiled
+def test_the_command_hands_what_a_drive_has_learned_to_the_next_one(tmp_path):
+    def drive(file):
+        options = ["--length", "300", "--profile", "road", "--learned", str(file), "--json"]
+        return CliRunner().invoke(app, ["drive", "country", "--road-seed", "3", *options])
+
+    file = tmp_path / "car.toml"
+    assert drive(file).exit_code == 0
+    first = load_learned_car(file)
+    assert drive(file).exit_code == 0
+    again = load_learned_car(file)
+    assert again.seconds > first.seconds > 5.0

@@ -140,7 +140,7 @@ class Learning:
     """-, share of a log-likelihood that counts, for successive innovations are not independent"""
     modest: float = 2.0
     """-, factor on the standard deviations of the filters, which know nothing of relaxation and load of the tyres"""
-    cautious: float = 0.5
+    cautious: float = 1.0
     """-, standard deviations of the delay by which the controller believes it longer than its mean"""
     tolerated: float = 0.06
     """s, standard deviation of the delay that doubles R"""
