@@ -286,6 +286,7 @@ def test_what_is_not_finite_brings_back_what_is_known_beforehand():
     assert np.isfinite(learned_of(mpc)).all()
 
 
+@pytest.mark.filterwarnings("ignore:invalid value")  # of an infinite speed, without the compiler
 @pytest.mark.parametrize("speed", [math.nan, math.inf, -math.inf])
 def test_a_speed_that_is_no_number_does_not_spoil_what_is_learned(speed):
     mpc = learner()
