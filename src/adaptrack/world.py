@@ -97,9 +97,12 @@ class World:
         return world
 
     def warn_of_slower_steering(self, controller: MPC) -> None:
-        """Say it when an MPC believes that the wheels follow its command sooner than they do: it may lose the car."""
+        """Say it when an MPC believes that the wheels follow its command sooner than they do: it may lose the car.
+
+        One that learns finds it out.
+        """
         belief = controller.belief
-        if belief is None:
+        if belief is None or controller.learner is not None:
             return
         believed, driven = belief.lag.value + belief.delay, self.steering.lag + sum(self.dead_periods) * self.period
         if driven > believed + 0.4 * self.period:
