@@ -22,9 +22,8 @@ from adaptrack.vehicle import Steering, Vehicle
 UNNAMED = "road"
 """The profile whose period, preview and sensors are taken where none is named."""
 UNSEEN = 3.0
-"""Factor on R where the lateral velocity is not measured: what the filter makes of it is less sure. Measured on seven
-cars, random drives in `production`: a quarter less cost than without, half on the van and the electric car, a fifth more
-on the paper's."""
+"""Factor on R where the lateral velocity is not measured: what the filter makes of it is less sure. On seven cars
+random drives in `production` cost a quarter less, half on the van and the electric car, a fifth more on the paper's."""
 CAUTION = 10.0
 """Factor on R where the delay of the steering is assumed."""
 LARGEST_CORRECTION = 0.25
