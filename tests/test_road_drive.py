@@ -262,6 +262,7 @@ def test_one_tuning_for_several_roads_is_at_least_as_good_as_its_swarm_saw():
     assert best.evaluations == 24
 
 
+@pytest.mark.compiled
 def test_the_trajectories_of_a_run_set_are_those_of_each_drive_alone():
     runs = RunSet(PLANT, MPC(CAR, profile="road"), drives_of_two_lengths()[:2], "road")
     seeds = range(20)  # 40 runs: more than one block of slots
