@@ -41,6 +41,12 @@ of a round; tunings and runs of the search for constants; hard drives and candid
 look-up tables; operating points, drives and noise seeds of the evaluation; epochs of the paper's recipe."""
 
 
+def hard_speeds(domain: Domain) -> tuple[float, float]:
+    """Lowest and highest speed (m/s) of the hard drives in a domain."""
+    slow, fast = domain.speed
+    return slow + HARD_SPEEDS * (fast - slow), fast
+
+
 def write_configuration(
     folder: Path, vehicle: str | os.PathLike[str], profile: str, domain: Domain, constant: Tuning, *,
     quick: bool = False,
@@ -142,7 +148,7 @@ def _adaptation(name: str, domain: Domain, constant: Tuning, work: dict[str, Any
                 "held_out_points": work["held_out"][0], "held_out_drives": work["held_out"][1],
                 "round_points": work["round"][0], "round_drives": work["round"][1],
                 "round_hard_drives": work["round"][2],
-                "hard_speed": [slow + HARD_SPEEDS * (fast - slow), fast], "hard_demand": list(HARD_DEMAND),
+                "hard_speed": list(hard_speeds(domain)), "hard_demand": list(HARD_DEMAND),
                 "failure_distance": domain.failure_distance,
             },
             "improvement": {**own["method"]["improvement"], "check": min(5, work["rounds"])},

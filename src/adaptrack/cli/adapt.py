@@ -5,9 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
+import typer
 from typer import Argument, Option
 
 from adaptrack.cli import comparison, interrupt, options, show
+from adaptrack.cli.simulate import FAILED
 from adaptrack.errors import AdaptrackError, InvalidInput
 
 if TYPE_CHECKING:
@@ -66,7 +68,7 @@ def adapt(
     show.say(f"Schedulers: {out / 'schedulers'}\nReport: {page}", aside=as_json)
     comparison.print_comparison(made, as_json)
     if tuned is not None and not tuned.passed:
-        raise SystemExit(3)
+        raise typer.Exit(FAILED)
 
 
 def _one(names: list[str]) -> str:

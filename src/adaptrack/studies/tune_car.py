@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from adaptrack.adaptation.for_car import HARD_DEMAND, hard_speeds
 from adaptrack.certify import Certificate, certify
 from adaptrack.comparison.statistics import Ratio, geometric_mean, ratio
 from adaptrack.controllers import ENTRIES, MPC, Tuning
@@ -31,10 +32,6 @@ Progress = Callable[[str, int, int], None]
 FIRST_SOUGHT, FIRST_JUDGED = 13_000_000, 13_500_000
 """Numbers of the first random drive of the search and of the judgement: nothing else has them."""
 NOISE_SOUGHT, NOISE_JUDGED = 5_001, 5_002
-FAST = 0.57
-"""Share of the range of speeds above which the hard drives of a search are."""
-HARD = (0.2, 0.35)
-"""Share of the grip that their roads ask for."""
 
 
 @dataclass(frozen=True)
@@ -226,8 +223,7 @@ def _search_runs(
 ) -> list[RunSet]:
     """Mixed drives and hard ones."""
     first = FIRST_SOUGHT + 1000 * seed
-    slow, fast = domain.speed
-    hard = {**domain.drive_options, "speed": (slow + FAST * (fast - slow), fast), "demand": HARD}
+    hard = {**domain.drive_options, "speed": hard_speeds(domain), "demand": HARD_DEMAND}
     return [
         _drives(plant, mpc, world, range(first, first + asked.drives), asked.seconds, domain.drive_options),
         _drives(plant, mpc, world, range(first + 500, first + 500 + asked.hard_drives), asked.seconds, hard),
