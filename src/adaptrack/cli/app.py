@@ -12,6 +12,7 @@ from adaptrack.cli import (
     bench,
     car,
     certify,
+    compare,
     dataset,
     drive,
     evaluate,
@@ -66,6 +67,7 @@ for command in (
     adapt.adapt,
     certify.certify,
     evaluate.evaluate,
+    compare.compare,
     lists.schedulers,
 ):
     app.command()(command)

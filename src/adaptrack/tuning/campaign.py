@@ -271,7 +271,7 @@ def _pool(workers: int | None, dask: str | None, executor: Executor | None) -> I
     if executor is not None:
         yield _Pool(executor)
     elif dask is not None:
-        with _dask_client(dask) as client:
+        with dask_client(dask) as client:
             yield _Pool(client.get_executor(retries=3, pure=False))
     else:
         if workers is not None and (isinstance(workers, bool) or not isinstance(workers, int) or workers < 1):
@@ -284,7 +284,7 @@ def _pool(workers: int | None, dask: str | None, executor: Executor | None) -> I
                 give_up.set()  # nobody waits for what is still in work
 
 
-def _dask_client(address: str) -> Any:
+def dask_client(address: str) -> Any:
     """A client of a Dask scheduler that has workers."""
     try:
         distributed = importlib.import_module("distributed")

@@ -1,0 +1,176 @@
+"""`adaptrack compare`: controllers x cars x roads x profiles, all tuned with the same effort; one table, one page."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+from typer import Option
+
+from adaptrack.cli import interrupt, options, show
+from adaptrack.cli.show import Column
+from adaptrack.errors import InvalidInput
+
+if TYPE_CHECKING:
+    from adaptrack.comparison.side_by_side import SideBySide
+    from adaptrack.studies.compare import Compared
+
+COLUMNS = (
+    Column("label", "contender"),
+    Column("rank", "rank"),
+    Column("rms", "RMS e\nratio, 95 %"),
+    Column("cost_ratio", "J\nratio", "", show.digits(3)),
+    Column("rms_error", "RMS e", "m", show.digits(2)),
+    Column("failed", "failed"),
+    Column("entry", "3888-2", "km/h"),
+)
+
+
+def compare(
+    out: Annotated[Path, Option(help="Folder; one that was interrupted goes on.")],
+    quick: Annotated[bool, Option("--quick", help="Two cars, four roads, one profile: minutes [default].")] = False,
+    standard: Annotated[bool, Option("--standard", help="Six cars, twelve roads, three profiles.")] = False,
+    full: Annotated[
+        bool, Option("--full", help="The same with 1,000 closed loops and those in Python: hours.")
+    ] = False,
+    config: Annotated[Path | None, Option("--config", help="TOML file of a comparison of your own.")] = None,
+    contender: Annotated[
+        list[str] | None, Option("--contender", metavar="NAME", help="Only these; `--list` names them.")
+    ] = None,
+    car: Annotated[
+        list[str] | None, Option("--car", metavar="CAR[/PLANT]", help="Only these: name or .toml file, with its plant.")
+    ] = None,
+    road: Annotated[
+        list[str] | None,
+        Option("--road", metavar="ROAD", help="Judged on these: country:3, lap:1@6, random-drive:3, scenario, file."),
+    ] = None,
+    profile: Annotated[list[str] | None, Option("--profile", metavar="NAME", help="Only in these.")] = None,
+    seeds: Annotated[int | None, Option("--seeds", min=1, max=1000, help="Noise seeds of the judgement.")] = None,
+    budget: Annotated[
+        int | None, Option("--budget", min=0, help="Closed loops of each search; 0: defaults alone.")
+    ] = None,
+    dask: Annotated[
+        str | None, Option("--dask", metavar="ADDRESS", help="Dask scheduler whose workers drive (extra `cluster`).")
+    ] = None,
+    names: Annotated[bool, Option("--list", help="Name the contenders, and drive nothing.")] = False,
+    plugin: options.Plugin = None,
+    as_json: options.Json = False,
+) -> None:
+    """Compare controllers on cars, roads and profiles: same noise, same effort of tuning, unseen roads.
+
+    Each contender drives with its default and with a tuning that a search found on training roads; a schedule brings
+    its own. Ranks differ only where the intervals part. Failed runs are counted in the table; the exit code is 0.
+    """
+    from adaptrack.studies.compare import TABLE, compare_side_by_side
+
+    options.load_plugins(plugin)
+    if names:
+        _list(as_json)
+        return
+    chosen = [name for name, asked in (("quick", quick), ("standard", standard), ("full", full)) if asked]
+    if len(chosen) + (config is not None) > 1:
+        raise InvalidInput("compare: give one of --quick, --standard, --full and --config.")
+    task = _task(config or (chosen or ["quick"])[0], contender, car, road, profile, seeds, budget)
+    options.make_folder(out)
+    cells = task.cells
+    loops, hours = sum(map(task.loops, cells)), show.duration(max(60.0, task.seconds(cells)))
+    size = f"{len(cells)} cells, about {loops:,} closed loops, roughly {hours} of one core"
+    show.say(f"adaptrack: {task.name}: {size}", aside=True)
+    interrupt.kept(f"What was driven is kept; the same command with --out {out} goes on.")
+    with show.progress("compare") as advance:
+        made = compare_side_by_side(task, out, dask=dask, progress=advance)
+    page = _page(made, out)
+    if as_json:
+        show.say_json({**_told(made), "page": str(page), "table": str(out / TABLE)})
+        return
+    _print(made)
+    show.say(f"Page: {page}\nEvery run: {out / TABLE}")
+
+
+def _task(
+    name: Any, contender: Any, car: Any, road: Any, profile: Any, seeds: int | None, budget: int | None
+) -> SideBySide:
+    """The comparison that is asked for."""
+    from adaptrack.studies.compare import load_comparison
+
+    asked = {
+        "contenders": contender, "cars": car, "roads": road, "profiles": profile, "budget": budget,
+        "seeds": None if seeds is None else list(range(seeds)),
+    }  # fmt: skip
+    return load_comparison(name, **{key: value for key, value in asked.items() if value is not None})
+
+
+def _list(as_json: bool) -> None:
+    from adaptrack.comparison.entries import get_entry, list_entries
+
+    rows = [
+        {"contender": name, "what": get_entry(name).words, "tuned": get_entry(name).tunable,
+         "compiled": get_entry(name).compiled}
+        for name in list_entries()
+    ]  # fmt: skip
+    show.listing("Contenders", rows, as_json)
+
+
+def _page(made: Compared, out: Path) -> Path:
+    from adaptrack.report.side_by_side import write_side_by_side
+
+    with show.progress("write the page"):
+        return write_side_by_side(out, made, command=options.command_line())
+
+
+def _rows(made: Compared, profile: str) -> list[dict[str, Any]]:
+    """The rows of a profile, with the mean entry speed in km/h."""
+    from adaptrack.comparison.standing import Who
+
+    speeds, rows = made.entry_speeds(profile), []
+    for row in made.standings[profile].rows():
+        entered = speeds.get(Who(row["contender"], row["tuning"]), {})
+        rows.append({**row, "entry_speed": 3.6 * sum(entered.values()) / len(entered) if entered else None})
+    return rows
+
+
+def _told(made: Compared) -> dict[str, Any]:
+    from adaptrack.comparison.compare import finite
+
+    return {
+        "name": made.task.name,
+        "profiles": {profile: finite(_rows(made, profile)) for profile in made.standings},
+        "left_out": [{**vars(cell), "why": why} for cell, why in made.left_out.items()],
+        "absent": made.absent,
+        "cells": [
+            {**vars(cell), **{k: v for k, v in each.items() if k != "rows"}} for cell, each in made.cells.items()
+        ],
+    }
+
+
+def _print(made: Compared) -> None:
+    """A table for each profile, and what was left out."""
+    task = made.task
+    for profile, standing in made.standings.items():
+        rows = [
+            {
+                **row,
+                "rms": f"{row['rms_ratio']:.3g} [{row['rms_low']:.2g}-{row['rms_high']:.2g}]",
+                "failed": f"{row['failures']}/{row['runs']}",
+                "entry": None if row["entry_speed"] is None else round(row["entry_speed"]),
+            }
+            for row in _rows(made, profile)
+        ]
+        cars, roads = len(set(standing.columns["car"])), len(set(standing.columns["road"]))
+        size = f"{cars} cars, {roads} roads, {len(task.seeds)} noise seeds"
+        show.table(f"{profile}: {size}; ratio to {standing.reference.label}", COLUMNS, rows)
+    for car, why in made.absent.items():
+        show.say(f"Left out, {car}: {why}")
+    for why, where in _by_reason(made).items():
+        show.say(f"Left out, {where}: {why}")
+
+
+def _by_reason(made: Compared) -> dict[str, str]:
+    """By reason, who was left out on how many cars in which profiles."""
+    found: dict[str, list[Any]] = {}
+    for cell, why in made.left_out.items():
+        found.setdefault(why, []).append(cell)
+    return {
+        why: f"{', '.join(dict.fromkeys(c.contender for c in cells))} ({len(cells)} cells)"
+        for why, cells in found.items()
+    }
