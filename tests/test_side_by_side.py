@@ -1,0 +1,261 @@
+"""Side-by-sides: same roads, noise and effort for all; ranks only where intervals part; interrupted ones go on."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import adaptrack as at
+from adaptrack.comparison import side_by_side
+from adaptrack.comparison.entries import Setting, get_entry, list_entries
+from adaptrack.comparison.side_by_side import Cell, SideBySide, load_setting, load_trip, run_cell
+from adaptrack.comparison.standing import Standing, Who, pigeonhole
+from adaptrack.controllers import MPC
+from adaptrack.errors import ConfigError, InvalidInput, UnknownName
+from adaptrack.failure import DISTANCE
+from adaptrack.plant import DualTrack
+from adaptrack.profile import load_profile
+from adaptrack.scenario import RoadDrive
+from adaptrack.studies import compare as study
+from adaptrack.studies.compare import compare_side_by_side, list_comparisons, load_comparison
+
+TINY: dict[str, Any] = {
+    "name": "tiny", "contenders": ["informed", "pure-pursuit"], "cars": ["paper"], "profiles": ["road"],
+    "training": ["country:101"], "roads": ["country:1"], "length": 200.0, "training_length": 150.0, "seeds": [0, 1],
+    "budget": 10, "entry_speeds": False,
+}  # fmt: skip
+
+
+def tiny(**changes: Any) -> SideBySide:
+    return SideBySide(**{**TINY, **changes})
+
+
+# -- statistics -------------------------------------------------------------------------------------------------------
+def columns(logs: dict[str, np.ndarray], failed: dict[str, np.ndarray] | None = None) -> dict[str, np.ndarray]:
+    """Rows of contenders whose RMS errors are exp(logs[name]) (cars, roads), each with its default."""
+    rows: dict[str, list[Any]] = {name: [] for name in ("contender", "tuning", "car", "road", "cost", "failed")}
+    for name, table in logs.items():
+        for (car, road), value in np.ndenumerate(table):
+            lost = bool(failed is not None and name in failed and failed[name][car, road])
+            values = (name, "default", f"car {car}", f"road {road:02d}", math.exp(2.0 * value), float(lost))
+            for key, each in zip(rows, values, strict=True):
+                rows[key].append(each)
+    found = {name: np.array(values) for name, values in rows.items()}
+    found["rms_error"] = np.sqrt(found["cost"])
+    return found | {
+        name: found["rms_error"] for name in ("p95_error", "max_corner", "steering_rate", "acceleration", "jerk")
+    }
+
+
+def who(name: str) -> Who:
+    return Who(name, "default")
+
+
+def test_a_ratio_that_is_the_same_everywhere_has_an_interval_of_no_width():
+    logs = np.random.default_rng(0).normal(size=(4, 6))
+    standing = Standing(columns({"a": logs, "b": logs + math.log(2.0)}), who("a"))
+    ratio = standing.ratio(who("b"), who("a"))
+    assert np.allclose([ratio.mean, ratio.low, ratio.high], 2.0)
+
+
+def test_the_interval_of_a_ratio_holds_the_truth_about_as_often_as_it_says():
+    rng, hits = np.random.default_rng(1), 0
+    for _ in range(60):
+        cars, roads = rng.normal(0.0, 0.3, (8, 1)), rng.normal(0.0, 0.3, (1, 12))
+        found = pigeonhole(cars + roads + rng.normal(0.0, 0.3, (8, 12)), rng)
+        hits += found.low < 1.0 < found.high
+    assert hits >= 51  # 85 % of 60; drawing the 96 pairs as if they were independent gives half of that
+
+
+def test_drawing_pairs_alone_would_give_far_too_narrow_an_interval():
+    rng = np.random.default_rng(2)
+    logs = rng.normal(0.0, 0.5, (8, 1)) + np.zeros((8, 12))
+    found = pigeonhole(logs, rng)
+    pairs = pigeonhole(logs.reshape(-1, 1), rng)
+    assert math.log(found.high / found.low) > 2.0 * math.log(pairs.high / pairs.low)
+
+
+def test_only_contenders_whose_intervals_part_have_different_ranks():
+    rng = np.random.default_rng(3)
+    base = rng.normal(size=(5, 8))
+    logs = {
+        "a": base, "like a": base + rng.normal(0.0, 0.2, base.shape), "worse": base + 1.0, "worst": base + 2.0,
+    }  # fmt: skip
+    ranks = Standing(columns(logs), who("a")).ranks()
+    assert [ranks[who(name)] for name in logs] == [1, 1, 3, 4]
+
+
+def test_a_failed_run_counts_as_far_off_as_a_run_fails_at():
+    failed = np.zeros((2, 3), bool)
+    failed[1, 2] = True
+    standing = Standing(columns({"a": np.zeros((2, 3))}, {"a": failed}), who("a"))
+    assert standing.table(who("a"), "rms_error")[1, 2] == DISTANCE
+    assert standing.rows()[0]["failures"] == 1
+
+
+def test_contenders_are_compared_on_the_cars_and_roads_that_both_drove():
+    logs = np.log([[1.0, 2.0], [3.0, 4.0]])
+    rows = columns({"a": logs, "b": logs + math.log(3.0)})
+    kept = ~((rows["contender"] == "b") & (rows["car"] == "car 1"))
+    standing = Standing({name: values[kept] for name, values in rows.items()}, who("a"))
+    assert np.isclose(standing.ratio(who("b"), who("a")).mean, 3.0)
+
+
+# -- what is asked for ------------------------------------------------------------------------------------------------
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"budget": 5}, "give at least 10"),
+        ({"training": ["country:1"]}, "a road of the judgement as well"),
+        ({"training_seeds": [1]}, "a noise seed of the judgement as well"),
+        ({"contenders": ["informd"]}, "informed"),
+        ({"contender": ["informed"]}, "contender"),
+        ({"cars": []}, "cars"),
+    ],
+)
+def test_a_comparison_that_cannot_be_fair_is_refused_with_the_key(changes: dict[str, Any], words: str, tmp_path: Path):
+    from adaptrack.files import write_toml
+
+    write_toml(tmp_path / "mine.toml", {**TINY, **changes})
+    with pytest.raises(InvalidInput, match=words):
+        load_comparison(tmp_path / "mine.toml")
+
+
+def test_the_shipped_comparisons_can_be_loaded_and_name_what_is_there():
+    assert {"quick", "standard", "full"} <= set(list_comparisons())
+    for name in list_comparisons():
+        task = load_comparison(name)
+        assert set(task.contenders) <= set(list_entries())
+        for profile in task.profiles:
+            load_profile(profile)
+    with pytest.raises(UnknownName, match="standard"):
+        load_comparison("standart")
+
+
+def test_the_standard_comparison_is_as_large_as_a_fair_one_has_to_be():
+    task = load_comparison("standard")
+    assert len(task.contenders) >= 9
+    assert len(task.cars) >= 6
+    assert len(task.roads) >= 12
+    assert len(task.profiles) == 3
+    assert len(task.seeds) == 5
+
+
+def test_contenders_in_python_may_drive_fewer_roads():
+    slow = side_by_side.Entry("slow", get_entry("informed").make, "in Python", compiled=False)
+    task = tiny(roads=["country:1", "country:2"], slow_roads=["country:2"], slow_seeds=[1])
+    assert task.of(slow).roads == ("country:2",)
+    assert task.of(slow).seeds == (1,)
+    assert task.of(get_entry("informed")) is task
+
+
+@pytest.mark.parametrize("name", ["country:x", "country:-1"])
+def test_a_road_whose_seed_is_no_number_is_named(name: str):
+    with pytest.raises(InvalidInput, match="whole number"):
+        load_trip(name, at.load_vehicle("paper"), 300.0, 10.0)
+
+
+def test_a_road_can_be_driven_faster():
+    car = at.load_vehicle("paper")
+    usual, fast = (load_trip(name, car, 600.0, 10.0) for name in ("lap:1", "lap:1@6"))
+    assert isinstance(usual, RoadDrive)
+    assert isinstance(fast, RoadDrive)
+    assert fast.duration < 0.9 * usual.duration
+    assert fast.name == "lap:1@6"
+
+
+def test_a_car_is_given_with_its_plant():
+    assert load_setting("paper/single-track", "road").plant.name == "single-track"
+    assert load_setting("paper", "road").plant.name == "dual-track"
+
+
+# -- contenders -------------------------------------------------------------------------------------------------------
+def test_the_contender_from_the_data_sheet_is_told_mass_and_wheelbase_alone():
+    """Another car of the same mass and wheelbase, and another true actuator, give the same controller."""
+    car, profile = at.load_vehicle("midsize-sedan"), load_profile("road")
+    other = car.replace(
+        stiffness_front=0.5 * car.stiffness_front, yaw_inertia=1.4 * car.yaw_inertia, lf=car.lf - 0.1, lr=car.lr + 0.1
+    )
+    slower = profile.replace(steering=profile.steering.replace(lag=0.3, dead_time=0.1))
+    settings = (Setting(car, DualTrack(car), profile), Setting(other, DualTrack(other), slower))
+    made = [get_entry("informed-from-sheet").make(each) for each in settings]
+    assert all(isinstance(each, MPC) for each in made)
+    assert made[0].belief == made[1].belief  # type: ignore[attr-defined]
+    assert made[0].model == made[1].model  # type: ignore[attr-defined]
+    assert made[0].tuning == made[1].tuning  # type: ignore[attr-defined]
+
+
+def test_a_scheduler_is_left_out_on_a_car_that_it_was_not_made_for():
+    found = run_cell(tiny(cars=["van"], contenders=["nn"]), Cell("nn", "van", "road"))
+    assert not found["rows"]
+    assert "was made for the car 'paper'" in found["left_out"]
+
+
+# -- driven -----------------------------------------------------------------------------------------------------------
+@pytest.mark.compiled
+def test_all_contenders_drive_the_same_roads_with_the_same_noise_and_the_same_effort(tmp_path: Path):
+    made = compare_side_by_side(tiny(), tmp_path)
+    rows = made.columns
+    runs = {
+        each: sorted(zip(kept["road"].tolist(), kept["seed"].tolist(), strict=True))
+        for each in made.standings["road"].everyone
+        for kept in [made.standings["road"].of(each)]
+    }
+    assert len(runs) == 4  # both, with default and tuned
+    assert len({tuple(each) for each in runs.values()}) == 1
+    assert {each["loops"] for each in made.cells.values()} == {10}
+    assert np.isfinite(rows["rms_error"]).all()
+
+
+@pytest.mark.compiled
+def test_an_interrupted_comparison_goes_on_and_another_question_drives_anew(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    task, driven = tiny(budget=0), []
+
+    def counted(task: SideBySide, cell: Cell) -> dict[str, Any]:
+        driven.append(cell)
+        if len(driven) == 2:
+            raise KeyboardInterrupt
+        return run_cell(task, cell)
+
+    monkeypatch.setattr(study, "run_cell", counted)
+    with pytest.raises(KeyboardInterrupt):
+        compare_side_by_side(task, tmp_path)
+    first = compare_side_by_side(task, tmp_path)
+    assert [each.contender for each in driven] == ["informed", "pure-pursuit", "pure-pursuit"]
+    again = compare_side_by_side(task, tmp_path)
+    assert len(driven) == 3
+    assert json.dumps(again.cells[driven[0]], sort_keys=True) == json.dumps(first.cells[driven[0]], sort_keys=True)
+    compare_side_by_side(tiny(budget=0, seeds=[0, 2]), tmp_path)
+    assert len(driven) == 5
+
+
+@pytest.mark.compiled
+def test_the_page_opens_with_who_is_first_and_every_run_is_in_the_table(tmp_path: Path):
+    import pyarrow.parquet as pq
+
+    from adaptrack.report.side_by_side import write_side_by_side
+
+    made = compare_side_by_side(tiny(contenders=["informed", "pure-pursuit", "nn"]), tmp_path)
+    page = write_side_by_side(tmp_path, made, command="adaptrack compare").read_text()
+    assert page.index("first; best of the others") < page.index("<table")
+    for name in ("informed, tuned", "pure-pursuit, default", "nn"):
+        assert name in page
+    assert pq.read_table(tmp_path / study.TABLE).num_rows == 2 * (2 + 2 + 1)
+
+
+def test_one_comparison_at_a_time_is_asked_for(tmp_path: Path):
+    from typer.testing import CliRunner
+
+    from adaptrack.cli.app import app
+
+    result = CliRunner().invoke(app, ["compare", "--quick", "--standard", "--out", str(tmp_path)])
+    assert isinstance(result.exception, InvalidInput | ConfigError)
+    listed = CliRunner().invoke(app, ["compare", "--list", "--json", "--out", str(tmp_path)])
+    assert {row["contender"] for row in json.loads(listed.stdout)["rows"]} == set(list_entries())
