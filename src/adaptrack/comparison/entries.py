@@ -11,11 +11,11 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
-from adaptrack.controllers import MPC, Controller, get_controller, informed_tuning, published_mpc
+from adaptrack.controllers import MPC, Controller, get_controller, published_mpc
+from adaptrack.controllers.belief import UNKNOWN
 from adaptrack.controllers.learned import Learning
 from adaptrack.data_sheet import vehicle_from_data_sheet
 from adaptrack.errors import InvalidInput, UnknownName, did_you_mean
-from adaptrack.kalman import KalmanFilter
 from adaptrack.plant import Plant, SteppedPlant
 from adaptrack.profile import Profile
 from adaptrack.scheduling import load_scheduler
@@ -62,12 +62,11 @@ def _registered(name: str) -> Callable[[Setting], Controller]:
 def _learning(setting: Setting, sheet: bool) -> Controller:
     """Ours, learning; sheet: all that is known are mass and wheelbase of the car, and the sensors."""
     profile = setting.profile
-    how: dict[str, Any] = {"learning": Learning(), "period": profile.period, "preview": True}
+    how: dict[str, Any] = {"profile": profile, "learning": Learning(), "period": profile.period, "preview": True}
     if not sheet:
-        return MPC(setting.car, profile=profile, **how)
+        return MPC(setting.car, **how)
     car = vehicle_from_data_sheet(setting.car.name, setting.car.mass, setting.car.wheelbase)
-    sensors = KalmanFilter.of_profile(profile)
-    return MPC(car, informed_tuning(profile), estimator=sensors, **how)
+    return MPC(car, belief=UNKNOWN, **how)
 
 
 def _scheduled(scheduler: str, published: bool, setting: Setting) -> Controller:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 from adaptrack.controllers.base import LEAST_STEERING_RATE, MOST_STEERING_DELAY
 from adaptrack.controllers.limits import Limits
@@ -15,6 +15,8 @@ from adaptrack.vehicle import Steering, Vehicle
 
 ASSUMED = "nobody says, so the slow end of published values"
 """The source of what neither the caller, nor the car file, nor a profile says."""
+UNKNOWN: Literal["unknown"] = "unknown"
+"""What is told where neither the car's file nor the profile is to be believed about the steering."""
 LEAST_LAG = 0.05
 """s, believed at least where only the dead time is known."""
 _NAMES = {"lag": "s", "dead_time": "s", "computation": "s", "rate": "rad/s", "limit": "rad"}
@@ -190,19 +192,24 @@ class Belief:
         return "; ".join(f"{', '.join(entries)} ({source})" for source, entries in parts.items())
 
 
-def believed(vehicle: Vehicle, told: Steering | None, profile: Profile, period: float, named: bool) -> Belief:
+Told = Steering | Literal["unknown"] | None
+
+
+def believed(vehicle: Vehicle, told: Told, profile: Profile, period: float, named: bool) -> Belief:
     """The belief about a car's steering: each number from the first that says it, `ASSUMED` where nobody does.
 
-    told: by the caller, who comes first, then the car file, then the profile; named: whether the profile was, or is
-    only the one whose sensors are taken by default: then its actuator says nothing.
+    told: by the caller, who comes first, then the car file, then the profile; `UNKNOWN`: nobody says anything; named:
+    whether the profile was, or is only the one whose sensors are taken by default: then its actuator says nothing.
 
     Raises
     ------
     InvalidInput
         When `told` is no `Steering`.
     """
-    if not isinstance(told, Steering | None):
-        raise InvalidInput(f"belief = {told!r}: must be a Steering(lag=..., dead_time=..., rate=..., limit=...).")
+    if not (isinstance(told, Steering | None) or told == UNKNOWN):
+        raise InvalidInput(
+            f"belief = {told!r}: must be a Steering(lag=..., dead_time=..., rate=..., limit=...), or {UNKNOWN!r}."
+        )
     where = f"profile {profile.name}"
     actuator = {"lag": profile.steering.lag, "dead_time": profile.steering.dead_time, "rate": profile.steering.rate}
     actuator["limit"] = min(profile.steering.limit, Limits().angle[1])
@@ -212,7 +219,9 @@ def believed(vehicle: Vehicle, told: Steering | None, profile: Profile, period: 
             value = getattr(section, name, None)
             if value is not None:
                 said.setdefault(name, Said(value, source))
-    if named:
+    if told == UNKNOWN:
+        said = {}
+    elif named:
         said = {name: Said(value, where) for name, value in actuator.items()} | said
     return Belief(computation=Said(profile.delay * period, where), **{**_slow(said), **said})
 

@@ -17,7 +17,7 @@ from typing import Any, NamedTuple, Protocol, Self, runtime_checkable
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from adaptrack.controllers.belief import Uncertainty
+from adaptrack.controllers.belief import Told, Uncertainty
 from adaptrack.controllers.informed import Parts, informed_parts
 from adaptrack.controllers.inputs import finite, number, vector
 from adaptrack.controllers.learned import LearnedCar, Learning
@@ -34,7 +34,7 @@ from adaptrack.qp import QP, QPSolver, QPStatus, get_qp_solver
 from adaptrack.qp.active_set import ActiveSet
 from adaptrack.qp.hildreth import Hildreth
 from adaptrack.road.ahead import RoadAhead
-from adaptrack.vehicle import Steering, Vehicle
+from adaptrack.vehicle import Vehicle
 
 Array = NDArray[np.float64]
 
@@ -124,10 +124,10 @@ class MPC:
     constant one, or the one before the scheduler speaks, by default `informed_tuning`; profile: name, file or
     `Profile` whose period, preview and sensors are taken, and whose actuator is believed where nobody else says; by
     default the period, preview and sensors of "road", and of its actuator nothing; belief: a `Steering` that is
-    believed before the car's file; uncertainty: how far the belief may be wrong, for which the delay is believed longer
-    and R is raised, by default what the car's file says in ``[known_within]``. What nobody says of the steering is
-    taken from the slow end of published values, with R raised as well; `belief` of the controller says what it
-    believes, and from whom.
+    believed before the car's file, or "unknown": then neither file nor profile is believed about the steering;
+    uncertainty: how far the belief may be wrong, for which the delay is believed longer and R is raised, by default
+    what the car's file says in ``[known_within]``. What nobody says of the steering is taken from the slow end of
+    published values, with R raised as well; `belief` of the controller says what it believes, and from whom.
 
     period: control period (s); limits: by default the believed rate times the period (the paper's table where the delay
     is assumed) and the believed angle; preview: whether R_s holds the reference ahead or its present value; solver:
@@ -156,7 +156,7 @@ class MPC:
         tuning: Tuning | None = None,
         *,
         profile: str | Profile | None = None,
-        belief: Steering | None = None,
+        belief: Told = None,
         uncertainty: Uncertainty | None = None,
         learning: Learning | None = None,
         period: float | None = None,
