@@ -532,6 +532,16 @@ def test_of_a_steering_that_nobody_knows_the_slow_end_is_believed_cautiously_and
     assert ASSUMED in mpc.describe()["belief"]
 
 
+def test_of_an_unknown_steering_neither_file_nor_profile_is_believed_but_the_sensors_are():
+    profile = load_profile("production")
+    mpc = MPC(KNOWN, profile=profile, belief="unknown")
+    assert set(mpc.belief.assumed) == {"lag", "dead_time", "rate", "limit"}
+    assert mpc.belief.computation.value == profile.delay * profile.period
+    assert mpc.estimator.noise == MPC(KNOWN, profile=profile).estimator.noise
+    with pytest.raises(InvalidInput, match="'unknown'"):
+        MPC(KNOWN, belief="nothing")
+
+
 @pytest.mark.parametrize("known", [{"lag": 0.1}, {"dead_time": 0.1}, {"lag": 0.5}, {"dead_time": 0.5}])
 def test_what_is_known_of_the_delay_is_taken_off_what_is_assumed(known):
     belief = MPC(CAR, belief=Steering(**known)).belief
