@@ -14,7 +14,9 @@ from scipy.linalg import solve_discrete_are
 from adaptrack.controllers import (
     LQR,
     Command,
+    KinematicMPC,
     Limits,
+    PreviewLQR,
     PurePursuit,
     Stanley,
     UserController,
@@ -38,7 +40,17 @@ path_at = entry(path_at)
 wrapped = entry(wrapped)
 
 CAR, SEDAN = load_vehicle("paper"), load_vehicle("midsize-sedan")
-LAWS = {"lqr": LQR, "pure-pursuit": PurePursuit, "stanley": Stanley}
+
+
+def without_preview(law):
+    """A law that takes period and preview from a profile, with the defaults of those that do not."""
+    return lambda car, **options: law(car, **{"period": 0.1, "preview": False, **options})
+
+
+LAWS = {
+    "kinematic-mpc": without_preview(KinematicMPC), "lqr": LQR, "preview-lqr": without_preview(PreviewLQR),
+    "pure-pursuit": PurePursuit, "stanley": Stanley,
+}  # fmt: skip
 WIDE = Limits(move=(-1.5, 1.5), angle=(-1.5, 1.5))
 every_law = pytest.mark.parametrize("law", LAWS.values(), ids=list(LAWS))
 every_car = pytest.mark.parametrize("car", [CAR, SEDAN], ids=lambda car: car.name)
@@ -449,7 +461,9 @@ def test_a_parameter_that_is_not_finite_is_refused():
         "as-released",
         "as-written",
         "informed",
+        "kinematic-mpc",
         "lqr",
+        "preview-lqr",
         "pure-pursuit",
         "stanley",
     ],
@@ -465,7 +479,7 @@ def test_a_law_of_ones_own_passes_the_checker():
 
 
 def test_names_are_known_once_and_a_misspelt_one_is_answered_with_the_nearest():
-    assert {"as-released", "as-written", "informed", "lqr", "pure-pursuit", "stanley"} <= set(list_controllers())
+    assert {"as-released", "as-written", "informed", "kinematic-mpc", "lqr"} <= set(list_controllers())
     assert isinstance(get_controller("stanley", CAR, gain=2.0), Stanley)
     with pytest.raises(UnknownName, match="Did you mean 'stanley'"):
         get_controller("stanly", CAR)
