@@ -6,6 +6,7 @@ import copy
 import math
 import pickle
 from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 
 import numpy as np
 import pytest
@@ -241,6 +242,8 @@ def test_a_mirrored_situation_gives_the_mirrored_command(law, car, rng):
 
 @every_law
 def test_the_limits_hold_and_the_move_is_the_change_of_the_angle(law):
+    if law is LAWS["kinematic-mpc"]:  # without the filter, behind which commands move less
+        law = without_preview(partial(KinematicMPC, cutoff=0.0))
     controller = law(CAR, limits=Limits(move=(-0.05, 0.03), angle=(-0.1, 0.2)), preview=True)
     angles = [controller.step([0.0, 0.0, 0.0, -20.0], 10.0, np.zeros(50)) for _ in range(10)]
     assert [round(command.angle, 12) for command in angles[:7]] == [0.03, 0.06, 0.09, 0.12, 0.15, 0.18, 0.2]
@@ -352,7 +355,7 @@ def test_an_impossible_tuning_or_period_is_refused(law, value):
     with pytest.raises(InvalidInput, match=name):
         law(CAR, **{name: value})
     with pytest.raises(InvalidInput, match="period"):
-        law(CAR, period=value)
+        law(CAR, period=0.0 if value is None else value)  # None: some take the profile's
 
 
 def test_what_makes_no_controller_is_refused_with_the_remedy():

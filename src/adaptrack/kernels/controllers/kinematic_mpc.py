@@ -93,9 +93,9 @@ Tuning = record("Tuning", TUNING)
 Parameters = record("Parameters", PARAMETERS)
 read_tuning, read_parameters = unpacker(Tuning), unpacker(Parameters)
 
-HEADING, BEFORE, EARLIER, ANSWERED, ACTIVE, KEPT = range(6)
+HEADING, BEFORE, EARLIER, ANSWERED, PAST, ACTIVE, KEPT = range(7)
 """Places in the memory: the heading of the path, for when the car stands; the inputs (rad) that the last two problems
-were solved by; the last answer (rad); active rows of the last solution. From `KEPT` on: `on_the_way`, then the
+were solved by; the last answer and the command before it (rad); active rows of the last solution. From `KEPT` on: `on_the_way`, then the
 workspace."""
 
 STAGE = ("p", "q", "r", "a", "b_e", "b_theta", "b_delta", "w_e", "w_theta", "q_e", "q_theta", "speed", "reference",
@@ -349,7 +349,7 @@ def _take_last(command, p, memory):
     """Remember the last command (rad); where it is not what was answered, the inputs go on from it."""
     sent = _sent(p, memory)
     if sent[way.STARTED] == 0.0 or abs(command - memory[ANSWERED]) > DISTANT:
-        memory[BEFORE] = memory[EARLIER] = clip(command, p.angle_min, p.angle_max)
+        memory[BEFORE] = memory[EARLIER] = memory[PAST] = clip(command, p.angle_min, p.angle_max)
     way.take_command(command, (p.pose_age + p.dead_time) / p.period, p.period, p.lag, sent)
 
 
@@ -373,10 +373,9 @@ def _form(s, reference, road, t, p, memory):
 @njit(**INLINE)
 def _filter(wanted, cutoff, p, memory):
     """The command (rad) for an input (rad), which is remembered."""
-    sent = _sent(p, memory)
-    last, past = sent[way.SENT], sent[way.SENT + 1]
-    found = filtered(wanted, memory[BEFORE], memory[EARLIER], last, past, cutoff * p.period)
-    memory[EARLIER], memory[BEFORE] = memory[BEFORE], wanted
+    last = _sent(p, memory)[way.SENT]
+    found = filtered(wanted, memory[BEFORE], memory[EARLIER], last, memory[PAST], cutoff * p.period)
+    memory[EARLIER], memory[BEFORE], memory[PAST] = memory[BEFORE], wanted, last
     return found
 
 
@@ -397,6 +396,6 @@ def kinematic_mpc(situation, reference, road, tuning, parameters, memory, answer
     answer[COMMAND], answer[HELD] = limited(wanted, s, p)
     memory[ANSWERED] = answer[COMMAND]
     if answer[HELD] > 0.0 or abs(s.speed) < STANDING:
-        memory[BEFORE] = memory[EARLIER] = answer[COMMAND]
+        memory[BEFORE] = memory[EARLIER] = memory[PAST] = answer[COMMAND]
     answer[HELD + 1], answer[HELD + 2], answer[HELD + 3] = offset, heading_error, feed_forward
     answer[HELD + 4], answer[HELD + 5] = status, iterations
