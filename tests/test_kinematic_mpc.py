@@ -26,7 +26,12 @@ WIDE = at.Limits(move=(-1.0, 1.0), angle=(-1.0, 1.0))
 TIGHT = at.Limits(move=(-0.01, 0.008), angle=(-0.05, 0.06))
 ODD = {name: 0.3 + 0.2 * i for i, name in enumerate(WEIGHTS)} | {"steering_acceleration": 1e-4, "steering_rate": 0.02}
 BENDING = Road.from_segments(
-    [Line(length=20.0), Clothoid(length=30.0, start_curvature=0.0, end_curvature=0.02), Arc(length=200.0, curvature=0.02)], name="bend"
+    [
+        Line(length=20.0),
+        Clothoid(length=30.0, start_curvature=0.0, end_curvature=0.02),
+        Arc(length=200.0, curvature=0.02),
+    ],
+    name="bend",
 )
 
 
@@ -132,7 +137,9 @@ def test_the_speeds_of_a_plan_are_shifted_to_the_present_one_and_its_last_one_ho
 @pytest.mark.parametrize("radius", [20.0, -50.0])
 def test_in_the_kinematic_turn_it_keeps_the_ackermann_angle(radius, lag):
     """The centre of mass on the circle, the car turned against its tangent by l_r/R: nothing is left to correct."""
-    ring = Road.from_segments([Arc(length=abs(radius) * 2.0 * math.pi, curvature=1.0 / radius)], name="ring", closed=True)
+    ring = Road.from_segments(
+        [Arc(length=abs(radius) * 2.0 * math.pi, curvature=1.0 / radius)], name="ring", closed=True
+    )
     controller = made(belief=Steering(lag=lag, dead_time=0.12), preview=True, limits=None, cutoff=3.0)
     angle = math.atan(CAR.wheelbase / radius)
     controller.applied(angle)
@@ -146,7 +153,11 @@ def test_told_of_the_dead_time_it_damps_a_car_that_it_cannot_hold_without():
 
     def last_errors(told: float) -> float:
         controller = made(
-            belief=Steering(lag=0.3, dead_time=told), profile="paper", steering=0.05, steering_v2=0.005, lateral_jerk=0.0
+            belief=Steering(lag=0.3, dead_time=told),
+            profile="paper",
+            steering=0.05,
+            steering_v2=0.005,
+            lateral_jerk=0.0,
         )
         state, commands, errors = np.array([0.5, 0.0, 0.0]), [0.0] * 10, []
         for _ in range(200):
@@ -195,7 +206,9 @@ def test_a_gap_of_the_pose_holds_the_command_and_keeps_the_wheel_angle_going():
         seen.step([0.0, 0.0, 0.0, 0.0], 10.0, np.zeros(1))
         seen.applied(angle)
     pose = [0.0, 0.01, 0.0, 0.1]
-    assert blind.step(pose, 10.0, np.zeros(1)).angle == pytest.approx(seen.step(pose, 10.0, np.zeros(1)).angle, abs=1e-9)
+    assert blind.step(pose, 10.0, np.zeros(1)).angle == pytest.approx(
+        seen.step(pose, 10.0, np.zeros(1)).angle, abs=1e-9
+    )
 
 
 # -- what makes no controller ------------------------------------------------------------------------------------------

@@ -38,8 +38,11 @@ def cost(
     inputs: Sequence[float], state: Array, road: tuple[Array, Array], times: tuple[float, float],
     car: tuple[float, float], weights: dict[str, float], last: tuple[float, float],
 ) -> float:  # fmt: skip
-    """Half the cost of the inputs (rad). road: speeds and curvatures of the stages; times: stage and control period (s);
-    last: the last two inputs, the latest first."""
+    """Half the cost of the inputs (rad).
+
+    road: speeds and curvatures of the stages; times: stage and control period (s); last: the last two inputs, the
+    latest first.
+    """
     speeds, curvatures = road
     h, period = times
     total = 0.0

@@ -88,7 +88,9 @@ class KinematicMPC(CompiledController):
         self.memory_size = kernel.memory_size(self.stages, behind)
         super().__init__(tuning, period=told.period, limits=told.limits, preview=told.preview)
         if not self.tuning["steering"] + self.tuning["steering_v2"] > 0.0:
-            raise InvalidInput("KinematicMPC: steering, steering_v2: one of them must be positive, so that H is definite.")
+            raise InvalidInput(
+                "KinematicMPC: steering, steering_v2: one of them must be positive, so that H is definite."
+            )
 
     @property
     def name(self) -> str:
@@ -115,45 +117,52 @@ class KinematicMPC(CompiledController):
         state: [e (m), theta (rad), delta (rad)] at the end of the dead time; speeds (m/s), curvatures (1/m): of the
         stages; inputs: those of the last two steps (rad), the latest first.
         """
-        n, t, h, period = self.stages, self.tuning, self.step_length, self.period
-        x, into = np.array(state, dtype=float), np.zeros((3, n))  # the state, and what the inputs add to it
-        E, K = np.zeros((n, n)), np.zeros(n)
-        low, high = self.limits.angle
+        E, K = self._tracking(np.array(state, dtype=float), speeds, curvatures)
+        for rows, constant, weights in self._changes(np.asarray(speeds, dtype=float), *inputs):
+            E += rows.T @ (weights[:, None] * rows)
+            K += rows.T @ (weights * constant)
+        return QP((E + E.T) / 2.0, K, *self._rows(inputs[0]))
+
+    def _tracking(self, x: Array, speeds: Array, curvatures: Array) -> tuple[Array, Array]:
+        """Hessian and gradient of what errors and inputs cost."""
+        n, t = self.stages, self.tuning
+        into, E, K = np.zeros((3, n)), np.zeros((n, n)), np.zeros(n)  # into: what the inputs add to the state
+        car = self.vehicle.wheelbase, self.belief.lag.value
         for i, (v, curvature) in enumerate(zip(speeds, curvatures, strict=True)):
-            A, B, w, steady = kinematic_model(self.vehicle.wheelbase, self.belief.lag.value, v, curvature, h, (low, high))
+            A, B, w, steady = kinematic_model(*car, v, curvature, self.step_length, self.limits.angle)
             x, into = A @ x + w, A @ into
             into[:, i] += B
-            last = i == n - 1
-            lateral = t["terminal_lateral_error" if last else "lateral_error"]
-            heading = t["terminal_heading_error" if last else "heading_error"] + t["heading_error_v2"] * v**2
-            Q = np.diag([lateral, heading, 0.0])
+            end = "terminal_" if i == n - 1 else ""
+            heading = t[f"{end}heading_error"] + t["heading_error_v2"] * v**2
+            Q = np.diag([t[f"{end}lateral_error"], heading, 0.0])
             E += into.T @ Q @ into
             K += into.T @ Q @ x
             weight = t["steering"] + t["steering_v2"] * v**2
             E[i, i] += weight
             K[i] -= weight * steady
-        # changes of the input over time, with the two inputs before: D u + d
-        before, earlier = inputs
-        D = (np.eye(n) - np.eye(n, k=-1)) / h
-        D[0] *= h / period
-        d = np.zeros(n)
-        d[0] = -before / period
-        rate = np.full(n, t["steering_rate"])
-        rate[1:] += t["lateral_jerk"] * np.asarray(speeds)[:-1] ** 2
-        bend = (D - np.vstack([np.zeros(n), D[:-1]])) / h
-        bent = (d - np.concatenate([[(before - earlier) / period], d[:-1]])) / h
-        bend[0], bent[0] = bend[0] * h / period, bent[0] * h / period
-        for rows, constant, weights in ((D, d, rate), (bend, bent, np.full(n, t["steering_acceleration"]))):
-            E += rows.T @ (weights[:, None] * rows)
-            K += rows.T @ (weights * constant)
-        change = np.eye(n) - np.eye(n, k=-1)
-        share = np.full(n, h / period)
-        share[0] = 1.0
-        first = np.zeros(n)
-        first[0] = before
+        return E, K
+
+    def _changes(self, speeds: Array, before: float, earlier: float) -> list[tuple[Array, Array, Array]]:
+        """First and second differences of the inputs over time, D u + d, and their weights: D, d, weights."""
+        n, t, h = self.stages, self.tuning, self.step_length
+        each = np.full(n, h)
+        each[0] = self.period  # the first input comes a control period after the last one
+        rate, constant = (np.eye(n) - np.eye(n, k=-1)) / each[:, None], np.zeros(n)
+        constant[0] = -before / self.period
+        bend = (rate - np.vstack([np.zeros(n), rate[:-1]])) / each[:, None]
+        bent = (constant - np.concatenate([[(before - earlier) / self.period], constant[:-1]])) / each
+        weights = np.full(n, t["steering_rate"])
+        weights[1:] += t["lateral_jerk"] * speeds[:-1] ** 2
+        return [(rate, constant, weights), (bend, bent, np.full(n, t["steering_acceleration"]))]
+
+    def _rows(self, before: float) -> tuple[Array, Array]:
+        """M and gamma of the limits on the inputs and on their changes."""
+        n, (low, high) = self.stages, self.limits.angle
+        change, share, first = np.eye(n) - np.eye(n, k=-1), np.full(n, self.step_length / self.period), np.zeros(n)
+        share[0], first[0] = 1.0, before
         least, most = (np.array(self.limits.move)[:, None] * share) + first
         M = np.vstack([np.eye(n), -np.eye(n), change, -change])
-        return QP((E + E.T) / 2.0, K, M, np.concatenate([np.full(n, high), np.full(n, -low), most, -least]))
+        return M, np.concatenate([np.full(n, high), np.full(n, -low), most, -least])
 
     def describe(self) -> dict[str, Any]:
         return {

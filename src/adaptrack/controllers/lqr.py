@@ -157,14 +157,15 @@ def riccati(A: Array, B: Array, Q: Array) -> Array:
         When the iteration does not converge: weights further apart than float64 can tell.
     """
     F, G, P = A, B[..., :, None] * B[..., None, :], Q.copy()
-    for _ in range(MOST_DOUBLINGS):
-        W = np.eye(A.shape[-1]) + G @ P
-        step = np.linalg.solve(W, F)
-        turned = np.swapaxes(F, -1, -2)
-        change = turned @ P @ step
-        G, P, F = G + F @ np.linalg.solve(W, G) @ turned, P + change, F @ step
-        if np.all(np.abs(change).max((-1, -2)) <= 1e-14 * np.abs(P).max((-1, -2))):
-            return P
+    with np.errstate(over="ignore", invalid="ignore"):
+        for _ in range(MOST_DOUBLINGS):
+            W = np.eye(A.shape[-1]) + G @ P
+            step = np.linalg.solve(W, F)
+            turned = np.swapaxes(F, -1, -2)
+            change = turned @ P @ step
+            G, P, F = G + F @ np.linalg.solve(W, G) @ turned, P + change, F @ step
+            if np.all(np.abs(change).max((-1, -2)) <= 1e-14 * np.abs(P).max((-1, -2))):
+                return P
     raise InvalidInput("LQR: no gain for weights (over r) so far apart: bring q_e, q_heading and r nearer.")
 
 

@@ -27,13 +27,13 @@ class PreviewLQR(CompiledController):
 
     Where `LQR` adds the steering of the steady turn, this one knows how the car gets there: gains on every coming
     change of the curvature follow from the same Riccati equation as those on the state, which is rolled through the
-    commands on their way. Equations and sources: `kernels.controllers.preview_lqr`. On a bend that goes on it steers the
-    steady turn of the linear car.
+    commands on their way. Equations and sources: `kernels.controllers.preview_lqr`. On a bend that goes on it steers
+    the steady turn of the linear car.
 
-    q_e: 1/m^2, weight of the offset; q_heading: 1/rad^2, of the heading against that of the steady turn; r: 1/rad^2, of
-    the steering beyond the steady turn's; all positive. ahead: s, how far the curvature is seen. profile, belief: what
-    it is told of steering and sensors, as for `MPC`; period (s), preview, limits: by default the profile's, and those
-    of the belief. A lateral velocity that is not measured counts as 0.
+    q_e: 1/m^2, weight of the offset; q_heading: 1/rad^2, of the heading against that of the steady turn; r: 1/rad^2,
+    of the steering beyond the steady turn's; all positive. ahead: s, how far the curvature is seen. profile, belief:
+    what it is told of steering and sensors, as for `MPC`; period (s), preview, limits: by default the profile's, and
+    those of the belief. A lateral velocity that is not measured counts as 0.
 
     Raises
     ------

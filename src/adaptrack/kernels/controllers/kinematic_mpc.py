@@ -95,11 +95,13 @@ read_tuning, read_parameters = unpacker(Tuning), unpacker(Parameters)
 
 HEADING, BEFORE, EARLIER, ANSWERED, PAST, ACTIVE, KEPT = range(7)
 """Places in the memory: the heading of the path, for when the car stands; the inputs (rad) that the last two problems
-were solved by; the last answer and the command before it (rad); active rows of the last solution. From `KEPT` on: `on_the_way`, then the
-workspace."""
+were solved by; the last answer and the command before it (rad); active rows of the last solution. From `KEPT` on:
+`on_the_way`, then the workspace."""
 
-STAGE = ("p", "q", "r", "a", "b_e", "b_theta", "b_delta", "w_e", "w_theta", "q_e", "q_theta", "speed", "reference",
-         "g_e", "g_theta", "g_delta", "x_e", "x_theta")  # fmt: skip
+STAGE = (
+    "p", "q", "r", "a", "b_e", "b_theta", "b_delta", "w_e", "w_theta", "q_e", "q_theta", "speed", "reference", "g_e",
+    "g_theta", "g_delta", "x_e", "x_theta",
+)  # fmt: skip
 """Of each stage: A = [1 p q; 0 1 r; 0 0 a], B, w; weights of e and theta at its end; v; delta_r; S B; the free response
 at its end."""
 P, Q, R, A, B_E, B_THETA, B_DELTA, W_E, W_THETA, Q_E, Q_THETA, SPEED, REFERENCE = range(13)
@@ -112,7 +114,8 @@ Workspace = record("Workspace", ("stage", "hessian", "gradient", "factor", "boun
 def _sizes(stages: int) -> list[int]:
     """Numbers in each array of the workspace."""
     n, m = padded(stages), padded(ROWS * stages)
-    return [len(STAGE) * n, stages * n, n, 2 * stages * n, m, n, m, 4 * max(n, 9) * n, qp.ROW_VECTORS * m, ROWS * stages]
+    solving = [2 * stages * n, m, n, m, 4 * max(n, 9) * n, qp.ROW_VECTORS * m, ROWS * stages]
+    return [len(STAGE) * n, stages * n, n, *solving]
 
 
 def memory_size(stages: int, behind: float) -> int:
@@ -312,7 +315,7 @@ def _solve(n, rows, memory, ws):
     status, condition = factorise(n, ws.hessian, ws.factor)
     if status != qp.SOLVED:
         return status, 0
-    wide, high = padded(n), padded(m)
+    high = padded(m)
     problem = qp.Problem(n, m, ws.hessian, ws.gradient, rows[: n * high].reshape((n, high)), ws.bounds)
     status, iterations, active = active_set(
         problem, qp.Factor(ws.factor[0], ws.factor[1], condition), qp.Solution(ws.solution, ws.multipliers),

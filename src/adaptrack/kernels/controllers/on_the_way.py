@@ -30,12 +30,12 @@ def lagged(angle, command, time, lag):
 @njit(**INLINE)
 def count_pieces(behind):
     """How many commands act between start and end."""
-    return int(math.ceil(behind))
+    return math.ceil(behind)
 
 
 @njit(**INLINE)
 def share_of(piece, behind):
-    """For which share of a period the `piece`-th latest command acts after the start: the oldest one may do for less."""
+    """For which share of a period the `piece`-th latest command acts behind the start: the oldest one may for less."""
     return min(behind - (piece - 1.0), 1.0)
 
 
