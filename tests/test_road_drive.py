@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from adaptrack.batch import rollout_batch
-from adaptrack.controllers import LQR, MPC, PurePursuit, Stanley, published_mpc
+from adaptrack.controllers import LQR, MPC, KinematicMPC, PreviewLQR, PurePursuit, Stanley, published_mpc
 from adaptrack.errors import InvalidInput
 from adaptrack.plant import DualTrack, SingleTrack
 from adaptrack.road import Along, Arc, Clothoid, Comfort, Line, Road, Stop, generate_road, plan_speed
@@ -28,7 +28,10 @@ HAIRPIN = Road.from_segments(
 )
 CIRCLE = Road.from_segments([Arc(length=100.0 * math.pi, curvature=0.02)], closed=True, name="circle")
 WINDING = generate_road("country", seed=4, length=600.0)
-LAWS = {"lqr": LQR, "pure-pursuit": PurePursuit, "stanley": Stanley}
+LAWS = {
+    "kinematic-mpc": KinematicMPC, "lqr": LQR, "preview-lqr": PreviewLQR, "pure-pursuit": PurePursuit,
+    "stanley": Stanley,
+}  # fmt: skip
 
 
 # -- the road ahead ---------------------------------------------------------------------------------------------------

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from adaptrack.batch import own_tuning
-from adaptrack.controllers import LQR, MPC, PurePursuit, Stanley, Tuning, published_mpc
+from adaptrack.controllers import LQR, MPC, KinematicMPC, PreviewLQR, PurePursuit, Stanley, Tuning, published_mpc
 from adaptrack.controllers.lqr import WEIGHT_FACTORS
 from adaptrack.errors import InvalidInput
 from adaptrack.profile import load_profile
@@ -16,7 +16,7 @@ from adaptrack.tuning.spaces import at_bounds, search_space
 from adaptrack.vehicle import load_vehicle
 
 CAR = load_vehicle("midsize-sedan")
-LAWS = [LQR(CAR, preview=True), PurePursuit(CAR, preview=True), Stanley(CAR, preview=True)]
+LAWS = [law(CAR, preview=True) for law in (LQR, KinematicMPC, PreviewLQR, PurePursuit, Stanley)]
 
 
 @pytest.mark.parametrize("profile", ["paper", "road", "production"])

@@ -104,6 +104,8 @@ _ENTRIES: dict[str, Entry] = {
         _law("pure-pursuit", "pure pursuit"),
         _law("stanley", "Stanley, with dead time"),
         _law("lqr", "LQR with curvature feed-forward"),
+        _law("preview-lqr", "LQR with optimal preview of the curvature"),
+        _law("kinematic-mpc", "kinematic MPC with lag and dead time, Autoware's formulation"),
     )
 }  # fmt: skip
 

@@ -4,10 +4,12 @@ from adaptrack.controllers.base import Command, CompiledController, Controller
 from adaptrack.controllers.belief import Belief, Uncertainty
 from adaptrack.controllers.check import check_controller
 from adaptrack.controllers.informed import informed_tuning
+from adaptrack.controllers.kinematic_mpc import KinematicMPC
 from adaptrack.controllers.learned import LearnedCar, Learning, load_learned_car
 from adaptrack.controllers.limits import Limits, Moves
 from adaptrack.controllers.lqr import LQR
 from adaptrack.controllers.mpc import MPC, CompiledScheduler, MPCCommand, Scheduler
+from adaptrack.controllers.preview_lqr import PreviewLQR
 from adaptrack.controllers.published import published_mpc, released_mpc
 from adaptrack.controllers.pure_pursuit import PurePursuit
 from adaptrack.controllers.registry import get_controller, list_controllers, register_controller
@@ -24,11 +26,13 @@ __all__ = [
     "CompiledController",
     "CompiledScheduler",
     "Controller",
+    "KinematicMPC",
     "LearnedCar",
     "Learning",
     "Limits",
     "MPCCommand",
     "Moves",
+    "PreviewLQR",
     "PurePursuit",
     "Scheduler",
     "Stanley",

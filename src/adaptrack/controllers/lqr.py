@@ -137,28 +137,40 @@ def sampled_error_model(vehicle: Vehicle, period: float, speed: float) -> tuple[
 def lqr_gain(A: Array, B: Array, q_e: ArrayLike, q_heading: ArrayLike) -> Array:
     """The gains (..., 4) that minimise sum q_e e^2 + q_heading psi_e^2 + delta^2 for x' = A x + B delta.
 
-    A (..., 4, 4) and B (..., 4), one weight of each kind for every model: gain = (1 + B'PB)^-1 B'PA, P the solution of
-    the discrete algebraic Riccati equation, found by doubling (E. K.-W. Chu, H.-Y. Fan, W.-W. Lin, C.-S. Wang,
-    *Structure-preserving algorithms for periodic discrete-time algebraic Riccati equations*, Int. J. Control 77, 2004).
+    A (..., 4, 4) and B (..., 4), one weight of each kind for every model; errors as of `riccati`.
+    """
+    A, B = np.asarray(A, dtype=float), np.asarray(B, dtype=float)
+    Q = np.zeros_like(A)
+    Q[..., 0, 0], Q[..., 2, 2] = q_e, q_heading
+    return feedback(A, B, riccati(A, B, Q))
+
+
+def riccati(A: Array, B: Array, Q: Array) -> Array:
+    """P (..., n, n) of the discrete algebraic Riccati equation of x' = A x + B u with the cost sum x'Q x + u^2.
+
+    A, Q (..., n, n), B (..., n). By doubling (E. K.-W. Chu, H.-Y. Fan, W.-W. Lin, C.-S. Wang, *Structure-preserving
+    algorithms for periodic discrete-time algebraic Riccati equations*, Int. J. Control 77, 2004).
 
     Raises
     ------
     InvalidInput
         When the iteration does not converge: weights further apart than float64 can tell.
     """
-    A, B = np.asarray(A, dtype=float), np.asarray(B, dtype=float)
-    F, G, P = A, B[..., :, None] * B[..., None, :], np.zeros_like(A)
-    P[..., 0, 0], P[..., 2, 2] = q_e, q_heading
-    for _ in range(MOST_DOUBLINGS):
-        W = np.eye(4) + G @ P
-        step = np.linalg.solve(W, F)
-        turned = np.swapaxes(F, -1, -2)
-        change = turned @ P @ step
-        G, P, F = G + F @ np.linalg.solve(W, G) @ turned, P + change, F @ step
-        if np.all(np.abs(change).max((-1, -2)) <= 1e-14 * np.abs(P).max((-1, -2))):
-            break
-    else:
-        raise InvalidInput(f"LQR: no gain for q_e/r = {q_e!r}, q_heading/r = {q_heading!r}: bring the weights nearer.")
+    F, G, P = A, B[..., :, None] * B[..., None, :], Q.copy()
+    with np.errstate(over="ignore", invalid="ignore"):
+        for _ in range(MOST_DOUBLINGS):
+            W = np.eye(A.shape[-1]) + G @ P
+            step = np.linalg.solve(W, F)
+            turned = np.swapaxes(F, -1, -2)
+            change = turned @ P @ step
+            G, P, F = G + F @ np.linalg.solve(W, G) @ turned, P + change, F @ step
+            if np.all(np.abs(change).max((-1, -2)) <= 1e-14 * np.abs(P).max((-1, -2))):
+                return P
+    raise InvalidInput("LQR: no gain for weights (over r) so far apart: bring q_e, q_heading and r nearer.")
+
+
+def feedback(A: Array, B: Array, P: Array) -> Array:
+    """The gains (..., n), (1 + B'PB)^-1 B'PA."""
     BP = np.einsum("...i,...ij->...j", B, P)
     return np.einsum("...i,...ij->...j", BP, A) / (1.0 + np.einsum("...i,...i->...", BP, B))[..., None]
 

@@ -22,9 +22,10 @@ Centreline = record("Centreline", ("start", "pieces", "numbers"))
 numbers: length (m), whether closed (1 or 0), growth of the heading in a lap (rad)."""
 CENTRELINE = types.NamedTuple((vector, matrix, vector), Centreline)
 
-RoadAhead = record("RoadAhead", ("line", "station"))
-ROAD_AHEAD = types.NamedTuple((CENTRELINE, float64), RoadAhead)
-"""A centre line, and the arc length (m) of the car's foot on it; a straight road has no pieces."""
+RoadAhead = record("RoadAhead", ("line", "station", "speeds"))
+ROAD_AHEAD = types.NamedTuple((CENTRELINE, float64, vector), RoadAhead)
+"""A centre line, the arc length (m) of the car's foot on it, and the speeds (m/s) that are planned for the control
+instants from now on, the last one holding; a straight road has no pieces and no planned speeds."""
 
 Roads = record("Roads", ("of", "numbers", "start", "pieces", "headings"))
 ROADS = types.NamedTuple((int_vector, matrix, vector, matrix, vector), Roads)

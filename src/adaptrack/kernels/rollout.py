@@ -195,10 +195,13 @@ def _schedule(k, slot, speed, run):
 
 
 @njit(**PART)
-def _apply_law(slot, speed, reference, run):
-    """One step of a control law; a command that is not finite holds the last one."""
+def _apply_law(k, slot, speed, reference, run):
+    """A control law at instant k; a command that is not finite holds the last one."""
     own, out, given, seen = run.memory.own[slot], run.law.answer[slot], run.law.situation, run.mpc.measured
-    road = RoadAhead(line_of(run.given.roads.of[run.given.scenario[slot]], run.given.roads), own.station)
+    roads, scenario = run.given.roads, run.given.scenario[slot]
+    first = k if roads.of[scenario] >= 0 else run.given.signals.shape[2]
+    planned = run.given.signals[scenario, SIGNAL.speed, first:]
+    road = RoadAhead(line_of(roads.of[scenario], roads), own.station, planned)
     no_vy = run.settings[0].noise_vy == math.inf  # a car without a sensor of it
     now = Situation(
         0.0 if no_vy else seen[MEASURED.vy],
@@ -242,7 +245,7 @@ def _control(k, slot, speed, run):
     """The controller's answer at instant k."""
     reference = run.given.signals[run.given.scenario[slot], SIGNAL.y_ref, k:]
     if run.law.answer.size > 0:
-        _apply_law(slot, speed, reference, run)
+        _apply_law(k, slot, speed, reference, run)
         return run.law.answer[slot]
     if run.mpc.bend.size > 0:
         _see_bend(k, slot, speed, run)

@@ -84,10 +84,10 @@ class RoadAhead:
 
     @property
     def packed(self) -> Any:
-        """The centre line and the foot, `kernels.road.RoadAhead`."""
+        """The centre line, the foot and the speeds, `kernels.road.RoadAhead`."""
         from adaptrack.kernels import road as kernel
 
-        return kernel.RoadAhead(self.road.packed(), self.station)
+        return kernel.RoadAhead(self.road.packed(), self.station, self.speeds)
 
     def bend(self, count: int, pace: float, lead: float, period: float) -> Array:
         """(count,) m, how far the road lies to the left of its tangent here, `lead` periods (s) ahead and later.
@@ -107,4 +107,4 @@ def straight() -> Any:
     from adaptrack.kernels import road as kernel
 
     line = kernel.Centreline(np.zeros(0), np.zeros((0, kernel.TURNED + kernel.DEGREE + 1)), np.zeros(0))
-    return kernel.RoadAhead(line, 0.0)
+    return kernel.RoadAhead(line, 0.0, np.zeros(0))

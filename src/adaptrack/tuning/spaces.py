@@ -8,7 +8,16 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from adaptrack.controllers import LQR, MPC, CompiledController, Controller, PurePursuit, Stanley
+from adaptrack.controllers import (
+    LQR,
+    MPC,
+    CompiledController,
+    Controller,
+    KinematicMPC,
+    PreviewLQR,
+    PurePursuit,
+    Stanley,
+)
 from adaptrack.errors import InvalidInput
 from adaptrack.tuning.config import Search
 from adaptrack.tuning.pso import SearchSpace
@@ -27,13 +36,21 @@ class Bounds(NamedTuple):
     """low and high are factors on the controller's own value; else they are values"""
 
 
+FIXED = Bounds(1.0, 1.0, relative=True)
+DECADES = Bounds(0.01, 100.0, relative=True)
 LAWS: dict[type[CompiledController], dict[str, Bounds]] = {
+    KinematicMPC: {
+        **dict.fromkeys(("lateral_error", "heading_error", "steering_rate", "steering_acceleration"), FIXED),
+        **dict.fromkeys(("heading_error_v2", "steering", "steering_v2", "lateral_jerk"), DECADES),
+        **dict.fromkeys(("terminal_lateral_error", "terminal_heading_error", "cutoff"), FIXED),
+    },
     LQR: {
-        "q_e": Bounds(0.01, 100.0, relative=True),
-        "q_heading": Bounds(0.01, 100.0, relative=True),
-        "r": Bounds(1.0, 1.0, relative=True),
+        "q_e": DECADES,
+        "q_heading": DECADES,
+        "r": FIXED,
         "preview_time": Bounds(0.0, 0.6),
     },
+    PreviewLQR: {"q_e": DECADES, "q_heading": DECADES, "r": FIXED},
     PurePursuit: {"lookahead_time": Bounds(0.1, 1.5), "lookahead_min": Bounds(1.0, 10.0)},
     Stanley: {
         "gain": Bounds(0.1, 10.0, relative=True),
@@ -42,8 +59,8 @@ LAWS: dict[type[CompiledController], dict[str, Bounds]] = {
         "dead_time": Bounds(0.0, 0.6),
     },
 }
-"""By law, its tuning entries. Of the LQR only the ratios to r count, and its gains are tabulated over two decades to
-either side of its own."""
+"""By law, its tuning entries. Of an LQR only the ratios to r count, and its gains are tabulated over two decades to
+either side of its own; of the kinematic MPC those to the weight of the lateral error."""
 
 
 def at_bounds(space: SearchSpace, tuning: ArrayLike) -> list[str]:
@@ -83,5 +100,5 @@ def search_space(controller: Controller) -> SearchSpace:
         names=controller.tuning_names,
         low=tuple(bounds[name].low * scale[name] for name in controller.tuning_names),
         high=tuple(bounds[name].high * scale[name] for name in controller.tuning_names),
-        decades=tuple(name for name in controller.tuning_names if bounds[name].relative),
+        decades=tuple(name for name in controller.tuning_names if bounds[name].relative and own[name] > 0.0),
     )

@@ -9,8 +9,8 @@ all but `road` float64, one-dimensional and C-contiguous:
     situation   (6,) measurements and the last command, see `SITUATION`
     reference   (n,), n >= 1: y_ref (m) now and at the control instants that follow, one period apart; without preview
                 its present value alone, once or repeated
-    road        the centre line and the arc length of the car's foot on it (`kernels.road.RoadAhead`); without pieces
-                where the road is straight
+    road        the centre line, the arc length of the car's foot on it and the planned speeds
+                (`kernels.road.RoadAhead`); without pieces and speeds where the road is straight
     tuning      the law's named tuning entries: they may change at every step
     parameters  constant numbers, which begin with `COMMON`
     memory      the law's own state, zeros before the first step
@@ -160,6 +160,19 @@ def _beside(road, distance, path):
         ahead - path.y * math.sin(turned), aside + path.y * math.cos(turned), path.heading + turned,
         path.curvature + curvature / max(1.0 - curvature * path.y, 0.1),
     )  # fmt: skip
+
+
+@njit(**INLINE)
+def planned_speed(road, time, speed, period):
+    """The speed (m/s, `SLOWEST` at least) that is planned for `time` (s) ahead, shifted so that it is `speed` now.
+
+    Where no plan is known, as on a straight road, the present speed.
+    """
+    last = road.speeds.size - 1
+    if last < 0:
+        return max(speed, SLOWEST)
+    i = min(int(clip(time / period, 0.0, FURTHEST)), last)
+    return max(road.speeds[i] - road.speeds[0] + speed, SLOWEST)
 
 
 @njit(**INLINE)

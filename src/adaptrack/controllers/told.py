@@ -1,0 +1,53 @@
+"""What a law of others is told of steering, sensors and limits: the same as the MPC that knows its car."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+from adaptrack.controllers.base import known_vehicle
+from adaptrack.controllers.belief import Belief, believed
+from adaptrack.controllers.informed import UNNAMED
+from adaptrack.controllers.limits import Limits
+from adaptrack.errors import InvalidInput, real
+from adaptrack.profile import Profile, load_profile
+from adaptrack.vehicle import Steering, Vehicle
+
+
+class Told(NamedTuple):
+    """What a law is told."""
+
+    belief: Belief
+    """of the steering: caller, car file and profile in this order"""
+    pose_age: float
+    """s, how old yaw and y are when they arrive"""
+    period: float
+    """s, the control period"""
+    preview: bool
+    limits: Limits
+    """by default those that follow from the belief"""
+
+    @classmethod
+    def of(
+        cls, where: str, vehicle: Vehicle, profile: str | Profile | None, belief: Steering | None,
+        period: float | None, preview: bool | None, limits: Limits | None,
+    ) -> Told:  # fmt: skip
+        """What is told to the law `where`; arguments as for `MPC`.
+
+        Raises
+        ------
+        InvalidInput
+            For a vehicle that is none, a belief that is no `Steering`, or a period that is not positive and finite.
+        """
+        car, world = known_vehicle(where, vehicle), load_profile(UNNAMED if profile is None else profile)
+        pace = real(where, "period", world.period if period is None else period)
+        if not 0.0 < pace < math.inf:
+            raise InvalidInput(f"{where}: period = {period!r} s: must be positive and finite.")
+        known = believed(car, belief, world, pace, named=profile is not None)
+        return cls(
+            belief=known,
+            pose_age=world.pose_age if profile is not None else 0.0,
+            period=pace,
+            preview=world.preview if preview is None else bool(preview),
+            limits=known.bounds(pace) if limits is None else limits,
+        )
