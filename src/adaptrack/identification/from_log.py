@@ -327,7 +327,7 @@ def _reported(likelihood: Likelihood) -> list[tuple[str, str, str, bool, Callabl
         )
     free = {QUANTITIES[i].name for i in likelihood.free}
     also = (
-        "offset", "push_mean", "gyro_offset", "acceleration_offset", "wheel_offset", "relaxation", "noise_yaw_rate",
+        "rate", "offset", "push_mean", "gyro_offset", "acceleration_offset", "wheel_offset", "relaxation", "noise_yaw_rate",
         "noise_vy", "noise_acceleration", "noise_yaw", "noise_wheel",
     )  # fmt: skip
     for name in also:

@@ -32,6 +32,7 @@ GUST_WINDOW, LEAST_GUSTS = 1.0, 0.01
 """s to either side over which the changes of the wind are averaged; least share of their mean square."""
 WIDER = 3.0
 """Factor on the most likely spread of the gusts."""
+_AT_ONCE = 1e3  # rad/s
 BLOCK = 4.0
 """s, of the scores that are summed before their scatter is taken: longer than what innovations may be correlated."""
 
@@ -76,7 +77,7 @@ class Likelihood:
         if not (self.present["vy"] or self.present["acceleration"]):
             silent |= {"push_spread"}
         if not self.log.commanded:
-            silent |= {"delay", "lag_share"}
+            silent |= {"delay", "lag_share", "rate"}
         return np.array([each.name not in silent for each in QUANTITIES])
 
     def values(self, z: Array) -> Array:
@@ -88,13 +89,12 @@ class Likelihood:
         value = {name: values[i] for name, i in INDEX.items()}
         car, wheelbase = self.car, self.car.wheelbase
         air = 0.5 * car.air_density * car.frontal_area
-        steering = car.steering
-        rate = steering.rate if steering is not None and steering.rate is not None else 1e3
         # Gusts of a kept spread must not shrink by a larger inertia: their moment over it is that of the believed one.
         heavier = value["yaw_inertia"] / self.median[INDEX["yaw_inertia"]]
         delayed = value["delay"] if self.log.commanded else 0.0
         derived = {
-            "lag": value["lag_share"] * delayed, "dead_time": (1.0 - value["lag_share"]) * delayed, "rate": rate,
+            "lag": value["lag_share"] * delayed, "dead_time": (1.0 - value["lag_share"]) * delayed,
+            "rate": value["rate"] if self.log.commanded else _AT_ONCE,
             "lf": value["front_share"] * wheelbase, "lr": (1.0 - value["front_share"]) * wheelbase, "shape": SHAPE,
             "side": air * car.side_force_slope, "moment": air * car.yaw_moment_slope * wheelbase * heavier,
             "wind_angle_limit": car.wind_angle_limit,
