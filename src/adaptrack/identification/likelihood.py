@@ -32,7 +32,6 @@ GUST_WINDOW, LEAST_GUSTS = 1.0, 0.01
 """s to either side over which the changes of the wind are averaged; least share of their mean square."""
 WIDER = 3.0
 """Factor on the most likely spread of the gusts."""
-_AT_ONCE = 1e3  # rad/s
 BLOCK = 4.0
 """s, of the scores that are summed before their scatter is taken: longer than what innovations may be correlated."""
 
@@ -94,7 +93,6 @@ class Likelihood:
         delayed = value["delay"] if self.log.commanded else 0.0
         derived = {
             "lag": value["lag_share"] * delayed, "dead_time": (1.0 - value["lag_share"]) * delayed,
-            "rate": value["rate"] if self.log.commanded else _AT_ONCE,
             "lf": value["front_share"] * wheelbase, "lr": (1.0 - value["front_share"]) * wheelbase, "shape": SHAPE,
             "side": air * car.side_force_slope, "moment": air * car.yaw_moment_slope * wheelbase * heavier,
             "wind_angle_limit": car.wind_angle_limit,

@@ -13,10 +13,10 @@ F is the Magic Formula D sin(C atan(S a/(C D))) with the axle's stiffness S and 
 is the load of a side wind W, as in `plants.forces`. w and d are Gauss-Markov processes, w of second order
 (T dw/dt = g - w, T dg/dt = -g + white noise), as gusts are smooth: what no log tells of side wind and bank is noise of
 the process, without which estimates are biased by the driver's answer to it and standard errors too small. delta
-has no noise: it follows from the commands alone, in closed form, each held until the next; within a step it acts as the
-straight line of the same mean and first moment (its mean alone makes the dead time 5 ms too long). Sources: L. Ljung, *System
-Identification*, 2nd ed., section 7.4 (likelihood of innovations); D. Simon, *Optimal State Estimation* (2006),
-chapters 5 and 13 (the filter).
+has no noise: it follows from the commands alone, in closed form, each held until the next; within a step it acts as
+the straight line of the same mean and first moment (its mean alone makes the dead time of stiff cars 5 ms too long).
+Sources: L. Ljung, *System Identification*, 2nd ed., section 7.4 (likelihood of innovations); D. Simon, *Optimal State
+Estimation* (2006), chapters 5 and 13 (the filter).
 """
 
 from __future__ import annotations
@@ -317,16 +317,47 @@ def _correct(q, k, log, x, p, work, answer):
         _take_in(innovation, variance, c, seen, x, p, gain)
 
 
+@njit(**INLINE)
+def _steer(q, log, acting, angle, start, h):
+    """How the wheels move from a start (s) over h (s) behind the commands, of which the one at row `acting` acts.
+
+    The row that acts at the end, the angle (rad) there, the mean angle (rad) and the rate (rad/s) of the straight line.
+    """
+    last, dead, until = log.shape[1] - 1, q[QUANTITY.dead_time], start + h
+    lag, rate = max(q[QUANTITY.lag], 1e-4), q[QUANTITY.rate]
+    area, moment, at = 0.0, 0.0, start
+    while at < until:
+        while acting < last and log[ROW.begins, acting + 1] <= 0.0 and log[ROW.time, acting + 1] + dead <= at:
+            acting += 1
+        end = until
+        if acting < last and log[ROW.begins, acting + 1] <= 0.0:
+            end = min(until, log[ROW.time, acting + 1] + dead)
+        target = q[QUANTITY.gain] * log[ROW.command, acting] + q[QUANTITY.offset]
+        angle, part, first = _move_wheels(angle, target, lag, rate, end - at)
+        area += part
+        moment += first + (at - start) * part
+        at = end
+    return acting, angle, area / h, (moment - 0.5 * h * area) * 12.0 / (h * h * h)
+
+
+@njit(**INLINE)
+def _follow(q, log, k, share, h):
+    """Likewise of wheels on straight lines between measured angles; share: of the span, at the middle of the step."""
+    span = log[ROW.time, k] - log[ROW.time, k - 1]
+    turning = q[QUANTITY.gain] * (log[ROW.command, k] - log[ROW.command, k - 1]) / span
+    mean = q[QUANTITY.gain] * log[ROW.command, k - 1] + share * span * turning + q[QUANTITY.offset]
+    return mean + 0.5 * h * turning, mean, turning
+
+
 @njit(types.void(vector, matrix, vector, matrix, cube, matrix), **ROUTINE)
 def innovations(q, log, x, p, work, answer):
     """Write innovations and their variances, NaN where nothing is measured, along a log.
 
     q: see `QUANTITY`; log: rows as `ROW`, a column a sample; x (N,), p (N, N), work (WORK, N, N): scratch;
-    answer: (ANSWER, samples).
+    answer: (ANSWER, samples). Without a lag the commands are measured angles of the wheels.
     """
     samples, acting, angle = log.shape[1], 0, 0.0
-    last, dead = samples - 1, q[QUANTITY.dead_time]
-    lag, rate = max(q[QUANTITY.lag], 1e-4), q[QUANTITY.rate]
+    measured_angle = q[QUANTITY.lag] <= 0.0
     for k in range(samples):
         for i in range(answer.shape[0]):
             answer[i, k] = math.nan
@@ -341,27 +372,13 @@ def innovations(q, log, x, p, work, answer):
             steps = max(1, math.ceil(span / LONGEST_STEP - 1e-9))
             h = span / steps
             for step in range(steps):
-                start, until, area, moment = before + step * h, before + (step + 1) * h, 0.0, 0.0
-                at = start
-                while at < until:
-                    while (
-                        acting < last
-                        and log[ROW.begins, acting + 1] <= 0.0
-                        and (log[ROW.time, acting + 1] + dead <= at)
-                    ):
-                        acting += 1
-                    end = until
-                    if acting < last and log[ROW.begins, acting + 1] <= 0.0:
-                        end = min(until, log[ROW.time, acting + 1] + dead)
-                    target = q[QUANTITY.gain] * log[ROW.command, acting] + q[QUANTITY.offset]
-                    angle, part, first = _move_wheels(angle, target, lag, rate, end - at)
-                    area += part
-                    moment += first + (at - start) * part
-                    at = end
                 share = (step + 0.5) / steps
+                if measured_angle:
+                    angle, mean, turning = _follow(q, log, k, share, h)
+                else:
+                    acting, angle, mean, turning = _steer(q, log, acting, angle, before + step * h, h)
                 speed = log[ROW.speed, k - 1] + share * (log[ROW.speed, k] - log[ROW.speed, k - 1])
-                turning = (moment - 0.5 * h * area) * 12.0 / (h * h * h)
-                _predict(q, max(speed, SLIP_SPEED_FLOOR), h, area / h, turning, log[ROW.gusts, k], x, p, work)
+                _predict(q, max(speed, SLIP_SPEED_FLOOR), h, mean, turning, log[ROW.gusts, k], x, p, work)
         _correct(q, k, log, x, p, work, answer)
         found = 2 * len(OUTPUT)
         answer[found + FOUND.wind, k], answer[found + FOUND.wheel_angle, k] = x[WIND], angle
