@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from functools import cache
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ from typer.testing import CliRunner
 import adaptrack as at
 from adaptrack.cli.app import app
 from adaptrack.errors import InvalidInput
+from adaptrack.identification.calibration import corrected
 from adaptrack.identification.conventions import check_conventions, guessed_ratio
 from adaptrack.identification.from_log import fitted, prepare, reported
 from adaptrack.identification.likelihood import Likelihood
@@ -30,6 +32,14 @@ CAR = at.load_vehicle("compact-ev").replace(steering=None, side_force_slope=0.0,
 def driven(
     duration: float, seed: int = 0, *, noise: float = 0.003, speed: float | None = None
 ) -> dict[str, np.ndarray]:
+    """A log that a test may change, see `integrated`."""
+    return dict(integrated(duration, seed, noise, speed))
+
+
+@cache
+def integrated(
+    duration: float, seed: int, noise: float, speed: float | None
+) -> dict[str, np.ndarray]:  # fmt: skip
     """A log of the linear single-track vehicle behind lag and dead time, integrated by SciPy: an independent truth."""
     rng = np.random.default_rng(seed)
     time = PERIOD * np.arange(round(duration / PERIOD))
@@ -83,8 +93,37 @@ def test_the_filter_run_blind_is_the_single_track_vehicle() -> None:
     blind = Likelihood(cleaned, CAR, beliefs, cleaned.begins.astype(np.float64))
     errors, _ = blind.innovations(np.zeros(len(QUANTITIES)))
     settled = cleaned.time > 3.0
-    assert np.abs(errors[0][settled]).max() < 4e-3 * np.abs(made["yaw_rate"]).max()
+    assert np.abs(errors[0][settled]).max() < 5e-4 * np.abs(made["yaw_rate"]).max()
     assert np.abs(errors[4][settled]).max() < 1e-4  # the wheels
+
+
+def test_wheels_move_as_lag_and_rate_limit_let_them() -> None:
+    from adaptrack.kernels.identification import _move_wheels
+
+    angle, target, lag, rate, span = -0.02, 0.2, 0.15, 0.5, 0.4
+
+    def slope(t: float, x: np.ndarray) -> list[float]:
+        return [float(np.clip((target - x[0]) / lag, -rate, rate)), x[0], t * x[0]]
+
+    end = solve_ivp(slope, (0.0, span), [angle, 0.0, 0.0], max_step=1e-3, rtol=1e-9, atol=1e-12).y[:, -1]
+    moved = getattr(_move_wheels, "py_func", _move_wheels)(angle, target, lag, rate, span)
+    assert np.allclose(moved, end, atol=1e-7)
+
+
+def test_errors_are_corrected_but_never_beyond_what_was_believed() -> None:
+    assert corrected("delay", 0.01, 1.0, 0.7) == pytest.approx(0.016)
+    assert corrected("dead_time", 0.01, 1.0 / 0.1, 0.7) == pytest.approx(math.hypot(0.012, 0.03))
+    assert corrected("delay", 0.6, 1.0, 0.7) == 0.7
+    assert corrected("yaw_inertia", 0.05, 1.0, 0.1) == 0.05
+
+
+@pytest.mark.compiled
+def test_the_covariance_is_that_of_the_reported_errors(found: at.Identification) -> None:
+    real = ("understeer_gradient", "offset", "gyro_offset", "push_mean")
+    for variance, each in zip(np.diag(found.covariance), found.estimates.values(), strict=True):
+        if each.standard_error > 0.0:
+            expected = each.standard_error / (1.0 if each.name in real else each.value)
+            assert math.sqrt(variance) == pytest.approx(expected, rel=1e-6), each.name
 
 
 @pytest.mark.compiled

@@ -53,7 +53,7 @@ class Estimate:
     meaning: str
     value: float
     standard_error: float
-    """in the unit of the value"""
+    """in the unit of the value, corrected as `calibration.CORRECTIONS` says"""
     low: float
     """lower end of the 90 % interval"""
     high: float
@@ -400,8 +400,8 @@ def _estimates(likelihood: Likelihood, z: Array, covariance: Array) -> tuple[dic
     wider = np.ones(len(rows))
     for i, (name, _, _, positive, _) in enumerate(rows):
         if spread[i] > 0.0:
-            unit = math.exp(-centre[i]) if positive else 1.0
-            wider[i] = corrected(name, spread[i], unit, prior[i]) / spread[i]
+            scale = math.exp(-centre[i]) if positive else 1.0
+            wider[i] = corrected(name, spread[i], scale, prior[i]) / spread[i]
     spread *= wider
     found = {}
     for i, (name, unit, meaning, positive, _) in enumerate(rows):
