@@ -2,20 +2,27 @@
 
 from __future__ import annotations
 
+import json
 import math
+from functools import cache
 
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
+from typer.testing import CliRunner
 
 import adaptrack as at
+from adaptrack.cli.app import app
 from adaptrack.errors import InvalidInput
-from adaptrack.identification.conventions import check_conventions
+from adaptrack.identification.calibration import corrected
+from adaptrack.identification.conventions import check_conventions, guessed_ratio
 from adaptrack.identification.from_log import fitted, prepare, reported
 from adaptrack.identification.likelihood import Likelihood
 from adaptrack.identification.log import log_of
 from adaptrack.identification.quantities import INDEX, QUANTITIES, Belief, beliefs_of, values_of
 from adaptrack.identification.reading import Reading, read_columns
+from adaptrack.manoeuvres.open_loop import drive_open_loop
+from adaptrack.road import generate_road
 from adaptrack.vehicle import Steering, Vehicle
 
 PERIOD, LAG, DEAD_TIME, BIAS, RELAXATION = 0.05, 0.18, 0.13, 0.006, 0.3
@@ -25,6 +32,14 @@ CAR = at.load_vehicle("compact-ev").replace(steering=None, side_force_slope=0.0,
 def driven(
     duration: float, seed: int = 0, *, noise: float = 0.003, speed: float | None = None
 ) -> dict[str, np.ndarray]:
+    """A log that a test may change, see `integrated`."""
+    return dict(integrated(duration, seed, noise, speed))
+
+
+@cache
+def integrated(
+    duration: float, seed: int, noise: float, speed: float | None
+) -> dict[str, np.ndarray]:  # fmt: skip
     """A log of the linear single-track vehicle behind lag and dead time, integrated by SciPy: an independent truth."""
     rng = np.random.default_rng(seed)
     time = PERIOD * np.arange(round(duration / PERIOD))
@@ -78,8 +93,37 @@ def test_the_filter_run_blind_is_the_single_track_vehicle() -> None:
     blind = Likelihood(cleaned, CAR, beliefs, cleaned.begins.astype(np.float64))
     errors, _ = blind.innovations(np.zeros(len(QUANTITIES)))
     settled = cleaned.time > 3.0
-    assert np.abs(errors[0][settled]).max() < 4e-3 * np.abs(made["yaw_rate"]).max()
+    assert np.abs(errors[0][settled]).max() < 5e-4 * np.abs(made["yaw_rate"]).max()
     assert np.abs(errors[4][settled]).max() < 1e-4  # the wheels
+
+
+def test_wheels_move_as_lag_and_rate_limit_let_them() -> None:
+    from adaptrack.kernels.identification import _move_wheels
+
+    angle, target, lag, rate, span = -0.02, 0.2, 0.15, 0.5, 0.4
+
+    def slope(t: float, x: np.ndarray) -> list[float]:
+        return [float(np.clip((target - x[0]) / lag, -rate, rate)), x[0], t * x[0]]
+
+    end = solve_ivp(slope, (0.0, span), [angle, 0.0, 0.0], max_step=1e-3, rtol=1e-9, atol=1e-12).y[:, -1]
+    moved = getattr(_move_wheels, "py_func", _move_wheels)(angle, target, lag, rate, span)
+    assert np.allclose(moved, end, atol=1e-7)
+
+
+def test_errors_are_corrected_but_never_beyond_what_was_believed() -> None:
+    assert corrected("delay", 0.01, 1.0, 0.7) == pytest.approx(0.016)
+    assert corrected("dead_time", 0.01, 1.0 / 0.1, 0.7) == pytest.approx(math.hypot(0.012, 0.03))
+    assert corrected("delay", 0.6, 1.0, 0.7) == 0.7
+    assert corrected("yaw_inertia", 0.05, 1.0, 0.1) == 0.05
+
+
+@pytest.mark.compiled
+def test_the_covariance_is_that_of_the_reported_errors(found: at.Identification) -> None:
+    real = ("understeer_gradient", "offset", "gyro_offset", "push_mean")
+    for variance, each in zip(np.diag(found.covariance), found.estimates.values(), strict=True):
+        if each.standard_error > 0.0:
+            expected = each.standard_error / (1.0 if each.name in real else each.value)
+            assert math.sqrt(variance) == pytest.approx(expected, rel=1e-6), each.name
 
 
 @pytest.mark.compiled
@@ -124,6 +168,77 @@ def test_the_file_of_the_car_holds_what_was_found(found: at.Identification, tmp_
     assert ends[1] >= front.high * 0.999
     assert car.known_within.steering_lag >= 0.999 * (found["lag"].high - found["lag"].value)
     assert at.MPC(car, profile="road").tuning.R > at.MPC(car.replace(known_within=None), profile="road").tuning.R
+
+
+@pytest.mark.compiled
+def test_the_written_car_turns_on_the_plant_as_its_model_says(found: at.Identification, tmp_path) -> None:
+    found.to_toml(tmp_path / "mine.toml")
+    car = at.load_vehicle(tmp_path / "mine.toml")
+    assert car.stiffness_factors(at.load_tyre(car.tyre)) == pytest.approx((1.0, 1.0), rel=1e-6)
+    for speed in (10.0, 20.0):
+        angle = 0.2 / (speed * car.steady_state_yaw_gain(speed))  # 0.2 m/s^2
+        motion = drive_open_loop(at.DualTrack(car), lambda t, angle=angle: np.full((1, t.size), angle), speed, 8.0)
+        gain = float(motion.yaw_rate[0, -1]) / angle
+        assert gain == pytest.approx(car.steady_state_yaw_gain(float(motion.vx[0, -1])), rel=0.02)
+
+
+@pytest.mark.compiled
+def test_a_log_becomes_a_car_that_drives(tmp_path) -> None:
+    car = at.load_vehicle("midsize-sedan")
+    run = at.rollout(at.DualTrack(car), at.MPC(car, profile="road"), at.random_drive(5, 60.0), profile="road")
+    run.save(tmp_path / "log.parquet")
+    mine = tmp_path / "mine.toml"
+    options = ["--mass", f"{car.mass}", "--wheelbase", f"{car.wheelbase}", "--out", str(mine)]
+    done = CliRunner().invoke(app, ["identify", str(tmp_path / "log.parquet"), *options])
+    assert done.exit_code == 0, done.output
+    told = at.load_vehicle(mine)
+    assert told.steady_state_yaw_gain(15.0) == pytest.approx(car.steady_state_yaw_gain(15.0), rel=0.05)
+    points = tmp_path / "road.csv"
+    places = generate_road("country", 3, 300.0).at(np.arange(0.0, 300.0, 3.0))
+    np.savetxt(points, np.stack([places.x, places.y], axis=-1), delimiter=",", header="x,y", comments="")
+    done = CliRunner().invoke(app, ["drive", str(points), "--vehicle", str(mine), "--json"])
+    assert done.exit_code == 0, done.output
+    (row,) = json.loads(done.stdout)["rows"]
+    assert row["failed"] is None
+    assert row["max_abs_error"] < 0.5
+
+
+@pytest.mark.compiled
+@pytest.mark.parametrize("beside", [("yaw_rate",), ("yaw_rate", "wheel")])
+def test_the_steering_ratio_is_found_from_yaw_rate_or_road_wheels(beside: tuple[str, ...]) -> None:
+    made, ratio = driven(60.0), 15.2
+    log = {name: made[name] for name in ("time", "speed", *beside)}
+    log["steering_wheel_angle"] = ratio * (made["wheel"] - BIAS)
+    likelihood = prepare(log, CAR)
+    each = reported(likelihood, *fitted(likelihood))["ratio"]
+    assert abs(each.value - ratio) < 3.0 * each.standard_error
+    assert each.value == pytest.approx(ratio, rel=0.01 if "wheel" in beside else 0.05)
+
+
+@pytest.mark.compiled
+def test_a_steering_ratio_that_a_log_at_one_speed_does_not_tell_is_said_to_be_open() -> None:
+    made = driven(40.0, speed=20.0)
+    log = {name: made[name] for name in ("time", "speed", "yaw_rate")} | {"swa": 15.2 * made["wheel"]}
+    told = at.identify(log, CAR)
+    assert told["ratio"].low < 15.2 < told["ratio"].high
+    assert any("ratio" in sentence for sentence in told.findings)
+
+
+def test_an_angle_of_the_steering_wheel_is_told_from_the_names_or_asked_for(log: dict[str, np.ndarray]) -> None:
+    plain = {name: log[name] for name in ("time", "speed", "yaw_rate")}
+    at_wheel = plain | {"SWA_deg": 15.2 * np.degrees(log["command"])}
+    read = read_columns(at_wheel, Reading())
+    assert (read.commanded, read.ratio_unknown) == (False, True)
+    assert guessed_ratio(log_of(read.values, CAR.wheelbase, (), False), CAR.wheelbase) == pytest.approx(15.2, rel=0.2)
+    given = read_columns(at_wheel, Reading(steering_ratio=15.2))
+    assert not given.ratio_unknown
+    assert np.allclose(given.values["wheel"], log["command"])
+    assert read_columns(log, Reading(steering_ratio="fit")).ratio_unknown
+    degrees = read_columns(plain | {"swa": 15.2 * np.degrees(log["command"])}, Reading())
+    with pytest.raises(InvalidInput, match="--units steering_wheel=deg"):
+        guessed_ratio(log_of(degrees.values, CAR.wheelbase, (), False), CAR.wheelbase)
+    with pytest.raises(InvalidInput, match="or fit"):
+        Reading(steering_ratio=0.0)
 
 
 @pytest.mark.compiled

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 from typer import Option
@@ -44,12 +44,17 @@ def identify(
         list[str] | None, Option("--flip", metavar="SIGNAL", help="Is positive to the right in the log.")
     ] = None,
     steering_ratio: Annotated[
-        float | None, Option("--steering-ratio", help="Logged steering angles over those of the road wheels.")
+        str | None,
+        Option(
+            "--steering-ratio",
+            metavar="RATIO",
+            help="Logged steering angles over those of the road wheels, or fit: to be found.",
+        ),
     ] = None,
     computation: Annotated[
         float | None, Option("--computation", help="s of the dead time that are the controller's, not the car's.")
     ] = None,
-    out: Annotated[Path | None, Option("--out", help="The car file to write (.toml).")] = None,
+    out: Annotated[Path | None, Option("--out", help="The car file to write (.toml); its tyre goes beside it.")] = None,
     page: Annotated[Path | None, Option("--page", help="Page to write (.html).")] = None,
     as_json: options.Json = False,
 ) -> None:
@@ -80,13 +85,22 @@ def identify(
 
 
 def _reading(
-    columns: Sequence[str] | None, units: Sequence[str] | None, flip: Sequence[str] | None, ratio: float | None
+    columns: Sequence[str] | None, units: Sequence[str] | None, flip: Sequence[str] | None, ratio: str | None
 ) -> Reading:
     from adaptrack.identification import Reading
 
     told = dict(_pair("--columns", each) for each in _parts(columns))
     known = dict(("", each) if "=" not in each else _pair("--units", each) for each in _parts(units))
-    return Reading(told, known, tuple(_parts(flip)), ratio)
+    return Reading(told, known, tuple(_parts(flip)), _ratio(ratio))
+
+
+def _ratio(text: str | None) -> float | Literal["fit"] | None:
+    if text is None or text == "fit":
+        return text  # type: ignore[return-value]  # "fit"
+    try:
+        return float(text)
+    except ValueError:
+        raise InvalidInput(f"--steering-ratio {text}: must be a number, or fit.") from None
 
 
 def _parts(given: Sequence[str] | None) -> list[str]:

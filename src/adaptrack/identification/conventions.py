@@ -18,10 +18,16 @@ from adaptrack.identification.log import Log
 Array = NDArray[np.float64]
 
 DELAYS = np.arange(0.0, 1.01, 0.1)
-GRADIENTS = (-0.002, -0.001, 0.0, 0.001, 0.002, 0.003, 0.005, 0.008, 0.012, 0.018, 0.026, 0.036, 0.05)
-"""s, between command and yaw rate; rad s^2/m, understeer: all that are tried."""
+GRADIENTS = (0.003, 0.002, 0.005, 0.001, 0.0, 0.008, -0.001, -0.002, 0.012, 0.018, 0.026, 0.036, 0.05)
+"""s, between command and yaw rate; rad s^2/m, understeer: all that are tried, usual ones first."""
+BETTER = 1e-6
+"""By how much a correlation must exceed one that was found before: at one speed all gradients fit alike."""
 WINDOW = 0.5
 """s to either side, over which signals are averaged before they are compared."""
+LEAST_BOTH = 100
+"""Samples in which two signals must be measured before they are compared."""
+LARGEST_RATIO = 100.0
+"""-, of steering wheel over road wheels."""
 CLEAR = 0.6
 """Least correlation of two signals from which anything is concluded."""
 _DEGREE = math.pi / 180.0
@@ -63,22 +69,51 @@ def check_conventions(log: Log, wheelbase: float) -> None:
         )
 
 
+def guessed_ratio(log: Log, wheelbase: float) -> float:
+    """First guess of the steering ratio (-) of a log whose `command` is an angle of the steering wheel.
+
+    It is the slope over the measured angle of the road wheels, or what yaw rate and speed make of it.
+
+    Raises
+    ------
+    InvalidInput
+        When neither follows the steering, or the angle is in degrees.
+    """
+    both = np.isfinite(log.wheel)
+    if both.sum() >= LEAST_BOTH:
+        slope = _slope(_smooth(log, log.command)[both], _smooth(log, np.where(both, log.wheel, 0.0))[both])
+    else:
+        slope = _turning(log, wheelbase)
+    if not abs(slope.correlation) >= CLEAR:
+        raise InvalidInput(
+            "log: the steering ratio cannot be told: neither yaw rate nor road wheels follow the steering wheel. Give "
+            "it, --steering-ratio R, or drive slow bends."
+        )
+    ratio = 1.0 / abs(slope.factor)
+    if ratio > LARGEST_RATIO:
+        raise InvalidInput(
+            f"log: the steering wheel turns {ratio:.0f} times as far as the road wheels: if it is in degrees, say "
+            "--units steering_wheel=deg (or command=deg)."
+        )
+    return ratio
+
+
 def _remedy(factor: float, steered: str, turn: float) -> str:
     """What explains a factor between yaw rate and steering; empty where nothing is wrong."""
     ratio = f"--steering-ratio {1.0 / factor:.0f}" if factor < 0.5 else ""
     if turn > 3.0:  # rad/s: no car turns so fast for long
         both = f" --steering-ratio {1.0 / factor:.0f}" if factor < 0.12 else ""
         return f"angles in degrees: --units deg{both}"
-    if 0.4 <= factor <= 2.5:
+    if 0.35 <= factor <= 3.5:
         return ""
-    if 0.2 <= factor < 0.37:
+    if 0.2 <= factor < 0.35:
         return "a speed in km/h: --units speed=km/h"
     if 0.035 <= factor <= 0.13:
-        return f"{steered} is the angle of the steering wheel: {ratio}"
+        return f"{steered} is the angle of the steering wheel: {ratio}, or --steering-ratio fit"
     if 0.008 <= factor < 0.035:
         return f"{steered} in degrees: --units {steered}=deg"
     if 0.0004 <= factor < 0.003:
-        options = f"--units {steered}=deg --steering-ratio {_DEGREE / factor:.0f}"
+        options = f"--units {steered}=deg --steering-ratio {_DEGREE / factor:.0f} (or fit)"
         return f"{steered} is the angle of the steering wheel in degrees: {options}"
     if 25.0 <= factor <= 130.0:
         return "a yaw rate in degrees per second: --units yaw_rate=deg/s"
@@ -113,14 +148,14 @@ def _turning(log: Log, wheelbase: float) -> _Slope:
         for gradient in GRADIENTS:
             expected = log.speed * late / np.maximum(wheelbase + gradient * log.speed**2, 0.3 * wheelbase)
             slope = _slope(expected, yaw_rate)
-            if abs(slope.correlation) > abs(best.correlation):
+            if abs(slope.correlation) > abs(best.correlation) + BETTER:
                 best = slope
     return best
 
 
 def _felt(log: Log) -> _Slope:
     both = np.isfinite(log.acceleration) & np.isfinite(log.yaw_rate)
-    if both.sum() < 100:
+    if both.sum() < LEAST_BOTH:
         return _Slope(math.nan, 0.0)
     yaw_rate = _smooth(log, np.where(both, log.yaw_rate, 0.0))
     acceleration = _smooth(log, np.where(both, log.acceleration, 0.0))

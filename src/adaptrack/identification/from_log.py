@@ -5,13 +5,14 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from adaptrack.errors import InvalidInput
-from adaptrack.identification.conventions import check_conventions
+from adaptrack.identification.calibration import corrected
+from adaptrack.identification.conventions import check_conventions, guessed_ratio
 from adaptrack.identification.likelihood import NEARLY, Likelihood
 from adaptrack.identification.log import Log, log_of
 from adaptrack.identification.quantities import (
@@ -23,9 +24,9 @@ from adaptrack.identification.quantities import (
     understeer,
 )
 from adaptrack.identification.reading import Columns, Reading, read_columns
-from adaptrack.identification.words import findings
+from adaptrack.identification.words import HARDLY, findings
 from adaptrack.known_within import KnownWithin
-from adaptrack.vehicle import Steering, Vehicle, load_vehicle
+from adaptrack.vehicle import Steering, Tyre, Vehicle, load_tyre, load_vehicle
 
 Array = NDArray[np.float64]
 
@@ -35,8 +36,11 @@ FIRST_DELAYS = (0.12, 0.25, 0.45)
 """s, from the most likely of which the fit starts."""
 BLOCK, EVERY = 10.0, 4
 """s, length of the stretches of a validation; each fourth one is held out."""
+RATIO_SPREAD = (0.3, 0.1)
+"""Of the logarithm of a steering ratio that is to be found: guessed from the log, or said by the car's file."""
 FACTORS = {"stiffness_front": "front", "stiffness_rear": "rear", "yaw_inertia": "yaw_inertia"}
 """Of a car file's numbers, the estimates that they come from."""
+_MARGINS = ("steering_lag", "steering_dead_time")
 _STEP = 1e-4
 
 
@@ -49,7 +53,7 @@ class Estimate:
     meaning: str
     value: float
     standard_error: float
-    """in the unit of the value"""
+    """in the unit of the value, corrected as `calibration.CORRECTIONS` says"""
     low: float
     """lower end of the 90 % interval"""
     high: float
@@ -102,6 +106,8 @@ class Identification:
     log: Log
     believed: Vehicle
     """the car before the log"""
+    tyre_curve: Tyre
+    """the tyre whose curve the car keeps"""
     computation: float
     """s, of the log's dead time, that is the controller's"""
     series: Series = field(repr=False)
@@ -118,6 +124,8 @@ class Identification:
         if self.log.commanded:
             dead_time = max(value["dead_time"] - self.computation, 0.0)
             steering = steering.replace(lag=value["lag"], dead_time=dead_time)
+        if "rate" in value and self.estimates["rate"].told < HARDLY:
+            steering = steering.replace(rate=value["rate"])
         if "ratio" in value:
             steering = steering.replace(ratio=value["ratio"])
         return self.believed.replace(
@@ -125,6 +133,19 @@ class Identification:
             yaw_inertia=value["yaw_inertia"], lf=value["lf"], lr=self.believed.wheelbase - value["lf"],
             steering=steering if steering != Steering() else None,
         )  # fmt: skip
+
+    @property
+    def tyre(self) -> Tyre:
+        """The believed car's tyre, scaled to the axle stiffness of `car` at its static loads; its curve is kept."""
+        car, curve = self.car, self.tyre_curve
+        front, rear = curve.stiffness_at(*car.static_loads)
+        relaxation = self.estimates.get("relaxation")
+        if relaxation is not None:
+            curve = curve.replace(relaxation_length=min(relaxation.value, 10.0))
+        return curve.replace(
+            stiffness_front=curve.stiffness_front * car.stiffness_front / front,
+            stiffness_rear=curve.stiffness_rear * car.stiffness_rear / rear,
+        )
 
     def known_within(self) -> KnownWithin:
         """The 90 % intervals of what the log told, and what was known of the car before: for its file."""
@@ -135,14 +156,16 @@ class Identification:
             if each.low > 0.0
         }
         if self.log.commanded:
-            for name in ("lag", "dead_time"):
-                each = self.estimates[name]
-                found[f"steering_{name}"] = max(each.high - each.value, each.value - each.low)
-        limits = {name: min(value, 10.0 if name in FACTORS else 1.0) for name, value in found.items()}
+            for name in _MARGINS:
+                each = self.estimates[name.removeprefix("steering_")]
+                found[name] = max(each.high - each.value, each.value - each.low)
+        if "ratio" in self.estimates:
+            found["steering_ratio"] = self.estimates["ratio"].high / self.estimates["ratio"].value
+        limits = {name: min(value, 1.0 if name in _MARGINS else 10.0) for name, value in found.items()}
         return before.replace(**{name: float(f"{value:.4g}") for name, value in limits.items()})
 
     def to_toml(self, path: str | os.PathLike[str]) -> None:
-        """Write the car, with how well it is known.
+        """Write the car, with how well it is known, and its tyre (`tyre`) beside it.
 
         Raises
         ------
@@ -213,7 +236,7 @@ def identify(
         When the log lacks a signal, is too short, is hardly steered, or its signs or units do not fit together; the
         message names the option that mends it.
     """
-    believed, beliefs = _believed(car, mass, wheelbase, known)
+    believed, beliefs, curve = _believed(car, mass, wheelbase, known)
     columns = read_columns(log, reading or Reading())
     likelihood = _prepared(columns, believed, beliefs)
     cleaned = likelihood.log
@@ -225,13 +248,21 @@ def identify(
         raise InvalidInput(f"identify: computation = {given!r} s: must be from 0 to 1.")
     words = findings(cleaned, estimates, validation)
     return Identification(
-        estimates, jacobian @ covariance @ jacobian.T, validation, words, cleaned, believed, given, series
+        estimates, jacobian @ covariance @ jacobian.T, validation, words, cleaned, believed, curve, given, series
     )
 
 
 def _prepared(columns: Columns, believed: Vehicle, beliefs: dict[str, Belief]) -> Likelihood:
-    """The likelihood of a log that is cleaned and whose conventions are checked."""
-    cleaned = log_of(columns.values, believed.wheelbase, columns.notes)
+    """The likelihood of a log that is cleaned and whose conventions are checked.
+
+    Where the steering ratio is to be found, the first guess of it follows from yaw rate and speed.
+    """
+    cleaned = log_of(columns.values, believed.wheelbase, columns.notes, columns.commanded)
+    if columns.ratio_unknown:
+        known = believed.steering.ratio if believed.steering is not None else None
+        ratio = known or guessed_ratio(cleaned, believed.wheelbase)
+        beliefs["gain"] = Belief(1.0, RATIO_SPREAD[known is not None])
+        cleaned = replace(cleaned, command=cleaned.command / ratio, ratio=ratio)
     check_conventions(cleaned, believed.wheelbase)
     beliefs |= _noises(cleaned)
     return Likelihood(cleaned, believed, beliefs)
@@ -250,18 +281,20 @@ def reported(likelihood: Likelihood, z: Array, covariance: Array) -> dict[str, E
 def _believed(
     car: str | os.PathLike[str] | Vehicle | None, mass: float | None, wheelbase: float | None,
     known: Mapping[str, Belief] | None,
-) -> tuple[Vehicle, dict[str, Belief]]:  # fmt: skip
+) -> tuple[Vehicle, dict[str, Belief], Tyre]:  # fmt: skip
+    """The car before the log, beliefs about it, and the tyre whose curve it has."""
     if car is not None:
         if mass is not None or wheelbase is not None:
             raise InvalidInput("identify: either a car, or mass and wheelbase.")
         vehicle = car if isinstance(car, Vehicle) else load_vehicle(car)
-        return vehicle, beliefs_of(vehicle, known)
+        return vehicle, beliefs_of(vehicle, known), load_tyre(vehicle.tyre)
     if mass is None or wheelbase is None:
         raise InvalidInput("identify: give --car, or --mass (kg) and --wheelbase (m): no log tells them.")
     if not 1.0 <= mass <= 1e5 or not 0.1 <= wheelbase <= 20.0:
         raise InvalidInput(f"identify: mass {mass:g} kg, wheelbase {wheelbase:g} m: must be from 1 kg and .1 m.")
     vehicle, rough = plain_car(mass, wheelbase)
-    return vehicle, beliefs_of(vehicle, rough | dict(known or {}))
+    curve = load_tyre(vehicle.tyre).replace(nominal_load=0.5 * sum(vehicle.static_loads))
+    return vehicle, beliefs_of(vehicle, rough | dict(known or {})), curve
 
 
 def _noises(log: Log) -> dict[str, Belief]:
@@ -323,12 +356,18 @@ def _reported(likelihood: Likelihood) -> list[tuple[str, str, str, bool, Callabl
     ]
     if likelihood.spread[INDEX["gain"]] > 0.0:
         rows.append(
-            ("ratio", "-", "logged steering angle over road wheels", True, lambda v: 1.0 / float(v[INDEX["gain"]]))
+            (
+                "ratio",
+                "-",
+                "logged steering angle over road wheels",
+                True,
+                lambda v: likelihood.log.ratio / float(v[INDEX["gain"]]),
+            )
         )
     free = {QUANTITIES[i].name for i in likelihood.free}
     also = (
-        "offset", "push_mean", "gyro_offset", "acceleration_offset", "wheel_offset", "relaxation", "noise_yaw_rate",
-        "noise_vy", "noise_acceleration", "noise_yaw", "noise_wheel",
+        "rate", "offset", "push_mean", "gyro_offset", "acceleration_offset", "wheel_offset", "relaxation",
+        "noise_yaw_rate", "noise_vy", "noise_acceleration", "noise_yaw", "noise_wheel",
     )  # fmt: skip
     for name in also:
         if name in free:
@@ -338,7 +377,7 @@ def _reported(likelihood: Likelihood) -> list[tuple[str, str, str, bool, Callabl
 
 
 def _estimates(likelihood: Likelihood, z: Array, covariance: Array) -> tuple[dict[str, Estimate], Array]:
-    """All that is reported, by the delta method; and the derivatives over the free entries of z."""
+    """All that is reported, by the delta method, errors corrected; derivatives over free entries, scaled likewise."""
     rows = _reported(likelihood)
 
     def all_of(at: Array) -> Array:
@@ -358,6 +397,12 @@ def _estimates(likelihood: Likelihood, z: Array, covariance: Array) -> tuple[dic
     spread = np.sqrt(np.maximum(np.einsum("ij,jk,ik->i", jacobian, covariance, jacobian), 0.0))
     prior = np.linalg.norm(slopes(origin), axis=1)
     centre, first = all_of(z), all_of(origin)
+    wider = np.ones(len(rows))
+    for i, (name, _, _, positive, _) in enumerate(rows):
+        if spread[i] > 0.0:
+            scale = math.exp(-centre[i]) if positive else 1.0
+            wider[i] = corrected(name, spread[i], scale, prior[i]) / spread[i]
+    spread *= wider
     found = {}
     for i, (name, unit, meaning, positive, _) in enumerate(rows):
         ends = [centre[i] - NORMAL_90 * spread[i], centre[i] + NORMAL_90 * spread[i]]
@@ -382,7 +427,7 @@ def _estimates(likelihood: Likelihood, z: Array, covariance: Array) -> tuple[dic
             (float(before[0]), float(before[1])),
             left,
         )
-    return found, jacobian
+    return found, wider[:, None] * jacobian
 
 
 # -- validation -------------------------------------------------------------------------------------------------------

@@ -76,7 +76,7 @@ class Likelihood:
         if not (self.present["vy"] or self.present["acceleration"]):
             silent |= {"push_spread"}
         if not self.log.commanded:
-            silent |= {"delay", "lag_share"}
+            silent |= {"delay", "lag_share", "rate"}
         return np.array([each.name not in silent for each in QUANTITIES])
 
     def values(self, z: Array) -> Array:
@@ -88,13 +88,11 @@ class Likelihood:
         value = {name: values[i] for name, i in INDEX.items()}
         car, wheelbase = self.car, self.car.wheelbase
         air = 0.5 * car.air_density * car.frontal_area
-        steering = car.steering
-        rate = steering.rate if steering is not None and steering.rate is not None else 1e3
         # Gusts of a kept spread must not shrink by a larger inertia: their moment over it is that of the believed one.
         heavier = value["yaw_inertia"] / self.median[INDEX["yaw_inertia"]]
         delayed = value["delay"] if self.log.commanded else 0.0
         derived = {
-            "lag": value["lag_share"] * delayed, "dead_time": (1.0 - value["lag_share"]) * delayed, "rate": rate,
+            "lag": value["lag_share"] * delayed, "dead_time": (1.0 - value["lag_share"]) * delayed,
             "lf": value["front_share"] * wheelbase, "lr": (1.0 - value["front_share"]) * wheelbase, "shape": SHAPE,
             "side": air * car.side_force_slope, "moment": air * car.yaw_moment_slope * wheelbase * heavier,
             "wind_angle_limit": car.wind_angle_limit,

@@ -52,6 +52,8 @@ class Log:
     """(n,) whether a segment begins with the sample"""
     commanded: bool = True
     """whether `command` is one, rather than a measured angle"""
+    ratio: float = 1.0
+    """-, by which the logged angle was divided to give `command`"""
     notes: tuple[str, ...] = ()
     """what was left out, and how the columns were read"""
 
@@ -76,11 +78,13 @@ class Log:
         return float(np.sum(np.diff(self.time)[~self.begins[1:]]))
 
 
-def log_of(columns: dict[str, Array], wheelbase: float, notes: tuple[str, ...] = ()) -> Log:
+def log_of(
+    columns: dict[str, Array], wheelbase: float, notes: tuple[str, ...] = (), commanded: bool = True
+) -> Log:  # fmt: skip
     """A log of raw columns: ``time``, ``speed``, ``yaw_rate``, ``command`` or ``wheel`` or both; others may be there.
 
     Repeated rows are dropped; short holes in command and speed are filled; gaps and halts cut the log. wheelbase (m):
-    of the car, for what the steering asks of it.
+    of the car, for what the steering asks of it. commanded: whether ``command`` is one, not a measured angle.
 
     Raises
     ------
@@ -108,10 +112,11 @@ def log_of(columns: dict[str, Array], wheelbase: float, notes: tuple[str, ...] =
             f"log: a sample every {period:g} s (median): 10 Hz and up is needed. If the times are not seconds, say "
             "so: --units time=ms (us, ns)."
         )
-    commanded = bool(np.isfinite(data["command"]).any())
-    if not commanded:
+    if not np.isfinite(data["command"]).any():
+        commanded = False
         data["command"] = data["wheel"].copy()
         data["wheel"] = np.full(time.size, np.nan)
+    if not commanded:
         said.append("no steering command, only a measured angle: lag and dead time cannot be seen")
     hole = max(3.0 * period, LEAST_GAP)
     data["command"], data["speed"] = _held(time, data["command"], hole), _filled(time, data["speed"], hole)

@@ -41,6 +41,7 @@ class Belief(NamedTuple):
 QUANTITIES = (
     Quantity("delay", "s", "positive", "lag and dead time together"),
     Quantity("lag_share", "-", "share", "the lag's share of the delay"),
+    Quantity("rate", "rad/s", "positive", "fastest turn of the road wheels"),
     Quantity("gain", "-", "positive", "road wheels over the logged steering angle"),
     Quantity("offset", "rad", "real", "what the road wheels turn beyond the command"),
     Quantity("front", "N/rad", "positive", "cornering stiffness of the front axle"),
@@ -77,12 +78,13 @@ SHAPE = 1.35
 """-, shape factor of the tyres' curve where nothing is known of it."""
 
 DISTURBANCES: Mapping[str, Belief] = {
-    "delay": Belief(0.3, 0.7), "lag_share": Belief(0.5, 1.5), "gain": Belief(1.0, 0.0), "offset": Belief(0.0, 0.03),
+    "delay": Belief(0.3, 0.7), "lag_share": Belief(0.5, 1.5), "rate": Belief(0.7, 0.6),
+    "gain": Belief(1.0, 0.0), "offset": Belief(0.0, 0.03),
     "mass": Belief(1500.0, 0.0), "friction": Belief(0.7, 0.35), "wind_mean": Belief(0.0, 4.0),
     "wind_spread": Belief(4.0, 1.0), "wind_time": Belief(0.6, 0.6), "push_mean": Belief(0.0, 0.2),
     "push_spread": Belief(0.1, 1.0), "jolt": Belief(0.01, 1.5), "noise_yaw_rate": Belief(0.01, 1.5),
     "noise_vy": Belief(0.05, 1.5), "noise_acceleration": Belief(0.1, 1.5), "noise_yaw": Belief(0.003, 1.5),
-    "noise_wheel": Belief(0.002, 1.5), "gyro_offset": Belief(0.0, 0.005), "acceleration_offset": Belief(0.0, 0.2),
+    "noise_wheel": Belief(0.002, 1.5), "gyro_offset": Belief(0.0, 0.003), "acceleration_offset": Belief(0.0, 0.2),
     "wheel_offset": Belief(0.0, 0.02),
 }  # fmt: skip
 """What is believed of steering, sensors and weather: wide enough for any car on a road."""
@@ -117,6 +119,8 @@ def beliefs_of(car: Vehicle, known: Mapping[str, Belief] | None = None) -> dict[
         delay = max(steering.lag + steering.dead_time, 0.02)
         beliefs["delay"] = Belief(delay, 0.7)
         beliefs["lag_share"] = Belief(min(max(steering.lag / delay, 0.1), 0.9), 1.5)
+    if steering is not None and steering.rate is not None:
+        beliefs["rate"] = Belief(steering.rate, 0.3)
     return beliefs | dict(known or {})
 
 

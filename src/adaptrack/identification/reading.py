@@ -9,6 +9,7 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,8 +27,9 @@ ALIASES: Mapping[str, tuple[str, ...]] = {
     ),
     "wheel": (
         "wheel", "wheel_angle", "road_wheel_angle", "steering", "steering_angle", "steer", "steer_angle", "delta",
-        "steering_wheel_angle", "steering_wheel", "swa", "hand_wheel_angle", "handwheel_angle", "front_wheel_angle",
+        "front_wheel_angle",
     ),
+    "steering_wheel": ("steering_wheel_angle", "steering_wheel", "swa", "hand_wheel_angle", "handwheel_angle"),
     "speed": ("speed", "vx", "v_x", "velocity", "v", "ego_speed", "vehicle_speed", "v_ego", "longitudinal_velocity"),
     "yaw_rate": (
         "yaw_rate", "yawrate", "r", "gyro_z", "gyroz", "wz", "omega_z", "psi_dot", "dpsi", "angular_velocity_z",
@@ -41,7 +43,7 @@ ALIASES: Mapping[str, tuple[str, ...]] = {
     "y": ("y", "pos_y", "position_y", "north"),
 }  # fmt: skip
 """Names by which columns are known, without their unit."""
-_ANGLES = ("command", "wheel", "yaw")
+_ANGLES = ("command", "wheel", "steering_wheel", "yaw")
 _UNITS: Mapping[str, Mapping[str, float]] = {
     "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9},
     "angle": {"rad": 1.0, "deg": math.pi / 180.0},
@@ -77,8 +79,9 @@ class Reading:
     """signal -> unit; under ``""`` one for all angles and rates: deg"""
     flip: tuple[str, ...] = ()
     """signals that are positive to the right in the log"""
-    steering_ratio: float | None = None
-    """-, of the logged steering angles over those of the road wheels; None: they are those of the road wheels"""
+    steering_ratio: float | Literal["fit"] | None = None
+    """-, of the logged steering angles over those of the road wheels; ``"fit"``: to be found; None: to be found for
+    columns whose name says that they are angles of the steering wheel, 1 for others"""
 
     def __post_init__(self) -> None:
         for name in (*self.columns, *(u for u in self.units if u), *self.flip):
@@ -89,8 +92,9 @@ class Reading:
                 raise InvalidInput(f"identify: units = {unit!r}: deg or rad for all, or signal=unit.")
             if name and _SHORT.get(unit, unit) not in _UNITS[_dimension(name)]:
                 raise InvalidInput(f"identify: {name} in {unit!r}: must be {' or '.join(_UNITS[_dimension(name)])}.")
-        if self.steering_ratio is not None and not 0.1 <= self.steering_ratio <= 100.0:
-            raise InvalidInput(f"identify: steering ratio {self.steering_ratio!r}: must be from 0.1 to 100.")
+        ratio = self.steering_ratio
+        if ratio not in (None, "fit") and not (isinstance(ratio, int | float) and 0.1 <= ratio <= 100.0):
+            raise InvalidInput(f"identify: steering ratio {ratio!r}: must be from 0.1 to 100, or fit.")
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,6 +106,10 @@ class Columns:
     source: str
     computation: float = 0.0
     """s, of the dead time that lies in the controller's computation, where the log tells"""
+    commanded: bool = True
+    """whether ``command``, where it is, is one, rather than a measured angle of the steering wheel"""
+    ratio_unknown: bool = False
+    """whether ``command`` is an angle of the steering wheel, whose ratio is to be found"""
 
 
 def read_columns(source: str | os.PathLike[str] | Mapping[str, object], reading: Reading) -> Columns:
@@ -125,16 +133,41 @@ def read_columns(source: str | os.PathLike[str] | Mapping[str, object], reading:
     values = {}
     for signal, column in found.items():
         unit, factor = _unit(signal, column, reading)
-        sign = -1.0 if signal in reading.flip else 1.0
+        sign = -1.0 if signal in reading.flip or (signal == "steering_wheel" and "wheel" in reading.flip) else 1.0
         values[signal] = table[column] * factor * sign
         if unit not in ("s", "rad", "m/s", "rad/s", "m/s^2", "m") or sign < 0.0:
             notes.append(f"{signal} is read from {column!r} in {unit}" + (", flipped" if sign < 0.0 else ""))
-    for signal in ("command", "wheel"):
-        if signal in values and reading.steering_ratio is not None:
-            values[signal] = values[signal] / reading.steering_ratio
+    commanded, unknown = _at_road_wheels(values, found, reading.steering_ratio, notes)
     if "time" in values:
         values["time"] = values["time"] - values["time"][np.isfinite(values["time"])][:1].sum()
-    return Columns(values, tuple(notes), where, computation)
+    return Columns(values, tuple(notes), where, computation, commanded, unknown)
+
+
+def _at_road_wheels(
+    values: dict[str, Array], found: Mapping[str, str], ratio: float | Literal["fit"] | None, notes: list[str]
+) -> tuple[bool, bool]:  # fmt: skip
+    """Turn steering angles into those of the road wheels; whether there is a command, whether its ratio is unknown.
+
+    A measured angle of a steering wheel whose ratio is to be found takes the place of the command.
+    """
+    if ratio == "fit" and "command" not in values and "steering_wheel" not in values and "wheel" in values:
+        values["steering_wheel"] = values.pop("wheel")
+    turned = values.pop("steering_wheel", None)
+    if isinstance(ratio, int | float):
+        for signal in ("command", "wheel"):
+            if signal in values and (signal == "command" or turned is None):
+                values[signal] = values[signal] / ratio
+        if turned is not None and "wheel" not in values:
+            values["wheel"] = turned / ratio
+        return True, False
+    if "command" in values:
+        if turned is not None:
+            notes.append("the angle of the steering wheel is left out beside a command: --steering-ratio R uses it")
+        return True, ratio == "fit" or bool(_AT_STEERING_WHEEL.search(_plain(found["command"])[0]))
+    if turned is None:
+        return True, False
+    values["command"] = turned
+    return False, True
 
 
 def _table(path: Path) -> tuple[dict[str, Array], float]:
@@ -234,12 +267,8 @@ def _named(table: dict[str, Array], reading: Reading, where: str) -> tuple[dict[
                 if match[0] != signal:
                     notes.append(f"guessed: {signal} is the column {match[0]!r}")
                 break
-    for signal in ("command", "wheel"):
-        if signal in found and _AT_STEERING_WHEEL.search(plain[found[signal]]) and reading.steering_ratio is None:
-            notes.append(
-                f"{found[signal]!r} seems to be an angle of the steering wheel: --steering-ratio R turns it into "
-                "one of the road wheels"
-            )
+    if "wheel" in found and "steering_wheel" not in found and _AT_STEERING_WHEEL.search(plain[found["wheel"]]):
+        found["steering_wheel"] = found.pop("wheel")
     return found, notes
 
 
@@ -253,6 +282,8 @@ def _unit(signal: str, column: str, reading: Reading) -> tuple[str, float]:
     """The unit of a column and its factor to SI."""
     units = _UNITS[_dimension(signal)]
     told = reading.units.get(signal)
+    if told is None and signal == "steering_wheel":
+        told = reading.units.get("wheel")
     if told is None and "" in reading.units and _dimension(signal) in ("angle", "yaw_rate"):
         told = reading.units[""] + ("/s" if signal == "yaw_rate" else "")
     if told is None:

@@ -17,19 +17,22 @@ if TYPE_CHECKING:
 def write_car(found: Identification, path: str | os.PathLike[str]) -> None:
     """Write a car as TOML; the new one has the file's name. Intervals stand in ``[known_within]`` and in comments.
 
+    Its tyre is written beside it (``-tyre`` behind the name): the plant then has the stiffness that was identified.
+
     Raises
     ------
     StorageError
         When the file cannot be written.
     """
-    known = found.known_within()
+    known, path = found.known_within(), Path(path)
+    beside = path.with_name(f"{path.stem}-tyre.toml")
+    said = f"{found.tyre_curve.name}, scaled to the axles of {path.stem}"
+    found.tyre.replace(name=beside.stem, description=said).to_toml(beside)
     car = found.car.replace(
-        name=Path(path).stem, description="Identified from a log", known_within=known,
+        name=path.stem, description="Identified from a log", tyre=str(beside), known_within=known,
         estimated=tuple(name for name in found.car.estimated if name not in FACTORS),
     )  # fmt: skip
-    values = car.model_dump()
-    if os.sep in car.tyre or car.tyre.endswith(".toml"):
-        values["tyre"] = os.path.relpath(car.tyre, Path(path).resolve().parent)
+    values = car.model_dump() | {"tyre": beside.name}
     meanings = {name: field.description or "" for name, field in Vehicle.model_fields.items()}
     head = ["# Identified from a log; 90 % intervals:"]
     for each in found.estimates.values():

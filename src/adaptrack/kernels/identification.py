@@ -13,9 +13,10 @@ F is the Magic Formula D sin(C atan(S a/(C D))) with the axle's stiffness S and 
 is the load of a side wind W, as in `plants.forces`. w and d are Gauss-Markov processes, w of second order
 (T dw/dt = g - w, T dg/dt = -g + white noise), as gusts are smooth: what no log tells of side wind and bank is noise of
 the process, without which estimates are biased by the driver's answer to it and standard errors too small. delta
-has no noise: it follows from the commands alone, in closed form, each held until the next. Sources: L. Ljung, *System
-Identification*, 2nd ed., section 7.4 (likelihood of innovations); D. Simon, *Optimal State Estimation* (2006),
-chapters 5 and 13 (the filter).
+has no noise: it follows from the commands alone, in closed form, each held until the next; within a step it acts as
+the straight line of the same mean and first moment (its mean alone makes the dead time of stiff cars 5 ms too long).
+Sources: L. Ljung, *System Identification*, 2nd ed., section 7.4 (likelihood of innovations); D. Simon, *Optimal State
+Estimation* (2006), chapters 5 and 13 (the filter).
 """
 
 from __future__ import annotations
@@ -52,7 +53,7 @@ FOUND = columns("wind", "wheel_angle", "front_slip", "rear_slip")
 ANSWER = 2 * len(OUTPUT) + len(FOUND)
 N = 8
 VY, R, AF, AR, WIND, GUST, PUSH, YAW = range(N)
-WORK = 6
+WORK = 7
 """Matrices (N, N) of scratch."""
 FLOOR = 1e-10
 """Added to the variance of every measurement: 1e-5 of its unit, for logs of simulations without noise."""
@@ -79,22 +80,29 @@ def _steady_wind(speed, wind, limit):
 
 @njit(**INLINE)
 def _move_wheels(angle, target, lag, rate, span):
-    """Wheel angle (rad) after a time (s) towards a target, and its integral (rad s) over that time."""
-    gap, integral = target - angle, 0.0
+    """Wheel angle (rad) after a time (s) towards a target; its integral (rad s) and first moment (rad s^2) over it."""
+    gap, area, moment, begun = target - angle, 0.0, 0.0, 0.0
     limited = max(0.0, min(span, abs(gap) / rate - lag))
     if limited > 0.0:
         step = math.copysign(rate * limited, gap)
-        integral = (angle + 0.5 * step) * limited
+        area = (angle + 0.5 * step) * limited
+        moment = (0.5 * angle + step / 3.0) * limited * limited
         angle += step
         gap -= step
         span -= limited
+        begun = limited
     kept = math.exp(-span / lag)
-    return target - gap * kept, integral + target * span - gap * lag * (1.0 - kept)
+    rest = target * span - gap * lag * (1.0 - kept)
+    moment += begun * rest + 0.5 * target * span * span - gap * lag * (lag * (1.0 - kept) - span * kept)
+    return target - gap * kept, area + rest, moment
 
 
 @njit(**INLINE)
-def _exponential(a, h, phi, psi, term, spare):
-    """phi = exp(a h), psi = its integral over h; both (4, 4), by scaling, a Taylor polynomial and doubling."""
+def _exponential(a, h, phi, psi, chi, term, spare):
+    """phi = exp(a h), psi = its integral over h, both (4, 4); chi (4,): column `AF` of psi's integral over h.
+
+    By scaling, a Taylor polynomial and doubling.
+    """
     norm = 0.0
     for j in range(4):
         column = 0.0
@@ -109,6 +117,7 @@ def _exponential(a, h, phi, psi, term, spare):
         for j in range(4):
             term[i, j] = h if i == j else 0.0
             psi[i, j] = term[i, j]
+        chi[i] = 0.5 * h * term[i, AF]
     for k in range(2, _DEGREE + 1):
         for i in range(4):
             for j in range(4):
@@ -120,6 +129,7 @@ def _exponential(a, h, phi, psi, term, spare):
             for j in range(4):
                 term[i, j] = spare[i, j]
                 psi[i, j] += term[i, j]
+            chi[i] += term[i, AF] * h / (k + 1)
     for i in range(4):
         for j in range(4):
             total = 1.0 if i == j else 0.0
@@ -127,6 +137,13 @@ def _exponential(a, h, phi, psi, term, spare):
                 total += a[i, m] * psi[m, j]
             phi[i, j] = total
     for _ in range(halvings):
+        for i in range(4):
+            spare[0, i] = chi[i] + h * psi[i, AF]
+            for m in range(4):
+                spare[0, i] += phi[i, m] * chi[m]
+        for i in range(4):
+            chi[i] = spare[0, i]
+        h *= 2.0
         for i in range(4):
             for j in range(4):
                 total = psi[i, j]
@@ -164,12 +181,12 @@ def _start(q, k, log, x, p):
 
 
 @njit(**INLINE)
-def _predict(q, speed, h, angle, gusts, x, p, work):
-    """Move state and covariance on by h (s) at a speed (m/s), the wheels at a mean angle (rad).
+def _predict(q, speed, h, angle, turning, gusts, x, p, work):
+    """Move state and covariance on by h (s) at a speed (m/s), the wheels at a mean angle (rad) and turning (rad/s).
 
     gusts: factor on the spread of the wind's noise.
     """
-    a, phi, psi, term, spare, whole = work[0], work[1], work[2], work[3], work[4], work[5]
+    a, phi, psi, term, spare, whole, chi = work[0], work[1], work[2], work[3], work[4], work[5], work[6, 0]
     mass, inertia, lf, lr = q[QUANTITY.mass], q[QUANTITY.yaw_inertia], q[QUANTITY.lf], q[QUANTITY.lr]
     sigma, load = max(q[QUANTITY.relaxation], 0.01), q[QUANTITY.friction] * mass * GRAVITY / (lf + lr)
     front, slope_f = _tyre(x[AF], q[QUANTITY.front], load * lr, q[QUANTITY.shape])
@@ -182,14 +199,14 @@ def _predict(q, speed, h, angle, gusts, x, p, work):
     a[R, AF], a[R, AR] = lf * slope_f / inertia, -lr * slope_r / inertia
     a[AF, VY], a[AF, R], a[AF, AF] = -1.0 / sigma, -lf / sigma, -speed / sigma
     a[AR, VY], a[AR, R], a[AR, AR] = -1.0 / sigma, lr / sigma, -speed / sigma
-    _exponential(a, h, phi, psi, term, spare)
+    _exponential(a, h, phi, psi, chi, term, spare)
     rest_f, rest_r = front - slope_f * x[AF], rear - slope_r * x[AR]
     slope = _steady_wind(speed, TYPICAL_GUST, q[QUANTITY.wind_angle_limit]) / TYPICAL_GUST
     side, moment = q[QUANTITY.side] * slope / mass, q[QUANTITY.moment] * slope / inertia
     steady = _steady_wind(speed, q[QUANTITY.wind_mean], q[QUANTITY.wind_angle_limit])
     g0 = (rest_f + rest_r + q[QUANTITY.side] * steady) / mass + q[QUANTITY.push_mean]
     g1 = (lf * rest_f - lr * rest_r + q[QUANTITY.moment] * steady) / inertia
-    g2 = speed / sigma * angle
+    g2, g3 = speed / sigma * (angle - 0.5 * h * turning), speed / sigma * turning
     kept_w, kept_d = math.exp(-h / q[QUANTITY.wind_time]), math.exp(-h / q[QUANTITY.push_time])
     rise = h / q[QUANTITY.wind_time] * kept_w
     mean_d = 0.5 * (1.0 + kept_d)
@@ -212,9 +229,9 @@ def _predict(q, speed, h, angle, gusts, x, p, work):
         for j in range(N):
             total += whole[i, j] * x[j]
         if i < 4:
-            total += psi[i, 0] * g0 + psi[i, 1] * g1 + psi[i, 2] * g2
+            total += psi[i, 0] * g0 + psi[i, 1] * g1 + psi[i, 2] * g2 + chi[i] * g3
         term[0, i] = total
-    term[0, YAW] += 0.5 * h * (psi[1, 0] * g0 + psi[1, 1] * g1 + psi[1, 2] * g2)
+    term[0, YAW] += 0.5 * h * (psi[1, 0] * g0 + psi[1, 1] * g1 + psi[1, 2] * g2 + chi[1] * g3)
     for i in range(N):
         x[i] = term[0, i]
     for i in range(N):
@@ -300,16 +317,47 @@ def _correct(q, k, log, x, p, work, answer):
         _take_in(innovation, variance, c, seen, x, p, gain)
 
 
+@njit(**INLINE)
+def _steer(q, log, acting, angle, start, h):
+    """How the wheels move from a start (s) over h (s) behind the commands, of which the one at row `acting` acts.
+
+    The row that acts at the end, the angle (rad) there, the mean angle (rad) and the rate (rad/s) of the straight line.
+    """
+    last, dead, until = log.shape[1] - 1, q[QUANTITY.dead_time], start + h
+    lag, rate = max(q[QUANTITY.lag], 1e-4), q[QUANTITY.rate]
+    area, moment, at = 0.0, 0.0, start
+    while at < until:
+        while acting < last and log[ROW.begins, acting + 1] <= 0.0 and log[ROW.time, acting + 1] + dead <= at:
+            acting += 1
+        end = until
+        if acting < last and log[ROW.begins, acting + 1] <= 0.0:
+            end = min(until, log[ROW.time, acting + 1] + dead)
+        target = q[QUANTITY.gain] * log[ROW.command, acting] + q[QUANTITY.offset]
+        angle, part, first = _move_wheels(angle, target, lag, rate, end - at)
+        area += part
+        moment += first + (at - start) * part
+        at = end
+    return acting, angle, area / h, (moment - 0.5 * h * area) * 12.0 / (h * h * h)
+
+
+@njit(**INLINE)
+def _follow(q, log, k, share, h):
+    """Likewise of wheels on straight lines between measured angles; share: of the span, at the middle of the step."""
+    span = log[ROW.time, k] - log[ROW.time, k - 1]
+    turning = q[QUANTITY.gain] * (log[ROW.command, k] - log[ROW.command, k - 1]) / span
+    mean = q[QUANTITY.gain] * log[ROW.command, k - 1] + share * span * turning + q[QUANTITY.offset]
+    return mean + 0.5 * h * turning, mean, turning
+
+
 @njit(types.void(vector, matrix, vector, matrix, cube, matrix), **ROUTINE)
 def innovations(q, log, x, p, work, answer):
     """Write innovations and their variances, NaN where nothing is measured, along a log.
 
     q: see `QUANTITY`; log: rows as `ROW`, a column a sample; x (N,), p (N, N), work (WORK, N, N): scratch;
-    answer: (ANSWER, samples).
+    answer: (ANSWER, samples). Without a lag the commands are measured angles of the wheels.
     """
     samples, acting, angle = log.shape[1], 0, 0.0
-    last, dead = samples - 1, q[QUANTITY.dead_time]
-    lag, rate = max(q[QUANTITY.lag], 1e-4), q[QUANTITY.rate]
+    measured_angle = q[QUANTITY.lag] <= 0.0
     for k in range(samples):
         for i in range(answer.shape[0]):
             answer[i, k] = math.nan
@@ -324,24 +372,13 @@ def innovations(q, log, x, p, work, answer):
             steps = max(1, math.ceil(span / LONGEST_STEP - 1e-9))
             h = span / steps
             for step in range(steps):
-                at, until, integral = before + step * h, before + (step + 1) * h, 0.0
-                while at < until:
-                    while (
-                        acting < last
-                        and log[ROW.begins, acting + 1] <= 0.0
-                        and (log[ROW.time, acting + 1] + dead <= at)
-                    ):
-                        acting += 1
-                    end = until
-                    if acting < last and log[ROW.begins, acting + 1] <= 0.0:
-                        end = min(until, log[ROW.time, acting + 1] + dead)
-                    target = q[QUANTITY.gain] * log[ROW.command, acting] + q[QUANTITY.offset]
-                    angle, area = _move_wheels(angle, target, lag, rate, end - at)
-                    integral += area
-                    at = end
                 share = (step + 0.5) / steps
+                if measured_angle:
+                    angle, mean, turning = _follow(q, log, k, share, h)
+                else:
+                    acting, angle, mean, turning = _steer(q, log, acting, angle, before + step * h, h)
                 speed = log[ROW.speed, k - 1] + share * (log[ROW.speed, k] - log[ROW.speed, k - 1])
-                _predict(q, max(speed, SLIP_SPEED_FLOOR), h, integral / h, log[ROW.gusts, k], x, p, work)
+                _predict(q, max(speed, SLIP_SPEED_FLOOR), h, mean, turning, log[ROW.gusts, k], x, p, work)
         _correct(q, k, log, x, p, work, answer)
         found = 2 * len(OUTPUT)
         answer[found + FOUND.wind, k], answer[found + FOUND.wheel_angle, k] = x[WIND], angle

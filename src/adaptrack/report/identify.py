@@ -26,6 +26,7 @@ _UNITS = {"N/rad": ("kN/rad", 1e-3), "rad": ("°", 180.0 / math.pi), "rad s^2/m"
 _WORDS = {
     "delay": "Delay of the steering", "lag": "Lag", "dead_time": "Dead time", "front": "Front axle",
     "rear": "Rear axle", "offset": "Steering offset", "push_mean": "Bank, mean push", "lf": "l_f",
+    "rate": "Rate limit of the steering", "ratio": "Steering ratio",
 }  # fmt: skip
 _FIRST = ("delay", "understeer_gradient", "front", "rear", "offset")
 
