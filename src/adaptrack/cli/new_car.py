@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from adaptrack.scheduling import Schedule
     from adaptrack.vehicle import Vehicle
 
-LEVELS = (14, 3)
+LEVELS = (9, 3)
 """Of speed and friction."""
 
 
