@@ -124,7 +124,7 @@ def test_a_twin_has_the_steady_yaw_gain_that_the_controller_is_told(name):
     gain = -np.linalg.lstsq(a, b, rcond=None)[0][names.index("yaw_rate")]
     L, front, rear = car.lf + car.lr, 2.0 * car.stiffness_front, 2.0 * car.stiffness_rear
     understeer = car.mass / L * (car.lr / front - car.lf / rear)
-    assert gain == pytest.approx(speed / (L + understeer * speed**2), rel=0.01)  # it drives against its drag
+    assert gain == pytest.approx(speed / (L + understeer * speed**2), rel=0.03)  # the air turns it a little
 
 
 def test_a_plant_with_a_linear_model_stands_for_itself_and_a_stepped_one_has_a_twin():
