@@ -249,3 +249,21 @@ def test_adapt_takes_a_registered_plant_and_keeps_how_it_is_found(adapt, tmp_pat
     made = load_adaptation(tmp_path / "out" / "adaptation.toml")
     assert SetUp.of(made).campaign.plugin == ("sliding",)
     assert type(SetUp.of(made).driven).__name__ == "Sliding"
+
+
+@pytest.mark.compiled
+def test_runs_of_a_plant_of_ones_own_are_shared_among_threads_and_cost_the_same_to_the_bit():
+    def slides(x, u, environment, p, dx):
+        dx[0], dx[1], dx[2] = x[3] * math.cos(x[2]), x[3] * math.sin(x[2]), x[5]
+        dx[3], dx[4] = 0.0, 0.0
+        dx[5] = 5.0 * (x[3] * u[0] / 2.8 - x[5])
+
+    plant = at.UserPlant(slides, {"none": 0.0}, mass=1500.0, steps=4)
+    mpc = at.MPC(CAR, profile="road")
+    runs = operating_point_runs(plant, mpc, [[10.0, 1.0, 0.9, w] for w in (0.0, 2.0, 4.0, 6.0, 8.0)], "road")
+    batch, which = runs._own, np.arange(5)
+    assert [len(chunk) for chunk in batch.chunks(which, 2)] == [3, 2]
+    assert [len(chunk) for chunk in batch.chunks(which)] == [5]
+    seeds, tunings = np.zeros(5, np.int64), np.tile(mpc.tuning.as_array(), (5, 1))
+    one, two = (batch.run(which, tunings, seeds, threads).result["squared_error"] for threads in (1, 2))
+    np.testing.assert_array_equal(one, two)
