@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import itertools
+import sys
 
 import pytest
 
+from adaptrack import cli
 from adaptrack.batch import Batch
 from adaptrack.controllers import MPC, published_mpc
 from adaptrack.controllers.made_for import car_of, is_for_published
@@ -15,6 +17,7 @@ from adaptrack.runs import RunSet
 from adaptrack.scenario import load_scenario
 from adaptrack.scheduling import list_schedulers, load_scheduler
 from adaptrack.simulate import simulate
+from adaptrack.tuning.constant_file import ConstantTuning
 from adaptrack.vehicle import list_vehicles, load_vehicle
 
 SCHEDULERS = {name: load_scheduler(name) for name in list_schedulers()}
@@ -72,3 +75,60 @@ def test_a_car_with_the_name_of_a_shipped_one_and_other_numbers_is_another_car(c
     assert car_of(DualTrack(heavy)) == "paper with other numbers"
     assert car_of(DualTrack(CARS["paper"].replace(description="another word"))) == "paper"
     assert car_of(object()) is None
+
+
+# -- the certificate where a schedule or a constant meets another car -------------------------------------------------
+@pytest.fixture
+def command(monkeypatch, capsys):
+    """Run a command; few points of the certificate."""
+    monkeypatch.setattr("adaptrack.cli.new_car.LEVELS", (2, 2))
+
+    def run(*arguments):
+        monkeypatch.setattr(sys, "argv", ["adaptrack", *map(str, arguments)])
+        return cli.main(), capsys.readouterr()
+
+    return run
+
+
+def drive_shortly(car, scheduler):
+    """A lane change of a second."""
+    short = ["-o", "speed=8", "-o", "amplitude=0.2", "-o", "duration=1.0", "--profile", "road"]
+    return ["simulate", "lane-change", *short, "--vehicle", car, "--scheduler", scheduler]
+
+
+@pytest.mark.compiled
+def test_simulate_refuses_a_scheduler_that_is_unstable_on_another_car_unless_that_is_allowed(command):
+    meeting = (
+        "scheduler 'road-best-constant', made for the car 'paper', on 'midsize-sedan': certificate over the domain"
+    )
+    code, said = command(*drive_shortly("midsize-sedan", "road-best-constant"))
+    assert code == 2
+    assert meeting in said.err
+    assert "Failed: the closed loop is unstable at" in said.err
+    assert "Refused: --allow-failed drives it all the same." in said.err
+    code, said = command(*drive_shortly("midsize-sedan", "road-best-constant"), "--allow-failed")
+    assert code == 0
+    assert f"Warning, {meeting}" in said.out
+
+
+@pytest.mark.compiled
+def test_a_stable_meeting_is_driven_with_the_verdict_and_ones_own_car_is_not_looked_at(command, monkeypatch):
+    code, said = command(*drive_shortly("van", "informed-road-best-constant"))
+    assert code == 0
+    assert "Warning, scheduler 'informed-road-best-constant', made for the car 'paper', on 'van'" in said.out
+    assert "Passed: the closed loop is stable at all" in said.out
+    monkeypatch.setattr("adaptrack.certify.certify", lambda *given, **more: pytest.fail("it was looked at"))
+    code, said = command(*drive_shortly("paper", "informed-road-best-constant"))
+    assert code == 0
+    assert "certificate" not in said.out + said.err
+
+
+@pytest.mark.compiled
+def test_drive_refuses_a_constant_that_is_unstable_on_another_car(command, tmp_path):
+    tuning = {"Np": 5, "Nc": 1, "Q": 1.0, "R": 1e-4}
+    ConstantTuning(controller="informed", vehicle="paper", profile="road", period=0.05, tuning=tuning).to_toml(
+        tmp_path / "wild.toml"
+    )
+    code, said = command("drive", "country", "--vehicle", "van", "--tuning", tmp_path / "wild.toml")
+    assert code == 2
+    assert "wild.toml, found for the car 'paper', on 'van': certificate over the domain of 'van': Failed" in said.err

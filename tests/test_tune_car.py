@@ -12,7 +12,7 @@ from adaptrack.adaptation.config import load_adaptation
 from adaptrack.adaptation.for_car import write_configuration
 from adaptrack.adaptation.splits import SetUp, drive_numbers, training_runs
 from adaptrack.controllers import MPC
-from adaptrack.errors import InvalidInput
+from adaptrack.errors import InvalidInput, UnknownName
 from adaptrack.studies.tune_car import FIRST_JUDGED, FIRST_SOUGHT, TuningEffort, tune
 from adaptrack.tuning.pso import SwarmSettings
 from adaptrack.vehicle import list_vehicles
@@ -91,18 +91,10 @@ def test_nonsense_is_refused():
         tune(car, speed=(20.0, 5.0))
     with pytest.raises(InvalidInput, match="seed"):
         tune(car, seed=-1)
-
-    class Stepped(at.SteppedPlant):
-        name = "stepped"
-
-        def reset(self, *given):
-            raise AssertionError
-
-        def step(self, *given):
-            raise AssertionError
-
-    with pytest.raises(InvalidInput, match="stepped"):
-        tune(car, plant=Stepped())
+    with pytest.raises(UnknownName, match="hovercraft"):
+        tune(car, plant="hovercraft")
+    with pytest.raises(UnknownName, match="no vehicle is named"):
+        tune("papre")
 
 
 def test_a_search_drives_what_no_judgement_does():

@@ -18,7 +18,7 @@ from adaptrack.controllers import MPC, CompiledController, CompiledScheduler, Co
 from adaptrack.errors import InvalidInput
 from adaptrack.estimation import FrictionWindEstimator
 from adaptrack.failure import Failure
-from adaptrack.plant import Plant
+from adaptrack.plant import DualTrack, Plant, SingleTrack
 from adaptrack.profile import Profile
 from adaptrack.road.ahead import pack_roads
 from adaptrack.scenario import RoadDrive, Scenario, Signals
@@ -316,15 +316,21 @@ class Batch:
         law = own.function if isinstance(own, CompiledController) else None
         return rollout.members(advance=plant.advance, observe=plant.observe, law=law)
 
-    def chunks(self, which: NDArray[np.int64]) -> list[NDArray[np.int64]]:
-        """Runs that are driven together: as long, and integrated with the same number of steps."""
+    def chunks(self, which: NDArray[np.int64], threads: int = 1) -> list[NDArray[np.int64]]:
+        """Runs that are driven together: as long, and integrated with the same number of steps.
+
+        A plant of one's own is advanced slot by slot: its runs are shared evenly among the threads.
+        """
         from adaptrack.kernels.plants.contract import SLOTS
 
         found = []
         for steps in self.settings:
             for n in np.unique(self.periods):
                 members = np.flatnonzero((self.substeps[which] == steps) & (self.periods[which] == n))
-                found += [members[first : first + SLOTS] for first in range(0, len(members), SLOTS)]
+                ours = isinstance(self.world.plant, SingleTrack | DualTrack)
+                even = SLOTS if ours else math.ceil(len(members) / threads)
+                size = min(SLOTS, max(even, 1))
+                found += [members[first : first + size] for first in range(0, len(members), size)]
         return found
 
     def longest(self, tunings: Array, scheduler: CompiledScheduler | None) -> tuple[float, float]:
@@ -355,7 +361,7 @@ class Batch:
         segments = np.full((runs, math.ceil(n / segment) if segment else 0), np.nan)
         traces: list[tuple[NDArray[np.int64], Any]] = []
         waiting: queue.SimpleQueue[NDArray[np.int64]] = queue.SimpleQueue()
-        chunks = self.chunks(which)
+        chunks = self.chunks(which, threads)
         for chunk in chunks:
             waiting.put(chunk)
 

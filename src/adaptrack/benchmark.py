@@ -287,7 +287,8 @@ def bench_campaign(conditions: int = 48, threads: int | None = None) -> dict[str
 
     threads = threads or os.cpu_count() or 1
     car = load_vehicle("paper")
-    objective = Objective(DualTrack(car, "magic-formula"), published_mpc(car), failure=NEVER)
+    driven = DualTrack(car, "magic-formula")
+    objective = Objective(driven, published_mpc(car), failure=NEVER)
     campaign = load_campaign("paper-grid")
     library = campaign.library.rows(campaign.search)
     grid = paper_grid()
@@ -316,7 +317,7 @@ def bench_campaign(conditions: int = 48, threads: int | None = None) -> dict[str
     for tuning in few:
         objective.costs(sample[0], tuning[None])
     scalar = len(few) * 180 / (time.perf_counter() - begun)
-    plain = _plain_rate([(objective.plant, objective.scenario(sample[i]), few[i]) for i in range(6)])
+    plain = _plain_rate([(driven, objective.scenario(sample[i]), few[i]) for i in range(6)])
     return {
         "control_steps_per_s": (steps + rows * 180) / (swarm_time + landscape_time),
         "nominal_steps_per_s": nominal,
@@ -326,7 +327,7 @@ def bench_campaign(conditions: int = 48, threads: int | None = None) -> dict[str
         "ratio_to_python_daqp": nominal / plain,
         "ratio_to_scalar": nominal / scalar,
         "step_ns_per_core": 1e9 * threads * (swarm_time + landscape_time) / (steps + rows * 180),
-        "of_which_plant_ns": _plant_ns(objective.plant, sample),
+        "of_which_plant_ns": _plant_ns(driven, sample),
         "python_daqp_steps_per_s": plain,
         "scalar_steps_per_s": scalar,
         "conditions": conditions,

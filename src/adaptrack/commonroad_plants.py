@@ -13,6 +13,7 @@ import os
 import re
 from collections.abc import Callable, Mapping
 from functools import cache, lru_cache
+from importlib import metadata
 from typing import Any
 
 import numpy as np
@@ -30,8 +31,8 @@ Source = Any
 MODELS = ("single-track-drift", "multi-body")
 CARS = {1: "Ford Escort", 2: "BMW 320i", 3: "VW Vanagon"}
 """The vehicles that have the parameters of both models."""
-PACKAGE = "vehiclemodels"
-"""As Python imports it."""
+PACKAGE, DISTRIBUTION = "vehiclemodels", "commonroad-vehicle-models"
+"""Their package as Python imports it, and as it is installed."""
 PREFIX = "commonroad-"
 """Of the cars' names, before the number, and of the plants', before the model."""
 
@@ -173,6 +174,8 @@ def commonroad_plant(model: str, source: Source, air: Vehicle | None = None) -> 
         brake_limit=sheet.brake_limit,
         label=f"{PREFIX}{model}",
         tyres="CommonRoad",
+        costly=True,
+        version=metadata.version(DISTRIBUTION),
     )
     rough = _drift_rolling(car) if model == MODELS[0] else _body_rolling(car)
     return dataclasses.replace(plant, start=_Rolling(plant, rough))
@@ -247,7 +250,7 @@ def _package(module: str) -> Any:
         return importlib.import_module(f"{PACKAGE}.{module}")
     except ModuleNotFoundError:
         raise MissingExtra(
-            "CommonRoad's cars need commonroad-vehicle-models: python -m pip install 'adaptrack[plants]'"
+            f"CommonRoad's cars need {DISTRIBUTION}: python -m pip install 'adaptrack[plants]'"
         ) from None
 
 

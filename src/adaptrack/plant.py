@@ -6,8 +6,12 @@ are those of ISO 8855 (x forward, y left, yaw and steering positive to the left)
 
 from __future__ import annotations
 
+import hashlib
+import inspect
+import json
 import math
 import numbers
+import sys
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -18,7 +22,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from adaptrack.errors import ContractError, InvalidInput, real, whole
 from adaptrack.registry import Registry
-from adaptrack.vehicle import SteeringActuator, Tyre, Vehicle, load_tyre, pack_plant
+from adaptrack.vehicle import COMMONROAD, SteeringActuator, Tyre, Vehicle, load_tyre, pack_plant
 
 Array = NDArray[np.float64]
 
@@ -32,6 +36,10 @@ class Plant(ABC):
 
     Subclasses are the two built-in vehicles and `UserPlant`; `check_plant` tells whether one keeps the contract.
     """
+
+    costly = False
+    """Whether driving takes so long that searches and learning run on the car's twin (`twin_of`), and only what they
+    found is judged on the plant."""
 
     @property
     @abstractmethod
@@ -271,6 +279,10 @@ class UserPlant(Plant):
     steering: SteeringActuator | None = None
     label: str = "user"
     tyres: str = "own"
+    costly: bool = False
+    """as `Plant.costly`"""
+    version: str = ""
+    """of what else its motion depends on, such as a package: for the identity of what is tuned on it"""
 
     def __post_init__(self) -> None:
         from adaptrack.kernels.plants.user import compile_plant, layout_of
@@ -353,6 +365,8 @@ class SteppedPlant(ABC):
 
     steering: SteeringActuator | None = None
     """None for the profile's"""
+    costly = True
+    """as `Plant.costly`"""
     longest_step: float = 0.02
     """s, the loop never asks for a longer one"""
     mass: float = 1500.0
@@ -573,6 +587,37 @@ def _check_stepped(plant: SteppedPlant, speeds: Sequence[float], symmetric: bool
             _break(plant, "after reset() the same steps must give the same motion", here)
 
 
+def twin_of(car: Vehicle) -> DualTrack:
+    """A built-in plant with the numbers that a controller is told of a car; tyres of that stiffness, with its grip.
+
+    What searches and linear analysis use in place of a plant that is `costly` or has no linear model.
+    """
+    told = Tyre(
+        name="as told", kind="magic-formula", stiffness_front=car.stiffness_front, stiffness_rear=car.stiffness_rear,
+        nominal_load=max(car.static_loads),
+    )  # fmt: skip
+    return DualTrack(car, told)
+
+
+def fingerprint(plant: Plant | SteppedPlant) -> str:
+    """SHA-256 of what a plant's motion depends on, as far as this process can tell: results of another are not mixed.
+
+    Its numbers, and the source of the module that its right-hand side or its class is defined in. What a stepped plant
+    asks of another process, of a library or of its own state is not seen.
+    """
+    own = getattr(plant, "right_hand_side", type(plant))
+    module = sys.modules.get(own.__module__)
+    try:
+        source = inspect.getsource(module) if module is not None else ""
+    except (OSError, TypeError):  # typed in at a prompt
+        code = getattr(own, "__code__", None)
+        source = own.__qualname__ if code is None else repr((code.co_code, code.co_names))
+    numbers = plant.packed().tolist() if isinstance(plant, Plant) else []
+    more = [repr(getattr(plant, name, None)) for name in ("steps", "longest_step", "version", "steering")]
+    told = [plant.name, plant.tyre_name, plant.powertrain, numbers, more, source]
+    return hashlib.sha256(json.dumps(told).encode()).hexdigest()
+
+
 _registry: Registry[Plant | SteppedPlant] = Registry(
     "plant",
     "register_plant",
@@ -605,6 +650,11 @@ def get_plant(name: str, vehicle: Vehicle, tyre: Tyre | str | None = None) -> Pl
         When no plant has this name.
     """
     return _registry.make(name, vehicle, tyre)
+
+
+def usual_plant(vehicle: Vehicle) -> str:
+    """The name of what is driven where nobody names a plant: the drift model of CommonRoad's cars, else dual-track."""
+    return "commonroad-single-track-drift" if vehicle.name in COMMONROAD.names() else "dual-track"
 
 
 def list_plants() -> list[str]:

@@ -114,8 +114,7 @@ class RunSet:
         return self._batch(self.mpc)
 
     def _batch(self, controller: Controller) -> Batch:
-        if isinstance(self.plant, SteppedPlant):
-            raise InvalidInput("runs: segments of the cost need compiled runs, and this plant is stepped in Python.")
+        assert not isinstance(self.plant, SteppedPlant)
         return Batch(self.plant, controller, self.scenarios, self.profile, failure=self.failure, known_as=self.known_as)
 
     def _batch_of(self, controller: Controller) -> Batch:
@@ -164,6 +163,8 @@ class RunSet:
         """
         if (self.lengths != self.periods).any():
             raise InvalidInput("runs: segments of the cost need runs that last equally long.")
+        if not self._compiles(policy):
+            return np.array([self._simulated_segments(policy, k, i, seed) for k, i in enumerate(which.tolist())])
         return self._run(policy, seed, which, segmented=True).segments
 
     def counts(self, schedule: Schedule, seed: int) -> dict[str, NDArray[np.int64]]:
@@ -229,6 +230,16 @@ class RunSet:
         if run.failed is not None:
             return math.inf
         return float((run.error**2).mean() + self.weight * (run.command_change**2).mean())
+
+    def _simulated_segments(self, policy: Policy, k: int, i: int, seed: int) -> Array:
+        """(segments,) m^2 of one run, as `kernels.rollout` counts them."""
+        run = self._simulated(policy, k, i, seed)
+        each = run.error**2 + self.weight * run.command_change**2
+        found = np.add.reduceat(each, np.arange(0, self.periods, self.segment))
+        if run.failed is not None:
+            first = max(round(run.failed_at / run.period) - 1, 0) // self.segment
+            found[first], found[first + 1 :] = math.inf, math.nan
+        return found
 
     def _simulated(self, policy: Policy, k: int, i: int, seed: int) -> Trajectory:
         controller, known_as = self.controller_of(policy, k), self.known_as

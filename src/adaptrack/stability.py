@@ -7,17 +7,19 @@ reference, with or without preview, is not: it cannot make a linear loop unstabl
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from adaptrack.controllers import MPC, Tuning
+from adaptrack.domain import Domain
 from adaptrack.errors import InvalidInput
-from adaptrack.linearisation import MEASURED, Body, Laws, Sampled, Turn, bodies_of, laws, sampled, sensed
-from adaptrack.plant import Plant
+from adaptrack.linearisation import MEASURED, Body, Laws, Sampled, Turn, bodies_of, laws, linearised, sampled, sensed
+from adaptrack.plant import DualTrack, Plant, SingleTrack, SteppedPlant, twin_of
 from adaptrack.profile import Profile
-from adaptrack.vehicle import GRAVITY
+from adaptrack.vehicle import GRAVITY, Vehicle
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -210,6 +212,24 @@ def hard_turn(speed: float, friction: float) -> float:
     hardest of thirty 0.033 v up to 22 m/s.
     """
     return min(0.027 * speed, 0.75) * friction * GRAVITY
+
+
+def linear_twin(plant: Plant | SteppedPlant, car: Vehicle, domain: Domain) -> Plant:
+    """What stands for a plant in linear analysis: the plant itself, where it has a linear model in the domain.
+
+    Else the car's twin (`plant.twin_of`): of a plant that is stepped in Python, or whose derivatives jump. What the
+    twin leaves out is not in the analysis.
+    """
+    if isinstance(plant, SingleTrack | DualTrack):
+        return plant
+    if not isinstance(plant, SteppedPlant):
+        corners = [(speed, friction) for speed in domain.speed for friction in domain.friction]
+        with suppress(InvalidInput):
+            for speed, friction in corners:
+                linearised(plant, speed, friction)
+                linearised(plant, speed, friction, hard_turn(speed, friction))
+            return plant
+    return twin_of(car)
 
 
 _HORIZONS = ((6, 10, 14, 18, 22, 26, 30, 36, 42, 50, 60), (1, 2, 3, 5, 8, 13, 20))

@@ -19,6 +19,7 @@ from adaptrack.errors import ContractError, InvalidInput, UnknownName, did_you_m
 from adaptrack.files import Record, build, meanings, read_toml, write_toml
 from adaptrack.known_within import KnownWithin
 from adaptrack.outline import FRONT_SHARE, LENGTH_OVER_WHEELBASE, WIDER_THAN_TRACK, Outline
+from adaptrack.registry import Registry
 
 if TYPE_CHECKING:
     import numpy as np
@@ -464,21 +465,33 @@ def list_tyres() -> list[str]:
     return list_data("tyres")
 
 
+COMMONROAD: Registry[Vehicle] = Registry(
+    "vehicle", "load_vehicle",
+    {f"commonroad-{number}": "adaptrack.commonroad_plants:commonroad_vehicle" for number in (1, 2, 3)},
+)  # fmt: skip
+"""CommonRoad's cars by name, as `load_vehicle` knows them beside those that ship."""
+
+
 def load_vehicle(name_or_path: str | os.PathLike[str]) -> Vehicle:
     """The named vehicle, or the one that a TOML file describes (keys: the fields of `Vehicle`).
 
     Text is a path when it ends in ``.toml`` or holds a directory; without the key ``name``, the file's own name is
-    taken. A tyre file that the vehicle names is looked for beside the vehicle's file.
+    taken. A tyre file that the vehicle names is looked for beside the vehicle's file. ``commonroad-1`` to
+    ``commonroad-3`` are the data sheets of `commonroad_vehicle`, with the extra ``plants``.
 
     Raises
     ------
     UnknownName
         When no vehicle has this name.
+    MissingExtra
+        When a car of CommonRoad is asked for and commonroad-vehicle-models is not installed.
     StorageError
         When the file cannot be read.
     ConfigError
         When it is not TOML, or holds an unknown, missing or impossible value; all of them are in the message.
     """
+    if name_or_path in COMMONROAD.names():
+        return COMMONROAD.make(str(name_or_path), int(str(name_or_path)[-1]))
     path = find_data("vehicles", name_or_path)
     data = {"name": path.stem, **read_toml(path)}
     tyre = data.get("tyre")

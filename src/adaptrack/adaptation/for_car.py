@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import os
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from adaptrack.adaptation.config import around
 from adaptrack.controllers import Tuning
@@ -24,12 +24,14 @@ RATIOS = (0.03, 0.1, 0.3, 0.6, 1.0, 1.8, 3.0, 6.0, 10.0, 30.0)
 
 WORK: dict[str, dict[str, Any]] = {
     "full": {
+        "judged_costly": (100, 100),
         "points": 320, "swarm": (20, 15), "noise": [1, 2], "rounds": 8, "learned": (384, 192, 192), "rules": 20,
         "held_out": (128, 64), "round": (192, 96, 48), "search": (100, 128), "fallback": (16, 8),
         "neighbours": (12, 24), "judged": (500, 500), "known_as": ["exact", "estimated", "withheld"],
         "noises": 8, "epochs": (1000, 50),
     },
     "quick": {
+        "judged_costly": (24, 16),
         "points": 48, "swarm": (8, 5), "noise": [1], "rounds": 3, "learned": (48, 24, 24), "rules": 6,
         "held_out": (24, 12), "round": (32, 16, 8), "search": (20, 12), "fallback": (6, 3), "neighbours": (6, 10),
         "judged": (48, 40), "known_as": ["exact"], "noises": 2, "epochs": (200, 10),
@@ -38,7 +40,22 @@ WORK: dict[str, dict[str, Any]] = {
 """How much is done: operating points of the campaign, its swarms (particles, generations) and noise seeds; rounds of
 learning, lane changes, drives and hard drives to learn from, rules of a fuzzy system; points and drives held out; runs
 of a round; tunings and runs of the search for constants; hard drives and candidates of the fallback; neighbours of the
-look-up tables; operating points, drives and noise seeds of the evaluation; epochs of the paper's recipe."""
+look-up tables; operating points, drives (on a costly plant) and noise seeds of the evaluation; epochs of the paper's
+recipe."""
+
+
+class Driven(NamedTuple):
+    """What is driven, as a configuration names it."""
+
+    plant: str = "dual-track"
+    """registered name"""
+    plugin: tuple[str, ...] = ()
+    """modules that register it"""
+    costly: bool = False
+    """as `Plant.costly`"""
+
+
+USUAL = Driven()
 
 
 def hard_speeds(domain: Domain) -> tuple[float, float]:
@@ -49,22 +66,27 @@ def hard_speeds(domain: Domain) -> tuple[float, float]:
 
 def write_configuration(
     folder: Path, vehicle: str | os.PathLike[str], profile: str, domain: Domain, constant: Tuning, *,
-    quick: bool = False,
+    quick: bool = False, driven: Driven = USUAL,
 ) -> Path:  # fmt: skip
     """Write ``adaptation.toml`` and ``campaign.toml`` to a folder; the path of the first, for `load_adaptation`.
 
-    vehicle: name or file; domain: what is learned from is within it; constant: where searches and learning begin.
+    vehicle: name or file; domain: what is learned from is within it; constant: where searches and learning begin;
+    driven: the plant.
 
     Raises
     ------
     StorageError
         When a file cannot be written.
     """
-    work = WORK["quick" if quick else "full"]
+    work = dict(WORK["quick" if quick else "full"])
+    if driven.costly:
+        work["judged"] = work["judged_costly"]
     car, world = _where(vehicle), _where(profile)
     where = f"{_range(domain.speed)} m/s, friction {_range(domain.friction)}, wind up to {domain.wind:g} m/s"
     title = f"{Path(car).stem} in {Path(world).stem}, {where}"
-    write_toml(folder / "campaign.toml", _campaign(car, world, domain, constant, work, title))
+    campaign = _campaign(car, world, domain, constant, work, title)
+    named = {"plant": driven.plant, **({"plugin": list(driven.plugin)} if driven.plugin else {})}
+    write_toml(folder / "campaign.toml", named | campaign)
     file = folder / "adaptation.toml"
     write_toml(file, _adaptation(Path(car).stem, domain, constant, work, title))
     return file

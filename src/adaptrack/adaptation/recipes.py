@@ -237,8 +237,8 @@ def stability_map(setup: SetUp) -> StabilityMap:
     map has few nodes. With prompt samples, which is a little kinder than late ones are.
     """
     speed, friction, guard = setup.box["speed"], setup.box["friction"], setup.method.guard
-    prompt = load_profile(setup.profile).replace(pose_age=0.0, pose_age_spread=0.0, motion_age=0.0)
-    axes, values = loop_map(setup.plant, setup.mpc, prompt, speed=speed, friction=friction, turn=None)
+    prompt = load_profile(setup.profile).prompt
+    axes, values = loop_map(setup.linear, setup.mpc, prompt, speed=speed, friction=friction, turn=None)
     values[axes[0] < guard.slow] += guard.slow_margin
     return StabilityMap(Table(axes, values), 1.0 - guard.margin)
 

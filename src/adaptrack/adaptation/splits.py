@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import itertools
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,8 +16,9 @@ from adaptrack.adaptation.config import AdaptationConfig, Evaluation, campaign_o
 from adaptrack.adaptation.method import Method
 from adaptrack.controllers import MPC
 from adaptrack.errors import InvalidInput
-from adaptrack.plant import DualTrack, Plant, SingleTrack, SteppedPlant, get_plant
+from adaptrack.plant import DualTrack, Plant, SingleTrack, SteppedPlant
 from adaptrack.runs import RunSet, operating_point_runs, random_drive_runs
+from adaptrack.stability import linear_twin
 from adaptrack.tuning.config import Box, CampaignConfig, Plan, Sobol
 from adaptrack.tuning.evaluator import tuned_mpc
 from adaptrack.tuning.operating_points import sobol
@@ -35,12 +37,12 @@ class SetUp:
     campaign: CampaignConfig
     plan: Plan
     """of the campaign"""
-    plant: SingleTrack | DualTrack
-    """the campaign's: what is tuned and learned on, and what an estimator of friction and wind believes in"""
+    plant: Plant | SteppedPlant
+    """what is tuned and learned on: the campaign's, or the car's twin where that one is costly"""
     mpc: MPC
     """the campaign's controller, with the constant that the search begins with; the contenders choose its tuning"""
     driven: Plant | SteppedPlant
-    """what an evaluation drives, the same unless `driving` says otherwise"""
+    """what an evaluation drives: the campaign's, unless `driving` says otherwise"""
 
     @classmethod
     def of(cls, config: AdaptationConfig) -> SetUp:
@@ -57,10 +59,8 @@ class SetUp:
         _check_campaign(campaign)
         _check_drives(config)
         plan = Plan.of(campaign)
-        body = SingleTrack if campaign.plant == "single-track" else DualTrack
         mpc = tuned_mpc(plan.setup, config.method.constants.tuning)
-        plant = body(plan.setup.vehicle, plan.setup.tyre)
-        return cls(config, campaign, plan, plant, mpc, plant)
+        return cls(config, campaign, plan, plan.setup.searched_on, mpc, plan.setup.plant())
 
     def driving(self, name: str) -> SetUp:
         """The same with a registered plant to be judged on.
@@ -70,7 +70,24 @@ class SetUp:
         UnknownName
             When no plant has this name.
         """
-        return replace(self, driven=get_plant(name, self.plan.setup.vehicle, self.plan.setup.tyre))
+        return replace(self, driven=self.plan.setup.plant(name))
+
+    @property
+    def believed(self) -> SingleTrack | DualTrack:
+        """What an estimator of friction and wind believes in: the plant, or the car as a dual track."""
+        setup = self.plan.setup
+        return self.plant if isinstance(self.plant, SingleTrack | DualTrack) else DualTrack(setup.vehicle, setup.tyre)
+
+    @property
+    def linear(self) -> Plant:
+        """What stands for the plant in linear analysis, see `stability.linear_twin`."""
+        box, car = self.box, self.plan.setup.vehicle
+        return linear_twin(self.plant, car, car.domain.replace(speed=box["speed"], friction=box["friction"]))
+
+    @property
+    def roads(self) -> dict[str, Any]:
+        """The domain in which drives are drawn, whatever plant drives the car."""
+        return self.plan.setup.vehicle.domain.drive_options
 
     @property
     def method(self) -> Method:
@@ -174,8 +191,8 @@ def _drives(
 ) -> RunSet:
     runs = setup.method.runs
     return random_drive_runs(
-        setup.plant, setup.mpc, numbers, duration, setup.profile, roads=roads, segment_seconds=runs.segment,
-        stride=runs.drive_stride, failure=runs.failure,
+        setup.plant, setup.mpc, numbers, duration, setup.profile, roads=setup.roads | (roads or {}),
+        segment_seconds=runs.segment, stride=runs.drive_stride, failure=runs.failure,
     )  # fmt: skip
 
 

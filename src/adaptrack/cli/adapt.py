@@ -10,11 +10,14 @@ from typer import Argument, Option
 
 from adaptrack.cli import comparison, interrupt, options, show
 from adaptrack.cli.simulate import FAILED
-from adaptrack.errors import AdaptrackError, InvalidInput
+from adaptrack.errors import AdaptrackError, InvalidInput, StorageError
 
 if TYPE_CHECKING:
     from adaptrack.adaptation.config import AdaptationConfig
     from adaptrack.studies.tune_car import TunedCar
+
+CONFIGURATION, FOUND = "adaptation.toml", "found.toml"
+"""Files of a folder: the configuration, which is written last, and what was found of the constant."""
 
 
 def adapt(
@@ -35,6 +38,11 @@ def adapt(
     friction: Annotated[
         str | None, Option("--friction", metavar="LOW..HIGH", help="Of CAR: 0.4..1; by default its domain's.")
     ] = None,
+    plant: Annotated[
+        str | None,
+        Option("--plant", help="Of CAR, what is driven: dual-track [default], single-track, or a registered plant."),
+    ] = None,
+    plugin: options.Plugin = None,
     quick: Annotated[bool, Option("--quick", help="Of CAR: some minutes of work, for a first look.")] = False,
     workers: options.Workers = None,
     as_json: options.Json = False,
@@ -45,16 +53,23 @@ def adapt(
     search, unseen drives, certificate. The configuration that follows from it is kept in the folder.
 
     Failed runs are part of the result: they are counted for each contender, and the exit code is 0; it is 3 when CAR
-    leaves the road with its constant, or the certificate finds that loop unstable.
+    leaves the road with its constant, or the certificate finds that loop unstable; also when the chain is gone on with.
     """
     from adaptrack.studies.adapt import adapt as run
 
-    given = {"--speed": speed, "--friction": friction, "--quick": quick or None}
-    tuned = None
+    given = {
+        "--speed": speed, "--friction": friction, "--plant": plant, "--plugin": plugin, "--quick": quick or None,
+    }  # fmt: skip
+    passed = True
     if car:
         if config is not None or controller is not None:
             raise InvalidInput("adapt CAR: makes its own configuration: leave out --config and --controller.")
-        settings, tuned = _of_car(_one(car), profile or "road", (speed, friction), quick, out, as_json)
+        options.load_plugins(plugin)
+        asked = {
+            "car": _one(car), "profile": profile or "road", "quick": quick, "plant": plant, "plugin": plugin or None,
+            "speed": _pair("--speed", speed), "friction": _pair("--friction", friction),
+        }  # fmt: skip
+        settings, passed = _of_car(asked, out, as_json)
     else:
         told = [name for name, value in given.items() if value is not None]
         if told:
@@ -67,7 +82,7 @@ def adapt(
     page = comparison.write_page(out, made)
     show.say(f"Schedulers: {out / 'schedulers'}\nReport: {page}", aside=as_json)
     comparison.print_comparison(made, as_json)
-    if tuned is not None and not tuned.passed:
+    if not passed:
         raise typer.Exit(FAILED)
 
 
@@ -114,42 +129,66 @@ def _pair(option: str, text: str | None) -> tuple[float, float] | None:
     return low, high
 
 
-def _of_car(
-    name: str, profile: str, ranges: tuple[str | None, str | None], quick: bool, out: Path, aside: bool
-) -> tuple[AdaptationConfig, TunedCar | None]:
-    """The configuration of a car's adaptation: that in the folder, or a new one with what its constant needs first."""
+def _of_car(asked: dict[str, Any], out: Path, aside: bool) -> tuple[AdaptationConfig, bool]:
+    """The configuration of a car's adaptation, and whether its constant has passed: from the folder, or made first."""
     from adaptrack.adaptation.config import load_adaptation
-    from adaptrack.adaptation.for_car import write_configuration
-    from adaptrack.studies.tune_car import tune
-    from adaptrack.tuning.constant_file import ConstantTuning
-    from adaptrack.vehicle import load_vehicle
 
     options.make_folder(out)
-    vehicle = load_vehicle(name)
-    told: dict[str, Any] = {"speed": _pair("--speed", ranges[0]), "friction": _pair("--friction", ranges[1])}
-    asked = {"car": name, "profile": profile, "quick": quick, **told}
-    if (out / "adaptation.toml").exists():
+    if (out / CONFIGURATION).exists():
         _check_same(out, asked)
-        show.say(f"adaptrack: goes on with {out / 'adaptation.toml'}", aside=True)
-        return load_adaptation(out / "adaptation.toml"), None
+        show.say(f"adaptrack: goes on with {out / CONFIGURATION}", aside=True)
+        kept = _kept(out)
+        show.say(f"{kept['vehicle']}: {kept['verdict']}\n", aside=aside)
+        return load_adaptation(out / CONFIGURATION), bool(kept["passed"])
+    tuned = _tuned(asked)
+    show.say(f"{asked['car']}: {tuned.verdict}\n", aside=aside)
+    return load_adaptation(_write(asked, tuned, out)), tuned.passed
+
+
+def _tuned(asked: dict[str, Any]) -> TunedCar:
+    """The constant of a car."""
+    from adaptrack.studies.tune_car import tune
+
+    told = {key: asked[key] for key in ("plant", "speed", "friction")}
     with show.progress("tune") as advance:
-        tuned = tune(vehicle, profile, **told, progress=advance)
-    show.say(f"{vehicle.name}: {tuned.verdict}\n", aside=aside)
-    own = out / f"{vehicle.name}.toml"
-    vehicle.replace(domain=tuned.domain).to_toml(own)
+        return tune(asked["car"], asked["profile"], **told, progress=advance)
+
+
+def _write(asked: dict[str, Any], tuned: TunedCar, out: Path) -> Path:
+    """What was asked and found, and the configuration that follows from it, whose path is returned."""
+    from adaptrack.adaptation.for_car import Driven, write_configuration
+    from adaptrack.files import write_toml
+    from adaptrack.plant import usual_plant
+    from adaptrack.tuning.constant_file import ConstantTuning
+
+    vehicle = tuned.controller.model.vehicle.replace(domain=tuned.domain)  # type: ignore[attr-defined]
+    own, found = out / f"{vehicle.name}.toml", tuned.summary()
+    vehicle.to_toml(own)
     ConstantTuning(
         controller="informed", vehicle=vehicle.name, profile=tuned.profile.name, period=tuned.profile.period,
-        command=options.command_line(), tuning=tuned.summary()["tuning"],
+        command=options.command_line(), tuning=found["tuning"],
     ).to_toml(out / "constant.toml")  # fmt: skip
-    _note(out, asked)
-    file = write_configuration(out, own, profile, tuned.domain, tuned.tuning, quick=quick)
-    return load_adaptation(file), tuned
-
-
-def _note(out: Path, asked: dict[str, Any]) -> None:
-    from adaptrack.files import write_toml
-
     write_toml(out / "asked.toml", _plain(asked))
+    write_toml(out / FOUND, {"vehicle": vehicle.name, **{key: found[key] for key in ("passed", "verdict")}})
+    driven = Driven(asked["plant"] or usual_plant(vehicle), tuple(asked["plugin"] or ()), tuned.costly)
+    constant, quick = tuned.tuning, asked["quick"]
+    return write_configuration(out, own, asked["profile"], tuned.domain, constant, quick=quick, driven=driven)
+
+
+def _kept(out: Path) -> dict[str, Any]:
+    """What was found of the constant before.
+
+    Raises
+    ------
+    StorageError
+        When the file is gone, or says something else.
+    """
+    from adaptrack.files import read_toml
+
+    found = read_toml(out / FOUND)
+    if not (isinstance(found.get("passed"), bool) and {"vehicle", "verdict"} <= set(found)):
+        raise StorageError(f"{out / FOUND}: does not say whether the constant passed: give another folder.")
+    return found
 
 
 def _plain(asked: dict[str, Any]) -> dict[str, Any]:

@@ -82,7 +82,11 @@ def drive(
     seed: Annotated[int, Option("--seed", help="Of the sensor noise.")] = 0,
     out: Annotated[Path | None, Option(help="Folder for the page with the replay, and the trajectories.")] = None,
     allow_failed: Annotated[
-        bool, Option("--allow-failed", help=f"Exit code 0, not {FAILED}, after a failure.")
+        bool,
+        Option(
+            "--allow-failed",
+            help=f"Exit code 0, not {FAILED}, after a failure; drives a --tuning that is unstable on this car.",
+        ),
     ] = False,
     plugin: options.Plugin = None,
     as_json: options.Json = False,
@@ -107,7 +111,9 @@ def drive(
                 learning=asked_learning(learn, learned))  # fmt: skip
     usual = [] if tuning else [who.usual]
     controllers = [make_controller(name, who) for name in dict.fromkeys(controller or usual)]
-    controllers += [tuned(file, who, as_json) for file in dict.fromkeys(tuning or [])]
+    for found in dict.fromkeys(tuning or []):
+        controllers.append(tuned(found, who, as_json))
+        _certify_elsewhere(found, controllers[-1][1], who, body, (allow_failed, as_json))
     if out is not None:
         options.make_folder(out)
     seen.warn(as_json)
@@ -143,6 +149,18 @@ def tuned(file: Path, who: Asked, aside: bool) -> tuple[str, Controller]:
     for clause in kept.mismatches(who.car.name, who.profile.name, who.period):
         show.say(f"Warning, {file}: {clause}.", aside=aside)
     return kept.label(file), kept.make(who.car, who.profile, who.period, who.preview)
+
+
+def _certify_elsewhere(file: Path, controller: Controller, who: Asked, body: Any, said: tuple[bool, bool]) -> None:
+    """The certificate of an MPC's constant that was found for another car; said: allowed, aside, see `new_car`."""
+    from adaptrack.cli.new_car import judge
+    from adaptrack.controllers import MPC
+    from adaptrack.tuning.constant_file import load_tuning
+
+    made_for = load_tuning(file).vehicle
+    if made_for != who.car.name and isinstance(controller, MPC):
+        clause = f"{file}, found for the car {made_for!r}, on {who.car.name!r}"
+        judge(clause, controller.tuning, (controller, body, who.car, who.profile), *said)
 
 
 def _keep(run: Trajectory, file: Path) -> None:

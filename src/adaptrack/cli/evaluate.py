@@ -121,7 +121,7 @@ def evaluate(
     count = 0 if operating_points is None else _sample_size(operating_points)
     ways = tuple(dict.fromkeys(["exact", *(known_as or [])]))
     for way in ways:
-        perception(way, setup.plant, setup.profile)  # an unknown one is refused before any work
+        perception(way, setup.believed, setup.profile)  # an unknown one is refused before any work
     for name in more:
         check_contender(name)
     if out is not None:

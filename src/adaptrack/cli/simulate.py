@@ -92,16 +92,22 @@ def simulate(
     ] = None,
     out: Annotated[Path | None, Option(help="Folder for the report and the trajectories.")] = None,
     allow_failed: Annotated[
-        bool, Option("--allow-failed", help=f"Exit code 0, not {FAILED}, when a run failed.")
+        bool,
+        Option(
+            "--allow-failed",
+            help=f"Exit code 0, not {FAILED}, when a run failed; drives a scheduler that is unstable on this car.",
+        ),
     ] = False,
     plugin: options.Plugin = None,
     as_json: options.Json = False,
 ) -> None:
     """Drive scenarios with a controller; print the metrics, write the report.
 
-    A run that leaves the road, spins or is not finite is printed as FAILED; the exit code is then 3.
+    A run that leaves the road, spins or is not finite is printed as FAILED; the exit code is then 3. A scheduler that
+    was made for another car is certified on this one first, and refused where that loop is unstable.
     """
-    from adaptrack.controllers import Moves
+    from adaptrack.cli.new_car import certify_meeting
+    from adaptrack.controllers import MPC, Moves
     from adaptrack.profile import load_profile
     from adaptrack.scenario import load_scenario
     from adaptrack.scheduling import load_scheduler
@@ -125,6 +131,9 @@ def simulate(
     controllers = [make_controller(name, asked) for name in dict.fromkeys(controller or [asked.usual])]
     for scenario in loaded:
         tell_domain(scenario, car, as_json)
+    for label, each in controllers:
+        if isinstance(each, MPC):
+            certify_meeting(label, each, body, car, world, allow_failed, as_json)
     if out is not None:
         options.make_folder(out)
     runs = _drive(loaded, controllers, body, world, driver, seed, out)

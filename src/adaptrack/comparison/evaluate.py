@@ -44,14 +44,14 @@ def on_operating_points(
     """On `count` unseen operating points, for each way of knowing friction and wind (see `runs.perception`).
 
     Sobol points of the campaign's box; every cost is the mean over noise seeds that nothing was tuned on; regret is to
-    the optimum of each point, or to the best constant where the plant is stepped in Python: to search there would take
-    days.
+    the optimum of each point, or to the best constant where the plant is costly (`Plant.costly`): to search there would
+    take long.
     """
     points = evaluation_points(setup, count, seed)
-    ways = {name: perception(name, setup.plant, setup.profile) for name in known_as}
+    ways = {name: perception(name, setup.believed, setup.profile) for name in known_as}
     beside = published_beside(setup)
     best, reference = None, "optimum"
-    if isinstance(setup.driven, SteppedPlant):
+    if setup.driven.costly or isinstance(setup.driven, SteppedPlant):
         reference = _needs_a_constant(setup, schedules)
     else:
         search = SwarmSearch(setup.campaign.search.space(), setup.campaign.swarm, seed)
@@ -80,7 +80,7 @@ def on_drives(
 
     Where none was sought, it is to the constant that the controller has by itself.
     """
-    ways = {name: perception(name, setup.plant, setup.profile) for name in known_as}
+    ways = {name: perception(name, setup.believed, setup.profile) for name in known_as}
     reference = _needs_a_constant(setup, schedules)
     numbers, noise = evaluation_drives(setup.evaluation, count, seed), setup.evaluation.noise_seeds[:1]
     found = {}
@@ -114,8 +114,8 @@ def drive_runs(setup: SetUp, numbers: range, known: KnownAs = None) -> RunSet:
     """Random drives as an evaluation drives them."""
     runs = setup.method.runs
     return random_drive_runs(
-        setup.driven, setup.mpc, numbers, setup.evaluation.duration, setup.profile, segment_seconds=runs.segment,
-        known_as=known, failure=runs.failure,
+        setup.driven, setup.mpc, numbers, setup.evaluation.duration, setup.profile, roads=setup.roads,
+        segment_seconds=runs.segment, known_as=known, failure=runs.failure,
     )  # fmt: skip
 
 

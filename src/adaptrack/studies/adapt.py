@@ -15,6 +15,7 @@ from adaptrack.adaptation.splits import SetUp, evaluation_points
 from adaptrack.comparison.compare import Comparison
 from adaptrack.comparison.evaluate import on_drives, on_operating_points, on_tests
 from adaptrack.dataset import DataSet, load_dataset
+from adaptrack.plant import DualTrack, SingleTrack, fingerprint
 from adaptrack.scheduling import Schedule, list_schedulers, load_scheduler, made_for
 from adaptrack.studies.pipeline import JSONFile, Keeper, Progress, SchedulerFile, Stage, identity_of, run, software
 from adaptrack.tuning.campaign import Progress as CampaignProgress
@@ -121,7 +122,8 @@ def learning_stages(
         return recipes[0].all()[name](made)
 
     purpose = made_for(setup.mpc, setup.profile)
-    purpose |= {"plant": setup.campaign.plant, "tyre": setup.plan.setup.tyre.name}
+    twin = "" if setup.plant is setup.plan.setup.plant() else ", learned on its twin"
+    purpose |= {"plant": f"{setup.campaign.plant}{twin}", "tyre": setup.plant.tyre_name}
     record = {"settings": setup.config.settings, "campaign": setup.plan.identity, "software": software()}
     return [
         Stage(CAMPAIGN, setup.plan.identity, keeper.make, keeper),
@@ -154,6 +156,8 @@ def evaluation_stages(
         "tests": lambda made: on_tests(setup, schedules(made)),
     }
     settings = [asked.model_dump(mode="json"), [stage.identity for stage in learning]]
+    if not isinstance(setup.driven, SingleTrack | DualTrack):
+        settings.append(fingerprint(setup.driven))
     return [
         Stage(
             name, identity_of(name, settings), makers[name],

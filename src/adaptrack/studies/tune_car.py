@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
@@ -17,17 +18,20 @@ from adaptrack.controllers import ENTRIES, MPC, Tuning
 from adaptrack.controllers.belief import Uncertainty
 from adaptrack.domain import Domain
 from adaptrack.errors import InvalidInput, whole
+from adaptrack.failure import Failure
 from adaptrack.feasibility import Feasibility, feasibility
 from adaptrack.kalman import KalmanFilter
-from adaptrack.plant import DualTrack, Plant, SteppedPlant
+from adaptrack.plant import Plant, SteppedPlant, get_plant, twin_of, usual_plant
 from adaptrack.profile import Profile, load_profile
 from adaptrack.runs import RunSet, random_drive_runs
+from adaptrack.stability import linear_twin
 from adaptrack.tuning.config import Search
 from adaptrack.tuning.pso import Swarm, SwarmSettings
-from adaptrack.vehicle import Vehicle
+from adaptrack.vehicle import Vehicle, load_vehicle
 
 Array = NDArray[np.float64]
 Progress = Callable[[str, int, int], None]
+_log = logging.getLogger("adaptrack")
 
 FIRST_SOUGHT, FIRST_JUDGED = 13_000_000, 13_500_000
 """Numbers of the first random drive of the search and of the judgement: nothing else has them."""
@@ -80,7 +84,11 @@ class TunedCar:
     gain: Ratio
     """J sought over J default, drive by drive, failed ones counting the square of the failure distance"""
     certificate: Certificate
-    """of the tuning that is kept, over the domain"""
+    """of the tuning that is kept, over the domain; of a plant without a linear model, see `stability.linear_twin`"""
+    plant: str
+    """what was driven"""
+    costly: bool
+    """whether only the unseen drives were on the plant, see `Plant.costly`"""
     seconds: float
 
     @property
@@ -108,7 +116,17 @@ class TunedCar:
         first = "" if self.feasibility.passed else f"{self.feasibility.verdict} What follows is for {self.held}. "
         return (
             f"{first}{entries}: {kept} ({told}). {self.failed or 'None'} of {drives} unseen drives failed; "
-            f"{self.certificate.verdict}"
+            f"{self.certificate.verdict}{self._stand_in}"
+        )
+
+    @property
+    def _stand_in(self) -> str:
+        """Whose certificate it is, where the plant has none of its own."""
+        if self.certificate.plant == self.plant:
+            return ""
+        return (
+            f" The plant {self.plant!r} has no linear model: the certificate is of a {self.certificate.plant} car with "
+            "the numbers that the controller is told; the drives are of the plant."
         )
 
     @property
@@ -124,6 +142,7 @@ class TunedCar:
             "verdict": self.verdict,
             "passed": self.passed,
             "profile": self.profile.name,
+            "plant": self.plant,
             "domain": self.domain.model_dump(mode="json"),
             "tuning": _entries(self.tuning),
             "default": _entries(self.default),
@@ -144,7 +163,7 @@ def _entries(tuning: Tuning) -> dict[str, float]:
 
 
 def tune(
-    car: Vehicle, profile: str | Profile = "road", *, plant: Plant | None = None,
+    car: Vehicle | str, profile: str | Profile = "road", *, plant: Plant | SteppedPlant | str | None = None,
     speed: tuple[float, float] | None = None, friction: tuple[float, float] | None = None,
     uncertainty: Uncertainty | None = None, estimator: KalmanFilter | None = None, effort: TuningEffort | None = None,
     seed: int = 0, progress: Progress | None = None,
@@ -158,11 +177,13 @@ def tune(
     Parameters
     ----------
     car
-        What the controller is told; its domain says where it is driven.
+        What the controller is told, or its name or file for `load_vehicle`; its domain says where it is driven.
     profile
         The world: steering actuator, sensors, period.
     plant
-        What is driven, compiled; by default the car as a dual track.
+        What is driven, or its registered name; by default `usual_plant`: the car as a dual track, for CommonRoad's cars
+        the drift model. Where it is `costly` (`Plant.costly`) the search is on the car's twin, the unseen drives are on
+        the plant. One that is stepped in Python is driven run by run: how long that takes is logged first.
     speed, friction
         Lowest and highest, m/s and without a unit: instead of the domain's.
     uncertainty, estimator
@@ -175,58 +196,101 @@ def tune(
     Raises
     ------
     InvalidInput
-        When no tuning holds the loop anywhere in the domain, the plant is stepped in Python, or a range makes no sense.
+        When no tuning holds the loop anywhere in the domain, or a range makes no sense.
+    UnknownName
+        When no car or plant has this name.
     """
     began, show, asked = time.perf_counter(), progress or (lambda what, done, of: None), effort or TuningEffort()
     seed = whole("tune", "seed", seed, least=0)
-    driven = DualTrack(car) if plant is None else plant
-    if isinstance(driven, SteppedPlant):
-        raise InvalidInput("tune: needs thousands of runs, and this plant is stepped in Python: tune a compiled twin.")
+    car, driven = _car_and_plant(car, plant)
     world = load_profile(profile)
     mpc = MPC(car, profile=world, uncertainty=uncertainty, estimator=estimator)
     told = {name: each for name, each in (("speed", speed), ("friction", friction)) if each is not None}
     wanted = Domain(**{**car.domain.model_dump(), **told})
     show("which speeds can be held", 0, 1)
-    prompt = world.replace(pose_age=0.0, pose_age_spread=0.0, motion_age=0.0)
-    able = feasibility(driven, mpc, prompt, speed=wanted.speed, friction=wanted.friction, turn=None)
+    linear = linear_twin(driven, car, wanted)
+    able = feasibility(linear, mpc, world.prompt, speed=wanted.speed, friction=wanted.friction, turn=None)
     if able.constant is None:
         raise InvalidInput(f"tune: {able.verdict}")
     domain = wanted.replace(**able.constant[1]._asdict()) if able.constant[1] != able.whole else wanted
     default = mpc.tuning
-    runs = _search_runs(driven, mpc, world, domain, asked, seed)
+    bench = _Bench(driven, mpc, world, domain)
+    runs = _search_runs(bench.on_twin(), asked, seed)
+    bench.tell_time(asked)
     found = _sought(runs, [default, able.constant[0]], asked.swarm, seed, show)
     show("unseen drives", 0, 1)
     numbers = range(FIRST_JUDGED + 1000 * seed, FIRST_JUDGED + 1000 * seed + asked.judged)
-    unseen = _drives(driven, mpc, world, numbers, 60.0, domain.drive_options)
-    costs = {
-        name: unseen.drive(tuning, [NOISE_JUDGED])[:, 0] for name, tuning in (("default", default), ("sought", found))
-    }
+    unseen = bench.drives(numbers, 60.0)
+    costs = {"default": unseen.drive(default, [NOISE_JUDGED])[:, 0]}
+    costs["sought"] = costs["default"] if found == default else unseen.drive(found, [NOISE_JUDGED])[:, 0]
     known = {name: np.minimum(each, unseen.failed_cost) for name, each in costs.items()}
     gain = ratio(known["sought"], known["default"], np.random.default_rng((seed, 0x7C)))
     lost = {name: int(np.isinf(each).sum()) for name, each in costs.items()}
     kept = found if gain.high < 1.0 and lost["sought"] <= lost["default"] else default
     certificate = certify(
-        kept, driven, mpc, prompt, domain={"speed": domain.speed, "friction": domain.friction}, levels=asked.levels,
-        progress=show,
+        kept, linear, mpc, world.prompt, domain={"speed": domain.speed, "friction": domain.friction},
+        levels=asked.levels, progress=show,
     )  # fmt: skip
     controller = MPC(car, profile=world, uncertainty=uncertainty, estimator=estimator, tuning=kept)
     seconds = time.perf_counter() - began
-    return TunedCar(controller, world, domain, able, default, found, costs, gain, certificate, seconds)
+    return TunedCar(
+        controller, world, domain, able, default, found, costs, gain, certificate, driven.name, driven.costly, seconds
+    )
 
 
-def _drives(plant: Plant, mpc: MPC, world: Profile, numbers: range, seconds: float, roads: dict[str, Any]) -> RunSet:
-    return random_drive_runs(plant, mpc, numbers, seconds, world, roads=roads)
+def _car_and_plant(
+    car: Vehicle | str, plant: Plant | SteppedPlant | str | None
+) -> tuple[Vehicle, Plant | SteppedPlant]:
+    """The car that the controller is told of, and what is driven."""
+    told = car if isinstance(car, Vehicle) else load_vehicle(car)
+    asked = usual_plant(told) if plant is None else plant
+    return told, get_plant(asked, told) if isinstance(asked, str) else asked
 
 
-def _search_runs(
-    plant: Plant, mpc: MPC, world: Profile, domain: Domain, asked: TuningEffort, seed: int
-) -> list[RunSet]:
+@dataclass(frozen=True, eq=False)
+class _Bench:
+    """What is driven, by which controller, in which world and domain."""
+
+    plant: Plant | SteppedPlant
+    mpc: MPC
+    world: Profile
+    domain: Domain
+
+    def drives(self, numbers: range, seconds: float, **roads: Any) -> RunSet:
+        """Random drives in the domain, of so many seconds; roads: other options of `random_drive`."""
+        failure = Failure(distance=self.domain.failure_distance)
+        return random_drive_runs(
+            self.plant, self.mpc, numbers, seconds, self.world, roads=self.domain.drive_options | roads, failure=failure
+        )
+
+    def on_twin(self) -> _Bench:
+        """The same for a search: with the car's twin where the plant is costly."""
+        car = self.mpc.model.vehicle  # type: ignore[attr-defined]
+        return replace(self, plant=twin_of(car)) if self.plant.costly else self
+
+    def tell_time(self, asked: TuningEffort) -> None:
+        """Log how long the drives of a stepped plant will take, from a short one."""
+        if not isinstance(self.plant, SteppedPlant):
+            return
+        seconds = min(5.0, asked.seconds)
+        runs, began = self.drives(range(FIRST_SOUGHT, FIRST_SOUGHT + 1), seconds), time.perf_counter()
+        runs.drive(self.mpc.tuning, [NOISE_SOUGHT])
+        pace = (time.perf_counter() - began) / seconds
+        tunings = 0 if self.plant.costly else asked.swarm.particles * asked.swarm.generations + 2
+        simulated = tunings * (asked.drives + asked.hard_drives) * asked.seconds + 2 * asked.judged * 60.0
+        _log.warning(
+            "adaptrack: plant %r is stepped in Python: %.3g h of driving one after the other, about %.2g min.",
+            self.plant.name, simulated / 3600.0, simulated * pace / 60.0,
+        )  # fmt: skip
+
+
+def _search_runs(bench: _Bench, asked: TuningEffort, seed: int) -> list[RunSet]:
     """Mixed drives and hard ones."""
     first = FIRST_SOUGHT + 1000 * seed
-    hard = {**domain.drive_options, "speed": hard_speeds(domain), "demand": HARD_DEMAND}
+    hard = range(first + 500, first + 500 + asked.hard_drives)
     return [
-        _drives(plant, mpc, world, range(first, first + asked.drives), asked.seconds, domain.drive_options),
-        _drives(plant, mpc, world, range(first + 500, first + 500 + asked.hard_drives), asked.seconds, hard),
+        bench.drives(range(first, first + asked.drives), asked.seconds),
+        bench.drives(hard, asked.seconds, speed=hard_speeds(bench.domain), demand=HARD_DEMAND),
     ]
 
 

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import hashlib
+import importlib
 import json
 import math
 import os
-from collections.abc import Mapping
+import socket
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
@@ -23,6 +25,7 @@ from adaptrack.errors import AdaptrackError, UnknownName, did_you_mean
 from adaptrack.failure import DISTANCE, SIDESLIP, Failure
 from adaptrack.files import Record, build, read_toml
 from adaptrack.limits import LANDSCAPE, NOISE_SEEDS, check_limit
+from adaptrack.plant import DualTrack, Plant, SingleTrack, SteppedPlant, fingerprint, get_plant, twin_of
 from adaptrack.profile import list_profiles, load_profile
 from adaptrack.tuning.operating_points import Fold, check_box, fold, grid, paper_grid, sobol, unit_sobol
 from adaptrack.tuning.pso import SearchSpace, SwarmSettings
@@ -225,7 +228,12 @@ class CampaignConfig(Record):
     )
     description: str = Field(default="", description="one sentence for lists")
     vehicle: str = Field(default="paper", description="name, or .toml file beside this one")
-    plant: Literal["single-track", "dual-track"] = Field(default="dual-track", description="what is driven")
+    plant: str = Field(
+        default="dual-track", min_length=1, description="what is driven: single-track, dual-track, or a registered one"
+    )
+    plugin: Annotated[tuple[str, ...], BeforeValidator(_tuples)] = Field(
+        default=(), description="Python modules that are imported first, here and by workers: they register plants"
+    )
     tyre: str | None = Field(default=None, description="name, or .toml file beside this one; by default the vehicle's")
     profile: str = Field(
         description="name, or .toml file beside this one; paper: ideal; road, production: steering lag, noise, delay"
@@ -366,6 +374,55 @@ class Setup:
     vehicle: Vehicle
     tyre: Tyre
 
+    def plant(self, name: str | None = None) -> Plant | SteppedPlant:
+        """A plant of the car, by default the campaign's, on the campaign's tyre where it names one; made once.
+
+        Raises
+        ------
+        UnknownName
+            When no plant has this name in this process, or there is no such module.
+        """
+        return _plant(self, self.config.plant if name is None else name)
+
+    @property
+    def searched_on(self) -> Plant | SteppedPlant:
+        """What is tuned and learned on: the campaign's plant, or the car's twin where that one is costly."""
+        driven = self.plant()
+        return twin_of(self.vehicle) if driven.costly else driven
+
+
+@lru_cache(maxsize=8)
+def _plant(setup: Setup, name: str) -> Plant | SteppedPlant:
+    """`Setup.plant`; one that runs in another process is not started for every use of it."""
+    _import(setup.config.plugin)
+    try:
+        return get_plant(name, setup.vehicle, setup.tyre if setup.config.tyre is not None else None)
+    except UnknownName as error:
+        raise UnknownName(
+            f"{error} A plant of one's own is registered by a Python module that every worker can import: name it in "
+            "the campaign's key plugin (adapt CAR: --plugin MODULE)."
+        ) from None
+
+
+def _import(modules: Sequence[str]) -> None:
+    """Import the modules that register plants.
+
+    Raises
+    ------
+    UnknownName
+        When there is no such module.
+    """
+    for name in modules:
+        try:
+            importlib.import_module(name)
+        except ModuleNotFoundError as error:
+            if not f"{name}.".startswith(f"{error.name}."):
+                raise  # one that it imports itself
+            raise UnknownName(
+                f"plugin {name!r}: there is no such module in the Python path of {socket.gethostname()}: install it "
+                "there, or add its folder to PYTHONPATH."
+            ) from None
+
 
 @dataclass(frozen=True, eq=False)
 class Plan:
@@ -374,8 +431,8 @@ class Plan:
     Raises
     ------
     InvalidInput
-        When a vehicle or tyre does not exist or cannot be read, as `load_vehicle` and `load_tyre` say, or the landscape
-        is larger than `limits.LANDSCAPE`.
+        When a vehicle or tyre does not exist or cannot be read, as `load_vehicle` and `load_tyre` say, the plant is not
+        known or none of this car, or the landscape is larger than `limits.LANDSCAPE`.
     """
 
     setup: Setup
@@ -396,7 +453,9 @@ class Plan:
         check_limit("landscape", len(rows) * len(library), LANDSCAPE)
         numbers = np.arange(len(rows))
         twins = fold(rows) if config.mirror else Fold(numbers, numbers, np.ones_like(numbers))
-        return cls(Setup(config, vehicle, tyre), rows, twins, library)
+        setup = Setup(config, vehicle, tyre)
+        setup.plant()  # one that is not known, or none of this car, is refused before any work
+        return cls(setup, rows, twins, library)
 
     @property
     def config(self) -> CampaignConfig:
@@ -409,7 +468,10 @@ class Plan:
 
         All that the data depend on, and nothing else: no chunk size, no description, no path.
         """
-        values = self.config.model_dump(mode="json", exclude={"description", "chunk"})
+        values = self.config.model_dump(mode="json", exclude={"description", "chunk", "plugin"})
+        driven = self.setup.searched_on
+        if not isinstance(driven, SingleTrack | DualTrack):
+            values["plant_fingerprint"] = fingerprint(driven)
         unused = {"description", "tyre", "body", "domain", "estimated"}
         if self.config.controller == "as-written":
             unused |= {"steering", "known_within"}

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adaptrack.controllers import MPC, Tuning, published_mpc
-from adaptrack.plant import DualTrack, SingleTrack
+from adaptrack.plant import DualTrack, SingleTrack, fingerprint
 from adaptrack.profile import load_profile
 from adaptrack.tuning.config import Setup
 from adaptrack.tuning.objective import Objective
@@ -71,15 +71,14 @@ class Evaluator(Protocol):
 
 
 class ClosedLoop:
-    """The compiled closed loop of a setup: its car, its profile, the MPC with free moves, see `Objective`."""
+    """The closed loop of a setup: plant or its twin, profile, the MPC with free moves, see `Objective`."""
 
     def __init__(self, setup: Setup) -> None:
         config = setup.config
         profile = load_profile(config.profile)
-        plant = {"single-track": SingleTrack, "dual-track": DualTrack}[config.plant]
         self._swarm, self._space = config.swarm, config.search.space()
         self.objective = Objective(
-            plant=plant(setup.vehicle, setup.tyre),
+            plant=setup.searched_on,
             mpc=tuned_mpc(
                 setup,
                 longest_horizon=max(60, config.search.Np[1]),
@@ -97,7 +96,10 @@ class ClosedLoop:
         """The kernels' own hash, and the libraries that have a say in the numbers."""
         from adaptrack.kernels import abi, tune
 
+        plant = self.objective.plant
+        own = {} if isinstance(plant, SingleTrack | DualTrack) else {"plant": fingerprint(plant)}
         return {
+            **own,
             "kernels": abi.source_hash(Path(tune.__file__)) + (" (interpreted)" if abi.INTERPRETED else ""),
             "numba": version("numba"),
             "numpy": version("numpy"),

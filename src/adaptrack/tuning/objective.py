@@ -6,6 +6,7 @@ and stream, never shared, so a result depends on its own arguments only.
 
 from __future__ import annotations
 
+import threading
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -16,10 +17,11 @@ from adaptrack.batch import Batch
 from adaptrack.controllers import MPC
 from adaptrack.errors import InvalidInput
 from adaptrack.failure import Failure
-from adaptrack.plant import Plant
+from adaptrack.plant import Plant, SteppedPlant
 from adaptrack.profile import Profile, load_profile
+from adaptrack.runs import RunSet
 from adaptrack.scenario import Scenario, load_scenario
-from adaptrack.tuning.pso import SearchSpace, SwarmSettings
+from adaptrack.tuning.pso import SearchSpace, Swarm, SwarmSettings
 
 Array = NDArray[np.float64]
 
@@ -43,7 +45,8 @@ class Tuned:
 class Objective:
     """J = mean e^2 + move_weight * mean (change of command)^2 of a run on an operating point.
 
-    plant, mpc: what is driven, by which controller (its tuning is ignored); test: `step` (the paper: constant y_ref
+    plant, mpc: what is driven, by which controller (its tuning is ignored); a plant that is stepped in Python is driven
+    run by run, one thread at a time; test: `step` (the paper: constant y_ref
     from y = 0) or `lane-change` (smooth, with one gust of the operating point's wind); profile: with its noise, J is
     the mean over `noise_seeds`; move_weight: m^2/rad^2, None for the profile's; duration: s, None for 18 (step) or 8.
 
@@ -53,7 +56,7 @@ class Objective:
         For an unknown test or profile, no noise seed, or an MPC that does not run compiled.
     """
 
-    plant: Plant
+    plant: Plant | SteppedPlant
     mpc: MPC
     test: Literal["step", "lane-change"] = "step"
     profile: str | Profile = "paper"
@@ -69,6 +72,7 @@ class Objective:
         if not self.noise_seeds:
             raise InvalidInput("noise_seeds: give at least one.")
         object.__setattr__(self, "profile", load_profile(self.profile))
+        object.__setattr__(self, "_alone", threading.Lock())
 
     @property
     def weight(self) -> float:
@@ -92,6 +96,8 @@ class Objective:
         from adaptrack.kernels.plants.contract import SLOTS
 
         asked = np.array(tunings, dtype=np.float64, ndmin=2)
+        if isinstance(self.plant, SteppedPlant):
+            return self._simulated_costs(point, asked)
         costs = np.empty(len(asked))
         trial = self._trial(point, min(len(asked), SLOTS), asked[:, 0].max(), asked[:, 1].max())
         judged = kernels.Judged(np.ascontiguousarray(asked), np.full(len(asked), np.inf), costs)
@@ -117,6 +123,8 @@ class Objective:
         from adaptrack.kernels.plants.contract import SLOTS
 
         swarm, space = swarm or SwarmSettings(), space or SearchSpace.tuning()
+        if isinstance(self.plant, SteppedPlant):
+            return self._searched(point, Swarm(space, swarm, seed=seed, stream=stream))
         slots, count = min(swarm.particles, SLOTS), swarm.particles
         trial = self._trial(point, slots, space.high[0], space.high[1])
         judged = kernels.Judged(np.zeros((count, 4)), np.empty(count), np.empty(count))
@@ -130,11 +138,27 @@ class Objective:
             space.values(best.leader), float(best.progress[rules.LEADER_COST]), search.best, evaluations, steps
         )
 
+    def _simulated_costs(self, point: ArrayLike, tunings: Array) -> Array:
+        """`costs` by `simulate`, one run after the other."""
+        with self._alone:  # type: ignore[attr-defined]
+            runs = RunSet(self.plant, self.mpc, [self.scenario(point)], self.profile, failure=self.failure)
+            runs.weight = self.weight
+            return runs.drive(tunings, self.noise_seeds, np.zeros(len(tunings), np.int64)).mean(axis=1)
+
+    def _searched(self, point: ArrayLike, swarm: Swarm) -> Tuned:
+        """`tune` by `costs`: the same answer, every run driven to its end."""
+        while not swarm.done:
+            swarm.tell(self.costs(point, swarm.ask()))
+        found, runs = swarm.result(), swarm.settings.evaluations * len(self.noise_seeds)
+        steps = runs * self.scenario(point).sample(self.mpc.period).n
+        return Tuned(found.x, found.cost, found.trace, found.evaluations, steps)
+
     def _trial(self, point: ArrayLike, slots: int, longest: float, most: float) -> Any:
         """`kernels.tune.Trial` for up to `slots` tunings with horizons up to these."""
         from adaptrack.kernels import rollout
         from adaptrack.kernels import tune as kernels
 
+        assert isinstance(self.plant, Plant)
         batch = Batch(self.plant, self.mpc, [self.scenario(point)], self.profile, failure=self.failure)
         run = batch.arena(slots, int(batch.substeps[0]), batch.mpc_settings(longest, most, residuals=False))
         run.vehicles.start[:] = batch.starts

@@ -1,0 +1,71 @@
+"""The certificate where a schedule or a constant meets a car that it was not made for."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from adaptrack.cli import show
+from adaptrack.errors import InvalidInput
+
+if TYPE_CHECKING:
+    from adaptrack.certify import Certificate
+    from adaptrack.controllers import MPC, Tuning
+    from adaptrack.profile import Profile
+    from adaptrack.scheduling import Schedule
+    from adaptrack.vehicle import Vehicle
+
+LEVELS = (9, 3)
+"""Of speed and friction."""
+
+
+def certify_meeting(label: str, mpc: MPC, body: Any, car: Vehicle, world: Profile, allowed: bool, aside: bool) -> None:
+    """Look at the loops of a scheduled MPC whose schedule names another car than its own or the driven one.
+
+    label: how messages call the schedule; allowed: whether unstable loops are driven all the same; aside: say it on
+    standard error. Nothing happens where the schedule names no car, or this one.
+
+    Raises
+    ------
+    InvalidInput
+        When a loop is unstable, driving straight, and that is not allowed.
+    """
+    from adaptrack.controllers.made_for import car_of
+    from adaptrack.scheduling import Schedule
+
+    schedule = mpc.scheduler
+    if not isinstance(schedule, Schedule):
+        return
+    made_for = schedule.made_for.get("car")
+    here = [each for each in dict.fromkeys((car_of(mpc.model), car_of(body))) if each not in (None, made_for)]
+    if made_for is not None and here:
+        clause = f"scheduler {label!r}, made for the car {made_for!r}, on {' and '.join(map(repr, here))}"
+        judge(clause, schedule, (mpc, body, car, world), allowed, aside)
+
+
+def judge(
+    clause: str, asked: Schedule | Tuning, loop: tuple[MPC, Any, Vehicle, Profile], allowed: bool, aside: bool
+) -> None:
+    """Certify a schedule or a tuning over a car's domain and say the verdict; clause: what meets what.
+
+    Raises
+    ------
+    InvalidInput
+        As `certify_meeting`.
+    """
+    found = _certificate(asked, *loop)
+    clause = f"{clause}: certificate over the domain of {loop[2].name!r}: {found.verdict}"
+    if not found.passed and not allowed:
+        raise InvalidInput(f"{clause} Refused: --allow-failed drives it all the same.")
+    show.say(f"Warning, {clause}", aside=aside)
+
+
+def _certificate(asked: Schedule | Tuning, mpc: MPC, body: Any, car: Vehicle, world: Profile) -> Certificate:
+    from adaptrack.certify import certify
+    from adaptrack.stability import linear_twin
+
+    domain = {"speed": car.domain.speed, "friction": car.domain.friction}
+    with show.progress("certify for this car") as advance:
+        return certify(
+            asked, linear_twin(body, car, car.domain), mpc, world.prompt, domain=domain, levels=LEVELS,
+            progress=advance,
+        )  # fmt: skip

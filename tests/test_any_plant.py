@@ -1,0 +1,269 @@
+"""Any registered plant goes through the chain: stepped ones, foreign ones, those that need a twin."""
+
+from __future__ import annotations
+
+import inspect
+import logging
+import math
+import sys
+
+import numpy as np
+import pytest
+
+import adaptrack as at
+from adaptrack import cli
+from adaptrack import plant as plant_module
+from adaptrack.adaptation.config import load_adaptation
+from adaptrack.adaptation.for_car import WORK, Driven, write_configuration
+from adaptrack.adaptation.splits import SetUp
+from adaptrack.controllers import Tuning
+from adaptrack.errors import MissingExtra, UnknownName
+from adaptrack.linearisation import linearised
+from adaptrack.plant import DualTrack, SingleTrack, fingerprint, twin_of, usual_plant
+from adaptrack.runs import operating_point_runs
+from adaptrack.stability import linear_twin
+from adaptrack.studies.tune_car import TuningEffort, tune
+from adaptrack.tuning.campaign import run_campaign
+from adaptrack.tuning.config import CampaignConfig, Plan
+from adaptrack.tuning.objective import Objective
+from adaptrack.tuning.pso import Swarm, SwarmSettings
+from adaptrack.vehicle import list_vehicles, load_vehicle
+
+CAR = load_vehicle("paper")
+POINTS = [[10.0, 1.0, 0.9, 5.0], [20.0, -2.0, 0.6, -10.0]]
+SMALL = TuningEffort(
+    drives=2, hard_drives=1, seconds=5.0, swarm=SwarmSettings(particles=4, generations=2), judged=4, levels=(3, 2)
+)
+
+
+class Sliding(at.SteppedPlant):
+    """The linear single-track car in plain Python, as an outside simulator would be."""
+
+    longest_step = 0.005
+
+    def __init__(self, vehicle):
+        self.car = vehicle
+
+    def reset(self, motion):
+        self.motion = np.array(motion, dtype=float)
+
+    def step(self, dt, steering, acceleration, environment):
+        car, (x, y, yaw, v, vy, r) = self.car, self.motion.tolist()
+        front = 2.0 * car.stiffness_front * (steering - (vy + car.lf * r) / max(v, 1.0))
+        rear = 2.0 * car.stiffness_rear * (car.lr * r - vy) / max(v, 1.0)
+        vy += dt * ((front + rear) / car.mass - v * r + environment[6])
+        r += dt * (car.lf * front - car.lr * rear) / car.yaw_inertia
+        c, s = math.cos(yaw), math.sin(yaw)
+        self.motion = np.array(
+            [x + dt * (v * c - vy * s), y + dt * (v * s + vy * c), yaw + dt * r, v + dt * acceleration, vy, r]
+        )
+        return self.motion
+
+
+class Cheap(Sliding):
+    """Driven throughout, not only judged on."""
+
+    costly = False
+
+
+@pytest.fixture
+def registered(monkeypatch, tmp_path):
+    """The module `sliding`, which registers both, in a folder where Python looks for modules."""
+    head = "import math\nimport numpy as np\nimport adaptrack as at\nfrom adaptrack.plant import register_plant\n\n"
+    last = "".join(
+        f'\nregister_plant("{each.__name__.lower()}", lambda vehicle, tyre: {each.__name__}(vehicle))\n'
+        for each in (Sliding, Cheap)
+    )
+    (tmp_path / "sliding.py").write_text(head + inspect.getsource(Sliding) + "\n\n" + inspect.getsource(Cheap) + last)
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.setattr(plant_module._registry, "factories", dict(plant_module._registry.factories))
+    yield
+    sys.modules.pop("sliding", None)
+
+
+def campaign(**changes):
+    values = {
+        "name": "pond", "profile": "road", "scenario": "lane-change", "noise_seeds": [1], "duration": 2.0,
+        "operating_points": {"kind": "grid", "speed": [10.0], "y_ref": [1.0], "friction": [0.9], "wind": [0.0, 5.0]},
+        "swarm": {"particles": 3, "generations": 2}, "library": {"tunings": [[30, 8, 1.0, 5.0], [25, 5, 1.0, 20.0]]},
+    }  # fmt: skip
+    return CampaignConfig(**{**values, **changes})
+
+
+# -- run by run is the same as compiled -------------------------------------------------------------------------------
+@pytest.mark.compiled
+def test_segments_counted_from_simulated_runs_are_those_of_the_kernel_failed_ones_included():
+    mpc = at.MPC(CAR, profile="road")
+    runs = operating_point_runs(SingleTrack(CAR), mpc, POINTS, "road", segment=30)
+    for tuning in (mpc.tuning, Tuning(5, 1, 1.0, 1e-4)):
+        simulated = np.array([runs._simulated_segments(tuning, i, i, 3) for i in range(2)])
+        np.testing.assert_allclose(simulated, runs.segments(tuning, 3, np.arange(2)), rtol=1e-9)
+    assert np.isinf(simulated).any()  # one has failed
+
+
+@pytest.mark.compiled
+def test_costs_and_swarms_run_by_run_are_those_of_the_kernel():
+    target = Objective(
+        SingleTrack(CAR), at.MPC(CAR, profile="road"), "lane-change", "road", noise_seeds=(3, 4), duration=2.0
+    )
+    tunings = np.array([[30.0, 8.0, 1.0, 5.0], [25.0, 5.0, 1.0, 20.0]])
+    np.testing.assert_allclose(target._simulated_costs(POINTS[0], tunings), target.costs(POINTS[0], tunings), rtol=1e-9)
+    settings, space = SwarmSettings(particles=4, generations=3), at.SearchSpace.tuning()
+    compiled = target.tune(POINTS[0], settings, 5, 7, space)
+    searched = target._searched(POINTS[0], Swarm(space, settings, seed=5, stream=7))
+    np.testing.assert_array_equal(searched.tuning, compiled.tuning)
+    assert searched.evaluations == compiled.evaluations
+
+
+# -- the twin ---------------------------------------------------------------------------------------------------------
+@pytest.mark.parametrize("name", list_vehicles())
+def test_a_twin_has_the_steady_yaw_gain_that_the_controller_is_told(name):
+    car = load_vehicle(name)
+    speed = 0.5 * car.domain.speed[1]
+    names, a, b = linearised(twin_of(car), speed)
+    gain = -np.linalg.lstsq(a, b, rcond=None)[0][names.index("yaw_rate")]
+    L, front, rear = car.lf + car.lr, 2.0 * car.stiffness_front, 2.0 * car.stiffness_rear
+    understeer = car.mass / L * (car.lr / front - car.lf / rear)
+    assert gain == pytest.approx(speed / (L + understeer * speed**2), rel=0.03)  # the air turns it a little
+
+
+def test_a_plant_with_a_linear_model_stands_for_itself_and_a_stepped_one_has_a_twin():
+    own = DualTrack(CAR)
+    assert linear_twin(own, CAR, CAR.domain) is own
+    assert linear_twin(Sliding(CAR), CAR, CAR.domain) == twin_of(CAR)
+
+
+# -- the chain --------------------------------------------------------------------------------------------------------
+@pytest.mark.compiled
+@pytest.mark.parametrize("kind", [Sliding, Cheap])
+def test_a_stepped_plant_is_tuned_and_told_how_long_it_takes(kind, caplog):
+    with caplog.at_level(logging.WARNING, "adaptrack"):
+        found = tune(CAR, plant=kind(CAR), effort=SMALL)
+    assert "is stepped in Python" in caplog.text
+    assert "min." in caplog.text
+    assert found.failed == 0
+    assert found.passed
+    assert f"The plant '{kind.__name__}' has no linear model" in found.verdict
+    assert found.costly == kind.costly
+
+
+@pytest.mark.compiled
+def test_a_campaign_on_a_stepped_plant_costs_what_its_objective_says(registered, tmp_path):
+    config = campaign(plant="cheap", plugin=["sliding"])
+    data = at.load_dataset(run_campaign(config, tmp_path / "out", workers=2))
+    setup = Plan.of(config).setup
+    target = Objective(
+        setup.plant(), at.MPC(CAR, profile="road"), "lane-change", "road", noise_seeds=(1,), duration=2.0,
+        failure=config.failure.rule,
+    )  # fmt: skip
+    costs = target.costs([10.0, 1.0, 0.9, 5.0], setup.config.library.rows(setup.config.search))
+    np.testing.assert_allclose(data.landscape[1], costs, rtol=1e-6)  # kept in single precision
+
+
+def test_a_costly_plant_is_judged_on_and_its_twin_searched_on(registered, tmp_path):
+    driven = Driven("sliding", ("sliding",), costly=True)
+    file = write_configuration(tmp_path, "paper", "road", CAR.domain, at.informed_tuning("road"), driven=driven)
+    setup = SetUp.of(load_adaptation(file))
+    assert type(setup.driven).__name__ == "Sliding"
+    assert setup.plant == twin_of(CAR)
+    assert setup.linear == setup.plant
+    assert setup.believed == setup.plant
+    assert setup.evaluation.drives == WORK["full"]["judged_costly"][1]
+
+
+def test_the_identity_of_a_campaign_tells_plants_apart_but_not_modules_that_register_them(registered):
+    plain, slid = Plan.of(campaign()), Plan.of(campaign(plant="cheap", plugin=["sliding"]))
+    assert "plant_fingerprint" not in plain.settings
+    assert slid.settings["plant_fingerprint"] == fingerprint(slid.setup.plant())
+    assert plain.identity == Plan.of(campaign(plugin=["sliding"])).identity
+    assert plain.identity != slid.identity
+    assert fingerprint(Cheap(CAR)) != fingerprint(Sliding(CAR))
+
+
+def test_a_plant_that_a_worker_cannot_find_is_named_with_the_remedy():
+    with pytest.raises(UnknownName, match=r"There is no plant 'cheap'.*key plugin"):
+        Plan.of(campaign(plant="cheap"))
+    with pytest.raises(UnknownName, match=r"plugin 'nowhere': there is no such module.*PYTHONPATH"):
+        Plan.of(campaign(plugin=["nowhere"]))
+
+
+# -- CommonRoad's cars by name ----------------------------------------------------------------------------------------
+def test_commonroads_cars_have_names_and_their_drift_model_is_what_is_driven_by_default():
+    pytest.importorskip("vehiclemodels", reason="needs commonroad-vehicle-models: pip install 'adaptrack[plants]'")
+    car = load_vehicle("commonroad-1")
+    assert car == at.commonroad_vehicle(1)
+    assert usual_plant(car) == "commonroad-single-track-drift"
+    assert usual_plant(CAR) == "dual-track"
+    body = plant_module.get_plant("commonroad-multi-body", car)
+    assert linear_twin(body, car, car.domain) == twin_of(car)  # it jumps
+    drift = plant_module.get_plant("commonroad-single-track-drift", car)
+    assert linear_twin(drift, car, car.domain) is drift
+
+
+def test_without_their_package_the_remedy_is_told(monkeypatch):
+    from adaptrack import commonroad_plants
+
+    commonroad_plants._shipped.cache_clear()
+    monkeypatch.setitem(sys.modules, "vehiclemodels.vehicle_parameters", None)
+    monkeypatch.setitem(sys.modules, "vehiclemodels", None)
+    with pytest.raises(MissingExtra, match="plants"):
+        load_vehicle("commonroad-1")
+
+
+# -- the command ------------------------------------------------------------------------------------------------------
+@pytest.fixture
+def adapt(monkeypatch, registered, tmp_path):
+    """The command without its chain; a constant that is found quickly."""
+    monkeypatch.setattr("adaptrack.studies.adapt.adapt", lambda *given, **more: None)
+    monkeypatch.setattr("adaptrack.cli.comparison.write_page", lambda out, made: out / "index.html")
+    monkeypatch.setattr("adaptrack.cli.comparison.print_comparison", lambda *given: None)
+    monkeypatch.setattr("adaptrack.studies.tune_car.tune", lambda *given, **more: tune(*given, effort=SMALL, **more))
+
+    def run(*arguments):
+        monkeypatch.setattr(sys, "argv", ["adaptrack", "adapt", "paper", "--out", str(tmp_path / "out"), *arguments])
+        return cli.main()
+
+    return run
+
+
+@pytest.mark.compiled
+@pytest.mark.parametrize("passed", [True, False])
+def test_adapt_ends_as_at_first_when_it_goes_on(adapt, monkeypatch, capsys, passed):
+    monkeypatch.setattr("adaptrack.studies.tune_car.TunedCar.passed", property(lambda self: passed))
+    code = 0 if passed else 3
+    assert adapt("--quick") == code
+    first = capsys.readouterr().out
+    monkeypatch.setattr("adaptrack.studies.tune_car.tune", lambda *given, **more: pytest.fail("it sought again"))
+    assert adapt("--quick") == code
+    again = capsys.readouterr()
+    assert "goes on with" in again.err
+    assert first.splitlines()[0] in again.out
+    assert adapt() == 2  # with other options
+    assert "other options" in capsys.readouterr().err
+
+
+@pytest.mark.compiled
+def test_adapt_takes_a_registered_plant_and_keeps_how_it_is_found(adapt, tmp_path, capsys):
+    assert adapt("--plant", "sliding", "--plugin", "sliding") == 0
+    assert "has no linear model" in capsys.readouterr().out
+    made = load_adaptation(tmp_path / "out" / "adaptation.toml")
+    assert SetUp.of(made).campaign.plugin == ("sliding",)
+    assert type(SetUp.of(made).driven).__name__ == "Sliding"
+
+
+@pytest.mark.compiled
+def test_runs_of_a_plant_of_ones_own_are_shared_among_threads_and_cost_the_same_to_the_bit():
+    def slides(x, u, environment, p, dx):
+        dx[0], dx[1], dx[2] = x[3] * math.cos(x[2]), x[3] * math.sin(x[2]), x[5]
+        dx[3], dx[4] = 0.0, 0.0
+        dx[5] = 5.0 * (x[3] * u[0] / 2.8 - x[5])
+
+    plant = at.UserPlant(slides, {"none": 0.0}, mass=1500.0, steps=4)
+    mpc = at.MPC(CAR, profile="road")
+    runs = operating_point_runs(plant, mpc, [[10.0, 1.0, 0.9, w] for w in (0.0, 2.0, 4.0, 6.0, 8.0)], "road")
+    batch, which = runs._own, np.arange(5)
+    assert [len(chunk) for chunk in batch.chunks(which, 2)] == [3, 2]
+    assert [len(chunk) for chunk in batch.chunks(which)] == [5]
+    seeds, tunings = np.zeros(5, np.int64), np.tile(mpc.tuning.as_array(), (5, 1))
+    one, two = (batch.run(which, tunings, seeds, threads).result["squared_error"] for threads in (1, 2))
+    np.testing.assert_array_equal(one, two)
