@@ -169,9 +169,16 @@ def test_a_road_can_be_driven_faster():
     assert fast.name == "lap:1@6"
 
 
-def test_a_car_is_given_with_its_plant():
+def test_a_car_is_given_with_its_plant(tmp_path: Path):
     assert load_setting("paper/single-track", "road").plant.name == "single-track"
     assert load_setting("paper", "road").plant.name == "dual-track"
+    (tmp_path / "cars").mkdir()
+    mine = tmp_path / "cars" / "mine.toml"
+    at.load_vehicle("van").to_toml(mine)
+    assert load_setting(str(mine), "road").car.mass == at.load_vehicle("van").mass
+    assert load_setting(f"{mine}/single-track", "road").plant.name == "single-track"
+    with pytest.raises(InvalidInput, match="must be a name or a .toml file"):
+        load_setting("paper/single-track/again", "road")
 
 
 # -- contenders -------------------------------------------------------------------------------------------------------

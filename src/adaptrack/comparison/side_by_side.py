@@ -27,7 +27,7 @@ from adaptrack.files import Record
 from adaptrack.manoeuvres import LaneChange, entry_speed, iso_3888_2
 from adaptrack.metrics import compute_metrics
 from adaptrack.path_metrics import PathRecord, path_metrics
-from adaptrack.plant import Plant, get_plant
+from adaptrack.plant import Plant, get_plant, usual_plant
 from adaptrack.profile import load_profile
 from adaptrack.road import Comfort, Road, load_road, plan_speed
 from adaptrack.road.generate import KINDS
@@ -144,26 +144,19 @@ class Cell:
 
 
 # -- cars and roads ---------------------------------------------------------------------------------------------------
-COMMONROAD = re.compile(r"commonroad-(\d+)")
-
-
 def load_setting(car: str, profile: str) -> Setting:
-    """A car by `car` or `car/plant` (by default dual-track), in a profile.
+    """A car by `car` or `car/plant`, in a profile.
 
     Raises
     ------
     AdaptrackError
         When car, plant or profile cannot be had.
     """
-    name, _, plant = car.partition("/") if not car.endswith(".toml") else (car, "", "")
-    theirs = COMMONROAD.fullmatch(name)
-    if theirs is None:
-        vehicle = load_vehicle(name)
-    else:
-        from adaptrack.commonroad_plants import commonroad_vehicle
-
-        vehicle = commonroad_vehicle(int(theirs[1]))
-    body = get_plant(plant or ("dual-track" if theirs is None else "commonroad-single-track-drift"), vehicle)
+    parts = re.fullmatch(r"(?P<car>.+\.toml|[^/]+)(/(?P<plant>[^/]+))?", car)
+    if parts is None:
+        raise InvalidInput(f"car {car!r}: must be a name or a .toml file, with /PLANT behind it or without.")
+    vehicle = load_vehicle(parts["car"])
+    body = get_plant(parts["plant"] or usual_plant(vehicle), vehicle)
     return Setting(vehicle, body, load_profile(profile))
 
 
