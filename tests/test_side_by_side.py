@@ -177,7 +177,7 @@ def test_a_car_is_given_with_its_plant(tmp_path: Path):
     at.load_vehicle("van").to_toml(mine)
     assert load_setting(str(mine), "road").car.mass == at.load_vehicle("van").mass
     assert load_setting(f"{mine}/single-track", "road").plant.name == "single-track"
-    with pytest.raises(InvalidInput, match="must be a name or a .toml file"):
+    with pytest.raises(InvalidInput, match=r"must be a name or a \.toml file"):
         load_setting("paper/single-track/again", "road")
 
 
