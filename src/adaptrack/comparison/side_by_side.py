@@ -1,8 +1,9 @@
 """A side-by-side: controllers x cars x roads x profiles, all tuned with the same effort, judged on what none saw.
 
 A cell is one controller on one car in one profile. Its tuning is sought on the training roads with a given number of
-closed loops; then the default and the tuned controller drive the roads of the judgement with each noise seed, and enter
-the obstacle avoidance of ISO 3888-2 as fast as they can. Every run gives one row.
+closed loops, for a plant that takes long on the car's twin (`plant.twin_of`); then the default and the tuned controller
+drive the roads of the judgement with each noise seed, and enter the obstacle avoidance of ISO 3888-2 as fast as they
+can. Every run gives one row.
 """
 
 from __future__ import annotations
@@ -21,13 +22,13 @@ from pydantic import BeforeValidator, Field, model_validator
 from adaptrack.comparison.contenders import Contender
 from adaptrack.comparison.entries import Entry, Setting, get_entry
 from adaptrack.comparison.roads import check_fits
-from adaptrack.controllers import Controller
+from adaptrack.controllers import MPC, Controller
 from adaptrack.errors import InvalidInput
 from adaptrack.files import Record
 from adaptrack.manoeuvres import LaneChange, entry_speed, iso_3888_2
 from adaptrack.metrics import compute_metrics
 from adaptrack.path_metrics import PathRecord, path_metrics
-from adaptrack.plant import Plant, get_plant, usual_plant
+from adaptrack.plant import Plant, get_plant, twin_of, usual_plant
 from adaptrack.profile import load_profile
 from adaptrack.road import Comfort, Road, load_road, plan_speed
 from adaptrack.road.generate import KINDS
@@ -77,6 +78,9 @@ class SideBySide(Record):
     slow_cars: Names | None = Field(default=None, description="cars of contenders in Python; by default all")
     slow_roads: Names | None = Field(default=None, description="roads of their judgement, likewise")
     slow_seeds: Numbers | None = Field(default=None, description="noise seeds of their judgement, likewise")
+    costly_seeds: Numbers | None = Field(
+        default=None, description="noise seeds of the judgement on plants that take long (CommonRoad's), by default all"
+    )
     slow_budget: int = Field(default=0, ge=0, description="closed loops of their search; 0: defaults alone")
 
     @model_validator(mode="after")
@@ -185,11 +189,13 @@ def load_trip(name: str, car: Vehicle, length: float, duration: float) -> Scenar
 def _run_sets(task: SideBySide, car: str, profile: str) -> tuple[Setting, RunSet, RunSet]:
     """What all controllers on a car in a profile share: the runs of the search and those of the judgement."""
     setting = load_setting(car, profile)
-    mpc = get_entry("informed").make(setting)
+    mpc = MPC(setting.car, profile=setting.profile, preview=True)
     made = []
-    for names, length in ((task.training, task.training_length), (task.roads, task.length)):
+    searched = twin_of(setting.car) if setting.plant.costly else setting.plant
+    parts = (searched, task.training, task.training_length), (setting.plant, task.roads, task.length)
+    for plant, names, length in parts:
         trips = [load_trip(name, setting.car, length, task.duration) for name in names]
-        made.append(RunSet(setting.plant, mpc, trips, setting.profile))  # type: ignore[arg-type]
+        made.append(RunSet(plant, mpc, trips, setting.profile))
     return setting, made[0], made[1]
 
 
@@ -228,6 +234,8 @@ def run_cell(task: SideBySide, cell: Cell) -> dict[str, Any]:
     entry = get_entry(cell.contender)
     task = task.of(entry)
     setting, training, judged = _run_sets(task, cell.car, cell.profile)
+    if setting.plant.costly and task.costly_seeds:
+        task = task.replace(seeds=task.costly_seeds)
     found: dict[str, Any] = {
         "rows": [],
         "tunings": {},

@@ -16,6 +16,7 @@ from adaptrack.comparison.side_by_side import Cell, SideBySide, columns, load_se
 from adaptrack.comparison.standing import Standing, Who, standings
 from adaptrack.errors import MissingExtra, UnknownName, did_you_mean
 from adaptrack.files import Column, build, encode_parquet, read_toml, safe_name, write_atomically
+from adaptrack.plant import fingerprint
 from adaptrack.studies.pipeline import JSONFile, identity_of
 
 Progress = Callable[[str, int, int], None]
@@ -160,7 +161,7 @@ def _settings(task: SideBySide, cell: Cell) -> dict[str, Any]:
     told = task.model_dump(mode="json", exclude={"name", "contenders", "cars", "profiles"})
     setting = load_setting(cell.car, cell.profile)
     car, profile = setting.car.model_dump(mode="json"), setting.profile.model_dump(mode="json")
-    return {**told, **asdict(cell), "about_car": car, "about_profile": profile, "plant": setting.plant.name}
+    return {**told, **asdict(cell), "about_car": car, "about_profile": profile, "plant": fingerprint(setting.plant)}
 
 
 def _kept(task: SideBySide, folder: Path, cell: Cell) -> tuple[JSONFile, str]:
