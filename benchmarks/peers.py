@@ -65,8 +65,8 @@ class Matrices(NamedTuple):
     """(n,)"""
     free: Any
     """(HORIZON, n) F of the increments"""
-    phi: Any
-    """(HORIZON, MOVES)"""
+    pull: Any
+    """(MOVES, HORIZON) -2 Phi' Q"""
     hessian: Any
     f: Any = None
     """(7, 7) of the filter, with b of 7"""
@@ -84,7 +84,7 @@ def discrete(a: Any, b: Any) -> tuple[Any, Any]:
 
 
 def formed(a: Any, b: Any, of_next: bool) -> tuple[Any, Any, Any]:
-    """F of the increments, Phi and E; of_next: of the increments to come, not of the last ones."""
+    """F of the increments, -2 Phi' Q and E; of_next: of the increments to come, not of the last ones."""
     row, total = np.zeros(len(b)), np.zeros(len(b))
     row[-1] = 1.0
     free, step, height = np.empty((HORIZON, len(b))), np.empty(HORIZON), 0.0
@@ -95,7 +95,8 @@ def formed(a: Any, b: Any, of_next: bool) -> tuple[Any, Any, Any]:
         total = total + (row if of_next else following)
         free[j], row = total, following
     phi = np.where(PHI >= 0, step[PHI], 0.0)
-    return free, phi, 2.0 * (TUNING.Q * phi.T @ phi + TUNING.R * np.eye(MOVES))
+    pull = -2.0 * TUNING.Q * np.ascontiguousarray(phi.T)
+    return free, pull, 2.0 * TUNING.R * np.eye(MOVES) - pull @ phi
 
 
 class AsMeasured:
@@ -331,6 +332,7 @@ class Peer:
     def reset(self) -> None:
         """Before the first step."""
         self.angle = 0.0
+        self.low, self.high = np.full(2 * MOVES, LIMITS.move[0]), np.full(2 * MOVES, LIMITS.move[1])
         self.problem.rest()
 
     def describe(self) -> dict[str, Any]:
@@ -349,8 +351,8 @@ class Peer:
         ahead = reference[1 if type(self.problem) is AsMeasured else 2 :][:HORIZON]
         if len(ahead) < HORIZON:
             ahead = np.append(ahead, np.full(HORIZON - len(ahead), reference[-1]))
-        K = -2.0 * TUNING.Q * (m.phi.T @ (ahead - y - m.free @ change))
-        low, high = np.full(2 * MOVES, LIMITS.move[0]), np.full(2 * MOVES, LIMITS.move[1])
+        K = m.pull @ (ahead - y - m.free @ change)
+        low, high = self.low, self.high
         low[MOVES:], high[MOVES:] = LIMITS.angle[0] - self.angle, LIMITS.angle[1] - self.angle
         if self.tabulated:
             x = self.solver.warm(self.nodes[node], m.hessian, K, low, high)
@@ -379,10 +381,10 @@ class DoMpc:
         a, b = model.set_variable("_tvp", "a", (n, n)), model.set_variable("_tvp", "b", (n, 1))
         ref = model.set_variable("_tvp", "ref")
         of_next = type(problem) is not AsMeasured
-        after = ca.mtimes(a, x) + b * move
-        # increments of the last period, or of the next: then a move enters one period later
-        model.set_rhs("change", after)
-        model.set_rhs("y", y + (x[n - 1] + b[n - 1] * move if of_next else after[n - 1]))
+        # the increments of the last period, or those of the next one, to which the move is still to be added
+        after = x + b * move if of_next else ca.mtimes(a, x) + b * move
+        model.set_rhs("change", ca.mtimes(a, after) if of_next else after)
+        model.set_rhs("y", y + after[n - 1])
         model.set_rhs("u", u_last + move)
         model.setup()
         mpc = do_mpc.controller.MPC(model)
@@ -487,12 +489,38 @@ class Contender(NamedTuple):
     """What is timed."""
 
     name: str
-    controller: Any
-    step: Callable[..., Any]
+    begin: Callable[[], Callable[..., Any]]
+    """back to before the first step; the step"""
     off: float
     """rad, of the first move from that of the exact solution"""
     steps: int
     """that it is given"""
+
+
+def from_python(controller: Any, *more: Any) -> Callable[[], Callable[..., Any]]:
+    """`Contender.begin` of a controller's own `step`; more: what it is given besides."""
+
+    def begin() -> Callable[..., Any]:
+        controller.reset()
+        return (lambda *given: controller.step(*given, *more)) if more else controller.step
+
+    return begin
+
+
+def compiled(mpc: Any) -> Callable[[], Callable[..., Any]]:
+    """`Contender.begin` of our compiled step."""
+
+    def begin() -> Callable[..., Any]:
+        mpc.reset()
+        measured, step = mpc._mpc.measured, mpc._compiled_step()
+
+        def kernel(state: Any, speed: float, reference: Any) -> None:
+            measured[:4] = state
+            step(speed, reference)
+
+        return kernel
+
+    return begin
 
 
 def off_of(controller: Any, given: list[Any], count: int = 400) -> float:
@@ -519,24 +547,14 @@ def contenders(estimating: bool, given: list[Any]) -> tuple[list[Contender], lis
     """All contenders of a problem, and the names of what is not installed."""
     problem = Filtered if estimating else AsMeasured
     speeds = min(v for _, v, _ in given), max(v for _, v, _ in given)
-    found, missing, n = [], [], len(given)
-    fixed, twin = ours(estimating), ours(estimating)
-    off = off_of(ours(estimating), given)
-    measured, compiled = twin._mpc.measured, twin._compiled_step()
-
-    def kernel(state: Any, speed: float, reference: Any) -> None:
-        measured[:4] = state
-        compiled(speed, reference)
-
-    found.append(Contender("ours, kernel", twin, kernel, off, n))
-    found.append(Contender("ours, MPC.step", fixed, fixed.step, off, n))
-    scheduled = ours(estimating, scheduler=rules(16))
-    look = at.SchedulingVariables(15.0, 0.0, 0.8, 0.0)
-    found.append(
-        Contender(
-            "ours, scheduled (16 rules)", scheduled, lambda x, v, r: scheduled.step(x, v, r, look), float("nan"), n
-        )
-    )
+    found: list[Contender] = []
+    missing: list[str] = []
+    n = len(given)
+    off, look = off_of(ours(estimating), given), at.SchedulingVariables(15.0, 0.0, 0.8, 0.0)
+    scheduled = from_python(ours(estimating, scheduler=rules(16)), look)
+    found.append(Contender("ours, kernel", compiled(ours(estimating)), off, n))
+    found.append(Contender("ours, MPC.step", from_python(ours(estimating)), off, n))
+    found.append(Contender("ours, MPC.step, 16 rules", scheduled, float("nan"), n))
     for kind in SOLVERS:
         for tabulated in (False, True):
             if tabulated and not hasattr(kind, "warm"):
@@ -546,11 +564,11 @@ def contenders(estimating: bool, given: list[Any]) -> tuple[list[Contender], lis
             except ImportError:
                 missing.append(kind.name)
                 break
-            count = SLOW if getattr(kind, "slow", False) else n
-            found.append(Contender(peer.name, peer, peer.step, off_of(peer, given[:count]), count))
+            count = min(SLOW, n) if getattr(kind, "slow", False) else n
+            found.append(Contender(peer.name, from_python(peer), off_of(peer, given[:count]), count))
     try:
         nonlinear = DoMpc(problem())
-        found.append(Contender(nonlinear.name, nonlinear, nonlinear.step, float("nan"), SLOW))
+        found.append(Contender(nonlinear.name, from_python(nonlinear), float("nan"), min(SLOW, n)))
     except ImportError:
         missing.append(DoMpc.name)
     return found, missing
@@ -578,8 +596,7 @@ def table(estimating: bool, steps: int, rounds: int) -> dict[str, Any]:
     least: dict[str, Any] = {}
     for _ in range(rounds):
         for each in driven:
-            each.controller.reset()
-            times = times_of(each.step, given[: each.steps], empty)
+            times = times_of(each.begin(), given[: each.steps], empty)
             least[each.name] = np.minimum(least.get(each.name, np.inf), times)
     rows = []
     for each in driven:
@@ -594,7 +611,11 @@ def table(estimating: bool, steps: int, rounds: int) -> dict[str, Any]:
     for row in rows:
         row["ratio"] = round(row["p50_us"] / own["ours, MPC.step"], 2)
     ratios = {f"best_{form}_over_ours": round(value / own["ours, MPC.step"], 2) for form, value in best.items()}
-    return {"rows": rows, "missing": missing, **ratios, "limited": limited(estimating, given)}
+    speeds = [v for _, v, _ in given]
+    changes = round(float(np.mean(np.diff(speeds) != 0.0)), 3)
+    return {
+        "rows": rows, "missing": missing, **ratios, "limited": limited(estimating, given), "speed_changes": changes,
+    }  # fmt: skip
 
 
 def limited(estimating: bool, given: list[Any]) -> float:
@@ -679,17 +700,9 @@ def cost(steps: int, rounds: int) -> dict[str, Any]:
     empty = float(np.median([-(time.thread_time_ns() - time.thread_time_ns()) for _ in range(2000)]))
     for Np, Nc in ((10, 5), (30, 1), (30, 5), (30, 10), (30, 18), (60, 10), (60, 18)):
         mpc = at.MPC(CAR, Tuning(Np, Nc, 1.0, TUNING.R), limits=LIMITS, preview=True, **parts)
-        measured, compiled = mpc._mpc.measured, mpc._compiled_step()
-
-        def step(state: Any, speed: float, reference: Any, measured: Any = measured, compiled: Any = compiled) -> None:
-            measured[:4] = state
-            compiled(speed, reference)
-
-        found = np.inf
+        begin, found = compiled(mpc), np.inf
         for _ in range(rounds):
-            mpc.reset()
-            compiled = mpc._compiled_step()
-            found = np.minimum(found, times_of(step, given, empty))
+            found = np.minimum(found, times_of(begin(), given, empty))
         us, operations = float(np.median(found)), flops(Np, Nc, 4)
         floor = operations / peak / 1e3
         kept = 8 * (6 * Np + 3 * Nc * Nc + 8 * Nc)
@@ -699,12 +712,10 @@ def cost(steps: int, rounds: int) -> dict[str, Any]:
         })  # fmt: skip
     scheduled = []
     for count in (4, 16, 64, 256):
-        mpc = ours(False, scheduler=rules(count))
-        look = at.SchedulingVariables(15.0, 0.0, 0.8, 0.0)
-        times = np.inf
+        look, times = at.SchedulingVariables(15.0, 0.0, 0.8, 0.0), np.inf
+        begin = from_python(ours(False, scheduler=rules(count)), look)
         for _ in range(rounds):
-            mpc.reset()
-            times = np.minimum(times, times_of(lambda x, v, r, mpc=mpc: mpc.step(x, v, r, look), given, empty))
+            times = np.minimum(times, times_of(begin(), given, empty))
         scheduled.append({"rules": count, "python_p50_us": round(float(np.median(times)), 2)})
     return {"peak_gflops": round(peak, 1), "rows": rows, "rules": scheduled, "threads": batches()}
 

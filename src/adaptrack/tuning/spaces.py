@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from adaptrack.controllers import LQR, MPC, CompiledController, Controller, PurePursuit, Stanley
+from adaptrack.controllers import LQR, MPC, MPPI, CompiledController, Controller, PurePursuit, Stanley
 from adaptrack.errors import InvalidInput
 from adaptrack.tuning.config import Search
 from adaptrack.tuning.pso import SearchSpace
@@ -34,6 +34,13 @@ LAWS: dict[type[CompiledController], dict[str, Bounds]] = {
         "r": Bounds(1.0, 1.0, relative=True),
         "preview_time": Bounds(0.0, 0.6),
     },
+    MPPI: {
+        "temperature": Bounds(0.01, 100.0, relative=True),
+        "spread": Bounds(0.1, 10.0, relative=True),
+        "q_e": Bounds(1.0, 1.0, relative=True),
+        "q_course": Bounds(0.01, 100.0, relative=True),
+        "r": Bounds(0.01, 100.0, relative=True),
+    },
     PurePursuit: {"lookahead_time": Bounds(0.1, 1.5), "lookahead_min": Bounds(1.0, 10.0)},
     Stanley: {
         "gain": Bounds(0.1, 10.0, relative=True),
@@ -43,7 +50,7 @@ LAWS: dict[type[CompiledController], dict[str, Bounds]] = {
     },
 }
 """By law, its tuning entries. Of the LQR only the ratios to r count, and its gains are tabulated over two decades to
-either side of its own."""
+either side of its own; of MPPI only those to q_e."""
 
 
 def at_bounds(space: SearchSpace, tuning: ArrayLike) -> list[str]:
