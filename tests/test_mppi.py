@@ -45,7 +45,12 @@ def test_the_model_is_the_single_track_on_its_tyre(tyre):
     """Against the plant's right-hand side in steps of 0.1 ms; on the linear tyre halving a step quarters the error."""
     calm = CAR.replace(side_force_slope=0.0, yaw_moment_slope=0.0)
     plant, speed, command = SingleTrack(calm, load_tyre(tyre)), 18.0, 0.06
-    x, h, u, environment = np.array([0.0, 0.2, 0.05, speed, 0.1, 0.05]), 1e-4, [command, 0.0, 0.0], [1.0] * 4 + [0.0] * 3
+    x, h, u, environment = (
+        np.array([0.0, 0.2, 0.05, speed, 0.1, 0.05]),
+        1e-4,
+        [command, 0.0, 0.0],
+        [1.0] * 4 + [0.0] * 3,
+    )
     for _ in range(5000):
         x = x + h * plant.derivative(x + 0.5 * h * plant.derivative(x, u, environment), u, environment)
     start, errors = kernel.State(0.0, 0.2, 0.05, 0.1, 0.05, command), []
@@ -81,9 +86,7 @@ def test_one_round_moves_the_plan_to_the_mean_that_the_theory_gives():
     """Where the cost is S = c + g'e + e'He/2 and e ~ N(0, s^2 I), exp(-S/lambda) has the mean -(I/s^2 + H/l)^-1 g/l."""
     speed, state, spread, temperature = 12.0, [0.0, 0.0, 0.0, 0.02], 0.05, 1e-5
     how = {"q_course": 1.0, "r": 0.01, "horizon": 0.3, "period": 0.1, "limits": WIDE}
-    controller = MPPI(
-        CAR, profile="paper", temperature=temperature, spread=spread, samples=16_384, preview=True, **how
-    )
+    controller = MPPI(CAR, profile="paper", temperature=temperature, spread=spread, samples=16_384, preview=True, **how)
     found = controller.step(state, speed, np.zeros(10))
 
     def cost(moves):

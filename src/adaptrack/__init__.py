@@ -121,6 +121,8 @@ _PUBLIC = {
     "controllers": (
         "LQR",
         "MPC",
+        "MPPI",
+        "NMPC",
         "LearnedCar",
         "Learning",
         "Limits",
@@ -212,6 +214,8 @@ if TYPE_CHECKING:
     from adaptrack.controllers import (
         LQR,
         MPC,
+        MPPI,
+        NMPC,
         LearnedCar,
         Learning,
         Limits,
@@ -329,6 +333,8 @@ _HOME = {name: module for module, names in _PUBLIC.items() for name in names}
 __all__ = [
     "LQR",
     "MPC",
+    "MPPI",
+    "NMPC",
     "QP",
     "AdaptrackError",
     "Body",

@@ -25,7 +25,8 @@ class MPPI(CompiledController):
         integral of q_e e^2 + q_course chi^2 + r (du/dt)^2 over the horizon
 
     e: offset from the path (m); chi: angle between velocity and path (rad); u: command (rad). The state is taken as
-    it is measured, the angle of the wheels from the model. Draws are counted: the same seed, the same drive.
+    it is measured, carried on by the age that the profile gives to the pose; what has no sensor, the angle of the
+    wheels and perhaps the lateral velocity, is the model's. Draws are counted: the same seed, the same drive.
 
     profile: whose period and preview are taken, and whose actuator is believed where neither `belief` nor the car's
     file says, as by `MPC`; tyre: by default the car's; friction: coefficient that the tyres are thought to have.
@@ -107,6 +108,7 @@ class MPPI(CompiledController):
             self.samples // 2, self.stages, self.rounds, self.seed, *self._dead,
             steering.lag.value, rate if math.isfinite(rate) else 1e9, steering.limit.value,
             body.mass, body.yaw_inertia, body.lf, body.lr, *car.stiffness, *car.peaks, *car.curve,
+            float(math.isfinite(car.profile.noise_vy)), car.profile.pose_age,
         )  # fmt: skip
 
     def describe(self) -> dict[str, Any]:

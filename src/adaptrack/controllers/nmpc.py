@@ -6,9 +6,9 @@ The model in path coordinates, x = [v_y, r, psi, e, delta]; delta is left out wi
     dpsi/dt = r - kappa (v cos psi - v_y sin psi)/(1 - kappa e),   de/dt = v sin psi + v_y cos psi
     ddelta/dt = (u - delta)/tau,   F: the Magic Formula at static load, see `Tyre`
 
-(R. Rajamani, *Vehicle Dynamics and Control*, 2nd ed., section 2.3; path coordinates as in D. Kloeser, T. Schoels,
-T. Sartor, A. Zanelli, G. Prison, M. Diehl, *NMPC for Racing Using a Singularity-Free Path-Parametric Model with Obstacle
-Avoidance*, IFAC World Congress 2020.)
+(R. Rajamani, *Vehicle Dynamics and Control*, 2nd ed., section 2.3; path coordinates as in R. Verschueren, M. Zanon,
+R. Quirynen, M. Diehl, *Time-Optimal Race Car Driving Using an Online Exact Hessian Based Nonlinear MPC Algorithm*,
+European Control Conference 2016.)
 """
 
 from __future__ import annotations

@@ -14,7 +14,7 @@ from adaptrack.files import Record, build, read_toml
 from adaptrack.profile import Profile
 from adaptrack.vehicle import Vehicle
 
-TUNABLE = ("informed", "as-written", "lqr", "pure-pursuit", "stanley")
+TUNABLE = ("informed", "as-written", "lqr", "mppi", "pure-pursuit", "stanley")
 """The controllers, by their registered names, that such a file may be about."""
 
 
@@ -31,7 +31,7 @@ class ConstantTuning(Record):
         When a value is not allowed; the message names the key and what is.
     """
 
-    controller: str = Field(description="registered name: informed, as-written, lqr, pure-pursuit, stanley")
+    controller: str = Field(description="registered name: informed, as-written, lqr, mppi, pure-pursuit, stanley")
     vehicle: str = Field(min_length=1, description="name of the car that it was found on")
     profile: str = Field(min_length=1, description="name of the profile, likewise")
     period: float = Field(gt=0, le=10, description="s, control period, likewise: horizons are in periods")

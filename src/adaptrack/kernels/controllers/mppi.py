@@ -17,8 +17,8 @@ The model in the frame of the car's foot on the path, at constant speed v:
     dv_y/dt = (F_f + F_r)/m - v r,     dr/dt = (l_f F_f - l_r F_r)/I_z,   ddelta/dt = (u - delta)/tau, within the rate
     F = D sin(C atan(b - E (b - atan b))),   b = B alpha        (Pacejka, Tire and Vehicle Dynamics, 3rd ed., eq. 4.E19)
 
-For v_y and r a period is one linearly implicit step (Hairer & Wanner, Solving Ordinary Differential Equations II, section
-IV.7) with the Jacobian of the linear tyre: of second order on it, and stable at walking pace.
+For v_y and r a period is one linearly implicit step (Hairer & Wanner, Solving Ordinary Differential Equations II,
+section IV.7) with the Jacobian of the linear tyre: of second order on it, and stable at walking pace.
 """
 
 from __future__ import annotations
@@ -57,6 +57,8 @@ PARAMETERS = (
     "stiffness_front", "stiffness_rear",  # N/rad of an axle
     "peak_front", "peak_rear",  # N, D of an axle
     "shape", "curvature",  # C and E of the tyres
+    "measures_vy",  # 1: the lateral velocity is measured, 0: it is taken from the model
+    "pose_age",  # s, of yaw and y
 )  # fmt: skip
 DIAGNOSTICS = (
     "held",  # 1: the last command is held
@@ -70,8 +72,9 @@ Tuning = record("Tuning", TUNING)
 Parameters = record("Parameters", PARAMETERS)
 read_tuning, read_parameters = unpacker(Tuning), unpacker(Parameters)
 
-_STEPS, _DELTA, _SENT = 0, 1, 2
-"""Places in the memory: steps so far; angle of the wheels by the model (rad); commands sent (rad), the latest first."""
+_STEPS, _DELTA, _LAST_VY, _LAST_R, _SENT = 0, 1, 2, 3, 4
+"""Places in the memory: steps so far; angle of the wheels by the model (rad); v_y (m/s) and yaw rate (rad/s) of the
+last step; commands sent (rad), the latest first."""
 _X, _Y, _YAW, _VY, _R, _WHEELS, _ASKED, _COST = range(8)
 """Rows of `LANES` numbers: the state of the samples that are driven, their command and their cost so far."""
 _PATH_X, _PATH_Y, _COS, _SIN, _COURSE_COS, _COURSE_SIN = range(6)
@@ -155,7 +158,7 @@ def moved(s, u, m, p, curved):
 
 @njit(**INLINE)
 def _take_command(command, p, memory):
-    """Keep the last command, and turn the wheels over the last period by those that acted in it."""
+    """Keep the last command among those on their way."""
     sent, whole = _SENT, int(p.whole)
     if memory[_STEPS] < 0.5:
         memory[_DELTA] = command
@@ -164,20 +167,36 @@ def _take_command(command, p, memory):
     for j in range(whole + 1, 0, -1):
         memory[sent + j] = memory[sent + j - 1]
     memory[sent] = command
-    tau = max(p.lag, 1e-9)
-    for part in range(2):
-        time = p.period * (p.share if part == 0 else 1.0 - p.share)
-        asked = clip(memory[sent + whole + 1 - part], -p.limit, p.limit)
-        change = (asked - memory[_DELTA]) * (1.0 - math.exp(-time / tau))
-        most = p.rate * time if p.lag > 0.0 else math.inf
-        memory[_DELTA] += clip(change, -most, most)
     memory[_STEPS] += 1.0
 
 
 @njit(**INLINE)
-def _when_it_acts(s, v, p, memory):
+def _over_the_last_period(v, p, memory):
+    """Drive the model over the last period by the commands that acted in it; turn the wheels, v_y (m/s)."""
+    state = State(0.0, 0.0, 0.0, memory[_LAST_VY], memory[_LAST_R], memory[_DELTA])
+    oldest = _SENT + int(p.whole) + 1
+    if p.share > 0.0:
+        state = moved(state, memory[oldest], step_of(p.share * p.period, v, p), p, True)
+    state = moved(state, memory[oldest - 1], step_of((1.0 - p.share) * p.period, v, p), p, True)
+    memory[_DELTA] = state.wheels
+    return state.vy
+
+
+@njit(**INLINE)
+def _now(s, v, curvature, p, memory):
+    """The present state: what is not measured from the model, the pose carried on by its age; curvature: 1/m."""
+    by_model = _over_the_last_period(v, p, memory)
+    vy = s.vy if p.measures_vy > 0.5 else by_model
+    memory[_LAST_VY] = vy if math.isfinite(vy) else 0.0
+    memory[_LAST_R] = s.yaw_rate
+    turned = p.pose_age * (s.yaw_rate - v * curvature)
+    y = s.y + p.pose_age * (v * (s.yaw + 0.5 * turned) + vy)
+    return State(0.0, y, s.yaw + turned, vy, s.yaw_rate, memory[_DELTA])
+
+
+@njit(**INLINE)
+def _when_it_acts(state, v, p, memory):
     """The state at the time when the new command begins to act: the commands on their way are known."""
-    state = State(0.0, s.y, s.yaw, s.vy, s.yaw_rate, memory[_DELTA])
     whole = int(p.whole)
     if p.share > 0.0:
         state = moved(state, memory[_SENT + whole], step_of(p.share * p.period, v, p), p, True)
@@ -319,7 +338,8 @@ def mppi(situation, reference, road, tuning, parameters, memory, answer):
     wanted = effective = best = math.nan
     if all_finite(situation) and all_finite(tuning):
         v = max(s.speed, SLOWEST)
-        start = _when_it_acts(s, v, p, memory)
+        curvature = path_at(reference, road, 0.0, v, p.period).curvature if p.pose_age > 0.0 else 0.0
+        start = _when_it_acts(_now(s, v, curvature, p, memory), v, p, memory)
         _look_ahead(reference, road, v, p, at, memory)
         for turn in range(int(p.rounds)):
             _draw(turn, p, at, memory)
