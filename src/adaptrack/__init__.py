@@ -122,6 +122,8 @@ _PUBLIC = {
         "LQR",
         "MPC",
         "KinematicMPC",
+        "MPPI",
+        "NMPC",
         "LearnedCar",
         "Learning",
         "Limits",
@@ -214,6 +216,8 @@ if TYPE_CHECKING:
     from adaptrack.controllers import (
         LQR,
         MPC,
+        MPPI,
+        NMPC,
         KinematicMPC,
         LearnedCar,
         Learning,
@@ -333,6 +337,8 @@ _HOME = {name: module for module, names in _PUBLIC.items() for name in names}
 __all__ = [
     "LQR",
     "MPC",
+    "MPPI",
+    "NMPC",
     "QP",
     "AdaptrackError",
     "Body",

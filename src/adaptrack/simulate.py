@@ -199,7 +199,7 @@ def simulate(
     felt = np.zeros(2)
     before, after = loop.substeps_around_change(settings)
     share = float(settings[0].dead_share)
-    seen = measured if isinstance(controller, MPC) else measured[:4]  # its model or estimator may use the wheel angle
+    seen = measured if getattr(controller, "sees_all_sensors", False) else measured[:4]
     estimator = known_as if isinstance(known_as, FrictionWindEstimator) else None
     if estimator is not None:
         estimator.reset()

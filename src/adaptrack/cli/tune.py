@@ -39,7 +39,7 @@ def tune(
         Option(
             "--controller",
             help="Whose tuning is sought: informed, the MPC that knows its car; as-written, the paper's; on roads also "
-            "kinematic-mpc, lqr, preview-lqr, pure-pursuit, stanley. By default informed, or the campaign's.",
+            "kinematic-mpc, lqr, mppi, preview-lqr, pure-pursuit, stanley. By default informed, or the campaign's.",
         ),
     ] = None,
     profile: Annotated[

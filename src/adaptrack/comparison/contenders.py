@@ -123,7 +123,10 @@ _MAKERS: dict[str, Maker] = {
     "standard": lambda runs: Tuning(),
     "published": _published("road-best-constant-on-drives"),
     "published, road-nn": _published("road-nn"),
-    **{name: _by_name(name) for name in ("informed", "lqr", "pure-pursuit", "stanley")},
+    **{
+        name: _by_name(name)
+        for name in ("informed", "lqr", "mppi", "nmpc", "nmpc-as-measured", "pure-pursuit", "stanley")
+    },
 }
 
 

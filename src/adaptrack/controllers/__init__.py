@@ -9,6 +9,8 @@ from adaptrack.controllers.learned import LearnedCar, Learning, load_learned_car
 from adaptrack.controllers.limits import Limits, Moves
 from adaptrack.controllers.lqr import LQR
 from adaptrack.controllers.mpc import MPC, CompiledScheduler, MPCCommand, Scheduler
+from adaptrack.controllers.mppi import MPPI
+from adaptrack.controllers.nmpc import NMPC
 from adaptrack.controllers.preview_lqr import PreviewLQR
 from adaptrack.controllers.published import published_mpc, released_mpc
 from adaptrack.controllers.pure_pursuit import PurePursuit
@@ -21,6 +23,8 @@ __all__ = [
     "ENTRIES",
     "LQR",
     "MPC",
+    "MPPI",
+    "NMPC",
     "Belief",
     "Command",
     "CompiledController",

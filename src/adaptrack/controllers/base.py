@@ -44,7 +44,10 @@ class Command(NamedTuple):
 
 
 class Controller(Protocol):
-    """What `simulate` drives with: ours, or one's own, compiled or in Python. `check_controller` admits it."""
+    """What `simulate` drives with: ours, or one's own, compiled or in Python. `check_controller` admits it.
+
+    One with a true attribute ``sees_all_sensors`` is given all that is measured, as the MPC is, not four numbers only.
+    """
 
     @property
     def name(self) -> str:

@@ -149,6 +149,7 @@ class MPC:
     """
 
     tuning_names = ENTRIES
+    sees_all_sensors = True
 
     def __init__(
         self,

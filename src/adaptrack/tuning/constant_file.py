@@ -14,7 +14,7 @@ from adaptrack.files import Record, build, read_toml
 from adaptrack.profile import Profile
 from adaptrack.vehicle import Vehicle
 
-TUNABLE = ("informed", "as-written", "kinematic-mpc", "lqr", "preview-lqr", "pure-pursuit", "stanley")
+TUNABLE = ("informed", "as-written", "kinematic-mpc", "lqr", "mppi", "preview-lqr", "pure-pursuit", "stanley")
 """The controllers, by their registered names, that such a file may be about."""
 
 

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 from adaptrack.controllers import (
     LQR,
     MPC,
+    MPPI,
     CompiledController,
     Controller,
     KinematicMPC,
@@ -51,6 +52,13 @@ LAWS: dict[type[CompiledController], dict[str, Bounds]] = {
         "preview_time": Bounds(0.0, 0.6),
     },
     PreviewLQR: {"q_e": DECADES, "q_heading": DECADES, "r": FIXED},
+    MPPI: {
+        "temperature": Bounds(0.01, 100.0, relative=True),
+        "spread": Bounds(0.1, 10.0, relative=True),
+        "q_e": Bounds(1.0, 1.0, relative=True),
+        "q_course": Bounds(0.01, 100.0, relative=True),
+        "r": Bounds(0.01, 100.0, relative=True),
+    },
     PurePursuit: {"lookahead_time": Bounds(0.1, 1.5), "lookahead_min": Bounds(1.0, 10.0)},
     Stanley: {
         "gain": Bounds(0.1, 10.0, relative=True),
@@ -60,7 +68,7 @@ LAWS: dict[type[CompiledController], dict[str, Bounds]] = {
     },
 }
 """By law, its tuning entries. Of an LQR only the ratios to r count, and its gains are tabulated over two decades to
-either side of its own; of the kinematic MPC those to the weight of the lateral error."""
+either side of its own; of the kinematic MPC those to the weight of the lateral error, of MPPI those to q_e."""
 
 
 def at_bounds(space: SearchSpace, tuning: ArrayLike) -> list[str]:
