@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from adaptrack.controllers.belief import Uncertainty
 from adaptrack.controllers.informed import Parts, informed_parts
-from adaptrack.controllers.inputs import finite, number, vector
+from adaptrack.controllers.inputs import change_of_path, number, vector, wheel_angle
 from adaptrack.controllers.learned import LearnedCar, Learning
 from adaptrack.controllers.limits import Limits, Moves
 from adaptrack.controllers.made_for import INCREMENTAL, car_of, mismatches
@@ -444,9 +444,9 @@ class MPC:
         Raises
         ------
         InvalidInput
-            When it is no finite number.
+            When no road wheel can have it.
         """
-        self._mpc.memory["command"][0] = finite("applied: angle", angle)
+        self._mpc.memory["command"][0] = wheel_angle("applied: angle", angle)
 
     def change_path(self, heading: float, offset: float) -> None:
         """Say that another path lies under the car, by how much (rad, m) heading and offset have grown against it.
@@ -456,9 +456,9 @@ class MPC:
         Raises
         ------
         InvalidInput
-            When a number is not finite.
+            When a number is not finite, or so large that `restart` is due.
         """
-        turned, shifted = finite("change_path: heading", heading), finite("change_path: offset", offset)
+        turned, shifted = change_of_path(heading, offset)
         mpc = self._mpc
         for i, name in enumerate(self.model.states):
             mpc.previous[0, i] += {"yaw": turned, "y": shifted}.get(name, 0.0)

@@ -462,6 +462,15 @@ def _go_on(n, size, p, parameters, memory):
     _choose_left_out(p, parameters, memory)
 
 
+@njit(**INLINE)
+def _is_lost(memory):
+    """Whether z or a variance is no number: then nothing brings the filter back but to begin anew."""
+    total = 0.0
+    for i in range(WIDTH):
+        total += memory[_Z + i] + memory[_PAST_Z + i] + memory[_P + (WIDTH + 1) * i] + memory[_PAST_P + (WIDTH + 1) * i]
+    return not math.isfinite(total)
+
+
 @njit(ESTIMATE, **ROUTINE)
 def kalman(speed, measured, command, a, b, parameters, memory, x, d):
     """See `contract.ESTIMATE`."""
@@ -469,6 +478,11 @@ def kalman(speed, measured, command, a, b, parameters, memory, x, d):
     size = n + path.DISTURBANCES + (1 if p.spread_bias > 0.0 else 0)
     if speed != memory[_SPEED] and math.isfinite(speed):
         _form(speed, n, parameters, memory)
+    if _is_lost(memory):
+        memory[:] = 0.0
+        memory[_SPEED] = math.nan
+        if math.isfinite(speed):
+            _form(speed, n, parameters, memory)
     if memory[_COUNT] > 0.5:
         sent = _sent(p)
         for i in range(int(p.longest) + int(p.late) + 1, 0, -1):
