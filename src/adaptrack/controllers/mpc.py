@@ -317,6 +317,7 @@ class MPC:
             estimator=self.estimator.kind,
             solver=solver,
             max_sweeps=sweeps,
+            max_changes=getattr(self.solver, "max_iterations", None) or 0,
             tolerance=tolerance,
             residuals=residuals,
             longest_horizon=min(
@@ -555,6 +556,14 @@ class MPC:
         ahead, pace = twin._take(state, speed, reference, variables, road)
         _, n, m = twin._form(pace, ahead)
         return twin._qp(n, m)
+
+    def solved_problem(self) -> tuple[QP, Array]:
+        """The QP of the last step, which was solved at a speed above standstill, and its solution x (n,)."""
+        own, ws = self._mpc.memory[0], self._mpc.ws
+        limited = any(map(math.isfinite, self.limits.output))
+        n = int(own.planned) + limited
+        qp = self._qp(n, 4 * int(own.Nc) + (2 * int(own.Np) if limited else 0))
+        return qp, ws.solution[:n].copy()
 
     def _twin(self) -> Self:
         """A controller in the same state, to form a QP with; what that does not change is shared."""

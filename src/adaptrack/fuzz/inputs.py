@@ -40,7 +40,7 @@ def choose(rng: Rng, values: Sequence[Any]) -> Any:
     return values[int(rng.integers(len(values)))]
 
 
-def _bursts(rng: Rng, steps: int, share: float) -> NDArray[np.bool_]:
+def bursts(rng: Rng, steps: int, share: float) -> NDArray[np.bool_]:
     """(steps,) where inputs are bad: about so large a share, in bursts."""
     bad = np.zeros(steps, dtype=bool)
     k = int(rng.geometric(1.0 / 40.0))
@@ -51,7 +51,7 @@ def _bursts(rng: Rng, steps: int, share: float) -> NDArray[np.bool_]:
     return bad
 
 
-def _spoil(rng: Rng, rows: Array, bad: NDArray[np.bool_], share: float) -> None:
+def spoil(rng: Rng, rows: Array, bad: NDArray[np.bool_], share: float) -> None:
     """Make a share of the entries of bad rows hostile."""
     hit = (rng.random(rows.shape) < share) & (bad if rows.ndim == 1 else bad[:, None])
     rows[hit] = np.asarray(HOSTILE)[rng.integers(len(HOSTILE), size=int(hit.sum()))]
@@ -86,7 +86,7 @@ def mpc_case(rng: Rng) -> Case:
     return case
 
 
-def _measured(rng: Rng, steps: int) -> Array:
+def measured(rng: Rng, steps: int) -> Array:
     """(steps, 9) good samples, as `MPC.step` takes them; a tenth of the drives wide, another with a sensor stuck."""
     states = np.zeros((steps, 9))
     kind = rng.random()
@@ -100,19 +100,28 @@ def _measured(rng: Rng, steps: int) -> Array:
     return states
 
 
+def paces(rng: Rng, steps: int) -> Array:
+    """(steps,) m/s, good speeds."""
+    pace = rng.uniform(0.0, 35.0)
+    return np.full(steps, pace) if rng.random() < 0.3 else np.abs(pace + rng.normal(size=steps))
+
+
+def references(rng: Rng, steps: int) -> Array:
+    """(steps, .) m, good references."""
+    return rng.normal(size=(steps, int(rng.integers(1, 80))))
+
+
 def mpc_inputs(case: Case, rng: Rng, steps: int) -> list[Case]:
     """What an MPC is given at each step, and whether it is good."""
-    bad = _bursts(rng, steps, choose(rng, (0.0, 0.1, 0.4)))
+    bad = bursts(rng, steps, choose(rng, (0.0, 0.1, 0.4)))
     share = choose(rng, (0.03, 0.2, 0.8))
-    states, references = _measured(rng, steps), rng.normal(size=(steps, int(rng.integers(1, 80))))
-    pace = rng.uniform(0.0, 35.0)
-    speeds = np.full(steps, pace) if rng.random() < 0.3 else np.abs(pace + rng.normal(size=steps))
-    for rows in (states, references, speeds):
-        _spoil(rng, rows, bad, share)
+    states, speeds, ahead = measured(rng, steps), paces(rng, steps), references(rng, steps)
+    for rows in (states, ahead, speeds):
+        spoil(rng, rows, bad, share)
     states = states[:, : int(choose(rng, (4, 4, 6, 8, 9)))]
     given: list[Case] = [
         {"state": state, "speed": speed, "reference": reference, "good": good}
-        for state, speed, reference, good in zip(states, speeds.tolist(), references, (~bad).tolist(), strict=True)
+        for state, speed, reference, good in zip(states, speeds.tolist(), ahead, (~bad).tolist(), strict=True)
     ]
     for k in np.flatnonzero(bad & (rng.random(steps) < 0.2)).tolist():
         given[k][choose(rng, ("state", "reference"))] = choose(rng, MALFORMED)
@@ -164,7 +173,7 @@ def tracker_case(rng: Rng) -> Case:
 
 def tracker_inputs(case: Case, rng: Rng, steps: int) -> list[Case]:
     """Calls of a car on a circle of 60 m, at times that stray: each a dictionary of the arguments of `Tracker.step`."""
-    bad = _bursts(rng, steps, choose(rng, (0.0, 0.1, 0.4)))
+    bad = bursts(rng, steps, choose(rng, (0.0, 0.1, 0.4)))
     share = choose(rng, (0.03, 0.15, 0.6))
     time = np.cumsum(rng.uniform(*choose(rng, ((0.05, 0.05), (0.02, 0.09), (0.01, 0.01))), size=steps))
     speed = rng.uniform(0.0, 25.0)
@@ -180,7 +189,7 @@ def tracker_inputs(case: Case, rng: Rng, steps: int) -> list[Case]:
         rows[:, 6:9] = rng.normal(size=(steps, 3)) * 0.05
     if rng.random() < 0.3:
         rows[:, 3] = np.remainder(rows[:, 3] + math.pi, 2.0 * math.pi) - math.pi
-    _spoil(rng, rows, bad, share)
+    spoil(rng, rows, bad, share)
     jumps = bad & (rng.random(steps) < 0.1)
     rows[jumps, 0] += rng.choice([-1e9, -5.0, -1.0, 0.0, 1.0, 5.0, 1e9, 1e15], size=int(jumps.sum()))
     given = [_call(row, good) for row, good in zip(rows.tolist(), (~bad).tolist(), strict=True)]
@@ -210,8 +219,8 @@ def friction_case(rng: Rng) -> Case:
 
 def friction_inputs(case: Case, rng: Rng, steps: int) -> list[Case]:
     """What the estimator is given at each step."""
-    bad = _bursts(rng, steps, choose(rng, (0.0, 0.1, 0.4)))
+    bad = bursts(rng, steps, choose(rng, (0.0, 0.1, 0.4)))
     rows = rng.normal(size=(steps, 7)) * (0.3, 0.05, 0.1, 1.0, 0.3, 0.05, 1.0)
     rows[:, 4] += rng.uniform(0.0, 35.0)
-    _spoil(rng, rows, bad, choose(rng, (0.03, 0.2, 0.8)))
+    spoil(rng, rows, bad, choose(rng, (0.03, 0.2, 0.8)))
     return [{"row": row, "good": good} for row, good in zip(rows.tolist(), (~bad).tolist(), strict=True)]

@@ -18,6 +18,8 @@ from adaptrack.fuzz.targets import TARGETS
 
 STEPS_EACH = 1000
 """Of one case."""
+EFFORT = 50_000
+"""Steps, to cut a case short."""
 KIND = "adaptrack fuzz case"
 
 
@@ -76,13 +78,17 @@ def search(
 
 
 def shortened(failed: Failed) -> Failed:
-    """The same with fewer inputs: pieces of half the length, a quarter, ... are left out as long as it still fails."""
+    """The same with fewer inputs: pieces of half the length, a quarter, ... are left out as long as it still fails.
+
+    It ends after `EFFORT` steps.
+    """
     inputs, claim = failed.inputs, failed.claim
-    piece = len(inputs) // 2
+    piece, left = len(inputs) // 2, EFFORT
     while piece:
         start = 0
-        while start < len(inputs) - 1:
+        while start < len(inputs) - 1 and left > 0:
             fewer = inputs[:start] + inputs[start + piece :]
+            left -= len(fewer)
             wrong = replay(failed.case, fewer) if fewer else None
             if wrong is None:
                 start += piece

@@ -215,6 +215,8 @@ class MPCTarget:
             return "the speed"
         if self.published and not _finite(state[:4]):
             return "the state"
+        if not self.published and abs(speed) < STANDING:
+            return None
         if not np.isfinite(reference).any():
             return "the reference"
         if self.published and not self.mpc.preview and not math.isfinite(reference.flat[0]):
@@ -229,12 +231,8 @@ class MPCTarget:
 
     def _certificate(self) -> str | None:
         """The residuals of the solution, by the readable formulas."""
-        mpc = self.mpc
-        own, ws = mpc._mpc.memory[0], mpc._mpc.ws
-        limited = any(map(math.isfinite, mpc.limits.output))
-        n = int(own.planned) + limited
-        m = 4 * int(own.Nc) + (2 * int(own.Np) if limited else 0)
-        worst = kkt_residuals(mpc._qp(n, m), ws.solution[:n], ws.multipliers[:m]).worst
+        qp, x = self.mpc.solved_problem()
+        worst = kkt_residuals(qp, x, self.mpc._mpc.ws.multipliers[: qp.m]).worst
         return None if worst <= CERTIFIED else f"SOLVED with residuals of {worst:.1e}"
 
 

@@ -31,7 +31,7 @@ from ..abi import (
     vector,
 )
 from ..estimators import kalman, learning
-from ..estimators.contract import ABSURD, BY_FUNCTION, ESTIMATE, call_estimate
+from ..estimators.contract import ABSURD, BY_FUNCTION, ESTIMATE, FASTEST, call_estimate
 from ..maths import vectors
 from ..maths.elementary import clip
 from ..models import path
@@ -73,12 +73,13 @@ SETTINGS = Structure(
         "estimator",  # DEADBEAT or BY_FUNCTION
         "solver",  # ACTIVE_SET, ...
         "max_sweeps",  # of Hildreth's procedure
+        "max_changes",  # of the active set, 0: `qp.CHANGES` per variable and row
         "tolerance",  # of Hildreth's procedure, on the squared change of the multipliers in a sweep
         "residuals",  # 1: compute the KKT residual of every solution
         "longest_horizon", "most_moves",  # Np and Nc are clamped to what the workspace was made for
     ),
     whole=(
-        "laguerre", "terms", "preview", "estimator", "solver", "max_sweeps", "residuals", "longest_horizon",
+        "laguerre", "terms", "preview", "estimator", "solver", "max_sweeps", "max_changes", "residuals", "longest_horizon",
         "most_moves",
     ),
 )  # fmt: skip
@@ -620,7 +621,7 @@ def _leave_out_absurd(speed, mpc):
             mpc.measured[sensor] = math.nan
     if not abs(mpc.measured[MEASURED.turned]) < math.pi:
         mpc.measured[MEASURED.turned] = 0.0
-    return speed if abs(speed) < ABSURD else math.nan
+    return speed if abs(speed) < FASTEST else math.nan
 
 
 @njit(types.UniTuple(int64, 3)(int64, float64, vector, vector, MPC, FUNCTIONS), **SUBROUTINE)
@@ -688,8 +689,9 @@ def _solve_qp(slot, n, m, mpc, functions):
         )
     if settings.solver == ACTIVE_SET or (settings.solver == HILDRETH_THEN_EXACT and status == qp.CAPPED):
         # The rows that were active a period ago are a good guess, and while E stays so does their factor.
+        most = settings.max_changes if settings.max_changes > 0 else qp.CHANGES * (n + m)
         status, more, active = qp.call_active_set(
-            functions.active_set, problem, factor, solution, scratch, own.active, own.kept > 0, 10 * (n + m)
+            functions.active_set, problem, factor, solution, scratch, own.active, own.kept > 0, most
         )
         own.active, own.kept = active, 1
         iterations += more
