@@ -4,8 +4,8 @@
 
 A tracker with the learning MPC drives laps of a closed country road at 20 Hz, on a single-track car of the script's own
 (linear tyres, steering lag and dead time, noise, samples that are late or missing). After each simulated hour: resident
-memory (MB), what Python has allocated (MB), RMS and largest offset (m), statuses. The exit code is 1 when the memory has
-grown by more than 3 MB since the first hour, or when a call was held.
+memory (MB), RMS and largest offset (m), time of a step, statuses. The exit code is 1 when the memory
+has grown by more than 3 MB since the first hour, or when a call was held.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ GROWTH = 3.0
 
 
 class Car:
-    """A single-track car with linear tyres (Rajamani, Vehicle Dynamics and Control, section 2.3) behind its steering."""
+    """A single-track car with linear tyres (Rajamani, Vehicle Dynamics and Control, section 2.3) and its steering."""
 
     def __init__(self, vehicle: at.Vehicle, road: at.Road, lag: float = 0.15, dead_time: float = 0.05) -> None:
         place = road.at(0.0)

@@ -86,7 +86,7 @@ def _drive(rng: Rng) -> Iterator[Problem]:
         informed = True  # the published controller needs the lateral velocity
     mpc = _controller(rng, car, profile, informed)
     test = ("lane-change", "step")[rng.integers(2)]
-    wind = {"gust" if test == "lane-change" else "wind": rng.uniform(-30.0, 30.0)}
+    wind: dict[str, Any] = {"gust" if test == "lane-change" else "wind": rng.uniform(-30.0, 30.0)}
     drive = load_scenario(
         test, amplitude=rng.uniform(-14.0, 14.0), speed=rng.uniform(3.0, 27.0), friction=rng.uniform(0.5, 0.9),
         duration=6.0, **wind,
@@ -128,7 +128,7 @@ def _beyond(kind: str, qp: QP, room: float) -> Problem:
 
 
 def _limit_rows(qp: QP) -> int:
-    """How many rows are limits on moves and angles, four a sample; soft ones on y, with -1 in the last column, follow."""
+    """How many rows limit moves and angles, four a sample; soft ones on y, with -1 in the last column, follow."""
     soft = np.flatnonzero((qp.M[:, -1] == -1.0) & (np.abs(qp.M).sum(axis=1) != 1.0)) if qp.m else np.zeros(0)
     return int(soft[0]) // 4 * 4 if soft.size and soft[0] >= 4 else qp.m
 

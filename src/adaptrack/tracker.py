@@ -38,8 +38,8 @@ LARGEST_JUMP, JUMPS = 10.0, 3
 """m, between a position and where the car was expected, beside half of the way since: such a position is left out;
 when so many come one after the other, the car was moved, and the tracker begins anew."""
 FURTHEST, ABSURD = 1e8, 1e3
-"""m, from the origin; SI units: no position, and no speed, rate, acceleration or angle of a car is as large. What is counts
-as not measured."""
+"""m, from the origin; SI units: no position, and no speed, rate, acceleration or angle of a car is as large: what is
+counts as not measured."""
 ACROSS = 10.0
 """m of distance that a foot may be nearer for a path at right angles to the car, when a path is looked for its start.
 """

@@ -1,13 +1,14 @@
 """The same search inside the kernels: millions of steps of an MPC, the claims looked at afterwards, all at once.
 
-What an input in Python may be beside (malformed, an action before the step) is left to `search`; schedulers that lie are
-tunings that change.
+What an input in Python may be beside (malformed, an action before the step) is left to `search`; schedulers that lie
+are tunings that change.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 
@@ -16,8 +17,9 @@ from adaptrack.estimation import NOTHING_MEASURED
 from adaptrack.fuzz import inputs
 from adaptrack.fuzz.inputs import LIES, Array, Case, Rng
 from adaptrack.fuzz.search import Failed, Found
-from adaptrack.fuzz.targets import CERTIFIED, SETTLED, TINY, STANDING, make_mpc
+from adaptrack.fuzz.targets import CERTIFIED, SETTLED, TINY, make_mpc
 from adaptrack.qp import QPStatus
+from adaptrack.tracker import STANDING
 
 STEPS_EACH = 20_000
 """Of one case."""
@@ -25,7 +27,7 @@ CALM = (20.0, 5.0, 1.0, 10.0)
 """A tuning that solves."""
 
 
-def _drawn(case: Case, rng: Rng, steps: int) -> tuple[Array, Array, Array, Array, Array]:
+def _drawn(case: Case, rng: Rng, steps: int) -> tuple[Array, Array, Array, Array, Any]:
     """States (k, 9), speeds (k,), references (k, .), tunings (k, 4), whether all is good (k,)."""
     bad = inputs.bursts(rng, steps, inputs.choose(rng, (0.0, 0.1, 0.4)))
     share = inputs.choose(rng, (0.03, 0.2, 0.8))

@@ -1,7 +1,7 @@
 """Random configurations and inputs, good and bad: numbers and text alone, so that a file can hold them.
 
-Bad inputs come in bursts among good ones: NaN, infinities, the largest and the smallest numbers, absurd speeds, ages and
-times, stuck sensors, malformed arguments, schedulers that answer what is no tuning.
+Bad inputs come in bursts among good ones: NaN, infinities, the largest and the smallest numbers, absurd speeds, ages
+and times, stuck sensors, malformed arguments, schedulers that answer what is no tuning.
 """
 
 from __future__ import annotations
@@ -24,7 +24,8 @@ HOSTILE = (
 MALFORMED: tuple[Any, ...] = ([], [1.0, 2.0], [[1.0, 2.0], [3.0, 4.0]], "text", None, True, ["a", "b", "c", "d"])
 LIES: tuple[Any, ...] = (
     [math.nan] * 4, [1e300, 1e300, 1e300, 1e300], [20, 30, 1.0, 1.0], [0, 0, 0.0, 0.0], [-5, -5, -1.0, -1.0],
-    [10, 2, 1.0, math.inf], [10, 2, math.inf, 1.0], [30, 5, 1e300, 1e-300], [30, 5, 1e-300, 1e300], [30.49, 5.5, 1.0, 1.0],
+    [10, 2, 1.0, math.inf], [10, 2, math.inf, 1.0], [30, 5, 1e300, 1e-300], [30, 5, 1e-300, 1e300],
+    [30.49, 5.5, 1.0, 1.0],
     [1.0, 2.0], [], "text", None, "raise", [True, False, 1.0, 1.0],
 )  # fmt: skip
 """What a scheduler may answer; "raise": it raises an error."""
@@ -175,7 +176,8 @@ def tracker_inputs(case: Case, rng: Rng, steps: int) -> list[Case]:
     """Calls of a car on a circle of 60 m, at times that stray: each a dictionary of the arguments of `Tracker.step`."""
     bad = bursts(rng, steps, choose(rng, (0.0, 0.1, 0.4)))
     share = choose(rng, (0.03, 0.15, 0.6))
-    time = np.cumsum(rng.uniform(*choose(rng, ((0.05, 0.05), (0.02, 0.09), (0.01, 0.01))), size=steps))
+    least, most = choose(rng, ((0.05, 0.05), (0.02, 0.09), (0.01, 0.01)))
+    time = np.cumsum(rng.uniform(least, most, size=steps))
     speed = rng.uniform(0.0, 25.0)
     turned = speed * time / 60.0
     rate = np.full(steps, speed / 60.0)
@@ -200,7 +202,7 @@ def tracker_inputs(case: Case, rng: Rng, steps: int) -> list[Case]:
 
 
 def _call(row: list[float], good: bool) -> Case:
-    call = dict(zip(KEYS, row, strict=True))
+    call: Case = dict(zip(KEYS, row, strict=True))
     if math.isnan(call["now"]):
         call["now"] = None
     if math.isnan(call["wheel_angle"]):

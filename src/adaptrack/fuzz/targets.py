@@ -49,7 +49,8 @@ def _car(name: str) -> Vehicle:
 
 
 def _limits(case: Case) -> Limits:
-    return Limits(**{name: tuple(pair) for name, pair in case["limits"].items()})
+    pairs: Case = {name: tuple(pair) for name, pair in case["limits"].items()}
+    return Limits(**pairs)
 
 
 def _refused(action: Callable[[], Any], allowed: bool) -> str | None:
@@ -288,7 +289,7 @@ def path(name: str) -> Road:
     circle = Arc(length=120.0 * math.pi, curvature=1 / 60)
     if name == "country":
         return generate_road("country", seed=1, length=600.0)
-    roads = {
+    roads: dict[str, tuple[list[Any], bool]] = {
         "circle": ([circle], True),
         "line": ([Line(length=60.0)], False),
         "loop": ([Line(length=100.0), Arc(length=45.0 * math.pi, curvature=1 / 30), Line(length=100.0)], False),
@@ -368,7 +369,9 @@ class FrictionTarget:
         found = self.estimator.step(np.array(state), speed, command, acceleration)
         belief = self.estimator.belief
         low, high = belief.friction_range
-        if not all(map(math.isfinite, (found.friction, found.wind, found.friction_std, found.wind_std, found.stiffness))):
+        if not all(
+            map(math.isfinite, (found.friction, found.wind, found.friction_std, found.wind_std, found.stiffness))
+        ):
             return f"not finite: {found}"
         if not (low - TINY <= found.friction <= high + TINY and abs(found.wind) <= belief.most_wind + TINY):
             return f"out of its range: {found}"

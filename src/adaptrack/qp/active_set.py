@@ -14,10 +14,10 @@ from adaptrack.qp.solver import Attempt, QPSolver
 class ActiveSet(QPSolver):
     """Goldfarb and Idnani's dual active-set method (1983), its result refined in twice the working precision.
 
-    ``max_iterations``: changes of the active set at most, by default `CHANGES` (n + m). The method ends by itself, within
-    a few tens for the controller's problems; the cap is for the unforeseen. An MPC in the kernels holds to it as well:
-    a capped step follows the last plan. A warm start begins from its active rows. It is the
-    method that finishes what others leave uncertified; its own such answers leave nothing to apply.
+    ``max_iterations``: changes of the active set at most, by default `CHANGES` (n + m). The method ends by itself,
+    within a few tens for the controller's problems; the cap is for the unforeseen. An MPC in the kernels holds to it,
+    too: a capped step follows the last plan. A warm start begins from its active rows. It is the method that finishes
+    what others leave uncertified; its own such answers leave nothing to apply.
     """
 
     name: ClassVar[str] = "active-set"

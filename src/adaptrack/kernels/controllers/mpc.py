@@ -79,8 +79,8 @@ SETTINGS = Structure(
         "longest_horizon", "most_moves",  # Np and Nc are clamped to what the workspace was made for
     ),
     whole=(
-        "laguerre", "terms", "preview", "estimator", "solver", "max_sweeps", "max_changes", "residuals", "longest_horizon",
-        "most_moves",
+        "laguerre", "terms", "preview", "estimator", "solver", "max_sweeps", "max_changes", "residuals",
+        "longest_horizon", "most_moves",
     ),
 )  # fmt: skip
 

@@ -76,7 +76,7 @@ WHOLE, SHARE, BIAS, VARIANCE, DRIFT_WHEELS = (
 UNKNOWN = 1e2
 """Variance of a state of which the first sample says nothing."""
 FAR, FAR_TURNED, ASTRAY = 100.0, 10.0, 10
-"""m, rad, by which a position or a heading is no outlier but the estimate wrong, when so many come one after the other."""
+"""m, rad, by which a position or a heading is no outlier but the estimate wrong, when so many follow each other."""
 LEAST_NOISE = (0.005, 0.0002, 0.001, 0.002, 0.0005, 0.02)
 """Of the sensors: with better ones the model's own errors limit the filter."""
 
