@@ -5,12 +5,13 @@
 
 The corpus is `adaptrack.qp_corpus`, from a seed. The truth is `tests/references/qp_exact.py`: its solutions are
 proved in exact integer arithmetic (all optimality conditions to 1e-25), and what has no solution is proved so by two
-opposite rows that contradict each other, exactly, or by a dual method of 80 digits. *Wrong*: the first move of an answer that is
-called solved is off by more than 1e-6 rad; *beyond the data*: also by more than half a unit in the last place of every
-number of the problem can do. *Missed*: no answer for a feasible problem. *Uncertified*: an answer that may steer, with
-a scaled residual above 1e-6. *In the loop*: the first moves of the plans that the controllers made of recorded
-problems, from warm starts and kept factors. Changes: of the active set (or the solver's own iterations). The exit code is 1 when
-the first solver has wrong or uncertified answers, or calls a feasible problem infeasible, or an infeasible one solved.
+opposite rows that contradict each other, exactly, or by a dual method of 80 digits. *Wrong*: the first move of an
+answer that is called solved is off by more than 1e-6 rad; *beyond the data*: also by more than half a unit in the
+last place of every number of the problem can do. *Missed*: no answer for a feasible problem. *Uncertified*: an answer
+that may steer, with a scaled residual above 1e-6. *In the loop*: the first moves of the plans that the controllers
+made of recorded problems, from warm starts and kept factors. Changes: of the active set (or the solver's own
+iterations). The exit code is 1 when the first solver has wrong or uncertified answers, or calls a feasible problem
+infeasible, or an infeasible one solved.
 """
 
 from __future__ import annotations
