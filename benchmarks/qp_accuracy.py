@@ -1,13 +1,12 @@
-"""How exact is each QP solver? First-move error against a verified reference, on drawn and on recorded problems.
+"""How exact is each QP solver? First-move error against a verified reference, on problems that are drawn hard.
 
-    python benchmarks/qp_accuracy.py                      # 100,000 problems, a few minutes on 2 cores
+    python benchmarks/qp_accuracy.py                      # 50,000 problems, a few minutes on 2 cores
     python benchmarks/qp_accuracy.py --count 2000 --solver active-set --solver piqp --json
 
-Half of the problems are drawn hard: the paper's MPC (single track, zero-order hold, eqs. 9-17) at random speed
+The paper's MPC (single track, zero-order hold, eqs. 9-17) at random speed
 1..30 m/s, Ts 0.05..0.1 s, Np 1..55, Nc 1..18, Q 0.1..10, R 0.001..0.1, states up to absurd ones, limits +-pi/12 on
-the moves and +-pi/6 on the angle; pulses or Laguerre moves; one in five with soft limits on y. The other half comes
-from closed loops: `recorded_qps(count, seed)` of the module `closed_loop_qps` beside this file (left out, and said
-so, where there is none).
+the moves and +-pi/6 on the angle; pulses or Laguerre moves; one in five with soft limits on y. Those of
+closed loops: `qp_corpus.py`.
 
 The reference (tests/references/qp_exact.py) proves each of its solutions in exact integer arithmetic. A problem counts
 as *missed* when x[0] is off by more than 1e-6 rad and by more than the data allow: the first-order change of x[0] when
@@ -22,7 +21,7 @@ import os
 import platform
 import sys
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
 from importlib import metadata
 from pathlib import Path
@@ -61,24 +60,14 @@ def drawn_qps(count: int, seed: int) -> Iterator[QP]:
         yield QP(*drawn_mpc_problem(rng))
 
 
-def recorded_qps(count: int, seed: int) -> Iterable[QP] | None:
-    """Problems met in closed loops, or None where no recorder is at hand."""
-    try:
-        import closed_loop_qps
-    except ImportError:
-        return None
-    return closed_loop_qps.recorded_qps(count, seed)
-
-
-def measure(source: str, count: int, seed: int, names: tuple[str, ...]) -> dict[str, np.ndarray]:
+def measure(count: int, seed: int, names: tuple[str, ...]) -> dict[str, np.ndarray]:
     """Solve ``count`` problems with every solver: arrays of status and first-move error (NaN where there is no x)."""
-    problems = drawn_qps(count, seed) if source == "drawn" else recorded_qps(count, seed)
     solvers = {name: get_qp_solver(SOLVERS[name][0], **SOLVERS[name][1]) for name in names}
     propose = get_qp_solver("active-set")
     facts: dict[str, list[float]] = {key: [] for key in ("condition", "active", "bound", "fallback")}
     for name in names:
         facts[f"{name} status"], facts[f"{name} error"] = [], []
-    for qp in problems or ():
+    for qp in drawn_qps(count, seed):
         reference = reference_solve(qp.E, qp.K, qp.M, qp.gamma, np.flatnonzero(propose.solve(qp).lam > 0.0))
         facts["condition"].append(float(np.linalg.cond(qp.E)))
         facts["active"].append(len(reference.active))
@@ -91,26 +80,17 @@ def measure(source: str, count: int, seed: int, names: tuple[str, ...]) -> dict[
     return {key: np.array(value, dtype=float) for key, value in facts.items()}
 
 
-def run(count: int, names: tuple[str, ...], workers: int, sources: tuple[str, ...]) -> dict[str, dict[str, np.ndarray]]:
-    """Each half, in parallel."""
-    results: dict[str, dict[str, np.ndarray]] = {}
+def run(count: int, names: tuple[str, ...], workers: int) -> dict[str, dict[str, np.ndarray]]:
+    """All problems, in parallel."""
     with ProcessPoolExecutor(workers) as pool:
-        for source in sources:
-            if source == "recorded" and recorded_qps(0, 0) is None:
-                print("no closed_loop_qps.py beside this file: the recorded half is left out", file=sys.stderr)
-                continue
-            half = count // 2
-            jobs = [pool.submit(measure, source, min(CHUNK, half - start), start // CHUNK, names)
-                    for start in range(0, half, CHUNK)]  # fmt: skip
-            parts = []
-            for done, job in enumerate(jobs, 1):
-                parts.append(job.result())
-                if sys.stderr.isatty():
-                    print(f"\r{source}: {done * CHUNK:,} of {half:,}", end="", file=sys.stderr)
+        jobs = [pool.submit(measure, min(CHUNK, count - start), start // CHUNK, names)
+                for start in range(0, count, CHUNK)]  # fmt: skip
+        parts = []
+        for done, job in enumerate(jobs, 1):
+            parts.append(job.result())
             if sys.stderr.isatty():
-                print(file=sys.stderr)
-            results[source] = {key: np.concatenate([part[key] for part in parts]) for key in parts[0]}
-    return results
+                print(f"\r{done * CHUNK:,} of {count:,}", end="\n" * (done == len(jobs)), file=sys.stderr)
+    return {"drawn": {key: np.concatenate([part[key] for part in parts]) for key in parts[0]}}
 
 
 def summarise(results: dict[str, dict[str, np.ndarray]], names: tuple[str, ...]) -> list[dict[str, object]]:
@@ -195,16 +175,14 @@ def table(rows: list[dict[str, object]]) -> str:
 def main() -> None:
     """Run and print."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
-    parser.add_argument("--count", type=int, default=100_000, help="problems, half drawn and half recorded")
+    parser.add_argument("--count", type=int, default=50_000, help="problems")
     parser.add_argument("--solver", action="append", choices=SOLVERS, help="may be repeated")
-    parser.add_argument("--problems", choices=("drawn", "recorded"), help="one half only")
     parser.add_argument("--workers", type=int, default=os.cpu_count())
     parser.add_argument("--json", action="store_true", help="one JSON object on standard output")
     options = parser.parse_args()
     names = tuple(options.solver or DEFAULT_SOLVERS)
     start = time.perf_counter()
-    sources = (options.problems,) if options.problems else ("drawn", "recorded")
-    results = run(options.count, names, options.workers, sources)
+    results = run(options.count, names, options.workers)
     report = {
         "rows": summarise(results, names), "problems": describe(results), "machine": machine(),
         "seconds": round(time.perf_counter() - start, 1), "goal_rad": GOAL,

@@ -37,6 +37,9 @@ LONGEST_CARRY = 0.3
 LARGEST_JUMP, JUMPS = 10.0, 3
 """m, between a position and where the car was expected, beside half of the way since: such a position is left out;
 when so many come one after the other, the car was moved, and the tracker begins anew."""
+FURTHEST, ABSURD = 1e8, 1e3
+"""m, from the origin; SI units: no position, and no speed, rate, acceleration or angle of a car is as large: what is
+counts as not measured."""
 ACROSS = 10.0
 """m of distance that a foot may be nearer for a path at right angles to the car, when a path is looked for its start.
 """
@@ -105,6 +108,12 @@ class _Sample(NamedTuple):
 
 
 NOWHERE = _Pose(math.nan, math.nan, math.nan)
+_MOST = (FURTHEST, FURTHEST, FURTHEST, *(ABSURD,) * 5)
+
+
+def _believable(value: float, most: float) -> float:
+    """The value, NaN where no car can have it."""
+    return value if abs(value) < most else math.nan
 
 
 class Tracker:
@@ -172,6 +181,8 @@ class Tracker:
         InvalidInput
             When the angle is not finite.
         """
+        if not math.isfinite(real("Tracker.engage", "wheel_angle", wheel_angle)):
+            raise InvalidInput(f"Tracker.engage: wheel_angle = {wheel_angle!r} rad: must be finite.")
         getattr(self.controller, "restart", self.controller.reset)()
         self._hold(wheel_angle)
         self._started = False
@@ -181,9 +192,10 @@ class Tracker:
         self._station = self._heading = self._turned = 0.0
 
     def _hold(self, angle: float) -> None:
-        """Let an angle (rad) be the command before."""
-        self.controller.applied(angle)
-        self._command = float(angle)
+        """Let an angle (rad) be the command before, as far as the controller's limits go."""
+        limits = getattr(self.controller, "limits", None)
+        self._command = float(angle) if limits is None else min(max(float(angle), limits.angle[0]), limits.angle[1])
+        self.controller.applied(self._command)
 
     def follow(self, path: Road, plan: SpeedPlan | None = None) -> None:
         """Another path from now on, with its plan; what the controller has learned of the car stays.
@@ -202,7 +214,10 @@ class Tracker:
         self._station = _foot(path, self._pose)
         offset, heading_error = self._beside(self._pose, self._station)
         self._heading = float(path.at(self._station).heading)
-        self.controller.change_path(_turn(heading_error - before[1]), offset - before[0])
+        if abs(offset - before[0]) < ABSURD:
+            self.controller.change_path(_turn(heading_error - before[1]), offset - before[0])
+        else:  # too far from one of them to say by how much
+            self._restart()
 
     def step(
         self,
@@ -223,21 +238,24 @@ class Tracker:
         t: s, when the sample was taken; x, y: m, of the centre of mass; yaw: rad, wrapped or not; speed: m/s, negative
         backwards; yaw_rate: rad/s; lateral_velocity: m/s; lateral_acceleration: m/s^2, without the pull of a bank;
         wheel_angle: rad, of the road wheels: where it is given, the first command is near it; now: s, on the same
-        clock, when later than t. What is not known is NaN; a call without a position is one as well.
+        clock, when later than t. What is not known is NaN; a call without a position is one as well. What no car can
+        have (`FURTHEST`, `ABSURD`), and all but the speed of a sample that is `LONGEST_GAP` old, counts as not known.
 
         Raises
         ------
         InvalidInput
             When an argument is no number, or neither t nor now is finite.
         """
-        numbers = [t, x, y, yaw, yaw_rate, lateral_velocity, lateral_acceleration]
+        numbers = [t, x, y, yaw, speed, yaw_rate, lateral_velocity, lateral_acceleration]
         numbers.append(math.nan if wheel_angle is None else wheel_angle)
-        taken, *where, rate, vy, pull, angle = (real("Tracker.step", "a sample", each) for each in numbers)
-        given = _Sample(taken, _Pose(*where), rate, vy, pull, angle)
+        taken, *rest = (real("Tracker.step", "a sample", each) for each in numbers)
         at = taken if now is None else real("Tracker.step", "now", now)
         if not math.isfinite(at):
             raise InvalidInput(f"Tracker.step: t = {t!r}, now = {now!r}: the time of the call must be finite.")
-        pace = real("Tracker.step", "speed", speed)
+        *where, pace, rate, vy, pull, angle = map(_believable, rest, _MOST)
+        given = _Sample(taken, _Pose(*where), rate, vy, pull, angle)
+        if abs(at - taken) > LONGEST_GAP:
+            given = _Sample(math.nan, NOWHERE, *(math.nan,) * 4)
         if self._started and self._last - LONGEST_GAP <= at <= self._last:
             return self._tracked._replace(status=Status.REPEATED)
         if math.isfinite(pace):

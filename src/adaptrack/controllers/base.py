@@ -11,7 +11,7 @@ from typing import Any, NamedTuple, Protocol, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from adaptrack.controllers.inputs import finite, number, vector
+from adaptrack.controllers.inputs import change_of_path, number, vector, wheel_angle
 from adaptrack.controllers.limits import Limits
 from adaptrack.errors import InvalidInput, real
 from adaptrack.road.ahead import RoadAhead, straight
@@ -149,14 +149,13 @@ class CompiledController(ABC):
         Raises
         ------
         InvalidInput
-            When it is no finite number.
+            When no road wheel can have it.
         """
-        self._angle = finite("applied: angle", angle)
+        self._angle = wheel_angle("applied: angle", angle)
 
     def change_path(self, heading: float, offset: float) -> None:
         """Say that another path lies under the car, by how much (rad, m) heading and offset have grown against it."""
-        finite("change_path: heading", heading)
-        finite("change_path: offset", offset)
+        change_of_path(heading, offset)
 
     def step(
         self,

@@ -11,6 +11,8 @@ from adaptrack.errors import InvalidInput
 
 Array = NDArray[np.float64]
 FLOAT = np.dtype(np.float64)
+MOST_WHEEL_ANGLE, MOST_CHANGE = 0.5 * np.pi, 1e3
+"""rad; rad or m."""
 
 
 def vector(name: str, values: Any, size: int | tuple[int, ...] | None = None, most: int | None = None) -> Array:
@@ -71,6 +73,34 @@ def finite(name: str, value: Any) -> float:
     if not np.isfinite(given):
         raise InvalidInput(f"{name} = {value!r}: must be finite.")
     return given
+
+
+def wheel_angle(name: str, value: Any) -> float:
+    """An angle (rad) that road wheels can have: `MOST_WHEEL_ANGLE` to either side at most.
+
+    Raises
+    ------
+    InvalidInput
+        When it is none.
+    """
+    given = finite(name, value)
+    if abs(given) > MOST_WHEEL_ANGLE:
+        raise InvalidInput(f"{name} = {value!r} rad: no road wheel turns by more than {MOST_WHEEL_ANGLE:.4g} rad.")
+    return given
+
+
+def change_of_path(heading: Any, offset: Any) -> tuple[float, float]:
+    """By how much heading (rad) and offset (m) have grown against another path: less than `MOST_CHANGE`.
+
+    Raises
+    ------
+    InvalidInput
+        When a number is not finite, or so large that the controller had better begin anew.
+    """
+    turned, shifted = finite("change_path: heading", heading), finite("change_path: offset", offset)
+    if max(abs(turned), abs(shifted)) >= MOST_CHANGE:
+        raise InvalidInput(f"change_path: {heading!r} rad, {offset!r} m: too far from the path before; reset instead.")
+    return turned, shifted
 
 
 def _converted(name: str, values: Any) -> Array:

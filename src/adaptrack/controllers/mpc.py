@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from adaptrack.controllers.belief import Told, Uncertainty
 from adaptrack.controllers.informed import Parts, informed_parts
-from adaptrack.controllers.inputs import finite, number, vector
+from adaptrack.controllers.inputs import change_of_path, number, vector, wheel_angle
 from adaptrack.controllers.learned import LearnedCar, Learning
 from adaptrack.controllers.limits import Limits, Moves
 from adaptrack.controllers.made_for import INCREMENTAL, car_of, mismatches
@@ -318,6 +318,7 @@ class MPC:
             estimator=self.estimator.kind,
             solver=solver,
             max_sweeps=sweeps,
+            max_changes=getattr(self.solver, "max_iterations", None) or 0,
             tolerance=tolerance,
             residuals=residuals,
             longest_horizon=min(
@@ -445,9 +446,9 @@ class MPC:
         Raises
         ------
         InvalidInput
-            When it is no finite number.
+            When no road wheel can have it.
         """
-        self._mpc.memory["command"][0] = finite("applied: angle", angle)
+        self._mpc.memory["command"][0] = wheel_angle("applied: angle", angle)
 
     def change_path(self, heading: float, offset: float) -> None:
         """Say that another path lies under the car, by how much (rad, m) heading and offset have grown against it.
@@ -457,9 +458,9 @@ class MPC:
         Raises
         ------
         InvalidInput
-            When a number is not finite.
+            When a number is not finite, or so large that `restart` is due.
         """
-        turned, shifted = finite("change_path: heading", heading), finite("change_path: offset", offset)
+        turned, shifted = change_of_path(heading, offset)
         mpc = self._mpc
         for i, name in enumerate(self.model.states):
             mpc.previous[0, i] += {"yaw": turned, "y": shifted}.get(name, 0.0)
@@ -556,6 +557,14 @@ class MPC:
         ahead, pace = twin._take(state, speed, reference, variables, road)
         _, n, m = twin._form(pace, ahead)
         return twin._qp(n, m)
+
+    def solved_problem(self) -> tuple[QP, Array]:
+        """The QP of the last step, which was solved at a speed above standstill, and its solution x (n,)."""
+        own, ws = self._mpc.memory[0], self._mpc.ws
+        limited = any(map(math.isfinite, self.limits.output))
+        n = int(own.planned) + limited
+        qp = self._qp(n, 4 * int(own.Nc) + (2 * int(own.Np) if limited else 0))
+        return qp, ws.solution[:n].copy()
 
     def _twin(self) -> Self:
         """A controller in the same state, to form a QP with; what that does not change is shared."""

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from typing import ClassVar
 
-from adaptrack.errors import InvalidInput
+from adaptrack.errors import whole
+from adaptrack.kernels.qp.problem import CHANGES
 from adaptrack.qp.kernel import Workspace
 from adaptrack.qp.problem import QP, QPStatus, Solution
 from adaptrack.qp.solver import Attempt, QPSolver
@@ -13,19 +14,18 @@ from adaptrack.qp.solver import Attempt, QPSolver
 class ActiveSet(QPSolver):
     """Goldfarb and Idnani's dual active-set method (1983), its result refined in twice the working precision.
 
-    ``max_iterations``: changes of the active set, default 1000. The method ends by itself, within a few tens for
-    the controller's problems; the cap is for the unforeseen. A warm start begins from its active rows. It is the
-    method that finishes what others leave uncertified; its own such answers leave nothing to apply.
+    ``max_iterations``: changes of the active set at most, by default `CHANGES` (n + m). The method ends by itself,
+    within a few tens for the controller's problems; the cap is for the unforeseen. An MPC in the kernels holds to it,
+    too: a capped step follows the last plan. A warm start begins from its active rows. It is the method that finishes
+    what others leave uncertified; its own such answers leave nothing to apply.
     """
 
     name: ClassVar[str] = "active-set"
     accuracy: ClassVar[float] = 1e-9
 
-    def __init__(self, max_iterations: int = 1000) -> None:
-        if not max_iterations >= 1:
-            raise InvalidInput(f"max_iterations is {max_iterations}; at least 1 is needed.")
+    def __init__(self, max_iterations: int | None = None) -> None:
         super().__init__(on_uncertified="hold")
-        self.max_iterations = int(max_iterations)
+        self.max_iterations = None if max_iterations is None else whole("ActiveSet", "max_iterations", max_iterations)
         self._workspace = Workspace()
 
     def attempt(self, qp: QP, warm_start: Solution | None = None) -> Attempt:
@@ -34,7 +34,8 @@ class ActiveSet(QPSolver):
         if status is not QPStatus.SOLVED:
             return Attempt(status)
         guess = None if warm_start is None or warm_start.lam.shape != (qp.m,) else warm_start.lam
-        status, iterations = self._workspace.active_set(self.max_iterations, guess)
+        most = CHANGES * (qp.n + qp.m) if self.max_iterations is None else self.max_iterations
+        status, iterations = self._workspace.active_set(most, guess)
         if status is not QPStatus.SOLVED:
             return Attempt(status, iterations=iterations)
         return Attempt(status, *self._workspace.result(), iterations, certified=True)

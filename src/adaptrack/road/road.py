@@ -6,6 +6,7 @@ import math
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -217,7 +218,7 @@ class Road:
         """m, of the centre line; of one lap on a closed road."""
         return self.table.length
 
-    @property
+    @cached_property
     def turn(self) -> float:
         """rad, by which the heading grows in one lap: 2 pi, -2 pi, or 0 for a figure of eight; 0 on an open road."""
         if not self.closed:
@@ -310,7 +311,11 @@ class Road:
         return Projection(*(feet[:, k].reshape(shape) for k in range(4)))
 
     def packed(self) -> Any:
-        """The centre line as the record that `adaptrack.kernels.road` reads."""
+        """The centre line as the record that `adaptrack.kernels.road` reads; read-only."""
+        return self._packed
+
+    @cached_property
+    def _packed(self) -> Any:
         from adaptrack.kernels import road as kernel
 
         numbers = np.array([self.length, float(self.closed), self.turn])

@@ -31,7 +31,7 @@ from ..abi import (
     vector,
 )
 from ..estimators import kalman, learning
-from ..estimators.contract import BY_FUNCTION, ESTIMATE, call_estimate
+from ..estimators.contract import ABSURD, BY_FUNCTION, ESTIMATE, FASTEST, call_estimate
 from ..maths import vectors
 from ..maths.elementary import clip
 from ..models import path
@@ -73,13 +73,14 @@ SETTINGS = Structure(
         "estimator",  # DEADBEAT or BY_FUNCTION
         "solver",  # ACTIVE_SET, ...
         "max_sweeps",  # of Hildreth's procedure
+        "max_changes",  # of the active set, 0: `qp.CHANGES` per variable and row
         "tolerance",  # of Hildreth's procedure, on the squared change of the multipliers in a sweep
         "residuals",  # 1: compute the KKT residual of every solution
         "longest_horizon", "most_moves",  # Np and Nc are clamped to what the workspace was made for
     ),
     whole=(
-        "laguerre", "terms", "preview", "estimator", "solver", "max_sweeps", "residuals", "longest_horizon",
-        "most_moves",
+        "laguerre", "terms", "preview", "estimator", "solver", "max_sweeps", "max_changes", "residuals",
+        "longest_horizon", "most_moves",
     ),
 )  # fmt: skip
 
@@ -309,9 +310,10 @@ def _learn(slot, speed, mpc, functions):
     left_out = int(mpc.estimates[slot, kalman.LEFT_OUT])
     learning.call_learn(functions.learn, speed, mpc.measured, mpc.memory[slot].command, left_out, mpc.learner, known)
     for i in range(out.size - len(ANSWER)):
-        out[len(ANSWER) + i] = known[learning.ANSWER + i]
         if not math.isfinite(known[learning.ANSWER + i]):
             _begin_learning(slot, mpc)
+    for i in range(out.size - len(ANSWER)):
+        out[len(ANSWER) + i] = known[learning.ANSWER + i]
     if math.isfinite(speed):
         learning.call_believe(functions.believe, mpc.learner, known, mpc.parameters, mpc.estimator, mpc.estimates[slot])
         mpc.memory[slot].speed = math.nan  # the model is formed anew
@@ -385,6 +387,24 @@ def _discretise(speed, mpc, functions):
     call_discretise(functions.discretise, speed, mpc.settings[0].period, mpc.parameters, model.a, model.b, model.e)
 
 
+@njit(**PART)
+def _keep_for_estimator(slot, mpc):
+    """A and B at the speed of the slot."""
+    for i in range(mpc.model.b.size):
+        mpc.ws.b[slot, i] = mpc.model.b[i]
+        for j in range(mpc.model.b.size):
+            mpc.ws.a[slot, i, j] = mpc.model.a[i, j]
+
+
+@njit(**PART)
+def _clear_padding(rows, size, values):
+    """Zero what a larger problem, perhaps one that was not finite, has left in the padding of so many rows."""
+    b = size // vectors.WIDTH * vectors.WIDTH
+    if b < size:
+        for i in range(rows):
+            vectors.store(values, i, b, vectors.keep_first(vectors.load(values, i, b), size - b))
+
+
 @njit(types.void(int64, float64, MPC, FUNCTIONS), **SUBROUTINE)
 def _form_model(slot, speed, mpc, functions):
     """What depends on speed and tuning alone: F, Phi, E and its factor, and the rows of eq. (15) in M."""
@@ -398,10 +418,7 @@ def _form_model(slot, speed, mpc, functions):
     by_function = settings.estimator == BY_FUNCTION
     responses(np_, by_function, mpc.model, ws.free[slot], step)
     if by_function:
-        for i in range(mpc.model.b.size):
-            ws.b[slot, i] = mpc.model.b[i]
-            for j in range(mpc.model.b.size):
-                ws.a[slot, i, j] = mpc.model.a[i, j]
+        _keep_for_estimator(slot, mpc)
     if laguerre:
         laguerre_response(np_, moves, step, ws.moves, phi)
         condensed_hessian(np_, moves, phi, q, r, hessian)
@@ -416,7 +433,10 @@ def _form_model(slot, speed, mpc, functions):
         for i in range(4 * nc):
             rows[moves, i] = 0.0
         output_rows(4 * nc, np_, moves, laguerre, step, phi, rows)
-    own.factor_status, own.condition = factorise(moves + (1 if limited else 0), hessian, ws.factor[slot])
+        _clear_padding(moves + 1, 4 * nc + 2 * np_, rows)
+    n = moves + (1 if limited else 0)
+    _clear_padding(n, n, hessian)
+    own.factor_status, own.condition = factorise(n, hessian, ws.factor[slot])
     own.kept = 0
     own.speed, own.Np, own.Nc, own.Q, own.R = speed, np_, nc, q, r
 
@@ -495,14 +515,31 @@ def _turn_previous(slot, mpc):
 
 
 @njit(**PART)
+def _estimate(slot, speed, mpc, functions):
+    """State and disturbance at a speed (m/s) by the estimator."""
+    a, b, own = mpc.ws.a[slot], mpc.ws.b[slot], mpc.estimates[slot]
+    command, x, d = mpc.memory[slot].command, mpc.estimate[0], mpc.estimate[1]
+    mpc.answer[slot, ANSWER.dead_reckoning] = call_estimate(
+        functions.estimate, speed, mpc.measured, command, a, b, mpc.estimator, own, x, d
+    )
+
+
+@njit(types.void(int64, float64, MPC, FUNCTIONS), **SUBROUTINE)
+def _estimate_alone(slot, speed, mpc, functions):
+    """Let the estimator see the samples of a step without a QP."""
+    _discretise(speed, mpc, functions)
+    _keep_for_estimator(slot, mpc)
+    _estimate(slot, speed, mpc, functions)
+    mpc.memory[slot].speed = math.nan  # the QP's matrices are of another
+
+
+@njit(**PART)
 def _free_response(slot, horizon, reference, mpc, functions):
     """R_s - Y without moves: from the last increments as measured, or from the next ones of x(k+1) = A x + B u + d."""
     settings, own, ws = mpc.settings[0], mpc.memory[slot], mpc.ws
     if settings.estimator == BY_FUNCTION:
+        _estimate(slot, own.speed, mpc, functions)
         x, d, a, b = mpc.estimate[0], mpc.estimate[1], ws.a[slot], ws.b[slot]
-        mpc.answer[slot, ANSWER.dead_reckoning] = call_estimate(
-            functions.estimate, own.speed, mpc.measured, own.command, a, b, mpc.estimator, mpc.estimates[slot], x, d
-        )
         for i in range(x.size):
             total = b[i] * own.command + d[i] - x[i]
             for j in range(x.size):
@@ -539,6 +576,14 @@ def _widen_first_move(slot, command, mpc):
 
 
 @njit(**PART)
+def _clear_end(size, values):
+    """`_clear_padding` of a vector."""
+    b = size // vectors.WIDTH * vectors.WIDTH
+    if b < size:
+        vectors.store(values, b, vectors.keep_first(vectors.load(values, b), size - b))
+
+
+@njit(**PART)
 def _bound(slot, nc, horizon, mpc):
     """gamma of eq. (16)."""
     settings, ws, angle = mpc.settings[0], mpc.ws, mpc.memory[slot].command
@@ -565,6 +610,18 @@ def _bound(slot, nc, horizon, mpc):
             response = ws.reference[j] - ws.error[j]  # F x~
             ws.bounds[4 * nc + 2 * j] = settings.output_max - response
             ws.bounds[4 * nc + 2 * j + 1] = response - settings.output_min
+        _clear_end(4 * nc + 2 * horizon, ws.bounds)
+
+
+@njit(**PART)
+def _leave_out_absurd(speed, mpc):
+    """Let samples that no car gives be missing; the speed, NaN where it is one of them."""
+    for sensor in range(kalman.SENSORS):
+        if not abs(mpc.measured[sensor]) < ABSURD:
+            mpc.measured[sensor] = math.nan
+    if not abs(mpc.measured[MEASURED.turned]) < math.pi:
+        mpc.measured[MEASURED.turned] = 0.0
+    return speed if abs(speed) < FASTEST else math.nan
 
 
 @njit(types.UniTuple(int64, 3)(int64, float64, vector, vector, MPC, FUNCTIONS), **SUBROUTINE)
@@ -572,6 +629,8 @@ def _form_qp(slot, speed, reference, tuning, mpc, functions):
     """See `form_qp`."""
     settings, out, ws = mpc.settings[0], mpc.answer[slot], mpc.ws
     out[ANSWER.dead_reckoning] = 0.0
+    if settings.estimator == BY_FUNCTION:
+        speed = _leave_out_absurd(speed, mpc)
     if mpc.learner.size > 0:
         _learn(slot, speed, mpc, functions)
     status = _take_tuning(slot, tuning, mpc)
@@ -580,9 +639,11 @@ def _form_qp(slot, speed, reference, tuning, mpc, functions):
     moves = settings.terms if laguerre else nc
     n = moves + (1 if limited else 0)
     m = 4 * nc + (2 * np_ if limited else 0)
-    if status != qp.SOLVED:
-        return status, n, m
     speed = max(speed, settings.speed_floor)
+    if status != qp.SOLVED:
+        if settings.estimator == BY_FUNCTION:
+            _estimate_alone(slot, speed, mpc, functions)
+        return status, n, m
     if not _is_formed(slot, speed, mpc):
         _form_model(slot, speed, mpc, functions)
     _look_ahead(slot, np_, reference, mpc)
@@ -596,6 +657,7 @@ def _form_qp(slot, speed, reference, tuning, mpc, functions):
         pulse_gradient(np_, moves, ws.step[slot], out[ANSWER.Q], ws.error, ws.gradient)
     if limited:
         ws.gradient[moves] = 0.0
+        _clear_end(n, ws.gradient)
     _bound(slot, nc, np_, mpc)
     return mpc.memory[slot].factor_status, n, m
 
@@ -627,8 +689,9 @@ def _solve_qp(slot, n, m, mpc, functions):
         )
     if settings.solver == ACTIVE_SET or (settings.solver == HILDRETH_THEN_EXACT and status == qp.CAPPED):
         # The rows that were active a period ago are a good guess, and while E stays so does their factor.
+        most = settings.max_changes if settings.max_changes > 0 else qp.CHANGES * (n + m)
         status, more, active = qp.call_active_set(
-            functions.active_set, problem, factor, solution, scratch, own.active, own.kept > 0, 10 * (n + m)
+            functions.active_set, problem, factor, solution, scratch, own.active, own.kept > 0, most
         )
         own.active, own.kept = active, 1
         iterations += more
@@ -728,10 +791,11 @@ def _apply_move(slot, status, iterations, size, mpc):
 def _stand(slot, mpc):
     """Leave the wheels of a standing car at rest."""
     own, out = mpc.memory[slot], mpc.answer[slot]
-    out[ANSWER.command], out[ANSWER.command_change], out[ANSWER.held] = own.command, 0.0, 0.0
+    angle = clip(own.command, mpc.settings[0].angle_min, mpc.settings[0].angle_max)
+    out[ANSWER.command], out[ANSWER.command_change], out[ANSWER.held] = angle, angle - own.command, 0.0
     out[ANSWER.qp_status], out[ANSWER.qp_iterations], out[ANSWER.qp_residual] = qp.SOLVED, 0, 0.0
     out[ANSWER.at_limit] = 0.0
-    _remember(slot, own.command, mpc)
+    _remember(slot, angle, mpc)
 
 
 @njit(**PART)

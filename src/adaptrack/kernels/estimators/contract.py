@@ -18,6 +18,8 @@ from ..abi import caller, float64, matrix, njit, vector
 
 DEADBEAT, BY_FUNCTION = 0, 1
 """How the MPC estimates."""
+ABSURD, FASTEST = 1e5, 1e3
+"""No signal of a car is as large as this, in SI units: what is counts as missing. And no speed, m/s."""
 
 ESTIMATE = types.float64(float64, vector, float64, matrix, vector, vector, vector, vector, vector)
 """``estimate(speed, measured, command, a, b, parameters, memory, x, d)``: the time (s) of dead reckoning, for which no

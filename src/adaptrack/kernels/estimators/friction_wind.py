@@ -26,6 +26,7 @@ from ..maths.elementary import arctangent_of_ratio, clip, cosine
 from ..plants.forces import GRAVITY, SLIP_SPEED_FLOOR, wind_load
 from ..plants.parameters import unpack
 from ..plants.tyre import CURVED_MAGIC_FORMULA, LINEAR, MAGIC_FORMULA, lateral_force
+from .contract import ABSURD
 
 ESTIMATOR_SETTINGS = (
     "steps",  # predictions per control period
@@ -69,8 +70,6 @@ MEMORY = _GAIN + N
 
 UNKNOWN_MOTION = 1.0
 """Standard deviation of v_y (m/s) and yaw rate (rad/s) before the first measurement."""
-ABSURD = 1e5
-"""No signal of a car is as large as this, in SI units."""
 TRUSTED = 4.0
 """Standard deviations of an innovation from which on it is an outlier."""
 MOST_STIFFNESS = 3.0

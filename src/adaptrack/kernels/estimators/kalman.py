@@ -75,6 +75,8 @@ WHOLE, SHARE, BIAS, VARIANCE, DRIFT_WHEELS = (
 """Places of what may be learned."""
 UNKNOWN = 1e2
 """Variance of a state of which the first sample says nothing."""
+FAR, FAR_TURNED, ASTRAY = 100.0, 10.0, 10
+"""m, rad, by which a position or a heading is no outlier but the estimate wrong, when so many follow each other."""
 LEAST_NOISE = (0.005, 0.0002, 0.001, 0.002, 0.0005, 0.02)
 """Of the sensors: with better ones the model's own errors limit the filter."""
 
@@ -104,6 +106,7 @@ _NEXT = _H + WIDTH  # scratch
 _PAST_Z = _NEXT + WIDTH  # z and its covariance `late` periods before the last instant
 _PAST_P = _PAST_Z + WIDTH
 _DISAGREEMENT = _PAST_P + WIDTH * WIDTH  # mean of the squared innovations of each sensor over their variance
+_ASTRAY = _DISAGREEMENT + SENSORS  # positions in a row that are `FAR` from the estimate
 _RING = _DISAGREEMENT + WIDTH  # rows of samples, the latest instant first: the sensors, then tau of the pose
 _TAU = SENSORS
 _TURNED = SENSORS + 1  # rad, by how much the path has turned in the period before the instant
@@ -462,6 +465,25 @@ def _go_on(n, size, p, parameters, memory):
     _choose_left_out(p, parameters, memory)
 
 
+@njit(**INLINE)
+def _is_lost(memory):
+    """Whether z or a variance is not finite."""
+    total = 0.0
+    for i in range(WIDTH):
+        total += memory[_Z + i] + memory[_PAST_Z + i] + memory[_P + (WIDTH + 1) * i] + memory[_PAST_P + (WIDTH + 1) * i]
+    return not math.isfinite(total)
+
+
+@njit(**INLINE)
+def _is_astray(n, measured, memory):
+    """Whether position or heading have been elsewhere for so long that bounded innovations would not bring z back."""
+    y, yaw = measured[MEASURED.y], measured[MEASURED.yaw]
+    if math.isfinite(y) and math.isfinite(yaw) and memory[_COUNT] > 0.5:
+        far = abs(y - memory[_Z + n - 1]) > FAR or abs(yaw - memory[_Z + 1]) > FAR_TURNED
+        memory[_ASTRAY] = memory[_ASTRAY] + 1.0 if far else 0.0
+    return memory[_ASTRAY] >= ASTRAY
+
+
 @njit(ESTIMATE, **ROUTINE)
 def kalman(speed, measured, command, a, b, parameters, memory, x, d):
     """See `contract.ESTIMATE`."""
@@ -469,6 +491,11 @@ def kalman(speed, measured, command, a, b, parameters, memory, x, d):
     size = n + path.DISTURBANCES + (1 if p.spread_bias > 0.0 else 0)
     if speed != memory[_SPEED] and math.isfinite(speed):
         _form(speed, n, parameters, memory)
+    if _is_lost(memory) or _is_astray(n, measured, memory):
+        memory[:] = 0.0
+        memory[_SPEED] = math.nan
+        if math.isfinite(speed):
+            _form(speed, n, parameters, memory)
     if memory[_COUNT] > 0.5:
         sent = _sent(p)
         for i in range(int(p.longest) + int(p.late) + 1, 0, -1):

@@ -44,6 +44,7 @@ from ..models import path
 from ..models.contract import MEASURED
 from ..plants.forces import GRAVITY
 from . import kalman
+from .contract import ABSURD
 
 NUMBERS = (
     "period",  # s
@@ -629,7 +630,7 @@ def learn(speed, measured, command, left_out, parameters, memory):
         memory[SENT + i] = memory[SENT + i - 1]
     memory[SENT] = command
     age = measured[MEASURED.motion_age]
-    age = age if math.isfinite(age) and age > 0.0 else 0.0
+    age = age if 0.0 < age < ABSURD else 0.0
     memory[_SLOW] = 0.0 if abs(speed) >= SLOWEST and math.isfinite(speed) else 1.0
     if memory[_SLOW] > 0.5:
         _creep(first, count, age, p, memory)

@@ -54,6 +54,9 @@ ACCEPTED = 1e-6
 """An answer whose accuracy is in doubt counts as solved when no scaled residual exceeds this."""
 LARGE = 1e6
 """Where max |x| exceeds this, the terms of M x may cancel so far that their rounding exceeds `ACCEPTED`."""
+FAR, TOO_FAR = 1e9, 1e12
+"""Where trace(E^-1) max |K| is larger, so may be x without rows, and what cancels in M x: the accuracy is in doubt;
+where it is `TOO_FAR`, a contradiction may be rounding as well."""
 ILL_CONDITIONED = 1e13
 """Where the bound on the condition number exceeds this, refinement may end before x is accurate."""
 
@@ -289,13 +292,21 @@ def _reconsider(problem, q, w):
         set_entry(w.bounds, w.index[i], math.inf)
 
 
+@njit(**INLINE)
+def _distance(problem, factor):
+    """How large the minimiser without rows may be, up to a factor n."""
+    return _trace(problem.n, factor.inverse) * largest_magnitude(problem.n, problem.K)
+
+
 @njit(**PART)
 def _verdict(problem, factor, solution, scratch, reach, tolerance):
     """SOLVED; CAPPED where the accuracy is in doubt and the optimality conditions do not hold to `ACCEPTED`.
 
-    In doubt: x is `LARGE`, E is `ILL_CONDITIONED`, or rows were called satisfied with a wider tolerance.
+    In doubt: x is `LARGE`, the minimiser without rows `FAR`, E is `ILL_CONDITIONED`, or rows were called satisfied
+    with a wider tolerance.
     """
-    if not (reach > LARGE or factor.condition > ILL_CONDITIONED or tolerance > VIOLATION):
+    doubtful = reach > LARGE or factor.condition > ILL_CONDITIONED or tolerance > VIOLATION
+    if not (doubtful or _distance(problem, factor) > FAR):
         return SOLVED
     stationary, primal, dual, complementary = kkt_residual(problem, solution, scratch)
     holds = stationary <= ACCEPTED and primal <= ACCEPTED and dual <= ACCEPTED and complementary <= ACCEPTED
@@ -357,6 +368,8 @@ def active_set(problem, factor, solution, scratch, guess, kept, max_iterations):
         else:
             break
         if status != SOLVED:
+            if status == INFEASIBLE and _distance(problem, factor) > TOO_FAR:
+                status = CAPPED  # what cancels in x is too large to tell
             return status, max_iterations - left, 0
         worst, finite = find_gaps(problem, x, w)
         if not finite:

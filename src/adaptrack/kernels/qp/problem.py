@@ -36,6 +36,9 @@ INFEASIBLE = 2
 NOT_CONVEX = 3
 NON_FINITE = 4
 
+CHANGES = 10
+"""Changes of the active set, per variable and row, after which the active-set method stops unless told otherwise."""
+
 Problem = record("Problem", ("n", "m", "E", "K", "Mt", "gamma"))
 """n variables, m rows; E (>=n, padded n), K (padded n), Mt (>=n, padded m), gamma (padded m)."""
 PROBLEM = types.NamedTuple((int64, int64, matrix, vector, matrix, vector), Problem)

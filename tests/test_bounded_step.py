@@ -1,0 +1,121 @@
+"""A step's work and memory are bounded: changes of the active set, allocations in kernels and in Python."""
+
+from __future__ import annotations
+
+import gc
+import tracemalloc
+
+import numpy as np
+import pytest
+
+from adaptrack.controllers import MPC, Learning, Limits, Tuning, published_mpc
+from adaptrack.errors import InvalidInput
+from adaptrack.kernels.qp.problem import CHANGES
+from adaptrack.qp import QPStatus
+from adaptrack.qp.active_set import ActiveSet
+from adaptrack.qp_corpus import chunk
+from adaptrack.road import Line, Road
+from adaptrack.tracker import Tracker
+from adaptrack.vehicle import load_vehicle
+
+CAR = load_vehicle("paper")
+compiled = pytest.mark.compiled
+
+
+def capped(most):
+    """An MPC that may change its active set so many times."""
+    limits = Limits(move=(-0.02, 0.02), angle=(-0.1, 0.1))
+    return published_mpc(CAR, Tuning(30, 15, 1.0, 0.01), period=0.05, limits=limits, solver=ActiveSet(most))
+
+
+def test_a_step_beyond_its_changes_follows_the_last_plan_and_says_so():
+    mpc = capped(3)
+    told = mpc.step([0.0, 0.0, 0.0, 0.001], 15.0, [0.0])
+    assert told.status is QPStatus.SOLVED
+    planned = mpc._mpc.plan[0, 1]
+    held = mpc.step([0.3, 0.05, 0.1, 3.0], 15.0, [0.0])
+    assert (held.status, held.held) == (QPStatus.CAPPED, True)
+    assert held.iterations <= 4
+    assert held.move == pytest.approx(np.clip(planned, -0.02, 0.02), abs=1e-15)
+    assert capped(None).step([0.3, 0.05, 0.1, 3.0], 15.0, [0.0]).status is QPStatus.SOLVED
+
+
+def test_no_changes_at_all_are_refused():
+    with pytest.raises(InvalidInput, match="max_iterations"):
+        ActiveSet(0)
+
+
+@compiled
+def test_problems_of_closed_loops_stay_far_below_the_limit_on_changes():
+    solver = ActiveSet()
+    share = [solver.solve(p.qp).iterations / (CHANGES * (p.qp.n + p.qp.m)) for p in chunk(0)]
+    assert 0.0 < max(share) < 0.5
+
+
+# -- memory -----------------------------------------------------------------------------------------------------------
+CONTROLLERS = {
+    "published": lambda: published_mpc(CAR, Tuning(35, 8, 1.0, 3000.0), period=0.05),
+    "informed": lambda: MPC(CAR, profile="road"),
+    "learning": lambda: MPC(CAR, profile="road", learning=Learning()),
+}
+
+
+@pytest.fixture
+def allocations():
+    """How many arrays the kernels have allocated so far."""
+    from numba.core.runtime import _nrt_python, rtsys
+
+    rtsys.initialize(__import__("numba.core.registry", fromlist=["cpu_target"]).cpu_target.target_context)
+    were_on = _nrt_python.memsys_stats_enabled()
+    _nrt_python.memsys_enable_stats()
+    yield lambda: rtsys.get_allocation_stats().alloc
+    if not were_on:
+        _nrt_python.memsys_disable_stats()
+
+
+def hard_steps(mpc, count, seed=1):
+    """Steps at changing speeds, limits reached."""
+    rng = np.random.default_rng(seed)
+    states, speeds = rng.normal(size=(count, 4)) * [0.3, 0.05, 0.1, 2.0], rng.uniform(5.0, 25.0, count).tolist()
+    reference = np.zeros(1)
+    for k in range(count):
+        mpc.step(states[k], speeds[k], reference)
+
+
+@compiled
+def test_the_count_of_allocations_counts(allocations):
+    from numba import njit
+
+    before = allocations()
+    njit(lambda n: np.zeros(n).sum())(3)
+    assert allocations() > before
+
+
+@pytest.mark.parametrize("make", CONTROLLERS.values(), ids=CONTROLLERS)
+@compiled
+def test_compiled_steps_allocate_nothing_after_the_first(make, allocations):
+    mpc = make()
+    hard_steps(mpc, 10)
+    before = allocations()
+    hard_steps(mpc, 10_000, seed=2)
+    assert allocations() == before
+
+
+@pytest.mark.parametrize("make", CONTROLLERS.values(), ids=CONTROLLERS)
+@compiled
+def test_a_tracker_keeps_nothing_of_its_calls(make):
+    tracker = Tracker(make(), Road.from_segments([Line(length=1000.0)]))
+
+    def calls(first, count):
+        for k in range(first, first + count):
+            tracker.step(0.05 * k, 0.25 * k, 0.1 * (k % 3), 0.0, 5.0, 0.0)
+        gc.collect()
+
+    calls(0, 100)
+    tracemalloc.start()
+    try:
+        calls(100, 3000)
+        kept = tracemalloc.get_traced_memory()[0]
+    finally:
+        tracemalloc.stop()
+    assert kept < 60_000  # bytes, of NumPy's caches; one float (24) of each call would be 72,000

@@ -1,0 +1,177 @@
+"""Hostile inputs: what must hold at every step of controllers, tracker and estimators, and files that replay."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from adaptrack.controllers import MPC, Learning, Tuning, published_mpc
+from adaptrack.errors import ConfigError, InvalidInput
+from adaptrack.fuzz import TARGETS, Failed, load, replay, save, search, shortened
+from adaptrack.fuzz.batch import search_compiled
+from adaptrack.fuzz.inputs import HOSTILE
+from adaptrack.qp import QPStatus
+from adaptrack.road import Line, Road
+from adaptrack.tracker import Status, Tracker
+from adaptrack.vehicle import load_vehicle
+
+CAR = load_vehicle("paper")
+GOOD = [0.01, 0.002, 0.003, 0.1]
+REFERENCE = np.zeros(1)
+numbers = st.one_of(st.sampled_from(HOSTILE), st.floats())
+compiled = pytest.mark.compiled
+
+
+@pytest.mark.parametrize("name", TARGETS)
+@compiled
+def test_hostile_inputs_break_no_claim(name):
+    found = search(3000, seed=1, targets=[name])
+    assert found.steps[name] == 3000
+    assert [failed.claim for failed in found.failed] == []
+
+
+@compiled
+def test_hostile_inputs_break_no_claim_inside_the_kernels():
+    found = search_compiled(100_000, seed=1)
+    assert [failed.claim for failed in found.failed] == []
+
+
+@settings(max_examples=30)
+@given(row=st.lists(numbers, min_size=9, max_size=9), speed=numbers, ahead=st.lists(numbers, min_size=1, max_size=8))
+@pytest.mark.parametrize("kind", ["published", "informed", "learning"])
+@compiled
+def test_no_sample_however_hostile_raises_or_stays(kind, row, speed, ahead):
+    """A good second later the controller solves again."""
+    case = {"target": "mpc", "kind": kind, "car": "paper", "profile": "road", "lies": False, "frozen": False,
+            "preview": False}  # fmt: skip
+    bad = {"state": row, "speed": speed, "reference": ahead, "good": False}
+    good = {"state": GOOD, "speed": 15.0, "reference": [0.0], "good": False}
+    wiggling = [{**good, "state": [0.01, 0.002, 0.003, 0.1 + 0.001 * (k % 2)]} for k in range(100)]
+    assert replay(case, [good, bad, *wiggling, bad, *({**each, "good": True} for each in wiggling)]) is None
+
+
+@compiled
+def test_what_fails_is_cut_short_saved_and_replayed(tmp_path, monkeypatch):
+    """A claim that is broken on purpose: no command above 1 degree."""
+    from adaptrack.fuzz import targets
+
+    monkeypatch.setattr(
+        targets.Steering, "wrong", lambda self, before, angle: "too large" if abs(angle) > math.radians(1.0) else None
+    )
+    case = {"target": "mpc", "kind": "published", "car": "paper", "lies": False, "frozen": True}
+    rows = [{"state": np.array([0.0, 0.0, 0.0, y]), "speed": 15.0, "reference": REFERENCE, "good": True}
+            for y in (0.0, 0.0, 0.0, 2.0, 0.0)]  # fmt: skip
+    where, claim = replay(case, rows)
+    assert (where, claim) == (3, "too large")
+    brief = shortened(Failed(case, rows[: where + 1], claim))
+    assert len(brief.inputs) == 1
+    file = tmp_path / "case.json"
+    save(brief, file)
+    again = load(file)
+    assert replay(again.case, again.inputs) == (0, "too large")
+    monkeypatch.undo()
+    assert replay(again.case, again.inputs) is None
+
+
+def test_a_file_of_something_else_is_refused(tmp_path):
+    file = tmp_path / "other.json"
+    file.write_text('{"kind": "other"}')
+    with pytest.raises(ConfigError, match="not a file of a fuzz case"):
+        load(file)
+
+
+# -- what the search has found, each by itself ------------------------------------------------------------------------
+@compiled
+def test_a_problem_that_was_not_finite_leaves_nothing_to_a_smaller_one():
+    """Its NaN stayed in the padding of E, where the next smaller problem met it for ever."""
+    answer = [30, 18, 1.0, 10.0]
+    mpc = published_mpc(CAR, Tuning(30, 18, 1.0, 10.0), period=0.05, scheduler=lambda variables: answer)
+    variables = (10.0, 0.0, 0.6, 0.0)
+    assert mpc.step(GOOD, math.nan, REFERENCE, variables).status is QPStatus.NON_FINITE
+    answer[:2] = [20, 5]
+    assert mpc.step(GOOD, 15.0, REFERENCE, variables).status is QPStatus.SOLVED
+
+
+@compiled
+def test_a_filter_sees_the_samples_of_a_step_whose_tuning_is_none():
+    tunings = [[20, 5, 1.0, -1.0], [20, 5, 1.0, 10.0]]
+    states = []
+    for first in tunings:
+        asked = iter([tunings[1], first, tunings[1]])
+        mpc = MPC(CAR, profile="road", scheduler=lambda variables, asked=asked: next(asked))
+        for k in range(3):
+            mpc.applied(0.0)
+            mpc.step([0.0, 0.0, 0.01 * k, 0.1 * k], 15.0, REFERENCE, (15.0, 0.0, 0.6, 0.0))
+        states.append(mpc._mpc.estimate[0].copy())
+    assert np.isfinite(states).all()
+    np.testing.assert_allclose(states[0], states[1], rtol=0, atol=1e-12)
+
+
+@compiled
+def test_a_sample_of_an_absurd_age_is_left_out():
+    mpc = MPC(CAR, profile="road", learning=Learning())
+    for age in (0.0, 1e300, math.inf, -1e300, 0.0):
+        told = mpc.step([*GOOD, math.nan, math.nan, 0.0, age, 0.0], 15.0, REFERENCE)
+        assert told.status is QPStatus.SOLVED
+        assert np.isfinite(told.learned).all()
+
+
+@compiled
+def test_a_standing_car_gets_no_command_beyond_the_limits():
+    mpc = MPC(CAR, profile="road")
+    mpc.step(GOOD, 15.0, REFERENCE)
+    mpc.applied(1.5)
+    assert mpc.step(GOOD, 0.0, REFERENCE).angle == mpc.limits.angle[1]
+
+
+@pytest.mark.parametrize("angle", [2.0, -1e300, math.nan])
+def test_no_wheel_has_such_an_angle(angle):
+    with pytest.raises(InvalidInput, match="applied: angle"):
+        published_mpc(CAR).applied(angle)
+
+
+STRAIGHT = Road.from_segments([Line(length=300.0)])
+
+
+def called(tracker, t, x=0.0, **more):
+    """A call of a car on the line."""
+    return tracker.step(t, **{"x": x, "y": 0.1, "yaw": 0.0, "speed": 10.0, "yaw_rate": 0.0, **more})
+
+
+@pytest.mark.parametrize(
+    "absurd",
+    [{"x": 1e300}, {"y": -1e20}, {"yaw": 1e300}, {"speed": 1e300}, {"yaw_rate": 1e300}, {"lateral_velocity": 1e300},
+     {"now": 1e18}],
+    ids=lambda each: next(iter(each)),
+)  # fmt: skip
+@compiled
+def test_what_no_car_can_have_counts_as_not_measured(absurd):
+    tracker = Tracker(MPC(CAR, profile="road"), STRAIGHT)
+    for first in (absurd, {}):  # as the first call, and among others
+        tracker.engage()
+        calls = [{"x": 0.5 * k, **(absurd if k == 5 else first if k == 0 else {})} for k in range(9)]
+        told = [called(tracker, 0.05 * k, **each) for k, each in enumerate(calls)]
+        assert all(math.isfinite(each.command) for each in told)
+        if "now" not in absurd:
+            assert told[-1].status is Status.OK
+
+
+def test_an_engagement_that_is_refused_changes_nothing():
+    tracker = Tracker(published_mpc(CAR, period=0.05), STRAIGHT)
+    commands = [called(tracker, 0.05 * k, 0.5 * k).command for k in range(3)]
+    with pytest.raises(InvalidInput, match="must be finite"):
+        tracker.engage(math.nan)
+    assert tracker.controller.angle == commands[-1]
+
+
+def test_a_path_too_far_away_to_compare_begins_the_tracker_anew():
+    tracker = Tracker(published_mpc(CAR, period=0.05), STRAIGHT)
+    before = called(tracker, 0.0)
+    tracker.follow(Road.from_segments([Line(length=100.0)], start=(1e6, 1e6, 0.0)))
+    told = called(tracker, 0.05, 0.5)
+    assert told.status in (Status.OFF_PATH, Status.HELD)  # there is no foot of the car to steer by
+    assert abs(told.command - before.command) <= tracker.controller.limits.move[1] + 1e-12
