@@ -11,10 +11,23 @@ author = "The adaptrack contributors"
 copyright = "2026, the adaptrack contributors"
 version = release = _version("adaptrack")
 
-extensions = ["myst_parser", "mathml", "configuration_keys"]
+extensions = ["myst_parser", "mathml", "docstrings", "configuration_keys"]
 html_math_renderer = "mathml"
 myst_enable_extensions = ["amsmath", "dollarmath"]
 myst_heading_anchors = 3
+default_role = "py:obj"  # of docstrings: a public name links to its place, anything else is code
+autodoc_default_options = {
+    "members": True,
+    "inherited-members": "BaseModel, BaseException, BaseEstimator, RegressorMixin, MultiOutputMixin, tuple, int, str, object",
+}
+autodoc_member_order = "bysource"
+autodoc_typehints_format = "short"
+autodoc_preserve_defaults = True
+autodoc_type_aliases = {
+    name: name for name in ("Array", "ArrayLike", "KnownAs", "Policy", "Progress", "Segment", "SignalLike", "Variables")
+}
+maximum_signature_line_length = 88
+python_use_unqualified_type_names = True
 exclude_patterns = ["_build"]
 
 html_theme = "furo"
