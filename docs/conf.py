@@ -13,12 +13,24 @@ version = release = _version("adaptrack")
 
 extensions = ["myst_parser", "mathml", "docstrings", "configuration_keys"]
 html_math_renderer = "mathml"
-myst_enable_extensions = ["amsmath", "dollarmath"]
+myst_enable_extensions = ["amsmath", "colon_fence", "dollarmath"]
 myst_heading_anchors = 3
 default_role = "py:obj"  # of docstrings: a public name links to its place, anything else is code
 autodoc_default_options = {
     "members": True,
-    "inherited-members": "BaseModel, BaseException, BaseEstimator, RegressorMixin, MultiOutputMixin, tuple, int, str, object",
+    "inherited-members": ", ".join(  # but for those of
+        [
+            "BaseModel",
+            "BaseException",
+            "BaseEstimator",
+            "RegressorMixin",
+            "MultiOutputMixin",
+            "tuple",
+            "int",
+            "str",
+            "object",
+        ]
+    ),
 }
 autodoc_member_order = "bysource"
 autodoc_typehints_format = "short"

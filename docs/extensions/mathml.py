@@ -1,4 +1,4 @@
-"""Formulas as MathML, converted from LaTeX when the pages are built: a browser draws them without a script or a network."""
+"""Formulas as MathML, converted from LaTeX as the pages are built: drawn without a script or a network."""
 
 from __future__ import annotations
 
