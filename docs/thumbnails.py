@@ -1,7 +1,6 @@
 """Draw the pictures of the gallery from runs: python docs/thumbnails.py [NAME ...]  (all of them: 2 minutes)
 
-Each is written to docs/images/gallery/NAME.png, 480 x 300 px. Pictures of pages that are made by commands (the tutorial, a drive)
-stay with those pages.
+Each is written to docs/images/gallery/NAME.png, 480 x 300 px.
 """
 
 from __future__ import annotations

@@ -131,7 +131,9 @@ def parse(arguments):
 
 @pytest.mark.parametrize("page", PAGES[1:], ids=lambda page: page.name)
 def test_no_command_of_this_program_stands_where_it_is_not_tested(page):
-    hidden = [text for language, text in blocks(page) if language != "console" and re.search(r"^\$ .*adaptrack", text, re.M)]
+    hidden = [
+        text for language, text in blocks(page) if language != "console" and re.search(r"^\$ .*adaptrack", text, re.M)
+    ]
     assert not hidden
 
 
