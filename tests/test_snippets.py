@@ -15,7 +15,8 @@ import pytest
 from adaptrack import cli
 
 PROJECT = Path(__file__).resolve().parent.parent
-PAGES = [PROJECT / "README.md", *sorted((PROJECT / "docs").glob("*.md"))]
+DOCS = PROJECT / "docs"
+PAGES = [PROJECT / "README.md", *sorted(DOCS.glob("*.md")), *sorted(DOCS.glob("gallery/*.md"))]
 
 LONG_COMMANDS = {
     "adapt": "39 minutes",
@@ -24,11 +25,15 @@ LONG_COMMANDS = {
     "dataset describe paper-grid": "15 s",
     "dataset describe road-sobol": "15 s",
     "dataset describe campaigns": "needs a campaign that is done",
+    "car my-car.toml --tir": "needs a tyre file",
+    "drive country --vehicle my-car.toml": "needs a car that is identified or tuned",
     "drive mountain --road-seed 2 --vehicle midsize-sedan --tuning": "needs a tuning that is found",
+    "drive road.csv --vehicle my-car.toml --controller informed": "needs a tuning that is found",
     "evaluate": "1 to 10 minutes",
+    "identify": "needs a log",
     "reproduce": "2 minutes",
     "train": "30 s",
-    "tune": "4 to 20 minutes",
+    "tune": "1 to 20 minutes",
 }
 """Commands that are parsed only, by how they begin, with the time that they take on two cores."""
 
@@ -52,6 +57,10 @@ EXIT_CODES = {"manoeuvre sine-with-dwell": 1}
 
 OTHERS = ("dask", "python -m pip", ".ci/run")
 """Commands of other programs: not run."""
+
+
+OUTPUT_SHOWN = ("tutorial.md",)
+"""Pages that show below a command what it prints: every line of it is among what is printed, up to digits."""
 
 
 def blocks(page):
@@ -120,6 +129,14 @@ def parse(arguments):
     return context
 
 
+@pytest.mark.parametrize("page", PAGES[1:], ids=lambda page: page.name)
+def test_no_command_of_this_program_stands_where_it_is_not_tested(page):
+    hidden = [
+        text for language, text in blocks(page) if language != "console" and re.search(r"^\$ .*adaptrack", text, re.M)
+    ]
+    assert not hidden
+
+
 def test_a_wrong_option_or_value_would_be_found():
     for wrong in (
         ["simulate", "sine", "--colour"],
@@ -138,14 +155,21 @@ def test_a_page_runs_from_top_to_bottom(page, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     given_files(page, tmp_path)
     namespace = {"__name__": "snippet"}
+    printed = ""
     for language, text in blocks(page):
         if language == "toml" and (name := re.match(r"# ([\w-]+\.toml)", text)):
             Path(name[1]).write_text(text)
         elif language == "python":
             run_snippet(page.name, text, namespace)
         elif language == "console":
-            for command in commands(text):
-                run_command(arguments_of(command), monkeypatch, capsys)
+            printed = "".join(run_command(arguments_of(command), monkeypatch, capsys) for command in commands(text))
+        elif language == "text" and page.name in OUTPUT_SHOWN and printed:
+            assert shape(text) - {"..."} <= shape(printed)
+
+
+def shape(output):
+    """The lines of an output with its numbers blotted out: their last digits are the machine's."""
+    return {re.sub(r"\s*[\d.,]*\d", " #", line).strip() for line in output.splitlines()}
 
 
 def given_files(page, folder):
@@ -165,12 +189,16 @@ def run_snippet(page, text, namespace):
 
 
 def run_command(arguments, monkeypatch, capsys):
+    """What a command prints; nothing of one that is not run."""
     if arguments is None or is_long(arguments):
-        return
+        return ""
+    capsys.readouterr()
     monkeypatch.setattr(sys, "argv", ["adaptrack", *arguments])
     code = cli.main()
     expected = next((code for beginning, code in EXIT_CODES.items() if " ".join(arguments).startswith(beginning)), 0)
-    assert code == expected, capsys.readouterr().err
+    told = capsys.readouterr()
+    assert code == expected, told.err
+    return told.out
 
 
 def test_what_is_left_out_is_on_a_page():

@@ -1,0 +1,134 @@
+"""The pages: every public name is in the reference, and formulas are drawn without a network."""
+
+import importlib
+import importlib.util
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import adaptrack as at
+
+DOCS = Path(__file__).resolve().parent.parent / "docs"
+PAGES = [*sorted(DOCS.glob("*.md")), *sorted(DOCS.glob("gallery/*.md"))]
+
+
+def loaded(path):
+    """A program of the documentation, as a module."""
+    spec = importlib.util.spec_from_file_location(path.stem, path)
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def described():
+    """(module, name) of everything that the pages of the reference describe."""
+    names = re.findall(
+        r"^\.\. auto\w+:: ([\w.]+)$",
+        "\n".join(path.read_text() for path in sorted(DOCS.glob("api/*.rst"))),
+        re.MULTILINE,
+    )
+    homes = [name if name.startswith("adaptrack.") else f"adaptrack.{name}" for name in names]
+    return [tuple(name.rsplit(".", 1)) for name in homes]
+
+
+# -- the reference ----------------------------------------------------------------------------------------------------
+def test_every_public_name_is_described_once():
+    names = [name for module, name in described() if module == "adaptrack"]
+    assert sorted(names) == sorted(at.__all__)
+
+
+def test_what_is_described_exists():
+    for module, name in described():
+        assert hasattr(importlib.import_module(module), name), (module, name)
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(DOCS)))
+def test_every_name_that_a_page_imports_is_described(page):
+    known = {getattr(importlib.import_module(module), name) for module, name in described() if name != "__version__"}
+    imported = re.findall(r"^from (adaptrack[\w.]*) import ([^\n(]+|\([^)]*\))", page.read_text(), re.MULTILINE)
+    for module, names in imported:
+        for name in re.findall(r"\w+", names):
+            assert getattr(importlib.import_module(module), name) in known, f"{module}.{name}"
+
+
+# -- formulas ---------------------------------------------------------------------------------------------------------
+def formulas():
+    """(LaTeX, whether on a line of its own) of all formulas of the pages."""
+    found = []
+    for page in PAGES:
+        text = re.sub(r"^```.*?^```$|`[^`\n]+`", "", page.read_text(), flags=re.MULTILINE | re.DOTALL)
+        found += [(block, True) for block in re.findall(r"\$\$(.*?)\$\$", text, re.DOTALL)]
+        found += [
+            (one, False) for one in re.findall(r"(?<!\$)\$([^$]+)\$", re.sub(r"\$\$.*?\$\$", "", text, flags=re.DOTALL))
+        ]
+    return found
+
+
+def test_every_formula_has_its_mathml():
+    pytest.importorskip("math_core", reason="needs math-core (make install)")
+    to_mathml = loaded(DOCS / "extensions" / "mathml.py").to_mathml
+    assert len(formulas()) > 400
+    for latex, display in formulas():
+        assert to_mathml(latex, display).startswith("<math")
+
+
+def test_a_formula_with_an_unknown_command_is_refused():
+    math_core = pytest.importorskip("math_core", reason="needs math-core (make install)")
+    with pytest.raises(math_core.LatexError):
+        loaded(DOCS / "extensions" / "mathml.py").to_mathml(r"\nonsense x", display=False)
+
+
+@pytest.fixture(scope="module")
+def built(tmp_path_factory):
+    """A page of all formulas on lines of their own, built as the others are; and one that is wrong in every way."""
+    pytest.importorskip("math_core", reason="needs math-core (make install)")
+    pytest.importorskip("furo", reason="needs furo (make install)")
+    folder = tmp_path_factory.mktemp("pages")
+    for name in ("static", "extensions"):
+        shutil.copytree(DOCS / name, folder / name)
+    shutil.copy(DOCS / "conf.py", folder)
+    blocks = "\n\n".join(f"$${latex}$$" for latex, display in formulas() if display)
+    (folder / "index.md").write_text(f"# Formulas\n\n{blocks}\n")
+    command = [sys.executable, "-m", "sphinx", "--quiet", "--fail-on-warning", "-b", "html", folder, folder / "html"]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    wrong = (
+        '<meta charset="utf-8"><article><div style="width: 3000px">wide</div><img src="https://example.org/a.png">'
+        '<div class="math"><math style="font-family: serif"><mi></mi></math></div></article>'
+        '<script src="https://example.org/a.js"></script><script>console.error("said")</script>'
+    )
+    (folder / "html" / "wrong.html").write_text(wrong)
+    return folder / "html"
+
+
+@pytest.fixture(scope="module")
+def looked_at(built):
+    check_pages = loaded(DOCS / "check_pages.py")
+    if check_pages.BROWSER is None:
+        pytest.skip("no Chromium on the path (Debian: apt install chromium)")
+    return check_pages, *check_pages.look(built, ["index.html", "wrong.html"], timeout=120.0)
+
+
+def test_pages_draw_all_formulas_without_a_network(looked_at):
+    check_pages, found, _ = looked_at
+    good = [each for each in found if each["page"] == "index.html"]
+    assert [each["formulas"] for each in good] == [sum(display for _, display in formulas())] * len(check_pages.WIDTHS)
+    assert check_pages.complaints(good, []) == []
+
+
+def test_what_is_wrong_with_a_page_is_found(looked_at):
+    check_pages, found, said = looked_at
+    complaints = "\n".join(check_pages.complaints([each for each in found if each["page"] == "wrong.html"], said))
+    for told in ("wider than the window", "font of the formulas", "undrawn", "broken", "said", "elsewhere"):
+        assert told in complaints
+
+
+def test_pages_name_no_script_style_or_font_of_elsewhere(built):
+    text = "\n".join(
+        path.read_text() for path in [*built.glob("*.html"), *built.glob("_static/*.css")] if path.stem != "wrong"
+    )
+    assert not re.findall(r'(?:src="|url\(["\']?|<link[^>]*href=")https?://', text)
