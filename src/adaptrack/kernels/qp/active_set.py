@@ -299,13 +299,13 @@ def _distance(problem, factor):
 
 
 @njit(**PART)
-def _verdict(problem, factor, solution, scratch, reach, tolerance):
+def _verdict(problem, factor, solution, scratch, reach, tolerance, q):
     """SOLVED; CAPPED where the accuracy is in doubt and the optimality conditions do not hold to `ACCEPTED`.
 
-    In doubt: x is `LARGE`, the minimiser without rows `FAR`, E is `ILL_CONDITIONED`, or rows were called satisfied
-    with a wider tolerance.
+    In doubt: q rows are active (their multipliers may be wrong where they leave no room at all), x is `LARGE`, the
+    minimiser without rows `FAR`, E is `ILL_CONDITIONED`, or rows were called satisfied with a wider tolerance.
     """
-    doubtful = reach > LARGE or factor.condition > ILL_CONDITIONED or tolerance > VIOLATION
+    doubtful = q > 0 or reach > LARGE or factor.condition > ILL_CONDITIONED or tolerance > VIOLATION
     if not (doubtful or _distance(problem, factor) > FAR):
         return SOLVED
     stationary, primal, dual, complementary = kkt_residual(problem, solution, scratch)
@@ -345,7 +345,7 @@ def active_set(problem, factor, solution, scratch, guess, kept, max_iterations):
     reach = max(1.0, largest_magnitude(n, x))  # the numbers that cancel in M x are about as large as this
     if q == 0:
         if not worst > 0.0:
-            return _verdict(problem, factor, solution, scratch, reach, VIOLATION), 0, 0
+            return _verdict(problem, factor, solution, scratch, reach, VIOLATION, 0), 0, 0
         release_all(n, factor, w)
 
     inverse_trace = _trace(n, factor.inverse)
@@ -377,5 +377,5 @@ def active_set(problem, factor, solution, scratch, guess, kept, max_iterations):
 
     for i in range(q):
         solution.lam[w.index[i]] = w.u[i]
-    status = _verdict(problem, factor, solution, scratch, reach, tolerance)
+    status = _verdict(problem, factor, solution, scratch, reach, tolerance, q)
     return status, max_iterations - left, q if status == SOLVED else 0
