@@ -306,7 +306,7 @@ def main() -> None:
     for row in made:
         print(
             f"{row['budget']:5d} loops  {row['method']:24s} regret {row['regret']:.3f} "
-            f"[{row['low']:.3f}, {row['high']:.3f}] worst {row['worst']:.2f}  in training {row['training_regret']:.3f}  "
+            f"[{row['low']:.3f}, {row['high']:.3f}] worst {row['worst']:.2f}  training {row['training_regret']:.3f}  "
             f"{row['cpu_seconds']:.1f} CPU s"
         )
 
