@@ -21,6 +21,7 @@ PAGES = [PROJECT / "README.md", *sorted(DOCS.glob("*.md")), *sorted(DOCS.glob("g
 LONG_COMMANDS = {
     "adapt": "39 minutes",
     "bench campaign": "1 minute",
+    "compare": "1 minute to hours",
     "certify": "5 s, and more with several inputs",
     "dataset describe paper-grid": "15 s",
     "dataset describe road-sobol": "15 s",
@@ -55,7 +56,7 @@ LONG_SNIPPETS = {
 EXIT_CODES = {"manoeuvre sine-with-dwell": 1}
 """Of commands whose result is not a success, by how they begin: the plants have no stability control."""
 
-OTHERS = ("dask", "python -m pip", ".ci/run")
+OTHERS = ("dask", "python -m pip", "python -m adaptrack.fuzz", ".ci/run")
 """Commands of other programs: not run."""
 
 
