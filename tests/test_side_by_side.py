@@ -203,6 +203,15 @@ def test_a_scheduler_is_left_out_on_a_car_that_it_was_not_made_for():
     assert "was made for the car 'paper'" in found["left_out"]
 
 
+def test_a_contender_whose_extra_is_not_installed_is_left_out_with_the_remedy(monkeypatch: pytest.MonkeyPatch):
+    import sys
+
+    monkeypatch.setitem(sys.modules, "casadi", None)
+    found = run_cell(tiny(contenders=["nmpc"]), Cell("nmpc", "paper", "road"))
+    assert not found["rows"]
+    assert "pip install 'adaptrack[bench]'" in found["left_out"]
+
+
 # -- driven -----------------------------------------------------------------------------------------------------------
 @pytest.mark.compiled
 def test_all_contenders_drive_the_same_roads_with_the_same_noise_and_the_same_effort(tmp_path: Path):

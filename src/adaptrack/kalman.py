@@ -290,6 +290,7 @@ class ReadableFilter:
         self.unit_side = np.eye(self.size)[model.n]
         self.turned = [0.0] * (self.late + 1)
         self.z: Array | None = None
+        self.astray = 0
 
     def matrices(self, speed: float, time: float) -> tuple[Array, Array]:
         """F (size, size) and B (size,) over a time (s), by one matrix exponential."""
@@ -325,7 +326,17 @@ class ReadableFilter:
         self.last, self.offsets = np.array(measured[: len(SENSORS)]), np.zeros(len(SENSORS))
         self.disagreement: dict[str, float] = dict.fromkeys(SENSORS, 0.0)
         self.left_out: str | None = None
-        self.steps, self.blind = 0, 0
+        self.steps, self.blind, self.astray = 0, 0, 0
+
+    def is_astray(self, measured: Array) -> bool:
+        """Whether positions or headings have been elsewhere for so long that bounded innovations would not help."""
+        from adaptrack.kernels.estimators.kalman import ASTRAY, FAR, FAR_TURNED
+
+        y, yaw = measured[MEASURED.index("y")], measured[MEASURED.index("yaw")]
+        if self.z is not None and math.isfinite(y) and math.isfinite(yaw):
+            far = abs(y - self.z[self.n - 1]) > FAR or abs(yaw - self.z[1]) > FAR_TURNED
+            self.astray = self.astray + 1 if far else 0
+        return self.astray >= ASTRAY
 
     def sort_in(self, measured: Array) -> None:
         """Give each sample to the instant at which it was taken: value, and how much earlier (s) than that."""
@@ -519,6 +530,8 @@ class ReadableFilter:
         seen = np.array([math.nan] * (len(SENSORS) + 2) + [0.0])
         given = np.asarray(measured, dtype=float)
         seen[: given.size] = given
+        if self.is_astray(seen):
+            self.z = None
         if self.z is None:
             self.begin(seen, command)
         else:

@@ -84,6 +84,10 @@ def _law(name: str, words: str) -> Entry:
     return Entry(name, _registered(name), words, registered=name)
 
 
+def _in_python(name: str, words: str) -> Entry:
+    return Entry(name, _registered(name), words, tunable=False, compiled=False, step_time=4e-3, registered=name)
+
+
 _ENTRIES: dict[str, Entry] = {
     each.name: each
     for each in (
@@ -106,6 +110,9 @@ _ENTRIES: dict[str, Entry] = {
         _law("lqr", "LQR with curvature feed-forward"),
         _law("preview-lqr", "LQR with optimal preview of the curvature"),
         _law("kinematic-mpc", "kinematic MPC with lag and dead time, Autoware's formulation"),
+        Entry("mppi", _registered("mppi"), "MPPI on the tyre's curve", registered="mppi", step_time=7e-4),
+        _in_python("nmpc", "NMPC on the tyre's curve, with our estimator"),
+        _in_python("nmpc-as-measured", "the same without an estimator"),
     )
 }  # fmt: skip
 

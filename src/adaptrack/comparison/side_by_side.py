@@ -23,7 +23,7 @@ from adaptrack.comparison.contenders import Contender
 from adaptrack.comparison.entries import Entry, Setting, get_entry
 from adaptrack.comparison.roads import check_fits
 from adaptrack.controllers import MPC, Controller
-from adaptrack.errors import InvalidInput
+from adaptrack.errors import InvalidInput, MissingExtra
 from adaptrack.files import Record
 from adaptrack.manoeuvres import LaneChange, entry_speed, iso_3888_2
 from adaptrack.metrics import compute_metrics
@@ -247,9 +247,9 @@ def run_cell(task: SideBySide, cell: Cell) -> dict[str, Any]:
     try:
         own = entry.make(setting)
         check_fits(Contender(entry.name, own), judged)
-    except InvalidInput as error:
+    except (InvalidInput, MissingExtra) as error:
         return found | {"left_out": str(error), "seconds": 0.0}
-    drivers: dict[str, Controller] = {"default" if entry.tunable else "scheduled": own}
+    drivers: dict[str, Controller] = {"scheduled" if getattr(own, "scheduler", None) else "default": own}
     if entry.tunable and task.budget:
         swarm = _swarm(task.budget, len(training) * len(task.training_seeds))
         sought = seek_constant(training, own, swarm, noise_seeds=task.training_seeds)

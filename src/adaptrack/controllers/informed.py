@@ -33,10 +33,12 @@ HORIZON, MOVES = 1.5, 0.5
 """s, over which the outputs are predicted and the command may change, with preview."""
 BLIND_HORIZON, BLIND_MOVES = 3.5, 0.8
 """s, the same without preview, as in the paper's table: a reference that is held is followed too eagerly in less."""
+BLIND_MOVE_WEIGHT = 1e-5
+"""s^2, R/Q times the squared control period where the profile gives them none and the reference is not known ahead:
+that of the paper's table."""
 LEAST_MOVE_WEIGHT = 1e-2
-"""s^2, R/Q times the squared control period where the profile gives them none, or less. On six cars and twelve roads in
-`paper`: J 8e-6 m^2, none of 72 runs failed; with that of the paper's table, 1e-5, 3e-4 m^2, and 7 failed. At 3e-3, 6e-6
-m^2, but a van that answers a step of 2 m at 30 m/s leaves the road."""
+"""s^2, the same where it is known ahead. On six cars and twelve roads in `paper`: J 4e-6 m^2, none of 72 runs failed;
+with weight and horizons as without preview 3e-4 m^2, and 7 failed."""
 
 
 def _checked(period: float) -> float:
@@ -55,7 +57,8 @@ def informed_tuning(
     """
     world = load_profile(profile)
     pace = _checked(world.period if period is None else period)
-    weight = max(world.move_weight * world.period**2, LEAST_MOVE_WEIGHT) / pace**2
+    least = LEAST_MOVE_WEIGHT if world.preview else BLIND_MOVE_WEIGHT
+    weight = max(world.move_weight * world.period**2, least) / pace**2
     weight *= Uncertainty.declared(uncertainty).caution * (UNSEEN if math.isinf(world.noise_vy) else 1.0)
     ahead, free = (HORIZON, MOVES) if world.preview else (BLIND_HORIZON, BLIND_MOVES)
     horizon = min(max(2, round(ahead / pace)), int(PREDICTION_HORIZON.most))
@@ -78,7 +81,7 @@ class Parts(NamedTuple):
 
 def informed_parts(
     vehicle: Vehicle, profile: str | Profile | None, told: tuple[Told, Uncertainty | None, Learning | None],
-    period: float | None, estimator: KalmanFilter | None,
+    period: float | None, estimator: KalmanFilter | None, preview: bool | None = None,
 ) -> Parts:  # fmt: skip
     """The parts of an MPC that knows its car; arguments as for `MPC`, told: belief, uncertainty and learning.
 
@@ -88,6 +91,7 @@ def informed_parts(
         For arguments that make no controller.
     """
     car, world = known_vehicle("MPC", vehicle), load_profile(UNNAMED if profile is None else profile)
+    world = world.replace(preview=True) if preview else world  # a reference that is known ahead is tuned for
     pace = _checked(world.period if period is None else period)
     if told[2] is not None:
         return _learning_parts(car, (world, profile is not None), told, pace, estimator)

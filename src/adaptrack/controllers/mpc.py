@@ -174,7 +174,7 @@ class MPC:
     ) -> None:
         filtering = get_estimator(estimator) if isinstance(estimator, str) else estimator
         if model is None and isinstance(filtering, KalmanFilter | None):
-            parts = informed_parts(vehicle, profile, (belief, uncertainty, learning), period, filtering)
+            parts = informed_parts(vehicle, profile, (belief, uncertainty, learning), period, filtering, preview)
         else:
             if not (profile is None and belief is None and uncertainty is None and learning is None):
                 raise InvalidInput(
