@@ -80,7 +80,7 @@ def _verdict(made: Compared, standings: dict[str, Standing]) -> Verdict:
     last = list(standings)[-1]
     picture = Picture(
         f"RMS error in profile {last}, over that of {standings[last].reference.label}, with 95 % intervals. "
-        "Blue: ours; red: the paper's.",
+        "Blue: ours; orange: the paper's.",
         [_ratios(standings[last])],
         file="ratios.png",
     )
