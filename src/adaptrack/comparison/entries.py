@@ -46,8 +46,6 @@ class Entry:
     """whether the kernels run it; in Python it is some hundred times slower"""
     step_time: float = 2e-5
     """s, of a control step with its plant in a batch, roughly: for estimates of time"""
-    registered: str = ""
-    """its name as a controller, where it has one"""
     ours: bool = False
 
 
@@ -81,17 +79,17 @@ def _scheduled(scheduler: str, published: bool, setting: Setting) -> Controller:
 
 
 def _law(name: str, words: str) -> Entry:
-    return Entry(name, _registered(name), words, registered=name)
+    return Entry(name, _registered(name), words)
 
 
 def _in_python(name: str, words: str) -> Entry:
-    return Entry(name, _registered(name), words, tunable=False, compiled=False, step_time=4e-3, registered=name)
+    return Entry(name, _registered(name), words, tunable=False, compiled=False, step_time=4e-3)
 
 
 _ENTRIES: dict[str, Entry] = {
     each.name: each
     for each in (
-        Entry("informed", _registered("informed"), "MPC that knows its car", registered="informed", ours=True),
+        Entry("informed", _registered("informed"), "MPC that knows its car", ours=True),
         Entry("informed-learning", partial(_learning, sheet=False), "the same, learning while it drives", ours=True),
         Entry(
             "informed-from-sheet", partial(_learning, sheet=True),
@@ -101,7 +99,7 @@ _ENTRIES: dict[str, Entry] = {
             "informed-nn", partial(_scheduled, "informed-road-nn", False), "the same, scheduled by networks",
             tunable=False, ours=True,
         ),
-        Entry("as-written", _registered("as-written"), "MPC of the paper, as written", registered="as-written"),
+        Entry("as-written", _registered("as-written"), "MPC of the paper, as written"),
         Entry("as-released", _registered("as-released"), "MPC of the paper, as its authors released it"),
         Entry("nn", partial(_scheduled, "road-nn", True), "MPC of the paper, scheduled by networks", tunable=False),
         Entry("anfis", partial(_scheduled, "road-anfis", True), "MPC of the paper, scheduled by ANFIS", tunable=False),
@@ -110,7 +108,7 @@ _ENTRIES: dict[str, Entry] = {
         _law("lqr", "LQR with curvature feed-forward"),
         _law("preview-lqr", "LQR with optimal preview of the curvature"),
         _law("kinematic-mpc", "kinematic MPC with lag and dead time, Autoware's formulation"),
-        Entry("mppi", _registered("mppi"), "MPPI on the tyre's curve", registered="mppi", step_time=7e-4),
+        Entry("mppi", _registered("mppi"), "MPPI on the tyre's curve", step_time=7e-4),
         _in_python("nmpc", "NMPC on the tyre's curve, with our estimator"),
         _in_python("nmpc-as-measured", "the same without an estimator"),
     )

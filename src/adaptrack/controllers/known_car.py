@@ -6,12 +6,11 @@ import math
 from dataclasses import dataclass
 from typing import Any, Self
 
-from adaptrack.controllers.base import known_vehicle
-from adaptrack.controllers.belief import Belief, believed
-from adaptrack.controllers.informed import UNNAMED
+from adaptrack.controllers.belief import Belief
 from adaptrack.controllers.limits import Limits
+from adaptrack.controllers.told import world_and_belief
 from adaptrack.errors import InvalidInput, real
-from adaptrack.profile import Profile, load_profile
+from adaptrack.profile import Profile
 from adaptrack.vehicle import GRAVITY, Steering, Tyre, Vehicle, load_tyre
 
 LINEAR_PEAK = 1e9
@@ -43,15 +42,11 @@ class KnownCar:
         InvalidInput
             For arguments that describe no car.
         """
-        car, world = known_vehicle(where, vehicle), load_profile(UNNAMED if profile is None else profile)
-        pace = real(where, "period", world.period if period is None else period)
-        if not 0.0 < pace < math.inf:
-            raise InvalidInput(f"{where}: period = {pace!r} s: must be positive and finite.")
+        world, pace, said = world_and_belief(where, vehicle, profile, belief, period)
         if not 0.0 < real(where, "friction", friction) < math.inf:
             raise InvalidInput(f"{where}: friction = {friction!r}: must be positive and finite.")
-        known = tyre if isinstance(tyre, Tyre) else load_tyre(car.tyre if tyre is None else tyre)
-        said = believed(car, belief, world, pace, named=profile is not None)
-        return cls(car, known, float(friction), world, said, pace)
+        known = tyre if isinstance(tyre, Tyre) else load_tyre(vehicle.tyre if tyre is None else tyre)
+        return cls(vehicle, known, float(friction), world, said, pace)
 
     @property
     def limits(self) -> Limits:

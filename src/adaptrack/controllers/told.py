@@ -14,6 +14,23 @@ from adaptrack.profile import Profile, load_profile
 from adaptrack.vehicle import Steering, Vehicle
 
 
+def world_and_belief(
+    where: str, vehicle: Vehicle, profile: str | Profile | None, belief: Steering | None, period: float | None
+) -> tuple[Profile, float, Belief]:
+    """The profile, the control period (s), and what is believed of the steering; arguments as for `MPC`.
+
+    Raises
+    ------
+    InvalidInput
+        For a vehicle that is none, a belief that is no `Steering`, or a period that is not positive and finite.
+    """
+    car, world = known_vehicle(where, vehicle), load_profile(UNNAMED if profile is None else profile)
+    pace = real(where, "period", world.period if period is None else period)
+    if not 0.0 < pace < math.inf:
+        raise InvalidInput(f"{where}: period = {pace!r} s: must be positive and finite.")
+    return world, pace, believed(car, belief, world, pace, named=profile is not None)
+
+
 class Told(NamedTuple):
     """What a law is told."""
 
@@ -39,11 +56,7 @@ class Told(NamedTuple):
         InvalidInput
             For a vehicle that is none, a belief that is no `Steering`, or a period that is not positive and finite.
         """
-        car, world = known_vehicle(where, vehicle), load_profile(UNNAMED if profile is None else profile)
-        pace = real(where, "period", world.period if period is None else period)
-        if not 0.0 < pace < math.inf:
-            raise InvalidInput(f"{where}: period = {period!r} s: must be positive and finite.")
-        known = believed(car, belief, world, pace, named=profile is not None)
+        world, pace, known = world_and_belief(where, vehicle, profile, belief, period)
         return cls(
             belief=known,
             pose_age=world.pose_age if profile is not None else 0.0,
