@@ -45,7 +45,6 @@ from .contract import (
     all_finite,
     limited,
     path_ahead,
-    path_at,
     planned_speed,
     read_situation,
     wrapped,
@@ -179,15 +178,6 @@ def held(speed, curvature, time, p):
 
 
 @njit(**INLINE)
-def _curvature_at(distance, reference, road, s, p):
-    """The curvature (1/m) of the path, so far (m) ahead; 0 of y_ref(t) for a car that hardly moves."""
-    if road.line.start.size == 0 and s.speed < SLOWEST:
-        return 0.0
-    v = max(s.speed, SLOWEST)
-    return path_at(reference, road, distance / v, v, p.period).curvature
-
-
-@njit(**INLINE)
 def _roll(e, theta, reference, road, s, p, sent):
     """The state at the end of the dead time from that at the measurement; and how far (m) the rear axle is then."""
     behind = (p.pose_age + p.dead_time) / p.period
@@ -196,7 +186,7 @@ def _roll(e, theta, reference, road, s, p, sent):
     for piece in range(way.count_pieces(behind), 0, -1):
         h = way.share_of(piece, behind) * p.period
         v = planned_speed(road, time, s.speed, p.period)
-        curvature = _curvature_at(distance + 0.5 * v * h, reference, road, s, p)
+        curvature = way.curvature_at(distance + 0.5 * v * h, reference, road, s, p)
         (pe, qe, r, a), (be, bt, bd), (we, wt), _ = held(v, curvature, h, p)
         u = sent[way.SENT + piece - 1]
         e = e + pe * theta + qe * delta + be * u + we
@@ -214,7 +204,7 @@ def _write_stages(distance, reference, road, s, t, p, stage):
     n = int(p.stages)
     for i in range(n):
         v = planned_speed(road, p.dead_time + i * p.step, s.speed, p.period)
-        curvature = _curvature_at(distance, reference, road, s, p)
+        curvature = way.curvature_at(distance, reference, road, s, p)
         distance += v * p.step
         free, driven, pushed, steady = held(v, curvature, p.step, p)
         stage[P, i], stage[Q, i], stage[R, i], stage[A, i] = free
@@ -361,7 +351,7 @@ def _form(s, reference, road, t, p, memory):
     """Form the problem; offset, heading error and the workspace."""
     path = path_ahead(reference, road, 0.0, s.speed, p.period, memory)
     place = -p.pose_age * max(s.speed, SLOWEST) - 0.5 * p.lr
-    turned = p.lr * _curvature_at(place, reference, road, s, p)
+    turned = p.lr * way.curvature_at(place, reference, road, s, p)
     offset, theta = (s.y - path.y) * math.cos(path.heading), wrapped(s.yaw - path.heading + turned)
     rear = offset - p.lr * math.sin(theta)
     e, rolled, delta, distance = _roll(rear, theta, reference, road, s, p, _sent(p, memory))

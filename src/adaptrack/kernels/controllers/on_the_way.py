@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 
 from ..abi import INLINE, njit
+from .contract import SLOWEST, path_at
 
 STARTED, ANGLE, SENT = 0, 1, 2
 """Places in what a law remembers of them: 1 after the first step; the wheel angle (rad) at the start; the commands
@@ -56,3 +57,12 @@ def take_command(command, behind, period, lag, memory):
     if oldest > 0:
         angle = lagged(angle, memory[SENT + oldest - 1], (1.0 - share) * period, lag)
     memory[ANGLE] = angle
+
+
+@njit(**INLINE)
+def curvature_at(distance, reference, road, s, p):
+    """The curvature (1/m) of the path, so far (m) ahead; 0 of y_ref(t) for a car that hardly moves."""
+    if road.line.start.size == 0 and s.speed < SLOWEST:
+        return 0.0
+    v = max(s.speed, SLOWEST)
+    return path_at(reference, road, distance / v, v, p.period).curvature

@@ -33,7 +33,6 @@ from .contract import (
     all_finite,
     limited,
     path_ahead,
-    path_at,
     planned_speed,
     read_situation,
     wrapped,
@@ -89,19 +88,10 @@ def _sent(p, memory):
 
 
 @njit(**INLINE)
-def _curvature_at(distance, reference, road, s, p):
-    """The curvature (1/m) of the path, so far (m) ahead; 0 of y_ref(t) for a car that hardly moves."""
-    if road.line.start.size == 0 and s.speed < SLOWEST:
-        return 0.0
-    v = max(s.speed, SLOWEST)
-    return path_at(reference, road, distance / v, v, p.period).curvature
-
-
-@njit(**INLINE)
 def _begin(offset, heading_error, reference, road, s, p, x):
     """Write the state now: the measured pose, moved on by its age with the present motion."""
     v, n = max(s.speed, SLOWEST), x.size
-    w = v * _curvature_at(-0.5 * p.pose_age * v, reference, road, s, p)
+    w = v * way.curvature_at(-0.5 * p.pose_age * v, reference, road, s, p)
     turned = p.pose_age * (s.yaw_rate - w)
     x[0], x[1], x[2] = s.vy, heading_error + turned, s.yaw_rate
     x[n - 1] = offset + p.pose_age * (s.vy + v * (heading_error + 0.5 * turned))
@@ -124,7 +114,7 @@ def _roll(reference, road, s, parameters, memory, x):
             model.discretise(v, h, own, a, b, e)
             formed = h
         pace = planned_speed(road, time, s.speed, p.period)
-        w = v * _curvature_at(distance + 0.5 * pace * h, reference, road, s, p)
+        w = v * way.curvature_at(distance + 0.5 * pace * h, reference, road, s, p)
         u = sent[way.SENT + piece - 1]
         for i in range(n):
             following[i] = b[i] * u + e[i] * w
@@ -142,7 +132,7 @@ def _write_deviations(distance, reference, road, s, p, z):
     """Turn the state into x~ and write the changes of w behind it; z: (states + previewed,). The first w, and U."""
     n, v, time = states_of(p), max(s.speed, SLOWEST), p.dead_time
     pace = planned_speed(road, time, s.speed, p.period)
-    first = now = v * _curvature_at(distance + 0.5 * pace * p.period, reference, road, s, p)
+    first = now = v * way.curvature_at(distance + 0.5 * pace * p.period, reference, road, s, p)
     heading, steering = p.rear_slip * v - p.lr / v, p.wheelbase / v + p.understeer * v
     z[0] += v * heading * first
     z[1] -= heading * first
@@ -153,7 +143,7 @@ def _write_deviations(distance, reference, road, s, p, z):
         distance += pace * p.period
         time += p.period
         pace = planned_speed(road, time, s.speed, p.period)
-        later = v * _curvature_at(distance + 0.5 * pace * p.period, reference, road, s, p)
+        later = v * way.curvature_at(distance + 0.5 * pace * p.period, reference, road, s, p)
         z[n + j], now = later - now, later
     return first, steering
 
