@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -128,10 +129,10 @@ class ClosedLoop:
         self._loop, self._kalman, self._names = loop, MEASURED, VARIABLES
         self.world, self.seed, self.instant = world, seed, 0
         self.signals = scenario.sample(world.period)
-        self.road = getattr(scenario, "road", None)
+        self.road: Any = getattr(scenario, "road", None)
         self.rows = world.samples(self.signals, 0)[None]
         self.roads = pack_roads([self.road])
-        self._settings = world.settings(world.substeps(float(self.signals.speed.max())))
+        self.settings = world.settings(world.substeps(float(self.signals.speed.max())))
         start = world.start(scenario, self.signals)
         stepped = isinstance(world.plant, SteppedPlant)
         self._vehicle = (_SteppedVehicle if stepped else _CompiledVehicle)(world, start)
@@ -140,8 +141,8 @@ class ClosedLoop:
         self.memory = world.memory(1)
         self._own = self.memory.own[0]
         self._measured, self._look, self._felt = np.zeros(len(MEASURED)), np.zeros(len(VARIABLES)), np.zeros(2)
-        self._substeps = loop.substeps_around_change(self._settings)
-        self._feels = self._settings[0].noise_lateral_acceleration < math.inf
+        self._substeps = loop.substeps_around_change(self.settings)
+        self._feels = self.settings[0].noise_lateral_acceleration < math.inf
         self._estimator = world.known_as if isinstance(world.known_as, FrictionWindEstimator) else None
         if self._estimator is not None:
             self._estimator.reset()
@@ -161,17 +162,22 @@ class ClosedLoop:
         """Whether the run has failed before its end."""
         return bool(self._own.ended != self._loop.RUNNING)
 
+    @property
+    def finite(self) -> bool:
+        """Whether the run has not ended in a state or a command that is not finite."""
+        return bool(self._own.ended != self._loop.NOT_FINITE)
+
     def sense(self) -> Sensed | None:
         """Judge the run at this instant; what sensors give, None when it has failed.
 
         The instant at the end of the last period is not judged: a car that never came near its reference has failed.
         """
         loop, own, k = self._loop, self._own, self.instant
-        loop.locate(0, self._block, self._settings, self.rows, 0, self.roads, self.memory)
+        loop.locate(0, self._block, self.settings, self.rows, 0, self.roads, self.memory)
         if k < self.signals.n:
             error = self.error
             own.arrived = own.arrived or abs(error) <= self.world.failure.distance
-            self._end(loop.judge(error, self._block, 0, self._settings, bool(own.arrived)))
+            self._end(loop.judge(error, self._block, 0, self.settings, bool(own.arrived)))
             if self.ended:
                 return None
         return self.measure()
@@ -182,7 +188,7 @@ class ClosedLoop:
         if self._feels:
             self._vehicle.observe(self._felt)
             measured[self._kalman.lateral_acceleration] = self._felt[0]
-        speed = float(loop.sense(k, 0, self._block, self._settings, self.seed, self.memory, measured))
+        speed = float(loop.sense(k, 0, self._block, self.settings, self.seed, self.memory, measured))
         loop.look(k, speed, measured, self.rows, 0, self._look)
         if self._estimator is not None:
             found = self._estimator.step(measured[:4], speed, own.command)
@@ -199,7 +205,7 @@ class ClosedLoop:
         if not math.isfinite(command):
             self._end(self._loop.NOT_FINITE)
             return False
-        self._loop.actuate(self.instant, 0, command, self._block, self._settings, self.rows, 0, self.memory)
+        self._loop.actuate(self.instant, 0, command, self._block, self.settings, self.rows, 0, self.memory)
         return True
 
     def observe(self, seen: Array) -> None:
@@ -213,10 +219,10 @@ class ClosedLoop:
     def advance(self) -> None:
         """Move on to the next instant."""
         (before, after), period = self._substeps, self.world.period
-        share = float(self._settings[0].dead_share)
+        share = float(self.settings[0].dead_share)
         if before:
             self._vehicle.advance(before, share * period / before)
-            self._loop.change_command(1, self._block, self._settings, self.memory)
+            self._loop.change_command(1, self._block, self.settings, self.memory)
         self._vehicle.advance(after, (1.0 - share) * period / after)
         self.instant += 1
 
