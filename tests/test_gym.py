@@ -89,9 +89,9 @@ def test_a_constant_choice_has_the_run_of_simulate_with_that_tuning_to_the_bit()
     env = MPCTuningEnv(car="van", every=7, **SHORT)
     action = env.tunings.action(*TUNING)
     _, rewards, first, info, _ = drive(env, lambda row: action, seed=6)
-    car, ratio = at.load_vehicle("van"), env.tunings.of(action)[2]
-    assert ratio == pytest.approx(TUNING[2], rel=1e-12)
-    mpc = make_mpc("informed", car, at.load_profile("road"), lambda variables: (25, 6, 1.0, 10.0**ratio))
+    car, entries = at.load_vehicle("van"), env.tunings.entries(action)
+    assert entries == pytest.approx([25, 6, 1.0, 10.0**1.5], rel=1e-12)
+    mpc = make_mpc("informed", car, at.load_profile("road"), lambda variables: entries)
     run = at.simulate(
         at.get_plant("dual-track", car), mpc, env.task.trip(0, car), profile="road", seed=first["noise_seed"]
     )

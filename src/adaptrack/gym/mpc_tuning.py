@@ -111,8 +111,7 @@ class MPCTuningEnv(gymnasium.Env):
     def step(self, action: Any) -> tuple[Array, float, bool, bool, dict[str, Any]]:
         """Drive `every` control periods with a tuning, see `gymnasium.Env.step`."""
         driven = needs_reset(self._driven)
-        Np, Nc, ratio = self.tunings.of(checked_action(action, self.tunings.box)).tolist()
-        self._chosen.tuning = Np, Nc, 1.0, 10.0**ratio
+        self._chosen.tuning = tuple(self.tunings.entries(checked_action(action, self.tunings.box)).tolist())
         loop, cost = driven.loop, 0.0
         for _ in range(self.every):
             now = driven.sensed

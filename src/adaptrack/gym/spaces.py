@@ -121,6 +121,12 @@ class Tunings:
         """(..., 3) Np, Nc and log10 R/Q of actions (..., 3)."""
         return self.low + 0.5 * (actions + 1.0) * (self.high - self.low)
 
+    def entries(self, actions: Array) -> Array:
+        """(..., 4) Np, Nc, Q and R of actions (..., 3), the same to the bit for one action and for many."""
+        chosen = self.of(actions)
+        one = np.ones_like(chosen[..., 2:])
+        return np.concatenate([chosen[..., :2], one, np.power(10.0 * one, chosen[..., 2:])], axis=-1)
+
     def action(self, Np: float, Nc: float, ratio: float) -> Array:
         """The action (3,) that stands for Np, Nc and log10 R/Q.
 

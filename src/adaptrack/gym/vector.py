@@ -314,10 +314,9 @@ class MPCTuningVectorEnv(_VectorEnv):
         return () if mpc.learner is not None else first_belief(mpc)
 
     def _take(self, actions: Array) -> None:
-        tunings = self.tunings.of(actions)
+        tunings = self.tunings.entries(actions)
         for block in self._blocks:
-            chosen, tuning = tunings[block.slots], block.episodes.run.tuning
-            tuning[:, :2], tuning[:, 2], tuning[:, 3] = chosen[:, :2], 1.0, 10.0 ** chosen[:, 2]
+            block.episodes.run.tuning[:] = tunings[block.slots]
 
     def _drive(self, block: Block) -> None:
         from adaptrack.kernels.episode import arrive
