@@ -23,6 +23,7 @@ from adaptrack.gym import (  # noqa: E402
     PathTrackingVectorEnv,
 )
 from adaptrack.gym.spaces import make_mpc  # noqa: E402
+from foreign_loop import example  # noqa: E402
 
 SHORT = {"road": "country:3", "length": 100.0}
 STEP = at.load_scenario("step").replace(duration=4.0)
@@ -208,6 +209,18 @@ def test_each_episode_draws_one_of_the_roads():
     assert env.reset(options={"road": 1})[1]["road"] == "other"
 
 
+@pytest.mark.compiled
+def test_a_few_generations_of_the_example_steer_better_than_nobody(capsys):
+    pytest.importorskip("cma", reason="needs cma: pip install 'adaptrack[bench]'")
+    learning = example("gym_learn_to_steer")
+    nobody = np.exp(np.log(learning.costs(learning.JUDGED, np.zeros(len(learning.SCALE)), seed=7)).mean())
+    assert learning.main(generations=3) < 0.1 * nobody
+    assert [line.split("J =")[0].strip() for line in capsys.readouterr().out.splitlines()[-2:]] == [
+        "pure-pursuit",
+        "informed",
+    ]
+
+
 # -- failure ----------------------------------------------------------------------------------------------------------
 @pytest.mark.compiled
 def test_a_car_that_leaves_the_road_has_failed_and_pays_for_the_rest_of_it():
@@ -220,6 +233,34 @@ def test_a_car_that_leaves_the_road_has_failed_and_pays_for_the_rest_of_it():
     assert rewards[-1] == pytest.approx(-25.0 * left, abs=25.0)
     with pytest.raises(gymnasium.error.ResetNeeded):
         env.step([0.0])
+
+
+class Breaking(at.SteppedPlant):
+    """Goes straight on for 20 steps, then nowhere."""
+
+    vehicle = at.load_vehicle("paper")
+
+    def reset(self, motion):
+        self.motion, self.steps = motion, 0
+
+    def step(self, dt, steering, acceleration, environment):
+        self.steps += 1
+        self.motion[0] += dt * self.motion[3] if self.steps < 20 else math.nan
+        return self.motion
+
+
+@pytest.mark.compiled
+def test_a_simulator_in_python_is_driven_and_what_is_seen_of_its_breakdown_is_finite():
+    env = PathTrackingEnv(car=Breaking(), road="country:3")
+    seen, _, _, info, flags = drive(env, lambda row: [0.0], seed=1)
+    assert (info["failed"], *flags) == ("not-finite", True, False)
+    assert all(env.observation_space.contains(row) for row in seen)
+
+
+@pytest.mark.compiled
+def test_a_simulator_in_python_is_not_driven_among_many():
+    with pytest.raises(InvalidInput, match="compiled"):
+        PathTrackingVectorEnv(2, car=Breaking(), road=STEP).reset()
 
 
 @pytest.mark.compiled

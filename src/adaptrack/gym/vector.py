@@ -232,8 +232,10 @@ class _VectorEnv(VectorEnv):
 class PathTrackingVectorEnv(_VectorEnv):
     """`adaptrack/PathTracking-v0` for many cars at once, compiled; spaces, rewards and ends are those of one car.
 
-    Car i has the run, to the bit, of `PathTrackingEnv` with its seed, where the roads ask for the same integration
-    steps (several roads share those of the fastest). num_envs: cars; threads: over which blocks of 32 cars are spread;
+    Car i has the run, to the bit, of `PathTrackingEnv` with its seed. Several roads share the integration steps of the
+    fastest, and each has errors of perception of its own (`known_as`): with them the runs agree on one road only.
+
+    num_envs: cars; threads: over which blocks of 32 cars are spread;
     distances, task: as there. With random cars each car is a block of its own, which takes longer. A user's plant in
     Python cannot take part.
 

@@ -75,5 +75,5 @@ def see(k, slot, speed, measured, scene, memory, sight, seen):
             _, _, _, curvature = point_at(
                 own.station + sight.distances[j], line_of(scene.roads.of[scenario], scene.roads)
             )
-        row[len(SEEN) + count + j] = curvature
+        keep(curvature, row, len(SEEN) + count + j)
     bounded(row, sight)
