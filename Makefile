@@ -51,7 +51,7 @@ bench: install ## time one control step and the compiled batch of runs
 	$(BIN)/adaptrack bench step --json
 	$(BIN)/adaptrack bench rollout --json
 
-install-extras: install requirements-extras.lock ## install also what others bring: CommonRoad's roads and cars, the peers of the benchmarks
+install-extras: install requirements-extras.lock ## install also what others bring: CommonRoad's roads and cars, Gymnasium, the peers of the benchmarks
 	$(PIP) install --no-deps --only-binary :all: --require-hashes -r requirements-extras.lock
 
 COMPILE := $(BIN)/uv pip compile pyproject.toml --universal --fork-strategy fewest --generate-hashes --upgrade \
@@ -60,7 +60,7 @@ LOCKED := --extra solvers --extra cluster --extra docs --extra dev
 
 lock: ## renew requirements.lock and requirements-extras.lock from pyproject.toml
 	$(COMPILE) $(LOCKED) --output-file requirements.lock
-	$(COMPILE) --extra bench --extra commonroad --extra plants --constraints requirements.lock --output-file requirements-extras.lock
+	$(COMPILE) --extra bench --extra commonroad --extra gym --extra plants --constraints requirements.lock --output-file requirements-extras.lock
 
 clean: ## remove everything that can be made again
 	rm -rf .venv build dist results docs/_build .hypothesis .import_linter_cache .mypy_cache .pytest_cache .ruff_cache

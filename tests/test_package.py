@@ -91,7 +91,7 @@ def test_locks_pin_and_hash_every_declared_package(project):
 
     configuration = tomllib.loads((project / "pyproject.toml").read_text())["project"]
     optional = configuration["optional-dependencies"]
-    extra = optional.pop("commonroad") + optional.pop("plants") + optional.pop("bench")
+    extra = optional.pop("commonroad") + optional.pop("gym") + optional.pop("plants") + optional.pop("bench")
     declared = itertools.chain(configuration["dependencies"], *optional.values())
     assert {re.match(r"[a-z0-9-]+", each)[0] for each in declared} - {"adaptrack"} <= first.keys()
     assert {re.match(r"[a-z0-9-]+", each)[0] for each in extra} <= extras.keys()

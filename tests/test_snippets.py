@@ -56,6 +56,9 @@ LONG_SNIPPETS = {
 EXIT_CODES = {"manoeuvre sine-with-dwell": 1}
 """Of commands whose result is not a success, by how they begin: the plants have no stability control."""
 
+NEEDED = {"gymnasium.md": ("gymnasium", "needs Gymnasium: pip install 'adaptrack[gym]'")}
+"""Pages that are skipped without a package of an extra."""
+
 OTHERS = ("dask", "python -m pip", "python -m adaptrack.fuzz", ".ci/run")
 """Commands of other programs: not run."""
 
@@ -153,6 +156,9 @@ def test_a_wrong_option_or_value_would_be_found():
 @pytest.mark.compiled
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
 def test_a_page_runs_from_top_to_bottom(page, tmp_path, monkeypatch, capsys):
+    if page.name in NEEDED:
+        module, reason = NEEDED[page.name]
+        pytest.importorskip(module, reason=reason)
     monkeypatch.chdir(tmp_path)
     given_files(page, tmp_path)
     namespace = {"__name__": "snippet"}

@@ -18,18 +18,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adaptrack.batch import Batch, BatchRuns
+from adaptrack.closed_loop import ClosedLoop, failure_of
 from adaptrack.controllers import MPC, CompiledController, Controller
 from adaptrack.errors import InvalidInput, whole
-from adaptrack.estimation import FrictionWindEstimator
 from adaptrack.failure import DISTANCE, Failure
 from adaptrack.plant import Plant, SteppedPlant
 from adaptrack.profile import Profile
-from adaptrack.road import Road
-from adaptrack.road.ahead import RoadAhead, pack_roads
 from adaptrack.scenario import RoadDrive, Scenario, Signals
-from adaptrack.scheduling.variables import SchedulingVariables
 from adaptrack.trajectory import Origin, Trajectory, provenance
-from adaptrack.world import Driver, KnownAs, World, reason_of
+from adaptrack.world import Driver, KnownAs, World
 
 Array = NDArray[np.float64]
 
@@ -42,84 +39,6 @@ def _refuse_nonsense(scenario: Scenario | RoadDrive, seed: int) -> None:
         )
     if whole("simulate", "seed", seed, least=0) >= 2**63:
         raise InvalidInput(f"seed = {seed!r}: must be below 2^63.")
-
-
-LONGEST_PREVIEW = 400
-"""Control instants for which a controller in Python is told the speed ahead."""
-
-
-class _CompiledVehicle:
-    """A compiled plant in slot 0 of a block."""
-
-    def __init__(self, world: World, settings: Any, start: Array) -> None:
-        from adaptrack.kernels.plants.contract import place, vehicle_batch
-
-        assert isinstance(world.plant, Plant)
-        self._compiled = world.plant.compiled
-        self._arrays = vehicle_batch(world.plant.packed(), start[None])
-        self.block = self._arrays.block
-        place(1, self._arrays.start, self.block, self._arrays.states)
-
-    def observe(self, seen: Array) -> None:
-        """Write lateral acceleration and front-wheel angle under the present input."""
-        v = self._arrays
-        self._compiled.observe(v.parameters, v.block, v.states, v.work, 0, seen)
-
-    def advance(self, steps: int, h: float) -> None:
-        """Move on by so many steps of h (s)."""
-        v = self._arrays
-        self._compiled.advance(v.parameters, v.block, v.states, v.work, 1, steps, h)
-
-
-class _SteppedVehicle:
-    """A stepped plant behind the loop's steering actuator; its motion is kept in slot 0 of a block."""
-
-    def __init__(self, world: World, settings: Any, start: Array) -> None:
-        from adaptrack.kernels.plants import contract
-
-        assert isinstance(world.plant, SteppedPlant)
-        self._plant, self._steering = world.plant, world.steering
-        self._mass = world.plant.powertrain["mass"]
-        self._contract = contract
-        self.block = np.zeros(contract.BLOCK)
-        self._state = self.block[: contract.STATES * contract.SLOTS : contract.SLOTS]
-        self._input = self.block[contract.STATES * contract.SLOTS :: contract.SLOTS]
-        self._lateral = 0.0
-        self._state[:6] = start
-        world.plant.reset(start.copy())
-
-    def observe(self, seen: Array) -> None:
-        """Lateral acceleration over the last steps, and the front-wheel angle under the present input."""
-        seen[0], seen[1] = self._lateral, self._angle(0.0)
-
-    def _angle(self, time: float) -> float:
-        """The front-wheel angle (rad) after a time (s) under the present command."""
-        command = float(np.clip(self._input[0], -self._steering.limit, self._steering.limit))
-        angle = float(self._state[self._contract.STATE.steering])
-        if self._steering.lag <= 0.0:
-            return command
-        gap, limited = command - angle, 0.0
-        if abs(gap) > self._steering.rate * self._steering.lag:  # at the rate limit until the gap is small enough
-            limited = min(time, abs(gap) / self._steering.rate - self._steering.lag)
-            gap -= math.copysign(self._steering.rate * limited, gap)
-        return command - gap * math.exp((limited - time) / self._steering.lag)
-
-    def advance(self, steps: int, h: float) -> None:
-        """Move on by so many steps of h (s)."""
-        names = self._contract.INPUT
-        force, acceleration = self._input[names.force], self._input[names.acceleration]
-        wanted = force / self._mass if math.isnan(acceleration) else acceleration
-        environment = self._input[names.friction_front_left :].copy()
-        before = self._state[:6].copy()
-        for _ in range(steps):
-            middle, after = self._angle(0.5 * h), self._angle(h)
-            motion = np.asarray(self._plant.step(h, middle, float(wanted), environment), dtype=np.float64)
-            if motion.shape != (6,):
-                raise InvalidInput(f"plant {self._plant.name!r}: step() gave {motion!r}: must be six numbers.")
-            self._state[:6] = motion
-            self._state[self._contract.STATE.steering] = after if self._steering.lag > 0.0 else 0.0
-        turn = 0.5 * (before[3] * before[5] + self._state[3] * self._state[5])
-        self._lateral = (self._state[4] - before[4]) / (steps * h) + turn - self._input[names.bank]
 
 
 class _Recorder:
@@ -179,90 +98,40 @@ def simulate(
     InvalidInput
         When an argument does not fit the others.
     """
-    from adaptrack.kernels import loop
     from adaptrack.kernels.models.contract import MEASURED
-    from adaptrack.kernels.plants.contract import SLOTS, STATES
-    from adaptrack.kernels.variables import VARIABLES
 
     world = World.of(plant, controller, profile, driver, known_as, failure)
     _refuse_nonsense(scenario, seed)
-    signals = scenario.sample(controller.period)
-    samples = world.samples(signals, 0)
-    rows = samples[None]
-    settings = world.settings(world.substeps(float(signals.speed.max())))
-    vehicle = (_SteppedVehicle if isinstance(world.plant, SteppedPlant) else _CompiledVehicle)(
-        world, settings, world.start(scenario, signals)
-    )
-    record, memory = _Recorder(signals.n, controller), world.memory(1)
-    block, own = vehicle.block, memory.own[0]
-    measured, look = np.zeros(len(MEASURED)), np.zeros(len(VARIABLES))
-    felt = np.zeros(2)
-    before, after = loop.substeps_around_change(settings)
-    share = float(settings[0].dead_share)
-    seen = measured if getattr(controller, "sees_all_sensors", False) else measured[:4]
-    estimator = known_as if isinstance(known_as, FrictionWindEstimator) else None
-    if estimator is not None:
-        estimator.reset()
+    loop = ClosedLoop(world, scenario, seed)
+    signals = loop.signals
+    record = _Recorder(signals.n, controller)
+    blind = isinstance(controller, CompiledController) and math.isinf(world.profile.noise_vy)
     controller.reset()
-    road = getattr(scenario, "road", None)
-    roads = pack_roads([road])
     for k in range(signals.n):
         if progress is not None and k % 64 == 0:
             progress(k, signals.n)
-        record.state[k] = block[: STATES * SLOTS : SLOTS]
-        loop.locate(0, block, settings, rows, 0, roads, memory)
-        error = own.offset - samples[0, k]
-        own.arrived = own.arrived or abs(error) <= world.failure.distance
-        own.ended = loop.judge(error, block, 0, settings, bool(own.arrived))
-        if own.ended != loop.RUNNING:
-            own.ended_at = k * signals.period
+        record.state[k] = loop.state
+        now = loop.sense()
+        if now is None:
             break
-        if settings[0].noise_lateral_acceleration < math.inf:
-            vehicle.observe(felt)
-            measured[MEASURED.lateral_acceleration] = felt[0]
-        speed = float(loop.sense(k, 0, block, settings, seed, memory, measured))
-        loop.look(k, speed, measured, rows, 0, look)
-        if estimator is not None:
-            found = estimator.step(measured[:4], speed, own.command)
-            look[VARIABLES.friction], look[VARIABLES.wind] = found.friction, found.wind
-        if isinstance(controller, CompiledController) and math.isinf(world.profile.noise_vy):
-            measured[MEASURED.vy] = 0.0  # a car without a sensor of it
-        variables = SchedulingVariables(*look.tolist())
+        if blind:
+            now.measured[MEASURED.vy] = 0.0  # a car without a sensor of it
+        # an MPC's model or estimator may use the wheel angle
+        seen = now.measured if getattr(controller, "sees_all_sensors", False) else now.measured[:4]
         begun = time.perf_counter()
-        ahead: dict[str, Any] = {}
-        if road is not None:
-            ahead["road"] = _seen_ahead(road, own.station, speed, signals.speed[k:])
-        answer = controller.step(seen, speed, samples[0, k:], variables, **ahead)
+        ahead: dict[str, Any] = {} if loop.road is None else {"road": loop.road_ahead(now.speed)}
+        answer = controller.step(seen, now.speed, now.reference, now.variables, **ahead)
         record.times[k] = time.perf_counter() - begun
-        command = record.take(k, answer, float(own.command))
-        if not math.isfinite(command):
-            own.ended, own.ended_at = loop.NOT_FINITE, k * signals.period
+        command = record.take(k, answer, loop.command)
+        if not loop.send(command):
             break
-        loop.actuate(k, 0, command, block, settings, rows, 0, memory)
-        vehicle.observe(record.seen[k])
-        record.seen[k, 2:] = own.station, own.offset, own.heading_error
-        if before:
-            vehicle.advance(before, share * signals.period / before)
-            loop.change_command(1, block, settings, memory)
-        vehicle.advance(after, (1.0 - share) * signals.period / after)
+        loop.observe(record.seen[k])
+        loop.advance()
     if progress is not None:
         progress(signals.n, signals.n)
-    if not own.arrived:
-        own.ended, own.ended_at = loop.NEVER_ARRIVED, 0.0
-    record.failed, record.failed_at = _failure_of(int(own.ended), float(own.ended_at))
+    record.failed, record.failed_at = loop.failure()
     record.counted = dict(getattr(controller, "scheduler_counts", {}))
     return _trajectory(world, controller, scenario, signals, seed, record)
-
-
-def _seen_ahead(road: Road, station: float, speed: float, planned: Array) -> RoadAhead:
-    """The road ahead of a car that passes it as planned, from its present speed (m/s) on."""
-    speeds = planned[:LONGEST_PREVIEW] + (speed - planned[0])
-    return RoadAhead(road, float(station), np.maximum(speeds, 0.0))
-
-
-def _failure_of(ended: int, at: float) -> tuple[str | None, float]:
-    reason = reason_of(ended)
-    return reason, at if reason is not None else math.nan
 
 
 def rollout(
@@ -317,7 +186,7 @@ def _traced(batch: Batch, runs: BatchRuns, i: int, k: int, seed: int) -> Traject
     else:
         D = len(record.diagnostic_names)
         record.diagnostics[:], record.tuning[:] = answer[:, 3 : 3 + D], answer[:, 3 + D :]
-    record.failed, record.failed_at = _failure_of(int(found.ended), float(found.ended_at))
+    record.failed, record.failed_at = failure_of(int(found.ended), float(found.ended_at))
     record.counted = {name: int(values[i]) for name, values in runs.counts.items()}
     return _trajectory(batch.world, controller, batch.scenarios[k], batch.signals[k], seed, record)
 

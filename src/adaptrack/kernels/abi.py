@@ -116,15 +116,19 @@ class Resident:
 
 
 def _layout(value: Any) -> list[int]:
-    """What numba's array structure holds of each array of a record (numba.core.datamodel.models.ArrayModel)."""
+    """The words of a record: whole numbers, and what numba's array structure holds of each array
+    (numba.core.datamodel.models.ArrayModel).
+    """
     if isinstance(value, tuple):
         return [word for each in value for word in _layout(each)]
+    if isinstance(value, int):
+        return [value]
     memory_and_owner = [0, 0]  # for counting references, which kernels do not
     return [*memory_and_owner, value.size, value.itemsize, value.ctypes.data, *value.shape, *value.strides]
 
 
 def reader(kind: Any) -> Any:
-    """A kernel ``read(address)`` that gives the `Resident` record of a type whose leaves are arrays."""
+    """A kernel ``read(address)`` that gives the `Resident` record of a type made of arrays and whole numbers."""
     if INTERPRETED:
         return lambda address: address
 

@@ -166,7 +166,7 @@ def no_trace() -> Any:
 
 # -- one control period -----------------------------------------------------------------------------------------------
 @njit(**PART)
-def _sense(k, slot, run):
+def sense_slot(k, slot, run):
     """What the sensors of a slot give at instant k; the measured speed."""
     measured, vehicles = run.mpc.measured, run.vehicles
     if run.settings[0].noise_lateral_acceleration < math.inf:
@@ -241,7 +241,7 @@ def _see_bend(k, slot, speed, run):
 
 
 @njit(**PART)
-def _control(k, slot, speed, run):
+def control_slot(k, slot, speed, run):
     """The controller's answer at instant k."""
     reference = run.given.signals[run.given.scenario[slot], SIGNAL.y_ref, k:]
     if run.law.answer.size > 0:
@@ -255,7 +255,7 @@ def _control(k, slot, speed, run):
 
 # -- what is measured of a run ----------------------------------------------------------------------------------------
 @njit(**PART)
-def _begin_instant(k, slot, segment, run):
+def begin_instant(k, slot, segment, run):
     """Judge the run; count the error at instant k, unless the run ends here."""
     own, found, block = run.memory.own[slot], run.result[slot], run.vehicles.block
     y_ref = run.given.signals[run.given.scenario[slot], SIGNAL.y_ref, k]
@@ -311,7 +311,7 @@ def _note(k, slot, run):
 
 
 @njit(**PART)
-def _end(k, slot, segment, run):
+def end_slot(k, slot, segment, run):
     """Close a run that ends at instant k before its time, and park its slot in its initial state."""
     own, found = run.memory.own[slot], run.result[slot]
     found.ended, found.ended_at = own.ended, own.ended_at
@@ -356,19 +356,19 @@ def rollout(span, run):
         for i in range(slots):
             if run.memory.own[i].ended != RUNNING:
                 continue
-            _begin_instant(k, i, segment, run)
+            begin_instant(k, i, segment, run)
             if run.memory.own[i].ended != RUNNING:
-                _end(k, i, segment, run)
+                end_slot(k, i, segment, run)
                 continue
-            speed = _sense(k, i, run)
+            speed = sense_slot(k, i, run)
             _schedule(k, i, speed, run)
-            answer = _control(k, i, speed, run)
+            answer = control_slot(k, i, speed, run)
             actuate(k, i, answer[0], block, run.settings, run.given.signals, run.given.scenario[i], run.memory)
             if run.trace.seen.size > 0:
                 _note(k, i, run)
             _count_step(k, i, answer, segment, weight, run)
             if run.memory.own[i].ended != RUNNING:
-                _end(k, i, segment, run)
+                end_slot(k, i, segment, run)
                 continue
             running += 1
         if running == 0:

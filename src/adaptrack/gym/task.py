@@ -1,0 +1,201 @@
+"""What is driven in an episode: car, road, world and noise, drawn for each episode from what the user allows."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from adaptrack.comparison.side_by_side import load_setting, load_trip
+from adaptrack.controllers import CompiledController
+from adaptrack.errors import InvalidInput, real, whole
+from adaptrack.failure import DISTANCE, Failure
+from adaptrack.identification import CarRanges, random_car
+from adaptrack.identification.random_cars import BASES
+from adaptrack.plant import DualTrack, Plant, SteppedPlant, get_plant
+from adaptrack.profile import Profile, load_profile
+from adaptrack.scenario import RoadDrive, Scenario
+from adaptrack.vehicle import Vehicle, load_vehicle
+from adaptrack.world import Driver, KnownAs
+
+Trip = Scenario | RoadDrive
+SEEDS = 2**31
+"""Seeds of noise and cars are drawn below it."""
+CHOICES = ("noise_seed", "car_seed", "road")
+"""What ``reset(options={...})`` may choose for an episode."""
+
+
+@dataclass(frozen=True, eq=False)
+class Episode:
+    """What is driven once."""
+
+    vehicle: Vehicle
+    plant: Plant | SteppedPlant
+    profile: Profile
+    trip: Trip
+    road: int
+    """which of the roads of the task"""
+    noise_seed: int
+    car_seed: int | None
+    """of a random car"""
+
+    @property
+    def info(self) -> dict[str, Any]:
+        """What ``reset`` says of it."""
+        drawn = {} if self.car_seed is None else {"car_seed": self.car_seed}
+        return {"car": self.vehicle.name, "road": self.trip.name, "noise_seed": self.noise_seed, **drawn}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Task:
+    """From what the episodes of an environment are drawn.
+
+    Raises
+    ------
+    InvalidInput
+        When a part is of a wrong kind, or parts do not fit each other.
+    UnknownName, StorageError, ConfigError
+        When a car, a road or a profile cannot be had.
+    """
+
+    car: str | Vehicle | Plant | SteppedPlant | None = None
+    """name or file of a car, with its plant if it is not dual-track (`van`, `van/single-track`, `my-car.toml`), a
+    `Vehicle`, or a plant that knows its vehicle; by default `paper`. Of random cars: the shipped car about which they
+    are drawn, by default those of `random_car`"""
+    road: str | Trip | Sequence[str | Trip] = "country:1"
+    """a kind of generated road with its seed (`country:3`, `mountain:2@4` with bends at 4 m/s^2), `random-drive:3`, the
+    name of a scenario, a file, a `Scenario` or a `RoadDrive`; of several each episode draws one"""
+    profile: str | Profile = "road"
+    random_cars: bool | CarRanges = False
+    """each episode draws a car of its own, with its own steering and sensor noise (`random_car`), from these ranges"""
+    driver: Driver | None = None
+    """None: the speed follows its plan exactly"""
+    known_as: KnownAs = None
+    """how friction and wind are known"""
+    failure: Failure | None = None
+    """when a run has failed, by default as the car's domain says"""
+    failure_cost: float | None = None
+    """m^2, what each instant costs that a failed run does not drive; by default the square of the failure distance"""
+    length: float = 1000.0
+    """m, of generated roads"""
+    duration: float = 60.0
+    """s, of random drives"""
+    _trips: dict[tuple[int, str], Trip] = field(default_factory=dict, init=False, repr=False, compare=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "profile", load_profile(self.profile))
+        if isinstance(self.road, str | Scenario | RoadDrive):
+            object.__setattr__(self, "road", (self.road,))
+        if not isinstance(self.road, Sequence) or not self.road:
+            raise InvalidInput(f"road = {self.road!r}: must be a road or a sequence of at least one.")
+        for each in self.road:
+            if not isinstance(each, str | Scenario | RoadDrive):
+                raise InvalidInput(f"road = {each!r}: must be a name, a file, a Scenario or a RoadDrive.")
+        if self.randomised and not isinstance(self.car, str | None):
+            raise InvalidInput(f"random_cars: car = {self.car!r}: must be the name of a shipped car, or left out.")
+        if self.failure_cost is not None and not 0.0 <= real("failure_cost", "m^2", self.failure_cost) < math.inf:
+            raise InvalidInput(f"failure_cost = {self.failure_cost!r} m^2: must be finite and not negative.")
+        self.draw(np.random.default_rng(0), None)  # what cannot be had is said at once
+
+    @property
+    def world(self) -> Profile:
+        """The profile; that of a random car differs in steering and noise."""
+        assert isinstance(self.profile, Profile)  # since __post_init__
+        return self.profile
+
+    @property
+    def roads(self) -> tuple[str | Trip, ...]:
+        """What ``road`` names."""
+        return tuple(self.road)  # type: ignore[arg-type]
+
+    @property
+    def randomised(self) -> bool:
+        """Whether each episode has a car of its own."""
+        return self.random_cars is not False
+
+    def draw(self, rng: np.random.Generator, options: dict[str, Any] | None) -> Episode:
+        """An episode; options: what it must have, see `CHOICES`.
+
+        What the options choose is drawn all the same, so that the rest is what it was.
+
+        Raises
+        ------
+        InvalidInput
+            When an option is unknown or not allowed.
+        """
+        chosen = dict(options or {})
+        unknown = set(chosen) - set(CHOICES)
+        if unknown:
+            raise InvalidInput(f"reset: options: {sorted(unknown)[0]!r} is unknown; known are {', '.join(CHOICES)}.")
+        drawn = {name: int(rng.integers(most)) for name, most in self._most().items()}
+        for name, value in chosen.items():
+            if name not in drawn:
+                raise InvalidInput(f"reset: options: {name!r}: this environment does not draw one.")
+            drawn[name] = whole("reset: options", name, value, least=0)
+            if drawn[name] >= self._most()[name]:
+                raise InvalidInput(f"reset: options: {name} = {value!r}: must be below {self._most()[name]}.")
+        return self._episode(drawn)
+
+    def _most(self) -> dict[str, int]:
+        cars = {"car_seed": SEEDS} if self.randomised else {}
+        return {"road": len(self.roads), **cars, "noise_seed": SEEDS}
+
+    def _episode(self, drawn: dict[str, int]) -> Episode:
+        which, seed, noise = drawn["road"], drawn.get("car_seed"), drawn["noise_seed"]
+        if seed is None:
+            vehicle, plant, profile = self.known_car()
+            return Episode(vehicle, plant, profile, self.trip(which, vehicle), which, noise, None)
+        ranges = self.random_cars if isinstance(self.random_cars, CarRanges) else None
+        bases = BASES if self.car is None else (str(self.car),)
+        made = random_car(seed, bases=bases, profile=self.world, ranges=ranges)
+        plant, trip = DualTrack(made.vehicle, made.tyre), self.trip(which, load_vehicle(made.base))
+        return Episode(made.vehicle, plant, made.profile, trip, which, noise, seed)
+
+    def known_car(self) -> tuple[Vehicle, Plant | SteppedPlant, Profile]:
+        """The car, its plant and its world where they are not drawn."""
+        car = "paper" if self.car is None else self.car
+        if isinstance(car, str):
+            setting = load_setting(car, self.world)  # type: ignore[arg-type]
+            return setting.car, setting.plant, self.world
+        if isinstance(car, Vehicle):
+            return car, get_plant("dual-track", car), self.world
+        vehicle = getattr(car, "vehicle", None)
+        if not isinstance(car, Plant | SteppedPlant) or not isinstance(vehicle, Vehicle):
+            raise InvalidInput(f"car = {car!r}: must be a name, a file, a Vehicle, or a plant with a `vehicle`.")
+        return vehicle, car, self.world
+
+    def trip(self, which: int, vehicle: Vehicle) -> Trip:
+        """One of the roads, its speed planned for a vehicle: of a random car the one about which it is drawn."""
+        road = self.roads[which]
+        if not isinstance(road, str):
+            return road
+        if (which, vehicle.name) not in self._trips:
+            self._trips[which, vehicle.name] = load_trip(road, vehicle, self.length, self.duration)
+        return self._trips[which, vehicle.name]
+
+    def cost_of_failure(self, distance: float) -> float:
+        """m^2, of each instant that a failed run does not drive, by the failure distance (m)."""
+        return min(distance, DISTANCE) ** 2 if self.failure_cost is None else float(self.failure_cost)
+
+
+class Outside(CompiledController):
+    """Stands where a controller would: the commands come from outside."""
+
+    tuning_names, diagnostic_names, memory_size = (), (), 0
+
+    def __init__(self, period: float) -> None:
+        super().__init__({}, period=period)
+
+    @property
+    def name(self) -> str:
+        return "steered from outside"
+
+    @property
+    def function(self) -> Any:
+        return None
+
+    def own_parameters(self) -> tuple[float, ...]:
+        return ()
