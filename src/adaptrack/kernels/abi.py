@@ -16,6 +16,7 @@ import logging
 import os
 import re
 import sys
+import time
 import warnings
 from collections import namedtuple
 from collections.abc import Callable, Iterable, Iterator
@@ -29,7 +30,9 @@ from llvmlite import ir
 from numba import types
 from numba.core import cgutils
 from numba.core import config as _numba_config
+from numba.core.compiler_lock import global_compiler_lock
 from numba.core.errors import NumbaExperimentalFeatureWarning
+from numba.core.event import Listener, register
 from numba.core.registry import CPUDispatcher
 from numba.extending import intrinsic
 
@@ -150,6 +153,7 @@ def entry(function: Any) -> Any:
     """
     if INTERPRETED:
         return function
+    function.ready()
     (compiled,) = function.overloads.values()
     return compiled.entry_point
 
@@ -295,7 +299,6 @@ def cache_directory(source: Path) -> Path | None:
     it inlines changes: a folder for each state of the import closure keeps yesterday's physics out of today's run.
     """
     folder = cache_base() / f"{source.stem}-{source_hash(source)}"
-    new = not folder.exists()
     try:
         folder.mkdir(parents=True, exist_ok=True)
         writable = os.access(folder, os.W_OK)
@@ -307,8 +310,6 @@ def cache_directory(source: Path) -> Path | None:
             "Set NUMBA_CACHE_DIR to a folder that can."
         )
         return None
-    if new:
-        _say_once("compiling kernels, once for this version; up to a minute.")
     return folder
 
 
@@ -318,35 +319,107 @@ def _say_once(text: str) -> None:
     logging.getLogger("adaptrack").warning("adaptrack: %s", text)
 
 
-def _compiled(function: Any, signature: Any, options: dict[str, Any]) -> Any:
-    with warnings.catch_warnings():  # functions as arguments work; numba calls them experimental each time
-        warnings.simplefilter("ignore", NumbaExperimentalFeatureWarning)
-        made = numba.njit(*signature, **options)(function)
-    if options.get("no_cpython_wrapper") and not INTERPRETED:
-        made.__class__ = _ForKernels
-    return made
+class _Kernel(CPUDispatcher):  # type: ignore[misc]
+    """A kernel of given signatures, compiled (or loaded from the cache) when it is first needed.
+
+    Needed: called from Python, called by a kernel that is being compiled, or asked for its address. So a process
+    compiles what it uses and no more.
+    """
+
+    declared: tuple[Any, ...] = ()
+    kept = False
+    """whether its machine code is kept on disk"""
+
+    def ready(self) -> None:
+        """Compile for the declared signatures, unless that has been done."""
+        if not (self._can_compile and self.declared):
+            return
+        with global_compiler_lock, warnings.catch_warnings():
+            # Functions as arguments work; numba calls them experimental each time.
+            warnings.simplefilter("ignore", NumbaExperimentalFeatureWarning)
+            if self._can_compile:
+                for signature in self.declared:
+                    self.compile(signature)
+                self.disable_compile()
+
+    def get_call_template(self, args: Any, kws: Any) -> Any:
+        self.ready()
+        return super().get_call_template(args, kws)
+
+    def get_compile_result(self, sig: Any) -> Any:
+        self.ready()
+        return super().get_compile_result(sig)
+
+    def _compile_for_args(self, *args: Any, **kws: Any) -> Any:
+        if not self.declared:
+            return super()._compile_for_args(*args, **kws)
+        self.ready()
+        return self  # the caller in C calls it with the arguments
+
+    def _reduce_states(self) -> Any:
+        self.ready()
+        return super()._reduce_states()
 
 
-class _ForKernels(CPUDispatcher):  # type: ignore[misc]
+class _Inlined(_Kernel):
     """A kernel without an entry for Python: a call of it from there would end the process."""
 
     def __call__(self, *arguments: Any, **named: Any) -> Any:
         raise TypeError(f"{self.py_func.__name__}: is inlined into kernels and cannot be called from Python.")
 
 
+class _Telling(Listener):  # type: ignore[misc]
+    """Says that kernels are being compiled, once a process, and for how long it has been done."""
+
+    def __init__(self) -> None:
+        self.depth, self.seconds, self._begun = 0, 0.0, 0.0
+
+    def on_start(self, event: Any) -> None:
+        self.depth += 1
+        if self.depth > 1:
+            return
+        self._begun = time.monotonic()
+        dispatcher = event.data["dispatcher"]
+        if isinstance(dispatcher, _Kernel) and dispatcher.kept:
+            _say_once("compiling kernels, once for this version and use; up to a minute.")
+
+    def on_end(self, event: Any) -> None:
+        self.depth -= 1
+        if self.depth == 0:
+            self.seconds += time.monotonic() - self._begun
+
+
+compiling = _Telling()
+"""What this process has compiled: `seconds` of wall time so far."""
+if not INTERPRETED:
+    register("numba:compile", compiling)
+
+
+def _compiled(function: Any, signature: Any, options: dict[str, Any]) -> Any:
+    made = numba.njit(**options)(function)
+    if not INTERPRETED:
+        made.__class__ = _Inlined if options.get("no_cpython_wrapper") else _Kernel
+        made.declared, made.kept = signature, options["cache"]
+    return made
+
+
 def njit(*signature: Any, **options: Any) -> Callable[[Any], Any]:
-    """`numba.njit`, its cache in the `cache_directory` of the file that holds the function."""
+    """`numba.njit`, its cache in the `cache_directory` of the file that holds the function.
+
+    A function with a signature is compiled when it is first needed; one that is not to be kept (a user's) at once, so
+    that what is wrong with it is said where it is given.
+    """
 
     def decorate(function: Any) -> Any:
-        kept = (
-            cache_directory(Path(function.__code__.co_filename)) if options.get("cache") and not INTERPRETED else None
-        )
-        if kept is None:
-            return _compiled(function, signature, {**options, "cache": False})
-        users, _numba_config.CACHE_DIR = _numba_config.CACHE_DIR, str(kept)
+        lazy = options.get("cache", False)
+        folder = cache_directory(Path(function.__code__.co_filename)) if lazy and not INTERPRETED else None
+        users, _numba_config.CACHE_DIR = _numba_config.CACHE_DIR, str(folder or "")
         try:
-            return _compiled(function, signature, options)
+            made = _compiled(function, signature, {**options, "cache": folder is not None})
         finally:
             _numba_config.CACHE_DIR = users
+        if not (lazy or INTERPRETED):
+            made.ready()
+        return made
 
     return decorate
