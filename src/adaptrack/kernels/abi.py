@@ -54,10 +54,17 @@ PART: dict[str, Any] = {"nogil": True, "error_model": "numpy", "inline": "always
 """Options of a part of a longer algorithm: it is put in the place of its call before anything is compiled. A function
 that is compiled by itself is optimised with all that it calls, so deep calls of large functions would cost minutes."""
 
-ROUTINE: dict[str, Any] = {"nogil": True, "error_model": "numpy", "cache": True, "_nrt": False}
-"""Options of the routines that are compiled once and loaded from the cache."""
+ROUTINE: dict[str, Any] = {
+    "nogil": True,
+    "error_model": "numpy",
+    "cache": True,
+    "_nrt": False,
+    "no_cfunc_wrapper": True,
+}
+"""Options of the routines that are compiled once and loaded from the cache. Kernels call each other, or an address (see
+`caller`): none needs a C entry."""
 
-SUBROUTINE: dict[str, Any] = {**ROUTINE, "forceinline": True, "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
+SUBROUTINE: dict[str, Any] = {**ROUTINE, "forceinline": True, "no_cpython_wrapper": True}
 """Options of a long part that is compiled by itself, once for all that call it."""
 
 SHARED_PART: dict[str, Any] = {**ROUTINE, "inline": "always"}
