@@ -85,7 +85,7 @@ def test_what_commands_need_are_parts():
     ("name", "command"),
     [
         ("simulate", ["simulate", "lane-change", "--profile", "road"]),
-        ("drive", ["drive", "country", "--road-length", "500"]),
+        ("drive", ["drive", "country", "--length", "500"]),
     ],
 )
 def test_after_a_warm_up_the_command_compiles_nothing(tmp_path, name, command):
