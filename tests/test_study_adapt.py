@@ -38,7 +38,7 @@ from adaptrack.scheduling import (
 from adaptrack.studies import adapt as study
 from adaptrack.studies import pipeline
 from adaptrack.studies.adapt import CONTENDERS, histories, shipped, stage_identity
-from adaptrack.tuning.config import load_campaign
+from adaptrack.tuning.config import _plant, load_campaign
 from adaptrack.vehicle import GRAVITY, load_vehicle
 from small_chain import CAMPAIGN, learned, short_cuts, write
 
@@ -469,6 +469,14 @@ def test_a_file_of_another_configuration_is_made_again(chain, copy, monkeypatch)
     object.__setattr__(odd, "provenance", {"stage": stage_identity(other, "speed look-up")})
     odd.save(file_of(copy, "speed look-up"))
     forbid(monkeypatch, *(WORK.keys() - {"neighbour_lookup"}))
+    study.learn(chain.setup, copy)
+    assert contents(copy) == contents(chain.folder)
+
+
+@pytest.mark.compiled
+def test_what_a_schedule_was_made_for_does_not_depend_on_what_else_the_process_has_done(chain, copy):
+    _plant.cache_clear()  # the plant of the set-up is no longer the one at hand
+    file_of(copy, "speed look-up").unlink()
     study.learn(chain.setup, copy)
     assert contents(copy) == contents(chain.folder)
 

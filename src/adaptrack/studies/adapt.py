@@ -122,7 +122,7 @@ def learning_stages(
         return recipes[0].all()[name](made)
 
     purpose = made_for(setup.mpc, setup.profile)
-    twin = "" if setup.plant is setup.plan.setup.plant() else ", learned on its twin"
+    twin = ", learned on its twin" if setup.plan.setup.plant().costly else ""
     purpose |= {"plant": f"{setup.campaign.plant}{twin}", "tyre": setup.plant.tyre_name}
     record = {"settings": setup.config.settings, "campaign": setup.plan.identity, "software": software()}
     return [
