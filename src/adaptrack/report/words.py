@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from datetime import datetime
 from typing import Any
 
@@ -67,6 +67,12 @@ def span(values: NDArray[Any], digits: int = 3, to: str = " to ") -> str:
 def listed(words: Sequence[str]) -> str:
     """Words in a row: a; a and b; a, b and c."""
     return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} and {words[-1]}"
+
+
+def few(names: Iterable[str], noun: str, most: int = 3) -> str:
+    """For a title: the names where they are few, else how many."""
+    known = list(names)
+    return listed(known) if 0 < len(known) <= most else counted(len(known), noun)
 
 
 def counted(n: int, noun: str) -> str:

@@ -1,0 +1,63 @@
+"""What opens the page on a comparison: who is best, how sure that is, against what, and all ratios in a picture."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+from adaptrack.comparison.compare import Comparison
+from adaptrack.report import style
+from adaptrack.report.dots import MOST, Dot, dots_drawing
+from adaptrack.report.page import Picture, Terms, Verdict
+from adaptrack.report.words import counted, listed, number
+
+LISTED = 4
+"""Contenders in the box, beside the picture of all."""
+_ADAPTIVE, _CONSTANT, _HINDSIGHT = style.SERIES[0], style.SERIES[1], style.MUTED
+"""Colours of what adapts its tuning, of what keeps one, and of what needs hindsight."""
+
+
+def comparison_verdict(
+    comparison: Comparison, noun: str, best: Sequence[str], called: Callable[[str], str], further: Sequence[str] = ()
+) -> Verdict:
+    """The verdict on a comparison.
+
+    noun: what a run is; best: the cheapest contender that needs no hindsight, and those level with it; called: a
+    contender in tables; further: sentences on other runs of the page.
+    """
+    rows = sorted(comparison.rows(), key=lambda row: row["regret_geomean"])
+    first, *level = best
+    text = f"On {counted(rows[0]['runs'], noun)}: {called(first)} costs least"
+    text += f", level with {listed([called(each) for each in level[:3]])}" if level else ""
+    text += f" and {len(level) - 3} more." if len(level) > 3 else "."
+    judged = [row for row in rows if not comparison.role(row["contender"]).hindsight]
+    entries = [(called(row["contender"]), _times(row)) for row in judged[:LISTED]]
+    failed = [f"{called(row['contender'])} in {number(row['failures'])}" for row in rows if row["failures"]]
+    entries += [
+        ("Against", f"the cost of {called(comparison.reference)} on the same {noun}"),
+        ("Failed", f"{listed(failed[:3])}{' and others' if len(failed) > 3 else ''}" if failed else "none"),
+        ("How sure", f"95 % bootstrap intervals over {counted(rows[0]['runs'], noun)}"),
+        *(("Also", words) for words in further),
+    ]
+    dots = [
+        Dot(called(row["contender"]), row["regret_geomean"], row["regret_low"], row["regret_high"],
+            _colour(comparison, row["contender"]), row["failures"] > 0)
+        for row in rows if row["contender"] != comparison.reference
+    ] or [Dot(called(first), 1.0)]  # fmt: skip
+    label = f"Cost / {called(comparison.reference)}"
+    more = f" The lowest {MOST} of {len(dots)}." if len(dots) > MOST else ""
+    crosses = " Cross: some runs failed." if failed else ""
+    caption = (
+        f"{label}, geometric mean with its 95 % interval. Blue: adapts its tuning; red: keeps one; grey: needs "
+        f"hindsight.{crosses}{more}"
+    )
+    drawing = dots_drawing(dots, style.data_text(label), f"{label}, geometric mean and 95 % interval", level=1.0)
+    return Verdict(text, Terms(entries), Picture(caption, [drawing]))
+
+
+def _times(row: dict[str, float]) -> str:
+    return f"{number(row['regret_geomean'])} times ({number(row['regret_low'])} to {number(row['regret_high'])})"
+
+
+def _colour(comparison: Comparison, who: str) -> str:
+    role = comparison.role(who)
+    return _HINDSIGHT if role.hindsight else _ADAPTIVE if role.adapts else _CONSTANT
