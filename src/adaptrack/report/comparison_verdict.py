@@ -26,14 +26,13 @@ def comparison_verdict(
     """
     rows = sorted(comparison.rows(), key=lambda row: row["regret_geomean"])
     first, *level = best
-    text = f"On {counted(rows[0]['runs'], noun)}: {called(first)} costs least"
-    text += f", level with {listed([called(each) for each in level[:3]])}" if level else ""
-    text += f" and {len(level) - 3} more." if len(level) > 3 else "."
-    judged = [row for row in rows if not comparison.role(row["contender"]).hindsight]
+    others = listed([called(each) for each in level]) if len(level) < 3 else f"{len(level)} others"
+    text = f"On {counted(rows[0]['runs'], noun)} {called(first)} costs least{f', level with {others}' * bool(level)}."
+    judged = [row for row in rows if _is_listed(comparison, row["contender"])]
     entries = [(called(row["contender"]), _times(row)) for row in judged[:LISTED]]
     failed = [f"{called(row['contender'])} in {number(row['failures'])}" for row in rows if row["failures"]]
     entries += [
-        ("Against", f"the cost of {called(comparison.reference)} on the same {noun}"),
+        ("Against", f"the cost of: {called(comparison.reference).lower()}, on the same {noun}"),
         ("Failed", f"{listed(failed[:3])}{' and others' if len(failed) > 3 else ''}" if failed else "none"),
         ("How sure", f"95 % bootstrap intervals over {counted(rows[0]['runs'], noun)}"),
         *(("Also", words) for words in further),
@@ -47,11 +46,17 @@ def comparison_verdict(
     more = f" The lowest {MOST} of {len(dots)}." if len(dots) > MOST else ""
     crosses = " Cross: some runs failed." if failed else ""
     caption = (
-        f"{label}, geometric mean with its 95 % interval. Blue: adapts its tuning; red: keeps one; grey: needs "
+        f"{label}, geometric mean with its 95 % interval. Blue: adapts its tuning; orange: keeps one; grey: needs "
         f"hindsight.{crosses}{more}"
     )
     drawing = dots_drawing(dots, style.data_text(label), f"{label}, geometric mean and 95 % interval", level=1.0)
     return Verdict(text, Terms(entries), Picture(caption, [drawing]))
+
+
+def _is_listed(comparison: Comparison, who: str) -> bool:
+    """All but the reference, what needs hindsight, and what has a guard without it."""
+    role = comparison.role(who)
+    return who != comparison.reference and not role.hindsight and not role.kind.endswith(" unguarded")
 
 
 def _times(row: dict[str, float]) -> str:

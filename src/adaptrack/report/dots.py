@@ -19,7 +19,9 @@ _ROW, _ABOVE_AND_BELOW, _LEAST = 0.21, 0.75, 1.6
 """inch: of a name, of the axis with its label, of the whole picture"""
 MOST = 14
 """Names that fit a first screen."""
-_LETTERS = 34
+FAR = 3.0
+"""times the median: a dot beyond is drawn at the edge"""
+_LETTERS = 40
 """of a name beside the axis"""
 
 
@@ -49,8 +51,13 @@ def dots_drawing(
     """
     shown = _most_telling(dots)
 
+    far = _far(shown)
+
     def draw(axes: Axes) -> None:
         for place, dot in enumerate(shown):
+            if dot.value > far:
+                _draw_far(axes, dot, place)
+                continue
             if dot.low < dot.high:
                 axes.plot([dot.low, dot.high], [place, place], color=dot.colour, linewidth=2.2, alpha=0.55)
             if math.isfinite(dot.other):
@@ -78,8 +85,23 @@ def _most_telling(dots: Sequence[Dot]) -> list[Dot]:
     return [dot for dot in dots if math.isfinite(dot.value)][:MOST]
 
 
+def _far(dots: Sequence[Dot]) -> float:
+    """Beyond which a dot would flatten all the rest: `FAR` times the median."""
+    return FAR * float(np.median([dot.value for dot in dots])) if dots else math.inf
+
+
+def _draw_far(axes: Axes, dot: Dot, place: int) -> None:
+    """At the edge, with its number."""
+    edge = axes.get_yaxis_transform()
+    axes.plot(0.985, place, ">", color=dot.colour, markersize=5.0, transform=edge)
+    words = f"{number(dot.value)}{', failed' if dot.failed else ''} "
+    axes.text(0.965, place, words, color=style.INK, fontsize=7.5, ha="right", va="center", transform=edge)
+
+
 def _scale(axes: Axes, dots: Sequence[Dot], also: Sequence[float]) -> None:
-    ends = [end for dot in dots for end in (dot.value, dot.low, dot.high, dot.other) if math.isfinite(end)]
+    far = _far(dots)
+    near = [dot for dot in dots if dot.value <= far]
+    ends = [end for dot in near for end in (dot.value, dot.low, min(dot.high, far), dot.other) if math.isfinite(end)]
     ends += also
     low, high = min(ends, default=0.0), max(ends, default=1.0)
     if low > 0.0 and high > 5.0 * low:

@@ -86,16 +86,18 @@ def _verdict(made: Reproduction) -> Verdict:
     near, far = reproduced(made.rows, "released")
     text = f"{len(near)} of {len(near) + len(far)} mean square errors of the paper come out within {100 * AGREES:g} %."
     dots = [
-        Dot(f"{NAMES[row['controller']]}, {_test(row['scenario'])}", row["ratio"], failed=row["failed"],
-            colour=style.SERIES[0 if row in near else 1])
+        Dot(f"{NAMES[row['controller']].removesuffix(' as released')}, {_test(row['scenario'])}", row["ratio"],
+            failed=row["failed"], colour=style.SERIES[0 if row in near else 1])
         for row in (*near, *far) if row["ratio"] is not None
     ]  # fmt: skip
     same = against(made.rows, "same-moves", "standard-as-written").partition(" (")[0]
     entries = [
         ("Against", "the errors that the paper prints, controllers as released, without preview"),
         ("Same moves", f"{same[:1].upper()}{same[1:]}."),
-        ("Known car", in_a_sentence(made.knowing)),
-        ("How sure", "profile paper has no noise: every run repeats to the bit; the learned ones hang on the data set"),
+        (
+            "How sure",
+            "profile paper has no noise: every run repeats to the bit; what is learned depends on the data set",
+        ),
     ]
     if made.quick:
         entries.append(("Quick", "the models learned for fewer epochs from fewer operating points"))
