@@ -33,7 +33,9 @@ def row_weights(model: str, sample_weight: ArrayLike | None, x: Array) -> Array 
         )
     check_consistent_length(x, weight)
     if (weight < 0.0).any() or not weight.any():
-        raise InvalidInput(f"{model}: sample_weight: a weight is negative, or all are zero: give none below 0 and one above.")
+        raise InvalidInput(
+            f"{model}: sample_weight: a weight is negative, or all are zero: give none below 0 and one above."
+        )
     return np.asarray(weight, dtype=np.float64)
 
 

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.colors import Normalize
+from matplotlib.colors import LogNorm, Normalize
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
@@ -61,6 +61,14 @@ class _Quantity(NamedTuple):
     fine: bool = False
     """whether low values are the good ones: their colours are turned round, so that dark is always bad"""
 
+    log: bool = False
+    """whether a colour is a factor: low values are then told apart like high ones"""
+
+    @property
+    def norm(self) -> Normalize:
+        """From numbers to colours."""
+        return LogNorm(self.low, self.high) if self.log else Normalize(self.low, self.high)
+
     @property
     def colours(self) -> str:
         return f"{COLOURS}_r" if self.fine else COLOURS
@@ -71,7 +79,7 @@ class _Quantity(NamedTuple):
         if not finite.size:
             return self
         low, high = np.clip(np.percentile(finite, (2.0, 98.0)), self.low, self.high)
-        least = 0.02 * (self.high - self.low)  # equal values have one colour
+        least = 0.1 * high if self.log else 0.02 * (self.high - self.low)  # equal values have one colour
         if high - low < least:
             low, high = max(self.low, low - least), min(self.high, high + least)
         return self._replace(low=float(low), high=float(high))
@@ -79,9 +87,9 @@ class _Quantity(NamedTuple):
 
 _RADIUS = _Quantity("Spectral radius (–)", 0.8, 1.02, fine=True)
 _MODULUS = _Quantity("Modulus margin (–)", 0.0, 1.0)
-_UP = _Quantity("Gain margin up (factor)", 1.0, 20.0)
+_UP = _Quantity("Gain margin up (factor)", 1.0, 20.0, log=True)
 _DOWN = _Quantity("Gain margin down (factor)", 0.0, 1.0, fine=True)
-_DELAY = _Quantity("Delay margin (ms)", 0.0, 1000.0)
+_DELAY = _Quantity("Delay margin (ms)", 1.0, 1000.0, log=True)
 
 
 class _Map(NamedTuple):
@@ -323,7 +331,7 @@ def _map(found: Certificate, quantity: _Quantity, values: Array, unstable: NDArr
     heat = Heat(
         Cells(edges_around(found.speeds), edges_around(found.frictions), np.clip(values, *ends).T),
         "Friction (–)",
-        Normalize(*ends),
+        quantity.norm,
         whole=quantity.whole,
         extend="both" if below and above else "min" if below else "max" if above else "neither",
         colours=quantity.colours,

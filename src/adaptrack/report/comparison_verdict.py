@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
+from matplotlib.figure import Figure
+
 from adaptrack.comparison.compare import Comparison
 from adaptrack.report import style
 from adaptrack.report.dots import MOST, Dot, dots_drawing
-from adaptrack.report.page import Picture, Terms, Verdict
-from adaptrack.report.words import counted, listed, number
+from adaptrack.report.page import Drawing, Picture, Terms, Verdict
+from adaptrack.report.words import counted, few, listed, number
 
 LISTED = 4
 """Contenders in the box, beside the picture of all."""
@@ -26,7 +28,7 @@ def comparison_verdict(
     """
     rows = sorted(comparison.rows(), key=lambda row: row["regret_geomean"])
     first, *level = best
-    others = listed([called(each) for each in level]) if len(level) < 3 else f"{len(level)} others"
+    others = few([called(each) for each in level], "other", 2)
     text = f"On {counted(rows[0]['runs'], noun)} {called(first)} costs least{f', level with {others}' * bool(level)}."
     judged = [row for row in rows if _is_listed(comparison, row["contender"])]
     entries = [(called(row["contender"]), _times(row)) for row in judged[:LISTED]]
@@ -37,20 +39,36 @@ def comparison_verdict(
         ("How sure", f"95 % bootstrap intervals over {counted(rows[0]['runs'], noun)}"),
         *(("Also", words) for words in further),
     ]
-    dots = [
-        Dot(called(row["contender"]), row["regret_geomean"], row["regret_low"], row["regret_high"],
-            _colour(comparison, row["contender"]), row["failures"] > 0)
-        for row in rows if row["contender"] != comparison.reference
-    ] or [Dot(called(first), 1.0)]  # fmt: skip
-    label = f"Cost / {called(comparison.reference)}"
+    dots, label = _dots(comparison, called), f"Cost / {called(comparison.reference)}"
     more = f" The lowest {MOST} of {len(dots)}." if len(dots) > MOST else ""
     crosses = " Cross: some runs failed." if failed else ""
     caption = (
         f"{label}, geometric mean with its 95 % interval. Blue: adapts its tuning; orange: keeps one; grey: needs "
         f"hindsight.{crosses}{more}"
     )
-    drawing = dots_drawing(dots, style.data_text(label), f"{label}, geometric mean and 95 % interval", level=1.0)
+    drawing = _drawing(comparison, called)
     return Verdict(text, Terms(entries), Picture(caption, [drawing]))
+
+
+def comparison_figure(comparison: Comparison) -> Figure:
+    """Each contender's cost over the reference's, with its 95 % interval."""
+    return _drawing(comparison, str).figure
+
+
+def _drawing(comparison: Comparison, called: Callable[[str], str]) -> Drawing:
+    label = f"Cost / {called(comparison.reference)}"
+    words = f"{label}, geometric mean and 95 % interval"
+    return dots_drawing(_dots(comparison, called), style.data_text(label), words, level=1.0)
+
+
+def _dots(comparison: Comparison, called: Callable[[str], str]) -> list[Dot]:
+    """The cheapest first; the reference only where it is alone."""
+    rows = sorted(comparison.rows(), key=lambda row: row["regret_geomean"])
+    return [
+        Dot(called(row["contender"]), row["regret_geomean"], row["regret_low"], row["regret_high"],
+            _colour(comparison, row["contender"]), row["failures"] > 0)
+        for row in rows if row["contender"] != comparison.reference
+    ] or [Dot(called(comparison.reference), 1.0)]  # fmt: skip
 
 
 def _is_listed(comparison: Comparison, who: str) -> bool:

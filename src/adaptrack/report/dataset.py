@@ -22,8 +22,10 @@ from numpy.typing import NDArray
 
 from adaptrack.comparison.statistics import ratio
 from adaptrack.dataset import DataSet, describe, flatness
+from adaptrack.errors import InvalidInput
 from adaptrack.report import style
 from adaptrack.report.maps import Cells, Heat, edges_around, norm_of
+from adaptrack.report.notebook import html
 from adaptrack.report.page import (
     Cell,
     Head,
@@ -114,6 +116,47 @@ def write_dataset_report(out_dir: str | os.PathLike[str], dataset: DataSet, *, s
     return write_page(out_dir, sections, title=_title(dataset, told), lead=[_in_short(told)])
 
 
+def dataset_figure(dataset: DataSet) -> Figure:
+    """How often each tuning is the best, and how many times the best the standard tuning costs, by speed.
+
+    Raises
+    ------
+    InvalidInput
+        When no swarm found a tuning with which the run did not fail.
+    """
+    rows = dataset.rows(dataset.computed)
+    found = rows.rows(np.isfinite(rows.costs))
+    if not len(found):
+        raise InvalidInput(f"data set {dataset.name!r}: no swarm found a tuning, so there is nothing to draw.")
+    panels = [
+        _histogram(each, (float(each.values.min()), float(each.values.max())))
+        for each in _targets(found) if each.name in ("Np", "Nc", "log R/Q")
+    ]  # fmt: skip
+    kept = (found.costs > 0.0) & np.isfinite(found.standard_costs)
+    if kept.any():
+        gain = found.standard_costs[kept] / found.costs[kept]
+        panels.append(
+            Panel("Standard over the best", partial(_draw_gain, found.operating_points[kept, 0], gain), _range_of(gain))
+        )
+    return printed(panels, 2, 2.1)
+
+
+def dataset_html(dataset: DataSet) -> str:
+    """What a notebook shows of a data set."""
+    searched = dataset.rows(dataset.computed)
+    rows = {
+        "Operating points": f"{number(len(dataset))}, {number(len(searched))} of them searched by swarms",
+        "Library": counted(len(dataset.library), "common tuning"),
+        **{
+            _QUANTITIES[name]: span(values)
+            for name, values in zip(_QUANTITIES, dataset.operating_points.T, strict=True)
+        },
+        "Failed with every tuning": number(int((~np.isfinite(searched.costs)).sum())),
+    }
+    figure = dataset_figure(dataset) if np.isfinite(searched.costs).any() else None
+    return html(f"Data set {dataset.name}", rows, figure, "The best tunings, and what they are worth")
+
+
 def _summary(dataset: DataSet) -> Summary:
     with warnings.catch_warnings():
         if not len(dataset.library):  # shares of nothing are not numbers, which numpy warns of
@@ -124,7 +167,8 @@ def _summary(dataset: DataSet) -> Summary:
 
 
 def _title(dataset: DataSet, told: Summary) -> str:
-    about = [str(told[key]) for key in ("vehicle", "profile", "scenario") if isinstance(told.get(key), str)]
+    about = [f"{key} {told[key]}" for key in ("vehicle", "profile") if isinstance(told.get(key), str)]
+    about += [str(told["scenario"])] if isinstance(told.get("scenario"), str) else []
     return f"Data set {dataset.name}: {', '.join(about)}" if about else f"Data set {dataset.name}"
 
 

@@ -139,6 +139,10 @@ def _verdict(drives: Drives) -> Verdict:
             ("p95 |e|", f"{number(shown[0].p95_offset)} m"),
             ("Largest |e|", f"{number(shown[0].max_offset)} m"),
         ]
+    entries += [
+        ("Against", "the centre line" if alone else "each other, on one road"),
+        ("How sure", f"one drive{'' if alone else ' each'}: other noise gives other numbers"),
+    ]
     words = [f"{key}: |e| up to {number(drive.max_offset)} m" for key, drive in drives.items()]
     picture = Picture(
         "The road from above, the driven line coloured by the offset |e| of the centre of mass from the centre line."
