@@ -259,7 +259,7 @@ def test_the_page_opens_with_the_best_its_interval_and_the_reference(report):
     first = words_of(report)[: words_of(report).index("Operating points") + 400]
     row = rows_of(EXACT_DRIVES)["nn"]
     assert text.index('class="verdict"') < text.index("<svg role") < text.index("<nav")
-    assert "On 40 drives: NN-MPC costs least" in first
+    assert "On 40 drives NN-MPC costs least" in first
     assert f"({page.number(row['regret_low'])} to {page.number(row['regret_high'])})" in first
 
 
