@@ -1,32 +1,29 @@
-"""Open pages in headless Chromium without a network, and say what a reader would trip over.
+"""Open pages of ours in headless Chromium without a network, and say what a reader would trip over.
 
     python benchmarks/check_pages.py results/index.html drive/index.html --shots shots
 
 Each page is opened 1400 and 400 px wide, light and dark, in a frame of 900 px height. Reported for each: messages of
-the console, requests that leave the page's folder, sideways overflow of the document, pictures and formulas without a
+the console (what it loads from elsewhere is one), sideways overflow of the document, pictures and formulas without a
 size, text beyond the frame of its picture, tables that are cut without a hint, and whether the first screen holds the
-verdict and most of its picture. `--docs` leaves out the last. The exit code is the number of pages with a finding.
+verdict and most of its picture. The exit code is the number of pages with a finding. `docs/check_pages.py` looks at
+the documentation.
 """
 
 from __future__ import annotations
 
 import argparse
 import html
-import json
-import re
-import shutil
-import subprocess
 import sys
 import tempfile
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
+import browser
+
 WIDTHS = (1400, 400)
 HEIGHT = 900
-SCHEMES = {"light": 1, "dark": 0}
-"""Chromium's numbers of `prefers-color-scheme`."""
-BROWSERS = ("chromium", "chromium-browser", "google-chrome", "chrome")
+SCHEMES = ("light", "dark")
 PATIENCE = 120.0
 """s, for one page."""
 
@@ -58,15 +55,14 @@ addEventListener("load", () => setTimeout(() => {
   found.picture = picture ? [Math.round(box(picture).top), Math.round(box(picture).bottom)] : null;
   found.text = document.body.innerText.length;
   found.height = root.scrollHeight;
-  parent.postMessage(JSON.stringify(found), "*");
+  fetch("/found", {method: "POST", body: JSON.stringify(found)});
 }, 300));
 </script>
 """
 
-FRAME = """<!doctype html><meta name="color-scheme" content="light dark"><style>html, body {{ margin: 0 }}
-iframe {{ border: 0; display: block }}</style><iframe src="{page}" width="{width}" height="{height}"></iframe>
-<script>addEventListener("message", e => {{ const p = document.createElement("pre"); p.id = "found";
-p.textContent = e.data; document.body.append(p); }});</script>"""
+FRAME = """<!doctype html><meta name="color-scheme" content="light dark"><link rel="icon" href="data:,">
+<style>html, body {{ margin: 0 }} iframe {{ border: 0; display: block }}</style>
+<iframe src="{page}" width="{width}" height="{height}"></iframe>"""
 
 
 class Seen(NamedTuple):
@@ -78,10 +74,8 @@ class Seen(NamedTuple):
     found: dict[str, Any]
     console: list[str]
 
-    def faults(self, docs: bool) -> list[str]:
+    def faults(self) -> list[str]:
         """What a reader would trip over."""
-        if not self.found:
-            return ["the page did not load", *self.console]
         f = self.found
         said = [*self.console, *f["faults"]]
         said += [f"the document is {f['overflow']} px too wide"] if f["overflow"] > 0 else []
@@ -91,10 +85,8 @@ class Seen(NamedTuple):
         said += [f"{f['raw']} formulas are not drawn"] if f["raw"] else []
         said += [f"{f['unhinted']} tables are cut without a hint"] if f["unhinted"] else []
         said += [f"{self.scheme} was asked for"] if f["dark"] != (self.scheme == "dark") else []
-        if not docs:
-            said += self._first_screen(f["verdict"], f["picture"])
-            said += [f"{f['cut']} tables are cut"] if f["cut"] and self.width >= 1400 else []
-        return said
+        said += [f"{f['cut']} tables are cut"] if f["cut"] and self.width >= 1400 else []
+        return said + self._first_screen(f["verdict"], f["picture"])
 
     def _first_screen(self, verdict: int | None, picture: list[int] | None) -> list[str]:
         """A wide screen holds both whole; a telephone the verdict, and its picture begins there."""
@@ -104,82 +96,42 @@ class Seen(NamedTuple):
         return [f"first screen: the {name} ends at {end} px" for name, end in ends.items() if end > HEIGHT]
 
 
-def browser() -> str:
-    """The path of a Chromium.
-
-    Raises
-    ------
-    SystemExit
-        When there is none.
-    """
-    for name in BROWSERS:
-        found = shutil.which(name)
-        if found:
-            return found
-    raise SystemExit(f"check_pages needs one of {', '.join(BROWSERS)}; on Debian: apt-get install chromium")
+def look(page: Path, width: int, scheme: str) -> Seen:
+    """Open the page, with the probe in it, in a frame of the width."""
+    probed = page.read_text(encoding="utf-8").replace("<head>", f"<head>{PROBE}", 1)
+    frame = FRAME.format(page="/probed", width=width, height=HEIGHT)
+    pages = {"/": browser.Served(frame), "/probed": browser.Served(probed)}
+    found, said = browser.ask(pages, page.parent, scheme=scheme, timeout=PATIENCE)
+    return Seen(page, width, scheme, found, said)
 
 
-def look(page: Path, width: int, scheme: str, folder: Path) -> Seen:
-    """Open a copy of the page, with the probe, in a frame of the width."""
-    copy = page.with_name(f".check-{page.name}")
-    copy.write_text(page.read_text().replace("<head>", f"<head>{PROBE}", 1))
-    frame = folder / "frame.html"
-    frame.write_text(FRAME.format(page=html.escape(copy.resolve().as_uri()), width=width, height=HEIGHT))
-    try:
-        ran = run(frame.as_uri(), scheme, folder, "--dump-dom", "--enable-logging=stderr", "--v=0")
-    finally:
-        copy.unlink()
-    match = re.search(r'<pre id="found">(.*?)</pre>', ran.stdout, re.DOTALL)
-    console = re.findall(r'CONSOLE[^\]]*\] "?(.*)', ran.stderr)
-    return Seen(page, width, scheme, json.loads(html.unescape(match[1])) if match else {}, console)
-
-
-def shoot(page: Path, width: int, scheme: str, folder: Path, shots: Path, height: int) -> None:
+def shoot(page: Path, width: int, scheme: str, shots: Path, height: int) -> None:
     """Write the first `height` px of the page as a PNG."""
-    frame = folder / "frame.html"
-    frame.write_text(FRAME.format(page=html.escape(page.resolve().as_uri()), width=width, height=height))
     shots.mkdir(parents=True, exist_ok=True)
     name = f"{page.resolve().parent.name}-{width}-{scheme}.png"
-    run(frame.as_uri(), scheme, folder, f"--screenshot={shots / name}", f"--window-size={width},{height}")
-
-
-def run(url: str, scheme: str, folder: Path, *options: str) -> subprocess.CompletedProcess[str]:
-    """Chromium on one address, without a network."""
-    size = () if any(each.startswith("--window-size") for each in options) else (f"--window-size=1500,{HEIGHT}",)
-    return subprocess.run(
-        [browser(), "--headless", "--no-sandbox", "--disable-gpu", "--hide-scrollbars", "--mute-audio",
-         "--host-resolver-rules=MAP * ~NOTFOUND", "--allow-file-access-from-files", "--virtual-time-budget=4000",
-         f"--blink-settings=preferredColorScheme={SCHEMES[scheme]}", f"--user-data-dir={folder / 'profile'}",
-         *size, *options, url],
-        capture_output=True, text=True, timeout=PATIENCE, check=False,
-    )  # fmt: skip
-
-
-def looks(pages: list[Path], folder: Path) -> Iterator[Seen]:
-    """Every page in each width and scheme."""
-    for page in pages:
-        for width in WIDTHS:
-            for scheme in SCHEMES:
-                yield look(page, width, scheme, folder)
+    with tempfile.TemporaryDirectory() as folder:
+        frame = Path(folder) / "frame.html"
+        frame.write_text(FRAME.format(page=html.escape(page.resolve().as_uri()), width=width, height=height))
+        browser.shoot(frame.as_uri(), shots.resolve() / name, (width, height), scheme=scheme)
 
 
 def main() -> int:
     """Print a line a look; the number of pages with a finding."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("pages", nargs="+", type=Path, help="index.html of each page")
-    parser.add_argument("--docs", action="store_true", help="pages of the documentation, which have no verdict")
     parser.add_argument("--shots", type=Path, help="folder for a PNG of each look")
     parser.add_argument("--height", type=int, default=HEIGHT, help="px, of the PNG")
     asked = parser.parse_args()
+    if browser.PROGRAM is None:
+        raise SystemExit(f"check_pages: {browser.NONE}")
     bad = set()
-    with tempfile.TemporaryDirectory() as temporary:
-        folder = Path(temporary)
-        for seen in looks(asked.pages, folder):
-            faults = seen.faults(asked.docs)
-            bad |= {seen.page} if faults else set()
-            print(f"{seen.page} {seen.width} {seen.scheme}: {'; '.join(faults) or 'ok'}", flush=True)
+    for page in asked.pages:
+        for width, scheme in ((width, scheme) for width in WIDTHS for scheme in SCHEMES):
+            faults = look(page, width, scheme).faults()
+            bad |= {page} if faults else set()
+            print(f"{page} {width} {scheme}: {'; '.join(faults) or 'ok'}", flush=True)
             if asked.shots:
-                shoot(seen.page, seen.width, seen.scheme, folder, asked.shots, asked.height)
+                shoot(page, width, scheme, asked.shots, asked.height)
     return len(bad)
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import partial
 
 import numpy as np
@@ -17,6 +17,8 @@ from adaptrack.report.tables import Settings, Shown
 from adaptrack.report.words import counted, describe, number, title_of
 
 _CONTROL = style.Stroke(style.SERIES[0])
+NAMED = 3
+"""Scenarios, each in its settings, whose best run the verdict names."""
 
 
 def runs_verdict(scenarios: Mapping[str, Settings]) -> Verdict:
@@ -60,22 +62,17 @@ def _draw_error(line: Line, rms: float, axes: Axes) -> None:
 
 
 def _several(scenarios: Mapping[str, Settings], shown: list[Shown]) -> Verdict:
-    dots = []
+    groups = []
     for scenario, settings in scenarios.items():
         for words, runs in settings.items():
             named = [title_of(scenario)] * (len(scenarios) > 1) + [words] * bool(words)
-            dots += [_dot(run, ", ".join([run.label, *named])) for run in runs]
+            groups.append([_dot(run, ", ".join([run.label, *named])) for run in runs])
+    dots = [dot for group in groups for dot in group]
     failed = sum(run.metrics.failed for run in shown)
-    kept = [dot for dot in dots if not dot.failed]
-    best = min(kept, key=lambda dot: dot.value, default=None)
-    text = (
-        "No run kept the road."
-        if best is None
-        else f"Smallest mean square error: {best.name}, {number(best.value)} m²."
-    )
-    if failed and best is not None:
+    text = _smallest(groups)
+    if 0 < failed < len(shown):
         text += f" {number(failed)} of {number(len(shown))} runs failed."
-    against = [dot.name for dot in dots if np.isfinite(dot.other)]
+    against = any(np.isfinite(dot.other) for dot in dots)
     entries = [
         ("Runs", f"{number(len(shown))}, {counted(len(scenarios), 'scenario')}"),
         ("Failed", number(failed)),
@@ -89,6 +86,18 @@ def _several(scenarios: Mapping[str, Settings], shown: list[Shown]) -> Verdict:
     return Verdict(
         text, Terms(entries), Picture(f"Mean square tracking error.{rings}{crosses}{more}", [drawing]), failed > 0
     )
+
+
+def _smallest(groups: Sequence[Sequence[Dot]]) -> str:
+    """Who has the smallest error of those that drove the same: errors of different scenarios are not compared."""
+    kept = [[dot for dot in group if not dot.failed] for group in groups]
+    best = [min(group, key=lambda dot: dot.value) for group in kept if group]
+    if not best:
+        return "Every run failed."
+    rivals = any(len(group) > 1 for group in groups)
+    told = [f"{dot.name}, {number(dot.value)} m²" for dot in best[:NAMED]]
+    told += [f"{number(len(best) - NAMED)} more in the picture"] if len(best) > NAMED else []
+    return f"{'Smallest mean' if rivals else 'Mean'} square error: {'; '.join(told)}."
 
 
 def _dot(run: Shown, name: str) -> Dot:
