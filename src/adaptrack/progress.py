@@ -73,14 +73,22 @@ def _telling(label: str) -> Iterator[Callable[..., None]]:
         teller.join()
 
 
-def _tell(state: _State, over: threading.Event, say: Callable[[_State, bool], None]) -> None:
-    """In a thread: nothing of short work, then a word after ever longer pauses; a last one at the end."""
+def now_and_then(over: threading.Event, say: Callable[[], None], *, every: float | None = None) -> bool:
+    """Call `say` after a first pause, then after ever longer ones, until `over` is set; whether it was called.
+
+    every: s, of each pause after the first, where they shall be equal.
+    """
     pause, begun, said = FIRST, time.monotonic(), False
     while not over.wait(pause):
-        say(state, False)
+        say()
         said = True
-        pause = 1.0 if _in_notebook() else min(max(NEXT, 0.1 * (time.monotonic() - begun)), RAREST)
-    if said:
+        pause = min(max(NEXT, 0.1 * (time.monotonic() - begun)), RAREST) if every is None else every
+    return said
+
+
+def _tell(state: _State, over: threading.Event, say: Callable[[_State, bool], None]) -> None:
+    """In a thread: nothing of short work, then a word now and then; a last one at the end."""
+    if now_and_then(over, lambda: say(state, False), every=1.0 if _in_notebook() else None):
         say(state, True)
 
 

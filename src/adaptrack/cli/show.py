@@ -12,6 +12,8 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
+from adaptrack.progress import now_and_then
+
 if TYPE_CHECKING:
     from rich.console import Console
     from rich.table import Table
@@ -23,8 +25,6 @@ WIDE = 140
 """Columns of text where standard output is no terminal; every table of numbers fits 80."""
 _NAME, _WRAPPED = 40, 16
 """Letters of a column of names that stay whole; least of one of text at the end of a line, which may wrap."""
-FIRST_LINE, NEXT_LINE, RAREST_LINE = 2.0, 5.0, 60.0
-"""s, until progress without a terminal is first told, then until the next line; and at most, in work of hours."""
 
 
 class Column(NamedTuple):
@@ -264,12 +264,9 @@ def _lines(state: _State) -> Iterator[Show]:
     over = threading.Event()
 
     def tell() -> None:
-        pause, begun = FIRST_LINE, time.monotonic()
-        while not over.wait(pause):
-            print(state.line(), file=sys.stderr, flush=True)
-            pause = min(max(NEXT_LINE, 0.1 * (time.monotonic() - begun)), RAREST_LINE)
+        print(state.line(), file=sys.stderr, flush=True)
 
-    teller = threading.Thread(target=tell, daemon=True)
+    teller = threading.Thread(target=now_and_then, args=(over, tell), daemon=True)
     teller.start()
     try:
         yield state.update

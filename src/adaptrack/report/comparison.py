@@ -199,7 +199,7 @@ def _opening(compared: Sequence[_Compared], tests: Comparisons) -> list[Section]
     """The verdict: on the drives, else on the operating points, else on the first of the paper's tests."""
     main = [
         *reversed(compared),
-        *(_compared(each, f"noise seed of the {title_of(n).lower()}") for n, each in tests.items()),
+        *(_compared(each, f"{title_of(n).lower()} run") for n, each in tests.items()),
     ]
     if not main:
         return []

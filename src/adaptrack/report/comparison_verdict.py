@@ -8,9 +8,9 @@ from matplotlib.figure import Figure
 
 from adaptrack.comparison.compare import Comparison
 from adaptrack.report import style
-from adaptrack.report.dots import MOST, Dot, dots_drawing
+from adaptrack.report.dots import Dot, dots_drawing, notes
 from adaptrack.report.page import Drawing, Picture, Terms, Verdict
-from adaptrack.report.words import counted, few, listed, number
+from adaptrack.report.words import counted, few, listed, number, ratio_with_interval
 
 LISTED = 4
 """Contenders in the box, beside the picture of all."""
@@ -31,20 +31,18 @@ def comparison_verdict(
     others = few([called(each) for each in level], "other", 2)
     text = f"On {counted(rows[0]['runs'], noun)} {called(first)} costs least{f', level with {others}' * bool(level)}."
     judged = [row for row in rows if _is_listed(comparison, row["contender"])]
-    entries = [(called(row["contender"]), _times(row)) for row in judged[:LISTED]]
+    entries = [(called(row["contender"]), ratio_with_interval(row, " times")) for row in judged[:LISTED]]
     failed = [f"{called(row['contender'])} in {number(row['failures'])}" for row in rows if row["failures"]]
     entries += [
-        ("Against", f"the cost of: {called(comparison.reference).lower()}, on the same {noun}"),
+        ("Against", f"{called(comparison.reference)}, on the same {noun}s"),
         ("Failed", f"{listed(failed[:3])}{' and others' if len(failed) > 3 else ''}" if failed else "none"),
         ("How sure", f"95 % bootstrap intervals over {counted(rows[0]['runs'], noun)}"),
         *(("Also", words) for words in further),
     ]
     dots, label = _dots(comparison, called), f"Cost / {called(comparison.reference)}"
-    more = f" The lowest {MOST} of {len(dots)}." if len(dots) > MOST else ""
-    crosses = " Cross: some runs failed." if failed else ""
     caption = (
         f"{label}, geometric mean with its 95 % interval. Blue: adapts its tuning; orange: keeps one; grey: needs "
-        f"hindsight.{crosses}{more}"
+        f"hindsight.{notes(dots)}"
     )
     drawing = _drawing(comparison, called)
     return Verdict(text, Terms(entries), Picture(caption, [drawing]))
@@ -75,10 +73,6 @@ def _is_listed(comparison: Comparison, who: str) -> bool:
     """All but the reference, what needs hindsight, and what has a guard without it."""
     role = comparison.role(who)
     return who != comparison.reference and not role.hindsight and not role.kind.endswith(" unguarded")
-
-
-def _times(row: dict[str, float]) -> str:
-    return f"{number(row['regret_geomean'])} times ({number(row['regret_low'])} to {number(row['regret_high'])})"
 
 
 def _colour(comparison: Comparison, who: str) -> str:

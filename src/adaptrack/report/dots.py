@@ -50,7 +50,6 @@ def dots_drawing(
     what is shaded.
     """
     shown = _most_telling(dots)
-
     far = _far(shown)
 
     def draw(axes: Axes) -> None:
@@ -78,6 +77,13 @@ def dots_drawing(
         figure = style.ShownFigure(figsize=(WIDTH, max(_LEAST, _ABOVE_AND_BELOW + _ROW * len(shown))))
         draw(figure.subplots())
     return Drawing(figure, plain(f"{words or label}. {'; '.join(map(_in_words, shown))}."))
+
+
+def notes(dots: Sequence[Dot]) -> str:
+    """What a caption adds on the marks: crosses, and which dots are left out."""
+    shown = _most_telling(dots)
+    crosses = " Cross: failed runs." if any(dot.failed for dot in shown) else ""
+    return crosses + (f" The first {len(shown)} of {len(dots)}; the table has all." if len(shown) < len(dots) else "")
 
 
 def _most_telling(dots: Sequence[Dot]) -> list[Dot]:

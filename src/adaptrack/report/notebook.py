@@ -16,7 +16,7 @@ from adaptrack.report import style
 from adaptrack.report.drive_figures import along_panels, draw_above, labelled
 from adaptrack.report.figures import tracking_figure
 from adaptrack.report.record import DriveRecord, Shape
-from adaptrack.report.words import INPUTS, controller_name, legible, number, title_of
+from adaptrack.report.words import INPUTS, controller_name, legible, number, ratio_with_interval, title_of
 from adaptrack.road import Road
 from adaptrack.scheduling import Schedule, SchedulingVariables
 from adaptrack.trajectory import Trajectory
@@ -149,8 +149,7 @@ def schedule_html(schedule: Schedule) -> str:
 def comparison_html(title: str, rows: Sequence[Mapping[str, Any]], figure: Figure) -> str:
     """Contenders, the cheapest first: cost over the reference's with its interval, and failed runs."""
     told = {
-        row["contender"]: f"{number(row['regret_geomean'])} ({number(row['regret_low'])} to "
-        f"{number(row['regret_high'])}); failed in {number(row['failures'])}"
+        row["contender"]: f"{ratio_with_interval(row)}; failed in {number(row['failures'])}"
         for row in sorted(rows, key=lambda row: row["regret_geomean"])
     }
     return html(title, told, figure, title)

@@ -12,7 +12,7 @@ from matplotlib.axes import Axes
 
 from adaptrack.comparison.roads import RoadComparison
 from adaptrack.report import style
-from adaptrack.report.dots import Dot, dots_drawing
+from adaptrack.report.dots import Dot, dots_drawing, notes
 from adaptrack.report.page import (
     Cell,
     Head,
@@ -26,7 +26,7 @@ from adaptrack.report.page import (
     printed,
     write_page,
 )
-from adaptrack.report.words import counted, few, listed, number
+from adaptrack.report.words import counted, few, listed, number, ratio_with_interval
 
 
 def write_road_comparison(out_dir: str | os.PathLike[str], made: RoadComparison, *, title: str, command: str) -> Path:
@@ -58,10 +58,9 @@ def _verdict(made: RoadComparison, rows: Sequence[dict[str, Any]]) -> Verdict:
     comparison, failed = made.comparison, sum(row["failures"] for row in rows)
     over = f"{len(made.roads)} roads" if len(made.roads) > 1 else "the noise seeds of this one road"
     entries = [
-        (row["contender"], f"{number(row['regret_geomean'])} times ({number(row['regret_low'])} to "
-                           f"{number(row['regret_high'])}), RMS |e| {number(row['rms_error'])} m")
+        (row["contender"], f"{ratio_with_interval(row, ' times')}, RMS |e| {number(row['rms_error'])} m")
         for row in sorted(rows, key=lambda row: row["regret_geomean"])[:5]
-    ]  # fmt: skip
+    ]
     entries += [
         ("Against", f"cost of {comparison.reference}; {number(failed)} of {number(len(rows) * made.runs)} runs failed"),
         ("How sure", f"95 % intervals, bootstrap over {over}"),
@@ -71,7 +70,7 @@ def _verdict(made: RoadComparison, rows: Sequence[dict[str, Any]]) -> Verdict:
         for row in sorted(rows, key=lambda row: row["regret_geomean"])
     ]
     label = f"Cost J / that of {comparison.reference}"
-    caption = f"{label}, with 95 % intervals.{' Cross: some runs failed.' if failed else ''}"
+    caption = f"{label}, with 95 % intervals.{notes(dots)}"
     drawing = dots_drawing(dots, style.data_text(label), label, level=1.0)
     return Verdict(_lead(made, rows), Terms(entries), Picture(caption, [drawing]), False)
 

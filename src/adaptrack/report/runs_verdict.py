@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 
 from adaptrack.metrics import published_mse
 from adaptrack.report import style
-from adaptrack.report.dots import MOST, Dot, dots_drawing
+from adaptrack.report.dots import Dot, dots_drawing, notes
 from adaptrack.report.figures import Line, as_lines
 from adaptrack.report.page import Panel, Picture, Terms, Verdict
 from adaptrack.report.tables import Settings, Shown
@@ -79,13 +79,10 @@ def _several(scenarios: Mapping[str, Settings], shown: list[Shown]) -> Verdict:
         ("Against", "each other" + ("; rings: the paper's error" if against else "")),
         ("How sure", _how_sure(shown[0]).replace("one run", "one run each")),
     ]
-    more = f" The first {MOST} of {len(dots)}; the table has all." if len(dots) > MOST else ""
     rings = " Ring: the paper's." if against else ""
-    crosses = " Cross: failed." if failed else ""
     drawing = dots_drawing(dots, "Mean square error (m²)", "Mean square tracking error")
-    return Verdict(
-        text, Terms(entries), Picture(f"Mean square tracking error.{rings}{crosses}{more}", [drawing]), failed > 0
-    )
+    caption = f"Mean square tracking error.{rings}{notes(dots)}"
+    return Verdict(text, Terms(entries), Picture(caption, [drawing]), failed > 0)
 
 
 def _smallest(groups: Sequence[Sequence[Dot]]) -> str:

@@ -40,6 +40,12 @@ def number(value: float | int | None, digits: int = 3) -> str:
     return text.replace(",", _THIN_SPACE).replace("-", "−")
 
 
+def ratio_with_interval(row: Mapping[str, Any], noun: str = "") -> str:
+    """A comparison's row: cost over the reference's, a noun, and the 95 % interval in brackets."""
+    low, mean, high = (number(row[f"regret_{name}"]) for name in ("low", "geomean", "high"))
+    return f"{mean}{noun} ({low} to {high})"
+
+
 def scientific(value: float) -> str:
     """A power of ten with two digits, for what spans many decades; a dash for NaN, an exact zero as 0."""
     if not math.isfinite(value) or value == 0.0:
