@@ -49,7 +49,7 @@ addEventListener("load", () => setTimeout(() => {
   found.cut = [...document.querySelectorAll(".table")].filter(t => t.scrollWidth > t.clientWidth + 1).length;
   found.unhinted = [...document.querySelectorAll(".table")].filter(t => t.scrollWidth > t.clientWidth + 1)
     .filter(t => getComputedStyle(t).backgroundImage === "none")
-    .filter(t => !t.nextElementSibling || box(t.nextElementSibling).height < 2).length;
+    .filter(t => !t.nextElementSibling?.matches(".more") || box(t.nextElementSibling).height < 2).length;
   const verdict = document.querySelector(".verdict .box"), picture = document.querySelector(".verdict svg");
   found.verdict = verdict ? Math.round(box(verdict).bottom) : null;
   found.picture = picture ? [Math.round(box(picture).top), Math.round(box(picture).bottom)] : null;

@@ -65,8 +65,9 @@ def shoot(url: str, png: Path, size: tuple[int, int], *, scheme: str = "light", 
     """Write a picture of an address; size: (width, height) of the window, px."""
     with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as own:
         command = _command(
-            own, scheme, f"--window-size={size[0]},{size[1]}", "--virtual-time-budget=4000", f"--screenshot={png}", url
-        )
+            own, scheme, f"--window-size={size[0]},{size[1]}", "--virtual-time-budget=4000",
+            "--run-all-compositor-stages-before-draw", f"--screenshot={png}", url,
+        )  # fmt: skip
         subprocess.run(command, capture_output=True, timeout=timeout, check=True)
 
 

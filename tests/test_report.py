@@ -29,6 +29,7 @@ from adaptrack.report import (
     write_page,
     write_report,
 )
+from adaptrack.report.dots import Dot, notes
 from adaptrack.report.page import Panel
 from adaptrack.trajectory import Origin, Trajectory, provenance
 
@@ -165,7 +166,7 @@ def test_the_page_opens_with_verdict_and_picture(report):
     best = "Smallest mean square error: NN-MPC, Triple lane change, 0.00319 m²; NN-MPC, General trajectory, 0.00179 m²."
     assert best in first, "errors of different scenarios are not compared"
     assert first.index('class="verdict"') < first.index("<svg role") < first.index('class="lead"')
-    assert "rings: the paper" in first
+    assert "each other; the paper&#39;s error (ring)" in first
 
 
 def test_a_single_run_is_told_with_its_error_what_it_is_held_against_and_how_sure_that_is(tmp_path, monkeypatch):
@@ -648,3 +649,11 @@ def test_alternative_texts_give_the_range_of_every_run():
     described = figures.TRACKING[1].describe(lines)
     assert described.startswith("Tracking error")
     assert re.search(r"a: −0\.2 to 0\.2; b: −0\.4 to 0\.4", described)
+
+
+def test_a_caption_explains_the_marks_that_are_drawn_and_no_others():
+    dots = [Dot("a", 1.0), Dot("b", 1.1), Dot("c", 1.2)]
+    assert notes(dots) == ""
+    assert notes([*dots, Dot("d", 1.3, failed=True)]) == " Cross: failed runs."
+    assert notes([*dots, Dot("d", 99.0, failed=True)]) == " Arrow: beyond the axis."
+    assert notes([Dot(str(i), 1.0) for i in range(20)]) == " The first 14 of 20; the table has all."

@@ -80,10 +80,15 @@ def dots_drawing(
 
 
 def notes(dots: Sequence[Dot]) -> str:
-    """What a caption adds on the marks: crosses, and which dots are left out."""
+    """What a caption adds on the marks: crosses, arrows, and which dots are left out."""
     shown = _most_telling(dots)
-    crosses = " Cross: failed runs." if any(dot.failed for dot in shown) else ""
-    return crosses + (f" The first {len(shown)} of {len(dots)}; the table has all." if len(shown) < len(dots) else "")
+    near = [dot for dot in shown if dot.value <= _far(shown)]
+    words = [
+        (any(dot.failed for dot in near), "Cross: failed runs."),
+        (len(near) < len(shown), "Arrow: beyond the axis."),
+        (len(shown) < len(dots), f"The first {len(shown)} of {len(dots)}; the table has all."),
+    ]
+    return "".join(f" {each}" for holds, each in words if holds)
 
 
 def _most_telling(dots: Sequence[Dot]) -> list[Dot]:

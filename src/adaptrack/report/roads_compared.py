@@ -58,7 +58,7 @@ def _verdict(made: RoadComparison, rows: Sequence[dict[str, Any]]) -> Verdict:
     comparison, failed = made.comparison, sum(row["failures"] for row in rows)
     over = f"{len(made.roads)} roads" if len(made.roads) > 1 else "the noise seeds of this one road"
     entries = [
-        (row["contender"], f"{ratio_with_interval(row, ' times')}, RMS |e| {number(row['rms_error'])} m")
+        (row["contender"], f"{_ratio(row, comparison.reference)}, RMS |e| {number(row['rms_error'])} m")
         for row in sorted(rows, key=lambda row: row["regret_geomean"])[:5]
     ]
     entries += [
@@ -73,6 +73,10 @@ def _verdict(made: RoadComparison, rows: Sequence[dict[str, Any]]) -> Verdict:
     caption = f"{label}, with 95 % intervals.{notes(dots)}"
     drawing = dots_drawing(dots, style.data_text(label), label, level=1.0)
     return Verdict(_lead(made, rows), Terms(entries), Picture(caption, [drawing]), False)
+
+
+def _ratio(row: dict[str, Any], reference: str) -> str:
+    return "the reference" if row["contender"] == reference else ratio_with_interval(row, " times")
 
 
 def _lead(made: RoadComparison, rows: Sequence[dict[str, Any]]) -> str:

@@ -17,6 +17,7 @@ from adaptrack.report.tables import Settings, Shown
 from adaptrack.report.words import counted, describe, number, title_of
 
 _CONTROL = style.Stroke(style.SERIES[0])
+_NOTHING = "nothing: adaptrack compare holds it against other controllers"
 NAMED = 3
 """Scenarios, each in its settings, whose best run the verdict names."""
 
@@ -62,26 +63,27 @@ def _draw_error(line: Line, rms: float, axes: Axes) -> None:
 
 
 def _several(scenarios: Mapping[str, Settings], shown: list[Shown]) -> Verdict:
-    groups = []
+    groups, one = [], len({run.label for run in shown}) == 1
     for scenario, settings in scenarios.items():
         for words, runs in settings.items():
             named = [title_of(scenario)] * (len(scenarios) > 1) + [words] * bool(words)
-            groups.append([_dot(run, ", ".join([run.label, *named])) for run in runs])
+            groups.append([_dot(run, ", ".join([run.label] * (not (one and named)) + named)) for run in runs])
     dots = [dot for group in groups for dot in group]
     failed = sum(run.metrics.failed for run in shown)
     text = _smallest(groups)
     if 0 < failed < len(shown):
         text += f" {number(failed)} of {number(len(shown))} runs failed."
-    against = any(np.isfinite(dot.other) for dot in dots)
+    against = ["each other"] * any(len(group) > 1 for group in groups)
+    rings = any(np.isfinite(dot.other) for dot in dots)
+    against += ["the paper's error (ring)"] if rings else []
     entries = [
         ("Runs", f"{number(len(shown))}, {counted(len(scenarios), 'scenario')}"),
         ("Failed", number(failed)),
-        ("Against", "each other" + ("; rings: the paper's error" if against else "")),
+        ("Against", "; ".join(against) or _NOTHING),
         ("How sure", _how_sure(shown[0]).replace("one run", "one run each")),
     ]
-    rings = " Ring: the paper's." if against else ""
     drawing = dots_drawing(dots, "Mean square error (m²)", "Mean square tracking error")
-    caption = f"Mean square tracking error.{rings}{notes(dots)}"
+    caption = f"Mean square tracking error.{' Ring: the paper.' if rings else ''}{notes(dots)}"
     return Verdict(text, Terms(entries), Picture(caption, [drawing]), failed > 0)
 
 
@@ -112,7 +114,7 @@ def _driven(run: Shown) -> str:
 def _against(run: Shown) -> str:
     published = published_mse(run.trajectory)
     if published is None:
-        return "nothing: adaptrack compare holds it against other controllers"
+        return _NOTHING
     return f"the paper's mean square error, {published:g} m²: {number(run.metrics.mse / published)} times"
 
 

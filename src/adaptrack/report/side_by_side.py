@@ -60,7 +60,8 @@ def write_side_by_side(out_dir: str | os.PathLike[str], made: Compared, *, comma
         *_left_out(made),
         Section("How it was made", [*_how(made), "This command makes it again:", Verbatim(command)]),
     ]
-    return write_page(out_dir, sections, title=f"Side by side: {made.task.name}")
+    title = f"Side by side, {made.task.name}: {counted(len(made.task.contenders), 'contender')}, {_driven(made)}"
+    return write_page(out_dir, sections, title=title)
 
 
 def colour_of(contender: str) -> str:
@@ -69,18 +70,22 @@ def colour_of(contender: str) -> str:
 
 
 # -- the first screen -------------------------------------------------------------------------------------------------
+def _driven(made: Compared) -> str:
+    return f"{counted(len(set(made.columns['car'])), 'car')}, {counted(len(made.task.roads), 'road')}"
+
+
 def _verdict(made: Compared, standings: dict[str, Standing]) -> Verdict:
-    entries = [(profile, _first(each)) for profile, each in standings.items()]
-    task = made.task
-    size = (
-        f"{counted(len(set(made.columns['car'])), 'car')}, {counted(len(task.roads), 'road')}, "
-        f"{counted(len(task.seeds), 'noise seed')}; {task.budget} closed loops of tuning for each contender"
-    )
     total = sum(int(each.of(who)["failed"].sum()) for each in standings.values() for who in _ours(each))
     runs = sum(len(each.of(who)["failed"]) for each in standings.values() for who in _ours(each))
-    text = f"Ours failed in {number(total)} of {number(runs)} runs. {size[:1].upper()}{size[1:]}."
+    entries = [
+        *((f"Profile {profile}", _first(each)) for profile, each in standings.items()),
+        ("Against", f"{next(iter(standings.values())).reference.label}; same noise, and {number(made.task.budget)} "
+                    "closed loops of tuning for each"),
+        ("How sure", f"95 % intervals over {_driven(made)}; {counted(len(made.task.seeds), 'noise seed')}"),
+    ]  # fmt: skip
+    text = f"Ours failed in {number(total)} of {number(runs)} runs."
     profile, standing = list(standings.items())[-1]
-    return Verdict(text, Terms([*entries]), _ratios(profile, standing))
+    return Verdict(text, Terms(entries), _ratios(profile, standing))
 
 
 def _ours(standing: Standing) -> list[Who]:
@@ -244,7 +249,8 @@ def _entry_drawing(profile: str, speeds: dict[Who, dict[str, float]]) -> Drawing
             axes.plot(values, np.full(len(values), place), "o", color=colour, markersize=3.5, alpha=0.6)
             axes.plot([values.mean()] * 2, [place - 0.35, place + 0.35], color=colour, linewidth=2.0)
         _named(axes, [who.label for who, _ in rows])
-        axes.set_xlim(left=0.0)
+        fastest = 3.6 * max(max(cars.values()) for _, cars in rows) or 1.0
+        axes.set_xlim(-0.02 * fastest, 1.04 * fastest)
         axes.set_xlabel(f"Entry speed (km/h), profile {profile}")
 
     best, cars = rows[0]
