@@ -6,22 +6,15 @@ elsewhere and write no error to the console. Needs Chromium (Debian: apt install
 
 from __future__ import annotations
 
-import functools
-import http.server
 import json
-import os
-import queue
-import shutil
-import signal
-import subprocess
 import sys
-import tempfile
-import threading
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-BROWSER = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome", "chrome"))), None)
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
+import browser
+
 WIDTHS = (1400, 400)
 LOOK = """
 <!doctype html><link rel="icon" href="data:,"><body><script>
@@ -63,55 +56,9 @@ def look(folder: Path, pages: Sequence[str], timeout: float = 300.0) -> tuple[li
 
     folder: of the built pages; pages: their paths in it; timeout: s.
     """
-    answers: queue.Queue[list[dict[str, Any]]] = queue.Queue()
-    server = http.server.ThreadingHTTPServer(("127.0.0.1", 0), functools.partial(_Handler, folder, pages, answers))
-    threading.Thread(target=server.serve_forever, daemon=True).start()
-    with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as profile, open(f"{profile}/log", "w+b") as log:
-        command = [
-            str(BROWSER), "--headless", "--disable-gpu", "--window-size=1500,1000", "--no-first-run",
-            "--host-resolver-rules=MAP * ~NOTFOUND, EXCLUDE 127.0.0.1", "--enable-logging=stderr",
-            f"--user-data-dir={profile}", "--remote-debugging-port=0",
-            *(["--no-sandbox"] if os.geteuid() == 0 else []), f"http://127.0.0.1:{server.server_port}/look",
-        ]  # fmt: skip
-        browser = subprocess.Popen(command, stdout=log, stderr=log, start_new_session=True)
-        try:
-            found = answers.get(timeout=timeout)
-        finally:
-            os.killpg(browser.pid, signal.SIGKILL)
-            browser.wait()
-            server.shutdown()
-            server.server_close()
-        log.seek(0)
-        said = [line for line in log.read().decode(errors="replace").splitlines() if "CONSOLE" in line]
+    looking = LOOK % (json.dumps(list(pages)), json.dumps(WIDTHS))
+    found, said = browser.ask({"/": browser.Served(looking)}, folder, timeout=timeout)
     return found, said
-
-
-class _Handler(http.server.SimpleHTTPRequestHandler):
-    """Gives the pages of a folder, and the one that looks at them."""
-
-    def __init__(self, folder: Path, pages: Sequence[str], answers: queue.Queue, *arguments: Any) -> None:
-        self._page = LOOK % (json.dumps(list(pages)), json.dumps(WIDTHS))
-        self._answers = answers
-        super().__init__(*arguments, directory=str(folder))
-
-    def do_GET(self) -> None:
-        """A file, or the page that looks."""
-        if self.path != "/look":
-            super().do_GET()
-            return
-        self.send_response(200)
-        self.send_header("Content-Type", "text/html; charset=utf-8")
-        self.end_headers()
-        self.wfile.write(self._page.encode())
-
-    def do_POST(self) -> None:
-        """What was found."""
-        self._answers.put(json.loads(self.rfile.read(int(self.headers["Content-Length"]))))
-        self.send_response(204)
-        self.end_headers()
-
-    def log_message(self, *words: Any) -> None:
-        """Nothing."""
 
 
 def complaints(found: Sequence[dict[str, Any]], said: Sequence[str]) -> list[str]:
@@ -130,6 +77,8 @@ def complaints(found: Sequence[dict[str, Any]], said: Sequence[str]) -> list[str
 
 def main() -> int:
     """Look at all pages of a folder, or at those named."""
+    if browser.PROGRAM is None:
+        raise SystemExit(f"check_pages: {browser.NONE}")
     folder = Path(sys.argv[1])
     pages = sys.argv[2:] or sorted(str(path.relative_to(folder)) for path in folder.rglob("*.html"))
     found, said = look(folder, pages)

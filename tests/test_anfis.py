@@ -40,6 +40,18 @@ def test_it_is_a_scikit_learn_estimator(options):
     check_estimator(ANFIS(epochs=3, **options), on_skip=None)
 
 
+@pytest.mark.parametrize("options", [{}, {"consequents": "rls", "partition": "grid"}, {"prune": 0.02}])
+def test_a_weight_says_how_often_a_row_counts(options, rng):
+    x, often = rng.uniform(size=(80, 2)), rng.integers(0, 4, 80)
+    y = np.sin(4.0 * x[:, 0]) + 0.1 * rng.normal(size=80)
+    repeated = ANFIS(epochs=8, **options).fit(x.repeat(often, axis=0), y.repeat(often))
+    weighted = ANFIS(epochs=8, **options).fit(x, y, sample_weight=often)
+    assert weighted.predict(x) == pytest.approx(repeated.predict(x), rel=1e-6, abs=1e-6)
+    assert weighted.n_rules_ == repeated.n_rules_
+    with pytest.raises(InvalidInput, match="all are zero"):
+        ANFIS().fit(x, y, sample_weight=np.zeros(80))
+
+
 # --- layers
 
 

@@ -254,7 +254,7 @@ def test_adapt_goes_on_with_a_folder_and_tells_schedulers_report_and_rows(
 
 
 def test_certify_passes_a_sound_scheduler(monkeypatch, capsys, places):
-    monkeypatch.setattr("adaptrack.cli.show.FIRST_LINE", 1e6)  # no progress, however slow the machine
+    monkeypatch.setattr("adaptrack.progress.FIRST", 1e6)  # no progress, however slow the machine
     code, out, err = run(monkeypatch, capsys, "certify", places["mine"], "--json")
     told = strict(out)
     assert code == 0, err

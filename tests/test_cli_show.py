@@ -43,6 +43,21 @@ def test_tables_name_their_units_and_fit_80_columns(monkeypatch, capsys, room):
         assert name in body[-1]
 
 
+def test_columns_that_do_not_fit_stand_below_beside_the_names_and_no_number_is_cut(monkeypatch, capsys):
+    monkeypatch.setenv("COLUMNS", "80")
+    columns = [Column("name", "name"), *(Column(f"value{i}", f"value {i}", "m²/rad²") for i in range(14))]
+    rows = [
+        {"name": f"informed-road-paper-recipe-{i}"} | {f"value{k}": 1000.0 + 20 * i + k for k in range(14)}
+        for i in range(2)
+    ]
+    show.table("A title", columns, rows)
+    out = capsys.readouterr().out
+    assert max(map(len, out.splitlines())) <= 80
+    assert all(f"value {k}" in out and f"{1000 + k}" in out and f"{1020 + k}" in out for k in range(14))
+    assert out.count("informed-road-paper-recipe-1") == out.count("name") > 1
+    assert out.startswith("A title\n")
+
+
 @pytest.mark.parametrize("name", ["[/red]", "[bold]x", ":car:", r"$\frac{$", "a\x1b[31mb", "nul\0", "\udc80", "naïve"])
 def test_names_are_data_in_every_table(capsys, name):
     show.table(name, [Column("name", "name")], [{"name": name}])
@@ -88,8 +103,8 @@ def test_json_is_strict(capsys):
 
 # -- progress ---------------------------------------------------------------------------------------------------------
 def test_without_a_terminal_progress_is_a_line_now_and_then_with_the_time_left(monkeypatch, capsys):
-    monkeypatch.setattr(show, "FIRST_LINE", 0.05)
-    monkeypatch.setattr(show, "NEXT_LINE", 0.05)
+    monkeypatch.setattr("adaptrack.progress.FIRST", 0.05)
+    monkeypatch.setattr("adaptrack.progress.NEXT", 0.05)
     with show.progress("work") as advance:
         time.sleep(0.12)
         advance("half", 1, 2)

@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 
 import adaptrack as at
+import browser
 
 DOCS = Path(__file__).resolve().parent.parent / "docs"
 PAGES = [*sorted(DOCS.glob("*.md")), *sorted(DOCS.glob("gallery/*.md"))]
@@ -108,8 +109,8 @@ def built(tmp_path_factory):
 @pytest.fixture(scope="module")
 def looked_at(built):
     check_pages = loaded(DOCS / "check_pages.py")
-    if check_pages.BROWSER is None:
-        pytest.skip("no Chromium on the path (Debian: apt install chromium)")
+    if browser.PROGRAM is None:
+        pytest.skip(browser.NONE)
     return check_pages, *check_pages.look(built, ["index.html", "wrong.html"], timeout=120.0)
 
 

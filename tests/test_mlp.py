@@ -33,11 +33,24 @@ def rmse(y, predicted):
 
 
 @pytest.mark.parametrize("options", [
-    {"epochs": 80, "batch_size": 20}, {"solver": "lbfgs", "epochs": 60},
+    {"epochs": 600}, {"epochs": 80, "batch_size": 20}, {"solver": "lbfgs", "epochs": 60},
     {"epochs": 25, "batch_size": 20, "solver": "adam", "learning_rate": 0.03, "early_stopping": True},
 ])  # fmt: skip
 def test_it_is_a_scikit_learn_estimator(options):
-    check_estimator(MLP(**options), on_skip=None)
+    batches = "batches and held-out rows are drawn from the rows, whatever their weights"
+    drawn = {"check_sample_weight_equivalence_on_dense_data": batches} if "batch_size" in options else {}
+    check_estimator(MLP(**options), on_skip=None, expected_failed_checks=drawn)
+
+
+def test_in_one_batch_a_weight_says_how_often_a_row_counts(rng):
+    x, often = rng.uniform(size=(60, 2)), rng.integers(0, 4, 60)
+    y = x[:, 0] + 0.2 * rng.normal(size=60)
+    repeated = MLP((6,), epochs=40, random_state=1).fit(x.repeat(often, axis=0), y.repeat(often))
+    weighted = MLP((6,), epochs=40, random_state=1).fit(x, y, sample_weight=often)
+    assert weighted.predict(x) == pytest.approx(repeated.predict(x), rel=1e-9)
+    assert weighted.history_["train_rmse"] == pytest.approx(repeated.history_["train_rmse"], rel=1e-9)
+    with pytest.raises(InvalidInput, match="weight is negative"):
+        MLP().fit(x, y, sample_weight=-np.ones(60))
 
 
 # --- what runs

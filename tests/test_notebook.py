@@ -6,10 +6,15 @@ import sys
 import numpy as np
 import pytest
 
+import small_data
+from adaptrack.comparison.compare import Comparison
+from adaptrack.controllers import Tuning
 from adaptrack.errors import InvalidInput, MissingExtra
+from adaptrack.metrics import compute_metrics
 from adaptrack.report.notebook import run_figure
 from adaptrack.report.record import DriveRecord, Shape
 from adaptrack.road import generate_road
+from adaptrack.scheduling import Constant, Learned
 from adaptrack.trajectory import COLUMNS, Trajectory
 from adaptrack.vehicle import load_vehicle
 
@@ -100,3 +105,38 @@ def test_to_pandas_gives_a_row_an_instant_with_units(lap):
     assert isinstance(frame, pandas.DataFrame)
     assert frame["friction_front_left"].shape == (len(run),)
     assert frame.attrs["units"]["psi"] == "rad"
+
+
+def contenders():
+    """Two contenders, of which one costs half."""
+    costs = {"best constant": np.full(9, 2e-3), "mine <b>": np.full(9, 1e-3)}
+    return Comparison(costs, {name: np.zeros(9) for name in costs}, {}, "best constant", np.zeros((9, 4)))
+
+
+def objects():
+    """What one looks at in a notebook, and words that are in what it shows."""
+    rule = Learned({"Np": 30.0, "Nc": 4.0, "log10_ratio": -2.0}, ("speed", "friction"), [(3.0, 30.0), (0.3, 1.0)])
+    return {
+        "car": (load_vehicle("midsize-sedan"), ["midsize-sedan", "mass", "kg"]),
+        "schedule": (rule, ["Input speed", "3.00 to 30.0 m/s", "Guard", "none"]),
+        "constant": (Constant(Tuning(Np=20, Nc=4, Q=1.0, R=1.0)), ["Entry Np"]),
+        "data": (small_data.small(), ["Operating points", "searched by swarms"]),
+        "comparison": (contenders(), ["mine &lt;b&gt;", "0.500 (0.500 to 0.500); failed in 0"]),
+    }
+
+
+@pytest.mark.parametrize("which", ["car", "schedule", "constant", "data", "comparison"])
+def test_what_one_looks_at_shows_numbers_and_a_picture_with_nothing_from_outside(which, monkeypatch):
+    monkeypatch.setattr("adaptrack.report.style.PNG_DPI", 20)
+    shown, words = objects()[which]
+    text = shown._repr_html_()
+    assert all(each in text for each in words)
+    assert re.findall(r'src="(.{10})', text) == ["data:image"]
+    assert "http" not in text
+    assert shown.plot()._repr_png_().startswith(b"\x89PNG")
+    assert "object at 0x" not in repr(shown)
+
+
+def test_measures_show_what_one_looks_at_first_and_all_behind_a_fold(lap):
+    text = compute_metrics(driven(lap))._repr_html_()
+    assert text.index("RMS error") < text.index("<details>") < text.index("qp solved")

@@ -1,24 +1,16 @@
 """The replay in a browser: it opens without errors, plays, and shows the car where it was."""
 
-import json
-import os
-import queue
 import re
-import shutil
-import signal
-import subprocess
-import tempfile
-import threading
-from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 
 import numpy as np
 import pytest
 
+import browser
 from adaptrack.report.drive import write_drive_page
+from browser import Served
 from made_drives import bend, made_drive
 
-BROWSER = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome", "chrome"))), None)
-pytestmark = pytest.mark.skipif(BROWSER is None, reason="no Chromium on the path (Debian: apt install chromium)")
+pytestmark = pytest.mark.skipif(browser.PROGRAM is None, reason=browser.NONE)
 
 INSTANTS = (2.0, 9.13, 17.5)
 
@@ -54,54 +46,14 @@ NOTHING_ELSE = (
 """The policy under which the page is served: what it would load from elsewhere is an error."""
 
 
-def server_of(pages, answers):
-    """A server on this machine that gives pages, by their paths, and puts what it is sent into `answers`."""
-
-    class Handler(BaseHTTPRequestHandler):
-        def do_GET(self):
-            self.send_response(200)
-            self.send_header("Content-Type", "text/html; charset=utf-8")
-            if self.path != "/":
-                self.send_header("Content-Security-Policy", NOTHING_ELSE)
-            self.end_headers()
-            self.wfile.write(pages[self.path].encode())
-
-        def do_POST(self):
-            answers.put(json.loads(self.rfile.read(int(self.headers["Content-Length"]))))
-            self.send_response(204)
-            self.end_headers()
-
-        def log_message(self, *words):
-            pass
-
-    return ThreadingHTTPServer(("127.0.0.1", 0), Handler)
-
-
 def ask_page(path, script, width=1400, fragment=""):
     """What `script` put into ``found``, at the end of the page at `path`, `width` pixels wide, in a browser."""
-    answers = queue.Queue()
     frame = (
         f'<link rel="icon" href="data:,"><iframe src="/page{fragment}" width="{width}" height="900" frameborder="0">'
     )
     page = path.read_text(encoding="utf-8").replace("</body>", COLLECT % script + "</body>")
-    server = server_of({"/": f"<!doctype html>{frame}</iframe>", "/page": page}, answers)
-    threading.Thread(target=server.serve_forever, daemon=True).start()
-    with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as profile, open(f"{profile}/log", "w+b") as log:
-        command = [
-            BROWSER, "--headless", "--disable-gpu", "--hide-scrollbars", "--window-size=1500,1000", "--no-first-run",
-            "--enable-logging=stderr", f"--user-data-dir={profile}", "--remote-debugging-port=0",
-            *(["--no-sandbox"] if os.geteuid() == 0 else []), f"http://127.0.0.1:{server.server_port}/",
-        ]  # fmt: skip
-        browser = subprocess.Popen(command, stdout=log, stderr=log, start_new_session=True)
-        try:
-            found = answers.get(timeout=60)
-        finally:
-            os.killpg(browser.pid, signal.SIGKILL)
-            browser.wait()
-            server.shutdown()
-            server.server_close()
-        log.seek(0)
-        said = [line for line in log.read().decode(errors="replace").splitlines() if "CONSOLE" in line]
+    pages = {"/": Served(f"<!doctype html>{frame}</iframe>"), "/page": Served(page, NOTHING_ELSE)}
+    found, said = browser.ask(pages)
     assert found["failures"] == []
     assert said == []
     return found

@@ -29,6 +29,7 @@ from adaptrack.report import (
     write_page,
     write_report,
 )
+from adaptrack.report.dots import Dot, notes
 from adaptrack.report.page import Panel
 from adaptrack.trajectory import Origin, Trajectory, provenance
 
@@ -159,6 +160,46 @@ def test_the_page_needs_nothing_but_itself(report):
     assert not re.search(r"https?://|url\((?!#)", text)
 
 
+def test_the_page_opens_with_verdict_and_picture(report):
+    _, text, _ = report
+    first = text[text.index("</h1>") : text.index("<nav")]
+    best = "Smallest mean square error: NN-MPC, Triple lane change, 0.00319 m²; NN-MPC, General trajectory, 0.00179 m²."
+    assert best in first, "errors of different scenarios are not compared"
+    assert first.index('class="verdict"') < first.index("<svg role") < first.index('class="lead"')
+    assert "each other; the paper&#39;s error (ring)" in first
+
+
+def test_a_single_run_is_told_with_its_error_what_it_is_held_against_and_how_sure_that_is(tmp_path, monkeypatch):
+    monkeypatch.setattr("adaptrack.report.style.PNG_DPI", 20)
+    told = Outline(write_report(tmp_path, [drive(seed=3, profile="road")]).read_text()).text
+    assert "Standard MPC follows the triple lane change within 0.1" in told
+    assert "Against nothing" in told
+    assert "one run with noise seed 3; other seeds give other numbers" in told
+
+
+def test_text_in_pictures_is_text_and_keeps_its_words():
+    figure = style.panel_figure(lambda axes: axes.set_title('#0072b2 id="a" Größe'))
+    assert '#0072b2 id="a" Größe</text>' in style.inline_svg(figure, "p1", "A title").replace("&quot;", '"')
+
+
+def test_whole_numbers_have_ticks_at_whole_numbers():
+    for high in (7, 10, 12, 23, 30, 99):
+        figure = style.panel_figure(lambda axes, high=high: axes.plot([0, high], [0, high]))
+        style.inline_svg(figure, "p1", "A line")
+        step = np.diff(figure.axes[0].get_yticks())[0]
+        assert round(step / 10.0 ** np.floor(np.log10(step) + 1e-9), 6) in (1.0, 2.0, 5.0)
+
+
+def test_steering_has_degrees_beside_radians_and_shows_the_wheels():
+    run = drive(scale=0.5)
+    steering = tracking_figure({"x": run}).axes[2]
+    drawn = [line.get_ydata() for line in steering.lines if len(line.get_ydata()) == len(run)]
+    assert any(np.array_equal(values, run.steering) for values in drawn)
+    (degrees,) = steering.child_axes
+    steering.figure.draw_without_rendering()  # the canvas of these figures draws nothing by itself
+    assert degrees.get_ylim() == pytest.approx(np.degrees(steering.get_ylim()))
+
+
 def test_every_tag_is_closed_and_every_id_is_unique(report):
     _, text, _ = report
     outline = Outline(text)
@@ -174,9 +215,9 @@ def test_every_tag_is_closed_and_every_id_is_unique(report):
 def test_every_picture_is_described_in_words(report):
     _, text, _ = report
     pictures = [svg for svg in Outline(text).all("svg") if "aria-hidden" not in svg]
-    assert len(pictures) == 2 + 2 * 8  # speed of both scenarios, eight panels for each
+    assert len(pictures) == 1 + 2 + 2 * 8  # the verdict's, speed of both scenarios, eight panels for each
     assert all(svg["role"] == "img" and len(svg["aria-label"]) > 30 for svg in pictures)
-    error, _ = (svg["aria-label"] for svg in pictures if "Tracking error" in svg["aria-label"])
+    error, _ = (svg["aria-label"] for svg in pictures if "Tracking error," in svg["aria-label"])
     assert error.startswith(
         "Tracking error, Y - y_ref (m), over time. Standard MPC: −0.2 to 0.2; NN-MPC: −0.08 to 0.08"
     )
@@ -230,7 +271,7 @@ def test_the_heading_says_first_that_runs_failed(report, tmp_path, monkeypatch):
 def test_a_page_without_a_failed_run_does_not_speak_of_one_in_its_heading(tmp_path, monkeypatch):
     monkeypatch.setattr("adaptrack.report.style.PNG_DPI", 20)
     text = write_report(tmp_path, [drive()]).read_text()
-    assert "<h1>Closed-loop runs</h1>" in text
+    assert "<h1>Triple lane change: Standard MPC</h1>" in text
 
 
 def test_the_provenance_is_complete(report):
@@ -416,7 +457,7 @@ def test_start_up_from_standstill_does_not_flatten_the_rest():
     run = drive()
     speed, command = run.vx.copy(), run.command.copy()
     speed[:5], command[:5] = 0.5, 0.5
-    figure = tracking_figure({"x": dataclasses.replace(run, vx=speed, command=command)})
+    figure = tracking_figure({"x": dataclasses.replace(run, vx=speed, steering=command)})
     steering = figure.axes[2]
     assert steering.get_ylim()[1] < 0.1
     assert steering.get_title("right") == "start: −0.03 to 0.5"
@@ -608,3 +649,11 @@ def test_alternative_texts_give_the_range_of_every_run():
     described = figures.TRACKING[1].describe(lines)
     assert described.startswith("Tracking error")
     assert re.search(r"a: −0\.2 to 0\.2; b: −0\.4 to 0\.4", described)
+
+
+def test_a_caption_explains_the_marks_that_are_drawn_and_no_others():
+    dots = [Dot("a", 1.0), Dot("b", 1.1), Dot("c", 1.2)]
+    assert notes(dots) == ""
+    assert notes([*dots, Dot("d", 1.3, failed=True)]) == " Cross: failed runs."
+    assert notes([*dots, Dot("d", 99.0, failed=True)]) == " Arrow: beyond the axis."
+    assert notes([Dot(str(i), 1.0) for i in range(20)]) == " The first 14 of 20; the table has all."

@@ -235,16 +235,49 @@ def test_a_cell_of_a_map_is_the_geometric_mean_of_its_operating_points():
 
 # -- the page ---------------------------------------------------------------------------------------------------------
 def test_the_folder_holds_the_page_and_a_png_of_every_picture(report):
-    pngs = {"regret-map.png", "spread.png", "surfaces.png", "learning.png"}
+    pngs = {"spread.png", "surfaces.png", "learning.png"}
     assert {path.name for path in report.parent.iterdir()} == {"index.html"} | pngs
     assert all((report.parent / name).read_bytes().startswith(b"\x89PNG") for name in pngs)
 
 
 def test_every_picture_is_described_in_words_with_numbers(report):
     labels = re.findall(r'<svg role="img" aria-label="([^"]+)"', report.read_text())
-    assert len(labels) == 5 * 2 + 2 + 3 * 2 + 2
+    assert len(labels) == 1 + 2 + 3 * 2 + 2
     assert all(re.search(r"\d", label) for label in labels)
     assert not any("nan" in label or "$" in label for label in labels)
+
+
+def test_a_map_is_drawn_where_its_cells_hold_operating_points(report):
+    assert "Maps of the regret over the domain need 96 operating points or more." in words_of(report)
+    (picture,) = page._maps(compared(REGRETS, runs=96))
+    assert len(picture.panels) == 5 * 2
+    assert page._mean_regret(np.ones(96), np.arange(96.0), np.arange(96.0)).values.shape == (4, 4)
+
+
+def test_the_page_opens_with_the_best_its_interval_and_the_reference(report):
+    text = report.read_text()
+    first = words_of(report)[: words_of(report).index("Operating points") + 400]
+    row = rows_of(EXACT_DRIVES)["nn"]
+    assert text.index('class="verdict"') < text.index("<svg role") < text.index("<nav")
+    assert "On 40 drives NN-MPC costs least" in first
+    assert f"({page.number(row['regret_low'])} to {page.number(row['regret_high'])})" in first
+
+
+def test_no_contender_is_praised_for_its_ratio_to_itself():
+    made = compared({"best constant": 1.0, "nn": 2.0}, reference="best constant")
+    regrets = {row["contender"]: row["regret_geomean"] for row in made.rows()}
+    (constant, own), (nn, other) = page._body([regrets], made)
+    assert (constant, own.text, own.strong) == ("Best constant", "1.00", False)
+    assert (nn, other.strong) == ("NN-MPC", False)
+
+
+def test_as_many_contenders_are_coloured_as_there_are_colours():
+    kinds = {name: name for name in page._NAMES} | {"mine": ""}
+    strokes = page._few_strokes(kinds, ["mine"])
+    coloured = [stroke.colour for stroke in strokes.values() if stroke != style.BACKGROUND]
+    assert sorted(coloured) == sorted(style.SERIES)
+    assert all(strokes[who] != style.BACKGROUND for who in page.MAPPED)
+    assert strokes["mine"] != style.BACKGROUND
 
 
 def test_the_tables_hold_the_rows_and_mark_the_best_and_the_lost(report):

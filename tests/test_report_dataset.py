@@ -97,10 +97,16 @@ def test_the_page_says_what_the_set_is_and_how_to_make_it_again(report, data):
     assert "made &lt;b&gt;" in words, "a name cannot break the page"
 
 
+def test_the_page_opens_with_what_tuning_is_worth_and_its_interval(report):
+    text = words_of(report)
+    assert "The standard tuning costs 4.00 times the best that swarms found" in text[: text.index("What it is")]
+    assert "How sure 4.00 to 4.00: 95 % bootstrap interval" in text
+
+
 def test_every_picture_is_described_in_words(report):
     text = report.read_text()
     labels = re.findall(r'<svg role="img" aria-label="([^"]+)"', text)
-    assert len(labels) == 6 + 5 + 2 + 1 + 1
+    assert len(labels) == 1 + 6 + 5 + 2 + 1 + 1
     assert all(re.search(r"\d", label) for label in labels)
     assert not any("nan" in label or "$" in label or "\\" in label for label in labels)
 
@@ -124,8 +130,9 @@ def test_levels_have_bins_of_their_own_and_samples_equal_widths():
     np.testing.assert_allclose(page._edges(np.array([2.0, 2.0, 4.0, 10.0])), [1.0, 3.0, 7.0, 13.0])
     np.testing.assert_allclose(page._edges(np.array([5.0, 5.0])), [4.5, 5.5])
     np.testing.assert_allclose(page._edges(np.array([0.0])), [-0.5, 0.5])
-    edges = page._edges(np.linspace(0.0, 1.0, 99))
+    edges = page._edges(np.linspace(0.0, 1.0, 999))
     np.testing.assert_allclose(np.diff(edges), 1.0 / page._CELLS)
+    assert len(page._edges(np.linspace(0.0, 1.0, 50))) - 1 == page._LEAST_CELLS
     assert page._bins(np.array([0.0, 1.0]), edges).tolist() == [0, page._CELLS - 1]
 
 

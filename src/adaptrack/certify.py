@@ -21,6 +21,7 @@ from adaptrack.errors import ContractError, InvalidInput, real
 from adaptrack.linearisation import Body, Mismatch, Turn, bodies_of, laws, linear_estimator
 from adaptrack.plant import Plant
 from adaptrack.profile import Profile, load_profile
+from adaptrack.progress import tells
 from adaptrack.scheduling import VARIABLES, Constant, Schedule, SchedulingVariables
 from adaptrack.stability import Margins, hard_turn, margins
 
@@ -208,6 +209,7 @@ def _finite(values: Mapping[str, float]) -> dict[str, float | None]:
     return {name: value if math.isfinite(value) else None for name, value in values.items()}
 
 
+@tells("certify")
 def certify(
     scheduler: Scheduler | Tuning, plant: Plant, mpc: MPC, profile: str | Profile = "road", *,
     domain: Mapping[str, tuple[float, float]] | None = None, levels: tuple[int, int] = (28, 5),

@@ -115,6 +115,12 @@ class Metrics:
     cost: float
     """m², J = mean e² + w mean Δu²: what tuning minimises; w is `compute_metrics`' `move_weight`."""
 
+    def _repr_html_(self) -> str:
+        """The measures in a notebook."""
+        from adaptrack.report.notebook import metrics_html
+
+        return metrics_html(self)
+
     def as_row(self) -> dict[str, Any]:
         """The measures by name, ready for strict JSON: what is not finite becomes None."""
         row = dataclasses.asdict(self)

@@ -378,6 +378,18 @@ class Vehicle(Record):
             data["tyre"] = os.path.relpath(self.tyre, Path(path).parent)
         write_toml(path, data, meanings(self))
 
+    def plot(self) -> Any:
+        """The car from above, to scale, as a matplotlib figure."""
+        from adaptrack.report.notebook import vehicle_figure
+
+        return vehicle_figure(self)
+
+    def _repr_html_(self) -> str:
+        """The car in a notebook: its numbers and its picture."""
+        from adaptrack.report.notebook import vehicle_html
+
+        return vehicle_html(self)
+
     def matched_to(self, tyre: Tyre) -> Self:
         """A copy whose prediction model has the stiffness of `tyre` at the car's static wheel loads."""
         front, rear = tyre.stiffness_at(*self.static_loads)

@@ -19,6 +19,7 @@ from adaptrack.adaptation.splits import Training, held_out_noise, training_noise
 from adaptrack.controllers import Tuning
 from adaptrack.errors import InvalidInput, did_you_mean, whole
 from adaptrack.learning.surfaces import Surface
+from adaptrack.progress import tells
 from adaptrack.runs import Indices, RunSet
 from adaptrack.scheduling import Function, Learned, Schedule, SchedulingVariables
 
@@ -50,6 +51,7 @@ class Improvement:
     """after each check: round, score (mean log cost of the held-out runs), failed (of them)"""
 
 
+@tells("improve")
 def improve(
     start: Learnable,
     training: Training,

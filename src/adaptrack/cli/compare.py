@@ -27,7 +27,7 @@ COLUMNS = (
 
 
 def compare(
-    out: Annotated[Path, Option(help="Folder; one that was interrupted goes on.")],
+    out: Annotated[Path | None, Option(help="Folder; one that was interrupted goes on. `--list` needs none.")] = None,
     quick: Annotated[bool, Option("--quick", help="Two cars, four roads, one profile: minutes [default].")] = False,
     standard: Annotated[bool, Option("--standard", help="Six cars, twelve roads, three profiles.")] = False,
     full: Annotated[
@@ -70,6 +70,8 @@ def compare(
     chosen = [name for name, asked in (("quick", quick), ("standard", standard), ("full", full)) if asked]
     if len(chosen) + (config is not None) > 1:
         raise InvalidInput("compare: give one of --quick, --standard, --full and --config.")
+    if out is None:
+        raise InvalidInput("compare: give --out FOLDER, for the page and all runs.")
     task = _task(config or (chosen or ["quick"])[0], contender, car, road, profile, seeds, budget)
     options.make_folder(out)
     cells = task.cells

@@ -18,7 +18,6 @@ COLUMNS = (
     Column("cost_geomean", "cost J", "m²", show.digits(3)),
     Column("regret_geomean", "regret\nmean", "", show.digits(4)),
     Column("interval", "95 %\ninterval"),
-    Column("regret_p99", "99th\nperc.", "", show.digits(3)),
     Column("regret_worst", "worst", "", show.digits(3)),
     Column("failures", "runs\nfailed"),
 )

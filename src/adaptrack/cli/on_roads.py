@@ -113,7 +113,7 @@ class Setting:
         trips = self.runs.scenarios
         length = sum(each.length for each in trips if isinstance(each, RoadDrive)) / 1000.0
         roads = f"{len(trips)} roads" if len(trips) > 1 else str(trips[0].name)
-        return f"{self.car.name} in {self.profile.name}, {roads}, {length:.3g} km"
+        return f"car {self.car.name}, profile {self.profile.name}, {roads}, {length:.3g} km"
 
     def controller(self, name: str, tuning: dict[str, float] | None = None) -> Controller:
         """A registered controller for this car and profile, by default with its own tuning."""

@@ -12,16 +12,19 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
+from adaptrack.progress import now_and_then
+
 if TYPE_CHECKING:
     from rich.console import Console
+    from rich.table import Table
     from rich.text import Text
 
 Rows = Sequence[Mapping[str, Any]]
 
 WIDE = 140
 """Columns of text where standard output is no terminal; every table of numbers fits 80."""
-FIRST_LINE, NEXT_LINE, RAREST_LINE = 2.0, 5.0, 60.0
-"""s, until progress without a terminal is first told, then until the next line; and at most, in work of hours."""
+_NAME, _WRAPPED = 40, 16
+"""Letters of a column of names that stay whole; least of one of text at the end of a line, which may wrap."""
 
 
 class Column(NamedTuple):
@@ -85,25 +88,60 @@ def percent(value: Any) -> str:
 
 # -- tables -----------------------------------------------------------------------------------------------------------
 def table(title: str, columns: Sequence[Column], rows: Rows) -> None:
-    """A table with a line of titles and units; numbers stand to the right."""
+    """A table with a line of titles and units; numbers stand to the right.
+
+    Columns that are too many for the width go below, beside the names again: no number is cut or left out.
+    """
+    from rich.text import Text
+
+    console = _console()
+    console.print(Text(printable(title)))
+    for part in _parts(columns, rows, console.width):
+        console.print(_grid(part, rows))
+        console.print()
+
+
+def _grid(columns: Sequence[Column], rows: Rows) -> Table:
     from rich import box
     from rich.table import Table
     from rich.text import Text
 
-    made = Table(
-        title=Text(printable(title)), title_justify="left", box=box.SIMPLE_HEAD, show_edge=False, pad_edge=False,
-        padding=(0, 1, 0, 0),
-    )  # fmt: skip
+    made = Table(box=box.SIMPLE_HEAD, show_edge=False, pad_edge=False, padding=(0, 1, 0, 0))
     for column in columns:
         known = [row[column.key] for row in rows if row[column.key] is not None]
         numbers = all(isinstance(value, int | float) for value in known)
-        least = min(40, max(map(len, map(str, known)), default=0)) if column is columns[0] else None  # names stay whole
+        least = min(_NAME, max(map(len, map(str, known)), default=0)) if column is columns[0] else None
         made.add_column(_heading(column), overflow="fold", justify="right" if numbers else "left", min_width=least)
     for row in rows:
         made.add_row(*(Text((column.show or written)(row[column.key])) for column in columns))
-    console = _console()
-    console.print(made)
-    console.print()
+    return made
+
+
+def _parts(columns: Sequence[Column], rows: Rows, width: int) -> list[list[Column]]:
+    """The columns of each table, the first of all in each: as many as fit, or one at least."""
+    names, *others = columns
+    first = min(_NAME, _needed(names, rows))
+    parts: list[list[Column]] = [[names]]
+    used = first
+    for i, column in enumerate(others):
+        last = i == len(others) - 1 and len(parts) == 1  # text at the end of a line may wrap
+        needed = min(_needed(column, rows), _WRAPPED if last and _is_text(column, rows) else _NAME) + 2
+        if used + needed > width and len(parts[-1]) > 1:
+            parts.append([names])
+            used = first
+        parts[-1].append(column)
+        used += needed
+    return parts
+
+
+def _needed(column: Column, rows: Rows) -> int:
+    """Letters of the widest line."""
+    lines = [*_heading(column).plain.split("\n"), *((column.show or written)(row[column.key]) for row in rows)]
+    return max(map(len, lines))
+
+
+def _is_text(column: Column, rows: Rows) -> bool:
+    return any(isinstance(row[column.key], str) for row in rows)
 
 
 def _heading(column: Column) -> Text:
@@ -226,12 +264,9 @@ def _lines(state: _State) -> Iterator[Show]:
     over = threading.Event()
 
     def tell() -> None:
-        pause, begun = FIRST_LINE, time.monotonic()
-        while not over.wait(pause):
-            print(state.line(), file=sys.stderr, flush=True)
-            pause = min(max(NEXT_LINE, 0.1 * (time.monotonic() - begun)), RAREST_LINE)
+        print(state.line(), file=sys.stderr, flush=True)
 
-    teller = threading.Thread(target=tell, daemon=True)
+    teller = threading.Thread(target=now_and_then, args=(over, tell), daemon=True)
     teller.start()
     try:
         yield state.update

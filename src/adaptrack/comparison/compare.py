@@ -114,6 +114,21 @@ class Comparison:
             )
         return made
 
+    def __repr__(self) -> str:
+        return f"<Comparison of {len(self.costs)} contenders on {len(self.costs[self.reference])} runs>"
+
+    def plot(self) -> Any:
+        """Each contender's cost over the reference's with its 95 % interval, as a matplotlib figure."""
+        from adaptrack.report.comparison_verdict import comparison_figure
+
+        return comparison_figure(self)
+
+    def _repr_html_(self) -> str:
+        """The comparison in a notebook."""
+        from adaptrack.report.notebook import comparison_html
+
+        return comparison_html(repr(self)[1:-1], self.rows(), self.plot())
+
     def _over_constant(self, name: str, seed: int) -> dict[str, float]:
         """The cost over that of the first constant that is not the reference."""
         constants = [each for each in self.of_kind("best constant", "default constant") if each != self.reference]

@@ -195,6 +195,7 @@ CONSTANTS = ("best constant", "best constant on drives", "fallback")
 
 RESERVED = frozenset(
     {
+        *_MAKERS,
         *CONSTANTS, *ONCE, "default constant", "best constant of operating points", "optimum", "per-drive constant",
         "nn", "anfis", "nn unguarded", "anfis unguarded", "speed only", "speed look-up",
     }

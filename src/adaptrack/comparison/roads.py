@@ -82,6 +82,21 @@ class RoadComparison:
             rows.append({name: row[name] for name in kept} | errors | {"failures": len(failed), "failed": failed})
         return rows
 
+    def __repr__(self) -> str:
+        return f"<RoadComparison of {len(self.tracking)} contenders on {len(self.roads)} roads, {self.runs} runs each>"
+
+    def plot(self) -> Any:
+        """Each contender's cost over the reference's with its 95 % interval, as a matplotlib figure."""
+        from adaptrack.report.comparison_verdict import comparison_figure
+
+        return comparison_figure(self.comparison)
+
+    def _repr_html_(self) -> str:
+        """The comparison in a notebook."""
+        from adaptrack.report.notebook import comparison_html
+
+        return comparison_html(repr(self)[1:-1], self.rows(), self.plot())
+
 
 def check_fits(contender: Contender, runs: RunSet) -> None:
     """Refuse a contender that cannot drive in the profile of the runs.

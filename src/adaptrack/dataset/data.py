@@ -94,6 +94,18 @@ class DataSet:
     def __repr__(self) -> str:
         return f"<DataSet {self.name!r}: {len(self)} operating points, library of {len(self.library)} tunings>"
 
+    def plot(self) -> Any:
+        """How often each tuning is the best, and what tuning is worth over the speed, as a matplotlib figure."""
+        from adaptrack.report.dataset import dataset_figure
+
+        return dataset_figure(self)
+
+    def _repr_html_(self) -> str:
+        """The data set in a notebook."""
+        from adaptrack.report.dataset import dataset_html
+
+        return dataset_html(self)
+
     @property
     def name(self) -> str:
         """What its campaign was called."""

@@ -27,6 +27,7 @@ from sklearn.utils.validation import check_is_fitted, validate_data
 from adaptrack.errors import InvalidInput, real, whole
 from adaptrack.learning import partition as partitions
 from adaptrack.learning.holding import held_out
+from adaptrack.learning.weights import mean, part, row_weights
 from adaptrack.scheduling.functions.sugeno import (
     CENTRE,
     SLOPE,
@@ -102,8 +103,10 @@ def recursive_least_squares(a: Array, y: Array, penalty: float, forgetting: floa
     return theta
 
 
-def premise_gradient(system: Sugeno, x: Array, y: Array) -> Array:
+def premise_gradient(system: Sugeno, x: Array, y: Array, weight: Array | None = None) -> Array:
     """(M, 3) derivative of E = mean((output - y)^2)/2 by the premises, the consequents held; x (n, D), y (n,).
+
+    weight (n,): of the rows in that mean.
 
     With s the normalised strengths: dE/d(log w_r) = mean(e s_r (f_r - output)); a membership function collects this
     from the rules that ask for it, times d(log mu)/d(width, slope, centre).
@@ -112,6 +115,8 @@ def premise_gradient(system: Sugeno, x: Array, y: Array) -> Array:
     f = x @ system.consequents[:, :-1].T + system.consequents[:, -1]
     output = (strengths * f).sum(axis=1, keepdims=True)
     by_log_w = (output - y[:, np.newaxis]) * strengths * (f - output) / len(y)
+    if weight is not None:
+        by_log_w *= (weight / weight.mean())[:, np.newaxis]
     asks = np.zeros((system.n_rules, len(system.owner) + 1))
     for functions in system.rules.T:
         asks[np.arange(system.n_rules), functions] = 1.0
@@ -152,6 +157,18 @@ def adapt_step(step: float, errors: list[float]) -> float:
     return step * factor
 
 
+class _Rows(NamedTuple):
+    """Rows in the units of training: inputs z (n, D), target v (n,), weights (n,) or None."""
+
+    z: Array
+    v: Array
+    weight: Array | None = None
+
+    def rmse(self, system: Sugeno) -> float:
+        """Of a system's output here."""
+        return math.sqrt(float(mean((system.predict(self.z) - self.v) ** 2, self.weight)))
+
+
 class _Scaling(NamedTuple):
     """Inputs and output in the units of training: z = (x - middle)/half, v = (y - mean)/spread."""
 
@@ -161,11 +178,13 @@ class _Scaling(NamedTuple):
     spread: float
 
     @classmethod
-    def of(cls, x: Array, y: Array) -> _Scaling:
-        half, spread = np.ptp(x, axis=0) / 2.0, float(y.std())
+    def of(cls, x: Array, y: Array, weight: Array | None = None) -> _Scaling:
+        centre = float(mean(y, weight))
+        half = np.ptp(x, axis=0) / 2.0
+        spread = float(y.std() if weight is None else math.sqrt(mean((y - centre) ** 2, weight)))
         small = spread <= 1e-14 * max(1e-300, float(np.abs(y).max()))  # a constant, but for the rounding of its mean
         middle = x.min(axis=0) + half
-        return cls(middle, np.where(half > 0.0, half, 1.0), float(y.mean()), 1.0 if small else spread)
+        return cls(middle, np.where(half > 0.0, half, 1.0), centre, 1.0 if small else spread)
 
     def scale(self, x: Array, y: Array) -> tuple[Array, Array]:
         return (x - self.middle) / self.half, (y - self.mean) / self.spread
@@ -298,11 +317,17 @@ class ANFIS(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         """Number of learned numbers: premises and consequents."""
         return self.system_.n_parameters
 
-    def fit(self, X: ArrayLike, y: ArrayLike) -> Self:
-        """Learn from the inputs X (n, D) and the target y (n,)."""
+    def fit(self, X: ArrayLike, y: ArrayLike, sample_weight: ArrayLike | None = None) -> Self:
+        """Learn from the inputs X (n, D) and the target y (n,); `sample_weight` (n,): how often each row counts.
+
+        A weight of 2 is a row given twice, of 0 one left out. With `forgetting` below 1 a weight scales a row's error.
+        """
         self._check()
         x, target = validate_data(self, X, y, dtype=np.float64, y_numeric=True)
         target = np.asarray(target, dtype=np.float64)
+        weight = row_weights("ANFIS", sample_weight, x)
+        if weight is not None:
+            x, target, weight = (each[weight > 0.0] for each in (x, target, weight))
         self.input_range_ = np.column_stack((x.min(axis=0), x.max(axis=0)))
         self.output_range_ = np.array([target.min(), target.max()])
         self.input_names_ = list(getattr(self, "feature_names_in_", _numbered(x.shape[1])))
@@ -311,13 +336,14 @@ class ANFIS(RegressorMixin, BaseEstimator):  # type: ignore[misc]
             train, held = held_out(
                 "ANFIS", len(target), self.validation_fraction, check_random_state(self.random_state)
             )
-        scaling = _Scaling.of(x[train], target[train])
+        own, others = part(weight, train), part(weight, held)
+        scaling = _Scaling.of(x[train], target[train], own)
         z, v = scaling.scale(x, target)
-        system = self._prune(self._start(z[train], v[train]), z[train])
-        system, history = self._train(system, z[train], v[train], z[held], v[held])
-        lean = self._prune(system, z[train])
+        rows, checks = _Rows(z[train], v[train], own), _Rows(z[held], v[held], others)
+        system, history = self._train(self._prune(self._start(rows), rows), rows, checks)
+        lean = self._prune(system, rows)
         if lean is not system:
-            system = self._conclude(lean, z[train], v[train])
+            system = self._conclude(lean, rows)
         self.system_ = scaling.unscale(system)
         self.history_ = {name: np.array(values) * scaling.spread for name, values in history.items() if values}
         self.history_["step"] /= scaling.spread
@@ -346,9 +372,9 @@ class ANFIS(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         lean._check()
         target = np.asarray(target, dtype=np.float64)
         scaling = _Scaling.of(x, target)
-        z, v = scaling.scale(x, target)
-        system = lean._prune(scaling.inverse().unscale(self.system_), z)
-        lean.system_ = scaling.unscale(lean._conclude(system, z, v))
+        rows = _Rows(*scaling.scale(x, target))
+        system = lean._prune(scaling.inverse().unscale(self.system_), rows)
+        lean.system_ = scaling.unscale(lean._conclude(system, rows))
         return lean
 
     def _check(self) -> None:
@@ -373,12 +399,15 @@ class ANFIS(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         if not 0.0 <= real(where, "prune", self.prune) < 1.0:
             raise InvalidInput(f"{where}: prune = {self.prune!r}: must be at least 0 and below 1.")
 
-    def _start(self, z: Array, v: Array) -> Sugeno:
+    def _start(self, rows: _Rows) -> Sugeno:
         """The system that the partition gives, its consequents still zero."""
+        z = rows.z
         if self.partition == "grid":
             made = partitions.grid(z, self.n_mfs)
         else:
-            made = partitions.scatter(z, v, self.influence, self.squash, self.accept, self.reject)
+            made = partitions.scatter(
+                z, rows.v, self.influence, self.squash, self.accept, self.reject, weight=rows.weight
+            )
         bell = self.membership == "bell"  # as wide at half its height as the Gaussian
         width = made.sigma * math.sqrt(2.0 * math.log(2.0)) if bell else made.sigma
         slope = np.full(len(width), 2.0 if bell else 1.0)
@@ -391,17 +420,20 @@ class ANFIS(RegressorMixin, BaseEstimator):  # type: ignore[misc]
             weights=np.ones(len(made.rules)),
         )
 
-    def _prune(self, system: Sugeno, z: Array) -> Sugeno:
+    def _prune(self, system: Sugeno, rows: _Rows) -> Sugeno:
         """Without the rules that hardly fire; the strongest rule stays in any case."""
         if self.prune == 0.0:
             return system
-        mass = system.mass(z)
+        mass = mean(system.strengths(rows.z), rows.weight)
         kept = mass >= min(self.prune, float(mass.max()))
         return system if kept.all() else system.keep(kept)
 
-    def _conclude(self, system: Sugeno, z: Array, v: Array) -> Sugeno:
+    def _conclude(self, system: Sugeno, rows: _Rows) -> Sugeno:
         """The system with the consequents that are best for its premises."""
-        a = design_matrix(system.strengths(z), z)
+        a, v = design_matrix(system.strengths(rows.z), rows.z), rows.v
+        if rows.weight is not None:
+            root = np.sqrt(rows.weight)
+            a, v = a * root[:, np.newaxis], v * root
         penalty = self.ridge * float((a**2).sum()) / a.shape[1]
         if self.consequents == "rls":
             theta = recursive_least_squares(a, v, penalty, self.forgetting)
@@ -409,26 +441,24 @@ class ANFIS(RegressorMixin, BaseEstimator):  # type: ignore[misc]
             theta = least_squares(a, v, penalty)
         return replace(system, consequents=theta.reshape(system.consequents.shape))
 
-    def _train(
-        self, system: Sugeno, z: Array, v: Array, z_held: Array, v_held: Array
-    ) -> tuple[Sugeno, dict[str, list[float]]]:
+    def _train(self, system: Sugeno, rows: _Rows, held: _Rows) -> tuple[Sugeno, dict[str, list[float]]]:
         """The best system of all epochs, and the history: least squares forwards, gradient backwards."""
         history: dict[str, list[float]] = {"train_rmse": [], "validation_rmse": [], "step": []}
-        decisive = history["validation_rmse" if len(z_held) else "train_rmse"]
+        decisive = history["validation_rmse" if len(held.z) else "train_rmse"]
         best, best_epoch, step, recent = system, 0, float(self.step), []
         for epoch in range(self.epochs + 1):
-            system = self._conclude(system, z, v)
-            history["train_rmse"].append(_rmse(system.predict(z), v))
-            if len(z_held):
-                history["validation_rmse"].append(_rmse(system.predict(z_held), v_held))
+            system = self._conclude(system, rows)
+            history["train_rmse"].append(rows.rmse(system))
+            if len(held.z):
+                history["validation_rmse"].append(held.rmse(system))
             history["step"].append(step)
             if epoch == 0 or decisive[epoch] < decisive[best_epoch]:
                 best, best_epoch = system, epoch
-            if epoch == self.epochs or (len(z_held) and epoch - best_epoch >= self.patience):
+            if epoch == self.epochs or (len(held.z) and epoch - best_epoch >= self.patience):
                 break
             recent.append(history["train_rmse"][-1])
             step = adapt_step(step, recent)
-            gradient = premise_gradient(system, z, v)
+            gradient = premise_gradient(system, rows.z, rows.v, rows.weight)
             length = float(np.linalg.norm(gradient))
             if length == 0.0:
                 break
@@ -445,7 +475,3 @@ def _moved(system: Sugeno, change: Array) -> Sugeno:
     premises[:, WIDTH] = np.maximum(premises[:, WIDTH], NARROWEST)
     premises[:, SLOPE] = np.clip(premises[:, SLOPE], *SLOPES)
     return replace(system, premises=premises)
-
-
-def _rmse(output: Array, y: Array) -> float:
-    return math.sqrt(float(((output - y) ** 2).mean()))

@@ -11,7 +11,7 @@ import math
 import warnings
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any, Self
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -24,6 +24,7 @@ from threadpoolctl import threadpool_limits
 
 from adaptrack.errors import InvalidInput, real, whole
 from adaptrack.learning.holding import held_out
+from adaptrack.learning.weights import mean, part, row_weights
 from adaptrack.scheduling.functions.network import Network
 
 Array = NDArray[np.float64]
@@ -36,6 +37,18 @@ ROUND = 50
 """Iterations of "lbfgs" after which its error is looked at."""
 FLATTEST = 1e-6
 """Where "lbfgs" stops: largest derivative of half the mean squared error of the scaled target."""
+
+
+class _Rows(NamedTuple):
+    """Inputs x (n, D), target y (n,), weights (n,) or None."""
+
+    x: Array
+    y: Array
+    weight: Array | None
+
+    def rmse(self, network: Network) -> float:
+        """Of a network's output here."""
+        return math.sqrt(float(mean((network.predict(self.x) - self.y) ** 2, self.weight)))
 
 
 class MLP(RegressorMixin, BaseEstimator):  # type: ignore[misc]
@@ -108,11 +121,18 @@ class MLP(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         self.patience = patience
         self.random_state = random_state
 
-    def fit(self, X: ArrayLike, y: ArrayLike) -> Self:
-        """Learn from the inputs X (n, D) and the target y (n,)."""
+    def fit(self, X: ArrayLike, y: ArrayLike, sample_weight: ArrayLike | None = None) -> Self:
+        """Learn from the inputs X (n, D) and the target y (n,); `sample_weight` (n,): how much each row counts.
+
+        With all rows in one batch a weight of 2 is a row given twice, and of 0 one left out; smaller batches, and the
+        rows held out, are drawn from the rows whatever their weights are.
+        """
         self._check()
         x, target = validate_data(self, X, y, dtype=np.float64, y_numeric=True)
         target = np.asarray(target, dtype=np.float64)
+        weight = row_weights("MLP", sample_weight, x)
+        if weight is not None:
+            x, target, weight = (each[weight > 0.0] for each in (x, target, weight))
         rng = check_random_state(self.random_state)
         train, held = np.arange(len(target)), np.arange(0)
         if self.early_stopping:
@@ -121,12 +141,14 @@ class MLP(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         with threadpool_limits(limits=1), np.errstate(over="ignore", invalid="ignore"), warnings.catch_warnings():
             warnings.simplefilter("ignore", ConvergenceWarning)  # the number of epochs is the recipe
             warnings.filterwarnings("error", "Training interrupted by user")  # else Ctrl-C would end an epoch only
-            self.network_, self.history_ = self._train(scales, x[train], target[train], x[held], target[held], rng)
+            rows = _Rows(x[train], target[train], part(weight, train))
+            checks = _Rows(x[held], target[held], part(weight, held))
+            self.network_, self.history_ = self._train(scales, rows, checks, rng)
         decisive = self.history_["validation_rmse" if held.size else "train_rmse"]
         self.best_epoch_ = int(self.history_["epoch"][np.argmin(decisive)])
         self.n_iter_ = int(self.history_["epoch"][-1])
         linear = replace(self.network_, relu=False)
-        self.dead_share_ = float((self.network_.predict(x[train]) != linear.predict(x[train])).mean())
+        self.dead_share_ = float(mean(self.network_.predict(rows.x) != linear.predict(rows.x), rows.weight))
         return self
 
     def predict(self, X: ArrayLike) -> Array:
@@ -168,20 +190,21 @@ class MLP(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         )
 
     def _train(
-        self, scales: Network, x: Array, y: Array, x_held: Array, y_held: Array, rng: np.random.RandomState
+        self, scales: Network, rows: _Rows, held: _Rows, rng: np.random.RandomState
     ) -> tuple[Network, dict[str, Array]]:
         """The best network of all epochs, and the history; `scales` is a network of which only the scales are used."""
+        x, y, weight = rows
         z = (x - scales.low) / (scales.high - scales.low)
         v = (y - scales.out_low) / ((scales.out_high - scales.out_low) or 1.0)
         learner = self._learner(len(y), rng)
         stride, further = (ROUND, learner.fit) if self.solver == "lbfgs" else (1, learner.partial_fit)
         history: dict[str, list[float]] = {"epoch": [], "train_rmse": [], "validation_rmse": []}
-        decisive = history["validation_rmse" if len(y_held) else "train_rmse"]
+        decisive = history["validation_rmse" if len(held.y) else "train_rmse"]
         epoch, best_epoch, lowest, best = 0, 0, math.inf, scales
-        while epoch < self.epochs and (epoch - best_epoch < self.patience or not len(y_held)):
+        while epoch < self.epochs and (epoch - best_epoch < self.patience or not len(held.y)):
             learner.max_iter = min(stride, self.epochs - epoch)
             try:
-                further(z, v)
+                further(z, v, weight)
             except ValueError:  # weights that are not finite
                 raise InvalidInput(f"MLP: diverged after {epoch} epochs: take a lower learning_rate.") from None
             except UserWarning:
@@ -192,9 +215,9 @@ class MLP(RegressorMixin, BaseEstimator):  # type: ignore[misc]
             )
             network = replace(scales, weights=weights, biases=biases)
             history["epoch"].append(epoch)
-            history["train_rmse"].append(_rmse(network.predict(x), y))
-            if len(y_held):
-                history["validation_rmse"].append(_rmse(network.predict(x_held), y_held))
+            history["train_rmse"].append(rows.rmse(network))
+            if len(held.y):
+                history["validation_rmse"].append(held.rmse(network))
             if decisive[-1] < lowest:
                 lowest, best_epoch, best = decisive[-1], epoch, network
             if learner.n_iter_ < learner.max_iter:
@@ -215,7 +238,3 @@ def _scales(x: Array, y: Array, relu: bool) -> Network:
         out_high=float(y.max()),
         relu=relu,
     )
-
-
-def _rmse(output: Array, y: Array) -> float:
-    return math.sqrt(float(((output - y) ** 2).mean()))

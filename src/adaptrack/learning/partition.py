@@ -49,8 +49,9 @@ class Partition(NamedTuple):
 
 
 def subtractive_clustering(
-    points: Array, influence: float = 0.5, squash: float = 1.25, accept: float = 0.5, reject: float = 0.15
-) -> Clusters:
+    points: Array, influence: float = 0.5, squash: float = 1.25, accept: float = 0.5, reject: float = 0.15, *,
+    weight: Array | None = None,
+) -> Clusters:  # fmt: skip
     """Centres of the dense regions of `points` (n, dims), each dimension scaled to the data's range.
 
     The potential of point i is P_i = sum_j exp(-4 |x_i - x_j|^2 / influence^2). The point with the highest potential is
@@ -58,8 +59,8 @@ def subtractive_clustering(
     taken if p > accept; if p < reject the search ends; between the two it is taken if p + (distance to the nearest
     centre)/influence >= 1, else passed over. Widths are sigma = influence range/sqrt(8).
 
-    Time grows with n^2, memory with n. Source: S. L. Chiu, *Fuzzy model identification based on cluster estimation*,
-    J. Intelligent and Fuzzy Systems 2 (1994) 267-278.
+    weight (n,): how often each point counts in P. Time grows with n^2, memory with n. Source: S. L. Chiu, *Fuzzy model
+    identification based on cluster estimation*, J. Intelligent and Fuzzy Systems 2 (1994) 267-278.
 
     Raises
     ------
@@ -77,7 +78,7 @@ def subtractive_clustering(
         raise InvalidInput(f"{where}: reject = {reject!r}, accept = {accept!r}: must hold 0 <= reject <= accept <= 1.")
     span = _span(points)
     unit = (points - points.min(axis=0)) / span
-    potential = _potential(unit, influence)
+    potential = _potential(unit, influence, weight)
     first = float(potential.max())
     chosen: list[int] = []
     while len(chosen) < len(unit):
@@ -96,12 +97,15 @@ def subtractive_clustering(
     return Clusters(points[chosen], influence * span / math.sqrt(8.0))
 
 
-def scatter(x: Array, y: Array, influence: float, squash: float, accept: float, reject: float) -> Partition:
+def scatter(
+    x: Array, y: Array, influence: float, squash: float, accept: float, reject: float, *, weight: Array | None = None
+) -> Partition:
     """One rule per cluster of the joint data (x, y), with a membership function of its own on each input.
 
-    x (n, D) inputs, y (n,) target: both together, so that there are more rules where the target varies.
+    x (n, D) inputs, y (n,) target: both together, so that there are more rules where the target varies; weight (n,):
+    how often each row counts.
     """
-    clusters = subtractive_clustering(np.column_stack((x, y)), influence, squash, accept, reject)
+    clusters = subtractive_clustering(np.column_stack((x, y)), influence, squash, accept, reject, weight=weight)
     rules, dims = len(clusters.centres), x.shape[1]
     return Partition(
         owner=np.repeat(np.arange(dims), rules),
@@ -148,12 +152,13 @@ def _span(points: Array) -> Array:
     return np.where(span > 0.0, span, 1.0)
 
 
-def _potential(unit: Array, influence: float) -> Array:
+def _potential(unit: Array, influence: float, weight: Array | None) -> Array:
     """(n,) how many points are near each point, near ones counting more."""
     potential = np.empty(len(unit))
     squares = (unit**2).sum(axis=1)
     for start in range(0, len(unit), BLOCK):
         rows = slice(start, start + BLOCK)
         distance = squares[rows, np.newaxis] + squares - 2.0 * unit[rows] @ unit.T
-        potential[rows] = np.exp(-4.0 / influence**2 * np.maximum(distance, 0.0)).sum(axis=1)
+        near = np.exp(-4.0 / influence**2 * np.maximum(distance, 0.0))
+        potential[rows] = near.sum(axis=1) if weight is None else near @ weight
     return potential

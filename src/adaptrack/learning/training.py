@@ -20,6 +20,7 @@ from adaptrack.errors import InvalidInput, UnknownName, did_you_mean
 from adaptrack.learning.anfis import ANFIS
 from adaptrack.learning.boosting import cross_validate
 from adaptrack.learning.mlp import MLP
+from adaptrack.progress import tells
 from adaptrack.scheduling.functions.network import Network
 from adaptrack.scheduling.functions.sugeno import Sugeno
 from adaptrack.tuning.operating_points import NAMES, canonical, fold
@@ -92,6 +93,7 @@ class Trained:
         return self.estimators[slot]
 
 
+@tells("train")
 def train(
     dataset: DataSet, model: str = "nn", targets: str = "paper", *, holdout: float = 0.2, seed: int = 0,
     progress: Callable[[str, int, int], None] | None = None, **options: Any,

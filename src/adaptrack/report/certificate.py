@@ -10,15 +10,27 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.colors import Normalize
+from matplotlib.colors import LogNorm, Normalize
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from adaptrack.certify import DRIVING, Certificate, Driving, Sweep, extremes
 from adaptrack.report import style
 from adaptrack.report.maps import COLOURS, Cells, Heat, edges_around
-from adaptrack.report.page import Cell, Head, Item, Panel, Picture, Section, Table, Verbatim, write_page
-from adaptrack.report.words import INPUTS, number, percent
+from adaptrack.report.page import (
+    Cell,
+    Head,
+    Item,
+    Panel,
+    Picture,
+    Section,
+    Table,
+    Terms,
+    Verbatim,
+    Verdict,
+    write_page,
+)
+from adaptrack.report.words import INPUTS, number, percent, span
 from adaptrack.scheduling import SchedulingVariables
 from adaptrack.stability import Margins
 
@@ -31,6 +43,10 @@ _HEADS = (
     Head("Largest gain margin down"), Head("Least delay margin", "ms"), Head("Least modulus margin"),
 )  # fmt: skip
 """Of the columns of `_row` behind the first."""
+_STROKES: dict[Driving, style.Stroke] = {
+    "straight": style.Stroke(style.SERIES[0]),
+    "turn": style.Stroke(style.SERIES[1], (0, (5, 1.5))),
+}
 _NAMES: dict[Driving, str] = {"straight": "driving straight", "turn": "in a hard turn"}
 
 
@@ -40,21 +56,40 @@ class _Quantity(NamedTuple):
     title: str
     low: float
     high: float
-    """what the colours span; what lies beyond has the colour of the end"""
+    """what the colours span at most; what lies beyond has the colour of the end"""
     whole: bool = False
     fine: bool = False
     """whether low values are the good ones: their colours are turned round, so that dark is always bad"""
+
+    log: bool = False
+    """whether a colour is a factor: low values are then told apart like high ones"""
+
+    @property
+    def norm(self) -> Normalize:
+        """From numbers to colours."""
+        return LogNorm(self.low, self.high) if self.log else Normalize(self.low, self.high)
 
     @property
     def colours(self) -> str:
         return f"{COLOURS}_r" if self.fine else COLOURS
 
+    def around(self, values: Array) -> _Quantity:
+        """With colours that tell these values apart: from their 2nd to their 98th percentile, within its bounds."""
+        finite = values[np.isfinite(values)]
+        if not finite.size:
+            return self
+        low, high = np.clip(np.percentile(finite, (2.0, 98.0)), self.low, self.high)
+        least = 0.1 * high if self.log else 0.02 * (self.high - self.low)  # equal values have one colour
+        if high - low < least:
+            low, high = max(self.low, low - least), min(self.high, high + least)
+        return self._replace(low=float(low), high=float(high))
 
-_RADIUS = _Quantity("Spectral radius (–)", 0.95, 1.0, fine=True)
-_MODULUS = _Quantity("Modulus margin (–)", 0.0, 0.3)
-_UP = _Quantity("Gain margin up (factor)", 1.0, 3.0)
+
+_RADIUS = _Quantity("Spectral radius (–)", 0.8, 1.02, fine=True)
+_MODULUS = _Quantity("Modulus margin (–)", 0.0, 1.0)
+_UP = _Quantity("Gain margin up (factor)", 1.0, 20.0, log=True)
 _DOWN = _Quantity("Gain margin down (factor)", 0.0, 1.0, fine=True)
-_DELAY = _Quantity("Delay margin (ms)", 0.0, 150.0)
+_DELAY = _Quantity("Delay margin (ms)", 1.0, 1000.0, log=True)
 
 
 class _Map(NamedTuple):
@@ -82,14 +117,74 @@ def write_certificate(out_dir: str | os.PathLike[str], certificate: Certificate,
     StorageError
         When the files cannot be written, see `page.write_page`.
     """
-    sections = [_verdict(certificate, command), _margins(certificate), _tunings(certificate), _worst(certificate)]
+    opening = Section("Verdict", [_opening(certificate)])
+    sections = [
+        opening,
+        _analysis(certificate, command),
+        _margins(certificate),
+        _tunings(certificate),
+        _worst(certificate),
+    ]
     if certificate.mismatched:
-        sections.insert(1, _mismatched(certificate))
-    return write_page(out_dir, sections, title=f"Certificate of {certificate.scheduler}", lead=[certificate.verdict])
+        sections.insert(2, _mismatched(certificate))
+    return write_page(out_dir, sections, title=_title(certificate), lead=[certificate.verdict])
+
+
+def _title(found: Certificate) -> str:
+    return f"Certificate of {found.scheduler}: {found.plant}, profile {found.profile}"
+
+
+# -- the first screen -------------------------------------------------------------------------------------------------
+def _opening(found: Certificate) -> Verdict:
+    n, bad = len(found.points), int(found.counted.unstable.sum())
+    worst, turn = extremes(found.counted.straight), int(found.counted.unstable_in_turn.sum())
+    entries = [
+        ("Least margins", f"modulus {number(worst['modulus_margin'])}, delay {number(1000.0 * worst['delay'])} ms, "
+                          f"gain up {number(worst['gain_up'])} times"),
+        ("In a hard turn", f"unstable at {number(turn)}, which does not decide"),
+        ("Over", f"speed {span(found.speeds)} m/s, friction {span(found.frictions)}"),
+        ("Loop", f"{found.plant}, {found.tyre} tyres, profile {found.profile}"),
+        ("Against", _against(found)),
+        ("How sure", "a linear analysis at these points: nothing between them, nothing at the limits of the steering"),
+    ]  # fmt: skip
+    text = f"Stable at all {number(n)} points driving straight." if found.passed else (
+        f"Unstable at {number(bad)} of {number(n)} points driving straight."
+    )  # fmt: skip
+    panel = Panel(
+        "Modulus margin over the speed", lambda axes: _draw_margins(found, axes),
+        f"Driving straight at least {number(worst['modulus_margin'])}.",
+    )  # fmt: skip
+    key = [(_capital(_NAMES[driving]), stroke) for driving, stroke in _STROKES.items()]
+    caption = (
+        "Smallest distance of the loop gain from −1; unstable below 0. Line: the least of all frictions and other "
+        "scheduling variables; band: up to the largest."
+    )
+    return Verdict(text, Terms(entries), Picture(caption, [panel.drawing()], key), not found.passed)
+
+
+def _against(found: Certificate) -> str:
+    if found.mismatched:
+        bad = sum(bool((margins.radius >= 1.0).any()) for margins in found.mismatched.values())
+        return f"{number(len(found.mismatched))} cars that differ from what is believed: unstable with {number(bad)}"
+    if found.guarded is not None:
+        return f"without the guard: unstable at {number(int(found.bare.unstable.sum()))}"
+    return "the car as the controller believes it"
+
+
+def _draw_margins(found: Certificate, axes: Axes) -> None:
+    for driving, stroke in _STROKES.items():
+        margin = found.cells(getattr(found.counted, driving).modulus_margin).reshape(len(found.speeds), -1)
+        low, high = margin.min(axis=1), margin.max(axis=1)
+        axes.fill_between(found.speeds, low, high, color=stroke.colour, alpha=0.18, linewidth=0.0)
+        mark = "o" if len(found.speeds) < 12 else ""
+        axes.plot(found.speeds, low, color=stroke.colour, linestyle=stroke.dash, marker=mark, markersize=3.5)
+    axes.axhline(0.0, color=style.INK, linewidth=0.9)
+    axes.set_xlabel("Speed (m/s)")
+    axes.set_ylabel("Modulus margin (–)")
 
 
 # -- sections ---------------------------------------------------------------------------------------------------------
-def _verdict(found: Certificate, command: str) -> Section:
+def _analysis(found: Certificate, command: str) -> Section:
     words = (
         "At every point the linear closed loop with the scheduler's tuning is analysed: plant, steering lag, dead "
         "time, estimator and the law of the MPC far from its limits. It is linearised about driving straight, which "
@@ -108,7 +203,7 @@ def _verdict(found: Certificate, command: str) -> Section:
     items: list[Item] = [words, meaning, Table("The worst of every margin, over all points", heads, rows)]
     if found.guarded is not None:
         items.append(f"The guard changes the tuning at {percent(found.fallback.mean())} % of them.")
-    return Section("Verdict", [*items, *([Verbatim(command)] if command else [])])
+    return Section("All margins", [*items, *([Verbatim(command)] if command else [])])
 
 
 def _mismatched(found: Certificate) -> Section:
@@ -139,7 +234,10 @@ def _margins(found: Certificate) -> Section:
             maps, unstable = _margin_maps(found, getattr(sweep, driving))
             crosses = " A cross marks a cell with an unstable point." if unstable else ""
             title = f"{name}, {_NAMES[driving]}"
-            caption = f"{title}. The worst over all other scheduling variables; dark is bad.{crosses}"
+            caption = (
+                f"{title}. The worst over all other scheduling variables; dark is bad, on a scale of each map's own."
+                f"{crosses}"
+            )
             picture = _picture(maps, caption, f"{file}{'-turn' if driving == 'turn' else ''}.png", title)
             items += [f"{title}:", picture]
     return Section("Margins", items)
@@ -148,14 +246,14 @@ def _margins(found: Certificate) -> Section:
 def _margin_maps(found: Certificate, margins: Margins) -> tuple[list[_Map], bool]:
     """The maps of one way of driving, and whether any of its points is unstable."""
     bad = np.asarray(found.cells(margins.radius >= 1.0).max(axis=2))
-    maps = [
-        _map(found, _RADIUS, found.cells(margins.radius).max(axis=2), bad),
-        _map(found, _MODULUS, found.cells(margins.modulus_margin).min(axis=2), bad),
-        _map(found, _UP, found.cells(margins.gain_up).min(axis=2), bad),
-        _map(found, _DOWN, found.cells(margins.gain_down).max(axis=2), bad),
-        _map(found, _DELAY, 1000.0 * found.cells(margins.delay).min(axis=2), bad),
+    drawn = [
+        (_RADIUS, found.cells(margins.radius).max(axis=2)),
+        (_MODULUS, found.cells(margins.modulus_margin).min(axis=2)),
+        (_UP, found.cells(margins.gain_up).min(axis=2)),
+        (_DOWN, found.cells(margins.gain_down).max(axis=2)),
+        (_DELAY, 1000.0 * found.cells(margins.delay).min(axis=2)),
     ]
-    return maps, bool(bad.any())
+    return [_map(found, quantity.around(values), values, bad) for quantity, values in drawn], bool(bad.any())
 
 
 def _tunings(found: Certificate) -> Section:
@@ -233,7 +331,7 @@ def _map(found: Certificate, quantity: _Quantity, values: Array, unstable: NDArr
     heat = Heat(
         Cells(edges_around(found.speeds), edges_around(found.frictions), np.clip(values, *ends).T),
         "Friction (–)",
-        Normalize(*ends),
+        quantity.norm,
         whole=quantity.whole,
         extend="both" if below and above else "min" if below else "max" if above else "neither",
         colours=quantity.colours,

@@ -30,9 +30,22 @@ from adaptrack.comparison.statistics import (
     regret_percentiles,
 )
 from adaptrack.report import style
+from adaptrack.report.comparison_verdict import comparison_verdict
 from adaptrack.report.maps import Cells, Heat, norm_of
-from adaptrack.report.page import Cell, Head, Panel, Picture, Section, Table, Terms, Verbatim, printed, write_page
-from adaptrack.report.words import INPUTS, counted, listed, number, percent, span, title_of
+from adaptrack.report.page import (
+    Cell,
+    Head,
+    Item,
+    Panel,
+    Picture,
+    Section,
+    Table,
+    Terms,
+    Verbatim,
+    printed,
+    write_page,
+)
+from adaptrack.report.words import INPUTS, counted, few, listed, number, percent, span, title_of
 from adaptrack.scheduling import Schedule
 
 Array = NDArray[np.float64]
@@ -98,12 +111,13 @@ _COUNTS = {
     "unstable": "Gave way, near instability",
     "fallback": "On the fallback",
 }
+_OTHERS = "All others"
 _SPREAD = {"regret_p50": "P50", "regret_p90": "P90", "regret_p99": "P99", "regret_worst": "Worst"}
-_BOLD = "Bold: the lowest of its column, but for what needs hindsight. "
+_BOLD = "Bold: the lowest of its column, but for what needs hindsight; no contender beside itself. "
 _CEILING = 10.0
 """Regrets above this share a colour."""
-_PER_CELL, _MOST_CELLS = 6, 12
-"""Operating points that a cell of a map holds at least, on average; and the most cells along one of its axes."""
+_PER_CELL, _LEAST_CELLS, _MOST_CELLS = 6, 4, 12
+"""Operating points that a cell of a map holds at least, on average; the least and the most cells along its axes."""
 _CURVE = 400
 """Points of a distribution's curve."""
 _NODES = (64, 44)
@@ -160,7 +174,9 @@ def write_comparison(
     """
     known = {"operating point": operating_points, "drive": drives}
     compared = [_compared(found["exact"], noun) for noun, found in known.items() if "exact" in found]
+    opening = _opening(compared, tests)
     sections = [
+        *opening,
         *(_on_operating_points(each) if each.noun == "operating point" else _on_drives(each) for each in compared),
         *_spread(compared),
         *_perceived(known),
@@ -173,9 +189,37 @@ def write_comparison(
     ]
     said = [" ".join(filter(None, (standing(*each), against_constant(*each), failures(*each)))) for each in compared]
     said += [knowledge(found, noun) for noun, found in known.items()]
-    lead = [words for words in (*said, on_tests(tests)) if words]
-    lead = lead or ["Nothing was driven: there are no costs to compare."]
-    return write_page(out_dir, sections, title="What adaptation pays", lead=lead)
+    words = [each for each in (*said, on_tests(tests)) if each]
+    words = words or ["Nothing was driven: there are no costs to compare."]
+    sections.insert(len(opening) + len(compared), Section("In words", words))
+    return write_page(out_dir, sections, title=_title(compared, tests))
+
+
+def _opening(compared: Sequence[_Compared], tests: Comparisons) -> list[Section]:
+    """The verdict: on the drives, else on the operating points, else on the first of the paper's tests."""
+    main = [
+        *reversed(compared),
+        *(_compared(each, f"{title_of(n).lower()} run") for n, each in tests.items()),
+    ]
+    if not main:
+        return []
+    (comparison, _, noun), *others = main
+    further = [
+        f"on {counted(_runs(other.comparison), other.noun)}: {_label(best(other.comparison)[0])}"
+        for other in others[:2]
+    ]
+    return [Section("Verdict", [comparison_verdict(comparison, noun, best(comparison), _label, further)])]
+
+
+def _title(compared: Sequence[_Compared], tests: Comparisons) -> str:
+    """The controller and what was driven."""
+    comparisons = [*(each.comparison for each in compared), *tests.values()]
+    controllers = dict.fromkeys(each.role(who).controller for each in comparisons for who in each.costs)
+    driven = [counted(_runs(each.comparison), each.noun) for each in compared]
+    driven += ["the paper's tests"] if tests else []
+    if not driven:
+        return "What adaptation pays"
+    return f"What adaptation pays: {few(controllers, 'controller', 2)}, {listed(driven)}"
 
 
 def _compared(comparison: Comparison, noun: str) -> _Compared:
@@ -338,11 +382,14 @@ def _meanings(comparison: Comparison) -> Terms:
     return Terms(told, "What the contenders are")
 
 
-def _maps(comparison: Comparison) -> list[Picture]:
+def _maps(comparison: Comparison) -> list[Item]:
     """The regret of the main contenders over speed and friction, and over speed and the reference."""
     contenders = [who for who in comparison.of_kind(*MAPPED) if who != comparison.reference]
     if not contenders:
         return []
+    least = _PER_CELL * _LEAST_CELLS**2
+    if _runs(comparison) < least:
+        return [f"Maps of the regret over the domain need {number(least)} operating points or more."]
     speed, y_ref, friction = comparison.where[:, 0], np.abs(comparison.where[:, 1]), comparison.where[:, 2]
     over = {"friction": (friction, "Friction (–)"), "lateral reference": (y_ref, r"$|y_\mathrm{ref}|$ (m)")}
     grids = {
@@ -380,17 +427,9 @@ def _spread(compared: Sequence[_Compared]) -> list[Section]:
     compared = [each for each in compared if len(each.comparison.costs) > 1]
     if not compared:
         return []
-    drawn = [
-        [
-            who
-            for who in each.comparison.costs
-            if who != each.comparison.reference and not _kind(each.comparison, who).endswith(" unguarded")
-        ]
-        for each in compared
-    ]  # beside what has a guard, the same without it is hard to see
-    strokes = _strokes(
-        {who: _kind(each.comparison, who) for each, whom in zip(compared, drawn, strict=True) for who in whom}
-    )
+    drawn = [_drawn(each.comparison) for each in compared]
+    kinds = {who: _kind(each.comparison, who) for each, whom in zip(compared, drawn, strict=True) for who in whom}
+    strokes = _few_strokes(kinds, [who for each in compared for who in best(each.comparison)])
     panels = []
     for (comparison, _, noun), contenders in zip(compared, drawn, strict=True):
         ratios = {who: comparison.regret(who) for who in contenders}
@@ -406,6 +445,9 @@ def _spread(compared: Sequence[_Compared]) -> list[Section]:
     caption = (
         "Share of the runs that cost at most so many times the reference, which is the upright line: further left is "
         "better. What lies far out is cut off."
+    )
+    strokes = {who: each for who, each in strokes.items() if each != style.BACKGROUND} | (
+        {_OTHERS: style.BACKGROUND} if style.BACKGROUND in strokes.values() else {}
     )
     return [Section("Run by run", [_picture(caption, panels, strokes, "spread.png")])]
 
@@ -589,7 +631,8 @@ def _body(columns: Sequence[Mapping[str, Value]], comparison: Comparison) -> lis
         judged = (v for who, v in values.items() if not hindsight(who) and isinstance(v, float))
         least = min(judged, default=None)
         for row, who in zip(body, contenders, strict=True):
-            row.append(_cell(values.get(who), not hindsight(who) and values.get(who) == least))
+            itself = values.get(who) == 1.0  # a ratio of a contender to itself is no achievement
+            row.append(_cell(values.get(who), not hindsight(who) and not itself and values.get(who) == least))
     return body
 
 
@@ -615,7 +658,7 @@ def _domain(schedule: Schedule, name: str) -> tuple[float, float]:
 
 
 def _mean_regret(regret: Array, x: Array, y: Array) -> Cells:
-    cells = int(np.clip(math.sqrt(len(regret) / _PER_CELL), 2, _MOST_CELLS))
+    cells = int(np.clip(math.sqrt(len(regret) / _PER_CELL), _LEAST_CELLS, _MOST_CELLS))
     return Cells(*binned_geometric_mean(regret, x, y, cells))
 
 
@@ -682,6 +725,17 @@ def _strokes(kinds: Mapping[str, str]) -> dict[str, style.Stroke]:
     return {who: known[kind] for who, kind in of_kinds.items()}
 
 
+def _few_strokes(kinds: Mapping[str, str], first: Sequence[str]) -> dict[str, style.Stroke]:
+    """Strokes of contenders in a picture of all: a colour each for as many as there are colours, the rest in grey.
+
+    kinds: by contender; first: who has a colour in any case where there are enough. Then come the main kinds.
+    """
+    order = {kind: i for i, kind in enumerate(_NAMES)}
+    ranked = sorted(kinds, key=lambda who: (kinds[who] not in MAPPED, who not in first))
+    shown = sorted(ranked[: len(style.SERIES)], key=lambda who: order.get(kinds[who], len(order)))
+    return style.strokes(shown) | {who: style.BACKGROUND for who in kinds if who not in shown}
+
+
 # -- drawing ----------------------------------------------------------------------------------------------------------
 def _draw_distribution(
     ratios: Mapping[str, Array], strokes: Strokes, main: Sequence[str], labels: tuple[str, str], axes: Axes
@@ -709,9 +763,9 @@ def _draw_learning(
         stroke = strokes[name]
         axes.plot(*np.transpose(line), color=stroke.colour, linestyle=stroke.dash, marker="o", markersize=3.0)
     axes.set_xmargin(0.03)
-    axes.xaxis.set_major_locator(MaxNLocator(integer=True, steps=[1, 2, 5, 10]))
+    axes.xaxis.set_major_locator(MaxNLocator(integer=True, steps=style.ROUND))
     if all(value == round(value) for line in lines.values() for _, value in line):
-        axes.yaxis.set_major_locator(MaxNLocator(nbins=5, integer=True))
+        axes.yaxis.set_major_locator(MaxNLocator(nbins=5, integer=True, steps=style.ROUND))
     axes.set_xlabel("Round (–)")
     axes.set_ylabel(label)
 

@@ -20,9 +20,12 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
+from adaptrack.comparison.statistics import ratio
 from adaptrack.dataset import DataSet, describe, flatness
+from adaptrack.errors import InvalidInput
 from adaptrack.report import style
 from adaptrack.report.maps import Cells, Heat, edges_around, norm_of
+from adaptrack.report.notebook import html
 from adaptrack.report.page import (
     Cell,
     Head,
@@ -33,6 +36,7 @@ from adaptrack.report.page import (
     Table,
     Terms,
     Verbatim,
+    Verdict,
     printed,
     write_page,
 )
@@ -43,8 +47,8 @@ from adaptrack.tuning.config import STANDARD
 Array = NDArray[np.float64]
 Summary = Mapping[str, Any]
 
-_CELLS = 12
-"""Bins along an axis whose values are not a few levels."""
+_CELLS, _LEAST_CELLS, _PER_CELL = 12, 4, 4
+"""Bins along an axis whose values are not a few levels: at most, at least; and operating points of a cell, about."""
 
 _LEVELS = 15
 """Up to this many distinct values are levels, each with a bin of its own."""
@@ -100,6 +104,7 @@ def write_dataset_report(out_dir: str | os.PathLike[str], dataset: DataSet, *, s
     rows = dataset.rows(dataset.computed)
     found = rows.rows(kept) if (kept := np.isfinite(rows.costs)).any() else None
     sections = [
+        *_opening(rows, told),
         _contents(dataset, told),
         *([_optimum(found, told)] if found is not None else []),
         _costs(rows, told),
@@ -108,7 +113,48 @@ def write_dataset_report(out_dir: str | os.PathLike[str], dataset: DataSet, *, s
         _flatness(dataset, told),
         _provenance(dataset, told),
     ]
-    return write_page(out_dir, sections, title=f"Data set {dataset.name}", lead=[_in_short(told)])
+    return write_page(out_dir, sections, title=_title(dataset, told), lead=[_in_short(told)])
+
+
+def dataset_figure(dataset: DataSet) -> Figure:
+    """How often each tuning is the best, and how many times the best the standard tuning costs, by speed.
+
+    Raises
+    ------
+    InvalidInput
+        When no swarm found a tuning with which the run did not fail.
+    """
+    rows = dataset.rows(dataset.computed)
+    found = rows.rows(np.isfinite(rows.costs))
+    if not len(found):
+        raise InvalidInput(f"data set {dataset.name!r}: no swarm found a tuning, so there is nothing to draw.")
+    panels = [
+        _histogram(each, (float(each.values.min()), float(each.values.max())))
+        for each in _targets(found) if each.name in ("Np", "Nc", "log R/Q")
+    ]  # fmt: skip
+    kept = (found.costs > 0.0) & np.isfinite(found.standard_costs)
+    if kept.any():
+        gain = found.standard_costs[kept] / found.costs[kept]
+        panels.append(
+            Panel("Standard over the best", partial(_draw_gain, found.operating_points[kept, 0], gain), _range_of(gain))
+        )
+    return printed(panels, 2, 2.1)
+
+
+def dataset_html(dataset: DataSet) -> str:
+    """What a notebook shows of a data set."""
+    searched = dataset.rows(dataset.computed)
+    rows = {
+        "Operating points": f"{number(len(dataset))}, {number(len(searched))} of them searched by swarms",
+        "Library": counted(len(dataset.library), "common tuning"),
+        **{
+            _QUANTITIES[name]: span(values)
+            for name, values in zip(_QUANTITIES, dataset.operating_points.T, strict=True)
+        },
+        "Failed with every tuning": number(int((~np.isfinite(searched.costs)).sum())),
+    }
+    figure = dataset_figure(dataset) if np.isfinite(searched.costs).any() else None
+    return html(f"Data set {dataset.name}", rows, figure, "The best tunings, and what they are worth")
 
 
 def _summary(dataset: DataSet) -> Summary:
@@ -118,6 +164,44 @@ def _summary(dataset: DataSet) -> Summary:
         from adaptrack.learning.boosting import explained_shares  # here: scikit-learn takes a second to load
 
         return describe(dataset, explained_shares(dataset))
+
+
+def _title(dataset: DataSet, told: Summary) -> str:
+    about = [f"{key} {told[key]}" for key in ("vehicle", "profile") if isinstance(told.get(key), str)]
+    about += [str(told["scenario"])] if isinstance(told.get("scenario"), str) else []
+    return f"Data set {dataset.name}: {', '.join(about)}" if about else f"Data set {dataset.name}"
+
+
+# -- the first screen -------------------------------------------------------------------------------------------------
+def _opening(rows: DataSet, told: Summary) -> list[Section]:
+    """What tuning each operating point is worth; nothing where no such ratio is known."""
+    both = np.isfinite(rows.standard_costs) & (rows.standard_costs > 0) & np.isfinite(rows.costs) & (rows.costs > 0)
+    if not both.any():
+        return []
+    worth = ratio(rows.standard_costs[both], rows.costs[both], np.random.default_rng(0))
+    costs = told["costs"]
+    near = [row for row in told["flatness"] if row["p50"] is not None]
+    entries = [
+        ("Swarms", f"{number(told['computed'])} operating points, {number(told['evaluations'])} closed-loop runs"),
+        ("Against", f"the standard tuning, {'/'.join(f'{value:g}' for value in STANDARD)} (Np/Nc/Q/R)"),
+        ("How sure", f"{number(worth.low)} to {number(worth.high)}: 95 % bootstrap interval over "
+                     f"{counted(int(both.sum()), 'operating point')} without a failure"),
+        ("Failed", f"standard tuning in {number(costs['failed_by_the_standard'])}, swarm's best in "
+                   f"{number(costs['failed_by_the_swarm'])}"),
+    ]  # fmt: skip
+    if near:
+        share, within = percent(near[-1]["p50"]), f"{100 * near[-1]['within']:g}"
+        entries.append(
+            ("How flat", f"{share} % of {counted(told['library'], 'tuning')} cost within {within} % of the best")
+        )
+    text = f"The standard tuning costs {number(worth.mean)} times the best that swarms found, in the geometric mean."
+    gain = rows.standard_costs[both] / rows.costs[both]
+    panel = Panel(
+        "Standard tuning over the swarm's best", partial(_draw_gain, rows.operating_points[both, 0], gain),
+        f"Cost ratio by speed: {_range_of(gain)}.",
+    )  # fmt: skip
+    caption = "How many times the swarm's best the standard tuning costs, by speed: median, band between the quartiles."
+    return [Section("Verdict", [Verdict(text, Terms(entries), Picture(caption, [panel.drawing()]))])]
 
 
 # -- sections ---------------------------------------------------------------------------------------------------------
@@ -434,7 +518,8 @@ def _edges(values: Array) -> Array:
     """Edges of bins: around each of a few levels, else of equal widths."""
     levels = np.unique(values)
     if len(levels) > _LEVELS:
-        return np.linspace(levels[0], levels[-1], _CELLS + 1)
+        cells = int(np.clip(np.sqrt(len(values) / _PER_CELL), _LEAST_CELLS, _CELLS))
+        return np.linspace(levels[0], levels[-1], cells + 1)
     return edges_around(levels)
 
 
@@ -538,7 +623,7 @@ def _draw_convergence(low: Array, middle: Array, high: Array, axes: Axes) -> Non
     _band(axes, generation, low, middle, high)
     finite = high[np.isfinite(high)]
     _ratio_axis(axes, 1.0, float(finite.max()) if finite.size else 1.0)
-    axes.xaxis.set_major_locator(MaxNLocator(integer=True))
+    axes.xaxis.set_major_locator(MaxNLocator(integer=True, steps=style.ROUND))
     axes.set_xlabel("Generation (–)")
     axes.set_ylabel("Cost over last (–)")
 

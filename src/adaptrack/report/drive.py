@@ -34,7 +34,7 @@ from adaptrack.report.page import (
 )
 from adaptrack.report.record import DriveRecord
 from adaptrack.report.replay import replay
-from adaptrack.report.words import clock, describe, legible, listed, number, span
+from adaptrack.report.words import clock, describe, few, legible, listed, number, span
 
 NEAR_END = 10.0
 """m, before its end at which an open road counts as driven to the end, and 1 % of its length."""
@@ -60,7 +60,7 @@ def write_drive_page(
     drives
         One drive, or one of each controller; controllers of one name are numbered.
     title
-        The name of the road when left out.
+        The road and the controllers when left out.
     command
         The command line that repeats the drives.
     created
@@ -88,7 +88,11 @@ def write_drive_page(
     failed = sum(bool(drive.failed) for drive in drives)
     heading = "Failed" if failed == len(drives) else f"{failed} of {len(drives)} drives failed" if failed else ""
     return write_page(
-        out_dir, sections, title=title or f"Drive along {_name(shown)}", failed=heading, created=clock(created)
+        out_dir,
+        sections,
+        title=title or f"{_name(shown)}: {few(shown, 'controller')}",
+        failed=heading,
+        created=clock(created),
     )
 
 
@@ -135,6 +139,10 @@ def _verdict(drives: Drives) -> Verdict:
             ("p95 |e|", f"{number(shown[0].p95_offset)} m"),
             ("Largest |e|", f"{number(shown[0].max_offset)} m"),
         ]
+    entries += [
+        ("Against", "the centre line" if alone else "each other, on one road"),
+        ("How sure", f"one drive{'' if alone else ' each'}: other noise gives other numbers"),
+    ]
     words = [f"{key}: |e| up to {number(drive.max_offset)} m" for key, drive in drives.items()]
     picture = Picture(
         "The road from above, the driven line coloured by the offset |e| of the centre of mass from the centre line."

@@ -171,10 +171,11 @@ def along_panels(drives: Drives) -> list[Panel]:
         if len(drives) == 1:
             _curves(axes, drives, {key: style.BACKGROUND for key in drives}, "command", linewidth=0.8)
         _curves(axes, drives, strokes, "steering")
+        style.degrees_at_the_right(axes)
 
     return [
         panel("Offset", "Offset e (m)", "offset", partial(_offsets, drives=drives, strokes=strokes)),
-        panel("Steering", "Steering (rad)", "steering", steered),
+        panel("Steering", "Wheel angle (rad)", "steering", steered),
         panel("Speed", "Speed (m/s)", "speed", partial(_speeds, drives=drives, strokes=strokes)),
         panel("Lateral acceleration", "Lateral acc. (m/s²)", "lateral_acceleration", curves("lateral_acceleration")),
     ]

@@ -106,7 +106,7 @@ def conditions_figure(runs: Runs, strokes: Mapping[str, style.Stroke] | None = N
 
 
 def tracking_figure(runs: Runs, strokes: Mapping[str, style.Stroke] | None = None) -> Figure:
-    """Figs. 8 and 10: lateral position, tracking error, steering command, yaw rate, over time.
+    """Figs. 8 and 10: lateral position, tracking error, angle of the front wheels, yaw rate, over time.
 
     Along a road Y says nothing: the speed then takes its place.
     """
@@ -189,14 +189,19 @@ def _draw_signal(value: Callable[[Trajectory], Array], axes: Axes, lines: Sequen
     _mark_failures(axes, lines, value)
 
 
-def _draw_command(axes: Axes, lines: Sequence[Line]) -> None:
-    _draw_signal(lambda run: run.command, axes, lines, steps=True)
+def _draw_steering(axes: Axes, lines: Sequence[Line]) -> None:
+    """The angle of the wheels, of one run with the command behind it; degrees at the right."""
+    if len(lines) == 1:
+        run = lines[0].run
+        axes.plot(run.t, run.command, color=style.BACKGROUND.colour, linewidth=0.8, drawstyle="steps-post")
+    _draw_signal(lambda run: run.steering, axes, lines)
     held = [line for line in lines if line.run.held.any()]
     for line in held:
-        t, command = line.run.t[line.run.held], line.run.command[line.run.held]
-        axes.plot(t, command, "s", color=line.stroke.colour, markersize=3, fillstyle="none")
+        t, angle = line.run.t[line.run.held], line.run.steering[line.run.held]
+        axes.plot(t, angle, "s", color=line.stroke.colour, markersize=3, fillstyle="none")
     if held:
         _note(axes, "□ held")
+    style.degrees_at_the_right(axes)
 
 
 def _draw_gust(axes: Axes, lines: Sequence[Line]) -> None:
@@ -223,7 +228,7 @@ def _draw_horizons(axes: Axes, lines: Sequence[Line]) -> None:
     _plot_stacked(axes, lines, tuned("Nc"), drawstyle="steps-post", linestyle=_DOTTED)
     axes.set_ylim(bottom=0.0)
     axes.set_ylim(top=1.08 * max(float(line.run.tuning["Np"].max()) for line in lines if "Np" in line.run.tuning))
-    axes.yaxis.set_major_locator(MaxNLocator(integer=True, nbins=6, steps=[1, 2, 5, 10]))
+    axes.yaxis.set_major_locator(MaxNLocator(integer=True, nbins=6, steps=style.ROUND))
     style.line_key(axes, [("$N_p$", "-"), ("$N_c$", _DOTTED)])
 
 
@@ -280,7 +285,7 @@ TRACKING = (
         partial(_draw_signal, lambda run: run.error),
         lambda run: run.error,
     ),
-    Panel("Steering", "Steering command (rad)", _draw_command, lambda run: run.command),
+    Panel("Steering", "Wheel angle (rad)", _draw_steering, lambda run: run.steering),
     Panel("Yaw rate", "Yaw rate (rad/s)", partial(_draw_signal, lambda run: run.yaw_rate), lambda run: run.yaw_rate),
 )
 

@@ -65,7 +65,7 @@ class Heat:
         axes.margins(0.0)
         axes.set_xlabel("Speed (m/s)")
         axes.set_ylabel(self.label)
-        axes.yaxis.set_major_locator(MaxNLocator(nbins=6, steps=[1, 2, 5, 10]))
+        axes.yaxis.set_major_locator(MaxNLocator(nbins=6, steps=style.ROUND))
 
     def show(self, axes: Axes) -> None:
         """Draw it with its bar, for a panel of the page."""
@@ -82,7 +82,7 @@ class Heat:
         assert low is not None
         assert high is not None
         logarithmic = isinstance(self.norm, LogNorm)
-        linear = MaxNLocator(nbins=5, integer=self.whole, steps=[1, 2, 2.5, 5, 10])
+        linear = MaxNLocator(nbins=5, integer=self.whole, steps=style.ROUND if self.whole else [1, 2, 2.5, 5, 10])
         bar = figure.colorbar(
             ScalarMappable(self.norm, self.colours),
             ticks=style.log_ticks(low, high) if logarithmic else linear,

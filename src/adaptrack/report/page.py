@@ -127,11 +127,16 @@ class Verbatim:
 
 @dataclass(frozen=True)
 class Verdict:
-    """What came of it, in a box beside a picture: the first thing to see."""
+    """What came of it, in a box beside a picture.
+
+    As the first item of the first section it opens the page: above the lead and the list of sections.
+    """
 
     text: str
     entries: Terms
+    """How sure it is, and against what."""
     picture: Picture
+    """The main number with its interval."""
     failed: bool = False
     table: Table | None = None
     """Below both."""
@@ -243,10 +248,20 @@ def render(
     }
     environment.filters |= {"inline": inline, "anchor": slug, "dasharray": _dasharray, "cell": _as_cell}
     template = environment.get_template("page.html.j2")
+    opening, rest = _opening(sections)
     return template.render(
-        title=title, failed=failed, lead=lead, sections=sections, created=created, version=__version__,
+        title=title, failed=failed, opening=opening, lead=lead, sections=rest, created=created, version=__version__,
         variables=_css_colour,
     )  # fmt: skip
+
+
+def _opening(sections: Sequence[Section]) -> tuple[Verdict | None, list[Section]]:
+    """The verdict that opens the page, and the sections without it."""
+    if not sections or not sections[0].items or not isinstance(sections[0].items[0], Verdict):
+        return None, list(sections)
+    first, *others = sections
+    verdict, *items = first.items
+    return verdict, [*([Section(first.title, items)] if items else []), *others]  # type: ignore[return-value]
 
 
 def _pictures(items: Sequence[Item]) -> Iterator[Picture]:

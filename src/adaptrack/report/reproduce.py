@@ -15,8 +15,9 @@ from typing import Any
 from matplotlib.axes import Axes
 
 from adaptrack.report import style
+from adaptrack.report.dots import Dot, dots_drawing
 from adaptrack.report.knowing import in_a_sentence, knowing_section
-from adaptrack.report.page import Cell, Drawing, Head, Item, Picture, Section, Table
+from adaptrack.report.page import Cell, Drawing, Head, Item, Picture, Section, Table, Terms, Verdict
 from adaptrack.report.runs import Run, write_report
 from adaptrack.report.words import listed, number, percent, title_of
 from adaptrack.studies.reproduce import LEARNED, Reproduction
@@ -72,12 +73,37 @@ def write_reproduction(out_dir: str | os.PathLike[str], made: Reproduction, *, c
     return write_report(
         out_dir,
         runs,
-        title="The paper, reproduced",
+        title="The paper, reproduced: standard, NN- and ANFIS-MPC on both tests",
         command=command,
         lead=in_short(made),
-        first=[_both(made), _statements(made), knowing_section(made.knowing)],
+        first=[Section("Verdict", [_verdict(made)]), _both(made), _statements(made), knowing_section(made.knowing)],
         more=[_gain(made), _learning(made), _limits(made)],
     )
+
+
+# -- the first screen -------------------------------------------------------------------------------------------------
+def _verdict(made: Reproduction) -> Verdict:
+    near, far = reproduced(made.rows, "released")
+    text = f"{len(near)} of {len(near) + len(far)} mean square errors of the paper come out within {100 * AGREES:g} %."
+    dots = [
+        Dot(f"{NAMES[row['controller']].removesuffix(' as released')}, {_test(row['scenario'])}", row["ratio"],
+            failed=row["failed"], colour=style.SERIES[0 if row in near else 1])
+        for row in (*near, *far) if row["ratio"] is not None
+    ]  # fmt: skip
+    same = against(made.rows, "same-moves", "standard-as-written").partition(" (")[0]
+    entries = [
+        ("Against", "the errors that the paper prints, controllers as released, without preview"),
+        ("Same moves", f"{same[:1].upper()}{same[1:]}."),
+        (
+            "How sure",
+            "profile paper has no noise: every run repeats to the bit; what is learned depends on the data set",
+        ),
+    ]
+    if made.quick:
+        entries.append(("Quick", "the models learned for fewer epochs from fewer operating points"))
+    caption = f"Our mean square error over the paper's; shaded: within {100 * AGREES:g} %."
+    drawing = dots_drawing(dots, "MSE, ours / the paper's", caption, level=1.0, band=(1.0 - AGREES, 1.0 + AGREES))
+    return Verdict(text, Terms(entries), Picture(caption, [drawing]), not near)
 
 
 # -- judgements, chosen by the numbers --------------------------------------------------------------------------------

@@ -12,8 +12,21 @@ from matplotlib.axes import Axes
 
 from adaptrack.comparison.roads import RoadComparison
 from adaptrack.report import style
-from adaptrack.report.page import Cell, Head, Panel, Picture, Section, Table, Terms, Verbatim, printed, write_page
-from adaptrack.report.words import counted, listed, number
+from adaptrack.report.dots import Dot, dots_drawing, notes
+from adaptrack.report.page import (
+    Cell,
+    Head,
+    Panel,
+    Picture,
+    Section,
+    Table,
+    Terms,
+    Verbatim,
+    Verdict,
+    printed,
+    write_page,
+)
+from adaptrack.report.words import counted, few, listed, number, ratio_with_interval
 
 
 def write_road_comparison(out_dir: str | os.PathLike[str], made: RoadComparison, *, title: str, command: str) -> Path:
@@ -33,11 +46,37 @@ def write_road_comparison(out_dir: str | os.PathLike[str], made: RoadComparison,
     """
     rows = made.rows()
     sections = [
+        Section("Verdict", [_verdict(made, rows)]),
         Section("Compared", [_table(made, rows), _picture(made)]),
         *_failures(rows),
         Section("How it was made", ["This command makes it again:", Verbatim(command)]),
     ]
-    return write_page(out_dir, sections, title=f"On roads: {title}", lead=[_lead(made, rows)])
+    return write_page(out_dir, sections, title=f"{few(made.comparison.costs, 'contender')}: {title}")
+
+
+def _verdict(made: RoadComparison, rows: Sequence[dict[str, Any]]) -> Verdict:
+    comparison, failed = made.comparison, sum(row["failures"] for row in rows)
+    over = f"{len(made.roads)} roads" if len(made.roads) > 1 else "the noise seeds of this one road"
+    entries = [
+        (row["contender"], f"{_ratio(row, comparison.reference)}, RMS |e| {number(row['rms_error'])} m")
+        for row in sorted(rows, key=lambda row: row["regret_geomean"])[:5]
+    ]
+    entries += [
+        ("Against", f"cost of {comparison.reference}; {number(failed)} of {number(len(rows) * made.runs)} runs failed"),
+        ("How sure", f"95 % intervals, bootstrap over {over}"),
+    ]
+    dots = [
+        Dot(row["contender"], row["regret_geomean"], row["regret_low"], row["regret_high"], failed=row["failures"] > 0)
+        for row in sorted(rows, key=lambda row: row["regret_geomean"])
+    ]
+    label = f"Cost J / that of {comparison.reference}"
+    caption = f"{label}, with 95 % intervals.{notes(dots)}"
+    drawing = dots_drawing(dots, style.data_text(label), label, level=1.0)
+    return Verdict(_lead(made, rows), Terms(entries), Picture(caption, [drawing]), False)
+
+
+def _ratio(row: dict[str, Any], reference: str) -> str:
+    return "the reference" if row["contender"] == reference else ratio_with_interval(row, " times")
 
 
 def _lead(made: RoadComparison, rows: Sequence[dict[str, Any]]) -> str:

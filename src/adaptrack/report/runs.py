@@ -16,7 +16,8 @@ from adaptrack.errors import InvalidInput
 from adaptrack.files import safe_names
 from adaptrack.metrics import PUBLISHED, Metrics, compute_metrics, published_mse
 from adaptrack.report import figures, style
-from adaptrack.report.page import Drawing, Item, Picture, Section, Terms, Verbatim, write_page
+from adaptrack.report.page import Drawing, Item, Picture, Section, Terms, Verbatim, Verdict, write_page
+from adaptrack.report.runs_verdict import runs_verdict
 from adaptrack.report.tables import (
     Settings,
     Shown,
@@ -31,6 +32,7 @@ from adaptrack.report.words import (
     clock,
     controller_name,
     describe,
+    few,
     legible,
     listed,
     number,
@@ -111,13 +113,14 @@ def write_report(
     Parameters
     ----------
     title
-        When left out: the scenario and the controller of a single run that failed, else "Closed-loop runs".
+        When left out: the scenarios and the controllers.
     command
         The command line that repeats the runs.
     lead
         Paragraphs under the title; a summary of what was run when left out.
     first
-        Sections to put before those on the runs.
+        Sections to put before those on the runs. A verdict of its own, at its head, takes the place of that on the
+        runs.
     more
         Sections to put after them, before the provenance.
 
@@ -135,7 +138,9 @@ def write_report(
     strokes = style.strokes(run.label for run in shown)
     figures_of = [(name, words) for name, settings in scenarios.items() for words in settings]
     stems = dict(zip(figures_of, safe_names(slug(f"{name} {words}") for name, words in figures_of), strict=True))
+    own = bool(first) and bool(first[0].items) and isinstance(first[0].items[0], Verdict)
     sections = [
+        *([] if own else [Section("Verdict", [runs_verdict(scenarios)])]),
         *first,
         *([_at_a_glance(scenarios, strokes)] if len(scenarios) > 1 else []),
         *(_scenario(name, settings, strokes, stems, len(scenarios) == 1) for name, settings in scenarios.items()),
@@ -149,7 +154,7 @@ def write_report(
     return write_page(
         out_dir,
         sections,
-        title=title or (failed[0][0] if alone and failed else "Closed-loop runs"),
+        title=title or (failed[0][0] if alone and failed else _title(scenarios)),
         failed=_failed_heading(failed, len(shown)),
         lead=[*([] if alone else map(_failed_sentence, failed)), *(lead or [_in_short(scenarios)])],
         created=clock(created),
@@ -201,6 +206,14 @@ def _tell_apart(trajectories: Sequence[Trajectory], entries: Iterable[str]) -> l
     ]
 
 
+def _title(scenarios: Mapping[str, Settings]) -> str:
+    """Scenarios and controllers, as long as there are few of them."""
+    runs = [run for settings in scenarios.values() for group in settings.values() for run in group]
+    drove = few(dict.fromkeys(run.label for run in runs), "controller")
+    what = few([title_of(name) for name in scenarios], "scenario")
+    return f"{what}: {drove[:1].upper() + drove[1:]}"
+
+
 def _at_a_glance(scenarios: Mapping[str, Settings], strokes: Strokes) -> Section:
     """The MSE of every controller on every scenario, and the speed profiles (Fig. 6)."""
     first = {title_of(name): _runs(next(iter(settings.values()))) for name, settings in scenarios.items()}
@@ -240,7 +253,8 @@ def _pictures(stem: str, group: Sequence[Shown], strokes: Strokes, numbers: Mapp
         caption += _shape(numbers.get(kind, ""))
         return Picture(caption, [_drawing(panel, lines) for panel in panels], key, f"{stem}-{kind}.png", whole)
 
-    tracking = "Lateral position, tracking error, steering command and yaw rate." + _marks(group)
+    tracking = "Lateral position, tracking error, angle of the front wheels and yaw rate." + _marks(group)
+    tracking += " Grey: the command." if len(lines) == 1 else ""
     panels = figures.condition_panels(runs)
     conditions = f"Lateral gust, {listed([panel.title.lower() for panel in panels[1:]])}; black is shared by all runs."
     return [

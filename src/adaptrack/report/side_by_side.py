@@ -13,6 +13,7 @@ from matplotlib.axes import Axes
 from adaptrack.comparison.entries import get_entry
 from adaptrack.comparison.standing import Standing, Who
 from adaptrack.report import style
+from adaptrack.report.dots import Dot, dots_drawing, notes
 from adaptrack.report.page import (
     Cell,
     Drawing,
@@ -32,6 +33,7 @@ from adaptrack.studies.compare import Compared
 
 OURS, PAPER, OTHERS = style.SERIES[0], style.SERIES[1], style.MUTED
 """Colours of our controllers, the paper's, and all others."""
+COLOURS = "Blue: ours; orange: the paper's; grey: others."
 _PAPERS = ("as-written", "as-released", "nn", "anfis")
 _SHOWN = ("rms_error", "p95_error", "max_corner", "steering_rate", "acceleration")
 _ROW = 0.19
@@ -58,7 +60,8 @@ def write_side_by_side(out_dir: str | os.PathLike[str], made: Compared, *, comma
         *_left_out(made),
         Section("How it was made", [*_how(made), "This command makes it again:", Verbatim(command)]),
     ]
-    return write_page(out_dir, sections, title=f"Side by side: {made.task.name}")
+    title = f"Side by side, {made.task.name}: {counted(len(made.task.contenders), 'contender')}, {_driven(made)}"
+    return write_page(out_dir, sections, title=title)
 
 
 def colour_of(contender: str) -> str:
@@ -67,24 +70,22 @@ def colour_of(contender: str) -> str:
 
 
 # -- the first screen -------------------------------------------------------------------------------------------------
+def _driven(made: Compared) -> str:
+    return f"{counted(len(set(made.columns['car'])), 'car')}, {counted(len(made.task.roads), 'road')}"
+
+
 def _verdict(made: Compared, standings: dict[str, Standing]) -> Verdict:
-    entries = [(profile, _first(each)) for profile, each in standings.items()]
-    task = made.task
-    size = (
-        f"{counted(len(set(made.columns['car'])), 'car')}, {counted(len(task.roads), 'road')}, "
-        f"{counted(len(task.seeds), 'noise seed')}; {task.budget} closed loops of tuning for each contender"
-    )
     total = sum(int(each.of(who)["failed"].sum()) for each in standings.values() for who in _ours(each))
     runs = sum(len(each.of(who)["failed"]) for each in standings.values() for who in _ours(each))
-    text = f"Ours failed in {number(total)} of {number(runs)} runs. {size[:1].upper()}{size[1:]}."
-    last = list(standings)[-1]
-    picture = Picture(
-        f"RMS error in profile {last}, over that of {standings[last].reference.label}, with 95 % intervals. "
-        "Blue: ours; orange: the paper's.",
-        [_ratios(standings[last])],
-        file="ratios.png",
-    )
-    return Verdict(text, Terms([*entries]), picture, failed=False)
+    entries = [
+        *((f"Profile {profile}", _first(each)) for profile, each in standings.items()),
+        ("Against", f"{next(iter(standings.values())).reference.label}; same noise, and {number(made.task.budget)} "
+                    "closed loops of tuning for each"),
+        ("How sure", f"95 % intervals over {_driven(made)}; {counted(len(made.task.seeds), 'noise seed')}"),
+    ]  # fmt: skip
+    text = f"Ours failed in {number(total)} of {number(runs)} runs."
+    profile, standing = list(standings.items())[-1]
+    return Verdict(text, Terms(entries), _ratios(profile, standing))
 
 
 def _ours(standing: Standing) -> list[Who]:
@@ -110,23 +111,18 @@ def _first(standing: Standing) -> str:
     return f"{words}."
 
 
-def _ratios(standing: Standing) -> Drawing:
-    """A dot and its interval for each contender."""
-    rows = standing.rows()
-
-    def draw(axes: Axes) -> None:
-        for place, row in enumerate(rows):
-            colour = colour_of(row["contender"])
-            axes.plot([row["rms_low"], row["rms_high"]], [place, place], color=colour, linewidth=1.4)
-            axes.plot(row["rms_ratio"], place, "o" if row["failures"] == 0 else "X", color=colour, markersize=4.5)
-        axes.axvline(1.0, color=style.INK, linewidth=0.7)
-        style.logarithmic(axes, "x")
-        _named(axes, [row["label"] for row in rows])
-        axes.set_xlabel("RMS error / that of the reference; X: some runs failed")
-
-    best = rows[0]
-    words = f"{best['label']} is lowest with {number(best['rms_ratio'])}."
-    return _tall(draw, len(rows), f"Ratios of the RMS error. {words}")
+def _ratios(profile: str, standing: Standing) -> Picture:
+    """A dot and its interval for each contender, the best first."""
+    dots = [
+        Dot(row["label"], row["rms_ratio"], row["rms_low"], row["rms_high"], colour_of(row["contender"]),
+            row["failures"] > 0)
+        for row in standing.rows()
+    ]  # fmt: skip
+    label = f"RMS error / that of {standing.reference.label}"
+    caption = f"Profile {profile}: {label}, with 95 % intervals. {COLOURS}"
+    return Picture(
+        caption + notes(dots), [dots_drawing(dots, style.data_text(label), label, level=1.0)], file="ratios.png"
+    )
 
 
 def _named(axes: Axes, labels: Sequence[str]) -> None:
@@ -187,7 +183,8 @@ def _panels(standings: dict[str, Standing], panel: Callable[[str, Standing], Pan
 def _work(standings: dict[str, Standing]) -> Picture:
     panels = _panels(standings, _work_panel)
     caption = (
-        "RMS error against the RMS rate of the steering command; below and to the left is better. Tuned contenders."
+        "RMS error against the RMS rate of the steering command; below and to the left is better. Tuned contenders. "
+        + COLOURS
     )
     return Picture(caption, [each.drawing() for each in panels], (), "work.png", printed(panels, 2, 3.0))
 
@@ -238,7 +235,7 @@ def _entry_speeds(made: Compared, standings: dict[str, Standing]) -> list[Sectio
     drawings = [_entry_drawing(profile, each) for profile, each in found.items()]
     caption = (
         "Highest clean entry speed into the obstacle avoidance of ISO 3888-2, of the worst of three noise seeds; a dot "
-        "for each car, at 0 where no speed was clean, and a bar at their mean."
+        f"for each car, at 0 where no speed was clean, and a bar at their mean. {COLOURS}"
     )
     return [Section("Entry speeds, ISO 3888-2", [Picture(caption, drawings, (), "entry.png", drawings[0].figure)])]
 
@@ -252,7 +249,8 @@ def _entry_drawing(profile: str, speeds: dict[Who, dict[str, float]]) -> Drawing
             axes.plot(values, np.full(len(values), place), "o", color=colour, markersize=3.5, alpha=0.6)
             axes.plot([values.mean()] * 2, [place - 0.35, place + 0.35], color=colour, linewidth=2.0)
         _named(axes, [who.label for who, _ in rows])
-        axes.set_xlim(left=0.0)
+        fastest = 3.6 * max(max(cars.values()) for _, cars in rows) or 1.0
+        axes.set_xlim(-0.02 * fastest, 1.04 * fastest)
         axes.set_xlabel(f"Entry speed (km/h), profile {profile}")
 
     best, cars = rows[0]

@@ -16,7 +16,7 @@ from cycler import cycler
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.ticker import FixedLocator, FuncFormatter, MaxNLocator, NullLocator
+from matplotlib.ticker import AutoLocator, FixedLocator, FuncFormatter, MaxNLocator, NullLocator
 
 from adaptrack.files import printable
 from adaptrack.report.words import legible
@@ -66,7 +66,6 @@ RC: Any = {
     "axes.xmargin": 0.0,
     "axes.ymargin": 0.08,
     "axes.formatter.limits": (-4, 5),
-    "axes.formatter.use_mathtext": True,
     "axes.prop_cycle": cycler(color=SERIES),
     "grid.color": GRID,
     "grid.linewidth": 0.6,
@@ -95,10 +94,16 @@ RC: Any = {
     "figure.facecolor": "white",
     "figure.constrained_layout.use": True,
     "savefig.facecolor": "white",
-    "svg.fonttype": "path",  # the page looks alike wherever it is read
+    "svg.fonttype": "none",  # text stays text: it can be searched, copied and read aloud
     "svg.hashsalt": "adaptrack",  # and has the same bytes whenever it is written
 }
 """The settings that differ from matplotlib's own."""
+
+FONTS = "DejaVu Sans, Verdana, Geneva, sans-serif"
+"""Of the text in pictures on pages: what they were laid out with, and others that are as wide."""
+
+ROUND = (1, 2, 5, 10)
+"""Steps between the ticks of an axis, times a power of ten: whole numbers stay whole."""
 
 PLAIN = FuncFormatter(lambda value, _: f"{value:g}".replace("-", "−"))
 """Writes the numbers of an axis as readers do, not as powers of ten."""
@@ -195,7 +200,7 @@ def line_key(axes: Axes, entries: Iterable[tuple[str, Any]]) -> None:
 def log_ticks(low: float, high: float) -> FixedLocator:
     """Round numbers on a logarithmic axis, more of them where it is short."""
     if high <= 2.0 * low:
-        ticks = np.asarray(MaxNLocator(nbins=5, steps=[1, 2, 5, 10]).tick_values(low, high))
+        ticks = np.asarray(MaxNLocator(nbins=5, steps=ROUND).tick_values(low, high))
     else:
         many, few, fewest = (1.0, 1.5, 2.0, 3.0, 5.0, 7.0), (1.0, 2.0, 5.0), (1.0,)
         decades = np.log10(high / low)
@@ -221,6 +226,17 @@ def logarithmic(axes: Axes, which: Literal["x", "y"], limits: tuple[float, float
         axis.set_major_formatter(PLAIN)
 
 
+def degrees_at_the_right(axes: Axes) -> None:
+    """A second scale for angles in radians, once the panel is drawn."""
+    figure = axes.get_figure()
+    if figure is not None and figure.get_layout_engine() is None:  # room for it
+        box = axes.get_position()
+        axes.set_position((box.x0, box.y0, 0.9 * box.width, box.height))
+    beside = axes.secondary_yaxis("right", functions=(np.degrees, np.radians))
+    beside.yaxis.set_major_locator(MaxNLocator(nbins=5, steps=ROUND))
+    beside.set_ylabel("(°)", labelpad=1.0)
+
+
 def png(figure: Figure) -> bytes:
     """The figure as a PNG file."""
     buffer = io.BytesIO()
@@ -229,6 +245,10 @@ def png(figure: Figure) -> bytes:
 
 
 def _save(figure: Figure, to: io.BytesIO | io.StringIO, **how: Any) -> None:
+    for axes in figure.axes:
+        for axis in (axes.xaxis, axes.yaxis):
+            if type(axis.get_major_locator()) is AutoLocator:
+                axis.set_major_locator(MaxNLocator("auto", steps=ROUND))
     with styled(), warnings.catch_warnings():
         warnings.filterwarnings("ignore", "Glyph .* missing")  # a name in a script that the font does not have
         figure.savefig(to, **how)
@@ -246,14 +266,22 @@ def inline_svg(figure: Figure, prefix: str, description: str) -> str:
     text = text[text.index("<svg") :]
     text = re.sub(r"<metadata>.*?</metadata>", "", text, flags=re.DOTALL)
     text = re.sub(r"<!--.*?-->", "", text, flags=re.DOTALL)
+    text = re.sub(r"<[^>]*>", lambda tag: _tag(tag[0], prefix), text)  # between tags stands what is to be read
+    text = re.sub(r"\n\s*", "\n", text)
+    root = f'<svg role="img" aria-label="{_attribute(printable(description))}" font-family="{FONTS}"'
+    return text.replace("<svg", root, 1).strip()
+
+
+def _tag(text: str, prefix: str) -> str:
+    """A tag of matplotlib's SVG as a page has it: ids apart from other pictures', themed colours, the page's fonts."""
     text = re.sub(r'\s(?:xmlns(?::\w+)?|version)="[^"]*"', "", text)
     text = re.sub(r'\bid="([^"]+)"', rf'id="{prefix}-\1"', text)
     text = re.sub(r"url\(#([^)]+)\)", rf"url(#{prefix}-\1)", text)
     text = re.sub(r'xlink:href="#([^"]+)"', rf'href="#{prefix}-\1"', text)
+    text = text.replace(" font-family: 'DejaVu Sans';", "")
     for colour, variable in theme().items():
         text = re.sub(colour, f"var(--{variable}, {colour})", text, flags=re.IGNORECASE)
-    text = re.sub(r"\n\s*", "\n", text)
-    return text.replace("<svg", f'<svg role="img" aria-label="{_attribute(printable(description))}"', 1).strip()
+    return text
 
 
 def theme() -> dict[str, str]:

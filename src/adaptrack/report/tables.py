@@ -93,7 +93,7 @@ def reading() -> Section:
             f"left the road (more than {DISTANCE:g} m from the reference, if its car's file gives no other distance), "
             "spun, or reached a state that is not finite",
         ),
-        ("Steering", "RMS of the commanded road-wheel angle u, and of its change per second"),
+        ("Command", "RMS of the commanded road-wheel angle u, and of its change per second"),
         ("Cost J", f"mean e² + w · mean Δu², which tuning minimises; w = 0, in the road profile {road} m²/rad²"),
         ("Δu, u, y limit", "share of the control periods in which a limit (13), (14), (15) of the paper was active"),
         ("QPs", "solved to tolerance; capped: stopped at the iteration cap; failed: without an answer"),
@@ -120,6 +120,16 @@ def _heading(words: str) -> str:
 
 def _measure(text: str, unit: str, name: str) -> _Column:
     return Head(text, unit), lambda run: number(getattr(run.metrics, name))
+
+
+def _angle(text: str, unit: str, name: str) -> _Column:
+    """Radians, with degrees in brackets."""
+
+    def shown(run: Shown) -> str:
+        value = getattr(run.metrics, name)
+        return f"{number(value)} ({number(float(np.degrees(value)))})"
+
+    return Head(text, f"{unit} ({unit.replace('rad', '°')})"), shown
 
 
 def _share(text: str, name: str) -> _Column:
@@ -159,10 +169,10 @@ def _tracking_columns(shown: Sequence[Shown], best: set[int]) -> list[_Column]:
 
 
 _EFFORT: Sequence[_Column] = (
-    _measure("Heading RMS", "rad", "heading_rms"),
-    _measure("Heading max", "rad", "heading_max"),
-    _measure("Steering RMS", "rad", "steering_rms"),
-    _measure("Steering rate RMS", "rad/s", "steering_rate_rms"),
+    _angle("Heading RMS", "rad", "heading_rms"),
+    _angle("Heading max", "rad", "heading_max"),
+    _angle("Command RMS", "rad", "steering_rms"),
+    _angle("Command rate RMS", "rad/s", "steering_rate_rms"),
     _measure("Lateral acc. RMS", "m/s²", "lateral_acceleration_rms"),
     _measure("Lateral acc. max", "m/s²", "lateral_acceleration_max"),
     _measure("Jerk RMS", "m/s³", "jerk_rms"),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from datetime import datetime
 from typing import Any
 
@@ -40,6 +40,12 @@ def number(value: float | int | None, digits: int = 3) -> str:
     return text.replace(",", _THIN_SPACE).replace("-", "−")
 
 
+def ratio_with_interval(row: Mapping[str, Any], noun: str = "") -> str:
+    """A comparison's row: cost over the reference's, a noun, and the 95 % interval in brackets."""
+    low, mean, high = (number(row[f"regret_{name}"]) for name in ("low", "geomean", "high"))
+    return f"{mean}{noun} ({low} to {high})"
+
+
 def scientific(value: float) -> str:
     """A power of ten with two digits, for what spans many decades; a dash for NaN, an exact zero as 0."""
     if not math.isfinite(value) or value == 0.0:
@@ -67,6 +73,12 @@ def span(values: NDArray[Any], digits: int = 3, to: str = " to ") -> str:
 def listed(words: Sequence[str]) -> str:
     """Words in a row: a; a and b; a, b and c."""
     return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} and {words[-1]}"
+
+
+def few(names: Iterable[str], noun: str, most: int = 3) -> str:
+    """For a title: the names where they are few, else how many."""
+    known = list(names)
+    return listed(known) if 0 < len(known) <= most else counted(len(known), noun)
 
 
 def counted(n: int, noun: str) -> str:

@@ -161,6 +161,22 @@ class Schedule:
             highest = [max(highest[0], self.guard.fallback.Np), max(highest[1], self.guard.fallback.Nc)]
         return int(highest[0]), int(highest[1])
 
+    def __repr__(self) -> str:
+        guard = "" if self.guard is None else ", guarded"
+        return f"<Schedule {self.name!r}: {', '.join(self.entries)} of {', '.join(self.inputs)}{guard}>"
+
+    def plot(self) -> Any:
+        """The tuning over the first input, for three values of the second, as a matplotlib figure."""
+        from adaptrack.report.notebook import schedule_figure
+
+        return schedule_figure(self)
+
+    def _repr_html_(self) -> str:
+        """The schedule in a notebook: inputs, entries, and the tuning in pictures."""
+        from adaptrack.report.notebook import schedule_html
+
+        return schedule_html(self)
+
     def plan(self, slots: int) -> Any:
         """The schedule as the kernels read it (`kernels.schedule.Schedule`), with a fresh memory for `slots` runs."""
         from adaptrack.kernels import guard, schedule

@@ -23,6 +23,7 @@ from adaptrack.feasibility import Feasibility, feasibility
 from adaptrack.kalman import KalmanFilter
 from adaptrack.plant import Plant, SteppedPlant, get_plant, twin_of, usual_plant
 from adaptrack.profile import Profile, load_profile
+from adaptrack.progress import tells
 from adaptrack.runs import RunSet, random_drive_runs
 from adaptrack.stability import linear_twin
 from adaptrack.tuning.config import Search
@@ -162,6 +163,7 @@ def _entries(tuning: Tuning) -> dict[str, float]:
     return dict(zip(ENTRIES, tuning.as_array().tolist(), strict=True))
 
 
+@tells("tune")
 def tune(
     car: Vehicle | str, profile: str | Profile = "road", *, plant: Plant | SteppedPlant | str | None = None,
     speed: tuple[float, float] | None = None, friction: tuple[float, float] | None = None,

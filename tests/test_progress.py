@@ -1,0 +1,76 @@
+"""Long work says how far it is, where nobody asked for it; short work says nothing."""
+
+import logging
+import sys
+import time
+import types
+
+import pytest
+
+from adaptrack import progress
+from adaptrack.progress import tells
+
+
+@pytest.fixture(autouse=True)
+def quick(monkeypatch):
+    monkeypatch.setattr(progress, "FIRST", 0.02)
+    monkeypatch.setattr(progress, "NEXT", 0.02)
+
+
+@tells("search")
+def work(seconds, progress=None):
+    """What takes so long."""
+    progress("swarm", 1, 4)
+    time.sleep(seconds)
+    progress(2, 4)
+    return seconds
+
+
+def test_work_that_nobody_follows_leaves_log_records_with_its_share(caplog):
+    with caplog.at_level(logging.WARNING, logger="adaptrack"):
+        assert work(0.3) == 0.3
+    assert "adaptrack: search: swarm, 25 %, 0 s so far" in caplog.messages
+
+
+def test_short_work_says_nothing(caplog):
+    work(0.0)
+    assert not caplog.messages
+
+
+def test_who_follows_the_work_is_told_and_nobody_else(caplog):
+    told = []
+    work(0.1, progress=lambda *each: told.append(each))
+    assert told == [("swarm", 1, 4), (2, 4)]
+    assert not caplog.messages
+
+
+def test_work_that_fails_ends_its_telling():
+    @tells("search")
+    def fails(progress=None):
+        raise ValueError("no")
+
+    with pytest.raises(ValueError, match="no"):
+        fails()
+
+
+def test_a_notebook_has_a_bar_that_ends_full(monkeypatch, caplog):
+    shown = []
+
+    class Handle:
+        def update(self, html):
+            shown.append(html)
+
+    def display(html, display_id):
+        shown.append(html)
+        return Handle()
+
+    ipython = types.ModuleType("IPython")
+    ipython.get_ipython = lambda: types.SimpleNamespace(kernel=object())
+    ipython.display = types.ModuleType("IPython.display")
+    ipython.display.display, ipython.display.HTML = display, str
+    monkeypatch.setitem(sys.modules, "IPython", ipython)
+    monkeypatch.setitem(sys.modules, "IPython.display", ipython.display)
+    work(0.3)
+    assert '<progress value="0.250" max="1"></progress> search: swarm, 25 %' in shown[0]
+    assert 'value="1.000"' in shown[-1]
+    assert not caplog.messages
