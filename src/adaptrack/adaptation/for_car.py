@@ -24,23 +24,23 @@ RATIOS = (0.03, 0.1, 0.3, 0.6, 1.0, 1.8, 3.0, 6.0, 10.0, 30.0)
 
 WORK: dict[str, dict[str, Any]] = {
     "full": {
-        "judged_costly": (100, 100),
+        "judged_costly": (100, 100, 8),
         "points": 320, "swarm": (20, 15), "noise": [1, 2], "rounds": 8, "learned": (384, 192, 192), "rules": 20,
         "held_out": (128, 64), "round": (192, 96, 48), "search": (100, 128), "fallback": (16, 8),
-        "neighbours": (12, 24), "judged": (500, 500), "known_as": ["exact", "estimated", "withheld"],
-        "noises": 8, "epochs": (1000, 50),
+        "neighbours": (12, 24), "judged": (500, 500, 8), "known_as": ["exact", "estimated", "withheld"],
+        "epochs": (1000, 50),
     },
     "quick": {
-        "judged_costly": (24, 16),
+        "judged_costly": (24, 16, 1),
         "points": 48, "swarm": (8, 5), "noise": [1], "rounds": 3, "learned": (48, 24, 24), "rules": 6,
         "held_out": (24, 12), "round": (32, 16, 8), "search": (20, 12), "fallback": (6, 3), "neighbours": (6, 10),
-        "judged": (48, 40), "known_as": ["exact"], "noises": 2, "epochs": (200, 10),
+        "judged": (48, 40, 2), "known_as": ["exact"], "epochs": (200, 10),
     },
 }  # fmt: skip
 """How much is done: operating points of the campaign, its swarms (particles, generations) and noise seeds; rounds of
 learning, lane changes, drives and hard drives to learn from, rules of a fuzzy system; points and drives held out; runs
 of a round; tunings and runs of the search for constants; hard drives and candidates of the fallback; neighbours of the
-look-up tables; operating points, drives (on a costly plant) and noise seeds of the evaluation; epochs of the paper's
+look-up tables; operating points, drives and noise seeds of the evaluation, also on a costly plant; epochs of the paper's
 recipe."""
 
 
@@ -143,7 +143,7 @@ def _adaptation(name: str, domain: Domain, constant: Tuning, work: dict[str, Any
     points, drives, hard = work["learned"]
     own = around(constant)
     slow, fast = domain.speed
-    judged_points, judged_drives = work["judged"]
+    judged_points, judged_drives, noises = work["judged"]
     return {
         "name": name,
         "description": f"schedulers of the informed controller: {title}",
@@ -161,7 +161,7 @@ def _adaptation(name: str, domain: Domain, constant: Tuning, work: dict[str, Any
         },
         "evaluation": {
             "operating_points": judged_points, "drives": judged_drives, "known_as": work["known_as"], "swarms": 1,
-            "noises": work["noises"], "swarm_noises": min(2, work["noises"]), "choice_noises": work["noises"],
+            "noises": noises, "swarm_noises": min(2, noises), "choice_noises": noises,
             **own["evaluation"], "hindsight_Np": [float(constant.Np)],
             "hindsight_Nc": [float(constant.Nc)],
         },
