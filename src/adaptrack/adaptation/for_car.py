@@ -40,8 +40,8 @@ WORK: dict[str, dict[str, Any]] = {
 """How much is done: operating points of the campaign, its swarms (particles, generations) and noise seeds; rounds of
 learning, lane changes, drives and hard drives to learn from, rules of a fuzzy system; points and drives held out; runs
 of a round; tunings and runs of the search for constants; hard drives and candidates of the fallback; neighbours of the
-look-up tables; operating points, drives and noise seeds of the evaluation, also on a costly plant; epochs of the paper's
-recipe."""
+look-up tables; operating points, drives and noise seeds of the evaluation, also on a costly plant; epochs of the
+paper's recipe."""
 
 
 class Driven(NamedTuple):
