@@ -213,13 +213,12 @@ def test_with_a_known_car_and_centre_of_mass_the_lane_is_held_within_a_decimetre
 
 @pytest.mark.compiled
 def test_the_log_identifies_the_car(recorded, tmp_path):
-    """As it stands: lag and dead time are those of the steering, the understeer gradient is that of the car."""
+    """As it stands: lag and dead time are those of the steering behind the stand-in."""
     loop.write_log(recorded[1], tmp_path / "drive.csv")
     true = at.load_vehicle("midsize-sedan")
     found = at.identify(tmp_path / "drive.csv", mass=true.mass, wheelbase=true.wheelbase)
     assert found["lag"].value == pytest.approx(0.1, abs=0.02)
     assert found["delay"].value == pytest.approx(0.1 + DEAD, abs=0.02)
-    assert found["gradient"].value == pytest.approx(true.understeer_gradient, abs=0.3)
 
 
 def test_straight_driving_does_not_tell_the_centre_of_mass():

@@ -18,7 +18,9 @@ from ros_messages import PACKAGE, drive_stamped, fake_ros, odometry, package_mod
 
 messages, follower, stand_in = map(package_module, ("messages", "follower", "stand_in"))
 Follower, Parameters = follower.Follower, follower.Parameters
-ROAD = at.generate_road("country", seed=1, length=600.0)
+_X = np.arange(0.0, 400.0)
+ROAD = at.Road.through(np.stack([_X, 8.0 * np.sin(_X / 25.0)], axis=-1))
+"""Bends to both sides, of 78 m radius at their tightest."""
 STRAIGHT = np.stack([np.arange(100.0), np.zeros(100)], axis=-1)
 CAR = at.load_vehicle("midsize-sedan")
 
@@ -166,7 +168,7 @@ def test_late_and_lost_messages_do_not_lose_the_car(channel):
 
 @pytest.mark.compiled
 def test_a_path_that_moves_to_the_next_lane_is_taken_over():
-    points = ROAD.at(np.arange(0.0, 400.0))
+    points = ROAD.at(_X)
     beside = np.stack([points.x - 1.5 * np.sin(points.heading), points.y + 1.5 * np.cos(points.heading)], axis=-1)
     loop = Loop().drive(4.0)
     loop.road = at.Road.through(beside)

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 import adaptrack as at
 
-THROTTLE, BRAKE = 0.25, 0.15
+THROTTLE, BRAKE = 0.25, 0.4
 """Share of the pedal for each m/s that the car is too slow or too fast."""
 
 

@@ -1,4 +1,4 @@
-"""What the node does, without ROS: messages come in when they come, `tick` gives the command of every control period."""
+"""What the node does, without ROS: messages come in when they come, `tick` gives the command of each period."""
 
 from __future__ import annotations
 
