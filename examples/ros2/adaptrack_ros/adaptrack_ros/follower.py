@@ -1,0 +1,265 @@
+"""What the node does, without ROS: messages come in when they come, `tick` gives the command of each period."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
+
+import numpy as np
+
+import adaptrack as at
+from adaptrack.road import Comfort, SpeedPlan
+from adaptrack.tracker import Tracked
+from adaptrack_ros.messages import Array, Sample, points_of, sample_of, speeds_of
+
+OK, WARN, ERROR = 0, 1, 2
+"""Levels of a diagnostic_msgs/DiagnosticStatus."""
+CLOCK_JUMP = 2.0
+"""s: stamps that are older than the newest by more begin anew, as when a bag starts again."""
+STOPPING = {
+    at.Status.HELD: "no position for 3 s, or no solution",
+    at.Status.REVERSE: "the car rolls backwards",
+    at.Status.OFF_PATH: "the car is too far from the path",
+    at.Status.END: "the car is beyond the end of the path",
+}
+"""Statuses on which the car is stopped, and what the diagnostics say."""
+
+
+@dataclass(frozen=True)
+class Parameters:
+    """The node's parameters, as in config/follower.yaml."""
+
+    vehicle: str = "midsize-sedan"
+    """a car of adaptrack, or a file of `adaptrack identify`"""
+    profile: str = "production"
+    """control period, and the noise of the sensors: a name, or a file"""
+    command_delay: float = 0.05
+    """s, from a tick until the steering gets the command; its own dead time is the car's"""
+    oldest_sample: float = 0.25
+    """s; odometry up to this age is taken in where it belongs"""
+    base_frame: str = "base_link"
+    """child frame that the odometry must have"""
+    base_ahead: float = 0.0
+    """m, from the centre of the rear axle forwards to the origin of the base frame"""
+    path_message: str = "nav_msgs/Path"
+    """or autoware_planning_msgs/Trajectory"""
+    path_latched: bool = False
+    """whether the planner publishes with durability transient local"""
+    top_speed: float = 10.0
+    """m/s, beside what the bends allow; and beside the speeds of the path, where it has some"""
+    stop_at_end: bool = True
+    """plan to stand at the end of every path; not where the path has speeds"""
+    acceleration: float = 1.5
+    """m/s^2, how fast the speed may be changed"""
+    stop_deceleration: float = 3.0
+    """m/s^2, of the safe command"""
+    longest_silence: float = 0.3
+    """s, age of the newest odometry from which on the car is stopped"""
+    furthest: float = 3.0
+    """m from the path, from which on the car is stopped"""
+
+    def __post_init__(self) -> None:
+        for name in ("top_speed", "acceleration", "stop_deceleration", "longest_silence", "furthest"):
+            if not 0.0 < getattr(self, name) < math.inf:
+                raise at.InvalidInput(f"{name} = {getattr(self, name)!r}: must be positive and finite.")
+        if self.path_message not in ("nav_msgs/Path", "autoware_planning_msgs/Trajectory"):
+            raise at.InvalidInput(
+                f"path_message = {self.path_message!r}: must be nav_msgs/Path or autoware_planning_msgs/Trajectory."
+            )
+
+
+class Command(NamedTuple):
+    """What is sent."""
+
+    angle: float
+    """rad, of the road wheels, positive to the left"""
+    speed: float
+    """m/s"""
+    acceleration: float
+    """m/s^2, > 0, how fast to change to it"""
+    stopping: str = ""
+    """why it is the safe command; empty when it is not"""
+
+
+class Follower:
+    """Follows the newest path by the newest odometry.
+
+    Raises
+    ------
+    adaptrack.InvalidInput
+        When a parameter is not possible, or names a car or profile that there is not.
+    """
+
+    def __init__(self, parameters: Parameters | None = None) -> None:
+        self.parameters = p = parameters or Parameters()
+        self.car = at.load_vehicle(p.vehicle)
+        profile = at.load_profile(p.profile)
+        self.profile = profile.replace(name=f"{profile.name}-ros", delay=p.command_delay / profile.period)
+        self._tracker: at.Tracker | None = None
+        self._points: Array = np.empty((0, 2))
+        self._speeds: Array | None = None
+        self._path_frame, self._odometry_frame = "", ""
+        self._fresh: Sample | None = None
+        self._newest, self._speed, self._braked = -math.inf, 0.0, -math.inf
+        self._halted, self._engaged, self._angle = False, True, 0.0
+        self._trouble: dict[str, str] = {}
+        self._told: Tracked | None = None
+        self._command = Command(0.0, 0.0, p.stop_deceleration, "no path yet")
+
+    @property
+    def period(self) -> float:
+        """s, between ticks."""
+        return float(self.profile.period)
+
+    def controller(self) -> at.MPC:
+        """A new controller of this car."""
+        sensors = replace(at.KalmanFilter.of_profile(self.profile), oldest=self.parameters.oldest_sample)
+        return at.MPC(self.car, profile=self.profile, estimator=sensors)
+
+    def warm_up(self) -> None:
+        """Have everything compiled and loaded before the car moves: on a straight, with a controller of its own."""
+        straight = np.stack([np.arange(50.0), np.zeros(50)], axis=-1)
+        road, plan = self._planned(straight, None)
+        tracker = at.Tracker(self.controller(), road, plan=plan)
+        for k in range(3):
+            tracker.step(k * self.period, 5.0 + k * self.period * 5.0, 0.1, 0.0, 5.0, 0.0)
+
+    # -- what comes in ------------------------------------------------------------------------------------------------
+    def odometry(self, message: Any) -> None:
+        """A nav_msgs/Odometry, in whatever order; one that cannot be used is left out, and the diagnostics say why."""
+        frame, base = message.child_frame_id, self.parameters.base_frame
+        try:
+            if frame and base and frame != base:
+                raise at.InvalidInput(f"its child frame is {frame!r}, and base_frame is {base!r}")
+            sample = sample_of(message, self.parameters.base_ahead - self.car.lr)
+        except at.InvalidInput as error:
+            self._trouble["odometry"] = str(error)
+            return
+        self._trouble.pop("odometry", None)
+        self._odometry_frame = message.header.frame_id
+        if self._newest - CLOCK_JUMP <= sample.t <= self._newest:
+            if self._fresh is None and sample.t < self._newest:
+                self._fresh = sample  # overtaken by one that has been used; the filter takes it in where it belongs
+            return
+        self._fresh, self._newest, self._speed = sample, sample.t, sample.speed
+
+    def path(self, message: Any) -> None:
+        """A nav_msgs/Path or an autoware_planning_msgs/Trajectory; an empty one stops the car.
+
+        One that cannot be driven is refused, the one before is followed on, and the diagnostics say why.
+        """
+        points, speeds = points_of(message), speeds_of(message)
+        self._halted = len(points) == 0
+        if self._halted or self._is_known(points, speeds, message.header.frame_id):
+            return
+        try:
+            road, plan = self._planned(points, speeds)
+            if self._tracker is None:
+                self._tracker = at.Tracker(self.controller(), road, plan=plan, furthest=self.parameters.furthest)
+                self._tracker.engage(self._angle)
+            else:
+                self._tracker.follow(road, plan)
+        except at.InvalidInput as error:
+            self._trouble["path"] = str(error)
+            return
+        self._trouble.pop("path", None)
+        self._points, self._speeds, self._path_frame = points, speeds, message.header.frame_id
+
+    def engage(self, on: bool, wheel_angle: float = 0.0) -> None:
+        """Begin to drive from the angle (rad) that the wheels have, or leave the car to somebody else."""
+        self._engaged, self._angle = on, wheel_angle
+        self._command = self._command._replace(angle=wheel_angle)
+        if on and self._tracker is not None:
+            self._tracker.engage(wheel_angle)
+
+    def _is_known(self, points: Array, speeds: Array | None, frame: str) -> bool:
+        """Whether the planner has only said the same again."""
+        same = np.array_equal(points, self._points) and frame == self._path_frame
+        if speeds is None or self._speeds is None:
+            return same and speeds is self._speeds
+        return same and np.array_equal(speeds, self._speeds)
+
+    def _planned(self, points: Array, speeds: Array | None) -> tuple[at.Road, SpeedPlan]:
+        """A path as a road, and the speed along it."""
+        p, road = self.parameters, at.Road.through(points)
+        comfort = Comfort(accelerate=p.acceleration, brake=p.acceleration)
+        if speeds is None:
+            end = 0.0 if p.stop_at_end else None
+            return road, at.plan_speed(road, self.car, comfort, end=end, top_speed=p.top_speed)
+        if not (np.isfinite(speeds).all() and speeds.min() >= 0.0):
+            raise at.InvalidInput("path: its speeds must be finite and >= 0 m/s: nothing here drives backwards.")
+        way = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(points, axis=0).T))])
+        s, v = way * (road.length / way[-1]), np.minimum(speeds, p.top_speed)
+        with np.errstate(divide="ignore"):
+            time = np.concatenate([[0.0], np.cumsum(np.diff(s) / (0.5 * (v[1:] + v[:-1])))])
+        return road, SpeedPlan(s, v, time, float(time[-1]), False, comfort)
+
+    # -- what goes out ------------------------------------------------------------------------------------------------
+    def tick(self, now: float) -> Command | None:
+        """The command for now (s, on the clock of the stamps), once per period; None while somebody else drives."""
+        fresh, self._fresh = self._fresh, None
+        if not self._engaged:
+            return None
+        if self._tracker is None:
+            self._command = self._stopped("no path yet")
+            return self._command
+        why = self._why_blind(now)
+        if why or fresh is None:
+            speed = self._braking_speed(now) if why else self._speed
+            sample = Sample(now, math.nan, math.nan, math.nan, speed, math.nan)
+        else:
+            sample = fresh
+        self._told = self._tracker.step(*sample, now=now)
+        if self._told.status is not at.Status.REPEATED:
+            self._angle = self._told.command
+            why = why or STOPPING.get(self._told.status, "") or ("the path is empty" if self._halted else "")
+            self._command = self._stopped(why) if why else self._going()
+        return self._command
+
+    def _why_blind(self, now: float) -> str:
+        """Why the odometry cannot be driven by; empty when it can."""
+        age = now - self._newest
+        if self._path_frame and self._odometry_frame and self._path_frame != self._odometry_frame:
+            return f"the path is in frame {self._path_frame!r}, the odometry in {self._odometry_frame!r}"
+        if self._newest == -math.inf:
+            return "no odometry yet"
+        if age < -self.period:
+            return f"the odometry's stamps are {-age:.3g} s ahead of this clock"
+        return f"the newest odometry is {age:.3g} s old" if age > self.parameters.longest_silence else ""
+
+    def _braking_speed(self, now: float) -> float:
+        """m/s that a car that obeys has while it is stopped without being seen."""
+        if not self._command.stopping or now < self._braked:
+            self._braked = now
+        return max(0.0, self._speed - self.parameters.stop_deceleration * (now - self._braked))
+
+    def _stopped(self, why: str) -> Command:
+        return Command(self._angle, 0.0, self.parameters.stop_deceleration, why)
+
+    def _going(self) -> Command:
+        """The speed that is planned where the car will be in one period."""
+        if self._tracker is None or self._tracker.plan is None or self._told is None:
+            return self._stopped("no path yet")
+        place = self._told.station + max(self._speed, 0.0) * self.period
+        speed = float(self._tracker.plan.at(place)) if math.isfinite(place) else 0.0
+        return Command(self._angle, speed, self.parameters.acceleration)
+
+    def diagnosis(self, now: float) -> tuple[int, str, dict[str, str]]:
+        """Level, text and values for a diagnostic_msgs/DiagnosticStatus."""
+        told, command = self._told, self._command
+        values = {
+            "status": str(told.status) if told else "",
+            "offset (m)": f"{told.offset:.3f}" if told else "",
+            "heading error (rad)": f"{told.heading_error:.4f}" if told else "",
+            "station (m)": f"{told.station:.1f}" if told else "",
+            "age of the odometry (s)": f"{now - self._newest:.3f}",
+            "steering angle (rad)": f"{command.angle:.4f}",
+            "speed (m/s)": f"{command.speed:.2f}",
+        }
+        trouble = "; ".join(f"{what} left out: {why}" for what, why in self._trouble.items())
+        if not self._engaged:
+            return OK, "not engaged", values
+        if command.stopping:
+            return ERROR, "; ".join(filter(None, (f"stopping: {command.stopping}", trouble))), values
+        return (WARN, trouble, values) if trouble else (OK, "following", values)

@@ -1,0 +1,158 @@
+"""Stand-ins of ROS: messages with the fields of their definitions, and as much of rclpy as the nodes use."""
+
+from __future__ import annotations
+
+import importlib
+import importlib.util
+import math
+import sys
+from pathlib import Path
+from types import ModuleType
+from types import SimpleNamespace as Record
+
+PACKAGE = Path(__file__).resolve().parent.parent / "examples" / "ros2" / "adaptrack_ros"
+
+
+def package_module(name):
+    """A module of the example's package."""
+    if "adaptrack_ros" not in sys.modules:
+        inside = PACKAGE / "adaptrack_ros"
+        spec = importlib.util.spec_from_file_location(
+            "adaptrack_ros", inside / "__init__.py", submodule_search_locations=[str(inside)]
+        )
+        module = importlib.util.module_from_spec(spec)
+        sys.modules["adaptrack_ros"] = module
+        spec.loader.exec_module(module)
+    return importlib.import_module(f"adaptrack_ros.{name}")
+
+
+def stamp(t=0.0):
+    """builtin_interfaces/Time"""
+    return Record(sec=math.floor(t), nanosec=round(1e9 * (t - math.floor(t))))
+
+
+def header(t=0.0, frame="map"):
+    """std_msgs/Header"""
+    return Record(stamp=stamp(t), frame_id=frame)
+
+
+def pose(x=0.0, y=0.0, yaw=0.0):
+    """geometry_msgs/Pose"""
+    turned = Record(x=0.0, y=0.0, z=math.sin(0.5 * yaw), w=math.cos(0.5 * yaw))
+    return Record(position=Record(x=x, y=y, z=0.0), orientation=turned)
+
+
+def odometry(t=0.0, x=0.0, y=0.0, yaw=0.0, speed=0.0, rate=0.0):
+    """nav_msgs/Odometry"""
+    vector = Record(x=speed, y=0.0, z=0.0)
+    return Record(
+        header=header(t),
+        child_frame_id="base_link",
+        pose=Record(pose=pose(x, y, yaw)),
+        twist=Record(twist=Record(linear=vector, angular=Record(x=0.0, y=0.0, z=rate))),
+    )
+
+
+def path(points, times=None, frame="map"):
+    """nav_msgs/Path"""
+    times = [0.0] * len(points) if times is None else times
+    poses = [
+        Record(header=header(t, frame), pose=pose(float(x), float(y))) for (x, y), t in zip(points, times, strict=True)
+    ]
+    return Record(header=header(0.0, frame), poses=poses)
+
+
+def trajectory(points, speeds, frame="map"):
+    """autoware_planning_msgs/Trajectory"""
+    places = [
+        Record(pose=pose(float(x), float(y)), longitudinal_velocity_mps=float(v))
+        for (x, y), v in zip(points, speeds, strict=True)
+    ]
+    return Record(header=header(0.0, frame), points=places)
+
+
+def drive_stamped():
+    """ackermann_msgs/AckermannDriveStamped"""
+    drive = Record(steering_angle=0.0, steering_angle_velocity=0.0, speed=0.0, acceleration=0.0, jerk=0.0)
+    return Record(header=header(), drive=drive)
+
+
+# -- as much of rclpy as the nodes use --------------------------------------------------------------------------------
+class Network:
+    """Time, timers and topics, by hand."""
+
+    def __init__(self):
+        self.now, self.timers, self.topics, self.sent, self.parameters = 1000.0, [], {}, {}, {}
+
+    def publish(self, topic, message):
+        self.sent.setdefault(topic, []).append(message)
+        for callback in self.topics.get(topic, []):
+            callback(message)
+
+    def run(self, duration):
+        """Let time pass in steps of 10 ms, and call the timers that are due."""
+        end = self.now + duration
+        while self.now < end - 1e-9:
+            self.now += 0.01
+            for timer in self.timers:
+                if self.now > timer.due - 1e-9:
+                    timer.due += timer.period
+                    timer.callback()
+
+
+def fake_ros(monkeypatch):
+    """Modules under the names that the nodes import; the network that joins them."""
+    network = Network()
+    clock = Record(now=lambda: Record(nanoseconds=round(1e9 * network.now), to_msg=lambda: stamp(network.now)))
+
+    class Node:
+        def __init__(self, name):
+            self.name = name
+
+        def declare_parameter(self, name, value):
+            return Record(value=network.parameters.get(name, value))
+
+        def get_logger(self):
+            return Record(info=lambda text: None)
+
+        def get_clock(self):
+            return clock
+
+        def create_timer(self, period, callback):
+            network.timers.append(Record(period=period, due=network.now + period, callback=callback))
+
+        def create_publisher(self, kind, topic, qos):
+            return Record(publish=lambda message: network.publish(topic, message))
+
+        def create_subscription(self, kind, topic, callback, qos):
+            network.topics.setdefault(topic, []).append(callback)
+
+    durability = Record(TRANSIENT_LOCAL="latched", VOLATILE="volatile")
+    modules = {
+        "rclpy": {},
+        "rclpy.executors": {"ExternalShutdownException": type("ExternalShutdownException", (Exception,), {})},
+        "rclpy.node": {"Node": Node},
+        "rclpy.qos": {
+            "DurabilityPolicy": durability,
+            "ReliabilityPolicy": Record(RELIABLE="reliable"),
+            "QoSProfile": Record,
+            "qos_profile_sensor_data": Record(depth=5),
+        },
+        "ackermann_msgs.msg": {"AckermannDriveStamped": drive_stamped},
+        "diagnostic_msgs.msg": {
+            "DiagnosticArray": lambda: Record(header=header(), status=[]),
+            "DiagnosticStatus": lambda: Record(level=b"\0", name="", message="", hardware_id="", values=[]),
+            "KeyValue": Record,
+        },
+        "geometry_msgs.msg": {"PoseStamped": lambda: Record(header=header(), pose=pose())},
+        "nav_msgs.msg": {"Odometry": odometry, "Path": lambda: path([])},
+        "std_msgs.msg": {"Bool": Record},
+    }
+    for name, content in modules.items():
+        module = ModuleType(name)
+        vars(module).update(content)
+        monkeypatch.setitem(sys.modules, name, module)
+        outer = name.rpartition(".")[0]
+        if outer and outer not in sys.modules:
+            monkeypatch.setitem(sys.modules, outer, ModuleType(outer))
+    return network

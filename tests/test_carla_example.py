@@ -1,0 +1,244 @@
+"""The CARLA example: axes and units are turned, and a car in a stand-in of CARLA's world is identified and driven."""
+
+from __future__ import annotations
+
+import ast
+import importlib
+import inspect
+import math
+import sys
+from pathlib import Path
+from types import SimpleNamespace as Record
+
+import numpy as np
+import pytest
+
+import adaptrack as at
+from ros_messages import package_module
+
+FOLDER = Path(__file__).resolve().parent.parent / "examples" / "carla"
+sys.path.insert(0, str(FOLDER))
+conversion, loop = importlib.import_module("conversion"), importlib.import_module("loop")
+sys.path.remove(str(FOLDER))
+StandInCar = package_module("stand_in").StandInCar
+FULL = math.radians(70.0)
+DEAD = package_module("stand_in").STEP  # s, of the stand-in's steering at a delay of 0
+
+
+def vector(x=0.0, y=0.0, z=0.0):
+    return Record(x=x, y=y, z=z)
+
+
+def transform(x, y, yaw):
+    return Record(location=vector(x, y), rotation=Record(yaw=yaw, pitch=0.0, roll=0.0))
+
+
+def vehicle(place, velocity, turning=0.0):
+    """As much of a carla.Vehicle as is asked for its motion."""
+    return Record(
+        get_transform=lambda: place, get_velocity=lambda: velocity, get_angular_velocity=lambda: vector(z=turning)
+    )
+
+
+class Lane:
+    """A waypoint of a map: a lane that bends to the right, radius 80 m, behind 40 m of straight."""
+
+    def __init__(self, s, end=300.0):
+        self.s, self.end = s, end
+        a = max(0.0, s - 40.0) / 80.0
+        x, y = min(s, 40.0) + 80.0 * math.sin(a), 80.0 * (1.0 - math.cos(a))
+        self.transform = transform(x, y, math.degrees(a))
+
+    def next(self, way):
+        return [Lane(self.s + way, self.end)] if self.s + way <= self.end else []
+
+
+class World:
+    """A synchronous world with one vehicle: adaptrack's dual track, told of and steered as CARLA does.
+
+    ahead: m, of the vehicle's origin ahead of the centre of mass.
+    """
+
+    def __init__(self, ahead=0.0, lag=0.1):
+        self.car, self.ahead, self.ticks, self.applied = StandInCar(delay=0.0, lag=lag, rate=2.0), ahead, 0, {}
+        self.car.place(2.0, 0.0, 0.0, 0.0)
+
+    def tick(self):
+        throttle, brake = self.applied.get("throttle", 0.0), self.applied.get("brake", 0.0)
+        change = 4.0 * throttle - 8.0 * brake
+        angle = -self.applied.get("steer", 0.0) * FULL
+        self.car.obey(
+            Record(steering_angle=angle, speed=40.0 if change > 0.0 else 0.0, acceleration=abs(change) or 0.1)
+        )
+        self.car.advance(loop.PERIOD)
+        self.ticks += 1
+
+    def get_snapshot(self):
+        return Record(timestamp=Record(elapsed_seconds=7.0 + self.ticks * loop.PERIOD))
+
+    def get_map(self):
+        return Record(get_waypoint=lambda location: Lane(0.0))
+
+    # -- its vehicle --------------------------------------------------------------------------------------------------
+    def apply_control(self, control):
+        assert all(0.0 <= control.get(pedal, 0.0) <= 1.0 for pedal in ("throttle", "brake"))
+        assert -1.0 <= control["steer"] <= 1.0
+        self.applied = control
+
+    def get_transform(self):
+        x, y, yaw = self.car.state[:3]
+        x, y = x + self.ahead * math.cos(yaw), y + self.ahead * math.sin(yaw)
+        return transform(x, -y, math.degrees(-math.remainder(yaw, 2.0 * math.pi)))
+
+    def get_velocity(self):
+        yaw, vx, vy = self.car.state[2:5]
+        return vector(vx * math.cos(yaw) - vy * math.sin(yaw), -(vx * math.sin(yaw) + vy * math.cos(yaw)))
+
+    def get_angular_velocity(self):
+        return vector(z=-math.degrees(self.car.state[5]))
+
+    def get_wheel_steer_angle(self, location):
+        return -math.degrees(self.car.angle)
+
+
+def car_of(world, **known):
+    return loop.Car(world, dict, ("left", "right"), **{"full_steer": FULL, **known})
+
+
+# -- axes, units, pedals ----------------------------------------------------------------------------------------------
+def test_what_computes_needs_no_carla():
+    assert "carla" not in sys.modules
+
+
+def test_what_is_to_the_right_in_carla_is_negative_here():
+    """Heading 90 degrees clockwise, driving along +y of CARLA and sliding along its -x, which is to the right."""
+    given = conversion.sample_of(2.0, vehicle(transform(5.0, 7.0, 90.0), vector(-0.5, 8.0), 10.0), 0.0)
+    assert given == pytest.approx((2.0, 5.0, -7.0, -math.pi / 2, 8.0, -math.radians(10.0), -0.5))
+
+
+def test_the_centre_of_mass_lies_behind_an_origin_that_lies_ahead_of_it():
+    given = conversion.sample_of(0.0, vehicle(transform(5.0, 7.0, 90.0), vector()), 0.4)
+    assert given[1:3] == pytest.approx((5.0, -6.6))
+
+
+def test_backwards_is_a_negative_speed():
+    assert conversion.sample_of(0.0, vehicle(transform(0.0, 0.0, 180.0), vector(3.0)), 0.0).speed == pytest.approx(-3.0)
+
+
+@pytest.mark.parametrize(("angle", "steer"), [(0.5 * FULL, -0.5), (-0.1 * FULL, 0.1), (2.0, -1.0)])
+def test_a_wheel_to_the_left_is_a_negative_steer(angle, steer):
+    assert conversion.steer_of(angle, FULL) == pytest.approx(steer)
+    assert abs(steer) == 1.0 or conversion.angle_of(steer, FULL) == pytest.approx(angle)
+
+
+@pytest.mark.parametrize("speed", [0.0, 5.0, 30.0])
+@pytest.mark.parametrize("wanted", [0.0, 5.0, 30.0])
+def test_no_more_than_one_pedal_is_pressed(speed, wanted):
+    throttle, brake = conversion.pedals(speed, wanted)
+    assert throttle * brake == 0.0
+    assert (throttle > 0.0) == (speed < wanted)
+    assert (brake > 0.0) == (speed > wanted or wanted == 0.0)
+
+
+def test_the_wheelbase_is_told_in_centimetres():
+    wheels = [Record(position=vector(x, y)) for x, y in ((1000.0, 80.0), (1000.0, -80.0), (1290.0, 80.0))]
+    assert conversion.wheelbase_of(Record(wheels=wheels)) == pytest.approx(2.9)
+    with pytest.raises(at.InvalidInput, match="measure"):
+        conversion.wheelbase_of(Record(wheels=[Record(position=vector())] * 4))
+
+
+def test_a_lane_that_bends_to_the_right_has_a_negative_curvature():
+    road = conversion.lane_ahead(World().get_map(), None)
+    assert road.length == pytest.approx(300.0, rel=1e-3)
+    assert float(road.at(170.0).curvature) == pytest.approx(-1 / 80, rel=1e-3)
+
+
+def test_a_woven_path_stays_within_its_swing():
+    road = conversion.lane_ahead(World().get_map(), None)
+    path = conversion.woven(road, 0.3)
+    aside = [float(road.project(x, y, near=s).offset) for s in range(5, 290, 3) for x, y in [_at(path, s)]]
+    assert 0.25 < max(aside) < 0.31
+    assert -0.31 < min(aside) < -0.25
+
+
+def _at(road, s):
+    place = road.at(float(s))
+    return float(place.x), float(place.y)
+
+
+# -- the loop ---------------------------------------------------------------------------------------------------------
+def test_full_steer_is_measured_on_the_standing_car():
+    world = World()
+    assert loop.measured_full_steer(world, car_of(world, full_steer=1.0)) == pytest.approx(FULL, rel=1e-3)
+    world.get_wheel_steer_angle = lambda location: 0.0  # as versions do that do not know it
+    assert loop.measured_full_steer(world, car_of(world, full_steer=1.0)) == 1.0
+
+
+@pytest.fixture(scope="module")
+def recorded():
+    """A drive along the woven lane by a controller that knows nothing of the steering; told, and the log."""
+    world = World(ahead=0.35)
+    road = conversion.woven(conversion.lane_ahead(world.get_map(), None))
+    known = at.load_vehicle("midsize-sedan")
+    plan = at.plan_speed(road, known, end=0.0, top_speed=9.0)
+    tracker = at.Tracker(loop.controller(known, False), road, plan=plan)
+    told, rows = zip(*loop.follow(world, car_of(world), tracker, 1500), strict=True)
+    return told, loop.columns_of(list(rows)), road
+
+
+@pytest.mark.compiled
+def test_the_car_follows_its_lane_to_the_end_and_stands(recorded):
+    told, log, road = recorded
+    assert max(abs(each.offset) for each in told[60:]) < 0.2
+    assert told[-1].station == pytest.approx(road.length, abs=3.0)
+    assert log["speed"][-1] < 0.2
+    assert log["speed"].max() > 8.0
+
+
+@pytest.mark.compiled
+def test_the_log_tells_where_the_centre_of_mass_is(recorded):
+    assert conversion.origin_ahead(recorded[1]) == pytest.approx(0.35, abs=0.03)
+
+
+@pytest.mark.compiled
+def test_with_a_known_car_and_centre_of_mass_the_lane_is_held_within_a_decimetre():
+    world = World(ahead=0.35)
+    known = at.load_vehicle("midsize-sedan").replace(steering=at.Steering(lag=0.1, dead_time=0.0, rate=2.0))
+    road = conversion.lane_ahead(world.get_map(), None)
+    plan = at.plan_speed(road, known, end=0.0, top_speed=9.0)
+    tracker = at.Tracker(loop.controller(known, True), road, plan=plan)
+    told = [each for each, _ in loop.follow(world, car_of(world, ahead=0.35), tracker, 1000)]
+    assert max(abs(each.offset) for each in told) < 0.1
+
+
+@pytest.mark.compiled
+def test_the_log_identifies_the_car(recorded, tmp_path):
+    """As it stands: lag and dead time are those of the steering behind the stand-in."""
+    loop.write_log(recorded[1], tmp_path / "drive.csv")
+    true = at.load_vehicle("midsize-sedan")
+    found = at.identify(tmp_path / "drive.csv", mass=true.mass, wheelbase=true.wheelbase)
+    assert found["lag"].value == pytest.approx(0.1, abs=0.02)
+    assert found["delay"].value == pytest.approx(0.1 + DEAD, abs=0.02)
+
+
+def test_straight_driving_does_not_tell_the_centre_of_mass():
+    still = {name: np.zeros(50) for name in loop.COLUMNS} | {"time": 0.05 * np.arange(50)}
+    with pytest.raises(at.InvalidInput, match="hardly turns"):
+        conversion.origin_ahead(still)
+    assert "wheel" not in loop.columns_of([dict.fromkeys(loop.COLUMNS, 0.0)] * 3)
+
+
+# -- the script -------------------------------------------------------------------------------------------------------
+def test_the_script_calls_what_there_is():
+    """It needs CARLA and is not run: its calls of our functions have the right number of arguments."""
+    tree = ast.parse((FOLDER / "drive.py").read_text())
+    ours = {
+        name.name: getattr(importlib.import_module(node.module), name.name)
+        for node in ast.walk(tree)
+        if isinstance(node, ast.ImportFrom) and node.module in ("conversion", "loop")
+        for name in node.names
+    }
+    called = [each for each in ast.walk(tree) if isinstance(each, ast.Call) and getattr(each.func, "id", "") in ours]
+    assert len(called) > 5
+    for call in called:
+        inspect.signature(ours[call.func.id]).bind(*call.args, **{each.arg: None for each in call.keywords})

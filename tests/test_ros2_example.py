@@ -1,0 +1,374 @@
+"""The ROS 2 package: messages become the right numbers, and late and lost ones do not lose the car."""
+
+from __future__ import annotations
+
+import ast
+import math
+import re
+import sys
+from dataclasses import asdict
+from types import SimpleNamespace as Record
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+
+import adaptrack as at
+from ros_messages import PACKAGE, drive_stamped, fake_ros, odometry, package_module, path, trajectory
+
+messages, follower, stand_in = map(package_module, ("messages", "follower", "stand_in"))
+Follower, Parameters = follower.Follower, follower.Parameters
+_X = np.arange(0.0, 400.0)
+ROAD = at.Road.through(np.stack([_X, 8.0 * np.sin(_X / 25.0)], axis=-1))
+"""Bends to both sides, of 78 m radius at their tightest."""
+STRAIGHT = np.stack([np.arange(100.0), np.zeros(100)], axis=-1)
+CAR = at.load_vehicle("midsize-sedan")
+
+
+def test_what_decides_needs_no_ros():
+    assert not {"rclpy", "nav_msgs"} & sys.modules.keys()
+
+
+# -- messages ---------------------------------------------------------------------------------------------------------
+def test_a_stamp_is_seconds():
+    assert messages.seconds(Record(sec=1_700_000_000, nanosec=250_000_000)) == pytest.approx(1_700_000_000.25, abs=1e-6)
+
+
+def test_an_odometry_is_a_sample():
+    sample = messages.sample_of(odometry(2.5, x=10.0, y=-4.0, yaw=-2.5, speed=12.0, rate=-0.2), 0.0)
+    assert sample == pytest.approx((2.5, 10.0, -4.0, -2.5, 12.0, -0.2))
+
+
+def test_an_odometry_of_the_rear_axle_is_one_of_the_centre_of_mass():
+    """Heading north with the rear axle 1.5 m behind the centre of mass: that is 1.5 m further north."""
+    assert messages.sample_of(odometry(x=10.0, y=-4.0, yaw=math.pi / 2), -1.5)[1:3] == pytest.approx((10.0, -2.5))
+
+
+@pytest.mark.parametrize("w", [0.0, math.nan])
+def test_an_odometry_that_was_never_filled_in_is_refused(w):
+    message = odometry()
+    message.pose.pose.orientation.w = w
+    with pytest.raises(at.InvalidInput):
+        messages.sample_of(message, 0.0)
+
+
+def test_speeds_of_a_path_are_those_of_its_stamps():
+    """Accelerating at 2 m/s^2 from 5 m/s."""
+    t = np.arange(0.0, 4.0, 0.25)
+    points = np.stack([5.0 * t + t**2, 0.0 * t], axis=-1)
+    speeds = messages.speeds_of(path(points, 100.0 + t))
+    assert speeds[1:-1] == pytest.approx(5.0 + 2.0 * t[1:-1], abs=1e-6)
+    assert messages.speeds_of(path(points)) is None
+
+
+def test_speeds_of_a_trajectory_are_its_own():
+    message = trajectory(STRAIGHT, 0.1 * np.arange(100.0))
+    assert messages.speeds_of(message) == pytest.approx(0.1 * np.arange(100.0))
+    assert messages.points_of(message) == pytest.approx(STRAIGHT)
+
+
+def test_a_status_has_its_level_in_one_byte_and_its_values_as_texts():
+    status = Record()
+    messages.fill_status(status, 2, "stopping", {"speed (m/s)": "0.00"}, Record)
+    assert status.level == b"\x02"
+    assert status.values == [Record(key="speed (m/s)", value="0.00")]
+
+
+# -- the stand-in of the car ------------------------------------------------------------------------------------------
+@pytest.mark.compiled
+def test_the_stand_in_turns_as_its_car_does():
+    """The yaw rate of the steady turn at 10 m/s, to a few percent; the odometry is that of the rear axle."""
+    car, sent = stand_in.StandInCar(), drive_stamped()
+    car.place(0.0, 0.0, 0.0, 10.0)
+    messages.fill_drive(sent, 0.01, 10.0, 1.5)
+    car.obey(sent.drive)
+    car.advance(4.0)
+    message = odometry()
+    car.fill_odometry(message)
+    twist = message.twist.twist
+    assert twist.angular.z == pytest.approx(0.01 * CAR.steady_state_yaw_gain(10.0), rel=0.05)
+    assert twist.linear.y == pytest.approx(car.state[4] - CAR.lr * car.state[5])
+
+
+def test_the_stand_in_stops_when_it_is_told_to():
+    car, sent = stand_in.StandInCar(), drive_stamped()
+    car.place(0.0, 0.0, 0.0, 5.0)
+    messages.fill_drive(sent, 0.0, 0.0, 2.5)
+    car.obey(sent.drive)
+    car.advance(4.0)
+    assert car.state[3] == pytest.approx(0.0, abs=0.01)
+    assert car.state[0] == pytest.approx(5.0**2 / (2.0 * 2.5), rel=0.15)
+
+
+# -- the loop ---------------------------------------------------------------------------------------------------------
+class Loop:
+    """The stand-in behind the follower: messages are delivered as `late` (s) and `lost` (of a tick) say."""
+
+    def __init__(self, road=ROAD, start=10.0, speed=8.0, **parameters):
+        self.road, self.s = road, start
+        self.follower = Follower(Parameters(top_speed=8.0, **parameters))
+        self.car = stand_in.StandInCar()
+        place = road.at(start)
+        self.car.place(float(place.x), float(place.y), float(place.heading), speed)
+        self.waiting, self.offset, self.commands, self.now = [], [], [], 0.0
+        self.follower.path(path(stand_in.window(road, start)))
+
+    def drive(self, seconds, late=lambda k: 0.0, lost=lambda k: False):
+        ticks = round(seconds / 0.05)
+        for k in range(ticks):
+            message = odometry(self.now)
+            self.car.fill_odometry(message)
+            if not lost(k):
+                self.waiting.append((self.now + late(k), message))
+            for arriving in [each for each in self.waiting if each[0] <= self.now + 1e-9]:
+                self.waiting.remove(arriving)
+                self.follower.odometry(arriving[1])
+            if k % 10 == 9:
+                self.follower.path(path(stand_in.window(self.road, self.s)))
+            command, sent = self.follower.tick(self.now), drive_stamped()
+            messages.fill_drive(sent, command.angle, command.speed, command.acceleration)
+            self.car.obey(sent.drive)
+            self.car.advance(0.05)
+            self.now += 0.05
+            self.commands.append(command)
+            foot = self.road.project(*self.car.state[:2], near=self.s)
+            self.s = float(foot.s)
+            self.offset.append(float(foot.offset))
+        return self
+
+    @property
+    def furthest(self):
+        return np.abs(self.offset).max()
+
+
+@pytest.mark.compiled
+def test_the_car_follows_bends_within_five_centimetres():
+    loop = Loop().drive(20.0)
+    assert loop.furthest < 0.05
+    assert not any(command.stopping for command in loop.commands)
+    assert loop.s > 150.0
+
+
+@pytest.mark.compiled
+@pytest.mark.parametrize(
+    "channel",
+    [
+        {"late": lambda k: 0.15},
+        {"late": lambda k: 0.2 if k % 2 else 0.1},
+        {"lost": lambda k: k % 4 == 3},
+        {"lost": lambda k: 100 <= k < 104},
+    ],
+    ids=["0.15 s late", "overtaking one another", "every fourth lost", "0.2 s lost"],
+)
+def test_late_and_lost_messages_do_not_lose_the_car(channel):
+    loop = Loop().drive(10.0, **channel)
+    assert loop.furthest < 0.05
+    assert not any(command.stopping for command in loop.commands[4:])
+
+
+@pytest.mark.compiled
+def test_a_path_that_moves_to_the_next_lane_is_taken_over():
+    points = ROAD.at(_X)
+    beside = np.stack([points.x - 1.5 * np.sin(points.heading), points.y + 1.5 * np.cos(points.heading)], axis=-1)
+    loop = Loop().drive(4.0)
+    loop.road = at.Road.through(beside)
+    loop.drive(0.5)
+    loop.offset.clear()
+    loop.drive(10.0)
+    assert np.abs(loop.offset[-40:]).max() < 0.1
+    assert max(loop.offset) < 0.3  # from 1.5 m to the right of it, it is not overshot by more
+
+
+@pytest.mark.compiled
+def test_a_silence_brings_the_car_to_a_stand_beside_its_path():
+    """0.3 s after the last odometry: speed 0 at 3 m/s^2, steered on by the estimate; good messages start it again."""
+    loop = Loop().drive(5.0).drive(5.0, lost=lambda k: True)
+    silent = loop.commands[100:]
+    stopping = [bool(command.stopping) for command in silent]
+    assert stopping.index(True) == 6  # the last odometry is then 0.35 s old
+    assert all(stopping[6:])
+    assert {(command.speed, command.acceleration) for command in silent[6:]} == {(0.0, 3.0)}
+    assert "s old" in silent[-1].stopping
+    assert loop.car.state[3] < 0.05
+    assert loop.furthest < 0.15
+    loop.drive(3.0)
+    assert not loop.commands[-1].stopping
+    assert loop.car.state[3] > 1.0
+
+
+@pytest.mark.compiled
+def test_the_car_stands_at_the_end_of_its_path():
+    loop = Loop(start=ROAD.length - 40.0).drive(14.0)
+    assert loop.car.state[3] < 0.3
+    assert ROAD.length - 4.0 < loop.s < ROAD.length + 1.0
+
+
+# -- what is sent when something is wrong -----------------------------------------------------------------------------
+def test_nothing_moves_before_there_is_a_path_and_an_odometry():
+    made = Follower()
+    assert made.tick(0.0).stopping == "no path yet"
+    made.path(path(STRAIGHT))
+    command = made.tick(0.05)
+    assert (command.speed, command.stopping) == (0.0, "no odometry yet")
+    assert made.diagnosis(0.05)[0] == follower.ERROR
+
+
+@pytest.fixture
+def driving():
+    """A follower that has made a step on a straight."""
+    made = Follower()
+    made.path(path(STRAIGHT))
+    made.odometry(odometry(0.0, x=20.0, speed=5.0))
+    assert not made.tick(0.0).stopping
+    return made
+
+
+def test_the_speed_is_the_planned_one_and_the_offset_of_the_centre_of_mass(driving):
+    driving.odometry(odometry(0.05, x=20.25, y=0.5, speed=5.0))
+    command = driving.tick(0.05)
+    assert command[1:] == (10.0, 1.5, "")
+    level, text, values = driving.diagnosis(0.05)
+    assert (level, text, values["status"]) == (follower.OK, "following", "ok")
+    assert float(values["offset (m)"]) == pytest.approx(0.5, abs=0.1)
+    assert float(values["station (m)"]) == pytest.approx(20.25 + CAR.lr, abs=0.1)
+
+
+def test_a_car_left_of_its_path_is_steered_to_the_right():
+    made = Follower()
+    made.path(path(STRAIGHT))
+    made.odometry(odometry(0.0, x=20.0, y=0.5, speed=5.0))
+    assert made.tick(0.0).angle < 0.0
+
+
+def test_an_empty_path_stops_the_car_and_the_next_one_starts_it(driving):
+    driving.path(path([]))
+    driving.odometry(odometry(0.05, x=20.25, speed=5.0))
+    assert driving.tick(0.05).stopping == "the path is empty"
+    driving.path(path(STRAIGHT))
+    driving.odometry(odometry(0.1, x=20.5, speed=5.0))
+    assert not driving.tick(0.1).stopping
+
+
+def test_a_path_that_cannot_be_driven_is_refused_and_the_old_one_followed(driving):
+    driving.path(path([(0.0, 0.0)] * 8))
+    driving.odometry(odometry(0.05, x=20.25, speed=5.0))
+    assert not driving.tick(0.05).stopping
+    level, text, _ = driving.diagnosis(0.05)
+    assert level == follower.WARN
+    assert "path left out" in text
+
+
+def test_a_path_in_another_frame_stops_the_car(driving):
+    driving.path(path(STRAIGHT + 1.0, frame="odom"))
+    driving.odometry(odometry(0.05, x=20.25, speed=5.0))
+    assert driving.tick(0.05).stopping == "the path is in frame 'odom', the odometry in 'map'"
+
+
+def test_an_odometry_of_another_frame_is_left_out(driving):
+    message = odometry(0.05, x=20.25, speed=5.0)
+    message.child_frame_id = "imu"
+    driving.odometry(message)
+    assert "base_frame" in driving.diagnosis(0.05)[1]
+    assert driving.tick(0.4).stopping == "the newest odometry is 0.4 s old"
+
+
+@pytest.mark.parametrize(("ahead", "says"), [(5.0, "ahead of this clock"), (-5.0, "s old")])
+def test_two_clocks_stop_the_car(driving, ahead, says):
+    for k in range(1, 20):
+        driving.odometry(odometry(0.05 * k + ahead, x=20.0 + 0.25 * k, speed=5.0))
+    assert says in driving.tick(0.95).stopping
+
+
+def test_a_bag_that_begins_again_is_driven_again(driving):
+    for k in range(3):
+        driving.odometry(odometry(-100.0 + 0.05 * k, x=5.0 + 0.25 * k, speed=5.0))
+        command = driving.tick(-100.0 + 0.05 * k)
+    assert not command.stopping
+
+
+@pytest.mark.parametrize(
+    ("y", "speed", "says"), [(5.0, 5.0, "too far"), (0.0, -1.0, "backwards")], ids=["off the path", "reverse"]
+)
+def test_a_status_that_is_not_good_stops_the_car(y, speed, says):
+    made = Follower()
+    made.path(path(STRAIGHT))
+    made.odometry(odometry(0.0, x=20.0, y=y, speed=speed))
+    assert says in made.tick(0.0).stopping
+
+
+def test_a_standing_car_is_told_to_start():
+    made = Follower()
+    made.path(path(STRAIGHT))
+    made.odometry(odometry(0.0, x=5.0))
+    assert made.tick(0.0)[1:] == (10.0, 1.5, "")
+
+
+def test_speeds_of_the_path_are_driven():
+    made = Follower(Parameters(path_message="autoware_planning_msgs/Trajectory"))
+    made.path(trajectory(STRAIGHT, np.full(100, 3.0)))
+    made.odometry(odometry(0.0, x=20.0, speed=3.0))
+    assert made.tick(0.0).speed == pytest.approx(3.0)
+    made.path(trajectory(STRAIGHT, np.full(100, -3.0)))
+    assert "backwards" in made.diagnosis(0.0)[1]
+
+
+def test_engaging_begins_at_the_angle_of_the_wheels(driving):
+    driving.engage(False)
+    assert driving.tick(0.05) is None
+    driving.engage(True, wheel_angle=0.4)
+    driving.odometry(odometry(0.1, x=20.5, speed=5.0))
+    ahead = driving.controller().limits.ahead
+    assert driving.tick(0.1).angle == pytest.approx(0.4, abs=1.01 * ahead)
+
+
+@pytest.mark.parametrize("wrong", [{"top_speed": 0.0}, {"path_message": "nav_msgs/Paths"}, {"vehicle": "tricycle"}])
+def test_parameters_that_are_not_possible_are_refused(wrong):
+    with pytest.raises(at.InvalidInput):
+        Follower(Parameters(**wrong))
+
+
+# -- the package ------------------------------------------------------------------------------------------------------
+def test_the_parameter_file_holds_every_parameter_with_its_default():
+    yaml = pytest.importorskip("yaml")
+    held = yaml.safe_load((PACKAGE / "config" / "follower.yaml").read_text())
+    assert held["adaptrack_follower"]["ros__parameters"] == asdict(Parameters())
+
+
+def test_the_package_depends_on_what_its_nodes_import():
+    declared = {each.text for each in ElementTree.parse(PACKAGE / "package.xml").iter("exec_depend")}
+    used = set()
+    for file in [*PACKAGE.glob("adaptrack_ros/*.py"), *PACKAGE.glob("launch/*.py")]:
+        for node in ast.walk(ast.parse(file.read_text())):
+            if isinstance(node, ast.Import):
+                used |= {name.name.split(".")[0] for name in node.names}
+            elif isinstance(node, ast.ImportFrom):
+                used.add(node.module.split(".")[0])
+    ours = {"adaptrack", "adaptrack_ros", "numpy", "autoware_planning_msgs"}  # the last for one parameter only
+    assert used - ours - set(sys.stdlib_module_names) == declared
+
+
+def test_the_package_says_one_name_and_one_version():
+    root, setup = ElementTree.parse(PACKAGE / "package.xml").getroot(), (PACKAGE / "setup.py").read_text()
+    assert root.findtext("name") == PACKAGE.name == re.search(r'NAME = "(\w+)"', setup)[1]
+    assert root.findtext("version") == at.__version__ == re.search(r'version="([\d.]+)"', setup)[1]
+    assert (PACKAGE / "resource" / PACKAGE.name).exists()
+
+
+@pytest.mark.compiled
+def test_the_two_nodes_drive_each_other(monkeypatch):
+    """On stand-ins of rclpy: what is published fits what is subscribed to, and the car leaves its place."""
+    network = fake_ros(monkeypatch)
+    made = [package_module(name) for name in ("follower_node", "stand_in_node")]
+    _, car = made[0].FollowerNode(), made[1].StandInNode()
+    network.run(4.0)
+    sent, status = network.sent["drive"][-1], network.sent["/diagnostics"][-1].status[0]
+    assert sent.drive.speed > 0.0
+    assert sent.header.stamp.sec == 1004 or sent.header.stamp.nanosec > 9e8
+    assert (status.level, status.message) == (b"\x00", "following")
+    assert car._car.state[3] > 2.0
+    network.publish("engage", Record(data=False))
+    before = len(network.sent["drive"])
+    network.run(0.3)
+    assert len(network.sent["drive"]) == before
+    for each in made:
+        monkeypatch.delitem(sys.modules, each.__name__)
