@@ -4,16 +4,11 @@ from __future__ import annotations
 
 from typing import Annotated, Any, Self
 
-from pydantic import BeforeValidator, Field, model_validator
+from pydantic import Field, model_validator
 
-from adaptrack.files import Record
+from adaptrack.files import LISTED, Record
 
-
-def _tuples(value: Any) -> Any:
-    return tuple(value) if isinstance(value, list) else value
-
-
-Range = Annotated[tuple[float, float], BeforeValidator(_tuples)]
+Range = Annotated[tuple[float, float], LISTED]
 """Lowest and highest value; a list in TOML."""
 
 

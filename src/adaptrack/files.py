@@ -25,7 +25,7 @@ from typing import Any, Literal, NamedTuple, Self, TypeVar
 import numpy as np
 import tomli_w
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, ValidationError, field_validator
+from pydantic import BaseModel, BeforeValidator, ConfigDict, ValidationError, field_validator
 from pydantic.fields import FieldInfo
 
 from adaptrack.errors import ConfigError, InvalidInput, StorageError, did_you_mean
@@ -165,6 +165,16 @@ class Record(BaseModel):
             When the file cannot be written.
         """
         write_toml(path, self.model_dump(), meanings(self))
+
+
+def _tuple_of(value: Any) -> Any:
+    if isinstance(value, np.ndarray):
+        value = value.tolist()
+    return tuple(value) if isinstance(value, list) else value
+
+
+LISTED = BeforeValidator(_tuple_of)
+"""Of a field that is a tuple: a list, as files have it, or an array is taken as well."""
 
 
 def meanings(record: Record) -> dict[str, str]:

@@ -12,11 +12,11 @@ import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
-from pydantic import BeforeValidator, Field, ValidationInfo, field_validator
+from pydantic import Field, ValidationInfo, field_validator
 
 from adaptrack.domain import Domain
 from adaptrack.errors import ContractError, InvalidInput, UnknownName, did_you_mean
-from adaptrack.files import Record, build, meanings, read_toml, write_toml
+from adaptrack.files import LISTED, Record, build, meanings, read_toml, write_toml
 from adaptrack.known_within import KnownWithin
 from adaptrack.outline import FRONT_SHARE, LENGTH_OVER_WHEELBASE, WIDER_THAN_TRACK, Outline
 from adaptrack.registry import Registry
@@ -29,10 +29,6 @@ GRAVITY = 9.80665
 """Standard acceleration of free fall (m/s^2), as in the kernels."""
 
 _DATA = Path(__file__).with_name("data")
-
-
-def _tuples(value: Any) -> Any:
-    return tuple(value) if isinstance(value, list) else value
 
 
 class Tyre(Record):
@@ -250,7 +246,7 @@ class Vehicle(Record):
     drive_front: float = Field(default=1.0, ge=0, le=1, description="-, share of the driving force on the front axle")
     brake_front: float = Field(default=0.65, ge=0, le=1, description="-, share of the braking force on the front axle")
 
-    estimated: Annotated[tuple[str, ...], BeforeValidator(_tuples)] = Field(
+    estimated: Annotated[tuple[str, ...], LISTED] = Field(
         default=(), description="keys whose numbers no source gives for this car: estimated from others"
     )
 

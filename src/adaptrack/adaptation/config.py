@@ -10,12 +10,12 @@ from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BeforeValidator, Field, model_validator
+from pydantic import Field, model_validator
 
 from adaptrack.adaptation.method import Method
 from adaptrack.controllers import Tuning
 from adaptrack.errors import UnknownName, did_you_mean
-from adaptrack.files import Record, build, read_toml
+from adaptrack.files import LISTED, Record, build, read_toml
 from adaptrack.scheduling import SchedulingVariables
 from adaptrack.tuning.config import CampaignConfig, Controlled, Pair, Plan, load_campaign
 from adaptrack.tuning.evaluator import tuned_mpc
@@ -25,16 +25,10 @@ Array = NDArray[np.float64]
 _DATA = Path(__file__).parents[1] / "data" / "adaptations"
 
 
-def _tuples(value: Any) -> Any:
-    return tuple(value) if isinstance(value, list) else value
-
-
 class Learning(Record):
     """What the network and the fuzzy systems look at, and how much they learn from."""
 
-    inputs: Annotated[tuple[str, ...], BeforeValidator(_tuples)] = Field(
-        min_length=1, description="scheduling variables"
-    )
+    inputs: Annotated[tuple[str, ...], LISTED] = Field(min_length=1, description="scheduling variables")
     domain: dict[str, Pair] = Field(description="lowest and highest value of each input")
     rounds: int = Field(default=60, ge=1, description="of improvement")
     operating_points: int = Field(default=2048, ge=16, description="lane changes in a gust to learn from")
@@ -81,16 +75,16 @@ class Evaluation(Record):
     swarm_noises: int = Field(default=3, ge=1, description="noise seeds of each swarm")
     first_choice_noise: int = Field(default=810_001, ge=0, description="noise of the choice among what was found")
     choice_noises: int = Field(default=8, ge=1, description="noise seeds of that choice")
-    hindsight_Np: Annotated[tuple[float, ...], BeforeValidator(_tuples)] = Field(
+    hindsight_Np: Annotated[tuple[float, ...], LISTED] = Field(
         default=(25.0, 30.0, 36.0, 44.0), description="periods, of the constants that hindsight chooses from"
     )
-    hindsight_Nc: Annotated[tuple[float, ...], BeforeValidator(_tuples)] = Field(
+    hindsight_Nc: Annotated[tuple[float, ...], LISTED] = Field(
         default=(3.0, 5.0, 8.0, 12.0), description="periods, likewise"
     )
-    hindsight_R: Annotated[tuple[float, ...], BeforeValidator(_tuples)] = Field(
+    hindsight_R: Annotated[tuple[float, ...], LISTED] = Field(
         default=(1e3, 2e3, 4e3, 8e3, 16e3, 32e3), description="1/rad^2, likewise; Q is 1 per m^2"
     )
-    known_as: Annotated[tuple[str, ...], BeforeValidator(_tuples)] = Field(
+    known_as: Annotated[tuple[str, ...], LISTED] = Field(
         default=("exact", "noisy", "lagged", "biased high", "biased low", "estimated", "withheld"),
         description="how schedulers know friction and wind; exact is the first",
     )

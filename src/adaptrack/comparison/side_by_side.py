@@ -17,14 +17,14 @@ from functools import lru_cache
 from typing import Annotated, Any, Self
 
 import numpy as np
-from pydantic import BeforeValidator, Field, model_validator
+from pydantic import Field, model_validator
 
 from adaptrack.comparison.contenders import Contender
 from adaptrack.comparison.entries import Entry, Setting, get_entry
 from adaptrack.comparison.roads import check_fits
 from adaptrack.controllers import MPC, Controller
 from adaptrack.errors import InvalidInput, MissingExtra
-from adaptrack.files import Record
+from adaptrack.files import LISTED, Record
 from adaptrack.manoeuvres import LaneChange, entry_speed, iso_3888_2
 from adaptrack.metrics import compute_metrics
 from adaptrack.path_metrics import PathRecord, path_metrics
@@ -48,12 +48,8 @@ MOST_PARTICLES = 20
 """Of a search; with fewer tunings, so many that the swarm has some generations."""
 
 
-def _as_tuple(value: Any) -> Any:
-    return tuple(value) if isinstance(value, list) else value
-
-
-Names = Annotated[tuple[str, ...], BeforeValidator(_as_tuple), Field(min_length=1)]
-Numbers = Annotated[tuple[int, ...], BeforeValidator(_as_tuple), Field(min_length=1)]
+Names = Annotated[tuple[str, ...], LISTED, Field(min_length=1)]
+Numbers = Annotated[tuple[int, ...], LISTED, Field(min_length=1)]
 
 
 class SideBySide(Record):

@@ -6,20 +6,16 @@ import os
 from pathlib import Path
 from typing import Annotated, Any
 
-from pydantic import BeforeValidator, Field, model_validator
+from pydantic import Field, model_validator
 
 from adaptrack.controllers import MPC, Controller, Tuning, get_controller
 from adaptrack.errors import InvalidInput
-from adaptrack.files import Record, build, read_toml
+from adaptrack.files import LISTED, Record, build, read_toml
 from adaptrack.profile import Profile
 from adaptrack.vehicle import Vehicle
 
 TUNABLE = ("informed", "as-written", "kinematic-mpc", "lqr", "mppi", "preview-lqr", "pure-pursuit", "stanley")
 """The controllers, by their registered names, that such a file may be about."""
-
-
-def _as_tuple(value: Any) -> Any:
-    return tuple(value) if isinstance(value, list) else value
 
 
 class ConstantTuning(Record):
@@ -35,12 +31,8 @@ class ConstantTuning(Record):
     vehicle: str = Field(min_length=1, description="name of the car that it was found on")
     profile: str = Field(min_length=1, description="name of the profile, likewise")
     period: float = Field(gt=0, le=10, description="s, control period, likewise: horizons are in periods")
-    roads: Annotated[tuple[str, ...], BeforeValidator(_as_tuple)] = Field(
-        default=(), description="names of the roads, likewise"
-    )
-    noise_seeds: Annotated[tuple[int, ...], BeforeValidator(_as_tuple)] = Field(
-        default=(), description="of the search: judge with others"
-    )
+    roads: Annotated[tuple[str, ...], LISTED] = Field(default=(), description="names of the roads, likewise")
+    noise_seeds: Annotated[tuple[int, ...], LISTED] = Field(default=(), description="of the search: judge with others")
     command: str = Field(default="", description="the command line that made it")
     tuning: dict[str, float] = Field(description="the controller's tuning entries")
 

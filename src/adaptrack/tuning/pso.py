@@ -21,10 +21,10 @@ from typing import Annotated, Any, Literal, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from pydantic import BeforeValidator, Field, model_validator
+from pydantic import Field, model_validator
 
 from adaptrack.errors import InvalidInput
-from adaptrack.files import Record
+from adaptrack.files import LISTED, Record
 from adaptrack.kernels import swarm as kernel
 
 Array = NDArray[np.float64]
@@ -34,12 +34,6 @@ _LARGEST_WHOLE = 2**53  # every integer up to here is a double
 _CLASSIC_ACCELERATION = 1.49618
 
 
-def _as_tuple(value: Any) -> Any:
-    if isinstance(value, np.ndarray):
-        value = value.tolist()
-    return tuple(value) if isinstance(value, list) else value
-
-
 class SearchSpace(Record):
     """A box whose dimensions have names; some may hold whole numbers or be searched by decades, two may be ordered.
 
@@ -47,16 +41,16 @@ class SearchSpace(Record):
     by decades; bounds and positions are given and asked for in values all the same.
     """
 
-    names: Annotated[tuple[str, ...], BeforeValidator(_as_tuple)] = Field(min_length=1, description="of the dimensions")
-    low: Annotated[tuple[float, ...], BeforeValidator(_as_tuple)] = Field(description="lower bound of each dimension")
-    high: Annotated[tuple[float, ...], BeforeValidator(_as_tuple)] = Field(description="upper bound of each dimension")
-    whole: Annotated[tuple[str, ...], BeforeValidator(_as_tuple)] = Field(
+    names: Annotated[tuple[str, ...], LISTED] = Field(min_length=1, description="of the dimensions")
+    low: Annotated[tuple[float, ...], LISTED] = Field(description="lower bound of each dimension")
+    high: Annotated[tuple[float, ...], LISTED] = Field(description="upper bound of each dimension")
+    whole: Annotated[tuple[str, ...], LISTED] = Field(
         default=(), description="names of the dimensions that hold whole numbers"
     )
-    decades: Annotated[tuple[str, ...], BeforeValidator(_as_tuple)] = Field(
+    decades: Annotated[tuple[str, ...], LISTED] = Field(
         default=(), description="names of the dimensions that are searched by decades"
     )
-    ordered: Annotated[tuple[str, str] | None, BeforeValidator(_as_tuple)] = Field(
+    ordered: Annotated[tuple[str, str] | None, LISTED] = Field(
         default=None, description="names of two dimensions, the first of which is never the larger"
     )
     spread: float = Field(
@@ -177,7 +171,7 @@ class SwarmSettings(Record):
     w: float = Field(default=0.7298, ge=0, le=10, description="inertia of the classic swarm")
     c1: float = Field(default=2.0, ge=0, le=10, description="cognitive acceleration, of the improved swarm the first")
     c2: float = Field(default=2.0, ge=0, le=10, description="social acceleration, of the improved swarm the first")
-    steps: Annotated[tuple[float, float, float, float], BeforeValidator(_as_tuple)] = Field(
+    steps: Annotated[tuple[float, float, float, float], LISTED] = Field(
         default=(0.05, 0.02, -0.035, -0.0015), description="eq. (20), alpha in its four ranges of g/G"
     )
     velocity_clamp: float = Field(default=0.2, gt=0, le=1, description="largest velocity, as a share of the range")
