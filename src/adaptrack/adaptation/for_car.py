@@ -31,7 +31,7 @@ WORK: dict[str, dict[str, Any]] = {
         "epochs": (1000, 50),
     },
     "quick": {
-        "judged_costly": (24, 16, 1),
+        "judged_costly": (16, 10, 1),
         "points": 48, "swarm": (8, 5), "noise": [1], "rounds": 3, "learned": (48, 24, 24), "rules": 6,
         "held_out": (24, 12), "round": (32, 16, 8), "search": (20, 12), "fallback": (6, 3), "neighbours": (6, 10),
         "judged": (48, 40, 2), "known_as": ["exact"], "epochs": (200, 10),
