@@ -147,6 +147,8 @@ def _told(made: Compared) -> dict[str, Any]:
 
 def _print(made: Compared) -> None:
     """A table for each profile, and what was left out."""
+    from adaptrack.report.words import counted
+
     task = made.task
     for profile, standing in made.standings.items():
         rows = [
@@ -159,7 +161,9 @@ def _print(made: Compared) -> None:
             for row in _rows(made, profile)
         ]
         cars, roads = len(set(standing.columns["car"])), len(set(standing.columns["road"]))
-        size = f"{cars} cars, {roads} roads, {len(task.seeds)} noise seeds"
+        size = ", ".join(
+            counted(n, what) for n, what in ((cars, "car"), (roads, "road"), (len(task.seeds), "noise seed"))
+        )
         show.table(f"{profile}: {size}; ratio to {standing.reference.label}", COLUMNS, rows)
     for car, why in made.absent.items():
         show.say(f"Left out, {car}: {why}")
