@@ -8,7 +8,7 @@ import sys
 import time
 from pathlib import Path
 
-from adaptrack.errors import AdaptrackError
+from adaptrack.errors import AdaptrackError, InvalidInput
 from adaptrack.fuzz.batch import search_compiled
 from adaptrack.fuzz.search import Found, load, replay, save, search, shortened
 from adaptrack.fuzz.targets import TARGETS
@@ -16,6 +16,9 @@ from adaptrack.fuzz.targets import TARGETS
 
 def _run(chosen: argparse.Namespace) -> int:
     """Search, print counts, save what fails."""
+    if chosen.compiled and set(chosen.target or ["mpc"]) != {"mpc"}:
+        raise InvalidInput("--compiled drives MPCs alone: leave --target out, or --compiled.")
+    chosen.out.mkdir(parents=True, exist_ok=True)  # before a search of hours
     begun = told_at = time.monotonic()
     known = 0
 
@@ -72,7 +75,7 @@ def main() -> int:
     logging.getLogger("adaptrack").setLevel(logging.CRITICAL)
     try:
         return int(chosen.act(chosen))
-    except AdaptrackError as error:
+    except (AdaptrackError, OSError) as error:
         print(error, file=sys.stderr)
         return 2
 
