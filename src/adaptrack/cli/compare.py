@@ -167,16 +167,14 @@ def _print(made: Compared) -> None:
         show.table(f"{profile}: {size}; ratio to {standing.reference.label}", COLUMNS, rows)
     for car, why in made.absent.items():
         show.say(f"Left out, {car}: {why}")
-    for why, where in _by_reason(made).items():
-        show.say(f"Left out, {where}: {why}")
+    for name, reasons in _left_out(made).items():
+        more = f" And {counted(len(set(reasons)) - 1, 'reason')} more on the page." if len(set(reasons)) > 1 else ""
+        show.say(f"Left out in {counted(len(reasons), 'cell')}, {name}: {reasons[0]}{more}")
 
 
-def _by_reason(made: Compared) -> dict[str, str]:
-    """By reason, who was left out on how many cars in which profiles."""
-    found: dict[str, list[Any]] = {}
+def _left_out(made: Compared) -> dict[str, list[str]]:
+    """By contender, why it was left out of each cell that it is not in."""
+    found: dict[str, list[str]] = {}
     for cell, why in made.left_out.items():
-        found.setdefault(why, []).append(cell)
-    return {
-        why: f"{', '.join(dict.fromkeys(c.contender for c in cells))} ({len(cells)} cells)"
-        for why, cells in found.items()
-    }
+        found.setdefault(cell.contender, []).append(why)
+    return found

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+import math
 import os
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -194,12 +196,13 @@ def _work_panel(profile: str, standing: Standing) -> Panel:
     rows = rows or standing.rows()
 
     def draw(axes: Axes) -> None:
-        for row in rows:
-            colour = colour_of(row["contender"])
-            axes.plot(row["steering_rate"], row["rms_error"], "o", color=colour, markersize=5)
+        heights = _apart([row["rms_error"] for row in rows])
+        for row, height in zip(rows, heights, strict=True):
+            colour, at = colour_of(row["contender"]), (row["steering_rate"], row["rms_error"])
+            axes.plot(*at, "o", color=colour, markersize=5)
             axes.annotate(
-                style.data_text(row["contender"]), (row["steering_rate"], row["rms_error"]), xytext=(4, 3),
-                textcoords="offset points", fontsize=6.5, color=colour,
+                style.data_text(row["contender"]), at, xytext=(1.06 * at[0], height), va="center", fontsize=6.5,
+                color=colour, arrowprops={"arrowstyle": "-", "color": colour, "linewidth": 0.4, "shrinkB": 2},
             )  # fmt: skip
         for which in ("x", "y"):
             values = [row["steering_rate" if which == "x" else "rms_error"] for row in rows]
@@ -208,6 +211,17 @@ def _work_panel(profile: str, standing: Standing) -> Panel:
 
     words = [f"{row['contender']}: {number(row['rms_error'])} m, {number(row['steering_rate'])} rad/s" for row in rows]
     return Panel(f"Profile {profile}", draw, f"{'; '.join(words)}.")
+
+
+def _apart(values: Sequence[float]) -> list[float]:
+    """Heights of labels on a logarithmic axis: those of the values, moved up where one would cover another."""
+    logs = np.log(values)
+    gap = 0.055 * max(np.ptp(logs) + math.log(2.0), 1e-9)
+    order = np.argsort(logs)
+    heights = logs.copy()
+    for below, above in itertools.pairwise(order):
+        heights[above] = max(heights[above], heights[below] + gap)
+    return [float(each) for each in np.exp(heights)]
 
 
 def _failures(standings: dict[str, Standing]) -> Table:
