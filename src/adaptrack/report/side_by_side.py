@@ -197,12 +197,14 @@ def _work_panel(profile: str, standing: Standing) -> Panel:
 
     def draw(axes: Axes) -> None:
         heights = _apart([row["rms_error"] for row in rows])
+        right = max(row["steering_rate"] for row in rows) / 1.5  # labels of what lies beyond stand on its left
         for row, height in zip(rows, heights, strict=True):
             colour, at = colour_of(row["contender"]), (row["steering_rate"], row["rms_error"])
             axes.plot(*at, "o", color=colour, markersize=5)
             axes.annotate(
-                style.data_text(row["contender"]), at, xytext=(1.06 * at[0], height), va="center", fontsize=6.5,
-                color=colour, arrowprops={"arrowstyle": "-", "color": colour, "linewidth": 0.4, "shrinkB": 2},
+                style.data_text(row["contender"]), at, xytext=(at[0] * (1 / 1.06 if at[0] > right else 1.06), height),
+                ha="right" if at[0] > right else "left", va="center", fontsize=6.5, color=colour,
+                arrowprops={"arrowstyle": "-", "color": colour, "linewidth": 0.4, "shrinkB": 2},
             )  # fmt: skip
         for which in ("x", "y"):
             values = [row["steering_rate" if which == "x" else "rms_error"] for row in rows]
