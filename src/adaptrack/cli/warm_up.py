@@ -53,7 +53,7 @@ def _learning() -> None:
 
 
 def _laws() -> None:
-    """Every other built-in controller."""
+    """The paper's MPC, and the laws that are compiled but for `mppi`, which only `compare --full` drives."""
     for name in ("as-written", "lqr", "preview-lqr", "pure-pursuit", "stanley", "kinematic-mpc"):
         _one_run(name)
 

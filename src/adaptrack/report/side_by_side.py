@@ -218,7 +218,7 @@ def _work_panel(profile: str, standing: Standing) -> Panel:
 def _apart(values: Sequence[float]) -> list[float]:
     """Heights of labels on a logarithmic axis: those of the values, moved up where one would cover another."""
     logs = np.log(values)
-    gap = 0.055 * max(np.ptp(logs) + math.log(2.0), 1e-9)
+    gap = 0.055 * (np.ptp(logs) + math.log(2.0))  # the axis is twice as long as its values reach
     order = np.argsort(logs)
     heights = logs.copy()
     for below, above in itertools.pairwise(order):
