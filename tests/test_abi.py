@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import namedtuple
 
 import numba
 import numpy as np
@@ -10,7 +11,18 @@ import pytest
 from numba import types
 
 from adaptrack.controllers import Limits, published_mpc
-from adaptrack.kernels.abi import INTERPRETED, ROUTINE, Resident, address_of, caller, float64, reader, vector
+from adaptrack.kernels.abi import (
+    INTERPRETED,
+    ROUTINE,
+    Resident,
+    address_of,
+    caller,
+    float64,
+    int64,
+    matrix,
+    reader,
+    vector,
+)
 from adaptrack.kernels.controllers import mpc as kernel
 from adaptrack.vehicle import load_vehicle
 
@@ -61,7 +73,7 @@ def test_a_record_read_by_its_address_is_the_one_that_was_given_entry_by_entry()
     assert {array.ndim for array in arrays.values()} == {1, 2, 3, 4}
     assert {array.dtype.kind for array in arrays.values()} == {"f", "i", "V"}
     assert any(not array.size for array in arrays.values())
-    copy, read = copier(record), reader(kernel.MPC)
+    copy, read = copier(record), reader(kernel.MPCS)
     by_address = numba.njit(**UNCACHED)(lambda address, target, shapes: copy(read(address), target, shapes))
     shapes = np.zeros((2, len(arrays), 4), np.int64)
     found, given = empty_like(record), empty_like(record)
@@ -78,7 +90,7 @@ def test_a_record_read_by_its_address_is_the_one_that_was_given_entry_by_entry()
 
 def test_what_a_kernel_writes_to_a_record_at_an_address_is_seen_in_the_record():
     record = batch()
-    resident, read = Resident(record), reader(kernel.MPC)
+    resident, read = Resident(record), reader(kernel.MPCS)
 
     @numba.njit(**UNCACHED)
     def write(address):
@@ -88,6 +100,39 @@ def test_what_a_kernel_writes_to_a_record_at_an_address_is_seen_in_the_record():
 
     write(resident.address)
     assert (record.answer[1, 2], record.memory[2].command) == (0.5, 0.25)
+
+
+Inner = namedtuple("Inner", ("table", "count"))
+Outer = namedtuple("Outer", ("before", "inner", "after"))
+INNER = types.NamedTuple((matrix, int64), Inner)
+OUTER = types.NamedTuple((vector, INNER, int64), Outer)
+
+
+def test_a_record_within_a_stored_one_is_passed_on_whole_or_by_its_place():
+    outer = Outer(np.arange(3.0), Inner(np.arange(6.0).reshape(2, 3), 7), 9)
+    read = reader(OUTER)
+
+    @numba.njit(types.float64(INNER), **UNCACHED)
+    def whole(inner):
+        return inner.table[1, 2] + 10.0 * inner.count + 100.0 * inner.table.shape[1] + inner.table.strides[0]
+
+    @numba.njit(**UNCACHED)
+    def both(address):
+        inner = read(address).inner
+        return whole(inner), inner.table[0, 1] + inner.count, read(address).after, read(address).before[2]
+
+    assert both(Resident(outer).address) == (5.0 + 70.0 + 300.0 + 24.0, 8.0, 9, 2.0)
+
+
+@pytest.mark.compiled
+def test_a_field_that_a_stored_record_cannot_hold_or_does_not_have_is_refused():
+    refused = types.NamedTuple((float64, vector), namedtuple("Refused", ("number", "others")))
+    for kind, field, said in ((refused, "others", "whole numbers"), (OUTER, "behind", "behind")):
+        read = reader(kind)
+        scope = {"read": read}
+        exec(f"def look(address):\n    return read(address).{field}.size", scope)
+        with pytest.raises((TypeError, numba.TypingError), match=said):
+            numba.njit(**UNCACHED)(scope["look"])(0)
 
 
 # -- functions --------------------------------------------------------------------------------------------------------

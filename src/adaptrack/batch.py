@@ -395,6 +395,7 @@ class Batch:
         last: that of a chunk before, None: none; its arrays are used again where they fit and nothing in them is kept.
         """
         from adaptrack.kernels import rollout
+        from adaptrack.kernels.abi import Resident
 
         which, size = plan.which[chunk], len(chunk)
         n = int(self.periods[which[0]])
@@ -406,8 +407,9 @@ class Batch:
             run = self.arena(size, steps, mpc_settings, segments, plan.traced, plan.scheduler)
         run.given.scenario[:], run.given.seeds[:] = which, plan.seeds[chunk]
         run.vehicles.start[:], run.tuning[:] = self.starts[which], plan.tunings[chunk]
-        rollout.begin(size, run)
-        rollout.rollout(rollout.Span(n, size, max(plan.segment, 1), plan.weight), run)
+        place = Resident(run)
+        rollout.begin(size, place.address)
+        rollout.rollout(rollout.Span(n, size, max(plan.segment, 1), plan.weight), place.address)
         return run
 
 

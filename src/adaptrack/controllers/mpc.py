@@ -683,7 +683,7 @@ class MPC:
         return kernel.functions(discretise=self.model.function, estimate=self.estimator.function, **solvers)
 
     def _form(self, speed: float, ahead: Array) -> tuple[int, int, int]:
-        return self._parts.form_qp(0, speed, ahead, self._asked, self._mpc, self.functions)
+        return self._parts.form_qp(0, speed, ahead, self._asked, self._resident.address, self.functions)
 
     def _qp(self, n: int, m: int) -> QP:
         ws = self._mpc.ws
@@ -706,7 +706,7 @@ class MPC:
             status, iterations = solution.status, solution.iterations
             ws.solution[:n] = solution.x
             ws.multipliers[:m] = solution.lam
-        self._parts.apply_move(0, int(status), iterations, (n, m), self._mpc)
+        self._parts.apply_move(0, int(status), iterations, (n, m), self._resident.address, self.functions)
 
     def _command(self) -> MPCCommand:
         angle, move, held, Np, Nc, Q, R, status, iterations, residual, at_limit, reckoned, *rest = self._answer.tolist()

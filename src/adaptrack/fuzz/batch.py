@@ -92,7 +92,7 @@ def run_case(case: Case, rng: Rng, steps: int) -> Failed | None:
     mpc = make_mpc(case)
     states, speeds, references, tunings, good = _drawn(case, rng, steps)
     answers = np.full((steps, mpc._mpc.answer.shape[1]), math.nan)
-    run(states.copy(), speeds, references, tunings, mpc._mpc, mpc.functions, answers)
+    run(states.copy(), speeds, references, tunings, mpc._resident.address, mpc.functions, answers)
     where, claim = _broken(mpc, answers, speeds, states, references, good)
     if where < 0:
         return None

@@ -11,6 +11,7 @@ Rules of the room
 
 from __future__ import annotations
 
+import gc
 import hashlib
 import logging
 import os
@@ -20,6 +21,7 @@ import time
 import warnings
 from collections import namedtuple
 from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -34,7 +36,9 @@ from numba.core.compiler_lock import global_compiler_lock
 from numba.core.errors import NumbaExperimentalFeatureWarning
 from numba.core.event import Listener, register
 from numba.core.registry import CPUDispatcher
-from numba.extending import intrinsic
+from numba.core.typeconv import Conversion
+from numba.core.typing.templates import AttributeTemplate
+from numba.extending import infer_getattr, intrinsic, lower_cast, lower_getattr_generic, models, register_model
 
 INTERPRETED = bool(_numba_config.DISABLE_JIT)
 """Whether the compiler is switched off (NUMBA_DISABLE_JIT): every kernel is then plain Python."""
@@ -112,11 +116,12 @@ def record(name: str, fields: Iterable[str]) -> Any:
 
 
 class Resident:
-    """A record that stays in memory, for kernels that Python calls at every step: they take its `address`.
+    """A record that stays in memory, for kernels that take its `address`: `reader` gives them the record again.
 
-    To unbox a nested record of forty arrays takes longer than a step of the controller. So where its arrays lie is
-    written down once, in the layout of the compiler's own array structure, and `reader` loads it from there. The
-    record's arrays must not be replaced, and the address is valid as long as this object lives.
+    To unbox a nested record of forty arrays takes longer than a step of the controller, and a kernel that is handed so
+    many numbers, from part to part, takes long to compile. So where the arrays lie is written down once, in the layout
+    of the compiler's own array structure, and a kernel loads the fields that it uses. The record's arrays must not be
+    replaced, and the address is valid as long as this object lives.
     """
 
     def __init__(self, record: Any) -> None:
@@ -137,18 +142,116 @@ def _layout(value: Any) -> list[int]:
     return [*memory_and_owner, value.size, value.itemsize, value.ctypes.data, *value.shape, *value.strides]
 
 
+class Stored(types.Type):  # type: ignore[misc]
+    """The compiler's type of a `Resident` record in a kernel, which knows its place alone.
+
+    kind: the `types.NamedTuple` of the record, made of arrays, whole numbers and such records. ``record.field`` loads
+    the field; a record within it is stored, too. Given to a routine that takes the record itself, it is loaded whole.
+    """
+
+    def __init__(self, kind: Any) -> None:
+        self.kind = kind
+        super().__init__(f"Stored({kind.instance_class.__module__}.{kind.instance_class.__qualname__})")
+
+    def place(self, name: str) -> tuple[Any, int]:
+        """The type of a field and the word at which it begins."""
+        i = self.kind.fields.index(name)
+        return self.kind.types[i], sum(_words(each) for each in self.kind.types[:i])
+
+    def can_convert_to(self, typingctx: Any, other: Any) -> Any:
+        return Conversion.safe if other == self.kind else None
+
+
+def _words(kind: Any) -> int:
+    """Words of a type in `_layout`."""
+    if isinstance(kind, types.BaseTuple):
+        return sum(_words(each) for each in kind.types)
+    if isinstance(kind, types.Array):
+        return 5 + 2 * kind.ndim
+    if kind == types.int64:
+        return 1
+    raise TypeError(f"{kind}: a stored record is made of arrays, whole numbers and such records.")
+
+
+@register_model(Stored)
+class _StoredModel(models.PrimitiveModel):  # type: ignore[misc]
+    def __init__(self, manager: Any, kind: Any) -> None:
+        super().__init__(manager, kind, ir.IntType(8).as_pointer())
+
+
+@infer_getattr
+class _StoredFields(AttributeTemplate):  # type: ignore[misc]
+    key = Stored
+
+    def generic_resolve(self, kind: Any, name: str) -> Any:
+        if name not in kind.kind.fields:
+            return None
+        field, _ = kind.place(name)
+        return Stored(field) if _is_record(field) else field
+
+
+def _is_record(kind: Any) -> bool:
+    """Whether a field is a record whose fields are loaded one by one; a few whole numbers are loaded at once."""
+    return isinstance(kind, types.BaseNamedTuple) and kind.types[0] != types.int64
+
+
+@lower_getattr_generic(Stored)
+def _load_field(context, builder, kind, place, name):
+    field, word = kind.place(name)
+    place = _word(builder, place, word)
+    return place if _is_record(field) else _load(context, builder, field, place)
+
+
+@lower_cast(Stored, types.BaseTuple)
+def _load_record(context, builder, kind, wanted, place):
+    return _load(context, builder, wanted, place)
+
+
+def _word(builder, place, word):
+    return builder.gep(place, [ir.Constant(ir.IntType(64), 8 * word)])
+
+
+def _load(context, builder, kind, place):
+    """A value of a stored record. Nothing changes there while a kernel runs, which the optimiser is told."""
+
+    def load(word, what):
+        loaded = builder.load(builder.bitcast(_word(builder, place, word), what.as_pointer()))
+        loaded.set_metadata("invariant.load", builder.module.add_metadata([]))
+        return loaded
+
+    if isinstance(kind, types.BaseTuple):
+        begins = [sum(_words(each) for each in kind.types[:i]) for i in range(len(kind.types))]
+        parts = [
+            _load(context, builder, each, _word(builder, place, word))
+            for each, word in zip(kind.types, begins, strict=True)
+        ]
+        return context.make_tuple(builder, kind, parts)
+    if not isinstance(kind, types.Array):
+        return load(0, context.get_value_type(kind))
+    array, word = context.make_array(kind)(context, builder), ir.IntType(64)
+    array.nitems, array.data = load(2, word), load(4, context.get_data_type(kind.dtype).as_pointer())
+    array.itemsize = ir.Constant(word, context.get_abi_sizeof(context.get_data_type(kind.dtype)))
+    array.shape = cgutils.pack_array(builder, [load(5 + i, word) for i in range(kind.ndim)])
+    array.strides = cgutils.pack_array(builder, [load(5 + kind.ndim + i, word) for i in range(kind.ndim)])
+    return array._getvalue()
+
+
+def stored(kind: Any) -> Any:
+    """How a kernel takes a record from its place in memory."""
+    return kind if INTERPRETED else Stored(kind)
+
+
 def reader(kind: Any) -> Any:
-    """A kernel ``read(address)`` that gives the `Resident` record of a type made of arrays and whole numbers."""
+    """A kernel ``read(address)`` that gives the `Resident` record of a type."""
     if INTERPRETED:
         return lambda address: address
 
     @intrinsic
     def read(typingctx, address):
         def codegen(context, builder, signature, args):
-            place = builder.inttoptr(args[0], context.get_value_type(kind).as_pointer())
-            return builder.load(place)
+            return builder.inttoptr(args[0], ir.IntType(8).as_pointer())
 
-        return kind(types.int64), codegen
+        return Stored(kind)(types.int64), codegen
 
     return read
 
@@ -326,6 +429,20 @@ def _say_once(text: str) -> None:
     logging.getLogger("adaptrack").warning("adaptrack: %s", text)
 
 
+@contextmanager
+def _no_collection() -> Iterator[None]:
+    """Without the garbage collector, which would go through the compiler's millions of live objects again and again:
+    a sixth of the time.
+    """
+    collecting = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if collecting:
+            gc.enable()
+
+
 class _Kernel(CPUDispatcher):  # type: ignore[misc]
     """A kernel of given signatures, compiled (or loaded from the cache) when it is first needed.
 
@@ -341,7 +458,7 @@ class _Kernel(CPUDispatcher):  # type: ignore[misc]
         """Compile for the declared signatures, unless that has been done."""
         if not (self._can_compile and self.declared):
             return
-        with global_compiler_lock, warnings.catch_warnings():
+        with global_compiler_lock, _no_collection(), warnings.catch_warnings():
             # Functions as arguments work; numba calls them experimental each time.
             warnings.simplefilter("ignore", NumbaExperimentalFeatureWarning)
             if self._can_compile:

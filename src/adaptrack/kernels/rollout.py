@@ -23,6 +23,7 @@ from .abi import (
     int_vector,
     matrix,
     njit,
+    reader,
     record,
     vector,
 )
@@ -115,7 +116,7 @@ _PARTS = (
     ("members", MEMBERS),
     ("vehicles", VEHICLES),
     ("given", GIVEN),
-    ("mpc", mpc.MPC),
+    ("mpc", mpc.MPCS),
     ("functions", mpc.FUNCTIONS),  # of the MPC
     ("law", LAW),
     ("schedule", SCHEDULE),
@@ -132,6 +133,7 @@ _PARTS = (
 Run = record("Run", (name for name, _ in _PARTS))
 RUN = types.NamedTuple([kind for _, kind in _PARTS], Run)
 """A batch of runs."""
+read_run = reader(RUN)
 
 Span = record("Span", ("periods", "slots", "segment", "weight"))
 SPAN = types.NamedTuple((int64, int64, int64, float64), Span)
@@ -324,9 +326,12 @@ def end_slot(k, slot, segment, run):
     place_one(slot, run.vehicles.start, run.vehicles.block, run.vehicles.states)
 
 
-@njit(types.void(int64, RUN), **ROUTINE)
-def begin(slots, run):
-    """Everything as it is before the first instant, for the first `slots` slots; the models that the MPC holds stay."""
+@njit(types.void(int64, int64), **ROUTINE)
+def begin(slots, address):
+    """Everything as it is before the first instant, for the first `slots` slots of the runs at an address
+    (`abi.Resident` of a `Run`); the models that the MPC holds stay.
+    """
+    run = read_run(address)
     place(slots, run.vehicles.start, run.vehicles.block, run.vehicles.states)
     run.segments[:, :] = 0.0
     for i in range(slots):
@@ -339,13 +344,14 @@ def begin(slots, run):
     run.law.memory[:, :] = 0.0
 
 
-@njit(types.void(SPAN, RUN), **ROUTINE)
-def rollout(span, run):
+@njit(types.void(SPAN, int64), **ROUTINE)
+def rollout(span, address):
     """Whole runs, from what `begin` left.
 
     A run ends early when it has failed (`loop.judge`), or, as STOPPED, once its cost has reached its ceiling and can
     only grow. The cost of each segment is written to `segments`: inf for the one in which a run ends, NaN after.
     """
+    run = read_run(address)
     periods, slots, segment, weight = span
     vehicles, settings, members = run.vehicles, run.settings[0], run.members
     block, states, work = vehicles.block, vehicles.states, vehicles.work

@@ -8,14 +8,14 @@ from numba import types
 
 from .abi import ROUTINE, int64, int_vector, matrix, njit, record, vector
 from .loop import RUNNING, STOPPED
-from .rollout import RUN, SPAN, Span, begin, rollout
+from .rollout import SPAN, Span, begin, read_run, rollout
 from .swarm import LEADER_COST, PARTICLES, decode, learn, move
 from .swarm import begin as begin_swarm
 
 Trial = record("Trial", ("run", "span", "noise"))
-TRIAL = types.NamedTuple((RUN, SPAN, int_vector), Trial)
-"""What a tuning is tried on: a batch of runs, what is driven (its slots are the most at a time), and the noise seeds
-over which a cost is the mean."""
+TRIAL = types.NamedTuple((int64, SPAN, int_vector), Trial)
+"""What a tuning is tried on: the address of a batch of runs (`abi.Resident` of `rollout.Run`), what is driven (its
+slots are the most at a time), and the noise seeds over which a cost is the mean."""
 
 Judged = record("Judged", ("tunings", "ceilings", "costs"))
 JUDGED = types.NamedTuple((matrix, vector, vector), Judged)
@@ -35,14 +35,14 @@ def evaluate(part, judged, trial):
     ceiling any more. Returns the control steps done.
     """
     first, slots = part
-    run, span, count = trial.run, trial.span, trial.noise.size
+    run, span, count = read_run(trial.run), trial.span, trial.noise.size
     span = Span(span.periods, slots, span.segment, span.weight)
     tunings, ceilings, costs = judged.tunings[first:], judged.ceilings[first:], judged.costs[first:]
     steps = 0
     for i in range(slots):
         costs[i] = 0.0
     for s in range(count):
-        begin(slots, run)
+        begin(slots, trial.run)
         for i in range(slots):
             for j in range(tunings.shape[1]):
                 run.tuning[i, j] = tunings[i, j]
@@ -50,7 +50,7 @@ def evaluate(part, judged, trial):
             run.ceiling[i] = (ceilings[i] * count - costs[i]) * span.periods
             if not costs[i] < math.inf:
                 run.memory.own[i].ended = STOPPED
-        rollout(span, run)
+        rollout(span, trial.run)
         for i in range(slots):
             found = run.result[i]
             steps += found.instants

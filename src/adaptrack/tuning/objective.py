@@ -99,10 +99,10 @@ class Objective:
         if isinstance(self.plant, SteppedPlant):
             return self._simulated_costs(point, asked)
         costs = np.empty(len(asked))
-        trial = self._trial(point, min(len(asked), SLOTS), asked[:, 0].max(), asked[:, 1].max())
+        place, trial = self._trial(point, min(len(asked), SLOTS), asked[:, 0].max(), asked[:, 1].max())
         judged = kernels.Judged(np.ascontiguousarray(asked), np.full(len(asked), np.inf), costs)
         for first in range(0, len(asked), SLOTS):
-            trial.run.mpc.memory["speed"] = np.nan  # nothing is formed yet
+            place.record.mpc.memory["speed"] = np.nan  # nothing is formed yet
             kernels.evaluate((first, min(SLOTS, len(asked) - first)), judged, trial)
         return costs
 
@@ -126,13 +126,14 @@ class Objective:
         if isinstance(self.plant, SteppedPlant):
             return self._searched(point, Swarm(space, swarm, seed=seed, stream=stream))
         slots, count = min(swarm.particles, SLOTS), swarm.particles
-        trial = self._trial(point, slots, space.high[0], space.high[1])
+        place, trial = self._trial(point, slots, space.high[0], space.high[1])
         judged = kernels.Judged(np.zeros((count, 4)), np.empty(count), np.empty(count))
         search = kernels.Search(
             seed, stream, swarm.packed(space), space.packed(), rules.particles(count, 4), judged,
             np.empty(swarm.generations),
         )  # fmt: skip
         evaluations, steps = kernels.tune(search, trial)
+        del place  # its runs were needed until here
         best = search.swarm
         return Tuned(
             space.values(best.leader), float(best.progress[rules.LEADER_COST]), search.best, evaluations, steps
@@ -153,10 +154,11 @@ class Objective:
         steps = runs * self.scenario(point).sample(self.mpc.period).n
         return Tuned(found.x, found.cost, found.trace, found.evaluations, steps)
 
-    def _trial(self, point: ArrayLike, slots: int, longest: float, most: float) -> Any:
-        """`kernels.tune.Trial` for up to `slots` tunings with horizons up to these."""
+    def _trial(self, point: ArrayLike, slots: int, longest: float, most: float) -> tuple[Any, Any]:
+        """`kernels.tune.Trial` for up to `slots` tunings with horizons up to these; before it, what keeps its runs."""
         from adaptrack.kernels import rollout
         from adaptrack.kernels import tune as kernels
+        from adaptrack.kernels.abi import Resident
 
         assert isinstance(self.plant, Plant)
         batch = Batch(self.plant, self.mpc, [self.scenario(point)], self.profile, failure=self.failure)
@@ -164,4 +166,5 @@ class Objective:
         run.vehicles.start[:] = batch.starts
         noise = np.array(self.noise_seeds, dtype=np.int64)
         span = rollout.Span(batch.signals[0].n, slots, 1, self.weight)
-        return kernels.Trial(run, span, noise)
+        place = Resident(run)
+        return place, kernels.Trial(place.address, span, noise)

@@ -18,6 +18,7 @@ from ..abi import (
     SUBROUTINE,
     Structure,
     address_of,
+    caller,
     columns,
     cube,
     float64,
@@ -28,6 +29,7 @@ from ..abi import (
     njit,
     reader,
     record,
+    stored,
     vector,
 )
 from ..estimators import kalman, learning
@@ -166,22 +168,37 @@ _PARTS = (
     ("ws", WORKSPACE),
 )
 Mpc = record("Mpc", (name for name, _ in _PARTS))
-MPC = types.NamedTuple([kind for _, kind in _PARTS], Mpc)
+MPCS = types.NamedTuple([kind for _, kind in _PARTS], Mpc)
 """A batch of MPCs that share all but tuning and memory."""
-read_mpc = reader(MPC)
+MPC = stored(MPCS)
+read_mpc = reader(MPCS)
 
-_FUNCTIONS = {
+_CHOSEN = {
     "discretise": DISCRETISE, "estimate": ESTIMATE, "active_set": qp.ACTIVE_SET, "hildreth": qp.HILDRETH,
     "learn": learning.LEARN, "believe": learning.BELIEVE,
 }  # fmt: skip
-Functions = record("Functions", _FUNCTIONS)
-FUNCTIONS = types.NamedUniTuple(int64, len(_FUNCTIONS), Functions)
-"""Addresses of what the model and the estimator give, see their contracts, and of the QP methods in use; 0: none."""
+Functions = record("Functions", (*_CHOSEN, "form_model", "estimate_alone", "form_qp", "apply_move"))
+FUNCTIONS = types.NamedUniTuple(int64, len(Functions._fields), Functions)
+"""Addresses of what the model and the estimator give, see their contracts, of the QP methods in use (0: none), and of
+the long parts of a step: compiled once, for all loops that take it."""
+FORM_MODEL = types.void(int64, float64, MPC, FUNCTIONS)
+FORM_QP = types.UniTuple(int64, 3)(int64, float64, vector, vector, MPC, FUNCTIONS)
+APPLY_MOVE = types.void(int64, int64, int64, types.UniTuple(int64, 2), MPC)
+call_form_model, call_form_qp, call_apply_move = caller(FORM_MODEL), caller(FORM_QP), caller(APPLY_MOVE)
 
 
 def functions(**compiled: Any) -> Any:
-    """`Functions`, from compiled ones by name."""
-    return Functions(*[address_of(compiled.get(name), signature) for name, signature in _FUNCTIONS.items()])
+    """`Functions`, from compiled ones by name; without any, those of a batch that no MPC drives."""
+    chosen = [address_of(compiled.get(name), signature) for name, signature in _CHOSEN.items()]
+    if not compiled:
+        return Functions(*chosen, *[address_of(None, None)] * 4)
+    return Functions(
+        *chosen,
+        address_of(_form_model, FORM_MODEL),
+        address_of(_estimate_alone, FORM_MODEL),
+        address_of(_form_qp, FORM_QP),
+        address_of(_apply_move, APPLY_MOVE),
+    )
 
 
 def workspace(slots: int, states: int, settings: Any) -> Any:
@@ -405,7 +422,7 @@ def _clear_padding(rows, size, values):
             vectors.store(values, i, b, vectors.keep_first(vectors.load(values, i, b), size - b))
 
 
-@njit(types.void(int64, float64, MPC, FUNCTIONS), **SUBROUTINE)
+@njit(FORM_MODEL, **SUBROUTINE)
 def _form_model(slot, speed, mpc, functions):
     """What depends on speed and tuning alone: F, Phi, E and its factor, and the rows of eq. (15) in M."""
     settings, own, out, ws = mpc.settings[0], mpc.memory[slot], mpc.answer[slot], mpc.ws
@@ -524,7 +541,7 @@ def _estimate(slot, speed, mpc, functions):
     )
 
 
-@njit(types.void(int64, float64, MPC, FUNCTIONS), **SUBROUTINE)
+@njit(FORM_MODEL, **SUBROUTINE)
 def _estimate_alone(slot, speed, mpc, functions):
     """Let the estimator see the samples of a step without a QP."""
     _discretise(speed, mpc, functions)
@@ -624,7 +641,7 @@ def _leave_out_absurd(speed, mpc):
     return speed if abs(speed) < FASTEST else math.nan
 
 
-@njit(types.UniTuple(int64, 3)(int64, float64, vector, vector, MPC, FUNCTIONS), **SUBROUTINE)
+@njit(FORM_QP, **SUBROUTINE)
 def _form_qp(slot, speed, reference, tuning, mpc, functions):
     """See `form_qp`."""
     settings, out, ws = mpc.settings[0], mpc.answer[slot], mpc.ws
@@ -642,10 +659,10 @@ def _form_qp(slot, speed, reference, tuning, mpc, functions):
     speed = max(speed, settings.speed_floor)
     if status != qp.SOLVED:
         if settings.estimator == BY_FUNCTION:
-            _estimate_alone(slot, speed, mpc, functions)
+            call_form_model(functions.estimate_alone, slot, speed, mpc, functions)
         return status, n, m
     if not _is_formed(slot, speed, mpc):
-        _form_model(slot, speed, mpc, functions)
+        call_form_model(functions.form_model, slot, speed, mpc, functions)
     _look_ahead(slot, np_, reference, mpc)
     _free_response(slot, np_, reference, mpc, functions)
     if mpc.feed.size > 0:
@@ -757,7 +774,7 @@ def _remember(slot, angle, mpc):
     own.started = 1
 
 
-@njit(types.void(int64, int64, int64, types.UniTuple(int64, 2), MPC), **SUBROUTINE)
+@njit(APPLY_MOVE, **SUBROUTINE)
 def _apply_move(slot, status, iterations, size, mpc):
     """See `apply_move`; size: (n, m)."""
     n, m = size
@@ -804,11 +821,11 @@ def step_with(slot, speed, reference, tuning, mpc, functions):
 
     functions: see `FUNCTIONS`.
     """
-    status, n, m = _form_qp(slot, speed, reference, tuning, mpc, functions)
+    status, n, m = call_form_qp(functions.form_qp, slot, speed, reference, tuning, mpc, functions)
     iterations = 0
     if status == qp.SOLVED and abs(speed) < STANDING and mpc.settings[0].estimator == BY_FUNCTION:
         _stand(slot, mpc)
         return
     if status == qp.SOLVED:
         status, iterations = _solve_qp(slot, n, m, mpc, functions)
-    _apply_move(slot, status, iterations, (n, m), mpc)
+    call_apply_move(functions.apply_move, slot, status, iterations, (n, m), mpc)
