@@ -327,10 +327,23 @@ def columns(*names: str) -> Any:
 
 def unpacker(kind: Any) -> Any:
     """A kernel that gives the entries of a vector the names of a `record`, in the order of its fields."""
-    places = ", ".join(f"p[{i}]" for i in range(len(kind._fields)))
-    scope: dict[str, Any] = {"kind": kind}
-    exec(f"def unpack(p):\n    return kind({places})", scope)
-    return njit(**INLINE)(scope["unpack"])
+    if INTERPRETED:
+        return lambda p: kind(*p[: len(kind._fields)])
+
+    @intrinsic
+    def unpack(typingctx, p):
+        made = types.NamedUniTuple(types.float64, len(kind._fields), kind)
+
+        def codegen(context, builder, signature, args):
+            first = context.make_array(p)(context, builder, args[0]).data
+            entries = [
+                builder.load(builder.gep(first, [ir.Constant(ir.IntType(64), i)])) for i in range(len(kind._fields))
+            ]
+            return context.make_tuple(builder, made, entries)
+
+        return made(vector), codegen
+
+    return unpack
 
 
 class Structure:
@@ -487,6 +500,10 @@ class _Kernel(CPUDispatcher):  # type: ignore[misc]
 
 class _Inlined(_Kernel):
     """A kernel without an entry for Python: a call of it from there would end the process."""
+
+    def get_call_template(self, args: Any, kws: Any) -> Any:
+        # Constants are seen after inlining: the function is compiled once for all of them.
+        return super().get_call_template(tuple(types.unliteral(each) for each in args), kws)
 
     def __call__(self, *arguments: Any, **named: Any) -> Any:
         raise TypeError(f"{self.py_func.__name__}: is inlined into kernels and cannot be called from Python.")
