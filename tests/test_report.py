@@ -456,6 +456,7 @@ def test_a_title_stays_clear_of_the_factor_above_its_axis(height):
         axes.set_title("A title that is long enough to lie above the y axis")
 
     figure = style.panel_figure(draw)
+    figure.dpi = 72  # that of an SVG, in which the places below are counted
     style.inline_svg(figure, "p1", "a line")
     (axes,) = figure.axes
     title, factor = axes.get_title("left"), axes.yaxis.get_offset_text()
