@@ -51,12 +51,15 @@ def test_the_profile_decides_period_and_preview_unless_told_otherwise(monkeypatc
         assert (row["period"], row["preview"]) == (period, preview)
 
 
-def test_out_holds_the_page_the_pictures_and_the_trajectories(monkeypatch, capsys, tmp_path):
+def test_out_holds_the_page_and_the_trajectories_and_where_asked_the_pictures(monkeypatch, capsys, tmp_path):
     out = tmp_path / "a" / "b"
-    code, _, _ = run(monkeypatch, capsys, "simulate", "sine", "-o", "duration=2.0", "--out", out)
-    names = {path.name for path in out.iterdir()}
-    assert code == 0
-    assert {"index.html", "sine-informed.parquet", "sine-tracking.png"} <= names
+    asked = ["simulate", "sine", "-o", "duration=2.0", "--out", out]
+    assert run(monkeypatch, capsys, *asked)[0] == 0
+    assert {path.name for path in out.iterdir()} == {"index.html", "sine-informed.parquet"}
+    assert run(monkeypatch, capsys, *asked, "--png")[0] == 0
+    linked = re.findall(r'<a href="([^"#]+)"', (out / "index.html").read_text(encoding="utf-8"))
+    assert sorted(linked) == ["sine-conditions.png", "sine-tracking.png", "speed.png"]
+    assert sorted(path.name for path in out.glob("*.png")) == sorted(linked)
 
 
 @pytest.mark.parametrize(
@@ -65,6 +68,8 @@ def test_out_holds_the_page_the_pictures_and_the_trajectories(monkeypatch, capsy
         (["simulate", "triple-lane-chnage"], ["triple-lane-change"]),
         (["simulate", "step", "--vehicle", "papr"], ["paper"]),
         (["simulate", "step", "--tyre", "magic"], ["magic-formula"]),
+        (["simulate", "step", "--png"], ["--png", "--out"]),
+        (["drive", "mountain", "--png"], ["--png", "--out"]),
         (["simulate", "step", "--np", "5", "--nc", "8"], ["Nc = 8", "Np = 5"]),
         (["simulate", "step", "--r", "0"], ["R = 0.0", "positive"]),
         (["simulate", "step", "--solver", "hildret"], ["hildreth"]),

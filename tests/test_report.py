@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
+from matplotlib.text import Text
 
 from adaptrack.errors import InvalidInput, StorageError
 from adaptrack.metrics import compute_metrics
@@ -380,6 +381,24 @@ def test_two_pictures_cannot_share_a_file(tmp_path):
     assert not (tmp_path / "out").exists()
 
 
+def test_a_page_without_png_files_shows_the_same_pictures_and_draws_nothing_for_print(tmp_path):
+    def line():
+        return style.panel_figure(lambda axes: axes.plot([0, 1]))
+
+    def never():
+        raise AssertionError("drawn for print")
+
+    def content(print_figure):
+        panels = [page.Drawing(line(), "a line")]
+        return [Section("One", [page.Picture("c", panels, file="a.png", print_figure=print_figure)])]
+
+    alone = write_page(tmp_path / "alone", content(never), title="Page", png=False).read_text()
+    both = write_page(tmp_path / "both", content(line), title="Page").read_text()
+    assert os.listdir(tmp_path / "alone") == ["index.html"]
+    assert sorted(os.listdir(tmp_path / "both")) == ["a.png", "index.html"]
+    assert both.replace(' <a href="a.png">PNG for print</a>', "") == alone
+
+
 def test_sections_of_any_content_become_a_page(tmp_path):
     table = page.Table("Results", [page.Head("Name", is_text=True), page.Head("Value", "m")], ["Group", ["a", "1"]])
     inner = Section("Inner", ["deep"])
@@ -428,6 +447,22 @@ def test_legends_cover_no_curve():
     style.png(figure)  # settles the layout
     legend = figure.legends[0].get_window_extent()
     assert all(not legend.overlaps(axes.get_window_extent()) for axes in figure.axes)
+
+
+@pytest.mark.parametrize("height", [1e-7, 1.0, 3e8])
+def test_a_title_stays_clear_of_the_factor_above_its_axis(height):
+    def draw(axes):
+        axes.plot([0.0, height])
+        axes.set_title("A title that is long enough to lie above the y axis")
+
+    figure = style.panel_figure(draw)
+    figure.dpi = 72  # that of an SVG, in which the places below are counted
+    style.inline_svg(figure, "p1", "a line")
+    (axes,) = figure.axes
+    title, factor = axes.get_title("left"), axes.yaxis.get_offset_text()
+    assert bool(factor.get_text()) == (height != 1.0)
+    (drawn,) = figure.findobj(lambda each: isinstance(each, Text) and each.get_text() == title)
+    assert not (factor.get_text() and drawn.get_window_extent().overlaps(factor.get_window_extent()))
 
 
 def test_a_lost_run_ends_where_it_was_lost_and_does_not_set_the_scale():

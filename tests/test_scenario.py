@@ -656,3 +656,14 @@ def test_scenarios_need_neither_scipy_nor_numba() -> None:
         "assert not {'scipy', 'numba', 'matplotlib', 'sklearn'} & sys.modules.keys()"
     )
     subprocess.run([sys.executable, "-c", program], check=True, timeout=60)
+
+
+def test_controllers_and_the_page_of_a_run_load_no_more_of_scipy_than_numba_does() -> None:
+    program = (
+        "import sys, adaptrack.controllers, adaptrack.report.runs;"
+        "assert 'matplotlib' in sys.modules, 'drawn without matplotlib';"
+        "slow = {f'scipy.{part}' for part in ('optimize', 'interpolate', 'special', 'sparse', 'stats')};"
+        "slow |= {'adaptrack.report.dataset', 'sklearn', 'pandas', 'matplotlib.pyplot'};"
+        "assert not slow & sys.modules.keys(), slow & sys.modules.keys()"
+    )
+    subprocess.run([sys.executable, "-c", program], check=True, timeout=60)

@@ -11,8 +11,8 @@ from dataclasses import dataclass, fields
 from typing import Any, final
 
 import numpy as np
+import scipy  # loads its parts when they are first used
 from numpy.typing import ArrayLike, NDArray
-from scipy.linalg import expm
 
 from adaptrack.errors import InvalidInput, real
 from adaptrack.estimation import Estimator
@@ -298,7 +298,7 @@ class ReadableFilter:
         n, size = self.n, self.size
         block = np.zeros((size + 1, size + 1))
         block[:n, :n], block[:n, n : n + 2], block[:n, size] = a, inputs[:, 1:3], inputs[:, 0]
-        whole = expm(block * time)
+        whole = scipy.linalg.expm(block * time)
         return whole[:size, :size], whole[:size, size]
 
     def begin(self, measured: Array, command: float) -> None:

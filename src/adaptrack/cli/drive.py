@@ -26,6 +26,7 @@ from adaptrack.cli.simulate import (
     tell_open_qps,
     tell_stiffness,
 )
+from adaptrack.errors import InvalidInput
 
 if TYPE_CHECKING:
     from adaptrack.controllers import Controller
@@ -81,6 +82,7 @@ def drive(
     learned: options.LearnedFile = None,
     seed: Annotated[int, Option("--seed", help="Of the sensor noise.")] = 0,
     out: Annotated[Path | None, Option(help="Folder for the page with the replay, and the trajectories.")] = None,
+    png: options.Png = False,
     allow_failed: Annotated[
         bool,
         Option(
@@ -114,6 +116,8 @@ def drive(
     for found in dict.fromkeys(tuning or []):
         controllers.append(tuned(found, who, as_json))
         _certify_elsewhere(found, controllers[-1][1], who, body, (allow_failed, as_json))
+    if png and out is None:
+        raise InvalidInput("--png: needs a folder, --out.")
     if out is not None:
         options.make_folder(out)
     seen.warn(as_json)
@@ -131,7 +135,7 @@ def drive(
     if not any(row["failed"] for row in rows):
         keep_learned(learned, controllers, as_json)
     if out is not None:
-        show.say(f"Page: {_write_page(out, runs)}", aside=as_json)
+        show.say(f"Page: {_write_page(out, runs, png)}", aside=as_json)
     _print(trip, rows, as_json)
     for label, each in controllers:
         tell_belief(label, each, body, world, as_json)
@@ -221,7 +225,7 @@ def _print(trip: RoadDrive, rows: Sequence[dict[str, Any]], as_json: bool) -> No
         tell_open_qps(row, as_json)
 
 
-def _write_page(out: Path, runs: Sequence[_Run]) -> Path:
+def _write_page(out: Path, runs: Sequence[_Run], png: bool) -> Path:
     from adaptrack.failure import find_failure
     from adaptrack.path_metrics import PathMetrics
     from adaptrack.report.drive import write_drive_page
@@ -236,4 +240,4 @@ def _write_page(out: Path, runs: Sequence[_Run]) -> Path:
             failed = find_failure(each.run)
             record = DriveRecord.from_trajectory(each.run, each.trip.road, each.car, failed=failed, metrics=measures)
             records.append(dataclasses.replace(record, controller=record.controller + each.found_in))
-        return write_drive_page(out, records, command=options.command_line())
+        return write_drive_page(out, records, command=options.command_line(), png=png)

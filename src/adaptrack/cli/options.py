@@ -100,6 +100,7 @@ Tuned = Annotated[
 OtherProfile = Annotated[
     str | None, Option("--profile", metavar="NAME", help="Instead of the configuration's: paper, road, production, ...")
 ]
+Png = Annotated[bool, Option("--png", help="With --out: the pictures as PNG files for print, too.")]
 Json = Annotated[bool, Option("--json", help="One JSON object on standard output, nothing else.")]
 Data = Annotated[str, Option("--data", help="Name (see `dataset list`), file, or folder of a campaign.")]
 DataSetName = Annotated[

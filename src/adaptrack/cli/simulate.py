@@ -91,6 +91,7 @@ def simulate(
         Option("--option", "-o", metavar="KEY=VALUE", help="Option of the scenario, e.g. speed=20."),
     ] = None,
     out: Annotated[Path | None, Option(help="Folder for the report and the trajectories.")] = None,
+    png: options.Png = False,
     allow_failed: Annotated[
         bool,
         Option(
@@ -134,6 +135,8 @@ def simulate(
     for label, each in controllers:
         if isinstance(each, MPC):
             certify_meeting(label, each, body, car, world, allow_failed, as_json)
+    if png and out is None:
+        raise InvalidInput("--png: needs a folder, --out.")
     if out is not None:
         options.make_folder(out)
     runs = _drive(loaded, controllers, body, world, driver, seed, out)
@@ -142,7 +145,7 @@ def simulate(
     if not any(row["failed"] for row in rows):
         keep_learned(learned, controllers, as_json)
     if out is not None:
-        show.say(f"Report: {_write_report(out, runs)}", aside=as_json)
+        show.say(f"Report: {_write_report(out, runs, png)}", aside=as_json)
     _print(rows, as_json)
     for label, each in controllers:
         tell_belief(label, each, body, world, as_json)
@@ -304,11 +307,12 @@ def _drive(
     return runs
 
 
-def _write_report(out: Path, runs: Sequence[tuple[str, Trajectory]]) -> Path:
+def _write_report(out: Path, runs: Sequence[tuple[str, Trajectory]], png: bool) -> Path:
     from adaptrack.report import Run, write_report
 
     with show.progress("write the report"):
-        return write_report(out, [Run(run, label=label) for label, run in runs], command=options.command_line())
+        shown = [Run(run, label=label) for label, run in runs]
+        return write_report(out, shown, command=options.command_line(), png=png)
 
 
 def measured_row(controller: str, run: Trajectory, model: PredictionModel | None = None) -> dict[str, Any]:

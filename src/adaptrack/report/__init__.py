@@ -6,15 +6,34 @@
 * `runs` reports on closed-loop runs: `write_report`; `dataset` on tuned operating points: `write_dataset_report`.
 * `drive` reports on drives along a road, with a replay: `write_drive_page`, from `record.DriveRecord`; `drive_figures`
   draws the road from above with the driven line, and signals along it; `notebook` shows one run.
+
+The public names are loaded when they are first used: a page loads what it shows, not what other pages do.
 """
 
-from adaptrack.report.dataset import write_dataset_report
-from adaptrack.report.drive import write_drive_page
-from adaptrack.report.drive_figures import above_figure, along_figure
-from adaptrack.report.figures import conditions_figure, speed_figure, tracking_figure
-from adaptrack.report.page import Section, write_page
-from adaptrack.report.record import DriveRecord, Measure, Shape
-from adaptrack.report.runs import Run, write_report
+from __future__ import annotations
+
+import importlib
+from typing import TYPE_CHECKING, Any
+
+_PUBLIC = {
+    "dataset": ("write_dataset_report",),
+    "drive": ("write_drive_page",),
+    "drive_figures": ("above_figure", "along_figure"),
+    "figures": ("conditions_figure", "speed_figure", "tracking_figure"),
+    "page": ("Section", "write_page"),
+    "record": ("DriveRecord", "Measure", "Shape"),
+    "runs": ("Run", "write_report"),
+}
+"""Module -> the names that this package exposes from it; the imports below repeat it for type checkers."""
+
+if TYPE_CHECKING:
+    from adaptrack.report.dataset import write_dataset_report
+    from adaptrack.report.drive import write_drive_page
+    from adaptrack.report.drive_figures import above_figure, along_figure
+    from adaptrack.report.figures import conditions_figure, speed_figure, tracking_figure
+    from adaptrack.report.page import Section, write_page
+    from adaptrack.report.record import DriveRecord, Measure, Shape
+    from adaptrack.report.runs import Run, write_report
 
 __all__ = [
     "DriveRecord",
@@ -32,3 +51,10 @@ __all__ = [
     "write_page",
     "write_report",
 ]
+
+
+def __getattr__(name: str) -> Any:
+    for module, names in _PUBLIC.items():
+        if name in names:
+            return getattr(importlib.import_module(f"{__name__}.{module}"), name)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -343,7 +343,7 @@ def _map(found: Certificate, quantity: _Quantity, values: Array, unstable: NDArr
 
 def _picture(maps: Sequence[_Map], caption: str, file: str, title: str = "") -> Picture:
     panels = [Panel(each.title, each.show, each.description).drawing() for each in maps]
-    return Picture(caption, panels, file=file, print_figure=_print(maps, title))
+    return Picture(caption, panels, file=file, print_figure=lambda: _print(maps, title))
 
 
 def _print(maps: Sequence[_Map], title: str) -> Figure:

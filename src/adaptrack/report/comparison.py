@@ -419,7 +419,7 @@ def _maps(comparison: Comparison) -> list[Item]:
         "left over friction, right over the size of the reference. All maps share one logarithmic scale of colours"
         f"{f', which ends at {_CEILING:g}' if high > _CEILING else ''}."
     )
-    return [Picture(caption, [panel.drawing() for panel in panels], file="regret-map.png", print_figure=figure)]
+    return [Picture(caption, [panel.drawing() for panel in panels], file="regret-map.png", print_figure=lambda: figure)]
 
 
 def _spread(compared: Sequence[_Compared]) -> list[Section]:
@@ -567,7 +567,8 @@ def _learned(schedules: Mapping[str, Schedule]) -> list[Section]:
         "mean over Np, Nc and log R/Q; parts that inputs have together count for each of them.",
     )
     drawings = [panel.drawing() for panel in panels]
-    return [Section("What was learned", [Picture(caption, drawings, file="surfaces.png", print_figure=figure), table])]
+    picture = Picture(caption, drawings, file="surfaces.png", print_figure=lambda: figure)
+    return [Section("What was learned", [picture, table])]
 
 
 def _learning(histories: Histories, names: Mapping[str, str]) -> list[Section]:
@@ -774,4 +775,4 @@ def _picture(caption: str, panels: Sequence[Panel], strokes: Strokes, file: str)
     """Panels with a common legend, side by side in print."""
     key = [(_label(who), stroke) for who, stroke in strokes.items()]
     drawings = [panel.drawing() for panel in panels]
-    return Picture(caption, drawings, key, file, printed(panels, len(panels), 2.8, key))
+    return Picture(caption, drawings, key, file, lambda: printed(panels, len(panels), 2.8, key))

@@ -274,7 +274,9 @@ def _optimum(found: DataSet, told: Summary) -> Section:
         "other two numbers; empty cells hold none. Both maps of a target have the same colours.",
         [panel.drawing() for panel in panels],
         file="optimum.png",
-        print_figure=_heat_figure(list(labels.values()), [[heats[name, other] for name in labels] for other in over]),
+        print_figure=lambda: _heat_figure(
+            list(labels.values()), [[heats[name, other] for name in labels] for other in over]
+        ),
     )
     bars = [_histogram(target, _limits(told, target)) for target in targets]
     spread = Picture(
@@ -282,7 +284,7 @@ def _optimum(found: DataSet, told: Summary) -> Section:
         f"{listed([f'{name} = {value:g}' for name, value in zip(('Np', 'Nc', 'Q', 'R'), STANDARD, strict=True)])}.",
         [bar.drawing() for bar in bars],
         file="targets.png",
-        print_figure=printed(bars, columns=3, height=1.75),
+        print_figure=lambda: printed(bars, columns=3, height=1.75),
     )
     words = (
         "The horizons Np and Nc are in control periods. Of the weights, only R/Q changes the control law: Q and R "
@@ -326,7 +328,7 @@ def _costs(rows: DataSet, told: Summary) -> Section:
                 [panel.drawing() for panel in panels],
                 key,
                 "cost.png",
-                printed(panels, len(panels), 2.4, key),
+                lambda: printed(panels, len(panels), 2.4, key),
             )
         )
     return Section("What the optimum is worth", items)
@@ -417,7 +419,7 @@ def _flatness(dataset: DataSet, told: Summary) -> Section:
         "comes out best says little, and a model loses little by a wrong one; where few are, the tuning matters."
     )
     key = list(strokes.items())
-    picture = Picture(caption, [panel.drawing()], key, "flatness.png", printed([panel], 1, 2.6, key))
+    picture = Picture(caption, [panel.drawing()], key, "flatness.png", lambda: printed([panel], 1, 2.6, key))
     return Section(title, [words, table, picture])
 
 

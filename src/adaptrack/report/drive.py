@@ -52,6 +52,7 @@ def write_drive_page(
     command: str = "",
     created: str = "",
     more: Sequence[Section] = (),
+    png: bool = True,
 ) -> Path:
     """Write the page on drives on one road, with its replay, and its PNG files into `out_dir`; return the page's path.
 
@@ -67,6 +68,8 @@ def write_drive_page(
         When they were made.
     more
         Sections to put before the command.
+    png
+        Whether to write the PNG files.
 
     Raises
     ------
@@ -93,6 +96,7 @@ def write_drive_page(
         title=title or f"{_name(shown)}: {few(shown, 'controller')}",
         failed=heading,
         created=clock(created),
+        png=png,
     )
 
 
@@ -149,7 +153,7 @@ def _verdict(drives: Drives) -> Verdict:
         + (" A cross marks where a drive failed." if failed else ""),
         [Drawing(above_figure(shown, *_ON_PAGE), f"The road from above with the driven line. {'; '.join(words)}.")],
         file="above.png",
-        print_figure=above_figure(shown),
+        print_figure=lambda: above_figure(shown),
     )
     return Verdict(text, Terms(entries), picture, failed > 0, None if alone else _outcomes(drives))
 
@@ -185,7 +189,7 @@ def _along(drives: Drives) -> Picture:
     caption += " Front wheels in blue, command in grey." if alone else " Steering is the angle of the front wheels."
     caption += " Dotted: where a drive failed." if any(drive.failed for drive in drives.values()) else ""
     panels = [panel.drawing() for panel in along_panels(drives)]
-    return Picture(caption, panels, along_key(drives), "along.png", along_figure(list(drives.values())))
+    return Picture(caption, panels, along_key(drives), "along.png", lambda: along_figure(list(drives.values())))
 
 
 def _learned(drives: Drives) -> Section:
@@ -193,8 +197,8 @@ def _learned(drives: Drives) -> Section:
     caption = "What was learned of the car while driving. Band: one standard deviation to either side"
     known = any(each.truth is not None for drive in drives.values() for each in drive.learned.values())
     caption += "; dashed: the simulated truth." if known else "."
-    panels = [panel.drawing() for panel in learned_panels(drives)]
-    picture = Picture(caption, panels, learned_key(drives), "learned.png", learned_figure(list(drives.values())))
+    panels, shown = [panel.drawing() for panel in learned_panels(drives)], list(drives.values())
+    picture = Picture(caption, panels, learned_key(drives), "learned.png", lambda: learned_figure(shown))
     return Section("Learned while driving", [picture])
 
 

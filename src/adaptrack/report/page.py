@@ -103,8 +103,8 @@ class Picture:
     legend: Legend = ()
     file: str = ""
     """The name of its PNG file beside the page; empty for none."""
-    print_figure: Figure | None = None
-    """What that file shows; the only panel when left out."""
+    print_figure: Callable[[], Figure] | None = None
+    """Draws what that file shows; the only panel when left out."""
 
 
 @dataclass(frozen=True)
@@ -191,6 +191,7 @@ def write_page(
     failed: str = "",
     lead: Sequence[str] = (),
     created: str = "",
+    png: bool = True,
 ) -> Path:
     """Write ``index.html`` and the PNG files of its pictures into `out_dir`, and return the page's path.
 
@@ -205,6 +206,8 @@ def write_page(
         Paragraphs under the title.
     created
         When the results were made, for the title's second line; the clock is the caller's.
+    png
+        Whether to write the PNG files, which may take longer than the page, and link them.
 
     Raises
     ------
@@ -213,20 +216,27 @@ def write_page(
     StorageError
         When a file cannot be written; files of an earlier report are then whole, old or new.
     """
-    files: dict[str, bytes] = {}
+    printed_as: dict[str, Picture] = {}
     for picture in _pictures(sections):
         if not picture.file:
             continue
-        if not re.fullmatch(r"[\w.-]+\.png", picture.file) or picture.file in files:
+        if not re.fullmatch(r"[\w.-]+\.png", picture.file) or picture.file in printed_as:
             raise InvalidInput(f"report: {picture.file!r} is not a name for a PNG file, or is used twice on this page.")
-        files[picture.file] = style.png(picture.print_figure or picture.panels[0].figure)
-    files[PAGE] = render(sections, title=title, failed=failed, lead=lead, created=created).encode()
+        printed_as[picture.file] = picture
+    files = {name: _png(picture) for name, picture in printed_as.items()} if png else {}
+    files[PAGE] = render(sections, title=title, failed=failed, lead=lead, created=created, png=png).encode()
     _write_files(Path(out_dir), files)
     return Path(out_dir) / PAGE
 
 
 def render(
-    sections: Sequence[Section], *, title: str, failed: str = "", lead: Sequence[str] = (), created: str = ""
+    sections: Sequence[Section],
+    *,
+    title: str,
+    failed: str = "",
+    lead: Sequence[str] = (),
+    created: str = "",
+    png: bool = True,
 ) -> str:
     """The page as HTML text, see `write_page`."""
     environment = jinja2.Environment(
@@ -251,7 +261,7 @@ def render(
     opening, rest = _opening(sections)
     return template.render(
         title=title, failed=failed, opening=opening, lead=lead, sections=rest, created=created, version=__version__,
-        variables=_css_colour,
+        variables=style.themed, png=png,
     )  # fmt: skip
 
 
@@ -274,6 +284,10 @@ def _pictures(items: Sequence[Item]) -> Iterator[Picture]:
             yield from _pictures(item.items)
 
 
+def _png(picture: Picture) -> bytes:
+    return style.png(picture.panels[0].figure if picture.print_figure is None else picture.print_figure())
+
+
 def _printable(value: Any) -> Any:
     """Names are data: what no page can hold is shown as an escape (the template escapes the rest)."""
     return printable(value, keep="\n\t") if type(value) is str else value
@@ -292,10 +306,6 @@ def _dasharray(stroke: style.Stroke) -> str:
     if stroke.dash == "-":
         return ""
     return " ".join(f"{2 * length:g}" for length in stroke.dash[1])
-
-
-def _css_colour(colour: str) -> str:
-    return f"var(--{style.theme()[colour]}, {colour})"
 
 
 def _write_files(folder: Path, files: Mapping[str, bytes]) -> None:

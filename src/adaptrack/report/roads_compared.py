@@ -137,7 +137,7 @@ def _picture(made: RoadComparison) -> Picture:
     alone = len(made.roads) == 1
     panel = Panel("Cost", draw, f"{'; '.join(words)}.")
     caption = "Cost J with each noise seed." if alone else "Cost J on each road, mean over the noise seeds."
-    return Picture(caption, [panel.drawing()], key, "costs.png", printed([panel], 1, 4.0, key))
+    return Picture(caption, [panel.drawing()], key, "costs.png", lambda: printed([panel], 1, 4.0, key))
 
 
 def _failures(rows: Sequence[dict[str, Any]]) -> list[Section]:

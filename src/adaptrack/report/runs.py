@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -103,6 +103,7 @@ def write_report(
     lead: Sequence[str] = (),
     first: Sequence[Section] = (),
     more: Sequence[Section] = (),
+    png: bool = True,
 ) -> Path:
     """Write the page on `runs` and its PNG files into `out_dir`; return the page's path.
 
@@ -123,6 +124,8 @@ def write_report(
         runs.
     more
         Sections to put after them, before the provenance.
+    png
+        Whether to write the PNG files.
 
     Raises
     ------
@@ -158,6 +161,7 @@ def write_report(
         failed=_failed_heading(failed, len(shown)),
         lead=[*([] if alone else map(_failed_sentence, failed)), *(lead or [_in_short(scenarios)])],
         created=clock(created),
+        png=png,
     )
 
 
@@ -249,7 +253,9 @@ def _pictures(stem: str, group: Sequence[Shown], strokes: Strokes, numbers: Mapp
     lines = figures.as_lines(runs, strokes)
     key = [(label, strokes[label]) for label in runs]
 
-    def picture(kind: str, caption: str, panels: Sequence[figures.Panel], whole: Figure, key: Key) -> Picture:
+    def picture(
+        kind: str, caption: str, panels: Sequence[figures.Panel], whole: Callable[[], Figure], key: Key
+    ) -> Picture:
         caption += _shape(numbers.get(kind, ""))
         return Picture(caption, [_drawing(panel, lines) for panel in panels], key, f"{stem}-{kind}.png", whole)
 
@@ -262,10 +268,10 @@ def _pictures(stem: str, group: Sequence[Shown], strokes: Strokes, numbers: Mapp
             "tracking",
             tracking,
             figures.TRACKING,
-            figures.tracking_figure(runs, strokes),
+            lambda: figures.tracking_figure(runs, strokes),
             [("Reference", style.REFERENCE), *key],
         ),
-        picture("conditions", conditions, panels, figures.conditions_figure(runs, strokes), key),
+        picture("conditions", conditions, panels, lambda: figures.conditions_figure(runs, strokes), key),
     ]
 
 
@@ -278,7 +284,7 @@ def _speed_picture(
         [_drawing(figures.SPEED, own, title) for title, own in lines.items()],
         figures.speed_key(list(lines.values())),
         "speed.png",
-        figures.speed_figure(scenarios, strokes),
+        lambda: figures.speed_figure(scenarios, strokes),
     )
 
 

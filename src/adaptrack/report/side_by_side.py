@@ -188,7 +188,7 @@ def _work(standings: dict[str, Standing]) -> Picture:
         "RMS error against the RMS rate of the steering command; below and to the left is better. Tuned contenders. "
         + COLOURS
     )
-    return Picture(caption, [each.drawing() for each in panels], (), "work.png", printed(panels, 2, 3.0))
+    return Picture(caption, [each.drawing() for each in panels], (), "work.png", lambda: printed(panels, 2, 3.0))
 
 
 def _work_panel(profile: str, standing: Standing) -> Panel:
@@ -253,7 +253,7 @@ def _entry_speeds(made: Compared, standings: dict[str, Standing]) -> list[Sectio
         "Highest clean entry speed into the obstacle avoidance of ISO 3888-2, of the worst of three noise seeds; a dot "
         f"for each car, at 0 where no speed was clean, and a bar at their mean. {COLOURS}"
     )
-    return [Section("Entry speeds, ISO 3888-2", [Picture(caption, drawings, (), "entry.png", drawings[0].figure)])]
+    return [Section("Entry speeds, ISO 3888-2", [Picture(caption, drawings, file="entry.png")])]
 
 
 def _entry_drawing(profile: str, speeds: dict[Who, dict[str, float]]) -> Drawing:

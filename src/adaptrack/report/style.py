@@ -33,6 +33,11 @@ GRID = "#dce1e7"
 SERIES = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9")
 """One colour per controller: Okabe and Ito's set, told apart with any common colour vision (tested)."""
 
+_THEME = {INK: "ink", MUTED: "muted", GRID: "grid"} | {colour: f"series-{i}" for i, colour in enumerate(SERIES)}
+"""The CSS variable behind each colour that a page may redefine."""
+
+_THEMED = re.compile("|".join(_THEME), re.IGNORECASE)
+
 _DASHES: tuple[Any, ...] = ("-", (0, (5, 1.5)), (0, (1.5, 1.5)))
 """Line styles of the first, second and third round through `SERIES`."""
 
@@ -251,7 +256,21 @@ def _save(figure: Figure, to: io.BytesIO | io.StringIO, **how: Any) -> None:
                 axis.set_major_locator(MaxNLocator("auto", steps=ROUND))
     with styled(), warnings.catch_warnings():
         warnings.filterwarnings("ignore", "Glyph .* missing")  # a name in a script that the font does not have
+        if figure.get_layout_engine() is None:  # otherwise the ticks are not yet what they will be
+            for axes in figure.axes:
+                _settle_titles(axes)
         figure.savefig(to, **how)
+
+
+def _settle_titles(axes: Axes) -> None:
+    """Keep the titles where they are, unless the y axis has a factor (1e6) above it that they have to avoid.
+
+    matplotlib looks for that at every draw, which takes a third of it.
+    """
+    formatter = axes.yaxis.get_major_formatter()
+    formatter.set_locs(axes.yaxis.get_majorticklocs().tolist())
+    if not formatter.get_offset():
+        axes.set_title(axes.get_title("center"), loc="center", y=1.0)
 
 
 def inline_svg(figure: Figure, prefix: str, description: str) -> str:
@@ -279,14 +298,12 @@ def _tag(text: str, prefix: str) -> str:
     text = re.sub(r"url\(#([^)]+)\)", rf"url(#{prefix}-\1)", text)
     text = re.sub(r'xlink:href="#([^"]+)"', rf'href="#{prefix}-\1"', text)
     text = text.replace(" font-family: 'DejaVu Sans';", "")
-    for colour, variable in theme().items():
-        text = re.sub(colour, f"var(--{variable}, {colour})", text, flags=re.IGNORECASE)
-    return text
+    return _THEMED.sub(lambda colour: themed(colour[0].lower()), text)
 
 
-def theme() -> dict[str, str]:
-    """The CSS variable behind each colour that a page may redefine."""
-    return {INK: "ink", MUTED: "muted", GRID: "grid"} | {colour: f"series-{i}" for i, colour in enumerate(SERIES)}
+def themed(colour: str) -> str:
+    """A colour of this style for CSS: the variable that a page may redefine, and the colour itself."""
+    return f"var(--{_THEME[colour]}, {colour})"
 
 
 def _attribute(text: str) -> str:

@@ -21,10 +21,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import scipy  # loads its parts when they are first used
 from numpy.typing import ArrayLike
-from scipy.interpolate import BSpline, CubicSpline
-from scipy.sparse import csc_array, csr_array, diags_array
-from scipy.sparse.linalg import splu
 
 from adaptrack.errors import InvalidInput, real
 from adaptrack.road.projection import feet_near
@@ -136,7 +134,7 @@ def road_through(points: ArrayLike, *, closed: bool = False, name: str = "points
     if not steps.min() > 0.0:
         raise InvalidInput(f"road_through: point {int(steps.argmin())} comes twice; leave one out.")
     places = np.concatenate([[0.0], np.cumsum(steps)])
-    spline = CubicSpline(places, ring, bc_type="periodic" if closed else "not-a-knot")
+    spline = scipy.interpolate.CubicSpline(places, ring, bc_type="periodic" if closed else "not-a-knot")
     powers = spline.c[::-1].transpose(1, 2, 0) * steps[:, np.newaxis, np.newaxis] ** np.arange(4)
     cubics = _in_a_row(powers)
     return Road(name=name, table=_laid(cubics), closed=closed, elements=cubics, **alongs(along))
@@ -319,28 +317,30 @@ class _System:
         knots = self.knot * np.arange(-3, self.count + 4)
         self.knots = knots
         inside = np.clip(self.places, 0.0, self.length * (1.0 - 1e-15))
-        basis = csr_array(BSpline.design_matrix(inside, knots, 3))
+        basis = scipy.sparse.csr_array(scipy.interpolate.BSpline.design_matrix(inside, knots, 3))
         self.size = self.count if record.closed else self.count + 3
-        self.basis = csc_array(basis @ self._wrap()) if record.closed else csc_array(basis)
+        self.basis = scipy.sparse.csc_array(basis @ self._wrap()) if record.closed else scipy.sparse.csc_array(basis)
         differences = _third_differences(self.count + 3)
         if record.closed:
             wrapped = self._wrap()
-            differences = csr_array(differences @ wrapped)
-        self.rough = csc_array(differences.T @ differences) / self.knot**5
-        self.normal = csc_array(self.basis.T @ self.basis)
+            differences = scipy.sparse.csr_array(differences @ wrapped)
+        self.rough = scipy.sparse.csc_array(differences.T @ differences) / self.knot**5
+        self.normal = scipy.sparse.csc_array(self.basis.T @ self.basis)
         self.right = self.basis.T @ record.points
         self.spacing = self.length / len(record.points)
 
-    def _wrap(self) -> csr_array:
+    def _wrap(self) -> scipy.sparse.csr_array:
         """Coefficients of all B-splines from those of one lap."""
         n = self.count + 3
         rows = np.arange(n)
-        return csr_array((np.ones(n), (rows, rows % self.count)), shape=(n, self.count))
+        return scipy.sparse.csr_array((np.ones(n), (rows, rows % self.count)), shape=(n, self.count))
 
     def _factor(self, scale: float) -> Any:
+        from scipy.sparse.linalg import splu
+
         weight = (scale / (2.0 * math.pi)) ** 6 / self.spacing
-        tiny = 1e-12 * diags_array(np.ones(self.size))  # knots between which no point lies
-        return splu(csc_array(self.normal + weight * self.rough + tiny))
+        tiny = 1e-12 * scipy.sparse.diags_array(np.ones(self.size))  # knots between which no point lies
+        return splu(scipy.sparse.csc_array(self.normal + weight * self.rough + tiny))
 
     def score(self, scale: float) -> float:
         """Generalised cross-validation: n RSS/(n - 1.4 trace)^2."""
@@ -389,10 +389,10 @@ def _laid(cubics: Sequence[Cubic]) -> Table:
     return joined([placed(table, cubic.pose or Pose()) for table, cubic in zip(tabulate(cubics), cubics, strict=True)])
 
 
-def _third_differences(n: int) -> csr_array:
+def _third_differences(n: int) -> scipy.sparse.csr_array:
     """(n - 3, n)."""
     stencil = [-1.0, 3.0, -3.0, 1.0]
-    return csr_array(diags_array(stencil, offsets=[0, 1, 2, 3], shape=(n - 3, n)))
+    return scipy.sparse.csr_array(scipy.sparse.diags_array(stencil, offsets=[0, 1, 2, 3], shape=(n - 3, n)))
 
 
 def _measured(road: Road, record: _Record, near: Array) -> _Fit:

@@ -10,9 +10,9 @@ from __future__ import annotations
 from typing import Annotated, Literal, NamedTuple
 
 import numpy as np
+import scipy  # loads its parts when they are first used
 from numpy.typing import ArrayLike, NDArray
 from pydantic import Field
-from scipy.special import fresnel
 
 from adaptrack.files import Record
 
@@ -131,8 +131,8 @@ class Clothoid(Placed):
             place = heading_integral(k0, k1, s)
         else:
             scale = np.sqrt(np.pi / abs(k1))
-            s1, c1 = fresnel((s + k0 / k1) / scale)
-            s0, c0 = fresnel(k0 / k1 / scale)
+            s1, c1 = scipy.special.fresnel((s + k0 / k1) / scale)
+            s0, c0 = scipy.special.fresnel(k0 / k1 / scale)
             turned = scale * ((c1 - c0) + 1j * np.sign(k1) * (s1 - s0))
             place = turned * np.exp(-0.5j * k0 * k0 / k1)
         return Points(place.real, place.imag, heading, curvature)

@@ -21,10 +21,9 @@ from functools import partial
 from typing import NamedTuple
 
 import numpy as np
+import scipy  # loads its parts when they are first used
 from numpy.typing import ArrayLike
 from pydantic import Field
-from scipy.optimize import linprog
-from scipy.sparse import csr_array, diags_array, vstack
 
 from adaptrack.errors import InvalidInput, real
 from adaptrack.files import Record
@@ -328,22 +327,23 @@ def _with_jerk(cells: _Cells, fastest: Array, jerk: float, closed: bool, start: 
     """
     n, ds = fastest.size, cells.ds
     v = np.sqrt(fastest)
-    slope = csr_array(diags_array([-1.0 / ds, 1.0 / ds], offsets=[0, 1], shape=(n - 1, n)))
+    sparse = scipy.sparse
+    slope = sparse.csr_array(sparse.diags_array([-1.0 / ds, 1.0 / ds], offsets=[0, 1], shape=(n - 1, n)))
     gap = 0.5 * (ds[:-1] + ds[1:])
-    bend = csr_array(diags_array([-1.0 / gap, 1.0 / gap], offsets=[0, 1], shape=(n - 2, n - 1))) @ slope
+    bend = sparse.csr_array(sparse.diags_array([-1.0 / gap, 1.0 / gap], offsets=[0, 1], shape=(n - 2, n - 1))) @ slope
     drive = np.array([2.0 * min(cells.drive(k, fastest[k]), cells.drive(k, fastest[k + 1])) for k in range(n - 1)])
     brake = np.array([2.0 * min(cells.brake(k, fastest[k]), cells.brake(k, fastest[k + 1])) for k in range(n - 1)])
     share = 2.0 * jerk / np.maximum(np.maximum(v[1:-1], 0.5 * (v[:-2] + v[2:])), 0.1)
     rows, bounds = [slope, -slope, bend, -bend], [np.maximum(drive, 0.0), brake, share, share]
     if closed:
         seam = (slope[[0]] - slope[[n - 2]]) * (2.0 / (ds[0] + ds[-1]))
-        rows += [seam, -seam, csr_array(([1.0, -1.0], ([0, 0], [0, n - 1])), shape=(1, n))]
+        rows += [seam, -seam, sparse.csr_array(([1.0, -1.0], ([0, 0], [0, n - 1])), shape=(1, n))]
         bounds += [share[:1], share[:1], np.zeros(1)]
     worth = np.concatenate([ds, [ds[-1]]]) / np.maximum(fastest, 1.0) ** 1.5
     low = np.zeros(n)
     low[0] = 0.0 if start is None else fastest[0] * (1.0 - 1e-9)
-    most = np.concatenate(bounds)
-    found = linprog(-worth, A_ub=vstack(rows), b_ub=most, bounds=np.stack([low, fastest], axis=-1), method="highs")
+    below, most, ends = sparse.vstack(rows), np.concatenate(bounds), np.stack([low, fastest], axis=-1)
+    found = scipy.optimize.linprog(-worth, A_ub=below, b_ub=most, bounds=ends, method="highs")
     if found.x is None:
         raise InvalidInput(
             f"plan_speed: no speed keeps a jerk of {jerk:g} m/s^3 from this start: allow more, or start slower."

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from typing import Any, Self
 
 import numpy as np
-from scipy.special import expit
+import scipy  # loads its parts when they are first used
 
 from adaptrack.errors import InvalidInput, real
 from adaptrack.scheduling.functions.function import Array, Function, Packed, read_array, register_function
@@ -71,7 +71,7 @@ class Network(Function):
     def predict(self, x: Array) -> Array:
         h = (x - self.low) / (self.high - self.low)
         for weights, biases in zip(self.weights[:-1], self.biases[:-1], strict=True):
-            h = expit(h @ weights + biases)
+            h = scipy.special.expit(h @ weights + biases)
         out = (h @ self.weights[-1] + self.biases[-1])[:, 0]
         if self.relu:
             out = np.maximum(out, 0.0)
