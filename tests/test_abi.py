@@ -11,19 +11,9 @@ import pytest
 from numba import types
 
 from adaptrack.controllers import Limits, published_mpc
-from adaptrack.kernels.abi import (
-    INTERPRETED,
-    ROUTINE,
-    Resident,
-    address_of,
-    caller,
-    float64,
-    int64,
-    matrix,
-    reader,
-    vector,
-)
+from adaptrack.kernels.abi import INTERPRETED, ROUTINE, address_of, caller, float64, int64, matrix, vector
 from adaptrack.kernels.controllers import mpc as kernel
+from adaptrack.kernels.stored import Resident, reader
 from adaptrack.vehicle import load_vehicle
 
 UNCACHED = {**ROUTINE, "cache": False}

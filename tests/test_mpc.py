@@ -620,8 +620,8 @@ def test_an_empty_reference_is_refused():
     ids=["pulse", "laguerre", "soft", "hildreth"],
 )
 def test_what_a_workspace_held_before_changes_no_bit(options, rng):
-    from adaptrack.kernels.abi import Resident
     from adaptrack.kernels.controllers.mpc_step import step
+    from adaptrack.kernels.stored import Resident
 
     mpc = published_mpc(CAR, **options)
     settings = mpc.settings()

@@ -395,7 +395,7 @@ class Batch:
         last: that of a chunk before, None: none; its arrays are used again where they fit and nothing in them is kept.
         """
         from adaptrack.kernels import rollout
-        from adaptrack.kernels.abi import Resident
+        from adaptrack.kernels.stored import Resident
 
         which, size = plan.which[chunk], len(chunk)
         n = int(self.periods[which[0]])

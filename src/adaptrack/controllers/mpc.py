@@ -364,7 +364,7 @@ class MPC:
 
     def _load(self) -> None:
         """What a copy cannot carry along: the lock, addresses, compiled functions."""
-        from adaptrack.kernels.abi import Resident
+        from adaptrack.kernels.stored import Resident
 
         self._lock = threading.Lock()
         self._measured, self._answer = self._mpc.measured, self._mpc.answer[0]
@@ -603,8 +603,8 @@ class MPC:
 
     def _look_along(self, road: RoadAhead | None, pace: float) -> None:
         """Take in the road ahead."""
-        from adaptrack.kernels.abi import Resident
         from adaptrack.kernels.controllers.mpc import on_curved_roads
+        from adaptrack.kernels.stored import Resident
 
         if self._mpc.bend.size == 0:
             self._mpc = on_curved_roads(self._mpc)

@@ -46,7 +46,7 @@ class Block(NamedTuple):
     episodes: Any
     """`kernels.episode.Episodes`"""
     resident: Any
-    """the same in memory, `kernels.abi.Resident`"""
+    """the same in memory, `kernels.stored.Resident`"""
 
 
 class _VectorEnv(VectorEnv):
@@ -179,10 +179,10 @@ class _VectorEnv(VectorEnv):
 
     def _block(self, slots: slice, episode: Episode) -> Block:
         """A block of cars of an episode's kind; what it measures lies in the arrays of the environment."""
-        from adaptrack.kernels.abi import Resident
         from adaptrack.kernels.episode import Episodes
         from adaptrack.kernels.models.contract import MEASURED
         from adaptrack.kernels.sight import Sight
+        from adaptrack.kernels.stored import Resident
 
         task = self.task
         roads = range(len(task.roads))

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from numba import types
 
-from .abi import PART, ROUTINE, Structure, int64, matrix, njit, reader, record, vector
+from .abi import PART, ROUTINE, Structure, int64, matrix, njit, record, vector
 from .controllers import mpc
 from .loop import (
     NEVER_ARRIVED,
@@ -24,6 +24,7 @@ from .models.contract import MEASURED
 from .plants.contract import INPUTS, call_advance, input_at, place_one
 from .rollout import RUN, begin_instant, end_slot, sense_slot
 from .sight import SIGHT
+from .stored import reader
 
 EPISODE = Structure(
     (

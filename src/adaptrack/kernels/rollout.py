@@ -23,7 +23,6 @@ from .abi import (
     int_vector,
     matrix,
     njit,
-    reader,
     record,
     vector,
 )
@@ -61,6 +60,7 @@ from .plants.contract import (
 from .qp import problem as qp
 from .road import ROADS, RoadAhead, bend_ahead, line_of
 from .schedule import SCHEDULE, schedule
+from .stored import reader
 from .variables import VARIABLES
 
 COMMON = 3
@@ -329,7 +329,7 @@ def end_slot(k, slot, segment, run):
 @njit(types.void(int64, int64), **ROUTINE)
 def begin(slots, address):
     """Everything as it is before the first instant, for the first `slots` slots of the runs at an address
-    (`abi.Resident` of a `Run`); the models that the MPC holds stay.
+    (`stored.Resident` of a `Run`); the models that the MPC holds stay.
     """
     run = read_run(address)
     place(slots, run.vehicles.start, run.vehicles.block, run.vehicles.states)

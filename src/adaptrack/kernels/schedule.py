@@ -14,10 +14,11 @@ from typing import Any
 import numpy as np
 from numba import types
 
-from .abi import INLINE, ROUTINE, int64, int_vector, matrix, njit, reader, record, rows, structure, vector
+from .abi import INLINE, ROUTINE, int64, int_vector, matrix, njit, record, rows, structure, vector
 from .functions import evaluate
 from .guard import COUNTS, GUARD, MAP_AXES, MEMORY, MOST_ENTRIES, NC, NP, supervise
 from .maths.elementary import clip
+from .stored import reader
 from .variables import VARIABLES
 
 INPUT = structure(

@@ -10,5 +10,5 @@ from .schedule import read_schedule, schedule
 
 @njit(types.void(vector, int64, vector), **ROUTINE)
 def schedule_step(variables, address, tuning):
-    """`schedule.schedule` for the schedule at an address (`abi.Resident` of `schedule.Schedule`), its only slot."""
+    """`schedule.schedule` for the schedule at an address (`stored.Resident` of `schedule.Schedule`), its only slot."""
     schedule(0, variables, read_schedule(address), tuning)

@@ -14,7 +14,7 @@ from .swarm import begin as begin_swarm
 
 Trial = record("Trial", ("run", "span", "noise"))
 TRIAL = types.NamedTuple((int64, SPAN, int_vector), Trial)
-"""What a tuning is tried on: the address of a batch of runs (`abi.Resident` of `rollout.Run`), what is driven (its
+"""What a tuning is tried on: the address of a batch of runs (`stored.Resident` of `rollout.Run`), what is driven (its
 slots are the most at a time), and the noise seeds over which a cost is the mean."""
 
 Judged = record("Judged", ("tunings", "ceilings", "costs"))

@@ -158,7 +158,7 @@ class Objective:
         """`kernels.tune.Trial` for up to `slots` tunings with horizons up to these; before it, what keeps its runs."""
         from adaptrack.kernels import rollout
         from adaptrack.kernels import tune as kernels
-        from adaptrack.kernels.abi import Resident
+        from adaptrack.kernels.stored import Resident
 
         assert isinstance(self.plant, Plant)
         batch = Batch(self.plant, self.mpc, [self.scenario(point)], self.profile, failure=self.failure)

@@ -27,9 +27,7 @@ from ..abi import (
     int_vector,
     matrix,
     njit,
-    reader,
     record,
-    stored,
     vector,
 )
 from ..estimators import kalman, learning
@@ -41,6 +39,7 @@ from ..models.contract import DISCRETISE, MEASURED, call_discretise
 from ..qp import problem as qp
 from ..qp.factor import factorise
 from ..qp.residual import kkt_residual
+from ..stored import reader, stored
 from .condensing import (
     DISCRETE,
     Discrete,

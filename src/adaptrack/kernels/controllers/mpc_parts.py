@@ -10,7 +10,7 @@ from .mpc import FUNCTIONS, call_apply_move, call_form_qp, read_mpc
 
 @njit(types.UniTuple(int64, 3)(int64, float64, vector, vector, int64, FUNCTIONS), **ROUTINE)
 def form_qp(slot, speed, reference, tuning, address, functions):
-    """The QP of eq. (17) for a slot of the MPCs at an address (`abi.Resident` of `mpc.Mpc`).
+    """The QP of eq. (17) for a slot of the MPCs at an address (`stored.Resident` of `mpc.Mpc`).
 
     Returns its status so far, its variables n and its rows m. Takes the measurement from mpc.measured. speed: v_x
     (m/s); reference: y_ref (m) now and at the instants that follow; R_s holds its values from the next instant on with

@@ -10,5 +10,5 @@ from .mpc import FUNCTIONS, read_mpc, step_with
 
 @njit(types.void(float64, vector, vector, int64, FUNCTIONS), **ROUTINE)
 def step(speed, reference, tuning, address, functions):
-    """One step of the MPC at an address (`abi.Resident` of `mpc.Mpc`), its only slot; see `mpc_parts.form_qp`."""
+    """One step of the MPC at an address (`stored.Resident` of `mpc.Mpc`), its only slot; see `mpc_parts.form_qp`."""
     step_with(0, speed, reference, tuning, read_mpc(address), functions)

@@ -10,7 +10,7 @@ from .mpc import FUNCTIONS, read_mpc, step_with
 
 @njit(types.void(matrix, vector, matrix, matrix, int64, FUNCTIONS, matrix), **ROUTINE)
 def steps(states, speeds, references, tunings, address, functions, answers):
-    """Step k of slot 0 of the MPC at an address (`abi.Resident` of `mpc.Mpc`) with rows k.
+    """Step k of slot 0 of the MPC at an address (`stored.Resident` of `mpc.Mpc`) with rows k.
 
     They are measured quantities (k, MEASURED), speed (k,), y_ref (k, .), tuning (k, 4).
     answers: (k, .) what each step answered, as `mpc.ANSWER` and what is learned.
