@@ -13,6 +13,7 @@ from functools import lru_cache
 from typing import Any
 
 from numba import types
+from numba.extending import overload
 
 from ..abi import caller, float64, matrix, njit, vector
 
@@ -31,13 +32,23 @@ zero before its first step. A measurement that is not finite is one that is miss
 call_estimate = caller(ESTIMATE)
 
 
+def _or_zero(found: Any) -> Any:
+    """What a function has returned, 0 for nothing."""
+    return 0.0 if found is None else found
+
+
+@overload(_or_zero, inline="always")
+def _typed_or_zero(found):
+    # Chosen by type: whether the compiler leaves out a branch that is never taken depends on the version of Python.
+    return (lambda found: 0.0) if isinstance(found, types.NoneType) else (lambda found: found)
+
+
 @lru_cache(maxsize=64)
 def compile_estimator(function: Any) -> Any:
     """A user's function, compiled for `ESTIMATE`; numba's own error when it cannot be. It may return nothing: 0 s."""
     own = njit(nogil=True, error_model="numpy")(getattr(function, "py_func", function))
 
     def estimate(speed, measured, command, a, b, parameters, memory, x, d):
-        found = own(speed, measured, command, a, b, parameters, memory, x, d)
-        return 0.0 if found is None else found
+        return _or_zero(own(speed, measured, command, a, b, parameters, memory, x, d))
 
     return njit(ESTIMATE, nogil=True, error_model="numpy")(estimate)
