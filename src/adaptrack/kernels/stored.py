@@ -28,8 +28,11 @@ class Resident:
 
     def __init__(self, record: Any) -> None:
         self.record = record
-        self._words = np.array(_layout(record), np.int64)
-        self.address = record if INTERPRETED else self._words.ctypes.data
+        if INTERPRETED:
+            self.address = record
+        else:
+            self._words = np.array(_layout(record), np.int64)
+            self.address = self._words.ctypes.data
 
 
 def _layout(value: Any) -> list[int]:
