@@ -24,6 +24,7 @@ from __future__ import annotations
 import argparse
 import contextlib
 import json
+import math
 import platform
 import sys
 import time
@@ -56,6 +57,8 @@ TRAINING = ("country:101", "mountain:101")
 JUDGED = ("country:1", "country:2", "mountain:1", "mountain:2", "town:1", "random-drive:1")
 LENGTH, DURATION = 700.0, 40.0
 TRAINING_SEEDS, SEEDS = (1000,), (0, 1)
+EACH = len(TRAINING) * len(TRAINING_SEEDS)
+"""Closed loops of a tuning."""
 
 
 class Spent(Exception):
@@ -238,19 +241,16 @@ DEAR = {"bayes": 250}
 
 def measure(problem: Problem, method: str, budgets: list[int], seed: int) -> list[dict[str, Any]]:
     """What a method finds within each budget of closed loops."""
-    each = len(TRAINING) * len(TRAINING_SEEDS)
-    tunings = [max(2, budget // each) for budget in budgets]
+    tunings = [max(2, budget // EACH) for budget in budgets]
     rows = []
     for group in [tunings] if method in ANYTIME else [[count] for count in tunings]:
-        most = min(max(group), DEAR.get(method, max(group)))
+        most = max(group)
         begun = time.process_time()
         problem.begin(most)
         with contextlib.suppress(Spent):
             METHODS[method](problem, seed)
         seconds = time.process_time() - begun
         for count in group:
-            if count > most:
-                continue
             best = int(np.argmin(problem.costs[:count]))
             rows.append(
                 {
@@ -318,7 +318,10 @@ def main() -> None:
     problems = {name: Problem(name) for name in given.problems}
     begun = time.monotonic()
     for i, (name, method, seed) in enumerate(searches):
-        left = [budget for budget in given.budgets if (name, method, seed, budget) not in done]
+        most = DEAR.get(method, math.inf)
+        left = [
+            budget for budget in given.budgets if (name, method, seed, budget) not in done and budget // EACH <= most
+        ]
         if left:
             found = measure(problems[name], method, left, seed)
             rows += found
