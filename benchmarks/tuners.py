@@ -268,6 +268,7 @@ def table(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
     made, rng = [], np.random.default_rng(0)
 
     def mean(logs: list[float]) -> dict[str, float]:
+        logs = logs or [math.nan]  # all searches are lost
         draws = np.exp(rng.choice(logs, (2000, len(logs))).mean(axis=1))
         low, high = np.quantile(draws, (0.025, 0.975)).tolist()
         return {"mean": float(np.exp(np.mean(logs))), "low": low, "high": high}
@@ -290,7 +291,7 @@ def table(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
                 {
                     "budget": budget, "method": method,
                     "regret": mean([np.log(row["unseen"] / best[row["problem"], "unseen"]) for row, _ in pairs]),
-                    "over_swarm": mean(against or [np.nan]),
+                    "over_swarm": mean(against),
                     "lost": sum(row["lost"] for row in kept), "searches": len(kept),
                     "training": mean([np.log(row["training"] / best[row["problem"], "training"]) for row in kept]),
                     "cpu_seconds": float(np.mean([row["cpu_seconds"] for row in kept])),

@@ -6,6 +6,7 @@ that hands them on from part to part takes half as long again.
 
 from __future__ import annotations
 
+from itertools import accumulate
 from typing import Any
 
 import numpy as np
@@ -61,7 +62,7 @@ class Stored(types.Type):  # type: ignore[misc]
     def place(self, name: str) -> tuple[Any, int]:
         """The type of a field and the word at which it begins."""
         i = self.kind.fields.index(name)
-        return self.kind.types[i], sum(_words(each) for each in self.kind.types[:i])
+        return self.kind.types[i], _begins(self.kind)[i]
 
     def can_convert_to(self, typingctx: Any, other: Any) -> Any:
         return Conversion.safe if other == self.kind else None
@@ -76,6 +77,11 @@ def _words(kind: Any) -> int:
     if kind == types.int64:
         return 1
     raise TypeError(f"{kind}: a stored record is made of arrays, whole numbers and such records.")
+
+
+def _begins(kind: Any) -> list[int]:
+    """The word at which each entry of a tuple begins."""
+    return [0, *accumulate(map(_words, kind.types))][:-1]
 
 
 @register_model(Stored)
@@ -125,10 +131,9 @@ def _load(context, builder, kind, place):
         return loaded
 
     if isinstance(kind, types.BaseTuple):
-        begins = [sum(_words(each) for each in kind.types[:i]) for i in range(len(kind.types))]
         parts = [
             _load(context, builder, each, _word(builder, place, word))
-            for each, word in zip(kind.types, begins, strict=True)
+            for each, word in zip(kind.types, _begins(kind), strict=True)
         ]
         return context.make_tuple(builder, kind, parts)
     if not isinstance(kind, types.Array):
@@ -139,11 +144,6 @@ def _load(context, builder, kind, place):
     array.shape = cgutils.pack_array(builder, [load(5 + i, word) for i in range(kind.ndim)])
     array.strides = cgutils.pack_array(builder, [load(5 + kind.ndim + i, word) for i in range(kind.ndim)])
     return array._getvalue()
-
-
-def stored(kind: Any) -> Any:
-    """How a kernel takes a record from its place in memory."""
-    return kind if INTERPRETED else Stored(kind)
 
 
 def reader(kind: Any) -> Any:

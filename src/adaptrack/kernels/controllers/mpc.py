@@ -39,7 +39,7 @@ from ..models.contract import DISCRETISE, MEASURED, call_discretise
 from ..qp import problem as qp
 from ..qp.factor import factorise
 from ..qp.residual import kkt_residual
-from ..stored import reader, stored
+from ..stored import Stored, reader
 from .condensing import (
     DISCRETE,
     Discrete,
@@ -169,7 +169,7 @@ _PARTS = (
 Mpc = record("Mpc", (name for name, _ in _PARTS))
 MPCS = types.NamedTuple([kind for _, kind in _PARTS], Mpc)
 """A batch of MPCs that share all but tuning and memory."""
-MPC = stored(MPCS)
+MPC = Stored(MPCS)
 read_mpc = reader(MPCS)
 
 _CHOSEN = {
@@ -188,15 +188,10 @@ call_form_model, call_form_qp, call_apply_move = caller(FORM_MODEL), caller(FORM
 
 def functions(**compiled: Any) -> Any:
     """`Functions`, from compiled ones by name; without any, those of a batch that no MPC drives."""
-    chosen = [address_of(compiled.get(name), signature) for name, signature in _CHOSEN.items()]
-    if not compiled:
-        return Functions(*chosen, *[address_of(None, None)] * 4)
+    parts = (_form_model, FORM_MODEL), (_estimate_alone, FORM_MODEL), (_form_qp, FORM_QP), (_apply_move, APPLY_MOVE)
     return Functions(
-        *chosen,
-        address_of(_form_model, FORM_MODEL),
-        address_of(_estimate_alone, FORM_MODEL),
-        address_of(_form_qp, FORM_QP),
-        address_of(_apply_move, APPLY_MOVE),
+        *[address_of(compiled.get(name), signature) for name, signature in _CHOSEN.items()],
+        *[address_of(part if compiled else None, signature) for part, signature in parts],
     )
 
 
