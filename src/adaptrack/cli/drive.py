@@ -26,7 +26,6 @@ from adaptrack.cli.simulate import (
     tell_open_qps,
     tell_stiffness,
 )
-from adaptrack.errors import InvalidInput
 
 if TYPE_CHECKING:
     from adaptrack.controllers import Controller
@@ -116,10 +115,7 @@ def drive(
     for found in dict.fromkeys(tuning or []):
         controllers.append(tuned(found, who, as_json))
         _certify_elsewhere(found, controllers[-1][1], who, body, (allow_failed, as_json))
-    if png and out is None:
-        raise InvalidInput("--png: needs a folder, --out.")
-    if out is not None:
-        options.make_folder(out)
+    options.make_page_folder(out, png)
     seen.warn(as_json)
     files = safe_names(f"{trip.name}-{label}" for label, _ in controllers)
     runs = []

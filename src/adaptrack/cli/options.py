@@ -194,6 +194,22 @@ def make_folder(path: Path) -> None:
         raise StorageError(f"{path}: cannot be written to: {getattr(error, 'strerror', None) or error}.") from error
 
 
+def make_page_folder(out: Path | None, png: bool) -> None:
+    """`make_folder`, where a page is asked for.
+
+    Raises
+    ------
+    InvalidInput
+        When PNG files are asked for and no page.
+    StorageError
+        As `make_folder`.
+    """
+    if png and out is None:
+        raise InvalidInput("--png: needs a folder, --out.")
+    if out is not None:
+        make_folder(out)
+
+
 def command_line() -> str:
     """The command line at hand."""
     return shlex.join(["adaptrack", *sys.argv[1:]])

@@ -135,10 +135,7 @@ def simulate(
     for label, each in controllers:
         if isinstance(each, MPC):
             certify_meeting(label, each, body, car, world, allow_failed, as_json)
-    if png and out is None:
-        raise InvalidInput("--png: needs a folder, --out.")
-    if out is not None:
-        options.make_folder(out)
+    options.make_page_folder(out, png)
     runs = _drive(loaded, controllers, body, world, driver, seed, out)
     models = {label: getattr(each, "model", None) for label, each in controllers}
     rows = [measured_row(label, run, models[label]) for label, run in runs]
