@@ -6,10 +6,12 @@ import importlib.util
 import json
 import os
 import signal
+import socket
 import sys
 import threading
 import time
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
+from contextlib import ExitStack
 from pathlib import Path
 
 import numpy as np
@@ -914,6 +916,64 @@ def test_what_is_no_address_is_refused_at_once(tmp_path, monkeypatch, address):
     with pytest.raises(InvalidInput, match=f"dask = {address!r}: is no address; one looks like tcp://127.0.0.1:8786"):
         run_campaign(small(), tmp_path / "out", dask=address, evaluate=Fake)
     assert not (tmp_path / "out").exists()
+
+
+@pytest.fixture
+def speaks(monkeypatch):
+    """Starts a server that says words to the first who comes, does something, and is silent; its address."""
+    monkeypatch.setattr(module, "DASK_TIMEOUT", 0.3)
+    with ExitStack() as stack:
+
+        def start(words=b"", then=lambda: None):
+            server = stack.enter_context(socket.create_server(("127.0.0.1", 0)))
+
+            def speak():
+                connection = stack.enter_context(server.accept()[0])
+                connection.sendall(words)
+                then()
+
+            threading.Thread(target=speak, daemon=True).start()
+            return f"tcp://127.0.0.1:{server.getsockname()[1]}"
+
+        yield start
+
+
+@needs_dask
+@pytest.mark.parametrize(
+    "words",
+    [b"HTTP/1.1 400 Bad Request\r\n\r\n", bytes(range(256)), bytes(64)],
+    ids=["http", "counting", "zeros"],
+)
+def test_a_server_that_says_something_else_than_dask_is_one_clear_error(tmp_path, speaks, words):
+    address = speaks(words)
+    with pytest.raises(InvalidInput, match=f"dask = '{address}': no scheduler answers there"):
+        run_campaign(small(), tmp_path / "out", dask=address, evaluate=Fake)
+    assert not (tmp_path / "out").exists()
+
+
+@needs_dask
+def test_a_server_that_is_silent_is_left_in_time(tmp_path, monkeypatch, speaks):
+    import distributed
+
+    # It would wait without end, and again when it is deleted.
+    monkeypatch.setattr(distributed, "Client", lambda *given, **more: pytest.fail("it waited for a scheduler"))
+    with pytest.raises(InvalidInput, match=r"no scheduler answers there \(silent for 0\.3 s\)"):
+        run_campaign(small(), tmp_path / "out", dask=speaks(), evaluate=Fake)
+
+
+@needs_dask
+def test_ctrl_c_ends_the_wait_for_a_silent_server_and_leaves_nothing_behind(
+    tmp_path, monkeypatch, speaks, press_ctrl_c
+):
+    import distributed
+
+    before = set(threading.enumerate())
+    monkeypatch.setattr(module, "DASK_TIMEOUT", 30.0)
+    monkeypatch.setattr(distributed, "Client", lambda *given, **more: pytest.fail("it waited for a scheduler"))
+    address = speaks(then=lambda: press_ctrl_c(after=0.0))
+    with pytest.raises(KeyboardInterrupt):
+        run_campaign(small(), tmp_path / "out", dask=address, evaluate=Fake)
+    assert "IO loop" not in {each.name for each in set(threading.enumerate()) - before}
 
 
 WITHOUT_WORKERS = """

@@ -112,6 +112,20 @@ class TestOpenLoop:
         assert motion.yaw[0, -1] == pytest.approx(0.2)
         assert motion.lateral_acceleration[0, 10:] == pytest.approx(10.0 * 0.2)
 
+    def test_a_stepped_plant_that_takes_any_step_takes_one_of_a_period(self):
+        class Cart(SteppedPlant):
+            longest_step = math.inf
+
+            def reset(self, motion):
+                self.motion = motion
+
+            def step(self, dt, steering, acceleration, environment):
+                self.motion[0] += dt * self.motion[3]
+                return self.motion
+
+        motion = drive_open_loop(Cart(), lambda t: 0.0 * t, 10.0, 1.0)
+        assert motion.x[0, -1] == pytest.approx(10.0)
+
     @pytest.mark.parametrize(
         ("speed", "duration", "steer"), [(0.0, 1.0, 0.0), (10.0, -1.0, 0.0), (10.0, 1.0, math.nan), (1e9, 1.0, 0.0)]
     )

@@ -427,6 +427,14 @@ def test_a_stepped_plant_is_checked_with_the_steps_of_the_loop():
     assert seen == {round(0.05 / 3, 9)}
 
 
+@pytest.mark.parametrize("longest", [0.0, -0.02, math.nan, "0.02", True, 1e-9])
+def test_a_stepped_plant_without_a_longest_step_that_can_be_is_refused_before_the_first(longest):
+    plant = Bicycle()
+    plant.longest_step, plant.step = longest, lambda *given: pytest.fail("it is stepped")
+    with pytest.raises(InvalidInput, match=r"Plant 'Bicycle': longest_step = "):
+        check_plant(plant, period=0.05)
+
+
 @pytest.mark.parametrize(
     "fault",
     ["six finite numbers", "write to its arguments", "go straight", "follow the speed", "to the left", "mirrored",

@@ -1,7 +1,9 @@
 """A simulator in another process drives as one here does, and whatever it does, it is ended and said what it did."""
 
+import contextlib
 import gc
 import os
+import signal
 import sys
 import time
 from pathlib import Path
@@ -110,7 +112,10 @@ def test_compiled_runs_refuse_it_with_the_remedy():
         ("print('[1]', flush=True)", "greeting is no JSON object"),
         ("print('{\"hello\": 1}', flush=True)", "the first line must be a greeting"),
         ("print('{\"adaptrack_plant\": 2}', flush=True)", "the first line must be a greeting"),
-        ('print(\'{"adaptrack_plant": 1, "mass": -3}\', flush=True)', "mass = -3 of its greeting"),
+        ("print('{\"adaptrack_plant\": true}', flush=True)", "the first line must be a greeting"),
+        ("print('[' * 100_000, flush=True)", "greeting is no JSON object"),
+        ('print(\'{"adaptrack_plant": 1, "mass": 1%s}\' % ("0" * 400), flush=True)', "mass = inf of its greeting"),
+        ('print(\'{"adaptrack_plant": 1, "mass": -3}\', flush=True)', r"mass = -3\.0 of its greeting"),
         (
             "import sys; print('no licence', file=sys.stderr); sys.exit(3)",
             r"(?s)exit status 3 before its greeting.*no lic",
@@ -130,6 +135,9 @@ def test_a_process_that_greets_otherwise_is_refused(program, said):
         ("print('{\"motion\": [1, 2]}', flush=True)", r"reset must be answered with .*six numbers"),
         ('print(\'{"motion": [1, 2, 3, 4, 5, "six"]}\', flush=True)', "six numbers"),
         ("print('{\"motion\": [0, 0, 0, 0, 0, 0]}', flush=True)", "reset answered with the motion"),
+        ("print('{\"motion\": [1%s, 0, 0, 0, 0, 0]}' % ('0' * 400), flush=True)", r"with the motion \[inf, 0.0"),
+        ("print('{\"motion\": [true, 0, 0, 0, 0, 0]}', flush=True)", "six numbers"),
+        ("print('{\"motion\": ' + '[' * 100_000, flush=True)", "no JSON object"),
         ('print(\'{"error": "no such map"}\', flush=True)', "instead of the answer to reset it reports: no such map"),
         ("print('not json', flush=True)", "the answer to reset is no JSON object"),
         ("raise SystemExit(5)", "ended with exit status 5 before the answer to reset"),
@@ -152,6 +160,82 @@ def test_a_process_that_dies_between_two_steps_is_said_to_have():
     plant._process.wait()
     with pytest.raises(ContractError, match="the process ended with exit status -9 before"):
         plant.step(0.02, 0.0, 0.0, AROUND)
+
+
+def test_an_answer_that_is_there_before_it_was_asked_for_is_not_believed():
+    with speaking(
+        f"{HELLO}{ANSWER}sys.stdout.write(2 * (json.dumps({{'motion': motion}}) + '\\n')); sys.stdout.flush()"
+    ) as plant:
+        plant.reset(MOTION)
+        with pytest.raises(ContractError, match=r"before step it said b'.*unasked; every line is answered with one"):
+            plant.step(0.02, 0.0, 0.0, AROUND)
+
+
+def test_an_answer_to_a_line_that_was_not_read_yet_is_not_believed():
+    answer = f"time.sleep(0.05); print(json.dumps({{'motion': {MOTION.tolist()}}}), flush=True)"
+    with (
+        speaking(f"import time, json; {HELLO}{answer}; time.sleep(5)") as plant,
+        pytest.raises(ContractError, match=r"reset it said .*unasked; every line is answered with one"),
+    ):
+        plant.reset(MOTION)
+
+
+def test_an_answer_too_many_that_comes_last_is_found_at_the_end():
+    program = (
+        f"{HELLO}{ANSWER}print(json.dumps({{'motion': motion}}), flush=True)\nprint(json.dumps({{'motion': motion}}))"
+    )
+    plant = speaking(program)
+    plant.reset(MOTION)
+    with pytest.raises(ContractError, match="unasked; every line is answered with one: what was driven may be wrong"):
+        plant.close()
+    assert not is_running(plant._process.pid)
+    plant.close()
+
+
+def test_a_process_that_stops_reading_is_too_late():
+    with speaking(f"import time; {HELLO}time.sleep(5)", timeout=0.1) as plant:
+        pipe = plant._process.stdin.fileno()
+        blocks = os.get_blocking(pipe)
+        os.set_blocking(pipe, False)
+        with contextlib.suppress(BlockingIOError):
+            while True:
+                os.write(pipe, b" " * 1024)
+        os.set_blocking(pipe, blocks)
+        with pytest.raises(ContractError, match=r"did not read reset within 0\.1 s"):
+            plant.reset(MOTION)
+
+
+def test_ctrl_c_between_a_line_and_its_answer_ends_the_process(press_ctrl_c):
+    with speaking(f"import time; {HELLO}time.sleep(60)") as plant:
+        press_ctrl_c(after=0.05)
+        with pytest.raises(KeyboardInterrupt):
+            plant.reset(MOTION)
+        with pytest.raises(ContractError, match="has been ended"):
+            plant.reset(MOTION)
+
+
+@pytest.mark.parametrize("longest", [1e-9, 1e-300, 5e-324])
+def test_steps_without_end_are_refused_before_the_first(longest):
+    greeting = f'print(\'{{"adaptrack_plant": 1, "longest_step": {longest}}}\', flush=True); '
+    with speaking(
+        f"{greeting}import sys, json; print(json.dumps({{'motion': json.loads(input())['motion']}}))"
+    ) as plant:
+        with pytest.raises(InvalidInput, match=r"steps in a control period of 0\.05 s = .*: at most 10,000 steps"):
+            at.check_plant(plant, period=0.05)
+        with pytest.raises(InvalidInput, match="at most 10,000 steps"):
+            at.simulate(
+                plant, at.MPC(at.load_vehicle("paper"), profile="road"), at.load_scenario("sine"), profile="road"
+            )
+
+
+def test_what_goes_to_standard_error_is_read_and_only_its_end_kept():
+    flood = "import os; os.write(2, b'x' * 1_000_000 + b'the last word'); "
+    with speaking(f"{flood}{HELLO}{ANSWER}{flood}print('no answer', flush=True)") as plant:
+        assert os.readlink(f"/proc/{plant._process.pid}/fd/2").startswith("pipe:")  # no file that grows
+        with pytest.raises(ContractError) as refused:
+            plant.reset(MOTION)
+    assert str(refused.value).endswith("xxx" + "the last word")
+    assert len(str(refused.value)) < 2500
 
 
 @pytest.mark.parametrize(
@@ -199,10 +283,30 @@ def test_what_the_process_started_is_ended_with_it():
     child = int(plant.name)
     assert is_running(child)
     plant.close()
-    end = time.monotonic() + 10.0
-    while is_running(child) and time.monotonic() < end and _state(child) != "Z":
-        time.sleep(0.01)
-    assert not is_running(child) or _state(child) == "Z"  # nobody may be there to wait for an orphan
+    assert ends(child)
+
+
+def ends(number):
+    """Whether a process ends soon; nobody may be there to wait for an orphan."""
+    end = time.monotonic() + 1.0
+    while is_running(number) and _state(number) != "Z":
+        if time.monotonic() > end:
+            os.kill(number, signal.SIGKILL)
+            return False
+        time.sleep(0.005)
+    return True
+
+
+def test_what_an_ended_process_leaves_behind_is_ended():
+    quiet = "stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL"
+    plant = speaking(
+        f"import subprocess; child = subprocess.Popen(['sleep', '60'], {quiet}); "
+        'print(\'{"adaptrack_plant": 1, "name": "%d"}\' % child.pid, flush=True)'
+    )
+    child = int(plant.name)
+    with pytest.raises(ContractError, match="ended with exit status 0 before"):
+        plant.reset(MOTION)
+    assert ends(child)
 
 
 def _state(number):

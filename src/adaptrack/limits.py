@@ -30,6 +30,7 @@ class Limit(NamedTuple):
 SPEED = Limit(100, "m/s", "360 km/h; faster tyres need ever finer integration steps")
 DURATION = Limit(100_000, "s", "a little over a day")
 PERIODS = Limit(2_000_000, "control periods", "a day at 0.05 s, 0.7 GB")
+STEPS = Limit(10_000, "steps", "5 us each in 0.05 s; a plant that needs shorter ones takes them within its step")
 
 # -- a controller -----------------------------------------------------------------------------------------------------
 PREDICTION_HORIZON = Limit(1000, "control periods", "100 s at 0.1 s; a step then takes milliseconds")

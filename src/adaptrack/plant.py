@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from adaptrack.errors import ContractError, InvalidInput, real, whole
+from adaptrack.limits import STEPS, check_limit
 from adaptrack.registry import Registry
 from adaptrack.vehicle import COMMONROAD, SteeringActuator, Tyre, Vehicle, load_tyre, pack_plant
 
@@ -344,7 +345,7 @@ class UserPlant(Plant):
         return replace(self, steering=steering)
 
     def substeps(self, period: float, top_speed: float) -> int:
-        return max(self.steps, math.ceil(period / self.longest_step - 1e-9))
+        return max(self.steps, steps_in(period, self))
 
     def derivative(self, x: ArrayLike, u: ArrayLike, environment: ArrayLike) -> Array:
         n = len(self.state_names)
@@ -402,6 +403,23 @@ class SteppedPlant(ABC):
         friction front-left, front-right, rear-left, rear-right; wind along X and Y (m/s); pull of a banked road to the
         left (m/s^2).
         """
+
+
+def steps_in(period: float, plant: UserPlant | SteppedPlant) -> int:
+    """Equal integration steps of a control period (s), none longer than the plant's `longest_step`.
+
+    Raises
+    ------
+    InvalidInput
+        When that is no positive number, or they are more than `limits.STEPS`.
+    """
+    where = f"Plant {plant.name!r}"
+    longest = real(where, "longest_step", plant.longest_step)
+    if not longest > 0.0:
+        raise InvalidInput(f"{where}: longest_step = {longest!r} s: must be positive.")
+    steps = float(period) / longest
+    check_limit(f"{where}: longest_step = {longest:g} s: steps in a control period of {period:g} s", steps, STEPS)
+    return max(1, math.ceil(steps - 1e-9))
 
 
 def _vector(name: str, values: ArrayLike, size: int) -> Array:
@@ -554,8 +572,7 @@ def _settled(plant: Plant, x: Array, steering: float, period: float, duration: f
 
 def _check_stepped(plant: SteppedPlant, speeds: Sequence[float], symmetric: bool, period: float) -> None:
     """`check_plant` for a plant that is stepped: one second of driving, straight and under constant steering."""
-    steps = max(1, math.ceil(period / plant.longest_step - 1e-9))
-    dt = period / steps
+    dt = period / steps_in(period, plant)
 
     def driven(speed: float, steering: float) -> Array:
         plant.reset(np.array([0.0, 0.0, 0.0, speed, 0.0, 0.0]))

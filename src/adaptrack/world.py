@@ -18,7 +18,7 @@ from adaptrack.controllers import MPC, Controller
 from adaptrack.errors import InvalidInput
 from adaptrack.estimation import FrictionWindEstimator, Perception
 from adaptrack.failure import Failure, Reason
-from adaptrack.plant import Plant, SteppedPlant
+from adaptrack.plant import Plant, SteppedPlant, steps_in
 from adaptrack.profile import SENSING, Profile, load_profile
 from adaptrack.scenario import RoadDrive, Scenario, Signals
 from adaptrack.scheduling.variables import reference_preview
@@ -120,7 +120,7 @@ class World:
     def substeps(self, top_speed: float) -> int:
         """Integration steps per control period up to a speed (m/s)."""
         if isinstance(self.plant, SteppedPlant):
-            return math.ceil(self.period / self.plant.longest_step - 1e-9)
+            return steps_in(self.period, self.plant)
         return self.plant.substeps(self.period, top_speed)
 
     def settings(self, substeps: int) -> Any:

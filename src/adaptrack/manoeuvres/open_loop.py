@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from adaptrack.errors import InvalidInput, real
 from adaptrack.limits import DURATION, SPEED, check_limit
 from adaptrack.path_metrics import STEERING_RATIO
-from adaptrack.plant import Plant, SteppedPlant
+from adaptrack.plant import Plant, SteppedPlant, steps_in
 from adaptrack.vehicle import SteeringActuator, Vehicle
 
 Array = NDArray[np.float64]
@@ -178,7 +178,7 @@ def _drive_stepped(plant: SteppedPlant, held: Array, speeds: Array, given: Surro
     """The same of a stepped plant; its acceleration is the slope of v_y, and v_x times the yaw rate."""
     runs, n = held.shape[0], held.shape[1] + 1
     states, environment = np.empty((runs, n, 6)), np.array([*[given.friction] * 4, 0.0, 0.0, 0.0])
-    substeps = math.ceil(given.period / plant.longest_step - 1e-9)
+    substeps = steps_in(given.period, plant)
     for run in range(runs):
         states[run, 0] = 0.0, 0.0, 0.0, speeds[run], 0.0, 0.0
         plant.reset(states[run, 0].copy())

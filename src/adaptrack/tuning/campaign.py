@@ -39,7 +39,7 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 
 DASK_TIMEOUT = 5.0
-"""s, how long a scheduler may take to answer the first time, and then to have its first worker."""
+"""s, how long a scheduler may take to say who it is, then to take a client, and then to have its first worker."""
 
 _DASK_ADDRESS = re.compile(r"(?:[a-z]+://)?(?:[^\s:/\[\]]+|\[[0-9A-Fa-f:.]+\]):(?P<port>[0-9]{1,5})/?")
 """tcp://host:port or host:port"""
@@ -294,10 +294,15 @@ def dask_client(address: str) -> Any:
     if form is None or not 0 < int(form["port"]) < 65536:
         raise InvalidInput(f"dask = {address!r}: is no address; one looks like tcp://127.0.0.1:8786.")
     try:
+        # Asked first: a client waits without end for a server that is silent, and again when it is closed.
+        kind = distributed.utils.LoopRunner().run_sync(_kind_of, distributed, address, callback_timeout=DASK_TIMEOUT)
+        if kind != "Scheduler":
+            raise OSError(f"a {kind} does")
         client = distributed.Client(address, timeout=DASK_TIMEOUT, set_as_default=False)
-    except (OSError, ValueError, TypeError) as error:
+    except Exception as error:  # of what is not Dask's it makes almost any of them
         raise InvalidInput(
-            f"dask = {address!r}: no scheduler answers there ({error}); an address looks like tcp://127.0.0.1:8786."
+            f"dask = {address!r}: no scheduler answers there ({_reason(error)}); an address looks like "
+            "tcp://127.0.0.1:8786."
         ) from None
     try:
         client.wait_for_workers(1, timeout=DASK_TIMEOUT)
@@ -310,6 +315,24 @@ def dask_client(address: str) -> Any:
         client.close()
         raise
     return client
+
+
+async def _kind_of(distributed: Any, address: str) -> str:
+    """Who answers at an address, in Dask's word; most of the time is for the connection, whose errors say more."""
+    options = distributed.Security().get_connection_args("client")
+    server = await distributed.core.connect(address, timeout=0.8 * DASK_TIMEOUT, **options)
+    return str((await distributed.core.send_recv(server, op="identity", close=True))["type"])
+
+
+def _reason(error: Exception) -> str:
+    """Why there is no scheduler."""
+    if isinstance(error, TimeoutError):
+        return f"silent for {DASK_TIMEOUT:g} s"
+    return (
+        str(error)
+        if isinstance(error, ImportError | OSError | TypeError | ValueError)
+        else "what it says is not Dask's"
+    )
 
 
 def _cores() -> int:

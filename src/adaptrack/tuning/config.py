@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import hashlib
-import importlib
+import importlib.util
 import json
+import logging
 import math
 import os
 import socket
+import sys
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
@@ -23,7 +25,7 @@ from adaptrack.controllers import Tuning
 from adaptrack.controllers.informed import informed_tuning
 from adaptrack.errors import AdaptrackError, UnknownName, did_you_mean
 from adaptrack.failure import DISTANCE, SIDESLIP, Failure
-from adaptrack.files import Record, build, read_toml
+from adaptrack.files import Record, build, printable, read_toml
 from adaptrack.limits import LANDSCAPE, NOISE_SEEDS, check_limit
 from adaptrack.plant import DualTrack, Plant, SingleTrack, SteppedPlant, fingerprint, get_plant, twin_of
 from adaptrack.profile import list_profiles, load_profile
@@ -32,6 +34,8 @@ from adaptrack.tuning.pso import SearchSpace, SwarmSettings
 from adaptrack.vehicle import Tyre, Vehicle, load_tyre, load_vehicle
 
 Array = NDArray[np.float64]
+
+_log = logging.getLogger("adaptrack")
 
 LARGEST_SEED = 2**63 - 1
 STANDARD = tuple(Tuning().as_array().tolist())
@@ -405,7 +409,7 @@ def _plant(setup: Setup, name: str) -> Plant | SteppedPlant:
 
 
 def _import(modules: Sequence[str]) -> None:
-    """Import the modules that register plants.
+    """Import the modules that register plants; the code of one that runs for the first time is announced.
 
     Raises
     ------
@@ -413,15 +417,28 @@ def _import(modules: Sequence[str]) -> None:
         When there is no such module.
     """
     for name in modules:
+        missing = (
+            f"plugin {name!r}: there is no such module in the Python path of {socket.gethostname()}: install it there, "
+            "or add its folder to PYTHONPATH."
+        )
+        if not all(part.isidentifier() for part in name.split(".")):
+            raise UnknownName(missing)
+        if name not in sys.modules:
+            _announce(name)
         try:
             importlib.import_module(name)
         except ModuleNotFoundError as error:
             if not f"{name}.".startswith(f"{error.name}."):
                 raise  # one that it imports itself
-            raise UnknownName(
-                f"plugin {name!r}: there is no such module in the Python path of {socket.gethostname()}: install it "
-                "there, or add its folder to PYTHONPATH."
-            ) from None
+            raise UnknownName(missing) from None
+
+
+def _announce(module: str) -> None:
+    """Say which code a campaign's file is about to run."""
+    spec = importlib.util.find_spec(module.partition(".")[0])  # of a part of a package Python would run the package
+    if spec is not None:
+        where = spec.origin or ", ".join(spec.submodule_search_locations or ())
+        _log.warning("adaptrack: the campaign's key plugin runs the module %s: %s", module, printable(where))
 
 
 @dataclass(frozen=True, eq=False)
