@@ -31,8 +31,8 @@ test: install ## run the tests
 test-slow: install ## run all tests, those that take minutes too
 	$(BIN)/pytest -q -n 2 --dist worksteal -m 'slow or not slow'
 
-test-interpreted: install ## run the tests with the compiler switched off
-	NUMBA_DISABLE_JIT=1 $(BIN)/pytest -q -n 2 --dist worksteal -m 'not slow and not compiled'
+test-interpreted: install ## run the tests of kernels with the compiler switched off
+	NUMBA_DISABLE_JIT=1 $(BIN)/pytest -q -n 2 --dist worksteal -m 'kernels and not slow and not compiled'
 
 lint: install ## check style, types and the imports between the rooms
 	$(BIN)/ruff check .

@@ -21,6 +21,11 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, settings
 
+from kept_members import keep_members
+from pictures import pictures
+
+keep_members()  # before any other kernel file is imported
+
 settings.register_profile(
     "adaptrack",
     deadline=None,  # the first call of a kernel may compile it
@@ -29,6 +34,13 @@ settings.register_profile(
     suppress_health_check=[HealthCheck.too_slow],
 )
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "adaptrack"))
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_protocol(item: pytest.Item) -> Iterator[None]:
+    """Pictures are drawn in tests marked `drawn` alone."""
+    with pictures(drawn=item.get_closest_marker("drawn") is not None):
+        return (yield)
 
 
 @pytest.fixture

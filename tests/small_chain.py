@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import fcntl
+import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import lru_cache
@@ -81,8 +83,15 @@ class Chain(NamedTuple):
 
 
 @lru_cache(maxsize=1)
-def learned(place: Path) -> Chain:
-    """The chain of `write`, run once in each process; nobody may change its folder."""
-    setup = SetUp.of(load_adaptation(write(place)))
-    with short_cuts():
+def learned(base: Path) -> Chain:
+    """The chain of `write`, run once for all processes of a test run; nobody may change its folder.
+
+    base: pytest's folder of this process. Whoever comes second waits, and goes on with what the first has kept.
+    """
+    place = (base.parent if "PYTEST_XDIST_WORKER" in os.environ else base) / "chain"
+    place.mkdir(exist_ok=True)
+    with open(place / "lock", "w") as lock, short_cuts():
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        config = place / "tiny.toml"
+        setup = SetUp.of(load_adaptation(config if config.exists() else write(place)))
         return Chain(setup, place / "out", study.learn(setup, place / "out"))

@@ -16,6 +16,8 @@ from adaptrack.kernels.controllers import mpc as kernel
 from adaptrack.kernels.stored import Resident, reader
 from adaptrack.vehicle import load_vehicle
 
+pytestmark = pytest.mark.kernels
+
 UNCACHED = {**ROUTINE, "cache": False}
 
 
@@ -56,6 +58,7 @@ def empty_like(record):
     return type(record)(*(empty_like(each) if isinstance(each, tuple) else np.zeros_like(each) for each in record))
 
 
+@pytest.mark.slow
 @pytest.mark.compiled
 def test_a_record_read_by_its_address_is_the_one_that_was_given_entry_by_entry():
     record = batch()
@@ -78,6 +81,7 @@ def test_a_record_read_by_its_address_is_the_one_that_was_given_entry_by_entry()
         assert one.tobytes() == other.tobytes() == array.tobytes(), path
 
 
+@pytest.mark.slow
 def test_what_a_kernel_writes_to_a_record_at_an_address_is_seen_in_the_record():
     record = batch()
     resident, read = Resident(record), reader(kernel.MPCS)
@@ -98,6 +102,7 @@ INNER = types.NamedTuple((matrix, int64), Inner)
 OUTER = types.NamedTuple((vector, INNER, int64), Outer)
 
 
+@pytest.mark.slow
 def test_a_record_within_a_stored_one_is_passed_on_whole_or_by_its_place():
     outer = Outer(np.arange(3.0), Inner(np.arange(6.0).reshape(2, 3), 7), 9)
     read = reader(OUTER)
@@ -114,6 +119,7 @@ def test_a_record_within_a_stored_one_is_passed_on_whole_or_by_its_place():
     assert both(Resident(outer).address) == (5.0 + 70.0 + 300.0 + 24.0, 8.0, 9, 2.0)
 
 
+@pytest.mark.slow
 @pytest.mark.compiled
 def test_a_field_that_a_stored_record_cannot_hold_or_does_not_have_is_refused():
     refused = types.NamedTuple((float64, vector), namedtuple("Refused", ("number", "others")))

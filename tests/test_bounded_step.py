@@ -101,6 +101,7 @@ def test_compiled_steps_allocate_nothing_after_the_first(make, allocations):
     assert allocations() == before
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("make", CONTROLLERS.values(), ids=CONTROLLERS)
 @compiled
 def test_a_tracker_keeps_nothing_of_its_calls(make):

@@ -869,6 +869,7 @@ if __name__ == "__main__":
 """
 
 
+@pytest.mark.slow
 @needs_dask
 def test_a_local_dask_cluster_gives_the_same_bytes_even_when_a_worker_is_killed(run_python, project, tmp_path, whole):
     script = tmp_path / "on_dask.py"  # a file: the workers import it, too
@@ -995,6 +996,7 @@ if __name__ == "__main__":
 """
 
 
+@pytest.mark.slow
 @needs_dask
 def test_a_scheduler_without_workers_is_told_in_seconds_with_the_remedy(run_python, project, tmp_path):
     script = tmp_path / "on_dask.py"

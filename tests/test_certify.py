@@ -266,6 +266,7 @@ def test_rows_hold_the_worst_of_every_speed_and_friction_as_json(scrambled, stab
         }
 
 
+@pytest.mark.drawn
 def test_the_page_shows_the_verdict_the_maps_and_the_worst_points(scrambled, stability, tmp_path):
     guarded = certify(Guarded(scrambled, SOUND, stability=stability), PLANT, MPC_, "road", levels=FEW)
     bare = certify(scrambled, PLANT, MPC_, "road", levels=FEW)

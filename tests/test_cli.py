@@ -51,6 +51,7 @@ def test_the_profile_decides_period_and_preview_unless_told_otherwise(monkeypatc
         assert (row["period"], row["preview"]) == (period, preview)
 
 
+@pytest.mark.drawn
 def test_out_holds_the_page_and_the_trajectories_and_where_asked_the_pictures(monkeypatch, capsys, tmp_path):
     out = tmp_path / "a" / "b"
     asked = ["simulate", "sine", "-o", "duration=2.0", "--out", out]

@@ -233,10 +233,9 @@ def test_evaluate_judges_drives_by_the_best_constant_and_prints_a_table(monkeypa
 def test_adapt_goes_on_with_a_folder_and_tells_schedulers_report_and_rows(
     monkeypatch, capsys, tmp_path, tmp_path_factory
 ):
-    chain = learned(tmp_path_factory.getbasetemp() / "chain")
+    chain = learned(tmp_path_factory.getbasetemp())
     out = shutil.copytree(chain.folder, tmp_path / "out")
     monkeypatch.setattr("adaptrack.report.style.PNG_DPI", 20)
-    monkeypatch.setattr("adaptrack.report.style.inline_svg", lambda *given: "")  # takes most of the time
     monkeypatch.setattr("adaptrack.report.comparison._NODES", (9, 7))
     monkeypatch.setattr(evaluate, "per_run_best", lambda runs, rows, seeds: rows[:1].repeat(len(runs), axis=0))
     monkeypatch.setattr(recipes, "improve", lambda *given, **more: pytest.fail("it learned again"))

@@ -37,6 +37,8 @@ from adaptrack.simulate import simulate
 from adaptrack.vehicle import Steering, load_vehicle
 from inlined import entry
 
+pytestmark = pytest.mark.kernels
+
 path_at = entry(path_at)
 wrapped = entry(wrapped)
 

@@ -14,6 +14,8 @@ from adaptrack.vehicle import GRAVITY, SteeringActuator, Tyre, load_tyre, load_v
 from inlined import entry
 from references import vehicle as reference
 
+pytestmark = pytest.mark.kernels
+
 unpack = entry(unpack)
 
 PAPER, SEDAN = load_vehicle("paper"), load_vehicle("midsize-sedan")

@@ -8,6 +8,8 @@ import pytest
 from adaptrack.kernels.maths import elementary
 from inlined import entry
 
+pytestmark = pytest.mark.kernels
+
 arctangent, arctangent_of_ratio, clip, cosine, sine = map(
     entry,
     (elementary.arctangent, elementary.arctangent_of_ratio, elementary.clip, elementary.cosine, elementary.sine),

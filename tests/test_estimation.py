@@ -31,6 +31,8 @@ from adaptrack.simulate import simulate
 from adaptrack.vehicle import load_vehicle
 from inlined import entry
 
+pytestmark = pytest.mark.kernels
+
 unpack = entry(unpack)
 
 CAR = load_vehicle("paper")

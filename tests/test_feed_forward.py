@@ -17,6 +17,8 @@ from adaptrack.scenario import RoadDrive
 from adaptrack.simulate import rollout
 from adaptrack.vehicle import load_vehicle
 
+pytestmark = pytest.mark.kernels
+
 CAR, SEDAN = load_vehicle("paper"), load_vehicle("midsize-sedan")
 PERIOD = 0.05
 STRAIGHT = Road.from_segments([Line(length=500.0)], name="straight")

@@ -25,6 +25,8 @@ from adaptrack.manoeuvres.open_loop import drive_open_loop
 from adaptrack.road import generate_road
 from adaptrack.vehicle import Steering, Vehicle
 
+pytestmark = pytest.mark.kernels
+
 PERIOD, LAG, DEAD_TIME, BIAS, RELAXATION = 0.05, 0.18, 0.13, 0.006, 0.3
 CAR = at.load_vehicle("compact-ev").replace(steering=None, side_force_slope=0.0, yaw_moment_slope=0.0)
 

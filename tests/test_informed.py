@@ -34,6 +34,8 @@ from adaptrack.simulate import rollout, simulate
 from adaptrack.vehicle import Steering, SteeringActuator, Vehicle, list_vehicles, load_tyre, load_vehicle
 from adaptrack.world import World
 
+pytestmark = pytest.mark.kernels
+
 CAR = load_vehicle("paper")
 PERIOD = 0.05
 every_lag = pytest.mark.parametrize("lag", [0.0, 0.15])

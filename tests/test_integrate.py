@@ -11,6 +11,8 @@ from adaptrack.profile import load_profile
 from adaptrack.vehicle import SteeringActuator, load_tyre, load_vehicle
 from references import vehicle as reference
 
+pytestmark = pytest.mark.kernels
+
 CAR = load_vehicle("paper")
 LAWS = {
     LINEAR: load_tyre("constant-stiffness"),

@@ -20,6 +20,8 @@ from adaptrack.vehicle import Steering
 from inlined import entry
 from references.kinematic_mpc import cost, derivatives
 
+pytestmark = pytest.mark.kernels
+
 CAR = at.load_vehicle("midsize-sedan")
 LAGGING = Steering(lag=0.2, dead_time=0.12)
 WIDE = at.Limits(move=(-1.0, 1.0), angle=(-1.0, 1.0))

@@ -30,6 +30,8 @@ from adaptrack.tracker import Tracker
 from adaptrack.vehicle import Steering, load_vehicle
 from inlined import entry
 
+pytestmark = pytest.mark.kernels
+
 CAR = load_vehicle("midsize-sedan")
 PERIOD, SPEED = 0.05, 15.0
 MIDDLE = Steering(lag=0.2, dead_time=0.125)

@@ -33,7 +33,9 @@ def rmse(y, predicted):
 
 
 @pytest.mark.parametrize("options", [
-    {"epochs": 600}, {"epochs": 80, "batch_size": 20}, {"solver": "lbfgs", "epochs": 60},
+    pytest.param({"epochs": 600}, marks=pytest.mark.slow),
+    pytest.param({"epochs": 80, "batch_size": 20}, marks=pytest.mark.slow),
+    {"solver": "lbfgs", "epochs": 60},
     {"epochs": 25, "batch_size": 20, "solver": "adam", "learning_rate": 0.03, "early_stopping": True},
 ])  # fmt: skip
 def test_it_is_a_scikit_learn_estimator(options):

@@ -25,6 +25,8 @@ from adaptrack.vehicle import list_vehicles, load_vehicle
 from inlined import entry
 from references import mpc as reference
 
+pytestmark = pytest.mark.kernels
+
 CARS = {name: load_vehicle(name) for name in list_vehicles()}
 SPEEDS = (0.5, 1.0, 3.0, 7.3, 15.0, 27.0, 41.7, 60.0)
 STRIDE = 64  # row length of the compiled form's arrays, a multiple of 8

@@ -16,6 +16,8 @@ from adaptrack.scheduling import SchedulingVariables
 from adaptrack.vehicle import load_vehicle
 from references import mpc as reference
 
+pytestmark = pytest.mark.kernels
+
 CAR, SEDAN = load_vehicle("paper"), load_vehicle("midsize-sedan")
 REST = np.zeros(4)
 WIDE = Limits(move=(-1e3, 1e3), angle=(-1e3, 1e3))

@@ -19,6 +19,8 @@ from adaptrack.simulate import rollout, simulate
 from adaptrack.vehicle import Steering, SteeringActuator, load_tyre, load_vehicle
 from inlined import entry
 
+pytestmark = pytest.mark.kernels
+
 CAR = load_vehicle("paper")
 LANE_CHANGE = load_scenario("lane-change", amplitude=2.0, speed=10.0, friction=0.9, duration=3.0)
 HAIRPIN = Road.from_segments(

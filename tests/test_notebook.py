@@ -76,6 +76,7 @@ def test_a_run_along_a_road_is_drawn_without_its_lateral_position(lap):
     assert [axes.get_title("left")[4:] for axes in figure.axes] == ["Tracking error", "Steering", "Yaw rate", "Speed"]
 
 
+@pytest.mark.drawn
 def test_a_run_draws_itself_over_time_and_along_a_road(lap):
     run = driven(lap)
     assert run.plot().axes[0].get_title("left") == "(a) Trajectory tracking"

@@ -21,6 +21,8 @@ from adaptrack.plant import (
 )
 from adaptrack.vehicle import SteeringActuator, list_tyres, list_vehicles, load_tyre, load_vehicle
 
+pytestmark = pytest.mark.kernels
+
 CAR = load_vehicle("paper")
 
 

@@ -17,6 +17,8 @@ from adaptrack.road import Arc, Clothoid, Line, Road
 from adaptrack.road.ahead import RoadAhead, straight
 from adaptrack.vehicle import Steering
 
+pytestmark = pytest.mark.kernels
+
 SEDAN, PAPER = at.load_vehicle("midsize-sedan"), at.load_vehicle("paper")
 WIDE = at.Limits(move=(-1.5, 1.5), angle=(-1.5, 1.5))
 every_car = pytest.mark.parametrize("car", [PAPER, SEDAN], ids=lambda car: car.name)

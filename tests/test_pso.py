@@ -19,6 +19,8 @@ from adaptrack.kernels.maths.random import counted_normal, counted_uniform
 from adaptrack.tuning.pso import SearchSpace, Swarm, SwarmSettings, minimise
 from inlined import entry
 
+pytestmark = pytest.mark.kernels
+
 TUNING = SearchSpace.tuning()
 NP, NC, Q, R = range(4)
 

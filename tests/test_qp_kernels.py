@@ -15,6 +15,8 @@ from references import qp_hildreth as textbook
 from references.qp_exact import Infeasible, reference_solve
 from references.qp_problems import drawn_mpc_problem, drawn_problem
 
+pytestmark = pytest.mark.kernels
+
 ENOUGH = 1000
 
 

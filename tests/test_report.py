@@ -33,6 +33,7 @@ from adaptrack.report import (
 from adaptrack.report.dots import Dot, notes
 from adaptrack.report.page import Panel
 from adaptrack.trajectory import Origin, Trajectory, provenance
+from pictures import pictures
 
 
 def drive(controller="standard", scenario="triple-lane-change", *, scale=1.0, n=280, adapt=False, **meta):
@@ -142,7 +143,8 @@ def report(tmp_path_factory):
         drive(scenario="general-trajectory", n=2000),
         drive("nn", "general-trajectory", scale=0.3, adapt=True, n=2000),
     ]
-    path = write_report(folder, shown, title="Both tests", command="adaptrack simulate --out <here>")
+    with pictures(drawn=True):
+        path = write_report(folder, shown, title="Both tests", command="adaptrack simulate --out <here>")
     return folder, path.read_text(), standard
 
 
@@ -178,11 +180,13 @@ def test_a_single_run_is_told_with_its_error_what_it_is_held_against_and_how_sur
     assert "one run with noise seed 3; other seeds give other numbers" in told
 
 
+@pytest.mark.drawn
 def test_text_in_pictures_is_text_and_keeps_its_words():
     figure = style.panel_figure(lambda axes: axes.set_title('#0072b2 id="a" Größe'))
     assert '#0072b2 id="a" Größe</text>' in style.inline_svg(figure, "p1", "A title").replace("&quot;", '"')
 
 
+@pytest.mark.drawn
 def test_whole_numbers_have_ticks_at_whole_numbers():
     for high in (7, 10, 12, 23, 30, 99):
         figure = style.panel_figure(lambda axes, high=high: axes.plot([0, high], [0, high]))
@@ -284,6 +288,7 @@ def test_the_provenance_is_complete(report):
     assert "<here>" not in text
 
 
+@pytest.mark.drawn
 def test_the_same_runs_give_the_same_bytes(tmp_path):
     for name in ("a", "b"):
         write_report(tmp_path / name, [drive()])
@@ -442,6 +447,7 @@ def test_a_speed_that_all_drive_is_drawn_once():
     assert legend_texts(speed_figure({"step": {"a": drive(), "b": slower}})) == ["Profile", "a", "b"]
 
 
+@pytest.mark.drawn
 def test_legends_cover_no_curve():
     figure = tracking_figure({f"controller {i}": drive(scale=1 + 0.1 * i) for i in range(8)})
     style.png(figure)  # settles the layout
@@ -449,6 +455,7 @@ def test_legends_cover_no_curve():
     assert all(not legend.overlaps(axes.get_window_extent()) for axes in figure.axes)
 
 
+@pytest.mark.drawn
 @pytest.mark.parametrize("height", [1e-7, 1.0, 3e8])
 def test_a_title_stays_clear_of_the_factor_above_its_axis(height):
     def draw(axes):
@@ -474,6 +481,7 @@ def test_a_lost_run_ends_where_it_was_lost_and_does_not_set_the_scale():
     assert all(10.0 < end < 12.0 for end in ends)
 
 
+@pytest.mark.drawn
 def test_runs_that_hold_only_nan_can_be_drawn():
     broken = drive()
     empty = np.full(len(broken), np.nan)
@@ -539,6 +547,7 @@ def test_a_figure_needs_a_run_and_a_stroke_for_it():
         tracking_figure({"x": drive()}, style.strokes(["y"]))
 
 
+@pytest.mark.drawn
 def test_figures_leave_the_users_matplotlib_alone():
     before = dict(mpl.rcParams)
     with mpl.rc_context({"lines.linewidth": 9.0, "axes.facecolor": "pink"}):

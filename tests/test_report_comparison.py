@@ -15,6 +15,7 @@ from adaptrack.report import style
 from adaptrack.report.comparison import best, failures, knowledge, on_tests, standing, write_comparison
 from adaptrack.report.words import number
 from adaptrack.scheduling import Constant, Guarded, Learned, StabilityMap, Table
+from pictures import pictures
 
 POINTS = {"standard": 9.0, "best constant": 2.5, "speed only": 1.6, "look-up": 1.2, "nn": 1.1, "anfis": 1.15}
 REGRETS = POINTS | {"optimum": 1.0}
@@ -106,7 +107,8 @@ def coarse():
 
 @pytest.fixture(scope="module")
 def report(tmp_path_factory):
-    return write_comparison(tmp_path_factory.mktemp("comparison") / "out", **EVERYTHING)
+    with pictures(drawn=True):
+        return write_comparison(tmp_path_factory.mktemp("comparison") / "out", **EVERYTHING)
 
 
 # -- judgements -------------------------------------------------------------------------------------------------------

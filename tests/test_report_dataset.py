@@ -15,6 +15,7 @@ from adaptrack.report import dataset as page
 from adaptrack.report import style
 from adaptrack.report.dataset import write_dataset_report
 from adaptrack.tuning.operating_points import grid, sobol
+from pictures import pictures
 
 BOX = {"speed": (3.0, 30.0), "y_ref": (-15.0, 15.0), "friction": (0.3, 1.0), "wind": (-30.0, 30.0)}
 LEVELS = {"speed": (5.0, 10.0, 15.0), "y_ref": (-4.0, 4.0, 8.0), "friction": (0.5, 0.9), "wind": (-10.0, 0.0, 10.0)}
@@ -80,7 +81,8 @@ def told(data):
 
 @pytest.fixture(scope="module")
 def report(data, told, tmp_path_factory):
-    return write_dataset_report(tmp_path_factory.mktemp("report") / "out", data, summary=told)
+    with pictures(drawn=True):
+        return write_dataset_report(tmp_path_factory.mktemp("report") / "out", data, summary=told)
 
 
 def test_the_folder_holds_the_page_and_a_png_of_every_picture(report):
@@ -160,6 +162,7 @@ def with_losses(data):
     return dataclasses.replace(data, costs=costs, standard_costs=standard, landscape=landscape, traces=traces)
 
 
+@pytest.mark.drawn
 def test_lost_cars_are_said_and_not_averaged():
     data = with_losses(made(sobol(20, BOX, 2)))
     words, picture = page._costs(data, describe(data)).items

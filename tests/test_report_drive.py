@@ -17,6 +17,7 @@ from adaptrack.report.replay import UNITS, packed, replay_data, sampled
 from adaptrack.road import Line, Road, generate_road
 from adaptrack.vehicle import list_vehicles, load_vehicle
 from made_drives import PERIOD, SPEED, bend, made_drive
+from pictures import pictures
 
 FAILED = {"failed": "left the road (more than 5 m from the reference)", "failed_at": 4.0}
 
@@ -35,7 +36,8 @@ def page(tmp_path_factory):
         made_drive(road, controller="informed", metrics=[Measure("Jerk RMS", 0.5, "m/s³")]),
         made_drive(road, controller="stanley", seconds=4.05, amplitude=0.6, **FAILED),
     ]
-    path = write_drive_page(folder, drives, command="adaptrack drive bend.csv --out <here>")
+    with pictures(drawn=True):
+        path = write_drive_page(folder, drives, command="adaptrack drive bend.csv --out <here>")
     return folder, path.read_text(encoding="utf-8")
 
 
@@ -146,6 +148,7 @@ def test_edges_are_drawn_where_the_width_changes():
     assert {30.0, 31.0} <= set(outline_stations(road, 0.0, road.length).tolist())
 
 
+@pytest.mark.drawn
 def test_the_picture_from_above_is_to_scale_and_coloured_by_the_offset():
     road = bend()
     figure = above_figure([made_drive(road, controller="a"), made_drive(road, controller="b", amplitude=1.0)])

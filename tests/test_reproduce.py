@@ -21,6 +21,7 @@ from adaptrack.report import reproduce as page
 from adaptrack.scheduling import Constant, check_scheduler
 from adaptrack.studies import reproduce as paper
 from adaptrack.studies.reproduce import best_of_library, grid_lookup, reproduce
+from pictures import pictures
 from small_data import LIBRARY, SEARCH, small
 
 pytestmark = pytest.mark.compiled
@@ -420,7 +421,7 @@ def test_pole_and_adaptation_get_what_the_numbers_give_them(errors, words):
 
 @pytest.fixture(scope="module")
 def report(made, tmp_path_factory):
-    with pytest.MonkeyPatch.context() as patch:
+    with pytest.MonkeyPatch.context() as patch, pictures(drawn=True):
         patch.setattr(style, "PNG_DPI", 20)
         return page.write_reproduction(tmp_path_factory.mktemp("page"), made, command="adaptrack reproduce --quick")
 

@@ -15,6 +15,8 @@ from adaptrack.road.table import COLUMNS, DEGREE, joined, placed, tabulate
 from adaptrack.road.table import beside as table_beside
 from references.road import beside, end_of, figure_of_eight, nearest_by_search
 
+pytestmark = pytest.mark.kernels
+
 BEND = Clothoid(length=60.0, start_curvature=0.0, end_curvature=0.05)
 CUBIC = Cubic(x=(0.0, 40.0, 5.0, -8.0), y=(0.0, 0.0, 25.0, -12.0))
 

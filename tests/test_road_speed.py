@@ -286,6 +286,7 @@ def test_check_reads_a_file_and_says_how_near_its_road_comes(command, tmp_path):
     assert json.loads(out)["closed"] is False
 
 
+@pytest.mark.drawn
 def test_plot_writes_a_picture(command, tmp_path, monkeypatch):
     monkeypatch.setattr("adaptrack.report.style.PNG_DPI", 20)
     code, out, _ = command("plot", "lap", "--length", "600", "--speed", "30", "--out", tmp_path / "a.png")

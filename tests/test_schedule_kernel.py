@@ -30,6 +30,8 @@ from adaptrack.scheduling.functions.sugeno import ANY
 from adaptrack.vehicle import GRAVITY
 from small_models import line, random_network, random_sugeno, random_table, stability_map
 
+pytestmark = pytest.mark.kernels
+
 FALLBACK = Tuning(25, 6, 1.0, 100.0)
 
 

@@ -26,7 +26,10 @@ from adaptrack.vehicle import GRAVITY, SteeringActuator, load_vehicle
 from adaptrack.world import Driver
 
 # The counted noise multiplies integers that wrap around, of which the interpreter warns; compiled code is silent.
-pytestmark = pytest.mark.filterwarnings("ignore:overflow encountered in scalar:RuntimeWarning")
+pytestmark = [
+    pytest.mark.kernels,
+    pytest.mark.filterwarnings("ignore:overflow encountered in scalar:RuntimeWarning"),
+]
 
 CAR = load_vehicle("paper")
 ROAD = load_profile("road")

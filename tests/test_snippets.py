@@ -153,6 +153,7 @@ def test_a_wrong_option_or_value_would_be_found():
 
 
 # -- pages ------------------------------------------------------------------------------------------------------------
+@pytest.mark.slow
 @pytest.mark.compiled
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
 def test_a_page_runs_from_top_to_bottom(page, tmp_path, monkeypatch, capsys):

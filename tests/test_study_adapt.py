@@ -52,7 +52,7 @@ BOUNDS, START = Method().improvement.bounds, Method().constants.tuning
 
 @pytest.fixture(scope="module")
 def chain(tmp_path_factory):
-    return learned(tmp_path_factory.getbasetemp() / "chain")
+    return learned(tmp_path_factory.getbasetemp())
 
 
 @pytest.fixture

@@ -18,6 +18,8 @@ from adaptrack.vehicle import SteeringActuator, list_tyres, load_tyre, load_vehi
 from inlined import entry
 from references.vehicle import cornering_stiffness, tyre_force
 
+pytestmark = pytest.mark.kernels
+
 unpack = entry(unpack)
 friction_ellipse = entry(friction_ellipse)
 lateral_force = entry(lateral_force)

@@ -9,6 +9,8 @@ from numba import njit
 from adaptrack.kernels.maths import vectors
 from adaptrack.kernels.maths.vectors import WIDTH
 
+pytestmark = pytest.mark.kernels
+
 
 @njit
 def _every_operation(A, out):

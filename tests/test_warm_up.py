@@ -36,11 +36,13 @@ def run(monkeypatch, capsys, *arguments):
     return code, captured.out, captured.err
 
 
+@pytest.mark.slow
 def test_a_step_makes_ready_what_it_uses_and_not_what_it_imports(run_python):
     # The step, the filter; not the learning filters, not the other QP method.
     assert run_python(code=USED).split("\n")[-2] == "[1, 1, 0, 0]"
 
 
+@pytest.mark.slow
 def test_a_kernel_with_a_signature_refuses_other_arguments_when_it_is_called_first(run_python):
     code = (
         "from adaptrack.kernels.maths.random import counted_normal\n"

@@ -1,0 +1,32 @@
+"""Figures are made in every test, but drawn only where that is asked for: it takes most of the time of a page."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+from matplotlib.figure import Figure
+
+_savefig = Figure.savefig
+_EMPTY = {
+    "svg": '<svg xmlns="http://www.w3.org/2000/svg" width="1" height="1"></svg>',
+    "png": bytes.fromhex(
+        "89504e470d0a1a0a0000000d49484452000000010000000108000000003a7e9b55"
+        "0000000a49444154789c63f80f0001010100b138f6140000000049454e44ae426082"
+    ),
+}
+
+
+def _save_empty(figure: Figure, to: Any, **how: Any) -> None:
+    to.write(_EMPTY[how["format"]])
+
+
+@contextmanager
+def pictures(drawn: bool) -> Iterator[None]:
+    """Within, figures are drawn when they are saved, or stand for themselves as empty files."""
+    before, Figure.savefig = Figure.savefig, _savefig if drawn else _save_empty
+    try:
+        yield
+    finally:
+        Figure.savefig = before
