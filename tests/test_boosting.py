@@ -33,6 +33,7 @@ def test_what_the_conditions_decide_is_explained_and_what_chance_decides_is_not(
     assert r2["log R/Q"] == pytest.approx(r2["log Q"], abs=0.01)  # R is constant
 
 
+@pytest.mark.slow
 def test_the_learner_is_as_strong_as_a_random_forest(rng):
     sklearn = pytest.importorskip("sklearn.ensemble")
     from sklearn.model_selection import KFold, cross_val_predict

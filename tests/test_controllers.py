@@ -338,6 +338,7 @@ def test_a_copy_and_a_pickle_drive_on_alike_and_apart(law):
     assert len({id(each._memory) for each in (controller, *others)}) == 4
 
 
+@pytest.mark.compiled
 @every_law
 def test_copies_drive_in_many_threads(law, rng):
     states = rng.normal(0.0, 0.1, (40, 4))

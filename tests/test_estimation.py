@@ -265,6 +265,7 @@ def test_soft_or_stiff_tyres_are_not_taken_for_the_road(factor):
 
 
 # -- the filter -------------------------------------------------------------------------------------------------------
+@pytest.mark.compiled
 def test_errors_are_as_large_as_the_filter_says():
     friction, wind = [], []
     for seed in range(12):

@@ -150,6 +150,7 @@ def test_in_the_kinematic_turn_it_keeps_the_ackermann_angle(radius, lag):
         assert answer.angle == pytest.approx(angle, abs=1e-9)
 
 
+@pytest.mark.compiled
 def test_told_of_the_dead_time_it_damps_a_car_that_it_cannot_hold_without():
     """On its own model, lag 0.3 s behind 0.5 s of dead time, with strong weights: settled or swinging."""
 

@@ -840,6 +840,7 @@ def test_on_a_straight_road_in_steady_wind_a_change_of_horizons_moves_nothing():
 
 
 # -- the pages --------------------------------------------------------------------------------------------------------
+@pytest.mark.slow
 @pytest.mark.compiled
 @pytest.mark.parametrize("name", ["schedulers", "anfis", "extending"])
 def test_the_examples_of_the_page_run_one_after_the_other(name, project, tmp_path, monkeypatch):
