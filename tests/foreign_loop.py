@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from adaptrack.road import Road
+from adaptrack.road.ahead import foot_near
 
 DT = 0.002
 """s, step of the bicycle."""
@@ -132,7 +133,7 @@ def drive(tracker, road, seconds=30.0, car=None, before_call=None, wheel_angle=N
                 command = calls[-1][1].command
         car.step(command, DT)
         if k % 10 == 0:
-            foot = road.project(car.x, car.y, near=near)
+            foot = road.project(car.x, car.y) if near is None else foot_near(road, car.x, car.y, near)
             near = float(foot.s)
             offset.append(float(foot.offset))
             places.append((t + DT, car.x, car.y))

@@ -317,6 +317,17 @@ def test_a_position_that_stays_the_same_is_blindness_only_where_the_car_is_elsew
     assert not np.isfinite(turning[-1, : model.n]).any()
 
 
+def test_a_pose_that_stays_the_same_against_a_path_that_turns_is_new():
+    """As of a car that is driven exactly along a circle, 5 cm beside it."""
+    model, own, at = PathModel(CAR, PERIOD, 0.15), KalmanFilter(), (np.full(60, 15.0), np.zeros(60))
+    same = np.tile([0.0, 0.001, 0.2, 0.05, math.nan, math.nan, 0.0, 0.0, 15.0 * PERIOD / 75.0], (60, 1))
+    trembling = same.copy()
+    trembling[1::2, [1, 3]] += 1e-12
+    np.testing.assert_allclose(
+        run_kernel(own, model, at[0], same, at[1]), run_kernel(own, model, at[0], trembling, at[1]), rtol=0, atol=1e-9
+    )
+
+
 def test_a_sample_that_repeats_the_one_before_is_left_out(rng):
     model = PathModel(CAR, PERIOD, 0.15)
     samples = rng.normal(size=(30, 4)) * [0.05, 0.003, 0.01, 0.03]

@@ -10,7 +10,7 @@ import threading
 import numpy as np
 import pytest
 
-from adaptrack.controllers import Limits, Moves, Tuning, published_mpc
+from adaptrack.controllers import MPC, Limits, Moves, Tuning, published_mpc
 from adaptrack.errors import InvalidInput
 from adaptrack.qp import QPStatus, get_qp_solver
 from adaptrack.scheduling import Constant, SchedulingVariables
@@ -137,11 +137,29 @@ def test_a_hole_in_any_entry_holds_the_angle_for_one_step(moves, hole, solver):
         ahead = list(AHEAD)
         ahead[place] = hole
         assert mpc.step(STATE, 15.0, ahead)[:3] == (before, 0.0, True)
-    assert mpc.step(STATE, math.nan, AHEAD)[:3] == (before, 0.0, True)
-    assert mpc.step(STATE, math.inf, AHEAD)[:3] == (before, 0.0, True)
-    assert mpc.step(STATE, -math.inf, AHEAD)[:3] == (before, 0.0, True)
     again = mpc.step(STATE, 15.0, AHEAD)
     assert (again.status, again.held) == (QPStatus.SOLVED, False)
+
+
+@pytest.mark.parametrize("hole", HOLES.values(), ids=HOLES)
+@pytest.mark.parametrize("make", [published_mpc, MPC], ids=["published", "informed"])
+def test_a_speed_that_is_missing_is_the_last_one_for_six_seconds(make, hole):
+    mpc, twin = make(CAR, CALM, period=0.25), make(CAR, CALM, period=0.25)
+    assert mpc.step(STATE, hole, AHEAD)[:3] == (0.0, 0.0, True)  # none has been there
+    for speed in (12.0, 15.0):
+        mpc.step(STATE, speed, AHEAD)
+    twin.step(STATE, math.nan, AHEAD)
+    for speed in (12.0, 15.0):
+        twin.step(STATE, speed, AHEAD)
+    for k in range(24):
+        mpc.problem(STATE, hole, AHEAD)  # counts for nothing
+        assert mpc.step(STATE + 0.001 * k, hole, AHEAD) == twin.step(STATE + 0.001 * k, 15.0, AHEAD)
+    copied, before = copy.copy(mpc), mpc.angle
+    assert mpc.step(STATE, hole, AHEAD)[:3] == copied.step(STATE, hole, AHEAD)[:3] == (before, 0.0, True)
+    assert not mpc.step(STATE, 15.0, AHEAD).held
+    assert not mpc.step(STATE, hole, AHEAD).held
+    mpc.reset()
+    assert mpc.step(STATE, hole, AHEAD).held
 
 
 def test_what_a_mask_hides_is_not_read():
@@ -200,7 +218,7 @@ VALUES = (0.0, 1.0, -3.0, math.nan, math.inf, -math.inf, 1e-308, 1e300, -1e300, 
 )
 def test_whatever_numbers_come_the_command_keeps_its_limits_and_solved_means_solved(options, rng):
     mpc = published_mpc(CAR, Tuning(12, 2, 1.0, 0.1), **options)
-    before, calm = 0.0, True
+    before, calm, known = 0.0, True, math.nan
     for _ in range(60):
         good = rng.random() < 0.6
         state = list(rng.normal(size=4) * [0.5, 0.05, 0.1, 1.0])
@@ -212,7 +230,8 @@ def test_whatever_numbers_come_the_command_keeps_its_limits_and_solved_means_sol
             speed = float(VALUES[rng.integers(len(VALUES) - 1)]) if rng.random() < 0.2 else speed
         command = mpc.step(state, speed, ahead, look)
         assert keeps_its_limits(command, mpc, before)
-        seen = [*state, speed, *(ahead[1:13] if mpc.preview else ahead[:1])]
+        known = speed if math.isfinite(speed) else known
+        seen = [*state, known, *(ahead[1:13] if mpc.preview else ahead[:1])]
         finite = all(abs(value) < 1e308 for value in seen)
         assert finite or command.held
         if command.status is QPStatus.SOLVED:

@@ -13,7 +13,7 @@ from adaptrack.road import KINDS, Along, Arc, Clothoid, Cubic, Line, Pose, Road,
 from adaptrack.road.projection import feet_near, nearest_feet
 from adaptrack.road.table import COLUMNS, DEGREE, joined, placed, tabulate
 from adaptrack.road.table import beside as table_beside
-from references.road import beside, end_of, figure_of_eight, nearest_by_search
+from references.road import beside, coarse_samples, end_of, feet_by_search, figure_of_eight, nearest_by_search
 
 pytestmark = pytest.mark.kernels
 
@@ -254,11 +254,89 @@ def test_past_both_ends_the_foot_is_on_the_straight_continuation():
     assert (float(foot.s), float(foot.offset)) == pytest.approx((-4.0, -1.0), abs=1e-9)
 
 
-def test_a_foot_out_of_reach_of_its_last_place_is_no_number():
+def test_a_point_without_a_foot_within_reach_is_refused_by_its_place():
     road = Road.from_segments([Line(length=2000.0)])
-    for foot in (road.project(1500.0, 2.0, near=0.0), feet_near(road, [1500.0], [2.0], [0.0])):
-        assert np.isnan(foot.offset).all()
+    with pytest.raises(InvalidInput, match=r"\(1500, 2\) has no foot within 400 m of near = 0 m"):
+        road.project([3.0, 1500.0], [2.0, 2.0], near=0.0)
+    foot = feet_near(road, [1500.0], [2.0], [0.0])
+    assert np.isnan(foot.offset).all()
+    assert foot.s.tolist() == [0.0]
     assert float(road.project(1500.0, 2.0, near=1150.0).offset) == pytest.approx(2.0)
+
+
+def around(road, furthest, count, rng):
+    """Points up to so far from places of a road, and arc lengths up to 30 m from these places."""
+    s = rng.uniform(0.0, road.length, count)
+    away, angle = furthest * np.sqrt(rng.uniform(size=count)), rng.uniform(0.0, 2.0 * math.pi, count)
+    place = road.at(s)
+    return place.x + away * np.cos(angle), place.y + away * np.sin(angle), s + rng.uniform(-30.0, 30.0, count)
+
+
+TIGHT = Road.from_segments(
+    [Line(length=150.0), Arc(length=math.pi / 0.1, curvature=0.1), Line(length=150.0)], name="tight"
+)
+ROUND = Road.from_segments([Arc(length=120.0 * math.pi, curvature=1 / 60)], closed=True, name="round")
+
+
+@pytest.mark.compiled
+@pytest.mark.parametrize("road", [TIGHT, ROUND, "mountain"], ids=["tight", "round", "mountain"])
+def test_the_foot_is_the_minimum_of_distance_nearest_in_arc_length(road, rng):
+    road = generate_road(road, seed=2, length=2000.0) if isinstance(road, str) else road
+    for furthest in (15.0, 100.0):
+        x, y, near = around(road, furthest, 150, rng)
+        foot = road.project(x, y, near=near)
+        assert np.isfinite(foot.offset).all()
+        expected = feet_by_search(road, x, y, near)
+        assert (np.abs(foot.s - near) <= np.abs(expected - near) + 1e-6).all()
+        for side in (-1.0, 1.0):
+            p = road.at(foot.s + 1e-5 * side)
+            assert (side * ((p.x - x) * np.cos(p.heading) + (p.y - y) * np.sin(p.heading)) >= 0.0).all()
+
+
+def test_a_far_point_beside_a_tight_bend_has_its_foot():
+    """Where Newton's step is below the rounding of s."""
+    road = generate_road("mountain", seed=2, length=2000.0)
+    x, y, near = 21.303641423429738, -299.2426354350294, 1002.4488610807559
+    (expected,) = feet_by_search(road, *np.array([[x], [y], [near]]))
+    assert float(road.project(x, y, near=near).s) == pytest.approx(expected, abs=1e-6)
+
+
+@pytest.mark.compiled
+@pytest.mark.parametrize("road", [TIGHT, ROUND], ids=["tight", "round"])
+def test_no_place_of_a_road_is_nearer_to_a_far_point_than_its_foot(road, rng):
+    x, y, _ = around(road, 1000.0, 150, rng)
+    foot = road.project(x, y)
+    end = road.at(foot.s if road.closed else np.clip(foot.s, 0.0, road.length))
+    _, px, py = coarse_samples(road)
+    least = np.hypot(px - x[:, np.newaxis], py - y[:, np.newaxis]).min(axis=1)
+    assert np.isfinite(foot.offset).all()
+    assert (np.hypot(end.x - x, end.y - y) <= least + 1e-9).all()
+
+
+def test_every_place_of_a_circle_is_a_foot_of_its_centre():
+    for near in (None, 10.0, -1000.0):
+        foot = ROUND.project(0.0, 60.0, near=near)
+        assert float(foot.offset) == pytest.approx(60.0, abs=1e-9)
+    assert abs(float(foot.s) + 1000.0) <= 400.0
+
+
+def test_far_from_a_tight_bend_the_readable_projection_and_the_kernel_agree(rng):
+    x, y, near = around(TIGHT, 100.0, 40, rng)
+    for one, other in zip(TIGHT.project(x, y, near=near), feet_near(TIGHT, x, y, near), strict=True):
+        np.testing.assert_allclose(one, other, rtol=0, atol=1e-10)
+
+
+def test_the_table_of_headings_is_that_of_the_road_to_the_bit():
+    for road in (TIGHT, ROUND, eight(), Road.from_segments([CUBIC, Line(length=20.0)])):
+        headings = np.empty(200)
+        kernel.headings_along(road.packed(), headings)
+        assert np.array_equal(headings, road.at(np.linspace(0.0, road.length, 200)).heading)
+
+
+def test_no_curvature_exceeds_its_bound():
+    for road in (TIGHT, eight(), generate_road("town", seed=1, length=500.0), Road.from_segments([CUBIC])):
+        most = np.abs(road.at(np.arange(0.0, road.length, 0.1)).curvature).max()
+        assert most <= road.table.most_curvature * (1.0 + 1e-12) <= 2.0 * most
 
 
 def test_where_rounding_left_a_kink_the_foot_is_the_corner_or_beside_it():

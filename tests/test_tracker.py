@@ -14,6 +14,7 @@ from adaptrack.errors import InvalidInput
 from adaptrack.kalman import KalmanFilter
 from adaptrack.profile import load_profile
 from adaptrack.road import Arc, Clothoid, Line, Road, generate_road, plan_speed
+from adaptrack.road.table import Table
 from adaptrack.tracker import Status, Tracker, yaw_of
 from adaptrack.vehicle import Steering, load_vehicle
 from foreign_loop import Bicycle, drive, on_road, steady_turn, window
@@ -178,6 +179,58 @@ def test_far_from_the_path_is_said_until_the_car_is_back():
     driven = drive(tracker, ROAD, 20.0, car=on_road(ROAD, offset=1.5))
     assert driven.calls[0][1].status is Status.OFF_PATH
     assert driven.calls[-1][1].status is Status.OK
+
+
+def test_where_no_foot_is_about_the_last_one_the_car_is_off_the_path_until_it_begins_anew():
+    """Beyond the centre of a circle the nearest foot is half a lap away."""
+    circle = Road.from_segments([Arc(length=400.0 * math.pi, curvature=1 / 200)], closed=True)
+    tracker = Tracker(Stanley(CAR, period=0.05), circle, furthest=1000.0)
+    told = [tracker.step(0.05 * k, 0.2, 189.5 + k, math.pi / 2, 20.0, 0.0) for k in range(20)]
+    assert {each.status for each in told[:11]} == {Status.OK}
+    assert {each.status for each in told[11:]} == {Status.OFF_PATH}
+    assert np.isnan([each[2:] for each in told[11:]]).all()
+    assert np.isfinite([each.command for each in told]).all()
+    tracker.engage()
+    again = tracker.step(1.0, 0.2, 209.0, math.pi / 2, 20.0, 0.0)
+    assert again.status is Status.OK
+    assert again.station == pytest.approx(200.0 * math.pi, abs=10.0)
+
+
+def test_no_step_looks_through_a_long_path(monkeypatch):
+    asked, at = [], Table.at
+    monkeypatch.setattr(Table, "at", lambda *given: asked.append(np.size(given[1])) or at(*given))
+    long = Road.from_segments([Line(length=20_000.0)])
+    tracker = Tracker(informed(), SHORT)
+    at_rest(tracker, speed=10.0)
+    tracker.follow(long)
+    tracker.step(0.05, 0.5, 0.0, 0.0, 10.0, 0.0)
+    tracker = Tracker(informed(), long.replace(name="another"))
+    assert tracker.step(0.0, 15_000.0, 0.1, 0.0, 10.0, 0.0).station == pytest.approx(15_000.0)
+    assert max(asked) <= 100
+
+
+def test_a_car_that_lies_exactly_on_a_circle_is_steered_as_one_a_nanometre_beside():
+    """Its offset and heading error are then the same to the bit at every step; they are new all the same."""
+    commands = []
+    for beside in (0.0, 1e-9):
+        tracker, way = Tracker(informed(), CIRCLE), CIRCLE.at(0.5 * np.arange(80.0))
+        for k in range(80):
+            x, y, yaw = (float(each[k]) for each in way[:3])
+            told = tracker.step(0.05 * k, x, y + beside * (-1.0) ** k, yaw, 10.0, 10.0 / 60.0)
+        commands.append(told.command)
+    assert commands[0] == pytest.approx(commands[1], abs=1e-5)
+
+
+def test_a_position_that_stays_while_the_car_moves_is_none_under_any_time_stamp():
+    tracker = Tracker(informed(), CIRCLE)
+    statuses = []
+    for k in range(120):
+        place = CIRCLE.at(0.5 * min(k, 20))
+        sample = float(place.x), float(place.y), float(place.heading)
+        statuses.append(tracker.step(0.05 * k, *sample, 10.0, 10.0 / 60.0).status)
+    assert statuses[:21] == [Status.OK] * 21
+    assert statuses[21:80] == [Status.ESTIMATED] * 59
+    assert statuses[85:] == [Status.HELD] * 35
 
 
 def test_a_call_at_the_same_time_or_an_earlier_one_repeats_the_command():

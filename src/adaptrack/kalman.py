@@ -348,7 +348,8 @@ class ReadableFilter:
         pose_age, motion_age = (each if math.isfinite(each) else 0.0 for each in measured[len(SENSORS) : -1])
         for i, (name, variance) in enumerate(zip(SENSORS, self.own.variances(), strict=True)):
             value, age = float(measured[i]), pose_age if name in ("yaw", "y") else motion_age
-            repeated = value == self.last[i] and variance > LEAST_NOISE[i] ** 2
+            moved = name in ("yaw", "y") and self.turned[0] != 0.0
+            repeated = value == self.last[i] and variance > LEAST_NOISE[i] ** 2 and not moved
             self.last[i] = value
             instants = math.floor(age / self.model.period + 0.5)
             if not (math.isfinite(value) and math.isfinite(variance) and 0 <= instants <= self.late):

@@ -21,7 +21,7 @@ from adaptrack.controllers import MPC, Controller
 from adaptrack.errors import InvalidInput, real
 from adaptrack.kalman import KalmanFilter
 from adaptrack.road import Road, SpeedPlan
-from adaptrack.road.ahead import RoadAhead
+from adaptrack.road.ahead import RoadAhead, foot_near, foot_of_car
 from adaptrack.vehicle import Vehicle
 
 Array = NDArray[np.float64]
@@ -61,7 +61,8 @@ class Status(StrEnum):
     REVERSE = "reverse"
     """the car drives backwards, which no controller here can: the wheels are left where they are"""
     OFF_PATH = "off-path"
-    """further from the path than `furthest`: the command is given all the same; stop the car, or give another path"""
+    """further from the path than `furthest`, or without a foot on it within 400 m of the last one (the offset is then
+    NaN): a command is given all the same; stop the car, or give another path"""
     END = "end"
     """beyond the end of an open path: it goes on straight; stop the car, or give another path"""
     REPEATED = "repeated"
@@ -189,6 +190,7 @@ class Tracker:
         self._last, self._between = -math.inf, self.period
         self._speed, self._yaw_rate = math.nan, 0.0
         self._pose, self._newest, self._jumps = NOWHERE, -math.inf, 0
+        self._placed = NOWHERE, -math.inf
         self._station = self._heading = self._turned = 0.0
 
     def _hold(self, angle: float) -> None:
@@ -211,7 +213,7 @@ class Tracker:
         self._set_path(path, plan)
         if before is None:
             return
-        self._station = _foot(path, self._pose)
+        self._station = foot_of_car(path, *self._pose, ACROSS)
         offset, heading_error = self._beside(self._pose, self._station)
         self._heading = float(path.at(self._station).heading)
         if abs(offset - before[0]) < ABSURD:
@@ -281,14 +283,16 @@ class Tracker:
             return Tracked(self._command, Status.HELD, *NOWHERE)
         self._began = self._last = at
         self._instant, self._started, self._newest = 0, True, given.t
+        self._placed = given.pose, given.t
         self._yaw_rate = given.yaw_rate if math.isfinite(given.yaw_rate) else 0.0
         self._pose = given.pose.carried(age, self._forward, self._yaw_rate)
-        self._station = _foot(self.path, self._pose)
+        self._station = foot_of_car(self.path, *self._pose, ACROSS)
         self._heading = float(self.path.at(self._station).heading)
         return self._control(given._replace(t=at, pose=self._pose))
 
     def _go_on(self, at: float, given: _Sample) -> Tracked:
         """A call that follows others."""
+        given = self._placed_anew(given)
         self._between += PACE * (min(at - self._last, self.period) - self._between)
         self._last = at
         instant = math.floor((at - self._began + 0.5 * self._between) / self.period)
@@ -309,6 +313,15 @@ class Tracker:
             self._hold(held)
         self._advance(given)
         return self._control(given)
+
+    def _placed_anew(self, given: _Sample) -> _Sample:
+        """The sample, without a pose that is the one before under a later time stamp: a car that moves has another."""
+        pose, t = self._placed
+        if given.pose == pose and given.t > t and self._forward > STANDING:
+            return given._replace(pose=NOWHERE)
+        if given.posed:
+            self._placed = given.pose, given.t
+        return given
 
     def _has_jumped(self, at: float, given: _Sample) -> bool:
         """Whether a position is far from where the car was expected."""
@@ -343,8 +356,11 @@ class Tracker:
             if -self.period <= age <= self._late * self.period + LONGEST_CARRY:
                 pose = given.pose.carried(age, self._forward, self._yaw_rate)
         self._pose = pose
-        near = self._station + self._forward * self.period
-        self._station = float(self.path.project(pose.x, pose.y, near=near).s)
+        foot = foot_near(self.path, pose.x, pose.y, self._station + self._forward * self.period)
+        if math.isnan(foot.offset):
+            self._turned = 0.0
+            return
+        self._station = float(foot.s)
         heading = float(self.path.at(self._station).heading)
         self._turned, self._heading = heading - self._heading, heading
 
@@ -357,7 +373,8 @@ class Tracker:
         self._command = float(getattr(answer, "angle", answer))
         offset, heading_error = self._beside(self._pose, self._station)
         status = self._status(offset, fresh, bool(getattr(answer, "held", False)))
-        self._tracked = Tracked(self._command, status, offset, heading_error, self._station)
+        station = math.nan if math.isnan(offset) else self._station
+        self._tracked = Tracked(self._command, status, offset, heading_error, station)
         return self._tracked
 
     def _seen(self, given: _Sample | None) -> tuple[Array, bool]:
@@ -404,8 +421,10 @@ class Tracker:
             )  # fmt: skip
 
     def _beside(self, pose: _Pose, near: float) -> tuple[float, float]:
-        """Offset and heading error of a pose."""
-        foot = self.path.project(pose.x, pose.y, near=near)
+        """Offset and heading error of a pose; NaN where it has no foot."""
+        foot = foot_near(self.path, pose.x, pose.y, near)
+        if math.isnan(foot.offset):
+            return math.nan, math.nan
         return float(foot.offset), _turn(pose.yaw - float(foot.heading))
 
     def _speeds(self) -> Array:
@@ -417,6 +436,8 @@ class Tracker:
         return np.maximum(planned + (speed - planned[0]), 0.0)
 
     def _status(self, offset: float, fresh: bool, held: bool) -> Status:
+        if math.isnan(offset):
+            return Status.OFF_PATH
         if held:
             return Status.HELD
         if self._speed < STANDING:
@@ -462,14 +483,6 @@ def yaw_of(quaternion: Sequence[float] | ArrayLike) -> float:
         raise InvalidInput(f"yaw_of: {quaternion!r}: must be four finite numbers x, y, z, w, not all 0.")
     x, y, z, w = q
     return math.atan2(2.0 * (w * z + x * y), w * w + x * x - y * y - z * z)
-
-
-def _foot(path: Road, pose: _Pose) -> float:
-    """Arc length (m) of the foot from which a path is followed: near, and in the direction of the car."""
-    s = np.linspace(0.0, path.length, math.ceil(0.5 * path.length) + 1)
-    points = path.at(s)
-    distance = np.hypot(points.x - pose.x, points.y - pose.y) + ACROSS * (1.0 - np.cos(points.heading - pose.yaw))
-    return float(path.project(pose.x, pose.y, near=s[np.argmin(distance)]).s)
 
 
 def _steady_drift(vehicle: Vehicle | None, speed: float, yaw_rate: float) -> float:

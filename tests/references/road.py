@@ -42,6 +42,31 @@ def nearest_by_search(road, x, y, step=1e-3, samples=None):
     return float(fine[k]), float(away[k])
 
 
+def feet_by_search(road, x, y, near, reach=400.0, step=0.25):
+    """The arc lengths, nearest to `near`, at which the distance of points has a minimum, (n,); NaN: none within reach.
+
+    Minima lie where the slope of the distance changes its sign between samples; two between the same are not seen.
+    """
+    s = np.arange(near.min() - reach, near.max() + reach + step, step)
+    p = road.at(s)
+    cos, sin = np.cos(p.heading), np.sin(p.heading)
+    slope = p.x * cos + p.y * sin - np.outer(x, cos) - np.outer(y, sin)
+    minimum = (slope[:, :-1] <= 0.0) & (slope[:, 1:] > 0.0)
+    away = np.where(minimum, np.abs(s[:-1] + 0.5 * step - near[:, np.newaxis]), np.inf)
+    nearest = np.argsort(away, axis=1)[:, :2]  # either may be the nearer one in the end
+    some = np.isfinite(np.take_along_axis(away, nearest, axis=1))
+    low, high = s[nearest], s[nearest + 1]
+    for _ in range(45):
+        middle = 0.5 * (low + high)
+        p = road.at(middle)
+        up = (p.x - x[:, np.newaxis]) * np.cos(p.heading) + (p.y - y[:, np.newaxis]) * np.sin(p.heading) > 0.0
+        low, high = np.where(up, low, middle), np.where(up, middle, high)
+    gone = np.where(some, np.abs(low - near[:, np.newaxis]), np.inf)
+    best = gone.argmin(axis=1)[:, np.newaxis]
+    found, gone = (np.take_along_axis(each, best, axis=1)[:, 0] for each in (low, gone))
+    return np.where(gone <= reach, found, np.nan)
+
+
 def beside(road, s, offset):
     """Points at lateral offsets from a road."""
     p = road.at(s)

@@ -46,6 +46,8 @@ _NOT_CARRIED = (
     "_lock", "_measured", "_answer", "_resident", "_resident_plan", "_step", "_schedule_step", "functions",
 )  # fmt: skip
 """Of a controller, by a copy of it: see `MPC._load`."""
+SPEED_KEPT = 6.0
+"""s, for which the last speed counts while it is missing; then a step holds."""
 _log = logging.getLogger("adaptrack")
 
 
@@ -352,6 +354,7 @@ class MPC:
         self._plan = self.scheduler.plan(1) if isinstance(self.scheduler, CompiledScheduler) else None
         self._names = NAMES
         self._variables = np.zeros(len(NAMES))
+        self._speed, self._without_speed = math.nan, 0
         self._raised = 0
         self._load()
 
@@ -508,8 +511,9 @@ class MPC:
         needed); variables: what the scheduler looks at (`SchedulingVariables`), needed when there is one; road: a
         curved one from the car's foot on, against which yaw, y and y_ref then count.
 
-        A state or reference that is not finite (or masked) gives no exception but a command that holds the previous
-        angle, its status saying why: a controller in a running vehicle must answer. So does a scheduler that raises an
+        While the speed is missing (not finite, or masked) the last one counts, for 6 s (`SPEED_KEPT`). A state,
+        reference or speed that is not known gives no exception but a command that holds the previous angle, its status
+        saying why: a controller in a running vehicle must answer. So does a scheduler that raises an
         error or answers what is no tuning: the tuning before is kept, the step counted, and a warning logged once.
 
         Raises
@@ -588,9 +592,7 @@ class MPC:
         """Take in what a step is given; the reference and the speed as the kernels want them."""
         given = vector("state", state, _STATE_SIZES)
         ahead = vector("reference", reference, most=self._furthest)
-        pace = number("speed", speed)
-        if pace == -math.inf:
-            pace = math.nan  # the speed's floor would make a number of it
+        pace = self._known_speed(number("speed", speed))
         if given.size != self._given_size:
             self._measured[4:] = NOTHING_MEASURED[4:]
             self._given_size = given.size
@@ -600,6 +602,14 @@ class MPC:
         if self.scheduler is not None:
             self._schedule(variables)
         return ahead, pace
+
+    def _known_speed(self, speed: float) -> float:
+        """The speed (m/s), for some time the last one where it is missing; then NaN."""
+        if math.isfinite(speed):
+            self._speed, self._without_speed = speed, 0
+        else:
+            self._without_speed += 1
+        return self._speed if self._without_speed * self.period <= SPEED_KEPT else math.nan
 
     def _look_along(self, road: RoadAhead | None, pace: float) -> None:
         """Take in the road ahead."""

@@ -15,6 +15,7 @@ import numpy as np
 
 from adaptrack.controllers import LQR, MPC, Learning, Limits, Moves, PurePursuit, Stanley, Tuning, published_mpc
 from adaptrack.controllers.inputs import MOST_CHANGE, MOST_WHEEL_ANGLE
+from adaptrack.controllers.mpc import SPEED_KEPT
 from adaptrack.errors import InvalidInput
 from adaptrack.estimation import FrictionWindEstimator
 from adaptrack.fuzz import inputs
@@ -155,6 +156,7 @@ class MPCTarget:
         self.steering = Steering(self.mpc)
         self.published = case["kind"] == "published"
         self.good_for, self.solved = 0, 0
+        self.speed, self.without_speed = math.nan, 0.0
 
     def step(self, given: Case) -> str | None:
         """Take one input; what does not hold."""
@@ -174,31 +176,40 @@ class MPCTarget:
             wrong = _refused(lambda: mpc.step(state, given["speed"], reference, variables), False)
             return wrong or ("a refused step moved the command" if mpc.angle != before else None)
         told = mpc.step(state, given["speed"], reference, variables)
-        wrong = self.steering.wrong(before, told.angle) or self._status(told, state, given, reference)
+        speed = self._known_speed(given["speed"])
+        wrong = self.steering.wrong(before, told.angle) or self._status(told, state, speed, reference)
         if wrong is None and told.status is QPStatus.SOLVED:
             self.solved += 1
-            if self.solved % CHECKED_EACH == 0 and abs(given["speed"]) >= STANDING:
+            if self.solved % CHECKED_EACH == 0 and abs(speed) >= STANDING:
                 wrong = self._certificate()
         return wrong
+
+    def _known_speed(self, speed: float) -> float:
+        """The speed (m/s), for so long the last one where it is missing."""
+        if math.isfinite(speed):
+            self.speed, self.without_speed = speed, 0.0
+        else:
+            self.without_speed += self.mpc.period
+        return self.speed if self.without_speed < SPEED_KEPT + 0.5 * self.mpc.period else math.nan
 
     def _before(self, action: list[Any]) -> str | None:
         name, *numbers = action
         if name == "restart":
             self.mpc.restart()
-            self.good_for = 0
+            self.good_for, self.speed = 0, math.nan
             return None
         return _refused(lambda: getattr(self.mpc, name)(*numbers), _is_allowed(name, numbers))
 
-    def _status(self, told: Any, state: Array, given: Case, reference: Array) -> str | None:
+    def _status(self, told: Any, state: Array, speed: float, reference: Array) -> str | None:
         """Whether the status says what was."""
         status = told.status
         if told.held != (status is not QPStatus.SOLVED):
             return f"held = {told.held} with status {status.name}"
         if status is QPStatus.NON_FINITE and told.move != 0.0 and self._within(told.angle - told.move):
             return f"NON_FINITE, and the command moved by {told.move!r} rad"
-        if status is QPStatus.SOLVED and not (told.residual <= CERTIFIED or abs(given["speed"]) < STANDING):
+        if status is QPStatus.SOLVED and not (told.residual <= CERTIFIED or abs(speed) < STANDING):
             return f"SOLVED with a residual of {told.residual!r}"
-        missing = self._missing(state, given["speed"], reference)
+        missing = self._missing(state, speed, reference)
         if missing and status is QPStatus.SOLVED:
             return f"SOLVED although {missing} is not finite"
         if told.learned and not _finite(np.array(told.learned)):

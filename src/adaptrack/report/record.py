@@ -14,6 +14,7 @@ from adaptrack.errors import InvalidInput, real
 from adaptrack.failure import Failed
 from adaptrack.outline import Outline
 from adaptrack.road import Road, SpeedPlan
+from adaptrack.road.ahead import foot_near
 from adaptrack.trajectory import Trajectory
 from adaptrack.vehicle import Vehicle
 
@@ -232,11 +233,11 @@ def _beside(run: Trajectory, road: Road) -> tuple[Array, Array, Array]:
     for i, (x, y) in enumerate(zip(run.X, run.Y, strict=True)):
         if not np.isfinite(x + y):
             break
-        foot = road.project(x, y, near=near)
-        feet[i] = foot.s, foot.offset, foot.heading
+        foot = road.project(x, y) if near is None else foot_near(road, x, y, near)
         if not np.isfinite(foot.offset):
             break
-        near = foot.s
+        feet[i] = foot.s, foot.offset, foot.heading
+        near = float(foot.s)
     turned = run.psi - feet[:, 2]
     return feet[:, 0], feet[:, 1], np.remainder(turned + np.pi, 2.0 * np.pi) - np.pi
 

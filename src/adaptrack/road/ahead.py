@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from adaptrack.errors import InvalidInput
-from adaptrack.road.road import Road
+from adaptrack.road.road import Projection, Road
 from adaptrack.road.segments import Array
 
 HEADING_SPACING = 0.5
@@ -32,29 +32,47 @@ def pack_roads(roads: Sequence[Road | None]) -> Any:
             kept.append(road)
         of[i] = known[0] if known else len(kept) - 1
     numbers = np.zeros((len(kept), len(kernel.NUMBERS)))
-    start: list[Array] = [np.zeros(0)]
-    pieces: list[Array] = [np.zeros((0, kernel.TURNED + kernel.DEGREE + 1))]
-    headings: list[Array] = [np.zeros(0)]
+    parts: tuple[list[Array], list[Array], list[Array]] = [], [], []
     places = np.zeros(3)
     for k, road in enumerate(kept):
-        cells = max(1, math.ceil(road.length / HEADING_SPACING))
-        own = road.table.start, road.table.pieces, road.at(np.linspace(0.0, road.length, cells + 1)).heading
-        numbers[k] = (
-            road.length, float(road.closed), road.turn, places[0], places[1], len(own[1]), places[2],
-            road.length / cells,
-        )  # fmt: skip
+        line, cells = road.packed(), max(1, math.ceil(road.length / HEADING_SPACING))
+        own = line.start, line.pieces, np.empty(cells + 1)
+        kernel.headings_along(line, own[2])
+        numbers[k] = (*line.numbers, places[0], places[1], len(own[1]), places[2], road.length / cells)
         places += [each.shape[0] for each in own]
-        for found, each in zip((start, pieces, headings), own, strict=True):
+        for found, each in zip(parts, own, strict=True):
             found.append(each)
-    return kernel.Roads(
-        of, numbers, *(np.ascontiguousarray(np.concatenate(each)) for each in (start, pieces, headings))
-    )
+    none = np.zeros(0), np.zeros((0, kernel.TURNED + kernel.DEGREE + 1)), np.zeros(0)
+    joined = (
+        found[0] if len(found) == 1 else np.concatenate([empty, *found])
+        for empty, found in zip(none, parts, strict=True)
+    )  # fmt: skip
+    return kernel.Roads(of, numbers, *joined)
 
 
 @lru_cache(maxsize=16)
 def stacked(road: Road) -> Any:
     """A road alone as `kernels.road.Roads`."""
     return pack_roads([road])
+
+
+def foot_near(road: Road, x: float, y: float, near: float) -> Projection:
+    """The foot of one point, as numbers, as by `Road.project`; the offset is NaN where there is none about `near`."""
+    from adaptrack.kernels import road as kernel
+
+    foot = np.empty((1, 4))
+    kernel.project_all(road.packed(), np.array([[x, y, near]]), foot)
+    return Projection(*foot[0].tolist())
+
+
+def foot_of_car(road: Road, x: float, y: float, yaw: float, across: float) -> float:
+    """Arc length (m) of the foot from which a car begins to follow a road: the nearest one in its direction.
+
+    across: m, by which a foot may be nearer where the road leads at right angles to the car.
+    """
+    from adaptrack.kernels import road as kernel
+
+    return float(kernel.nearest(x, y, yaw, across, road.packed()))
 
 
 @dataclass(frozen=True, eq=False)

@@ -281,20 +281,19 @@ class Road:
         x, y : array
             m, of one shape.
         near : array, optional
-            m, the arc length where the foot was last. The foot is then the first one that is reached from there
-            downhill in distance: continuous in time, on the right branch where the road crosses itself, over any number
-            of laps. Without it: the nearest foot of the whole road, 0 <= s < length on a closed one.
+            m, the arc length where the foot was last. Of all places where the distance has a minimum the foot is then
+            the one nearest to it in arc length: continuous in time, on the right branch where the road crosses itself,
+            over any number of laps. Without it: the nearest foot of the whole road, 0 <= s < length on a closed one.
 
         Returns
         -------
         Projection
-            Arrays in the shape of x. Beyond the ends of an open road the foot is on its straight continuation. The
-            offset is NaN when no foot lies within 400 m of `near`.
+            Arrays in the shape of x. Beyond the ends of an open road the foot is on its straight continuation.
 
         Raises
         ------
         InvalidInput
-            When a coordinate is not finite, or shapes do not fit.
+            When a coordinate is not finite, shapes do not fit, or there is no foot within 400 m of `near`.
         """
         from adaptrack.kernels import road as kernel
 
@@ -307,6 +306,12 @@ class Road:
             raise InvalidInput("Road.project: x, y and near must be finite; leave missing samples out.")
         feet = np.empty((len(rows), 4))
         kernel.project_all(self.packed(), rows, feet)
+        for lost in np.flatnonzero(np.isnan(feet[:, 1]))[:1]:
+            px, py, s = rows[lost]
+            raise InvalidInput(
+                f"Road.project: the point ({px:.6g}, {py:.6g}) has no foot within {kernel.REACH:g} m of near = {s:.6g} "
+                "m along the road. Give the arc length of its last foot, or leave near out."
+            )
         shape = wanted[0].shape
         return Projection(*(feet[:, k].reshape(shape) for k in range(4)))
 
@@ -318,7 +323,7 @@ class Road:
     def _packed(self) -> Any:
         from adaptrack.kernels import road as kernel
 
-        numbers = np.array([self.length, float(self.closed), self.turn])
+        numbers = np.array([self.length, float(self.closed), self.turn, self.table.most_curvature])
         return kernel.Centreline(
             np.ascontiguousarray(self.table.start), np.ascontiguousarray(self.table.pieces), numbers
         )

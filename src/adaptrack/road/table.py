@@ -62,6 +62,12 @@ class Table(NamedTuple):
         """m"""
         return float(self.start[-1])
 
+    @property
+    def most_curvature(self) -> float:
+        """1/m, that no curvature exceeds."""
+        slopes = np.abs(self.pieces[:, TURNED + 1 : COLUMNS]) @ np.arange(1.0, DEGREE + 1)
+        return float((slopes / self.pieces[:, HALF]).max())
+
     def at(self, s: ArrayLike, sides: ArrayLike = 1) -> Points:
         """The points at the arc lengths `s`, 0 <= s <= length, in the shape of `s`.
 

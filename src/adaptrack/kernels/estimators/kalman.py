@@ -11,7 +11,8 @@ innovation counts up to `bound` of its own standard deviations. A sample of a kn
 next to the time at which it was taken: the filter keeps z of `late` periods ago and goes through the instants since
 then anew at every step, with all that has arrived of them. What was taken a little before or after its instant is
 compared with z carried there, psi - tau r and y - tau (v_y + v psi) + tau^2/2 v r. A sample that repeats the one before
-to the last bit, from a sensor that has noise, is an old one and left out.
+to the last bit, from a sensor that has noise, is an old one and left out; not so a heading or position against a path
+that has turned since: the car has turned with it.
 
 A sensor that is stuck behind its own noise disagrees: the mean of its squared innovations over their variance, 1 for a
 filter that is right, grows. Beyond `distrust` the sensor that disagrees the most is left out until it agrees again, one
@@ -240,6 +241,14 @@ def _keep(source, target, memory):
 
 
 @njit(**INLINE)
+def is_repeated(sensor, last, variance, measured):
+    """Whether a sample of a sensor is the one before, by its value."""
+    posed = sensor == MEASURED.yaw or sensor == MEASURED.y
+    moved = posed and measured[MEASURED.turned] != 0.0
+    return measured[sensor] == last and variance > LEAST_NOISE[sensor] ** 2 and not moved
+
+
+@njit(**INLINE)
 def _sort_in(n, p, measured, parameters, memory):
     """Add the samples that have arrived to the instants at which they were taken."""
     late = int(p.late)
@@ -251,7 +260,7 @@ def _sort_in(n, p, measured, parameters, memory):
     memory[_BLIND] += 1.0
     for sensor in range(SENSORS):
         value, variance = measured[sensor], parameters[_VARIANCE + sensor]
-        repeated = value == memory[_LAST + sensor] and variance > LEAST_NOISE[sensor] ** 2
+        repeated = is_repeated(sensor, memory[_LAST + sensor], variance, measured)
         memory[_LAST + sensor] = value
         posed = sensor == MEASURED.yaw or sensor == MEASURED.y
         age = measured[MEASURED.pose_age] if posed else measured[MEASURED.motion_age]

@@ -437,7 +437,7 @@ def _bound(at, p, memory):
 def _is_usable(sensor, left_out, p, parameters, measured, memory):
     """Whether a sensor gives a new sample that may be believed."""
     value, variance = measured[sensor], parameters[_VARIANCE + sensor]
-    stuck = value == memory[_SEEN + sensor] and variance > kalman.LEAST_NOISE[sensor] ** 2
+    stuck = kalman.is_repeated(sensor, memory[_SEEN + sensor], variance, measured)
     return math.isfinite(value) and variance < math.inf and not stuck and left_out != sensor + 1
 
 
