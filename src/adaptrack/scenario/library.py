@@ -48,6 +48,15 @@ COMMON_OPTIONS = {
 }
 """The options that every scenario has, with their meaning."""
 
+DESCRIPTIONS = {
+    "step": "A constant lateral reference beside the car, under constant conditions: the test behind the paper's tuning.",
+    "lane-change": "One smooth lane change, sized to the friction, and one side gust.",
+    "double-lane-change": "Out of the lane and back within the lengths of ISO 3888-1, at constant speed.",
+    "sine": "A sinusoidal lateral reference: weaving, for the frequency response.",
+    "random-drive": "Mixed driving: changing speed and friction, curves, lane changes, wind and gusts.",
+}
+"""Of the manoeuvres, one line each. Not read from their docstrings: ``python -OO`` drops those."""
+
 _DATA = Path(__file__).parents[1] / "data" / "scenarios"
 
 
@@ -61,7 +70,7 @@ def step(
     """A constant lateral reference beside the car, under constant conditions: the test behind the paper's tuning."""
     return Scenario(
         name="step",
-        description=_first_line(step),
+        description=DESCRIPTIONS["step"],
         source="Fitness of the paper's particle swarm (section III), 18 s; constant y_ref, speed, friction and wind.",
         duration=duration,
         reference=amplitude,
@@ -109,7 +118,7 @@ def lane_change(
         )
     return Scenario(
         name="lane-change",
-        description=_first_line(lane_change),
+        description=DESCRIPTIONS["lane-change"],
         source="Quintic change (least jerk) that uses 35 % of the friction; 1-cosine gust as in EASA CS-25.341.",
         duration=duration,
         reference=LaneChange(amplitude=amplitude, start=start, duration=change_time),
@@ -153,7 +162,7 @@ def double_lane_change(
     home = out + away + beside
     return Scenario(
         name="double-lane-change",
-        description=_first_line(double_lane_change),
+        description=DESCRIPTIONS["double-lane-change"],
         source="Section lengths and lane offset of ISO 3888-1 (passenger cars, double lane change); quintic centre.",
         duration=home + back + end + 2.0 if duration is None else duration,
         reference=LaneChange(amplitude=amplitude, start=out, duration=away)
@@ -187,7 +196,7 @@ def sine(
     """
     return Scenario(
         name="sine",
-        description=_first_line(sine),
+        description=DESCRIPTIONS["sine"],
         duration=duration,
         reference=Sine(amplitude=amplitude, frequency=frequency, start=start),
         speed=speed,
@@ -223,10 +232,6 @@ def _is_number(value: Any) -> bool:
     return isinstance(value, int | float | np.number) and not isinstance(value, bool) and bool(np.isfinite(value))
 
 
-def _first_line(function: Callable[..., Scenario]) -> str:
-    return inspect.getdoc(function).partition("\n")[0]  # type: ignore[union-attr]
-
-
 _MANOEUVRES: dict[str, Callable[..., Scenario]] = {
     "step": step,
     "lane-change": lane_change,
@@ -243,7 +248,7 @@ def _files() -> dict[str, Path]:
 def list_scenarios() -> dict[str, str]:
     """The named scenarios, each with one line of description; those of the paper first."""
     described = {name: str(read_toml(path)["description"]) for name, path in _files().items()}
-    return described | {name: _first_line(function) for name, function in _MANOEUVRES.items()}
+    return described | DESCRIPTIONS
 
 
 def scenario_options(name: str) -> dict[str, Any]:
