@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from adaptrack.controllers.belief import Told, Uncertainty
 from adaptrack.controllers.informed import Parts, informed_parts
-from adaptrack.controllers.inputs import change_of_path, number, vector, wheel_angle
+from adaptrack.controllers.inputs import change_of_path, number, road_ahead, vector, wheel_angle
 from adaptrack.controllers.learned import LearnedCar, Learning
 from adaptrack.controllers.limits import Limits, Moves
 from adaptrack.controllers.made_for import INCREMENTAL, car_of, mismatches
@@ -589,6 +589,7 @@ class MPC:
         given = vector("state", state, _STATE_SIZES)
         ahead = vector("reference", reference, most=self._furthest)
         pace = number("speed", speed)
+        road = road_ahead(road)
         if pace == -math.inf:
             pace = math.nan  # the speed's floor would make a number of it
         if given.size != self._given_size:

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from adaptrack.domain import Domain
-from adaptrack.errors import InvalidInput, UnknownName, did_you_mean
+from adaptrack.errors import InvalidInput, UnknownName, did_you_mean, real, shown
 from adaptrack.files import read_toml
 from adaptrack.scenario.scenario import Scenario
 from adaptrack.scenario.shapes import Gust, LaneChange, Shape, Sine, as_shape
@@ -49,7 +49,9 @@ COMMON_OPTIONS = {
 """The options that every scenario has, with their meaning."""
 
 DESCRIPTIONS = {
-    "step": "A constant lateral reference beside the car, under constant conditions: the test behind the paper's tuning.",
+    "step": (
+        "A constant lateral reference beside the car, under constant conditions: the test behind the paper's tuning."
+    ),
     "lane-change": "One smooth lane change, sized to the friction, and one side gust.",
     "double-lane-change": "Out of the lane and back within the lengths of ISO 3888-1, at constant speed.",
     "sine": "A sinusoidal lateral reference: weaving, for the frequency response.",
@@ -229,7 +231,10 @@ def _random_drive(seed: float, duration: float, domain: Domain) -> Scenario:
 
 
 def _is_number(value: Any) -> bool:
-    return isinstance(value, int | float | np.number) and not isinstance(value, bool) and bool(np.isfinite(value))
+    try:
+        return math.isfinite(real("option", "value", value))
+    except InvalidInput:
+        return False
 
 
 _MANOEUVRES: dict[str, Callable[..., Scenario]] = {
@@ -288,7 +293,7 @@ def load_scenario(name_or_path: str | os.PathLike[str], *, domain: Domain | None
             raise UnknownName(f"scenario {name!r} has no option {key!r}. {did_you_mean(key, known)}")
         if key not in COMMON_OPTIONS:
             if not _is_number(options[key]):
-                raise InvalidInput(f"{key} = {options[key]!r}: must be a finite number.")
+                raise InvalidInput(f"{key} = {shown(options[key])}: must be a finite number.")
             options[key] = float(options[key])
     if not isinstance(options.get("mirrored", False), bool):
         raise InvalidInput(f"mirrored = {options['mirrored']!r}: must be true or false.")
