@@ -420,8 +420,8 @@ def test_a_yaw_rate_that_is_measured_in_some_rows_only_fits_its_steering(log: di
 
 
 @pytest.mark.compiled
-def test_what_a_log_tells_is_an_error_where_it_is_not_finite() -> None:
-    cleaned = log_of(driven(25.0), CAR.wheelbase)
+def test_what_a_log_tells_is_an_error_where_it_is_not_finite(log: dict[str, np.ndarray]) -> None:
+    cleaned = log_of({name: values[:450] for name, values in log.items()}, CAR.wheelbase)
     for value in (math.inf, 1e300):
         absurd = np.where(np.arange(cleaned.samples) == 100, value, cleaned.yaw_rate)
         beliefs = beliefs_of(CAR) | {"noise_yaw_rate": Belief(0.003, 1.5)}
