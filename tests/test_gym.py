@@ -302,12 +302,13 @@ def test_an_unknown_controller_is_refused():
 
 
 @pytest.mark.compiled
-@pytest.mark.parametrize("action", [[math.nan], [0.0, 0.0], 0.0])
-def test_what_is_no_action_is_refused(action):
-    env = PathTrackingEnv(road=STEP)
-    env.reset()
-    with pytest.raises(InvalidInput, match="action"):
-        env.step(action)
+def test_what_is_no_action_is_refused():
+    single, several = PathTrackingEnv(road=STEP), PathTrackingVectorEnv(2, road=STEP)
+    for env in (single, several):
+        env.reset()
+        for action in ([math.nan], [0.0, 0.0], 0.0, "left", ["left"], None, object(), [object()], [1j], [10**400]):
+            with pytest.raises(InvalidInput, match="action"):
+                env.step(action)
 
 
 @pytest.mark.parametrize("options", [{"seed": 3}, {"noise_seed": -1}, {"car_seed": 1}, {"road": 1}])

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import json
 import math
+from dataclasses import replace
 from functools import cache
+from typing import Any
 
 import numpy as np
 import pytest
@@ -326,6 +328,107 @@ def test_logs_that_tell_nothing_are_refused(log: dict[str, np.ndarray]) -> None:
     ):
         with pytest.raises(InvalidInput, match=words):
             log_of(dict(wrong), CAR.wheelbase)
+
+
+ROW = 400
+"""A row of the log, at 20 s, in a bend."""
+
+
+@pytest.mark.parametrize(
+    ("signal", "rows", "value"),
+    [
+        ("yaw_rate", [ROW], math.inf),
+        ("yaw_rate", [ROW], 1e300),
+        ("yaw_rate", [ROW], 1e4),
+        ("yaw_rate", [1, ROW, ROW + 1, 1198], -1.0),
+        ("yaw_rate", [ROW], 0.4),
+        ("yaw_rate", range(ROW, ROW + 20), 5.0),
+        ("speed", range(7, 1200, 100), 1e9),
+        ("speed", range(7, 1200, 100), 0.0),
+        ("command", [ROW], 1e300),
+        ("command", [ROW, ROW + 1], 2.0),
+        ("acceleration", [ROW], 40.0),
+        ("wheel", [ROW], -0.5),
+        ("yaw", [ROW], 2.0),
+    ],
+)
+def test_outliers_are_counted_and_left_out_and_all_else_is_kept(signal: str, rows: Any, value: float) -> None:
+    made = driven(60.0)
+    made["yaw"] = np.remainder(np.cumsum(PERIOD * made["yaw_rate"]) + math.pi, math.tau) - math.pi
+    honest, rows = log_of(dict(made), CAR.wheelbase), list(rows)
+    made[signal] = made[signal].copy()
+    made[signal][rows] = value
+    cleaned = log_of(made, CAR.wheelbase)
+    (note,) = cleaned.notes
+    assert note.startswith(f"{signal}: {len(rows)} sample")
+    assert f"{made['time'][rows[0]]:.4g} s" in note
+    others = np.setdiff1d(np.arange(1200), rows)
+    for name in ("command", "speed", "yaw_rate", "acceleration", "wheel", "yaw"):
+        is_, was = getattr(cleaned, name), getattr(honest, name)
+        assert np.allclose(is_[others], was[others], atol=1e-9), name
+    left = getattr(cleaned, signal)[rows]
+    filled = {"speed": 0.1, "command": 0.02}.get(signal)  # m/s, rad: from the samples around
+    assert np.isnan(left).all() if filled is None else np.allclose(left, getattr(honest, signal)[rows], atol=filled)
+
+
+def test_honest_logs_lose_no_sample(log: dict[str, np.ndarray]) -> None:
+    made, rng = driven(60.0), np.random.default_rng(3)
+    step = {"yaw_rate": 0.02, "speed": 0.3, "wheel": 0.01, "acceleration": 0.2, "command": 0.01}
+    quantised = {
+        name: np.round(each / step[name]) * step[name] if name in step else each for name, each in made.items()
+    }
+    noisy = {name: each + step.get(name, 0.0) * rng.standard_normal(each.size) for name, each in made.items()}
+    gaps = np.arange(1200) % 300 < 240
+    gusty = made | {"yaw_rate": made["yaw_rate"] + 0.2 * np.exp(-(((made["time"] % 15.0) - 7.0) ** 2) / 0.02)}
+    half = {name: each[::2] for name, each in made.items()}
+    held = made | {"yaw_rate": np.repeat(made["yaw_rate"][::4], 4)}  # of a gyro at 5 Hz
+    for honest in (made, quantised, noisy, {name: each[gaps] for name, each in made.items()}, gusty, half, held):
+        cleaned = log_of(dict(honest), CAR.wheelbase)
+        assert not any("outlier" in note or "stuck" in note for note in cleaned.notes)
+        assert np.isfinite(cleaned.yaw_rate).all()
+
+
+def test_a_gyro_that_is_stuck_is_refused_or_left_out(log: dict[str, np.ndarray]) -> None:
+    for value in (0.1, 0.0):
+        with pytest.raises(InvalidInput, match=f"holds {value:g} while the car is steered, 60 s in all: the gyro"):
+            log_of(log | {"yaw_rate": np.full(1200, value)}, CAR.wheelbase)
+    partly = log["yaw_rate"].copy()
+    partly[300:500] = partly[300]
+    cleaned = log_of(log | {"yaw_rate": partly}, CAR.wheelbase)
+    assert np.array_equal(np.isnan(cleaned.yaw_rate), (np.arange(1200) >= 300) & (np.arange(1200) < 500))
+    assert any("10 s in all: left out, the gyro was stuck" in note for note in cleaned.notes)
+    check_conventions(cleaned, CAR.wheelbase)
+
+
+def test_a_yaw_rate_that_rests_where_the_car_goes_straight_is_no_stuck_gyro(log: dict[str, np.ndarray]) -> None:
+    straight = (log["time"] > 20.0) & (log["time"] < 35.0)
+    command = np.where(straight, 0.001 * np.sin(log["time"]), log["command"])
+    rests = np.where(straight, 0.0, np.round(log["yaw_rate"], 2))
+    cleaned = log_of(log | {"command": command, "yaw_rate": rests}, CAR.wheelbase)
+    assert np.isfinite(cleaned.yaw_rate).all()
+
+
+def test_a_signal_of_many_outliers_is_refused_with_its_column_and_unit(log: dict[str, np.ndarray]) -> None:
+    with pytest.raises(InvalidInput, match=r"100 % of speed are outliers .*--columns speed=NAME.*--units"):
+        log_of(log | {"speed": 1e3 * log["speed"]}, CAR.wheelbase)
+    wrong = np.where(np.arange(1200) % 10 == 0, 9.0, log["yaw_rate"])
+    with pytest.raises(InvalidInput, match="10 % of yaw_rate are outliers"):
+        log_of(log | {"yaw_rate": wrong}, CAR.wheelbase)
+
+
+def test_a_yaw_rate_that_is_measured_in_some_rows_only_fits_its_steering(log: dict[str, np.ndarray]) -> None:
+    now_and_then = np.where(np.arange(1200) % 5 == 0, log["yaw_rate"], math.nan)
+    check_conventions(log_of(log | {"yaw_rate": now_and_then}, CAR.wheelbase), CAR.wheelbase)
+
+
+@pytest.mark.compiled
+def test_what_a_log_tells_is_an_error_where_it_is_not_finite(log: dict[str, np.ndarray]) -> None:
+    cleaned = log_of({name: values[:450] for name, values in log.items()}, CAR.wheelbase)
+    for value in (math.inf, 1e300):
+        absurd = np.where(np.arange(cleaned.samples) == 100, value, cleaned.yaw_rate)
+        beliefs = beliefs_of(CAR) | {"noise_yaw_rate": Belief(0.003, 1.5)}
+        with pytest.raises(InvalidInput, match="not finite"):
+            Likelihood(replace(cleaned, yaw_rate=absurd), CAR, beliefs).fit(np.zeros(len(QUANTITIES)))
 
 
 def test_repeated_rows_are_dropped_and_gaps_begin_a_segment(log: dict[str, np.ndarray]) -> None:

@@ -44,6 +44,12 @@ def test_every_public_name_resolves_to_a_documented_object(name):
     assert name in dir(adaptrack)
 
 
+def test_the_package_does_not_read_docstrings(project):
+    # ``python -OO`` drops them; what a run needs is data of its own.
+    for path in (project / "src").rglob("*.py"):
+        assert not re.search(r"__doc__|getdoc", path.read_text()), path
+
+
 def test_public_table_all_and_type_checking_imports_agree():
     in_table = {(module, name) for module, names in adaptrack._PUBLIC.items() for name in names}
     tree = ast.parse(Path(adaptrack.__file__).read_text())

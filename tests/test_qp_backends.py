@@ -256,7 +256,7 @@ def test_a_policy_without_meaning_is_refused(name):
     ({"M": np.array([[1.0, -np.inf]]), "gamma": np.ones(1)}, "M holds -inf"),
     ({"gamma": np.array([np.nan, 1.0])}, "gamma holds NaN or -inf"),
     ({"gamma": np.array([-np.inf, 1.0])}, "gamma holds NaN or -inf"),
-    ({"K": ["a", "b"]}, "not an array of numbers"),
+    ({"K": ["a", "b"]}, "must be real numbers"),
 ])  # fmt: skip
 def test_a_malformed_problem_is_refused_with_the_reason(change, complaint):
     arrays = {"E": np.eye(2), "K": np.ones(2), "M": np.eye(2), "gamma": np.ones(2)} | change

@@ -232,6 +232,18 @@ def test_every_name_loads_and_is_described() -> None:
         assert "\n" not in description
 
 
+def test_scenarios_are_made_and_described_without_docstrings(monkeypatch: pytest.MonkeyPatch) -> None:
+    from adaptrack.scenario import drives, library
+
+    listed = list_scenarios()
+    for made in (library.step, library.lane_change, library.double_lane_change, library.sine, library.random_drive):
+        assert listed[made.__name__.replace("_", "-")] == str(made.__doc__).partition("\n")[0]
+        monkeypatch.setattr(made, "__doc__", None)  # as ``python -OO`` leaves it
+    monkeypatch.setattr(drives.random_drive, "__doc__", None)
+    assert list_scenarios() == listed
+    assert all(load_scenario(name).description == line for name, line in listed.items())
+
+
 def test_the_step_is_the_tuning_test_of_the_paper() -> None:
     signals = load_scenario("step", amplitude=-7.0, speed=22.0, friction=0.6, wind=-18.0).sample()
     assert signals.n == 180

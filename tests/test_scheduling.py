@@ -382,7 +382,7 @@ def test_a_short_row_of_variables_is_filled_with_zeros_never_with_what_was_asked
             schedule(missing)
         with pytest.raises(InvalidInput, match="need a row for each"):
             schedule.batch([missing])
-    with pytest.raises(InvalidInput, match="must be numbers"):
+    with pytest.raises(InvalidInput, match="must be real numbers"):
         schedule.batch([["fast", 0.0, 0.8, 0.0]])
 
 

@@ -6,6 +6,9 @@ import difflib
 import numbers
 from collections.abc import Iterable
 
+LONGEST_SHOWN = 80
+"""Characters of a value in a message."""
+
 
 class AdaptrackError(Exception):
     """Everything that adaptrack raises on purpose."""
@@ -39,17 +42,31 @@ class StorageError(AdaptrackError, OSError):
 
 
 def real(where: str, name: str, value: object) -> float:
-    """`value` as a float; `InvalidInput` unless it is a number (truth values and text are none)."""
+    """`value` as a float; `InvalidInput` unless it is a number that one holds (truth values and text are none)."""
     if isinstance(value, bool) or not isinstance(value, numbers.Real):
-        raise InvalidInput(f"{where}: {name} = {value!r}: must be a number.")
-    return float(value)
+        raise InvalidInput(f"{where}: {name} = {shown(value)}: must be a number.")
+    try:
+        return float(value)
+    except OverflowError:
+        raise InvalidInput(f"{where}: {name} = {shown(value)}: must be finite, it is too large.") from None
 
 
 def whole(where: str, name: str, value: object, least: int = 1) -> int:
     """`value` as an int; `InvalidInput` unless it is a whole number, at least `least`."""
     if isinstance(value, bool) or not isinstance(value, numbers.Integral) or value < least:
-        raise InvalidInput(f"{where}: {name} = {value!r}: must be a whole number, at least {least}.")
+        raise InvalidInput(f"{where}: {name} = {shown(value)}: must be a whole number, at least {least}.")
     return int(value)
+
+
+def shown(value: object) -> str:
+    """A value in a message: its ``repr``, of a long one the beginning and the end, whatever the value is."""
+    try:
+        text = repr(value)
+    except Exception:  # of an object of others; Python refuses whole numbers of thousands of digits
+        return f"<{type(value).__name__}>"
+    if len(text) <= LONGEST_SHOWN:
+        return text
+    return f"{text[: LONGEST_SHOWN // 2 - 3]}...{text[-LONGEST_SHOWN // 2 :]}"  # a path ends with what matters
 
 
 def did_you_mean(name: str, known: Iterable[str]) -> str:

@@ -17,6 +17,7 @@ from typing import Any, NamedTuple, Self, final
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from adaptrack.arguments import reals
 from adaptrack.errors import ContractError, InvalidInput, real, whole
 from adaptrack.models import PredictionModel
 from adaptrack.plant import DualTrack, SingleTrack
@@ -441,14 +442,15 @@ class FrictionWindEstimator:
         Raises
         ------
         InvalidInput
-            When `measured` has another shape.
+            When `measured` has another shape, or an argument is not made of numbers.
         """
-        seen = np.ascontiguousarray(measured, dtype=np.float64)
+        seen = np.ascontiguousarray(reals("measured", measured))
         if seen.shape != (4,):
             raise InvalidInput(f"measured: shape {seen.shape}, expected (4,): v_y, yaw, yaw rate, y.")
-        felt = math.nan if acceleration is None else float(acceleration)
+        felt = math.nan if acceleration is None else real("estimator", "acceleration", acceleration)
+        pace, sent = real("estimator", "speed", speed), real("estimator", "command", command)
         kernel = self._kernel
-        kernel.estimate(0, seen, float(speed), float(command), felt, self._packed, self._settings, self._memory)
+        kernel.estimate(0, seen, pace, sent, felt, self._packed, self._settings, self._memory)
         own = self._memory[0]
         return Estimate(
             friction=float(own[kernel.FRICTION_HAT]),

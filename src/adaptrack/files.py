@@ -28,11 +28,10 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, BeforeValidator, ConfigDict, ValidationError, field_validator
 from pydantic.fields import FieldInfo
 
-from adaptrack.errors import ConfigError, InvalidInput, StorageError, did_you_mean
+from adaptrack.errors import ConfigError, InvalidInput, StorageError, did_you_mean, shown
 
 Model = TypeVar("Model", bound=BaseModel)
 
-_LONGEST_VALUE = 80  # characters of a rejected value that a message quotes
 _LONGEST_NAME = 80  # characters of a file name without its suffix; most file systems allow 255 bytes in all
 _DEEPEST = 64  # tables within tables
 _DEVICES = {"con", "prn", "aux", "nul", *(f"{port}{i}" for port in ("com", "lpt") for i in range(10))}
@@ -105,16 +104,16 @@ def check_texts(where: str, data: Any) -> None:
     while waiting:  # not recursive: the depth is what is to be found
         key, value, depth = waiting.pop()
         if depth > _DEEPEST:
-            raise ConfigError(f"{where}: {_quote(key)}: more than {_DEEPEST} tables in one another; flatten them.")
+            raise ConfigError(f"{where}: {shown(key)}: more than {_DEEPEST} tables in one another; flatten them.")
         if isinstance(value, Mapping):
             for name, inner in value.items():
                 if isinstance(name, str) and not is_text(name):
-                    raise ConfigError(f"{where}: key {_quote(name)}: holds a NUL or half a character; rename it.")
+                    raise ConfigError(f"{where}: key {shown(name)}: holds a NUL or half a character; rename it.")
                 waiting.append((f"{key}.{name}" if key else str(name), inner, depth + 1))
         elif isinstance(value, list | tuple):
             waiting += [(f"{key}[{i}]", inner, depth + 1) for i, inner in enumerate(value)]
         elif isinstance(value, str) and not is_text(value):
-            raise ConfigError(f"{where}: {key} = {_quote(value)}: holds a NUL or half a character; remove it.")
+            raise ConfigError(f"{where}: {key} = {shown(value)}: holds a NUL or half a character; remove it.")
 
 
 # -- configurations ---------------------------------------------------------------------------------------------------
@@ -277,7 +276,7 @@ def build(model_class: type[Model], data: Mapping[str, Any], where: str | os.Pat
         With all problems of `data`, each with its key, the value found and what is allowed.
     """
     if not isinstance(data, Mapping):
-        raise ConfigError(f"{os.fspath(where)}: expected a table of keys, got {_quote(data)}.")
+        raise ConfigError(f"{os.fspath(where)}: expected a table of keys, got {shown(data)}.")
     try:
         return model_class.model_validate(dict(data))
     except ValidationError as error:
@@ -522,16 +521,9 @@ def _problem(detail: dict[str, Any], model_class: type[BaseModel], data: Mapping
         sentence = str(detail["ctx"]["error"])
         if not key:
             return sentence
-        return f"{key}: {sentence}" if detail["input"] is None else f"{key} = {_quote(detail['input'])}: {sentence}"
+        return f"{key}: {sentence}" if detail["input"] is None else f"{key} = {shown(detail['input'])}: {sentence}"
     must = f"must be {allowed}" if allowed else detail["msg"].replace("Input should be", "must be")
-    return f"{key or 'value'} = {_quote(detail['input'])}: {must}{meaning}."
-
-
-def _quote(value: Any) -> str:
-    text = repr(value)
-    if len(text) <= _LONGEST_VALUE:
-        return text
-    return text[: _LONGEST_VALUE // 2 - 3] + "..." + text[-_LONGEST_VALUE // 2 :]  # a path ends with what matters
+    return f"{key or 'value'} = {shown(detail['input'])}: {must}{meaning}."
 
 
 def _key_in_file(location: tuple[int | str, ...], data: Any) -> str:
@@ -637,7 +629,7 @@ def _syntax_report(where: str, language: str, text: str, message: str) -> str:
     number = int(found[1])
     reason = message[: found.start()].strip()
     line = text.splitlines()[number - 1].strip() if number <= len(text.splitlines()) else ""
-    return f"{where}, line {number}, column {found[2]}: not valid {language}: {reason}: {_quote(line)}."
+    return f"{where}, line {number}, column {found[2]}: not valid {language}: {reason}: {shown(line)}."
 
 
 def is_number(cell: str) -> bool:

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from adaptrack.arguments import reals
 from adaptrack.errors import InvalidInput, real
 
 Array = NDArray[np.float64]
@@ -65,7 +66,7 @@ class Outline:
 
     def corners_at(self, x: ArrayLike, y: ArrayLike, yaw: ArrayLike) -> Array:
         """The corners in the world, (..., 4, 2) m, of a centre of mass at x, y (m) with a yaw angle (rad)."""
-        x, y, yaw = np.broadcast_arrays(*(np.asarray(each, dtype=np.float64) for each in (x, y, yaw)))
+        x, y, yaw = np.broadcast_arrays(*(reals("corners_at", each) for each in (x, y, yaw)))
         ahead, left = self.corners.T
         sine, cosine = np.sin(yaw)[..., None], np.cos(yaw)[..., None]
         return np.stack(
@@ -80,7 +81,7 @@ class Outline:
         from the circle of curvature k is (2 b - k (a^2 + b^2))/(1 + sqrt((k a)^2 + (1 - k b)^2)): exact on straight
         lines and arcs, off by the change of curvature within half a car length elsewhere.
         """
-        e, turn, k = (np.asarray(each, dtype=np.float64)[..., None] for each in (offset, heading_error, curvature))
+        e, turn, k = (reals("corner_offsets", each)[..., None] for each in (offset, heading_error, curvature))
         ahead, left = self.corners.T
         along = ahead * np.cos(turn) - left * np.sin(turn)
         across = e + ahead * np.sin(turn) + left * np.cos(turn)

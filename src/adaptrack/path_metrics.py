@@ -16,6 +16,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from adaptrack.arguments import reals
 from adaptrack.errors import InvalidInput, real
 from adaptrack.failure import SLOW
 from adaptrack.metrics import largest_magnitude, mean_square
@@ -65,11 +66,11 @@ class PathRecord:
     """1/m, of the path at the foot"""
 
     def __post_init__(self) -> None:
-        t = np.asarray(self.t, dtype=np.float64)
+        t = reals("PathRecord: t", self.t)
         if t.ndim != 1 or t.size < 2 or not np.isfinite(t).all() or not (np.diff(t) > 0.0).all():
             raise InvalidInput("PathRecord: t must be at least two finite, increasing times in s.")
         for each in dataclasses.fields(self):
-            values = np.asarray(getattr(self, each.name), dtype=np.float64)
+            values = reals(f"PathRecord: {each.name}", getattr(self, each.name))
             if values.shape not in ((), t.shape):
                 raise InvalidInput(
                     f"PathRecord: {each.name} has the shape {values.shape}: must be ({t.size},), as t, or a number."

@@ -20,6 +20,7 @@ from typing import Any, NoReturn, Self, final
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from adaptrack.arguments import reals
 from adaptrack.errors import ContractError, InvalidInput, real, whole
 from adaptrack.limits import STEPS, check_limit
 from adaptrack.registry import Registry
@@ -424,7 +425,7 @@ def steps_in(period: float, plant: UserPlant | SteppedPlant) -> int:
 
 def _vector(name: str, values: ArrayLike, size: int) -> Array:
     """C-contiguous float64, as the kernels take it; the given array itself where it is that already."""
-    array = np.ascontiguousarray(values, dtype=np.float64)
+    array = np.ascontiguousarray(reals(name, values))
     if array.shape != (size,):
         raise InvalidInput(f"{name}: shape {array.shape}, expected ({size},).")
     return array
@@ -445,13 +446,13 @@ def _is_finite(value: Any) -> bool:
 
 def _input(values: ArrayLike) -> Array:
     """(3,); without a prescribed acceleration the force acts."""
-    given = np.asarray(values, dtype=np.float64)
+    given = reals("u", values)
     return _vector("u", np.append(given, math.nan) if given.shape == (2,) else given, 3)
 
 
 def _environment(values: ArrayLike) -> Array:
     """(7,); a bank that is left out is none."""
-    given = np.asarray(values, dtype=np.float64)
+    given = reals("environment", values)
     return _vector("environment", np.append(given, 0.0) if given.shape == (6,) else given, 7)
 
 

@@ -17,8 +17,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from adaptrack.arguments import reals
 from adaptrack.controllers import MPC, Controller
-from adaptrack.errors import InvalidInput, real
+from adaptrack.errors import InvalidInput, real, shown
 from adaptrack.kalman import KalmanFilter
 from adaptrack.road import Road, SpeedPlan
 from adaptrack.road.ahead import RoadAhead, foot_near, foot_of_car
@@ -478,9 +479,9 @@ def yaw_of(quaternion: Sequence[float] | ArrayLike) -> float:
     InvalidInput
         When it has not four finite numbers, or all are 0.
     """
-    q = np.asarray(quaternion, dtype=np.float64)
+    q = reals("yaw_of: quaternion", quaternion)
     if q.shape != (4,) or not np.isfinite(q).all() or not q.any():
-        raise InvalidInput(f"yaw_of: {quaternion!r}: must be four finite numbers x, y, z, w, not all 0.")
+        raise InvalidInput(f"yaw_of: {shown(quaternion)}: must be four finite numbers x, y, z, w, not all 0.")
     x, y, z, w = q
     return math.atan2(2.0 * (w * z + x * y), w * w + x * x - y * y - z * z)
 

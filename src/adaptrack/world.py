@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adaptrack.controllers import MPC, Controller
-from adaptrack.errors import InvalidInput
+from adaptrack.errors import InvalidInput, real
 from adaptrack.estimation import FrictionWindEstimator, Perception
 from adaptrack.failure import Failure, Reason
 from adaptrack.plant import Plant, SteppedPlant, steps_in
@@ -44,7 +44,8 @@ class Driver:
     """1/s^2"""
 
     def __post_init__(self) -> None:
-        if not 0.0 < self.preview < math.inf or not 0.0 <= self.integral < math.inf:
+        preview, integral = (real("Driver", name, getattr(self, name)) for name in ("preview", "integral"))
+        if not 0.0 < preview < math.inf or not 0.0 <= integral < math.inf:
             raise InvalidInput(f"Driver: preview = {self.preview!r} s must be positive, integral not negative.")
 
 

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple, Protocol, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from adaptrack.controllers.inputs import change_of_path, number, vector, wheel_angle
+from adaptrack.controllers.inputs import change_of_path, number, road_ahead, vector, wheel_angle
 from adaptrack.controllers.limits import Limits
 from adaptrack.errors import InvalidInput, real
 from adaptrack.road.ahead import RoadAhead, straight
@@ -187,7 +187,8 @@ class CompiledController(ABC):
         ahead = vector("reference", reference)
         if not self.preview:
             ahead = ahead[:1]
-        path = straight() if road is None else road.packed
+        curved = road_ahead(road)
+        path = straight() if curved is None else curved.packed
         self.function(situation, ahead, path, self._tuning, self._parameters, self._memory, self._answer)
         angle, *said = self._answer.tolist()
         diagnostics = dict(zip(self.diagnostic_names, said, strict=True))

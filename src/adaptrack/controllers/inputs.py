@@ -5,12 +5,11 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from adaptrack.errors import InvalidInput
+from adaptrack.arguments import FLOAT, Array, reals
+from adaptrack.errors import InvalidInput, shown
+from adaptrack.road.ahead import RoadAhead
 
-Array = NDArray[np.float64]
-FLOAT = np.dtype(np.float64)
 MOST_WHEEL_ANGLE, MOST_CHANGE = 0.5 * np.pi, 1e3
 """rad; rad or m."""
 
@@ -29,7 +28,7 @@ def vector(name: str, values: Any, size: int | tuple[int, ...] | None = None, mo
     if type(values) is np.ndarray and values.dtype is FLOAT and values.ndim == 1:
         row = values
     else:
-        row = _converted(name, values)
+        row = reals(name, values)
     if size is not None:
         fitting = (size,) if isinstance(size, int) else size
         if row.ndim != 1 or row.size not in fitting:
@@ -55,9 +54,9 @@ def number(name: str, value: Any) -> float:
     """
     if type(value) is float:
         return value
-    row = _converted(name, value)
+    row = reals(name, value)
     if row.shape != ():
-        raise InvalidInput(f"{name} = {_short(value)}: must be one number.")
+        raise InvalidInput(f"{name} = {shown(value)}: must be one number.")
     return float(row)
 
 
@@ -71,7 +70,7 @@ def finite(name: str, value: Any) -> float:
     """
     given = number(name, value)
     if not np.isfinite(given):
-        raise InvalidInput(f"{name} = {value!r}: must be finite.")
+        raise InvalidInput(f"{name} = {shown(value)}: must be finite.")
     return given
 
 
@@ -85,7 +84,7 @@ def wheel_angle(name: str, value: Any) -> float:
     """
     given = finite(name, value)
     if abs(given) > MOST_WHEEL_ANGLE:
-        raise InvalidInput(f"{name} = {value!r} rad: no road wheel turns by more than {MOST_WHEEL_ANGLE:.4g} rad.")
+        raise InvalidInput(f"{name} = {shown(value)} rad: no road wheel turns by more than {MOST_WHEEL_ANGLE:.4g} rad.")
     return given
 
 
@@ -99,40 +98,13 @@ def change_of_path(heading: Any, offset: Any) -> tuple[float, float]:
     """
     turned, shifted = finite("change_path: heading", heading), finite("change_path: offset", offset)
     if max(abs(turned), abs(shifted)) >= MOST_CHANGE:
-        raise InvalidInput(f"change_path: {heading!r} rad, {offset!r} m: too far from the path before; reset instead.")
+        said = f"{shown(heading)} rad, {shown(offset)} m"
+        raise InvalidInput(f"change_path: {said}: too far from the path before; reset instead.")
     return turned, shifted
 
 
-def _converted(name: str, values: Any) -> Array:
-    try:
-        given = np.asarray(values)
-        if given.dtype == object:  # whole numbers beyond 64 bits, decimals, fractions
-            given = np.array([_as_float(value) for value in given.ravel()]).reshape(given.shape)
-    except Exception:  # whatever an object of others raises when it is asked for its numbers
-        given = np.empty(0, dtype=str)
-    if given.dtype is FLOAT and isinstance(values, tuple | list):
-        return given
-    if given.dtype.kind not in "iuf":
-        raise InvalidInput(f"{name} = {_short(values)}: must be real numbers.")
-    with np.errstate(over="ignore"):  # wider than float64
-        row = given.astype(np.float64)
-    if isinstance(values, np.ma.MaskedArray):
-        row[np.ma.getmaskarray(values)] = np.nan
-    return row
-
-
-def _as_float(value: Any) -> float:
-    if isinstance(value, bool | str | bytes) or value is None:
-        raise TypeError
-    try:
-        return float(value)
-    except OverflowError:
-        return np.inf if value > 0 else -np.inf
-
-
-def _short(value: Any) -> str:
-    try:
-        text = repr(value)
-    except Exception:
-        text = f"<{type(value).__name__}>"
-    return text if len(text) <= 80 else f"{text[:77]}..."
+def road_ahead(value: Any) -> RoadAhead | None:
+    """The road ahead of a car, None where it is straight; `InvalidInput` for anything else."""
+    if not (value is None or isinstance(value, RoadAhead)):
+        raise InvalidInput(f"road = {shown(value)}: must be RoadAhead(road, station, speeds), or None: straight.")
+    return value

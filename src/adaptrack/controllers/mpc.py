@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from adaptrack.controllers.belief import Told, Uncertainty
 from adaptrack.controllers.informed import Parts, informed_parts
-from adaptrack.controllers.inputs import change_of_path, number, vector, wheel_angle
+from adaptrack.controllers.inputs import change_of_path, number, road_ahead, vector, wheel_angle
 from adaptrack.controllers.learned import LearnedCar, Learning
 from adaptrack.controllers.limits import Limits, Moves
 from adaptrack.controllers.made_for import INCREMENTAL, car_of, mismatches
@@ -592,6 +592,7 @@ class MPC:
         """Take in what a step is given; the reference and the speed as the kernels want them."""
         given = vector("state", state, _STATE_SIZES)
         ahead = vector("reference", reference, most=self._furthest)
+        road = road_ahead(road)
         pace = self._known_speed(number("speed", speed))
         if given.size != self._given_size:
             self._measured[4:] = NOTHING_MEASURED[4:]

@@ -23,7 +23,7 @@ from numpy.typing import ArrayLike
 
 from adaptrack.controllers.base import Array, Command
 from adaptrack.controllers.informed import HORIZON, informed_tuning
-from adaptrack.controllers.inputs import finite, number, vector
+from adaptrack.controllers.inputs import finite, number, road_ahead, vector
 from adaptrack.controllers.known_car import KnownCar
 from adaptrack.controllers.limits import Limits
 from adaptrack.errors import InvalidInput, MissingExtra, real, whole
@@ -251,6 +251,7 @@ class NMPC:
         measured[: given.size] = given
         measured[8] = given[8] if given.size == 9 else 0.0
         pace, ahead = number("speed", speed), vector("reference", reference, most=2 * MOST_STAGES)
+        road = road_ahead(road)
         self._take_command()
         found: Array | None = None
         iterations, change = 0, math.nan

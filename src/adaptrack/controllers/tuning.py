@@ -72,12 +72,7 @@ def read_tuning(answer: Any, entries: Sequence[str] = ENTRIES) -> tuple[float, .
         values = ()
     if len(values) != len(entries):
         raise InvalidInput(f"scheduler: answered {answer!r}: must be a Tuning or the numbers {', '.join(entries)}.")
-    numbers = []
-    for name, value in zip(entries, values, strict=True):
-        try:
-            numbers.append(real("scheduler", name, value))
-        except OverflowError:
-            numbers.append(math.inf)
+    numbers = [real("scheduler", name, value) for name, value in zip(entries, values, strict=True)]
     if not all(map(math.isfinite, numbers)):
         raise InvalidInput(f"scheduler: answered {tuple(numbers)}: {', '.join(entries)} must be finite.")
     return tuple(numbers)

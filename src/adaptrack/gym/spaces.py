@@ -10,9 +10,10 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
+from adaptrack.arguments import reals
 from adaptrack.controllers import MPC, Learning, published_mpc
 from adaptrack.controllers.told import Told
-from adaptrack.errors import InvalidInput, UnknownName, did_you_mean, real
+from adaptrack.errors import InvalidInput, UnknownName, did_you_mean
 from adaptrack.gym.task import Task
 
 Array = NDArray[np.float64]
@@ -48,9 +49,9 @@ def box(bounds: Sequence[tuple[float, float]]) -> spaces.Box:
 
 def checked_distances(distances: Sequence[float]) -> Array:
     """Distances (m) at which one looks ahead."""
-    given = np.array([real("distances", "m", each) for each in distances], dtype=np.float64)
+    given = np.atleast_1d(reals("distances", distances)).copy()
     if not (np.isfinite(given).all() and (given >= 0.0).all()):
-        raise InvalidInput(f"distances = {tuple(distances)!r} m: must be finite and not negative.")
+        raise InvalidInput(f"distances = {given.tolist()!r} m: must be finite and not negative.")
     return given
 
 
@@ -78,9 +79,9 @@ def checked_action(action: Any, space: spaces.Box) -> Array:
     Raises
     ------
     InvalidInput
-        When it has another shape or is not finite.
+        When it is not made of numbers, has another shape or is not finite.
     """
-    given = np.asarray(action, dtype=np.float64)
+    given = reals("action", action)
     if given.shape != space.shape:
         raise InvalidInput(f"action: shape {given.shape}, expected {space.shape}.")
     if not np.isfinite(given).all():
@@ -135,7 +136,7 @@ class Tunings:
         InvalidInput
             When they may not be chosen.
         """
-        asked = np.array([Np, Nc, ratio], dtype=np.float64)
+        asked = reals("Np, Nc, log10 R/Q", [Np, Nc, ratio])
         if not ((asked >= self.low) & (asked <= self.high)).all():
             raise InvalidInput(f"Np, Nc, log10 R/Q = {asked}: must lie between {self.low} and {self.high}.")
         return 2.0 * (asked - self.low) / (self.high - self.low) - 1.0

@@ -81,7 +81,7 @@ def guessed_ratio(log: Log, wheelbase: float) -> float:
     """
     both = np.isfinite(log.wheel)
     if both.sum() >= LEAST_BOTH:
-        slope = _slope(_smooth(log, log.command)[both], _smooth(log, np.where(both, log.wheel, 0.0))[both])
+        slope = _slope(_smooth(log.time, log.command)[both], _smooth(log.time[both], log.wheel[both]))
     else:
         slope = _turning(log, wheelbase)
     if not abs(slope.correlation) >= CLEAR:
@@ -139,15 +139,18 @@ def _refuse_felt(felt: _Slope, turning: _Slope) -> None:
 def _turning(log: Log, wheelbase: float) -> _Slope:
     """Yaw rate against v delta/(L + K v^2), at the delay and gradient where they agree best."""
     best = _Slope(math.nan, 0.0)
-    yaw_rate = _smooth(log, np.nan_to_num(log.yaw_rate, nan=float(np.nanmean(log.yaw_rate))))
-    steering = _smooth(log, log.command)
+    seen = np.isfinite(log.yaw_rate)
+    if seen.sum() < LEAST_BOTH:
+        return best
+    yaw_rate = _smooth(log.time[seen], log.yaw_rate[seen])
+    steering = _smooth(log.time, log.command)
     shift = np.round(DELAYS / log.period).astype(int)
     for step in np.unique(shift):
         late = np.concatenate([np.full(step, steering[0]), steering[: steering.size - step]])
         late = late - np.median(late)
         for gradient in GRADIENTS:
             expected = log.speed * late / np.maximum(wheelbase + gradient * log.speed**2, 0.3 * wheelbase)
-            slope = _slope(expected, yaw_rate)
+            slope = _slope(expected[seen], yaw_rate)
             if abs(slope.correlation) > abs(best.correlation) + BETTER:
                 best = slope
     return best
@@ -157,16 +160,15 @@ def _felt(log: Log) -> _Slope:
     both = np.isfinite(log.acceleration) & np.isfinite(log.yaw_rate)
     if both.sum() < LEAST_BOTH:
         return _Slope(math.nan, 0.0)
-    yaw_rate = _smooth(log, np.where(both, log.yaw_rate, 0.0))
-    acceleration = _smooth(log, np.where(both, log.acceleration, 0.0))
-    return _slope(log.speed * yaw_rate, acceleration)
+    yaw_rate, acceleration = (_smooth(log.time[both], each[both]) for each in (log.yaw_rate, log.acceleration))
+    return _slope(log.speed[both] * yaw_rate, acceleration)
 
 
-def _smooth(log: Log, values: Array) -> Array:
+def _smooth(time: Array, values: Array) -> Array:
     """(n,) mean within `WINDOW` of each sample."""
     total = np.concatenate([[0.0], np.cumsum(values)])
-    low = np.searchsorted(log.time, log.time - WINDOW)
-    high = np.searchsorted(log.time, log.time + WINDOW, side="right")
+    low = np.searchsorted(time, time - WINDOW)
+    high = np.searchsorted(time, time + WINDOW, side="right")
     return (total[high] - total[low]) / (high - low)
 
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from adaptrack.errors import InvalidInput
+from adaptrack.errors import InvalidInput, real
 from adaptrack.identification.calibration import corrected
 from adaptrack.identification.conventions import check_conventions, guessed_ratio
 from adaptrack.identification.likelihood import NEARLY, Likelihood
@@ -243,7 +243,7 @@ def identify(
     z, covariance = fitted(likelihood)
     estimates, jacobian = _estimates(likelihood, z, covariance)
     validation, series = _validated(likelihood, z, cleaned, believed, beliefs)
-    given = columns.computation if computation is None else computation
+    given = columns.computation if computation is None else real("identify", "computation", computation)
     if not 0.0 <= given < 1.0:
         raise InvalidInput(f"identify: computation = {given!r} s: must be from 0 to 1.")
     words = findings(cleaned, estimates, validation)
@@ -290,6 +290,7 @@ def _believed(
         return vehicle, beliefs_of(vehicle, known), load_tyre(vehicle.tyre)
     if mass is None or wheelbase is None:
         raise InvalidInput("identify: give --car, or --mass (kg) and --wheelbase (m): no log tells them.")
+    mass, wheelbase = real("identify", "mass", mass), real("identify", "wheelbase", wheelbase)
     if not 1.0 <= mass <= 1e5 or not 0.1 <= wheelbase <= 20.0:
         raise InvalidInput(f"identify: mass {mass:g} kg, wheelbase {wheelbase:g} m: must be from 1 kg and .1 m.")
     vehicle, rough = plain_car(mass, wheelbase)

@@ -17,6 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from adaptrack.errors import InvalidInput
 from adaptrack.identification.log import Log
 from adaptrack.identification.quantities import INDEX, PUSH_TIME, QUANTITIES, SHAPE, Belief, values_of
 from adaptrack.vehicle import Vehicle
@@ -149,7 +150,7 @@ class Likelihood:
         return _objective(*self.counted(z), z)
 
     def scored(self, z: Array) -> Scored:
-        """Objective, gradient and information at a point."""
+        """Objective, gradient and information at a point; `InvalidInput` where they are not finite."""
         e, s = self.counted(z)
         de, ds = np.empty((self.free.size, e.size)), np.empty((self.free.size, e.size))
         for i, place in enumerate(self.free):
@@ -157,9 +158,15 @@ class Likelihood:
             there[place] += STEP
             e_up, s_up = self.counted(there)
             de[i], ds[i] = (e_up - e) / STEP, (s_up - s) / STEP
-        scores = de * (e / s) + ds * ((1.0 - e**2 / s) / (2.0 * s))
-        by_error, by_size = de / np.sqrt(s), ds / (np.sqrt(2.0) * s)
-        information = by_error @ by_error.T + by_size @ by_size.T + np.eye(self.free.size)
+        with np.errstate(all="ignore"):  # what comes of it is looked at
+            scores = de * (e / s) + ds * ((1.0 - e**2 / s) / (2.0 * s))
+            by_error, by_size = de / np.sqrt(s), ds / (np.sqrt(2.0) * s)
+            information = by_error @ by_error.T + by_size @ by_size.T + np.eye(self.free.size)
+        if not (np.isfinite(information).all() and np.isfinite(scores).all()):
+            raise InvalidInput(
+                "identify: what the log tells is not finite: a signal is off by orders of magnitude; check columns and "
+                "units (--columns, --units)."
+            )
         return Scored(_objective(e, s, z), scores.sum(axis=1) + z[self.free], information, scores)
 
     def fit(self, z: Array, enough: float = ENOUGH) -> tuple[Array, Scored]:
@@ -220,4 +227,5 @@ class Scored:
 def _objective(e: Array, s: Array, z: Array) -> float:
     if not (np.isfinite(e).all() and np.isfinite(s).all()) or (s <= 0.0).any():
         return np.inf
-    return float(0.5 * np.sum(e**2 / s + np.log(s)) + 0.5 * np.sum(z**2))
+    with np.errstate(over="ignore"):
+        return float(0.5 * np.sum(e**2 / s + np.log(s)) + 0.5 * np.sum(z**2))

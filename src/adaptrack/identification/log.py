@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adaptrack.errors import InvalidInput
+from adaptrack.identification.outliers import find_outliers, find_stuck, said_of
 
 Array = NDArray[np.float64]
 
@@ -83,14 +84,15 @@ def log_of(
 ) -> Log:  # fmt: skip
     """A log of raw columns: ``time``, ``speed``, ``yaw_rate``, ``command`` or ``wheel`` or both; others may be there.
 
-    Repeated rows are dropped; short holes in command and speed are filled; gaps and halts cut the log. wheelbase (m):
-    of the car, for what the steering asks of it. commanded: whether ``command`` is one, not a measured angle.
+    Repeated rows are dropped, outliers and what a stuck gyro gives are left out; short holes in command and speed are
+    filled; gaps and halts cut the log. wheelbase (m): of the car, for what the steering asks of it. commanded: whether
+    ``command`` is one, not a measured angle.
 
     Raises
     ------
     InvalidInput
-        When a signal is missing or never a number, times go back, samples are too rare, the car stands all the time,
-        the log is too short, or hardly steered.
+        When a signal is missing, never a number or mostly outliers, the gyro is stuck, times go back, samples are too
+        rare, the car stands all the time, the log is too short, or hardly steered.
     """
     _refuse_missing(columns)
     time = columns["time"]
@@ -118,12 +120,39 @@ def log_of(
         data["wheel"] = np.full(time.size, np.nan)
     if not commanded:
         said.append("no steering command, only a measured angle: lag and dead time cannot be seen")
+    _without_outliers(time, data, commanded, said)
     hole = max(3.0 * period, LEAST_GAP)
     data["command"], data["speed"] = _held(time, data["command"], hole), _filled(time, data["speed"], hole)
+    _without_stuck(time, data, wheelbase, said)
     data["yaw"] = _unwrapped(data["yaw"])
     log = _cut(time, data, max(GAP_PERIODS * period, LEAST_GAP), commanded, said)
     _refuse_idle(log, wheelbase)
     return log
+
+
+def _without_outliers(time: Array, data: dict[str, Array], commanded: bool, said: list[str]) -> None:
+    """Make outliers NaN, and say so."""
+    for name in SIGNALS:
+        kind = "wheel" if name == "command" and not commanded else name
+        wrong = find_outliers(kind, time, data[name])
+        if wrong.any():
+            said.append(said_of(kind, time, data[name], wrong))
+            data[name] = np.where(wrong, np.nan, data[name])
+
+
+def _without_stuck(time: Array, data: dict[str, Array], wheelbase: float, said: list[str]) -> None:
+    """Make the yaw rate of a gyro that is stuck NaN, and say so; refuse it where hardly any other is left."""
+    yaw_rate = data["yaw_rate"]
+    stuck = find_stuck(time, yaw_rate, data["command"], data["speed"], wheelbase)
+    if not stuck.any():
+        return
+    period = float(np.median(np.diff(time[np.isfinite(yaw_rate)])))
+    what = f"yaw_rate holds {yaw_rate[stuck][0]:.4g} while the car is steered, {period * stuck.sum():.3g} s in all"
+    left = np.where(stuck, np.nan, yaw_rate)
+    if period * np.isfinite(left).sum() < LEAST_DRIVEN:
+        raise InvalidInput(f"log: {what}: the gyro is stuck, or the column is another (--columns yaw_rate=NAME).")
+    data["yaw_rate"] = left
+    said.append(f"{what}: left out, the gyro was stuck")
 
 
 def _refuse_missing(columns: dict[str, Array]) -> None:

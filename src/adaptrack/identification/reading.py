@@ -14,6 +14,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from adaptrack.arguments import reals
 from adaptrack.errors import InvalidInput, did_you_mean
 from adaptrack.files import read_bytes
 
@@ -123,7 +124,7 @@ def read_columns(source: str | os.PathLike[str] | Mapping[str, object], reading:
         When it is no table of numbers, or names columns that it does not have.
     """
     if isinstance(source, Mapping):
-        table, where, computation = {str(k): np.asarray(v, dtype=np.float64) for k, v in source.items()}, "log", 0.0
+        table, where, computation = {str(k): reals(f"log: column {k!r}", v) for k, v in source.items()}, "log", 0.0
         if len({v.shape for v in table.values()}) > 1 or any(v.ndim != 1 for v in table.values()):
             raise InvalidInput("log: the columns must be vectors of one length.")
     else:

@@ -14,6 +14,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from adaptrack.arguments import reals
 from adaptrack.errors import InvalidInput
 
 Array = npt.NDArray[np.float64]
@@ -130,10 +131,7 @@ class QP:
 
 
 def _array(name: str, value: npt.ArrayLike, dimensions: int) -> Array:
-    try:
-        array = np.array(value, dtype=np.float64, order="C")
-    except (TypeError, ValueError) as error:
-        raise InvalidInput(f"{name} is not an array of numbers: {error}.") from error
+    array = np.array(reals(name, value), order="C")
     if array.ndim != dimensions:
         raise InvalidInput(f"{name} has {array.ndim} dimension(s), not {dimensions}.")
     return array

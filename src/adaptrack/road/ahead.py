@@ -10,7 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from adaptrack.errors import InvalidInput
+from adaptrack.arguments import reals
+from adaptrack.errors import InvalidInput, real, shown
 from adaptrack.road.road import Projection, Road
 from adaptrack.road.segments import Array
 
@@ -92,12 +93,14 @@ class RoadAhead:
     """(n,) m/s, at which the road will be passed, now and at the control instants that follow; the last one holds"""
 
     def __post_init__(self) -> None:
-        speeds = np.atleast_1d(np.asarray(self.speeds, dtype=np.float64))
-        if not math.isfinite(self.station):
+        if not isinstance(self.road, Road):
+            raise InvalidInput(f"RoadAhead: road = {shown(self.road)}: must be a Road.")
+        station, speeds = real("RoadAhead", "station", self.station), np.atleast_1d(reals("speeds", self.speeds))
+        if not math.isfinite(station):
             raise InvalidInput(f"RoadAhead: station = {self.station!r} m: must be finite.")
         if speeds.ndim != 1 or not speeds.size or not np.isfinite(speeds).all():
             raise InvalidInput("RoadAhead: speeds must be finite numbers (m/s), one for each instant.")
-        object.__setattr__(self, "station", float(self.station))
+        object.__setattr__(self, "station", station)
         object.__setattr__(self, "speeds", np.ascontiguousarray(speeds))
 
     @property

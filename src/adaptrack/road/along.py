@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydantic import model_validator
 
-from adaptrack.errors import InvalidInput
+from adaptrack.arguments import reals
+from adaptrack.errors import InvalidInput, real, shown
 from adaptrack.files import Record
 from adaptrack.road.segments import Array
 
@@ -45,7 +46,7 @@ class Along(Record):
     @classmethod
     def through(cls, s: ArrayLike, value: ArrayLike, kind: Literal["linear", "steps"] = "linear") -> Self:
         """Through samples; of a level stretch only the ends are kept."""
-        s, value = np.asarray(s, dtype=np.float64), np.asarray(value, dtype=np.float64)
+        s, value = reals("Along: s", s), reals("Along: value", value)
         kept = np.ones(s.size, dtype=bool)
         if kind == "steps":
             kept[1:] = value[1:] != value[:-1]
@@ -55,7 +56,7 @@ class Along(Record):
 
     def at(self, s: ArrayLike) -> Array:
         """The values at the arc lengths `s` (m), in the shape of `s`."""
-        s, known, value = np.asarray(s, dtype=np.float64), np.array(self.s), np.array(self.value)
+        s, known, value = reals("Along.at: s", s), np.array(self.s), np.array(self.value)
         if self.kind == "linear":
             return np.interp(s, known, value)
         return value[np.clip(np.searchsorted(known, s, "right") - 1, 0, known.size - 1)]
@@ -94,10 +95,10 @@ def as_along(name: str, value: Along | float | tuple[ArrayLike, ArrayLike]) -> A
         return value
     try:
         if isinstance(value, tuple) and len(value) == 2:
-            s, values = (tuple(np.asarray(each, dtype=np.float64).ravel().tolist()) for each in value)
+            s, values = (tuple(reals(name, each).ravel().tolist()) for each in value)
             return Along(s=s, value=values)
-        return Along.constant(float(value))
-    except (TypeError, ValueError) as error:
+        return Along.constant(real("Along", name, value))
+    except InvalidInput as error:
         raise InvalidInput(
-            f"{name} = {value!r}: must be a number, a pair (arc lengths, values) or an Along: {error}"
+            f"{name} = {shown(value)}: must be a number, a pair (arc lengths, values) or an Along: {error}"
         ) from None

@@ -24,6 +24,7 @@ import numpy as np
 import scipy  # loads its parts when they are first used
 from numpy.typing import ArrayLike
 
+from adaptrack.arguments import reals
 from adaptrack.errors import InvalidInput, real
 from adaptrack.road.projection import feet_near
 from adaptrack.road.road import Road, alongs
@@ -141,7 +142,7 @@ def road_through(points: ArrayLike, *, closed: bool = False, name: str = "points
 
 
 def _checked(where: str, points: ArrayLike) -> Array:
-    points = np.array(points, dtype=np.float64)
+    points = reals(f"{where}: points", points).copy()
     if points.ndim != 2 or points.shape[1] != 2 or len(points) < FEWEST:
         raise InvalidInput(f"{where}: points have shape {points.shape}; give (n, 2) with n >= {FEWEST}, x and y in m.")
     if not np.isfinite(points).all():

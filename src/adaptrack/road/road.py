@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
+from adaptrack.arguments import reals
 from adaptrack.errors import InvalidInput
 from adaptrack.road.along import Along, as_along
 from adaptrack.road.segments import Array, Points, Pose, Segment
@@ -228,7 +229,7 @@ class Road:
 
     def at(self, s: ArrayLike) -> Points:
         """The points of the centre line at the arc lengths `s` (m), any numbers, in the shape of `s`."""
-        s = np.asarray(s, dtype=np.float64)
+        s = reals("Road.at: s", s)
         laps = np.floor(s / self.length) if self.closed else np.zeros_like(s)
         inside = np.clip(s - laps * self.length, 0.0, self.length)
         x, y, heading, curvature = self.table.at(inside)
@@ -252,7 +253,7 @@ class Road:
         if name not in ALONG:
             raise InvalidInput(f"Road.along: {name!r}: must be one of {', '.join(ALONG)}.")
         values: Along | None = getattr(self, name)
-        s = np.asarray(s, dtype=np.float64)
+        s = reals("Road.along: s", s)
         if values is None:
             return np.full(s.shape, np.inf)
         return values.at(s - np.floor(s / self.length) * self.length if self.closed else s)
@@ -293,15 +294,16 @@ class Road:
         Raises
         ------
         InvalidInput
-            When a coordinate is not finite, shapes do not fit, or there is no foot within 400 m of `near`.
+            When a coordinate is not a finite number, shapes do not fit, or there is no foot within 400 m of `near`.
         """
         from adaptrack.kernels import road as kernel
 
+        given = [reals("Road.project: a coordinate", each) for each in (x, y, np.nan if near is None else near)]
         try:
-            wanted = np.broadcast_arrays(x, y, np.nan if near is None else near)
+            wanted = np.broadcast_arrays(*given)
         except ValueError:
             raise InvalidInput("Road.project: x, y and near must have one shape.") from None
-        rows = np.stack([np.asarray(each, dtype=np.float64).ravel() for each in wanted], axis=-1)
+        rows = np.stack([each.ravel() for each in wanted], axis=-1)
         if not np.isfinite(rows[:, : 2 if near is None else 3]).all():
             raise InvalidInput("Road.project: x, y and near must be finite; leave missing samples out.")
         feet = np.empty((len(rows), 4))

@@ -25,6 +25,7 @@ import scipy  # loads its parts when they are first used
 from numpy.typing import ArrayLike
 from pydantic import Field
 
+from adaptrack.arguments import reals
 from adaptrack.errors import InvalidInput, real
 from adaptrack.files import Record
 from adaptrack.limits import SPEED
@@ -89,14 +90,14 @@ class SpeedPlan:
 
     def at(self, s: ArrayLike) -> Array:
         """The speed (m/s) at the arc lengths `s`: lap after lap, or constant beyond the ends of an open road."""
-        place = np.asarray(s, dtype=np.float64)
+        place = reals("SpeedPlan.at: s", s)
         if self.closed:
             place = place - np.floor(place / self.s[-1]) * self.s[-1]
         return np.sqrt(np.interp(place, self.s, self.speed**2))
 
     def motion(self, time: ArrayLike) -> tuple[Array, Array]:
         """Station (m) and speed (m/s) at times (s) from the start: lap after lap, or at the end of an open road."""
-        t = np.asarray(time, dtype=np.float64)
+        t = reals("SpeedPlan.motion: time", time)
         laps = np.floor(t / self.duration) if self.closed else np.zeros_like(t)
         inside = np.minimum(t - laps * self.duration, self.duration)
         k = np.clip(np.searchsorted(self.time, inside, side="right") - 1, 0, self.s.size - 2)

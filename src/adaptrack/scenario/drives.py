@@ -7,7 +7,6 @@ under it takes. So a controller that loses a drive does so by its own fault.
 
 from __future__ import annotations
 
-import inspect
 import math
 from collections.abc import Callable
 from typing import Any
@@ -17,7 +16,7 @@ from numpy.typing import NDArray
 
 from adaptrack.domain import Domain
 from adaptrack.errors import InvalidInput, real, whole
-from adaptrack.scenario.library import QUINTIC_PEAK
+from adaptrack.scenario.library import DESCRIPTIONS, QUINTIC_PEAK
 from adaptrack.scenario.scenario import Scenario
 from adaptrack.scenario.shapes import Constant, Gust, Knots, LaneChange, Shape, Step, Sum
 from adaptrack.scenario.signals import HIGHEST_FRICTION
@@ -134,7 +133,7 @@ def random_drive(
     manoeuvres = (*drive.draw_curves(), *drive.draw_lane_changes())
     return Scenario(
         name="random-drive",
-        description=inspect.getdoc(random_drive).partition("\n")[0],  # type: ignore[union-attr]
+        description=DESCRIPTIONS["random-drive"],
         source=f"random_drive({seed}, {duration!r}, {', '.join(f'{k}={v!r}' for k, v in options.items())})",
         duration=duration,
         reference=Sum(terms=manoeuvres) if manoeuvres else 0.0,

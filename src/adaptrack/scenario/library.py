@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from adaptrack.domain import Domain
-from adaptrack.errors import InvalidInput, UnknownName, did_you_mean
+from adaptrack.errors import InvalidInput, UnknownName, did_you_mean, real, shown
 from adaptrack.files import read_toml
 from adaptrack.scenario.scenario import Scenario
 from adaptrack.scenario.shapes import Gust, LaneChange, Shape, Sine, as_shape
@@ -48,6 +48,17 @@ COMMON_OPTIONS = {
 }
 """The options that every scenario has, with their meaning."""
 
+DESCRIPTIONS = {
+    "step": (
+        "A constant lateral reference beside the car, under constant conditions: the test behind the paper's tuning."
+    ),
+    "lane-change": "One smooth lane change, sized to the friction, and one side gust.",
+    "double-lane-change": "Out of the lane and back within the lengths of ISO 3888-1, at constant speed.",
+    "sine": "A sinusoidal lateral reference: weaving, for the frequency response.",
+    "random-drive": "Mixed driving: changing speed and friction, curves, lane changes, wind and gusts.",
+}
+"""Of the manoeuvres, one line each. Not read from their docstrings: ``python -OO`` drops those."""
+
 _DATA = Path(__file__).parents[1] / "data" / "scenarios"
 
 
@@ -61,7 +72,7 @@ def step(
     """A constant lateral reference beside the car, under constant conditions: the test behind the paper's tuning."""
     return Scenario(
         name="step",
-        description=_first_line(step),
+        description=DESCRIPTIONS["step"],
         source="Fitness of the paper's particle swarm (section III), 18 s; constant y_ref, speed, friction and wind.",
         duration=duration,
         reference=amplitude,
@@ -109,7 +120,7 @@ def lane_change(
         )
     return Scenario(
         name="lane-change",
-        description=_first_line(lane_change),
+        description=DESCRIPTIONS["lane-change"],
         source="Quintic change (least jerk) that uses 35 % of the friction; 1-cosine gust as in EASA CS-25.341.",
         duration=duration,
         reference=LaneChange(amplitude=amplitude, start=start, duration=change_time),
@@ -153,7 +164,7 @@ def double_lane_change(
     home = out + away + beside
     return Scenario(
         name="double-lane-change",
-        description=_first_line(double_lane_change),
+        description=DESCRIPTIONS["double-lane-change"],
         source="Section lengths and lane offset of ISO 3888-1 (passenger cars, double lane change); quintic centre.",
         duration=home + back + end + 2.0 if duration is None else duration,
         reference=LaneChange(amplitude=amplitude, start=out, duration=away)
@@ -187,7 +198,7 @@ def sine(
     """
     return Scenario(
         name="sine",
-        description=_first_line(sine),
+        description=DESCRIPTIONS["sine"],
         duration=duration,
         reference=Sine(amplitude=amplitude, frequency=frequency, start=start),
         speed=speed,
@@ -220,11 +231,10 @@ def _random_drive(seed: float, duration: float, domain: Domain) -> Scenario:
 
 
 def _is_number(value: Any) -> bool:
-    return isinstance(value, int | float | np.number) and not isinstance(value, bool) and bool(np.isfinite(value))
-
-
-def _first_line(function: Callable[..., Scenario]) -> str:
-    return inspect.getdoc(function).partition("\n")[0]  # type: ignore[union-attr]
+    try:
+        return math.isfinite(real("option", "value", value))
+    except InvalidInput:
+        return False
 
 
 _MANOEUVRES: dict[str, Callable[..., Scenario]] = {
@@ -243,7 +253,7 @@ def _files() -> dict[str, Path]:
 def list_scenarios() -> dict[str, str]:
     """The named scenarios, each with one line of description; those of the paper first."""
     described = {name: str(read_toml(path)["description"]) for name, path in _files().items()}
-    return described | {name: _first_line(function) for name, function in _MANOEUVRES.items()}
+    return described | DESCRIPTIONS
 
 
 def scenario_options(name: str) -> dict[str, Any]:
@@ -283,7 +293,7 @@ def load_scenario(name_or_path: str | os.PathLike[str], *, domain: Domain | None
             raise UnknownName(f"scenario {name!r} has no option {key!r}. {did_you_mean(key, known)}")
         if key not in COMMON_OPTIONS:
             if not _is_number(options[key]):
-                raise InvalidInput(f"{key} = {options[key]!r}: must be a finite number.")
+                raise InvalidInput(f"{key} = {shown(options[key])}: must be a finite number.")
             options[key] = float(options[key])
     if not isinstance(options.get("mirrored", False), bool):
         raise InvalidInput(f"mirrored = {options['mirrored']!r}: must be true or false.")

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from pydantic import BeforeValidator, Field, model_validator
 
+from adaptrack.arguments import reals
 from adaptrack.errors import ConfigError, InvalidInput, did_you_mean
 from adaptrack.files import Record, build, dump_toml, read_toml, write_atomically
 from adaptrack.limits import DURATION, PERIODS, check_limit
@@ -203,7 +204,7 @@ class Scenario(Record):
         InvalidInput
             When lengths differ, a value is NaN or infinite, or the time does not increase.
         """
-        times = np.asarray(t, dtype=np.float64)
+        times = reals("t", t)
         if times.ndim != 1 or times.size < 2:
             raise InvalidInput(f"t has shape {times.shape}; give a list of at least two times.")
         if not np.isfinite(times).all():
@@ -306,7 +307,7 @@ def _columns(
     name: str, values: ArrayLike, times: Array, widths: Sequence[int], method: Method = "linear"
 ) -> list[Shape]:
     """One shape for each column of `values`, which has one row for each of `times`; a number is a constant."""
-    array = np.asarray(values, dtype=np.float64)
+    array = reals(name, values)
     if not np.isfinite(array).all():
         where = np.argwhere(~np.isfinite(array))[0]
         raise InvalidInput(f"{name}{[int(k) for k in where] or ''} is not finite.")

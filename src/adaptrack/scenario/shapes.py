@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydantic import BeforeValidator, Field, model_validator
 
-from adaptrack.errors import InvalidInput, UnknownName, did_you_mean
+from adaptrack.errors import InvalidInput, UnknownName, did_you_mean, real
 from adaptrack.files import Record, build
 
 Array = NDArray[np.float64]
@@ -77,7 +77,7 @@ def as_shape(value: Any) -> Shape:
     if isinstance(value, Shape):
         return value
     if isinstance(value, int | float | np.integer | np.floating) and not isinstance(value, bool):
-        return Constant(value=float(value))
+        return Constant(value=real("constant", "value", value))
     if not isinstance(value, Mapping):
         raise InvalidInput("give a number, or a table such as { shape = 'step', after = 2.0, time = 1.0 }.")
     kind = value.get("shape")

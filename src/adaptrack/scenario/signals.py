@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from adaptrack.arguments import reals
 from adaptrack.errors import InvalidInput
 from adaptrack.limits import SPEED
 from adaptrack.scenario.shapes import Array
@@ -45,10 +46,10 @@ class Signals:
         if not 0.0 < self.period < np.inf:
             raise InvalidInput(f"period = {self.period!r}: must be a finite time > 0 s.")
         for name in ("t", "y_ref", "speed", "friction", "wind"):
-            object.__setattr__(self, name, np.array(getattr(self, name), dtype=np.float64, order="C"))
+            object.__setattr__(self, name, np.array(reals(name, getattr(self, name)), order="C"))
         samples = self.t.size
         for name in ("bank", "station", "curvature"):
-            values = np.broadcast_to(np.asarray(getattr(self, name), dtype=np.float64), (samples,))
+            values = np.broadcast_to(reals(name, getattr(self, name)), (samples,))
             object.__setattr__(self, name, np.array(values, order="C"))
         columns = {
             "t": (), "y_ref": (), "speed": (), "friction": (4,), "wind": (2,), "bank": (), "station": (),

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from adaptrack.arguments import reals
 from adaptrack.controllers import Tuning
 from adaptrack.controllers.tuning import ENTRIES
 from adaptrack.errors import InvalidInput, did_you_mean, real
@@ -204,10 +205,7 @@ class Schedule:
         """
         from adaptrack.kernels import schedule
 
-        try:
-            given = np.atleast_2d(np.asarray(variables, dtype=np.float64))
-        except (TypeError, ValueError, OverflowError):
-            raise InvalidInput("schedule: the scheduling variables must be numbers.") from None
+        given = np.atleast_2d(reals("schedule: the scheduling variables", variables))
         least = len(VARIABLES) - len(SchedulingVariables._field_defaults)
         if given.ndim != 2 or not least <= given.shape[1] <= len(VARIABLES):
             raise InvalidInput(

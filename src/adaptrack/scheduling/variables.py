@@ -8,7 +8,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from adaptrack.errors import InvalidInput, real
+from adaptrack.controllers.inputs import vector
+from adaptrack.errors import InvalidInput, real, shown
 
 Array = NDArray[np.float64]
 
@@ -77,9 +78,9 @@ def complete(variables: Sequence[float]) -> SchedulingVariables:
         return variables
     try:
         return SchedulingVariables(*[real("scheduling variables", "value", value) for value in variables])
-    except (TypeError, ValueError, OverflowError):
+    except (TypeError, ValueError):
         raise InvalidInput(
-            f"scheduling variables {variables!r}: need {len(VARIABLES)} numbers, {', '.join(VARIABLES)}; "
+            f"scheduling variables {shown(variables)}: need {len(VARIABLES)} numbers, {', '.join(VARIABLES)}; "
             "the last three may be left out."
         ) from None
 
@@ -89,7 +90,7 @@ def reference_preview(reference: ArrayLike, period: float, instants: int = 1) ->
 
     reference: y_ref (m) at the instants, one `period` (s) apart; beyond its end it goes straight on.
     """
-    y = np.asarray(reference, dtype=float)
+    y = vector("reference", reference)
     ahead = max(2, round(LOOK_AHEAD / period))
     y = y[: instants + ahead]
     slope = y[-1] - y[-2] if len(y) > 1 else 0.0
