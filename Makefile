@@ -5,7 +5,7 @@ PIP := $(BIN)/python -m pip --quiet --disable-pip-version-check
 INSTALLED := .venv/.installed
 
 .DEFAULT_GOAL := help
-.PHONY: help install install-extras run test test-slow test-interpreted lint format docs bench lock clean
+.PHONY: help install install-extras run test test-slow test-slow-part test-interpreted lint format docs bench lock clean
 
 help: ## list the targets
 	@grep -E '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## /\1|/' | column -t -s '|'
@@ -30,6 +30,11 @@ test: install ## run the tests
 
 test-slow: install ## run all tests, those that take minutes too
 	$(BIN)/pytest -q -n 2 --dist worksteal -m 'slow or not slow'
+
+SLOW_PART ?= $(shell git rev-list --count HEAD 2>/dev/null || date +%s)
+test-slow-part: install ## run a fifth of the slow tests, another one with each commit; SLOW_PART=N chooses
+	@echo 'SLOW_PART=$(SLOW_PART)'
+	SLOW_PART=$(SLOW_PART) $(BIN)/pytest -q -n 2 --dist worksteal -m slow
 
 test-interpreted: install ## run the tests of kernels with the compiler switched off
 	NUMBA_DISABLE_JIT=1 $(BIN)/pytest -q -n 2 --dist worksteal -m 'kernels and not slow and not compiled'

@@ -11,7 +11,7 @@ import pytest
 from numba import types
 
 from adaptrack.controllers import Limits, published_mpc
-from adaptrack.kernels.abi import INTERPRETED, ROUTINE, address_of, caller, float64, int64, matrix, vector
+from adaptrack.kernels.abi import INTERPRETED, ROUTINE, address_of, cache_base, caller, float64, int64, matrix, vector
 from adaptrack.kernels.controllers import mpc as kernel
 from adaptrack.kernels.stored import Resident, reader
 from adaptrack.vehicle import load_vehicle
@@ -174,3 +174,45 @@ def test_where_there_is_no_function_the_address_is_zero_and_else_it_stays():
     compiled = numba.njit(MEAN)(mean)
     assert address_of(None, MEAN) == 0
     assert address_of(compiled, MEAN) == address_of(compiled, MEAN) != 0
+
+
+# -- the cache --------------------------------------------------------------------------------------------------------
+CODE = {"code": bytes(range(64))}
+
+
+def cache_file(folder):
+    """What keeps the machine code of a kernel, in a folder of the test's own."""
+    return type(kernel.limit_rows._cache._cache_file)(str(folder), "kernel", "stamp")
+
+
+def damages(content):
+    """Every way to cut it short, every byte changed, and other bytes."""
+    yield from (content[:size] for size in range(len(content)))
+    yield from (content[:i] + bytes([content[i] ^ 1 << i % 8]) + content[i + 1 :] for i in range(len(content)))
+    yield bytes(reversed(content))
+
+
+@pytest.mark.compiled
+@pytest.mark.parametrize("suffix", ["nbi", "nbc"])
+def test_a_damaged_file_of_the_cache_is_missing_and_written_again_and_the_folder_is_named(tmp_path, caplog, suffix):
+    kept = cache_file(tmp_path)
+    kept.save("key", CODE)
+    (file,) = tmp_path.glob(f"*.{suffix}")
+    whole = file.read_bytes()
+    for content in damages(whole):
+        file.write_bytes(content)
+        assert kept.load("key") is None
+    assert f"{file}: damaged" in caplog.text
+    assert f"delete {cache_base()}" in caplog.text
+    kept.save("key", CODE)
+    assert kept.load("key") == CODE
+    assert file.read_bytes() == whole
+
+
+@pytest.mark.compiled
+def test_a_cache_that_takes_no_kernel_is_said_and_is_no_error(tmp_path, caplog):
+    kept = cache_file(tmp_path)
+    (tmp_path / "kernel.nbi").mkdir()
+    assert kept.load("key") is None
+    kept.save("key", CODE)
+    assert f"{tmp_path}: takes no kernel: Is a directory" in caplog.text

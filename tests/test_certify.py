@@ -186,7 +186,14 @@ def test_the_domain_is_where_scheduler_and_driving_overlap_unless_told(sound):
 
 
 @pytest.mark.parametrize(
-    "domain", [{"colour": (0.0, 1.0)}, {"speed": (9.0, 5.0)}, {"friction": (0.0, 1.0)}, {"speed": (1.0, np.inf)}]
+    "domain",
+    [
+        {"colour": (0.0, 1.0)},
+        {"speed": (9.0, 5.0)},
+        {"friction": (0.0, 1.0)},
+        {"speed": (1.0, np.inf)},
+        {"speed": (5.0, 1e9)},
+    ],
 )
 def test_a_domain_that_makes_no_sense_is_refused(sound, domain):
     with pytest.raises(InvalidInput, match="certify"):

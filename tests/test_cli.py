@@ -1,5 +1,6 @@
 """The command line: what it prints, where, and how it fails."""
 
+import importlib
 import json
 import re
 import subprocess
@@ -9,6 +10,8 @@ import tomllib
 import pytest
 
 from adaptrack import cli
+from adaptrack.cli import options
+from adaptrack.errors import StorageError
 from adaptrack.failure import Reason
 from small_data import small
 
@@ -113,6 +116,37 @@ def test_an_unwritable_folder_is_found_before_anything_is_driven(monkeypatch, ca
     code, _, err = run(monkeypatch, capsys, "simulate", "step", "--out", tmp_path / "file" / "folder")
     assert code == 2
     assert "cannot be written" in err
+
+
+@pytest.mark.parametrize(
+    ("command", "work"),
+    [
+        ("identify log.csv --out {file}.toml", "adaptrack.identification.identify"),
+        ("identify log.csv --page {file}.html", "adaptrack.identification.identify"),
+        ("tune town --length 200 --out {file}.toml", "adaptrack.road.load_road"),
+        ("evaluate town --length 200 --out {file}", "adaptrack.road.load_road"),
+        ("road plot town --out {file}.png", "adaptrack.road.load_road"),
+        ("drive town --length 200 --learned {file}.toml", "adaptrack.road.load_road"),
+        ("simulate step --learned {file}.toml", "adaptrack.simulate.simulate"),
+        ("train --data paper-grid --model nn --out {file}.json", "adaptrack.learning.training.train"),
+    ],
+)
+def test_a_place_where_no_result_can_be_written_is_found_before_any_work(monkeypatch, capsys, tmp_path, command, work):
+    module, _, name = work.rpartition(".")
+    monkeypatch.setattr(importlib.import_module(module), name, lambda *given, **more: pytest.fail("it works already"))
+    (tmp_path / "file").write_text("")
+    code, out, err = run(monkeypatch, capsys, *command.format(file=tmp_path / "file" / "result").split())
+    assert (code, out) == (2, "")
+    assert f"{tmp_path / 'file'}" in err
+    assert "cannot be written to: " in err
+
+
+def test_a_folder_for_a_result_is_made_and_a_folder_in_its_place_is_refused(tmp_path):
+    options.make_place(tmp_path / "new" / "folder" / "page.html")
+    assert (tmp_path / "new" / "folder").is_dir()
+    assert not list((tmp_path / "new" / "folder").iterdir())
+    with pytest.raises(StorageError, match="folder: cannot be written to: is a folder; name a file"):
+        options.make_place(tmp_path / "new" / "folder")
 
 
 # -- runs that failed -------------------------------------------------------------------------------------------------

@@ -12,6 +12,7 @@ import threading
 import time
 
 import pytest
+import typer
 
 from adaptrack import cli
 from adaptrack.cli import interrupt
@@ -160,6 +161,37 @@ def test_what_is_kept_is_forgotten_by_the_next_command(monkeypatch, capsys):
     assert interrupt.what_is_kept() == "Nothing was written."
 
 
+def test_an_end_of_file_within_a_command_is_no_ctrl_c(monkeypatch, capsys):
+    from adaptrack import scenario
+
+    def torn(*given, **more):
+        raise EOFError("Ran out of input")
+
+    monkeypatch.setattr(scenario, "list_scenarios", torn)
+    with pytest.raises(typer.Abort) as found:  # a fault, with its traceback
+        run(monkeypatch, capsys, "scenarios")
+    assert isinstance(found.value.__cause__, EOFError)
+
+
+# -- the environment --------------------------------------------------------------------------------------------------
+@pytest.mark.parametrize("number", ["0", "-1", "1.5", "many", ""])
+def test_a_number_of_threads_that_numba_does_not_take_is_one_sentence(monkeypatch, capsys, number):
+    monkeypatch.setenv("NUMBA_NUM_THREADS", number)
+    code, out, err = run(monkeypatch, capsys, "--version")
+    assert (code, out) == (2, "")
+    assert err == f"adaptrack: NUMBA_NUM_THREADS = {number!r}: must be a whole number, at least 1; or unset it.\n"
+
+
+def test_no_command_asks_matplotlib_for_a_window_system(monkeypatch, capsys):
+    from adaptrack import scenario
+
+    seen = []
+    monkeypatch.setenv("MPLBACKEND", "nonsense")  # the import of matplotlib would refuse it
+    monkeypatch.setattr(scenario, "list_scenarios", lambda: seen.append(os.environ.get("MPLBACKEND")) or {})
+    assert run(monkeypatch, capsys, "scenarios")[0] == 0
+    assert seen == [None]
+
+
 # -- standard output --------------------------------------------------------------------------------------------------
 COMMANDS = [["--help"], ["--version"], ["scenarios"], ["scenarios", "--json"], ["evaluate", "--help"]]
 
@@ -184,10 +216,12 @@ def test_a_reader_that_has_gone_ends_the_command_quietly_with_exit_code_141(comm
     assert err == ""
 
 
-def test_a_closed_standard_output_takes_everything():
+def test_a_closed_standard_output_is_one_sentence_and_exit_code_2():
     command = f"exec {sys.executable} -m adaptrack scenarios >&-"
     done = subprocess.run(["sh", "-c", command], stderr=subprocess.PIPE, text=True, timeout=60, check=False)
-    assert (done.returncode, done.stderr) == (0, "")
+    assert done.returncode == 2
+    assert done.stderr.startswith("adaptrack: standard output is closed")
+    assert len(done.stderr.splitlines()) == 1
 
 
 def test_text_that_the_terminal_cannot_show_is_escaped():

@@ -147,6 +147,7 @@ def test_neighbours_are_told_as_a_range():
     [
         ({"speed": (9.0, 5.0)}, "speed = 9 to 5"),
         ({"friction": (0.0, 1.0)}, "friction = 0 to 1"),
+        ({"speed": (5.0, 1e300)}, "at most 100 m/s"),
         ({"margin": 1.0}, "margin = 1"),
         ({"nodes": ((70.0,), (5.0,), (3.0,))}, "no tuning"),
         ({"nodes": ((5.0,), (8.0,), (3.0,))}, "no tuning"),

@@ -442,6 +442,12 @@ def test_impossible_numbers_of_a_filter_are_refused(make):
         make()
 
 
+@pytest.mark.parametrize("period", [0.0, 1e-300, 1e300, math.nan])
+def test_a_period_whose_square_is_no_positive_number_is_refused(period):
+    with pytest.raises(InvalidInput, match="period"):
+        informed_tuning("road", period)
+
+
 # -- the controller ---------------------------------------------------------------------------------------------------
 @every_dead_time
 def test_the_qp_predicts_what_the_model_does_from_the_estimate(dead_time, rng):

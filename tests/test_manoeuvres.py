@@ -196,6 +196,8 @@ class TestTransient:
         car = load_vehicle("paper")
         with pytest.raises(InvalidInput, match=r"no such steady turn at 22\.22 m/s; ask for less"):
             step_steer(car, get_plant("single-track", car), lateral_acceleration=9.5)
+        with pytest.raises(InvalidInput, match="no such steady turn at 1e-300 m/s"):
+            step_steer(car, get_plant("single-track", car), speed=1e-300)
 
 
 @pytest.mark.compiled

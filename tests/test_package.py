@@ -103,6 +103,14 @@ def test_locks_pin_and_hash_every_declared_package(project):
     assert {re.match(r"[a-z0-9-]+", each)[0] for each in extra} <= extras.keys()
 
 
+def test_numba_whose_private_parts_are_overridden_is_capped_at_the_minor_version_of_the_lock(project):
+    configuration = tomllib.loads((project / "pyproject.toml").read_text())["project"]
+    (declared,) = (each for each in configuration["dependencies"] if each.startswith("numba"))
+    pinned = re.search(r"^numba==(\d+)\.(\d+)\.", (project / "requirements.lock").read_text(), re.MULTILINE)
+    major, minor = map(int, pinned.groups())
+    assert declared == f"numba>={major}.{minor},<{major}.{minor + 1}"
+
+
 def test_wheel_holds_every_module_and_data_file(project, run_python, tmp_path):
     # Hatchling obeys .gitignore: a careless pattern would drop data files without a word.
     run_python("-m", "hatchling", "build", "-t", "wheel", "-d", str(tmp_path), cwd=project)

@@ -298,6 +298,12 @@ def test_the_delay_margin_is_exact_for_whole_periods():
     assert found.gain_up[0] == pytest.approx((1.0 + np.sqrt(5.0)) / 2.0, rel=1e-4)
 
 
+def test_a_loop_without_gain_is_at_the_verge_and_has_no_margin():
+    found = margins(*lagging(0.5, 0.0), 0.1)
+    assert found.radius[0] == 1.0  # the integrator of the law
+    assert (found.gain_up[0], found.gain_down[0], found.delay[0]) == (1.0, 1.0, 0.0)
+
+
 def test_an_unstable_loop_has_no_margin():
     found = margins(*lagging(0.0, 1.2), 0.1)
     assert found.radius[0] > 1.0

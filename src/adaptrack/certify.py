@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from adaptrack.controllers import ENTRIES, MPC, Scheduler, Tuning, read_tuning
 from adaptrack.errors import ContractError, InvalidInput, real
+from adaptrack.limits import SPEED, check_limit
 from adaptrack.linearisation import Body, Mismatch, Turn, bodies_of, laws, linear_estimator
 from adaptrack.plant import Plant
 from adaptrack.profile import Profile, load_profile
@@ -286,6 +287,7 @@ def _axes(
         if not -math.inf < low <= high < math.inf or number < 1:
             raise InvalidInput(f"certify: {name}: {number} levels from {low:g} to {high:g}: need finite low <= high.")
         axes[name] = np.linspace(low, high, number if high > low else 1)
+    check_limit("certify: speed", axes["speed"][-1], SPEED)
     if not axes["friction"][0] > 0.0:
         raise InvalidInput(f"certify: friction = {axes['friction'][0]:g}: must be positive.")
     return axes

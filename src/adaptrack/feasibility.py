@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from adaptrack.controllers import ENTRIES, MPC, Tuning
 from adaptrack.errors import InvalidInput, real
+from adaptrack.limits import SPEED, check_limit
 from adaptrack.linearisation import Mismatch, Turn, bodies_of
 from adaptrack.plant import Plant
 from adaptrack.profile import Profile
@@ -225,6 +226,7 @@ def feasibility(
     for name, (low, high) in (("speed", speed), ("friction", friction)):
         if not 0.0 < real("feasibility", name, low) <= real("feasibility", name, high) < math.inf:
             raise InvalidInput(f"feasibility: {name} = {low:g} to {high:g}: need 0 < low <= high, finite.")
+    check_limit("feasibility: speed", speed[1], SPEED)
     if not 0.0 < real("feasibility", "margin", margin) < 1.0:
         raise InvalidInput(f"feasibility: margin = {margin:g}: must lie between 0 and 1.")
     allowed = (

@@ -188,7 +188,8 @@ def _critical_delays(gains: Complex, period: float) -> Array:
 
     Exact for whole periods; in between it leaves out that commands are held.
     """
-    share, at = _crossings(np.log(np.abs(gains)), gains)
+    with np.errstate(divide="ignore", invalid="ignore"):  # a loop without gain crosses nothing
+        share, at = _crossings(np.log(np.abs(gains)), gains)
     angle = _ANGLES[:-1] * (_ANGLES[1:] / _ANGLES[:-1]) ** share
     return np.asarray(period * np.mod(np.angle(at) + np.pi, 2.0 * np.pi) / angle)
 

@@ -22,7 +22,7 @@ from types import FrameType
 from typing import Any
 
 from adaptrack.cli import interrupt
-from adaptrack.errors import AdaptrackError
+from adaptrack.errors import AdaptrackError, InvalidInput, StorageError
 
 DONE, ERROR, INTERRUPTED, PIPE_CLOSED = 0, 2, 130, 141
 
@@ -43,6 +43,7 @@ def main() -> int:
     interrupt.kept("Nothing was written.")
     with _noting_ctrl_c() as pressed:
         try:
+            _check_surroundings()
             code = _run()
         except BaseException as error:
             # An import that Ctrl-C hits may end in any exception, not only in KeyboardInterrupt.
@@ -65,7 +66,7 @@ def _told(error: BaseException) -> int:
     if isinstance(error, AdaptrackError):
         print(f"adaptrack: {error}", file=sys.stderr)
         return ERROR
-    if isinstance(error, KeyboardInterrupt) or type(error).__name__ == "Abort":  # typer's word for it
+    if isinstance(error, KeyboardInterrupt):
         return INTERRUPTED
     if isinstance(error, BrokenPipeError | SystemExit):  # typer and rich end with the latter when a pipe is closed
         _give_up_output()
@@ -82,12 +83,30 @@ def _told(error: BaseException) -> int:
 
 
 def _prepare_output() -> None:
-    """Any text can be written; a standard stream that is closed (`>&-`) takes everything and keeps nothing."""
-    for name in ("stdout", "stderr"):
-        if getattr(sys, name) is None:
-            setattr(sys, name, open(os.devnull, "w", encoding="utf-8"))  # noqa: SIM115
+    """Any text can be written; standard error that is closed (`2>&-`) takes everything and keeps nothing."""
+    if sys.stderr is None:
+        sys.stderr = open(os.devnull, "w", encoding="utf-8")  # noqa: SIM115
+    for stream in (sys.stdout, sys.stderr):
         with suppress(AttributeError, ValueError):
-            getattr(sys, name).reconfigure(errors="backslashreplace")
+            stream.reconfigure(errors="backslashreplace")  # type: ignore[union-attr]
+
+
+def _check_surroundings() -> None:
+    """Refuse, before any work, what would lose the results or end an import of others in their traceback.
+
+    Raises
+    ------
+    StorageError
+        When standard output is closed (`>&-`).
+    InvalidInput
+        When an environment variable says what Numba cannot take.
+    """
+    if sys.stdout is None:
+        raise StorageError("standard output is closed, so nothing can be printed: send it to a file, or to /dev/null.")
+    os.environ.pop("MPLBACKEND", None)  # names a window system; pictures go to files
+    threads = os.environ.get("NUMBA_NUM_THREADS", "1")
+    if not threads.strip().isdecimal() or int(threads) < 1:
+        raise InvalidInput(f"NUMBA_NUM_THREADS = {threads!r}: must be a whole number, at least 1; or unset it.")
 
 
 def _give_up_output() -> None:

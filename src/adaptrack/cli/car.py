@@ -77,8 +77,7 @@ def car(
         raise InvalidInput("name a car, or give --mass and --wheelbase, or --tir.")
     fit = _fit(tir, tyre_table, vehicle)
     written = []
-    if out is not None:
-        options.make_folder(out.parent)
+    options.make_place(out)
     if fit is not None and out is not None:
         beside = out if vehicle is None else out.with_name(f"{out.stem}-tyre.toml")
         fit.tyre.replace(name=beside.stem).to_toml(beside)

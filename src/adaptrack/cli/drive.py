@@ -105,6 +105,8 @@ def drive(
 
     options.load_plugins(plugin)
     car, body = options.car_and_plant(vehicle, plant, tyre)
+    options.make_page_folder(out, png)
+    options.make_place(learned)
     seen = asked.look(road, car)
     world = load_profile(profile)
     trip = RoadDrive(seen.road, seen.plan, laps=laps, wind=wind, start_offset=offset, start_heading=heading)
@@ -115,7 +117,6 @@ def drive(
     for found in dict.fromkeys(tuning or []):
         controllers.append(tuned(found, who, as_json))
         _certify_elsewhere(found, controllers[-1][1], who, body, (allow_failed, as_json))
-    options.make_page_folder(out, png)
     seen.warn(as_json)
     files = safe_names(f"{trip.name}-{label}" for label, _ in controllers)
     runs = []

@@ -104,6 +104,7 @@ def evaluate(
         other = {"--operating-points": operating_points, "--drives": drives, "--tests": tests, "--config": config,
                  "--controller": controller, "--known-as": known_as}  # fmt: skip
         on_roads.refuse([name for name, value in other.items() if value], "on roads")
+        options.make_page_folder(out)
         setting = on_roads.Setting.of(road, asked, car, profile, plant or "dual-track", as_json)
         entered = on_roads.Entered(contender or (), tuning or (), _all_files(schedulers or []))
         on_roads.evaluate(setting, entered, range(seed, seed + (car.noise_seeds or 5)), out, as_json)

@@ -69,6 +69,8 @@ def identify(
     if page is not None and page.suffix != ".html":
         raise InvalidInput(f"--page {page}: a page ends in .html.")
     reading = _reading(columns, units, flip, steering_ratio)
+    options.make_place(out)
+    options.make_place(page)
     with show.progress("identify"):
         found = fit(log, car, mass=mass, wheelbase=wheelbase, reading=reading, computation=computation)
     if as_json:

@@ -204,8 +204,6 @@ def evaluate(setting: Setting, entered: Entered, seeds: Sequence[int], out: Path
     contenders, left_out = _contenders(setting, entered, seeds)
     names = [each.name for each in contenders]
     reference = "informed" if "informed" in names else names[0]
-    if out is not None:
-        options.make_folder(out)
     for why in left_out.values():
         show.say(f"Left out, {why}", aside=as_json)
     made = setting.compare(contenders, seeds, reference)

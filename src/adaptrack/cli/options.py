@@ -194,7 +194,22 @@ def make_folder(path: Path) -> None:
         raise StorageError(f"{path}: cannot be written to: {getattr(error, 'strerror', None) or error}.") from error
 
 
-def make_page_folder(out: Path | None, png: bool) -> None:
+def make_place(file: Path | None) -> None:
+    """`make_folder` for a file that is written when the work is done, if one is asked for.
+
+    Raises
+    ------
+    StorageError
+        When its folder cannot be written to, or the file is a folder.
+    """
+    if file is None:
+        return
+    make_folder(file.parent)
+    if file.is_dir():
+        raise StorageError(f"{file}: cannot be written to: is a folder; name a file.")
+
+
+def make_page_folder(out: Path | None, png: bool = False) -> None:
     """`make_folder`, where a page is asked for.
 
     Raises

@@ -129,6 +129,7 @@ def plot(
     from adaptrack.report.road import road_png
     from adaptrack.vehicle import load_vehicle
 
+    options.make_place(out)
     seen = asked.look(road, load_vehicle(vehicle))
     write_atomically(out, road_png(seen.road, seen.plan, seen.findings))
     show.say(f"Picture: {out}")

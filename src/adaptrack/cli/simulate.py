@@ -132,10 +132,11 @@ def simulate(
     controllers = [make_controller(name, asked) for name in dict.fromkeys(controller or [asked.usual])]
     for scenario in loaded:
         tell_domain(scenario, car, as_json)
+    options.make_page_folder(out, png)
+    options.make_place(learned)
     for label, each in controllers:
         if isinstance(each, MPC):
             certify_meeting(label, each, body, car, world, allow_failed, as_json)
-    options.make_page_folder(out, png)
     runs = _drive(loaded, controllers, body, world, driver, seed, out)
     models = {label: getattr(each, "model", None) for label, each in controllers}
     rows = [measured_row(label, run, models[label]) for label, run in runs]

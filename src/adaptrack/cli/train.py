@@ -43,7 +43,7 @@ def train(
     if out.suffix != ".json":
         raise InvalidInput(f"--out {out}: a scheduler's file is called *.json.")
     dataset = load_dataset(data)
-    options.make_folder(out.parent)
+    options.make_place(out)
     with show.progress("train") as advance:
         trained = learn(dataset, str(model), str(targets), seed=seed, progress=advance)
         schedule = replace(trained_schedule(trained, dataset), made_for=purpose_of(dataset))

@@ -66,8 +66,9 @@ def tune(
     if road:
         given = {"--resume": resume, "--workers": workers, "--dask": dask}
         on_roads.refuse([name for name, value in given.items() if value], "on roads")
-        setting = on_roads.Setting.of(road, asked, car, profile, plant or "dual-track", as_json)
         file = Path("tuning.toml") if out is None else out
+        options.make_place(file)
+        setting = on_roads.Setting.of(road, asked, car, profile, plant or "dual-track", as_json)
         on_roads.tune(setting, controller or "informed", search, car.noise_seeds or 2, file, as_json)
         return
     on_roads.refuse([*asked.named, *_given(car, plant, search)], "with a campaign")

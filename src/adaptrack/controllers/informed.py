@@ -42,9 +42,10 @@ with weight and horizons as without preview 3e-4 m^2, and 7 failed."""
 
 
 def _checked(period: float) -> float:
-    if not 0.0 < real("MPC", "period", period) < math.inf:
-        raise InvalidInput(f"MPC: period = {period!r} s: must be positive and finite.")
-    return float(period)
+    pace = real("MPC", "period", period)
+    if not (pace > 0.0 and 0.0 < pace * pace < math.inf):
+        raise InvalidInput(f"MPC: period = {period!r} s: must be positive and finite, and so must its square.")
+    return pace
 
 
 def informed_tuning(

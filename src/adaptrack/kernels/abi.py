@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import gc
 import hashlib
+import io
 import logging
 import os
 import re
@@ -32,6 +33,7 @@ from llvmlite import ir
 from numba import types
 from numba.core import cgutils
 from numba.core import config as _numba_config
+from numba.core.caching import IndexDataCacheFile
 from numba.core.compiler_lock import global_compiler_lock
 from numba.core.errors import NumbaExperimentalFeatureWarning
 from numba.core.event import Listener, register
@@ -299,6 +301,49 @@ def _say_once(text: str) -> None:
     logging.getLogger("adaptrack").warning("adaptrack: %s", text)
 
 
+class _ProvenFile(IndexDataCacheFile):  # type: ignore[misc]
+    """Index and machine code of a kernel in the cache: files that end in the SHA-256 of the rest.
+
+    Unpickling stops before it. Without it a torn file ends in any error, and a changed bit is other machine code. What
+    is damaged counts as missing: the kernel is compiled and written again.
+    """
+
+    @contextmanager
+    def _open_for_write(self, filepath: str) -> Iterator[io.BytesIO]:
+        content = io.BytesIO()
+        yield content
+        with super()._open_for_write(filepath) as stream:
+            stream.write(content.getvalue() + hashlib.sha256(content.getvalue()).digest())
+
+    def _load_index(self) -> Any:
+        return super()._load_index() if _is_whole(self._index_path) else {}
+
+    def _load_data(self, name: str) -> Any:
+        return super()._load_data(name) if _is_whole(self._data_path(name)) else None
+
+    def save(self, key: Any, data: Any) -> None:
+        try:
+            super().save(key, data)
+        except OSError as error:
+            remedy = f"Make room there, or delete {cache_base()}."
+            _say_once(f"{self._cache_path}: takes no kernel: {error.strerror}. {remedy}")
+
+
+def _is_whole(path: str) -> bool:
+    """Whether a file of the cache is there and as it was written; damage is said."""
+    try:
+        content = Path(path).read_bytes()
+    except FileNotFoundError:
+        return False
+    except OSError:
+        content = b""
+    size = hashlib.sha256().digest_size
+    whole = hashlib.sha256(content[:-size]).digest() == content[-size:]
+    if not whole:
+        _say_once(f"{path}: damaged; its kernel is compiled anew. If this is said again, delete {cache_base()}.")
+    return whole
+
+
 @contextmanager
 def _no_collection() -> Iterator[None]:
     """Without the garbage collector, which would go through the compiler's millions of live objects again and again:
@@ -398,6 +443,8 @@ def _compiled(function: Any, signature: Any, options: dict[str, Any]) -> Any:
     if not INTERPRETED:
         made.__class__ = _Inlined if options.get("no_cpython_wrapper") else _Kernel
         made.declared, made.kept = signature, options["cache"]
+        if made.kept:
+            made._cache._cache_file.__class__ = _ProvenFile
     return made
 
 

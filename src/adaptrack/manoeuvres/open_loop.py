@@ -270,7 +270,8 @@ def find_turns(
     def missing(turns: SteadyTurns) -> Array:
         return turns.lateral_acceleration / wanted - 1.0 if radius is None else turns.curvature * radius - 1.0
 
-    angle = np.clip(wanted * (car.wheelbase / v**2 + car.understeer_gradient), 1e-4, LARGEST_ANGLE)
+    with np.errstate(divide="ignore", over="ignore"):  # so slow that no number holds the square of the speed
+        angle = np.clip(wanted * (car.wheelbase / v**2 + car.understeer_gradient), 1e-4, LARGEST_ANGLE)
     turns = turns_under(plant, v, angle, surroundings)
     before, error = np.zeros_like(angle), missing(turns)
     error_before = np.full_like(angle, -1.0)  # without steering there is neither acceleration nor curvature
