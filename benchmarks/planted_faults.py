@@ -610,7 +610,8 @@ def main() -> None:
     parser.add_argument("--processes", type=int, default=2)
     parser.add_argument("--limit", type=float, default=600.0, help="s that a test may take longer than it took")
     asked = parser.parse_args()
-    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    for each in (signal.SIGINT, signal.SIGTERM):  # the first would stay ignored in the background, in tests too
+        signal.signal(each, signal.default_int_handler)
     checkout, out = asked.checkout.resolve(), asked.out.resolve()
     chosen = [fault for fault in read_faults() if not asked.only or fault.number in asked.only]
     faults = [fault for fault in chosen if fault.line(checkout) is not None]
@@ -627,4 +628,7 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    try:
+        main()
+    except KeyboardInterrupt:
+        raise SystemExit("Interrupted; the same command goes on.") from None
