@@ -28,6 +28,8 @@ FIT, CURVATURE_FIT = 1e-11, 1e-9
 it (or of 0.1/m)."""
 ROUNDING = 1e-12
 """What rounding may add to the heading (rad), and so to the curvature of short pieces."""
+TOGETHER = 1024
+"""Cubics that are fitted at once: some megabytes."""
 HALVINGS, MOST = 30, 50
 """How often a piece may be halved, and how many pieces may wait for it per curve, before the curve counts as having a
 point without a direction."""
@@ -118,7 +120,8 @@ def tabulate(segments: Sequence[Segment]) -> list[Table]:
         For a cubic with a point at which it stands still (a cusp).
     """
     cubics = [segment for segment in segments if isinstance(segment, Cubic)]
-    fitted = iter(_of_curves(_Cubics(cubics)) if cubics else ())
+    batches = (cubics[k : k + TOGETHER] for k in range(0, len(cubics), TOGETHER))
+    fitted = itertools.chain.from_iterable(_of_curves(_Cubics(batch)) for batch in batches)
     return [next(fitted) if isinstance(segment, Cubic) else _natural(segment) for segment in segments]
 
 
