@@ -22,7 +22,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from adaptrack.errors import InvalidInput, real
 from adaptrack.road.projection import feet_near
-from adaptrack.road.road import Road, alongs
+from adaptrack.road.road import FARTHEST, Road, alongs
 from adaptrack.road.segments import Array, Cubic
 from adaptrack.road.smoothing import Curve, Smoother
 from adaptrack.road.table import Table, X, Y, joined, tabulate
@@ -33,8 +33,8 @@ NOISES = 6.0
 """Standard deviations of the noise that are allowed, unless a distance is asked for."""
 FEWEST = 4
 """Points."""
-FARTHEST, WIDEST = 1e8, 1e4
-"""m, the largest coordinate, and the largest distance of two points in a row."""
+WIDEST = 1e4
+"""m, the largest distance of two points in a row."""
 SHORTEST, SHORTEST_PATH = 1.0, 0.01
 """m, the shortest road that is fitted, and that points without noise may make."""
 FITS = 3
@@ -101,7 +101,7 @@ def fit_road(
     if max_deviation is not None and not 0.0 < real("fit_road", "max_deviation", max_deviation) < math.inf:
         raise InvalidInput(f"fit_road: max_deviation = {max_deviation!r}: must be a distance > 0 m.")
     kept, lap, notes = _lap(points, closed)
-    record = _Record(points[:kept], points[:kept].mean(axis=0), lap)
+    record = _Record(points[:kept], np.arange(kept), points[:kept].mean(axis=0), lap)
     if smoothest:
         found, out = _placed(record, smoothest), np.zeros(kept, dtype=bool)
     else:
@@ -110,8 +110,7 @@ def fit_road(
     if bound is None:
         bound = MAX_DEVIATION if math.isnan(found.noise) else max(MAX_DEVIATION, NOISES * found.noise)
     fit = _within(found, bound)
-    known = np.flatnonzero(~out)
-    place = np.interp(np.arange(kept), known, fit.along)
+    place = np.interp(record.rows, found.record.rows, fit.along)
     values = {
         key: (place, np.asarray(value, dtype=np.float64)[:kept])
         if isinstance(value, np.ndarray) and value.shape == (len(points),)
@@ -119,7 +118,7 @@ def fit_road(
         for key, value in along.items()
     }
     told = [] if smoothest else _bounded(found, fit, bound)
-    notes = [*notes, *_left_out(fit.road, record.points, place, out), *told, _said(fit, known)]
+    notes = [*notes, *_left_out(fit.road, record.points, place, out), *told, _said(fit, found.record.rows)]
     return replace(
         fit.road, name=name, notes=tuple(notes), deviation=fit.deviation,
         **alongs({key: _by_place(value, fit.road) for key, value in values.items()}),
@@ -170,8 +169,8 @@ def _check_distances(where: str, points: Array, shortest: float) -> None:
     row, column = np.unravel_index(np.abs(points).argmax(), points.shape)
     if abs(points[row, column]) > FARTHEST:
         raise InvalidInput(
-            f"{where}: point {row} has a coordinate of {points[row, column]:.3g} m: at most {FARTHEST:g} m are allowed; "
-            "correct it or leave it out."
+            f"{where}: point {row} has a coordinate of {points[row, column]:.3g} m: at most {FARTHEST:g} m are "
+            "allowed; correct it or leave it out."
         )
     steps = np.hypot(*np.diff(points, axis=0).T)
     widest = int(steps.argmax())
@@ -189,11 +188,10 @@ def _check_distances(where: str, points: Array, shortest: float) -> None:
         )
 
 
-def _said(fit: _Fit, known: NDArray[np.int64]) -> str:
-    wide = "" if math.isinf(fit.scale) else f"; smoothing length {fit.scale:.3g} m"
+def _said(fit: _Fit, rows: NDArray[np.int64]) -> str:
     return (
-        f"{known.size} points; largest deviation {fit.deviation:.3g} m, at point {known[fit.distances.argmax()]}; "
-        f"root mean square {math.sqrt(np.mean(fit.distances**2)):.3g} m{wide}"
+        f"{rows.size} points; largest deviation {fit.deviation:.3g} m, at point {rows[fit.distances.argmax()]}; "
+        f"root mean square {math.sqrt(np.mean(fit.distances**2)):.3g} m; smoothing length {fit.scale:.3g} m"
     )
 
 
@@ -243,6 +241,8 @@ class _Record:
 
     points: Array
     """(n, 2) m"""
+    rows: NDArray[np.int64]
+    """(n,) their numbers"""
     origin: Array
     """(2,) m, about which they are fitted: keeps digits of far places"""
     closed: bool
@@ -255,7 +255,7 @@ class _Record:
 
     def without(self, out: NDArray[np.bool_]) -> _Record:
         """The record without some of its points."""
-        return _Record(self.points[~out], self.origin, self.closed)
+        return _Record(self.points[~out], self.rows[~out], self.origin, self.closed)
 
 
 def _lap(points: Array, closed: bool | None) -> tuple[int, bool, list[str]]:
@@ -364,8 +364,7 @@ def _spikes(points: Array) -> NDArray[np.bool_]:
 
 def _calm(found: _Found, record: _Record, out: NDArray[np.bool_]) -> tuple[Array, float]:
     """(n,) m, the distances of all points from a curve that is too smooth to follow a few, and the noise about it."""
-    rows = np.arange(out.size)
-    near = np.interp(rows, rows[~out], found.smoother.places)
+    near = np.interp(record.rows, found.record.rows, found.smoother.places)
     scale = max(float(found.scales[found.best]), CALM * found.smoother.spacing)
     distances = found.smoother.curve(scale).feet(record.points - record.origin, near)[1]
     return distances, _noise(distances[~out], found.smoother.score(scale).used)
@@ -394,18 +393,16 @@ def _placed(record: _Record, smoothest: bool = False) -> _Found:
     places, length = record.first_places()
     spacing = max(length / len(points), SHORTEST_KNOTS)
     scales = np.geomspace(0.5 * spacing, max(min(0.25 * length, 5000.0), spacing), LENGTHS)
-    best: int | None = LENGTHS - 1 if smoothest else None
+    best = None
     for _ in range(FITS):
         smoother = Smoother(points, places, length, record.closed, spacing)
-        best, curve = _from(
-            smoother, scales, best if smoothest and best is not None else _least(smoother, scales, best)
-        )
+        best, curve = _from(smoother, scales, LENGTHS - 1 if smoothest else _least(smoother, scales, best))
         feet, distances = curve.feet(points, places)
         places, length = curve.arc_lengths(feet), curve.arc_length
         if not record.closed:
             places = places - places.min()
     assert best is not None
-    used = math.nan if smoothest else smoother.score(float(scales[best])).used
+    used = math.inf if smoothest else smoother.score(float(scales[best])).used
     noise = _noise(distances, used) if used < MEASURABLE * len(points) else math.nan
     smoother = Smoother(points, places, length, record.closed, spacing)
     return _Found(record, smoother, scales, best, curve, feet, distances, noise)
@@ -461,9 +458,10 @@ def _within(found: _Found, bound: float) -> _Fit:
                 fit = _fit(found.record, smoother, float(scales[k]))
                 if fit.deviation <= bound:
                     return fit
+    scatter = "" if math.isnan(found.noise) else f", which scatter by {found.noise:.2g} m"
     raise InvalidInput(
-        f"fit_road: no smooth curve stays within max_deviation = {bound:g} m of the points; one is "
-        f"{nearest:.3g} m from point {worst}: allow more, or correct the points there."
+        f"fit_road: no smooth curve stays within max_deviation = {bound:.3g} m of the points{scatter}; one is "
+        f"{nearest:.3g} m from point {found.record.rows[worst]}: allow more, or correct the points there."
     )
 
 

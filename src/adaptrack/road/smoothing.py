@@ -46,6 +46,7 @@ _TO_POWERS = (
 )
 """Coefficients of 1, p, p^2, p^3 between two knots, 0 <= p <= 1, from the four B-splines that are not zero there."""
 _THIRD_DIFFERENCE = np.array([-1.0, 3.0, -3.0, 1.0])
+_NODES: Array
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(4)
 
 
@@ -65,6 +66,10 @@ class Smoother:
         self.points, self.places, self.closed, self.spacing = points, places, closed, spacing
         self.length = length if closed else max(length, float(places.max()))
         self._system: _System | None = None
+
+    def finer(self) -> Smoother:
+        """The same with knots at half the distance."""
+        return Smoother(self.points, self.places, self.length, self.closed, 0.5 * self.spacing)
 
     def _of(self, scale: float) -> tuple[_System, Array]:
         """The equations that suit a smoothing length, and their factor."""
@@ -201,7 +206,7 @@ class Curve:
         count = len(self.powers)
         middles = self.knot * np.arange(count)[:, np.newaxis] + 0.5 * self.knot * (1.0 + _NODES)
         pace = np.hypot(*self.at(middles.ravel())[1].T).reshape(middles.shape)
-        knots = self.knot * np.arange(count + 1)
+        knots = np.linspace(0.0, self.length, count + 1)
         ends = np.hypot(*self.at(knots)[1].T)
         arc = np.concatenate([[0.0], np.cumsum(0.5 * self.knot * (pace @ _WEIGHTS))])
         return scipy.interpolate.CubicHermiteSpline(knots, arc, ends)
@@ -222,6 +227,6 @@ class Curve:
     @cached_property
     def folds(self) -> bool:
         """Whether it has a cusp, or turns as hard as only noise does."""
-        t = self.knot * (np.arange(SAMPLES * len(self.powers) + 1) / SAMPLES)
+        t = np.linspace(0.0, self.length, SAMPLES * len(self.powers) + 1)
         slope = self.at(t)[1] @ np.array([1.0, 1j])
         return bool((np.abs(np.angle(slope[1:] * np.conj(slope[:-1]))) > FOLD).any())

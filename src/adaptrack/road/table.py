@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from adaptrack.errors import InvalidInput
+from adaptrack.limits import TURNS, check_limit
 from adaptrack.road.segments import Arc, Array, Clothoid, Cubic, Line, Points, Pose, Segment, heading_integral
 
 DEGREE = 11
@@ -129,6 +130,7 @@ def _natural(segment: Line | Arc | Clothoid) -> Table:
     """Line, arc or clothoid: the heading is known, the position is the integral of its direction."""
     k0, k_end = segment.curvatures
     steepest = max(abs(k0), abs(k_end))
+    check_limit(f"{segment.kind}, {segment.length:g} m long: its turn", segment.length * steepest, TURNS)
     count = max(1, int(np.ceil(segment.length * steepest / TURN)))
     start = np.linspace(0.0, segment.length, count + 1)
     half = 0.5 * np.diff(start)
