@@ -53,6 +53,7 @@ def main() -> None:
         "projection": projection(asked.points),
         "speed": speed(),
         "records": records(),
+        "dense records": dense_records(),
         "opendrive": [opendrive(path) for path in asked.xodr],
     }
     print(json.dumps(found, indent=None if asked.json else 1))
@@ -163,6 +164,27 @@ def records() -> list[dict[str, float]]:
             "road": kind, "points": len(points), "stated (m)": fitted.deviation, "by search (m)": true,
             "from the true road, rms (m)": float(np.sqrt(np.mean(error**2))), "largest (m)": float(np.abs(error).max()),
         })  # fmt: skip
+    return rows
+
+
+def dense_records() -> list[dict[str, float]]:
+    """Points 1.3 m apart with white noise, nothing asked for: the plan and the line, the worst of five seeds."""
+    rows, car = [], load_vehicle("midsize-sedan")
+    for kind, length in (("country", 2500.0), ("lap", 2840.0)):
+        road = generate_road(kind, 1, length)
+        points = np.stack(road.at(np.arange(0.0, road.length, 1.3))[:2], axis=-1)
+        whole, checked = plan_speed(road, car).duration, road.at(np.linspace(0.005, 0.995, 4000) * road.length)
+        for noise in (0.0, 0.02, 0.05, 0.1, 0.15, 0.2, 0.5, 1.0, 2.0):
+            worst = {"plan over the road's (%)": 0.0, "line from the road's (m)": 0.0, "fit (s)": 0.0}
+            for seed in range(5):
+                record = points + noise * np.random.default_rng(seed).standard_normal(points.shape)
+                begun = time.perf_counter()
+                fitted = fit_road(record, speed_limit=road.speed_limit)
+                _raise(worst, "fit (s)", time.perf_counter() - begun)
+                slower = 100.0 * (plan_speed(fitted, car).duration / whole - 1.0)
+                _raise(worst, "plan over the road's (%)", abs(slower))
+                _raise(worst, "line from the road's (m)", np.abs(fitted.project(checked.x, checked.y).offset).max())
+            rows.append({"road": kind, "points": len(points), "noise (m)": noise, **worst})
     return rows
 
 

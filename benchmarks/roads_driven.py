@@ -68,7 +68,7 @@ def drive_all(roads: list[Road], car_name: str, profile: str, lateral: float) ->
     car, found = load_vehicle(car_name), Found()
     for number, road in enumerate(roads):
         try:
-            plan = plan_speed(road, car, Comfort(lateral=lateral))
+            plan = plan_speed(road, car, Comfort(lateral=lateral), top_speed=100.0)
         except InvalidInput as error:
             print(f"  {road.name}: {error}")
             continue

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import os
 
 # The tests run in parallel processes: one thread each in BLAS and OpenMP. Read once, when NumPy is imported.
@@ -41,6 +42,12 @@ def pytest_runtest_protocol(item: pytest.Item) -> Iterator[None]:
     """Pictures are drawn in tests marked `drawn` alone."""
     with pictures(drawn=item.get_closest_marker("drawn") is not None):
         return (yield)
+
+
+def pytest_collection_finish() -> None:
+    """What was imported until now lives on: the garbage collector need not go through it again and again."""
+    gc.collect()
+    gc.freeze()
 
 
 @pytest.fixture

@@ -241,6 +241,12 @@ def test_the_heading_goes_on_over_the_laps_of_a_closed_road():
     np.testing.assert_allclose(foot.heading - foot.heading[0], np.array([0.0, 1.0, 10.0, -3.0]) * road.turn, atol=1e-9)
 
 
+def test_the_seam_of_a_closed_road_is_its_beginning():
+    for road in (generate_road("lap", seed=seed, length=1500.0) for seed in range(4)):
+        seam = road.at([0.0, road.length, 2.0 * road.length])
+        assert road.project(seam.x, seam.y).s == pytest.approx(0.0, abs=1e-8)
+
+
 def test_past_both_ends_the_foot_is_on_the_straight_continuation():
     road = Road.from_segments([BEND])
     end = road.at(road.length)

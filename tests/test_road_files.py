@@ -167,6 +167,9 @@ def test_other_separators_and_columns_are_read_and_said(tmp_path):
         ("xx,y\n" + "1,2\n" * 5, "'x'"),
         ("x,y,x\n" + "1,2,3\n" * 5, "two of them"),
         ("x,y\n" + "1,2\n" * 5, "n >= 4"),
+        ("x,y\n1,2\n3,4\n5,1e308\n7,8\n9,9\n", "line 4 has a coordinate of 1e[+]308 m"),
+        ("x,y\n1,2\n3,4\n5,6\n7e5,8\n9,9\n", "line 4 is 7e[+]05 m from the next one"),
+        ("x,y\n" + "".join(f"{k}e-6,0\n" for k in range(60)), "are x and y in metres"),
     ],
 )
 def test_a_table_without_a_road_is_refused_with_its_line(tmp_path, text, words):
@@ -282,6 +285,10 @@ def test_parametric_cubics_and_poly3_are_the_same_curve_where_they_say_the_same(
         ("<osm/>", {}, "<osm>"),
         ("<OpenDRIVE/>", {}, "no <road>"),
         ('<OpenDRIVE><road id="a" length="1"/><road id="b" length="9"/></OpenDRIVE>', {}, r"'b' \(9 m\), 'a'"),
+        ('<OpenDRIVE><road id="a" length="abc"/><road id="b" length="9"/></OpenDRIVE>', {}, r"'b' \(9 m\), 'a'"),
+        ('<OpenDRIVE><road id="a" length="nan"/><road id="b" length="9"/></OpenDRIVE>', {}, r"'b' \(9 m\), 'a'"),
+        ('<?xml version="1.0" encoding="foo-8"?><OpenDRIVE/>', {}, "not XML: unknown encoding: foo-8"),
+        ('<?xml version="1.0" encoding="hex"?><OpenDRIVE/>', {}, "not XML: 'hex' is not a text encoding"),
         ('<OpenDRIVE><road id="a"/></OpenDRIVE>', {"road": "c"}, "no road has the id 'c'"),
         ('<OpenDRIVE><road id="a"/></OpenDRIVE>', {}, "planView"),
     ],
@@ -307,6 +314,45 @@ def test_shapes_and_lanes_that_cannot_be_read_are_named(tmp_path):
         path.write_text(text.replace(old, new, 1))
         with pytest.raises(ConfigError, match=words):
             load_road(path)
+
+
+@pytest.mark.parametrize(
+    ("shape", "length", "words"),
+    [
+        ('<paramPoly3 pRange="normalized" aU="0" bU="1e7" cU="0" dU="0" {v}/>', 100, "1e[+]07 m apart in all"),
+        ('<paramPoly3 pRange="arcLength" aU="0" bU="1" cU="1e3" dU="0" {v}/>', 100, "1e[+]07 m apart in all"),
+        ('<paramPoly3 pRange="arcLength" aU="0" bU="1" cU="0" dU="-5" {v}/>', 100, "5e[+]06 m apart in all"),
+        ('<paramPoly3 pRange="normalized" aU="0" bU="1e300" cU="0" dU="0" {v}/>', 100, "m apart in all"),
+        ('<poly3 a="0" b="0" c="0" d="1e300"/>', 100, "m apart in all"),
+        ('<arc curvature="10"/>', 2000, r"arc, 2000 m long: its turn = 20000: at most 10,000 rad"),
+        ('<spiral curvStart="-10" curvEnd="10"/>', 2000, "its turn = 20000"),
+    ],
+)
+@pytest.mark.filterwarnings("error")
+def test_shapes_without_measure_are_refused(tmp_path, shape, length, words):
+    shape = shape.format(v='aV="0" bV="0" cV="0" dV="0"')
+    (tmp_path / "a.xodr").write_text(
+        '<OpenDRIVE><road id="1" length="9"><planView><geometry s="0" x="0" y="0" hdg="0" '
+        f'length="{length}">{shape}</geometry></planView></road></OpenDRIVE>'
+    )
+    with pytest.raises(ConfigError, match=words):
+        load_road(tmp_path / "a.xodr")
+
+
+def test_the_length_of_a_cubic_is_bounded_by_its_control_points():
+    bent = {"x": (0.0, 3e5, 0.0, 0.0), "y": (0.0, 0.0, 0.0, 3e5)}
+    assert Road.from_segments([Cubic(**bent)]).length < 1e6
+    with pytest.raises(InvalidInput, match=r"at most 1e\+06 m"):
+        Cubic(**bent, end=2.0)
+
+
+def test_a_road_has_at_most_two_thousand_kilometres_and_lies_on_the_earth(tmp_path):
+    with pytest.raises(InvalidInput, match=r"length = 3e\+06: at most 2,000,000 m"):
+        Road.from_segments([Line(length=1e6)] * 3)
+    path, _ = xodr(tmp_path / "a.xodr")
+    path.write_text(path.read_text().replace('x="0.0"', 'x="1e300"', 1))
+    with pytest.raises(ConfigError, match=r"a coordinate of 1e\+300 m: at most 1e\+08 m"):
+        load_road(path)
 
 
 # -- TOML -------------------------------------------------------------------------------------------------------------
@@ -359,6 +405,18 @@ def test_an_element_may_say_where_it_begins_and_must_meet_the_one_before_it():
         Road.from_segments([Line(length=10.0), Arc(length=5.0, curvature=0.1, start=(11.0, 0.0, 0.0))])
 
 
+LINE = "elements = [{kind = 'line', length = 50.0}]\n"
+PIECE = f"""[[pieces]]
+half = {{half}}
+x = 0.0
+y = 0.0
+heading = 0.0
+along = {[0.0, 25.0] + 10 * [0.0]}
+across = {12 * [0.0]}
+turned = [0.0, {{turned}}, {", ".join(10 * ["0.0"])}]
+"""
+
+
 @pytest.mark.parametrize(
     ("text", "words"),
     [
@@ -376,6 +434,13 @@ def test_an_element_may_say_where_it_begins_and_must_meet_the_one_before_it():
         ("closed = true\n[[elements]]\nkind = 'line'\nlength = 3.0", "3 m apart at the end and the start"),
         ("max_deviation = 1.0\n[[elements]]\nkind = 'line'\nlength = 3.0", "max_deviation is for points"),
         ("points = [[0, 0], [1, 1]]", "n >= 4"),
+        (LINE + "speed_limit = 1" + "0" * 400, "speed_limit = 1000.*: must be a valid number"),
+        (LINE + "speed_limit = nan", "speed_limit = nan: must be a finite number"),
+        (LINE + "friction = {s = [0.0, nan], value = [0.9, 0.3]}", r"friction.s\[1\] = nan"),
+        ("points = [[0.0, 0.0], [1.0, nan], [2.0, 0.0], [3.0, 0.0]]", r"points\[1\]\[1\] = nan"),
+        (PIECE.format(half="1e20", turned=0.0), r"pieces\[0\].half = 1e[+]20: must be .* <= 1e[+]06"),
+        (PIECE.format(half="nan", turned=0.0), r"pieces\[0\].half = nan"),
+        (PIECE.format(half="25.0", turned="1e308"), r"pieces\[0\].turned\[1\] = 1e[+]308"),
         ("points = [", "not valid TOML"),
     ],
 )

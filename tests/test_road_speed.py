@@ -10,6 +10,7 @@ from scipy.optimize import linprog
 from scipy.sparse import csr_array, diags_array, vstack
 
 from adaptrack import cli
+from adaptrack.cli.road import RoadOptions
 from adaptrack.errors import InvalidInput
 from adaptrack.road import (
     Arc,
@@ -65,7 +66,7 @@ def test_a_circle_is_driven_at_the_speed_that_its_radius_bank_and_friction_allow
 
 def test_full_power_on_a_straight_road_gains_what_the_engine_gives():
     road = Road.from_segments([Line(length=400.0)], friction=1.2)
-    plan = plan_speed(road, CAR, Comfort(accelerate=50.0), start=10.0, spacing=0.25)
+    plan = plan_speed(road, CAR, Comfort(accelerate=50.0), start=10.0, spacing=0.25, top_speed=100.0)
     v, s = 10.0, 0.0
     while s < 400.0:  # independent: small steps of time
         force = min(CAR.traction_limit, CAR.engine_power / v)
@@ -194,6 +195,28 @@ def test_a_bank_that_no_speed_balances_is_refused_with_its_place():
         plan_speed(road, None)
 
 
+def test_a_bend_that_the_car_cannot_turn_is_blamed_and_not_a_bank():
+    with pytest.raises(InvalidInput, match=r"the radius is 0.5 m, and this car cannot turn so tightly"):
+        plan_speed(Road.from_segments([Line(length=50.0), Arc(length=1.0, curvature=2.0)]), CAR)
+
+
+@pytest.mark.parametrize("none", [None, 1000.0])
+def test_where_a_road_has_no_limit_the_domain_of_the_car_is_and_that_is_said(none):
+    road = Road.from_segments([Line(length=3000.0)], speed_limit=none)
+    top = CAR.domain.speed[1]
+    plan = plan_speed(road, CAR)
+    assert plan.speed.max() == pytest.approx(top)
+    (found,) = check_road(road, CAR, plan)
+    assert (found.kind, found.drivable, found.value) == ("domain", True, top)
+    assert "no speed limit" in found.text
+    assert plan_speed(road, None).speed.max() == pytest.approx(100.0)  # no car, no domain
+    fast = plan_speed(road, CAR, top_speed=40.0)
+    for beyond in (fast, plan_speed(road.replace(speed_limit=40.0), CAR), 40.0):  # asked for, or the road's
+        (found,) = check_road(road, CAR, beyond)
+        assert (found.kind, found.value, found.limit) == ("domain", pytest.approx(40.0, rel=1e-3), top)
+        assert "beyond the domain" in found.text
+
+
 # -- checks -----------------------------------------------------------------------------------------------------------
 def test_the_smallest_radius_is_that_of_the_steering_limit():
     car = CAR.replace(steering=Steering(limit=0.5))
@@ -284,6 +307,15 @@ def test_check_reads_a_file_and_says_how_near_its_road_comes(command, tmp_path):
     assert "largest deviation" in out
     code, out, _ = command("check", tmp_path / "lap.csv", "--open", "--json")
     assert json.loads(out)["closed"] is False
+
+
+def test_check_and_drive_say_what_shaped_the_speed(command, tmp_path, capsys):
+    (tmp_path / "road.csv").write_text("\n".join(f"{x},0" for x in range(0, 3000, 50)))
+    code, out, _ = command("check", tmp_path / "road.csv")
+    assert code == 0
+    assert "the road has no speed limit: the plan ends at 27 m/s" in " ".join(out.split())
+    RoadOptions().look(str(tmp_path / "road.csv"), CAR).warn(aside=False)  # as `drive` and `tune` do
+    assert "road: the road has no speed limit" in " ".join(capsys.readouterr().out.split())
 
 
 @pytest.mark.drawn

@@ -32,6 +32,10 @@ DURATION = Limit(100_000, "s", "a little over a day")
 PERIODS = Limit(2_000_000, "control periods", "a day at 0.05 s, 0.7 GB")
 STEPS = Limit(10_000, "steps", "5 us each in 0.05 s; a plant that needs shorter ones takes them within its step")
 
+# -- a road -----------------------------------------------------------------------------------------------------------
+ROAD_LENGTH = Limit(2_000_000, "m of road", "its speed is planned at every metre: 3 GB, and some minutes")
+TURNS = Limit(10_000, "rad", "one element; each is a piece of the road, 3 MB in all")
+
 # -- a controller -----------------------------------------------------------------------------------------------------
 PREDICTION_HORIZON = Limit(1000, "control periods", "100 s at 0.1 s; a step then takes milliseconds")
 CONTROL_HORIZON = Limit(200, "control periods", "the time of a QP grows with the cube of the number of its moves")

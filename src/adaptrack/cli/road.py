@@ -43,7 +43,11 @@ class RoadOptions:
     ] = None
     max_deviation: Annotated[
         float | None,
-        Option("--max-deviation", metavar="M", help=".csv: largest distance from a point (m); 0.5 if not given."),
+        Option(
+            "--max-deviation",
+            metavar="M",
+            help=".csv: largest distance from a point (m); if not given, as its noise asks.",
+        ),
     ] = None
     closed: Annotated[
         bool | None, Option("--closed/--open", help=".csv: whether it is a lap; by default as found.")
@@ -148,11 +152,13 @@ class Seen:
         return all(each.drivable for each in self.findings)
 
     def warn(self, aside: bool) -> None:
-        """Say what of it cannot be driven."""
+        """Say what of it cannot be driven, and what shaped its speed beside its bends."""
         for finding in self.findings:
+            where = f"(s = {finding.start:.0f} to {finding.end:.0f} m)"
             if not finding.drivable:
-                where = f"(s = {finding.start:.0f} to {finding.end:.0f} m)"
                 show.say(f"Warning, {self.road.name}: {finding.text} {where}.", aside=aside)
+            elif finding.kind in ("domain", "ripple"):
+                show.say(f"{self.road.name}: {finding.text} {where}.", aside=aside)
 
 
 def _values(seen: Seen) -> dict[str, Any]:

@@ -269,7 +269,10 @@ def nearest(x, y, yaw, across, road):
                 half, k, level = 2.0 * half, k // 2, level - 1
             if level == 0:
                 break
-    return found - math.floor(found / length) * length if road.numbers[CLOSED] > 0.5 else found
+    if road.numbers[CLOSED] < 0.5:
+        return found
+    found -= math.floor(found / length) * length
+    return 0.0 if length - found <= SAME else found  # the seam is the road's beginning
 
 
 @njit(types.void(CENTRELINE, matrix, matrix), **ROUTINE)

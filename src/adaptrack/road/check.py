@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from adaptrack.errors import InvalidInput, real
 from adaptrack.road.cornering import cornering_limit, steering_limit
 from adaptrack.road.road import Road
-from adaptrack.road.speed import SpeedPlan
+from adaptrack.road.speed import FLAT, SpeedPlan, unlimited
 from adaptrack.vehicle import GRAVITY, Vehicle
 
 SPACING = 0.5
@@ -21,7 +21,14 @@ SPACING = 0.5
 SPEAKING_JUMP = 1e-3
 """1/m, from which on a jump of curvature is told: 3 mrad at the wheels of a car."""
 
-Kind = Literal["radius", "grip", "steering-rate", "width", "fold", "jump"]
+RIPPLE, SWINGS = 0.1, 4
+"""m, to each side, up to which a line that swings is no road but noise, or half of the road's deviation if that is
+more; and how many swings of the curvature in a row."""
+SLOWED, FELT = 0.9, 0.25
+"""Times the speed that the line without ripple allows, below which a plan is slowed; and the share of what is allowed
+sideways that a swing must ask for."""
+
+Kind = Literal["radius", "grip", "steering-rate", "width", "fold", "jump", "ripple", "domain"]
 
 
 @dataclass(frozen=True)
@@ -34,7 +41,8 @@ class Finding:
     end: float
     """m"""
     value: float
-    """of the worst place: radius (m), lateral acceleration (g), steering rate (rad/s), width (m), curvature (1/m)"""
+    """of the worst place: radius (m), lateral acceleration (g), steering rate (rad/s), width (m), curvature (1/m), or
+    speed (m/s) of ripple and domain"""
     limit: float
     """what is possible"""
     text: str
@@ -70,7 +78,9 @@ def check_road(road: Road, car: Vehicle, speed: SpeedPlan | float | None = None)
     places = _Places(road, speed)
     found = [*_radius(places, car), *_width(places, car), *_fold(places), *_jumps(road, car)]
     if speed is not None:
-        found += [*_grip(places, car), *_steering_rate(places, car)]
+        found += [*_grip(places, car), *_steering_rate(places, car), *_domain(places, car)]
+    if isinstance(speed, SpeedPlan):
+        found += [*_ripple(road, speed)]
     return sorted(found, key=lambda each: (each.drivable, each.start))
 
 
@@ -83,7 +93,7 @@ class _Places:
         s = np.concatenate([even, joints[:-1], joints[1:]])
         sides = np.concatenate([np.ones(even.size), np.ones(joints.size - 1), -np.ones(joints.size - 1)])
         order = np.lexsort([sides, s])
-        self.s, self.road = s[order], road
+        self.s, self.road, self.planned = s[order], road, isinstance(speed, SpeedPlan)
         self.curvature = road.table.at(self.s, sides[order]).curvature
         self.speed = speed.at(self.s) if isinstance(speed, SpeedPlan) else np.full(s.shape, speed or 0.0, dtype=float)
 
@@ -179,6 +189,54 @@ def _jumps(road: Road, car: Vehicle) -> Iterator[Finding]:
         " which no car follows exactly; Road.smoothed rounds it",
         True,
     )  # fmt: skip
+
+
+def _domain(places: _Places, car: Vehicle) -> Iterator[Finding]:
+    """Where a car is faster than its domain, and where that ends its plan because the road has no limit."""
+    top = car.domain.speed[1]
+    beyond, held = places.speed > top * (1.0 + 1e-9), places.speed > top * (1.0 - 1e-9)
+    held &= ~beyond & places.planned & unlimited(places.road.along("speed_limit", places.s))
+    for stretch in places.stretches(beyond):
+        fastest = float(places.speed[stretch].max())
+        yield _finding(
+            places, stretch, "domain", fastest, top, True,
+            f"{fastest:.3g} m/s, beyond the domain of car {car.name!r}, which ends at {top:.3g} m/s",
+        )  # fmt: skip
+    if held.any():
+        index = np.flatnonzero(held)
+        yield _finding(
+            places, slice(int(index[0]), int(index[-1]) + 1), "domain", top, top, True,
+            f"the road has no speed limit: the plan ends at {top:.3g} m/s, with the domain of car {car.name!r}",
+        )  # fmt: skip
+
+
+def _ripple(road: Road, plan: SpeedPlan) -> Iterator[Finding]:
+    """Where the curvature swings to and fro, moves the line by no more than noise would, and slows the plan."""
+    s = np.linspace(0.0, road.length, max(2, math.ceil(road.length / SPACING)) + 1)
+    heading, curvature = road.at(s)[2:]
+    moving = np.flatnonzero(np.abs(np.diff(curvature)) > FLAT)
+    turns = moving[1:][np.diff(np.sign(np.diff(curvature)[moving])) != 0.0]  # from one extremum to the next a swing
+    if turns.size <= SWINGS:
+        return
+    half, swing, first = np.diff(s[turns]), 0.5 * np.abs(np.diff(curvature[turns])), s[turns[:-1]]
+    speed = np.minimum(plan.at(first), plan.at(s[turns[1:]]))
+    allowed = np.minimum(plan.comfort.lateral, plan.comfort.grip_share * road.along("friction", first) * GRAVITY)
+    straight = np.maximum(np.abs(np.diff(heading[turns])) / half, FLAT)
+    calm = np.minimum(np.sqrt(allowed / straight), np.minimum(road.along("speed_limit", first), plan.speed.max()))
+    felt = np.maximum(speed**2 * swing / allowed, 2.0 * speed**3 * swing / half / plan.comfort.lateral_jerk) > FELT
+    small = swing * (half / math.pi) ** 2 < max(RIPPLE, 0.5 * road.deviation)
+    rows = np.flatnonzero(small & felt & (speed < SLOWED * calm))
+    found = [row for row in np.split(rows, np.flatnonzero(np.diff(rows) > 1) + 1) if row.size >= SWINGS]
+    if found:
+        rows = np.concatenate(found)
+        worst = rows[speed[rows].argmin()]
+        yield Finding(
+            "ripple", float(first[rows[0]]), float(s[turns[rows[-1] + 1]]), float(speed[worst]), float(calm[worst]),
+            f"over {half[rows].sum():.0f} m in all the curvature swings to and fro, by up to {swing[rows].max():.2g} "
+            f"1/m, but moves the line by no more than noise moves points; it slows the plan, to {speed[worst]:.3g} m/s "
+            f"at s = {first[worst]:.0f} m. Fit the points without max_deviation, or smooth the road (Road.smoothed)",
+            True,
+        )  # fmt: skip
 
 
 def _finding(

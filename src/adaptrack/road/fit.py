@@ -1,65 +1,71 @@
 """A smooth road through or near recorded points: a penalised cubic spline, its largest deviation stated and bounded.
 
-The curve c(t) = sum_j a_j B_j(t) (cubic B-splines on even knots) minimises
-
-    sum_i |p_i - c(t_i)|^2 + (l/2 pi)^6/spacing * integral of |c'''(t)|^2 dt,
-
-so that what is shorter than the smoothing length l counts as noise; c''' vanishes on parabolas, hence nearly on lines
-and wide arcs, and clothoids pay little (P-splines: P. Eilers and B. Marx, *Flexible smoothing with B-splines and
-penalties*, Statistical Science 11 (1996); the penalty is on third differences). l is found by generalised
-cross-validation with the count of parameters taken 1.4 times, which seldom takes noise for road (Y.-J. Kim and C. Gu,
-Journal of the Royal Statistical Society B 66 (2004)), and then made shorter until no point is farther from the curve
-than allowed. The t_i are the arc lengths of the points' feet on the curve, found by fitting more than once.
+The smoothing length (`smoothing`) is found by generalised cross-validation with the count of parameters taken 1.4
+times, which seldom takes noise for road (Y.-J. Kim and C. Gu, Journal of the Royal Statistical Society B 66 (2004)).
+The noise is then what is left, by its median, of which a few outliers are no part. The smoothing length is made shorter
+until no point is farther from the curve than allowed: by the caller, or as noise may take it. The places of the points
+are the arc lengths of their feet on the curve, found by fitting more than once.
 """
 
 from __future__ import annotations
 
 import contextlib
+import itertools
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 import scipy  # loads its parts when they are first used
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from adaptrack.arguments import reals
 from adaptrack.errors import InvalidInput, real
 from adaptrack.road.projection import feet_near
-from adaptrack.road.road import Road, alongs
-from adaptrack.road.segments import Array, Cubic, Pose, Segment
-from adaptrack.road.table import Table, joined, placed, tabulate
+from adaptrack.road.road import FARTHEST, Road, alongs
+from adaptrack.road.segments import Array, Cubic
+from adaptrack.road.smoothing import Curve, Smoother
+from adaptrack.road.table import Table, X, Y, joined, tabulate
 
 MAX_DEVIATION = 0.5
-"""m, allowed unless another is asked for."""
+"""m, allowed at least unless another is asked for."""
+NOISES = 6.0
+"""Standard deviations of the noise that are allowed, unless a distance is asked for."""
 FEWEST = 4
 """Points."""
+WIDEST = 1e4
+"""m, the largest distance of two points in a row."""
+SHORTEST, SHORTEST_PATH = 1.0, 0.01
+"""m, the shortest road that is fitted, and that points without noise may make."""
 FITS = 3
 """How often the points find their places along the curve anew."""
 SHORTEST_KNOTS = 0.5
 """m, the least distance of the knots to begin with: denser points are averaged by the fit."""
 REFINEMENTS = 3
 """How often the knots are put at half the distance when the curve cannot come as near as asked."""
-LENGTHS = 28
-"""Smoothing lengths that cross-validation compares."""
-CAUTION = 1.4
-"""Factor on the number of parameters in cross-validation."""
-EXACT_TRACE = 500
-"""Up to so many parameters their number in use is computed exactly, else from random signs."""
-PROBES = 24
-"""Random signs, per point, of that estimate."""
-
-_TO_POWERS = (
-    np.array([[1.0, 4.0, 1.0, 0.0], [-3.0, 0.0, 3.0, 0.0], [3.0, -6.0, 3.0, 0.0], [-1.0, 3.0, -3.0, 1.0]]) / 6.0
-)
-"""Coefficients of 1, p, p^2, p^3 between two knots, 0 <= p <= 1, from the four B-splines that are not zero there."""
+LENGTHS, COARSE = 28, 3
+"""Smoothing lengths that cross-validation compares, and the step in which it begins to."""
+ROUNDS = 3
+"""How often outliers are looked for."""
+LEAP = 3.0
+"""Times the usual step, to points off the road; and times the way past them, there and back."""
+CALM = 6.0
+"""Steps, the shortest smoothing length of a curve that does not follow outliers."""
+MEASURABLE = 1.0 / 3.0
+"""Parameters for each point, up to which what is left of the points is their noise."""
+IN_A_ROW, SHARE = 5, 0.02
+"""The most outliers in a row, and of all points."""
+BESIDE, MET = 2, 4.0
+"""Points on each side of outliers that the curve without these must meet, within so many standard deviations."""
+TOLD = 5
+"""Outliers that are named."""
 
 
 def fit_road(
     points: ArrayLike,
     *,
-    max_deviation: float = MAX_DEVIATION,
+    max_deviation: float | None = None,
     closed: bool | None = None,
     smoothest: bool = False,
     name: str = "points",
@@ -71,8 +77,9 @@ def fit_road(
     ----------
     points : (n, 2) array
         x, y in m. Where the record goes on beyond its start, the rest is left out.
-    max_deviation : float
-        m, the largest distance of a point from the curve that is allowed, > 0.
+    max_deviation : float, optional
+        m, the largest distance of a point from the curve that is allowed, > 0. By default six standard deviations of
+        the noise that is found, 0.5 m at least; outliers, a few points farther off than that, are then left out.
     closed : bool, optional
         Whether the road is a lap; by default so when the record comes back to its start in the same direction.
     smoothest : bool
@@ -83,32 +90,39 @@ def fit_road(
     Returns
     -------
     Road
-        `deviation` is its largest distance (m) from a point; `notes` say where, and what was left out.
+        `deviation` is its largest distance (m) from a point that is not left out; `notes` say where, what was left
+        out, and where a bound and not the noise chose the smoothing length.
 
     Raises
     ------
     InvalidInput
-        When points are too few, not finite or all the same, or no curve comes as near as asked.
+        When points are too few, not finite, all the same or too far apart, or no curve comes as near as asked.
     """
-    points = _checked("fit_road", points)
-    if not 0.0 < real("fit_road", "max_deviation", max_deviation) < math.inf:
+    points = _checked("fit_road", points, SHORTEST)
+    if max_deviation is not None and not 0.0 < real("fit_road", "max_deviation", max_deviation) < math.inf:
         raise InvalidInput(f"fit_road: max_deviation = {max_deviation!r}: must be a distance > 0 m.")
     kept, lap, notes = _lap(points, closed)
-    origin = points[:kept].mean(axis=0)
-    record = _Record(points[:kept] - origin, lap)
-    curve, length = _chosen(record, max_deviation, smoothest)
-    notes = [*notes, _said(curve, length, kept)]
+    record = _Record(points[:kept], np.arange(kept), points[:kept].mean(axis=0), lap)
+    if smoothest:
+        found, out = _placed(record, smoothest), np.zeros(kept, dtype=bool)
+    else:
+        found, out = _cross_validated(record, max_deviation is None)
+    bound = max_deviation
+    if bound is None:
+        bound = MAX_DEVIATION if math.isnan(found.noise) else max(MAX_DEVIATION, NOISES * found.noise)
+    fit = _within(found, bound)
+    place = np.interp(record.rows, found.record.rows, fit.along)
     values = {
-        key: (curve.along, np.asarray(value, dtype=np.float64)[:kept])
+        key: (place, np.asarray(value, dtype=np.float64)[:kept])
         if isinstance(value, np.ndarray) and value.shape == (len(points),)
         else value
         for key, value in along.items()
     }
-    moved = Pose(float(origin[0]), float(origin[1]), 0.0)
-    return Road(
-        name=name, table=placed(curve.road.table, moved), closed=lap, notes=tuple(notes), deviation=curve.deviation,
-        elements=tuple(_moved(element, moved) for element in curve.road.elements),
-        **alongs({key: _by_place(value, curve.road) for key, value in values.items()}),
+    told = [] if smoothest else _bounded(found, fit, bound)
+    notes = [*notes, *_left_out(fit.road, record.points, place, out), *told, _said(fit, found.record.rows)]
+    return replace(
+        fit.road, name=name, notes=tuple(notes), deviation=fit.deviation,
+        **alongs({key: _by_place(value, fit.road) for key, value in values.items()}),
     )  # fmt: skip
 
 
@@ -129,7 +143,7 @@ def road_through(points: ArrayLike, *, closed: bool = False, name: str = "points
     InvalidInput
         When points are too few, not finite, alike in a row, or fold back on themselves.
     """
-    points = _checked("road_through", points)
+    points = _checked("road_through", points, SHORTEST_PATH)
     ring = np.concatenate([points, points[:1]]) if closed else points
     steps = np.hypot(*np.diff(ring, axis=0).T)
     if not steps.min() > 0.0:
@@ -137,32 +151,71 @@ def road_through(points: ArrayLike, *, closed: bool = False, name: str = "points
     places = np.concatenate([[0.0], np.cumsum(steps)])
     spline = scipy.interpolate.CubicSpline(places, ring, bc_type="periodic" if closed else "not-a-knot")
     powers = spline.c[::-1].transpose(1, 2, 0) * steps[:, np.newaxis, np.newaxis] ** np.arange(4)
-    cubics = _in_a_row(powers)
-    return Road(name=name, table=_laid(cubics), closed=closed, elements=cubics, **alongs(along))
+    return replace(_road(powers, closed), name=name, **alongs(along))
 
 
-def _checked(where: str, points: ArrayLike) -> Array:
+def _checked(where: str, points: ArrayLike, shortest: float) -> Array:
     points = reals(f"{where}: points", points).copy()
     if points.ndim != 2 or points.shape[1] != 2 or len(points) < FEWEST:
         raise InvalidInput(f"{where}: points have shape {points.shape}; give (n, 2) with n >= {FEWEST}, x and y in m.")
     if not np.isfinite(points).all():
         row = int(np.argwhere(~np.isfinite(points))[0, 0])
         raise InvalidInput(f"{where}: point {row} is not finite; leave it out.")
+    _check_distances(where, points, shortest)
     return points
 
 
-def _moved(element: Segment, by: Pose) -> Segment:
-    assert element.start is not None
-    x, y, heading = element.start
-    return element.replace(start=(by.x + x, by.y + y, heading))
+def _check_distances(where: str, points: Array, shortest: float) -> None:
+    """Refuse what is no record of a road in metres."""
+    row, column = np.unravel_index(np.abs(points).argmax(), points.shape)
+    if abs(points[row, column]) > FARTHEST:
+        raise InvalidInput(
+            f"{where}: point {row} has a coordinate of {points[row, column]:.3g} m: at most {FARTHEST:g} m are "
+            "allowed; correct it or leave it out."
+        )
+    steps = np.hypot(*np.diff(points, axis=0).T)
+    widest = int(steps.argmax())
+    if steps[widest] > WIDEST:
+        raise InvalidInput(
+            f"{where}: point {widest} is {steps[widest]:.3g} m from the next one: at most {WIDEST:g} m are allowed; "
+            "correct or leave out the one that is wrong."
+        )
+    if not steps[widest] > 0.0:
+        raise InvalidInput(f"{where}: all points are the same; give a road with a length.")
+    if steps.sum() < shortest:
+        raise InvalidInput(
+            f"{where}: the points make a line of {steps.sum():.3g} m: {shortest:g} m at least are needed; are x and y "
+            "in metres?"
+        )
 
 
-def _said(curve: _Fit, length: float, kept: int) -> str:
-    wide = "" if math.isinf(length) else f"; smoothing length {length:.3g} m"
+def _said(fit: _Fit, rows: NDArray[np.int64]) -> str:
     return (
-        f"{kept} points; largest deviation {curve.deviation:.3g} m, at point {curve.worst}; "
-        f"root mean square {curve.rms:.3g} m{wide}"
+        f"{rows.size} points; largest deviation {fit.deviation:.3g} m, at point {rows[fit.distances.argmax()]}; "
+        f"root mean square {math.sqrt(np.mean(fit.distances**2)):.3g} m; smoothing length {fit.scale:.3g} m"
     )
+
+
+def _bounded(found: _Found, fit: _Fit, bound: float) -> list[str]:
+    """What there is to say where the bound and not the noise chose the smoothing length."""
+    wanted = float(found.scales[found.best])
+    if fit.scale >= wanted:
+        return []
+    noise = "" if math.isnan(found.noise) else f" of {found.noise:.2g} m"
+    return [
+        f"the bound of {bound:.3g} m on the deviation, not the noise{noise}, chose the smoothing length; without it "
+        f"that is {wanted:.3g} m, up to {found.distances.max():.3g} m from a point"
+    ]
+
+
+def _left_out(road: Road, points: Array, place: Array, out: NDArray[np.bool_]) -> list[str]:
+    """What there is to say of outliers."""
+    rows = np.flatnonzero(out)
+    foot = road.at(place[rows])
+    away = np.hypot(foot.x - points[rows, 0], foot.y - points[rows, 1])
+    named = [f"at point {row} ({far:.3g} m)" for row, far in zip(rows[:TOLD], away[:TOLD], strict=True)]
+    more = [f"{rows.size - TOLD} more"] if rows.size > TOLD else []
+    return [f"{rows.size} of {out.size} points left out as outliers: {', '.join(named + more)}"] if named else []
 
 
 def _by_place(value: Any, road: Road) -> Any:
@@ -185,10 +238,14 @@ def _by_place(value: Any, road: Road) -> Any:
 # -- the record -------------------------------------------------------------------------------------------------------
 @dataclass(frozen=True)
 class _Record:
-    """Points in the order in which they are driven, about the origin."""
+    """Points in the order in which they are driven."""
 
     points: Array
     """(n, 2) m"""
+    rows: NDArray[np.int64]
+    """(n,) their numbers"""
+    origin: Array
+    """(2,) m, about which they are fitted: keeps digits of far places"""
     closed: bool
 
     def first_places(self) -> tuple[Array, float]:
@@ -196,6 +253,10 @@ class _Record:
         steps = np.hypot(*np.diff(self.points, axis=0, append=self.points[:1]).T)
         places = np.concatenate([[0.0], np.cumsum(steps)])
         return places[:-1], float(places[-1] if self.closed else places[-2])
+
+    def without(self, out: NDArray[np.bool_]) -> _Record:
+        """The record without some of its points."""
+        return _Record(self.points[~out], self.rows[~out], self.origin, self.closed)
 
 
 def _lap(points: Array, closed: bool | None) -> tuple[int, bool, list[str]]:
@@ -206,8 +267,6 @@ def _lap(points: Array, closed: bool | None) -> tuple[int, bool, list[str]]:
     """
     steps = np.diff(points, axis=0)
     lengths = np.hypot(steps[:, 0], steps[:, 1])
-    if not lengths.max() > 0.0:
-        raise InvalidInput("fit_road: all points are the same; give a road with a length.")
     usual = float(np.median(lengths[lengths > 1e-3 * lengths.max()]))
     near = max(2.0 * usual, 3.0)
     whole = np.concatenate([[0.0], np.cumsum(lengths)])
@@ -238,170 +297,209 @@ def _lap(points: Array, closed: bool | None) -> tuple[int, bool, list[str]]:
 
 # -- the fit ----------------------------------------------------------------------------------------------------------
 @dataclass(frozen=True)
+class _Found:
+    """A curve near a record, of the smoothing length that its noise asks for."""
+
+    record: _Record
+    smoother: Smoother
+    """with the points at their feet"""
+    scales: Array
+    """m, smoothing lengths, increasing"""
+    best: int
+    curve: Curve
+    places: Array
+    """(n,) m, of the feet, in the parameter of the curve"""
+    distances: Array
+    """(n,) m"""
+    noise: float
+    """m, standard deviation of the points across the curve, whatever a few of them do; NaN where it cannot be told"""
+
+
+@dataclass(frozen=True)
 class _Fit:
-    """A road near a record, and how near."""
+    """A road near a record."""
 
     road: Road
     along: Array
     """(n,) m, arc length of each point's foot"""
-    deviation: float
-    """m"""
-    worst: int
-    rms: float
-    """m"""
+    distances: Array
+    """(n,) m"""
+    scale: float
+    """m, the smoothing length"""
+
+    @property
+    def deviation(self) -> float:
+        """m"""
+        return float(self.distances.max())
 
 
-def _chosen(record: _Record, bound: float, smoothest: bool) -> tuple[_Fit, float]:
-    """The fit by cross-validation, less smooth where the bound asks for it; and its smoothing length (m)."""
+def _cross_validated(record: _Record, robust: bool) -> tuple[_Found, NDArray[np.bool_]]:
+    """The curve that cross-validation chooses, and which points it leaves out where it is to be robust."""
+    none = np.zeros(len(record.points), dtype=bool)
+    out = _spikes(record.points) if robust else none
+    found = _placed(record.without(out))
+    if not robust:
+        return found, out
+    for _ in range(ROUNDS):
+        distances, noise = _calm(found, record, out)
+        far = distances > max(MAX_DEVIATION, NOISES * noise)
+        if (far == out).all() or far.mean() > SHARE:
+            break
+        out = far
+        found = _placed(record.without(out))
+    lonely = _lonely(out, *_calm(found, record, out))
+    return (found if (lonely == out).all() else _placed(record.without(lonely))), lonely
+
+
+def _spikes(points: Array) -> NDArray[np.bool_]:
+    """Short rows of points to which the record leaps, and from which it leaps back."""
+    out = np.zeros(len(points), dtype=bool)
+    steps = np.hypot(*np.diff(points, axis=0).T)
+    leaps = np.flatnonzero(steps > LEAP * scipy.ndimage.median_filter(steps, 4 * IN_A_ROW + 1, mode="nearest"))
+    for there, back in itertools.pairwise(leaps):
+        bridge = math.dist(points[there], points[back + 1])
+        if back - there <= IN_A_ROW and LEAP * bridge < steps[there : back + 1].sum():
+            out[there + 1 : back + 1] = True
+    return out
+
+
+def _calm(found: _Found, record: _Record, out: NDArray[np.bool_]) -> tuple[Array, float]:
+    """(n,) m, the distances of all points from a curve that is too smooth to follow a few, and the noise about it."""
+    near = np.interp(record.rows, found.record.rows, found.smoother.places)
+    scale = max(float(found.scales[found.best]), CALM * found.smoother.spacing)
+    distances = found.smoother.curve(scale).feet(record.points - record.origin, near)[1]
+    return distances, _noise(distances[~out], found.smoother.score(scale).used)
+
+
+def _noise(distances: Array, used: float) -> float:
+    """The standard deviation (m) of points about a curve, from the median of their distances."""
+    return 1.4826 * float(np.median(distances)) / math.sqrt(max(1.0 - used / distances.size, 0.1))
+
+
+def _lonely(out: NDArray[np.bool_], distances: Array, noise: float) -> NDArray[np.bool_]:
+    """Those in short rows whose neighbours lie on the curve: not the points of a bend that it cuts."""
+    lonely = np.zeros_like(out)
+    rows = np.flatnonzero(out)
+    for row in np.split(rows, np.flatnonzero(np.diff(rows) > 1) + 1):
+        if 0 < row.size <= IN_A_ROW:
+            beside = np.arange(max(row[0] - BESIDE, 0), min(row[-1] + BESIDE + 1, out.size))
+            beside = beside[~out[beside]]
+            lonely[row] = (distances[beside] <= MET * max(noise, MAX_DEVIATION / NOISES)).all()
+    return lonely
+
+
+def _placed(record: _Record, smoothest: bool = False) -> _Found:
+    """The smoothing length and the places of the points, one found from the other."""
+    points = record.points - record.origin
     places, length = record.first_places()
-    nearest: _Fit | None = None
-    for refinement in range(REFINEMENTS + 1):
-        spacing = max(length / len(record.points), SHORTEST_KNOTS) / 2.0**refinement
-        scales = np.geomspace(0.5 * spacing, max(min(0.25 * length, 5000.0), spacing), LENGTHS)
-        for _ in range(FITS):
-            system = _System(record, places, length, spacing)
-            best = LENGTHS - 1 if smoothest else int(np.argmin([system.score(scale) for scale in scales]))
-            best, found = _from(system, scales, best)
-            places, length = _kept_in_order(found, record), found.road.length
-        if not refinement or found.deviation < nearest.deviation:  # type: ignore[union-attr]
-            nearest = found
-        system = _System(record, places, length, spacing)
-        kept = _bisected(system, scales, best, bound)
-        if kept is not None:
-            return kept
-    assert nearest is not None
-    raise InvalidInput(
-        f"fit_road: no smooth curve stays within max_deviation = {bound:g} m of the points; one is "
-        f"{nearest.deviation:.3g} m from point {nearest.worst}: allow more, or correct the points there."
-    )
+    spacing = max(length / len(points), SHORTEST_KNOTS)
+    scales = np.geomspace(0.5 * spacing, max(min(0.25 * length, 5000.0), spacing), LENGTHS)
+    best = None
+    for _ in range(FITS):
+        smoother = Smoother(points, places, length, record.closed, spacing)
+        best, curve = _from(smoother, scales, LENGTHS - 1 if smoothest else _least(smoother, scales, best))
+        feet, distances = curve.feet(points, places)
+        places, length = curve.arc_lengths(feet), curve.arc_length
+        if not record.closed:
+            places = places - places.min()
+    assert best is not None
+    used = math.inf if smoothest else smoother.score(float(scales[best])).used
+    noise = _noise(distances, used) if used < MEASURABLE * len(points) else math.nan
+    smoother = Smoother(points, places, length, record.closed, spacing)
+    return _Found(record, smoother, scales, best, curve, feet, distances, noise)
 
 
-def _from(system: _System, scales: Array, first: int) -> tuple[int, _Fit]:
-    """The fit of a smoothing length, or of the next longer one whose curve has no cusp."""
+def _least(smoother: Smoother, scales: Array, start: int | None) -> int:
+    """The smoothing length with the least score, downhill from one, or from the least of a few."""
+    scores: dict[int, float] = {}
+
+    def score(k: int) -> float:
+        if k not in scores:
+            scores[k] = smoother.score(float(scales[k])).value
+        return scores[k]
+
+    best = min(range(0, LENGTHS, COARSE), key=score) if start is None else start
+    while True:
+        near = min(range(max(best - 1, 0), min(best + 2, LENGTHS)), key=score)
+        if score(near) == score(best):
+            return best
+        best = near
+
+
+def _from(smoother: Smoother, scales: Array, first: int) -> tuple[int, Curve]:
+    """The curve of a smoothing length, or of the next longer one that does not fold."""
     for k in range(first, LENGTHS):
-        with contextlib.suppress(InvalidInput):
-            return k, system.fit(scales[k])
+        curve = smoother.curve(float(scales[k]))
+        if not curve.folds:
+            return k, curve
     raise InvalidInput("fit_road: the points fold back on themselves: give them in the order in which they are driven.")
 
 
-def _bisected(system: _System, scales: Array, best: int, bound: float) -> tuple[_Fit, float] | None:
-    """The fit of the longest smoothing length up to `best` that keeps the bound, and that length; None without one."""
-    low, high, middle, kept = -1, best + 1, best, None
-    while high - low > 1:
-        try:
-            found = system.fit(scales[middle])
-            keeps = found.deviation <= bound
-        except InvalidInput:  # a cusp
-            keeps = False
-        if keeps:
-            low, kept = middle, (found, float(scales[middle]))
-        else:
-            high = middle
-        middle = (low + high) // 2
-    return kept
-
-
-def _kept_in_order(found: _Fit, record: _Record) -> Array:
-    """The places of the points for the next fit."""
-    places = found.along - (0.0 if record.closed else found.along.min())
-    return np.clip(places, 0.0, None) if not record.closed else places
-
-
-class _System:
-    """The normal equations of a record at given places, for any smoothing length."""
-
-    def __init__(self, record: _Record, places: Array, length: float, spacing: float) -> None:
-        self.record, self.length = record, max(length, float(places.max())) if not record.closed else length
-        self.count = max(4, math.ceil(self.length / spacing))
-        self.knot = self.length / self.count
-        self.places = np.mod(places, self.length) if record.closed else places
-        knots = self.knot * np.arange(-3, self.count + 4)
-        self.knots = knots
-        inside = np.clip(self.places, 0.0, self.length * (1.0 - 1e-15))
-        basis = scipy.sparse.csr_array(scipy.interpolate.BSpline.design_matrix(inside, knots, 3))
-        self.size = self.count if record.closed else self.count + 3
-        self.basis = scipy.sparse.csc_array(basis @ self._wrap()) if record.closed else scipy.sparse.csc_array(basis)
-        differences = _third_differences(self.count + 3)
-        if record.closed:
-            wrapped = self._wrap()
-            differences = scipy.sparse.csr_array(differences @ wrapped)
-        self.rough = scipy.sparse.csc_array(differences.T @ differences) / self.knot**5
-        self.normal = scipy.sparse.csc_array(self.basis.T @ self.basis)
-        self.right = self.basis.T @ record.points
-        self.spacing = self.length / len(record.points)
-
-    def _wrap(self) -> scipy.sparse.csr_array:
-        """Coefficients of all B-splines from those of one lap."""
-        n = self.count + 3
-        rows = np.arange(n)
-        return scipy.sparse.csr_array((np.ones(n), (rows, rows % self.count)), shape=(n, self.count))
-
-    def _factor(self, scale: float) -> Any:
-        from scipy.sparse.linalg import splu
-
-        weight = (scale / (2.0 * math.pi)) ** 6 / self.spacing
-        tiny = 1e-12 * scipy.sparse.diags_array(np.ones(self.size))  # knots between which no point lies
-        return splu(scipy.sparse.csc_array(self.normal + weight * self.rough + tiny))
-
-    def score(self, scale: float) -> float:
-        """Generalised cross-validation: n RSS/(n - 1.4 trace)^2."""
-        factor = self._factor(scale)
-        n = len(self.record.points)
-        residual = self.record.points - self.basis @ factor.solve(self.right)
-        used = self._trace(factor)
-        left = n - CAUTION * used
-        return n * float((residual**2).sum()) / left**2 if left > 0.0 else math.inf
-
-    def _trace(self, factor: Any) -> float:
-        """How many parameters the fit uses: the trace of its hat matrix."""
-        if self.size <= EXACT_TRACE:
-            return float(np.trace(factor.solve(self.normal.toarray())))
-        signs = np.random.default_rng(1).choice([-1.0, 1.0], (self.basis.shape[0], PROBES))
-        return float((signs * (self.basis @ factor.solve(self.basis.T @ signs))).sum() / PROBES)
-
-    def fit(self, scale: float) -> _Fit:
-        """The road of a smoothing length, and how near it comes."""
-        coefficients = self._factor(scale).solve(self.right)
-        if self.record.closed:
-            coefficients = coefficients[np.arange(self.count + 3) % self.count]
-        cubics = self._cubics(coefficients)
-        road = Road(name="fit", table=_laid(cubics), closed=self.record.closed, elements=cubics)
-        return _measured(road, self.record, self.places * (road.length / self.length))
-
-    def _cubics(self, coefficients: Array) -> tuple[Cubic, ...]:
-        """The spline as a row of cubics, each in a frame at its own start: their coefficients then keep all digits."""
-        corners = np.stack([coefficients[k : k + self.count] for k in range(4)])
-        powers = np.einsum("ij,jkl->kli", _TO_POWERS, corners)
-        return _in_a_row(powers)
-
-
-def _in_a_row(powers: Array) -> tuple[Cubic, ...]:
-    """Cubics from their coefficients (n, 2, 4), each in a frame at its own start."""
-    start = powers[:, :, 0].tolist()
-    powers[:, :, 0] = 0.0
-    return tuple(
-        Cubic(x=tuple(x), y=tuple(y), start=(*origin, 0.0))
-        for (x, y), origin in zip(powers.tolist(), start, strict=True)
+def _within(found: _Found, bound: float) -> _Fit:
+    """The road of the longest smoothing length, up to the one that the noise asks for, that keeps a bound."""
+    smoother, scales, best = found.smoother, found.scales, found.best
+    nearest, worst = float(found.distances.max()), int(found.distances.argmax())
+    for refinement in range(REFINEMENTS + 1):
+        if refinement:
+            wanted = scales[best]
+            smoother = Smoother(
+                smoother.points, smoother.places, smoother.length, smoother.closed, smoother.spacing / 2.0
+            )
+            scales = np.geomspace(0.5 * smoother.spacing, scales[-1], LENGTHS)
+            best = int(np.searchsorted(scales, wanted, "right")) - 1
+        low, high, middle = -1, best + 1, best
+        while high - low > 1:
+            away = _distances(smoother, float(scales[middle]))
+            if away.max() < nearest:
+                nearest, worst = float(away.max()), int(away.argmax())
+            low, high = (middle, high) if away.max() <= bound else (low, middle)
+            middle = (low + high) // 2
+        for k in range(low, max(low - 3, -1), -1):
+            with contextlib.suppress(InvalidInput):  # a cusp
+                fit = _fit(found.record, smoother, float(scales[k]))
+                if fit.deviation <= bound:
+                    return fit
+    scatter = "" if math.isnan(found.noise) else f", which scatter by {found.noise:.2g} m"
+    raise InvalidInput(
+        f"fit_road: no smooth curve stays within max_deviation = {bound:.3g} m of the points{scatter}; one is "
+        f"{nearest:.3g} m from point {found.record.rows[worst]}: allow more, or correct the points there."
     )
 
 
-def _laid(cubics: Sequence[Cubic]) -> Table:
-    """The table of cubics where they lie."""
-    return joined([placed(table, cubic.pose or Pose()) for table, cubic in zip(tabulate(cubics), cubics, strict=True)])
+def _distances(smoother: Smoother, scale: float) -> Array:
+    """(n,) m, of the points from the curve of a smoothing length; infinite where that folds."""
+    curve = smoother.curve(scale)
+    if curve.folds:
+        return np.full(len(smoother.points), np.inf)
+    return curve.feet(smoother.points, smoother.places)[1]
 
 
-def _third_differences(n: int) -> scipy.sparse.csr_array:
-    """(n - 3, n)."""
-    stencil = [-1.0, 3.0, -3.0, 1.0]
-    return scipy.sparse.csr_array(scipy.sparse.diags_array(stencil, offsets=[0, 1, 2, 3], shape=(n - 3, n)))
-
-
-def _measured(road: Road, record: _Record, near: Array) -> _Fit:
-    """How far the points are from the road: from their feet near these arc lengths; ends are ends."""
+def _fit(record: _Record, smoother: Smoother, scale: float) -> _Fit:
+    """The road of a smoothing length, and how far the points are from it: from their feet; ends are ends."""
+    curve = smoother.curve(scale)
+    near = curve.arc_lengths(curve.feet(smoother.points, smoother.places)[0])
+    curve.powers[:, :, 0] += record.origin
+    road = _road(curve.powers, record.closed)
     x, y = record.points.T
     feet = feet_near(road, x, y, near).s
-    inside = feet if record.closed else np.clip(feet, 0.0, road.length)
-    foot = road.at(inside)
-    away = np.hypot(foot.x - x, foot.y - y)
-    worst = int(away.argmax())
-    return _Fit(road, feet, float(away[worst]), worst, float(np.sqrt(np.mean(away**2))))
+    foot = road.at(feet if record.closed else np.clip(feet, 0.0, road.length))
+    return _Fit(road, feet, np.hypot(foot.x - x, foot.y - y), scale)
+
+
+def _road(powers: Array, closed: bool) -> Road:
+    """The road of cubics, (n, 2, 4), each in a frame at its own start: their coefficients then keep all digits."""
+    start = powers[:, :, 0].copy()
+    powers[:, :, 0] = 0.0
+    cubics = tuple(
+        Cubic(x=tuple(x), y=tuple(y), start=(*origin, 0.0))
+        for (x, y), origin in zip(powers.tolist(), start.tolist(), strict=True)
+    )
+    return Road(name="points", table=_laid(cubics, start), closed=closed, elements=cubics)
+
+
+def _laid(cubics: Sequence[Cubic], start: Array) -> Table:
+    """The table of cubics that start at places (n, 2)."""
+    tables = tabulate(cubics)
+    table = joined(tables)
+    table.pieces[:, [X, Y]] += np.repeat(start, [len(each.pieces) for each in tables], axis=0)
+    return table

@@ -17,7 +17,7 @@ from xml.etree import ElementTree
 import numpy as np
 
 from adaptrack.errors import ConfigError, InvalidInput, did_you_mean
-from adaptrack.files import printable, read_bytes
+from adaptrack.files import is_number, printable, read_bytes
 from adaptrack.road.along import Along
 from adaptrack.road.road import GAP, KINK, Road, alongs
 from adaptrack.road.segments import Arc, Array, Clothoid, Cubic, Line, Pose, Segment
@@ -75,7 +75,7 @@ def read_opendrive(
 def _root(where: str, content: bytes) -> Element:
     try:
         root = ElementTree.fromstring(content)
-    except (ElementTree.ParseError, ValueError) as error:
+    except (ElementTree.ParseError, ValueError, LookupError) as error:  # LookupError: an encoding that nobody knows
         raise ConfigError(f"{where}: not XML: {error}.") from error
     for element in root.iter():  # files of version 1.6 on may name their namespace
         element.tag = str(element.tag).rpartition("}")[2]
@@ -90,13 +90,21 @@ def _road(where: str, root: Element, wanted: str | int | None) -> Element:
         raise ConfigError(f"{where}: there is no <road> in it.")
     if wanted is None:
         if len(roads) > 1:
-            longest = sorted(roads, key=lambda name: -float(roads[name].get("length", "0") or 0.0))[:8]
-            told = ", ".join(f"{printable(name)!r} ({float(roads[name].get('length', '0')):.0f} m)" for name in longest)
+            stated = {name: _stated_length(element) for name, element in roads.items()}
+            longest = sorted(stated, key=lambda name: -stated[name])[:8]
+            told = ", ".join(f"{printable(name)!r} ({stated[name]:.0f} m)" for name in longest)
             raise ConfigError(f"{where}: {len(roads)} roads; say which one by its id. The longest: {told}.")
         return next(iter(roads.values()))
     if str(wanted) not in roads:
         raise ConfigError(f"{where}: no road has the id {str(wanted)!r}. {did_you_mean(str(wanted), roads)}")
     return roads[str(wanted)]
+
+
+def _stated_length(element: Element) -> float:
+    """m; 0 where a road does not say it as a number."""
+    text = element.get("length", "")
+    length = float(text) if is_number(text) else 0.0
+    return length if math.isfinite(length) else 0.0
 
 
 def _read(where: str, element: Element, lane: int | None, along: dict[str, Any]) -> Road:
@@ -191,10 +199,11 @@ def _poly3(where: str, kind: Element, length: float) -> Segment:
     for _ in range(50):
         panels = np.linspace(0.0, end, 33)
         u = 0.5 * (panels[:-1] + panels[1:])[:, np.newaxis] + 0.5 * (end / 32.0) * nodes
-        arc = 0.5 * (end / 32.0) * float((np.hypot(1.0, b + u * (2.0 * c + 3.0 * d * u)) @ weights).sum())
+        with np.errstate(over="ignore", invalid="ignore"):  # such a cubic is refused
+            arc = 0.5 * (end / 32.0) * float((np.hypot(1.0, b + u * (2.0 * c + 3.0 * d * u)) @ weights).sum())
         step = (length - arc) / math.hypot(1.0, b + end * (2.0 * c + 3.0 * d * end))
         end += step
-        if abs(step) < 1e-13 * length:
+        if not abs(step) >= 1e-13 * length:
             break
     return Cubic(x=(0.0, 1.0, 0.0, 0.0), y=(a, b, c, d), end=end)
 

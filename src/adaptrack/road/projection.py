@@ -152,4 +152,5 @@ def nearest_feet(road: Road, x: ArrayLike, y: ArrayLike) -> Projection:
         found[i] = feet[np.hypot(place.x - x[i], place.y - y[i]).argmin()]
     if road.closed:
         found -= np.floor(found / road.length) * road.length
+        found[road.length - found <= SAME] = 0.0  # the seam is the road's beginning
     return feet_near(road, x, y, found)

@@ -14,12 +14,15 @@ from numpy.typing import ArrayLike
 
 from adaptrack.arguments import reals
 from adaptrack.errors import InvalidInput
+from adaptrack.limits import ROAD_LENGTH, check_limit
 from adaptrack.road.along import Along, as_along
 from adaptrack.road.segments import Array, Points, Pose, Segment
-from adaptrack.road.table import Table, sequence, tabulate
+from adaptrack.road.table import Table, X, Y, sequence, tabulate
 
 GAP, KINK = 0.01, 0.01
 """Largest step of the position (m) and of the heading (rad) where elements meet: rounding in files, not geometry."""
+FARTHEST = 1e8
+"""m, the largest coordinate: all digits down to a micrometre."""
 JUMP = 1e-6
 """1/m, a change of curvature at one place that counts as a jump."""
 HALF_LANE = Along.constant(1.75)
@@ -67,8 +70,8 @@ class Road:
     Raises
     ------
     InvalidInput
-        When the centre line has a gap or a kink, a closed one does not meet its start, or a value along it is not
-        possible; the message says where and what to do.
+        When the centre line has a gap or a kink, a closed one does not meet its start, it is too long or too far away,
+        or a value along it is not possible; the message says where and what to do.
     """
 
     name: str
@@ -92,6 +95,13 @@ class Road:
     """what the centre line was made of; empty for a line that runs beside elements, as a lane does"""
 
     def __post_init__(self) -> None:
+        check_limit(f"road {self.name!r}: length", self.length, ROAD_LENGTH)
+        farthest = float(np.abs(self.table.pieces[:, [X, Y]]).max())
+        if not farthest <= FARTHEST:
+            raise InvalidInput(
+                f"road {self.name!r}: it has a coordinate of {farthest:.3g} m: at most {FARTHEST:g} m are allowed; "
+                "correct it, or move the origin."
+            )
         self._check_joints()
         positive = (self.width_left, "width_left"), (self.width_right, "width_right"), (self.friction, "friction")
         try:

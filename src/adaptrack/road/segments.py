@@ -7,17 +7,20 @@ end of the one before it, or at its own `start`.
 
 from __future__ import annotations
 
-from typing import Annotated, Literal, NamedTuple
+import math
+from typing import Annotated, Literal, NamedTuple, Self
 
 import numpy as np
 import scipy  # loads its parts when they are first used
 from numpy.typing import ArrayLike, NDArray
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from adaptrack.files import Record
 
 Array = NDArray[np.float64]
-Length = Annotated[float, Field(gt=0.0, le=1e6, description="m, along the centre line")]
+SHORTEST, LONGEST = 1e-15, 1e6
+"""m, of one element."""
+Length = Annotated[float, Field(ge=SHORTEST, le=LONGEST, description="m, along the centre line")]
 Curvature = Annotated[float, Field(ge=-10.0, le=10.0, description="1/m, positive to the left")]
 
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(16)
@@ -148,6 +151,18 @@ class Cubic(Placed):
     x: tuple[float, float, float, float] = Field(description="coefficients of 1, p, p^2, p^3, m")
     y: tuple[float, float, float, float] = Field(description="likewise")
     end: float = Field(default=1.0, gt=0.0, description="the parameter at the end")
+
+    @model_validator(mode="after")
+    def _is_no_longer_than_others(self) -> Self:
+        """The curve is no longer than the polygon of its control points (Bézier)."""
+        reach = 0.0
+        for share in (0.0, 1.0, 2.0):  # of c p^2, on each of the three sides; d p^3 counts on the last one
+            sides = [b + share * c * self.end + (3.0 * d * self.end * self.end if share == 2.0 else 0.0)
+                     for _, b, c, d in (self.x, self.y)]  # fmt: skip
+            reach += self.end * math.hypot(*sides) / 3.0
+        if not reach <= LONGEST:
+            raise ValueError(f"its control points are {reach:.3g} m apart in all: at most {LONGEST:g} m are allowed.")
+        return self
 
 
 Segment = Annotated[Line | Arc | Clothoid | Cubic, Field(discriminator="kind")]

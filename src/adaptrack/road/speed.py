@@ -22,7 +22,7 @@ from typing import NamedTuple
 
 import numpy as np
 import scipy  # loads its parts when they are first used
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 from pydantic import Field
 
 from adaptrack.arguments import reals
@@ -118,7 +118,7 @@ def plan_speed(
     start: float | None = None,
     end: float | None = None,
     stops: Sequence[Stop | float] = (),
-    top_speed: float = SPEED.most,
+    top_speed: float | None = None,
     spacing: float = SPACING,
 ) -> SpeedPlan:
     """The fastest speed along a road.
@@ -131,20 +131,20 @@ def plan_speed(
         m/s, speed at the two ends of an open road; free when left out.
     stops : sequence of Stop or float
         Where to stand still, in m, and for how many seconds.
-    top_speed : float
-        m/s, beside the road's own limit.
+    top_speed : float, optional
+        m/s, beside the road's own limit. By default, where the road has none, the highest speed of the car's domain.
     spacing : float
         m, largest distance of the places.
 
     Raises
     ------
     InvalidInput
-        When a value is not possible, a bank alone exceeds what is allowed sideways, or the speed at the start cannot be
-        lost in time; the message says where.
+        When a value is not possible, a bend is tighter than the car can turn, a bank alone exceeds what is allowed
+        sideways, or the speed at the start cannot be lost in time; the message says where.
     """
     if not 0.01 <= real("plan_speed", "spacing", spacing) <= 100.0:
         raise InvalidInput(f"plan_speed: spacing = {spacing!r} m: must be 0.01 to 100.")
-    if not 0.0 < real("plan_speed", "top_speed", top_speed) <= SPEED.most:
+    if top_speed is not None and not 0.0 < real("plan_speed", "top_speed", top_speed) <= SPEED.most:
         raise InvalidInput(f"plan_speed: top_speed = {top_speed!r} m/s: must be > 0 and at most {SPEED.most:g}.")
     halts = [stop if isinstance(stop, Stop) else Stop(float(stop)) for stop in stops]
     for stop in halts:
@@ -155,7 +155,9 @@ def plan_speed(
     if road.closed and (start is not None or end is not None):
         raise InvalidInput("plan_speed: a closed road has no start and no end: leave both out, or give stops.")
     cells = _Cells(road, car, comfort, _places(road, spacing, halts))
-    ceiling = cells.ceiling(top_speed)
+    if top_speed is None:
+        cells.limit[unlimited(cells.limit)] = SPEED.most if car is None else car.domain.speed[1]
+    ceiling = cells.ceiling(SPEED.most if top_speed is None else top_speed)
     for stop in halts:
         ceiling[np.abs(cells.s - stop.s) < 1e-9] = 0.0
     _impose_ends(ceiling, start, end)
@@ -169,6 +171,11 @@ def plan_speed(
     if math.isfinite(comfort.jerk):
         w = _with_jerk(cells, w, comfort.jerk, road.closed, start)
     return _plan(cells.s, w, halts, road.closed, comfort)
+
+
+def unlimited(limit: Array) -> NDArray[np.bool_]:
+    """Where a speed limit (m/s) is none: files write it as a speed that no car has."""
+    return limit > SPEED.most
 
 
 def constant_speed(road: Road, speed: float) -> SpeedPlan:
@@ -226,7 +233,7 @@ class _Cells:
         self.s, self.ds, self.car, self.comfort = s, np.diff(s), car, comfort
         first, last = road.table.at(s[:-1], 1).curvature, road.table.at(s[1:], -1).curvature
         self.curvature = np.where(np.abs(first) > np.abs(last), first, last)  # monotonous between: the larger end
-        with np.errstate(divide="ignore"):
+        with np.errstate(divide="ignore", over="ignore"):
             self.swerve = (comfort.lateral_jerk * self.ds / np.abs(last - first)) ** (2.0 / 3.0)
         bank = road.along("bank", 0.5 * (s[:-1] + s[1:]))
         self.tilt = GRAVITY * np.sin(bank)
@@ -241,6 +248,11 @@ class _Cells:
         steep = np.flatnonzero(np.abs(self.tilt) >= allowed)
         if steep.size:
             k = int(steep[0])
+            if allowed[k] == 0.0:
+                raise InvalidInput(
+                    f"plan_speed: at s = {s[k]:.6g} m the radius is {1.0 / abs(self.curvature[k]):.3g} m, and this car "
+                    "cannot turn so tightly; correct the road there, or smooth it."
+                )
             raise InvalidInput(
                 f"plan_speed: at s = {s[k]:.6g} m the bank alone pushes with {abs(self.tilt[k]):.3g} m/s^2, and "
                 f"{allowed[k]:.3g} are allowed; allow more, or correct the bank."

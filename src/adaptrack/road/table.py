@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from adaptrack.errors import InvalidInput
+from adaptrack.limits import TURNS, check_limit
 from adaptrack.road.segments import Arc, Array, Clothoid, Cubic, Line, Points, Pose, Segment, heading_integral
 
 DEGREE = 11
@@ -28,6 +29,8 @@ FIT, CURVATURE_FIT = 1e-11, 1e-9
 it (or of 0.1/m)."""
 ROUNDING = 1e-12
 """What rounding may add to the heading (rad), and so to the curvature of short pieces."""
+TOGETHER = 1024
+"""Cubics that are fitted at once: some megabytes."""
 HALVINGS, MOST = 30, 50
 """How often a piece may be halved, and how many pieces may wait for it per curve, before the curve counts as having a
 point without a direction."""
@@ -124,7 +127,8 @@ def tabulate(segments: Sequence[Segment]) -> list[Table]:
         For a cubic with a point at which it stands still (a cusp).
     """
     cubics = [segment for segment in segments if isinstance(segment, Cubic)]
-    fitted = iter(_of_curves(_Cubics(cubics)) if cubics else ())
+    batches = (cubics[k : k + TOGETHER] for k in range(0, len(cubics), TOGETHER))
+    fitted = itertools.chain.from_iterable(_of_curves(_Cubics(batch)) for batch in batches)
     return [next(fitted) if isinstance(segment, Cubic) else _natural(segment) for segment in segments]
 
 
@@ -132,6 +136,7 @@ def _natural(segment: Line | Arc | Clothoid) -> Table:
     """Line, arc or clothoid: the heading is known, the position is the integral of its direction."""
     k0, k_end = segment.curvatures
     steepest = max(abs(k0), abs(k_end))
+    check_limit(f"{segment.kind}, {segment.length:g} m long: its turn", segment.length * steepest, TURNS)
     count = max(1, int(np.ceil(segment.length * steepest / TURN)))
     start = np.linspace(0.0, segment.length, count + 1)
     half = 0.5 * np.diff(start)

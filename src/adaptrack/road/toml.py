@@ -33,8 +33,8 @@ from adaptrack.errors import ConfigError, InvalidInput
 from adaptrack.files import Record, build, read_toml, write_toml
 from adaptrack.road.along import Along
 from adaptrack.road.fit import MAX_DEVIATION, fit_road
-from adaptrack.road.road import ALONG, Road, alongs
-from adaptrack.road.segments import Segment
+from adaptrack.road.road import ALONG, FARTHEST, Road, alongs
+from adaptrack.road.segments import LONGEST, SHORTEST, Segment
 from adaptrack.road.table import (
     ACROSS,
     COLUMNS,
@@ -54,7 +54,7 @@ from adaptrack.road.table import ALONG as ALONG_PIECE
 def _quantity(value: Any) -> Any:
     """A number as a table of one value."""
     if isinstance(value, int | float) and not isinstance(value, bool):
-        return {"s": (0.0,), "value": (float(value),)}
+        return {"s": (0.0,), "value": (value,)}
     if not isinstance(value, dict | Along):
         raise ValueError("must be a number, or a table of s (m) and value.")
     return value
@@ -62,7 +62,7 @@ def _quantity(value: Any) -> Any:
 
 Quantity = Annotated[Along, BeforeValidator(_quantity)]
 Coefficients = Annotated[
-    tuple[float, ...],
+    tuple[Annotated[float, Field(ge=-LONGEST, le=LONGEST)], ...],
     Field(min_length=DEGREE + 1, max_length=DEGREE + 1, description="of 1, u, u^2, ..., -1 <= u <= 1 along the piece"),
 ]
 
@@ -70,10 +70,10 @@ Coefficients = Annotated[
 class Piece(Record):
     """A piece of a centre line that is no element, see `adaptrack.road.table`."""
 
-    half: float = Field(gt=0.0, description="m, half of its length")
-    x: float = Field(description="m, at its middle")
-    y: float = Field(description="m")
-    heading: float = Field(description="rad, at its middle")
+    half: float = Field(ge=SHORTEST, le=LONGEST, description="m, half of its length")
+    x: float = Field(ge=-FARTHEST, le=FARTHEST, description="m, at its middle")
+    y: float = Field(ge=-FARTHEST, le=FARTHEST, description="m")
+    heading: float = Field(ge=-LONGEST, le=LONGEST, description="rad, at its middle")
     along: Coefficients
     """m"""
     across: Coefficients
