@@ -442,9 +442,7 @@ def _within(found: _Found, bound: float) -> _Fit:
     for refinement in range(REFINEMENTS + 1):
         if refinement:
             wanted = scales[best]
-            smoother = Smoother(
-                smoother.points, smoother.places, smoother.length, smoother.closed, smoother.spacing / 2.0
-            )
+            smoother = smoother.finer()
             scales = np.geomspace(0.5 * smoother.spacing, scales[-1], LENGTHS)
             best = int(np.searchsorted(scales, wanted, "right")) - 1
         low, high, middle = -1, best + 1, best
