@@ -690,10 +690,6 @@ def six_numbers() -> Vehicle:
 
 FULL_SIZE = [name for name in list_vehicles() if name != "model-car"]
 CARS = {"six": six_numbers(), **{name: load_vehicle(name) for name in FULL_SIZE}}
-every_car = pytest.mark.parametrize("name", CARS)
-every_profile = pytest.mark.parametrize("profile", list_profiles())
-
-
 IDEAL = [(name, profile) for name in CARS for profile in list_profiles() if (name, profile) != ("small-car", "paper")]
 """The light weight of moves in the ideal world without preview lets the small car's soft tyres swing."""
 
@@ -712,8 +708,7 @@ def test_no_step_of_the_reference_throws_a_car_off_the_road(name, profile):
     assert [each.source for each, failed in zip(steps, runs.failed, strict=True) if failed is not None] == []
 
 
-@every_car
-@every_profile
+@pytest.mark.parametrize(("name", "profile"), IDEAL)
 @pytest.mark.slow
 @pytest.mark.compiled
 def test_every_scenario_is_driven_by_every_car_with_nothing_but_defaults(name, profile):
