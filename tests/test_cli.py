@@ -11,7 +11,7 @@ import pytest
 
 from adaptrack import cli
 from adaptrack.cli import options
-from adaptrack.errors import StorageError
+from adaptrack.errors import InvalidInput, StorageError
 from adaptrack.failure import Reason
 from small_data import small
 
@@ -271,6 +271,15 @@ def test_train_saves_a_scheduler_that_simulate_drives_with(monkeypatch, capsys, 
     assert code == 0, err
     assert [(row["controller"], row["scheduler"]) for row in json.loads(printed)["rows"]] == [("fuzzy", "fuzzy")]
     assert (tmp_path / "sine-fuzzy.parquet").exists()
+
+
+def test_train_learns_with_the_seed_that_is_given(monkeypatch, capsys, tmp_path, data):
+    def learn(dataset, model, targets, *, seed=0, progress=None):
+        raise InvalidInput(f"seed {seed}")
+
+    monkeypatch.setattr("adaptrack.learning.training.train", learn)
+    asked = ["train", "--data", data, "--model", "nn", "--out", tmp_path / "nn.json", "--seed", "7"]
+    assert run(monkeypatch, capsys, *asked) == (2, "", "adaptrack: seed 7\n")
 
 
 def test_train_prints_the_quality_on_the_hold_out(monkeypatch, capsys, tmp_path, data):

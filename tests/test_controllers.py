@@ -476,7 +476,9 @@ def test_a_parameter_that_is_not_finite_is_refused():
 )
 @pytest.mark.parametrize("preview", [False, True])
 def test_every_named_controller_keeps_the_contract(name, preview):
-    check_controller(get_controller(name, "paper", period=0.05, preview=preview))
+    controller = get_controller(name, "paper", period=0.05, preview=preview)
+    check_controller(controller)
+    assert controller.describe()["period"] == 0.05
 
 
 @pytest.mark.compiled

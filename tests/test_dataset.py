@@ -107,6 +107,12 @@ def test_a_file_of_the_full_size_is_a_few_megabytes(tmp_path, rng):
     assert (tmp_path / "full.parquet").stat().st_size < 6e6
 
 
+@pytest.mark.parametrize("name", ["tunings", "costs", "landscape", "library"])
+def test_an_array_of_another_shape_is_refused_by_its_name(name):
+    with pytest.raises(InvalidInput, match=name):
+        wild(**{name: np.ones((60, 3))})
+
+
 def test_a_damaged_file_is_refused_with_its_name(tmp_path):
     file = tmp_path / "wild.parquet"
     wild().save(file)

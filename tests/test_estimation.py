@@ -471,11 +471,19 @@ def scribbles(speed, measured, command, a, b, parameters, memory, x, d):
     a[0, 0] = 0.0
 
 
+def tidies(speed, measured, command, a, b, parameters, memory, x, d):
+    """Writes to what is measured."""
+    x[:] = 0.0
+    d[:] = 0.0
+    measured[0] = 0.0
+
+
 @pytest.mark.parametrize(
     ("estimate", "clause"),
     [
         (leaves_gaps, "x and d must be written and finite"),
         (scribbles, "must write to memory, x and d only"),
+        (tidies, "must write to memory, x and d only"),
         (hold_still, "must predict the model"),
     ],
 )

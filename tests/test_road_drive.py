@@ -263,6 +263,8 @@ def test_one_tuning_for_several_roads_is_at_least_as_good_as_its_swarm_saw():
     assert runs.costs(np.tile(best.x, (2, 1)), [0]).mean() == pytest.approx(best.cost, rel=1e-9)
     assert best.cost == best.trace.min()
     assert best.evaluations == 24
+    with pytest.raises(InvalidInput, match="noise_seeds: give at least one"):
+        tune_constant(runs, noise_seeds=())
 
 
 @pytest.mark.compiled
