@@ -1,7 +1,7 @@
 """Members that the tests bring themselves (plants, laws, models, estimators) are compiled once, not in every run.
 
 A member is kept beside the kernels, under what its machine code depends on: its own bytecode and constants, those of
-whatever it calls, the signature's owner, and all kernels. What cannot be told apart so is compiled anew.
+whatever it calls, its signature, and all kernels. What cannot be told apart so is compiled anew.
 """
 
 from __future__ import annotations

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import sys
 from collections.abc import Callable, Mapping
 from typing import Any, Generic, TypeVar
 
@@ -68,3 +69,20 @@ class Registry(Generic[Member]):
     def names(self) -> list[str]:
         """The known names, sorted."""
         return sorted(self.factories)
+
+
+def import_plugin(name: str, missing: InvalidInput, announce: Callable[[str], None] | None = None) -> None:
+    """Import a module that registers members; `missing` is raised where there is none of that name.
+
+    announce: called with the name before the module's code runs for the first time.
+    """
+    if not all(part.isidentifier() for part in name.split(".")):
+        raise missing
+    if announce is not None and name not in sys.modules:
+        announce(name)
+    try:
+        importlib.import_module(name)
+    except ModuleNotFoundError as error:
+        if not f"{name}.".startswith(f"{error.name}."):
+            raise  # one that it imports itself
+        raise missing from None

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-import importlib
 import inspect
 import shlex
 import sys
@@ -18,6 +17,7 @@ from typer import Option
 
 from adaptrack.errors import InvalidInput, StorageError
 from adaptrack.limits import WORKERS, Limit, check_limit
+from adaptrack.registry import import_plugin
 
 if TYPE_CHECKING:
     from adaptrack.plant import Plant as PlantOf
@@ -158,14 +158,7 @@ def load_plugins(modules: Sequence[str] | None) -> None:
         sys.path.append("")
     for name in modules or ():
         missing = f"--plugin {name}: there is no such module in the Python path or in this folder."
-        if not all(part.isidentifier() for part in name.split(".")):
-            raise InvalidInput(missing)
-        try:
-            importlib.import_module(name)
-        except ModuleNotFoundError as error:
-            if not f"{name}.".startswith(f"{error.name}."):
-                raise  # one that it imports itself
-            raise InvalidInput(missing) from error
+        import_plugin(name, InvalidInput(missing))
 
 
 def car_and_plant(vehicle: str, plant: str, tyre: str | None) -> tuple[Car, PlantOf | SteppedPlant]:

@@ -155,11 +155,9 @@ class Cubic(Placed):
     @model_validator(mode="after")
     def _is_no_longer_than_others(self) -> Self:
         """The curve is no longer than the polygon of its control points (Bézier)."""
-        reach = 0.0
-        for share in (0.0, 1.0, 2.0):  # of c p^2, on each of the three sides; d p^3 counts on the last one
-            sides = [b + share * c * self.end + (3.0 * d * self.end * self.end if share == 2.0 else 0.0)
-                     for _, b, c, d in (self.x, self.y)]  # fmt: skip
-            reach += self.end * math.hypot(*sides) / 3.0
+        p = self.end
+        slopes = [(b, b + c * p, b + 2.0 * c * p + 3.0 * d * p * p) for _, b, c, d in (self.x, self.y)]
+        reach = sum(p * math.hypot(dx, dy) / 3.0 for dx, dy in zip(*slopes, strict=True))  # of its three sides
         if not reach <= LONGEST:
             raise ValueError(f"its control points are {reach:.3g} m apart in all: at most {LONGEST:g} m are allowed.")
         return self

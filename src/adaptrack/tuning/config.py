@@ -9,7 +9,6 @@ import logging
 import math
 import os
 import socket
-import sys
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
@@ -29,6 +28,7 @@ from adaptrack.files import Record, build, printable, read_toml
 from adaptrack.limits import LANDSCAPE, NOISE_SEEDS, check_limit
 from adaptrack.plant import DualTrack, Plant, SingleTrack, SteppedPlant, fingerprint, get_plant, twin_of
 from adaptrack.profile import list_profiles, load_profile
+from adaptrack.registry import import_plugin
 from adaptrack.tuning.operating_points import Fold, check_box, fold, grid, paper_grid, sobol, unit_sobol
 from adaptrack.tuning.pso import SearchSpace, SwarmSettings
 from adaptrack.vehicle import Tyre, Vehicle, load_tyre, load_vehicle
@@ -421,16 +421,7 @@ def _import(modules: Sequence[str]) -> None:
             f"plugin {name!r}: there is no such module in the Python path of {socket.gethostname()}: install it there, "
             "or add its folder to PYTHONPATH."
         )
-        if not all(part.isidentifier() for part in name.split(".")):
-            raise UnknownName(missing)
-        if name not in sys.modules:
-            _announce(name)
-        try:
-            importlib.import_module(name)
-        except ModuleNotFoundError as error:
-            if not f"{name}.".startswith(f"{error.name}."):
-                raise  # one that it imports itself
-            raise UnknownName(missing) from None
+        import_plugin(name, UnknownName(missing), _announce)
 
 
 def _announce(module: str) -> None:
