@@ -390,6 +390,8 @@ def main() -> None:
         trees = [Tree(checkout, python, base / f"checkout-{runs.index((checkout, python))}")
                  for checkout, python in runs]  # fmt: skip
         cases, versions = prepare(trees, asked.only)
+        if not cases:
+            raise SystemExit("nothing to measure: no case that all checkouts have.")
         found = list(rows(measure_all(trees, cases, asked.pairs)))
     here = machine()
     print(f"{here['cpu']}, {here['cores']} cores, {here['system']}")
