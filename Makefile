@@ -5,16 +5,12 @@ PIP := $(BIN)/python -m pip --quiet --disable-pip-version-check
 INSTALLED := .venv/.installed
 
 .DEFAULT_GOAL := help
-KERNELS := src/adaptrack/core/built/manifest.json
 .PHONY: help install install-extras run test test-slow test-slow-part test-interpreted lint format docs bench lock clean
 
 help: ## list the targets
 	@grep -E '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## /\1|/' | column -t -s '|'
 
-install: $(INSTALLED) $(KERNELS) ## create .venv, install the locked packages and adaptrack into it, and compile the kernels
-
-$(KERNELS): $(INSTALLED) $(shell find src/adaptrack/core -name '*.py')
-	$(BIN)/python -m adaptrack.core.build
+install: $(INSTALLED) ## create .venv and install the locked packages and adaptrack into it
 
 $(INSTALLED): requirements.lock pyproject.toml src/adaptrack/__init__.py
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "adaptrack needs Python 3.11 or newer, and this is %s: try make PYTHON=python3.12 ..." % sys.version.split()[0])'
@@ -41,7 +37,7 @@ test-slow-part: install ## run a fifth of the slow tests, another one with each 
 	SLOW_PART=$(SLOW_PART) $(BIN)/pytest -q -n 2 --dist worksteal -m slow
 
 test-interpreted: install ## run the tests of kernels with the compiler switched off
-	ADAPTRACK_KERNELS=interpreted $(BIN)/pytest -q -n 2 --dist worksteal -m 'kernels and not slow and not compiled'
+	NUMBA_DISABLE_JIT=1 $(BIN)/pytest -q -n 2 --dist worksteal -m 'kernels and not slow and not compiled'
 
 lint: install ## check style, types and the imports between the rooms
 	$(BIN)/ruff check .
@@ -72,5 +68,5 @@ lock: ## renew requirements.lock and requirements-extras.lock from pyproject.tom
 	$(COMPILE) --extra bench --extra commonroad --extra gym --extra plants --constraints requirements.lock --output-file requirements-extras.lock
 
 clean: ## remove everything that can be made again
-	rm -rf .venv build dist results docs/_build src/adaptrack/core/built .hypothesis .import_linter_cache .mypy_cache .pytest_cache .ruff_cache
+	rm -rf .venv build dist results docs/_build .hypothesis .import_linter_cache .mypy_cache .pytest_cache .ruff_cache
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +

@@ -2,7 +2,7 @@
 
 import numba
 
-from adaptrack.core.kernel import INTERPRETED
+from adaptrack.kernels.abi import INTERPRETED
 
 
 def entry(kernel):

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from adaptrack.controllers import MPC, Learning, Limits, Tuning, published_mpc
-from adaptrack.core.qp.problem import CHANGES
 from adaptrack.errors import InvalidInput
+from adaptrack.kernels.qp.problem import CHANGES
 from adaptrack.qp import QPStatus
 from adaptrack.qp.active_set import ActiveSet
 from adaptrack.qp_corpus import chunk

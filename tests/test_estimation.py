@@ -9,8 +9,6 @@ import pytest
 
 from adaptrack import estimation
 from adaptrack.controllers import MPC, Tuning, published_mpc
-from adaptrack.core.estimators import friction_wind as kernel
-from adaptrack.core.plants.parameters import unpack
 from adaptrack.errors import ContractError, InvalidInput, UnknownName
 from adaptrack.estimation import (
     Belief,
@@ -22,6 +20,8 @@ from adaptrack.estimation import (
     register_estimator,
 )
 from adaptrack.failure import Failure
+from adaptrack.kernels.estimators import friction_wind as kernel
+from adaptrack.kernels.plants.parameters import unpack
 from adaptrack.models import SingleTrackModel
 from adaptrack.plant import DualTrack, SingleTrack
 from adaptrack.profile import load_profile

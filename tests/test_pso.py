@@ -11,11 +11,11 @@ from hypothesis import strategies as st
 from numba import njit
 from scipy import stats
 
-from adaptrack.core import swarm
-from adaptrack.core.maths import random
-from adaptrack.core.maths.random import counted_normal, counted_uniform
 from adaptrack.errors import ConfigError, InvalidInput
 from adaptrack.files import build, read_toml
+from adaptrack.kernels import swarm
+from adaptrack.kernels.maths import random
+from adaptrack.kernels.maths.random import counted_normal, counted_uniform
 from adaptrack.tuning.pso import SearchSpace, Swarm, SwarmSettings, minimise
 from inlined import entry
 

@@ -8,14 +8,14 @@ import pytest
 
 from adaptrack.batch import rollout_batch
 from adaptrack.controllers import MPC, Limits, Moves, Tuning, published_mpc
-from adaptrack.core import abi, loop
-from adaptrack.core import rollout as compiled
-from adaptrack.core.controllers import mpc as kernel
-from adaptrack.core.maths.random import counted_normal
-from adaptrack.core.plants import contract
 from adaptrack.errors import ContractError, InvalidInput, UnknownName
 from adaptrack.estimation import FrictionWindEstimator, Perception, UserEstimator
 from adaptrack.failure import Failure, Reason, find_failure
+from adaptrack.kernels import abi, loop
+from adaptrack.kernels import rollout as compiled
+from adaptrack.kernels.controllers import mpc as kernel
+from adaptrack.kernels.maths.random import counted_normal
+from adaptrack.kernels.plants import contract
 from adaptrack.plant import DualTrack, SingleTrack, UserPlant
 from adaptrack.profile import Profile, load_profile
 from adaptrack.qp import QPStatus
@@ -760,8 +760,8 @@ def test_a_misspelt_profile_is_named():
 
 EVERY_KERNEL = """
 import importlib, pkgutil
-import adaptrack.core as room
-found = sorted(each.name for each in pkgutil.walk_packages(room.__path__, "adaptrack.core."))
+import adaptrack.kernels as room
+found = sorted(each.name for each in pkgutil.walk_packages(room.__path__, "adaptrack.kernels."))
 rooms = [importlib.import_module(name) for name in found if "_interpreted" not in name]
 """
 

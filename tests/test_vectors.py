@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from numba import njit
 
-from adaptrack.core.maths import vectors
-from adaptrack.core.maths.vectors import WIDTH
+from adaptrack.kernels.maths import vectors
+from adaptrack.kernels.maths.vectors import WIDTH
 
 pytestmark = pytest.mark.kernels
 

@@ -242,7 +242,7 @@ class Batch:
         """The MPC's settings with a workspace no larger than horizons up to these need; tiny for other controllers."""
         if isinstance(self.controller, MPC):
             return self.controller.settings(longest, most, residuals)
-        from adaptrack.core.controllers.mpc import SETTINGS
+        from adaptrack.kernels.controllers.mpc import SETTINGS
 
         return SETTINGS.new(period=self.world.period, longest_horizon=1, most_moves=1, output_min=-np.inf,
                             output_max=np.inf)  # fmt: skip
@@ -255,12 +255,12 @@ class Batch:
 
         segments: of each run; periods: to trace, 0 for no trace.
         """
-        from adaptrack.core import rollout
-        from adaptrack.core.controllers import mpc as kernel
-        from adaptrack.core.estimators.friction_wind import MEMORY as KNOWING
-        from adaptrack.core.plants.contract import STATES, vehicle_batch
-        from adaptrack.core.schedule import no_schedule
-        from adaptrack.core.variables import VARIABLES
+        from adaptrack.kernels import rollout
+        from adaptrack.kernels.controllers import mpc as kernel
+        from adaptrack.kernels.estimators.friction_wind import MEMORY as KNOWING
+        from adaptrack.kernels.plants.contract import STATES, vehicle_batch
+        from adaptrack.kernels.schedule import no_schedule
+        from adaptrack.kernels.variables import VARIABLES
 
         own, known = self.controller, self.world.known_as
         assert isinstance(self.world.plant, Plant)
@@ -284,9 +284,7 @@ class Batch:
         return rollout.Run(
             settings=self.settings[steps],
             members=self.members,
-            vehicles=vehicle_batch(
-                self.world.plant.compiled, self.world.plant.packed(), np.zeros((slots, self.starts.shape[1]))
-            ),
+            vehicles=vehicle_batch(self.world.plant.packed(), np.zeros((slots, self.starts.shape[1]))),
             given=rollout.Given(
                 self.samples, self.roads, np.zeros(slots, np.int64), np.zeros(slots, np.int64)
             ),
@@ -311,7 +309,7 @@ class Batch:
     @cached_property
     def members(self) -> Any:
         """`kernels.rollout.Members`."""
-        from adaptrack.core import rollout
+        from adaptrack.kernels import rollout
 
         assert isinstance(self.world.plant, Plant)
         plant, own = self.world.plant.compiled, self.controller
@@ -323,7 +321,7 @@ class Batch:
 
         A plant of one's own is advanced slot by slot: its runs are shared evenly among the threads.
         """
-        from adaptrack.core.plants.contract import SLOTS
+        from adaptrack.kernels.plants.contract import SLOTS
 
         found = []
         for steps in self.settings:
@@ -353,7 +351,7 @@ class Batch:
         traced: keep what happened at every control instant, about 200 bytes for each of a run; segment: periods of a
         segment whose cost is asked for, with `weight` (m^2/rad^2) on the squared moves; 0: none.
         """
-        from adaptrack.core import guard, rollout
+        from adaptrack.kernels import guard, rollout
 
         runs, n = len(which), int(self.periods.max())
         plan = _Plan(which, tunings, seeds, segment, weight, n if traced else 0, scheduler)
@@ -396,8 +394,8 @@ class Batch:
 
         last: that of a chunk before, None: none; its arrays are used again where they fit and nothing in them is kept.
         """
-        from adaptrack.core import rollout
-        from adaptrack.core.kernel import Resident
+        from adaptrack.kernels import rollout
+        from adaptrack.kernels.stored import Resident
 
         which, size = plan.which[chunk], len(chunk)
         n = int(self.periods[which[0]])
@@ -410,8 +408,8 @@ class Batch:
         run.given.scenario[:], run.given.seeds[:] = which, plan.seeds[chunk]
         run.vehicles.start[:], run.tuning[:] = self.starts[which], plan.tunings[chunk]
         place = Resident(run)
-        rollout.begin(size, place)
-        rollout.rollout(rollout.Span(n, size, max(plan.segment, 1), plan.weight), place)
+        rollout.begin(size, place.address)
+        rollout.rollout(rollout.Span(n, size, max(plan.segment, 1), plan.weight), place.address)
         return run
 
 

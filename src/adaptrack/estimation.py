@@ -54,7 +54,7 @@ class Estimator(ABC):
     @property
     def kind(self) -> int:
         """`kernels.estimators.contract.DEADBEAT`, or BY_FUNCTION."""
-        from adaptrack.core.estimators import contract
+        from adaptrack.kernels.estimators import contract
 
         return contract.DEADBEAT if self.function is None else contract.BY_FUNCTION
 
@@ -137,7 +137,7 @@ class UserEstimator(Estimator):
         self, estimate: Callable[..., None], *, parameters: Mapping[str, float] | None = None,
         memory_size: int | Callable[[int], int] = 0, label: str = "user",
     ) -> None:  # fmt: skip
-        from adaptrack.core.estimators.contract import compile_estimator
+        from adaptrack.kernels.estimators.contract import compile_estimator
 
         self.name = label
         self.numbers = {key: real(f"UserEstimator {label!r}", key, value) for key, value in (parameters or {}).items()}
@@ -395,7 +395,7 @@ class FrictionWindEstimator:
 
     def settings(self) -> Array:
         """Everything but the vehicle, see `kernels.estimators.friction_wind.ESTIMATOR_SETTINGS`."""
-        from adaptrack.core.estimators.friction_wind import ESTIMATOR_SETTINGS
+        from adaptrack.kernels.estimators.friction_wind import ESTIMATOR_SETTINGS
 
         belief, step = self.belief, self.period / self.steps
         root = math.sqrt(step)
@@ -426,7 +426,7 @@ class FrictionWindEstimator:
 
     def reset(self) -> None:
         """Forget the past: the next step is the first, with the wheels straight ahead."""
-        from adaptrack.core.estimators import friction_wind
+        from adaptrack.kernels.estimators import friction_wind
 
         self._kernel = friction_wind
         self._memory = np.zeros((1, friction_wind.MEMORY))

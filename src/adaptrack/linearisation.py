@@ -321,7 +321,7 @@ def _held(flow: Array, period: float, delay: float) -> Array:
 
 def sensed() -> tuple[str, ...]:
     """What a controller is given at an instant, by name, see `kernels.models.contract.MEASURED`."""
-    from adaptrack.core.models import contract
+    from adaptrack.kernels.models import contract
 
     return tuple(name for name in contract.MEASURED._fields if name != "turned")  # it is known, not measured
 

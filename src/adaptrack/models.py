@@ -103,7 +103,7 @@ class PredictionModel(ABC):
 
         of_next: F of the next increment of the state, which an estimator gives, not of the last one.
         """
-        from adaptrack.core.controllers import condensing
+        from adaptrack.kernels.controllers import condensing
 
         a, b, c = self.discrete(speed)
         free, step = np.ones((self.n + 1, horizon)), np.empty(horizon)
@@ -206,13 +206,13 @@ class SingleTrackModel(PredictionModel):
         return "single-track"
 
     def parameters(self) -> Array:
-        from adaptrack.core.models.single_track import Parameters
+        from adaptrack.kernels.models.single_track import Parameters
 
         return np.array([getattr(self.vehicle, name) for name in Parameters._fields], dtype=float)
 
     @property
     def function(self) -> Any:
-        from adaptrack.core.models.single_track import discretise
+        from adaptrack.kernels.models.single_track import discretise
 
         return discretise
 
@@ -281,19 +281,19 @@ class PathModel(PredictionModel):
         return ("vy", "yaw", "yaw_rate", *(("wheel_angle",) if self.lag > 0.0 else ()), "y")
 
     def parameters(self) -> Array:
-        from adaptrack.core.models.path import Parameters
+        from adaptrack.kernels.models.path import Parameters
 
         known = [getattr(self.vehicle, name) for name in Parameters._fields if name != "lag"]
         return np.array([*known, self.lag], dtype=float)
 
     @property
     def function(self) -> Any:
-        from adaptrack.core.models.path import discretise
+        from adaptrack.kernels.models.path import discretise
 
         return discretise
 
     def turning(self) -> Array:
-        from adaptrack.core.models.path import write_turning
+        from adaptrack.kernels.models.path import write_turning
 
         found = np.zeros(5)
         write_turning(self.parameters(), found)
@@ -342,7 +342,7 @@ class UserModel(PredictionModel):
         self, discretise: Callable[..., None], states: Sequence[str], *, parameters: dict[str, float] | None = None,
         period: float = 0.1, label: str = "user",
     ) -> None:  # fmt: skip
-        from adaptrack.core.models.contract import compile_model
+        from adaptrack.kernels.models.contract import compile_model
 
         self.label, self.states = label, tuple(states)
         where = f"UserModel {label!r}"
@@ -450,7 +450,7 @@ def check_model(model: PredictionModel, speeds: Sequence[float] = (2.0, 10.0, 30
 
 def laguerre_basis(Np: int, terms: int, pole: float) -> Array:
     """L (Np, terms): the first discrete Laguerre functions with `pole` in [0, 1), one in each column."""
-    from adaptrack.core.controllers.condensing import laguerre_moves
+    from adaptrack.kernels.controllers.condensing import laguerre_moves
 
     rows = np.zeros((terms, Np))
     laguerre_moves(Np, terms, pole, rows)

@@ -277,7 +277,7 @@ def _compiles(controller: Controller) -> bool:
 
 def _scheduling_variables(samples: Array) -> Array:
     """What a scheduler looks at in every period of each run, with an offset of zero."""
-    from adaptrack.core.loop import SIGNAL
+    from adaptrack.kernels.loop import SIGNAL
 
     rows = samples[:, :, :-1]
     seen = ("speed", "y_ref", "known_friction", "known_wind", "change", "acceleration")

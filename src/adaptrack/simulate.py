@@ -45,7 +45,7 @@ class _Recorder:
     """What one run leaves: a row for each control instant."""
 
     def __init__(self, n: int, controller: Controller) -> None:
-        from adaptrack.core.plants.contract import STATES
+        from adaptrack.kernels.plants.contract import STATES
 
         self.tuning_names = tuple(getattr(controller, "tuning_names", ()))
         self.diagnostic_names = tuple(getattr(controller, "diagnostic_names", ()))
@@ -98,7 +98,7 @@ def simulate(
     InvalidInput
         When an argument does not fit the others.
     """
-    from adaptrack.core.models.contract import MEASURED
+    from adaptrack.kernels.models.contract import MEASURED
 
     world = World.of(plant, controller, profile, driver, known_as, failure)
     _refuse_nonsense(scenario, seed)
@@ -226,7 +226,7 @@ def _learned(world: World, controller: Controller) -> dict[str, Any]:
 def _trajectory(
     world: World, controller: Controller, scenario: Scenario | RoadDrive, signals: Signals, seed: int, record: _Recorder
 ) -> Trajectory:
-    from adaptrack.core.plants.contract import STATE
+    from adaptrack.kernels.plants.contract import STATE
 
     n, state, plant = signals.n, record.state, world.plant
     driven = np.isfinite(record.command[:, 0])

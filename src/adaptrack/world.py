@@ -126,7 +126,7 @@ class World:
 
     def settings(self, substeps: int) -> Any:
         """`kernels.loop.SETTINGS`; without a driver the speed follows its profile exactly."""
-        from adaptrack.core import loop
+        from adaptrack.kernels import loop
 
         profile, driver, steering = self.profile, self.driver, self.steering
         return loop.SETTINGS.new(
@@ -153,7 +153,7 @@ class World:
 
     def memory(self, slots: int) -> Any:
         """What the loop remembers of `slots` runs before their first instant (`kernels.loop.Memory`)."""
-        from adaptrack.core import loop
+        from adaptrack.kernels import loop
 
         oldest = self.profile.oldest
         past = math.ceil(oldest / self.period) + 2 if oldest > 0.0 else 0
@@ -202,7 +202,7 @@ def _refuse_missing_sensors(controller: Controller, profile: Profile) -> None:
 
 def reason_of(ended: int) -> str | None:
     """The name of what ended a run early; None for a run that came to its end, or that was stopped for its cost."""
-    from adaptrack.core import loop
+    from adaptrack.kernels import loop
 
     return {
         loop.OFF_ROAD: Reason.OFF_ROAD.value,

@@ -24,6 +24,7 @@ from adaptrack.cli import (
     simulate,
     train,
     tune,
+    warm_up,
 )
 
 app = typer.Typer(
@@ -69,6 +70,7 @@ for command in (
     evaluate.evaluate,
     compare.compare,
     lists.schedulers,
+    warm_up.warm_up,
 ):
     app.command()(command)
 app.add_typer(bench.app, name="bench")

@@ -71,7 +71,7 @@ class KinematicMPC(CompiledController):
         preview: bool | None = None,
         **weights: float,
     ) -> None:
-        from adaptrack.core.controllers import kinematic_mpc as kernel
+        from adaptrack.kernels.controllers import kinematic_mpc as kernel
 
         self.vehicle = vehicle
         told = Told.of("KinematicMPC", vehicle, profile, belief, period, preview, limits)
@@ -98,12 +98,12 @@ class KinematicMPC(CompiledController):
 
     @property
     def function(self) -> Any:
-        from adaptrack.core.controllers.kinematic_mpc import kinematic_mpc
+        from adaptrack.kernels.controllers.kinematic_mpc import kinematic_mpc
 
         return kinematic_mpc
 
     def own_parameters(self) -> Array:
-        from adaptrack.core.controllers.kinematic_mpc import limit_rows
+        from adaptrack.kernels.controllers.kinematic_mpc import limit_rows
 
         car, known = self.vehicle, self.belief
         head = (car.wheelbase, car.lr, known.lag.value, known.delay, self.pose_age, self.stages, self.step_length)

@@ -238,7 +238,7 @@ class MPC:
         """What a step says beside the command: of the QP, and of what has been learned."""
         if self.learner is None:
             return _DIAGNOSTICS
-        from adaptrack.core.estimators.learning import BELIEFS
+        from adaptrack.kernels.estimators.learning import BELIEFS
 
         return (*_DIAGNOSTICS, *BELIEFS)
 
@@ -287,7 +287,7 @@ class MPC:
         longest, most: horizons for which a smaller workspace is enough; residuals: whether each step computes its KKT
         residual.
         """
-        from adaptrack.core.controllers import mpc as kernel
+        from adaptrack.kernels.controllers import mpc as kernel
 
         solver, sweeps, tolerance = kernel.ACTIVE_SET, 1, 0.0
         if isinstance(self.solver, Hildreth):
@@ -331,7 +331,7 @@ class MPC:
 
     def batch(self, slots: int, settings: Any, curved: bool = False) -> Any:
         """Fresh compiled controllers for `slots` runs, on curved roads or not (`kernels.controllers.mpc.Mpc`)."""
-        from adaptrack.core.controllers import mpc as kernel
+        from adaptrack.kernels.controllers import mpc as kernel
 
         model, estimator = self.model, self.estimator
         return kernel.batch(
@@ -347,7 +347,7 @@ class MPC:
 
     def reset(self) -> None:
         """Forget the past: the next step is the first, from steering angle 0."""
-        from adaptrack.core.variables import NAMES
+        from adaptrack.kernels.variables import NAMES
 
         self._mpc = self.batch(1, self.settings())
         self._asked = self.tuning.as_array()
@@ -367,7 +367,7 @@ class MPC:
 
     def _load(self) -> None:
         """What a copy cannot carry along: the lock, addresses, compiled functions."""
-        from adaptrack.core.kernel import Resident
+        from adaptrack.kernels.stored import Resident
 
         self._lock = threading.Lock()
         self._measured, self._answer = self._mpc.measured, self._mpc.answer[0]
@@ -429,7 +429,7 @@ class MPC:
         """
         if self._plan is None:
             return {"raised": self._raised} if self.scheduler is not None else {}
-        from adaptrack.core.guard import COUNTS
+        from adaptrack.kernels.guard import COUNTS
 
         return {name: int(self._plan.memory[0][name]) for name in COUNTS}
 
@@ -534,24 +534,16 @@ class MPC:
 
     def _compiled_step(self) -> Callable[[float, Array], None]:
         """The step behind the arguments, compiled on first use."""
+        asked = self._asked
         if not self.in_kernel:
             self._step = self._step_through
         else:
-            self._step = self._step_in_kernel()
+            from adaptrack.kernels.abi import entry
+            from adaptrack.kernels.controllers.mpc_step import step
+
+            compiled, address, functions = entry(step), self._resident.address, self.functions
+            self._step = lambda speed, ahead: compiled(speed, ahead, asked, address, functions)
         return self._step
-
-    def _step_in_kernel(self) -> Callable[[float, Array], None]:
-        from adaptrack.core.controllers.mpc_step import Step, step
-        from adaptrack.core.kernel import direct
-
-        reference = np.zeros(self._furthest)
-        call = direct(step, Step(self._mpc, self.functions, reference, self._asked))
-
-        def run(speed: float, ahead: Array) -> None:
-            reference[: ahead.size] = ahead
-            call(speed, ahead.size)
-
-        return run
 
     def problem(
         self,
@@ -622,8 +614,8 @@ class MPC:
 
     def _look_along(self, road: RoadAhead | None, pace: float) -> None:
         """Take in the road ahead."""
-        from adaptrack.core.controllers.mpc import on_curved_roads
-        from adaptrack.core.kernel import Resident
+        from adaptrack.kernels.controllers.mpc import on_curved_roads
+        from adaptrack.kernels.stored import Resident
 
         if self._mpc.bend.size == 0:
             self._mpc = on_curved_roads(self._mpc)
@@ -645,7 +637,7 @@ class MPC:
         if given.size < own.size:
             own[given.size :] = 0.0
         own[: given.size] = given
-        self._schedule_step(own, self._resident_plan, self._asked)
+        self._schedule_step(own, self._resident_plan.address, self._asked)
 
     def _given(self, variables: Sequence[float]) -> Array:
         """The variables as numbers; the last three may be left out."""
@@ -671,25 +663,38 @@ class MPC:
 
     @cached_property
     def _schedule_step(self) -> Any:
-        from adaptrack.core.schedule_step import schedule_step
+        from adaptrack.kernels.schedule_step import schedule_step
 
         return schedule_step
 
     @property
     def _parts(self) -> Any:
-        from adaptrack.core.controllers import mpc_parts
+        from adaptrack.kernels.controllers import mpc_parts
 
         return mpc_parts
 
     @cached_property
     def functions(self) -> Any:
         """What the kernels call for this controller (`kernels.controllers.mpc.Functions`)."""
-        from adaptrack.core.controllers import mpc as kernel
+        from adaptrack.kernels.controllers import mpc as kernel
 
-        return kernel.functions(discretise=self.model.function, estimate=self.estimator.function)
+        solvers = {}
+        if self.in_kernel and (isinstance(self.solver, ActiveSet) or self.solver.on_uncertified == "exact"):
+            from adaptrack.kernels.qp.active_set import active_set
+
+            solvers["active_set"] = active_set
+        if isinstance(self.solver, Hildreth):
+            from adaptrack.kernels.qp.hildreth import hildreth
+
+            solvers["hildreth"] = hildreth
+        if self.learner is not None:
+            from adaptrack.kernels.estimators.learning import believe, learn
+
+            solvers |= {"learn": learn, "believe": believe}
+        return kernel.functions(discretise=self.model.function, estimate=self.estimator.function, **solvers)
 
     def _form(self, speed: float, ahead: Array) -> tuple[int, int, int]:
-        return self._parts.form_qp(0, speed, ahead, self._asked, self._resident, self.functions)
+        return self._parts.form_qp(0, speed, ahead, self._asked, self._resident.address, self.functions)
 
     def _qp(self, n: int, m: int) -> QP:
         ws = self._mpc.ws
@@ -712,7 +717,7 @@ class MPC:
             status, iterations = solution.status, solution.iterations
             ws.solution[:n] = solution.x
             ws.multipliers[:m] = solution.lam
-        self._parts.apply_move(0, int(status), iterations, n, m, self._resident)
+        self._parts.apply_move(0, int(status), iterations, (n, m), self._resident.address, self.functions)
 
     def _command(self) -> MPCCommand:
         angle, move, held, Np, Nc, Q, R, status, iterations, residual, at_limit, reckoned, *rest = self._answer.tolist()

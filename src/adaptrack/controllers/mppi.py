@@ -62,7 +62,7 @@ class MPPI(CompiledController):
         limits: Limits | None = None,
         preview: bool | None = None,
     ) -> None:
-        from adaptrack.core.controllers import mppi as kernel
+        from adaptrack.kernels.controllers import mppi as kernel
 
         self.car = KnownCar.of("MPPI", vehicle, profile, belief, tyre, friction, period)
         self.horizon = real("MPPI", "horizon", horizon)
@@ -97,7 +97,7 @@ class MPPI(CompiledController):
 
     @property
     def function(self) -> Any:
-        from adaptrack.core.controllers.mppi import mppi
+        from adaptrack.kernels.controllers.mppi import mppi
 
         return mppi
 

@@ -55,7 +55,7 @@ class PreviewLQR(CompiledController):
         limits: Limits | None = None,
         preview: bool | None = None,
     ) -> None:
-        from adaptrack.core.controllers import preview_lqr as kernel
+        from adaptrack.kernels.controllers import preview_lqr as kernel
 
         self.vehicle = vehicle
         told = Told.of("PreviewLQR", vehicle, profile, belief, period, preview, limits)
@@ -79,7 +79,7 @@ class PreviewLQR(CompiledController):
 
     @property
     def function(self) -> Any:
-        from adaptrack.core.controllers.preview_lqr import preview_lqr
+        from adaptrack.kernels.controllers.preview_lqr import preview_lqr
 
         return preview_lqr
 

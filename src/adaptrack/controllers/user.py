@@ -44,7 +44,7 @@ class UserController(CompiledController):
         preview: bool = False,
         label: str = "user",
     ) -> None:
-        from adaptrack.core.controllers.contract import compile_law
+        from adaptrack.kernels.controllers.contract import compile_law
 
         self.law, self.label = law, label
         where = f"UserController {label!r}"

@@ -145,7 +145,7 @@ class Tunings:
 def variables_within(mpc: MPC) -> dict[str, tuple[float, float]]:
     """By name, the bounds of what is seen by one who tunes: scheduling variables, then what the MPC believes."""
     if mpc.learner is not None:
-        from adaptrack.core.estimators.learning import BELIEFS
+        from adaptrack.kernels.estimators.learning import BELIEFS
 
         return {**VARIABLES_WITHIN, **dict.fromkeys(BELIEFS, LEARNED_WITHIN)}
     return {**VARIABLES_WITHIN, **(BELIEF_WITHIN if mpc.belief is not None else {})}
@@ -154,7 +154,7 @@ def variables_within(mpc: MPC) -> dict[str, tuple[float, float]]:
 def first_belief(mpc: MPC) -> tuple[float, ...]:
     """What an MPC believes before its first step, behind the scheduling variables in what is seen."""
     if mpc.learner is not None:
-        from adaptrack.core.estimators.learning import ANSWER, BELIEFS
+        from adaptrack.kernels.estimators.learning import ANSWER, BELIEFS
 
         return tuple(mpc.learner.fresh()[ANSWER : ANSWER + len(BELIEFS)].tolist())
     return () if mpc.belief is None else (mpc.belief.lag.value, mpc.belief.delay)

@@ -42,7 +42,7 @@ class Likelihood:
 
     def __init__(self, log: Log, car: Vehicle, beliefs: Mapping[str, Belief], seen: Array | None = None) -> None:
         """seen: (n,) 1 where a sample is taken in and counts; all when left out."""
-        from adaptrack.core import identification as kernel
+        from adaptrack.kernels import identification as kernel
 
         self._kernel = kernel
         self.log, self.car = log, car

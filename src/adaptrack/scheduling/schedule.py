@@ -180,7 +180,7 @@ class Schedule:
 
     def plan(self, slots: int) -> Any:
         """The schedule as the kernels read it (`kernels.schedule.Schedule`), with a fresh memory for `slots` runs."""
-        from adaptrack.core import guard, schedule
+        from adaptrack.kernels import guard, schedule
 
         settings, integers, numbers, scratch = self._packed()
         return schedule.Schedule(settings, np.zeros(slots, guard.MEMORY), integers, numbers, np.zeros(scratch))
@@ -203,7 +203,7 @@ class Schedule:
         InvalidInput
             When the rows are not like `SchedulingVariables`.
         """
-        from adaptrack.core import schedule
+        from adaptrack.kernels import schedule
 
         given = np.atleast_2d(reals("schedule: the scheduling variables", variables))
         least = len(VARIABLES) - len(SchedulingVariables._field_defaults)
@@ -255,8 +255,8 @@ class Pool:
 
 
 def _pack(made: Schedule) -> tuple[Any, NDArray[np.int64], Array, int]:
-    from adaptrack.core import schedule
-    from adaptrack.core.variables import NAMES
+    from adaptrack.kernels import schedule
+    from adaptrack.kernels.variables import NAMES
 
     array = np.zeros(1, schedule.SETTINGS)
     settings, pool = array[0], Pool()

@@ -87,9 +87,9 @@ def software() -> dict[str, str]:
 
 def kernel_hash() -> str:
     """The hash of the kernels that drive runs."""
-    from adaptrack.core.library import kernels_hash
+    from adaptrack.kernels import abi, rollout
 
-    return kernels_hash()
+    return abi.source_hash(Path(rollout.__file__)) + (" (interpreted)" if abi.INTERPRETED else "")
 
 
 def identity_of(stage: str, settings: Any) -> str:

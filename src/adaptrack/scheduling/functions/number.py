@@ -40,7 +40,7 @@ class Number(Function):
         return np.full(len(x), self.value)
 
     def pack(self) -> Packed:
-        from adaptrack.core import functions
+        from adaptrack.kernels import functions
 
         return Packed(functions.NUMBER, (), (self.value,), 0)
 
