@@ -5,12 +5,16 @@ PIP := $(BIN)/python -m pip --quiet --disable-pip-version-check
 INSTALLED := .venv/.installed
 
 .DEFAULT_GOAL := help
+KERNELS := src/adaptrack/core/built/manifest.json
 .PHONY: help install install-extras run test test-slow test-slow-part test-interpreted lint format docs bench lock clean
 
 help: ## list the targets
 	@grep -E '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## /\1|/' | column -t -s '|'
 
-install: $(INSTALLED) ## create .venv and install the locked packages and adaptrack into it
+install: $(INSTALLED) $(KERNELS) ## create .venv, install the locked packages and adaptrack into it, and compile the kernels
+
+$(KERNELS): $(INSTALLED) $(shell find src/adaptrack/core -name '*.py')
+	$(BIN)/python -m adaptrack.core.build
 
 $(INSTALLED): requirements.lock pyproject.toml src/adaptrack/__init__.py
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "adaptrack needs Python 3.11 or newer, and this is %s: try make PYTHON=python3.12 ..." % sys.version.split()[0])'
@@ -37,7 +41,7 @@ test-slow-part: install ## run a fifth of the slow tests, another one with each 
 	SLOW_PART=$(SLOW_PART) $(BIN)/pytest -q -n 2 --dist worksteal -m slow
 
 test-interpreted: install ## run the tests of kernels with the compiler switched off
-	NUMBA_DISABLE_JIT=1 $(BIN)/pytest -q -n 2 --dist worksteal -m 'kernels and not slow and not compiled'
+	ADAPTRACK_KERNELS=interpreted $(BIN)/pytest -q -n 2 --dist worksteal -m 'kernels and not slow and not compiled'
 
 lint: install ## check style, types and the imports between the rooms
 	$(BIN)/ruff check .
@@ -61,12 +65,12 @@ install-extras: install requirements-extras.lock ## install also what others bri
 
 COMPILE := $(BIN)/uv pip compile pyproject.toml --universal --fork-strategy fewest --generate-hashes --upgrade \
 	  --no-emit-index-url --no-emit-find-links --custom-compile-command 'make lock' --quiet
-LOCKED := --extra solvers --extra cluster --extra docs --extra dev
+LOCKED := --extra compile --extra solvers --extra cluster --extra docs --extra dev
 
 lock: ## renew requirements.lock and requirements-extras.lock from pyproject.toml
 	$(COMPILE) $(LOCKED) --output-file requirements.lock
 	$(COMPILE) --extra bench --extra commonroad --extra gym --extra plants --constraints requirements.lock --output-file requirements-extras.lock
 
 clean: ## remove everything that can be made again
-	rm -rf .venv build dist results docs/_build .hypothesis .import_linter_cache .mypy_cache .pytest_cache .ruff_cache
+	rm -rf .venv build dist results docs/_build src/adaptrack/core/built .hypothesis .import_linter_cache .mypy_cache .pytest_cache .ruff_cache
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +

@@ -21,7 +21,7 @@ from dataclasses import asdict, dataclass
 import numba
 import numpy as np
 
-from adaptrack.kernels.plants.contract import INPUTS, SLOTS, STATES, place, vehicle_batch
+from adaptrack.core.plants.contract import INPUTS, SLOTS, STATES, place, vehicle_batch
 from adaptrack.plant import DualTrack, Plant, SingleTrack
 from adaptrack.profile import load_profile
 from adaptrack.vehicle import GRAVITY, load_tyre, load_vehicle
@@ -83,13 +83,13 @@ def paths(plant: Plant, speed: float, inputs: np.ndarray, period: float, steps: 
     """X, Y and yaw (periods, 3, runs) at the control instants."""
     runs = inputs.shape[2]
     start = plant.initial_state(np.array([0.0, 0.0, 0.0, speed, 0.0, 0.0]))
-    fleet, advance = vehicle_batch(plant.packed(), np.tile(start, (SLOTS, 1))), plant.compiled.advance
+    fleet, advance = vehicle_batch(plant.compiled, plant.packed(), np.tile(start, (SLOTS, 1))), plant.compiled.advance
     place(SLOTS, fleet.start, fleet.block, fleet.states)
     rows, seen = fleet.block.reshape(-1, SLOTS), np.empty((len(inputs), 3, runs))
     for k, held in enumerate(inputs):
         rows[STATES:, :runs] = held
         rows[STATES:, runs:] = held[:, :1]
-        advance(fleet.parameters, fleet.block, fleet.states, fleet.work, runs, steps, period / steps)
+        advance(fleet.member, fleet.parameters, fleet.block, fleet.states, fleet.work, runs, steps, period / steps)
         seen[k] = rows[:3, :runs]
     return seen
 

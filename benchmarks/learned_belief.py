@@ -36,10 +36,10 @@ from sklearn.preprocessing import StandardScaler
 import adaptrack as at
 from adaptrack.batch import Batch
 from adaptrack.controllers import Learning, Uncertainty
+from adaptrack.core.controllers.mpc import ANSWER
+from adaptrack.core.estimators.learning import BELIEF
+from adaptrack.core.plants.contract import STATE
 from adaptrack.identification.random_cars import CarRanges, random_car
-from adaptrack.kernels.controllers.mpc import ANSWER
-from adaptrack.kernels.estimators.learning import BELIEF
-from adaptrack.kernels.plants.contract import STATE
 from adaptrack.learning import ANFIS
 from adaptrack.profile import Profile, load_profile
 from adaptrack.scenario import random_drive

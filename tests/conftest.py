@@ -22,10 +22,7 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, settings
 
-from kept_members import keep_members
 from pictures import pictures
-
-keep_members()  # before any other kernel file is imported
 
 settings.register_profile(
     "adaptrack",

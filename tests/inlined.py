@@ -2,7 +2,7 @@
 
 import numba
 
-from adaptrack.kernels.abi import INTERPRETED
+from adaptrack.core.kernel import INTERPRETED
 
 
 def entry(kernel):

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from adaptrack.controllers import MPC, Learning, Limits, Tuning, published_mpc
+from adaptrack.core.qp.problem import CHANGES
 from adaptrack.errors import InvalidInput
-from adaptrack.kernels.qp.problem import CHANGES
 from adaptrack.qp import QPStatus
 from adaptrack.qp.active_set import ActiveSet
 from adaptrack.qp_corpus import chunk
@@ -60,19 +60,6 @@ CONTROLLERS = {
 }
 
 
-@pytest.fixture
-def allocations():
-    """How many arrays the kernels have allocated so far."""
-    from numba.core.runtime import _nrt_python, rtsys
-
-    rtsys.initialize(__import__("numba.core.registry", fromlist=["cpu_target"]).cpu_target.target_context)
-    were_on = _nrt_python.memsys_stats_enabled()
-    _nrt_python.memsys_enable_stats()
-    yield lambda: rtsys.get_allocation_stats().alloc
-    if not were_on:
-        _nrt_python.memsys_disable_stats()
-
-
 def hard_steps(mpc, count, seed=1):
     """Steps at changing speeds, limits reached."""
     rng = np.random.default_rng(seed)
@@ -80,25 +67,6 @@ def hard_steps(mpc, count, seed=1):
     reference = np.zeros(1)
     for k in range(count):
         mpc.step(states[k], speeds[k], reference)
-
-
-@compiled
-def test_the_count_of_allocations_counts(allocations):
-    from numba import njit
-
-    before = allocations()
-    njit(lambda n: np.zeros(n).sum())(3)
-    assert allocations() > before
-
-
-@pytest.mark.parametrize("make", CONTROLLERS.values(), ids=CONTROLLERS)
-@compiled
-def test_compiled_steps_allocate_nothing_after_the_first(make, allocations):
-    mpc = make()
-    hard_steps(mpc, 10)
-    before = allocations()
-    hard_steps(mpc, 10_000, seed=2)
-    assert allocations() == before
 
 
 @pytest.mark.slow

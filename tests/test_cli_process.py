@@ -37,11 +37,11 @@ GUARDED = (
     ("module", "code"),
     [
         ("typer", f"{PRESS}time.sleep(30)"),
-        ("numba", f"{PRESS}time.sleep(30)"),
-        ("numba", f"{GUARDED}\n    raise ImportError"),
-        ("numba", f"{GUARDED}\n    pass\ntime.sleep(30)"),
+        ("numpy", f"{PRESS}time.sleep(30)"),
+        ("numpy", f"{GUARDED}\n    raise ImportError"),
+        ("numpy", f"{GUARDED}\n    pass\ntime.sleep(30)"),
     ],
-    ids=["of-typer", "of-numba", "turned-into-another-error", "swallowed-by-a-callback"],
+    ids=["of-typer", "of-numpy", "turned-into-another-error", "swallowed-by-a-callback"],
 )
 def test_ctrl_c_during_an_import_is_one_sentence_and_exit_code_130(tmp_path, module, code):
     (tmp_path / f"{module}.py").write_text(code)
@@ -171,15 +171,6 @@ def test_an_end_of_file_within_a_command_is_no_ctrl_c(monkeypatch, capsys):
     with pytest.raises(typer.Abort) as found:  # a fault, with its traceback
         run(monkeypatch, capsys, "scenarios")
     assert isinstance(found.value.__cause__, EOFError)
-
-
-# -- the environment --------------------------------------------------------------------------------------------------
-@pytest.mark.parametrize("number", ["0", "-1", "1.5", "many", ""])
-def test_a_number_of_threads_that_numba_does_not_take_is_one_sentence(monkeypatch, capsys, number):
-    monkeypatch.setenv("NUMBA_NUM_THREADS", number)
-    code, out, err = run(monkeypatch, capsys, "--version")
-    assert (code, out) == (2, "")
-    assert err == f"adaptrack: NUMBA_NUM_THREADS = {number!r}: must be a whole number, at least 1; or unset it.\n"
 
 
 def test_no_command_asks_matplotlib_for_a_window_system(monkeypatch, capsys):

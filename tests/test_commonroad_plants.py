@@ -15,8 +15,8 @@ from adaptrack.commonroad_plants import (
     commonroad_plant,
     commonroad_vehicle,
 )
+from adaptrack.core.plants import commonroad as kernel
 from adaptrack.errors import ConfigError, ContractError, InvalidInput, MissingExtra, UnknownName
-from adaptrack.kernels.plants import commonroad as kernel
 
 DRIFT, BODY = MODELS
 STILL = [0.0, 0.0, 0.0]  # wind, bank

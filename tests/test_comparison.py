@@ -18,8 +18,8 @@ from adaptrack.comparison.compare import Comparison, Role, SwarmSearch, compare,
 from adaptrack.comparison.contenders import Contender, get_contender, list_contenders, register_contender
 from adaptrack.comparison.statistics import RESAMPLES, geometric_mean
 from adaptrack.controllers import CompiledController, Tuning, UserController, published_mpc
+from adaptrack.core import guard
 from adaptrack.errors import ContractError, InvalidInput, UnknownName
-from adaptrack.kernels import guard
 from adaptrack.metrics import compute_metrics
 from adaptrack.plant import SingleTrack
 from adaptrack.profile import load_profile

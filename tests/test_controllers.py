@@ -28,8 +28,8 @@ from adaptrack.controllers import (
     registry,
 )
 from adaptrack.controllers.lqr import SPEEDS, WEIGHT_FACTORS, error_model, lqr_gain, sampled_error_model
+from adaptrack.core.controllers.contract import path_at, wrapped
 from adaptrack.errors import ContractError, InvalidInput, UnknownName
-from adaptrack.kernels.controllers.contract import path_at, wrapped
 from adaptrack.plant import DualTrack
 from adaptrack.road.ahead import straight
 from adaptrack.scenario import load_scenario
@@ -379,28 +379,16 @@ def test_a_car_that_knows_its_steering_tells_its_controllers_the_delay():
     assert Stanley(CAR.replace(steering=Steering(ratio=15.0))).tuning["dead_time"] == 0.2
 
 
-@pytest.mark.compiled
 @every_law
-def test_a_law_crosses_into_a_kernel_by_its_address(law):
-    from numba import njit
-
-    from adaptrack.kernels.abi import address_of, int64, vector
-    from adaptrack.kernels.controllers.contract import LAW_SIGNATURE, call_law
-    from adaptrack.kernels.road import ROAD_AHEAD
-
-    @njit(LAW_SIGNATURE.return_type(int64, vector, vector, ROAD_AHEAD, vector, vector, vector, vector))
-    def kernel(law, situation, reference, road, tuning, parameters, memory, answer):
-        call_law(law, situation, reference, road, tuning, parameters, memory, answer)
-
+def test_a_law_as_a_kernel_answers_what_its_controller_does(law):
     controller = law(CAR, preview=True)
     expected = controller.step([0.1, 0.02, 0.0, 0.3], 15.0, np.linspace(0.0, 2.0, 60))
     answer = np.zeros(1 + len(controller.diagnostic_names))
-    given = (
+    controller.function(
         np.array([0.1, 0.02, 0.0, 0.3, 15.0, 0.0]), np.linspace(0.0, 2.0, 60), straight(),
         controller.packed_tuning(),
         controller.parameters(), np.zeros(controller.memory_size), answer,
     )  # fmt: skip
-    kernel(address_of(controller.function, LAW_SIGNATURE), *given)
     assert answer[0] == expected.angle
 
 

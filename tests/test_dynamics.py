@@ -6,8 +6,8 @@ import math
 import numpy as np
 import pytest
 
-from adaptrack.kernels.plants.contract import BLOCK, INPUT, INPUTS, SLOTS, STATE, STATES, vehicle_batch
-from adaptrack.kernels.plants.parameters import PLANT_PARAMETERS, unpack
+from adaptrack.core.plants.contract import BLOCK, INPUT, INPUTS, SLOTS, STATE, STATES, vehicle_batch
+from adaptrack.core.plants.parameters import PLANT_PARAMETERS, unpack
 from adaptrack.plant import DualTrack, SingleTrack
 from adaptrack.profile import load_profile
 from adaptrack.vehicle import GRAVITY, SteeringActuator, Tyre, load_tyre, load_vehicle
@@ -60,12 +60,14 @@ def slope(plant, x, u):
 
 def ride(plant, x, u, duration, h=0.005):
     """The state (STATES,) after `duration` (s) of constant input, by RK4 with steps of h (s)."""
-    batch = vehicle_batch(plant.packed(), x[None, :6])
+    batch = vehicle_batch(plant.compiled, plant.packed(), x[None, :6])
     rows = batch.block.reshape(-1, SLOTS)
     rows[:STATES] = x[:, None]
     rows[STATES:] = u[:, None]
     steps = round(duration / h)
-    plant.compiled.advance(batch.parameters, batch.block, batch.states, batch.work, 1, steps, duration / steps)
+    plant.compiled.advance(
+        batch.member, batch.parameters, batch.block, batch.states, batch.work, 1, steps, duration / steps
+    )
     return rows[:STATES, 0].copy()
 
 
@@ -146,10 +148,10 @@ def test_a_banked_road_pushes_the_car_aside_and_an_accelerometer_does_not_feel_i
     np.testing.assert_array_equal(np.delete(banked, 4), np.delete(level, 4))
     felt = []
     for bank in (0.0, push):
-        batch, seen = vehicle_batch(plant.packed(), x[None, :6]), np.zeros(2)
+        batch, seen = vehicle_batch(plant.compiled, plant.packed(), x[None, :6]), np.zeros(2)
         rows = batch.block.reshape(-1, SLOTS)
         rows[:, 0] = [*x, *inputs(0.02, bank=bank)]
-        plant.compiled.observe(batch.parameters, batch.block, batch.states, batch.work, 0, seen)
+        plant.compiled.observe(batch.member, batch.parameters, batch.block, batch.states, batch.work, 0, seen)
         felt.append(seen[0])
     assert felt[0] == pytest.approx(felt[1], abs=1e-12)
 

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from adaptrack.kernels.maths import elementary
+from adaptrack.core.maths import elementary
 from inlined import entry
 
 pytestmark = pytest.mark.kernels

@@ -9,6 +9,8 @@ import pytest
 
 from adaptrack import estimation
 from adaptrack.controllers import MPC, Tuning, published_mpc
+from adaptrack.core.estimators import friction_wind as kernel
+from adaptrack.core.plants.parameters import unpack
 from adaptrack.errors import ContractError, InvalidInput, UnknownName
 from adaptrack.estimation import (
     Belief,
@@ -20,8 +22,6 @@ from adaptrack.estimation import (
     register_estimator,
 )
 from adaptrack.failure import Failure
-from adaptrack.kernels.estimators import friction_wind as kernel
-from adaptrack.kernels.plants.parameters import unpack
 from adaptrack.models import SingleTrackModel
 from adaptrack.plant import DualTrack, SingleTrack
 from adaptrack.profile import load_profile

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from adaptrack.controllers import MPC, Tuning, published_mpc
-from adaptrack.kernels.controllers.feed_forward import FURTHEST, TURNING, bend_size, road_moves
+from adaptrack.core.controllers.feed_forward import FURTHEST, TURNING, bend_size, road_moves
 from adaptrack.models import PathModel, SingleTrackModel
 from adaptrack.plant import SingleTrack
 from adaptrack.road import Arc, Clothoid, Line, Road

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from adaptrack.kernels.plants.contract import GROUP, INPUT, INPUTS, SLOTS, STATE, STATES, vehicle_batch
-from adaptrack.kernels.plants.tyre import CURVED_MAGIC_FORMULA, LINEAR, MAGIC_FORMULA
-from adaptrack.kernels.plants.user import ACTUATOR, compile_plant
+from adaptrack.core.plants.contract import GROUP, INPUT, INPUTS, SLOTS, STATE, STATES, vehicle_batch
+from adaptrack.core.plants.tyre import CURVED_MAGIC_FORMULA, LINEAR, MAGIC_FORMULA
+from adaptrack.core.plants.user import ACTUATOR, compile_plant
 from adaptrack.plant import DualTrack, SingleTrack, UserPlant
 from adaptrack.profile import load_profile
 from adaptrack.vehicle import SteeringActuator, load_tyre, load_vehicle
@@ -43,11 +43,13 @@ def crowd(rng, plant):
 
 def advanced(plant, rows, members, substeps=12, h=0.008):
     """The vehicles `members` (columns of `rows`) after some steps, in a block of their own."""
-    batch = vehicle_batch(plant.packed(), np.zeros((SLOTS, 6)))
+    batch = vehicle_batch(plant.compiled, plant.packed(), np.zeros((SLOTS, 6)))
     slots = batch.block.reshape(STATES + INPUTS, SLOTS)
     slots[:] = rows[:, members[:1]]  # whoever fills up the last group of slots
     slots[:, : len(members)] = rows[:, members]
-    plant.compiled.advance(batch.parameters, batch.block, batch.states, batch.work, len(members), substeps, h)
+    plant.compiled.advance(
+        batch.member, batch.parameters, batch.block, batch.states, batch.work, len(members), substeps, h
+    )
     return slots[:, : len(members)]
 
 
@@ -80,9 +82,9 @@ def test_two_short_rides_are_one_long_one(plant, rng):
 def test_inputs_are_held_and_slots_that_nobody_asked_for_stay(plant, rng):
     car = plant(CAR, steering=ROAD)
     rows = crowd(rng, car)
-    batch = vehicle_batch(car.packed(), np.zeros((SLOTS, 6)))
+    batch = vehicle_batch(car.compiled, car.packed(), np.zeros((SLOTS, 6)))
     batch.block[:] = rows.ravel()
-    car.compiled.advance(batch.parameters, batch.block, batch.states, batch.work, GROUP, 3, 0.01)
+    car.compiled.advance(batch.member, batch.parameters, batch.block, batch.states, batch.work, GROUP, 3, 0.01)
     after = batch.block.reshape(rows.shape)
     assert np.array_equal(after[STATES:], rows[STATES:], equal_nan=True)
     assert np.array_equal(after[:, GROUP:], rows[:, GROUP:], equal_nan=True)
@@ -128,11 +130,11 @@ def copy_of_the_single_track(x, u, environment, p, dx):
 def custom_ride(function, parameters, steering, start, inputs, substeps, h, own=6):
     """A block's first slot (STATES + INPUTS,) and the plant's own states after a ride of a user's plant."""
     packed = np.array([steering.lag, steering.rate, steering.limit, *parameters])
-    batch = vehicle_batch(packed, np.zeros((SLOTS, own)))
+    batch = vehicle_batch(compile_plant(function), packed, np.zeros((SLOTS, own)))
     rows = batch.block.reshape(-1, SLOTS)
     rows[:6], rows[STATES:] = start[:6, None], inputs[:, None]
     batch.states[:, :6] = start[:6]
-    compile_plant(function).advance(packed, batch.block, batch.states, batch.work, 3, substeps, h)
+    compile_plant(function).advance(batch.member, packed, batch.block, batch.states, batch.work, 3, substeps, h)
     return rows[:, 0].copy(), batch.states
 
 
@@ -186,12 +188,12 @@ def test_a_users_plant_packs_its_own_parameters_behind_those_of_the_steering():
 @pytest.mark.parametrize("steering", [SteeringActuator.ideal(), ROAD], ids=["ideal", "road"])
 def test_what_is_observed_is_the_slope_and_the_angle_of_the_wheels(plant, steering, rng):
     car = plant(CAR, steering=steering)
-    batch = vehicle_batch(car.packed(), np.zeros((SLOTS, 6)))
+    batch = vehicle_batch(car.compiled, car.packed(), np.zeros((SLOTS, 6)))
     rows = batch.block.reshape(STATES + INPUTS, SLOTS)
     rows[:] = crowd(rng, car)
     for slot in (0, 5, SLOTS - 1):
         seen, slope = np.full(2, np.nan), np.full(STATES, np.nan)
-        car.compiled.observe(batch.parameters, batch.block, batch.states, batch.work, slot, seen)
+        car.compiled.observe(batch.member, batch.parameters, batch.block, batch.states, batch.work, slot, seen)
         x, u = rows[:STATES, slot].copy(), rows[STATES:, slot].copy()
         car.compiled.right_hand_side(x, u, car.packed(), slope)
         assert seen[0] == slope[STATE.vy] + x[STATE.vx] * x[STATE.yaw_rate] - u[INPUT.bank]

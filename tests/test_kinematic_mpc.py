@@ -10,9 +10,9 @@ from scipy.signal import butter, lfilter
 
 import adaptrack as at
 from adaptrack.controllers.kinematic_mpc import WEIGHTS, KinematicMPC, kinematic_model
+from adaptrack.core.controllers import kinematic_mpc as kernel
+from adaptrack.core.controllers.contract import planned_speed
 from adaptrack.errors import InvalidInput
-from adaptrack.kernels.controllers import kinematic_mpc as kernel
-from adaptrack.kernels.controllers.contract import planned_speed
 from adaptrack.qp import get_qp_solver
 from adaptrack.road import Arc, Clothoid, Line, Road
 from adaptrack.road.ahead import RoadAhead, straight

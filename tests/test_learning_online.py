@@ -14,10 +14,10 @@ from typer.testing import CliRunner
 
 from adaptrack.cli.app import app
 from adaptrack.controllers import MPC, LearnedCar, Learning, Uncertainty, load_learned_car
+from adaptrack.core.estimators import learning as kernel
 from adaptrack.errors import ConfigError, InvalidInput
 from adaptrack.estimation import NOTHING_MEASURED
 from adaptrack.kalman import KalmanFilter
-from adaptrack.kernels.estimators import learning as kernel
 from adaptrack.models import PathModel, SingleTrackModel
 from adaptrack.plant import DualTrack
 from adaptrack.profile import load_profile

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from adaptrack import models
+from adaptrack.core.controllers import condensing
+from adaptrack.core.models import single_track as kernel
 from adaptrack.errors import ContractError, InvalidInput, UnknownName
-from adaptrack.kernels.controllers import condensing
-from adaptrack.kernels.models import single_track as kernel
 from adaptrack.models import (
     PredictionModel,
     SingleTrackModel,

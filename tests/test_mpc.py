@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from adaptrack.controllers import MPC, Limits, Moves, Scheduler, Tuning, published_mpc
+from adaptrack.core.controllers import mpc as kernel
 from adaptrack.errors import InvalidInput, MissingExtra, UnknownName
-from adaptrack.kernels.controllers import mpc as kernel
 from adaptrack.models import SingleTrackModel, limit_bounds, limit_matrix
 from adaptrack.qp import QPStatus, get_qp_solver, list_qp_solvers
 from adaptrack.scheduling import SchedulingVariables
@@ -612,8 +612,7 @@ def test_an_empty_reference_is_refused():
     ids=["pulse", "laguerre", "soft", "hildreth"],
 )
 def test_what_a_workspace_held_before_changes_no_bit(options, rng):
-    from adaptrack.kernels.controllers.mpc_step import step
-    from adaptrack.kernels.stored import Resident
+    from adaptrack.core.controllers.mpc_step import Step, step
 
     mpc = published_mpc(CAR, **options)
     settings = mpc.settings()
@@ -630,8 +629,7 @@ def test_what_a_workspace_held_before_changes_no_bit(options, rng):
             state, ahead = wild_state(rng, 0.6), rng.normal(size=1)
             for one in (fresh, used):
                 one.measured[:4] = state
-                held = Resident(one)
-                step(speed, ahead, tuning, held.address, mpc.functions)
+                step(speed, ahead.size, Step(one, mpc.functions, ahead, tuning))
             assert np.array_equal(fresh.answer, used.answer, equal_nan=True)
 
 

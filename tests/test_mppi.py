@@ -10,8 +10,8 @@ import pytest
 from adaptrack.controllers import check_controller, get_controller
 from adaptrack.controllers.limits import Limits
 from adaptrack.controllers.mppi import MPPI
+from adaptrack.core.controllers import mppi as kernel
 from adaptrack.errors import InvalidInput
-from adaptrack.kernels.controllers import mppi as kernel
 from adaptrack.plant import DualTrack, SingleTrack
 from adaptrack.road import Arc, Line, Road
 from adaptrack.scenario import RoadDrive, load_scenario

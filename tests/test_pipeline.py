@@ -81,5 +81,5 @@ def test_a_scheduler_is_kept_with_its_identity_and_its_record(tmp_path):
 def test_an_identity_is_of_the_stage_the_settings_and_the_software():
     assert identity_of("a", {"x": 1, "y": 2}) == identity_of("a", {"y": 2, "x": 1})
     assert len({identity_of(*given) for given in (("a", 1), ("b", 1), ("a", 2))}) == 3
-    assert set(software()) == {"adaptrack", "kernels", "numba", "numpy", "scikit-learn"}
+    assert set(software()) == {"adaptrack", "kernels", "numpy", "scikit-learn"}
     assert json.dumps(software())

@@ -6,8 +6,8 @@ import math
 import numpy as np
 import pytest
 
+from adaptrack.core.plants.contract import INPUT, SLOTS, STATES, place, vehicle_batch
 from adaptrack.errors import ContractError, InvalidInput, UnknownName
-from adaptrack.kernels.plants.contract import INPUT, SLOTS, STATES, place, vehicle_batch
 from adaptrack.plant import (
     MOTION,
     DualTrack,
@@ -134,12 +134,14 @@ def test_a_users_plant_is_told_the_prescribed_acceleration(steering):
     unaware = plant.derivative(np.zeros(8), [0.0, 40.0], np.zeros(7))
     assert (unaware[3], unaware[6], unaware[7]) == (99.0, -1.0, 40.0)
 
-    vehicles = vehicle_batch(plant.packed(), plant.initial_state([0, 0, 0, 10.0, 0, 0])[None])
+    vehicles = vehicle_batch(plant.compiled, plant.packed(), plant.initial_state([0, 0, 0, 10.0, 0, 0])[None])
     place(1, vehicles.start, vehicles.block, vehicles.states)
     for acceleration, force, expected in ((2.0, 0.0, (10.4, 0.4, 0.0)), (math.nan, 7.0, (30.2, 0.2, 1.4))):
         vehicles.block[(STATES + INPUT.acceleration) * SLOTS] = acceleration
         vehicles.block[(STATES + INPUT.force) * SLOTS] = force
-        plant.compiled.advance(vehicles.parameters, vehicles.block, vehicles.states, vehicles.work, 1, 4, 0.05)
+        plant.compiled.advance(
+            vehicles.member, vehicles.parameters, vehicles.block, vehicles.states, vehicles.work, 1, 4, 0.05
+        )
         assert vehicles.states[0, [3, 6, 7]] == pytest.approx(expected)
 
 

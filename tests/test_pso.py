@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from numba import njit
 from scipy import stats
 
+from adaptrack.core import swarm
+from adaptrack.core.kernel import Place, exported, int64, matrix, vector, void
+from adaptrack.core.maths import random
+from adaptrack.core.maths.random import counted_normal, counted_uniform
 from adaptrack.errors import ConfigError, InvalidInput
 from adaptrack.files import build, read_toml
-from adaptrack.kernels import swarm
-from adaptrack.kernels.maths import random
-from adaptrack.kernels.maths.random import counted_normal, counted_uniform
 from adaptrack.tuning.pso import SearchSpace, Swarm, SwarmSettings, minimise
 from inlined import entry
 
@@ -319,7 +319,7 @@ def test_ask_and_tell_find_what_minimise_finds():
     assert np.array_equal(whole.cost, hilly(whole.x[None])[0])
 
 
-@njit
+@exported(void(int64, int64, int64, vector, matrix, Place(swarm.Particles), vector), name="swarm_of_a_test")
 def _sphere_swarm(generations, seed, stream, settings, space, arrays, costs):
     swarm.begin(seed, stream, settings, space, arrays)
     for g in range(generations):

@@ -5,9 +5,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from adaptrack.kernels.qp import problem as kernels
-from adaptrack.kernels.qp.active_set import active_set
-from adaptrack.kernels.qp.residual import kkt_residual
+from adaptrack.core.qp import problem as kernels
+from adaptrack.core.qp.active_set import active_set
+from adaptrack.core.qp.residual import kkt_residual
 from adaptrack.qp import QP, QPStatus, kkt_residuals
 from adaptrack.qp.check import ill_conditioned_problem, known_problems
 from adaptrack.qp.kernel import Workspace

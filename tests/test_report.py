@@ -282,7 +282,7 @@ def test_a_page_without_a_failed_run_does_not_speak_of_one_in_its_heading(tmp_pa
 def test_the_provenance_is_complete(report):
     _, text, _ = report
     shown = Outline(text).text
-    for entry in ("Profile paper", "Plant dual-track", "Tyre constant-stiffness", "Preview no", "Seed 7", "numba"):
+    for entry in ("Profile paper", "Plant dual-track", "Tyre constant-stiffness", "Preview no", "Seed 7", "kernels"):
         assert entry in shown
     assert "adaptrack simulate --out <here>" in shown  # escaped in the source, whole for the reader
     assert "<here>" not in text

@@ -10,12 +10,12 @@ import pytest
 
 from adaptrack.batch import Batch
 from adaptrack.controllers import Tuning
+from adaptrack.core import loop
+from adaptrack.core.controllers.mpc import ANSWER
+from adaptrack.core.plants.contract import STATE
 from adaptrack.errors import InvalidInput
 from adaptrack.estimation import FrictionWindEstimator, Perception
 from adaptrack.failure import Failure
-from adaptrack.kernels import loop
-from adaptrack.kernels.controllers.mpc import ANSWER
-from adaptrack.kernels.plants.contract import STATE
 from adaptrack.metrics import PUBLISHED
 from adaptrack.plant import DualTrack, SingleTrack
 from adaptrack.profile import load_profile

@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 from scipy.interpolate import RegularGridInterpolator
 
 from adaptrack.controllers import Tuning
-from adaptrack.kernels import functions, guard, variables
-from adaptrack.kernels import schedule as kernel
+from adaptrack.core import functions, guard, variables
+from adaptrack.core import schedule as kernel
 from adaptrack.scheduling import (
     ENTRIES,
     VARIABLES,

@@ -14,9 +14,9 @@ import pytest
 
 from adaptrack.batch import rollout_batch
 from adaptrack.controllers import CompiledScheduler, Moves, Scheduler, Tuning, published_mpc
+from adaptrack.core import guard
+from adaptrack.core import schedule as kernel
 from adaptrack.errors import ContractError, InvalidInput, StorageError, UnknownName
-from adaptrack.kernels import guard
-from adaptrack.kernels import schedule as kernel
 from adaptrack.plant import DualTrack, SingleTrack
 from adaptrack.qp import QPStatus
 from adaptrack.scenario import Scenario, load_scenario

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
+from adaptrack.core import functions as kernel
 from adaptrack.errors import InvalidInput
-from adaptrack.kernels import functions as kernel
 from adaptrack.scheduling import (
     VARIABLES,
     Function,

@@ -287,7 +287,7 @@ def test_an_equal_configuration_gives_equal_identities(tmp_path):
     assert load_adaptation(spelled_out).method == Method()
 
 
-@pytest.mark.parametrize("what", ["adaptrack", "kernels", "numba", "numpy", "scikit-learn"])
+@pytest.mark.parametrize("what", ["adaptrack", "kernels", "numpy", "scikit-learn"])
 def test_other_software_decides_every_stage(tmp_path, monkeypatch, what):
     setup, versions = setup_of(tmp_path), pipeline.software()
     before = stage_identity(setup, "nn")

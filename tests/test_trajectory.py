@@ -352,7 +352,7 @@ def test_provenance_names_the_software_and_takes_the_callers_clock():
     run = record(meta=meta)
     assert run.meta["created"] == "2026-01-02T03:04:00+00:00"
     assert run.meta["versions"]["adaptrack"] == __version__
-    assert {"python", "numpy", "numba"} < set(run.meta["versions"])
+    assert {"python", "numpy", "kernels"} < set(run.meta["versions"])
     assert [run.name_of(entry) for entry in ("scenario", "plant", "moves", "unknown")] == [
         "step",
         "dual-track",

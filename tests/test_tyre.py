@@ -5,8 +5,8 @@ import math
 import numpy as np
 import pytest
 
-from adaptrack.kernels.plants.parameters import unpack
-from adaptrack.kernels.plants.tyre import (
+from adaptrack.core.plants.parameters import unpack
+from adaptrack.core.plants.tyre import (
     CURVED_MAGIC_FORMULA,
     LINEAR,
     MAGIC_FORMULA,

@@ -213,9 +213,9 @@ def test_a_key_with_two_values_and_a_file_that_is_not_there_are_named(tmp_path):
 
 
 def test_the_law_in_numpy_is_the_law_of_the_plant():
-    from adaptrack.kernels.plants.parameters import PlantParameters
-    from adaptrack.kernels.plants.tyre import lateral_force as kernel
-    from adaptrack.kernels.plants.tyre import tyre_law
+    from adaptrack.core.plants.parameters import PlantParameters
+    from adaptrack.core.plants.tyre import lateral_force as kernel
+    from adaptrack.core.plants.tyre import tyre_law
     from adaptrack.vehicle import SteeringActuator, load_vehicle, pack_plant
 
     compiled = entry(kernel)

@@ -4,15 +4,17 @@ import math
 
 import numpy as np
 import pytest
-from numba import njit
 
-from adaptrack.kernels.maths import vectors
-from adaptrack.kernels.maths.vectors import WIDTH
+from adaptrack.core.kernel import inlined
+from adaptrack.core.maths import vectors
+from adaptrack.core.maths.vectors import WIDTH
+from inlined import entry
 
 pytestmark = pytest.mark.kernels
 
 
-@njit
+@entry
+@inlined
 def _every_operation(A, out):
     a, b, c = vectors.load(A, 0, 0), vectors.load(A, 1, 0), vectors.load(A, 2, 0)
     vectors.store(out, 0, 0, vectors.add(a, b))
@@ -66,9 +68,7 @@ def test_each_operation_equals_numpy(rng):
 
 @pytest.mark.parametrize("value", [math.nan, math.inf])
 def test_an_entry_that_is_not_finite_is_noticed(value):
-    @njit
-    def ask(A):
-        return vectors.all_below_infinity(vectors.load(A, 0, 0))
+    ask = entry(inlined(lambda A: vectors.all_below_infinity(vectors.load(A, 0, 0))))
 
     A = np.zeros((1, WIDTH))
     A[0, 3] = -math.inf

@@ -390,7 +390,7 @@ class TestPackPlant:
         return vehicle, own, SteeringActuator(lag=0.15, rate=0.5, limit=0.52)
 
     def test_each_number_reaches_its_own_slot(self):
-        from adaptrack.kernels.plants.parameters import PLANT_PARAMETERS
+        from adaptrack.core.plants.parameters import PLANT_PARAMETERS
 
         vehicle, own, actuator = self.distinct()
         packed = pack_plant(vehicle, own, actuator)
@@ -420,7 +420,7 @@ class TestPackPlant:
         assert dead == elsewhere.get(kind, set())
 
     def test_the_kind_of_tyre_is_a_number_of_the_record(self):
-        from adaptrack.kernels.plants.parameters import PLANT_PARAMETERS
+        from adaptrack.core.plants.parameters import PLANT_PARAMETERS
 
         vehicle, own, actuator = self.distinct()
         slot = PLANT_PARAMETERS.index("tyre_linear")
@@ -435,21 +435,21 @@ class TestPackPlant:
         ],
     )
     def test_a_kernel_that_asks_for_other_parameters_is_noticed(self, monkeypatch, edit, message):
-        from adaptrack.kernels.plants import parameters
+        from adaptrack.core.plants import parameters
 
         monkeypatch.setattr(parameters, "PLANT_PARAMETERS", edit(parameters.PLANT_PARAMETERS))
         with pytest.raises(ContractError, match=message):
             pack_plant(*self.distinct())
 
     def test_the_order_of_the_kernels_does_not_matter(self, monkeypatch):
-        from adaptrack.kernels.plants import parameters
+        from adaptrack.core.plants import parameters
 
         packed = pack_plant(*self.distinct())
         monkeypatch.setattr(parameters, "PLANT_PARAMETERS", parameters.PLANT_PARAMETERS[::-1])
         assert np.array_equal(pack_plant(*self.distinct()), packed[::-1])
 
     def test_kernels_use_the_same_gravity(self):
-        from adaptrack.kernels.plants import forces
+        from adaptrack.core.plants import forces
 
         assert forces.GRAVITY == GRAVITY
 

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from adaptrack.controllers import MPC, CompiledController, CompiledScheduler, Controller
-from adaptrack.errors import InvalidInput
+from adaptrack.errors import InvalidInput, MissingExtra
 from adaptrack.estimation import FrictionWindEstimator
 from adaptrack.failure import Failure
 from adaptrack.plant import DualTrack, Plant, SingleTrack
@@ -54,7 +54,7 @@ class BatchResult:
     qp_iterations: NDArray[np.int64]
     """of the QP solver, in all steps"""
     scheduler: dict[str, NDArray[np.int64]]
-    """what the scheduler counted, by name, see `kernels.guard.COUNTS`; empty without one"""
+    """what the scheduler counted, by name, see `core.guard.COUNTS`; empty without one"""
 
     def cost(self, move_weight: float = 0.0) -> Array:
         """J = mean e^2 + move_weight * mean (change of command)^2, the cost that tuning minimises; inf when failed."""
@@ -117,9 +117,9 @@ class BatchRuns:
     """What `Batch.run` gives."""
 
     result: Any
-    """(runs,) `kernels.rollout.RESULT`"""
+    """(runs,) `core.rollout.RESULT`"""
     trace: Any
-    """`kernels.rollout.Trace` of (runs, periods of the longest, ...), NaN behind a run's end; empty unless asked for"""
+    """`core.rollout.Trace` of (runs, periods of the longest, ...), NaN behind a run's end; empty unless asked for"""
     counts: dict[str, NDArray[np.int64]]
     """what the scheduler counted, (runs,) by name; empty without one"""
     segments: Array
@@ -153,7 +153,7 @@ class BatchRuns:
 
 
 def sampled(world: World, scenarios: Sequence[Scenario | RoadDrive]) -> tuple[list[Signals], Array]:
-    """Scenarios at the control instants, and as kernels read them: (runs, `kernels.loop.SIGNAL`, n + 1).
+    """Scenarios at the control instants, and as kernels read them: (runs, `core.loop.SIGNAL`, n + 1).
 
     n is that of the longest; a shorter one goes on with its last sample, which a preview beyond its end sees anyway.
 
@@ -177,6 +177,16 @@ def own_tuning(controller: Controller) -> Array:
     if isinstance(controller, CompiledController):
         return controller.packed_tuning()
     return controller.tuning.as_array()  # type: ignore[attr-defined]
+
+
+def called_back(plant: Any, controller: Controller) -> list[str]:
+    """Names of functions of one's own that are called back in Python, as there is nothing here that compiles them."""
+    given = [plant.compiled.member] if isinstance(plant, Plant) else []
+    if isinstance(controller, CompiledController):
+        given.append(controller.function)
+    elif isinstance(controller, MPC):
+        given += [controller.model.function, controller.estimator.function]
+    return [each.name for each in given if getattr(each, "in_python", False)]
 
 
 class Batch:
@@ -206,6 +216,11 @@ class Batch:
 
     def _refuse_python(self) -> None:
         controller = self.controller
+        if slow := called_back(self.world.plant, controller):
+            raise MissingExtra(
+                f"{', '.join(slow)}: many runs need functions of one's own compiled, which numba does: python -m pip "
+                "install 'adaptrack[compile]'; without it simulate(...) and `adaptrack drive` call them in Python."
+            )
         fit = isinstance(controller, CompiledController) or (isinstance(controller, MPC) and controller.in_kernel)
         scheduled = self.scheduler is None or isinstance(self.scheduler, CompiledScheduler)
         if not (fit and scheduled and isinstance(self.world.plant, Plant)):
@@ -242,7 +257,7 @@ class Batch:
         """The MPC's settings with a workspace no larger than horizons up to these need; tiny for other controllers."""
         if isinstance(self.controller, MPC):
             return self.controller.settings(longest, most, residuals)
-        from adaptrack.kernels.controllers.mpc import SETTINGS
+        from adaptrack.core.controllers.mpc import SETTINGS
 
         return SETTINGS.new(period=self.world.period, longest_horizon=1, most_moves=1, output_min=-np.inf,
                             output_max=np.inf)  # fmt: skip
@@ -251,16 +266,16 @@ class Batch:
         self, slots: int, steps: int, mpc_settings: Any, segments: int = 0, periods: int = 0,
         scheduler: CompiledScheduler | None = None,
     ) -> Any:  # fmt: skip
-        """The kernels' arrays for up to `slots` runs that integrate `steps` times a period (`kernels.rollout.Run`).
+        """The kernels' arrays for up to `slots` runs that integrate `steps` times a period (`core.rollout.Run`).
 
         segments: of each run; periods: to trace, 0 for no trace.
         """
-        from adaptrack.kernels import rollout
-        from adaptrack.kernels.controllers import mpc as kernel
-        from adaptrack.kernels.estimators.friction_wind import MEMORY as KNOWING
-        from adaptrack.kernels.plants.contract import STATES, vehicle_batch
-        from adaptrack.kernels.schedule import no_schedule
-        from adaptrack.kernels.variables import VARIABLES
+        from adaptrack.core import rollout
+        from adaptrack.core.controllers import mpc as kernel
+        from adaptrack.core.estimators.friction_wind import MEMORY as KNOWING
+        from adaptrack.core.plants.contract import STATES, vehicle_batch
+        from adaptrack.core.schedule import no_schedule
+        from adaptrack.core.variables import VARIABLES
 
         own, known = self.controller, self.world.known_as
         assert isinstance(self.world.plant, Plant)
@@ -284,7 +299,9 @@ class Batch:
         return rollout.Run(
             settings=self.settings[steps],
             members=self.members,
-            vehicles=vehicle_batch(self.world.plant.packed(), np.zeros((slots, self.starts.shape[1]))),
+            vehicles=vehicle_batch(
+                self.world.plant.compiled, self.world.plant.packed(), np.zeros((slots, self.starts.shape[1]))
+            ),
             given=rollout.Given(
                 self.samples, self.roads, np.zeros(slots, np.int64), np.zeros(slots, np.int64)
             ),
@@ -308,8 +325,8 @@ class Batch:
 
     @cached_property
     def members(self) -> Any:
-        """`kernels.rollout.Members`."""
-        from adaptrack.kernels import rollout
+        """`core.rollout.Members`."""
+        from adaptrack.core import rollout
 
         assert isinstance(self.world.plant, Plant)
         plant, own = self.world.plant.compiled, self.controller
@@ -321,7 +338,7 @@ class Batch:
 
         A plant of one's own is advanced slot by slot: its runs are shared evenly among the threads.
         """
-        from adaptrack.kernels.plants.contract import SLOTS
+        from adaptrack.core.plants.contract import SLOTS
 
         found = []
         for steps in self.settings:
@@ -351,7 +368,7 @@ class Batch:
         traced: keep what happened at every control instant, about 200 bytes for each of a run; segment: periods of a
         segment whose cost is asked for, with `weight` (m^2/rad^2) on the squared moves; 0: none.
         """
-        from adaptrack.kernels import guard, rollout
+        from adaptrack.core import guard, rollout
 
         runs, n = len(which), int(self.periods.max())
         plan = _Plan(which, tunings, seeds, segment, weight, n if traced else 0, scheduler)
@@ -390,12 +407,12 @@ class Batch:
         return BatchRuns(result, _joined(traces, runs) if traces else rollout.no_trace(), named, segments)
 
     def _drive(self, chunk: NDArray[np.int64], plan: _Plan, mpc_settings: Any, last: Any) -> Any:
-        """Drive the runs of one chunk; the `kernels.rollout.Run` that they leave.
+        """Drive the runs of one chunk; the `core.rollout.Run` that they leave.
 
         last: that of a chunk before, None: none; its arrays are used again where they fit and nothing in them is kept.
         """
-        from adaptrack.kernels import rollout
-        from adaptrack.kernels.stored import Resident
+        from adaptrack.core import rollout
+        from adaptrack.core.kernel import Resident
 
         which, size = plan.which[chunk], len(chunk)
         n = int(self.periods[which[0]])
@@ -408,8 +425,8 @@ class Batch:
         run.given.scenario[:], run.given.seeds[:] = which, plan.seeds[chunk]
         run.vehicles.start[:], run.tuning[:] = self.starts[which], plan.tunings[chunk]
         place = Resident(run)
-        rollout.begin(size, place.address)
-        rollout.rollout(rollout.Span(n, size, max(plan.segment, 1), plan.weight), place.address)
+        rollout.begin(size, place)
+        rollout.rollout(rollout.Span(n, size, max(plan.segment, 1), plan.weight), place)
         return run
 
 

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from adaptrack.batch import rollout_batch
 from adaptrack.controllers import MPC, MPCCommand, Tuning, published_mpc
+from adaptrack.core.library import kernels_hash
 from adaptrack.failure import Failure
 from adaptrack.models import SingleTrackModel, limit_bounds, limit_matrix
 from adaptrack.plant import DualTrack, Plant
@@ -195,7 +196,7 @@ def _learned(functions: Mapping[str, Network | Sugeno], domain: Array) -> Schedu
 
 def _schedule_us(schedule: Schedule, variables: Array, pieces: int = 100) -> float:
     """Microseconds that the kernel of a schedule takes for a row of variables: all in `pieces` calls, the median."""
-    from adaptrack.kernels import schedule as kernel
+    from adaptrack.core import schedule as kernel
 
     rows = np.zeros((len(variables), len(VARIABLES)))
     rows[:, : variables.shape[1]] = variables
@@ -338,11 +339,11 @@ def bench_campaign(conditions: int = 48, threads: int | None = None) -> dict[str
 
 def _plant_ns(plant: Plant, points: Array) -> float:
     """Nanoseconds that a full batch's integration takes per vehicle and control period, mean over the points."""
-    from adaptrack.kernels.plants.contract import INPUT, SLOTS, STATE, STATES, vehicle_batch
+    from adaptrack.core.plants.contract import INPUT, SLOTS, STATE, STATES, vehicle_batch
 
     period, advance = 0.1, plant.compiled.advance
     start = np.zeros((SLOTS, len(plant.state_names)))
-    vehicles = vehicle_batch(plant.packed(), start)
+    vehicles = vehicle_batch(plant.compiled, plant.packed(), start)
     rows = vehicles.block.reshape(-1, SLOTS)
     times = []
     for speed in points[:, 0]:
@@ -352,7 +353,8 @@ def _plant_ns(plant: Plant, points: Array) -> float:
         rows[STATES + INPUT.friction_front_left : STATES + INPUT.wind_x] = 0.7
         begun = time.perf_counter()
         for _ in range(20):
-            advance(vehicles.parameters, vehicles.block, vehicles.states, vehicles.work, SLOTS, steps, period / steps)
+            v = vehicles
+            advance(v.member, v.parameters, v.block, v.states, v.work, SLOTS, steps, period / steps)
         times.append((time.perf_counter() - begun) / 20)
     return 1e9 * float(np.median(times)) / SLOTS
 
@@ -388,6 +390,7 @@ def _machine() -> dict[str, Any]:
     return {
         "cpu": cpu,
         "cores": os.cpu_count() or 1,
+        "kernels": kernels_hash(),
         "python": platform.python_version(),
-        **{name: version(name) for name in ("adaptrack", "numba", "numpy", "daqp")},
+        **{name: version(name) for name in ("adaptrack", "numpy", "daqp")},
     }

@@ -1,6 +1,6 @@
 """What surrounds the controller in one run, period by period: the car senses, is sent a command, and moves on.
 
-The pieces of the control period are those of `kernels.loop`, which compiled runs call as well, in the same order.
+The pieces of the control period are those of `core.loop`, which compiled runs call as well, in the same order.
 Whoever decides stands outside: a controller in `simulate`, a learning agent in `gym`.
 """
 
@@ -31,30 +31,30 @@ class _CompiledVehicle:
     """A compiled plant in slot 0 of a block."""
 
     def __init__(self, world: World, start: Array) -> None:
-        from adaptrack.kernels.plants.contract import place, vehicle_batch
+        from adaptrack.core.plants.contract import place, vehicle_batch
 
         assert isinstance(world.plant, Plant)
         self._compiled = world.plant.compiled
-        self._arrays = vehicle_batch(world.plant.packed(), start[None])
+        self._arrays = vehicle_batch(self._compiled, world.plant.packed(), start[None])
         self.block = self._arrays.block
         place(1, self._arrays.start, self.block, self._arrays.states)
 
     def observe(self, seen: Array) -> None:
         """Write lateral acceleration and front-wheel angle under the present input."""
         v = self._arrays
-        self._compiled.observe(v.parameters, v.block, v.states, v.work, 0, seen)
+        self._compiled.observe(v.member, v.parameters, v.block, v.states, v.work, 0, seen)
 
     def advance(self, steps: int, h: float) -> None:
         """Move on by so many steps of h (s)."""
         v = self._arrays
-        self._compiled.advance(v.parameters, v.block, v.states, v.work, 1, steps, h)
+        self._compiled.advance(v.member, v.parameters, v.block, v.states, v.work, 1, steps, h)
 
 
 class _SteppedVehicle:
     """A stepped plant behind the loop's steering actuator; its motion is kept in slot 0 of a block."""
 
     def __init__(self, world: World, start: Array) -> None:
-        from adaptrack.kernels.plants import contract
+        from adaptrack.core.plants import contract
 
         assert isinstance(world.plant, SteppedPlant)
         self._plant, self._steering = world.plant, world.steering
@@ -106,7 +106,7 @@ class Sensed:
     """What is known at a control instant."""
 
     measured: Array
-    """`kernels.models.contract.MEASURED`; the same array at every instant"""
+    """`core.models.contract.MEASURED`; the same array at every instant"""
     speed: float
     """m/s, as measured"""
     reference: Array
@@ -121,10 +121,10 @@ class ClosedLoop:
     """
 
     def __init__(self, world: World, scenario: Scenario | RoadDrive, seed: int) -> None:
-        from adaptrack.kernels import loop
-        from adaptrack.kernels.models.contract import MEASURED
-        from adaptrack.kernels.plants.contract import SLOTS, STATES
-        from adaptrack.kernels.variables import VARIABLES
+        from adaptrack.core import loop
+        from adaptrack.core.models.contract import MEASURED
+        from adaptrack.core.plants.contract import SLOTS, STATES
+        from adaptrack.core.variables import VARIABLES
 
         self._loop, self._kalman, self._names = loop, MEASURED, VARIABLES
         self.world, self.seed, self.instant = world, seed, 0

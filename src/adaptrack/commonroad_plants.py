@@ -1,7 +1,7 @@
 """CommonRoad's cars as plants: the single-track drift model and the 29-state multi-body model.
 
 M. Althoff and G. Würsching, *CommonRoad: Vehicle Models*, 2020; their own Python functions and parameters, from the
-package commonroad-vehicle-models (extra `plants`), are compiled as they stand. `kernels.plants.commonroad` says what is
+package commonroad-vehicle-models (extra `plants`), are compiled as they stand. `core.plants.commonroad` says what is
 added around them: our steering actuator, the road's friction, wind and bank.
 """
 
@@ -157,7 +157,7 @@ def commonroad_plant(model: str, source: Source, air: Vehicle | None = None) -> 
     """
     if model not in MODELS:
         raise UnknownName(f"There is no CommonRoad model {model!r}. {did_you_mean(str(model), MODELS)}")
-    from adaptrack.kernels.plants import commonroad as kernel
+    from adaptrack.core.plants import commonroad as kernel
 
     car, sheet = commonroad_parameters(source), commonroad_vehicle(source)
     parameters = flattened({"car": car, "air": {name: getattr(air or sheet, name) for name in _AIR}})
@@ -264,9 +264,9 @@ def _selected(wanted: Mapping[str, Any], given: Mapping[str, Any]) -> dict[str, 
 @cache
 def _right_hand_side(model: str) -> Callable[..., None]:
     """A model's right-hand side, the same for all cars."""
-    from adaptrack.kernels.plants import commonroad as kernel
-    from adaptrack.kernels.plants.foreign import compiled_foreign
-    from adaptrack.kernels.plants.user import layout_of
+    from adaptrack.core.plants import commonroad as kernel
+    from adaptrack.core.plants.foreign import compiled_foreign
+    from adaptrack.core.plants.user import layout_of
 
     tables = {"car": _CAR, "air": dict.fromkeys(_AIR)}
     names = list(flattened(tables))
@@ -286,7 +286,7 @@ def _drift_rolling(car: dict[str, Any]) -> Callable[[Array], Array]:
 
 def _body_rolling(car: dict[str, Any]) -> Callable[[Array], Array]:
     """Wheels that roll without slip under axles that carry the car's weight, as CommonRoad's `init_mb` has them."""
-    from adaptrack.kernels.plants.commonroad import BODY_STATES
+    from adaptrack.core.plants.commonroad import BODY_STATES
 
     weight = car["m_s"] * 9.81 / (car["a"] + car["b"])
     front = (weight * car["b"] + car["m_uf"] * 9.81) / (2.0 * car["K_zt"])

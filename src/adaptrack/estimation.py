@@ -28,7 +28,7 @@ from adaptrack.vehicle import SteeringActuator, Tyre, Vehicle, load_tyre, pack_p
 Array = NDArray[np.float64]
 
 NOTHING_MEASURED = np.array([math.nan] * 6 + [0.0, 0.0, 0.0])
-"""Sensors without a sample, their ages, and a path that does not turn, see `kernels.models.contract.MEASURED`."""
+"""Sensors without a sample, their ages, and a path that does not turn, see `core.models.contract.MEASURED`."""
 LEAST_NOISE_VY, LEAST_NOISE_YAW_RATE = 0.005, 0.001
 """m/s and rad/s: with better sensors than these, the model's own errors are what limits the filter."""
 
@@ -53,8 +53,8 @@ class Estimator(ABC):
 
     @property
     def kind(self) -> int:
-        """`kernels.estimators.contract.DEADBEAT`, or BY_FUNCTION."""
-        from adaptrack.kernels.estimators import contract
+        """`core.estimators.contract.DEADBEAT`, or BY_FUNCTION."""
+        from adaptrack.core.estimators import contract
 
         return contract.DEADBEAT if self.function is None else contract.BY_FUNCTION
 
@@ -63,7 +63,7 @@ class Estimator(ABC):
     def function(self) -> Any:
         """The compiled ``estimate(speed, measured, command, a, b, parameters, memory, x, d)``.
 
-        See `kernels.estimators.contract`. None: the controller's own form on increments of the measured state.
+        See `core.estimators.contract`. None: the controller's own form on increments of the measured state.
         """
 
     def parameters(self, model: PredictionModel) -> Array:
@@ -124,7 +124,7 @@ class UserEstimator(Estimator):
     """An estimator of one's own: one function and its numbers. `check_estimator` admits it.
 
     estimate(speed, measured, command, a, b, parameters, memory, x, d), compiled by numba, writes x and d and may return
-    for how long (s) it has had no position, see `kernels.estimators.contract`; parameters: name -> number; memory_size:
+    for how long (s) it has had no position, see `core.estimators.contract`; parameters: name -> number; memory_size:
     numbers that it remembers, a whole number or a function of the number of states.
 
     Raises
@@ -137,7 +137,7 @@ class UserEstimator(Estimator):
         self, estimate: Callable[..., None], *, parameters: Mapping[str, float] | None = None,
         memory_size: int | Callable[[int], int] = 0, label: str = "user",
     ) -> None:  # fmt: skip
-        from adaptrack.kernels.estimators.contract import compile_estimator
+        from adaptrack.core.estimators.contract import compile_estimator
 
         self.name = label
         self.numbers = {key: real(f"UserEstimator {label!r}", key, value) for key, value in (parameters or {}).items()}
@@ -394,8 +394,8 @@ class FrictionWindEstimator:
         )
 
     def settings(self) -> Array:
-        """Everything but the vehicle, see `kernels.estimators.friction_wind.ESTIMATOR_SETTINGS`."""
-        from adaptrack.kernels.estimators.friction_wind import ESTIMATOR_SETTINGS
+        """Everything but the vehicle, see `core.estimators.friction_wind.ESTIMATOR_SETTINGS`."""
+        from adaptrack.core.estimators.friction_wind import ESTIMATOR_SETTINGS
 
         belief, step = self.belief, self.period / self.steps
         root = math.sqrt(step)
@@ -421,12 +421,12 @@ class FrictionWindEstimator:
         return np.array([values[name] for name in ESTIMATOR_SETTINGS], dtype=float)
 
     def packed(self) -> Array:
-        """The vehicle as the kernel expects it (`kernels.plants.parameters.PLANT_PARAMETERS`)."""
+        """The vehicle as the kernel expects it (`core.plants.parameters.PLANT_PARAMETERS`)."""
         return self._packed.copy()
 
     def reset(self) -> None:
         """Forget the past: the next step is the first, with the wheels straight ahead."""
-        from adaptrack.kernels.estimators import friction_wind
+        from adaptrack.core.estimators import friction_wind
 
         self._kernel = friction_wind
         self._memory = np.zeros((1, friction_wind.MEMORY))

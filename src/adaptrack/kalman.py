@@ -1,6 +1,6 @@
 """The Kalman filter of the MPC: state, disturbances and dead time of the path model from noisy, patchy measurements.
 
-`KalmanFilter` is what a controller is given; it runs compiled (`kernels.estimators.kalman`). `ReadableFilter` is the
+`KalmanFilter` is what a controller is given; it runs compiled (`core.estimators.kalman`). `ReadableFilter` is the
 same filter in NumPy, one equation per method; a test demands that both agree.
 """
 
@@ -186,7 +186,7 @@ class KalmanFilter(Estimator):
 
     @property
     def function(self) -> Any:
-        from adaptrack.kernels.estimators.kalman import kalman
+        from adaptrack.core.estimators.kalman import kalman
 
         return kalman
 
@@ -195,17 +195,17 @@ class KalmanFilter(Estimator):
             raise InvalidInput(f"estimator 'kalman': needs the path model, and model {model.name!r} is another one.")
 
     def memory_size(self, model: PredictionModel) -> int:
-        from adaptrack.kernels.estimators.kalman import memory_size
+        from adaptrack.core.estimators.kalman import memory_size
 
         return int(memory_size(self._longest(model), self.late(model)))
 
     def change_path(self, model: PredictionModel, memory: Array, heading: float, offset: float) -> None:
-        from adaptrack.kernels.estimators.kalman import move_path
+        from adaptrack.core.estimators.kalman import move_path
 
         move_path(memory, model.n, self.late(model), heading, offset)
 
     def left_out(self, memory: Array) -> str | None:
-        from adaptrack.kernels.estimators.kalman import LEFT_OUT
+        from adaptrack.core.estimators.kalman import LEFT_OUT
 
         out = int(memory[LEFT_OUT])
         return SENSORS[out - 1] if out else None
@@ -220,7 +220,7 @@ class KalmanFilter(Estimator):
 
     def variances(self) -> Array:
         """(6,) of what `SENSORS` give; inf: none."""
-        from adaptrack.kernels.estimators.kalman import LEAST_NOISE
+        from adaptrack.core.estimators.kalman import LEAST_NOISE
 
         noise = [getattr(self.noise, name) for name in SENSORS]
         return np.maximum(noise, LEAST_NOISE) ** 2
@@ -303,7 +303,7 @@ class ReadableFilter:
 
     def begin(self, measured: Array, command: float) -> None:
         """z and its covariance from the first sample."""
-        from adaptrack.kernels.estimators.kalman import UNKNOWN
+        from adaptrack.core.estimators.kalman import UNKNOWN
 
         n, own = self.n, self.own
         self.sent = [command] * (self.whole + self.late + 2)
@@ -330,7 +330,7 @@ class ReadableFilter:
 
     def is_astray(self, measured: Array) -> bool:
         """Whether positions or headings have been elsewhere for so long that bounded innovations would not help."""
-        from adaptrack.kernels.estimators.kalman import ASTRAY, FAR, FAR_TURNED
+        from adaptrack.core.estimators.kalman import ASTRAY, FAR, FAR_TURNED
 
         y, yaw = measured[MEASURED.index("y")], measured[MEASURED.index("yaw")]
         if self.z is not None and math.isfinite(y) and math.isfinite(yaw):
@@ -340,7 +340,7 @@ class ReadableFilter:
 
     def sort_in(self, measured: Array) -> None:
         """Give each sample to the instant at which it was taken: value, and how much earlier (s) than that."""
-        from adaptrack.kernels.estimators.kalman import LEAST_NOISE
+        from adaptrack.core.estimators.kalman import LEAST_NOISE
 
         self.ring = [{}, *self.ring[:-1]]
         self.turned = [float(measured[-1]), *self.turned[:-1]]
@@ -392,7 +392,7 @@ class ReadableFilter:
         By the Magic Formula with E = 0 an axle that pulls the share f of mu F_z slides under the angle at which a
         linear tyre would pull mu F_z C tan(asin(f)/C).
         """
-        from adaptrack.kernels.models.path import MOST_SHARE
+        from adaptrack.core.models.path import MOST_SHARE
 
         turn, most = speed * self.turned[instant] / self.model.period, self.own.friction * GRAVITY
         share, shape = min(abs(turn) / most, MOST_SHARE), self.own.shape
@@ -400,7 +400,7 @@ class ReadableFilter:
 
     def forces(self, speed: float, command: float) -> Array:
         """(2,) N, of the axles in the model."""
-        from adaptrack.kernels.models.path import SLOWEST
+        from adaptrack.core.models.path import SLOWEST
 
         assert self.z is not None
         v, pace = self.model.vehicle, max(speed, SLOWEST)
@@ -479,7 +479,7 @@ class ReadableFilter:
         Where the model is wrong the gyro disagrees at least as much; where the gyro is, the heading disagrees with it.
         A sensor without noise of its own is never left out: it is the model that is wrong.
         """
-        from adaptrack.kernels.estimators.kalman import LEAST_NOISE
+        from adaptrack.core.estimators.kalman import LEAST_NOISE
 
         if self.left_out is not None:
             if self.disagreement[self.left_out] < self.own.trust:

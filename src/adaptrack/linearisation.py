@@ -320,8 +320,8 @@ def _held(flow: Array, period: float, delay: float) -> Array:
 
 
 def sensed() -> tuple[str, ...]:
-    """What a controller is given at an instant, by name, see `kernels.models.contract.MEASURED`."""
-    from adaptrack.kernels.models import contract
+    """What a controller is given at an instant, by name, see `core.models.contract.MEASURED`."""
+    from adaptrack.core.models import contract
 
     return tuple(name for name in contract.MEASURED._fields if name != "turned")  # it is known, not measured
 

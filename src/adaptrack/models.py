@@ -1,7 +1,7 @@
 """The prediction models of the MPC, one equation of the paper per method.
 
 This is the readable form: matrices of NumPy, any horizons, nothing cached. The controller runs the compiled form in
-`kernels.models` and `kernels.controllers.condensing`; a test demands that both give the same QP.
+`core.models` and `core.controllers.condensing`; a test demands that both give the same QP.
 """
 
 from __future__ import annotations
@@ -61,11 +61,11 @@ class PredictionModel(ABC):
     @property
     @abstractmethod
     def function(self) -> Any:
-        """The compiled ``discretise(speed, period, parameters, a, b, e)``, see `kernels.models.contract`."""
+        """The compiled ``discretise(speed, period, parameters, a, b, e)``, see `core.models.contract`."""
 
     def turning(self) -> Array:
         """What the steering of a curved road ahead follows from: the first five of
-        `kernels.controllers.feed_forward.TURNING`; or (0,).
+        `core.controllers.feed_forward.TURNING`; or (0,).
 
         Without it the moves of the MPC are counted from none, and a horizon much longer than the free moves cuts bends.
         """
@@ -103,7 +103,7 @@ class PredictionModel(ABC):
 
         of_next: F of the next increment of the state, which an estimator gives, not of the last one.
         """
-        from adaptrack.kernels.controllers import condensing
+        from adaptrack.core.controllers import condensing
 
         a, b, c = self.discrete(speed)
         free, step = np.ones((self.n + 1, horizon)), np.empty(horizon)
@@ -206,13 +206,13 @@ class SingleTrackModel(PredictionModel):
         return "single-track"
 
     def parameters(self) -> Array:
-        from adaptrack.kernels.models.single_track import Parameters
+        from adaptrack.core.models.single_track import Parameters
 
         return np.array([getattr(self.vehicle, name) for name in Parameters._fields], dtype=float)
 
     @property
     def function(self) -> Any:
-        from adaptrack.kernels.models.single_track import discretise
+        from adaptrack.core.models.single_track import discretise
 
         return discretise
 
@@ -245,7 +245,7 @@ class SingleTrackModel(PredictionModel):
 @final
 @dataclass(frozen=True)
 class PathModel(PredictionModel):
-    """The single track that knows its steering: x = [v_y, psi, r, delta, y] along a path, see `kernels.models.path`.
+    """The single track that knows its steering: x = [v_y, psi, r, delta, y] along a path, see `core.models.path`.
 
     psi and y: heading and lateral offset against the path; delta: wheel angle behind the lag, left out when `lag` is 0.
     vehicle: mass, inertia, axle distances and cornering stiffness per tyre; period: control period (s); lag: time
@@ -281,19 +281,19 @@ class PathModel(PredictionModel):
         return ("vy", "yaw", "yaw_rate", *(("wheel_angle",) if self.lag > 0.0 else ()), "y")
 
     def parameters(self) -> Array:
-        from adaptrack.kernels.models.path import Parameters
+        from adaptrack.core.models.path import Parameters
 
         known = [getattr(self.vehicle, name) for name in Parameters._fields if name != "lag"]
         return np.array([*known, self.lag], dtype=float)
 
     @property
     def function(self) -> Any:
-        from adaptrack.kernels.models.path import discretise
+        from adaptrack.core.models.path import discretise
 
         return discretise
 
     def turning(self) -> Array:
-        from adaptrack.kernels.models.path import write_turning
+        from adaptrack.core.models.path import write_turning
 
         found = np.zeros(5)
         write_turning(self.parameters(), found)
@@ -342,7 +342,7 @@ class UserModel(PredictionModel):
         self, discretise: Callable[..., None], states: Sequence[str], *, parameters: dict[str, float] | None = None,
         period: float = 0.1, label: str = "user",
     ) -> None:  # fmt: skip
-        from adaptrack.kernels.models.contract import compile_model
+        from adaptrack.core.models.contract import compile_model
 
         self.label, self.states = label, tuple(states)
         where = f"UserModel {label!r}"
@@ -450,7 +450,7 @@ def check_model(model: PredictionModel, speeds: Sequence[float] = (2.0, 10.0, 30
 
 def laguerre_basis(Np: int, terms: int, pole: float) -> Array:
     """L (Np, terms): the first discrete Laguerre functions with `pole` in [0, 1), one in each column."""
-    from adaptrack.kernels.controllers.condensing import laguerre_moves
+    from adaptrack.core.controllers.condensing import laguerre_moves
 
     rows = np.zeros((terms, Np))
     laguerre_moves(Np, terms, pole, rows)

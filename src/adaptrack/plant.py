@@ -66,7 +66,7 @@ class Plant(ABC):
     @property
     @abstractmethod
     def compiled(self) -> Any:
-        """What the kernels call (`kernels.plants.contract.CompiledPlant`)."""
+        """What the kernels call (`core.plants.contract.CompiledPlant`)."""
 
     def initial_state(self, motion: ArrayLike) -> Array:
         """All states (n,) in equilibrium with the first six, X (m), Y (m), yaw (rad), v_x, v_y (m/s), yaw rate (rad/s).
@@ -140,7 +140,7 @@ class _Car(Plant):
 
     @property
     def _law(self) -> int:
-        from adaptrack.kernels.plants.tyre import tyre_law
+        from adaptrack.core.plants.tyre import tyre_law
 
         return tyre_law(self.tyre.kind == "linear", self.tyre.curvature)
 
@@ -173,7 +173,7 @@ class _Car(Plant):
         return max(1, math.ceil(period / 0.0125 - 1e-9), math.ceil(period * rate / 2.2 - 1e-9))
 
     def derivative(self, x: ArrayLike, u: ArrayLike, environment: ArrayLike) -> Array:
-        from adaptrack.kernels.plants.contract import INPUT, INPUTS, STATES
+        from adaptrack.core.plants.contract import INPUT, INPUTS, STATES
 
         n = len(self.state_names)
         state = np.zeros(STATES)
@@ -200,7 +200,7 @@ class SingleTrack(_Car):
 
     @property
     def compiled(self) -> Any:
-        from adaptrack.kernels.plants import single_track
+        from adaptrack.core.plants import single_track
 
         return single_track.compiled(self._law)
 
@@ -222,7 +222,7 @@ class DualTrack(_Car):
 
     @property
     def compiled(self) -> Any:
-        from adaptrack.kernels.plants import dual_track
+        from adaptrack.core.plants import dual_track
 
         return dual_track.compiled(self._law)
 
@@ -287,7 +287,7 @@ class UserPlant(Plant):
     """of what else its motion depends on, such as a package: for the identity of what is tuned on it"""
 
     def __post_init__(self) -> None:
-        from adaptrack.kernels.plants.user import compile_plant, layout_of
+        from adaptrack.core.plants.user import compile_plant, layout_of
 
         values = flattened(self.parameters)
         bad = [f"{key} = {value!r}" for key, value in values.items() if not _is_finite(value)]

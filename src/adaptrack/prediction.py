@@ -130,7 +130,7 @@ def _discretised(model: PredictionModel, speeds: Array) -> tuple[Array, Array]:
 def _turning(model: PredictionModel, speeds: Array) -> Array:
     """(n, m) change of the states for each rad/s by which the path turns: -T of yaw, -v T^2/2 of y.
 
-    Of every model, as the controller predicts (`kernels.controllers.mpc`): the single track has no such input itself.
+    Of every model, as the controller predicts (`core.controllers.mpc`): the single track has no such input itself.
     """
     change, names = np.zeros((speeds.size, model.n)), list(model.states)
     if "yaw" in names:

@@ -22,7 +22,7 @@ from typing import Any, NamedTuple, TypeGuard
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from adaptrack.batch import Batch, sampled
+from adaptrack.batch import Batch, called_back, sampled
 from adaptrack.controllers import MPC, CompiledController, Controller, Tuning
 from adaptrack.domain import Domain
 from adaptrack.errors import InvalidInput
@@ -201,7 +201,11 @@ class RunSet:
 
     def _compiles(self, policy: Policy) -> bool:
         policy = policy.controller if isinstance(policy, Retuned) else policy
-        return not isinstance(self.plant, SteppedPlant) and (not _is_controller(policy) or _compiles(policy))
+        if isinstance(self.plant, SteppedPlant) or called_back(
+            self.plant, policy if _is_controller(policy) else self.mpc
+        ):
+            return False
+        return not _is_controller(policy) or _compiles(policy)
 
     def controller_of(self, policy: Policy, k: int = 0) -> Controller:
         """What drives the k-th of the runs: a controller itself, or the MPC with a schedule or its k-th tuning."""
@@ -232,7 +236,7 @@ class RunSet:
         return float((run.error**2).mean() + self.weight * (run.command_change**2).mean())
 
     def _simulated_segments(self, policy: Policy, k: int, i: int, seed: int) -> Array:
-        """(segments,) m^2 of one run, as `kernels.rollout` counts them."""
+        """(segments,) m^2 of one run, as `core.rollout` counts them."""
         run = self._simulated(policy, k, i, seed)
         each = run.error**2 + self.weight * run.command_change**2
         found = np.add.reduceat(each, np.arange(0, self.periods, self.segment))
@@ -277,7 +281,7 @@ def _compiles(controller: Controller) -> bool:
 
 def _scheduling_variables(samples: Array) -> Array:
     """What a scheduler looks at in every period of each run, with an offset of zero."""
-    from adaptrack.kernels.loop import SIGNAL
+    from adaptrack.core.loop import SIGNAL
 
     rows = samples[:, :, :-1]
     seen = ("speed", "y_ref", "known_friction", "known_wind", "change", "acceleration")

@@ -2,7 +2,7 @@
 
 `simulate` loops in Python, so any controller, plant, scheduler or QP back-end can take part. `rollout` runs the same
 control periods inside the kernels, as `batch.rollout_batch` does for many runs. All call the same pieces
-(`kernels.loop`) in the same order and give the same trajectory.
+(`core.loop`) in the same order and give the same trajectory.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ class _Recorder:
     """What one run leaves: a row for each control instant."""
 
     def __init__(self, n: int, controller: Controller) -> None:
-        from adaptrack.kernels.plants.contract import STATES
+        from adaptrack.core.plants.contract import STATES
 
         self.tuning_names = tuple(getattr(controller, "tuning_names", ()))
         self.diagnostic_names = tuple(getattr(controller, "diagnostic_names", ()))
@@ -53,7 +53,7 @@ class _Recorder:
         self.command = np.full((n, 3), np.nan)  # command, its change, held
         self.tuning = np.full((n, len(self.tuning_names)), np.nan)
         self.diagnostics = np.full((n, len(self.diagnostic_names)), np.nan)
-        self.seen = np.full((n, 5), np.nan)  # as in `kernels.rollout.Trace`
+        self.seen = np.full((n, 5), np.nan)  # as in `core.rollout.Trace`
         self.times = np.full(n, np.nan)
         self.failed: str | None = None
         self.failed_at = math.nan
@@ -98,7 +98,7 @@ def simulate(
     InvalidInput
         When an argument does not fit the others.
     """
-    from adaptrack.kernels.models.contract import MEASURED
+    from adaptrack.core.models.contract import MEASURED
 
     world = World.of(plant, controller, profile, driver, known_as, failure)
     _refuse_nonsense(scenario, seed)
@@ -226,7 +226,7 @@ def _learned(world: World, controller: Controller) -> dict[str, Any]:
 def _trajectory(
     world: World, controller: Controller, scenario: Scenario | RoadDrive, signals: Signals, seed: int, record: _Recorder
 ) -> Trajectory:
-    from adaptrack.kernels.plants.contract import STATE
+    from adaptrack.core.plants.contract import STATE
 
     n, state, plant = signals.n, record.state, world.plant
     driven = np.isfinite(record.command[:, 0])

@@ -11,13 +11,13 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from datetime import datetime
-from importlib import metadata
 from typing import TYPE_CHECKING, Any, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from adaptrack import __version__
+from adaptrack.core.library import kernels_hash
 from adaptrack.errors import ConfigError, InvalidInput, MissingExtra
 from adaptrack.files import Column as Stored
 from adaptrack.files import Damaged, check_texts, decode_parquet, encode_parquet, read_bytes, write_atomically
@@ -371,7 +371,7 @@ def provenance(origin: Origin, created: str | datetime, **more: Any) -> dict[str
             "adaptrack": __version__,
             "python": platform.python_version(),
             "numpy": np.__version__,
-            "numba": _version_of("numba"),
+            "kernels": kernels_hash(),
         },
         "created": created.isoformat() if isinstance(created, datetime) else created,
     }
@@ -434,10 +434,3 @@ def _as_json(meta: Mapping[str, Any]) -> dict[str, Any]:
 
 def _joined(columns: list[Array]) -> Array:
     return np.stack(columns, axis=1) if len(columns) > 1 else columns[0]
-
-
-def _version_of(package: str) -> str:
-    try:
-        return metadata.version(package)
-    except metadata.PackageNotFoundError:
-        return "not installed"

@@ -407,7 +407,7 @@ def pack_plant(vehicle: Vehicle, tyre: Tyre, actuator: SteeringActuator) -> NDAr
     """
     import numpy as np
 
-    from adaptrack.kernels.plants.parameters import PLANT_PARAMETERS
+    from adaptrack.core.plants.parameters import PLANT_PARAMETERS
 
     s0, s1, s2 = tyre.stiffness_load_coefficients
     values = {

@@ -1,6 +1,6 @@
 """The world around a controller: plant, profile, driver, what is known of friction and wind, when a run has failed.
 
-Runs from Python and compiled ones share it, and so they share what the kernels' control period (`kernels.loop`) needs.
+Runs from Python and compiled ones share it, and so they share what the kernels' control period (`core.loop`) needs.
 """
 
 from __future__ import annotations
@@ -125,8 +125,8 @@ class World:
         return self.plant.substeps(self.period, top_speed)
 
     def settings(self, substeps: int) -> Any:
-        """`kernels.loop.SETTINGS`; without a driver the speed follows its profile exactly."""
-        from adaptrack.kernels import loop
+        """`core.loop.SETTINGS`; without a driver the speed follows its profile exactly."""
+        from adaptrack.core import loop
 
         profile, driver, steering = self.profile, self.driver, self.steering
         return loop.SETTINGS.new(
@@ -141,7 +141,7 @@ class World:
             steering_bias=steering.bias,
             driver_preview=driver.preview if driver else 1.0,
             driver_integral=driver.integral if driver else 0.0,
-            **self.plant.powertrain,  # type: ignore[arg-type]
+            **self.plant.powertrain,
             failure_distance=self.failure.distance,
             failure_sideslip=self.failure.sideslip,
         )
@@ -152,15 +152,15 @@ class World:
         return in_periods(self.profile.delay * self.period + self.steering.dead_time, self.period)
 
     def memory(self, slots: int) -> Any:
-        """What the loop remembers of `slots` runs before their first instant (`kernels.loop.Memory`)."""
-        from adaptrack.kernels import loop
+        """What the loop remembers of `slots` runs before their first instant (`core.loop.Memory`)."""
+        from adaptrack.core import loop
 
         oldest = self.profile.oldest
         past = math.ceil(oldest / self.period) + 2 if oldest > 0.0 else 0
         return loop.memory(slots, self.dead_periods[0], past)
 
     def samples(self, signals: Signals, number: int) -> Array:
-        """A scenario's samples as the kernels read them, (`kernels.loop.SIGNAL`, n + 1).
+        """A scenario's samples as the kernels read them, (`core.loop.SIGNAL`, n + 1).
 
         number: of the scenario in its batch, from which errors of perception are drawn.
         """
@@ -202,7 +202,7 @@ def _refuse_missing_sensors(controller: Controller, profile: Profile) -> None:
 
 def reason_of(ended: int) -> str | None:
     """The name of what ended a run early; None for a run that came to its end, or that was stopped for its cost."""
-    from adaptrack.kernels import loop
+    from adaptrack.core import loop
 
     return {
         loop.OFF_ROAD: Reason.OFF_ROAD.value,

@@ -22,7 +22,7 @@ from types import FrameType
 from typing import Any
 
 from adaptrack.cli import interrupt
-from adaptrack.errors import AdaptrackError, InvalidInput, StorageError
+from adaptrack.errors import AdaptrackError, StorageError
 
 DONE, ERROR, INTERRUPTED, PIPE_CLOSED = 0, 2, 130, 141
 
@@ -98,15 +98,10 @@ def _check_surroundings() -> None:
     ------
     StorageError
         When standard output is closed (`>&-`).
-    InvalidInput
-        When an environment variable says what Numba cannot take.
     """
     if sys.stdout is None:
         raise StorageError("standard output is closed, so nothing can be printed: send it to a file, or to /dev/null.")
     os.environ.pop("MPLBACKEND", None)  # names a window system; pictures go to files
-    threads = os.environ.get("NUMBA_NUM_THREADS", "1")
-    if not threads.strip().isdecimal() or int(threads) < 1:
-        raise InvalidInput(f"NUMBA_NUM_THREADS = {threads!r}: must be a whole number, at least 1; or unset it.")
 
 
 def _give_up_output() -> None:

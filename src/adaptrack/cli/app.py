@@ -24,7 +24,6 @@ from adaptrack.cli import (
     simulate,
     train,
     tune,
-    warm_up,
 )
 
 app = typer.Typer(
@@ -41,7 +40,9 @@ app = typer.Typer(
 
 def _version(asked: bool) -> None:
     if asked:
-        typer.echo(f"adaptrack {__version__}")
+        from adaptrack.core.library import description
+
+        typer.echo(f"adaptrack {__version__}\n{description()}")
         raise typer.Exit
 
 
@@ -70,7 +71,6 @@ for command in (
     evaluate.evaluate,
     compare.compare,
     lists.schedulers,
-    warm_up.warm_up,
 ):
     app.command()(command)
 app.add_typer(bench.app, name="bench")

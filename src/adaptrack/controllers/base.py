@@ -1,4 +1,4 @@
-"""What a controller is, and the compiled ones: one law of `kernels.controllers.contract` with its numbers."""
+"""What a controller is, and the compiled ones: one law of `core.controllers.contract` with its numbers."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ class Controller(Protocol):
 
 
 class CompiledController(ABC):
-    """A controller whose law is compiled, see `kernels.controllers.contract`: `simulate` and batches call the same.
+    """A controller whose law is compiled, see `core.controllers.contract`: `simulate` and batches call the same.
 
     tuning: named numbers that a search or a scheduler may change; period: control period (s); limits: on angle and
     move; preview: whether the law sees the reference ahead or its present value only.
@@ -120,7 +120,7 @@ class CompiledController(ABC):
 
     @abstractmethod
     def own_parameters(self) -> Sequence[float] | Array:
-        """What the law's parameters hold behind `kernels.controllers.contract.COMMON`."""
+        """What the law's parameters hold behind `core.controllers.contract.COMMON`."""
 
     def parameters(self) -> Array:
         """The law's constant numbers."""

@@ -28,7 +28,7 @@ WEIGHTS = {
     "terminal_lateral_error": 1.0,
     "terminal_heading_error": 0.1,
 }
-"""As Autoware ships them (`lateral_controller_defaults.param.yaml`); units in `kernels.controllers.kinematic_mpc`."""
+"""As Autoware ships them (`lateral_controller_defaults.param.yaml`); units in `core.controllers.kinematic_mpc`."""
 CUTOFF = 3.0
 """Hz, of the filter on the command, likewise."""
 STAGES, STEP = 50, 0.1
@@ -40,7 +40,7 @@ class KinematicMPC(CompiledController):
     """MPC on the kinematic single track with first-order steering lag and dead time, after Autoware.
 
     The states are the errors of the rear axle and the wheel angle, linearised about the curvature of each stage; the
-    measured pose is rolled through the commands on their way. Equations and cost: `kernels.controllers.kinematic_mpc`;
+    measured pose is rolled through the commands on their way. Equations and cost: `core.controllers.kinematic_mpc`;
     what is Autoware's and what is left out: docs/opponents.md. Autoware Universe, *MPC Lateral Controller* and *Model
     predictive control algorithm* (documentation of `autoware_mpc_lateral_controller`); J. M. Snider, *Automatic
     Steering Methods for Autonomous Automobile Path Tracking*, CMU-RI-TR-09-08, 2009, section 2.2.
@@ -71,7 +71,7 @@ class KinematicMPC(CompiledController):
         preview: bool | None = None,
         **weights: float,
     ) -> None:
-        from adaptrack.kernels.controllers import kinematic_mpc as kernel
+        from adaptrack.core.controllers import kinematic_mpc as kernel
 
         self.vehicle = vehicle
         told = Told.of("KinematicMPC", vehicle, profile, belief, period, preview, limits)
@@ -98,12 +98,12 @@ class KinematicMPC(CompiledController):
 
     @property
     def function(self) -> Any:
-        from adaptrack.kernels.controllers.kinematic_mpc import kinematic_mpc
+        from adaptrack.core.controllers.kinematic_mpc import kinematic_mpc
 
         return kinematic_mpc
 
     def own_parameters(self) -> Array:
-        from adaptrack.kernels.controllers.kinematic_mpc import limit_rows
+        from adaptrack.core.controllers.kinematic_mpc import limit_rows
 
         car, known = self.vehicle, self.belief
         head = (car.wheelbase, car.lr, known.lag.value, known.delay, self.pose_age, self.stages, self.step_length)

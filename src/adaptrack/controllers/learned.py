@@ -87,7 +87,7 @@ class Learning:
     """How a controller learns its car while it drives; what it may learn within says its `Uncertainty`.
 
     start: what an earlier drive has learned, None: nothing; lags, dead_times: hypotheses of each, evenly within the
-    range. The other numbers are the method; see `kernels.estimators.learning` for the filters.
+    range. The other numbers are the method; see `core.estimators.learning` for the filters.
 
     Raises
     ------
@@ -262,8 +262,8 @@ class Learner:
         return GRAIN * 2.0 * self.spread[1] / (self.own.lags, self.own.dead_times)
 
     def parameters(self) -> Array:
-        """In the order of `kernels.estimators.learning.NUMBERS`."""
-        from adaptrack.kernels.estimators.learning import NUMBERS
+        """In the order of `core.estimators.learning.NUMBERS`."""
+        from adaptrack.core.estimators.learning import NUMBERS
 
         own, car, period = self.own, self.car, self.period
         drifts = {
@@ -299,7 +299,7 @@ class Learner:
 
     def _priors(self) -> dict[str, float]:
         """Standard deviations before the first sample, as the learner is told them."""
-        from adaptrack.kernels.estimators.learning import ANSWER, BELIEFS
+        from adaptrack.core.estimators.learning import ANSWER, BELIEFS
 
         answer = self.fresh()[ANSWER:]
         names = ("lag", "dead_time", "delay", "stiffness", "balance", "bias")
@@ -307,7 +307,7 @@ class Learner:
 
     def fresh(self) -> Array:
         """The learner's memory before the first sample."""
-        from adaptrack.kernels.estimators import learning as kernel
+        from adaptrack.core.estimators import learning as kernel
 
         pairs, start, own = self.hypotheses, self.own.start, self.own
         memory = np.zeros(kernel.memory_size(self.kept, len(pairs)))
@@ -341,7 +341,7 @@ class Learner:
 
     def _tell(self, memory: Array, x: Array, spread: Array) -> None:
         """The belief before the first sample."""
-        from adaptrack.kernels.estimators import learning as kernel
+        from adaptrack.core.estimators import learning as kernel
 
         pairs = self.hypotheses
         lag, dead = pairs.mean(axis=0)
@@ -371,7 +371,7 @@ class Learner:
 
     def model(self) -> PathModel:
         """The model that the controller begins with."""
-        from adaptrack.kernels.estimators import learning as kernel
+        from adaptrack.core.estimators import learning as kernel
 
         answer = self.fresh()[kernel.ANSWER :]
         lag, dead = answer[kernel.BELIEF.used_lag], answer[kernel.BELIEF.used_dead_time]
@@ -379,7 +379,7 @@ class Learner:
 
     def dead_time(self, memory: Array) -> float:
         """From an instant until its command begins to act (s), as a memory believes."""
-        from adaptrack.kernels.estimators.learning import ANSWER, BELIEF
+        from adaptrack.core.estimators.learning import ANSWER, BELIEF
 
         # added and divided as the kernel does
         lead = (float(memory[ANSWER + BELIEF.used_dead_time]) + self.computation) / self.period
@@ -405,7 +405,7 @@ class Learner:
 
     def again(self, memory: Array) -> Array:
         """A memory before the first step of another drive."""
-        from adaptrack.kernels.estimators import learning as kernel
+        from adaptrack.core.estimators import learning as kernel
 
         fresh = memory.copy()
         fresh[kernel.COUNT] = 0.0
@@ -413,7 +413,7 @@ class Learner:
 
     def learned(self, memory: Array) -> LearnedCar:
         """What a memory holds."""
-        from adaptrack.kernels.estimators import learning as kernel
+        from adaptrack.core.estimators import learning as kernel
 
         answer = memory[kernel.ANSWER : kernel.ANSWER + len(kernel.BELIEFS)]
         known: dict[str, Any] = {

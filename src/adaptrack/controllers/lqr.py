@@ -50,7 +50,7 @@ class LQR(CompiledController):
         limits: Limits | None = None,
         preview: bool = False,
     ) -> None:
-        from adaptrack.kernels.controllers import lqr as kernel
+        from adaptrack.core.controllers import lqr as kernel
 
         self.vehicle = known_vehicle("LQR", vehicle)
         for name, value in (("q_e", q_e), ("q_heading", q_heading), ("r", r)):
@@ -72,7 +72,7 @@ class LQR(CompiledController):
 
     @property
     def function(self) -> Any:
-        from adaptrack.kernels.controllers.lqr import lqr
+        from adaptrack.core.controllers.lqr import lqr
 
         return lqr
 

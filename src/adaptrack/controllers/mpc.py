@@ -41,7 +41,7 @@ Array = NDArray[np.float64]
 _STATUSES = tuple(QPStatus)
 _DIAGNOSTICS = ("qp_status", "qp_iterations", "qp_residual", "at_limit", "dead_reckoning")
 _STATE_SIZES = (4, 5, 6, 7, 8, 9)
-"""with or without wheel angle, lateral acceleration, ages and the path's turn (`kernels.models.contract.MEASURED`)"""
+"""with or without wheel angle, lateral acceleration, ages and the path's turn (`core.models.contract.MEASURED`)"""
 _NOT_CARRIED = (
     "_lock", "_measured", "_answer", "_resident", "_resident_plan", "_step", "_schedule_step", "functions",
 )  # fmt: skip
@@ -61,7 +61,7 @@ class Scheduler(Protocol):
 
 @runtime_checkable
 class CompiledScheduler(Scheduler, Protocol):
-    """A scheduler that compiled runs can ask, see `kernels.schedule`."""
+    """A scheduler that compiled runs can ask, see `core.schedule`."""
 
     def plan(self, slots: int) -> Any:
         """The packed scheduler with a fresh memory for `slots` runs."""
@@ -93,7 +93,7 @@ class MPCCommand(NamedTuple):
     dead_reckoning: float = 0.0
     """s, for which no position has been taken in: the command rests on the estimate; 0 where the state is measured"""
     learned: tuple[float, ...] = ()
-    """what a controller that learns has learned, in the order of `kernels.estimators.learning.BELIEFS`"""
+    """what a controller that learns has learned, in the order of `core.estimators.learning.BELIEFS`"""
 
     @property
     def diagnostics(self) -> tuple[float, ...]:
@@ -238,7 +238,7 @@ class MPC:
         """What a step says beside the command: of the QP, and of what has been learned."""
         if self.learner is None:
             return _DIAGNOSTICS
-        from adaptrack.kernels.estimators.learning import BELIEFS
+        from adaptrack.core.estimators.learning import BELIEFS
 
         return (*_DIAGNOSTICS, *BELIEFS)
 
@@ -282,12 +282,12 @@ class MPC:
         return isinstance(self.solver, ActiveSet | Hildreth)
 
     def settings(self, longest: float = math.inf, most: float = math.inf, residuals: bool = True) -> Any:
-        """Everything but model and tuning as the kernels expect it (`kernels.controllers.mpc.SETTINGS`).
+        """Everything but model and tuning as the kernels expect it (`core.controllers.mpc.SETTINGS`).
 
         longest, most: horizons for which a smaller workspace is enough; residuals: whether each step computes its KKT
         residual.
         """
-        from adaptrack.kernels.controllers import mpc as kernel
+        from adaptrack.core.controllers import mpc as kernel
 
         solver, sweeps, tolerance = kernel.ACTIVE_SET, 1, 0.0
         if isinstance(self.solver, Hildreth):
@@ -330,8 +330,8 @@ class MPC:
         )
 
     def batch(self, slots: int, settings: Any, curved: bool = False) -> Any:
-        """Fresh compiled controllers for `slots` runs, on curved roads or not (`kernels.controllers.mpc.Mpc`)."""
-        from adaptrack.kernels.controllers import mpc as kernel
+        """Fresh compiled controllers for `slots` runs, on curved roads or not (`core.controllers.mpc.Mpc`)."""
+        from adaptrack.core.controllers import mpc as kernel
 
         model, estimator = self.model, self.estimator
         return kernel.batch(
@@ -341,13 +341,13 @@ class MPC:
         )  # fmt: skip
 
     def _turning(self) -> Array:
-        """What the moves of a curved road follow from, `kernels.controllers.feed_forward.TURNING`; or (0,)."""
+        """What the moves of a curved road follow from, `core.controllers.feed_forward.TURNING`; or (0,)."""
         known = self.model.turning()
         return np.concatenate([known, self.estimator.tyres]) if known.size else known
 
     def reset(self) -> None:
         """Forget the past: the next step is the first, from steering angle 0."""
-        from adaptrack.kernels.variables import NAMES
+        from adaptrack.core.variables import NAMES
 
         self._mpc = self.batch(1, self.settings())
         self._asked = self.tuning.as_array()
@@ -367,7 +367,7 @@ class MPC:
 
     def _load(self) -> None:
         """What a copy cannot carry along: the lock, addresses, compiled functions."""
-        from adaptrack.kernels.stored import Resident
+        from adaptrack.core.kernel import Resident
 
         self._lock = threading.Lock()
         self._measured, self._answer = self._mpc.measured, self._mpc.answer[0]
@@ -422,14 +422,14 @@ class MPC:
 
     @property
     def scheduler_counts(self) -> dict[str, int]:
-        """What the scheduler did since the last reset, by name, see `kernels.guard.COUNTS`.
+        """What the scheduler did since the last reset, by name, see `core.guard.COUNTS`.
 
         ``raised``: steps at which a scheduler in Python raised an error or answered what is no tuning; the tuning
         before was kept.
         """
         if self._plan is None:
             return {"raised": self._raised} if self.scheduler is not None else {}
-        from adaptrack.kernels.guard import COUNTS
+        from adaptrack.core.guard import COUNTS
 
         return {name: int(self._plan.memory[0][name]) for name in COUNTS}
 
@@ -534,16 +534,24 @@ class MPC:
 
     def _compiled_step(self) -> Callable[[float, Array], None]:
         """The step behind the arguments, compiled on first use."""
-        asked = self._asked
         if not self.in_kernel:
             self._step = self._step_through
         else:
-            from adaptrack.kernels.abi import entry
-            from adaptrack.kernels.controllers.mpc_step import step
-
-            compiled, address, functions = entry(step), self._resident.address, self.functions
-            self._step = lambda speed, ahead: compiled(speed, ahead, asked, address, functions)
+            self._step = self._step_in_kernel()
         return self._step
+
+    def _step_in_kernel(self) -> Callable[[float, Array], None]:
+        from adaptrack.core.controllers.mpc_step import Step, step
+        from adaptrack.core.kernel import direct
+
+        reference = np.zeros(self._furthest)
+        call = direct(step, Step(self._mpc, self.functions, reference, self._asked))
+
+        def run(speed: float, ahead: Array) -> None:
+            reference[: ahead.size] = ahead
+            call(speed, ahead.size)
+
+        return run
 
     def problem(
         self,
@@ -614,8 +622,8 @@ class MPC:
 
     def _look_along(self, road: RoadAhead | None, pace: float) -> None:
         """Take in the road ahead."""
-        from adaptrack.kernels.controllers.mpc import on_curved_roads
-        from adaptrack.kernels.stored import Resident
+        from adaptrack.core.controllers.mpc import on_curved_roads
+        from adaptrack.core.kernel import Resident
 
         if self._mpc.bend.size == 0:
             self._mpc = on_curved_roads(self._mpc)
@@ -637,7 +645,7 @@ class MPC:
         if given.size < own.size:
             own[given.size :] = 0.0
         own[: given.size] = given
-        self._schedule_step(own, self._resident_plan.address, self._asked)
+        self._schedule_step(own, self._resident_plan, self._asked)
 
     def _given(self, variables: Sequence[float]) -> Array:
         """The variables as numbers; the last three may be left out."""
@@ -663,38 +671,25 @@ class MPC:
 
     @cached_property
     def _schedule_step(self) -> Any:
-        from adaptrack.kernels.schedule_step import schedule_step
+        from adaptrack.core.schedule_step import schedule_step
 
         return schedule_step
 
     @property
     def _parts(self) -> Any:
-        from adaptrack.kernels.controllers import mpc_parts
+        from adaptrack.core.controllers import mpc_parts
 
         return mpc_parts
 
     @cached_property
     def functions(self) -> Any:
-        """What the kernels call for this controller (`kernels.controllers.mpc.Functions`)."""
-        from adaptrack.kernels.controllers import mpc as kernel
+        """What the kernels call for this controller (`core.controllers.mpc.Functions`)."""
+        from adaptrack.core.controllers import mpc as kernel
 
-        solvers = {}
-        if self.in_kernel and (isinstance(self.solver, ActiveSet) or self.solver.on_uncertified == "exact"):
-            from adaptrack.kernels.qp.active_set import active_set
-
-            solvers["active_set"] = active_set
-        if isinstance(self.solver, Hildreth):
-            from adaptrack.kernels.qp.hildreth import hildreth
-
-            solvers["hildreth"] = hildreth
-        if self.learner is not None:
-            from adaptrack.kernels.estimators.learning import believe, learn
-
-            solvers |= {"learn": learn, "believe": believe}
-        return kernel.functions(discretise=self.model.function, estimate=self.estimator.function, **solvers)
+        return kernel.functions(discretise=self.model.function, estimate=self.estimator.function)
 
     def _form(self, speed: float, ahead: Array) -> tuple[int, int, int]:
-        return self._parts.form_qp(0, speed, ahead, self._asked, self._resident.address, self.functions)
+        return self._parts.form_qp(0, speed, ahead, self._asked, self._resident, self.functions)
 
     def _qp(self, n: int, m: int) -> QP:
         ws = self._mpc.ws
@@ -717,7 +712,7 @@ class MPC:
             status, iterations = solution.status, solution.iterations
             ws.solution[:n] = solution.x
             ws.multipliers[:m] = solution.lam
-        self._parts.apply_move(0, int(status), iterations, (n, m), self._resident.address, self.functions)
+        self._parts.apply_move(0, int(status), iterations, n, m, self._resident)
 
     def _command(self) -> MPCCommand:
         angle, move, held, Np, Nc, Q, R, status, iterations, residual, at_limit, reckoned, *rest = self._answer.tolist()

@@ -20,7 +20,7 @@ class MPPI(CompiledController):
 
     In each period `samples` plans of steering are drawn around the last one and driven over `horizon` by the model,
     from the state in which the commands on their way leave the car; the plan moves to their mean, weighed by
-    exp(-cost/temperature). See `kernels.controllers.mppi` for the equations and the sources. What a sample costs is
+    exp(-cost/temperature). See `core.controllers.mppi` for the equations and the sources. What a sample costs is
 
         integral of q_e e^2 + q_course chi^2 + r (du/dt)^2 over the horizon
 
@@ -62,7 +62,7 @@ class MPPI(CompiledController):
         limits: Limits | None = None,
         preview: bool | None = None,
     ) -> None:
-        from adaptrack.kernels.controllers import mppi as kernel
+        from adaptrack.core.controllers import mppi as kernel
 
         self.car = KnownCar.of("MPPI", vehicle, profile, belief, tyre, friction, period)
         self.horizon = real("MPPI", "horizon", horizon)
@@ -97,7 +97,7 @@ class MPPI(CompiledController):
 
     @property
     def function(self) -> Any:
-        from adaptrack.kernels.controllers.mppi import mppi
+        from adaptrack.core.controllers.mppi import mppi
 
         return mppi
 

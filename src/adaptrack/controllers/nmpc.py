@@ -352,7 +352,7 @@ class NMPC:
 
     def _entering(self, v: float) -> Array:
         """(2, 2) what d_y and d_r add to v_y and r in a period."""
-        from adaptrack.kernels.models.path import discretise_rows
+        from adaptrack.core.models.path import discretise_rows
 
         n = self._model.n
         found = np.zeros(n * (n + 2) + n)

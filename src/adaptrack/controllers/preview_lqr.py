@@ -27,7 +27,7 @@ class PreviewLQR(CompiledController):
 
     Where `LQR` adds the steering of the steady turn, this one knows how the car gets there: gains on every coming
     change of the curvature follow from the same Riccati equation as those on the state, which is rolled through the
-    commands on their way. Equations and sources: `kernels.controllers.preview_lqr`. On a bend that goes on it steers
+    commands on their way. Equations and sources: `core.controllers.preview_lqr`. On a bend that goes on it steers
     the steady turn of the linear car.
 
     q_e: 1/m^2, weight of the offset; q_heading: 1/rad^2, of the heading against that of the steady turn; r: 1/rad^2,
@@ -55,7 +55,7 @@ class PreviewLQR(CompiledController):
         limits: Limits | None = None,
         preview: bool | None = None,
     ) -> None:
-        from adaptrack.kernels.controllers import preview_lqr as kernel
+        from adaptrack.core.controllers import preview_lqr as kernel
 
         self.vehicle = vehicle
         told = Told.of("PreviewLQR", vehicle, profile, belief, period, preview, limits)
@@ -79,7 +79,7 @@ class PreviewLQR(CompiledController):
 
     @property
     def function(self) -> Any:
-        from adaptrack.kernels.controllers.preview_lqr import preview_lqr
+        from adaptrack.core.controllers.preview_lqr import preview_lqr
 
         return preview_lqr
 
@@ -124,7 +124,7 @@ def steady_turn(vehicle: Vehicle, speed: float, n: int) -> tuple[Array, float]:
 
 
 def preview_gains(A: Array, B: Array, X: Array, q_e: ArrayLike, q_heading: ArrayLike, count: int) -> Array:
-    """(..., n + count): -K, then g_0, g_1, ..., see `kernels.controllers.preview_lqr`, with r = 1.
+    """(..., n + count): -K, then g_0, g_1, ..., see `core.controllers.preview_lqr`, with r = 1.
 
     A (..., n, n), B and X (..., n) of the path model, the heading its second state and the offset its last; weights
     for every model.

@@ -33,7 +33,7 @@ class PurePursuit(CompiledController):
         limits: Limits | None = None,
         preview: bool = False,
     ) -> None:
-        from adaptrack.kernels.controllers import pure_pursuit as kernel
+        from adaptrack.core.controllers import pure_pursuit as kernel
 
         self.vehicle = known_vehicle("PurePursuit", vehicle)
         self.tuning_names, self.diagnostic_names = kernel.TUNING, kernel.DIAGNOSTICS
@@ -49,7 +49,7 @@ class PurePursuit(CompiledController):
 
     @property
     def function(self) -> Any:
-        from adaptrack.kernels.controllers.pure_pursuit import pure_pursuit
+        from adaptrack.core.controllers.pure_pursuit import pure_pursuit
 
         return pure_pursuit
 

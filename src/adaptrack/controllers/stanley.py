@@ -38,7 +38,7 @@ class Stanley(CompiledController):
         limits: Limits | None = None,
         preview: bool = False,
     ) -> None:
-        from adaptrack.kernels.controllers import stanley as kernel
+        from adaptrack.core.controllers import stanley as kernel
 
         self.vehicle = known_vehicle("Stanley", vehicle)
         self.tuning_names, self.diagnostic_names = kernel.TUNING, kernel.DIAGNOSTICS
@@ -57,7 +57,7 @@ class Stanley(CompiledController):
 
     @property
     def function(self) -> Any:
-        from adaptrack.kernels.controllers.stanley import stanley
+        from adaptrack.core.controllers.stanley import stanley
 
         return stanley
 

@@ -52,7 +52,7 @@ def _good_for(good: Array) -> Array:
 
 def _broken(mpc: MPC, answers: Array, speeds: Array, states: Array, references: Array, good: Array) -> tuple[int, str]:
     """The first step at which a claim does not hold, and the claim; -1: all hold."""
-    from adaptrack.kernels.controllers.mpc import ANSWER
+    from adaptrack.core.controllers.mpc import ANSWER
 
     angle, move, held = (answers[:, i] for i in (ANSWER.command, ANSWER.command_change, ANSWER.held))
     status, residual = answers[:, ANSWER.qp_status], answers[:, ANSWER.qp_residual]
@@ -87,12 +87,12 @@ def _broken(mpc: MPC, answers: Array, speeds: Array, states: Array, references: 
 
 def run_case(case: Case, rng: Rng, steps: int) -> Failed | None:
     """Drive one case; what fails, as inputs of the target "mpc"."""
-    from adaptrack.kernels.controllers.mpc_steps import steps as run
+    from adaptrack.core.controllers.mpc_steps import steps as run
 
     mpc = make_mpc(case)
     states, speeds, references, tunings, good = _drawn(case, rng, steps)
     answers = np.full((steps, mpc._mpc.answer.shape[1]), math.nan)
-    run(states.copy(), speeds, references, tunings, mpc._resident.address, mpc.functions, answers)
+    run(states.copy(), speeds, references, tunings, mpc._resident, mpc.functions, answers)
     where, claim = _broken(mpc, answers, speeds, states, references, good)
     if where < 0:
         return None

@@ -83,14 +83,14 @@ class PathTrackingEnv(gymnasium.Env):
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Array, dict[str, Any]]:
         """Begin an episode, see `gymnasium.Env.reset`; options: `noise_seed`, `car_seed`, `road`."""
         super().reset(seed=seed)
-        from adaptrack.kernels import sight
+        from adaptrack.core import sight
 
         episode = self.task.draw(self.np_random, options)
         self._driven = driven = Driven(self.task, episode, Outside(episode.profile.period))
         loop, space = driven.loop, self.observation_space
         self._sight = sight.Sight(self.distances, space.low.copy(), space.high.copy())  # type: ignore[attr-defined]
         self._scene = sight.Scene(loop.settings, loop.rows, loop.roads, np.zeros(1, np.int64))
-        self._see, self._seen = sight.see, np.zeros((1, len(self.names)))
+        self._see, self._seen = sight.see_one, np.zeros((1, len(self.names)))
         return self._observe(driven), episode.info
 
     def step(self, action: Any) -> tuple[Array, float, bool, bool, dict[str, Any]]:

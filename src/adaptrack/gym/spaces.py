@@ -25,7 +25,7 @@ SEEN_WITHIN = {
     "speed": (0.0, 100.0), "wheel_angle": (-math.pi / 2, math.pi / 2), "command": (-math.pi / 2, math.pi / 2),
     "pose_age": (0.0, 600.0),
 }  # fmt: skip
-"""Bounds of what is seen, `kernels.sight.SEEN`."""
+"""Bounds of what is seen, `core.sight.SEEN`."""
 AHEAD_WITHIN, CURVATURE_WITHIN = (-FARTHEST, FARTHEST), (-1.0, 1.0)
 """m, 1/m"""
 VARIABLES_WITHIN = {
@@ -145,7 +145,7 @@ class Tunings:
 def variables_within(mpc: MPC) -> dict[str, tuple[float, float]]:
     """By name, the bounds of what is seen by one who tunes: scheduling variables, then what the MPC believes."""
     if mpc.learner is not None:
-        from adaptrack.kernels.estimators.learning import BELIEFS
+        from adaptrack.core.estimators.learning import BELIEFS
 
         return {**VARIABLES_WITHIN, **dict.fromkeys(BELIEFS, LEARNED_WITHIN)}
     return {**VARIABLES_WITHIN, **(BELIEF_WITHIN if mpc.belief is not None else {})}
@@ -154,7 +154,7 @@ def variables_within(mpc: MPC) -> dict[str, tuple[float, float]]:
 def first_belief(mpc: MPC) -> tuple[float, ...]:
     """What an MPC believes before its first step, behind the scheduling variables in what is seen."""
     if mpc.learner is not None:
-        from adaptrack.kernels.estimators.learning import ANSWER, BELIEFS
+        from adaptrack.core.estimators.learning import ANSWER, BELIEFS
 
         return tuple(mpc.learner.fresh()[ANSWER : ANSWER + len(BELIEFS)].tolist())
     return () if mpc.belief is None else (mpc.belief.lag.value, mpc.belief.delay)

@@ -44,9 +44,9 @@ class Block(NamedTuple):
     slots: slice
     batch: Batch
     episodes: Any
-    """`kernels.episode.Episodes`"""
+    """`core.episode.Episodes`"""
     resident: Any
-    """the same in memory, `kernels.stored.Resident`"""
+    """the same in memory, `core.kernel.Resident`"""
 
 
 class _VectorEnv(VectorEnv):
@@ -57,7 +57,7 @@ class _VectorEnv(VectorEnv):
     }  # fmt: skip
 
     def __init__(self, num_envs: int, threads: int, task: Task) -> None:
-        from adaptrack.kernels.episode import EPISODE
+        from adaptrack.core.episode import EPISODE
 
         self.num_envs, self.task = whole("num_envs", "num_envs", num_envs), task
         self.threads = whole("vector environment", "threads", threads)
@@ -116,7 +116,7 @@ class _VectorEnv(VectorEnv):
 
     def step(self, actions: Any) -> tuple[Array, Array, NDArray[np.bool_], NDArray[np.bool_], dict[str, Any]]:
         """Drive all cars by a step; one whose episode was over begins its next one, with reward 0."""
-        from adaptrack.kernels.episode import ARRIVED, DRIVING, FAILED
+        from adaptrack.core.episode import ARRIVED, DRIVING, FAILED
 
         if not self._blocks:
             raise gymnasium.error.ResetNeeded("call reset() first: no run has begun.")
@@ -150,7 +150,7 @@ class _VectorEnv(VectorEnv):
     # -- episodes -----------------------------------------------------------------------------------------------------
     def _begin(self, cars: NDArray[np.int64], options: dict[str, Any] | None) -> dict[str, Any]:
         """Draw the next episodes of some cars and begin them."""
-        from adaptrack.kernels.episode import arrive, renew
+        from adaptrack.core.episode import arrive, renew
 
         infos: dict[str, Any] = {}
         drawn = {int(car): self.task.draw(self._rngs[car], options) for car in cars}
@@ -163,15 +163,15 @@ class _VectorEnv(VectorEnv):
             for car in here:
                 self._place(block, car, drawn[car])
             if here:
-                renew(block.resident.address)
-                arrive(block.resident.address)
+                renew(block.resident)
+                arrive(block.resident)
                 self._seen[here, self._own_columns :] = self._constant(block.batch)
         for car, episode in drawn.items():
             infos = self._add_info(infos, episode.info, car)
         return infos
 
     def _first_blocks(self, episode: Episode) -> list[Block]:
-        from adaptrack.kernels.plants.contract import SLOTS
+        from adaptrack.core.plants.contract import SLOTS
 
         size = 1 if self.task.randomised else SLOTS
         slots = [slice(i, min(i + size, self.num_envs)) for i in range(0, self.num_envs, size)]
@@ -179,10 +179,10 @@ class _VectorEnv(VectorEnv):
 
     def _block(self, slots: slice, episode: Episode) -> Block:
         """A block of cars of an episode's kind; what it measures lies in the arrays of the environment."""
-        from adaptrack.kernels.episode import Episodes
-        from adaptrack.kernels.models.contract import MEASURED
-        from adaptrack.kernels.sight import Sight
-        from adaptrack.kernels.stored import Resident
+        from adaptrack.core.episode import Episodes
+        from adaptrack.core.kernel import Resident
+        from adaptrack.core.models.contract import MEASURED
+        from adaptrack.core.sight import Sight
 
         task = self.task
         roads = range(len(task.roads))
@@ -267,16 +267,16 @@ class PathTrackingVectorEnv(_VectorEnv):
         self._commands[:] = actions[:, 0]
 
     def _drive(self, block: Block) -> None:
-        from adaptrack.kernels.episode import arrive
-        from adaptrack.kernels.episode_steer import steer
+        from adaptrack.core.episode import arrive
+        from adaptrack.core.episode_steer import steer
 
-        steer(self._commands[block.slots], block.resident.address)
-        arrive(block.resident.address)
+        steer(self._commands[block.slots], block.resident)
+        arrive(block.resident)
 
     def _look(self, block: Block) -> None:
-        from adaptrack.kernels.episode_steer import see_all
+        from adaptrack.core.episode_steer import see_all
 
-        see_all(block.resident.address)
+        see_all(block.resident)
 
 
 class MPCTuningVectorEnv(_VectorEnv):
@@ -321,14 +321,14 @@ class MPCTuningVectorEnv(_VectorEnv):
             block.episodes.run.tuning[:] = tunings[block.slots]
 
     def _drive(self, block: Block) -> None:
-        from adaptrack.kernels.episode import arrive
-        from adaptrack.kernels.episode_tune import control
+        from adaptrack.core.episode import arrive
+        from adaptrack.core.episode_tune import control
 
         for _ in range(self.every):
-            control(block.resident.address)
-            arrive(block.resident.address)
+            control(block.resident)
+            arrive(block.resident)
 
     def _look(self, block: Block) -> None:
-        from adaptrack.kernels.episode_tune import look_all
+        from adaptrack.core.episode_tune import look_all
 
-        look_all(block.resident.address)
+        look_all(block.resident)

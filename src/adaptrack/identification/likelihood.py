@@ -1,6 +1,6 @@
 """The likelihood of a log, and the quantities that maximise it.
 
-With innovations e_i and variances S_i of a Kalman filter (`kernels.identification`), and a standard normal prior on z,
+With innovations e_i and variances S_i of a Kalman filter (`core.identification`), and a standard normal prior on z,
 
     -ln p = 1/2 sum(e_i^2/S_i + ln S_i) + 1/2 |z|^2
 
@@ -42,7 +42,7 @@ class Likelihood:
 
     def __init__(self, log: Log, car: Vehicle, beliefs: Mapping[str, Belief], seen: Array | None = None) -> None:
         """seen: (n,) 1 where a sample is taken in and counts; all when left out."""
-        from adaptrack.kernels import identification as kernel
+        from adaptrack.core import identification as kernel
 
         self._kernel = kernel
         self.log, self.car = log, car

@@ -146,7 +146,7 @@ def _drive_compiled(
 
     angles: at the instants (runs, n), and held between them (runs, n - 1).
     """
-    from adaptrack.kernels.plants.contract import INPUT, INPUTS, SLOTS, STATES, place, vehicle_batch
+    from adaptrack.core.plants.contract import INPUT, INPUTS, SLOTS, STATES, place, vehicle_batch
 
     still = plant.with_steering(SteeringActuator.ideal())
     now, held = angles
@@ -157,7 +157,7 @@ def _drive_compiled(
     for first in range(0, runs, SLOTS):
         count = min(SLOTS, runs - first)
         starts = [still.initial_state([0.0, 0.0, 0.0, v, 0.0, 0.0]) for v in speeds[first : first + count]]
-        v = vehicle_batch(still.packed(), np.stack(starts))
+        v = vehicle_batch(still.compiled, still.packed(), np.stack(starts))
         place(count, v.start, v.block, v.states)
         rows = v.block.reshape(STATES + INPUTS, SLOTS)
         rows[STATES + INPUT.acceleration] = 0.0 if given.hold_speed else math.nan
@@ -166,11 +166,11 @@ def _drive_compiled(
             states[first : first + count, k] = rows[:6, :count].T
             rows[STATES + INPUT.command, :count] = now[first : first + count, k]
             for slot in range(count):
-                still.compiled.observe(v.parameters, v.block, v.states, v.work, slot, seen)
+                still.compiled.observe(v.member, v.parameters, v.block, v.states, v.work, slot, seen)
                 felt[first + slot, k] = seen[0]
             if k < n - 1:
                 rows[STATES + INPUT.command, :count] = held[first : first + count, k]
-                still.compiled.advance(v.parameters, v.block, v.states, v.work, count, substeps, h)
+                still.compiled.advance(v.member, v.parameters, v.block, v.states, v.work, count, substeps, h)
     return states, felt
 
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import ClassVar
 
+from adaptrack.core.qp.problem import CHANGES
 from adaptrack.errors import whole
-from adaptrack.kernels.qp.problem import CHANGES
 from adaptrack.qp.kernel import Workspace
 from adaptrack.qp.problem import QP, QPStatus, Solution
 from adaptrack.qp.solver import Attempt, QPSolver

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from adaptrack.kernels.maths.vectors import padded
-from adaptrack.kernels.qp import problem as kernels
-from adaptrack.kernels.qp.active_set import active_set
-from adaptrack.kernels.qp.factor import factorise
+from adaptrack.core.maths.vectors import padded
+from adaptrack.core.qp import problem as kernels
+from adaptrack.core.qp.active_set import active_set
+from adaptrack.core.qp.factor import factorise
 from adaptrack.qp.problem import QP, Array, QPStatus
 
 
@@ -58,7 +58,7 @@ class Workspace:
 
     def hildreth(self, max_sweeps: int, tolerance: float, start: Array | None) -> tuple[QPStatus, int]:
         """Run Hildreth's procedure from the multipliers ``start``, or from zero: status and sweeps."""
-        from adaptrack.kernels.qp.hildreth import hildreth
+        from adaptrack.core.qp.hildreth import hildreth
 
         if start is not None:
             self.solution.lam[: self.problem.m] = start

@@ -164,7 +164,7 @@ def kkt_residuals(qp: QP, x: npt.ArrayLike, lam: npt.ArrayLike) -> Residuals:
         dual            = max_j (-lam_j)^+ / (1 + |lam|)
         complementarity = max_j lam_j^+ |M_j x - gamma_j| / ((1 + |lam|) (1 + |M x|))
 
-    The kernels compute the same (`adaptrack.kernels.qp.residual`); rows with gamma = inf and lam = 0 do not count.
+    The kernels compute the same (`adaptrack.core.qp.residual`); rows with gamma = inf and lam = 0 do not count.
     """
     x, lam = np.asarray(x, dtype=float), np.asarray(lam, dtype=float)
     with np.errstate(invalid="ignore", over="ignore"):

@@ -20,8 +20,8 @@ HEADING_SPACING = 0.5
 
 
 def pack_roads(roads: Sequence[Road | None]) -> Any:
-    """The roads of scenarios, None for a straight one, as `kernels.road.Roads`; equal ones are kept once."""
-    from adaptrack.kernels import road as kernel
+    """The roads of scenarios, None for a straight one, as `core.road.Roads`; equal ones are kept once."""
+    from adaptrack.core import road as kernel
 
     kept: list[Road] = []
     of = np.full(len(roads), -1, np.int64)
@@ -53,13 +53,13 @@ def pack_roads(roads: Sequence[Road | None]) -> Any:
 
 @lru_cache(maxsize=16)
 def stacked(road: Road) -> Any:
-    """A road alone as `kernels.road.Roads`."""
+    """A road alone as `core.road.Roads`."""
     return pack_roads([road])
 
 
 def foot_near(road: Road, x: float, y: float, near: float) -> Projection:
     """The foot of one point, as numbers, as by `Road.project`; the offset is NaN where there is none about `near`."""
-    from adaptrack.kernels import road as kernel
+    from adaptrack.core import road as kernel
 
     foot = np.empty((1, 4))
     kernel.project_all(road.packed(), np.array([[x, y, near]]), foot)
@@ -71,7 +71,7 @@ def foot_of_car(road: Road, x: float, y: float, yaw: float, across: float) -> fl
 
     across: m, by which a foot may be nearer where the road leads at right angles to the car.
     """
-    from adaptrack.kernels import road as kernel
+    from adaptrack.core import road as kernel
 
     return float(kernel.nearest(x, y, yaw, across, road.packed()))
 
@@ -105,17 +105,17 @@ class RoadAhead:
 
     @property
     def packed(self) -> Any:
-        """The centre line, the foot and the speeds, `kernels.road.RoadAhead`."""
-        from adaptrack.kernels import road as kernel
+        """The centre line, the foot and the speeds, `core.road.RoadAhead`."""
+        from adaptrack.core import road as kernel
 
         return kernel.RoadAhead(self.road.packed(), self.station, self.speeds)
 
     def bend(self, count: int, pace: float, lead: float, period: float) -> Array:
         """(count,) m, how far the road lies to the left of its tangent here, `lead` periods (s) ahead and later.
 
-        pace: m/s, of the model; see `kernels.road.bend_ahead`.
+        pace: m/s, of the model; see `core.road.bend_ahead`.
         """
-        from adaptrack.kernels import road as kernel
+        from adaptrack.core import road as kernel
 
         found = np.zeros(count)
         kernel.bend_of(self.station, self.speeds, pace, lead, period, 0, stacked(self.road), found)
@@ -124,8 +124,8 @@ class RoadAhead:
 
 @cache
 def straight() -> Any:
-    """`kernels.road.RoadAhead` of a straight road."""
-    from adaptrack.kernels import road as kernel
+    """`core.road.RoadAhead` of a straight road."""
+    from adaptrack.core import road as kernel
 
     line = kernel.Centreline(np.zeros(0), np.zeros((0, kernel.TURNED + kernel.DEGREE + 1)), np.zeros(0))
     return kernel.RoadAhead(line, 0.0, np.zeros(0))

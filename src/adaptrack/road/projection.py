@@ -1,4 +1,4 @@
-"""The foot of points on a road, as arrays: the readable form of `adaptrack.kernels.road`, equal to it to 1e-10.
+"""The foot of points on a road, as arrays: the readable form of `adaptrack.core.road`, equal to it to 1e-10.
 
 g(s) = (c(s) - p) . t(s) is half the slope of the squared distance from p; its derivative is 1 - kappa(s) e(s) with the
 offset e = (p - c) . n. A foot is a zero of g at which g grows.

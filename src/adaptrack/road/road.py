@@ -306,7 +306,7 @@ class Road:
         InvalidInput
             When a coordinate is not a finite number, shapes do not fit, or there is no foot within 400 m of `near`.
         """
-        from adaptrack.kernels import road as kernel
+        from adaptrack.core import road as kernel
 
         given = [reals("Road.project: a coordinate", each) for each in (x, y, np.nan if near is None else near)]
         try:
@@ -328,12 +328,12 @@ class Road:
         return Projection(*(feet[:, k].reshape(shape) for k in range(4)))
 
     def packed(self) -> Any:
-        """The centre line as the record that `adaptrack.kernels.road` reads; read-only."""
+        """The centre line as the record that `adaptrack.core.road` reads; read-only."""
         return self._packed
 
     @cached_property
     def _packed(self) -> Any:
-        from adaptrack.kernels import road as kernel
+        from adaptrack.core import road as kernel
 
         numbers = np.array([self.length, float(self.closed), self.turn, self.table.most_curvature])
         return kernel.Centreline(

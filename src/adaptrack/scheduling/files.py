@@ -78,7 +78,7 @@ def list_schedulers() -> list[str]:
 
 def made_for(mpc: MPC, profile: str) -> dict[str, Any]:
     """What a schedule is made for, to stand in its file: car, profile, controller, and the kernels' version."""
-    from adaptrack.kernels import abi, schedule
+    from adaptrack.core.library import kernels_hash
 
     described = mpc.describe()
     return {
@@ -89,7 +89,7 @@ def made_for(mpc: MPC, profile: str) -> dict[str, Any]:
             "model": mpc.kind_of_model,
             **{key: described[key] for key in ("moves", "period", "preview")},
         },
-        "kernels": abi.source_hash(Path(schedule.__file__)),
+        "kernels": kernels_hash(),
     }
 
 

@@ -35,7 +35,7 @@ class StabilityMap:
             raise InvalidInput(f"StabilityMap: limit = {self.limit!r}: must be positive and finite.")
 
     def pack(self, row: Any, pool: Pool) -> None:
-        """Write it to a guard's record (`kernels.guard.GUARD`) and the packed functions."""
+        """Write it to a guard's record (`core.guard.GUARD`) and the packed functions."""
         row.mapped, row.limit = True, self.limit
         pool.add(self.table, row)
 
@@ -81,7 +81,7 @@ class Guard:
         whole("Guard", "hold", self.hold)
 
     def pack(self, row: Any, pool: Pool) -> None:
-        """Write it to its record in a packed schedule (`kernels.guard.GUARD`)."""
+        """Write it to its record in a packed schedule (`core.guard.GUARD`)."""
         row.used, row.hold, row.slack = True, self.hold, self.slack
         row.fallback[:] = self.fallback.as_array()
         row.rates[:], row.ratio_rate = self.rates[:2], self.rates[2]

@@ -179,8 +179,8 @@ class Schedule:
         return schedule_html(self)
 
     def plan(self, slots: int) -> Any:
-        """The schedule as the kernels read it (`kernels.schedule.Schedule`), with a fresh memory for `slots` runs."""
-        from adaptrack.kernels import guard, schedule
+        """The schedule as the kernels read it (`core.schedule.Schedule`), with a fresh memory for `slots` runs."""
+        from adaptrack.core import guard, schedule
 
         settings, integers, numbers, scratch = self._packed()
         return schedule.Schedule(settings, np.zeros(slots, guard.MEMORY), integers, numbers, np.zeros(scratch))
@@ -203,7 +203,7 @@ class Schedule:
         InvalidInput
             When the rows are not like `SchedulingVariables`.
         """
-        from adaptrack.kernels import schedule
+        from adaptrack.core import schedule
 
         given = np.atleast_2d(reals("schedule: the scheduling variables", variables))
         least = len(VARIABLES) - len(SchedulingVariables._field_defaults)
@@ -218,7 +218,7 @@ class Schedule:
         return tunings
 
     def _packed(self) -> tuple[Any, NDArray[np.int64], Array, int]:
-        """settings, integers, numbers and the length of the scratch, see `kernels.schedule`; packed once."""
+        """settings, integers, numbers and the length of the scratch, see `core.schedule`; packed once."""
         cached: tuple[Any, NDArray[np.int64], Array, int] | None = self.__dict__.get("_cache")
         if cached is None:
             cached = _pack(self)
@@ -255,8 +255,8 @@ class Pool:
 
 
 def _pack(made: Schedule) -> tuple[Any, NDArray[np.int64], Array, int]:
-    from adaptrack.kernels import schedule
-    from adaptrack.kernels.variables import NAMES
+    from adaptrack.core import schedule
+    from adaptrack.core.variables import NAMES
 
     array = np.zeros(1, schedule.SETTINGS)
     settings, pool = array[0], Pool()

@@ -81,15 +81,15 @@ def software() -> dict[str, str]:
     return {
         "adaptrack": __version__,
         "kernels": kernel_hash(),
-        **{name: version(name) for name in ("numba", "numpy", "scikit-learn")},
+        **{name: version(name) for name in ("numpy", "scikit-learn")},
     }
 
 
 def kernel_hash() -> str:
     """The hash of the kernels that drive runs."""
-    from adaptrack.kernels import abi, rollout
+    from adaptrack.core.library import kernels_hash
 
-    return abi.source_hash(Path(rollout.__file__)) + (" (interpreted)" if abi.INTERPRETED else "")
+    return kernels_hash()
 
 
 def identity_of(stage: str, settings: Any) -> str:

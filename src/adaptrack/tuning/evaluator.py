@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from importlib.metadata import version
-from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
@@ -94,14 +93,13 @@ class ClosedLoop:
 
     def versions(self) -> dict[str, str]:
         """The kernels' own hash, and the libraries that have a say in the numbers."""
-        from adaptrack.kernels import abi, tune
+        from adaptrack.core.library import kernels_hash
 
         plant = self.objective.plant
         own = {} if isinstance(plant, SingleTrack | DualTrack) else {"plant": fingerprint(plant)}
         return {
             **own,
-            "kernels": abi.source_hash(Path(tune.__file__)) + (" (interpreted)" if abi.INTERPRETED else ""),
-            "numba": version("numba"),
+            "kernels": kernels_hash(),
             "numpy": version("numpy"),
         }
 

@@ -92,18 +92,18 @@ class Objective:
 
     def costs(self, point: ArrayLike, tunings: ArrayLike) -> Array:
         """J of each of the tunings (n, 4) on one operating point, (n,); inf where a run failed."""
-        from adaptrack.kernels import tune as kernels
-        from adaptrack.kernels.plants.contract import SLOTS
+        from adaptrack.core import tune as kernels
+        from adaptrack.core.plants.contract import SLOTS
 
         asked = np.array(tunings, dtype=np.float64, ndmin=2)
         if isinstance(self.plant, SteppedPlant):
             return self._simulated_costs(point, asked)
         costs = np.empty(len(asked))
-        place, trial = self._trial(point, min(len(asked), SLOTS), asked[:, 0].max(), asked[:, 1].max())
+        run, trial = self._trial(point, min(len(asked), SLOTS), asked[:, 0].max(), asked[:, 1].max())
         judged = kernels.Judged(np.ascontiguousarray(asked), np.full(len(asked), np.inf), costs)
         for first in range(0, len(asked), SLOTS):
-            place.record.mpc.memory["speed"] = np.nan  # nothing is formed yet
-            kernels.evaluate((first, min(SLOTS, len(asked) - first)), judged, trial)
+            run.mpc.memory["speed"] = np.nan  # nothing is formed yet
+            kernels.evaluate(first, min(SLOTS, len(asked) - first), judged, trial)
         return costs
 
     landscape = costs
@@ -118,22 +118,21 @@ class Objective:
         space: SearchSpace | None = None,
     ) -> Tuned:
         """The best tuning that one swarm finds on an operating point; its random numbers are those of its stream."""
-        from adaptrack.kernels import swarm as rules
-        from adaptrack.kernels import tune as kernels
-        from adaptrack.kernels.plants.contract import SLOTS
+        from adaptrack.core import swarm as rules
+        from adaptrack.core import tune as kernels
+        from adaptrack.core.plants.contract import SLOTS
 
         swarm, space = swarm or SwarmSettings(), space or SearchSpace.tuning()
         if isinstance(self.plant, SteppedPlant):
             return self._searched(point, Swarm(space, swarm, seed=seed, stream=stream))
         slots, count = min(swarm.particles, SLOTS), swarm.particles
-        place, trial = self._trial(point, slots, space.high[0], space.high[1])
+        _, trial = self._trial(point, slots, space.high[0], space.high[1])
         judged = kernels.Judged(np.zeros((count, 4)), np.empty(count), np.empty(count))
         search = kernels.Search(
             seed, stream, swarm.packed(space), space.packed(), rules.particles(count, 4), judged,
             np.empty(swarm.generations),
         )  # fmt: skip
         evaluations, steps = kernels.tune(search, trial)
-        del place  # its runs were needed until here
         best = search.swarm
         return Tuned(
             space.values(best.leader), float(best.progress[rules.LEADER_COST]), search.best, evaluations, steps
@@ -155,10 +154,10 @@ class Objective:
         return Tuned(found.x, found.cost, found.trace, found.evaluations, steps)
 
     def _trial(self, point: ArrayLike, slots: int, longest: float, most: float) -> tuple[Any, Any]:
-        """`kernels.tune.Trial` for up to `slots` tunings with horizons up to these; before it, what keeps its runs."""
-        from adaptrack.kernels import rollout
-        from adaptrack.kernels import tune as kernels
-        from adaptrack.kernels.stored import Resident
+        """`core.tune.Trial` for up to `slots` tunings with horizons up to these; before it, its runs."""
+        from adaptrack.core import rollout
+        from adaptrack.core import tune as kernels
+        from adaptrack.core.kernel import Resident
 
         assert isinstance(self.plant, Plant)
         batch = Batch(self.plant, self.mpc, [self.scenario(point)], self.profile, failure=self.failure)
@@ -166,5 +165,4 @@ class Objective:
         run.vehicles.start[:] = batch.starts
         noise = np.array(self.noise_seeds, dtype=np.int64)
         span = rollout.Span(batch.signals[0].n, slots, 1, self.weight)
-        place = Resident(run)
-        return place, kernels.Trial(place.address, span, noise)
+        return run, Resident(kernels.Trial(run, span, noise))

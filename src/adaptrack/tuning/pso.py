@@ -8,7 +8,7 @@ or, when the costs come from elsewhere, one generation at a time:
     while not swarm.done:
         swarm.tell(evaluate(swarm.ask()))
 
-The algorithm itself stands in `adaptrack.kernels.swarm`; this module gives it validated settings and a state that can
+The algorithm itself stands in `adaptrack.core.swarm`; this module gives it validated settings and a state that can
 be put aside and taken up again, to the last bit.
 """
 
@@ -23,9 +23,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydantic import Field, model_validator
 
+from adaptrack.core import swarm as kernel
 from adaptrack.errors import InvalidInput
 from adaptrack.files import LISTED, Record
-from adaptrack.kernels import swarm as kernel
 
 Array = NDArray[np.float64]
 
@@ -119,7 +119,7 @@ class SearchSpace(Record):
         return len(self.names)
 
     def packed(self) -> Array:
-        """The space as the kernels take it: (4, dims), rows `adaptrack.kernels.swarm.SPACE`."""
+        """The space as the kernels take it: (4, dims), rows `adaptrack.core.swarm.SPACE`."""
         scale = [math.log10 if name in self.decades else float for name in self.names]
         return np.array(
             [
@@ -132,7 +132,7 @@ class SearchSpace(Record):
 
     def values(self, x: Array) -> Array:
         """What positions of the swarm, (..., dims), stand for: powers of ten where it searches by decades."""
-        from adaptrack.kernels.swarm import decode
+        from adaptrack.core.swarm import decode
 
         rows = np.ascontiguousarray(x, dtype=float).reshape(-1, self.dims)
         found = np.empty_like(rows)
@@ -200,7 +200,7 @@ class SwarmSettings(Record):
         return self.particles * self.generations
 
     def packed(self, space: SearchSpace) -> Array:
-        """The settings as the kernels take them, in the order of `adaptrack.kernels.swarm.SWARM_SETTINGS`."""
+        """The settings as the kernels take them, in the order of `adaptrack.core.swarm.SWARM_SETTINGS`."""
         smaller, larger = (-1, -1) if space.ordered is None else (space.names.index(name) for name in space.ordered)
         return np.array(
             [

@@ -78,7 +78,7 @@ class Network(Function):
         return self.out_low + (self.out_high - self.out_low) * out
 
     def pack(self) -> Packed:
-        from adaptrack.kernels import functions
+        from adaptrack.core import functions
 
         widths = [self.n_inputs, *map(len, self.biases)]
         numbers = [self.out_low, self.out_high - self.out_low, *self.low, *(1.0 / (self.high - self.low))]

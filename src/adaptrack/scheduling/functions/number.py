@@ -40,7 +40,7 @@ class Number(Function):
         return np.full(len(x), self.value)
 
     def pack(self) -> Packed:
-        from adaptrack.kernels import functions
+        from adaptrack.core import functions
 
         return Packed(functions.NUMBER, (), (self.value,), 0)
 

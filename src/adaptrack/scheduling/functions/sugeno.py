@@ -117,7 +117,7 @@ class Sugeno(Function):
         )
 
     def pack(self) -> Packed:
-        from adaptrack.kernels import functions
+        from adaptrack.core import functions
 
         integers = [self.n_inputs, len(self.owner), self.n_rules]
         integers += [*self.owner.tolist(), *self.bell.astype(int).tolist(), *self.rules.ravel().tolist()]

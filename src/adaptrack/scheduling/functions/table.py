@@ -58,7 +58,7 @@ class Table(Function):
         return np.asarray(RegularGridInterpolator([self.axes[d] for d in more], values, method)(x[:, more]))
 
     def pack(self) -> Packed:
-        from adaptrack.kernels import functions
+        from adaptrack.core import functions
 
         kind = functions.NEAREST if self.method == "nearest" else functions.MULTILINEAR
         nodes = np.concatenate(self.axes)

@@ -1,0 +1,110 @@
+"""LQR about the steady turn of the path: state feedback on the lateral errors, curvature feed-forward."""
+
+from __future__ import annotations
+
+import math
+
+from ..kernel import exported, inlined, record, unpacker
+from ..maths.bits import whole
+from ..maths.elementary import clip
+from .contract import (
+    COMMAND,
+    COMMON,
+    HELD,
+    LAW_SIGNATURE,
+    SLOWEST,
+    all_finite,
+    limited,
+    path_ahead,
+    path_at,
+    read_situation,
+    wrapped,
+)
+
+TUNING = ("q_e", "q_heading", "r", "preview_time")
+PARAMETERS = (
+    *COMMON,
+    "wheelbase",  # m
+    "lr",  # m, centre of gravity to rear axle
+    "understeer",  # rad s^2/m, understeer gradient K: delta = L kappa + K a_y in a steady turn
+    "rear_slip",  # rad s^2/m, slip angle of the rear tyres per lateral acceleration: m lf/(2 C_r L)
+    # the grid of gains behind these: over log v, log q_e/r and log q_heading/r, the state last
+    "log_speed",  # first node
+    "log_speed_step",
+    "speeds",  # number of nodes
+    "log_e",  # of log(q_e/r), m^-2 rad^2
+    "log_heading",  # of log(q_heading/r)
+    "log_weight_step",  # of both
+    "weights",  # number of nodes of each
+)
+STATES = 4
+"""Lateral error (m) and its rate, heading error (rad) and its rate."""
+DIAGNOSTICS = (
+    "held",  # 1: the last command is held
+    "offset",  # m, from the path to the car, positive when the car is on the left
+    "heading_error",  # rad, the car's heading less the path's
+    "curvature",  # 1/m, of the path that the feed-forward sees
+    "feed_forward",  # rad, steering of the steady turn with this curvature
+)
+MEMORY = 1
+"""The heading of the path, for when the car stands."""
+
+Tuning = record("Tuning", TUNING)
+Parameters = record("Parameters", PARAMETERS)
+read_tuning, read_parameters = unpacker(Tuning), unpacker(Parameters)
+
+
+@inlined
+def node_below(value, first, step, nodes):
+    """The node of an even grid below a value, and the value's share of the way to the next; within the grid."""
+    place = clip((value - first) / step, 0.0, nodes - 1.0)
+    i = min(whole(place), whole(nodes) - 2)
+    return i, place - i
+
+
+@inlined
+def gain_of(state, v, t, p, grid):
+    """The feedback gain on one state at a speed v (m/s) and the present weights, interpolated in the grid."""
+    tiny = 1e-300
+    r = max(t.r, tiny)
+    i, a = node_below(math.log(v), p.log_speed, p.log_speed_step, p.speeds)
+    j, b = node_below(math.log(max(t.q_e / r, tiny)), p.log_e, p.log_weight_step, p.weights)
+    k, c = node_below(math.log(max(t.q_heading / r, tiny)), p.log_heading, p.log_weight_step, p.weights)
+    n = whole(p.weights)
+    gain = 0.0
+    for di in range(2):
+        for dj in range(2):
+            for dk in range(2):
+                share = (a if di else 1.0 - a) * (b if dj else 1.0 - b) * (c if dk else 1.0 - c)
+                gain += share * grid[(((i + di) * n + j + dj) * n + k + dk) * STATES + state]
+    return gain
+
+
+@exported(LAW_SIGNATURE)
+def lqr(situation, reference, road, tuning, parameters, memory, answer):
+    """delta = delta_ss - K (x - x_ss): feedback about the steady turn with the curvature of the path.
+
+    x = [e, v_y + v psi_e, psi_e, r - v kappa]; x_ss = [0, 0, (rear_slip v^2 - lr) kappa, 0];
+    delta_ss = (L + understeer v^2) kappa, with the curvature that the path has `preview_time` ahead.
+    """
+    s, t, p = read_situation(situation), read_tuning(tuning), read_parameters(parameters)
+    wanted = offset = heading_error = curvature = feed_forward = math.nan
+    if all_finite(situation) and all_finite(tuning):
+        v = max(s.speed, SLOWEST)
+        path = path_ahead(reference, road, 0.0, s.speed, p.period, memory)
+        curvature = path_at(reference, road, t.preview_time, v, p.period).curvature if s.speed >= SLOWEST else 0.0
+        feed_forward = (p.wheelbase + p.understeer * v * v) * curvature
+        offset = (s.y - path.y) * math.cos(path.heading)
+        heading_error = wrapped(s.yaw - path.heading)
+        steady = (p.rear_slip * v * v - p.lr) * path.curvature
+        grid = parameters[len(PARAMETERS) :]
+        wanted = (
+            feed_forward
+            - gain_of(0, v, t, p, grid) * offset
+            - gain_of(1, v, t, p, grid) * (s.vy + v * heading_error)
+            - gain_of(2, v, t, p, grid) * (heading_error - steady)
+            - gain_of(3, v, t, p, grid) * (s.yaw_rate - v * path.curvature)
+        )
+    answer[COMMAND], answer[HELD] = limited(wanted, s, p)
+    answer[HELD + 1], answer[HELD + 2], answer[HELD + 3] = offset, heading_error, curvature
+    answer[HELD + 4] = feed_forward

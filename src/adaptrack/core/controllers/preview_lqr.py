@@ -1,0 +1,197 @@
+"""Optimal preview control: state feedback about the steady turn, and gains on the curvature that lies ahead.
+
+The path model x = [v_y, psi, r, delta, y] (`models.path`, without delta where there is no lag) moves over a period as
+x_k+1 = A x_k + B u_k + E w_k, w = curvature times speed (rad/s). The steady turn under w is X w with the steering U w.
+In the deviations x~_k = x_k - X w_k and u~_k = u_k - U w_k
+
+    x~_k+1 = A x~_k + B u~_k - X (w_k+1 - w_k)
+
+so that only changes of w disturb, and a bend that goes on costs nothing. The sum of q_e y^2 + q_heading psi~^2 + r u~^2
+is least (M. Tomizuka, Optimum linear preview control with application to vehicle suspension, J. Dyn. Syst. Meas.
+Control 98, 1976; for steering R. S. Sharp, V. Valtetsiotis, Optimal preview car steering control, Vehicle System
+Dynamics Suppl. 35, 2001) with
+
+    u~ = -K x~ + sum_j g_j (w_j+1 - w_j),   K = (r + B'PB)^-1 B'PA,   g_j = (r + B'PB)^-1 B' (A - B K)'^j P X
+
+P from the Riccati equation of A, B. The state is the one at the end of the dead time, to which the commands on their
+way lead; w_0 is that of the period which begins there.
+"""
+
+from __future__ import annotations
+
+import math
+
+from ..kernel import exported, inlined, record, shaped, unpacker
+from ..maths.bits import whole
+from ..models import path as model
+from . import on_the_way as way
+from .contract import (
+    COMMAND,
+    COMMON,
+    HELD,
+    LAW_SIGNATURE,
+    SLOWEST,
+    all_finite,
+    limited,
+    path_ahead,
+    planned_speed,
+    read_situation,
+    wrapped,
+)
+from .lqr import node_below
+
+TUNING = ("q_e", "q_heading", "r")
+PARAMETERS = (
+    *COMMON,
+    "wheelbase",  # m
+    "lr",  # m, centre of gravity to rear axle
+    "understeer",  # rad s^2/m, understeer gradient
+    "rear_slip",  # rad s^2/m, slip angle of the rear tyres per lateral acceleration
+    "lag",  # s, of the steering
+    "dead_time",  # s, from an instant until its command begins to act
+    "pose_age",  # s, how old yaw and y are
+    "previewed",  # number of gains on changes of w
+    # the grid of gains, as that of the LQR: over log v, log q_e/r and log q_heading/r
+    "log_speed", "log_speed_step", "speeds", "log_e", "log_heading", "log_weight_step", "weights",
+    # the parameters of the path model behind these, then the grid, the gains last: on the states, then on changes of w
+)  # fmt: skip
+DIAGNOSTICS = (
+    "held",  # 1: the last command is held
+    "offset",  # m, from the path to the car, positive when the car is on the left
+    "heading_error",  # rad, the car's heading less the path's
+    "curvature",  # 1/m, of the path at the end of the dead time
+    "feed_forward",  # rad, steering of the steady turn with this curvature
+)
+OF_THE_MODEL = len(model.Parameters._fields)
+HEADING, KEPT = 0, 1
+"""Places in the memory: the heading of the path, for when the car stands; from there on `on_the_way`, then scratch."""
+
+Tuning = record("Tuning", TUNING)
+Parameters = record("Parameters", PARAMETERS)
+read_tuning, read_parameters = unpacker(Tuning), unpacker(Parameters)
+
+
+def memory_size(states: int, previewed: int, behind: float) -> int:
+    """How many numbers a controller remembers; behind: periods of dead time."""
+    return KEPT + way.size(behind) + states * (states + 3) + states + previewed
+
+
+@inlined
+def states_of(p):
+    """Number of states."""
+    return 5 if p.lag > 0.0 else 4
+
+
+@inlined
+def _sent(p, memory):
+    """What `on_the_way` remembers."""
+    return (memory[KEPT : KEPT + way.SENT + 2 + way.count_pieces(p.dead_time / p.period)],)
+
+
+@inlined
+def _begin(offset, heading_error, reference, road, s, p, x):
+    """Write the state now: the measured pose, moved on by its age with the present motion."""
+    v, n = max(s.speed, SLOWEST), x.size
+    w = v * way.curvature_at(-0.5 * p.pose_age * v, reference, road, s, p)
+    turned = p.pose_age * (s.yaw_rate - w)
+    x[0], x[1], x[2] = s.vy, heading_error + turned, s.yaw_rate
+    x[n - 1] = offset + p.pose_age * (s.vy + v * (heading_error + 0.5 * turned))
+
+
+@inlined
+def _roll(reference, road, s, parameters, memory, x):
+    """Let the commands on their way act on x (n,); how far (m) the car is then. Scratch: the end of the memory."""
+    p, n = read_parameters(parameters), x.size
+    v, behind, sent = max(s.speed, SLOWEST), p.dead_time / p.period, _sent(p, memory)[0]
+    first = memory.size - n * (n + 3)
+    a = shaped(memory[first : first + n * n], n, n)
+    b, e = memory[first + n * n : first + n * n + n], memory[first + n * n + n : first + n * n + 2 * n]
+    following = memory[first + n * n + 2 * n : first + n * n + 3 * n]
+    own = parameters[len(PARAMETERS) : len(PARAMETERS) + OF_THE_MODEL]
+    distance, time, formed = 0.0, 0.0, 0.0
+    for piece in range(way.count_pieces(behind), 0, -1):
+        h = way.share_of(piece, behind) * p.period
+        if h != formed:
+            model.discretise(v, h, own, a, b, e)
+            formed = h
+        pace = planned_speed(road, time, s.speed, p.period)
+        w = v * way.curvature_at(distance + 0.5 * pace * h, reference, road, s, p)
+        u = sent[way.SENT + piece - 1]
+        for i in range(n):
+            following[i] = b[i] * u + e[i] * w
+            for j in range(n):
+                following[i] += a[i, j] * x[j]
+        for i in range(n):
+            x[i] = following[i]
+        time += h
+        distance += pace * h
+    return distance
+
+
+@inlined
+def _write_deviations(distance, reference, road, s, p, z):
+    """Turn the state into x~ and write the changes of w behind it; z: (states + previewed,). The first w, and U."""
+    n, v, time = states_of(p), max(s.speed, SLOWEST), p.dead_time
+    pace = planned_speed(road, time, s.speed, p.period)
+    first = now = v * way.curvature_at(distance + 0.5 * pace * p.period, reference, road, s, p)
+    heading, steering = p.rear_slip * v - p.lr / v, p.wheelbase / v + p.understeer * v
+    z[0] += v * heading * first
+    z[1] -= heading * first
+    z[2] -= first
+    if n == 5:
+        z[3] -= steering * first
+    for j in range(whole(p.previewed)):
+        distance += pace * p.period
+        time += p.period
+        pace = planned_speed(road, time, s.speed, p.period)
+        later = v * way.curvature_at(distance + 0.5 * pace * p.period, reference, road, s, p)
+        z[n + j], now = later - now, later
+    return first, steering
+
+
+@inlined
+def apply_gains(v, t, p, z, grid):
+    """The product of gains and z at a speed v (m/s) and the present weights, interpolated in the grid."""
+    tiny = 1e-300
+    r = max(t.r, tiny)
+    i, a = node_below(math.log(v), p.log_speed, p.log_speed_step, p.speeds)
+    j, b = node_below(math.log(max(t.q_e / r, tiny)), p.log_e, p.log_weight_step, p.weights)
+    k, c = node_below(math.log(max(t.q_heading / r, tiny)), p.log_heading, p.log_weight_step, p.weights)
+    n, found = whole(p.weights), 0.0
+    for di in range(2):
+        for dj in range(2):
+            for dk in range(2):
+                share = (a if di else 1.0 - a) * (b if dj else 1.0 - b) * (c if dk else 1.0 - c)
+                first = (((i + di) * n + j + dj) * n + k + dk) * z.size
+                product = 0.0
+                for g in range(z.size):
+                    product += grid[first + g] * z[g]
+                found += share * product
+    return found
+
+
+@exported(LAW_SIGNATURE)
+def preview_lqr(situation, reference, road, tuning, parameters, memory, answer):
+    """u = U w_0 - K x~ + sum_j g_j (w_j+1 - w_j); see the head of this file."""
+    s, t, p = read_situation(situation), read_tuning(tuning), read_parameters(parameters)
+    wanted = offset = heading_error = curvature = feed_forward = math.nan
+    if math.isfinite(s.command):
+        way.take_command(s.command, p.dead_time / p.period, p.period, p.lag, _sent(p, memory)[0])
+    if all_finite(situation) and all_finite(tuning):
+        n, v = states_of(p), max(s.speed, SLOWEST)
+        last = memory.size - n * (n + 3)
+        z = memory[last - n - whole(p.previewed) : last]
+        path = path_ahead(reference, road, 0.0, s.speed, p.period, memory)
+        offset, heading_error = (s.y - path.y) * math.cos(path.heading), wrapped(s.yaw - path.heading)
+        x = z[:n]
+        _begin(offset, heading_error, reference, road, s, p, x)
+        if n == 5:
+            x[3] = memory[KEPT + way.ANGLE]
+        distance = _roll(reference, road, s, parameters, memory, x)
+        w, steering = _write_deviations(distance, reference, road, s, p, z)
+        curvature, feed_forward = w / v, steering * w
+        grid = parameters[len(PARAMETERS) + OF_THE_MODEL :]
+        wanted = feed_forward + apply_gains(v, t, p, z, grid)
+    answer[COMMAND], answer[HELD] = limited(wanted, s, p)
+    answer[HELD + 1], answer[HELD + 2], answer[HELD + 3] = offset, heading_error, curvature
+    answer[HELD + 4] = feed_forward

@@ -1,0 +1,58 @@
+"""Pure pursuit: steer the circular arc that leads the rear axle to a point of the path ahead."""
+
+from __future__ import annotations
+
+import math
+
+from ..kernel import exported, record, unpacker
+from .contract import (
+    COMMAND,
+    COMMON,
+    HELD,
+    LAW_SIGNATURE,
+    SLOWEST,
+    all_finite,
+    limited,
+    path_at,
+    read_situation,
+)
+
+TUNING = ("lookahead_time", "lookahead_min")
+PARAMETERS = (
+    *COMMON,
+    "wheelbase",  # m
+    "lr",  # m, centre of gravity to rear axle
+)
+DIAGNOSTICS = (
+    "held",  # 1: the last command is held
+    "distance",  # m, from the rear axle to the target
+    "alpha",  # rad, angle from the car's axis to the target, positive to the left
+)
+MEMORY = 0
+
+Tuning = record("Tuning", TUNING)
+Parameters = record("Parameters", PARAMETERS)
+read_tuning, read_parameters = unpacker(Tuning), unpacker(Parameters)
+
+
+@exported(LAW_SIGNATURE)
+def pure_pursuit(situation, reference, road, tuning, parameters, memory, answer):
+    """delta = atan(2 L sin(alpha)/l_d), with the target l_d away from the rear axle under the angle alpha.
+
+    The target is the point of the path that lies max(lookahead_time v, lookahead_min) ahead of the centre of gravity.
+    """
+    s, t, p = read_situation(situation), read_tuning(tuning), read_parameters(parameters)
+    wanted = distance = alpha = math.nan
+    if all_finite(situation) and all_finite(tuning):
+        v = max(s.speed, SLOWEST)
+        ahead = max(t.lookahead_time * v, t.lookahead_min)
+        target = path_at(reference, road, ahead / v, v, p.period)
+        x = target.x + p.lr * math.cos(s.yaw)
+        y = target.y - s.y + p.lr * math.sin(s.yaw)
+        forward = x * math.cos(s.yaw) + y * math.sin(s.yaw)
+        sideways = y * math.cos(s.yaw) - x * math.sin(s.yaw)
+        distance = math.hypot(forward, sideways)
+        alpha = math.atan2(sideways, forward)
+        wanted = math.atan2(2.0 * p.wheelbase * math.sin(alpha), distance)
+    answer[COMMAND], answer[HELD] = limited(wanted, s, p)
+    answer[HELD + 1], answer[HELD + 2] = distance, alpha

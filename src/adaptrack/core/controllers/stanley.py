@@ -1,0 +1,76 @@
+"""The Stanley law: heading error, offset of the front axle and yaw damping, predicted over the steering's dead time."""
+
+from __future__ import annotations
+
+import math
+
+from ..kernel import exported, inlined, record, unpacker
+from .contract import (
+    COMMAND,
+    COMMON,
+    HELD,
+    LAW_SIGNATURE,
+    SLOWEST,
+    all_finite,
+    left_of,
+    limited,
+    path_ahead,
+    read_situation,
+    wrapped,
+)
+
+TUNING = ("gain", "softening", "yaw_rate_gain", "dead_time")
+PARAMETERS = (
+    *COMMON,
+    "lf",  # m, centre of gravity to front axle
+    "front_slip",  # rad s^2/m, slip angle of the front tyres per lateral acceleration: m lr/(2 C_f L)
+)
+DIAGNOSTICS = (
+    "held",  # 1: the last command is held
+    "offset",  # m, from the front axle to the path after the dead time, positive when the path is on the left
+    "heading_error",  # rad, heading of the path less the car's, after the dead time
+    "curvature",  # 1/m, of the path there
+)
+MEMORY = 1
+"""The heading of the path, for when the car stands."""
+
+Tuning = record("Tuning", TUNING)
+Parameters = record("Parameters", PARAMETERS)
+read_tuning, read_parameters = unpacker(Tuning), unpacker(Parameters)
+
+
+@inlined
+def predicted(s, time):
+    """Yaw (rad) and y (m) after `time` (s) of the present motion: constant v_x, v_y and yaw rate."""
+    middle = s.yaw + 0.5 * time * s.yaw_rate
+    return s.yaw + time * s.yaw_rate, s.y + time * (s.speed * math.sin(middle) + s.vy * math.cos(middle))
+
+
+@exported(LAW_SIGNATURE)
+def stanley(situation, reference, road, tuning, parameters, memory, answer):
+    """delta = psi_e + front_slip a_y + atan(gain e/(softening + v)) + yaw_rate_gain (r_path - r).
+
+    psi_e and e (positive to the left) are the errors of heading and of the front axle after the dead time,
+    r_path = v kappa and a_y = v^2 kappa are those of the path there.
+    """
+    s, t, p = read_situation(situation), read_tuning(tuning), read_parameters(parameters)
+    wanted = offset = heading_error = curvature = math.nan
+    if all_finite(situation) and all_finite(tuning):
+        v = max(s.speed, SLOWEST)
+        dead_time = max(t.dead_time, 0.0)
+        yaw, y = predicted(s, dead_time)
+        path = path_ahead(reference, road, dead_time + p.lf / v, s.speed, p.period, memory)
+        curvature = path.curvature
+        offset = (path.y - y - p.lf * math.sin(yaw)) * math.cos(path.heading)
+        if road.line.start.size > 0:  # the front axle is not where the point of the path is taken
+            x = dead_time * s.speed * math.cos(s.yaw) + p.lf * math.cos(yaw)
+            offset = left_of(path, x, y + p.lf * math.sin(yaw))
+        heading_error = wrapped(path.heading - yaw)
+        wanted = (
+            heading_error
+            + p.front_slip * v * v * curvature
+            + math.atan2(t.gain * offset, max(t.softening, 0.0) + v)
+            + t.yaw_rate_gain * (v * curvature - s.yaw_rate)
+        )
+    answer[COMMAND], answer[HELD] = limited(wanted, s, p)
+    answer[HELD + 1], answer[HELD + 2], answer[HELD + 3] = offset, heading_error, curvature

@@ -1,0 +1,211 @@
+"""The functions that a schedule is made of: a network, a fuzzy system, a table or a number, of D inputs.
+
+Each is packed into an array of whole numbers (`integers`) and one of reals (`numbers`) by the class that holds it, in
+the order of the reader here: `_network`, `_sugeno` and `_table` name the parts again.
+"""
+
+from __future__ import annotations
+
+import math
+
+from .kernel import exported, float64, inlined, int64, int_vector, record, shaped, vector
+from .maths.bits import whole
+from .maths.elementary import clip
+
+NUMBER, NETWORK, SUGENO, NEAREST, MULTILINEAR = range(5)
+"""The kinds of functions; the last two are tables."""
+
+SATURATED = 700.0
+"""A neuron's input this far below zero gives 1e-304; further, the exponential would overflow."""
+FARTHEST = 1e150
+"""Widths from the centre at which a distance is held, so that its square is a number."""
+NEGLIGIBLE = 50.0
+"""A rule this much weaker than the strongest, by its logarithm, adds less than rounding does: e^-50 = 2e-22."""
+
+Network = record("Network", ("relu", "layers", "widths", "out_low", "out_span", "low", "inverse_span", "neurons"))
+"""relu: of the output; layers: their number; widths (layers + 1,): from the inputs on; low, inverse_span (D,): of the
+inputs; neurons: the weights of each neuron and then its bias, layer after layer."""
+Sugeno = record(
+    "Sugeno",
+    ("inputs", "functions", "rules", "owner", "bell", "asked", "inverse_width", "slope", "centre", "log_weight",
+     "slopes", "constant"),
+)  # fmt: skip
+"""inputs, functions, rules: their numbers D, M and R; owner, bell (M,): the input of a membership function, and whether
+it is a bell; asked (R, D): the functions that a rule asks for (-1: any); inverse_width, slope, centre (M,); log_weight
+(R,): of a rule; slopes (R, D), constant (R,): its consequent."""
+Table = record("Table", ("inputs", "sizes", "nodes", "values"))
+"""inputs: D; sizes (D,): of the axes; nodes: of one axis after the other; values: at them, the last axis fastest."""
+
+_FUNCTION = float64(vector, int_vector, vector, vector)
+
+
+@inlined
+def _network(integers, numbers):
+    inputs = integers[2]
+    return Network(
+        integers[0] == 1, integers[1], integers[2:], numbers[0], numbers[1], numbers[2 : 2 + inputs],
+        numbers[2 + inputs : 2 + 2 * inputs], numbers[2 + 2 * inputs :],
+    )  # fmt: skip
+
+
+@exported(_FUNCTION)
+def network(x, integers, numbers, neurons):
+    """A feed-forward net with sigmoid hidden layers and one output, eqs. (21)-(23); neurons: scratch."""
+    net = _network(integers, numbers)
+    for i in range(net.widths[0]):
+        neurons[i] = (x[i] - net.low[i]) * net.inverse_span[i]
+    before, at = 0, 0
+    out = 0.0
+    for layer in range(net.layers):
+        wide, next_wide = net.widths[layer], net.widths[layer + 1]
+        after = before + wide
+        for j in range(next_wide):
+            out = net.neurons[at + wide]
+            for i in range(wide):
+                out += net.neurons[at + i] * neurons[before + i]
+            at += wide + 1
+            if layer < net.layers - 1:
+                neurons[after + j] = 1.0 / (1.0 + math.exp(min(-out, SATURATED)))
+        before = after
+    if net.relu:
+        out = max(0.0, out)
+    return net.out_low + net.out_span * out
+
+
+@inlined
+def _sugeno(integers, numbers):
+    inputs, functions, rules = integers[0], integers[1], integers[2]
+    owner, bell = 3, 3 + functions
+    asked = bell + functions
+    weights = 3 * functions
+    slopes = weights + rules
+    constants = slopes + rules * inputs
+    return Sugeno(
+        inputs, functions, rules, integers[owner:bell], integers[bell:asked],
+        shaped(integers[asked : asked + rules * inputs], rules, inputs),
+        numbers[:functions], numbers[functions : 2 * functions], numbers[2 * functions : weights],
+        numbers[weights:slopes], shaped(numbers[slopes:constants], rules, inputs), numbers[constants:],
+    )  # fmt: skip
+
+
+@inlined
+def _log_membership(x, m, system):
+    """log mu of membership function m, eq. (24)."""
+    distance = clip((x[system.owner[m]] - system.centre[m]) * system.inverse_width[m], -FARTHEST, FARTHEST)
+    if system.bell[m] == 0:
+        return -0.5 * distance * distance
+    if distance == 0.0:
+        return 0.0
+    exponent = 2.0 * system.slope[m] * math.log(abs(distance))
+    return -(max(exponent, 0.0) + math.log1p(math.exp(-abs(exponent))))
+
+
+@exported(_FUNCTION)
+def sugeno(x, integers, numbers, work):
+    """A first-order Sugeno system, eqs. (24)-(27), its strengths as logarithms up to the normalisation.
+
+    work: M logarithms of memberships, then R of firing strengths.
+    """
+    system = _sugeno(integers, numbers)
+    memberships, strengths = work[: system.functions], work[system.functions :]
+    for m in range(system.functions):
+        memberships[m] = _log_membership(x, m, system)
+    strongest = -math.inf
+    for r in range(system.rules):
+        strength = system.log_weight[r]
+        for d in range(system.inputs):
+            m = system.asked[r, d]
+            if m >= 0:
+                strength += memberships[m]
+        strengths[r] = strength
+        strongest = max(strongest, strength)
+    total, weighted = 0.0, 0.0
+    for r in range(system.rules):
+        if strengths[r] < strongest - NEGLIGIBLE:
+            continue
+        w = math.exp(strengths[r] - strongest)
+        conclusion = system.constant[r]
+        for d in range(system.inputs):
+            conclusion += system.slopes[r, d] * x[d]
+        total += w
+        weighted += w * conclusion
+    return weighted / total
+
+
+@inlined
+def _table(integers, numbers):
+    inputs = integers[0]
+    count = 0
+    for d in range(inputs):
+        count += integers[1 + d]
+    return Table(inputs, integers[1 : 1 + inputs], numbers[:count], numbers[count:])
+
+
+@exported(int64(float64, vector))
+def _cell(value, nodes):
+    """The last of an axis's ascending nodes, but the very last, that is not above `value`; else the first."""
+    low, high = 0, max(nodes.size - 2, 0)
+    while low < high:
+        middle = (low + high + 1) // 2
+        if nodes[middle] <= value:
+            low = middle
+        else:
+            high = middle - 1
+    return low
+
+
+@exported(_FUNCTION, name="nearest_node")
+def nearest(x, integers, numbers, work):
+    """The value at the nearest node of a table; half way the lower one."""
+    table = _table(integers, numbers)
+    index, first = 0, 0
+    for d in range(table.inputs):
+        size = table.sizes[d]
+        axis = table.nodes[first : first + size]
+        i = _cell(x[d], axis)
+        if i + 1 < size and x[d] - axis[i] > axis[i + 1] - x[d]:
+            i += 1
+        index = index * size + i
+        first += size
+    return table.values[index]
+
+
+@exported(_FUNCTION)
+def multilinear(x, integers, numbers, work):
+    """The multilinear interpolation of a table, held beyond its last nodes; work: 2 D reals."""
+    table = _table(integers, numbers)
+    cells, parts = work[: table.inputs], work[table.inputs :]
+    first = 0
+    for d in range(table.inputs):
+        size = table.sizes[d]
+        axis = table.nodes[first : first + size]
+        i = _cell(x[d], axis)
+        cells[d] = i
+        parts[d] = 0.0
+        if size > 1:
+            parts[d] = clip((x[d] - axis[i]) / (axis[i + 1] - axis[i]), 0.0, 1.0)
+        first += size
+    value = 0.0
+    for corner in range(1 << table.inputs):
+        index, weight = 0, 1.0
+        for d in range(table.inputs):
+            up = (corner >> d) & 1
+            weight *= parts[d] if up == 1 else 1.0 - parts[d]
+            index = index * table.sizes[d] + min(whole(cells[d]) + up, table.sizes[d] - 1)
+        if weight > 0.0:
+            value += weight * table.values[index]
+    return value
+
+
+@exported(float64(int64, vector, int_vector, vector, vector), name="evaluate_function")
+def evaluate(kind, x, integers, numbers, work):
+    """The function of `kind` that begins `integers` and `numbers`, at the inputs x (D,); work: scratch."""
+    if kind == NETWORK:
+        return network(x, integers, numbers, work)
+    if kind == SUGENO:
+        return sugeno(x, integers, numbers, work)
+    if kind == NEAREST:
+        return nearest(x, integers, numbers, work)
+    if kind == MULTILINEAR:
+        return multilinear(x, integers, numbers, work)
+    return numbers[0]

@@ -1,0 +1,145 @@
+"""The guard: what stands between a scheduler's output and the MPC.
+
+untrusted input or off the reference -> the fallback, for a while
+else                                 -> limit the change -> give way where the stability margin is too small
+"""
+
+from __future__ import annotations
+
+import math
+
+from .functions import multilinear
+from .kernel import Row, boolean, exported, float64, inlined, int64, int_vector, record, vector, void
+from .maths.elementary import clip
+from .maths.exact import floor
+from .variables import VARIABLES
+
+MOST_ENTRIES = 8
+"""Entries of a controller's tuning, at most."""
+NP, NC, Q, R = range(4)
+"""The MPC's entries."""
+MAP_AXES = 5
+"""Of the stability map: speed, friction, Np, Nc, log10 R/Q."""
+STAGES = 5
+"""In how many stages a tuning gives way to the fallback."""
+
+GUARD = record(
+    "Guard",
+    [
+        ("used", int64),
+        ("hold", int64),  # steps that a fallback lasts, the last one with its cause included
+        ("fallback", (float64, 4)),
+        ("rates", (float64, 2)),  # largest change of Np and of Nc per step
+        ("ratio_rate", float64),  # and of log10 R/Q
+        ("slack", float64),  # how far outside the domain an input may lie, in widths of it
+        ("offset_limit", float64),  # m, the largest |offset| over the friction; inf: none
+        ("mapped", int64),  # whether there is a stability map: a table of 1 - modulus margin
+        ("integers", int64),  # where it begins
+        ("numbers", int64),
+        ("limit", float64),  # the largest value of the map that is allowed
+    ],
+)
+COUNTS = ("steps", "clipped", "broken", "rate_limited", "outside", "off_reference", "unstable", "fallback")
+"""Counts of steps: all; with an input clipped to the domain; with an input or output that is not a number; with the
+change of tuning limited; with inputs far outside; too far off the reference; with too small a stability margin; on the
+fallback."""
+MEMORY = record(
+    "Memory",
+    [
+        *((name, int64) for name in COUNTS),
+        ("left", int64),  # steps of fallback still to go
+        ("holding", int64),  # whether there is a last tuning
+        ("last", (float64, MOST_ENTRIES)),  # the last tuning
+    ],
+)
+"""What a schedule remembers of a run."""
+
+
+@exported(boolean(vector, vector, Row(GUARD), int_vector, vector, vector, vector))
+def too_near_instability(variables, tuning, guard, integers, numbers, point, work):
+    """Whether the map says that the loop of a tuning has too small a margin at this speed and friction.
+
+    point (MAP_AXES,), work: scratch.
+    """
+    if guard.mapped == 0:
+        return False
+    point[0], point[1] = variables[VARIABLES.speed], variables[VARIABLES.friction]
+    point[2], point[3] = tuning[NP], tuning[NC]
+    point[4] = math.log10(tuning[R] / tuning[Q]) if tuning[Q] > 0.0 else math.inf
+    # not <=: a value that is no number is too near
+    return not multilinear(point, integers[guard.integers :], numbers[guard.numbers :], work) <= guard.limit
+
+
+@inlined
+def _take_fallback(guard, own, tuning):
+    own.fallback += 1
+    for s in range(4):
+        tuning[s] = guard.fallback[s]
+
+
+@inlined
+def _limit_change(guard, own, tuning):
+    """Limit the change since the last tuning. R/Q moves by R alone: Q is taken as asked."""
+    limited = False
+    for s in range(2):
+        bounded = clip(tuning[s], own.last[s] - guard.rates[s], own.last[s] + guard.rates[s])
+        limited = limited or bounded != tuning[s]
+        tuning[s] = floor(bounded + 0.5)
+    tuning[NC] = min(tuning[NC], tuning[NP])
+    if tuning[Q] > 0.0 and own.last[Q] > 0.0:
+        factor = 10.0**guard.ratio_rate
+        last, ratio = own.last[R] / own.last[Q], tuning[R] / tuning[Q]
+        bounded = clip(ratio, last / factor, last * factor)
+        if bounded != ratio:
+            limited = True
+            tuning[R] = bounded * tuning[Q]
+    if limited:
+        own.rate_limited += 1
+
+
+@inlined
+def _give_way(share, fallback, tuning):
+    """Move a tuning a share of the way to the fallback: horizons in whole numbers, R/Q by its logarithm, Q as asked."""
+    for s in range(2):
+        tuning[s] = floor(tuning[s] + share * (fallback[s] - tuning[s]) + 0.5)
+    tuning[NC] = min(tuning[NC], tuning[NP])
+    if tuning[Q] > 0.0 and fallback[Q] > 0.0:
+        ratio = tuning[R] / tuning[Q]
+        tuning[R] = tuning[Q] * ratio * (fallback[R] / fallback[Q] / ratio) ** share
+
+
+@exported(
+    void(vector, vector, boolean, Row(GUARD), Row(MEMORY), int_vector, vector, vector))  # fmt: skip
+def supervise(variables, tuning, untrusted, guard, own, integers, numbers, scratch):
+    """Replace a tuning (4,) of the MPC by what may be trusted.
+
+    If an input is `untrusted` (far outside the domain, or no number) or the tracking error too large, the fallback is
+    used for `hold` steps. Else the change since the last tuning is limited, and a tuning whose loop has too small a
+    stability margin gives way towards the fallback, as far as it must.
+
+    own: the run's memory; integers, numbers: where the stability map is packed; scratch: MAP_AXES reals, then those of
+    `multilinear`.
+    """
+    off_reference = guard.offset_limit < math.inf and not (
+        abs(variables[VARIABLES.offset]) <= guard.offset_limit * variables[VARIABLES.friction]
+    )
+    if untrusted:
+        own.outside += 1
+    if off_reference:
+        own.off_reference += 1
+    if untrusted or off_reference:
+        own.left = guard.hold
+    if own.left > 0:
+        own.left -= 1
+        _take_fallback(guard, own, tuning)
+        return
+    if own.holding == 1:
+        _limit_change(guard, own, tuning)
+    point, work = scratch[:MAP_AXES], scratch[MAP_AXES:]
+    if too_near_instability(variables, tuning, guard, integers, numbers, point, work):
+        own.unstable += 1
+        for k in range(STAGES):
+            _give_way(1.0 / (STAGES - k), guard.fallback, tuning)
+            if not too_near_instability(variables, tuning, guard, integers, numbers, point, work):
+                return
+        _take_fallback(guard, own, tuning)

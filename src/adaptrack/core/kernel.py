@@ -1,0 +1,343 @@
+"""What kernels are made of: types of their arguments, records, and the two decorators.
+
+Rules of the room
+-----------------
+* Kernels take and return numbers, C-contiguous arrays and records of these; they allocate nothing and raise nothing.
+* Arithmetic is strict IEEE double precision: no re-association and no implicit contraction. Where a fused
+  multiply-add is wanted it is written, `fma(a, b, c)`. So a run gives the same bits alone or in a batch.
+* An `inlined` function is a part of those that call it. An `exported` one has a name and a signature: the library has
+  it as a C function (see `library`), and Python calls it there.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import struct
+import sys
+from collections import namedtuple
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from functools import cached_property, update_wrapper
+from typing import Any, cast
+
+import numpy as np
+
+from . import library
+
+INTERPRETED = library.WAY == "interpreted"
+"""Whether kernels run as plain Python."""
+
+
+# -- types ------------------------------------------------------------------------------------------------------------
+@dataclass(frozen=True)
+class Number:
+    """float64 (double in C), int64 or boolean (int64_t), void. Called, it makes a signature: ``float64(vector)``."""
+
+    name: str
+
+    @property
+    def ctypes(self) -> Any:
+        return (ctypes.c_double if self.name == "float64" else ctypes.c_int64,)
+
+    def given(self, value: Any) -> tuple[Any, ...]:
+        return (float(value) if self.name == "float64" else int(value),)
+
+    def __call__(self, *arguments: Any) -> Signature:
+        return Signature((self,), arguments)
+
+
+@dataclass(frozen=True)
+class Array:
+    """A C-contiguous array of numbers or of rows (a record of numbers): in C a pointer, then a size a dimension."""
+
+    of: Any
+    ndim: int
+
+    @property
+    def ctypes(self) -> Any:
+        return (ctypes.c_void_p, *[ctypes.c_int64] * self.ndim)
+
+    @cached_property
+    def dtype(self) -> Any:
+        return np.dtype(self.of.name) if isinstance(self.of, Number) else self.of.dtype
+
+    def given(self, value: Any) -> tuple[Any, ...]:
+        if not (isinstance(value, np.ndarray) and value.ndim == self.ndim and value.dtype == self.dtype):
+            raise TypeError(f"{value!r}: need an array of {self.ndim} dimensions, {self.dtype}.")
+        if not value.flags.c_contiguous:
+            raise TypeError("need an array whose rows lie one behind the other (C-contiguous).")
+        return (value.ctypes.data, *value.shape)
+
+
+@dataclass(frozen=True)
+class Row:
+    """One row of an array of a record of numbers."""
+
+    of: Any
+    ctypes = (ctypes.c_void_p,)
+
+    def given(self, value: Any) -> tuple[Any, ...]:
+        return (value.ctypes.data,)
+
+
+@dataclass(frozen=True)
+class Place:
+    """A record that stays where it is: a kernel loads the fields that it uses. In C a pointer to its words."""
+
+    of: Any
+    ctypes = (ctypes.c_void_p,)
+
+    def given(self, value: Any) -> tuple[Any, ...]:
+        return (value if isinstance(value, Resident) else Resident(value),)
+
+
+@dataclass(frozen=True)
+class Signature:
+    """Types of what a kernel returns (several: the C function writes them behind its last argument) and takes."""
+
+    returns: tuple[Number, ...]
+    arguments: tuple[Any, ...]
+
+    @cached_property
+    def types(self) -> tuple[Any, ...]:
+        """Of the arguments; a record in a signature is handed over whole, in C by a pointer."""
+        return tuple(Place(each) if hasattr(each, "kinds") else each for each in self.arguments)
+
+    @property
+    def prototype(self) -> Any:
+        """The type of the C function."""  # not kept: it cannot be pickled, and ctypes has each only once
+        kinds = [kind for each in self.types for kind in each.ctypes]
+        if len(self.returns) > 1:
+            return ctypes.CFUNCTYPE(None, *kinds, ctypes.c_void_p)
+        (returned,) = self.returns
+        return ctypes.CFUNCTYPE(None if returned == void else returned.ctypes[0], *kinds)
+
+
+def several(*kinds: Number) -> Callable[..., Signature]:
+    """For signatures of functions that return several numbers: ``several(int64, float64)(vector)``."""
+    return lambda *arguments: Signature(kinds, arguments)
+
+
+float64, int64, boolean, void = map(Number, ("float64", "int64", "boolean", "void"))
+vector, matrix, cube, four_dimensions = (Array(float64, ndim) for ndim in (1, 2, 3, 4))
+int_vector, int_matrix = (Array(int64, ndim) for ndim in (1, 2))
+
+
+# -- records ----------------------------------------------------------------------------------------------------------
+def record(name: str, fields: Iterable[str | tuple[str, Any]], whole: Iterable[str] = ()) -> Any:
+    """A record: a named tuple class whose `kinds` are the types of its fields.
+
+    A field is a name alone, of a number (float64; int64 if the name is in `whole`), or a name with its type: a number,
+    an array, another record, or (type, count) for so many in a row. A record of numbers alone can be a row of an array:
+    it has a `dtype` and `new`, and `rows` is the type of an array of it.
+    """
+    given = [(each, int64 if each in whole else float64) if isinstance(each, str) else each for each in fields]
+    # It belongs to the module that asks for it: pickled, it is found again by module and name.
+    module = sys._getframe(1).f_globals["__name__"]
+    made = cast(Any, namedtuple)(name, [each for each, _ in given], module=module)
+    made.kinds, made.new = dict(given), cast(Any, classmethod)(_new)
+    made.dtype = _dtype(made.kinds)
+    return made
+
+
+def rows(kind: Any) -> Array:
+    """The type of an array of rows of a record of numbers."""
+    return Array(kind, 1)
+
+
+def _dtype(kinds: dict[str, Any]) -> Any:
+    """The NumPy type of a row; None for a record that holds arrays."""
+    entries: list[Any] = []
+    for name, kind in kinds.items():
+        kind, *count = kind if type(kind) is tuple else (kind,)
+        inner = kind.name if isinstance(kind, Number) else getattr(kind, "dtype", None)
+        if inner is None or isinstance(kind, Array):
+            return None
+        entries.append((name, inner, *([tuple(count)] if count else [])))
+    return np.dtype((np.record, np.dtype(entries, align=True)))
+
+
+def _new(kind: Any, count: int = 1, **values: Any) -> Any:
+    """An array (count,) of rows, zero but for the fields given; every row alike.
+
+    Raises ValueError for a name that is no field.
+    """
+    made = np.zeros(count, kind.dtype)
+    for name, value in values.items():
+        made[name] = value
+    return made
+
+
+def columns(*names: str) -> Any:
+    """The places 0, 1, ... of columns (or rows) under their names: ``C = columns("x", "y")``, then ``row[C.y]``."""
+    return namedtuple("Columns", names)(*range(len(names)))
+
+
+def unpacker(kind: Any) -> Any:
+    """An inlined function: gives the first entries of a vector the names of a record."""
+    scope: dict[str, Any] = {"kind": kind}
+    entries = ", ".join(f"p[{i}]" for i in range(len(kind._fields)))
+    exec(f"def unpack(p):\n    return kind({entries})", scope)
+    return inlined(scope["unpack"])
+
+
+class Resident:
+    """A record for kernels that take it: where its fields lie is written down once, a word for a number, and for an
+    array its place and its sizes. Its arrays must not be replaced.
+    """
+
+    def __new__(cls, record: Any) -> Any:
+        return record if INTERPRETED else super().__new__(cls)
+
+    def __init__(self, record: Any) -> None:
+        self.record = record
+        self.words = np.array(list(_words(record)), np.int64)
+        self._as_parameter_ = ctypes.c_void_p(self.words.ctypes.data)
+
+
+def _words(record: Any) -> Iterable[int]:
+    for kind, value in zip(record.kinds.values(), record, strict=True):
+        if isinstance(value, tuple):
+            yield from _words(value)
+        elif kind is float64:
+            yield from struct.unpack("q", struct.pack("d", value))
+        else:
+            yield from kind.given(value)
+
+
+# -- functions --------------------------------------------------------------------------------------------------------
+class Known:
+    """A function that kernels may call: the builder knows what it is to the compiler."""
+
+    def __init__(self, function: Any, interpreted: Any = None) -> None:
+        self.function, self._python = function, interpreted or function
+        update_wrapper(self, function)
+
+    def __call__(self, *arguments: Any) -> Any:
+        return self._python(*arguments)
+
+    @cached_property
+    def _numba_type_(self) -> Any:
+        from .build import numba_functions
+
+        return numba_functions.type_of(self)
+
+
+class Inlined(Known):
+    """A part of kernels. Called from Python it is the Python that it is."""
+
+
+class Primitive(Known):
+    """An operation that the compiler knows by its name; in Python the function that stands here."""
+
+
+class Caller(Known):
+    """A kernel ``call(function, *arguments)`` of a function of a signature: in compiled code an address (`address_of`),
+    in Python itself. So members cross in records, ours and users' alike.
+    """
+
+    def __init__(self, signature: Signature) -> None:
+        super().__init__(lambda function, *arguments: function(*arguments))
+        self.signature = signature
+
+
+class Exported(Known):
+    """A kernel with a name and a signature: a C function, of the library or compiled now."""
+
+    def __init__(self, function: Any, name: str, signature: Signature) -> None:
+        super().__init__(function)
+        self.name, self.signature = name, signature
+
+    @cached_property
+    def address(self) -> int:
+        """Where it begins, for the life of the process."""
+        found = library.find(self.name)
+        if found is None:
+            from .build import numba_functions
+
+            found = numba_functions.compiled_now(self)
+        return found
+
+    @cached_property
+    def call(self) -> Any:
+        """The C function itself, for callers that have the addresses of their arrays."""
+        return self.signature.prototype(self.address)
+
+    def __call__(self, *arguments: Any) -> Any:
+        words = [
+            word for kind, value in zip(self.signature.types, arguments, strict=True) for word in kind.given(value)
+        ]
+        returns = self.signature.returns
+        if len(returns) == 1:
+            answer = self.call(*words)
+            return bool(answer) if returns[0] == boolean else answer
+        layout = "".join("d" if kind == float64 else "q" for kind in returns)
+        answers = ctypes.create_string_buffer(struct.calcsize(layout))
+        self.call(*words, ctypes.addressof(answers))
+        return struct.unpack(layout, answers.raw)
+
+    def __reduce__(self) -> Any:
+        return _named, (self.name,)
+
+
+EXPORTED: dict[str, Exported] = {}
+"""Every exported kernel of the modules that are imported, by its name."""
+
+
+def _named(name: str) -> Exported:
+    return EXPORTED[name]
+
+
+def inlined(function: Any, interpreted: Any = None) -> Any:
+    """A part of the kernels that call it; interpreted: what stands for it in Python."""
+    return (interpreted or function) if INTERPRETED else Inlined(function, interpreted)
+
+
+def primitive(function: Any) -> Any:
+    """An operation that the compiler knows by the function's name."""
+    return function if INTERPRETED else Primitive(function)
+
+
+def exported(signature: Signature, name: str | None = None) -> Callable[[Any], Any]:
+    """A kernel of a signature, under its own name unless another is given."""
+
+    def decorate(function: Any) -> Any:
+        if INTERPRETED:
+            return function
+        made = Exported(function, name or function.__name__, signature)
+        if EXPORTED.setdefault(made.name, made) is not made:
+            raise ValueError(f"{made.name}: two kernels have this name.")
+        return made
+
+    return decorate
+
+
+def address_of(function: Any) -> Any:
+    """What a kernel takes for an exported one: its address, 0 for None; in plain Python itself."""
+    return function if INTERPRETED else (0 if function is None else function.address)
+
+
+def direct(kernel: Any, record: Any) -> Any:
+    """A kernel whose last argument is a record that stays, for callers that give the numbers before it."""
+    resident = Resident(record)
+    if INTERPRETED:
+        return lambda *numbers: kernel(*numbers, record)
+    call, place = kernel.call, resident._as_parameter_
+
+    def run(*numbers: Any) -> Any:
+        return call(*numbers, place)
+
+    run.resident = resident  # type: ignore[attr-defined]
+    return run
+
+
+@primitive
+def fma(a: float, b: float, c: float) -> float:
+    """``a*b + c`` with a single rounding (IEEE 754-2008, section 5.4.1); in plain Python rounded twice."""
+    return a * b + c
+
+
+@primitive
+def shaped(values: Any, *sizes: int) -> Any:
+    """A contiguous vector as an array of more dimensions; it must hold as many numbers."""
+    return values.reshape(sizes)

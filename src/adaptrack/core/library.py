@@ -1,0 +1,167 @@
+"""The library of compiled kernels: found, proved to be whole and of these sources, and loaded.
+
+``ADAPTRACK_KERNELS`` says how kernels are run: ``library``, the default; ``jit``, compiled at run time (which needs
+numba); ``interpreted``, as the Python that they are.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import hashlib
+import json
+import logging
+import os
+import platform
+from functools import cache
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+WAYS = ("library", "jit", "interpreted")
+WAY = os.environ.get("ADAPTRACK_KERNELS") or "library"
+if WAY not in WAYS:
+    raise ImportError(f"ADAPTRACK_KERNELS={WAY}: need one of {', '.join(WAYS)}.")
+
+ROOM = Path(__file__).parent
+BUILT = ROOM / "built"
+MANIFEST = "manifest.json"
+BUILD = "python -m adaptrack.core.build"
+
+
+class Unusable(Exception):
+    """Why there is no library."""
+
+
+class NoKernels(ImportError):
+    """There is neither a library of the kernels nor a compiler for them."""
+
+
+@cache
+def source_hashes() -> dict[str, str]:
+    """SHA-256 of every file that the library is made of, kernels and their builder, by its place in the room."""
+    files = sorted(ROOM.rglob("*.py"))
+    return {each.relative_to(ROOM).as_posix(): hashlib.sha256(each.read_bytes()).hexdigest() for each in files}
+
+
+@cache
+def kernels_hash() -> str:
+    """What the numbers of all kernels depend on, their sources and the builder's, as 16 hexadecimal digits."""
+    found = hashlib.sha256(json.dumps(source_hashes(), sort_keys=True).encode()).hexdigest()[:16]
+    return f"{found} (interpreted)" if WAY == "interpreted" else found
+
+
+def processor() -> str:
+    """The name of the library for this processor, by what the processor says that it has."""
+    machine = platform.machine().lower()
+    if machine in ("x86_64", "amd64"):
+        from numpy._core._multiarray_umath import __cpu_features__ as has  # type: ignore[import-not-found]
+
+        return "x86-64-v3" if has.get("X86_V3") or (has.get("AVX2") and has.get("FMA3")) else "x86-64"
+    return {"arm64": "aarch64"}.get(machine, machine)
+
+
+def can_compile() -> bool:
+    """Whether numba is there."""
+    return find_spec("numba") is not None
+
+
+def manifest() -> dict[str, Any]:
+    """What was built: of each processor the file and its hash; the hashes of the sources; the sources of each kernel.
+
+    Raises Unusable.
+    """
+    try:
+        found = json.loads((BUILT / MANIFEST).read_text(encoding="utf-8"))
+        if not all(isinstance(found[key], dict) for key in ("libraries", "sources", "kernels")):
+            raise TypeError("a table is missing")
+        return dict(found)
+    except FileNotFoundError:
+        raise Unusable("the kernels have not been compiled") from None
+    except (OSError, ValueError, LookupError, TypeError) as error:
+        raise Unusable(f"{BUILT / MANIFEST}: cannot be used: {error!r}") from error
+
+
+def whole(entry: dict[str, str]) -> Path:
+    """The file of a library of the manifest, proved to be as it was built.
+
+    Raises Unusable.
+    """
+    path = BUILT / entry["file"]
+    try:
+        digest = hashlib.sha256(path.read_bytes()).hexdigest()
+    except OSError as error:
+        raise Unusable(f"{path}: cannot be read: {error.strerror}") from error
+    if digest != entry["sha256"]:
+        raise Unusable(f"{path}: is not what was built: damaged, cut short or of another build")
+    return path
+
+
+class Library:
+    """The library of this processor, and which sources have been edited since it was built."""
+
+    def __init__(self) -> None:
+        built, name = manifest(), processor()
+        if name not in built["libraries"]:
+            raise Unusable(f"{BUILT / MANIFEST}: has no library for {name}")
+        self.path = whole(built["libraries"][name])
+        try:
+            self.functions = ctypes.CDLL(str(self.path))
+        except OSError as error:
+            raise Unusable(f"{self.path}: cannot be loaded: {error}") from error
+        self.kernels = built["kernels"]
+        then, now = built["sources"], source_hashes()
+        self.edited = {each for each in {*then, *now} if then.get(each) != now.get(each)}
+
+    def why_not(self, name: str) -> str:
+        """Why a kernel of this library is not to be used; empty where it is."""
+        if name not in self.kernels:
+            return f"{name} is not in {self.path.name}"
+        edited = self.edited.intersection(self.kernels[name])
+        return f"{min(edited)} has been edited since" if edited else ""
+
+    def address(self, name: str) -> int:
+        """Where an exported kernel begins."""
+        return int(ctypes.cast(getattr(self.functions, f"adaptrack_{name}"), ctypes.c_void_p).value or 0)
+
+
+@cache
+def loaded() -> Library | str:
+    """The library, or why there is none."""
+    if WAY != "library":
+        return f"ADAPTRACK_KERNELS={WAY}"
+    try:
+        return Library()
+    except Unusable as why:
+        return str(why)
+
+
+@cache
+def _say_once(text: str) -> None:
+    """A log record of level WARNING: without any configuration Python shows it on standard error, everywhere."""
+    logging.getLogger("adaptrack").warning("adaptrack: %s", text)
+
+
+def find(name: str) -> int | None:
+    """Where an exported kernel of the library begins; None where it is to be compiled now.
+
+    Raises NoKernels where it is neither in the library nor can be compiled.
+    """
+    found = loaded()
+    why = found if isinstance(found, str) else found.why_not(name)
+    if not why and isinstance(found, Library):
+        return found.address(name)
+    if not can_compile():
+        raise NoKernels(f"{why}, and numba, which compiles kernels, is not installed. Run: {BUILD}")
+    if WAY == "library":
+        _say_once(f"{why}: what depends on it is compiled now, in this process. To compile it once: {BUILD}")
+    return None
+
+
+def description() -> str:
+    """How kernels are run, and why: the line of ``adaptrack --version``."""
+    found = loaded()
+    if isinstance(found, Library):
+        edited = f"; compiled now, as edited since: {', '.join(sorted(found.edited))}" if found.edited else ""
+        return f"kernels {kernels_hash()}: library {found.path}{edited}"
+    how = "as plain Python" if WAY == "interpreted" else "compiled at run time"
+    return f"kernels {kernels_hash()}: {how}: {found}"

@@ -1,0 +1,366 @@
+"""One control period of the closed loop, piece by piece, in the order in which both drivers call them.
+
+    locate -> judge -> sense -> (look -> schedule) -> control -> actuate -> observe -> advance
+
+`simulate` calls them once per period from Python, around any controller; `rollout` inlines them in a compiled loop over
+the slots of a batch.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from .kernel import (
+    Place,
+    boolean,
+    columns,
+    cube,
+    exported,
+    float64,
+    inlined,
+    int64,
+    matrix,
+    record,
+    rows,
+    several,
+    vector,
+    void,
+)
+from .maths.bits import whole
+from .maths.elementary import clip
+from .maths.exact import ceil, floor
+from .maths.random import counted_normal, counted_uniform
+from .models.contract import MEASURED
+from .plants.contract import ENVIRONMENT, INPUT, STATE, input_at, state_at
+from .plants.forces import wheel_angle
+from .road import Roads, foot_near, line_of
+from .variables import VARIABLES
+
+SETTINGS = record(
+    "Settings",
+    (
+        "period",  # s
+        "substeps",  # Runge-Kutta steps per period
+        "prescribed_speed",  # 1: v_x follows the profile exactly, 0: the driver and the powertrain move the vehicle
+        "dead_whole", "dead_share",  # periods from an instant until its command acts: whole ones, and the share of one
+        "noise_vy", "noise_yaw", "noise_yaw_rate", "noise_y",  # m/s, rad, rad/s, m, standard deviations; inf: no sensor
+        "noise_wheel_angle", "noise_lateral_acceleration",  # rad, m/s^2
+        "noise_speed",  # -, of the measured speed over the speed
+        "bias_yaw_rate", "bias_wheel_angle",  # rad/s, rad: an error of the sensor that stays over a run is within this
+        "pose_age", "pose_age_spread", "motion_age",  # s, how old yaw and y are, +- a spread; and the other samples
+        "missing",  # -, share of the samples that are missing
+        "dropout_pause", "dropout_least", "dropout_most",  # s, mean time between gaps of the pose, which last so long
+        "steering_lag", "steering_limit",  # s, rad, of the actuator
+        "steering_bias",  # rad, what the wheels are turned beyond the command
+        "driver_preview",  # s, how far ahead the driver looks at the speed profile
+        "driver_integral",  # 1/s^2, gain on the integral of the speed error
+        "mass",  # kg, with which the driver turns acceleration into force
+        "engine_power", "traction_limit", "brake_limit",  # W, N, N
+        "failure_distance",  # m, a run has failed when |Y - y_ref| exceeds this after it has once been within
+        "failure_sideslip",  # rad, or the sideslip angle this
+    ),
+    whole=("substeps", "prescribed_speed", "dead_whole"),
+)  # fmt: skip
+"""The world around the controller, fixed over a run."""
+
+OWN = record(
+    "Own",
+    (
+        "command",  # rad, the controller's last one
+        "blind_until",  # s, no pose is measured before
+        "integral",  # m, of the driver's speed error
+        "arrived",  # 1 once the vehicle has been within the failure distance
+        "ended",  # RUNNING, or why the run ended
+        "ended_at",  # s
+        "offset", "heading_error",  # m, rad, of the car against the path
+        "station", "heading",  # m, rad, of its foot on a curved road
+        "turned",  # rad, see `MEASURED`
+        "located",  # 1 once the foot is known
+        "place",  # the instant at which the plan is where the car is
+    ),
+    whole=("arrived", "ended", "located", "place"),
+)  # fmt: skip
+"""What the loop remembers of each slot: its scalars."""
+
+Memory = record("Memory", (("own", rows(OWN)), ("sent", matrix), ("past", matrix)))
+"""What the loop remembers of each slot (slots,): its scalars; commands, the latest first (slots, whole periods of dead
+time + 2); what there was to measure at the last instants, the latest first, rows of `SENSED` (slots, instants SENSED),
+empty where all sensors are prompt."""
+SENSED = 6
+"""How many of `MEASURED` are measured; the others are their ages."""
+_JITTER, _DROPOUT, _LENGTH, _MISSING, _BIAS = range(5)  # streams of random numbers
+
+RUNNING, OFF_ROAD, SPUN, NOT_FINITE, NEVER_ARRIVED, STOPPED = range(6)
+"""Why a run ended: left its reference, spun, a state that is not finite, never came near; or too dear to go on."""
+SLOW = 1.0
+"""m/s: below it sideslip is ill-defined, and a vehicle is not said to spin."""
+
+SIGNAL = columns(
+    "y_ref", "speed", "friction_front_left", "friction_front_right", "friction_rear_left", "friction_rear_right",
+    "wind_x", "wind_y", "bank", "known_friction", "known_wind", "change", "acceleration", "station",
+)  # fmt: skip
+"""Rows of a scenario's samples. Friction and wind as they are known and the reference preview are scheduling variables;
+the last row is where the plan is on a curved road (m)."""
+TOLERATED, CATCH_UP, MOST_CATCH_UP = 0.5, 2.0, 0.1
+"""m, by which a car may be early or late on its plan; s, in which it makes up for the rest; share of the speed, at
+most."""
+
+
+# -- where the car is -------------------------------------------------------------------------------------------------
+@exported(void(int64, vector, rows(SETTINGS), cube, int64, Place(Roads), Place(Memory)))
+def locate(slot, block, settings, signals, scenario, roads, memory):
+    """Find the car on its road: offset and heading error against the path, the foot and the place in the plan."""
+    own, road = memory.own[slot], roads.of[scenario]
+    x, y, yaw = block[state_at(STATE.x, slot)], block[state_at(STATE.y, slot)], block[state_at(STATE.yaw, slot)]
+    if road < 0:
+        own.offset, own.heading_error = y, yaw
+        return
+    near = signals[scenario, SIGNAL.station, 0]
+    if own.located > 0:
+        near = own.station + block[state_at(STATE.vx, slot)] * settings[0].period
+    station, offset, heading, _ = foot_near(x, y, near, line_of(road, roads))
+    own.turned = heading - own.heading if own.located > 0 else 0.0
+    own.station, own.offset, own.heading, own.located = station, offset, heading, 1
+    turns = (yaw - heading) / (2.0 * math.pi)
+    own.heading_error = 2.0 * math.pi * (turns - floor(turns + 0.5))
+    last = signals.shape[2] - 1
+    while own.place < last and signals[scenario, SIGNAL.station, own.place + 1] <= station:
+        own.place += 1
+    while own.place > 0 and signals[scenario, SIGNAL.station, own.place] > station:
+        own.place -= 1
+
+
+# -- failure ----------------------------------------------------------------------------------------------------------
+@exported(int64(float64, vector, int64, rows(SETTINGS), boolean))
+def judge(error, block, slot, settings, arrived):
+    """Why a run has failed at this instant, RUNNING if it has not.
+
+    Not finite: a state. Spun: a sideslip angle |atan2(v_y, v_x)| beyond the limit at 1 m/s or more. Off the road:
+    the error (m) against the reference beyond the distance, once the vehicle has arrived within it.
+    """
+    for row in range(STATE.yaw_rate + 1):
+        if not math.isfinite(block[state_at(row, slot)]):
+            return NOT_FINITE
+    if not math.isfinite(block[state_at(STATE.steering, slot)]):
+        return NOT_FINITE
+    vx, vy = block[state_at(STATE.vx, slot)], block[state_at(STATE.vy, slot)]
+    if math.hypot(vx, vy) >= SLOW and abs(math.atan2(vy, vx)) > settings[0].failure_sideslip:
+        return SPUN
+    if arrived and not abs(error) <= settings[0].failure_distance:
+        return OFF_ROAD
+    return RUNNING
+
+
+# -- the controller's side --------------------------------------------------------------------------------------------
+@inlined
+def _noisy(value, noise, k, sensor, seed):
+    """What a sensor gives: the value and its noise; NaN where there is no sensor."""
+    if noise > 0.0:
+        return value + noise * counted_normal(seed, k, sensor) if noise < math.inf else math.nan
+    return value
+
+
+@inlined
+def _either(most, seed, stream, k):
+    """A number uniform in +-most."""
+    return most * (2.0 * counted_uniform(seed, stream, k, 0, 0) - 1.0)
+
+
+@inlined
+def _keep_past(slot, measured, past):
+    """Add what there is to measure now to the instants before."""
+    for j in range(past.shape[1] - 1, SENSED - 1, -1):
+        past[slot, j] = past[slot, j - SENSED]
+    for j in range(SENSED):
+        past[slot, j] = measured[j]
+
+
+@inlined
+def _recall(slot, sensor, instants, past):
+    """What there was to measure so many control instants ago, a straight line between two of them."""
+    first = whole(instants)
+    near = past[slot, SENSED * first + sensor]
+    return near + (instants - first) * (past[slot, SENSED * (first + 1) + sensor] - near)
+
+
+@inlined
+def _make_late(k, slot, world, seed, memory, measured):
+    """Replace what there is to measure now by what there was, as old as the sensors say."""
+    most = float(k)  # nothing is older than the run
+    age = max(0.0, world.pose_age + _either(world.pose_age_spread, seed, _JITTER, k))
+    _keep_past(slot, measured, memory.past)
+    if k == 0:
+        for j in range(SENSED, memory.past.shape[1]):
+            memory.past[slot, j] = measured[j % SENSED]
+    for sensor in range(SENSED):
+        posed = sensor == MEASURED.yaw or sensor == MEASURED.y
+        instants = min((age if posed else world.motion_age) / world.period, most)
+        measured[sensor] = _recall(slot, sensor, instants, memory.past)
+    measured[MEASURED.pose_age] = min(age, most * world.period)
+    measured[MEASURED.motion_age] = min(world.motion_age, most * world.period)
+
+
+@inlined
+def _leave_out(k, slot, world, seed, memory, measured):
+    """Samples that are missing, one by one or, of the pose, for a while."""
+    own, now = memory.own[slot], k * world.period
+    if world.missing > 0.0:
+        for sensor in range(SENSED):
+            if counted_uniform(seed, _MISSING, k, sensor, 0) < world.missing:
+                measured[sensor] = math.nan
+    if world.dropout_pause > 0.0:
+        drawn = counted_uniform(seed, _DROPOUT, k, 0, 0) * world.dropout_pause
+        if now >= own.blind_until and drawn < world.period:
+            span = world.dropout_most - world.dropout_least
+            own.blind_until = now + world.dropout_least + span * counted_uniform(seed, _LENGTH, k, 0, 0)
+        if now < own.blind_until:
+            measured[MEASURED.yaw], measured[MEASURED.y] = math.nan, math.nan
+
+
+@exported(float64(int64, int64, vector, rows(SETTINGS), int64, Place(Memory), vector))
+def sense(k, slot, block, settings, seed, memory, measured):
+    """Write what the sensors of a slot's vehicle give at instant k, see `models.contract.MEASURED`; the measured speed.
+
+    measured holds the lateral acceleration (m/s^2) if there is a sensor of it.
+    """
+    world, own = settings[0], memory.own[slot]
+    measured[MEASURED.vy] = block[state_at(STATE.vy, slot)]
+    measured[MEASURED.yaw] = own.heading_error
+    measured[MEASURED.yaw_rate] = block[state_at(STATE.yaw_rate, slot)]
+    measured[MEASURED.y] = own.offset
+    measured[MEASURED.turned] = own.turned
+    measured[MEASURED.wheel_angle] = wheel_angle(
+        block[state_at(STATE.steering, slot)], block[input_at(INPUT.command, slot)],
+        world.steering_lag, world.steering_limit,
+    )  # fmt: skip
+    measured[MEASURED.pose_age], measured[MEASURED.motion_age] = 0.0, 0.0
+    if memory.past.size > 0:
+        _make_late(k, slot, world, seed, memory, measured)
+    noises = (
+        world.noise_vy, world.noise_yaw, world.noise_yaw_rate, world.noise_y, world.noise_wheel_angle,
+        world.noise_lateral_acceleration,
+    )  # fmt: skip
+    for sensor in range(SENSED):
+        measured[sensor] = _noisy(measured[sensor], noises[sensor], k, sensor, seed)
+    if world.bias_yaw_rate > 0.0:
+        measured[MEASURED.yaw_rate] += _either(world.bias_yaw_rate, seed, _BIAS, MEASURED.yaw_rate)
+    if world.bias_wheel_angle > 0.0:
+        measured[MEASURED.wheel_angle] += _either(world.bias_wheel_angle, seed, _BIAS, MEASURED.wheel_angle)
+    _leave_out(k, slot, world, seed, memory, measured)
+    speed = block[state_at(STATE.vx, slot)]
+    return speed + speed * _noisy(0.0, world.noise_speed, k, SENSED, seed) if world.noise_speed > 0.0 else speed
+
+
+@exported(void(int64, float64, vector, cube, int64, vector))
+def look(k, speed, measured, signals, scenario, variables):
+    """Write the scheduling variables (`VARIABLES`) at instant k; measured: see `sense`, speed: v_x (m/s)."""
+    y_ref = signals[scenario, SIGNAL.y_ref, k]
+    variables[VARIABLES.speed] = speed
+    variables[VARIABLES.y_ref] = y_ref
+    variables[VARIABLES.friction] = signals[scenario, SIGNAL.known_friction, k]
+    variables[VARIABLES.wind] = signals[scenario, SIGNAL.known_wind, k]
+    variables[VARIABLES.change] = signals[scenario, SIGNAL.change, k]
+    variables[VARIABLES.acceleration] = signals[scenario, SIGNAL.acceleration, k]
+    variables[VARIABLES.offset] = y_ref - measured[MEASURED.y]
+
+
+# -- the vehicle's side -----------------------------------------------------------------------------------------------
+@inlined
+def _drive(k, speed, signals, scenario, settings, own):
+    """Longitudinal force (N) of the driver: aims at the profile's speed a preview time ahead, with an integral.
+
+    dv = (v_ref(t + T_p) - v_x)/T_p + K_i * integral of (v_ref - v_x); limited by engine power, traction and brakes,
+    the integral standing still while a limit holds.
+    """
+    last = signals.shape[2] - 1
+    ahead = settings.driver_preview / settings.period
+    j = min(k + whole(ahead), last)
+    part = ahead - floor(ahead)
+    near, far = signals[scenario, SIGNAL.speed, j], signals[scenario, SIGNAL.speed, min(j + 1, last)]
+    target = near + part * (far - near)
+    if own.located > 0:
+        target += _catch_up(target, signals[scenario, SIGNAL.station, k] - own.station)
+    wanted = settings.mass * ((target - speed) / settings.driver_preview + settings.driver_integral * own.integral)
+    strongest = min(settings.traction_limit, settings.engine_power / max(speed, 1.0))
+    force = clip(wanted, -settings.brake_limit, strongest)
+    if force == wanted:
+        own.integral += (signals[scenario, SIGNAL.speed, k] - speed) * settings.period
+    return force
+
+
+@inlined
+def _catch_up(speed, late):
+    """What a car adds to its planned speed (m/s) that is so much (m) late."""
+    beyond = late - clip(late, -TOLERATED, TOLERATED)
+    return clip(beyond / CATCH_UP, -MOST_CATCH_UP * speed, MOST_CATCH_UP * speed)
+
+
+@inlined
+def _send(command, slot, settings, memory):
+    """Take a command into those that are on their way; the one that acts from this instant on."""
+    sent, world = memory.sent, settings[0]
+    for j in range(world.dead_whole + 1, 0, -1):
+        sent[slot, j] = sent[slot, j - 1]
+    sent[slot, 0] = command
+    return sent[slot, world.dead_whole + (1 if world.dead_share > 0.0 else 0)]
+
+
+@exported(void(int64, int64, float64, vector, rows(SETTINGS), cube, int64, Place(Memory)))
+def actuate(k, slot, command, block, settings, signals, scenario, memory):
+    """Write the inputs of a slot's vehicle for the period after instant k: steering, speed control, friction, wind.
+
+    command: the controller's new one (rad); with a dead time, one before acts.
+    """
+    world, own = settings[0], memory.own[slot]
+    vx = block[state_at(STATE.vx, slot)]
+    block[input_at(INPUT.command, slot)] = _send(command, slot, settings, memory) + world.steering_bias
+    own.command = command
+    if world.prescribed_speed > 0:
+        following = signals[scenario, SIGNAL.speed, min(k + 1, signals.shape[2] - 1)]
+        if own.located > 0:
+            following += _catch_up(following, signals[scenario, SIGNAL.station, k] - own.station)
+        block[input_at(INPUT.force, slot)] = 0.0
+        block[input_at(INPUT.acceleration, slot)] = (following - vx) / world.period
+    else:
+        block[input_at(INPUT.force, slot)] = _drive(k, vx, signals, scenario, world, own)
+        block[input_at(INPUT.acceleration, slot)] = math.nan
+    place = own.place if own.located > 0 else k
+    for j in range(ENVIRONMENT):
+        block[input_at(INPUT.friction_front_left + j, slot)] = signals[scenario, SIGNAL.friction_front_left + j, place]
+
+
+@exported(several(*[int64] * 2)(rows(SETTINGS)))
+def substeps_around_change(settings):
+    """Integration steps of a period before and after the next command begins to act within it."""
+    world = settings[0]
+    if not world.dead_share > 0.0:
+        return 0, world.substeps
+    return (
+        max(1, whole(ceil(world.dead_share * world.substeps - 1e-9))),
+        max(1, whole(ceil((1.0 - world.dead_share) * world.substeps - 1e-9))),
+    )
+
+
+@exported(void(int64, vector, rows(SETTINGS), Place(Memory)))
+def change_command(slots, block, settings, memory):
+    """Let the next command act: with a dead time that is no whole number of periods, within a period."""
+    world = settings[0]
+    for slot in range(slots):
+        block[input_at(INPUT.command, slot)] = memory.sent[slot, world.dead_whole] + world.steering_bias
+
+
+def memory(slots: int, dead_whole: int, past: int) -> Any:
+    """What the loop remembers of `slots` slots before the first instant; past: instants that late sensors look back."""
+    return Memory(OWN.new(slots), np.zeros((slots, dead_whole + 2)), np.zeros((slots, SENSED * past)))
+
+
+@exported(void(int64, Place(Memory)))
+def forget(slot, memory):
+    """Back to before the first instant."""
+    own = memory.own[slot]
+    own.command, own.integral, own.arrived, own.ended, own.ended_at, own.blind_until = 0.0, 0.0, 0, RUNNING, 0.0, 0.0
+    own.station, own.turned, own.located, own.place = 0.0, 0.0, 0, 0
+    memory.sent[slot, :] = 0.0

@@ -1,0 +1,104 @@
+"""Arctangent, sine and cosine without branches, so that loops over slots become vector instructions.
+
+Near-minimax polynomials (Chebyshev fits computed in 40-digit arithmetic): relative error below 4e-15 against libm,
+for every finite argument of `arctangent` and for |x| < 1e5 rad of `sine` and `cosine`.
+"""
+
+from __future__ import annotations
+
+import math
+
+from ..kernel import fma, inlined
+from .exact import floor
+
+_TAN_PI_8 = math.tan(math.pi / 8)
+_TAN_3PI_8 = math.tan(3 * math.pi / 8)
+_HALF_PI = math.pi / 2
+_QUARTER_PI = math.pi / 4
+_INVERSE_PI = 1 / math.pi
+_PI_LOW = 1.2246467991473532e-16  # pi - float(pi)
+
+# atan(z)/z as a polynomial in z^2 on |z| <= tan(pi/8); relative error 9.6e-16
+_A0, _A1, _A2, _A3, _A4 = (
+    1.0,
+    -0.3333333333322143,
+    0.19999999978392663,
+    -0.14285712661684793,
+    0.11111048853751296,
+)
+_A5, _A6, _A7, _A8, _A9 = (
+    -0.09089529956562307,
+    0.07673535428183285,
+    -0.0650598296717084,
+    0.05024762118940128,
+    -0.025316479573776477,
+)
+# sin(y)/y as a polynomial in y^2 on |y| <= pi/2; relative error 1.1e-16
+_S0, _S1, _S2, _S3 = 1.0, -0.16666666666666072, 0.008333333333282756, -0.00019841269824861897
+_S4, _S5, _S6, _S7 = 2.7557316609073673e-06, -2.505188194671259e-08, 1.6048168318165643e-10, -7.374387503862757e-13
+
+
+@inlined
+def arctangent_of_ratio(y: float, x: float) -> float:
+    """arctan(y/x) for x > 0, with a single division, in (-pi/2, pi/2)."""
+    a = abs(y)
+    steep = a > _TAN_3PI_8 * x
+    middle = a > _TAN_PI_8 * x
+    numerator = -x if steep else (a - x if middle else a)
+    denominator = a if steep else (a + x if middle else x)
+    offset = _HALF_PI if steep else (_QUARTER_PI if middle else 0.0)
+    z = numerator / denominator
+    t = z * z
+    p = fma(t, _A9, _A8)
+    p = fma(t, p, _A7)
+    p = fma(t, p, _A6)
+    p = fma(t, p, _A5)
+    p = fma(t, p, _A4)
+    p = fma(t, p, _A3)
+    p = fma(t, p, _A2)
+    p = fma(t, p, _A1)
+    p = fma(t, p, _A0)
+    return math.copysign(fma(z, p, offset), y)
+
+
+@inlined
+def arctangent(x: float) -> float:
+    """arctan(x)."""
+    return arctangent_of_ratio(x, 1.0)
+
+
+@inlined
+def _sine_of_reduced(k: float, y: float) -> float:
+    """sin(k pi + y) for a whole k and |y| <= pi/2."""
+    odd = k - 2.0 * floor(0.5 * k)
+    t = y * y
+    p = fma(t, _S7, _S6)
+    p = fma(t, p, _S5)
+    p = fma(t, p, _S4)
+    p = fma(t, p, _S3)
+    p = fma(t, p, _S2)
+    p = fma(t, p, _S1)
+    p = fma(t, p, _S0)
+    return fma(-2.0 * odd, y, y) * p
+
+
+@inlined
+def sine(x: float) -> float:
+    """sin(x); the argument is reduced to [-pi/2, pi/2] by the nearest multiple of pi."""
+    k = floor(fma(x, _INVERSE_PI, 0.5))
+    return _sine_of_reduced(k, fma(k, -_PI_LOW, fma(k, -math.pi, x)))
+
+
+@inlined
+def cosine(x: float) -> float:
+    """cos(x); the argument is reduced by the nearest odd multiple of pi/2."""
+    k = floor(x * _INVERSE_PI)
+    half = k + 0.5
+    return -_sine_of_reduced(k, fma(half, -_PI_LOW, fma(half, -math.pi, x)))
+
+
+@inlined
+def clip(x: float, low: float, high: float) -> float:
+    """x limited to [low, high]; NaN stays NaN."""
+    below = low if x < low else x
+    return high if below > high else below

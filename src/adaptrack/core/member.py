@@ -1,0 +1,164 @@
+"""A user's functions that kernels call: Python, compiled where numba is installed and else called back; or C."""
+
+from __future__ import annotations
+
+import _thread
+import ctypes
+import logging
+import math
+import threading
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from . import library
+from .kernel import INTERPRETED, Array, Exported, Number, Signature, float64, void
+
+
+@dataclass(frozen=True)
+class CFunction:
+    """A function of a shared library, written in C, C++ or Rust: a plant, a law, a model or an estimator.
+
+    It takes what the contract says: a float64 is a double, an integer int64_t, an array a pointer and a size for each
+    dimension. It returns double or nothing. Found again by file and name, it crosses to other processes.
+
+    Raises OSError for a file that cannot be loaded, AttributeError for a name that is not in it.
+    """
+
+    file: str
+    name: str
+
+    @property
+    def address(self) -> int:
+        function = getattr(ctypes.CDLL(self.file), self.name)
+        return int(ctypes.cast(function, ctypes.c_void_p).value or 0)
+
+    @property
+    def __name__(self) -> str:
+        return self.name
+
+
+def compiles() -> bool:
+    """Whether functions in Python are compiled: numba is there, and kernels are not interpreted."""
+    return not INTERPRETED and library.can_compile()
+
+
+class Member(Exported):
+    """A user's function that kernels call.
+
+    One that raises leaves NaN in the array that it had to write last, and answers NaN.
+    """
+
+    def __init__(self, function: Any, signature: Signature, viewed: Any = None) -> None:
+        super().__init__(function, getattr(function, "__name__", "function"), signature)
+        self.viewed = viewed
+
+    @property
+    def in_python(self) -> bool:
+        """Whether each call goes back to Python: one car can wait for that, a batch cannot."""
+        return not isinstance(self.function, CFunction) and not compiles()
+
+    @cached_property
+    def address(self) -> int:
+        if isinstance(self.function, CFunction):
+            return self.function.address
+        if self.in_python:
+            self._callback = self.signature.prototype(_called_back(self))
+            return int(ctypes.cast(self._callback, ctypes.c_void_p).value or 0)
+        from .build import numba_functions
+
+        return int(numba_functions.compiled_now(self))
+
+    def __reduce__(self) -> Any:
+        return member, (self.function, self.signature, self.viewed)
+
+
+def member(function: Any, signature: Signature, viewed: Any = None) -> Any:
+    """A user's function (Python's or a `CFunction`) as a member of a signature.
+
+    viewed: the structured type as which it takes its last array but one, a record; None: all as arrays.
+    """
+    function = getattr(function, "function", function)
+    if INTERPRETED:
+        if isinstance(function, CFunction):
+            raise TypeError("interpreted kernels cannot call C: unset ADAPTRACK_KERNELS.")
+        return function if viewed is None else on_a_record(function, viewed)
+    made = Member(function, signature, viewed)
+    made.address  # noqa: B018  (what is wrong with it is said where it is given)
+    return made
+
+
+def on_a_record(function: Any, viewed: Any) -> Any:
+    """A function of arrays around one that takes its last array but one as a record."""
+    return lambda *given: function(*given[:-2], given[-2].view(viewed)[0], given[-1])
+
+
+def _called_back(member: Member) -> Any:
+    """What C calls in place of a function in Python. Nothing that it raises can pass through the kernels."""
+    function = member.function if member.viewed is None else on_a_record(member.function, member.viewed)
+    kinds = member.signature.types
+    last = max(i for i, kind in enumerate(kinds) if isinstance(kind, Array))
+    nothing = member.signature.returns == (void,)
+    said = False
+
+    def call(*words: Any) -> Any:
+        nonlocal said
+        given: list[Any] = []
+        try:
+            given += _values(kinds, iter(words))
+            answer = function(*given)
+            return None if nothing else float(answer or 0.0)
+        except KeyboardInterrupt:  # heard again when the kernel has returned
+            threading.Timer(0.01, _thread.interrupt_main).start()
+        except Exception as error:
+            if not said:
+                logging.getLogger("adaptrack").warning("adaptrack: %s raised %r", member.name, error)
+            said = True
+        if len(given) > last:
+            given[last][...] = math.nan
+        return None if nothing else math.nan
+
+    return call
+
+
+def _values(kinds: Any, words: Iterator[Any]) -> Iterator[Any]:
+    """The values of types that stand for these words: the inverse of `given`."""
+    for kind in kinds:
+        if isinstance(kind, Number):
+            yield next(words)
+        elif isinstance(kind, Array):
+            yield _array(kind, words)
+        else:
+            yield _record(kind.of, _words_at(next(words)))
+
+
+def _array(kind: Array, words: Iterator[Any]) -> Any:
+    place, *sizes = (next(words) for _ in range(1 + kind.ndim))
+    count = math.prod(sizes)
+    if not count:
+        return np.zeros(sizes, kind.dtype)
+    memory = (ctypes.c_byte * (count * kind.dtype.itemsize)).from_address(place)
+    return np.frombuffer(memory, kind.dtype).reshape(sizes)
+
+
+def _words_at(place: int) -> Iterator[int]:
+    while True:
+        yield ctypes.c_int64.from_address(place).value
+        place += 8
+
+
+def _record(kind: Any, words: Iterator[int]) -> Any:
+    """The record that lies in these words, see `kernel.Resident`."""
+    values = []
+    for field in kind.kinds.values():
+        if hasattr(field, "kinds"):
+            values.append(_record(field, words))
+        elif isinstance(field, Array):
+            values.append(_array(field, words))
+        else:
+            word = next(words)
+            values.append(float(np.int64(word).view(np.float64)) if field == float64 else word)
+    return kind(*values)

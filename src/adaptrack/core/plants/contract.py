@@ -1,0 +1,124 @@
+"""What a plant is to the loop: how a batch of vehicles lies in memory, and the two functions that a plant gives.
+
+Axes and signs (ISO 8855): x forward, y left, z up; yaw, steering and slip angles positive to the left.
+The wind is the velocity of the air in the ground frame.
+
+A batch has up to `SLOTS` slots, a vehicle in each. Its *block* is a flat vector: a row of `SLOTS` numbers for every
+entry of `STATE`, then for every entry of `INPUT`. The constant row length lets the compiler prove that rows do not
+overlap, so a loop over slots becomes vector instructions. A slot's arithmetic never depends on how many others are in
+use: a run alone and a run in a batch agree to the last bit.
+
+A plant with states of its own keeps all of them in ``states`` (SLOTS, n); the first six are copied to the block.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ..kernel import Caller, address_of, columns, exported, float64, inlined, int64, matrix, record, vector, void
+
+SLOTS = 32
+"""Vehicles of a batch."""
+GROUP = 8
+"""Slots that are advanced together: what lies between the last vehicle and the next multiple is filled."""
+
+STATE = columns(
+    "x", "y",  # m
+    "yaw",  # rad
+    "vx", "vy",  # m/s, body frame
+    "yaw_rate",  # rad/s
+    "slip_front_left", "slip_front_right", "slip_rear_left", "slip_rear_right",  # rad, relaxed slip angles
+    "felt_ax", "felt_ay",  # m/s^2, accelerations as the wheel loads feel them
+    "steering",  # rad, angle of the front wheels behind the actuator
+)  # fmt: skip
+"""Rows of a block: the state. What a plant does not use stays zero."""
+INPUT = columns(
+    "command",  # rad, steering command
+    "force",  # N, longitudinal, demanded at the wheels
+    "acceleration",  # m/s^2, prescribed dv_x/dt; NaN: none, the force acts
+    "friction_front_left", "friction_front_right", "friction_rear_left", "friction_rear_right",
+    "wind_x", "wind_y",  # m/s
+    "bank",  # m/s^2, what the pull of a banked road adds to dv_y/dt, positive to the left
+)  # fmt: skip
+"""Rows of a block behind those of the state: the input, held over a control period."""
+STATES, INPUTS = len(STATE), len(INPUT)
+MOTION = 6
+"""Every plant's states begin with X, Y, yaw, v_x, v_y, yaw rate."""
+ENVIRONMENT = 7
+"""Friction of the four wheels, both components of the wind and the bank: the last rows of the input."""
+BLOCK = (STATES + INPUTS) * SLOTS
+"""Length of a block."""
+
+ADVANCE = void(int64, vector, vector, matrix, matrix, int64, int64, float64)
+"""``advance(member, parameters, block, states, work, slots, substeps, h)``: integrate the first ``slots`` vehicles over
+``substeps`` steps of h (s), inputs held. parameters: the plant's own; work (7, >= max(n, STATES)): scratch."""
+OBSERVE = void(int64, vector, vector, matrix, matrix, int64, vector)
+"""``observe(member, parameters, block, states, work, slot, seen)``: write lateral acceleration (m/s^2) and front-wheel
+angle (rad) of a vehicle under its present input to ``seen`` (2,)."""
+call_advance, call_observe = Caller(ADVANCE), Caller(OBSERVE)
+
+
+Vehicles = record(
+    "Vehicles",
+    (
+        ("member", int64),
+        ("parameters", vector),
+        ("block", vector),
+        ("states", matrix),
+        ("work", matrix),
+        ("start", matrix),
+    ),
+)
+"""A batch of vehicles: the address of a user's right-hand side (0: none), parameters,
+block, own states (SLOTS, n), scratch, initial states (slots, n)."""
+
+
+def vehicle_batch(compiled: Any, parameters: Any, start: Any) -> Any:
+    """A batch of a `CompiledPlant`'s vehicles before their first period: initial states `start` (slots, n)."""
+    first = np.ascontiguousarray(start, dtype=np.float64)
+    n = first.shape[1]
+    own, work = np.zeros((SLOTS, n)), np.zeros((7, max(n, STATES)))
+    return Vehicles(address_of(compiled.member), parameters, np.zeros(BLOCK), own, work, first)
+
+
+class CompiledPlant(NamedTuple):
+    """What a plant gives, compiled."""
+
+    right_hand_side: Any
+    """of a user's plant, see `user.RIGHT_HAND_SIDE`; of a built-in one ``f(x, u, parameters, dx)`` on block entries"""
+    advance: Any
+    observe: Any
+    member: Any = None
+    """a user's right-hand side, which `advance` and `observe` call; None for a built-in plant"""
+
+
+@inlined
+def state_at(row, slot):
+    """Where a state of a slot stands in a block."""
+    return row * SLOTS + slot
+
+
+@inlined
+def input_at(row, slot):
+    """Where an input of a slot stands in a block."""
+    return (STATES + row) * SLOTS + slot
+
+
+@inlined
+def place_one(slot, start, block, states):
+    """Set the state of one slot to its row of start (slots, n)."""
+    for j in range(STATES):
+        block[state_at(j, slot)] = start[slot, j] if j < MOTION else 0.0
+    for j in range(start.shape[1]):
+        states[slot, j] = start[slot, j]
+
+
+@exported(void(int64, matrix, vector, matrix))
+def place(slots, start, block, states):
+    """Set the initial states: start (slots, n), beginning with X, Y, yaw, v_x, v_y, yaw rate; all else is zero."""
+    block[:] = 0.0
+    states[:, :] = 0.0
+    for i in range(slots):
+        place_one(i, start, block, states)

@@ -1,0 +1,129 @@
+"""The dual-track vehicle: longitudinal, lateral and yaw motion on four tyres."""
+
+from __future__ import annotations
+
+from functools import cache
+
+from ..kernel import exported, fma, inlined, vector, void
+from ..maths.elementary import arctangent_of_ratio, clip, cosine, sine
+from .contract import ADVANCE, OBSERVE, CompiledPlant
+from .forces import GRAVITY, SLIP_SPEED_FLOOR, resistance, steering_rate, wind_load
+from .runge_kutta import advance_all, observe_one, slope_of
+from .tyre import LEAST_LOAD, LINEAR, TYRE_NAMES, friction_ellipse, lateral_force
+
+
+@inlined
+def right_hand_side(x, u, c, law):
+    """Right-hand side of the dual-track vehicle: longitudinal, lateral and yaw motion on four tyres.
+
+    Loads: static, plus the transfer by height of the centre of gravity under the accelerations that the
+    suspension has passed on (first-order lag `load_transfer_time`, which also opens the algebraic loop
+    force -> acceleration -> load -> force). Slip angles relax over the length sigma:
+    d(alpha')/dt = |v_x|(alpha - alpha')/sigma. Driving and braking forces share the friction ellipse with the
+    lateral ones. A prescribed acceleration moves v_x without longitudinal tyre force.
+    """
+    _, _, yaw, vx, vy, r, s_fl, s_fr, s_rl, s_rr, ax, ay, angle = x
+    command, force, acceleration, mu_fl, mu_fr, mu_rl, mu_rr, wind_x, wind_y, bank = u
+    ideal = c.steering_lag <= 0.0
+    delta = clip(command, -c.steering_limit, c.steering_limit) if ideal else angle
+
+    # vertical loads
+    wheelbase = c.lf + c.lr
+    pitch = (0.5 * c.mass * c.cg_height / wheelbase) * ax
+    front_static = 0.5 * c.mass * GRAVITY * c.lr / wheelbase - pitch
+    rear_static = 0.5 * c.mass * GRAVITY * c.lf / wheelbase + pitch
+    roll = (c.mass * c.cg_height / wheelbase) * ay
+    roll_front = roll * (c.lr / c.track_front)
+    roll_rear = roll * (c.lf / c.track_rear)
+    z_fl = max(front_static - roll_front, LEAST_LOAD)
+    z_fr = max(front_static + roll_front, LEAST_LOAD)
+    z_rl = max(rear_static - roll_rear, LEAST_LOAD)
+    z_rr = max(rear_static + roll_rear, LEAST_LOAD)
+
+    # slip angles, eqs. (3) and (4) at each wheel
+    spread_f = 0.5 * c.track_front * r
+    spread_r = 0.5 * c.track_rear * r
+    side_f = fma(c.lf, r, vy)
+    side_r = fma(-c.lr, r, vy)
+    a_fl = delta - arctangent_of_ratio(side_f, max(vx - spread_f, SLIP_SPEED_FLOOR))
+    a_fr = delta - arctangent_of_ratio(side_f, max(vx + spread_f, SLIP_SPEED_FLOOR))
+    a_rl = -arctangent_of_ratio(side_r, max(vx - spread_r, SLIP_SPEED_FLOOR))
+    a_rr = -arctangent_of_ratio(side_r, max(vx + spread_r, SLIP_SPEED_FLOOR))
+    relaxed = c.relaxation_length > 0.0
+    rate = max(abs(vx), SLIP_SPEED_FLOOR) * (1.0 / max(c.relaxation_length, 1e-9))
+    b_fl, b_fr = (s_fl if relaxed else a_fl), (s_fr if relaxed else a_fr)
+    b_rl, b_rr = (s_rl if relaxed else a_rl), (s_rr if relaxed else a_rr)
+
+    # tyre forces in wheel axes
+    y_fl = lateral_force(b_fl, z_fl, mu_fl, c.stiffness_front, c, law)
+    y_fr = lateral_force(b_fr, z_fr, mu_fr, c.stiffness_front, c, law)
+    y_rl = lateral_force(b_rl, z_rl, mu_rl, c.stiffness_rear, c, law)
+    y_rr = lateral_force(b_rr, z_rr, mu_rr, c.stiffness_rear, c, law)
+    sd, cd = sine(delta), cosine(delta)
+    side, moment, drag = wind_load(yaw, vx, vy, wind_x, wind_y, c)
+    driven = acceleration != acceleration
+    demand = force if driven else 0.0
+    share = c.drive_front if demand >= 0.0 else c.brake_front
+    front_half, rear_half = 0.5 * share * demand, 0.5 * (1.0 - share) * demand
+    x_fl = clip(front_half, -mu_fl * z_fl, mu_fl * z_fl)
+    x_fr = clip(front_half, -mu_fr * z_fr, mu_fr * z_fr)
+    x_rl = clip(rear_half, -mu_rl * z_rl, mu_rl * z_rl)
+    x_rr = clip(rear_half, -mu_rr * z_rr, mu_rr * z_rr)
+    if law != LINEAR:
+        y_fl *= friction_ellipse(x_fl, z_fl, mu_fl)
+        y_fr *= friction_ellipse(x_fr, z_fr, mu_fr)
+        y_rl *= friction_ellipse(x_rl, z_rl, mu_rl)
+        y_rr *= friction_ellipse(x_rr, z_rr, mu_rr)
+
+    # forces of each wheel in body axes, then Newton and Euler
+    bx_fl, bx_fr = x_fl * cd - y_fl * sd, x_fr * cd - y_fr * sd
+    by_fl, by_fr = x_fl * sd + y_fl * cd, x_fr * sd + y_fr * cd
+    lateral = (by_fl + by_fr + y_rl + y_rr + side) * (1.0 / c.mass)
+    yawing = (
+        c.lf * (by_fl + by_fr)
+        - c.lr * (y_rl + y_rr)
+        + 0.5 * c.track_front * (bx_fr - bx_fl)
+        + 0.5 * c.track_rear * (x_rr - x_rl)
+        + moment
+    ) * (1.0 / c.yaw_inertia)
+    free = (bx_fl + bx_fr + x_rl + x_rr - resistance(vx, drag, c)) * (1.0 / c.mass) + vy * r
+    dvx = free if driven else acceleration
+    s, co = sine(yaw), cosine(yaw)
+    return (
+        vx * co - vy * s,
+        vx * s + vy * co,
+        r,
+        dvx,
+        lateral + bank - vx * r,
+        yawing,
+        rate * (a_fl - s_fl) if relaxed else 0.0,
+        rate * (a_fr - s_fr) if relaxed else 0.0,
+        rate * (a_rl - s_rl) if relaxed else 0.0,
+        rate * (a_rr - s_rr) if relaxed else 0.0,
+        (dvx - vy * r - ax) * (1.0 / c.load_transfer_time),
+        (lateral - ay) * (1.0 / c.load_transfer_time),
+        0.0 if ideal else steering_rate(angle, command, c),
+    )
+
+
+@cache
+def compiled(law: int) -> CompiledPlant:
+    """The plant on tyres that follow a law, see `tyre`: only what is driven is compiled."""
+
+    @exported(void(vector, vector, vector, vector), name=f"dual_track_{TYRE_NAMES[law]}_derivative")
+    def derivative(x, u, parameters, dx):
+        slope_of(right_hand_side, x, u, parameters, dx, law)
+
+    @exported(ADVANCE, name=f"dual_track_{TYRE_NAMES[law]}_advance")
+    def advance(member, parameters, block, states, work, slots, substeps, h):
+        advance_all(right_hand_side, parameters, block, slots, (substeps, h), law)
+
+    @exported(OBSERVE, name=f"dual_track_{TYRE_NAMES[law]}_observe")
+    def observe(member, parameters, block, states, work, slot, seen):
+        observe_one(right_hand_side, parameters, block, slot, seen, law)
+
+    return CompiledPlant(derivative, advance, observe)
+
+
+for _law in TYRE_NAMES:
+    compiled(_law)

@@ -1,0 +1,59 @@
+"""Tyre forces: the Magic Formula, the linear tyre, their dependence on load and friction.
+
+Slip angles and forces are positive to the left (ISO 8855): a wheel turned left of its velocity pushes left.
+"""
+
+from __future__ import annotations
+
+from ..kernel import inlined
+from ..maths.elementary import arctangent_of_ratio, sine
+from ..maths.exact import sqrt
+
+LEAST_LOAD = 1.0
+"""A wheel never carries less than this (N): a lifted wheel keeps a harmless force instead of a division by zero."""
+
+
+LINEAR, MAGIC_FORMULA, CURVED_MAGIC_FORMULA = 0, 1, 2
+"""Tyre laws: linear; Magic Formula with E = 0, which saves an arctangent; Magic Formula."""
+TYRE_NAMES = {LINEAR: "linear", MAGIC_FORMULA: "magic", CURVED_MAGIC_FORMULA: "curved"}
+
+
+def tyre_law(linear: bool, curvature: float) -> int:
+    """The law that a tyre's parameters ask for."""
+    if linear:
+        return LINEAR
+    return MAGIC_FORMULA if curvature == 0.0 else CURVED_MAGIC_FORMULA
+
+
+@inlined
+def lateral_force(slip, load, friction, stiffness, c, law):
+    """Lateral force (N) of one tyre at a slip angle (rad), a vertical load (N) and a friction coefficient.
+
+    Cornering stiffness at a load, q = F_z/F_z,nominal: C_alpha = C (s0 + s1 q)/(1 + s2 q^2). (1, 0, 0) is constant,
+    (0, 1, 0) proportional, (0, 1 + 1/p^2, 1/p^2) Pacejka's digressive law C sin(2 atan(q/p)), normalised to C at
+    q = 1 (Tire and Vehicle Dynamics, 3rd ed., eq. 4.E25).
+
+    Linear (the authors' released plant): F = C_alpha mu alpha.
+    Magic Formula (Pacejka, eq. 4.E19 without shifts): F = D sin(C atan(B a - E (B a - atan B a))),
+    D = mu F_z (1 - d (q - 1)), B = C_alpha/(C D): the slope at the origin is the cornering stiffness. The load
+    takes at most nine tenths of the friction.
+    """
+    q = load * (1.0 / c.nominal_load)
+    rise = stiffness * (c.stiffness_load_0 + c.stiffness_load_1 * q)
+    fall = 1.0 + c.stiffness_load_2 * q * q
+    if law == LINEAR:
+        return rise / fall * friction * slip
+    peak = friction * load * max(1.0 - c.friction_load_sensitivity * (q - 1.0), 0.1)
+    # B alpha stays the ratio reach/scale: the arctangent divides once, and nothing else does
+    scale = c.shape * max(peak, 1e-3) * fall
+    reach = rise * slip
+    if law == CURVED_MAGIC_FORMULA:
+        reach = reach - c.curvature * (reach - scale * arctangent_of_ratio(reach, scale))
+    return peak * sine(c.shape * arctangent_of_ratio(reach, scale))
+
+
+@inlined
+def friction_ellipse(longitudinal: float, load: float, friction: float) -> float:
+    """Share of the lateral force that is left beside a longitudinal force: sqrt(1 - (F_x/(mu F_z))^2), >= 0.1."""
+    used = longitudinal / max(friction * load, 1e-3)
+    return sqrt(max(1.0 - used * used, 0.01))

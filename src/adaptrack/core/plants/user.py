@@ -1,0 +1,116 @@
+"""A user's plant: one right-hand side on plain vectors, integrated one vehicle after the other."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+
+from ..kernel import Caller, columns, exported, inlined, vector, void
+from ..maths.elementary import clip
+from .contract import ADVANCE, ENVIRONMENT, INPUT, MOTION, OBSERVE, STATE, CompiledPlant, input_at, state_at
+from .forces import wheel_angle
+
+RIGHT_HAND_SIDE = void(vector, vector, vector, vector, vector)
+call_right_hand_side = Caller(RIGHT_HAND_SIDE)
+"""``right_hand_side(x, u, environment, p, dx)`` writes dx/dt.
+
+x: at least (X, Y, yaw, v_x, v_y, yaw rate), then the plant's own states; u: see `U`; environment: friction of the four
+wheels, wind along X and Y (m/s), pull of the bank (m/s^2); p: the plant's own parameters.
+"""
+
+U = columns(
+    "steering",  # rad, angle of the front wheels
+    "force",  # N, longitudinal, demanded at the wheels; 0 while the speed is prescribed
+    "acceleration",  # m/s^2, prescribed dv_x/dt; NaN: none, the force acts
+)
+"""A right-hand side's input."""
+ACTUATOR = columns("lag", "rate", "limit")
+"""A user's parameters are packed behind these three of the steering: s, rad/s, rad."""
+OWN = len(ACTUATOR)
+"""Where the plant's own parameters begin."""
+_X, _K1, _K2, _K3, _K4, _GIVEN, _AROUND = range(7)  # the rows of `work`
+
+
+@inlined
+def _read_inputs(parameters, block, slot, work):
+    """Copy speed control and environment of a slot to scratch; returns the command within the steering's limit."""
+    work[_GIVEN, U.force] = block[input_at(INPUT.force, slot)]
+    work[_GIVEN, U.acceleration] = block[input_at(INPUT.acceleration, slot)]
+    for j in range(ENVIRONMENT):
+        work[_AROUND, j] = block[input_at(INPUT.friction_front_left + j, slot)]
+    limit = parameters[ACTUATOR.limit]
+    return clip(block[input_at(INPUT.command, slot)], -limit, limit)
+
+
+@inlined
+def _runge_kutta_step(member, parameters, x0, angle, command, h, work):
+    """One step of a vehicle with states x0 (n,), which is advanced; returns the steering angle after it."""
+    n, acceleration = x0.size, work[_GIVEN, U.acceleration]
+    lag, fastest = parameters[ACTUATOR.lag], parameters[ACTUATOR.rate]
+    x, u, around = work[_X, :n], work[_GIVEN, : len(U)], work[_AROUND, :ENVIRONMENT]
+    slope, rise = 0.0, 0.0
+    for stage in range(4):
+        reach = 0.0 if stage == 0 else (h if stage == 3 else 0.5 * h)
+        for j in range(n):
+            x[j] = x0[j] + reach * work[_K1 + max(stage - 1, 0), j] if stage > 0 else x0[j]
+        u[U.steering] = angle + reach * slope
+        slope = clip((command - u[U.steering]) / lag, -fastest, fastest) if lag > 0.0 else 0.0
+        rise += slope * (h / 6.0 if stage == 0 or stage == 3 else h / 3.0)
+        k = work[_K1 + stage, :n]
+        call_right_hand_side(member, x, u, around, parameters[OWN:], k)
+        if acceleration == acceleration:  # prescribed
+            k[STATE.vx] = acceleration
+    for j in range(n):
+        x0[j] += h / 6.0 * (work[_K1, j] + 2.0 * work[_K2, j] + 2.0 * work[_K3, j] + work[_K4, j])
+    return angle + rise
+
+
+@exported(ADVANCE, name="user_advance")
+def advance(member, parameters, block, states, work, slots, substeps, h):
+    """See `contract.ADVANCE`."""
+    for i in range(slots):
+        command = _read_inputs(parameters, block, i, work)
+        angle = block[state_at(STATE.steering, i)] if parameters[ACTUATOR.lag] > 0.0 else command
+        for _ in range(substeps):
+            angle = _runge_kutta_step(member, parameters, states[i], angle, command, h, work)
+        for j in range(MOTION):
+            block[state_at(j, i)] = states[i, j]
+        block[state_at(STATE.steering, i)] = angle
+
+
+@exported(OBSERVE, name="user_observe")
+def observe(member, parameters, block, states, work, slot, seen):
+    """See `contract.OBSERVE`."""
+    n = states.shape[1]
+    command = _read_inputs(parameters, block, slot, work)
+    angle = wheel_angle(
+        block[state_at(STATE.steering, slot)], command, parameters[ACTUATOR.lag], parameters[ACTUATOR.limit]
+    )
+    work[_GIVEN, U.steering] = angle
+    x, slope = work[_X, :n], work[_K1, :n]
+    for j in range(n):
+        x[j] = states[slot, j]
+    call_right_hand_side(member, x, work[_GIVEN, : len(U)], work[_AROUND, :ENVIRONMENT], parameters[OWN:], slope)
+    seen[0] = slope[STATE.vy] + x[STATE.vx] * x[STATE.yaw_rate] - block[input_at(INPUT.bank, slot)]
+    seen[1] = angle
+
+
+def layout_of(parameters: Mapping[str, Any]) -> Any:
+    """The structured data type of nested parameters, all float64: ``p.tyre.shape`` for ``{"tyre": {"shape": ...}}``."""
+    columns = [(name, layout_of(value) if isinstance(value, Mapping) else "f8") for name, value in parameters.items()]
+    return np.dtype((np.record, np.dtype(columns)))
+
+
+@lru_cache(maxsize=64)
+def compile_plant(function: Any, layout: Any = None) -> CompiledPlant:
+    """A user's right-hand side as a member, and its integration.
+
+    layout: of the record (`layout_of`) as which the function takes its parameters; None: they are a vector.
+    """
+    from ..member import member
+
+    own = member(function, RIGHT_HAND_SIDE, viewed=layout)
+    return CompiledPlant(own, advance, observe, own)

@@ -1,0 +1,77 @@
+"""The inverses of E and of its Cholesky factor."""
+
+from __future__ import annotations
+
+import math
+
+from ..kernel import cube, exported, float64, inlined, int64, matrix, several
+from ..maths.exact import sqrt
+from ..maths.vectors import WIDTH, fma8, keep_first, load, mul, padded, splat, spread, store, sub, with_entry, zeros
+from .problem import NON_FINITE, NOT_CONVEX, SOLVED
+
+CONDITION_LIMIT = 1e15
+"""E is called singular beyond this bound on its condition number."""
+
+
+@inlined
+def _refusal(n, E):
+    """Why a pivot is not positive."""
+    for i in range(n):
+        for j in range(n):
+            if not math.isfinite(E[i, j]):
+                return NON_FINITE
+    return NOT_CONVEX
+
+
+@inlined
+def _eliminate(n, k, inverse):
+    """Every row i != k: row_i -= (a_ik / pivot) row_k; a_ik itself becomes -a_ik / pivot, so its block comes last."""
+    reciprocal = 1.0 / inverse[k, k]
+    scale = splat(-reciprocal)
+    middle = (k // WIDTH) * WIDTH
+    for b in range(0, padded(n), WIDTH):
+        if b != middle:
+            row = mul(scale, load(inverse, k, b))
+            for i in range(n):
+                store(inverse, i, b, fma8(spread(inverse, i, k), row, load(inverse, i, b)))
+            store(inverse, k, b, sub(zeros(), row))
+    row = with_entry(mul(scale, load(inverse, k, middle)), k - middle, -reciprocal)
+    for i in range(n):
+        rest = with_entry(load(inverse, i, middle), k - middle, 0.0)
+        store(inverse, i, middle, fma8(spread(inverse, i, k), row, rest))
+    store(inverse, k, middle, sub(zeros(), row))
+
+
+@exported(several(int64, float64)(int64, matrix, cube))
+def factorise(n, E, factor):
+    """``factor[0] = L^-1`` (lower triangular, E = L L') and ``factor[1] = E^-1``; returns (status, condition).
+
+    Gauss-Jordan elimination of [E | I] in place, without pivoting: E^-1 is left, and row k of the right half, at the
+    moment when it becomes the pivot row, is row k of L1^-1 in E = L1 D L1', so L^-1 = D^-1/2 L1^-1.
+    ``condition`` = trace(E) trace(E^-1), between cond(E) and n^2 cond(E).
+    Status: SOLVED; NOT_CONVEX when a pivot is not positive or ``condition`` exceeds `CONDITION_LIMIT`;
+    NON_FINITE when E holds NaN or infinity.
+    """
+    width = padded(n)
+    inverse_root, inverse = factor[0], factor[1]
+    for i in range(n):
+        for b in range(0, width, WIDTH):
+            store(inverse, i, b, load(E, i, b))
+    for k in range(n):
+        pivot = inverse[k, k]
+        if not 0.0 < pivot < math.inf:
+            return _refusal(n, E), math.inf
+        root = splat(sqrt(1.0 / pivot))
+        for b in range(0, width, WIDTH):
+            row = with_entry(keep_first(load(inverse, k, b), k - b), k - b, 1.0)
+            store(inverse_root, k, b, mul(root, row))
+        _eliminate(n, k, inverse)
+    trace = 0.0
+    inverse_trace = 0.0
+    for i in range(n):
+        trace += E[i, i]
+        inverse_trace += inverse[i, i]
+    condition = trace * inverse_trace
+    if not condition < CONDITION_LIMIT:
+        return NOT_CONVEX, condition
+    return SOLVED, condition

@@ -1,0 +1,118 @@
+"""The quadratic programme in the letters of the paper (eq. 17), the records that cross, and their sizes.
+
+    minimise  1/2 x'E x + x'K   subject to   M x <= gamma,      E symmetric positive definite, n x n.
+
+Arrays
+------
+M is stored transposed: column j of ``Mt`` (n x m) is row j of M. Every array is C-contiguous float64 (``index``:
+int64) and belongs to the caller; nothing is allocated here. Only the leading n (or m) entries count, but the length
+of every row and vector is a multiple of 8 (`padded`). What stands in the padding is never part of a result, but it
+must be finite (allocate with `aligned`, or zeros); ``lam`` comes back with zeros there. ``gamma[j] = inf`` says that
+row j is absent.
+
+Accuracy
+--------
+E may have a condition number up to 1e12 or so: double precision then loses five digits or more in every
+solve. The residual E x + K + M'lam is therefore accumulated in twice the working precision (Dekker 1971; Ogita, Rump
+and Oishi 2005, algorithm 4.3) and x is corrected with it until the correction is below 1e-9: the result is the
+solution *for the given float64 data* to nearly full precision. With the compiler switched off the fused multiply-add
+rounds twice, and the accuracy is that of plain double precision.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from ..kernel import boolean, cube, float64, inlined, int64, int_vector, matrix, record, several, vector
+from ..maths.vectors import WIDTH, padded
+
+SOLVED = 0
+CAPPED = 1
+INFEASIBLE = 2
+NOT_CONVEX = 3
+NON_FINITE = 4
+
+CHANGES = 10
+"""Changes of the active set, per variable and row, after which the active-set method stops unless told otherwise."""
+
+Problem = record(
+    "Problem", (("n", int64), ("m", int64), ("E", matrix), ("K", vector), ("Mt", matrix), ("gamma", vector))
+)
+"""n variables, m rows; E (>=n, padded n), K (padded n), Mt (>=n, padded m), gamma (padded m)."""
+
+Factor = record("Factor", (("inverse_root", matrix), ("inverse", matrix), ("condition", float64)))
+"""L^-1 (E = L L') and E^-1, each (>=n, padded n), and a bound on the condition number: see `factor.factorise`."""
+
+Solution = record("Solution", (("x", vector), ("lam", vector)))
+"""x (padded n) and the multipliers of all rows lam (padded m)."""
+
+Scratch = record("Scratch", (("work", cube), ("rows", matrix), ("index", int_vector)))
+"""Arrays of the shapes that `workspace_sizes` gives. ``work`` and ``index`` carry the factor of the active rows from
+one call of `active_set` to the next; ``rows`` carries nothing."""
+
+Work = record(
+    "Work",
+    (
+        "T",  # T E T' = I; T N = [R; 0] for the active rows N
+        "inverse_r",  # row i is column i of R^-1
+        "normals",  # row i is the i-th active row of M
+        "a",  # the row of M that is to become active
+        "d",  # T a
+        "z",  # step of x per unit of its multiplier
+        "r",  # minus the step of u
+        "u",  # multipliers of the active rows
+        "residual",  # -(K + E x + N u)
+        "step",
+        "active_bounds",  # gamma of the active rows
+        "ratios",  # u/r where r > 0
+        "slack",  # M x - bounds
+        "bounds",  # gamma, or inf while the row is active
+        "diagonal",  # of Hildreth's H
+        "gradient",  # of the dual
+        "index",  # the active rows
+    ),
+)
+"""The parts of `Scratch` by name. ``work``: three matrices, each a plane, and nine vectors in n, the rows of a fourth
+plane; ``rows``: four vectors in m, then Hildreth's V (n rows) and H (m rows)."""
+
+ACTIVE_SET = several(*[int64] * 3)(Problem, Factor, Solution, Scratch, int64, boolean, int64)
+HILDRETH = several(*[int64] * 2)(Problem, Factor, Solution, Scratch, int64, float64, boolean)
+"""Signatures of `active_set.active_set` and `hildreth.hildreth`."""
+
+_PLANES, _VECTORS, ROW_VECTORS = 4, 9, 4
+
+
+@inlined
+def work_of(scratch):
+    """The parts of ``scratch`` by name."""
+    p, v, rows = scratch.work, scratch.work[3], scratch.rows
+    return Work(
+        p[0], p[1], p[2], v[0], v[1], v[2], v[3], v[4], v[5], v[6], v[7], v[8],
+        rows[0], rows[1], rows[2], rows[3], scratch.index,
+    )  # fmt: skip
+
+
+def workspace_sizes(n_max: int, m_max: int, hildreth: bool = True) -> dict[str, tuple[int, ...]]:
+    """Shapes of the arrays for up to ``n_max`` variables and ``m_max`` rows: ``factor`` (both inverses), ``work``,
+    ``rows`` and ``index``.
+
+    ``hildreth=False`` leaves out the m_max x m_max matrix H, which only `hildreth` needs.
+    """
+    width = padded(n_max)
+    return {
+        "factor": (2, n_max, width),
+        "work": (_PLANES, max(width, _VECTORS), width),
+        "rows": (ROW_VECTORS + (n_max + m_max if hildreth else 0), padded(m_max)),
+        "index": (max(n_max, m_max),),
+    }
+
+
+def aligned(shape: tuple[int, ...], dtype: Any = np.float64) -> Any:
+    """A zeroed array that starts on a cache line: loads of eight numbers then touch one line, not two."""
+    size = math.prod(shape)
+    raw = np.zeros(size + WIDTH, dtype=dtype)
+    start = (-raw.ctypes.data // raw.itemsize) % WIDTH
+    return raw[start : start + size].reshape(shape)

@@ -1,0 +1,368 @@
+"""The foot of a point on the centre line of a road, and the road's point, heading and curvature at an arc length.
+
+A centre line is a row of pieces; on each, position and heading are polynomials of u = (s - middle)/half, in a frame at
+its middle. With t(s) the tangent, the foot of p is a zero of
+
+    g(s) = (c(s) - p) . t(s),   g'(s) = 1 - kappa(s) e(s),   e = (p - c) . n,
+
+with g' > 0: a local minimum of the distance. Newton's method within a bracket finds it: where g jumps (a kink that
+rounding left) the bracket closes on the kink. A point beyond the centre of a bend has several feet there. Of these, and
+of those on other branches, it is the nearest in arc length to where the foot was last.
+"""
+
+from __future__ import annotations
+
+import math
+
+from .kernel import Place, exported, float64, inlined, int64, int_vector, matrix, record, several, vector, void
+from .maths.bits import whole
+from .maths.exact import ceil, floor
+
+Centreline = record("Centreline", (("start", vector), ("pieces", matrix), ("numbers", vector)))
+"""start: (n + 1,) m, where each piece begins, and the end; pieces: (n, columns), see the places below;
+numbers: length (m), whether closed (1 or 0), growth of the heading in a lap (rad), bound of the curvature (1/m)."""
+
+RoadAhead = record("RoadAhead", (("line", Centreline), ("station", float64), ("speeds", vector)))
+"""A centre line, the arc length (m) of the car's foot on it, and the speeds (m/s) that are planned for the control
+instants from now on, the last one holding; a straight road has no pieces and no planned speeds."""
+
+Roads = record(
+    "Roads", (("of", int_vector), ("numbers", matrix), ("start", vector), ("pieces", matrix), ("headings", vector))
+)
+"""Several centre lines behind each other: which of them each scenario has, -1 for a straight road (scenarios,); of
+each, `NUMBERS` (roads, .); start and pieces as in `Centreline`; the heading (rad) every spacing (m), from 0 to the
+length."""
+NUMBERS = (
+    "length", "closed", "lap_turn", "most_curvature", "first_start", "first_piece", "count", "first_heading", "spacing",
+)  # fmt: skip
+_START, _PIECE, _COUNT, _HEADING, _SPACING = range(4, 9)
+
+DEGREE = 11
+HALF, X, Y, COS, SIN, HEADING, ALONG = range(7)
+ACROSS = ALONG + DEGREE + 1
+TURNED = ACROSS + DEGREE + 1
+LENGTH, CLOSED, LAP_TURN, MOST_CURVATURE = range(4)
+
+STRIDE = 1.0
+"""m, the longest step of a search: a bend of this radius is not stepped over."""
+STEPS = 400
+"""Steps of a walk downhill, so that it goes at most so many metres."""
+REACH = 400.0
+"""m of arc length, within which a foot is looked for."""
+HALVINGS = 50
+"""Of a stride, in the search for the turning point of g."""
+CLOSE, ROUNDING = 1e-13, 2.0**-51
+"""Tolerance of the foot: m, and as a share of the coordinates."""
+FLAT, SAME = 1e-9, 1e-9
+"""A slope of g that is 0 but for rounding, as everywhere for the centre of a circle; m, and as a share of the way, the
+difference of feet that are one."""
+
+
+@inlined
+def piece_below(s, start):
+    """The last piece that begins at or before s, 0 <= s <= length."""
+    low, high = 0, start.size - 1
+    while high - low > 1:
+        middle = (low + high) // 2
+        if start[middle] <= s:
+            low = middle
+        else:
+            high = middle
+    return low
+
+
+@inlined
+def point_of(u, row, pieces):
+    """x, y (m), heading (rad) and curvature (1/m) of a piece at u."""
+    along, across = pieces[row, ALONG + DEGREE], pieces[row, ACROSS + DEGREE]
+    turned, slope = pieces[row, TURNED + DEGREE], 0.0
+    for k in range(DEGREE - 1, -1, -1):
+        along = along * u + pieces[row, ALONG + k]
+        across = across * u + pieces[row, ACROSS + k]
+        slope = slope * u + turned
+        turned = turned * u + pieces[row, TURNED + k]
+    cos, sin = pieces[row, COS], pieces[row, SIN]
+    return (
+        pieces[row, X] + cos * along - sin * across,
+        pieces[row, Y] + sin * along + cos * across,
+        pieces[row, HEADING] + turned,
+        slope / pieces[row, HALF],
+    )
+
+
+@inlined
+def point_at(s, road):
+    """x, y (m), heading (rad) and curvature (1/m) at any arc length: lap after lap, or straight on beyond the ends."""
+    length = road.numbers[LENGTH]
+    laps = floor(s / length) if road.numbers[CLOSED] > 0.5 else 0.0
+    inside = s - laps * length
+    inside = min(max(inside, 0.0), length)
+    row = piece_below(inside, road.start)
+    u = (inside - road.start[row]) / road.pieces[row, HALF] - 1.0
+    x, y, heading, curvature = point_of(u, row, road.pieces)
+    beyond = s - laps * length - inside
+    if beyond != 0.0:
+        x, y, curvature = x + beyond * math.cos(heading), y + beyond * math.sin(heading), 0.0
+    return x, y, heading + laps * road.numbers[LAP_TURN], curvature
+
+
+@inlined
+def downhill(x, y, near, low, high, road):
+    """Arc length, offset, heading and curvature of the first foot downhill in distance from the arc length `near`.
+
+    The foot is looked for between `low` and `high` (m, infinite where nothing is known). The offset is NaN when there
+    is none within the steps of a search.
+    """
+    s, reached = near, False
+    offset = heading = curvature = 0.0
+    for _ in range(STEPS):
+        px, py, heading, curvature = point_at(s, road)
+        cos, sin = math.cos(heading), math.sin(heading)
+        ahead = (px - x) * cos + (py - y) * sin
+        offset = (y - py) * cos - (x - px) * sin
+        if ahead > 0.0:
+            high = s
+        else:
+            low = s
+        tolerance = CLOSE + ROUNDING * (abs(s) + abs(x) + abs(y))
+        if abs(ahead) <= tolerance or high - low <= tolerance:
+            reached = True
+            break
+        slope = 1.0 - curvature * offset
+        step = -ahead / slope if slope > 0.1 else -ahead
+        target = s + min(max(step, -STRIDE), STRIDE)
+        if target <= low or target >= high or (slope <= 0.1 and high - low < STRIDE):
+            target = 0.5 * (low + high)
+        if target == s or math.isinf(target):  # the step is below the rounding of s
+            reached = True
+            break
+        s = target
+    return s, offset if reached else math.nan, heading, curvature
+
+
+@inlined
+def ahead_at(s, x, y, road):
+    """g(s) (m) and its derivative."""
+    px, py, heading, curvature = point_at(s, road)
+    cos, sin = math.cos(heading), math.sin(heading)
+    offset = (y - py) * cos - (x - px) * sin
+    return (px - x) * cos + (py - y) * sin, 1.0 - curvature * offset
+
+
+@inlined
+def bracket(low, high, before, after, x, y, road):
+    """Two arc lengths between which g grows through 0 within a stride, and whether there are any.
+
+    before, after: g and its derivative at the ends of the stride. Where g has one sign at both ends but turns back
+    between them, its turning point is looked for: beyond 0 it parts a foot from a place that is the farthest around.
+    """
+    if before[0] <= 0.0 < after[0]:
+        return low, high, True
+    hill = before[0] <= 0.0 and after[0] <= 0.0 and before[1] > 0.0 > after[1]
+    valley = before[0] > 0.0 and after[0] > 0.0 and before[1] < 0.0 < after[1]
+    first, last = low, high
+    if hill or valley:
+        for _ in range(HALVINGS):
+            middle = 0.5 * (first + last)
+            g, slope = ahead_at(middle, x, y, road)
+            if hill and g > 0.0:
+                return low, middle, True
+            if valley and g <= 0.0:
+                return middle, high, True
+            if (slope > 0.0) == hill:
+                first = middle
+            else:
+                last = middle
+    return low, high, False
+
+
+@exported(several(*[float64] * 4)(float64, float64, float64, float64, Centreline))
+def foot_about(x, y, near, reach, road):
+    """Arc length, offset, heading and curvature of the foot nearest to `near` in arc length, within `reach` (m).
+
+    Strides to both sides are searched. The offset is NaN, and the arc length `near`, where there is no foot.
+    """
+    found, offset = near, math.nan
+    _, _, heading, curvature = point_at(near, road)
+    start = ahead_at(near, x, y, road)
+    for side in (1.0, -1.0):
+        s, here = near, start
+        for k in range(whole(ceil(reach / STRIDE))):
+            end = near + side * min((k + 1) * STRIDE, reach)
+            there = ahead_at(end, x, y, road)
+            if side > 0.0:
+                low, high, grows = bracket(s, end, here, there, x, y, road)
+            else:
+                low, high, grows = bracket(end, s, there, here, x, y, road)
+            if grows:
+                foot = downhill(x, y, 0.5 * (low + high), low, high, road)
+                if abs(foot[0] - near) <= reach:
+                    found, offset, heading, curvature = foot
+                    reach = abs(found - near)
+                break
+            s, here = end, there
+    return found, offset, heading, curvature
+
+
+@inlined
+def foot_near(x, y, near, road):
+    """Arc length, offset, heading and curvature of the foot that is nearest in arc length to `near`, within `REACH`.
+
+    Downhill from `near` lies a foot. It is the nearest one if g' > 0 as far to the other side, too, which holds where
+    the point is nearer than the tightest bend's centre. Elsewhere strides to both sides are searched. The offset is
+    NaN, and the arc length `near`, where there is no foot.
+    """
+    s, offset, heading, curvature = downhill(x, y, near, -math.inf, math.inf, road)
+    gone = abs(s - near)
+    if (abs(offset) + 2.0 * gone) * road.numbers[MOST_CURVATURE] < 1.0:
+        return s, offset, heading, curvature
+    is_foot = 1.0 - curvature * offset > -FLAT
+    reach = (1.0 - SAME) * gone - SAME if is_foot else REACH
+    other = foot_about(x, y, near, reach, road)
+    if is_foot and math.isnan(other[1]):
+        return s, offset, heading, curvature
+    return other
+
+
+@exported(float64(float64, float64, float64, float64, Centreline), name="nearest_foot")
+def nearest(x, y, yaw, across, road):
+    """The arc length of the foot on the whole road of least cost, its distance + across (1 - cos(yaw - heading)).
+
+    across: m, by which a foot may be nearer where the road leads another way; 0: the nearest foot. A part of the road
+    of a length 2 h is no nearer than its middle less h: parts that may hold the foot are halved down to a stride.
+    """
+    start, pieces, length = road.start, road.pieces, road.numbers[LENGTH]
+    least, found = math.inf, 0.0
+    for row in range(pieces.shape[0]):
+        distance = math.hypot(pieces[row, X] - x, pieces[row, Y] - y)
+        if distance < least:
+            least, found = distance, start[row] + pieces[row, HALF]
+    most, best = least + 2.0 * across + CLOSE + ROUNDING * (abs(x) + abs(y) + least), math.inf
+    if road.numbers[CLOSED] < 0.5:
+        for end, side in ((0.0, 1.0), (length, -1.0)):
+            px, py, heading, _ = point_at(end, road)
+            ahead = (px - x) * math.cos(heading) + (py - y) * math.sin(heading)
+            cost = math.hypot(px - x, py - y) + across * (1.0 - math.cos(yaw - heading))
+            if side * ahead > 0.0 and cost < best:
+                found, best = end - ahead, cost
+    for row in range(pieces.shape[0]):
+        half, k, level = pieces[row, HALF], 0, 0
+        if math.hypot(pieces[row, X] - x, pieces[row, Y] - y) - half > min(most, best):
+            continue
+        while True:
+            s = start[row] + (2 * k + 1) * half
+            px, py, _, _ = point_at(s, road)
+            if math.hypot(px - x, py - y) - half <= min(most, best):
+                if 2.0 * half > STRIDE:
+                    half, k, level = 0.5 * half, 2 * k, level + 1
+                    continue
+                before, after = ahead_at(s - half, x, y, road), ahead_at(s + half, x, y, road)
+                low, high, grows = bracket(s - half, s + half, before, after, x, y, road)
+                if grows:
+                    foot, offset, heading, _ = downhill(x, y, 0.5 * (low + high), low, high, road)
+                    cost = abs(offset) + across * (1.0 - math.cos(yaw - heading))
+                    if cost < best:
+                        found, best = foot, cost
+            k += 1
+            while level > 0 and k % 2 == 0:
+                half, k, level = 2.0 * half, k // 2, level - 1
+            if level == 0:
+                break
+    if road.numbers[CLOSED] < 0.5:
+        return found
+    found -= floor(found / length) * length
+    return 0.0 if length - found <= SAME else found  # the seam is the road's beginning
+
+
+@exported(void(Centreline, matrix, matrix))
+def project_all(road, points, feet):
+    """Write s, offset, heading and curvature of the foot of each row x, y, near of `points` to the rows of `feet`.
+
+    near is NaN: the nearest foot of the whole road, see `nearest`.
+    """
+    for i in range(points.shape[0]):
+        x, y, near = points[i, 0], points[i, 1], points[i, 2]
+        if math.isnan(near):
+            near = nearest(x, y, 0.0, 0.0, road)
+        feet[i, 0], feet[i, 1], feet[i, 2], feet[i, 3] = foot_near(x, y, near, road)
+
+
+@exported(void(Centreline, vector, matrix))
+def points_at(road, s, points):
+    """Write x, y, heading and curvature at each arc length of `s` to the rows of `points`."""
+    for i in range(s.size):
+        points[i, 0], points[i, 1], points[i, 2], points[i, 3] = point_at(s[i], road)
+
+
+@exported(void(Centreline, vector))
+def headings_along(road, headings):
+    """Write the heading (rad) at arc lengths evenly from 0 to the length."""
+    start, pieces, length, last = road.start, road.pieces, road.numbers[LENGTH], headings.size - 1
+    spacing, row = length / last, 0
+    for k in range(last):
+        s = k * spacing
+        while row + 1 < pieces.shape[0] and start[row + 1] <= s:
+            row += 1
+        u, turned = (s - start[row]) / pieces[row, HALF] - 1.0, pieces[row, TURNED + DEGREE]
+        for j in range(DEGREE - 1, -1, -1):
+            turned = turned * u + pieces[row, TURNED + j]
+        headings[k] = pieces[row, HEADING] + turned
+    _, _, headings[last], _ = point_at(length, road)
+
+
+# -- several roads, and what lies ahead -------------------------------------------------------------------------------
+@inlined
+def line_of(road, roads):
+    """The centre line of one of several roads; without pieces for road -1."""
+    if road < 0:
+        return Centreline(roads.start[:0], roads.pieces[:0], roads.headings[:0])
+    numbers = roads.numbers[road]
+    first, piece, count = whole(numbers[_START]), whole(numbers[_PIECE]), whole(numbers[_COUNT])
+    return Centreline(roads.start[first : first + count + 1], roads.pieces[piece : piece + count], numbers)
+
+
+@inlined
+def heading_at(s, road, roads):
+    """Heading (rad) at any arc length, a straight line between the entries of the table."""
+    numbers = roads.numbers[road]
+    length, spacing = numbers[LENGTH], numbers[_SPACING]
+    laps = floor(s / length) if numbers[CLOSED] > 0.5 else 0.0
+    place = min(max(s - laps * length, 0.0), length) / spacing
+    cell = min(whole(place), whole(length / spacing + 0.5) - 1)
+    first = whole(numbers[_HEADING]) + cell
+    near = roads.headings[first]
+    return near + (place - cell) * (roads.headings[first + 1] - near) + laps * numbers[LAP_TURN]
+
+
+@inlined
+def bend_ahead(station, speeds, pace, lead, period, road, roads, bend):
+    """Write how far (m) the road ahead lies to the left of its tangent here: at the time lead T, then every period T.
+
+        dY/dt = v theta,   theta: heading of the road where the car will be, less its heading here
+
+    A model whose heading and offset count from the path obeys the same equations as one in the frame of this tangent,
+    in which the path is Y(t). The road is passed at the speeds (m/s) planned for the instants from now on, the last one
+    holding, all shifted so that the first is `pace`: v (m/s) of the model.
+    """
+    here = heading_at(station, road, roads)
+    last = speeds.size - 1
+    excess = pace - speeds[0]
+    first = whole(lead)
+    y = before = time = 0.0
+    s = station
+    for j in range(first + bend.size):
+        step = period if j > 0 else (lead - first) * period
+        at = min(max(whole(time / period), 0), last)
+        s += max(speeds[at] + excess, 0.0) * step
+        time += step
+        after = heading_at(s, road, roads) - here
+        y += 0.5 * pace * step * (before + after)
+        before = after
+        if j >= first:
+            bend[j - first] = y
+
+
+@exported(void(float64, vector, float64, float64, float64, int64, Place(Roads), vector))
+def bend_of(station, speeds, pace, lead, period, road, roads, bend):
+    """`bend_ahead`, for Python."""
+    bend_ahead(station, speeds, pace, lead, period, road, roads, bend)

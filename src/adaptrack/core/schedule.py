@@ -1,0 +1,157 @@
+"""The forward pass of a schedule: from the scheduling variables to the entries of a controller's tuning.
+
+    clip the inputs to their domain -> evaluate the function of each entry -> hold within bounds -> guard
+
+Inputs, entries and the guard are records of a fixed size; the functions, whose sizes differ, lie one behind the other
+in `integers` and `numbers` (see `functions`).
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from .functions import evaluate
+from .guard import COUNTS, GUARD, MAP_AXES, MEMORY, MOST_ENTRIES, NC, NP, supervise
+from .kernel import Place, exported, float64, inlined, int64, int_vector, matrix, record, rows, vector, void
+from .maths.elementary import clip
+from .maths.exact import floor
+from .variables import VARIABLES
+
+INPUT = record(
+    "Input",
+    [
+        ("place", int64),  # of the variable in VARIABLES
+        ("low", float64),  # of the domain
+        ("high", float64),
+    ],
+)
+ENTRY = record(
+    "Entry",
+    [
+        ("kind", int64),  # of its function
+        ("integers", int64),  # where its function begins
+        ("numbers", int64),
+        ("log10", int64),  # whether the function gives log10 of the value
+        ("horizon", int64),  # whether the value is rounded
+        ("low", float64),
+        ("high", float64),
+    ],
+)
+SETTINGS = record(
+    "Settings",
+    [
+        ("n_inputs", int64),  # 0: no scheduler
+        ("n_entries", int64),
+        ("of_mpc", int64),  # whether the entries are Np, Nc, Q, R
+        ("inputs", (INPUT, len(VARIABLES))),
+        ("entries", (ENTRY, MOST_ENTRIES)),
+        ("guard", GUARD),
+    ],
+)
+
+Schedule = record(
+    "Schedule",
+    (
+        ("settings", rows(SETTINGS)), ("memory", rows(MEMORY)), ("integers", int_vector), ("numbers", vector),
+        ("scratch", vector),
+    ),
+)  # fmt: skip
+"""settings (1,): see SETTINGS; memory (slots,): of each run, see MEMORY; integers, numbers: the packed functions."""
+_Scratch = record("_Scratch", ("x", "asked", "work"))
+
+SCRATCH = len(VARIABLES) + MOST_ENTRIES + MAP_AXES
+"""Reals of scratch that a schedule needs beside those of its functions."""
+
+
+def no_schedule() -> Any:
+    """What a run without a scheduler is given."""
+    none = np.zeros(0)
+    return Schedule(SETTINGS.new(), MEMORY.new(0), np.zeros(0, np.int64), none, none)
+
+
+def counted(memory: Any) -> Any:
+    """(slots, COUNTS) what a schedule has counted in each run."""
+    return np.stack([memory[name] for name in COUNTS], axis=-1)
+
+
+@inlined
+def _parts(scratch):
+    inputs, entries = len(VARIABLES), MOST_ENTRIES
+    return _Scratch(scratch[:inputs], scratch[inputs : inputs + entries], scratch[inputs + entries :])
+
+
+@inlined
+def _clip_inputs(variables, settings, x):
+    """Write the inputs x, clipped to the domain. Returns whether one was clipped, was far outside, was no number."""
+    clipped, far, broken = False, False, False
+    slack = settings.guard.slack
+    for d in range(settings.n_inputs):
+        given = settings.inputs[d]
+        value = variables[given.place]
+        x[d] = clip(value, given.low, given.high)
+        broken = broken or not math.isfinite(value)
+        clipped = clipped or abs(value - x[d]) > 0.0
+        far = far or abs(value - x[d]) > slack * (given.high - given.low)
+    return clipped, far, broken
+
+
+@inlined
+def _evaluate_entries(x, plan, asked, work):
+    """Write the value of each entry at the inputs x, within its bounds. Returns whether one was no number."""
+    settings = plan.settings[0]
+    broken = False
+    for s in range(settings.n_entries):
+        entry = settings.entries[s]
+        value = evaluate(entry.kind, x, plan.integers[entry.integers :], plan.numbers[entry.numbers :], work)
+        if entry.log10 == 1:
+            value = 10.0**value
+        broken = broken or math.isnan(value)
+        value = clip(value, entry.low, entry.high)
+        asked[s] = floor(value + 0.5) if entry.horizon == 1 else value
+    if settings.of_mpc == 1:
+        asked[NC] = min(asked[NC], asked[NP])
+    return broken
+
+
+@exported(void(int64, vector, Place(Schedule), vector))
+def schedule(slot, variables, plan, tuning):
+    """Write the tuning (entries,) for the variables (see VARIABLES); of the MPC, horizons whole and Nc <= Np.
+
+    Inputs are clipped to the domain. When one, or an output, is not a number, the guard takes its fallback; without a
+    guard the last tuning is kept, and before a first one the tuning that is already there.
+    """
+    settings, own = plan.settings[0], plan.memory[slot]
+    x, asked, work = _parts(plan.scratch)
+    own.steps += 1
+    clipped, far, broken = _clip_inputs(variables, settings, x)
+    if clipped:
+        own.clipped += 1
+    if not broken:
+        broken = _evaluate_entries(x, plan, asked, work)
+    if broken:
+        own.broken += 1
+    if not broken:
+        for s in range(settings.n_entries):
+            tuning[s] = asked[s]
+    elif settings.guard.used == 0:
+        if own.holding == 1:
+            for s in range(settings.n_entries):
+                tuning[s] = own.last[s]
+        return
+    if settings.guard.used == 1:
+        supervise(variables, tuning, far or broken, settings.guard, own, plan.integers, plan.numbers, work)
+    for s in range(settings.n_entries):
+        own.last[s] = tuning[s]
+    own.holding = 1
+
+
+@exported(void(matrix, Place(Schedule), matrix))
+def schedule_all(variables, plan, tunings):
+    """Write the tuning (n, entries) for each of many variables (n, VARIABLES), each as at the first step of a run."""
+    own = plan.memory[0]
+    for i in range(variables.shape[0]):
+        own.left, own.holding = 0, 0
+        schedule(0, variables[i], plan, tunings[i])

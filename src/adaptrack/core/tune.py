@@ -1,0 +1,86 @@
+"""A whole swarm on one operating point inside one compiled call: evaluate, learn, move; the particles are the slots."""
+
+from __future__ import annotations
+
+import math
+
+from .kernel import Place, exported, int64, int_vector, matrix, record, several, vector
+from .loop import RUNNING, STOPPED
+from .rollout import Run, Span, begin, rollout
+from .swarm import LEADER_COST, Particles, decode, learn, move
+from .swarm import begin as begin_swarm
+
+Trial = record("Trial", (("run", Run), ("span", Span), ("noise", int_vector)))
+"""What a tuning is tried on: a batch of runs, what is driven (its
+slots are the most at a time), and the noise seeds over which a cost is the mean."""
+
+Judged = record("Judged", (("tunings", matrix), ("ceilings", vector), ("costs", vector)))
+"""Tunings (n, entries), the cost (n,) below which each must come out, and its cost (n,), which is written."""
+
+Search = record(
+    "Search",
+    (
+        ("seed", int64), ("stream", int64), ("settings", vector), ("space", matrix), ("swarm", Particles),
+        ("judged", Judged), ("best", vector),
+    ),
+)  # fmt: skip
+"""A swarm: seed and stream of its random numbers, settings and space (see `swarm`), particles, scratch for all of them,
+and the best cost after each generation (generations,), which is written."""
+
+
+@exported(int64(int64, int64, Judged, Place(Trial)), name="evaluate_tunings")
+def evaluate(first, slots, judged, trial):
+    """Write the cost of so many tunings from `first` on: J = mean e^2 + weight * mean (change of command)^2.
+
+    The mean of J over the noise seeds; inf when a run has failed, or was stopped because J cannot come out below its
+    ceiling any more. Returns the control steps done.
+    """
+    run, span, count = trial.run, trial.span, trial.noise.size
+    span = Span(span.periods, slots, span.segment, span.weight)
+    tunings, ceilings, costs = judged.tunings[first:], judged.ceilings[first:], judged.costs[first:]
+    steps = 0
+    for i in range(slots):
+        costs[i] = 0.0
+    for s in range(count):
+        begin(slots, run)
+        for i in range(slots):
+            for j in range(tunings.shape[1]):
+                run.tuning[i, j] = tunings[i, j]
+            run.given.seeds[i] = trial.noise[s]
+            run.ceiling[i] = (ceilings[i] * count - costs[i]) * span.periods
+            if not costs[i] < math.inf:
+                run.memory.own[i].ended = STOPPED
+        rollout(span, run)
+        for i in range(slots):
+            found = run.result[i]
+            steps += found.instants
+            if found.ended != RUNNING or not costs[i] < math.inf:
+                costs[i] = math.inf
+            else:
+                costs[i] += (found.squared_error + span.weight * found.squared_move) / span.periods
+    for i in range(slots):
+        costs[i] /= count
+    return steps
+
+
+@exported(several(*[int64] * 2)(Place(Search), Place(Trial)))
+def tune(search, trial):
+    """One run of the swarm (see `swarm`) over Np, Nc, Q, R; returns (evaluations, control steps done).
+
+    On return search.swarm.leader is the best position and search.swarm.progress[LEADER_COST] its cost. A particle's run
+    is stopped once it cannot improve on that particle's best: the swarm takes the same way as without, in less time.
+    """
+    steps = 0
+    swarm, judged, slots = search.swarm, search.judged, trial.span.slots
+    judged = Judged(judged.tunings, swarm.best_costs, judged.costs)
+    begin_swarm(search.seed, search.stream, search.settings, search.space, swarm)
+    generations, count = search.best.size, swarm.x.shape[0]
+    for g in range(generations):
+        decode(count, search.space, swarm.x, judged.tunings)
+        for first in range(0, count, slots):
+            steps += evaluate(first, min(slots, count - first), judged, trial)
+        learn(judged.costs, swarm)
+        search.best[g] = swarm.progress[LEADER_COST]
+        if g < generations - 1:
+            move(g, search.seed, search.stream, search.settings, search.space, swarm)
+    return generations * count, steps

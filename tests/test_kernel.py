@@ -1,0 +1,201 @@
+"""A kernel is the same function in the library, called by its address, and as the Python that it is."""
+
+from __future__ import annotations
+
+import copy
+import json
+import pickle
+import shutil
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from adaptrack.controllers import published_mpc
+from adaptrack.core import library
+from adaptrack.core.kernel import INTERPRETED, Caller, Resident, address_of, float64, vector, void
+from adaptrack.core.member import member
+from adaptrack.core.road import foot_about
+from adaptrack.road import Arc, Line, Road
+from adaptrack.vehicle import load_vehicle
+
+needs_compiled = pytest.mark.skipif(INTERPRETED, reason="needs compiled kernels")
+
+
+def leaves(record):
+    """(type, value) of every field of a nested record."""
+    for kind, value in zip(record.kinds.values(), record, strict=True):
+        yield from leaves(value) if isinstance(value, tuple) else [(kind, value)]
+
+
+@needs_compiled
+def test_the_words_of_a_record_are_where_its_arrays_lie_and_their_sizes():
+    mpc = published_mpc(load_vehicle("paper"))
+    record = mpc.batch(3, mpc.settings())
+    words = []
+    for _, array in leaves(record):
+        words += [array.ctypes.data, *array.shape]
+    assert Resident(record).words.tolist() == words
+
+
+@needs_compiled
+def test_an_exported_kernel_answers_as_its_python_does():
+    road = Road.from_segments([Line(length=50.0), Arc(length=60.0, curvature=0.02)]).packed()
+    for x, y in ((3.0, 1.0), (49.0, -2.0), (80.0, 12.0), (200.0, 60.0)):
+        compiled = foot_about(x, y, 40.0, 400.0, road)
+        assert compiled == pytest.approx(foot_about.function(x, y, 40.0, 400.0, road), rel=1e-9, abs=1e-9)
+
+
+@needs_compiled
+@pytest.mark.parametrize(
+    ("wrong", "why"),
+    [
+        (np.zeros(3, np.float32), "need an array of 1 dimensions, float64"),
+        (np.zeros((2, 2)), "need an array of 1 dimensions, float64"),
+        (np.zeros(6)[::2], "C-contiguous"),
+        ([0.0, 1.0], "need an array"),
+    ],
+)
+def test_an_array_that_is_not_what_a_kernel_takes_is_refused(wrong, why):
+    with pytest.raises(TypeError, match=why):
+        vector.given(wrong)
+
+
+def test_an_exported_kernel_crosses_to_another_process_by_its_name():
+    assert pickle.loads(pickle.dumps(foot_about)) is foot_about
+    assert copy.deepcopy(foot_about) is foot_about
+
+
+@needs_compiled
+@pytest.mark.compiled
+def test_a_member_that_raises_leaves_nothing_that_counts():
+    def own(a, out):
+        out[0] = 1.0
+        if a[0] > 0.0:
+            raise ValueError("no")
+
+    made, out = member(own, void(vector, vector)), np.zeros(2)
+    made(np.array([-1.0]), out)
+    assert out.tolist() == [1.0, 0.0]
+    made(np.array([1.0]), out)
+    assert np.isnan(out).all()
+
+
+@needs_compiled
+@pytest.mark.compiled
+def test_a_member_may_return_nothing_or_a_whole_number():
+    nothing, whole = member(lambda a: None, float64(vector)), member(lambda a: 3, float64(vector))
+    assert (nothing(np.zeros(1)), whole(np.zeros(1))) == (0.0, 3.0)
+
+
+def test_what_is_called_by_its_address_is_in_python_the_function_itself():
+    assert Caller(float64(float64))(abs, -2.0) == 2.0
+    assert address_of(None) == (None if INTERPRETED else 0)
+
+
+# -- the library ------------------------------------------------------------------------------------------------------
+@pytest.fixture
+def built(tmp_path, monkeypatch):
+    """A copy of what was built, in place of it."""
+    if not isinstance(library.loaded(), library.Library):
+        pytest.skip("runs with the library")
+    for each in library.BUILT.iterdir():
+        (tmp_path / each.name).write_bytes(each.read_bytes())
+    monkeypatch.setattr(library, "BUILT", tmp_path)
+    return tmp_path
+
+
+def of_this_processor(folder):
+    return folder / json.loads((folder / library.MANIFEST).read_text())["libraries"][library.processor()]["file"]
+
+
+@pytest.mark.parametrize("harm", ["cut", "bit", "gone", "foreign"])
+def test_a_library_that_is_not_what_was_built_is_never_loaded(built, harm):
+    path = of_this_processor(built)
+    content = bytearray(path.read_bytes())
+    if harm == "gone":
+        path.unlink()
+    else:
+        content[len(content) // 2] ^= 1
+        path.write_bytes({"cut": content[:1000], "bit": content, "foreign": b"\x7fELF"}[harm])
+    why = library.loaded.__wrapped__()
+    assert isinstance(why, str)
+    assert path.name in why
+
+
+@pytest.mark.parametrize("text", ["", "{", "[]", "{}", '{"libraries": 3}', '{"libraries": {}}'])
+def test_a_manifest_that_is_none_is_said(built, text):
+    (built / library.MANIFEST).write_text(text)
+    assert library.MANIFEST in library.loaded.__wrapped__()
+
+
+def test_without_numba_a_missing_library_is_refused_with_the_command(monkeypatch):
+    monkeypatch.setattr(library, "loaded", lambda: "the kernels have not been compiled")
+    monkeypatch.setattr(library, "can_compile", lambda: False)
+    with pytest.raises(library.NoKernels, match=r"not been compiled.*python -m adaptrack\.core\.build"):
+        library.find("mpc_step")
+
+
+def test_an_unknown_way_to_run_kernels_is_refused():
+    code = "import adaptrack.core.kernel"
+    done = subprocess.run(
+        [sys.executable, "-c", code], env={"ADAPTRACK_KERNELS": "fast", "PATH": ""}, capture_output=True, text=True
+    )
+    assert done.returncode != 0
+    assert "ADAPTRACK_KERNELS=fast: need one of library, jit, interpreted." in done.stderr
+
+
+def test_a_step_loads_no_compiler():
+    if not isinstance(library.loaded(), library.Library):
+        pytest.skip("runs with the library")
+    code = (
+        "import sys, adaptrack as at\n"
+        "at.MPC(at.load_vehicle('paper'), profile='road').step([0.0, 0.0, 0.0, 0.1], 15.0, [0.0])\n"
+        "print([name for name in ('numba', 'llvmlite') if name in sys.modules])"
+    )
+    assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True).stdout == "[]\n"
+
+
+C_PROGRAM = r"""
+#include <stdio.h>
+#include "adaptrack.h"
+int main(void) {{
+    printf("%zu %zu %zu %d\n", sizeof(struct adaptrack_controllers_mpc_Mpc), sizeof(struct adaptrack_road_RoadAhead),
+           sizeof(struct adaptrack_controllers_mpc_Settings), ADAPTRACK_PLANTS_CONTRACT_STATE_VX);
+    double values[{count}] = {{ {values} }};
+    double least = adaptrack_place_between(values[0], values[1], 0.0, 0.25);
+    struct adaptrack_road_Centreline line = {{0}};
+    struct adaptrack_road_RoadAhead ahead = {{.line = line, .station = 3.0}};
+    printf("%a %f\n", least, ahead.station);
+    return 0;
+}}
+"""
+
+
+@needs_compiled
+@pytest.mark.skipif(shutil.which("gcc") is None, reason="needs gcc")
+def test_the_header_describes_the_library_to_c(built, tmp_path):
+    from adaptrack.core.controllers.mpc import SETTINGS, Mpc
+    from adaptrack.core.plants.contract import STATE
+    from adaptrack.core.road import RoadAhead
+    from adaptrack.core.swarm import place_between
+
+    low, high = 0.1, 0.7
+    (tmp_path / "main.c").write_text(C_PROGRAM.format(count=2, values=f"{low.hex()}, {high.hex()}"))
+    given = ["-std=c11", "-Wall", "-Wextra", "-Werror", "main.c", str(of_this_processor(built)), "-lm", "-o", "program"]
+    subprocess.run(["gcc", *given], cwd=tmp_path, check=True)
+    done = subprocess.run(
+        ["./program"], cwd=tmp_path, capture_output=True, text=True, check=True, env={"LD_LIBRARY_PATH": str(built)}
+    )
+    *sizes, place, answer, station = done.stdout.split()
+    expected = [8 * words(Mpc), 8 * words(RoadAhead), SETTINGS.dtype.itemsize, STATE.vx]
+    assert [int(each) for each in [*sizes, place]] == expected
+    assert float.fromhex(answer) == place_between(low, high, 0.0, 0.25)
+    assert float(station) == 3.0
+
+
+def words(kind):
+    """How many words of 8 bytes a record takes."""
+    kinds = kind.kinds.values()
+    return sum(words(each) if hasattr(each, "kinds") else 1 + getattr(each, "ndim", 0) for each in kinds)

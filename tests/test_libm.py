@@ -1,0 +1,297 @@
+"""The elementary functions of the kernels are right to a unit in the last place, with every special value.
+
+The oracles: mpmath with 240 bits, whole numbers and fractions, and for what IEEE 754 defines the processor itself.
+"""
+
+import importlib.util
+import math
+import struct
+import sys
+from fractions import Fraction
+from pathlib import Path
+from types import FunctionType
+
+import mpmath as mp
+import numba
+import numpy as np
+import pytest
+
+from adaptrack.core.kernel import INTERPRETED, Exported, Inlined, Primitive, fma
+from adaptrack.core.maths import bits, exact, exponential, polynomial, trigonometric
+from inlined import entry
+
+pytestmark = pytest.mark.kernels
+
+
+def _benchmark():
+    path = Path(__file__).resolve().parents[1] / "benchmarks" / "elementary.py"
+    spec = importlib.util.spec_from_file_location("benchmark_of_elementary", path)
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[spec.name] = module
+    spec.loader.exec_module(module)
+    return module
+
+
+BENCHMARK = _benchmark()
+FUNCTIONS = {name: each for name, each in BENCHMARK.FUNCTIONS.items() if each.arguments}
+ENTRIES = {name: BENCHMARK.entry_of(each) for name, each in BENCHMARK.FUNCTIONS.items()}
+ENTRIES |= {"soft_fma": exact.soft_fma, "soft_ceil": entry(exact.soft_ceil)}
+INF, NAN = math.inf, math.nan
+ULPS = 4096.0 if INTERPRETED else 1.0  # the interpreter's multiply-add rounds twice: 1e-12 is left
+LARGEST, LEAST = sys.float_info.max, 5e-324
+SPECIAL = [0.0, LEAST, 2.2250738585072014e-308, 1e-320, 0.5, 1.0, 1.0 + 2.0**-52, 3.0, 2.0**53, LARGEST, INF, NAN]
+SPECIAL += [-each for each in SPECIAL]
+
+
+def same(x, y):
+    """Equal to the bit; a NaN is like any other."""
+    return (x != x and y != y) or struct.pack("d", x) == struct.pack("d", y)
+
+
+def any_bits(rng, count):
+    return rng.integers(-(2**63), 2**63, count).view(np.float64)
+
+
+def few_bits(rng, count, range_):
+    """Numbers of three bits: sums of their products are often halfway between two doubles."""
+    return rng.integers(-7, 8, count) * 2.0 ** rng.integers(-range_, range_, count)
+
+
+CLASSES = [(name, kind) for name, each in FUNCTIONS.items() for kind in each.arguments]
+
+
+@pytest.mark.parametrize(("name", "kind"), CLASSES)
+def test_no_function_is_off_by_more_than_a_unit_in_the_last_place(name, kind, rng):
+    if INTERPRETED and kind == "right angles":
+        pytest.skip("the interpreter's multiply-add rounds twice: near a zero of sine nothing is left")
+    function = FUNCTIONS[name]
+    error, at = BENCHMARK.worst(function, ENTRIES[name], function.arguments[kind](rng, 70))
+    assert error <= ULPS, at
+
+
+@pytest.mark.slow
+@pytest.mark.compiled
+@pytest.mark.parametrize(("name", "kind"), CLASSES)
+def test_no_function_is_off_by_more_than_nine_tenths_of_a_unit_among_many_arguments(name, kind, rng):
+    function = FUNCTIONS[name]
+    error, at = BENCHMARK.worst(function, ENTRIES[name], function.arguments[kind](rng, 20000))
+    assert error <= 0.9, at
+
+
+PI = math.pi
+NAMED = {"pi": PI, "pi/2": PI / 2, "pi/4": PI / 4, "3pi/4": 3 * PI / 4, "max": LARGEST, "least": LEAST}
+NAMED |= {f"-{name}": -value for name, value in NAMED.items()}
+SPECIAL_VALUES = {  # C99, annex F.9: arguments and then the value
+    "sin": "0 0, -0 -0, inf nan, -inf nan, nan nan",
+    "cos": "0 1, -0 1, inf nan, -inf nan, nan nan",
+    "tan": "0 0, -0 -0, inf nan, -inf nan, nan nan",
+    "sine": "0 0, inf nan, -inf nan, nan nan",
+    "cosine": "0 1, -0 1, inf nan, -inf nan, nan nan",
+    "asin": "0 0, -0 -0, 1 pi/2, -1 -pi/2, 2 nan, -1.0000000000000002 nan, inf nan, -inf nan, nan nan",
+    "atan": "0 0, -0 -0, inf pi/2, -inf -pi/2, 1 pi/4, -1 -pi/4, max pi/2, nan nan",
+    "atan2": """0 -0 pi, -0 -0 -pi, 0 0 0, -0 0 -0, 0 -1 pi, -0 -1 -pi, 0 1 0, -0 1 -0, -1 0 -pi/2, -1 -0 -pi/2,
+        1 0 pi/2, 1 -0 pi/2, 1 -inf pi, -1 -inf -pi, 1 inf 0, -1 inf -0, inf 1 pi/2, -inf 1 -pi/2, inf -inf 3pi/4,
+        -inf -inf -3pi/4, inf inf pi/4, -inf inf -pi/4, nan 1 nan, 0 nan nan, inf nan nan, nan 0 nan, least max 0,
+        max least pi/2, -least -max -pi, least least pi/4, max max pi/4, inf max pi/2, max inf 0""",
+    "exp": "0 1, -0 1, inf inf, -inf 0, nan nan, 710 inf, 1e300 inf, -746 0, -1e300 0, -745.13 least",
+    "log": "0 -inf, -0 -inf, 1 0, -1 nan, -least nan, inf inf, -inf nan, nan nan",
+    "log10": "0 -inf, -0 -inf, 1 0, -1 nan, -least nan, inf inf, -inf nan, nan nan",
+    "log1p": "0 0, -0 -0, -1 -inf, -2 nan, inf inf, -inf nan, nan nan, least least",
+    "tanh": "0 0, -0 -0, inf 1, -inf -1, 30 1, -1e300 -1, least least, nan nan",
+    "hypot": """0 -0 0, -3 0 3, 3 -4 5, inf nan inf, nan -inf inf, -inf 1 inf, nan 1 nan, 0 nan nan, max max inf,
+        least 0 least, max 1 max, 1e300 -1e-300 1e300""",
+    "power": """0 -3 inf, -0 -3 -inf, 0 -2 inf, -0 -2 inf, 0 -0.5 inf, -0 -0.5 inf, 0 -inf inf, -0 -inf inf, -0 3 -0,
+        -0 2 0, 0 3 0, -0 0.5 0, -1 inf 1, -1 -inf 1, 1 nan 1, 1 inf 1, nan 0 1, inf -0 1, -2 0.5 nan, -max 1.5 nan,
+        0.5 -inf inf, -0.5 -inf inf, 2 -inf 0, -2 -inf 0, 0.5 inf 0, -0.5 inf 0, 2 inf inf, -2 inf inf, -inf -3 -0,
+        -inf -2 0, -inf 3 -inf, -inf 2 inf, -inf 0.5 inf, -inf -0.5 0, inf -1.5 0, inf 1.5 inf, nan 1 nan, 2 nan nan,
+        -2 3 -8, -2 2 4, -1 9007199254740992 1, -1 9007199254740991 -1, -1 max 1, 2 max inf, 2 -max 0, 0.5 1e300 0,
+        -2 1025 -inf, -2 -1077 -0, 2 -1074 least, 2 least 1, -inf inf inf, 0 inf 0, 0 nan nan, nan inf nan""",
+    "fmod": """0 1 0, -0 1 -0, inf 1 nan, 1 0 nan, 1 inf 1, -1 -inf -1, nan 1 nan, 1 nan nan, -6 3 -0, 0 0 nan,
+        inf inf nan, nan 0 nan, inf nan nan, max least 0""",
+    "modulo": """-1 3 2, 1 -3 -2, 6 -3 -0, -6 3 0, 1 0 nan, -1 inf inf, 1 -inf -inf, 1 inf 1, inf 1 nan, 1 nan nan,
+        nan 1 nan, 0 0 nan""",
+    "soft_sqrt": "0 0, -0 -0, -1 nan, inf inf, -inf nan, nan nan, 4 2",
+    "soft_floor": "-0 -0, 0 0, -0.5 -1, 0.5 0, inf inf, -inf -inf, nan nan",
+    "soft_ceil": "-0 -0, 0 0, -0.5 -0, 0.5 1, inf inf, -inf -inf, nan nan",
+}
+
+
+@pytest.mark.parametrize("name", SPECIAL_VALUES)
+def test_special_values_are_those_of_the_standard(name):
+    for case in SPECIAL_VALUES[name].split(","):
+        *arguments, value = (NAMED[each] if each in NAMED else float(each) for each in case.split())
+        found = ENTRIES[name](*arguments)
+        if INTERPRETED and math.isfinite(value):
+            assert found == pytest.approx(value, rel=1e-12, abs=0.0), case
+            assert math.copysign(1.0, found) == math.copysign(1.0, value), case
+        else:
+            assert same(found, value), case
+
+
+@pytest.mark.parametrize("name", ["sin", "tan", "asin", "atan", "tanh", "soft_sqrt", "cos"])
+def test_odd_functions_are_odd_and_the_cosine_even_to_the_last_bit(name, rng):
+    function = ENTRIES[name]
+    for x in [*any_bits(rng, 300).tolist(), *rng.uniform(-1.0, 1.0, 300).tolist(), *rng.uniform(-50, 50, 300).tolist()]:
+        if name == "cos":
+            assert same(function(-x), function(x))
+        elif name == "soft_sqrt":
+            assert math.isnan(function(-x)) or math.isnan(function(x)) or x == 0.0
+        else:
+            assert same(function(-x), -function(x))
+
+
+def test_powers_of_ten_have_whole_logarithms():
+    assert [ENTRIES["log10"](10.0**k) for k in range(23)] == pytest.approx(range(23), rel=1e-15 if INTERPRETED else 0.0)
+
+
+def test_squares_and_roots_are_powers(rng):
+    for x in rng.uniform(0.0, 1000.0, 300).tolist():
+        assert ENTRIES["power"](x, 2.0) == pytest.approx(x * x, rel=1e-12 if INTERPRETED else 2.3e-16, abs=0.0)
+        assert ENTRIES["power"](x, 0.5) == pytest.approx(math.sqrt(x), rel=1e-12 if INTERPRETED else 2.3e-16, abs=0.0)
+
+
+@pytest.mark.compiled
+def test_a_ratio_that_has_an_arctangent_has_the_one_that_its_quotient_has(rng):
+    function = entry(trigonometric.arctangent_of_ratio)
+    for y, x in zip((few_bits(rng, 1000, 5)).tolist(), np.exp2(rng.uniform(-1000, 1000, 1000)).tolist(), strict=True):
+        y *= x
+        with mp.workprec(BENCHMARK.PRECISION):
+            assert BENCHMARK.ulps(function(y, x), mp.atan2(mp.mpf(y), mp.mpf(x))) <= 1.0
+    assert function(INF, 1.0) == PI / 2
+    assert math.isnan(function(1.0, NAN))
+    assert math.isnan(function(NAN, 1.0))
+
+
+def test_the_remainder_is_exact(rng):
+    pairs = list(zip(any_bits(rng, 1000).tolist(), any_bits(rng, 1000).tolist(), strict=True))
+    pairs += zip(rng.uniform(-100, 100, 500).tolist(), rng.uniform(-10, 10, 500).tolist(), strict=True)
+    pairs += [(x, y) for x in SPECIAL for y in SPECIAL]
+    for x, y in pairs:
+        if not (math.isfinite(x) and math.isfinite(y) and y != 0.0):
+            continue
+        x_exact, y_exact = abs(Fraction(x)), abs(Fraction(y))
+        expected = math.copysign(float(x_exact - y_exact * (x_exact // y_exact)), x)
+        assert same(ENTRIES["fmod"](x, y), expected), (x, y)
+        assert same(ENTRIES["modulo"](x, y), x % y), (x, y)
+
+
+@pytest.mark.compiled
+def test_the_modulus_is_that_of_the_compiler(rng):
+    operator = numba.njit(lambda a, b: a % b, error_model="numpy")
+    pairs = list(zip(any_bits(rng, 5000).tolist(), any_bits(rng, 5000).tolist(), strict=True))
+    for a, b in pairs + [(x, y) for x in SPECIAL for y in SPECIAL]:
+        assert same(ENTRIES["modulo"](a, b), operator(a, b)), (a, b)
+
+
+def rounded(exact):
+    """The double nearest to a fraction other than zero."""
+    try:
+        magnitude = float(abs(exact))
+    except OverflowError:
+        magnitude = INF
+    return math.copysign(magnitude, -1.0 if exact < 0 else 1.0)
+
+
+def hard_cases(rng, count):
+    """Triples whose sums cancel, tie, underflow or overflow."""
+    a, b = rng.uniform(1.0, 2.0, count), rng.uniform(-2.0, 2.0, count)
+    tiny = 2.0 ** rng.integers(-560, -480, count)
+    subnormal = rng.integers(-(2**55), 2**55, count) * 2.0**-1074
+    yield any_bits(rng, count), any_bits(rng, count), any_bits(rng, count)
+    yield a, b, -a * b
+    yield a, b, rng.uniform(-4.0, 4.0, count) * 2.0 ** rng.integers(-120, 120, count)
+    yield a * tiny, b * tiny, subnormal
+    yield few_bits(rng, count, 60), few_bits(rng, count, 60), few_bits(rng, count, 120)
+    yield (
+        few_bits(rng, count, 20) * 2.0**-530,
+        few_bits(rng, count, 30) * 2.0**-530,
+        few_bits(rng, count, 20) * 2.0**-1050,
+    )
+    big = 2.0 ** rng.integers(500, 520, count)
+    yield a * big, b * big, rng.uniform(-2.0, 2.0, count) * 2.0 ** rng.integers(1000, 1023, count)
+
+
+def test_the_soft_multiply_add_rounds_the_exact_sum_once(rng):
+    for triples in hard_cases(rng, 30):
+        for a, b, c in zip(*(each.tolist() for each in triples), strict=True):
+            if all(map(math.isfinite, (a, b, c))):
+                exact = Fraction(a) * Fraction(b) + Fraction(c)
+                expected = rounded(exact) if exact != 0 else a * b + c
+                assert same(ENTRIES["soft_fma"](a, b, c), expected), (a, b, c)
+
+
+@pytest.mark.compiled
+def test_the_soft_multiply_add_is_that_of_the_processor(rng):
+    soft = exact.soft_fma
+
+    @numba.njit(error_model="numpy")
+    def first_difference(a, b, c):
+        for i in range(a.size):
+            x, y = fma(a[i], b[i], c[i]), soft(a[i], b[i], c[i])
+            if not ((x != x and y != y) or (x == y and math.copysign(1.0, x) == math.copysign(1.0, y))):
+                return i
+        return -1
+
+    grid = [each.ravel().copy() for each in np.meshgrid(SPECIAL, SPECIAL, SPECIAL)]
+    for each in [*hard_cases(rng, 100000), grid]:
+        assert first_difference(*each) == -1
+
+
+def test_the_soft_root_is_that_of_the_processor(rng):
+    arguments = np.abs([*any_bits(rng, 2000), *rng.integers(1, 2**26, 200).astype(float) ** 2, *SPECIAL]).tolist()
+    for x in arguments:
+        assert same(ENTRIES["soft_sqrt"](x), math.sqrt(x)), x
+
+
+def test_the_soft_floor_and_ceiling_are_whole_and_next_to_their_argument(rng):
+    halves = (rng.integers(-20, 20, 200) / 2.0).tolist()
+    for x in [*any_bits(rng, 2000).tolist(), *rng.uniform(-(2.0**54), 2.0**54, 500).tolist(), *halves, *SPECIAL]:
+        for name, oracle in (("soft_floor", np.floor), ("soft_ceil", np.ceil)):
+            assert same(ENTRIES[name](x), float(oracle(x))), x
+
+
+def test_a_whole_number_is_found_in_every_float(rng):
+    whole = entry(bits.whole)
+    for x in rng.uniform(-(2.0**62), 2.0**62, 1000).tolist() + few_bits(rng, 1000, 70).tolist():
+        assert whole(x) == (int(x) if abs(x) < 2.0**62 else int(math.copysign(2**62, x)))
+    assert [whole(x) for x in (NAN, INF, -INF, 1e300, -0.0, 0.999, -1.5)] == [0, 2**62, -(2**62), 2**62, 0, 0, -1]
+
+
+def test_bits_make_the_float_that_they_came_from(rng):
+    bits_of, float_of = entry(bits.bits_of), entry(bits.float_of)
+    for x in [*any_bits(rng, 1000).tolist(), *SPECIAL]:
+        assert bits_of(x) == struct.unpack("q", struct.pack("d", x))[0] or x != x
+        assert same(float_of(bits_of(x)), x)
+
+
+def test_a_number_is_scaled_by_a_power_of_two():
+    scaled = entry(bits.scaled)
+    assert [scaled(3.0, k) for k in (-1074, 0, 1000, -2044, 2044)] == [3 * LEAST, 3.0, 3 * 2.0**1000, 0.0, INF]
+
+
+def interpreted(*modules):
+    """The functions of these modules as plain Python, their multiply-add `soft_fma`."""
+    scope = {}
+    for module in modules:
+        for name, value in vars(module).items():
+            if isinstance(value, (Inlined, Exported)) and not isinstance(value, Primitive):
+                scope[name] = FunctionType(value.function.__code__, scope, name)
+            elif not name.startswith("__"):
+                scope.setdefault(name, value)
+    scope["fma"] = scope["soft_fma"]
+    return scope
+
+
+@pytest.mark.compiled
+def test_compiled_and_interpreted_functions_give_the_same_bits(rng):
+    plain = interpreted(bits, polynomial, exact, exponential, trigonometric)
+    for name, function in FUNCTIONS.items():
+        for kind, make in function.arguments.items():
+            for at in zip(*(each.tolist() for each in make(rng, 15)), strict=True):
+                assert same(ENTRIES[name](*at), plain[name](*at)), (name, kind, at)
+    for name in ("soft_fma", "fmod", "modulo", "soft_sqrt", "soft_floor", "soft_ceil"):
+        for each in zip(
+            any_bits(rng, 100).tolist(), any_bits(rng, 100).tolist(), any_bits(rng, 100).tolist(), strict=True
+        ):
+            at = each[: plain[name].__code__.co_argcount]
+            assert same(ENTRIES[name](*at), plain[name](*at)), (name, at)

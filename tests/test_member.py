@@ -1,0 +1,194 @@
+"""Functions of one's own: the same car however they are called, and what goes wrong in them is heard of."""
+
+import ctypes.util
+import math
+import pickle
+import shutil
+import subprocess
+import time
+
+import numpy as np
+import pytest
+
+from adaptrack.batch import rollout_batch
+from adaptrack.controllers import MPC, UserController
+from adaptrack.core import library
+from adaptrack.core.kernel import INTERPRETED, float64, vector, void
+from adaptrack.core.member import CFunction, member
+from adaptrack.core.plants.user import compile_plant
+from adaptrack.core.road import RoadAhead
+from adaptrack.errors import MissingExtra
+from adaptrack.plant import UserPlant
+from adaptrack.scenario import load_scenario
+from adaptrack.simulate import simulate
+from adaptrack.vehicle import load_vehicle
+
+pytestmark = pytest.mark.skipif(INTERPRETED, reason="interpreted kernels call functions of one's own as they are")
+
+CAR = load_vehicle("midsize-sedan")
+NUMBERS = {"mass": 1575.0, "inertia": 2875.0, "lf": 1.2, "lr": 1.6, "cf": 38e3, "cr": 66e3}
+C_PLANT = """
+#include <math.h>
+#include <stdint.h>
+void right_hand_side(const double *x, int64_t nx, const double *u, int64_t nu, const double *environment, int64_t ne,
+                     const double *p, int64_t np, double *dx, int64_t ndx) {
+    double v = x[3] > 1.0 ? x[3] : 1.0;
+    double front = p[4] * (u[0] - (x[4] + p[2] * x[5]) / v), rear = -p[5] * (x[4] - p[3] * x[5]) / v;
+    dx[0] = x[3] * cos(x[2]) - x[4] * sin(x[2]);
+    dx[1] = x[3] * sin(x[2]) + x[4] * cos(x[2]);
+    dx[2] = x[5];
+    dx[3] = u[1] / p[0];
+    dx[4] = (front + rear) / p[0] - x[3] * x[5];
+    dx[5] = (p[2] * front - p[3] * rear) / p[1];
+}
+"""
+RUST_PLANT = """
+#[no_mangle]
+pub unsafe extern "C" fn right_hand_side(x: *const f64, _nx: i64, u: *const f64, _nu: i64, _e: *const f64, _ne: i64,
+                                         p: *const f64, _np: i64, dx: *mut f64, _ndx: i64) {
+    let (x, u, p, dx) = (std::slice::from_raw_parts(x, 6), std::slice::from_raw_parts(u, 3),
+                         std::slice::from_raw_parts(p, 6), std::slice::from_raw_parts_mut(dx, 6));
+    let v = if x[3] > 1.0 { x[3] } else { 1.0 };
+    let front = p[4] * (u[0] - (x[4] + p[2] * x[5]) / v);
+    let rear = -p[5] * (x[4] - p[3] * x[5]) / v;
+    dx[0] = x[3] * x[2].cos() - x[4] * x[2].sin();
+    dx[1] = x[3] * x[2].sin() + x[4] * x[2].cos();
+    dx[2] = x[5];
+    dx[3] = u[1] / p[0];
+    dx[4] = (front + rear) / p[0] - x[3] * x[5];
+    dx[5] = (p[2] * front - p[3] * rear) / p[1];
+}
+"""
+
+
+def right_hand_side(x, u, environment, p, dx):
+    mass, inertia, lf, lr, cf, cr = p[0], p[1], p[2], p[3], p[4], p[5]
+    v = max(x[3], 1.0)
+    front = cf * (u[0] - (x[4] + lf * x[5]) / v)
+    rear = -cr * (x[4] - lr * x[5]) / v
+    dx[0] = x[3] * math.cos(x[2]) - x[4] * math.sin(x[2])
+    dx[1] = x[3] * math.sin(x[2]) + x[4] * math.cos(x[2])
+    dx[2] = x[5]
+    dx[3] = u[1] / mass
+    dx[4] = (front + rear) / mass - x[3] * x[5]
+    dx[5] = (lf * front - lr * rear) / inertia
+
+
+def of_a_record(x, u, environment, p, dx):
+    right_hand_side(x, u, environment, (p.body.mass, p.body.inertia, p.lf, p.lr, p.cf, p.cr), dx)
+
+
+def law(situation, reference, road, tuning, parameters, memory, answer):
+    """Offset and heading, with a memory; the road is looked at."""
+    memory[0] = 0.9 * memory[0] + 0.1 * (situation[3] - reference[0])
+    wanted = -0.05 * (situation[3] - reference[0]) - 0.4 * situation[1] - 0.01 * memory[0] + 0.0 * road.station
+    least, most = situation[5] + parameters[1], situation[5] + parameters[2]
+    answer[0] = min(max(wanted, least), most)
+
+
+def path_of(plant, controller=None):
+    controller = controller or MPC(CAR, profile="road")
+    run = simulate(plant, controller, load_scenario("lane-change"), profile="road")
+    assert run.failed is None
+    return run.Y
+
+
+@pytest.fixture
+def no_compiler(monkeypatch):
+    monkeypatch.setattr(library, "can_compile", lambda: False)
+    compile_plant.cache_clear()
+    yield
+    compile_plant.cache_clear()
+
+
+@pytest.fixture(scope="module")
+def compiled():
+    """Where the compiled plant goes."""
+    if not library.can_compile():
+        pytest.skip("needs numba")
+    return path_of(UserPlant(right_hand_side, NUMBERS, mass=1575.0))
+
+
+def test_a_plant_that_is_called_back_drives_as_the_compiled_one(compiled, no_compiler):
+    assert path_of(UserPlant(right_hand_side, NUMBERS, mass=1575.0)) == pytest.approx(compiled, rel=1e-9, abs=1e-12)
+
+
+def test_a_plant_that_takes_a_record_is_called_back_with_one(compiled, no_compiler, monkeypatch):
+    monkeypatch.setitem(of_a_record.__globals__, "right_hand_side", right_hand_side)
+    nested = {"body": {"mass": 1575.0, "inertia": 2875.0}, "lf": 1.2, "lr": 1.6, "cf": 38e3, "cr": 66e3}
+    assert path_of(UserPlant(of_a_record, nested, mass=1575.0)) == pytest.approx(compiled, rel=1e-9, abs=1e-12)
+
+
+def test_a_law_that_is_called_back_steers_as_the_compiled_one(compiled, monkeypatch):
+    plant = UserPlant(right_hand_side, NUMBERS, mass=1575.0)
+    ours = path_of(plant, UserController(law, memory_size=1))
+    monkeypatch.setattr(library, "can_compile", lambda: False)
+    found = member(law, void(vector, vector, RoadAhead, vector, vector, vector, vector))
+    assert found.in_python
+    theirs = UserController(law, memory_size=1)
+    theirs._compiled = found
+    assert path_of(plant, theirs) == pytest.approx(ours, rel=1e-9, abs=1e-12)
+
+
+def test_many_runs_ask_for_a_compiler_by_its_command(no_compiler):
+    plant = UserPlant(right_hand_side, NUMBERS, mass=1575.0)
+    with pytest.raises(MissingExtra, match=r"right_hand_side: .*pip install 'adaptrack\[compile\]'"):
+        rollout_batch(plant, MPC(CAR, profile="road"), load_scenario("lane-change"))
+
+
+def test_what_is_raised_in_a_function_that_is_called_back_is_said_once_and_nothing_of_it_counts(no_compiler, caplog):
+    def fails(a, out):
+        out[0] = 1.0
+        raise ZeroDivisionError("in the middle")
+
+    made, out = member(fails, float64(vector, vector)), np.zeros(2)
+    assert math.isnan(made(np.zeros(1), out))
+    assert math.isnan(made(np.zeros(1), out))
+    assert np.isnan(out).all()
+    assert [each.message for each in caplog.records] == ["adaptrack: fails raised ZeroDivisionError('in the middle')"]
+
+
+def test_ctrl_c_in_a_function_that_is_called_back_is_heard(no_compiler):
+    def interrupted(a, out):
+        raise KeyboardInterrupt
+
+    made = member(interrupted, void(vector, vector))
+
+    def call_and_go_on():
+        made(np.zeros(1), np.zeros(1))
+        time.sleep(30.0)
+
+    with pytest.raises(KeyboardInterrupt):
+        call_and_go_on()
+
+
+def built(tmp_path, source, name, *command):
+    if shutil.which(command[0]) is None:
+        pytest.skip(f"needs {command[0]}")
+    (tmp_path / name).write_text(source)
+    made = tmp_path / "plant.so"
+    subprocess.run([*command, str(tmp_path / name), "-o", str(made)], check=True, capture_output=True)
+    return CFunction(str(made), "right_hand_side")
+
+
+@pytest.mark.parametrize(
+    ("source", "name", "command"),
+    [
+        (C_PLANT, "plant.c", ("gcc", "-O2", "-shared", "-fPIC", "-lm")),
+        (RUST_PLANT, "plant.rs", ("rustc", "-O", "--crate-type=cdylib")),
+    ],
+    ids=["C", "Rust"],
+)
+def test_a_plant_in_another_language_drives_as_ours_alone_and_in_a_batch(tmp_path, compiled, source, name, command):
+    function = built(tmp_path, source, name, *command)
+    plant = UserPlant(pickle.loads(pickle.dumps(function)), NUMBERS, mass=1575.0)
+    assert path_of(plant) == pytest.approx(compiled, rel=1e-9, abs=1e-12)
+    found = rollout_batch(plant, MPC(CAR, profile="road"), [load_scenario("lane-change")], profile="road")
+    assert not found.failed[0]
+
+
+def test_a_function_that_is_not_in_its_library_is_refused():
+    with pytest.raises((OSError, AttributeError), match="no_such"):
+        member(CFunction("no_such_library.so", "f"), void(vector))
+    with pytest.raises(AttributeError, match="no_such"):
+        member(CFunction(ctypes.util.find_library("m") or "libm.so.6", "no_such"), void(vector))

@@ -1,0 +1,55 @@
+"""The library, kernels compiled at run time and kernels in plain Python give the same bits."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from adaptrack.core import library
+
+WORK = Path(__file__).with_name("ways.py")
+
+
+def answers(way, file, *size):
+    given = [sys.executable, str(WORK), str(file), *map(str, size)]
+    done = subprocess.run(given, env=os.environ | {"ADAPTRACK_KERNELS": way}, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    with np.load(file) as found:
+        return dict(found)
+
+
+def same_bits(one, other):
+    """Names of arrays that differ; any NaN is like any other."""
+    assert one.keys() == other.keys()
+    assert len(one) > 50
+    nan = np.float64(np.nan)
+    whole = {name: [np.where(each[name] != each[name], nan, each[name]) for each in (one, other)] for name in one}
+    return [name for name, (a, b) in whole.items() if a.shape != b.shape or a.tobytes() != b.tobytes()]
+
+
+@pytest.fixture
+def in_library(tmp_path):
+    """What the library answers."""
+    if not isinstance(library.loaded(), library.Library) or library.loaded().edited:
+        pytest.skip("needs the library of these sources")
+
+    def answered(*size):
+        return answers("library", tmp_path / "library.npz", *size)
+
+    return answered
+
+
+@pytest.mark.compiled
+@pytest.mark.parametrize("size", [(30, 1, 1.0), pytest.param((200, 2, 5.0), marks=pytest.mark.slow)], ids=str)
+def test_the_interpreter_gives_the_bits_of_the_library(in_library, tmp_path, size):
+    assert same_bits(in_library(*size), answers("interpreted", tmp_path / "interpreted.npz", *size)) == []
+
+
+@pytest.mark.slow
+@pytest.mark.compiled
+def test_kernels_that_are_compiled_now_give_the_bits_of_the_library(in_library, tmp_path):
+    size = (20_000, 20, 30.0)
+    assert same_bits(in_library(*size), answers("jit", tmp_path / "jit.npz", *size)) == []
