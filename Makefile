@@ -14,7 +14,12 @@ help: ## list the targets
 install: $(INSTALLED) $(KERNELS) ## create .venv, install the locked packages and adaptrack into it, and compile the kernels
 
 $(KERNELS): $(INSTALLED) $(shell find src/adaptrack/core -name '*.py')
-	$(BIN)/python -m adaptrack.core.build
+	@command -v ld ld.lld > /dev/null || { \
+	  echo 'No linker here: taking that of the package ziglang for this build.'; mkdir -p build; \
+	  sed -n '/^ziglang==/,/[^\\]$$/p' requirements-extras.lock > build/linker.txt; \
+	  $(PIP) install --no-deps --require-hashes --target build/linker -r build/linker.txt; }
+	PYTHONPATH=build/linker $(BIN)/python -m adaptrack.core.build
+	@rm -rf build/linker
 
 $(INSTALLED): requirements.lock pyproject.toml src/adaptrack/__init__.py
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "adaptrack needs Python 3.11 or newer, and this is %s: try make PYTHON=python3.12 ..." % sys.version.split()[0])'
@@ -69,7 +74,7 @@ LOCKED := --extra compile --extra solvers --extra cluster --extra docs --extra d
 
 lock: ## renew requirements.lock and requirements-extras.lock from pyproject.toml
 	$(COMPILE) $(LOCKED) --output-file requirements.lock
-	$(COMPILE) --extra bench --extra commonroad --extra gym --extra plants --constraints requirements.lock --output-file requirements-extras.lock
+	$(COMPILE) --extra bench --extra commonroad --extra gym --extra link --extra plants --constraints requirements.lock --output-file requirements-extras.lock
 
 clean: ## remove everything that can be made again
 	rm -rf .venv build dist results docs/_build src/adaptrack/core/built .hypothesis .import_linter_cache .mypy_cache .pytest_cache .ruff_cache

@@ -1,6 +1,9 @@
 """Building a wheel compiles the kernels into it; an editable installation takes what `make install` compiles."""
 
+import json
 import os
+import platform
+import shutil
 import subprocess
 import sys
 import sysconfig
@@ -8,14 +11,33 @@ from pathlib import Path
 
 from hatchling.builders.hooks.plugin.interface import BuildHookInterface
 
+BUILT = "src/adaptrack/core/built"
+LINKER = "ziglang==0.17.1"
+
 
 class Kernels(BuildHookInterface):
     """The library of the kernels, for any Python 3 on this platform."""
 
+    def dependencies(self):
+        """A linker, where the system has none; with an isolated build it goes when the wheel is made."""
+        return [] if shutil.which("ld") or shutil.which("ld.lld") else [LINKER]
+
     def initialize(self, version, build_data):
         if version == "editable":
             return
-        places = {**os.environ, "PYTHONPATH": str(Path(self.root) / "src")}
+        root = Path(self.root)
+        places = {**os.environ, "PYTHONPATH": str(root / "src")}
         subprocess.run([sys.executable, "-m", "adaptrack.core.build"], env=places, check=True)
+        libraries = json.loads((root / BUILT / "manifest.json").read_text())["libraries"].values()
+        files = ["manifest.json", "adaptrack.h", *(each["file"] for each in libraries)]
+        build_data["artifacts"] += [f"/{BUILT}/{name}" for name in files]
         build_data["pure_python"] = False
-        build_data["tag"] = f"py3-none-{sysconfig.get_platform().replace('-', '_').replace('.', '_')}"
+        build_data["tag"] = f"py3-none-{self.platforms()}"
+
+    @staticmethod
+    def platforms():
+        """A library that calls nothing of the system's fits every Linux of its processor, glibc's and musl's."""
+        machine = platform.machine()
+        if sys.platform == "linux":
+            return f"manylinux_2_17_{machine}.manylinux2014_{machine}.musllinux_1_1_{machine}"
+        return sysconfig.get_platform().replace("-", "_").replace(".", "_")

@@ -16,7 +16,7 @@ cache, for code from a cache brings along what it calls.
 from __future__ import annotations
 
 import argparse
-import importlib
+import importlib.util
 import math
 import os
 import pkgutil
@@ -1012,7 +1012,14 @@ def record(file: Path, names: Iterable[str], coverage: bool) -> int:
 
 
 def say_coverage() -> None:
-    """The kernels that have never been compiled in this process."""
+    """The kernels that have never been compiled in this process, or never called in the library."""
+    if importlib.util.find_spec("adaptrack.core") is not None:
+        from adaptrack.core.kernel import EXPORTED
+
+        never = sorted(name for name, each in EXPORTED.items() if "address" not in vars(each))
+        print(f"coverage: {len(EXPORTED) - len(never)} of {len(EXPORTED)} kernels were called from Python")
+        print(*(f"  by kernels alone, or never: {name}" for name in never), sep="\n")
+        return
     import adaptrack.kernels as room
     from adaptrack.kernels import abi
 

@@ -3,7 +3,8 @@
 Arguments per function (without self and cls; neither the public names, those of `__all__` in `adaptrack` and its
 packages, nor the command line), lengths of functions (docstrings and nested functions included) and of files, imports
 between modules (fan-out), imports against the order of the rooms, and repeated code: lines in runs of at least five
-that occur more than once, compared after the removal of comments, docstrings, imports and formatting. From the syntax
+that occur more than once, compared after the removal of comments, docstrings, imports and formatting; lines that a
+process imports to call a kernel; places in vectors that are counted by hand, by file of the kernels. From the syntax
 tree alone: nothing is imported.
 """
 
@@ -19,17 +20,20 @@ from typing import Any, NamedTuple
 
 PACKAGE = "adaptrack"
 ROOMS = (
-    "errors", "registry", "limits", "files", "kernels", "vehicle", "profile", "plant", "scenario", "models",
+    "errors", "registry", "limits", "files", "core", "vehicle", "profile", "plant", "scenario", "models",
     "estimation", "kalman", "qp", "controllers", "scheduling", "trajectory", "failure", "metrics", "world", "batch",
     "simulate", "linearisation", "stability", "certify", "feasibility", "runs", "tuning", "dataset", "learning",
     "adaptation", "comparison", "studies", "report", "cli",
 )  # fmt: skip
 """The rooms in the order of the data flow: a module imports from its own room and from those before it."""
 FORMERLY = {
-    "toml_files": "files", "prediction": "models", "mpc": "controllers", "schedule": "scheduling",
+    "kernels": "core", "toml_files": "files", "prediction": "models", "mpc": "controllers", "schedule": "scheduling",
     "closed_loop": "adaptation", "evaluate": "comparison", "adapt": "studies", "benchmark": "cli",
 }  # fmt: skip
-"""Rooms of 0.1.0 by what they became."""
+"""Rooms of earlier versions by what they became."""
+KERNELS = (f"{PACKAGE}.core.", f"{PACKAGE}.kernels.")
+CALLING = tuple(f"{PACKAGE}.{name}" for name in ("core.kernel", "core.library", "kernels.abi", "kernels.stored"))
+"""What a process imports to call a kernel."""
 COMMAND_LINE = ("cli", "benchmark", "__main__")
 REPEATED = 5
 """Lines that make a repetition."""
@@ -72,7 +76,25 @@ def measure(package: Path) -> dict[str, Any]:
             if _rank(other) > _rank(name)
         ],
         "repeated lines": {"lines": repeated, "share": repeated / lines},
+        "lines imported to call a kernel": sum(modules[name].lines for name in CALLING if name in modules),
+        "counted places in vectors": [f"{name}: {n}" for name, n in _counted_places(modules)],
     }
+
+
+def _counted_places(modules: Mapping[str, Module]) -> list[tuple[str, int]]:
+    """By file of the kernels, how often a vector is read at a literal or at a place that is computed from one."""
+    found = []
+    for name, module in modules.items():
+        kernels = name.startswith(KERNELS) and ".build" not in name
+        places = [each.slice for each in ast.walk(module.tree) if isinstance(each, ast.Subscript)] if kernels else []
+        literal = sum(isinstance(each, ast.Constant) and isinstance(each.value, int) for each in places)
+        computed = sum(
+            isinstance(each, ast.BinOp) and any(isinstance(part, ast.Constant) for part in ast.walk(each))
+            for each in places
+        )
+        if literal + computed:
+            found.append((name, literal + computed))
+    return sorted(found, key=lambda each: -each[1])
 
 
 def _name(package: Path, file: Path) -> str:
@@ -190,6 +212,8 @@ def _print(found: dict[str, Any]) -> None:
                 f"{key} {entry:.3g}" if isinstance(entry, float) else f"{key} {entry}" for key, entry in value.items()
             )
             print(f"{name:36}", ", ".join(shown))
+        elif isinstance(value, int) and " " in name:
+            print(f"{name:36} {value}")
         elif isinstance(value, list):
             print("\n    ".join([f"{name:36} {len(value)}", *value]))
 

@@ -102,7 +102,6 @@ CIRCULAR = {
     "right angles": of(right_angles),
     "tiny": of(scales(-1074, -5)),
 }
-NEAR = {name: CIRCULAR[name] for name in ("a turn", "below 1e5", "tiny")}
 LOGARITHMIC = {
     "any": of(positive),
     "near 1": of(near_one),
@@ -121,8 +120,6 @@ FUNCTIONS = {
     "sin": Function(trigonometric.sin, mp.sin, CIRCULAR, TURN, "math.sin(x)"),
     "cos": Function(trigonometric.cos, mp.cos, CIRCULAR, TURN, "math.cos(x)"),
     "tan": Function(trigonometric.tan, mp.tan, CIRCULAR, TURN, "math.tan(x)"),
-    "sine": Function(trigonometric.sine, mp.sin, NEAR, TURN, "math.sin(x)"),
-    "cosine": Function(trigonometric.cosine, mp.cos, NEAR, TURN, "math.cos(x)"),
     "asin": Function(
         trigonometric.asin,
         mp.asin,

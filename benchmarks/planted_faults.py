@@ -38,6 +38,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 PACKAGE = Path("src/adaptrack")
+BUILT = "src/adaptrack/core/built"
 MOST_MEMORY = 10 << 30
 """bytes that a test run may hold: a fault may ask for any number"""
 FOUND = ("failed", "timeout", "crash")
@@ -68,25 +69,32 @@ def mark(i):
 '''
 
 KERNEL_MARKS = '''\
-"""`mark` in compiled kernels: a store to a constant address, so that cached machine code stays valid."""
+"""`mark` in kernels."""
 
-from llvmlite import ir
-from numba.core import types
-from numba.extending import lower_builtin, type_callable
-from planted_marks import ADDRESS, mark
+from planted_marks import mark as in_python
 
-
-@type_callable(mark)
-def _typed(context):
-    return lambda i: types.none
+from .kernel import primitive
 
 
-@lower_builtin(mark, types.Integer)
-def _store(context, builder, signature, args):
-    word, byte = ir.IntType(64), ir.IntType(8)
-    place = builder.add(builder.sext(args[0], word), ir.Constant(word, ADDRESS))
-    builder.store(ir.Constant(byte, 1), builder.inttoptr(place, byte.as_pointer()))
-    return context.get_dummy_value()
+@primitive
+def mark(i):
+    in_python(i)
+'''
+MARK_FOR_THE_COMPILER = '''
+
+
+@intrinsic
+def mark(typingctx, i):
+    """A store to a constant address."""
+    from planted_marks import ADDRESS
+
+    def codegen(context, builder, signature, args):
+        word, byte = ir.IntType(64), ir.IntType(8)
+        place = builder.add(args[0], ir.Constant(word, ADDRESS))
+        builder.store(ir.Constant(byte, 1), builder.inttoptr(place, byte.as_pointer()))
+        return context.get_dummy_value()
+
+    return types.void(types.int64), codegen
 '''
 
 WATCHING = '''\
@@ -279,9 +287,9 @@ class Fault:
 
     @property
     def room(self) -> str:
-        """The folder of its file, that of kernels with the next; a file of no folder by its own name."""
+        """The folder of its file, that of a kernel with the next; a file of no folder by its own name."""
         parts = Path(self.file).with_suffix("").parts
-        return " ".join(parts[: 2 if parts[0] == "kernels" else 1])
+        return " ".join(parts[: 2 if parts[0] == "core" else 1])
 
     def line(self, tree: Path) -> int | None:
         """Where its line stands in a checkout, from 0; None unless it is there once."""
@@ -325,7 +333,7 @@ def mark_lines(tree: Path, faults: Sequence[Fault]) -> None:
     for fault in faults:
         by_file[fault.file].append(fault)
     for name, here in by_file.items():
-        path, kernel = tree / PACKAGE / name, name.startswith("kernels/")
+        path, kernel = tree / PACKAGE / name, name.startswith("core/")
         source = path.read_text()
         lines = source.splitlines()
         at = {_statement(source, fault.line(tree) or 0): fault for fault in here}
@@ -345,7 +353,7 @@ def mark_lines(tree: Path, faults: Sequence[Fault]) -> None:
 
 # -- running tests ----------------------------------------------------------------------------------------------------
 class Slot:
-    """A place for one copy of the checkout at a time: kernels are cached by the path of their files."""
+    """A place for one copy of the checkout at a time."""
 
     def __init__(self, checkout: Path, folder: Path) -> None:
         self.checkout, self.folder, self.tree = checkout, folder, folder / "tree"
@@ -361,6 +369,20 @@ class Slot:
             if (self.checkout / name).is_file():
                 (self.tree / name).parent.mkdir(parents=True, exist_ok=True)
                 shutil.copy2(self.checkout / name, self.tree / name)
+        if (self.checkout / BUILT).is_dir():
+            shutil.copytree(self.checkout / BUILT, self.tree / BUILT)
+
+    def compile(self, environment: Mapping[str, str]) -> None:
+        """Make the library of the copy's kernels, unless that of the checkout is theirs."""
+        done = subprocess.run(
+            [sys.executable, "-m", "adaptrack.core.build"],
+            cwd=self.tree,
+            env=environment,
+            capture_output=True,
+            text=True,
+        )
+        if done.returncode != 0:
+            raise SystemExit(f"the kernels of {self.tree} cannot be compiled:\n{done.stderr}")
 
     def start(self, plugin: str, source: str, *arguments: str, chosen: Sequence[str] = ()) -> subprocess.Popen[bytes]:
         """Start pytest in the copy, with a plugin and the tests chosen for it; `out` is emptied for what it writes."""
@@ -373,9 +395,10 @@ class Slot:
         (plugins / "chosen.json").write_text(json.dumps(chosen))
         environment = {
             **os.environ, "PYTHONPATH": os.pathsep.join([str(self.tree / "src"), str(plugins)]),
-            "NUMBA_CACHE_DIR": str(self.folder / "cache"), "PLANTED_TREE": str(self.tree), "PLANTED_OUT": str(out),
+            "PLANTED_TREE": str(self.tree), "PLANTED_OUT": str(out),
         }  # fmt: skip
         environment.pop("PLANTED_MARKS", None)
+        self.compile(environment)
         command = [sys.executable, "-P", "-m", "pytest", "-q", "-p", plugin, "-p", "no:cacheprovider", *arguments]
         with (self.folder / "pytest.log").open("wb") as log:
             process = subprocess.Popen(
@@ -415,7 +438,9 @@ def tests_of(slot: Slot, faults: Sequence[Fault], processes: int) -> dict[str, A
     """By fault the default tests that execute its line; seconds of all tests; those that failed with the markers."""
     slot.copy()
     mark_lines(slot.tree, faults)
-    (slot.tree / PACKAGE / "kernels/planted_marks.py").write_text(KERNEL_MARKS)
+    (slot.tree / PACKAGE / "core/planted_marks.py").write_text(KERNEL_MARKS)
+    with (slot.tree / PACKAGE / "core/build/operations.py").open("a") as operations:
+        operations.write(MARK_FOR_THE_COMPILER)
     begun = time.monotonic()
     process = slot.start("planted_watching", WATCHING, "-n", str(processes), "--dist", "worksteal")
     try:
@@ -604,7 +629,7 @@ def main() -> None:
     """See above."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("checkout", type=Path)
-    parser.add_argument("--out", type=Path, required=True, help="folder of results, copies and compiled kernels")
+    parser.add_argument("--out", type=Path, required=True, help="folder of results, copies")
     parser.add_argument("--only", type=int, nargs="+", metavar="N", help="numbers of faults")
     parser.add_argument("--against", type=Path, help="found.json of another checkout, for the table")
     parser.add_argument("--processes", type=int, default=2)

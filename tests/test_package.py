@@ -5,6 +5,8 @@ from __future__ import annotations
 import ast
 import importlib
 import itertools
+import json
+import platform
 import re
 import tomllib
 import zipfile
@@ -14,6 +16,7 @@ from pathlib import Path
 import pytest
 
 import adaptrack
+from adaptrack.core.library import source_hashes
 
 HEAVY = ("numba", "llvmlite", "numpy", "scipy", "sklearn", "matplotlib", "pydantic", "pandas", "pyarrow", "typer")
 
@@ -97,7 +100,7 @@ def test_locks_pin_and_hash_every_declared_package(project):
 
     configuration = tomllib.loads((project / "pyproject.toml").read_text())["project"]
     optional = configuration["optional-dependencies"]
-    extra = optional.pop("commonroad") + optional.pop("gym") + optional.pop("plants") + optional.pop("bench")
+    extra = [each for name in ("bench", "commonroad", "gym", "link", "plants") for each in optional.pop(name)]
     declared = itertools.chain(configuration["dependencies"], *optional.values())
     assert {re.match(r"[a-z0-9-]+", each)[0] for each in declared} - {"adaptrack"} <= first.keys()
     assert {re.match(r"[a-z0-9-]+", each)[0] for each in extra} - {"adaptrack"} <= extras.keys()
@@ -118,15 +121,20 @@ def test_who_only_drives_installs_no_compiler(project):
     assert not [each for each in configuration["dependencies"] if each.startswith(("numba", "llvmlite"))]
 
 
-def test_wheel_holds_every_module_and_data_file(project, run_python, tmp_path):
+def test_wheel_holds_every_module_and_data_file_and_the_libraries_of_these_sources(project, run_python, tmp_path):
     # Hatchling obeys .gitignore: a careless pattern would drop data files without a word.
     run_python("-m", "hatchling", "build", "-t", "wheel", "-d", str(tmp_path), cwd=project)
-    (wheel,) = tmp_path.glob("adaptrack-*.whl")
+    (wheel,) = tmp_path.glob("adaptrack-*-py3-none-*.whl")
+    assert platform.system() != "Linux" or "manylinux" in wheel.name
     with zipfile.ZipFile(wheel) as archive:
         packed = set(archive.namelist())
+        manifest = json.loads(archive.read("adaptrack/core/built/manifest.json"))
     source = project / "src"
     files = {p.relative_to(source).as_posix() for p in (source / "adaptrack").rglob("*") if p.is_file()}
-    assert {name for name in files if "__pycache__" not in name} <= packed
+    built = {f"adaptrack/core/built/{each['file']}" for each in manifest["libraries"].values()}
+    assert {name for name in files if "__pycache__" not in name and "/core/built/" not in name} | built <= packed
+    assert {name for name in packed if "/core/built/kernels-" in name} == built
+    assert manifest["sources"] == source_hashes()
 
 
 def test_readme_examples_run(project, run_python):

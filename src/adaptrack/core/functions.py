@@ -10,7 +10,8 @@ import math
 
 from .kernel import exported, float64, inlined, int64, int_vector, record, shaped, vector
 from .maths.bits import whole
-from .maths.elementary import clip
+from .maths.exact import clip
+from .maths.exponential import exp, log, log1p
 
 NUMBER, NETWORK, SUGENO, NEAREST, MULTILINEAR = range(5)
 """The kinds of functions; the last two are tables."""
@@ -65,7 +66,7 @@ def network(x, integers, numbers, neurons):
                 out += net.neurons[at + i] * neurons[before + i]
             at += wide + 1
             if layer < net.layers - 1:
-                neurons[after + j] = 1.0 / (1.0 + math.exp(min(-out, SATURATED)))
+                neurons[after + j] = 1.0 / (1.0 + exp(min(-out, SATURATED)))
         before = after
     if net.relu:
         out = max(0.0, out)
@@ -96,8 +97,8 @@ def _log_membership(x, m, system):
         return -0.5 * distance * distance
     if distance == 0.0:
         return 0.0
-    exponent = 2.0 * system.slope[m] * math.log(abs(distance))
-    return -(max(exponent, 0.0) + math.log1p(math.exp(-abs(exponent))))
+    exponent = 2.0 * system.slope[m] * log(abs(distance))
+    return -(max(exponent, 0.0) + log1p(exp(-abs(exponent))))
 
 
 @exported(_FUNCTION)
@@ -123,7 +124,7 @@ def sugeno(x, integers, numbers, work):
     for r in range(system.rules):
         if strengths[r] < strongest - NEGLIGIBLE:
             continue
-        w = math.exp(strengths[r] - strongest)
+        w = exp(strengths[r] - strongest)
         conclusion = system.constant[r]
         for d in range(system.inputs):
             conclusion += system.slopes[r, d] * x[d]

@@ -10,8 +10,8 @@ import math
 
 from .functions import multilinear
 from .kernel import Row, boolean, exported, float64, inlined, int64, int_vector, record, vector, void
-from .maths.elementary import clip
-from .maths.exact import floor
+from .maths.exact import clip, floor
+from .maths.exponential import log10, power
 from .variables import VARIABLES
 
 MOST_ENTRIES = 8
@@ -65,7 +65,7 @@ def too_near_instability(variables, tuning, guard, integers, numbers, point, wor
         return False
     point[0], point[1] = variables[VARIABLES.speed], variables[VARIABLES.friction]
     point[2], point[3] = tuning[NP], tuning[NC]
-    point[4] = math.log10(tuning[R] / tuning[Q]) if tuning[Q] > 0.0 else math.inf
+    point[4] = log10(tuning[R] / tuning[Q]) if tuning[Q] > 0.0 else math.inf
     # not <=: a value that is no number is too near
     return not multilinear(point, integers[guard.integers :], numbers[guard.numbers :], work) <= guard.limit
 
@@ -87,7 +87,7 @@ def _limit_change(guard, own, tuning):
         tuning[s] = floor(bounded + 0.5)
     tuning[NC] = min(tuning[NC], tuning[NP])
     if tuning[Q] > 0.0 and own.last[Q] > 0.0:
-        factor = 10.0**guard.ratio_rate
+        factor = power(10.0, guard.ratio_rate)
         last, ratio = own.last[R] / own.last[Q], tuning[R] / tuning[Q]
         bounded = clip(ratio, last / factor, last * factor)
         if bounded != ratio:
@@ -105,7 +105,7 @@ def _give_way(share, fallback, tuning):
     tuning[NC] = min(tuning[NC], tuning[NP])
     if tuning[Q] > 0.0 and fallback[Q] > 0.0:
         ratio = tuning[R] / tuning[Q]
-        tuning[R] = tuning[Q] * ratio * (fallback[R] / fallback[Q] / ratio) ** share
+        tuning[R] = tuning[Q] * ratio * power(fallback[R] / fallback[Q] / ratio, share)
 
 
 @exported(

@@ -28,6 +28,8 @@ import numpy as np
 from .kernel import columns, cube, exported, inlined, matrix, vector, void
 from .maths.bits import whole
 from .maths.exact import ceil, square
+from .maths.exponential import exp, tanh
+from .maths.trigonometric import atan, cos, sin
 from .plants.forces import GRAVITY, SLIP_SPEED_FLOOR
 
 QUANTITY = columns(
@@ -69,14 +71,14 @@ _DEGREE = 7  # of the Taylor polynomial of the matrix exponential
 def _tyre(slip, stiffness, peak, shape):
     """Force (N) and slope (N/rad) of an axle."""
     z = stiffness * slip / (shape * peak)
-    angle = shape * math.atan(z)
-    return peak * math.sin(angle), max(stiffness * math.cos(angle) / (1.0 + z * z), 0.02 * stiffness)
+    angle = shape * atan(z)
+    return peak * sin(angle), max(stiffness * cos(angle) / (1.0 + z * z), 0.02 * stiffness)
 
 
 @inlined
 def _steady_wind(speed, wind, limit):
     """(v^2 + W^2) times the angle of a side wind W (m/s), smoothly limited."""
-    return (speed * speed + wind * wind) * limit * math.tanh(math.atan(wind / speed) / limit)
+    return (speed * speed + wind * wind) * limit * tanh(atan(wind / speed) / limit)
 
 
 @inlined
@@ -92,7 +94,7 @@ def _move_wheels(angle, target, lag, rate, span):
         gap -= step
         span -= limited
         begun = limited
-    kept = math.exp(-span / lag)
+    kept = exp(-span / lag)
     rest = target * span - gap * lag * (1.0 - kept)
     moment += begun * rest + 0.5 * target * span * span - gap * lag * (lag * (1.0 - kept) - span * kept)
     return target - gap * kept, area + rest, moment
@@ -208,7 +210,7 @@ def _predict(q, speed, h, angle, turning, gusts, x, p, work):
     g0 = (rest_f + rest_r + q[QUANTITY.side] * steady) / mass + q[QUANTITY.push_mean]
     g1 = (lf * rest_f - lr * rest_r + q[QUANTITY.moment] * steady) / inertia
     g2, g3 = speed / sigma * (angle - 0.5 * h * turning), speed / sigma * turning
-    kept_w, kept_d = math.exp(-h / q[QUANTITY.wind_time]), math.exp(-h / q[QUANTITY.push_time])
+    kept_w, kept_d = exp(-h / q[QUANTITY.wind_time]), exp(-h / q[QUANTITY.push_time])
     rise = h / q[QUANTITY.wind_time] * kept_w
     mean_d = 0.5 * (1.0 + kept_d)
     for i in range(N):

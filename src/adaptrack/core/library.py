@@ -56,7 +56,9 @@ def processor() -> str:
     if machine in ("x86_64", "amd64"):
         from numpy._core._multiarray_umath import __cpu_features__ as has  # type: ignore[import-not-found]
 
-        return "x86-64-v3" if has.get("X86_V3") or (has.get("AVX2") and has.get("FMA3")) else "x86-64"
+        if not (has.get("AVX2") and has.get("FMA3")):
+            return "x86-64"
+        return "x86-64-v4" if has.get("AVX512_SKX") else "x86-64-v3"
     return {"arm64": "aarch64"}.get(machine, machine)
 
 

@@ -30,9 +30,10 @@ from .kernel import (
     void,
 )
 from .maths.bits import whole
-from .maths.elementary import clip
-from .maths.exact import ceil, floor
+from .maths.exact import ceil, clip, floor
+from .maths.exponential import hypot
 from .maths.random import counted_normal, counted_uniform
+from .maths.trigonometric import atan2
 from .models.contract import MEASURED
 from .plants.contract import ENVIRONMENT, INPUT, STATE, input_at, state_at
 from .plants.forces import wheel_angle
@@ -147,7 +148,7 @@ def judge(error, block, slot, settings, arrived):
     if not math.isfinite(block[state_at(STATE.steering, slot)]):
         return NOT_FINITE
     vx, vy = block[state_at(STATE.vx, slot)], block[state_at(STATE.vy, slot)]
-    if math.hypot(vx, vy) >= SLOW and abs(math.atan2(vy, vx)) > settings[0].failure_sideslip:
+    if hypot(vx, vy) >= SLOW and abs(atan2(vy, vx)) > settings[0].failure_sideslip:
         return SPUN
     if arrived and not abs(error) <= settings[0].failure_distance:
         return OFF_ROAD

@@ -17,6 +17,8 @@ import math
 from .kernel import Place, exported, float64, inlined, int64, int_vector, matrix, record, several, vector, void
 from .maths.bits import whole
 from .maths.exact import ceil, floor
+from .maths.exponential import hypot
+from .maths.trigonometric import cos, sin
 
 Centreline = record("Centreline", (("start", vector), ("pieces", matrix), ("numbers", vector)))
 """start: (n + 1,) m, where each piece begins, and the end; pieces: (n, columns), see the places below;
@@ -81,10 +83,10 @@ def point_of(u, row, pieces):
         across = across * u + pieces[row, ACROSS + k]
         slope = slope * u + turned
         turned = turned * u + pieces[row, TURNED + k]
-    cos, sin = pieces[row, COS], pieces[row, SIN]
+    tx, ty = pieces[row, COS], pieces[row, SIN]
     return (
-        pieces[row, X] + cos * along - sin * across,
-        pieces[row, Y] + sin * along + cos * across,
+        pieces[row, X] + tx * along - ty * across,
+        pieces[row, Y] + ty * along + tx * across,
         pieces[row, HEADING] + turned,
         slope / pieces[row, HALF],
     )
@@ -102,7 +104,7 @@ def point_at(s, road):
     x, y, heading, curvature = point_of(u, row, road.pieces)
     beyond = s - laps * length - inside
     if beyond != 0.0:
-        x, y, curvature = x + beyond * math.cos(heading), y + beyond * math.sin(heading), 0.0
+        x, y, curvature = x + beyond * cos(heading), y + beyond * sin(heading), 0.0
     return x, y, heading + laps * road.numbers[LAP_TURN], curvature
 
 
@@ -117,9 +119,9 @@ def downhill(x, y, near, low, high, road):
     offset = heading = curvature = 0.0
     for _ in range(STEPS):
         px, py, heading, curvature = point_at(s, road)
-        cos, sin = math.cos(heading), math.sin(heading)
-        ahead = (px - x) * cos + (py - y) * sin
-        offset = (y - py) * cos - (x - px) * sin
+        tx, ty = cos(heading), sin(heading)
+        ahead = (px - x) * tx + (py - y) * ty
+        offset = (y - py) * tx - (x - px) * ty
         if ahead > 0.0:
             high = s
         else:
@@ -144,9 +146,9 @@ def downhill(x, y, near, low, high, road):
 def ahead_at(s, x, y, road):
     """g(s) (m) and its derivative."""
     px, py, heading, curvature = point_at(s, road)
-    cos, sin = math.cos(heading), math.sin(heading)
-    offset = (y - py) * cos - (x - px) * sin
-    return (px - x) * cos + (py - y) * sin, 1.0 - curvature * offset
+    tx, ty = cos(heading), sin(heading)
+    offset = (y - py) * tx - (x - px) * ty
+    return (px - x) * tx + (py - y) * ty, 1.0 - curvature * offset
 
 
 @inlined
@@ -234,25 +236,25 @@ def nearest(x, y, yaw, across, road):
     start, pieces, length = road.start, road.pieces, road.numbers[LENGTH]
     least, found = math.inf, 0.0
     for row in range(pieces.shape[0]):
-        distance = math.hypot(pieces[row, X] - x, pieces[row, Y] - y)
+        distance = hypot(pieces[row, X] - x, pieces[row, Y] - y)
         if distance < least:
             least, found = distance, start[row] + pieces[row, HALF]
     most, best = least + 2.0 * across + CLOSE + ROUNDING * (abs(x) + abs(y) + least), math.inf
     if road.numbers[CLOSED] < 0.5:
         for end, side in ((0.0, 1.0), (length, -1.0)):
             px, py, heading, _ = point_at(end, road)
-            ahead = (px - x) * math.cos(heading) + (py - y) * math.sin(heading)
-            cost = math.hypot(px - x, py - y) + across * (1.0 - math.cos(yaw - heading))
+            ahead = (px - x) * cos(heading) + (py - y) * sin(heading)
+            cost = hypot(px - x, py - y) + across * (1.0 - cos(yaw - heading))
             if side * ahead > 0.0 and cost < best:
                 found, best = end - ahead, cost
     for row in range(pieces.shape[0]):
         half, k, level = pieces[row, HALF], 0, 0
-        if math.hypot(pieces[row, X] - x, pieces[row, Y] - y) - half > min(most, best):
+        if hypot(pieces[row, X] - x, pieces[row, Y] - y) - half > min(most, best):
             continue
         while True:
             s = start[row] + (2 * k + 1) * half
             px, py, _, _ = point_at(s, road)
-            if math.hypot(px - x, py - y) - half <= min(most, best):
+            if hypot(px - x, py - y) - half <= min(most, best):
                 if 2.0 * half > STRIDE:
                     half, k, level = 0.5 * half, 2 * k, level + 1
                     continue
@@ -260,7 +262,7 @@ def nearest(x, y, yaw, across, road):
                 low, high, grows = bracket(s - half, s + half, before, after, x, y, road)
                 if grows:
                     foot, offset, heading, _ = downhill(x, y, 0.5 * (low + high), low, high, road)
-                    cost = abs(offset) + across * (1.0 - math.cos(yaw - heading))
+                    cost = abs(offset) + across * (1.0 - cos(yaw - heading))
                     if cost < best:
                         found, best = foot, cost
             k += 1

@@ -16,8 +16,8 @@ import numpy as np
 from .functions import evaluate
 from .guard import COUNTS, GUARD, MAP_AXES, MEMORY, MOST_ENTRIES, NC, NP, supervise
 from .kernel import Place, exported, float64, inlined, int64, int_vector, matrix, record, rows, vector, void
-from .maths.elementary import clip
-from .maths.exact import floor
+from .maths.exact import clip, floor
+from .maths.exponential import power
 from .variables import VARIABLES
 
 INPUT = record(
@@ -107,7 +107,7 @@ def _evaluate_entries(x, plan, asked, work):
         entry = settings.entries[s]
         value = evaluate(entry.kind, x, plan.integers[entry.integers :], plan.numbers[entry.numbers :], work)
         if entry.log10 == 1:
-            value = 10.0**value
+            value = power(10.0, value)
         broken = broken or math.isnan(value)
         value = clip(value, entry.low, entry.high)
         asked[s] = floor(value + 0.5) if entry.horizon == 1 else value

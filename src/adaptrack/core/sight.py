@@ -21,8 +21,7 @@ from .kernel import (
 )
 from .loop import SETTINGS, SIGNAL, Memory
 from .maths.bits import whole
-from .maths.elementary import clip
-from .maths.exact import floor
+from .maths.exact import clip, floor
 from .models.contract import MEASURED
 from .road import Roads, line_of, point_at
 

@@ -19,8 +19,8 @@ import numpy as np
 
 from .kernel import Place, exported, float64, inlined, int64, matrix, record, several, vector, void
 from .maths.bits import whole
-from .maths.elementary import clip
-from .maths.exact import ceil, floor
+from .maths.exact import ceil, clip, floor
+from .maths.exponential import exp, power
 from .maths.random import counted_uniform
 
 # -- settings, fixed over a run ---------------------------------------------------------------------------------------
@@ -89,7 +89,7 @@ def particles(count: int, dims: int) -> Any:
 @exported(float64(int64, int64, float64, float64, float64, float64))
 def inertia(g, G, w_max, w_min, lambda1, lambda2):
     """w of generation g, eq. (19): w_min + exp(w_max - lambda1 (w_max + w_min) g/G) / lambda2."""
-    return w_min + math.exp(w_max - lambda1 * (w_max + w_min) * (g / G)) / lambda2
+    return w_min + exp(w_max - lambda1 * (w_max + w_min) * (g / G)) / lambda2
 
 
 @exported(several(*[float64] * 2)(int64, int64, float64, float64, vector), name="swarm_accelerations")
@@ -147,7 +147,7 @@ def decode(count, space, x, values):
     """Write the values that the first `count` positions x (.., dims) stand for."""
     for i in range(count):
         for d in range(x.shape[1]):
-            values[i, d] = 10.0 ** x[i, d] if space[DECADES, d] > 0.5 else x[i, d]
+            values[i, d] = power(10.0, x[i, d]) if space[DECADES, d] > 0.5 else x[i, d]
 
 
 @exported(void(int64, int64, vector, matrix, Place(Particles)), name="begin_swarm")

@@ -3,6 +3,8 @@
 front end (numba): a module of LLVM's for each kernel and the C function around it
 -> one module in which all but the C functions is internal
 -> optimised and emitted for each target -> linked, with nothing left undefined
+
+A library calls nothing but itself: C's functions differ from system to system, and so would the results.
 """
 
 from __future__ import annotations
@@ -13,15 +15,15 @@ import json
 import multiprocessing
 import os
 import pkgutil
+import platform
 import re
 import shutil
 import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from dataclasses import dataclass
-from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -31,8 +33,8 @@ from .. import library
 from ..kernel import EXPORTED
 from . import numba_functions
 from .header import header
-
-_IMPORT = re.compile(r"^[ \t]*from[ \t]+(\.+)([\w.]*)[ \t]+import[ \t]+(\([^)]*\)|[^\n]*)", re.MULTILINE)
+from .objects import undefined
+from .sources import sources_of
 
 ROOMS = ("adaptrack.core",)
 """Packages whose kernels are compiled."""
@@ -40,20 +42,27 @@ ROOMS = ("adaptrack.core",)
 
 @dataclass(frozen=True)
 class Target:
-    """A processor, as LLVM names it."""
+    """A processor, as LLVM names it.
+
+    lacks: of `SOFT` what it has no instruction for, so that LLVM calls C's function of that name.
+    """
 
     triple: str
     cpu: str = ""
     features: str = ""
+    lacks: tuple[str, ...] = ()
 
 
 TARGETS = {
-    "x86-64": Target("x86_64-unknown-linux-gnu", "x86-64"),
+    "x86-64": Target("x86_64-unknown-linux-gnu", "x86-64", lacks=("fma", "floor", "ceil")),
     "x86-64-v3": Target("x86_64-unknown-linux-gnu", "x86-64-v3"),
+    "x86-64-v4": Target("x86_64-unknown-linux-gnu", "x86-64-v4", "-prefer-256-bit"),  # eight floats in one register
     "aarch64": Target("aarch64-unknown-linux-gnu"),
     "riscv64": Target("riscv64-unknown-linux-gnu", "generic-rv64", "+m,+a,+f,+d"),
-    "wasm32": Target("wasm32-unknown-unknown", "", "+simd128,+bulk-memory"),
+    "wasm32": Target("wasm32-unknown-unknown", "", "+simd128,+bulk-memory", lacks=("fma",)),
 }
+SOFT = {"fma": 3, "floor": 1, "ceil": 1}
+"""Functions of C's library that the kernels have themselves, exactly, as ``soft_NAME``; how many floats each takes."""
 
 
 HEADER = "adaptrack.h"
@@ -89,68 +98,84 @@ def _module(kernels: dict[str, Any]) -> Any:
     return re.sub(r"= common (local_unnamed_addr |unnamed_addr )?global", r"= internal \1global", str(whole))
 
 
-def _imported(source: Path) -> Iterator[Path]:
-    """The files of the room that a file of it imports itself (by relative names)."""
-    for dots, module, names in _IMPORT.findall(source.read_text(encoding="utf-8")):
-        folder = source.parents[len(dots) - 1].joinpath(*module.split(".")) if module else source.parents[len(dots) - 1]
-        if folder.with_suffix(".py").is_file():
-            yield folder.with_suffix(".py")
-            continue
-        for name in re.findall(r"\w+", re.sub(r"#.*|\bas\s+\w+", "", names)):
-            if (folder / f"{name}.py").is_file():
-                yield folder / f"{name}.py"
+def _soft(name: str) -> str:
+    """C's function of a name, for this library alone."""
+    taken = [f"double %x{i}" for i in range(SOFT[name])]
+    return (
+        f"define hidden double @{name}({', '.join(taken)}) {{\n"
+        f"  %y = call double @adaptrack_soft_{name}({', '.join(taken)})\n  ret double %y\n}}\n"
+    )
 
 
-@cache
-def sources_of(source: Path) -> list[str]:
-    """A file of the room and every one that it depends on, by their places in the room."""
-    found: set[Path] = set()
-    waiting = [source]
-    while waiting:
-        here = waiting.pop()
-        if here not in found:
-            found.add(here)
-            waiting += _imported(here)
-    return sorted(each.relative_to(library.ROOM).as_posix() for each in found)
+def emit(text: str, target: Target) -> bytes:
+    """The object file of a module for a target.
 
-
-def emit(text: str, target: Target) -> tuple[bytes, list[str]]:
-    """The object file of a module for a target, and what it leaves to be linked."""
+    No function of C's is called: "no-builtins" keeps loops from becoming calls of memcpy and its like, and what the
+    target lacks comes from `SOFT`.
+    """
     llvm.initialize_all_targets()
     llvm.initialize_all_asmprinters()
     machine = llvm.Target.from_triple(target.triple).create_target_machine(
         cpu=target.cpu, features=target.features, opt=3, reloc="pic"
     )
     text = re.sub(r'target datalayout = ".*"', f'target datalayout = "{machine.target_data}"', text)
-    module = llvm.parse_assembly(re.sub(r'target triple = ".*"', f'target triple = "{target.triple}"', text))
+    text = re.sub(r'target triple = ".*"', f'target triple = "{target.triple}"', text)
+    text += "".join(map(_soft, target.lacks))
+    module = llvm.parse_assembly(re.sub(r"^(define .*) \{$", r'\1 "no-builtins" {', text, flags=re.MULTILINE))
     options = llvm.create_pipeline_tuning_options(speed_level=3)
     options.loop_vectorization = options.slp_vectorization = True
     passes = llvm.create_pass_builder(machine, options)
+    for function in module.functions:  # small before they are inlined: that takes half the time
+        if not function.is_declaration:
+            passes.getFunctionPassManager().run(function, passes)
     passes.getModulePassManager().run(module, passes)
-    undefined = sorted(f.name for f in module.functions if f.is_declaration and not f.name.startswith("llvm."))
-    return machine.emit_object(module), undefined
+    return bytes(machine.emit_object(module))
 
 
-def linker() -> list[str]:
-    """The command that links a shared object: the system's, else that of the package ziglang."""
-    for name in ("ld", "ld.lld", "lld"):
+def linker(target: Target) -> list[str] | None:
+    """The command that makes a library of an object of a target, None where no such linker is installed."""
+    if target.triple.startswith("wasm"):
+        names, options = ["wasm-ld"], ["--no-entry", "--export-dynamic", "--export-table", "--growable-table"]
+    else:
+        own = target.triple.split("-")[0] == platform.machine()
+        names = ["ld", "ld.lld", "lld"] if own else ["ld.lld"]
+        options = ["-shared", "--build-id=none", "-z", "noexecstack", "-z", "defs"]
+    for name in names:
         if shutil.which(name):
-            return [name]
+            return [name, *options]
     if importlib.util.find_spec("ziglang") is not None:
-        return [sys.executable, "-m", "ziglang", "ld.lld"]
-    raise BuildError("no linker: install binutils or lld, or the package ziglang (pip install ziglang).")
+        return [sys.executable, "-m", "ziglang", names[0] if len(names) == 1 else "ld.lld", *options]
+    return None
 
 
-def link(content: bytes) -> bytes:
-    """The shared object of an object file."""
+def link(content: bytes, command: list[str]) -> bytes:
+    """The library of an object file."""
     with tempfile.TemporaryDirectory() as folder:
         given, made = Path(folder) / "kernels.o", Path(folder) / "kernels.so"
         given.write_bytes(content)
-        command = [*linker(), "-shared", "--build-id=none", "-z", "noexecstack", "-o", str(made), str(given)]
-        done = subprocess.run(command, capture_output=True, text=True)
+        done = subprocess.run([*command, "-o", str(made), str(given)], capture_output=True, text=True)
         if done.returncode != 0:
             raise BuildError(f"{' '.join(command)}: {done.stderr}")
         return made.read_bytes()
+
+
+def finished(name: str, content: bytes) -> tuple[str, bytes]:
+    """The ending of the file and the content of what is kept of a target: its library, or its object without a linker.
+
+    Raises BuildError for an object that calls what it does not have, and without a linker for this processor.
+    """
+    left = undefined(content)
+    if left:
+        raise BuildError(
+            f"the kernels for {name} call {', '.join(left)}: each belongs into SOFT, or is to be replaced."
+        )
+    command = linker(TARGETS[name])
+    if command is not None:
+        return ("wasm" if name.startswith("wasm") else "so"), link(content, command)
+    if name in own_targets():
+        raise BuildError("no linker: install binutils or lld, or the package ziglang (pip install ziglang).")
+    _say(f"  {name}: no linker for it is installed, so its object file is kept")
+    return "o", content
 
 
 def _put(path: Path, content: bytes) -> None:
@@ -166,46 +191,61 @@ def _put(path: Path, content: bytes) -> None:
         raise
 
 
-def _is_built(names: Iterable[str]) -> bool:
-    """Whether the libraries are there, whole and of these sources."""
+def own_targets() -> list[str]:
+    """The names of this machine's: all that a processor of its kind may ask for when the library is loaded."""
+    name = library.processor()
+    return [each for each in TARGETS if each.startswith("x86-64")] if name.startswith("x86-64") else [name]
+
+
+def _built() -> dict[str, dict[str, str]]:
+    """What is there of these sources, whole, by the names of the targets."""
     try:
         there = library.manifest()
-        whole = all(library.whole(there["libraries"][name]) for name in names)
-    except (library.Unusable, KeyError):
-        return False
-    return bool(whole and there["sources"] == library.source_hashes())
+    except library.Unusable:
+        return {}
+    found = {}
+    for name, entry in there["libraries"].items():
+        try:
+            library.whole(entry)
+            found[name] = entry
+        except (library.Unusable, LookupError):
+            pass
+    return found if there["sources"] == library.source_hashes() else {}
 
 
-def build(names: Iterable[str] | None = None) -> None:
-    """Compile all kernels for processors (the names of `TARGETS`; None: this one) into `library.BUILT`.
+def build(names: Iterable[str] = ()) -> None:
+    """Compile all kernels into `library.BUILT`, for this machine and for further processors (names of `TARGETS`).
 
     Raises BuildError.
     """
     begun = time.monotonic()
-    names = list(names or (library.processor(),))
-    if _is_built(names):
+    made = _built()
+    names = [each for each in dict.fromkeys([*own_targets(), *names]) if each not in made]
+    if not names:
         _say(f"The kernels are compiled already: {library.BUILT}")
         return
+    unknown = [each for each in names if each not in TARGETS]
+    if unknown:
+        raise BuildError(f"{', '.join(unknown)}: no such processor; there are {', '.join(TARGETS)}.")
     cores = min(2, os.cpu_count() or 1)
-    _say(f"Compiling the kernels for {', '.join(names)}: about half a minute on {cores} cores.")
+    _say(f"Compiling the kernels for {', '.join(names)}: a minute or two on {cores} cores.")
     import_kernels(ROOMS)
     whole = _module(EXPORTED)
     _say(f"  {len(EXPORTED)} kernels, {time.monotonic() - begun:.0f} s")
     library.BUILT.mkdir(exist_ok=True)
     with multiprocessing.get_context("spawn").Pool(min(cores, len(names))) as pool:
-        objects = pool.starmap(emit, [(whole, TARGETS[name]) for name in names])
-    made = {}
-    for name, (content, undefined) in zip(names, objects, strict=True):
-        linked = link(content)
-        digest = hashlib.sha256(linked).hexdigest()
-        path = library.BUILT / f"kernels-{name}-{digest[:12]}.so"  # another build at the same time has its own
-        _put(path, linked)
-        made[name] = {"file": path.name, "sha256": digest, "undefined": undefined}
-        _say(f"  {path}: {path.stat().st_size // 1000} kB, {time.monotonic() - begun:.0f} s; left to link: {undefined}")
+        objects = pool.starmap(emit, [(whole, TARGETS[name]) for name in names], chunksize=1)
+    for name, content in zip(names, objects, strict=True):
+        ending, content = finished(name, content)
+        digest = hashlib.sha256(content).hexdigest()
+        path = library.BUILT / f"kernels-{name}-{digest[:12]}.{ending}"  # another build at the same time has its own
+        _put(path, content)
+        made[name] = {"file": path.name, "sha256": digest}
+        _say(f"  {path}: {path.stat().st_size // 1000} kB, {time.monotonic() - begun:.0f} s")
     _put(library.BUILT / HEADER, header(EXPORTED.values()).encode())
     kernels = {name: sources_of(Path(each.function.__code__.co_filename)) for name, each in EXPORTED.items()}
     manifest = {"sources": library.source_hashes(), "libraries": made, "kernels": kernels}
     _put(library.BUILT / library.MANIFEST, json.dumps(manifest, indent=1).encode())
-    for old in library.BUILT.glob("kernels-*.so"):
+    for old in library.BUILT.glob("kernels-*"):
         if old.name not in {each["file"] for each in made.values()} and time.time() - old.stat().st_mtime > AN_HOUR:
             old.unlink(missing_ok=True)

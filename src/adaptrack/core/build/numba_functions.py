@@ -72,6 +72,8 @@ def _front_end() -> Iterator[None]:
     with (
         global_compiler_lock,
         mock.patch.object(codegen.CPUCodeLibrary, "finalize", _Part.finalize),
+        # nothing is optimised for this machine: the sizes of numba's structures are other ones on another
+        mock.patch.object(codegen.CPUCodeLibrary, "_optimize_functions"),
         mock.patch.object(codegen.JITCPUCodegen, "set_env", lambda self, name, env: _environments.update({name: env})),
     ):
         yield

@@ -30,8 +30,8 @@ from typing import Any
 
 from ..kernel import Caller, inlined, record, unpacker, vector, void
 from ..maths.bits import whole
-from ..maths.elementary import clip
-from ..maths.exact import square
+from ..maths.exact import clip, fmod, sqrt, square
+from ..maths.trigonometric import atan2, cos, sin
 from ..road import RoadAhead, point_at
 
 SITUATION = (
@@ -108,7 +108,7 @@ def wrapped(angle):
     """The angle (rad) less whole turns, in [-pi, pi]; NaN unless it is finite."""
     if not math.isfinite(angle):
         return math.nan
-    rest = abs(angle) % (2.0 * math.pi)
+    rest = fmod(abs(angle), 2.0 * math.pi)
     if rest > math.pi:
         rest -= 2.0 * math.pi
     return rest if angle >= 0.0 else -rest
@@ -142,9 +142,10 @@ def path_at(reference, road, time, speed, period):
     y = now + s * (slope + 0.5 * s * bend)
     rate = (slope + s * bend) / period
     steepness = rate / v
-    curvature = bend / square(period * v) / (1.0 + steepness * steepness) ** 1.5
+    longer = 1.0 + steepness * steepness
+    curvature = bend / square(period * v) / (longer * sqrt(longer))
     tightest = MOST_LATERAL / (v * v)
-    x, heading, curvature = v * time, math.atan2(rate, v), clip(curvature, -tightest, tightest)
+    x, heading, curvature = v * time, atan2(rate, v), clip(curvature, -tightest, tightest)
     if road.line.start.size == 0:
         return Path(x, y, heading, curvature)
     return _beside(road, x, Path(x, y, heading, curvature))
@@ -155,10 +156,10 @@ def _beside(road, distance, path):
     """A path beside a straight road, at a distance (m) along it, laid beside the curved one."""
     x, y, heading, curvature = point_at(road.station + distance, road.line)
     x0, y0, heading0, _ = point_at(road.station, road.line)
-    cos, sin, turned = math.cos(heading0), math.sin(heading0), heading - heading0
-    ahead, aside = (x - x0) * cos + (y - y0) * sin, (y - y0) * cos - (x - x0) * sin
+    c, s, turned = cos(heading0), sin(heading0), heading - heading0
+    ahead, aside = (x - x0) * c + (y - y0) * s, (y - y0) * c - (x - x0) * s
     return Path(
-        ahead - path.y * math.sin(turned), aside + path.y * math.cos(turned), path.heading + turned,
+        ahead - path.y * sin(turned), aside + path.y * cos(turned), path.heading + turned,
         path.curvature + curvature / max(1.0 - curvature * path.y, 0.1),
     )  # fmt: skip
 
@@ -179,7 +180,7 @@ def planned_speed(road, time, speed, period):
 @inlined
 def left_of(path, x, y):
     """How far (m) the path lies to the left of a point; beside a straight road only y counts."""
-    return (path.y - y) * math.cos(path.heading) - (path.x - x) * math.sin(path.heading)
+    return (path.y - y) * cos(path.heading) - (path.x - x) * sin(path.heading)
 
 
 @inlined

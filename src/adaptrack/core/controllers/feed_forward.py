@@ -27,7 +27,7 @@ from typing import Any
 
 from ..kernel import exported, inlined, int64, matrix, vector, void
 from ..maths.bits import whole
-from ..maths.elementary import clip
+from ..maths.exact import clip
 from ..models.path import lost
 
 TURNING = ("wheelbase", "understeer", "turning", "lr", "lag", "friction", "shape")

@@ -30,8 +30,9 @@ import numpy as np
 
 from ..kernel import exported, inlined, record, shaped, unpacker
 from ..maths.bits import whole
-from ..maths.elementary import clip
-from ..maths.exact import sqrt, square
+from ..maths.exact import clip, sqrt, square
+from ..maths.exponential import exp
+from ..maths.trigonometric import atan, cos, sin, tan
 from ..maths.vectors import padded
 from ..qp import problem as qp
 from ..qp.active_set import active_set
@@ -163,11 +164,11 @@ def _workspace(n, memory):
 @inlined
 def held(speed, curvature, time, p):
     """The model over a time (s) with the input held: (p, q, r, a), (b_e, b_theta, b_delta), (w_e, w_theta), delta_r."""
-    reference = clip(math.atan(p.wheelbase * curvature), p.angle_min, p.angle_max)
-    slope = 1.0 / square(math.cos(reference))
+    reference = clip(atan(p.wheelbase * curvature), p.angle_min, p.angle_max)
+    slope = 1.0 / square(cos(reference))
     c = speed / p.wheelbase * slope
-    w = speed / p.wheelbase * (math.tan(reference) - reference * slope) - speed * curvature
-    a = math.exp(-time / p.lag) if p.lag > 0.0 else 0.0
+    w = speed / p.wheelbase * (tan(reference) - reference * slope) - speed * curvature
+    a = exp(-time / p.lag) if p.lag > 0.0 else 0.0
     once = p.lag * (1.0 - a)  # integral of exp(-t/tau), and that of its integral
     twice = p.lag * (time - once)
     half = 0.5 * time * time
@@ -327,7 +328,7 @@ def filtered(wanted, before, earlier, last, past, share):
     """
     if not 0.0 < share < 0.5:
         return wanted
-    c = math.tan(math.pi * share)
+    c = tan(math.pi * share)
     root = sqrt(2.0) * c
     gain = c * c * (wanted + 2.0 * before + earlier)
     return (gain - 2.0 * (c * c - 1.0) * last - (1.0 - root + c * c) * past) / (1.0 + root + c * c)
@@ -354,8 +355,8 @@ def _form(s, reference, road, t, p, memory):
     path = path_ahead(reference, road, 0.0, s.speed, p.period, memory)
     place = -p.pose_age * max(s.speed, SLOWEST) - 0.5 * p.lr
     turned = p.lr * way.curvature_at(place, reference, road, s, p)
-    offset, theta = (s.y - path.y) * math.cos(path.heading), wrapped(s.yaw - path.heading + turned)
-    rear = offset - p.lr * math.sin(theta)
+    offset, theta = (s.y - path.y) * cos(path.heading), wrapped(s.yaw - path.heading + turned)
+    rear = offset - p.lr * sin(theta)
     e, rolled, delta, distance = _roll(rear, theta, reference, road, s, p, _sent(p, memory)[0])
     n, ws = whole(p.stages), _workspace(whole(p.stages), memory)
     _write_stages(distance, reference, road, s, t, p, ws.stage)

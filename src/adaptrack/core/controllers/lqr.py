@@ -6,7 +6,9 @@ import math
 
 from ..kernel import exported, inlined, record, unpacker
 from ..maths.bits import whole
-from ..maths.elementary import clip
+from ..maths.exact import clip
+from ..maths.exponential import log
+from ..maths.trigonometric import cos
 from .contract import (
     COMMAND,
     COMMON,
@@ -67,9 +69,9 @@ def gain_of(state, v, t, p, grid):
     """The feedback gain on one state at a speed v (m/s) and the present weights, interpolated in the grid."""
     tiny = 1e-300
     r = max(t.r, tiny)
-    i, a = node_below(math.log(v), p.log_speed, p.log_speed_step, p.speeds)
-    j, b = node_below(math.log(max(t.q_e / r, tiny)), p.log_e, p.log_weight_step, p.weights)
-    k, c = node_below(math.log(max(t.q_heading / r, tiny)), p.log_heading, p.log_weight_step, p.weights)
+    i, a = node_below(log(v), p.log_speed, p.log_speed_step, p.speeds)
+    j, b = node_below(log(max(t.q_e / r, tiny)), p.log_e, p.log_weight_step, p.weights)
+    k, c = node_below(log(max(t.q_heading / r, tiny)), p.log_heading, p.log_weight_step, p.weights)
     n = whole(p.weights)
     gain = 0.0
     for di in range(2):
@@ -94,7 +96,7 @@ def lqr(situation, reference, road, tuning, parameters, memory, answer):
         path = path_ahead(reference, road, 0.0, s.speed, p.period, memory)
         curvature = path_at(reference, road, t.preview_time, v, p.period).curvature if s.speed >= SLOWEST else 0.0
         feed_forward = (p.wheelbase + p.understeer * v * v) * curvature
-        offset = (s.y - path.y) * math.cos(path.heading)
+        offset = (s.y - path.y) * cos(path.heading)
         heading_error = wrapped(s.yaw - path.heading)
         steady = (p.rear_slip * v * v - p.lr) * path.curvature
         grid = parameters[len(PARAMETERS) :]

@@ -35,8 +35,7 @@ from ..kernel import (
 )
 from ..maths import vectors
 from ..maths.bits import whole
-from ..maths.elementary import clip
-from ..maths.exact import floor
+from ..maths.exact import clip, floor
 from ..models import path
 from ..models.contract import MEASURED, call_discretise
 from ..qp import problem as qp

@@ -27,9 +27,11 @@ import math
 
 from ..kernel import exported, inlined, record, unpacker
 from ..maths.bits import whole
-from ..maths.elementary import arctangent, arctangent_of_ratio, clip, cosine, sine
-from ..maths.exact import sqrt
+from ..maths.exact import clip, sqrt
+from ..maths.exponential import exp, log
+from ..maths.fast import fast_arctangent, fast_arctangent_of_ratio, fast_cosine, fast_sine
 from ..maths.random import output, unit
+from ..maths.trigonometric import cos, sin
 from .contract import (
     COMMAND,
     COMMON,
@@ -113,7 +115,7 @@ def memory_size(whole, stages, pairs):
 def step_of(time, v, p):
     """What a step of the model over a time (s) at v (m/s) needs."""
     tau = max(p.lag, 1e-9)
-    follow = 1.0 - math.exp(-time / tau)
+    follow = 1.0 - exp(-time / tau)
     middle = (1.0 - tau / time * follow) / follow
     moment = p.lf * p.stiffness_front - p.lr * p.stiffness_rear
     turning = p.lf * p.lf * p.stiffness_front + p.lr * p.lr * p.stiffness_rear
@@ -132,8 +134,8 @@ def force(slip, stiffness, peak, p, curved):
     """Lateral force (N) of an axle at a slip angle (rad)."""
     b = stiffness / (p.shape * peak) * slip
     if curved:
-        b -= p.curvature * (b - arctangent(b))
-    return peak * sine(p.shape * arctangent(b))
+        b -= p.curvature * (b - fast_arctangent(b))
+    return peak * fast_sine(p.shape * fast_arctangent(b))
 
 
 @inlined
@@ -142,16 +144,16 @@ def moved(s, u, m, p, curved):
     change = clip((clip(u, -p.limit, p.limit) - s.wheels) * m.follow, -m.most, m.most)
     delta = s.wheels + m.middle * change
     front = force(
-        delta - arctangent_of_ratio(s.vy + p.lf * s.r, m.speed), p.stiffness_front, p.peak_front, p, curved
+        delta - fast_arctangent_of_ratio(s.vy + p.lf * s.r, m.speed), p.stiffness_front, p.peak_front, p, curved
     )  # fmt: skip
-    rear = force(-arctangent_of_ratio(s.vy - p.lr * s.r, m.speed), p.stiffness_rear, p.peak_rear, p, curved)
+    rear = force(-fast_arctangent_of_ratio(s.vy - p.lr * s.r, m.speed), p.stiffness_rear, p.peak_rear, p, curved)
     side = (front + rear) / p.mass - m.speed * s.r
     turn = (p.lf * front - p.lr * rear) / p.yaw_inertia
     vy = s.vy + m.side * side + m.side_turn * turn
     r = s.r + m.turn_side * side + m.turn * turn
     yaw = s.yaw + 0.5 * m.time * (s.r + r)
     between, drift = 0.5 * (s.yaw + yaw), 0.5 * (s.vy + vy)
-    cos, sin = cosine(between), sine(between)
+    cos, sin = fast_cosine(between), fast_sine(between)
     return State(
         s.x + m.time * (m.speed * cos - drift * sin), s.y + m.time * (m.speed * sin + drift * cos), yaw, vy, r,
         s.wheels + change,
@@ -221,8 +223,8 @@ def _look_ahead(reference, road, v, p, at, memory):
         before = path.heading
         row = at.path + 6 * i
         memory[row + _PATH_X], memory[row + _PATH_Y] = path.x, path.y
-        memory[row + _COS], memory[row + _SIN] = math.cos(path.heading), math.sin(path.heading)
-        memory[row + _COURSE_COS], memory[row + _COURSE_SIN] = math.cos(middle), math.sin(middle)
+        memory[row + _COS], memory[row + _SIN] = cos(path.heading), sin(path.heading)
+        memory[row + _COURSE_COS], memory[row + _COURSE_SIN] = cos(middle), sin(middle)
 
 
 @inlined
@@ -233,9 +235,9 @@ def _draw(turn, p, at, memory):
     for k in range(0, count, 2):
         u = unit(output(state, k + 1)) + 2.0**-53
         angle = 2.0 * math.pi * unit(output(state, k + 2))
-        radius = sqrt(-2.0 * math.log(u))
-        memory[at.noise + k] = radius * math.cos(angle)
-        memory[at.noise + k + 1] = radius * math.sin(angle)
+        radius = sqrt(-2.0 * log(u))
+        memory[at.noise + k] = radius * cos(angle)
+        memory[at.noise + k + 1] = radius * sin(angle)
 
 
 @inlined
@@ -310,8 +312,8 @@ def _improve(t, p, at, memory):
         best = min(best, memory[at.cost + k])
     total = squares = 0.0
     for k in range(pairs):
-        near = math.exp((best - memory[at.cost + k]) / max(t.temperature, 1e-300))
-        far = math.exp((best - memory[at.cost + pairs + k]) / max(t.temperature, 1e-300))
+        near = exp((best - memory[at.cost + k]) / max(t.temperature, 1e-300))
+        far = exp((best - memory[at.cost + pairs + k]) / max(t.temperature, 1e-300))
         total += near + far
         squares += near * near + far * far
         memory[at.cost + k] = near - far

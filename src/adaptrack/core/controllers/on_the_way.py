@@ -12,6 +12,7 @@ import math
 from ..kernel import inlined
 from ..maths.bits import whole
 from ..maths.exact import ceil
+from ..maths.exponential import exp
 from .contract import SLOWEST, path_at
 
 STARTED, ANGLE, SENT = 0, 1, 2
@@ -27,7 +28,7 @@ def size(behind: float) -> int:
 @inlined
 def lagged(angle, command, time, lag):
     """The wheel angle (rad) after a time (s) under a command (rad)."""
-    return command + (angle - command) * math.exp(-time / lag) if lag > 0.0 else command
+    return command + (angle - command) * exp(-time / lag) if lag > 0.0 else command
 
 
 @inlined

@@ -23,6 +23,8 @@ import math
 
 from ..kernel import exported, inlined, record, shaped, unpacker
 from ..maths.bits import whole
+from ..maths.exponential import log
+from ..maths.trigonometric import cos
 from ..models import path as model
 from . import on_the_way as way
 from .contract import (
@@ -154,9 +156,9 @@ def apply_gains(v, t, p, z, grid):
     """The product of gains and z at a speed v (m/s) and the present weights, interpolated in the grid."""
     tiny = 1e-300
     r = max(t.r, tiny)
-    i, a = node_below(math.log(v), p.log_speed, p.log_speed_step, p.speeds)
-    j, b = node_below(math.log(max(t.q_e / r, tiny)), p.log_e, p.log_weight_step, p.weights)
-    k, c = node_below(math.log(max(t.q_heading / r, tiny)), p.log_heading, p.log_weight_step, p.weights)
+    i, a = node_below(log(v), p.log_speed, p.log_speed_step, p.speeds)
+    j, b = node_below(log(max(t.q_e / r, tiny)), p.log_e, p.log_weight_step, p.weights)
+    k, c = node_below(log(max(t.q_heading / r, tiny)), p.log_heading, p.log_weight_step, p.weights)
     n, found = whole(p.weights), 0.0
     for di in range(2):
         for dj in range(2):
@@ -182,7 +184,7 @@ def preview_lqr(situation, reference, road, tuning, parameters, memory, answer):
         last = memory.size - n * (n + 3)
         z = memory[last - n - whole(p.previewed) : last]
         path = path_ahead(reference, road, 0.0, s.speed, p.period, memory)
-        offset, heading_error = (s.y - path.y) * math.cos(path.heading), wrapped(s.yaw - path.heading)
+        offset, heading_error = (s.y - path.y) * cos(path.heading), wrapped(s.yaw - path.heading)
         x = z[:n]
         _begin(offset, heading_error, reference, road, s, p, x)
         if n == 5:

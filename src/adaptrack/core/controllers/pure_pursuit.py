@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 
 from ..kernel import exported, record, unpacker
+from ..maths.exponential import hypot
+from ..maths.trigonometric import atan2, cos, sin
 from .contract import (
     COMMAND,
     COMMON,
@@ -47,12 +49,12 @@ def pure_pursuit(situation, reference, road, tuning, parameters, memory, answer)
         v = max(s.speed, SLOWEST)
         ahead = max(t.lookahead_time * v, t.lookahead_min)
         target = path_at(reference, road, ahead / v, v, p.period)
-        x = target.x + p.lr * math.cos(s.yaw)
-        y = target.y - s.y + p.lr * math.sin(s.yaw)
-        forward = x * math.cos(s.yaw) + y * math.sin(s.yaw)
-        sideways = y * math.cos(s.yaw) - x * math.sin(s.yaw)
-        distance = math.hypot(forward, sideways)
-        alpha = math.atan2(sideways, forward)
-        wanted = math.atan2(2.0 * p.wheelbase * math.sin(alpha), distance)
+        x = target.x + p.lr * cos(s.yaw)
+        y = target.y - s.y + p.lr * sin(s.yaw)
+        forward = x * cos(s.yaw) + y * sin(s.yaw)
+        sideways = y * cos(s.yaw) - x * sin(s.yaw)
+        distance = hypot(forward, sideways)
+        alpha = atan2(sideways, forward)
+        wanted = atan2(2.0 * p.wheelbase * sin(alpha), distance)
     answer[COMMAND], answer[HELD] = limited(wanted, s, p)
     answer[HELD + 1], answer[HELD + 2] = distance, alpha

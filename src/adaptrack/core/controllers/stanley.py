@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 from ..kernel import exported, inlined, record, unpacker
+from ..maths.trigonometric import atan2, cos, sin
 from .contract import (
     COMMAND,
     COMMON,
@@ -43,7 +44,7 @@ read_tuning, read_parameters = unpacker(Tuning), unpacker(Parameters)
 def predicted(s, time):
     """Yaw (rad) and y (m) after `time` (s) of the present motion: constant v_x, v_y and yaw rate."""
     middle = s.yaw + 0.5 * time * s.yaw_rate
-    return s.yaw + time * s.yaw_rate, s.y + time * (s.speed * math.sin(middle) + s.vy * math.cos(middle))
+    return s.yaw + time * s.yaw_rate, s.y + time * (s.speed * sin(middle) + s.vy * cos(middle))
 
 
 @exported(LAW_SIGNATURE)
@@ -61,15 +62,15 @@ def stanley(situation, reference, road, tuning, parameters, memory, answer):
         yaw, y = predicted(s, dead_time)
         path = path_ahead(reference, road, dead_time + p.lf / v, s.speed, p.period, memory)
         curvature = path.curvature
-        offset = (path.y - y - p.lf * math.sin(yaw)) * math.cos(path.heading)
+        offset = (path.y - y - p.lf * sin(yaw)) * cos(path.heading)
         if road.line.start.size > 0:  # the front axle is not where the point of the path is taken
-            x = dead_time * s.speed * math.cos(s.yaw) + p.lf * math.cos(yaw)
-            offset = left_of(path, x, y + p.lf * math.sin(yaw))
+            x = dead_time * s.speed * cos(s.yaw) + p.lf * cos(yaw)
+            offset = left_of(path, x, y + p.lf * sin(yaw))
         heading_error = wrapped(path.heading - yaw)
         wanted = (
             heading_error
             + p.front_slip * v * v * curvature
-            + math.atan2(t.gain * offset, max(t.softening, 0.0) + v)
+            + atan2(t.gain * offset, max(t.softening, 0.0) + v)
             + t.yaw_rate_gain * (v * curvature - s.yaw_rate)
         )
     answer[COMMAND], answer[HELD] = limited(wanted, s, p)

@@ -21,8 +21,9 @@ import math
 
 from ..kernel import exported, float64, inlined, int64, matrix, record, several, unpacker, vector, void
 from ..maths.bits import whole
-from ..maths.elementary import arctangent_of_ratio, clip, cosine
-from ..maths.exact import sqrt
+from ..maths.exact import clip, sqrt
+from ..maths.exponential import exp, hypot
+from ..maths.fast import fast_arctangent_of_ratio, fast_cosine
 from ..plants.forces import GRAVITY, SLIP_SPEED_FLOOR, wind_load
 from ..plants.parameters import unpack
 from ..plants.tyre import CURVED_MAGIC_FORMULA, LINEAR, MAGIC_FORMULA, lateral_force
@@ -89,7 +90,7 @@ def steered(angle, command, time, c):
     if c.steering_lag > 0.0 and abs(gap) > c.steering_rate * c.steering_lag:
         limited = min(time, abs(gap) / c.steering_rate - c.steering_lag)
         gap -= math.copysign(c.steering_rate * limited, gap)
-    return target - gap * math.exp((limited - time) / max(c.steering_lag, 1e-9))
+    return target - gap * exp((limited - time) / max(c.steering_lag, 1e-9))
 
 
 @inlined
@@ -99,7 +100,7 @@ def _axle(slip, steer, load, friction, stiffness, c, law):
     steer: angle of the wheels to the body (rad). The Magic Formula is mu times a function of s slip/mu, the linear law
     is proportional to mu s slip: the derivative by the slip angle holds the other two.
     """
-    across = cosine(steer)
+    across = fast_cosine(steer)
     force = 2.0 * across * lateral_force(slip, load, friction, stiffness, c, law)
     more = lateral_force(slip + _SLIP_STEP, load, friction, stiffness, c, law)
     less = lateral_force(slip - _SLIP_STEP, load, friction, stiffness, c, law)
@@ -118,12 +119,12 @@ def accelerations(angle, yaw, vx, p, own):
     c = unpack(p)
     law = LINEAR if c.tyre_linear > 0.5 else (MAGIC_FORMULA if c.curvature == 0.0 else CURVED_MAGIC_FORMULA)
     vy, r, wind = own[VY], own[YAW_RATE], own[WIND]
-    friction, factor = math.exp(own[LOG_FRICTION]), math.exp(own[LOG_STIFFNESS])
+    friction, factor = exp(own[LOG_FRICTION]), exp(own[LOG_STIFFNESS])
     weight = 0.5 * c.mass * GRAVITY / (c.lf + c.lr)
     speed = max(vx, SLIP_SPEED_FLOOR)
     side_f, side_r = vy + c.lf * r, vy - c.lr * r
-    slip_f = angle - arctangent_of_ratio(side_f, speed)
-    slip_r = -arctangent_of_ratio(side_r, speed)
+    slip_f = angle - fast_arctangent_of_ratio(side_f, speed)
+    slip_r = -fast_arctangent_of_ratio(side_r, speed)
     stiff_f, stiff_r = factor * c.stiffness_front, factor * c.stiffness_rear
     front, front_slip, front_mu, front_s = _axle(slip_f, angle, weight * c.lr, friction, stiff_f, c, law)
     rear, rear_slip, rear_mu, rear_s = _axle(slip_r, 0.0, weight * c.lf, friction, stiff_r, c, law)
@@ -200,8 +201,8 @@ def predict(angle, yaw, vx, p, settings, own):
             own[row + j] *= kept[j]
     v = unpack(p)
     front, rear = s.tyre_error * front, s.tyre_error * rear
-    push = math.hypot(front, rear) / v.mass
-    twist = math.hypot(v.lf * front, v.lr * rear) / v.yaw_inertia
+    push = hypot(front, rear) / v.mass
+    twist = hypot(v.lf * front, v.lr * rear) / v.yaw_inertia
     own[COVARIANCE] += s.drift_vy * s.drift_vy + push * push
     own[COVARIANCE + N + 1] += s.drift_yaw_rate * s.drift_yaw_rate + twist * twist
     own[COVARIANCE + N] += (v.lf * front * front - v.lr * rear * rear) / (v.mass * v.yaw_inertia)
@@ -287,6 +288,6 @@ def estimate(slot, measured, speed, command, acceleration, p, settings, memory):
     own[WIND] = clip(own[WIND], -s.most_wind, s.most_wind)
     most = MOST_STIFFNESS * s.stiffness_spread
     own[LOG_STIFFNESS] = clip(own[LOG_STIFFNESS], -most, most)
-    own[FRICTION_HAT], own[WIND_HAT] = math.exp(own[LOG_FRICTION]), own[WIND]
+    own[FRICTION_HAT], own[WIND_HAT] = exp(own[LOG_FRICTION]), own[WIND]
     own[FRICTION_STD] = own[FRICTION_HAT] * sqrt(own[COVARIANCE + (N + 1) * LOG_FRICTION])
     own[WIND_STD] = sqrt(own[COVARIANCE + (N + 1) * WIND])

@@ -34,8 +34,7 @@ from typing import Any
 
 from ..kernel import exported, float64, inlined, int64, record, unpacker, vector, void
 from ..maths.bits import whole
-from ..maths.elementary import clip
-from ..maths.exact import floor, sqrt, square
+from ..maths.exact import clip, floor, sqrt, square
 from ..maths.vectors import WIDTH, fma8, load, mul, splat, spread, store, sub, zeros
 from ..models import path
 from ..models.contract import MEASURED

@@ -37,8 +37,8 @@ import math
 
 from ..kernel import columns, exported, float64, inlined, int64, record, unpacker, vector, void
 from ..maths.bits import two_to, whole
-from ..maths.elementary import clip
-from ..maths.exact import floor, sqrt, square
+from ..maths.exact import clip, floor, sqrt, square
+from ..maths.exponential import exp, log
 from ..maths.vectors import WIDTH, fma8, load, mul, padded, splat, spread, store, sub, zeros
 from ..models import path
 from ..models.contract import MEASURED
@@ -166,7 +166,7 @@ def _steer(at, time, rate, command, memory):
         angle += turned
         gap -= turned
         time -= limited
-    left = math.exp(-time / lag)
+    left = exp(-time / lag)
     after = left * (slope - gap * time / (lag * lag))
     memory[at + SWEPT] += time * command - gap * lag * (1.0 - left)
     memory[at + SWEPT_BY_LAG] += 0.5 * time * (slope + after)
@@ -200,8 +200,8 @@ def _forces(at, speed, angle, p, memory):
     """Slips, forces and their slopes of both axles at a wheel angle (rad)."""
     x = at + X
     vy, r, s, q = memory[x + VY], memory[x + RATE], memory[x + STIFFNESS], memory[x + BALANCE]
-    grip = GRAVITY * math.exp(memory[x + FRICTION]) / (p.lf + p.lr)
-    factor, balance = math.exp(s), math.exp(q)
+    grip = GRAVITY * exp(memory[x + FRICTION]) / (p.lf + p.lr)
+    factor, balance = exp(s), exp(q)
     slip_front = angle + memory[x + BIAS] - (vy + p.lf * r) / speed
     slip_rear = -(vy - p.lr * r) / speed
     front = _axle(slip_front, p.stiffness_front / p.mass * factor * balance, grip * p.lr)
@@ -377,7 +377,7 @@ def _take_in(at, innovation, row, variance, p, memory):
         line, gain = at + P + ROW * j, spread(memory, _SCRATCH + j)
         store(memory, line, sub(load(memory, line), mul(gain, low)))
         store(memory, line + WIDTH, sub(load(memory, line + WIDTH), mul(gain, high)))
-    return -0.5 * (min(ratio, p.bound * p.bound) + math.log(scatter))
+    return -0.5 * (min(ratio, p.bound * p.bound) + log(scatter))
 
 
 @inlined
@@ -516,7 +516,7 @@ def _weigh(first, count, memory):
     for i in range(count):
         at = first + BLOCK * i
         memory[at + EVIDENCE] = max(memory[at + EVIDENCE] - best, LOWEST)
-        memory[at + WEIGHT] = math.exp(memory[at + EVIDENCE])
+        memory[at + WEIGHT] = exp(memory[at + EVIDENCE])
         total += memory[at + WEIGHT]
     for i in range(count):
         memory[first + BLOCK * i + WEIGHT] /= total
@@ -585,10 +585,10 @@ def _tell(first, count, p, parameters, memory):
     _tell_state(first, count, FRICTION, BELIEF.belief_friction, memory)
     stiffness, balance = memory[out + BELIEF.belief_stiffness], memory[out + BELIEF.belief_balance]
     unsure = memory[out + BELIEF.belief_stiffness_sigma]
-    memory[out + BELIEF.belief_stiffness] = math.exp(stiffness)
-    memory[out + BELIEF.belief_balance] = math.exp(2.0 * balance)
+    memory[out + BELIEF.belief_stiffness] = exp(stiffness)
+    memory[out + BELIEF.belief_balance] = exp(2.0 * balance)
     memory[out + BELIEF.belief_balance_sigma] *= 2.0
-    memory[out + BELIEF.belief_friction] = math.exp(memory[out + BELIEF.belief_friction])
+    memory[out + BELIEF.belief_friction] = exp(memory[out + BELIEF.belief_friction])
     noise = memory[NOISE + MEASURED.yaw_rate] / parameters[_VARIANCE + MEASURED.yaw_rate]
     memory[out + BELIEF.belief_noise] = sqrt(noise)
     later = p.cautious / sigma
@@ -598,10 +598,10 @@ def _tell(first, count, p, parameters, memory):
     memory[out + BELIEF.used_lag] = _toward(used, wanted_lag, p.longer, p.shorter)
     used = memory[out + BELIEF.used_dead_time]
     memory[out + BELIEF.used_dead_time] = _toward(used, wanted_dead, p.longer, p.shorter)
-    used = math.log(memory[out + BELIEF.used_stiffness])
-    memory[out + BELIEF.used_stiffness] = math.exp(_toward(used, stiffness, p.stiffer, p.stiffer))
-    used = math.log(memory[out + BELIEF.used_balance])
-    memory[out + BELIEF.used_balance] = math.exp(_toward(used, 2.0 * balance, p.stiffer, p.stiffer))
+    used = log(memory[out + BELIEF.used_stiffness])
+    memory[out + BELIEF.used_stiffness] = exp(_toward(used, stiffness, p.stiffer, p.stiffer))
+    used = log(memory[out + BELIEF.used_balance])
+    memory[out + BELIEF.used_balance] = exp(_toward(used, 2.0 * balance, p.stiffer, p.stiffer))
     used = memory[out + BELIEF.used_bias]
     memory[out + BELIEF.used_bias] = _toward(used, memory[out + BELIEF.belief_bias], p.turning, p.turning)
     caution = min(1.0 + variance / (p.tolerated * p.tolerated), p.most_caution)

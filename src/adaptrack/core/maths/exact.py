@@ -38,6 +38,13 @@ def sqrt(x: float) -> float:
 
 
 @inlined
+def clip(x: float, low: float, high: float) -> float:
+    """x limited to [low, high]; NaN stays NaN."""
+    below = low if x < low else x
+    return high if below > high else below
+
+
+@inlined
 def square(x: float) -> float:
     """x x."""
     return x * x

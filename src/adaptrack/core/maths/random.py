@@ -16,6 +16,8 @@ import numpy as np
 
 from ..kernel import exported, float64, inlined, int64
 from .exact import sqrt
+from .exponential import log
+from .trigonometric import cos
 
 GOLDEN = 0x9E3779B97F4A7C15
 """2^64 over the golden ratio, odd: the step of the counter."""
@@ -79,4 +81,4 @@ def counted_normal(seed, instant, channel):
     state = output(state, instant)
     u = unit(output(state, 2 * channel + 1)) + _UNIT  # (0, 1]
     v = unit(output(state, 2 * channel + 2))
-    return sqrt(-2.0 * math.log(u)) * math.cos(2.0 * math.pi * v)
+    return sqrt(-2.0 * log(u)) * cos(2.0 * math.pi * v)

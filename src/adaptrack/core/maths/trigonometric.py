@@ -3,8 +3,7 @@
 Arithmetic is that of IEEE 754 and exact multiply-adds, so every processor gives the same bits (but those of a NaN). The
 coefficients are computed by `benchmarks/elementary_coefficients.py`.
 
-`sine`, `cosine`, `arctangent` and `arctangent_of_ratio` are free of branches: loops that call them become vector
-instructions. `sin`, `cos` and `tan` take any argument.
+`sin`, `cos` and `tan` take any argument. Where loops are to become vector instructions see `fast`.
 """
 
 from __future__ import annotations
@@ -19,7 +18,7 @@ from .exact import sqrt
 from .polynomial import eleven, six, twelve
 
 LARGEST = 1e5
-"""rad; up to it `sine` and `cosine` hold what they promise"""
+"""rad; up to it `_near` reduces an argument"""
 
 _TINY = 2.0**-28  # below it sin(x) = tan(x) = asin(x) = x
 _TWO_OVER_PI = 2.0 / math.pi
@@ -170,20 +169,6 @@ def _sine_at(n, y, low):
     return signed_if(cosine if n & 1 == 1 else sine, n >> 1)
 
 
-@inlined
-def sine(x: float) -> float:
-    """sin(x) for |x| <= LARGEST; beyond it anything, NaN of what is not finite. The sign of a zero is lost."""
-    n, y, low = _near(x)
-    return _sine_at(n, y, low)
-
-
-@inlined
-def cosine(x: float) -> float:
-    """cos(x) for |x| <= LARGEST; beyond it anything, NaN of what is not finite."""
-    n, y, low = _near(x)
-    return _sine_at(n + 1, y, low)
-
-
 @exported(several(int64, float64, float64)(float64), name="reduced_right_angle")
 def _far(x):
     """What `_near` gives, for any finite |x| >= 2^-6.
@@ -288,11 +273,12 @@ def _angle_of(y, x):
     denominator = a + b
     part = denominator - a
     denominator_low = (a - (denominator - part)) + (b - part)
-    z = numerator / denominator
+    inverse = 1.0 / denominator
+    z = numerator * inverse
     t = z * z
-    error = fma(-z, denominator, numerator) + fma(-z, denominator_low, numerator_low)
-    error = error / fma(z, numerator, denominator)
+    error = (fma(-z, denominator, numerator) + fma(-z, denominator_low, numerator_low)) * inverse
     error = error if abs(error) < 1.0 else 0.0  # of an infinite denominator: NaN
+    error = fma(t, t - 1.0, 1.0) * error  # over 1 + t, to a hundredth of what the error is
     small = fma(z * t, eleven(t, *_ARCTANGENT), error)
     offset = share * _HALF_PI
     angle = offset + z
@@ -304,12 +290,6 @@ def arctangent_of_ratio(y: float, x: float) -> float:
     """arctan(y/x) for x > 0, in (-pi/2, pi/2)."""
     angle, low = _angle_of(abs(y), x)
     return math.copysign(angle + low, y)
-
-
-@inlined
-def arctangent(x: float) -> float:
-    """arctan(x)."""
-    return arctangent_of_ratio(x, 1.0)
 
 
 @exported(float64(float64))

@@ -18,6 +18,7 @@ import math
 
 from ..kernel import exported, float64, inlined, int64, record, unpacker, vector, void
 from ..maths.bits import two_to
+from ..maths.trigonometric import asin, tan
 from ..plants.forces import GRAVITY
 from .contract import DISCRETISE
 
@@ -188,7 +189,7 @@ def lost(turn, friction, shape):
     """
     most = friction * GRAVITY
     share = min(abs(turn) / most, MOST_SHARE)
-    return -math.copysign(most * (shape * math.tan(math.asin(share) / shape) - share), turn)
+    return -math.copysign(most * (shape * tan(asin(share) / shape) - share), turn)
 
 
 @inlined

@@ -10,15 +10,14 @@ Their functions take one tyre: the friction is the mean of the four wheels.
 
 from __future__ import annotations
 
-import math
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 
 from ..kernel import Caller, address_of, columns, float64, inlined, vector, void
-from ..maths.elementary import clip
-from ..maths.exact import sqrt
+from ..maths.exact import clip, sqrt
+from ..maths.trigonometric import atan2, cos, sin
 from .forces import wind_load
 from .user import U
 
@@ -112,13 +111,13 @@ def drift_right_hand_side(function: Any, layout: Any, places: tuple[int, int]) -
         _set_friction(environment, own, places)
         given = own.view(layout)[0]
         yaw, vx, vy, mass = x[2], x[3], x[4], given.car.m
-        speed, beta = sqrt(vx * vx + vy * vy), math.atan2(vy, vx)
+        speed, beta = sqrt(vx * vx + vy * vy), atan2(vy, vx)
         z[_X], z[_Y], z[_DELTA], z[_VX], z[_YAW] = x[0], x[1], u[U.steering], speed, yaw
         z[_R], z[_BETA], z[_OMEGA_FRONT], z[_OMEGA_REAR] = x[5], beta, x[6], x[7]
         _call(theirs, z, _asked(u, mass), own, f)
         wind_x, wind_y = environment[AROUND.wind_x], environment[AROUND.wind_y]
         side, moment, drag = wind_load(yaw, vx, vy, wind_x, wind_y, given.air)
-        c, s = math.cos(beta), math.sin(beta)
+        c, s = cos(beta), sin(beta)
         dx[0], dx[1], dx[2] = f[_X], f[_Y], f[_YAW]
         dx[3] = c * f[_VX] - s * speed * f[_BETA] - drag / mass
         dx[4] = s * f[_VX] + c * speed * f[_BETA] + side / mass + environment[AROUND.bank]

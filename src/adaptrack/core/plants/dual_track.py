@@ -5,7 +5,8 @@ from __future__ import annotations
 from functools import cache
 
 from ..kernel import exported, fma, inlined, vector, void
-from ..maths.elementary import arctangent_of_ratio, clip, cosine, sine
+from ..maths.exact import clip
+from ..maths.fast import fast_arctangent_of_ratio, fast_cosine, fast_sine
 from .contract import ADVANCE, OBSERVE, CompiledPlant
 from .forces import GRAVITY, SLIP_SPEED_FLOOR, resistance, steering_rate, wind_load
 from .runge_kutta import advance_all, observe_one, slope_of
@@ -45,10 +46,10 @@ def right_hand_side(x, u, c, law):
     spread_r = 0.5 * c.track_rear * r
     side_f = fma(c.lf, r, vy)
     side_r = fma(-c.lr, r, vy)
-    a_fl = delta - arctangent_of_ratio(side_f, max(vx - spread_f, SLIP_SPEED_FLOOR))
-    a_fr = delta - arctangent_of_ratio(side_f, max(vx + spread_f, SLIP_SPEED_FLOOR))
-    a_rl = -arctangent_of_ratio(side_r, max(vx - spread_r, SLIP_SPEED_FLOOR))
-    a_rr = -arctangent_of_ratio(side_r, max(vx + spread_r, SLIP_SPEED_FLOOR))
+    a_fl = delta - fast_arctangent_of_ratio(side_f, max(vx - spread_f, SLIP_SPEED_FLOOR))
+    a_fr = delta - fast_arctangent_of_ratio(side_f, max(vx + spread_f, SLIP_SPEED_FLOOR))
+    a_rl = -fast_arctangent_of_ratio(side_r, max(vx - spread_r, SLIP_SPEED_FLOOR))
+    a_rr = -fast_arctangent_of_ratio(side_r, max(vx + spread_r, SLIP_SPEED_FLOOR))
     relaxed = c.relaxation_length > 0.0
     rate = max(abs(vx), SLIP_SPEED_FLOOR) * (1.0 / max(c.relaxation_length, 1e-9))
     b_fl, b_fr = (s_fl if relaxed else a_fl), (s_fr if relaxed else a_fr)
@@ -59,7 +60,7 @@ def right_hand_side(x, u, c, law):
     y_fr = lateral_force(b_fr, z_fr, mu_fr, c.stiffness_front, c, law)
     y_rl = lateral_force(b_rl, z_rl, mu_rl, c.stiffness_rear, c, law)
     y_rr = lateral_force(b_rr, z_rr, mu_rr, c.stiffness_rear, c, law)
-    sd, cd = sine(delta), cosine(delta)
+    sd, cd = fast_sine(delta), fast_cosine(delta)
     side, moment, drag = wind_load(yaw, vx, vy, wind_x, wind_y, c)
     driven = acceleration != acceleration
     demand = force if driven else 0.0
@@ -88,7 +89,7 @@ def right_hand_side(x, u, c, law):
     ) * (1.0 / c.yaw_inertia)
     free = (bx_fl + bx_fr + x_rl + x_rr - resistance(vx, drag, c)) * (1.0 / c.mass) + vy * r
     dvx = free if driven else acceleration
-    s, co = sine(yaw), cosine(yaw)
+    s, co = fast_sine(yaw), fast_cosine(yaw)
     return (
         vx * co - vy * s,
         vx * s + vy * co,

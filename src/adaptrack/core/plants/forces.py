@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from ..kernel import inlined
-from ..maths.elementary import arctangent_of_ratio, clip, cosine, sine
+from ..maths.exact import clip
+from ..maths.fast import fast_arctangent_of_ratio, fast_cosine, fast_sine
 
 GRAVITY = 9.80665
 """Standard acceleration of free fall (m/s^2)."""
@@ -20,11 +21,11 @@ def wind_load(yaw, vx, vy, wind_x, wind_y, c):
     `wind_angle_limit`, constant beyond, and odd: the mirrored wind gives the mirrored load. From behind, beta is
     measured from the tail. Drag q C_d along x.
     """
-    s, co = sine(yaw), cosine(yaw)
+    s, co = fast_sine(yaw), fast_cosine(yaw)
     ux = vx - (co * wind_x + s * wind_y)
     uy = vy - (co * wind_y - s * wind_x)
     pressure = 0.5 * c.air_density * c.frontal_area * (ux * ux + uy * uy)
-    angle = clip(arctangent_of_ratio(-uy, max(abs(ux), 1e-6)), -c.wind_angle_limit, c.wind_angle_limit)
+    angle = clip(fast_arctangent_of_ratio(-uy, max(abs(ux), 1e-6)), -c.wind_angle_limit, c.wind_angle_limit)
     side = pressure * c.side_force_slope * angle
     moment = pressure * (c.lf + c.lr) * c.yaw_moment_slope * angle
     drag = 0.5 * c.air_density * c.frontal_area * c.drag_coefficient * ux * abs(ux)

@@ -5,7 +5,8 @@ from __future__ import annotations
 from functools import cache
 
 from ..kernel import exported, fma, inlined, vector, void
-from ..maths.elementary import arctangent_of_ratio, clip, cosine, sine
+from ..maths.exact import clip
+from ..maths.fast import fast_arctangent_of_ratio, fast_cosine, fast_sine
 from .contract import ADVANCE, OBSERVE, CompiledPlant
 from .forces import GRAVITY, SLIP_SPEED_FLOOR, resistance, steering_rate, wind_load
 from .runge_kutta import advance_all, observe_one, slope_of
@@ -25,8 +26,8 @@ def right_hand_side(x, u, c, law):
     delta = clip(command, -c.steering_limit, c.steering_limit) if ideal else angle
     weight = 0.5 * c.mass * GRAVITY / (c.lf + c.lr)
     speed = max(vx, SLIP_SPEED_FLOOR)
-    slip_f = delta - arctangent_of_ratio(fma(c.lf, r, vy), speed)
-    slip_r = -arctangent_of_ratio(fma(-c.lr, r, vy), speed)
+    slip_f = delta - fast_arctangent_of_ratio(fma(c.lf, r, vy), speed)
+    slip_r = -fast_arctangent_of_ratio(fma(-c.lr, r, vy), speed)
     front = lateral_force(slip_f, weight * c.lr, 0.5 * (mu0 + mu1), c.stiffness_front, c, law)
     rear = lateral_force(slip_r, weight * c.lf, 0.5 * (mu2 + mu3), c.stiffness_rear, c, law)
     side, moment, drag = wind_load(yaw, vx, vy, wind_x, wind_y, c)
@@ -34,7 +35,7 @@ def right_hand_side(x, u, c, law):
     yawing = (2.0 * c.lf * front - 2.0 * c.lr * rear + moment) * (1.0 / c.yaw_inertia)
     free = (force - resistance(vx, drag, c)) * (1.0 / c.mass) + vy * r
     dvx = free if acceleration != acceleration else acceleration
-    s, co = sine(yaw), cosine(yaw)
+    s, co = fast_sine(yaw), fast_cosine(yaw)
     return (
         vx * co - vy * s,
         vx * s + vy * co,

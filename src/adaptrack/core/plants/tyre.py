@@ -6,8 +6,8 @@ Slip angles and forces are positive to the left (ISO 8855): a wheel turned left 
 from __future__ import annotations
 
 from ..kernel import inlined
-from ..maths.elementary import arctangent_of_ratio, sine
 from ..maths.exact import sqrt
+from ..maths.fast import fast_arctangent_of_ratio, fast_sine
 
 LEAST_LOAD = 1.0
 """A wheel never carries less than this (N): a lifted wheel keeps a harmless force instead of a division by zero."""
@@ -48,8 +48,8 @@ def lateral_force(slip, load, friction, stiffness, c, law):
     scale = c.shape * max(peak, 1e-3) * fall
     reach = rise * slip
     if law == CURVED_MAGIC_FORMULA:
-        reach = reach - c.curvature * (reach - scale * arctangent_of_ratio(reach, scale))
-    return peak * sine(c.shape * arctangent_of_ratio(reach, scale))
+        reach = reach - c.curvature * (reach - scale * fast_arctangent_of_ratio(reach, scale))
+    return peak * fast_sine(c.shape * fast_arctangent_of_ratio(reach, scale))
 
 
 @inlined

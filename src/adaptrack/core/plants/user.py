@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from ..kernel import Caller, columns, exported, inlined, vector, void
-from ..maths.elementary import clip
+from ..maths.exact import clip
 from .contract import ADVANCE, ENVIRONMENT, INPUT, MOTION, OBSERVE, STATE, CompiledPlant, input_at, state_at
 from .forces import wheel_angle
 

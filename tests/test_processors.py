@@ -1,0 +1,242 @@
+"""Every processor gives the same bits: the elementary functions, 3,000 steps of an MPC, ten whole drives.
+
+What is compared are the libraries that `python -m adaptrack.core.build aarch64 wasm32` has made. Those of other
+processors are run by an emulator; for what is missing here, a test is skipped.
+"""
+
+import ctypes
+import shutil
+import struct
+import subprocess
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import adaptrack as at
+from adaptrack.batch import Batch
+from adaptrack.core import library
+from adaptrack.core.build.objects import undefined
+from adaptrack.core.controllers.mpc_step import Step
+from adaptrack.core.kernel import INTERPRETED
+from adaptrack.core.maths.values import NAMES
+from processors.image import BEGIN, COPY, DRIVE, ELEMENTARY, STEP, TELL, Image, bits, run
+
+pytestmark = [pytest.mark.compiled, pytest.mark.skipif(library.WAY != "library", reason="compares libraries")]
+HERE = Path(__file__).parent / "processors"
+EMULATED = {"aarch64": ("aarch64-linux-gnu-gcc", "qemu-aarch64"), "riscv64": ("riscv64-linux-gnu-gcc", "qemu-riscv64")}
+STEPS, AHEAD = 3000, 60
+
+
+def built(name):
+    try:
+        entry = library.manifest()["libraries"].get(name)
+        return None if entry is None else library.whole(entry)
+    except library.Unusable:
+        return None
+
+
+def own():
+    path = built(library.processor())
+    if path is None:
+        pytest.skip("the kernels have not been compiled")
+    return ctypes.CDLL(str(path))
+
+
+def test_a_library_leaves_nothing_undefined():
+    found = {name: built(name) for name in library.manifest()["libraries"]}
+    assert library.processor() in found
+    assert {name: undefined(path.read_bytes()) for name, path in found.items()} == {name: [] for name in found}
+
+
+def test_what_a_library_of_the_system_leaves_undefined_is_found():
+    import _ctypes  # one that calls others
+
+    path = getattr(_ctypes, "__file__", None)
+    if path is None:
+        pytest.skip("no extension module to look at")
+    assert "memcpy" in undefined(Path(path).read_bytes()) or "malloc" in undefined(Path(path).read_bytes())
+    with pytest.raises(ValueError, match="neither ELF-64 nor WebAssembly"):
+        undefined(b"something else")
+
+
+def test_a_kernel_that_calls_what_the_library_lacks_is_refused_in_words():
+    text = """
+        target datalayout = "e"
+        target triple = "any"
+        declare double @cbrt(double)
+        declare double @adaptrack_soft_fma(double, double, double)
+        declare double @adaptrack_soft_floor(double)
+        declare double @adaptrack_soft_ceil(double)
+        define double @adaptrack_root(double %x) {
+            %y = call double @cbrt(double %x)
+            ret double %y
+        }
+    """
+    pytest.importorskip("llvmlite", reason="what builds the library")
+    from adaptrack.core.build import library as builder
+
+    for name in builder.TARGETS:
+        content = builder.emit(text, builder.TARGETS[name])
+        with pytest.raises(builder.BuildError, match=f"the kernels for {name} call .*cbrt"):
+            builder.finished(name, content)
+
+
+# -- what is called ---------------------------------------------------------------------------------------------------
+def elementary(rng):
+    """All elementary functions on every combination of special arguments, and on many others."""
+    special = np.array([0.0, 5e-324, 2.2e-308, 0.5, 1.0, 1.5, 3.0, 710.0, 1e5, 2.0**53, 1.7e308, np.inf, np.nan])
+    special = np.concatenate([special, -special])
+    grid = np.array(np.meshgrid(special, special, special)).reshape(3, -1)
+    count = 20000
+    some = rng.integers(-(2**63), 2**63, (3, count)).view(np.float64)
+    usual = rng.uniform(-4.0, 4.0, (3, count))
+    wide = rng.choice([-1.0, 1.0], (3, count)) * 10.0 ** rng.uniform(-20.0, 20.0, (3, count))
+    arguments = np.ascontiguousarray(np.concatenate([grid, some, usual, wide], axis=1))
+    # the branch-free ones promise nothing beyond 1e5, but the same bits
+    image, values = Image(), np.zeros(arguments.shape[1])
+    given, found = image.put(arguments), image.put(values)
+    for number in range(len(NAMES)):
+        image.do(ELEMENTARY, number, given, values.size, found)
+        image.do(TELL, found, values.size)
+    return image
+
+
+def mpc_steps(rng):
+    """Steps of an MPC that estimates, its sensors noisy and at times broken."""
+    mpc = at.MPC(at.load_vehicle("paper"), profile="road")
+    mpc.step(np.zeros(4), 15.0, np.zeros(AHEAD))
+    mpc.reset()
+    reference, image = np.zeros(AHEAD), Image()
+    given = image.record(Step(mpc._mpc, mpc.functions, reference, mpc._asked))
+    measured, ahead, answer = image.put(mpc._mpc.measured), image.put(reference), image.put(mpc._mpc.answer)
+    inputs = np.zeros((STEPS, 1 + mpc._mpc.measured.size + AHEAD))
+    for k in range(STEPS):
+        state = np.array([0.3 * np.sin(k / 37), 0.1 * np.cos(k / 60), 0.1 * np.sin(k / 23), 2.0 * np.sin(k / 60)])
+        state += rng.normal(size=4) * [0.05, 0.003, 0.01, 0.05]
+        state[rng.uniform(size=4) < 0.02] = rng.choice([np.nan, 1e300, -np.inf])
+        speed = rng.uniform(-1.0, 2.0) if 700 < k < 900 else 15.0 + 8.0 * np.sin(k / 300)
+        shown = 2.0 * np.sin((k + np.arange(AHEAD)) / 60) + (3.0 if k % 500 > 400 else 0.0)
+        mpc.step(state, speed, shown)
+        inputs[k] = [speed, *mpc._mpc.measured, *shown]
+    first, width = image.put(inputs), inputs.shape[1]
+    for k in range(STEPS):
+        here = first + k * width
+        image.do(COPY, here + 1, measured, mpc._mpc.measured.size)
+        image.do(COPY, here + 1 + mpc._mpc.measured.size, ahead, AHEAD)
+        image.do(STEP, here, AHEAD, given)
+        image.do(TELL, answer, mpc._mpc.answer.size)
+    return image
+
+
+def drives(rng):
+    """Ten whole drives: two plants, the MPC and the other control laws, noise and all."""
+    image = Image()
+    vehicle = at.load_vehicle("paper")
+    scenario = at.load_scenario("double-lane-change")
+    controllers = [
+        at.MPC(vehicle, profile="road"), at.MPC(vehicle), at.Stanley(vehicle), at.PurePursuit(vehicle),
+        at.LQR(vehicle),
+    ]  # fmt: skip
+    for plant in (at.SingleTrack(vehicle), at.DualTrack(vehicle)):
+        for controller in controllers:
+            add_drive(image, Batch(plant, controller, [scenario], "road"))
+    return image
+
+
+def add_drive(image, batch):
+    periods, steps = int(batch.periods[0]), int(batch.substeps[0])
+    settings = batch.mpc_settings(np.inf, np.inf, residuals=True)
+    run_ = batch.arena(1, steps, settings, 0, periods)
+    run_.given.scenario[:], run_.given.seeds[:] = 0, 7
+    run_.vehicles.start[:], run_.tuning[:] = batch.starts[0], batch.tuning
+    place = image.record(run_)
+    span = image.put(np.array([periods, 1, 1, bits(0.0)], np.int64))
+    image.do(BEGIN, 1, place)
+    image.do(DRIVE, span, place)
+    for part in (run_.result, *run_.trace):
+        image.do(TELL, image.put(part), part.nbytes // 8)
+    return run_
+
+
+IMAGES = {"elementary": elementary, "mpc": mpc_steps, "drives": drives}
+
+
+@pytest.fixture(scope="module")
+def images():
+    if INTERPRETED:
+        pytest.skip("needs compiled kernels")
+    made = {name: make(np.random.default_rng(5)) for name, make in IMAGES.items()}
+    here = own()
+    return {name: (image, run(image, here)) for name, image in made.items()}
+
+
+def same(found, expected):
+    """How many words differ; a NaN is like any other."""
+    assert found.size == expected.size
+    both = np.isnan(found.view(np.float64)) & np.isnan(expected.view(np.float64))
+    return int(np.sum((found != expected) & ~both))
+
+
+# -- who calls it -----------------------------------------------------------------------------------------------------
+def by_emulator(name, image, folder):
+    compiler, emulator = EMULATED[name]
+    for tool in (compiler, emulator):
+        if shutil.which(tool) is None:
+            pytest.skip(f"{tool} is not installed")
+    names = image.functions
+    (folder / "functions.h").write_text(
+        "".join(f"extern void adaptrack_{each}(void);\n" for each in names)
+        + f"static void (*FUNCTIONS[])(void) = {{{', '.join(f'adaptrack_{each}' for each in names) or '0'}}};\n"
+    )
+    command = [compiler, "-O1", f"-I{folder}", str(HERE / "driver.c"), str(built(name)), "-o", str(folder / "driver")]
+    subprocess.run(command, check=True)
+    home = f"/usr/{compiler.removesuffix('-gcc')}"
+    return [emulator, "-L", home, str(folder / "driver"), str(folder / "image"), str(folder / "answers")]
+
+
+def by_node(name, image, folder):
+    if shutil.which("node") is None:
+        pytest.skip("node is not installed")
+    if built(name).suffix != ".wasm":
+        pytest.skip("the kernels for wasm32 have not been linked: wasm-ld was not installed")
+    return ["node", str(HERE / "driver.mjs"), str(built(name)), str(folder / "image"), str(folder / "answers"),
+            *image.functions]  # fmt: skip
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("what", IMAGES)
+@pytest.mark.parametrize("name", ["aarch64", "riscv64", "wasm32"])
+def test_another_processor_gives_the_same_bits(name, what, images, tmp_path):
+    if built(name) is None:
+        pytest.skip(f"not compiled: {library.BUILD} {name}")
+    image, expected = images[what]
+    image.words().tofile(tmp_path / "image")
+    command = (by_node if name == "wasm32" else by_emulator)(name, image, tmp_path)
+    done = subprocess.run(command, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    assert same(np.fromfile(tmp_path / "answers", np.int64), expected) == 0
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("what", IMAGES)
+@pytest.mark.parametrize("name", ["x86-64", "x86-64-v3"])
+def test_an_older_processor_of_this_kind_gives_the_same_bits(name, what, images):
+    if library.processor() <= name:  # the names of a kind are in the order of their age
+        pytest.skip(f"needs a younger processor; this is {library.processor()}")
+    image, expected = images[what]
+    assert same(run(image, ctypes.CDLL(str(built(name)))), expected) == 0
+
+
+@pytest.mark.slow
+def test_an_image_of_a_drive_is_that_drive():
+    batch = Batch(at.SingleTrack(at.load_vehicle("paper")), at.MPC(at.load_vehicle("paper")),
+                  [at.load_scenario("double-lane-change")], "road")  # fmt: skip
+    image = Image()
+    add_drive(image, batch)
+    found = run(image, own())
+    zero, seeds = np.zeros(1, np.int64), np.full(1, 7, np.int64)
+    expected = batch.run(zero, batch.tuning[None], seeds, 1, traced=True)
+    told = np.concatenate([np.frombuffer(each.tobytes(), np.int64) for each in (expected.result, *expected.trace)])
+    assert same(found, told) == 0
+    assert struct.unpack("<d", found[:1].tobytes())[0] > 0.0
