@@ -28,8 +28,10 @@ class Kernels(BuildHookInterface):
         root = Path(self.root)
         places = {**os.environ, "PYTHONPATH": str(root / "src")}
         subprocess.run([sys.executable, "-m", "adaptrack.core.build"], env=places, check=True)
-        libraries = json.loads((root / BUILT / "manifest.json").read_text())["libraries"].values()
-        files = ["manifest.json", "adaptrack.h", *(each["file"] for each in libraries)]
+        libraries = json.loads((root / BUILT / "manifest.json").read_text())["libraries"]
+        own = platform.machine().replace("x86_64", "x86-64")
+        files = [each["file"] for name, each in libraries.items() if name.startswith(own)]
+        files += ["manifest.json", "adaptrack.h"]
         build_data["artifacts"] += [f"/{BUILT}/{name}" for name in files]
         build_data["pure_python"] = False
         build_data["tag"] = f"py3-none-{self.platforms()}"
