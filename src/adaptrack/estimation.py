@@ -123,9 +123,9 @@ class Deadbeat(Estimator):
 class UserEstimator(Estimator):
     """An estimator of one's own: one function and its numbers. `check_estimator` admits it.
 
-    estimate(speed, measured, command, a, b, parameters, memory, x, d), compiled by numba, writes x and d and may return
-    for how long (s) it has had no position, see `core.estimators.contract`; parameters: name -> number; memory_size:
-    numbers that it remembers, a whole number or a function of the number of states.
+    estimate(speed, measured, command, a, b, parameters, memory, x, d) writes x and d and may return for how long (s) it
+    has had no position, see `core.estimators.contract`, and `UserPlant` for how it is called; parameters: name ->
+    number; memory_size: numbers that it remembers, a whole number or a function of the number of states.
 
     Raises
     ------

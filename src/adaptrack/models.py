@@ -327,8 +327,9 @@ class UserModel(PredictionModel):
     """A model of one's own: one function and its numbers. `check_model` admits it.
 
     discretise(speed, period, parameters, a, b, e) writes A (n, n), B (n,) and E (n,) over one period (s) at a speed
-    (m/s, > 0) and returns nothing; it is compiled by numba. states: the measured quantities (`MEASURED`) that its
-    states are, the last one being y; parameters: name -> number, an array in their order; period: control period (s).
+    (m/s, > 0) and returns nothing; for how it is called see `UserPlant`. states: the measured quantities (`MEASURED`)
+    that its states are, the last one being y; parameters: name -> number, an array in their order; period: control
+    period (s).
 
     Raises
     ------

@@ -241,9 +241,10 @@ class DualTrack(_Car):
 class UserPlant(Plant):
     """A plant of one's own: one right-hand side and its parameters.
 
-    right_hand_side(x, u, environment, p, dx) writes dx/dt into dx and returns nothing; it is compiled by numba, so
-    it may use floats, loops, `math` and array elements. x: (n,) beginning with `MOTION`; u: steering angle of the
-    front wheels (rad), longitudinal force asked of the wheels (N), prescribed dv_x/dt (m/s^2); environment: friction
+    right_hand_side(x, u, environment, p, dx) writes dx/dt into dx and returns nothing. It is a
+    `core.member.CFunction`, or Python: compiled where numba is installed (``adaptrack[compile]``), else called back; it
+    may use floats, loops, `math` and array elements. x: (n,) beginning with `MOTION`; u: steering angle of the front
+    wheels (rad), longitudinal force asked of the wheels (N), prescribed dv_x/dt (m/s^2); environment: friction
     front-left, front-right, rear-left, rear-right, wind along X and Y (m/s), pull of a banked road to the left (m/s^2);
     p: `parameters` as an array, in their order, or, where they are nested, as a record (``p.tyre.shape``). It must not
     write to x, u, environment or p. `check_plant` admits it.

@@ -13,10 +13,11 @@ from adaptrack.errors import ContractError, InvalidInput, real, whole
 
 @final
 class UserController(CompiledController):
-    """A controller of one's own: one law, compiled by numba, and its numbers. `check_controller` admits it.
+    """A controller of one's own: one law and its numbers. `check_controller` admits it.
 
     law(situation, reference, road, tuning, parameters, memory, answer) writes the steering command (rad) to answer[0]
-    and its diagnostics behind it, and returns nothing; see `core.controllers.contract`. situation: v_y (m/s), yaw
+    and its diagnostics behind it, and returns nothing; see `core.controllers.contract`, and `UserPlant` for how it is
+    called. situation: v_y (m/s), yaw
     (rad), yaw rate (rad/s), y (m), v_x (m/s), last command (rad); road: the centre line and the car's foot on it;
     parameters: period (s), least and largest move (rad per period), least and largest angle (rad), then `parameters`
     in their order. It must keep its command within those limits, answer a finite command on finite input, and write to
