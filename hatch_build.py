@@ -27,7 +27,7 @@ class Kernels(BuildHookInterface):
             return
         root = Path(self.root)
         places = {**os.environ, "PYTHONPATH": str(root / "src")}
-        subprocess.run([sys.executable, "-m", "adaptrack.core.build"], env=places, check=True)
+        subprocess.run([sys.executable, "-m", "adaptrack.core.build", "--portable"], env=places, check=True)
         libraries = json.loads((root / BUILT / "manifest.json").read_text())["libraries"]
         own = platform.machine().replace("x86_64", "x86-64")
         files = [each["file"] for name, each in libraries.items() if name.startswith(own)]

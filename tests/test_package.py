@@ -121,6 +121,7 @@ def test_who_only_drives_installs_no_compiler(project):
     assert not [each for each in configuration["dependencies"] if each.startswith(("numba", "llvmlite"))]
 
 
+@pytest.mark.slow  # the kernels for every processor of this kind
 def test_wheel_holds_every_module_and_data_file_and_the_libraries_of_these_sources(project, run_python, tmp_path):
     # Hatchling obeys .gitignore: a careless pattern would drop data files without a word.
     run_python("-m", "hatchling", "build", "-t", "wheel", "-d", str(tmp_path), cwd=project)

@@ -1,6 +1,6 @@
-"""Compile the kernels into the library: ``python -m adaptrack.core.build [PROCESSOR ...]``.
+"""Compile the kernels into the library: ``python -m adaptrack.core.build [--portable] [PROCESSOR ...]``.
 
-Without arguments for this machine; for the named processors, too, otherwise.
+For this processor, and for those that are named; portable: for all processors of this machine's kind.
 """
 
 import os
@@ -12,6 +12,6 @@ from .library import BuildError, build
 
 if __name__ == "__main__":
     try:
-        build(sys.argv[1:])
+        build([each for each in sys.argv[1:] if each != "--portable"], "--portable" in sys.argv)
     except (BuildError, OSError) as error:
         sys.exit(f"adaptrack.core.build: {error}")

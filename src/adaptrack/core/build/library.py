@@ -172,7 +172,7 @@ def finished(name: str, content: bytes) -> tuple[str, bytes]:
     command = linker(TARGETS[name])
     if command is not None:
         return ("wasm" if name.startswith("wasm") else "so"), link(content, command)
-    if name in own_targets():
+    if name in of_this_kind():
         raise BuildError("no linker: install binutils or lld, or the package ziglang (pip install ziglang).")
     _say(f"  {name}: no linker for it is installed, so its object file is kept")
     return "o", content
@@ -191,8 +191,8 @@ def _put(path: Path, content: bytes) -> None:
         raise
 
 
-def own_targets() -> list[str]:
-    """The names of this machine's: all that a processor of its kind may ask for when the library is loaded."""
+def of_this_kind() -> list[str]:
+    """The names of all that a processor of this machine's kind may ask for when the library is loaded."""
     name = library.processor()
     return [each for each in TARGETS if each.startswith("x86-64")] if name.startswith("x86-64") else [name]
 
@@ -213,14 +213,17 @@ def _built() -> dict[str, dict[str, str]]:
     return found if there["sources"] == library.source_hashes() else {}
 
 
-def build(names: Iterable[str] = ()) -> None:
-    """Compile all kernels into `library.BUILT`, for this machine and for further processors (names of `TARGETS`).
+def build(names: Iterable[str] = (), portable: bool = False) -> None:
+    """Compile all kernels into `library.BUILT`, for this processor and for further ones (names of `TARGETS`).
+
+    portable: for all processors of this machine's kind, as a wheel needs them.
 
     Raises BuildError.
     """
     begun = time.monotonic()
     made = _built()
-    names = [each for each in dict.fromkeys([*own_targets(), *names]) if each not in made]
+    own = of_this_kind() if portable else [library.processor()]
+    names = [each for each in dict.fromkeys([*own, *names]) if each not in made]
     if not names:
         _say(f"The kernels are compiled already: {library.BUILT}")
         return
