@@ -201,9 +201,8 @@ class RunSet:
 
     def _compiles(self, policy: Policy) -> bool:
         policy = policy.controller if isinstance(policy, Retuned) else policy
-        if isinstance(self.plant, SteppedPlant) or called_back(
-            self.plant, policy if _is_controller(policy) else self.mpc
-        ):
+        controller = policy if _is_controller(policy) else self.mpc
+        if isinstance(self.plant, SteppedPlant) or called_back(self.plant, controller):
             return False
         return not _is_controller(policy) or _compiles(policy)
 

@@ -333,7 +333,7 @@ def actuate(k, slot, command, block, settings, signals, scenario, memory):
         block[input_at(INPUT.friction_front_left + j, slot)] = signals[scenario, SIGNAL.friction_front_left + j, place]
 
 
-@exported(several(*[int64] * 2)(rows(SETTINGS)))
+@exported(several(int64, int64)(rows(SETTINGS)))
 def substeps_around_change(settings):
     """Integration steps of a period before and after the next command begins to act within it."""
     world = settings[0]

@@ -178,7 +178,7 @@ def bracket(low, high, before, after, x, y, road):
     return low, high, False
 
 
-@exported(several(*[float64] * 4)(float64, float64, float64, float64, Centreline))
+@exported(several(float64, float64, float64, float64)(float64, float64, float64, float64, Centreline))
 def foot_about(x, y, near, reach, road):
     """Arc length, offset, heading and curvature of the foot nearest to `near` in arc length, within `reach` (m).
 

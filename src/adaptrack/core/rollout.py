@@ -155,15 +155,9 @@ def sense_slot(k, slot, run):
     measured, vehicles = run.mpc.measured, run.vehicles
     if run.settings[0].noise_lateral_acceleration < math.inf:
         call_observe(
-            run.members.observe,
-            vehicles.member,
-            vehicles.parameters,
-            vehicles.block,
-            vehicles.states,
-            vehicles.work,
-            slot,
-            run.seen,
-        )
+            run.members.observe, vehicles.member, vehicles.parameters, vehicles.block, vehicles.states, vehicles.work,
+            slot, run.seen,
+        )  # fmt: skip
         measured[MEASURED.lateral_acceleration] = run.seen[0]
     return sense(k, slot, vehicles.block, run.settings, run.given.seeds[slot], run.memory, measured)
 
@@ -297,7 +291,7 @@ def _note(k, slot, run):
     own, vehicles, row = run.memory.own[slot], run.vehicles, run.trace.seen[slot, k]
     call_observe(
         run.members.observe, vehicles.member, vehicles.parameters, vehicles.block, vehicles.states, vehicles.work,
-            slot, row
+        slot, row,
     )  # fmt: skip
     row[2], row[3], row[4] = own.station, own.offset, own.heading_error
 

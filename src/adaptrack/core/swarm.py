@@ -92,7 +92,7 @@ def inertia(g, G, w_max, w_min, lambda1, lambda2):
     return w_min + exp(w_max - lambda1 * (w_max + w_min) * (g / G)) / lambda2
 
 
-@exported(several(*[float64] * 2)(int64, int64, float64, float64, vector), name="swarm_accelerations")
+@exported(several(float64, float64)(int64, int64, float64, float64, vector), name="swarm_accelerations")
 def accelerations(g, G, c1, c2, steps):
     """(c1, c2) of generation g + 1 from those of generation g, eq. (20); the ranges share ends, the first one wins.
 

@@ -63,7 +63,7 @@ def evaluate(first, slots, judged, trial):
     return steps
 
 
-@exported(several(*[int64] * 2)(Place(Search), Place(Trial)))
+@exported(several(int64, int64)(Place(Search), Place(Trial)))
 def tune(search, trial):
     """One run of the swarm (see `swarm`) over Np, Nc, Q, R; returns (evaluations, control steps done).
 

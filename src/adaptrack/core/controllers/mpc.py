@@ -672,7 +672,7 @@ def _qp_in(slot, n, m, mpc):
     )
 
 
-@exported(several(*[int64] * 2)(int64, int64, int64, MPC, Functions))
+@exported(several(int64, int64)(int64, int64, int64, MPC, Functions))
 def _solve_qp(slot, n, m, mpc, functions):
     """Solve the QP in the workspace with the solver of the settings: (status, iterations)."""
     settings, own = mpc.settings[0], mpc.memory[slot]

@@ -6,7 +6,7 @@ from ..kernel import exported, float64, int64, several, vector, void
 from .mpc import MPC, Functions, _apply_move, _form_qp
 
 
-@exported(several(*[int64] * 3)(int64, float64, vector, vector, MPC, Functions))
+@exported(several(int64, int64, int64)(int64, float64, vector, vector, MPC, Functions))
 def form_qp(slot, speed, reference, tuning, mpc, functions):
     """The QP of eq. (17) for a slot of the MPCs.
 

@@ -109,7 +109,9 @@ def _axle(slip, steer, load, friction, stiffness, c, law):
     return force, by_slip, (force if law == LINEAR else force - by_stiffness), by_stiffness
 
 
-@exported(several(*[float64] * 4)(float64, float64, float64, vector, vector), name="tyre_accelerations")
+@exported(
+    several(float64, float64, float64, float64)(float64, float64, float64, vector, vector), name="tyre_accelerations"
+)
 def accelerations(angle, yaw, vx, p, own):
     """Lateral (m/s^2) and yaw acceleration (rad/s^2) under a steering angle, and the forces of both axles (N).
 

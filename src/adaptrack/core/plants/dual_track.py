@@ -109,7 +109,7 @@ def right_hand_side(x, u, c, law):
 
 @cache
 def compiled(law: int) -> CompiledPlant:
-    """The plant on tyres that follow a law, see `tyre`: only what is driven is compiled."""
+    """The plant on tyres that follow a law, see `tyre`."""
 
     @exported(void(vector, vector, vector, vector), name=f"dual_track_{TYRE_NAMES[law]}_derivative")
     def derivative(x, u, parameters, dx):

@@ -78,8 +78,8 @@ Work = record(
 """The parts of `Scratch` by name. ``work``: three matrices, each a plane, and nine vectors in n, the rows of a fourth
 plane; ``rows``: four vectors in m, then Hildreth's V (n rows) and H (m rows)."""
 
-ACTIVE_SET = several(*[int64] * 3)(Problem, Factor, Solution, Scratch, int64, boolean, int64)
-HILDRETH = several(*[int64] * 2)(Problem, Factor, Solution, Scratch, int64, float64, boolean)
+ACTIVE_SET = several(int64, int64, int64)(Problem, Factor, Solution, Scratch, int64, boolean, int64)
+HILDRETH = several(int64, int64)(Problem, Factor, Solution, Scratch, int64, float64, boolean)
 """Signatures of `active_set.active_set` and `hildreth.hildreth`."""
 
 _PLANES, _VECTORS, ROW_VECTORS = 4, 9, 4

@@ -63,7 +63,7 @@ def _rows(problem, solution, w):
     )
 
 
-@exported(several(*[float64] * 4)(Problem, Solution, Scratch))
+@exported(several(float64, float64, float64, float64)(Problem, Solution, Scratch))
 def kkt_residual(problem, solution, scratch):
     """How far (x, lam) is from optimal: (stationarity, primal, dual, complementarity), all zero at the solution.
 
