@@ -34,19 +34,22 @@ $(INSTALLED): requirements.lock pyproject.toml src/adaptrack/__init__.py
 run: install ## run the paper's experiment again: results/index.html
 	$(BIN)/adaptrack reproduce --out results
 
+# The bytecode of tests and package is kept, whatever the environment says: to make it takes 12 s of each process.
+PYTEST := PYTHONDONTWRITEBYTECODE= $(BIN)/pytest -q -n 2 --dist worksteal
+
 test: install ## run the tests
-	$(BIN)/pytest -q -n 2 --dist worksteal
+	$(PYTEST)
 
 test-slow: install ## run all tests, those that take minutes too
-	$(BIN)/pytest -q -n 2 --dist worksteal -m 'slow or not slow'
+	$(PYTEST) -m 'slow or not slow'
 
 SLOW_PART ?= $(shell git rev-list --count HEAD 2>/dev/null || date +%s)
 test-slow-part: install ## run a fifth of the slow tests, another one with each commit; SLOW_PART=N chooses
 	@echo 'SLOW_PART=$(SLOW_PART)'
-	SLOW_PART=$(SLOW_PART) $(BIN)/pytest -q -n 2 --dist worksteal -m slow
+	SLOW_PART=$(SLOW_PART) $(PYTEST) -m slow
 
 test-interpreted: install ## run the tests of kernels with the compiler switched off
-	ADAPTRACK_KERNELS=interpreted $(BIN)/pytest -q -n 2 --dist worksteal -m 'kernels and not slow and not compiled'
+	ADAPTRACK_KERNELS=interpreted $(PYTEST) -m 'kernels and not slow and not compiled'
 
 lint: install ## check style, types and the imports between the rooms
 	$(BIN)/ruff check .

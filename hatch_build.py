@@ -1,6 +1,5 @@
 """Building a wheel compiles the kernels into it; an editable installation takes what `make install` compiles."""
 
-import json
 import os
 import platform
 import shutil
@@ -28,9 +27,11 @@ class Kernels(BuildHookInterface):
         root = Path(self.root)
         places = {**os.environ, "PYTHONPATH": str(root / "src")}
         subprocess.run([sys.executable, "-m", "adaptrack.core.build", "--portable"], env=places, check=True)
-        libraries = json.loads((root / BUILT / "manifest.json").read_text())["libraries"]
-        own = platform.machine().replace("x86_64", "x86-64")
-        files = [each["file"] for name, each in libraries.items() if name.startswith(own)]
+        sys.path.insert(0, str(root / "src"))
+        from adaptrack.core.library import manifest, processor
+
+        own = processor().split("-v")[0]
+        files = [each["file"] for name, each in manifest()["libraries"].items() if name.split("-v")[0] == own]
         files += ["manifest.json", "adaptrack.h"]
         build_data["artifacts"] += [f"/{BUILT}/{name}" for name in files]
         build_data["pure_python"] = False
@@ -42,4 +43,6 @@ class Kernels(BuildHookInterface):
         machine = platform.machine()
         if sys.platform == "linux":
             return f"manylinux_2_17_{machine}.manylinux2014_{machine}.musllinux_1_1_{machine}"
-        return sysconfig.get_platform().replace("-", "_").replace(".", "_")
+        if sys.platform == "darwin":  # Python's own may be one for two processors
+            return f"macosx_11_0_{machine}"
+        return sysconfig.get_platform().replace("-", "_")

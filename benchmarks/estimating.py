@@ -10,17 +10,22 @@ from __future__ import annotations
 import argparse
 import json
 import math
+import sys
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 from what_pays import FAILED, costs
 
 import adaptrack as at
-from adaptrack.kalman import SENSORS, Drifts, KalmanFilter, ReadableFilter
+from adaptrack.kalman import SENSORS, Drifts, KalmanFilter
 from adaptrack.models import PathModel
 from adaptrack.profile import load_profile
 from adaptrack.scenario import Scenario, random_drive
 from adaptrack.simulate import rollout
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
+from textbook_filter import TextbookFilter
 
 CAR = at.load_vehicle("paper")
 PLANT = at.DualTrack(CAR, "magic-formula")
@@ -228,7 +233,7 @@ def nis(runs: int) -> list[dict[str, Any]]:
         scenario = random_drive(9_100_000 + i)
         run = rollout(PLANT, at.MPC(CAR, profile=ROAD), scenario, profile=ROAD, seed=90_000 + i)
         rng = np.random.default_rng(i)
-        readable = ReadableFilter(
+        textbook = TextbookFilter(
             KalmanFilter.of_profile(ROAD), PathModel(CAR, ROAD.period, ROAD.steering.lag, ROAD.dead_time)
         )
         truth = np.column_stack([run.vy, run.psi, run.yaw_rate, run.Y])
@@ -237,17 +242,17 @@ def nis(runs: int) -> list[dict[str, Any]]:
         for k in range(len(run.t) if run.failed is None else int(run.failed_at / ROAD.period)):
             measured = np.concatenate([seen[k], [math.nan, math.nan, 0.0, 0.0]])
             if k == 0:
-                readable.step(run.vx[k], measured, 0.0)
+                textbook.step(run.vx[k], measured, 0.0)
                 continue
-            readable.sent = [command[k], *readable.sent[:-1]]
-            readable.steps += 1
-            readable.predict(run.vx[k])
-            for name, value, variance in zip(SENSORS[:4], seen[k], readable.own.variances()[:4], strict=True):
-                h, _ = readable.reading(name, 0, 0.0, run.vx[k])
-                found = (value - h @ readable.z) ** 2 / (h @ readable.P @ h + variance)
+            textbook.sent = [command[k], *textbook.sent[:-1]]
+            textbook.steps += 1
+            textbook.predict(run.vx[k])
+            for name, value, variance in zip(SENSORS[:4], seen[k], textbook.own.variances()[:4], strict=True):
+                h, _ = textbook.reading(name, 0, 0.0, run.vx[k])
+                found = (value - h @ textbook.z) ** 2 / (h @ textbook.P @ h + variance)
                 if k > 40:
                     inside.setdefault(name, []).append(found < 3.8415)
-                readable.correct(h, value, variance)
+                textbook.correct(h, value, variance)
     return [{"sensor": name, "inside_95": float(np.mean(each)), "steps": len(each)} for name, each in inside.items()]
 
 

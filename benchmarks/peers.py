@@ -511,11 +511,12 @@ def compiled(mpc: Any) -> Callable[[], Callable[..., Any]]:
 
     def begin() -> Callable[..., Any]:
         mpc.reset()
-        measured, step = mpc._mpc.measured, mpc._compiled_step()
+        measured, now, ahead, step = mpc._mpc.measured, mpc._now, mpc._reference, mpc._compiled_step()
 
         def kernel(state: Any, speed: float, reference: Any) -> None:
             measured[:4] = state
-            step(speed, reference)
+            now[:] = speed, ahead.take(reference)
+            step()
 
         return kernel
 

@@ -53,17 +53,17 @@ def published(kind: type, car: Any) -> Any:
     return kind(car, model=paper.model, estimator=paper.estimator)
 
 
-def times_of(step: Callable[..., Any], given: list[Any], measured: Any = None) -> Any:
-    """CPU microseconds of each call (calls,); measured: where the state is written before the clock starts."""
+def times_of(step: Callable[..., Any], given: list[Any], write: Callable[..., None] | None = None) -> Any:
+    """CPU microseconds of each call (calls,); write: takes its arguments before the clock starts."""
     found, clock = np.empty(len(given)), time.thread_time_ns
     empty = np.median([clock() - clock() for _ in range(2000)])
     gc.collect()
     gc.disable()
     for i, (state, speed, reference) in enumerate(given):
         call: tuple[Any, ...] = (state, speed, reference)
-        if measured is not None:
-            measured[: len(state)] = state
-            call = (speed, reference)
+        if write is not None:
+            write(*call, None, None)
+            call = ()
         begun = clock()
         step(*call)
         found[i] = clock() - begun
@@ -80,9 +80,7 @@ def measure(name: str, car: Any, drives: int) -> dict[str, Any]:
         at.simulate(at.DualTrack(car), recorder, random_drive(FIRST + number), profile=profile, seed=number)
         given, again = recorder.given, [make(at.MPC) for _ in range(2 * REPEATS)]
         python.append(np.min([times_of(mpc.step, given) for mpc in again[:REPEATS]], axis=0))
-        compiled.append(
-            np.min([times_of(mpc._compiled_step(), given, mpc._mpc.measured) for mpc in again[REPEATS:]], axis=0)
-        )
+        compiled.append(np.min([times_of(mpc._compiled_step(), given, mpc._take) for mpc in again[REPEATS:]], axis=0))
     row: dict[str, Any] = {"controller": name, "steps": int(sum(map(len, python)))}
     for where, found in (("python", np.concatenate(python)), ("compiled", np.concatenate(compiled))):
         for label, share in (("p50", 50.0), ("p99", 99.0), ("p99.9", 99.9)):

@@ -23,6 +23,7 @@ from adaptrack.report.certificate import write_certificate
 from adaptrack.scenario import random_drive
 from adaptrack.scheduling import Constant, Guarded, Lookup, SchedulingVariables, StabilityMap, Table
 from adaptrack.stability import hard_turn, loop_map, loops, radii, spectral_radius
+from pictures import pictures
 
 CAR = load_vehicle("paper")
 PLANT = DualTrack(CAR, "magic-formula")
@@ -273,11 +274,11 @@ def test_rows_hold_the_worst_of_every_speed_and_friction_as_json(scrambled, stab
         }
 
 
-@pytest.mark.drawn
 def test_the_page_shows_the_verdict_the_maps_and_the_worst_points(scrambled, stability, tmp_path):
     guarded = certify(Guarded(scrambled, SOUND, stability=stability), PLANT, MPC_, "road", levels=FEW)
     bare = certify(scrambled, PLANT, MPC_, "road", levels=FEW)
-    text = write_certificate(tmp_path / "guarded", guarded, command="adaptrack certify mine.json").read_text()
+    with pictures(drawn=True):
+        text = write_certificate(tmp_path / "guarded", guarded, command="adaptrack certify mine.json").read_text()
     assert "Passed" in text
     assert "adaptrack certify mine.json" in text
     assert "Without the guard" in text

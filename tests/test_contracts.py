@@ -282,7 +282,7 @@ def test_evaluate_drives_a_registered_stepped_plant_beside_the_best_constant_and
         "--config",
         "road",
         "--operating-points",
-        "sobol:2",
+        "sobol:1",
         "--known-as",
         "estimated",
         "--plant",

@@ -67,17 +67,17 @@ class Scripted:
 
 
 class Recording:
-    """Keeps what an estimator answers, in the place of its `step`."""
+    """Keeps what an estimator knows at each step of a controller."""
 
-    def __init__(self, estimator):
+    def __init__(self, estimator, controller):
         self.own, self.estimates = estimator, []
-        step = type(estimator).step
+        step = controller.step
 
-        def recorded(*arguments):
-            self.estimates.append(step(estimator, *arguments))
-            return self.estimates[-1]
+        def recorded(*arguments, **options):
+            self.estimates.append(estimator.estimate)
+            return step(*arguments, **options)
 
-        estimator.step = recorded
+        controller.step = recorded
 
 
 def road(speed=20.0, friction=0.9, wind=0.0, duration=10.0, **others):
@@ -91,7 +91,7 @@ def drive(scenario, steering, profile=ROAD, plant=None, estimator=None, seed=0):
     """The trajectory under a steering law, and the estimates (n, 5); nobody stops a car that slides."""
     plant = plant or DualTrack(CAR)
     controller = Scripted(steering) if callable(steering) else steering
-    estimator = Recording(estimator or FrictionWindEstimator.of(plant, profile))
+    estimator = Recording(estimator or FrictionWindEstimator.of(plant, profile), controller)
     trajectory = simulate(
         plant, controller, scenario, profile=profile, seed=seed, known_as=estimator.own, failure=NEVER
     )
@@ -115,12 +115,12 @@ def lane_change(seed):
     return drive(scenario, mpc, seed=seed)
 
 
-def row(**state):
-    """A row of the kernel's memory with this state."""
-    own = np.zeros(kernel.MEMORY)
-    for name, value in state.items():
-        own[getattr(kernel, name)] = value
-    return own
+def state(**known):
+    """z with these entries."""
+    z = np.zeros(8)
+    for name, value in known.items():
+        z[getattr(kernel, name)] = value
+    return z
 
 
 # -- the model --------------------------------------------------------------------------------------------------------
@@ -131,8 +131,8 @@ def test_the_filter_believes_in_the_single_track_plant(tyre, rng):
     for _ in range(20):
         vy, r, yaw, friction, wind = rng.uniform((-2, -0.8, -1, 0.3, -30), (2, 0.8, 1, 1, 30))
         vx = rng.uniform(2.0, 30.0)
-        own = row(VY=vy, YAW_RATE=r, LOG_FRICTION=math.log(friction), WIND=wind)
-        lateral, yawing, _, _ = kernel.accelerations(0.0, yaw, vx, p, own)
+        z = state(VY=vy, YAW_RATE=r, LOG_FRICTION=math.log(friction), WIND=wind)
+        lateral, yawing, _, _ = kernel.accelerations(0.0, yaw, vx, p, z, np.zeros((2, 8)))
         slope = plant.derivative([0, 0, yaw, vx, vy, r], [0.0, 0.0], [friction] * 4 + [0.0, wind])
         assert lateral == pytest.approx(slope[4] + vx * r, rel=1e-12, abs=1e-12)
         assert yawing == pytest.approx(slope[5], rel=1e-12, abs=1e-12)
@@ -142,21 +142,19 @@ def test_the_filter_believes_in_the_single_track_plant(tyre, rng):
 def test_its_derivatives_are_those_of_its_accelerations(tyre, rng):
     p = FrictionWindEstimator.of(DualTrack(CAR, tyre)).packed()
     for _ in range(20):
-        z = rng.uniform((-1, -0.5, math.log(0.3), -30, -0.1), (1, 0.5, 0.0, 30, 0.1))
+        z, slopes, spare = np.zeros(8), np.zeros((2, 8)), np.zeros((2, 8))
+        z[: kernel.N] = rng.uniform((-1, -0.5, math.log(0.3), -30, -0.1), (1, 0.5, 0.0, 30, 0.1))
         angle, yaw, vx = rng.uniform((-0.3, -0.5, 5.0), (0.3, 0.5, 30.0))
-        own = np.zeros(kernel.MEMORY)
-        own[: kernel.N] = z
-        kernel.accelerations(angle, yaw, vx, p, own)
-        found = own[kernel.WIND_STD + 1 :][: 2 * kernel.N].reshape(2, kernel.N).copy()
+        kernel.accelerations(angle, yaw, vx, p, z, slopes)
         for j in range(kernel.N):
             step = 1e-5
             ends = []
             for sign in (1.0, -1.0):
-                own[: kernel.N] = z
-                own[j] += sign * step
-                ends.append(np.array(kernel.accelerations(angle, yaw, vx, p, own)[:2]))
+                near = z.copy()
+                near[j] += sign * step
+                ends.append(np.array(kernel.accelerations(angle, yaw, vx, p, near, spare)[:2]))
             expected = (ends[0] - ends[1]) / (2.0 * step)
-            assert found[:, j] == pytest.approx(expected, rel=2e-3, abs=1e-4), f"column {j}"
+            assert slopes[:, j] == pytest.approx(expected, rel=2e-3, abs=1e-4), f"column {j}"
 
 
 def test_the_replica_turns_the_wheels_as_the_actuator_does():
@@ -165,7 +163,7 @@ def test_the_replica_turns_the_wheels_as_the_actuator_does():
 
     class Watched(Scripted):
         def step(self, *arguments, **named):
-            angles.append(estimator._memory[0, kernel.ANGLE])
+            angles.append(estimator._memory[0].angle)
             return super().step(*arguments, **named)
 
     def jerky(t):
@@ -362,15 +360,14 @@ def test_estimates_stay_within_their_bounds():
 
 def test_slots_do_not_touch_each_other():
     estimator = FrictionWindEstimator.of(DualTrack(CAR))
-    p, settings, memory = estimator.packed(), estimator.settings(), np.zeros((3, kernel.MEMORY))
-    memory[[0, 2]] = 7.0
+    p, settings, memory = estimator.packed(), estimator.settings(), kernel.Memory.new(3)
+    memory[[0, 2]] = untouched = np.full(memory.itemsize // 8, 7.0).view(memory.dtype)
     for k in range(30):
         seen = np.array([0.1 * math.sin(0.3 * k), 0.01, 0.1 * math.cos(0.2 * k), 0.0])
         kernel.estimate(1, seen, 15.0, 0.02, math.nan, p, settings, memory)
         alone = estimator.step(seen, 15.0, 0.02)
-    assert (memory[[0, 2]] == 7.0).all()
-    names = (kernel.FRICTION_HAT, kernel.WIND_HAT, kernel.FRICTION_STD, kernel.WIND_STD)
-    assert tuple(memory[1, name] for name in names) == alone[:4]
+    assert (memory[[0, 2]] == untouched).all()
+    assert tuple(memory[1][["friction", "wind", "friction_std", "wind_std"]]) == alone[:4]
 
 
 def test_reset_forgets():
@@ -389,7 +386,7 @@ def test_the_scheduler_knows_the_estimates():
         return 20.0, 5.0, 1.0, 3000.0
 
     mpc = published_mpc(CAR, period=0.05, scheduler=scheduler)
-    estimator = Recording(FrictionWindEstimator.of(DualTrack(CAR)))
+    estimator = Recording(FrictionWindEstimator.of(DualTrack(CAR)), mpc)
     trajectory = simulate(
         DualTrack(CAR), mpc, road(20.0, 0.9, 15.0, 1.0), profile="road", known_as=estimator.own
     )  # fmt: skip

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from adaptrack.controllers import MPC, Tuning, published_mpc
-from adaptrack.core.controllers.feed_forward import FURTHEST, TURNING, bend_size, road_moves
+from adaptrack.core.controllers.feed_forward import FURTHEST, Turning, bend_size, feed_forward, road_moves
 from adaptrack.models import PathModel, SingleTrackModel
 from adaptrack.plant import SingleTrack
 from adaptrack.road import Arc, Clothoid, Line, Road
@@ -34,12 +34,15 @@ def winding(count):
     return y
 
 
+def turning_of(model, tyres=(0.0, 0.0)):
+    return np.array([*model.turning(), *tyres])
+
+
 def moves_of(model, speed, bend, count, most=1.0, tyres=(0.0, 0.0)):
-    settings = MPC(model.vehicle, period=model.period).settings()[0]
-    settings["move_min"], settings["move_max"] = -most, most
-    feed = np.zeros((3, count + 1))
-    road_moves(count, speed, settings, np.array([*model.turning(), *tyres]), bend, feed)
-    return feed[:2, :count] if tyres[0] else feed[0, :count]
+    settings = MPC(model.vehicle, period=model.period).settings()._replace(move_min=-most, move_max=most)
+    feed = feed_forward(turning_of(model, tyres), count + 1)
+    road_moves(count, speed, settings, bend, feed)
+    return np.array([feed.expected[:count], feed.moves[:count]]) if tyres[0] else feed.expected[:count]
 
 
 @pytest.mark.parametrize("car", [CAR, SEDAN], ids=lambda car: car.name)
@@ -48,7 +51,7 @@ def moves_of(model, speed, bend, count, most=1.0, tyres=(0.0, 0.0)):
 def test_a_car_that_obeys_the_model_and_is_steered_by_them_alone_follows_the_road(car, speed, lag):
     """In lateral acceleration, to first order in its rate: after the beginning, within 5 % of the largest."""
     model, count = PathModel(car, PERIOD, lag), 160
-    bend = winding(bend_size(count, PERIOD, model.turning()))
+    bend = winding(bend_size(count, PERIOD, turning_of(model)))
     a, b, c = model.discrete(speed)
     x, command, y = np.zeros(model.n), 0.0, [0.0]
     for move in moves_of(model, speed, bend, count):
@@ -115,9 +118,9 @@ def test_none_is_faster_than_the_steering_may_move_and_fast_turns_begin_early():
 
 def test_a_lag_without_end_looks_no_farther_than_there_is_to_see():
     model = PathModel(CAR, PERIOD, 0.3)
-    assert bend_size(30, PERIOD, model.turning()) >= 31 + (0.3 + FURTHEST) / PERIOD
+    assert bend_size(30, PERIOD, turning_of(model)) >= 31 + (0.3 + FURTHEST) / PERIOD
     assert bend_size(30, PERIOD, np.zeros(0)) == 31
-    assert len(TURNING) == MPC(CAR, profile="road")._mpc.turning.size
+    assert len(Turning._fields) == MPC(CAR, profile="road")._mpc.feed.turning.size
 
 
 def test_a_straight_road_gives_the_problem_of_none():
@@ -135,7 +138,7 @@ def test_limits_hold_for_the_whole_move_of_a_bend():
     state = [0.0, 0.0, 0.0, 0.0, 0.0]
     problem = mpc.problem(state, 8.0, [0.0], road=ahead)
     mpc.step(state, 8.0, [0.0], road=ahead)
-    feed = mpc._mpc.feed[1]
+    feed = mpc._mpc.feed.moves
     most = mpc.limits.move[1]
     assert abs(feed[:30]).max() > 0.0
     np.testing.assert_allclose(problem.gamma[4::4], most - feed[1 : problem.gamma.size // 4], atol=1e-12)
@@ -146,7 +149,7 @@ def test_limits_hold_for_the_whole_move_of_a_bend():
 
 def test_the_published_model_knows_of_no_road_ahead():
     assert SingleTrackModel(CAR, PERIOD).turning().size == 0
-    assert published_mpc(CAR)._mpc.turning.size == 0
+    assert published_mpc(CAR)._mpc.feed.turning.size == 0
 
 
 @pytest.mark.compiled

@@ -106,7 +106,7 @@ def test_a_filter_sees_the_samples_of_a_step_whose_tuning_is_none():
         for k in range(3):
             mpc.applied(0.0)
             mpc.step([0.0, 0.0, 0.01 * k, 0.1 * k], 15.0, REFERENCE, (15.0, 0.0, 0.6, 0.0))
-        states.append(mpc._mpc.estimate[0].copy())
+        states.append(mpc._mpc.informed.x.copy())
     assert np.isfinite(states).all()
     np.testing.assert_allclose(states[0], states[1], rtol=0, atol=1e-12)
 

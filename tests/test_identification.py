@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from scipy.integrate import solve_ivp
+from scipy.integrate import odeint, solve_ivp
 from typer.testing import CliRunner
 
 import adaptrack as at
@@ -55,7 +55,7 @@ def integrated(
     def slope(t: float, x: np.ndarray) -> list[float]:
         vy, r, af, ar, delta = x
         v = float(np.interp(t, time, pace))
-        late = int(np.clip(math.floor((t - DEAD_TIME) / PERIOD + 1e-9), 0, time.size - 1))
+        late = min(max(math.floor((t - DEAD_TIME) / PERIOD + 1e-9), 0), time.size - 1)
         return [
             (front * af + rear * ar) / CAR.mass - v * r,
             (CAR.lf * front * af - CAR.lr * rear * ar) / CAR.yaw_inertia,
@@ -65,7 +65,7 @@ def integrated(
         ]
 
     start = [0.0, 0.0, 0.0, 0.0, command[0] + BIAS]
-    x = solve_ivp(slope, (0.0, time[-1]), start, t_eval=time, max_step=0.01, rtol=1e-7, atol=1e-9).y
+    x = odeint(slope, start, time, tfirst=True, hmax=0.01, rtol=1e-7, atol=1e-9).T
     force = (front * x[2] + rear * x[3]) / CAR.mass
     return {
         "time": time, "command": command, "speed": pace, "yaw_rate": x[1] + noise * rng.standard_normal(time.size),

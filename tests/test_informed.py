@@ -21,9 +21,10 @@ from adaptrack.controllers import (
     published_mpc,
 )
 from adaptrack.controllers.belief import ASSUMED
+from adaptrack.core.estimators.kalman import memory_of
 from adaptrack.errors import InvalidInput
 from adaptrack.estimation import Deadbeat, check_estimator, get_estimator
-from adaptrack.kalman import SENSORS, Drifts, KalmanFilter, ReadableFilter, SensorNoise
+from adaptrack.kalman import SENSORS, Drifts, KalmanFilter, SensorNoise
 from adaptrack.metrics import compute_metrics
 from adaptrack.models import MEASURED, PathModel, SingleTrackModel, check_model, get_model
 from adaptrack.plant import DualTrack
@@ -33,6 +34,7 @@ from adaptrack.scheduling import load_scheduler
 from adaptrack.simulate import rollout, simulate
 from adaptrack.vehicle import Steering, SteeringActuator, Vehicle, list_vehicles, load_tyre, load_vehicle
 from adaptrack.world import World
+from textbook_filter import TextbookFilter
 
 pytestmark = pytest.mark.kernels
 
@@ -112,7 +114,7 @@ def test_an_impossible_lag_dead_time_or_period_is_refused_by_name(numbers):
 @every_lag
 @every_dead_time
 @pytest.mark.parametrize("oldest", [0.0, 0.12])
-def test_the_compiled_filter_is_the_readable_one(lag, dead_time, oldest, rng):
+def test_the_compiled_filter_is_the_textbook_one(lag, dead_time, oldest, rng):
     noise = SensorNoise(wheel_angle=0.002, lateral_acceleration=0.1, yaw_rate_offset=0.002)
     drifts = Drifts(sliding=0.3, sliding_time=0.2, grip=3.0, least_spare=0.2)
     estimator = KalmanFilter(noise if oldest else SensorNoise(), drifts, oldest=oldest)
@@ -125,8 +127,8 @@ def test_the_compiled_filter_is_the_readable_one(lag, dead_time, oldest, rng):
     samples[:, 6:8] = rng.uniform(0.0, 1.2 * oldest, (count, 2))
     samples[:, 8] = 0.1 * rng.normal(size=count)  # the path turns
     commands = 0.02 * np.sin(0.3 * np.arange(count))
-    readable = ReadableFilter(estimator, model)
-    expected = [np.concatenate(readable.step(*each)) for each in zip(speeds, samples, commands, strict=True)]
+    textbook = TextbookFilter(estimator, model)
+    expected = [np.concatenate(textbook.step(*each)) for each in zip(speeds, samples, commands, strict=True)]
     np.testing.assert_allclose(run_kernel(estimator, model, speeds, samples, commands), expected, rtol=0, atol=1e-10)
 
 
@@ -151,10 +153,10 @@ def test_a_sensor_stuck_behind_its_noise_is_left_out_within_a_second_until_it_ag
     samples[:, :6] += rng.normal(size=(count, 6)) * np.sqrt(own.variances())
     spread = math.sqrt(own.variances()[place])
     samples[first:last, place] = reading + spread * rng.normal(size=last - first)
-    readable, expected, out = ReadableFilter(own, model), [], []
+    textbook, expected, out = TextbookFilter(own, model), [], []
     for k in range(count):
-        expected.append(np.concatenate(readable.step(speed, samples[k], commands[k - 1] if k else 0.0)))
-        out.append(readable.left_out)
+        expected.append(np.concatenate(textbook.step(speed, samples[k], commands[k - 1] if k else 0.0)))
+        out.append(textbook.left_out)
     assert not any(out[:first])
     assert out[first + 20 : last] == [sensor] * (last - first - 20)
     assert not any(out[-20:])
@@ -173,13 +175,13 @@ def test_a_push_is_no_larger_than_what_the_tyres_can_still_answer(lag, grip, rng
     t = PERIOD * np.arange(count)
     samples = np.column_stack([20.0 * t, 0.0 * t, 0.0 * t, 10.0 * t**2]) + 1e-3 * rng.normal(size=(count, 4))
     at = np.full(count, speed), samples, np.zeros(count)
-    readable = ReadableFilter(own, model)
+    textbook = TextbookFilter(own, model)
     expected = []
     for each in zip(*at, strict=True):
-        expected.append(np.concatenate(readable.step(*each)))
-        assert abs(readable.z[model.n]) <= grip + 1e-12
+        expected.append(np.concatenate(textbook.step(*each)))
+        assert abs(textbook.z[model.n]) <= grip + 1e-12
     np.testing.assert_allclose(run_kernel(own, model, *at), expected, rtol=1e-10, atol=1e-9)
-    assert abs(readable.z[model.n]) == pytest.approx(readable.spare)
+    assert abs(textbook.z[model.n]) == pytest.approx(textbook.spare)
 
 
 @every_lag
@@ -187,10 +189,10 @@ def test_a_push_is_no_larger_than_what_the_tyres_can_still_answer(lag, grip, rng
 def test_the_filter_knows_where_the_car_will_be_when_its_next_command_begins_to_act(lag, dead_time):
     """A car that obeys the model, measured exactly, with its commands in a queue as long as the dead time."""
     model = PathModel(CAR, PERIOD, lag, dead_time)
-    readable = ReadableFilter(KalmanFilter(), model)
+    textbook = TextbookFilter(KalmanFilter(), model)
     fine = 0.01
     steps, late = round(PERIOD / fine), round(dead_time / fine)
-    f, b = readable.matrices(15.0, fine)
+    f, b = textbook.matrices(15.0, fine)
     given = 0.03 * np.sin(0.25 * np.arange(80))
     acting = np.concatenate([np.zeros(late), np.repeat(given, steps)])
     states = [np.zeros(model.n)]
@@ -207,14 +209,31 @@ def test_the_filter_knows_where_the_car_will_be_when_its_next_command_begins_to_
 
 
 @every_lag
+@pytest.mark.parametrize("oldest", [0.0, 0.1])
+def test_the_covariance_stays_symmetric_to_the_bit_however_long_the_drive(lag, oldest, rng):
+    """What is not symmetric in P no measurement takes away: F, with its integrals, would let it grow without end."""
+    noise = SensorNoise(wheel_angle=0.002, lateral_acceleration=0.1, yaw_rate_offset=0.002)
+    model, own = PathModel(CAR, PERIOD, lag, 0.08), KalmanFilter(noise, oldest=oldest)
+    memory, x, d, measured = np.zeros(own.memory_size(model)), np.zeros(model.n), np.zeros(model.n), np.zeros(9)
+    a, b, _ = model.discrete(15.0)
+    for _ in range(200):
+        measured[:6] = 0.01 * rng.normal(size=6)
+        numbers = own.parameters(model)
+        own.function(15.0, measured, 0.01, np.ascontiguousarray(a), b[:, 0].copy(), numbers, memory, x, d)
+    P = memory_of(memory, 0).P
+    np.testing.assert_array_equal(P, P.T)
+    assert np.linalg.eigvalsh(P)[0] >= -1e-18
+
+
+@every_lag
 def test_on_its_own_model_innovations_and_errors_of_the_filter_are_as_large_as_it_says(lag, rng):
     """NIS and NEES (Bar-Shalom, Li and Kirubarajan 2001, section 5.4) average inside their 95 % bounds."""
     model, drifts = PathModel(CAR, PERIOD, lag), Drifts(yaw=0.01, y=0.05, sliding=0.0)
     nis, nees = [], []
     for _ in range(40):
         own = KalmanFilter(drifts=drifts, bound=math.inf)
-        readable = ReadableFilter(own, model)
-        f, b = readable.matrices(18.0, PERIOD)
+        textbook = TextbookFilter(own, model)
+        f, b = textbook.matrices(18.0, PERIOD)
         n, z = model.n, np.zeros(model.n + 2)
         z[n:] = rng.normal(size=2) * own.spread
         noise = np.sqrt(own.variances())
@@ -225,22 +244,22 @@ def test_on_its_own_model_innovations_and_errors_of_the_filter_are_as_large_as_i
                 place = MEASURED.index(name)
                 measured[place] = z[i] + (rng.normal() * noise[place] if math.isfinite(noise[place]) else math.nan)
             if k == 0:
-                readable.step(18.0, measured, 0.0)
+                textbook.step(18.0, measured, 0.0)
             else:
-                readable.sent = [command, *readable.sent[:-1]]
-                readable.predict(18.0)
+                textbook.sent = [command, *textbook.sent[:-1]]
+                textbook.predict(18.0)
                 for name, value, variance in zip(SENSORS, measured, own.variances(), strict=False):
                     if not math.isfinite(value):
                         continue
-                    h, _ = readable.reading(name, 0, 0.0, 18.0)
+                    h, _ = textbook.reading(name, 0, 0.0, 18.0)
                     if k >= 20:
-                        nis.append((value - h @ readable.z) ** 2 / (h @ readable.P @ h + variance))
-                    readable.correct(h, value, variance)
+                        nis.append((value - h @ textbook.z) ** 2 / (h @ textbook.P @ h + variance))
+                    textbook.correct(h, value, variance)
                 if k >= 20:
-                    error = readable.z - z
-                    nees.append(error @ np.linalg.solve(readable.P, error) / len(z))
+                    error = textbook.z - z
+                    nees.append(error @ np.linalg.solve(textbook.P, error) / len(z))
             command = 0.02 * math.sin(0.3 * k)
-            z = f @ z + b * command + rng.multivariate_normal(np.zeros(len(z)), readable.Q)
+            z = f @ z + b * command + rng.multivariate_normal(np.zeros(len(z)), textbook.Q)
     assert abs(np.mean(nis) - 1.0) < 1.96 * math.sqrt(2.0 / len(nis))
     # errors of neighbouring instants go together: the bound is that of one instant in ten
     assert abs(np.mean(nees) - 1.0) < 1.96 * math.sqrt(2.0 / (model.n + 2) / (len(nees) / 10))
@@ -277,7 +296,7 @@ def test_samples_of_a_known_age_tell_what_they_told_when_they_were_taken(rng):
     count, late, speed = 60, 2, 15.0
     samples = rng.normal(size=(count, 5)) * [0.05, 0.005, 0.01, 0.05, 0.0]
     commands = 0.02 * np.sin(0.2 * np.arange(count))
-    prompt, delayed = ReadableFilter(KalmanFilter(), model), KalmanFilter(oldest=late * PERIOD)
+    prompt, delayed = TextbookFilter(KalmanFilter(), model), KalmanFilter(oldest=late * PERIOD)
     arriving = np.full((count, 8), late * PERIOD)
     arriving[:, :6] = np.nan
     arriving[0, :4] = samples[0, :4]  # where both begin
@@ -389,7 +408,7 @@ def test_the_offset_of_a_gyro_and_a_banked_road_are_told_apart_from_the_motion()
     model = PathModel(CAR, PERIOD, 0.15)
     noise = SensorNoise(vy=math.inf, yaw_rate=0.002, lateral_acceleration=0.1, yaw_rate_offset=0.002)
     own = KalmanFilter(noise)
-    readable = ReadableFilter(own, model)
+    textbook = TextbookFilter(own, model)
     bank, offset, speed = 0.5, 0.003, 20.0
     a_c, inputs = model.continuous(speed)
     equilibrium = np.linalg.solve(  # v_y, yaw and command at which nothing changes under the push
@@ -400,10 +419,10 @@ def test_the_offset_of_a_gyro_and_a_banked_road_are_told_apart_from_the_motion()
     felt = a_c[0] @ truth
     for k in range(4000):
         seen = np.array([math.nan, yaw, offset, 0.0, math.nan, felt, 0.0, 0.0, 0.0])
-        x, _ = readable.step(speed, seen + 1e-9 * (k % 2), command)
+        x, _ = textbook.step(speed, seen + 1e-9 * (k % 2), command)
     np.testing.assert_allclose(x, truth, rtol=0, atol=2e-3)
-    assert readable.z[-1] == pytest.approx(offset, abs=1e-4)
-    assert readable.z[model.n] == pytest.approx(bank, abs=0.02)
+    assert textbook.z[-1] == pytest.approx(offset, abs=1e-4)
+    assert textbook.z[model.n] == pytest.approx(bank, abs=0.02)
 
 
 def test_the_filter_keeps_the_contract_of_estimators():
@@ -454,13 +473,13 @@ def test_the_qp_predicts_what_the_model_does_from_the_estimate(dead_time, rng):
     """K of eq. (17) for the free response by recursion, its reference from behind the dead time."""
     model, estimator = PathModel(CAR, PERIOD, 0.15, dead_time), KalmanFilter()
     mpc = MPC(CAR, Tuning(12, 4, 2.0, 3.0), period=PERIOD, preview=True, model=model, estimator=estimator)
-    readable, reference = ReadableFilter(estimator, model), rng.normal(size=40)
+    textbook, reference = TextbookFilter(estimator, model), rng.normal(size=40)
     for _ in range(6):
         state, speed = rng.normal(size=4) * [0.1, 0.01, 0.02, 0.1], rng.uniform(8.0, 20.0)
         command = mpc.angle
         qp = mpc.problem(state, speed, reference)
         mpc.step(state, speed, reference)
-        x, d = readable.step(speed, [*state, np.nan], command)
+        x, d = textbook.step(speed, [*state, np.nan], command)
         a, b, c = model.discrete(speed)
         error, ahead = np.empty(12), x
         for j in range(12):
@@ -662,12 +681,12 @@ def test_without_preview_a_moving_reference_may_be_further_away_and_a_jump_may_n
 def test_the_first_move_may_lead_the_wheels_as_far_as_the_actuator_follows(rng):
     """|command - wheels| <= rate (lag + period), or the moves that the rate allows."""
     mpc = MPC(CAR, profile="road")
-    readable = ReadableFilter(mpc.estimator, mpc.model)
+    textbook = TextbookFilter(mpc.estimator, mpc.model)
     for _ in range(12):
         state, command = rng.normal(size=4) * [0.05, 0.01, 0.02, 0.1], mpc.angle
         qp = mpc.problem(state, 15.0, np.zeros(60))
         mpc.step(state, 15.0, np.zeros(60))
-        wheels = readable.step(15.0, [*state, np.nan], command)[0][3]
+        wheels = textbook.step(15.0, [*state, np.nan], command)[0][3]
         reach = 0.5 * (0.15 + PERIOD)
         assert qp.gamma[0] == pytest.approx(max(0.025, wheels + reach - command), abs=1e-9)
         assert qp.gamma[1] == pytest.approx(max(0.025, command - wheels + reach), abs=1e-9)

@@ -14,12 +14,35 @@ import pytest
 
 from adaptrack.controllers import published_mpc
 from adaptrack.core import library
-from adaptrack.core.kernel import INTERPRETED, Caller, Resident, address_of, float64, vector, void
+from adaptrack.core.kernel import (
+    INTERPRETED,
+    Array,
+    Caller,
+    Resident,
+    Row,
+    address_of,
+    exported,
+    float64,
+    inlined,
+    local,
+    packer,
+    record,
+    size_of,
+    stepper,
+    unpacker,
+    vector,
+    viewer,
+    void,
+)
 from adaptrack.core.member import member
 from adaptrack.core.road import foot_about
 from adaptrack.road import Arc, Line, Road
 from adaptrack.vehicle import load_vehicle
+from inlined import entry
 
+INNER = record("INNER", ("x", "y"))
+OUTER = record("OUTER", ["a", ("inner", INNER), ("row", (float64, 3)), ("square", (float64, 2, 2)), "b"])
+outer_at, square = viewer(OUTER), local(2, 2)
 needs_compiled = pytest.mark.skipif(INTERPRETED, reason="needs compiled kernels")
 
 
@@ -34,12 +57,23 @@ def test_the_words_of_a_record_are_where_its_arrays_lie_and_their_sizes():
     mpc = published_mpc(load_vehicle("paper"))
     record = mpc.batch(3, mpc.settings())
     words = []
-    for _, array in leaves(record):
-        words += [array.ctypes.data, *array.shape]
+    for kind, value in leaves(record):
+        if isinstance(kind, Array):
+            words += [value.ctypes.data, *value.shape]
+        else:
+            words.append(int(np.array(value, kind.name).view(np.int64)))
     assert Resident(record).words.tolist() == words
 
 
 @needs_compiled
+def test_a_record_is_written_where_it_is_read():
+    pair = record("Pair", ("a", "b"))
+    read, write, along = unpacker(pair, 4), packer(pair, 4), stepper(pair)
+    values = np.arange(8.0)
+    write(values, 1, along(read(values, 1), 2.0, pair(10.0, 100.0)))
+    assert values.tolist() == [0.0, 21.0, 2.0, 3.0, 4.0, 205.0, 6.0, 7.0]
+
+
 def test_an_exported_kernel_answers_as_its_python_does():
     road = Road.from_segments([Line(length=50.0), Arc(length=60.0, curvature=0.02)]).packed()
     for x, y in ((3.0, 1.0), (49.0, -2.0), (80.0, 12.0), (200.0, 60.0)):
@@ -92,6 +126,65 @@ def test_a_member_may_return_nothing_or_a_whole_number():
 def test_what_is_called_by_its_address_is_in_python_the_function_itself():
     assert Caller(float64(float64))(abs, -2.0) == 2.0
     assert address_of(None) == (None if INTERPRETED else 0)
+
+
+# -- parts of vectors, and small arrays -------------------------------------------------------------------------------
+@inlined
+def written_by_name(values):
+    """Write every field of the record that lies at place 2."""
+    m = outer_at(values, 2)
+    m.a, m.inner.x, m.inner.y, m.b = 1.0, 2.0, 3.0, 11.0
+    for i in range(3):
+        m.row[i] = 4.0 + i
+    for i in range(2):
+        for j in range(2):
+            m.square[i, j] = 7.0 + 2 * i + j
+    return m.square[1, 0] + m.inner.y
+
+
+@exported(float64(Row(INNER), vector), name="test_sum_of_a_row")
+def sum_of_a_row(inner, values):
+    return inner.x + inner.y + values[0]
+
+
+@inlined
+def handed_on(values):
+    """Fields of a record as arguments of an exported kernel."""
+    m = outer_at(values, 2)
+    return sum_of_a_row(m.inner, m.row)
+
+
+@inlined
+def filled(x):
+    """The sum of a small array, filled anew at each of three rounds."""
+    total = 0.0
+    for _ in range(3):
+        z = square()
+        for i in range(2):
+            total += z[0, i] + z[1, i]  # zero, whatever the round before has left
+            z[1, i] = x
+        total += z[1, 0] + z[1, 1] + z[0, 0]
+    return total
+
+
+def test_the_parts_of_a_vector_are_read_and_written_by_name():
+    values = np.zeros(16)
+    assert entry(written_by_name)(values) == 12.0
+    assert size_of(OUTER) == 11
+    assert values.tolist() == [0.0, 0.0, *range(1, 12), 0.0, 0.0, 0.0]
+    m = outer_at(values, 2)
+    assert (m.a, m.inner.x, m.row.tolist(), m.square.tolist()) == (1.0, 2.0, [4.0, 5.0, 6.0], [[7.0, 8.0], [9.0, 10.0]])
+    m.inner.x, m.row[1] = -1.0, -2.0
+    assert (values[3], values[6]) == (-1.0, -2.0)
+
+
+def test_the_parts_of_a_vector_are_arguments_as_any_other():
+    values = np.arange(16.0)
+    assert entry(handed_on)(values) == sum_of_a_row(outer_at(values, 2).inner, outer_at(values, 2).row) == 12.0
+
+
+def test_a_small_array_is_zero_at_each_call():
+    assert entry(filled)(5.0) == 30.0
 
 
 # -- the library ------------------------------------------------------------------------------------------------------
@@ -176,7 +269,7 @@ int main(void) {{
 @needs_compiled
 @pytest.mark.skipif(shutil.which("gcc") is None, reason="needs gcc")
 def test_the_header_describes_the_library_to_c(built, tmp_path):
-    from adaptrack.core.controllers.mpc import SETTINGS, Mpc
+    from adaptrack.core.controllers.mpc import Mpc, Settings
     from adaptrack.core.plants.contract import STATE
     from adaptrack.core.road import RoadAhead
     from adaptrack.core.swarm import place_between
@@ -189,7 +282,7 @@ def test_the_header_describes_the_library_to_c(built, tmp_path):
         ["./program"], cwd=tmp_path, capture_output=True, text=True, check=True, env={"LD_LIBRARY_PATH": str(built)}
     )
     *sizes, place, answer, station = done.stdout.split()
-    expected = [8 * words(Mpc), 8 * words(RoadAhead), SETTINGS.dtype.itemsize, STATE.vx]
+    expected = [8 * words(Mpc), 8 * words(RoadAhead), 8 * words(Settings), STATE.vx]
     assert [int(each) for each in [*sizes, place]] == expected
     assert float.fromhex(answer) == place_between(low, high, 0.0, 0.25)
     assert float(station) == 3.0

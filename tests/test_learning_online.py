@@ -52,36 +52,35 @@ def world(profile="road", lag=0.12, dead_time=0.2, bias=-0.012):
 
 
 def numbers(mpc):
-    return kernel.Numbers(*mpc.learner.parameters())
+    return kernel.parameters_of(mpc.learner.parameters(), 0)
 
 
-def first_filter(mpc):
-    """The memory of the learner before the first step, and where its first filter is."""
-    return mpc.learner.fresh(), kernel.blocks_at(mpc.learner.kept)
+def first_hypothesis(mpc):
+    """As it is before the first step."""
+    return kernel.hypothesis(0, mpc.learner.kept, mpc.learner.fresh())
 
 
 def belief(mpc, name):
-    return float(mpc._mpc.learned[0, kernel.ANSWER + kernel.BELIEFS.index(name)])
+    return float(kernel.memory_of(mpc._mpc.informed.learned[0], 0).beliefs[name])
 
 
 # -- the mathematics --------------------------------------------------------------------------------------------------
 @pytest.mark.parametrize("norm", [1e-3, 1.0, 20.0])
 def test_phi_1_times_its_matrix_is_the_exponential_less_one(norm):
     z = norm * np.array([[-1.0, 0.7], [-0.4, -0.3]])
-    found = np.array(entry(kernel._phi1)(tuple(z.ravel()))).reshape(2, 2)
+    found = np.array(entry(kernel._phi1)(*z.ravel())).reshape(2, 2)
     np.testing.assert_allclose(found @ z, expm(z) - np.eye(2), rtol=0, atol=1e-7)
 
 
 @pytest.mark.parametrize("command", [0.02, 0.2])
 def test_wheels_follow_a_lag_behind_a_rate_limit_and_the_slope_is_the_derivative_over_the_lag(command):
     mpc = learner()
-    memory, at = first_filter(mpc)
     lag, rate, time = 0.12, 0.5, 0.3
 
     def turn(lag):
-        own = memory.copy()
-        own[at + kernel.X + kernel.LAG] = lag
-        entry(kernel._steer)(at, time, rate, command, own)
+        own = first_hypothesis(mpc)
+        own.x[kernel.LAG] = lag
+        entry(kernel._steer)(own, time, rate, command)
         return own
 
     def rates(t, x):
@@ -89,75 +88,70 @@ def test_wheels_follow_a_lag_behind_a_rate_limit_and_the_slope_is_the_derivative
 
     exact = solve_ivp(rates, (0.0, time), [0.0, 0.0], rtol=1e-10, atol=1e-12, max_step=1e-3).y[:, -1]
     found = turn(lag)
-    assert found[at + kernel.WHEELS] == pytest.approx(exact[0], abs=1e-6)
-    assert found[at + kernel.SWEPT] == pytest.approx(exact[1], abs=1e-6)
+    assert found.wheels == pytest.approx(exact[0], abs=1e-6)
+    assert found.swept == pytest.approx(exact[1], abs=1e-6)
     if command < rate * lag:
-        slope = (turn(lag + 1e-6)[at + kernel.WHEELS] - turn(lag - 1e-6)[at + kernel.WHEELS]) / 2e-6
-        assert found[at + kernel.BY_LAG] == pytest.approx(slope, abs=1e-6)
+        slope = (turn(lag + 1e-6).wheels - turn(lag - 1e-6).wheels) / 2e-6
+        assert found.by_lag == pytest.approx(slope, abs=1e-6)
 
 
 def test_slopes_of_an_axle_are_the_derivatives_of_its_force():
     axle = entry(kernel._axle)
     for slip in (-0.2, -0.01, 0.0, 0.03, 0.3):
-        force, by_slip, by_log_friction = axle(slip, 60.0, 5.0)
-        assert abs(force) < 5.0
-        assert by_slip == pytest.approx((axle(slip + 1e-6, 60.0, 5.0)[0] - axle(slip - 1e-6, 60.0, 5.0)[0]) / 2e-6)
-        more, less = (axle(slip, 60.0, 5.0 * math.exp(d))[0] for d in (1e-6, -1e-6))
-        assert by_log_friction == pytest.approx((more - less) / 2e-6, abs=1e-6)
+        found = axle(slip, 60.0, 5.0)
+        assert abs(found.force) < 5.0
+        more, less = (axle(slip + d, 60.0, 5.0).force for d in (1e-6, -1e-6))
+        assert found.by_slip == pytest.approx((more - less) / 2e-6)
+        more, less = (axle(slip, 60.0, 5.0 * math.exp(d)).force for d in (1e-6, -1e-6))
+        assert found.by_friction == pytest.approx((more - less) / 2e-6, abs=1e-6)
 
 
 @pytest.mark.parametrize("speed", [4.0, 15.0, 30.0])
 def test_in_gentle_driving_the_prediction_is_that_of_the_path_model(speed):
     mpc = learner()
-    memory, at = first_filter(mpc)
-    x, angle = at + kernel.X, 1e-4
-    memory[x + kernel.VY], memory[x + kernel.RATE], memory[x + kernel.WIND] = 2e-3, 1e-3, 0.0
-    memory[at + kernel.SWEPT] = angle * PERIOD
+    own, angle = first_hypothesis(mpc), 1e-4
+    own.x[[kernel.VY, kernel.RATE, kernel.WIND]] = 2e-3, 1e-3, 0.0
+    own.swept = angle * PERIOD
     a, inputs = PathModel(HALF, PERIOD).continuous(speed)
     block = np.zeros((3, 3))
     block[:2, :2], block[:2, 2] = a[np.ix_([0, 2], [0, 2])], inputs[[0, 2], 0]
     exact = (expm(block * PERIOD) @ [2e-3, 1e-3, angle])[:2]
-    entry(kernel._predict_state)(at, speed, 0.0, numbers(mpc), memory)
-    np.testing.assert_allclose(memory[[x + kernel.VY, x + kernel.RATE]], exact, rtol=3e-4, atol=1e-9)
+    entry(kernel._predict_state)(own, speed, 0.0, numbers(mpc), np.zeros((2, 16)))
+    np.testing.assert_allclose(own.x[[kernel.VY, kernel.RATE]], exact, rtol=3e-4, atol=1e-9)
 
 
 def test_rows_of_the_prediction_are_its_derivatives():
     mpc = learner()
-    memory, at = first_filter(mpc)
-    p, x, step = numbers(mpc), at + kernel.X, entry(kernel._predict_state)
-    memory[x : x + 8] = 0.01, 0.005, 0.02, 0.0003, 0.01, 0.2, 0.05, -0.1
-    memory[at + kernel.SWEPT] = 0.002 * PERIOD
+    p, step = numbers(mpc), entry(kernel._predict_state)
 
     def after(state, change):
-        own = memory.copy()
-        own[x + state] += change
-        step(at, SPEED, 0.0, p, own)
-        return own[[x + kernel.VY, x + kernel.RATE]]
+        own, rows = first_hypothesis(mpc), np.zeros((2, 16))
+        own.x[: kernel.LAG] = 0.01, 0.005, 0.02, 0.0003, 0.01, 0.2, 0.05, -0.1
+        own.x[state] += change
+        own.swept = 0.002 * PERIOD
+        step(own, SPEED, 0.0, p, rows)
+        return own.x[[kernel.VY, kernel.RATE]], rows
 
-    rows = memory.copy()
-    step(at, SPEED, 0.0, p, rows)
+    _, rows = after(kernel.VY, 0.0)
     for state in range(kernel.LAG):
-        slopes = (after(state, 1e-5) - after(state, -1e-5)) / 2e-5
-        found = rows[[kernel._SCRATCH + state, kernel._SCRATCH + kernel.ROW + state]]
+        slopes = (after(state, 1e-5)[0] - after(state, -1e-5)[0]) / 2e-5
         # phi_1 is held while it is differentiated
-        assert np.linalg.norm(found - slopes) < 0.1 * np.linalg.norm(slopes) + 1e-5, state
+        assert np.linalg.norm(rows[:, state] - slopes) < 0.1 * np.linalg.norm(slopes) + 1e-5, state
 
 
 def test_a_measured_state_is_taken_in_as_the_textbook_says():
     mpc = learner()
-    memory, at = first_filter(mpc)
-    n, x = kernel.STATES, at + kernel.X
+    own, n = first_hypothesis(mpc), kernel.STATES
     rng = np.random.default_rng(0)
     root = rng.normal(size=(n, n)) * 0.1
     P = root @ root.T
-    for i in range(n):
-        memory[at + kernel.P + kernel.ROW * i : at + kernel.P + kernel.ROW * i + n] = P[i]
-    before = memory[x : x + n].copy()
-    entry(kernel._correct_state)(at, kernel.RATE, before[1] + 0.05, 0.01, numbers(mpc), memory)
+    own.covariance[:, :n] = P
+    before = own.x[:n].copy()
+    value = before[kernel.RATE] + 0.05
+    entry(kernel._take_in)(kernel.MEASURED.yaw_rate, value, 0.01, own, SPEED, 0.0, numbers(mpc))
     gain = P[:, 1] / (P[1, 1] + 0.01)
-    np.testing.assert_allclose(memory[x : x + n], before + gain * 0.05, atol=1e-12)
-    found = np.array([memory[at + kernel.P + kernel.ROW * i : at + kernel.P + kernel.ROW * i + n] for i in range(n)])
-    np.testing.assert_allclose(found, P - np.outer(gain, P[1]), atol=1e-12)
+    np.testing.assert_allclose(own.x[:n], before + gain * 0.05, atol=1e-12)
+    np.testing.assert_allclose(own.covariance[:, :n], P - np.outer(gain, P[1]), atol=1e-12)
 
 
 # -- what is found ----------------------------------------------------------------------------------------------------
@@ -280,10 +274,10 @@ def test_a_standing_car_learns_nothing():
 def test_what_is_not_finite_brings_back_what_is_known_beforehand():
     mpc = learner()
     driven(mpc)
-    mpc._mpc.learned[0, kernel.blocks_at(mpc.learner.kept) + kernel.X] = math.nan
+    kernel.hypothesis(0, mpc.learner.kept, mpc._mpc.informed.learned[0]).x[0] = math.nan
     answer = mpc.step([0.01, 0.0, 0.01, 0.02], SPEED, np.zeros(40))
     assert math.isfinite(answer.angle)
-    np.testing.assert_array_equal(mpc._mpc.learned[0], mpc.learner.fresh())
+    np.testing.assert_array_equal(mpc._mpc.informed.learned[0], mpc.learner.fresh())
     driven(mpc)
     assert np.isfinite(learned_of(mpc)).all()
 
@@ -295,7 +289,7 @@ def test_a_speed_that_is_no_number_does_not_spoil_what_is_learned(speed):
     driven(mpc)
     mpc.step([0.0, 0.0, 0.0, 0.0], speed, np.zeros(40))
     driven(mpc, 5)
-    assert np.isfinite(mpc._mpc.learned[0][kernel.ANSWER : kernel.ANSWER + len(kernel.BELIEFS)]).all()
+    assert all(math.isfinite(belief(mpc, name)) for name in kernel.BELIEFS)
 
 
 # -- asked for, handed over -------------------------------------------------------------------------------------------

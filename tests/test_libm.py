@@ -17,7 +17,7 @@ import numba
 import numpy as np
 import pytest
 
-from adaptrack.core.kernel import INTERPRETED, Exported, Inlined, Primitive, fma
+from adaptrack.core.kernel import INTERPRETED, Known, fma
 from adaptrack.core.maths import bits, exact, exponential, polynomial, trigonometric
 from inlined import entry
 
@@ -307,7 +307,7 @@ def interpreted(*modules):
     scope = {}
     for module in modules:
         for name, value in vars(module).items():
-            if isinstance(value, (Inlined, Exported)) and not isinstance(value, Primitive):
+            if isinstance(value, Known) and value.kind != "primitive":
                 scope[name] = FunctionType(value.function.__code__, scope, name)
             elif not name.startswith("__"):
                 scope.setdefault(name, value)

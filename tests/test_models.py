@@ -52,7 +52,7 @@ def compiled(model, speed, Np):
     free, step, e = np.zeros((4, STRIDE)), np.zeros(STRIDE), np.full(4, np.nan)
     kernel.discretise(speed, model.period, model.parameters(), a, b, e)
     assert (e == 0.0).all()  # the heading is that in the ground frame: no road bends it
-    condensing.responses(Np, False, condensing.Discrete(a, b, model.output, e, np.full((3, 4), np.nan)), free, step)
+    condensing.responses(Np, False, condensing.Discrete(a, b, model.output, e, *np.full((3, 4), np.nan)), free, step)
     return free[:, :Np].T, step[:Np]
 
 

@@ -429,7 +429,7 @@ class Locked(Playlist):
 
 
 def contents(record):
-    return [contents(each) for each in record] if isinstance(record, tuple) else record.tobytes()
+    return [contents(each) for each in record] if isinstance(record, tuple) else np.asarray(record).tobytes()
 
 
 @pytest.mark.parametrize("kind", [Playlist, Locked])
@@ -442,7 +442,7 @@ def test_to_ask_for_the_qp_changes_neither_the_controller_nor_a_scheduler_that_c
     assert qp.E.shape == (6, 6), "the tuning that comes next"
     assert mpc.scheduler.k == (1 if kind is Playlist else 2)
     assert mpc.scheduler_counts == {"raised": 0}
-    assert mpc._asked.tolist() == [20, 4, 2.0, 0.5]
+    assert mpc._requested.tolist() == [20, 4, 2.0, 0.5]
     assert contents(mpc._mpc) == memory
     if kind is Playlist:
         assert mpc.step(REST, 15.0, [0.3], HERE) == twin.step(REST, 15.0, [0.3], HERE)
@@ -593,6 +593,17 @@ def test_a_state_of_the_wrong_shape_is_refused(state):
         published_mpc(CAR).step(state, 15.0, [0.0])
 
 
+@pytest.mark.parametrize("size", [1, 30, 200])
+def test_how_the_numbers_of_a_reference_are_stored_makes_no_difference(size, rng):
+    ahead, states = rng.normal(size=size), [wild_state(rng, 0.2) for _ in range(3)]
+    mpc = published_mpc(CAR, preview=True)
+    expected = [mpc.step(state, 15.0, ahead) for state in states]
+    for stored in (ahead.tolist(), ahead[::-1].copy()[::-1], ahead.reshape(1, -1), np.ma.array(ahead), list(ahead)):
+        mpc.reset()
+        given = [ahead, stored, ahead]
+        assert [mpc.step(state, 15.0, row) for state, row in zip(states, given, strict=True)] == expected
+
+
 def test_a_fifth_entry_is_the_angle_of_the_wheels_which_the_papers_model_does_not_need():
     assert published_mpc(CAR).step([0.1, 0.0, 0.0, 0.2, 0.3], 15.0, [0.0]) == published_mpc(CAR).step(
         [0.1, 0.0, 0.0, 0.2], 15.0, [0.0]
@@ -629,7 +640,7 @@ def test_what_a_workspace_held_before_changes_no_bit(options, rng):
             state, ahead = wild_state(rng, 0.6), rng.normal(size=1)
             for one in (fresh, used):
                 one.measured[:4] = state
-                step(speed, ahead.size, Step(one, mpc.functions, ahead, tuning))
+                step(Step(one, mpc.functions, np.array([speed, ahead.size]), ahead, tuning))
             assert np.array_equal(fresh.answer, used.answer, equal_nan=True)
 
 

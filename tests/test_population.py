@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from scipy.integrate import solve_ivp
+from scipy.integrate import odeint
 
 import adaptrack as at
 from adaptrack.identification.random_cars import CarRanges, random_car
@@ -82,7 +82,7 @@ def _signals(seconds=20.0, period=0.05, speed=18.0, factor=1.0, delay=0.4):
         front, rear = cf * (angle - (vy + lf * rate) / speed), cr * (lr * rate - vy) / speed
         return [(front + rear) / m - speed * rate, (lf * front - lr * rear) / inertia, (sent - angle) / (delay / 2)]
 
-    x = solve_ivp(slope, (0.0, t[-1]), np.zeros(3), t_eval=t, max_step=0.01, rtol=1e-6).y
+    x = odeint(slope, np.zeros(3), t, tfirst=True, hmax=0.01, rtol=1e-7, atol=1e-9).T
     return learned_belief.Drives(
         command=command[None], speed=np.full((1, len(t)), speed), measured=np.array([[x[1], x[0]]]),
         noise=np.array([[1e-3, 1e-2]]), car=own[None], truth=np.zeros((1, 10, 3)), filters=np.zeros((1, 10, 3)),

@@ -8,8 +8,7 @@ import pytest
 
 from adaptrack.batch import rollout_batch
 from adaptrack.controllers import MPC, Limits, Moves, Tuning, published_mpc
-from adaptrack.core import loop
-from adaptrack.core import rollout as compiled
+from adaptrack.core import loop, period
 from adaptrack.core.controllers import mpc as kernel
 from adaptrack.core.kernel import columns as names_of_columns
 from adaptrack.core.maths.random import counted_normal
@@ -768,7 +767,7 @@ def test_the_kernels_columns_have_names_of_their_own(columns):
 
 @pytest.mark.parametrize(
     "structure",
-    [loop.SETTINGS, loop.OWN, kernel.SETTINGS, kernel.MEMORY, compiled.RESULT],
+    [loop.SETTINGS, loop.OWN, kernel.MEMORY, period.RESULT],
     ids=lambda s: s._fields[0],
 )
 def test_the_kernels_rows_have_fields_of_their_own(structure):

@@ -26,7 +26,7 @@ from adaptrack import (
     published_mpc,
 )
 from adaptrack.failure import Failure
-from adaptrack.kalman import KalmanFilter, ReadableFilter, SensorNoise
+from adaptrack.kalman import KalmanFilter, SensorNoise
 from adaptrack.linearisation import (
     Laws,
     Mismatch,
@@ -45,6 +45,7 @@ from adaptrack.runs import RunSet
 from adaptrack.scenario import Scenario, Wind
 from adaptrack.simulate import rollout
 from adaptrack.stability import closed_loop, hard_turn, loop_map, loops, margins, modulus_margin, radii, spectral_radius
+from textbook_filter import TextbookFilter
 
 pytestmark = pytest.mark.compiled
 CAR = load_vehicle("paper")
@@ -394,16 +395,16 @@ def knowing(lag=0.15, dead_time=0.05, noise=SENSORS["road"], moves=None):
     )
 
 
-def steady_gain(readable, speed, noise):
+def steady_gain(textbook, speed, noise):
     """K of the filter in the end, by the algebraic Riccati equation, and the rows that it reads."""
-    f, _ = readable.matrices(speed, 0.05)
+    f, _ = textbook.matrices(speed, 0.05)
     read = np.zeros((5, len(f)))
     for row, name in enumerate(("vy", "yaw", "yaw_rate", "y", "wheel_angle")):
-        if name in readable.model.states and math.isfinite(getattr(noise, name)):
-            read[row, readable.model.states.index(name)] = 1.0
+        if name in textbook.model.states and math.isfinite(getattr(noise, name)):
+            read[row, textbook.model.states.index(name)] = 1.0
     heard = read.any(axis=1)
-    h, r = read[heard], np.diag(readable.own.variances()[:5][heard])
-    p = solve_discrete_are(f.T, h.T, readable.Q, r)
+    h, r = read[heard], np.diag(textbook.own.variances()[:5][heard])
+    p = solve_discrete_are(f.T, h.T, textbook.Q, r)
     gain = np.zeros((len(f), 5))
     gain[:, heard] = p @ h.T @ np.linalg.inv(h @ p @ h.T + r)
     return gain, read
@@ -411,18 +412,18 @@ def steady_gain(readable, speed, noise):
 
 def written_out(mpc, noise, speed, measured, commands):
     """xi of every instant for measurements (n, 5) and commands: the filter's equations, its gain by Riccati's."""
-    readable = ReadableFilter(mpc.estimator, mpc.model)
-    gain, read = steady_gain(readable, speed, noise)
-    readable.z, readable.sent = np.zeros(readable.n + 2), [0.0] * (readable.whole + 2)
-    readable.P = np.zeros((len(gain), len(gain)))
+    textbook = TextbookFilter(mpc.estimator, mpc.model)
+    gain, read = steady_gain(textbook, speed, noise)
+    textbook.z, textbook.sent = np.zeros(textbook.n + 2), [0.0] * (textbook.whole + 2)
+    textbook.P = np.zeros((len(gain), len(gain)))
     a, b, _ = mpc.model.discrete(speed)
-    f, _ = readable.matrices(speed, 0.05)
+    f, _ = textbook.matrices(speed, 0.05)
     found, last = [], 0.0
     for seen, command in zip(measured, commands, strict=True):
-        readable.sent = [last, *readable.sent[:-1]]
-        readable.predict(speed)
-        readable.z = readable.z + gain @ (seen * read.any(axis=1) - read @ readable.z)
-        x, d = readable.ahead(speed)[: readable.n], f[: readable.n, readable.n :] @ readable.z[readable.n :]
+        textbook.sent = [last, *textbook.sent[:-1]]
+        textbook.predict(speed)
+        textbook.z = textbook.z + gain @ (seen * read.any(axis=1) - read @ textbook.z)
+        x, d = textbook.ahead(speed)[: textbook.n], f[: textbook.n, textbook.n :] @ textbook.z[textbook.n :]
         found.append([*(a @ x + b[:, 0] * last + d - x), x[-1]])
         last = command
     return np.array(found)

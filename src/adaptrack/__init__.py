@@ -22,6 +22,7 @@ _PUBLIC = {
         "StorageError",
         "UnknownName",
     ),
+    "core.member": ("CFunction",),
     "domain": ("Domain",),
     "known_within": ("KnownWithin",),
     "outline": ("Outline",),
@@ -237,6 +238,7 @@ if TYPE_CHECKING:
         published_mpc,
         register_controller,
     )
+    from adaptrack.core.member import CFunction
     from adaptrack.data_sheet import vehicle_from_data_sheet
     from adaptrack.dataset import DataSet, list_datasets, load_dataset
     from adaptrack.domain import Domain
@@ -342,6 +344,7 @@ __all__ = [
     "QP",
     "AdaptrackError",
     "Body",
+    "CFunction",
     "CampaignConfig",
     "CarRanges",
     "ConfigError",

@@ -8,7 +8,6 @@ import queue
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -16,7 +15,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from adaptrack.controllers import MPC, CompiledController, CompiledScheduler, Controller
 from adaptrack.errors import InvalidInput, MissingExtra
-from adaptrack.estimation import FrictionWindEstimator
 from adaptrack.failure import Failure
 from adaptrack.plant import DualTrack, Plant, SingleTrack
 from adaptrack.profile import Profile
@@ -117,9 +115,9 @@ class BatchRuns:
     """What `Batch.run` gives."""
 
     result: Any
-    """(runs,) `core.rollout.RESULT`"""
+    """(runs,) `core.period.RESULT`"""
     trace: Any
-    """`core.rollout.Trace` of (runs, periods of the longest, ...), NaN behind a run's end; empty unless asked for"""
+    """`core.period.Trace` of (runs, periods of the longest, ...), NaN behind a run's end; empty unless asked for"""
     counts: dict[str, NDArray[np.int64]]
     """what the scheduler counted, (runs,) by name; empty without one"""
     segments: Array
@@ -257,10 +255,10 @@ class Batch:
         """The MPC's settings with a workspace no larger than horizons up to these need; tiny for other controllers."""
         if isinstance(self.controller, MPC):
             return self.controller.settings(longest, most, residuals)
-        from adaptrack.core.controllers.mpc import SETTINGS
+        from adaptrack.core.controllers.mpc import settings
 
-        return SETTINGS.new(period=self.world.period, longest_horizon=1, most_moves=1, output_min=-np.inf,
-                            output_max=np.inf)  # fmt: skip
+        return settings(period=self.world.period, longest_horizon=1, most_moves=1, output_min=-np.inf,
+                        output_max=np.inf)  # fmt: skip
 
     def arena(
         self, slots: int, steps: int, mpc_settings: Any, segments: int = 0, periods: int = 0,
@@ -270,68 +268,42 @@ class Batch:
 
         segments: of each run; periods: to trace, 0 for no trace.
         """
-        from adaptrack.core import rollout
+        from adaptrack.core import period, rollout
         from adaptrack.core.controllers import mpc as kernel
-        from adaptrack.core.estimators.friction_wind import MEMORY as KNOWING
-        from adaptrack.core.plants.contract import STATES, vehicle_batch
+        from adaptrack.core.plants.contract import vehicle_batch
         from adaptrack.core.schedule import no_schedule
-        from adaptrack.core.variables import VARIABLES
 
-        own, known = self.controller, self.world.known_as
-        assert isinstance(self.world.plant, Plant)
+        own, plant = self.controller, self.world.plant
+        assert isinstance(plant, Plant)
         if isinstance(own, CompiledController):
             functions = kernel.functions()
             mpc = kernel.batch(
                 slots, mpc_settings, (np.zeros(6), np.arange(4), np.zeros(4), np.zeros(0)), (np.zeros(0), 0)
             )
-            law = rollout.law_batch(slots, own.parameters(), own.memory_size, own.diagnostic_names, own.preview)
+            law = rollout.law_batch(slots, own)
             width = law.answer.shape[1] + len(own.tuning_names)
         else:
             assert isinstance(own, MPC)
             mpc, law = own.batch(slots, mpc_settings, curved=bool(len(self.roads.numbers))), rollout.no_law_batch()
             functions = own.functions
             width = mpc.answer.shape[1]
-        none = np.zeros(0)
-        perceiving = rollout.Perceiving(none, none, np.zeros((0, 0)))
-        if isinstance(known, FrictionWindEstimator):
-            perceiving = rollout.Perceiving(known.packed(), known.settings(), np.zeros((slots, KNOWING)))
-        traced = slots if periods else 0
+        loop = self.world.loop(
+            period.Given(self.samples, self.roads, np.zeros(slots, np.int64), np.zeros(slots, np.int64)),
+            vehicle_batch(plant.compiled, plant.packed(), np.zeros((slots, self.starts.shape[1]))),
+            self.settings[steps],
+            variables=scheduler is not None,
+            trace=period.traces(slots, periods, width) if periods else None,
+        )
+        features = loop.features._replace(law=isinstance(own, CompiledController))
+        loop = loop._replace(features=features, measured=mpc.measured, segments=np.zeros((slots, segments)))
         return rollout.Run(
-            settings=self.settings[steps],
-            members=self.members,
-            vehicles=vehicle_batch(
-                self.world.plant.compiled, self.world.plant.packed(), np.zeros((slots, self.starts.shape[1]))
-            ),
-            given=rollout.Given(
-                self.samples, self.roads, np.zeros(slots, np.int64), np.zeros(slots, np.int64)
-            ),
+            *loop,
             mpc=mpc,
             functions=functions,
             law=law,
             schedule=no_schedule() if scheduler is None else scheduler.plan(slots),
-            perceiving=perceiving,
             tuning=np.zeros((slots, len(self.tuning))),
-            variables=np.zeros(len(VARIABLES)),
-            memory=self.world.memory(slots),
-            result=rollout.RESULT.new(slots),
-            ceiling=np.full(slots, np.inf),
-            segments=np.zeros((slots, segments)),
-            trace=rollout.Trace(
-                np.full((traced, periods, STATES), np.nan), np.full((traced, periods, width), np.nan),
-                np.full((traced, periods, 5), np.nan),
-            ),
-            seen=np.zeros(2),
-        )  # fmt: skip
-
-    @cached_property
-    def members(self) -> Any:
-        """`core.rollout.Members`."""
-        from adaptrack.core import rollout
-
-        assert isinstance(self.world.plant, Plant)
-        plant, own = self.world.plant.compiled, self.controller
-        law = own.function if isinstance(own, CompiledController) else None
-        return rollout.members(advance=plant.advance, observe=plant.observe, law=law)
+        )
 
     def chunks(self, which: NDArray[np.int64], threads: int = 1) -> list[NDArray[np.int64]]:
         """Runs that are driven together: as long, and integrated with the same number of steps.
@@ -368,13 +340,13 @@ class Batch:
         traced: keep what happened at every control instant, about 200 bytes for each of a run; segment: periods of a
         segment whose cost is asked for, with `weight` (m^2/rad^2) on the squared moves; 0: none.
         """
-        from adaptrack.core import guard, rollout
+        from adaptrack.core import guard, period
 
         runs, n = len(which), int(self.periods.max())
         plan = _Plan(which, tunings, seeds, segment, weight, n if traced else 0, scheduler)
         longest = (math.inf, math.inf) if traced else self.longest(tunings, scheduler)
         settings = self.mpc_settings(*longest, residuals=traced)
-        result, counts = rollout.RESULT.new(runs), np.zeros((len(guard.COUNTS), runs), np.int64)
+        result, counts = period.RESULT.new(runs), np.zeros((len(guard.COUNTS), runs), np.int64)
         segments = np.full((runs, math.ceil(n / segment) if segment else 0), np.nan)
         traces: list[tuple[NDArray[np.int64], Any]] = []
         waiting: queue.SimpleQueue[NDArray[np.int64]] = queue.SimpleQueue()
@@ -404,14 +376,14 @@ class Batch:
                 for future in [pool.submit(work) for _ in range(workers)]:
                     future.result()
         named = {} if scheduler is None else dict(zip(guard.COUNTS, counts, strict=True))
-        return BatchRuns(result, _joined(traces, runs) if traces else rollout.no_trace(), named, segments)
+        return BatchRuns(result, _joined(traces, runs) if traces else period.no_trace(), named, segments)
 
     def _drive(self, chunk: NDArray[np.int64], plan: _Plan, mpc_settings: Any, last: Any) -> Any:
         """Drive the runs of one chunk; the `core.rollout.Run` that they leave.
 
         last: that of a chunk before, None: none; its arrays are used again where they fit and nothing in them is kept.
         """
-        from adaptrack.core import rollout
+        from adaptrack.core import period, rollout
         from adaptrack.core.kernel import Resident
 
         which, size = plan.which[chunk], len(chunk)
@@ -426,7 +398,7 @@ class Batch:
         run.vehicles.start[:], run.tuning[:] = self.starts[which], plan.tunings[chunk]
         place = Resident(run)
         rollout.begin(size, place)
-        rollout.rollout(rollout.Span(n, size, max(plan.segment, 1), plan.weight), place)
+        rollout.rollout(period.Span(n, size, plan.segment, plan.weight), place)
         return run
 
 

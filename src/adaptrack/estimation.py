@@ -52,13 +52,6 @@ class Estimator(ABC):
         return 0.0, 0.0
 
     @property
-    def kind(self) -> int:
-        """`core.estimators.contract.DEADBEAT`, or BY_FUNCTION."""
-        from adaptrack.core.estimators import contract
-
-        return contract.DEADBEAT if self.function is None else contract.BY_FUNCTION
-
-    @property
     @abstractmethod
     def function(self) -> Any:
         """The compiled ``estimate(speed, measured, command, a, b, parameters, memory, x, d)``.
@@ -424,12 +417,22 @@ class FrictionWindEstimator:
         """The vehicle as the kernel expects it (`core.plants.parameters.PLANT_PARAMETERS`)."""
         return self._packed.copy()
 
-    def reset(self) -> None:
-        """Forget the past: the next step is the first, with the wheels straight ahead."""
+    def packed_for(self, slots: int) -> Any:
+        """So many fresh estimators like this one, as `core.period.Perceiving`."""
+        from adaptrack.core.estimators import friction_wind
+        from adaptrack.core.period import Perceiving
+
+        return Perceiving(self._packed, self._settings, friction_wind.Memory.new(slots))
+
+    def reset(self, memory: Array | None = None) -> None:
+        """Forget the past: the next step is the first, with the wheels straight ahead.
+
+        memory: that of one of `packed_for`, whose steps are this one's from now on.
+        """
         from adaptrack.core.estimators import friction_wind
 
         self._kernel = friction_wind
-        self._memory = np.zeros((1, friction_wind.MEMORY))
+        self._memory = friction_wind.Memory.new() if memory is None else memory
 
     def step(self, measured: ArrayLike, speed: float, command: float, acceleration: float | None = None) -> Estimate:
         """One step, at a control instant, before the controller's.
@@ -449,22 +452,26 @@ class FrictionWindEstimator:
             raise InvalidInput(f"measured: shape {seen.shape}, expected (4,): v_y, yaw, yaw rate, y.")
         felt = math.nan if acceleration is None else real("estimator", "acceleration", acceleration)
         pace, sent = real("estimator", "speed", speed), real("estimator", "command", command)
-        kernel = self._kernel
-        kernel.estimate(0, seen, pace, sent, felt, self._packed, self._settings, self._memory)
-        own = self._memory[0]
+        self._kernel.estimate(0, seen, pace, sent, felt, self._packed, self._settings, self._memory)
+        return self.estimate
+
+    @property
+    def estimate(self) -> Estimate:
+        """What the last step found."""
+        kernel, own = self._kernel, self._memory[0]
         return Estimate(
-            friction=float(own[kernel.FRICTION_HAT]),
-            wind=float(own[kernel.WIND_HAT]),
-            friction_std=float(own[kernel.FRICTION_STD]),
-            wind_std=float(own[kernel.WIND_STD]),
-            stiffness=math.exp(own[kernel.LOG_STIFFNESS]),
+            friction=float(own.friction),
+            wind=float(own.wind),
+            friction_std=float(own.friction_std),
+            wind_std=float(own.wind_std),
+            stiffness=math.exp(own.z[kernel.LOG_STIFFNESS]),
         )
 
     @property
     def covariance(self) -> Array:
         """(5, 5) covariance of z = [v_y, r, ln mu, w, ln s] after the last step."""
-        k = self._kernel
-        return self._memory[0, k.COVARIANCE : k.COVARIANCE + k.N**2].reshape(k.N, k.N).copy()
+        found: Array = self._memory[0].covariance[:, : self._kernel.N].copy()
+        return found
 
 
 @dataclass(frozen=True)

@@ -1,7 +1,6 @@
 """The Kalman filter of the MPC: state, disturbances and dead time of the path model from noisy, patchy measurements.
 
-`KalmanFilter` is what a controller is given; it runs compiled (`core.estimators.kalman`). `ReadableFilter` is the
-same filter in NumPy, one equation per method; a test demands that both agree.
+`KalmanFilter` is what a controller is given; it runs compiled (`core.estimators.kalman`).
 """
 
 from __future__ import annotations
@@ -11,14 +10,13 @@ from dataclasses import dataclass, fields
 from typing import Any, final
 
 import numpy as np
-import scipy  # loads its parts when they are first used
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from adaptrack.errors import InvalidInput, real
 from adaptrack.estimation import Estimator
 from adaptrack.models import MEASURED, PathModel, PredictionModel
 from adaptrack.profile import Profile
-from adaptrack.vehicle import GRAVITY, Vehicle, in_periods
+from adaptrack.vehicle import Vehicle, in_periods
 
 Array = NDArray[np.float64]
 
@@ -202,12 +200,12 @@ class KalmanFilter(Estimator):
     def change_path(self, model: PredictionModel, memory: Array, heading: float, offset: float) -> None:
         from adaptrack.core.estimators.kalman import move_path
 
-        move_path(memory, model.n, self.late(model), heading, offset)
+        move_path(memory, self.late(model), heading, offset)
 
     def left_out(self, memory: Array) -> str | None:
-        from adaptrack.core.estimators.kalman import LEFT_OUT
+        from adaptrack.core.estimators.kalman import memory_of
 
-        out = int(memory[LEFT_OUT])
+        out = int(memory_of(memory, 0).left_out)
         return SENSORS[out - 1] if out else None
 
     def _longest(self, model: PredictionModel) -> int:
@@ -240,20 +238,31 @@ class KalmanFilter(Estimator):
         return self.friction, self.shape
 
     def parameters(self, model: PredictionModel) -> Array:
-        whole, share = _periods(model)
+        from adaptrack.core.estimators.kalman import STATE, Numbers
+
         assert isinstance(model, PathModel)
-        drifts = [getattr(self.drifts, name) ** 2 * model.period for name in MEASURED]
-        together = self.disturbance_drift(model) * model.period
-        drifts += [together[0, 0], together[1, 1], together[0, 1]]
-        drifts += [self.drifts.yaw_rate_offset**2 * model.period, self.drifts.sliding**2]
-        drifts += [self.drifts.sliding_time, self.drifts.grip, self.drifts.least_spare]
-        spread = [each**2 for each in (*self.spread, self.noise.yaw_rate_offset)]
-        own = [model.period, whole, share, self._longest(model), self.late(model), 0.0, self.bound]
-        own += [self.patience / model.period]
-        own += [self.distrust, self.trust, *self.shares(model.period)]
-        spread = [self.friction, self.shape, *spread]
-        own += [min(1.0, model.period / self.settling), *self.variances(), *drifts, *spread]
-        return np.concatenate([own, model.parameters()])
+        whole, share = _periods(model)
+        forgetting, regaining = self.shares(model.period)
+        spread_side, spread_turn, spread_offset = (each**2 for each in (*self.spread, self.noise.yaw_rate_offset))
+        drifts, together = self.drifts, self.disturbance_drift(model)
+        drift = {name: getattr(drifts, name) ** 2 for name in model.states}
+        drift |= {"side": together[0, 0], "turn": together[1, 1]}
+        if self.noise.yaw_rate_offset > 0.0:
+            drift["offset"] = drifts.yaw_rate_offset**2
+        read = [name in (*model.states, "lateral_acceleration") for name in SENSORS]
+        numbers = Numbers.new(
+            period=model.period, whole=whole, share=share, longest=self._longest(model), late=self.late(model),
+            bound=self.bound, patience=self.patience / model.period, distrust=self.distrust, trust=self.trust,
+            forgetting=forgetting, regaining=regaining, settling=min(1.0, model.period / self.settling),
+            variance=np.where(read, self.variances(), math.inf),
+            drift=[drift.get(name, 0.0) * model.period for name in STATE._fields],
+            drift_both=together[0, 1] * model.period,
+            sliding=drifts.sliding**2, sliding_time=drifts.sliding_time,
+            grip=drifts.grip, least_spare=drifts.least_spare, friction=self.friction, shape_factor=self.shape,
+            spread_side=spread_side, spread_turn=spread_turn, spread_offset=spread_offset,
+            model=tuple(model.parameters()),
+        )  # fmt: skip
+        return np.asarray(numbers.view(float))
 
 
 def wind_turn(vehicle: Vehicle) -> float:
@@ -267,282 +276,3 @@ def wind_turn(vehicle: Vehicle) -> float:
 def _periods(model: PredictionModel) -> tuple[int, float]:
     """The dead time of a model in periods: whole ones and the share of one more."""
     return in_periods(model.dead_time, model.period)
-
-
-class ReadableFilter:
-    """`KalmanFilter` in NumPy, for reading and testing: ``step(speed, measured, command)`` gives (x, d).
-
-    z = [x, d_y, d_r] and, where it is estimated, the yaw-rate sensor's offset; F = [[A, G], [0, I]] over a period.
-    """
-
-    def __init__(self, estimator: KalmanFilter, model: PathModel) -> None:
-        self.own, self.model, self.n = estimator, model, model.n
-        self.whole, self.share = _periods(model)
-        self.late = estimator.late(model)
-        self.offset_known = estimator.noise.yaw_rate_offset == 0.0
-        self.size = model.n + 2 + (not self.offset_known)
-        self.Q = np.zeros((self.size, self.size))  # covariance that a period adds
-        self.Q[: model.n, : model.n] = np.diag([getattr(estimator.drifts, name) ** 2 for name in model.states])
-        self.Q[model.n : model.n + 2, model.n : model.n + 2] = estimator.disturbance_drift(model)
-        if not self.offset_known:
-            self.Q[-1, -1] = estimator.drifts.yaw_rate_offset**2
-        self.Q *= model.period
-        self.unit_side = np.eye(self.size)[model.n]
-        self.turned = [0.0] * (self.late + 1)
-        self.z: Array | None = None
-        self.astray = 0
-
-    def matrices(self, speed: float, time: float) -> tuple[Array, Array]:
-        """F (size, size) and B (size,) over a time (s), by one matrix exponential."""
-        a, inputs = self.model.continuous(speed)
-        n, size = self.n, self.size
-        block = np.zeros((size + 1, size + 1))
-        block[:n, :n], block[:n, n : n + 2], block[:n, size] = a, inputs[:, 1:3], inputs[:, 0]
-        whole = scipy.linalg.expm(block * time)
-        return whole[:size, :size], whole[:size, size]
-
-    def begin(self, measured: Array, command: float) -> None:
-        """z and its covariance from the first sample."""
-        from adaptrack.core.estimators.kalman import UNKNOWN
-
-        n, own = self.n, self.own
-        self.sent = [command] * (self.whole + self.late + 2)
-        self.z, variance = np.zeros(self.size), np.full(self.size, UNKNOWN)
-        for name, noise in zip(MEASURED, own.variances(), strict=False):
-            if name in self.model.states and name != "wheel_angle":
-                value = measured[MEASURED.index(name)]
-                if math.isfinite(noise) and math.isfinite(value):
-                    i = self.model.states.index(name)
-                    self.z[i], variance[i] = value, noise
-        if "wheel_angle" in self.model.states:
-            self.z[3], variance[3] = command, self.Q[3, 3]
-        variance[n:] = np.square([*own.spread, own.noise.yaw_rate_offset][: self.size - n])
-        if not self.offset_known:
-            variance[2] += own.noise.yaw_rate_offset**2
-        self.P = np.diag(variance)
-        self.past = self.z.copy(), self.P.copy()
-        self.ring: list[dict[str, float]] = [{} for _ in range(self.late + 1)]
-        self.turned = [0.0] * (self.late + 1)
-        self.last, self.offsets = np.array(measured[: len(SENSORS)]), np.zeros(len(SENSORS))
-        self.disagreement: dict[str, float] = dict.fromkeys(SENSORS, 0.0)
-        self.left_out: str | None = None
-        self.steps, self.blind, self.astray = 0, 0, 0
-
-    def is_astray(self, measured: Array) -> bool:
-        """Whether positions or headings have been elsewhere for so long that bounded innovations would not help."""
-        from adaptrack.core.estimators.kalman import ASTRAY, FAR, FAR_TURNED
-
-        y, yaw = measured[MEASURED.index("y")], measured[MEASURED.index("yaw")]
-        if self.z is not None and math.isfinite(y) and math.isfinite(yaw):
-            far = abs(y - self.z[self.n - 1]) > FAR or abs(yaw - self.z[1]) > FAR_TURNED
-            self.astray = self.astray + 1 if far else 0
-        return self.astray >= ASTRAY
-
-    def sort_in(self, measured: Array) -> None:
-        """Give each sample to the instant at which it was taken: value, and how much earlier (s) than that."""
-        from adaptrack.core.estimators.kalman import LEAST_NOISE
-
-        self.ring = [{}, *self.ring[:-1]]
-        self.turned = [float(measured[-1]), *self.turned[:-1]]
-        self.blind += 1
-        pose_age, motion_age = (each if math.isfinite(each) else 0.0 for each in measured[len(SENSORS) : -1])
-        for i, (name, variance) in enumerate(zip(SENSORS, self.own.variances(), strict=True)):
-            value, age = float(measured[i]), pose_age if name in ("yaw", "y") else motion_age
-            moved = name in ("yaw", "y") and self.turned[0] != 0.0
-            repeated = value == self.last[i] and variance > LEAST_NOISE[i] ** 2 and not moved
-            self.last[i] = value
-            instants = math.floor(age / self.model.period + 0.5)
-            if not (math.isfinite(value) and math.isfinite(variance) and 0 <= instants <= self.late):
-                continue
-            if not repeated:
-                self.ring[instants][name] = value
-                if name in ("yaw", "y"):
-                    self.ring[instants]["tau"] = age - instants * self.model.period
-            if name == "y" and (not repeated or self.agrees(value, variance)):
-                self.blind = 0
-
-    def agrees(self, value: float, variance: float) -> bool:
-        """Whether a position is where the estimate is, by the noise of its sensor."""
-        assert self.z is not None
-        return bool(abs(value - self.z[self.n - 1]) <= self.own.bound * math.sqrt(variance))
-
-    def predict(self, speed: float, instant: int = 0) -> None:
-        """z(k) = F z(k-1) + B u, where in a period first the older, then the newer command acts; P = F P F' + Q."""
-        period, tyres = self.model.period, self.own.drifts
-        old, new = self.sent[self.whole + instant + 1], self.sent[self.whole + instant]
-        assert self.z is not None
-        lost = self.lost(speed, instant) * self.unit_side
-        for time, command in ((self.share * period, old), ((1.0 - self.share) * period, new)):
-            f, b = self.matrices(speed, time)
-            self.z = f @ (self.z + lost) + b * command - lost
-        self.z[1] -= self.turned[instant]  # heading and offset count from the path, which turns evenly
-        self.z[self.n - 1] -= 0.5 * speed * period * self.turned[instant]
-        f, _ = self.matrices(speed, period)
-        self.P = f @ self.P @ f.T + self.Q
-        places = np.ix_([0, 2], [0, 2])
-        errors = self.sliding(speed, new)
-        self.P[places] += period * errors
-        front, rear = self.forces(speed, new)
-        self.spare = max(tyres.least_spare, tyres.grip - abs(front + rear) / self.model.vehicle.mass)
-        self.felt_error = errors[0, 0] / (2.0 * tyres.sliding_time)
-
-    def lost(self, speed: float, instant: int = 0) -> float:
-        """m/s^2, what tyres pull less in the bend of an instant than linear ones at the same slip: to the outside.
-
-        By the Magic Formula with E = 0 an axle that pulls the share f of mu F_z slides under the angle at which a
-        linear tyre would pull mu F_z C tan(asin(f)/C).
-        """
-        from adaptrack.core.models.path import MOST_SHARE
-
-        turn, most = speed * self.turned[instant] / self.model.period, self.own.friction * GRAVITY
-        share, shape = min(abs(turn) / most, MOST_SHARE), self.own.shape
-        return -math.copysign(most * (shape * math.tan(math.asin(share) / shape) - share), turn)
-
-    def forces(self, speed: float, command: float) -> Array:
-        """(2,) N, of the axles in the model."""
-        from adaptrack.core.models.path import SLOWEST
-
-        assert self.z is not None
-        v, pace = self.model.vehicle, max(speed, SLOWEST)
-        angle = self.z[3] if "wheel_angle" in self.model.states else command
-        slips = np.array([angle - (self.z[0] + v.lf * self.z[2]) / pace, -(self.z[0] - v.lr * self.z[2]) / pace])
-        return 2.0 * np.array([v.stiffness_front, v.stiffness_rear]) * slips
-
-    def sliding(self, speed: float, command: float) -> Array:
-        """(2, 2) what a second adds to the variances of v_y and r for the sliding of the tyres."""
-        v = self.model.vehicle
-        weight = v.mass * GRAVITY / (v.lf + v.lr)
-        loads = np.array([weight * v.lr, weight * v.lf])
-        forces = np.minimum(np.abs(self.forces(speed, command)), loads)
-        by_force = np.array([[1 / v.mass, 1 / v.mass], [v.lf / v.yaw_inertia, -v.lr / v.yaw_inertia]])
-        return self.own.drifts.sliding**2 * by_force @ np.diag((forces**2 / loads) ** 2) @ by_force.T
-
-    def reading(self, name: str, instant: int, tau: float, speed: float) -> tuple[Array, float]:
-        """h (size,) of a sensor tau (s) before an instant, so many ago, and what it reads beside h z."""
-        h, states = np.zeros(self.size), self.model.states
-        if name == "lateral_acceleration":
-            a, inputs = self.model.continuous(speed)
-            h[: self.n] = a[0]
-            h[2] += speed
-            h[self.n] = 1.0
-            return h, float(inputs[0, 0]) * self.sent[self.whole + instant] + self.lost(speed, instant)
-        h[states.index(name)] = 1.0
-        turning = self.turned[instant] / self.model.period
-        if name == "yaw":
-            h[2] = -tau
-            return h, tau * turning
-        if name == "y":
-            h[:3] = -tau, -tau * speed, 0.5 * tau**2 * speed
-            return h, -0.5 * tau**2 * speed * turning
-        if name == "yaw_rate" and not self.offset_known:
-            h[-1] = 1.0
-        return h, 0.0
-
-    def correct(self, h: Array, value: float, variance: float) -> float:
-        """z += K nu, P -= K h'P with K = P h/(h'P h + R): one sensor that reads h z, its innovation nu bounded."""
-        assert self.z is not None
-        scatter = h @ self.P @ h + variance
-        reach = self.own.bound * math.sqrt(scatter)
-        innovation = float(np.clip(value - h @ self.z, -reach, reach))
-        gain = self.P @ h / scatter
-        self.z, self.P = self.z + gain * innovation, self.P - np.outer(gain, h @ self.P)
-        return innovation
-
-    def take_in(self, instant: int, speed: float) -> None:
-        """The samples of an instant, so many periods ago; the latest move the offsets of their sensors."""
-        period, variances = self.model.period, self.own.variances()
-        tau = self.ring[instant].get("tau", 0.0)
-        for i, name in enumerate(SENSORS):
-            if name not in self.ring[instant] or (name == "wheel_angle" and name not in self.model.states):
-                continue
-            h, beside = self.reading(name, instant, tau, speed)
-            value = self.ring[instant][name] - beside - self.offsets[i]
-            more = self.felt_error if name == "lateral_acceleration" else 0.0
-            self.judge(name, instant, h, value, float(variances[i]) + more)
-            if name == self.left_out:
-                continue
-            innovation = self.correct(h, value, float(variances[i]) + more)
-            if instant == 0 and name in ("lateral_acceleration", "wheel_angle"):
-                self.offsets[i] += min(1.0, period / self.own.settling) * innovation
-
-    def judge(self, name: str, instant: int, h: Array, value: float, variance: float) -> None:
-        """Average the squared innovation of a sensor over its variance, every sample once."""
-        assert self.z is not None
-        if instant == self.late:
-            found = float((value - h @ self.z) ** 2 / (h @ self.P @ h + variance))
-            share = self.own.shares(self.model.period)[name == self.left_out]
-            self.disagreement[name] += share * (min(found, 2.0 * self.own.bound**2) - self.disagreement[name])
-
-    def choose_left_out(self) -> None:
-        """The redundant sensor that disagrees the most, beyond the bound, until it agrees again.
-
-        Where the model is wrong the gyro disagrees at least as much; where the gyro is, the heading disagrees with it.
-        A sensor without noise of its own is never left out: it is the model that is wrong.
-        """
-        from adaptrack.core.estimators.kalman import LEAST_NOISE
-
-        if self.left_out is not None:
-            if self.disagreement[self.left_out] < self.own.trust:
-                self.left_out = None
-            return
-        found = {name: each for name, each in self.disagreement.items() if each >= self.disagreement["yaw_rate"]}
-        found = {name: found.get(name, 0.0) for name in SENSORS if name not in ("yaw", "y")}
-        found["yaw_rate"] = self.disagreement["yaw"]
-        for name, variance, least in zip(SENSORS, self.own.variances(), LEAST_NOISE, strict=True):
-            if variance <= least**2:
-                found[name] = 0.0
-        worst = max(found, key=lambda name: found[name])
-        self.left_out = worst if found[worst] > self.own.distrust else None
-
-    def go_on(self, speed: float) -> None:
-        """From z of `late` periods before the last instant to the present one, with all samples since then."""
-        if self.late:
-            self.z, self.P = self.past
-        for instant in range(min(self.late, self.steps - 1), -1, -1):
-            self.predict(speed, instant)
-            self.take_in(instant, speed)
-            self.bound_disturbance()
-            if instant == self.late:
-                assert self.z is not None
-                self.past = self.z, self.P
-        self.choose_left_out()
-
-    def bound_disturbance(self) -> None:
-        """A push is no larger than what the tyres can still answer."""
-        assert self.z is not None
-        n = self.n
-        z = self.z.copy()
-        z[n : n + 2] *= self.spare / max(abs(z[n]), self.spare)
-        self.z = z
-
-    def ahead(self, speed: float) -> Array:
-        """z at the time when the next command begins to act, through the commands already sent."""
-        assert self.z is not None
-        z, period = self.z + self.lost(speed) * self.unit_side, self.model.period
-        for time, command in [(self.share * period, self.sent[self.whole])] + [
-            (period, self.sent[j]) for j in range(self.whole - 1, -1, -1)
-        ]:
-            f, b = self.matrices(speed, time)
-            z = f @ z + b * command
-        return z
-
-    def step(self, speed: float, measured: ArrayLike, command: float) -> tuple[Array, Array]:
-        """One control instant; command: the one given a period ago (rad)."""
-        seen = np.array([math.nan] * (len(SENSORS) + 2) + [0.0])
-        given = np.asarray(measured, dtype=float)
-        seen[: given.size] = given
-        if self.is_astray(seen):
-            self.z = None
-        if self.z is None:
-            self.begin(seen, command)
-        else:
-            self.sent = [command, *self.sent[:-1]]
-            self.sort_in(seen)
-            self.go_on(speed)
-        self.steps += 1
-        assert self.z is not None
-        f, _ = self.matrices(speed, self.model.period)
-        x = self.ahead(speed)[: self.n]
-        known = self.blind <= self.own.patience / self.model.period
-        pushes = (self.z + self.lost(speed) * self.unit_side)[self.n : self.n + 2]
-        return x if known else np.full(self.n, math.nan), f[: self.n, self.n : self.n + 2] @ pushes

@@ -107,7 +107,7 @@ class PredictionModel(ABC):
 
         a, b, c = self.discrete(speed)
         free, step = np.ones((self.n + 1, horizon)), np.empty(horizon)
-        model = condensing.Discrete(a, b[:, 0].copy(), c[0].copy(), np.zeros(self.n), np.zeros((3, self.n)))
+        model = condensing.discrete(a, b[:, 0].copy(), c[0].copy())
         condensing.responses(horizon, of_next, model, free, step)
         return free, step
 

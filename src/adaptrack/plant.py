@@ -15,6 +15,7 @@ import sys
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any, NoReturn, Self, final
 
 import numpy as np
@@ -150,6 +151,10 @@ class _Car(Plant):
     def with_steering(self, steering: SteeringActuator) -> Self:
         return type(self)(self.vehicle, self.tyre, steering, self.steps)
 
+    @cached_property
+    def _with_ideal_steering(self) -> Array:
+        return pack_plant(self.vehicle, self.tyre, SteeringActuator.ideal())
+
     @property
     def _relaxation(self) -> float:
         return 0.0
@@ -182,8 +187,7 @@ class _Car(Plant):
         inputs[[INPUT.command, INPUT.force, INPUT.acceleration]] = _input(u)
         inputs[INPUT.friction_front_left :] = _environment(environment)
         slope = np.empty(STATES)
-        packed = self.with_steering(SteeringActuator.ideal()).packed()
-        self.compiled.right_hand_side(state, inputs, packed, slope)
+        self.compiled.right_hand_side(state, inputs, self._with_ideal_steering, slope)
         return slope[:n]
 
 
@@ -242,8 +246,8 @@ class UserPlant(Plant):
     """A plant of one's own: one right-hand side and its parameters.
 
     right_hand_side(x, u, environment, p, dx) writes dx/dt into dx and returns nothing. It is a
-    `core.member.CFunction`, or Python: compiled where numba is installed (``adaptrack[compile]``), else called back; it
-    may use floats, loops, `math` and array elements. x: (n,) beginning with `MOTION`; u: steering angle of the front
+    `CFunction`, or Python: compiled where numba is installed (``adaptrack[compile]``), else called back; it may use
+    floats, loops, `math` and array elements. x: (n,) beginning with `MOTION`; u: steering angle of the front
     wheels (rad), longitudinal force asked of the wheels (N), prescribed dv_x/dt (m/s^2); environment: friction
     front-left, front-right, rear-left, rear-right, wind along X and Y (m/s), pull of a banked road to the left (m/s^2);
     p: `parameters` as an array, in their order, or, where they are nested, as a record (``p.tyre.shape``). It must not

@@ -235,7 +235,7 @@ class RunSet:
         return float((run.error**2).mean() + self.weight * (run.command_change**2).mean())
 
     def _simulated_segments(self, policy: Policy, k: int, i: int, seed: int) -> Array:
-        """(segments,) m^2 of one run, as `core.rollout` counts them."""
+        """(segments,) m^2 of one run, as `core.period` counts them."""
         run = self._simulated(policy, k, i, seed)
         each = run.error**2 + self.weight * run.command_change**2
         found = np.add.reduceat(each, np.arange(0, self.periods, self.segment))

@@ -1,8 +1,8 @@
 """One closed-loop run, from Python or compiled.
 
 `simulate` loops in Python, so any controller, plant, scheduler or QP back-end can take part. `rollout` runs the same
-control periods inside the kernels, as `batch.rollout_batch` does for many runs. All call the same pieces
-(`core.loop`) in the same order and give the same trajectory.
+control periods inside the kernels, as `batch.rollout_batch` does for many runs. All call the same halves of a control
+period (`core.period`) and give the same trajectory.
 """
 
 from __future__ import annotations
@@ -42,18 +42,15 @@ def _refuse_nonsense(scenario: Scenario | RoadDrive, seed: int) -> None:
 
 
 class _Recorder:
-    """What one run leaves: a row for each control instant."""
+    """What one run leaves: a row for each control instant; state and seen as in `core.period.Trace`."""
 
-    def __init__(self, n: int, controller: Controller) -> None:
-        from adaptrack.core.plants.contract import STATES
-
+    def __init__(self, n: int, controller: Controller, state: Array, seen: Array) -> None:
+        self.state, self.seen = state, seen
         self.tuning_names = tuple(getattr(controller, "tuning_names", ()))
         self.diagnostic_names = tuple(getattr(controller, "diagnostic_names", ()))
-        self.state = np.full((n, STATES), np.nan)
         self.command = np.full((n, 3), np.nan)  # command, its change, held
         self.tuning = np.full((n, len(self.tuning_names)), np.nan)
         self.diagnostics = np.full((n, len(self.diagnostic_names)), np.nan)
-        self.seen = np.full((n, 5), np.nan)  # as in `core.rollout.Trace`
         self.times = np.full(n, np.nan)
         self.failed: str | None = None
         self.failed_at = math.nan
@@ -102,17 +99,16 @@ def simulate(
 
     world = World.of(plant, controller, profile, driver, known_as, failure)
     _refuse_nonsense(scenario, seed)
-    loop = ClosedLoop(world, scenario, seed)
-    signals = loop.signals
-    record = _Recorder(signals.n, controller)
+    loop = ClosedLoop(world, scenario, seed, traced=True)
+    signals, trace = loop.signals, loop.run.trace
+    record = _Recorder(signals.n, controller, trace.state[0], trace.seen[0])
     blind = isinstance(controller, CompiledController) and math.isinf(world.profile.noise_vy)
     controller.reset()
     for k in range(signals.n):
         if progress is not None and k % 64 == 0:
             progress(k, signals.n)
-        record.state[k] = loop.state
         now = loop.sense()
-        if now is None:
+        if loop.ended:
             break
         if blind:
             now.measured[MEASURED.vy] = 0.0  # a car without a sensor of it
@@ -125,7 +121,6 @@ def simulate(
         command = record.take(k, answer, loop.command)
         if not loop.send(command):
             break
-        loop.observe(record.seen[k])
         loop.advance()
     if progress is not None:
         progress(signals.n, signals.n)
@@ -176,10 +171,9 @@ def rollouts(batch: Batch, seeds: Sequence[int], threads: int | None = None) -> 
 def _traced(batch: Batch, runs: BatchRuns, i: int, k: int, seed: int) -> Trajectory:
     """The i-th of the runs, of scenario k."""
     controller, n = batch.controller, batch.signals[k].n
-    record = _Recorder(n, controller)
-    found, T = runs.result[i], len(record.tuning_names)
     trace = runs.trace
-    record.state[:], record.seen[:], answer = trace.state[i, :n], trace.seen[i, :n], trace.answer[i, :n]
+    record = _Recorder(n, controller, trace.state[i, :n].copy(), trace.seen[i, :n].copy())
+    found, T, answer = runs.result[i], len(record.tuning_names), trace.answer[i, :n]
     record.command[:] = answer[:, :3]
     if isinstance(controller, MPC):
         record.tuning[:], record.diagnostics[:] = answer[:, 3 : 3 + T], answer[:, 3 + T :]

@@ -1,6 +1,6 @@
 """The world around a controller: plant, profile, driver, what is known of friction and wind, when a run has failed.
 
-Runs from Python and compiled ones share it, and so they share what the kernels' control period (`core.loop`) needs.
+Runs from Python and compiled ones share it, and so they share what the kernels' control period (`core.period`) needs.
 """
 
 from __future__ import annotations
@@ -129,7 +129,7 @@ class World:
         from adaptrack.core import loop
 
         profile, driver, steering = self.profile, self.driver, self.steering
-        return loop.SETTINGS.new(
+        return loop.SETTINGS(
             period=self.period,
             substeps=substeps,
             prescribed_speed=driver is None,
@@ -151,13 +151,35 @@ class World:
         """From an instant until its command acts: whole control periods, and the share of one more."""
         return in_periods(self.profile.delay * self.period + self.steering.dead_time, self.period)
 
-    def memory(self, slots: int) -> Any:
-        """What the loop remembers of `slots` runs before their first instant (`core.loop.Memory`)."""
-        from adaptrack.core import loop
+    def loop(self, given: Any, vehicles: Any, settings: Any, *, variables: bool, trace: Any = None) -> Any:
+        """Runs before their first instant (`core.period.Loop`), one for each of the vehicles.
 
-        oldest = self.profile.oldest
+        given: `core.period.Given`; variables: whether somebody looks at the scheduling variables; trace: as
+        `core.period.traces`, None for none.
+        """
+        from adaptrack.core import loop, period
+        from adaptrack.core.models.contract import MEASURED
+        from adaptrack.core.variables import VARIABLES
+
+        slots, oldest = len(vehicles.start), self.profile.oldest
         past = math.ceil(oldest / self.period) + 2 if oldest > 0.0 else 0
-        return loop.memory(slots, self.dead_periods[0], past)
+        known = self.known_as if variables and isinstance(self.known_as, FrictionWindEstimator) else None
+        return period.Loop(
+            settings=settings,
+            features=period.Features(
+                late=past > 0, variables=variables, estimates=known is not None, traces=trace is not None, law=0
+            ),
+            vehicles=vehicles,
+            given=given,
+            perceiving=period.no_estimator() if known is None else known.packed_for(slots),
+            measured=np.zeros(len(MEASURED)),
+            variables=np.zeros(len(VARIABLES)),
+            memory=loop.memory(slots, self.dead_periods[0], past),
+            result=period.RESULT.new(slots),
+            ceiling=np.full(slots, np.nan),
+            segments=np.zeros((slots, 0)),
+            trace=period.no_trace() if trace is None else trace,
+        )
 
     def samples(self, signals: Signals, number: int) -> Array:
         """A scenario's samples as the kernels read them, (`core.loop.SIGNAL`, n + 1).

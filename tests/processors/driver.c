@@ -4,9 +4,13 @@
 #include <stdlib.h>
 #include <string.h>
 #include "functions.h"
+#ifdef _WIN32
+#include <malloc.h>
+#define aligned_alloc(alignment, size) _aligned_malloc(size, alignment)
+#endif
 
 extern void adaptrack_elementary_values(int64_t, void *, int64_t, int64_t, void *, int64_t);
-extern void adaptrack_mpc_step(double, int64_t, void *);
+extern void adaptrack_mpc_step(void *);
 extern void adaptrack_begin_runs(int64_t, void *);
 extern void adaptrack_rollout(void *, void *);
 
@@ -20,11 +24,10 @@ int main(int count, char **names) {
     for (int64_t i = 0; i < head[1]; i++, at += 2) memory[at[0]] = (int64_t)(uintptr_t)(memory + at[1]);
     for (int64_t i = 0; i < head[2]; i++, at += 2) memory[at[0]] = (int64_t)(uintptr_t)FUNCTIONS[at[1]];
     for (int64_t i = 0; i < head[3]; i++, at += 5) {
-        double speed;
         switch (at[0]) {
         case 0: adaptrack_elementary_values(at[1], memory + at[2], 3, at[3], memory + at[4], at[3]); break;
         case 1: memmove(memory + at[2], memory + at[1], 8 * at[3]); break;
-        case 2: memcpy(&speed, memory + at[1], 8); adaptrack_mpc_step(speed, at[2], memory + at[3]); break;
+        case 2: adaptrack_mpc_step(memory + at[1]); break;
         case 3: adaptrack_begin_runs(at[1], memory + at[2]); break;
         case 4: adaptrack_rollout(memory + at[1], memory + at[2]); break;
         case 5: fwrite(memory + at[1], 8, at[2], answers); break;

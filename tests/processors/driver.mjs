@@ -13,7 +13,6 @@ const pages = kernels.memory.grow(Math.ceil((8 * size + 64) / 65536));
 const base = 65536 * pages;
 const memory = new BigInt64Array(kernels.memory.buffer, base, size);
 memory.set(words.slice(4, 4 + size));
-const floats = new Float64Array(kernels.memory.buffer, base, size);
 const table = kernels.__indirect_function_table;
 const functions = names.map((name) => {
   const place = table.grow(1);
@@ -29,7 +28,7 @@ for (let i = 0; i < steps; i++, at += 5) {
   const [what, a, b, c, d] = words.slice(at, at + 5);
   if (what === 0n) kernels.adaptrack_elementary_values(a, place(b), 3n, c, place(d), c);
   else if (what === 1n) memory.copyWithin(Number(b), Number(a), Number(a + c));
-  else if (what === 2n) kernels.adaptrack_mpc_step(floats[a], b, place(c));
+  else if (what === 2n) kernels.adaptrack_mpc_step(place(a));
   else if (what === 3n) kernels.adaptrack_begin_runs(a, place(b));
   else if (what === 4n) kernels.adaptrack_rollout(place(a), place(b));
   else fs.writeSync(out, new Uint8Array(kernels.memory.buffer, place(a), 8 * Number(b)));

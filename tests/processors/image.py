@@ -101,7 +101,7 @@ def run(image, library):
         elif what == COPY:
             memory[b : b + c] = memory[a : a + c]
         elif what == STEP:
-            step(struct.unpack("<d", memory[a].tobytes())[0], b, base + 8 * c)
+            step(base + 8 * a)
         elif what == BEGIN:
             begin(a, base + 8 * b)
         elif what == DRIVE:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+from numpy import ndarray
 
 from adaptrack.arguments import FLOAT, Array, reals
 from adaptrack.errors import InvalidInput, shown
@@ -25,23 +26,55 @@ def vector(name: str, values: Any, size: int | tuple[int, ...] | None = None, mo
     InvalidInput
         When the values are not real numbers, or the shape is wrong.
     """
-    if type(values) is np.ndarray and values.dtype is FLOAT and values.ndim == 1:
+    row = _row(name, values, (size,) if isinstance(size, int) else size, most)
+    return row if row.flags.carray else row.copy()  # contiguous, aligned and writeable
+
+
+def _row(name: str, values: Any, sizes: tuple[int, ...] | None, most: int | None) -> Array:
+    """`vector`, wherever it stands."""
+    if type(values) is ndarray and values.dtype is FLOAT and values.ndim == 1:
         row = values
     else:
         row = reals(name, values)
-    if size is not None:
-        fitting = (size,) if isinstance(size, int) else size
-        if row.ndim != 1 or row.size not in fitting:
-            expected = " or ".join(f"({length},)" for length in fitting)
+    if sizes is not None:
+        if row.ndim != 1 or row.size not in sizes:
+            expected = " or ".join(f"({length},)" for length in sizes)
             raise InvalidInput(f"{name}: shape {row.shape}, expected {expected}.")
     else:
         if row.ndim != 1:
             row = row.reshape(-1)
         if row.size == 0:
             raise InvalidInput(f"{name}: empty; give at least its present value.")
-    if most is not None and row.size > most:
-        row = row[:most]
-    return row if row.flags.carray else row.copy()  # contiguous, aligned and writeable
+    return row if most is None or row.size <= most else row[:most]
+
+
+class Row:
+    """Numbers that a kernel reads where they stand, and to which rows are copied.
+
+    sizes: how long a row may be, None: any length but 0, of which only as many numbers are read as there is room for.
+    """
+
+    __slots__ = ("_longest", "_name", "_parts", "_sizes", "values")
+
+    def __init__(self, name: str, values: Array, sizes: tuple[int, ...] | None = None) -> None:
+        self.values, self._name, self._sizes = values, name, sizes
+        self._longest = values.size if sizes is None else max(sizes)
+        self._parts: dict[Any, Array] = {}
+
+    def take(self, given: Any) -> int:
+        """Copy a row; how many numbers of it are read. Raises as `vector`."""
+        if type(given) is ndarray and given.dtype is FLOAT:
+            part = self._parts.get(given.shape)
+            if part is not None:  # a row of this shape has been checked before
+                part[...] = given
+                return len(part)
+            if self._sizes is None and given.ndim == 1 and given.size > self._longest:
+                self.values[...] = given[: self._longest]
+                return self._longest
+        row = _row(self._name, given, self._sizes, self._longest)
+        part = self._parts[row.shape] = self.values[: row.size]
+        part[...] = row
+        return len(part)
 
 
 def number(name: str, value: Any) -> float:

@@ -15,7 +15,7 @@ from pydantic import Field
 from adaptrack.controllers.belief import Belief, Uncertainty
 from adaptrack.errors import InvalidInput, real, whole
 from adaptrack.files import Record, build, read_toml
-from adaptrack.kalman import SENSORS, Drifts, KalmanFilter, wind_turn
+from adaptrack.kalman import Drifts, KalmanFilter, wind_turn
 from adaptrack.models import PathModel
 from adaptrack.vehicle import SteeringActuator, Tyre, Vehicle
 
@@ -262,8 +262,8 @@ class Learner:
         return GRAIN * 2.0 * self.spread[1] / (self.own.lags, self.own.dead_times)
 
     def parameters(self) -> Array:
-        """In the order of `core.estimators.learning.NUMBERS`."""
-        from adaptrack.core.estimators.learning import NUMBERS
+        """As `core.estimators.learning.Numbers` has them."""
+        from adaptrack.core.estimators.learning import Numbers
 
         own, car, period = self.own, self.car, self.period
         drifts = {
@@ -273,11 +273,10 @@ class Learner:
             "drift_friction": own.friction_spread * math.sqrt(2.0 / own.friction_time),
             "drift_lag": own.drift_delay, "drift_dead_time": own.drift_delay, "drift_wheels": Drifts().wheel_angle,
         }  # fmt: skip
-        given = {name: value**2 * period for name, value in drifts.items()}
+        given: dict[str, Any] = {name: value**2 * period for name, value in drifts.items()}
         times = {"wind_left": own.wind_time, "bank_left": own.bank_time, "friction_left": own.friction_time}
         given |= {name: math.exp(-period / time) for name, time in times.items()}
         (least_lag, most_lag), (least_dead, most_dead) = self.ranges
-        variances = dict(zip((f"variance_{name}" for name in SENSORS), self.sensing.variances(), strict=True))
         given |= {
             "period": period, "computation": self.computation, "lag": self.lag,
             "hypotheses": len(self.hypotheses), "kept": self.kept,
@@ -293,17 +292,18 @@ class Learner:
             "tolerated_stiffness": own.tolerated_stiffness,
             "longer": own.longer * period, "shorter": own.shorter * period, "stiffer": own.stiffer * period,
             "turning": own.turning * period, "wandering": own.wandering,
-            "noise_share": min(1.0, period / own.noise_time), "noise_range": own.noise, **variances,
+            "noise_share": min(1.0, period / own.noise_time), "noise_range": own.noise,
+            "variance": self.sensing.variances(),
         }  # fmt: skip
-        return np.array([given[name] for name in NUMBERS], dtype=float)
+        return np.array([tuple(given[name] for name in Numbers._fields)], Numbers.dtype).view(float)
 
     def _priors(self) -> dict[str, float]:
-        """Standard deviations before the first sample, as the learner is told them."""
-        from adaptrack.core.estimators.learning import ANSWER, BELIEFS
+        """Standard deviations before the first sample, as the learner is given them."""
+        from adaptrack.core.estimators.learning import memory_of
 
-        answer = self.fresh()[ANSWER:]
+        beliefs = memory_of(self.fresh(), 0).beliefs
         names = ("lag", "dead_time", "delay", "stiffness", "balance", "bias")
-        return {f"prior_{name}": float(answer[BELIEFS.index(f"belief_{name}_sigma")]) for name in names}
+        return {f"prior_{name}": float(beliefs[f"belief_{name}_sigma"]) for name in names}
 
     def fresh(self) -> Array:
         """The learner's memory before the first sample."""
@@ -312,7 +312,7 @@ class Learner:
         pairs, start, own = self.hypotheses, self.own.start, self.own
         memory = np.zeros(kernel.memory_size(self.kept, len(pairs)))
         variances = self.sensing.variances()
-        memory[kernel.NOISE : kernel.NOISE + len(SENSORS)] = np.where(np.isfinite(variances), variances, 0.0)
+        kernel.memory_of(memory, 0).noise[:] = np.where(np.isfinite(variances), variances, 0.0)
         spread = np.zeros(kernel.STATES)
         spread[kernel.VY], spread[kernel.RATE] = 0.3, 0.1
         spread[kernel.WIND] = own.wind * math.sqrt(0.5 * own.wind_time)
@@ -329,17 +329,15 @@ class Learner:
             spread[kernel.STIFFNESS] = min(start.stiffness_sigma + LEAST_CHANGED, spread[kernel.STIFFNESS])
             spread[kernel.BALANCE] = min(start.balance_sigma, spread[kernel.BALANCE])
             spread[kernel.BIAS] = min(start.bias_sigma, spread[kernel.BIAS])
-        first = kernel.blocks_at(self.kept)
         for i, (lag, dead) in enumerate(pairs):
-            at = first + kernel.BLOCK * i
+            each = kernel.hypothesis(i, self.kept, memory)
             x[kernel.LAG], x[kernel.DEAD_TIME] = lag, dead + self.computation
-            memory[at + kernel.X : at + kernel.X + kernel.STATES] = x
-            for state in range(kernel.STATES):
-                memory[at + kernel.P + (kernel.ROW + 1) * state] = spread[state] ** 2
-        self._tell(memory, x, spread)
+            each.x[: kernel.STATES] = x
+            np.fill_diagonal(each.covariance, spread**2)
+        self._write_beliefs(memory, x, spread)
         return memory
 
-    def _tell(self, memory: Array, x: Array, spread: Array) -> None:
+    def _write_beliefs(self, memory: Array, x: Array, spread: Array) -> None:
         """The belief before the first sample."""
         from adaptrack.core.estimators import learning as kernel
 
@@ -351,7 +349,7 @@ class Learner:
         (least_lag, most_lag), (least_dead, most_dead) = self.ranges
         stiffness, balance, unsure = x[kernel.STIFFNESS], x[kernel.BALANCE], spread[kernel.STIFFNESS]
         caution = min(1.0 + (sigma / self.own.tolerated) ** 2, self.own.most_caution)
-        told = {
+        believed = {
             "belief_lag": lag, "belief_lag_sigma": math.sqrt(cov[0, 0]), "belief_dead_time": dead,
             "belief_dead_time_sigma": math.sqrt(cov[1, 1]), "belief_delay": lag + dead, "belief_delay_sigma": sigma,
             "belief_stiffness": math.exp(stiffness), "belief_stiffness_sigma": unsure,
@@ -366,24 +364,23 @@ class Learner:
             "used_bias": x[kernel.BIAS],
             "used_caution": caution * (1.0 + (unsure / self.own.tolerated_stiffness) ** 2),
         }  # fmt: skip
-        for name, value in told.items():
-            memory[kernel.ANSWER + kernel.BELIEFS.index(name)] = value
+        memory[: len(kernel.BELIEFS)] = [believed[name] for name in kernel.BELIEFS]
 
     def model(self) -> PathModel:
         """The model that the controller begins with."""
-        from adaptrack.core.estimators import learning as kernel
+        from adaptrack.core.estimators.learning import memory_of
 
-        answer = self.fresh()[kernel.ANSWER :]
-        lag, dead = answer[kernel.BELIEF.used_lag], answer[kernel.BELIEF.used_dead_time]
-        return PathModel(self.car, self.period, float(lag), float(dead) + self.computation)
+        beliefs = memory_of(self.fresh(), 0).beliefs
+        dead_time = float(beliefs.used_dead_time) + self.computation
+        return PathModel(self.car, self.period, float(beliefs.used_lag), dead_time)
 
     def dead_time(self, memory: Array) -> float:
         """From an instant until its command begins to act (s), as a memory believes."""
-        from adaptrack.core.estimators.learning import ANSWER, BELIEF
+        from adaptrack.core.estimators.learning import memory_of
 
         # added and divided as the kernel does
-        lead = (float(memory[ANSWER + BELIEF.used_dead_time]) + self.computation) / self.period
-        return lead * self.period
+        delay_steps = (float(memory_of(memory, 0).beliefs.used_dead_time) + self.computation) / self.period
+        return delay_steps * self.period
 
     def truth(self, steering: SteeringActuator, plant: Any) -> dict[str, float]:
         """What there is to be learned in a simulated world, by the names of `LearnedCar`: of a plant with its own tyre.
@@ -405,22 +402,20 @@ class Learner:
 
     def again(self, memory: Array) -> Array:
         """A memory before the first step of another drive."""
-        from adaptrack.core.estimators import learning as kernel
+        from adaptrack.core.estimators.learning import memory_of
 
         fresh = memory.copy()
-        fresh[kernel.COUNT] = 0.0
+        memory_of(fresh, 0).count = 0.0
         return fresh
 
     def learned(self, memory: Array) -> LearnedCar:
         """What a memory holds."""
         from adaptrack.core.estimators import learning as kernel
 
-        answer = memory[kernel.ANSWER : kernel.ANSWER + len(kernel.BELIEFS)]
-        known: dict[str, Any] = {
-            name.removeprefix("belief_"): float(value) for name, value in zip(kernel.BELIEFS, answer, strict=True)
-        }
+        found = kernel.memory_of(memory, 0)
+        known: dict[str, Any] = {name.removeprefix("belief_"): float(found.beliefs[name]) for name in kernel.BELIEFS}
         kept = {name: known[name] for name in LearnedCar.model_fields if name in known}
-        seconds = self.period * float(memory[kernel.COUNT])
+        seconds = self.period * float(found.count)
         seconds += 0.0 if self.own.start is None else self.own.start.seconds
         return LearnedCar(car=self.car.name, **kept, seconds=seconds)
 

@@ -12,6 +12,7 @@ import threading
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from functools import cached_property
+from math import isfinite
 from typing import Any, NamedTuple, Protocol, Self, runtime_checkable
 
 import numpy as np
@@ -19,7 +20,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from adaptrack.controllers.belief import Told, Uncertainty
 from adaptrack.controllers.informed import Parts, informed_parts
-from adaptrack.controllers.inputs import change_of_path, number, road_ahead, vector, wheel_angle
+from adaptrack.controllers.inputs import Row, change_of_path, number, road_ahead, vector, wheel_angle
 from adaptrack.controllers.learned import LearnedCar, Learning
 from adaptrack.controllers.limits import Limits, Moves
 from adaptrack.controllers.made_for import INCREMENTAL, car_of, mismatches
@@ -38,17 +39,25 @@ from adaptrack.vehicle import Vehicle
 
 Array = NDArray[np.float64]
 
-_STATUSES = tuple(QPStatus)
+_STATUSES = {float(status): status for status in QPStatus}
+_AT_LIMIT = {float(sum_of): sum_of for sum_of in range(8)}
+"""`MPCCommand.status` and `MPCCommand.at_limit` by what a kernel answers"""
+_ANSWER = 12
+"""Numbers of `core.controllers.mpc.ANSWER`; what is learned follows."""
 _DIAGNOSTICS = ("qp_status", "qp_iterations", "qp_residual", "at_limit", "dead_reckoning")
 _STATE_SIZES = (4, 5, 6, 7, 8, 9)
 """with or without wheel angle, lateral acceleration, ages and the path's turn (`core.models.contract.MEASURED`)"""
 _NOT_CARRIED = (
-    "_lock", "_measured", "_answer", "_resident", "_resident_plan", "_step", "_schedule_step", "functions",
+    "_lock", "_measured", "_answer", "_learned", "_state", "_reference", "_now", "_resident", "_resident_plan", "_step",
+    "_schedule_step", "functions",
 )  # fmt: skip
 """Of a controller, by a copy of it: see `MPC._load`."""
 SPEED_KEPT = 6.0
 """s, for which the last speed counts while it is missing; then a step holds."""
 _log = logging.getLogger("adaptrack")
+
+
+_new = tuple.__new__  # of a named tuple; its own `_make` takes twice as long
 
 
 @runtime_checkable
@@ -252,7 +261,7 @@ class MPC:
         """
         if self.learner is None:
             raise InvalidInput("learned: this MPC does not learn: MPC(car, learning=Learning()) does.")
-        return self.learner.learned(self._mpc.learned[0])
+        return self.learner.learned(self._mpc.informed.learned[0])
 
     @property
     def name(self) -> str:
@@ -282,7 +291,7 @@ class MPC:
         return isinstance(self.solver, ActiveSet | Hildreth)
 
     def settings(self, longest: float = math.inf, most: float = math.inf, residuals: bool = True) -> Any:
-        """Everything but model and tuning as the kernels expect it (`core.controllers.mpc.SETTINGS`).
+        """Everything but model and tuning as the kernels expect it (`core.controllers.mpc.Settings`).
 
         longest, most: horizons for which a smaller workspace is enough; residuals: whether each step computes its KKT
         residual.
@@ -300,7 +309,7 @@ class MPC:
         elif self.solver.on_uncertified == "apply":
             solver = kernel.HILDRETH_APPLIED  # of a back-end in Python: what is not certified steers as well
         limits = self.limits
-        return kernel.SETTINGS.new(
+        return kernel.settings(
             period=self.period,
             move_min=limits.move[0],
             move_max=limits.move[1],
@@ -315,9 +324,9 @@ class MPC:
             pole=self.moves.pole,
             terms=self.moves.terms,
             preview=self.preview,
-            lead=self.model.dead_time / self.period,
+            delay=self.model.dead_time / self.period,
             speed_floor=self.speed_floor,
-            estimator=self.estimator.kind,
+            informed=self.estimator.function is not None,
             solver=solver,
             max_sweeps=sweeps,
             max_changes=getattr(self.solver, "max_iterations", None) or 0,
@@ -341,7 +350,7 @@ class MPC:
         )  # fmt: skip
 
     def _turning(self) -> Array:
-        """What the moves of a curved road follow from, `core.controllers.feed_forward.TURNING`; or (0,)."""
+        """What the moves of a curved road follow from, `core.controllers.feed_forward.Turning`; or (0,)."""
         known = self.model.turning()
         return np.concatenate([known, self.estimator.tyres]) if known.size else known
 
@@ -350,7 +359,7 @@ class MPC:
         from adaptrack.core.variables import NAMES
 
         self._mpc = self.batch(1, self.settings())
-        self._asked = self.tuning.as_array()
+        self._requested = self.tuning.as_array()
         self._plan = self.scheduler.plan(1) if isinstance(self.scheduler, CompiledScheduler) else None
         self._names = NAMES
         self._variables = np.zeros(len(NAMES))
@@ -360,34 +369,30 @@ class MPC:
 
     def restart(self) -> None:
         """Forget the past, but not what has been learned of the car: for another drive of it."""
-        before = self._mpc.learned
+        before = self._mpc.informed.learned
         self.reset()
         if self.learner is not None:
-            self._mpc.learned[:] = self.learner.again(before[0])
+            self._mpc.informed.learned[:] = self.learner.again(before[0])
 
     def _load(self) -> None:
         """What a copy cannot carry along: the lock, addresses, compiled functions."""
         from adaptrack.core.kernel import Resident
 
         self._lock = threading.Lock()
-        self._measured, self._answer = self._mpc.measured, self._mpc.answer[0]
-        self._given_size = 0
+        self._measured, answer = self._mpc.measured, self._mpc.answer[0]
+        self._answer, self._learned = answer[:_ANSWER], answer[_ANSWER:]
+        self._state = Row("state", self._measured, _STATE_SIZES)
+        self._known = 0  # of the state, in the last step
+        self._reference = Row("reference", np.zeros(self._furthest))
+        self._now: Any = np.zeros(2).data  # `core.controllers.mpc_step.NOW`
+        self._curved = bool(self._mpc.settings.curved)
         self._resident = Resident(self._mpc)
         self._resident_plan = None if self._plan is None else Resident(self._plan)
-        self._step: Callable[[float, Array], None] | None = None
+        self._step: Callable[[], None] | None = None
 
     def __getstate__(self) -> dict[str, Any]:
         state = self.__dict__.copy()
-        for name in (
-            "_lock",
-            "_measured",
-            "_answer",
-            "_resident",
-            "_resident_plan",
-            "_step",
-            "_schedule_step",
-            "functions",
-        ):
+        for name in _NOT_CARRIED:
             state.pop(name, None)
         return state
 
@@ -436,7 +441,7 @@ class MPC:
     @property
     def left_out(self) -> str | None:
         """The sensor that the estimator leaves out at present because it disagrees with all others; None: none."""
-        return self.estimator.left_out(self._mpc.estimates[0])
+        return self.estimator.left_out(self._mpc.informed.estimates[0])
 
     @property
     def angle(self) -> float:
@@ -456,7 +461,7 @@ class MPC:
     def change_path(self, heading: float, offset: float) -> None:
         """Say that another path lies under the car, by how much (rad, m) heading and offset have grown against it.
 
-        What the estimator has learned of the car stays; one that cannot be told so begins anew.
+        What the estimator has learned of the car stays; one that cannot move it begins anew.
 
         Raises
         ------
@@ -468,14 +473,14 @@ class MPC:
         for i, name in enumerate(self.model.states):
             mpc.previous[0, i] += {"yaw": turned, "y": shifted}.get(name, 0.0)
         if mpc.memory["started"][0]:
-            self.estimator.change_path(self.model, mpc.estimates[0], turned, shifted)
+            self.estimator.change_path(self.model, mpc.informed.estimates[0], turned, shifted)
 
     @property
     def _dead_time(self) -> float:
         """s, from an instant until its command begins to act, as believed at present."""
         if self.learner is None:
             return self.model.dead_time
-        return self.learner.dead_time(self._mpc.learned[0])
+        return self.learner.dead_time(self._mpc.informed.learned[0])
 
     def predicted_output(self) -> tuple[Array, Array]:
         """Times (Np,) s from now and y (Np,) m that the last step predicts for them, with its plan of moves.
@@ -525,33 +530,23 @@ class MPC:
         if not self._lock.acquire(False):
             raise InvalidInput("this MPC is in a step of another thread: each vehicle needs a controller of its own.")
         try:
-            ahead, pace = self._take(state, speed, reference, variables, road)
-            step = self._step or self._compiled_step()
-            step(pace, ahead)
+            self._take(state, speed, reference, variables, road)
+            (self._step or self._compiled_step())()
             return self._command()
         finally:
             self._lock.release()
 
-    def _compiled_step(self) -> Callable[[float, Array], None]:
+    def _compiled_step(self) -> Callable[[], None]:
         """The step behind the arguments, compiled on first use."""
-        if not self.in_kernel:
-            self._step = self._step_through
+        if self.in_kernel:
+            from adaptrack.core.controllers.mpc_step import Step, step
+            from adaptrack.core.kernel import direct
+
+            given = Step(self._mpc, self.functions, np.asarray(self._now), self._reference.values, self._requested)
+            self._step = direct(step, given)
         else:
-            self._step = self._step_in_kernel()
+            self._step = self._step_through
         return self._step
-
-    def _step_in_kernel(self) -> Callable[[float, Array], None]:
-        from adaptrack.core.controllers.mpc_step import Step, step
-        from adaptrack.core.kernel import direct
-
-        reference = np.zeros(self._furthest)
-        call = direct(step, Step(self._mpc, self.functions, reference, self._asked))
-
-        def run(speed: float, ahead: Array) -> None:
-            reference[: ahead.size] = ahead
-            call(speed, ahead.size)
-
-        return run
 
     def problem(
         self,
@@ -566,8 +561,8 @@ class MPC:
         A scheduler in Python stays as it is, too, if it can be copied; one that cannot is asked itself.
         """
         twin = self._twin()
-        ahead, pace = twin._take(state, speed, reference, variables, road)
-        _, n, m = twin._form(pace, ahead)
+        twin._take(state, speed, reference, variables, road)
+        _, n, m = twin._form()
         return twin._qp(n, m)
 
     def solved_problem(self) -> tuple[QP, Array]:
@@ -581,7 +576,7 @@ class MPC:
     def _twin(self) -> Self:
         """A controller in the same state, to form a QP with; what that does not change is shared."""
         state = self.__getstate__()
-        state |= copy.deepcopy({name: state[name] for name in ("_mpc", "_asked", "_plan", "_variables")})
+        state |= copy.deepcopy({name: state[name] for name in ("_mpc", "_requested", "_plan", "_variables")})
         if self._plan is None:
             with suppress(Exception):  # it may hold a lock, a file, a connection
                 state["scheduler"] = copy.deepcopy(self.scheduler)
@@ -596,43 +591,43 @@ class MPC:
         reference: ArrayLike,
         variables: Sequence[float] | None,
         road: RoadAhead | None,
-    ) -> tuple[Array, float]:
+    ) -> None:
         """Take in what a step is given; the reference and the speed as the kernels want them."""
-        given = vector("state", state, _STATE_SIZES)
-        ahead = vector("reference", reference, most=self._furthest)
-        road = road_ahead(road)
-        pace = self._known_speed(number("speed", speed))
-        if given.size != self._given_size:
-            self._measured[4:] = NOTHING_MEASURED[4:]
-            self._given_size = given.size
-        self._measured[: given.size] = given
-        if road is not None or self._mpc.bend.size:
-            self._look_along(road, pace)
-        if self.scheduler is not None:
-            self._schedule(variables)
-        return ahead, pace
-
-    def _known_speed(self, speed: float) -> float:
-        """The speed (m/s), for some time the last one where it is missing; then NaN."""
-        if math.isfinite(speed):
+        known, now = self._state.take(state), self._now
+        now[1] = self._reference.take(reference)
+        if type(speed) is not float:
+            speed = number("speed", speed)
+        if isfinite(speed):
             self._speed, self._without_speed = speed, 0
         else:
-            self._without_speed += 1
+            speed = self._last_speed()
+        now[0] = speed
+        if known != self._known:
+            self._measured[known:] = NOTHING_MEASURED[known:]
+            self._known = known
+        if road is not None or self._curved:
+            self._look_along(road_ahead(road), speed)
+        if self.scheduler is not None:
+            self._schedule(variables)
+
+    def _last_speed(self) -> float:
+        """The last speed (m/s) for some time, where the present one is missing; then NaN."""
+        self._without_speed += 1
         return self._speed if self._without_speed * self.period <= SPEED_KEPT else math.nan
 
-    def _look_along(self, road: RoadAhead | None, pace: float) -> None:
+    def _look_along(self, road: RoadAhead | None, speed: float) -> None:
         """Take in the road ahead."""
         from adaptrack.core.controllers.mpc import on_curved_roads
         from adaptrack.core.kernel import Resident
 
-        if self._mpc.bend.size == 0:
-            self._mpc = on_curved_roads(self._mpc)
+        if not self._curved:
+            self._mpc, self._curved = on_curved_roads(self._mpc), True
             self._resident, self._step = Resident(self._mpc), None
         bend = self._mpc.bend
         bend[:] = 0.0
-        if road is not None and math.isfinite(pace):
-            lead = self._dead_time / self.period
-            bend[:] = road.bend(bend.size, max(pace, self.speed_floor), lead, self.period)
+        if road is not None and math.isfinite(speed):
+            delay = self._dead_time / self.period
+            bend[:] = road.bend(bend.size, max(speed, self.speed_floor), delay, self.period)
 
     def _schedule(self, variables: Sequence[float] | None) -> None:
         """Let the scheduler choose the tuning."""
@@ -645,7 +640,7 @@ class MPC:
         if given.size < own.size:
             own[given.size :] = 0.0
         own[: given.size] = given
-        self._schedule_step(own, self._resident_plan, self._asked)
+        self._schedule_step(own, self._resident_plan, self._requested)
 
     def _given(self, variables: Sequence[float]) -> Array:
         """The variables as numbers; the last three may be left out."""
@@ -661,7 +656,7 @@ class MPC:
         """Ask a scheduler in Python; what is no tuning leaves the one before."""
         assert self.scheduler is not None
         try:
-            self._asked[:] = read_tuning(self.scheduler(variables))
+            self._requested[:] = read_tuning(self.scheduler(variables))
         except Exception as error:
             self._raised += 1
             if self._raised == 1:
@@ -675,12 +670,6 @@ class MPC:
 
         return schedule_step
 
-    @property
-    def _parts(self) -> Any:
-        from adaptrack.core.controllers import mpc_parts
-
-        return mpc_parts
-
     @cached_property
     def functions(self) -> Any:
         """What the kernels call for this controller (`core.controllers.mpc.Functions`)."""
@@ -688,8 +677,13 @@ class MPC:
 
         return kernel.functions(discretise=self.model.function, estimate=self.estimator.function)
 
-    def _form(self, speed: float, ahead: Array) -> tuple[int, int, int]:
-        return self._parts.form_qp(0, speed, ahead, self._asked, self._resident, self.functions)
+    def _form(self) -> tuple[int, int, int]:
+        from adaptrack.core.controllers.mpc_step import form_qp
+
+        speed, count = self._now.tolist()
+        ahead = self._reference.values[: int(count)]
+        found: tuple[int, int, int] = form_qp(0, speed, ahead, self._requested, self._resident, self.functions)
+        return found
 
     def _qp(self, n: int, m: int) -> QP:
         ws = self._mpc.ws
@@ -700,10 +694,12 @@ class MPC:
             gamma=ws.bounds[:m].copy(),
         )
 
-    def _step_through(self, speed: float, ahead: Array) -> None:
+    def _step_through(self) -> None:
         """A step whose QP goes to a back-end in Python; the rest is the kernels' work all the same."""
+        from adaptrack.core.controllers.receding import apply_move
+
         ws = self._mpc.ws
-        status, n, m = self._form(speed, ahead)
+        status, n, m = self._form()
         iterations = 0
         if not (np.isfinite(ws.gradient[:n]).all() and np.isfinite(ws.hessian[0, :n, :n]).all()):
             status = QPStatus.NON_FINITE
@@ -712,15 +708,16 @@ class MPC:
             status, iterations = solution.status, solution.iterations
             ws.solution[:n] = solution.x
             ws.multipliers[:m] = solution.lam
-        self._parts.apply_move(0, int(status), iterations, n, m, self._resident)
+        apply_move(0, int(status), iterations, n, m, self._resident)
 
     def _command(self) -> MPCCommand:
-        angle, move, held, Np, Nc, Q, R, status, iterations, residual, at_limit, reckoned, *rest = self._answer.tolist()
+        angle, move, held, Np, Nc, Q, R, status, iterations, residual, at_limit, reckoned = self._answer.tolist()
+        learned = () if self.learner is None else tuple(self._learned.tolist())
         made = (
-            angle, move, held > 0.5, (Np, Nc, Q, R), _STATUSES[int(status)], int(iterations), residual, int(at_limit),
-            reckoned, tuple(rest),
+            angle, move, held > 0.5, (Np, Nc, Q, R), _STATUSES[status], int(iterations), residual, _AT_LIMIT[at_limit],
+            reckoned, learned,
         )  # fmt: skip
-        return MPCCommand._make(made)
+        return _new(MPCCommand, made)
 
     def describe(self) -> dict[str, Any]:
         """The controller's configuration, for provenance."""

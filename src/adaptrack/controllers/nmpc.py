@@ -352,12 +352,11 @@ class NMPC:
 
     def _entering(self, v: float) -> Array:
         """(2, 2) what d_y and d_r add to v_y and r in a period."""
-        from adaptrack.core.models.path import discretise_rows
+        from adaptrack.core.models.path import STATE, STATES, discretise_disturbed, parameters_of
 
-        n = self._model.n
-        found = np.zeros(n * (n + 2) + n)
-        discretise_rows(v, self.period, self._model.parameters(), n + 2, found, 0, n * (n + 2))
-        return found[: n * (n + 2)].reshape(n, n + 2)[np.ix_([0, 2], [n, n + 1])]
+        f, b = np.zeros((STATES, len(STATE))), np.zeros(STATES)
+        discretise_disturbed(v, self.period, parameters_of(self._model.parameters(), 0), f, b)
+        return f[np.ix_([STATE.vy, STATE.yaw_rate], [STATE.side, STATE.turn])]
 
     # -- the optimisation ---------------------------------------------------------------------------------------------
     def _solve(self, x0: Array, pushes: Array, path: Ahead) -> tuple[Array | None, int, float]:

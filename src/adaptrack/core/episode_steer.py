@@ -4,17 +4,14 @@ from __future__ import annotations
 
 from .episode import DRIVING, Episodes, depart, move_on
 from .kernel import Place, exported, vector, void
-from .sight import Scene, see
+from .sight import see
 
 
 @exported(void(Place(Episodes)))
 def see_all(episodes):
     """Write what is seen of each slot (`sight.SEEN`)."""
-    run = episodes.run
-    scene = Scene(run.settings, run.given.signals, run.given.roads, run.given.scenario)
     for slot in range(episodes.own.size):
-        own = episodes.own[slot]
-        see(own.instant, slot, own.speed, episodes.measured[slot], scene, run.memory, episodes.sight, episodes.seen)
+        see(slot, episodes.measured[slot], episodes.run, episodes.sight, episodes.seen[slot])
 
 
 @exported(void(vector, Place(Episodes)))

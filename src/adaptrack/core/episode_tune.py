@@ -7,7 +7,7 @@ from .estimators.learning import ANSWER, BELIEFS
 from .kernel import Place, exported, void
 from .loop import look
 from .models.contract import MEASURED
-from .rollout import control_slot
+from .rollout import COMMON, control_slot
 from .sight import bounded, keep
 from .variables import VARIABLES
 
@@ -17,15 +17,13 @@ def look_all(episodes):
     """Write the scheduling variables of each slot, and behind them what its MPC has learned."""
     run = episodes.run
     for slot in range(episodes.own.size):
-        own, row = episodes.own[slot], episodes.seen[slot]
-        look(
-            own.instant, own.speed, episodes.measured[slot], run.given.signals, run.given.scenario[slot], run.variables
-        )
+        row = episodes.seen[slot]
+        look(slot, episodes.measured[slot], run)
         for j in range(len(VARIABLES)):
             keep(run.variables[j], row, j)
-        if run.mpc.learner.size > 0:
+        if run.mpc.settings.learns > 0:
             for j in range(len(BELIEFS)):
-                keep(run.mpc.learned[slot, ANSWER + j], row, len(VARIABLES) + j)
+                keep(run.mpc.informed.learned[slot, ANSWER + j], row, len(VARIABLES) + j)
         bounded(row, episodes.sight)
 
 
@@ -34,10 +32,9 @@ def control(episodes):
     """Drive a period with the tunings of the batch, those whose episode is over excepted."""
     run = episodes.run
     for slot in range(episodes.own.size):
-        own = episodes.own[slot]
-        if own.over == DRIVING:
+        if episodes.own[slot].over == DRIVING:
             for j in range(len(MEASURED)):
-                run.mpc.measured[j] = episodes.measured[slot, j]
-            (answer,) = control_slot(own.instant, slot, own.speed, run)
-            depart(slot, answer[0], episodes)
+                run.measured[j] = episodes.measured[slot, j]
+            (answer,) = control_slot(slot, run)
+            depart(slot, answer[COMMON.command], episodes)
     move_on(episodes)

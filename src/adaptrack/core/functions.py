@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 
-from .kernel import exported, float64, inlined, int64, int_vector, record, shaped, vector
+from .kernel import exported, float64, inlined, int64, int_vector, record, shaped, unpacker, vector
 from .maths.bits import whole
 from .maths.exact import clip
 from .maths.exponential import exp, log, log1p
@@ -23,8 +23,10 @@ FARTHEST = 1e150
 NEGLIGIBLE = 50.0
 """A rule this much weaker than the strongest, by its logarithm, adds less than rounding does: e^-50 = 2e-22."""
 
-Network = record("Network", ("relu", "layers", "widths", "out_low", "out_span", "low", "inverse_span", "neurons"))
-"""relu: of the output; layers: their number; widths (layers + 1,): from the inputs on; low, inverse_span (D,): of the
+Network = record(
+    "Network", ("relu", "layers", "inputs", "widths", "out_low", "out_span", "low", "inverse_span", "neurons")
+)
+"""relu: of the output; layers: their number; inputs: D; widths (layers,): of the layers; low, inverse_span (D,): of the
 inputs; neurons: the weights of each neuron and then its bias, layer after layer."""
 Sugeno = record(
     "Sugeno",
@@ -39,13 +41,20 @@ Table = record("Table", ("inputs", "sizes", "nodes", "values"))
 
 _FUNCTION = float64(vector, int_vector, vector, vector)
 
+_net_sizes = unpacker(record("_NetSizes", ("relu", "layers", "inputs")))
+_output_scale = unpacker(record("_OutputScale", ("low", "span")))
+_rule_sizes = unpacker(record("_RuleSizes", ("inputs", "functions", "rules")))
+_table_sizes = unpacker(record("_TableSizes", ("inputs",)))
+
 
 @inlined
 def _network(integers, numbers):
-    inputs = integers[2]
+    sizes, out = _net_sizes(integers), _output_scale(numbers)
+    spans = 2 + sizes.inputs
+    neurons = spans + sizes.inputs
     return Network(
-        integers[0] == 1, integers[1], integers[2:], numbers[0], numbers[1], numbers[2 : 2 + inputs],
-        numbers[2 + inputs : 2 + 2 * inputs], numbers[2 + 2 * inputs :],
+        sizes.relu == 1, sizes.layers, sizes.inputs, integers[3:], out.low, out.span, numbers[2:spans],
+        numbers[spans:neurons], numbers[neurons:],
     )  # fmt: skip
 
 
@@ -53,13 +62,12 @@ def _network(integers, numbers):
 def network(x, integers, numbers, neurons):
     """A feed-forward net with sigmoid hidden layers and one output, eqs. (21)-(23); neurons: scratch."""
     net = _network(integers, numbers)
-    for i in range(net.widths[0]):
+    for i in range(net.inputs):
         neurons[i] = (x[i] - net.low[i]) * net.inverse_span[i]
-    before, at = 0, 0
+    wide, before, at = net.inputs, 0, 0
     out = 0.0
     for layer in range(net.layers):
-        wide, next_wide = net.widths[layer], net.widths[layer + 1]
-        after = before + wide
+        next_wide, after = net.widths[layer], before + wide
         for j in range(next_wide):
             out = net.neurons[at + wide]
             for i in range(wide):
@@ -67,7 +75,7 @@ def network(x, integers, numbers, neurons):
             at += wide + 1
             if layer < net.layers - 1:
                 neurons[after + j] = 1.0 / (1.0 + exp(min(-out, SATURATED)))
-        before = after
+        wide, before = next_wide, after
     if net.relu:
         out = max(0.0, out)
     return net.out_low + net.out_span * out
@@ -75,7 +83,7 @@ def network(x, integers, numbers, neurons):
 
 @inlined
 def _sugeno(integers, numbers):
-    inputs, functions, rules = integers[0], integers[1], integers[2]
+    inputs, functions, rules = _rule_sizes(integers)
     owner, bell = 3, 3 + functions
     asked = bell + functions
     weights = 3 * functions
@@ -135,11 +143,12 @@ def sugeno(x, integers, numbers, work):
 
 @inlined
 def _table(integers, numbers):
-    inputs = integers[0]
+    inputs = _table_sizes(integers).inputs
+    sizes = integers[1 : 1 + inputs]
     count = 0
     for d in range(inputs):
-        count += integers[1 + d]
-    return Table(inputs, integers[1 : 1 + inputs], numbers[:count], numbers[count:])
+        count += sizes[d]
+    return Table(inputs, sizes, numbers[:count], numbers[count:])
 
 
 @exported(int64(float64, vector))
@@ -164,8 +173,9 @@ def nearest(x, integers, numbers, work):
         size = table.sizes[d]
         axis = table.nodes[first : first + size]
         i = _cell(x[d], axis)
-        if i + 1 < size and x[d] - axis[i] > axis[i + 1] - x[d]:
-            i += 1
+        above = i + 1
+        if above < size and x[d] - axis[i] > axis[above] - x[d]:
+            i = above
         index = index * size + i
         first += size
     return table.values[index]
@@ -184,7 +194,8 @@ def multilinear(x, integers, numbers, work):
         cells[d] = i
         parts[d] = 0.0
         if size > 1:
-            parts[d] = clip((x[d] - axis[i]) / (axis[i + 1] - axis[i]), 0.0, 1.0)
+            above = i + 1
+            parts[d] = clip((x[d] - axis[i]) / (axis[above] - axis[i]), 0.0, 1.0)
         first += size
     value = 0.0
     for corner in range(1 << table.inputs):

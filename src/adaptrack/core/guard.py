@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 
 from .functions import multilinear
-from .kernel import Row, boolean, exported, float64, inlined, int64, int_vector, record, vector, void
+from .kernel import Row, boolean, columns, exported, float64, inlined, int64, int_vector, record, vector, void
 from .maths.exact import clip, floor
 from .maths.exponential import log10, power
 from .variables import VARIABLES
@@ -18,8 +18,9 @@ MOST_ENTRIES = 8
 """Entries of a controller's tuning, at most."""
 NP, NC, Q, R = range(4)
 """The MPC's entries."""
-MAP_AXES = 5
-"""Of the stability map: speed, friction, Np, Nc, log10 R/Q."""
+AXES = columns("speed", "friction", "Np", "Nc", "log10_ratio")
+"""Of the stability map."""
+MAP_AXES = len(AXES)
 STAGES = 5
 """In how many stages a tuning gives way to the fallback."""
 
@@ -63,9 +64,9 @@ def too_near_instability(variables, tuning, guard, integers, numbers, point, wor
     """
     if guard.mapped == 0:
         return False
-    point[0], point[1] = variables[VARIABLES.speed], variables[VARIABLES.friction]
-    point[2], point[3] = tuning[NP], tuning[NC]
-    point[4] = log10(tuning[R] / tuning[Q]) if tuning[Q] > 0.0 else math.inf
+    point[AXES.speed], point[AXES.friction] = variables[VARIABLES.speed], variables[VARIABLES.friction]
+    point[AXES.Np], point[AXES.Nc] = tuning[NP], tuning[NC]
+    point[AXES.log10_ratio] = log10(tuning[R] / tuning[Q]) if tuning[Q] > 0.0 else math.inf
     # not <=: a value that is no number is too near
     return not multilinear(point, integers[guard.integers :], numbers[guard.numbers :], work) <= guard.limit
 

@@ -23,29 +23,30 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-
-from .kernel import columns, cube, exported, inlined, matrix, vector, void
+from .estimators.extended_kalman import carry, correct, scatter
+from .kernel import columns, exported, inlined, local, matrix, record, vector, viewer, void
 from .maths.bits import whole
 from .maths.exact import ceil, square
 from .maths.exponential import exp, tanh
+from .maths.matrix_exponential import apply, integrals
 from .maths.trigonometric import atan, cos, sin
 from .plants.forces import GRAVITY, SLIP_SPEED_FLOOR
 
-QUANTITY = columns(
+Quantities = record("Quantities", (
     "lag", "dead_time", "rate",  # s, s, rad/s: of the steering
     "gain", "offset",  # -, rad: road wheels over command
     "front", "rear",  # N/rad, cornering stiffness of the axles
     "mass", "yaw_inertia", "lf", "lr",  # kg, kg m^2, m, m
-    "relaxation", "friction", "shape",  # m, -, -: of the tyres
+    "relaxation", "friction", "shape_factor",  # m, -, -: of the tyres
     "side", "moment", "wind_angle_limit",  # N s^2/m^2, N s^2/m: of the wind, s and t; rad
     "wind_mean", "wind_spread", "wind_time",  # m/s, m/s, s
     "push_mean", "push_spread", "push_time",  # m/s^2, m/s^2, s
     "jolt",  # rad/s^2 per root Hz, white
     "noise_yaw_rate", "noise_vy", "noise_acceleration", "noise_yaw", "noise_wheel",  # rad/s, m/s, m/s^2, rad, rad
     "gyro_offset", "acceleration_offset", "wheel_offset",  # rad/s, m/s^2, rad
-)  # fmt: skip
-"""A car, its sensors and what disturbs it: places in the vector of quantities."""
+))  # fmt: skip
+"""A car, its sensors and what disturbs it."""
+_quantities_of = viewer(Quantities)
 ROW = columns("time", "command", "speed", "yaw_rate", "vy", "acceleration", "yaw", "wheel", "begins", "seen", "gusts")
 """Rows of a log: s, rad, m/s, then what is measured (NaN: not), then 1 where a segment begins, and 1 where the filter
 takes the sample in (else it only predicts), and the factor on the spread of the wind's noise until the sample."""
@@ -54,17 +55,17 @@ OUTPUT = columns("yaw_rate", "vy", "acceleration", "yaw", "wheel")
 FOUND = columns("wind", "wheel_angle", "front_slip", "rear_slip")
 """m/s, rad, rad, rad: what the filter finds at each sample: gusts beside the mean, wheels, slips."""
 ANSWER = 2 * len(OUTPUT) + len(FOUND)
-N = 8
-VY, R, AF, AR, WIND, GUST, PUSH, YAW = range(N)
-WORK = 7
-"""Matrices (N, N) of scratch."""
+STATE = columns("vy", "yaw_rate", "slip_front", "slip_rear", "yaw", "wind", "gust", "push")
+"""The first four obey dv/dt = M v + n_0 + n_1 t within a step. g is the gust that the wind w follows."""
+_BODY, _MIXED, _N = 4, 6, len(STATE)
+_vector, _covariance, _transition = local(_N), local(_N, _N), local(_MIXED, _N)
+_square, _column = local(_BODY, _N), local(_BODY)
 FLOOR = 1e-10
 """Added to the variance of every measurement: 1e-5 of its unit, for logs of simulations without noise."""
 TYPICAL_GUST = 12.0
 """m/s, at which the load of the gusts is linearised: f(W)/W is their slope."""
 LONGEST_STEP = 0.051
 """s"""
-_DEGREE = 7  # of the Taylor polynomial of the matrix exponential
 
 
 @inlined
@@ -101,222 +102,146 @@ def _move_wheels(angle, target, lag, rate, span):
 
 
 @inlined
-def _exponential(a, h, phi, psi, chi, term, spare):
-    """phi = exp(a h), psi = its integral over h, both (4, 4); chi (4,): column `AF` of psi's integral over h.
+def _axles(q, x):
+    """Force (N) and its slope (N/rad), front and rear."""
+    load = q.friction * q.mass * GRAVITY / (q.lf + q.lr)
+    front, slope_front = _tyre(x[STATE.slip_front], q.front, load * q.lr, q.shape_factor)
+    rear, slope_rear = _tyre(x[STATE.slip_rear], q.rear, load * q.lf, q.shape_factor)
+    return front, slope_front, rear, slope_rear
 
-    By scaling, a Taylor polynomial and doubling.
-    """
-    norm = 0.0
-    for j in range(4):
-        column = 0.0
-        for i in range(4):
-            column += abs(a[i, j])
-        norm = max(norm, column)
-    halvings = 0
-    while norm * h > 0.5 and halvings < 30:
-        h *= 0.5
-        halvings += 1
-    for i in range(4):
-        for j in range(4):
-            term[i, j] = h if i == j else 0.0
-            psi[i, j] = term[i, j]
-        chi[i] = 0.5 * h * term[i, AF]
-    for k in range(2, _DEGREE + 1):
-        for i in range(4):
-            for j in range(4):
-                total = 0.0
-                for m in range(4):
-                    total += term[i, m] * a[m, j]
-                spare[i, j] = total * h / k
-        for i in range(4):
-            for j in range(4):
-                term[i, j] = spare[i, j]
-                psi[i, j] += term[i, j]
-            chi[i] += term[i, AF] * h / (k + 1)
-    for i in range(4):
-        for j in range(4):
-            total = 1.0 if i == j else 0.0
-            for m in range(4):
-                total += a[i, m] * psi[m, j]
-            phi[i, j] = total
-    for _ in range(halvings):
-        for i in range(4):
-            spare[0, i] = chi[i] + h * psi[i, AF]
-            for m in range(4):
-                spare[0, i] += phi[i, m] * chi[m]
-        for i in range(4):
-            chi[i] = spare[0, i]
-        h *= 2.0
-        for i in range(4):
-            for j in range(4):
-                total = psi[i, j]
-                for m in range(4):
-                    total += phi[i, m] * psi[m, j]
-                spare[i, j] = total
-        for i in range(4):
-            for j in range(4):
-                psi[i, j] = spare[i, j]
-                total = 0.0
-                for m in range(4):
-                    total += phi[i, m] * phi[m, j]
-                term[i, j] = total
-        for i in range(4):
-            for j in range(4):
-                phi[i, j] = term[i, j]
+
+@inlined
+def _wind(q, speed):
+    """Load of the mean wind and its slope over gusts, for `side` and `moment`."""
+    slope = _steady_wind(speed, TYPICAL_GUST, q.wind_angle_limit) / TYPICAL_GUST
+    return _steady_wind(speed, q.wind_mean, q.wind_angle_limit), slope
 
 
 @inlined
 def _start(q, k, log, x, p):
     """The state and covariance at the beginning of a segment."""
-    for i in range(N):
+    for i in range(_N):
         x[i] = 0.0
-        for j in range(N):
+        for j in range(_N):
             p[i, j] = 0.0
     rate, yaw = log[ROW.yaw_rate, k], log[ROW.yaw, k]
-    x[R] = rate - q[QUANTITY.gyro_offset] if rate == rate else 0.0
-    x[YAW] = yaw if yaw == yaw else 0.0
-    p[VY, VY], p[R, R] = 1.0, 0.05 * 0.05 + square(q[QUANTITY.noise_yaw_rate])
-    p[AF, AF] = p[AR, AR] = 0.05 * 0.05
-    calm = square(q[QUANTITY.wind_spread])
-    p[WIND, WIND], p[WIND, GUST], p[GUST, WIND], p[GUST, GUST] = calm, calm, calm, 2.0 * calm
-    p[PUSH, PUSH] = square(q[QUANTITY.push_spread])
-    p[YAW, YAW] = square(q[QUANTITY.noise_yaw]) if yaw == yaw else 1e6
+    x[STATE.yaw_rate] = rate - q.gyro_offset if rate == rate else 0.0
+    x[STATE.yaw] = yaw if yaw == yaw else 0.0
+    p[STATE.vy, STATE.vy], p[STATE.yaw_rate, STATE.yaw_rate] = 1.0, 0.05 * 0.05 + square(q.noise_yaw_rate)
+    p[STATE.slip_front, STATE.slip_front] = p[STATE.slip_rear, STATE.slip_rear] = 0.05 * 0.05
+    p[STATE.yaw, STATE.yaw] = square(q.noise_yaw) if yaw == yaw else 1e6
+    calm = square(q.wind_spread)
+    p[STATE.wind, STATE.wind], p[STATE.gust, STATE.gust] = calm, 2.0 * calm
+    p[STATE.wind, STATE.gust] = p[STATE.gust, STATE.wind] = calm
+    p[STATE.push, STATE.push] = square(q.push_spread)
 
 
 @inlined
-def _predict(q, speed, h, angle, turning, gusts, x, p, work):
+def _linearise(q, speed, slope_front, slope_rear, m):
+    """Write M, of the first four states about their slips."""
+    sigma = max(q.relaxation, 0.01)
+    m[STATE.vy, STATE.vy] = -q.side * speed / q.mass  # relative wind
+    m[STATE.vy, STATE.yaw_rate] = -speed
+    m[STATE.vy, STATE.slip_front], m[STATE.vy, STATE.slip_rear] = slope_front / q.mass, slope_rear / q.mass
+    m[STATE.yaw_rate, STATE.vy] = -q.moment * speed / q.yaw_inertia
+    m[STATE.yaw_rate, STATE.slip_front] = q.lf * slope_front / q.yaw_inertia
+    m[STATE.yaw_rate, STATE.slip_rear] = -q.lr * slope_rear / q.yaw_inertia
+    m[STATE.slip_front, STATE.vy] = m[STATE.slip_rear, STATE.vy] = -1.0 / sigma
+    m[STATE.slip_front, STATE.yaw_rate], m[STATE.slip_rear, STATE.yaw_rate] = -q.lf / sigma, q.lr / sigma
+    m[STATE.slip_front, STATE.slip_front] = m[STATE.slip_rear, STATE.slip_rear] = -speed / sigma
+
+
+@inlined
+def _predict(q, speed, h, angle, turning, gusts, x, p):
     """Move state and covariance on by h (s) at a speed (m/s), the wheels at a mean angle (rad) and turning (rad/s).
 
     gusts: factor on the spread of the wind's noise.
     """
-    a, phi, psi, term, spare, whole, chi = work[0], work[1], work[2], work[3], work[4], work[5], work[6, 0]
-    mass, inertia, lf, lr = q[QUANTITY.mass], q[QUANTITY.yaw_inertia], q[QUANTITY.lf], q[QUANTITY.lr]
-    sigma, load = max(q[QUANTITY.relaxation], 0.01), q[QUANTITY.friction] * mass * GRAVITY / (lf + lr)
-    front, slope_f = _tyre(x[AF], q[QUANTITY.front], load * lr, q[QUANTITY.shape])
-    rear, slope_r = _tyre(x[AR], q[QUANTITY.rear], load * lf, q[QUANTITY.shape])
-    for i in range(4):
-        for j in range(4):
-            a[i, j] = 0.0
-    a[VY, VY], a[R, VY] = -q[QUANTITY.side] * speed / mass, -q[QUANTITY.moment] * speed / inertia  # relative wind
-    a[VY, R], a[VY, AF], a[VY, AR] = -speed, slope_f / mass, slope_r / mass
-    a[R, AF], a[R, AR] = lf * slope_f / inertia, -lr * slope_r / inertia
-    a[AF, VY], a[AF, R], a[AF, AF] = -1.0 / sigma, -lf / sigma, -speed / sigma
-    a[AR, VY], a[AR, R], a[AR, AR] = -1.0 / sigma, lr / sigma, -speed / sigma
-    _exponential(a, h, phi, psi, chi, term, spare)
-    rest_f, rest_r = front - slope_f * x[AF], rear - slope_r * x[AR]
-    slope = _steady_wind(speed, TYPICAL_GUST, q[QUANTITY.wind_angle_limit]) / TYPICAL_GUST
-    side, moment = q[QUANTITY.side] * slope / mass, q[QUANTITY.moment] * slope / inertia
-    steady = _steady_wind(speed, q[QUANTITY.wind_mean], q[QUANTITY.wind_angle_limit])
-    g0 = (rest_f + rest_r + q[QUANTITY.side] * steady) / mass + q[QUANTITY.push_mean]
-    g1 = (lf * rest_f - lr * rest_r + q[QUANTITY.moment] * steady) / inertia
-    g2, g3 = speed / sigma * (angle - 0.5 * h * turning), speed / sigma * turning
-    kept_w, kept_d = exp(-h / q[QUANTITY.wind_time]), exp(-h / q[QUANTITY.push_time])
-    rise = h / q[QUANTITY.wind_time] * kept_w
-    mean_d = 0.5 * (1.0 + kept_d)
-    for i in range(N):
-        for j in range(N):
-            whole[i, j] = 0.0
-    for i in range(4):
-        for j in range(4):
-            whole[i, j] = phi[i, j]
-        air = psi[i, 0] * side + psi[i, 1] * moment
-        whole[i, WIND], whole[i, GUST] = air * 0.5 * (1.0 + kept_w), air * 0.5 * rise
-        whole[i, PUSH] = psi[i, 0] * mean_d
-    whole[WIND, WIND], whole[WIND, GUST], whole[GUST, GUST] = kept_w, rise, kept_w
-    whole[PUSH, PUSH], whole[YAW, YAW] = kept_d, 1.0
-    for j in range(N - 1):
-        whole[YAW, j] = 0.5 * h * whole[R, j]
-    whole[YAW, R] += 0.5 * h
-    for i in range(N):
-        total = 0.0
-        for j in range(N):
-            total += whole[i, j] * x[j]
-        if i < 4:
-            total += psi[i, 0] * g0 + psi[i, 1] * g1 + psi[i, 2] * g2 + chi[i] * g3
-        term[0, i] = total
-    term[0, YAW] += 0.5 * h * (psi[1, 0] * g0 + psi[1, 1] * g1 + psi[1, 2] * g2 + chi[1] * g3)
-    for i in range(N):
-        x[i] = term[0, i]
-    for i in range(N):
-        for j in range(N):
-            total = 0.0
-            for m in range(N):
-                total += whole[i, m] * p[m, j]
-            spare[i, j] = total
-    for i in range(N):
-        for j in range(i + 1):
-            total = 0.0
-            for m in range(N):
-                total += spare[i, m] * whole[j, m]
-            p[i, j] = total
-            p[j, i] = total
+    m, constant, ramp, air = _square(), _column(), _column(), _column()
+    front, slope_front, rear, slope_rear = _axles(q, x)
+    rest_front, rest_rear = front - slope_front * x[STATE.slip_front], rear - slope_rear * x[STATE.slip_rear]
+    steady, slope = _wind(q, speed)
+    _linearise(q, speed, slope_front, slope_rear, m)
+    constant[STATE.vy] = (rest_front + rest_rear + q.side * steady) / q.mass + q.push_mean
+    constant[STATE.yaw_rate] = (q.lf * rest_front - q.lr * rest_rear + q.moment * steady) / q.yaw_inertia
+    entering = speed / max(q.relaxation, 0.01)
+    constant[STATE.slip_front], ramp[STATE.slip_front] = entering * (angle - 0.5 * h * turning), entering * turning
+    air[STATE.vy], air[STATE.yaw_rate] = q.side * slope / q.mass, q.moment * slope / q.yaw_inertia
+
+    s0, s1, s2, s3 = _square(), _square(), _square(), _square()
+    by_constant, by_ramp, by_air = _column(), _column(), _column()
+    integrals(m, h, s0, s1, s2, s3)
+    apply(s1, constant, by_constant)
+    apply(s2, ramp, by_ramp)
+    apply(s1, air, by_air)
+    f, kept, moved = _transition(), _vector(), _vector()
+    kept_w, kept_d = exp(-h / q.wind_time), exp(-h / q.push_time)
+    rise = h / q.wind_time * kept_w
+    for i in range(_BODY):
+        for j in range(_BODY):
+            f[i, j] = s0[i, j]
+        f[i, STATE.wind], f[i, STATE.gust] = by_air[i] * 0.5 * (1.0 + kept_w), by_air[i] * 0.5 * rise
+        f[i, STATE.push] = s1[i, STATE.vy] * 0.5 * (1.0 + kept_d)
+        moved[i] = by_constant[i] + by_ramp[i]
+    for j in range(_N):  # the yaw by the trapezoidal rule
+        f[STATE.yaw, j] = 0.5 * h * f[STATE.yaw_rate, j]
+    f[STATE.yaw, STATE.yaw_rate] += 0.5 * h
+    f[STATE.yaw, STATE.yaw], moved[STATE.yaw] = 1.0, 0.5 * h * moved[STATE.yaw_rate]
+    f[STATE.wind, STATE.wind], f[STATE.wind, STATE.gust] = kept_w, rise
+    kept[STATE.gust], kept[STATE.push] = kept_w, kept_d
+
+    for i in range(_MIXED):
+        for j in range(_N):
+            moved[i] += f[i, j] * x[j]
+    for i in range(_N):
+        x[i] = moved[i] if i < _MIXED else kept[i] * x[i]
+    carry(f, kept, p, _transition())
     # stationary covariance calm [[1, 1], [1, 2]], less what is left of it
-    calm = square(q[QUANTITY.wind_spread] * gusts)
-    p[WIND, WIND] += calm * (1.0 - kept_w * kept_w - 2.0 * kept_w * rise - 2.0 * rise * rise)
-    p[GUST, GUST] += calm * 2.0 * (1.0 - kept_w * kept_w)
-    new = calm * (1.0 - kept_w * kept_w - 2.0 * rise * kept_w)
-    p[WIND, GUST] += new
-    p[GUST, WIND] += new
-    p[PUSH, PUSH] += square(q[QUANTITY.push_spread]) * (1.0 - kept_d * kept_d)
-    p[R, R] += square(q[QUANTITY.jolt]) * h
+    calm = square(q.wind_spread * gusts)
+    both = calm * (1.0 - kept_w * kept_w - 2.0 * rise * kept_w)
+    p[STATE.wind, STATE.wind] += both - calm * 2.0 * rise * rise
+    p[STATE.gust, STATE.gust] += calm * 2.0 * (1.0 - kept_w * kept_w)
+    p[STATE.wind, STATE.gust] += both
+    p[STATE.gust, STATE.wind] += both
+    p[STATE.push, STATE.push] += square(q.push_spread) * (1.0 - kept_d * kept_d)
+    p[STATE.yaw_rate, STATE.yaw_rate] += square(q.jolt) * h
 
 
 @inlined
-def _take_in(innovation, variance, c, seen, x, p, gain):
-    """Correct state and covariance by an innovation of a given variance; row c is that of the measurement."""
-    if seen <= 0.0:
-        return
-    for i in range(N):
-        total = 0.0
-        for j in range(N):
-            total += p[i, j] * c[j]
-        gain[i] = total
-    for i in range(N):
-        x[i] += gain[i] / variance * innovation
-    for i in range(N):
-        for j in range(i + 1):
-            p[i, j] -= gain[i] * gain[j] / variance
-            p[j, i] = p[i, j]
+def _sense(sensor, q, speed, x, h):
+    """What a sensor should read, and the standard deviation of its noise; writes its row of the Jacobian to h."""
+    for i in range(_N):
+        h[i] = 0.0
+    if sensor == OUTPUT.yaw_rate:
+        h[STATE.yaw_rate] = 1.0
+        return x[STATE.yaw_rate] + q.gyro_offset, q.noise_yaw_rate
+    if sensor == OUTPUT.vy:
+        h[STATE.vy] = 1.0
+        return x[STATE.vy], q.noise_vy
+    if sensor == OUTPUT.yaw:
+        h[STATE.yaw] = 1.0
+        return x[STATE.yaw], q.noise_yaw
+    front, slope_front, rear, slope_rear = _axles(q, x)
+    steady, slope = _wind(q, speed)
+    h[STATE.slip_front], h[STATE.slip_rear] = slope_front / q.mass, slope_rear / q.mass
+    h[STATE.wind] = q.side * slope / q.mass
+    force = front + rear + q.side * (steady + slope * x[STATE.wind])
+    return force / q.mass + q.acceleration_offset, q.noise_acceleration
 
 
 @inlined
-def _correct(q, k, log, x, p, work, answer):
+def _compare(q, k, log, x, p, answer):
     """Compare the prediction with each measurement at sample k, and take it in."""
-    c, gain = work[0, 0], work[0, 1]
-    seen, speed = log[ROW.seen, k], max(log[ROW.speed, k], SLIP_SPEED_FLOOR)
-    mass, lf, lr = q[QUANTITY.mass], q[QUANTITY.lf], q[QUANTITY.lr]
-    load = q[QUANTITY.friction] * mass * GRAVITY / (lf + lr)
-    for which in range(4):
-        measured = log[ROW.yaw_rate + which, k]
+    h, cross, speed = _vector(), _vector(), max(log[ROW.speed, k], SLIP_SPEED_FLOOR)
+    for sensor in range(OUTPUT.wheel):
+        measured = log[ROW.yaw_rate + sensor, k]
         if measured != measured:
             continue
-        for i in range(N):
-            c[i] = 0.0
-        if which == OUTPUT.yaw_rate:
-            c[R] = 1.0
-            predicted, noise = x[R] + q[QUANTITY.gyro_offset], q[QUANTITY.noise_yaw_rate]
-        elif which == OUTPUT.vy:
-            c[VY] = 1.0
-            predicted, noise = x[VY], q[QUANTITY.noise_vy]
-        elif which == OUTPUT.acceleration:
-            front, slope_f = _tyre(x[AF], q[QUANTITY.front], load * lr, q[QUANTITY.shape])
-            rear, slope_r = _tyre(x[AR], q[QUANTITY.rear], load * lf, q[QUANTITY.shape])
-            steady = _steady_wind(speed, q[QUANTITY.wind_mean], q[QUANTITY.wind_angle_limit])
-            slope = _steady_wind(speed, TYPICAL_GUST, q[QUANTITY.wind_angle_limit]) / TYPICAL_GUST
-            c[AF], c[AR], c[WIND] = slope_f / mass, slope_r / mass, q[QUANTITY.side] * slope / mass
-            predicted = (front + rear + q[QUANTITY.side] * (steady + slope * x[WIND])) / mass
-            predicted += q[QUANTITY.acceleration_offset]
-            noise = q[QUANTITY.noise_acceleration]
-        else:
-            c[YAW] = 1.0
-            predicted, noise = x[YAW], q[QUANTITY.noise_yaw]
-        variance = noise * noise + FLOOR
-        for i in range(N):
-            for j in range(N):
-                variance += c[i] * p[i, j] * c[j]
-        innovation = measured - predicted
-        answer[which, k], answer[len(OUTPUT) + which, k] = innovation, variance
-        _take_in(innovation, variance, c, seen, x, p, gain)
+        predicted, noise = _sense(sensor, q, speed, x, h)
+        innovation, variance = measured - predicted, scatter(noise * noise + FLOOR, h, p, cross)
+        answer[sensor, k], answer[len(OUTPUT) + sensor, k] = innovation, variance
+        if log[ROW.seen, k] > 0.0:
+            correct(innovation, variance, cross, x, p)
 
 
 @inlined
@@ -325,8 +250,8 @@ def _steer(q, log, acting, angle, start, h):
 
     The row that acts at the end, the angle (rad) there, the mean angle (rad) and the rate (rad/s) of the straight line.
     """
-    last, dead, until = log.shape[1] - 1, q[QUANTITY.dead_time], start + h
-    lag, rate = max(q[QUANTITY.lag], 1e-4), q[QUANTITY.rate]
+    last, dead, until = log.shape[1] - 1, q.dead_time, start + h
+    lag, rate = max(q.lag, 1e-4), q.rate
     area, moment, at = 0.0, 0.0, start
     while at < until:
         while acting < last and log[ROW.begins, acting + 1] <= 0.0 and log[ROW.time, acting + 1] + dead <= at:
@@ -334,7 +259,7 @@ def _steer(q, log, acting, angle, start, h):
         end = until
         if acting < last and log[ROW.begins, acting + 1] <= 0.0:
             end = min(until, log[ROW.time, acting + 1] + dead)
-        target = q[QUANTITY.gain] * log[ROW.command, acting] + q[QUANTITY.offset]
+        target = q.gain * log[ROW.command, acting] + q.offset
         angle, part, first = _move_wheels(angle, target, lag, rate, end - at)
         area += part
         moment += first + (at - start) * part
@@ -346,20 +271,21 @@ def _steer(q, log, acting, angle, start, h):
 def _follow(q, log, k, share, h):
     """Likewise of wheels on straight lines between measured angles; share: of the span, at the middle of the step."""
     span = log[ROW.time, k] - log[ROW.time, k - 1]
-    turning = q[QUANTITY.gain] * (log[ROW.command, k] - log[ROW.command, k - 1]) / span
-    mean = q[QUANTITY.gain] * log[ROW.command, k - 1] + share * span * turning + q[QUANTITY.offset]
+    turning = q.gain * (log[ROW.command, k] - log[ROW.command, k - 1]) / span
+    mean = q.gain * log[ROW.command, k - 1] + share * span * turning + q.offset
     return mean + 0.5 * h * turning, mean, turning
 
 
-@exported(void(vector, matrix, vector, matrix, cube, matrix))
-def innovations(q, log, x, p, work, answer):
+@exported(void(vector, matrix, matrix))
+def innovations(quantities, log, answer):
     """Write innovations and their variances, NaN where nothing is measured, along a log.
 
-    q: see `QUANTITY`; log: rows as `ROW`, a column a sample; x (N,), p (N, N), work (WORK, N, N): scratch;
-    answer: (ANSWER, samples). Without a lag the commands are measured angles of the wheels.
+    quantities: `Quantities`; log: rows as `ROW`, a column a sample; answer: (ANSWER, samples). Without a lag the
+    commands are measured angles of the wheels.
     """
+    q, x, p = _quantities_of(quantities, 0), _vector(), _covariance()
     samples, acting, angle = log.shape[1], 0, 0.0
-    measured_angle = q[QUANTITY.lag] <= 0.0
+    measured_angle = q.lag <= 0.0
     for k in range(samples):
         for i in range(answer.shape[0]):
             answer[i, k] = math.nan
@@ -367,7 +293,7 @@ def innovations(q, log, x, p, work, answer):
         if log[ROW.begins, k] > 0.0:
             _start(q, k, log, x, p)
             acting = k
-            angle = q[QUANTITY.gain] * log[ROW.command, k] + q[QUANTITY.offset]
+            angle = q.gain * log[ROW.command, k] + q.offset
         else:
             before = log[ROW.time, k - 1]
             span = now - before
@@ -380,17 +306,13 @@ def innovations(q, log, x, p, work, answer):
                 else:
                     acting, angle, mean, turning = _steer(q, log, acting, angle, before + step * h, h)
                 speed = log[ROW.speed, k - 1] + share * (log[ROW.speed, k] - log[ROW.speed, k - 1])
-                _predict(q, max(speed, SLIP_SPEED_FLOOR), h, mean, turning, log[ROW.gusts, k], x, p, work)
-        _correct(q, k, log, x, p, work, answer)
+                _predict(q, max(speed, SLIP_SPEED_FLOOR), h, mean, turning, log[ROW.gusts, k], x, p)
+        _compare(q, k, log, x, p, answer)
         found = 2 * len(OUTPUT)
-        answer[found + FOUND.wind, k], answer[found + FOUND.wheel_angle, k] = x[WIND], angle
-        answer[found + FOUND.front_slip, k], answer[found + FOUND.rear_slip, k] = x[AF], x[AR]
+        answer[found + FOUND.wind, k], answer[found + FOUND.wheel_angle, k] = x[STATE.wind], angle
+        answer[found + FOUND.front_slip, k] = x[STATE.slip_front]
+        answer[found + FOUND.rear_slip, k] = x[STATE.slip_rear]
         measured = log[ROW.wheel, k]
         if measured == measured:
-            answer[OUTPUT.wheel, k] = measured - angle - q[QUANTITY.wheel_offset]
-            answer[len(OUTPUT) + OUTPUT.wheel, k] = square(q[QUANTITY.noise_wheel]) + FLOOR
-
-
-def scratch() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """State, covariance and scratch for `innovations`."""
-    return np.zeros(N), np.zeros((N, N)), np.zeros((WORK, N, N))
+            answer[OUTPUT.wheel, k] = measured - angle - q.wheel_offset
+            answer[len(OUTPUT) + OUTPUT.wheel, k] = square(q.noise_wheel) + FLOOR

@@ -17,7 +17,7 @@ import sys
 from collections import namedtuple
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from functools import cached_property, update_wrapper
+from functools import cached_property, partial, update_wrapper
 from typing import Any, cast
 
 import numpy as np
@@ -46,6 +46,9 @@ class Number:
         return Signature((self,), arguments)
 
 
+_NOTHING: Any = ctypes.c_byte * 0
+
+
 @dataclass(frozen=True)
 class Array:
     """A C-contiguous array of numbers or of rows (a record of numbers): in C a pointer, then a size a dimension."""
@@ -64,20 +67,12 @@ class Array:
     def given(self, value: Any) -> tuple[Any, ...]:
         if not (isinstance(value, np.ndarray) and value.ndim == self.ndim and value.dtype == self.dtype):
             raise TypeError(f"{value!r}: need an array of {self.ndim} dimensions, {self.dtype}.")
-        if not value.flags.c_contiguous:
-            raise TypeError("need an array whose rows lie one behind the other (C-contiguous).")
-        return (value.ctypes.data, *value.shape)
-
-
-@dataclass(frozen=True)
-class Row:
-    """One row of an array of a record of numbers."""
-
-    of: Any
-    ctypes = (ctypes.c_void_p,)
-
-    def given(self, value: Any) -> tuple[Any, ...]:
-        return (value.ctypes.data,)
+        try:
+            return (ctypes.addressof(_NOTHING.from_buffer(value)), *value.shape)  # a third of the time of the other
+        except TypeError:  # one that may not be written to, or
+            if not value.flags.c_contiguous:
+                raise TypeError("need an array whose rows lie one behind the other (C-contiguous).") from None
+            return (value.ctypes.data, *value.shape)
 
 
 @dataclass(frozen=True)
@@ -89,6 +84,13 @@ class Place:
 
     def given(self, value: Any) -> tuple[Any, ...]:
         return (value if isinstance(value, Resident) else Resident(value),)
+
+
+class Row(Place):
+    """One row of an array of a record of numbers: a kernel may write to it."""
+
+    def given(self, value: Any) -> tuple[Any, ...]:
+        return (value.__array_interface__["data"][0],)  # a row by itself has no `ctypes`
 
 
 @dataclass(frozen=True)
@@ -106,11 +108,10 @@ class Signature:
     @property
     def prototype(self) -> Any:
         """The type of the C function."""  # not kept: it cannot be pickled, and ctypes has each only once
-        kinds = [kind for each in self.types for kind in each.ctypes]
+        taken = [kind for each in self.types for kind in each.ctypes]
         if len(self.returns) > 1:
-            return ctypes.CFUNCTYPE(None, *kinds, ctypes.c_void_p)
-        (returned,) = self.returns
-        return ctypes.CFUNCTYPE(None if returned == void else returned.ctypes[0], *kinds)
+            return ctypes.CFUNCTYPE(None, *taken, ctypes.c_void_p)
+        return ctypes.CFUNCTYPE(None if self.returns == (void,) else self.returns[0].ctypes[0], *taken)
 
 
 def several(*kinds: Number) -> Callable[..., Signature]:
@@ -173,12 +174,59 @@ def columns(*names: str) -> Any:
     return namedtuple("Columns", names)(*range(len(names)))
 
 
-def unpacker(kind: Any) -> Any:
-    """An inlined function: gives the first entries of a vector the names of a record."""
-    scope: dict[str, Any] = {"kind": kind}
-    entries = ", ".join(f"p[{i}]" for i in range(len(kind._fields)))
-    exec(f"def unpack(p):\n    return kind({entries})", scope)
-    return inlined(scope["unpack"])
+def size_of(kind: Any) -> int:
+    """How many numbers (8 bytes each) a record of numbers takes."""
+    return int(kind.dtype.itemsize) // 8
+
+
+def viewer(kind: Any) -> Any:
+    """A kernel ``view(vector, place)``: the record of numbers that lies in a vector from a place on.
+
+    Its fields are read and written there by name, its rows of numbers are arrays; the vector must be long enough.
+
+    Raises ValueError for a field that is called like an attribute of NumPy's records: in Python it would be hidden.
+    """
+    if hidden := [name for name in kind._fields if hasattr(np.record, name)]:
+        raise ValueError(f"{kind.__name__}: NumPy's records have {', '.join(hidden)} of their own: choose other names.")
+    return _known("view", lambda vector, place: vector[place : place + size_of(kind)].view(kind.dtype)[0], kind)
+
+
+def unpacker(kind: Any, apart: int = 1) -> Any:
+    """An inlined function ``unpack(p, first=0)``: the record whose entries lie in a vector from a place on, so many
+    apart.
+    """
+    entries = ", ".join(f"p[{at}]" for at in _entries(kind, apart))
+    return _written(f"def written(p, first=0):\n    return kind({entries})", kind)
+
+
+def packer(kind: Any, apart: int = 1) -> Any:
+    """An inlined function ``pack(p, first, value)``: writes a record where `unpacker`'s reads it."""
+    lines = [f"    p[{at}] = value.{name}" for name, at in zip(kind._fields, _entries(kind, apart), strict=True)]
+    return _written("\n".join(["def written(p, first, value):", *lines]), kind)
+
+
+def stepper(kind: Any) -> Any:
+    """An inlined function ``step(x, h, slope)``: the record x + h slope."""
+    entries = ", ".join(f"fma(h, slope.{name}, x.{name})" for name in kind._fields)
+    return _written(f"def written(x, h, slope):\n    return kind({entries})", kind)
+
+
+def _entries(kind: Any, apart: int) -> list[str]:
+    return [f"{apart * i} + first" for i in range(len(kind._fields))]
+
+
+def _written(text: str, kind: Any) -> Any:
+    scope: dict[str, Any] = {"kind": kind, "fma": fma}
+    exec(text, scope)
+    return inlined(scope["written"])
+
+
+def local(*shape: int) -> Any:
+    """A kernel ``zeros()``: an array of zeros of a fixed shape, there until the kernel that calls it returns.
+
+    ``square = local(3, 3)`` in the file, ``z = square()`` in a kernel. It lies on the stack, if not in registers.
+    """
+    return _known("local", lambda: np.zeros(shape), shape)
 
 
 class Resident:
@@ -207,10 +255,14 @@ def _words(record: Any) -> Iterable[int]:
 
 # -- functions --------------------------------------------------------------------------------------------------------
 class Known:
-    """A function that kernels may call: the builder knows what it is to the compiler."""
+    """A function that kernels may call.
 
-    def __init__(self, function: Any, interpreted: Any = None) -> None:
-        self.function, self._python = function, interpreted or function
+    kind: what it is to the compiler, see `build.numba_functions.type_of`; of: the type or shape that goes with it;
+    interpreted: what stands for it in Python.
+    """
+
+    def __init__(self, kind: str, function: Any, of: Any = None, interpreted: Any = None) -> None:
+        self.kind, self.function, self.of, self._python = kind, function, of, interpreted or function
         update_wrapper(self, function)
 
     def __call__(self, *arguments: Any) -> Any:
@@ -223,29 +275,11 @@ class Known:
         return numba_functions.type_of(self)
 
 
-class Inlined(Known):
-    """A part of kernels. Called from Python it is the Python that it is."""
-
-
-class Primitive(Known):
-    """An operation that the compiler knows by its name; in Python the function that stands here."""
-
-
-class Caller(Known):
-    """A kernel ``call(function, *arguments)`` of a function of a signature: in compiled code an address (`address_of`),
-    in Python itself. So members cross in records, ours and users' alike.
-    """
-
-    def __init__(self, signature: Signature) -> None:
-        super().__init__(lambda function, *arguments: function(*arguments))
-        self.signature = signature
-
-
 class Exported(Known):
     """A kernel with a name and a signature: a C function, of the library or compiled now."""
 
     def __init__(self, function: Any, name: str, signature: Signature) -> None:
-        super().__init__(function)
+        super().__init__("exported", function)
         self.name, self.signature = name, signature
 
     @cached_property
@@ -290,12 +324,12 @@ def _named(name: str) -> Exported:
 
 def inlined(function: Any, interpreted: Any = None) -> Any:
     """A part of the kernels that call it; interpreted: what stands for it in Python."""
-    return (interpreted or function) if INTERPRETED else Inlined(function, interpreted)
+    return _known("inlined", function, interpreted=interpreted)
 
 
 def primitive(function: Any) -> Any:
-    """An operation that the compiler knows by the function's name."""
-    return function if INTERPRETED else Primitive(function)
+    """An operation that the compiler knows by the function's name; in Python the function that stands here."""
+    return _known("primitive", function)
 
 
 def exported(signature: Signature, name: str | None = None) -> Callable[[Any], Any]:
@@ -312,21 +346,30 @@ def exported(signature: Signature, name: str | None = None) -> Callable[[Any], A
     return decorate
 
 
+def Caller(signature: Signature) -> Any:
+    """A kernel ``call(function, *arguments)`` of a function of a signature: in compiled code an address (`address_of`),
+    in Python itself. So members cross in records, ours and users' alike.
+    """
+    return _known("caller", lambda function, *arguments: function(*arguments), signature)
+
+
+def _known(kind: str, function: Any, of: Any = None, interpreted: Any = None) -> Any:
+    return (interpreted or function) if INTERPRETED else Known(kind, function, of, interpreted)
+
+
 def address_of(function: Any) -> Any:
     """What a kernel takes for an exported one: its address, 0 for None; in plain Python itself."""
     return function if INTERPRETED else (0 if function is None else function.address)
 
 
 def direct(kernel: Any, record: Any) -> Any:
-    """A kernel whose last argument is a record that stays, for callers that give the numbers before it."""
-    resident = Resident(record)
+    """A kernel that takes a record alone, with one that stays, as a function without arguments."""
     if INTERPRETED:
-        return lambda *numbers: kernel(*numbers, record)
-    call, place = kernel.call, resident._as_parameter_
-
-    def run(*numbers: Any) -> Any:
-        return call(*numbers, place)
-
+        return partial(kernel, record)
+    resident = Resident(record)
+    place = (ctypes.c_int64 * resident.words.size).from_address(resident.words.ctypes.data)
+    # a pointer that is one already: ctypes has nothing to convert, which takes longer than some kernels
+    run = partial(ctypes.CFUNCTYPE(None)(kernel.address), ctypes.byref(place))
     run.resident = resident  # type: ignore[attr-defined]
     return run
 

@@ -12,6 +12,7 @@ import json
 import logging
 import os
 import platform
+import sys
 from functools import cache
 from importlib.util import find_spec
 from pathlib import Path
@@ -28,8 +29,8 @@ MANIFEST = "manifest.json"
 BUILD = "python -m adaptrack.core.build"
 
 
-class Unusable(Exception):
-    """Why there is no library."""
+UNUSABLE = (OSError, ValueError, LookupError, TypeError, AttributeError)
+"""What `manifest`, `whole` and `Library` raise where there is none, or a damaged one."""
 
 
 class NoKernels(ImportError):
@@ -51,15 +52,16 @@ def kernels_hash() -> str:
 
 
 def processor() -> str:
-    """The name of the library for this processor, by what the processor says that it has."""
+    """The name of the library for this system and processor, by what the processor says that it has."""
+    system = {"win32": "windows-", "darwin": "macos-"}.get(sys.platform, "")
     machine = platform.machine().lower()
     if machine in ("x86_64", "amd64"):
         from numpy._core._multiarray_umath import __cpu_features__ as has  # type: ignore[import-not-found]
 
         if not (has.get("AVX2") and has.get("FMA3")):
-            return "x86-64"
-        return "x86-64-v4" if has.get("AVX512_SKX") else "x86-64-v3"
-    return {"arm64": "aarch64"}.get(machine, machine)
+            return f"{system}x86-64"
+        return f"{system}x86-64-v4" if has.get("AVX512_SKX") and system != "macos-" else f"{system}x86-64-v3"
+    return system + {"arm64": "aarch64"}.get(machine, machine)
 
 
 def can_compile() -> bool:
@@ -68,33 +70,15 @@ def can_compile() -> bool:
 
 
 def manifest() -> dict[str, Any]:
-    """What was built: of each processor the file and its hash; the hashes of the sources; the sources of each kernel.
-
-    Raises Unusable.
-    """
-    try:
-        found = json.loads((BUILT / MANIFEST).read_text(encoding="utf-8"))
-        if not all(isinstance(found[key], dict) for key in ("libraries", "sources", "kernels")):
-            raise TypeError("a table is missing")
-        return dict(found)
-    except FileNotFoundError:
-        raise Unusable("the kernels have not been compiled") from None
-    except (OSError, ValueError, LookupError, TypeError) as error:
-        raise Unusable(f"{BUILT / MANIFEST}: cannot be used: {error!r}") from error
+    """What was built: of each processor the file and its hash; the sources and their hashes; those of each kernel."""
+    return dict(json.loads((BUILT / MANIFEST).read_text(encoding="utf-8")))
 
 
 def whole(entry: dict[str, str]) -> Path:
-    """The file of a library of the manifest, proved to be as it was built.
-
-    Raises Unusable.
-    """
+    """The file of a library of the manifest, proved to be as it was built."""
     path = BUILT / entry["file"]
-    try:
-        digest = hashlib.sha256(path.read_bytes()).hexdigest()
-    except OSError as error:
-        raise Unusable(f"{path}: cannot be read: {error.strerror}") from error
-    if digest != entry["sha256"]:
-        raise Unusable(f"{path}: is not what was built: damaged, cut short or of another build")
+    if hashlib.sha256(path.read_bytes()).hexdigest() != entry["sha256"]:
+        raise ValueError(f"{path}: is not what was built: damaged, cut short or of another build")
     return path
 
 
@@ -104,12 +88,9 @@ class Library:
     def __init__(self) -> None:
         built, name = manifest(), processor()
         if name not in built["libraries"]:
-            raise Unusable(f"{BUILT / MANIFEST}: has no library for {name}")
+            raise ValueError(f"no library for {name}")
         self.path = whole(built["libraries"][name])
-        try:
-            self.functions = ctypes.CDLL(str(self.path))
-        except OSError as error:
-            raise Unusable(f"{self.path}: cannot be loaded: {error}") from error
+        self.functions = ctypes.CDLL(str(self.path))
         self.kernels = built["kernels"]
         then, now = built["sources"], source_hashes()
         self.edited = {each for each in {*then, *now} if then.get(each) != now.get(each)}
@@ -131,10 +112,12 @@ def loaded() -> Library | str:
     """The library, or why there is none."""
     if WAY != "library":
         return f"ADAPTRACK_KERNELS={WAY}"
+    if not (BUILT / MANIFEST).exists():
+        return "the kernels have not been compiled"
     try:
         return Library()
-    except Unusable as why:
-        return str(why)
+    except UNUSABLE as error:
+        return f"{BUILT / MANIFEST}: {type(error).__name__}: {error}"
 
 
 @cache

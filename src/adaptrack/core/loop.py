@@ -1,9 +1,6 @@
-"""One control period of the closed loop, piece by piece, in the order in which both drivers call them.
+"""The pieces of a control period: where the car is, whether its run has failed, sensors, driver, steering.
 
-    locate -> judge -> sense -> (look -> schedule) -> control -> actuate -> observe -> advance
-
-`simulate` calls them once per period from Python, around any controller; `rollout` inlines them in a compiled loop over
-the slots of a batch.
+`period` has them in their order. They take a slot and its run (`period.Loop`), in which they read and write by name.
 """
 
 from __future__ import annotations
@@ -13,31 +10,16 @@ from typing import Any
 
 import numpy as np
 
-from .kernel import (
-    Place,
-    boolean,
-    columns,
-    cube,
-    exported,
-    float64,
-    inlined,
-    int64,
-    matrix,
-    record,
-    rows,
-    several,
-    vector,
-    void,
-)
+from .kernel import columns, cube, inlined, local, matrix, record, rows
 from .maths.bits import whole
 from .maths.exact import ceil, clip, floor
 from .maths.exponential import hypot
 from .maths.random import counted_normal, counted_uniform
 from .maths.trigonometric import atan2
 from .models.contract import MEASURED
-from .plants.contract import ENVIRONMENT, INPUT, STATE, input_at, state_at
+from .plants.contract import ENVIRONMENT, INPUT, OBSERVED, STATE, input_at, observe, state_at
 from .plants.forces import wheel_angle
-from .road import Roads, foot_near, line_of
+from .road import foot_near, line_of
 from .variables import VARIABLES
 
 SETTINGS = record(
@@ -70,6 +52,7 @@ SETTINGS = record(
 OWN = record(
     "Own",
     (
+        "instant",  # the present control instant
         "command",  # rad, the controller's last one
         "blind_until",  # s, no pose is measured before
         "integral",  # m, of the driver's speed error
@@ -77,21 +60,24 @@ OWN = record(
         "ended",  # RUNNING, or why the run ended
         "ended_at",  # s
         "offset", "heading_error",  # m, rad, of the car against the path
+        "error",  # m, of the offset against its reference
+        "speed",  # m/s, as measured at the present instant
         "station", "heading",  # m, rad, of its foot on a curved road
         "turned",  # rad, see `MEASURED`
         "located",  # 1 once the foot is known
         "place",  # the instant at which the plan is where the car is
     ),
-    whole=("arrived", "ended", "located", "place"),
+    whole=("instant", "arrived", "ended", "located", "place"),
 )  # fmt: skip
 """What the loop remembers of each slot: its scalars."""
 
-Memory = record("Memory", (("own", rows(OWN)), ("sent", matrix), ("past", matrix)))
+Memory = record("Memory", (("own", rows(OWN)), ("sent", matrix), ("past", cube)))
 """What the loop remembers of each slot (slots,): its scalars; commands, the latest first (slots, whole periods of dead
-time + 2); what there was to measure at the last instants, the latest first, rows of `SENSED` (slots, instants SENSED),
-empty where all sensors are prompt."""
+time + 2); what there was to measure at the last instants, the latest first (slots, instants, SENSED), empty where all
+sensors are prompt."""
 SENSED = 6
 """How many of `MEASURED` are measured; the others are their ages."""
+_observed = local(len(OBSERVED))
 _JITTER, _DROPOUT, _LENGTH, _MISSING, _BIAS = range(5)  # streams of random numbers
 
 RUNNING, OFF_ROAD, SPUN, NOT_FINITE, NEVER_ARRIVED, STOPPED = range(6)
@@ -111,23 +97,26 @@ most."""
 
 
 # -- where the car is -------------------------------------------------------------------------------------------------
-@exported(void(int64, vector, rows(SETTINGS), cube, int64, Place(Roads), Place(Memory)))
-def locate(slot, block, settings, signals, scenario, roads, memory):
+@inlined
+def locate(slot, run):
     """Find the car on its road: offset and heading error against the path, the foot and the place in the plan."""
-    own, road = memory.own[slot], roads.of[scenario]
+    own, block = run.memory.own[slot], run.vehicles.block
+    signals, scenario = run.given.signals, run.given.scenario[slot]
+    road = run.given.roads.of[scenario]
     x, y, yaw = block[state_at(STATE.x, slot)], block[state_at(STATE.y, slot)], block[state_at(STATE.yaw, slot)]
     if road < 0:
         own.offset, own.heading_error = y, yaw
         return
     near = signals[scenario, SIGNAL.station, 0]
     if own.located > 0:
-        near = own.station + block[state_at(STATE.vx, slot)] * settings[0].period
-    station, offset, heading, _ = foot_near(x, y, near, line_of(road, roads))
+        near = own.station + block[state_at(STATE.vx, slot)] * run.settings.period
+    station, offset, heading, _ = foot_near(x, y, near, line_of(road, run.given.roads))
     own.turned = heading - own.heading if own.located > 0 else 0.0
     own.station, own.offset, own.heading, own.located = station, offset, heading, 1
     turns = (yaw - heading) / (2.0 * math.pi)
     own.heading_error = 2.0 * math.pi * (turns - floor(turns + 0.5))
-    last = signals.shape[2] - 1
+    _, _, samples = signals.shape
+    last = samples - 1
     while own.place < last and signals[scenario, SIGNAL.station, own.place + 1] <= station:
         own.place += 1
     while own.place > 0 and signals[scenario, SIGNAL.station, own.place] > station:
@@ -135,22 +124,26 @@ def locate(slot, block, settings, signals, scenario, roads, memory):
 
 
 # -- failure ----------------------------------------------------------------------------------------------------------
-@exported(int64(float64, vector, int64, rows(SETTINGS), boolean))
-def judge(error, block, slot, settings, arrived):
+@inlined
+def judge(slot, run):
     """Why a run has failed at this instant, RUNNING if it has not.
 
     Not finite: a state. Spun: a sideslip angle |atan2(v_y, v_x)| beyond the limit at 1 m/s or more. Off the road:
-    the error (m) against the reference beyond the distance, once the vehicle has arrived within it.
+    the error against the reference beyond the distance, once the vehicle has arrived within it.
     """
+    own, block, world = run.memory.own[slot], run.vehicles.block, run.settings
+    within = abs(own.error) <= world.failure_distance
+    if within:
+        own.arrived = 1
     for row in range(STATE.yaw_rate + 1):
         if not math.isfinite(block[state_at(row, slot)]):
             return NOT_FINITE
     if not math.isfinite(block[state_at(STATE.steering, slot)]):
         return NOT_FINITE
     vx, vy = block[state_at(STATE.vx, slot)], block[state_at(STATE.vy, slot)]
-    if hypot(vx, vy) >= SLOW and abs(atan2(vy, vx)) > settings[0].failure_sideslip:
+    if hypot(vx, vy) >= SLOW and abs(atan2(vy, vx)) > world.failure_sideslip:
         return SPUN
-    if arrived and not abs(error) <= settings[0].failure_distance:
+    if own.arrived > 0 and not within:
         return OFF_ROAD
     return RUNNING
 
@@ -171,43 +164,46 @@ def _either(most, seed, stream, k):
 
 
 @inlined
-def _keep_past(slot, measured, past):
+def _keep_past(past, measured):
     """Add what there is to measure now to the instants before."""
-    for j in range(past.shape[1] - 1, SENSED - 1, -1):
-        past[slot, j] = past[slot, j - SENSED]
+    instants, _ = past.shape
+    for i in range(instants - 1, 0, -1):
+        for j in range(SENSED):
+            past[i, j] = past[i - 1, j]
     for j in range(SENSED):
-        past[slot, j] = measured[j]
+        past[0, j] = measured[j]
 
 
 @inlined
-def _recall(slot, sensor, instants, past):
+def _recall(sensor, instants, past):
     """What there was to measure so many control instants ago, a straight line between two of them."""
     first = whole(instants)
-    near = past[slot, SENSED * first + sensor]
-    return near + (instants - first) * (past[slot, SENSED * (first + 1) + sensor] - near)
+    near = past[first, sensor]
+    return near + (instants - first) * (past[first + 1, sensor] - near)
 
 
 @inlined
-def _make_late(k, slot, world, seed, memory, measured):
+def _make_late(k, world, seed, past, measured):
     """Replace what there is to measure now by what there was, as old as the sensors say."""
     most = float(k)  # nothing is older than the run
     age = max(0.0, world.pose_age + _either(world.pose_age_spread, seed, _JITTER, k))
-    _keep_past(slot, measured, memory.past)
+    _keep_past(past, measured)
     if k == 0:
-        for j in range(SENSED, memory.past.shape[1]):
-            memory.past[slot, j] = measured[j % SENSED]
+        for i in range(len(past)):
+            for j in range(SENSED):
+                past[i, j] = measured[j]
     for sensor in range(SENSED):
         posed = sensor == MEASURED.yaw or sensor == MEASURED.y
         instants = min((age if posed else world.motion_age) / world.period, most)
-        measured[sensor] = _recall(slot, sensor, instants, memory.past)
+        measured[sensor] = _recall(sensor, instants, past)
     measured[MEASURED.pose_age] = min(age, most * world.period)
     measured[MEASURED.motion_age] = min(world.motion_age, most * world.period)
 
 
 @inlined
-def _leave_out(k, slot, world, seed, memory, measured):
+def _leave_out(k, world, seed, own, measured):
     """Samples that are missing, one by one or, of the pose, for a while."""
-    own, now = memory.own[slot], k * world.period
+    now = k * world.period
     if world.missing > 0.0:
         for sensor in range(SENSED):
             if counted_uniform(seed, _MISSING, k, sensor, 0) < world.missing:
@@ -221,13 +217,15 @@ def _leave_out(k, slot, world, seed, memory, measured):
             measured[MEASURED.yaw], measured[MEASURED.y] = math.nan, math.nan
 
 
-@exported(float64(int64, int64, vector, rows(SETTINGS), int64, Place(Memory), vector))
-def sense(k, slot, block, settings, seed, memory, measured):
-    """Write what the sensors of a slot's vehicle give at instant k, see `models.contract.MEASURED`; the measured speed.
-
-    measured holds the lateral acceleration (m/s^2) if there is a sensor of it.
-    """
-    world, own = settings[0], memory.own[slot]
+@inlined
+def sense(slot, run):
+    """Write what the sensors of a slot's vehicle give, see `models.contract.MEASURED`, and the measured speed."""
+    own, block, world, measured = run.memory.own[slot], run.vehicles.block, run.settings, run.measured
+    k, seed = own.instant, run.given.seeds[slot]
+    if world.noise_lateral_acceleration < math.inf:
+        seen = _observed()
+        observe(slot, run.vehicles, seen)
+        measured[MEASURED.lateral_acceleration] = seen[OBSERVED.lateral_acceleration]
     measured[MEASURED.vy] = block[state_at(STATE.vy, slot)]
     measured[MEASURED.yaw] = own.heading_error
     measured[MEASURED.yaw_rate] = block[state_at(STATE.yaw_rate, slot)]
@@ -238,8 +236,8 @@ def sense(k, slot, block, settings, seed, memory, measured):
         world.steering_lag, world.steering_limit,
     )  # fmt: skip
     measured[MEASURED.pose_age], measured[MEASURED.motion_age] = 0.0, 0.0
-    if memory.past.size > 0:
-        _make_late(k, slot, world, seed, memory, measured)
+    if run.features.late:
+        _make_late(k, world, seed, run.memory.past[slot], measured)
     noises = (
         world.noise_vy, world.noise_yaw, world.noise_yaw_rate, world.noise_y, world.noise_wheel_angle,
         world.noise_lateral_acceleration,
@@ -250,16 +248,18 @@ def sense(k, slot, block, settings, seed, memory, measured):
         measured[MEASURED.yaw_rate] += _either(world.bias_yaw_rate, seed, _BIAS, MEASURED.yaw_rate)
     if world.bias_wheel_angle > 0.0:
         measured[MEASURED.wheel_angle] += _either(world.bias_wheel_angle, seed, _BIAS, MEASURED.wheel_angle)
-    _leave_out(k, slot, world, seed, memory, measured)
+    _leave_out(k, world, seed, own, measured)
     speed = block[state_at(STATE.vx, slot)]
-    return speed + speed * _noisy(0.0, world.noise_speed, k, SENSED, seed) if world.noise_speed > 0.0 else speed
+    own.speed = speed + speed * _noisy(0.0, world.noise_speed, k, SENSED, seed) if world.noise_speed > 0.0 else speed
 
 
-@exported(void(int64, float64, vector, cube, int64, vector))
-def look(k, speed, measured, signals, scenario, variables):
-    """Write the scheduling variables (`VARIABLES`) at instant k; measured: see `sense`, speed: v_x (m/s)."""
+@inlined
+def look(slot, measured, run):
+    """Write the scheduling variables (`VARIABLES`) of a slot; measured: see `sense`."""
+    own, signals, scenario, variables = run.memory.own[slot], run.given.signals, run.given.scenario[slot], run.variables
+    k = own.instant
     y_ref = signals[scenario, SIGNAL.y_ref, k]
-    variables[VARIABLES.speed] = speed
+    variables[VARIABLES.speed] = own.speed
     variables[VARIABLES.y_ref] = y_ref
     variables[VARIABLES.friction] = signals[scenario, SIGNAL.known_friction, k]
     variables[VARIABLES.wind] = signals[scenario, SIGNAL.known_wind, k]
@@ -276,7 +276,8 @@ def _drive(k, speed, signals, scenario, settings, own):
     dv = (v_ref(t + T_p) - v_x)/T_p + K_i * integral of (v_ref - v_x); limited by engine power, traction and brakes,
     the integral standing still while a limit holds.
     """
-    last = signals.shape[2] - 1
+    _, _, samples = signals.shape
+    last = samples - 1
     ahead = settings.driver_preview / settings.period
     j = min(k + whole(ahead), last)
     part = ahead - floor(ahead)
@@ -300,27 +301,28 @@ def _catch_up(speed, late):
 
 
 @inlined
-def _send(command, slot, settings, memory):
+def _send(command, slot, world, sent):
     """Take a command into those that are on their way; the one that acts from this instant on."""
-    sent, world = memory.sent, settings[0]
     for j in range(world.dead_whole + 1, 0, -1):
         sent[slot, j] = sent[slot, j - 1]
     sent[slot, 0] = command
     return sent[slot, world.dead_whole + (1 if world.dead_share > 0.0 else 0)]
 
 
-@exported(void(int64, int64, float64, vector, rows(SETTINGS), cube, int64, Place(Memory)))
-def actuate(k, slot, command, block, settings, signals, scenario, memory):
-    """Write the inputs of a slot's vehicle for the period after instant k: steering, speed control, friction, wind.
+@inlined
+def actuate(slot, command, run):
+    """Write the inputs of a slot's vehicle for the period that begins: steering, speed control, friction, wind.
 
     command: the controller's new one (rad); with a dead time, one before acts.
     """
-    world, own = settings[0], memory.own[slot]
+    own, block, world = run.memory.own[slot], run.vehicles.block, run.settings
+    signals, scenario, k = run.given.signals, run.given.scenario[slot], own.instant
     vx = block[state_at(STATE.vx, slot)]
-    block[input_at(INPUT.command, slot)] = _send(command, slot, settings, memory) + world.steering_bias
+    block[input_at(INPUT.command, slot)] = _send(command, slot, world, run.memory.sent) + world.steering_bias
     own.command = command
     if world.prescribed_speed > 0:
-        following = signals[scenario, SIGNAL.speed, min(k + 1, signals.shape[2] - 1)]
+        _, _, samples = signals.shape
+        following = signals[scenario, SIGNAL.speed, min(k + 1, samples - 1)]
         if own.located > 0:
             following += _catch_up(following, signals[scenario, SIGNAL.station, k] - own.station)
         block[input_at(INPUT.force, slot)] = 0.0
@@ -333,10 +335,9 @@ def actuate(k, slot, command, block, settings, signals, scenario, memory):
         block[input_at(INPUT.friction_front_left + j, slot)] = signals[scenario, SIGNAL.friction_front_left + j, place]
 
 
-@exported(several(int64, int64)(rows(SETTINGS)))
-def substeps_around_change(settings):
-    """Integration steps of a period before and after the next command begins to act within it."""
-    world = settings[0]
+@inlined
+def substeps_around_change(world):
+    """Integration steps of a period before and after the next command begins to act within it; world: `SETTINGS`."""
     if not world.dead_share > 0.0:
         return 0, world.substeps
     return (
@@ -345,23 +346,26 @@ def substeps_around_change(settings):
     )
 
 
-@exported(void(int64, vector, rows(SETTINGS), Place(Memory)))
-def change_command(slots, block, settings, memory):
+@inlined
+def change_command(slots, run):
     """Let the next command act: with a dead time that is no whole number of periods, within a period."""
-    world = settings[0]
+    world = run.settings
     for slot in range(slots):
-        block[input_at(INPUT.command, slot)] = memory.sent[slot, world.dead_whole] + world.steering_bias
+        run.vehicles.block[input_at(INPUT.command, slot)] = (
+            run.memory.sent[slot, world.dead_whole] + world.steering_bias
+        )
 
 
 def memory(slots: int, dead_whole: int, past: int) -> Any:
     """What the loop remembers of `slots` slots before the first instant; past: instants that late sensors look back."""
-    return Memory(OWN.new(slots), np.zeros((slots, dead_whole + 2)), np.zeros((slots, SENSED * past)))
+    return Memory(OWN.new(slots), np.zeros((slots, dead_whole + 2)), np.zeros((slots, past, SENSED)))
 
 
-@exported(void(int64, Place(Memory)))
+@inlined
 def forget(slot, memory):
     """Back to before the first instant."""
     own = memory.own[slot]
-    own.command, own.integral, own.arrived, own.ended, own.ended_at, own.blind_until = 0.0, 0.0, 0, RUNNING, 0.0, 0.0
-    own.station, own.turned, own.located, own.place = 0.0, 0.0, 0, 0
+    own.instant, own.command, own.integral, own.arrived, own.ended, own.ended_at = 0, 0.0, 0.0, 0, RUNNING, 0.0
+    own.station, own.turned, own.located, own.place, own.blind_until, own.speed = 0.0, 0.0, 0, 0, 0.0, 0.0
     memory.sent[slot, :] = 0.0
+    memory.past[slot, :, :] = 0.0

@@ -31,6 +31,9 @@ class CFunction:
     file: str
     name: str
 
+    def __post_init__(self) -> None:
+        self.address  # noqa: B018  (what is wrong with it is said where it is named)
+
     @property
     def address(self) -> int:
         function = getattr(ctypes.CDLL(self.file), self.name)

@@ -55,6 +55,8 @@ HALVINGS = 50
 """Of a stride, in the search for the turning point of g."""
 CLOSE, ROUNDING = 1e-13, 2.0**-51
 """Tolerance of the foot: m, and as a share of the coordinates."""
+NOW = 0
+"""The present control instant among those from now on."""
 FLAT, SAME = 1e-9, 1e-9
 """A slope of g that is 0 but for rounding, as everywhere for the centre of a circle; m, and as a share of the way, the
 difference of feet that are one."""
@@ -142,36 +144,40 @@ def downhill(x, y, near, low, high, road):
     return s, offset if reached else math.nan, heading, curvature
 
 
+Ahead = record("Ahead", ("g", "slope"))
+"""g(s) (m) and its derivative."""
+
+
 @inlined
 def ahead_at(s, x, y, road):
-    """g(s) (m) and its derivative."""
+    """How far (m) the road's point at s is ahead of a point, along its tangent."""
     px, py, heading, curvature = point_at(s, road)
     tx, ty = cos(heading), sin(heading)
     offset = (y - py) * tx - (x - px) * ty
-    return (px - x) * tx + (py - y) * ty, 1.0 - curvature * offset
+    return Ahead((px - x) * tx + (py - y) * ty, 1.0 - curvature * offset)
 
 
 @inlined
 def bracket(low, high, before, after, x, y, road):
     """Two arc lengths between which g grows through 0 within a stride, and whether there are any.
 
-    before, after: g and its derivative at the ends of the stride. Where g has one sign at both ends but turns back
+    before, after: `Ahead` at the ends of the stride. Where g has one sign at both ends but turns back
     between them, its turning point is looked for: beyond 0 it parts a foot from a place that is the farthest around.
     """
-    if before[0] <= 0.0 < after[0]:
+    if before.g <= 0.0 < after.g:
         return low, high, True
-    hill = before[0] <= 0.0 and after[0] <= 0.0 and before[1] > 0.0 > after[1]
-    valley = before[0] > 0.0 and after[0] > 0.0 and before[1] < 0.0 < after[1]
+    hill = before.g <= 0.0 and after.g <= 0.0 and before.slope > 0.0 > after.slope
+    valley = before.g > 0.0 and after.g > 0.0 and before.slope < 0.0 < after.slope
     first, last = low, high
     if hill or valley:
         for _ in range(HALVINGS):
             middle = 0.5 * (first + last)
-            g, slope = ahead_at(middle, x, y, road)
-            if hill and g > 0.0:
+            here = ahead_at(middle, x, y, road)
+            if hill and here.g > 0.0:
                 return low, middle, True
-            if valley and g <= 0.0:
+            if valley and here.g <= 0.0:
                 return middle, high, True
-            if (slope > 0.0) == hill:
+            if (here.slope > 0.0) == hill:
                 first = middle
             else:
                 last = middle
@@ -197,9 +203,9 @@ def foot_about(x, y, near, reach, road):
             else:
                 low, high, grows = bracket(end, s, there, here, x, y, road)
             if grows:
-                foot = downhill(x, y, 0.5 * (low + high), low, high, road)
-                if abs(foot[0] - near) <= reach:
-                    found, offset, heading, curvature = foot
+                foot, aside, direction, bend = downhill(x, y, 0.5 * (low + high), low, high, road)
+                if abs(foot - near) <= reach:
+                    found, offset, heading, curvature = foot, aside, direction, bend
                     reach = abs(found - near)
                 break
             s, here = end, there
@@ -220,10 +226,10 @@ def foot_near(x, y, near, road):
         return s, offset, heading, curvature
     is_foot = 1.0 - curvature * offset > -FLAT
     reach = (1.0 - SAME) * gone - SAME if is_foot else REACH
-    other = foot_about(x, y, near, reach, road)
-    if is_foot and math.isnan(other[1]):
+    other, aside, direction, bend = foot_about(x, y, near, reach, road)
+    if is_foot and math.isnan(aside):
         return s, offset, heading, curvature
-    return other
+    return other, aside, direction, bend
 
 
 @exported(float64(float64, float64, float64, float64, Centreline), name="nearest_foot")
@@ -235,7 +241,7 @@ def nearest(x, y, yaw, across, road):
     """
     start, pieces, length = road.start, road.pieces, road.numbers[LENGTH]
     least, found = math.inf, 0.0
-    for row in range(pieces.shape[0]):
+    for row in range(len(pieces)):
         distance = hypot(pieces[row, X] - x, pieces[row, Y] - y)
         if distance < least:
             least, found = distance, start[row] + pieces[row, HALF]
@@ -247,7 +253,7 @@ def nearest(x, y, yaw, across, road):
             cost = hypot(px - x, py - y) + across * (1.0 - cos(yaw - heading))
             if side * ahead > 0.0 and cost < best:
                 found, best = end - ahead, cost
-    for row in range(pieces.shape[0]):
+    for row in range(len(pieces)):
         half, k, level = pieces[row, HALF], 0, 0
         if hypot(pieces[row, X] - x, pieces[row, Y] - y) - half > min(most, best):
             continue
@@ -282,7 +288,7 @@ def project_all(road, points, feet):
 
     near is NaN: the nearest foot of the whole road, see `nearest`.
     """
-    for i in range(points.shape[0]):
+    for i in range(len(points)):
         x, y, near = points[i, 0], points[i, 1], points[i, 2]
         if math.isnan(near):
             near = nearest(x, y, 0.0, 0.0, road)
@@ -299,13 +305,12 @@ def points_at(road, s, points):
 @exported(void(Centreline, vector))
 def headings_along(road, headings):
     """Write the heading (rad) at arc lengths evenly from 0 to the length."""
-    start, pieces, length, last = road.start, road.pieces, road.numbers[LENGTH], headings.size - 1
-    spacing, row = length / last, 0
+    pieces, length, last = road.pieces, road.numbers[LENGTH], headings.size - 1
+    spacing = length / last
     for k in range(last):
         s = k * spacing
-        while row + 1 < pieces.shape[0] and start[row + 1] <= s:
-            row += 1
-        u, turned = (s - start[row]) / pieces[row, HALF] - 1.0, pieces[row, TURNED + DEGREE]
+        row = piece_below(s, road.start)
+        u, turned = (s - road.start[row]) / pieces[row, HALF] - 1.0, pieces[row, TURNED + DEGREE]
         for j in range(DEGREE - 1, -1, -1):
             turned = turned * u + pieces[row, TURNED + j]
         headings[k] = pieces[row, HEADING] + turned
@@ -332,8 +337,9 @@ def heading_at(s, road, roads):
     place = min(max(s - laps * length, 0.0), length) / spacing
     cell = min(whole(place), whole(length / spacing + 0.5) - 1)
     first = whole(numbers[_HEADING]) + cell
-    near = roads.headings[first]
-    return near + (place - cell) * (roads.headings[first + 1] - near) + laps * numbers[LAP_TURN]
+    last = first + 1
+    near, far = roads.headings[first], roads.headings[last]
+    return near + (place - cell) * (far - near) + laps * numbers[LAP_TURN]
 
 
 @inlined
@@ -348,7 +354,7 @@ def bend_ahead(station, speeds, pace, lead, period, road, roads, bend):
     """
     here = heading_at(station, road, roads)
     last = speeds.size - 1
-    excess = pace - speeds[0]
+    excess = pace - speeds[NOW]
     first = whole(lead)
     y = before = time = 0.0
     s = station

@@ -152,6 +152,6 @@ def schedule(slot, variables, plan, tuning):
 def schedule_all(variables, plan, tunings):
     """Write the tuning (n, entries) for each of many variables (n, VARIABLES), each as at the first step of a run."""
     own = plan.memory[0]
-    for i in range(variables.shape[0]):
+    for i in range(len(variables)):
         own.left, own.holding = 0, 0
         schedule(0, variables[i], plan, tunings[i])

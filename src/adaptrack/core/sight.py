@@ -4,26 +4,13 @@ from __future__ import annotations
 
 import math
 
-from .kernel import (
-    Place,
-    columns,
-    cube,
-    exported,
-    float64,
-    inlined,
-    int64,
-    int_vector,
-    matrix,
-    record,
-    rows,
-    vector,
-    void,
-)
-from .loop import SETTINGS, SIGNAL, Memory
+from .kernel import Place, columns, exported, inlined, record, vector, void
+from .loop import SIGNAL
 from .maths.bits import whole
 from .maths.exact import clip, floor
 from .models.contract import MEASURED
-from .road import Roads, line_of, point_at
+from .period import Loop
+from .road import line_of, point_at
 
 SEEN = columns(
     "offset",  # m, measured y less y_ref
@@ -35,9 +22,6 @@ SEEN = columns(
 the car comes there at its present speed, and the curvature (1/m) of the road there."""
 SLOWEST = 1.0
 """m/s, the speed at least with which the car is taken to come to what lies ahead."""
-
-Scene = record("Scene", (("settings", rows(SETTINGS)), ("signals", cube), ("roads", Roads), ("scenario", int_vector)))
-"""The world, samples and roads of the scenarios, and which of them each slot drives."""
 
 Sight = record("Sight", (("distances", vector), ("low", vector), ("high", vector)))
 """Distances (m) at which one looks ahead; bounds of all columns, to which what is seen is clipped."""
@@ -58,39 +42,37 @@ def bounded(row, sight):
 
 
 @inlined
-def see(k, slot, speed, measured, scene, memory, sight, seen):
-    """Write the row of `seen` of a slot at instant k, from what is measured; speed: m/s, as measured.
+def see(slot, measured, run, sight, row):
+    """Write the row of what is seen of a slot, from what is measured.
 
     The row holds what was seen an instant before, zeros at the first one.
     """
-    own, scenario, row = memory.own[slot], scene.scenario[slot], seen[slot]
-    period, last = scene.settings[0].period, scene.signals.shape[2] - 1
-    y_ref = scene.signals[scenario, SIGNAL.y_ref, k]
+    own, scenario, period = run.memory.own[slot], run.given.scenario[slot], run.settings.period
+    references, road = run.given.signals[scenario, SIGNAL.y_ref], run.given.roads.of[scenario]
+    k, last = own.instant, references.size - 1
+    y_ref = references[k]
     posed = math.isfinite(measured[MEASURED.y]) and math.isfinite(measured[MEASURED.yaw])
     row[SEEN.pose_age] = measured[MEASURED.pose_age] if posed else row[SEEN.pose_age] + period
     keep(measured[MEASURED.y] - y_ref, row, SEEN.offset)
     keep(measured[MEASURED.yaw], row, SEEN.heading_error)
     keep(measured[MEASURED.yaw_rate], row, SEEN.yaw_rate)
     keep(measured[MEASURED.wheel_angle], row, SEEN.wheel_angle)
-    keep(speed, row, SEEN.speed)
+    keep(own.speed, row, SEEN.speed)
     row[SEEN.command] = own.command
     count = sight.distances.size
     for j in range(count):
         instant = k + sight.distances[j] / (max(row[SEEN.speed], SLOWEST) * period)
         near = min(whole(instant), last)
-        reference = scene.signals[scenario, SIGNAL.y_ref, near]
-        following = scene.signals[scenario, SIGNAL.y_ref, min(near + 1, last)]
+        reference, following = references[near], references[min(near + 1, last)]
         row[len(SEEN) + j] = reference + (instant - floor(instant)) * (following - reference) - y_ref
         curvature = 0.0
-        if scene.roads.of[scenario] >= 0:
-            _, _, _, curvature = point_at(
-                own.station + sight.distances[j], line_of(scene.roads.of[scenario], scene.roads)
-            )
+        if road >= 0:
+            _, _, _, curvature = point_at(own.station + sight.distances[j], line_of(road, run.given.roads))
         keep(curvature, row, len(SEEN) + count + j)
     bounded(row, sight)
 
 
-@exported(void(int64, int64, float64, vector, Scene, Place(Memory), Place(Sight), matrix))
-def see_one(k, slot, speed, measured, scene, memory, sight, seen):
-    """`see`, for Python."""
-    see(k, slot, speed, measured, scene, memory, sight, seen)
+@exported(void(Place(Loop), Place(Sight), vector))
+def see_one(run, sight, row):
+    """`see`, of the only slot."""
+    see(0, run.measured, run, sight, row)

@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from .kernel import Place, exported, float64, inlined, int64, matrix, record, several, vector, void
+from .kernel import Place, exported, float64, inlined, int64, matrix, record, several, unpacker, vector, void
 from .maths.bits import whole
 from .maths.exact import ceil, clip, floor
 from .maths.exponential import exp, power
@@ -92,6 +92,9 @@ def inertia(g, G, w_max, w_min, lambda1, lambda2):
     return w_min + exp(w_max - lambda1 * (w_max + w_min) * (g / G)) / lambda2
 
 
+_alphas = unpacker(record("Alphas", ("up_to_20", "up_to_35", "up_to_75", "after")))
+
+
 @exported(several(float64, float64)(int64, int64, float64, float64, vector), name="swarm_accelerations")
 def accelerations(g, G, c1, c2, steps):
     """(c1, c2) of generation g + 1 from those of generation g, eq. (20); the ranges share ends, the first one wins.
@@ -99,15 +102,15 @@ def accelerations(g, G, c1, c2, steps):
     steps (4,): alpha in the four ranges of g/G, the paper's being 0.05, 0.02, -0.035 and -0.0015; beta = -alpha, so
     that c1 + c2 stays.
     """
-    part = g / G
+    part, alphas = g / G, _alphas(steps)
     if part <= 0.20:
-        alpha = steps[0]
+        alpha = alphas.up_to_20
     elif part <= 0.35:
-        alpha = steps[1]
+        alpha = alphas.up_to_35
     elif part <= 0.75:
-        alpha = steps[2]
+        alpha = alphas.up_to_75
     else:
-        alpha = steps[3]
+        alpha = alphas.after
     return c1 + alpha, c2 - alpha
 
 
@@ -145,8 +148,9 @@ def repair(settings, space, x):
 @exported(void(int64, matrix, matrix, matrix))
 def decode(count, space, x, values):
     """Write the values that the first `count` positions x (.., dims) stand for."""
+    _, dims = x.shape
     for i in range(count):
-        for d in range(x.shape[1]):
+        for d in range(dims):
             values[i, d] = power(10.0, x[i, d]) if space[DECADES, d] > 0.5 else x[i, d]
 
 
@@ -188,15 +192,16 @@ def learn(costs, swarm):
 
     Only a strictly lower cost replaces a best one, and of equal costs the first particle's leads. NaN counts as +inf.
     """
+    _, dims = swarm.x.shape
     for i in range(costs.size):
         if costs[i] < swarm.best_costs[i]:  # never true for NaN
             swarm.best_costs[i] = costs[i]
-            for d in range(swarm.x.shape[1]):
+            for d in range(dims):
                 swarm.best[i, d] = swarm.x[i, d]
     for i in range(costs.size):
         if swarm.best_costs[i] < swarm.progress[LEADER_COST]:
             swarm.progress[LEADER_COST] = swarm.best_costs[i]
-            for d in range(swarm.x.shape[1]):
+            for d in range(dims):
                 swarm.leader[d] = swarm.best[i, d]
 
 

@@ -6,7 +6,8 @@ import math
 
 from .kernel import Place, exported, int64, int_vector, matrix, record, several, vector
 from .loop import RUNNING, STOPPED
-from .rollout import Run, Span, begin, rollout
+from .period import Span
+from .rollout import Run, begin, rollout
 from .swarm import LEADER_COST, Particles, decode, learn, move
 from .swarm import begin as begin_swarm
 
@@ -39,12 +40,13 @@ def evaluate(first, slots, judged, trial):
     span = Span(span.periods, slots, span.segment, span.weight)
     tunings, ceilings, costs = judged.tunings[first:], judged.ceilings[first:], judged.costs[first:]
     steps = 0
+    _, entries = tunings.shape
     for i in range(slots):
         costs[i] = 0.0
     for s in range(count):
         begin(slots, run)
         for i in range(slots):
-            for j in range(tunings.shape[1]):
+            for j in range(entries):
                 run.tuning[i, j] = tunings[i, j]
             run.given.seeds[i] = trial.noise[s]
             run.ceiling[i] = (ceilings[i] * count - costs[i]) * span.periods
@@ -74,7 +76,7 @@ def tune(search, trial):
     swarm, judged, slots = search.swarm, search.judged, trial.span.slots
     judged = Judged(judged.tunings, swarm.best_costs, judged.costs)
     begin_swarm(search.seed, search.stream, search.settings, search.space, swarm)
-    generations, count = search.best.size, swarm.x.shape[0]
+    generations, count = search.best.size, len(swarm.x)
     for g in range(generations):
         decode(count, search.space, swarm.x, judged.tunings)
         for first in range(0, count, slots):

@@ -87,7 +87,7 @@ def _broken(mpc: MPC, answers: Array, speeds: Array, states: Array, references: 
 
 def run_case(case: Case, rng: Rng, steps: int) -> Failed | None:
     """Drive one case; what fails, as inputs of the target "mpc"."""
-    from adaptrack.core.controllers.mpc_steps import steps as run
+    from adaptrack.core.controllers.mpc_step import steps as run
 
     mpc = make_mpc(case)
     states, speeds, references, tunings, good = _drawn(case, rng, steps)

@@ -139,7 +139,7 @@ class Steering:
         mpc = self.controller
         if not isinstance(mpc, MPC) or not mpc.limits.ahead > 0.0 or "wheel_angle" not in mpc.model.states:
             return None
-        wheels = float(mpc._mpc.estimate[0, mpc.model.states.index("wheel_angle")])
+        wheels = float(mpc._mpc.informed.x[mpc.model.states.index("wheel_angle")])
         allowed = mpc.limits.ahead
         if mpc.learner is not None:
             allowed *= max(1.0, (mpc.learner.ranges.lag[1] + mpc.period) / (mpc.learner.lag + mpc.period))

@@ -51,9 +51,7 @@ class Driven:
         """What is sensed at the next instant; of a car whose state is not finite, what was before."""
         loop = self.loop
         sensed = loop.sense()
-        self.terminated = sensed is None
-        if sensed is None:
-            return loop.measure() if loop.finite else self.sensed
+        self.terminated = loop.ended
         if loop.instant == loop.signals.n:
             self.terminated = loop.failure()[0] is not None
             self.truncated = not self.terminated

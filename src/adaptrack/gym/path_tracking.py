@@ -83,14 +83,14 @@ class PathTrackingEnv(gymnasium.Env):
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Array, dict[str, Any]]:
         """Begin an episode, see `gymnasium.Env.reset`; options: `noise_seed`, `car_seed`, `road`."""
         super().reset(seed=seed)
-        from adaptrack.core import sight
+        from adaptrack.core.kernel import Resident
+        from adaptrack.core.sight import Sight, see_one
 
         episode = self.task.draw(self.np_random, options)
         self._driven = driven = Driven(self.task, episode, Outside(episode.profile.period))
-        loop, space = driven.loop, self.observation_space
-        self._sight = sight.Sight(self.distances, space.low.copy(), space.high.copy())  # type: ignore[attr-defined]
-        self._scene = sight.Scene(loop.settings, loop.rows, loop.roads, np.zeros(1, np.int64))
-        self._see, self._seen = sight.see_one, np.zeros((1, len(self.names)))
+        space = self.observation_space
+        self._sight = Resident(Sight(self.distances, space.low.copy(), space.high.copy()))  # type: ignore[attr-defined]
+        self._see, self._seen = see_one, np.zeros(len(self.names))
         return self._observe(driven), episode.info
 
     def step(self, action: Any) -> tuple[Array, float, bool, bool, dict[str, Any]]:
@@ -101,6 +101,5 @@ class PathTrackingEnv(gymnasium.Env):
         return self._observe(driven), -cost, driven.terminated, driven.truncated, driven.info
 
     def _observe(self, driven: Driven) -> Array:
-        now, loop = driven.sensed, driven.loop
-        self._see(loop.instant, 0, now.speed, now.measured, self._scene, loop.memory, self._sight, self._seen)
-        return self._seen[0].copy()
+        self._see(driven.loop.place, self._sight, self._seen)
+        return self._seen.copy()

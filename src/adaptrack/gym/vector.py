@@ -195,10 +195,10 @@ class _VectorEnv(VectorEnv):
         settings = batch.mpc_settings(*self._longest, residuals=False)
         run = batch.arena(size, int(batch.substeps.max()), settings)
         world = batch.world
-        weights = np.array([world.profile.move_weight, task.cost_of_failure(world.failure.distance)])
         episodes = Episodes(
             run, self._own[slots], np.zeros((size, len(MEASURED))),
-            Sight(self._distances, space.low.copy(), space.high.copy()), self._seen[slots], weights,  # type: ignore[attr-defined]
+            Sight(self._distances, space.low.copy(), space.high.copy()), self._seen[slots],  # type: ignore[attr-defined]
+            world.profile.move_weight, task.cost_of_failure(world.failure.distance),
         )  # fmt: skip
         return Block(slots, batch, episodes, Resident(episodes))
 

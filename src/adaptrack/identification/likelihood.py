@@ -54,7 +54,6 @@ class Likelihood:
         rows[kernel.ROW.begins] = log.begins
         rows[kernel.ROW.seen] = 1.0 if seen is None else seen
         self._rows = rows
-        self._scratch = kernel.scratch()
         self._answer = np.empty((kernel.ANSWER, log.samples))
         rows[kernel.ROW.gusts] = 1.0
         present = np.array([np.isfinite(getattr(log, name)).any() for name in OUTPUTS])
@@ -94,7 +93,8 @@ class Likelihood:
         delayed = value["delay"] if self.log.commanded else 0.0
         derived = {
             "lag": value["lag_share"] * delayed, "dead_time": (1.0 - value["lag_share"]) * delayed,
-            "lf": value["front_share"] * wheelbase, "lr": (1.0 - value["front_share"]) * wheelbase, "shape": SHAPE,
+            "lf": value["front_share"] * wheelbase, "lr": (1.0 - value["front_share"]) * wheelbase,
+            "shape_factor": SHAPE,
             "side": air * car.side_force_slope, "moment": air * car.yaw_moment_slope * wheelbase * heavier,
             "wind_angle_limit": car.wind_angle_limit,
             "push_time": PUSH_TIME,
@@ -102,11 +102,11 @@ class Likelihood:
         if not (self.present["vy"] or self.present["acceleration"]):
             derived["push_spread"] = 0.0
         named = value | derived
-        return np.array([named[name] for name in self._kernel.QUANTITY._fields])
+        return np.array([named[name] for name in self._kernel.Quantities._fields])
 
     def innovations(self, z: Array) -> tuple[Array, Array]:
         """All innovations and variances, each (len(OUTPUTS), n), NaN where nothing is measured."""
-        self._kernel.innovations(self.packed(self.values(z)), self._rows, *self._scratch, self._answer)
+        self._kernel.innovations(self.packed(self.values(z)), self._rows, self._answer)
         return self._answer[: len(OUTPUTS)].copy(), self._answer[len(OUTPUTS) : 2 * len(OUTPUTS)].copy()
 
     def found(self, z: Array) -> dict[str, Array]:

@@ -30,7 +30,7 @@ class Workspace:
         self._gamma[:m] = qp.gamma
         self.problem = kernels.Problem(n, m, E, self._K, Mt, self._gamma)
         status, condition = factorise(n, E, self._inverses)
-        self.factor = kernels.Factor(self._inverses[0], self._inverses[1], condition)
+        self.factor = kernels.factor_of(self._inverses, condition)
         return QPStatus(status)
 
     def _grow(self, n: int, m: int, with_h: bool) -> None:

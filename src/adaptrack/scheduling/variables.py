@@ -95,8 +95,8 @@ def reference_preview(reference: ArrayLike, period: float, instants: int = 1) ->
     y = y[: instants + ahead]
     slope = y[-1] - y[-2] if len(y) > 1 else 0.0
     y = np.concatenate([y, y[-1] + slope * np.arange(1, instants + ahead - len(y) + 1)])
-    windows = np.lib.stride_tricks.sliding_window_view(y, ahead + 1)
-    change = np.abs(windows[:, 1:] - windows[:, :1]).max(axis=1)
+    places = np.arange(ahead + 1)[:, None] + np.arange(instants)  # instants last: maxima of long rows are fast
+    change = np.abs(y[places[1:]] - y[:instants]).max(axis=0)
     bend = np.abs(np.diff(y, 2)) / period**2
-    acceleration = np.lib.stride_tricks.sliding_window_view(bend, ahead - 1).max(axis=1)
-    return change[:instants], acceleration[:instants]
+    acceleration = bend[places[: ahead - 1]].max(axis=0)
+    return change, acceleration

@@ -155,14 +155,14 @@ class Objective:
 
     def _trial(self, point: ArrayLike, slots: int, longest: float, most: float) -> tuple[Any, Any]:
         """`core.tune.Trial` for up to `slots` tunings with horizons up to these; before it, its runs."""
-        from adaptrack.core import rollout
         from adaptrack.core import tune as kernels
         from adaptrack.core.kernel import Resident
+        from adaptrack.core.period import Span
 
         assert isinstance(self.plant, Plant)
         batch = Batch(self.plant, self.mpc, [self.scenario(point)], self.profile, failure=self.failure)
         run = batch.arena(slots, int(batch.substeps[0]), batch.mpc_settings(longest, most, residuals=False))
         run.vehicles.start[:] = batch.starts
         noise = np.array(self.noise_seeds, dtype=np.int64)
-        span = rollout.Span(batch.signals[0].n, slots, 1, self.weight)
+        span = Span(batch.signals[0].n, slots, 0, self.weight)
         return run, Resident(kernels.Trial(run, span, noise))

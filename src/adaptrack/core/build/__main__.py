@@ -8,9 +8,12 @@ import sys
 
 os.environ["ADAPTRACK_KERNELS"] = "jit"
 
-from .library import BuildError, build
+from .. import library
 
 if __name__ == "__main__":
+    library.source_hashes()  # of the sources before they are imported
+    from .library import BuildError, build
+
     try:
         build([each for each in sys.argv[1:] if each != "--portable"], "--portable" in sys.argv)
     except (BuildError, OSError) as error:

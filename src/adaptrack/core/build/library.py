@@ -23,6 +23,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Iterable
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -60,10 +61,27 @@ TARGETS = {
     "aarch64": Target("aarch64-unknown-linux-gnu"),
     "riscv64": Target("riscv64-unknown-linux-gnu", "generic-rv64", "+m,+a,+f,+d"),
     "wasm32": Target("wasm32-unknown-unknown", "", "+simd128,+bulk-memory", lacks=("fma",)),
+    "windows-x86-64": Target("x86_64-pc-windows-msvc", "x86-64", lacks=("fma", "floor", "ceil")),
+    "windows-x86-64-v3": Target("x86_64-pc-windows-msvc", "x86-64-v3"),
+    "windows-x86-64-v4": Target("x86_64-pc-windows-msvc", "x86-64-v4", "-prefer-256-bit"),
+    "macos-aarch64": Target("arm64-apple-macosx11.0.0", "apple-m1"),
+    "macos-x86-64": Target("x86_64-apple-macosx11.0.0", "x86-64", lacks=("fma", "floor", "ceil")),
+    "macos-x86-64-v3": Target("x86_64-apple-macosx11.0.0", "x86-64-v3"),
 }
 SOFT = {"fma": 3, "floor": 1, "ceil": 1}
 """Functions of C's library that the kernels have themselves, exactly, as ``soft_NAME``; how many floats each takes."""
 
+WINDOWS = """
+module asm ".globl __chkstk"
+module asm "__chkstk: pushq %rcx; pushq %rax; leaq 24(%rsp), %rcx"
+module asm "1: cmpq $0x1000, %rax; jb 2f"
+module asm "subq $0x1000, %rcx; testq %rcx, (%rcx); subq $0x1000, %rax; jmp 1b"
+module asm "2: subq %rax, %rcx; testq %rcx, (%rcx); popq %rax; popq %rcx; ret"
+@_fltused = constant i32 1
+"""
+"""What compilers for Windows ask of C's library: a stack grows (by rax bytes) when its pages are touched in turn; and a
+name which says that there are floats.
+"""
 
 HEADER = "adaptrack.h"
 AN_HOUR = 3600.0
@@ -78,13 +96,15 @@ def _say(text: str) -> None:
     print(text, file=sys.stderr, flush=True)
 
 
-def import_kernels(rooms: Iterable[str]) -> None:
-    """Import every module of packages, so that their kernels are known."""
+def kernels_of(rooms: Iterable[str]) -> dict[str, Any]:
+    """Every exported kernel of packages by its name: all of their modules are imported."""
     for room in rooms:
         package = importlib.import_module(room)
         for found in pkgutil.walk_packages(package.__path__, f"{room}."):
             if not found.name.startswith("adaptrack.core.build"):
                 importlib.import_module(found.name)
+    insides = tuple(f"{room}." for room in rooms)
+    return {name: each for name, each in EXPORTED.items() if each.function.__module__.startswith(insides)}
 
 
 def _module(kernels: dict[str, Any]) -> Any:
@@ -121,6 +141,9 @@ def emit(text: str, target: Target) -> bytes:
     text = re.sub(r'target datalayout = ".*"', f'target datalayout = "{machine.target_data}"', text)
     text = re.sub(r'target triple = ".*"', f'target triple = "{target.triple}"', text)
     text += "".join(map(_soft, target.lacks))
+    if "windows" in target.triple:
+        llvm.initialize_native_asmparser()
+        text = re.sub(r"^define (?=[^@]*@adaptrack_)", "define dllexport ", text, flags=re.MULTILINE) + WINDOWS
     module = llvm.parse_assembly(re.sub(r"^(define .*) \{$", r'\1 "no-builtins" {', text, flags=re.MULTILINE))
     options = llvm.create_pipeline_tuning_options(speed_level=3)
     options.loop_vectorization = options.slp_vectorization = True
@@ -136,6 +159,11 @@ def linker(target: Target) -> list[str] | None:
     """The command that makes a library of an object of a target, None where no such linker is installed."""
     if target.triple.startswith("wasm"):
         names, options = ["wasm-ld"], ["--no-entry", "--export-dynamic", "--export-table", "--growable-table"]
+    elif "windows" in target.triple:
+        names, options = ["lld-link"], ["/dll", "/noentry", "/nodefaultlib", "/brepro"]
+    elif "macosx" in target.triple:
+        names, options = ["ld64.lld"], ["-dylib", "-arch", target.triple.split("-")[0]]
+        options += ["-platform_version", "macos", "11.0", "11.0", "-install_name", "kernels.dylib"]
     else:
         own = target.triple.split("-")[0] == platform.machine()
         names = ["ld", "ld.lld", "lld"] if own else ["ld.lld"]
@@ -151,9 +179,10 @@ def linker(target: Target) -> list[str] | None:
 def link(content: bytes, command: list[str]) -> bytes:
     """The library of an object file."""
     with tempfile.TemporaryDirectory() as folder:
-        given, made = Path(folder) / "kernels.o", Path(folder) / "kernels.so"
+        given, made = Path(folder) / "kernels.o", Path(folder) / "kernels.dll"  # the name lies in a DLL
         given.write_bytes(content)
-        done = subprocess.run([*command, "-o", str(made), str(given)], capture_output=True, text=True)
+        to = [f"/out:{made}"] if "/dll" in command else ["-o", str(made)]
+        done = subprocess.run([*command, *to, str(given)], capture_output=True, text=True)
         if done.returncode != 0:
             raise BuildError(f"{' '.join(command)}: {done.stderr}")
         return made.read_bytes()
@@ -171,7 +200,8 @@ def finished(name: str, content: bytes) -> tuple[str, bytes]:
         )
     command = linker(TARGETS[name])
     if command is not None:
-        return ("wasm" if name.startswith("wasm") else "so"), link(content, command)
+        ending = {"wasm32": "wasm", "windows": "dll", "macos": "dylib"}.get(name.split("-")[0], "so")
+        return ending, link(content, command)
     if name in of_this_kind():
         raise BuildError("no linker: install binutils or lld, or the package ziglang (pip install ziglang).")
     _say(f"  {name}: no linker for it is installed, so its object file is kept")
@@ -180,7 +210,7 @@ def finished(name: str, content: bytes) -> tuple[str, bytes]:
 
 def _put(path: Path, content: bytes) -> None:
     """Write a file whole or not at all: another build, or a process that loads it, sees the old one or the new one."""
-    handle, name = tempfile.mkstemp(dir=path.parent, prefix=path.name)
+    handle, name = tempfile.mkstemp(dir=path.parent, prefix="kernels-")  # a build that was killed leaves it
     try:
         with os.fdopen(handle, "wb") as stream:
             stream.write(content)
@@ -194,23 +224,26 @@ def _put(path: Path, content: bytes) -> None:
 def of_this_kind() -> list[str]:
     """The names of all that a processor of this machine's kind may ask for when the library is loaded."""
     name = library.processor()
-    return [each for each in TARGETS if each.startswith("x86-64")] if name.startswith("x86-64") else [name]
+    return [each for each in TARGETS if each.split("-v")[0] == name.split("-v")[0]] or [name]
+
+
+def _listed() -> dict[str, dict[str, str]]:
+    """The libraries of the manifest that is there."""
+    with suppress(*library.UNUSABLE):
+        return dict(library.manifest()["libraries"])
+    return {}
 
 
 def _built() -> dict[str, dict[str, str]]:
     """What is there of these sources, whole, by the names of the targets."""
-    try:
-        there = library.manifest()
-    except library.Unusable:
-        return {}
     found = {}
-    for name, entry in there["libraries"].items():
-        try:
-            library.whole(entry)
-            found[name] = entry
-        except (library.Unusable, LookupError):
-            pass
-    return found if there["sources"] == library.source_hashes() else {}
+    with suppress(*library.UNUSABLE):
+        if library.manifest()["sources"] == library.source_hashes():
+            for name, entry in _listed().items():
+                with suppress(*library.UNUSABLE):
+                    library.whole(entry)
+                    found[name] = entry
+    return found
 
 
 def build(names: Iterable[str] = (), portable: bool = False) -> None:
@@ -232,9 +265,11 @@ def build(names: Iterable[str] = (), portable: bool = False) -> None:
         raise BuildError(f"{', '.join(unknown)}: no such processor; there are {', '.join(TARGETS)}.")
     cores = min(2, os.cpu_count() or 1)
     _say(f"Compiling the kernels for {', '.join(names)}: a minute or two on {cores} cores.")
-    import_kernels(ROOMS)
-    whole = _module(EXPORTED)
-    _say(f"  {len(EXPORTED)} kernels, {time.monotonic() - begun:.0f} s")
+    kernels = kernels_of(ROOMS)
+    if library.source_hashes.__wrapped__() != library.source_hashes():
+        raise BuildError("a source was edited while it was read: once more.")
+    whole = _module(kernels)
+    _say(f"  {len(kernels)} kernels, {time.monotonic() - begun:.0f} s")
     library.BUILT.mkdir(exist_ok=True)
     with multiprocessing.get_context("spawn").Pool(min(cores, len(names))) as pool:
         objects = pool.starmap(emit, [(whole, TARGETS[name]) for name in names], chunksize=1)
@@ -245,10 +280,12 @@ def build(names: Iterable[str] = (), portable: bool = False) -> None:
         _put(path, content)
         made[name] = {"file": path.name, "sha256": digest}
         _say(f"  {path}: {path.stat().st_size // 1000} kB, {time.monotonic() - begun:.0f} s")
-    _put(library.BUILT / HEADER, header(EXPORTED.values()).encode())
-    kernels = {name: sources_of(Path(each.function.__code__.co_filename)) for name, each in EXPORTED.items()}
-    manifest = {"sources": library.source_hashes(), "libraries": made, "kernels": kernels}
+    _put(library.BUILT / HEADER, header(kernels.values()).encode())
+    sources = {name: sources_of(Path(each.function.__code__.co_filename)) for name, each in kernels.items()}
+    made = _built() | made  # another build may have ended meanwhile
+    kept = {each["file"] for each in [*made.values(), *_listed().values()]}  # who reads the old manifest wants these
+    manifest = {"sources": library.source_hashes(), "libraries": made, "kernels": sources}
     _put(library.BUILT / library.MANIFEST, json.dumps(manifest, indent=1).encode())
     for old in library.BUILT.glob("kernels-*"):
-        if old.name not in {each["file"] for each in made.values()} and time.time() - old.stat().st_mtime > AN_HOUR:
+        if old.name not in kept and time.time() - old.stat().st_mtime > AN_HOUR:
             old.unlink(missing_ok=True)

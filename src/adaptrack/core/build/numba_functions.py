@@ -17,7 +17,6 @@ from numba.core.compiler_lock import global_compiler_lock
 from numba.core.registry import CPUDispatcher, cpu_target
 from numba.extending import intrinsic
 
-from ..kernel import Caller, Exported, Primitive
 from ..member import Member
 from . import operations
 from .numba_types import WORD, c_types, from_c, numba_type, to_c
@@ -97,12 +96,16 @@ class _Inlined(CPUDispatcher):  # type: ignore[misc]
 
 def type_of(known: Any) -> Any:
     """Numba's type of what kernels may call."""
-    if isinstance(known, Exported):
+    if known.kind == "exported":
         return types.Dispatcher(_dispatcher(known))
-    if isinstance(known, Primitive):
+    if known.kind == "primitive":
         return _function_type(getattr(operations, known.function.__name__))
-    if isinstance(known, Caller):
-        return _of_caller(known)
+    if known.kind == "caller":
+        return _of_caller(known.of)
+    if known.kind == "view":
+        return _function_type(operations.view(numba.from_dtype(known.of.dtype)))
+    if known.kind == "local":
+        return _function_type(operations.local(known.of))
     made = numba.njit(**_OPTIONS, forceinline=True)(known.function)  # compiled for the types with which it is called
     made.__class__ = _Inlined
     _alive.append(made)
@@ -234,9 +237,9 @@ def compiled_now(kernel: Any) -> int:
         return int(library.get_pointer_to_function(name))
 
 
-def _of_caller(caller: Any) -> Any:
+def _of_caller(signature: Any) -> Any:
     """Numba's type of a call of a C function by its address."""
-    signature, wanted = caller.signature, numba_signature(caller.signature)
+    wanted = numba_signature(signature)
 
     def typed(typingctx, address, *arguments):
         def codegen(context, builder, typed_as, args):

@@ -37,6 +37,12 @@ def numba_type(kind: Any) -> Any:
     return types.NamedTuple(kinds, kind)
 
 
+@lower_cast(types.NestedArray, types.Array)
+def _array_of_record(context, builder, kind, wanted, value):
+    """An array that is a field of a row is handed over as any other."""
+    return value
+
+
 class Stored(types.Type):  # type: ignore[misc]
     """A record in memory (`kernel.Resident`): ``record.field`` loads the field, a record within it is stored, too.
 

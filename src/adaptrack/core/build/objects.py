@@ -1,7 +1,7 @@
 """What an object file or a library leaves to others: the functions that it calls and does not have.
 
-Formats: ELF-64, little-endian (System V Application Binary Interface, chapter 4), and WebAssembly (Core Specification
-2.0, section 5.5).
+Formats: ELF-64, little-endian (System V Application Binary Interface, chapter 4), WebAssembly (Core Specification
+2.0, section 5.5), COFF and PE (Microsoft, PE Format) and Mach-O (Apple, mach-o/loader.h and nlist.h).
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ _LINKERS_OWN = "_GLOBAL_OFFSET_TABLE_"
 
 
 def undefined(content: bytes) -> list[str]:
-    """The names that a file leaves undefined; of WebAssembly the functions that it imports.
+    """The names that a file leaves undefined; of WebAssembly the functions, of a DLL the libraries that it imports.
 
     Raises ValueError for another format.
     """
@@ -21,7 +21,17 @@ def undefined(content: bytes) -> list[str]:
         return sorted(_of_elf(content) - {_LINKERS_OWN})
     if content.startswith(b"\0asm"):
         return sorted(_of_wasm(content))
-    raise ValueError("neither ELF-64 nor WebAssembly.")
+    if content.startswith(b"\xcf\xfa\xed\xfe"):
+        return sorted(_of_mach_o(content))
+    if content.startswith(b"\x64\x86"):
+        return sorted(_of_coff(content))
+    if content.startswith(b"MZ"):
+        return sorted(_of_dll(content))
+    raise ValueError("neither ELF-64 nor WebAssembly, COFF, PE or Mach-O.")
+
+
+def _text(content: bytes, at: int) -> str:
+    return content[at : content.index(b"\0", at)].decode()
 
 
 def _of_elf(content: bytes) -> set[str]:
@@ -34,7 +44,49 @@ def _of_elf(content: bytes) -> set[str]:
             names = sections[section[6]][4]
             for name, _, _, home, _, _ in struct.iter_unpack("<IBBHQQ", content[section[4] : section[4] + section[5]]):
                 if home == 0 and name != 0:
-                    found.add(content[names + name : content.index(b"\0", names + name)].decode())
+                    found.add(_text(content, names + name))
+    return found
+
+
+def _of_coff(content: bytes) -> set[str]:
+    start, count = struct.unpack_from("<II", content, 8)
+    names, at, found = start + 18 * count, start, set()
+    while at < names:
+        name, value, home, _, kind, more = struct.unpack_from("<8sIhHBB", content, at)
+        if kind == 2 and home == 0 and value == 0:  # of an external symbol
+            short, far = struct.unpack("<II", name)
+            found.add(name.rstrip(b"\0").decode() if short else _text(content, names + far))
+        at += 18 * (1 + more)
+    return found
+
+
+def _of_dll(content: bytes) -> set[str]:
+    (start,) = struct.unpack_from("<I", content, 0x3C)
+    count, optional = struct.unpack_from("<H12xH", content, start + 6)
+    (imports,) = struct.unpack_from("<I", content, start + 24 + 120)
+    sections = [struct.unpack_from("<IIII", content, start + 24 + optional + 40 * i + 8) for i in range(count)]
+
+    def place(address: int) -> int:
+        return next(raw + address - begin for size, begin, _, raw in sections if begin <= address < begin + size)
+
+    found, at = set(), place(imports) if imports else 0
+    while at and (name := struct.unpack_from("<I", content, at + 12)[0]):
+        found.add(_text(content, place(name)))
+        at += 20
+    return found
+
+
+def _of_mach_o(content: bytes) -> set[str]:
+    (count,) = struct.unpack_from("<I", content, 16)
+    at, found = 32, set()
+    for _ in range(count):
+        command, size, start, symbols, names, _ = struct.unpack_from("<6I", content, at)
+        if command == 2:  # LC_SYMTAB
+            for i in range(symbols):
+                name, kind, _, _, value = struct.unpack_from("<IBBHQ", content, start + 16 * i)
+                if kind & 0x0F == 1 and value == 0:  # N_UNDF | N_EXT
+                    found.add(_text(content, names + name).removeprefix("_"))
+        at += size
     return found
 
 

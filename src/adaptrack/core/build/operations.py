@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 from llvmlite import ir
@@ -74,6 +75,43 @@ def shaped(typingctx, values, *sizes):
         return array(context, builder, made, data, cgutils.unpack_tuple(builder, args[1], len(sizes)))
 
     return signature, codegen
+
+
+def view(record: Any) -> Any:
+    """An operation: the record of numbers that lies in a vector from a place on."""
+
+    @intrinsic
+    def operation(typingctx, vector, place):
+        def codegen(context, builder, signature, args):
+            data = context.make_array(signature.args[0])(context, builder, args[0]).data
+            return builder.bitcast(builder.gep(data, [args[1]]), context.get_value_type(record))
+
+        return record(vector, types.int64), codegen
+
+    return operation
+
+
+def local(shape: tuple[int, ...]) -> Any:
+    """An operation: an array of zeros on the stack. It is written in pieces: a larger one would be a call of C's."""
+    made, count = types.Array(types.float64, len(shape), "C"), math.prod(shape)
+
+    @intrinsic
+    def operation(typingctx):
+        def codegen(context, builder, signature, args):
+            place = cgutils.alloca_once(builder, ir.ArrayType(ir.DoubleType(), count))
+            place.align = 64
+            first = builder.bitcast(place, ir.DoubleType().as_pointer())
+            at = 0
+            while at < count:
+                piece = _VECTOR if at + WIDTH <= count else ir.DoubleType()
+                where = builder.gep(first, [ir.Constant(ir.IntType(64), at)])
+                builder.store(ir.Constant(piece, None), builder.bitcast(where, piece.as_pointer()), align=8)
+                at += WIDTH if piece is _VECTOR else 1
+            return array(context, builder, made, first, [ir.Constant(ir.IntType(64), size) for size in shape])
+
+        return made(), codegen
+
+    return operation
 
 
 _VECTOR = ir.VectorType(ir.DoubleType(), WIDTH)

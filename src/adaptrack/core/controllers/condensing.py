@@ -7,18 +7,33 @@ Phi[i, j] = step[i - j].
 
 from __future__ import annotations
 
+from typing import Any
+
+import numpy as np
+
 from ..kernel import boolean, exported, float64, inlined, int64, matrix, record, vector, void
 from ..maths.exact import sqrt
 from ..maths.vectors import WIDTH, add, fma8, keep_first, load, mul, padded, splat, spread, store, sub, zeros
 
-Discrete = record("Discrete", (("a", matrix), ("b", vector), ("c", vector), ("e", vector), ("rows", matrix)))
-"""A model over one control period: A (n, n), B (n,), C (n,), E (n,), and scratch (3, n)."""
+Discrete = record(
+    "Discrete",
+    (
+        ("a", matrix), ("b", vector), ("c", vector), ("e", vector),
+        ("row", vector), ("next_row", vector), ("sum", vector),
+    ),
+)  # fmt: skip
+"""A model over one control period: A (n, n), B (n,), C (n,), E (n,), and scratch, three times (n,)."""
+
+
+def discrete(a: Any, b: Any, c: Any) -> Any:
+    """`Discrete` of a model without known input."""
+    return Discrete(a, b, c, *np.zeros((4, len(b))))
 
 
 @inlined
 def _responses(n, horizon, of_next, model, free, step):
     """See `responses`; n: number of states."""
-    row, following, total_row = model.rows[0], model.rows[1], model.rows[2]
+    row, following, total_row = model.row, model.next_row, model.sum
     for i in range(n):
         row[i] = model.c[i]
         total_row[i] = 0.0
@@ -48,10 +63,13 @@ def responses(horizon, of_next, model, free, step):
     C A^i, i = 1..j, and C~ A~^(j) B~ the running sum of C A^i B, i = 0..j. That is for the last increment of the state,
     x(k) - x(k-1); `of_next`: for the next one, x(k+1) - x(k), whose sums begin with i = 0 and end one earlier.
     """
-    if model.b.size == 4:  # the size of the paper's model as a constant: its loops are unrolled
+    n = model.b.size
+    if n == 4:  # the sizes of our own models as constants: their loops are unrolled
         _responses(4, horizon, of_next, model, free, step)
+    elif n == 5:
+        _responses(5, horizon, of_next, model, free, step)
     else:
-        _responses(model.b.size, horizon, of_next, model, free, step)
+        _responses(n, horizon, of_next, model, free, step)
 
 
 @exported(void(int64, matrix, vector, float64, vector, vector))
@@ -79,10 +97,10 @@ def pulse_hessian(horizon, moves, step, q, r, hessian):
     """
     last = moves - 1
     for d in range(moves):
-        hessian[last, d] = 0.0
-    for t in range(horizon - last):
-        for d in range(moves):
-            hessian[last, d] += step[t] * step[t + last - d]
+        ahead, total = step[last - d :], 0.0
+        for t in range(horizon - last):
+            total += step[t] * ahead[t]
+        hessian[last, d] = total
     for i in range(last - 1, -1, -1):
         tail = step[horizon - 1 - i]
         for j in range(i + 1):

@@ -28,7 +28,7 @@ import math
 from functools import lru_cache
 from typing import Any
 
-from ..kernel import Caller, inlined, record, unpacker, vector, void
+from ..kernel import Caller, inlined, record, unpacker, vector, viewer, void
 from ..maths.bits import whole
 from ..maths.exact import clip, fmod, sqrt, square
 from ..maths.trigonometric import atan2, cos, sin
@@ -55,9 +55,6 @@ LAW_SIGNATURE = void(vector, vector, RoadAhead, vector, vector, vector, vector)
 """``law(situation, reference, road, tuning, parameters, memory, answer)``."""
 call_law = Caller(LAW_SIGNATURE)
 
-COMMAND, HELD = 0, 1
-"""Entries of an answer: the command (rad), and, as our laws' first diagnostic, 1 where the last command is held."""
-
 SLOWEST = 1.0
 """m/s: below it the heading of y_ref(t) is ill-defined, and laws work as at this speed."""
 STANDING = 0.1
@@ -69,6 +66,9 @@ FURTHEST = 1e6
 
 Situation = record("Situation", SITUATION)
 read_situation = unpacker(Situation)
+Direction = record("Direction", ("heading",))
+"""What the memory of a law begins with whose path is straight while the car stands: the last heading of it (rad)."""
+direction_of = viewer(Direction)
 Path = record("Path", ("x", "y", "heading", "curvature"))
 
 
@@ -185,11 +185,13 @@ def left_of(path, x, y):
 
 @inlined
 def path_ahead(reference, road, time, speed, period, memory):
-    """`path_at`; below `SLOWEST` it is a straight line in the last known direction, which memory[0] keeps."""
+    """`path_at`; below `SLOWEST` it is a straight line in the last known `Direction`, with which the memory begins."""
     path = path_at(reference, road, time, speed, period)
     if road.line.start.size > 0:
         return path
+    known = direction_of(memory, 0)
     if speed < SLOWEST:
-        return Path(path.x, path.y, memory[0], 0.0)
-    memory[0] = path.heading if math.isfinite(path.heading) else memory[0]
+        return Path(path.x, path.y, known.heading, 0.0)
+    if math.isfinite(path.heading):
+        known.heading = path.heading
     return path

@@ -17,7 +17,7 @@ straighten bends.
 
 Tyres that pull less than linear ones (`models.path.lost`) ask for K times as much angle more. An estimator that knows
 of this counts it as a push, which the prediction holds as it is now: these moves answer how it grows and falls along
-the road, so the prediction is not told of them.
+the road, so the prediction does not know of them.
 """
 
 from __future__ import annotations
@@ -25,32 +25,65 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from ..kernel import exported, inlined, int64, matrix, vector, void
+import numpy as np
+
+from ..kernel import exported, inlined, int64, record, vector, viewer, void
 from ..maths.bits import whole
 from ..maths.exact import clip
 from ..models.path import lost
 
-TURNING = ("wheelbase", "understeer", "turning", "lr", "lag", "friction", "shape")
-"""L (m), K (rad s^2/m), W (rad s^2/m), lr (m) and the steering's lag (s); of the tyres as the estimator takes them to
-be, see `models.path.lost`, friction 0: linear."""
+Turning = record(
+    "Turning",
+    (
+        "wheelbase",  # m, L
+        "understeer", "turning",  # rad s^2/m, K and W
+        "lr",  # m
+        "lag",  # s, of the steering
+        "friction", "shape_factor",  # of the tyres as the estimator knows them, see `models.path.lost`; 0: linear
+    ),
+)  # fmt: skip
+turning_of = viewer(Turning)
+FeedForward = record(
+    "FeedForward",
+    (
+        ("turning", vector),  # `Turning` of the car; empty: the moves know nothing of the road
+        ("expected", vector),  # (> Np,) rad, moves that the prediction knows
+        ("moves", vector),  # (> Np,) rad, all of them
+        ("scratch", vector),  # (> Np,)
+    ),
+)
+"""The moves that the road ahead asks for; without entries where there are none."""
 LEAST_GAIN = 0.3
 """L + K v^2 over L at least: near its critical speed an oversteering car needs hardly any angle."""
 FURTHEST = 0.5
 """s, the largest T"""
 
+Bend = record("Bend", ("before", "here", "after", "beyond"))
+"""How far (m) the road lies to the left at four instants in a row."""
+bend_at = viewer(Bend)
+
+
+def feed_forward(turning: Any, samples: int = 0) -> Any:
+    """`FeedForward` of a car with room for so many moves, where its moves know of the road."""
+    own = np.array(turning, float)
+    return FeedForward(own, *np.zeros((3, samples if own.size else 0)))
+
 
 def bend_size(horizon: int, period: float, turning: Any) -> int:
-    """How far ahead (instants) the road has to be known."""
-    return horizon + 1 + (math.ceil((float(turning[4]) + FURTHEST) / period) + 2 if len(turning) else 0)
+    """How far ahead (instants) the road has to be known; turning: `Turning` of the car or nothing."""
+    if len(turning) == 0:
+        return horizon + 1
+    return horizon + 1 + math.ceil((float(turning_of(turning, 0).lag) + FURTHEST) / period) + 2
 
 
 @inlined
-def _asked(place, bend):
+def _requested(place, bend):
     """Y'' T^2 (m) at so many periods ahead, a straight line between instants; beyond what is known its end."""
     p = clip(place, 1.0, bend.size - 2.0)
     i = min(whole(p), bend.size - 3)
-    near = bend[i - 1] - 2.0 * bend[i] + bend[i + 1]
-    far = bend[i] - 2.0 * bend[i + 1] + bend[i + 2]
+    y = bend_at(bend, i - 1)
+    near = y.before - 2.0 * y.here + y.after
+    far = y.here - 2.0 * y.after + y.beyond
     return near + (p - i) * (far - near)
 
 
@@ -59,7 +92,7 @@ def _limit(count, most, wanted, work):
     """Replace wanted[:count] by the nearest values, in their largest difference, whose steps are at most `most`.
 
     They are the mean of the least bound from above and the largest one from below with such steps (E. J. McShane,
-    Extension of range of functions, 1934): so a fast turn of the wheels begins before it is asked for.
+    Extension of range of functions, 1934): so a fast turn of the wheels begins before it is needed.
     """
     for i in range(count):
         work[i] = wanted[i]
@@ -74,30 +107,31 @@ def _limit(count, most, wanted, work):
 
 
 @inlined
-def road_moves(horizon, speed, settings, turning, bend, feed):
-    """Write the moves (rad) that the road ahead asks for to feed[:2, :horizon]: what the prediction is told, and all.
+def road_moves(horizon, speed, settings, bend, feed):
+    """Write the moves (rad) that the road ahead asks for to feed.moves, and of these what the prediction knows.
 
     All are within the limits on moves. bend: (m) at instants from the end of the dead time on, see `road.bend_ahead`;
-    feed: (3, > horizon).
+    feed: `FeedForward`.
     """
-    wheelbase, understeer, period = turning[0], turning[1], settings.period
-    steady = max(wheelbase + understeer * speed * speed, LEAST_GAIN * wheelbase)
-    earlier = min(turning[4] + turning[2] * speed / steady - turning[3] / speed, turning[4] + FURTHEST) / period
+    car, period = turning_of(feed.turning, 0), settings.period
+    steady = max(car.wheelbase + car.understeer * speed * speed, LEAST_GAIN * car.wheelbase)
+    earlier = min(car.lag + car.turning * speed / steady - car.lr / speed, car.lag + FURTHEST) / period
+    expected, moves = feed.expected, feed.moves
     for i in range(horizon + 1):
-        asked = _asked(earlier + i - 0.5, bend) / (period * period)
-        feed[0, i] = -understeer * lost(asked, turning[5], turning[6]) if turning[5] > 0.0 else 0.0
-        feed[1, i] = asked * steady / (speed * speed) + feed[0, i]
-    _limit(horizon + 1, min(settings.move_max, -settings.move_min), feed[1], feed[2])
+        turn = _requested(earlier + i - 0.5, bend) / (period * period)
+        expected[i] = -car.understeer * lost(turn, car.friction, car.shape_factor) if car.friction > 0.0 else 0.0
+        moves[i] = turn * steady / (speed * speed) + expected[i]
+    _limit(horizon + 1, min(settings.move_max, -settings.move_min), moves, feed.scratch)
     for i in range(horizon):
-        feed[1, i] = feed[1, i + 1] - feed[1, i]
-        feed[0, i] = feed[1, i] - (feed[0, i + 1] - feed[0, i])
+        moves[i] = moves[i + 1] - moves[i]
+        expected[i] = moves[i] - (expected[i + 1] - expected[i])
 
 
-@exported(void(int64, vector, matrix, vector))
-def tell_moves(horizon, step, feed, error):
-    """Take what the moves feed[0] do to the outputs out of R_s - Y; step: (horizon,) response to a unit move."""
+@exported(void(int64, vector, vector, vector))
+def expect_moves(horizon, step, moves, error):
+    """Take what moves (rad) do to the outputs out of R_s - Y; step: (horizon,) response to a unit move."""
     for i in range(horizon):
-        move = feed[0, i]
+        move = moves[i]
         if move != 0.0:
             for j in range(i, horizon):
                 error[j] -= step[j - i] * move

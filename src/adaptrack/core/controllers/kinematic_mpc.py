@@ -28,7 +28,7 @@ import math
 
 import numpy as np
 
-from ..kernel import exported, inlined, record, shaped, unpacker
+from ..kernel import exported, inlined, record, shaped, size_of, unpacker, viewer
 from ..maths.bits import whole
 from ..maths.exact import clip, sqrt, square
 from ..maths.exponential import exp
@@ -39,9 +39,7 @@ from ..qp.active_set import active_set
 from ..qp.factor import factorise
 from . import on_the_way as way
 from .contract import (
-    COMMAND,
     COMMON,
-    HELD,
     LAW_SIGNATURE,
     SLOWEST,
     STANDING,
@@ -86,19 +84,33 @@ DIAGNOSTICS = (
     "qp_status",  # see `qp.problem`
     "qp_iterations",
 )
+answer_of = viewer(record("Answer", ("command", *DIAGNOSTICS)))
 DISTANT = 1e-9
 """rad: a last command that differs by more from what was answered is another one's."""
-ROWS = 4
-"""Of the limits, for every stage."""
+Rows = record("Rows", ("angle", "angle_back", "move", "move_back"))
+"""The rows of the limits on a stage's input and on its change, or their bounds."""
+rows_at = viewer(Rows)
+ROWS = len(Rows._fields)
 
 Tuning = record("Tuning", TUNING)
 Parameters = record("Parameters", PARAMETERS)
 read_tuning, read_parameters = unpacker(Tuning), unpacker(Parameters)
 
-HEADING, BEFORE, EARLIER, ANSWERED, PAST, ACTIVE, KEPT = range(7)
-"""Places in the memory: the heading of the path, for when the car stands; the inputs (rad) that the last two problems
-were solved by; the last answer and the command before it (rad); active rows of the last solution. From `KEPT` on:
-`on_the_way`, then the workspace."""
+Memory = record(
+    "Memory",
+    (
+        "heading",  # rad, of the path, for when the car stands
+        "before", "earlier",  # rad, the inputs that the last two problems were solved by
+        "answered", "past",  # rad, the last answer and the command before it
+        "active",  # rows of the last solution
+    ),
+)  # fmt: skip
+"""What is remembered; `on_the_way` behind it, then the workspace."""
+memory_of = viewer(Memory)
+KEPT = size_of(Memory)
+First = record("First", ("now", "following"))
+"""What belongs to the first two inputs."""
+first_of = viewer(First)
 
 STAGE = (
     "p", "q", "r", "a", "b_e", "b_theta", "b_delta", "w_e", "w_theta", "q_e", "q_theta", "speed", "reference", "g_e",
@@ -116,7 +128,8 @@ Workspace = record("Workspace", ("stage", "hessian", "gradient", "factor", "boun
 def _sizes(stages: int) -> list[int]:
     """Numbers in each array of the workspace."""
     n, m = padded(stages), padded(ROWS * stages)
-    solving = [2 * stages * n, m, n, m, 4 * max(n, 9) * n, qp.ROW_VECTORS * m, ROWS * stages]
+    high = max(n, len(qp.VECTOR))
+    solving = [len(qp.INVERSE) * stages * n, m, n, m, len(qp.PLANE) * high * n, qp.ROW_VECTORS * m, ROWS * stages]
     return [len(STAGE) * n, stages * n, n, *solving]
 
 
@@ -135,29 +148,31 @@ def limit_rows(stages: int) -> np.ndarray:
 
 
 @inlined
+def _part(size, end, memory):
+    """So many numbers before a place in the memory, and where they begin."""
+    return memory[end - size : end], end - size
+
+
+@inlined
 def _workspace(n, memory):
     """The arrays of the workspace, at the end of the memory."""
     wide, m = padded(n), padded(ROWS * n)
-    high = max(wide, 9)
-    end = memory.size
-    index = memory[end - ROWS * n : end].view(np.int64)
-    end -= ROWS * n
-    rows = shaped(memory[end - qp.ROW_VECTORS * m : end], qp.ROW_VECTORS, m)
-    end -= qp.ROW_VECTORS * m
-    work = shaped(memory[end - 4 * high * wide : end], 4, high, wide)
-    end -= 4 * high * wide
-    multipliers, solution = memory[end - m : end], memory[end - m - wide : end - m]
-    end -= m + wide
-    bounds = memory[end - m : end]
-    end -= m
-    factor = shaped(memory[end - 2 * n * wide : end], 2, n, wide)
-    end -= 2 * n * wide
-    gradient = memory[end - wide : end]
-    end -= wide
-    hessian = shaped(memory[end - n * wide : end], n, wide)
-    end -= n * wide
-    stage = shaped(memory[end - len(STAGE) * wide : end], len(STAGE), wide)
-    return Workspace(stage, hessian, gradient, factor, bounds, solution, multipliers, work, rows, index)
+    high = max(wide, len(qp.VECTOR))
+    index, end = _part(ROWS * n, memory.size, memory)
+    rows, end = _part(qp.ROW_VECTORS * m, end, memory)
+    work, end = _part(len(qp.PLANE) * high * wide, end, memory)
+    multipliers, end = _part(m, end, memory)
+    solution, end = _part(wide, end, memory)
+    bounds, end = _part(m, end, memory)
+    factor, end = _part(len(qp.INVERSE) * n * wide, end, memory)
+    gradient, end = _part(wide, end, memory)
+    hessian, end = _part(n * wide, end, memory)
+    stage, end = _part(len(STAGE) * wide, end, memory)
+    return Workspace(
+        shaped(stage, len(STAGE), wide), shaped(hessian, n, wide), gradient, shaped(factor, len(qp.INVERSE), n, wide),
+        bounds, solution, multipliers, shaped(work, len(qp.PLANE), high, wide), shaped(rows, qp.ROW_VECTORS, m),
+        index.view(np.int64),
+    )  # fmt: skip
 
 
 # -- the model --------------------------------------------------------------------------------------------------------
@@ -184,14 +199,14 @@ def held(speed, curvature, time, p):
 def _roll(e, theta, reference, road, s, p, sent):
     """The state at the end of the dead time from that at the measurement; and how far (m) the rear axle is then."""
     behind = (p.pose_age + p.dead_time) / p.period
-    delta, time = sent[way.ANGLE], -p.pose_age
+    delta, time = way.wheels_of(sent, 0).angle, -p.pose_age
     distance = -p.lr - p.pose_age * max(s.speed, SLOWEST)
     for piece in range(way.count_pieces(behind), 0, -1):
         h = way.share_of(piece, behind) * p.period
         v = planned_speed(road, time, s.speed, p.period)
         curvature = way.curvature_at(distance + 0.5 * v * h, reference, road, s, p)
         (pe, qe, r, a), (be, bt, bd), (we, wt), _ = held(v, curvature, h, p)
-        u = sent[way.SENT + piece - 1]
+        u = way.sent(piece, sent)
         e = e + pe * theta + qe * delta + be * u + we
         theta = theta + r * delta + bt * u + wt
         delta = a * delta + bd * u
@@ -281,13 +296,14 @@ def _add_steering(n, t, p, before, earlier, stage, hessian, gradient):
         if 0 < i < n - 1:
             _add_difference(i - 1, t.steering_acceleration / square(square(h)), (1.0, -2.0, 1.0), hessian)
     rate, bend = t.steering_rate / square(period), t.steering_acceleration / square(square(period))
-    hessian[0, 0] += rate + bend
-    gradient[0] -= rate * before + bend * (2.0 * before - earlier)
+    first = first_of(gradient, 0)
+    _add_difference(0, rate + bend, (1.0, 0.0, 0.0), hessian)
+    first.now -= rate * before + bend * (2.0 * before - earlier)
     if n > 1:  # ((u_1 - u_0)/h - (u_0 - before)/period)/h
         far, near, past = 1.0 / (h * h), -(1.0 / h + 1.0 / period) / h, 1.0 / (h * period)
         _add_difference(0, t.steering_acceleration, (near, far, 0.0), hessian)
-        gradient[0] += t.steering_acceleration * near * past * before
-        gradient[1] += t.steering_acceleration * far * past * before
+        first.now += t.steering_acceleration * near * past * before
+        first.following += t.steering_acceleration * far * past * before
 
 
 @inlined
@@ -296,9 +312,9 @@ def _bound(n, before, p, bounds):
     for i in range(n):
         share = 1.0 if i == 0 else p.step / p.period
         from_here = before if i == 0 else 0.0
-        bounds[ROWS * i], bounds[ROWS * i + 1] = p.angle_max, -p.angle_min
-        bounds[ROWS * i + 2] = p.move_max * share + from_here
-        bounds[ROWS * i + 3] = -p.move_min * share - from_here
+        row = rows_at(bounds, ROWS * i)
+        row.angle, row.angle_back = p.angle_max, -p.angle_min
+        row.move, row.move_back = p.move_max * share + from_here, -p.move_min * share - from_here
 
 
 @inlined
@@ -311,10 +327,10 @@ def _solve(n, rows, memory, ws):
     high = padded(m)
     problem = qp.Problem(n, m, ws.hessian, ws.gradient, shaped(rows[: n * high], n, high), ws.bounds)
     status, iterations, active = active_set(
-        problem, qp.Factor(ws.factor[0], ws.factor[1], condition), qp.Solution(ws.solution, ws.multipliers),
-        qp.Scratch(ws.work, ws.rows, ws.index), whole(memory[ACTIVE]), False, 10 * (n + m),
+        problem, qp.factor_of(ws.factor, condition), qp.Solution(ws.solution, ws.multipliers),
+        qp.Scratch(ws.work, ws.rows, ws.index), whole(memory_of(memory, 0).active), False, 10 * (n + m),
     )  # fmt: skip
-    memory[ACTIVE] = active
+    memory_of(memory, 0).active = active
     return status, iterations
 
 
@@ -343,9 +359,9 @@ def _sent(p, memory):
 @inlined
 def _take_last(command, p, memory):
     """Remember the last command (rad); where it is not what was answered, the inputs go on from it."""
-    (sent,) = _sent(p, memory)
-    if sent[way.STARTED] == 0.0 or abs(command - memory[ANSWERED]) > DISTANT:
-        memory[BEFORE] = memory[EARLIER] = memory[PAST] = clip(command, p.angle_min, p.angle_max)
+    (sent,), own = _sent(p, memory), memory_of(memory, 0)
+    if way.wheels_of(sent, 0).started == 0.0 or abs(command - own.answered) > DISTANT:
+        own.before = own.earlier = own.past = clip(command, p.angle_min, p.angle_max)
     way.take_command(command, (p.pose_age + p.dead_time) / p.period, p.period, p.lag, sent)
 
 
@@ -357,21 +373,23 @@ def _form(s, reference, road, t, p, memory):
     turned = p.lr * way.curvature_at(place, reference, road, s, p)
     offset, theta = (s.y - path.y) * cos(path.heading), wrapped(s.yaw - path.heading + turned)
     rear = offset - p.lr * sin(theta)
-    e, rolled, delta, distance = _roll(rear, theta, reference, road, s, p, _sent(p, memory)[0])
+    (sent,), own = _sent(p, memory), memory_of(memory, 0)
+    e, rolled, delta, distance = _roll(rear, theta, reference, road, s, p, sent)
     n, ws = whole(p.stages), _workspace(whole(p.stages), memory)
     _write_stages(distance, reference, road, s, t, p, ws.stage)
     _write_tracking(e, rolled, delta, n, ws.stage, ws.hessian, ws.gradient)
-    _add_steering(n, t, p, memory[BEFORE], memory[EARLIER], ws.stage, ws.hessian, ws.gradient)
-    _bound(n, memory[BEFORE], p, ws.bounds)
+    _add_steering(n, t, p, own.before, own.earlier, ws.stage, ws.hessian, ws.gradient)
+    _bound(n, own.before, p, ws.bounds)
     return offset, theta, ws
 
 
 @inlined
 def _filter(wanted, cutoff, p, memory):
     """The command (rad) for an input (rad), which is remembered."""
-    last = _sent(p, memory)[0][way.SENT]
-    found = filtered(wanted, memory[BEFORE], memory[EARLIER], last, memory[PAST], cutoff * p.period)
-    memory[EARLIER], memory[BEFORE], memory[PAST] = memory[BEFORE], wanted, last
+    (sent,), own = _sent(p, memory), memory_of(memory, 0)
+    last = way.sent(1, sent)
+    found = filtered(wanted, own.before, own.earlier, last, own.past, cutoff * p.period)
+    own.earlier, own.before, own.past = own.before, wanted, last
     return found
 
 
@@ -385,13 +403,15 @@ def kinematic_mpc(situation, reference, road, tuning, parameters, memory, answer
         _take_last(s.command, p, memory)
     if all_finite(situation) and all_finite(tuning):
         offset, heading_error, ws = _form(s, reference, road, t, p, memory)
-        feed_forward = ws.stage[REFERENCE, 0]
+        feed_forward = first_of(ws.stage[REFERENCE], 0).now
         status, iterations = _solve(whole(p.stages), parameters[len(PARAMETERS) :], memory, ws)
         if status == qp.SOLVED:
-            wanted = _filter(ws.solution[0], t.cutoff, p, memory)
-    answer[COMMAND], answer[HELD] = limited(wanted, s, p)
-    memory[ANSWERED] = answer[COMMAND]
-    if answer[HELD] > 0.0 or abs(s.speed) < STANDING:
-        memory[BEFORE] = memory[EARLIER] = memory[PAST] = answer[COMMAND]
-    answer[HELD + 1], answer[HELD + 2], answer[HELD + 3] = offset, heading_error, feed_forward
-    answer[HELD + 4], answer[HELD + 5] = status, iterations
+            wanted = _filter(first_of(ws.solution, 0).now, t.cutoff, p, memory)
+    out = answer_of(answer, 0)
+    out.command, out.held = limited(wanted, s, p)
+    own = memory_of(memory, 0)
+    own.answered = out.command
+    if out.held > 0.0 or abs(s.speed) < STANDING:
+        own.before = own.earlier = own.past = out.command
+    out.offset, out.heading_error, out.feed_forward = offset, heading_error, feed_forward
+    out.qp_status, out.qp_iterations = status, iterations

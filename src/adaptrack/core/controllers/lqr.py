@@ -4,15 +4,13 @@ from __future__ import annotations
 
 import math
 
-from ..kernel import exported, inlined, record, unpacker
+from ..kernel import exported, inlined, record, unpacker, viewer
 from ..maths.bits import whole
 from ..maths.exact import clip
 from ..maths.exponential import log
 from ..maths.trigonometric import cos
 from .contract import (
-    COMMAND,
     COMMON,
-    HELD,
     LAW_SIGNATURE,
     SLOWEST,
     all_finite,
@@ -48,6 +46,7 @@ DIAGNOSTICS = (
     "curvature",  # 1/m, of the path that the feed-forward sees
     "feed_forward",  # rad, steering of the steady turn with this curvature
 )
+answer_of = viewer(record("Answer", ("command", *DIAGNOSTICS)))
 MEMORY = 1
 """The heading of the path, for when the car stands."""
 
@@ -107,6 +106,7 @@ def lqr(situation, reference, road, tuning, parameters, memory, answer):
             - gain_of(2, v, t, p, grid) * (heading_error - steady)
             - gain_of(3, v, t, p, grid) * (s.yaw_rate - v * path.curvature)
         )
-    answer[COMMAND], answer[HELD] = limited(wanted, s, p)
-    answer[HELD + 1], answer[HELD + 2], answer[HELD + 3] = offset, heading_error, curvature
-    answer[HELD + 4] = feed_forward
+    out = answer_of(answer, 0)
+    out.command, out.held = limited(wanted, s, p)
+    out.offset, out.heading_error, out.curvature = offset, heading_error, curvature
+    out.feed_forward = feed_forward

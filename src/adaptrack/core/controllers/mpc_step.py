@@ -1,16 +1,62 @@
-"""A step of one MPC for Python."""
+"""A step of an MPC, the published or the informed one: for loops that are kernels, and for Python."""
 
 from __future__ import annotations
 
-from ..kernel import Place, exported, float64, int64, record, vector, void
-from .mpc import Functions, Mpc, step_with
+from ..kernel import Place, columns, exported, float64, inlined, int64, matrix, record, several, vector, void
+from ..maths.bits import whole
+from . import informed, published
+from .mpc import MPC, Functions, Mpc
 
-Step = record("Step", (("mpc", Mpc), ("functions", Functions), ("reference", vector), ("tuning", vector)))
-"""What a step of the MPC in slot 0 is given, beside the speed: y_ref (m), whose first `count` numbers count, and the
-tuning as asked. Python writes to these arrays, and no address has to be found for a step."""
+NOW = columns("speed", "count")
+"""What a step is given: v_x (m/s), and how many numbers of y_ref count."""
+Step = record(
+    "Step", (("mpc", Mpc), ("functions", Functions), ("now", vector), ("reference", vector), ("tuning", vector))
+)
+"""A step of the MPC in slot 0: now (NOW,), y_ref (m) and the tuning as requested. Its caller writes to these arrays and
+to mpc.measured, so nothing is converted and no address found for a step."""
 
 
-@exported(void(float64, int64, Place(Step)), name="mpc_step")
-def step(speed, count, given):
-    """One step of the MPC; see `mpc_parts.form_qp`."""
-    step_with(0, speed, given.reference[:count], given.tuning, given.mpc, given.functions)
+@inlined
+def step_with(slot, speed, reference, tuning, mpc, functions):
+    """One step of a slot: form the QP, solve it, take the first move. Arguments as for `form_qp`."""
+    if mpc.settings.informed > 0:
+        informed.step(slot, speed, reference, tuning, mpc, functions)
+    else:
+        published.step(slot, speed, reference, tuning, mpc, functions)
+
+
+@exported(void(Place(Step)), name="mpc_step")
+def step(given):
+    """One step of the MPC; see `form_qp`."""
+    now, reference = given.now, given.reference[: whole(given.now[NOW.count])]
+    step_with(0, now[NOW.speed], reference, given.tuning, given.mpc, given.functions)
+
+
+@exported(void(matrix, vector, matrix, matrix, MPC, Functions, matrix))
+def steps(states, speeds, references, tunings, mpc, functions, answers):
+    """Many steps of slot 0 on inputs at hand, step k with rows k: a long search for inputs that break it.
+
+    They are measured quantities (k, MEASURED), speed (k,), y_ref (k, .), tuning (k, 4).
+    answers: (k, .) what each step answered, as `mpc.ANSWER` and what is learned.
+    """
+    for k in range(speeds.size):
+        for i in range(mpc.measured.size):
+            mpc.measured[i] = states[k, i]
+        step_with(0, speeds[k], references[k], tunings[k], mpc, functions)
+        for i in range(answers.shape[1]):
+            answers[k, i] = mpc.answer[0, i]
+
+
+@exported(several(int64, int64, int64)(int64, float64, vector, vector, MPC, Functions))
+def form_qp(slot, speed, reference, tuning, mpc, functions):
+    """The QP of eq. (17) for a slot of the MPCs, for back-ends that are not kernels; `receding.apply_move` is the rest.
+
+    Returns its status so far, its variables n and its rows m. Takes the measurement from mpc.measured. speed: v_x
+    (m/s); reference: y_ref (m) now and at the instants that follow; R_s holds its values from the next instant on with
+    preview (the last one repeated as needed), its present value without. tuning: Np, Nc, Q, R as requested, the
+    horizons rounded and clamped so that 1 <= Nc <= Np <= longest_horizon. The model, E and its factor are formed again
+    when speed or tuning has changed by even one bit, and not otherwise.
+    """
+    if mpc.settings.informed > 0:
+        return informed.form_informed(slot, speed, reference, tuning, mpc, functions)
+    return published.form_published(slot, speed, reference, tuning, mpc, functions)

@@ -25,7 +25,7 @@ from __future__ import annotations
 
 import math
 
-from ..kernel import exported, inlined, record, unpacker
+from ..kernel import exported, inlined, record, size_of, unpacker, viewer
 from ..maths.bits import whole
 from ..maths.exact import clip, sqrt
 from ..maths.exponential import exp, log
@@ -33,9 +33,7 @@ from ..maths.fast import fast_arctangent, fast_arctangent_of_ratio, fast_cosine,
 from ..maths.random import output, unit
 from ..maths.trigonometric import cos, sin
 from .contract import (
-    COMMAND,
     COMMON,
-    HELD,
     LAW_SIGNATURE,
     SLOWEST,
     all_finite,
@@ -69,6 +67,7 @@ DIAGNOSTICS = (
     "effective",  # effective number of samples, 1/sum of the squared weights
     "best",  # m^2 s, cost of the best sample
 )
+answer_of = viewer(record("Answer", ("command", *DIAGNOSTICS)))
 LANES = 32
 """Pairs that are driven together: a constant, so that the loop over them becomes vector instructions."""
 
@@ -76,9 +75,11 @@ Tuning = record("Tuning", TUNING)
 Parameters = record("Parameters", PARAMETERS)
 read_tuning, read_parameters = unpacker(Tuning), unpacker(Parameters)
 
-_STEPS, _DELTA, _LAST_VY, _LAST_R, _SENT = 0, 1, 2, 3, 4
-"""Places in the memory: steps so far; angle of the wheels by the model (rad); v_y (m/s) and yaw rate (rad/s) of the
-last step; commands sent (rad), the latest first."""
+Memory = record("Memory", ("steps", "wheels", "vy", "yaw_rate"))
+"""What the memory begins with: steps so far; angle of the wheels by the model (rad); v_y (m/s) and yaw rate (rad/s) of
+the last step. Commands sent (rad) behind it, the latest first."""
+memory_of = viewer(Memory)
+_SENT = size_of(Memory)
 _X, _Y, _YAW, _VY, _R, _WHEELS, _ASKED, _COST = range(8)
 """Rows of `LANES` numbers: the state of the samples that are driven, their command and their cost so far."""
 _PATH_X, _PATH_Y, _COS, _SIN, _COURSE_COS, _COURSE_SIN = range(6)
@@ -163,39 +164,40 @@ def moved(s, u, m, p, curved):
 @inlined
 def _take_command(command, p, memory):
     """Keep the last command among those on their way."""
-    sent, waiting = _SENT, whole(p.whole)
-    if memory[_STEPS] < 0.5:
-        memory[_DELTA] = command
+    sent, waiting, own = _SENT, whole(p.whole), memory_of(memory, 0)
+    if own.steps < 0.5:
+        own.wheels = command
         for j in range(waiting + 2):
             memory[sent + j] = command
     for j in range(waiting + 1, 0, -1):
         memory[sent + j] = memory[sent + j - 1]
     memory[sent] = command
-    memory[_STEPS] += 1.0
+    own.steps += 1.0
 
 
 @inlined
 def _over_the_last_period(v, p, memory):
     """Drive the model over the last period by the commands that acted in it; turn the wheels, v_y (m/s)."""
-    state = State(0.0, 0.0, 0.0, memory[_LAST_VY], memory[_LAST_R], memory[_DELTA])
+    own = memory_of(memory, 0)
+    state = State(0.0, 0.0, 0.0, own.vy, own.yaw_rate, own.wheels)
     oldest = _SENT + whole(p.whole) + 1
     if p.share > 0.0:
         state = moved(state, memory[oldest], step_of(p.share * p.period, v, p), p, True)
     state = moved(state, memory[oldest - 1], step_of((1.0 - p.share) * p.period, v, p), p, True)
-    memory[_DELTA] = state.wheels
+    own.wheels = state.wheels
     return state.vy
 
 
 @inlined
 def _now(s, v, curvature, p, memory):
     """The present state: what is not measured from the model, the pose carried on by its age; curvature: 1/m."""
-    by_model = _over_the_last_period(v, p, memory)
+    by_model, own = _over_the_last_period(v, p, memory), memory_of(memory, 0)
     vy = s.vy if p.measures_vy > 0.5 else by_model
-    memory[_LAST_VY] = vy if math.isfinite(vy) else 0.0
-    memory[_LAST_R] = s.yaw_rate
+    own.vy = vy if math.isfinite(vy) else 0.0
+    own.yaw_rate = s.yaw_rate
     turned = p.pose_age * (s.yaw_rate - v * curvature)
     y = s.y + p.pose_age * (v * (s.yaw + 0.5 * turned) + vy)
-    return State(0.0, y, s.yaw + turned, vy, s.yaw_rate, memory[_DELTA])
+    return State(0.0, y, s.yaw + turned, vy, s.yaw_rate, own.wheels)
 
 
 @inlined
@@ -231,7 +233,7 @@ def _look_ahead(reference, road, v, p, at, memory):
 def _draw(turn, p, at, memory):
     """Standard normal numbers for all stages and pairs, two from two uniforms (Box and Muller 1958)."""
     count = whole(p.stages) * whole(p.pairs)
-    state = output(output(_FOR_SAMPLES, whole(p.seed)), whole(memory[_STEPS]) * 64 + turn)
+    state = output(output(_FOR_SAMPLES, whole(p.seed)), whole(memory_of(memory, 0).steps) * 64 + turn)
     for k in range(0, count, 2):
         u = unit(output(state, k + 1)) + 2.0**-53
         angle = 2.0 * math.pi * unit(output(state, k + 2))
@@ -351,5 +353,6 @@ def mppi(situation, reference, road, tuning, parameters, memory, answer):
             effective, best = _improve(t, p, at, memory)
         if math.isfinite(best):
             wanted = command + memory[at.plan]
-    answer[COMMAND], answer[HELD] = limited(wanted, s, p)
-    answer[HELD + 1], answer[HELD + 2] = effective, best
+    out = answer_of(answer, 0)
+    out.command, out.held = limited(wanted, s, p)
+    out.effective, out.best = effective, best

@@ -9,15 +9,17 @@ from __future__ import annotations
 
 import math
 
-from ..kernel import inlined
+from ..kernel import inlined, record, size_of, viewer
 from ..maths.bits import whole
 from ..maths.exact import ceil
 from ..maths.exponential import exp
 from .contract import SLOWEST, path_at
 
-STARTED, ANGLE, SENT = 0, 1, 2
-"""Places in what a law remembers of them: 1 after the first step; the wheel angle (rad) at the start; the commands
-(rad) from there on, the latest first."""
+Wheels = record("Wheels", ("started", "angle"))
+"""What is remembered begins with: 1 after the first step, the wheel angle (rad) at the start."""
+wheels_of = viewer(Wheels)
+SENT = size_of(Wheels)
+"""Place of the commands (rad) behind it, the latest first."""
 
 
 def size(behind: float) -> int:
@@ -44,10 +46,17 @@ def share_of(piece, behind):
 
 
 @inlined
+def sent(piece, memory):
+    """The `piece`-th latest command (rad)."""
+    return memory[SENT + piece - 1]
+
+
+@inlined
 def take_command(command, behind, period, lag, memory):
     """Remember the last command (rad); move the start, and the wheel angle there, on by a period."""
-    if memory[STARTED] == 0.0:
-        memory[STARTED], memory[ANGLE] = 1.0, command
+    wheels = wheels_of(memory, 0)
+    if wheels.started == 0.0:
+        wheels.started, wheels.angle = 1.0, command
         for j in range(SENT, memory.size):
             memory[j] = command
         return
@@ -56,10 +65,9 @@ def take_command(command, behind, period, lag, memory):
     memory[SENT] = command
     oldest = count_pieces(behind)
     share = share_of(oldest, behind) if oldest > 0 else 1.0
-    angle = lagged(memory[ANGLE], memory[SENT + oldest], share * period, lag)
+    wheels.angle = lagged(wheels.angle, memory[SENT + oldest], share * period, lag)
     if oldest > 0:
-        angle = lagged(angle, memory[SENT + oldest - 1], (1.0 - share) * period, lag)
-    memory[ANGLE] = angle
+        wheels.angle = lagged(wheels.angle, sent(oldest, memory), (1.0 - share) * period, lag)
 
 
 @inlined

@@ -21,18 +21,17 @@ from __future__ import annotations
 
 import math
 
-from ..kernel import exported, inlined, record, shaped, unpacker
+from ..kernel import exported, inlined, record, shaped, size_of, unpacker, viewer
 from ..maths.bits import whole
 from ..maths.exponential import log
 from ..maths.trigonometric import cos
 from ..models import path as model
 from . import on_the_way as way
 from .contract import (
-    COMMAND,
     COMMON,
-    HELD,
     LAW_SIGNATURE,
     SLOWEST,
+    Direction,
     all_finite,
     limited,
     path_ahead,
@@ -64,9 +63,13 @@ DIAGNOSTICS = (
     "curvature",  # 1/m, of the path at the end of the dead time
     "feed_forward",  # rad, steering of the steady turn with this curvature
 )
+answer_of = viewer(record("Answer", ("command", *DIAGNOSTICS)))
 OF_THE_MODEL = len(model.Parameters._fields)
-HEADING, KEPT = 0, 1
-"""Places in the memory: the heading of the path, for when the car stands; from there on `on_the_way`, then scratch."""
+KEPT = size_of(Direction)
+"""Numbers that the memory begins with; `on_the_way` behind them, then scratch."""
+State = record("State", ("vy", "yaw", "yaw_rate", "wheel_angle"))
+"""What a state begins with, without the wheel angle where there is no lag; y is its last number."""
+state_of = viewer(State)
 
 Tuning = record("Tuning", TUNING)
 Parameters = record("Parameters", PARAMETERS)
@@ -95,8 +98,8 @@ def _begin(offset, heading_error, reference, road, s, p, x):
     """Write the state now: the measured pose, moved on by its age with the present motion."""
     v, n = max(s.speed, SLOWEST), x.size
     w = v * way.curvature_at(-0.5 * p.pose_age * v, reference, road, s, p)
-    turned = p.pose_age * (s.yaw_rate - w)
-    x[0], x[1], x[2] = s.vy, heading_error + turned, s.yaw_rate
+    turned, state = p.pose_age * (s.yaw_rate - w), state_of(x, 0)
+    state.vy, state.yaw, state.yaw_rate = s.vy, heading_error + turned, s.yaw_rate
     x[n - 1] = offset + p.pose_age * (s.vy + v * (heading_error + 0.5 * turned))
 
 
@@ -104,11 +107,9 @@ def _begin(offset, heading_error, reference, road, s, p, x):
 def _roll(reference, road, s, parameters, memory, x):
     """Let the commands on their way act on x (n,); how far (m) the car is then. Scratch: the end of the memory."""
     p, n = read_parameters(parameters), x.size
-    v, behind, sent = max(s.speed, SLOWEST), p.dead_time / p.period, _sent(p, memory)[0]
-    first = memory.size - n * (n + 3)
-    a = shaped(memory[first : first + n * n], n, n)
-    b, e = memory[first + n * n : first + n * n + n], memory[first + n * n + n : first + n * n + 2 * n]
-    following = memory[first + n * n + 2 * n : first + n * n + 3 * n]
+    v, behind, (sent,) = max(s.speed, SLOWEST), p.dead_time / p.period, _sent(p, memory)
+    scratch = shaped(memory[memory.size - n * (n + 3) :], n + 3, n)
+    a, b, e, following = scratch[:n], scratch[n], scratch[n + 1], scratch[n + 2]
     own = parameters[len(PARAMETERS) : len(PARAMETERS) + OF_THE_MODEL]
     distance, time, formed = 0.0, 0.0, 0.0
     for piece in range(way.count_pieces(behind), 0, -1):
@@ -118,7 +119,7 @@ def _roll(reference, road, s, parameters, memory, x):
             formed = h
         pace = planned_speed(road, time, s.speed, p.period)
         w = v * way.curvature_at(distance + 0.5 * pace * h, reference, road, s, p)
-        u = sent[way.SENT + piece - 1]
+        u = way.sent(piece, sent)
         for i in range(n):
             following[i] = b[i] * u + e[i] * w
             for j in range(n):
@@ -137,11 +138,12 @@ def _write_deviations(distance, reference, road, s, p, z):
     pace = planned_speed(road, time, s.speed, p.period)
     first = now = v * way.curvature_at(distance + 0.5 * pace * p.period, reference, road, s, p)
     heading, steering = p.rear_slip * v - p.lr / v, p.wheelbase / v + p.understeer * v
-    z[0] += v * heading * first
-    z[1] -= heading * first
-    z[2] -= first
+    state = state_of(z, 0)
+    state.vy += v * heading * first
+    state.yaw -= heading * first
+    state.yaw_rate -= first
     if n == 5:
-        z[3] -= steering * first
+        state.wheel_angle -= steering * first
     for j in range(whole(p.previewed)):
         distance += pace * p.period
         time += p.period
@@ -177,8 +179,9 @@ def preview_lqr(situation, reference, road, tuning, parameters, memory, answer):
     """u = U w_0 - K x~ + sum_j g_j (w_j+1 - w_j); see the head of this file."""
     s, t, p = read_situation(situation), read_tuning(tuning), read_parameters(parameters)
     wanted = offset = heading_error = curvature = feed_forward = math.nan
+    (sent,) = _sent(p, memory)
     if math.isfinite(s.command):
-        way.take_command(s.command, p.dead_time / p.period, p.period, p.lag, _sent(p, memory)[0])
+        way.take_command(s.command, p.dead_time / p.period, p.period, p.lag, sent)
     if all_finite(situation) and all_finite(tuning):
         n, v = states_of(p), max(s.speed, SLOWEST)
         last = memory.size - n * (n + 3)
@@ -188,12 +191,13 @@ def preview_lqr(situation, reference, road, tuning, parameters, memory, answer):
         x = z[:n]
         _begin(offset, heading_error, reference, road, s, p, x)
         if n == 5:
-            x[3] = memory[KEPT + way.ANGLE]
+            state_of(x, 0).wheel_angle = way.wheels_of(sent, 0).angle
         distance = _roll(reference, road, s, parameters, memory, x)
         w, steering = _write_deviations(distance, reference, road, s, p, z)
         curvature, feed_forward = w / v, steering * w
         grid = parameters[len(PARAMETERS) + OF_THE_MODEL :]
         wanted = feed_forward + apply_gains(v, t, p, z, grid)
-    answer[COMMAND], answer[HELD] = limited(wanted, s, p)
-    answer[HELD + 1], answer[HELD + 2], answer[HELD + 3] = offset, heading_error, curvature
-    answer[HELD + 4] = feed_forward
+    out = answer_of(answer, 0)
+    out.command, out.held = limited(wanted, s, p)
+    out.offset, out.heading_error, out.curvature = offset, heading_error, curvature
+    out.feed_forward = feed_forward

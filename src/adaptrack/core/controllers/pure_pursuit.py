@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import math
 
-from ..kernel import exported, record, unpacker
+from ..kernel import exported, record, unpacker, viewer
 from ..maths.exponential import hypot
 from ..maths.trigonometric import atan2, cos, sin
 from .contract import (
-    COMMAND,
     COMMON,
-    HELD,
     LAW_SIGNATURE,
     SLOWEST,
     all_finite,
@@ -30,6 +28,7 @@ DIAGNOSTICS = (
     "distance",  # m, from the rear axle to the target
     "alpha",  # rad, angle from the car's axis to the target, positive to the left
 )
+answer_of = viewer(record("Answer", ("command", *DIAGNOSTICS)))
 MEMORY = 0
 
 Tuning = record("Tuning", TUNING)
@@ -56,5 +55,6 @@ def pure_pursuit(situation, reference, road, tuning, parameters, memory, answer)
         distance = hypot(forward, sideways)
         alpha = atan2(sideways, forward)
         wanted = atan2(2.0 * p.wheelbase * sin(alpha), distance)
-    answer[COMMAND], answer[HELD] = limited(wanted, s, p)
-    answer[HELD + 1], answer[HELD + 2] = distance, alpha
+    out = answer_of(answer, 0)
+    out.command, out.held = limited(wanted, s, p)
+    out.distance, out.alpha = distance, alpha

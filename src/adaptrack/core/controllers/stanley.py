@@ -4,12 +4,10 @@ from __future__ import annotations
 
 import math
 
-from ..kernel import exported, inlined, record, unpacker
+from ..kernel import exported, inlined, record, unpacker, viewer
 from ..maths.trigonometric import atan2, cos, sin
 from .contract import (
-    COMMAND,
     COMMON,
-    HELD,
     LAW_SIGNATURE,
     SLOWEST,
     all_finite,
@@ -32,6 +30,7 @@ DIAGNOSTICS = (
     "heading_error",  # rad, heading of the path less the car's, after the dead time
     "curvature",  # 1/m, of the path there
 )
+answer_of = viewer(record("Answer", ("command", *DIAGNOSTICS)))
 MEMORY = 1
 """The heading of the path, for when the car stands."""
 
@@ -73,5 +72,6 @@ def stanley(situation, reference, road, tuning, parameters, memory, answer):
             + atan2(t.gain * offset, max(t.softening, 0.0) + v)
             + t.yaw_rate_gain * (v * curvature - s.yaw_rate)
         )
-    answer[COMMAND], answer[HELD] = limited(wanted, s, p)
-    answer[HELD + 1], answer[HELD + 2], answer[HELD + 3] = offset, heading_error, curvature
+    out = answer_of(answer, 0)
+    out.command, out.held = limited(wanted, s, p)
+    out.offset, out.heading_error, out.curvature = offset, heading_error, curvature

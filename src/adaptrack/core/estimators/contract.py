@@ -14,8 +14,6 @@ from typing import Any
 
 from ..kernel import Caller, float64, matrix, vector
 
-DEADBEAT, BY_FUNCTION = 0, 1
-"""How the MPC estimates."""
 ABSURD, FASTEST = 1e5, 1e3
 """No signal of a car is as large as this, in SI units: what is counts as missing. And no speed, m/s."""
 

@@ -12,22 +12,25 @@ stiffness, and their standard deviations to the prior ones. Sources: D. Simon, *
 chapter 13 (the filter); R. Rajamani, *Vehicle Dynamics and Control*, 2nd ed., chapter 2 (the vehicle).
 
 What tells mu from w and s: wind pushes at all times, with force and moment in a fixed proportion; the stiffness acts in
-proportion to the slip; friction takes away with the third power of the slip, so that it is seen near the limit alone.
+proportion to the slip; friction takes away with the third power of the slip, so that it shows near the limit alone.
 """
 
 from __future__ import annotations
 
 import math
 
-from ..kernel import exported, float64, inlined, int64, matrix, record, several, unpacker, vector, void
+from ..kernel import exported, float64, inlined, int64, local, matrix, record, rows, several, unpacker, vector, void
 from ..maths.bits import whole
 from ..maths.exact import clip, sqrt
 from ..maths.exponential import exp, hypot
 from ..maths.fast import fast_arctangent_of_ratio, fast_cosine
+from ..maths.vectors import WIDTH
+from ..models.contract import MEASURED
 from ..plants.forces import GRAVITY, SLIP_SPEED_FLOOR, wind_load
 from ..plants.parameters import unpack
 from ..plants.tyre import CURVED_MAGIC_FORMULA, LINEAR, MAGIC_FORMULA, lateral_force
 from .contract import ABSURD
+from .extended_kalman import carry, correct, scatter
 
 ESTIMATOR_SETTINGS = (
     "steps",  # predictions per control period
@@ -56,18 +59,18 @@ _unpack_settings = unpacker(Settings)
 
 N = 5
 VY, YAW_RATE, LOG_FRICTION, WIND, LOG_STIFFNESS = range(N)
-"""The state z."""
+"""Places in the state z."""
 
-# What an estimator remembers, a row per slot: the state from 0 on, its covariance by rows, then
-COVARIANCE = N
-STARTED, ANGLE, WAITING, YAW, SPEED = range(COVARIANCE + N * N, COVARIANCE + N * N + 5)
-"""0 before the first step; steering angle of the replica (rad); last command (rad); last yaw and speed."""
-FRICTION_HAT, WIND_HAT, FRICTION_STD, WIND_STD = range(SPEED + 1, SPEED + 5)
-"""What the step found: mu, w (m/s) and their standard deviations."""
-_ROWS = WIND_STD + 1  # scratch: two rows of N, and one
-_SEEN = _ROWS + 2 * N
-_GAIN = _SEEN + N
-MEMORY = _GAIN + N
+Memory = record("Memory", (
+    "started",  # 0 before the first step
+    "angle",  # rad, steering angle of the replica
+    "waiting",  # rad, last command
+    "yaw", "speed",  # rad, m/s: the last ones
+    ("z", (float64, WIDTH)), ("covariance", (float64, N, WIDTH)),
+    "friction", "wind", "friction_std", "wind_std",  # what the step found: mu, w (m/s), their standard deviations
+))  # fmt: skip
+"""What an estimator remembers."""
+_states, _motion = local(WIDTH), local(2, WIDTH)
 
 UNKNOWN_MOTION = 1.0
 """Standard deviation of v_y (m/s) and yaw rate (rad/s) before the first measurement."""
@@ -110,186 +113,172 @@ def _axle(slip, steer, load, friction, stiffness, c, law):
 
 
 @exported(
-    several(float64, float64, float64, float64)(float64, float64, float64, vector, vector), name="tyre_accelerations"
+    several(float64, float64, float64, float64)(float64, float64, float64, vector, vector, matrix),
+    name="tyre_accelerations",
 )
-def accelerations(angle, yaw, vx, p, own):
+def accelerations(angle, yaw, vx, p, z, slopes):
     """Lateral (m/s^2) and yaw acceleration (rad/s^2) under a steering angle, and the forces of both axles (N).
 
-    The derivatives of both accelerations by z are written to the rows of scratch. own: a row of memory, of which z is
-    read; p: the vehicle, see `plants.parameters`.
+    The derivatives of both accelerations by z are written to slopes (2, 8); p: the vehicle, see `plants.parameters`.
     """
     c = unpack(p)
     law = LINEAR if c.tyre_linear > 0.5 else (MAGIC_FORMULA if c.curvature == 0.0 else CURVED_MAGIC_FORMULA)
-    vy, r, wind = own[VY], own[YAW_RATE], own[WIND]
-    friction, factor = exp(own[LOG_FRICTION]), exp(own[LOG_STIFFNESS])
+    vy, r, wind = z[VY], z[YAW_RATE], z[WIND]
+    friction, factor = exp(z[LOG_FRICTION]), exp(z[LOG_STIFFNESS])
     weight = 0.5 * c.mass * GRAVITY / (c.lf + c.lr)
     speed = max(vx, SLIP_SPEED_FLOOR)
     side_f, side_r = vy + c.lf * r, vy - c.lr * r
     slip_f = angle - fast_arctangent_of_ratio(side_f, speed)
     slip_r = -fast_arctangent_of_ratio(side_r, speed)
     stiff_f, stiff_r = factor * c.stiffness_front, factor * c.stiffness_rear
-    front, front_slip, front_mu, front_s = _axle(slip_f, angle, weight * c.lr, friction, stiff_f, c, law)
-    rear, rear_slip, rear_mu, rear_s = _axle(slip_r, 0.0, weight * c.lf, friction, stiff_r, c, law)
-    front_vy = -front_slip * speed / (speed * speed + side_f * side_f)
-    rear_vy = -rear_slip * speed / (speed * speed + side_r * side_r)
+    by_front, by_rear, by_side, by_moment = _states(), _states(), _states(), _states()
+    front, slope_f, by_front[LOG_FRICTION], by_front[LOG_STIFFNESS] = _axle(
+        slip_f, angle, weight * c.lr, friction, stiff_f, c, law
+    )
+    rear, slope_r, by_rear[LOG_FRICTION], by_rear[LOG_STIFFNESS] = _axle(
+        slip_r, 0.0, weight * c.lf, friction, stiff_r, c, law
+    )
+    by_front[VY] = -slope_f * speed / (speed * speed + side_f * side_f)
+    by_rear[VY] = -slope_r * speed / (speed * speed + side_r * side_r)
+    by_front[YAW_RATE], by_rear[YAW_RATE] = c.lf * by_front[VY], -c.lr * by_rear[VY]
 
     side, moment, _ = wind_load(yaw, vx, vy, 0.0, wind, c)
     half = 1.0 / (2.0 * _VELOCITY_STEP)
     side_more, moment_more, _ = wind_load(yaw, vx, vy + _VELOCITY_STEP, 0.0, wind, c)
     side_less, moment_less, _ = wind_load(yaw, vx, vy - _VELOCITY_STEP, 0.0, wind, c)
-    side_vy, moment_vy = (side_more - side_less) * half, (moment_more - moment_less) * half
+    by_side[VY], by_moment[VY] = (side_more - side_less) * half, (moment_more - moment_less) * half
     side_more, moment_more, _ = wind_load(yaw, vx, vy, 0.0, wind + _VELOCITY_STEP, c)
     side_less, moment_less, _ = wind_load(yaw, vx, vy, 0.0, wind - _VELOCITY_STEP, c)
-    side_wind, moment_wind = (side_more - side_less) * half, (moment_more - moment_less) * half
+    by_side[WIND], by_moment[WIND] = (side_more - side_less) * half, (moment_more - moment_less) * half
 
     by_mass, by_inertia = 1.0 / c.mass, 1.0 / c.yaw_inertia
-    own[_ROWS + VY] = (front_vy + rear_vy + side_vy) * by_mass
-    own[_ROWS + YAW_RATE] = (c.lf * front_vy - c.lr * rear_vy) * by_mass
-    own[_ROWS + LOG_FRICTION] = (front_mu + rear_mu) * by_mass
-    own[_ROWS + WIND] = side_wind * by_mass
-    own[_ROWS + LOG_STIFFNESS] = (front_s + rear_s) * by_mass
-    own[_ROWS + N + VY] = (c.lf * front_vy - c.lr * rear_vy + moment_vy) * by_inertia
-    own[_ROWS + N + YAW_RATE] = (c.lf * c.lf * front_vy + c.lr * c.lr * rear_vy) * by_inertia
-    own[_ROWS + N + LOG_FRICTION] = (c.lf * front_mu - c.lr * rear_mu) * by_inertia
-    own[_ROWS + N + WIND] = moment_wind * by_inertia
-    own[_ROWS + N + LOG_STIFFNESS] = (c.lf * front_s - c.lr * rear_s) * by_inertia
+    for j in range(N):
+        slopes[VY, j] = (by_front[j] + by_rear[j] + by_side[j]) * by_mass
+        slopes[YAW_RATE, j] = (c.lf * by_front[j] - c.lr * by_rear[j] + by_moment[j]) * by_inertia
     return (front + rear + side) * by_mass, (c.lf * front - c.lr * rear + moment) * by_inertia, front, rear
 
 
-@exported(void(float64, float64, float64, vector, vector, vector))
-def predict(angle, yaw, vx, p, settings, own):
-    """Carry z and its covariance over one step, under the steering angle, yaw and speed of its middle.
+@inlined
+def _predict(angle, yaw, vx, p, s, own):
+    """Carry z and its covariance over one step, under the steering angle, yaw and speed of its middle; s: settings.
 
     v_y and r by the linearised trapezoidal rule, (I - T/2 A) dx = T f with A = df/dx, stable at any speed; the others
     by their exact decay. Covariance: Phi P Phi' + Q with the Jacobian Phi of this map.
     """
-    s = _unpack_settings(settings)
-    lateral, yawing, front, rear = accelerations(angle, yaw, vx, p, own)
-    own[_ROWS + YAW_RATE] -= vx  # from here on the row is that of dv_y/dt
+    z, P, slopes, mixed = own.z, own.covariance, _motion(), _motion()
+    lateral, yawing, front, rear = accelerations(angle, yaw, vx, p, z, slopes)
+    slopes[VY, YAW_RATE] -= vx  # from here on the row is that of dv_y/dt
     half = 0.5 * s.step
-    a, b = half * own[_ROWS + VY], half * own[_ROWS + YAW_RATE]
-    c, d = half * own[_ROWS + N + VY], half * own[_ROWS + N + YAW_RATE]
+    a, b = half * slopes[VY, VY], half * slopes[VY, YAW_RATE]
+    c, d = half * slopes[YAW_RATE, VY], half * slopes[YAW_RATE, YAW_RATE]
     scale = 1.0 / ((1.0 - a) * (1.0 - d) - b * c)
     vy_v, vy_r, r_v, r_r = (1.0 - d) * scale, b * scale, c * scale, (1.0 - a) * scale  # inverse of I - T/2 A
-    slide, turn = s.step * (lateral - vx * own[YAW_RATE]), s.step * yawing
-    own[VY] += vy_v * slide + vy_r * turn
-    own[YAW_RATE] += r_v * slide + r_r * turn
+    slide, turn = s.step * (lateral - vx * z[YAW_RATE]), s.step * yawing
+    z[VY] += vy_v * slide + vy_r * turn
+    z[YAW_RATE] += r_v * slide + r_r * turn
     for j in range(N):
-        upper, lower = s.step * own[_ROWS + j], s.step * own[_ROWS + N + j]
-        own[_ROWS + j] = vy_v * upper + vy_r * lower + (1.0 if j == VY else 0.0)
-        own[_ROWS + N + j] = r_v * upper + r_r * lower + (1.0 if j == YAW_RATE else 0.0)
-    own[LOG_FRICTION] = s.log_friction + s.friction_kept * (own[LOG_FRICTION] - s.log_friction)
-    own[WIND] *= s.wind_kept
-    own[LOG_STIFFNESS] *= s.stiffness_kept
+        slide, turn = s.step * slopes[VY, j], s.step * slopes[YAW_RATE, j]
+        mixed[VY, j], mixed[YAW_RATE, j] = vy_v * slide + vy_r * turn, r_v * slide + r_r * turn
+    mixed[VY, VY] += 1.0
+    mixed[YAW_RATE, YAW_RATE] += 1.0
+    z[LOG_FRICTION] = s.log_friction + s.friction_kept * (z[LOG_FRICTION] - s.log_friction)
+    z[WIND] *= s.wind_kept
+    z[LOG_STIFFNESS] *= s.stiffness_kept
 
-    kept = (0.0, 0.0, s.friction_kept, s.wind_kept, s.stiffness_kept)
-    spread = (0.0, 0.0, s.friction_spread, s.wind_spread, s.stiffness_spread)
-    for j in range(N):  # column by column, Phi P in the place of P
-        upper, lower = 0.0, 0.0
-        for i in range(N):
-            upper += own[_ROWS + i] * own[COVARIANCE + N * i + j]
-            lower += own[_ROWS + N + i] * own[COVARIANCE + N * i + j]
-        own[COVARIANCE + j], own[COVARIANCE + N + j] = upper, lower
-        for i in range(2, N):
-            own[COVARIANCE + N * i + j] *= kept[i]
-    for i in range(N):  # row by row, its product with Phi'
-        row = COVARIANCE + N * i
-        upper, lower = 0.0, 0.0
-        for j in range(N):
-            upper += own[_ROWS + j] * own[row + j]
-            lower += own[_ROWS + N + j] * own[row + j]
-        own[row], own[row + 1] = upper, lower
-        for j in range(2, N):
-            own[row + j] *= kept[j]
+    kept = _states()
+    kept[LOG_FRICTION], kept[WIND], kept[LOG_STIFFNESS] = s.friction_kept, s.wind_kept, s.stiffness_kept
+    carry(mixed, kept, P, _motion())
     v = unpack(p)
     front, rear = s.tyre_error * front, s.tyre_error * rear
     push = hypot(front, rear) / v.mass
     twist = hypot(v.lf * front, v.lr * rear) / v.yaw_inertia
-    own[COVARIANCE] += s.drift_vy * s.drift_vy + push * push
-    own[COVARIANCE + N + 1] += s.drift_yaw_rate * s.drift_yaw_rate + twist * twist
-    own[COVARIANCE + N] += (v.lf * front * front - v.lr * rear * rear) / (v.mass * v.yaw_inertia)
-    for i in range(2, N):
-        own[COVARIANCE + (N + 1) * i] += spread[i] * spread[i] * (1.0 - kept[i] * kept[i])
-    for i in range(N):
-        for j in range(i):
-            own[COVARIANCE + N * j + i] = own[COVARIANCE + N * i + j]
+    both = (v.lf * front * front - v.lr * rear * rear) / (v.mass * v.yaw_inertia)
+    P[VY, VY] += s.drift_vy * s.drift_vy + push * push
+    P[VY, YAW_RATE] += both
+    P[YAW_RATE, VY] += both
+    P[YAW_RATE, YAW_RATE] += s.drift_yaw_rate * s.drift_yaw_rate + twist * twist
+    P[LOG_FRICTION, LOG_FRICTION] += s.friction_spread * s.friction_spread * (1.0 - s.friction_kept * s.friction_kept)
+    P[WIND, WIND] += s.wind_spread * s.wind_spread * (1.0 - s.wind_kept * s.wind_kept)
+    P[LOG_STIFFNESS, LOG_STIFFNESS] += (
+        s.stiffness_spread * s.stiffness_spread * (1.0 - s.stiffness_kept * s.stiffness_kept)
+    )
 
 
-@exported(void(float64, float64, vector))
-def correct(innovation, deviation, own):
-    """Take in one scalar measurement h(z), of noise `deviation`; dh/dz stands in `own` from _SEEN on.
+@inlined
+def _take_in(innovation, deviation, h, own):
+    """Correct z by a sensor of a standard deviation; h: derivatives of its reading over z.
 
-    z += K innovation and P -= K (P H')' with K = P H'/S, S = H P H' + deviation^2. Beyond `TRUSTED` standard deviations
-    S grows with the innovation, so that an outlier moves no more than an innovation of that size (Huber's weight). What
-    is absurd, or no number, changes nothing.
+    Beyond `TRUSTED` standard deviations the variance of the innovation grows with it, so that an outlier moves no more
+    than an innovation of that size (Huber's weight). What is absurd, or no number, changes nothing.
     """
     if not abs(innovation) < ABSURD:
         return
-    variance = deviation * deviation
-    for i in range(N):
-        total = 0.0
-        for j in range(N):
-            total += own[COVARIANCE + N * i + j] * own[_SEEN + j]
-        own[_GAIN + i] = total
-        variance += total * own[_SEEN + i]
+    cross = _states()
+    variance = scatter(deviation * deviation, h, own.covariance, cross)
     variance *= max(1.0, abs(innovation) / (TRUSTED * sqrt(variance)))
+    correct(innovation, variance, cross, own.z, own.covariance)
+
+
+@inlined
+def _begin(s, own):
+    """Before the first measurement."""
+    spread = _states()
+    spread[VY], spread[YAW_RATE] = UNKNOWN_MOTION, UNKNOWN_MOTION
+    spread[LOG_FRICTION], spread[WIND], spread[LOG_STIFFNESS] = s.friction_spread, s.wind_spread, s.stiffness_spread
     for i in range(N):
-        gain = own[_GAIN + i] * (1.0 / variance)
-        own[i] += gain * innovation
+        own.z[i] = 0.0
         for j in range(N):
-            own[COVARIANCE + N * i + j] -= gain * own[_GAIN + j]
+            own.covariance[i, j] = 0.0
+        own.covariance[i, i] = spread[i] * spread[i]
+    own.z[LOG_FRICTION] = s.log_friction
+    own.started = 1.0
 
 
-@exported(void(int64, vector, float64, float64, float64, vector, vector, matrix))
+@exported(void(int64, vector, float64, float64, float64, vector, vector, rows(Memory)))
 def estimate(slot, measured, speed, command, acceleration, p, settings, memory):
     """One step of the estimator of a slot, at a control instant before the controller's step.
 
     measured: x_c = [v_y, yaw, yaw rate, y]; speed: v_x (m/s); command: the controller's last steering command (rad);
     acceleration: measured lateral acceleration (m/s^2), NaN where there is no such sensor; p: the vehicle that the
     estimator believes in, packed as a plant (`plants.parameters`); settings: see ESTIMATOR_SETTINGS. A row of zeros
-    in memory (slots, MEMORY) is an estimator before its first step; its row then holds the state and FRICTION_HAT, ...
+    in memory (slots,) is an estimator before its first step.
 
     A measurement that is absurd or not a number is left out; in the place of yaw, speed or command the last one stands.
     A filter that has lost itself begins anew.
     """
     own = memory[slot]
-    s = _unpack_settings(settings)
-    yaw = measured[1] if abs(measured[1]) < ABSURD else own[YAW]
-    speed = speed if abs(speed) < ABSURD else own[SPEED]
-    command = command if abs(command) < ABSURD else own[WAITING]
-    if own[STARTED] > 0.5 and abs(own[VY]) < ABSURD and abs(own[YAW_RATE]) < ABSURD:
+    z, P, s = own.z, own.covariance, _unpack_settings(settings)
+    yaw = measured[MEASURED.yaw] if abs(measured[MEASURED.yaw]) < ABSURD else own.yaw
+    speed = speed if abs(speed) < ABSURD else own.speed
+    command = command if abs(command) < ABSURD else own.waiting
+    if own.started > 0.5 and abs(z[VY]) < ABSURD and abs(z[YAW_RATE]) < ABSURD:
         c = unpack(p)
-        acting = own[WAITING] if s.delay > 0.5 else command
+        acting = own.waiting if s.delay > 0.5 else command
         for i in range(whole(s.steps)):
             share = (i + 0.5) / s.steps
-            middle = steered(own[ANGLE], acting, 0.5 * s.step, c)
-            own[ANGLE] = steered(own[ANGLE], acting, s.step, c)
-            turned, driven = share * (yaw - own[YAW]), share * (speed - own[SPEED])
-            predict(middle, own[YAW] + turned, own[SPEED] + driven, p, settings, own)
+            middle = steered(own.angle, acting, 0.5 * s.step, c)
+            own.angle = steered(own.angle, acting, s.step, c)
+            turned, driven = share * (yaw - own.yaw), share * (speed - own.speed)
+            _predict(middle, own.yaw + turned, own.speed + driven, p, s, own)
     else:
-        own[: COVARIANCE + N * N] = 0.0
-        own[STARTED] = 1.0
-        own[LOG_FRICTION] = s.log_friction
-        spread = (UNKNOWN_MOTION, UNKNOWN_MOTION, s.friction_spread, s.wind_spread, s.stiffness_spread)
-        for i in range(N):
-            own[COVARIANCE + (N + 1) * i] = spread[i] * spread[i]
-    own[WAITING], own[YAW], own[SPEED] = command, yaw, speed
+        _begin(s, own)
+    own.waiting, own.yaw, own.speed = command, yaw, speed
 
-    for j in range(N):
-        own[_SEEN + j] = 1.0 if j == VY else 0.0
-    correct(measured[0] - own[VY], s.noise_vy, own)
-    own[_SEEN + VY], own[_SEEN + YAW_RATE] = 0.0, 1.0
-    correct(measured[2] - own[YAW_RATE], s.noise_yaw_rate, own)
+    for state, sensor, noise in ((VY, MEASURED.vy, s.noise_vy), (YAW_RATE, MEASURED.yaw_rate, s.noise_yaw_rate)):
+        h = _states()
+        h[state] = 1.0
+        _take_in(measured[sensor] - z[state], noise, h, own)
     if abs(acceleration) < ABSURD:
-        lateral, _, _, _ = accelerations(own[ANGLE], yaw, speed, p, own)
+        slopes, h = _motion(), _states()
+        lateral, _, _, _ = accelerations(own.angle, yaw, speed, p, z, slopes)
         for j in range(N):
-            own[_SEEN + j] = own[_ROWS + j]
-        correct(acceleration - lateral, s.noise_acceleration, own)
+            h[j] = slopes[VY, j]
+        _take_in(acceleration - lateral, s.noise_acceleration, h, own)
 
-    own[LOG_FRICTION] = clip(own[LOG_FRICTION], s.log_least_friction, s.log_most_friction)
-    own[WIND] = clip(own[WIND], -s.most_wind, s.most_wind)
+    z[LOG_FRICTION] = clip(z[LOG_FRICTION], s.log_least_friction, s.log_most_friction)
+    z[WIND] = clip(z[WIND], -s.most_wind, s.most_wind)
     most = MOST_STIFFNESS * s.stiffness_spread
-    own[LOG_STIFFNESS] = clip(own[LOG_STIFFNESS], -most, most)
-    own[FRICTION_HAT], own[WIND_HAT] = exp(own[LOG_FRICTION]), own[WIND]
-    own[FRICTION_STD] = own[FRICTION_HAT] * sqrt(own[COVARIANCE + (N + 1) * LOG_FRICTION])
-    own[WIND_STD] = sqrt(own[COVARIANCE + (N + 1) * WIND])
+    z[LOG_STIFFNESS] = clip(z[LOG_STIFFNESS], -most, most)
+    own.friction, own.wind = exp(z[LOG_FRICTION]), z[WIND]
+    own.friction_std = own.friction * sqrt(P[LOG_FRICTION, LOG_FRICTION])
+    own.wind_std = sqrt(P[WIND, WIND])

@@ -18,6 +18,7 @@ import numpy as np
 from ..kernel import Caller, address_of, columns, float64, inlined, vector, void
 from ..maths.exact import clip, sqrt
 from ..maths.trigonometric import atan2, cos, sin
+from .contract import MOTION, State
 from .forces import wind_load
 from .user import U
 
@@ -27,11 +28,6 @@ SLOWEST_WHEELS = 8.0
 """m/s: below it wheels are spun up more slowly, in proportion to the speed. The rate with which their slip settles,
 stiffness times R^2/(inertia times speed), then stays what it is there, 400 to 1,500 1/s, and the step may stay too."""
 
-_X, _Y, _DELTA, _VX, _YAW, _R = range(
-    6
-)  # states that both of their models begin with; _VX: the speed of the drift model
-_BETA, _OMEGA_FRONT, _OMEGA_REAR = 6, 7, 8  # of the drift model
-_ROLL_RATE, _VY, _VY_FRONT, _VY_REAR, _OMEGA = 7, 10, 15, 20, 23  # of the multi-body model
 DRIFT_STATES = ("wheel_speed_front", "wheel_speed_rear")
 """rad/s, the drift model's states behind X, Y, yaw, v_x, v_y and yaw rate."""
 BODY_STATES = (
@@ -42,7 +38,13 @@ BODY_STATES = (
     "joint_front", "joint_rear",
 )  # fmt: skip
 """The multi-body model's states behind those six: rad, m and s; z downwards; joints: lateral, m."""
-BODY_PLACES = (_X, _Y, _YAW, _VX, _VY, _R, 6, 7, 8, 9, *range(11, 29))
+_MOTION = State._fields[:MOTION]
+OWN = columns(*_MOTION, *DRIFT_STATES)
+"""Our states of the drift model, the first ones of both."""
+STD = columns("x", "y", "steering", "speed", "yaw", "yaw_rate", "sideslip", *DRIFT_STATES)
+MB = columns("x", "y", "steering", "vx", "yaw", "yaw_rate", *BODY_STATES[:4], "vy", *BODY_STATES[4:])
+"""Their states of the drift and of the multi-body model, by the names of their functions."""
+BODY_PLACES = tuple(getattr(MB, name) for name in (*_MOTION, *BODY_STATES))
 """Where each of our states stands among theirs; their steering angle is none of ours."""
 
 
@@ -81,7 +83,8 @@ def _dynamics(function, layout):
 def _set_friction(environment, own, places):
     """Give a copy of the parameters the mean friction of the wheels; places: of p_dx1 and p_dy1."""
     along, across = places
-    friction = 0.25 * (environment[0] + environment[1] + environment[2] + environment[3])
+    front = environment[AROUND.front_left] + environment[AROUND.front_right]
+    friction = 0.25 * (front + environment[AROUND.rear_left] + environment[AROUND.rear_right])
     own[along] *= friction / own[across]
     own[across] = friction
 
@@ -104,52 +107,55 @@ def drift_right_hand_side(function: Any, layout: Any, places: tuple[int, int]) -
     layout: of the parameters, a record `car` of theirs and a record `air` as `forces.wind_load` takes it; places: of
     p_dx1 and p_dy1 in the vector of the parameters.
     """
-    theirs = _dynamics(function, layout)
+    theirs, n = _dynamics(function, layout), len(STD)
 
     def right_hand_side(x, u, environment, p, dx):
-        own, z, f = p.copy(), np.empty(9), np.empty(9)
+        own, z, f = p.copy(), np.empty(n), np.empty(n)
         _set_friction(environment, own, places)
         given = own.view(layout)[0]
-        yaw, vx, vy, mass = x[2], x[3], x[4], given.car.m
-        speed, beta = sqrt(vx * vx + vy * vy), atan2(vy, vx)
-        z[_X], z[_Y], z[_DELTA], z[_VX], z[_YAW] = x[0], x[1], u[U.steering], speed, yaw
-        z[_R], z[_BETA], z[_OMEGA_FRONT], z[_OMEGA_REAR] = x[5], beta, x[6], x[7]
+        yaw, vx, vy, mass = x[OWN.yaw], x[OWN.vx], x[OWN.vy], given.car.m
+        speed, sideslip = sqrt(vx * vx + vy * vy), atan2(vy, vx)
+        z[STD.x], z[STD.y], z[STD.steering] = x[OWN.x], x[OWN.y], u[U.steering]
+        z[STD.speed], z[STD.yaw], z[STD.yaw_rate] = speed, yaw, x[OWN.yaw_rate]
+        z[STD.sideslip] = sideslip
+        z[STD.wheel_speed_front], z[STD.wheel_speed_rear] = x[OWN.wheel_speed_front], x[OWN.wheel_speed_rear]
         _call(theirs, z, _asked(u, mass), own, f)
         wind_x, wind_y = environment[AROUND.wind_x], environment[AROUND.wind_y]
         side, moment, drag = wind_load(yaw, vx, vy, wind_x, wind_y, given.air)
-        c, s = cos(beta), sin(beta)
-        dx[0], dx[1], dx[2] = f[_X], f[_Y], f[_YAW]
-        dx[3] = c * f[_VX] - s * speed * f[_BETA] - drag / mass
-        dx[4] = s * f[_VX] + c * speed * f[_BETA] + side / mass + environment[AROUND.bank]
-        dx[5] = f[_R] + moment / given.car.I_z
-        dx[6], dx[7] = _spin_up(vx) * f[_OMEGA_FRONT], _spin_up(vx) * f[_OMEGA_REAR]
+        c, s = cos(sideslip), sin(sideslip)
+        dx[OWN.x], dx[OWN.y], dx[OWN.yaw] = f[STD.x], f[STD.y], f[STD.yaw]
+        dx[OWN.vx] = c * f[STD.speed] - s * speed * f[STD.sideslip] - drag / mass
+        dx[OWN.vy] = s * f[STD.speed] + c * speed * f[STD.sideslip] + side / mass + environment[AROUND.bank]
+        dx[OWN.yaw_rate] = f[STD.yaw_rate] + moment / given.car.I_z
+        dx[OWN.wheel_speed_front] = _spin_up(vx) * f[STD.wheel_speed_front]
+        dx[OWN.wheel_speed_rear] = _spin_up(vx) * f[STD.wheel_speed_rear]
 
     return right_hand_side
 
 
 def body_right_hand_side(function: Any, layout: Any, places: tuple[int, int]) -> Any:
     """The right-hand side around their multi-body model; arguments as for `drift_right_hand_side`."""
-    theirs, where, ours = _dynamics(function, layout), np.array(BODY_PLACES), len(BODY_PLACES)
+    theirs, where, ours, n = _dynamics(function, layout), np.array(BODY_PLACES), len(BODY_PLACES), len(MB)
 
     def right_hand_side(x, u, environment, p, dx):
-        own, z, f = p.copy(), np.empty(29), np.empty(29)
+        own, z, f = p.copy(), np.empty(n), np.empty(n)
         _set_friction(environment, own, places)
         given = own.view(layout)[0]
         car = given.car
-        z[_DELTA] = u[U.steering]
+        z[MB.steering] = u[U.steering]
         for i in range(ours):
             z[where[i]] = x[i]
         _call(theirs, z, _asked(u, car.m), own, f)
         wind_x, wind_y, bank = environment[AROUND.wind_x], environment[AROUND.wind_y], environment[AROUND.bank]
-        side, moment, drag = wind_load(x[2], x[3], x[4], wind_x, wind_y, given.air)
-        f[_VX] -= drag / car.m
-        f[_R] += moment / (car.I_z - car.I_xz_s * car.I_xz_s / car.I_Phi_s)
-        f[_ROLL_RATE] += car.I_xz_s * moment / (car.I_z * car.I_Phi_s - car.I_xz_s * car.I_xz_s)
-        f[_VY] += side / car.m_s + bank
-        f[_VY_FRONT] += bank
-        f[_VY_REAR] += bank
-        for wheel in range(_OMEGA, _OMEGA + 4):
-            f[wheel] *= _spin_up(x[3])
+        side, moment, drag = wind_load(x[OWN.yaw], x[OWN.vx], x[OWN.vy], wind_x, wind_y, given.air)
+        f[MB.vx] -= drag / car.m
+        f[MB.yaw_rate] += moment / (car.I_z - car.I_xz_s * car.I_xz_s / car.I_Phi_s)
+        f[MB.roll_rate] += car.I_xz_s * moment / (car.I_z * car.I_Phi_s - car.I_xz_s * car.I_xz_s)
+        f[MB.vy] += side / car.m_s + bank
+        f[MB.vy_front] += bank
+        f[MB.vy_rear] += bank
+        for wheel in range(MB.wheel_speed_front_left, MB.wheel_speed_rear_right + 1):
+            f[wheel] *= _spin_up(x[OWN.vx])
         for i in range(ours):
             dx[i] = f[where[i]]
 

@@ -43,6 +43,8 @@ INPUT = columns(
     "bank",  # m/s^2, what the pull of a banked road adds to dv_y/dt, positive to the left
 )  # fmt: skip
 """Rows of a block behind those of the state: the input, held over a control period."""
+State, Input = record("State", STATE._fields), record("Input", INPUT._fields)
+"""Of one vehicle; its slope is a `State`, too."""
 STATES, INPUTS = len(STATE), len(INPUT)
 MOTION = 6
 """Every plant's states begin with X, Y, yaw, v_x, v_y, yaw rate."""
@@ -57,12 +59,16 @@ ADVANCE = void(int64, vector, vector, matrix, matrix, int64, int64, float64)
 OBSERVE = void(int64, vector, vector, matrix, matrix, int64, vector)
 """``observe(member, parameters, block, states, work, slot, seen)``: write lateral acceleration (m/s^2) and front-wheel
 angle (rad) of a vehicle under its present input to ``seen`` (2,)."""
-call_advance, call_observe = Caller(ADVANCE), Caller(OBSERVE)
+OBSERVED = columns("lateral_acceleration", "wheel_angle")
+"""What `observe` writes."""
+_call_advance, _call_observe = Caller(ADVANCE), Caller(OBSERVE)
 
 
 Vehicles = record(
     "Vehicles",
     (
+        ("advance", int64),
+        ("observe", int64),
         ("member", int64),
         ("parameters", vector),
         ("block", vector),
@@ -71,16 +77,17 @@ Vehicles = record(
         ("start", matrix),
     ),
 )
-"""A batch of vehicles: the address of a user's right-hand side (0: none), parameters,
+"""A batch of vehicles: the addresses of its plant's functions and of a user's right-hand side (0: none), parameters,
 block, own states (SLOTS, n), scratch, initial states (slots, n)."""
 
 
 def vehicle_batch(compiled: Any, parameters: Any, start: Any) -> Any:
     """A batch of a `CompiledPlant`'s vehicles before their first period: initial states `start` (slots, n)."""
     first = np.ascontiguousarray(start, dtype=np.float64)
-    n = first.shape[1]
+    _, n = first.shape
     own, work = np.zeros((SLOTS, n)), np.zeros((7, max(n, STATES)))
-    return Vehicles(address_of(compiled.member), parameters, np.zeros(BLOCK), own, work, first)
+    functions = map(address_of, (compiled.advance, compiled.observe, compiled.member))
+    return Vehicles(*functions, parameters, np.zeros(BLOCK), own, work, first)
 
 
 class CompiledPlant(NamedTuple):
@@ -107,11 +114,26 @@ def input_at(row, slot):
 
 
 @inlined
+def advance(slots, substeps, h, vehicles):
+    """Move the first `slots` vehicles on by so many steps of h (s), under their present inputs."""
+    v = vehicles
+    _call_advance(v.advance, v.member, v.parameters, v.block, v.states, v.work, slots, substeps, h)
+
+
+@inlined
+def observe(slot, vehicles, seen):
+    """Write `OBSERVED` of a vehicle under its present input to `seen`."""
+    v = vehicles
+    _call_observe(v.observe, v.member, v.parameters, v.block, v.states, v.work, slot, seen)
+
+
+@inlined
 def place_one(slot, start, block, states):
     """Set the state of one slot to its row of start (slots, n)."""
+    _, n = start.shape
     for j in range(STATES):
         block[state_at(j, slot)] = start[slot, j] if j < MOTION else 0.0
-    for j in range(start.shape[1]):
+    for j in range(n):
         states[slot, j] = start[slot, j]
 
 

@@ -7,7 +7,7 @@ from functools import cache
 from ..kernel import exported, fma, inlined, vector, void
 from ..maths.exact import clip
 from ..maths.fast import fast_arctangent_of_ratio, fast_cosine, fast_sine
-from .contract import ADVANCE, OBSERVE, CompiledPlant
+from .contract import ADVANCE, OBSERVE, CompiledPlant, State
 from .forces import GRAVITY, SLIP_SPEED_FLOOR, resistance, steering_rate, wind_load
 from .runge_kutta import advance_all, observe_one, slope_of
 from .tyre import LEAST_LOAD, LINEAR, TYRE_NAMES, friction_ellipse, lateral_force
@@ -23,17 +23,18 @@ def right_hand_side(x, u, c, law):
     d(alpha')/dt = |v_x|(alpha - alpha')/sigma. Driving and braking forces share the friction ellipse with the
     lateral ones. A prescribed acceleration moves v_x without longitudinal tyre force.
     """
-    _, _, yaw, vx, vy, r, s_fl, s_fr, s_rl, s_rr, ax, ay, angle = x
-    command, force, acceleration, mu_fl, mu_fr, mu_rl, mu_rr, wind_x, wind_y, bank = u
+    yaw, vx, vy, r = x.yaw, x.vx, x.vy, x.yaw_rate
+    mu_fl, mu_fr = u.friction_front_left, u.friction_front_right
+    mu_rl, mu_rr = u.friction_rear_left, u.friction_rear_right
     ideal = c.steering_lag <= 0.0
-    delta = clip(command, -c.steering_limit, c.steering_limit) if ideal else angle
+    delta = clip(u.command, -c.steering_limit, c.steering_limit) if ideal else x.steering
 
     # vertical loads
     wheelbase = c.lf + c.lr
-    pitch = (0.5 * c.mass * c.cg_height / wheelbase) * ax
+    pitch = (0.5 * c.mass * c.cg_height / wheelbase) * x.felt_ax
     front_static = 0.5 * c.mass * GRAVITY * c.lr / wheelbase - pitch
     rear_static = 0.5 * c.mass * GRAVITY * c.lf / wheelbase + pitch
-    roll = (c.mass * c.cg_height / wheelbase) * ay
+    roll = (c.mass * c.cg_height / wheelbase) * x.felt_ay
     roll_front = roll * (c.lr / c.track_front)
     roll_rear = roll * (c.lf / c.track_rear)
     z_fl = max(front_static - roll_front, LEAST_LOAD)
@@ -52,8 +53,8 @@ def right_hand_side(x, u, c, law):
     a_rr = -fast_arctangent_of_ratio(side_r, max(vx + spread_r, SLIP_SPEED_FLOOR))
     relaxed = c.relaxation_length > 0.0
     rate = max(abs(vx), SLIP_SPEED_FLOOR) * (1.0 / max(c.relaxation_length, 1e-9))
-    b_fl, b_fr = (s_fl if relaxed else a_fl), (s_fr if relaxed else a_fr)
-    b_rl, b_rr = (s_rl if relaxed else a_rl), (s_rr if relaxed else a_rr)
+    b_fl, b_fr = (x.slip_front_left if relaxed else a_fl), (x.slip_front_right if relaxed else a_fr)
+    b_rl, b_rr = (x.slip_rear_left if relaxed else a_rl), (x.slip_rear_right if relaxed else a_rr)
 
     # tyre forces in wheel axes
     y_fl = lateral_force(b_fl, z_fl, mu_fl, c.stiffness_front, c, law)
@@ -61,9 +62,9 @@ def right_hand_side(x, u, c, law):
     y_rl = lateral_force(b_rl, z_rl, mu_rl, c.stiffness_rear, c, law)
     y_rr = lateral_force(b_rr, z_rr, mu_rr, c.stiffness_rear, c, law)
     sd, cd = fast_sine(delta), fast_cosine(delta)
-    side, moment, drag = wind_load(yaw, vx, vy, wind_x, wind_y, c)
-    driven = acceleration != acceleration
-    demand = force if driven else 0.0
+    side, moment, drag = wind_load(yaw, vx, vy, u.wind_x, u.wind_y, c)
+    driven = u.acceleration != u.acceleration
+    demand = u.force if driven else 0.0
     share = c.drive_front if demand >= 0.0 else c.brake_front
     front_half, rear_half = 0.5 * share * demand, 0.5 * (1.0 - share) * demand
     x_fl = clip(front_half, -mu_fl * z_fl, mu_fl * z_fl)
@@ -88,22 +89,22 @@ def right_hand_side(x, u, c, law):
         + moment
     ) * (1.0 / c.yaw_inertia)
     free = (bx_fl + bx_fr + x_rl + x_rr - resistance(vx, drag, c)) * (1.0 / c.mass) + vy * r
-    dvx = free if driven else acceleration
+    dvx = free if driven else u.acceleration
     s, co = fast_sine(yaw), fast_cosine(yaw)
-    return (
-        vx * co - vy * s,
-        vx * s + vy * co,
-        r,
-        dvx,
-        lateral + bank - vx * r,
-        yawing,
-        rate * (a_fl - s_fl) if relaxed else 0.0,
-        rate * (a_fr - s_fr) if relaxed else 0.0,
-        rate * (a_rl - s_rl) if relaxed else 0.0,
-        rate * (a_rr - s_rr) if relaxed else 0.0,
-        (dvx - vy * r - ax) * (1.0 / c.load_transfer_time),
-        (lateral - ay) * (1.0 / c.load_transfer_time),
-        0.0 if ideal else steering_rate(angle, command, c),
+    return State(
+        x=vx * co - vy * s,
+        y=vx * s + vy * co,
+        yaw=r,
+        vx=dvx,
+        vy=lateral + u.bank - vx * r,
+        yaw_rate=yawing,
+        slip_front_left=rate * (a_fl - x.slip_front_left) if relaxed else 0.0,
+        slip_front_right=rate * (a_fr - x.slip_front_right) if relaxed else 0.0,
+        slip_rear_left=rate * (a_rl - x.slip_rear_left) if relaxed else 0.0,
+        slip_rear_right=rate * (a_rr - x.slip_rear_right) if relaxed else 0.0,
+        felt_ax=(dvx - vy * r - x.felt_ax) * (1.0 / c.load_transfer_time),
+        felt_ay=(lateral - x.felt_ay) * (1.0 / c.load_transfer_time),
+        steering=0.0 if ideal else steering_rate(x.steering, u.command, c),
     )
 
 

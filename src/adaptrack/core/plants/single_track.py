@@ -7,7 +7,7 @@ from functools import cache
 from ..kernel import exported, fma, inlined, vector, void
 from ..maths.exact import clip
 from ..maths.fast import fast_arctangent_of_ratio, fast_cosine, fast_sine
-from .contract import ADVANCE, OBSERVE, CompiledPlant
+from .contract import ADVANCE, OBSERVE, CompiledPlant, State
 from .forces import GRAVITY, SLIP_SPEED_FLOOR, resistance, steering_rate, wind_load
 from .runge_kutta import advance_all, observe_one, slope_of
 from .tyre import TYRE_NAMES, lateral_force
@@ -20,36 +20,37 @@ def right_hand_side(x, u, c, law):
     The tyre is the linear one of eq. (2) or the Magic Formula, at the static load and the axle's mean friction.
     v_x follows the prescribed acceleration where there is one, else m(dv_x/dt - v_y r) = F_x - drag.
     """
-    _, _, yaw, vx, vy, r, _, _, _, _, _, _, angle = x
-    command, force, acceleration, mu0, mu1, mu2, mu3, wind_x, wind_y, bank = u
+    yaw, vx, vy, r = x.yaw, x.vx, x.vy, x.yaw_rate
     ideal = c.steering_lag <= 0.0
-    delta = clip(command, -c.steering_limit, c.steering_limit) if ideal else angle
+    delta = clip(u.command, -c.steering_limit, c.steering_limit) if ideal else x.steering
     weight = 0.5 * c.mass * GRAVITY / (c.lf + c.lr)
     speed = max(vx, SLIP_SPEED_FLOOR)
     slip_f = delta - fast_arctangent_of_ratio(fma(c.lf, r, vy), speed)
     slip_r = -fast_arctangent_of_ratio(fma(-c.lr, r, vy), speed)
-    front = lateral_force(slip_f, weight * c.lr, 0.5 * (mu0 + mu1), c.stiffness_front, c, law)
-    rear = lateral_force(slip_r, weight * c.lf, 0.5 * (mu2 + mu3), c.stiffness_rear, c, law)
-    side, moment, drag = wind_load(yaw, vx, vy, wind_x, wind_y, c)
+    mu_f = 0.5 * (u.friction_front_left + u.friction_front_right)
+    mu_r = 0.5 * (u.friction_rear_left + u.friction_rear_right)
+    front = lateral_force(slip_f, weight * c.lr, mu_f, c.stiffness_front, c, law)
+    rear = lateral_force(slip_r, weight * c.lf, mu_r, c.stiffness_rear, c, law)
+    side, moment, drag = wind_load(yaw, vx, vy, u.wind_x, u.wind_y, c)
     lateral = (2.0 * front + 2.0 * rear + side) * (1.0 / c.mass)
     yawing = (2.0 * c.lf * front - 2.0 * c.lr * rear + moment) * (1.0 / c.yaw_inertia)
-    free = (force - resistance(vx, drag, c)) * (1.0 / c.mass) + vy * r
-    dvx = free if acceleration != acceleration else acceleration
+    free = (u.force - resistance(vx, drag, c)) * (1.0 / c.mass) + vy * r
+    dvx = free if u.acceleration != u.acceleration else u.acceleration
     s, co = fast_sine(yaw), fast_cosine(yaw)
-    return (
-        vx * co - vy * s,
-        vx * s + vy * co,
-        r,
-        dvx,
-        lateral + bank - vx * r,
-        yawing,
-        0.0,
-        0.0,
-        0.0,
-        0.0,
-        0.0,
-        0.0,
-        0.0 if ideal else steering_rate(angle, command, c),
+    return State(
+        x=vx * co - vy * s,
+        y=vx * s + vy * co,
+        yaw=r,
+        vx=dvx,
+        vy=lateral + u.bank - vx * r,
+        yaw_rate=yawing,
+        slip_front_left=0.0,
+        slip_front_right=0.0,
+        slip_rear_left=0.0,
+        slip_rear_right=0.0,
+        felt_ax=0.0,
+        felt_ay=0.0,
+        steering=0.0 if ideal else steering_rate(x.steering, u.command, c),
     )
 
 

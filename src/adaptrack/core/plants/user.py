@@ -10,7 +10,7 @@ import numpy as np
 
 from ..kernel import Caller, columns, exported, inlined, vector, void
 from ..maths.exact import clip
-from .contract import ADVANCE, ENVIRONMENT, INPUT, MOTION, OBSERVE, STATE, CompiledPlant, input_at, state_at
+from .contract import ADVANCE, ENVIRONMENT, INPUT, MOTION, OBSERVE, OBSERVED, STATE, CompiledPlant, input_at, state_at
 from .forces import wheel_angle
 
 RIGHT_HAND_SIDE = void(vector, vector, vector, vector, vector)
@@ -51,11 +51,11 @@ def _runge_kutta_step(member, parameters, x0, angle, command, h, work):
     n, acceleration = x0.size, work[_GIVEN, U.acceleration]
     lag, fastest = parameters[ACTUATOR.lag], parameters[ACTUATOR.rate]
     x, u, around = work[_X, :n], work[_GIVEN, : len(U)], work[_AROUND, :ENVIRONMENT]
-    slope, rise = 0.0, 0.0
+    k, slope, rise = work[_K1, :n], 0.0, 0.0
     for stage in range(4):
         reach = 0.0 if stage == 0 else (h if stage == 3 else 0.5 * h)
         for j in range(n):
-            x[j] = x0[j] + reach * work[_K1 + max(stage - 1, 0), j] if stage > 0 else x0[j]
+            x[j] = x0[j] + reach * k[j] if stage > 0 else x0[j]
         u[U.steering] = angle + reach * slope
         slope = clip((command - u[U.steering]) / lag, -fastest, fastest) if lag > 0.0 else 0.0
         rise += slope * (h / 6.0 if stage == 0 or stage == 3 else h / 3.0)
@@ -84,7 +84,7 @@ def advance(member, parameters, block, states, work, slots, substeps, h):
 @exported(OBSERVE, name="user_observe")
 def observe(member, parameters, block, states, work, slot, seen):
     """See `contract.OBSERVE`."""
-    n = states.shape[1]
+    _, n = states.shape
     command = _read_inputs(parameters, block, slot, work)
     angle = wheel_angle(
         block[state_at(STATE.steering, slot)], command, parameters[ACTUATOR.lag], parameters[ACTUATOR.limit]
@@ -94,8 +94,10 @@ def observe(member, parameters, block, states, work, slot, seen):
     for j in range(n):
         x[j] = states[slot, j]
     call_right_hand_side(member, x, work[_GIVEN, : len(U)], work[_AROUND, :ENVIRONMENT], parameters[OWN:], slope)
-    seen[0] = slope[STATE.vy] + x[STATE.vx] * x[STATE.yaw_rate] - block[input_at(INPUT.bank, slot)]
-    seen[1] = angle
+    seen[OBSERVED.lateral_acceleration] = (
+        slope[STATE.vy] + x[STATE.vx] * x[STATE.yaw_rate] - block[input_at(INPUT.bank, slot)]
+    )
+    seen[OBSERVED.wheel_angle] = angle
 
 
 def layout_of(parameters: Mapping[str, Any]) -> Any:

@@ -41,21 +41,24 @@ def set_entry(v, i, value):
 
 
 @inlined
+def _four(A, i, v, width):
+    """Rows i..i+3 of A times v, each as eight sums: more at once do not fit in the registers of AVX2."""
+    s0 = s1 = s2 = s3 = zeros()
+    for c in range(0, width, WIDTH):
+        entries = load(v, c)
+        s0 = fma8(load(A, i, c), entries, s0)
+        s1 = fma8(load(A, i + 1, c), entries, s1)
+        s2 = fma8(load(A, i + 2, c), entries, s2)
+        s3 = fma8(load(A, i + 3, c), entries, s3)
+    return s0, s1, s2, s3
+
+
+@inlined
 def _dots(count, A, v, width, out):
     """``out[i]`` = row i of A times v for i < count, else 0."""
     for b in range(0, width, WIDTH):
-        s0 = s1 = s2 = s3 = s4 = s5 = s6 = s7 = zeros()
-        for c in range(0, width, WIDTH):
-            entries = load(v, c)
-            s0 = fma8(load(A, b, c), entries, s0)
-            s1 = fma8(load(A, b + 1, c), entries, s1)
-            s2 = fma8(load(A, b + 2, c), entries, s2)
-            s3 = fma8(load(A, b + 3, c), entries, s3)
-            s4 = fma8(load(A, b + 4, c), entries, s4)
-            s5 = fma8(load(A, b + 5, c), entries, s5)
-            s6 = fma8(load(A, b + 6, c), entries, s6)
-            s7 = fma8(load(A, b + 7, c), entries, s7)
-        store(out, b, keep_first(totals((s0, s1, s2, s3, s4, s5, s6, s7)), count - b))
+        sums = _four(A, b, v, width) + _four(A, b + 4, v, width)
+        store(out, b, keep_first(totals(sums), count - b))
 
 
 @inlined

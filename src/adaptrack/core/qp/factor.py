@@ -7,7 +7,7 @@ import math
 from ..kernel import cube, exported, float64, inlined, int64, matrix, several
 from ..maths.exact import sqrt
 from ..maths.vectors import WIDTH, fma8, keep_first, load, mul, padded, splat, spread, store, sub, with_entry, zeros
-from .problem import NON_FINITE, NOT_CONVEX, SOLVED
+from .problem import INVERSE, NON_FINITE, NOT_CONVEX, SOLVED
 
 CONDITION_LIMIT = 1e15
 """E is called singular beyond this bound on its condition number."""
@@ -44,7 +44,7 @@ def _eliminate(n, k, inverse):
 
 @exported(several(int64, float64)(int64, matrix, cube))
 def factorise(n, E, factor):
-    """``factor[0] = L^-1`` (lower triangular, E = L L') and ``factor[1] = E^-1``; returns (status, condition).
+    """Write the planes `INVERSE`: L^-1 (lower triangular, E = L L') and E^-1; returns (status, condition).
 
     Gauss-Jordan elimination of [E | I] in place, without pivoting: E^-1 is left, and row k of the right half, at the
     moment when it becomes the pivot row, is row k of L1^-1 in E = L1 D L1', so L^-1 = D^-1/2 L1^-1.
@@ -53,7 +53,7 @@ def factorise(n, E, factor):
     NON_FINITE when E holds NaN or infinity.
     """
     width = padded(n)
-    inverse_root, inverse = factor[0], factor[1]
+    inverse_root, inverse = factor[INVERSE.root], factor[INVERSE.whole]
     for i in range(n):
         for b in range(0, width, WIDTH):
             store(inverse, i, b, load(E, i, b))

@@ -26,7 +26,7 @@ from typing import Any
 
 import numpy as np
 
-from ..kernel import boolean, cube, float64, inlined, int64, int_vector, matrix, record, several, vector
+from ..kernel import boolean, columns, cube, float64, inlined, int64, int_vector, matrix, record, several, vector
 from ..maths.vectors import WIDTH, padded
 
 SOLVED = 0
@@ -75,24 +75,39 @@ Work = record(
         "index",  # the active rows
     ),
 )
-"""The parts of `Scratch` by name. ``work``: three matrices, each a plane, and nine vectors in n, the rows of a fourth
-plane; ``rows``: four vectors in m, then Hildreth's V (n rows) and H (m rows)."""
+"""The parts of `Scratch` by name."""
+PLANE = columns("T", "inverse_r", "normals", "vectors")
+VECTOR = columns("a", "d", "z", "r", "u", "residual", "step", "active_bounds", "ratios")
+ROW = columns("slack", "bounds", "diagonal", "gradient")
+"""Where they are. ``work``: three matrices, each a plane, and vectors in n, the rows of the fourth plane; ``rows``:
+vectors in m, then Hildreth's V (n rows) and H (m rows)."""
+INVERSE = columns("root", "whole")
+"""The planes that `factor.factorise` writes: inverses of the Cholesky factor of E and of E."""
 
 ACTIVE_SET = several(int64, int64, int64)(Problem, Factor, Solution, Scratch, int64, boolean, int64)
 HILDRETH = several(int64, int64)(Problem, Factor, Solution, Scratch, int64, float64, boolean)
 """Signatures of `active_set.active_set` and `hildreth.hildreth`."""
 
-_PLANES, _VECTORS, ROW_VECTORS = 4, 9, 4
+ROW_VECTORS = len(ROW)
 
 
 @inlined
 def work_of(scratch):
     """The parts of ``scratch`` by name."""
-    p, v, rows = scratch.work, scratch.work[3], scratch.rows
+    planes, rows = scratch.work, scratch.rows
+    v = planes[PLANE.vectors]
     return Work(
-        p[0], p[1], p[2], v[0], v[1], v[2], v[3], v[4], v[5], v[6], v[7], v[8],
-        rows[0], rows[1], rows[2], rows[3], scratch.index,
+        planes[PLANE.T], planes[PLANE.inverse_r], planes[PLANE.normals],
+        v[VECTOR.a], v[VECTOR.d], v[VECTOR.z], v[VECTOR.r], v[VECTOR.u], v[VECTOR.residual], v[VECTOR.step],
+        v[VECTOR.active_bounds], v[VECTOR.ratios],
+        rows[ROW.slack], rows[ROW.bounds], rows[ROW.diagonal], rows[ROW.gradient], scratch.index,
     )  # fmt: skip
+
+
+@inlined
+def factor_of(inverses, condition):
+    """The `Factor` that `factor.factorise` has written."""
+    return Factor(inverses[INVERSE.root], inverses[INVERSE.whole], condition)
 
 
 def workspace_sizes(n_max: int, m_max: int, hildreth: bool = True) -> dict[str, tuple[int, ...]]:
@@ -103,8 +118,8 @@ def workspace_sizes(n_max: int, m_max: int, hildreth: bool = True) -> dict[str, 
     """
     width = padded(n_max)
     return {
-        "factor": (2, n_max, width),
-        "work": (_PLANES, max(width, _VECTORS), width),
+        "factor": (len(INVERSE), n_max, width),
+        "work": (len(PLANE), max(width, len(VECTOR)), width),
         "rows": (ROW_VECTORS + (n_max + m_max if hildreth else 0), padded(m_max)),
         "index": (max(n_max, m_max),),
     }

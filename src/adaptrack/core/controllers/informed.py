@@ -1,0 +1,148 @@
+"""The MPC that knows its car: it predicts from the state x and the disturbance d that an estimator gives.
+
+    Y = F [x(k+1) - x(k); y],   x(k+1) = A x + B u + d,   F: that of the next increment (`condensing.responses`)
+
+Samples that no car gives count as missing, a standing car's wheels stay at rest. It may learn what the car does not say
+of itself (`estimators.learning`), and its command may be ahead of the wheels.
+"""
+
+from __future__ import annotations
+
+import math
+
+from ..estimators import kalman, learning
+from ..estimators.contract import ABSURD, FASTEST, call_estimate
+from ..kernel import exported, float64, inlined, int64, several, vector, void
+from ..maths.bits import whole
+from ..models import path
+from ..models.contract import MEASURED
+from ..qp import problem as qp
+from .constraints import sample_at
+from .contract import STANDING
+from .mpc import ANSWER, MPC, Functions, begin_learning
+from .prediction import compare, complete, discretise, form_model, is_formed, limit_moves, take_tuning
+from .receding import move_on, stand
+
+
+@inlined
+def _leave_out_absurd(speed, measured):
+    """Let samples that no car gives be missing; the speed, NaN where it is one of them."""
+    for sensor in range(kalman.SENSORS):
+        if not abs(measured[sensor]) < ABSURD:
+            measured[sensor] = math.nan
+    if not abs(measured[MEASURED.turned]) < math.pi:
+        measured[MEASURED.turned] = 0.0
+    return speed if abs(speed) < FASTEST else math.nan
+
+
+@inlined
+def _learn(slot, speed, mpc):
+    """Learn from what is measured, and let model and estimator of the slot believe it; the factor on R."""
+    own, out = mpc.informed, mpc.answer[slot]
+    known, command = own.learned[slot], mpc.memory[slot].command
+    left_out = whole(kalman.memory_of(own.estimates[slot], 0).left_out)
+    learning.learn(speed, mpc.measured, command, left_out, own.learner, known)
+    for i in range(len(learning.BELIEFS)):
+        if not math.isfinite(known[learning.ANSWER + i]):
+            begin_learning(slot, own)
+    for i in range(len(learning.BELIEFS)):
+        out[len(ANSWER) + i] = known[learning.ANSWER + i]
+    if math.isfinite(speed):
+        learning.believe(own.learner, known, mpc.parameters, own.estimator, own.estimates[slot])
+        mpc.memory[slot].speed = math.nan  # the model is formed anew
+        if mpc.feed.turning.size > 0:
+            path.write_turning(mpc.parameters, mpc.feed.turning)
+    return out[len(ANSWER) + learning.BELIEF.used_caution]
+
+
+@inlined
+def _keep_model(slot, mpc):
+    """A and B at the speed of the slot, for the estimator."""
+    own, model = mpc.informed, mpc.model
+    for i in range(model.b.size):
+        own.b[slot, i] = model.b[i]
+        for j in range(model.b.size):
+            own.a[slot, i, j] = model.a[i, j]
+
+
+@inlined
+def _estimate(slot, speed, mpc, functions):
+    """State and disturbance at a speed (m/s) by the estimator."""
+    own = mpc.informed
+    mpc.answer[slot, ANSWER.dead_reckoning] = call_estimate(
+        functions.estimate, speed, mpc.measured, mpc.memory[slot].command, own.a[slot], own.b[slot], own.estimator,
+        own.estimates[slot], own.x, own.d,
+    )  # fmt: skip
+
+
+@exported(void(int64, float64, MPC, Functions))
+def _estimate_alone(slot, speed, mpc, functions):
+    """Let the estimator have the samples of a step without a QP."""
+    discretise(speed, mpc, functions)
+    _keep_model(slot, mpc)
+    _estimate(slot, speed, mpc, functions)
+    mpc.memory[slot].speed = math.nan  # the QP's matrices are of another
+
+
+@inlined
+def _next_increment(slot, mpc):
+    """Write x(k+1) - x(k) of the state and disturbance at hand; y (m)."""
+    own, command, output = mpc.informed, mpc.memory[slot].command, 0.0
+    a, b, x, d = own.a[slot], own.b[slot], own.x, own.d
+    for i in range(x.size):
+        output = x[i]
+        total = b[i] * command + d[i] - output
+        for j in range(x.size):
+            total += a[i, j] * x[j]
+        mpc.ws.change[i] = total
+    return output  # the last state
+
+
+@inlined
+def _widen_first_move(slot, mpc):
+    """Let the first move bring the command ahead of the wheels, as far as the actuator follows without its rate limit.
+
+    A first-order lag turns the wheels at (command - angle)/lag, so |command - angle| <= rate lag is what it can do.
+    """
+    settings, own, command = mpc.settings, mpc.informed, mpc.memory[slot].command
+    ahead, first = settings.ahead, sample_at(mpc.ws.bounds, 0)
+    if settings.learns > 0:
+        ahead = learning.ahead_of(ahead, own.learner, own.learned[slot])
+    for i in range(mpc.states.size):
+        if mpc.states[i] == MEASURED.wheel_angle:
+            first.move = max(settings.move_max, own.x[i] + ahead - command)
+            first.move_back = max(-settings.move_min, command - own.x[i] + ahead)
+
+
+@exported(several(int64, int64, int64)(int64, float64, vector, vector, MPC, Functions))
+def form_informed(slot, speed, reference, tuning, mpc, functions):
+    """The QP of eq. (17); see `mpc_step.form_qp`."""
+    settings, own = mpc.settings, mpc.memory[slot]
+    mpc.answer[slot, ANSWER.dead_reckoning] = 0.0
+    speed = _leave_out_absurd(speed, mpc.measured)
+    caution = _learn(slot, speed, mpc) if settings.learns > 0 else 1.0
+    status, n, m = take_tuning(slot, tuning, caution, mpc)
+    speed = max(speed, settings.speed_floor)
+    if status != qp.SOLVED:
+        _estimate_alone(slot, speed, mpc, functions)
+        return status, n, m
+    if not is_formed(slot, speed, mpc):
+        form_model(slot, speed, True, mpc, functions)
+        _keep_model(slot, mpc)
+    _estimate(slot, own.speed, mpc, functions)
+    compare(slot, _next_increment(slot, mpc), reference, mpc)
+    limit_moves(slot, mpc)
+    if settings.ahead > 0.0:
+        _widen_first_move(slot, mpc)
+    complete(slot, speed, n, mpc)
+    return own.factor_status, n, m
+
+
+@inlined
+def step(slot, speed, reference, tuning, mpc, functions):
+    """One step of a slot. Arguments as for `mpc_step.form_qp`."""
+    status, n, m = form_informed(slot, speed, reference, tuning, mpc, functions)
+    if status == qp.SOLVED and abs(speed) < STANDING:
+        stand(slot, mpc)
+    else:
+        move_on(slot, status, n, m, mpc)

@@ -1,0 +1,62 @@
+"""The paper's MPC, eqs. (8) to (17): it predicts from the last increment of the measured state, Y = F [dx; y].
+
+That is the free response under the disturbance that explains the last measurement whole, found dead-beat:
+d(k) = x(k) - A x(k-1) - B u(k-1). Moves are pulses or Laguerre functions, the QP is solved by the active set or by
+Hildreth's procedure. On a curved road state and output count from the path.
+"""
+
+from __future__ import annotations
+
+from ..kernel import exported, float64, inlined, int64, several, vector
+from ..models.contract import MEASURED
+from ..qp import problem as qp
+from .mpc import ANSWER, MPC, Functions
+from .prediction import compare, complete, form_model, is_formed, limit_moves, take_tuning
+from .receding import move_on
+
+
+@inlined
+def _turn_previous(slot, mpc):
+    """Count the state of the last step from the tangent of the path at the present foot."""
+    turned, previous = mpc.measured[MEASURED.turned], mpc.previous[slot]
+    for i in range(mpc.states.size):
+        if mpc.states[i] == MEASURED.yaw:
+            previous[i] -= turned
+        elif mpc.states[i] == MEASURED.y:
+            previous[i] += 0.5 * mpc.memory[slot].speed * mpc.settings.period * turned
+
+
+@inlined
+def _increment(slot, mpc):
+    """Write x(k) - x(k-1), zero at the first step; the measured y (m)."""
+    started, now = mpc.memory[slot].started > 0, 0.0
+    if mpc.settings.curved > 0:
+        _turn_previous(slot, mpc)
+    for i in range(mpc.states.size):
+        now = mpc.measured[mpc.states[i]]
+        mpc.ws.change[i] = now - mpc.previous[slot, i] if started else 0.0 * now
+    return now  # the last state is the output
+
+
+@exported(several(int64, int64, int64)(int64, float64, vector, vector, MPC, Functions))
+def form_published(slot, speed, reference, tuning, mpc, functions):
+    """The QP of eq. (17); see `mpc_step.form_qp`."""
+    settings, own = mpc.settings, mpc.memory[slot]
+    mpc.answer[slot, ANSWER.dead_reckoning] = 0.0
+    status, n, m = take_tuning(slot, tuning, 1.0, mpc)
+    if status != qp.SOLVED:
+        return status, n, m
+    speed = max(speed, settings.speed_floor)
+    if not is_formed(slot, speed, mpc):
+        form_model(slot, speed, False, mpc, functions)
+    compare(slot, _increment(slot, mpc), reference, mpc)
+    limit_moves(slot, mpc)
+    complete(slot, speed, n, mpc)
+    return own.factor_status, n, m
+
+
+@inlined
+def step(slot, speed, reference, tuning, mpc, functions):
+    """One step of a slot. Arguments as for `mpc_step.form_qp`."""
+    status, n, m = form_published(slot, speed, reference, tuning, mpc, functions)
+    move_on(slot, status, n, m, mpc)

@@ -1,0 +1,177 @@
+"""The receding horizon: solve the QP, take the first move of its plan, or what stands in for it, and answer."""
+
+from __future__ import annotations
+
+import math
+
+from ..kernel import exported, inlined, int64, several, void
+from ..maths import vectors
+from ..maths.bits import whole
+from ..maths.exact import clip
+from ..qp import problem as qp
+from ..qp.active_set import active_set
+from ..qp.hildreth import hildreth
+from ..qp.residual import kkt_residual
+from .constraints import ROWS, sample_at
+from .mpc import (
+    ACTIVE_SET,
+    ANSWER,
+    AT_ANGLE,
+    AT_MOVE,
+    AT_OUTPUT,
+    HILDRETH_APPLIED,
+    HILDRETH_THEN_EXACT,
+    MPC,
+    has_output_limits,
+    present,
+)
+
+NEAR = 1e-9
+"""rad, how near to a limit counts as at it."""
+
+
+@inlined
+def _qp_in(slot, n, m, mpc):
+    """The problem, the solution and the scratch of a slot in the workspace."""
+    ws = mpc.ws
+    rows = ws.rows[slot if has_output_limits(mpc.settings) else 0]
+    problem = qp.Problem(n, m, ws.hessian[slot], ws.gradient, rows, ws.bounds)
+    return (
+        problem,
+        qp.Solution(ws.solution, ws.multipliers),
+        qp.Scratch(ws.qp_work[slot], ws.qp_rows, ws.qp_index[slot]),
+    )
+
+
+@exported(several(int64, int64)(int64, int64, int64, MPC))
+def _solve_qp(slot, n, m, mpc):
+    """Solve the QP in the workspace with the solver of the settings: (status, iterations)."""
+    settings, own = mpc.settings, mpc.memory[slot]
+    problem, solution, scratch = _qp_in(slot, n, m, mpc)
+    factor = qp.factor_of(mpc.ws.factor[slot], own.condition)
+    status, iterations = qp.CAPPED, 0
+    if settings.solver != ACTIVE_SET:
+        own.active = 0
+        status, iterations = hildreth(
+            problem, factor, solution, scratch, settings.max_sweeps, settings.tolerance, False
+        )
+    if settings.solver == ACTIVE_SET or (settings.solver == HILDRETH_THEN_EXACT and status == qp.CAPPED):
+        # The rows that were active a period ago are a good guess, and while E stays so does their factor.
+        most = settings.max_changes if settings.max_changes > 0 else qp.CHANGES * (n + m)
+        status, more, active = active_set(problem, factor, solution, scratch, own.active, own.kept > 0, most)
+        own.active, own.kept = active, 1
+        iterations += more
+    return status, iterations
+
+
+@inlined
+def _move_of(settings, sample, solution, moves):
+    """The move at a sample of a plan: its pulse, or the sum of the Laguerre functions there."""
+    if settings.laguerre == 0:
+        return solution[sample]
+    move = 0.0
+    for i in range(settings.terms):
+        move += moves[i, sample] * solution[i]
+    return move
+
+
+@inlined
+def _planned_move(slot, mpc):
+    """The move that the last plan has for this period, zero behind its end."""
+    settings, own = mpc.settings, mpc.memory[slot]
+    own.age += 1
+    last = whole(own.Np) if settings.laguerre > 0 else own.planned
+    if own.planned == 0 or own.age >= last:
+        return 0.0
+    return _move_of(settings, own.age, mpc.plan[slot], mpc.ws.moves)
+
+
+@inlined
+def _residual(slot, n, m, mpc):
+    """Largest KKT residual of the solution in the workspace."""
+    problem, solution, scratch = _qp_in(slot, n, m, mpc)
+    stationarity, primal, dual, complementarity = kkt_residual(problem, solution, scratch)
+    return max(max(stationarity, primal), max(dual, complementarity))
+
+
+@inlined
+def _limits_reached(slot, move, angle, m, mpc):
+    """Sum of AT_MOVE, AT_ANGLE, AT_OUTPUT for the limits at which a solved step is; move: beyond that of the road."""
+    settings, first = mpc.settings, sample_at(mpc.ws.bounds, 0)
+    at_limit = 0
+    if move <= -first.move_back + NEAR or move >= first.move - NEAR:
+        at_limit |= AT_MOVE
+    if angle <= settings.angle_min + NEAR or angle >= settings.angle_max - NEAR:
+        at_limit |= AT_ANGLE
+    if has_output_limits(settings):
+        for j in range(ROWS * whole(mpc.answer[slot, ANSWER.Nc]), m):
+            if mpc.ws.multipliers[j] > 0.0:
+                return at_limit | AT_OUTPUT
+    return at_limit
+
+
+@inlined
+def _remember(slot, angle, mpc):
+    """What the next step needs of this one."""
+    own = mpc.memory[slot]
+    own.command = angle
+    for i in range(mpc.states.size):
+        now = mpc.measured[mpc.states[i]]
+        if math.isfinite(now):
+            mpc.previous[slot, i] = now
+    own.started = 1
+
+
+@exported(void(int64, int64, int64, int64, int64, MPC))
+def apply_move(slot, status, iterations, n, m, mpc):
+    """Take the first move of the solution in the workspace, or what stands in for it; write the answer of the step.
+
+    n, m: sizes of the QP. A move is taken when its QP is solved, or capped under HILDRETH_APPLIED; a capped one is
+    clipped to its limits. Where nothing solves, the next move of the last plan is taken, none when the data are not
+    finite, and the answer says `held`.
+    """
+    settings, own, out, ws = mpc.settings, mpc.memory[slot], mpc.answer[slot], mpc.ws
+    usable = status == qp.SOLVED or (status == qp.CAPPED and settings.solver == HILDRETH_APPLIED)
+    move = _move_of(settings, 0, ws.solution, ws.moves) if usable else 0.0
+    usable = usable and math.isfinite(move)
+    if usable:
+        for b in range(0, vectors.padded(n), vectors.WIDTH):
+            vectors.store(mpc.plan, slot, b, vectors.load(ws.solution, b))
+        own.planned, own.age = n - (1 if has_output_limits(settings) else 0), 0  # the slack is no move
+    else:
+        planned = _planned_move(slot, mpc)
+        move = 0.0 if status == qp.NON_FINITE else planned
+    out[ANSWER.qp_residual] = _residual(slot, n, m, mpc) if usable and settings.residuals > 0 else math.nan
+    of_road = present(mpc.feed.moves, 0).now if settings.feeds_forward > 0 and status != qp.NON_FINITE else 0.0
+    if usable:
+        first = sample_at(ws.bounds, 0)
+        move = clip(move, -first.move_back, first.move)
+        total = move + of_road
+    else:
+        total = clip(move + of_road, settings.move_min, settings.move_max)
+    angle = clip(own.command + total, settings.angle_min, settings.angle_max)
+    out[ANSWER.command], out[ANSWER.command_change] = angle, angle - own.command
+    out[ANSWER.qp_status], out[ANSWER.qp_iterations] = status, iterations
+    out[ANSWER.held] = 0.0 if usable else 1.0
+    out[ANSWER.at_limit] = _limits_reached(slot, move, angle, m, mpc) if usable else 0.0
+    _remember(slot, angle, mpc)
+
+
+@inlined
+def move_on(slot, status, n, m, mpc):
+    """Solve the QP in the workspace, if it is one, and take its first move."""
+    iterations = 0
+    if status == qp.SOLVED:
+        status, iterations = _solve_qp(slot, n, m, mpc)
+    apply_move(slot, status, iterations, n, m, mpc)
+
+
+@inlined
+def stand(slot, mpc):
+    """Leave the wheels of a standing car at rest."""
+    own, out = mpc.memory[slot], mpc.answer[slot]
+    angle = clip(own.command, mpc.settings.angle_min, mpc.settings.angle_max)
+    out[ANSWER.command], out[ANSWER.command_change], out[ANSWER.held] = angle, angle - own.command, 0.0
+    out[ANSWER.qp_status], out[ANSWER.qp_iterations], out[ANSWER.qp_residual] = qp.SOLVED, 0, 0.0
+    out[ANSWER.at_limit] = 0.0
+    _remember(slot, angle, mpc)

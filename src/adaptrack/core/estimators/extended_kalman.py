@@ -1,0 +1,84 @@
+"""The extended Kalman filter: what a filter's model does with its Jacobians is done here, once for all filters.
+
+    predict   x = f(x),  P = F P F' + Q,  F = df/dx
+    correct   s = h P h' + R,  x += P h' nu/s,  P -= P h' h P/s      nu: innovation of one sensor, h its row of dh/dx
+
+P stays symmetric to the bit: what is done to an entry is done to its mirror image.
+
+A model predicts x itself, adds Q, and names its states and sensors. Sensors are taken in one by one, so that nothing
+has to be inverted. Rows are padded to the vector width, with zeros. Source: D. Simon, *Optimal State Estimation*
+(2006), chapters 5, 6.1 (scalar updates) and 13.2.
+"""
+
+from __future__ import annotations
+
+from ..kernel import inlined
+from ..maths.exact import clip, sqrt
+from ..maths.vectors import WIDTH, fma8, load, mul, splat, spread, store, sub, total, zeros
+
+
+@inlined
+def carry(mixed, kept, covariance, scratch):
+    """P = F P F' of states of which the first mix and each other one keeps a share of itself.
+
+    mixed: the first rows of F (m, .); kept: the diagonal of the others (n,), the first m of no account; covariance: P
+    (n, .); scratch (m, .).
+    """
+    m, n, width = mixed.shape[0], covariance.shape[0], covariance.shape[1]
+    for i in range(m):
+        for b in range(0, width, WIDTH):
+            row = zeros()
+            for k in range(n):
+                row = fma8(spread(mixed, i, k), load(covariance, k, b), row)
+            store(scratch, i, b, row)
+    for i in range(m):
+        for j in range(i + 1):
+            products = zeros()
+            for b in range(0, width, WIDTH):
+                products = fma8(load(scratch, i, b), load(mixed, j, b), products)
+            covariance[i, j] = total(products)
+            covariance[j, i] = covariance[i, j]
+    for i in range(m, n):
+        share = splat(kept[i])
+        for b in range(0, width, WIDTH):
+            store(covariance, i, b, mul(mul(share, load(kept, b)), load(covariance, i, b)))
+        for j in range(m):
+            covariance[i, j] = kept[i] * scratch[j, i]
+            covariance[j, i] = covariance[i, j]
+
+
+@inlined
+def scatter(variance, h, covariance, cross):
+    """The variance of an innovation, h P h' + R, R being that of the sensor's noise; writes P h' to `cross`."""
+    n, width = covariance.shape[0], covariance.shape[1]
+    for b in range(0, width, WIDTH):
+        row = zeros()
+        for i in range(n):
+            if h[i] != 0.0:
+                row = fma8(splat(h[i]), load(covariance, i, b), row)
+        store(cross, b, row)
+    for i in range(n):
+        variance += h[i] * cross[i]
+    return variance
+
+
+@inlined
+def bounded(innovation, variance, bound):
+    """An innovation up to so many of its standard deviations: an outlier moves the state no further."""
+    reach = bound * sqrt(variance)
+    return clip(innovation, -reach, reach)
+
+
+@inlined
+def correct(innovation, variance, cross, x, covariance):
+    """x += g nu/sqrt(s), P -= g g', g = P h'/sqrt(s), for an innovation nu of variance s.
+
+    cross: P h' as `scatter` has left it; g after.
+    """
+    width, scale = covariance.shape[1], 1.0 / sqrt(variance)
+    for b in range(0, width, WIDTH):
+        store(cross, b, mul(splat(scale), load(cross, b)))
+        store(x, b, fma8(splat(scale * innovation), load(cross, b), load(x, b)))
+    for i in range(covariance.shape[0]):
+        for b in range(0, width, WIDTH):
+            store(covariance, i, b, sub(load(covariance, i, b), mul(spread(cross, i), load(cross, b))))

@@ -1,0 +1,289 @@
+"""One control period of runs, in two halves between which a controller stands.
+
+    locate -> judge -> sense -> (look -> estimate friction and wind)      before_control
+    control                                                                the controller's, compiled or in Python
+    actuate -> note -> count                                               after_control
+    advance                                                                move: all vehicles at once
+
+`rollout` drives batches to their end, `episode` a few periods at a time, `closed_loop` one run around any controller.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from .estimators import friction_wind
+from .kernel import (
+    Place,
+    columns,
+    cube,
+    exported,
+    float64,
+    inlined,
+    int64,
+    int_vector,
+    matrix,
+    record,
+    rows,
+    several,
+    vector,
+    void,
+)
+from .loop import (
+    NEVER_ARRIVED,
+    NOT_FINITE,
+    RUNNING,
+    SETTINGS,
+    SIGNAL,
+    STOPPED,
+    Memory,
+    actuate,
+    change_command,
+    forget,
+    judge,
+    locate,
+    look,
+    sense,
+    substeps_around_change,
+)
+from .plants.contract import INPUTS, STATES, Vehicles, advance, input_at, observe, place_one, state_at
+from .road import Roads
+from .variables import VARIABLES
+
+FEATURES = (
+    "late",  # sensors give what there was some time ago
+    "variables",  # somebody looks at the scheduling variables
+    "estimates",  # of which friction and wind are estimated
+    "traces",  # what happens at every instant is kept
+    "law",  # a control law drives, not the MPC
+)
+Features = record("Features", FEATURES, whole=FEATURES)
+"""What a batch of runs does, 1 or 0."""
+
+RESULT = record(
+    "Result",
+    (
+        "squared_error",  # m^2, sum over the control instants of (Y - y_ref)^2; inf when the run has failed
+        "squared_move",  # rad^2, sum of the squared changes of the command
+        "largest_error",  # m
+        "instants",  # control instants completed
+        "ended",  # RUNNING when the run came to its end, else why it ended, see `loop`
+        "ended_at",  # s
+        "capped",  # steps whose QP stopped at its cap
+        "unsolved",  # steps without a solution of the QP (infeasible, not finite, not convex)
+        "held",  # steps whose controller had nothing new to apply
+        "limited",  # steps at some limit
+        "iterations",  # of the QP solver, summed
+    ),
+    whole=("instants", "ended", "capped", "unsolved", "held", "limited", "iterations"),
+)
+"""What is measured of each run."""
+
+Given = record("Given", (("signals", cube), ("roads", Roads), ("scenario", int_vector), ("seeds", int_vector)))
+"""What happens: signals (scenarios, SIGNAL, instants) and roads of the scenarios; which of them a slot drives, and its
+noise seed (slots,)."""
+
+Perceiving = record(
+    "Perceiving", (("parameters", vector), ("settings", vector), ("memory", rows(friction_wind.Memory)))
+)
+"""An estimator of friction and wind for the scheduler (see `estimators.friction_wind`): the vehicle that it believes
+in, its settings, its memory (slots,)."""
+
+NOTED = columns("lateral_acceleration", "wheel_angle", "station", "offset", "heading_error")
+"""Of an instant: `plants.contract.OBSERVED` under the new input (m/s^2, rad), then where the car is on its road (m, m,
+rad)."""
+Trace = record("Trace", (("state", cube), ("answer", cube), ("seen", cube)))
+"""Of every instant: state (slots, periods, STATES), the controller's answer with the tuning as used (slots, periods,
+.), NOTED (slots, periods, NOTED)."""
+
+LOOP = (
+    ("settings", SETTINGS),
+    ("features", Features),
+    ("vehicles", Vehicles),
+    ("given", Given),
+    ("perceiving", Perceiving),
+    ("measured", vector),  # (MEASURED,)
+    ("variables", vector),  # (variables.VARIABLES,)
+    ("memory", Memory),
+    ("result", rows(RESULT)),  # (slots,)
+    ("ceiling", vector),  # (slots,) sum of squared error plus weight times squared move at which a run stops; NaN: none
+    ("segments", matrix),  # (slots, .) cost of each segment of a run
+    ("trace", Trace),
+)
+Loop = record("Loop", LOOP)
+"""Runs around a controller. Kernels take it or a record that begins with the same fields, such as `rollout.Run`."""
+
+Span = record("Span", ("periods", "slots", "segment", "weight"), whole=("periods", "slots", "segment"))
+"""What is driven: control periods, slots in use, periods of a segment (0: none is counted), and the weight of the
+squared moves in the cost (m^2/rad^2)."""
+
+
+def no_trace() -> Any:
+    """No trace."""
+    return Trace(*[np.zeros((0, 0, 0))] * 3)
+
+
+def traces(slots: int, periods: int, answers: int) -> Any:
+    """Traces before the first instant, NaN, with so many columns of answers."""
+    return Trace(*[np.full((slots, periods, width), math.nan) for width in (STATES, answers, len(NOTED))])
+
+
+def no_estimator() -> Any:
+    """Nobody estimates friction and wind."""
+    return Perceiving(np.zeros(0), np.zeros(0), friction_wind.Memory.new(0))
+
+
+@inlined
+def begin_slot(slot, run):
+    """Before the first instant: the vehicle at its start, nothing remembered, nothing counted."""
+    found, vehicles = run.result[slot], run.vehicles
+    found.squared_error, found.squared_move, found.largest_error, found.instants = 0.0, 0.0, 0.0, 0
+    found.ended, found.ended_at, found.capped, found.unsolved, found.held = RUNNING, 0.0, 0, 0, 0
+    found.limited, found.iterations = 0, 0
+    place_one(slot, vehicles.start, vehicles.block, vehicles.states)
+    for j in range(INPUTS):
+        vehicles.block[input_at(j, slot)] = 0.0
+    forget(slot, run.memory)
+
+
+# -- until the controller knows all that it is given ------------------------------------------------------------------
+@inlined
+def before_control(slot, span, run):
+    """From an instant until everything is known that the controller is given.
+
+    A run that fails says so in `memory`; the instant at the end of the last period is not judged. Nothing is measured
+    of a car whose state is not finite.
+    """
+    own = run.memory.own[slot]
+    locate(slot, run)
+    if own.instant < span.periods:
+        _judge_and_count(slot, span, run)
+    if own.ended == NOT_FINITE:
+        return
+    sense(slot, run)
+    if run.features.variables:
+        look(slot, run.measured, run)
+    if run.features.estimates:
+        _estimate_friction_and_wind(slot, run)
+
+
+@inlined
+def _judge_and_count(slot, span, run):
+    """Judge the run; count its error, unless it ends here."""
+    own, found, block = run.memory.own[slot], run.result[slot], run.vehicles.block
+    k = own.instant
+    own.error = own.offset - run.given.signals[run.given.scenario[slot], SIGNAL.y_ref, k]
+    own.ended = judge(slot, run)
+    if run.features.traces:
+        for j in range(STATES):
+            run.trace.state[slot, k, j] = block[state_at(j, slot)]
+    if own.ended != RUNNING:
+        own.ended_at = k * run.settings.period
+        return
+    squared = own.error * own.error
+    found.squared_error += squared
+    if span.segment > 0:
+        run.segments[slot, k // span.segment] += squared
+    found.largest_error = max(found.largest_error, abs(own.error))
+    found.instants += 1
+
+
+@inlined
+def _estimate_friction_and_wind(slot, run):
+    """Let the scheduling variables have friction and wind as they are estimated."""
+    own, knowing = run.memory.own[slot], run.perceiving
+    friction_wind.estimate(
+        slot, run.measured, own.speed, own.command, math.nan, knowing.parameters, knowing.settings, knowing.memory
+    )
+    run.variables[VARIABLES.friction] = knowing.memory[slot].friction
+    run.variables[VARIABLES.wind] = knowing.memory[slot].wind
+
+
+# -- from the controller's command on ---------------------------------------------------------------------------------
+@inlined
+def after_control(slot, command, change, span, run):
+    """From the controller's command and its change (rad) until the vehicle is about to move.
+
+    The run ends when its cost has reached its ceiling.
+    """
+    own, found = run.memory.own[slot], run.result[slot]
+    actuate(slot, command, run)
+    if run.features.traces:
+        _note(slot, run)
+    found.squared_move += change * change
+    if span.segment > 0:
+        run.segments[slot, own.instant // span.segment] += span.weight * change * change
+    if found.squared_error + span.weight * found.squared_move >= run.ceiling[slot]:
+        own.ended = STOPPED
+    own.instant += 1
+
+
+@inlined
+def _note(slot, run):
+    """Trace what an observer sees under the new input, and where the car is."""
+    own = run.memory.own[slot]
+    row = run.trace.seen[slot, own.instant]
+    observe(slot, run.vehicles, row)
+    row[NOTED.station], row[NOTED.offset], row[NOTED.heading_error] = own.station, own.offset, own.heading_error
+
+
+@inlined
+def move(slots, run):
+    """Move the vehicles on to the next instant; within the period the next command begins to act."""
+    world = run.settings
+    before, after = substeps_around_change(world)
+    if before > 0:
+        advance(slots, before, world.dead_share * world.period / before, run.vehicles)
+        change_command(slots, run)
+    advance(slots, after, (1.0 - world.dead_share) * world.period / after, run.vehicles)
+
+
+@inlined
+def close(slot, run):
+    """Say of a run that is over how it ended: one whose car never came near its reference has failed at once."""
+    own, found = run.memory.own[slot], run.result[slot]
+    if own.arrived == 0 and own.ended != STOPPED:
+        own.ended, own.ended_at = NEVER_ARRIVED, 0.0
+    found.ended, found.ended_at = own.ended, own.ended_at
+    if own.ended != RUNNING and own.ended != STOPPED:
+        found.squared_error = math.inf
+
+
+# -- one run around a controller in Python ----------------------------------------------------------------------------
+@exported(void(Span, Place(Loop)))
+def sense_one(span, run):
+    """`before_control` of the only slot."""
+    before_control(0, span, run)
+
+
+@exported(void(float64, float64, Span, Place(Loop)))
+def send_one(command, change, span, run):
+    """`after_control` of the only slot."""
+    after_control(0, command, change, span, run)
+
+
+@exported(void(Place(Loop)))
+def move_one(run):
+    """`move`, of the only slot."""
+    move(1, run)
+
+
+@exported(void(Place(Loop)))
+def close_one(run):
+    """`close`, of the only slot."""
+    close(0, run)
+
+
+@exported(several(int64, int64)(Place(Loop)))
+def substeps_of(run):
+    """`loop.substeps_around_change`, for a plant that moves outside the kernels."""
+    return substeps_around_change(run.settings)
+
+
+@exported(void(Place(Loop)))
+def change_command_of_one(run):
+    """`loop.change_command`, of the only slot, for a plant that moves outside the kernels."""
+    change_command(1, run)

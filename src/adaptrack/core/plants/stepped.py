@@ -1,0 +1,25 @@
+"""A plant that is moved outside the kernels: whoever moves it writes its state to the batch."""
+
+from __future__ import annotations
+
+from ..kernel import columns, exported
+from .contract import INPUT, MOTION, OBSERVE, OBSERVED, STATE, CompiledPlant, input_at, state_at
+from .forces import wheel_angle
+
+ACTUATOR = columns("lag", "limit")
+"""Its parameters: those of the steering, s and rad."""
+LATERAL_ACCELERATION = MOTION
+"""Its own states are the motion, then the lateral acceleration (m/s^2) over the last period."""
+
+
+@exported(OBSERVE, name="stepped_observe")
+def observe(member, parameters, block, states, work, slot, seen):
+    """See `contract.OBSERVE`."""
+    seen[OBSERVED.lateral_acceleration] = states[slot, LATERAL_ACCELERATION]
+    seen[OBSERVED.wheel_angle] = wheel_angle(
+        block[state_at(STATE.steering, slot)], block[input_at(INPUT.command, slot)],
+        parameters[ACTUATOR.lag], parameters[ACTUATOR.limit],
+    )  # fmt: skip
+
+
+STEPPED = CompiledPlant(right_hand_side=None, advance=None, observe=observe)
