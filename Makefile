@@ -65,8 +65,8 @@ docs: install ## build the documentation: docs/_build/html/index.html
 	$(BIN)/sphinx-build --quiet --fail-on-warning --keep-going -b html docs docs/_build/html
 
 bench: install ## time one control step and the compiled batch of runs
-	$(BIN)/adaptrack bench step --json
-	$(BIN)/adaptrack bench rollout --json
+	$(BIN)/python -m tools.bench step --json
+	$(BIN)/python -m tools.bench rollout --json
 
 install-extras: install requirements-extras.lock ## install also what others bring: CommonRoad's roads and cars, Gymnasium, the peers of the benchmarks
 	$(PIP) install --no-deps --only-binary :all: --require-hashes -r requirements-extras.lock

@@ -260,8 +260,8 @@ def users_estimator(at: Any) -> Any:
 
 def users_solver() -> Any:
     """A QP solver of a user's: the package's own, called from Python."""
-    from adaptrack.qp import QPSolver
-    from adaptrack.qp.active_set import ActiveSet
+    from adaptrack.control.qp import QPSolver
+    from adaptrack.control.qp.active_set import ActiveSet
 
     class Own(QPSolver):
         name = "own"
@@ -287,8 +287,8 @@ def given_to_controllers(at: Any) -> Named:
 
 def qp_solvers() -> dict[str, Any]:
     """Every setting of our QP solvers."""
-    from adaptrack.qp.active_set import ActiveSet
-    from adaptrack.qp.hildreth import Hildreth
+    from adaptrack.control.qp.active_set import ActiveSet
+    from adaptrack.control.qp.hildreth import Hildreth
 
     return {
         "active-set": ActiveSet(), "active-set, 2 changes": ActiveSet(2),
@@ -490,7 +490,7 @@ def friction_estimator(at: Any) -> Named:
 
 def compiled_steps(at: Any) -> Named:
     """Random cases of MPCs and hostile inputs inside the kernels: how many claims they break (none)."""
-    from adaptrack.fuzz.batch import search_compiled
+    from tools.fuzz.batch import search_compiled
 
     found = search_compiled(60_000, 1)
     yield "steps, broken claims", np.array([*found.steps.values(), len(found.failed)])
@@ -530,7 +530,7 @@ def right_hand_sides(at: Any) -> Named:
 
 def open_loops(at: Any) -> Named:
     """Every plant under given angles, its speed held and coasting."""
-    from adaptrack.manoeuvres.open_loop import Surroundings, drive_open_loop
+    from adaptrack.comparison.manoeuvres.open_loop import Surroundings, drive_open_loop
 
     def steer(t: Array) -> Array:
         return np.outer(np.linspace(0.01, 0.12, 40), np.sin(2.0 * t))
@@ -689,7 +689,7 @@ def batches(at: Any) -> Named:
 
 def run_sets(at: Any) -> Named:
     """Costs, costs of segments, counts and traces of policies on common runs, as evaluations drive them."""
-    from adaptrack.runs import RunSet
+    from adaptrack.tuning.runs import RunSet
 
     car = paper(at)
     plant = at.DualTrack(car, "magic-formula")
@@ -758,7 +758,7 @@ def tuning(at: Any) -> Named:
 
 def schedules(at: Any) -> Named:
     """Every kind of function and guard, asked for rows of scheduling variables within and beyond their domain."""
-    from adaptrack.scheduling import Network, StabilityMap, Sugeno, Table
+    from adaptrack.control.scheduling import Network, StabilityMap, Sugeno, Table
 
     rng, inputs = random("schedules"), ("speed", "y_ref", "friction", "wind")
     domain = np.array([(3.0, 27.0), (-15.0, 15.0), (0.5, 0.9), (-30.0, 30.0)])
@@ -915,7 +915,7 @@ def generated_roads(at: Any) -> Named:
 
 def models(at: Any) -> Named:
     """Prediction models and Laguerre functions: matrices and responses over speeds."""
-    from adaptrack.models import laguerre_basis
+    from adaptrack.control.models import laguerre_basis
 
     car = paper(at)
     made = {
@@ -935,7 +935,7 @@ def models(at: Any) -> Named:
 
 def stability(at: Any) -> Named:
     """The map of modulus margins that a guard reads: models, laws and estimators linearised."""
-    from adaptrack.stability import loop_map
+    from adaptrack.analysis.stability import loop_map
 
     car = paper(at)
     nodes = [20.0, 40.0], [2.0, 8.0], [2.0, 4.0]
@@ -947,9 +947,10 @@ def stability(at: Any) -> Named:
 
 def quadratic_programmes(at: Any) -> Named:
     """A corpus of the controllers' problems through our solvers: solutions, multipliers, iterations, residuals."""
-    from adaptrack.qp.active_set import ActiveSet
-    from adaptrack.qp.hildreth import Hildreth
-    from adaptrack.qp_corpus import chunk
+    from tools.qp_corpus import chunk
+
+    from adaptrack.control.qp.active_set import ActiveSet
+    from adaptrack.control.qp.hildreth import Hildreth
 
     problems = chunk(0)
     yield (

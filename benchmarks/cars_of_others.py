@@ -19,8 +19,8 @@ import numpy as np
 from what_pays import FAILED
 
 import adaptrack as at
-from adaptrack.batch import rollout_batch
-from adaptrack.commonroad_plants import CARS, MODELS, commonroad_plant, commonroad_vehicle
+from adaptrack.drive.batch import rollout_batch
+from adaptrack.peers.commonroad_plants import CARS, MODELS, commonroad_plant, commonroad_vehicle
 from adaptrack.scenario import random_drive
 
 DRIVES = 23_000_000

@@ -20,17 +20,26 @@ from typing import Any, NamedTuple
 
 PACKAGE = "adaptrack"
 ROOMS = (
-    "errors", "registry", "limits", "files", "core", "vehicle", "profile", "plant", "scenario", "models",
-    "estimation", "kalman", "qp", "controllers", "scheduling", "trajectory", "failure", "metrics", "world", "batch",
-    "simulate", "linearisation", "stability", "certify", "feasibility", "runs", "tuning", "dataset", "learning",
-    "adaptation", "comparison", "studies", "report", "cli",
+    "base", "core", "cars", "road", "scenario", "control", "drive", "analysis", "identification", "tuning", "learning",
+    "comparison", "studies", "results", "peers", "gym", "cli",
 )  # fmt: skip
 """The rooms in the order of the data flow: a module imports from its own room and from those before it."""
 FORMERLY = {
-    "kernels": "core", "toml_files": "files", "prediction": "models", "mpc": "controllers", "schedule": "scheduling",
-    "closed_loop": "adaptation", "evaluate": "comparison", "adapt": "studies", "benchmark": "cli",
+    **dict.fromkeys(("errors", "registry", "limits", "files", "toml_files", "arguments", "progress"), "base"),
+    "kernels": "core",
+    **dict.fromkeys(("vehicle", "tyre_file", "tyre_table", "tyre_fit", "known_within", "outline", "domain"), "cars"),
+    **dict.fromkeys(("data_sheet", "plant"), "cars"),
+    "profile": "scenario",
+    **dict.fromkeys(("models", "estimation", "kalman", "qp", "controllers", "mpc"), "control"),
+    **dict.fromkeys(("scheduling", "schedule", "tracker"), "control"),
+    **dict.fromkeys(("world", "closed_loop", "simulate", "batch", "trajectory", "failure", "metrics"), "drive"),
+    **dict.fromkeys(("path_metrics", "prediction"), "drive"),
+    **dict.fromkeys(("linearisation", "stability", "certify", "feasibility"), "analysis"),
+    **dict.fromkeys(("runs", "dataset"), "tuning"),
+    "adaptation": "learning", "evaluate": "comparison", "manoeuvres": "comparison", "adapt": "studies",
+    **dict.fromkeys(("process_plant", "commonroad_plants"), "peers"), "report": "results",
 }  # fmt: skip
-"""Rooms of earlier versions by what they became."""
+"""Rooms and modules of earlier versions by the room that they became a part of."""
 KERNELS = (f"{PACKAGE}.core.", f"{PACKAGE}.kernels.")
 CALLING = tuple(f"{PACKAGE}.{name}" for name in ("core.kernel", "core.library", "kernels.abi", "kernels.stored"))
 """What a process imports to call a kernel."""
@@ -76,9 +85,63 @@ def measure(package: Path) -> dict[str, Any]:
             if _rank(other) > _rank(name)
         ],
         "repeated lines": {"lines": repeated, "share": repeated / lines},
+        "lines by room": [f"{name}: {n:,}" for name, n in _lines_by_room(modules)],
+        "loose modules": sorted(name for name in modules if name.count(".") == 1 and not modules[name].is_package),
+        "import circles between files": [" ".join(sorted(each)) for each in _circles(imports)],
+        "imports inside functions": sum(_imports_inside(module.tree) for module in modules.values()),
+        "public names": len(_public(modules[PACKAGE].tree)),
+        "class names used twice": _names_used_twice(modules),
         "lines imported to call a kernel": sum(modules[name].lines for name in CALLING if name in modules),
         "counted places in vectors": [f"{name}: {n}" for name, n in _counted_places(modules)],
     }
+
+
+def _lines_by_room(modules: Mapping[str, Module]) -> list[tuple[str, int]]:
+    """The largest first."""
+    found: dict[str, int] = defaultdict(int)
+    for name, module in modules.items():
+        found[_room(name) or PACKAGE] += module.lines
+    return sorted(found.items(), key=lambda each: -each[1])
+
+
+def _circles(imports: Mapping[str, set[str]]) -> list[set[str]]:
+    """Files that import each other, directly or not: the strongly connected parts of more than one file."""
+    reached: dict[str, set[str]] = {}
+    for name in imports:
+        seen: set[str] = set()
+        waiting = [name]
+        while waiting:
+            for each in imports.get(waiting.pop(), set()) - seen:
+                seen.add(each)
+                waiting.append(each)
+        reached[name] = seen
+    circles: list[set[str]] = []
+    for name in imports:
+        circle = {each for each in reached[name] if name in reached.get(each, set())} | {name}
+        if len(circle) > 1 and circle not in circles:
+            circles.append(circle)
+    return sorted(circles, key=len, reverse=True)
+
+
+def _imports_inside(tree: ast.AST) -> int:
+    """Imports of the package itself inside functions."""
+    inside = {
+        id(node)
+        for function in _functions(tree)
+        for node in ast.walk(function)
+        if isinstance(node, ast.ImportFrom) and (node.level or (node.module or "").startswith(PACKAGE))
+    }
+    return len(inside)
+
+
+def _names_used_twice(modules: Mapping[str, Module]) -> list[str]:
+    """Names of public classes that stand for several."""
+    places: dict[str, list[str]] = defaultdict(list)
+    for name, module in modules.items():
+        for node in module.tree.body:
+            if isinstance(node, ast.ClassDef) and not node.name.startswith("_"):
+                places[node.name].append(name)
+    return [f"{name}: {', '.join(each)}" for name, each in sorted(places.items()) if len(each) > 1]
 
 
 def _counted_places(modules: Mapping[str, Module]) -> list[tuple[str, int]]:
@@ -86,7 +149,10 @@ def _counted_places(modules: Mapping[str, Module]) -> list[tuple[str, int]]:
     found = []
     for name, module in modules.items():
         kernels = name.startswith(KERNELS) and ".build" not in name
-        places = [each.slice for each in ast.walk(module.tree) if isinstance(each, ast.Subscript)] if kernels else []
+        read = [each for each in ast.walk(module.tree) if kernels and isinstance(each, ast.Subscript)]
+        places = [
+            each.slice for each in read if not (isinstance(each.value, ast.Attribute) and each.value.attr == "shape")
+        ]
         literal = sum(isinstance(each, ast.Constant) and isinstance(each.value, int) for each in places)
         computed = sum(
             isinstance(each, ast.BinOp) and any(isinstance(part, ast.Constant) for part in ast.walk(each))

@@ -18,11 +18,11 @@ import numpy as np
 from what_pays import FAILED, costs
 
 import adaptrack as at
-from adaptrack.kalman import SENSORS, Drifts, KalmanFilter
-from adaptrack.models import PathModel
-from adaptrack.profile import load_profile
+from adaptrack.control.kalman import SENSORS, Drifts, KalmanFilter
+from adaptrack.control.models import PathModel
+from adaptrack.drive.simulate import rollout
 from adaptrack.scenario import Scenario, random_drive
-from adaptrack.simulate import rollout
+from adaptrack.scenario.profile import load_profile
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
 from textbook_filter import TextbookFilter

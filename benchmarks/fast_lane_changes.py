@@ -12,13 +12,13 @@ import itertools
 
 import numpy as np
 
+from adaptrack.cars.plant import DualTrack
+from adaptrack.cars.vehicle import load_vehicle
 from adaptrack.comparison.statistics import geometric_mean, ratio
-from adaptrack.controllers import MPC
-from adaptrack.plant import DualTrack
-from adaptrack.runs import operating_point_runs
-from adaptrack.scheduling import load_scheduler
+from adaptrack.control.controllers import MPC
+from adaptrack.control.scheduling import load_scheduler
 from adaptrack.tuning.operating_points import sobol
-from adaptrack.vehicle import load_vehicle
+from adaptrack.tuning.runs import operating_point_runs
 
 GRID = list(itertools.product((20.0, 30.0, 45.0), (5.0, 10.0, 15.0), (1.0,), (1.0, 3.0, 6.0, 12.0, 25.0)))
 """Np, Nc, Q, R"""

@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 
 import adaptrack as at
-from adaptrack.errors import InvalidInput
+from adaptrack.base.errors import InvalidInput
 from adaptrack.identification import RandomCar, random_car
 from adaptrack.identification.from_log import fitted, prepare, reported
 from adaptrack.identification.quantities import degrees_per_g

@@ -21,10 +21,10 @@ from dataclasses import asdict, dataclass
 import numba
 import numpy as np
 
+from adaptrack.cars.plant import DualTrack, Plant, SingleTrack
+from adaptrack.cars.vehicle import GRAVITY, load_tyre, load_vehicle
 from adaptrack.core.plants.contract import INPUTS, SLOTS, STATES, place, vehicle_batch
-from adaptrack.plant import DualTrack, Plant, SingleTrack
-from adaptrack.profile import load_profile
-from adaptrack.vehicle import GRAVITY, load_tyre, load_vehicle
+from adaptrack.scenario.profile import load_profile
 
 DURATION = 5.0  # s
 FINER = 20

@@ -34,16 +34,16 @@ from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import StandardScaler
 
 import adaptrack as at
-from adaptrack.batch import Batch
-from adaptrack.controllers import Learning, Uncertainty
+from adaptrack.cars.vehicle import Steering, Vehicle
+from adaptrack.control.controllers import Learning, Uncertainty
 from adaptrack.core.controllers.mpc import ANSWER
 from adaptrack.core.estimators.learning import BELIEF
 from adaptrack.core.plants.contract import STATE
+from adaptrack.drive.batch import Batch
 from adaptrack.identification.random_cars import CarRanges, random_car
 from adaptrack.learning import ANFIS
-from adaptrack.profile import Profile, load_profile
 from adaptrack.scenario import random_drive
-from adaptrack.vehicle import Steering, Vehicle
+from adaptrack.scenario.profile import Profile, load_profile
 
 Array = NDArray[np.float64]
 

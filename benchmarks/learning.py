@@ -23,11 +23,11 @@ from typing import Any, NamedTuple
 import numpy as np
 
 import adaptrack as at
-from adaptrack.batch import Batch
-from adaptrack.controllers import Learning, Uncertainty, get_controller
-from adaptrack.profile import Profile, load_profile
+from adaptrack.cars.vehicle import Steering, Tyre, load_tyre
+from adaptrack.control.controllers import Learning, Uncertainty, get_controller
+from adaptrack.drive.batch import Batch
 from adaptrack.scenario import random_drive
-from adaptrack.vehicle import Steering, Tyre, load_tyre
+from adaptrack.scenario.profile import Profile, load_profile
 
 FAILED, MINUTE, MINUTES, DRIVES = 25.0, 60.0, 3, 31_000_000
 MASS, STIFFNESS, BALANCE, NOISE = (0.6, 1.6), (0.5, 2.5), (0.85, 1.18), (0.3, 3.0)

@@ -18,11 +18,11 @@ from typing import Any
 import numpy as np
 
 import adaptrack as at
-from adaptrack.controllers import informed_tuning
-from adaptrack.linearisation import bodies_of, laws, sampled, usual_mismatches
-from adaptrack.profile import load_profile
-from adaptrack.runs import random_drive_runs
-from adaptrack.stability import modulus_margin
+from adaptrack.analysis.linearisation import bodies_of, laws, sampled, usual_mismatches
+from adaptrack.analysis.stability import modulus_margin
+from adaptrack.control.controllers import informed_tuning
+from adaptrack.scenario.profile import load_profile
+from adaptrack.tuning.runs import random_drive_runs
 
 FIRST, NOISE = 9_200_000, 5
 """Number of the first drive, and noise seed; nothing was tuned on them."""

@@ -14,11 +14,11 @@ import time
 import adaptrack as at
 from adaptrack.comparison.contenders import Contender
 from adaptrack.comparison.roads import on_roads
-from adaptrack.profile import load_profile
 from adaptrack.road import Comfort
-from adaptrack.runs import road_runs
+from adaptrack.scenario.profile import load_profile
 from adaptrack.tuning.constant import seek_constant, swarm_within
 from adaptrack.tuning.constant_file import tuned_controller
+from adaptrack.tuning.runs import road_runs
 
 LENGTHS = {"motorway": 2000.0, "country": 900.0, "town": 900.0, "mountain": 900.0}
 USUAL = ("preview-lqr", "kinematic-mpc", "lqr", "informed")

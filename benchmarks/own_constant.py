@@ -18,10 +18,10 @@ import numpy as np
 from what_pays import FAILED, costs
 
 import adaptrack as at
-from adaptrack.batch import rollout_batch
-from adaptrack.kalman import Drifts, KalmanFilter
-from adaptrack.profile import load_profile
+from adaptrack.control.kalman import Drifts, KalmanFilter
+from adaptrack.drive.batch import rollout_batch
 from adaptrack.scenario import random_drive
+from adaptrack.scenario.profile import load_profile
 
 TRAINING, JUDGED = 7_000_000, 9_500_000
 GRID = tuple(product((20, 30, 45), (5, 10, 15), (1.0,), (0.7, 1.0, 1.5, 2.0, 3.0, 4.5, 7.0, 10.0)))

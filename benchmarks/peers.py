@@ -29,14 +29,14 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 from scipy import sparse
 from scipy.linalg import expm, solve_discrete_are
+from tools.bench import SEARCH, _machine, one_blas_thread
 
 import adaptrack as at
-from adaptrack.benchmark import SEARCH, _machine, one_blas_thread
-from adaptrack.controllers import Command, Limits, Tuning, informed_tuning
-from adaptrack.kalman import KalmanFilter, wind_turn
-from adaptrack.models import PathModel, SingleTrackModel
+from adaptrack.control.controllers import Command, Limits, Tuning, informed_tuning
+from adaptrack.control.kalman import KalmanFilter, wind_turn
+from adaptrack.control.models import PathModel, SingleTrackModel
+from adaptrack.control.scheduling import Learned, Sugeno
 from adaptrack.scenario import random_drive
-from adaptrack.scheduling import Learned, Sugeno
 
 PERIOD, HORIZON, MOVES = 0.05, 30, 10
 LIMITS = Limits(move=(-0.025, 0.025), angle=(-np.pi / 6, np.pi / 6))
@@ -312,7 +312,7 @@ SOLVERS = (Daqp, Osqp, Piqp, QpOases, Cvxpy)
 
 
 # -- the controllers --------------------------------------------------------------------------------------------------
-class Peer:
+class Peer(at.Controller):
     """A controller in NumPy around a solver of others; drives in `simulate` as well."""
 
     period = PERIOD

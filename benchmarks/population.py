@@ -32,13 +32,13 @@ from sklearn.linear_model import RidgeCV
 from sklearn.preprocessing import StandardScaler
 
 import adaptrack as at
-from adaptrack.batch import rollout_batch
-from adaptrack.controllers import Learning, Uncertainty
+from adaptrack.cars.vehicle import Steering, Vehicle
+from adaptrack.control.controllers import Learning, Uncertainty
+from adaptrack.drive.batch import rollout_batch
 from adaptrack.identification.random_cars import CarRanges, RandomCar, random_car
 from adaptrack.learning import ANFIS, MLP
-from adaptrack.profile import Profile
 from adaptrack.scenario import random_drive
-from adaptrack.vehicle import Steering, Vehicle
+from adaptrack.scenario.profile import Profile
 
 Array = NDArray[np.float64]
 

@@ -34,7 +34,7 @@ import numpy as np  # noqa: E402
 HERE = Path(__file__).resolve().parent
 sys.path[:0] = [str(HERE), str(HERE.parent / "tests")]
 
-from adaptrack.qp import QP, QPStatus, get_qp_solver  # noqa: E402
+from adaptrack.control.qp import QP, QPStatus, get_qp_solver  # noqa: E402
 from references.qp_exact import reference_solve  # noqa: E402
 from references.qp_problems import drawn_mpc_problem  # noqa: E402
 

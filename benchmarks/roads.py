@@ -18,7 +18,8 @@ from xml.etree import ElementTree
 
 import numpy as np
 
-from adaptrack.errors import AdaptrackError
+from adaptrack.base.errors import AdaptrackError
+from adaptrack.cars.vehicle import load_vehicle
 from adaptrack.road import (
     Arc,
     Clothoid,
@@ -32,7 +33,6 @@ from adaptrack.road import (
     plan_speed,
 )
 from adaptrack.road.table import tabulate
-from adaptrack.vehicle import load_vehicle
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
 from references.road import beside, coarse_samples, end_of, figure_of_eight, nearest_by_search

@@ -19,14 +19,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from adaptrack.batch import rollout_batch
-from adaptrack.controllers import LQR, MPC, PurePursuit, Stanley
-from adaptrack.errors import InvalidInput
-from adaptrack.plant import DualTrack
+from adaptrack.base.errors import InvalidInput
+from adaptrack.cars.plant import DualTrack
+from adaptrack.cars.vehicle import load_vehicle
+from adaptrack.control.controllers import LQR, MPC, PurePursuit, Stanley
+from adaptrack.drive.batch import rollout_batch
+from adaptrack.drive.simulate import rollout
 from adaptrack.road import Arc, Comfort, Line, Road, generate_road, load_road, plan_speed
 from adaptrack.scenario import RoadDrive, Scenario
-from adaptrack.simulate import rollout
-from adaptrack.vehicle import load_vehicle
 
 KINDS, SEEDS = ("motorway", "country", "town", "mountain"), range(6)
 DRIVEN = ((4.0, 0.9), (7.0, 0.9), (3.5, 0.5))

@@ -15,10 +15,10 @@ from typing import Any
 import numpy as np
 
 import adaptrack as at
+from adaptrack.cars.data_sheet import MASSES
 from adaptrack.comparison.statistics import geometric_mean
-from adaptrack.data_sheet import MASSES
-from adaptrack.profile import load_profile
-from adaptrack.runs import random_drive_runs
+from adaptrack.scenario.profile import load_profile
+from adaptrack.tuning.runs import random_drive_runs
 
 FIRST = 51_000_000
 """Number of the first drive: nothing was tuned on these."""

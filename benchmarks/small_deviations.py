@@ -18,11 +18,11 @@ from typing import Any
 import numpy as np
 
 import adaptrack as at
-from adaptrack.linearisation import Mismatch, laws, linear_estimator, sampled
-from adaptrack.profile import load_profile
-from adaptrack.runs import RunSet
+from adaptrack.analysis.linearisation import Mismatch, laws, linear_estimator, sampled
+from adaptrack.analysis.stability import loops, radii
 from adaptrack.scenario import Scenario, Wind
-from adaptrack.stability import loops, radii
+from adaptrack.scenario.profile import load_profile
+from adaptrack.tuning.runs import RunSet
 
 OFFSET, QUARTER = 1e-6, 1200
 """m; control periods in a quarter of a run: long, for the slowest oscillations take a minute."""

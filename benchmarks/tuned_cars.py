@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import Any
 
 import adaptrack as at
-from adaptrack.vehicle import list_vehicles
+from adaptrack.cars.vehicle import list_vehicles
 
 
 def tuned(name: str, plant: str | None, profile: str) -> tuple[dict[str, Any], str]:

@@ -35,16 +35,16 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from adaptrack.comparison.entries import get_entry
 from scipy.optimize import differential_evolution
 from scipy.stats import qmc
 
-from adaptrack.batch import own_tuning
-from adaptrack.comparison.entries import get_entry
 from adaptrack.comparison.side_by_side import load_setting, load_trip
-from adaptrack.controllers import MPC
-from adaptrack.runs import RunSet
+from adaptrack.control.controllers import MPC
+from adaptrack.drive.batch import own_tuning
 from adaptrack.tuning.constant import mean_costs
 from adaptrack.tuning.pso import Swarm, SwarmSettings
+from adaptrack.tuning.runs import RunSet
 from adaptrack.tuning.spaces import search_space
 
 PROBLEMS = {

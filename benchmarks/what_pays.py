@@ -15,11 +15,11 @@ from typing import Any
 import numpy as np
 
 import adaptrack as at
-from adaptrack.batch import rollout_batch
-from adaptrack.kalman import Drifts, KalmanFilter, SensorNoise
-from adaptrack.models import PathModel
-from adaptrack.profile import load_profile
+from adaptrack.control.kalman import Drifts, KalmanFilter, SensorNoise
+from adaptrack.control.models import PathModel
+from adaptrack.drive.batch import rollout_batch
 from adaptrack.scenario import load_scenario, random_drive
+from adaptrack.scenario.profile import load_profile
 
 FAILED = 25.0
 TRAINING, JUDGED = 7_000_000, 8_000_000

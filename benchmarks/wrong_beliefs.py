@@ -17,10 +17,10 @@ from typing import Any
 import numpy as np
 
 import adaptrack as at
-from adaptrack.batch import rollout_batch
-from adaptrack.controllers import Uncertainty
-from adaptrack.profile import load_profile
+from adaptrack.control.controllers import Uncertainty
+from adaptrack.drive.batch import rollout_batch
 from adaptrack.scenario import random_drive
+from adaptrack.scenario.profile import load_profile
 
 FAILED = 25.0
 WORLD = load_profile("road")

@@ -120,7 +120,7 @@ def learning(axes: Axes) -> None:
 
 def manoeuvre(axes: Axes) -> None:
     """The cones of the obstacle avoidance of ISO 3888-2, and a line between them."""
-    from adaptrack.manoeuvres import iso_3888_2, track_road
+    from adaptrack.comparison.manoeuvres import iso_3888_2, track_road
 
     outline = at.load_vehicle("compact-ev").outline
     track = iso_3888_2(outline.width)
@@ -161,7 +161,7 @@ def scheduler(axes: Axes) -> None:
 
 def certificate(axes: Axes) -> None:
     """Modulus margin of the default's loop over speed and friction."""
-    from adaptrack.certify import certify
+    from adaptrack.analysis.certify import certify
 
     vehicle = at.load_vehicle("midsize-sedan")
     mpc = at.MPC(vehicle, profile="road")

@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from adaptrack.report.record import SIGNALS, DriveRecord, Shape
+from adaptrack.cars.vehicle import load_vehicle
+from adaptrack.results.record import SIGNALS, DriveRecord, Shape
 from adaptrack.road import Arc, Line, Road
-from adaptrack.vehicle import load_vehicle
 
 SPEED, PERIOD = 10.0, 0.05
 

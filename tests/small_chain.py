@@ -13,10 +13,10 @@ from typing import Any, NamedTuple
 import numpy as np
 import pytest
 
-from adaptrack.adaptation.config import load_adaptation
-from adaptrack.adaptation.splits import SetUp
-from adaptrack.files import write_toml
-from adaptrack.scheduling import Schedule
+from adaptrack.base.files import write_toml
+from adaptrack.control.scheduling import Schedule
+from adaptrack.learning.adaptation.config import load_adaptation
+from adaptrack.learning.adaptation.splits import SetUp
 from adaptrack.studies import adapt as study
 
 CAMPAIGN: dict[str, Any] = {

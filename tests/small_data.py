@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from adaptrack.dataset import DataSet
+from adaptrack.tuning.dataset import DataSet
 from adaptrack.tuning.operating_points import grid
 
 LEVELS = {

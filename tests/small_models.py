@@ -6,8 +6,8 @@ import itertools
 
 import numpy as np
 
-from adaptrack.scheduling import Network, StabilityMap, Sugeno, Table
-from adaptrack.scheduling.functions.sugeno import ANY
+from adaptrack.control.scheduling import Network, StabilityMap, Sugeno, Table
+from adaptrack.control.scheduling.functions.sugeno import ANY
 
 
 def random_network(rng, inputs, relu=True):

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from adaptrack.controllers import Tuning, published_mpc
-from adaptrack.plant import SingleTrack
-from adaptrack.profile import load_profile
-from adaptrack.runs import RunSet
+from adaptrack.cars.plant import SingleTrack
+from adaptrack.cars.vehicle import load_vehicle
+from adaptrack.control.controllers import Tuning, published_mpc
 from adaptrack.scenario import load_scenario
-from adaptrack.vehicle import load_vehicle
+from adaptrack.scenario.profile import load_profile
+from adaptrack.tuning.runs import RunSet
 
 CAR = load_vehicle("paper")
 START = Tuning(29, 5, 1.0, 4000.0)

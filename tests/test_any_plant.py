@@ -13,22 +13,22 @@ import pytest
 
 import adaptrack as at
 from adaptrack import cli
-from adaptrack import plant as plant_module
-from adaptrack.adaptation.config import load_adaptation
-from adaptrack.adaptation.for_car import WORK, Driven, write_configuration
-from adaptrack.adaptation.splits import SetUp
-from adaptrack.controllers import Tuning
-from adaptrack.errors import MissingExtra, UnknownName
-from adaptrack.linearisation import linearised
-from adaptrack.plant import DualTrack, SingleTrack, fingerprint, twin_of, usual_plant
-from adaptrack.runs import operating_point_runs
-from adaptrack.stability import linear_twin
+from adaptrack.analysis.linearisation import linearised
+from adaptrack.analysis.stability import linear_twin
+from adaptrack.base.errors import MissingExtra, UnknownName
+from adaptrack.cars import plant as plant_module
+from adaptrack.cars.plant import DualTrack, SingleTrack, fingerprint, twin_of, usual_plant
+from adaptrack.cars.vehicle import list_vehicles, load_vehicle
+from adaptrack.control.controllers import Tuning
+from adaptrack.learning.adaptation.config import load_adaptation
+from adaptrack.learning.adaptation.for_car import WORK, Driven, write_configuration
+from adaptrack.learning.adaptation.splits import SetUp
 from adaptrack.studies.tune_car import TuningEffort, tune
 from adaptrack.tuning.campaign import run_campaign
 from adaptrack.tuning.config import CampaignConfig, Plan
 from adaptrack.tuning.objective import Objective
 from adaptrack.tuning.pso import Swarm, SwarmSettings
-from adaptrack.vehicle import list_vehicles, load_vehicle
+from adaptrack.tuning.runs import operating_point_runs
 
 CAR = load_vehicle("paper")
 POINTS = [[10.0, 1.0, 0.9, 5.0], [20.0, -2.0, 0.6, -10.0]]
@@ -70,7 +70,9 @@ class Cheap(Sliding):
 @pytest.fixture
 def registered(monkeypatch, tmp_path):
     """The module `sliding`, which registers both, in a folder where Python looks for modules."""
-    head = "import math\nimport numpy as np\nimport adaptrack as at\nfrom adaptrack.plant import register_plant\n\n"
+    head = (
+        "import math\nimport numpy as np\nimport adaptrack as at\nfrom adaptrack.cars.plant import register_plant\n\n"
+    )
     last = "".join(
         f'\nregister_plant("{each.__name__.lower()}", lambda vehicle, tyre: {each.__name__}(vehicle))\n'
         for each in (Sliding, Cheap)
@@ -219,7 +221,7 @@ def test_commonroads_cars_have_names_and_their_drift_model_is_what_is_driven_by_
 
 
 def test_without_their_package_the_remedy_is_told(monkeypatch):
-    from adaptrack import commonroad_plants
+    from adaptrack.peers import commonroad_plants
 
     commonroad_plants._shipped.cache_clear()
     monkeypatch.setitem(sys.modules, "vehiclemodels.vehicle_parameters", None)

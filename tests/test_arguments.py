@@ -12,8 +12,8 @@ import pytest
 from numpy.testing import assert_array_equal
 
 import adaptrack as at
-from adaptrack.arguments import reals
-from adaptrack.errors import InvalidInput, real, shown, whole
+from adaptrack.base.arguments import reals
+from adaptrack.base.errors import InvalidInput, real, shown, whole
 from adaptrack.road import Line, Road
 
 CAR = at.load_vehicle("compact-ev")

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from adaptrack.dataset import TARGETS
-from adaptrack.errors import InvalidInput
+from adaptrack.base.errors import InvalidInput
 from adaptrack.learning import boosting
 from adaptrack.learning.boosting import cross_validate, explained, explained_shares
+from adaptrack.tuning.dataset import TARGETS
 from adaptrack.tuning.operating_points import sobol
 from test_dataset import BOX, wild
 

@@ -7,16 +7,16 @@ import tracemalloc
 
 import numpy as np
 import pytest
+from tools.qp_corpus import chunk
 
-from adaptrack.controllers import MPC, Learning, Limits, Tuning, published_mpc
+from adaptrack.base.errors import InvalidInput
+from adaptrack.cars.vehicle import load_vehicle
+from adaptrack.control.controllers import MPC, Learning, Limits, Tuning, published_mpc
+from adaptrack.control.qp import QPStatus
+from adaptrack.control.qp.active_set import ActiveSet
+from adaptrack.control.tracker import Tracker
 from adaptrack.core.qp.problem import CHANGES
-from adaptrack.errors import InvalidInput
-from adaptrack.qp import QPStatus
-from adaptrack.qp.active_set import ActiveSet
-from adaptrack.qp_corpus import chunk
 from adaptrack.road import Line, Road
-from adaptrack.tracker import Tracker
-from adaptrack.vehicle import load_vehicle
 
 CAR = load_vehicle("paper")
 compiled = pytest.mark.compiled

@@ -18,10 +18,8 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
-from adaptrack import files
-from adaptrack.controllers.informed import informed_tuning
-from adaptrack.dataset import load_dataset
-from adaptrack.errors import (
+from adaptrack.base import files
+from adaptrack.base.errors import (
     AdaptrackError,
     ConfigError,
     ContractError,
@@ -30,14 +28,16 @@ from adaptrack.errors import (
     StorageError,
     UnknownName,
 )
-from adaptrack.profile import load_profile
+from adaptrack.cars.vehicle import Steering, load_tyre, load_vehicle
+from adaptrack.control.controllers.informed import informed_tuning
+from adaptrack.scenario.profile import load_profile
 from adaptrack.tuning import campaign as module
 from adaptrack.tuning import store
 from adaptrack.tuning.campaign import CampaignInterrupted, CampaignStopped, Progress, run_campaign
 from adaptrack.tuning.config import STANDARD, Library, Plan, Search, list_campaigns, load_campaign, spread_tunings
+from adaptrack.tuning.dataset import load_dataset
 from adaptrack.tuning.evaluator import tuned_mpc
 from adaptrack.tuning.operating_points import fold
-from adaptrack.vehicle import Steering, load_tyre, load_vehicle
 from campaign_fakes import Broken, Failing, Fake, small
 
 CHUNKS = 6
@@ -983,7 +983,7 @@ sys.path.insert(0, sys.argv[1])
 warnings.simplefilter("ignore")
 from distributed import LocalCluster
 from campaign_fakes import Fake, small
-from adaptrack.errors import InvalidInput
+from adaptrack.base.errors import InvalidInput
 from adaptrack.tuning.campaign import run_campaign
 
 if __name__ == "__main__":

@@ -17,12 +17,12 @@ from adaptrack import (
     published_mpc,
     rollout_batch,
 )
-from adaptrack.certify import OPERATING, certify
-from adaptrack.linearisation import Mismatch, laws, usual_mismatches
-from adaptrack.report.certificate import write_certificate
+from adaptrack.analysis.certify import OPERATING, certify
+from adaptrack.analysis.linearisation import Mismatch, laws, usual_mismatches
+from adaptrack.analysis.stability import hard_turn, loop_map, loops, radii, spectral_radius
+from adaptrack.control.scheduling import Constant, Guarded, Lookup, SchedulingVariables, StabilityMap, Table
+from adaptrack.results.certificate import write_certificate
 from adaptrack.scenario import random_drive
-from adaptrack.scheduling import Constant, Guarded, Lookup, SchedulingVariables, StabilityMap, Table
-from adaptrack.stability import hard_turn, loop_map, loops, radii, spectral_radius
 from pictures import pictures
 
 CAR = load_vehicle("paper")

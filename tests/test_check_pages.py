@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 import browser
-from adaptrack.report.drive import write_drive_page
+from adaptrack.results.drive import write_drive_page
 from made_drives import bend, made_drive
 
 pytestmark = pytest.mark.skipif(browser.PROGRAM is None, reason=browser.NONE)
@@ -31,7 +31,7 @@ def check_pages():
 def test_the_page_of_a_drive_has_verdict_and_picture_in_its_first_screen_and_nothing_is_cut(
     check_pages, tmp_path, monkeypatch, width, scheme
 ):
-    monkeypatch.setattr("adaptrack.report.style.PNG_DPI", 20)
+    monkeypatch.setattr("adaptrack.results.style.PNG_DPI", 20)
     page = write_drive_page(tmp_path, [made_drive(bend(), controller="informed")])
     assert check_pages.look(page, width, scheme).faults() == []
 

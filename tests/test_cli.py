@@ -10,9 +10,9 @@ import tomllib
 import pytest
 
 from adaptrack import cli
+from adaptrack.base.errors import InvalidInput, StorageError
 from adaptrack.cli import options
-from adaptrack.errors import InvalidInput, StorageError
-from adaptrack.failure import Reason
+from adaptrack.drive.failure import Reason
 from small_data import small
 
 ROW_KEYS = {
@@ -94,12 +94,6 @@ def test_out_holds_the_page_and_the_trajectories_and_where_asked_the_pictures(mo
         (["evaluate", "--conditions", "sobol:1000000000"], ["at most 100,000 operating points"]),
         (["evaluate", "--operating-points", "sobol:" + 5000 * "9"], ["at most 100,000 operating points"]),
         (["evaluate", "--seed", "10" + 30 * "0"], ["--seed", "at most 10,000"]),
-        (["bench", "step", "--count", "0"], ["--count = 0", "at least 1"]),
-        (["bench", "step", "--count", "-5"], ["--count = -5", "at least 1"]),
-        (["bench", "step", "--count", "1000000000000"], ["--count = 1000000000000", "at most 1,000,000"]),
-        (["bench", "rollout", "--conditions", "0"], ["--conditions = 0", "at least 1"]),
-        (["bench", "campaign", "--conditions", "6436"], ["--conditions = 6436", "at most 6,435"]),
-        (["bench", "rollout", "--threads", "-5"], ["--threads = -5", "at least 1"]),
         (["adapt", "--out", "nowhere", "--workers", "100000"], ["--workers = 100000", "at most 1,024"]),
     ],
 )
@@ -127,7 +121,7 @@ def test_an_unwritable_folder_is_found_before_anything_is_driven(monkeypatch, ca
         ("evaluate town --length 200 --out {file}", "adaptrack.road.load_road"),
         ("road plot town --out {file}.png", "adaptrack.road.load_road"),
         ("drive town --length 200 --learned {file}.toml", "adaptrack.road.load_road"),
-        ("simulate step --learned {file}.toml", "adaptrack.simulate.simulate"),
+        ("simulate step --learned {file}.toml", "adaptrack.drive.simulate.simulate"),
         ("train --data paper-grid --model nn --out {file}.json", "adaptrack.learning.training.train"),
     ],
 )
@@ -187,7 +181,7 @@ OFF_ROAD = ["simulate", "general-trajectory", "--profile", "road", "-o", "durati
 
 
 def test_a_run_off_the_road_gives_exit_code_3_and_a_page_whose_heading_says_so(monkeypatch, capsys, tmp_path):
-    monkeypatch.setattr("adaptrack.report.style.PNG_DPI", 20)
+    monkeypatch.setattr("adaptrack.results.style.PNG_DPI", 20)
     code, out, _ = run(monkeypatch, capsys, *OFF_ROAD, "--controller", "standard", "--out", tmp_path, "--json")
     (row,) = json.loads(out)["rows"]
     assert (code, row["failed"]) == (3, "off-road")
@@ -234,8 +228,8 @@ def test_a_run_that_was_driven_to_its_end_has_no_failure(monkeypatch, capsys):
 
 
 def test_tables_call_a_scheduler_as_the_command_line_does(monkeypatch, capsys, tmp_path):
-    from adaptrack.controllers import Tuning
-    from adaptrack.scheduling import Constant
+    from adaptrack.control.controllers import Tuning
+    from adaptrack.control.scheduling import Constant
 
     Constant(Tuning(30, 5, 1.0, 4000.0), name="nn").save(tmp_path / "mine.json")
     for given, label in (("road-nn", "road-nn"), (tmp_path / "mine.json", "mine")):
@@ -290,7 +284,7 @@ def test_train_prints_the_quality_on_the_hold_out(monkeypatch, capsys, tmp_path,
 
 
 def test_reproduce_writes_the_page_and_prints_its_rows(monkeypatch, capsys, tmp_path, data):
-    monkeypatch.setattr("adaptrack.report.style.PNG_DPI", 20)
+    monkeypatch.setattr("adaptrack.results.style.PNG_DPI", 20)
     code, out, err = run(monkeypatch, capsys, "reproduce", "--quick", "--data", data, "--out", tmp_path, "--json")
     told = json.loads(out)
     assert code == 0, err
@@ -351,20 +345,6 @@ def test_a_users_scenario_and_vehicle_files_are_driven(monkeypatch, capsys, tmp_
     )
     assert code == 0, err
     assert json.loads(out)["rows"][0]["vehicle"] == "car"
-
-
-@pytest.mark.parametrize(
-    ("which", "keys"),
-    [
-        (["step", "--count", "20"], {"step_us_p50", "step_us_p99", "ratio_to_python_daqp", "cpu"}),
-        (["rollout", "--conditions", "2"], {"control_steps_per_s", "ratio_to_python_daqp", "cpu"}),
-    ],
-)
-def test_bench_prints_a_flat_object(monkeypatch, capsys, which, keys):
-    _, out, _ = run(monkeypatch, capsys, "bench", *which, "--json")
-    values = json.loads(out)
-    assert values.keys() >= keys
-    assert not any(isinstance(value, dict | list) for value in values.values())
 
 
 def test_help_and_version_come_from_the_module_run_as_a_program():

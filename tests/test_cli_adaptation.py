@@ -12,17 +12,17 @@ from html import unescape
 import pytest
 
 from adaptrack import cli
-from adaptrack.adaptation import config as configuration
-from adaptrack.adaptation import recipes, splits
-from adaptrack.adaptation.config import load_adaptation
-from adaptrack.certify import certify
+from adaptrack.analysis.certify import certify
+from adaptrack.analysis.feasibility import feasibility
+from adaptrack.base.errors import AdaptrackError, InvalidInput
 from adaptrack.cli import evaluate as evaluate_command
-from adaptrack.comparison import contenders, evaluate
-from adaptrack.controllers import Tuning
-from adaptrack.controllers.informed import informed_tuning
-from adaptrack.errors import AdaptrackError, InvalidInput
-from adaptrack.feasibility import feasibility
-from adaptrack.scheduling import Constant, list_schedulers
+from adaptrack.comparison import evaluate
+from adaptrack.control.controllers import Tuning, published_mpc, registry
+from adaptrack.control.controllers.informed import informed_tuning
+from adaptrack.control.scheduling import Constant, list_schedulers
+from adaptrack.learning.adaptation import config as configuration
+from adaptrack.learning.adaptation import recipes, splits
+from adaptrack.learning.adaptation.config import load_adaptation
 from adaptrack.studies.adapt import CONTENDERS, shipped
 from small_chain import learned, write
 
@@ -235,8 +235,8 @@ def test_adapt_goes_on_with_a_folder_and_tells_schedulers_report_and_rows(
 ):
     chain = learned(tmp_path_factory.getbasetemp())
     out = shutil.copytree(chain.folder, tmp_path / "out")
-    monkeypatch.setattr("adaptrack.report.style.PNG_DPI", 20)
-    monkeypatch.setattr("adaptrack.report.comparison._NODES", (9, 7))
+    monkeypatch.setattr("adaptrack.results.style.PNG_DPI", 20)
+    monkeypatch.setattr("adaptrack.results.comparison._NODES", (9, 7))
     monkeypatch.setattr(evaluate, "per_run_best", lambda runs, rows, seeds: rows[:1].repeat(len(runs), axis=0))
     monkeypatch.setattr(recipes, "improve", lambda *given, **more: pytest.fail("it learned again"))
     config = chain.folder.parent / "tiny.toml"
@@ -253,7 +253,7 @@ def test_adapt_goes_on_with_a_folder_and_tells_schedulers_report_and_rows(
 
 
 def test_certify_passes_a_sound_scheduler(monkeypatch, capsys, places):
-    monkeypatch.setattr("adaptrack.progress.FIRST", 1e6)  # no progress, however slow the machine
+    monkeypatch.setattr("adaptrack.base.progress.FIRST", 1e6)  # no progress, however slow the machine
     code, out, err = run(monkeypatch, capsys, "certify", places["mine"], "--json")
     told = strict(out)
     assert code == 0, err
@@ -282,8 +282,8 @@ def test_certify_refuses_an_unstable_scheduler_with_exit_code_1_and_the_place(mo
 
 
 def test_certify_writes_the_page_and_prints_the_points_nearest_to_instability(monkeypatch, capsys, places):
-    monkeypatch.setattr("adaptrack.report.style.PNG_DPI", 20)
-    monkeypatch.setattr("adaptrack.certify.certify", partial(certify, levels=(4, 2)))
+    monkeypatch.setattr("adaptrack.results.style.PNG_DPI", 20)
+    monkeypatch.setattr("adaptrack.analysis.certify.certify", partial(certify, levels=(4, 2)))
     code, out, err = run(monkeypatch, capsys, "certify", places["mine"], "--out", places["out"])
     assert code == 0, err
     assert "Passed: the closed loop is stable at all 8 points of the operating domain driving straight" in out
@@ -293,8 +293,8 @@ def test_certify_writes_the_page_and_prints_the_points_nearest_to_instability(mo
 
 
 def test_certify_says_the_same_on_the_console_in_the_json_and_on_the_page(monkeypatch, capsys, places):
-    monkeypatch.setattr("adaptrack.report.style.PNG_DPI", 20)
-    monkeypatch.setattr("adaptrack.certify.certify", partial(certify, levels=(4, 2)))
+    monkeypatch.setattr("adaptrack.results.style.PNG_DPI", 20)
+    monkeypatch.setattr("adaptrack.analysis.certify.certify", partial(certify, levels=(4, 2)))
     Constant(Tuning(30, 10, 1.0, 600.0), name="mine").save(places["mine"])
     told = strict(run(monkeypatch, capsys, "certify", places["mine"], "--json")[1])
     code, out, err = run(monkeypatch, capsys, "certify", places["mine"], "--out", places["out"])
@@ -308,7 +308,7 @@ def test_certify_says_the_same_on_the_console_in_the_json_and_on_the_page(monkey
 
 
 def test_certify_without_a_scheduler_is_about_the_constant_of_the_controller_that_knows_its_car(monkeypatch, capsys):
-    monkeypatch.setattr("adaptrack.certify.certify", partial(certify, levels=(3, 2)))
+    monkeypatch.setattr("adaptrack.analysis.certify.certify", partial(certify, levels=(3, 2)))
     code, out, err = run(monkeypatch, capsys, "certify", "--mismatch", "--json")
     told = strict(out)
     assert code == 0, err
@@ -323,7 +323,7 @@ def test_certify_without_a_scheduler_is_about_the_constant_of_the_controller_tha
 
 def test_certify_names_what_no_tuning_can_hold_with_exit_code_1(monkeypatch, capsys):
     few = partial(feasibility, nodes=((20.0, 60.0), (1.0, 4.0), (4.0, 5.0)), margin=0.3)
-    monkeypatch.setattr("adaptrack.feasibility.feasibility", few)
+    monkeypatch.setattr("adaptrack.analysis.feasibility.feasibility", few)
     asked = ("certify", "--feasible", "--controller", "standard", "--vehicle", "midsize-sedan", "--speed", 10, 30)
     code, out, err = run(monkeypatch, capsys, *asked, "--json")
     told = strict(out)
@@ -347,11 +347,13 @@ def test_every_error_of_the_package_becomes_one_message(monkeypatch, capsys):
 
 @pytest.mark.compiled
 def test_evaluate_drives_a_registered_contender_by_name(monkeypatch, capsys, places):
-    monkeypatch.setattr(contenders, "_MAKERS", {**contenders._MAKERS, "cautious": lambda runs: Tuning(40, 4, 1.0, 1e5)})
+    monkeypatch.setattr(registry._registry, "factories", dict(registry._registry.factories))
+    cautious = Tuning(40, 4, 1.0, 1e5)
+    registry.register_controller("cautious", lambda vehicle, period: published_mpc(vehicle, cautious, period=period))
     config = write(places["out"], name="road")
     arguments = ("evaluate", "--config", config, "--conditions", "sobol:8", "--contender", "cautious", "--json")
     code, out, err = run(monkeypatch, capsys, *arguments)
     assert code == 0, err
     rows = {row["contender"]: row for row in strict(out)["rows"]}
-    assert rows["cautious"]["controller"] == "mpc"
+    assert rows["cautious"]["controller"] == "standard MPC (pulse)"
     assert rows["cautious"]["regret_geomean"] > 0.0

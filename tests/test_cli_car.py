@@ -8,7 +8,7 @@ import sys
 import pytest
 
 from adaptrack import cli
-from adaptrack.vehicle import list_vehicles, load_tyre, load_vehicle
+from adaptrack.cars.vehicle import list_vehicles, load_tyre, load_vehicle
 from test_tyre_file import BOOK, tir
 from test_tyre_table import table
 

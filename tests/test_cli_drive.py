@@ -9,8 +9,8 @@ import pytest
 from typer.testing import CliRunner
 
 from adaptrack.cli.app import app
+from adaptrack.drive.trajectory import Trajectory
 from adaptrack.road import generate_road
-from adaptrack.trajectory import Trajectory
 
 pytestmark = pytest.mark.compiled
 
@@ -62,7 +62,7 @@ def test_a_car_off_the_road_is_loud(points):
 
 
 def test_laps_of_an_open_road_are_refused(points):
-    from adaptrack.errors import InvalidInput
+    from adaptrack.base.errors import InvalidInput
 
     done = run(points, "--laps", "2")
     assert isinstance(done.exception, InvalidInput)

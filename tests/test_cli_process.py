@@ -71,18 +71,21 @@ def run(monkeypatch, capsys, *arguments):
     ("command", "stopped_in", "words"),
     [
         ("simulate step", "adaptrack.scenario.load_scenario", "Nothing was written"),
-        ("train --data paper-grid --model nn --out {out}/nn.json", "adaptrack.dataset.load_dataset", "Nothing was"),
-        ("reproduce --out {out}", "adaptrack.dataset.load_dataset", "Nothing was written"),
+        (
+            "train --data paper-grid --model nn --out {out}/nn.json",
+            "adaptrack.tuning.dataset.load_dataset",
+            "Nothing was",
+        ),
+        ("reproduce --out {out}", "adaptrack.tuning.dataset.load_dataset", "Nothing was written"),
         ("adapt --out {out}", "adaptrack.studies.adapt.adapt", "{out}: run the command again to go on"),
-        ("evaluate", "adaptrack.adaptation.config.load_adaptation", "Nothing was written"),
-        ("certify road-nn", "adaptrack.scheduling.load_scheduler", "Nothing was written"),
+        ("evaluate", "adaptrack.learning.adaptation.config.load_adaptation", "Nothing was written"),
+        ("certify road-nn", "adaptrack.control.scheduling.load_scheduler", "Nothing was written"),
         (
             "tune --config paper-grid --out {out}",
             "adaptrack.tuning.campaign.run_campaign",
             "{out}: go on with --resume",
         ),
-        ("dataset describe paper-grid", "adaptrack.dataset.load_dataset", "Nothing was written"),
-        ("bench step", "adaptrack.benchmark.bench_step", "Nothing was written"),
+        ("dataset describe paper-grid", "adaptrack.tuning.dataset.load_dataset", "Nothing was written"),
     ],
 )
 def test_every_command_answers_ctrl_c_with_what_is_kept(monkeypatch, capsys, tmp_path, command, stopped_in, words):
@@ -113,8 +116,7 @@ def test_a_campaign_that_was_stopped_says_how_many_chunks_it_keeps(monkeypatch, 
 
 
 def test_tune_counts_the_operating_points_that_fail_with_every_tuning(monkeypatch, capsys, tmp_path):
-    from adaptrack import dataset
-    from adaptrack.tuning import campaign
+    from adaptrack.tuning import campaign, dataset
     from small_data import small
 
     data = small()
@@ -131,8 +133,8 @@ def test_tune_counts_the_operating_points_that_fail_with_every_tuning(monkeypatc
 
 
 def test_ctrl_c_between_runs_tells_which_trajectories_are_there(monkeypatch, capsys, tmp_path):
-    from adaptrack.simulate import simulate as drive
-    from adaptrack.trajectory import Trajectory
+    from adaptrack.drive.simulate import simulate as drive
+    from adaptrack.drive.trajectory import Trajectory
 
     saved = []
     monkeypatch.setattr(Trajectory, "save", lambda self, path: saved.append(path))
@@ -140,7 +142,7 @@ def test_ctrl_c_between_runs_tells_which_trajectories_are_there(monkeypatch, cap
     def once(*given, **more):
         return press_ctrl_c() if saved else drive(*given, **more)
 
-    monkeypatch.setattr(sys.modules["adaptrack.simulate"], "simulate", once)
+    monkeypatch.setattr(sys.modules["adaptrack.drive.simulate"], "simulate", once)
     code, _, err = run(monkeypatch, capsys, "simulate", "step", "sine", "-o", "duration=0.3", "--out", tmp_path)
     assert code == 130
     assert f"1 of 2 runs were finished; their trajectories are in {tmp_path}" in err

@@ -8,15 +8,15 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+from adaptrack.base.errors import ConfigError, InvalidInput
+from adaptrack.cars.plant import DualTrack
+from adaptrack.cars.vehicle import load_vehicle
 from adaptrack.cli.app import app
-from adaptrack.errors import ConfigError, InvalidInput
-from adaptrack.metrics import compute_metrics
-from adaptrack.plant import DualTrack
+from adaptrack.drive.metrics import compute_metrics
+from adaptrack.drive.simulate import rollout
 from adaptrack.road import Comfort, load_road, plan_speed
 from adaptrack.scenario import RoadDrive
-from adaptrack.simulate import rollout
 from adaptrack.tuning.constant_file import ConstantTuning, load_tuning, tuned_controller
-from adaptrack.vehicle import load_vehicle
 
 pytestmark = pytest.mark.compiled
 ROADS = ("mountain", "town", "--length", "200", "--vehicle", "midsize-sedan")
@@ -54,7 +54,7 @@ def test_a_search_spends_the_runs_that_it_is_given_and_finds_no_worse_than_the_d
 def test_what_the_table_says_of_the_tuned_controller_is_what_its_drives_say(tuned):
     said, file = tuned
     kept, car = load_tuning(file), load_vehicle("midsize-sedan")
-    from adaptrack.profile import load_profile
+    from adaptrack.scenario.profile import load_profile
 
     law = kept.make(car, load_profile("road"), kept.period, preview=True)
     costs, squares, count = [], 0.0, 0
@@ -138,7 +138,7 @@ def test_a_tuning_is_refused_for_another_car_and_for_the_noise_that_it_was_found
 
 
 def test_a_tuning_file_makes_the_controller_that_it_names(tmp_path):
-    from adaptrack.profile import load_profile
+    from adaptrack.scenario.profile import load_profile
 
     car, world = load_vehicle("van"), load_profile("road")
     options = {"period": world.period, "preview": True}

@@ -103,8 +103,8 @@ def test_json_is_strict(capsys):
 
 # -- progress ---------------------------------------------------------------------------------------------------------
 def test_without_a_terminal_progress_is_a_line_now_and_then_with_the_time_left(monkeypatch, capsys):
-    monkeypatch.setattr("adaptrack.progress.FIRST", 0.05)
-    monkeypatch.setattr("adaptrack.progress.NEXT", 0.05)
+    monkeypatch.setattr("adaptrack.base.progress.FIRST", 0.05)
+    monkeypatch.setattr("adaptrack.base.progress.NEXT", 0.05)
     with show.progress("work") as advance:
         time.sleep(0.12)
         advance("half", 1, 2)

@@ -8,15 +8,15 @@ import numpy as np
 import pytest
 
 import adaptrack as at
-from adaptrack.commonroad_plants import (
+from adaptrack.base.errors import ConfigError, ContractError, InvalidInput, MissingExtra, UnknownName
+from adaptrack.core.plants import commonroad as kernel
+from adaptrack.peers.commonroad_plants import (
     CARS,
     MODELS,
     commonroad_parameters,
     commonroad_plant,
     commonroad_vehicle,
 )
-from adaptrack.core.plants import commonroad as kernel
-from adaptrack.errors import ConfigError, ContractError, InvalidInput, MissingExtra, UnknownName
 
 DRIFT, BODY = MODELS
 STILL = [0.0, 0.0, 0.0]  # wind, bank
@@ -260,7 +260,7 @@ def test_get_plant_refuses_another_car_another_body_and_a_tyre():
 
 
 def test_without_the_package_the_remedy_is_named(monkeypatch):
-    from adaptrack import commonroad_plants
+    from adaptrack.peers import commonroad_plants
 
     monkeypatch.setitem(sys.modules, "vehiclemodels.vehicle_parameters", None)
     commonroad_plants._shipped.cache_clear()
@@ -276,7 +276,7 @@ def test_another_steering_actuator_changes_nothing_else(plant):
 
 # -- where they have no linear model ----------------------------------------------------------------------------------
 def test_the_drift_model_is_linearised_and_the_multi_body_model_whose_tyres_jump_with_camber_is_refused(drift, body):
-    from adaptrack.linearisation import linearised, steady_turn
+    from adaptrack.analysis.linearisation import linearised, steady_turn
 
     car = commonroad_vehicle(2)
     _, angle = steady_turn(drift, 15.0, 2.0)

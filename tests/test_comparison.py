@@ -10,28 +10,35 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from adaptrack.adaptation.config import Evaluation
-from adaptrack.adaptation.method import Constants, Method
-from adaptrack.adaptation.recipes import best_constant
-from adaptrack.comparison import contenders
+from adaptrack.base.errors import InvalidInput, UnknownName
+from adaptrack.cars.plant import SingleTrack
+from adaptrack.cars.vehicle import load_vehicle
 from adaptrack.comparison.compare import Comparison, Role, SwarmSearch, compare, finite, optimum, per_run_best
-from adaptrack.comparison.contenders import Contender, get_contender, list_contenders, register_contender
+from adaptrack.comparison.contenders import Contender, get_contender, list_contenders
 from adaptrack.comparison.statistics import RESAMPLES, geometric_mean
-from adaptrack.controllers import CompiledController, Tuning, UserController, published_mpc
+from adaptrack.control.controllers import (
+    LQR,
+    CompiledController,
+    Tuning,
+    UserController,
+    published_mpc,
+    register_controller,
+)
+from adaptrack.control.controllers import registry as controllers
+from adaptrack.control.scheduling import Constant, Guarded, Learned
 from adaptrack.core import guard
-from adaptrack.errors import ContractError, InvalidInput, UnknownName
-from adaptrack.metrics import compute_metrics
-from adaptrack.plant import SingleTrack
-from adaptrack.profile import load_profile
-from adaptrack.report.comparison import write_comparison
-from adaptrack.runs import RunSet, operating_point_runs
+from adaptrack.drive.metrics import compute_metrics
+from adaptrack.drive.simulate import simulate
+from adaptrack.learning.adaptation.config import Evaluation
+from adaptrack.learning.adaptation.method import Constants, Method
+from adaptrack.learning.adaptation.recipes import best_constant
+from adaptrack.results.comparison import write_comparison
 from adaptrack.scenario import load_scenario
-from adaptrack.scheduling import Constant, Guarded, Learned
-from adaptrack.simulate import simulate
+from adaptrack.scenario.profile import load_profile
 from adaptrack.tuning.config import list_campaigns, load_campaign
 from adaptrack.tuning.objective import Objective
 from adaptrack.tuning.pso import SearchSpace, SwarmSettings
-from adaptrack.vehicle import load_vehicle
+from adaptrack.tuning.runs import RunSet, operating_point_runs
 
 JUDGED = Evaluation()
 EVALUATION_SEEDS, CHOICE_SEEDS = JUDGED.noise_seeds, JUDGED.choice_seeds
@@ -371,18 +378,18 @@ def test_a_comparison_comes_back_from_json_to_the_bit(rng):
 
 
 # -- contenders -------------------------------------------------------------------------------------------------------
+CAUTIOUS = Tuning(40, 4, 1.0, 1e5)
+
+
 @pytest.fixture
 def registry(monkeypatch):
-    monkeypatch.setattr(contenders, "_MAKERS", dict(contenders._MAKERS))
+    monkeypatch.setattr(controllers._registry, "factories", dict(controllers._registry.factories))
 
 
 def test_a_contender_of_ones_own_is_driven_by_name(registry):
-    register_contender("cautious", lambda runs: Tuning(40, 4, 1.0, 1e5))
-    runs = Rated(bowl())
-    runs.mpc = controller()
-    found = get_contender("cautious", runs)
-    made = compare(runs, [found, get_contender("standard", runs)], [1], "standard")
-    assert [(row["contender"], row["controller"]) for row in made.rows()] == [("cautious", "mpc"), ("standard", "mpc")]
+    register_controller("cautious", lambda vehicle, period: published_mpc(vehicle, CAUTIOUS, period=period))
+    found = get_contender("cautious", run_set(1, 0.5))
+    assert (found.name, found.policy.tuning, found.policy.period) == ("cautious", CAUTIOUS, controller().period)
     assert {"cautious", "standard", "road-nn"} <= set(list_contenders())
 
 
@@ -390,10 +397,10 @@ def test_shipped_schedulers_are_contenders_by_name():
     assert get_contender("road-nn", Rated(bowl())).name == "road-nn"
 
 
-@pytest.mark.parametrize(("name", "make"), [("standard", START), ("", lambda runs: START), ("mine", START), (3, None)])
+@pytest.mark.parametrize(("name", "make"), [("lqr", LQR), ("", LQR), ("mine", START), (3, None)])
 def test_a_name_that_is_taken_and_a_maker_that_cannot_be_called_are_refused(registry, name, make):
-    with pytest.raises(ContractError, match="register_contender"):
-        register_contender(name, make)
+    with pytest.raises(InvalidInput, match="register_controller"):
+        register_controller(name, make)
 
 
 def test_an_unknown_contender_is_told_with_the_nearest_name():

@@ -11,11 +11,13 @@ import numpy as np
 import pytest
 
 from adaptrack import cli
-from adaptrack import plant as plant_module
-from adaptrack.batch import rollout_batch
+from adaptrack.base.errors import ContractError, InvalidInput
+from adaptrack.cars import plant as plant_module
+from adaptrack.cars.plant import DualTrack, SingleTrack, SteppedPlant, UserPlant, check_plant
+from adaptrack.cars.vehicle import load_vehicle
 from adaptrack.comparison.compare import compare
 from adaptrack.comparison.contenders import Contender
-from adaptrack.controllers import (
+from adaptrack.control.controllers import (
     LQR,
     MPC,
     PurePursuit,
@@ -25,15 +27,13 @@ from adaptrack.controllers import (
     check_controller,
     published_mpc,
 )
-from adaptrack.errors import ContractError, InvalidInput
-from adaptrack.estimation import Deadbeat, UserEstimator, check_estimator
-from adaptrack.models import SingleTrackModel, UserModel, check_model
-from adaptrack.plant import DualTrack, SingleTrack, SteppedPlant, UserPlant, check_plant
-from adaptrack.runs import operating_point_runs
+from adaptrack.control.estimation import Deadbeat, UserEstimator, check_estimator
+from adaptrack.control.models import SingleTrackModel, UserModel, check_model
+from adaptrack.control.scheduling import Constant
+from adaptrack.drive.batch import rollout_batch
+from adaptrack.drive.simulate import rollout, simulate
 from adaptrack.scenario import load_scenario
-from adaptrack.scheduling import Constant
-from adaptrack.simulate import rollout, simulate
-from adaptrack.vehicle import load_vehicle
+from adaptrack.tuning.runs import operating_point_runs
 
 CAR = load_vehicle("paper")
 PLANT = SingleTrack(CAR)
@@ -248,13 +248,13 @@ def test_a_tuning_drives_as_it_stands_though_the_mpc_of_the_runs_has_a_scheduler
 @pytest.fixture
 def plugged(monkeypatch, tmp_path):
     """Run a command with the module `bicycles` in the folder at hand, which registers the bicycle."""
-    head = "import math\nimport numpy as np\nfrom adaptrack.plant import SteppedPlant, register_plant\n\n"
+    head = "import math\nimport numpy as np\nfrom adaptrack.cars.plant import SteppedPlant, register_plant\n\n"
     last = '\nregister_plant("bicycle", lambda vehicle, tyre: Bicycle())\n'
     (tmp_path / "bicycles.py").write_text(head + inspect.getsource(Bicycle) + last)
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(sys, "path", [*sys.path])
     monkeypatch.setattr(plant_module._registry, "factories", dict(plant_module._registry.factories))
-    monkeypatch.setattr("adaptrack.report.style.PNG_DPI", 20)
+    monkeypatch.setattr("adaptrack.results.style.PNG_DPI", 20)
 
     def run(*arguments):
         monkeypatch.setattr(sys, "argv", ["adaptrack", *arguments])

@@ -12,7 +12,11 @@ import numpy as np
 import pytest
 from scipy.linalg import solve_discrete_are
 
-from adaptrack.controllers import (
+from adaptrack import Controller
+from adaptrack.base.errors import ContractError, InvalidInput, UnknownName
+from adaptrack.cars.plant import DualTrack
+from adaptrack.cars.vehicle import Steering, load_vehicle
+from adaptrack.control.controllers import (
     LQR,
     Command,
     KinematicMPC,
@@ -27,14 +31,11 @@ from adaptrack.controllers import (
     register_controller,
     registry,
 )
-from adaptrack.controllers.lqr import SPEEDS, WEIGHT_FACTORS, error_model, lqr_gain, sampled_error_model
+from adaptrack.control.controllers.lqr import SPEEDS, WEIGHT_FACTORS, error_model, lqr_gain, sampled_error_model
 from adaptrack.core.controllers.contract import path_at, wrapped
-from adaptrack.errors import ContractError, InvalidInput, UnknownName
-from adaptrack.plant import DualTrack
+from adaptrack.drive.simulate import simulate
 from adaptrack.road.ahead import straight
 from adaptrack.scenario import load_scenario
-from adaptrack.simulate import simulate
-from adaptrack.vehicle import Steering, load_vehicle
 from inlined import entry
 
 pytestmark = pytest.mark.kernels
@@ -487,7 +488,7 @@ def test_names_are_known_once_and_a_misspelt_one_is_answered_with_the_nearest():
         register_controller("mine", "mine")
 
 
-class InPython:
+class InPython(Controller):
     """A controller in plain Python; a broken one differs in one function or attribute."""
 
     name: object = "in Python"

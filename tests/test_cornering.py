@@ -7,13 +7,13 @@ import math
 import numpy as np
 import pytest
 
-from adaptrack.controllers import MPC
-from adaptrack.plant import DualTrack
+from adaptrack.cars.plant import DualTrack
+from adaptrack.cars.vehicle import list_vehicles, load_vehicle
+from adaptrack.control.controllers import MPC
+from adaptrack.drive.simulate import rollout
 from adaptrack.road import Arc, Clothoid, Comfort, Line, Road, generate_road, plan_speed
 from adaptrack.road.cornering import cornering_limit, steering_limit
 from adaptrack.scenario import RoadDrive
-from adaptrack.simulate import rollout
-from adaptrack.vehicle import list_vehicles, load_vehicle
 
 every_car = pytest.mark.parametrize("name", list_vehicles())
 

@@ -7,19 +7,19 @@ import dataclasses
 import numpy as np
 import pytest
 
-from adaptrack.batch import rollout_batch
-from adaptrack.controllers import MPC, Uncertainty
-from adaptrack.data_sheet import AXLE_COEFFICIENTS, vehicle_from_data_sheet
-from adaptrack.errors import ConfigError, InvalidInput, UnknownName
-from adaptrack.failure import Failure, find_failure
-from adaptrack.known_within import KnownWithin
-from adaptrack.metrics import compute_metrics
-from adaptrack.plant import DualTrack
-from adaptrack.profile import load_profile
-from adaptrack.runs import random_drive_runs
+from adaptrack.base.errors import ConfigError, InvalidInput, UnknownName
+from adaptrack.cars.data_sheet import AXLE_COEFFICIENTS, vehicle_from_data_sheet
+from adaptrack.cars.known_within import KnownWithin
+from adaptrack.cars.plant import DualTrack
+from adaptrack.cars.vehicle import GRAVITY, Steering, Vehicle, list_vehicles, load_vehicle
+from adaptrack.control.controllers import MPC, Uncertainty
+from adaptrack.drive.batch import rollout_batch
+from adaptrack.drive.failure import Failure, find_failure
+from adaptrack.drive.metrics import compute_metrics
+from adaptrack.drive.simulate import rollout, simulate
 from adaptrack.scenario import load_scenario, random_drive
-from adaptrack.simulate import rollout, simulate
-from adaptrack.vehicle import GRAVITY, Steering, Vehicle, list_vehicles, load_vehicle
+from adaptrack.scenario.profile import load_profile
+from adaptrack.tuning.runs import random_drive_runs
 
 REAL = [name for name in list_vehicles() if name not in ("paper", "model-car")]
 """Full-size cars; the paper's has tyres as no real car."""

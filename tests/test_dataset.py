@@ -7,12 +7,12 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
-from adaptrack import dataset as room
-from adaptrack.dataset import TARGETS, DataSet, describe, flatness, list_datasets, load_dataset
-from adaptrack.dataset import data as module
-from adaptrack.errors import InvalidInput, StorageError, UnknownName
+from adaptrack.base.errors import InvalidInput, StorageError, UnknownName
+from adaptrack.tuning import dataset as room
 from adaptrack.tuning import store
 from adaptrack.tuning.campaign import run_campaign
+from adaptrack.tuning.dataset import TARGETS, DataSet, describe, flatness, list_datasets, load_dataset
+from adaptrack.tuning.dataset import data as module
 from adaptrack.tuning.operating_points import fold, grid, mirrored, sobol
 from campaign_fakes import Fake, small
 
@@ -86,7 +86,7 @@ def test_a_campaigns_folder_loads_and_saves_to_the_same_bytes(campaign, tmp_path
 
 
 def test_loading_a_data_set_loads_neither_compiler_nor_learner(campaign, run_python):
-    code = f"import sys, adaptrack.dataset as d; d.load_dataset({str(campaign)!r}); print(*sys.modules)"
+    code = f"import sys, adaptrack.tuning.dataset as d; d.load_dataset({str(campaign)!r}); print(*sys.modules)"
     assert not {"numba", "sklearn", "matplotlib", "pandas"} & set(run_python(code=code).split())
 
 

@@ -11,11 +11,11 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 import adaptrack as at
-from adaptrack.batch import rollout_batch
-from adaptrack.errors import InvalidInput
+from adaptrack.base.errors import InvalidInput
+from adaptrack.cars.vehicle import GRAVITY
+from adaptrack.drive.batch import rollout_batch
 from adaptrack.scenario import LaneChange, Scenario, Step, list_scenarios, load_scenario, random_drive
 from adaptrack.scenario.drives import BRAKING, GRIP_ALONG, TRACTION
-from adaptrack.vehicle import GRAVITY
 
 STEP = 0.01
 T = np.arange(0.0, 60.0 + STEP / 2, STEP)

@@ -6,11 +6,11 @@ import math
 import numpy as np
 import pytest
 
+from adaptrack.cars.plant import DualTrack, SingleTrack
+from adaptrack.cars.vehicle import GRAVITY, SteeringActuator, Tyre, load_tyre, load_vehicle
 from adaptrack.core.plants.contract import BLOCK, INPUT, INPUTS, SLOTS, STATE, STATES, vehicle_batch
 from adaptrack.core.plants.parameters import PLANT_PARAMETERS, unpack
-from adaptrack.plant import DualTrack, SingleTrack
-from adaptrack.profile import load_profile
-from adaptrack.vehicle import GRAVITY, SteeringActuator, Tyre, load_tyre, load_vehicle
+from adaptrack.scenario.profile import load_profile
 from inlined import entry
 from references import vehicle as reference
 

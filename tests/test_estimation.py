@@ -7,12 +7,13 @@ import math
 import numpy as np
 import pytest
 
-from adaptrack import estimation
-from adaptrack.controllers import MPC, Tuning, published_mpc
-from adaptrack.core.estimators import friction_wind as kernel
-from adaptrack.core.plants.parameters import unpack
-from adaptrack.errors import ContractError, InvalidInput, UnknownName
-from adaptrack.estimation import (
+from adaptrack import Controller
+from adaptrack.base.errors import ContractError, InvalidInput, UnknownName
+from adaptrack.cars.plant import DualTrack, SingleTrack
+from adaptrack.cars.vehicle import load_vehicle
+from adaptrack.control import estimation
+from adaptrack.control.controllers import MPC, Tuning, published_mpc
+from adaptrack.control.estimation import (
     Belief,
     FrictionWindEstimator,
     UserEstimator,
@@ -21,14 +22,14 @@ from adaptrack.estimation import (
     list_estimators,
     register_estimator,
 )
-from adaptrack.failure import Failure
-from adaptrack.models import SingleTrackModel
-from adaptrack.plant import DualTrack, SingleTrack
-from adaptrack.profile import load_profile
+from adaptrack.control.models import SingleTrackModel
+from adaptrack.control.scheduling import SchedulingVariables
+from adaptrack.core.estimators import friction_wind as kernel
+from adaptrack.core.plants.parameters import unpack
+from adaptrack.drive.failure import Failure
+from adaptrack.drive.simulate import simulate
 from adaptrack.scenario import Scenario, load_scenario
-from adaptrack.scheduling import SchedulingVariables
-from adaptrack.simulate import simulate
-from adaptrack.vehicle import load_vehicle
+from adaptrack.scenario.profile import load_profile
 from inlined import entry
 
 pytestmark = pytest.mark.kernels
@@ -45,7 +46,7 @@ SILENT_ROAD = ROAD.replace(noise_vy=0.0, noise_yaw=0.0, noise_yaw_rate=0.0, nois
 NEVER = Failure(distance=math.inf, sideslip=math.inf)
 
 
-class Scripted:
+class Scripted(Controller):
     """Steers by the clock."""
 
     name = "scripted"

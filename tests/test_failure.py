@@ -5,9 +5,9 @@ import math
 import numpy as np
 import pytest
 
-from adaptrack import failure
-from adaptrack.errors import InvalidInput
-from adaptrack.failure import Failure, Reason, find_failure
+from adaptrack.base.errors import InvalidInput
+from adaptrack.drive import failure
+from adaptrack.drive.failure import Failure, Reason, find_failure
 from test_metrics import NAN, record
 
 

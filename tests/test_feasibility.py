@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 from adaptrack import MPC, DualTrack, InvalidInput, Tuning, load_vehicle, published_mpc
-from adaptrack.certify import certify
-from adaptrack.feasibility import Domain, Feasibility, feasibility, largest_box
-from adaptrack.linearisation import Mismatch, bodies_of, laws, sampled
-from adaptrack.profile import load_profile
-from adaptrack.stability import hard_turn, modulus_margin
+from adaptrack.analysis.certify import certify
+from adaptrack.analysis.feasibility import Domain, Feasibility, feasibility, largest_box
+from adaptrack.analysis.linearisation import Mismatch, bodies_of, laws, sampled
+from adaptrack.analysis.stability import hard_turn, modulus_margin
+from adaptrack.scenario.profile import load_profile
 
 pytestmark = pytest.mark.compiled
 SEDAN = load_vehicle("midsize-sedan")

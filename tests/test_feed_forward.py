@@ -7,15 +7,15 @@ import math
 import numpy as np
 import pytest
 
-from adaptrack.controllers import MPC, Tuning, published_mpc
+from adaptrack.cars.plant import SingleTrack
+from adaptrack.cars.vehicle import load_vehicle
+from adaptrack.control.controllers import MPC, Tuning, published_mpc
+from adaptrack.control.models import PathModel, SingleTrackModel
 from adaptrack.core.controllers.feed_forward import FURTHEST, Turning, bend_size, feed_forward, road_moves
-from adaptrack.models import PathModel, SingleTrackModel
-from adaptrack.plant import SingleTrack
+from adaptrack.drive.simulate import rollout
 from adaptrack.road import Arc, Clothoid, Line, Road
 from adaptrack.road.ahead import RoadAhead
 from adaptrack.scenario import RoadDrive
-from adaptrack.simulate import rollout
-from adaptrack.vehicle import load_vehicle
 
 pytestmark = pytest.mark.kernels
 

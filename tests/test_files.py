@@ -7,8 +7,8 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from adaptrack.errors import ConfigError, InvalidInput, StorageError
-from adaptrack.files import (
+from adaptrack.base.errors import ConfigError, InvalidInput, StorageError
+from adaptrack.base.files import (
     Record,
     build,
     is_text,

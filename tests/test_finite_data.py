@@ -5,7 +5,7 @@ import math
 import pytest
 
 from adaptrack import Tuning, load_vehicle, published_mpc
-from adaptrack.qp import QPStatus
+from adaptrack.control.qp import QPStatus
 
 
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])

@@ -5,9 +5,9 @@ import re
 import numpy as np
 import pytest
 
-from adaptrack.errors import ConfigError, InvalidInput, StorageError
+from adaptrack.base.errors import ConfigError, InvalidInput, StorageError
+from adaptrack.control.scheduling.functions.sugeno import ANY
 from adaptrack.learning import ANFIS, read_fis, write_fis
-from adaptrack.scheduling.functions.sugeno import ANY
 
 SAMPLE = """\
 [System]

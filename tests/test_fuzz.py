@@ -8,16 +8,16 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from tools.fuzz import TARGETS, Failed, load, replay, save, search, shortened
+from tools.fuzz.batch import search_compiled
+from tools.fuzz.inputs import HOSTILE
 
-from adaptrack.controllers import MPC, Learning, Tuning, published_mpc
-from adaptrack.errors import ConfigError, InvalidInput
-from adaptrack.fuzz import TARGETS, Failed, load, replay, save, search, shortened
-from adaptrack.fuzz.batch import search_compiled
-from adaptrack.fuzz.inputs import HOSTILE
-from adaptrack.qp import QPStatus
+from adaptrack.base.errors import ConfigError, InvalidInput
+from adaptrack.cars.vehicle import load_vehicle
+from adaptrack.control.controllers import MPC, Learning, Tuning, published_mpc
+from adaptrack.control.qp import QPStatus
+from adaptrack.control.tracker import Status, Tracker
 from adaptrack.road import Line, Road
-from adaptrack.tracker import Status, Tracker
-from adaptrack.vehicle import load_vehicle
 
 CAR = load_vehicle("paper")
 GOOD = [0.01, 0.002, 0.003, 0.1]
@@ -57,7 +57,7 @@ def test_no_sample_however_hostile_raises_or_stays(kind, row, speed, ahead):
 @compiled
 def test_what_fails_is_cut_short_saved_and_replayed(tmp_path, monkeypatch):
     """A claim that is broken on purpose: no command above 1 degree."""
-    from adaptrack.fuzz import targets
+    from tools.fuzz import targets
 
     monkeypatch.setattr(
         targets.Steering, "wrong", lambda self, before, angle: "too large" if abs(angle) > math.radians(1.0) else None

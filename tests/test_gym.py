@@ -15,7 +15,7 @@ gymnasium = pytest.importorskip("gymnasium", reason="needs Gymnasium: pip instal
 from gymnasium.utils.env_checker import check_env  # noqa: E402
 
 import adaptrack.gym  # noqa: E402
-from adaptrack.errors import InvalidInput, UnknownName  # noqa: E402
+from adaptrack.base.errors import InvalidInput, UnknownName  # noqa: E402
 from adaptrack.gym import (  # noqa: E402
     MPCTuningEnv,
     MPCTuningVectorEnv,
@@ -30,7 +30,7 @@ STEP = at.load_scenario("step").replace(duration=4.0)
 TUNING = (25.0, 6.0, 1.5)  # Np, Nc, log10 R/Q
 
 
-class Law:
+class Law(at.Controller):
     """A linear law on measured offset and heading error; a sample that is missing keeps its last value."""
 
     name, period = "linear", 0.05

@@ -14,8 +14,10 @@ from scipy.integrate import odeint, solve_ivp
 from typer.testing import CliRunner
 
 import adaptrack as at
+from adaptrack.base.errors import InvalidInput
+from adaptrack.cars.vehicle import Steering, Vehicle
 from adaptrack.cli.app import app
-from adaptrack.errors import InvalidInput
+from adaptrack.comparison.manoeuvres.open_loop import drive_open_loop
 from adaptrack.identification.calibration import corrected
 from adaptrack.identification.conventions import check_conventions, guessed_ratio
 from adaptrack.identification.from_log import fitted, prepare, reported
@@ -23,9 +25,7 @@ from adaptrack.identification.likelihood import Likelihood
 from adaptrack.identification.log import log_of
 from adaptrack.identification.quantities import INDEX, QUANTITIES, Belief, beliefs_of, values_of
 from adaptrack.identification.reading import Reading, read_columns
-from adaptrack.manoeuvres.open_loop import drive_open_loop
 from adaptrack.road import generate_road
-from adaptrack.vehicle import Steering, Vehicle
 
 pytestmark = pytest.mark.kernels
 
@@ -247,7 +247,7 @@ def test_an_angle_of_the_steering_wheel_is_told_from_the_names_or_asked_for(log:
 
 @pytest.mark.compiled
 def test_the_page_shows_measured_and_simulated(found: at.Identification, tmp_path) -> None:
-    from adaptrack.report.identify import write_identification_page
+    from adaptrack.results.identify import write_identification_page
 
     text = write_identification_page(found, tmp_path / "page.html", "adaptrack identify").read_text()
     for words in ("explained", "simulated", "Believed before", "Speed and steering", "Are they white?"):

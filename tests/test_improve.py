@@ -11,16 +11,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from adaptrack.adaptation.config import Evaluation
-from adaptrack.adaptation.improve import Learnable, improve
-from adaptrack.adaptation.landscape import OUTPUTS, Rescue, landscape, preferred_moves
-from adaptrack.adaptation.method import Improvement, Method
+from adaptrack.base.errors import InvalidInput
 from adaptrack.comparison.statistics import geometric_mean
-from adaptrack.controllers import Tuning
-from adaptrack.errors import InvalidInput
+from adaptrack.control.controllers import Tuning
+from adaptrack.control.scheduling import ENTRIES, Learned, Number, SchedulingVariables
+from adaptrack.learning.adaptation.config import Evaluation
+from adaptrack.learning.adaptation.improve import Learnable, improve
+from adaptrack.learning.adaptation.landscape import OUTPUTS, Rescue, landscape, preferred_moves
+from adaptrack.learning.adaptation.method import Improvement, Method
 from adaptrack.learning.surfaces import FuzzySurface, Level, NetworkSurface
-from adaptrack.runs import RunSet
-from adaptrack.scheduling import ENTRIES, Learned, Number, SchedulingVariables
+from adaptrack.tuning.runs import RunSet
 from small_runs import START, lane_changes, run_set
 
 METHOD = Method()

@@ -9,8 +9,10 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from adaptrack.batch import rollout_batch
-from adaptrack.controllers import (
+from adaptrack.base.errors import InvalidInput
+from adaptrack.cars.plant import DualTrack
+from adaptrack.cars.vehicle import Steering, SteeringActuator, Vehicle, list_vehicles, load_tyre, load_vehicle
+from adaptrack.control.controllers import (
     MPC,
     Limits,
     Moves,
@@ -20,20 +22,18 @@ from adaptrack.controllers import (
     informed_tuning,
     published_mpc,
 )
-from adaptrack.controllers.belief import ASSUMED
+from adaptrack.control.controllers.belief import ASSUMED
+from adaptrack.control.estimation import Deadbeat, check_estimator, get_estimator
+from adaptrack.control.kalman import SENSORS, Drifts, KalmanFilter, SensorNoise
+from adaptrack.control.models import MEASURED, PathModel, SingleTrackModel, check_model, get_model
+from adaptrack.control.scheduling import load_scheduler
 from adaptrack.core.estimators.kalman import memory_of
-from adaptrack.errors import InvalidInput
-from adaptrack.estimation import Deadbeat, check_estimator, get_estimator
-from adaptrack.kalman import SENSORS, Drifts, KalmanFilter, SensorNoise
-from adaptrack.metrics import compute_metrics
-from adaptrack.models import MEASURED, PathModel, SingleTrackModel, check_model, get_model
-from adaptrack.plant import DualTrack
-from adaptrack.profile import list_profiles, load_profile
+from adaptrack.drive.batch import rollout_batch
+from adaptrack.drive.metrics import compute_metrics
+from adaptrack.drive.simulate import rollout, simulate
+from adaptrack.drive.world import World
 from adaptrack.scenario import list_scenarios, load_scenario, random_drive
-from adaptrack.scheduling import load_scheduler
-from adaptrack.simulate import rollout, simulate
-from adaptrack.vehicle import Steering, SteeringActuator, Vehicle, list_vehicles, load_tyre, load_vehicle
-from adaptrack.world import World
+from adaptrack.scenario.profile import list_profiles, load_profile
 from textbook_filter import TextbookFilter
 
 pytestmark = pytest.mark.kernels

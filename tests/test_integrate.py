@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
+from adaptrack.cars.plant import DualTrack, SingleTrack, UserPlant
+from adaptrack.cars.vehicle import SteeringActuator, load_tyre, load_vehicle
 from adaptrack.core.plants.contract import GROUP, INPUT, INPUTS, SLOTS, STATE, STATES, vehicle_batch
 from adaptrack.core.plants.tyre import CURVED_MAGIC_FORMULA, LINEAR, MAGIC_FORMULA
 from adaptrack.core.plants.user import ACTUATOR, compile_plant
-from adaptrack.plant import DualTrack, SingleTrack, UserPlant
-from adaptrack.profile import load_profile
-from adaptrack.vehicle import SteeringActuator, load_tyre, load_vehicle
+from adaptrack.scenario.profile import load_profile
 from references import vehicle as reference
 
 pytestmark = pytest.mark.kernels

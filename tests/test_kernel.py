@@ -12,7 +12,8 @@ import sys
 import numpy as np
 import pytest
 
-from adaptrack.controllers import published_mpc
+from adaptrack.cars.vehicle import load_vehicle
+from adaptrack.control.controllers import published_mpc
 from adaptrack.core import library
 from adaptrack.core.kernel import (
     INTERPRETED,
@@ -37,7 +38,6 @@ from adaptrack.core.kernel import (
 from adaptrack.core.member import member
 from adaptrack.core.road import foot_about
 from adaptrack.road import Arc, Line, Road
-from adaptrack.vehicle import load_vehicle
 from inlined import entry
 
 INNER = record("INNER", ("x", "y"))

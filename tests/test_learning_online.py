@@ -12,22 +12,22 @@ from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 from typer.testing import CliRunner
 
+from adaptrack.base.errors import ConfigError, InvalidInput
+from adaptrack.cars.plant import DualTrack
+from adaptrack.cars.vehicle import Steering, load_vehicle
 from adaptrack.cli.app import app
-from adaptrack.controllers import MPC, LearnedCar, Learning, Uncertainty, load_learned_car
+from adaptrack.control.controllers import MPC, LearnedCar, Learning, Uncertainty, load_learned_car
+from adaptrack.control.estimation import NOTHING_MEASURED
+from adaptrack.control.kalman import KalmanFilter
+from adaptrack.control.models import PathModel, SingleTrackModel
+from adaptrack.control.tracker import Tracker
 from adaptrack.core.estimators import learning as kernel
-from adaptrack.errors import ConfigError, InvalidInput
-from adaptrack.estimation import NOTHING_MEASURED
-from adaptrack.kalman import KalmanFilter
-from adaptrack.models import PathModel, SingleTrackModel
-from adaptrack.plant import DualTrack
-from adaptrack.profile import load_profile
-from adaptrack.report.drive_figures import learned_figure
-from adaptrack.report.record import DriveRecord
+from adaptrack.drive.simulate import rollout, simulate
+from adaptrack.results.drive_figures import learned_figure
+from adaptrack.results.record import DriveRecord
 from adaptrack.road import generate_road, plan_speed
 from adaptrack.scenario import RoadDrive, Scenario, random_drive
-from adaptrack.simulate import rollout, simulate
-from adaptrack.tracker import Tracker
-from adaptrack.vehicle import Steering, load_vehicle
+from adaptrack.scenario.profile import load_profile
 from inlined import entry
 
 pytestmark = pytest.mark.kernels

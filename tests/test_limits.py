@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from adaptrack import limits
-from adaptrack.controllers import Moves, Tuning, published_mpc
-from adaptrack.errors import InvalidInput
+from adaptrack.base import limits
+from adaptrack.base.errors import InvalidInput
+from adaptrack.cars.vehicle import load_vehicle
+from adaptrack.control.controllers import Moves, Tuning, published_mpc
 from adaptrack.scenario import Scenario, load_scenario
 from adaptrack.tuning.config import CampaignConfig, Plan
-from adaptrack.vehicle import load_vehicle
 from campaign_fakes import small
 
 LIMITS = [value for value in vars(limits).values() if isinstance(value, limits.Limit)]

@@ -8,17 +8,17 @@ import sys
 import pytest
 
 from adaptrack import cli
-from adaptrack.batch import Batch
-from adaptrack.controllers import MPC, published_mpc
-from adaptrack.controllers.made_for import car_of, is_for_published
-from adaptrack.plant import DualTrack
-from adaptrack.profile import load_profile
-from adaptrack.runs import RunSet
+from adaptrack.cars.plant import DualTrack
+from adaptrack.cars.vehicle import list_vehicles, load_vehicle
+from adaptrack.control.controllers import MPC, published_mpc
+from adaptrack.control.controllers.made_for import car_of, is_for_published
+from adaptrack.control.scheduling import list_schedulers, load_scheduler
+from adaptrack.drive.batch import Batch
+from adaptrack.drive.simulate import simulate
 from adaptrack.scenario import load_scenario
-from adaptrack.scheduling import list_schedulers, load_scheduler
-from adaptrack.simulate import simulate
+from adaptrack.scenario.profile import load_profile
 from adaptrack.tuning.constant_file import ConstantTuning
-from adaptrack.vehicle import list_vehicles, load_vehicle
+from adaptrack.tuning.runs import RunSet
 
 SCHEDULERS = {name: load_scheduler(name) for name in list_schedulers()}
 CARS = {name: load_vehicle(name) for name in list_vehicles()}
@@ -117,7 +117,7 @@ def test_a_stable_meeting_is_driven_with_the_verdict_and_ones_own_car_is_not_loo
     assert code == 0
     assert "Warning, scheduler 'informed-road-best-constant', made for the car 'paper', on 'van'" in said.out
     assert "Passed: the closed loop is stable at all" in said.out
-    monkeypatch.setattr("adaptrack.certify.certify", lambda *given, **more: pytest.fail("it was looked at"))
+    monkeypatch.setattr("adaptrack.analysis.certify.certify", lambda *given, **more: pytest.fail("it was looked at"))
     code, said = command(*drive_shortly("paper", "informed-road-best-constant"))
     assert code == 0
     assert "certificate" not in said.out + said.err

@@ -10,10 +10,12 @@ import pytest
 from scipy.signal import lsim
 
 from adaptrack import cli
+from adaptrack.base.errors import InvalidInput
+from adaptrack.cars.outline import Outline
+from adaptrack.cars.plant import SingleTrack, SteppedPlant, get_plant
+from adaptrack.cars.vehicle import GRAVITY, Tyre, load_vehicle
 from adaptrack.cli import closed_loop
-from adaptrack.controllers import get_controller
-from adaptrack.errors import InvalidInput
-from adaptrack.manoeuvres import (
+from adaptrack.comparison.manoeuvres import (
     Gate,
     LaneChange,
     Surroundings,
@@ -38,16 +40,14 @@ from adaptrack.manoeuvres import (
     track_road,
     tune_for_track,
 )
-from adaptrack.manoeuvres.entry_speed import TUNING_SEEDS, own_tuning, refined_poses, tunings_to_try
-from adaptrack.manoeuvres.lane_runs import crossing, last_offset, settling_time
-from adaptrack.manoeuvres.sine_with_dwell import amplitudes, reference_angle, sine_with_dwell_shape
-from adaptrack.outline import Outline
-from adaptrack.path_metrics import PathRecord
-from adaptrack.plant import SingleTrack, SteppedPlant, get_plant
-from adaptrack.profile import load_profile
+from adaptrack.comparison.manoeuvres.entry_speed import TUNING_SEEDS, own_tuning, refined_poses, tunings_to_try
+from adaptrack.comparison.manoeuvres.lane_runs import crossing, last_offset, settling_time
+from adaptrack.comparison.manoeuvres.sine_with_dwell import amplitudes, reference_angle, sine_with_dwell_shape
+from adaptrack.control.controllers import get_controller
+from adaptrack.drive.path_metrics import PathRecord
+from adaptrack.drive.simulate import rollout
 from adaptrack.road import Line, Road
-from adaptrack.simulate import rollout
-from adaptrack.vehicle import GRAVITY, Tyre, load_vehicle
+from adaptrack.scenario.profile import load_profile
 
 GRIP = Surroundings(friction=1.0)
 DEGREE = math.pi / 180

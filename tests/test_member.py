@@ -10,18 +10,18 @@ import time
 import numpy as np
 import pytest
 
-from adaptrack.batch import rollout_batch
-from adaptrack.controllers import MPC, UserController
+from adaptrack.base.errors import MissingExtra
+from adaptrack.cars.plant import UserPlant
+from adaptrack.cars.vehicle import load_vehicle
+from adaptrack.control.controllers import MPC, UserController
 from adaptrack.core import library
 from adaptrack.core.kernel import INTERPRETED, float64, vector, void
 from adaptrack.core.member import CFunction, member
 from adaptrack.core.plants.user import compile_plant
 from adaptrack.core.road import RoadAhead
-from adaptrack.errors import MissingExtra
-from adaptrack.plant import UserPlant
+from adaptrack.drive.batch import rollout_batch
+from adaptrack.drive.simulate import simulate
 from adaptrack.scenario import load_scenario
-from adaptrack.simulate import simulate
-from adaptrack.vehicle import load_vehicle
 
 pytestmark = pytest.mark.skipif(INTERPRETED, reason="interpreted kernels call functions of one's own as they are")
 

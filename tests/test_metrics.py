@@ -9,10 +9,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from adaptrack.errors import InvalidInput
-from adaptrack.failure import Failure
-from adaptrack.metrics import compute_metrics, published_mse
-from adaptrack.trajectory import COLUMNS, Trajectory
+from adaptrack.base.errors import InvalidInput
+from adaptrack.drive.failure import Failure
+from adaptrack.drive.metrics import compute_metrics, published_mse
+from adaptrack.drive.trajectory import COLUMNS, Trajectory
 
 NAN, INF = float("nan"), float("inf")
 

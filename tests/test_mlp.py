@@ -10,10 +10,10 @@ from sklearn.neural_network import MLPRegressor
 from sklearn.utils.estimator_checks import check_estimator
 
 from adaptrack import learning as room
-from adaptrack.errors import InvalidInput
+from adaptrack.base.errors import InvalidInput
+from adaptrack.control.scheduling import Network
 from adaptrack.learning import MLP
 from adaptrack.learning.holding import held_out
-from adaptrack.scheduling import Network
 
 QUICK = {"epochs": 60, "batch_size": 20}
 
@@ -233,7 +233,7 @@ def test_an_interrupt_ends_the_training(monkeypatch):
 
 
 def test_what_was_learned_runs_without_the_library_that_trained_it(run_python):
-    code = "import sys, adaptrack.scheduling.functions.network; print(*sys.modules)"
+    code = "import sys, adaptrack.control.scheduling.functions.network; print(*sys.modules)"
     assert "sklearn" not in run_python(code=code).split()
 
 

@@ -6,11 +6,10 @@ import math
 import numpy as np
 import pytest
 
-from adaptrack import models
-from adaptrack.core.controllers import condensing
-from adaptrack.core.models import single_track as kernel
-from adaptrack.errors import ContractError, InvalidInput, UnknownName
-from adaptrack.models import (
+from adaptrack.base.errors import ContractError, InvalidInput, UnknownName
+from adaptrack.cars.vehicle import list_vehicles, load_vehicle
+from adaptrack.control import models
+from adaptrack.control.models import (
     PredictionModel,
     SingleTrackModel,
     check_model,
@@ -21,7 +20,8 @@ from adaptrack.models import (
     list_models,
     register_model,
 )
-from adaptrack.vehicle import list_vehicles, load_vehicle
+from adaptrack.core.controllers import condensing
+from adaptrack.core.models import single_track as kernel
 from inlined import entry
 from references import mpc as reference
 

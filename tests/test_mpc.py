@@ -7,13 +7,13 @@ import threading
 import numpy as np
 import pytest
 
-from adaptrack.controllers import MPC, Limits, Moves, Scheduler, Tuning, published_mpc
+from adaptrack.base.errors import InvalidInput, MissingExtra, UnknownName
+from adaptrack.cars.vehicle import load_vehicle
+from adaptrack.control.controllers import MPC, Limits, Moves, Scheduler, Tuning, published_mpc
+from adaptrack.control.models import SingleTrackModel, limit_bounds, limit_matrix
+from adaptrack.control.qp import QPStatus, get_qp_solver, list_qp_solvers
+from adaptrack.control.scheduling import SchedulingVariables
 from adaptrack.core.controllers import mpc as kernel
-from adaptrack.errors import InvalidInput, MissingExtra, UnknownName
-from adaptrack.models import SingleTrackModel, limit_bounds, limit_matrix
-from adaptrack.qp import QPStatus, get_qp_solver, list_qp_solvers
-from adaptrack.scheduling import SchedulingVariables
-from adaptrack.vehicle import load_vehicle
 from references import mpc as reference
 
 pytestmark = pytest.mark.kernels

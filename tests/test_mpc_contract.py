@@ -10,11 +10,11 @@ import threading
 import numpy as np
 import pytest
 
-from adaptrack.controllers import MPC, Limits, Moves, Tuning, published_mpc
-from adaptrack.errors import InvalidInput
-from adaptrack.qp import QPStatus, get_qp_solver
-from adaptrack.scheduling import Constant, SchedulingVariables
-from adaptrack.vehicle import load_vehicle
+from adaptrack.base.errors import InvalidInput
+from adaptrack.cars.vehicle import load_vehicle
+from adaptrack.control.controllers import MPC, Limits, Moves, Tuning, published_mpc
+from adaptrack.control.qp import QPStatus, get_qp_solver
+from adaptrack.control.scheduling import Constant, SchedulingVariables
 
 CAR = load_vehicle("paper")
 HERE = SchedulingVariables(speed=15.0, y_ref=0.5, friction=0.8, wind=3.0)

@@ -7,16 +7,16 @@ import math
 import numpy as np
 import pytest
 
-from adaptrack.controllers import check_controller, get_controller
-from adaptrack.controllers.limits import Limits
-from adaptrack.controllers.mppi import MPPI
+from adaptrack.base.errors import InvalidInput
+from adaptrack.cars.plant import DualTrack, SingleTrack
+from adaptrack.cars.vehicle import Steering, SteeringActuator, load_tyre, load_vehicle
+from adaptrack.control.controllers import check_controller, get_controller
+from adaptrack.control.controllers.limits import Limits
+from adaptrack.control.controllers.mppi import MPPI
 from adaptrack.core.controllers import mppi as kernel
-from adaptrack.errors import InvalidInput
-from adaptrack.plant import DualTrack, SingleTrack
+from adaptrack.drive.simulate import rollout, simulate
 from adaptrack.road import Arc, Line, Road
 from adaptrack.scenario import RoadDrive, load_scenario
-from adaptrack.simulate import rollout, simulate
-from adaptrack.vehicle import Steering, SteeringActuator, load_tyre, load_vehicle
 from inlined import entry
 
 pytestmark = pytest.mark.kernels

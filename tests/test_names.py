@@ -9,11 +9,11 @@ from rich.console import Console
 
 from adaptrack import cli
 from adaptrack.cli import show
-from adaptrack.controllers import Tuning
-from adaptrack.report import Run, write_report
+from adaptrack.control.controllers import Tuning
+from adaptrack.control.scheduling import Constant
+from adaptrack.drive.trajectory import Trajectory
+from adaptrack.results import Run, write_report
 from adaptrack.scenario import load_scenario
-from adaptrack.scheduling import Constant
-from adaptrack.trajectory import Trajectory
 from test_report import Outline, drive
 
 NASTY = {
@@ -44,7 +44,7 @@ def command(monkeypatch, capsys):
 
 @pytest.mark.parametrize("name", NASTY.values(), ids=NASTY)
 def test_any_name_is_driven_saved_loaded_and_printed(command, monkeypatch, tmp_path, name):
-    monkeypatch.setattr("adaptrack.report.write_report", lambda out, *_, **__: out)  # drawn below
+    monkeypatch.setattr("adaptrack.results.write_report", lambda out, *_, **__: out)  # drawn below
     inside = tmp_path / "in" / "deep"
     inside.mkdir(parents=True)
     load_scenario("sine", duration=0.5).replace(name=name).to_toml(inside / "scenario.toml")
@@ -67,7 +67,7 @@ def test_any_name_is_driven_saved_loaded_and_printed(command, monkeypatch, tmp_p
 
 
 def test_pages_show_a_name_whole_and_its_controls_as_escapes(tmp_path, monkeypatch):
-    monkeypatch.setattr("adaptrack.report.style.PNG_DPI", 20)
+    monkeypatch.setattr("adaptrack.results.style.PNG_DPI", 20)
     names = list(NASTY.values())
     runs = [Run(drive(n=40, scenario=names[i % 3]), label=name) for i, name in enumerate(names)]
     page = write_report(tmp_path, runs, title="\ud800 [/red] $\0", command="simulate '\ud800'")
@@ -86,7 +86,7 @@ def test_pages_show_a_name_whole_and_its_controls_as_escapes(tmp_path, monkeypat
 
 
 def test_labels_that_are_cut_are_still_told_apart(tmp_path, monkeypatch):
-    monkeypatch.setattr("adaptrack.report.style.PNG_DPI", 20)
+    monkeypatch.setattr("adaptrack.results.style.PNG_DPI", 20)
     runs = [Run(drive(n=40, seed=seed), label="x" * 200 + str(seed)) for seed in (1, 2)]
     text = write_report(tmp_path, runs).read_text(encoding="utf-8")
     assert "…, seed 1" in text

@@ -8,14 +8,14 @@ import sys
 import numpy as np
 import pytest
 
-from adaptrack.controllers import Limits, check_controller, get_controller
-from adaptrack.errors import InvalidInput, MissingExtra
-from adaptrack.models import PathModel
-from adaptrack.plant import DualTrack, SingleTrack
+from adaptrack.base.errors import InvalidInput, MissingExtra
+from adaptrack.cars.plant import DualTrack, SingleTrack
+from adaptrack.cars.vehicle import Steering, load_tyre, load_vehicle
+from adaptrack.control.controllers import Limits, check_controller, get_controller
+from adaptrack.control.models import PathModel
+from adaptrack.drive.simulate import simulate
 from adaptrack.road import Arc, Line, Road
 from adaptrack.scenario import RoadDrive, load_scenario
-from adaptrack.simulate import simulate
-from adaptrack.vehicle import Steering, load_tyre, load_vehicle
 
 CAR = load_vehicle("paper")
 HAIRPIN = Road.from_segments(

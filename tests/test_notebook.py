@@ -7,16 +7,16 @@ import numpy as np
 import pytest
 
 import small_data
+from adaptrack.base.errors import InvalidInput, MissingExtra
+from adaptrack.cars.vehicle import load_vehicle
 from adaptrack.comparison.compare import Comparison
-from adaptrack.controllers import Tuning
-from adaptrack.errors import InvalidInput, MissingExtra
-from adaptrack.metrics import compute_metrics
-from adaptrack.report.notebook import run_figure
-from adaptrack.report.record import DriveRecord, Shape
+from adaptrack.control.controllers import Tuning
+from adaptrack.control.scheduling import Constant, Learned
+from adaptrack.drive.metrics import compute_metrics
+from adaptrack.drive.trajectory import COLUMNS, Trajectory
+from adaptrack.results.notebook import run_figure
+from adaptrack.results.record import DriveRecord, Shape
 from adaptrack.road import generate_road
-from adaptrack.scheduling import Constant, Learned
-from adaptrack.trajectory import COLUMNS, Trajectory
-from adaptrack.vehicle import load_vehicle
 
 
 def driven(road, /, *, laps=1.0, offset=0.2, **more):
@@ -128,7 +128,7 @@ def objects():
 
 @pytest.mark.parametrize("which", ["car", "schedule", "constant", "data", "comparison"])
 def test_what_one_looks_at_shows_numbers_and_a_picture_with_nothing_from_outside(which, monkeypatch):
-    monkeypatch.setattr("adaptrack.report.style.PNG_DPI", 20)
+    monkeypatch.setattr("adaptrack.results.style.PNG_DPI", 20)
     shown, words = objects()[which]
     text = shown._repr_html_()
     assert all(each in text for each in words)

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 import adaptrack as at
-from adaptrack.errors import InvalidInput
-from adaptrack.failure import Failure
+from adaptrack.base.errors import InvalidInput
+from adaptrack.drive.failure import Failure
 from adaptrack.tuning.objective import Objective
 
 pytestmark = pytest.mark.compiled

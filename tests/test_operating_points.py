@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from adaptrack.errors import InvalidInput
+from adaptrack.base.errors import InvalidInput
 from adaptrack.tuning.operating_points import (
     COLUMNS,
     NAMES,

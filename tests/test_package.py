@@ -67,7 +67,7 @@ def test_public_table_all_and_type_checking_imports_agree():
 
 
 def test_simulate_stays_a_function_after_its_module_was_imported():
-    importlib.import_module("adaptrack.simulate")
+    importlib.import_module("adaptrack.drive.simulate")
     assert callable(adaptrack.simulate)
 
 

@@ -9,19 +9,19 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from adaptrack.controllers import MPC, Tuning, published_mpc
-from adaptrack.errors import InvalidInput
-from adaptrack.metrics import compute_metrics
-from adaptrack.models import PathModel
-from adaptrack.outline import Outline
-from adaptrack.path_metrics import PathRecord, path_metrics, r79, r79_signals, reversal_rate
-from adaptrack.plant import DualTrack
-from adaptrack.prediction import foretold, prediction_error
+from adaptrack.base.errors import InvalidInput
+from adaptrack.cars.outline import Outline
+from adaptrack.cars.plant import DualTrack
+from adaptrack.cars.vehicle import Body, load_vehicle
+from adaptrack.control.controllers import MPC, Tuning, published_mpc
+from adaptrack.control.models import PathModel
+from adaptrack.drive.metrics import compute_metrics
+from adaptrack.drive.path_metrics import PathRecord, path_metrics, r79, r79_signals, reversal_rate
+from adaptrack.drive.prediction import foretold, prediction_error
+from adaptrack.drive.simulate import rollout
 from adaptrack.road import Arc, Line
 from adaptrack.road.road import Road
 from adaptrack.scenario import RoadDrive
-from adaptrack.simulate import rollout
-from adaptrack.vehicle import Body, load_vehicle
 
 BOX = Outline(front=2.0, rear=2.5, width=1.8)
 T = np.arange(0.0, 60.0, 0.05)

@@ -6,9 +6,9 @@ import json
 
 import pytest
 
-from adaptrack.controllers import Tuning
-from adaptrack.errors import InvalidInput, StorageError
-from adaptrack.scheduling import Constant
+from adaptrack.base.errors import InvalidInput, StorageError
+from adaptrack.control.controllers import Tuning
+from adaptrack.control.scheduling import Constant
 from adaptrack.studies.pipeline import JSONFile, SchedulerFile, Stage, identity_of, run, software
 
 

@@ -6,9 +6,8 @@ import math
 import numpy as np
 import pytest
 
-from adaptrack.core.plants.contract import INPUT, SLOTS, STATES, place, vehicle_batch
-from adaptrack.errors import ContractError, InvalidInput, UnknownName
-from adaptrack.plant import (
+from adaptrack.base.errors import ContractError, InvalidInput, UnknownName
+from adaptrack.cars.plant import (
     MOTION,
     DualTrack,
     SingleTrack,
@@ -19,7 +18,8 @@ from adaptrack.plant import (
     list_plants,
     register_plant,
 )
-from adaptrack.vehicle import SteeringActuator, list_tyres, list_vehicles, load_tyre, load_vehicle
+from adaptrack.cars.vehicle import SteeringActuator, list_tyres, list_vehicles, load_tyre, load_vehicle
+from adaptrack.core.plants.contract import INPUT, SLOTS, STATES, place, vehicle_batch
 
 pytestmark = pytest.mark.kernels
 
@@ -409,7 +409,7 @@ class Bicycle(SteppedPlant):
 
 
 def test_a_stepped_plant_passes_the_checker_and_may_be_registered(monkeypatch):
-    from adaptrack import plant as module
+    from adaptrack.cars import plant as module
 
     check_plant(Bicycle())
     monkeypatch.setattr(module._registry, "factories", dict(module._registry.factories))

@@ -9,13 +9,13 @@ import pytest
 from scipy.linalg import solve_discrete_are
 
 import adaptrack as at
-from adaptrack.controllers.lqr import SPEEDS
-from adaptrack.controllers.preview_lqr import PreviewLQR, steady_turn
-from adaptrack.errors import InvalidInput
-from adaptrack.models import PathModel
+from adaptrack.base.errors import InvalidInput
+from adaptrack.cars.vehicle import Steering
+from adaptrack.control.controllers.lqr import SPEEDS
+from adaptrack.control.controllers.preview_lqr import PreviewLQR, steady_turn
+from adaptrack.control.models import PathModel
 from adaptrack.road import Arc, Clothoid, Line, Road
 from adaptrack.road.ahead import RoadAhead, straight
-from adaptrack.vehicle import Steering
 
 pytestmark = pytest.mark.kernels
 

@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 
 import adaptrack as at
-from adaptrack import process_plant
-from adaptrack.errors import ContractError, InvalidInput
-from adaptrack.plant import SteppedPlant
-from adaptrack.process_plant import ProcessPlant
+from adaptrack.base.errors import ContractError, InvalidInput
+from adaptrack.cars.plant import SteppedPlant
+from adaptrack.peers import process_plant
+from adaptrack.peers.process_plant import ProcessPlant
 from foreign_loop import example
 
 SIMULATOR = example("simulator_in_another_process")
@@ -316,7 +316,7 @@ def _state(number):
 
 def test_the_end_of_the_interpreter_ends_it(run_python):
     program = (
-        "from adaptrack.process_plant import ProcessPlant\n"
+        "from adaptrack.peers.process_plant import ProcessPlant\n"
         f"plant = ProcessPlant({SERVE!r})\nprint(plant._process.pid)\nraise SystemExit(0)"
     )
     number = int(run_python("-c", program))

@@ -15,12 +15,12 @@ import numpy as np
 import pytest
 
 import adaptrack as at
-from adaptrack.batch import Batch
 from adaptrack.core import library
 from adaptrack.core.build.objects import undefined
 from adaptrack.core.controllers.mpc_step import Step
 from adaptrack.core.kernel import INTERPRETED
 from adaptrack.core.maths.values import NAMES
+from adaptrack.drive.batch import Batch
 from processors.image import BEGIN, COPY, DRIVE, ELEMENTARY, STEP, TELL, Image, bits, run
 
 pytestmark = [pytest.mark.compiled, pytest.mark.skipif(library.WAY != "library", reason="compares libraries")]

@@ -6,9 +6,9 @@ import math
 
 import pytest
 
-from adaptrack.errors import ConfigError, InvalidInput, StorageError, UnknownName
-from adaptrack.profile import Profile, list_profiles, load_profile
-from adaptrack.vehicle import SteeringActuator
+from adaptrack.base.errors import ConfigError, InvalidInput, StorageError, UnknownName
+from adaptrack.cars.vehicle import SteeringActuator
+from adaptrack.scenario.profile import Profile, list_profiles, load_profile
 
 PAPER, ROAD = load_profile("paper"), load_profile("road")
 

@@ -7,8 +7,8 @@ import types
 
 import pytest
 
-from adaptrack import progress
-from adaptrack.progress import tells
+from adaptrack.base import progress
+from adaptrack.base.progress import tells
 
 
 @pytest.fixture(autouse=True)

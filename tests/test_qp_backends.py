@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from adaptrack import Tuning, load_vehicle, published_mpc
-from adaptrack.errors import ContractError, InvalidInput, MissingExtra, UnknownName
-from adaptrack.qp import (
+from adaptrack.base.errors import ContractError, InvalidInput, MissingExtra, UnknownName
+from adaptrack.control.qp import (
     QP,
     Attempt,
     QPSolver,
@@ -20,9 +20,9 @@ from adaptrack.qp import (
     register_qp_solver,
     registry,
 )
-from adaptrack.qp.active_set import ActiveSet
-from adaptrack.qp.check import ill_conditioned_problem
-from adaptrack.qp.solver import newton_distance
+from adaptrack.control.qp.active_set import ActiveSet
+from adaptrack.control.qp.check import ill_conditioned_problem
+from adaptrack.control.qp.solver import newton_distance
 from references.qp_problems import drawn_mpc_problem, drawn_problem
 
 NAMES = ("active-set", "clarabel", "daqp", "hildreth", "osqp", "piqp")
@@ -290,7 +290,7 @@ def test_a_missing_library_is_answered_with_the_command_that_installs_it(monkeyp
 
 
 def test_the_libraries_are_loaded_only_when_their_solver_is_asked_for(run_python):
-    code = f"import sys, adaptrack.qp; print([n for n in {(*EXTRAS, 'daqp')!r} if n in sys.modules])"
+    code = f"import sys, adaptrack.control.qp; print([n for n in {(*EXTRAS, 'daqp')!r} if n in sys.modules])"
     assert run_python(code=code).strip() == "[]"
 
 
@@ -307,7 +307,7 @@ def test_anybodys_solver_can_be_registered_by_name():
     register_qp_solver("mine", Mine)
     assert "mine" in list_qp_solvers()
     assert isinstance(get_qp_solver("mine", max_iterations=7), Mine)
-    register_qp_solver("by-path", "adaptrack.qp.active_set:ActiveSet")
+    register_qp_solver("by-path", "adaptrack.control.qp.active_set:ActiveSet")
     assert isinstance(get_qp_solver("by-path"), ActiveSet)
 
 

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from adaptrack.qp import QP, QPStatus, get_qp_solver
+from adaptrack.control.qp import QP, QPStatus, get_qp_solver
 from references.qp_exact import exact_residual, reference_solve
 from references.qp_problems import drawn_problem
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import browser
-from adaptrack.report.drive import write_drive_page
+from adaptrack.results.drive import write_drive_page
 from browser import Served
 from made_drives import bend, made_drive
 

@@ -13,9 +13,10 @@ from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from matplotlib.text import Text
 
-from adaptrack.errors import InvalidInput, StorageError
-from adaptrack.metrics import compute_metrics
-from adaptrack.report import (
+from adaptrack.base.errors import InvalidInput, StorageError
+from adaptrack.drive.metrics import compute_metrics
+from adaptrack.drive.trajectory import Origin, Trajectory, provenance
+from adaptrack.results import (
     Run,
     Section,
     conditions_figure,
@@ -30,9 +31,8 @@ from adaptrack.report import (
     write_page,
     write_report,
 )
-from adaptrack.report.dots import Dot, notes
-from adaptrack.report.page import Panel
-from adaptrack.trajectory import Origin, Trajectory, provenance
+from adaptrack.results.dots import Dot, notes
+from adaptrack.results.page import Panel
 from pictures import pictures
 
 
@@ -173,7 +173,7 @@ def test_the_page_opens_with_verdict_and_picture(report):
 
 
 def test_a_single_run_is_told_with_its_error_what_it_is_held_against_and_how_sure_that_is(tmp_path, monkeypatch):
-    monkeypatch.setattr("adaptrack.report.style.PNG_DPI", 20)
+    monkeypatch.setattr("adaptrack.results.style.PNG_DPI", 20)
     told = Outline(write_report(tmp_path, [drive(seed=3, profile="road")]).read_text()).text
     assert "Standard MPC follows the triple lane change within 0.1" in told
     assert "Against nothing" in told
@@ -260,7 +260,7 @@ def test_a_lost_run_is_said_to_be_lost_and_never_best(report):
 
 
 def test_the_heading_says_first_that_runs_failed(report, tmp_path, monkeypatch):
-    monkeypatch.setattr("adaptrack.report.style.PNG_DPI", 20)
+    monkeypatch.setattr("adaptrack.results.style.PNG_DPI", 20)
     _, text, _ = report
     assert "<title>1 of 5 runs failed · Both tests</title>" in text
     shown = Outline(text).text
@@ -274,7 +274,7 @@ def test_the_heading_says_first_that_runs_failed(report, tmp_path, monkeypatch):
 
 
 def test_a_page_without_a_failed_run_does_not_speak_of_one_in_its_heading(tmp_path, monkeypatch):
-    monkeypatch.setattr("adaptrack.report.style.PNG_DPI", 20)
+    monkeypatch.setattr("adaptrack.results.style.PNG_DPI", 20)
     text = write_report(tmp_path, [drive()]).read_text()
     assert "<h1>Triple lane change: Standard MPC</h1>" in text
 

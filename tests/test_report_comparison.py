@@ -9,12 +9,12 @@ import pytest
 
 from adaptrack.comparison.compare import Comparison, Role
 from adaptrack.comparison.statistics import binned_geometric_mean, importance
-from adaptrack.controllers import Tuning
-from adaptrack.report import comparison as page
-from adaptrack.report import style
-from adaptrack.report.comparison import best, failures, knowledge, on_tests, standing, write_comparison
-from adaptrack.report.words import number
-from adaptrack.scheduling import Constant, Guarded, Learned, StabilityMap, Table
+from adaptrack.control.controllers import Tuning
+from adaptrack.control.scheduling import Constant, Guarded, Learned, StabilityMap, Table
+from adaptrack.results import comparison as page
+from adaptrack.results import style
+from adaptrack.results.comparison import best, failures, knowledge, on_tests, standing, write_comparison
+from adaptrack.results.words import number
 from pictures import pictures
 
 POINTS = {"standard": 9.0, "best constant": 2.5, "speed only": 1.6, "look-up": 1.2, "nn": 1.1, "anfis": 1.15}

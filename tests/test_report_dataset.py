@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
-from adaptrack.dataset import DataSet, describe
 from adaptrack.learning.boosting import explained_shares
-from adaptrack.report import dataset as page
-from adaptrack.report import style
-from adaptrack.report.dataset import write_dataset_report
+from adaptrack.results import dataset as page
+from adaptrack.results import style
+from adaptrack.results.dataset import write_dataset_report
+from adaptrack.tuning.dataset import DataSet, describe
 from adaptrack.tuning.operating_points import grid, sobol
 from pictures import pictures
 

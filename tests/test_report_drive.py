@@ -8,14 +8,14 @@ import re
 import numpy as np
 import pytest
 
-from adaptrack.errors import InvalidInput
-from adaptrack.report import drive_figures, style
-from adaptrack.report.drive import outcome, write_drive_page
-from adaptrack.report.drive_figures import above_figure, along_figure, labelled, outline_stations, scale_of, thinned
-from adaptrack.report.record import DriveRecord, Measure, Shape
-from adaptrack.report.replay import UNITS, packed, replay_data, sampled
+from adaptrack.base.errors import InvalidInput
+from adaptrack.cars.vehicle import list_vehicles, load_vehicle
+from adaptrack.results import drive_figures, style
+from adaptrack.results.drive import outcome, write_drive_page
+from adaptrack.results.drive_figures import above_figure, along_figure, labelled, outline_stations, scale_of, thinned
+from adaptrack.results.record import DriveRecord, Measure, Shape
+from adaptrack.results.replay import UNITS, packed, replay_data, sampled
 from adaptrack.road import Line, Road, generate_road
-from adaptrack.vehicle import list_vehicles, load_vehicle
 from made_drives import PERIOD, SPEED, bend, made_drive
 from pictures import pictures
 

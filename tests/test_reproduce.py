@@ -11,14 +11,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from adaptrack.adaptation.recipes import trained_schedule
-from adaptrack.batch import rollout_batch
-from adaptrack.errors import InvalidInput
+from adaptrack.base.errors import InvalidInput
+from adaptrack.control.scheduling import Constant, check_scheduler
+from adaptrack.drive.batch import rollout_batch
+from adaptrack.drive.metrics import PUBLISHED
+from adaptrack.learning.adaptation.recipes import trained_schedule
 from adaptrack.learning.training import train
-from adaptrack.metrics import PUBLISHED
-from adaptrack.report import knowing, style
-from adaptrack.report import reproduce as page
-from adaptrack.scheduling import Constant, check_scheduler
+from adaptrack.results import knowing, style
+from adaptrack.results import reproduce as page
 from adaptrack.studies import reproduce as paper
 from adaptrack.studies.reproduce import best_of_library, grid_lookup, reproduce
 from pictures import pictures

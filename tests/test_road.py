@@ -7,8 +7,8 @@ import pytest
 from scipy.integrate import quad
 from scipy.spatial import cKDTree
 
+from adaptrack.base.errors import InvalidInput, UnknownName
 from adaptrack.core import road as kernel
-from adaptrack.errors import InvalidInput, UnknownName
 from adaptrack.road import KINDS, Along, Arc, Clothoid, Cubic, Line, Pose, Road, generate_road
 from adaptrack.road.projection import feet_near, nearest_feet
 from adaptrack.road.table import COLUMNS, DEGREE, joined, placed, tabulate

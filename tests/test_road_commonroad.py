@@ -6,7 +6,7 @@ import warnings
 import numpy as np
 import pytest
 
-from adaptrack.errors import ConfigError
+from adaptrack.base.errors import ConfigError
 from adaptrack.road import load_road
 
 

@@ -7,19 +7,19 @@ import math
 import numpy as np
 import pytest
 
-from adaptrack.batch import rollout_batch
-from adaptrack.controllers import LQR, MPC, KinematicMPC, PreviewLQR, PurePursuit, Stanley, published_mpc
-from adaptrack.errors import InvalidInput
-from adaptrack.plant import DualTrack, SingleTrack
+from adaptrack.base.errors import InvalidInput
+from adaptrack.cars.plant import DualTrack, SingleTrack
+from adaptrack.cars.vehicle import load_vehicle
+from adaptrack.control.controllers import LQR, MPC, KinematicMPC, PreviewLQR, PurePursuit, Stanley, published_mpc
+from adaptrack.drive.batch import rollout_batch
+from adaptrack.drive.simulate import rollout, simulate
+from adaptrack.drive.trajectory import Trajectory
 from adaptrack.road import Along, Arc, Clothoid, Comfort, Line, Road, Stop, generate_road, plan_speed
 from adaptrack.road.ahead import RoadAhead
-from adaptrack.runs import Retuned, RunSet, road_runs
 from adaptrack.scenario import RoadDrive, load_scenario
-from adaptrack.simulate import rollout, simulate
-from adaptrack.trajectory import Trajectory
 from adaptrack.tuning.constant import tune_constant
 from adaptrack.tuning.pso import SwarmSettings
-from adaptrack.vehicle import load_vehicle
+from adaptrack.tuning.runs import Retuned, RunSet, road_runs
 
 CAR = load_vehicle("paper")
 PLANT = DualTrack(CAR)

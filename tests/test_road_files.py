@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from adaptrack.errors import ConfigError, InvalidInput, StorageError, UnknownName
+from adaptrack.base.errors import ConfigError, InvalidInput, StorageError, UnknownName
 from adaptrack.road import Along, Arc, Clothoid, Cubic, Line, Road, fit_road, generate_road, load_road
 from references.road import figure_of_eight, nearest_by_search
 

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from scipy.interpolate import BSpline
 
-from adaptrack.errors import InvalidInput
+from adaptrack.base.errors import InvalidInput
+from adaptrack.cars.vehicle import load_vehicle
 from adaptrack.road import Road, check_road, fit_road, generate_road, plan_speed
 from adaptrack.road.smoothing import Smoother
-from adaptrack.vehicle import load_vehicle
 
 CAR = load_vehicle("midsize-sedan")
 STEP = 1.3

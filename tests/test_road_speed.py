@@ -10,8 +10,9 @@ from scipy.optimize import linprog
 from scipy.sparse import csr_array, diags_array, vstack
 
 from adaptrack import cli
+from adaptrack.base.errors import InvalidInput
+from adaptrack.cars.vehicle import GRAVITY, Steering, load_vehicle
 from adaptrack.cli.road import RoadOptions
-from adaptrack.errors import InvalidInput
 from adaptrack.road import (
     Arc,
     Clothoid,
@@ -26,7 +27,6 @@ from adaptrack.road import (
 )
 from adaptrack.road.cornering import cornering_limit
 from adaptrack.road.speed import constant_speed
-from adaptrack.vehicle import GRAVITY, Steering, load_vehicle
 
 CAR = load_vehicle("midsize-sedan")
 KINDS = ("country", "town", "mountain", "lap")
@@ -320,7 +320,7 @@ def test_check_and_drive_say_what_shaped_the_speed(command, tmp_path, capsys):
 
 @pytest.mark.drawn
 def test_plot_writes_a_picture(command, tmp_path, monkeypatch):
-    monkeypatch.setattr("adaptrack.report.style.PNG_DPI", 20)
+    monkeypatch.setattr("adaptrack.results.style.PNG_DPI", 20)
     code, out, _ = command("plot", "lap", "--length", "600", "--speed", "30", "--out", tmp_path / "a.png")
     assert code == 0
     assert str(tmp_path / "a.png") in out

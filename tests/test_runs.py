@@ -8,27 +8,28 @@ import os
 import numpy as np
 import pytest
 
-from adaptrack.batch import Batch
-from adaptrack.controllers import Tuning
+from adaptrack import Controller
+from adaptrack.base.errors import InvalidInput
+from adaptrack.cars.plant import DualTrack, SingleTrack
+from adaptrack.control.controllers import Tuning
+from adaptrack.control.estimation import FrictionWindEstimator, Perception
+from adaptrack.control.scheduling import Constant, Guarded, Learned, SchedulingVariables, Table
 from adaptrack.core import loop
 from adaptrack.core.controllers.mpc import ANSWER
 from adaptrack.core.plants.contract import STATE
-from adaptrack.errors import InvalidInput
-from adaptrack.estimation import FrictionWindEstimator, Perception
-from adaptrack.failure import Failure
-from adaptrack.metrics import PUBLISHED
-from adaptrack.plant import DualTrack, SingleTrack
-from adaptrack.profile import load_profile
-from adaptrack.runs import (
+from adaptrack.drive.batch import Batch
+from adaptrack.drive.failure import Failure
+from adaptrack.drive.metrics import PUBLISHED
+from adaptrack.drive.simulate import rollout, simulate
+from adaptrack.scenario import load_scenario, random_drive
+from adaptrack.scenario.profile import load_profile
+from adaptrack.tuning.runs import (
     PERCEPTIONS,
     operating_point_runs,
     paper_test_runs,
     perception,
     random_drive_runs,
 )
-from adaptrack.scenario import load_scenario, random_drive
-from adaptrack.scheduling import Constant, Guarded, Learned, SchedulingVariables, Table
-from adaptrack.simulate import rollout, simulate
 from small_runs import CAR, HASTY, START, controller, lane_changes, run_set
 
 DISTANCE = Failure().distance
@@ -315,7 +316,7 @@ def test_the_runs_of_a_batch_have_estimators_of_their_own():
 
 
 # -- who may drive ----------------------------------------------------------------------------------------------------
-class Proportional:
+class Proportional(Controller):
     """A controller in plain Python: steers against the error, at most 0.1 rad."""
 
     name, period = "proportional", load_profile("road").period

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from adaptrack.errors import ConfigError, InvalidInput, StorageError, UnknownName
+from adaptrack.base.errors import ConfigError, InvalidInput, StorageError, UnknownName
 from adaptrack.scenario import (
     SHAPES,
     Constant,
@@ -672,10 +672,10 @@ def test_scenarios_need_neither_scipy_nor_numba() -> None:
 
 def test_controllers_and_the_page_of_a_run_load_no_more_of_scipy_than_numba_does() -> None:
     program = (
-        "import sys, adaptrack.controllers, adaptrack.report.runs;"
+        "import sys, adaptrack.control.controllers, adaptrack.results.runs;"
         "assert 'matplotlib' in sys.modules, 'drawn without matplotlib';"
         "slow = {f'scipy.{part}' for part in ('optimize', 'interpolate', 'special', 'sparse', 'stats')};"
-        "slow |= {'adaptrack.report.dataset', 'sklearn', 'pandas', 'matplotlib.pyplot'};"
+        "slow |= {'adaptrack.results.dataset', 'sklearn', 'pandas', 'matplotlib.pyplot'};"
         "assert not slow & sys.modules.keys(), slow & sys.modules.keys()"
     )
     subprocess.run([sys.executable, "-c", program], check=True, timeout=60)

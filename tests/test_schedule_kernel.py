@@ -9,10 +9,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.interpolate import RegularGridInterpolator
 
-from adaptrack.controllers import Tuning
-from adaptrack.core import functions, guard, variables
-from adaptrack.core import schedule as kernel
-from adaptrack.scheduling import (
+from adaptrack.cars.vehicle import GRAVITY
+from adaptrack.control.controllers import Tuning
+from adaptrack.control.scheduling import (
     ENTRIES,
     VARIABLES,
     Entry,
@@ -25,9 +24,10 @@ from adaptrack.scheduling import (
     Sugeno,
     Table,
 )
-from adaptrack.scheduling import schedule as scheduling
-from adaptrack.scheduling.functions.sugeno import ANY
-from adaptrack.vehicle import GRAVITY
+from adaptrack.control.scheduling import schedule as scheduling
+from adaptrack.control.scheduling.functions.sugeno import ANY
+from adaptrack.core import functions, guard, variables
+from adaptrack.core import schedule as kernel
 from small_models import line, random_network, random_sugeno, random_table, stability_map
 
 pytestmark = pytest.mark.kernels

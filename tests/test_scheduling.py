@@ -12,15 +12,12 @@ import re
 import numpy as np
 import pytest
 
-from adaptrack.batch import rollout_batch
-from adaptrack.controllers import CompiledScheduler, Moves, Scheduler, Tuning, published_mpc
-from adaptrack.core import guard
-from adaptrack.core import schedule as kernel
-from adaptrack.errors import ContractError, InvalidInput, StorageError, UnknownName
-from adaptrack.plant import DualTrack, SingleTrack
-from adaptrack.qp import QPStatus
-from adaptrack.scenario import Scenario, load_scenario
-from adaptrack.scheduling import (
+from adaptrack.base.errors import ContractError, InvalidInput, StorageError, UnknownName
+from adaptrack.cars.plant import DualTrack, SingleTrack
+from adaptrack.cars.vehicle import load_vehicle
+from adaptrack.control.controllers import CompiledScheduler, Moves, Scheduler, Tuning, published_mpc
+from adaptrack.control.qp import QPStatus
+from adaptrack.control.scheduling import (
     ENTRIES,
     Constant,
     Entry,
@@ -41,9 +38,12 @@ from adaptrack.scheduling import (
     reference_preview,
     save_scheduler,
 )
-from adaptrack.scheduling.functions.sugeno import ANY
-from adaptrack.simulate import rollout, simulate
-from adaptrack.vehicle import load_vehicle
+from adaptrack.control.scheduling.functions.sugeno import ANY
+from adaptrack.core import guard
+from adaptrack.core import schedule as kernel
+from adaptrack.drive.batch import rollout_batch
+from adaptrack.drive.simulate import rollout, simulate
+from adaptrack.scenario import Scenario, load_scenario
 from small_data import small
 from small_models import line, random_network, random_sugeno, stability_map
 from test_simulate import same
@@ -661,9 +661,7 @@ def test_every_scheduler_that_ships_keeps_the_contract():
 
 def test_a_saved_schedule_loads_without_the_learning_library(rng, tmp_path, run_python):
     learned("sugeno", rng).save(tmp_path / "one.json")
-    code = (
-        "import sys; from adaptrack.scheduling import load_scheduler; load_scheduler('one.json'); print(*sys.modules)"
-    )
+    code = "import sys; from adaptrack import load_scheduler; load_scheduler('one.json'); print(*sys.modules)"
     assert not {"sklearn", "pandas", "matplotlib"} & set(run_python(code=code, cwd=tmp_path).split())
 
 

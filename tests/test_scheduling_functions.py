@@ -6,9 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from adaptrack.core import functions as kernel
-from adaptrack.errors import InvalidInput
-from adaptrack.scheduling import (
+from adaptrack.base.errors import InvalidInput
+from adaptrack.control.scheduling import (
     VARIABLES,
     Function,
     Learned,
@@ -18,7 +17,8 @@ from adaptrack.scheduling import (
     load_scheduler,
     register_function,
 )
-from adaptrack.scheduling.functions import load_function, save_function
+from adaptrack.control.scheduling.functions import load_function, save_function
+from adaptrack.core import functions as kernel
 from small_models import random_network, random_sugeno, random_table
 
 KINDS = ("number", "network", "sugeno", "table")

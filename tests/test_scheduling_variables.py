@@ -5,12 +5,12 @@ import math
 import numpy as np
 import pytest
 
-from adaptrack.certify import OPERATING
-from adaptrack.controllers import Tuning
-from adaptrack.errors import InvalidInput
-from adaptrack.report.words import INPUTS
-from adaptrack.scheduling import VARIABLES, SchedulingVariables, read_tuning, reference_preview
-from adaptrack.scheduling.variables import complete
+from adaptrack.analysis.certify import OPERATING
+from adaptrack.base.errors import InvalidInput
+from adaptrack.control.controllers import Tuning
+from adaptrack.control.scheduling import VARIABLES, SchedulingVariables, read_tuning, reference_preview
+from adaptrack.control.scheduling.variables import complete
+from adaptrack.results.words import INPUTS
 
 
 def test_every_variable_has_a_label_a_unit_and_a_range():

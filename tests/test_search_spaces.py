@@ -2,18 +2,30 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 import pytest
 
-from adaptrack.batch import own_tuning
-from adaptrack.controllers import LQR, MPC, KinematicMPC, PreviewLQR, PurePursuit, Stanley, Tuning, published_mpc
-from adaptrack.controllers.lqr import WEIGHT_FACTORS
-from adaptrack.errors import InvalidInput
-from adaptrack.profile import load_profile
+from adaptrack.base.errors import InvalidInput
+from adaptrack.cars.vehicle import load_vehicle
+from adaptrack.control.controllers import (
+    LQR,
+    MPC,
+    Bounds,
+    KinematicMPC,
+    PreviewLQR,
+    PurePursuit,
+    Stanley,
+    Tuning,
+    published_mpc,
+)
+from adaptrack.control.controllers.lqr import WEIGHT_FACTORS
+from adaptrack.drive.batch import own_tuning
+from adaptrack.scenario.profile import load_profile
 from adaptrack.tuning.constant import swarm_within
 from adaptrack.tuning.pso import Swarm
 from adaptrack.tuning.spaces import at_bounds, search_space
-from adaptrack.vehicle import load_vehicle
 
 CAR = load_vehicle("midsize-sedan")
 LAWS = [law(CAR, preview=True) for law in (LQR, KinematicMPC, PreviewLQR, PurePursuit, Stanley)]
@@ -61,7 +73,7 @@ def test_an_entry_at_an_end_of_its_range_is_named_and_a_fixed_one_is_not():
 
 def test_a_controller_of_ones_own_needs_a_space():
     class Mine(PurePursuit):
-        pass
+        tuning_bounds: Mapping[str, Bounds] = {}
 
     with pytest.raises(InvalidInput, match="space=SearchSpace"):
         search_space(Mine(CAR))

@@ -11,16 +11,14 @@ import numpy as np
 import pytest
 
 import adaptrack as at
-from adaptrack.comparison import side_by_side
-from adaptrack.comparison.entries import Setting, get_entry, list_entries
-from adaptrack.comparison.side_by_side import Cell, SideBySide, load_setting, load_trip, run_cell
+from adaptrack.base.errors import ConfigError, InvalidInput, UnknownName
+from adaptrack.cars.plant import DualTrack
+from adaptrack.comparison.side_by_side import Cell, Setting, SideBySide, load_setting, load_trip, run_cell
 from adaptrack.comparison.standing import Standing, Who, pigeonhole
-from adaptrack.controllers import MPC
-from adaptrack.errors import ConfigError, InvalidInput, UnknownName
-from adaptrack.failure import DISTANCE
-from adaptrack.plant import DualTrack
-from adaptrack.profile import load_profile
+from adaptrack.control.controllers import MPC, About, about_controller, list_controllers
+from adaptrack.drive.failure import DISTANCE
 from adaptrack.scenario import RoadDrive
+from adaptrack.scenario.profile import load_profile
 from adaptrack.studies import compare as study
 from adaptrack.studies.compare import compare_side_by_side, list_comparisons, load_comparison
 
@@ -119,7 +117,7 @@ def test_contenders_are_compared_on_the_cars_and_roads_that_both_drove():
     ],
 )
 def test_a_comparison_that_cannot_be_fair_is_refused_with_the_key(changes: dict[str, Any], words: str, tmp_path: Path):
-    from adaptrack.files import write_toml
+    from adaptrack.base.files import write_toml
 
     write_toml(tmp_path / "mine.toml", {**TINY, **changes})
     with pytest.raises(InvalidInput, match=words):
@@ -130,7 +128,7 @@ def test_the_shipped_comparisons_can_be_loaded_and_name_what_is_there():
     assert {"quick", "standard", "full"} <= set(list_comparisons())
     for name in list_comparisons():
         task = load_comparison(name)
-        assert set(task.contenders) <= set(list_entries())
+        assert set(task.contenders) <= set(list_controllers())
         for profile in task.profiles:
             load_profile(profile)
     with pytest.raises(UnknownName, match="standard"):
@@ -147,11 +145,11 @@ def test_the_standard_comparison_is_as_large_as_a_fair_one_has_to_be():
 
 
 def test_contenders_in_python_may_drive_fewer_roads():
-    slow = side_by_side.Entry("slow", get_entry("informed").make, "in Python", compiled=False)
+    slow = About("in Python", compiled=False)
     task = tiny(roads=["country:1", "country:2"], slow_roads=["country:2"], slow_seeds=[1])
     assert task.of(slow).roads == ("country:2",)
     assert task.of(slow).seeds == (1,)
-    assert task.of(get_entry("informed")) is task
+    assert task.of(about_controller("informed")) is task
 
 
 @pytest.mark.parametrize("name", ["country:x", "country:-1"])
@@ -190,7 +188,7 @@ def test_the_contender_from_the_data_sheet_is_told_mass_and_wheelbase_alone():
     )
     slower = profile.replace(steering=profile.steering.replace(lag=0.3, dead_time=0.1))
     settings = (Setting(car, DualTrack(car), profile), Setting(other, DualTrack(other), slower))
-    made = [get_entry("informed-from-sheet").make(each) for each in settings]
+    made = [each.controller("informed-from-sheet") for each in settings]
     assert all(isinstance(each, MPC) for each in made)
     assert made[0].belief == made[1].belief  # type: ignore[attr-defined]
     assert made[0].model == made[1].model  # type: ignore[attr-defined]
@@ -256,7 +254,7 @@ def test_an_interrupted_comparison_goes_on_and_another_question_drives_anew(
 def test_the_page_opens_with_who_is_first_and_every_run_is_in_the_table(tmp_path: Path):
     import pyarrow.parquet as pq
 
-    from adaptrack.report.side_by_side import write_side_by_side
+    from adaptrack.results.side_by_side import write_side_by_side
 
     made = compare_side_by_side(tiny(contenders=["informed", "pure-pursuit", "nn"]), tmp_path)
     page = write_side_by_side(tmp_path, made, command="adaptrack compare").read_text()
@@ -275,4 +273,4 @@ def test_one_comparison_at_a_time_is_asked_for(tmp_path: Path):
     assert isinstance(result.exception, InvalidInput | ConfigError)
     assert "--out FOLDER" in str(CliRunner().invoke(app, ["compare", "--quick"]).exception)
     listed = CliRunner().invoke(app, ["compare", "--list", "--json"])
-    assert {row["contender"] for row in json.loads(listed.stdout)["rows"]} == set(list_entries())
+    assert {row["contender"] for row in json.loads(listed.stdout)["rows"]} == set(list_controllers())

@@ -6,24 +6,25 @@ import math
 import numpy as np
 import pytest
 
-from adaptrack.batch import rollout_batch
-from adaptrack.controllers import MPC, Limits, Moves, Tuning, published_mpc
+from adaptrack import Controller
+from adaptrack.base.errors import ContractError, InvalidInput, UnknownName
+from adaptrack.cars.plant import DualTrack, SingleTrack, UserPlant
+from adaptrack.cars.vehicle import GRAVITY, SteeringActuator, load_vehicle
+from adaptrack.control.controllers import MPC, Limits, Moves, Tuning, published_mpc
+from adaptrack.control.estimation import FrictionWindEstimator, Perception, UserEstimator
+from adaptrack.control.qp import QPStatus
+from adaptrack.control.scheduling import Constant, Lookup, SchedulingVariables
 from adaptrack.core import loop, period
 from adaptrack.core.controllers import mpc as kernel
 from adaptrack.core.kernel import columns as names_of_columns
 from adaptrack.core.maths.random import counted_normal
 from adaptrack.core.plants import contract
-from adaptrack.errors import ContractError, InvalidInput, UnknownName
-from adaptrack.estimation import FrictionWindEstimator, Perception, UserEstimator
-from adaptrack.failure import Failure, Reason, find_failure
-from adaptrack.plant import DualTrack, SingleTrack, UserPlant
-from adaptrack.profile import Profile, load_profile
-from adaptrack.qp import QPStatus
+from adaptrack.drive.batch import rollout_batch
+from adaptrack.drive.failure import Failure, Reason, find_failure
+from adaptrack.drive.simulate import rollout, simulate
+from adaptrack.drive.world import Driver
 from adaptrack.scenario import Ramp, Scenario, load_scenario
-from adaptrack.scheduling import Constant, Lookup, SchedulingVariables
-from adaptrack.simulate import rollout, simulate
-from adaptrack.vehicle import GRAVITY, SteeringActuator, load_vehicle
-from adaptrack.world import Driver
+from adaptrack.scenario.profile import Profile, load_profile
 
 # The counted noise multiplies integers that wrap around, of which the interpreter warns; compiled code is silent.
 pytestmark = [
@@ -421,7 +422,7 @@ def test_a_run_that_failed_is_judged_at_each_instant_and_not_after_the_last():
     assert math.isnan(times(Failure(distance=50.0)))
 
 
-class Scripted:
+class Scripted(Controller):
     """A controller in plain Python that plays a list of angles."""
 
     name, period = "scripted", 0.1

@@ -20,7 +20,6 @@ PAGES = [PROJECT / "README.md", *sorted(DOCS.glob("*.md")), *sorted(DOCS.glob("g
 
 LONG_COMMANDS = {
     "adapt": "39 minutes",
-    "bench campaign": "1 minute",
     "compare": "1 minute to hours",
     "certify": "5 s, and more with several inputs",
     "dataset describe paper-grid": "15 s",
@@ -59,7 +58,7 @@ EXIT_CODES = {"manoeuvre sine-with-dwell": 1}
 NEEDED = {"gymnasium.md": ("gymnasium", "needs Gymnasium: pip install 'adaptrack[gym]'")}
 """Pages that are skipped without a package of an extra."""
 
-OTHERS = ("dask", "python -m pip", "python -m adaptrack.fuzz", ".ci/run")
+OTHERS = ("dask", "python -m pip", "python -m tools.fuzz", ".ci/run")
 """Commands of other programs: not run."""
 
 
@@ -108,7 +107,8 @@ def test_every_command_fits_the_program(page, command):
     elif command[0] == "make":
         assert re.search(rf"^{command[1]}:", (PROJECT / "Makefile").read_text(), re.MULTILINE)
     elif command[0] == ".venv/bin/python":
-        script = PROJECT / command[1]
+        module = command[1] == "-m"
+        script = PROJECT / (command[2].replace(".", "/") + ".py" if module else command[1])
         source = (script / "__main__.py" if script.is_dir() else script).read_text()
         assert all(f'"{option}"' in source for option in command[2:] if option.startswith("--"))
     else:
@@ -182,7 +182,7 @@ def shape(output):
 
 def given_files(page, folder):
     """Schedulers that a long command of the page would have saved, under the names that the page uses."""
-    from adaptrack.scheduling import load_scheduler
+    from adaptrack.control.scheduling import load_scheduler
 
     for name in ("nn.json", "anfis.json", "mine.json"):
         if name in page.read_text():

@@ -25,9 +25,7 @@ from adaptrack import (
     load_vehicle,
     published_mpc,
 )
-from adaptrack.failure import Failure
-from adaptrack.kalman import KalmanFilter, SensorNoise
-from adaptrack.linearisation import (
+from adaptrack.analysis.linearisation import (
     Laws,
     Mismatch,
     Sampled,
@@ -38,13 +36,24 @@ from adaptrack.linearisation import (
     sensed,
     steady_turn,
 )
-from adaptrack.models import PathModel
-from adaptrack.plant import SteppedPlant
-from adaptrack.profile import load_profile
-from adaptrack.runs import RunSet
+from adaptrack.analysis.stability import (
+    closed_loop,
+    hard_turn,
+    loop_map,
+    loops,
+    margins,
+    modulus_margin,
+    radii,
+    spectral_radius,
+)
+from adaptrack.cars.plant import SteppedPlant
+from adaptrack.control.kalman import KalmanFilter, SensorNoise
+from adaptrack.control.models import PathModel
+from adaptrack.drive.failure import Failure
+from adaptrack.drive.simulate import rollout
 from adaptrack.scenario import Scenario, Wind
-from adaptrack.simulate import rollout
-from adaptrack.stability import closed_loop, hard_turn, loop_map, loops, margins, modulus_margin, radii, spectral_radius
+from adaptrack.scenario.profile import load_profile
+from adaptrack.tuning.runs import RunSet
 from textbook_filter import TextbookFilter
 
 pytestmark = pytest.mark.compiled
@@ -156,7 +165,7 @@ def test_the_summed_up_law_has_the_eigenvalues_of_the_law_of_moves(profile):
 @pytest.mark.parametrize("moves", [Moves.pulses(), Moves.laguerre(0.8, 4)])
 def test_many_laws_at_once_are_the_law_of_each(moves):
     mpc, tunings = published_mpc(CAR, moves=moves, period=0.05), some_tunings(1, 40)
-    from adaptrack.models import laguerre_basis
+    from adaptrack.control.models import laguerre_basis
 
     for speed in (0.5, 9.0, 25.0):
         found = laws(mpc, speed, tunings).k

@@ -13,20 +13,15 @@ import numpy as np
 import pytest
 from scipy.interpolate import RegularGridInterpolator
 
-from adaptrack.adaptation import recipes, splits
-from adaptrack.adaptation.config import list_adaptations, load_adaptation
-from adaptrack.adaptation.method import Method
-from adaptrack.adaptation.splits import SetUp
+from adaptrack.base.errors import ConfigError, InvalidInput, StorageError, UnknownName
+from adaptrack.base.files import Record
+from adaptrack.cars.vehicle import GRAVITY, load_vehicle
 from adaptrack.comparison import evaluate
 from adaptrack.comparison.contenders import CONSTANTS, Contender, contenders_of
 from adaptrack.comparison.evaluate import on_drives, on_operating_points, on_tests
-from adaptrack.controllers import Tuning, published_mpc
-from adaptrack.controllers.informed import informed_tuning
-from adaptrack.dataset import load_dataset
-from adaptrack.errors import ConfigError, InvalidInput, StorageError, UnknownName
-from adaptrack.files import Record
-from adaptrack.metrics import PUBLISHED
-from adaptrack.scheduling import (
+from adaptrack.control.controllers import Tuning, published_mpc
+from adaptrack.control.controllers.informed import informed_tuning
+from adaptrack.control.scheduling import (
     ENTRIES,
     Constant,
     Lookup,
@@ -35,11 +30,16 @@ from adaptrack.scheduling import (
     load_scheduler,
     made_for,
 )
+from adaptrack.drive.metrics import PUBLISHED
+from adaptrack.learning.adaptation import recipes, splits
+from adaptrack.learning.adaptation.config import list_adaptations, load_adaptation
+from adaptrack.learning.adaptation.method import Method
+from adaptrack.learning.adaptation.splits import SetUp
 from adaptrack.studies import adapt as study
 from adaptrack.studies import pipeline
 from adaptrack.studies.adapt import CONTENDERS, histories, shipped, stage_identity
 from adaptrack.tuning.config import _plant, load_campaign
-from adaptrack.vehicle import GRAVITY, load_vehicle
+from adaptrack.tuning.dataset import load_dataset
 from small_chain import CAMPAIGN, learned, short_cuts, write
 
 WORK = {

@@ -9,14 +9,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from adaptrack.controllers import LQR, MPC, PurePursuit, Stanley, Tuning, published_mpc
-from adaptrack.errors import InvalidInput
-from adaptrack.kalman import KalmanFilter
-from adaptrack.profile import load_profile
+from adaptrack.base.errors import InvalidInput
+from adaptrack.cars.vehicle import Steering, load_vehicle
+from adaptrack.control.controllers import LQR, MPC, PurePursuit, Stanley, Tuning, published_mpc
+from adaptrack.control.kalman import KalmanFilter
+from adaptrack.control.tracker import Status, Tracker, yaw_of
 from adaptrack.road import Arc, Clothoid, Line, Road, generate_road, plan_speed
 from adaptrack.road.table import Table
-from adaptrack.tracker import Status, Tracker, yaw_of
-from adaptrack.vehicle import Steering, load_vehicle
+from adaptrack.scenario.profile import load_profile
 from foreign_loop import Bicycle, drive, on_road, steady_turn, window
 
 CAR = load_vehicle("paper")
@@ -396,7 +396,7 @@ def test_the_published_controller_drives_as_well():
 
 # -- what is refused --------------------------------------------------------------------------------------------------
 def test_nonsense_is_refused():
-    with pytest.raises(InvalidInput, match="must be a controller"):
+    with pytest.raises(InvalidInput, match="must be a Controller"):
         Tracker("informed", SHORT)
     with pytest.raises(InvalidInput, match="has a scheduler"):
         Tracker(published_mpc(CAR, scheduler=lambda variables: (10, 2, 1.0, 1.0)), SHORT)

@@ -5,11 +5,11 @@ import dataclasses
 import numpy as np
 import pytest
 
-from adaptrack.dataset import DataSet
-from adaptrack.errors import InvalidInput, UnknownName
+from adaptrack.base.errors import InvalidInput, UnknownName
+from adaptrack.control.scheduling import Network, Sugeno
 from adaptrack.learning import ANFIS, MLP, TARGETS, boosting, train
 from adaptrack.learning import training as module
-from adaptrack.scheduling import Network, Sugeno
+from adaptrack.tuning.dataset import DataSet
 from adaptrack.tuning.operating_points import NAMES, fold, grid, mirrored, sobol
 
 BOX = {"speed": (3.0, 30.0), "y_ref": (-15.0, 15.0), "friction": (0.3, 1.0), "wind": (-30.0, 30.0)}

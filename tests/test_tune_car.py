@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 
 import adaptrack as at
-from adaptrack.adaptation.config import load_adaptation
-from adaptrack.adaptation.for_car import write_configuration
-from adaptrack.adaptation.splits import SetUp, drive_numbers, training_runs
-from adaptrack.controllers import MPC
-from adaptrack.errors import InvalidInput, UnknownName
+from adaptrack.base.errors import InvalidInput, UnknownName
+from adaptrack.cars.vehicle import list_vehicles
+from adaptrack.control.controllers import MPC
+from adaptrack.learning.adaptation.config import load_adaptation
+from adaptrack.learning.adaptation.for_car import write_configuration
+from adaptrack.learning.adaptation.splits import SetUp, drive_numbers, training_runs
 from adaptrack.studies.tune_car import FIRST_JUDGED, FIRST_SOUGHT, TuningEffort, tune
 from adaptrack.tuning.pso import SwarmSettings
-from adaptrack.vehicle import list_vehicles
 
 SMALL = TuningEffort(
     drives=3, hard_drives=2, seconds=10.0, swarm=SwarmSettings(particles=6, generations=3), judged=6, levels=(4, 2)

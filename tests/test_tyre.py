@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 
+from adaptrack.cars.vehicle import SteeringActuator, list_tyres, load_tyre, load_vehicle, pack_plant
 from adaptrack.core.plants.parameters import unpack
 from adaptrack.core.plants.tyre import (
     CURVED_MAGIC_FORMULA,
@@ -14,7 +15,6 @@ from adaptrack.core.plants.tyre import (
     lateral_force,
     tyre_law,
 )
-from adaptrack.vehicle import SteeringActuator, list_tyres, load_tyre, load_vehicle, pack_plant
 from inlined import entry
 from references.vehicle import cornering_stiffness, tyre_force
 

@@ -7,10 +7,10 @@ import math
 import numpy as np
 import pytest
 
-from adaptrack.errors import ConfigError, StorageError
-from adaptrack.tyre_file import read_tyre_file
-from adaptrack.tyre_fit import lateral_force
-from adaptrack.vehicle import Tyre, load_tyre
+from adaptrack.base.errors import ConfigError, StorageError
+from adaptrack.cars.tyre_file import read_tyre_file
+from adaptrack.cars.tyre_fit import lateral_force
+from adaptrack.cars.vehicle import Tyre, load_tyre
 from inlined import entry
 
 # Besselink, Schmeitz, Pacejka 2010 (Pacejka, Tire and Vehicle Dynamics, 3rd ed., appendix 3): 205/60 R15 91V
@@ -213,10 +213,10 @@ def test_a_key_with_two_values_and_a_file_that_is_not_there_are_named(tmp_path):
 
 
 def test_the_law_in_numpy_is_the_law_of_the_plant():
+    from adaptrack.cars.vehicle import SteeringActuator, load_vehicle, pack_plant
     from adaptrack.core.plants.parameters import PlantParameters
     from adaptrack.core.plants.tyre import lateral_force as kernel
     from adaptrack.core.plants.tyre import tyre_law
-    from adaptrack.vehicle import SteeringActuator, load_vehicle, pack_plant
 
     compiled = entry(kernel)
     for name in ("passenger-car", "small-car", "constant-stiffness", "model-car"):

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from adaptrack.errors import ConfigError, InvalidInput
-from adaptrack.tyre_fit import lateral_force
-from adaptrack.tyre_table import tyre_from_table
-from adaptrack.vehicle import load_tyre
+from adaptrack.base.errors import ConfigError, InvalidInput
+from adaptrack.cars.tyre_fit import lateral_force
+from adaptrack.cars.tyre_table import tyre_from_table
+from adaptrack.cars.vehicle import load_tyre
 
 LOADS = (3800.0, 2600.0)
 TYRE = load_tyre("sports-car")

@@ -15,9 +15,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from adaptrack.errors import AdaptrackError, ConfigError, ContractError, InvalidInput, StorageError, UnknownName
-from adaptrack.files import Record, build, dump_toml, read_toml, write_toml
-from adaptrack.vehicle import (
+from adaptrack.base.errors import AdaptrackError, ConfigError, ContractError, InvalidInput, StorageError, UnknownName
+from adaptrack.base.files import Record, build, dump_toml, read_toml, write_toml
+from adaptrack.cars.vehicle import (
     GRAVITY,
     Steering,
     SteeringActuator,
@@ -455,7 +455,7 @@ class TestPackPlant:
 
     def test_describing_a_car_loads_no_compiler(self, run_python):
         loaded = run_python(
-            code="import sys; from adaptrack.vehicle import load_vehicle as f; f('paper'); print(*sys.modules)"
+            code="import sys; from adaptrack.cars.vehicle import load_vehicle as f; f('paper'); print(*sys.modules)"
         )
         assert not {"numba", "llvmlite", "scipy"} & set(loaded.split())
 

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 import adaptrack as at
-from adaptrack.errors import InvalidInput
-from adaptrack.profile import load_profile
+from adaptrack.base.errors import InvalidInput
+from adaptrack.drive.simulate import rollout, simulate
 from adaptrack.scenario import Scenario
-from adaptrack.simulate import rollout, simulate
+from adaptrack.scenario.profile import load_profile
 
 pytestmark = pytest.mark.compiled  # whole drives
 CAR = at.load_vehicle("paper")
@@ -20,7 +20,7 @@ SILENT = load_profile("road").replace(noise_vy=0.0, noise_yaw=0.0, noise_yaw_rat
 STRAIGHT = Scenario(name="straight", duration=8.0, reference=0.0, speed=15.0, friction=0.9)
 
 
-class Steady:
+class Steady(at.Controller):
     """A controller that always gives the same command and keeps what it was told."""
 
     name, period = "steady", 0.05

@@ -10,10 +10,10 @@ import math
 import numpy as np
 from scipy.linalg import expm
 
+from adaptrack.cars.vehicle import GRAVITY, in_periods
+from adaptrack.control.kalman import SENSORS
 from adaptrack.core.estimators.kalman import ASTRAY, FAR, FAR_TURNED, LEAST_NOISE, UNKNOWN
 from adaptrack.core.models.path import MOST_SHARE, SLOWEST
-from adaptrack.kalman import SENSORS
-from adaptrack.vehicle import GRAVITY, in_periods
 
 POSE = ("yaw", "y")
 

@@ -19,7 +19,7 @@ if kernel.INTERPRETED:
     vectors.fma8 = fma8
 
 import adaptrack as at
-from adaptrack.simulate import rollout
+from adaptrack.drive.simulate import rollout
 
 
 def controllers():

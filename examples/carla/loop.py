@@ -14,7 +14,7 @@ from conversion import angle_of, pedals, sample_of, steer_of
 from numpy.typing import NDArray
 
 import adaptrack as at
-from adaptrack.tracker import Tracked
+from adaptrack.control.tracker import Tracked
 
 PERIOD = 0.05
 """s, of a tick: fixed_delta_seconds"""

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 __version__ = "0.2.0"
 
 _PUBLIC = {
-    "errors": (
+    "base.errors": (
         "AdaptrackError",
         "ConfigError",
         "ContractError",
@@ -23,10 +23,10 @@ _PUBLIC = {
         "UnknownName",
     ),
     "core.member": ("CFunction",),
-    "domain": ("Domain",),
-    "known_within": ("KnownWithin",),
-    "outline": ("Outline",),
-    "vehicle": (
+    "cars.domain": ("Domain",),
+    "cars.known_within": ("KnownWithin",),
+    "cars.outline": ("Outline",),
+    "cars.vehicle": (
         "Body",
         "Steering",
         "SteeringActuator",
@@ -37,10 +37,10 @@ _PUBLIC = {
         "load_tyre",
         "load_vehicle",
     ),
-    "data_sheet": ("vehicle_from_data_sheet",),
-    "tyre_file": ("read_tyre_file",),
-    "tyre_table": ("tyre_from_table",),
-    "profile": (
+    "cars.data_sheet": ("vehicle_from_data_sheet",),
+    "cars.tyre_file": ("read_tyre_file",),
+    "cars.tyre_table": ("tyre_from_table",),
+    "scenario.profile": (
         "Profile",
         "list_profiles",
         "load_profile",
@@ -53,7 +53,7 @@ _PUBLIC = {
         "identify",
         "random_car",
     ),
-    "plant": (
+    "cars.plant": (
         "DualTrack",
         "Plant",
         "SingleTrack",
@@ -64,12 +64,12 @@ _PUBLIC = {
         "list_plants",
         "register_plant",
     ),
-    "commonroad_plants": (
+    "peers.commonroad_plants": (
         "commonroad_parameters",
         "commonroad_plant",
         "commonroad_vehicle",
     ),
-    "process_plant": ("ProcessPlant",),
+    "peers.process_plant": ("ProcessPlant",),
     "road": (
         "Road",
         "check_road",
@@ -85,7 +85,7 @@ _PUBLIC = {
         "load_scenario",
         "random_drive",
     ),
-    "models": (
+    "control.models": (
         "PathModel",
         "PredictionModel",
         "SingleTrackModel",
@@ -95,7 +95,7 @@ _PUBLIC = {
         "list_models",
         "register_model",
     ),
-    "estimation": (
+    "control.estimation": (
         "Deadbeat",
         "Estimator",
         "FrictionWindEstimator",
@@ -106,12 +106,12 @@ _PUBLIC = {
         "list_estimators",
         "register_estimator",
     ),
-    "kalman": (
+    "control.kalman": (
         "Drifts",
         "KalmanFilter",
         "SensorNoise",
     ),
-    "qp": (
+    "control.qp": (
         "QP",
         "Solution",
         "check_qp_solver",
@@ -119,7 +119,8 @@ _PUBLIC = {
         "list_qp_solvers",
         "register_qp_solver",
     ),
-    "controllers": (
+    "control.controllers": (
+        "Controller",
         "LQR",
         "MPC",
         "KinematicMPC",
@@ -143,7 +144,7 @@ _PUBLIC = {
         "published_mpc",
         "register_controller",
     ),
-    "scheduling": (
+    "control.scheduling": (
         "Constant",
         "Guarded",
         "Learned",
@@ -156,24 +157,24 @@ _PUBLIC = {
         "reference_preview",
         "save_scheduler",
     ),
-    "trajectory": ("Trajectory",),
-    "failure": (
+    "drive.trajectory": ("Trajectory",),
+    "drive.failure": (
         "Failure",
         "find_failure",
     ),
-    "world": ("Driver",),
-    "batch": ("rollout_batch",),
-    "simulate": ("rollout", "simulate"),
-    "metrics": (
+    "drive.world": ("Driver",),
+    "drive.batch": ("rollout_batch",),
+    "drive.simulate": ("rollout", "simulate"),
+    "drive.metrics": (
         "Metrics",
         "compute_metrics",
     ),
-    "path_metrics": (
+    "drive.path_metrics": (
         "PathMetrics",
         "PathRecord",
         "path_metrics",
     ),
-    "tracker": (
+    "control.tracker": (
         "Status",
         "Tracker",
         "yaw_of",
@@ -192,7 +193,7 @@ _PUBLIC = {
     ),
     "tuning.campaign": ("run_campaign",),
     "studies.tune_car": ("TunedCar", "TuningEffort", "tune"),
-    "dataset": (
+    "tuning.dataset": (
         "DataSet",
         "list_datasets",
         "load_dataset",
@@ -202,23 +203,57 @@ _PUBLIC = {
         "Contender",
         "get_contender",
         "list_contenders",
-        "register_contender",
     ),
-    "adaptation.config": ("load_adaptation",),
+    "learning.adaptation.config": ("load_adaptation",),
     "studies.adapt": ("adapt",),
 }
 """Module -> the names that the package exposes from it; the imports below repeat it for type checkers."""
 
 if TYPE_CHECKING:
-    from adaptrack.adaptation.config import load_adaptation
-    from adaptrack.batch import rollout_batch
-    from adaptrack.commonroad_plants import commonroad_parameters, commonroad_plant, commonroad_vehicle
-    from adaptrack.comparison.contenders import Contender, get_contender, list_contenders, register_contender
-    from adaptrack.controllers import (
+    from adaptrack.base.errors import (
+        AdaptrackError,
+        ConfigError,
+        ContractError,
+        InvalidInput,
+        MissingExtra,
+        StorageError,
+        UnknownName,
+    )
+    from adaptrack.cars.data_sheet import vehicle_from_data_sheet
+    from adaptrack.cars.domain import Domain
+    from adaptrack.cars.known_within import KnownWithin
+    from adaptrack.cars.outline import Outline
+    from adaptrack.cars.plant import (
+        DualTrack,
+        Plant,
+        SingleTrack,
+        SteppedPlant,
+        UserPlant,
+        check_plant,
+        get_plant,
+        list_plants,
+        register_plant,
+    )
+    from adaptrack.cars.tyre_file import read_tyre_file
+    from adaptrack.cars.tyre_table import tyre_from_table
+    from adaptrack.cars.vehicle import (
+        Body,
+        Steering,
+        SteeringActuator,
+        Tyre,
+        Vehicle,
+        list_tyres,
+        list_vehicles,
+        load_tyre,
+        load_vehicle,
+    )
+    from adaptrack.comparison.contenders import Contender, get_contender, list_contenders
+    from adaptrack.control.controllers import (
         LQR,
         MPC,
         MPPI,
         NMPC,
+        Controller,
         KinematicMPC,
         LearnedCar,
         Learning,
@@ -238,20 +273,7 @@ if TYPE_CHECKING:
         published_mpc,
         register_controller,
     )
-    from adaptrack.core.member import CFunction
-    from adaptrack.data_sheet import vehicle_from_data_sheet
-    from adaptrack.dataset import DataSet, list_datasets, load_dataset
-    from adaptrack.domain import Domain
-    from adaptrack.errors import (
-        AdaptrackError,
-        ConfigError,
-        ContractError,
-        InvalidInput,
-        MissingExtra,
-        StorageError,
-        UnknownName,
-    )
-    from adaptrack.estimation import (
+    from adaptrack.control.estimation import (
         Deadbeat,
         Estimator,
         FrictionWindEstimator,
@@ -262,13 +284,8 @@ if TYPE_CHECKING:
         list_estimators,
         register_estimator,
     )
-    from adaptrack.failure import Failure, find_failure
-    from adaptrack.identification import CarRanges, Identification, RandomCar, Reading, identify, random_car
-    from adaptrack.kalman import Drifts, KalmanFilter, SensorNoise
-    from adaptrack.known_within import KnownWithin
-    from adaptrack.learning.training import train
-    from adaptrack.metrics import Metrics, compute_metrics
-    from adaptrack.models import (
+    from adaptrack.control.kalman import Drifts, KalmanFilter, SensorNoise
+    from adaptrack.control.models import (
         PathModel,
         PredictionModel,
         SingleTrackModel,
@@ -278,26 +295,8 @@ if TYPE_CHECKING:
         list_models,
         register_model,
     )
-    from adaptrack.outline import Outline
-    from adaptrack.path_metrics import PathMetrics, PathRecord, path_metrics
-    from adaptrack.plant import (
-        DualTrack,
-        Plant,
-        SingleTrack,
-        SteppedPlant,
-        UserPlant,
-        check_plant,
-        get_plant,
-        list_plants,
-        register_plant,
-    )
-    from adaptrack.process_plant import ProcessPlant
-    from adaptrack.profile import Profile, list_profiles, load_profile
-    from adaptrack.qp import QP, Solution, check_qp_solver, get_qp_solver, list_qp_solvers, register_qp_solver
-    from adaptrack.road import Road, check_road, generate_road, load_road, plan_speed
-    from adaptrack.road.ahead import RoadAhead
-    from adaptrack.scenario import RoadDrive, Scenario, list_scenarios, load_scenario, random_drive
-    from adaptrack.scheduling import (
+    from adaptrack.control.qp import QP, Solution, check_qp_solver, get_qp_solver, list_qp_solvers, register_qp_solver
+    from adaptrack.control.scheduling import (
         Constant,
         Guarded,
         Learned,
@@ -310,29 +309,31 @@ if TYPE_CHECKING:
         reference_preview,
         save_scheduler,
     )
-    from adaptrack.simulate import rollout, simulate
+    from adaptrack.control.tracker import Status, Tracker, yaw_of
+    from adaptrack.core.member import CFunction
+    from adaptrack.drive.batch import rollout_batch
+    from adaptrack.drive.failure import Failure, find_failure
+    from adaptrack.drive.metrics import Metrics, compute_metrics
+    from adaptrack.drive.path_metrics import PathMetrics, PathRecord, path_metrics
+    from adaptrack.drive.simulate import rollout, simulate
+    from adaptrack.drive.trajectory import Trajectory
+    from adaptrack.drive.world import Driver
+    from adaptrack.identification import CarRanges, Identification, RandomCar, Reading, identify, random_car
+    from adaptrack.learning.adaptation.config import load_adaptation
+    from adaptrack.learning.training import train
+    from adaptrack.peers.commonroad_plants import commonroad_parameters, commonroad_plant, commonroad_vehicle
+    from adaptrack.peers.process_plant import ProcessPlant
+    from adaptrack.road import Road, check_road, generate_road, load_road, plan_speed
+    from adaptrack.road.ahead import RoadAhead
+    from adaptrack.scenario import RoadDrive, Scenario, list_scenarios, load_scenario, random_drive
+    from adaptrack.scenario.profile import Profile, list_profiles, load_profile
     from adaptrack.studies.adapt import adapt
     from adaptrack.studies.tune_car import TunedCar, TuningEffort, tune
-    from adaptrack.tracker import Status, Tracker, yaw_of
-    from adaptrack.trajectory import Trajectory
     from adaptrack.tuning.campaign import run_campaign
     from adaptrack.tuning.config import CampaignConfig, list_campaigns, load_campaign
+    from adaptrack.tuning.dataset import DataSet, list_datasets, load_dataset
     from adaptrack.tuning.objective import Objective
     from adaptrack.tuning.pso import SearchSpace, Swarm, SwarmSettings, minimise
-    from adaptrack.tyre_file import read_tyre_file
-    from adaptrack.tyre_table import tyre_from_table
-    from adaptrack.vehicle import (
-        Body,
-        Steering,
-        SteeringActuator,
-        Tyre,
-        Vehicle,
-        list_tyres,
-        list_vehicles,
-        load_tyre,
-        load_vehicle,
-    )
-    from adaptrack.world import Driver
 
 _HOME = {name: module for module, names in _PUBLIC.items() for name in names}
 
@@ -351,6 +352,7 @@ __all__ = [
     "Constant",
     "Contender",
     "ContractError",
+    "Controller",
     "DataSet",
     "Deadbeat",
     "Domain",
@@ -474,7 +476,6 @@ __all__ = [
     "random_drive",
     "read_tyre_file",
     "reference_preview",
-    "register_contender",
     "register_controller",
     "register_estimator",
     "register_model",

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.linalg import expm
 
-from adaptrack.vehicle import Vehicle
+from adaptrack.cars.vehicle import Vehicle
 
 Array = npt.NDArray[np.float64]
 

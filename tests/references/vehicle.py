@@ -12,7 +12,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from adaptrack.vehicle import SteeringActuator, Tyre, Vehicle
+from adaptrack.cars.vehicle import SteeringActuator, Tyre, Vehicle
 
 Array = npt.NDArray[np.float64]
 

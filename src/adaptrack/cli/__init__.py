@@ -21,8 +21,8 @@ from contextlib import contextmanager, suppress
 from types import FrameType
 from typing import Any
 
+from adaptrack.base.errors import AdaptrackError, StorageError
 from adaptrack.cli import interrupt
-from adaptrack.errors import AdaptrackError, StorageError
 
 DONE, ERROR, INTERRUPTED, PIPE_CLOSED = 0, 2, 130, 141
 

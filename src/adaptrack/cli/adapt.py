@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from typer import Argument, Option
 
+from adaptrack.base.errors import AdaptrackError, InvalidInput, StorageError
 from adaptrack.cli import comparison, interrupt, options, show
 from adaptrack.cli.simulate import FAILED
-from adaptrack.errors import AdaptrackError, InvalidInput, StorageError
 
 if TYPE_CHECKING:
-    from adaptrack.adaptation.config import AdaptationConfig
+    from adaptrack.learning.adaptation.config import AdaptationConfig
     from adaptrack.studies.tune_car import TunedCar
 
 CONFIGURATION, FOUND = "adaptation.toml", "found.toml"
@@ -88,7 +88,7 @@ def adapt(
 
 def _one(names: list[str]) -> str:
     """The car; a word for whoever gives a road."""
-    from adaptrack.vehicle import load_vehicle
+    from adaptrack.cars.vehicle import load_vehicle
 
     if len(names) == 1:
         try:
@@ -131,7 +131,7 @@ def _pair(option: str, text: str | None) -> tuple[float, float] | None:
 
 def _of_car(asked: dict[str, Any], out: Path, aside: bool) -> tuple[AdaptationConfig, bool]:
     """The configuration of a car's adaptation, and whether its constant has passed: from the folder, or made first."""
-    from adaptrack.adaptation.config import load_adaptation
+    from adaptrack.learning.adaptation.config import load_adaptation
 
     options.make_folder(out)
     if (out / CONFIGURATION).exists():
@@ -156,12 +156,12 @@ def _tuned(asked: dict[str, Any]) -> TunedCar:
 
 def _write(asked: dict[str, Any], tuned: TunedCar, out: Path) -> Path:
     """What was asked and found, and the configuration that follows from it, whose path is returned."""
-    from adaptrack.adaptation.for_car import Driven, write_configuration
-    from adaptrack.files import write_toml
-    from adaptrack.plant import usual_plant
+    from adaptrack.base.files import write_toml
+    from adaptrack.cars.plant import usual_plant
+    from adaptrack.learning.adaptation.for_car import Driven, write_configuration
     from adaptrack.tuning.constant_file import ConstantTuning
 
-    vehicle = tuned.controller.model.vehicle.replace(domain=tuned.domain)  # type: ignore[attr-defined]
+    vehicle = tuned.controller.model.vehicle.replace(domain=tuned.domain)
     own, found = out / f"{vehicle.name}.toml", tuned.summary()
     vehicle.to_toml(own)
     ConstantTuning(
@@ -183,7 +183,7 @@ def _kept(out: Path) -> dict[str, Any]:
     StorageError
         When the file is gone, or says something else.
     """
-    from adaptrack.files import read_toml
+    from adaptrack.base.files import read_toml
 
     found = read_toml(out / FOUND)
     if not (isinstance(found.get("passed"), bool) and {"vehicle", "verdict"} <= set(found)):
@@ -198,7 +198,7 @@ def _plain(asked: dict[str, Any]) -> dict[str, Any]:
 
 
 def _check_same(out: Path, asked: dict[str, Any]) -> None:
-    from adaptrack.files import read_toml
+    from adaptrack.base.files import read_toml
 
     before = read_toml(out / "asked.toml") if (out / "asked.toml").exists() else {}
     if before != _plain(asked):

@@ -9,7 +9,6 @@ import typer
 from adaptrack import __version__
 from adaptrack.cli import (
     adapt,
-    bench,
     car,
     certify,
     compare,
@@ -73,6 +72,5 @@ for command in (
     lists.schedulers,
 ):
     app.command()(command)
-app.add_typer(bench.app, name="bench")
 app.add_typer(dataset.app, name="dataset")
 app.add_typer(road.app, name="road")

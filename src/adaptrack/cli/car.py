@@ -11,13 +11,13 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from typer import Option
 
+from adaptrack.base.errors import InvalidInput
 from adaptrack.cli import options, show
 from adaptrack.cli.show import Column
-from adaptrack.errors import InvalidInput
 
 if TYPE_CHECKING:
-    from adaptrack.tyre_fit import TyreFit
-    from adaptrack.vehicle import Vehicle
+    from adaptrack.cars.tyre_fit import TyreFit
+    from adaptrack.cars.vehicle import Vehicle
 
 
 class BodyStyle(StrEnum):
@@ -95,8 +95,8 @@ def _vehicle(
     known: dict[str, Any], out: Path | None,
 ) -> Vehicle | None:  # fmt: skip
     """The car that is named, or the one of a data sheet; None where there is neither."""
-    from adaptrack.data_sheet import vehicle_from_data_sheet
-    from adaptrack.vehicle import load_vehicle
+    from adaptrack.cars.data_sheet import vehicle_from_data_sheet
+    from adaptrack.cars.vehicle import load_vehicle
 
     mass, wheelbase = sheet
     if name is not None:
@@ -118,11 +118,11 @@ def _vehicle(
 def _fit(tir: Path | None, table: Path | None, vehicle: Vehicle | None) -> TyreFit | None:
     """The tyre of a file or a table."""
     if tir is not None:
-        from adaptrack.tyre_file import read_tyre_file
+        from adaptrack.cars.tyre_file import read_tyre_file
 
         return read_tyre_file(tir).to_tyre()
     if table is not None:
-        from adaptrack.tyre_table import tyre_from_table
+        from adaptrack.cars.tyre_table import tyre_from_table
 
         return tyre_from_table(table, None if vehicle is None else vehicle.static_loads)
     return None
@@ -180,7 +180,7 @@ def _say_fit(fit: TyreFit) -> None:
 
 def numbers(vehicle: Vehicle) -> list[dict[str, Any]]:
     """A row for each number of a car that is known or estimated."""
-    from adaptrack.known_within import KnownWithin
+    from adaptrack.cars.known_within import KnownWithin
 
     said = vehicle.known_within or KnownWithin()
     rows = []
@@ -236,6 +236,6 @@ def _speed(value: float) -> str:
 
 
 def _tyre(vehicle: Vehicle) -> Any:
-    from adaptrack.vehicle import load_tyre
+    from adaptrack.cars.vehicle import load_tyre
 
     return load_tyre(vehicle.tyre)

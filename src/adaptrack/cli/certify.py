@@ -9,16 +9,16 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from typer import Option
 
+from adaptrack.base.errors import InvalidInput, UnknownName, did_you_mean
 from adaptrack.cli import options, show
 from adaptrack.cli.show import Column
-from adaptrack.errors import InvalidInput, UnknownName, did_you_mean
 
 if TYPE_CHECKING:
-    from adaptrack.certify import Certificate
-    from adaptrack.controllers import MPC
-    from adaptrack.feasibility import Feasibility
-    from adaptrack.scheduling import Schedule
-    from adaptrack.vehicle import Vehicle
+    from adaptrack.analysis.certify import Certificate
+    from adaptrack.analysis.feasibility import Feasibility
+    from adaptrack.cars.vehicle import Vehicle
+    from adaptrack.control.controllers import MPC
+    from adaptrack.control.scheduling import Schedule
 
 UNSTABLE = 1
 """The exit code when a loop is unstable, driving straight, or a domain cannot be held."""
@@ -78,9 +78,9 @@ def certify(
     The verdict is on driving straight: exit code 1 when a point is unstable there. Points that are unstable in a hard
     turn are counted beside it, as a warning. With --feasible: exit code 1 when a point can be held by no tuning.
     """
-    from adaptrack.plant import SteppedPlant
-    from adaptrack.profile import load_profile
-    from adaptrack.scheduling import load_scheduler
+    from adaptrack.cars.plant import SteppedPlant
+    from adaptrack.control.scheduling import load_scheduler
+    from adaptrack.scenario.profile import load_profile
 
     options.load_plugins(plugin)
     schedule = None if scheduler is None else load_scheduler(scheduler)
@@ -113,9 +113,9 @@ def certify(
 
 def _controller(name: str | None, car: Vehicle, profile: str, schedule: Schedule | None) -> MPC:
     """The MPC by name, with horizons as long as the schedule asks for."""
-    from adaptrack.controllers import MPC, published_mpc
-    from adaptrack.controllers.made_for import is_for_published
-    from adaptrack.profile import load_profile
+    from adaptrack.control.controllers import MPC, published_mpc
+    from adaptrack.control.controllers.made_for import is_for_published
+    from adaptrack.scenario.profile import load_profile
 
     if name is None:
         name = STANDARD if schedule is not None and is_for_published(schedule.made_for) else INFORMED
@@ -132,8 +132,8 @@ def _certificate(
     schedule: Schedule | None, body: Any, mpc: MPC, profile: str, domain: dict[str, tuple[float, float]],
     mismatch: bool, out: Path | None,
 ) -> Certificate:  # fmt: skip
-    from adaptrack.certify import certify as look
-    from adaptrack.linearisation import usual_mismatches
+    from adaptrack.analysis.certify import certify as look
+    from adaptrack.analysis.linearisation import usual_mismatches
 
     if out is not None:
         options.make_folder(out)
@@ -144,7 +144,7 @@ def _certificate(
 
 
 def _write_page(out: Path, found: Certificate) -> Path:
-    from adaptrack.report.certificate import write_certificate
+    from adaptrack.results.certificate import write_certificate
 
     with show.progress("write the page"):
         return write_certificate(out, found, command=options.command_line())
@@ -152,7 +152,7 @@ def _write_page(out: Path, found: Certificate) -> Path:
 
 def _print(found: Certificate) -> None:
     """The points with the smallest modulus margin, for each way of driving, with the guard and without."""
-    from adaptrack.certify import DRIVING
+    from adaptrack.analysis.certify import DRIVING
 
     sweeps = [(found.guarded is not None, found.counted)]
     if found.guarded is not None:
@@ -190,8 +190,8 @@ def _tell_feasible(
     body: Any, mpc: MPC, profile: str, domain: dict[str, tuple[float, float]], mismatch: bool, as_json: bool
 ) -> None:
     """What can be held; exit code 1 when something cannot."""
-    from adaptrack.feasibility import feasibility
-    from adaptrack.linearisation import usual_mismatches
+    from adaptrack.analysis.feasibility import feasibility
+    from adaptrack.analysis.linearisation import usual_mismatches
 
     against = usual_mismatches(mpc.period) if mismatch else ()
     with show.progress("feasible"):

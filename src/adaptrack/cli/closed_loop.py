@@ -10,17 +10,17 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from adaptrack.base.errors import InvalidInput
 from adaptrack.cli import options, show
 from adaptrack.cli.show import Column
 from adaptrack.cli.simulate import Asked, make_controller
-from adaptrack.errors import InvalidInput
 
 if TYPE_CHECKING:
-    from adaptrack.controllers import Controller
-    from adaptrack.manoeuvres import EntrySpeed, LaneStart
-    from adaptrack.plant import Plant
-    from adaptrack.profile import Profile
-    from adaptrack.vehicle import Vehicle
+    from adaptrack.cars.plant import Plant
+    from adaptrack.cars.vehicle import Vehicle
+    from adaptrack.comparison.manoeuvres import EntrySpeed, LaneStart
+    from adaptrack.control.controllers import Controller
+    from adaptrack.scenario.profile import Profile
 
 CONTROLLERS = ("informed", "lqr", "pure-pursuit", "stanley")
 """Unless some are named."""
@@ -77,7 +77,7 @@ class Driven:
 
 def drive_lane_change(name: str, driven: Driven, as_json: bool) -> None:
     """Find and print the highest clean entry speeds."""
-    from adaptrack.manoeuvres import TRACKS, LaneChange, entry_speeds
+    from adaptrack.comparison.manoeuvres import TRACKS, LaneChange, entry_speeds
 
     track_name, grid, tune_at = LANE_CHANGES[name]
     if driven.out is not None:
@@ -111,8 +111,8 @@ def drive_lane_change(name: str, driven: Driven, as_json: bool) -> None:
 
 def _draw(out: Path, name: str, runs: Sequence[EntrySpeed]) -> Path:
     """One picture for a car: each controller where it is faster, with its own tuning or tuned."""
-    from adaptrack.files import safe_names, write_atomically
-    from adaptrack.report.lane_change import lane_change_png
+    from adaptrack.base.files import safe_names, write_atomically
+    from adaptrack.results.lane_change import lane_change_png
 
     best: dict[str, EntrySpeed] = {}
     for run in runs:
@@ -139,7 +139,7 @@ def _beside(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
 
 def drive_start(name: str, driven: Driven, given: dict[str, float], as_json: bool) -> bool:
     """Drive and print a manoeuvre that starts beside a path or meets a step of curvature; whether all passed."""
-    from adaptrack.manoeuvres import drive_lane_start
+    from adaptrack.comparison.manoeuvres import drive_lane_start
 
     if driven.out is not None:
         raise InvalidInput(f"--out has no meaning for {name}: leave it out.")
@@ -165,7 +165,7 @@ def drive_start(name: str, driven: Driven, given: dict[str, float], as_json: boo
 
 
 def _start(name: str, car: Vehicle, given: dict[str, float]) -> LaneStart:
-    from adaptrack.manoeuvres import curvature_step_start, lane_drift, lane_recovery
+    from adaptrack.comparison.manoeuvres import curvature_step_start, lane_drift, lane_recovery
 
     if name == "curvature-step":
         return curvature_step_start(given.get("radius", 50.0), speed=given.get("speed"))

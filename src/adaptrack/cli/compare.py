@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from typer import Option
 
+from adaptrack.base.errors import InvalidInput
 from adaptrack.cli import interrupt, options, show
 from adaptrack.cli.show import Column
-from adaptrack.errors import InvalidInput
 
 if TYPE_CHECKING:
     from adaptrack.comparison.side_by_side import SideBySide
@@ -103,18 +103,18 @@ def _task(
 
 
 def _list(as_json: bool) -> None:
-    from adaptrack.comparison.entries import get_entry, list_entries
+    from adaptrack.control.controllers import about_controller, list_controllers
 
     rows = [
-        {"contender": name, "what": get_entry(name).words, "tuned": get_entry(name).tunable,
-         "compiled": get_entry(name).compiled}
-        for name in list_entries()
+        {"contender": name, "what": about_controller(name).words, "tuned": about_controller(name).tunable,
+         "compiled": about_controller(name).compiled}
+        for name in list_controllers()
     ]  # fmt: skip
     show.listing("Contenders", rows, as_json)
 
 
 def _page(made: Compared, out: Path) -> Path:
-    from adaptrack.report.side_by_side import write_side_by_side
+    from adaptrack.results.side_by_side import write_side_by_side
 
     with show.progress("write the page"):
         return write_side_by_side(out, made, command=options.command_line())
@@ -147,7 +147,7 @@ def _told(made: Compared) -> dict[str, Any]:
 
 def _print(made: Compared) -> None:
     """A table for each profile, and what was left out."""
-    from adaptrack.report.words import counted
+    from adaptrack.results.words import counted
 
     task = made.task
     for profile, standing in made.standings.items():

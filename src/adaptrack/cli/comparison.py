@@ -10,7 +10,7 @@ from adaptrack.cli import options, show
 from adaptrack.cli.show import Column
 
 if TYPE_CHECKING:
-    from adaptrack.adaptation.config import AdaptationConfig
+    from adaptrack.learning.adaptation.config import AdaptationConfig
     from adaptrack.studies.adapt import Adapted
 
 COLUMNS = (
@@ -28,7 +28,7 @@ def study(config: str | None, controller: str | None, profile: str | None) -> Ad
 
     Without any of them: the informed controller in the profile `road`.
     """
-    from adaptrack.adaptation.config import find_adaptation, load_adaptation
+    from adaptrack.learning.adaptation.config import find_adaptation, load_adaptation
 
     if config is None:
         return load_adaptation(find_adaptation(str(controller or "informed"), profile or "road"))
@@ -37,7 +37,7 @@ def study(config: str | None, controller: str | None, profile: str | None) -> Ad
 
 def write_page(out: Path, made: Adapted) -> Path:
     """The page about a comparison."""
-    from adaptrack.report.comparison import write_comparison
+    from adaptrack.results.comparison import write_comparison
 
     with show.progress("write the page"):
         return write_comparison(

@@ -15,8 +15,8 @@ app = typer.Typer(help="Data sets of tuned operating points.", no_args_is_help=T
 @app.command("describe")
 def describe_dataset(name: options.DataSetName, out: options.Page = None, as_json: options.Json = False) -> None:
     """Tell what is in a data set: ranges, optimum, how much the points explain, how flat the optimum is."""
-    from adaptrack.dataset import describe, load_dataset
     from adaptrack.learning.boosting import explained_shares
+    from adaptrack.tuning.dataset import describe, load_dataset
 
     dataset = load_dataset(name)
     if out is not None:
@@ -24,7 +24,7 @@ def describe_dataset(name: options.DataSetName, out: options.Page = None, as_jso
     with show.progress("describe") as advance:
         found = describe(dataset, explained_shares(dataset, advance))
     if out is not None:
-        from adaptrack.report import write_dataset_report
+        from adaptrack.results import write_dataset_report
 
         with show.progress("write the page"):
             page = write_dataset_report(out, dataset, summary=found)
@@ -48,6 +48,6 @@ def _print(found: Mapping[str, Any]) -> None:
 @app.command("list")
 def datasets(as_json: options.Json = False) -> None:
     """List the data sets that have a name."""
-    from adaptrack.dataset import list_datasets
+    from adaptrack.tuning.dataset import list_datasets
 
     show.listing("Data sets", [{"name": name} for name in list_datasets()], as_json)

@@ -28,11 +28,11 @@ from adaptrack.cli.simulate import (
 )
 
 if TYPE_CHECKING:
-    from adaptrack.controllers import Controller
-    from adaptrack.models import PredictionModel
+    from adaptrack.cars.vehicle import Vehicle
+    from adaptrack.control.controllers import Controller
+    from adaptrack.control.models import PredictionModel
+    from adaptrack.drive.trajectory import Trajectory
     from adaptrack.scenario import RoadDrive
-    from adaptrack.trajectory import Trajectory
-    from adaptrack.vehicle import Vehicle
 
 COLUMNS = (
     Column("controller", "controller"),
@@ -97,11 +97,11 @@ def drive(
     The speed is planned from curvature, friction and the car, unless --speed gives one. A drive that leaves the road,
     spins or is not finite is printed as FAILED; the exit code is then 3.
     """
-    from adaptrack.files import safe_names
-    from adaptrack.profile import load_profile
+    from adaptrack.base.files import safe_names
+    from adaptrack.drive.simulate import simulate
+    from adaptrack.drive.world import Driver
     from adaptrack.scenario import RoadDrive
-    from adaptrack.simulate import simulate
-    from adaptrack.world import Driver
+    from adaptrack.scenario.profile import load_profile
 
     options.load_plugins(plugin)
     car, body = options.car_and_plant(vehicle, plant, tyre)
@@ -125,7 +125,7 @@ def drive(
             step = partial(advance, label)
             run = simulate(body, each, trip, profile=world, driver=Driver() if driver else None, seed=seed,
                            progress=step)  # fmt: skip
-            runs.append(_Run(label, trip, car, run, getattr(each, "model", None)))
+            runs.append(_Run(label, trip, car, run, each.model))
             if out is not None:
                 _keep(run, out / f"{file}.parquet")
     rows = [run.row for run in runs]
@@ -155,7 +155,7 @@ def tuned(file: Path, who: Asked, aside: bool) -> tuple[str, Controller]:
 def _certify_elsewhere(file: Path, controller: Controller, who: Asked, body: Any, said: tuple[bool, bool]) -> None:
     """The certificate of an MPC's constant that was found for another car; said: allowed, aside, see `new_car`."""
     from adaptrack.cli.new_car import judge
-    from adaptrack.controllers import MPC
+    from adaptrack.control.controllers import MPC
     from adaptrack.tuning.constant_file import load_tuning
 
     made_for = load_tuning(file).vehicle
@@ -192,7 +192,7 @@ class _Run:
         """What --json says of it: as `simulate`, with the measures of a path."""
         import numpy as np
 
-        from adaptrack.path_metrics import PathRecord, path_metrics
+        from adaptrack.drive.path_metrics import PathRecord, path_metrics
 
         record = PathRecord.from_trajectory(self.run)
         measures = {} if record is None else path_metrics(record, self.car.outline).to_dict()
@@ -223,10 +223,10 @@ def _print(trip: RoadDrive, rows: Sequence[dict[str, Any]], as_json: bool) -> No
 
 
 def _write_page(out: Path, runs: Sequence[_Run], png: bool) -> Path:
-    from adaptrack.failure import find_failure
-    from adaptrack.path_metrics import PathMetrics
-    from adaptrack.report.drive import write_drive_page
-    from adaptrack.report.record import DriveRecord, Measure
+    from adaptrack.drive.failure import find_failure
+    from adaptrack.drive.path_metrics import PathMetrics
+    from adaptrack.results.drive import write_drive_page
+    from adaptrack.results.record import DriveRecord, Measure
 
     units = {each.name: each.metadata["unit"] for each in dataclasses.fields(PathMetrics)} | OTHER_UNITS
     with show.progress("write the page"):

@@ -10,14 +10,14 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from typer import Option
 
+from adaptrack.base.errors import InvalidInput
+from adaptrack.base.limits import DRIVES, OPERATING_POINTS, SEED, check_limit
 from adaptrack.cli import comparison, on_roads, options, show
 from adaptrack.cli.road import RoadOptions
-from adaptrack.errors import InvalidInput
-from adaptrack.limits import DRIVES, OPERATING_POINTS, SEED, check_limit
 
 if TYPE_CHECKING:
-    from adaptrack.adaptation.splits import SetUp
-    from adaptrack.scheduling import Schedule
+    from adaptrack.control.scheduling import Schedule
+    from adaptrack.learning.adaptation.splits import SetUp
 
 USUAL = "sobol:2000"
 """The operating points when nothing is asked for."""
@@ -93,11 +93,11 @@ def evaluate(
     A plant that is stepped in Python is driven run by run; no optimum is searched for on it. Failed runs are part of
     the result: they are counted for each contender, and the exit code is 0.
     """
-    from adaptrack.adaptation.splits import SetUp
     from adaptrack.comparison.contenders import check_contender
     from adaptrack.comparison.evaluate import on_drives, on_operating_points, on_tests
-    from adaptrack.runs import perception
+    from adaptrack.learning.adaptation.splits import SetUp
     from adaptrack.studies.adapt import Adapted
+    from adaptrack.tuning.runs import perception
 
     options.load_plugins(plugin)
     if road:
@@ -149,9 +149,9 @@ def schedules(setup: SetUp, given: Sequence[str]) -> dict[str, Schedule]:
     InvalidInput
         When one of them was made for another controller, car or profile.
     """
-    from adaptrack.comparison.contenders import RESERVED
-    from adaptrack.profile import load_profile
-    from adaptrack.scheduling import check_scheduler, load_scheduler
+    from adaptrack.comparison.contenders import reserved
+    from adaptrack.control.scheduling import check_scheduler, load_scheduler
+    from adaptrack.scenario.profile import load_profile
     from adaptrack.studies.adapt import contender_of, shipped
 
     found = shipped(setup.config.name)
@@ -166,7 +166,7 @@ def schedules(setup: SetUp, given: Sequence[str]) -> dict[str, Schedule]:
         if kind is not None and kind not in found:  # of a chain of one's own
             found[kind] = schedule
             continue
-        if schedule.name in files | RESERVED:
+        if schedule.name in files | reserved():
             schedule = replace(schedule, name=f"{schedule.name} ({name})")
         files.add(schedule.name)
         found[schedule.name] = schedule

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 from typer import Option
 
+from adaptrack.base.errors import InvalidInput
 from adaptrack.cli import options, show
 from adaptrack.cli.show import Column
-from adaptrack.errors import InvalidInput
 
 if TYPE_CHECKING:
     from adaptrack.identification import Identification, Reading
@@ -81,7 +81,7 @@ def identify(
         found.to_toml(out)
         show.say(f"Car: {out}", aside=as_json)
     if page is not None:
-        from adaptrack.report.identify import write_identification_page
+        from adaptrack.results.identify import write_identification_page
 
         show.say(f"Page: {write_identification_page(found, page, options.command_line())}", aside=as_json)
 

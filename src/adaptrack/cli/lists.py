@@ -18,7 +18,7 @@ def scenarios(as_json: options.Json = False) -> None:
 
 def vehicles(as_json: options.Json = False) -> None:
     """List the vehicles and tyres that have a name."""
-    from adaptrack.vehicle import list_tyres, list_vehicles, load_tyre, load_vehicle
+    from adaptrack.cars.vehicle import list_tyres, list_vehicles, load_tyre, load_vehicle
 
     cars = [(name, load_vehicle(name)) for name in list_vehicles()]
     rows = [{"kind": "vehicle", "name": name, "what it is": car.description, "tyre": car.tyre} for name, car in cars]
@@ -30,8 +30,8 @@ def vehicles(as_json: options.Json = False) -> None:
 
 def schedulers(as_json: options.Json = False) -> None:
     """List the schedulers that ship with the package."""
-    from adaptrack.adaptation.config import list_adaptations
-    from adaptrack.scheduling import list_schedulers, load_scheduler
+    from adaptrack.control.scheduling import list_schedulers, load_scheduler
+    from adaptrack.learning.adaptation.config import list_adaptations
     from adaptrack.studies.adapt import contender_of
 
     studies = list_adaptations()

@@ -10,14 +10,14 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from typer import Option
 
+from adaptrack.base.errors import InvalidInput
 from adaptrack.cli import options, show
 from adaptrack.cli.show import Column
-from adaptrack.errors import InvalidInput
 
 if TYPE_CHECKING:
-    from adaptrack.manoeuvres import Surroundings
-    from adaptrack.plant import Plant, SteppedPlant
-    from adaptrack.vehicle import Vehicle
+    from adaptrack.cars.plant import Plant, SteppedPlant
+    from adaptrack.cars.vehicle import Vehicle
+    from adaptrack.comparison.manoeuvres import Surroundings
 
 NOT_PASSED = 1
 """The exit code when the criteria of a standard are not met."""
@@ -159,7 +159,7 @@ def _open_loop(
     name: Name, car: Vehicle, body: Plant | SteppedPlant, given: dict[str, float], friction: float | None, as_json: bool
 ) -> bool:
     """Drive and print; whether its criteria are met."""
-    from adaptrack.manoeuvres import Surroundings
+    from adaptrack.comparison.manoeuvres import Surroundings
 
     around = None if friction is None else Surroundings(friction=friction)
     summary, rows = _drive(name, car, body, given, around)
@@ -176,9 +176,9 @@ def _closed_loop(
     as_json: bool,
 ) -> bool:  # fmt: skip
     """Drive and print; whether its criteria are met."""
+    from adaptrack.cars.plant import Plant as Compiled
     from adaptrack.cli import closed_loop
-    from adaptrack.plant import Plant as Compiled
-    from adaptrack.profile import load_profile
+    from adaptrack.scenario.profile import load_profile
 
     compiled = [(car, body) for car, body in cars if isinstance(body, Compiled)]
     if len(compiled) < len(cars):
@@ -197,7 +197,7 @@ def _drive(
     name: Name, car: Vehicle, plant: Plant | SteppedPlant, given: dict[str, float], around: Surroundings | None
 ) -> tuple[dict[str, Any], list[dict[str, Any]]]:
     """The characteristic values and the rows of a manoeuvre."""
-    from adaptrack import manoeuvres
+    from adaptrack.comparison import manoeuvres
 
     drive: Any = getattr(manoeuvres, name.name)
     found = drive(car, plant, surroundings=around, **given)

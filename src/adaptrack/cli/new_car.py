@@ -4,15 +4,15 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
+from adaptrack.base.errors import InvalidInput
 from adaptrack.cli import show
-from adaptrack.errors import InvalidInput
 
 if TYPE_CHECKING:
-    from adaptrack.certify import Certificate
-    from adaptrack.controllers import MPC, Tuning
-    from adaptrack.profile import Profile
-    from adaptrack.scheduling import Schedule
-    from adaptrack.vehicle import Vehicle
+    from adaptrack.analysis.certify import Certificate
+    from adaptrack.cars.vehicle import Vehicle
+    from adaptrack.control.controllers import MPC, Tuning
+    from adaptrack.control.scheduling import Schedule
+    from adaptrack.scenario.profile import Profile
 
 LEVELS = (9, 3)
 """Of speed and friction."""
@@ -29,8 +29,8 @@ def certify_meeting(label: str, mpc: MPC, body: Any, car: Vehicle, world: Profil
     InvalidInput
         When a loop is unstable, driving straight, and that is not allowed.
     """
-    from adaptrack.controllers.made_for import car_of
-    from adaptrack.scheduling import Schedule
+    from adaptrack.control.controllers.made_for import car_of
+    from adaptrack.control.scheduling import Schedule
 
     schedule = mpc.scheduler
     if not isinstance(schedule, Schedule):
@@ -60,8 +60,8 @@ def judge(
 
 
 def _certificate(asked: Schedule | Tuning, mpc: MPC, body: Any, car: Vehicle, world: Profile) -> Certificate:
-    from adaptrack.certify import certify
-    from adaptrack.stability import linear_twin
+    from adaptrack.analysis.certify import certify
+    from adaptrack.analysis.stability import linear_twin
 
     domain = {"speed": car.domain.speed, "friction": car.domain.friction}
     with show.progress("certify for this car") as advance:

@@ -12,19 +12,19 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from typer import Option
 
+from adaptrack.base.errors import InvalidInput
 from adaptrack.cli import interrupt, options, show
 from adaptrack.cli.road import ROADS, RoadOptions
 from adaptrack.cli.show import Column
-from adaptrack.errors import InvalidInput
 
 if TYPE_CHECKING:
+    from adaptrack.cars.vehicle import Vehicle
     from adaptrack.comparison.contenders import Contender
     from adaptrack.comparison.roads import RoadComparison
-    from adaptrack.controllers import Controller
-    from adaptrack.profile import Profile
-    from adaptrack.runs import RunSet
+    from adaptrack.control.controllers import Controller
+    from adaptrack.scenario.profile import Profile
     from adaptrack.tuning.constant import Sought
-    from adaptrack.vehicle import Vehicle
+    from adaptrack.tuning.runs import RunSet
 
 USUAL = ("informed", "published", "lqr", "pure-pursuit", "stanley")
 """The contenders on roads unless some are named."""
@@ -86,10 +86,10 @@ class Setting:
         cls, names: Sequence[str], asked: RoadOptions, car: CarOptions, profile: str | None, plant: str, aside: bool
     ) -> Setting:
         """Load the roads, plan the speeds, say what cannot be driven."""
-        from adaptrack.controllers import MPC
-        from adaptrack.profile import load_profile
-        from adaptrack.runs import RunSet
+        from adaptrack.control.controllers import MPC
         from adaptrack.scenario import RoadDrive
+        from adaptrack.scenario.profile import load_profile
+        from adaptrack.tuning.runs import RunSet
 
         vehicle, body = options.car_and_plant(car.vehicle or "paper", plant, car.tyre)
         world = load_profile(profile or "road")
@@ -208,7 +208,7 @@ def evaluate(setting: Setting, entered: Entered, seeds: Sequence[int], out: Path
         show.say(f"Left out, {why}", aside=as_json)
     made = setting.compare(contenders, seeds, reference)
     if out is not None:
-        from adaptrack.report.roads_compared import write_road_comparison
+        from adaptrack.results.roads_compared import write_road_comparison
 
         page = write_road_comparison(out, made, title=setting.title, command=options.command_line())
         show.say(f"Page: {page}", aside=as_json)
@@ -258,7 +258,7 @@ def _contenders(setting: Setting, entered: Entered, seeds: Sequence[int]) -> tup
 def _scheduled(name: str, setting: Setting) -> Contender:
     """A scheduler on the informed MPC; one that was made for something else is refused."""
     from adaptrack.comparison.contenders import Contender
-    from adaptrack.scheduling import check_scheduler, load_scheduler
+    from adaptrack.control.scheduling import check_scheduler, load_scheduler
 
     schedule = load_scheduler(name)
     check_scheduler(schedule)

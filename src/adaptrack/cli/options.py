@@ -15,14 +15,14 @@ from typing import TYPE_CHECKING, Annotated, Any, get_type_hints
 import typer
 from typer import Option
 
-from adaptrack.errors import InvalidInput, StorageError
-from adaptrack.limits import WORKERS, Limit, check_limit
-from adaptrack.registry import import_plugin
+from adaptrack.base.errors import InvalidInput, StorageError
+from adaptrack.base.limits import WORKERS, Limit, check_limit
+from adaptrack.base.registry import import_plugin
 
 if TYPE_CHECKING:
-    from adaptrack.plant import Plant as PlantOf
-    from adaptrack.plant import SteppedPlant
-    from adaptrack.vehicle import Vehicle as Car
+    from adaptrack.cars.plant import Plant as PlantOf
+    from adaptrack.cars.plant import SteppedPlant
+    from adaptrack.cars.vehicle import Vehicle as Car
 
 
 class MovesName(StrEnum):
@@ -163,8 +163,8 @@ def load_plugins(modules: Sequence[str] | None) -> None:
 
 def car_and_plant(vehicle: str, plant: str, tyre: str | None) -> tuple[Car, PlantOf | SteppedPlant]:
     """The car that the controller knows, and the plant that is driven."""
-    from adaptrack.plant import get_plant
-    from adaptrack.vehicle import load_vehicle
+    from adaptrack.cars.plant import get_plant
+    from adaptrack.cars.vehicle import load_vehicle
 
     car = load_vehicle(vehicle)
     return car, get_plant(plant, car, tyre)

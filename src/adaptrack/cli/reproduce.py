@@ -35,9 +35,9 @@ def reproduce(
 
     Failed runs are part of the result: they are counted, and the exit code is 0.
     """
-    from adaptrack.dataset import load_dataset
-    from adaptrack.report.reproduce import write_reproduction
+    from adaptrack.results.reproduce import write_reproduction
     from adaptrack.studies.reproduce import reproduce as run_again
+    from adaptrack.tuning.dataset import load_dataset
 
     dataset = load_dataset(data)
     options.make_folder(out)

@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from typer import Option
 
+from adaptrack.base.errors import InvalidInput
 from adaptrack.cli import options, show
 from adaptrack.cli.show import Column
-from adaptrack.errors import InvalidInput
 
 if TYPE_CHECKING:
+    from adaptrack.cars.vehicle import Vehicle
     from adaptrack.road import Finding, Road, SpeedPlan
-    from adaptrack.vehicle import Vehicle
 
 app = typer.Typer(help="Roads: points in CSV files, OpenDRIVE, generated ones.", no_args_is_help=True)
 
@@ -109,7 +109,7 @@ def check(
     as_json: options.Json = False,
 ) -> None:
     """Tell what a road is and what of it a car cannot drive; the exit code is then 1."""
-    from adaptrack.vehicle import load_vehicle
+    from adaptrack.cars.vehicle import load_vehicle
 
     seen = asked.look(road, load_vehicle(vehicle))
     if as_json:
@@ -129,9 +129,9 @@ def plot(
     vehicle: options.Vehicle = "paper",
 ) -> None:
     """Draw a road from above, with curvature and speed along it, as a PNG file."""
-    from adaptrack.files import write_atomically
-    from adaptrack.report.road import road_png
-    from adaptrack.vehicle import load_vehicle
+    from adaptrack.base.files import write_atomically
+    from adaptrack.cars.vehicle import load_vehicle
+    from adaptrack.results.road import road_png
 
     options.make_place(out)
     seen = asked.look(road, load_vehicle(vehicle))

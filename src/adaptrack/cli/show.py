@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
-from adaptrack.progress import now_and_then
+from adaptrack.base.progress import now_and_then
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -59,7 +59,7 @@ def say_json(values: Any) -> None:
 
 def printable(text: str) -> str:
     """The text with control characters, and what is no character at all, written as escapes."""
-    from adaptrack.files import printable as escaped
+    from adaptrack.base.files import printable as escaped
 
     return escaped(text, keep="\n")
 

@@ -12,18 +12,18 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from typer import Option
 
+from adaptrack.base.errors import InvalidInput, UnknownName, did_you_mean
 from adaptrack.cli import interrupt, options, show
 from adaptrack.cli.show import Column
-from adaptrack.errors import InvalidInput, UnknownName, did_you_mean
 
 if TYPE_CHECKING:
-    from adaptrack.controllers import Controller, Learning, Moves, Tuning
-    from adaptrack.models import PredictionModel
-    from adaptrack.profile import Profile
+    from adaptrack.cars.vehicle import Vehicle
+    from adaptrack.control.controllers import Controller, Learning, Moves, Tuning
+    from adaptrack.control.models import PredictionModel
+    from adaptrack.control.scheduling import Schedule
+    from adaptrack.drive.trajectory import Trajectory
     from adaptrack.scenario import Scenario
-    from adaptrack.scheduling import Schedule
-    from adaptrack.trajectory import Trajectory
-    from adaptrack.vehicle import Vehicle
+    from adaptrack.scenario.profile import Profile
 
 FAILED = 3
 """The exit code when a run failed."""
@@ -108,10 +108,10 @@ def simulate(
     was made for another car is certified on this one first, and refused where that loop is unstable.
     """
     from adaptrack.cli.new_car import certify_meeting
-    from adaptrack.controllers import MPC, Moves
-    from adaptrack.profile import load_profile
+    from adaptrack.control.controllers import MPC, Moves
+    from adaptrack.control.scheduling import load_scheduler
     from adaptrack.scenario import load_scenario
-    from adaptrack.scheduling import load_scheduler
+    from adaptrack.scenario.profile import load_profile
 
     options.load_plugins(plugin)
     car, body = options.car_and_plant(vehicle, plant, tyre)
@@ -138,7 +138,7 @@ def simulate(
         if isinstance(each, MPC):
             certify_meeting(label, each, body, car, world, allow_failed, as_json)
     runs = _drive(loaded, controllers, body, world, driver, seed, out)
-    models = {label: getattr(each, "model", None) for label, each in controllers}
+    models = {label: each.model for label, each in controllers}
     rows = [measured_row(label, run, models[label]) for label, run in runs]
     if not any(row["failed"] for row in rows):
         keep_learned(learned, controllers, as_json)
@@ -176,7 +176,7 @@ class Asked:
     @property
     def usual(self) -> str:
         """The controller that drives unless one is named."""
-        from adaptrack.controllers.made_for import is_for_published
+        from adaptrack.control.controllers.made_for import is_for_published
 
         if self.schedule is not None:
             return STANDARD if is_for_published(self.schedule.made_for) else INFORMED
@@ -198,7 +198,7 @@ def make_controller(name: str, asked: Asked) -> tuple[str, Controller]:
     InvalidInput
         When the options make no controller.
     """
-    from adaptrack.controllers import (
+    from adaptrack.control.controllers import (
         Moves,
         Tuning,
         get_controller,
@@ -206,7 +206,7 @@ def make_controller(name: str, asked: Asked) -> tuple[str, Controller]:
         list_controllers,
         published_mpc,
     )
-    from adaptrack.controllers.made_for import is_for_published
+    from adaptrack.control.controllers.made_for import is_for_published
 
     own = asked.moves or Moves.pulses()
     moves = {STANDARD: own, AS_WRITTEN: Moves.pulses(), AS_RELEASED: Moves.laguerre(0.95, own.terms)}
@@ -217,7 +217,7 @@ def make_controller(name: str, asked: Asked) -> tuple[str, Controller]:
                 f"--scheduler {asked.label}: tunes the {'published ' if name == INFORMED else ''}MPC; controller "
                 f"{name!r} takes none{', --controller standard does' if name == INFORMED else ''}."
             )
-        options: dict[str, Any] = {"period": asked.period, "preview": asked.preview}
+        offered, options = {"period": asked.period, "preview": asked.preview}, dict[str, Any]()
         if name == INFORMED:
             options |= {"moves": own, "solver": asked.solver}
             if asked.learning is not None:
@@ -227,7 +227,7 @@ def make_controller(name: str, asked: Asked) -> tuple[str, Controller]:
             if asked.tuning:
                 options["tuning"] = asked.tuned(informed_tuning(asked.profile, asked.period))
         label = asked.label if asked.schedule is not None else name
-        return label, get_controller(name, asked.car, profile=asked.profile, **options)
+        return label, get_controller(name, asked.car, profile=asked.profile, offered=offered, **options)
     if name not in moves:
         raise UnknownName(f"no controller is named {name!r}. {did_you_mean(name, [*moves, *others])}")
     tuning = asked.tuned(Tuning())
@@ -242,7 +242,7 @@ def make_controller(name: str, asked: Asked) -> tuple[str, Controller]:
 
 def asked_learning(learn: bool, file: Path | None) -> Learning | None:
     """How the informed controller learns, from the options; None: it does not."""
-    from adaptrack.controllers import Learning, load_learned_car
+    from adaptrack.control.controllers import Learning, load_learned_car
 
     if not (learn or file is not None):
         return None
@@ -254,7 +254,7 @@ def keep_learned(file: Path | None, controllers: Sequence[tuple[str, Controller]
     if file is None:
         return
     for _, each in controllers:
-        if getattr(each, "learner", None) is not None:
+        if each.learner is not None:
             each.learned().to_toml(file)  # type: ignore[attr-defined]
             show.say(f"Learned: {file}", aside=aside)
 
@@ -285,9 +285,9 @@ def _drive(
     seed: int, out: Path | None,
 ) -> list[tuple[str, Trajectory]]:  # fmt: skip
     """Every scenario with every controller; each trajectory is saved as soon as it is driven."""
-    from adaptrack.files import safe_names
-    from adaptrack.simulate import simulate as drive
-    from adaptrack.world import Driver
+    from adaptrack.base.files import safe_names
+    from adaptrack.drive.simulate import simulate as drive
+    from adaptrack.drive.world import Driver
 
     pairs = [(scenario, *named) for scenario in scenarios for named in controllers]
     files = safe_names(f"{scenario.name}-{label}" for scenario, label, _ in pairs)
@@ -306,7 +306,7 @@ def _drive(
 
 
 def _write_report(out: Path, runs: Sequence[tuple[str, Trajectory]], png: bool) -> Path:
-    from adaptrack.report import Run, write_report
+    from adaptrack.results import Run, write_report
 
     with show.progress("write the report"):
         shown = [Run(run, label=label) for label, run in runs]
@@ -318,7 +318,7 @@ def measured_row(controller: str, run: Trajectory, model: PredictionModel | None
 
     model: of the controller, if it has one.
     """
-    from adaptrack.metrics import compute_metrics
+    from adaptrack.drive.metrics import compute_metrics
 
     meta, measures = run.meta, compute_metrics(run, model=model).as_row()
     del measures["failed"]
@@ -369,7 +369,7 @@ def tell_open_qps(row: dict[str, Any], as_json: bool) -> None:
 
 def tell_belief(label: str, controller: Controller, body: Any, world: Profile, aside: bool) -> None:
     """What a controller believes of its steering, and the simulated one where it is another."""
-    belief = getattr(controller, "belief", None)
+    belief = controller.belief
     if belief is None:
         return
     warning = "Warning, " if belief.assumed else ""

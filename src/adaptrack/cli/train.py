@@ -8,9 +8,9 @@ from typing import Annotated
 
 from typer import Option
 
+from adaptrack.base.errors import InvalidInput
 from adaptrack.cli import interrupt, options, show
 from adaptrack.cli.show import Column
-from adaptrack.errors import InvalidInput
 
 COLUMNS = (
     Column("slot", "learned"),
@@ -35,10 +35,10 @@ def train(
     as_json: options.Json = False,
 ) -> None:
     """Learn a scheduler from the tuned operating points of a data set; print how well, on points held out."""
-    from adaptrack.adaptation.recipes import purpose_of, trained_schedule
-    from adaptrack.dataset import load_dataset
+    from adaptrack.control.scheduling import check_scheduler
+    from adaptrack.learning.adaptation.recipes import purpose_of, trained_schedule
     from adaptrack.learning.training import train as learn
-    from adaptrack.scheduling import check_scheduler
+    from adaptrack.tuning.dataset import load_dataset
 
     if out.suffix != ".json":
         raise InvalidInput(f"--out {out}: a scheduler's file is called *.json.")

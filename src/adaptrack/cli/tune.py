@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Annotated
 
 from typer import Option
 
+from adaptrack.base.errors import InvalidInput
 from adaptrack.cli import interrupt, on_roads, options, show
 from adaptrack.cli.road import RoadOptions
-from adaptrack.errors import InvalidInput
 
 if TYPE_CHECKING:
     from adaptrack.tuning.campaign import Progress
@@ -90,9 +90,9 @@ def _campaign(
     as_json: bool,
 ) -> None:  # fmt: skip
     """Run a campaign. driven: controller and profile; how: resume, workers, dask."""
-    from adaptrack.dataset import load_dataset
     from adaptrack.tuning.campaign import CampaignInterrupted, run_campaign
     from adaptrack.tuning.config import load_campaign
+    from adaptrack.tuning.dataset import load_dataset
 
     resume, workers, dask = how
     campaign = load_campaign(config).driven_by(*driven)
@@ -123,7 +123,7 @@ def _campaign(
 
 def _estimate(campaign: CampaignConfig, threads: int | None) -> str:
     """How much work a campaign is: runs, memory, and the time on so many threads of this machine."""
-    from adaptrack.profile import load_profile
+    from adaptrack.scenario.profile import load_profile
     from adaptrack.tuning.config import Plan
 
     plan = Plan.of(campaign)

@@ -16,15 +16,17 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from adaptrack.adaptation.config import Evaluation
+from adaptrack.base.errors import InvalidInput
+from adaptrack.base.shown import figure_of, html_of
 from adaptrack.comparison.contenders import Contender
 from adaptrack.comparison.statistics import Ratio, geometric_mean, ratio, regret_percentiles, resamples
-from adaptrack.errors import InvalidInput
-from adaptrack.failure import Failure
-from adaptrack.runs import RunSet
-from adaptrack.scheduling import Schedule
+from adaptrack.control.controllers import Controller
+from adaptrack.control.scheduling import Schedule
+from adaptrack.drive.failure import Failure
+from adaptrack.learning.adaptation.config import Evaluation
 from adaptrack.tuning.objective import Objective
 from adaptrack.tuning.pso import SearchSpace, SwarmSettings
+from adaptrack.tuning.runs import RunSet
 
 Array = NDArray[np.float64]
 Progress = Callable[[str, int, int], None]
@@ -119,15 +121,11 @@ class Comparison:
 
     def plot(self) -> Any:
         """Each contender's cost over the reference's with its 95 % interval, as a matplotlib figure."""
-        from adaptrack.report.comparison_verdict import comparison_figure
-
-        return comparison_figure(self)
+        return figure_of(self)
 
     def _repr_html_(self) -> str:
         """The comparison in a notebook."""
-        from adaptrack.report.notebook import comparison_html
-
-        return comparison_html(repr(self)[1:-1], self.rows(), self.plot())
+        return html_of(self)
 
     def _over_constant(self, name: str, seed: int) -> dict[str, float]:
         """The cost over that of the first constant that is not the reference."""
@@ -210,7 +208,7 @@ def compare(
 
 def _controller(contender: Contender, runs: RunSet) -> str:
     """What drives: a controller of the contender's own, or that of the runs."""
-    return contender.controller if hasattr(contender.policy, "step") else runs.controller
+    return contender.controller if isinstance(contender.policy, Controller) else runs.controller
 
 
 def _shares(counts: Mapping[str, NDArray[np.int64]]) -> dict[str, float]:

@@ -1,23 +1,22 @@
-"""Contenders: what is compared on the same runs, and the registry of those that have a name.
+"""Contenders: what is compared on the same runs.
 
-A contender is a schedule, a tuning, a tuning for each run, or a controller of its own, compiled or in Python. A
-registered one is made for the runs at hand, since a controller must know its car and its period.
+A contender is a schedule, a tuning, a tuning for each run, or a controller of its own, compiled or in Python. Every
+registered controller is one by its name, made for the runs at hand: it must know its car and its period.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from adaptrack.controllers import Controller, Tuning, get_controller, published_mpc
-from adaptrack.errors import ContractError, InvalidInput, UnknownName, did_you_mean
-from adaptrack.runs import Policy, Retuned, RunSet
-from adaptrack.scheduling import Number, Schedule, list_schedulers, load_scheduler
-from adaptrack.vehicle import Vehicle
+from adaptrack.base.errors import InvalidInput, UnknownName, did_you_mean
+from adaptrack.control.controllers import Controller, Tuning, get_controller, list_controllers
+from adaptrack.control.scheduling import Number, Schedule, list_schedulers, load_scheduler
+from adaptrack.tuning.runs import Policy, Retuned, RunSet
 
 Array = NDArray[np.float64]
 
@@ -43,13 +42,13 @@ class Contender:
     def __post_init__(self) -> None:
         if not isinstance(self.name, str) or not self.name:
             raise InvalidInput(f"Contender: name = {self.name!r}: must be text.")
-        if not isinstance(self.policy, Schedule | Tuning | Retuned) and not hasattr(self.policy, "step"):
+        if not isinstance(self.policy, Schedule | Tuning | Retuned | Controller):
             _check_tunings(self.name, self.policy)
 
     @property
     def controller(self) -> str:
         """The name of the controller: "mpc" where the policy only tunes that of the runs."""
-        return str(getattr(self.policy, "name", "mpc")) if hasattr(self.policy, "step") else "mpc"
+        return str(getattr(self.policy, "name", "mpc")) if isinstance(self.policy, Controller) else "mpc"
 
     @property
     def adapts(self) -> bool:
@@ -58,7 +57,7 @@ class Contender:
             return False
         if isinstance(self.policy, Schedule):
             return not _is_constant(self.policy)
-        if hasattr(self.policy, "step"):
+        if isinstance(self.policy, Controller):
             return getattr(self.policy, "scheduler", None) is not None
         return np.ndim(self.policy) == 2 and len(np.asarray(self.policy)) > 1
 
@@ -79,77 +78,16 @@ def _check_tunings(name: str, policy: ArrayLike) -> None:
         )
 
 
-# -- the registry -----------------------------------------------------------------------------------------------------
-Maker = Callable[[RunSet], Policy]
-"""Makes a policy for the runs at hand, from their plant, MPC (vehicle, period) and profile."""
-
-
+# -- by name ----------------------------------------------------------------------------------------------------------
 PUBLISHED_CONTENDERS = ("published", "published, road-nn")
 """The paper's controller beside another, with its best constant and with its networks."""
-
-
-def _vehicle_of(name: str, runs: RunSet) -> Vehicle:
-    vehicle = getattr(runs.mpc.model, "vehicle", None) or getattr(runs.plant, "vehicle", None)
-    if vehicle is None:
-        raise InvalidInput(f"contender {name!r}: neither the MPC's model nor the plant of the runs has a vehicle.")
-    return vehicle
-
-
-def _by_name(name: str) -> Maker:
-    """Makes a registered controller with its default tuning, for the car, period and preview of the runs' MPC."""
-
-    def make(runs: RunSet) -> Controller:
-        vehicle = _vehicle_of(name, runs)
-        return get_controller(name, vehicle, profile=runs.profile, period=runs.mpc.period, preview=runs.mpc.preview)
-
-    return make
-
-
-def _published(scheduler: str) -> Maker:
-    """Makes the paper's controller with a scheduler that ships for it, made for the paper's car in profile `road`."""
-
-    def make(runs: RunSet) -> Controller:
-        car, mpc, schedule = _vehicle_of("published", runs), runs.mpc, load_scheduler(scheduler)
-        timing: dict[str, Any] = {"period": mpc.period, "preview": mpc.preview}
-        if not _is_constant(schedule):
-            return published_mpc(car, scheduler=schedule, **timing)
-        Np, Nc, Q, R = (entry.low for entry in schedule.tuning.values())
-        return published_mpc(car, Tuning(round(Np), round(Nc), Q, R), **timing)
-
-    return make
-
-
-_MAKERS: dict[str, Maker] = {
-    "standard": lambda runs: Tuning(),
-    "published": _published("road-best-constant-on-drives"),
-    "published, road-nn": _published("road-nn"),
-    **{
-        name: _by_name(name)
-        for name in ("informed", "lqr", "mppi", "nmpc", "nmpc-as-measured", "pure-pursuit", "stanley")
-    },
-}
-
-
-def register_contender(name: str, make: Maker) -> None:
-    """Give a contender a name for `get_contender` and `evaluate`; make: makes its policy for the runs at hand.
-
-    Raises
-    ------
-    ContractError
-        When the name is no text or taken, or `make` cannot be called.
-    """
-    if not isinstance(name, str) or not name:
-        raise ContractError(f"register_contender: name = {name!r}: must be text.")
-    if name in list_contenders():
-        raise ContractError(f"register_contender: {name!r} is taken; choose another name.")
-    if not callable(make):
-        raise ContractError(f"register_contender: {name!r}: make = {make!r}: must be callable, run set -> policy.")
-    _MAKERS[name] = make
+STANDARD = "standard"
+"""The MPC of the runs with the tuning of the paper's table."""
 
 
 def list_contenders() -> list[str]:
-    """The names that `get_contender` knows: registered contenders, and the schedulers that ship with the package."""
-    return sorted({*_MAKERS, *list_schedulers()})
+    """The names that `get_contender` knows: every registered controller, and the schedulers that ship."""
+    return sorted({STANDARD, *list_controllers(), *list_schedulers()})
 
 
 def check_contender(name: str) -> None:
@@ -168,7 +106,9 @@ def check_contender(name: str) -> None:
 
 
 def get_contender(name: str, runs: RunSet) -> Contender:
-    """The contender of this name, made for the runs at hand; a path to a scheduler's .json file is one, too.
+    """The contender of this name; a path to a scheduler's .json file is one, too.
+
+    A controller is made for the car, the profile, the period and the preview of the runs; a scheduler tunes their MPC.
 
     Raises
     ------
@@ -177,13 +117,20 @@ def get_contender(name: str, runs: RunSet) -> Contender:
     StorageError
         When a scheduler's file cannot be read.
     InvalidInput
-        When what was made is no policy.
+        When the controller cannot be made for the runs.
     """
     check_contender(name)
-    if name in _MAKERS:
-        return Contender(name, _MAKERS[name](runs), kind=name)
-    schedule = load_scheduler(name)
-    return Contender(schedule.name, schedule)
+    if name == STANDARD:
+        return Contender(name, Tuning(), kind=name)
+    if name not in list_controllers():
+        schedule = load_scheduler(name)
+        return Contender(schedule.name, schedule)
+    vehicle = getattr(runs.mpc.model, "vehicle", None) or getattr(runs.plant, "vehicle", None)
+    if vehicle is None:
+        raise InvalidInput(f"contender {name!r}: neither the MPC's model nor the plant of the runs has a vehicle.")
+    offered = {"period": runs.mpc.period, "preview": runs.mpc.preview}
+    made = get_controller(name, vehicle, profile=runs.profile, offered=offered)
+    return Contender(name, made, kind="" if name in OF_AN_ADAPTATION else name)
 
 
 # -- of an adaptation -------------------------------------------------------------------------------------------------
@@ -193,14 +140,18 @@ CONSTANTS = ("best constant", "best constant on drives", "fallback")
 """Called by what they are; the others are called as their files."""
 
 
-RESERVED = frozenset(
+OF_AN_ADAPTATION = frozenset(
     {
-        *_MAKERS,
         *CONSTANTS, *ONCE, "default constant", "best constant of operating points", "optimum", "per-drive constant",
         "nn", "anfis", "nn unguarded", "anfis unguarded", "speed only", "speed look-up",
     }
 )  # fmt: skip
-"""Names that stand for what an adaptation makes: a file of one's own is never called so."""
+"""Names that stand for what an adaptation makes."""
+
+
+def reserved() -> set[str]:
+    """Names that no file of one's own is called by."""
+    return {*OF_AN_ADAPTATION, STANDARD, *list_controllers()}
 
 
 def contenders_of(
@@ -225,7 +176,7 @@ def contenders_of(
             policies["best constant of operating points"] = of_points
         policies["best constant"] = on_drives
     known = [
-        Contender(shown_as(kind, schedules), policy, kind=kind if kind in RESERVED | set(_MAKERS) else "")
+        Contender(shown_as(kind, schedules), policy, kind=kind if kind in reserved() else "")
         for kind, policy in policies.items()
     ]
     return {each.name: each for each in (*known, *more)}

@@ -7,26 +7,26 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from adaptrack.adaptation.recipes import ANYWHERE
-from adaptrack.adaptation.splits import SetUp, evaluation_drives, evaluation_points
+from adaptrack.base.errors import InvalidInput
+from adaptrack.cars.plant import Plant, SteppedPlant
 from adaptrack.comparison.compare import Comparison, SwarmSearch, compare, optimum, per_run_best
 from adaptrack.comparison.contenders import PUBLISHED_CONTENDERS, Contender, contenders_of, get_contender
-from adaptrack.controllers import Tuning
-from adaptrack.errors import InvalidInput
-from adaptrack.metrics import PUBLISHED
-from adaptrack.plant import Plant, SteppedPlant
-from adaptrack.profile import load_profile
-from adaptrack.runs import (
+from adaptrack.control.controllers import Tuning
+from adaptrack.control.scheduling import Schedule
+from adaptrack.drive.metrics import PUBLISHED
+from adaptrack.drive.world import KnownAs
+from adaptrack.learning.adaptation.recipes import ANYWHERE
+from adaptrack.learning.adaptation.splits import SetUp, evaluation_drives, evaluation_points
+from adaptrack.scenario.profile import load_profile
+from adaptrack.tuning.evaluator import tuned_mpc
+from adaptrack.tuning.objective import Objective
+from adaptrack.tuning.runs import (
     RunSet,
     operating_point_runs,
     paper_test_runs,
     perception,
     random_drive_runs,
 )
-from adaptrack.scheduling import Schedule
-from adaptrack.tuning.evaluator import tuned_mpc
-from adaptrack.tuning.objective import Objective
-from adaptrack.world import KnownAs
 
 Array = NDArray[np.float64]
 Progress = Callable[[str, int, int], None]

@@ -9,17 +9,18 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from adaptrack.base.errors import InvalidInput
+from adaptrack.base.shown import figure_of, html_of
+from adaptrack.cars.outline import Outline
 from adaptrack.comparison.compare import Comparison, Role
 from adaptrack.comparison.contenders import Contender
-from adaptrack.controllers import Tuning
-from adaptrack.errors import InvalidInput
-from adaptrack.metrics import Metrics, compute_metrics
-from adaptrack.outline import Outline
-from adaptrack.path_metrics import PathRecord, path_metrics
-from adaptrack.runs import Retuned, RunSet
-from adaptrack.scheduling import Schedule
-from adaptrack.trajectory import Trajectory
-from adaptrack.world import World
+from adaptrack.control.controllers import Controller, Tuning
+from adaptrack.control.scheduling import Schedule
+from adaptrack.drive.metrics import Metrics, compute_metrics
+from adaptrack.drive.path_metrics import PathRecord, path_metrics
+from adaptrack.drive.trajectory import Trajectory
+from adaptrack.drive.world import World
+from adaptrack.tuning.runs import Retuned, RunSet
 
 Array = NDArray[np.float64]
 Progress = Callable[[str, int, int], None]
@@ -87,15 +88,11 @@ class RoadComparison:
 
     def plot(self) -> Any:
         """Each contender's cost over the reference's with its 95 % interval, as a matplotlib figure."""
-        from adaptrack.report.comparison_verdict import comparison_figure
-
-        return comparison_figure(self.comparison)
+        return figure_of(self)
 
     def _repr_html_(self) -> str:
         """The comparison in a notebook."""
-        from adaptrack.report.notebook import comparison_html
-
-        return comparison_html(repr(self)[1:-1], self.rows(), self.plot())
+        return html_of(self)
 
 
 def check_fits(contender: Contender, runs: RunSet) -> None:
@@ -147,7 +144,7 @@ def on_roads(
             costs[each.name], failures[each.name] = cost.mean(axis=1), failed.mean(axis=1)
         tracking[each.name] = _tracking(found, measured, cost, outline, runs, seeds)
     roles = {
-        each.name: Role(each.controller if hasattr(each.policy, "step") else runs.controller, each.adapts)
+        each.name: Role(each.controller if isinstance(each.policy, Controller) else runs.controller, each.adapts)
         for each in contenders
     }
     where = np.array(seeds, dtype=float) if len(runs) == 1 else np.arange(len(runs), dtype=float)
@@ -159,7 +156,7 @@ def on_roads(
 def _alone(contender: Contender) -> Any:
     """A policy that is the same for all runs."""
     policy = contender.policy
-    if isinstance(policy, Schedule | Tuning | Retuned) or hasattr(policy, "step"):
+    if isinstance(policy, Schedule | Tuning | Retuned | Controller):
         return policy
     raise InvalidInput(f"contender {contender.name!r}: a tuning for each run: on roads give one controller.")
 

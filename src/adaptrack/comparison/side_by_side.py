@@ -19,26 +19,25 @@ from typing import Annotated, Any, Self
 import numpy as np
 from pydantic import Field, model_validator
 
+from adaptrack.base.errors import InvalidInput, MissingExtra
+from adaptrack.base.files import LISTED, Record
+from adaptrack.cars.plant import Plant, SteppedPlant, get_plant, twin_of, usual_plant
+from adaptrack.cars.vehicle import Vehicle, load_vehicle
 from adaptrack.comparison.contenders import Contender
-from adaptrack.comparison.entries import Entry, Setting, get_entry
+from adaptrack.comparison.manoeuvres import LaneChange, entry_speed, iso_3888_2
 from adaptrack.comparison.roads import check_fits
-from adaptrack.controllers import MPC, Controller
-from adaptrack.errors import InvalidInput, MissingExtra
-from adaptrack.files import LISTED, Record
-from adaptrack.manoeuvres import LaneChange, entry_speed, iso_3888_2
-from adaptrack.metrics import compute_metrics
-from adaptrack.path_metrics import PathRecord, path_metrics
-from adaptrack.plant import Plant, get_plant, twin_of, usual_plant
-from adaptrack.profile import load_profile
+from adaptrack.control.controllers import MPC, About, Controller, about_controller, get_controller
+from adaptrack.drive.metrics import compute_metrics
+from adaptrack.drive.path_metrics import PathRecord, path_metrics
+from adaptrack.drive.trajectory import Trajectory
 from adaptrack.road import Comfort, Road, load_road, plan_speed
 from adaptrack.road.generate import KINDS
-from adaptrack.runs import Retuned, RunSet
 from adaptrack.scenario import RoadDrive, Scenario, load_scenario, random_drive
 from adaptrack.scenario.library import list_scenarios
-from adaptrack.trajectory import Trajectory
+from adaptrack.scenario.profile import Profile, load_profile
 from adaptrack.tuning.constant import LEAST_TUNINGS, seek_constant
 from adaptrack.tuning.pso import SwarmSettings
-from adaptrack.vehicle import Vehicle, load_vehicle
+from adaptrack.tuning.runs import Retuned, RunSet
 
 Progress = Callable[[str, int, int], None]
 
@@ -96,7 +95,7 @@ class SideBySide(Record):
         if seen:
             raise ValueError(f"training: {min(seen)!r} is a road of the judgement as well.")
         for name in self.contenders:
-            get_entry(name)
+            about_controller(name)
         return self
 
     @property
@@ -107,10 +106,10 @@ class SideBySide(Record):
             for profile in dict.fromkeys(self.profiles)
             for car in dict.fromkeys(self.cars)
             for contender in dict.fromkeys(self.contenders)
-            if get_entry(contender).compiled or car in (self.slow_cars or self.cars)
+            if about_controller(contender).compiled or car in (self.slow_cars or self.cars)
         ]
 
-    def of(self, entry: Entry) -> SideBySide:
+    def of(self, entry: About) -> SideBySide:
         """What is asked of an entry: one in Python may have fewer roads, seeds and closed loops."""
         if entry.compiled:
             return self
@@ -119,14 +118,14 @@ class SideBySide(Record):
 
     def loops(self, cell: Cell) -> int:
         """Closed loops of a cell, roughly: those of the search and of the judgement, without entry speeds."""
-        entry = get_entry(cell.contender)
+        entry = about_controller(cell.contender)
         asked = self.of(entry)
         searched = asked.budget if entry.tunable else 0
         return searched + (2 if searched else 1) * len(asked.roads) * len(asked.seeds)
 
     def seconds(self, cells: Sequence[Cell]) -> float:
         """s, how long cells take on one core, roughly: `PERIODS_OF_A_LOOP` steps a loop."""
-        return sum(self.loops(cell) * PERIODS_OF_A_LOOP * get_entry(cell.contender).step_time for cell in cells)
+        return sum(self.loops(cell) * PERIODS_OF_A_LOOP * about_controller(cell.contender).step_time for cell in cells)
 
 
 @dataclass(frozen=True)
@@ -144,6 +143,26 @@ class Cell:
 
 
 # -- cars and roads ---------------------------------------------------------------------------------------------------
+@dataclass(frozen=True, eq=False)
+class Setting:
+    """What a controller is made for."""
+
+    car: Vehicle
+    plant: Plant | SteppedPlant
+    profile: Profile
+
+    def controller(self, name: str) -> Controller:
+        """A registered controller for it, which knows the road ahead and the period.
+
+        Raises
+        ------
+        InvalidInput
+            When it was made for another car or profile.
+        """
+        offered = {"period": self.profile.period, "preview": True}
+        return get_controller(name, self.car, profile=self.profile, offered=offered)
+
+
 def load_setting(car: str, profile: str) -> Setting:
     """A car by `car` or `car/plant`, in a profile.
 
@@ -227,7 +246,7 @@ def run_cell(task: SideBySide, cell: Cell) -> dict[str, Any]:
         When the car, the profile or a road cannot be had.
     """
     begun = time.perf_counter()
-    entry = get_entry(cell.contender)
+    entry = about_controller(cell.contender)
     task = task.of(entry)
     setting, training, judged = _run_sets(task, cell.car, cell.profile)
     if setting.plant.costly and task.costly_seeds:
@@ -241,11 +260,11 @@ def run_cell(task: SideBySide, cell: Cell) -> dict[str, Any]:
         "left_out": "",
     }
     try:
-        own = entry.make(setting)
-        check_fits(Contender(entry.name, own), judged)
+        own = setting.controller(cell.contender)
+        check_fits(Contender(cell.contender, own), judged)
     except (InvalidInput, MissingExtra) as error:
         return found | {"left_out": str(error), "seconds": 0.0}
-    drivers: dict[str, Controller] = {"scheduled" if getattr(own, "scheduler", None) else "default": own}
+    drivers: dict[str, Controller] = {"scheduled" if own.scheduler else "default": own}
     if entry.tunable and task.budget:
         swarm = _swarm(task.budget, len(training) * len(task.training_seeds))
         sought = seek_constant(training, own, swarm, noise_seeds=task.training_seeds)
@@ -253,16 +272,13 @@ def run_cell(task: SideBySide, cell: Cell) -> dict[str, Any]:
         drivers["tuned"] = judged.controller_of(Retuned(own, list(sought.tuning.values())))
         found["tunings"] = {"default": sought.default, "tuned": sought.tuning}
     for tuning, driver in drivers.items():
-        found["rows"] += _rows(task, setting, judged, driver, {"contender": entry.name, "tuning": tuning, **_of(cell)})
+        about = {"contender": cell.contender, "tuning": tuning, "car": cell.car, "profile": cell.profile}
+        found["rows"] += _rows(task, setting, judged, driver, about)
         try:
             found["entry_speed"][tuning] = _entry_speed(task, cell, entry, driver)
         except InvalidInput as error:
             found["not_entered"] = str(error)
     return found | {"seconds": time.perf_counter() - begun}
-
-
-def _of(cell: Cell) -> dict[str, str]:
-    return {"car": cell.car, "profile": cell.profile}
 
 
 def _swarm(budget: int, each: int) -> SwarmSettings:
@@ -304,12 +320,12 @@ MEASURES = {
 """Columns of a row, and the `PathMetrics` that they hold."""
 
 
-def _entry_speed(task: SideBySide, cell: Cell, entry: Entry, driver: Controller) -> float | None:
+def _entry_speed(task: SideBySide, cell: Cell, entry: About, driver: Controller) -> float | None:
     """m/s, the highest clean entry speed into ISO 3888-2; 0 where none is clean, None where it was not driven."""
     track = _obstacle(cell.car, cell.profile) if task.entry_speeds and entry.compiled else None
     if track is None:
         return None
-    found = entry_speed(track, entry.name, driver, SPEEDS)
+    found = entry_speed(track, cell.contender, driver, SPEEDS)
     return float(found.found.speed) if math.isfinite(found.found.speed) else 0.0
 
 

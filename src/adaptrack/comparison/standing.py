@@ -15,9 +15,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from adaptrack.base.errors import InvalidInput
 from adaptrack.comparison.statistics import RESAMPLES, Ratio
-from adaptrack.errors import InvalidInput
-from adaptrack.failure import DISTANCE
+from adaptrack.drive.failure import DISTANCE
 
 Array = NDArray[np.float64]
 Columns = Mapping[str, NDArray[Any]]

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from adaptrack.scheduling import Schedule, SchedulingVariables
+from adaptrack.control.scheduling import Schedule, SchedulingVariables
 
 Array = NDArray[np.float64]
 

@@ -6,7 +6,7 @@ After ``import adaptrack.gym`` ``gymnasium.make`` and ``gymnasium.make_vec`` kno
 
 from __future__ import annotations
 
-from adaptrack.errors import MissingExtra
+from adaptrack.base.errors import MissingExtra
 
 try:
     import gymnasium

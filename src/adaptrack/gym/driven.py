@@ -7,10 +7,10 @@ from typing import Any
 
 import gymnasium
 
-from adaptrack.closed_loop import ClosedLoop, Sensed
-from adaptrack.controllers import Controller
+from adaptrack.control.controllers import Controller
+from adaptrack.drive.closed_loop import ClosedLoop, Sensed
+from adaptrack.drive.world import World
 from adaptrack.gym.task import Episode, Task
-from adaptrack.world import World
 
 
 class Driven:

@@ -10,10 +10,10 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from adaptrack.arguments import reals
-from adaptrack.controllers import MPC, Learning, published_mpc
-from adaptrack.controllers.told import Told
-from adaptrack.errors import InvalidInput, UnknownName, did_you_mean
+from adaptrack.base.arguments import reals
+from adaptrack.base.errors import InvalidInput, UnknownName, did_you_mean
+from adaptrack.control.controllers import MPC, Learning, published_mpc
+from adaptrack.control.controllers.told import Told
 from adaptrack.gym.task import Task
 
 Array = NDArray[np.float64]

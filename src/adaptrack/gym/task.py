@@ -9,17 +9,17 @@ from typing import Any
 
 import numpy as np
 
+from adaptrack.base.errors import InvalidInput, real, whole
+from adaptrack.cars.plant import DualTrack, Plant, SteppedPlant, get_plant
+from adaptrack.cars.vehicle import Vehicle, load_vehicle
 from adaptrack.comparison.side_by_side import load_setting, load_trip
-from adaptrack.controllers import CompiledController
-from adaptrack.errors import InvalidInput, real, whole
-from adaptrack.failure import DISTANCE, Failure
+from adaptrack.control.controllers import CompiledController
+from adaptrack.drive.failure import DISTANCE, Failure
+from adaptrack.drive.world import Driver, KnownAs
 from adaptrack.identification import CarRanges, random_car
 from adaptrack.identification.random_cars import BASES
-from adaptrack.plant import DualTrack, Plant, SteppedPlant, get_plant
-from adaptrack.profile import Profile, load_profile
 from adaptrack.scenario import RoadDrive, Scenario
-from adaptrack.vehicle import Vehicle, load_vehicle
-from adaptrack.world import Driver, KnownAs
+from adaptrack.scenario.profile import Profile, load_profile
 
 Trip = Scenario | RoadDrive
 SEEDS = 2**31

@@ -14,10 +14,11 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
-from adaptrack.batch import Batch
-from adaptrack.controllers import MPC, Controller
-from adaptrack.errors import InvalidInput, whole
-from adaptrack.estimation import FrictionWindEstimator
+from adaptrack.base.errors import InvalidInput, whole
+from adaptrack.control.controllers import MPC, Controller
+from adaptrack.control.estimation import FrictionWindEstimator
+from adaptrack.drive.batch import Batch
+from adaptrack.drive.world import reason_of
 from adaptrack.gym.mpc_tuning import EVERY
 from adaptrack.gym.spaces import (
     DISTANCES,
@@ -33,7 +34,6 @@ from adaptrack.gym.spaces import (
     variables_within,
 )
 from adaptrack.gym.task import Episode, Outside, Task
-from adaptrack.world import reason_of
 
 Array = NDArray[np.float64]
 

@@ -10,7 +10,9 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from adaptrack.errors import InvalidInput, real
+from adaptrack.base.errors import InvalidInput, real
+from adaptrack.cars.known_within import KnownWithin
+from adaptrack.cars.vehicle import Steering, Tyre, Vehicle, load_tyre, load_vehicle
 from adaptrack.identification.calibration import corrected
 from adaptrack.identification.conventions import check_conventions, guessed_ratio
 from adaptrack.identification.likelihood import NEARLY, Likelihood
@@ -25,8 +27,6 @@ from adaptrack.identification.quantities import (
 )
 from adaptrack.identification.reading import Columns, Reading, read_columns
 from adaptrack.identification.words import HARDLY, findings
-from adaptrack.known_within import KnownWithin
-from adaptrack.vehicle import Steering, Tyre, Vehicle, load_tyre, load_vehicle
 
 Array = NDArray[np.float64]
 

@@ -17,10 +17,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from adaptrack.errors import InvalidInput
+from adaptrack.base.errors import InvalidInput
+from adaptrack.cars.vehicle import Vehicle
 from adaptrack.identification.log import Log
 from adaptrack.identification.quantities import INDEX, PUSH_TIME, QUANTITIES, SHAPE, Belief, values_of
-from adaptrack.vehicle import Vehicle
 
 Array = NDArray[np.float64]
 

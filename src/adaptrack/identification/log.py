@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from adaptrack.errors import InvalidInput
+from adaptrack.base.errors import InvalidInput
 from adaptrack.identification.outliers import find_outliers, find_stuck, said_of
 
 Array = NDArray[np.float64]

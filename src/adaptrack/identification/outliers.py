@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import rank_filter
 
-from adaptrack.errors import InvalidInput
+from adaptrack.base.errors import InvalidInput
 
 Array = NDArray[np.float64]
 Rows = NDArray[np.bool_]

@@ -15,7 +15,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from adaptrack.vehicle import GRAVITY, Vehicle, load_tyre
+from adaptrack.cars.vehicle import GRAVITY, Vehicle, load_tyre
 
 Array = NDArray[np.float64]
 

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from adaptrack.errors import InvalidInput, whole
-from adaptrack.profile import Profile, load_profile
-from adaptrack.vehicle import Tyre, Vehicle, load_tyre, load_vehicle
+from adaptrack.base.errors import InvalidInput, whole
+from adaptrack.cars.vehicle import Tyre, Vehicle, load_tyre, load_vehicle
+from adaptrack.scenario.profile import Profile, load_profile
 
 BASES = ("paper", "midsize-sedan")
 _CAR = 0x0CA5  # stream of random numbers

@@ -6,9 +6,9 @@ import os
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from adaptrack.files import dump_toml, write_atomically
+from adaptrack.base.files import dump_toml, write_atomically
+from adaptrack.cars.vehicle import Vehicle
 from adaptrack.identification.from_log import FACTORS
-from adaptrack.vehicle import Vehicle
 
 if TYPE_CHECKING:
     from adaptrack.identification.from_log import Identification

@@ -24,11 +24,8 @@ from sklearn.base import BaseEstimator, RegressorMixin
 from sklearn.utils import check_random_state
 from sklearn.utils.validation import check_is_fitted, validate_data
 
-from adaptrack.errors import InvalidInput, real, whole
-from adaptrack.learning import partition as partitions
-from adaptrack.learning.holding import held_out
-from adaptrack.learning.weights import mean, part, row_weights
-from adaptrack.scheduling.functions.sugeno import (
+from adaptrack.base.errors import InvalidInput, real, whole
+from adaptrack.control.scheduling.functions.sugeno import (
     CENTRE,
     SLOPE,
     WIDTH,
@@ -36,6 +33,9 @@ from adaptrack.scheduling.functions.sugeno import (
     bell_exponent,
     distance,
 )
+from adaptrack.learning import partition as partitions
+from adaptrack.learning.holding import held_out
+from adaptrack.learning.weights import mean, part, row_weights
 
 Array = NDArray[np.float64]
 

@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 from sklearn.ensemble import HistGradientBoostingRegressor
 from threadpoolctl import threadpool_limits
 
-from adaptrack.dataset import DataSet
-from adaptrack.dataset.describe import TARGETS, targets
-from adaptrack.errors import InvalidInput
+from adaptrack.base.errors import InvalidInput
+from adaptrack.tuning.dataset import DataSet
+from adaptrack.tuning.dataset.describe import TARGETS, targets
 from adaptrack.tuning.operating_points import canonical
 
 Array = NDArray[np.float64]

@@ -15,10 +15,10 @@ from typing import NamedTuple, NoReturn
 
 import numpy as np
 
-from adaptrack.errors import ConfigError, InvalidInput, StorageError, whole
-from adaptrack.files import write_atomically
+from adaptrack.base.errors import ConfigError, InvalidInput, StorageError, whole
+from adaptrack.base.files import write_atomically
+from adaptrack.control.scheduling.functions.sugeno import ANY, SLOPE, WIDTH, Sugeno
 from adaptrack.learning.anfis import ANFIS
-from adaptrack.scheduling.functions.sugeno import ANY, SLOPE, WIDTH, Sugeno
 
 _FUNCTION = re.compile(r"'([^']*)'\s*:\s*'([^']*)'\s*,\s*\[([^\]]*)\]\s*")
 _RULE = re.compile(r"([-\d\s]+),([-\d\s]+)\(([^()]*)\)\s*:\s*(\d+)\s*")

@@ -22,10 +22,10 @@ from sklearn.utils import check_random_state
 from sklearn.utils.validation import check_is_fitted, validate_data
 from threadpoolctl import threadpool_limits
 
-from adaptrack.errors import InvalidInput, real, whole
+from adaptrack.base.errors import InvalidInput, real, whole
+from adaptrack.control.scheduling.functions.network import Network
 from adaptrack.learning.holding import held_out
 from adaptrack.learning.weights import mean, part, row_weights
-from adaptrack.scheduling.functions.network import Network
 
 Array = NDArray[np.float64]
 

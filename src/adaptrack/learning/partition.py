@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from adaptrack.errors import InvalidInput, real, whole
+from adaptrack.base.errors import InvalidInput, real, whole
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.intp]

@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import expit
 
-from adaptrack.scheduling.functions import Function, Network, Number, Sugeno
-from adaptrack.scheduling.functions.sugeno import SLOPE, WIDTH
+from adaptrack.control.scheduling.functions import Function, Network, Number, Sugeno
+from adaptrack.control.scheduling.functions.sugeno import SLOPE, WIDTH
 
 Array = NDArray[np.float64]
 

@@ -15,14 +15,14 @@ import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
-from adaptrack.dataset import DataSet
-from adaptrack.errors import InvalidInput, UnknownName, did_you_mean
+from adaptrack.base.errors import InvalidInput, UnknownName, did_you_mean
+from adaptrack.base.progress import tells
+from adaptrack.control.scheduling.functions.network import Network
+from adaptrack.control.scheduling.functions.sugeno import Sugeno
 from adaptrack.learning.anfis import ANFIS
 from adaptrack.learning.boosting import cross_validate
 from adaptrack.learning.mlp import MLP
-from adaptrack.progress import tells
-from adaptrack.scheduling.functions.network import Network
-from adaptrack.scheduling.functions.sugeno import Sugeno
+from adaptrack.tuning.dataset import DataSet
 from adaptrack.tuning.operating_points import NAMES, canonical, fold
 
 Array = NDArray[np.float64]

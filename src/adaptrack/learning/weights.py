@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from sklearn.utils.validation import check_array, check_consistent_length
 
-from adaptrack.errors import InvalidInput
+from adaptrack.base.errors import InvalidInput
 
 Array = NDArray[np.float64]
 

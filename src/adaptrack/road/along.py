@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydantic import model_validator
 
-from adaptrack.arguments import reals
-from adaptrack.errors import InvalidInput, real, shown
-from adaptrack.files import Record
+from adaptrack.base.arguments import reals
+from adaptrack.base.errors import InvalidInput, real, shown
+from adaptrack.base.files import Record
 from adaptrack.road.segments import Array
 
 

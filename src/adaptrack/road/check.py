@@ -10,11 +10,11 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from adaptrack.errors import InvalidInput, real
+from adaptrack.base.errors import InvalidInput, real
+from adaptrack.cars.vehicle import GRAVITY, Vehicle
 from adaptrack.road.cornering import cornering_limit, steering_limit
 from adaptrack.road.road import Road
 from adaptrack.road.speed import FLAT, SpeedPlan, unlimited
-from adaptrack.vehicle import GRAVITY, Vehicle
 
 SPACING = 0.5
 """m, between the places that are looked at, beside those where the shape changes."""

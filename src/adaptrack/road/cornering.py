@@ -8,8 +8,8 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import ArrayLike
 
+from adaptrack.cars.vehicle import GRAVITY, Tyre, Vehicle, load_tyre
 from adaptrack.road.segments import Array
-from adaptrack.vehicle import GRAVITY, Tyre, Vehicle, load_tyre
 
 STEERING_LIMIT = math.pi / 6
 """rad, of the road wheels, where the car file does not say: the limit of the paper's table."""

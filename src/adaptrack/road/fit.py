@@ -20,8 +20,8 @@ import numpy as np
 import scipy  # loads its parts when they are first used
 from numpy.typing import ArrayLike, NDArray
 
-from adaptrack.arguments import reals
-from adaptrack.errors import InvalidInput, real
+from adaptrack.base.arguments import reals
+from adaptrack.base.errors import InvalidInput, real
 from adaptrack.road.projection import feet_near
 from adaptrack.road.road import FARTHEST, Road, alongs
 from adaptrack.road.segments import Array, Cubic

@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from adaptrack.errors import InvalidInput, UnknownName, did_you_mean, real, whole
+from adaptrack.base.errors import InvalidInput, UnknownName, did_you_mean, real, whole
 from adaptrack.road.road import Road
 from adaptrack.road.segments import Arc, Array, Clothoid, Line, Pose, moved
 

@@ -6,7 +6,7 @@ import os
 from collections.abc import Callable
 from typing import Any
 
-from adaptrack.errors import InvalidInput, UnknownName, did_you_mean
+from adaptrack.base.errors import InvalidInput, UnknownName, did_you_mean
 from adaptrack.road.commonroad import read_commonroad
 from adaptrack.road.generate import KINDS, generate_road
 from adaptrack.road.opendrive import read_opendrive

@@ -16,8 +16,8 @@ from xml.etree import ElementTree
 
 import numpy as np
 
-from adaptrack.errors import ConfigError, InvalidInput, did_you_mean
-from adaptrack.files import is_number, printable, read_bytes
+from adaptrack.base.errors import ConfigError, InvalidInput, did_you_mean
+from adaptrack.base.files import is_number, printable, read_bytes
 from adaptrack.road.along import Along
 from adaptrack.road.road import GAP, KINK, Road, alongs
 from adaptrack.road.segments import Arc, Array, Clothoid, Cubic, Line, Pose, Segment

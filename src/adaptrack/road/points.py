@@ -11,8 +11,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from adaptrack.errors import ConfigError, InvalidInput, did_you_mean
-from adaptrack.files import is_number, printable, read_bytes
+from adaptrack.base.errors import ConfigError, InvalidInput, did_you_mean
+from adaptrack.base.files import is_number, printable, read_bytes
 from adaptrack.road.fit import FEWEST, fit_road
 from adaptrack.road.road import Road
 from adaptrack.road.segments import Array

@@ -12,9 +12,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from adaptrack.arguments import reals
-from adaptrack.errors import InvalidInput
-from adaptrack.limits import ROAD_LENGTH, check_limit
+from adaptrack.base.arguments import reals
+from adaptrack.base.errors import InvalidInput
+from adaptrack.base.limits import ROAD_LENGTH, check_limit
 from adaptrack.road.along import Along, as_along
 from adaptrack.road.segments import Array, Points, Pose, Segment
 from adaptrack.road.table import Table, X, Y, sequence, tabulate

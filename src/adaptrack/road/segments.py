@@ -15,7 +15,7 @@ import scipy  # loads its parts when they are first used
 from numpy.typing import ArrayLike, NDArray
 from pydantic import Field, model_validator
 
-from adaptrack.files import Record
+from adaptrack.base.files import Record
 
 Array = NDArray[np.float64]
 SHORTEST, LONGEST = 1e-15, 1e6

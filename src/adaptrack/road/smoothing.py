@@ -21,7 +21,7 @@ import numpy as np
 import scipy  # loads its parts when they are first used
 from numpy.typing import NDArray
 
-from adaptrack.errors import InvalidInput
+from adaptrack.base.errors import InvalidInput
 from adaptrack.road.segments import Array
 
 KNOTS = 10.0

@@ -25,14 +25,14 @@ import scipy  # loads its parts when they are first used
 from numpy.typing import ArrayLike, NDArray
 from pydantic import Field
 
-from adaptrack.arguments import reals
-from adaptrack.errors import InvalidInput, real
-from adaptrack.files import Record
-from adaptrack.limits import SPEED
+from adaptrack.base.arguments import reals
+from adaptrack.base.errors import InvalidInput, real
+from adaptrack.base.files import Record
+from adaptrack.base.limits import SPEED
+from adaptrack.cars.vehicle import GRAVITY, Vehicle
 from adaptrack.road.cornering import cornering_limit
 from adaptrack.road.road import Road
 from adaptrack.road.segments import Array
-from adaptrack.vehicle import GRAVITY, Vehicle
 
 SPACING = 1.0
 """m, between the places at which the speed is planned, unless asked otherwise."""

@@ -16,8 +16,8 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from adaptrack.errors import InvalidInput
-from adaptrack.limits import TURNS, check_limit
+from adaptrack.base.errors import InvalidInput
+from adaptrack.base.limits import TURNS, check_limit
 from adaptrack.road.segments import Arc, Array, Clothoid, Cubic, Line, Points, Pose, Segment, heading_integral
 
 DEGREE = 11

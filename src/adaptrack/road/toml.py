@@ -29,8 +29,8 @@ from typing import Annotated, Any, Self
 import numpy as np
 from pydantic import BeforeValidator, Field, model_validator
 
-from adaptrack.errors import ConfigError, InvalidInput
-from adaptrack.files import Record, build, read_toml, write_toml
+from adaptrack.base.errors import ConfigError, InvalidInput
+from adaptrack.base.files import Record, build, read_toml, write_toml
 from adaptrack.road.along import Along
 from adaptrack.road.fit import MAX_DEVIATION, fit_road
 from adaptrack.road.road import ALONG, FARTHEST, Road, alongs

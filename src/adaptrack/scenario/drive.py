@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 
-from adaptrack.errors import InvalidInput, real, whole
-from adaptrack.limits import PERIODS
+from adaptrack.base.errors import InvalidInput, real, whole
+from adaptrack.base.limits import PERIODS
 from adaptrack.scenario.shapes import Shape, as_shape
 from adaptrack.scenario.signals import Signals, instants
 from adaptrack.scenario.surroundings import PolarWind, Wind, as_wind

@@ -14,14 +14,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from adaptrack.domain import Domain
-from adaptrack.errors import InvalidInput, real, whole
+from adaptrack.base.errors import InvalidInput, real, whole
+from adaptrack.cars.domain import Domain
+from adaptrack.cars.vehicle import GRAVITY
 from adaptrack.scenario.library import DESCRIPTIONS, QUINTIC_PEAK
 from adaptrack.scenario.scenario import Scenario
 from adaptrack.scenario.shapes import Constant, Gust, Knots, LaneChange, Shape, Step, Sum
 from adaptrack.scenario.signals import HIGHEST_FRICTION
 from adaptrack.scenario.surroundings import Wind
-from adaptrack.vehicle import GRAVITY
 
 Array = NDArray[np.float64]
 

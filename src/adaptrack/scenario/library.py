@@ -15,13 +15,13 @@ from typing import Any
 
 import numpy as np
 
-from adaptrack.domain import Domain
-from adaptrack.errors import InvalidInput, UnknownName, did_you_mean, real, shown
-from adaptrack.files import read_toml
+from adaptrack.base.errors import InvalidInput, UnknownName, did_you_mean, real, shown
+from adaptrack.base.files import SHIPPED, read_toml
+from adaptrack.cars.domain import Domain
+from adaptrack.cars.vehicle import GRAVITY
 from adaptrack.scenario.scenario import Scenario
 from adaptrack.scenario.shapes import Gust, LaneChange, Shape, Sine, as_shape
 from adaptrack.scenario.surroundings import as_friction
-from adaptrack.vehicle import GRAVITY
 
 QUINTIC_PEAK = 10.0 / math.sqrt(3.0)
 """Largest acceleration of a quintic lane change of unit amplitude and duration (5.77), see `LaneChange`."""
@@ -59,7 +59,7 @@ DESCRIPTIONS = {
 }
 """Of the manoeuvres, one line each. Not read from their docstrings: ``python -OO`` drops those."""
 
-_DATA = Path(__file__).parents[1] / "data" / "scenarios"
+_DATA = SHIPPED / "scenarios"
 
 
 def step(

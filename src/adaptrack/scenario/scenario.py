@@ -12,10 +12,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 from pydantic import BeforeValidator, Field, model_validator
 
-from adaptrack.arguments import reals
-from adaptrack.errors import ConfigError, InvalidInput, did_you_mean
-from adaptrack.files import Record, build, dump_toml, read_toml, write_atomically
-from adaptrack.limits import DURATION, PERIODS, check_limit
+from adaptrack.base.arguments import reals
+from adaptrack.base.errors import ConfigError, InvalidInput, did_you_mean
+from adaptrack.base.files import Record, build, dump_toml, read_toml, write_atomically
+from adaptrack.base.limits import DURATION, PERIODS, check_limit
 from adaptrack.scenario.shapes import Array, Constant, Knots, Method, Shape, Signal, as_tuples
 from adaptrack.scenario.signals import Signals, instants
 from adaptrack.scenario.surroundings import WHEELS, Patch, PolarWind, Wind, as_friction, as_patches, as_wind

@@ -21,8 +21,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydantic import BeforeValidator, Field, model_validator
 
-from adaptrack.errors import InvalidInput, UnknownName, did_you_mean, real
-from adaptrack.files import Record, build
+from adaptrack.base.errors import InvalidInput, UnknownName, did_you_mean, real
+from adaptrack.base.files import Record, build
 
 Array = NDArray[np.float64]
 

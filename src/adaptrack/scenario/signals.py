@@ -6,11 +6,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from adaptrack.arguments import reals
-from adaptrack.errors import InvalidInput
-from adaptrack.limits import SPEED
+from adaptrack.base.arguments import reals
+from adaptrack.base.errors import InvalidInput
+from adaptrack.base.limits import SPEED
+from adaptrack.cars.vehicle import GRAVITY
 from adaptrack.scenario.shapes import Array
-from adaptrack.vehicle import GRAVITY
 
 HIGHEST_FRICTION = 3.0
 """Racing tyres stay below 2; 80 is a percentage."""

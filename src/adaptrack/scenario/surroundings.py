@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 from pydantic import Field, model_validator
 
-from adaptrack.errors import InvalidInput, did_you_mean
-from adaptrack.files import Record, build
+from adaptrack.base.errors import InvalidInput, did_you_mean
+from adaptrack.base.files import Record, build
 from adaptrack.scenario.shapes import Array, Constant, Shape, Signal, as_shape
 from adaptrack.scenario.signals import HIGHEST_FRICTION
 

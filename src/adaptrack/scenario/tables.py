@@ -11,8 +11,8 @@ from typing import Any, Literal
 
 import numpy as np
 
-from adaptrack.errors import ConfigError, InvalidInput, StorageError, did_you_mean
-from adaptrack.files import Record, build, is_number
+from adaptrack.base.errors import ConfigError, InvalidInput, StorageError, did_you_mean
+from adaptrack.base.files import Record, build, is_number
 from adaptrack.scenario.shapes import Array, Knots, Method, as_tuples
 from adaptrack.scenario.signals import HIGHEST_FRICTION
 

@@ -9,17 +9,17 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from adaptrack.adaptation.config import AdaptationConfig
-from adaptrack.adaptation.recipes import Recipes, safe_candidates, stability_map
-from adaptrack.adaptation.splits import SetUp, evaluation_points
+from adaptrack.cars.plant import DualTrack, SingleTrack, fingerprint
 from adaptrack.comparison.compare import Comparison
 from adaptrack.comparison.evaluate import on_drives, on_operating_points, on_tests
-from adaptrack.dataset import DataSet, load_dataset
-from adaptrack.plant import DualTrack, SingleTrack, fingerprint
-from adaptrack.scheduling import Schedule, list_schedulers, load_scheduler, made_for
+from adaptrack.control.scheduling import Schedule, list_schedulers, load_scheduler, made_for
+from adaptrack.learning.adaptation.config import AdaptationConfig
+from adaptrack.learning.adaptation.recipes import Recipes, safe_candidates, stability_map
+from adaptrack.learning.adaptation.splits import SetUp, evaluation_points
 from adaptrack.studies.pipeline import JSONFile, Keeper, Progress, SchedulerFile, Stage, identity_of, run, software
 from adaptrack.tuning.campaign import Progress as CampaignProgress
 from adaptrack.tuning.campaign import closed_loop, evaluator_of, run_campaign, versions_of
+from adaptrack.tuning.dataset import DataSet, load_dataset
 
 Comparisons = Mapping[str, Comparison]
 History = list[dict[str, float]]

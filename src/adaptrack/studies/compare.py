@@ -12,11 +12,11 @@ from typing import Any
 from numpy.typing import NDArray
 
 from adaptrack import __version__
+from adaptrack.base.errors import MissingExtra, UnknownName, did_you_mean
+from adaptrack.base.files import SHIPPED, Column, build, encode_parquet, read_toml, safe_name, write_atomically
+from adaptrack.cars.plant import fingerprint
 from adaptrack.comparison.side_by_side import Cell, SideBySide, columns, load_setting, run_cell
 from adaptrack.comparison.standing import Standing, Who, standings
-from adaptrack.errors import MissingExtra, UnknownName, did_you_mean
-from adaptrack.files import Column, build, encode_parquet, read_toml, safe_name, write_atomically
-from adaptrack.plant import fingerprint
 from adaptrack.studies.pipeline import JSONFile, identity_of
 
 Progress = Callable[[str, int, int], None]
@@ -28,7 +28,7 @@ UNITS = {
     "cost": "m^2", "failed": "-", "failed_at": "s", "rms_error": "m", "p95_error": "m", "max_error": "m",
     "max_corner": "m", "steering_rate": "rad/s", "acceleration": "m/s^2", "jerk": "m/s^3", "duration": "s", "seed": "-",
 }  # fmt: skip
-_DATA = Path(__file__).parents[1] / "data" / "comparisons"
+_DATA = SHIPPED / "comparisons"
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,13 +13,13 @@ from typing import Any
 
 import numpy as np
 
-from adaptrack.batch import rollout_batch
-from adaptrack.controllers import MPC, Moves, published_mpc
-from adaptrack.plant import DualTrack
-from adaptrack.profile import Profile, load_profile
+from adaptrack.cars.plant import DualTrack
+from adaptrack.cars.vehicle import Vehicle, load_vehicle
+from adaptrack.control.controllers import MPC, Moves, published_mpc
+from adaptrack.control.scheduling import Schedule, load_scheduler
+from adaptrack.drive.batch import rollout_batch
 from adaptrack.scenario import load_scenario
-from adaptrack.scheduling import Schedule, load_scheduler
-from adaptrack.vehicle import Vehicle, load_vehicle
+from adaptrack.scenario.profile import Profile, load_profile
 
 Row = dict[str, Any]
 

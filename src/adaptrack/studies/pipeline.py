@@ -16,9 +16,9 @@ from pathlib import Path
 from typing import Any
 
 from adaptrack import __version__
-from adaptrack.errors import InvalidInput, StorageError
-from adaptrack.files import write_atomically
-from adaptrack.scheduling import Schedule, load_scheduler
+from adaptrack.base.errors import InvalidInput, StorageError
+from adaptrack.base.files import write_atomically
+from adaptrack.control.scheduling import Schedule, load_scheduler
 
 Progress = Callable[[str, int, int], None]
 """Called with what is being done, and how many steps of how many are."""

@@ -27,23 +27,23 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from adaptrack.adaptation.recipes import search_bounds, trained_schedule
-from adaptrack.batch import rollout_batch
-from adaptrack.controllers import MPC, Moves, Tuning, published_mpc
-from adaptrack.dataset import DataSet, load_dataset
-from adaptrack.errors import InvalidInput
-from adaptrack.failure import Failure
+from adaptrack.base.errors import InvalidInput
+from adaptrack.cars.plant import DualTrack, Plant, SingleTrack
+from adaptrack.cars.vehicle import load_vehicle
+from adaptrack.control.controllers import MPC, Moves, Tuning, published_mpc
+from adaptrack.control.scheduling import ENTRIES, Lookup, Schedule, SchedulingVariables
+from adaptrack.drive.batch import rollout_batch
+from adaptrack.drive.failure import Failure
+from adaptrack.drive.metrics import PUBLISHED, compute_metrics, published_mse
+from adaptrack.drive.simulate import rollout, simulate
+from adaptrack.drive.trajectory import Trajectory
+from adaptrack.learning.adaptation.recipes import search_bounds, trained_schedule
 from adaptrack.learning.training import train
-from adaptrack.metrics import PUBLISHED, compute_metrics, published_mse
-from adaptrack.plant import DualTrack, Plant, SingleTrack
 from adaptrack.scenario import Scenario, load_scenario
-from adaptrack.scheduling import ENTRIES, Lookup, Schedule, SchedulingVariables
-from adaptrack.simulate import rollout, simulate
 from adaptrack.studies.knowing import SEEDS, compare_knowing, told
 from adaptrack.studies.pipeline import JSONFile, Keeper, Progress, SchedulerFile, Stage, identity_of, run
-from adaptrack.trajectory import Trajectory
+from adaptrack.tuning.dataset import DataSet, load_dataset
 from adaptrack.tuning.operating_points import NAMES
-from adaptrack.vehicle import load_vehicle
 
 Array = NDArray[np.float64]
 Row = dict[str, Any]

@@ -11,24 +11,24 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from adaptrack.adaptation.for_car import HARD_DEMAND, hard_speeds
-from adaptrack.certify import Certificate, certify
+from adaptrack.analysis.certify import Certificate, certify
+from adaptrack.analysis.feasibility import Feasibility, feasibility
+from adaptrack.analysis.stability import linear_twin
+from adaptrack.base.errors import InvalidInput, whole
+from adaptrack.base.progress import tells
+from adaptrack.cars.domain import Domain
+from adaptrack.cars.plant import Plant, SteppedPlant, get_plant, twin_of, usual_plant
+from adaptrack.cars.vehicle import Vehicle, load_vehicle
 from adaptrack.comparison.statistics import Ratio, geometric_mean, ratio
-from adaptrack.controllers import ENTRIES, MPC, Tuning
-from adaptrack.controllers.belief import Uncertainty
-from adaptrack.domain import Domain
-from adaptrack.errors import InvalidInput, whole
-from adaptrack.failure import Failure
-from adaptrack.feasibility import Feasibility, feasibility
-from adaptrack.kalman import KalmanFilter
-from adaptrack.plant import Plant, SteppedPlant, get_plant, twin_of, usual_plant
-from adaptrack.profile import Profile, load_profile
-from adaptrack.progress import tells
-from adaptrack.runs import RunSet, random_drive_runs
-from adaptrack.stability import linear_twin
+from adaptrack.control.controllers import ENTRIES, MPC, Tuning
+from adaptrack.control.controllers.belief import Uncertainty
+from adaptrack.control.kalman import KalmanFilter
+from adaptrack.drive.failure import Failure
+from adaptrack.learning.adaptation.for_car import HARD_DEMAND, hard_speeds
+from adaptrack.scenario.profile import Profile, load_profile
 from adaptrack.tuning.config import Search
 from adaptrack.tuning.pso import Swarm, SwarmSettings
-from adaptrack.vehicle import Vehicle, load_vehicle
+from adaptrack.tuning.runs import RunSet, random_drive_runs
 
 Array = NDArray[np.float64]
 Progress = Callable[[str, int, int], None]
@@ -138,7 +138,7 @@ class TunedCar:
 
     def summary(self) -> dict[str, Any]:
         """Ready for JSON."""
-        worst = self.controller.model.vehicle.domain.failure_distance**2  # type: ignore[attr-defined]
+        worst = self.controller.model.vehicle.domain.failure_distance**2
         return {
             "verdict": self.verdict,
             "passed": self.passed,
@@ -267,7 +267,7 @@ class _Bench:
 
     def on_twin(self) -> _Bench:
         """The same for a search: with the car's twin where the plant is costly."""
-        car = self.mpc.model.vehicle  # type: ignore[attr-defined]
+        car = self.mpc.model.vehicle
         return replace(self, plant=twin_of(car)) if self.plant.costly else self
 
     def tell_time(self, asked: TuningEffort) -> None:

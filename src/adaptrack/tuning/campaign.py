@@ -28,7 +28,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adaptrack import __version__
-from adaptrack.errors import AdaptrackError, ContractError, InvalidInput, MissingExtra, StorageError
+from adaptrack.base.errors import AdaptrackError, ContractError, InvalidInput, MissingExtra, StorageError
 from adaptrack.tuning.config import STANDARD, CampaignConfig, Plan, Setup
 from adaptrack.tuning.operating_points import NAMES
 from adaptrack.tuning.store import COLUMNS, FORMAT_VERSION, Columns, Folder

@@ -20,18 +20,18 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BeforeValidator, Field, field_validator, model_validator
 
-from adaptrack.controllers import Tuning
-from adaptrack.controllers.informed import informed_tuning
-from adaptrack.errors import AdaptrackError, UnknownName, did_you_mean
-from adaptrack.failure import DISTANCE, SIDESLIP, Failure
-from adaptrack.files import Record, build, printable, read_toml
-from adaptrack.limits import LANDSCAPE, NOISE_SEEDS, check_limit
-from adaptrack.plant import DualTrack, Plant, SingleTrack, SteppedPlant, fingerprint, get_plant, twin_of
-from adaptrack.profile import list_profiles, load_profile
-from adaptrack.registry import import_plugin
+from adaptrack.base.errors import AdaptrackError, UnknownName, did_you_mean
+from adaptrack.base.files import SHIPPED, Record, build, printable, read_toml
+from adaptrack.base.limits import LANDSCAPE, NOISE_SEEDS, check_limit
+from adaptrack.base.registry import import_plugin
+from adaptrack.cars.plant import DualTrack, Plant, SingleTrack, SteppedPlant, fingerprint, get_plant, twin_of
+from adaptrack.cars.vehicle import Tyre, Vehicle, load_tyre, load_vehicle
+from adaptrack.control.controllers import Tuning
+from adaptrack.control.controllers.informed import informed_tuning
+from adaptrack.drive.failure import DISTANCE, SIDESLIP, Failure
+from adaptrack.scenario.profile import list_profiles, load_profile
 from adaptrack.tuning.operating_points import Fold, check_box, fold, grid, paper_grid, sobol, unit_sobol
 from adaptrack.tuning.pso import SearchSpace, SwarmSettings
-from adaptrack.vehicle import Tyre, Vehicle, load_tyre, load_vehicle
 
 Array = NDArray[np.float64]
 
@@ -41,7 +41,7 @@ LARGEST_SEED = 2**63 - 1
 STANDARD = tuple(Tuning().as_array().tolist())
 """The paper's table: Np 35, Nc 8, Q 10, R 0.01."""
 
-_DATA = Path(__file__).parents[1] / "data" / "campaigns"
+_DATA = SHIPPED / "campaigns"
 
 
 def _tuples(value: Any) -> Any:

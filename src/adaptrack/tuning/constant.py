@@ -8,11 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from adaptrack.batch import own_tuning
-from adaptrack.controllers import Controller
-from adaptrack.errors import InvalidInput
-from adaptrack.runs import Retuned, RunSet
+from adaptrack.base.errors import InvalidInput
+from adaptrack.control.controllers import Controller
+from adaptrack.drive.batch import own_tuning
 from adaptrack.tuning.pso import Result, SearchSpace, Swarm, SwarmSettings
+from adaptrack.tuning.runs import Retuned, RunSet
 from adaptrack.tuning.spaces import at_bounds, search_space
 
 LEAST_TUNINGS = 10

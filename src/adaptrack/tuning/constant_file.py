@@ -8,11 +8,11 @@ from typing import Annotated, Any
 
 from pydantic import Field, model_validator
 
-from adaptrack.controllers import MPC, Controller, Tuning, get_controller
-from adaptrack.errors import InvalidInput
-from adaptrack.files import LISTED, Record, build, read_toml
-from adaptrack.profile import Profile
-from adaptrack.vehicle import Vehicle
+from adaptrack.base.errors import InvalidInput
+from adaptrack.base.files import LISTED, Record, build, read_toml
+from adaptrack.cars.vehicle import Vehicle
+from adaptrack.control.controllers import MPC, Controller, Tuning, get_controller
+from adaptrack.scenario.profile import Profile
 
 TUNABLE = ("informed", "as-written", "kinematic-mpc", "lqr", "mppi", "preview-lqr", "pure-pursuit", "stanley")
 """The controllers, by their registered names, that such a file may be about."""
@@ -80,16 +80,16 @@ def tuned_controller(
     InvalidInput
         When the entries are not those of the controller, or their values make none.
     """
-    own = get_controller(name, car, profile=profile, **options)
+    own = get_controller(name, car, profile=profile, offered=options)
     if tuning is None:
         return own
-    names = tuple(own.tuning_names)  # type: ignore[attr-defined]
+    names, entries = own.tuning_names, dict[str, Any](tuning)
     if set(tuning) != set(names):
         raise InvalidInput(f"tuning of {name!r}: entries {', '.join(tuning)}: must be {', '.join(names)}.")
     if not isinstance(own, MPC):
-        return get_controller(name, car, profile=profile, **options, **tuning)
+        return get_controller(name, car, profile=profile, offered=options, **entries)
     asked = Tuning(round(tuning["Np"]), round(tuning["Nc"]), tuning["Q"], tuning["R"])
-    return get_controller(name, car, profile=profile, tuning=asked, **options)
+    return get_controller(name, car, profile=profile, offered=options, tuning=asked)
 
 
 def load_tuning(path: str | os.PathLike[str]) -> ConstantTuning:

@@ -9,9 +9,9 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from adaptrack.controllers import MPC, Tuning, published_mpc
-from adaptrack.plant import DualTrack, SingleTrack, fingerprint
-from adaptrack.profile import load_profile
+from adaptrack.cars.plant import DualTrack, SingleTrack, fingerprint
+from adaptrack.control.controllers import MPC, Tuning, published_mpc
+from adaptrack.scenario.profile import load_profile
 from adaptrack.tuning.config import Setup
 from adaptrack.tuning.objective import Objective
 

@@ -13,15 +13,15 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from adaptrack.batch import Batch
-from adaptrack.controllers import MPC
-from adaptrack.errors import InvalidInput
-from adaptrack.failure import Failure
-from adaptrack.plant import Plant, SteppedPlant
-from adaptrack.profile import Profile, load_profile
-from adaptrack.runs import RunSet
+from adaptrack.base.errors import InvalidInput
+from adaptrack.cars.plant import Plant, SteppedPlant
+from adaptrack.control.controllers import MPC
+from adaptrack.drive.batch import Batch
+from adaptrack.drive.failure import Failure
 from adaptrack.scenario import Scenario, load_scenario
+from adaptrack.scenario.profile import Profile, load_profile
 from adaptrack.tuning.pso import SearchSpace, Swarm, SwarmSettings
+from adaptrack.tuning.runs import RunSet
 
 Array = NDArray[np.float64]
 

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from adaptrack.errors import InvalidInput
+from adaptrack.base.errors import InvalidInput
 
 Array = NDArray[np.float64]
 Whole = NDArray[np.int64]

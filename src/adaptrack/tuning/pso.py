@@ -23,9 +23,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydantic import Field, model_validator
 
+from adaptrack.base.errors import InvalidInput
+from adaptrack.base.files import LISTED, Record
 from adaptrack.core import swarm as kernel
-from adaptrack.errors import InvalidInput
-from adaptrack.files import LISTED, Record
 
 Array = NDArray[np.float64]
 

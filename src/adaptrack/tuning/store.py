@@ -17,9 +17,17 @@ from typing import Any, NamedTuple, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from adaptrack.errors import ConfigError, StorageError
-from adaptrack.files import Column as Stored
-from adaptrack.files import Damaged, decode_parquet, encode_parquet, read_bytes, read_json, write_atomically, write_json
+from adaptrack.base.errors import ConfigError, StorageError
+from adaptrack.base.files import Column as Stored
+from adaptrack.base.files import (
+    Damaged,
+    decode_parquet,
+    encode_parquet,
+    read_bytes,
+    read_json,
+    write_atomically,
+    write_json,
+)
 from adaptrack.tuning import operating_points
 
 Columns = dict[str, NDArray[Any]]

@@ -9,8 +9,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 import adaptrack as at
+from adaptrack.control.tracker import Tracked
 from adaptrack.road import Comfort, SpeedPlan
-from adaptrack.tracker import Tracked
 from adaptrack_ros.messages import Array, Sample, points_of, sample_of, speeds_of
 
 OK, WARN, ERROR = 0, 1, 2

@@ -1,0 +1,1 @@
+"""Linearised loops, margins, certificates, and what a car can follow at all."""

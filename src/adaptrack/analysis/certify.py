@@ -1,0 +1,357 @@
+"""Is the closed loop stable with every tuning that a scheduler can ask for, and with which stability margins?
+
+At each point of a grid over the operating domain the linear closed loop with the scheduler's tuning is analysed about
+driving straight, which decides, and about a turn as hard as driving gets (`stability.hard_turn`), which is reported;
+and, when asked, driving straight with a car that differs from the one that the controller was told of (`Mismatch`).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, fields, replace
+from functools import lru_cache, partial
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from adaptrack.analysis.linearisation import Body, Mismatch, Turn, bodies_of, laws, linear_estimator
+from adaptrack.analysis.stability import Margins, hard_turn, margins
+from adaptrack.base.errors import ContractError, InvalidInput, real
+from adaptrack.base.limits import SPEED, check_limit
+from adaptrack.base.progress import tells
+from adaptrack.cars.plant import Plant
+from adaptrack.control.controllers import ENTRIES, MPC, Scheduler, Tuning, read_tuning
+from adaptrack.control.scheduling import VARIABLES, Constant, Schedule, SchedulingVariables
+from adaptrack.scenario.profile import Profile, load_profile
+
+Array = NDArray[np.float64]
+Progress = Callable[[str, int, int], None]
+
+OPERATING = {name: (variable.low, variable.high) for name, variable in VARIABLES.items()}
+"""The operating domain, by scheduling variable; a scheduler is certified where this and its own domain overlap."""
+Driving = Literal["straight", "turn"]
+DRIVING: tuple[Driving, ...] = ("straight", "turn")
+"""Ways of driving about which the loop is linearised, in the order of tables and maps."""
+_CELL = 64  # combinations, at most, of the inputs beside speed and friction, for each pair of those
+
+
+@dataclass(frozen=True, eq=False)
+class Sweep:
+    """The loops with the tunings at all n points of a domain."""
+
+    tunings: Array
+    """(n, 4) Np, Nc, Q, R as the MPC uses them"""
+    straight: Margins
+    """driving straight, which the verdict is about"""
+    turn: Margins
+    """in a hard turn"""
+
+    @property
+    def unstable(self) -> NDArray[np.bool_]:
+        """(n,) whether the loop is unstable, driving straight."""
+        return np.asarray(self.straight.radius >= 1.0)
+
+    @property
+    def unstable_in_turn(self) -> NDArray[np.bool_]:
+        """(n,) whether it is unstable in the hard turn: no verdict, but a warning."""
+        return np.asarray(self.turn.radius >= 1.0)
+
+
+@dataclass(frozen=True, eq=False)
+class Certificate:
+    """What `certify` found, at n points: all values of the other inputs for each pair of speed and friction in turn."""
+
+    scheduler: str
+    plant: str
+    tyre: str
+    profile: str
+    model: str
+    """of the prediction"""
+    estimator: str
+    speeds: Array
+    """m/s"""
+    frictions: Array
+    points: Array
+    """(n, entries of `SchedulingVariables`)"""
+    bare: Sweep
+    """of the scheduler without its guard"""
+    guarded: Sweep | None
+    """of the scheduler with its guard, as at the first step of a run; None when it has none"""
+    mismatched: Mapping[str, Margins] = field(default_factory=dict)
+    """of what drives, driving straight, when the car differs from what the controller was told, by `Mismatch.name`"""
+
+    @property
+    def counted(self) -> Sweep:
+        """What drives: with the guard where there is one."""
+        return self.bare if self.guarded is None else self.guarded
+
+    @property
+    def passed(self) -> bool:
+        """Whether every loop that can drive is stable, driving straight."""
+        return not self.counted.unstable.any()
+
+    @property
+    def verdict(self) -> str:
+        """The verdict in one sentence, the count of the hard turn included."""
+        n, bad = len(self.points), int(self.counted.unstable.sum())
+        turn = int(self.counted.unstable_in_turn.sum())
+        straight = f"stable at all {n:,}" if self.passed else f"unstable at {bad:,} of {n:,}"
+        return (
+            f"{'Passed' if self.passed else 'Failed'}: the closed loop is {straight} points of the operating domain "
+            f"driving straight, and unstable at {turn:,} of them in a hard turn, which does not decide "
+            f"({self.plant}, {self.tyre} tyres, {self.profile} profile; model {self.model}, estimator "
+            f"{self.estimator}).{self._told_wrong()}"
+        )
+
+    def _told_wrong(self) -> str:
+        """What mismatches do, as a sentence; empty where none were asked for."""
+        if not self.mismatched:
+            return ""
+        bad = {name: int((found.radius >= 1.0).sum()) for name, found in self.mismatched.items()}
+        named = ", ".join(f"{name}: {count:,}" for name, count in bad.items() if count)
+        return f" Of {len(bad)} mismatches none makes it unstable." if not named else f" Unstable with {named}."
+
+    @property
+    def fallback(self) -> NDArray[np.bool_]:
+        """(n,) whether the guard changes the scheduler's tuning."""
+        return np.any(self.counted.tunings != self.bare.tunings, axis=1)
+
+    def cells(self, values: NDArray[Any]) -> NDArray[Any]:
+        """One of the arrays (n,) as (speeds, frictions, values of the other inputs)."""
+        return values.reshape(len(self.speeds), len(self.frictions), -1)
+
+    def worst_points(
+        self, count: int = 5, sweep: Sweep | None = None, driving: Driving = "straight"
+    ) -> list[dict[str, Any]]:
+        """The points with the smallest modulus margin, the worst first: variables, tuning and margins."""
+        sweep = sweep or self.counted
+        found: Margins = getattr(sweep, driving)
+        order = np.argsort(found.modulus_margin, kind="stable")[:count]
+        return [self._point(sweep, driving, int(i)) for i in order]
+
+    def rows(self) -> list[dict[str, Any]]:
+        """The worst point for each speed and friction, straight and in a turn, with the guard and without; for JSON.
+
+        `unstable`: how many points of that speed and friction are. What is infinite is None.
+        """
+        sweeps = [(False, self.bare)] if self.guarded is None else [(True, self.guarded), (False, self.bare)]
+        return [
+            {"guard": guard, "unstable": unstable, **self._point(sweep, driving, i)}
+            for guard, sweep in sweeps
+            for driving in DRIVING
+            for i, unstable in self._worst_of_cells(getattr(sweep, driving))
+        ]
+
+    def _worst_of_cells(self, found: Margins) -> list[tuple[int, int]]:
+        """The point with the smallest modulus margin of each speed and friction, and the number of unstable points."""
+        least, unstable = self.cells(found.modulus_margin), self.cells(found.radius >= 1.0).sum(axis=2)
+        first = np.arange(unstable.size) * least.shape[2]
+        return list(zip((first + least.argmin(axis=2).ravel()).tolist(), unstable.ravel().tolist(), strict=True))
+
+    def summary(self) -> dict[str, Any]:
+        """The verdict, and for each way of driving the worst of each margin and the worst point; ready for JSON."""
+        return {
+            "scheduler": self.scheduler,
+            "plant": self.plant,
+            "tyre": self.tyre,
+            "profile": self.profile,
+            "model": self.model,
+            "estimator": self.estimator,
+            "verdict": self.verdict,
+            "passed": self.passed,
+            "points": len(self.points),
+            "unstable": int(self.counted.unstable.sum()),
+            "unstable_without_guard": int(self.bare.unstable.sum()),
+            "unstable_in_turn": int(self.counted.unstable_in_turn.sum()),
+            "fallback_share": float(self.fallback.mean()),
+            **{
+                driving: {
+                    **_finite(extremes(getattr(self.counted, driving))),
+                    "worst": self.worst_points(1, driving=driving)[0],
+                }
+                for driving in DRIVING
+            },
+            "mismatched": self.mismatched_rows(),
+        }
+
+    def mismatched_rows(self) -> list[dict[str, Any]]:
+        """For each mismatch the point with the smallest modulus margin, and how many are unstable; for JSON."""
+        rows = []
+        for name, found in self.mismatched.items():
+            unstable, i = int((found.radius >= 1.0).sum()), int(np.argmin(found.modulus_margin))
+            rows.append({"mismatch": name, "unstable": unstable, **self._point(self.counted, "straight", i, found)})
+        return rows
+
+    def _point(self, sweep: Sweep, driving: Driving, i: int, found: Margins | None = None) -> dict[str, Any]:
+        found = getattr(sweep, driving) if found is None else found
+        return {
+            **dict(zip(SchedulingVariables._fields, self.points[i].tolist(), strict=True)),
+            **dict(zip(ENTRIES, sweep.tunings[i].tolist(), strict=True)),
+            "driving": driving,
+            **_finite({each.name: float(getattr(found, each.name)[i]) for each in fields(Margins)}),
+        }
+
+
+def extremes(found: Margins) -> dict[str, float]:
+    """The worst of each margin over all loops."""
+    return {
+        "radius": float(found.radius.max()),
+        "gain_up": float(found.gain_up.min()),
+        "gain_down": float(found.gain_down.max()),
+        "delay": float(found.delay.min()),
+        "modulus_margin": float(found.modulus_margin.min()),
+    }
+
+
+def _finite(values: Mapping[str, float]) -> dict[str, float | None]:
+    """Numbers for JSON: what is infinite is None."""
+    return {name: value if math.isfinite(value) else None for name, value in values.items()}
+
+
+@tells("certify")
+def certify(
+    scheduler: Scheduler | Tuning, plant: Plant, mpc: MPC, profile: str | Profile = "road", *,
+    domain: Mapping[str, tuple[float, float]] | None = None, levels: tuple[int, int] = (28, 5),
+    turn: Turn = hard_turn, mismatches: Sequence[Mismatch] = (),
+    progress: Progress | None = None,
+) -> Certificate:  # fmt: skip
+    """Stability and margins of the closed loop with the scheduler's tunings over its whole operating domain.
+
+    Parameters
+    ----------
+    scheduler
+        A `Schedule`, guarded or not, any function of a `SchedulingVariables`, or one tuning.
+    plant, profile
+        The true car, and the true steering, dead time and sensors around it.
+    mpc
+        What the controller believes: prediction model, estimator, period, moves, longest horizons; its own tuning and
+        scheduler play no part.
+    domain
+        Lowest and highest value by scheduling variable; by default where `OPERATING` and the schedule's own domain
+        overlap. Beside speed and friction, only what a schedule looks at is varied; of a plain function, everything.
+    levels
+        Values of speed and of friction. Other inputs get 2 to 5 each, together at most 64 combinations or 2 each.
+    turn
+        Lateral acceleration (m/s^2) of the turn at a speed (m/s) on a friction.
+    mismatches
+        How the true car may differ from `plant` and `profile` as well, each by itself; see
+        `linearisation.usual_mismatches`.
+
+    Raises
+    ------
+    ContractError
+        When the scheduler fails at a point or gives what is no tuning.
+    InvalidInput
+        When a range makes no sense, the plant cannot drive such a turn, or has nothing of what a mismatch changes.
+    """
+    if isinstance(scheduler, Tuning):
+        scheduler = Constant(scheduler)
+    world = load_profile(profile)
+    axes = _axes(scheduler, mpc, domain or {}, levels)
+    grid = np.meshgrid(*axes.values(), indexing="ij")
+    columns = dict(zip(axes, (values.ravel() for values in grid), strict=True))
+    points = np.column_stack([columns.get(name, np.zeros(grid[0].size)) for name in SchedulingVariables._fields])
+    guarded = scheduler if isinstance(scheduler, Schedule) and scheduler.guard is not None else None
+    bare = replace(guarded, guard=None) if guarded is not None else scheduler
+    asked = [_as_used(_tunings(each, points), mpc) for each in (bare, guarded) if each is not None]
+    bodies = bodies_of(plant, mpc.period, world, turn, mismatches)
+    found = _sweep(points, asked, mpc, bodies, progress or (lambda what, done, of: None))
+    sweeps = [Sweep(tunings, *each[:2]) for tunings, each in zip(asked, found, strict=True)]
+    return Certificate(
+        str(getattr(scheduler, "name", getattr(scheduler, "__name__", type(scheduler).__name__))),
+        plant.name, plant.tyre_name, world.name, mpc.model.name, mpc.estimator.name,
+        axes["speed"], axes["friction"], points,
+        sweeps[0], sweeps[1] if guarded is not None else None,
+        dict(zip([each.name for each in mismatches], found[-1][2:], strict=True)),
+    )  # fmt: skip
+
+
+def _axes(
+    scheduler: Scheduler, mpc: MPC, domain: Mapping[str, tuple[float, float]], levels: tuple[int, int]
+) -> dict[str, Array]:
+    """The levels of each scheduling variable that is varied: speed and friction first."""
+    unknown = set(domain) - set(SchedulingVariables._fields)
+    if unknown:
+        raise InvalidInput(f"certify: domain: {unknown.pop()!r} is no entry of SchedulingVariables.")
+    own = dict(zip(scheduler.inputs, scheduler.domain.tolist(), strict=True)) if isinstance(scheduler, Schedule) else {}
+    seen = own if isinstance(scheduler, Schedule) else OPERATING
+    others = [name for name in SchedulingVariables._fields if name in seen and name not in ("speed", "friction")]
+    count = max(2, min(5, int(_CELL ** (1.0 / max(len(others), 1)) + 1e-9)))
+    axes = {}
+    for name, number in zip(("speed", "friction", *others), (*levels, *[count] * len(others)), strict=True):
+        low, high = _range(name, domain, own)
+        if name == "speed":
+            low = max(low, mpc.speed_floor)
+        if not -math.inf < low <= high < math.inf or number < 1:
+            raise InvalidInput(f"certify: {name}: {number} levels from {low:g} to {high:g}: need finite low <= high.")
+        axes[name] = np.linspace(low, high, number if high > low else 1)
+    check_limit("certify: speed", axes["speed"][-1], SPEED)
+    if not axes["friction"][0] > 0.0:
+        raise InvalidInput(f"certify: friction = {axes['friction'][0]:g}: must be positive.")
+    return axes
+
+
+def _range(name: str, domain: Mapping[str, tuple[float, float]], own: Mapping[str, list[float]]) -> tuple[float, float]:
+    """What `domain` says; else where driving and the schedule's own domain overlap, its own where they do not."""
+    if name in domain:
+        low, high = (real("certify", f"domain: {name}", bound) for bound in domain[name])
+        return low, high
+    low, high = OPERATING[name]
+    if name in own:
+        overlap = max(low, own[name][0]), min(high, own[name][1])
+        low, high = overlap if overlap[0] <= overlap[1] else own[name]
+    return low, high
+
+
+def _tunings(scheduler: Scheduler, points: Array) -> Array:
+    """(n, 4) what the scheduler gives at each point, each as at a first step."""
+    if isinstance(scheduler, Schedule):
+        given = scheduler.batch(points)
+    else:
+        rows = []
+        for row in points.tolist():
+            try:
+                rows.append(read_tuning(scheduler(SchedulingVariables(*row))))
+            except Exception as error:
+                raise ContractError(f"scheduler: failed for {SchedulingVariables(*row)}: {error}") from error
+        given = np.array(rows)
+    bad = ~(np.isfinite(given).all(axis=1) & (given[:, 2] >= 0.0) & (given[:, 3] > 0.0))
+    if bad.any():
+        i = int(np.argmax(bad))
+        raise ContractError(
+            f"scheduler: gave {tuple(given[i].tolist())} for {SchedulingVariables(*points[i].tolist())}: "
+            "must be finite, with Q >= 0 and R > 0."
+        )
+    return given
+
+
+def _as_used(tunings: Array, mpc: MPC) -> Array:
+    """With horizons rounded and clamped as the MPC does it."""
+    used = tunings.copy()
+    used[:, 0] = np.clip(np.floor(tunings[:, 0] + 0.5), 1.0, mpc.longest_horizon)
+    used[:, 1] = np.clip(np.floor(tunings[:, 1] + 0.5), 1.0, np.minimum(used[:, 0], mpc.most_moves))
+    return used
+
+
+def _sweep(
+    points: Array, asked: list[Array], mpc: MPC, bodies: Sequence[Body], progress: Progress
+) -> list[list[Margins]]:
+    """The margins of each set of tunings around each body; a cell and a tuning that recur are analysed once."""
+    n, names = len(points), [each.name for each in fields(Margins)]
+    results = np.empty((len(asked), len(bodies), len(names), n))
+    places = points[:, [SchedulingVariables._fields.index(name) for name in ("speed", "friction")]]
+    cells, where = np.unique(places, axis=0, return_inverse=True)
+    at_speed = lru_cache(maxsize=1)(partial(linear_estimator, mpc))  # cells are sorted by speed
+    for cell, (speed, friction) in enumerate(cells.tolist()):
+        progress("certify", cell, len(cells))
+        here = np.flatnonzero(where.ravel() == cell)
+        unique, place = np.unique(np.concatenate([tunings[here] for tunings in asked]), axis=0, return_inverse=True)
+        law = laws(mpc, speed, unique, at_speed(speed))
+        for i, body in enumerate(bodies):
+            found = margins(body(speed, friction), law, mpc.period)
+            values = np.array([getattr(found, name) for name in names])[:, place.ravel()]
+            results[:, i, :, here] = values.reshape(len(names), len(asked), len(here)).transpose(2, 1, 0)
+    progress("certify", len(cells), len(cells))
+    return [[Margins(*values) for values in each] for each in results]

@@ -1,0 +1,249 @@
+"""Which speeds and frictions can be held at all: each by some tuning, or all of them by one.
+
+The linear loops of a grid of tunings tell it in seconds, before anything is driven or tuned.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple, Self
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from adaptrack.analysis.linearisation import Mismatch, Turn, bodies_of
+from adaptrack.analysis.stability import hard_turn, margin_map, speed_nodes
+from adaptrack.base.errors import InvalidInput, real
+from adaptrack.base.limits import SPEED, check_limit
+from adaptrack.cars.plant import Plant
+from adaptrack.control.controllers import ENTRIES, MPC, Tuning
+from adaptrack.scenario.profile import Profile
+
+Array = NDArray[np.float64]
+
+MARGIN = 0.1
+"""Least modulus margin of a loop that counts as held: of 116 constant tunings with more than that at every speed and
+friction none failed any of 100 drives (docs/certify.md)."""
+TUNINGS = ((10.0, 20.0, 36.0, 60.0), (1.0, 4.0, 16.0), np.linspace(-3.0, 6.0, 16))
+"""Np, Nc (periods) and log10 R/Q (R/Q in m^2/rad^2) of the tunings that are tried."""
+_ANGLES = np.geomspace(2e-3, np.pi, 192)  # rad per period, at which the loop gain is looked at
+
+
+class Domain(NamedTuple):
+    """A range of speeds and one of frictions."""
+
+    speed: tuple[float, float]
+    """m/s"""
+    friction: tuple[float, float]
+
+    def __str__(self) -> str:
+        return f"{_range(*self.speed)} m/s on friction {_range(*self.friction)}"
+
+
+@dataclass(frozen=True, eq=False)
+class Feasibility:
+    """The loops of n tunings at a grid of speeds and frictions."""
+
+    speeds: Array
+    """m/s"""
+    frictions: Array
+    tunings: Array
+    """(n, 4) Np, Nc, Q, R"""
+    margins: Array
+    """(speeds, frictions, n) modulus margin, see `stability.modulus_margin`"""
+    least: float = MARGIN
+    """modulus margin of a loop that counts as held"""
+
+    @classmethod
+    def of_map(cls, axes: Sequence[Array], margins: Array, least: float = MARGIN) -> Self:
+        """From the margins of `stability.margin_map`; nodes with Nc > Np are left out."""
+        Np, Nc, ratio = (axis.ravel() for axis in np.meshgrid(*axes[2:], indexing="ij"))
+        tunings = np.column_stack([Np, Nc, np.ones_like(ratio), 10.0**ratio])
+        fits = Nc <= Np
+        by_tuning = margins.reshape(len(axes[0]), len(axes[1]), -1)
+        return cls(axes[0], axes[1], tunings[fits], by_tuning[:, :, fits], least)
+
+    def among(self, allowed: NDArray[np.bool_]) -> Self:
+        """With some of the tunings only (n,)."""
+        return replace(self, tunings=self.tunings[allowed], margins=self.margins[:, :, allowed])
+
+    @property
+    def enough(self) -> NDArray[np.bool_]:
+        """(speeds, frictions, n) whether a tuning holds the loop there; tables of margins are rounded to 0.001."""
+        return np.asarray(self.margins >= self.least - 1e-9)
+
+    @property
+    def held(self) -> NDArray[np.bool_]:
+        """(speeds, frictions) whether some tuning holds the loop there."""
+        return np.asarray(self.enough.any(axis=2))
+
+    @property
+    def lost(self) -> list[tuple[float, float]]:
+        """Speed (m/s) and friction where none does."""
+        return [(float(self.speeds[i]), float(self.frictions[j])) for i, j in np.argwhere(~self.held)]
+
+    @property
+    def domain(self) -> Domain | None:
+        """The largest domain that a schedule can hold, with a tuning for each speed and friction; None: there is none.
+
+        Largest: with the most nodes of the grid.
+        """
+        found = largest_box(self.held[:, :, None])
+        return None if found is None else self._domain(found)
+
+    @property
+    def constant(self) -> tuple[Tuning, Domain] | None:
+        """The largest domain that one tuning can hold, and of those that can the one with the largest margin there."""
+        found = largest_box(self.enough)
+        if found is None:
+            return None
+        rows, columns = found
+        Np, Nc, Q, R = self.tunings[np.argmax(self.margins[rows, columns].min(axis=(0, 1)))].tolist()
+        return Tuning(int(Np), int(Nc), Q, R), self._domain(found)
+
+    def _domain(self, box: tuple[slice, slice]) -> Domain:
+        speeds, frictions = self.speeds[box[0]], self.frictions[box[1]]
+        return Domain((float(speeds[0]), float(speeds[-1])), (float(frictions[0]), float(frictions[-1])))
+
+    @property
+    def whole(self) -> Domain:
+        """What was asked for."""
+        return self._domain((slice(None), slice(None)))
+
+    @property
+    def passed(self) -> bool:
+        """Whether every speed and friction can be held."""
+        return bool(self.held.all())
+
+    @property
+    def verdict(self) -> str:
+        """What can be held, in some sentences: the speeds and frictions that no tuning can, and the largest domains."""
+        asked = f"with a modulus margin of {self.least:g}"
+        if self.domain is None:
+            return f"Infeasible: no tuning holds the loop {asked} at any point of {self.whole}."
+        if self.passed:
+            first = f"Feasible: at every point of {self.whole} some tuning holds the loop {asked}."
+        else:
+            first = (
+                f"Infeasible: no tuning holds the loop {asked} at {len(self.lost)} of {self.held.size} points of "
+                f"{self.whole}: {self._lost_in_words()}. The largest domain that can be held is {self.domain}."
+            )
+        assert self.constant is not None
+        tuning, domain = self.constant
+        reach = "all of it" if domain == self.whole else f"no more than {domain}"
+        return f"{first} One constant (Np {tuning.Np}, Nc {tuning.Nc}, R/Q {tuning.R / tuning.Q:.3g}) holds {reach}."
+
+    def _lost_in_words(self) -> str:
+        """Speeds by friction, neighbours on the grid as a range."""
+        return "; ".join(
+            f"{', '.join(_ranges(self.speeds, ~self.held[:, j]))} m/s on friction {mu:.3g}"
+            for j, mu in enumerate(self.frictions.tolist())
+            if not self.held[:, j].all()
+        )
+
+    def summary(self) -> dict[str, Any]:
+        """Everything but the margins of each tuning; ready for JSON."""
+        best, constant = self.margins.argmax(axis=2), self.constant
+        rows = [
+            {"speed": speed, "friction": friction, "held": bool(self.held[i, j]),
+             "modulus_margin": float(self.margins[i, j, best[i, j]]),
+             **dict(zip(ENTRIES, self.tunings[best[i, j]].tolist(), strict=True))}
+            for i, speed in enumerate(self.speeds.tolist()) for j, friction in enumerate(self.frictions.tolist())
+        ]  # fmt: skip
+        return {
+            "verdict": self.verdict,
+            "passed": self.passed,
+            "margin": self.least,
+            "domain": self.domain and self.domain._asdict(),
+            "constant": constant and {**dict(zip(ENTRIES, constant[0].as_array().tolist(), strict=True)),
+                                      **constant[1]._asdict()},
+            "rows": rows,
+        }  # fmt: skip
+
+
+def largest_box(ok: NDArray[np.bool_]) -> tuple[slice, slice] | None:
+    """The rows and columns of the largest box in which the same layer of ok (rows, columns, layers) is true throughout.
+
+    None when there is none. The first of those with the most entries.
+    """
+    most, found = 0, None
+    for left in range(ok.shape[1]):
+        for right in range(left, ok.shape[1]):
+            run = np.zeros(ok.shape[2], dtype=np.int64)
+            for i in range(len(ok)):
+                run = np.where(ok[i, left : right + 1].all(axis=0), run + 1, 0)
+                size = int(run.max(initial=0)) * (right - left + 1)
+                if size > most:
+                    most, found = size, (slice(i + 1 - int(run.max()), i + 1), slice(left, right + 1))
+    return found
+
+
+def _ranges(values: Array, chosen: NDArray[np.bool_]) -> list[str]:
+    """The chosen values in words, neighbours as "low to high"."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], chosen, [False]])))
+    return [_range(float(values[first]), float(values[past - 1])) for first, past in edges.reshape(-1, 2)]
+
+
+def _range(low: float, high: float) -> str:
+    return f"{low:.3g}" if low == high else f"{low:.3g} to {high:.3g}"
+
+
+def feasibility(
+    plant: Plant, mpc: MPC, profile: str | Profile = "road", *, speed: tuple[float, float] = (3.0, 30.0),
+    friction: tuple[float, float] = (0.3, 1.0), margin: float = MARGIN, nodes: Sequence[ArrayLike] = TUNINGS,
+    turn: Turn | None = hard_turn, mismatches: Sequence[Mismatch] = (),
+) -> Feasibility:  # fmt: skip
+    """Which speeds and frictions some tuning of a controller holds, and the largest domain of those.
+
+    Speeds at most 2 m/s apart, three frictions; the margin is the worst of driving straight, in a turn, and with each
+    mismatch.
+
+    Parameters
+    ----------
+    plant, profile
+        The true car.
+    mpc
+        What the controller believes; its own tuning and scheduler play no part.
+    speed, friction
+        Lowest and highest: m/s, and without a unit.
+    margin
+        Modulus margin of a loop that counts as held.
+    nodes
+        The tunings that are allowed: values of Np and Nc (periods), as far as the MPC's longest horizons go, and of
+        log10 R/Q (R/Q in m^2/rad^2).
+    turn
+        Lateral acceleration (m/s^2) of the turn at a speed (m/s) on a friction, None for driving straight only.
+    mismatches
+        Other cars that the same tuning has to hold as well, driving straight.
+
+    Raises
+    ------
+    InvalidInput
+        When a range makes no sense, no tuning is allowed, or the plant cannot drive such a turn.
+    """
+    for name, (low, high) in (("speed", speed), ("friction", friction)):
+        if not 0.0 < real("feasibility", name, low) <= real("feasibility", name, high) < math.inf:
+            raise InvalidInput(f"feasibility: {name} = {low:g} to {high:g}: need 0 < low <= high, finite.")
+    check_limit("feasibility: speed", speed[1], SPEED)
+    if not 0.0 < real("feasibility", "margin", margin) < 1.0:
+        raise InvalidInput(f"feasibility: margin = {margin:g}: must lie between 0 and 1.")
+    allowed = (
+        _up_to(nodes[0], mpc.longest_horizon), _up_to(nodes[1], mpc.most_moves), np.asarray(nodes[2], dtype=float)
+    )  # fmt: skip
+    if min(len(axis) for axis in allowed) == 0 or allowed[1].min() > allowed[0].max():
+        raise InvalidInput(f"feasibility: nodes = {nodes!r}: no tuning with 1 <= Nc <= Np within the MPC's horizons.")
+    slowest = max(speed[0], mpc.speed_floor)
+    axes = (
+        speed_nodes(slowest, max(slowest, speed[1])),
+        np.linspace(*friction, 3 if friction[1] > friction[0] else 1),
+        *allowed,
+    )
+    found = margin_map(mpc, bodies_of(plant, mpc.period, profile, turn, mismatches), axes, _ANGLES)
+    return Feasibility.of_map(axes, found, margin)
+
+
+def _up_to(axis: ArrayLike, most: int) -> Array:
+    values = np.asarray(axis, dtype=float)
+    return values[(values >= 1.0) & (values <= most)]

@@ -1,0 +1,71 @@
+"""How large a request may be: every bound with its unit and its reason, and the one form in which it is refused.
+
+A bound stops a slip of the pen (a speed of 1e15 m/s, a horizon of 1e9 periods) before memory or hours are spent on it;
+none is near what a study needs. What fits its bounds and still takes long says so: commands show the time left.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from adaptrack.base.errors import InvalidInput
+
+
+class Limit(NamedTuple):
+    """The largest value of a request."""
+
+    most: float
+    unit: str
+    """what is counted, or the SI unit; empty for a number without one"""
+    reason: str
+    """a clause that says why, with the memory or the time of the largest request"""
+
+    @property
+    def range(self) -> str:
+        """For the help of an option that counts from 1."""
+        return f"1 to {self.most:,}"
+
+
+# -- a run ------------------------------------------------------------------------------------------------------------
+SPEED = Limit(100, "m/s", "360 km/h; faster tyres need ever finer integration steps")
+DURATION = Limit(100_000, "s", "a little over a day")
+PERIODS = Limit(2_000_000, "control periods", "a day at 0.05 s, 0.7 GB")
+STEPS = Limit(10_000, "steps", "5 us each in 0.05 s; a plant that needs shorter ones takes them within its step")
+
+# -- a road -----------------------------------------------------------------------------------------------------------
+ROAD_LENGTH = Limit(2_000_000, "m of road", "its speed is planned at every metre: 3 GB, and some minutes")
+TURNS = Limit(10_000, "rad", "one element; each is a piece of the road, 3 MB in all")
+
+# -- a controller -----------------------------------------------------------------------------------------------------
+PREDICTION_HORIZON = Limit(1000, "control periods", "100 s at 0.1 s; a step then takes milliseconds")
+CONTROL_HORIZON = Limit(200, "control periods", "the time of a QP grows with the cube of the number of its moves")
+LAGUERRE_TERMS = Limit(200, "functions", CONTROL_HORIZON.reason)
+
+# -- a campaign -------------------------------------------------------------------------------------------------------
+NOISE_SEEDS = Limit(1000, "noise seeds", "each multiplies the time of a campaign; 4 are usual")
+LANDSCAPE = Limit(500_000_000, "costs (operating points x tunings of the library)", "2 GB")
+WORKERS = Limit(1024, "threads", "more than the cores of any machine")
+
+# -- a comparison -----------------------------------------------------------------------------------------------------
+DRIVES = Limit(10_000, "random drives", "1.3 GB; further ones would be those of the next seed")
+OPERATING_POINTS = Limit(100_000, "operating points", "1.7 GB, and a search of 0.5 s on one core for each")
+SEED = Limit(10_000, "", "it numbers the drives")
+
+# -- timings ----------------------------------------------------------------------------------------------------------
+TIMED_STEPS = Limit(1_000_000, "control steps", "a minute")
+TIMED_POINTS = Limit(10_000, "operating points", "20 runs each, three times: some minutes")
+TIMED_GRID = Limit(6435, "operating points", "the paper's grid has no more")
+
+
+def check_limit(what: str, value: float, limit: Limit) -> None:
+    """Refuse a value above its bound.
+
+    Raises
+    ------
+    InvalidInput
+        "<what> = <value>: at most <most> <unit> (<reason>)."
+    """
+    if value > limit.most:
+        unit = f" {limit.unit}" if limit.unit else ""
+        shown = str(value) if isinstance(value, int) and value < 10**15 else f"{float(min(value, 10**300)):.6g}"
+        raise InvalidInput(f"{what} = {shown}: at most {limit.most:,}{unit} ({limit.reason}).")

@@ -1,0 +1,98 @@
+"""Members by name: the one registry behind `register_plant`, `get_model`, `list_qp_solvers` and their like."""
+
+from __future__ import annotations
+
+import importlib
+import sys
+from collections.abc import Callable, Mapping
+from typing import Any, Generic, TypeVar
+
+from adaptrack.base.errors import InvalidInput, UnknownName, did_you_mean
+
+Member = TypeVar("Member")
+
+
+class Registry(Generic[Member]):
+    """Factories of one kind of member. A path ``"package.module:name"`` is imported when it is first asked for.
+
+    what: the kind, for messages; register: the public function that adds to it.
+    """
+
+    def __init__(self, what: str, register: str, factories: Mapping[str, Callable[..., Member] | str]) -> None:
+        self.what, self.register, self.factories = what, register, dict(factories)
+
+    def add(self, name: str, factory: Callable[..., Member] | str) -> None:
+        """Give a factory a name.
+
+        Raises
+        ------
+        InvalidInput
+            For a name that is taken or empty, or a factory that is neither callable nor a path.
+        """
+        if not name or not isinstance(name, str):
+            raise InvalidInput(f"{self.register}: the {self.what} needs a name, not {name!r}.")
+        if name in self.factories:
+            raise InvalidInput(f"{self.register}: there is a {self.what} {name!r} already: choose another name.")
+        if not callable(factory) and not (isinstance(factory, str) and factory.count(":") == 1):
+            raise InvalidInput(
+                f"{self.register}: the factory of {name!r} must be callable or 'package.module:name', not {factory!r}."
+            )
+        self.factories[name] = factory
+
+    def make(self, name: str, *arguments: Any, **options: Any) -> Member:
+        """What the factory of this name makes.
+
+        Raises
+        ------
+        UnknownName
+            When none has this name; the message holds the nearest that is known.
+        """
+        return self.factory(name)(*arguments, **options)
+
+    def factory(self, name: str) -> Callable[..., Member]:
+        """The factory of this name.
+
+        Raises
+        ------
+        UnknownName
+            When none has this name; the message holds the nearest that is known.
+        """
+        self.known(name)
+        factory = self.factories[name]
+        if isinstance(factory, str):
+            module, attribute = factory.split(":")
+            factory = getattr(importlib.import_module(module), attribute)
+        assert callable(factory)
+        return factory
+
+    def known(self, name: str) -> None:
+        """Refuse a name that nobody has.
+
+        Raises
+        ------
+        UnknownName
+            With the nearest that is known.
+        """
+        if not isinstance(name, str) or name not in self.factories:
+            raise UnknownName(f"There is no {self.what} {name!r}. {did_you_mean(str(name), self.factories)}")
+
+    def names(self) -> list[str]:
+        """The known names, sorted."""
+        return sorted(self.factories)
+
+
+def import_plugin(name: str, missing: InvalidInput, announce: Callable[[str], None] | None = None) -> None:
+    """Import a module that registers members; `missing` is raised where there is none of that name.
+
+    announce: called with the name before the module's code runs for the first time.
+    """
+    if not all(part.isidentifier() for part in name.split(".")):
+        raise missing
+    if announce is not None and name not in sys.modules:
+        announce(name)
+    try:
+        importlib.import_module(name)
+    except ModuleNotFoundError as error:
+        if not f"{name}.".startswith(f"{error.name}."):
+            raise  # one that it imports itself
+        raise missing from None

@@ -1,0 +1,18 @@
+"""The picture and the notebook form of an object, by its type. The room that draws is loaded when it is needed."""
+
+from __future__ import annotations
+
+import importlib
+from typing import Any
+
+_ROOM = "adaptrack.results.shown"
+
+
+def figure_of(shown: Any, *more: Any) -> Any:
+    """The object as a matplotlib figure."""
+    return importlib.import_module(_ROOM).figure_of(shown, *more)
+
+
+def html_of(shown: Any) -> str:
+    """What a notebook shows of the object."""
+    return str(importlib.import_module(_ROOM).html_of(shown))

@@ -1,0 +1,1 @@
+"""Cars and their tyres: vehicle files, data sheets, tyre files, domains, plants."""

@@ -1,0 +1,88 @@
+"""The outline of a car's body from above: a rectangle about the centre of mass, and where its corners are.
+
+ISO 8855 axes: x forward, y left. The corners come in the order front left, front right, rear left, rear right.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from adaptrack.base.arguments import reals
+from adaptrack.base.errors import InvalidInput, real
+
+Array = NDArray[np.float64]
+
+LENGTH_OVER_WHEELBASE = 1.65
+"""Length over wheelbase where a car file says neither length nor overhangs: passenger cars have 1.55 to 1.75."""
+FRONT_SHARE = 0.45
+"""Share of the front in what the body is longer than the wheelbase, where a car file does not say it."""
+WIDER_THAN_TRACK = 0.24
+"""m, by which a body is wider than its larger track, where a car file does not say its width: mirrors do not count."""
+
+
+@dataclass(frozen=True, repr=False)
+class Outline:
+    """A rectangle that the body fills, seen from above.
+
+    Raises
+    ------
+    InvalidInput
+        When a size is not positive and finite.
+    """
+
+    front: float
+    """m, centre of mass to the front end"""
+    rear: float
+    """m, centre of mass to the rear end"""
+    width: float
+    """m, without mirrors"""
+    estimated: tuple[str, ...] = ()
+    """which of length, front_overhang and width no source gave"""
+
+    def __post_init__(self) -> None:
+        for name in ("front", "rear", "width"):
+            if not 0.0 < real("Outline", name, getattr(self, name)) < math.inf:
+                raise InvalidInput(f"Outline: {name} = {getattr(self, name)!r} m: must be positive and finite.")
+
+    def __repr__(self) -> str:
+        known = f"front={self.front:.3f} m, rear={self.rear:.3f} m, width={self.width:.3f} m"
+        guess = f"; estimated from wheelbase and track: {', '.join(self.estimated)}" if self.estimated else ""
+        return f"Outline({known}{guess})"
+
+    @property
+    def length(self) -> float:
+        """m"""
+        return self.front + self.rear
+
+    @property
+    def corners(self) -> Array:
+        """(4, 2) m, in body axes."""
+        half = 0.5 * self.width
+        return np.array([[self.front, half], [self.front, -half], [-self.rear, half], [-self.rear, -half]])
+
+    def corners_at(self, x: ArrayLike, y: ArrayLike, yaw: ArrayLike) -> Array:
+        """The corners in the world, (..., 4, 2) m, of a centre of mass at x, y (m) with a yaw angle (rad)."""
+        x, y, yaw = np.broadcast_arrays(*(reals("corners_at", each) for each in (x, y, yaw)))
+        ahead, left = self.corners.T
+        sine, cosine = np.sin(yaw)[..., None], np.cos(yaw)[..., None]
+        return np.stack(
+            [x[..., None] + ahead * cosine - left * sine, y[..., None] + ahead * sine + left * cosine], axis=-1
+        )
+
+    def corner_offsets(self, offset: ArrayLike, heading_error: ArrayLike, curvature: ArrayLike = 0.0) -> Array:
+        """Lateral offsets of the corners from a path, (..., 4) m, positive to the left.
+
+        offset: m, of the centre of mass; heading_error: rad, yaw less the heading of the path at its foot; curvature:
+        1/m, of the path there. With a and b the corner's distances along and across the path from the foot, the offset
+        from the circle of curvature k is (2 b - k (a^2 + b^2))/(1 + sqrt((k a)^2 + (1 - k b)^2)): exact on straight
+        lines and arcs, off by the change of curvature within half a car length elsewhere.
+        """
+        e, turn, k = (reals("corner_offsets", each)[..., None] for each in (offset, heading_error, curvature))
+        ahead, left = self.corners.T
+        along = ahead * np.cos(turn) - left * np.sin(turn)
+        across = e + ahead * np.sin(turn) + left * np.cos(turn)
+        return (2.0 * across - k * (along**2 + across**2)) / (1.0 + np.hypot(k * along, 1.0 - k * across))

@@ -1,0 +1,685 @@
+"""Plants: what the controller drives. Two built-in vehicles, and a user's own.
+
+A plant is a right-hand side and a parameter record. The state begins with (X, Y, yaw, v_x, v_y, yaw rate); signs
+are those of ISO 8855 (x forward, y left, yaw and steering positive to the left); SI units, radians.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import inspect
+import json
+import math
+import numbers
+import sys
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Any, NoReturn, Self, final
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from adaptrack.base.arguments import reals
+from adaptrack.base.errors import ContractError, InvalidInput, real, whole
+from adaptrack.base.limits import STEPS, check_limit
+from adaptrack.base.registry import Registry
+from adaptrack.cars.vehicle import COMMONROAD, SteeringActuator, Tyre, Vehicle, load_tyre, pack_plant
+
+Array = NDArray[np.float64]
+
+MOTION = ("X", "Y", "psi", "vx", "vy", "yaw_rate")
+"""The states that every plant begins with: m, m, rad, m/s, m/s, rad/s."""
+
+
+@dataclass(frozen=True)
+class Plant(ABC):
+    """A vehicle that can be driven: right-hand side, parameters, integration step.
+
+    Subclasses are the two built-in vehicles and `UserPlant`; `check_plant` tells whether one keeps the contract.
+    """
+
+    costly = False
+    """Whether driving takes so long that searches and learning run on the car's twin (`twin_of`), and only what they
+    found is judged on the plant."""
+
+    @property
+    @abstractmethod
+    def name(self) -> str:
+        """How tables call the plant."""
+
+    @property
+    @abstractmethod
+    def tyre_name(self) -> str:
+        """How tables call its tyres."""
+
+    @property
+    @abstractmethod
+    def state_names(self) -> tuple[str, ...]:
+        """The plant's own states, beginning with `MOTION`."""
+
+    @property
+    @abstractmethod
+    def powertrain(self) -> dict[str, float]:
+        """mass (kg), engine_power (W), traction_limit and brake_limit (N): what the driver may ask for."""
+
+    @property
+    @abstractmethod
+    def compiled(self) -> Any:
+        """What the kernels call (`core.plants.contract.CompiledPlant`)."""
+
+    def initial_state(self, motion: ArrayLike) -> Array:
+        """All states (n,) in equilibrium with the first six, X (m), Y (m), yaw (rad), v_x, v_y (m/s), yaw rate (rad/s).
+
+        What is not said otherwise starts at zero.
+        """
+        state = np.zeros(len(self.state_names))
+        state[: len(MOTION)] = _vector("motion", motion, len(MOTION))
+        return state
+
+    @abstractmethod
+    def packed(self) -> Array:
+        """The parameters as the kernels expect them, the steering actuator's included."""
+
+    @abstractmethod
+    def with_steering(self, steering: SteeringActuator) -> Self:
+        """A copy behind another steering actuator."""
+
+    @abstractmethod
+    def substeps(self, period: float, top_speed: float) -> int:
+        """Runge-Kutta steps per control period (s) that integrate it accurately up to a speed (m/s)."""
+
+    @abstractmethod
+    def derivative(self, x: ArrayLike, u: ArrayLike, environment: ArrayLike) -> Array:
+        """dx/dt at state x (n,), input u (3,) and environment (7,).
+
+        u: steering angle of the front wheels (rad), longitudinal force demanded at the wheels (N), prescribed dv_x/dt
+        (m/s^2), NaN, as when it is left out, for none; environment: friction front-left, front-right, rear-left,
+        rear-right; wind along X and Y (m/s); the pull of a banked road to the left (m/s^2), 0 when it is left out.
+        The steering actuator is not part of it.
+        """
+
+
+@dataclass(frozen=True)
+class _Car(Plant):
+    """What the two built-in vehicles share.
+
+    vehicle: body, air, powertrain; tyre: a `Tyre`, or a name or file for `load_tyre`, by default the vehicle's;
+    steering: the actuator, None for the profile's; steps: Runge-Kutta steps per control period, None for as many
+    as accuracy asks (see `substeps`).
+    """
+
+    vehicle: Vehicle
+    tyre: Tyre = field(default=None)  # type: ignore[assignment]
+    steering: SteeringActuator | None = None
+    steps: int | None = None
+
+    def __init__(
+        self,
+        vehicle: Vehicle,
+        tyre: Tyre | str | None = None,
+        steering: SteeringActuator | None = None,
+        steps: int | None = None,
+    ) -> None:
+        if tyre is None:
+            tyre = vehicle.tyre
+        object.__setattr__(self, "vehicle", vehicle)
+        object.__setattr__(self, "tyre", tyre if isinstance(tyre, Tyre) else load_tyre(tyre))
+        object.__setattr__(self, "steering", steering)
+        object.__setattr__(self, "steps", steps)
+        if steps is not None and not (isinstance(steps, int) and steps >= 1):
+            raise InvalidInput(f"steps = {steps!r}: must be a positive integer, or None to have it chosen.")
+
+    @property
+    def tyre_name(self) -> str:
+        return self.tyre.name
+
+    @property
+    def powertrain(self) -> dict[str, float]:
+        return {key: getattr(self.vehicle, key) for key in ("mass", "engine_power", "traction_limit", "brake_limit")}
+
+    @property
+    def _law(self) -> int:
+        from adaptrack.core.plants.tyre import tyre_law
+
+        return tyre_law(self.tyre.kind == "linear", self.tyre.curvature)
+
+    def packed(self) -> Array:
+        return pack_plant(self.vehicle, self.tyre, self.steering or SteeringActuator.ideal())
+
+    def with_steering(self, steering: SteeringActuator) -> Self:
+        return type(self)(self.vehicle, self.tyre, steering, self.steps)
+
+    @cached_property
+    def _with_ideal_steering(self) -> Array:
+        return pack_plant(self.vehicle, self.tyre, SteeringActuator.ideal())
+
+    @property
+    def _relaxation(self) -> float:
+        return 0.0
+
+    def substeps(self, period: float, top_speed: float) -> int:
+        """Steps of at most 12.5 ms that keep every mode well inside the stability region (h |lambda| <= 2.2).
+
+        The fast modes are the tyres' relaxation, v/sigma, and, without relaxation, the lateral and yaw motion at
+        the lowest speed of the slip angles (1 m/s). What remains, against steps 20 times finer, is below 0.25 mm in
+        the closed loops of the paper's tests; `benchmarks/integration_step.py` measures it open loop, where
+        steering that jumps on saturating tyres with a short relaxation length leaves up to 31 mm after 5 s.
+        """
+        if self.steps is not None:
+            return self.steps
+        car, tyre = self.vehicle, self.tyre
+        if self._relaxation > 0.0:
+            rate = max(top_speed, 1.0) / self._relaxation
+        else:
+            front, rear = (2.0 * c for c in tyre.stiffness_at(*car.static_loads))
+            rate = max((front + rear) / car.mass, (front * car.lf**2 + rear * car.lr**2) / car.yaw_inertia)
+        return max(1, math.ceil(period / 0.0125 - 1e-9), math.ceil(period * rate / 2.2 - 1e-9))
+
+    def derivative(self, x: ArrayLike, u: ArrayLike, environment: ArrayLike) -> Array:
+        from adaptrack.core.plants.contract import INPUT, INPUTS, STATES
+
+        n = len(self.state_names)
+        state = np.zeros(STATES)
+        state[:n] = _vector("x", x, n)
+        inputs = np.zeros(INPUTS)
+        inputs[[INPUT.command, INPUT.force, INPUT.acceleration]] = _input(u)
+        inputs[INPUT.friction_front_left :] = _environment(environment)
+        slope = np.empty(STATES)
+        self.compiled.right_hand_side(state, inputs, self._with_ideal_steering, slope)
+        return slope[:n]
+
+
+@final
+class SingleTrack(_Car):
+    """Single-track vehicle, eqs. (1)-(5): lateral and yaw motion on two axles of two tyres each.
+
+    Loads are static, slip angles act at once; the tyre may be linear (eqs. 2, 6) or the Magic Formula.
+    """
+
+    @property
+    def name(self) -> str:
+        return "single-track"
+
+    @property
+    def compiled(self) -> Any:
+        from adaptrack.core.plants import single_track
+
+        return single_track.compiled(self._law)
+
+    @property
+    def state_names(self) -> tuple[str, ...]:
+        return MOTION
+
+
+@final
+class DualTrack(_Car):
+    """Dual-track vehicle: longitudinal, lateral and yaw motion on four tyres.
+
+    Longitudinal and lateral load transfer, relaxation length, friction wheel by wheel, friction ellipse.
+    """
+
+    @property
+    def name(self) -> str:
+        return "dual-track"
+
+    @property
+    def compiled(self) -> Any:
+        from adaptrack.core.plants import dual_track
+
+        return dual_track.compiled(self._law)
+
+    @property
+    def state_names(self) -> tuple[str, ...]:
+        slips = tuple(f"slip_{wheel}" for wheel in ("front_left", "front_right", "rear_left", "rear_right"))
+        return (*MOTION, *slips, "felt_ax", "felt_ay")
+
+    @property
+    def _relaxation(self) -> float:
+        return self.tyre.relaxation_length
+
+
+@final
+@dataclass(frozen=True)
+class UserPlant(Plant):
+    """A plant of one's own: one right-hand side and its parameters.
+
+    right_hand_side(x, u, environment, p, dx) writes dx/dt into dx and returns nothing. It is a
+    `CFunction`, or Python: compiled where numba is installed (``adaptrack[compile]``), else called back; it may use
+    floats, loops, `math` and array elements. x: (n,) beginning with `MOTION`; u: steering angle of the front
+    wheels (rad), longitudinal force asked of the wheels (N), prescribed dv_x/dt (m/s^2); environment: friction
+    front-left, front-right, rear-left, rear-right, wind along X and Y (m/s), pull of a banked road to the left (m/s^2);
+    p: `parameters` as an array, in their order, or, where they are nested, as a record (``p.tyre.shape``). It must not
+    write to x, u, environment or p. `check_plant` admits it.
+
+    While the speed is prescribed, u[2] is a number, u[1] is 0 and the loop sets dv_x/dt to u[2], whatever dx[3] holds:
+    a plant with wheels or a suspension drives and pitches them with it. While a force acts, u[2] is NaN.
+
+    Raises
+    ------
+    InvalidInput
+        When a number is not allowed.
+    ContractError
+        When numba cannot compile the right-hand side.
+    """
+
+    right_hand_side: Callable[..., None]
+    parameters: Mapping[str, Any]
+    """numbers, or tables of them to any depth, as a TOML file has them"""
+    mass: float
+    """kg, with which the driver turns acceleration into force"""
+    own_states: tuple[str, ...] = ()
+    """names of the states behind `MOTION`"""
+    start: Callable[[Array], Any] | None = None
+    """start(motion) -> the own states in equilibrium with the first six, such as speeds of rolling wheels; None: 0"""
+    steps: int = 20
+    """Runge-Kutta steps per control period, at least"""
+    longest_step: float = math.inf
+    """s, longest integration step: in a longer control period there are as many more of them"""
+    engine_power: float = 1e5
+    """W"""
+    traction_limit: float = 8000.0
+    """N"""
+    brake_limit: float = 15000.0
+    """N"""
+    steering: SteeringActuator | None = None
+    label: str = "user"
+    tyres: str = "own"
+    costly: bool = False
+    """as `Plant.costly`"""
+    version: str = ""
+    """of what else its motion depends on, such as a package: for the identity of what is tuned on it"""
+
+    def __post_init__(self) -> None:
+        from adaptrack.core.plants.user import compile_plant, layout_of
+
+        values = flattened(self.parameters)
+        bad = [f"{key} = {value!r}" for key, value in values.items() if not _is_finite(value)]
+        if bad:
+            raise InvalidInput(f"UserPlant {self.label!r}: parameters must be finite numbers: {', '.join(bad)}.")
+        whole(f"UserPlant {self.label!r}", "steps", self.steps)
+        if not real(f"UserPlant {self.label!r}", "longest_step", self.longest_step) > 0.0:
+            raise InvalidInput(f"UserPlant {self.label!r}: longest_step = {self.longest_step!r} s: must be positive.")
+        for name, value in self.powertrain.items():
+            if not 0.0 < real(f"UserPlant {self.label!r}", name, value) < math.inf:
+                raise InvalidInput(f"UserPlant {self.label!r}: {name} = {value!r}: must be positive and finite.")
+        try:
+            nested = any(isinstance(value, Mapping) for value in self.parameters.values())
+            compiled = compile_plant(self.right_hand_side, layout_of(self.parameters) if nested else None)
+        except Exception as error:
+            raise ContractError(
+                f"UserPlant {self.label!r}: numba cannot compile its right-hand side as "
+                f"f(x, u, environment, p, dx) on float64 arrays: {error}"
+            ) from error
+        object.__setattr__(self, "_compiled", compiled)
+        object.__setattr__(self, "_own", np.array(list(values.values()), dtype=float))
+
+    @property
+    def name(self) -> str:
+        return self.label
+
+    @property
+    def tyre_name(self) -> str:
+        return self.tyres
+
+    @property
+    def state_names(self) -> tuple[str, ...]:
+        return (*MOTION, *self.own_states)
+
+    @property
+    def powertrain(self) -> dict[str, float]:
+        return {key: getattr(self, key) for key in ("mass", "engine_power", "traction_limit", "brake_limit")}
+
+    @property
+    def compiled(self) -> Any:
+        return self._compiled  # type: ignore[attr-defined]
+
+    def initial_state(self, motion: ArrayLike) -> Array:
+        state = super().initial_state(motion)
+        if self.start is not None:
+            own = np.asarray(self.start(state[: len(MOTION)].copy()), dtype=np.float64)
+            where = f"UserPlant {self.label!r}: start"
+            state[len(MOTION) :] = _vector(where, own, len(self.own_states))
+        return state
+
+    def packed(self) -> Array:
+        steering = self.steering or SteeringActuator.ideal()
+        return np.array([steering.lag, steering.rate, steering.limit, *self._own])  # type: ignore[attr-defined]
+
+    def with_steering(self, steering: SteeringActuator) -> Self:
+        return replace(self, steering=steering)
+
+    def substeps(self, period: float, top_speed: float) -> int:
+        return max(self.steps, steps_in(period, self))
+
+    def derivative(self, x: ArrayLike, u: ArrayLike, environment: ArrayLike) -> Array:
+        n = len(self.state_names)
+        slope = np.full(n, np.nan)
+        # not copies: what the function writes to its arguments must be seen by `check_plant`
+        state, inputs, around = _vector("x", x, n), _input(u), _environment(environment)
+        self.compiled.right_hand_side(state, inputs, around, self._own, slope)  # type: ignore[attr-defined]
+        if math.isfinite(inputs[2]):
+            slope[3] = inputs[2]
+        return slope
+
+
+class SteppedPlant(ABC):
+    """A vehicle in Python that moves by being told to: any outside simulator. `simulate` drives it as it drives ours.
+
+    The loop's steering actuator (the profile's, or `steering`) stands before it; compiled runs cannot take it.
+    """
+
+    steering: SteeringActuator | None = None
+    """None for the profile's"""
+    costly = True
+    """as `Plant.costly`"""
+    longest_step: float = 0.02
+    """s, the loop never asks for a longer one"""
+    mass: float = 1500.0
+    """kg, with which a driver turns force into acceleration; likewise the following three (W, N, N)"""
+    engine_power: float = 1e5
+    traction_limit: float = 8000.0
+    brake_limit: float = 15000.0
+
+    @property
+    def name(self) -> str:
+        """How tables call the plant."""
+        return type(self).__name__
+
+    @property
+    def tyre_name(self) -> str:
+        """How tables call its tyres."""
+        return "own"
+
+    @property
+    def powertrain(self) -> dict[str, float]:
+        """mass (kg), engine_power (W), traction_limit and brake_limit (N): what the driver may ask for."""
+        return {key: getattr(self, key) for key in ("mass", "engine_power", "traction_limit", "brake_limit")}
+
+    @abstractmethod
+    def reset(self, motion: Array) -> None:
+        """Begin at X (m), Y (m), yaw (rad), v_x, v_y (m/s, body frame), yaw rate (rad/s), all else in equilibrium."""
+
+    @abstractmethod
+    def step(self, dt: float, steering: float, acceleration: float, environment: Array) -> Any:
+        """Advance by dt (s) under inputs that are held; the new motion (6,), as in `reset`.
+
+        steering: front-wheel angle (rad); acceleration: dv_x/dt that the speed control asks for (m/s^2); environment:
+        friction front-left, front-right, rear-left, rear-right; wind along X and Y (m/s); pull of a banked road to the
+        left (m/s^2).
+        """
+
+
+def steps_in(period: float, plant: UserPlant | SteppedPlant) -> int:
+    """Equal integration steps of a control period (s), none longer than the plant's `longest_step`.
+
+    Raises
+    ------
+    InvalidInput
+        When that is no positive number, or they are more than `limits.STEPS`.
+    """
+    where = f"Plant {plant.name!r}"
+    longest = real(where, "longest_step", plant.longest_step)
+    if not longest > 0.0:
+        raise InvalidInput(f"{where}: longest_step = {longest!r} s: must be positive.")
+    steps = float(period) / longest
+    check_limit(f"{where}: longest_step = {longest:g} s: steps in a control period of {period:g} s", steps, STEPS)
+    return max(1, math.ceil(steps - 1e-9))
+
+
+def _vector(name: str, values: ArrayLike, size: int) -> Array:
+    """C-contiguous float64, as the kernels take it; the given array itself where it is that already."""
+    array = np.ascontiguousarray(reals(name, values))
+    if array.shape != (size,):
+        raise InvalidInput(f"{name}: shape {array.shape}, expected ({size},).")
+    return array
+
+
+def flattened(parameters: Mapping[str, Any], before: str = "") -> dict[str, Any]:
+    """Nested parameters as one table: ``{"tyre": {"shape": 1.3}}`` as ``{"tyre.shape": 1.3}``."""
+    found: dict[str, Any] = {}
+    for name, value in parameters.items():
+        inner = flattened(value, f"{before}{name}.") if isinstance(value, Mapping) else {f"{before}{name}": value}
+        found |= inner
+    return found
+
+
+def _is_finite(value: Any) -> bool:
+    return isinstance(value, numbers.Real) and math.isfinite(value)
+
+
+def _input(values: ArrayLike) -> Array:
+    """(3,); without a prescribed acceleration the force acts."""
+    given = reals("u", values)
+    return _vector("u", np.append(given, math.nan) if given.shape == (2,) else given, 3)
+
+
+def _environment(values: ArrayLike) -> Array:
+    """(7,); a bank that is left out is none."""
+    given = reals("environment", values)
+    return _vector("environment", np.append(given, 0.0) if given.shape == (6,) else given, 7)
+
+
+def check_plant(
+    plant: Plant | SteppedPlant, speeds: Sequence[float] = (5.0, 15.0, 25.0), symmetric: bool = True,
+    period: float = 0.1,
+) -> None:  # fmt: skip
+    """Test that a plant keeps the contract on which controllers and the loop rely.
+
+    At each speed (m/s), on dry friction without wind: the states begin with `MOTION`; the right-hand side writes
+    every entry, finite, without touching its arguments, and answers twice alike, under a force and under a prescribed
+    acceleration; position and yaw obey kinematics, eq. (5); at zero steering the vehicle goes straight; steering to the
+    left begins a turn to the left; mirrored steering gives the mirrored motion (unless `symmetric` is False: a car may
+    be lopsided); one second of integration in control periods of `period` (s), at its own step, stays finite and near
+    that of half the step.
+
+    Raises
+    ------
+    InvalidInput
+        When `period` is no positive number.
+    ContractError
+        Naming the clause that is broken, the evidence and, where there is one, the option that changes the test.
+    """
+    if not 0.0 < real("check_plant", "period", period) < math.inf:
+        raise InvalidInput(f"check_plant: period = {period!r} s: must be positive and finite.")
+    if isinstance(plant, SteppedPlant):
+        _check_stepped(plant, speeds, symmetric, period)
+        return
+    if plant.state_names[:6] != MOTION:
+        _break(plant, f"its states must begin with {MOTION}", f"they are {plant.state_names}")
+    if plant.packed().ndim != 1 or np.isnan(plant.packed()).any():
+        _break(plant, "packed() must give one row of finite parameters", f"it gives {plant.packed()!r}")
+    for speed in speeds:
+        straight = plant.initial_state([0.0, 0.0, 0.0, speed, 0.0, 0.0])
+        if not np.isfinite(straight).all() or straight[3] != speed:
+            evidence = f"{straight} at {speed} m/s"
+            _break(plant, "initial_state() must be finite and begin with the motion given", evidence)
+        _check_derivative(plant, straight)
+        _check_driving(plant, straight, symmetric, period)
+
+
+_DRY = np.array([0.9, 0.9, 0.9, 0.9, 0.0, 0.0, 0.0])
+"""The environment of the checker: friction, wind, bank."""
+_LOPSIDED = "a car that is lopsided on purpose passes with check_plant(..., symmetric=False)"
+
+
+def _break(plant: Plant | SteppedPlant, clause: str, evidence: str, remedy: str = "") -> NoReturn:
+    """Refuse a plant."""
+    raise ContractError(f"Plant {plant.name!r}: {clause}: {evidence}{'; ' if remedy else ''}{remedy}.")
+
+
+def _check_derivative(plant: Plant, straight: Array) -> None:
+    """The derivative straight ahead, in a turn under a force, and in a turn under a prescribed acceleration."""
+    turning = straight.copy()
+    turning[:6] = 3.0, -2.0, 0.1, straight[3], 0.1, 0.05
+    here = f"at {straight[3]} m/s"
+    for x, u in ((straight, [0.0, 0.0, math.nan]), (turning, [0.02, 300.0, math.nan]), (turning, [0.02, 0.0, 0.5])):
+        given = [np.array(values, dtype=float) for values in (x, u, _DRY)]
+        kept = [values.copy() for values in given]
+        parameters = plant.packed()
+        slope = plant.derivative(*given)
+        if not np.isfinite(slope).all():
+            missing = [name for name, value in zip(plant.state_names, slope, strict=True) if not np.isfinite(value)]
+            under = "under a prescribed acceleration, u[2]" if math.isfinite(u[2]) else "under a force, u[2] being NaN"
+            _break(plant, "every derivative must be written and finite", f"not so for {missing} {here} {under}")
+        changed = zip([*given, plant.packed()], [*kept, parameters], strict=True)
+        if not all(np.array_equal(a, b, equal_nan=True) for a, b in changed):
+            _break(plant, "x, u, environment and p must not be written to", here)
+        if (plant.derivative(*given) != slope).any():
+            _break(plant, "the same arguments must give the same derivative", here)
+        expected = (
+            x[3] * math.cos(x[2]) - x[4] * math.sin(x[2]),
+            x[3] * math.sin(x[2]) + x[4] * math.cos(x[2]),
+            x[5],
+        )
+        if not np.allclose(slope[:3], expected, rtol=1e-6, atol=1e-9):
+            evidence = f"{slope[:3]} instead of {expected} {here}"
+            _break(plant, "position and yaw must obey kinematics, eq. (5)", evidence)
+
+
+def _check_driving(plant: Plant, straight: Array, symmetric: bool, period: float) -> None:
+    """A second of driving, straight ahead and under constant steering."""
+    here = f"at {straight[3]} m/s"
+    if np.abs(plant.derivative(straight, [0.0, 0.0], _DRY)[4:6]).max() > 1e-6 and symmetric:
+        _break(plant, "at zero steering the vehicle must go straight", here, _LOPSIDED)
+    left = _settled(plant, straight, 0.01, period, 0.05, refine=8)  # however long its own steps are
+    if not plant.derivative(left, [0.01, 0.0], _DRY)[5] > 0.0:
+        _break(plant, "steering to the left (positive) must begin a turn to the left (positive yaw rate)", here)
+    coarse, fine = (_settled(plant, straight, 0.02, period, 1.0, refine) for refine in (1, 2))
+    if symmetric:
+        right = _settled(plant, straight, -0.02, period, 1.0)
+        if not np.allclose(coarse[[0, 1, 2, 4, 5]] * [1, -1, -1, -1, -1], right[[0, 1, 2, 4, 5]], atol=1e-7):
+            evidence = f"{coarse[:6]} and {right[:6]} {here}"
+            _break(plant, "the mirrored steering must give the mirrored motion", evidence, _LOPSIDED)
+    if not np.isfinite(coarse).all() or not np.allclose(coarse[:6], fine[:6], rtol=1e-3, atol=1e-3):
+        _break(
+            plant,
+            "its steps must be small enough to integrate it",
+            f"{coarse[:6]}, with half the step {fine[:6]} {here}, {plant.substeps(period, straight[3])} steps in a "
+            f"control period of {period:g} s",
+            "a UserPlant takes shorter ones with steps= or longest_step=, a shorter control period is tested with "
+            "check_plant(..., period=)",
+        )
+
+
+def _settled(plant: Plant, x: Array, steering: float, period: float, duration: float, refine: int = 1) -> Array:
+    """The state after `duration` (s) of constant steering, by RK4 at the plant's own step over `refine`."""
+    h = period / (plant.substeps(period, x[3]) * refine)
+    u = np.array([steering, 0.0, math.nan])
+    for _ in range(max(1, round(duration / h))):
+        k1 = plant.derivative(x, u, _DRY)
+        k2 = plant.derivative(x + 0.5 * h * k1, u, _DRY)
+        k3 = plant.derivative(x + 0.5 * h * k2, u, _DRY)
+        k4 = plant.derivative(x + h * k3, u, _DRY)
+        x = x + h / 6.0 * (k1 + 2 * k2 + 2 * k3 + k4)
+    return x
+
+
+def _check_stepped(plant: SteppedPlant, speeds: Sequence[float], symmetric: bool, period: float) -> None:
+    """`check_plant` for a plant that is stepped: one second of driving, straight and under constant steering."""
+    dt = period / steps_in(period, plant)
+
+    def driven(speed: float, steering: float) -> Array:
+        plant.reset(np.array([0.0, 0.0, 0.0, speed, 0.0, 0.0]))
+        for _ in range(max(1, round(1.0 / dt))):
+            given = _DRY.copy()
+            motion = np.asarray(plant.step(dt, steering, 0.0, given), dtype=np.float64)
+            if motion.shape != (6,) or not np.isfinite(motion).all():
+                _break(plant, "step() must return six finite numbers", f"it returned {motion!r} at {speed} m/s")
+            if (given != _DRY).any():
+                _break(plant, "step() must not write to its arguments", f"at {speed} m/s")
+        return motion
+
+    for speed in speeds:
+        here = f"at {speed} m/s"
+        straight, left, right = (driven(speed, angle) for angle in (0.0, 0.02, -0.02))
+        if symmetric and abs(straight[[1, 2, 4, 5]]).max() > 1e-6:
+            _break(plant, "at zero steering the vehicle must go straight", f"{straight} {here}", _LOPSIDED)
+        if not abs(straight[0] - speed) < 0.2 * speed:
+            _break(plant, "position must follow the speed", f"X = {straight[0]:g} m after 1 s {here}")
+        if not left[2] > 0.0:
+            _break(
+                plant, "steering to the left (positive) must begin a turn to the left", f"yaw {left[2]:g} rad {here}"
+            )
+        if symmetric and not np.allclose(left * [1, -1, -1, 1, -1, -1], right, atol=1e-6):
+            _break(
+                plant, "the mirrored steering must give the mirrored motion", f"{left} and {right} {here}", _LOPSIDED
+            )
+        if (driven(speed, 0.02) != left).any():
+            _break(plant, "after reset() the same steps must give the same motion", here)
+
+
+def twin_of(car: Vehicle) -> DualTrack:
+    """A built-in plant with the numbers that a controller is told of a car; tyres of that stiffness, with its grip.
+
+    What searches and linear analysis use in place of a plant that is `costly` or has no linear model.
+    """
+    told = Tyre(
+        name="as told", kind="magic-formula", stiffness_front=car.stiffness_front, stiffness_rear=car.stiffness_rear,
+        nominal_load=max(car.static_loads),
+    )  # fmt: skip
+    return DualTrack(car, told)
+
+
+def fingerprint(plant: Plant | SteppedPlant) -> str:
+    """SHA-256 of what a plant's motion depends on, as far as this process can tell: results of another are not mixed.
+
+    Its numbers, and the source of the module that its right-hand side or its class is defined in. What a stepped plant
+    asks of another process, of a library or of its own state is not seen.
+    """
+    own = getattr(plant, "right_hand_side", type(plant))
+    module = sys.modules.get(own.__module__)
+    try:
+        source = inspect.getsource(module) if module is not None else ""
+    except (OSError, TypeError):  # typed in at a prompt
+        code = getattr(own, "__code__", None)
+        source = own.__qualname__ if code is None else repr((code.co_code, code.co_names))
+    numbers = plant.packed().tolist() if isinstance(plant, Plant) else []
+    more = [repr(getattr(plant, name, None)) for name in ("steps", "longest_step", "version", "steering")]
+    told = [plant.name, plant.tyre_name, plant.powertrain, numbers, more, source]
+    return hashlib.sha256(json.dumps(told).encode()).hexdigest()
+
+
+_registry: Registry[Plant | SteppedPlant] = Registry(
+    "plant",
+    "register_plant",
+    {
+        "single-track": SingleTrack,
+        "dual-track": DualTrack,
+        "commonroad-single-track-drift": "adaptrack.peers.commonroad_plants:drift_of_car",
+        "commonroad-multi-body": "adaptrack.peers.commonroad_plants:body_of_car",
+    },
+)
+
+
+def register_plant(name: str, factory: Callable[..., Plant | SteppedPlant] | str) -> None:
+    """Make ``get_plant(name, vehicle, tyre)`` call ``factory(vehicle, tyre)``.
+
+    Raises
+    ------
+    InvalidInput
+        For a name that is taken or empty, or a factory that is neither callable nor ``"package.module:name"``.
+    """
+    _registry.add(name, factory)
+
+
+def get_plant(name: str, vehicle: Vehicle, tyre: Tyre | str | None = None) -> Plant | SteppedPlant:
+    """A registered plant of a vehicle on a tyre, by default the vehicle's own.
+
+    Raises
+    ------
+    UnknownName
+        When no plant has this name.
+    """
+    return _registry.make(name, vehicle, tyre)
+
+
+def usual_plant(vehicle: Vehicle) -> str:
+    """The name of what is driven where nobody names a plant: the drift model of CommonRoad's cars, else dual-track."""
+    return "commonroad-single-track-drift" if vehicle.name in COMMONROAD.names() else "dual-track"
+
+
+def list_plants() -> list[str]:
+    """The known names, sorted."""
+    return _registry.names()

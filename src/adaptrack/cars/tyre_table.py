@@ -1,0 +1,192 @@
+"""Tables of axle force over slip: a CSV file becomes a tyre.
+
+Columns, in any order: ``slip_rad`` or ``slip_deg``; ``force_front_N`` and ``force_rear_N`` of the whole axle, where a
+positive slip pushes to the positive side, left; and, where several loads were driven, ``load_front_N`` and
+``load_rear_N`` of the axle. A force may be left empty where an axle was not measured.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+import os
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from adaptrack.base.errors import ConfigError, InvalidInput, did_you_mean
+from adaptrack.base.files import printable, read_bytes
+from adaptrack.cars.tyre_fit import Samples, TyreFit, cornering_stiffness, fit_law, judged
+from adaptrack.cars.vehicle import Tyre
+
+Array = NDArray[np.float64]
+
+FORCES, LOADS, SLIPS = ("force_front_N", "force_rear_N"), ("load_front_N", "load_rear_N"), ("slip_rad", "slip_deg")
+LEAST_ROWS = 5
+SMALL = 0.5
+"""Share of the largest force over load up to which the stiffness is first taken from the slope."""
+LEAST_OFFSET = 5e-4
+"""rad, a smaller one is not worth a word."""
+SATURATED = 0.8
+"""Largest force over stiffness times slip from which on a table says nothing of where its tyre saturates."""
+ASSUMED_FRICTION = 1.0
+APART = 1.1
+"""Ratio of loads from which on they count as several."""
+
+
+class _Axle(NamedTuple):
+    slip: Array
+    force: Array
+    """N, of one tyre"""
+    load: Array
+    """N, of one tyre"""
+
+
+def tyre_from_table(
+    path: str | os.PathLike[str], loads: tuple[float, float] | None = None, name: str | None = None
+) -> TyreFit:
+    """The tyre that is nearest to a table of axle forces, and how near.
+
+    loads: N, static load of a front and a rear wheel, needed where the table has no loads; name: of the tyre, by
+    default that of the file. With one load for each axle the stiffness does not depend on the load (the table of an
+    axle holds its load transfer); with several the digressive law is fitted. A table that does not reach saturation
+    leaves shape and friction as they are assumed for passenger-car tyres, and `TyreFit.notes` says so.
+
+    Raises
+    ------
+    StorageError
+        When the file cannot be read.
+    ConfigError
+        When it is no such table; the message names column or line.
+    InvalidInput
+        When there are no loads.
+    """
+    where = os.fspath(path)
+    columns = _columns(where)
+    axles = [_axle(where, columns, i, loads) for i in (0, 1)]
+    samples = Samples(
+        np.concatenate([axle.slip for axle in axles]),
+        np.concatenate([axle.load for axle in axles]),
+        np.concatenate([axle.force for axle in axles]),
+        np.concatenate([np.full(axle.slip.size, i == 1) for i, axle in enumerate(axles)]),
+    )
+    several = any(axle.load.max() > APART * axle.load.min() for axle in axles)
+    start, notes = _begin(axles, name or Path(path).stem, several), []
+    if not several:
+        notes.append("One load for each axle: the stiffness does not depend on the load.")
+    peak, free = float((np.abs(samples.force) / samples.load).max()), ["stiffness", "offsets"]
+    free += ["load ratio"] if several else []
+    free += ["load sensitivity"] if samples.load.max() > APART * samples.load.min() else []
+    tyre, friction, offsets = fit_law(start, samples, peak, free)
+    for which, offset in zip(("front", "rear"), offsets, strict=True):
+        if abs(offset) > LEAST_OFFSET:
+            notes.append(f"The {which} axle has no force at a slip of {offset:.4f} rad: that offset is taken out.")
+    samples = samples._replace(slip=samples.slip - np.where(samples.rear, offsets[1], offsets[0]))
+    if not _saturates(tyre, samples):
+        notes.append("The forces hardly saturate: shape and friction, 1.35 and 1, are assumed.")
+        tyre, friction = tyre.replace(shape=1.35, curvature=0.0, friction_load_sensitivity=0.0), ASSUMED_FRICTION
+    notes.append("No relaxation length in a table of steady forces: they build up at once.")
+    return judged(tyre, samples, friction, tuple(notes))
+
+
+def _columns(where: str) -> dict[str, Array]:
+    """The columns by name, an empty cell NaN."""
+    shown = printable(where)
+    try:
+        text = read_bytes(where).decode("utf-8-sig")
+    except UnicodeDecodeError:
+        raise ConfigError(f"{shown}: is no text (UTF-8).") from None
+    rows = [(number, row) for number, row in enumerate(csv.reader(io.StringIO(text)), 1) if any(map(str.strip, row))]
+    rows = [(number, row) for number, row in rows if not row[0].lstrip().startswith("#")]
+    if not rows:
+        raise ConfigError(f"{shown}: is empty.")
+    names = [cell.strip() for cell in rows[0][1]]
+    known = (*SLIPS, *FORCES, *LOADS)
+    for each in names:
+        if each not in known:
+            raise ConfigError(f"{shown}: column {printable(each)!r}: unknown. {did_you_mean(each, known)}")
+    if len(set(names)) < len(names):
+        raise ConfigError(f"{shown}: a column stands there twice.")
+    if sum(slip in names for slip in SLIPS) != 1 or not set(FORCES) <= set(names):
+        raise ConfigError(f"{shown}: needs slip_rad or slip_deg, and {' and '.join(FORCES)}.")
+    if (LOADS[0] in names) != (LOADS[1] in names):
+        raise ConfigError(f"{shown}: needs {' and '.join(LOADS)}, or neither.")
+    values = np.full((len(rows) - 1, len(names)), np.nan)
+    for i, (number, row) in enumerate(rows[1:]):
+        if len(row) != len(names):
+            raise ConfigError(f"{shown}, line {number}: {len(row)} cells, the head has {len(names)}.")
+        for j, cell in enumerate(row):
+            if cell.strip() or names[j] not in FORCES:
+                values[i, j] = _number(shown, number, names[j], cell)
+    columns = dict(zip(names, values.T, strict=True))
+    slip = np.radians(columns.pop("slip_deg")) if "slip_deg" in columns else columns.pop("slip_rad")
+    if slip.size and np.abs(slip).max() > 1.0:
+        raise ConfigError(
+            f"{shown}: slip of up to {np.abs(slip).max():.3g} rad: no tyre is measured there; in degrees it is column "
+            "slip_deg."
+        )
+    return columns | {"slip": slip}
+
+
+def _number(shown: str, line: int, column: str, cell: str) -> float:
+    try:
+        value = float(cell)
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value):
+        raise ConfigError(f"{shown}, line {line}: {column} = {printable(cell)[:40]!r}: must be a finite number.")
+    return value
+
+
+def _axle(where: str, columns: dict[str, Array], i: int, loads: tuple[float, float] | None) -> _Axle:
+    """What is known of an axle, for one of its tyres."""
+    shown, force = printable(where), columns[FORCES[i]]
+    there = np.isfinite(force)
+    slip, force = columns["slip"][there], 0.5 * force[there]
+    if LOADS[i] in columns:
+        load = 0.5 * columns[LOADS[i]][there]
+    elif loads is None:
+        raise InvalidInput(
+            f"{shown}: has no loads: add {LOADS[0]} and {LOADS[1]}, or give the static wheel loads (of a car file)."
+        )
+    else:
+        load = np.full(slip.size, float(loads[i]))
+    if slip.size < LEAST_ROWS or np.ptp(slip) < 0.01:
+        raise ConfigError(
+            f"{shown}: {FORCES[i]}: {slip.size} rows over {np.ptp(slip) if slip.size else 0.0:.3g} rad; needs at "
+            f"least {LEAST_ROWS} over 0.01 rad."
+        )
+    if not (load > 0.0).all():
+        raise ConfigError(f"{shown}: {LOADS[i]}: every load must be positive.")
+    if np.sum((slip - slip.mean()) * (force - force.mean())) <= 0.0:
+        raise ConfigError(
+            f"{shown}: {FORCES[i]} falls with slip: here a wheel that is turned left of its velocity has a positive "
+            "slip and is pushed to the left, positive (ISO 8855 axes); change the sign of one of the columns."
+        )
+    if np.abs(force / load).max() > 3.0:
+        raise ConfigError(f"{shown}: {FORCES[i]} is up to {np.abs(force / load).max():.3g} times the load: wrong unit?")
+    return _Axle(slip, force, load)
+
+
+def _saturates(tyre: Tyre, samples: Samples) -> bool:
+    """Whether the forces at large slips tell where the tyre ends."""
+    slip = np.abs(samples.slip)
+    linear = cornering_stiffness(tyre, samples.load, samples.rear) * slip
+    return bool((np.abs(samples.force) < SATURATED * linear)[slip > 0.5 * slip.max()].any())
+
+
+def _begin(axles: list[_Axle], name: str, several: bool) -> Tyre:
+    """A tyre with the slopes of the axles at small forces, where the fit begins."""
+    slopes = []
+    for axle in axles:
+        near = np.abs(axle.force / axle.load) <= SMALL * np.abs(axle.force / axle.load).max()
+        x, y = (axle.slip[near], axle.force[near]) if near.sum() >= 3 else (axle.slip, axle.force)
+        slopes.append(max(float(np.polyfit(x, y, 1)[0]), 1e-3))
+    return Tyre(
+        name=name, description="fitted to a table of axle forces", kind="magic-formula", stiffness_front=slopes[0],
+        stiffness_rear=slopes[1], nominal_load=float(f"{np.mean([np.median(axle.load) for axle in axles]):.5g}"),
+        stiffness_load="digressive" if several else "constant", digressive_load_ratio=2.0 if several else None,
+    )  # fmt: skip

@@ -1,0 +1,541 @@
+"""Vehicles, tyres and steering actuators: frozen, validated sets of parameters in SI units and radians.
+
+ISO 8855 axes: x forward, y left, z up; steering and yaw are positive to the left. A stiffness is that of *one* tyre.
+Each set is one TOML file, see `load_vehicle`; `pack_plant` turns three of them into the record that a plant takes.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+import os
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
+
+from pydantic import Field, ValidationInfo, field_validator
+
+from adaptrack.base.errors import ContractError, InvalidInput, UnknownName, did_you_mean
+from adaptrack.base.files import LISTED, SHIPPED, Record, build, meanings, read_toml, write_toml
+from adaptrack.base.registry import Registry
+from adaptrack.base.shown import figure_of, html_of
+from adaptrack.cars.domain import Domain
+from adaptrack.cars.known_within import KnownWithin
+from adaptrack.cars.outline import FRONT_SHARE, LENGTH_OVER_WHEELBASE, WIDER_THAN_TRACK, Outline
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+GRAVITY = 9.80665
+"""Standard acceleration of free fall (m/s^2), as in the kernels."""
+
+_DATA = SHIPPED
+
+
+class Tyre(Record):
+    """The tyre of the plant: lateral force of slip angle, vertical load and friction; the same on both sides.
+
+    With q = F_z/nominal_load, the cornering stiffness of one tyre (N/rad) is
+
+    ============  ==========================================================================================
+    constant      C(F_z) = C
+    linear        C(F_z) = C q
+    digressive    C(F_z) = C (1 + 1/p^2) q/(1 + q^2/p^2), which peaks at q = p: the law C sin(2 atan(q/p)) of
+                  Pacejka, *Tire and Vehicle Dynamics*, 3rd ed., eq. (4.E25), scaled to C at the nominal load
+    ============  ==========================================================================================
+
+    where C is `stiffness_front` or `stiffness_rear` and p is `digressive_load_ratio`. The force is
+
+    =============  =========================================================================================
+    linear         F_y = C(F_z) mu alpha, without limit
+    magic-formula  F_y = D sin(C atan(B alpha - E (B alpha - atan(B alpha)))), D = mu F_z (1 - d (q - 1)),
+                   with shape C, curvature E, friction_load_sensitivity d and B = C(F_z)/(C D), so that the
+                   slope at the origin is the cornering stiffness (Pacejka, eqs. (4.E19)-(4.E30) without
+                   shifts and camber)
+    =============  =========================================================================================
+    """
+
+    name: str = Field(min_length=1, description="how lists and tables call the tyre")
+    description: str = Field(default="", description="one sentence for lists")
+    kind: Literal["magic-formula", "linear"] = Field(description="law of the lateral force")
+    stiffness_front: float = Field(gt=0, le=1e7, description="N/rad, one front tyre at the nominal load")
+    stiffness_rear: float = Field(gt=0, le=1e7, description="N/rad, one rear tyre at the nominal load")
+    nominal_load: float = Field(gt=0, le=1e6, description="N, vertical load that the stiffness belongs to")
+    stiffness_load: Literal["constant", "linear", "digressive"] = Field(
+        default="constant", description="how the stiffness depends on the vertical load"
+    )
+    digressive_load_ratio: float | None = Field(
+        default=None,
+        gt=0,
+        le=100,
+        validate_default=True,
+        description="-, load over nominal load at which a digressive stiffness peaks",
+    )
+    shape: float = Field(default=1.35, ge=0.5, le=2, description="-, shape factor C of the Magic Formula")
+    curvature: float = Field(default=0.0, ge=-20, le=1, description="-, curvature factor E of the Magic Formula")
+    friction_load_sensitivity: float = Field(
+        default=0.0, ge=0, le=1, description="-, d: friction falls by this share when the load doubles from nominal"
+    )
+    relaxation_length: float = Field(
+        default=0.0, ge=0, le=10, description="m, rolling distance over which a force builds up; 0: at once"
+    )
+
+    @field_validator("digressive_load_ratio")
+    @classmethod
+    def _ratio_belongs_to_the_digressive_law(cls, ratio: float | None, others: ValidationInfo) -> float | None:
+        law = others.data.get("stiffness_load", "digressive" if ratio else "constant")
+        if law == "digressive" and ratio is None:
+            raise ValueError("a digressive stiffness needs the load ratio at which it peaks (2 for many car tyres).")
+        if law != "digressive" and ratio is not None:
+            raise ValueError(f"only stiffness_load = 'digressive' has a use for it, not {law!r}: leave it out.")
+        return ratio
+
+    @property
+    def stiffness_load_coefficients(self) -> tuple[float, float, float]:
+        """(s0, s1, s2) of C(F_z)/C = (s0 + s1 q)/(1 + s2 q^2), q = F_z/nominal_load: all three laws in one formula."""
+        if self.stiffness_load == "constant":
+            return 1.0, 0.0, 0.0
+        if self.stiffness_load == "linear" or self.digressive_load_ratio is None:
+            return 0.0, 1.0, 0.0
+        s2 = 1.0 / self.digressive_load_ratio**2
+        return 0.0, 1.0 + s2, s2
+
+    def stiffness_at(self, front_load: float, rear_load: float) -> tuple[float, float]:
+        """Cornering stiffness (N/rad) of one front and one rear tyre at their vertical loads (N)."""
+        s0, s1, s2 = self.stiffness_load_coefficients
+        front, rear = front_load / self.nominal_load, rear_load / self.nominal_load
+        return (
+            self.stiffness_front * (s0 + s1 * front) / (1.0 + s2 * front**2),
+            self.stiffness_rear * (s0 + s1 * rear) / (1.0 + s2 * rear**2),
+        )
+
+
+def in_periods(time: float, period: float) -> tuple[int, float]:
+    """A time (s) in whole periods (s), and the share of one more."""
+    whole = math.floor(time / period + 1e-9)
+    share = time / period - whole
+    return whole, share if share > 1e-9 else 0.0
+
+
+class SteeringActuator(Record):
+    """The steering actuator of the plant: first-order lag behind a rate limit and an angle limit, at the road wheels.
+
+    d(delta)/dt = (command + bias - delta)/lag, clipped to +-rate, with the command of a dead time ago, clipped to
+    +-limit. With a lag of 0 the wheels are where the command is.
+    """
+
+    lag: float = Field(default=0.0, ge=0, le=10, description="s, time constant of the first-order lag; 0: none")
+    rate: float = Field(
+        default=math.inf, gt=0, allow_inf_nan=True, description="rad/s, fastest change of the angle; inf: no limit"
+    )
+    limit: float = Field(default=math.pi / 2, gt=0, le=math.pi / 2, description="rad, largest angle to either side")
+    dead_time: float = Field(default=0.0, ge=0, le=10, description="s, from a command until the wheels begin to move")
+    bias: float = Field(
+        default=0.0, ge=-math.pi / 4, le=math.pi / 4, description="rad, what the wheels turn beyond the command"
+    )
+
+    @field_validator("rate")
+    @classmethod
+    def _rate_acts_behind_a_lag(cls, rate: float, others: ValidationInfo) -> float:
+        if others.data.get("lag", 1.0) == 0.0 and math.isfinite(rate):
+            raise ValueError("a rate limit acts on the lag: give lag > 0 (0.05 s, for instance), or rate = inf.")
+        return rate
+
+    @classmethod
+    def ideal(cls) -> Self:
+        """The wheels follow the command at once and without limit (the MPC's own limits remain)."""
+        return cls()
+
+
+class Steering(Record):
+    """What is known of a car's steering: the section ``[steering]`` of a car file. What is left out is unknown.
+
+    All angles are those of the road wheels. The simulated actuator is a profile's, see `SteeringActuator`.
+    """
+
+    lag: float | None = Field(default=None, ge=0, le=10, description="s, time constant of the first-order lag; 0: none")
+    dead_time: float | None = Field(
+        default=None, ge=0, le=10, description="s, from a command until the wheels begin to move"
+    )
+    rate: float | None = Field(default=None, gt=0, le=100, description="rad/s, fastest change of the angle")
+    limit: float | None = Field(default=None, gt=0, le=math.pi / 2, description="rad, largest angle to either side")
+    ratio: float | None = Field(
+        default=None, gt=0, le=100, description="-, angle of the steering wheel over that of the road wheels"
+    )
+
+
+class Body(Record):
+    """What is known of a car's outline: the section ``[body]`` of a car file. What is left out is estimated."""
+
+    length: float | None = Field(default=None, gt=0, le=30, description="m, over all")
+    width: float | None = Field(default=None, gt=0, le=10, description="m, without mirrors")
+    front_overhang: float | None = Field(default=None, ge=0, le=10, description="m, front axle to the front end")
+    rear_overhang: float | None = Field(default=None, ge=0, le=10, description="m, rear axle to the rear end")
+
+    def overhangs(self, wheelbase: float) -> tuple[float, float]:
+        """Front and rear overhang (m) over a wheelbase (m), estimated where they are not known.
+
+        Raises
+        ------
+        ValueError
+            When the length leaves no room for an axle, or is not wheelbase and overhangs.
+        """
+        front, rear = self.front_overhang, self.rear_overhang
+        if self.length is not None:
+            beyond = self.length - wheelbase
+        elif front is not None and rear is not None:
+            beyond = front + rear
+        elif front is not None:
+            beyond = front / FRONT_SHARE
+        elif rear is not None:
+            beyond = rear / (1.0 - FRONT_SHARE)
+        else:
+            beyond = (LENGTH_OVER_WHEELBASE - 1.0) * wheelbase
+        if front is None:
+            front = FRONT_SHARE * beyond if rear is None else beyond - rear
+        rear = beyond - front if rear is None else rear
+        if min(front, rear) < 0.0:
+            raise ValueError(f"length {self.length} m does not hold wheelbase ({wheelbase:g} m) and overhangs.")
+        if abs(front + rear - beyond) > 0.02:
+            total = f"{front:g} + {wheelbase:g} + {rear:g} m"
+            raise ValueError(f"length {self.length} m is not overhang, wheelbase and overhang, {total}: leave one out.")
+        return front, rear
+
+
+class Vehicle(Record):
+    """Body, air resistance and powertrain of a car, and the tyre stiffness that the controller's model believes in.
+
+    `mass`, `yaw_inertia`, `lf`, `lr`, `stiffness_front` and `stiffness_rear` are the single-track model of the
+    prediction (the paper's table II). The plant uses the same body but its own `Tyre`; `matched_to` makes both agree.
+    """
+
+    name: str = Field(min_length=1, description="how lists and tables call the car")
+    description: str = Field(default="", description="one sentence for lists")
+    tyre: str = Field(default="passenger-car", description="tyre of the plant: a name, or a .toml file beside this one")
+
+    mass: float = Field(gt=0, le=1e5, description="kg, total mass m")
+    yaw_inertia: float = Field(gt=0, le=1e7, description="kg m^2, I_z about the centre of gravity")
+    lf: float = Field(gt=0, le=20, description="m, l_f, centre of gravity to front axle")
+    lr: float = Field(gt=0, le=20, description="m, l_r, centre of gravity to rear axle")
+    stiffness_front: float = Field(gt=0, le=1e7, description="N/rad, C_f of one tyre in the prediction model")
+    stiffness_rear: float = Field(gt=0, le=1e7, description="N/rad, C_r of one tyre in the prediction model")
+
+    track_front: float = Field(default=1.5, gt=0, le=10, description="m, distance of the front wheels")
+    track_rear: float = Field(default=1.5, gt=0, le=10, description="m, distance of the rear wheels")
+    cg_height: float = Field(default=0.55, ge=0, le=5, description="m, centre of gravity above the road")
+    load_transfer_time: float = Field(
+        default=0.1, gt=0, le=10, description="s, lag of the suspension from acceleration to wheel load"
+    )
+
+    frontal_area: float = Field(default=2.0, ge=0, le=50, description="m^2, reference area A_f of all air forces")
+    air_density: float = Field(default=1.225, ge=0, le=10, description="kg/m^3, density of the air")
+    drag_coefficient: float = Field(default=0.3, ge=0, le=10, description="-, of the air drag")
+    side_force_slope: float = Field(
+        default=3.0, ge=0, le=100, description="1/rad, side-force coefficient per relative wind angle"
+    )
+    yaw_moment_slope: float = Field(
+        default=1.0, ge=0, le=100, description="1/rad, yaw-moment coefficient (on the wheelbase) per wind angle"
+    )
+    wind_angle_limit: float = Field(
+        default=0.3, gt=0, le=math.pi / 2, description="rad, both coefficients stay constant beyond it"
+    )
+
+    rolling_resistance: float = Field(default=0.013, ge=0, le=1, description="-, rolling resistance over weight")
+    engine_power: float = Field(default=1e5, gt=0, le=1e7, description="W, at the wheels")
+    traction_limit: float = Field(default=8000.0, gt=0, le=1e6, description="N, driving force, all wheels together")
+    brake_limit: float = Field(default=15000.0, gt=0, le=1e6, description="N, braking force, all wheels together")
+    drive_front: float = Field(default=1.0, ge=0, le=1, description="-, share of the driving force on the front axle")
+    brake_front: float = Field(default=0.65, ge=0, le=1, description="-, share of the braking force on the front axle")
+
+    estimated: Annotated[tuple[str, ...], LISTED] = Field(
+        default=(), description="keys whose numbers no source gives for this car: estimated from others"
+    )
+
+    steering: Steering | None = Field(default=None, description="what is known of the steering, see `Steering`")
+    body: Body | None = Field(default=None, description="what is known of the outline, see `Body`")
+    known_within: KnownWithin | None = Field(
+        default=None, description="how far the numbers may be off, see `KnownWithin`"
+    )
+    domain: Domain = Field(default_factory=Domain, description="where the car is driven, see `Domain`")
+
+    @field_validator("tyre")
+    @classmethod
+    def _tyre_is_known_or_a_file(cls, tyre: str) -> str:
+        if _is_path(tyre):
+            if not Path(tyre).is_file():
+                raise ValueError("no such file.")
+        elif tyre not in list_tyres():
+            raise ValueError(f"unknown tyre. {did_you_mean(tyre, list_tyres())} A file is given by its .toml path.")
+        return tyre
+
+    @field_validator("estimated")
+    @classmethod
+    def _estimates_are_numbers_of_the_car(cls, estimated: tuple[str, ...]) -> tuple[str, ...]:
+        numbers = [name for name, field in cls.model_fields.items() if field.annotation is float]
+        for name in estimated:
+            if name not in numbers:
+                raise ValueError(f"{name!r} is no number of a car. {did_you_mean(name, numbers)}")
+        return estimated
+
+    @field_validator("body")
+    @classmethod
+    def _body_holds_both_axles(cls, body: Body | None, others: ValidationInfo) -> Body | None:
+        if body is not None and {"lf", "lr"} <= set(others.data):
+            body.overhangs(others.data["lf"] + others.data["lr"])
+        return body
+
+    @property
+    def outline(self) -> Outline:
+        """The body from above; what the car file does not say is estimated from wheelbase and track, and named."""
+        body = self.body or Body()
+        front, rear = body.overhangs(self.wheelbase)
+        known = {
+            "length": body.length is not None or None not in (body.front_overhang, body.rear_overhang),
+            "front_overhang": body.front_overhang is not None or None not in (body.length, body.rear_overhang),
+            "width": body.width is not None,
+        }
+        width = max(self.track_front, self.track_rear) + WIDER_THAN_TRACK if body.width is None else body.width
+        guesses = tuple(name for name, given in known.items() if not given)
+        return Outline(self.lf + front, self.lr + rear, width, guesses)
+
+    @property
+    def wheelbase(self) -> float:
+        """l_f + l_r (m)."""
+        return self.lf + self.lr
+
+    @property
+    def static_loads(self) -> tuple[float, float]:
+        """Vertical load (N) of one front and one rear wheel of the car at rest."""
+        per_length = 0.5 * self.mass * GRAVITY / self.wheelbase
+        return per_length * self.lr, per_length * self.lf
+
+    @property
+    def understeer_gradient(self) -> float:
+        """K (rad s^2/m) of the prediction model: delta = L/R + K a_y in a steady turn; negative means oversteer.
+
+        K = m (l_r/(2 C_f) - l_f/(2 C_r))/L (Rajamani, *Vehicle Dynamics and Control*, 2nd ed., section 3.3).
+        """
+        return self.mass / self.wheelbase * (self.lr / (2 * self.stiffness_front) - self.lf / (2 * self.stiffness_rear))
+
+    @property
+    def understeer_range(self) -> tuple[float, float]:
+        """Lowest and highest understeer gradient (rad s^2/m) that `known_within` leaves possible."""
+        said = self.known_within or KnownWithin()
+        found = []
+        for signs in itertools.product((-1.0, 1.0), repeat=4):
+            mass, front, rear = (
+                getattr(self, name) * (getattr(said, name) or 1.0) ** sign
+                for name, sign in zip(("mass", "stiffness_front", "stiffness_rear"), signs, strict=False)
+            )
+            lf = min(max(self.lf + signs[3] * (said.lf or 0.0), 0.0), self.wheelbase)
+            found.append(mass / self.wheelbase * ((self.wheelbase - lf) / (2 * front) - lf / (2 * rear)))
+        return min(found), max(found)
+
+    @property
+    def characteristic_speed(self) -> float:
+        """Speed (m/s) with the largest yaw gain, sqrt(L/K); infinite unless the car understeers (K > 0)."""
+        gradient = self.understeer_gradient
+        return math.sqrt(self.wheelbase / gradient) if gradient > 0 else math.inf
+
+    @property
+    def critical_speed(self) -> float:
+        """Speed (m/s) from which the car is unstable, sqrt(-L/K); infinite unless the car oversteers (K < 0)."""
+        gradient = self.understeer_gradient
+        return math.sqrt(-self.wheelbase / gradient) if gradient < 0 else math.inf
+
+    def steady_state_yaw_gain(self, vx: float) -> float:
+        """Yaw rate per steering angle (1/s) in a steady turn at speed vx (m/s): vx/(L + K vx^2).
+
+        The steady state of the paper's eq. (6) (Rajamani, section 3.3).
+
+        Raises
+        ------
+        InvalidInput
+            When vx is not a finite speed >= 0 below the critical speed: no steady turn exists there.
+        """
+        if not 0.0 <= vx < math.inf or vx >= self.critical_speed:
+            raise InvalidInput(
+                f"steady_state_yaw_gain: vx = {vx!r}: must be a finite speed >= 0 m/s, "
+                f"below the critical speed ({self.critical_speed:.4g} m/s)."
+            )
+        return vx / (self.wheelbase + self.understeer_gradient * vx**2)
+
+    def to_toml(self, path: str | os.PathLike[str]) -> None:
+        """Write the car as TOML, each value with its meaning and unit behind it; the new car has the file's name.
+
+        A tyre file is named as seen from the car's.
+
+        Raises
+        ------
+        StorageError
+            When the file cannot be written.
+        """
+        data = self.replace(name=Path(path).stem).model_dump()
+        if _is_path(self.tyre):
+            data["tyre"] = os.path.relpath(self.tyre, Path(path).parent)
+        write_toml(path, data, meanings(self))
+
+    def plot(self) -> Any:
+        """The car from above, to scale, as a matplotlib figure."""
+        return figure_of(self)
+
+    def _repr_html_(self) -> str:
+        """The car in a notebook: its numbers and its picture."""
+        return html_of(self)
+
+    def matched_to(self, tyre: Tyre) -> Self:
+        """A copy whose prediction model has the stiffness of `tyre` at the car's static wheel loads."""
+        front, rear = tyre.stiffness_at(*self.static_loads)
+        return self.replace(stiffness_front=front, stiffness_rear=rear)
+
+    def stiffness_factors(self, tyre: Tyre) -> tuple[float, float]:
+        """Stiffness of `tyre` at the static wheel loads over that of the prediction model, front and rear."""
+        matched = self.matched_to(tyre)
+        return matched.stiffness_front / self.stiffness_front, matched.stiffness_rear / self.stiffness_rear
+
+
+def pack_plant(vehicle: Vehicle, tyre: Tyre, actuator: SteeringActuator) -> NDArray[np.float64]:
+    """The plant's parameters as one array, shape (len(PLANT_PARAMETERS),), in the order that the kernels expect.
+
+    Raises
+    ------
+    ContractError
+        When the kernels ask for a parameter that this function does not give, or the other way round.
+    """
+    import numpy as np
+
+    from adaptrack.core.plants.parameters import PLANT_PARAMETERS
+
+    s0, s1, s2 = tyre.stiffness_load_coefficients
+    values = {
+        **{name: getattr(vehicle, name) for name in _FROM_VEHICLE},
+        **{name: getattr(tyre, name) for name in _FROM_TYRE},
+        "tyre_linear": float(tyre.kind == "linear"),
+        "stiffness_load_0": s0,
+        "stiffness_load_1": s1,
+        "stiffness_load_2": s2,
+        "steering_lag": actuator.lag,
+        "steering_rate": actuator.rate,
+        "steering_limit": actuator.limit,
+    }
+    if set(values) != set(PLANT_PARAMETERS):
+        missing = sorted(set(PLANT_PARAMETERS) - set(values))
+        unused = sorted(set(values) - set(PLANT_PARAMETERS))
+        raise ContractError(
+            f"pack_plant and kernels.plants.parameters.PLANT_PARAMETERS differ: missing {missing}, unused {unused}."
+        )
+    return np.array([values[name] for name in PLANT_PARAMETERS], dtype=np.float64)
+
+
+_FROM_VEHICLE = (
+    "mass",
+    "yaw_inertia",
+    "lf",
+    "lr",
+    "track_front",
+    "track_rear",
+    "cg_height",
+    "load_transfer_time",
+    "frontal_area",
+    "air_density",
+    "drag_coefficient",
+    "side_force_slope",
+    "yaw_moment_slope",
+    "wind_angle_limit",
+    "rolling_resistance",
+    "engine_power",
+    "traction_limit",
+    "brake_limit",
+    "drive_front",
+    "brake_front",
+)
+_FROM_TYRE = (
+    "stiffness_front",
+    "stiffness_rear",
+    "nominal_load",
+    "shape",
+    "curvature",
+    "friction_load_sensitivity",
+    "relaxation_length",
+)
+
+
+def list_vehicles() -> list[str]:
+    """The names that `load_vehicle` knows, sorted."""
+    return list_data("vehicles")
+
+
+def list_tyres() -> list[str]:
+    """The names that `load_tyre` knows, sorted."""
+    return list_data("tyres")
+
+
+COMMONROAD: Registry[Vehicle] = Registry(
+    "vehicle", "load_vehicle",
+    {f"commonroad-{number}": "adaptrack.peers.commonroad_plants:commonroad_vehicle" for number in (1, 2, 3)},
+)  # fmt: skip
+"""CommonRoad's cars by name, as `load_vehicle` knows them beside those that ship."""
+
+
+def load_vehicle(name_or_path: str | os.PathLike[str]) -> Vehicle:
+    """The named vehicle, or the one that a TOML file describes (keys: the fields of `Vehicle`).
+
+    Text is a path when it ends in ``.toml`` or holds a directory; without the key ``name``, the file's own name is
+    taken. A tyre file that the vehicle names is looked for beside the vehicle's file. ``commonroad-1`` to
+    ``commonroad-3`` are the data sheets of `commonroad_vehicle`, with the extra ``plants``.
+
+    Raises
+    ------
+    UnknownName
+        When no vehicle has this name.
+    MissingExtra
+        When a car of CommonRoad is asked for and commonroad-vehicle-models is not installed.
+    StorageError
+        When the file cannot be read.
+    ConfigError
+        When it is not TOML, or holds an unknown, missing or impossible value; all of them are in the message.
+    """
+    if name_or_path in COMMONROAD.names():
+        return COMMONROAD.make(str(name_or_path), int(str(name_or_path)[-1]))
+    path = find_data("vehicles", name_or_path)
+    data = {"name": path.stem, **read_toml(path)}
+    tyre = data.get("tyre")
+    if isinstance(tyre, str) and _is_path(tyre):
+        data["tyre"] = str(path.parent / tyre)
+    return build(Vehicle, data, path)
+
+
+def load_tyre(name_or_path: str | os.PathLike[str]) -> Tyre:
+    """The named tyre, or the one that a TOML file describes (keys: the fields of `Tyre`); see `load_vehicle`."""
+    path = find_data("tyres", name_or_path)
+    return build(Tyre, {"name": path.stem, **read_toml(path)}, path)
+
+
+def list_data(folder: str) -> list[str]:
+    """The names of the shipped TOML files of one folder (vehicles, tyres, profiles), sorted."""
+    return sorted(path.stem for path in (_DATA / folder).glob("*.toml"))
+
+
+def find_data(folder: str, name_or_path: str | os.PathLike[str]) -> Path:
+    """The TOML file that a name (of a shipped one in the folder) or a path means.
+
+    Raises
+    ------
+    UnknownName
+        When nothing has this name.
+    InvalidInput
+        For what is neither text nor a path.
+    """
+    if isinstance(name_or_path, os.PathLike) or _is_path(name_or_path):
+        return Path(name_or_path)
+    if not isinstance(name_or_path, str):
+        raise InvalidInput(f"a {folder[:-1]} is given by its name or by the path of its file, not by {name_or_path!r}.")
+    known = list_data(folder)
+    if name_or_path not in known:
+        hint = did_you_mean(name_or_path, known)
+        raise UnknownName(f"no {folder[:-1]} is named {name_or_path!r}. {hint} A file is given by its .toml path.")
+    return _DATA / folder / f"{name_or_path}.toml"
+
+
+def _is_path(text: Any) -> bool:
+    return str(text).endswith(".toml") or any(mark in str(text) for mark in (os.sep, os.altsep) if mark)

@@ -1,0 +1,253 @@
+"""ISO 3888 in closed loop: a controller drives a car through the cones; its highest clean entry speed; its tuning.
+
+At every entry speed of a grid the car follows the line of `driven_line`, off the throttle from the first cones on, once
+for each seed of the sensor noise; the worst drive counts.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from adaptrack.base.errors import InvalidInput
+from adaptrack.cars.plant import Plant
+from adaptrack.cars.vehicle import Vehicle
+from adaptrack.comparison.manoeuvres.lane_change import (
+    CleanSpeed,
+    Clearance,
+    Track,
+    clearance,
+    coasting_plan,
+    driven_line,
+    scan_speeds,
+)
+from adaptrack.control.controllers import Controller
+from adaptrack.drive.batch import Batch, own_tuning
+from adaptrack.road import Road
+from adaptrack.scenario import RoadDrive
+from adaptrack.scenario.profile import Profile
+
+Array = NDArray[np.float64]
+
+SEEDS = (0, 1, 2)
+"""Of the sensor noise, for the entry speed."""
+TUNING_SEEDS = (100, 101, 102)
+"""Others, for the tuning."""
+BETWEEN = 5
+"""Parts of a control period at which the place of the car is interpolated."""
+
+SEARCHED: dict[str, dict[str, tuple[float, ...]]] = {
+    "informed": {"Np": (20.0, 30.0, 40.0), "Nc": (10.0, 20.0), "R": (0.3, 1.0, 3.0, 10.0)},
+    "lqr": {
+        "q_heading": (100.0, 300.0, 1000.0, 3000.0),
+        "r": (10.0, 30.0, 100.0, 300.0, 1000.0, 3000.0),
+        "preview_time": (0.1, 0.15, 0.2, 0.25, 0.3, 0.4),
+    },
+    "pure-pursuit": {
+        "lookahead_time": (0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 1.0),
+        "lookahead_min": (2.0, 3.0, 4.0, 5.0, 6.0),
+    },
+    "stanley": {
+        "gain": (0.5, 1.0, 2.0, 4.0, 8.0, 16.0),
+        "yaw_rate_gain": (0.0, 0.05, 0.1, 0.2),
+        "dead_time": (0.05, 0.1, 0.15, 0.2, 0.25, 0.3, 0.4),
+    },
+}
+"""What `tune_for_track` tries, by the controller's registered name: all combinations of these tuning entries."""
+
+
+@dataclass(frozen=True, eq=False)
+class LaneChange:
+    """A car before a track of cones, in a profile.
+
+    Raises
+    ------
+    InvalidInput
+        When the car does not fit between the cones (by its methods).
+    """
+
+    car: Vehicle
+    plant: Plant
+    track: Track
+    profile: Profile
+    friction: float = 0.9
+    _roads: dict[float, Road] = field(default_factory=dict, repr=False)
+
+    def trip(self, speed: float) -> RoadDrive:
+        """The drive that enters at a speed (m/s)."""
+        if speed not in self._roads:
+            road = driven_line(self.track, self.car, speed, self.friction)
+            self._roads[speed] = road.replace(friction=self.friction)
+        road = self._roads[speed]
+        return RoadDrive(road, coasting_plan(self.track, road, self.car, speed))
+
+    def drive(self, controller: Controller, speed: float, tunings: Array, seeds: Sequence[int]) -> Array:
+        """Drive with every tuning and seed: (tunings, seeds, places, 3) of x (m), y (m), yaw (rad).
+
+        Compiled. The places between the control instants are cubic in time, from poses and velocities; NaN where the
+        run has failed.
+
+        Parameters
+        ----------
+        speed
+            m/s, on entry.
+        tunings : (tunings, entries) array
+            Of the controller's named entries.
+        """
+        batch = Batch(self.plant, controller, [self.trip(speed)], self.profile)
+        asked = np.repeat(batch.checked_tunings(tunings), len(seeds), axis=0)
+        seeded = np.tile(np.array(seeds, dtype=np.int64), len(tunings))
+        found = batch.run(np.zeros(len(asked), np.int64), asked, seeded, 1, traced=True)
+        driven = [refined_poses(states, controller.period) for states in found.trace.state]
+        return np.array(driven).reshape(len(tunings), len(seeds), -1, 3)
+
+    def margins(self, controller: Controller, speed: float, tunings: Array, seeds: Sequence[int]) -> list[Clearance]:
+        """The margins to the cones, of the worst seed for each tuning; arguments as for `drive`."""
+        found = []
+        for runs in self.drive(controller, speed, tunings, seeds):
+            each = [clearance(self.track, self.car.outline, *poses.T) for poses in runs]
+            found.append(min(each, key=lambda one: one.least))
+        return found
+
+
+def refined_poses(states: Array, period: float) -> Array:
+    """(m, 3) x (m), y (m), yaw (rad) from states (n, >= 6) x, y, yaw, v_x, v_y, yaw rate, a period (s) apart.
+
+    Between two instants each is the cubic with the values and the rates of both ends (Hermite).
+    """
+    x, y, yaw, vx, vy, rate = states[:, :6].T
+    poses = np.stack([x, y, yaw], axis=-1)
+    sine, cosine = np.sin(yaw), np.cos(yaw)
+    slopes = period * np.stack([vx * cosine - vy * sine, vx * sine + vy * cosine, rate], axis=-1)
+    t = (np.arange(BETWEEN) / BETWEEN)[:, None, None]
+    before = (1.0 + 2.0 * t) * (1.0 - t) ** 2 * poses[:-1] + t * (1.0 - t) ** 2 * slopes[:-1]
+    after = t**2 * (3.0 - 2.0 * t) * poses[1:] + t**2 * (t - 1.0) * slopes[1:]
+    inner = np.swapaxes(before + after, 0, 1).reshape(-1, 3)
+    return np.concatenate([inner, poses[-1:]])
+
+
+def tunings_to_try(name: str, controller: Controller) -> Array:
+    """(tunings, entries): the controller's own tuning, and with the entries of `SEARCHED` in its place.
+
+    Raises
+    ------
+    InvalidInput
+        For a controller whose search is not known.
+    """
+    if name not in SEARCHED:
+        raise InvalidInput(f"no search for controller {name!r}: one of {', '.join(SEARCHED)}.")
+    names, own = list(controller.tuning_names), own_tuning(controller)
+    tried = [own]
+    for values in itertools.product(*SEARCHED[name].values()):
+        tuning = own.copy()
+        tuning[[names.index(entry) for entry in SEARCHED[name]]] = values
+        tried.append(tuning)
+    return np.array(tried)
+
+
+def tune_for_track(test: LaneChange, name: str, controller: Controller, speed: float) -> tuple[Array, Clearance]:
+    """The tuning with the largest margin of its worst drive at one entry speed, and that margin.
+
+    All of `tunings_to_try`, with the noise of `TUNING_SEEDS`.
+
+    Parameters
+    ----------
+    name
+        The controller's registered name.
+    speed
+        m/s, on entry.
+
+    Raises
+    ------
+    InvalidInput
+        For a controller whose search is not known.
+    """
+    tunings = tunings_to_try(name, controller)
+    margins = test.margins(controller, speed, tunings, TUNING_SEEDS)
+    best = int(np.argmax([each.least for each in margins]))
+    return tunings[best], margins[best]
+
+
+@dataclass(frozen=True, eq=False)
+class EntrySpeed:
+    """How fast one controller enters a track and stays clean."""
+
+    test: LaneChange
+    name: str
+    """the controller's"""
+    tuned: bool
+    """for this track, by `tune_for_track`; else its defaults"""
+    tuning: dict[str, float]
+    found: CleanSpeed
+    poses: Array
+    """(seeds, places, 3) x (m), y (m), yaw (rad) at `found.speed`, or at the lowest speed where none is clean"""
+
+    @property
+    def row(self) -> dict[str, Any]:
+        """What tables and JSON say of it; speeds in km/h, margins in m, None for none."""
+        margins = self.found.tried.get(self.found.speed)
+        lowest = self.found.tried[min(self.found.tried)]
+        return {
+            "vehicle": self.test.car.name,
+            "controller": self.name,
+            "tuned": self.tuned,
+            "clean": _kmh(self.found.speed),
+            "failing": _kmh(self.found.failing),
+            "highest_clean": _kmh(self.found.highest),
+            "margin": None if margins is None else margins.least,
+            "lowest_margin": lowest.least if math.isfinite(lowest.least) else None,
+            "tuning": self.tuning,
+            "margins": [
+                {"speed": _kmh(speed), "least": each.least if math.isfinite(each.least) else None}
+                for speed, each in sorted(self.found.tried.items())
+            ],
+        }
+
+
+def _kmh(speed: float) -> float | None:
+    return round(3.6 * speed, 6) if math.isfinite(speed) else None
+
+
+def entry_speed(
+    test: LaneChange, name: str, controller: Controller, speeds: Sequence[float], tuning: Array | None = None
+) -> EntrySpeed:
+    """The highest clean entry speed of a controller, of the worst of `SEEDS`, see `scan_speeds`.
+
+    Parameters
+    ----------
+    speeds
+        m/s, increasing: the grid.
+    tuning : (entries,) array, optional
+        By default the controller's own.
+
+    Raises
+    ------
+    InvalidInput
+        When the speeds do not increase from above 0, or the parts do not fit each other.
+    """
+    asked = own_tuning(controller) if tuning is None else tuning
+    found = scan_speeds(lambda speed: test.margins(controller, speed, asked[None], SEEDS)[0], speeds)
+    shown = found.speed if math.isfinite(found.speed) else min(found.tried)
+    names: Sequence[str] = controller.tuning_names
+    return EntrySpeed(
+        test, name, tuning is not None, dict(zip(names, asked.tolist(), strict=True)), found,
+        test.drive(controller, shown, asked[None], SEEDS)[0],
+    )  # fmt: skip
+
+
+def entry_speeds(
+    test: LaneChange, controllers: Sequence[tuple[str, Controller]], speeds: Sequence[float],
+    tune_at: float | None,
+) -> Iterator[EntrySpeed]:  # fmt: skip
+    """`entry_speed` of several controllers: with their own tuning, and tuned at a speed (m/s; None: not)."""
+    for name, controller in controllers:
+        yield entry_speed(test, name, controller, speeds)
+        if tune_at is not None and name in SEARCHED:
+            tuning, _ = tune_for_track(test, name, controller, tune_at)
+            yield entry_speed(test, name, controller, speeds, tuning)

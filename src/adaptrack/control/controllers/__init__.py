@@ -1,0 +1,65 @@
+"""Controllers: what `simulate` drives with. One file each; `check_controller` tells whether one keeps the contract."""
+
+from adaptrack.control.controllers.base import Bounds, Command, CompiledController, Controller, command_of
+from adaptrack.control.controllers.belief import Belief, Uncertainty
+from adaptrack.control.controllers.check import check_controller
+from adaptrack.control.controllers.informed import informed_tuning
+from adaptrack.control.controllers.kinematic_mpc import KinematicMPC
+from adaptrack.control.controllers.learned import LearnedCar, Learning, load_learned_car
+from adaptrack.control.controllers.limits import Limits, Moves
+from adaptrack.control.controllers.lqr import LQR
+from adaptrack.control.controllers.mpc import MPC, CompiledScheduler, MPCCommand, Scheduler
+from adaptrack.control.controllers.mppi import MPPI
+from adaptrack.control.controllers.nmpc import NMPC
+from adaptrack.control.controllers.preview_lqr import PreviewLQR
+from adaptrack.control.controllers.published import published_mpc, released_mpc
+from adaptrack.control.controllers.pure_pursuit import PurePursuit
+from adaptrack.control.controllers.registry import (
+    About,
+    about_controller,
+    get_controller,
+    list_controllers,
+    register_controller,
+)
+from adaptrack.control.controllers.stanley import Stanley
+from adaptrack.control.controllers.tuning import ENTRIES, Tuning, read_tuning
+from adaptrack.control.controllers.user import UserController
+
+__all__ = [
+    "ENTRIES",
+    "LQR",
+    "MPC",
+    "MPPI",
+    "NMPC",
+    "About",
+    "Belief",
+    "Bounds",
+    "Command",
+    "CompiledController",
+    "CompiledScheduler",
+    "Controller",
+    "KinematicMPC",
+    "LearnedCar",
+    "Learning",
+    "Limits",
+    "MPCCommand",
+    "Moves",
+    "PreviewLQR",
+    "PurePursuit",
+    "Scheduler",
+    "Stanley",
+    "Tuning",
+    "Uncertainty",
+    "UserController",
+    "about_controller",
+    "check_controller",
+    "command_of",
+    "get_controller",
+    "informed_tuning",
+    "list_controllers",
+    "load_learned_car",
+    "published_mpc",
+    "read_tuning",
+    "register_controller",
+    "released_mpc",
+]

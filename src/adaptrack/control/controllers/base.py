@@ -1,0 +1,305 @@
+"""What a controller is, and the compiled ones: one law of `core.controllers.contract` with its numbers."""
+
+from __future__ import annotations
+
+import copy
+import math
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any, NamedTuple, Self
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from adaptrack.base.errors import InvalidInput, real
+from adaptrack.cars.vehicle import Vehicle
+from adaptrack.control.controllers.inputs import change_of_path, number, road_ahead, vector, wheel_angle
+from adaptrack.control.controllers.limits import Limits
+from adaptrack.road.ahead import RoadAhead, straight
+
+Array = NDArray[np.float64]
+
+STEERING_DELAY = 0.2
+"""s, lag and dead time together of a steering of which nothing is known: published values are 0.1 to 0.5 s."""
+MOST_STEERING_DELAY = 0.35
+"""s, the same at its upper end: with a control period of computation what opendbc lists for series cars, 0.1 to 0.4 s
+(`steerActuatorDelay`). The MPC believes it, because too short a delay loses the car and too long a one costs little."""
+LEAST_STEERING_RATE = 0.4
+"""rad/s at the road wheels, the lowest of published rate limits (CommonRoad vehicle models, vehicle 2)."""
+
+
+class Command(NamedTuple):
+    """What one step of a compiled controller gives."""
+
+    angle: float
+    """rad, steering angle to apply, u(k)"""
+    move: float
+    """rad, u(k) - u(k-1)"""
+    held: bool
+    """the law had no answer to its input: the previous angle is held"""
+    tuning: tuple[float, ...]
+    """as used, in the order of `tuning_names`"""
+    diagnostics: Mapping[str, float]
+    """what the law says of itself, by name; NaN where it has nothing to say"""
+
+
+def command_of(answer: Any, before: float) -> Command:
+    """An answer of `Controller.step` as a command; one that is the steering angle (rad) alone has no more to say.
+
+    before: the last command (rad).
+    """
+    if isinstance(answer, Command):
+        return answer
+    angle = float(getattr(answer, "angle", answer))
+    return Command(
+        angle, float(getattr(answer, "move", angle - before)), bool(getattr(answer, "held", False)),
+        getattr(answer, "tuning", ()), getattr(answer, "diagnostics", {}),
+    )  # fmt: skip
+
+
+class Bounds(NamedTuple):
+    """Within which a tuning entry is sought."""
+
+    low: float
+    high: float
+    relative: bool = False
+    """low and high are factors on the controller's own value; else they are values"""
+
+
+DECADES = Bounds(0.01, 100.0, relative=True)
+"""Two decades to either side of the controller's own value."""
+FIXED = Bounds(1.0, 1.0, relative=True)
+
+
+class Controller(ABC):
+    """What drives: ours, or one's own, compiled or in Python. Derive from it and write `step`.
+
+    Everything else has a default here, for one that has no memory and nothing to say of itself. `name`, `period` and
+    the others may be set on the class or on the object. `check_controller` tells whether one keeps the contract.
+    """
+
+    if TYPE_CHECKING:  # as properties, which a derived class may have as attributes, too
+
+        @property
+        def name(self) -> str:
+            """How tables call it; by default the name of its class."""
+
+        @property
+        def period(self) -> float:
+            """Control period (s)."""
+    else:
+        name, period = "controller", 0.1
+
+    tuning_names: tuple[str, ...] = ()
+    """What may be tuned."""
+    tuning_bounds: Mapping[str, Bounds] = {}
+    """Where each tuning entry is sought; empty: nothing is."""
+    diagnostic_names: tuple[str, ...] = ()
+    """What an answer says beside the command, in its `diagnostics`."""
+    vehicle: Any = None
+    """The car that it was made for, if it says so."""
+    limits: Any = None
+    """`Limits` on angle and move; None: none are known."""
+    sees_all_sensors: bool = False
+    """Whether `step` is given all that is measured (`core.models.contract.MEASURED`), not four numbers only."""
+    scheduler: Any = None
+    """What changes its tuning while it drives; None: nothing."""
+    model: Any = None
+    """Its prediction model, if it has one."""
+    belief: Any = None
+    """What it believes of the steering, if it says so."""
+    learner: Any = None
+    """What it learns with; None: it does not learn."""
+
+    def __init_subclass__(cls) -> None:
+        super().__init_subclass__()
+        if cls.name == Controller.name:
+            cls.name = cls.__name__  # type: ignore[method-assign, assignment]
+
+    @property
+    def scheduler_counts(self) -> dict[str, int]:
+        """How often its scheduler was limited, stepped in for, ...: steps by what was counted."""
+        return {}
+
+    def reset(self) -> None:  # noqa: B027 (there may be nothing to forget)
+        """Forget the past: the next step is the first, from steering angle 0."""
+
+    def restart(self) -> None:
+        """Likewise, but what it has learned of its car stays."""
+        self.reset()
+
+    @abstractmethod
+    def step(
+        self,
+        state: ArrayLike,
+        speed: float,
+        reference: ArrayLike,
+        variables: Any = None,
+        road: RoadAhead | None = None,
+    ) -> Any:
+        """One control step, see `CompiledController.step`; the steering angle (rad), or an answer that has it.
+
+        An answer has `angle` (rad), and may have `move`, `held`, `tuning` and `diagnostics`, as `Command` has.
+        """
+
+    def applied(self, angle: float) -> None:  # noqa: B027
+        """Say which angle (rad) was asked of the wheels in place of the last command: the next step goes on from it.
+
+        Raises
+        ------
+        InvalidInput
+            When no road wheel can have it.
+        """
+
+    def change_path(self, heading: float, offset: float) -> None:
+        """Say that another path lies under the car, by how much (rad, m) heading and offset have grown against it."""
+        change_of_path(heading, offset)
+
+    def describe(self) -> dict[str, Any]:
+        """The configuration, for provenance: plain data."""
+        return {}
+
+
+class CompiledController(Controller):
+    """A controller whose law is compiled, see `core.controllers.contract`: `simulate` and batches call the same.
+
+    tuning: named numbers that a search or a scheduler may change; period: control period (s); limits: on angle and
+    move; preview: whether the law sees the reference ahead or its present value only.
+
+    A controller drives one vehicle and remembers its past: for several at once, in threads or not, take a copy each.
+
+    Raises
+    ------
+    InvalidInput
+        When the tuning is not finite numbers >= 0, or the period is not positive.
+    """
+
+    period: float
+    limits: Limits
+    memory_size: int
+    """Numbers that the law remembers from step to step."""
+
+    def __init__(
+        self, tuning: Mapping[str, float], *, period: float = 0.1, limits: Limits | None = None, preview: bool = False
+    ) -> None:
+        where = type(self).__name__
+        self.tuning = {name: real(where, name, tuning[name]) for name in self.tuning_names}
+        for name, value in self.tuning.items():
+            if not 0.0 <= value < math.inf:
+                raise InvalidInput(f"{where}: {name} = {value!r}: must be finite and not negative.")
+        self.period = real(where, "period", period)
+        if not 0.0 < self.period < math.inf:
+            raise InvalidInput(f"{where}: period = {period!r} s: must be positive and finite.")
+        self.limits = Limits() if limits is None else limits
+        if not isinstance(self.limits, Limits):
+            raise InvalidInput(f"{where}: limits = {limits!r}: must be Limits(move=(low, high), angle=(low, high)).")
+        self.preview = bool(preview)
+        self.reset()
+
+    @property
+    @abstractmethod
+    def function(self) -> Any:
+        """The compiled law."""
+
+    @abstractmethod
+    def own_parameters(self) -> Sequence[float] | Array:
+        """What the law's parameters hold behind `core.controllers.contract.COMMON`."""
+
+    def parameters(self) -> Array:
+        """The law's constant numbers."""
+        return np.array([self.period, *self.limits.move, *self.limits.angle, *self.own_parameters()], dtype=float)
+
+    def packed_tuning(self) -> Array:
+        """The tuning in the order of `tuning_names`."""
+        return np.array([self.tuning[name] for name in self.tuning_names], dtype=float)
+
+    def reset(self) -> None:
+        """Forget the past: the next step is the first, from steering angle 0."""
+        self._parameters = self.parameters()
+        self._tuning = self.packed_tuning()
+        self._memory = np.zeros(self.memory_size)
+        self._answer = np.zeros(1 + len(self.diagnostic_names))
+        self._angle = 0.0
+
+    @property
+    def angle(self) -> float:
+        """The last command (rad)."""
+        return self._angle
+
+    def applied(self, angle: float) -> None:
+        """Say which angle (rad) was asked of the wheels in place of the last command: the next step goes on from it.
+
+        Raises
+        ------
+        InvalidInput
+            When no road wheel can have it.
+        """
+        self._angle = wheel_angle("applied: angle", angle)
+
+    def step(
+        self,
+        state: ArrayLike,
+        speed: float,
+        reference: ArrayLike,
+        variables: Any = None,
+        road: RoadAhead | None = None,
+    ) -> Command:
+        """One control step.
+
+        state: measured x_c = [v_y (m/s), yaw (rad), yaw rate (rad/s), y (m)]; speed: v_x (m/s); reference: y_ref (m)
+        now and, for preview, at the instants that follow (beyond its end it goes straight on); variables: what a
+        scheduler would look at, not used; road: a curved one from the car's foot on, against which yaw, y and y_ref
+        then count.
+
+        What is not finite gives no exception but a command that holds the previous angle: a controller in a running
+        vehicle must answer.
+
+        Raises
+        ------
+        InvalidInput
+            When an argument is not made of numbers or has a wrong shape.
+        """
+        situation = np.empty(6)
+        situation[:4] = vector("state", state, 4)
+        situation[4] = number("speed", speed)
+        situation[5] = self._angle
+        ahead = vector("reference", reference)
+        if not self.preview:
+            ahead = ahead[:1]
+        curved = road_ahead(road)
+        path = straight() if curved is None else curved.packed
+        self.function(situation, ahead, path, self._tuning, self._parameters, self._memory, self._answer)
+        angle, *said = self._answer.tolist()
+        diagnostics = dict(zip(self.diagnostic_names, said, strict=True))
+        held = not math.isfinite(angle) or diagnostics.get("held", 0.0) > 0.5
+        angle = angle if math.isfinite(angle) else self._angle
+        move, self._angle = angle - self._angle, angle
+        return Command(angle, move, held, tuple(self.tuning.values()), diagnostics)
+
+    def describe(self) -> dict[str, Any]:
+        """The controller's configuration, for provenance."""
+        return {
+            "tuning": dict(self.tuning),
+            "period": self.period,
+            "limits": {"move": list(self.limits.move), "angle": list(self.limits.angle)},
+            "preview": self.preview,
+        }
+
+    def __copy__(self) -> Self:
+        """A controller of its own: memories are never shared."""
+        return copy.deepcopy(self)
+
+
+def known_vehicle(where: str, vehicle: Vehicle) -> Vehicle:
+    """The vehicle; `InvalidInput` unless it is one."""
+    if not isinstance(vehicle, Vehicle):
+        raise InvalidInput(f"{where}: vehicle = {vehicle!r}: must be a Vehicle; load_vehicle(name) gives one.")
+    return vehicle
+
+
+def steering_delay(vehicle: Vehicle) -> float:
+    """Lag and dead time (s) of a car's steering as far as they are known, else `STEERING_DELAY`."""
+    steering = vehicle.steering
+    if steering is None or (steering.lag is None and steering.dead_time is None):
+        return STEERING_DELAY
+    return (steering.lag or 0.0) + (steering.dead_time or 0.0)

@@ -1,0 +1,175 @@
+"""The checker that admits a controller: ours and anybody's, compiled or in Python."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import numpy as np
+
+from adaptrack.base.errors import ContractError, InvalidInput
+from adaptrack.control.controllers.base import Array, Controller, command_of
+
+SPEEDS = (1.0, 5.0, 15.0, 30.0)
+"""m/s, at which a controller is asked."""
+STEPS = 5
+"""Steps of each drive that is put to it."""
+NEAR = 1e-9
+"""rad, within which commands are the same, and limits kept."""
+BAD = (math.nan, math.inf, -math.inf, 1e300, -1e300)
+"""What a broken sensor may say."""
+
+Question = tuple[Array, float, Array]
+"""State (4,), speed (m/s), reference (n,), as `Controller.step` takes them."""
+Variables = Callable[[Array, float, Array], Any]
+
+
+def check_controller(controller: Controller, symmetric: bool = True, variables: Variables | None = None) -> None:
+    """Test that a controller keeps the contract on which the drivers rely.
+
+    It has a name, a positive period, `reset`, `step` and `describe` (plain data for JSON). In sane situations, from
+    walking pace to 30 m/s, it answers finite commands, within its `limits` if it names some, with the move from the
+    last command; the same after each `reset`; and mirrored ones for the mirrored situation, unless `symmetric` is
+    False. It takes read-only arrays and writes to none of its arguments. NaN, infinities and huge numbers in a state, a
+    speed or a reference end in no exception but `InvalidInput`, and in a finite command within the limits.
+
+    variables: makes the fourth argument of `step` from the others, for controllers with a scheduler.
+
+    Raises
+    ------
+    ContractError
+        Naming the clause that is broken and the evidence.
+    """
+    _check_face(controller)
+    ask = _Asking(controller, variables)
+    for drive in _drives():
+        first = ask.drive(drive)
+        ask.same(first, ask.drive(drive), "after `reset` it must answer as before")
+        if symmetric:
+            mirrored = ask.drive([(-state, speed, -reference) for state, speed, reference in drive])
+            ask.same([-angle for angle in first], mirrored, "the mirrored situation must give the mirrored command")
+    for question in _broken():
+        ask.survives(question)
+    controller.reset()
+
+
+def _check_face(controller: Any) -> None:
+    """Name, period, methods and description."""
+    kind = type(controller).__name__
+    name = getattr(controller, "name", None)
+    if not isinstance(name, str) or not name:
+        raise ContractError(f"{kind}: it must have a name: found {name!r}.")
+    period = getattr(controller, "period", None)
+    if not isinstance(period, float) or not 0.0 < period < math.inf:
+        raise ContractError(f"Controller {name!r}: `period` must be a positive float in seconds: found {period!r}.")
+    for method in ("reset", "step", "describe"):
+        if not callable(getattr(controller, method, None)):
+            raise ContractError(f"Controller {name!r}: it must have a method `{method}`: found none.")
+    try:
+        json.dumps(dict(controller.describe()))
+    except Exception as error:
+        raise ContractError(
+            f"Controller {name!r}: `describe()` must give a dict of plain data, which JSON can hold: {error}."
+        ) from error
+
+
+class _Asking:
+    """Puts questions to a controller and tests the clauses that hold for every answer."""
+
+    def __init__(self, controller: Controller, variables: Variables | None) -> None:
+        self.controller, self.variables = controller, variables
+        limits = controller.limits
+        self.move = (-math.pi, math.pi) if limits is None else limits.move
+        self.angle = (-math.pi / 2, math.pi / 2) if limits is None else limits.angle
+        self.last = 0.0
+
+    def fail(self, clause: str, evidence: str) -> None:
+        raise ContractError(f"Controller {self.controller.name!r}: {clause}: {evidence}.")
+
+    def drive(self, questions: list[Question]) -> list[float]:
+        """The commands (rad) of a drive from the start."""
+        self.controller.reset()
+        self.last = 0.0
+        return [self.step(question) for question in questions]
+
+    def step(self, question: Question) -> float:
+        """The command (rad) of one step, tested; `InvalidInput` passes."""
+        state, speed, reference = question
+        given = state.copy(), reference.copy()
+        for array in given:
+            array.flags.writeable = False
+        variables = None if self.variables is None else self.variables(state, speed, reference)
+        shown = f"state {np.round(state, 6).tolist()}, speed {speed:g} m/s, reference {reference[:3].tolist()}..."
+        try:
+            answer = self.controller.step(given[0], speed, given[1], variables)
+            angle, move, *_ = command_of(answer, self.last)
+        except InvalidInput:
+            raise
+        except Exception as error:
+            self.fail(
+                "a step, also with read-only arrays, must raise nothing but InvalidInput",
+                f"{type(error).__name__} ({error}) at {shown}",
+            )
+        same = np.array_equal(given[0], state, equal_nan=True) and np.array_equal(given[1], reference, equal_nan=True)
+        if not same:
+            self.fail("it must not write to its arguments", f"it did at {shown}")
+        if not (math.isfinite(angle) and math.isfinite(move)):
+            self.fail("a command must be finite", f"angle {angle!r} rad, move {move!r} rad at {shown}")
+        if abs(move - (angle - self.last)) > NEAR:
+            self.fail(
+                "`move` must be the change of `angle`", f"{move!r} instead of {angle - self.last!r} rad at {shown}"
+            )
+        if not self.angle[0] - NEAR <= angle <= self.angle[1] + NEAR:
+            self.fail("a command must keep the limits on the angle", f"{angle!r} rad, limits {self.angle} at {shown}")
+        if not self.move[0] - NEAR <= move <= self.move[1] + NEAR:
+            self.fail("a command must keep the limits on the move", f"{move!r} rad, limits {self.move} at {shown}")
+        self.last = angle
+        return angle
+
+    def same(self, commands: list[float], others: list[float], clause: str) -> None:
+        apart = float(np.abs(np.subtract(commands, others)).max())
+        if apart > NEAR:
+            self.fail(clause, f"{commands} against {others} rad")
+
+    def survives(self, question: Question) -> None:
+        """A sane step, a broken one, a sane one again."""
+        sane = (np.zeros(4), 15.0, np.full(50, 0.5))
+        self.drive([sane])
+        try:
+            self.step(question)
+        except InvalidInput:
+            return
+        try:
+            self.step(sane)
+        except InvalidInput as error:
+            self.fail("after a broken measurement a sane one must be answered", str(error))
+
+
+def _drives() -> Iterator[list[Question]]:
+    """Sane situations: each a few steps of a drive at one speed, on a straight and through a change of lane."""
+    random = np.random.default_rng(0)
+    ahead = np.arange(80.0)
+    for speed in SPEEDS:
+        for offset, height in ((0.0, 0.0), (0.3, 0.0), (0.0, 3.5), (-1.0, 3.5)):
+            path = height * 0.5 * (1.0 - np.cos(np.pi * np.clip((ahead - 5.0) / 40.0, 0.0, 1.0)))
+            state = random.normal((0.0, 0.0, 0.0, offset), (0.1, 0.02, 0.02, 0.1), (STEPS, 4))
+            yield [(state[k], speed, path[k:]) for k in range(STEPS)]
+
+
+def _broken() -> Iterator[Question]:
+    """One number after the other that no sensor should give."""
+    for bad in BAD:
+        for place in range(4):
+            state = np.zeros(4)
+            state[place] = bad
+            yield state, 15.0, np.zeros(50)
+        yield np.zeros(4), bad, np.zeros(50)
+        for place in (0, 1, 49):
+            reference = np.zeros(50)
+            reference[place] = bad
+            yield np.zeros(4), 15.0, reference
+    yield np.zeros(4), 0.0, np.zeros(50)
+    yield np.zeros(4), -3.0, np.zeros(50)
+    yield np.zeros(4), 15.0, np.zeros(1)

@@ -1,0 +1,135 @@
+"""The parts of the MPC that knows its car: a model with its steering, a filter for its sensors, a constant tuning."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import NamedTuple
+
+from adaptrack.base.errors import InvalidInput, real
+from adaptrack.base.limits import CONTROL_HORIZON, PREDICTION_HORIZON
+from adaptrack.cars.vehicle import Vehicle
+from adaptrack.control.controllers.base import known_vehicle
+from adaptrack.control.controllers.belief import Belief, Told, Uncertainty, believed
+from adaptrack.control.controllers.learned import UNTOLD, Learner, Learning
+from adaptrack.control.controllers.limits import Limits
+from adaptrack.control.controllers.tuning import Tuning
+from adaptrack.control.estimation import Estimator
+from adaptrack.control.kalman import KalmanFilter
+from adaptrack.control.models import PathModel, PredictionModel
+from adaptrack.scenario.profile import Profile, load_profile
+
+UNNAMED = "road"
+"""The profile whose period, preview and sensors are taken where none is named."""
+UNSEEN = 3.0
+"""Factor on R where the lateral velocity is not measured: what the filter makes of it is less sure. On seven cars
+random drives in `production` cost a quarter less, half on the van and the electric car, a fifth more on the paper's."""
+CAUTION = 10.0
+"""Factor on R where the delay of the steering is assumed."""
+LARGEST_CORRECTION = 0.25
+"""m, lateral error that is corrected at once: a larger one would ask the tyres for more than they have."""
+
+HORIZON, MOVES = 1.5, 0.5
+"""s, over which the outputs are predicted and the command may change, with preview."""
+BLIND_HORIZON, BLIND_MOVES = 3.5, 0.8
+"""s, the same without preview, as in the paper's table: a reference that is held is followed too eagerly in less."""
+BLIND_MOVE_WEIGHT = 1e-5
+"""s^2, R/Q times the squared control period where the profile gives them none and the reference is not known ahead:
+that of the paper's table."""
+LEAST_MOVE_WEIGHT = 1e-2
+"""s^2, the same where it is known ahead. On six cars and twelve roads in `paper`: J 4e-6 m^2, none of 72 runs failed;
+with weight and horizons as without preview 3e-4 m^2, and 7 failed."""
+
+
+def _checked(period: float) -> float:
+    pace = real("MPC", "period", period)
+    if not (pace > 0.0 and 0.0 < pace * pace < math.inf):
+        raise InvalidInput(f"MPC: period = {period!r} s: must be positive and finite, and so must its square.")
+    return pace
+
+
+def informed_tuning(
+    profile: str | Profile = "road", period: float | None = None, uncertainty: Uncertainty | None = None
+) -> Tuning:
+    """The constant tuning in a profile; period: control period (s), by default the profile's.
+
+    R/Q is the weight that the profile itself gives to squared moves, times the caution of an uncertainty, and
+    `UNSEEN` times that without a sensor of the lateral velocity.
+    """
+    world = load_profile(profile)
+    pace = _checked(world.period if period is None else period)
+    least = LEAST_MOVE_WEIGHT if world.preview else BLIND_MOVE_WEIGHT
+    weight = max(world.move_weight * world.period**2, least) / pace**2
+    weight *= Uncertainty.declared(uncertainty).caution * (UNSEEN if math.isinf(world.noise_vy) else 1.0)
+    ahead, free = (HORIZON, MOVES) if world.preview else (BLIND_HORIZON, BLIND_MOVES)
+    horizon = min(max(2, round(ahead / pace)), int(PREDICTION_HORIZON.most))
+    moves = min(max(1, round(free / pace)), int(CONTROL_HORIZON.most))
+    return Tuning(horizon, moves, 1.0, float(f"{weight:.6g}"))
+
+
+class Parts(NamedTuple):
+    """What an MPC is made of, beside its vehicle, its moves and its solver."""
+
+    tuning: Tuning
+    model: PredictionModel
+    estimator: Estimator
+    limits: Limits
+    preview: bool
+    belief: Belief | None = None
+    """about the steering; None where the model was given"""
+    learner: Learner | None = None
+
+
+def informed_parts(
+    vehicle: Vehicle, profile: str | Profile | None, told: tuple[Told, Uncertainty | None, Learning | None],
+    period: float | None, estimator: KalmanFilter | None, preview: bool | None = None,
+) -> Parts:  # fmt: skip
+    """The parts of an MPC that knows its car; arguments as for `MPC`, told: belief, uncertainty and learning.
+
+    Raises
+    ------
+    InvalidInput
+        For arguments that make no controller.
+    """
+    car, world = known_vehicle("MPC", vehicle), load_profile(UNNAMED if profile is None else profile)
+    world = world.replace(preview=True) if preview else world  # a reference that is known ahead is tuned for
+    pace = _checked(world.period if period is None else period)
+    if told[2] is not None:
+        return _learning_parts(car, (world, profile is not None), told, pace, estimator)
+    plain = believed(car, told[0], world, pace, named=profile is not None)
+    unsure = Uncertainty.of_car(car, plain) if told[1] is None else Uncertainty.declared(told[1])
+    belief = plain.later(unsure)
+    tuning = informed_tuning(world, pace, unsure)
+    drifts = unsure.widened(KalmanFilter().drifts, math.isfinite(world.noise_vy))
+    return Parts(
+        tuning=replace(tuning, R=tuning.R * CAUTION) if belief.is_cautious else tuning,
+        model=PathModel(car, pace, belief.lag.value, belief.delay),
+        estimator=KalmanFilter.of_profile(world, drifts) if estimator is None else estimator,
+        limits=replace(belief.bounds(pace), error=LARGEST_CORRECTION),
+        preview=world.preview,
+        belief=belief,
+    )
+
+
+def _learning_parts(
+    car: Vehicle, world: tuple[Profile, bool], told: tuple[Told, Uncertainty | None, Learning | None],
+    period: float, estimator: KalmanFilter | None,
+) -> Parts:  # fmt: skip
+    """The parts of an MPC that learns its car; world: the profile, and whether it was named."""
+    profile, named = world
+    learning = told[2]
+    if not isinstance(learning, Learning):
+        raise InvalidInput(f"MPC: learning = {learning!r}: must be a Learning().")
+    unsure = UNTOLD if told[1] is None else Uncertainty.declared(told[1])
+    belief = believed(car, told[0], profile, period, named=named)
+    sensing = KalmanFilter.of_profile(profile) if estimator is None else estimator
+    learner = Learner(learning, car, belief, unsure, sensing, period)
+    return Parts(
+        tuning=informed_tuning(profile, period),
+        model=learner.model(),
+        estimator=replace(sensing, longest=learner.longest),
+        limits=replace(belief.bounds(period), error=LARGEST_CORRECTION),
+        preview=profile.preview,
+        belief=belief,
+        learner=learner,
+    )

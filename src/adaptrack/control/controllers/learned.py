@@ -1,0 +1,425 @@
+"""Learning while driving: what a controller may learn of its car, how, and what it has learned, for the next drive."""
+
+from __future__ import annotations
+
+import math
+import os
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from adaptrack.base.errors import InvalidInput, real, whole
+from adaptrack.base.files import Record, build, read_toml
+from adaptrack.cars.vehicle import SteeringActuator, Tyre, Vehicle
+from adaptrack.control.controllers.belief import Belief, Uncertainty
+from adaptrack.control.kalman import Drifts, KalmanFilter, wind_turn
+from adaptrack.control.models import PathModel
+
+Array = NDArray[np.float64]
+
+UNTOLD = Uncertainty(lag=0.15, dead_time=0.125, stiffness=2.0, mass=0.3)
+"""How far the belief may be wrong where nobody says: published delays are 0.05 to 0.6 s."""
+MIDDLE = (0.2, 0.125)
+"""s, lag and dead time in the middle of published values, believed where nobody says."""
+LEAST_LAG = 0.02
+"""s, of a steering that is learned: shorter ones make no difference at a control period of 0.05 s."""
+GRAIN = 0.4
+"""Standard deviation within a hypothesis over the distance of two: together they are nearly even."""
+LEAST_UNSURE, LEAST_CHANGED = 0.02, 0.05
+"""s, by which lag and dead time of an earlier drive may be off; -, likewise the logarithm of its stiffness."""
+SPREAD = 1.0 / math.sqrt(3.0)
+"""Standard deviation of what may be anywhere within +-1."""
+
+
+class LearnedCar(Record):
+    """What has been learned of a car, each with its standard deviation: for the next drive, see `Learning.start`.
+
+    Raises
+    ------
+    InvalidInput
+        When a value is not allowed.
+    """
+
+    car: str = Field(default="", description="whose model the factors belong to")
+    lag: float = Field(ge=0, le=10, description="s, of the steering")
+    lag_sigma: float = Field(ge=0, le=10, description="s")
+    dead_time: float = Field(ge=0, le=10, description="s, of the steering, without the computation")
+    dead_time_sigma: float = Field(ge=0, le=10, description="s")
+    delay_sigma: float = Field(ge=0, le=10, description="s, of lag and dead time together")
+    stiffness: float = Field(gt=0, le=100, description="-, cornering stiffness over mass, factor on what is known")
+    stiffness_sigma: float = Field(ge=0, le=10, description="-, of its logarithm")
+    balance: float = Field(default=1.0, gt=0, le=100, description="-, factor on front over rear stiffness")
+    balance_sigma: float = Field(default=0.1, ge=0, le=10, description="-, of its logarithm")
+    bias: float = Field(default=0.0, ge=-1, le=1, description="rad, by which the wheels turn beyond the command")
+    bias_sigma: float = Field(default=0.0, ge=0, le=1, description="rad")
+    seconds: float = Field(default=0.0, ge=0, description="s, for which it was learned")
+
+    def to_toml(self, path: str | os.PathLike[str]) -> None:
+        """Write it as TOML, each value with its meaning and unit behind it.
+
+        Raises
+        ------
+        StorageError
+            When the file cannot be written.
+        """
+        super().to_toml(path)
+
+
+def load_learned_car(path: str | os.PathLike[str]) -> LearnedCar:
+    """What `LearnedCar.to_toml` has written.
+
+    Raises
+    ------
+    StorageError
+        When the file cannot be read.
+    ConfigError
+        When it is not TOML, or holds an unknown, missing or impossible value; all of them are in the message.
+    """
+    return build(LearnedCar, read_toml(path), Path(path))
+
+
+@dataclass(frozen=True)
+class Learning:
+    """How a controller learns its car while it drives; what it may learn within says its `Uncertainty`.
+
+    start: what an earlier drive has learned, None: nothing; lags, dead_times: hypotheses of each, evenly within the
+    range. The other numbers are the method; see `core.estimators.learning` for the filters.
+
+    Raises
+    ------
+    InvalidInput
+        When a number is not allowed.
+    """
+
+    start: LearnedCar | None = None
+    lags: int = 2
+    dead_times: int = 2
+    bias: float = 0.02
+    """rad, bias of the steering to either side"""
+    balance: float = 1.18
+    """-, factor by which front over rear stiffness may be larger or smaller"""
+    bank: float = 0.2
+    """m/s^2, standard deviation of the pull of a banked road"""
+    wind: float = 0.35
+    """m/s^2, by which side wind changes in a second"""
+    wind_time: float = 3.0
+    """s, in which a gust is over"""
+    bank_time: float = 20.0
+    """s, in which a bank is over"""
+    friction: float = 0.7
+    """-, usual friction"""
+    friction_spread: float = 0.4
+    """-, standard deviation of the logarithm of friction"""
+    friction_time: float = 15.0
+    """s, in which friction is the usual one again"""
+    drift_vy: float = 0.03
+    """m/s, after a second, of v_y beside the model"""
+    drift_yaw_rate: float = 0.02
+    """rad/s, after a second, of the yaw rate beside the model"""
+    drift_stiffness: float = 0.003
+    """-, after a second, of the logarithm of the stiffness"""
+    drift_balance: float = 0.0005
+    """-, after a second, of half the logarithm of the balance"""
+    drift_bias: float = 0.00003
+    """rad, after a second"""
+    drift_delay: float = 0.0005
+    """s, after a second, of lag and dead time"""
+    sliding: float = 0.1
+    """s^0.5, as in `kalman.Drifts`"""
+    angle_error: float = 0.002
+    """rad, by which measured wheels and the model of the steering differ beside the sensor's noise"""
+    bound: float = 5.0
+    """standard deviations up to which an innovation counts"""
+    memory: float = 120.0
+    """s of exciting driving after which evidence about the delay is forgotten"""
+    tempering: float = 0.5
+    """-, share of a log-likelihood that counts, for successive innovations are not independent"""
+    modest: float = 2.0
+    """-, factor on the standard deviations of the filters, which know nothing of relaxation and load of the tyres"""
+    cautious: float = 1.0
+    """-, standard deviations of the delay by which the controller believes it longer than its mean"""
+    tolerated: float = 0.06
+    """s, standard deviation of the delay that doubles R"""
+    most_caution: float = 16.0
+    """-, largest factor on R for the delay"""
+    tolerated_stiffness: float = 0.6
+    """-, standard deviation of the logarithm of the stiffness that doubles R"""
+    longer: float = 2.0
+    """s per s, by which lag or dead time are believed longer at most"""
+    shorter: float = 2.0
+    """s per s, likewise shorter"""
+    stiffer: float = 5.0
+    """1/s, by which the logarithm of the believed stiffness changes at most"""
+    turning: float = 0.1
+    """rad/s, by which the believed bias changes at most"""
+    wandering: float = 0.2
+    """rad/s, by which the wheels may be elsewhere for every second of uncertain delay, after a second"""
+    noise: float = 4.0
+    """-, factor within which the noise of a sensor may differ from what was told"""
+    noise_time: float = 20.0
+    """s, over which the noise of a sensor is averaged"""
+
+    def __post_init__(self) -> None:
+        for each in fields(self):
+            value = getattr(self, each.name)
+            if each.name == "start":
+                if not isinstance(value, LearnedCar | None):
+                    raise InvalidInput(
+                        f"Learning: start = {value!r}: must be a LearnedCar; load_learned_car(file) gives one."
+                    )
+            elif each.name in ("lags", "dead_times"):
+                if not 1 <= whole("Learning", each.name, value) <= 12:
+                    raise InvalidInput(f"Learning: {each.name} = {value!r}: must be from 1 to 12.")
+            elif not 0.0 <= real("Learning", each.name, value) < math.inf:
+                raise InvalidInput(f"Learning: {each.name} = {value!r}: must not be negative, and finite.")
+        for name in (
+            "wind_time", "bank_time", "friction", "friction_time", "bound", "memory", "tempering", "tolerated",
+            "tolerated_stiffness", "noise_time",
+        ):  # fmt: skip
+            if not getattr(self, name) > 0.0:
+                raise InvalidInput(f"Learning: {name} = {getattr(self, name)!r}: must be positive.")
+        for name in ("balance", "most_caution", "noise", "modest"):
+            if not getattr(self, name) >= 1.0:
+                raise InvalidInput(f"Learning: {name} = {getattr(self, name)!r}: must be at least 1.")
+
+
+class Ranges(NamedTuple):
+    """Within which lag and dead time of the steering are (s)."""
+
+    lag: tuple[float, float]
+    dead_time: tuple[float, float]
+
+    @classmethod
+    def of(cls, belief: Belief, unsure: Uncertainty) -> Ranges:
+        """What was told of a steering; the middle of published values where nothing was."""
+        said = {"lag": belief.lag.value, "dead_time": belief.dead_time.value}
+        if belief.is_cautious:
+            said |= {name: MIDDLE[i] for i, name in enumerate(said) if name in belief.assumed}
+        lag = said["lag"] - unsure.lag, said["lag"] + unsure.lag
+        dead = said["dead_time"] - unsure.dead_time, said["dead_time"] + unsure.dead_time
+        return cls((max(lag[0], LEAST_LAG), max(lag[1], LEAST_LAG)), (max(dead[0], 0.0), dead[1]))
+
+
+class Learner:
+    """`Learning` of a car: the numbers of the compiled learner.
+
+    car: as believed; belief: of its steering; unsure: how far both may be wrong; sensing: the filter, with its sensors;
+    period: control period (s).
+
+    Raises
+    ------
+    InvalidInput
+        When what was learned before is of another car.
+    """
+
+    def __init__(self, own: Learning, car: Vehicle, belief: Belief, unsure: Uncertainty, sensing: KalmanFilter,
+                 period: float) -> None:  # fmt: skip
+        self.own, self.car, self.period, self.sensing = own, car, period, sensing
+        if own.start is not None and own.start.car not in ("", car.name):
+            raise InvalidInput(
+                f"Learning: start: learned of car {own.start.car!r}, and the controller's is {car.name!r}: begin "
+                "without it, or give it as LearnedCar(..., car='') if it is the same."
+            )
+        self.ranges = Ranges.of(belief, unsure)
+        self.computation, self.rate, self.lag = belief.computation.value, belief.rate.value, belief.lag.value
+        self.stiffness = math.log(unsure.stiffness) + math.log1p(unsure.mass)
+        self.stiffness_spread = SPREAD * math.hypot(math.log(unsure.stiffness), math.log1p(unsure.mass))
+        if "rate" in belief.assumed:
+            self.rate = math.inf
+        self.longest = self.ranges.dead_time[1] + self.computation
+        self.kept = math.ceil((self.longest + sensing.oldest) / period) + 3
+
+    @property
+    def spread(self) -> tuple[Array, Array]:
+        """Middle, and half the width, of what lag and dead time (s) may be at first, (2,) each."""
+        low, high = np.array(self.ranges).T
+        start = self.own.start
+        if start is None:
+            return 0.5 * (low + high), 0.5 * (high - low)
+        unsure = np.maximum([start.lag_sigma, start.dead_time_sigma], LEAST_UNSURE)
+        middle = np.clip([start.lag, start.dead_time], low, high)
+        return middle, np.where(high > low, unsure / SPREAD, 0.0)
+
+    @property
+    def hypotheses(self) -> Array:
+        """(n, 2) lag and dead time (s) at which the filters begin: middles of equal parts of what they may be."""
+        middle, half = self.spread
+        low, high = np.array(self.ranges).T
+        counts = (self.own.lags, self.own.dead_times)
+        lags, dead_times = (
+            np.clip(m + h * _middles(n if h > 0.0 else 1), a, b)
+            for m, h, n, a, b in zip(middle, half, counts, low, high, strict=True)
+        )
+        return np.array([(lag, dead_time) for lag in lags for dead_time in dead_times])
+
+    @property
+    def grains(self) -> Array:
+        """(2,) standard deviation of lag and dead time (s) within a hypothesis."""
+        return GRAIN * 2.0 * self.spread[1] / (self.own.lags, self.own.dead_times)
+
+    def parameters(self) -> Array:
+        """As `core.estimators.learning.Numbers` has them."""
+        from adaptrack.core.estimators.learning import Numbers
+
+        own, car, period = self.own, self.car, self.period
+        drifts = {
+            "drift_wind": own.wind, "drift_bias": own.drift_bias, "drift_stiffness": own.drift_stiffness,
+            "drift_balance": own.drift_balance, "drift_vy": own.drift_vy, "drift_yaw_rate": own.drift_yaw_rate,
+            "drift_bank": own.bank * math.sqrt(2.0 / own.bank_time),
+            "drift_friction": own.friction_spread * math.sqrt(2.0 / own.friction_time),
+            "drift_lag": own.drift_delay, "drift_dead_time": own.drift_delay, "drift_wheels": Drifts().wheel_angle,
+        }  # fmt: skip
+        given: dict[str, Any] = {name: value**2 * period for name, value in drifts.items()}
+        times = {"wind_left": own.wind_time, "bank_left": own.bank_time, "friction_left": own.friction_time}
+        given |= {name: math.exp(-period / time) for name, time in times.items()}
+        (least_lag, most_lag), (least_dead, most_dead) = self.ranges
+        given |= {
+            "period": period, "computation": self.computation, "lag": self.lag,
+            "hypotheses": len(self.hypotheses), "kept": self.kept,
+            "mass": car.mass, "yaw_inertia": car.yaw_inertia, "lf": car.lf, "lr": car.lr,
+            "stiffness_front": 2.0 * car.stiffness_front, "stiffness_rear": 2.0 * car.stiffness_rear,
+            "wind_turn": wind_turn(car), "rate": self.rate, "bound": own.bound,
+            "forgetting": min(1.0, period / own.memory), "tempering": own.tempering,
+            "usual_friction": math.log(own.friction), "sliding": own.sliding**2, "angle_error": own.angle_error**2,
+            "least_lag": least_lag, "most_lag": most_lag, "least_dead_time": least_dead, "most_dead_time": most_dead,
+            "most_stiffness": self.stiffness, "most_balance": 0.5 * math.log(own.balance), "most_bias": 1.5 * own.bias,
+            "modest": own.modest, **self._priors(),
+            "cautious": own.cautious, "tolerated": own.tolerated, "most_caution": own.most_caution,
+            "tolerated_stiffness": own.tolerated_stiffness,
+            "longer": own.longer * period, "shorter": own.shorter * period, "stiffer": own.stiffer * period,
+            "turning": own.turning * period, "wandering": own.wandering,
+            "noise_share": min(1.0, period / own.noise_time), "noise_range": own.noise,
+            "variance": self.sensing.variances(),
+        }  # fmt: skip
+        return np.array([tuple(given[name] for name in Numbers._fields)], Numbers.dtype).view(float)
+
+    def _priors(self) -> dict[str, float]:
+        """Standard deviations before the first sample, as the learner is given them."""
+        from adaptrack.core.estimators.learning import memory_of
+
+        beliefs = memory_of(self.fresh(), 0).beliefs
+        names = ("lag", "dead_time", "delay", "stiffness", "balance", "bias")
+        return {f"prior_{name}": float(beliefs[f"belief_{name}_sigma"]) for name in names}
+
+    def fresh(self) -> Array:
+        """The learner's memory before the first sample."""
+        from adaptrack.core.estimators import learning as kernel
+
+        pairs, start, own = self.hypotheses, self.own.start, self.own
+        memory = np.zeros(kernel.memory_size(self.kept, len(pairs)))
+        variances = self.sensing.variances()
+        kernel.memory_of(memory, 0).noise[:] = np.where(np.isfinite(variances), variances, 0.0)
+        spread = np.zeros(kernel.STATES)
+        spread[kernel.VY], spread[kernel.RATE] = 0.3, 0.1
+        spread[kernel.WIND] = own.wind * math.sqrt(0.5 * own.wind_time)
+        spread[kernel.BIAS], spread[kernel.BANK] = SPREAD * own.bias, own.bank
+        spread[kernel.STIFFNESS], spread[kernel.BALANCE] = self.stiffness_spread, SPREAD * 0.5 * math.log(own.balance)
+        spread[kernel.FRICTION] = own.friction_spread
+        spread[kernel.LAG], spread[kernel.DEAD_TIME] = self.grains
+        spread[kernel.OFFSET] = 0.05
+        x = np.zeros(kernel.STATES)
+        x[kernel.FRICTION] = math.log(own.friction)
+        if start is not None:
+            x[kernel.STIFFNESS], x[kernel.BALANCE] = math.log(start.stiffness), 0.5 * math.log(start.balance)
+            x[kernel.BIAS] = start.bias
+            spread[kernel.STIFFNESS] = min(start.stiffness_sigma + LEAST_CHANGED, spread[kernel.STIFFNESS])
+            spread[kernel.BALANCE] = min(start.balance_sigma, spread[kernel.BALANCE])
+            spread[kernel.BIAS] = min(start.bias_sigma, spread[kernel.BIAS])
+        for i, (lag, dead) in enumerate(pairs):
+            each = kernel.hypothesis(i, self.kept, memory)
+            x[kernel.LAG], x[kernel.DEAD_TIME] = lag, dead + self.computation
+            each.x[: kernel.STATES] = x
+            np.fill_diagonal(each.covariance, spread**2)
+        self._write_beliefs(memory, x, spread)
+        return memory
+
+    def _write_beliefs(self, memory: Array, x: Array, spread: Array) -> None:
+        """The belief before the first sample."""
+        from adaptrack.core.estimators import learning as kernel
+
+        pairs = self.hypotheses
+        lag, dead = pairs.mean(axis=0)
+        cov = np.cov(pairs.T, ddof=0) + np.diag(np.square(self.grains))
+        sigma = math.sqrt(max(float(cov.sum()), 1e-8))
+        later = self.own.cautious / sigma * cov.sum(axis=1)
+        (least_lag, most_lag), (least_dead, most_dead) = self.ranges
+        stiffness, balance, unsure = x[kernel.STIFFNESS], x[kernel.BALANCE], spread[kernel.STIFFNESS]
+        caution = min(1.0 + (sigma / self.own.tolerated) ** 2, self.own.most_caution)
+        believed = {
+            "belief_lag": lag, "belief_lag_sigma": math.sqrt(cov[0, 0]), "belief_dead_time": dead,
+            "belief_dead_time_sigma": math.sqrt(cov[1, 1]), "belief_delay": lag + dead, "belief_delay_sigma": sigma,
+            "belief_stiffness": math.exp(stiffness), "belief_stiffness_sigma": unsure,
+            "belief_balance": math.exp(2.0 * balance), "belief_balance_sigma": 2.0 * spread[kernel.BALANCE],
+            "belief_bias": x[kernel.BIAS], "belief_bias_sigma": spread[kernel.BIAS],
+            "belief_bank": 0.0, "belief_bank_sigma": spread[kernel.BANK],
+            "belief_friction": self.own.friction, "belief_friction_sigma": spread[kernel.FRICTION],
+            "belief_noise": 1.0,
+            "used_lag": min(max(lag + later[0], least_lag), most_lag),
+            "used_dead_time": min(max(dead + later[1], least_dead), most_dead),
+            "used_stiffness": math.exp(stiffness), "used_balance": math.exp(2.0 * balance),
+            "used_bias": x[kernel.BIAS],
+            "used_caution": caution * (1.0 + (unsure / self.own.tolerated_stiffness) ** 2),
+        }  # fmt: skip
+        memory[: len(kernel.BELIEFS)] = [believed[name] for name in kernel.BELIEFS]
+
+    def model(self) -> PathModel:
+        """The model that the controller begins with."""
+        from adaptrack.core.estimators.learning import memory_of
+
+        beliefs = memory_of(self.fresh(), 0).beliefs
+        dead_time = float(beliefs.used_dead_time) + self.computation
+        return PathModel(self.car, self.period, float(beliefs.used_lag), dead_time)
+
+    def dead_time(self, memory: Array) -> float:
+        """From an instant until its command begins to act (s), as a memory believes."""
+        from adaptrack.core.estimators.learning import memory_of
+
+        # added and divided as the kernel does
+        delay_steps = (float(memory_of(memory, 0).beliefs.used_dead_time) + self.computation) / self.period
+        return delay_steps * self.period
+
+    def truth(self, steering: SteeringActuator, plant: Any) -> dict[str, float]:
+        """What there is to be learned in a simulated world, by the names of `LearnedCar`: of a plant with its own tyre.
+
+        Stiffness and balance are those of the tyres at the static loads over the mass.
+        """
+        found = {"lag": steering.lag, "dead_time": steering.dead_time, "bias": steering.bias}
+        car, tyre = getattr(plant, "vehicle", None), getattr(plant, "tyre", None)
+        if isinstance(car, Vehicle) and isinstance(tyre, Tyre):
+            front, rear = (
+                stiffness / car.mass / (believed / self.car.mass)
+                for stiffness, believed in zip(
+                    tyre.stiffness_at(*car.static_loads), (self.car.stiffness_front, self.car.stiffness_rear),
+                    strict=True,
+                )
+            )  # fmt: skip
+            found |= {"stiffness": math.sqrt(front * rear), "balance": front / rear}
+        return {**found, "delay": steering.lag + steering.dead_time}
+
+    def again(self, memory: Array) -> Array:
+        """A memory before the first step of another drive."""
+        from adaptrack.core.estimators.learning import memory_of
+
+        fresh = memory.copy()
+        memory_of(fresh, 0).count = 0.0
+        return fresh
+
+    def learned(self, memory: Array) -> LearnedCar:
+        """What a memory holds."""
+        from adaptrack.core.estimators import learning as kernel
+
+        found = kernel.memory_of(memory, 0)
+        known: dict[str, Any] = {name.removeprefix("belief_"): float(found.beliefs[name]) for name in kernel.BELIEFS}
+        kept = {name: known[name] for name in LearnedCar.model_fields if name in known}
+        seconds = self.period * float(found.count)
+        seconds += 0.0 if self.own.start is None else self.own.start.seconds
+        return LearnedCar(car=self.car.name, **kept, seconds=seconds)
+
+
+def _middles(count: int) -> Array:
+    """(count,) middles of equal parts of -1..1."""
+    return (2.0 * np.arange(count) + 1.0) / count - 1.0

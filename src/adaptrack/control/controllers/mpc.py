@@ -1,0 +1,748 @@
+"""The incremental linear MPC of the paper's section II-B: a tuning, limits, a way to parametrise moves, a QP solver.
+
+Its numbers (Np, Nc, Q, R) may change at every step, nothing is rebuilt or allocated for it.
+"""
+
+from __future__ import annotations
+
+import copy
+import logging
+import math
+import threading
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from functools import cached_property
+from math import isfinite
+from typing import Any, NamedTuple, Protocol, Self, runtime_checkable
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from adaptrack.base.errors import InvalidInput, real, whole
+from adaptrack.base.limits import CONTROL_HORIZON, PREDICTION_HORIZON, check_limit
+from adaptrack.cars.vehicle import Vehicle
+from adaptrack.control.controllers.base import Controller
+from adaptrack.control.controllers.belief import Told, Uncertainty
+from adaptrack.control.controllers.informed import Parts, informed_parts
+from adaptrack.control.controllers.inputs import Row, change_of_path, number, road_ahead, vector, wheel_angle
+from adaptrack.control.controllers.learned import LearnedCar, Learning
+from adaptrack.control.controllers.limits import Limits, Moves
+from adaptrack.control.controllers.made_for import INCREMENTAL, car_of, mismatches
+from adaptrack.control.controllers.tuning import ENTRIES, Tuning, read_tuning
+from adaptrack.control.estimation import NOTHING_MEASURED, Deadbeat, Estimator, get_estimator
+from adaptrack.control.kalman import KalmanFilter
+from adaptrack.control.models import PredictionModel, SingleTrackModel
+from adaptrack.control.qp import QP, QPSolver, QPStatus, get_qp_solver
+from adaptrack.control.qp.active_set import ActiveSet
+from adaptrack.control.qp.hildreth import Hildreth
+from adaptrack.road.ahead import RoadAhead
+from adaptrack.scenario.profile import Profile, load_profile
+
+Array = NDArray[np.float64]
+
+_STATUSES = {float(status): status for status in QPStatus}
+_AT_LIMIT = {float(sum_of): sum_of for sum_of in range(8)}
+"""`MPCCommand.status` and `MPCCommand.at_limit` by what a kernel answers"""
+_ANSWER = 12
+"""Numbers of `core.controllers.mpc.ANSWER`; what is learned follows."""
+_DIAGNOSTICS = ("qp_status", "qp_iterations", "qp_residual", "at_limit", "dead_reckoning")
+_STATE_SIZES = (4, 5, 6, 7, 8, 9)
+"""with or without wheel angle, lateral acceleration, ages and the path's turn (`core.models.contract.MEASURED`)"""
+_NOT_CARRIED = (
+    "_lock", "_measured", "_answer", "_learned", "_state", "_reference", "_now", "_resident", "_resident_plan", "_step",
+    "_schedule_step", "functions",
+)  # fmt: skip
+"""Of a controller, by a copy of it: see `MPC._load`."""
+SPEED_KEPT = 6.0
+"""s, for which the last speed counts while it is missing; then a step holds."""
+_log = logging.getLogger("adaptrack")
+
+
+_new = tuple.__new__  # of a named tuple; its own `_make` takes twice as long
+
+
+@runtime_checkable
+class Scheduler(Protocol):
+    """Chooses the tuning for scheduling variables. Horizons may be real numbers: they are rounded and clamped."""
+
+    def __call__(self, variables: Any) -> Any:
+        """A `Tuning`, or the four numbers Np, Nc, Q, R, for `scheduling.SchedulingVariables`."""
+
+
+@runtime_checkable
+class CompiledScheduler(Scheduler, Protocol):
+    """A scheduler that compiled runs can ask, see `core.schedule`."""
+
+    def plan(self, slots: int) -> Any:
+        """The packed scheduler with a fresh memory for `slots` runs."""
+
+    @property
+    def largest(self) -> tuple[int, int]:
+        """The longest Np and Nc that it can ask for."""
+
+
+class MPCCommand(NamedTuple):
+    """What one step of the MPC gives."""
+
+    angle: float
+    """rad, steering angle to apply, u(k)"""
+    move: float
+    """rad, u(k) - u(k-1)"""
+    held: bool
+    """no usable solution: the next move of the last plan is taken, none when the data are not finite"""
+    tuning: tuple[float, ...]
+    """Np, Nc, Q, R as used: rounded and clamped"""
+    status: QPStatus
+    """of the QP"""
+    iterations: int
+    """of the QP solver"""
+    residual: float
+    """largest KKT residual of the solution, see `qp.kkt_residuals`; NaN when there is none"""
+    at_limit: int
+    """sum of 1 (move), 2 (angle), 4 (output)"""
+    dead_reckoning: float = 0.0
+    """s, for which no position has been taken in: the command rests on the estimate; 0 where the state is measured"""
+    learned: tuple[float, ...] = ()
+    """what a controller that learns has learned, in the order of `core.estimators.learning.BELIEFS`"""
+
+    @property
+    def diagnostics(self) -> tuple[float, ...]:
+        """In the order of `MPC.diagnostic_names`."""
+        own = float(self.status), float(self.iterations), self.residual, float(self.at_limit), self.dead_reckoning
+        return (*own, *self.learned)
+
+
+def _given_parts(
+    vehicle: Vehicle, model: PredictionModel | None, estimator: Estimator | None, period: float | None
+) -> Parts:
+    """A model or an estimator of the caller's, the rest as in the paper."""
+    if not isinstance(model, PredictionModel | None):
+        raise InvalidInput(f"MPC: model = {model!r}: must be a PredictionModel.")
+    if not isinstance(estimator, Estimator | None):
+        raise InvalidInput(f"MPC: estimator = {estimator!r}: must be the name of an estimator or an Estimator.")
+    own = SingleTrackModel(vehicle, 0.1 if period is None else period) if model is None else model
+    if period not in (None, own.period):
+        raise InvalidInput(f"MPC: period = {period!r} s, but the model's is {own.period!r} s: give both alike.")
+    return Parts(Tuning(), own, Deadbeat() if estimator is None else estimator, Limits(), preview=False)
+
+
+class MPC(Controller):
+    """Linear MPC with re-discretisation at every step, eqs. (8)-(17).
+
+    By default it knows its car: a `PathModel` with the lag and the dead time of its steering, and a `KalmanFilter` for
+    the sensors of a profile. `published_mpc` is the paper's.
+
+    vehicle: mass, inertia, axle distances and stiffness of the model, and what its file says of the steering; tuning:
+    constant one, or the one before the scheduler speaks, by default `informed_tuning`; profile: name, file or
+    `Profile` whose period, preview and sensors are taken, and whose actuator is believed where nobody else says; by
+    default the period, preview and sensors of "road", and of its actuator nothing; belief: a `Steering` that is
+    believed before the car's file, or "unknown": then neither file nor profile is believed about the steering;
+    uncertainty: how far the belief may be wrong, for which the delay is believed longer and R is raised, by default
+    what the car's file says in ``[known_within]``. What nobody says of the steering is taken from the slow end of
+    published values, with R raised as well; `belief` of the controller says what it believes, and from whom.
+
+    period: control period (s); limits: by default the believed rate times the period (the paper's table where the delay
+    is assumed) and the believed angle; preview: whether R_s holds the reference ahead or its present value; solver:
+    "active-set" (exact), "hildreth" (the paper's), the name of another registered QP solver, or a `QPSolver`; what is
+    done with an answer that is not certified says `QPSolver.on_uncertified`; speed_floor: m/s, the model is never
+    formed below it; longest_horizon, most_moves: largest Np and Nc that a scheduler may ask for.
+
+    model, estimator: a `PredictionModel`, and an `Estimator` or its registered name. A `KalmanFilter` alone takes the
+    place of the default one. Any other of them leaves nothing to profile and belief: the other part, the tuning, the
+    limits and a period of 0.1 s are then the paper's (single track, "deadbeat", table) where they are not given.
+
+    A controller drives one vehicle. A copy (`copy`, `deepcopy`, pickle) is a controller of its own, in the same state.
+    Used by two threads at once it refuses the second.
+
+    Raises
+    ------
+    InvalidInput
+        For arguments that make no controller: the message says which.
+    """
+
+    tuning_names = ENTRIES
+    sees_all_sensors = True
+
+    def __init__(
+        self,
+        vehicle: Vehicle,
+        tuning: Tuning | None = None,
+        *,
+        profile: str | Profile | None = None,
+        belief: Told = None,
+        uncertainty: Uncertainty | None = None,
+        learning: Learning | None = None,
+        period: float | None = None,
+        limits: Limits | None = None,
+        moves: Moves | None = None,
+        preview: bool | None = None,
+        solver: str | QPSolver = "active-set",
+        scheduler: Scheduler | None = None,
+        model: PredictionModel | None = None,
+        estimator: str | Estimator | None = None,
+        speed_floor: float = 1.0,
+        longest_horizon: int | None = None,
+        most_moves: int | None = None,
+    ) -> None:
+        filtering = get_estimator(estimator) if isinstance(estimator, str) else estimator
+        if model is None and isinstance(filtering, KalmanFilter | None):
+            parts = informed_parts(vehicle, profile, (belief, uncertainty, learning), period, filtering, preview)
+        else:
+            if not (profile is None and belief is None and uncertainty is None and learning is None):
+                raise InvalidInput(
+                    "MPC: profile, belief and uncertainty, or learning, choose model and estimator: give those, or "
+                    "these."
+                )
+            parts = _given_parts(vehicle, model, filtering, period)
+        self.tuning = parts.tuning if tuning is None else tuning
+        if not isinstance(self.tuning, Tuning):
+            raise InvalidInput(f"MPC: tuning = {tuning!r}: must be a Tuning(Np, Nc, Q, R).")
+        self.model, self.estimator, self.belief = parts.model, parts.estimator, parts.belief
+        self.learner = parts.learner
+        self.vehicle = getattr(self.model, "vehicle", None)
+        self.estimator.check_fits(self.model)
+        self.limits = limits or parts.limits
+        self.preview = parts.preview if preview is None else bool(preview)
+        self.moves = moves or Moves()
+        self.solver = get_qp_solver(solver) if isinstance(solver, str) else solver
+        if not isinstance(self.solver, QPSolver):
+            raise InvalidInput(f"MPC: solver = {solver!r}: must be the name of a QP solver or a QPSolver.")
+        if scheduler is not None and not callable(scheduler):
+            raise InvalidInput(f"MPC: scheduler = {scheduler!r}: must be callable, variables -> (Np, Nc, Q, R).")
+        entries = tuple(getattr(scheduler, "entries", ENTRIES))
+        if entries != ENTRIES:
+            raise InvalidInput(f"MPC: the scheduler gives {', '.join(entries)}; an MPC needs {', '.join(ENTRIES)}.")
+        self.scheduler = scheduler
+        self._said: set[str] = set()
+        self.warn_of(scheduler, None if profile is None else load_profile(profile).name)
+        if not 0.0 < real("MPC", "speed_floor", speed_floor) < math.inf:
+            raise InvalidInput(f"speed_floor = {speed_floor!r} m/s: must be positive and finite.")
+        self.speed_floor = float(speed_floor)
+        self._set_sizes(longest_horizon, most_moves)
+        self.reset()
+
+    def _set_sizes(self, longest_horizon: int | None, most_moves: int | None) -> None:
+        longest_horizon = max(60, self.tuning.Np) if longest_horizon is None else longest_horizon
+        most_moves = max(20, self.tuning.Nc) if most_moves is None else most_moves
+        self.longest_horizon = whole("MPC", "longest_horizon", longest_horizon)
+        self.most_moves = whole("MPC", "most_moves", most_moves)
+        check_limit("MPC: longest_horizon", self.longest_horizon, PREDICTION_HORIZON)
+        check_limit("MPC: most_moves", self.most_moves, CONTROL_HORIZON)
+        if self.tuning.Np > self.longest_horizon or self.tuning.Nc > self.most_moves:
+            raise InvalidInput(
+                f"Np = {self.tuning.Np}, Nc = {self.tuning.Nc} exceed longest_horizon = {self.longest_horizon} or "
+                f"most_moves = {self.most_moves}: raise those."
+            )
+        longest = self.model.dead_time if self.learner is None else self.learner.longest
+        lead = math.ceil(longest / self.period)
+        self._furthest = self.longest_horizon + 1 + (lead + 1 if lead else 0)
+        if self.moves.kind == "laguerre" and self.most_moves > self.longest_horizon:
+            raise InvalidInput("most_moves must not exceed longest_horizon.")
+
+    @property
+    def period(self) -> float:
+        """Control period (s)."""
+        return self.model.period
+
+    @property
+    def diagnostic_names(self) -> tuple[str, ...]:  # type: ignore[override]
+        """What a step says beside the command: of the QP, and of what has been learned."""
+        if self.learner is None:
+            return _DIAGNOSTICS
+        from adaptrack.core.estimators.learning import BELIEFS
+
+        return (*_DIAGNOSTICS, *BELIEFS)
+
+    def learned(self) -> LearnedCar:
+        """What has been learned of the car so far.
+
+        Raises
+        ------
+        InvalidInput
+            When the controller does not learn.
+        """
+        if self.learner is None:
+            raise InvalidInput("learned: this MPC does not learn: MPC(car, learning=Learning()) does.")
+        return self.learner.learned(self._mpc.informed.learned[0])
+
+    @property
+    def name(self) -> str:
+        """How tables call the controller."""
+        moves = f"laguerre {self.moves.pole:g}" if self.moves.kind == "laguerre" else "pulse"
+        scheduled = "scheduled" if self.scheduler else ""
+        if self.is_published:
+            return f"{scheduled or 'standard'} MPC ({moves})"
+        if self.belief is not None:
+            return f"{scheduled} informed MPC ({moves})".strip()
+        return f"{scheduled} MPC ({self.model.name}, {self.estimator.name}, {moves})".strip()
+
+    @property
+    def is_published(self) -> bool:
+        """Whether model and estimator are the paper's."""
+        return isinstance(self.model, SingleTrackModel) and isinstance(self.estimator, Deadbeat)
+
+    def __repr__(self) -> str:
+        car, tuning = getattr(self.model, "vehicle", None), self.tuning
+        numbers = f"{tuning.Np}/{tuning.Nc}/{tuning.Q:g}/{tuning.R:g}"
+        known = f"; steering: {self.belief}" if self.belief is not None else ""
+        return f"<{self.name} of {getattr(car, 'name', 'a car')}: {numbers}, every {self.period:g} s{known}>"
+
+    @property
+    def in_kernel(self) -> bool:
+        """Whether the kernels solve the QP, rather than a back-end called from Python."""
+        return isinstance(self.solver, ActiveSet | Hildreth)
+
+    def settings(self, longest: float = math.inf, most: float = math.inf, residuals: bool = True) -> Any:
+        """Everything but model and tuning as the kernels expect it (`core.controllers.mpc.Settings`).
+
+        longest, most: horizons for which a smaller workspace is enough; residuals: whether each step computes its KKT
+        residual.
+        """
+        from adaptrack.core.controllers import mpc as kernel
+
+        solver, sweeps, tolerance = kernel.ACTIVE_SET, 1, 0.0
+        if isinstance(self.solver, Hildreth):
+            solver = {
+                "exact": kernel.HILDRETH_THEN_EXACT,
+                "apply": kernel.HILDRETH_APPLIED,
+                "hold": kernel.HILDRETH_OR_HOLD,
+            }[self.solver.on_uncertified]
+            sweeps, tolerance = self.solver.max_sweeps, self.solver.tolerance
+        elif self.solver.on_uncertified == "apply":
+            solver = kernel.HILDRETH_APPLIED  # of a back-end in Python: what is not certified steers as well
+        limits = self.limits
+        return kernel.settings(
+            period=self.period,
+            move_min=limits.move[0],
+            move_max=limits.move[1],
+            angle_min=limits.angle[0],
+            angle_max=limits.angle[1],
+            ahead=limits.ahead,
+            output_min=limits.output[0],
+            output_max=limits.output[1],
+            output_weight=limits.output_weight,
+            error_max=limits.error,
+            laguerre=self.moves.kind == "laguerre",
+            pole=self.moves.pole,
+            terms=self.moves.terms,
+            preview=self.preview,
+            delay=self.model.dead_time / self.period,
+            speed_floor=self.speed_floor,
+            informed=self.estimator.function is not None,
+            solver=solver,
+            max_sweeps=sweeps,
+            max_changes=getattr(self.solver, "max_iterations", None) or 0,
+            tolerance=tolerance,
+            residuals=residuals,
+            longest_horizon=min(
+                self.longest_horizon, max(1.0, math.floor(longest + 0.5)) if longest < math.inf else 1e9
+            ),
+            most_moves=min(self.most_moves, max(1.0, math.floor(most + 0.5)) if most < math.inf else 1e9),
+        )
+
+    def batch(self, slots: int, settings: Any, curved: bool = False) -> Any:
+        """Fresh compiled controllers for `slots` runs, on curved roads or not (`core.controllers.mpc.Mpc`)."""
+        from adaptrack.core.controllers import mpc as kernel
+
+        model, estimator = self.model, self.estimator
+        return kernel.batch(
+            slots, settings, (model.parameters(), model.measured_places(), model.output, self._turning()),
+            (estimator.parameters(model), estimator.memory_size(model)), curved,
+            None if self.learner is None else (self.learner.parameters(), self.learner.fresh()),
+        )  # fmt: skip
+
+    def _turning(self) -> Array:
+        """What the moves of a curved road follow from, `core.controllers.feed_forward.Turning`; or (0,)."""
+        known = self.model.turning()
+        return np.concatenate([known, self.estimator.tyres]) if known.size else known
+
+    def reset(self) -> None:
+        """Forget the past: the next step is the first, from steering angle 0."""
+        from adaptrack.core.variables import NAMES
+
+        self._mpc = self.batch(1, self.settings())
+        self._requested = self.tuning.as_array()
+        self._plan = self.scheduler.plan(1) if isinstance(self.scheduler, CompiledScheduler) else None
+        self._names = NAMES
+        self._variables = np.zeros(len(NAMES))
+        self._speed, self._without_speed = math.nan, 0
+        self._raised = 0
+        self._load()
+
+    def restart(self) -> None:
+        """Forget the past, but not what has been learned of the car: for another drive of it."""
+        before = self._mpc.informed.learned
+        self.reset()
+        if self.learner is not None:
+            self._mpc.informed.learned[:] = self.learner.again(before[0])
+
+    def _load(self) -> None:
+        """What a copy cannot carry along: the lock, addresses, compiled functions."""
+        from adaptrack.core.kernel import Resident
+
+        self._lock = threading.Lock()
+        self._measured, answer = self._mpc.measured, self._mpc.answer[0]
+        self._answer, self._learned = answer[:_ANSWER], answer[_ANSWER:]
+        self._state = Row("state", self._measured, _STATE_SIZES)
+        self._known = 0  # of the state, in the last step
+        self._reference = Row("reference", np.zeros(self._furthest))
+        self._now: Any = np.zeros(2).data  # `core.controllers.mpc_step.NOW`
+        self._curved = bool(self._mpc.settings.curved)
+        self._resident = Resident(self._mpc)
+        self._resident_plan = None if self._plan is None else Resident(self._plan)
+        self._step: Callable[[], None] | None = None
+
+    def __getstate__(self) -> dict[str, Any]:
+        state = self.__dict__.copy()
+        for name in _NOT_CARRIED:
+            state.pop(name, None)
+        return state
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        self._load()
+
+    def __copy__(self) -> Self:
+        """A controller of its own: memories are never shared."""
+        return copy.deepcopy(self)
+
+    def mismatches(self, scheduler: Any, profile: str | None = None, plant: Any = None) -> list[str]:
+        """What a scheduler was made for and does not find here, see `made_for.mismatches`.
+
+        profile: its name; plant: what is driven, whose car may be another than the controller's.
+        """
+        asked = getattr(scheduler, "made_for", None)
+        return mismatches(asked, self.kind_of_model, car_of(self.model), profile, car_of(plant))
+
+    def warn_of(self, scheduler: Any, profile: str | None = None, plant: Any = None) -> None:
+        """Log what a scheduler was made for and does not find here, each once per controller."""
+        for each in self.mismatches(scheduler, profile, plant):
+            said = f"scheduler {getattr(scheduler, 'name', '')!r} {each}"
+            if said not in self._said:
+                self._said.add(said)
+                _log.warning("adaptrack: %s.", said)
+
+    @property
+    def kind_of_model(self) -> str:
+        """What a scheduler's file calls the model and the estimator behind its tuning."""
+        return INCREMENTAL if self.is_published else f"{self.model.name}, {self.estimator.name}"
+
+    @property
+    def scheduler_counts(self) -> dict[str, int]:
+        """What the scheduler did since the last reset, by name, see `core.guard.COUNTS`.
+
+        ``raised``: steps at which a scheduler in Python raised an error or answered what is no tuning; the tuning
+        before was kept.
+        """
+        if self._plan is None:
+            return {"raised": self._raised} if self.scheduler is not None else {}
+        from adaptrack.core.guard import COUNTS
+
+        return {name: int(self._plan.memory[0][name]) for name in COUNTS}
+
+    @property
+    def left_out(self) -> str | None:
+        """The sensor that the estimator leaves out at present because it disagrees with all others; None: none."""
+        return self.estimator.left_out(self._mpc.informed.estimates[0])
+
+    @property
+    def angle(self) -> float:
+        """The last command (rad)."""
+        return float(self._mpc.memory[0].command)
+
+    def applied(self, angle: float) -> None:
+        """Say which angle (rad) was asked of the wheels in place of the last command: the next step goes on from it.
+
+        Raises
+        ------
+        InvalidInput
+            When no road wheel can have it.
+        """
+        self._mpc.memory["command"][0] = wheel_angle("applied: angle", angle)
+
+    def change_path(self, heading: float, offset: float) -> None:
+        """Say that another path lies under the car, by how much (rad, m) heading and offset have grown against it.
+
+        What the estimator has learned of the car stays; one that cannot move it begins anew.
+
+        Raises
+        ------
+        InvalidInput
+            When a number is not finite, or so large that `restart` is due.
+        """
+        turned, shifted = change_of_path(heading, offset)
+        mpc = self._mpc
+        for i, name in enumerate(self.model.states):
+            mpc.previous[0, i] += {"yaw": turned, "y": shifted}.get(name, 0.0)
+        if mpc.memory["started"][0]:
+            self.estimator.change_path(self.model, mpc.informed.estimates[0], turned, shifted)
+
+    @property
+    def _dead_time(self) -> float:
+        """s, from an instant until its command begins to act, as believed at present."""
+        if self.learner is None:
+            return self.model.dead_time
+        return self.learner.dead_time(self._mpc.informed.learned[0])
+
+    def predicted_output(self) -> tuple[Array, Array]:
+        """Times (Np,) s from now and y (Np,) m that the last step predicts for them, with its plan of moves.
+
+        On a curved road y counts from the tangent at the car's foot.
+        """
+        mpc, own = self._mpc, self._mpc.memory[0]
+        count = int(own.Np)
+        free = mpc.ws.reference[:count] - mpc.ws.error[:count]
+        steps = np.arange(count)
+        moves = np.zeros(count)
+        if self.moves.kind == "laguerre":
+            moves = mpc.plan[0, : self.moves.terms] @ mpc.ws.moves[: self.moves.terms, :count]
+        else:
+            moves[: own.planned] = mpc.plan[0, : own.planned]
+        response = np.convolve(moves, mpc.ws.step[0, :count])[:count]
+        return np.asarray((steps + 1.0) * self.period + self._dead_time), np.asarray(free + response)
+
+    def step(
+        self,
+        state: ArrayLike,
+        speed: float,
+        reference: ArrayLike,
+        variables: Sequence[float] | None = None,
+        road: RoadAhead | None = None,
+    ) -> MPCCommand:
+        """One control step.
+
+        state: what is measured, x_c = [v_y (m/s), yaw (rad), yaw rate (rad/s), y (m)]; for a model or an estimator
+        that uses them also the wheel angle (rad), the lateral acceleration (m/s^2), the age of yaw and y (s) and that
+        of all others, and by how much (rad) the path has turned at the car's foot since the last step; speed: v_x
+        (m/s); reference: y_ref (m) now and, for preview, at the instants that follow (the last value is repeated as
+        needed); variables: what the scheduler looks at (`SchedulingVariables`), needed when there is one; road: a
+        curved one from the car's foot on, against which yaw, y and y_ref then count.
+
+        While the speed is missing (not finite, or masked) the last one counts, for 6 s (`SPEED_KEPT`). A state,
+        reference or speed that is not known gives no exception but a command that holds the previous angle, its status
+        saying why: a controller in a running vehicle must answer. So does a scheduler that raises an
+        error or answers what is no tuning: the tuning before is kept, the step counted, and a warning logged once.
+
+        Raises
+        ------
+        InvalidInput
+            When an argument is not made of numbers or has a wrong shape, when the scheduler has nothing to look at, or
+            when another thread is in a step of this controller.
+        """
+        if not self._lock.acquire(False):
+            raise InvalidInput("this MPC is in a step of another thread: each vehicle needs a controller of its own.")
+        try:
+            self._take(state, speed, reference, variables, road)
+            (self._step or self._compiled_step())()
+            return self._command()
+        finally:
+            self._lock.release()
+
+    def _compiled_step(self) -> Callable[[], None]:
+        """The step behind the arguments, compiled on first use."""
+        if self.in_kernel:
+            from adaptrack.core.controllers.mpc_step import Step, step
+            from adaptrack.core.kernel import direct
+
+            given = Step(self._mpc, self.functions, np.asarray(self._now), self._reference.values, self._requested)
+            self._step = direct(step, given)
+        else:
+            self._step = self._step_through
+        return self._step
+
+    def problem(
+        self,
+        state: ArrayLike,
+        speed: float,
+        reference: ArrayLike,
+        variables: Sequence[float] | None = None,
+        road: RoadAhead | None = None,
+    ) -> QP:
+        """The QP that `step` would solve with these arguments; the controller stays as it is.
+
+        A scheduler in Python stays as it is, too, if it can be copied; one that cannot is asked itself.
+        """
+        twin = self._twin()
+        twin._take(state, speed, reference, variables, road)
+        _, n, m = twin._form()
+        return twin._qp(n, m)
+
+    def solved_problem(self) -> tuple[QP, Array]:
+        """The QP of the last step, which was solved at a speed above standstill, and its solution x (n,)."""
+        own, ws = self._mpc.memory[0], self._mpc.ws
+        limited = any(map(math.isfinite, self.limits.output))
+        n = int(own.planned) + limited
+        qp = self._qp(n, 4 * int(own.Nc) + (2 * int(own.Np) if limited else 0))
+        return qp, ws.solution[:n].copy()
+
+    def _twin(self) -> Self:
+        """A controller in the same state, to form a QP with; what that does not change is shared."""
+        state = self.__getstate__()
+        state |= copy.deepcopy({name: state[name] for name in ("_mpc", "_requested", "_plan", "_variables")})
+        if self._plan is None:
+            with suppress(Exception):  # it may hold a lock, a file, a connection
+                state["scheduler"] = copy.deepcopy(self.scheduler)
+        twin = object.__new__(type(self))
+        twin.__setstate__(state)
+        return twin
+
+    def _take(
+        self,
+        state: ArrayLike,
+        speed: float,
+        reference: ArrayLike,
+        variables: Sequence[float] | None,
+        road: RoadAhead | None,
+    ) -> None:
+        """Take in what a step is given; the reference and the speed as the kernels want them."""
+        known, now = self._state.take(state), self._now
+        now[1] = self._reference.take(reference)
+        if type(speed) is not float:
+            speed = number("speed", speed)
+        if isfinite(speed):
+            self._speed, self._without_speed = speed, 0
+        else:
+            speed = self._last_speed()
+        now[0] = speed
+        if known != self._known:
+            self._measured[known:] = NOTHING_MEASURED[known:]
+            self._known = known
+        if road is not None or self._curved:
+            self._look_along(road_ahead(road), speed)
+        if self.scheduler is not None:
+            self._schedule(variables)
+
+    def _last_speed(self) -> float:
+        """The last speed (m/s) for some time, where the present one is missing; then NaN."""
+        self._without_speed += 1
+        return self._speed if self._without_speed * self.period <= SPEED_KEPT else math.nan
+
+    def _look_along(self, road: RoadAhead | None, speed: float) -> None:
+        """Take in the road ahead."""
+        from adaptrack.core.controllers.mpc import on_curved_roads
+        from adaptrack.core.kernel import Resident
+
+        if not self._curved:
+            self._mpc, self._curved = on_curved_roads(self._mpc), True
+            self._resident, self._step = Resident(self._mpc), None
+        bend = self._mpc.bend
+        bend[:] = 0.0
+        if road is not None and math.isfinite(speed):
+            delay = self._dead_time / self.period
+            bend[:] = road.bend(bend.size, max(speed, self.speed_floor), delay, self.period)
+
+    def _schedule(self, variables: Sequence[float] | None) -> None:
+        """Let the scheduler choose the tuning."""
+        if variables is None:
+            raise InvalidInput("this MPC has a scheduler: step(..., variables=SchedulingVariables(...)) is needed.")
+        if self._resident_plan is None:
+            self._ask(variables)
+            return
+        given, own = self._given(variables), self._variables
+        if given.size < own.size:
+            own[given.size :] = 0.0
+        own[: given.size] = given
+        self._schedule_step(own, self._resident_plan, self._requested)
+
+    def _given(self, variables: Sequence[float]) -> Array:
+        """The variables as numbers; the last three may be left out."""
+        count = self._variables.size
+        try:
+            return vector("variables", variables, (count - 3, count - 2, count - 1, count))
+        except InvalidInput as error:
+            raise InvalidInput(
+                f"variables: need {count} numbers, {', '.join(self._names)}; the last three may be left out."
+            ) from error
+
+    def _ask(self, variables: Sequence[float]) -> None:
+        """Ask a scheduler in Python; what is no tuning leaves the one before."""
+        assert self.scheduler is not None
+        try:
+            self._requested[:] = read_tuning(self.scheduler(variables))
+        except Exception as error:
+            self._raised += 1
+            if self._raised == 1:
+                _log.warning(
+                    "adaptrack: the scheduler failed, its last tuning is kept: %s: %s", type(error).__name__, error
+                )
+
+    @cached_property
+    def _schedule_step(self) -> Any:
+        from adaptrack.core.schedule_step import schedule_step
+
+        return schedule_step
+
+    @cached_property
+    def functions(self) -> Any:
+        """What the kernels call for this controller (`core.controllers.mpc.Functions`)."""
+        from adaptrack.core.controllers import mpc as kernel
+
+        return kernel.functions(discretise=self.model.function, estimate=self.estimator.function)
+
+    def _form(self) -> tuple[int, int, int]:
+        from adaptrack.core.controllers.mpc_step import form_qp
+
+        speed, count = self._now.tolist()
+        ahead = self._reference.values[: int(count)]
+        found: tuple[int, int, int] = form_qp(0, speed, ahead, self._requested, self._resident, self.functions)
+        return found
+
+    def _qp(self, n: int, m: int) -> QP:
+        ws = self._mpc.ws
+        return QP(
+            E=ws.hessian[0, :n, :n].copy(),
+            K=ws.gradient[:n].copy(),
+            M=ws.rows[0, :n, :m].T.copy(),
+            gamma=ws.bounds[:m].copy(),
+        )
+
+    def _step_through(self) -> None:
+        """A step whose QP goes to a back-end in Python; the rest is the kernels' work all the same."""
+        from adaptrack.core.controllers.receding import apply_move
+
+        ws = self._mpc.ws
+        status, n, m = self._form()
+        iterations = 0
+        if not (np.isfinite(ws.gradient[:n]).all() and np.isfinite(ws.hessian[0, :n, :n]).all()):
+            status = QPStatus.NON_FINITE
+        if status == QPStatus.SOLVED:
+            solution = self.solver.solve(self._qp(n, m))
+            status, iterations = solution.status, solution.iterations
+            ws.solution[:n] = solution.x
+            ws.multipliers[:m] = solution.lam
+        apply_move(0, int(status), iterations, n, m, self._resident)
+
+    def _command(self) -> MPCCommand:
+        angle, move, held, Np, Nc, Q, R, status, iterations, residual, at_limit, reckoned = self._answer.tolist()
+        learned = () if self.learner is None else tuple(self._learned.tolist())
+        made = (
+            angle, move, held > 0.5, (Np, Nc, Q, R), _STATUSES[status], int(iterations), residual, _AT_LIMIT[at_limit],
+            reckoned, learned,
+        )  # fmt: skip
+        return _new(MPCCommand, made)
+
+    def describe(self) -> dict[str, Any]:
+        """The controller's configuration, for provenance."""
+        return {
+            "tuning": {"Np": self.tuning.Np, "Nc": self.tuning.Nc, "Q": self.tuning.Q, "R": self.tuning.R},
+            "period": self.period,
+            "limits": {
+                "move": list(self.limits.move),
+                "angle": list(self.limits.angle),
+                "output": [repr(value) for value in self.limits.output],
+                **({"ahead": self.limits.ahead} if self.limits.ahead > 0.0 else {}),
+                **({"error": self.limits.error} if self.limits.error < math.inf else {}),
+            },
+            "moves": {"kind": self.moves.kind, "pole": self.moves.pole, "terms": self.moves.terms}
+            if self.moves.kind == "laguerre"
+            else {"kind": "pulse"},
+            "preview": self.preview,
+            "solver": self.solver.name,
+            "model": self.model.name,
+            "estimator": self.estimator.name,
+            "belief": None if self.belief is None else str(self.belief),
+            "speed_floor": self.speed_floor,
+            "scheduler": None
+            if self.scheduler is None
+            else getattr(self.scheduler, "name", type(self.scheduler).__name__),
+        }

@@ -1,0 +1,163 @@
+"""Optimal preview control: LQR whose gains see the curvature ahead."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from adaptrack.base.errors import InvalidInput, real
+from adaptrack.cars.vehicle import Steering, Vehicle
+from adaptrack.control.controllers.base import DECADES, FIXED, Array, Bounds, CompiledController
+from adaptrack.control.controllers.limits import Limits
+from adaptrack.control.controllers.lqr import SPEEDS, WEIGHT_FACTORS, feedback, riccati
+from adaptrack.control.controllers.told import Told
+from adaptrack.control.models import PathModel
+from adaptrack.scenario.profile import Profile
+
+PREVIEW = 3.0
+"""s, how far ahead of the end of the dead time the curvature counts."""
+
+
+class PreviewLQR(CompiledController):
+    """Linear-quadratic regulator with optimal preview of the curvature, on the path model with steering lag.
+
+    Where `LQR` adds the steering of the steady turn, this one knows how the car gets there: gains on every coming
+    change of the curvature follow from the same Riccati equation as those on the state, which is rolled through the
+    commands on their way. Equations and sources: `core.controllers.preview_lqr`. On a bend that goes on it steers
+    the steady turn of the linear car.
+
+    q_e: 1/m^2, weight of the offset; q_heading: 1/rad^2, of the heading against that of the steady turn; r: 1/rad^2,
+    of the steering beyond the steady turn's; all positive. ahead: s, how far the curvature is seen. profile, belief:
+    what it is told of steering and sensors, as for `MPC`; period (s), preview, limits: by default the profile's, and
+    those of the belief. A lateral velocity that is not measured counts as 0.
+
+    Raises
+    ------
+    InvalidInput
+        For a weight that is not positive and finite, or arguments that make no controller.
+    """
+
+    tuning_bounds: Mapping[str, Bounds] = {
+        "q_e": DECADES,
+        "q_heading": DECADES,
+        "r": FIXED,
+    }  # only the ratios to r count
+
+    def __init__(
+        self,
+        vehicle: Vehicle,
+        *,
+        q_e: float = 1.0,
+        q_heading: float = 100.0,
+        r: float = 100.0,
+        ahead: float = PREVIEW,
+        profile: str | Profile | None = None,
+        belief: Steering | None = None,
+        period: float | None = None,
+        limits: Limits | None = None,
+        preview: bool | None = None,
+    ) -> None:
+        from adaptrack.core.controllers import preview_lqr as kernel
+
+        self.vehicle = vehicle
+        told = Told.of("PreviewLQR", vehicle, profile, belief, period, preview, limits)
+        self.belief, self.pose_age = told.belief, told.pose_age
+        for name, value in (("q_e", q_e), ("q_heading", q_heading), ("r", r)):
+            if not 0.0 < real("PreviewLQR", name, value) < math.inf:
+                raise InvalidInput(f"PreviewLQR: {name} = {value!r}: must be finite and positive.")
+        if not told.period <= real("PreviewLQR", "ahead", ahead) <= 10.0:
+            raise InvalidInput(f"PreviewLQR: ahead = {ahead!r} s: must be from a control period to 10.")
+        self.previewed = round(ahead / told.period)
+        self.tuning_names, self.diagnostic_names = kernel.TUNING, kernel.DIAGNOSTICS
+        self._model = PathModel(vehicle, told.period, self.belief.lag.value)
+        behind = self.belief.delay / told.period
+        self.memory_size = kernel.memory_size(self._model.n, self.previewed, behind)
+        tuning = {"q_e": q_e, "q_heading": q_heading, "r": r}
+        super().__init__(tuning, period=told.period, limits=told.limits, preview=told.preview)
+
+    @property
+    def name(self) -> str:
+        return "preview LQR"
+
+    @property
+    def function(self) -> Any:
+        from adaptrack.core.controllers.preview_lqr import preview_lqr
+
+        return preview_lqr
+
+    def own_parameters(self) -> Array:
+        car, t, known = self.vehicle, self.tuning, self.belief
+        e, heading, steps = t["q_e"] / t["r"], t["q_heading"] / t["r"], np.log(WEIGHT_FACTORS)
+        head = (
+            car.wheelbase, car.lr, car.understeer_gradient,
+            car.mass * car.lf / (2.0 * car.stiffness_rear * car.wheelbase), known.lag.value, known.delay, self.pose_age,
+            self.previewed, math.log(SPEEDS[0]), math.log(SPEEDS[-1] / SPEEDS[0]) / (len(SPEEDS) - 1), len(SPEEDS),
+            math.log(e) + steps[0], math.log(heading) + steps[0], steps[1] - steps[0], len(steps),
+        )  # fmt: skip
+        grid = _grid(self._model, self.previewed, e, heading)
+        return np.concatenate([head, self._model.parameters(), grid.reshape(-1)])
+
+    def gains_at(self, speed: float) -> Array:
+        """The gains (n + previewed,) of the controller's own weights at a speed (m/s), not interpolated.
+
+        On the deviation of the state from the steady turn (with its sign in the steering), then on the changes of
+        curvature times speed (rad/s) from each period to the next.
+        """
+        A, B, _ = self._model.discrete(speed)
+        e, heading = self.tuning["q_e"] / self.tuning["r"], self.tuning["q_heading"] / self.tuning["r"]
+        return preview_gains(A, B[:, 0], steady_turn(self.vehicle, speed, len(A))[0], e, heading, self.previewed)
+
+    def describe(self) -> dict[str, Any]:
+        return {
+            **super().describe(), "law": "preview-lqr", "vehicle": self.vehicle.name, "belief": str(self.belief),
+            "pose_age": self.pose_age, "previewed": self.previewed,
+        }  # fmt: skip
+
+
+def steady_turn(vehicle: Vehicle, speed: float, n: int) -> tuple[Array, float]:
+    """X (n,) and U: the path model's state in the steady turn, and its steering (rad), for curvature times speed 1.
+
+    Rajamani, *Vehicle Dynamics and Control*, 2nd ed., eqs. (3.12)-(3.15). n: 5 with the wheel angle as a state, else 4.
+    """
+    slip = vehicle.mass * vehicle.lf / (2.0 * vehicle.stiffness_rear * vehicle.wheelbase)
+    heading = slip * speed - vehicle.lr / speed
+    steering = vehicle.wheelbase / speed + vehicle.understeer_gradient * speed
+    return np.array([-speed * heading, heading, 1.0, *([steering] if n == 5 else []), 0.0]), steering
+
+
+def preview_gains(A: Array, B: Array, X: Array, q_e: ArrayLike, q_heading: ArrayLike, count: int) -> Array:
+    """(..., n + count): -K, then g_0, g_1, ..., see `core.controllers.preview_lqr`, with r = 1.
+
+    A (..., n, n), B and X (..., n) of the path model, the heading its second state and the offset its last; weights
+    for every model.
+    """
+    Q = np.zeros_like(A)
+    Q[..., 1, 1], Q[..., -1, -1] = q_heading, q_e
+    P = riccati(A, B, Q)
+    K = feedback(A, B, P)
+    closed = A - B[..., :, None] * K[..., None, :]
+    found = np.empty((*K.shape[:-1], K.shape[-1] + count))
+    found[..., : K.shape[-1]] = -K
+    whole = 1.0 + np.einsum("...i,...ij,...j->...", B, P, B)
+    later = np.einsum("...ij,...j->...i", P, X)
+    for j in range(count):
+        found[..., K.shape[-1] + j] = np.einsum("...i,...i->...", B, later) / whole
+        later = np.einsum("...ji,...j->...i", closed, later)
+    return found
+
+
+@lru_cache(maxsize=64)
+def _grid(model: PathModel, previewed: int, q_e: float, q_heading: float) -> Array:
+    """Gains (speeds, weights, weights, n + previewed)."""
+    k, n = len(WEIGHT_FACTORS), model.n
+    found = [model.discrete(speed) for speed in SPEEDS]
+    turns = [steady_turn(model.vehicle, speed, n)[0] for speed in SPEEDS]
+    A = np.broadcast_to(np.array([A for A, _, _ in found])[:, None, None], (len(SPEEDS), k, k, n, n))
+    B = np.broadcast_to(np.array([B[:, 0] for _, B, _ in found])[:, None, None], (len(SPEEDS), k, k, n))
+    X = np.broadcast_to(np.array(turns)[:, None, None], B.shape)
+    return preview_gains(A, B, X, q_e * WEIGHT_FACTORS[:, None], q_heading * WEIGHT_FACTORS, previewed)

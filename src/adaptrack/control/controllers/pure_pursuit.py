@@ -1,0 +1,63 @@
+"""Pure pursuit."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from adaptrack.base.errors import InvalidInput
+from adaptrack.cars.vehicle import Vehicle
+from adaptrack.control.controllers.base import Bounds, CompiledController, known_vehicle
+from adaptrack.control.controllers.limits import Limits
+
+
+class PurePursuit(CompiledController):
+    """Pure pursuit: steer the arc that leads the rear axle to a point of the path ahead.
+
+        delta = atan(2 L sin(alpha)/l_d)
+
+    alpha: angle from the car's axis to the target; l_d: distance from the rear axle to it; L: wheelbase. The target is
+    the point of the path that lies max(lookahead_time v, lookahead_min) ahead of the centre of gravity. Tyre slip is
+    not modelled. R. C. Coulter, *Implementation of the Pure Pursuit Path Tracking Algorithm*, CMU-RI-TR-92-01, 1992;
+    a look-ahead that grows with the speed is common practice.
+
+    lookahead_time: s; lookahead_min: m; the rest: see `CompiledController`.
+    """
+
+    tuning_bounds: Mapping[str, Bounds] = {"lookahead_time": Bounds(0.1, 1.5), "lookahead_min": Bounds(1.0, 10.0)}
+
+    def __init__(
+        self,
+        vehicle: Vehicle,
+        *,
+        lookahead_time: float = 0.6,
+        lookahead_min: float = 4.0,
+        period: float = 0.1,
+        limits: Limits | None = None,
+        preview: bool = False,
+    ) -> None:
+        from adaptrack.core.controllers import pure_pursuit as kernel
+
+        self.vehicle = known_vehicle("PurePursuit", vehicle)
+        self.tuning_names, self.diagnostic_names = kernel.TUNING, kernel.DIAGNOSTICS
+        self.memory_size = kernel.MEMORY
+        tuning = {"lookahead_time": lookahead_time, "lookahead_min": lookahead_min}
+        super().__init__(tuning, period=period, limits=limits, preview=preview)
+        if self.tuning["lookahead_min"] == 0.0:
+            raise InvalidInput("PurePursuit: lookahead_min = 0.0 m: must be positive, or a standing car has no target.")
+
+    @property
+    def name(self) -> str:
+        return "pure pursuit"
+
+    @property
+    def function(self) -> Any:
+        from adaptrack.core.controllers.pure_pursuit import pure_pursuit
+
+        return pure_pursuit
+
+    def own_parameters(self) -> tuple[float, ...]:
+        return self.vehicle.wheelbase, self.vehicle.lr
+
+    def describe(self) -> dict[str, Any]:
+        return {**super().describe(), "law": "pure-pursuit", "vehicle": self.vehicle.name}

@@ -1,0 +1,125 @@
+"""Controllers by name: whoever is registered drives everywhere. A name costs nothing until it is asked for."""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from adaptrack.base.registry import Registry
+from adaptrack.cars.vehicle import Vehicle, load_vehicle
+from adaptrack.control.controllers.base import Controller
+from adaptrack.scenario.profile import Profile
+
+Factory = Callable[..., Controller]
+
+
+@dataclass(frozen=True)
+class About:
+    """What is known of a registered controller before one is made."""
+
+    words: str = ""
+    """what it is, for readers"""
+    tunable: bool = True
+    """whether its tuning can be sought (`Controller.tuning_bounds`)"""
+    compiled: bool = True
+    """whether the kernels run it; one that needs Python at every step is some hundred times slower"""
+    step_time: float = 2e-5
+    """s, of a control step with its plant in a batch, roughly: for estimates of time"""
+    ours: bool = False
+
+
+_IN_PYTHON: dict[str, Any] = {"tunable": False, "compiled": False, "step_time": 4e-3}
+_HOME = "adaptrack.control"
+_SHIPPED: dict[str, tuple[str, About]] = {
+    "informed": ("controllers.mpc:MPC", About("MPC that knows its car", ours=True)),
+    "informed-learning": ("variants:learning", About("the same, learning while it drives", ours=True)),
+    "informed-from-sheet": (
+        "variants:learning_from_sheet",
+        About("the same, with nothing known but mass and wheelbase, learning while it drives", ours=True),
+    ),
+    "informed-nn": ("variants:informed_nn", About("the same, scheduled by networks", tunable=False, ours=True)),
+    "as-written": ("controllers.published:published_mpc", About("MPC of the paper, as written")),
+    "as-released": ("controllers.published:released_mpc", About("MPC of the paper, as its authors released it")),
+    "nn": ("variants:nn", About("MPC of the paper, scheduled by networks", tunable=False)),
+    "anfis": ("variants:anfis", About("MPC of the paper, scheduled by ANFIS", tunable=False)),
+    "published": ("variants:published", About("MPC of the paper, with its best constant on drives", tunable=False)),
+    "published, road-nn": ("variants:published_nn", About("the same, scheduled by networks", tunable=False)),
+    "pure-pursuit": ("controllers.pure_pursuit:PurePursuit", About("pure pursuit")),
+    "stanley": ("controllers.stanley:Stanley", About("Stanley, with dead time")),
+    "lqr": ("controllers.lqr:LQR", About("LQR with curvature feed-forward")),
+    "preview-lqr": ("controllers.preview_lqr:PreviewLQR", About("LQR with optimal preview of the curvature")),
+    "kinematic-mpc": (
+        "controllers.kinematic_mpc:KinematicMPC",
+        About("kinematic MPC with lag and dead time, Autoware's formulation"),
+    ),
+    "mppi": ("controllers.mppi:MPPI", About("MPPI on the tyre's curve", step_time=7e-4)),
+    "nmpc": ("controllers.nmpc:NMPC", About("NMPC on the tyre's curve, with our estimator", **_IN_PYTHON)),
+    "nmpc-as-measured": ("controllers.nmpc:as_measured", About("the same without an estimator", **_IN_PYTHON)),
+}
+_about: dict[str, About] = {name: about for name, (_, about) in _SHIPPED.items()}
+_registry: Registry[Controller] = Registry(
+    "controller", "register_controller", {name: f"{_HOME}.{place}" for name, (place, _) in _SHIPPED.items()}
+)
+
+
+def register_controller(name: str, factory: Factory | str, *, words: str = "", compiled: bool = False) -> None:
+    """Give a controller a name for everything that takes one: `simulate`, `drive`, `tune`, `evaluate`, `compare`.
+
+    factory: a callable, or ``"package.module:name"``, imported on first use: ``factory(vehicle)`` makes the controller.
+    Where it has arguments called ``profile``, ``period`` (s) or ``preview``, it is given those of the runs at hand.
+    words: what it is, for tables; compiled: whether it is a `UserController`, which the kernels run.
+    `check_controller` tells whether what it makes keeps the contract.
+
+    Raises
+    ------
+    InvalidInput
+        For a name that is taken or empty, or a factory that is neither.
+    """
+    _registry.add(name, factory)
+    _about[name] = About(words) if compiled else About(words, **_IN_PYTHON)
+
+
+def get_controller(
+    name: str,
+    vehicle: Vehicle | str,
+    *,
+    profile: str | Profile | None = None,
+    offered: Mapping[str, Any] | None = None,
+    **options: Any,
+) -> Controller:
+    """A new controller for a vehicle (or its name or file); ``options`` go to its factory.
+
+    profile: what the controller runs on; goes to a factory that has an argument of this name; offered: likewise, what
+    else it may take, by name.
+
+    Raises
+    ------
+    UnknownName
+        When no controller has this name; the message holds the nearest that is known.
+    """
+    factory = _registry.factory(name)
+    taken = inspect.signature(factory).parameters
+    if profile is not None and "profile" in taken:
+        options["profile"] = profile
+    anything = any(each.kind is each.VAR_KEYWORD for each in taken.values())
+    more = {key: value for key, value in (offered or {}).items() if key in taken or anything}
+    return factory(vehicle if isinstance(vehicle, Vehicle) else load_vehicle(vehicle), **more, **options)
+
+
+def about_controller(name: str) -> About:
+    """What is known of a registered controller.
+
+    Raises
+    ------
+    UnknownName
+        When no controller has this name; the message holds the nearest that is known.
+    """
+    _registry.known(name)
+    return _about[name]
+
+
+def list_controllers() -> list[str]:
+    """The known names, sorted."""
+    return _registry.names()

@@ -1,0 +1,66 @@
+"""What a law of others is told of steering, sensors and limits: the same as the MPC that knows its car."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+from adaptrack.base.errors import InvalidInput, real
+from adaptrack.cars.vehicle import Steering, Vehicle
+from adaptrack.control.controllers.base import known_vehicle
+from adaptrack.control.controllers.belief import Belief, believed
+from adaptrack.control.controllers.informed import UNNAMED
+from adaptrack.control.controllers.limits import Limits
+from adaptrack.scenario.profile import Profile, load_profile
+
+
+def world_and_belief(
+    where: str, vehicle: Vehicle, profile: str | Profile | None, belief: Steering | None, period: float | None
+) -> tuple[Profile, float, Belief]:
+    """The profile, the control period (s), and what is believed of the steering; arguments as for `MPC`.
+
+    Raises
+    ------
+    InvalidInput
+        For a vehicle that is none, a belief that is no `Steering`, or a period that is not positive and finite.
+    """
+    car, world = known_vehicle(where, vehicle), load_profile(UNNAMED if profile is None else profile)
+    pace = real(where, "period", world.period if period is None else period)
+    if not 0.0 < pace < math.inf:
+        raise InvalidInput(f"{where}: period = {pace!r} s: must be positive and finite.")
+    return world, pace, believed(car, belief, world, pace, named=profile is not None)
+
+
+class Told(NamedTuple):
+    """What a law is told."""
+
+    belief: Belief
+    """of the steering: caller, car file and profile in this order"""
+    pose_age: float
+    """s, how old yaw and y are when they arrive"""
+    period: float
+    """s, the control period"""
+    preview: bool
+    limits: Limits
+    """by default those that follow from the belief"""
+
+    @classmethod
+    def of(
+        cls, where: str, vehicle: Vehicle, profile: str | Profile | None, belief: Steering | None,
+        period: float | None, preview: bool | None, limits: Limits | None,
+    ) -> Told:  # fmt: skip
+        """What is told to the law `where`; arguments as for `MPC`.
+
+        Raises
+        ------
+        InvalidInput
+            For a vehicle that is none, a belief that is no `Steering`, or a period that is not positive and finite.
+        """
+        world, pace, known = world_and_belief(where, vehicle, profile, belief, period)
+        return cls(
+            belief=known,
+            pose_age=world.pose_age if profile is not None else 0.0,
+            period=pace,
+            preview=world.preview if preview is None else bool(preview),
+            limits=known.bounds(pace) if limits is None else limits,
+        )

@@ -1,0 +1,519 @@
+"""What a controller knows: the state and the disturbance that it predicts from, and friction and wind.
+
+The estimator of an MPC gives the state of its prediction model (`Estimator`). The scheduler of one is given
+friction and wind exactly, with errors (`Perception`), or as a car's own signals show them (`FrictionWindEstimator`):
+neither is measured. Friction shows only where the tyres are near their limit; elsewhere the estimate drifts back to a
+nominal value, and its standard deviation says so.
+"""
+
+from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, fields
+from typing import Any, NamedTuple, Self, final
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from adaptrack.base.arguments import reals
+from adaptrack.base.errors import ContractError, InvalidInput, real, whole
+from adaptrack.base.registry import Registry
+from adaptrack.cars.plant import DualTrack, SingleTrack
+from adaptrack.cars.vehicle import SteeringActuator, Tyre, Vehicle, load_tyre, pack_plant
+from adaptrack.control.models import PredictionModel
+from adaptrack.scenario.profile import Profile, load_profile
+
+Array = NDArray[np.float64]
+
+NOTHING_MEASURED = np.array([math.nan] * 6 + [0.0, 0.0, 0.0])
+"""Sensors without a sample, their ages, and a path that does not turn, see `core.models.contract.MEASURED`."""
+LEAST_NOISE_VY, LEAST_NOISE_YAW_RATE = 0.005, 0.001
+"""m/s and rad/s: with better sensors than these, the model's own errors are what limits the filter."""
+
+
+SLOWEST = 5.0
+"""m/s: from this speed on a step of the filter is no longer than the time constants of the lateral motion."""
+
+
+class Estimator(ABC):
+    """From measurements to the state x (n,) of the MPC's prediction model and a disturbance d (n,).
+
+    The controller predicts from x(k+1) = A x(k) + B u(k) + d. `check_estimator` admits one.
+    """
+
+    name: str
+    """how tables call it"""
+
+    @property
+    def tyres(self) -> tuple[float, float]:
+        """Friction and shape factor by which it knows that tyres pull less than linear ones; friction 0: not at all."""
+        return 0.0, 0.0
+
+    @property
+    @abstractmethod
+    def function(self) -> Any:
+        """The compiled ``estimate(speed, measured, command, a, b, parameters, memory, x, d)``.
+
+        See `core.estimators.contract`. None: the controller's own form on increments of the measured state.
+        """
+
+    def parameters(self, model: PredictionModel) -> Array:
+        """The constant numbers of its function, with a model."""
+        return np.zeros(0)
+
+    def memory_size(self, model: PredictionModel) -> int:
+        """Numbers that it remembers from step to step."""
+        return 0
+
+    def change_path(self, model: PredictionModel, memory: Array, heading: float, offset: float) -> None:
+        """Heading (rad) and offset (m) of the past have grown by so much, against another path; else begin anew."""
+        memory[:] = 0.0
+
+    def left_out(self, memory: Array) -> str | None:
+        """The sensor that it leaves out because it disagrees with all others, by what it remembers; None: none."""
+        return None
+
+    def check_fits(self, model: PredictionModel) -> None:  # noqa: B027 (most fit any model)
+        """Refuse a model that it cannot serve.
+
+        Raises
+        ------
+        InvalidInput
+            When it is none for this model.
+        """
+
+
+@final
+class Deadbeat(Estimator):
+    """The paper's: x is the measured state, and d explains the last measurement whole.
+
+    d(k) = x(k) - A x(k-1) - B u(k-1), all at the present speed: the free response is then F [x(k) - x(k-1); y], the
+    incremental form of eqs. (9), (10). It needs the whole state measured.
+    """
+
+    name = "deadbeat"
+
+    @property
+    def function(self) -> Any:
+        return None
+
+    def check_fits(self, model: PredictionModel) -> None:
+        if "wheel_angle" in model.states:
+            raise InvalidInput(
+                f"estimator 'deadbeat': needs the whole state of model {model.name!r} measured, and wheel_angle is not "
+                "given to every controller: use an estimator that reconstructs it."
+            )
+        if model.dead_time > 0.0:
+            raise InvalidInput(
+                f"estimator 'deadbeat': knows no dead time, and model {model.name!r} has {model.dead_time:g} s: use an "
+                "estimator that carries the state over it, such as 'kalman'."
+            )
+
+
+@final
+class UserEstimator(Estimator):
+    """An estimator of one's own: one function and its numbers. `check_estimator` admits it.
+
+    estimate(speed, measured, command, a, b, parameters, memory, x, d) writes x and d and may return for how long (s) it
+    has had no position, see `core.estimators.contract`, and `UserPlant` for how it is called; parameters: name ->
+    number; memory_size: numbers that it remembers, a whole number or a function of the number of states.
+
+    Raises
+    ------
+    ContractError
+        When numba cannot compile the function.
+    """
+
+    def __init__(
+        self, estimate: Callable[..., None], *, parameters: Mapping[str, float] | None = None,
+        memory_size: int | Callable[[int], int] = 0, label: str = "user",
+    ) -> None:  # fmt: skip
+        from adaptrack.core.estimators.contract import compile_estimator
+
+        self.name = label
+        self.numbers = {key: real(f"UserEstimator {label!r}", key, value) for key, value in (parameters or {}).items()}
+        self._memory_size = memory_size
+        try:
+            self._function = compile_estimator(estimate)
+        except Exception as error:
+            raise ContractError(
+                f"UserEstimator {label!r}: numba cannot compile its function as "
+                f"f(speed, measured, command, a, b, parameters, memory, x, d) on float64 numbers and arrays: {error}"
+            ) from error
+
+    @property
+    def function(self) -> Any:
+        return self._function
+
+    def parameters(self, model: PredictionModel) -> Array:
+        return np.array(list(self.numbers.values()), dtype=float)
+
+    def memory_size(self, model: PredictionModel) -> int:
+        size = self._memory_size
+        return size(model.n) if callable(size) else int(size)
+
+
+_registry: Registry[Estimator] = Registry(
+    "estimator", "register_estimator", {"deadbeat": Deadbeat, "kalman": "adaptrack.control.kalman:KalmanFilter"}
+)
+
+
+def register_estimator(name: str, factory: Callable[..., Estimator] | str) -> None:
+    """Make ``get_estimator(name, **options)`` call ``factory(**options)``.
+
+    Raises
+    ------
+    InvalidInput
+        For a name that is taken or empty, or a factory that is neither callable nor ``"package.module:name"``.
+    """
+    _registry.add(name, factory)
+
+
+def get_estimator(name: str, **options: Any) -> Estimator:
+    """A registered estimator.
+
+    Raises
+    ------
+    UnknownName
+        When none has this name.
+    """
+    return _registry.make(name, **options)
+
+
+def list_estimators() -> list[str]:
+    """The known names, sorted."""
+    return _registry.names()
+
+
+def check_estimator(estimator: Estimator, model: PredictionModel, speed: float = 15.0, steps: int = 200) -> None:
+    """Test that an estimator keeps the contract on which the controller relies, with a model that it is meant for.
+
+    It fits the model. Driven by measurements that the model itself gives, at rest first, then under a steering command
+    that wanders: it writes x and d, finite, leaves its other arguments alone, and in the end predicts the output of the
+    next period to a millimetre; a measurement that is not finite gives no NaN.
+
+    Raises
+    ------
+    ContractError
+        Naming the clause that is broken and the evidence.
+    """
+
+    def fail(clause: str, evidence: str) -> None:
+        raise ContractError(f"estimator {estimator.name!r}: {clause}: {evidence}.")
+
+    estimator.check_fits(model)
+    if estimator.function is None:
+        return
+    a, b, c = model.discrete(speed)
+    matrix, column, places = np.ascontiguousarray(a), b[:, 0].copy(), model.measured_places()
+    parameters, memory = estimator.parameters(model), np.zeros(estimator.memory_size(model))
+    x, found, d = np.zeros(model.n), np.full(model.n, np.nan), np.full(model.n, np.nan)
+    command = 0.0
+    for k in range(steps):
+        measured = NOTHING_MEASURED.copy()
+        measured[places] = x
+        given = [each.copy() for each in (measured, matrix, column, parameters)]
+        estimator.function(speed, measured, command, matrix, column, parameters, memory, found, d)
+        after = (measured, matrix, column, parameters)
+        if any(not np.array_equal(one, other, equal_nan=True) for one, other in zip(given, after, strict=True)):
+            fail("it must write to memory, x and d only", f"step {k}")
+        if not (np.isfinite(found).all() and np.isfinite(d).all()):
+            fail("x and d must be written and finite", f"x = {found}, d = {d} at step {k}")
+        command = 0.01 * math.sin(0.2 * k)
+        ahead = (c @ (matrix @ found + column * command + d)).item()
+        x = matrix @ x + column * command
+        if k == steps - 1 and not abs(ahead - (c @ x).item()) < 1e-3:
+            fail("it must predict the model that it is driven by", f"y = {ahead:g} m instead of {(c @ x).item():g} m")
+    estimator.function(speed, NOTHING_MEASURED.copy(), command, matrix, column, parameters, memory, found, d)
+    if not (np.isfinite(found).all() and np.isfinite(d).all()):
+        fail("a measurement that is not finite must leave x and d finite", f"x = {found}, d = {d}")
+
+
+class Estimate(NamedTuple):
+    """What is known of the surroundings at one control instant; deviations are standard deviations."""
+
+    friction: float
+    """coefficient of friction, the same on all wheels; the median"""
+    wind: float
+    """m/s, v_w: velocity of the air along +Y"""
+    friction_std: float
+    wind_std: float
+    """m/s"""
+    stiffness: float
+    """cornering stiffness of the tyres, over what the estimator was given"""
+
+
+@dataclass(frozen=True)
+class Belief:
+    """What the estimator believes before it has seen anything, and how fast it forgets.
+
+    ln(friction), wind and ln(stiffness) are Gauss-Markov processes: mean, standard deviation ("spread") and
+    correlation time. The spreads suit friction from 0.3 to 1 and gusts up to 30 m/s.
+
+    Raises
+    ------
+    InvalidInput
+        When a number is not finite, a time or a spread not positive, or nominal_friction outside friction_range.
+    """
+
+    nominal_friction: float = 0.65
+    friction_spread: float = 0.33
+    """of ln(friction)"""
+    friction_time: float = 8.0
+    """s"""
+    friction_range: tuple[float, float] = (0.1, 1.5)
+    wind_spread: float = 12.0
+    """m/s"""
+    wind_time: float = 3.0
+    """s"""
+    most_wind: float = 60.0
+    """m/s, the estimate stays within +- this"""
+    stiffness_spread: float = 0.05
+    """of ln(stiffness); 0 when the tyres are known exactly"""
+    stiffness_time: float = 600.0
+    """s"""
+    tyre_error: float = 0.02
+    """s^0.5, white noise on the lateral force of each axle, over that force"""
+    drift_vy: float = 0.02
+    """m/s per s^0.5, random walk of the lateral velocity that the model does not explain"""
+    drift_yaw_rate: float = 0.006
+    """rad/s per s^0.5"""
+
+    def __post_init__(self) -> None:
+        low, high = (real("Belief", "friction_range", value) for value in self.friction_range)
+        for field in fields(self):
+            if field.name == "friction_range":
+                continue
+            value = real("Belief", field.name, getattr(self, field.name))
+            least = 0.0 if field.name in ("stiffness_spread", "tyre_error") else math.ulp(0.0)
+            if not least <= value < math.inf:
+                raise InvalidInput(f"Belief: {field.name} = {value!r}: must be finite and positive.")
+        if not 0.0 < low <= self.nominal_friction <= high < math.inf:
+            raise InvalidInput(
+                f"Belief: nominal_friction = {self.nominal_friction!r} must lie in friction_range = {(low, high)!r}, "
+                "of finite positive numbers."
+            )
+
+
+class FrictionWindEstimator:
+    """Extended Kalman filter for road friction and lateral wind, from signals that a car has.
+
+    State z = [v_y, r, ln mu, w, ln s] of the single-track vehicle with saturating tyres and wind loads,
+
+        m (dv_y/dt + v_x r) = F_f(alpha_f, mu, s) cos(delta) + F_r(alpha_r, mu, s) + F_w(v_y, w)
+        I_z dr/dt = l_f F_f cos(delta) - l_r F_r + M_w(v_y, w)
+        d(ln mu)/dt = (ln mu_0 - ln mu)/tau_mu + noise,   dw/dt = -w/tau_w + noise,   d(ln s)/dt = -ln s/tau_s + noise
+
+    delta: a replica of the steering actuator behind the known commands; s: a factor on the cornering stiffness, so
+    that a tyre a little softer or stiffer than believed is not taken for a slippery or a grippy road. Measured are v_y
+    and the yaw rate, and the lateral acceleration where there is a sensor; yaw and speed are taken as they come. The
+    wind along X is taken as zero. Sources: D. Simon, *Optimal State Estimation* (2006), chapter 13; R. Rajamani,
+    *Vehicle Dynamics and Control*, 2nd ed., chapters 2 and 13.
+
+    vehicle, tyre, steering: what the estimator believes (by default the vehicle's tyre and an ideal actuator); period:
+    control period (s); delay: whether a command acts one period after its measurement; noise_vy (m/s),
+    noise_yaw_rate (rad/s), noise_acceleration (m/s^2): standard deviations of the sensors; belief: see `Belief`.
+
+    Raises
+    ------
+    InvalidInput
+        When the period or a noise is not positive and finite.
+    """
+
+    def __init__(
+        self,
+        vehicle: Vehicle,
+        tyre: Tyre | str | None = None,
+        steering: SteeringActuator | None = None,
+        *,
+        period: float = 0.05,
+        delay: bool = True,
+        noise_vy: float = 0.05,
+        noise_yaw_rate: float = 0.01,
+        noise_acceleration: float = 0.1,
+        belief: Belief | None = None,
+    ) -> None:
+        tyre = vehicle.tyre if tyre is None else tyre
+        self.vehicle = vehicle
+        self.tyre = tyre if isinstance(tyre, Tyre) else load_tyre(tyre)
+        self.steering = steering or SteeringActuator.ideal()
+        self.belief = belief or Belief()
+        self.delay = bool(delay)
+        given = {
+            "period": period,
+            "noise_vy": noise_vy,
+            "noise_yaw_rate": noise_yaw_rate,
+            "noise_acceleration": noise_acceleration,
+        }
+        for name, value in given.items():
+            if not 0.0 < real("FrictionWindEstimator", name, value) < math.inf:
+                raise InvalidInput(f"FrictionWindEstimator: {name} = {value!r}: must be positive and finite.")
+        self.period = float(period)
+        front, rear = (2.0 * c for c in self.tyre.stiffness_at(*vehicle.static_loads))
+        rate = max((front + rear) / vehicle.mass, (front * vehicle.lf**2 + rear * vehicle.lr**2) / vehicle.yaw_inertia)
+        self.steps = math.ceil(self.period * rate / SLOWEST)
+        self.noise = (float(noise_vy), float(noise_yaw_rate), float(noise_acceleration))
+        self._packed = pack_plant(self.vehicle, self.tyre, self.steering)
+        self._settings = self.settings()
+        self.reset()
+
+    @classmethod
+    def of(
+        cls,
+        plant: SingleTrack | DualTrack,
+        profile: str | Profile = "road",
+        *,
+        period: float | None = None,
+        noise_acceleration: float = 0.1,
+        belief: Belief | None = None,
+    ) -> Self:
+        """The estimator that knows a plant behind a profile: its car and tyres, steering, delay and sensor noise.
+
+        period: of the controller (s), by default the profile's.
+        """
+        profile = load_profile(profile)
+        return cls(
+            plant.vehicle,
+            plant.tyre,
+            plant.steering or profile.steering,
+            period=profile.period if period is None else period,
+            delay=profile.delay > 0.0,
+            noise_vy=max(profile.noise_vy, LEAST_NOISE_VY),
+            noise_yaw_rate=max(profile.noise_yaw_rate, LEAST_NOISE_YAW_RATE),
+            noise_acceleration=noise_acceleration,
+            belief=belief,
+        )
+
+    def settings(self) -> Array:
+        """Everything but the vehicle, see `core.estimators.friction_wind.ESTIMATOR_SETTINGS`."""
+        from adaptrack.core.estimators.friction_wind import ESTIMATOR_SETTINGS
+
+        belief, step = self.belief, self.period / self.steps
+        root = math.sqrt(step)
+        values = {
+            "steps": self.steps,
+            "step": step,
+            "delay": self.delay,
+            **dict(zip(("noise_vy", "noise_yaw_rate", "noise_acceleration"), self.noise, strict=True)),
+            "drift_vy": belief.drift_vy * root,
+            "drift_yaw_rate": belief.drift_yaw_rate * root,
+            "tyre_error": belief.tyre_error * root,
+            "log_friction": math.log(belief.nominal_friction),
+            "friction_spread": belief.friction_spread,
+            "friction_kept": math.exp(-step / belief.friction_time),
+            "wind_spread": belief.wind_spread,
+            "wind_kept": math.exp(-step / belief.wind_time),
+            "stiffness_spread": belief.stiffness_spread,
+            "stiffness_kept": math.exp(-step / belief.stiffness_time),
+            "log_least_friction": math.log(belief.friction_range[0]),
+            "log_most_friction": math.log(belief.friction_range[1]),
+            "most_wind": belief.most_wind,
+        }
+        return np.array([values[name] for name in ESTIMATOR_SETTINGS], dtype=float)
+
+    def packed(self) -> Array:
+        """The vehicle as the kernel expects it (`core.plants.parameters.PLANT_PARAMETERS`)."""
+        return self._packed.copy()
+
+    def packed_for(self, slots: int) -> Any:
+        """So many fresh estimators like this one, as `core.period.Perceiving`."""
+        from adaptrack.core.estimators import friction_wind
+        from adaptrack.core.period import Perceiving
+
+        return Perceiving(self._packed, self._settings, friction_wind.Memory.new(slots))
+
+    def reset(self, memory: Array | None = None) -> None:
+        """Forget the past: the next step is the first, with the wheels straight ahead.
+
+        memory: that of one of `packed_for`, whose steps are this one's from now on.
+        """
+        from adaptrack.core.estimators import friction_wind
+
+        self._kernel = friction_wind
+        self._memory = friction_wind.Memory.new() if memory is None else memory
+
+    def step(self, measured: ArrayLike, speed: float, command: float, acceleration: float | None = None) -> Estimate:
+        """One step, at a control instant, before the controller's.
+
+        measured: x_c = [v_y (m/s), yaw (rad), yaw rate (rad/s), y (m)]; speed: v_x (m/s); command: the controller's
+        last steering command (rad), 0 before its first; acceleration: measured lateral acceleration (m/s^2), if there
+        is such a sensor. What is absurd (1e5 or more) or not a number is left out, or the last known value
+        stands in.
+
+        Raises
+        ------
+        InvalidInput
+            When `measured` has another shape, or an argument is not made of numbers.
+        """
+        seen = np.ascontiguousarray(reals("measured", measured))
+        if seen.shape != (4,):
+            raise InvalidInput(f"measured: shape {seen.shape}, expected (4,): v_y, yaw, yaw rate, y.")
+        felt = math.nan if acceleration is None else real("estimator", "acceleration", acceleration)
+        pace, sent = real("estimator", "speed", speed), real("estimator", "command", command)
+        self._kernel.estimate(0, seen, pace, sent, felt, self._packed, self._settings, self._memory)
+        return self.estimate
+
+    @property
+    def estimate(self) -> Estimate:
+        """What the last step found."""
+        kernel, own = self._kernel, self._memory[0]
+        return Estimate(
+            friction=float(own.friction),
+            wind=float(own.wind),
+            friction_std=float(own.friction_std),
+            wind_std=float(own.wind_std),
+            stiffness=math.exp(own.z[kernel.LOG_STIFFNESS]),
+        )
+
+    @property
+    def covariance(self) -> Array:
+        """(5, 5) covariance of z = [v_y, r, ln mu, w, ln s] after the last step."""
+        found: Array = self._memory[0].covariance[:, : self._kernel.N].copy()
+        return found
+
+
+@dataclass(frozen=True)
+class Perception:
+    """What a scheduler knows of friction and wind, when that is neither the truth nor an estimate from signals.
+
+    Raises
+    ------
+    InvalidInput
+        When a number is not finite, or the noise or the delay negative.
+    """
+
+    noise: float = 0.0
+    """standard deviation of a relative error of friction and of wind, new at every step"""
+    bias: float = 0.0
+    """relative error of both: 0.2: 20 % too much"""
+    delay: float = 0.0
+    """s, age of what is known"""
+    withheld: bool = False
+    """the nominal friction and no wind"""
+    nominal_friction: float = 0.65
+    seed: int = 0
+    """of the noise: the scenario i of a batch has that of seed + i"""
+
+    def __post_init__(self) -> None:
+        whole("Perception", "seed", self.seed, least=0)
+        for name in ("noise", "bias", "delay", "nominal_friction"):
+            value = real("Perception", name, getattr(self, name))
+            if not math.isfinite(value) or (value < 0.0 and name != "bias"):
+                raise InvalidInput(f"Perception: {name} = {value!r}: must be finite and not negative.")
+
+    def known(self, friction: Array, wind: Array, period: float, number: int) -> tuple[Array, Array]:
+        """What is known at the instants of a run, given the true friction and wind (n,) there.
+
+        number: of the scenario in its batch.
+        """
+        if self.withheld:
+            return np.full_like(friction, self.nominal_friction), np.zeros_like(wind)
+        late = np.maximum(np.arange(len(friction)) - round(self.delay / period), 0)
+        rng = np.random.default_rng((self.seed + number, 0x7E11))
+        known = []
+        for truth in (friction, wind):
+            error = 1.0 + self.bias + self.noise * rng.normal(size=len(truth))
+            known.append(truth[late] * error)
+        return np.maximum(known[0], 0.01), known[1]

@@ -1,0 +1,476 @@
+"""The prediction models of the MPC, one equation of the paper per method.
+
+This is the readable form: matrices of NumPy, any horizons, nothing cached. The controller runs the compiled form in
+`core.models` and `core.controllers.condensing`; a test demands that both give the same QP.
+"""
+
+from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any, final
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from adaptrack.base.errors import ContractError, InvalidInput, real
+from adaptrack.base.registry import Registry
+from adaptrack.cars.vehicle import Vehicle
+
+Array = NDArray[np.float64]
+
+MEASURED = ("vy", "yaw", "yaw_rate", "y", "wheel_angle")
+"""What is measured, and what a model's states may be: m/s, rad, rad/s, m, rad."""
+
+
+def _check_speed(speed: float) -> None:
+    """Refuse a speed at which a model has no matrices."""
+    if not 0.0 < speed < np.inf:
+        raise InvalidInput(
+            f"speed = {speed!r} m/s: must be positive and finite, a model is singular at standstill; "
+            "the controller floors the speed (MPC(speed_floor=...))."
+        )
+
+
+class PredictionModel(ABC):
+    """x(k+1) = A x(k) + B u(k) + E w(k), y(k) = C x(k), re-discretised at each speed.
+
+    u: steering command (rad); w: known input, curvature of the road times speed (rad/s), zero on a straight road. A
+    model says its states by the measured quantities that they are (`MEASURED`); the output is the last one, y. The
+    number of states is its own: nothing else knows it. `check_model` admits it.
+    """
+
+    @property
+    @abstractmethod
+    def name(self) -> str:
+        """How tables call the model."""
+
+    period: float
+    """s, control period"""
+    states: tuple[str, ...]
+    """of `MEASURED`; the last one is the output"""
+    dead_time: float = 0.0
+    """s, from an instant until its command begins to act; the estimator and the controller take it out"""
+
+    @abstractmethod
+    def parameters(self) -> Array:
+        """The constant numbers of its function."""
+
+    @property
+    @abstractmethod
+    def function(self) -> Any:
+        """The compiled ``discretise(speed, period, parameters, a, b, e)``, see `core.models.contract`."""
+
+    def turning(self) -> Array:
+        """What the steering of a curved road ahead follows from: the first five of
+        `core.controllers.feed_forward.TURNING`; or (0,).
+
+        Without it the moves of the MPC are counted from none, and a horizon much longer than the free moves cuts bends.
+        """
+        return np.zeros(0)
+
+    @property
+    def n(self) -> int:
+        """How many states."""
+        return len(self.states)
+
+    @property
+    def output(self) -> Array:
+        """C (n,)."""
+        return np.eye(self.n)[-1]
+
+    def measured_places(self) -> NDArray[np.int64]:
+        """(n,) places of the states in `MEASURED`."""
+        return np.array([MEASURED.index(name) for name in self.states], dtype=np.int64)
+
+    def discrete(self, speed: float) -> tuple[Array, Array, Array]:
+        """Eq. (8): A_k (n, n), B (n, 1), C (1, n) over the period at a speed (m/s).
+
+        Raises
+        ------
+        InvalidInput
+            When the speed is not positive and finite.
+        """
+        _check_speed(speed)
+        a, b, e = np.zeros((self.n, self.n)), np.zeros(self.n), np.zeros(self.n)
+        self.function(float(speed), self.period, self.parameters(), a, b, e)
+        return a, b[:, None], self.output[None]
+
+    def responses(self, speed: float, horizon: int, of_next: bool = False) -> tuple[Array, Array]:
+        """F of eq. (10), transposed (n+1, horizon), and the response to a unit move C~ A~^j B~ (horizon,); compiled.
+
+        of_next: F of the next increment of the state, which an estimator gives, not of the last one.
+        """
+        from adaptrack.core.controllers import condensing
+
+        a, b, c = self.discrete(speed)
+        free, step = np.ones((self.n + 1, horizon)), np.empty(horizon)
+        model = condensing.discrete(a, b[:, 0].copy(), c[0].copy())
+        condensing.responses(horizon, of_next, model, free, step)
+        return free, step
+
+    def augmented(self, speed: float) -> tuple[Array, Array, Array]:
+        """Eq. (9): A~ (n+1, n+1), B~ (n+1, 1), C~ (1, n+1) in x~ = [change of x, y], with the move as input."""
+        a, b, c = self.discrete(speed)
+        return (
+            np.block([[a, np.zeros((self.n, 1))], [c @ a, np.eye(1)]]),
+            np.vstack([b, c @ b]),
+            np.hstack([np.zeros((1, self.n)), np.eye(1)]),
+        )
+
+    def prediction(self, speed: float, Np: int, Nc: int) -> tuple[Array, Array]:
+        """Eq. (10): F (Np, n+1) and Phi (Np, Nc) with Y = F x~ + Phi dU, rows being the outputs at k+1 .. k+Np."""
+        if not 1 <= Nc <= Np:
+            raise InvalidInput(f"Np = {Np}, Nc = {Nc}: need 1 <= Nc <= Np.")
+        a, b, c = self.augmented(speed)
+        free, phi = np.empty((Np, self.n + 1)), np.zeros((Np, Nc))
+        row = c
+        for i in range(Np):
+            response = (row @ b).item()  # C~ A~^i B~
+            for j in range(min(Nc, Np - i)):
+                phi[i + j, j] = response
+            row = row @ a
+            free[i] = row
+        return free, phi
+
+    def cost(self, reference: ArrayLike, outputs: ArrayLike, moves: ArrayLike, Q: float, R: float) -> float:
+        """Eq. (11): J = (R_s - Y)' Q (R_s - Y) + dU' R dU, with scalar weights."""
+        error = np.asarray(reference, float) - np.asarray(outputs, float)
+        change = np.asarray(moves, float)
+        return float(Q * error @ error + R * change @ change)
+
+    def quadratic(
+        self,
+        speed: float,
+        x: ArrayLike,
+        reference: ArrayLike,
+        Np: int,
+        Nc: int,
+        Q: float,
+        R: float,
+        basis: ArrayLike | None = None,
+    ) -> tuple[Array, Array]:
+        """Eq. (17) of the cost: E = 2(Phi' Q Phi + R) and K = -2 Phi' Q (R_s - F x~), shapes (n, n) and (n,).
+
+        x: x~ = [change of x (n), y], shape (n+1,); reference: R_s, shape (Np,); basis: L (Np, n) of moves
+        dU = L eta over the whole horizon, by default the Nc pulses of eq. (10). R weighs eta.
+        """
+        free, phi = self._response(speed, Np, Nc, basis)
+        error = np.asarray(reference, float) - free @ np.asarray(x, float)
+        return 2 * (Q * phi.T @ phi + R * np.eye(phi.shape[1])), -2 * Q * phi.T @ error
+
+    def feedback(
+        self, speed: float, Np: int, Nc: int, Q: float, R: float, basis: ArrayLike | None = None
+    ) -> tuple[Array, Array]:
+        """The control law far from all limits: du = k_r R_s - k_x x~, shapes (Np,) and (n+1,); arguments as above."""
+        free, phi = self._response(speed, Np, Nc, basis)
+        gain = np.linalg.solve(Q * phi.T @ phi + R * np.eye(phi.shape[1]), Q * phi.T)
+        first = gain[0] if basis is None else np.asarray(basis, float)[0] @ gain
+        return first, first @ free
+
+    def _response(self, speed: float, Np: int, Nc: int, basis: ArrayLike | None) -> tuple[Array, Array]:
+        if basis is None:
+            return self.prediction(speed, Np, Nc)
+        free, phi = self.prediction(speed, Np, Np)
+        return free, phi @ np.asarray(basis, float)
+
+
+@final
+@dataclass(frozen=True)
+class SingleTrackModel(PredictionModel):
+    """The paper's model: linear single track in x_c = [v_y, yaw, yaw rate, y].
+
+    vehicle: mass, inertia, axle distances and cornering stiffness per tyre; period: control period Ts (s).
+    Heading is taken as small: dy/dt = v_y + v_x yaw (the paper's A_c), while the plant uses eq. (5).
+
+    Raises
+    ------
+    InvalidInput
+        When the period, a speed or a horizon is not positive and finite.
+    """
+
+    vehicle: Vehicle
+    period: float = 0.1
+    states = MEASURED[:4]
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.vehicle, Vehicle):
+            raise InvalidInput(f"SingleTrackModel: vehicle = {self.vehicle!r}: must be a Vehicle, see load_vehicle.")
+        if not 0.0 < real("SingleTrackModel", "period", self.period) < np.inf:
+            raise InvalidInput(f"period = {self.period!r} s: must be positive and finite.")
+
+    @property
+    def name(self) -> str:
+        return "single-track"
+
+    def parameters(self) -> Array:
+        from adaptrack.core.models.single_track import Parameters
+
+        return np.array([getattr(self.vehicle, name) for name in Parameters._fields], dtype=float)
+
+    @property
+    def function(self) -> Any:
+        from adaptrack.core.models.single_track import discretise
+
+        return discretise
+
+    def continuous(self, speed: float) -> tuple[Array, Array, Array]:
+        """Eq. (7): A_c (4, 4), B_c (4, 1), C_c (1, 4) at a longitudinal speed (m/s)."""
+        if not 0.0 < speed < np.inf:
+            raise InvalidInput(
+                f"speed = {speed!r} m/s: must be positive and finite, A_c of eq. (7) is singular at standstill; "
+                "the controller floors the speed (MPC(speed_floor=...))."
+            )
+        v = self.vehicle
+        cf, cr = 2 * v.stiffness_front, 2 * v.stiffness_rear
+        a = np.array(
+            [
+                [-(cf + cr) / (v.mass * speed), 0, -speed - (cf * v.lf - cr * v.lr) / (v.mass * speed), 0],
+                [0, 0, 1, 0],
+                [
+                    -(cf * v.lf - cr * v.lr) / (v.yaw_inertia * speed),
+                    0,
+                    -(cf * v.lf**2 + cr * v.lr**2) / (v.yaw_inertia * speed),
+                    0,
+                ],
+                [1, speed, 0, 0],
+            ]
+        )
+        b = np.array([[cf / v.mass], [0], [cf * v.lf / v.yaw_inertia], [0]])
+        return a, b, np.array([[0.0, 0.0, 0.0, 1.0]])
+
+
+@final
+@dataclass(frozen=True)
+class PathModel(PredictionModel):
+    """The single track that knows its steering: x = [v_y, psi, r, delta, y] along a path, see `core.models.path`.
+
+    psi and y: heading and lateral offset against the path; delta: wheel angle behind the lag, left out when `lag` is 0.
+    vehicle: mass, inertia, axle distances and cornering stiffness per tyre; period: control period (s); lag: time
+    constant of the steering (s); dead_time: from an instant until its command begins to act (s), the computer's time
+    included.
+
+    Raises
+    ------
+    InvalidInput
+        When the period is not positive and finite, or lag or dead time is negative or not finite.
+    """
+
+    vehicle: Vehicle
+    period: float = 0.1
+    lag: float = 0.0
+    dead_time: float = 0.0
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.vehicle, Vehicle):
+            raise InvalidInput(f"PathModel: vehicle = {self.vehicle!r}: must be a Vehicle, see load_vehicle.")
+        if not 0.0 < real("PathModel", "period", self.period) < np.inf:
+            raise InvalidInput(f"PathModel: period = {self.period!r} s: must be positive and finite.")
+        for name in ("lag", "dead_time"):
+            if not 0.0 <= real("PathModel", name, getattr(self, name)) < np.inf:
+                raise InvalidInput(f"PathModel: {name} = {getattr(self, name)!r} s: must not be negative, and finite.")
+
+    @property
+    def name(self) -> str:
+        return "path"
+
+    @property
+    def states(self) -> tuple[str, ...]:  # type: ignore[override]
+        return ("vy", "yaw", "yaw_rate", *(("wheel_angle",) if self.lag > 0.0 else ()), "y")
+
+    def parameters(self) -> Array:
+        from adaptrack.core.models.path import Parameters
+
+        known = [getattr(self.vehicle, name) for name in Parameters._fields if name != "lag"]
+        return np.array([*known, self.lag], dtype=float)
+
+    @property
+    def function(self) -> Any:
+        from adaptrack.core.models.path import discretise
+
+        return discretise
+
+    def turning(self) -> Array:
+        from adaptrack.core.models.path import write_turning
+
+        found = np.zeros(5)
+        write_turning(self.parameters(), found)
+        return found
+
+    def continuous(self, speed: float) -> tuple[Array, Array]:
+        """A_c (n, n) and the columns (n, 4) of u, d_y, d_r and of the path's curvature times speed."""
+        _check_speed(speed)
+        v = self.vehicle
+        cf, cr = 2 * v.stiffness_front, 2 * v.stiffness_rear
+        turn = cf * v.lf - cr * v.lr
+        side = [-(cf + cr) / (v.mass * speed), 0, -speed - turn / (v.mass * speed), cf / v.mass, 0]
+        yawing = [
+            -turn / (v.yaw_inertia * speed), 0, -(cf * v.lf**2 + cr * v.lr**2) / (v.yaw_inertia * speed),
+            cf * v.lf / v.yaw_inertia, 0,
+        ]  # fmt: skip
+        a = np.array([side, [0, 0, 1, 0, 0], yawing, [0, 0, 0, 0, 0], [1, speed, 0, 0, 0]], dtype=float)
+        inputs = np.zeros((5, 4))
+        inputs[0, 1] = inputs[2, 2] = 1.0  # d_y, d_r
+        inputs[1, 3] = -1.0  # the path turns away
+        if self.lag > 0.0:
+            a[3, 3], inputs[3, 0] = -1.0 / self.lag, 1.0 / self.lag
+            return a, inputs
+        inputs[:, 0] = a[:, 3]
+        keep = [0, 1, 2, 4]
+        return a[np.ix_(keep, keep)], inputs[keep]
+
+
+@final
+class UserModel(PredictionModel):
+    """A model of one's own: one function and its numbers. `check_model` admits it.
+
+    discretise(speed, period, parameters, a, b, e) writes A (n, n), B (n,) and E (n,) over one period (s) at a speed
+    (m/s, > 0) and returns nothing; for how it is called see `UserPlant`. states: the measured quantities (`MEASURED`)
+    that its states are, the last one being y; parameters: name -> number, an array in their order; period: control
+    period (s).
+
+    Raises
+    ------
+    InvalidInput
+        For states that are not measured, or numbers that are not finite.
+    ContractError
+        When numba cannot compile the function.
+    """
+
+    def __init__(
+        self, discretise: Callable[..., None], states: Sequence[str], *, parameters: dict[str, float] | None = None,
+        period: float = 0.1, label: str = "user",
+    ) -> None:  # fmt: skip
+        from adaptrack.core.models.contract import compile_model
+
+        self.label, self.states = label, tuple(states)
+        where = f"UserModel {label!r}"
+        unknown = [name for name in self.states if name not in MEASURED]
+        if unknown or len(set(self.states)) < len(self.states) or self.states[-1:] != ("y",):
+            raise InvalidInput(
+                f"{where}: states = {self.states!r}: must be different ones of "
+                f"{', '.join(MEASURED)}, with y as the last."
+            )
+        self.period = real(where, "period", period)
+        if not 0.0 < self.period < math.inf:
+            raise InvalidInput(f"{where}: period = {period!r} s: must be positive and finite.")
+        self.numbers = {name: real(where, name, value) for name, value in (parameters or {}).items()}
+        try:
+            self._function = compile_model(discretise)
+        except Exception as error:
+            raise ContractError(
+                f"{where}: numba cannot compile its function as f(speed, period, parameters, a, b, e) on float64 "
+                f"numbers and arrays: {error}"
+            ) from error
+
+    @property
+    def name(self) -> str:
+        return self.label
+
+    def parameters(self) -> Array:
+        return np.array(list(self.numbers.values()), dtype=float)
+
+    @property
+    def function(self) -> Any:
+        return self._function
+
+
+_registry: Registry[PredictionModel] = Registry(
+    "prediction model", "register_model", {"single-track": SingleTrackModel, "path": PathModel}
+)
+
+
+def register_model(name: str, factory: Callable[..., PredictionModel] | str) -> None:
+    """Make ``get_model(name, vehicle, period)`` call ``factory(vehicle, period)``.
+
+    Raises
+    ------
+    InvalidInput
+        For a name that is taken or empty, or a factory that is neither callable nor ``"package.module:name"``.
+    """
+    _registry.add(name, factory)
+
+
+def get_model(name: str, vehicle: Vehicle, period: float = 0.1) -> PredictionModel:
+    """A registered prediction model of a vehicle.
+
+    Raises
+    ------
+    UnknownName
+        When no model has this name.
+    """
+    return _registry.make(name, vehicle, period)
+
+
+def list_models() -> list[str]:
+    """The known names, sorted."""
+    return _registry.names()
+
+
+def check_model(model: PredictionModel, speeds: Sequence[float] = (2.0, 10.0, 30.0)) -> None:
+    """Test that a prediction model keeps the contract on which the controller relies.
+
+    At each speed (m/s): the function writes every entry of A, B and E, finite, leaves its parameters alone and answers
+    twice alike; a steady shift of y stays where it is (A C' = C'), for the lateral position has no dynamics of its own;
+    and over some periods a steering angle to the left moves y to the left.
+
+    Raises
+    ------
+    ContractError
+        Naming the clause that is broken and the evidence.
+    """
+
+    def fail(clause: str, evidence: str) -> None:
+        raise ContractError(f"prediction model {model.name!r}: {clause}: {evidence}.")
+
+    n = model.n
+    for speed in speeds:
+        here, given = f"at {speed:g} m/s", model.parameters()
+        answers = []
+        for empty in (np.nan, 7.0):
+            a, b, e = np.full((n, n), empty), np.full(n, empty), np.full(n, empty)
+            model.function(float(speed), model.period, given, a, b, e)
+            answers.append(np.column_stack([a, b, e]))
+        if not np.isfinite(answers[0]).all():
+            fail("A, B and E must be written and finite", here)
+        if (answers[0] != answers[1]).any():
+            fail("the same arguments must give the same matrices", here)
+        if (given != model.parameters()).any():
+            fail("the parameters must not be written to", here)
+        a, b = answers[0][:, :n], answers[0][:, n]
+        if not np.allclose(a @ model.output, model.output, atol=1e-9):
+            fail("a steady shift of y must stay where it is", f"A C' = {a @ model.output} {here}")
+        x = np.zeros(n)
+        for _ in range(max(10, math.ceil(1.0 / model.period))):
+            x = a @ x + b * 0.01
+        if not x @ model.output > 0.0:
+            fail("steering to the left must move y to the left", f"y = {x @ model.output:g} m after 0.01 rad {here}")
+
+
+def laguerre_basis(Np: int, terms: int, pole: float) -> Array:
+    """L (Np, terms): the first discrete Laguerre functions with `pole` in [0, 1), one in each column."""
+    from adaptrack.core.controllers.condensing import laguerre_moves
+
+    rows = np.zeros((terms, Np))
+    laguerre_moves(Np, terms, pole, rows)
+    return rows.T.copy()
+
+
+def limit_matrix(Nc: int) -> Array:
+    """M of eq. (16) for limits on moves and angle, shape (4 Nc, Nc).
+
+    Four rows a sample: the move, its negative, the angle (the sum of moves so far), its negative.
+    """
+    rows = np.zeros((4 * Nc, Nc))
+    for i in range(Nc):
+        rows[4 * i, i], rows[4 * i + 1, i] = 1.0, -1.0
+        rows[4 * i + 2, : i + 1], rows[4 * i + 3, : i + 1] = 1.0, -1.0
+    return rows
+
+
+def limit_bounds(Nc: int, angle: float, limits: Any) -> Array:
+    """gamma of eq. (16) in the order of `limit_matrix`, shape (4 Nc,); angle: u(k-1) (rad); limits: a `Limits`."""
+    (low, high), (least, most) = limits.move, limits.angle
+    return np.tile([high, -low, most - angle, angle - least], Nc)

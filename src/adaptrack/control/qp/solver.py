@@ -1,0 +1,183 @@
+"""The contract between the controller and whatever solves its quadratic programme."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from typing import Any, ClassVar, Literal, NamedTuple, get_args
+
+import numpy as np
+
+from adaptrack.base.errors import InvalidInput
+from adaptrack.control.qp.problem import QP, Array, QPStatus, Residuals, Solution, kkt_residuals
+
+ACCEPTED = 1e-6
+"""A solver's "solved" is believed when no scaled residual exceeds this; else the answer is not certified."""
+NEAR = 1e-4
+"""... and when a Newton step moves x by no more than this (rad): at cond(E) ~ 1e11 small residuals prove little."""
+
+OnUncertified = Literal["exact", "apply", "hold"]
+
+
+class Attempt(NamedTuple):
+    """What a method found by itself."""
+
+    status: QPStatus
+    x: Array | None = None
+    """(n,); None: nothing"""
+    lam: Array | None = None
+    """(m,) multipliers, >= 0"""
+    iterations: int = 0
+    certified: bool = False
+    """whether the method has proved "solved" itself; it is tested otherwise"""
+    message: str = ""
+    """instead of the status's sentence"""
+
+
+class QPSolver(ABC):
+    """Solves one QP at a time.
+
+    A subclass names itself, states the accuracy of x[0] that it promises when E is ill-conditioned (cond(E) ~ 1e11;
+    rad) and implements `attempt`. `solve` tests what it found and acts on what is not certified. The contract, which
+    `adaptrack.control.qp.check_qp_solver` tests:
+
+    * `solve` returns a `Solution` for every QP; it raises nothing for infeasible, capped or non-finite problems;
+    * it does not write to the problem's arrays;
+    * without a warm start, the same problem gives the same bits;
+    * a warm start (an earlier `Solution` of a problem of the same shape) may change the effort, not the answer.
+
+    Parameters
+    ----------
+    on_uncertified : what becomes of an answer that is neither certified as solved nor about data that are not finite:
+        ``"exact"``: the exact active-set method finishes (the default);
+        ``"apply"``: hand the iterate on with the status CAPPED;
+        ``"hold"``: its status, and x = NaN, so that the controller has no move to apply.
+
+    A solver may keep a workspace between calls, so each thread needs its own.
+    """
+
+    name: ClassVar[str]
+    accuracy: ClassVar[float]
+    on_uncertified: OnUncertified = "exact"
+    finishes: int = 0
+    """How many answers the exact method has finished so far."""
+    _exact: QPSolver | None = None
+
+    def __init__(self, on_uncertified: OnUncertified = "exact") -> None:
+        if on_uncertified not in get_args(OnUncertified):
+            raise InvalidInput(f"on_uncertified is {on_uncertified!r}; choose 'exact', 'apply' or 'hold'.")
+        self.on_uncertified = on_uncertified
+
+    @property
+    def _library(self) -> Any:
+        """The package behind a back-end of others: looked up anew, for a copy or a pickle cannot hold a module."""
+        from adaptrack.control.qp.registry import require
+
+        return require(self.name, self.name)
+
+    @abstractmethod
+    def attempt(self, qp: QP, warm_start: Solution | None = None) -> Attempt:
+        """What the method itself finds for ``qp``; the status says how it ended."""
+
+    def solve(self, qp: QP, warm_start: Solution | None = None) -> Solution:
+        """The minimiser of ``qp``, or a status that says why there is none."""
+        found = self._tested(qp, self.attempt(qp, warm_start))
+        if self.on_uncertified == "exact" and found.status not in (QPStatus.SOLVED, QPStatus.NON_FINITE):
+            return self._finished(qp, found)
+        return self._solution(qp, found, self.name)
+
+    def _tested(self, qp: QP, found: Attempt) -> Attempt:
+        """What was found; CAPPED where `ACCEPTED` or `NEAR` contradict "solved"."""
+        if found.status is not QPStatus.SOLVED or found.certified:
+            return found
+        if found.x is None or found.lam is None or not (np.isfinite(found.x).all() and np.isfinite(found.lam).all()):
+            return found._replace(status=QPStatus.CAPPED, x=None)
+        worst = kkt_residuals(qp, found.x, found.lam).worst
+        away = newton_distance(qp, found.x, found.lam)
+        if worst <= ACCEPTED and away <= NEAR:
+            return found
+        message = (
+            f"{self.name} reported a solution whose optimality conditions miss by {worst:.1e} "
+            f"and which is about {away:.1e} rad from the true one."
+        )
+        return found._replace(status=QPStatus.CAPPED, message=message)
+
+    def _finished(self, qp: QP, found: Attempt) -> Solution:
+        """What the exact method makes of the problem."""
+        from adaptrack.control.qp.active_set import ActiveSet  # its kernels compile when they are needed
+
+        self._exact = self._exact or ActiveSet()
+        self.finishes += 1
+        exact = self._exact.attempt(qp)
+        why = found.message or f"{self.name} ended with {found.status.name} after {found.iterations} iterations."
+        message = f"{why} Not certified: the exact method finished. {exact.message or exact.status.sentence}"
+        exact = exact._replace(iterations=found.iterations + exact.iterations, message=message)
+        return self._solution(qp, exact, self._exact.name)
+
+    def _solution(self, qp: QP, found: Attempt, finished_by: str) -> Solution:
+        """The answer with its residuals, and NaN where there is nothing to apply."""
+        x, lam = found.x, found.lam
+        residuals = Residuals(*[float("nan")] * 4)
+        if x is not None and lam is not None:
+            residuals = kkt_residuals(qp, x, lam)
+        applied = found.status is QPStatus.SOLVED or (
+            found.status is QPStatus.CAPPED and self.on_uncertified == "apply"
+        )
+        if x is None or lam is None or not applied:
+            x, lam = np.full(qp.n, np.nan), np.full(qp.m, np.nan)
+        message = found.message or found.status.sentence
+        return Solution(
+            x, lam, found.status, residuals, int(found.iterations), self.name, message, finished_by, self.finishes
+        )
+
+
+def newton_distance(qp: QP, x: Array, lam: Array) -> float:
+    """How far a Newton step on the equations of the rows that press would move x: an estimate of its error (rad).
+
+    A row presses when its multiplier outweighs its slack, each relative to its kind.
+    """
+    slack = qp.gamma - qp.M @ x
+    there = np.isfinite(slack)
+    relative = np.abs(slack[there]) / (1.0 + np.abs(qp.gamma[there]))
+    pressing = np.flatnonzero(there)[lam[there] / (1.0 + lam.max(initial=0.0)) > relative]
+    N, n, q = qp.M[pressing], qp.n, len(pressing)
+    kkt = np.zeros((n + q, n + q))
+    kkt[:n, :n], kkt[:n, n:], kkt[n:, :n] = qp.E, N.T, N
+    right = np.concatenate([-(qp.E @ x + qp.K + N.T @ lam[pressing]), slack[pressing]])
+    scale = 1.0 / np.sqrt(np.maximum(np.abs(kkt).max(axis=1), np.finfo(float).tiny))
+    try:
+        step = scale * np.linalg.solve(kkt * scale[:, None] * scale[None, :], scale * right)
+    except np.linalg.LinAlgError:  # rows that depend on each other: the shortest of the possible steps
+        step = scale * np.linalg.lstsq(kkt * scale[:, None] * scale[None, :], scale * right)[0]
+    return float(np.abs(step[:n]).max())
+
+
+def is_finite(qp: QP) -> bool:
+    """Whether the data are usable: no NaN, no infinity except +inf in gamma."""
+    return bool(
+        np.isfinite(qp.E).all()
+        and np.isfinite(qp.K).all()
+        and np.isfinite(qp.M).all()
+        and (qp.gamma > -np.inf).all()  # false for NaN, too
+    )
+
+
+def is_convex(qp: QP) -> bool:
+    """Whether E has a Cholesky factor: asked before back-ends that would settle for a stationary point."""
+    try:
+        np.linalg.cholesky(qp.E)
+    except np.linalg.LinAlgError:
+        return False
+    return True
+
+
+def present_rows(qp: QP) -> tuple[np.ndarray, Array, Array]:
+    """Indices, M and gamma of the rows that have a bound."""
+    rows = np.flatnonzero(qp.gamma < np.inf)
+    return rows, np.ascontiguousarray(qp.M[rows]), np.ascontiguousarray(qp.gamma[rows])
+
+
+def all_multipliers(qp: QP, rows: np.ndarray, lam: Array) -> Array:
+    """Multipliers of all rows: those given, not below zero, and zero for absent rows."""
+    result = np.zeros(qp.m)
+    result[rows] = np.maximum(lam, 0.0)
+    return result

@@ -1,0 +1,343 @@
+"""A schedule: from the scheduling variables to the entries of a controller's tuning, at every step.
+
+It looks at some of the scheduling variables, clips them to the domain that it was made for, and gives each entry of
+the tuning as a function of them: a number, a network, a fuzzy system or a table. For the MPC, horizons are rounded and
+Nc <= Np; everything is held within bounds. `guard.Guarded` adds what makes its output safe to use. The same compiled
+code runs in a car's control loop, in `simulate` and in whole batches of runs.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from adaptrack.base.arguments import reals
+from adaptrack.base.errors import InvalidInput, did_you_mean, real
+from adaptrack.base.shown import figure_of, html_of
+from adaptrack.control.controllers import Tuning
+from adaptrack.control.controllers.tuning import ENTRIES
+from adaptrack.control.scheduling.functions import Function, Number, Table
+from adaptrack.control.scheduling.variables import VARIABLES, SchedulingVariables, complete
+
+if TYPE_CHECKING:
+    from adaptrack.control.scheduling.guard import Guard
+
+Array = NDArray[np.float64]
+
+HORIZONS = ("Np", "Nc")
+"""Entries of the MPC that are whole numbers."""
+BOUNDS: dict[str, tuple[float, float]] = {"Np": (1, 60), "Nc": (1, 20), "Q": (1e-6, 1e9), "R": (1e-9, 1e9)}
+"""What an entry of the MPC is held within, unless told otherwise."""
+LONGEST = 1000
+"""The longest horizon that a schedule may ask for: a controller makes room for it."""
+MOST_ENTRIES = 8
+"""Entries of a controller's tuning, at most."""
+
+
+@dataclass(frozen=True, eq=False)
+class Entry:
+    """How one entry of the tuning follows from the inputs.
+
+    Raises
+    ------
+    InvalidInput
+        When the function is neither a `Function` nor a finite number, or a bound is no number.
+    """
+
+    function: Function
+    """a plain number stands for a `Number`"""
+    low: float
+    high: float
+    """bounds of the value"""
+    log10: bool = False
+    """whether the function gives log10 of the value"""
+
+    def __post_init__(self) -> None:
+        given: Any = self.function
+        if not isinstance(given, Function):
+            object.__setattr__(self, "function", Number(given))
+        for bound in ("low", "high"):
+            object.__setattr__(self, bound, real("entry", bound, getattr(self, bound)))
+        object.__setattr__(self, "log10", bool(self.log10))
+
+
+@dataclass(frozen=True, eq=False)
+class Schedule:
+    """A scheduler as data: inputs, their domain, and a function for every entry of the tuning.
+
+    Calling it gives the tuning for one set of scheduling variables, without memory; a controller and compiled runs keep
+    a memory of their own for each run (`plan`), in which rate limits act and interventions are counted.
+
+    Raises
+    ------
+    InvalidInput
+        When an entry is missing, an input is unknown, or a function does not fit the inputs.
+    """
+
+    inputs: tuple[str, ...]
+    """the scheduling variables that the functions see, in this order"""
+    domain: Array
+    """(D, 2) low and high of each input: values outside are clipped"""
+    tuning: Mapping[str, Entry]
+    """by name"""
+    guard: Guard | None = None
+    """of the MPC's entries only"""
+    name: str = "schedule"
+    provenance: Mapping[str, Any] = field(default_factory=dict)
+    """how it was made"""
+    made_for: Mapping[str, Any] = field(default_factory=dict)
+    """the car, profile, controller and kernels that it was made for, as far as they are known; see `files.made_for`"""
+    entries: tuple[str, ...] = ENTRIES
+    """names of the controller's tuning entries, in the controller's order"""
+
+    def __post_init__(self) -> None:
+        for name in ("inputs", "entries"):
+            object.__setattr__(self, name, tuple(getattr(self, name)))
+        object.__setattr__(self, "domain", np.asarray(self.domain, dtype=np.float64))
+        self._check_inputs()
+        self._check_entries()
+        if self.guard is not None and not self.of_mpc:
+            raise InvalidInput("schedule: only the MPC's entries can be guarded.")
+        if max(self.largest) > LONGEST:
+            raise InvalidInput(
+                f"schedule: asks for horizons of up to {max(self.largest)} steps, at most {LONGEST} may be."
+            )
+        if not isinstance(self.name, str) or not all(
+            isinstance(each, Mapping) for each in (self.provenance, self.made_for)
+        ):
+            raise InvalidInput("schedule: name must be text, provenance and made_for mappings.")
+
+    def _check_inputs(self) -> None:
+        for name in self.inputs:
+            if name not in VARIABLES:
+                raise InvalidInput(f"schedule: unknown input {name!r}. {did_you_mean(name, VARIABLES)}")
+        if len(set(self.inputs)) < len(self.inputs) or not self.inputs:
+            raise InvalidInput(f"schedule: inputs = {self.inputs!r}: must be one or more different names.")
+        fits = self.domain.shape == (len(self.inputs), 2) and np.isfinite(self.domain).all()
+        if not fits or (self.domain[:, 0] > self.domain[:, 1]).any():
+            raise InvalidInput(f"schedule: domain: need finite low <= high for each of {', '.join(self.inputs)}.")
+
+    def _check_entries(self) -> None:
+        named = all(isinstance(name, str) for name in self.entries) and len(set(self.entries)) == len(self.entries)
+        if not named or not 0 < len(self.entries) <= MOST_ENTRIES:
+            raise InvalidInput(f"schedule: entries = {self.entries!r}: must be 1 to {MOST_ENTRIES} different names.")
+        if set(self.tuning) != set(self.entries):
+            raise InvalidInput(
+                f"schedule: the tuning has {', '.join(map(str, self.tuning)) or 'no entry'}; "
+                f"there must be {', '.join(self.entries)}."
+            )
+        for name, entry in self.tuning.items():
+            asked = entry.function.n_inputs
+            if asked not in (None, len(self.inputs)):
+                raise InvalidInput(
+                    f"schedule: the function of {name} has {asked} inputs, the schedule {len(self.inputs)}."
+                )
+            least = -math.inf
+            if self.of_mpc:
+                least = 1.0 if name in HORIZONS else 0.0
+            finite = math.isfinite(entry.low) and math.isfinite(entry.high)
+            if not (finite and least <= entry.low <= entry.high) or (self.of_mpc and name == "R" and entry.low <= 0.0):
+                raise InvalidInput(
+                    f"schedule: bounds of {name} are ({entry.low!r}, {entry.high!r}): need finite low <= high"
+                    f"{', those of R positive, of horizons at least 1' if self.of_mpc else ''}."
+                )
+
+    @property
+    def of_mpc(self) -> bool:
+        """Whether it tunes the MPC: its rules for horizons and weights hold then."""
+        return self.entries == ENTRIES
+
+    @property
+    def largest(self) -> tuple[int, int]:
+        """The longest Np and Nc that it can ask for; 0 of a schedule for another controller."""
+        if not self.of_mpc:
+            return 0, 0
+        highest = [self.tuning[name].high for name in HORIZONS]
+        if self.guard is not None:
+            highest = [max(highest[0], self.guard.fallback.Np), max(highest[1], self.guard.fallback.Nc)]
+        return int(highest[0]), int(highest[1])
+
+    def __repr__(self) -> str:
+        guard = "" if self.guard is None else ", guarded"
+        return f"<Schedule {self.name!r}: {', '.join(self.entries)} of {', '.join(self.inputs)}{guard}>"
+
+    def plot(self) -> Any:
+        """The tuning over the first input, for three values of the second, as a matplotlib figure."""
+        return figure_of(self)
+
+    def _repr_html_(self) -> str:
+        """The schedule in a notebook: inputs, entries, and the tuning in pictures."""
+        return html_of(self)
+
+    def plan(self, slots: int) -> Any:
+        """The schedule as the kernels read it (`core.schedule.Schedule`), with a fresh memory for `slots` runs."""
+        from adaptrack.core import guard, schedule
+
+        settings, integers, numbers, scratch = self._packed()
+        return schedule.Schedule(settings, np.zeros(slots, guard.MEMORY), integers, numbers, np.zeros(scratch))
+
+    def __call__(self, variables: SchedulingVariables) -> tuple[float, ...]:
+        """The tuning for some scheduling variables, as at the first step of a run; (Np, Nc, Q, R) of the MPC.
+
+        Raises
+        ------
+        InvalidInput
+            When a variable is missing that has no default, see `variables.complete`.
+        """
+        return tuple(self.batch([complete(variables)])[0].tolist())
+
+    def batch(self, variables: ArrayLike) -> Array:
+        """(n, entries) tunings for n rows of scheduling variables (n, 4 to 7), each as at a first step.
+
+        Raises
+        ------
+        InvalidInput
+            When the rows are not like `SchedulingVariables`.
+        """
+        from adaptrack.core import schedule
+
+        given = np.atleast_2d(reals("schedule: the scheduling variables", variables))
+        least = len(VARIABLES) - len(SchedulingVariables._field_defaults)
+        if given.ndim != 2 or not least <= given.shape[1] <= len(VARIABLES):
+            raise InvalidInput(
+                f"schedule: variables of shape {given.shape}: need a row for each, like `SchedulingVariables`."
+            )
+        rows = np.zeros((len(given), len(VARIABLES)))
+        rows[:, : given.shape[1]] = given
+        tunings = np.full((len(rows), len(self.entries)), np.nan)
+        schedule.schedule_all(rows, self.plan(1), tunings)
+        return tunings
+
+    def _packed(self) -> tuple[Any, NDArray[np.int64], Array, int]:
+        """settings, integers, numbers and the length of the scratch, see `core.schedule`; packed once."""
+        cached: tuple[Any, NDArray[np.int64], Array, int] | None = self.__dict__.get("_cache")
+        if cached is None:
+            cached = _pack(self)
+            object.__setattr__(self, "_cache", cached)
+        return cached
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Without what is packed: data types that were pickled are slower to pass to a kernel."""
+        return {name: value for name, value in self.__dict__.items() if name != "_cache"}
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write it to one file, see `files.save_scheduler`."""
+        from adaptrack.control.scheduling.files import save_scheduler
+
+        save_scheduler(self, path)
+
+
+class Pool:
+    """Packed functions, one behind the other."""
+
+    def __init__(self) -> None:
+        self.integers: list[int] = []
+        self.numbers: list[float] = []
+        self.scratch = 0
+
+    def add(self, function: Function, row: Any) -> int:
+        """Pack a function, write to `row` where it begins; returns its kind."""
+        packed = function.pack()
+        row.integers, row.numbers = len(self.integers), len(self.numbers)
+        self.integers += packed.integers
+        self.numbers += packed.numbers
+        self.scratch = max(self.scratch, packed.scratch)
+        return packed.kind
+
+
+def _pack(made: Schedule) -> tuple[Any, NDArray[np.int64], Array, int]:
+    from adaptrack.core import schedule
+    from adaptrack.core.variables import NAMES
+
+    array = np.zeros(1, schedule.SETTINGS)
+    settings, pool = array[0], Pool()
+    settings.n_inputs, settings.n_entries, settings.of_mpc = len(made.inputs), len(made.entries), made.of_mpc
+    for row, name, (low, high) in zip(settings.inputs, made.inputs, made.domain.tolist(), strict=False):
+        row.place, row.low, row.high = NAMES.index(name), low, high
+    for row, name in zip(settings.entries, made.entries, strict=False):
+        entry = made.tuning[name]
+        row.kind = pool.add(entry.function, row)
+        row.log10, row.horizon = entry.log10, made.of_mpc and name in HORIZONS
+        row.low, row.high = entry.low, entry.high
+    if made.guard is not None:
+        made.guard.pack(settings.guard, pool)
+    return array, np.array(pool.integers, np.int64), np.array(pool.numbers, np.float64), pool.scratch + schedule.SCRATCH
+
+
+def Constant(tuning: Tuning, name: str = "constant") -> Schedule:
+    """The same tuning everywhere."""
+    values = dict(zip(ENTRIES, tuning.as_array().tolist(), strict=True))
+    entries = {entry: Entry(Number(value), value, value) for entry, value in values.items()}
+    return Schedule(("speed",), np.array([[0.0, 1000.0]]), entries, name=name)
+
+
+def Lookup(
+    axes: Mapping[str, ArrayLike], tunings: ArrayLike, method: Literal["nearest", "multilinear"] = "multilinear",
+    name: str = "lookup", provenance: Mapping[str, Any] | None = None,
+) -> Schedule:  # fmt: skip
+    """Tunings at the nodes of a grid; between them the nearest one, or interpolated, Q and R by their logarithms.
+
+    At a node itself the tuning is the one given (Q and R to the last digit but one, when interpolated).
+
+    axes: the nodes of each input, by name; tunings: (len(axis 1), len(axis 2), ..., 4) of Np, Nc, Q, R.
+    """
+    nodes = {key: np.asarray(values, dtype=np.float64) for key, values in axes.items()}
+    given = np.asarray(tunings, dtype=np.float64)
+    shape = tuple(len(values) for values in nodes.values())
+    if given.shape != (*shape, 4):
+        raise InvalidInput(f"Lookup: tunings must have the shape {(*shape, 4)}, they have {given.shape}.")
+    if not np.isfinite(given).all() or (given <= 0.0).any():
+        raise InvalidInput("Lookup: every Np, Nc, Q, R must be finite and positive.")
+    entries = {}
+    for i, entry in enumerate(ENTRIES):
+        values = given[..., i]
+        log10 = entry in ("Q", "R") and method == "multilinear"
+        table = Table(tuple(nodes.values()), np.log10(values) if log10 else values, method)
+        entries[entry] = Entry(table, float(values.min()), float(values.max()), log10)
+    domain = np.array([[values[0], values[-1]] for values in nodes.values()])
+    return Schedule(tuple(nodes), domain, entries, name=name, provenance=provenance or {})
+
+
+def Learned(
+    functions: Mapping[str, Function | float], inputs: Sequence[str], domain: ArrayLike,
+    bounds: Mapping[str, tuple[float, float]] | None = None, name: str = "learned",
+    provenance: Mapping[str, Any] | None = None,
+) -> Schedule:  # fmt: skip
+    """Learned functions for the entries of the MPC's tuning.
+
+    functions: by entry; `log10_ratio` in place of R is the logarithm of R/Q, Q then being a number (1 when left out);
+    inputs, domain: see `Schedule`; bounds: (low, high) of each entry's value, `BOUNDS` where left out.
+    """
+    given = dict(functions)
+    bounds = {**BOUNDS, **(bounds or {})}
+    decades = "log10_ratio" in given
+    if decades:
+        if "R" in given:
+            raise InvalidInput("Learned: give either R or log10_ratio.")
+        if given.setdefault("Q", 1.0) not in (1.0, Number(1.0)):
+            raise InvalidInput("Learned: with log10_ratio, Q must be 1: only R/Q changes the control law.")
+        given["R"] = given.pop("log10_ratio")
+    for entry in (*given, *bounds):
+        if entry not in ENTRIES:
+            raise InvalidInput(
+                f"Learned: unknown entry {entry!r}: entries are {', '.join(ENTRIES)}, and log10_ratio for R."
+            )
+    entries = {
+        entry: Entry(_function(entry, function), *bounds[entry], decades and entry == "R")
+        for entry, function in given.items()
+    }
+    return Schedule(tuple(inputs), np.asarray(domain, float), entries, name=name, provenance=provenance or {})
+
+
+def _function(entry: str, given: Function | float) -> Function:
+    if isinstance(given, Function):
+        return given
+    if not math.isfinite(real("Learned", entry, given)):
+        raise InvalidInput(f"Learned: {entry} = {given!r}: must be finite.")
+    return Number(given)

@@ -1,0 +1,70 @@
+"""Registered controllers that are others with something: a schedule, learning, less that is known of the car.
+
+Those that know the car are given its file, and of the steering what the profile says.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from adaptrack.base.errors import InvalidInput
+from adaptrack.cars.data_sheet import vehicle_from_data_sheet
+from adaptrack.cars.vehicle import Vehicle
+from adaptrack.control.controllers import MPC, Learning, Tuning, published_mpc
+from adaptrack.control.controllers.belief import UNKNOWN
+from adaptrack.control.scheduling import load_scheduler
+from adaptrack.scenario.profile import Profile, load_profile
+
+
+def learning(vehicle: Vehicle, *, profile: str | Profile | None = None, **options: Any) -> MPC:
+    """The informed controller, learning while it drives."""
+    return MPC(vehicle, profile=profile, learning=Learning(), **options)
+
+
+def learning_from_sheet(vehicle: Vehicle, *, profile: str | Profile | None = None, **options: Any) -> MPC:
+    """The same, when all that is known are mass and wheelbase of the car, and the sensors."""
+    car = vehicle_from_data_sheet(vehicle.name, vehicle.mass, vehicle.wheelbase)
+    return learning(car, profile=profile, belief=UNKNOWN, **options)
+
+
+def informed_nn(vehicle: Vehicle, *, profile: str | Profile | None = None, **options: Any) -> MPC:
+    """The informed controller with the networks that ship for it.
+
+    Raises
+    ------
+    InvalidInput
+        When they were made for another car or profile.
+    """
+    schedule = _fitting("informed-road-nn", MPC(vehicle, profile=profile, **options), profile)
+    return MPC(vehicle, profile=profile, scheduler=schedule, **options)
+
+
+def nn(vehicle: Vehicle, *, profile: str | Profile | None = None, **options: Any) -> MPC:
+    """The paper's controller with the networks that ship for it; raises as `informed_nn`."""
+    return published_mpc(vehicle, scheduler=_fitting("road-nn", published_mpc(vehicle, **options), profile), **options)
+
+
+def anfis(vehicle: Vehicle, *, profile: str | Profile | None = None, **options: Any) -> MPC:
+    """The paper's controller with the fuzzy systems that ship for it; raises as `informed_nn`."""
+    schedule = _fitting("road-anfis", published_mpc(vehicle, **options), profile)
+    return published_mpc(vehicle, scheduler=schedule, **options)
+
+
+def _fitting(name: str, mpc: MPC, profile: str | Profile | None) -> Any:
+    """A scheduler that ships; refused where it was made for something else."""
+    schedule = load_scheduler(name)
+    faults = mpc.mismatches(schedule, load_profile(profile or "road").name)
+    if faults:
+        raise InvalidInput(f"scheduler {name!r} {'; it '.join(faults)}")
+    return schedule
+
+
+def published(vehicle: Vehicle, **options: Any) -> MPC:
+    """The paper's controller with the constant that was best for the paper's car on drives in profile `road`."""
+    Np, Nc, Q, R = (entry.low for entry in load_scheduler("road-best-constant-on-drives").tuning.values())
+    return published_mpc(vehicle, Tuning(round(Np), round(Nc), Q, R), **options)
+
+
+def published_nn(vehicle: Vehicle, **options: Any) -> MPC:
+    """The paper's controller with the networks that ship for the paper's car in profile `road`, on any car."""
+    return published_mpc(vehicle, scheduler=load_scheduler("road-nn"), **options)

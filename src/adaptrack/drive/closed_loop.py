@@ -1,0 +1,191 @@
+"""What surrounds the controller in one run, period by period: the car senses, is sent a command, and moves on.
+
+The halves of the control period are those of `core.period`, which compiled runs call as well. Whoever decides stands
+between them: a controller in `simulate`, a learning agent in `gym`.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from adaptrack.base.errors import InvalidInput
+from adaptrack.cars.plant import SteppedPlant
+from adaptrack.control.estimation import FrictionWindEstimator
+from adaptrack.control.scheduling.variables import SchedulingVariables
+from adaptrack.drive.world import World, reason_of
+from adaptrack.road.ahead import RoadAhead, pack_roads
+from adaptrack.scenario import RoadDrive, Scenario
+
+Array = NDArray[np.float64]
+
+LONGEST_PREVIEW = 400
+"""Control instants for which a controller in Python is told the speed ahead."""
+
+
+class _SteppedVehicle:
+    """A stepped plant behind the loop's steering actuator; its motion is kept in slot 0 of a batch."""
+
+    def __init__(self, world: World, start: Array) -> None:
+        from adaptrack.core.plants import contract, stepped
+
+        assert isinstance(world.plant, SteppedPlant)
+        self._plant, self._steering = world.plant, world.steering
+        self._mass = world.plant.powertrain["mass"]
+        self._contract = contract
+        actuator = np.array([self._steering.lag, self._steering.limit])
+        self.batch = contract.vehicle_batch(stepped.STEPPED, actuator, np.append(start, 0.0)[None])
+        slot = self.batch.block[:: contract.SLOTS]
+        self._state, self._input = slot[: contract.STATES], slot[contract.STATES :]
+        self._own = self.batch.states[0]
+        self._lateral_acceleration = stepped.LATERAL_ACCELERATION
+        world.plant.reset(start.copy())
+
+    def _angle(self, time: float) -> float:
+        """The front-wheel angle (rad) after a time (s) under the present command."""
+        command = min(max(float(self._input[0]), -self._steering.limit), self._steering.limit)
+        angle = float(self._state[self._contract.STATE.steering])
+        if self._steering.lag <= 0.0:
+            return command
+        gap, limited = command - angle, 0.0
+        if abs(gap) > self._steering.rate * self._steering.lag:  # at the rate limit until the gap is small enough
+            limited = min(time, abs(gap) / self._steering.rate - self._steering.lag)
+            gap -= math.copysign(self._steering.rate * limited, gap)
+        return command - gap * math.exp((limited - time) / self._steering.lag)
+
+    def advance(self, steps: int, h: float) -> None:
+        """Move on by so many steps of h (s)."""
+        names = self._contract.INPUT
+        force, acceleration = self._input[names.force], self._input[names.acceleration]
+        wanted = force / self._mass if math.isnan(acceleration) else acceleration
+        environment = self._input[names.friction_front_left :].copy()
+        before = self._state[:6].copy()
+        for _ in range(steps):
+            middle, after = self._angle(0.5 * h), self._angle(h)
+            motion = np.asarray(self._plant.step(h, middle, float(wanted), environment), dtype=np.float64)
+            if motion.shape != (6,):
+                raise InvalidInput(f"plant {self._plant.name!r}: step() gave {motion!r}: must be six numbers.")
+            self._state[:6] = motion
+            self._state[self._contract.STATE.steering] = after if self._steering.lag > 0.0 else 0.0
+        turn = 0.5 * (before[3] * before[5] + self._state[3] * self._state[5])
+        change = self._state[4] - before[4]
+        self._own[self._lateral_acceleration] = change / (steps * h) + turn - self._input[names.bank]
+
+
+@dataclass(frozen=True, slots=True)
+class Sensed:
+    """What is known at a control instant."""
+
+    measured: Array
+    """`core.models.contract.MEASURED`; the same array at every instant"""
+    speed: float
+    """m/s, as measured"""
+    reference: Array
+    """m, y_ref now and at the instants that follow"""
+    variables: SchedulingVariables
+
+
+class ClosedLoop:
+    """A run before its first period; then `sense`, `send`, `advance` once per period.
+
+    It is over when it has ended, or has come to its last instant. traced: keep what happens at every instant.
+    """
+
+    def __init__(self, world: World, scenario: Scenario | RoadDrive, seed: int, traced: bool = False) -> None:
+        from adaptrack.core import loop, period
+        from adaptrack.core.kernel import Resident
+        from adaptrack.core.plants.contract import place, vehicle_batch
+
+        self._loop, self._period, self.world = loop, period, world
+        self.signals = scenario.sample(world.period)
+        self.road: Any = getattr(scenario, "road", None)
+        given = period.Given(
+            world.samples(self.signals, 0)[None], pack_roads([self.road]), np.zeros(1, np.int64), np.array([seed])
+        )
+        start, n = world.start(scenario, self.signals), self.signals.n
+        self._stepped: _SteppedVehicle | None = None
+        if isinstance(world.plant, SteppedPlant):
+            self._stepped = _SteppedVehicle(world, start)
+            vehicles = self._stepped.batch
+        else:
+            vehicles = vehicle_batch(world.plant.compiled, world.plant.packed(), start[None])
+        place(1, vehicles.start, vehicles.block, vehicles.states)
+        self.run = world.loop(
+            given, vehicles, world.settings(world.substeps(float(self.signals.speed.max()))),
+            variables=True, trace=period.traces(1, n, 0) if traced else None,
+        )  # fmt: skip
+        if isinstance(world.known_as, FrictionWindEstimator):
+            world.known_as.reset(self.run.perceiving.memory)
+        self.place, self._span = Resident(self.run), Resident(period.Span(n, 1, 0, 0.0))
+        """the run as kernels take it"""
+        self._own, self._references = self.run.memory.own[0], given.signals[0, loop.SIGNAL.y_ref]
+
+    @property
+    def instant(self) -> int:
+        """The present control instant."""
+        return int(self._own.instant)
+
+    @property
+    def command(self) -> float:
+        """The last command (rad)."""
+        return float(self._own.command)
+
+    @property
+    def error(self) -> float:
+        """Y - y_ref (m) at the instant that was judged last."""
+        return float(self._own.error)
+
+    @property
+    def ended(self) -> bool:
+        """Whether the run has failed before its end."""
+        return bool(self._own.ended != self._loop.RUNNING)
+
+    def sense(self) -> Sensed:
+        """Judge the run at this instant; what sensors give, of a car whose state is not finite what they gave before.
+
+        The instant at the end of the last period is not judged: a car that never came near its reference has failed.
+        """
+        self._period.sense_one(self._span, self.place)
+        variables = SchedulingVariables(*self.run.variables.tolist())
+        return Sensed(self.run.measured, float(self._own.speed), self._references[self.instant :], variables)
+
+    def road_ahead(self, speed: float) -> RoadAhead:
+        """The road ahead of a car that passes it as planned, from its present speed (m/s) on."""
+        planned = self.signals.speed[self.instant :][:LONGEST_PREVIEW]
+        return RoadAhead(self.road, float(self._own.station), np.maximum(planned + (speed - planned[0]), 0.0))
+
+    def send(self, command: float) -> bool:
+        """Send a command (rad); False when it is not finite, which ends the run."""
+        own = self._own
+        if math.isfinite(command):
+            self._period.send_one(command, command - own.command, self._span, self.place)
+            return True
+        own.ended, own.ended_at = self._loop.NOT_FINITE, own.instant * self.world.period
+        return False
+
+    def advance(self) -> None:
+        """Move on to the next instant."""
+        if self._stepped is None:
+            self._period.move_one(self.place)
+            return
+        (before, after), period = self._period.substeps_of(self.place), self.world.period
+        share = float(self.run.settings.dead_share)
+        if before:
+            self._stepped.advance(before, share * period / before)
+            self._period.change_command_of_one(self.place)
+        self._stepped.advance(after, (1.0 - share) * period / after)
+
+    def failure(self) -> tuple[str | None, float]:
+        """Why a run that is over has failed and when (s); None and NaN when it came to its end."""
+        self._period.close_one(self.place)
+        return failure_of(int(self._own.ended), float(self._own.ended_at))
+
+
+def failure_of(ended: int, at: float) -> tuple[str | None, float]:
+    """Why and when (s) a run failed, from what its loop remembers; None and NaN when it did not."""
+    reason = reason_of(ended)
+    return reason, at if reason is not None else math.nan

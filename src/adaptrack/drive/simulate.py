@@ -1,0 +1,282 @@
+"""One closed-loop run, from Python or compiled.
+
+`simulate` loops in Python, so any controller, plant, scheduler or QP back-end can take part. `rollout` runs the same
+control periods inside the kernels, as `batch.rollout_batch` does for many runs. All call the same halves of a control
+period (`core.period`) and give the same trajectory.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+import time
+from collections.abc import Callable, Mapping, Sequence
+from datetime import UTC, datetime
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from adaptrack.base.errors import InvalidInput, whole
+from adaptrack.cars.plant import Plant, SteppedPlant
+from adaptrack.control.controllers import MPC, CompiledController, Controller, command_of
+from adaptrack.drive.batch import Batch, BatchRuns
+from adaptrack.drive.closed_loop import ClosedLoop, failure_of
+from adaptrack.drive.failure import DISTANCE, Failure
+from adaptrack.drive.trajectory import Origin, Trajectory, provenance
+from adaptrack.drive.world import Driver, KnownAs, World
+from adaptrack.scenario import RoadDrive, Scenario, Signals
+from adaptrack.scenario.profile import Profile
+
+Array = NDArray[np.float64]
+
+
+def _refuse_nonsense(scenario: Scenario | RoadDrive, seed: int) -> None:
+    if not isinstance(scenario, Scenario | RoadDrive):
+        raise InvalidInput(
+            f"scenario = {scenario!r}: must be a Scenario or a RoadDrive; load_scenario(name) and "
+            "RoadDrive(load_road(file), speed) give one."
+        )
+    if whole("simulate", "seed", seed, least=0) >= 2**63:
+        raise InvalidInput(f"seed = {seed!r}: must be below 2^63.")
+
+
+class _Recorder:
+    """What one run leaves: a row for each control instant; state and seen as in `core.period.Trace`."""
+
+    def __init__(self, n: int, controller: Controller, state: Array, seen: Array) -> None:
+        self.state, self.seen = state, seen
+        self.tuning_names, self.diagnostic_names = controller.tuning_names, controller.diagnostic_names
+        self.command = np.full((n, 3), np.nan)  # command, its change, held
+        self.tuning = np.full((n, len(self.tuning_names)), np.nan)
+        self.diagnostics = np.full((n, len(self.diagnostic_names)), np.nan)
+        self.times = np.full(n, np.nan)
+        self.failed: str | None = None
+        self.failed_at = math.nan
+        self.counted: dict[str, int] = {}
+
+    def take(self, k: int, answer: Any, before: float) -> float:
+        """Keep the answer of step k; its command (rad). before: the last command (rad)."""
+        angle, _, held, tuning, said = command_of(answer, before)
+        self.command[k] = angle, angle - before, held
+        if len(self.tuning_names):
+            self.tuning[k] = tuning
+        if len(self.diagnostic_names):
+            named = isinstance(said, Mapping)
+            self.diagnostics[k] = [said.get(name, math.nan) for name in self.diagnostic_names] if named else said
+        return angle
+
+
+def simulate(
+    plant: Plant | SteppedPlant,
+    controller: Controller,
+    scenario: Scenario | RoadDrive,
+    *,
+    profile: str | Profile = "paper",
+    driver: Driver | None = None,
+    seed: int = 0,
+    known_as: KnownAs = None,
+    failure: Failure | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> Trajectory:
+    """Drive a scenario, or along a road, with a controller.
+
+    profile: `paper` (ideal), `road` (steering actuator, noise, delay) or one's own; driver: None to follow the speed
+    profile exactly, else the longitudinal driver that moves the vehicle with its powertrain; seed: of the sensor
+    noise; known_as: how a scheduler knows friction and wind; failure: when the run has failed, by default as the
+    driven car's domain says (`Failure.of`): it ends there, its rest NaN, `Trajectory.failed` and `failed_at` say why
+    and when; progress: called now and then with (periods done, periods in all).
+
+    Raises
+    ------
+    InvalidInput
+        When an argument does not fit the others.
+    """
+    from adaptrack.core.models.contract import MEASURED
+
+    world = World.of(plant, controller, profile, driver, known_as, failure)
+    _refuse_nonsense(scenario, seed)
+    loop = ClosedLoop(world, scenario, seed, traced=True)
+    signals, trace = loop.signals, loop.run.trace
+    record = _Recorder(signals.n, controller, trace.state[0], trace.seen[0])
+    blind = isinstance(controller, CompiledController) and math.isinf(world.profile.noise_vy)
+    controller.reset()
+    for k in range(signals.n):
+        if progress is not None and k % 64 == 0:
+            progress(k, signals.n)
+        now = loop.sense()
+        if loop.ended:
+            break
+        if blind:
+            now.measured[MEASURED.vy] = 0.0  # a car without a sensor of it
+        # an MPC's model or estimator may use the wheel angle
+        seen = now.measured if controller.sees_all_sensors else now.measured[:4]
+        begun = time.perf_counter()
+        ahead: dict[str, Any] = {} if loop.road is None else {"road": loop.road_ahead(now.speed)}
+        answer = controller.step(seen, now.speed, now.reference, now.variables, **ahead)
+        record.times[k] = time.perf_counter() - begun
+        command = record.take(k, answer, loop.command)
+        if not loop.send(command):
+            break
+        loop.advance()
+    if progress is not None:
+        progress(signals.n, signals.n)
+    record.failed, record.failed_at = loop.failure()
+    record.counted = dict(controller.scheduler_counts)
+    return _trajectory(world, controller, scenario, signals, seed, record)
+
+
+def rollout(
+    plant: Plant,
+    controller: Controller,
+    scenario: Scenario | RoadDrive,
+    *,
+    profile: str | Profile = "paper",
+    driver: Driver | None = None,
+    seed: int = 0,
+    known_as: KnownAs = None,
+    failure: Failure | None = None,
+) -> Trajectory:
+    """`simulate`, compiled: the same trajectory, without the step times.
+
+    Raises
+    ------
+    InvalidInput
+        When a part needs Python at every step: a stepped plant, a controller, a scheduler or a QP back-end outside the
+        kernels.
+    """
+    _refuse_nonsense(scenario, seed)
+    return rollouts(Batch(plant, controller, [scenario], profile, driver, failure, known_as), (seed,), threads=1)[0][0]
+
+
+def rollouts(batch: Batch, seeds: Sequence[int], threads: int | None = None) -> list[list[Trajectory]]:
+    """`rollout` of each scenario of a batch (outer list) with each noise seed (inner list), vectorised.
+
+    threads: None for all cores.
+    """
+    count = len(batch.signals)
+    which = np.repeat(np.arange(count), len(seeds))
+    seeded = np.tile(np.array(seeds, dtype=np.int64), count)
+    tunings = np.repeat(batch.tuning[None], len(which), axis=0)
+    runs = batch.run(
+        which, tunings, seeded, threads or os.cpu_count() or 1, traced=True, scheduler=batch.scheduler
+    )  # fmt: skip
+    each = [_traced(batch, runs, i, int(k), int(seed)) for i, (k, seed) in enumerate(zip(which, seeded, strict=True))]
+    return [each[first : first + len(seeds)] for first in range(0, len(each), len(seeds))]
+
+
+def _traced(batch: Batch, runs: BatchRuns, i: int, k: int, seed: int) -> Trajectory:
+    """The i-th of the runs, of scenario k."""
+    controller, n = batch.controller, batch.signals[k].n
+    trace = runs.trace
+    record = _Recorder(n, controller, trace.state[i, :n].copy(), trace.seen[i, :n].copy())
+    found, T, answer = runs.result[i], len(record.tuning_names), trace.answer[i, :n]
+    record.command[:] = answer[:, :3]
+    if isinstance(controller, MPC):
+        record.tuning[:], record.diagnostics[:] = answer[:, 3 : 3 + T], answer[:, 3 + T :]
+    else:
+        D = len(record.diagnostic_names)
+        record.diagnostics[:], record.tuning[:] = answer[:, 3 : 3 + D], answer[:, 3 + D :]
+    record.failed, record.failed_at = failure_of(int(found.ended), float(found.ended_at))
+    record.counted = {name: int(values[i]) for name, values in runs.counts.items()}
+    return _trajectory(batch.world, controller, batch.scenarios[k], batch.signals[k], seed, record)
+
+
+# -- the trajectory ---------------------------------------------------------------------------------------------------
+_WHOLE = {"Np", "Nc", "qp_status", "qp_iterations", "at_limit"}
+_UNITS = {
+    "tuning.Q": "1/m^2", "tuning.R": "1/rad^2", "diagnostics.dead_reckoning": "s", "road.station": "m",
+    "road.offset": "m", "road.heading_error": "rad", "road.curvature": "1/m",
+    **{f"diagnostics.{name}{end}": unit for end in ("", "_sigma") for name, unit in (
+        ("belief_lag", "s"), ("belief_dead_time", "s"), ("belief_delay", "s"), ("belief_bias", "rad"),
+        ("belief_bank", "m/s^2"), ("used_lag", "s"), ("used_dead_time", "s"), ("used_bias", "rad"),
+    )},
+}  # fmt: skip
+
+
+def _named(names: tuple[str, ...], columns: Array, driven: NDArray[np.bool_]) -> dict[str, NDArray[Any]]:
+    """The columns by name; of quantities that are whole numbers as such, the QP's status where nothing was driven
+    being that of data that are not finite.
+    """
+    found: dict[str, NDArray[Any]] = {}
+    for name, values in zip(names, columns.T, strict=True):
+        found[name] = np.nan_to_num(values, nan=0.0).astype(np.int64) if name in _WHOLE else values.copy()
+        if name == "qp_status" and not driven.all():
+            from adaptrack.control.qp import QPStatus
+
+            found[name][~driven] = QPStatus.NON_FINITE
+    return found
+
+
+def _learned(world: World, controller: Controller) -> dict[str, Any]:
+    """What a controller that learns was there to learn (`Learner.truth`)."""
+    learner = controller.learner
+    return {} if learner is None else {"truth": learner.truth(world.steering, world.plant)}
+
+
+def _trajectory(
+    world: World, controller: Controller, scenario: Scenario | RoadDrive, signals: Signals, seed: int, record: _Recorder
+) -> Trajectory:
+    from adaptrack.core.plants.contract import STATE
+
+    n, state, plant = signals.n, record.state, world.plant
+    driven = np.isfinite(record.command[:, 0])
+    described = controller.describe()
+    road = {}
+    if isinstance(scenario, RoadDrive):
+        road = dict(zip(("station", "offset", "heading_error"), record.seen[:, 2:].T, strict=True))
+        road["curvature"] = scenario.road.at(np.nan_to_num(road["station"])).curvature
+    groups = {"tuning": record.tuning_names, "diagnostics": record.diagnostic_names, "road": road}
+    held = {f"{group}.{name}" for group, names in groups.items() for name in names}
+    return Trajectory(
+        t=signals.t[:n],
+        X=state[:, STATE.x],
+        Y=state[:, STATE.y],
+        psi=state[:, STATE.yaw],
+        vx=state[:, STATE.vx],
+        vy=state[:, STATE.vy],
+        yaw_rate=state[:, STATE.yaw_rate],
+        steering=record.seen[:, 1],
+        command=record.command[:, 0],
+        command_change=record.command[:, 1],
+        y_ref=signals.y_ref[:n],
+        v_ref=signals.speed[:n],
+        friction=signals.friction[:n],
+        wind=signals.wind[:n],
+        lateral_acceleration=record.seen[:, 0],
+        held=np.nan_to_num(record.command[:, 2], nan=1.0) > 0.5,
+        step_time=record.times,
+        period=signals.period,
+        tuning=_named(record.tuning_names, record.tuning, driven),
+        diagnostics=_named(record.diagnostic_names, record.diagnostics, driven),
+        road=road,
+        units={key: unit for key, unit in _UNITS.items() if key in held},
+        failed=record.failed,
+        failed_at=record.failed_at,
+        meta=provenance(
+            Origin(
+                scenario=scenario.name,
+                plant=plant.name,
+                tyre=plant.tyre_name,
+                vehicle=getattr(getattr(plant, "vehicle", None), "name", plant.name),
+                profile=world.profile.name,
+                seed=seed,
+                preview=bool(described.get("preview", False)),
+                controller=controller.name,
+                tuning=described.get("tuning", {}),
+            ),
+            datetime.now(UTC),
+            move_weight=world.profile.move_weight,
+            control=described,
+            speed="profile" if world.driver is None else "driver",
+            scheduler_counts=record.counted,
+            **_failure_distance(plant),
+            **_learned(world, controller),
+        ),
+    )
+
+
+def _failure_distance(plant: Plant | SteppedPlant) -> dict[str, float]:
+    """What a record says of the car's own failure distance (m), where it is not the usual one."""
+    own = Failure.of(plant).distance
+    return {} if own == DISTANCE else {"failure_distance": own}

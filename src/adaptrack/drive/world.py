@@ -1,0 +1,235 @@
+"""The world around a controller: plant, profile, driver, what is known of friction and wind, when a run has failed.
+
+Runs from Python and compiled ones share it, and so they share what the kernels' control period (`core.period`) needs.
+"""
+
+from __future__ import annotations
+
+import logging
+import math
+from dataclasses import dataclass
+from functools import cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from adaptrack.base.errors import InvalidInput, real
+from adaptrack.cars.plant import Plant, SteppedPlant, steps_in
+from adaptrack.cars.vehicle import SteeringActuator, in_periods
+from adaptrack.control.controllers import MPC, Controller
+from adaptrack.control.estimation import FrictionWindEstimator, Perception
+from adaptrack.control.scheduling.variables import reference_preview
+from adaptrack.drive.failure import Failure, Reason
+from adaptrack.scenario import RoadDrive, Scenario, Signals
+from adaptrack.scenario.profile import SENSING, Profile, load_profile
+
+Array = NDArray[np.float64]
+_log = logging.getLogger("adaptrack")
+KnownAs = Perception | FrictionWindEstimator | None
+"""How a scheduler knows friction and wind: exactly (None), with errors, or as an estimator finds them."""
+
+
+@dataclass(frozen=True)
+class Driver:
+    """Longitudinal driver: asks for the acceleration that reaches the profile's speed a preview time ahead.
+
+    dv = (v_ref(t + preview) - v_x)/preview + integral * (integral of v_ref - v_x), times the mass, within engine
+    power, traction and brakes.
+    """
+
+    preview: float = 0.5
+    """s"""
+    integral: float = 0.2
+    """1/s^2"""
+
+    def __post_init__(self) -> None:
+        preview, integral = (real("Driver", name, getattr(self, name)) for name in ("preview", "integral"))
+        if not 0.0 < preview < math.inf or not 0.0 <= integral < math.inf:
+            raise InvalidInput(f"Driver: preview = {self.preview!r} s must be positive, integral not negative.")
+
+
+@dataclass(frozen=True, eq=False)
+class World:
+    """Everything around the controller that all runs of a batch share."""
+
+    plant: Plant | SteppedPlant
+    """behind its steering"""
+    profile: Profile
+    period: float
+    """s, of the controller"""
+    driver: Driver | None
+    known_as: KnownAs
+    failure: Failure
+
+    @classmethod
+    def of(
+        cls, plant: Plant | SteppedPlant, controller: Controller, profile: str | Profile, driver: Driver | None,
+        known_as: KnownAs, failure: Failure | None,
+    ) -> World:  # fmt: skip
+        """The world of a controller.
+
+        Raises
+        ------
+        InvalidInput
+            When the parts do not fit each other.
+        """
+        if not isinstance(plant, Plant | SteppedPlant):
+            raise InvalidInput(f"plant = {plant!r}: must be a Plant, such as DualTrack(load_vehicle('paper')).")
+        if not isinstance(controller, Controller):
+            raise InvalidInput(
+                f"controller = {controller!r}: must be a Controller, such as MPC(load_vehicle('paper')); derive one of "
+                "your own from adaptrack.Controller."
+            )
+        profile = load_profile(profile)
+        if isinstance(plant, Plant) and getattr(plant, "steering", None) is None:
+            plant = plant.with_steering(profile.steering)
+        if failure is not None and not isinstance(failure, Failure):
+            raise InvalidInput(f"failure = {failure!r}: must be a Failure(distance=..., sideslip=...).")
+        if isinstance(known_as, FrictionWindEstimator) and not math.isclose(known_as.period, controller.period):
+            raise InvalidInput(
+                f"known_as: the estimator's period is {known_as.period!r} s, the controller's {controller.period!r} s: "
+                "both run at the same instants."
+            )
+        _refuse_missing_sensors(controller, profile)
+        world = cls(plant, profile, controller.period, driver, known_as, failure or Failure.of(plant))
+        if isinstance(controller, MPC):
+            controller.warn_of(controller.scheduler, profile.name, plant)
+            world.warn_of_slower_steering(controller)
+        return world
+
+    def warn_of_slower_steering(self, controller: MPC) -> None:
+        """Say it when an MPC believes that the wheels follow its command sooner than they do: it may lose the car.
+
+        One that learns finds it out.
+        """
+        belief = controller.belief
+        if belief is None or controller.learner is not None:
+            return
+        believed, driven = belief.lag.value + belief.delay, self.steering.lag + sum(self.dead_periods) * self.period
+        if driven > believed + 0.4 * self.period:
+            _warn(
+                f"adaptrack: in profile {self.profile.name!r} the wheels follow a command {driven:.3g} s late, the "
+                f"controller believes {believed:.3g} s: MPC(car, profile={self.profile.name!r}), or "
+                "belief=Steering(...) of the car, tells it."
+            )
+
+    @property
+    def steering(self) -> SteeringActuator:
+        """The actuator between command and wheels."""
+        return getattr(self.plant, "steering", None) or self.profile.steering
+
+    def substeps(self, top_speed: float) -> int:
+        """Integration steps per control period up to a speed (m/s)."""
+        if isinstance(self.plant, SteppedPlant):
+            return steps_in(self.period, self.plant)
+        return self.plant.substeps(self.period, top_speed)
+
+    def settings(self, substeps: int) -> Any:
+        """`core.loop.SETTINGS`; without a driver the speed follows its profile exactly."""
+        from adaptrack.core import loop
+
+        profile, driver, steering = self.profile, self.driver, self.steering
+        return loop.SETTINGS(
+            period=self.period,
+            substeps=substeps,
+            prescribed_speed=driver is None,
+            dead_whole=self.dead_periods[0],
+            dead_share=self.dead_periods[1],
+            **{name: getattr(profile, name) for name in SENSING},
+            steering_lag=steering.lag,
+            steering_limit=steering.limit,
+            steering_bias=steering.bias,
+            driver_preview=driver.preview if driver else 1.0,
+            driver_integral=driver.integral if driver else 0.0,
+            **self.plant.powertrain,
+            failure_distance=self.failure.distance,
+            failure_sideslip=self.failure.sideslip,
+        )
+
+    @property
+    def dead_periods(self) -> tuple[int, float]:
+        """From an instant until its command acts: whole control periods, and the share of one more."""
+        return in_periods(self.profile.delay * self.period + self.steering.dead_time, self.period)
+
+    def loop(self, given: Any, vehicles: Any, settings: Any, *, variables: bool, trace: Any = None) -> Any:
+        """Runs before their first instant (`core.period.Loop`), one for each of the vehicles.
+
+        given: `core.period.Given`; variables: whether somebody looks at the scheduling variables; trace: as
+        `core.period.traces`, None for none.
+        """
+        from adaptrack.core import loop, period
+        from adaptrack.core.models.contract import MEASURED
+        from adaptrack.core.variables import VARIABLES
+
+        slots, oldest = len(vehicles.start), self.profile.oldest
+        past = math.ceil(oldest / self.period) + 2 if oldest > 0.0 else 0
+        known = self.known_as if variables and isinstance(self.known_as, FrictionWindEstimator) else None
+        return period.Loop(
+            settings=settings,
+            features=period.Features(
+                late=past > 0, variables=variables, estimates=known is not None, traces=trace is not None, law=0
+            ),
+            vehicles=vehicles,
+            given=given,
+            perceiving=period.no_estimator() if known is None else known.packed_for(slots),
+            measured=np.zeros(len(MEASURED)),
+            variables=np.zeros(len(VARIABLES)),
+            memory=loop.memory(slots, self.dead_periods[0], past),
+            result=period.RESULT.new(slots),
+            ceiling=np.full(slots, np.nan),
+            segments=np.zeros((slots, 0)),
+            trace=period.no_trace() if trace is None else trace,
+        )
+
+    def samples(self, signals: Signals, number: int) -> Array:
+        """A scenario's samples as the kernels read them, (`core.loop.SIGNAL`, n + 1).
+
+        number: of the scenario in its batch, from which errors of perception are drawn.
+        """
+        known = (signals.friction.mean(axis=1), signals.wind[:, 1])
+        if isinstance(self.known_as, Perception):
+            known = self.known_as.known(*known, signals.period, number)
+        ahead = reference_preview(signals.y_ref, signals.period, len(signals.y_ref))
+        ahead[1][:] += np.abs(signals.curvature) * signals.speed**2
+        return np.ascontiguousarray(
+            np.vstack([
+                signals.y_ref, signals.speed, signals.friction.T, signals.wind.T, signals.push, *known, *ahead,
+                signals.station,
+            ])
+        )  # fmt: skip
+
+    def start(self, scenario: Scenario | RoadDrive, signals: Signals) -> Array:
+        """All states of the plant at the start (n,): in equilibrium at the speed of the scenario."""
+        motion = np.array([*scenario.start_pose(), signals.speed[0], 0.0, 0.0])
+        return motion if isinstance(self.plant, SteppedPlant) else self.plant.initial_state(motion)
+
+
+@cache
+def _warn(text: str) -> None:
+    """Once in a process."""
+    _log.warning(text)
+
+
+def _refuse_missing_sensors(controller: Controller, profile: Profile) -> None:
+    """The paper's increments need the whole state measured."""
+    if not isinstance(controller, MPC) or controller.estimator.function is not None:
+        return
+    lacking = [name for name in controller.model.states if math.isinf(getattr(profile, f"noise_{name}"))]
+    if lacking:
+        raise InvalidInput(
+            f"profile {profile.name!r} does not measure {', '.join(lacking)}, and this MPC takes its state as it is "
+            "measured (estimator 'deadbeat'): take MPC(car, profile=...), which estimates it."
+        )
+
+
+def reason_of(ended: int) -> str | None:
+    """The name of what ended a run early; None for a run that came to its end, or that was stopped for its cost."""
+    from adaptrack.core import loop
+
+    return {
+        loop.OFF_ROAD: Reason.OFF_ROAD.value,
+        loop.NEVER_ARRIVED: Reason.OFF_ROAD.value,
+        loop.SPUN: Reason.SPUN.value,
+        loop.NOT_FINITE: Reason.NOT_FINITE.value,
+    }.get(ended)

@@ -1,0 +1,1 @@
+"""Cars and plants of others, behind the public contracts."""

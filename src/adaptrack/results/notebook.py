@@ -1,0 +1,190 @@
+"""What objects show of themselves in a notebook: their numbers in HTML, and a picture."""
+
+from __future__ import annotations
+
+import base64
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from markupsafe import escape
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from adaptrack.cars.vehicle import Vehicle
+from adaptrack.control.scheduling import Schedule, SchedulingVariables
+from adaptrack.drive.metrics import Metrics, compute_metrics
+from adaptrack.drive.trajectory import Trajectory
+from adaptrack.results import style
+from adaptrack.results.drive_figures import along_panels, draw_above, labelled
+from adaptrack.results.figures import tracking_figure
+from adaptrack.results.record import DriveRecord, Shape
+from adaptrack.results.words import INPUTS, controller_name, legible, number, ratio_with_interval, title_of
+from adaptrack.road import Road
+
+Array = NDArray[np.float64]
+
+
+def run_figure(run: Trajectory, road: Road | None = None) -> Figure:
+    """Signals over time; with a road: from above, and offset, steering and speed along it.
+
+    Raises
+    ------
+    InvalidInput
+        When fewer than two instants lie beside the road.
+    """
+    if road is None:
+        return tracking_figure({controller_name(run.name_of("controller")): run})
+    drive = DriveRecord.from_trajectory(run, road)
+    with style.styled():
+        figure = style.ShownFigure(figsize=(style.PAGE_WIDTH, 8.4))
+        above, *along = figure.subplots(4, 1, height_ratios=[3.2, 1.0, 1.0, 1.0])
+        draw_above([drive], [above])
+        for panel, axes in zip(along_panels(labelled([drive])), along, strict=False):
+            panel.show(axes)
+        for axes in along[:-1]:
+            axes.set_xlabel("")
+    return figure
+
+
+def run_html(run: Trajectory) -> str:
+    """Name, measures and picture of a run, with nothing from outside."""
+    title = f"{title_of(run.name_of('scenario'))}, {controller_name(run.name_of('controller'))}"
+    about = {"Duration": f"{number(run.duration)} s, {number(len(run))} control periods of {run.period:g} s"}
+    return html(title, about | _measures(compute_metrics(run)), run_figure(run), f"{title}: signals over time")
+
+
+def metrics_html(metrics: Metrics) -> str:
+    """The measures of a run that one looks at first, and all behind a fold."""
+    every = {name.replace("_", " "): written(value) for name, value in metrics.as_row().items()}
+    title = f"Measures of {number(metrics.steps)} control periods"
+    return html(title, _measures(metrics)) + f"<details><summary>All measures</summary>{html('', every)}</details>"
+
+
+def vehicle_html(car: Vehicle) -> str:
+    """A car's numbers with their units, and the car from above."""
+    fields = type(car).model_fields
+    known = {name: getattr(car, name) for name in fields}
+    rows = {
+        name.replace("_", " "): f"{number(float(value), 4)} {(fields[name].description or '').partition(',')[0]}"
+        for name, value in known.items() if isinstance(value, float | int) and not isinstance(value, bool)
+    }  # fmt: skip
+    return html(f"{car.name}: {car.description}", rows, vehicle_figure(car), f"{car.name} from above")
+
+
+def vehicle_figure(car: Vehicle) -> Figure:
+    """The car from above to scale: body, wheels, centre of mass, axles."""
+    body, shape = car.outline.corners[[0, 1, 3, 2]], Shape.of(car)
+    with style.styled():
+        figure = style.ShownFigure(figsize=(5.2, 2.6))
+        axes = figure.subplots()
+        axes.fill(body[:, 0], body[:, 1], facecolor=style.GRID, edgecolor=style.MUTED)
+        for x, track in ((shape.lf, shape.track_front), (-shape.lr, shape.track_rear)):
+            axes.plot([x, x], [-track / 2, track / 2], color=style.MUTED, linewidth=1.0)
+            for y in (-track / 2, track / 2):
+                axes.plot([x - 0.32, x + 0.32], [y, y], color=style.INK, linewidth=5.0, solid_capstyle="butt")
+        axes.plot(0.0, 0.0, "o", color=style.SERIES[1], markersize=6)
+        axes.annotate("centre of mass", (0.0, 0.0), (6, 5), textcoords="offset points", fontsize=8.0)
+        axes.set_aspect("equal", adjustable="datalim")
+        axes.margins(0.06)
+        axes.set(
+            xlabel="x (m), forward", ylabel="y (m), left", title=style.data_text(f"{car.name}, {number(car.mass)} kg")
+        )
+    return figure
+
+
+def schedule_figure(schedule: Schedule) -> Figure:
+    """Each tuning entry over the first input, for three values of the second; the others in the middle of theirs."""
+    low, high = schedule.domain.T
+    first, others = schedule.inputs[0], schedule.inputs[1:2]
+    levels = np.linspace(low[1], high[1], 3) if others else [0.0]
+    x = np.linspace(low[0], high[0], 200)
+    columns = min(len(schedule.entries), 2)
+    label, unit = INPUTS[first]
+    with style.styled():
+        figure, panels = style.grid_figure(-(-len(schedule.entries) // columns), columns, 2.1)
+        strokes = style.strokes(f"{INPUTS[name][0]} {number(float(at))}" for name in others for at in levels)
+        for (_, stroke), level in zip(
+            list(strokes.items()) or [("", style.Stroke(style.SERIES[0]))], levels, strict=True
+        ):
+            points = np.tile((low + high) / 2.0, (x.size, 1))
+            points[:, 0] = x
+            if others:
+                points[:, 1] = level
+            tuning = schedule.batch(_variables(schedule, points))
+            for k, axes in enumerate(panels[: len(schedule.entries)]):
+                axes.plot(x, tuning[:, k], color=stroke.colour, linestyle=stroke.dash)
+        for name, axes in zip(schedule.entries, panels, strict=False):
+            axes.set(title=style.data_text(name), xlabel=f"{label} ({unit})")
+            if schedule.tuning[name].log10 or name in ("Q", "R"):
+                style.logarithmic(axes, "y")
+        for spare in panels[len(schedule.entries) :]:
+            spare.remove()
+        if strokes:
+            style.legend_above(figure, list(strokes.items()))
+    return figure
+
+
+def _variables(schedule: Schedule, points: Array) -> Array:
+    """Rows of all scheduling variables, given those of the schedule's inputs (n, D)."""
+    rows = np.zeros((len(points), len(SchedulingVariables._fields)))
+    rows[:, [SchedulingVariables._fields.index(name) for name in schedule.inputs]] = points
+    return rows
+
+
+def schedule_html(schedule: Schedule) -> str:
+    """Inputs with their domain, entries with their bounds, and the tuning in pictures."""
+    rows = {
+        f"Input {INPUTS[name][0].lower()}": f"{number(float(low))} to {number(float(high))} {INPUTS[name][1]}"
+        for name, (low, high) in zip(schedule.inputs, schedule.domain, strict=True)
+    }
+    rows |= {
+        f"Entry {name}": f"{number(float(each.low))} to {number(float(each.high))}, by {type(each.function).__name__}"
+        for name, each in schedule.tuning.items()
+    }
+    rows["Guard"] = "none" if schedule.guard is None else "yes"
+    return html(schedule.name, rows, schedule_figure(schedule), f"The tuning of {schedule.name}")
+
+
+def comparison_html(title: str, rows: Sequence[Mapping[str, Any]], figure: Figure) -> str:
+    """Contenders, the cheapest first: cost over the reference's with its interval, and failed runs."""
+    told = {
+        row["contender"]: f"{ratio_with_interval(row)}; failed in {number(row['failures'])}"
+        for row in sorted(rows, key=lambda row: row["regret_geomean"])
+    }
+    return html(title, told, figure, title)
+
+
+def html(title: str, rows: Mapping[str, str], figure: Figure | None = None, description: str = "") -> str:
+    """A title, names with their values, and a picture, with nothing from outside."""
+    left = 'style="text-align: left"'
+    table = "".join(
+        f"<tr><th {left}>{escape(legible(name))}</th><td {left}>{escape(legible(text, 200))}</td></tr>"
+        for name, text in rows.items()
+    )
+    picture = ""
+    if figure is not None:
+        data = base64.b64encode(style.png(figure)).decode()
+        look = "max-width: 100%; width: 45rem"
+        picture = f'<img style="{look}" alt="{escape(description)}" src="data:image/png;base64,{data}">'
+    head = f"<p><strong>{escape(legible(title, 160))}</strong></p>" if title else ""
+    return f"<div>{head}<table>{table}</table>{picture}</div>"
+
+
+def _measures(metrics: Metrics) -> dict[str, str]:
+    """The measures that one looks at first."""
+    rows = {
+        "RMS error": f"{number(metrics.rms_error)} m",
+        "Largest |error|": f"{number(metrics.max_abs_error)} m",
+        "Steering rate RMS": f"{number(metrics.steering_rate_rms)} rad/s",
+        "Cost J": f"{number(metrics.cost)} m²",
+    }
+    if metrics.failed:
+        rows["Failed"] = f"at {metrics.failed_at:.1f} s: the vehicle {metrics.failed_because}"
+    return rows
+
+
+def written(value: Any) -> str:
+    """A number as readers write it, other values as they are."""
+    known = isinstance(value, float | int) and not isinstance(value, bool)
+    return number(value) if known or value is None else str(value)

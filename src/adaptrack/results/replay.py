@@ -1,0 +1,128 @@
+"""The replay of drives: their data, packed for a page, and the part of the page that plays them.
+
+A column is rounded to a unit, its first differences are stored in the fewest bytes that hold them, and the bytes stand
+in the page as base64: about 1.5 MB for an hour's drive at 20 Hz.
+"""
+
+from __future__ import annotations
+
+import base64
+import json
+from importlib.resources import files
+from typing import Any
+
+import jinja2
+import numpy as np
+from markupsafe import Markup
+from matplotlib.colors import to_hex
+
+from adaptrack.base.errors import InvalidInput
+from adaptrack.base.files import printable
+from adaptrack.results.drive_figures import COLOURS, Drives, outline_stations, road_span, scale_of
+from adaptrack.results.page import Embedded
+from adaptrack.results.record import Array, DriveRecord
+from adaptrack.road import Road
+
+PERIOD = 0.05
+"""s, between the samples of a replay, which joins them by straight lines; a record may be denser."""
+
+UNITS = {
+    "time": 1e-3, "station": 1e-2, "x": 1e-3, "y": 1e-3, "yaw": 1e-4, "speed": 1e-2, "offset": 1e-3, "steering": 1e-4,
+}  # fmt: skip
+"""The columns of a replay and the units to which they are rounded (s, m, rad, m/s)."""
+
+SHADES = 9
+"""Colours of the trail."""
+
+
+def replay(drives: Drives) -> Embedded:
+    """The replay of drives on one road, as a part of a page. A page holds one.
+
+    Raises
+    ------
+    InvalidInput
+        When a signal jumps by more than 2^31 of its units, 2,000 km for positions.
+    """
+    environment = jinja2.Environment(
+        loader=jinja2.PackageLoader("adaptrack.results"), autoescape=True, undefined=jinja2.StrictUndefined,
+        trim_blocks=True, lstrip_blocks=True,
+    )  # fmt: skip
+    template = environment.get_template("replay.html.j2")
+    data = replay_data(drives)
+    seconds = max(float(drive.time[-1] - drive.time[0]) for drive in drives.values())
+    # JSON inside an element: "<" could end it, an escape cannot
+    packed = json.dumps(data, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
+    script = files("adaptrack.results").joinpath("templates", "replay.js").read_text(encoding="utf-8")
+    return Embedded(
+        Markup(
+            template.render(
+                data=Markup(packed),
+                script=Markup(script),
+                names=[car["name"] for car in data["cars"]],
+                shades=data["shades"],
+                top=f"{data['top']:g}",
+                end=seconds,
+                road=printable(data["road"]["name"]),
+            )
+        )
+    )
+
+
+def replay_data(drives: Drives) -> dict[str, Any]:
+    """What the script reads: the road's edges, the scale of colours, and each car with its outline and columns."""
+    shown = list(drives.values())
+    return {
+        "road": _road(shown[0].road, road_span(shown)),
+        "top": scale_of(shown),
+        "shades": [to_hex(COLOURS(share)) for share in np.linspace(0.0, 1.0, SHADES)],
+        "cars": [_car(label, drive) for label, drive in drives.items()],
+    }
+
+
+def packed(values: Array, unit: float) -> dict[str, Any]:
+    """A column as its first value and the first differences, in whole units, little-endian, in 1, 2 or 4 bytes each.
+
+    Raises
+    ------
+    InvalidInput
+        When a difference does not fit.
+    """
+    whole = np.rint(values / unit).astype(np.int64)
+    steps = np.diff(whole, prepend=whole[:1])
+    size = next((n for n in (1, 2, 4) if np.abs(steps).max() < 2 ** (8 * n - 1)), None)
+    if size is None:
+        raise InvalidInput(f"replay: a signal jumps by {np.abs(steps).max() * unit:.3g} from one sample to the next.")
+    coded = base64.b64encode(steps.astype(f"<i{size}").tobytes()).decode()
+    return {"first": int(whole[0]), "unit": unit, "size": size, "bytes": coded}
+
+
+def sampled(drive: DriveRecord) -> np.ndarray:
+    """The indices of the instants that the replay holds: the first of each `PERIOD`, and the last of all."""
+    due = np.floor((drive.time - drive.time[0]) / PERIOD + 1e-6)
+    return np.unique([*np.flatnonzero(np.diff(due, prepend=-1.0) > 0.0), len(drive) - 1])
+
+
+def _road(road: Road, ends: tuple[float, float]) -> dict[str, Any]:
+    s = outline_stations(road, *ends)
+    left, right = road.edges(s)
+    points = road.at(s)
+    lines = {"x": points.x, "y": points.y, "left_x": left[:, 0], "left_y": left[:, 1]} | {
+        "right_x": right[:, 0], "right_y": right[:, 1],
+    }  # fmt: skip
+    return {"name": road.name, "closed": road.closed} | {name: packed(line, 1e-2) for name, line in lines.items()}
+
+
+def _car(label: str, drive: DriveRecord) -> dict[str, Any]:
+    keep = sampled(drive)
+    columns = {name: getattr(drive, name)[keep] for name in UNITS}
+    columns["yaw"] = np.unwrap(drive.yaw)[keep]
+    shape = drive.shape
+    return {
+        "name": printable(label),
+        "failed": drive.failed_at if drive.failed else None,
+        "outline": {
+            "front": shape.body.front, "rear": shape.body.rear, "width": shape.body.width,
+            "lf": shape.lf, "lr": shape.lr, "track_front": shape.track_front, "track_rear": shape.track_rear,
+        },
+        "columns": {name: packed(values, UNITS[name]) for name, values in columns.items()},
+    }  # fmt: skip

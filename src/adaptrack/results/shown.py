@@ -1,0 +1,71 @@
+"""Which figure and which notebook form belongs to which type (`base.shown`)."""
+
+from __future__ import annotations
+
+from functools import singledispatch
+from typing import Any
+
+from matplotlib.figure import Figure
+
+from adaptrack.cars.vehicle import Vehicle
+from adaptrack.comparison.compare import Comparison
+from adaptrack.comparison.roads import RoadComparison
+from adaptrack.control.scheduling import Schedule
+from adaptrack.drive.metrics import Metrics
+from adaptrack.drive.trajectory import Trajectory
+from adaptrack.results.comparison_verdict import comparison_figure
+from adaptrack.results.dataset import dataset_figure, dataset_html
+from adaptrack.results.notebook import (
+    comparison_html,
+    metrics_html,
+    run_figure,
+    run_html,
+    schedule_figure,
+    schedule_html,
+    vehicle_figure,
+    vehicle_html,
+)
+from adaptrack.tuning.dataset import DataSet
+
+
+@singledispatch
+def figure_of(shown: Any, *more: Any) -> Figure:
+    """The object as a figure.
+
+    Raises
+    ------
+    TypeError
+        When nothing draws its type.
+    """
+    raise TypeError(f"{type(shown).__name__} has no figure.")
+
+
+@singledispatch
+def html_of(shown: Any) -> str:
+    """The object in a notebook.
+
+    Raises
+    ------
+    TypeError
+        When no form is known for its type.
+    """
+    raise TypeError(f"{type(shown).__name__} has no form for notebooks.")
+
+
+for _kind, _figure, _html in (
+    (Vehicle, vehicle_figure, vehicle_html),
+    (Trajectory, run_figure, run_html),
+    (Schedule, schedule_figure, schedule_html),
+    (DataSet, dataset_figure, dataset_html),
+):
+    figure_of.register(_kind, _figure)
+    html_of.register(_kind, _html)
+figure_of.register(Comparison, comparison_figure)
+figure_of.register(RoadComparison, lambda shown: comparison_figure(shown.comparison))
+html_of.register(Metrics, metrics_html)
+
+
+@html_of.register(Comparison)
+@html_of.register(RoadComparison)
+def _(shown: Comparison | RoadComparison) -> str:
+    return comparison_html(repr(shown)[1:-1], shown.rows(), figure_of(shown))

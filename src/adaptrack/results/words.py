@@ -1,0 +1,163 @@
+"""Numbers, names and settings as a reader says them."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from datetime import datetime
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from adaptrack.base.files import printable
+from adaptrack.control.scheduling.variables import VARIABLES
+
+_SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+_THIN_SPACE = "\u202f"
+
+INPUTS = {name: (variable.label, variable.unit) for name, variable in VARIABLES.items()}
+"""The label and unit of each scheduling variable."""
+
+
+def number(value: float | int | None, digits: int = 3) -> str:
+    """`digits` significant digits or a few more, no exponent from 1e-4 to 1e6; a dash for NaN and None."""
+    if value is None or math.isnan(value):
+        return "–"
+    if math.isinf(value):
+        return "∞" if value > 0 else "−∞"
+    if isinstance(value, int):
+        text = f"{value:,}"
+    elif value == 0.0:
+        text = "0"
+    else:
+        mantissa, exponent = f"{value:.{digits - 1}e}".split("e")
+        if -4 <= int(exponent) < 6:
+            text = f"{value:,.{max(digits - 1 - int(exponent), 0)}f}"
+        else:
+            text = f"{mantissa}·10{str(int(exponent)).translate(_SUPERSCRIPTS)}"
+    return text.replace(",", _THIN_SPACE).replace("-", "−")
+
+
+def ratio_with_interval(row: Mapping[str, Any], noun: str = "") -> str:
+    """A comparison's row: cost over the reference's, a noun, and the 95 % interval in brackets."""
+    low, mean, high = (number(row[f"regret_{name}"]) for name in ("low", "geomean", "high"))
+    return f"{mean}{noun} ({low} to {high})"
+
+
+def scientific(value: float) -> str:
+    """A power of ten with two digits, for what spans many decades; a dash for NaN, an exact zero as 0."""
+    if not math.isfinite(value) or value == 0.0:
+        return number(value)
+    mantissa, exponent = f"{value:.1e}".split("e")
+    return f"{mantissa}·10{str(int(exponent)).translate(_SUPERSCRIPTS)}".replace("-", "−")
+
+
+def percent(share: float) -> str:
+    """A share 0..1 in percent, without the sign; what is not zero does not look like zero; a dash for NaN."""
+    if share == 0.0 or math.isnan(share):
+        return number(share)
+    return "< 0.1" if share < 0.001 else f"{100 * share:.1f}"
+
+
+def span(values: NDArray[Any], digits: int = 3, to: str = " to ") -> str:
+    """One value where all agree, else "lowest to highest"."""
+    finite = values[np.isfinite(values)]
+    if not finite.size:
+        return "–"
+    low, high = (f"{bound + 0.0:.{digits}g}".replace("-", "−") for bound in (finite.min(), finite.max()))
+    return low if low == high else f"{low}{to}{high}"
+
+
+def listed(words: Sequence[str]) -> str:
+    """Words in a row: a; a and b; a, b and c."""
+    return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} and {words[-1]}"
+
+
+def few(names: Iterable[str], noun: str, most: int = 3) -> str:
+    """For a title: the names where they are few, else how many."""
+    known = list(names)
+    return listed(known) if 0 < len(known) <= most else counted(len(known), noun)
+
+
+def counted(n: int, noun: str) -> str:
+    """So many of something: 1 drive, 300 drives."""
+    return f"{number(n)} {noun}{'' if n == 1 else 's'}"
+
+
+def lettered(i: int, title: str = "") -> str:
+    """The title of panel `i` of a printed figure: (a) Speed."""
+    return f"({'abcdefghijklmnopqrstuvwxyz'[i]}) {title}".strip()
+
+
+def plain(label: str) -> str:
+    """A label of a figure without its marks for mathematics."""
+    return re.sub(r"\\mathrm\{(\w+)\}|\$", r"\1", label).replace(r"\log_{10}", "log10")
+
+
+def legible(name: str, longest: int = 80) -> str:
+    """A name, whatever it holds, as it can stand on a page: printable, and cut where it is too long."""
+    text = printable(name[: longest + 1])
+    return text if len(text) <= longest else text[: longest - 1] + "…"
+
+
+def title_of(name: str) -> str:
+    """A registered name as words: ``triple-lane-change`` becomes "Triple lane change"."""
+    words = legible(name).replace("-", " ").replace("_", " ").strip()
+    return words[:1].upper() + words[1:] if words else "Unnamed scenario"
+
+
+def controller_name(name: str) -> str:
+    """A controller's name as a label: as the paper writes it, where the paper has it."""
+    known = {"standard": "Standard MPC", "nn": "NN-MPC", "anfis": "ANFIS-MPC"}
+    name = legible(name)
+    return known.get(name) or name[:1].upper() + name[1:] or "Controller"
+
+
+def clock(moment: str) -> str:
+    """An ISO 8601 time to the minute; other text as it stands."""
+    try:
+        when = datetime.fromisoformat(moment)
+    except ValueError:
+        return moment
+    zone = when.strftime("%Z").replace("+00:00", "")
+    return f"{when:%Y-%m-%d %H:%M} {zone}".strip()
+
+
+def slug(text: str) -> str:
+    """`text` as a file name or an anchor: lower-case words joined by hyphens."""
+    return re.sub(r"[^\w]+", "-", text.lower()).strip("-") or "part"
+
+
+def describe(value: Any) -> str:
+    """An entry of a run's provenance; of a long parameter record only the name."""
+    if value is None or value == "":
+        return "not recorded"
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if isinstance(value, dict):
+        name = str(value.get("name", value.get("kind", "")))
+        rest = {key: entry for key, entry in value.items() if key not in ("name", "kind") and entry is not None}
+        if name and (not rest or len(rest) > 6):
+            return name
+        inside = ", ".join(f"{key} {describe(entry)}" for key, entry in rest.items())
+        return f"{name} ({inside})" if name else inside
+    if isinstance(value, list):
+        return ", ".join(describe(entry) for entry in value)
+    return f"{value:g}" if isinstance(value, float) else str(value)
+
+
+def recorded(meta: Mapping[str, Any], entry: str) -> Any:
+    """An entry of a run's provenance, or of its controller's configuration (``control``) there; None if neither."""
+    control = meta.get("control")
+    return meta.get(entry, control.get(entry) if isinstance(control, dict) else None)
+
+
+def setting(entry: str, value: Any) -> str:
+    """An entry of a run's provenance as part of a heading: "road profile", "with preview", "seed 3"."""
+    if entry == "preview":
+        return "with preview" if value else "without preview"
+    suffix = {"profile": " profile", "plant": " plant", "tyre": " tyres", "moves": " moves"}.get(entry, "")
+    prefix = {"seed": "seed ", "vehicle": "vehicle ", "speed": "speed by ", "solver": "QP by "}.get(entry, "")
+    return f"{prefix}{describe(value)}{suffix}"

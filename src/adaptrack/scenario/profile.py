@@ -1,0 +1,165 @@
+"""Profiles: what stands between a controller and an ideal car, and what a test of it charges."""
+
+from __future__ import annotations
+
+import math
+import os
+from functools import cache
+from pathlib import Path
+from typing import Any, Self
+
+from pydantic import Field, field_validator, model_validator
+
+from adaptrack.base.files import Record, build, read_toml
+from adaptrack.cars.vehicle import SteeringActuator, find_data, list_data
+
+
+def _noise(description: str) -> Any:
+    return Field(default=0.0, ge=0, allow_inf_nan=True, description=description)
+
+
+SENSING = (
+    "noise_vy", "noise_yaw", "noise_yaw_rate", "noise_y", "noise_wheel_angle", "noise_lateral_acceleration",
+    "noise_speed", "bias_yaw_rate", "bias_wheel_angle", "pose_age", "pose_age_spread", "motion_age", "missing",
+    "dropout_pause", "dropout_least", "dropout_most",
+)  # fmt: skip
+"""What a profile says of sensors."""
+
+
+class Profile(Record):
+    """The simulated world around a car: its steering actuator, sensors and computer, and the weight of a test's cost.
+
+    Each profile is one TOML file, see `load_profile`.
+
+    Raises
+    ------
+    InvalidInput
+        When a value is not allowed; the message names the key and what is.
+    """
+
+    name: str = Field(min_length=1, description="how lists and tables call the profile")
+    description: str = Field(default="", description="one sentence for lists")
+    steering: SteeringActuator = Field(
+        default_factory=SteeringActuator.ideal, description="lag, dead time, bias and limits of the steering"
+    )
+    period: float = Field(
+        default=0.1, gt=0, le=10, description="s, control period, unless the controller is told otherwise"
+    )
+    delay: float = Field(
+        default=0.0, ge=0, description="-, control periods from a measurement until its command takes effect: 0 or 1"
+    )
+    preview: bool = Field(
+        default=False, description="whether the controller knows the reference ahead, unless it is told otherwise"
+    )
+    noise_vy: float = _noise("m/s, standard deviation of the measured lateral velocity; inf: no such sensor")
+    noise_yaw: float = _noise("rad, of the measured yaw angle")
+    noise_yaw_rate: float = _noise("rad/s, of the measured yaw rate")
+    noise_y: float = Field(default=0.0, ge=0, description="m, of the measured lateral position")
+    noise_wheel_angle: float = _noise("rad, of the measured angle of the front wheels")
+    noise_lateral_acceleration: float = Field(
+        default=math.inf, ge=0, allow_inf_nan=True, description="m/s^2, of an accelerometer; inf: none"
+    )
+    noise_speed: float = Field(default=0.0, ge=0, le=1, description="-, of the measured speed, over the speed")
+    bias_yaw_rate: float = Field(
+        default=0.0, ge=0, description="rad/s, each run has an offset of the yaw rate within +- that"
+    )
+    bias_wheel_angle: float = Field(
+        default=0.0, ge=0, description="rad, each run has an offset of the measured wheel angle within +- that"
+    )
+    pose_age: float = Field(default=0.0, ge=0, le=2, description="s, how old yaw and y are when they arrive")
+    pose_age_spread: float = Field(default=0.0, ge=0, le=2, description="s, that age varies by +- that, and is known")
+    motion_age: float = Field(default=0.0, ge=0, le=2, description="s, how old the other samples are")
+    missing: float = Field(default=0.0, ge=0, lt=1, description="-, share of the samples that are missing")
+    dropout_pause: float = Field(
+        default=0.0, ge=0, description="s, mean time between times without yaw and y; 0: there are none"
+    )
+    dropout_least: float = Field(default=0.0, ge=0, le=60, description="s, shortest time without yaw and y")
+    dropout_most: float = Field(default=0.0, ge=0, le=60, description="s, longest time without yaw and y")
+    move_weight: float = Field(
+        default=0.0,
+        ge=0,
+        description="m^2/rad^2, weight w of steering activity in J = mean e^2 + w mean (change of command)^2",
+    )
+
+    @field_validator("delay")
+    @classmethod
+    def _whole_periods(cls, delay: float) -> float:
+        if delay not in (0.0, 1.0):
+            raise ValueError(
+                "must be 0 (a command acts at once) or 1 (it is computed while the one before acts); "
+                "what the steering adds is its dead_time (s), in the section [steering]."
+            )
+        return delay
+
+    @model_validator(mode="after")
+    def _ages_and_dropouts_fit(self) -> Self:
+        if self.pose_age_spread > self.pose_age:
+            raise ValueError(f"pose_age_spread = {self.pose_age_spread:g} s: must not exceed pose_age.")
+        if self.dropout_least > self.dropout_most:
+            raise ValueError(f"dropout_least = {self.dropout_least:g} s: must not exceed dropout_most.")
+        return self
+
+    @property
+    def oldest(self) -> float:
+        """How old a sample may be when it arrives (s)."""
+        return max(self.pose_age + self.pose_age_spread, self.motion_age)
+
+    @property
+    def prompt(self) -> Self:
+        """The same with samples that are never late, as linear loops take them: a little kinder than the truth."""
+        return self.replace(pose_age=0.0, pose_age_spread=0.0, motion_age=0.0)
+
+    @property
+    def dead_time(self) -> float:
+        """From an instant until its command begins to act (s), at this profile's own period."""
+        return self.delay * self.period + self.steering.dead_time
+
+    @property
+    def noise(self) -> tuple[float, float, float, float]:
+        """Standard deviations of the measured x_c = [v_y (m/s), yaw (rad), yaw rate (rad/s), y (m)]."""
+        return self.noise_vy, self.noise_yaw, self.noise_yaw_rate, self.noise_y
+
+    def to_toml(self, path: str | os.PathLike[str]) -> None:
+        """Write the profile as TOML; the new one has the file's name.
+
+        Raises
+        ------
+        StorageError
+            When the file cannot be written.
+        """
+        super(Profile, self.replace(name=Path(path).stem)).to_toml(path)
+
+
+def list_profiles() -> list[str]:
+    """The names that `load_profile` knows, sorted."""
+    return list_data("profiles")
+
+
+def load_profile(profile: str | os.PathLike[str] | Profile) -> Profile:
+    """The named profile, the one that a TOML file describes (keys: the fields of `Profile`), or the given one.
+
+    Text is a path when it ends in ``.toml`` or holds a directory; without the key ``name``, the file's own name is
+    taken.
+
+    Raises
+    ------
+    UnknownName
+        When no profile has this name.
+    StorageError
+        When the file cannot be read.
+    ConfigError
+        When it is not TOML, or holds an unknown, missing or impossible value; all of them are in the message.
+    """
+    if isinstance(profile, Profile):
+        return profile
+    path = find_data("profiles", profile)
+    return _shipped(path) if profile in list_profiles() else _read(path)
+
+
+@cache
+def _shipped(path: Path) -> Profile:
+    return _read(path)
+
+
+def _read(path: Path) -> Profile:
+    return build(Profile, {"name": path.stem, **read_toml(path)}, path)

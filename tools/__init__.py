@@ -1,0 +1,1 @@
+"""What the package is developed with, beside the benchmarks: not part of what is installed."""
