@@ -21,7 +21,7 @@ from adaptrack.cars.plant import DualTrack, SingleTrack, fingerprint, twin_of, u
 from adaptrack.cars.vehicle import list_vehicles, load_vehicle
 from adaptrack.control.controllers import Tuning
 from adaptrack.learning.adaptation.config import load_adaptation
-from adaptrack.learning.adaptation.for_car import WORK, Driven, write_configuration
+from adaptrack.learning.adaptation.for_car import WORK, DrivenSetup, write_configuration
 from adaptrack.learning.adaptation.splits import SetUp
 from adaptrack.studies.tune_car import TuningEffort, tune
 from adaptrack.tuning.campaign import run_campaign
@@ -62,7 +62,7 @@ class Sliding(at.SteppedPlant):
 
 
 class Cheap(Sliding):
-    """Driven throughout, not only judged on."""
+    """DrivenSetup throughout, not only judged on."""
 
     costly = False
 
@@ -164,7 +164,7 @@ def test_a_campaign_on_a_stepped_plant_costs_what_its_objective_says(registered,
 
 
 def test_a_costly_plant_is_judged_on_and_its_twin_searched_on(registered, tmp_path):
-    driven = Driven("sliding", ("sliding",), costly=True)
+    driven = DrivenSetup("sliding", ("sliding",), costly=True)
     file = write_configuration(tmp_path, "paper", "road", CAR.domain, at.informed_tuning("road"), driven=driven)
     setup = SetUp.of(load_adaptation(file))
     assert type(setup.driven).__name__ == "Sliding"

@@ -34,7 +34,7 @@ from adaptrack.scenario.profile import load_profile
 from adaptrack.tuning import campaign as module
 from adaptrack.tuning import store
 from adaptrack.tuning.campaign import CampaignInterrupted, CampaignStopped, Progress, run_campaign
-from adaptrack.tuning.config import STANDARD, Library, Plan, Search, list_campaigns, load_campaign, spread_tunings
+from adaptrack.tuning.config import STANDARD, Plan, Search, TuningLibrary, list_campaigns, load_campaign, spread_tunings
 from adaptrack.tuning.dataset import load_dataset
 from adaptrack.tuning.evaluator import tuned_mpc
 from adaptrack.tuning.operating_points import fold
@@ -268,13 +268,13 @@ def test_the_library_begins_with_the_papers_tuning_and_stays_within_the_search()
 
 def test_an_explicit_library_is_taken_as_it_is():
     rows = [[10.0, 4.0, 1.0, 0.01], [20.0, 4.0, 1.0, 0.01]]
-    np.testing.assert_array_equal(Library(tunings=rows).rows(Search()), rows)
+    np.testing.assert_array_equal(TuningLibrary(tunings=rows).rows(Search()), rows)
 
 
 @pytest.mark.parametrize("standard_first", [True, False])
 def test_the_standard_cost_is_that_of_the_papers_tuning_wherever_it_stands(tmp_path, standard_first):
     rows = [[10.0, 4.0, 1.0, 0.01], [20.0, 4.0, 1.0, 0.01]]
-    library = Library(tunings=[list(STANDARD), *rows] if standard_first else rows)
+    library = TuningLibrary(tunings=[list(STANDARD), *rows] if standard_first else rows)
     data = load_dataset(run_campaign(small(library=library), tmp_path / "out", evaluate=Fake))
     fake = Fake(Plan.of(small()).setup)
     expected = [fake.landscape(row, np.array([STANDARD]))[0] for row in data.operating_points[data.computed]]

@@ -14,8 +14,8 @@ from adaptrack.cars.vehicle import load_vehicle
 from adaptrack.control import estimation
 from adaptrack.control.controllers import MPC, Tuning, published_mpc
 from adaptrack.control.estimation import (
-    Belief,
     FrictionWindEstimator,
+    FrictionWindPrior,
     UserEstimator,
     check_estimator,
     get_estimator,
@@ -38,8 +38,8 @@ unpack = entry(unpack)
 
 CAR = load_vehicle("paper")
 PAPER, ROAD = load_profile("paper"), load_profile("road")
-NOMINAL = Belief().nominal_friction
-PRIOR_STD = NOMINAL * Belief().friction_spread
+NOMINAL = FrictionWindPrior().nominal_friction
+PRIOR_STD = NOMINAL * FrictionWindPrior().friction_spread
 SILENT_ROAD = ROAD.replace(noise_vy=0.0, noise_yaw=0.0, noise_yaw_rate=0.0, noise_y=0.0)
 
 
@@ -182,7 +182,9 @@ def test_the_replica_turns_the_wheels_as_the_actuator_does():
 @pytest.mark.parametrize("wind", [-12.0, 4.0, 25.0])
 def test_without_noise_a_constant_wind_is_found(wind):
     plant = SingleTrack(CAR)
-    belief = Belief(nominal_friction=0.9, friction_spread=0.05, wind_time=60.0, stiffness_spread=0.0, tyre_error=0.0)
+    belief = FrictionWindPrior(
+        nominal_friction=0.9, friction_spread=0.05, wind_time=60.0, stiffness_spread=0.0, tyre_error=0.0
+    )
     estimator = FrictionWindEstimator.of(plant, PAPER, period=0.05, belief=belief)
     _, found = drive(road(20.0, 0.9, wind, 6.0), weave(0.01), PAPER, plant, estimator)
     assert found[-40:, 1] == pytest.approx(wind, rel=0.02)
@@ -256,7 +258,7 @@ def test_soft_or_stiff_tyres_are_not_taken_for_the_road(factor):
     )
     errors = {}
     for spread in (0.0, 0.05):
-        estimator = FrictionWindEstimator(CAR, tyre, ROAD.steering, belief=Belief(stiffness_spread=spread))
+        estimator = FrictionWindEstimator(CAR, tyre, ROAD.steering, belief=FrictionWindPrior(stiffness_spread=spread))
         _, found = drive(road(20.0, NOMINAL, 0.0, 12.0), weave(0.06), estimator=estimator)
         errors[spread] = abs(found[-100:, 0].mean() - NOMINAL)
     assert errors[0.05] < 0.5 * errors[0.0]
@@ -313,7 +315,7 @@ def test_a_measurement_that_is_no_number_leaves_the_estimate():
     for _ in range(20):
         before = estimator.step([0.1, 0.0, 0.02, 0.0], 20.0, 0.01)
     nothing = estimator.step([math.nan] * 4, math.nan, math.nan, math.nan)
-    kept = math.exp(-estimator.period / Belief().wind_time)
+    kept = math.exp(-estimator.period / FrictionWindPrior().wind_time)
     assert nothing.wind == pytest.approx(kept * before.wind)
     assert nothing.wind_std > before.wind_std
     for gap in range(4):
@@ -322,7 +324,7 @@ def test_a_measurement_that_is_no_number_leaves_the_estimate():
         assert all(map(math.isfinite, estimator.step(state, 20.0, 0.01)))
     for _ in range(1200):
         nothing = estimator.step([math.nan] * 4, 20.0, 0.0)
-    assert nothing[:4] == pytest.approx((NOMINAL, 0.0, PRIOR_STD, Belief().wind_spread), rel=0.01, abs=1e-6)
+    assert nothing[:4] == pytest.approx((NOMINAL, 0.0, PRIOR_STD, FrictionWindPrior().wind_spread), rel=0.01, abs=1e-6)
 
 
 def test_one_outlier_moves_no_more_than_a_trusted_innovation():
@@ -350,7 +352,7 @@ def test_it_recovers_from_an_absurd_measurement(value):
 
 
 def test_estimates_stay_within_their_bounds():
-    belief = Belief(friction_range=(0.5, 0.8), most_wind=5.0)
+    belief = FrictionWindPrior(friction_range=(0.5, 0.8), most_wind=5.0)
     estimator = FrictionWindEstimator.of(DualTrack(CAR), belief=belief)
     for friction in (0.3, 1.0):
         _, found = drive(road(22.0, friction, 30.0, 6.0), weave(0.25), estimator=estimator)
@@ -418,7 +420,7 @@ def test_the_estimator_refuses_a_noise_or_period_that_is_none(name, value):
 )
 def test_a_belief_refuses_nonsense(name, value):
     with pytest.raises(InvalidInput, match=name):
-        Belief(**{name: value})
+        FrictionWindPrior(**{name: value})
 
 
 def test_a_measurement_of_another_shape_is_refused():

@@ -23,7 +23,7 @@ from adaptrack.identification.conventions import check_conventions, guessed_rati
 from adaptrack.identification.from_log import fitted, prepare, reported
 from adaptrack.identification.likelihood import Likelihood
 from adaptrack.identification.log import log_of
-from adaptrack.identification.quantities import INDEX, QUANTITIES, Belief, beliefs_of, values_of
+from adaptrack.identification.quantities import INDEX, QUANTITIES, Prior, beliefs_of, values_of
 from adaptrack.identification.reading import Reading, read_columns
 from adaptrack.road import generate_road
 
@@ -93,7 +93,7 @@ def test_the_filter_run_blind_is_the_single_track_vehicle() -> None:
         "front": 2.0 * CAR.stiffness_front, "rear": 2.0 * CAR.stiffness_rear, "relaxation": RELAXATION,
         "friction": 1e3,
     }  # fmt: skip
-    beliefs = beliefs_of(CAR) | {name: Belief(value, 0.0) for name, value in exact.items()}
+    beliefs = beliefs_of(CAR) | {name: Prior(value, 0.0) for name, value in exact.items()}
     blind = Likelihood(cleaned, CAR, beliefs, cleaned.begins.astype(np.float64))
     errors, _ = blind.innovations(np.zeros(len(QUANTITIES)))
     settled = cleaned.time > 3.0
@@ -426,7 +426,7 @@ def test_what_a_log_tells_is_an_error_where_it_is_not_finite(log: dict[str, np.n
     cleaned = log_of({name: values[:450] for name, values in log.items()}, CAR.wheelbase)
     for value in (math.inf, 1e300):
         absurd = np.where(np.arange(cleaned.samples) == 100, value, cleaned.yaw_rate)
-        beliefs = beliefs_of(CAR) | {"noise_yaw_rate": Belief(0.003, 1.5)}
+        beliefs = beliefs_of(CAR) | {"noise_yaw_rate": Prior(0.003, 1.5)}
         with pytest.raises(InvalidInput, match="not finite"):
             Likelihood(replace(cleaned, yaw_rate=absurd), CAR, beliefs).fit(np.zeros(len(QUANTITIES)))
 

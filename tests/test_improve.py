@@ -18,7 +18,7 @@ from adaptrack.control.scheduling import ENTRIES, Learned, Number, SchedulingVar
 from adaptrack.learning.adaptation.config import Evaluation
 from adaptrack.learning.adaptation.improve import Learnable, improve
 from adaptrack.learning.adaptation.landscape import OUTPUTS, Rescue, landscape, preferred_moves
-from adaptrack.learning.adaptation.method import Improvement, Method
+from adaptrack.learning.adaptation.method import ImprovementSettings, Method
 from adaptrack.learning.surfaces import FuzzySurface, Level, NetworkSurface
 from adaptrack.tuning.runs import RunSet
 from small_runs import START, lane_changes, run_set
@@ -156,7 +156,7 @@ def beginning(kind):
 
 
 def checked_every(rounds):
-    return METHOD.replace(improvement=Improvement(check=rounds))
+    return METHOD.replace(improvement=ImprovementSettings(check=rounds))
 
 
 def constant_schedule(by):

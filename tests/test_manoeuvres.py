@@ -17,7 +17,7 @@ from adaptrack.cars.vehicle import GRAVITY, Tyre, load_vehicle
 from adaptrack.cli import closed_loop
 from adaptrack.comparison.manoeuvres import (
     Gate,
-    LaneChange,
+    LaneChangeTest,
     Surroundings,
     Track,
     clearance,
@@ -380,7 +380,7 @@ def obstacle():
     car = load_vehicle("compact-ev")
     profile = load_profile("road")
     track = iso_3888_2(car.outline.width)
-    return LaneChange(car, get_plant("dual-track", car), track, profile)
+    return LaneChangeTest(car, get_plant("dual-track", car), track, profile)
 
 
 def driver_of(test, name):

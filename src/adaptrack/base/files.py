@@ -365,7 +365,7 @@ def write_atomically(path: str | os.PathLike[str], content: bytes, *, through_li
 
 
 # -- tables that prove their content ----------------------------------------------------------------------------------
-class Column(NamedTuple):
+class ParquetColumn(NamedTuple):
     """A column of a Parquet file."""
 
     name: str
@@ -376,7 +376,7 @@ class Column(NamedTuple):
     meaning: str = ""
 
 
-def encode_parquet(kind: str, version: int, columns: Sequence[Column], about: Mapping[str, Any]) -> bytes:
+def encode_parquet(kind: str, version: int, columns: Sequence[ParquetColumn], about: Mapping[str, Any]) -> bytes:
     """A Parquet file (zstd) of `columns`; the same content gives the same bytes.
 
     kind, version: what the file says that it is; about: what it says of itself, plain JSON. A checksum of `about` and

@@ -158,7 +158,7 @@ def _write(asked: dict[str, Any], tuned: TunedCar, out: Path) -> Path:
     """What was asked and found, and the configuration that follows from it, whose path is returned."""
     from adaptrack.base.files import write_toml
     from adaptrack.cars.plant import usual_plant
-    from adaptrack.learning.adaptation.for_car import Driven, write_configuration
+    from adaptrack.learning.adaptation.for_car import DrivenSetup, write_configuration
     from adaptrack.tuning.constant_file import ConstantTuning
 
     vehicle = tuned.controller.model.vehicle.replace(domain=tuned.domain)
@@ -170,7 +170,7 @@ def _write(asked: dict[str, Any], tuned: TunedCar, out: Path) -> Path:
     ).to_toml(out / "constant.toml")  # fmt: skip
     write_toml(out / "asked.toml", _plain(asked))
     write_toml(out / FOUND, {"vehicle": vehicle.name, **{key: found[key] for key in ("passed", "verdict")}})
-    driven = Driven(asked["plant"] or usual_plant(vehicle), tuple(asked["plugin"] or ()), tuned.costly)
+    driven = DrivenSetup(asked["plant"] or usual_plant(vehicle), tuple(asked["plugin"] or ()), tuned.costly)
     constant, quick = tuned.tuning, asked["quick"]
     return write_configuration(out, own, asked["profile"], tuned.domain, constant, quick=quick, driven=driven)
 

@@ -77,7 +77,7 @@ class Driven:
 
 def drive_lane_change(name: str, driven: Driven, as_json: bool) -> None:
     """Find and print the highest clean entry speeds."""
-    from adaptrack.comparison.manoeuvres import TRACKS, LaneChange, entry_speeds
+    from adaptrack.comparison.manoeuvres import TRACKS, LaneChangeTest, entry_speeds
 
     track_name, grid, tune_at = LANE_CHANGES[name]
     if driven.out is not None:
@@ -87,7 +87,9 @@ def drive_lane_change(name: str, driven: Driven, as_json: bool) -> None:
     with show.progress(name, count) as advance:
         for car, plant in driven.cars:
             track = TRACKS[track_name](car.outline.width)
-            test = LaneChange(car, plant, track, driven.profile, 0.9 if driven.friction is None else driven.friction)
+            test = LaneChangeTest(
+                car, plant, track, driven.profile, 0.9 if driven.friction is None else driven.friction
+            )
             controllers = driven.controllers_of(car)
             runs: list[EntrySpeed] = []
             speeds = [float(each) / 3.6 for each in grid]

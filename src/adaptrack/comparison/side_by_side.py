@@ -24,7 +24,7 @@ from adaptrack.base.files import LISTED, Record
 from adaptrack.cars.plant import Plant, SteppedPlant, get_plant, twin_of, usual_plant
 from adaptrack.cars.vehicle import Vehicle, load_vehicle
 from adaptrack.comparison.contenders import Contender
-from adaptrack.comparison.manoeuvres import LaneChange, entry_speed, iso_3888_2
+from adaptrack.comparison.manoeuvres import LaneChangeTest, entry_speed, iso_3888_2
 from adaptrack.comparison.roads import check_fits
 from adaptrack.control.controllers import MPC, About, Controller, about_controller, get_controller
 from adaptrack.drive.metrics import compute_metrics
@@ -215,13 +215,13 @@ def _run_sets(task: SideBySide, car: str, profile: str) -> tuple[Setting, RunSet
 
 
 @lru_cache(maxsize=4)
-def _obstacle(car: str, profile: str) -> LaneChange | None:
+def _obstacle(car: str, profile: str) -> LaneChangeTest | None:
     """The obstacle avoidance of ISO 3888-2 with a car; None where it is not driven compiled, or does not fit."""
     setting = load_setting(car, profile)
     if not isinstance(setting.plant, Plant):
         return None
     track = iso_3888_2(setting.car.outline.width)
-    return LaneChange(setting.car, setting.plant, track, setting.profile, _roads=_lines(car))
+    return LaneChangeTest(setting.car, setting.plant, track, setting.profile, _roads=_lines(car))
 
 
 @lru_cache(maxsize=16)

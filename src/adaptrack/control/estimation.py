@@ -231,7 +231,7 @@ def check_estimator(estimator: Estimator, model: PredictionModel, speed: float =
         fail("a measurement that is not finite must leave x and d finite", f"x = {found}, d = {d}")
 
 
-class Estimate(NamedTuple):
+class FrictionWindEstimate(NamedTuple):
     """What is known of the surroundings at one control instant; deviations are standard deviations."""
 
     friction: float
@@ -246,7 +246,7 @@ class Estimate(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Belief:
+class FrictionWindPrior:
     """What the estimator believes before it has seen anything, and how fast it forgets.
 
     ln(friction), wind and ln(stiffness) are Gauss-Markov processes: mean, standard deviation ("spread") and
@@ -282,18 +282,18 @@ class Belief:
     """rad/s per s^0.5"""
 
     def __post_init__(self) -> None:
-        low, high = (real("Belief", "friction_range", value) for value in self.friction_range)
+        low, high = (real("FrictionWindPrior", "friction_range", value) for value in self.friction_range)
         for field in fields(self):
             if field.name == "friction_range":
                 continue
-            value = real("Belief", field.name, getattr(self, field.name))
+            value = real("FrictionWindPrior", field.name, getattr(self, field.name))
             least = 0.0 if field.name in ("stiffness_spread", "tyre_error") else math.ulp(0.0)
             if not least <= value < math.inf:
-                raise InvalidInput(f"Belief: {field.name} = {value!r}: must be finite and positive.")
+                raise InvalidInput(f"FrictionWindPrior: {field.name} = {value!r}: must be finite and positive.")
         if not 0.0 < low <= self.nominal_friction <= high < math.inf:
             raise InvalidInput(
-                f"Belief: nominal_friction = {self.nominal_friction!r} must lie in friction_range = {(low, high)!r}, "
-                "of finite positive numbers."
+                f"FrictionWindPrior: nominal_friction = {self.nominal_friction!r} must lie in friction_range = "
+                f"{(low, high)!r}, of finite positive numbers."
             )
 
 
@@ -314,7 +314,8 @@ class FrictionWindEstimator:
 
     vehicle, tyre, steering: what the estimator believes (by default the vehicle's tyre and an ideal actuator); period:
     control period (s); delay: whether a command acts one period after its measurement; noise_vy (m/s),
-    noise_yaw_rate (rad/s), noise_acceleration (m/s^2): standard deviations of the sensors; belief: see `Belief`.
+    noise_yaw_rate (rad/s), noise_acceleration (m/s^2): standard deviations of the sensors; belief: what is held
+    before the first measurement.
 
     Raises
     ------
@@ -333,13 +334,13 @@ class FrictionWindEstimator:
         noise_vy: float = 0.05,
         noise_yaw_rate: float = 0.01,
         noise_acceleration: float = 0.1,
-        belief: Belief | None = None,
+        belief: FrictionWindPrior | None = None,
     ) -> None:
         tyre = vehicle.tyre if tyre is None else tyre
         self.vehicle = vehicle
         self.tyre = tyre if isinstance(tyre, Tyre) else load_tyre(tyre)
         self.steering = steering or SteeringActuator.ideal()
-        self.belief = belief or Belief()
+        self.belief = belief or FrictionWindPrior()
         self.delay = bool(delay)
         given = {
             "period": period,
@@ -367,7 +368,7 @@ class FrictionWindEstimator:
         *,
         period: float | None = None,
         noise_acceleration: float = 0.1,
-        belief: Belief | None = None,
+        belief: FrictionWindPrior | None = None,
     ) -> Self:
         """The estimator that knows a plant behind a profile: its car and tyres, steering, delay and sensor noise.
 
@@ -434,7 +435,9 @@ class FrictionWindEstimator:
         self._kernel = friction_wind
         self._memory = friction_wind.Memory.new() if memory is None else memory
 
-    def step(self, measured: ArrayLike, speed: float, command: float, acceleration: float | None = None) -> Estimate:
+    def step(
+        self, measured: ArrayLike, speed: float, command: float, acceleration: float | None = None
+    ) -> FrictionWindEstimate:
         """One step, at a control instant, before the controller's.
 
         measured: x_c = [v_y (m/s), yaw (rad), yaw rate (rad/s), y (m)]; speed: v_x (m/s); command: the controller's
@@ -456,10 +459,10 @@ class FrictionWindEstimator:
         return self.estimate
 
     @property
-    def estimate(self) -> Estimate:
+    def estimate(self) -> FrictionWindEstimate:
         """What the last step found."""
         kernel, own = self._kernel, self._memory[0]
-        return Estimate(
+        return FrictionWindEstimate(
             friction=float(own.friction),
             wind=float(own.wind),
             friction_std=float(own.friction_std),

@@ -18,8 +18,15 @@ from numpy.typing import NDArray
 
 from adaptrack import __version__
 from adaptrack.base.errors import ConfigError, InvalidInput, MissingExtra
-from adaptrack.base.files import Column as Stored
-from adaptrack.base.files import Damaged, check_texts, decode_parquet, encode_parquet, read_bytes, write_atomically
+from adaptrack.base.files import (
+    Damaged,
+    ParquetColumn,
+    check_texts,
+    decode_parquet,
+    encode_parquet,
+    read_bytes,
+    write_atomically,
+)
 from adaptrack.base.shown import figure_of, html_of
 from adaptrack.core.library import kernels_hash
 
@@ -38,7 +45,7 @@ _WHEELS = ("front_left", "front_right", "rear_left", "rear_right")
 
 
 @dataclass(frozen=True)
-class Column:
+class StoredArray:
     """How one array of a trajectory is stored."""
 
     name: str
@@ -62,23 +69,23 @@ class Column:
 
 
 COLUMNS = (
-    Column("t", "s"),
-    Column("X", "m"),
-    Column("Y", "m"),
-    Column("psi", "rad"),
-    Column("vx", "m/s"),
-    Column("vy", "m/s"),
-    Column("yaw_rate", "rad/s"),
-    Column("steering", "rad"),
-    Column("command", "rad"),
-    Column("command_change", "rad"),
-    Column("y_ref", "m"),
-    Column("v_ref", "m/s"),
-    Column("friction", "-", parts=_WHEELS),
-    Column("wind", "m/s", parts=("x", "y")),
-    Column("lateral_acceleration", "m/s^2"),
-    Column("held", "-", "truth"),
-    Column("step_time", "s"),
+    StoredArray("t", "s"),
+    StoredArray("X", "m"),
+    StoredArray("Y", "m"),
+    StoredArray("psi", "rad"),
+    StoredArray("vx", "m/s"),
+    StoredArray("vy", "m/s"),
+    StoredArray("yaw_rate", "rad/s"),
+    StoredArray("steering", "rad"),
+    StoredArray("command", "rad"),
+    StoredArray("command_change", "rad"),
+    StoredArray("y_ref", "m"),
+    StoredArray("v_ref", "m/s"),
+    StoredArray("friction", "-", parts=_WHEELS),
+    StoredArray("wind", "m/s", parts=("x", "y")),
+    StoredArray("lateral_acceleration", "m/s^2"),
+    StoredArray("held", "-", "truth"),
+    StoredArray("step_time", "s"),
 )
 """The arrays that every `Trajectory` has, in the order of its fields and of a file's columns."""
 
@@ -302,7 +309,7 @@ class Trajectory:
             When that fails; an older file at `path` is then untouched.
         """
         units = self._column_units()
-        stored = [Stored(name, units[name], values) for name, values in self.columns().items()]
+        stored = [ParquetColumn(name, units[name], values) for name, values in self.columns().items()]
         about = {
             "adaptrack": __version__,
             "period": self.period,
@@ -374,7 +381,7 @@ def provenance(origin: Origin, created: str | datetime, **more: Any) -> dict[str
     }
 
 
-def _checked(column: Column, values: Any, steps: int) -> Array:
+def _checked(column: StoredArray, values: Any, steps: int) -> Array:
     """`values` as a read-only array of the column's type and shape."""
     shape = (steps, len(column.parts)) if column.parts else (steps,)
     array = np.asarray(values)
@@ -402,7 +409,7 @@ def _named(group: str, given: Mapping[str, Any], steps: int) -> Mapping[str, Arr
         kind = kinds.get(np.asarray(values).dtype.kind)
         if kind is None:
             raise InvalidInput(f"trajectory: `{group}[{name!r}]` must hold numbers or truth values.")
-        arrays[name] = _checked(Column(f"{group}[{name!r}]", "-", kind), values, steps)
+        arrays[name] = _checked(StoredArray(f"{group}[{name!r}]", "-", kind), values, steps)
     return arrays
 
 

@@ -1,10 +1,10 @@
 """Getting to know a car from a log of its driving."""
 
 from adaptrack.identification.from_log import Estimate, Identification, Validation, identify
-from adaptrack.identification.quantities import Belief
+from adaptrack.identification.quantities import Prior
 from adaptrack.identification.random_cars import CarRanges, RandomCar, random_car
 from adaptrack.identification.reading import Reading
 
 __all__ = [
-    "Belief", "CarRanges", "Estimate", "Identification", "RandomCar", "Reading", "Validation", "identify", "random_car",
+    "CarRanges", "Estimate", "Identification", "Prior", "RandomCar", "Reading", "Validation", "identify", "random_car",
 ]  # fmt: skip

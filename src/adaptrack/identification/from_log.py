@@ -20,7 +20,7 @@ from adaptrack.identification.log import Log, log_of
 from adaptrack.identification.quantities import (
     INDEX,
     QUANTITIES,
-    Belief,
+    Prior,
     beliefs_of,
     plain_car,
     understeer,
@@ -206,7 +206,7 @@ def identify(
     mass: float | None = None,
     wheelbase: float | None = None,
     reading: Reading | None = None,
-    known: Mapping[str, Belief] | None = None,
+    known: Mapping[str, Prior] | None = None,
     computation: float | None = None,
 ) -> Identification:
     """Identify a car from a log of its driving.
@@ -252,7 +252,7 @@ def identify(
     )
 
 
-def _prepared(columns: Columns, believed: Vehicle, beliefs: dict[str, Belief]) -> Likelihood:
+def _prepared(columns: Columns, believed: Vehicle, beliefs: dict[str, Prior]) -> Likelihood:
     """The likelihood of a log that is cleaned and whose conventions are checked.
 
     Where the steering ratio is to be found, the first guess of it follows from yaw rate and speed.
@@ -261,7 +261,7 @@ def _prepared(columns: Columns, believed: Vehicle, beliefs: dict[str, Belief]) -
     if columns.ratio_unknown:
         known = believed.steering.ratio if believed.steering is not None else None
         ratio = known or guessed_ratio(cleaned, believed.wheelbase)
-        beliefs["gain"] = Belief(1.0, RATIO_SPREAD[known is not None])
+        beliefs["gain"] = Prior(1.0, RATIO_SPREAD[known is not None])
         cleaned = replace(cleaned, command=cleaned.command / ratio, ratio=ratio)
     check_conventions(cleaned, believed.wheelbase)
     beliefs |= _noises(cleaned)
@@ -280,8 +280,8 @@ def reported(likelihood: Likelihood, z: Array, covariance: Array) -> dict[str, E
 
 def _believed(
     car: str | os.PathLike[str] | Vehicle | None, mass: float | None, wheelbase: float | None,
-    known: Mapping[str, Belief] | None,
-) -> tuple[Vehicle, dict[str, Belief], Tyre]:  # fmt: skip
+    known: Mapping[str, Prior] | None,
+) -> tuple[Vehicle, dict[str, Prior], Tyre]:  # fmt: skip
     """The car before the log, beliefs about it, and the tyre whose curve it has."""
     if car is not None:
         if mass is not None or wheelbase is not None:
@@ -298,7 +298,7 @@ def _believed(
     return vehicle, beliefs_of(vehicle, rough | dict(known or {})), curve
 
 
-def _noises(log: Log) -> dict[str, Belief]:
+def _noises(log: Log) -> dict[str, Prior]:
     """First guesses of the noise of each sensor: third differences hold little else."""
     guesses = {}
     for signal in ("yaw_rate", "vy", "acceleration", "yaw", "wheel"):
@@ -306,7 +306,7 @@ def _noises(log: Log) -> dict[str, Belief]:
         third = np.diff(values[np.isfinite(values)], 3)
         if third.size:
             typical = float(np.median(np.abs(third))) / 0.6745 / math.sqrt(20.0)
-            guesses[f"noise_{signal}"] = Belief(max(typical, 1e-5), 1.5)
+            guesses[f"noise_{signal}"] = Prior(max(typical, 1e-5), 1.5)
     return guesses
 
 
@@ -433,7 +433,7 @@ def _estimates(likelihood: Likelihood, z: Array, covariance: Array) -> tuple[dic
 
 # -- validation -------------------------------------------------------------------------------------------------------
 def _validated(
-    likelihood: Likelihood, z: Array, log: Log, car: Vehicle, beliefs: Mapping[str, Belief]
+    likelihood: Likelihood, z: Array, log: Log, car: Vehicle, beliefs: Mapping[str, Prior]
 ) -> tuple[Validation, Series]:
     """A second fit without every fourth stretch, which predicts them."""
     held = np.floor((log.time - log.time[0]) / BLOCK).astype(np.int64) % EVERY == EVERY - 1

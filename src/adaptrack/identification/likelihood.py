@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.vehicle import Vehicle
 from adaptrack.identification.log import Log
-from adaptrack.identification.quantities import INDEX, PUSH_TIME, QUANTITIES, SHAPE, Belief, values_of
+from adaptrack.identification.quantities import INDEX, PUSH_TIME, QUANTITIES, SHAPE, Prior, values_of
 
 Array = NDArray[np.float64]
 
@@ -40,7 +40,7 @@ BLOCK = 4.0
 class Likelihood:
     """What a log says of a car: innovations and objective at any point z."""
 
-    def __init__(self, log: Log, car: Vehicle, beliefs: Mapping[str, Belief], seen: Array | None = None) -> None:
+    def __init__(self, log: Log, car: Vehicle, beliefs: Mapping[str, Prior], seen: Array | None = None) -> None:
         """seen: (n,) 1 where a sample is taken in and counts; all when left out."""
         from adaptrack.core import identification as kernel
 

@@ -30,7 +30,7 @@ class Quantity:
     meaning: str
 
 
-class Belief(NamedTuple):
+class Prior(NamedTuple):
     """What is thought of a quantity before the log is read."""
 
     median: float
@@ -77,15 +77,15 @@ PUSH_TIME = 5.0
 SHAPE = 1.35
 """-, shape factor of the tyres' curve where nothing is known of it."""
 
-DISTURBANCES: Mapping[str, Belief] = {
-    "delay": Belief(0.3, 0.7), "lag_share": Belief(0.5, 1.5), "rate": Belief(0.7, 0.6),
-    "gain": Belief(1.0, 0.0), "offset": Belief(0.0, 0.03),
-    "mass": Belief(1500.0, 0.0), "friction": Belief(0.7, 0.35), "wind_mean": Belief(0.0, 4.0),
-    "wind_spread": Belief(4.0, 1.0), "wind_time": Belief(0.6, 0.6), "push_mean": Belief(0.0, 0.2),
-    "push_spread": Belief(0.1, 1.0), "jolt": Belief(0.01, 1.5), "noise_yaw_rate": Belief(0.01, 1.5),
-    "noise_vy": Belief(0.05, 1.5), "noise_acceleration": Belief(0.1, 1.5), "noise_yaw": Belief(0.003, 1.5),
-    "noise_wheel": Belief(0.002, 1.5), "gyro_offset": Belief(0.0, 0.003), "acceleration_offset": Belief(0.0, 0.2),
-    "wheel_offset": Belief(0.0, 0.02),
+DISTURBANCES: Mapping[str, Prior] = {
+    "delay": Prior(0.3, 0.7), "lag_share": Prior(0.5, 1.5), "rate": Prior(0.7, 0.6),
+    "gain": Prior(1.0, 0.0), "offset": Prior(0.0, 0.03),
+    "mass": Prior(1500.0, 0.0), "friction": Prior(0.7, 0.35), "wind_mean": Prior(0.0, 4.0),
+    "wind_spread": Prior(4.0, 1.0), "wind_time": Prior(0.6, 0.6), "push_mean": Prior(0.0, 0.2),
+    "push_spread": Prior(0.1, 1.0), "jolt": Prior(0.01, 1.5), "noise_yaw_rate": Prior(0.01, 1.5),
+    "noise_vy": Prior(0.05, 1.5), "noise_acceleration": Prior(0.1, 1.5), "noise_yaw": Prior(0.003, 1.5),
+    "noise_wheel": Prior(0.002, 1.5), "gyro_offset": Prior(0.0, 0.003), "acceleration_offset": Prior(0.0, 0.2),
+    "wheel_offset": Prior(0.0, 0.02),
 }  # fmt: skip
 """What is believed of steering, sensors and weather: wide enough for any car on a road."""
 
@@ -101,30 +101,30 @@ def values_of(z: Array, median: Array, spread: Array) -> Array:
     )  # fmt: skip
 
 
-def beliefs_of(car: Vehicle, known: Mapping[str, Belief] | None = None) -> dict[str, Belief]:
+def beliefs_of(car: Vehicle, known: Mapping[str, Prior] | None = None) -> dict[str, Prior]:
     """What is believed of every quantity: of a car's body what its file says, of its tyres about that.
 
     known: replaces entries; a car file that says how well it knows its numbers is read here.
     """
     tyre = load_tyre(car.tyre)
     beliefs = dict(DISTURBANCES)
-    beliefs["mass"] = Belief(car.mass, 0.0)
-    beliefs["front_share"] = Belief(car.lf / car.wheelbase, 0.0)
-    beliefs["yaw_inertia"] = Belief(car.yaw_inertia, 0.1)
-    beliefs["front"] = Belief(2.0 * car.stiffness_front, 0.7)
-    beliefs["rear"] = Belief(2.0 * car.stiffness_rear, 0.7)
-    beliefs["relaxation"] = Belief(max(tyre.relaxation_length, 0.25), 0.7)
+    beliefs["mass"] = Prior(car.mass, 0.0)
+    beliefs["front_share"] = Prior(car.lf / car.wheelbase, 0.0)
+    beliefs["yaw_inertia"] = Prior(car.yaw_inertia, 0.1)
+    beliefs["front"] = Prior(2.0 * car.stiffness_front, 0.7)
+    beliefs["rear"] = Prior(2.0 * car.stiffness_rear, 0.7)
+    beliefs["relaxation"] = Prior(max(tyre.relaxation_length, 0.25), 0.7)
     steering = car.steering
     if steering is not None and steering.lag is not None and steering.dead_time is not None:
         delay = max(steering.lag + steering.dead_time, 0.02)
-        beliefs["delay"] = Belief(delay, 0.7)
-        beliefs["lag_share"] = Belief(min(max(steering.lag / delay, 0.1), 0.9), 1.5)
+        beliefs["delay"] = Prior(delay, 0.7)
+        beliefs["lag_share"] = Prior(min(max(steering.lag / delay, 0.1), 0.9), 1.5)
     if steering is not None and steering.rate is not None:
-        beliefs["rate"] = Belief(steering.rate, 0.3)
+        beliefs["rate"] = Prior(steering.rate, 0.3)
     return beliefs | dict(known or {})
 
 
-def plain_car(mass: float, wheelbase: float) -> tuple[Vehicle, dict[str, Belief]]:
+def plain_car(mass: float, wheelbase: float) -> tuple[Vehicle, dict[str, Prior]]:
     """A car of which only mass (kg) and wheelbase (m) are known, and how far the rest may be off.
 
     The centre of gravity lies at 0.45 +- 0.03 of the wheelbase behind the front axle, the yaw inertia is m l_f l_r
@@ -138,8 +138,8 @@ def plain_car(mass: float, wheelbase: float) -> tuple[Vehicle, dict[str, Belief]
     )  # fmt: skip
     spread = 0.03 / (0.45 * 0.55)
     known = {
-        "front_share": Belief(0.45, spread), "yaw_inertia": Belief(mass * lf * lr, 0.15),
-        "front": Belief(2.0 * front, 0.8), "rear": Belief(2.0 * rear, 0.8), "relaxation": Belief(0.25, 0.7),
+        "front_share": Prior(0.45, spread), "yaw_inertia": Prior(mass * lf * lr, 0.15),
+        "front": Prior(2.0 * front, 0.8), "rear": Prior(2.0 * rear, 0.8), "relaxation": Prior(0.25, 0.7),
     }  # fmt: skip
     return car, known
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from adaptrack import __version__
 from adaptrack.base.errors import MissingExtra, UnknownName, did_you_mean
-from adaptrack.base.files import SHIPPED, Column, build, encode_parquet, read_toml, safe_name, write_atomically
+from adaptrack.base.files import SHIPPED, ParquetColumn, build, encode_parquet, read_toml, safe_name, write_atomically
 from adaptrack.cars.plant import fingerprint
 from adaptrack.comparison.side_by_side import Cell, SideBySide, columns, load_setting, run_cell
 from adaptrack.comparison.standing import Standing, Who, standings
@@ -74,7 +74,7 @@ class Compared:
         StorageError
             When it cannot be written.
         """
-        told = [Column(name, UNITS.get(name, "-"), values) for name, values in self.columns.items()]
+        told = [ParquetColumn(name, UNITS.get(name, "-"), values) for name, values in self.columns.items()]
         about = {"task": self.task.model_dump(mode="json"), "adaptrack": __version__}
         write_atomically(path, encode_parquet(FORMAT, FORMAT_VERSION, told, about))
 

@@ -34,7 +34,7 @@ from adaptrack.tuning.operating_points import NAMES
 from adaptrack.tuning.store import COLUMNS, FORMAT_VERSION, Columns, Folder
 
 if TYPE_CHECKING:
-    from adaptrack.tuning.evaluator import Evaluator, Tuned
+    from adaptrack.tuning.evaluator import Evaluator, SwarmFinding
 
 Array = NDArray[np.float64]
 
@@ -47,9 +47,9 @@ _DASK_ADDRESS = re.compile(r"(?:[a-z]+://)?(?:[^\s:/\[\]]+|\[[0-9A-Fa-f:.]+\]):(
 
 def closed_loop(setup: Setup) -> Evaluator:
     """The evaluator of campaigns: the compiled closed loop that `setup` describes."""
-    from adaptrack.tuning.evaluator import ClosedLoop
+    from adaptrack.tuning.evaluator import EvaluatedLoop
 
-    return ClosedLoop(setup)
+    return EvaluatedLoop(setup)
 
 
 # -- one chunk, wherever it is computed -------------------------------------------------------------------------------
@@ -143,7 +143,7 @@ def _row(evaluator: Evaluator, job: Job, stream: int, point: Array) -> dict[str,
     }
 
 
-def _checked(tuned: Tuned, costs: Array, size: int, point: Array) -> tuple[int, int, float, float]:
+def _checked(tuned: SwarmFinding, costs: Array, size: int, point: Array) -> tuple[int, int, float, float]:
     """The tuning of an answer that makes sense."""
     Np, Nc, Q, R = (float(value) for value in tuned.tuning)
     horizons = Np.is_integer() and Nc.is_integer() and 1 <= Nc <= Np

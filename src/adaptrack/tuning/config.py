@@ -160,7 +160,7 @@ class Search(Record):
         )
 
 
-class Library(Record):
+class TuningLibrary(Record):
     """The common library: tunings whose cost is found at every operating point (the landscape)."""
 
     size: int = Field(default=200, ge=1, le=10_000, description="how many tunings, the standard one included")
@@ -264,8 +264,8 @@ class CampaignConfig(Record):
     failure: FailureRule = Field(default_factory=FailureRule, description="when a run has failed")
     search: Search = Field(default_factory=Search, description="bounds of the tunings")
     swarm: SwarmSettings = Field(default_factory=SwarmSettings, description="how a swarm searches")
-    library: Library = Field(
-        default_factory=Library, description="tunings whose cost is found at every operating point"
+    library: TuningLibrary = Field(
+        default_factory=TuningLibrary, description="tunings whose cost is found at every operating point"
     )
 
     @model_validator(mode="before")

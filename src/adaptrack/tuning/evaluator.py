@@ -29,7 +29,7 @@ def tuned_mpc(setup: Setup, tuning: Tuning | None = None, **options: Any) -> MPC
     return published_mpc(setup.vehicle, tuning, period=profile.period, preview=profile.preview, **options)
 
 
-class Tuned(Protocol):
+class SwarmFinding(Protocol):
     """What one swarm found."""
 
     @property
@@ -62,14 +62,14 @@ class Evaluator(Protocol):
     def versions(self) -> Mapping[str, str]:
         """The software on which the last digit of an answer may depend."""
 
-    def tune(self, point: Array, seed: int, stream: int) -> Tuned:
+    def tune(self, point: Array, seed: int, stream: int) -> SwarmFinding:
         """A whole swarm on one operating point (4,); its random numbers depend on seed and stream only."""
 
     def landscape(self, point: Array, library: Array) -> Array:
         """(T,) cost of each tuning of the library (T, 4); inf where the run fails."""
 
 
-class ClosedLoop:
+class EvaluatedLoop:
     """The closed loop of a setup: plant or its twin, profile, the MPC with free moves, see `Objective`."""
 
     def __init__(self, setup: Setup) -> None:
@@ -103,7 +103,7 @@ class ClosedLoop:
             "numpy": version("numpy"),
         }
 
-    def tune(self, point: Array, seed: int, stream: int) -> Tuned:
+    def tune(self, point: Array, seed: int, stream: int) -> SwarmFinding:
         return self.objective.tune(point.tolist(), self._swarm, seed, stream, self._space)
 
     def landscape(self, point: Array, library: Array) -> Array:

@@ -19,7 +19,7 @@ Array = NDArray[np.float64]
 Whole = NDArray[np.int64]
 
 
-class Column(NamedTuple):
+class Coordinate(NamedTuple):
     """One of the four numbers of an operating point."""
 
     name: str
@@ -32,10 +32,10 @@ class Column(NamedTuple):
 
 
 COLUMNS = (
-    Column("speed", "m/s", 1.0, 100.0, "forward speed"),
-    Column("y_ref", "m", -1000.0, 1000.0, "lateral reference, from y = 0; positive to the left"),
-    Column("friction", "-", 0.05, 2.0, "friction of road and tyre"),
-    Column("wind", "m/s", -100.0, 100.0, "side wind: velocity of the air along +Y"),
+    Coordinate("speed", "m/s", 1.0, 100.0, "forward speed"),
+    Coordinate("y_ref", "m", -1000.0, 1000.0, "lateral reference, from y = 0; positive to the left"),
+    Coordinate("friction", "-", 0.05, 2.0, "friction of road and tyre"),
+    Coordinate("wind", "m/s", -100.0, 100.0, "side wind: velocity of the air along +Y"),
 )
 """The columns of every array of operating points."""
 
@@ -223,5 +223,5 @@ def _canonical(rows: Array, images: Array) -> Array:
     return np.where(left[:, np.newaxis], rows, images)
 
 
-def _unit(column: Column) -> str:
+def _unit(column: Coordinate) -> str:
     return "" if column.unit == "-" else f" {column.unit}"

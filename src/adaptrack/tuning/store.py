@@ -18,9 +18,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adaptrack.base.errors import ConfigError, StorageError
-from adaptrack.base.files import Column as Stored
 from adaptrack.base.files import (
     Damaged,
+    ParquetColumn,
     decode_parquet,
     encode_parquet,
     read_bytes,
@@ -40,7 +40,7 @@ CHUNK = "adaptrack campaign chunk"
 """What a Parquet file says that it is."""
 
 
-class Column(NamedTuple):
+class TunedColumn(NamedTuple):
     """One column of a table of tuned operating points."""
 
     name: str
@@ -52,21 +52,23 @@ class Column(NamedTuple):
 
 
 COLUMNS = (
-    Column("stream", "-", "int64", "number of the operating point; its random numbers depend on seed and stream only"),
-    *(Column(each.name, each.unit, "float64", each.meaning) for each in operating_points.COLUMNS),
-    Column("Np", "-", "int64", "prediction horizon of the best tuning found, control periods"),
-    Column("Nc", "-", "int64", "control horizon of the best tuning found, control periods"),
-    Column("Q", "1/m^2", "float64", "weight of the tracking error of the best tuning found"),
-    Column("R", "1/rad^2", "float64", "weight of the moves of the best tuning found"),
-    Column("r_over_q", "m^2/rad^2", "float64", "R/Q, the only part of the two that changes the control law"),
-    Column("cost", "m^2", "float64", "cost of the best tuning found; inf when the run failed with every one"),
-    Column("standard_cost", "m^2", "float64", "cost of the paper's tuning, 35/8/10/0.01"),
-    Column("evaluations", "-", "int64", "tunings that the swarm evaluated"),
-    Column("control_steps", "-", "int64", "control periods that the swarm simulated"),
-    Column("seed", "-", "int64", "of the swarm"),
-    Column("mirrored_from", "-", "int64", "stream of the left-right twin that was computed instead; -1: none"),
-    Column("trace", "m^2", "float32", "lowest cost up to and including each generation", wide=True),
-    Column("landscape", "m^2", "float32", "cost of each tuning of the common library", wide=True),
+    TunedColumn(
+        "stream", "-", "int64", "number of the operating point; its random numbers depend on seed and stream only"
+    ),
+    *(TunedColumn(each.name, each.unit, "float64", each.meaning) for each in operating_points.COLUMNS),
+    TunedColumn("Np", "-", "int64", "prediction horizon of the best tuning found, control periods"),
+    TunedColumn("Nc", "-", "int64", "control horizon of the best tuning found, control periods"),
+    TunedColumn("Q", "1/m^2", "float64", "weight of the tracking error of the best tuning found"),
+    TunedColumn("R", "1/rad^2", "float64", "weight of the moves of the best tuning found"),
+    TunedColumn("r_over_q", "m^2/rad^2", "float64", "R/Q, the only part of the two that changes the control law"),
+    TunedColumn("cost", "m^2", "float64", "cost of the best tuning found; inf when the run failed with every one"),
+    TunedColumn("standard_cost", "m^2", "float64", "cost of the paper's tuning, 35/8/10/0.01"),
+    TunedColumn("evaluations", "-", "int64", "tunings that the swarm evaluated"),
+    TunedColumn("control_steps", "-", "int64", "control periods that the swarm simulated"),
+    TunedColumn("seed", "-", "int64", "of the swarm"),
+    TunedColumn("mirrored_from", "-", "int64", "stream of the left-right twin that was computed instead; -1: none"),
+    TunedColumn("trace", "m^2", "float32", "lowest cost up to and including each generation", wide=True),
+    TunedColumn("landscape", "m^2", "float32", "cost of each tuning of the common library", wide=True),
 )
 """The columns of chunks and of data sets, in the order of their files."""
 
@@ -75,7 +77,7 @@ COLUMNS = (
 def encode(kind: str, columns: Columns, about: Mapping[str, Any]) -> bytes:
     """A Parquet file of the columns in `COLUMNS`, see `files.encode_parquet`."""
     stored = [
-        Stored(each.name, each.unit, np.ascontiguousarray(columns[each.name], dtype=each.dtype), each.meaning)
+        ParquetColumn(each.name, each.unit, np.ascontiguousarray(columns[each.name], dtype=each.dtype), each.meaning)
         for each in COLUMNS
     ]
     return encode_parquet(kind, FORMAT_VERSION, stored, about)

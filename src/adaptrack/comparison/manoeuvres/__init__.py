@@ -2,7 +2,7 @@
 
 from adaptrack.comparison.manoeuvres.entry_speed import (
     EntrySpeed,
-    LaneChange,
+    LaneChangeTest,
     entry_speed,
     entry_speeds,
     tune_for_track,
@@ -42,7 +42,7 @@ __all__ = [
     "EntrySpeed",
     "FrequencyResponse",
     "Gate",
-    "LaneChange",
+    "LaneChangeTest",
     "LaneRun",
     "LaneStart",
     "Motion",

@@ -63,7 +63,7 @@ SEARCHED: dict[str, dict[str, tuple[float, ...]]] = {
 
 
 @dataclass(frozen=True, eq=False)
-class LaneChange:
+class LaneChangeTest:
     """A car before a track of cones, in a profile.
 
     Raises
@@ -151,7 +151,7 @@ def tunings_to_try(name: str, controller: Controller) -> Array:
     return np.array(tried)
 
 
-def tune_for_track(test: LaneChange, name: str, controller: Controller, speed: float) -> tuple[Array, Clearance]:
+def tune_for_track(test: LaneChangeTest, name: str, controller: Controller, speed: float) -> tuple[Array, Clearance]:
     """The tuning with the largest margin of its worst drive at one entry speed, and that margin.
 
     All of `tunings_to_try`, with the noise of `TUNING_SEEDS`.
@@ -178,7 +178,7 @@ def tune_for_track(test: LaneChange, name: str, controller: Controller, speed: f
 class EntrySpeed:
     """How fast one controller enters a track and stays clean."""
 
-    test: LaneChange
+    test: LaneChangeTest
     name: str
     """the controller's"""
     tuned: bool
@@ -215,7 +215,7 @@ def _kmh(speed: float) -> float | None:
 
 
 def entry_speed(
-    test: LaneChange, name: str, controller: Controller, speeds: Sequence[float], tuning: Array | None = None
+    test: LaneChangeTest, name: str, controller: Controller, speeds: Sequence[float], tuning: Array | None = None
 ) -> EntrySpeed:
     """The highest clean entry speed of a controller, of the worst of `SEEDS`, see `scan_speeds`.
 
@@ -242,7 +242,7 @@ def entry_speed(
 
 
 def entry_speeds(
-    test: LaneChange, controllers: Sequence[tuple[str, Controller]], speeds: Sequence[float],
+    test: LaneChangeTest, controllers: Sequence[tuple[str, Controller]], speeds: Sequence[float],
     tune_at: float | None,
 ) -> Iterator[EntrySpeed]:  # fmt: skip
     """`entry_speed` of several controllers: with their own tuning, and tuned at a speed (m/s; None: not)."""

@@ -61,7 +61,7 @@ BEFORE = 0.2
 
 
 @dataclass(frozen=True)
-class Run:
+class DwellRun:
     """One sine with dwell."""
 
     amplitude: float
@@ -97,7 +97,7 @@ class SineWithDwell:
     """steering wheel over road wheels"""
     angle: float
     """rad, A at the steering wheel"""
-    runs: tuple[Run, ...]
+    runs: tuple[DwellRun, ...]
     motion: Motion
 
     @property
@@ -206,7 +206,7 @@ def reference_angle(plant: Plant | SteppedPlant, ratio: float, given: Surroundin
     return round(float(np.mean(found)) / DEGREE, 1) * DEGREE
 
 
-def _judge(motion: Motion, k: int, amplitude: float, angle: float, least: float) -> Run:
+def _judge(motion: Motion, k: int, amplitude: float, angle: float, least: float) -> DwellRun:
     """The measures of one run, against the criteria."""
     t, side = motion.t, math.copysign(1.0, amplitude)
     yaw_rate, felt = -side * motion.yaw_rate[k], side * motion.lateral_acceleration[k]
@@ -220,7 +220,7 @@ def _judge(motion: Motion, k: int, amplitude: float, angle: float, least: float)
     displacement = float(np.interp(begun + DISPLACEMENT_TIME, t[after], moved))
     slip = np.abs(motion.sideslip[k])
     counts = abs(amplitude) >= RESPONSIVE * angle * (1.0 - 1e-9)
-    return Run(
+    return DwellRun(
         amplitude=amplitude,
         multiple=abs(amplitude) / angle,
         peak_yaw_rate=peak,

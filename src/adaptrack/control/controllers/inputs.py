@@ -48,7 +48,7 @@ def _row(name: str, values: Any, sizes: tuple[int, ...] | None, most: int | None
     return row if most is None or row.size <= most else row[:most]
 
 
-class Row:
+class KernelInput:
     """Numbers that a kernel reads where they stand, and to which rows are copied.
 
     sizes: how long a row may be, None: any length but 0, of which only as many numbers are read as there is room for.

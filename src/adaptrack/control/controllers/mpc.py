@@ -24,7 +24,7 @@ from adaptrack.cars.vehicle import Vehicle
 from adaptrack.control.controllers.base import Controller
 from adaptrack.control.controllers.belief import Told, Uncertainty
 from adaptrack.control.controllers.informed import Parts, informed_parts
-from adaptrack.control.controllers.inputs import Row, change_of_path, number, road_ahead, vector, wheel_angle
+from adaptrack.control.controllers.inputs import KernelInput, change_of_path, number, road_ahead, vector, wheel_angle
 from adaptrack.control.controllers.learned import LearnedCar, Learning
 from adaptrack.control.controllers.limits import Limits, Moves
 from adaptrack.control.controllers.made_for import INCREMENTAL, car_of, mismatches
@@ -383,9 +383,9 @@ class MPC(Controller):
         self._lock = threading.Lock()
         self._measured, answer = self._mpc.measured, self._mpc.answer[0]
         self._answer, self._learned = answer[:_ANSWER], answer[_ANSWER:]
-        self._state = Row("state", self._measured, _STATE_SIZES)
+        self._state = KernelInput("state", self._measured, _STATE_SIZES)
         self._known = 0  # of the state, in the last step
-        self._reference = Row("reference", np.zeros(self._furthest))
+        self._reference = KernelInput("reference", np.zeros(self._furthest))
         self._now: Any = np.zeros(2).data  # `core.controllers.mpc_step.NOW`
         self._curved = bool(self._mpc.settings.curved)
         self._resident = Resident(self._mpc)

@@ -25,7 +25,7 @@ Array = NDArray[np.float64]
 _DATA = SHIPPED / "adaptations"
 
 
-class Learning(Record):
+class TrainingSettings(Record):
     """What the network and the fuzzy systems look at, and how much they learn from."""
 
     inputs: Annotated[tuple[str, ...], LISTED] = Field(min_length=1, description="scheduling variables")
@@ -37,7 +37,7 @@ class Learning(Record):
     rules: int = Field(default=20, ge=2, description="of each fuzzy system")
 
     @model_validator(mode="after")
-    def _has_a_domain(self) -> Learning:
+    def _has_a_domain(self) -> TrainingSettings:
         known = SchedulingVariables._fields[:-1]
         for what, names in (("inputs", self.inputs), ("domain", self.domain)):
             for name in names:
@@ -123,7 +123,7 @@ class AdaptationConfig(Record):
         default=None, description="instead of the campaign's: name, or .toml file beside this one"
     )
     seed: int = Field(default=0, ge=0, description="of the learning")
-    learning: Learning
+    learning: TrainingSettings
     method: Method = Field(default_factory=Method, description="every number that the learning depends on")
     evaluation: Evaluation = Field(default_factory=Evaluation, description="what the schedulers are judged by")
 

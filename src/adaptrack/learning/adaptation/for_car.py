@@ -44,7 +44,7 @@ look-up tables; operating points, drives and noise seeds of the evaluation, also
 paper's recipe."""
 
 
-class Driven(NamedTuple):
+class DrivenSetup(NamedTuple):
     """What is driven, as a configuration names it."""
 
     plant: str = "dual-track"
@@ -55,7 +55,7 @@ class Driven(NamedTuple):
     """as `Plant.costly`"""
 
 
-USUAL = Driven()
+USUAL = DrivenSetup()
 
 
 def hard_speeds(domain: Domain) -> tuple[float, float]:
@@ -66,7 +66,7 @@ def hard_speeds(domain: Domain) -> tuple[float, float]:
 
 def write_configuration(
     folder: Path, vehicle: str | os.PathLike[str], profile: str, domain: Domain, constant: Tuning, *,
-    quick: bool = False, driven: Driven = USUAL,
+    quick: bool = False, driven: DrivenSetup = USUAL,
 ) -> Path:  # fmt: skip
     """Write ``adaptation.toml`` and ``campaign.toml`` to a folder; the path of the first, for `load_adaptation`.
 

@@ -84,7 +84,7 @@ class Landscape(Record):
     before_failure: int = Field(default=2, ge=0, description="segments before the failing one that share its cause")
 
 
-class Improvement(Record):
+class ImprovementSettings(Record):
     """How the outputs follow the wished moves, round by round."""
 
     start: Triple = Field(default=(29.0, 5.0, 3.6), description="Np, Nc and log10 R/Q before the first round")
@@ -190,7 +190,9 @@ class Method(Record):
     seeds: Seeds = Field(default_factory=Seeds, description="first random numbers")
     runs: Runs = Field(default_factory=Runs, description="to learn from, and held out")
     landscape: Landscape = Field(default_factory=Landscape, description="from costs to wished moves")
-    improvement: Improvement = Field(default_factory=Improvement, description="from wished moves to outputs")
+    improvement: ImprovementSettings = Field(
+        default_factory=ImprovementSettings, description="from wished moves to outputs"
+    )
     network: NeuralSurface = Field(default_factory=NeuralSurface, description="networks")
     fuzzy: NeuroFuzzySurface = Field(default_factory=NeuroFuzzySurface, description="fuzzy systems")
     constants: Constants = Field(default_factory=Constants, description="constants and the fallback")
