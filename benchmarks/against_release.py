@@ -1,32 +1,32 @@
-"""Which numbers of this tree are those of a release to the bit, and by how much do the others differ?
+"""Which numbers of this tree are those of another checkout to the bit, and by how much do the others differ?
 
-    python benchmarks/against_release.py CHECKOUT [--only rollouts] [--folder against]
+    python benchmarks/against_release.py CHECKOUT [--only drive] [--folder results/against-release]
+    python benchmarks/against_release.py --compare FOLDER FOLDER
 
-CHECKOUT: a checkout of the release with its own environment in `.venv`. Measured in both, same machine: `reproduce`,
-`evaluate` on 200 operating points, 100 drives and the tests, 20,000 runs of `rollout_batch` and 20,000 single commands
-in two profiles, and the data sets of two small campaigns. What is already in the folder is not measured again.
+CHECKOUT: another state of the repository, its kernels compiled; it runs in its own `.venv`, or, where it has none, in
+this interpreter. Both answer the same questions, `COMMANDS` with `--json`, each in a folder of its own, and `ARRAYS`
+from Python. An answer that is already in the folder is not sought again; the answers of two folders are compared value
+by value. The exit code is 1 where anything differs.
 """
 
 from __future__ import annotations
 
 import argparse
-import inspect
 import json
-import math
 import os
+import shlex
 import subprocess
 import sys
-from collections.abc import Callable, Iterator, Mapping
+import time
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
-RENAMED = {"conditions": "operating points", "told": "known_as", "astray": "off_reference", "move_price": "move_weight",
-           "nearness": "modulus_margin", "scheduler": "contender", "lost": "failed", "rung": "contender",
-           "rungs": "contenders", "ladders": "comparisons"}  # fmt: skip
-"""Keys of a release's JSON and columns by what they became."""
-NOT_COMPARED = ("seconds", "step_us", "versions", "adaptrack", "path", "page", "dataset", "command", "verdict")
+RENAMED: Mapping[str, str] = {}
+"""Keys of the other checkout's JSON, and columns of its data sets, by what they became."""
+NOT_COMPARED = ("seconds", "step us", "versions", "adaptrack", "path", "page", "dataset", "command", "verdict")
 """Parts of keys of what differs from run to run or is text."""
 
 CAMPAIGN = """\
@@ -35,7 +35,7 @@ profile = "{profile}"
 scenario = "{scenario}"
 {more}
 seed = 1
-[{rows}]
+[operating_points]
 {points}
 [search]
 {search}
@@ -45,81 +45,250 @@ generations = 15
 [library]
 size = 40
 seed = 1
+[failure]
+distance = 1000.0
+sideslip = inf
 """
-NEVER_FAILED = "[failure]\ndistance = 1000.0\nsideslip = inf\n"
-"""The release had no rule for a failed run in campaigns."""
 PAPER = {
     "profile": "paper", "scenario": "step", "more": "duration = 18.0",
     "points": 'kind = "grid"\nspeed = [3, 15, 27]\ny_ref = [-10, 2, 8]\nfriction = [0.5, 0.9]\nwind = [-30, 0]',
     "search": "Np = [1, 55]\nNc = [1, 18]\nQ = [0.1, 10.0]\nR = [0.001, 0.1]",
 }  # fmt: skip
 ROAD = {
-    "profile": "road", "scenario": "lane-change", "more": "duration = 8.0\nnoise_seeds = [1, 2, 3]\nchunk = 8",
+    "profile": "road", "scenario": "lane-change",
+    "more": 'duration = 8.0\nnoise_seeds = [1, 2, 3]\nchunk = 8\ncontroller = "as-written"',
     "points": 'kind = "sobol"\nn = 24\nseed = 2\nbox = { speed = [3.0, 30.0], y_ref = [-7.0, 7.0], '
               "friction = [0.3, 1.0], wind = [-30.0, 30.0] }",
     "search": "Np = [5, 60]\nNc = [1, 18]\nQ = [1.0, 1.0]\nR = [1.0, 1.0e6]\ndecades = true",
 }  # fmt: skip
+SMALL_CAMPAIGN = """\
+profile = "road"
+controller = "informed"
+scenario = "lane-change"
+noise_seeds = [1]
+seed = 2
+[operating_points]
+kind = "sobol"
+n = 24
+seed = 2
+box = { speed = [8.0, 25.0], y_ref = [-4.0, 4.0], friction = [0.5, 1.0], wind = [-15.0, 15.0] }
+[search]
+Np = [10, 40]
+Nc = [1, 10]
+Q = [1.0, 1.0]
+R = [0.01, 1000.0]
+decades = true
+[swarm]
+particles = 4
+generations = 2
+[library]
+tunings = [[25, 5, 1, 0.1], [30, 5, 1, 1], [30, 8, 1, 3], [35, 5, 1, 100]]
+"""
+SMALL_ADAPTATION = """\
+campaign = "small-campaign.toml"
+[learning]
+inputs = ["speed", "friction"]
+rounds = 2
+operating_points = 16
+drives = 8
+hard_drives = 8
+rules = 4
+[learning.domain]
+speed = [3.0, 30.0]
+friction = [0.3, 1.0]
+[method.runs]
+held_out_points = 8
+held_out_drives = 2
+[method.constants]
+evaluations = 20
+R = [0.003, 3000.0]
+[method.improvement]
+start = [30.0, 10.0, 0.4771]
+R = [0.003, 3000.0]
+[method.recipe]
+nn_epochs = 20
+anfis_epochs = 2
+[evaluation]
+operating_points = 8
+drives = 8
+known_as = ["exact"]
+"""
+
+
+class Question(NamedTuple):
+    """A command whose JSON is an answer."""
+
+    command: str
+    """what follows `adaptrack`, as this tree spells it; {log}, {track}, ...: what `given_files` wrote"""
+    formerly: str = ""
+    """the same as the other checkout spells it, where it differs"""
+
+
+MANOEUVRES = ("steady-circle", "step-steer", "frequency-response", "sine-with-dwell")
+LANE = ("curvature-step", "lane-drift", "lane-recovery")
+SCHEDULERS = ("nn", "anfis", "best-constant", "look-up", "speed-only", "fallback")
+
+COMMANDS: Mapping[str, Mapping[str, Question]] = {
+    "reproduce": {"paper": Question("reproduce --out paper")},
+    "compare": {"quick": Question("compare --quick --out compared"),
+                "contenders": Question("compare --list")},
+    "evaluate": {
+        "drives": Question("evaluate --drives 200"),
+        "as-written": Question("evaluate --controller as-written --operating-points sobol:100 --drives 200 --tests"),
+        "noisy": Question("evaluate --drives 40 --known-as noisy --known-as withheld"),
+        "roads": Question("evaluate mountain country --road-seed 1 --road-seed 2 --length 800 --vehicle midsize-sedan"
+                          " --noise-seeds 3"),
+        "named": Question("evaluate town --length 600 --contender informed --contender lqr --contender preview-lqr"
+                          " --contender kinematic-mpc"),
+    },
+    "certify": {
+        **{f"road-{name}": Question(f"certify road-{name}") for name in SCHEDULERS},
+        **{f"informed-road-{name}": Question(f"certify informed-road-{name}") for name in SCHEDULERS},
+        "default": Question("certify"),
+        "sedan": Question("certify --vehicle midsize-sedan --profile production --mismatch"),
+        "standard": Question("certify --controller standard --profile paper"),
+        "feasible": Question("certify --feasible --speed 10,20 --friction 0.5,0.9"),
+    },
+    "tune": {
+        "sedan": Question("tune mountain town --vehicle midsize-sedan --length 600 --runs 160 --out sedan.toml"),
+        "van-lqr": Question("tune country --vehicle van --length 600 --controller lqr --runs 160 --out van.toml"),
+        "paper-pursuit": Question("tune country --length 600 --controller pure-pursuit --runs 80 --out pursuit.toml"),
+    },
+    "adapt": {
+        "config": Question("adapt --config {adaptation} --out chain"),
+        "car": Question("adapt van --quick --speed 10..15 --friction 0.8..0.9 --out chain"),
+    },
+    "simulate": {
+        "paper": Question("simulate triple-lane-change general-trajectory --controller standard --allow-failed"),
+        "as-released": Question("simulate triple-lane-change --controller as-released"),
+        "informed": Question("simulate triple-lane-change random-drive double-lane-change --profile road"),
+        "production": Question("simulate random-drive -o seed=3 --profile production --vehicle compact-ev --learn"),
+        "scheduled": Question("simulate random-drive -o seed=1 --profile road --scheduler road-nn"),
+        "informed-anfis": Question("simulate random-drive -o seed=1 --profile road --scheduler informed-road-anfis"),
+        "tuned": Question("simulate lane-change --profile road --np 30 --nc 10 --q 1 --r 3000 --solver hildreth"),
+        **{name: Question(f"simulate random-drive --profile road --vehicle midsize-sedan --controller {name}")
+           for name in ("lqr", "pure-pursuit", "stanley", "preview-lqr", "kinematic-mpc", "mppi")},
+        "single-track": Question("simulate sine --plant single-track --tyre constant-stiffness --driver"),
+    },
+    "drive": {
+        "mountain": Question("drive mountain --road-seed 2 --vehicle midsize-sedan"),
+        "town-learning": Question("drive town --vehicle van --profile production --learn"),
+        "lap": Question("drive lap --laps 2 --vehicle sports-car --lateral-acceleration 5"),
+        "points": Question("drive {track} --vehicle compact-ev --controller preview-lqr"),
+        "windy": Question("drive country --wind 8 --start-offset 0.5 --driver --controller lqr --allow-failed"),
+        "sheet": Question("drive motorway --vehicle {sheet} --learn"),
+    },
+    "identify": {"drive": Question("identify {log} --car {sheet} --out found.toml"),
+                 "little": Question("identify {log} --mass 1500 --wheelbase 2.7 --out found.toml")},
+    "road": {**{kind: Question(f"road check {kind} --road-seed 3")
+                for kind in ("motorway", "country", "town", "mountain", "lap")},
+             "points": Question("road check {track} --vehicle van"),
+             "noisy": Question("road check {noisy}")},
+    "manoeuvre": {**{name: Question(f"manoeuvre {name} --vehicle compact-ev") for name in (*MANOEUVRES, *LANE)},
+                  "obstacle-avoidance": Question("manoeuvre obstacle-avoidance --vehicle compact-ev --no-tune")},
+    "learning": {"train-nn": Question("train --data paper-grid --model nn --out nn.json"),
+                 "describe": Question("dataset describe road-sobol")},
+    "lists": {**{name: Question(name) for name in ("scenarios", "vehicles", "schedulers")},
+              "datasets": Question("dataset list"),
+              "car": Question("car --mass 1450 --wheelbase 2.65 --out my-car.toml")},
+}  # fmt: skip
+"""Commands by group and name."""
+CAMPAIGN_COMMAND = Question("tune --config {name}.toml --out campaign-{name}")
+ARRAYS = ("rollouts", "campaigns")
+"""What is measured from Python and in data sets."""
 
 
 class Tree(NamedTuple):
-    """A checkout to be measured."""
+    """A checkout that answers."""
 
-    python: Path
-    is_release: bool
+    checkout: Path
+    is_other: bool
     folder: Path
-    """where its results go"""
+    """where its answers go"""
 
-    def run(self, *arguments: str) -> str:
-        """Standard output of its interpreter."""
-        environment = {name: value for name, value in os.environ.items() if name != "PYTHONPATH" or not self.is_release}
-        done = subprocess.run(
-            [str(self.python), *arguments], stdout=subprocess.PIPE, text=True, check=True, env=environment,
-            cwd=self.folder,
+    def run(self, folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
+        """Of its interpreter; it finds the package of its checkout."""
+        own = self.checkout / ".venv/bin/python"
+        environment = os.environ | {"PYTHONPATH": str(self.checkout / "src"), "COLUMNS": "200"}
+        return subprocess.run(
+            [str(own if own.exists() else sys.executable), *arguments],
+            capture_output=True, text=True, check=False, env=environment, cwd=folder,
         )  # fmt: skip
-        return done.stdout
 
 
-# -- measurements -----------------------------------------------------------------------------------------------------
-def reproduce(tree: Tree) -> dict[str, Any]:
-    """Every number of `reproduce --json`."""
-    return json.loads(tree.run("-m", "adaptrack", "reproduce", "--out", "reproduce", "--json"))
+def ask(tree: Tree, group: str, name: str) -> dict[str, Any]:
+    """The answer of a tree to a question: exit code and JSON of a command, or arrays as lists."""
+    folder = tree.folder / group / name
+    folder.mkdir(parents=True, exist_ok=True)
+    if group == "arrays":
+        return {"rollouts": rollouts, "campaigns": campaigns}[name](tree, folder)
+    question = COMMANDS[group][name]
+    given = {key: str(path) for key, path in given_files(tree).items()}
+    arguments = shlex.split(spelled(tree, question).format_map(given))
+    done = tree.run(folder, "-m", "adaptrack", *arguments, "--json")
+    try:
+        found = json.loads(done.stdout)
+    except ValueError:
+        sys.exit(f"adaptrack {shlex.join(arguments)}: code {done.returncode}, no JSON\n{done.stderr[-2000:]}")
+    return {"exit code": done.returncode, "answer": found}
 
 
-def evaluate(tree: Tree) -> dict[str, Any]:
-    """Every number of `evaluate --json` about the paper's controller; contenders by their kind, as the release."""
-    points = "--conditions" if tree.is_release else "--operating-points"
-    asked = ["evaluate", "--config", "road", points, "sobol:200", "--drives", "100", "--tests", "--json"]
-    found = json.loads(tree.run("-m", "adaptrack", *asked))
-    for row in found["rows"]:
-        row["contender"] = row.pop("kind", "") or row["contender"]
-    return found
+def spelled(tree: Tree, question: Question) -> str:
+    """The command as a tree knows it."""
+    return (question.formerly if tree.is_other else "") or question.command
 
 
-def rollouts(tree: Tree) -> dict[str, Any]:
+def given_files(tree: Tree) -> dict[str, Path]:
+    """What the commands read, made once: a road with and without noise, a data sheet, a log, a small adaptation.
+
+    Data sheet and log are made by the tree itself: where its runs differ, so do the answers.
+    """
+    given = tree.folder / "given"
+    names = {"track": "track.csv", "noisy": "noisy.csv", "sheet": "sheet.toml", "adaptation": "small.toml",
+             "log": "drive/random-drive-informed.parquet"}  # fmt: skip
+    paths = {key: given / name for key, name in names.items()}
+    if given.exists():
+        return paths
+    given.mkdir(parents=True)
+    angle = np.linspace(0.0, 2.0 * np.pi, 400)
+    points = np.column_stack([220.0 * np.sin(angle) + 25.0 * np.sin(3.0 * angle), 130.0 * np.cos(angle)])
+    noise = np.random.default_rng(1).normal(0.0, 0.1, points.shape)
+    for name, track in (("track", points), ("noisy", points + noise)):
+        np.savetxt(paths[name], track, delimiter=",", header="x,y", comments="", fmt="%.4f")
+    (given / "small-campaign.toml").write_text(SMALL_CAMPAIGN)
+    paths["adaptation"].write_text(SMALL_ADAPTATION)
+    sheet = "car --mass 1500 --wheelbase 2.7 --out sheet.toml"
+    log = "simulate random-drive --profile road --vehicle midsize-sedan --out drive"
+    for command in (sheet, log):
+        done = tree.run(given, "-m", "adaptrack", *shlex.split(command))
+        if done.returncode:
+            sys.exit(f"adaptrack {command}: code {done.returncode}\n{done.stderr[-2000:]}")
+    return paths
+
+
+# -- arrays -----------------------------------------------------------------------------------------------------------
+def rollouts(tree: Tree, folder: Path) -> dict[str, Any]:
     """Runs and single commands, computed by `measure_rollouts` in the tree's interpreter."""
-    tree.run(str(Path(__file__).resolve()), "--measure", "rollouts.npz")
-    with np.load(tree.folder / "rollouts.npz") as arrays:
+    done = tree.run(folder, str(Path(__file__).resolve()), "--measure", "rollouts.npz")
+    if done.returncode:
+        sys.exit(done.stderr[-2000:])
+    with np.load(folder / "rollouts.npz") as arrays:
         return {name: arrays[name].tolist() for name in arrays.files}
 
 
-def campaigns(tree: Tree) -> dict[str, Any]:
+def campaigns(tree: Tree, folder: Path) -> dict[str, Any]:
     """The columns of two small data sets."""
     import pyarrow.parquet
 
     found = {}
     for name, settings in (("paper", PAPER), ("road", ROAD)):
-        rows = "conditions" if tree.is_release else "operating_points"
-        rule = "" if tree.is_release else NEVER_FAILED
-        (tree.folder / f"{name}.toml").write_text(CAMPAIGN.format(rows=rows, **settings) + rule)
-        tree.run("-m", "adaptrack", "tune", "--config", f"{name}.toml", "--out", f"campaign-{name}", "--json")
-        table = pyarrow.parquet.read_table(tree.folder / f"campaign-{name}" / "dataset.parquet")
-        found[name] = table.to_pydict()
+        (folder / f"{name}.toml").write_text(CAMPAIGN.format(**settings))
+        done = tree.run(folder, "-m", "adaptrack", *shlex.split(spelled(tree, CAMPAIGN_COMMAND).format(name=name)))
+        if done.returncode:
+            sys.exit(done.stderr[-2000:])
+        table = pyarrow.parquet.read_table(folder / f"campaign-{name}" / "dataset.parquet")
+        found[name] = {column: values for column, values in table.to_pydict().items() if column not in NOT_COMPARED}
     return found
-
-
-MEASUREMENTS: Mapping[str, Callable[[Tree], dict[str, Any]]] = {
-    "reproduce": reproduce, "evaluate": evaluate, "rollouts": rollouts, "campaigns": campaigns,
-}  # fmt: skip
 
 
 def measure_rollouts(file: str) -> None:
@@ -128,25 +297,24 @@ def measure_rollouts(file: str) -> None:
 
     rng, found = np.random.default_rng(5), {}
     car = at.load_vehicle("paper")
-    published = getattr(at, "published_mpc", at.MPC)  # the release knows no other
-    options: dict[str, Any] = {"lost_beyond": 1000.0}
-    if "failure" in inspect.signature(at.rollout_batch).parameters:
-        options = {"failure": at.Failure(distance=1000.0, sideslip=math.pi)}
+    failure = at.Failure(distance=1000.0, sideslip=np.pi)
     for profile, period, preview in (("paper", 0.1, False), ("road", 0.05, True)):
         plant, scenarios, tunings = at.DualTrack(car, "magic-formula"), *_drawn(at, rng, profile)
 
         def controller(tuning: Any, period: float = period, preview: bool = preview) -> Any:
             chosen = at.Tuning(int(tuning[0]), int(tuning[1]), float(tuning[2]), float(tuning[3]))
-            return published(car, chosen, period=period, preview=preview)
+            return at.published_mpc(car, chosen, period=period, preview=preview)
 
         batch = at.rollout_batch(
-            plant, published(car, period=period, preview=preview), scenarios, tunings,
-            which=np.repeat(np.arange(500), 20), profile=profile, seeds=np.arange(10_000), **options,
+            plant, at.published_mpc(car, period=period, preview=preview), scenarios, tunings,
+            which=np.repeat(np.arange(500), 20), profile=profile, seeds=np.arange(10_000), failure=failure,
         )  # fmt: skip
         for name in ("mse", "mean_squared_move", "max_abs_error", "steps", "qp_capped", "qp_failed", "held"):
             found[f"{profile} {name}"] = np.asarray(getattr(batch, name))
         for k in range(20):
-            run = at.simulate(plant, controller(tunings[37 * k]), scenarios[11 * k], profile=profile, seed=k, **options)
+            run = at.simulate(
+                plant, controller(tunings[37 * k]), scenarios[11 * k], profile=profile, seed=k, failure=failure
+            )
             for name in ("X", "Y", "psi", "vx", "vy", "yaw_rate", "steering", "command", "lateral_acceleration"):
                 found[f"{profile} run {k} {name}"] = getattr(run, name)
         found[f"{profile} commands"] = _commands(rng, [controller(tunings[41 * k]) for k in range(10)])
@@ -195,70 +363,106 @@ def leaves(value: Any, path: str = "") -> Iterator[tuple[str, Any]]:
         yield path, value
 
 
-def compare(release: Mapping[str, Any], here: Mapping[str, Any]) -> Iterator[str]:
+def compare(other: Any, here: Any) -> Iterator[str]:
     """One line on what is identical, then one for each key whose values differ or that only one side has."""
     old, new = (
         {path: value for path, value in leaves(side) if not any(part in path for part in NOT_COMPARED)}
-        for side in (release, here)
+        for side in (other, here)
     )
     common = old.keys() & new.keys()
     differing = {path for path in common if not _same(old[path], new[path])}
     yield f"{len(common) - len(differing):,} of {len(old):,} values are identical to the bit"
     groups: dict[str, list[str]] = {}
     for path in differing:
-        groups.setdefault("/".join("*" if part.isdigit() else part for part in path.split("/")), []).append(path)
+        groups.setdefault(_kind(path), []).append(path)
     for name, paths in sorted(groups.items()):
-        yield f"  {name}: {len(paths):,} differ, {_difference([(old[p], new[p]) for p in paths])}"
-    for side, paths in (("the release", old.keys() - new.keys()), ("this tree", new.keys() - old.keys())):
-        names = sorted({"/".join("*" if part.isdigit() else part for part in path.split("/")) for path in paths})
-        yield from (f"  {name}: only in {side}" for name in names)
+        yield f"  {name}: {len(paths):,} differ, {_difference([(old[p], new[p]) for p in sorted(paths)])}"
+    for side, paths in (("the other", old.keys() - new.keys()), ("this tree", new.keys() - old.keys())):
+        yield from (f"  {name}: only in {side}" for name in sorted({_kind(path) for path in paths}))
+
+
+def _kind(path: str) -> str:
+    """A path without its places in lists."""
+    return "/".join("*" if part.isdigit() else part for part in path.split("/"))
 
 
 def _same(one: Any, other: Any) -> bool:
-    return one == other or (one != one and other != other)
+    return type(one) is type(other) and (one == other or (one != one and other != other))
 
 
-def _difference(pairs: list[tuple[Any, Any]]) -> str:
+def _difference(pairs: Sequence[tuple[Any, Any]]) -> str:
     numbers = [(a, b) for a, b in pairs if isinstance(a, int | float) and isinstance(b, int | float)]
     if len(numbers) < len(pairs):
         return f"for instance {pairs[0][0]!r} and {pairs[0][1]!r}"
     away = max(abs(a - b) for a, b in numbers)
-    relative = max(abs(a - b) / max(abs(a), abs(b)) for a, b in numbers)
+    relative = max(abs(a - b) / (max(abs(a), abs(b)) or 1.0) for a, b in numbers)
     return f"by at most {away:.2g}, relative {relative:.2g}"
+
+
+def questions(only: Sequence[str]) -> Iterator[tuple[str, str]]:
+    """(group, name) of every question, or of those of some groups, or of some `group/name`."""
+    for group, names in {**COMMANDS, "arrays": ARRAYS}.items():
+        yield from ((group, name) for name in names if not only or {group, f"{group}/{name}"} & set(only))
+
+
+def answer(tree: Tree, group: str, name: str) -> Any:
+    """Of a question: the one in the folder, or the one that is sought now and kept there."""
+    file = tree.folder / f"{group}-{name}.json"
+    if not file.exists():
+        begun = time.monotonic()
+        found = ask(tree, group, name)
+        file.write_text(json.dumps(found))
+        print(f"{group}/{name}: {time.monotonic() - begun:.0f} s in {tree.folder}", file=sys.stderr, flush=True)
+    return json.loads(file.read_text())
+
+
+def report(old: Path, new: Path, chosen: Sequence[tuple[str, str]]) -> int:
+    """Print the comparison of the answers in two folders; how many of them differ."""
+    differing = 0
+    for group, name in chosen:
+        files = [folder / f"{group}-{name}.json" for folder in (old, new)]
+        missing = [str(file) for file in files if not file.exists()]
+        lines = [f"no {' and no '.join(missing)}"] if missing else list(compare(*map(_read, files)))
+        differing += bool(missing) or len(lines) > 1
+        print(f"{group}/{name}:", *lines, sep="\n" if len(lines) > 1 else " ", flush=True)
+    return differing
+
+
+def _read(file: Path) -> Any:
+    return json.loads(file.read_text())
 
 
 def main() -> None:
     """The command."""
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
-    parser.add_argument("checkout", type=Path, nargs="?", help="of the release, with its environment in .venv")
-    parser.add_argument("--only", choices=list(MEASUREMENTS), action="append", help="by default everything")
-    parser.add_argument("--folder", type=Path, default=Path("results/against-release"), help="for the results")
+    parser.add_argument("checkout", type=Path, nargs="?", help="the other state, its kernels compiled")
+    parser.add_argument("--only", action="append", metavar="GROUP[/NAME]", help=", ".join([*COMMANDS, "arrays"]))
+    parser.add_argument("--folder", type=Path, default=Path("results/against-release"), help="for the answers")
+    parser.add_argument("--compare", type=Path, nargs=2, metavar="FOLDER", help="of answers: measure nothing")
+    parser.add_argument("--side", choices=["other", "here"], help="measure this side alone, compare nothing")
     parser.add_argument("--measure", help=argparse.SUPPRESS)
-    chosen = parser.parse_args()
-    if chosen.measure is not None:
-        return measure_rollouts(chosen.measure)
-    if chosen.checkout is None:
-        parser.error("name the checkout of the release")
-    folder = chosen.folder.resolve()
-    trees = [
-        Tree(chosen.checkout.resolve() / ".venv/bin/python", True, folder / "release"),
-        Tree(Path(sys.executable), False, folder / "here"),
-    ]
-    for name in chosen.only or MEASUREMENTS:
-        results = [_result(tree, name) for tree in trees]
-        print(f"{name}: ", end="")
-        print(*compare(*results), sep="\n", flush=True)
-    return None
-
-
-def _result(tree: Tree, name: str) -> dict[str, Any]:
-    """Of a measurement, from the folder where it is done."""
-    tree.folder.mkdir(parents=True, exist_ok=True)
-    file = tree.folder / f"{name}.json"
-    if not file.exists():
-        found = MEASUREMENTS[name](tree)
-        file.write_text(json.dumps(found))
-    return json.loads(file.read_text())
+    given = parser.parse_args()
+    if given.measure is not None:
+        return measure_rollouts(given.measure)
+    chosen = list(questions(given.only or ()))
+    if not chosen:
+        parser.error(f"--only: one of {', '.join([*COMMANDS, 'arrays'])}, or one of their names: {given.only}")
+    folder = given.folder.resolve()
+    if not given.compare:
+        if given.checkout is None:
+            parser.error("name the checkout of the other state")
+        trees = {
+            "other": Tree(given.checkout.resolve(), True, folder / "other"),
+            "here": Tree(Path(__file__).resolve().parent.parent, False, folder / "here"),
+        }
+        for group, name in chosen:
+            for side, tree in trees.items():
+                if given.side in (None, side):
+                    answer(tree, group, name)
+        if given.side:
+            return None
+    old, new = given.compare or (folder / "other", folder / "here")
+    sys.exit(1 if report(old, new, chosen) else 0)
 
 
 if __name__ == "__main__":
