@@ -1,11 +1,16 @@
-"""How the code reads, in numbers: `python benchmarks/code_figures.py CHECKOUT [--json]`.
+"""How the code reads, in numbers: `python benchmarks/code_figures.py CHECKOUT... [--json | --table]`.
+
+Lines by room: code; docstrings (every text that stands as a statement); templates, TOML files and scripts that the
+package carries. Blank lines and lines of comment alone are in the total only. Modules of earlier versions count for the
+room that they became a part of. Lines of the tests, the tools and the benchmarks stand beside them.
 
 Arguments per function (without self and cls; neither the public names, those of `__all__` in `adaptrack` and its
 packages, nor the command line), lengths of functions (docstrings and nested functions included) and of files, imports
 between modules (fan-out), imports against the order of the rooms, and repeated code: lines in runs of at least five
 that occur more than once, compared after the removal of comments, docstrings, imports and formatting; lines that a
-process imports to call a kernel; places in vectors that are counted by hand, by file of the kernels. From the syntax
-tree alone: nothing is imported.
+process imports to call a kernel; places in vectors that are counted by hand, by file of the kernels; modules that hold
+a registry (make a `Registry`, or have a function `register_...`). From the syntax tree alone: nothing is imported.
+`--table` prints the figures of several checkouts side by side, in Markdown.
 """
 
 from __future__ import annotations
@@ -14,7 +19,7 @@ import argparse
 import ast
 import json
 from collections import defaultdict
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -37,9 +42,14 @@ FORMERLY = {
     **dict.fromkeys(("linearisation", "stability", "certify", "feasibility"), "analysis"),
     **dict.fromkeys(("runs", "dataset"), "tuning"),
     "adaptation": "learning", "evaluate": "comparison", "manoeuvres": "comparison", "adapt": "studies",
-    **dict.fromkeys(("process_plant", "commonroad_plants"), "peers"), "report": "results",
+    **dict.fromkeys(("process_plant", "commonroad_plants"), "peers"), "report": "results", "__main__": "cli",
+    **dict.fromkeys(("benchmark", "fuzz", "qp_corpus"), "tools"),
 }  # fmt: skip
-"""Rooms and modules of earlier versions by the room that they became a part of."""
+"""Rooms and modules of earlier versions by the room that they became a part of; tools left the package."""
+CARRIED = (".toml", ".j2", ".html", ".css", ".js", ".csv")
+"""Endings of the files beside Python that people write and the package carries."""
+BESIDE = ("tests", "tools", "benchmarks", "examples", "experiments")
+"""Folders of Python beside the package."""
 KERNELS = (f"{PACKAGE}.core.", f"{PACKAGE}.kernels.")
 CALLING = tuple(f"{PACKAGE}.{name}" for name in ("core.kernel", "core.library", "kernels.abi", "kernels.stored"))
 """What a process imports to call a kernel."""
@@ -54,6 +64,9 @@ class Module(NamedTuple):
     tree: ast.Module
     lines: int
     is_package: bool
+    code: int
+    """lines that are neither blank nor comment nor docstring"""
+    docstrings: int
 
 
 def measure(package: Path) -> dict[str, Any]:
@@ -85,7 +98,10 @@ def measure(package: Path) -> dict[str, Any]:
             if _rank(other) > _rank(name)
         ],
         "repeated lines": {"lines": repeated, "share": repeated / lines},
-        "lines by room": [f"{name}: {n:,}" for name, n in _lines_by_room(modules)],
+        "lines by room": lines_by_room(package, modules),
+        "lines of the repository": _beside(package),
+        "rooms": len({_room(name) for name, module in modules.items() if name.count(".") == 1 and module.is_package}),
+        "modules that hold a registry": sorted(_registries(modules)),
         "loose modules": sorted(name for name in modules if name.count(".") == 1 and not modules[name].is_package),
         "import circles between files": [" ".join(sorted(each)) for each in _circles(imports)],
         "imports inside functions": sum(_imports_inside(module.tree) for module in modules.values()),
@@ -96,12 +112,46 @@ def measure(package: Path) -> dict[str, Any]:
     }
 
 
-def _lines_by_room(modules: Mapping[str, Module]) -> list[tuple[str, int]]:
-    """The largest first."""
-    found: dict[str, int] = defaultdict(int)
+def lines_by_room(package: Path, modules: Mapping[str, Module]) -> dict[str, dict[str, int]]:
+    """Lines of code, of docstrings, of templates, TOML and scripts, and all of the Python, by room."""
+    found: dict[str, dict[str, int]] = defaultdict(
+        lambda: dict.fromkeys(("code", "docstrings", "carried", "python"), 0)
+    )
     for name, module in modules.items():
-        found[_room(name) or PACKAGE] += module.lines
-    return sorted(found.items(), key=lambda each: -each[1])
+        room = found[_present_room(name)]
+        room["code"] += module.code
+        room["docstrings"] += module.docstrings
+        room["python"] += module.lines
+    for file in package.rglob("*"):
+        if file.suffix in CARRIED and "built" not in file.parts:
+            inside = file.relative_to(package).parts
+            room = found[FORMERLY.get(inside[0], inside[0])]
+            room["carried"] += len(file.read_text().splitlines())
+    order = {name: i for i, name in enumerate(ROOMS)}
+    return dict(sorted(found.items(), key=lambda each: order.get(each[0], len(order))))
+
+
+def _beside(package: Path) -> dict[str, int]:
+    """Lines of Python beside the package, by folder; of no folder where the package lies alone."""
+    root = package.parents[1]
+    folders = [root / name for name in BESIDE if (root / "src").is_dir() and (root / name).is_dir()]
+    return {each.name: sum(len(file.read_text().splitlines()) for file in each.rglob("*.py")) for each in folders}
+
+
+def _registries(modules: Mapping[str, Module]) -> Iterator[str]:
+    """Modules that make a `Registry` at their top, or have a public function `register_...`."""
+    for name, module in modules.items():
+        made = (getattr(node, "value", None) for node in module.tree.body)
+        registers = any(
+            isinstance(node, ast.FunctionDef) and node.name.startswith("register_") for node in module.tree.body
+        )
+        if registers or any(isinstance(call, ast.Call) and _called(call) == "Registry" for call in made):
+            yield name
+
+
+def _called(call: ast.Call) -> str:
+    function = call.func.value if isinstance(call.func, ast.Subscript) else call.func
+    return function.id if isinstance(function, ast.Name) else getattr(function, "attr", "")
 
 
 def _circles(imports: Mapping[str, set[str]]) -> list[set[str]]:
@@ -170,7 +220,19 @@ def _name(package: Path, file: Path) -> str:
 
 def _read(file: Path) -> Module:
     text = file.read_text()
-    return Module(ast.parse(text), len(text.splitlines()), file.name == "__init__.py")
+    tree, lines = ast.parse(text), text.splitlines()
+    texts = {
+        number
+        for node in ast.walk(tree)
+        if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant) and isinstance(node.value.value, str)
+        for number in range(node.lineno, (node.end_lineno or node.lineno) + 1)
+    }
+    code = sum(
+        bool(line.strip()) and not line.lstrip().startswith("#")
+        for number, line in enumerate(lines, 1)
+        if number not in texts
+    )
+    return Module(tree, len(lines), file.name == "__init__.py", code, len(texts))
 
 
 def _room(module: str) -> str:
@@ -178,9 +240,14 @@ def _room(module: str) -> str:
     return parts[1] if len(parts) > 1 else ""
 
 
-def _rank(module: str) -> int:
+def _present_room(module: str) -> str:
+    """The room that a module, also one of an earlier version, is a part of; the package's own file by its name."""
     room = _room(module)
-    room = FORMERLY.get(room, room)
+    return FORMERLY.get(room, room) or PACKAGE
+
+
+def _rank(module: str) -> int:
+    room = _present_room(module)
     return ROOMS.index(room) if room in ROOMS else len(ROOMS)
 
 
@@ -273,26 +340,89 @@ def _spread(values: Sequence[tuple[str, int]], share: float) -> dict[str, Any]:
 def _print(found: dict[str, Any]) -> None:
     print(f"{found['modules']} modules, {found['functions']} functions, {found['lines']:,} lines")
     for name, value in found.items():
-        if isinstance(value, dict):
+        if name == "lines by room":
+            print(f"{'lines by room':36} code, docstrings, templates + TOML + scripts, all Python")
+            for room, lines in value.items():
+                print(f"    {room:32} {', '.join(f'{n:,}' for n in lines.values())}")
+        elif isinstance(value, dict):
             shown = (
                 f"{key} {entry:.3g}" if isinstance(entry, float) else f"{key} {entry}" for key, entry in value.items()
             )
             print(f"{name:36}", ", ".join(shown))
-        elif isinstance(value, int) and " " in name:
+        elif isinstance(value, int) and (" " in name or name == "rooms"):
             print(f"{name:36} {value}")
         elif isinstance(value, list):
             print("\n    ".join([f"{name:36} {len(value)}", *value]))
 
 
+def table(columns: Mapping[str, dict[str, Any]]) -> str:
+    """Figures of several checkouts, a column each, in Markdown."""
+    rows: list[tuple[str, list[str]]] = []
+
+    def add(what: str, value: Callable[[dict[str, Any]], Any]) -> None:
+        shown = [value(found) for found in columns.values()]
+        rows.append((what, [f"{each:,}" if isinstance(each, int) else str(each) for each in shown]))
+
+    def room(found: dict[str, Any], name: str) -> str:
+        lines = found["lines by room"].get(name)
+        return " + ".join(f"{lines[key]:,}" for key in ("code", "docstrings", "carried")) if lines else "-"
+
+    def total(found: dict[str, Any]) -> str:
+        keys = ("code", "docstrings", "carried")
+        return " + ".join(f"{sum(lines[key] for lines in found['lines by room'].values()):,}" for key in keys)
+
+    def largest(key: str) -> Callable[[dict[str, Any]], str]:
+        return lambda found: f"{found[key]['max']} (`{found[key]['where'].removeprefix(PACKAGE + '.')}`)"
+
+    add("files, functions, lines", lambda found: "{modules:,}, {functions:,}, {lines:,}".format(**found))
+    add("lines: code + docstrings + templates, TOML, scripts", total)
+    for name in dict.fromkeys(name for found in columns.values() for name in found["lines by room"]):
+        add(f"&emsp;`{name}`", lambda found, name=name: room(found, name))
+    for folder in BESIDE[:3]:
+        add(f"lines of {folder}", lambda found, folder=folder: found["lines of the repository"].get(folder, "-"))
+    add("packages at the top, loose modules", lambda found: f"{found['rooms']}, {len(found['loose modules'])}")
+    add("import circles between files; files in the largest", lambda found: _of_circles(found))
+    for key in ("imports against the order of rooms", "class names used twice", "modules that hold a registry"):
+        add(key, lambda found, key=key: len(found[key]))
+    for key in ("imports inside functions", "public names"):
+        add(key, lambda found, key=key: found[key])
+    add("function length, p90", lambda found: found["function lines"]["p90"])
+    add("function length, largest", largest("function lines"))
+    add("arguments per function, p99", lambda found: found["arguments"]["p99"])
+    add("arguments per function, largest", largest("arguments"))
+    add("functions with more than 8 arguments", lambda found: len(found["more than 8 arguments"]))
+    add("file length, p90", lambda found: found["file lines"]["p90"])
+    add("file length, largest", largest("file lines"))
+    add("import fan-out, p90", lambda found: found["import fan-out"]["p90"])
+    add("repeated lines", lambda found: "{lines:,} ({share:.2%})".format(**found["repeated lines"]))
+    head = ["| |" + "".join(f" {name} |" for name in columns), "|---" * (len(columns) + 1) + "|"]
+    return "\n".join([*head, *(f"| {what} | {' | '.join(values)} |" for what, values in rows)])
+
+
+def _of_circles(found: dict[str, Any]) -> str:
+    circles = found["import circles between files"]
+    return f"{len(circles)}; {max((len(each.split()) for each in circles), default=0)}"
+
+
 def main() -> None:
     """The command."""
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
-    parser.add_argument("source", type=Path, help="a checkout, or the folder of its package")
+    parser.add_argument("source", type=Path, nargs="+", help="a checkout, or the folder of its package")
     parser.add_argument("--json", action="store_true", dest="as_json", help="print JSON")
+    parser.add_argument("--table", action="store_true", help="print a table in Markdown, a column for each checkout")
     chosen = parser.parse_args()
-    inner = chosen.source / "src" / PACKAGE
-    found = measure(inner if inner.is_dir() else chosen.source)
-    print(json.dumps(found, indent=1)) if chosen.as_json else _print(found)
+    figures = {}
+    for source in chosen.source:
+        inner = source / "src" / PACKAGE
+        figures[source.resolve().name] = measure(inner if inner.is_dir() else source)
+    if chosen.table:
+        print(table(figures))
+    elif chosen.as_json:
+        print(json.dumps(figures if len(figures) > 1 else next(iter(figures.values())), indent=1))
+    else:
+        for name, found in figures.items():
+            print(*([f"== {name}"] if len(figures) > 1 else []), sep="\n", end="\n" if len(figures) > 1 else "")
+            _print(found)
 
 
 if __name__ == "__main__":
