@@ -126,7 +126,8 @@ class Question(NamedTuple):
 
 MANOEUVRES = ("steady-circle", "step-steer", "frequency-response", "sine-with-dwell")
 LANE = ("curvature-step", "lane-drift", "lane-recovery")
-SCHEDULERS = ("nn", "anfis", "best-constant", "look-up", "speed-only", "fallback")
+SCHEDULERS = ("road-nn", "road-anfis", "road-best-constant", "road-look-up", "informed-road-nn", "informed-road-anfis",
+              "informed-road-best-constant")  # fmt: skip
 
 COMMANDS: Mapping[str, Mapping[str, Question]] = {
     "reproduce": {"paper": Question("reproduce --out paper")},
@@ -138,12 +139,10 @@ COMMANDS: Mapping[str, Mapping[str, Question]] = {
         "noisy": Question("evaluate --drives 40 --known-as noisy --known-as withheld"),
         "roads": Question("evaluate mountain country --road-seed 1 --road-seed 2 --length 800 --vehicle midsize-sedan"
                           " --noise-seeds 3"),
-        "named": Question("evaluate town --length 600 --contender informed --contender lqr --contender preview-lqr"
-                          " --contender kinematic-mpc"),
+        "named": Question("evaluate town --length 600 --contender informed --contender lqr --contender stanley"),
     },
     "certify": {
-        **{f"road-{name}": Question(f"certify road-{name}") for name in SCHEDULERS},
-        **{f"informed-road-{name}": Question(f"certify informed-road-{name}") for name in SCHEDULERS},
+        **{name: Question(f"certify {name}") for name in SCHEDULERS},
         "default": Question("certify"),
         "sedan": Question("certify --vehicle midsize-sedan --profile production --mismatch"),
         "standard": Question("certify --controller standard --profile paper"),
