@@ -15,7 +15,6 @@ import os
 import re
 import secrets
 import tomllib
-import types
 import typing
 import unicodedata
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -28,6 +27,7 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, BeforeValidator, ConfigDict, ValidationError, field_validator
 from pydantic.fields import FieldInfo
 
+from adaptrack.base.checked import allowed
 from adaptrack.base.errors import ConfigError, InvalidInput, StorageError, did_you_mean, shown
 
 Model = TypeVar("Model", bound=BaseModel)
@@ -508,10 +508,10 @@ def _problem(detail: dict[str, Any], model_class: type[BaseModel], data: Mapping
     field, known = _walk(model_class, location)
     if kind == "extra_forbidden":
         return f"{key}: unknown key. {did_you_mean(str(location[-1]), known)}"
-    allowed = _allowed(field) if field is not None else ""
+    must = allowed(field) if field is not None else ""
     meaning = f" ({field.description})" if field is not None and field.description else ""
     if kind == "missing":
-        return f"{key}: missing; give {allowed or 'a value'}{meaning}."
+        return f"{key}: missing; give {must or 'a value'}{meaning}."
     if kind == "union_tag_invalid":  # "kind", which selects the shape of a table, has an unknown value
         known = re.findall(r"'([^']*)'", detail["ctx"]["expected_tags"])
         selector = detail["ctx"]["discriminator"].strip("'")
@@ -524,8 +524,8 @@ def _problem(detail: dict[str, Any], model_class: type[BaseModel], data: Mapping
         if not key:
             return sentence
         return f"{key}: {sentence}" if detail["input"] is None else f"{key} = {shown(detail['input'])}: {sentence}"
-    must = f"must be {allowed}" if allowed else detail["msg"].replace("Input should be", "must be")
-    return f"{key or 'value'} = {shown(detail['input'])}: {must}{meaning}."
+    must = must or detail["msg"].removeprefix("Input should be ")
+    return f"{key or 'value'} = {shown(detail['input'])}: must be {must}{meaning}."
 
 
 def _key_in_file(location: tuple[int | str, ...], data: Any) -> str:
@@ -581,33 +581,6 @@ def _models_in(annotation: Any) -> Iterator[type[BaseModel]]:
         yield annotation
     for argument in typing.get_args(annotation):
         yield from _models_in(argument)
-
-
-def _allowed(field: FieldInfo) -> str:
-    """What `field` accepts, in words; empty when it is too rich for a phrase."""
-    annotation: Any = field.annotation
-    if typing.get_origin(annotation) in (typing.Union, types.UnionType):
-        rest = [each for each in typing.get_args(annotation) if each is not type(None)]
-        annotation = rest[0] if len(rest) == 1 else None
-    if typing.get_origin(annotation) is Literal:
-        return "one of " + ", ".join(repr(word) for word in typing.get_args(annotation))
-    infinite = any(getattr(each, "allow_inf_nan", False) for each in field.metadata)
-    noun = {
-        float: "a number" if infinite else "a finite number",
-        int: "a whole number",
-        str: "text",
-        bool: "true or false",
-    }
-    if annotation not in noun:
-        return ""
-    signs = (("gt", ">"), ("ge", ">="), ("lt", "<"), ("le", "<="))
-    bounds = [
-        f"{sign} {getattr(each, name):.6g}"
-        for name, sign in signs
-        for each in field.metadata
-        if getattr(each, name, None) is not None
-    ]
-    return " ".join([noun[annotation], " and ".join(bounds)]).strip()
 
 
 def _without_none(value: Any) -> Any:

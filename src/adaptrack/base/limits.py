@@ -6,9 +6,13 @@ none is near what a study needs. What fits its bounds and still takes long says 
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from adaptrack.base.errors import InvalidInput
+
+if TYPE_CHECKING:
+    from pydantic import GetCoreSchemaHandler
+    from pydantic_core.core_schema import CoreSchema
 
 
 class Limit(NamedTuple):
@@ -24,6 +28,20 @@ class Limit(NamedTuple):
     def range(self) -> str:
         """For the help of an option that counts from 1."""
         return f"1 to {self.most:,}"
+
+    def __str__(self) -> str:
+        return f"at most {self.most:,}{self.unit and ' '}{self.unit} ({self.reason})"
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+        """Beside a type in an annotation the bound is checked with it."""
+        from pydantic_core.core_schema import no_info_after_validator_function  # the help of commands needs none
+
+        def within(value: float) -> float:
+            if value > self.most:
+                raise ValueError(f"{self}.")
+            return value
+
+        return no_info_after_validator_function(within, handler(source))
 
 
 # -- a run ------------------------------------------------------------------------------------------------------------
@@ -66,6 +84,5 @@ def check_limit(what: str, value: float, limit: Limit) -> None:
         "<what> = <value>: at most <most> <unit> (<reason>)."
     """
     if value > limit.most:
-        unit = f" {limit.unit}" if limit.unit else ""
         shown = str(value) if isinstance(value, int) and value < 10**15 else f"{float(min(value, 10**300)):.6g}"
-        raise InvalidInput(f"{what} = {shown}: at most {limit.most:,}{unit} ({limit.reason}).")
+        raise InvalidInput(f"{what} = {shown}: {limit}.")

@@ -1,0 +1,253 @@
+"""Arguments checked by their annotations: which numbers, names and objects a call takes stands in its signature.
+
+    @checked
+    def plan_speed(road: Road, *, spacing: Annotated[Finite, Field(ge=0.01, le=100.0), "m"] = 1.0) -> SpeedPlan: ...
+
+A checked function, or a checked dataclass when one is built, validates every argument whose annotation holds a type of
+this module or a constraint of pydantic's (`pydantic.Field`, `pydantic.InstanceOf`), or is a `Literal`. The body gets
+plain floats, ints and tuples. Any real number serves as a number (NumPy's, fractions, whole ones); truth values, text,
+NaN and what no float holds do not. What is not allowed raises `InvalidInput`, which names the call, the argument, its
+value and unit, what is allowed and, where there is one, the remedy:
+
+    plan_speed: spacing = -1 m: must be a finite number >= 0.01 and <= 100.
+
+A docstring has no "Raises" section for that. Beside the type stand in an annotation: text, the unit; a `Hint`; a
+`Limit` of `adaptrack.base.limits`. What several arguments must fulfil together is checked in the body, and so is
+whatever runs once a control period.
+"""
+
+from __future__ import annotations
+
+import builtins
+import functools
+import inspect
+import math
+import numbers
+import sys
+import types
+import typing
+from collections import ChainMap
+from collections.abc import Callable, Mapping, Sequence
+from typing import Annotated, Any, Literal, NamedTuple, TypeVar
+
+from pydantic import BeforeValidator, Field, InstanceOf, TypeAdapter, ValidationError
+from pydantic.fields import FieldInfo
+from pydantic_core import PydanticCustomError
+
+from adaptrack.base.errors import InvalidInput, shown
+from adaptrack.base.limits import Limit
+
+Target = TypeVar("Target", bound=Callable[..., Any])
+
+
+def _as_float(value: Any) -> float:
+    if isinstance(value, bool) or not isinstance(value, numbers.Real):
+        raise PydanticCustomError("number", "Input should be a number")
+    try:
+        return float(value)
+    except OverflowError:
+        raise PydanticCustomError("number", "Input should be finite, it is too large") from None
+
+
+def _as_int(value: Any) -> int:
+    if isinstance(value, bool) or not isinstance(value, numbers.Integral):
+        raise PydanticCustomError("number", "Input should be a whole number")
+    return int(value)
+
+
+_REAL, _WHOLE = BeforeValidator(_as_float), BeforeValidator(_as_int)
+_INSTANCE_OF: Any = InstanceOf  # for type checkers it is no class
+
+Number = Annotated[float, Field(ge=-math.inf, allow_inf_nan=True), _REAL]
+"""Any but NaN."""
+Finite = Annotated[float, Field(allow_inf_nan=False), _REAL]
+Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False), _REAL]
+NotNegative = Annotated[float, Field(ge=0.0, allow_inf_nan=False), _REAL]
+Share = Annotated[float, Field(ge=0.0, le=1.0, allow_inf_nan=False), _REAL]
+Bound = Annotated[float, Field(gt=0.0, allow_inf_nan=True), _REAL]
+"""Positive; infinity is no bound."""
+Whole = Annotated[int, _WHOLE]
+Count = Annotated[int, Field(ge=1), _WHOLE]
+Natural = Annotated[int, Field(ge=0), _WHOLE]
+"""A whole number from 0, such as a seed."""
+
+
+class Hint(NamedTuple):
+    """In an annotation: how the message ends, with a remedy or with what a special value means."""
+
+    text: str
+
+
+def checked(target: Target) -> Target:
+    """Check the arguments of a function, a method or a dataclass by their annotations, as this module says.
+
+    The annotations are read at the first call; names that only type checkers import may stand in them.
+    """
+    if isinstance(target, type):
+        vars_of = [vars(sys.modules[each.__module__]) for each in target.__mro__]
+        target.__init__ = _checked(target.__init__, vars_of)  # type: ignore[misc]
+        return target
+    return typing.cast(Target, _checked(target, [inspect.unwrap(target).__globals__]))
+
+
+def _checked(function: Callable[..., Any], namespaces: Sequence[Mapping[str, Any]]) -> Callable[..., Any]:
+    arguments = functools.cache(lambda: _arguments(function, namespaces))
+
+    @functools.wraps(function)
+    def call(*args: Any, **kwargs: Any) -> Any:
+        by_place, by_name = arguments()
+        values = list(args)
+        for place, argument in by_place:
+            if place < len(args):
+                values[place] = argument.value(args[place], function, args)
+        for name, given in kwargs.items():
+            if name in by_name:
+                kwargs[name] = by_name[name].value(given, function, args)
+        return function(*values, **kwargs)
+
+    return call
+
+
+class _Argument(NamedTuple):
+    """An argument that is checked."""
+
+    name: str
+    annotation: Any
+    validate: Callable[[Any], Any]
+
+    def value(self, given: Any, function: Callable[..., Any], args: tuple[Any, ...]) -> Any:
+        """What the body gets for what was given; args: all positional arguments, of which a method's first is self."""
+        try:
+            return self.validate(given)
+        except ValidationError as error:
+            names = function.__qualname__.rpartition("<locals>.")[2]
+            where = type(args[0]).__name__ if names.endswith(".__init__") else names
+            raise InvalidInput(f"{where}: {self._problem(given, error)}") from None
+
+    def _problem(self, given: Any, error: ValidationError) -> str:
+        """What is wrong, from the name of the argument to the remedy."""
+        found = error.errors(include_url=False)[0]
+        name, annotation = self.name, self.annotation
+        for part in found["loc"][: -1 if found["type"] == "missing" else None]:
+            inner = _element(annotation, part)
+            if inner is not None:
+                name, annotation = f"{name}[{part!r}]", inner
+                inside = isinstance(given, Sequence | Mapping)
+                given = typing.cast(Any, given)[part] if inside else found["input"]
+        field = FieldInfo.from_annotation(_without_none(annotation))
+        beside = [*field.metadata, *_metadata(_without_none(self.annotation))]
+        unit = next((f" {each}" for each in beside if isinstance(each, str) and _is_number(given)), "")
+        if found["type"] == "value_error":  # a Limit's own sentence, or that of `Reals`
+            return f"{name} = {shown(given)}{unit}: {found['ctx']['error']}"
+        must = allowed(field) or found["msg"].removeprefix("Input should be ")
+        none = " or None" if annotation is not _without_none(annotation) else ""
+        hint = next((f"; {each.text}" for each in beside if isinstance(each, Hint)), "")
+        return f"{name} = {shown(given)}{unit}: must be {must}{none}{hint}."
+
+
+# -- annotations ------------------------------------------------------------------------------------------------------
+class _Names(dict[str, Any]):
+    """The names in an annotation; one that is imported for type checkers alone stands for any object."""
+
+    def __init__(self, namespaces: Sequence[Mapping[str, Any]]) -> None:
+        self._known = ChainMap(*map(dict, namespaces), globals(), vars(builtins))
+
+    def __missing__(self, name: str) -> Any:
+        return self._known.get(name, _ForTypeCheckers)
+
+
+class _ForTypeCheckers:
+    """A type that is not there when the program runs."""
+
+    def __class_getitem__(cls, item: Any) -> type[_ForTypeCheckers]:
+        return cls
+
+
+def _arguments(
+    function: Callable[..., Any], namespaces: Sequence[Mapping[str, Any]]
+) -> tuple[list[tuple[int, _Argument]], dict[str, _Argument]]:
+    """The arguments that are checked, those that may be given by position with their places, and all by name."""
+    annotations = inspect.get_annotations(inspect.unwrap(function), locals=_Names(namespaces), eval_str=True)
+    named = {
+        name: _Argument(name, annotation, _validator(annotation))
+        for name, annotation in annotations.items()
+        if name != "return" and (_is_checked(annotation) or typing.get_origin(_without_none(annotation)) is Literal)
+    }
+    every = inspect.signature(function).parameters.values()
+    listed = [each.name for each in every if each.kind in (each.POSITIONAL_ONLY, each.POSITIONAL_OR_KEYWORD)]
+    return [(place, named[name]) for place, name in enumerate(listed) if name in named], named
+
+
+@functools.cache
+def _validator(annotation: Any) -> Callable[[Any], Any]:
+    return TypeAdapter(annotation).validator.validate_python
+
+
+def _is_checked(annotation: Any) -> bool:
+    """Whether something in an annotation constrains a value."""
+    marks = (FieldInfo, BeforeValidator, _INSTANCE_OF, Limit)
+    return any(isinstance(each, marks) for each in _metadata(annotation)) or any(
+        _is_checked(each) for each in typing.get_args(annotation)
+    )
+
+
+def _metadata(annotation: Any) -> tuple[Any, ...]:
+    return typing.get_args(annotation)[1:] if typing.get_origin(annotation) is Annotated else ()
+
+
+def _without_none(annotation: Any) -> Any:
+    """The annotation of what is given, where it is given: `X` of `X | None`."""
+    if typing.get_origin(annotation) in (typing.Union, types.UnionType):
+        rest = [each for each in typing.get_args(annotation) if each is not type(None)]
+        return rest[0] if len(rest) == 1 else annotation
+    return annotation
+
+
+def _element(annotation: Any, part: int | str) -> Any:
+    """The annotation of an element of a tuple, a sequence or a mapping; None of something else."""
+    annotation = _without_none(annotation)
+    if typing.get_origin(annotation) is Annotated:
+        annotation = typing.get_args(annotation)[0]
+    kind, inner = typing.get_origin(annotation), typing.get_args(annotation)
+    if kind is tuple and isinstance(part, int) and inner[-1] is not ...:
+        return inner[part]
+    if isinstance(kind, type) and issubclass(kind, Sequence):
+        return inner[0]
+    return inner[1] if isinstance(kind, type) and issubclass(kind, Mapping) else None
+
+
+def allowed(field: FieldInfo) -> str:
+    """What a field of a file or an argument accepts, in words; empty when it is too rich for a phrase."""
+    annotation: Any = _without_none(field.annotation)
+    kind = typing.get_origin(annotation)
+    if kind is Literal:
+        return "one of " + ", ".join(repr(word) for word in typing.get_args(annotation))
+    if any(isinstance(each, _INSTANCE_OF) for each in field.metadata):
+        return f"{'an' if annotation.__name__[0] in 'AEIOU' else 'a'} {annotation.__name__}"
+    if kind is tuple and ... not in typing.get_args(annotation):
+        return "a pair" if len(typing.get_args(annotation)) == 2 else f"{len(typing.get_args(annotation))} values"
+    if isinstance(kind, type) and issubclass(kind, Sequence):
+        return "a sequence"
+    if isinstance(kind, type) and issubclass(kind, Mapping):
+        return "a mapping of names"
+    infinite = any(getattr(each, "allow_inf_nan", False) for each in field.metadata)
+    noun = {
+        float: "a number" if infinite else "a finite number",
+        int: "a whole number",
+        str: "text",
+        bool: "true or false",
+    }
+    if annotation not in noun:
+        return ""
+    signs = (("gt", ">"), ("ge", ">="), ("lt", "<"), ("le", "<="))
+    bounds = [
+        f"{sign} {getattr(each, name):.6g}"
+        for name, sign in signs
+        for each in field.metadata
+        if getattr(each, name, None) is not None and abs(getattr(each, name)) < math.inf
+    ]
+    return " ".join([noun[annotation], " and ".join(bounds)]).strip()
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, numbers.Real) and not isinstance(value, bool)
