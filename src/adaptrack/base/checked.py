@@ -1,7 +1,7 @@
 """Arguments checked by their annotations: which numbers, names and objects a call takes stands in its signature.
 
     @checked
-    def plan_speed(road: Road, *, spacing: Annotated[Finite, Field(ge=0.01, le=100.0), "m"] = 1.0) -> SpeedPlan: ...
+    def plan_speed(road: Road, *, spacing: Annotated[Finite, within(0.01, 100.0), "m"] = 1.0) -> SpeedPlan: ...
 
 A checked function, or a checked dataclass when one is built, validates every argument whose annotation holds a type of
 this module or a constraint of pydantic's (`pydantic.Field`, `pydantic.InstanceOf`), or is a `Literal`. The body gets
@@ -76,6 +76,11 @@ class Hint(NamedTuple):
     """In an annotation: how the message ends, with a remedy or with what a special value means."""
 
     text: str
+
+
+def within(low: float, high: float) -> Any:
+    """In an annotation: a number from low to high."""
+    return Field(ge=low, le=high)
 
 
 def checked(target: Target) -> Target:

@@ -6,8 +6,9 @@ Every estimate has a spread, in `Vehicle.known_within`, and its key stands in `V
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any
 
+from adaptrack.base.checked import Finite, Hint, NotNegative, checked, within
 from adaptrack.base.errors import InvalidInput, UnknownName, did_you_mean, real
 from adaptrack.cars.known_within import KnownWithin
 from adaptrack.cars.vehicle import GRAVITY, Vehicle
@@ -60,8 +61,18 @@ kktse.github.io), mean 0.548 m, 5 to 95 % within 0.05 m; of trucks, the database
 """
 
 
+_MEASURED = Hint("the estimates are of such cars; of another, give all six numbers in a car file")
+
+
+@checked
 def vehicle_from_data_sheet(
-    name: str, mass: float, wheelbase: float, *, load: float = 0.0, body_style: str = "car", **known: Any
+    name: str,
+    mass: Annotated[Finite, within(*MASSES), "kg", _MEASURED],
+    wheelbase: Annotated[Finite, within(*WHEELBASES), "m", _MEASURED],
+    *,
+    load: Annotated[NotNegative, "kg"] = 0.0,
+    body_style: str = "car",
+    **known: Any,
 ) -> Vehicle:
     """A car of which little is known; every other number is estimated, marked and given a spread.
 
@@ -81,12 +92,17 @@ def vehicle_from_data_sheet(
 
     Raises
     ------
-    InvalidInput
-        When a number is not allowed, or outside what was measured.
     UnknownName
         For another body style.
+    InvalidInput
+        When the load is more than the car, or lf and lr do not make the wheelbase.
     """
-    style = _checked(mass, wheelbase, load, body_style)
+    style = BODY_STYLES.get(body_style)
+    if style is None:
+        hint = did_you_mean(str(body_style), BODY_STYLES)
+        raise UnknownName(f"vehicle_from_data_sheet: body_style = {body_style!r}: unknown. {hint}")
+    if load > mass:
+        raise InvalidInput(f"vehicle_from_data_sheet: load = {load:g} kg: must not be more than the car itself.")
     lf, lr = _axles(wheelbase, known)
     estimates = _estimates(style, (mass, load), (lf, lr))
     guessed = [key for key in estimates if key not in known]
@@ -97,24 +113,6 @@ def vehicle_from_data_sheet(
         if field.annotation is float and key not in known and key not in estimates and key != "mass"
     ]  # fmt: skip
     return Vehicle(name=name, mass=float(mass + load), **(estimates | known), estimated=tuple(guessed))
-
-
-def _checked(mass: float, wheelbase: float, load: float, body_style: str) -> BodyStyle:
-    """What is known of such cars; refuses numbers outside what was measured."""
-    where = "vehicle_from_data_sheet"
-    style = BODY_STYLES.get(body_style)
-    if style is None:
-        hint = did_you_mean(str(body_style), BODY_STYLES)
-        raise UnknownName(f"{where}: body_style = {body_style!r}: unknown. {hint}")
-    for what, value, (low, high), unit in (("mass", mass, MASSES, "kg"), ("wheelbase", wheelbase, WHEELBASES, "m")):
-        if not low <= real(where, what, value) <= high:
-            raise InvalidInput(
-                f"{where}: {what} = {value:g} {unit}: the estimates are of cars of {low:g} to {high:g} {unit}; give "
-                "all six numbers in a car file."
-            )
-    if not 0.0 <= real(where, "load", load) <= mass:
-        raise InvalidInput(f"{where}: load = {load:g} kg: must not be negative, nor more than the car itself.")
-    return style
 
 
 def _estimates(style: BodyStyle, masses: tuple[float, float], arms: tuple[float, float]) -> dict[str, float]:

@@ -5,14 +5,14 @@ ISO 8855 axes: x forward, y left. The corners come in the order front left, fron
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from adaptrack.base.arguments import reals
-from adaptrack.base.errors import InvalidInput, real
+from adaptrack.base.checked import Positive, checked
 
 Array = NDArray[np.float64]
 
@@ -24,29 +24,19 @@ WIDER_THAN_TRACK = 0.24
 """m, by which a body is wider than its larger track, where a car file does not say its width: mirrors do not count."""
 
 
+@checked
 @dataclass(frozen=True, repr=False)
 class Outline:
-    """A rectangle that the body fills, seen from above.
+    """A rectangle that the body fills, seen from above."""
 
-    Raises
-    ------
-    InvalidInput
-        When a size is not positive and finite.
-    """
-
-    front: float
-    """m, centre of mass to the front end"""
-    rear: float
-    """m, centre of mass to the rear end"""
-    width: float
-    """m, without mirrors"""
+    front: Annotated[Positive, "m"]
+    """centre of mass to the front end"""
+    rear: Annotated[Positive, "m"]
+    """centre of mass to the rear end"""
+    width: Annotated[Positive, "m"]
+    """without mirrors"""
     estimated: tuple[str, ...] = ()
     """which of length, front_overhang and width no source gave"""
-
-    def __post_init__(self) -> None:
-        for name in ("front", "rear", "width"):
-            if not 0.0 < real("Outline", name, getattr(self, name)) < math.inf:
-                raise InvalidInput(f"Outline: {name} = {getattr(self, name)!r} m: must be positive and finite.")
 
     def __repr__(self) -> str:
         known = f"front={self.front:.3f} m, rear={self.rear:.3f} m, width={self.width:.3f} m"

@@ -16,13 +16,14 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any, NoReturn, Self, final
+from typing import Annotated, Any, NoReturn, Self, final
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from adaptrack.base.arguments import reals
-from adaptrack.base.errors import ContractError, InvalidInput, real, whole
+from adaptrack.base.checked import Bound, Count, Positive, checked
+from adaptrack.base.errors import ContractError, InvalidInput, real
 from adaptrack.base.limits import STEPS, check_limit
 from adaptrack.base.registry import Registry
 from adaptrack.cars.vehicle import COMMONROAD, SteeringActuator, Tyre, Vehicle, load_tyre, pack_plant
@@ -115,12 +116,13 @@ class _Car(Plant):
     steering: SteeringActuator | None = None
     steps: int | None = None
 
+    @checked
     def __init__(
         self,
         vehicle: Vehicle,
         tyre: Tyre | str | None = None,
         steering: SteeringActuator | None = None,
-        steps: int | None = None,
+        steps: Count | None = None,
     ) -> None:
         if tyre is None:
             tyre = vehicle.tyre
@@ -128,8 +130,6 @@ class _Car(Plant):
         object.__setattr__(self, "tyre", tyre if isinstance(tyre, Tyre) else load_tyre(tyre))
         object.__setattr__(self, "steering", steering)
         object.__setattr__(self, "steps", steps)
-        if steps is not None and not (isinstance(steps, int) and steps >= 1):
-            raise InvalidInput(f"steps = {steps!r}: must be a positive integer, or None to have it chosen.")
 
     @property
     def tyre_name(self) -> str:
@@ -241,6 +241,7 @@ class DualTrack(_Car):
 
 
 @final
+@checked
 @dataclass(frozen=True)
 class UserPlant(Plant):
     """A plant of one's own: one right-hand side and its parameters.
@@ -259,7 +260,7 @@ class UserPlant(Plant):
     Raises
     ------
     InvalidInput
-        When a number is not allowed.
+        When a parameter is not finite.
     ContractError
         When numba cannot compile the right-hand side.
     """
@@ -267,22 +268,19 @@ class UserPlant(Plant):
     right_hand_side: Callable[..., None]
     parameters: Mapping[str, Any]
     """numbers, or tables of them to any depth, as a TOML file has them"""
-    mass: float
-    """kg, with which the driver turns acceleration into force"""
+    mass: Annotated[Positive, "kg"]
+    """with which the driver turns acceleration into force"""
     own_states: tuple[str, ...] = ()
     """names of the states behind `MOTION`"""
     start: Callable[[Array], Any] | None = None
     """start(motion) -> the own states in equilibrium with the first six, such as speeds of rolling wheels; None: 0"""
-    steps: int = 20
+    steps: Count = 20
     """Runge-Kutta steps per control period, at least"""
-    longest_step: float = math.inf
-    """s, longest integration step: in a longer control period there are as many more of them"""
-    engine_power: float = 1e5
-    """W"""
-    traction_limit: float = 8000.0
-    """N"""
-    brake_limit: float = 15000.0
-    """N"""
+    longest_step: Annotated[Bound, "s"] = math.inf
+    """longest integration step: in a longer control period there are as many more of them"""
+    engine_power: Annotated[Positive, "W"] = 1e5
+    traction_limit: Annotated[Positive, "N"] = 8000.0
+    brake_limit: Annotated[Positive, "N"] = 15000.0
     steering: SteeringActuator | None = None
     label: str = "user"
     tyres: str = "own"
@@ -298,12 +296,6 @@ class UserPlant(Plant):
         bad = [f"{key} = {value!r}" for key, value in values.items() if not _is_finite(value)]
         if bad:
             raise InvalidInput(f"UserPlant {self.label!r}: parameters must be finite numbers: {', '.join(bad)}.")
-        whole(f"UserPlant {self.label!r}", "steps", self.steps)
-        if not real(f"UserPlant {self.label!r}", "longest_step", self.longest_step) > 0.0:
-            raise InvalidInput(f"UserPlant {self.label!r}: longest_step = {self.longest_step!r} s: must be positive.")
-        for name, value in self.powertrain.items():
-            if not 0.0 < real(f"UserPlant {self.label!r}", name, value) < math.inf:
-                raise InvalidInput(f"UserPlant {self.label!r}: {name} = {value!r}: must be positive and finite.")
         try:
             nested = any(isinstance(value, Mapping) for value in self.parameters.values())
             compiled = compile_plant(self.right_hand_side, layout_of(self.parameters) if nested else None)
@@ -461,10 +453,13 @@ def _environment(values: ArrayLike) -> Array:
     return _vector("environment", np.append(given, 0.0) if given.shape == (6,) else given, 7)
 
 
+@checked
 def check_plant(
-    plant: Plant | SteppedPlant, speeds: Sequence[float] = (5.0, 15.0, 25.0), symmetric: bool = True,
-    period: float = 0.1,
-) -> None:  # fmt: skip
+    plant: Plant | SteppedPlant,
+    speeds: Sequence[float] = (5.0, 15.0, 25.0),
+    symmetric: bool = True,
+    period: Annotated[Positive, "s"] = 0.1,
+) -> None:
     """Test that a plant keeps the contract on which controllers and the loop rely.
 
     At each speed (m/s), on dry friction without wind: the states begin with `MOTION`; the right-hand side writes
@@ -476,13 +471,9 @@ def check_plant(
 
     Raises
     ------
-    InvalidInput
-        When `period` is no positive number.
     ContractError
         Naming the clause that is broken, the evidence and, where there is one, the option that changes the test.
     """
-    if not 0.0 < real("check_plant", "period", period) < math.inf:
-        raise InvalidInput(f"check_plant: period = {period!r} s: must be positive and finite.")
     if isinstance(plant, SteppedPlant):
         _check_stepped(plant, speeds, symmetric, period)
         return
