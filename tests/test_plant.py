@@ -298,14 +298,14 @@ def test_a_users_parameters_must_be_finite(value):
 
 
 def test_a_users_plant_takes_at_least_one_step():
-    with pytest.raises(InvalidInput, match="steps = .*must be a whole number >= 1"):
+    with pytest.raises(InvalidInput, match=r"steps = .*must be a whole number >= 1"):
         user_plant(steps=0)
 
 
 # -- built-in plants --------------------------------------------------------------------------------------------------
 @pytest.mark.parametrize("steps", [0, -3, 2.5])
 def test_the_number_of_steps_is_a_positive_integer(steps):
-    with pytest.raises(InvalidInput, match="steps = .*must be a whole number >= 1"):
+    with pytest.raises(InvalidInput, match=r"steps = .*must be a whole number >= 1"):
         SingleTrack(CAR, steps=steps)
 
 

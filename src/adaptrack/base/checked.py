@@ -144,7 +144,7 @@ class _Argument(NamedTuple):
         unit = next((f" {each}" for each in beside if isinstance(each, str) and _is_number(given)), "")
         if found["type"] == "value_error":  # a Limit's own sentence, or that of `Reals`
             return f"{name} = {shown(given)}{unit}: {found['ctx']['error']}"
-        must = allowed(field) or found["msg"].removeprefix("Input should be ")
+        must = _container(field.annotation) or allowed(field) or found["msg"].removeprefix("Input should be ")
         none = " or None" if annotation is not _without_none(annotation) else ""
         hint = next((f"; {each.text}" for each in beside if isinstance(each, Hint)), "")
         return f"{name} = {shown(given)}{unit}: must be {must}{none}{hint}."
@@ -221,20 +221,23 @@ def _element(annotation: Any, part: int | str) -> Any:
     return inner[1] if isinstance(kind, type) and issubclass(kind, Mapping) else None
 
 
+def _container(annotation: Any) -> str:
+    """A tuple, a sequence or a mapping in words; empty for anything else."""
+    kind, inner = typing.get_origin(annotation), typing.get_args(annotation)
+    if kind is tuple and inner[-1] is not ...:
+        return "a pair" if len(inner) == 2 else f"{len(inner)} values"
+    if isinstance(kind, type) and issubclass(kind, Sequence):
+        return "a sequence"
+    return "a mapping of names" if isinstance(kind, type) and issubclass(kind, Mapping) else ""
+
+
 def allowed(field: FieldInfo) -> str:
     """What a field of a file or an argument accepts, in words; empty when it is too rich for a phrase."""
     annotation: Any = _without_none(field.annotation)
-    kind = typing.get_origin(annotation)
-    if kind is Literal:
+    if typing.get_origin(annotation) is Literal:
         return "one of " + ", ".join(repr(word) for word in typing.get_args(annotation))
     if any(isinstance(each, _INSTANCE_OF) for each in field.metadata):
         return f"{'an' if annotation.__name__[0] in 'AEIOU' else 'a'} {annotation.__name__}"
-    if kind is tuple and ... not in typing.get_args(annotation):
-        return "a pair" if len(typing.get_args(annotation)) == 2 else f"{len(typing.get_args(annotation))} values"
-    if isinstance(kind, type) and issubclass(kind, Sequence):
-        return "a sequence"
-    if isinstance(kind, type) and issubclass(kind, Mapping):
-        return "a mapping of names"
     infinite = any(getattr(each, "allow_inf_nan", False) for each in field.metadata)
     noun = {
         float: "a number" if infinite else "a finite number",

@@ -14,14 +14,15 @@ import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 import scipy  # loads its parts when they are first used
 from numpy.typing import ArrayLike, NDArray
 
 from adaptrack.base.arguments import reals
-from adaptrack.base.errors import InvalidInput, real
+from adaptrack.base.checked import Positive, checked
+from adaptrack.base.errors import InvalidInput
 from adaptrack.road.projection import feet_near
 from adaptrack.road.road import FARTHEST, Road, alongs
 from adaptrack.road.segments import Array, Cubic
@@ -62,10 +63,11 @@ TOLD = 5
 """Outliers that are named."""
 
 
+@checked
 def fit_road(
     points: ArrayLike,
     *,
-    max_deviation: float | None = None,
+    max_deviation: Annotated[Positive, "m"] | None = None,
     closed: bool | None = None,
     smoothest: bool = False,
     name: str = "points",
@@ -78,7 +80,7 @@ def fit_road(
     points : (n, 2) array
         x, y in m. Where the record goes on beyond its start, the rest is left out.
     max_deviation : float, optional
-        m, the largest distance of a point from the curve that is allowed, > 0. By default six standard deviations of
+        The largest distance of a point from the curve that is allowed. By default six standard deviations of
         the noise that is found, 0.5 m at least; outliers, a few points farther off than that, are then left out.
     closed : bool, optional
         Whether the road is a lap; by default so when the record comes back to its start in the same direction.
@@ -99,8 +101,6 @@ def fit_road(
         When points are too few, not finite, all the same or too far apart, or no curve comes as near as asked.
     """
     points = _checked("fit_road", points, SHORTEST)
-    if max_deviation is not None and not 0.0 < real("fit_road", "max_deviation", max_deviation) < math.inf:
-        raise InvalidInput(f"fit_road: max_deviation = {max_deviation!r}: must be a distance > 0 m.")
     kept, lap, notes = _lap(points, closed)
     record = _Record(points[:kept], np.arange(kept), points[:kept].mean(axis=0), lap)
     if smoothest:

@@ -14,11 +14,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 
-from adaptrack.base.errors import InvalidInput, UnknownName, did_you_mean, real, whole
+from adaptrack.base.checked import Finite, Natural, checked, within
+from adaptrack.base.errors import InvalidInput, UnknownName, did_you_mean
 from adaptrack.road.road import Road
 from adaptrack.road.segments import Arc, Array, Clothoid, Line, Pose, moved
 
@@ -80,7 +81,10 @@ APART = 4.0
 """Least distance between parts of a road, in half widths of its lane, where they are not neighbours."""
 
 
-def generate_road(kind: str, seed: int = 0, length: float = 2000.0, **along: Any) -> Road:
+@checked
+def generate_road(
+    kind: str, seed: Natural = 0, length: Annotated[Finite, within(100.0, LONGEST), "m"] = 2000.0, **along: Any
+) -> Road:
     """A road of a kind: "motorway", "country", "town", "mountain", or "lap" (closed).
 
     A seed gives the same road on every machine, to rounding. It begins straight along x and
@@ -89,9 +93,9 @@ def generate_road(kind: str, seed: int = 0, length: float = 2000.0, **along: Any
     Parameters
     ----------
     seed : int
-        Which road, >= 0.
+        Which road.
     length : float
-        m, about: the last bend is driven to its end. 100 m to 100 km.
+        About: the last bend is driven to its end.
     **along
         As in `Road.from_segments`; the speed limit is the kind's design speed unless given.
 
@@ -100,13 +104,10 @@ def generate_road(kind: str, seed: int = 0, length: float = 2000.0, **along: Any
     UnknownName
         When there is no such kind.
     InvalidInput
-        For a seed or a length that is not allowed, or so long a lap that none was found that keeps off itself.
+        For so long a lap that none was found that keeps off itself.
     """
     if kind not in KINDS:
         raise UnknownName(f"no kind of road is named {kind!r}. {did_you_mean(str(kind), KINDS)}")
-    seed = whole("generate_road", "seed", seed, least=0)
-    if not 100.0 <= real("generate_road", "length", length) <= LONGEST:
-        raise InvalidInput(f"generate_road: length = {length!r} m: must be 100 to {LONGEST:,.0f}.")
     sizes = KINDS[kind]
     values = {"speed_limit": sizes.speed, "width_left": sizes.half_width, "width_right": sizes.half_width} | along
     whole_draws = ATTEMPTS if kind == "lap" or length <= DRAWN_WHOLE else 0

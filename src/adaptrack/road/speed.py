@@ -18,7 +18,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
 import scipy  # loads its parts when they are first used
@@ -26,7 +26,8 @@ from numpy.typing import ArrayLike, NDArray
 from pydantic import Field
 
 from adaptrack.base.arguments import reals
-from adaptrack.base.errors import InvalidInput, real
+from adaptrack.base.checked import Finite, NotNegative, Positive, checked, within
+from adaptrack.base.errors import InvalidInput
 from adaptrack.base.files import Record
 from adaptrack.base.limits import SPEED
 from adaptrack.cars.vehicle import GRAVITY, Vehicle
@@ -110,16 +111,17 @@ class SpeedPlan:
         return s + laps * self.s[-1], np.maximum(v, 0.0)
 
 
+@checked
 def plan_speed(
     road: Road,
     car: Vehicle | None = None,
     comfort: Comfort = USUAL,
     *,
-    start: float | None = None,
-    end: float | None = None,
+    start: Annotated[NotNegative, "m/s"] | None = None,
+    end: Annotated[NotNegative, "m/s"] | None = None,
     stops: Sequence[Stop | float] = (),
-    top_speed: float | None = None,
-    spacing: float = SPACING,
+    top_speed: Annotated[Positive, "m/s", SPEED] | None = None,
+    spacing: Annotated[Finite, within(0.01, 100.0), "m"] = SPACING,
 ) -> SpeedPlan:
     """The fastest speed along a road.
 
@@ -128,24 +130,20 @@ def plan_speed(
     car : Vehicle, optional
         Its power, traction, brakes and resistance; without it comfort and friction alone bound the acceleration.
     start, end : float, optional
-        m/s, speed at the two ends of an open road; free when left out.
+        Speed at the two ends of an open road; free when left out.
     stops : sequence of Stop or float
         Where to stand still, in m, and for how many seconds.
     top_speed : float, optional
-        m/s, beside the road's own limit. By default, where the road has none, the highest speed of the car's domain.
+        Beside the road's own limit. By default, where the road has none, the highest speed of the car's domain.
     spacing : float
-        m, largest distance of the places.
+        Largest distance of the places.
 
     Raises
     ------
     InvalidInput
-        When a value is not possible, a bend is tighter than the car can turn, a bank alone exceeds what is allowed
+        When a stop is not on the road, a bend is tighter than the car can turn, a bank alone exceeds what is allowed
         sideways, or the speed at the start cannot be lost in time; the message says where.
     """
-    if not 0.01 <= real("plan_speed", "spacing", spacing) <= 100.0:
-        raise InvalidInput(f"plan_speed: spacing = {spacing!r} m: must be 0.01 to 100.")
-    if top_speed is not None and not 0.0 < real("plan_speed", "top_speed", top_speed) <= SPEED.most:
-        raise InvalidInput(f"plan_speed: top_speed = {top_speed!r} m/s: must be > 0 and at most {SPEED.most:g}.")
     halts = [stop if isinstance(stop, Stop) else Stop(float(stop)) for stop in stops]
     for stop in halts:
         if not 0.0 <= stop.s <= road.length or not 0.0 <= stop.seconds < math.inf:
@@ -178,27 +176,20 @@ def unlimited(limit: Array) -> NDArray[np.bool_]:
     return limit > SPEED.most
 
 
-def constant_speed(road: Road, speed: float) -> SpeedPlan:
-    """One speed (m/s) all along a road, whatever its limits.
-
-    Raises
-    ------
-    InvalidInput
-        When it is not a speed > 0.
-    """
-    if not 0.0 < real("constant_speed", "speed", speed) <= SPEED.most:
-        raise InvalidInput(f"constant_speed: speed = {speed!r} m/s: must be > 0 and at most {SPEED.most:g}.")
+@checked
+def constant_speed(road: Road, speed: Annotated[Positive, "m/s", SPEED]) -> SpeedPlan:
+    """One speed all along a road, whatever its limits."""
     s = _places(road, SPACING, ())
-    return _plan(s, np.full(s.shape, float(speed) ** 2), (), road.closed, Comfort())
+    return _plan(s, np.full(s.shape, speed**2), (), road.closed, Comfort())
 
 
 def _impose_ends(ceiling: Array, start: float | None, end: float | None) -> None:
     for name, value, place in (("start", start, 0), ("end", end, -1)):
         if value is None:
             continue
-        if not 0.0 <= real("plan_speed", name, value) <= math.sqrt(ceiling[place]) * (1.0 + 1e-9):
-            most = math.sqrt(ceiling[place])
-            raise InvalidInput(f"plan_speed: {name} = {value!r} m/s: must be >= 0 and at most {most:.4g} there.")
+        most = math.sqrt(ceiling[place])
+        if value > most * (1.0 + 1e-9):
+            raise InvalidInput(f"plan_speed: {name} = {value!r} m/s: must be at most {most:.4g} there.")
         ceiling[place] = value * value
 
 
