@@ -30,7 +30,7 @@ from collections import ChainMap
 from collections.abc import Callable, Mapping, Sequence
 from typing import Annotated, Any, Literal, NamedTuple, TypeVar
 
-from pydantic import BeforeValidator, Field, InstanceOf, TypeAdapter, ValidationError
+from pydantic import AfterValidator, BeforeValidator, Field, InstanceOf, TypeAdapter, ValidationError
 from pydantic.fields import FieldInfo
 from pydantic_core import PydanticCustomError
 
@@ -70,6 +70,16 @@ Whole = Annotated[int, _WHOLE]
 Count = Annotated[int, Field(ge=1), _WHOLE]
 Natural = Annotated[int, Field(ge=0), _WHOLE]
 """A whole number from 0, such as a seed."""
+
+
+def _rising(pair: tuple[float, float]) -> tuple[float, float]:
+    if pair[0] > pair[1]:
+        raise ValueError("must be (low, high) with low <= high.")
+    return pair
+
+
+RISING = AfterValidator(_rising)
+"""Beside a pair of numbers: the first is not above the second."""
 
 
 class Hint(NamedTuple):

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Annotated, Any, Self
 
 import numpy as np
+from pydantic import Field
 
-from adaptrack.base.errors import InvalidInput, real, whole
+from adaptrack.base.checked import Count, Finite, Hint, Positive, checked
+from adaptrack.base.errors import InvalidInput
 from adaptrack.base.limits import PERIODS
 from adaptrack.scenario.shapes import Shape, as_shape
 from adaptrack.scenario.signals import Signals, instants
@@ -18,6 +20,7 @@ if TYPE_CHECKING:
     from adaptrack.road import Road, SpeedPlan
 
 
+@checked
 @dataclass(frozen=True, eq=False)
 class RoadDrive:
     """A road to drive along, from its start to its end or for some laps, at a planned speed.
@@ -28,22 +31,24 @@ class RoadDrive:
     Raises
     ------
     InvalidInput
-        When a value is not allowed.
+        When the plan is of another road or never arrives, or the road of several laps is open.
     """
 
     road: Road
     speed: SpeedPlan | float
     """a plan (`plan_speed`), or one speed (m/s)"""
-    laps: int = 1
+    laps: Count = 1
     """of a closed road"""
     reference: Shape | float = 0.0
     """m, offset from the centre line to follow, over time"""
     wind: Wind | PolarWind | Any = 0.0
     """m/s, over time, in the world; what `Scenario` takes"""
-    start_offset: float | None = None
-    """m, at the start; None: on the reference"""
-    start_heading: float = 0.0
-    """rad, at the start, against the road"""
+    start_offset: Annotated[Finite, "m"] | None = None
+    """at the start; None: on the reference"""
+    start_heading: Annotated[
+        Finite, Field(gt=-0.5 * math.pi, lt=0.5 * math.pi), "rad", Hint("within a right angle")
+    ] = 0.0
+    """at the start, against the road"""
     name: str = ""
     """the road's, when empty"""
 
@@ -56,16 +61,13 @@ class RoadDrive:
         plan = self.speed if isinstance(self.speed, SpeedPlan) else constant_speed(self.road, self.speed)
         if plan.closed != self.road.closed or not math.isclose(plan.s[-1], self.road.length, rel_tol=1e-9):
             raise InvalidInput("RoadDrive: speed: a plan of another road; plan_speed(road, ...) makes one.")
-        laps = whole("RoadDrive", "laps", self.laps)
-        if laps > 1 and not self.road.closed:
+        if self.laps > 1 and not self.road.closed:
             raise InvalidInput(
-                f"RoadDrive: laps = {laps}: the road {self.road.name!r} is open; leave laps out, or load its "
+                f"RoadDrive: laps = {self.laps}: the road {self.road.name!r} is open; leave laps out, or load its "
                 "points with closed=True (--closed)."
             )
         if not math.isfinite(plan.duration):
             raise InvalidInput("RoadDrive: speed: the plan never arrives: its speed is 0 over a stretch.")
-        if not abs(real("RoadDrive", "start_heading", self.start_heading)) < 0.5 * math.pi:
-            raise InvalidInput(f"RoadDrive: start_heading = {self.start_heading!r} rad: must be within a right angle.")
         changed = {
             "speed": plan,
             "reference": as_shape(self.reference),
@@ -95,7 +97,8 @@ class RoadDrive:
         assert isinstance(self.reference, Shape)
         return self.reference
 
-    def sample(self, period: float = 0.1) -> Signals:
+    @checked
+    def sample(self, period: Annotated[Positive, "s"] = 0.1) -> Signals:
         """What happens at the instants k·period until the end of the road (see `Signals`).
 
         Raises
@@ -103,8 +106,6 @@ class RoadDrive:
         InvalidInput
             When the drive has no or too many control periods.
         """
-        if not 0.0 < period < math.inf:
-            raise InvalidInput(f"period = {period!r}: must be a finite time > 0 s.")
         count = math.floor(self.duration / period)
         if not 1 <= count <= PERIODS.most:
             raise InvalidInput(

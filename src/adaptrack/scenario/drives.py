@@ -9,12 +9,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field
 
-from adaptrack.base.errors import InvalidInput, real, whole
+from adaptrack.base.checked import RISING, Hint, Natural, NotNegative, Positive, checked
 from adaptrack.cars.domain import Domain
 from adaptrack.cars.vehicle import GRAVITY
 from adaptrack.scenario.library import DESCRIPTIONS, QUINTIC_PEAK
@@ -61,16 +62,21 @@ _STEP = 0.05  # s, between the instants at which a drive is known while it is ma
 _FRICTION, _SPEED, _CURVES, _CHANGES, _WIND = range(5)  # what random numbers are for
 
 
+_Friction = Annotated[Positive, Field(le=HIGHEST_FRICTION)]
+_PositiveShare = Annotated[Positive, Field(le=1.0)]
+
+
+@checked
 def random_drive(
-    seed: int,
-    duration: float = 60.0,
+    seed: Natural,
+    duration: Annotated[Positive, Field(le=LONGEST_DRIVE), "s"] = 60.0,
     *,
-    speed: tuple[float, float] = USUAL.speed,
-    friction: tuple[float, float] = USUAL.friction,
-    wind: float = USUAL.wind,
-    demand: tuple[float, float] = (0.1, 0.35),
-    heading: float = 0.25,
-    lane_width: float = USUAL.lane_width,
+    speed: Annotated[tuple[Positive, Positive], RISING, "m/s"] = USUAL.speed,
+    friction: Annotated[tuple[_Friction, _Friction], RISING] = USUAL.friction,
+    wind: Annotated[NotNegative, "m/s"] = USUAL.wind,
+    demand: Annotated[tuple[_PositiveShare, _PositiveShare], RISING] = (0.1, 0.35),
+    heading: Annotated[Positive, Field(le=0.5), "rad", Hint("a small angle")] = 0.25,
+    lane_width: Annotated[Positive, "m"] = USUAL.lane_width,
 ) -> Scenario:
     """Mixed driving: changing speed and friction, curves, lane changes, wind and gusts.
 
@@ -80,51 +86,28 @@ def random_drive(
     Parameters
     ----------
     seed : int
-        Which drive, >= 0.
+        Which drive.
     duration : float
-        s. A longer drive is another drive, not the continuation of a shorter one.
+        A longer drive is another drive, not the continuation of a shorter one.
     speed : (float, float)
-        Lowest and highest speed, m/s. It changes smoothly between level stretches, by at most 2 m/s^2 up, 3 m/s^2 down
+        Lowest and highest speed. It changes smoothly between level stretches, by at most 2 m/s^2 up, 3 m/s^2 down
         and half the friction.
     friction : (float, float)
         Lowest and highest coefficient. It steps every 10 s on average; a quarter of the drives are dry: they keep to
         the highest 30 % of the range.
     wind : float
-        Largest lateral wind, m/s: a steady one of at most a third of it, and gusts to either side.
+        Largest lateral wind: a steady one of at most a third of it, and gusts to either side.
     demand : (float, float)
         Every curve and lane change draws a share from this range. Its lateral acceleration d²y_ref/dt², for a lane
         change together with that of the curves under it, never exceeds this share of what the lowest friction during
         the manoeuvre allows.
     heading : float
-        Largest heading of the reference, asin(dy_ref/dt / speed), rad.
+        Largest heading of the reference, asin(dy_ref/dt / speed).
     lane_width : float
-        m; lane changes are 2/7 to 12/7 of it.
+        Lane changes are 2/7 to 12/7 of it.
 
     A car's own ranges: ``random_drive(7, **car.domain.drive_options)``.
-
-    Raises
-    ------
-    InvalidInput
-        When an option is not allowed.
     """
-    seed = whole("random_drive", "seed", seed, least=0)
-    duration, wind, heading, lane_width = (
-        real("random_drive", name, value)
-        for name, value in (
-            ("duration", duration), ("wind", wind), ("heading", heading), ("lane_width", lane_width)
-        )
-    )  # fmt: skip
-    if not 0.0 < duration <= LONGEST_DRIVE:
-        raise InvalidInput(f"random_drive: duration = {duration!r} s: must be > 0 and at most {LONGEST_DRIVE:g}.")
-    if not 0.0 <= wind < math.inf:
-        raise InvalidInput(f"random_drive: wind = {wind!r} m/s: must be finite and not negative.")
-    if not 0.0 < heading <= 0.5:
-        raise InvalidInput(f"random_drive: heading = {heading!r} rad: must be > 0 and, a small angle, at most 0.5.")
-    if not 0.0 < lane_width < math.inf:
-        raise InvalidInput(f"random_drive: lane_width = {lane_width!r} m: must be finite and positive.")
-    speed = _pair("speed", speed, math.inf)
-    friction = _pair("friction", friction, HIGHEST_FRICTION)
-    demand = _pair("demand", demand, 1.0)
     options: dict[str, Any] = {"speed": speed, "friction": friction, "wind": wind, "demand": demand, "heading": heading}
     if lane_width != USUAL.lane_width:
         options["lane_width"] = lane_width
@@ -253,17 +236,6 @@ class _Drive:
             terms.append(Gust(peak=round(peak - steady, 6), start=start, duration=span))
             start = round(start + span + _between(rng, 2.0, 12.0), 2)
         return Sum(terms=tuple(terms))
-
-
-def _pair(name: str, value: tuple[float, float], most: float) -> tuple[float, float]:
-    """An option that is a range (low, high) with 0 < low <= high <= most, finite."""
-    if not isinstance(value, list | tuple) or len(value) != 2:
-        raise InvalidInput(f"random_drive: {name} = {value!r}: must be a pair (low, high).")
-    low, high = (real("random_drive", name, each) for each in value)
-    if not (0.0 < low <= high <= most and high < math.inf):
-        bound = "" if most == math.inf else f" <= {most:g}"
-        raise InvalidInput(f"random_drive: {name} = {value!r}: need 0 < low <= high{bound}, both finite.")
-    return low, high
 
 
 def _between(rng: np.random.Generator, low: float, high: float) -> float:

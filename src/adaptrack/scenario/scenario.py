@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 from pydantic import BeforeValidator, Field, model_validator
 
 from adaptrack.base.arguments import reals
+from adaptrack.base.checked import Positive, checked
 from adaptrack.base.errors import ConfigError, InvalidInput, did_you_mean
 from adaptrack.base.files import Record, build, dump_toml, read_toml, write_atomically
 from adaptrack.base.limits import DURATION, PERIODS, check_limit
@@ -116,17 +117,16 @@ class Scenario(Record):
         """x, y (m) and yaw (rad) at the start."""
         return 0.0, self.initial_y, self.start_heading
 
-    def sample(self, period: float = CONTROL_PERIOD) -> Signals:
+    @checked
+    def sample(self, period: Annotated[Positive, "s"] = CONTROL_PERIOD) -> Signals:
         """The exact signals at the instants k·period, k = 0..n, with n = round(duration/period) control periods.
 
         Raises
         ------
         InvalidInput
-            When the period is not positive or the duration has no or too many periods, or when a sampled value is
+            When the duration has no or too many periods, or when a sampled value is
             not allowed (see `Signals`).
         """
-        if not 0.0 < period < np.inf:
-            raise InvalidInput(f"period = {period!r}: must be a finite time > 0 s.")
         ratio = self.duration / period
         n = round(min(ratio, 2.0 * PERIODS.most))
         if not 1 <= n <= PERIODS.most:

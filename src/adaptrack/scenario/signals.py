@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 
 from adaptrack.base.arguments import reals
+from adaptrack.base.checked import Positive, checked
 from adaptrack.base.errors import InvalidInput
 from adaptrack.base.limits import SPEED
 from adaptrack.cars.vehicle import GRAVITY
@@ -18,6 +20,7 @@ STEEPEST_BANK = 0.8
 """rad, either side"""
 
 
+@checked
 @dataclass(frozen=True, eq=False)
 class Signals:
     """A scenario at the control instants t_k = k·period, k = 0..n: n control periods have n + 1 samples.
@@ -32,7 +35,7 @@ class Signals:
         or above 100 m/s, or a friction coefficient is outside (0, 3].
     """
 
-    period: float  # s
+    period: Annotated[Positive, "s"]
     t: Array  # (n + 1,) s
     y_ref: Array  # (n + 1,) m, lateral reference
     speed: Array  # (n + 1,) m/s, reference of the longitudinal speed
@@ -43,8 +46,6 @@ class Signals:
     curvature: Array | float = 0.0  # (n + 1,) 1/m, of the road there
 
     def __post_init__(self) -> None:
-        if not 0.0 < self.period < np.inf:
-            raise InvalidInput(f"period = {self.period!r}: must be a finite time > 0 s.")
         for name in ("t", "y_ref", "speed", "friction", "wind"):
             object.__setattr__(self, name, np.array(reals(name, getattr(self, name)), order="C"))
         samples = self.t.size
