@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import dataclasses
 import fractions
 import inspect
@@ -9,12 +10,14 @@ import math
 import pickle
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
 import pytest
 from pydantic import Field, InstanceOf
 
+import adaptrack
 from adaptrack.base.checked import Bound, Count, Finite, Hint, Natural, NotNegative, Number, Positive, Share, checked
 from adaptrack.base.errors import ConfigError, InvalidInput
 from adaptrack.base.files import Record, build
@@ -168,3 +171,54 @@ def test_fields_of_files_take_the_same_types_in_the_same_words() -> None:
     with pytest.raises(ConfigError, match=r"moves = 201: at most 200 control periods \(the time"):
         build(Body, {"mass": 1.0, "moves": 201}, "a.toml")
     assert "moves = 0: must be a whole number >= 1" in refusal(lambda: Body(mass=1.0, moves=0))
+
+
+def names_in(tree: ast.AST | None) -> set[str]:
+    """The names that an expression mentions."""
+    return {each.id for each in ast.walk(tree) if isinstance(each, ast.Name)} if tree is not None else set()
+
+
+def unchecked(path: Path) -> list[str]:
+    """The calls of a module with an annotation that nobody holds them to."""
+    module = ast.parse(path.read_text(encoding="utf-8"))
+    types = {
+        alias.name
+        for each in module.body
+        if isinstance(each, ast.ImportFrom) and each.module == "adaptrack.base.checked"
+        for alias in each.names
+    } - {"checked"}
+    types |= {
+        target.id
+        for each in module.body
+        if isinstance(each, ast.Assign) and names_in(each.value) & types
+        for target in each.targets
+        if isinstance(target, ast.Name)
+    }
+    found = []
+    for each in ast.walk(module):
+        if isinstance(each, ast.FunctionDef):
+            given = [*each.args.posonlyargs, *each.args.args, *each.args.kwonlyargs]
+            annotations = [argument.annotation for argument in given]
+        elif isinstance(each, ast.ClassDef) and not any("Record" in names_in(base) for base in each.bases):
+            annotations = [line.annotation for line in each.body if isinstance(line, ast.AnnAssign)]
+        else:
+            continue
+        held = any("checked" in names_in(decorator) for decorator in each.decorator_list)
+        if not held and any(names_in(annotation) & types for annotation in annotations):
+            found.append(f"{path.name}: {each.name}")
+    return found
+
+
+def test_every_call_whose_annotations_promise_a_check_makes_it() -> None:
+    modules = sorted(Path(adaptrack.__file__).parent.rglob("*.py"))
+    calls = [call for path in modules if path.parent.name != "base" for call in unchecked(path)]
+    assert not calls
+
+
+def test_a_forgotten_check_is_found(tmp_path: Path) -> None:
+    module = tmp_path / "made.py"
+    module.write_text(
+        "from adaptrack.base.checked import Positive, checked\nShort = Positive\n"
+        "def held(a: int) -> None: ...\ndef broken(a: Short) -> None: ...\n@checked\ndef kept(a: Positive): ...\n"
+    )
+    assert unchecked(module) == ["made.py: broken"]

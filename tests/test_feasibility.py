@@ -145,8 +145,8 @@ def test_neighbours_are_told_as_a_range():
 @pytest.mark.parametrize(
     ("asked", "words"),
     [
-        ({"speed": (9.0, 5.0)}, "speed = 9 to 5"),
-        ({"friction": (0.0, 1.0)}, "friction = 0 to 1"),
+        ({"speed": (9.0, 5.0)}, "speed = .9.0, 5.0.: must be .* low <= high"),
+        ({"friction": (0.0, 1.0)}, "friction.0. = 0.0: must be a finite number > 0"),
         ({"speed": (5.0, 1e300)}, "at most 100 m/s"),
         ({"margin": 1.0}, "margin = 1"),
         ({"nodes": ((70.0,), (5.0,), (3.0,))}, "no tuning"),

@@ -5,18 +5,19 @@ The linear loops of a grid of tunings tell it in seconds, before anything is dri
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple, Self
+from typing import Annotated, Any, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from pydantic import Field
 
 from adaptrack.analysis.linearisation import Mismatch, Turn, bodies_of
 from adaptrack.analysis.stability import hard_turn, margin_map, speed_nodes
-from adaptrack.base.errors import InvalidInput, real
-from adaptrack.base.limits import SPEED, check_limit
+from adaptrack.base.checked import RISING, Positive, checked
+from adaptrack.base.errors import InvalidInput
+from adaptrack.base.limits import SPEED
 from adaptrack.cars.plant import Plant
 from adaptrack.control.controllers import ENTRIES, MPC, Tuning
 from adaptrack.scenario.profile import Profile
@@ -190,11 +191,22 @@ def _range(low: float, high: float) -> str:
     return f"{low:.3g}" if low == high else f"{low:.3g} to {high:.3g}"
 
 
+_Speed = Annotated[Positive, SPEED]
+
+
+@checked
 def feasibility(
-    plant: Plant, mpc: MPC, profile: str | Profile = "road", *, speed: tuple[float, float] = (3.0, 30.0),
-    friction: tuple[float, float] = (0.3, 1.0), margin: float = MARGIN, nodes: Sequence[ArrayLike] = TUNINGS,
-    turn: Turn | None = hard_turn, mismatches: Sequence[Mismatch] = (),
-) -> Feasibility:  # fmt: skip
+    plant: Plant,
+    mpc: MPC,
+    profile: str | Profile = "road",
+    *,
+    speed: Annotated[tuple[_Speed, _Speed], RISING, "m/s"] = (3.0, 30.0),
+    friction: Annotated[tuple[Positive, Positive], RISING] = (0.3, 1.0),
+    margin: Annotated[Positive, Field(lt=1.0)] = MARGIN,
+    nodes: Sequence[ArrayLike] = TUNINGS,
+    turn: Turn | None = hard_turn,
+    mismatches: Sequence[Mismatch] = (),
+) -> Feasibility:
     """Which speeds and frictions some tuning of a controller holds, and the largest domain of those.
 
     Speeds at most 2 m/s apart, three frictions; the margin is the worst of driving straight, in a turn, and with each
@@ -207,7 +219,7 @@ def feasibility(
     mpc
         What the controller believes; its own tuning and scheduler play no part.
     speed, friction
-        Lowest and highest: m/s, and without a unit.
+        Lowest and highest.
     margin
         Modulus margin of a loop that counts as held.
     nodes
@@ -221,14 +233,8 @@ def feasibility(
     Raises
     ------
     InvalidInput
-        When a range makes no sense, no tuning is allowed, or the plant cannot drive such a turn.
+        When no tuning is allowed, or the plant cannot drive such a turn.
     """
-    for name, (low, high) in (("speed", speed), ("friction", friction)):
-        if not 0.0 < real("feasibility", name, low) <= real("feasibility", name, high) < math.inf:
-            raise InvalidInput(f"feasibility: {name} = {low:g} to {high:g}: need 0 < low <= high, finite.")
-    check_limit("feasibility: speed", speed[1], SPEED)
-    if not 0.0 < real("feasibility", "margin", margin) < 1.0:
-        raise InvalidInput(f"feasibility: margin = {margin:g}: must lie between 0 and 1.")
     allowed = (
         _up_to(nodes[0], mpc.longest_horizon), _up_to(nodes[1], mpc.most_moves), np.asarray(nodes[2], dtype=float)
     )  # fmt: skip

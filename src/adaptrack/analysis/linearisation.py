@@ -8,12 +8,13 @@ the loop of both. The plant is linearised about driving straight, or about a ste
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields
-from typing import NamedTuple
+from dataclasses import dataclass
+from typing import Annotated, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from adaptrack.base.checked import Finite, Hint, Positive, checked
 from adaptrack.base.errors import InvalidInput, real
 from adaptrack.cars.plant import DualTrack, Plant, SingleTrack, SteppedPlant
 from adaptrack.cars.vehicle import SteeringActuator
@@ -209,30 +210,19 @@ def _steering(plant: Plant, world: Profile) -> SteeringActuator:
     return getattr(plant, "steering", None) or world.steering
 
 
+@checked
 @dataclass(frozen=True)
 class Mismatch:
     """How the true car differs from the one that the controller was told of.
 
-    lag, dead_time: s, more than told (less: negative; neither gets below zero); stiffness: true over told, of the
+    lag, dead_time: more than told (less: negative; neither gets below zero); stiffness: true over told, of the
     tyres; mass: likewise, of mass and yaw inertia.
-
-    Raises
-    ------
-    InvalidInput
-        When a number is not finite, or a factor not positive.
     """
 
-    lag: float = 0.0
-    dead_time: float = 0.0
-    stiffness: float = 1.0
-    mass: float = 1.0
-
-    def __post_init__(self) -> None:
-        for each in fields(self):
-            if not np.isfinite(real("Mismatch", each.name, getattr(self, each.name))):
-                raise InvalidInput(f"Mismatch: {each.name} = {getattr(self, each.name)!r}: must be finite.")
-        if not min(self.stiffness, self.mass) > 0.0:
-            raise InvalidInput("Mismatch: stiffness and mass are factors: they must be positive.")
+    lag: Annotated[Finite, "s"] = 0.0
+    dead_time: Annotated[Finite, "s"] = 0.0
+    stiffness: Annotated[Positive, Hint("it is a factor")] = 1.0
+    mass: Annotated[Positive, Hint("it is a factor")] = 1.0
 
     @property
     def name(self) -> str:

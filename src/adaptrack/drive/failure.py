@@ -5,12 +5,12 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import Any, Self
+from typing import Annotated, Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from adaptrack.base.errors import InvalidInput, real
+from adaptrack.base.checked import Bound, Hint, checked
 from adaptrack.drive.trajectory import Trajectory
 
 DISTANCE = 5.0
@@ -40,31 +40,21 @@ class Reason(StrEnum):
         }[self]
 
 
+@checked
 @dataclass(frozen=True)
 class Failure:
-    """The rule by which a run has failed; infinity switches a part of it off.
+    """The rule by which a run has failed; infinity switches a part of it off."""
 
-    Raises
-    ------
-    InvalidInput
-        When a limit is not a positive number.
-    """
-
-    distance: float = DISTANCE
-    """m, from the reference, once it was that near."""
-    sideslip: float = SIDESLIP
-    """rad, at 1 m/s or more."""
+    distance: Annotated[Bound, "m", Hint("inf: no limit")] = DISTANCE
+    """from the reference, once it was that near."""
+    sideslip: Annotated[Bound, "rad", Hint("inf: no limit")] = SIDESLIP
+    """at 1 m/s or more."""
 
     @classmethod
     def of(cls, plant: Any) -> Self:
         """The rule of the car that is driven: the failure distance of its domain; the default where no car is known."""
         domain = getattr(getattr(plant, "vehicle", None), "domain", None)
         return cls() if domain is None else cls(distance=domain.failure_distance)
-
-    def __post_init__(self) -> None:
-        for name in ("distance", "sideslip"):
-            if not real("Failure", name, getattr(self, name)) > 0.0:
-                raise InvalidInput(f"Failure: {name} = {getattr(self, name)!r}: must be positive; inf: no limit.")
 
 
 @dataclass(frozen=True)

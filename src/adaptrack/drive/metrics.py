@@ -10,12 +10,12 @@ import dataclasses
 import math
 import re
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from adaptrack.base.errors import InvalidInput
+from adaptrack.base.checked import NotNegative, checked
 from adaptrack.base.shown import html_of
 from adaptrack.control.models import PredictionModel
 from adaptrack.drive.failure import SLOW, Failure, find_failure, state_is_finite
@@ -126,10 +126,11 @@ class Metrics:
         return {key: None if isinstance(v, float) and not math.isfinite(v) else v for key, v in row.items()}
 
 
+@checked
 def compute_metrics(
     trajectory: Trajectory,
     *,
-    move_weight: float | None = None,
+    move_weight: Annotated[NotNegative, "m^2/rad^2"] | None = None,
     failure: Failure | None = None,
     model: PredictionModel | None = None,
 ) -> Metrics:
@@ -138,22 +139,17 @@ def compute_metrics(
     Parameters
     ----------
     move_weight
-        m²/rad², the w of J = mean e² + w mean Δu²; by default ``move_weight`` of
+        The w of J = mean e² + w mean Δu²; by default ``move_weight`` of
         the run's `meta` (its profile's), else 0.
     failure
         When a run has failed, by default see `find_failure`.
     model
         Of the controller that drove (`MPC.model`), for the prediction errors.
 
-    Raises
-    ------
-    InvalidInput
-        When a parameter is negative or NaN. A trajectory with NaN is no error: it failed, and its MSE is infinite.
+    A trajectory with NaN is no error: it failed, and its MSE is infinite.
     """
     if move_weight is None:
         move_weight = float(trajectory.meta.get("move_weight", 0.0))
-    if not move_weight >= 0.0:
-        raise InvalidInput(f"metrics: move_weight must be a number >= 0, got {move_weight!r}.")
     failed = find_failure(trajectory, failure)
 
     with np.errstate(invalid="ignore", over="ignore"):

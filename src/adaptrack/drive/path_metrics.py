@@ -11,13 +11,14 @@ import dataclasses
 import html
 import math
 from dataclasses import dataclass, field
-from typing import Any, Self
+from typing import Annotated, Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from adaptrack.base.arguments import reals
-from adaptrack.base.errors import InvalidInput, real
+from adaptrack.base.checked import Positive, checked
+from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.outline import Outline
 from adaptrack.drive.failure import SLOW
 from adaptrack.drive.metrics import largest_magnitude, mean_square
@@ -155,12 +156,13 @@ class PathMetrics:
         return f"<table><tr><th>measure</th><th>value</th><th>unit</th><th></th></tr>{lines}</table>"
 
 
+@checked
 def path_metrics(
     record: PathRecord,
     outline: Outline,
     *,
-    lane_width: float = LANE_WIDTH,
-    steering_ratio: float | None = None,
+    lane_width: Annotated[Positive, "m"] = LANE_WIDTH,
+    steering_ratio: Positive | None = None,
 ) -> PathMetrics:
     """All measures of a drive.
 
@@ -169,19 +171,11 @@ def path_metrics(
     outline
         The car's, `Vehicle.outline`.
     lane_width
-        m; the path is the middle of the lane.
+        The path is the middle of the lane.
     steering_ratio
         Angle of the steering wheel over that of the road wheels, by default `STEERING_RATIO`.
-
-    Raises
-    ------
-    InvalidInput
-        When the lane's width or the ratio is not positive.
     """
     ratio = STEERING_RATIO if steering_ratio is None else steering_ratio
-    for name, value in (("lane_width", lane_width), ("steering_ratio", ratio)):
-        if not 0.0 < real("path_metrics", name, value) < math.inf:
-            raise InvalidInput(f"path_metrics: {name} = {value!r}: must be positive and finite.")
     t, offset = record.t, record.offset
     with np.errstate(invalid="ignore", over="ignore"):
         corner = np.abs(outline.corner_offsets(offset, record.turned, record.curvature)).max(axis=-1)

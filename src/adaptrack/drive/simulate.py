@@ -12,12 +12,14 @@ import os
 import time
 from collections.abc import Callable, Mapping, Sequence
 from datetime import UTC, datetime
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field
 
-from adaptrack.base.errors import InvalidInput, whole
+from adaptrack.base.checked import Natural, checked
+from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.plant import Plant, SteppedPlant
 from adaptrack.control.controllers import MPC, CompiledController, Controller, command_of
 from adaptrack.drive.batch import Batch, BatchRuns
@@ -31,14 +33,12 @@ from adaptrack.scenario.profile import Profile
 Array = NDArray[np.float64]
 
 
-def _refuse_nonsense(scenario: Scenario | RoadDrive, seed: int) -> None:
+def _refuse_nonsense(scenario: Scenario | RoadDrive) -> None:
     if not isinstance(scenario, Scenario | RoadDrive):
         raise InvalidInput(
             f"scenario = {scenario!r}: must be a Scenario or a RoadDrive; load_scenario(name) and "
             "RoadDrive(load_road(file), speed) give one."
         )
-    if whole("simulate", "seed", seed, least=0) >= 2**63:
-        raise InvalidInput(f"seed = {seed!r}: must be below 2^63.")
 
 
 class _Recorder:
@@ -67,6 +67,7 @@ class _Recorder:
         return angle
 
 
+@checked
 def simulate(
     plant: Plant | SteppedPlant,
     controller: Controller,
@@ -74,7 +75,7 @@ def simulate(
     *,
     profile: str | Profile = "paper",
     driver: Driver | None = None,
-    seed: int = 0,
+    seed: Annotated[Natural, Field(lt=2**63)] = 0,
     known_as: KnownAs = None,
     failure: Failure | None = None,
     progress: Callable[[int, int], None] | None = None,
@@ -95,7 +96,7 @@ def simulate(
     from adaptrack.core.models.contract import MEASURED
 
     world = World.of(plant, controller, profile, driver, known_as, failure)
-    _refuse_nonsense(scenario, seed)
+    _refuse_nonsense(scenario)
     loop = ClosedLoop(world, scenario, seed, traced=True)
     signals, trace = loop.signals, loop.run.trace
     record = _Recorder(signals.n, controller, trace.state[0], trace.seen[0])
@@ -126,6 +127,7 @@ def simulate(
     return _trajectory(world, controller, scenario, signals, seed, record)
 
 
+@checked
 def rollout(
     plant: Plant,
     controller: Controller,
@@ -133,7 +135,7 @@ def rollout(
     *,
     profile: str | Profile = "paper",
     driver: Driver | None = None,
-    seed: int = 0,
+    seed: Annotated[Natural, Field(lt=2**63)] = 0,
     known_as: KnownAs = None,
     failure: Failure | None = None,
 ) -> Trajectory:
@@ -145,7 +147,7 @@ def rollout(
         When a part needs Python at every step: a stepped plant, a controller, a scheduler or a QP back-end outside the
         kernels.
     """
-    _refuse_nonsense(scenario, seed)
+    _refuse_nonsense(scenario)
     return rollouts(Batch(plant, controller, [scenario], profile, driver, failure, known_as), (seed,), threads=1)[0][0]
 
 

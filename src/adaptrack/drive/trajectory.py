@@ -11,12 +11,13 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from datetime import datetime
-from typing import TYPE_CHECKING, Any, Literal, Self
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from adaptrack import __version__
+from adaptrack.base.checked import Positive, checked
 from adaptrack.base.errors import ConfigError, InvalidInput, MissingExtra
 from adaptrack.base.files import (
     Damaged,
@@ -92,6 +93,7 @@ COLUMNS = (
 _NAMED = ("tuning", "diagnostics", "road")
 
 
+@checked
 @dataclass(frozen=True, eq=False)
 class Trajectory:
     """What happened at each of n control instants t = k Ts, k = 0..n-1, of one run.
@@ -140,8 +142,8 @@ class Trajectory:
     """(n,) bool, whether a safe steering angle was held for want of a usable solution."""
     step_time: Array
     """(n,) s, wall-clock time of the control step; NaN when it was not measured."""
-    period: float
-    """s, the control period Ts."""
+    period: Annotated[Positive, "s"]
+    """The control period Ts."""
     tuning: Mapping[str, Array] = field(default_factory=dict)
     """Name -> (n,), each float64, int64 or bool: what the controller was tuned to at each instant.
 
@@ -170,17 +172,13 @@ class Trajectory:
     """Provenance, see `provenance`; anything that JSON can hold."""
 
     def __post_init__(self) -> None:
-        period = float(self.period)
-        if not (np.isfinite(period) and period > 0):
-            raise InvalidInput(f"trajectory: the period must be a positive number of seconds, got {self.period!r}.")
-        object.__setattr__(self, "period", period)
         steps = np.size(self.t)
         if not steps:
             raise InvalidInput("trajectory: it must hold at least one control instant, `t` is empty.")
         for column in COLUMNS:
             object.__setattr__(self, column.name, _checked(column, getattr(self, column.name), steps))
-        if not (np.isfinite(self.t[0]) and np.allclose(np.diff(self.t), period, rtol=1e-6, atol=0.0)):
-            raise InvalidInput(f"trajectory: the times `t` must be finite and one period ({period:g} s) apart.")
+        if not (np.isfinite(self.t[0]) and np.allclose(np.diff(self.t), self.period, rtol=1e-6, atol=0.0)):
+            raise InvalidInput(f"trajectory: the times `t` must be finite and one period ({self.period:g} s) apart.")
         for name in _NAMED:
             object.__setattr__(self, name, _named(name, getattr(self, name), steps))
         object.__setattr__(self, "units", _units(self))

@@ -9,12 +9,13 @@ import logging
 import math
 from dataclasses import dataclass
 from functools import cache
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from adaptrack.base.errors import InvalidInput, real
+from adaptrack.base.checked import NotNegative, Positive, checked
+from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.plant import Plant, SteppedPlant, steps_in
 from adaptrack.cars.vehicle import SteeringActuator, in_periods
 from adaptrack.control.controllers import MPC, Controller
@@ -30,6 +31,7 @@ KnownAs = Perception | FrictionWindEstimator | None
 """How a scheduler knows friction and wind: exactly (None), with errors, or as an estimator finds them."""
 
 
+@checked
 @dataclass(frozen=True)
 class Driver:
     """Longitudinal driver: asks for the acceleration that reaches the profile's speed a preview time ahead.
@@ -38,15 +40,8 @@ class Driver:
     power, traction and brakes.
     """
 
-    preview: float = 0.5
-    """s"""
-    integral: float = 0.2
-    """1/s^2"""
-
-    def __post_init__(self) -> None:
-        preview, integral = (real("Driver", name, getattr(self, name)) for name in ("preview", "integral"))
-        if not 0.0 < preview < math.inf or not 0.0 <= integral < math.inf:
-            raise InvalidInput(f"Driver: preview = {self.preview!r} s must be positive, integral not negative.")
+    preview: Annotated[Positive, "s"] = 0.5
+    integral: Annotated[NotNegative, "1/s^2"] = 0.2
 
 
 @dataclass(frozen=True, eq=False)
