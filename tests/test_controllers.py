@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 import math
 import pickle
+import re
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 
@@ -32,8 +33,10 @@ from adaptrack.control.controllers import (
     registry,
 )
 from adaptrack.control.controllers.lqr import SPEEDS, WEIGHT_FACTORS, error_model, lqr_gain, sampled_error_model
+from adaptrack.control.tracker import Tracker
 from adaptrack.core.controllers.contract import path_at, wrapped
 from adaptrack.drive.simulate import simulate
+from adaptrack.road import generate_road
 from adaptrack.road.ahead import straight
 from adaptrack.scenario import load_scenario
 from inlined import entry
@@ -228,6 +231,13 @@ def test_the_feed_forward_holds_a_steady_turn_of_the_linear_car_exactly(car, spe
     command = controller.step([-v * psi_e, psi_e, v * curvature, 0.0], v, parabola(curvature, v, 0.1))
     assert command.angle == pytest.approx(steering, rel=1e-9)
     assert command.diagnostics["feed_forward"] == pytest.approx(steering, rel=1e-9)
+
+
+def test_a_controller_and_a_tracker_print_what_they_are():
+    assert repr(Stanley(SEDAN, gain=2.0)).startswith("<Stanley of midsize-sedan: gain 2, ")
+    assert repr(LQR(SEDAN, period=0.05)).endswith("every 0.05 s>")
+    tracker = repr(Tracker(PurePursuit(SEDAN, preview=True), generate_road("lap", 0)))
+    assert re.fullmatch(r"<Tracker of <Road 'lap-0': .*>, no plan of the speed, by <pure pursuit of .*>>", tracker)
 
 
 # -- what all laws have in common --------------------------------------------------------------------------------------

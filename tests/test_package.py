@@ -47,6 +47,16 @@ def test_every_public_name_resolves_to_a_documented_object(name):
     assert name in dir(adaptrack)
 
 
+def test_dir_names_what_is_public_and_nothing_else():
+    assert dir(adaptrack) == sorted(adaptrack.__all__)
+
+
+@pytest.mark.parametrize(("name", "meant"), [("Mpc", "MPC"), ("loadroad", "load_road"), ("Stanly", "Stanley")])
+def test_a_name_that_is_almost_public_is_corrected(name, meant):
+    with pytest.raises(AttributeError, match=rf"{name}'. Did you mean '{meant}'\?$"):
+        getattr(adaptrack, name)
+
+
 def test_the_package_does_not_read_docstrings(project):
     # ``python -OO`` drops them; what a run needs is data of its own. The C header that is built only quotes them.
     for path in (project / "src").rglob("*.py"):

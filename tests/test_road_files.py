@@ -1,12 +1,14 @@
 """Roads from files: points recorded with noise, and OpenDRIVE; what is stated of a fit is true."""
 
 import math
+import re
 
 import numpy as np
 import pytest
 
 from adaptrack.base.errors import ConfigError, InvalidInput, StorageError, UnknownName
-from adaptrack.road import Along, Arc, Clothoid, Cubic, Line, Road, fit_road, generate_road, load_road
+from adaptrack.cars.vehicle import load_vehicle
+from adaptrack.road import Along, Arc, Clothoid, Cubic, Line, Road, check_road, fit_road, generate_road, load_road
 from references.road import figure_of_eight, nearest_by_search
 
 
@@ -95,6 +97,30 @@ def test_noisy_dense_points_and_standing_still_do_not_bend_the_road():
     road = fit_road(points, max_deviation=2.0)
     assert road.length == pytest.approx(200.0, abs=4.0)
     assert np.abs(road.at(np.linspace(5.0, road.length - 5.0, 100)).curvature).max() < 0.01
+
+
+WINDING = np.stack([np.arange(0.0, 5000.0, 3.0), 30.0 * np.sin(np.arange(0.0, 5000.0, 3.0) / 60.0)], axis=-1)
+
+
+def test_points_in_centimetres_or_kilometres_are_asked_about_and_those_in_degrees_are_refused(caplog):
+    with caplog.at_level("WARNING", logger="adaptrack"):
+        in_cm = Road.from_points(100.0 * WINDING[:300])
+    assert "are x and y in metres, or in centimetres?" in caplog.text
+    assert "centimetres" in in_cm.notes[0]
+    found = check_road(Road.from_points(WINDING / 1000.0), load_vehicle("paper"))
+    assert any("in metres, or in kilometres?" in each.text and not each.drivable for each in found)
+    in_metres = Road.from_points(WINDING[:300])
+    assert not any("metres" in note for note in in_metres.notes)
+    assert not check_road(in_metres, load_vehicle("paper"))
+    degrees = np.array([11.5, 48.1]) + WINDING[:300] / 1e5
+    with pytest.raises(InvalidInput, match=r"latitude and longitude. Convert them to x .east. and y .north. in metres"):
+        Road.from_points(degrees)
+
+
+def test_a_road_prints_its_name_its_length_and_what_is_to_be_said_of_it():
+    assert repr(generate_road("lap", 0)).startswith("<Road 'lap-0': a lap of ")
+    fitted = repr(Road.from_points(WINDING[:300]))
+    assert re.fullmatch(r"<Road 'points': open, 9\d\d.* m; 300 points; largest deviation .*>", fitted)
 
 
 @pytest.mark.parametrize(

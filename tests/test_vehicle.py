@@ -84,14 +84,23 @@ def tyre(**changes) -> Tyre:
     )
 
 
+def car_of(mass, lf, lr, index, front, rear):
+    """A car by its dynamic index, and by the stiffness of its tyres over their static loads (1/rad)."""
+    load = 0.5 * mass * GRAVITY / (lf + lr)
+    return car(
+        mass=mass, yaw_inertia=index * mass * lf * lr, lf=lf, lr=lr,
+        stiffness_front=front * load * lr, stiffness_rear=rear * load * lf,
+    )  # fmt: skip
+
+
 cars = st.builds(
-    car,
+    car_of,
     mass=st.floats(500, 3000),
-    yaw_inertia=st.floats(500, 6000),
     lf=st.floats(0.8, 2.0),
     lr=st.floats(0.8, 2.0),
-    stiffness_front=st.floats(1e4, 2e5),
-    stiffness_rear=st.floats(1e4, 2e5),
+    index=st.floats(0.2, 5.0),
+    front=st.floats(2.0, 100.0),
+    rear=st.floats(2.0, 100.0),
 )
 
 
@@ -250,6 +259,19 @@ class TestFields:
     def test_the_prediction_model_takes_positive_finite_numbers_only(self, name, value):
         with pytest.raises(InvalidInput, match=rf"Vehicle: {name} = .*: must be a finite number > 0"):
             car(**{name: value})
+
+    @pytest.mark.parametrize(
+        ("changes", "message"),
+        [
+            ({"mass": 1.5}, r"yaw_inertia/\(mass lf lr\) = .*Give the mass in kg"),
+            ({"yaw_inertia": 2.5}, "do not belong together"),
+            ({"stiffness_front": 1.0e3}, "stiffness_front = 1000 N/rad is .* N/deg times 57.3"),
+            ({"stiffness_rear": 60.0}, "stiffness_rear = 60 N/rad .* kN/rad times 1000"),
+        ],
+    )
+    def test_numbers_in_another_unit_than_the_others_are_refused_with_the_remedy(self, changes, message):
+        with pytest.raises(InvalidInput, match=message):
+            load_vehicle("midsize-sedan").replace(**changes)
 
     @pytest.mark.parametrize("name", ["drive_front", "brake_front"])
     def test_shares_lie_between_0_and_1(self, name):

@@ -498,14 +498,19 @@ def __getattr__(name: str) -> Any:
     try:
         home = _HOME[name]
     except KeyError:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}") from None
+        message = f"module {__name__!r} has no attribute {name!r}"
+        if not name.startswith("_"):
+            near = importlib.import_module(f"{__name__}.base.errors").nearest(name, __all__)
+            message += f". Did you mean {near!r}?" if near else ""
+        # Without an object: Python's own suggestion, of tracebacks alone, would repeat this one.
+        raise AttributeError(message, name=name, obj=None) from None
     value = getattr(importlib.import_module(f"{__name__}.{home}"), name)
     globals()[name] = value
     return value
 
 
 def __dir__() -> list[str]:
-    return sorted({*globals(), *__all__})
+    return list(__all__)
 
 
 class _Package(ModuleType):

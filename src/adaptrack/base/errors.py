@@ -72,7 +72,14 @@ def shown(value: object) -> str:
 def did_you_mean(name: str, known: Iterable[str]) -> str:
     """A sentence that names the nearest known name, or lists them all: the end of an error message."""
     known = sorted(known)
-    near = difflib.get_close_matches(name, known, n=1, cutoff=0.6)
+    near = nearest(name, known)
     if near:
-        return f"Did you mean {near[0]!r}?"
+        return f"Did you mean {near!r}?"
     return "Known: " + ", ".join(repr(k) for k in known) + "."
+
+
+def nearest(name: str, known: Iterable[str]) -> str | None:
+    """The known name that is most like `name`, whatever its capitals; None where none is like it."""
+    by_letters = {each.casefold(): each for each in known}
+    near = difflib.get_close_matches(name.casefold(), by_letters, n=1, cutoff=0.6)
+    return by_letters[near[0]] if near else None

@@ -12,7 +12,7 @@ import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
-from pydantic import Field, ValidationInfo, field_validator
+from pydantic import Field, ValidationInfo, field_validator, model_validator
 
 from adaptrack.base.errors import ContractError, InvalidInput, UnknownName, did_you_mean
 from adaptrack.base.files import LISTED, SHIPPED, Record, build, meanings, read_toml, write_toml
@@ -28,6 +28,11 @@ if TYPE_CHECKING:
 
 GRAVITY = 9.80665
 """Standard acceleration of free fall (m/s^2), as in the kernels."""
+
+INERTIAS = (0.1, 10.0)
+"""-, of I_z/(m l_f l_r): beyond these one of the numbers is in another unit, or of another car."""
+STIFFNESSES = (1.0, 150.0)
+"""1/rad, of a tyre's cornering stiffness over its static load; per degree it is 0.1 to 0.5."""
 
 _DATA = SHIPPED
 
@@ -283,6 +288,27 @@ class Vehicle(Record):
         if body is not None and {"lf", "lr"} <= set(others.data):
             body.overhangs(others.data["lf"] + others.data["lr"])
         return body
+
+    @model_validator(mode="after")
+    def _numbers_are_of_one_car(self) -> Self:
+        """Refuse a number in another unit than the others, such as a mass in tonnes or a stiffness per degree."""
+        index = self.yaw_inertia / (self.mass * self.lf * self.lr)
+        if not INERTIAS[0] <= index <= INERTIAS[1]:
+            raise ValueError(
+                f"yaw_inertia = {self.yaw_inertia:g} kg m^2 and mass = {self.mass:g} kg do not belong together: "
+                f"yaw_inertia/(mass lf lr) = {index:.3g}, where cars have about 1 ({INERTIAS[0]:g} to {INERTIAS[1]:g} "
+                "is allowed). Give the mass in kg, lengths in m, the inertia in kg m^2; with another mass the inertia "
+                "changes too."
+            )
+        for axle, load in zip(("front", "rear"), self.static_loads, strict=True):
+            stiffness = getattr(self, f"stiffness_{axle}")
+            if not STIFFNESSES[0] <= stiffness / load <= STIFFNESSES[1]:
+                raise ValueError(
+                    f"stiffness_{axle} = {stiffness:g} N/rad is {stiffness / load:.3g} times the load of its wheel, "
+                    f"{load:.0f} N; tyres have 5 to 30 ({STIFFNESSES[0]:g} to {STIFFNESSES[1]:g} is allowed). Give it "
+                    "in N/rad for one tyre: N/deg times 57.3, kN/rad times 1000."
+                )
+        return self
 
     @property
     def outline(self) -> Outline:

@@ -168,6 +168,10 @@ class Tracker:
             raise InvalidInput("Tracker: plan: must be a SpeedPlan of this path; plan_speed(path, ...) makes one.")
         self.path, self.plan = path, plan
 
+    def __repr__(self) -> str:
+        planned = "planned speed" if self.plan is not None else "no plan of the speed"
+        return f"<Tracker of {self.path!r}, {planned}, by {self.controller!r}>"
+
     @property
     def period(self) -> float:
         """Control period (s)."""

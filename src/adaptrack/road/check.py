@@ -21,6 +21,9 @@ SPACING = 0.5
 SPEAKING_JUMP = 1e-3
 """1/m, from which on a jump of curvature is told: 3 mrad at the wheels of a car."""
 
+FAR_TIGHTER = 10.0
+"""Times smaller than a car's smallest radius: no road is, one in kilometres may be."""
+
 RIPPLE, SWINGS = 0.1, 4
 """m, to each side, up to which a line that swings is no road but noise, or half of the road's deviation if that is
 more; and how many swings of the curvature in a row."""
@@ -114,7 +117,8 @@ def _radius(places: _Places, car: Vehicle) -> Iterator[Finding]:
         radius = 1.0 / size[k]
         yield _finding(
             places, stretch, "radius", radius, least, False,
-            f"radius {radius:.1f} m at s = {places.s[k]:.0f} m, below this car's {least:.1f} m",
+            f"radius {radius:.3g} m at s = {places.s[k]:.0f} m, below this car's {least:.1f} m"
+            + ("; is the road in metres, or in kilometres?" if radius < least / FAR_TIGHTER else ""),
         )  # fmt: skip
 
 

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import contextlib
 import itertools
+import logging
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -29,6 +30,8 @@ from adaptrack.road.segments import Array, Cubic
 from adaptrack.road.smoothing import Curve, Smoother
 from adaptrack.road.table import Table, X, Y, joined, tabulate
 
+_log = logging.getLogger("adaptrack")
+
 MAX_DEVIATION = 0.5
 """m, allowed at least unless another is asked for."""
 NOISES = 6.0
@@ -37,6 +40,8 @@ FEWEST = 4
 """Points."""
 WIDEST = 1e4
 """m, the largest distance of two points in a row."""
+SPARSE = 50.0
+"""m, the usual distance of two points in a row from which on it is asked whether they are in metres."""
 SHORTEST, SHORTEST_PATH = 1.0, 0.01
 """m, the shortest road that is fitted, and that points without noise may make."""
 FITS = 3
@@ -119,7 +124,8 @@ def fit_road(
         for key, value in along.items()
     }
     told = [] if smoothest else _bounded(found, fit, bound)
-    notes = [*notes, *_left_out(fit.road, record.points, place, out), *told, _said(fit, found.record.rows)]
+    outliers = _left_out(fit.road, record.points, place, out)
+    notes = [*_sparse(points), *notes, *outliers, *told, _said(fit, found.record.rows)]
     return replace(
         fit.road, name=name, notes=tuple(notes), deviation=fit.deviation,
         **alongs({key: _by_place(value, fit.road) for key, value in values.items()}),
@@ -183,10 +189,22 @@ def _check_distances(where: str, points: Array, shortest: float) -> None:
     if not steps[widest] > 0.0:
         raise InvalidInput(f"{where}: all points are the same; give a road with a length.")
     if steps.sum() < shortest:
+        remedy = "are x and y in metres?"
+        if np.abs(points).max() <= 180.0 and np.abs(points.mean(axis=0)).max() > 100.0 * steps.sum():
+            remedy = "are they latitude and longitude? Convert them to x (east) and y (north) in metres."
         raise InvalidInput(
-            f"{where}: the points make a line of {steps.sum():.3g} m: {shortest:g} m at least are needed; are x and y "
-            "in metres?"
+            f"{where}: the points make a line of {steps.sum():.3g} m: {shortest:g} m at least are needed; {remedy}"
         )
+
+
+def _sparse(points: Array) -> list[str]:
+    """What there is to say of points far apart: a record in centimetres looks like that."""
+    usual = float(np.median(np.hypot(*np.diff(points, axis=0).T)))
+    if usual <= SPARSE:
+        return []
+    said = f"the points are {usual:.3g} m apart (median): are x and y in metres, or in centimetres?"
+    _log.warning("adaptrack: %s", said)
+    return [said]
 
 
 def _said(fit: _Fit, rows: NDArray[np.int64]) -> str:

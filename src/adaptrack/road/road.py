@@ -130,6 +130,11 @@ class Road:
                     "kinks. Correct the elements, or fit a road to sampled points with Road.from_points."
                 )
 
+    def __repr__(self) -> str:
+        kind = "a lap of" if self.closed else "open,"
+        noted = f"; {'; '.join(self.notes)}" if self.notes else ""
+        return f"<Road {self.name!r}: {kind} {self.length:.4g} m{noted}>"
+
     # ---- made of
 
     @classmethod

@@ -276,6 +276,11 @@ class CompiledController(Controller):
         move, self._angle = angle - self._angle, angle
         return Command(angle, move, held, tuple(self.tuning.values()), diagnostics)
 
+    def __repr__(self) -> str:
+        car = getattr(getattr(self, "vehicle", None), "name", "a car")
+        numbers = ", ".join(f"{name} {value:.4g}" for name, value in self.tuning.items())
+        return f"<{self.name} of {car}: {numbers}, every {self.period:g} s>"
+
     def describe(self) -> dict[str, Any]:
         """The controller's configuration, for provenance."""
         return {
