@@ -8,10 +8,12 @@ import sys
 import tomllib
 
 import pytest
+import typer
 
 from adaptrack import cli
 from adaptrack.base.errors import InvalidInput, StorageError
 from adaptrack.cli import options
+from adaptrack.cli.app import app
 from adaptrack.drive.failure import Reason
 from small_data import small
 
@@ -350,3 +352,36 @@ def test_a_users_scenario_and_vehicle_files_are_driven(monkeypatch, capsys, tmp_
 def test_help_and_version_come_from_the_module_run_as_a_program():
     done = subprocess.run([sys.executable, "-m", "adaptrack", "--version"], capture_output=True, text=True, check=True)
     assert done.stdout.startswith("adaptrack ")
+
+
+# -- help -------------------------------------------------------------------------------------------------------------
+def every_command(group, *names):
+    """The words that call each command, groups among them."""
+    yield names
+    for name, command in getattr(group, "commands", {}).items():
+        yield from every_command(command, *names, name)
+
+
+COMMANDS = list(every_command(typer.main.get_command(app)))
+
+
+@pytest.mark.parametrize("words", COMMANDS, ids=" ".join)
+def test_the_help_of_a_command_fits_a_terminal_of_80_columns_and_40_lines(monkeypatch, capsys, words):
+    monkeypatch.setenv("COLUMNS", "80")
+    code, out, _ = run(monkeypatch, capsys, *words, "--help")
+    lines = out.splitlines()
+    assert code == 0
+    assert len(lines) <= 40
+    assert max(map(len, lines)) <= 80
+
+
+@pytest.mark.parametrize("words", COMMANDS, ids=" ".join)
+def test_every_option_is_in_the_help_or_in_the_help_of_all(monkeypatch, capsys, words):
+    command = typer.main.get_command(app)
+    for word in words:
+        command = command.commands[word]
+    spelt = {name for each in command.params for name in each.opts if name.startswith("--")}
+    shown = "--help-all" if "--help-all" in spelt else "--help"
+    code, out, _ = run(monkeypatch, capsys, *words, shown)
+    assert code == 0
+    assert spelt <= set(re.findall(r"--[a-z][a-z-]*", out))

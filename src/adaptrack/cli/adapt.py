@@ -20,6 +20,7 @@ CONFIGURATION, FOUND = "adaptation.toml", "found.toml"
 """Files of a folder: the configuration, which is written last, and what was found of the constant."""
 
 
+@options.grouped
 def adapt(
     out: Annotated[Path, Option(help="Folder of the chain; one that was interrupted goes on.")],
     car: Annotated[
@@ -40,7 +41,11 @@ def adapt(
     ] = None,
     plant: Annotated[
         str | None,
-        Option("--plant", help="Of CAR, what is driven: dual-track [default], single-track, or a registered plant."),
+        Option(
+            "--plant",
+            hidden=True,
+            help="Of CAR, what is driven: dual-track [default], single-track, or a registered plant.",
+        ),
     ] = None,
     plugin: options.Plugin = None,
     quick: Annotated[bool, Option("--quick", help="Of CAR: some minutes of work, for a first look.")] = False,

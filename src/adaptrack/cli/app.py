@@ -32,6 +32,7 @@ app = typer.Typer(
     "that are not met; 2 an error; "
     "3 a run of `simulate` failed; 130 Ctrl-C.",
     no_args_is_help=True,
+    rich_markup_mode=None,
     add_completion=False,
     pretty_exceptions_enable=False,
 )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -34,48 +34,73 @@ NUMBERS = (
 DERIVED = (Column("what", "derived"), Column("value", "value"), Column("unit", "unit"))
 
 
-def car(
+@dataclass(frozen=True, kw_only=True)
+class CarOptions:
+    """Options of `adaptrack car`."""
+
     name: Annotated[
         str | None, typer.Argument(metavar="[CAR]", help="Name (see `vehicles`) or .toml file of a car to show.")
-    ] = None,
-    mass: Annotated[float | None, Option("--mass", help="Of the data sheet (kg); with --wheelbase, a new car.")] = None,
-    wheelbase: Annotated[float | None, Option("--wheelbase", help="Of a new car (m).")] = None,
+    ] = None
+    mass: Annotated[
+        float | None, Option("--mass", metavar="KG", help="Of the data sheet; with --wheelbase, a new car.")
+    ] = None
+    wheelbase: Annotated[float | None, Option("--wheelbase", metavar="M", help="Of a new car.")] = None
     load: Annotated[
-        float | None, Option("--load", help="People and luggage beside the mass (kg): 75 a driver, 136 with luggage.")
-    ] = None,
+        float | None,
+        Option("--load", metavar="KG", help="People and luggage beside the mass: 75 a driver, 136 with luggage."),
+    ] = None
     body_style: Annotated[
         BodyStyle, Option("--body-style", help="Of a new car: car; truck for pickups, vans and SUVs.")
-    ] = BodyStyle.car,
-    yaw_inertia: Annotated[float | None, Option("--yaw-inertia", help="If known (kg m^2).")] = None,
-    lf: Annotated[float | None, Option("--lf", help="Centre of gravity to front axle, if known (m).")] = None,
+    ] = BodyStyle.car
+    yaw_inertia: Annotated[
+        float | None, Option("--yaw-inertia", metavar="I", hidden=True, help="If known (kg m^2).")
+    ] = None
+    lf: Annotated[
+        float | None, Option("--lf", metavar="M", hidden=True, help="Centre of gravity to front axle, if known.")
+    ] = None
     stiffness_front: Annotated[
-        float | None, Option("--stiffness-front", help="Of one front tyre, if known (N/rad).")
-    ] = None,
+        float | None,
+        Option("--stiffness-front", metavar="C", hidden=True, help="Of one front tyre, if known (N/rad)."),
+    ] = None
     stiffness_rear: Annotated[
-        float | None, Option("--stiffness-rear", help="Of one rear tyre, if known (N/rad).")
-    ] = None,
-    tir: Annotated[Path | None, Option("--tir", help="Tyre property file: MF 5.2, 6.1, 6.2, PAC2002.")] = None,
+        float | None,
+        Option("--stiffness-rear", metavar="C", hidden=True, help="Of one rear tyre, if known (N/rad)."),
+    ] = None
+    tir: Annotated[
+        Path | None, Option("--tir", metavar="FILE", help="Tyre property file: MF 5.2, 6.1, 6.2, PAC2002.")
+    ] = None
     tyre_table: Annotated[
-        Path | None, Option("--tyre-table", help=".csv of axle forces: slip_rad, force_front_N, force_rear_N.")
-    ] = None,
-    out: Annotated[Path | None, Option("--out", help="The .toml file to write; a new tyre goes beside it.")] = None,
-    as_json: options.Json = False,
-) -> None:
-    """Show a car, or make one from mass and wheelbase, a tyre file or a table of axle forces.
+        Path | None,
+        Option("--tyre-table", metavar="FILE", help=".csv of axle forces: slip_rad, force_front_N, force_rear_N."),
+    ] = None
+    out: Annotated[
+        Path | None, Option("--out", metavar="FILE", help="The .toml file to write; a new tyre goes beside it.")
+    ] = None
+    as_json: options.Json = False
+
+    @property
+    def known(self) -> dict[str, float]:
+        """What is known of a new car beside its data sheet."""
+        values = {name: getattr(self, name) for name in ("yaw_inertia", "lf", "stiffness_front", "stiffness_rear")}
+        return {name: value for name, value in values.items() if value is not None}
+
+
+@options.grouped
+def car(given: CarOptions) -> None:
+    """Show a car, or make one from its data sheet or tyre data.
 
     What --mass and --wheelbase leave open is estimated from published measurements, and marked. Without a car, --tir
     makes a tyre alone.
     """
-    given = {"yaw_inertia": yaw_inertia, "lf": lf, "stiffness_front": stiffness_front, "stiffness_rear": stiffness_rear}
-    known = {key: value for key, value in given.items() if value is not None}
+    out = given.out
     if out is not None and out.suffix != ".toml":
         raise InvalidInput(f"--out {out}: must end in .toml.")
-    if tir is not None and tyre_table is not None:
+    if given.tir is not None and given.tyre_table is not None:
         raise InvalidInput("--tir and --tyre-table: one tyre at a time.")
-    vehicle = _vehicle(name, (mass, wheelbase), (load, str(body_style)), known, out)
-    if vehicle is None and tir is None:
+    vehicle = _vehicle(given)
+    if vehicle is None and given.tir is None:
         raise InvalidInput("name a car, or give --mass and --wheelbase, or --tir.")
-    fit = _fit(tir, tyre_table, vehicle)
+    fit = _fit(given.tir, given.tyre_table, vehicle)
     written = []
     options.make_place(out)
     if fit is not None and out is not None:
@@ -87,32 +112,31 @@ def car(
         if out is not None:
             vehicle.to_toml(out)
             written.append(out)
-    _say(vehicle, fit, written, as_json)
+    _say(vehicle, fit, written, given.as_json)
 
 
-def _vehicle(
-    name: str | None, sheet: tuple[float | None, float | None], more: tuple[float | None, str],
-    known: dict[str, Any], out: Path | None,
-) -> Vehicle | None:  # fmt: skip
+def _vehicle(given: CarOptions) -> Vehicle | None:
     """The car that is named, or the one of a data sheet; None where there is neither."""
     from adaptrack.cars.data_sheet import vehicle_from_data_sheet
     from adaptrack.cars.vehicle import load_vehicle
 
-    mass, wheelbase = sheet
+    name, mass, wheelbase, load = given.name, given.mass, given.wheelbase, given.load
     if name is not None:
-        if (mass, wheelbase, more[0]) != (None, None, None) or known:
+        if (mass, wheelbase, load) != (None, None, None) or given.known:
             raise InvalidInput(f"{name}: is a car already; --mass, --wheelbase and the like make a new one.")
         return load_vehicle(name)
     if mass is None and wheelbase is None:
-        if known or more[0] is not None:
+        if given.known or load is not None:
             raise InvalidInput("a new car needs --mass and --wheelbase.")
         return None
     if mass is None or wheelbase is None:
         raise InvalidInput(
             f"a new car needs --mass and --wheelbase: --{'mass' if mass is None else 'wheelbase'} lacks."
         )
-    new = "new-car" if out is None else out.stem
-    return vehicle_from_data_sheet(new, mass, wheelbase, load=more[0] or 0.0, body_style=more[1], **known)
+    new = "new-car" if given.out is None else given.out.stem
+    return vehicle_from_data_sheet(
+        new, mass, wheelbase, load=load or 0.0, body_style=str(given.body_style), **given.known
+    )
 
 
 def _fit(tir: Path | None, table: Path | None, vehicle: Vehicle | None) -> TyreFit | None:

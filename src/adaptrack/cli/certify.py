@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -44,36 +45,50 @@ TITLES = {"straight": "driving straight (the verdict)", "turn": "in a hard turn 
 """By way of driving."""
 
 
-def certify(
+@dataclass(frozen=True, kw_only=True)
+class CertifyOptions:
+    """Options of `adaptrack certify`."""
+
     scheduler: Annotated[
         str | None,
         typer.Argument(help="Name (see `schedulers`) or .json file (see `train`); none: the controller's constant."),
-    ] = None,
+    ] = None
     controller: Annotated[
         str | None,
         Option(
+            "--controller",
             metavar="NAME",
-            help="informed: the MPC that knows its steering and estimates its state [default]; "
-            "standard: the paper's [default with a scheduler that was made for it].",
+            help="informed: the MPC that knows its steering and estimates its state [default]; standard: the paper's "
+            "[default with a scheduler that was made for it].",
         ),
-    ] = None,
-    profile: options.Profile = "road",
-    vehicle: options.Vehicle = "paper",
-    plant: options.Plant = "dual-track",
-    tyre: options.Tyre = None,
-    speed: Annotated[tuple[float, float] | None, Option(help="Lowest and highest (m/s).")] = None,
-    friction: Annotated[tuple[float, float] | None, Option(help="Lowest and highest.")] = None,
+    ] = None
+    profile: options.Profile = "road"
+    car: options.CarAndPlant
+    speed: Annotated[
+        tuple[float, float] | None, Option("--speed", metavar="LOW HIGH", help="Lowest and highest (m/s).")
+    ] = None
+    friction: Annotated[
+        tuple[float, float] | None, Option("--friction", metavar="LOW HIGH", help="Lowest and highest.")
+    ] = None
     mismatch: Annotated[
         bool, Option("--mismatch", help="Also with lag 0.1 s, dead time a period, stiffness 1.6-fold, mass 30 % off.")
-    ] = False,
+    ] = False
     feasible: Annotated[
         bool, Option("--feasible", help="Which speeds and frictions any tuning can hold, without a scheduler.")
-    ] = False,
-    plugin: options.Plugin = None,
-    out: Annotated[Path | None, Option(help="Folder for the page with the maps.")] = None,
-    as_json: options.Json = False,
-) -> None:
-    """Map spectral radius, gain and delay margins over the operating domain.
+    ] = False
+    out: Annotated[Path | None, Option("--out", metavar="FOLDER", help="Folder for the page with the maps.")] = None
+    as_json: options.Json = False
+
+    @property
+    def domain(self) -> dict[str, tuple[float, float]]:
+        """The ends that are given."""
+        ends = {"speed": self.speed, "friction": self.friction}
+        return {name: each for name, each in ends.items() if each is not None}
+
+
+@options.grouped
+def certify(given: CertifyOptions) -> None:
+    """Stability and margins of a loop over its domain.
 
     The verdict is on driving straight: exit code 1 when a point is unstable there. Points that are unstable in a hard
     turn are counted beside it, as a warning. With --feasible: exit code 1 when a point can be held by no tuning.
@@ -82,31 +97,30 @@ def certify(
     from adaptrack.control.scheduling import load_scheduler
     from adaptrack.scenario.profile import load_profile
 
-    options.load_plugins(plugin)
+    scheduler, profile, out = given.scheduler, given.profile, given.out
+    car, body = given.car.load()
     schedule = None if scheduler is None else load_scheduler(scheduler)
-    car, body = options.car_and_plant(vehicle, plant, tyre)
     if isinstance(body, SteppedPlant):
         raise InvalidInput(
-            f"--plant {plant}: is stepped in Python; a certificate needs equations that it can linearise."
+            f"--plant {given.car.plant}: is stepped in Python; a certificate needs equations that it can linearise."
         )
-    mpc = _controller(controller, car, profile, schedule)
+    mpc = _controller(given.controller, car, profile, schedule)
     mpc.warn_of(schedule, load_profile(profile).name, body)
-    domain = {name: ends for name, ends in (("speed", speed), ("friction", friction)) if ends is not None}
-    if feasible:
+    if given.feasible:
         if scheduler is not None or out is not None:
             raise InvalidInput(
                 "--feasible: looks at every tuning and writes no page: leave out the scheduler and --out."
             )
-        _tell_feasible(body, mpc, profile, domain, mismatch, as_json)
+        _tell_feasible(body, mpc, profile, given.domain, given.mismatch, given.as_json)
         return
-    found = _certificate(schedule, body, mpc, profile, domain, mismatch, out)
+    found = _certificate(schedule, body, mpc, profile, given.domain, given.mismatch, out)
     if out is not None:
-        show.say(f"Report: {_write_page(out, found)}", aside=as_json)
-    if as_json:
+        show.say(f"Report: {_write_page(out, found)}", aside=given.as_json)
+    if given.as_json:
         show.say_json({**found.summary(), "rows": found.rows()})
     else:
         _print(found)
-    _tell_verdict(found, as_json)
+    _tell_verdict(found, given.as_json)
     if not found.passed:
         raise typer.Exit(UNSTABLE)
 

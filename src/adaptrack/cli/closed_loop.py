@@ -13,7 +13,7 @@ import numpy as np
 from adaptrack.base.errors import InvalidInput
 from adaptrack.cli import options, show
 from adaptrack.cli.show import Column
-from adaptrack.cli.simulate import Asked, make_controller
+from adaptrack.cli.simulate import ControllerSettings, make_controller
 
 if TYPE_CHECKING:
     from adaptrack.cars.plant import Plant
@@ -71,8 +71,8 @@ class Driven:
 
     def controllers_of(self, car: Vehicle) -> list[tuple[str, Controller]]:
         """By name, in the profile, with preview."""
-        asked = Asked(car, self.profile, self.profile.period, preview=True)
-        return [make_controller(name, asked) for name in dict.fromkeys(self.controllers)]
+        settings = ControllerSettings(car, self.profile, self.profile.period, preview=True)
+        return [make_controller(name, settings) for name in dict.fromkeys(self.controllers)]
 
 
 def drive_lane_change(name: str, driven: Driven, as_json: bool) -> None:

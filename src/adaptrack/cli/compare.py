@@ -26,6 +26,7 @@ COLUMNS = (
 )
 
 
+@options.grouped
 def compare(
     out: Annotated[Path | None, Option(help="Folder; one that was interrupted goes on. `--list` needs none.")] = None,
     quick: Annotated[bool, Option("--quick", help="Two cars, four roads, one profile: minutes [default].")] = False,

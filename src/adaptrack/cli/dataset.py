@@ -3,22 +3,34 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Any
 
 import typer
 
 from adaptrack.cli import options, show
 
-app = typer.Typer(help="Data sets of tuned operating points.", no_args_is_help=True)
+app = typer.Typer(help="Data sets of tuned operating points.", no_args_is_help=True, rich_markup_mode=None)
+
+
+@dataclass(frozen=True, kw_only=True)
+class DescribeOptions:
+    """Options of `adaptrack dataset describe`."""
+
+    name: options.DataSetName
+    out: options.Page = None
+    as_json: options.Json = False
 
 
 @app.command("describe")
-def describe_dataset(name: options.DataSetName, out: options.Page = None, as_json: options.Json = False) -> None:
-    """Tell what is in a data set: ranges, optimum, how much the points explain, how flat the optimum is."""
+@options.grouped
+def describe_dataset(given: DescribeOptions) -> None:
+    """Ranges and optima of a data set, and how much of them can be learned."""
     from adaptrack.learning.boosting import explained_shares
     from adaptrack.tuning.dataset import describe, load_dataset
 
-    dataset = load_dataset(name)
+    out, as_json = given.out, given.as_json
+    dataset = load_dataset(given.name)
     if out is not None:
         options.make_folder(out)
     with show.progress("describe") as advance:
@@ -47,7 +59,7 @@ def _print(found: Mapping[str, Any]) -> None:
 
 @app.command("list")
 def datasets(as_json: options.Json = False) -> None:
-    """List the data sets that have a name."""
+    """List the data sets that ship with the package."""
     from adaptrack.tuning.dataset import list_datasets
 
     show.listing("Data sets", [{"name": name} for name in list_datasets()], as_json)

@@ -17,9 +17,9 @@ from adaptrack.cli import road as roads
 from adaptrack.cli.show import Column
 from adaptrack.cli.simulate import (
     FAILED,
-    Asked,
-    asked_learning,
+    ControllerSettings,
     keep_learned,
+    learning_of,
     make_controller,
     measured_row,
     tell_belief,
@@ -53,46 +53,40 @@ SHOWN = (
 OTHER_UNITS = {"prediction_error_half": "m", "prediction_error_one": "m", "step_us_p50": "µs", "step_us_p999": "µs"}
 """Of those that are not `PathMetrics`."""
 
-Tunings = Annotated[
-    list[Path] | None, Option("--tuning", metavar="FILE", help="Tuning that `tune ROAD` found; may be repeated.")
-]
+
+@dataclass(frozen=True, kw_only=True)
+class DriveOptions:
+    """Options of `adaptrack drive`."""
+
+    road: roads.RoadName
+    controller: Annotated[
+        list[str] | None,
+        Option(
+            "--controller",
+            metavar="NAME",
+            help="informed [default], standard, lqr, pure-pursuit, stanley, or a registered one; may be repeated.",
+        ),
+    ] = None
+    tuning: Annotated[
+        list[Path] | None, Option("--tuning", metavar="FILE", help="Tuning that `tune` found; may be repeated.")
+    ] = None
+    car: options.CarAndPlant
+    profile: options.Profile = "road"
+    route: roads.RoadOptions
+    laps: Annotated[int, Option("--laps", metavar="N", min=1, help="Of a closed road.")] = 1
+    wind: Annotated[float, Option("--wind", metavar="V", hidden=True, help="Along the world's y axis (m/s).")] = 0.0
+    start_offset: Annotated[
+        float, Option("--start-offset", metavar="M", hidden=True, help="From the centre line, to the left (m).")
+    ] = 0.0
+    start_heading: Annotated[
+        float, Option("--start-heading", metavar="RAD", hidden=True, help="Against the road, to the left (rad).")
+    ] = 0.0
+    drive: options.DriveSettings
 
 
 @options.grouped
-def drive(
-    road: roads.RoadName,
-    asked: roads.RoadOptions,
-    vehicle: options.Vehicle = "paper",
-    controller: Annotated[
-        list[str] | None,
-        Option(metavar="NAME", help="informed [default], standard, lqr, pure-pursuit, stanley, or a registered one."),
-    ] = None,
-    tuning: Tunings = None,
-    profile: options.Profile = "road",
-    laps: Annotated[int, Option("--laps", min=1, help="Of a closed road.")] = 1,
-    wind: Annotated[float, Option("--wind", help="Along the world's y axis (m/s).")] = 0.0,
-    offset: Annotated[float, Option("--start-offset", help="From the centre line, to the left (m).")] = 0.0,
-    heading: Annotated[float, Option("--start-heading", help="Against the road, to the left (rad).")] = 0.0,
-    plant: options.Plant = "dual-track",
-    tyre: options.Tyre = None,
-    driver: Annotated[bool, Option("--driver/--perfect-speed", help="Powertrain and driver, or exact speed.")] = False,
-    period: Annotated[float | None, Option(help="Control period (s); by default the profile's.")] = None,
-    learn: options.Learn = False,
-    learned: options.LearnedFile = None,
-    seed: Annotated[int, Option("--seed", help="Of the sensor noise.")] = 0,
-    out: Annotated[Path | None, Option(help="Folder for the page with the replay, and the trajectories.")] = None,
-    png: options.Png = False,
-    allow_failed: Annotated[
-        bool,
-        Option(
-            "--allow-failed",
-            help=f"Exit code 0, not {FAILED}, after a failure; drives a --tuning that is unstable on this car.",
-        ),
-    ] = False,
-    plugin: options.Plugin = None,
-    as_json: options.Json = False,
-) -> None:
-    """Drive along a road: a .csv file of x, y, an OpenDRIVE file, or a generated one.
+def drive(given: DriveOptions) -> None:
+    """Drive along a road: recorded points, OpenDRIVE, a generated one.
 
     The speed is planned from curvature, friction and the car, unless --speed gives one. A drive that leaves the road,
     spins or is not finite is printed as FAILED; the exit code is then 3.
@@ -103,65 +97,71 @@ def drive(
     from adaptrack.scenario import RoadDrive
     from adaptrack.scenario.profile import load_profile
 
-    options.load_plugins(plugin)
-    car, body = options.car_and_plant(vehicle, plant, tyre)
-    options.make_page_folder(out, png)
-    options.make_place(learned)
-    seen = asked.look(road, car)
-    world = load_profile(profile)
-    trip = RoadDrive(seen.road, seen.plan, laps=laps, wind=wind, start_offset=offset, start_heading=heading)
-    who = Asked(car, world, world.period if period is None else period, preview=True,
-                learning=asked_learning(learn, learned))  # fmt: skip
-    usual = [] if tuning else [who.usual]
-    controllers = [make_controller(name, who) for name in dict.fromkeys(controller or usual)]
-    for found in dict.fromkeys(tuning or []):
-        controllers.append(tuned(found, who, as_json))
-        _certify_elsewhere(found, controllers[-1][1], who, body, (allow_failed, as_json))
-    seen.warn(as_json)
+    how, as_json = given.drive, given.drive.as_json
+    car, body = given.car.load()
+    how.make_places()
+    seen = given.route.look(given.road, car)
+    world = load_profile(given.profile)
+    trip = RoadDrive(
+        seen.road, seen.plan, laps=given.laps, wind=given.wind, start_offset=given.start_offset,
+        start_heading=given.start_heading,
+    )  # fmt: skip
+    settings = ControllerSettings(
+        car, world, world.period if how.period is None else how.period, preview=True, learning=learning_of(how)
+    )
+    usual = [] if given.tuning else [settings.usual]
+    controllers = [make_controller(name, settings) for name in dict.fromkeys(given.controller or usual)]
+    for found in dict.fromkeys(given.tuning or []):
+        controllers.append(tuned(found, settings))
+        _certify_elsewhere(found, controllers[-1][1], settings, body, how.allow_failed)
+    seen.warn()
     files = safe_names(f"{trip.name}-{label}" for label, _ in controllers)
     runs = []
     with show.progress("drive", len(controllers)) as advance:
         for file, (label, each) in zip(files, controllers, strict=True):
             step = partial(advance, label)
-            run = simulate(body, each, trip, profile=world, driver=Driver() if driver else None, seed=seed,
-                           progress=step)  # fmt: skip
+            run = simulate(
+                body, each, trip, profile=world, driver=Driver() if how.driver else None, seed=how.seed, progress=step
+            )
             runs.append(_Run(label, trip, car, run, each.model))
-            if out is not None:
-                _keep(run, out / f"{file}.parquet")
+            if how.out is not None:
+                _keep(run, how.out / f"{file}.parquet")
     rows = [run.row for run in runs]
     if not any(row["failed"] for row in rows):
-        keep_learned(learned, controllers, as_json)
-    if out is not None:
-        show.say(f"Page: {_write_page(out, runs, png)}", aside=as_json)
+        keep_learned(how.learned, controllers, as_json)
+    if how.out is not None:
+        show.say(f"Page: {_write_page(how.out, runs, how.png)}", aside=as_json)
     _print(trip, rows, as_json)
     for label, each in controllers:
         tell_belief(label, each, body, world, as_json)
     if any(row["failed"] for row in rows):
         tell_stiffness(car, body, as_json)
-        if not allow_failed:
+        if not how.allow_failed:
             raise typer.Exit(FAILED)
 
 
-def tuned(file: Path, who: Asked, aside: bool) -> tuple[str, Controller]:
+def tuned(file: Path, settings: ControllerSettings) -> tuple[str, Controller]:
     """The controller of a tuning's file, and how tables call it; a word where it was found for something else."""
     from adaptrack.tuning.constant_file import load_tuning
 
     kept = load_tuning(file)
-    for clause in kept.mismatches(who.car.name, who.profile.name, who.period):
-        show.say(f"Warning, {file}: {clause}.", aside=aside)
-    return kept.label(file), kept.make(who.car, who.profile, who.period, who.preview)
+    for clause in kept.mismatches(settings.car.name, settings.profile.name, settings.period):
+        show.say(f"Warning, {file}: {clause}.", aside=True)
+    return kept.label(file), kept.make(settings.car, settings.profile, settings.period, settings.preview)
 
 
-def _certify_elsewhere(file: Path, controller: Controller, who: Asked, body: Any, said: tuple[bool, bool]) -> None:
-    """The certificate of an MPC's constant that was found for another car; said: allowed, aside, see `new_car`."""
+def _certify_elsewhere(
+    file: Path, controller: Controller, settings: ControllerSettings, body: Any, allowed: bool
+) -> None:
+    """The certificate of an MPC's constant that was found for another car, see `new_car`."""
     from adaptrack.cli.new_car import judge
     from adaptrack.control.controllers import MPC
     from adaptrack.tuning.constant_file import load_tuning
 
-    made_for = load_tuning(file).vehicle
-    if made_for != who.car.name and isinstance(controller, MPC):
-        clause = f"{file}, found for the car {made_for!r}, on {who.car.name!r}"
-        judge(clause, controller.tuning, (controller, body, who.car, who.profile), *said)
+    made_for, car = load_tuning(file).vehicle, settings.car
+    if made_for != car.name and isinstance(controller, MPC):
+        clause = f"{file}, found for the car {made_for!r}, on {car.name!r}"
+        judge(clause, controller.tuning, (controller, body, car, settings.profile), allowed)
 
 
 def _keep(run: Trajectory, file: Path) -> None:

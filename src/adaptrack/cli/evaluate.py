@@ -33,12 +33,12 @@ def evaluate(
     ] = None,
     schedulers: Annotated[
         list[str] | None,
-        Option(help="Names (see `schedulers`), files or folders of them, beside those that ship with the package."),
+        Option(metavar="NAME", help="Names (see `schedulers`), files or folders, beside those that ship."),
     ] = None,
     contender: Annotated[
         list[str] | None,
         Option(
-            "--contender",
+            "--contender", metavar="NAME",
             help="Name of a registered contender, driven beside the schedulers; on roads instead of the usual ones "
             "(informed, published, lqr, pure-pursuit, stanley).",
         ),
@@ -46,17 +46,18 @@ def evaluate(
     operating_points: Annotated[
         str | None,
         Option(
-            "--operating-points", "--conditions", metavar="sobol:N",
+            "--operating-points", "--conditions", hidden=True, metavar="sobol:N",
             help=f"So many unseen operating points, {OPERATING_POINTS.range} (also: --conditions).",
         ),
     ] = None,
     drives: Annotated[
         int | None, Option(callback=options.at_most(DRIVES), help=f"So many random drives of 60 s, {DRIVES.range}.")
     ] = None,
-    tests: Annotated[bool, Option("--tests", help="The paper's two tests.")] = False,
+    tests: Annotated[bool, Option("--tests", hidden=True, help="The paper's two tests.")] = False,
     config: Annotated[
         str | None,
         Option(
+            hidden=True,
             help="Whose vehicle, controller, profile and domain: name (road, informed-road, ...) or .toml file; by "
             "default what ships for controller and profile."
         ),
@@ -64,13 +65,13 @@ def evaluate(
     controller: options.Tuned = None,
     profile: options.OtherProfile = None,
     plant: Annotated[
-        str | None, Option("--plant", help="A registered plant to drive instead of the configuration's.")
+        str | None, Option("--plant", hidden=True, help="A registered plant to drive instead of the configuration's.")
     ] = None,
     plugin: options.Plugin = None,
     known_as: Annotated[
         list[str] | None,
         Option(
-            "--known-as", "--told",
+            "--known-as", "--told", hidden=True,
             help="How friction and wind are known: exact, noisy, lagged, estimated, withheld, ... (also: --told).",
         ),
     ] = None,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -26,23 +27,27 @@ COLUMNS = (
 )
 
 
-def identify(
-    log: Annotated[Path, typer.Argument(metavar="LOG", help=".csv or .parquet, also one of `simulate --out`.")],
+@dataclass(frozen=True, kw_only=True)
+class IdentifyOptions:
+    """Options of `adaptrack identify`."""
+
+    log: Annotated[Path, typer.Argument(metavar="LOG", help=".csv or .parquet, also one of `simulate --out`.")]
     car: Annotated[
-        str | None, Option("--car", help="What is believed of it: a name (see `vehicles`) or .toml file.")
-    ] = None,
-    mass: Annotated[float | None, Option("--mass", help="kg, where there is no --car.")] = None,
-    wheelbase: Annotated[float | None, Option("--wheelbase", help="m, where there is no --car.")] = None,
+        str | None,
+        Option("--car", metavar="CAR", help="What is believed of it: name (see `vehicles`) or .toml file."),
+    ] = None
+    mass: Annotated[float | None, Option("--mass", metavar="KG", help="Where there is no --car.")] = None
+    wheelbase: Annotated[float | None, Option("--wheelbase", metavar="M", help="Where there is no --car.")] = None
     columns: Annotated[
         list[str] | None, Option("--columns", metavar="SIGNAL=NAME,...", help="Which column is what: yaw_rate=GyroZ.")
-    ] = None,
+    ] = None
     units: Annotated[
         list[str] | None,
         Option("--units", metavar="UNITS", help="deg for all angles and rates, or speed=km/h,time=ms,command=deg."),
-    ] = None,
+    ] = None
     flip: Annotated[
         list[str] | None, Option("--flip", metavar="SIGNAL", help="Is positive to the right in the log.")
-    ] = None,
+    ] = None
     steering_ratio: Annotated[
         str | None,
         Option(
@@ -50,29 +55,51 @@ def identify(
             metavar="RATIO",
             help="Logged steering angles over those of the road wheels, or fit: to be found.",
         ),
-    ] = None,
+    ] = None
     computation: Annotated[
-        float | None, Option("--computation", help="s of the dead time that are the controller's, not the car's.")
-    ] = None,
-    out: Annotated[Path | None, Option("--out", help="The car file to write (.toml); its tyre goes beside it.")] = None,
-    page: Annotated[Path | None, Option("--page", help="Page to write (.html).")] = None,
-    as_json: options.Json = False,
-) -> None:
-    """Identify a car from a log: steering delay, tyre stiffness, offsets, noise, each with its interval.
+        float | None,
+        Option(
+            "--computation", metavar="S", hidden=True, help="Of the dead time, what is the controller's, not the car's."
+        ),
+    ] = None
+    out: Annotated[
+        Path | None, Option("--out", metavar="FILE", help="The car file to write (.toml); its tyre goes beside it.")
+    ] = None
+    page: Annotated[Path | None, Option("--page", metavar="FILE", help="Page to write (.html).")] = None
+    as_json: options.Json = False
 
-    The log needs time, speed, yaw rate and a steering command (or a measured wheel angle), 10 Hz and up.
+    @property
+    def reading(self) -> Reading:
+        """What the log's columns are."""
+        from adaptrack.identification import Reading
+
+        columns = dict(_pair("--columns", each) for each in _parts(self.columns))
+        units = dict(("", each) if "=" not in each else _pair("--units", each) for each in _parts(self.units))
+        return Reading(columns, units, tuple(_parts(self.flip)), _ratio(self.steering_ratio))
+
+
+@options.grouped
+def identify(given: IdentifyOptions) -> None:
+    """Identify a car from a log: steering, tyres, offsets, noise.
+
+    The log needs time, speed, yaw rate and a steering command (or a measured wheel angle), 10 Hz and up. Each number
+    comes with its interval.
     """
     from adaptrack.identification import identify as fit
 
+    out, page, as_json = given.out, given.page, given.as_json
     if out is not None and out.suffix != ".toml":
         raise InvalidInput(f"--out {out}: a car file ends in .toml.")
     if page is not None and page.suffix != ".html":
         raise InvalidInput(f"--page {page}: a page ends in .html.")
-    reading = _reading(columns, units, flip, steering_ratio)
+    reading = given.reading
     options.make_place(out)
     options.make_place(page)
     with show.progress("identify"):
-        found = fit(log, car, mass=mass, wheelbase=wheelbase, reading=reading, computation=computation)
+        found = fit(
+            given.log, given.car, mass=given.mass, wheelbase=given.wheelbase, reading=reading,
+            computation=given.computation,
+        )  # fmt: skip
     if as_json:
         show.say_json(_strict(found.to_dict()))
     else:
@@ -84,16 +111,6 @@ def identify(
         from adaptrack.results.identify import write_identification_page
 
         show.say(f"Page: {write_identification_page(found, page, options.command_line())}", aside=as_json)
-
-
-def _reading(
-    columns: Sequence[str] | None, units: Sequence[str] | None, flip: Sequence[str] | None, ratio: str | None
-) -> Reading:
-    from adaptrack.identification import Reading
-
-    told = dict(_pair("--columns", each) for each in _parts(columns))
-    known = dict(("", each) if "=" not in each else _pair("--units", each) for each in _parts(units))
-    return Reading(told, known, tuple(_parts(flip)), _ratio(ratio))
 
 
 def _ratio(text: str | None) -> float | Literal["fit"] | None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -95,62 +96,82 @@ KNOWN = {
 OPEN_LOOP = (Name.steady_circle, Name.step_steer, Name.frequency_response, Name.sine_with_dwell)
 
 
-def manoeuvre(
-    name: Annotated[Name, typer.Argument(help="Which one.")],
+@dataclass(frozen=True, kw_only=True)
+class ManoeuvreOptions:
+    """Options of `adaptrack manoeuvre`."""
+
+    name: Annotated[Name, typer.Argument(metavar="NAME", show_choices=False, help="Which one, see above.")]
     vehicle: Annotated[
         list[str] | None,
-        Option("--vehicle", help="Name (see `vehicles`) or .toml file, by default paper; several with a controller."),
-    ] = None,
+        Option(
+            "--vehicle",
+            metavar="CAR",
+            help="Name (see `vehicles`) or .toml file, by default paper; several with a controller.",
+        ),
+    ] = None
     controller: Annotated[
         list[str] | None,
-        Option(metavar="NAME", help="Closed loop: informed, lqr, pure-pursuit, stanley [default: all four], ..."),
-    ] = None,
+        Option(
+            "--controller",
+            metavar="NAME",
+            help="Closed loop: informed, lqr, pure-pursuit, stanley [default: all four], ...",
+        ),
+    ] = None
     profile: Annotated[
         str | None, Option("--profile", metavar="NAME", help="Closed loop: by default road; or a .toml file.")
-    ] = None,
+    ] = None
     tune: Annotated[
         bool | None,
         Option("--tune/--no-tune", help="Lane changes: also with a tuning searched on the track [default]."),
-    ] = None,
-    plant: options.Plant = "dual-track",
-    tyre: options.Tyre = None,
+    ] = None
     speed: Annotated[
-        float | None, Option("--speed", help="m/s; open loop by default 80 km/h; not of the lane changes.")
-    ] = None,
+        float | None, Option("--speed", metavar="V", help="m/s; open loop by default 80 km/h; not of the lane changes.")
+    ] = None
     radius: Annotated[
-        float | None, Option("--radius", help="m; steady-circle, by default 100; curvature-step, 50.")
-    ] = None,
+        float | None, Option("--radius", metavar="M", help="steady-circle, by default 100; curvature-step, 50.")
+    ] = None
     lateral_acceleration: Annotated[
         float | None,
         Option("--lateral-acceleration", metavar="A", help="step-steer, frequency-response: m/s², by default 4."),
-    ] = None,
-    friction: Annotated[float | None, Option("--friction", help="Of all wheels, by default 0.9.")] = None,
-    out: Annotated[Path | None, Option("--out", help="Lane changes: folder for a picture of each car.")] = None,
-    plugin: options.Plugin = None,
-    as_json: options.Json = False,
-) -> None:
-    """Drive a test of a standard or one of ours; exit code 1 when its criteria are not met.
+    ] = None
+    friction: Annotated[float | None, Option("--friction", metavar="MU", help="Of all wheels, by default 0.9.")] = None
+    plant: options.Plant = "dual-track"
+    tyre: options.Tyre = None
+    plugin: options.Plugin = None
+    out: Annotated[
+        Path | None, Option("--out", metavar="FOLDER", help="Lane changes: folder for a picture of each car.")
+    ] = None
+    as_json: options.Json = False
+
+    @property
+    def particular(self) -> dict[str, Any]:
+        """The options that only some manoeuvres take, of those that are given."""
+        known = {option for each in KNOWN.values() for option in each}
+        values = {option: getattr(self, option.replace("-", "_")) for option in sorted(known)}
+        return {option: value for option, value in values.items() if value is not None}
+
+
+@options.grouped
+def manoeuvre(given: ManoeuvreOptions) -> None:
+    """Drive a test of a standard, open loop or with a controller.
 
     Open loop: steady-circle, step-steer, frequency-response, sine-with-dwell; the plants have no stability control,
     without which cars may fail the last. With controllers: double-lane-change and obstacle-avoidance (highest clean
-    entry speed; no criterion), curvature-step, lane-drift, lane-recovery.
+    entry speed; no criterion), curvature-step, lane-drift, lane-recovery. Exit code 1 when criteria are not met.
     """
-    options.load_plugins(plugin)
-    asked = {
-        "speed": speed, "radius": radius, "lateral-acceleration": lateral_acceleration, "controller": controller,
-        "profile": profile, "tune": tune, "out": out,
-    }  # fmt: skip
-    given = {key: value for key, value in asked.items() if value is not None}
-    for option in sorted(set(given) - KNOWN[name]):
+    options.load_plugins(given.plugin)
+    name, particular = given.name, given.particular
+    for option in sorted(set(particular) - KNOWN[name]):
         raise InvalidInput(f"--{option} has no meaning for {name}: leave it out.")
-    cars = [options.car_and_plant(each, plant, tyre) for each in dict.fromkeys(vehicle or ["paper"])]
-    numbers = {key.replace("-", "_"): value for key, value in given.items() if isinstance(value, float)}
+    names = dict.fromkeys(given.vehicle or ["paper"])
+    cars = [options.car_and_plant(each, given.plant, given.tyre) for each in names]
     if name in OPEN_LOOP:
         if len(cars) > 1:
             raise InvalidInput(f"--vehicle: {name} drives one car; name it once.")
-        passed = _open_loop(name, *cars[0], numbers, friction, as_json)
+        numbers = {key.replace("-", "_"): value for key, value in particular.items()}
+        passed = _open_loop(name, *cars[0], numbers, given.friction, given.as_json)
     else:
-        passed = _closed_loop(name, cars, given, friction, as_json)
+        passed = _closed_loop(name, cars, particular, given.friction, given.as_json)
     if not passed:
         raise typer.Exit(NOT_PASSED)
 

@@ -18,11 +18,11 @@ LEVELS = (9, 3)
 """Of speed and friction."""
 
 
-def certify_meeting(label: str, mpc: MPC, body: Any, car: Vehicle, world: Profile, allowed: bool, aside: bool) -> None:
+def certify_meeting(label: str, mpc: MPC, body: Any, car: Vehicle, world: Profile, allowed: bool) -> None:
     """Look at the loops of a scheduled MPC whose schedule names another car than its own or the driven one.
 
-    label: how messages call the schedule; allowed: whether unstable loops are driven all the same; aside: say it on
-    standard error. Nothing happens where the schedule names no car, or this one.
+    label: how messages call the schedule; allowed: whether unstable loops are driven all the same. Nothing happens
+    where the schedule names no car, or this one.
 
     Raises
     ------
@@ -39,12 +39,10 @@ def certify_meeting(label: str, mpc: MPC, body: Any, car: Vehicle, world: Profil
     here = [each for each in dict.fromkeys((car_of(mpc.model), car_of(body))) if each not in (None, made_for)]
     if made_for is not None and here:
         clause = f"scheduler {label!r}, made for the car {made_for!r}, on {' and '.join(map(repr, here))}"
-        judge(clause, schedule, (mpc, body, car, world), allowed, aside)
+        judge(clause, schedule, (mpc, body, car, world), allowed)
 
 
-def judge(
-    clause: str, asked: Schedule | Tuning, loop: tuple[MPC, Any, Vehicle, Profile], allowed: bool, aside: bool
-) -> None:
+def judge(clause: str, tuning: Schedule | Tuning, loop: tuple[MPC, Any, Vehicle, Profile], allowed: bool) -> None:
     """Certify a schedule or a tuning over a car's domain and say the verdict; clause: what meets what.
 
     Raises
@@ -52,20 +50,20 @@ def judge(
     InvalidInput
         As `certify_meeting`.
     """
-    found = _certificate(asked, *loop)
+    found = _certificate(tuning, *loop)
     clause = f"{clause}: certificate over the domain of {loop[2].name!r}: {found.verdict}"
     if not found.passed and not allowed:
         raise InvalidInput(f"{clause} Refused: --allow-failed drives it all the same.")
-    show.say(f"Warning, {clause}", aside=aside)
+    show.say(f"Warning, {clause}", aside=True)
 
 
-def _certificate(asked: Schedule | Tuning, mpc: MPC, body: Any, car: Vehicle, world: Profile) -> Certificate:
+def _certificate(tuning: Schedule | Tuning, mpc: MPC, body: Any, car: Vehicle, world: Profile) -> Certificate:
     from adaptrack.analysis.certify import certify
     from adaptrack.analysis.stability import linear_twin
 
     domain = {"speed": car.domain.speed, "friction": car.domain.friction}
     with show.progress("certify for this car") as advance:
         return certify(
-            asked, linear_twin(body, car, car.domain), mpc, world.prompt, domain=domain, levels=LEVELS,
+            tuning, linear_twin(body, car, car.domain), mpc, world.prompt, domain=domain, levels=LEVELS,
             progress=advance,
         )  # fmt: skip

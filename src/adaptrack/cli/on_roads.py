@@ -53,11 +53,15 @@ class CarOptions:
     """Which car is driven along roads."""
 
     vehicle: Annotated[
-        str | None, Option("--vehicle", help="On roads: name (see `vehicles`) or .toml file, by default paper.")
+        str | None,
+        Option("--vehicle", metavar="CAR", help="On roads: name or .toml file, by default paper."),
     ] = None
-    tyre: Annotated[str | None, Option("--tyre", help="On roads: name or .toml file; by default the vehicle's.")] = None
+    tyre: Annotated[
+        str | None, Option("--tyre", hidden=True, help="On roads: name or .toml file; by default the vehicle's.")
+    ] = None
     noise_seeds: Annotated[
-        int | None, Option("--noise-seeds", min=1, max=1000, help="On roads: runs of each road, with other noise.")
+        int | None,
+        Option("--noise-seeds", hidden=True, min=1, max=1000, help="On roads: runs of each road, with other noise."),
     ] = None
 
 
@@ -138,7 +142,7 @@ class SearchOptions:
         int | None,
         Option("--runs", min=1, help="On roads: closed-loop runs that the search may spend; by default 300 tunings."),
     ] = None
-    seed: Annotated[int, Option("--seed", min=0, help="On roads: of the search.")] = 0
+    seed: Annotated[int, Option("--seed", hidden=True, min=0, help="On roads: of the search.")] = 0
 
 
 def tune(setting: Setting, name: str, search: SearchOptions, noise_seeds: int, out: Path, as_json: bool) -> None:

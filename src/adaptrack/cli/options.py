@@ -10,7 +10,7 @@ import sys
 from collections.abc import Callable, Sequence
 from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, get_type_hints
+from typing import TYPE_CHECKING, Annotated, Any, get_args, get_type_hints
 
 import typer
 from typer import Option
@@ -67,24 +67,22 @@ def at_most(limit: Limit, least: int = 1) -> Callable[[typer.CallbackParam, int 
     return check
 
 
-def count_of(what: str, limit: Limit) -> typer.models.OptionInfo:
-    """An option that counts something, from 1 to its bound."""
-    return Option(callback=at_most(limit), help=f"{what}, {limit.range}.")
-
-
-Vehicle = Annotated[str, Option("--vehicle", help="Name (see `vehicles`) or .toml file.")]
-Plant = Annotated[str, Option("--plant", help="What is driven: single-track, dual-track, or a registered plant.")]
+Vehicle = Annotated[str, Option("--vehicle", metavar="CAR", help="Name (see `vehicles`) or .toml file.")]
+Plant = Annotated[
+    str,
+    Option(
+        "--plant", metavar="NAME", hidden=True, help="What is driven: single-track, dual-track, or a registered plant."
+    ),
+]
 Plugin = Annotated[
     list[str] | None,
-    Option("--plugin", metavar="MODULE", help="Python module to import first: what it registers has a name."),
+    Option(
+        "--plugin", metavar="MODULE", hidden=True, help="Python module to import first: what it registers has a name."
+    ),
 ]
-Tyre = Annotated[str | None, Option("--tyre", help="Name (see `vehicles`) or .toml file; by default the vehicle's.")]
-Learn = Annotated[
-    bool, Option("--learn", help="Let the informed controller learn delay, stiffness and bias while it drives.")
-]
-LearnedFile = Annotated[
-    Path | None,
-    Option("--learned", metavar="FILE", help="Learn, beginning with what this TOML file holds, and write it again."),
+Tyre = Annotated[
+    str | None,
+    Option("--tyre", metavar="TYRE", hidden=True, help="Name or .toml file; by default the vehicle's."),
 ]
 Profile = Annotated[
     str, Option("--profile", metavar="NAME", help="paper: ideal; road: steering lag, noise, delay; or a .toml file.")
@@ -93,57 +91,156 @@ Tuned = Annotated[
     TunedName | None,
     Option(
         "--controller",
+        metavar="NAME",
+        hidden=True,
         help="Whose tuning is sought: informed, the MPC that knows its car; as-written, the paper's. By default the "
         "configuration's.",
     ),
 ]
 OtherProfile = Annotated[
-    str | None, Option("--profile", metavar="NAME", help="Instead of the configuration's: paper, road, production, ...")
+    str | None, Option("--profile", metavar="NAME", help="Instead of the configuration's: road, ...")
 ]
-Png = Annotated[bool, Option("--png", help="With --out: the pictures as PNG files for print, too.")]
+Png = Annotated[bool, Option("--png", hidden=True, help="With --out: the pictures as PNG files for print, too.")]
 Json = Annotated[bool, Option("--json", help="One JSON object on standard output, nothing else.")]
-Data = Annotated[str, Option("--data", help="Name (see `dataset list`), file, or folder of a campaign.")]
+Data = Annotated[
+    str, Option("--data", metavar="NAME", help="Name (see `dataset list`), file, or folder of a campaign.")
+]
 DataSetName = Annotated[
     str, typer.Argument(metavar="NAME", help="Name (see `dataset list`), file, or folder of a campaign.")
 ]
-Page = Annotated[Path | None, Option("--out", help="Folder for the page and its pictures.")]
+Page = Annotated[Path | None, Option("--out", metavar="FOLDER", help="Folder for the page and its pictures.")]
 LearningSeed = Annotated[int, Option("--seed", min=0, help="Of the hold-out and of the first weights.")]
 Workers = Annotated[
     int | None,
-    Option("--workers", callback=at_most(WORKERS), help="Threads of the campaign, by default one per core."),
+    Option(
+        "--workers",
+        metavar="N",
+        hidden=True,
+        callback=at_most(WORKERS),
+        help="Threads of the campaign, by default one per core.",
+    ),
 ]
-Threads = Annotated[int | None, Option("--threads", callback=at_most(WORKERS), help="By default one per core.")]
+
+
+@dataclasses.dataclass(frozen=True)
+class CarAndPlant:
+    """The car that the controller knows, and what is driven."""
+
+    vehicle: Vehicle = "paper"
+    plant: Plant = "dual-track"
+    tyre: Tyre = None
+    plugin: Plugin = None
+
+    def load(self) -> tuple[Car, PlantOf | SteppedPlant]:
+        """Both, after the plugins."""
+        load_plugins(self.plugin)
+        return car_and_plant(self.vehicle, self.plant, self.tyre)
+
+
+@dataclasses.dataclass(frozen=True)
+class DriveSettings:
+    """How a closed loop is driven, and what is kept of it."""
+
+    driver: Annotated[
+        bool, Option("--driver/--perfect-speed", hidden=True, help="Powertrain and driver, or exact speed.")
+    ] = False
+    period: Annotated[
+        float | None, Option("--period", metavar="S", hidden=True, help="Control period; by default the profile's.")
+    ] = None
+    learn: Annotated[
+        bool, Option("--learn", help="Let the informed controller learn delay, stiffness and bias while it drives.")
+    ] = False
+    learned: Annotated[
+        Path | None,
+        Option("--learned", metavar="FILE", help="Learn, starting from this TOML file, and write it again."),
+    ] = None
+    seed: Annotated[int, Option("--seed", hidden=True, help="Of the sensor noise.")] = 0
+    out: Annotated[Path | None, Option("--out", metavar="FOLDER", help="Folder for the page and the trajectories.")] = (
+        None
+    )
+    png: Png = False
+    allow_failed: Annotated[
+        bool,
+        Option(
+            "--allow-failed",
+            hidden=True,
+            help="Exit code 0, not 3, after a failed run; drives what is unstable on this car.",
+        ),
+    ] = False
+    as_json: Json = False
+
+    def make_places(self) -> None:
+        """Make the folders of what is kept; `StorageError` where nothing can be written."""
+        make_page_folder(self.out, self.png)
+        make_place(self.learned)
 
 
 def grouped(command: Callable[..., None]) -> Callable[..., None]:
-    """A command whose parameters that are dataclasses of options take each of their fields as an option of its own.
+    """A command for typer: each parameter that is a record of options becomes the options that are its fields.
 
-    So options that several commands share are listed once.
+    Records may hold records. An option that is declared hidden is one that few need: `--help` leaves it out, and
+    `--help-all`, which a command with such options gets, shows it.
     """
     hints = get_type_hints(command, include_extras=True)
-    groups: dict[str, Any] = {}
-    parameters: list[inspect.Parameter] = []
+    declared: list[inspect.Parameter] = []
     for name, parameter in inspect.signature(command).parameters.items():
         if dataclasses.is_dataclass(hints[name]):
-            groups[name] = hints[name]
-            own = get_type_hints(hints[name], include_extras=True)
-            added = [(each.name, own[each.name], each.default) for each in dataclasses.fields(hints[name])]
+            declared += _fields(hints[name])
         else:
-            added = [(name, hints[name], parameter.default)]
-        parameters += [
-            inspect.Parameter(key, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=hint)
-            for key, hint, default in added
-        ]
+            declared.append(_declared(name, hints[name], parameter.default))
+    if any(_is_hidden(each.annotation) for each in declared):
+        declared.append(_declared("help_all", HelpAll, False))
 
     def run(**given: Any) -> None:
-        for name, group in groups.items():
-            given[name] = group(**{each.name: given.pop(each.name) for each in dataclasses.fields(group)})
-        command(**given)
+        given.pop("help_all", None)
+        command(**{name: _taken(hint, name, given) for name, hint in hints.items() if name != "return"})
 
     functools.update_wrapper(run, command)
-    run.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
-    run.__annotations__ = {each.name: each.annotation for each in parameters}
+    run.__signature__ = inspect.Signature(declared)  # type: ignore[attr-defined]
+    run.__annotations__ = {each.name: each.annotation for each in declared}
     return run
+
+
+def _declared(name: str, hint: Any, default: Any) -> inspect.Parameter:
+    if default is dataclasses.MISSING:
+        default = inspect.Parameter.empty
+    return inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=hint)
+
+
+def _fields(record: Any) -> list[inspect.Parameter]:
+    """The options of a record, those of the records in it where these stand."""
+    hints = get_type_hints(record, include_extras=True)
+    found: list[inspect.Parameter] = []
+    for each in dataclasses.fields(record):
+        inner = dataclasses.is_dataclass(hints[each.name])
+        found += _fields(hints[each.name]) if inner else [_declared(each.name, hints[each.name], each.default)]
+    return found
+
+
+def _taken(hint: Any, name: str, given: dict[str, Any]) -> Any:
+    """The value of a parameter, out of those that were parsed: itself, or a record of them."""
+    if not dataclasses.is_dataclass(hint):
+        return given.pop(name)
+    hints = get_type_hints(hint, include_extras=True)
+    return hint(**{each.name: _taken(hints[each.name], each.name, given) for each in dataclasses.fields(hint)})  # type: ignore[operator]
+
+
+def _is_hidden(hint: Any) -> bool:
+    return any(isinstance(each, typer.models.OptionInfo) and each.hidden for each in get_args(hint))
+
+
+def _show_all(context: typer.Context, wanted: bool) -> None:
+    """The help with the options that few need."""
+    if wanted:
+        for each in context.command.params:
+            each.hidden = False  # type: ignore[attr-defined]  # of options; arguments are shown in any case
+        typer.echo(context.get_help())
+        raise typer.Exit
+
+
+HelpAll = Annotated[
+    bool, Option("--help-all", is_eager=True, callback=_show_all, help="Show all options, also those that few need.")
+]
 
 
 def load_plugins(modules: Sequence[str] | None) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from operator import itemgetter
 from pathlib import Path
 from typing import Annotated
@@ -24,14 +25,22 @@ GROUP = itemgetter("configuration", "scenario", "preview")
 """What the rows of one table have in common."""
 
 
-def reproduce(
-    out: Annotated[Path, Option(help="Folder for the page and its pictures.")],
-    quick: Annotated[bool, Option("--quick", help="Learn for fewer epochs, from fewer operating points.")] = False,
-    data: Annotated[str, Option(help="Data set to learn from; its points must fill a grid.")] = "paper-grid",
-    seed: options.LearningSeed = 0,
-    as_json: options.Json = False,
-) -> None:
-    """Run the paper's experiment again: learn, drive both tests with every controller, write the page about it.
+@dataclass(frozen=True, kw_only=True)
+class ReproduceOptions:
+    """Options of `adaptrack reproduce`."""
+
+    out: Annotated[Path, Option("--out", metavar="FOLDER", help="Folder for the page and its pictures.")]
+    quick: Annotated[bool, Option("--quick", help="Learn for fewer epochs, from fewer operating points.")] = False
+    data: Annotated[
+        str, Option("--data", metavar="NAME", help="Data set to learn from; its points must fill a grid.")
+    ] = "paper-grid"
+    seed: options.LearningSeed = 0
+    as_json: options.Json = False
+
+
+@options.grouped
+def reproduce(given: ReproduceOptions) -> None:
+    """Run the paper's experiment again, and write the page about it.
 
     Failed runs are part of the result: they are counted, and the exit code is 0.
     """
@@ -39,15 +48,16 @@ def reproduce(
     from adaptrack.studies.reproduce import reproduce as run_again
     from adaptrack.tuning.dataset import load_dataset
 
-    dataset = load_dataset(data)
+    out = given.out
+    dataset = load_dataset(given.data)
     options.make_folder(out)
     interrupt.kept(f"Finished stages are kept in {out}: run the command again to go on.")
     with show.progress("reproduce") as advance:
-        made = run_again(dataset, quick=quick, seed=seed, folder=out, progress=advance)
+        made = run_again(dataset, quick=given.quick, seed=given.seed, folder=out, progress=advance)
     with show.progress("write the page"):
         page = write_reproduction(out, made, command=options.command_line())
-    show.say(f"Report: {page}", aside=as_json)
-    if as_json:
+    show.say(f"Report: {page}", aside=given.as_json)
+    if given.as_json:
         show.say_json(made.as_json())
         return
     for configuration, scenario, preview in dict.fromkeys(map(GROUP, made.rows)):

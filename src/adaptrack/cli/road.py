@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from adaptrack.cars.vehicle import Vehicle
     from adaptrack.road import Finding, Road, SpeedPlan
 
-app = typer.Typer(help="Roads: points in CSV files, OpenDRIVE, generated ones.", no_args_is_help=True)
+app = typer.Typer(help="Roads: points in CSV files, OpenDRIVE, generated.", no_args_is_help=True, rich_markup_mode=None)
 
 NOT_DRIVABLE = 1
 """The exit code when something of the road cannot be driven."""
@@ -35,9 +35,9 @@ RoadName = Annotated[str, typer.Argument(metavar="ROAD", help=f"Road: {ROADS}")]
 class RoadOptions:
     """Which road a name stands for, and how fast it is driven: options of every command that takes a road."""
 
-    speed: Annotated[float | None, Option("--speed", help="Constant speed (m/s); by default one that is planned.")] = (
-        None
-    )
+    speed: Annotated[
+        float | None, Option("--speed", metavar="V", help="Constant speed (m/s); by default one that is planned.")
+    ] = None
     lateral_acceleration: Annotated[
         float | None, Option("--lateral-acceleration", metavar="A", help="Of the planned speed (m/s²), by default 3.")
     ] = None
@@ -46,21 +46,31 @@ class RoadOptions:
         Option(
             "--max-deviation",
             metavar="M",
-            help=".csv: largest distance from a point (m); if not given, as its noise asks.",
+            hidden=True,
+            help=".csv: largest distance from a point (m); by default what the noise of the points needs.",
         ),
     ] = None
     closed: Annotated[
-        bool | None, Option("--closed/--open", help=".csv: whether it is a lap; by default as found.")
+        bool | None, Option("--closed/--open", hidden=True, help=".csv: whether it is a lap; by default as found.")
     ] = None
-    road_id: Annotated[str | None, Option("--road", metavar="ID", help=".xodr: which road; .xml: lanelets.")] = None
+    road_id: Annotated[
+        str | None, Option("--road", metavar="ID", hidden=True, help=".xodr: which road; .xml: lanelets.")
+    ] = None
     lane: Annotated[
-        int | None, Option("--lane", metavar="N", help=".xodr: middle of this lane to the right (-1, ...).")
+        int | None,
+        Option("--lane", metavar="N", hidden=True, help=".xodr: middle of this lane to the right (-1, ...)."),
     ] = None
     road_seed: Annotated[
         list[int] | None,
-        Option("--road-seed", help="Generated: which road, by default 0; of `tune` and `evaluate` also several times."),
+        Option(
+            "--road-seed",
+            metavar="N",
+            help="Generated: which road, by default 0; `tune` and `evaluate` take several.",
+        ),
     ] = None
-    length: Annotated[float | None, Option("--length", help="Generated: length (m), by default 2000.")] = None
+    length: Annotated[float | None, Option("--length", metavar="M", help="Generated: length (m), by default 2000.")] = (
+        None
+    )
 
     @property
     def named(self) -> list[str]:
@@ -100,19 +110,24 @@ class RoadOptions:
         return Seen(road, plan, check_road(road, car, plan))
 
 
+@dataclass(frozen=True, kw_only=True)
+class CheckOptions:
+    """Options of `adaptrack road check`."""
+
+    road: RoadName
+    vehicle: options.Vehicle = "paper"
+    route: RoadOptions
+    as_json: options.Json = False
+
+
 @app.command()
 @options.grouped
-def check(
-    road: RoadName,
-    asked: RoadOptions,
-    vehicle: options.Vehicle = "paper",
-    as_json: options.Json = False,
-) -> None:
-    """Tell what a road is and what of it a car cannot drive; the exit code is then 1."""
+def check(given: CheckOptions) -> None:
+    """Say whether a car can drive a road; exit code 1 where not."""
     from adaptrack.cars.vehicle import load_vehicle
 
-    seen = asked.look(road, load_vehicle(vehicle))
-    if as_json:
+    seen = given.route.look(given.road, load_vehicle(given.vehicle))
+    if given.as_json:
         show.say_json(_values(seen))
     else:
         _print(seen)
@@ -120,23 +135,28 @@ def check(
         raise typer.Exit(NOT_DRIVABLE)
 
 
+@dataclass(frozen=True, kw_only=True)
+class PlotOptions:
+    """Options of `adaptrack road plot`."""
+
+    road: RoadName
+    vehicle: options.Vehicle = "paper"
+    route: RoadOptions
+    out: Annotated[Path, Option("--out", metavar="FILE", help="The picture.")] = Path("road.png")
+
+
 @app.command()
 @options.grouped
-def plot(
-    road: RoadName,
-    asked: RoadOptions,
-    out: Annotated[Path, Option("--out", help="The picture.")] = Path("road.png"),
-    vehicle: options.Vehicle = "paper",
-) -> None:
-    """Draw a road from above, with curvature and speed along it, as a PNG file."""
+def plot(given: PlotOptions) -> None:
+    """Draw a road from above, curvature and speed along it, as PNG."""
     from adaptrack.base.files import write_atomically
     from adaptrack.cars.vehicle import load_vehicle
     from adaptrack.results.road import road_png
 
-    options.make_place(out)
-    seen = asked.look(road, load_vehicle(vehicle))
-    write_atomically(out, road_png(seen.road, seen.plan, seen.findings))
-    show.say(f"Picture: {out}")
+    options.make_place(given.out)
+    seen = given.route.look(given.road, load_vehicle(given.vehicle))
+    write_atomically(given.out, road_png(seen.road, seen.plan, seen.findings))
+    show.say(f"Picture: {given.out}")
 
 
 @dataclass(frozen=True)
@@ -151,7 +171,7 @@ class Seen:
     def drivable(self) -> bool:
         return all(each.drivable for each in self.findings)
 
-    def warn(self, aside: bool) -> None:
+    def warn(self, aside: bool = True) -> None:
         """Say what of it cannot be driven, and what shaped its speed beside its bends."""
         for finding in self.findings:
             where = f"(s = {finding.start:.0f} to {finding.end:.0f} m)"

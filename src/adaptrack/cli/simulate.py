@@ -47,115 +47,113 @@ COLUMNS = (
 )
 
 
-def simulate(
+@dataclass(frozen=True)
+class PublishedOptions:
+    """The tuning and the moves of the published MPC, and of the informed one where they are given."""
+
+    np_: Annotated[int | None, Option("--np", hidden=True, help="Prediction horizon (periods); standard: 35.")] = None
+    nc: Annotated[int | None, Option("--nc", hidden=True, help="Control horizon (periods); standard: 8.")] = None
+    q: Annotated[
+        float | None, Option("--q", hidden=True, help="Weight of the tracking error (1/m^2); standard: 10.")
+    ] = None
+    r: Annotated[float | None, Option("--r", hidden=True, help="Weight of the moves (1/rad^2); standard: 0.01.")] = None
+    moves: Annotated[
+        options.MovesName, Option("--moves", hidden=True, help="pulse: eq. (10); laguerre: Laguerre functions.")
+    ] = options.MovesName.pulse
+    laguerre_pole: Annotated[
+        float, Option("--laguerre-pole", hidden=True, help="Pole a of the Laguerre functions.")
+    ] = 0.95
+    laguerre_terms: Annotated[int, Option("--laguerre-terms", hidden=True, help="Number of Laguerre functions.")] = 10
+    solver: Annotated[
+        str, Option("--solver", metavar="NAME", hidden=True, help="QP solver: active-set, hildreth, daqp, ...")
+    ] = "active-set"
+    preview: Annotated[
+        bool | None,
+        Option("--preview/--no-preview", hidden=True, help="Know the reference ahead; by default the profile's."),
+    ] = None
+
+    @property
+    def tuning(self) -> dict[str, Any]:
+        """The entries that are given, by name."""
+        entries = {"Np": self.np_, "Nc": self.nc, "Q": self.q, "R": self.r}
+        return {name: value for name, value in entries.items() if value is not None}
+
+
+@dataclass(frozen=True, kw_only=True)
+class SimulateOptions:
+    """Options of `adaptrack simulate`."""
+
     scenarios: Annotated[
         list[str], typer.Argument(metavar="SCENARIO...", help="Names (see `scenarios`) or .toml/.csv files.")
-    ],
+    ]
     controller: Annotated[
         list[str] | None,
         Option(
+            "--controller",
             metavar="NAME",
-            help="informed: the MPC that knows its car [default]; standard: the published one, "
-            "as --scheduler, --np, --nc, --q, --r and --moves say [default when one of these is given, but for a "
-            "scheduler of the informed one]; as-written: "
-            "pulses; as-released: Laguerre functions, pole 0.95; lqr, pure-pursuit, stanley.",
+            help="informed: the MPC that knows its car [default]; standard: the published one, tuned by --np, --nc, "
+            "--q, --r [default with these]; as-written, as-released: its two moves; lqr, pure-pursuit, stanley. May be "
+            "repeated.",
         ),
-    ] = None,
-    vehicle: options.Vehicle = "paper",
-    plant: options.Plant = "dual-track",
-    tyre: options.Tyre = None,
-    profile: options.Profile = "paper",
-    driver: Annotated[bool, Option("--driver/--perfect-speed", help="Powertrain and driver, or exact speed.")] = False,
-    np_: Annotated[int | None, Option("--np", help="Prediction horizon (periods); standard: 35.")] = None,
-    nc: Annotated[int | None, Option("--nc", help="Control horizon (periods); standard: 8.")] = None,
-    q: Annotated[float | None, Option("--q", help="Weight of the tracking error (1/m^2); standard: 10.")] = None,
-    r: Annotated[float | None, Option("--r", help="Weight of the moves (1/rad^2); standard: 0.01.")] = None,
-    moves: Annotated[
-        options.MovesName, Option(help="pulse: eq. (10); laguerre: Laguerre functions.")
-    ] = options.MovesName.pulse,
-    laguerre_pole: Annotated[float, Option(help="Pole a of the Laguerre functions.")] = 0.95,
-    laguerre_terms: Annotated[int, Option(help="Number of Laguerre functions.")] = 10,
-    preview: Annotated[
-        bool | None, Option("--preview/--no-preview", help="Know the reference ahead; by default the profile's.")
-    ] = None,
+    ] = None
     scheduler: Annotated[
-        str | None, Option(help="Name or .json file (see `train`) of a scheduler that retunes the MPC at every step.")
-    ] = None,
-    solver: Annotated[str, Option(help="QP solver: active-set, hildreth, daqp, ...")] = "active-set",
-    period: Annotated[float | None, Option(help="Control period (s); by default the profile's.")] = None,
-    learn: options.Learn = False,
-    learned: options.LearnedFile = None,
-    seed: Annotated[int, Option("--seed", help="Seed of the sensor noise.")] = 0,
+        str | None,
+        Option("--scheduler", metavar="NAME", help="Name or .json file (see `train`): retunes the MPC at every step."),
+    ] = None
+    car: options.CarAndPlant
+    profile: options.Profile = "paper"
     option: Annotated[
         list[str] | None,
         Option("--option", "-o", metavar="KEY=VALUE", help="Option of the scenario, e.g. speed=20."),
-    ] = None,
-    out: Annotated[Path | None, Option(help="Folder for the report and the trajectories.")] = None,
-    png: options.Png = False,
-    allow_failed: Annotated[
-        bool,
-        Option(
-            "--allow-failed",
-            help=f"Exit code 0, not {FAILED}, when a run failed; drives a scheduler that is unstable on this car.",
-        ),
-    ] = False,
-    plugin: options.Plugin = None,
-    as_json: options.Json = False,
-) -> None:
-    """Drive scenarios with a controller; print the metrics, write the report.
+    ] = None
+    published: PublishedOptions
+    drive: options.DriveSettings
+
+
+@options.grouped
+def simulate(given: SimulateOptions) -> None:
+    """Drive scenarios with a controller.
 
     A run that leaves the road, spins or is not finite is printed as FAILED; the exit code is then 3. A scheduler that
     was made for another car is certified on this one first, and refused where that loop is unstable.
     """
     from adaptrack.cli.new_car import certify_meeting
-    from adaptrack.control.controllers import MPC, Moves
-    from adaptrack.control.scheduling import load_scheduler
+    from adaptrack.control.controllers import MPC
     from adaptrack.scenario import load_scenario
     from adaptrack.scenario.profile import load_profile
 
-    options.load_plugins(plugin)
-    car, body = options.car_and_plant(vehicle, plant, tyre)
-    loaded = [load_scenario(name, domain=car.domain, **scenario_options(option or [])) for name in scenarios]
-    world = load_profile(profile)
-    asked = Asked(
-        car=car,
-        profile=world,
-        tuning={key: value for key, value in (("Np", np_), ("Nc", nc), ("Q", q), ("R", r)) if value is not None},
-        moves=Moves(str(moves), laguerre_pole, laguerre_terms),
-        period=world.period if period is None else period,
-        preview=world.preview if preview is None else preview,
-        solver=solver,
-        schedule=None if scheduler is None else load_scheduler(scheduler),
-        label="" if scheduler is None else Path(scheduler).stem if scheduler.endswith(".json") else scheduler,
-        learning=asked_learning(learn, learned),
-    )
-    controllers = [make_controller(name, asked) for name in dict.fromkeys(controller or [asked.usual])]
+    how, as_json = given.drive, given.drive.as_json
+    car, body = given.car.load()
+    chosen = scenario_options(given.option or [])
+    loaded = [load_scenario(name, domain=car.domain, **chosen) for name in given.scenarios]
+    world = load_profile(given.profile)
+    settings = controller_settings(given, car, world)
+    controllers = [make_controller(name, settings) for name in dict.fromkeys(given.controller or [settings.usual])]
     for scenario in loaded:
-        tell_domain(scenario, car, as_json)
-    options.make_page_folder(out, png)
-    options.make_place(learned)
+        tell_domain(scenario, car)
+    how.make_places()
     for label, each in controllers:
         if isinstance(each, MPC):
-            certify_meeting(label, each, body, car, world, allow_failed, as_json)
-    runs = _drive(loaded, controllers, body, world, driver, seed, out)
+            certify_meeting(label, each, body, car, world, how.allow_failed)
+    runs = _drive(loaded, controllers, body, world, how)
     models = {label: each.model for label, each in controllers}
     rows = [measured_row(label, run, models[label]) for label, run in runs]
     if not any(row["failed"] for row in rows):
-        keep_learned(learned, controllers, as_json)
-    if out is not None:
-        show.say(f"Report: {_write_report(out, runs, png)}", aside=as_json)
+        keep_learned(how.learned, controllers, as_json)
+    if how.out is not None:
+        show.say(f"Report: {_write_report(how.out, runs, how.png)}", aside=as_json)
     _print(rows, as_json)
     for label, each in controllers:
         tell_belief(label, each, body, world, as_json)
     if any(row["failed"] for row in rows):
         tell_stiffness(car, body, as_json)
-    if any(row["failed"] for row in rows) and not allow_failed:
+    if any(row["failed"] for row in rows) and not how.allow_failed:
         raise typer.Exit(FAILED)
 
 
 # -- controllers ------------------------------------------------------------------------------------------------------
 @dataclass(frozen=True)
-class Asked:
+class ControllerSettings:
     """What the options say about the controllers."""
 
     car: Vehicle
@@ -188,7 +186,27 @@ class Asked:
         return replace(base, **self.tuning)
 
 
-def make_controller(name: str, asked: Asked) -> tuple[str, Controller]:
+def controller_settings(given: SimulateOptions, car: Vehicle, world: Profile) -> ControllerSettings:
+    """What the options of `simulate` say about the controllers."""
+    from adaptrack.control.controllers import Moves
+    from adaptrack.control.scheduling import load_scheduler
+
+    own, named = given.published, given.scheduler
+    return ControllerSettings(
+        car=car,
+        profile=world,
+        tuning=own.tuning,
+        moves=Moves(str(own.moves), own.laguerre_pole, own.laguerre_terms),
+        period=world.period if given.drive.period is None else given.drive.period,
+        preview=world.preview if own.preview is None else own.preview,
+        solver=own.solver,
+        schedule=None if named is None else load_scheduler(named),
+        label="" if named is None else Path(named).stem if named.endswith(".json") else named,
+        learning=learning_of(given.drive),
+    )
+
+
+def make_controller(name: str, settings: ControllerSettings) -> tuple[str, Controller]:
     """A controller by its name, and how tables call it: an MPC, or one that is registered.
 
     Raises
@@ -208,43 +226,44 @@ def make_controller(name: str, asked: Asked) -> tuple[str, Controller]:
     )
     from adaptrack.control.controllers.made_for import is_for_published
 
-    own = asked.moves or Moves.pulses()
+    own = settings.moves or Moves.pulses()
     moves = {STANDARD: own, AS_WRITTEN: Moves.pulses(), AS_RELEASED: Moves.laguerre(0.95, own.terms)}
     others = [each for each in list_controllers() if each not in moves]
     if name in others:
-        if asked.schedule is not None and (name != INFORMED or is_for_published(asked.schedule.made_for)):
+        if settings.schedule is not None and (name != INFORMED or is_for_published(settings.schedule.made_for)):
             raise InvalidInput(
-                f"--scheduler {asked.label}: tunes the {'published ' if name == INFORMED else ''}MPC; controller "
+                f"--scheduler {settings.label}: tunes the {'published ' if name == INFORMED else ''}MPC; controller "
                 f"{name!r} takes none{', --controller standard does' if name == INFORMED else ''}."
             )
-        offered, options = {"period": asked.period, "preview": asked.preview}, dict[str, Any]()
+        offered, options = {"period": settings.period, "preview": settings.preview}, dict[str, Any]()
         if name == INFORMED:
-            options |= {"moves": own, "solver": asked.solver}
-            if asked.learning is not None:
-                options["learning"] = asked.learning
-            if asked.schedule is not None:
-                options |= {"scheduler": asked.schedule, "most_moves": max(20, asked.schedule.largest[1])}
-            if asked.tuning:
-                options["tuning"] = asked.tuned(informed_tuning(asked.profile, asked.period))
-        label = asked.label if asked.schedule is not None else name
-        return label, get_controller(name, asked.car, profile=asked.profile, offered=offered, **options)
+            options |= {"moves": own, "solver": settings.solver}
+            if settings.learning is not None:
+                options["learning"] = settings.learning
+            if settings.schedule is not None:
+                options |= {"scheduler": settings.schedule, "most_moves": max(20, settings.schedule.largest[1])}
+            if settings.tuning:
+                options["tuning"] = settings.tuned(informed_tuning(settings.profile, settings.period))
+        label = settings.label if settings.schedule is not None else name
+        return label, get_controller(name, settings.car, profile=settings.profile, offered=offered, **options)
     if name not in moves:
         raise UnknownName(f"no controller is named {name!r}. {did_you_mean(name, [*moves, *others])}")
-    tuning = asked.tuned(Tuning())
+    tuning = settings.tuned(Tuning())
     mpc = published_mpc(
-        asked.car, tuning, period=asked.period, moves=moves[name], preview=asked.preview, solver=asked.solver,
-        scheduler=asked.schedule, most_moves=_most_moves(tuning, asked),
+        settings.car, tuning, period=settings.period, moves=moves[name], preview=settings.preview,
+        solver=settings.solver, scheduler=settings.schedule, most_moves=_most_moves(tuning, settings),
     )  # fmt: skip
-    if not asked.label:
+    if not settings.label:
         return name, mpc
-    return asked.label if name == STANDARD else f"{asked.label}-{name}", mpc
+    return settings.label if name == STANDARD else f"{settings.label}-{name}", mpc
 
 
-def asked_learning(learn: bool, file: Path | None) -> Learning | None:
-    """How the informed controller learns, from the options; None: it does not."""
+def learning_of(how: options.DriveSettings) -> Learning | None:
+    """How the informed controller learns; None: it does not."""
     from adaptrack.control.controllers import Learning, load_learned_car
 
-    if not (learn or file is not None):
+    file = how.learned
+    if not (how.learn or file is not None):
         return None
     return Learning(start=load_learned_car(file) if file is not None and file.exists() else None)
 
@@ -259,8 +278,8 @@ def keep_learned(file: Path | None, controllers: Sequence[tuple[str, Controller]
             show.say(f"Learned: {file}", aside=aside)
 
 
-def _most_moves(tuning: Tuning, asked: Asked) -> int:
-    return max(20, tuning.Nc, 0 if asked.schedule is None else asked.schedule.largest[1])
+def _most_moves(tuning: Tuning, settings: ControllerSettings) -> int:
+    return max(20, tuning.Nc, 0 if settings.schedule is None else settings.schedule.largest[1])
 
 
 # -- runs -------------------------------------------------------------------------------------------------------------
@@ -281,8 +300,8 @@ def scenario_options(given: Sequence[str]) -> dict[str, Any]:
 
 
 def _drive(
-    scenarios: Sequence[Any], controllers: Sequence[tuple[str, Any]], body: Any, world: Profile, driver: bool,
-    seed: int, out: Path | None,
+    scenarios: Sequence[Any], controllers: Sequence[tuple[str, Any]], body: Any, world: Profile,
+    how: options.DriveSettings,
 ) -> list[tuple[str, Trajectory]]:  # fmt: skip
     """Every scenario with every controller; each trajectory is saved as soon as it is driven."""
     from adaptrack.base.files import safe_names
@@ -291,13 +310,14 @@ def _drive(
 
     pairs = [(scenario, *named) for scenario in scenarios for named in controllers]
     files = safe_names(f"{scenario.name}-{label}" for scenario, label, _ in pairs)
+    out = how.out
     where = f"their trajectories are in {out}, without a report" if out else "nothing was written"
     runs: list[tuple[str, Trajectory]] = []
     with show.progress("simulate", len(pairs)) as advance:
         for file, (scenario, label, controller) in zip(files, pairs, strict=True):
             step = partial(advance, f"{scenario.name}, {label}")
-            pace = Driver() if driver else None
-            run = drive(body, controller, scenario, profile=world, driver=pace, seed=seed, progress=step)
+            driver = Driver() if how.driver else None
+            run = drive(body, controller, scenario, profile=world, driver=driver, seed=how.seed, progress=step)
             if out is not None:
                 run.save(out / f"{file}.parquet")
             runs.append((label, run))
@@ -385,14 +405,14 @@ def tell_belief(label: str, controller: Controller, body: Any, world: Profile, a
         )
 
 
-def tell_domain(scenario: Scenario, car: Vehicle, aside: bool) -> None:
+def tell_domain(scenario: Scenario, car: Vehicle) -> None:
     """Say when a scenario is much faster than what a car is driven at."""
     fastest, usual = float(scenario.sample(0.1).speed.max()), car.domain.speed[1]
     if fastest > BEYOND * usual:
         show.say(
             f"Warning, {scenario.name}: reaches {fastest:.3g} m/s; the domain of car {car.name!r} ends at {usual:g} "
             "m/s (--option speed=...).",
-            aside=aside,
+            aside=True,
         )
 
 

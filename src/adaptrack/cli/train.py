@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated
 
@@ -24,35 +24,43 @@ COLUMNS = (
 )
 
 
-def train(
-    data: options.Data,
-    model: Annotated[options.ModelName, Option(help="nn: 4-16-8-1 networks; anfis: fuzzy systems.")],
-    out: Annotated[Path, Option(help="File of the scheduler, *.json.")],
+@dataclass(frozen=True, kw_only=True)
+class TrainOptions:
+    """Options of `adaptrack train`."""
+
+    data: options.Data
+    model: Annotated[options.ModelName, Option("--model", help="nn: 4-16-8-1 networks; anfis: fuzzy systems.")]
+    out: Annotated[Path, Option("--out", metavar="FILE", help="File of the scheduler, *.json.")]
     targets: Annotated[
-        options.TargetsName, Option(help="paper: Np, Nc, Q and R; ratio: log10 R/Q in place of the two weights.")
-    ] = options.TargetsName.paper,
-    seed: options.LearningSeed = 0,
-    as_json: options.Json = False,
-) -> None:
-    """Learn a scheduler from the tuned operating points of a data set; print how well, on points held out."""
+        options.TargetsName,
+        Option("--targets", help="paper: Np, Nc, Q and R; ratio: log10 R/Q in place of the two weights."),
+    ] = options.TargetsName.paper
+    seed: options.LearningSeed = 0
+    as_json: options.Json = False
+
+
+@options.grouped
+def train(given: TrainOptions) -> None:
+    """Learn a scheduler from a data set, and judge it on points held out."""
     from adaptrack.control.scheduling import check_scheduler
     from adaptrack.learning.adaptation.recipes import purpose_of, trained_schedule
     from adaptrack.learning.training import train as learn
     from adaptrack.tuning.dataset import load_dataset
 
+    out, model, targets = given.out, str(given.model), str(given.targets)
     if out.suffix != ".json":
         raise InvalidInput(f"--out {out}: a scheduler's file is called *.json.")
-    dataset = load_dataset(data)
+    dataset = load_dataset(given.data)
     options.make_place(out)
     with show.progress("train") as advance:
-        trained = learn(dataset, str(model), str(targets), seed=seed, progress=advance)
+        trained = learn(dataset, model, targets, seed=given.seed, progress=advance)
         schedule = replace(trained_schedule(trained, dataset), made_for=purpose_of(dataset))
         check_scheduler(schedule)
     schedule.save(out)
     interrupt.kept(f"The scheduler is in {out}.")
     rows = trained.quality
-    if as_json:
-        about = {"scheduler": str(out), "data": dataset.name, "model": str(model), "targets": str(targets)}
+    if given.as_json:
+        about = {"scheduler": str(out), "data": dataset.name, "model": model, "targets": targets}
         show.say_json({**about, "rows": rows})
         return
     held_out = f"{rows[0]['n_holdout']} of {len(dataset)} operating points held out"

@@ -47,12 +47,14 @@ def tune(
         Option("--profile", metavar="NAME", help="paper, road, production, ...: by default road, or the campaign's."),
     ] = None,
     plant: Annotated[
-        str | None, Option("--plant", help="On roads: single-track, dual-track [default], or a registered plant.")
+        str | None,
+        Option("--plant", hidden=True, help="On roads: single-track, dual-track [default], or a registered plant."),
     ] = None,
     resume: Annotated[bool, Option("--resume", help="Go on with the campaign in that folder.")] = False,
     workers: options.Workers = None,
     dask: Annotated[
-        str | None, Option(metavar="ADDRESS", help="Dask scheduler whose workers do it instead, tcp://HOST:PORT.")
+        str | None,
+        Option(metavar="ADDRESS", hidden=True, help="Dask scheduler whose workers do it instead, tcp://HOST:PORT."),
     ] = None,
     as_json: options.Json = False,
 ) -> None:
