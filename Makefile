@@ -13,7 +13,7 @@ help: ## list the targets
 
 install: $(INSTALLED) $(KERNELS) ## create .venv, install the locked packages and adaptrack into it, and compile the kernels
 
-$(KERNELS): $(INSTALLED) $(shell find src/adaptrack/core -name '*.py')
+$(KERNELS): $(INSTALLED) $(shell find src/adaptrack/core src/adaptrack/peers/kernels -name '*.py')
 	@command -v ld ld.lld > /dev/null || { \
 	  echo 'No linker here: taking that of the package ziglang for this build.'; mkdir -p build; \
 	  sed -n '/^ziglang==/,/[^\\]$$/p' requirements-extras.lock > build/linker.txt; \

@@ -50,7 +50,7 @@ CARRIED = (".toml", ".j2", ".html", ".css", ".js", ".csv")
 """Endings of the files beside Python that people write and the package carries."""
 BESIDE = ("tests", "tools", "benchmarks", "examples", "experiments")
 """Folders of Python beside the package."""
-KERNELS = (f"{PACKAGE}.core.", f"{PACKAGE}.kernels.")
+KERNELS = (f"{PACKAGE}.core.", f"{PACKAGE}.kernels.", f"{PACKAGE}.peers.kernels.")
 CALLING = tuple(f"{PACKAGE}.{name}" for name in ("core.kernel", "core.library", "kernels.abi", "kernels.stored"))
 """What a process imports to call a kernel."""
 COMMAND_LINE = ("cli", "benchmark", "__main__")

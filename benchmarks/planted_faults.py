@@ -333,7 +333,7 @@ def mark_lines(tree: Path, faults: Sequence[Fault]) -> None:
     for fault in faults:
         by_file[fault.file].append(fault)
     for name, here in by_file.items():
-        path, kernel = tree / PACKAGE / name, name.startswith("core/")
+        path, kernel = tree / PACKAGE / name, name.startswith(("core/", "peers/kernels/"))
         source = path.read_text()
         lines = source.splitlines()
         at = {_statement(source, fault.line(tree) or 0): fault for fault in here}
@@ -346,8 +346,7 @@ def mark_lines(tree: Path, faults: Sequence[Fault]) -> None:
                 node.lineno - 1 for node in ast.parse(source).body
                 if isinstance(node, ast.Import | ast.ImportFrom) and getattr(node, "module", "") != "__future__"
             )  # fmt: skip
-            dots = "." * len(Path(name).parts[:-1])
-            lines.insert(first, f"from {dots}planted_marks import mark")
+            lines.insert(first, "from adaptrack.core.planted_marks import mark")
         _write_source(path, lines)
 
 

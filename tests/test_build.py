@@ -69,11 +69,11 @@ def test_who_has_just_read_the_manifest_before_still_finds_its_library(quick):
 
 
 def test_sources_that_are_edited_while_they_are_read_make_no_library(quick, monkeypatch, tmp_path):
-    room = tmp_path / "room"
+    room = tmp_path / "core"
     room.mkdir()
     (room / "kernel.py").write_text("now")
     library.source_hashes()
-    monkeypatch.setattr(library, "ROOM", room)
+    monkeypatch.setattr(library, "PACKAGE", tmp_path)
     with pytest.raises(builder.BuildError, match="edited"):
         builder.build()
     assert list(quick.iterdir()) == []

@@ -9,7 +9,6 @@ import pytest
 
 import adaptrack as at
 from adaptrack.base.errors import ConfigError, ContractError, InvalidInput, MissingExtra, UnknownName
-from adaptrack.core.plants import commonroad as kernel
 from adaptrack.peers.commonroad_plants import (
     CARS,
     MODELS,
@@ -17,6 +16,7 @@ from adaptrack.peers.commonroad_plants import (
     commonroad_plant,
     commonroad_vehicle,
 )
+from adaptrack.peers.kernels import commonroad as kernel
 
 DRIFT, BODY = MODELS
 STILL = [0.0, 0.0, 0.0]  # wind, bank

@@ -20,9 +20,7 @@ from adaptrack.cars.vehicle import Steering, load_vehicle
 from adaptrack.control.controllers import (
     LQR,
     Command,
-    KinematicMPC,
     Limits,
-    PreviewLQR,
     PurePursuit,
     Stanley,
     UserController,
@@ -36,6 +34,8 @@ from adaptrack.control.controllers.lqr import SPEEDS, WEIGHT_FACTORS, error_mode
 from adaptrack.control.tracker import Tracker
 from adaptrack.core.controllers.contract import path_at, wrapped
 from adaptrack.drive.simulate import simulate
+from adaptrack.peers.kinematic_mpc import KinematicMPC
+from adaptrack.peers.preview_lqr import PreviewLQR
 from adaptrack.road import generate_road
 from adaptrack.road.ahead import straight
 from adaptrack.scenario import load_scenario

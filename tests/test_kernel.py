@@ -223,6 +223,24 @@ def test_a_manifest_that_is_none_is_said(built, text):
     assert library.MANIFEST in library.loaded.__wrapped__()
 
 
+@pytest.mark.parametrize(
+    ("file", "stale", "good"),
+    [
+        ("peers/kernels/mppi.py", {"mppi"}, {"kinematic_mpc", "preview_lqr", "lqr"}),
+        ("core/qp/active_set.py", {"kinematic_mpc", "mpc_step"}, {"mppi", "preview_lqr", "lqr"}),
+        ("core/public.py", {"mppi", "kinematic_mpc", "preview_lqr"}, {"lqr", "mpc_step"}),
+    ],
+)
+def test_an_edited_source_withdraws_the_kernels_that_depend_on_it_and_no_others(monkeypatch, file, stale, good):
+    if not isinstance(library.loaded(), library.Library) or library.loaded().edited:
+        pytest.skip("needs the library of these sources")
+    edited = library.source_hashes() | {file: "of another text"}
+    monkeypatch.setattr(library, "source_hashes", lambda: edited)
+    found = library.Library()
+    assert all(file in found.why_not(name) for name in stale)
+    assert not any(found.why_not(name) for name in good)
+
+
 def test_without_numba_a_missing_library_is_refused_with_the_command(monkeypatch):
     monkeypatch.setattr(library, "loaded", lambda: "the kernels have not been compiled")
     monkeypatch.setattr(library, "can_compile", lambda: False)

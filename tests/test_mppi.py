@@ -12,9 +12,9 @@ from adaptrack.cars.plant import DualTrack, SingleTrack
 from adaptrack.cars.vehicle import Steering, SteeringActuator, load_tyre, load_vehicle
 from adaptrack.control.controllers import check_controller, get_controller
 from adaptrack.control.controllers.limits import Limits
-from adaptrack.control.controllers.mppi import MPPI
-from adaptrack.core.controllers import mppi as kernel
 from adaptrack.drive.simulate import rollout, simulate
+from adaptrack.peers.kernels import mppi as kernel
+from adaptrack.peers.mppi import MPPI
 from adaptrack.road import Arc, Line, Road
 from adaptrack.scenario import RoadDrive, load_scenario
 from inlined import entry

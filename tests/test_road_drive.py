@@ -10,10 +10,18 @@ import pytest
 from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.plant import DualTrack, SingleTrack
 from adaptrack.cars.vehicle import load_vehicle
-from adaptrack.control.controllers import LQR, MPC, KinematicMPC, PreviewLQR, PurePursuit, Stanley, published_mpc
+from adaptrack.control.controllers import (
+    LQR,
+    MPC,
+    PurePursuit,
+    Stanley,
+    published_mpc,
+)
 from adaptrack.drive.batch import rollout_batch
 from adaptrack.drive.simulate import rollout, simulate
 from adaptrack.drive.trajectory import Trajectory
+from adaptrack.peers.kinematic_mpc import KinematicMPC
+from adaptrack.peers.preview_lqr import PreviewLQR
 from adaptrack.road import Along, Arc, Clothoid, Comfort, Line, Road, Stop, generate_road, plan_speed
 from adaptrack.road.ahead import RoadAhead
 from adaptrack.scenario import RoadDrive, load_scenario

@@ -13,8 +13,6 @@ from adaptrack.control.controllers import (
     LQR,
     MPC,
     Bounds,
-    KinematicMPC,
-    PreviewLQR,
     PurePursuit,
     Stanley,
     Tuning,
@@ -22,6 +20,8 @@ from adaptrack.control.controllers import (
 )
 from adaptrack.control.controllers.lqr import WEIGHT_FACTORS
 from adaptrack.drive.batch import own_tuning
+from adaptrack.peers.kinematic_mpc import KinematicMPC
+from adaptrack.peers.preview_lqr import PreviewLQR
 from adaptrack.scenario.profile import load_profile
 from adaptrack.tuning.constant import swarm_within
 from adaptrack.tuning.pso import Swarm

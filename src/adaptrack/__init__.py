@@ -64,6 +64,10 @@ _PUBLIC = {
         "list_plants",
         "register_plant",
     ),
+    "peers.kinematic_mpc": ("KinematicMPC",),
+    "peers.mppi": ("MPPI",),
+    "peers.nmpc": ("NMPC",),
+    "peers.preview_lqr": ("PreviewLQR",),
     "peers.commonroad_plants": (
         "commonroad_parameters",
         "commonroad_plant",
@@ -123,14 +127,10 @@ _PUBLIC = {
         "Controller",
         "LQR",
         "MPC",
-        "KinematicMPC",
-        "MPPI",
-        "NMPC",
         "LearnedCar",
         "Learning",
         "Limits",
         "Moves",
-        "PreviewLQR",
         "PurePursuit",
         "Stanley",
         "Tuning",
@@ -251,15 +251,11 @@ if TYPE_CHECKING:
     from adaptrack.control.controllers import (
         LQR,
         MPC,
-        MPPI,
-        NMPC,
         Controller,
-        KinematicMPC,
         LearnedCar,
         Learning,
         Limits,
         Moves,
-        PreviewLQR,
         PurePursuit,
         Stanley,
         Tuning,
@@ -322,6 +318,10 @@ if TYPE_CHECKING:
     from adaptrack.learning.adaptation.config import load_adaptation
     from adaptrack.learning.training import train
     from adaptrack.peers.commonroad_plants import commonroad_parameters, commonroad_plant, commonroad_vehicle
+    from adaptrack.peers.kinematic_mpc import KinematicMPC
+    from adaptrack.peers.mppi import MPPI
+    from adaptrack.peers.nmpc import NMPC
+    from adaptrack.peers.preview_lqr import PreviewLQR
     from adaptrack.peers.process_plant import ProcessPlant
     from adaptrack.road import Road, check_road, generate_road, load_road, plan_speed
     from adaptrack.road.ahead import RoadAhead

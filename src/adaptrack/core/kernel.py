@@ -257,7 +257,7 @@ def _words(record: Any) -> Iterable[int]:
 class Known:
     """A function that kernels may call.
 
-    kind: what it is to the compiler, see `build.numba_functions.type_of`; of: the type or shape that goes with it;
+    kind: what it is to the compiler, see `build.numba_functions`; of: the type or shape that goes with it;
     interpreted: what stands for it in Python.
     """
 
@@ -267,12 +267,6 @@ class Known:
 
     def __call__(self, *arguments: Any) -> Any:
         return self._python(*arguments)
-
-    @cached_property
-    def _numba_type_(self) -> Any:
-        from .build import numba_functions
-
-        return numba_functions.type_of(self)
 
 
 class Exported(Known):
@@ -287,9 +281,7 @@ class Exported(Known):
         """Where it begins, for the life of the process."""
         found = library.find(self.name)
         if found is None:
-            from .build import numba_functions
-
-            found = numba_functions.compiled_now(self)
+            found = int(library.compiler().compiled_now(self))
         return found
 
     @cached_property

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import ctypes
 import hashlib
+import importlib
 import json
 import logging
 import os
@@ -23,10 +24,14 @@ WAY = os.environ.get("ADAPTRACK_KERNELS") or "library"
 if WAY not in WAYS:
     raise ImportError(f"ADAPTRACK_KERNELS={WAY}: need one of {', '.join(WAYS)}.")
 
-ROOM = Path(__file__).parent
-BUILT = ROOM / "built"
+PACKAGE = Path(__file__).parents[1]
+ROOMS = ("core", "peers/kernels")
+"""Folders of the package that the library is made of: the kernels, with their builder, and those of the peers."""
+BUILT = PACKAGE / "core" / "built"
 MANIFEST = "manifest.json"
 BUILD = "python -m adaptrack.core.build"
+COMPILER = "adaptrack.core.build.numba_functions"
+"""What compiles kernels at run time. It is made with the kernels' types, and few processes need it: found by name."""
 
 
 UNUSABLE = (OSError, ValueError, LookupError, TypeError, AttributeError)
@@ -39,9 +44,9 @@ class NoKernels(ImportError):
 
 @cache
 def source_hashes() -> dict[str, str]:
-    """SHA-256 of every file that the library is made of, kernels and their builder, by its place in the room."""
-    files = sorted(ROOM.rglob("*.py"))
-    return {each.relative_to(ROOM).as_posix(): hashlib.sha256(each.read_bytes()).hexdigest() for each in files}
+    """SHA-256 of every file that the library is made of, kernels and their builder, by its place in the package."""
+    files = sorted(each for room in ROOMS for each in (PACKAGE / room).rglob("*.py"))
+    return {each.relative_to(PACKAGE).as_posix(): hashlib.sha256(each.read_bytes()).hexdigest() for each in files}
 
 
 @cache
@@ -67,6 +72,11 @@ def processor() -> str:
 def can_compile() -> bool:
     """Whether numba is there."""
     return find_spec("numba") is not None
+
+
+def compiler() -> Any:
+    """The module `COMPILER`; ImportError without numba."""
+    return importlib.import_module(COMPILER)
 
 
 def manifest() -> dict[str, Any]:

@@ -71,9 +71,7 @@ class Member(Exported):
         if self.in_python:
             self._callback = self.signature.prototype(_called_back(self))
             return int(ctypes.cast(self._callback, ctypes.c_void_p).value or 0)
-        from .build import numba_functions
-
-        return int(numba_functions.compiled_now(self))
+        return int(library.compiler().compiled_now(self))
 
     def __reduce__(self) -> Any:
         return member, (self.function, self.signature, self.viewed)

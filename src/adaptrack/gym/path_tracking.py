@@ -9,6 +9,7 @@ import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
+from adaptrack.core.public import Resident, Sight, see_one
 from adaptrack.gym.driven import Driven, needs_reset
 from adaptrack.gym.spaces import DISTANCES, checked_action, checked_distances, command_box, seen_box, seen_names
 from adaptrack.gym.task import Outside, Task
@@ -83,14 +84,11 @@ class PathTrackingEnv(gymnasium.Env):
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Array, dict[str, Any]]:
         """Begin an episode, see `gymnasium.Env.reset`; options: `noise_seed`, `car_seed`, `road`."""
         super().reset(seed=seed)
-        from adaptrack.core.kernel import Resident
-        from adaptrack.core.sight import Sight, see_one
-
         episode = self.task.draw(self.np_random, options)
         self._driven = driven = Driven(self.task, episode, Outside(episode.profile.period))
         space = self.observation_space
         self._sight = Resident(Sight(self.distances, space.low.copy(), space.high.copy()))  # type: ignore[attr-defined]
-        self._see, self._seen = see_one, np.zeros(len(self.names))
+        self._seen = np.zeros(len(self.names))
         return self._observe(driven), episode.info
 
     def step(self, action: Any) -> tuple[Array, float, bool, bool, dict[str, Any]]:
@@ -101,5 +99,5 @@ class PathTrackingEnv(gymnasium.Env):
         return self._observe(driven), -cost, driven.terminated, driven.truncated, driven.info
 
     def _observe(self, driven: Driven) -> Array:
-        self._see(driven.loop.place, self._sight, self._seen)
+        see_one(driven.loop.place, self._sight, self._seen)
         return self._seen.copy()

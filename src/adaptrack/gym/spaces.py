@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 from adaptrack.base.arguments import reals
 from adaptrack.base.errors import InvalidInput, UnknownName, did_you_mean
 from adaptrack.control.controllers import MPC, Learning, published_mpc
-from adaptrack.control.controllers.told import Told
+from adaptrack.control.controllers.setup import Setup
+from adaptrack.core.public import BELIEFS, LEARNED
 from adaptrack.gym.task import Task
 
 Array = NDArray[np.float64]
@@ -70,7 +71,7 @@ def seen_names(distances: Array) -> tuple[str, ...]:
 def command_box(task: Task) -> spaces.Box:
     """The steering commands (rad) that the other controllers may give as well."""
     vehicle, _, profile = task.known_car()
-    return box([Told.of("PathTracking", vehicle, profile, None, None, None, None).limits.angle])
+    return box([Setup.of("PathTracking", vehicle, profile, None, None, None, None).limits.angle])
 
 
 def checked_action(action: Any, space: spaces.Box) -> Array:
@@ -145,8 +146,6 @@ class Tunings:
 def variables_within(mpc: MPC) -> dict[str, tuple[float, float]]:
     """By name, the bounds of what is seen by one who tunes: scheduling variables, then what the MPC believes."""
     if mpc.learner is not None:
-        from adaptrack.core.estimators.learning import BELIEFS
-
         return {**VARIABLES_WITHIN, **dict.fromkeys(BELIEFS, LEARNED_WITHIN)}
     return {**VARIABLES_WITHIN, **(BELIEF_WITHIN if mpc.belief is not None else {})}
 
@@ -154,7 +153,5 @@ def variables_within(mpc: MPC) -> dict[str, tuple[float, float]]:
 def first_belief(mpc: MPC) -> tuple[float, ...]:
     """What an MPC believes before its first step, behind the scheduling variables in what is seen."""
     if mpc.learner is not None:
-        from adaptrack.core.estimators.learning import ANSWER, BELIEFS
-
-        return tuple(mpc.learner.fresh()[ANSWER : ANSWER + len(BELIEFS)].tolist())
+        return tuple(mpc.learner.fresh()[LEARNED : LEARNED + len(BELIEFS)].tolist())
     return () if mpc.belief is None else (mpc.belief.lag.value, mpc.belief.delay)

@@ -17,6 +17,23 @@ from numpy.typing import NDArray
 from adaptrack.base.errors import InvalidInput, whole
 from adaptrack.control.controllers import MPC, Controller
 from adaptrack.control.estimation import FrictionWindEstimator
+from adaptrack.core.public import (
+    ARRIVED,
+    DRIVING,
+    EPISODE,
+    FAILED,
+    MEASURED,
+    SLOTS,
+    Episodes,
+    Resident,
+    Sight,
+    arrive,
+    control,
+    look_all,
+    renew,
+    see_all,
+    steer,
+)
 from adaptrack.drive.batch import Batch
 from adaptrack.drive.world import reason_of
 from adaptrack.gym.mpc_tuning import EVERY
@@ -57,8 +74,6 @@ class _VectorEnv(VectorEnv):
     }  # fmt: skip
 
     def __init__(self, num_envs: int, threads: int, task: Task) -> None:
-        from adaptrack.core.episode import EPISODE
-
         self.num_envs, self.task = whole("num_envs", "num_envs", num_envs), task
         self.threads = whole("vector environment", "threads", threads)
         if isinstance(task.known_as, FrictionWindEstimator):
@@ -116,8 +131,6 @@ class _VectorEnv(VectorEnv):
 
     def step(self, actions: Any) -> tuple[Array, Array, NDArray[np.bool_], NDArray[np.bool_], dict[str, Any]]:
         """Drive all cars by a step; one whose episode was over begins its next one, with reward 0."""
-        from adaptrack.core.episode import ARRIVED, DRIVING, FAILED
-
         if not self._blocks:
             raise gymnasium.error.ResetNeeded("call reset() first: no run has begun.")
         self._take(checked_action(actions, self.action_space))  # type: ignore[arg-type]
@@ -150,8 +163,6 @@ class _VectorEnv(VectorEnv):
     # -- episodes -----------------------------------------------------------------------------------------------------
     def _begin(self, cars: NDArray[np.int64], options: dict[str, Any] | None) -> dict[str, Any]:
         """Draw the next episodes of some cars and begin them."""
-        from adaptrack.core.episode import arrive, renew
-
         infos: dict[str, Any] = {}
         drawn = {int(car): self.task.draw(self._rngs[car], options) for car in cars}
         if not self._blocks:
@@ -171,19 +182,12 @@ class _VectorEnv(VectorEnv):
         return infos
 
     def _first_blocks(self, episode: Episode) -> list[Block]:
-        from adaptrack.core.plants.contract import SLOTS
-
         size = 1 if self.task.randomised else SLOTS
         slots = [slice(i, min(i + size, self.num_envs)) for i in range(0, self.num_envs, size)]
         return [self._block(each, episode) for each in slots]
 
     def _block(self, slots: slice, episode: Episode) -> Block:
         """A block of cars of an episode's kind; what it measures lies in the arrays of the environment."""
-        from adaptrack.core.episode import Episodes
-        from adaptrack.core.kernel import Resident
-        from adaptrack.core.models.contract import MEASURED
-        from adaptrack.core.sight import Sight
-
         task = self.task
         roads = range(len(task.roads))
         trips = [episode.trip] if task.randomised else [task.trip(i, episode.vehicle) for i in roads]
@@ -267,15 +271,10 @@ class PathTrackingVectorEnv(_VectorEnv):
         self._commands[:] = actions[:, 0]
 
     def _drive(self, block: Block) -> None:
-        from adaptrack.core.episode import arrive
-        from adaptrack.core.episode_steer import steer
-
         steer(self._commands[block.slots], block.resident)
         arrive(block.resident)
 
     def _look(self, block: Block) -> None:
-        from adaptrack.core.episode_steer import see_all
-
         see_all(block.resident)
 
 
@@ -321,14 +320,9 @@ class MPCTuningVectorEnv(_VectorEnv):
             block.episodes.run.tuning[:] = tunings[block.slots]
 
     def _drive(self, block: Block) -> None:
-        from adaptrack.core.episode import arrive
-        from adaptrack.core.episode_tune import control
-
         for _ in range(self.every):
             control(block.resident)
             arrive(block.resident)
 
     def _look(self, block: Block) -> None:
-        from adaptrack.core.episode_tune import look_all
-
         look_all(block.resident)

@@ -1,13 +1,14 @@
 """CommonRoad's cars as plants: the single-track drift model and the 29-state multi-body model.
 
 M. Althoff and G. Würsching, *CommonRoad: Vehicle Models*, 2020; their own Python functions and parameters, from the
-package commonroad-vehicle-models (extra `plants`), are compiled as they stand. `core.plants.commonroad` says what is
+package commonroad-vehicle-models (extra `plants`), are compiled as they stand. `peers.kernels.commonroad` says what is
 added around them: our steering actuator, the road's friction, wind and bank.
 """
 
 from __future__ import annotations
 
 import dataclasses
+import importlib
 import math
 import os
 import re
@@ -23,6 +24,8 @@ from adaptrack.base.errors import ConfigError, InvalidInput, MissingExtra, Unkno
 from adaptrack.base.files import read_toml
 from adaptrack.cars.plant import UserPlant, flattened
 from adaptrack.cars.vehicle import Body, Tyre, Vehicle
+from adaptrack.core.public import compiled_foreign, layout_of
+from adaptrack.peers.kernels import commonroad as kernel
 
 Array = NDArray[np.float64]
 Source = Any
@@ -157,8 +160,6 @@ def commonroad_plant(model: str, source: Source, air: Vehicle | None = None) -> 
     """
     if model not in MODELS:
         raise UnknownName(f"There is no CommonRoad model {model!r}. {did_you_mean(str(model), MODELS)}")
-    from adaptrack.core.plants import commonroad as kernel
-
     car, sheet = commonroad_parameters(source), commonroad_vehicle(source)
     parameters = flattened({"car": car, "air": {name: getattr(air or sheet, name) for name in _AIR}})
     plant = UserPlant(
@@ -244,8 +245,6 @@ def _shipped(number: int) -> dict[str, Any]:
 
 def _package(module: str) -> Any:
     """A module of commonroad-vehicle-models."""
-    import importlib
-
     try:
         return importlib.import_module(f"{PACKAGE}.{module}")
     except ModuleNotFoundError:
@@ -264,10 +263,6 @@ def _selected(wanted: Mapping[str, Any], given: Mapping[str, Any]) -> dict[str, 
 @cache
 def _right_hand_side(model: str) -> Callable[..., None]:
     """A model's right-hand side, the same for all cars."""
-    from adaptrack.core.plants import commonroad as kernel
-    from adaptrack.core.plants.foreign import compiled_foreign
-    from adaptrack.core.plants.user import layout_of
-
     tables = {"car": _CAR, "air": dict.fromkeys(_AIR)}
     names = list(flattened(tables))
     places = names.index("car.tire.p_dx1"), names.index("car.tire.p_dy1")
@@ -286,18 +281,18 @@ def _drift_rolling(car: dict[str, Any]) -> Callable[[Array], Array]:
 
 def _body_rolling(car: dict[str, Any]) -> Callable[[Array], Array]:
     """Wheels that roll without slip under axles that carry the car's weight, as CommonRoad's `init_mb` has them."""
-    from adaptrack.core.plants.commonroad import BODY_STATES
-
     weight = car["m_s"] * 9.81 / (car["a"] + car["b"])
     front = (weight * car["b"] + car["m_uf"] * 9.81) / (2.0 * car["K_zt"])
     rear = (weight * car["a"] + car["m_ur"] * 9.81) / (2.0 * car["K_zt"])
 
     def rough(motion: Array) -> Array:
-        values = dict.fromkeys(BODY_STATES, 0.0)
+        values = dict.fromkeys(kernel.BODY_STATES, 0.0)
         values |= {"z_front": front, "z_rear": rear}
         values["vy_front"] = motion[4] + car["a"] * motion[5]
         values["vy_rear"] = motion[4] - car["b"] * motion[5]
-        values |= dict.fromkeys([name for name in BODY_STATES if name.startswith("wheel")], motion[3] / car["R_w"])
+        values |= dict.fromkeys(
+            [name for name in kernel.BODY_STATES if name.startswith("wheel")], motion[3] / car["R_w"]
+        )
         return np.array(list(values.values()))
 
     return rough

@@ -4,14 +4,10 @@ from adaptrack.control.controllers.base import Bounds, Command, CompiledControll
 from adaptrack.control.controllers.belief import Belief, Uncertainty
 from adaptrack.control.controllers.check import check_controller
 from adaptrack.control.controllers.informed import informed_tuning
-from adaptrack.control.controllers.kinematic_mpc import KinematicMPC
 from adaptrack.control.controllers.learned import LearnedCar, Learning, load_learned_car
 from adaptrack.control.controllers.limits import Limits, Moves
 from adaptrack.control.controllers.lqr import LQR
 from adaptrack.control.controllers.mpc import MPC, CompiledScheduler, MPCCommand, Scheduler
-from adaptrack.control.controllers.mppi import MPPI
-from adaptrack.control.controllers.nmpc import NMPC
-from adaptrack.control.controllers.preview_lqr import PreviewLQR
 from adaptrack.control.controllers.published import published_mpc, released_mpc
 from adaptrack.control.controllers.pure_pursuit import PurePursuit
 from adaptrack.control.controllers.registry import (
@@ -29,8 +25,6 @@ __all__ = [
     "ENTRIES",
     "LQR",
     "MPC",
-    "MPPI",
-    "NMPC",
     "About",
     "Belief",
     "Bounds",
@@ -38,13 +32,11 @@ __all__ = [
     "CompiledController",
     "CompiledScheduler",
     "Controller",
-    "KinematicMPC",
     "LearnedCar",
     "Learning",
     "Limits",
     "MPCCommand",
     "Moves",
-    "PreviewLQR",
     "PurePursuit",
     "Scheduler",
     "Stanley",

@@ -31,36 +31,41 @@ class About:
 
 
 _IN_PYTHON: dict[str, Any] = {"tunable": False, "compiled": False, "step_time": 4e-3}
-_HOME = "adaptrack.control"
 _SHIPPED: dict[str, tuple[str, About]] = {
-    "informed": ("controllers.mpc:MPC", About("MPC that knows its car", ours=True)),
-    "informed-learning": ("variants:learning", About("the same, learning while it drives", ours=True)),
+    "informed": ("control.controllers.mpc:MPC", About("MPC that knows its car", ours=True)),
+    "informed-learning": ("control.variants:learning", About("the same, learning while it drives", ours=True)),
     "informed-from-sheet": (
-        "variants:learning_from_sheet",
+        "control.variants:learning_from_sheet",
         About("the same, with nothing known but mass and wheelbase, learning while it drives", ours=True),
     ),
-    "informed-nn": ("variants:informed_nn", About("the same, scheduled by networks", tunable=False, ours=True)),
-    "as-written": ("controllers.published:published_mpc", About("MPC of the paper, as written")),
-    "as-released": ("controllers.published:released_mpc", About("MPC of the paper, as its authors released it")),
-    "nn": ("variants:nn", About("MPC of the paper, scheduled by networks", tunable=False)),
-    "anfis": ("variants:anfis", About("MPC of the paper, scheduled by ANFIS", tunable=False)),
-    "published": ("variants:published", About("MPC of the paper, with its best constant on drives", tunable=False)),
-    "published, road-nn": ("variants:published_nn", About("the same, scheduled by networks", tunable=False)),
-    "pure-pursuit": ("controllers.pure_pursuit:PurePursuit", About("pure pursuit")),
-    "stanley": ("controllers.stanley:Stanley", About("Stanley, with dead time")),
-    "lqr": ("controllers.lqr:LQR", About("LQR with curvature feed-forward")),
-    "preview-lqr": ("controllers.preview_lqr:PreviewLQR", About("LQR with optimal preview of the curvature")),
+    "informed-nn": ("control.variants:informed_nn", About("the same, scheduled by networks", tunable=False, ours=True)),
+    "as-written": ("control.controllers.published:published_mpc", About("MPC of the paper, as written")),
+    "as-released": (
+        "control.controllers.published:released_mpc",
+        About("MPC of the paper, as its authors released it"),
+    ),
+    "nn": ("control.variants:nn", About("MPC of the paper, scheduled by networks", tunable=False)),
+    "anfis": ("control.variants:anfis", About("MPC of the paper, scheduled by ANFIS", tunable=False)),
+    "published": (
+        "control.variants:published",
+        About("MPC of the paper, with its best constant on drives", tunable=False),
+    ),
+    "published, road-nn": ("control.variants:published_nn", About("the same, scheduled by networks", tunable=False)),
+    "pure-pursuit": ("control.controllers.pure_pursuit:PurePursuit", About("pure pursuit")),
+    "stanley": ("control.controllers.stanley:Stanley", About("Stanley, with dead time")),
+    "lqr": ("control.controllers.lqr:LQR", About("LQR with curvature feed-forward")),
+    "preview-lqr": ("peers.preview_lqr:PreviewLQR", About("LQR with optimal preview of the curvature")),
     "kinematic-mpc": (
-        "controllers.kinematic_mpc:KinematicMPC",
+        "peers.kinematic_mpc:KinematicMPC",
         About("kinematic MPC with lag and dead time, Autoware's formulation"),
     ),
-    "mppi": ("controllers.mppi:MPPI", About("MPPI on the tyre's curve", step_time=7e-4)),
-    "nmpc": ("controllers.nmpc:NMPC", About("NMPC on the tyre's curve, with our estimator", **_IN_PYTHON)),
-    "nmpc-as-measured": ("controllers.nmpc:as_measured", About("the same without an estimator", **_IN_PYTHON)),
+    "mppi": ("peers.mppi:MPPI", About("MPPI on the tyre's curve", step_time=7e-4)),
+    "nmpc": ("peers.nmpc:NMPC", About("NMPC on the tyre's curve, with our estimator", **_IN_PYTHON)),
+    "nmpc-as-measured": ("peers.nmpc:as_measured", About("the same without an estimator", **_IN_PYTHON)),
 }
 _about: dict[str, About] = {name: about for name, (_, about) in _SHIPPED.items()}
 _registry: Registry[Controller] = Registry(
-    "controller", "register_controller", {name: f"{_HOME}.{place}" for name, (place, _) in _SHIPPED.items()}
+    "controller", "register_controller", {name: f"adaptrack.{place}" for name, (place, _) in _SHIPPED.items()}
 )
 
 

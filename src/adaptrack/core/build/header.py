@@ -127,7 +127,7 @@ def _after(fields: dict[str, str], name: str) -> str:
 
 
 def _c_name(module: str, name: str) -> str:
-    return PREFIX + module.removeprefix("adaptrack.core.").replace(".", "_") + f"_{name}"
+    return PREFIX + module.removeprefix("adaptrack.").removeprefix("core.").replace(".", "_") + f"_{name}"
 
 
 def _struct(kind: Any) -> str:

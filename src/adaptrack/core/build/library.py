@@ -37,7 +37,7 @@ from .header import header
 from .objects import undefined
 from .sources import sources_of
 
-ROOMS = ("adaptrack.core",)
+ROOMS = tuple(f"adaptrack.{each.replace('/', '.')}" for each in library.ROOMS)
 """Packages whose kernels are compiled."""
 
 

@@ -1,37 +1,49 @@
-"""Which files a kernel depends on: its own, and those that these import."""
+"""Which files a kernel depends on: its own and the compiler's, and those that these import."""
 
 from __future__ import annotations
 
-import re
-from collections.abc import Iterator
+import ast
 from functools import cache
 from pathlib import Path
 
 from .. import library
 
-_IMPORT = re.compile(r"^[ \t]*from[ \t]+(\.+)([\w.]*)[ \t]+import[ \t]+(\([^)]*\)|[^\n]*)", re.MULTILINE)
+COMPILER = Path(__file__).with_name("numba_functions.py")
+PUBLIC = library.PACKAGE / "core" / "public.py"
+"""Who imports a name from it depends on the file that has the name, not on all that is public."""
 
 
-def _imported(source: Path) -> Iterator[Path]:
-    """The files of the room that a file of it imports itself (by relative names)."""
-    for dots, module, names in _IMPORT.findall(source.read_text(encoding="utf-8")):
-        folder = source.parents[len(dots) - 1].joinpath(*module.split(".")) if module else source.parents[len(dots) - 1]
-        if folder.with_suffix(".py").is_file():
-            yield folder.with_suffix(".py")
+@cache
+def _imports(source: Path) -> dict[str, tuple[str, Path]]:
+    """The names that a file takes from files of the package: as what, and from which file."""
+    found = {}
+    for node in ast.walk(ast.parse(source.read_text(encoding="utf-8"))):
+        if not isinstance(node, ast.ImportFrom):
             continue
-        for name in re.findall(r"\w+", re.sub(r"#.*|\bas\s+\w+", "", names)):
-            if (folder / f"{name}.py").is_file():
-                yield folder / f"{name}.py"
+        module = (node.module or "").split(".")
+        if node.level == 0 and module.pop(0) != library.PACKAGE.name:
+            continue
+        home = source.parents[node.level - 1] if node.level else library.PACKAGE
+        home = home.joinpath(*module)
+        for name in node.names:
+            file = home / f"{name.name}.py"
+            file = file if file.is_file() else home.with_suffix(".py")
+            if file.is_file():
+                found[name.asname or name.name] = name.name, file
+    return found
 
 
 @cache
 def sources_of(source: Path) -> list[str]:
-    """A file of the room and every one that it depends on, by their places in the room."""
-    found: set[Path] = set()
-    waiting = [source]
+    """The files that the kernels of a file depend on, by their places in the package."""
+    found, waiting = set(), {source, COMPILER}
     while waiting:
         here = waiting.pop()
-        if here not in found:
-            found.add(here)
-            waiting += _imported(here)
-    return sorted(each.relative_to(library.ROOM).as_posix() for each in found)
+        found.add(here)
+        for name, file in _imports(here).values():
+            if file == PUBLIC:
+                found.add(PUBLIC)
+                _, file = _imports(PUBLIC)[name]
+            waiting.add(file)
+        waiting -= found
+    return sorted(each.relative_to(library.PACKAGE).as_posix() for each in found)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from types import FunctionType, ModuleType
 from typing import Any
 
+from ..library import compiler
 from ..member import compiles
 
 
@@ -26,9 +27,7 @@ def _rebuilt(function: Any, package: str, done: dict[Any, Any]) -> Any:
         copy = FunctionType(
             function.__code__, own, function.__name__, function.__defaults__, function.__closure__
         )  # fmt: skip
-        from ..build import numba_functions
-
-        done[function] = numba_functions.plain(copy)
+        done[function] = compiler().plain(copy)
     return done[function]
 
 

@@ -9,11 +9,17 @@ from __future__ import annotations
 
 import math
 
-from ..kernel import inlined, record, size_of, viewer
-from ..maths.bits import whole
-from ..maths.exact import ceil
-from ..maths.exponential import exp
-from .contract import SLOWEST, path_at
+from adaptrack.core.public import (
+    SLOWEST,
+    ceil,
+    exp,
+    inlined,
+    path_at,
+    record,
+    size_of,
+    viewer,
+    whole,
+)
 
 Wheels = record("Wheels", ("started", "angle"))
 """What is remembered begins with: 1 after the first step, the wheel angle (rad) at the start."""

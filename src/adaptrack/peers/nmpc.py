@@ -26,10 +26,11 @@ from adaptrack.cars.vehicle import Steering, Tyre, Vehicle, in_periods
 from adaptrack.control.controllers.base import Array, Command, Controller
 from adaptrack.control.controllers.informed import HORIZON, informed_tuning
 from adaptrack.control.controllers.inputs import finite, number, road_ahead, vector
-from adaptrack.control.controllers.known_car import KnownCar
 from adaptrack.control.controllers.limits import Limits
 from adaptrack.control.kalman import KalmanFilter
 from adaptrack.control.models import PathModel
+from adaptrack.core.public import path_model
+from adaptrack.peers.known_car import KnownCar
 from adaptrack.road.ahead import RoadAhead
 from adaptrack.scenario.profile import Profile
 
@@ -353,11 +354,11 @@ class NMPC(Controller):
 
     def _entering(self, v: float) -> Array:
         """(2, 2) what d_y and d_r add to v_y and r in a period."""
-        from adaptrack.core.models.path import STATE, STATES, discretise_disturbed, parameters_of
-
-        f, b = np.zeros((STATES, len(STATE))), np.zeros(STATES)
-        discretise_disturbed(v, self.period, parameters_of(self._model.parameters(), 0), f, b)
-        return f[np.ix_([STATE.vy, STATE.yaw_rate], [STATE.side, STATE.turn])]
+        at = path_model.STATE
+        f, b = np.zeros((path_model.STATES, len(at))), np.zeros(path_model.STATES)
+        own = path_model.parameters_of(self._model.parameters(), 0)
+        path_model.discretise_disturbed(v, self.period, own, f, b)
+        return f[np.ix_([at.vy, at.yaw_rate], [at.side, at.turn])]
 
     # -- the optimisation ---------------------------------------------------------------------------------------------
     def _solve(self, x0: Array, pushes: Array, path: Ahead) -> tuple[Array | None, int, float]:

@@ -12,8 +12,9 @@ from adaptrack.base.errors import InvalidInput, real, whole
 from adaptrack.cars.vehicle import Steering, Vehicle
 from adaptrack.control.controllers.base import DECADES, FIXED, Array, Bounds, CompiledController
 from adaptrack.control.controllers.limits import Limits
-from adaptrack.control.controllers.told import Told
+from adaptrack.control.controllers.setup import Setup
 from adaptrack.control.qp import QP
+from adaptrack.peers.kernels import kinematic_mpc as kernel
 from adaptrack.scenario.profile import Profile
 
 WEIGHTS = {
@@ -28,7 +29,7 @@ WEIGHTS = {
     "terminal_lateral_error": 1.0,
     "terminal_heading_error": 0.1,
 }
-"""As Autoware ships them (`lateral_controller_defaults.param.yaml`); units in `core.controllers.kinematic_mpc`."""
+"""As Autoware ships them (`lateral_controller_defaults.param.yaml`); units in `peers.kernels.kinematic_mpc`."""
 CUTOFF = 3.0
 """Hz, of the filter on the command, likewise."""
 STAGES, STEP = 50, 0.1
@@ -40,7 +41,7 @@ class KinematicMPC(CompiledController):
     """MPC on the kinematic single track with first-order steering lag and dead time, after Autoware.
 
     The states are the errors of the rear axle and the wheel angle, linearised about the curvature of each stage; the
-    measured pose is rolled through the commands on their way. Equations and cost: `core.controllers.kinematic_mpc`;
+    measured pose is rolled through the commands on their way. Equations and cost: `peers.kernels.kinematic_mpc`;
     what is Autoware's and what is left out: docs/opponents.md. Autoware Universe, *MPC Lateral Controller* and *Model
     predictive control algorithm* (documentation of `autoware_mpc_lateral_controller`); J. M. Snider, *Automatic
     Steering Methods for Autonomous Automobile Path Tracking*, CMU-RI-TR-09-08, 2009, section 2.2.
@@ -78,11 +79,9 @@ class KinematicMPC(CompiledController):
         preview: bool | None = None,
         **weights: float,
     ) -> None:
-        from adaptrack.core.controllers import kinematic_mpc as kernel
-
         self.vehicle = vehicle
-        told = Told.of("KinematicMPC", vehicle, profile, belief, period, preview, limits)
-        self.belief, self.pose_age = told.belief, told.pose_age
+        setup = Setup.of("KinematicMPC", vehicle, profile, belief, period, preview, limits)
+        self.belief, self.pose_age = setup.belief, setup.pose_age
         self.stages = whole("KinematicMPC", "stages", stages)
         if not 1 <= self.stages <= MOST_STAGES:
             raise InvalidInput(f"KinematicMPC: stages = {stages!r}: must be from 1 to {MOST_STAGES}.")
@@ -91,9 +90,9 @@ class KinematicMPC(CompiledController):
             raise InvalidInput(f"KinematicMPC: step = {step!r} s: must be positive and finite.")
         tuning = {**_all_weights(weights), "cutoff": cutoff}
         self.tuning_names, self.diagnostic_names = kernel.TUNING, kernel.DIAGNOSTICS
-        behind = (self.pose_age + self.belief.delay) / told.period
+        behind = (self.pose_age + self.belief.delay) / setup.period
         self.memory_size = kernel.memory_size(self.stages, behind)
-        super().__init__(tuning, period=told.period, limits=told.limits, preview=told.preview)
+        super().__init__(tuning, period=setup.period, limits=setup.limits, preview=setup.preview)
         if not self.tuning["steering"] + self.tuning["steering_v2"] > 0.0:
             raise InvalidInput(
                 "KinematicMPC: steering, steering_v2: one of them must be positive, so that H is definite."
@@ -105,16 +104,12 @@ class KinematicMPC(CompiledController):
 
     @property
     def function(self) -> Any:
-        from adaptrack.core.controllers.kinematic_mpc import kinematic_mpc
-
-        return kinematic_mpc
+        return kernel.kinematic_mpc
 
     def own_parameters(self) -> Array:
-        from adaptrack.core.controllers.kinematic_mpc import limit_rows
-
         car, known = self.vehicle, self.belief
         head = (car.wheelbase, car.lr, known.lag.value, known.delay, self.pose_age, self.stages, self.step_length)
-        return np.concatenate([head, limit_rows(self.stages).reshape(-1)])
+        return np.concatenate([head, kernel.limit_rows(self.stages).reshape(-1)])
 
     def problem(
         self, state: Sequence[float], speeds: Array, curvatures: Array, inputs: tuple[float, float] = (0.0, 0.0)

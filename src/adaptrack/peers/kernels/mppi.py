@@ -25,21 +25,33 @@ from __future__ import annotations
 
 import math
 
-from ..kernel import exported, inlined, record, size_of, unpacker, viewer
-from ..maths.bits import whole
-from ..maths.exact import clip, sqrt
-from ..maths.exponential import exp, log
-from ..maths.fast import fast_arctangent, fast_arctangent_of_ratio, fast_cosine, fast_sine
-from ..maths.random import output, unit
-from ..maths.trigonometric import cos, sin
-from .contract import (
+from adaptrack.core.public import (
     COMMON,
     LAW_SIGNATURE,
     SLOWEST,
     all_finite,
+    clip,
+    cos,
+    exp,
+    exported,
+    fast_arctangent,
+    fast_arctangent_of_ratio,
+    fast_cosine,
+    fast_sine,
+    inlined,
     limited,
+    log,
     path_at,
+    random_bits,
+    random_unit,
     read_situation,
+    record,
+    sin,
+    size_of,
+    sqrt,
+    unpacker,
+    viewer,
+    whole,
 )
 
 TUNING = ("temperature", "spread", "q_e", "q_course", "r")
@@ -85,7 +97,7 @@ _X, _Y, _YAW, _VY, _R, _WHEELS, _ASKED, _COST = range(8)
 _PATH_X, _PATH_Y, _COS, _SIN, _COURSE_COS, _COURSE_SIN = range(6)
 """What is known of the path at each stage: the point and the heading at its end, the heading in its middle."""
 _FOR_SAMPLES = 3
-"""A family of draws of its own, see `maths.random`."""
+"""A family of draws of its own, see `core.maths.random`."""
 
 Places = record("Places", ("plan", "path", "cost", "rows", "noise", "end"))
 State = record("State", ("x", "y", "yaw", "vy", "r", "wheels"))
@@ -233,10 +245,10 @@ def _look_ahead(reference, road, v, p, at, memory):
 def _draw(turn, p, at, memory):
     """Standard normal numbers for all stages and pairs, two from two uniforms (Box and Muller 1958)."""
     count = whole(p.stages) * whole(p.pairs)
-    state = output(output(_FOR_SAMPLES, whole(p.seed)), whole(memory_of(memory, 0).steps) * 64 + turn)
+    state = random_bits(random_bits(_FOR_SAMPLES, whole(p.seed)), whole(memory_of(memory, 0).steps) * 64 + turn)
     for k in range(0, count, 2):
-        u = unit(output(state, k + 1)) + 2.0**-53
-        angle = 2.0 * math.pi * unit(output(state, k + 2))
+        u = random_unit(random_bits(state, k + 1)) + 2.0**-53
+        angle = 2.0 * math.pi * random_unit(random_bits(state, k + 2))
         radius = sqrt(-2.0 * log(u))
         memory[at.noise + k] = radius * cos(angle)
         memory[at.noise + k + 1] = radius * sin(angle)

@@ -1,8 +1,8 @@
 """Optimal preview control: state feedback about the steady turn, and gains on the curvature that lies ahead.
 
-The path model x = [v_y, psi, r, delta, y] (`models.path`, without delta where there is no lag) moves over a period as
-x_k+1 = A x_k + B u_k + E w_k, w = curvature times speed (rad/s). The steady turn under w is X w with the steering U w.
-In the deviations x~_k = x_k - X w_k and u~_k = u_k - U w_k
+The path model x = [v_y, psi, r, delta, y] (`core.models.path`, without delta where there is no lag) moves over a period
+as x_k+1 = A x_k + B u_k + E w_k, w = curvature times speed (rad/s). The steady turn under w is X w with the steering
+U w. In the deviations x~_k = x_k - X w_k and u~_k = u_k - U w_k
 
     x~_k+1 = A x~_k + B u~_k - X (w_k+1 - w_k)
 
@@ -21,25 +21,31 @@ from __future__ import annotations
 
 import math
 
-from ..kernel import exported, inlined, record, shaped, size_of, unpacker, viewer
-from ..maths.bits import whole
-from ..maths.exponential import log
-from ..maths.trigonometric import cos
-from ..models import path as model
-from . import on_the_way as way
-from .contract import (
+from adaptrack.core.public import (
     COMMON,
     LAW_SIGNATURE,
     SLOWEST,
     Direction,
     all_finite,
+    cos,
+    exported,
+    inlined,
     limited,
+    log,
+    node_below,
     path_ahead,
     planned_speed,
     read_situation,
+    record,
+    shaped,
+    size_of,
+    unpacker,
+    viewer,
+    whole,
     wrapped,
 )
-from .lqr import node_below
+from adaptrack.core.public import path_model as model
+from adaptrack.peers.kernels import on_the_way as way
 
 TUNING = ("q_e", "q_heading", "r")
 PARAMETERS = (

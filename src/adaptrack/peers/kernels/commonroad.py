@@ -15,12 +15,26 @@ from typing import Any
 
 import numpy as np
 
-from ..kernel import Caller, address_of, columns, float64, inlined, vector, void
-from ..maths.exact import clip, sqrt
-from ..maths.trigonometric import atan2, cos, sin
-from .contract import MOTION, State
-from .forces import wind_load
-from .user import U
+from adaptrack.core.public import (
+    MOTION,
+    PLANT_INPUT,
+    Caller,
+    PlantState,
+    address_of,
+    atan2,
+    clip,
+    columns,
+    compiles,
+    cos,
+    float64,
+    inlined,
+    member,
+    sin,
+    sqrt,
+    vector,
+    void,
+    wind_load,
+)
 
 AROUND = columns("front_left", "front_right", "rear_left", "rear_right", "wind_x", "wind_y", "bank")
 """Entries of an environment."""
@@ -38,7 +52,7 @@ BODY_STATES = (
     "joint_front", "joint_rear",
 )  # fmt: skip
 """The multi-body model's states behind those six: rad, m and s; z downwards; joints: lateral, m."""
-_MOTION = State._fields[:MOTION]
+_MOTION = PlantState._fields[:MOTION]
 OWN = columns(*_MOTION, *DRIFT_STATES)
 """Our states of the drift model, the first ones of both."""
 STD = columns("x", "y", "steering", "speed", "yaw", "yaw_rate", "sideslip", *DRIFT_STATES)
@@ -67,8 +81,6 @@ def _plain(car):
 
 def _dynamics(function, layout):
     """One of their models (`DYNAMICS`) by its address, as it is long: what calls it need not be compiled with it."""
-    from ..member import compiles, member
-
     given = _as_it_is if compiles() else _plain
 
     def dynamics(x, acceleration, p, f):
@@ -90,9 +102,10 @@ def _set_friction(environment, own, places):
 
 
 @inlined
-def _asked(u, mass):
+def _requested(u, mass):
     """The acceleration (m/s^2) that is prescribed, or that the force is for."""
-    return u[U.acceleration] if u[U.acceleration] == u[U.acceleration] else u[U.force] / mass
+    prescribed = u[PLANT_INPUT.acceleration]
+    return prescribed if prescribed == prescribed else u[PLANT_INPUT.force] / mass
 
 
 @inlined
@@ -102,9 +115,9 @@ def _spin_up(speed):
 
 
 def drift_right_hand_side(function: Any, layout: Any, places: tuple[int, int]) -> Any:
-    """The right-hand side (`user.RIGHT_HAND_SIDE`, to be compiled) around their drift model, compiled.
+    """The right-hand side (`core.plants.user.RIGHT_HAND_SIDE`, to be compiled) around their drift model, compiled.
 
-    layout: of the parameters, a record `car` of theirs and a record `air` as `forces.wind_load` takes it; places: of
+    layout: of the parameters, a record `car` of theirs and a record `air` as `wind_load` takes it; places: of
     p_dx1 and p_dy1 in the vector of the parameters.
     """
     theirs, n = _dynamics(function, layout), len(STD)
@@ -115,11 +128,11 @@ def drift_right_hand_side(function: Any, layout: Any, places: tuple[int, int]) -
         given = own.view(layout)[0]
         yaw, vx, vy, mass = x[OWN.yaw], x[OWN.vx], x[OWN.vy], given.car.m
         speed, sideslip = sqrt(vx * vx + vy * vy), atan2(vy, vx)
-        z[STD.x], z[STD.y], z[STD.steering] = x[OWN.x], x[OWN.y], u[U.steering]
+        z[STD.x], z[STD.y], z[STD.steering] = x[OWN.x], x[OWN.y], u[PLANT_INPUT.steering]
         z[STD.speed], z[STD.yaw], z[STD.yaw_rate] = speed, yaw, x[OWN.yaw_rate]
         z[STD.sideslip] = sideslip
         z[STD.wheel_speed_front], z[STD.wheel_speed_rear] = x[OWN.wheel_speed_front], x[OWN.wheel_speed_rear]
-        _call(theirs, z, _asked(u, mass), own, f)
+        _call(theirs, z, _requested(u, mass), own, f)
         wind_x, wind_y = environment[AROUND.wind_x], environment[AROUND.wind_y]
         side, moment, drag = wind_load(yaw, vx, vy, wind_x, wind_y, given.air)
         c, s = cos(sideslip), sin(sideslip)
@@ -142,10 +155,10 @@ def body_right_hand_side(function: Any, layout: Any, places: tuple[int, int]) ->
         _set_friction(environment, own, places)
         given = own.view(layout)[0]
         car = given.car
-        z[MB.steering] = u[U.steering]
+        z[MB.steering] = u[PLANT_INPUT.steering]
         for i in range(ours):
             z[where[i]] = x[i]
-        _call(theirs, z, _asked(u, car.m), own, f)
+        _call(theirs, z, _requested(u, car.m), own, f)
         wind_x, wind_y, bank = environment[AROUND.wind_x], environment[AROUND.wind_y], environment[AROUND.bank]
         side, moment, drag = wind_load(x[OWN.yaw], x[OWN.vx], x[OWN.vy], wind_x, wind_y, given.air)
         f[MB.vx] -= drag / car.m

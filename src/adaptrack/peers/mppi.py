@@ -9,8 +9,9 @@ from typing import Any
 from adaptrack.base.errors import InvalidInput, real, whole
 from adaptrack.cars.vehicle import Steering, Tyre, Vehicle, in_periods
 from adaptrack.control.controllers.base import DECADES, FIXED, Bounds, CompiledController
-from adaptrack.control.controllers.known_car import KnownCar
 from adaptrack.control.controllers.limits import Limits
+from adaptrack.peers.kernels import mppi as kernel
+from adaptrack.peers.known_car import KnownCar
 from adaptrack.scenario.profile import Profile
 
 MOST_SAMPLES, MOST_STAGES, MOST_ROUNDS = 16_384, 400, 64
@@ -21,7 +22,7 @@ class MPPI(CompiledController):
 
     In each period `samples` plans of steering are drawn around the last one and driven over `horizon` by the model,
     from the state in which the commands on their way leave the car; the plan moves to their mean, weighed by
-    exp(-cost/temperature). See `core.controllers.mppi` for the equations and the sources. What a sample costs is
+    exp(-cost/temperature). See `peers.kernels.mppi` for the equations and the sources. What a sample costs is
 
         integral of q_e e^2 + q_course chi^2 + r (du/dt)^2 over the horizon
 
@@ -69,8 +70,6 @@ class MPPI(CompiledController):
         limits: Limits | None = None,
         preview: bool | None = None,
     ) -> None:
-        from adaptrack.core.controllers import mppi as kernel
-
         self.car = KnownCar.of("MPPI", vehicle, profile, belief, tyre, friction, period)
         self.horizon = real("MPPI", "horizon", horizon)
         if not self.car.period <= self.horizon <= MOST_STAGES * self.car.period:
@@ -104,9 +103,7 @@ class MPPI(CompiledController):
 
     @property
     def function(self) -> Any:
-        from adaptrack.core.controllers.mppi import mppi
-
-        return mppi
+        return kernel.mppi
 
     def own_parameters(self) -> tuple[float, ...]:
         car, steering = self.car, self.car.belief

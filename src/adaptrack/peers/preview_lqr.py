@@ -15,8 +15,9 @@ from adaptrack.cars.vehicle import Steering, Vehicle
 from adaptrack.control.controllers.base import DECADES, FIXED, Array, Bounds, CompiledController
 from adaptrack.control.controllers.limits import Limits
 from adaptrack.control.controllers.lqr import SPEEDS, WEIGHT_FACTORS, feedback, riccati
-from adaptrack.control.controllers.told import Told
+from adaptrack.control.controllers.setup import Setup
 from adaptrack.control.models import PathModel
+from adaptrack.peers.kernels import preview_lqr as kernel
 from adaptrack.scenario.profile import Profile
 
 PREVIEW = 3.0
@@ -28,7 +29,7 @@ class PreviewLQR(CompiledController):
 
     Where `LQR` adds the steering of the steady turn, this one knows how the car gets there: gains on every coming
     change of the curvature follow from the same Riccati equation as those on the state, which is rolled through the
-    commands on their way. Equations and sources: `core.controllers.preview_lqr`. On a bend that goes on it steers
+    commands on their way. Equations and sources: `peers.kernels.preview_lqr`. On a bend that goes on it steers
     the steady turn of the linear car.
 
     q_e: 1/m^2, weight of the offset; q_heading: 1/rad^2, of the heading against that of the steady turn; r: 1/rad^2,
@@ -62,23 +63,21 @@ class PreviewLQR(CompiledController):
         limits: Limits | None = None,
         preview: bool | None = None,
     ) -> None:
-        from adaptrack.core.controllers import preview_lqr as kernel
-
         self.vehicle = vehicle
-        told = Told.of("PreviewLQR", vehicle, profile, belief, period, preview, limits)
-        self.belief, self.pose_age = told.belief, told.pose_age
+        setup = Setup.of("PreviewLQR", vehicle, profile, belief, period, preview, limits)
+        self.belief, self.pose_age = setup.belief, setup.pose_age
         for name, value in (("q_e", q_e), ("q_heading", q_heading), ("r", r)):
             if not 0.0 < real("PreviewLQR", name, value) < math.inf:
                 raise InvalidInput(f"PreviewLQR: {name} = {value!r}: must be finite and positive.")
-        if not told.period <= real("PreviewLQR", "ahead", ahead) <= 10.0:
+        if not setup.period <= real("PreviewLQR", "ahead", ahead) <= 10.0:
             raise InvalidInput(f"PreviewLQR: ahead = {ahead!r} s: must be from a control period to 10.")
-        self.previewed = round(ahead / told.period)
+        self.previewed = round(ahead / setup.period)
         self.tuning_names, self.diagnostic_names = kernel.TUNING, kernel.DIAGNOSTICS
-        self._model = PathModel(vehicle, told.period, self.belief.lag.value)
-        behind = self.belief.delay / told.period
+        self._model = PathModel(vehicle, setup.period, self.belief.lag.value)
+        behind = self.belief.delay / setup.period
         self.memory_size = kernel.memory_size(self._model.n, self.previewed, behind)
         tuning = {"q_e": q_e, "q_heading": q_heading, "r": r}
-        super().__init__(tuning, period=told.period, limits=told.limits, preview=told.preview)
+        super().__init__(tuning, period=setup.period, limits=setup.limits, preview=setup.preview)
 
     @property
     def name(self) -> str:
@@ -86,9 +85,7 @@ class PreviewLQR(CompiledController):
 
     @property
     def function(self) -> Any:
-        from adaptrack.core.controllers.preview_lqr import preview_lqr
-
-        return preview_lqr
+        return kernel.preview_lqr
 
     def own_parameters(self) -> Array:
         car, t, known = self.vehicle, self.tuning, self.belief
@@ -131,7 +128,7 @@ def steady_turn(vehicle: Vehicle, speed: float, n: int) -> tuple[Array, float]:
 
 
 def preview_gains(A: Array, B: Array, X: Array, q_e: ArrayLike, q_heading: ArrayLike, count: int) -> Array:
-    """(..., n + count): -K, then g_0, g_1, ..., see `core.controllers.preview_lqr`, with r = 1.
+    """(..., n + count): -K, then g_0, g_1, ..., see `peers.kernels.preview_lqr`, with r = 1.
 
     A (..., n, n), B and X (..., n) of the path model, the heading its second state and the offset its last; weights
     for every model.

@@ -10,7 +10,7 @@ from adaptrack.base.errors import InvalidInput, real
 from adaptrack.cars.vehicle import GRAVITY, Steering, Tyre, Vehicle, load_tyre
 from adaptrack.control.controllers.belief import Belief
 from adaptrack.control.controllers.limits import Limits
-from adaptrack.control.controllers.told import world_and_belief
+from adaptrack.control.controllers.setup import world_and_belief
 from adaptrack.scenario.profile import Profile
 
 LINEAR_PEAK = 1e9

@@ -28,28 +28,39 @@ import math
 
 import numpy as np
 
-from ..kernel import exported, inlined, record, shaped, size_of, unpacker, viewer
-from ..maths.bits import whole
-from ..maths.exact import clip, sqrt, square
-from ..maths.exponential import exp
-from ..maths.trigonometric import atan, cos, sin, tan
-from ..maths.vectors import padded
-from ..qp import problem as qp
-from ..qp.active_set import active_set
-from ..qp.factor import factorise
-from . import on_the_way as way
-from .contract import (
+from adaptrack.core.public import (
     COMMON,
     LAW_SIGNATURE,
     SLOWEST,
     STANDING,
+    active_set,
     all_finite,
+    atan,
+    clip,
+    cos,
+    exp,
+    exported,
+    factorise,
+    inlined,
     limited,
+    padded,
     path_ahead,
     planned_speed,
+    qp,
     read_situation,
+    record,
+    shaped,
+    sin,
+    size_of,
+    sqrt,
+    square,
+    tan,
+    unpacker,
+    viewer,
+    whole,
     wrapped,
 )
+from adaptrack.peers.kernels import on_the_way as way
 
 WEIGHTS = (
     "lateral_error",  # 1/m^2, q_e
@@ -81,7 +92,7 @@ DIAGNOSTICS = (
     "offset",  # m, from the path to the car, positive when the car is on the left
     "heading_error",  # rad, the car's heading less the path's, both at the rear axle
     "feed_forward",  # rad, steering of the kinematic turn with the curvature of the first stage
-    "qp_status",  # see `qp.problem`
+    "qp_status",  # see `core.qp.problem`
     "qp_iterations",
 )
 answer_of = viewer(record("Answer", ("command", *DIAGNOSTICS)))

@@ -1,4 +1,4 @@
-"""What a law of others is told of steering, sensors and limits: the same as the MPC that knows its car."""
+"""Steering, sensor and limit data for the baseline controllers: those of the MPC that knows its car."""
 
 from __future__ import annotations
 
@@ -31,8 +31,8 @@ def world_and_belief(
     return world, pace, believed(car, belief, world, pace, named=profile is not None)
 
 
-class Told(NamedTuple):
-    """What a law is told."""
+class Setup(NamedTuple):
+    """Steering, sensors and limits of the loop that a controller runs in."""
 
     belief: Belief
     """of the steering: caller, car file and profile in this order"""
@@ -48,8 +48,8 @@ class Told(NamedTuple):
     def of(
         cls, where: str, vehicle: Vehicle, profile: str | Profile | None, belief: Steering | None,
         period: float | None, preview: bool | None, limits: Limits | None,
-    ) -> Told:  # fmt: skip
-        """What is told to the law `where`; arguments as for `MPC`.
+    ) -> Setup:  # fmt: skip
+        """For the controller called `where` in messages; arguments as for `MPC`.
 
         Raises
         ------

@@ -1,0 +1,194 @@
+"""What kernels outside the core may use: others' controllers and plants, environments, kernels of one's own.
+
+This module is the core's contract with them: whatever stands here keeps its name and its meaning, and nothing else of
+the core may be imported from outside the package's own rooms (`peers` and `gym` are held to it by a linter).
+
+=====================  =============================================================================================
+writing a kernel       `inlined`, `exported`, `Caller`, `address_of`, `member`, `compiles`; types (`float64`, `vector`,
+                       `void`, `several`, ...); records (`record`, `columns`, `rows`, `unpacker`, `packer`, `viewer`,
+                       `size_of`, `Place`, `Resident`); `local`, `shaped`, `fma`. See `core.kernel` for the rules
+functions              the same bits on every processor: `exp`, `log`, `sin`, `atan2`, `hypot`, ...; of nine digits and
+                       quicker in loops: `fast_sine`, `fast_cosine`, `fast_arctangent`, ...
+a controller           its call (`LAW_SIGNATURE`, `COMMON`, `read_situation`) and what must hold (`limited`,
+                       `all_finite`), see `core.controllers.contract`
+the path ahead         `path_at`, `path_ahead`, `planned_speed`, `wrapped`, `Direction`; the linear model in path
+                       coordinates, `path_model`; `node_below` in grids of gains
+quadratic programmes   `qp` (the problem and its arrays), `factorise`, `active_set`, `padded`
+counted random         `counted_uniform`, `counted_normal`: the same number for the same counters, in any order; by hand
+                       `random_bits` of counters, and a `random_unit` of bits
+a plant                `MOTION` and `PlantState`, the input of a right-hand side (`PLANT_INPUT`), `wind_load`,
+                       `layout_of` parameters, `compiled_foreign` (functions of other packages)
+a control period       its two halves, between which a controller stands: `before_control` and `after_control`, then
+                       `move`; whole episodes of a batch: `Episodes`, `renew`, `arrive`, `steer`, `control`; what an
+                       agent observes: `Sight`, `see_one`, `see_all`, `look_all`
+=====================  =============================================================================================
+"""
+
+from .controllers.contract import (
+    COMMON,
+    LAW_SIGNATURE,
+    SLOWEST,
+    STANDING,
+    Direction,
+    all_finite,
+    limited,
+    path_ahead,
+    path_at,
+    planned_speed,
+    read_situation,
+    wrapped,
+)
+from .controllers.lqr import node_below
+from .episode import ARRIVED, DRIVING, EPISODE, FAILED, Episodes, arrive, renew
+from .episode_steer import see_all, steer
+from .episode_tune import control, look_all
+from .estimators.learning import ANSWER as LEARNED
+from .estimators.learning import BELIEFS
+from .kernel import (
+    Caller,
+    Place,
+    Resident,
+    address_of,
+    boolean,
+    columns,
+    cube,
+    exported,
+    float64,
+    fma,
+    inlined,
+    int64,
+    int_vector,
+    local,
+    matrix,
+    packer,
+    record,
+    rows,
+    several,
+    shaped,
+    size_of,
+    unpacker,
+    vector,
+    viewer,
+    void,
+)
+from .maths.bits import whole
+from .maths.exact import ceil, clip, floor, fmod, sqrt, square
+from .maths.exponential import exp, hypot, log
+from .maths.fast import fast_arctangent, fast_arctangent_of_ratio, fast_cosine, fast_sine
+from .maths.random import counted_normal, counted_uniform
+from .maths.random import output as random_bits
+from .maths.random import unit as random_unit
+from .maths.trigonometric import asin, atan, atan2, cos, sin, tan
+from .maths.vectors import padded
+from .member import compiles, member
+from .models import path as path_model
+from .models.contract import MEASURED
+from .period import after_control, before_control, move
+from .plants.contract import MOTION, SLOTS
+from .plants.contract import State as PlantState
+from .plants.forces import wind_load
+from .plants.foreign import compiled_foreign
+from .plants.user import U as PLANT_INPUT
+from .plants.user import layout_of
+from .qp import problem as qp
+from .qp.active_set import active_set
+from .qp.factor import factorise
+from .sight import Sight, see_one
+
+__all__ = [
+    "ARRIVED",
+    "BELIEFS",
+    "COMMON",
+    "DRIVING",
+    "EPISODE",
+    "FAILED",
+    "LAW_SIGNATURE",
+    "LEARNED",
+    "MEASURED",
+    "MOTION",
+    "PLANT_INPUT",
+    "SLOTS",
+    "SLOWEST",
+    "STANDING",
+    "Caller",
+    "Direction",
+    "Episodes",
+    "Place",
+    "PlantState",
+    "Resident",
+    "Sight",
+    "active_set",
+    "address_of",
+    "after_control",
+    "all_finite",
+    "arrive",
+    "asin",
+    "atan",
+    "atan2",
+    "before_control",
+    "boolean",
+    "ceil",
+    "clip",
+    "columns",
+    "compiled_foreign",
+    "compiles",
+    "control",
+    "cos",
+    "counted_normal",
+    "counted_uniform",
+    "cube",
+    "exp",
+    "exported",
+    "factorise",
+    "fast_arctangent",
+    "fast_arctangent_of_ratio",
+    "fast_cosine",
+    "fast_sine",
+    "float64",
+    "floor",
+    "fma",
+    "fmod",
+    "hypot",
+    "inlined",
+    "int64",
+    "int_vector",
+    "layout_of",
+    "limited",
+    "local",
+    "log",
+    "look_all",
+    "matrix",
+    "member",
+    "move",
+    "node_below",
+    "packer",
+    "padded",
+    "path_ahead",
+    "path_at",
+    "path_model",
+    "planned_speed",
+    "qp",
+    "random_bits",
+    "random_unit",
+    "read_situation",
+    "record",
+    "renew",
+    "rows",
+    "see_all",
+    "see_one",
+    "several",
+    "shaped",
+    "sin",
+    "size_of",
+    "sqrt",
+    "square",
+    "steer",
+    "tan",
+    "unpacker",
+    "vector",
+    "viewer",
+    "void",
+    "whole",
+    "wind_load",
+    "wrapped",
+]
