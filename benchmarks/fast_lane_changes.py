@@ -53,7 +53,7 @@ def main() -> None:
     costs = {name: judged.costs(policy, fresh) for name, policy in contenders.items()}
     print(f"{asked.profile}, {asked.runs} lane changes above {asked.slowest:g} m/s; constant of such runs {constant}")
     for name, cost in costs.items():
-        over = ratio(cost, costs["default constant"], np.random.default_rng(0))
+        over = ratio(cost, costs["default constant"])
         failed = int((cost >= judged.failed_cost / len(fresh)).sum())
         print(f"{name:32} J {geometric_mean(cost):.5f}  {over.mean:.3f} [{over.low:.3f}, {over.high:.3f}]  {failed}")
 

@@ -12,8 +12,9 @@ import argparse
 import time
 
 import adaptrack as at
+from adaptrack.comparison.compare import compare
 from adaptrack.comparison.contenders import Contender
-from adaptrack.comparison.roads import on_roads
+from adaptrack.comparison.views import road_rows
 from adaptrack.road import Comfort
 from adaptrack.scenario.profile import load_profile
 from adaptrack.tuning.constant import seek_constant, swarm_within
@@ -48,7 +49,7 @@ def main() -> None:
         print(f"{name}: {entries} ({time.time() - begun:.0f} s)", flush=True)
         tuned = tuned_controller(name, car, world, found.tuning, period=world.period, preview=True)
         chosen += [Contender(f"{name}, default", own), Contender(f"{name}, tuned", tuned)]
-    for row in on_roads(runs(1, 2), chosen, range(2), car.outline, chosen[0].name).rows():
+    for row in road_rows(compare(runs(1, 2), chosen, range(2), chosen[0].name, outline=car.outline)):
         print(
             f"{row['contender']:24} J {row['cost_geomean']:.5f} m^2, RMS {row['rms_error']:.4f} m, "
             f"p95 {row['p95_error']:.4f} m, largest {row['max_abs_error']:.3f} m, "

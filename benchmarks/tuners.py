@@ -39,7 +39,7 @@ from adaptrack.comparison.entries import get_entry
 from scipy.optimize import differential_evolution
 from scipy.stats import qmc
 
-from adaptrack.comparison.side_by_side import load_setting, load_trip
+from adaptrack.comparison.config import load_setting, load_trip
 from adaptrack.control.controllers import MPC
 from adaptrack.drive.batch import own_tuning
 from adaptrack.tuning.constant import mean_costs

@@ -9,7 +9,7 @@ import pytest
 import small_data
 from adaptrack.base.errors import InvalidInput, MissingExtra
 from adaptrack.cars.vehicle import load_vehicle
-from adaptrack.comparison.compare import Comparison
+from adaptrack.comparison.table import Comparison
 from adaptrack.control.controllers import Tuning
 from adaptrack.control.scheduling import Constant, Learned
 from adaptrack.drive.metrics import compute_metrics
@@ -111,7 +111,9 @@ def test_to_pandas_gives_a_row_an_instant_with_units(lap):
 def contenders():
     """Two contenders, of which one costs half."""
     costs = {"best constant": np.full(9, 2e-3), "mine <b>": np.full(9, 1e-3)}
-    return Comparison(costs, {name: np.zeros(9) for name in costs}, {}, "best constant", np.zeros((9, 4)))
+    return Comparison.of_runs(
+        {name: {"cost": each, "failed": np.zeros(9)} for name, each in costs.items()}, "best constant"
+    )
 
 
 def objects():

@@ -7,13 +7,13 @@ import re
 import numpy as np
 import pytest
 
-from adaptrack.comparison.compare import Comparison, Role
 from adaptrack.comparison.statistics import binned_geometric_mean, importance
+from adaptrack.comparison.table import Comparison, Role
 from adaptrack.control.controllers import Tuning
 from adaptrack.control.scheduling import Constant, Guarded, Learned, StabilityMap, Table
 from adaptrack.results import comparison as page
 from adaptrack.results import style
-from adaptrack.results.comparison import best, failures, knowledge, on_tests, standing, write_comparison
+from adaptrack.results.comparison import failures, knowledge, on_tests, standing, write_comparison
 from adaptrack.results.words import number
 from pictures import pictures
 
@@ -38,7 +38,8 @@ def compared(factors, runs=40, reference="optimum", failed=None, spread=0.05, se
     where = rng.uniform((3.0, -7.0, 0.4, -20.0), (27.0, 7.0, 1.0, 20.0), (runs, 4))
     counts = {name: {"clipped": 0.125, "rate_limited": 0.0, "fallback": 1e-4} for name in factors if name == "nn"}
     roles = {name: dataclasses.replace(ROLES.get(name, Role()), kind=name) for name in factors}
-    return Comparison(costs, shares, counts, reference, where, roles)
+    driven = {name: {"cost": costs[name], "failed": shares[name]} for name in costs}
+    return Comparison.of_runs(driven, reference, overall=counts, where=where, roles=roles)
 
 
 def scheduler(inputs=("speed", "change", "friction"), tilt=(20.0, 5.0, 0.0), name="nn"):
@@ -113,8 +114,8 @@ def report(tmp_path_factory):
 
 # -- judgements -------------------------------------------------------------------------------------------------------
 def test_the_cheapest_rung_is_best_but_for_those_with_hindsight():
-    assert best(compared(REGRETS)) == ["nn"]
-    assert best(compared(DRIVES, reference="best constant")) == ["nn"]
+    assert compared(REGRETS).best == ["nn"]
+    assert compared(DRIVES, reference="best constant").best == ["nn"]
 
 
 def test_rungs_that_the_runs_cannot_tell_apart_are_level():
@@ -401,7 +402,8 @@ def test_schedulers_are_called_by_their_files_names_and_told_apart_by_their_kind
     """A file road-nn is not taken for one's own nn, nor one's own for ours."""
     costs = {"best constant": np.full(8, 1.0), "road-nn": np.full(8, 0.5), "mine": np.full(8, 0.8)}
     roles = {"best constant": Role(adapts=False, kind="best constant"), "road-nn": Role(kind="nn"), "mine": Role()}
-    made = Comparison(costs, {name: np.zeros(8) for name in costs}, {}, "best constant", np.zeros((8, 4)), roles)
+    driven = {name: {"cost": each, "failed": np.zeros(8)} for name, each in costs.items()}
+    made = Comparison.of_runs(driven, "best constant", roles=roles)
     said = standing(made, rows_of(made), "drive")
     assert "road-nn is best" in said
     assert [name for name, _ in page._meanings(made).entries] == [page._NAMES["best constant"][0], "road-nn"]

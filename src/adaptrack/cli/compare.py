@@ -12,7 +12,7 @@ from adaptrack.cli import interrupt, options, show
 from adaptrack.cli.show import Column
 
 if TYPE_CHECKING:
-    from adaptrack.comparison.side_by_side import SideBySide
+    from adaptrack.comparison.config import ComparisonConfig
     from adaptrack.studies.compare import Compared
 
 COLUMNS = (
@@ -62,7 +62,7 @@ def compare(
     Each contender drives with its default and with a tuning that a search found on training roads; a schedule brings
     its own. Ranks differ only where the intervals part. Failed runs are counted in the table; the exit code is 0.
     """
-    from adaptrack.studies.compare import TABLE, compare_side_by_side
+    from adaptrack.studies.compare import TABLE, run_comparison
 
     options.load_plugins(plugin)
     if names:
@@ -81,7 +81,7 @@ def compare(
     show.say(f"adaptrack: {task.name}: {size}", aside=True)
     interrupt.kept(f"What was driven is kept; the same command with --out {out} goes on.")
     with show.progress("compare") as advance:
-        made = compare_side_by_side(task, out, dask=dask, progress=advance)
+        made = run_comparison(task, out, dask=dask, progress=advance)
     page = _page(made, out)
     if as_json:
         show.say_json({**_told(made), "page": str(page), "table": str(out / TABLE)})
@@ -92,7 +92,7 @@ def compare(
 
 def _task(
     name: Any, contender: Any, car: Any, road: Any, profile: Any, seeds: int | None, budget: int | None
-) -> SideBySide:
+) -> ComparisonConfig:
     """The comparison that is asked for."""
     from adaptrack.studies.compare import load_comparison
 
@@ -123,21 +123,21 @@ def _page(made: Compared, out: Path) -> Path:
 
 def _rows(made: Compared, profile: str) -> list[dict[str, Any]]:
     """The rows of a profile, with the mean entry speed in km/h."""
-    from adaptrack.comparison.standing import Who
+    from adaptrack.comparison.views import standing_rows
 
     speeds, rows = made.entry_speeds(profile), []
-    for row in made.standings[profile].rows():
-        entered = speeds.get(Who(row["contender"], row["tuning"]), {})
+    for row in standing_rows(made.by_profile[profile]):
+        entered = speeds.get(row["label"], {})
         rows.append({**row, "entry_speed": 3.6 * sum(entered.values()) / len(entered) if entered else None})
     return rows
 
 
 def _told(made: Compared) -> dict[str, Any]:
-    from adaptrack.comparison.compare import finite
+    from adaptrack.comparison.table import finite
 
     return {
         "name": made.task.name,
-        "profiles": {profile: finite(_rows(made, profile)) for profile in made.standings},
+        "profiles": {profile: finite(_rows(made, profile)) for profile in made.by_profile},
         "left_out": [{**vars(cell), "why": why} for cell, why in made.left_out.items()],
         "absent": made.absent,
         "cells": [
@@ -151,7 +151,7 @@ def _print(made: Compared) -> None:
     from adaptrack.results.words import counted
 
     task = made.task
-    for profile, standing in made.standings.items():
+    for profile, table in made.by_profile.items():
         rows = [
             {
                 **row,
@@ -161,11 +161,11 @@ def _print(made: Compared) -> None:
             }
             for row in _rows(made, profile)
         ]
-        cars, roads = len(set(standing.columns["car"])), len(set(standing.columns["road"]))
+        cars, roads = len(table.cars), len(table.roads)
         size = ", ".join(
             counted(n, what) for n, what in ((cars, "car"), (roads, "road"), (len(task.seeds), "noise seed"))
         )
-        show.table(f"{profile}: {size}; ratio to {standing.reference.label}", COLUMNS, rows)
+        show.table(f"{profile}: {size}; ratio to {table.reference}", COLUMNS, rows)
     for car, why in made.absent.items():
         show.say(f"Left out, {car}: {why}")
     for name, reasons in _left_out(made).items():

@@ -66,7 +66,7 @@ def print_comparison(made: Adapted, as_json: bool) -> None:
 
 
 def _rows(views: Mapping[str, Mapping[str, Any]]) -> list[dict[str, Any]]:
-    from adaptrack.comparison.compare import finite
+    from adaptrack.comparison.table import finite
 
     return [
         {"view": view, "scenario" if view == "tests" else "known_as": name, "reference": each.reference, **row}

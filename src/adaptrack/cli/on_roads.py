@@ -20,7 +20,7 @@ from adaptrack.cli.show import Column
 if TYPE_CHECKING:
     from adaptrack.cars.vehicle import Vehicle
     from adaptrack.comparison.contenders import Contender
-    from adaptrack.comparison.roads import RoadComparison
+    from adaptrack.comparison.table import Comparison
     from adaptrack.control.controllers import Controller
     from adaptrack.scenario.profile import Profile
     from adaptrack.tuning.constant import Sought
@@ -125,12 +125,12 @@ class Setting:
 
         return tuned_controller(name, self.car, self.profile, tuning, period=self.profile.period, preview=True)
 
-    def compare(self, contenders: Sequence[Contender], seeds: Sequence[int], reference: str) -> RoadComparison:
+    def compare(self, contenders: Sequence[Contender], seeds: Sequence[int], reference: str) -> Comparison:
         """Drive them all."""
-        from adaptrack.comparison.roads import on_roads
+        from adaptrack.comparison.compare import compare
 
         with show.progress("drive") as advance:
-            return on_roads(self.runs, contenders, seeds, self.car.outline, reference, advance)
+            return compare(self.runs, contenders, seeds, reference, progress=advance, outline=self.car.outline)
 
 
 # -- tune -------------------------------------------------------------------------------------------------------------
@@ -148,6 +148,7 @@ class SearchOptions:
 def tune(setting: Setting, name: str, search: SearchOptions, noise_seeds: int, out: Path, as_json: bool) -> None:
     """Seek the constant of a controller, write its file, and judge it beside the controller's own with other noise."""
     from adaptrack.comparison.contenders import Contender
+    from adaptrack.comparison.views import road_rows
     from adaptrack.tuning.constant import seek_constant, swarm_within
     from adaptrack.tuning.constant_file import TUNABLE
     from adaptrack.tuning.pso import SwarmSettings
@@ -171,7 +172,7 @@ def tune(setting: Setting, name: str, search: SearchOptions, noise_seeds: int, o
     if as_json:
         about = {"tuning": str(out), "controller": name, "entries": found.tuning, "better": found.better}
         told = {key: value for key, value in vars(found).items() if key != "tuning"}
-        show.say_json(about | told | {"runs": spent, "seconds": seconds, "rows": judged.rows()})
+        show.say_json(about | told | {"runs": spent, "seconds": seconds, "rows": road_rows(judged)})
         return
     print_rows(f"{name}, {setting.title}; {len(judged.seeds)} noise seeds that the search did not see", judged)
     if not found.better:
@@ -217,11 +218,12 @@ def evaluate(setting: Setting, entered: Entered, seeds: Sequence[int], out: Path
         page = write_road_comparison(out, made, title=setting.title, command=options.command_line())
         show.say(f"Page: {page}", aside=as_json)
     if as_json:
-        from adaptrack.comparison.compare import finite
+        from adaptrack.comparison.table import finite
+        from adaptrack.comparison.views import road_rows
 
         show.say_json({
             "vehicle": setting.car.name, "profile": setting.profile.name, "roads": list(made.roads),
-            "seeds": list(made.seeds), "reference": reference, "left_out": left_out, "rows": finite(made.rows()),
+            "seeds": list(made.seeds), "reference": reference, "left_out": left_out, "rows": finite(road_rows(made)),
         })  # fmt: skip
         return
     print_rows(f"{setting.title}, {len(seeds)} noise seeds; ratio to {reference}", made)
@@ -229,8 +231,8 @@ def evaluate(setting: Setting, entered: Entered, seeds: Sequence[int], out: Path
 
 def _contenders(setting: Setting, entered: Entered, seeds: Sequence[int]) -> tuple[list[Contender], dict[str, str]]:
     """Those that are asked for, or the usual ones that fit; and why others do not."""
+    from adaptrack.comparison.compare import check_fits
     from adaptrack.comparison.contenders import Contender, check_contender, get_contender
-    from adaptrack.comparison.roads import check_fits
     from adaptrack.tuning.constant_file import load_tuning
 
     chosen: list[Contender] = []
@@ -272,13 +274,15 @@ def _scheduled(name: str, setting: Setting) -> Contender:
     return Contender(schedule.name, schedule)
 
 
-def print_rows(title: str, made: RoadComparison) -> None:
+def print_rows(title: str, made: Comparison) -> None:
     """The table of a comparison, and who failed where."""
-    rows: list[dict[str, Any]] = made.rows()
+    from adaptrack.comparison.views import road_rows
+
+    rows: list[dict[str, Any]] = road_rows(made)
     for row in rows:
         row["interval"] = f"{row['regret_low']:.3g}-{row['regret_high']:.3g}"
     show.table(title, COLUMNS, rows)
-    count = len(made.comparison.where)
+    count = len(made.table(made.reference))
     if len(made.roads) == 1:
         show.say(f"Interval: bootstrap over the {count} noise seeds of this one road; it says nothing about others.")
     else:

@@ -9,8 +9,10 @@ from numpy.typing import NDArray
 
 from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.plant import Plant, SteppedPlant
-from adaptrack.comparison.compare import Comparison, SwarmSearch, compare, optimum, per_run_best
+from adaptrack.comparison.compare import compare
 from adaptrack.comparison.contenders import PUBLISHED_CONTENDERS, Contender, contenders_of, get_contender
+from adaptrack.comparison.hindsight import SwarmSearch, optimum, per_run_best
+from adaptrack.comparison.table import Comparison
 from adaptrack.control.controllers import Tuning
 from adaptrack.control.scheduling import Schedule
 from adaptrack.drive.metrics import PUBLISHED

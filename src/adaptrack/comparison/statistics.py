@@ -1,25 +1,27 @@
-"""Statistics of costs: geometric means, ratios with their 95 % intervals, and what moves a schedule's output.
+"""Statistics of measures: geometric means, ratios with their 95 % intervals, and what moves a schedule's output.
 
-A table and the sentence beside it take their intervals from `ratio`.
+Every interval of a ratio is one of `ratio`, in tables and in the sentences beside them.
 """
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from functools import lru_cache
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from adaptrack.base.errors import InvalidInput
 from adaptrack.control.scheduling import Schedule, SchedulingVariables
 
 Array = NDArray[np.float64]
 
-RESAMPLES = 2000
+RESAMPLES, SEED = 2000, 0x9160
 """Of a bootstrap."""
 
 
 class Ratio(NamedTuple):
-    """Geometric mean of one contender's cost over another's on the same runs, and its 95 % interval."""
+    """Geometric mean of a measure of one contender over another's on the same runs, and its 95 % interval."""
 
     mean: float
     low: float
@@ -36,20 +38,45 @@ def geometric_mean(costs: ArrayLike) -> float:
     return float(np.exp(np.mean(np.log(costs))))
 
 
-def ratio(costs: Array, others: Array, rng: np.random.Generator) -> Ratio:
-    """The cost over that of another, run by run, both (runs,), with the percentile bootstrap interval of its mean.
+def ratio(values: ArrayLike, others: ArrayLike) -> Ratio:
+    """The geometric mean of values over others, both (n,) or (n, m), with its 95 % percentile bootstrap interval.
 
-    B. Efron, R. Tibshirani, "An Introduction to the Bootstrap" (1993), section 13.3; of the mean logarithm.
+    Every axis is a level that is drawn anew in each resample, independently of the other: runs; or cars and roads,
+    where drawing their pairs would give far too narrow an interval (A. B. Owen, "The pigeonhole bootstrap", Annals of
+    Applied Statistics 1 (2007) 386-411). An axis of length 1 is not drawn. Where either is NaN, nothing was measured.
+    All ratios of one shape share their resamples.
+
+    Raises
+    ------
+    InvalidInput
+        When nothing was measured in common.
     """
-    logs = np.log(costs / others)
-    draws = resamples(rng, len(logs))
-    low, high = np.percentile(np.exp(logs[draws].mean(axis=1)), [2.5, 97.5])
-    return Ratio(float(np.exp(logs.mean())), float(low), float(high))
+    logs = np.log(np.asarray(values, dtype=float) / np.asarray(others, dtype=float))
+    there = np.isfinite(logs)
+    if not there.any():
+        raise InvalidInput("ratio: the two were driven on nothing in common.")
+    total, count = _resampled(np.where(there, logs, 0.0)), _resampled(there.astype(float))
+    means = total[count > 0.0] / count[count > 0.0]
+    low, high = np.percentile(np.exp(means), [2.5, 97.5])
+    return Ratio(float(np.exp(logs[there].mean())), float(low), float(high))
 
 
-def resamples(rng: np.random.Generator, runs: int) -> NDArray[np.int64]:
-    """(RESAMPLES, runs) the runs of each resample."""
-    return rng.integers(0, runs, size=(RESAMPLES, runs))
+def _resampled(values: Array) -> Array:
+    """(RESAMPLES,) the sum of the values that each resample draws."""
+    operands: list[Any] = [values, list(range(values.ndim))]
+    for axis, weights in enumerate(_weights(values.shape)):
+        operands += [weights, [values.ndim, axis]]
+    return np.asarray(np.einsum(*operands, [values.ndim]))
+
+
+@lru_cache(maxsize=4)
+def _weights(shape: tuple[int, ...]) -> list[Array]:
+    """(RESAMPLES, n) for each axis: how often each of its n entries is drawn."""
+    rng = np.random.default_rng(SEED)
+    return [
+        rng.multinomial(n, np.full(n, 1.0 / n), size=RESAMPLES).astype(float) if n > 1 else np.ones((RESAMPLES, 1))
+        for n in shape
+    ]
 
 
 def regret_percentiles(regret: Array) -> dict[str, float]:

@@ -12,7 +12,7 @@ import numpy as np
 from adaptrack.base.errors import InvalidInput, real, whole
 from adaptrack.cars.plant import DualTrack, Plant, SteppedPlant, get_plant
 from adaptrack.cars.vehicle import Vehicle, load_vehicle
-from adaptrack.comparison.side_by_side import load_setting, load_trip
+from adaptrack.comparison.config import load_setting, load_trip
 from adaptrack.control.controllers import CompiledController
 from adaptrack.drive.failure import DISTANCE, Failure
 from adaptrack.drive.world import Driver, KnownAs

@@ -19,7 +19,6 @@ from matplotlib.colors import LogNorm
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
-from adaptrack.comparison.compare import Comparison
 from adaptrack.comparison.contenders import shown_as
 from adaptrack.comparison.statistics import (
     Ratio,
@@ -29,6 +28,7 @@ from adaptrack.comparison.statistics import (
     outputs_of,
     regret_percentiles,
 )
+from adaptrack.comparison.table import Comparison
 from adaptrack.control.scheduling import Schedule
 from adaptrack.results import style
 from adaptrack.results.comparison_verdict import comparison_verdict
@@ -205,10 +205,9 @@ def _opening(compared: Sequence[_Compared], tests: Comparisons) -> list[Section]
         return []
     (comparison, _, noun), *others = main
     further = [
-        f"on {counted(_runs(other.comparison), other.noun)}: {_label(best(other.comparison)[0])}"
-        for other in others[:2]
+        f"on {counted(_runs(other.comparison), other.noun)}: {_label(other.comparison.best[0])}" for other in others[:2]
     ]
-    return [Section("Verdict", [comparison_verdict(comparison, noun, best(comparison), _label, further)])]
+    return [Section("Verdict", [comparison_verdict(comparison, noun, comparison.best, _label, further)])]
 
 
 def _title(compared: Sequence[_Compared], tests: Comparisons) -> str:
@@ -227,15 +226,9 @@ def _compared(comparison: Comparison, noun: str) -> _Compared:
 
 
 # -- judgements, chosen by the numbers --------------------------------------------------------------------------------
-def best(comparison: Comparison) -> list[str]:
-    """The cheapest contender that needs no hindsight, then those level with it."""
-    ranked = sorted(_judged(comparison), key=lambda who: geometric_mean(comparison.costs[who]))
-    return ranked[:1] + [who for who in ranked[1:] if comparison.ratio(who, ranked[0]).verdict == "level"]
-
-
 def standing(comparison: Comparison, rows: Rows, noun: str) -> str:
     """Which contender is best, and how it and the learned ones stand to reference, best constant and speed only."""
-    first, *level = best(comparison)
+    first, *level = comparison.best
     head = f"On {counted(_runs(comparison), noun)} that nobody trained on, {_said(first)} is best"
     sentences = [f"{head}, level with {listed([_said(each) for each in level])}." if level else f"{head}."]
     against = [each for each in (comparison.reference, CONSTANT) if each in comparison.costs]
@@ -429,7 +422,7 @@ def _spread(compared: Sequence[_Compared]) -> list[Section]:
         return []
     drawn = [_drawn(each.comparison) for each in compared]
     kinds = {who: _kind(each.comparison, who) for each, whom in zip(compared, drawn, strict=True) for who in whom}
-    strokes = _few_strokes(kinds, [who for each in compared for who in best(each.comparison)])
+    strokes = _few_strokes(kinds, [who for each in compared for who in each.comparison.best])
     panels = []
     for (comparison, _, noun), contenders in zip(compared, drawn, strict=True):
         ratios = {who: comparison.regret(who) for who in contenders}
@@ -604,7 +597,7 @@ def _interventions(compared: Sequence[_Compared]) -> list[Section]:
     """How often inputs were clipped, and how often the guard stepped in."""
     body: list[Sequence[Cell | str] | str] = []
     for each in compared:
-        counted = {who: counts for who, counts in each.comparison.counts.items() if counts}
+        counted = {who: counts for who, counts in each.comparison.overall.items() if counts}
         body += [f"{each.noun.capitalize()}s"] if counted else []
         for who, counts in counted.items():
             body.append([_label(who), *(percent(counts[key]) if key in counts else "–" for key in _COUNTS)])
@@ -666,11 +659,6 @@ def _mean_regret(regret: Array, x: Array, y: Array) -> Cells:
 def _ratios(comparison: Comparison, other: str = "") -> dict[str, Value]:
     """By contender, the geometric mean of its cost over that of `other`; empty without that one."""
     return {who: comparison.mean_ratio(who, other) for who in comparison.costs} if other in comparison.costs else {}
-
-
-def _judged(comparison: Comparison) -> list[str]:
-    """The contenders that need no hindsight, where there are such."""
-    return [each for each in comparison.costs if not comparison.role(each).hindsight] or [comparison.reference]
 
 
 def _failed_cost(comparison: Comparison) -> str:

@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 
 from matplotlib.figure import Figure
 
-from adaptrack.comparison.compare import Comparison
+from adaptrack.comparison.table import Comparison
 from adaptrack.results import style
 from adaptrack.results.dots import Dot, dots_drawing, notes
 from adaptrack.results.page import Drawing, Picture, Terms, Verdict

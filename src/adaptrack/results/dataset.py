@@ -178,7 +178,7 @@ def _opening(rows: DataSet, told: Summary) -> list[Section]:
     both = np.isfinite(rows.standard_costs) & (rows.standard_costs > 0) & np.isfinite(rows.costs) & (rows.costs > 0)
     if not both.any():
         return []
-    worth = ratio(rows.standard_costs[both], rows.costs[both], np.random.default_rng(0))
+    worth = ratio(rows.standard_costs[both], rows.costs[both])
     costs = told["costs"]
     near = [row for row in told["flatness"] if row["p50"] is not None]
     entries = [

@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 
-from adaptrack.comparison.roads import RoadComparison
+from adaptrack.comparison.table import Comparison
+from adaptrack.comparison.views import road_rows
 from adaptrack.results import style
 from adaptrack.results.dots import Dot, dots_drawing, notes
 from adaptrack.results.page import (
@@ -29,7 +30,7 @@ from adaptrack.results.page import (
 from adaptrack.results.words import counted, few, listed, number, ratio_with_interval
 
 
-def write_road_comparison(out_dir: str | os.PathLike[str], made: RoadComparison, *, title: str, command: str) -> Path:
+def write_road_comparison(out_dir: str | os.PathLike[str], made: Comparison, *, title: str, command: str) -> Path:
     """Write the page and its picture into `out_dir`; return the page's path.
 
     Parameters
@@ -44,32 +45,35 @@ def write_road_comparison(out_dir: str | os.PathLike[str], made: RoadComparison,
     StorageError
         When the files cannot be written.
     """
-    rows = made.rows()
+    rows = road_rows(made)
     sections = [
         Section("Verdict", [_verdict(made, rows)]),
         Section("Compared", [_table(made, rows), _picture(made)]),
         *_failures(rows),
         Section("How it was made", ["This command makes it again:", Verbatim(command)]),
     ]
-    return write_page(out_dir, sections, title=f"{few(made.comparison.costs, 'contender')}: {title}")
+    return write_page(out_dir, sections, title=f"{few(made.costs, 'contender')}: {title}")
 
 
-def _verdict(made: RoadComparison, rows: Sequence[dict[str, Any]]) -> Verdict:
-    comparison, failed = made.comparison, sum(row["failures"] for row in rows)
+def _verdict(made: Comparison, rows: Sequence[dict[str, Any]]) -> Verdict:
+    failed, runs = (sum(row[key] for row in rows) for key in ("failures", "runs"))
     over = f"{len(made.roads)} roads" if len(made.roads) > 1 else "the noise seeds of this one road"
     entries = [
-        (row["contender"], f"{_ratio(row, comparison.reference)}, RMS |e| {number(row['rms_error'])} m")
+        (row["contender"], f"{_ratio(row, made.reference)}, RMS |e| {number(row['rms_error'])} m")
         for row in sorted(rows, key=lambda row: row["regret_geomean"])[:5]
     ]
     entries += [
-        ("Against", f"cost of {comparison.reference}; {number(failed)} of {number(len(rows) * made.runs)} runs failed"),
+        (
+            "Against",
+            f"cost of {made.reference}; {number(failed)} of {number(runs)} runs failed",
+        ),
         ("How sure", f"95 % intervals, bootstrap over {over}"),
     ]
     dots = [
         Dot(row["contender"], row["regret_geomean"], row["regret_low"], row["regret_high"], failed=row["failures"] > 0)
         for row in sorted(rows, key=lambda row: row["regret_geomean"])
     ]
-    label = f"Cost J / that of {comparison.reference}"
+    label = f"Cost J / that of {made.reference}"
     caption = f"{label}, with 95 % intervals.{notes(dots)}"
     drawing = dots_drawing(dots, style.data_text(label), label, level=1.0)
     return Verdict(_lead(made, rows), Terms(entries), Picture(caption, [drawing]), False)
@@ -79,24 +83,22 @@ def _ratio(row: dict[str, Any], reference: str) -> str:
     return "the reference" if row["contender"] == reference else ratio_with_interval(row, " times")
 
 
-def _lead(made: RoadComparison, rows: Sequence[dict[str, Any]]) -> str:
+def _lead(made: Comparison, rows: Sequence[dict[str, Any]]) -> str:
     """Which is cheapest, and who failed."""
-    comparison = made.comparison
-    first = min(comparison.costs, key=lambda who: comparison.mean_ratio(who, comparison.reference))
-    level = [who for who in comparison.costs if who != first and comparison.ratio(who, first).verdict == "level"]
+    first, *level = made.best
     roads = counted(len(made.roads), "road")
     words = f"On {roads} with {counted(len(made.seeds), 'noise seed')} each, {first} costs least"
     words += f", level with {listed(level)}." if level else "."
     failed = [f"{row['contender']} in {number(row['failures'])}" for row in rows if row["failures"]]
-    return f"{words} Failed: {listed(failed)} of {made.runs} runs." if failed else f"{words} No run failed."
+    return f"{words} Failed: {listed(failed)} of {rows[0]['runs']} runs." if failed else f"{words} No run failed."
 
 
-def _table(made: RoadComparison, rows: Sequence[dict[str, Any]]) -> Table:
-    reference = made.comparison.reference
+def _table(made: Comparison, rows: Sequence[dict[str, Any]]) -> Table:
+    reference = made.reference
     heads = [
         Head("Contender", is_text=True), Head("Cost J", "geometric mean, m²"), Head("Cost", f"/ {reference}"),
         Head("95 % interval"), Head("RMS |e|", "m"), Head("p95 |e|", "m"), Head("Corner", "largest, m"),
-        Head("Failed", f"of {number(made.runs)}"),
+        Head("Failed", f"of {number(rows[0]['runs'])}"),
     ]  # fmt: skip
     body: list[list[Cell | str]] = [
         [
@@ -110,21 +112,20 @@ def _table(made: RoadComparison, rows: Sequence[dict[str, Any]]) -> Table:
     over = f"the {len(made.roads)} roads" if len(made.roads) > 1 else "the noise seeds of this one road"
     note = (
         "J: mean e² plus the profile's weight of steering; a failed run counts as "
-        f"{made.comparison.failure.distance**2:g} m². Interval: bootstrap over {over}. Errors count until a run's end "
+        f"{made.failure.distance**2:g} m². Interval: bootstrap over {over}. Errors count until a run's end "
         "or failure; corner: the outermost corner of the body beyond half its width."
     )
     return Table("Contenders on the same roads", heads, body, note)
 
 
-def _picture(made: RoadComparison) -> Picture:
+def _picture(made: Comparison) -> Picture:
     """Cost of each contender on each road."""
-    comparison = made.comparison
-    strokes = style.strokes(comparison.costs)
+    strokes = style.strokes(made.costs)
     labels = made.roads if len(made.roads) > 1 else [f"seed {seed}" for seed in made.seeds]
 
     def draw(axes: Axes) -> None:
         places = np.arange(len(labels))
-        for who, costs in comparison.costs.items():
+        for who, costs in made.costs.items():
             stroke = strokes[who]
             axes.plot(places, costs, "o", color=stroke.colour, linestyle=stroke.dash, linewidth=0.8, markersize=5)
         axes.set_yscale("log")
@@ -132,8 +133,8 @@ def _picture(made: RoadComparison) -> Picture:
         axes.set_xlim(-0.5, len(labels) - 0.5)
         axes.set_ylabel("Cost J (m²)")
 
-    key = [(who, strokes[who]) for who in comparison.costs]
-    words = [f"{who}: {number(costs.min())} to {number(costs.max())} m²" for who, costs in comparison.costs.items()]
+    key = [(who, strokes[who]) for who in made.costs]
+    words = [f"{who}: {number(costs.min())} to {number(costs.max())} m²" for who, costs in made.costs.items()]
     alone = len(made.roads) == 1
     panel = Panel("Cost", draw, f"{'; '.join(words)}.")
     caption = "Cost J with each noise seed." if alone else "Cost J on each road, mean over the noise seeds."

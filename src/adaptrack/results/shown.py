@@ -8,8 +8,7 @@ from typing import Any
 from matplotlib.figure import Figure
 
 from adaptrack.cars.vehicle import Vehicle
-from adaptrack.comparison.compare import Comparison
-from adaptrack.comparison.roads import RoadComparison
+from adaptrack.comparison.table import Comparison
 from adaptrack.control.scheduling import Schedule
 from adaptrack.drive.metrics import Metrics
 from adaptrack.drive.trajectory import Trajectory
@@ -61,11 +60,9 @@ for _kind, _figure, _html in (
     figure_of.register(_kind, _figure)
     html_of.register(_kind, _html)
 figure_of.register(Comparison, comparison_figure)
-figure_of.register(RoadComparison, lambda shown: comparison_figure(shown.comparison))
 html_of.register(Metrics, metrics_html)
 
 
 @html_of.register(Comparison)
-@html_of.register(RoadComparison)
-def _(shown: Comparison | RoadComparison) -> str:
+def _(shown: Comparison) -> str:
     return comparison_html(repr(shown)[1:-1], shown.rows(), figure_of(shown))

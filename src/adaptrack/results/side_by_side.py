@@ -12,7 +12,8 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 
-from adaptrack.comparison.standing import Standing, Who
+from adaptrack.comparison.table import Comparison
+from adaptrack.comparison.views import standing_rows
 from adaptrack.control.controllers import about_controller
 from adaptrack.results import style
 from adaptrack.results.dots import Dot, dots_drawing, notes
@@ -52,13 +53,13 @@ def write_side_by_side(out_dir: str | os.PathLike[str], made: Compared, *, comma
     StorageError
         When the files cannot be written.
     """
-    standings = made.standings
+    tables = made.by_profile
     sections = [
-        Section("The result", [_verdict(made, standings)]),
-        *(Section(f"Profile {profile}", [_table(made, profile, each)]) for profile, each in standings.items()),
-        Section("Error against steering work", [_work(standings)]),
-        Section("Failed runs by car", [_failures(standings)]),
-        *_entry_speeds(made, standings),
+        Section("The result", [_verdict(made, tables)]),
+        *(Section(f"Profile {profile}", [_table(made, profile, each)]) for profile, each in tables.items()),
+        Section("Error against steering work", [_work(tables)]),
+        Section("Failed runs by car", [_failures(made)]),
+        *_entry_speeds(made),
         *_left_out(made),
         Section("How it was made", [*_how(made), "This command makes it again:", Verbatim(command)]),
     ]
@@ -76,36 +77,35 @@ def _driven(made: Compared) -> str:
     return f"{counted(len(set(made.columns['car'])), 'car')}, {counted(len(made.task.roads), 'road')}"
 
 
-def _verdict(made: Compared, standings: dict[str, Standing]) -> Verdict:
-    total = sum(int(each.of(who)["failed"].sum()) for each in standings.values() for who in _ours(each))
-    runs = sum(len(each.of(who)["failed"]) for each in standings.values() for who in _ours(each))
+def _verdict(made: Compared, tables: dict[str, Comparison]) -> Verdict:
+    ours = [row for each in tables.values() for row in standing_rows(each) if _is_ours(row)]
+    total, runs = sum(row["failures"] for row in ours), sum(row["runs"] for row in ours)
     entries = [
-        *((f"Profile {profile}", _first(each)) for profile, each in standings.items()),
-        ("Against", f"{next(iter(standings.values())).reference.label}; same noise, and {number(made.task.budget)} "
+        *((f"Profile {profile}", _first(each)) for profile, each in tables.items()),
+        ("Against", f"{next(iter(tables.values())).reference}; same noise, and {number(made.task.budget)} "
                     "closed loops of tuning for each"),
         ("How sure", f"95 % intervals over {_driven(made)}; {counted(len(made.task.seeds), 'noise seed')}"),
     ]  # fmt: skip
     text = f"Ours failed in {number(total)} of {number(runs)} runs."
-    profile, standing = list(standings.items())[-1]
-    return Verdict(text, Terms(entries), _ratios(profile, standing))
+    profile, table = list(tables.items())[-1]
+    return Verdict(text, Terms(entries), _ratios(profile, table))
 
 
-def _ours(standing: Standing) -> list[Who]:
-    return [who for who in standing.everyone if about_controller(who.contender).ours]
+def _is_ours(row: dict[str, Any]) -> bool:
+    return about_controller(row["contender"]).ours
 
 
-def _first(standing: Standing) -> str:
+def _first(table: Comparison) -> str:
     """Who is first in the RMS error, who cannot be told from it, and how the best of the others stands."""
-    rows = standing.rows()
+    rows = standing_rows(table)
     first = [row for row in rows if row["rank"] == 1]
-    ours = [row for row in rows if about_controller(row["contender"]).ours]
-    others = [row for row in rows if not about_controller(row["contender"]).ours]
+    ours, others = [row for row in rows if _is_ours(row)], [row for row in rows if not _is_ours(row)]
     words = f"{listed([row['label'] for row in first])} first"
     if others:
         best = min(others, key=lambda row: row["rms_ratio"])
         words += (
             f"; best of the others: {best['label']}, {number(best['rms_ratio'])} "
-            f"[{number(best['rms_low'])}, {number(best['rms_high'])}] times the error of {standing.reference.label}, "
+            f"[{number(best['rms_low'])}, {number(best['rms_high'])}] times the error of {table.reference}, "
             f"{best['failures']} of {best['runs']} runs failed"
         )
     if ours and others:
@@ -113,14 +113,14 @@ def _first(standing: Standing) -> str:
     return f"{words}."
 
 
-def _ratios(profile: str, standing: Standing) -> Picture:
+def _ratios(profile: str, table: Comparison) -> Picture:
     """A dot and its interval for each contender, the best first."""
     dots = [
         Dot(row["label"], row["rms_ratio"], row["rms_low"], row["rms_high"], colour_of(row["contender"]),
             row["failures"] > 0)
-        for row in standing.rows()
+        for row in standing_rows(table)
     ]  # fmt: skip
-    label = f"RMS error / that of {standing.reference.label}"
+    label = f"RMS error / that of {table.reference}"
     caption = f"Profile {profile}: {label}, with 95 % intervals. {COLOURS}"
     return Picture(
         caption + notes(dots), [dots_drawing(dots, style.data_text(label), label, level=1.0)], file="ratios.png"
@@ -143,8 +143,8 @@ def _tall(draw: Callable[[Axes], None], rows: int, words: str) -> Drawing:
 
 
 # -- tables -----------------------------------------------------------------------------------------------------------
-def _table(made: Compared, profile: str, standing: Standing) -> Table:
-    reference, speeds = standing.reference.label, made.entry_speeds(profile)
+def _table(made: Compared, profile: str, table: Comparison) -> Table:
+    reference, speeds = table.reference, made.entry_speeds(profile)
     heads = [
         Head("Contender", is_text=True), Head("Rank"), Head("RMS error", "ratio [95 %]"),
         Head("Cost J", "ratio [95 %]"),
@@ -152,8 +152,8 @@ def _table(made: Compared, profile: str, standing: Standing) -> Table:
         Head("3888-2", "km/h"), Head("Failed", "runs"),
     ]  # fmt: skip
     body: list[Sequence[Cell | str] | str] = []
-    for row in standing.rows():
-        entered = list(speeds.get(Who(row["contender"], row["tuning"]), {}).values())
+    for row in standing_rows(table):
+        entered = list(speeds.get(row["label"], {}).values())
         body.append([
             row["label"], number(row["rank"]), _with_interval(row, "rms"), _with_interval(row, "cost"),
             *(number(row[name], 2) for name in _SHOWN),
@@ -178,12 +178,12 @@ def _with_interval(row: dict[str, Any], measure: str) -> str:
 
 
 # -- pictures ---------------------------------------------------------------------------------------------------------
-def _panels(standings: dict[str, Standing], panel: Callable[[str, Standing], Panel]) -> list[Panel]:
-    return [panel(profile, each) for profile, each in standings.items()]
+def _panels(tables: dict[str, Comparison], panel: Callable[[str, Comparison], Panel]) -> list[Panel]:
+    return [panel(profile, each) for profile, each in tables.items()]
 
 
-def _work(standings: dict[str, Standing]) -> Picture:
-    panels = _panels(standings, _work_panel)
+def _work(tables: dict[str, Comparison]) -> Picture:
+    panels = _panels(tables, _work_panel)
     caption = (
         "RMS error against the RMS rate of the steering command; below and to the left is better. Tuned contenders. "
         + COLOURS
@@ -191,9 +191,9 @@ def _work(standings: dict[str, Standing]) -> Picture:
     return Picture(caption, [each.drawing() for each in panels], (), "work.png", lambda: printed(panels, 2, 3.0))
 
 
-def _work_panel(profile: str, standing: Standing) -> Panel:
-    rows = [row for row in standing.rows() if row["tuning"] != "default"]
-    rows = rows or standing.rows()
+def _work_panel(profile: str, table: Comparison) -> Panel:
+    rows = [row for row in standing_rows(table) if row["tuning"] != "default"]
+    rows = rows or standing_rows(table)
 
     def draw(axes: Axes) -> None:
         heights = _apart([row["rms_error"] for row in rows])
@@ -226,29 +226,31 @@ def _apart(values: Sequence[float]) -> list[float]:
     return [float(each) for each in np.exp(heights)]
 
 
-def _failures(standings: dict[str, Standing]) -> Table:
+def _failures(made: Compared) -> Table:
     """Failed runs of each contender with each car."""
-    cars = list(dict.fromkeys(car for each in standings.values() for car in each.columns["car"].tolist()))
+    cars = list(dict.fromkeys(made.columns["car"].tolist()))
     heads = [Head("Contender", is_text=True), *(Head(car.partition("/")[0]) for car in cars)]
     body: list[Sequence[Cell | str] | str] = []
-    for profile, standing in standings.items():
+    for profile, table in made.by_profile.items():
         body.append(f"Profile {profile}")
-        for who in standing.everyone:
-            rows, cells = standing.of(who), []
-            for car in cars:
-                here = rows["failed"][rows["car"] == car]
-                text = f"{number(int(here.sum()))} of {len(here)}" if len(here) else "–"
-                cells.append(Cell(text, warn=bool(here.sum())))
-            body.append([who.label, *cells])
+        for who in table.contenders:
+            body.append([who, *(_failed(table, who, car) for car in cars)])
     return Table("Failed runs", heads, body)
 
 
-def _entry_speeds(made: Compared, standings: dict[str, Standing]) -> list[Section]:
-    found = {profile: made.entry_speeds(profile) for profile in standings}
+def _failed(table: Comparison, who: str, car: str) -> Cell:
+    """Of how many runs with a car."""
+    runs = table.of(who, "failed")[table.cars.index(car)] if car in table.cars else np.empty(0)
+    driven, failed = int(np.isfinite(runs).sum()), int(np.nansum(runs))
+    return Cell(f"{number(failed)} of {driven}" if driven else "–", warn=failed > 0)
+
+
+def _entry_speeds(made: Compared) -> list[Section]:
+    found = {profile: made.entry_speeds(profile) for profile in made.by_profile}
     found = {profile: each for profile, each in found.items() if each}
     if not found:
         return []
-    drawings = [_entry_drawing(profile, each) for profile, each in found.items()]
+    drawings = [_entry_drawing(made.by_profile[profile], profile, each) for profile, each in found.items()]
     caption = (
         "Highest clean entry speed into the obstacle avoidance of ISO 3888-2, of the worst of three noise seeds; a dot "
         f"for each car, at 0 where no speed was clean, and a bar at their mean. {COLOURS}"
@@ -256,24 +258,22 @@ def _entry_speeds(made: Compared, standings: dict[str, Standing]) -> list[Sectio
     return [Section("Entry speeds, ISO 3888-2", [Picture(caption, drawings, file="entry.png")])]
 
 
-def _entry_drawing(profile: str, speeds: dict[Who, dict[str, float]]) -> Drawing:
+def _entry_drawing(table: Comparison, profile: str, speeds: dict[str, dict[str, float]]) -> Drawing:
     rows = sorted(speeds.items(), key=lambda each: -float(np.mean(list(each[1].values()))))
 
     def draw(axes: Axes) -> None:
         for place, (who, cars) in enumerate(rows):
-            values, colour = 3.6 * np.array(list(cars.values())), colour_of(who.contender)
+            values, colour = 3.6 * np.array(list(cars.values())), colour_of(table.role(who).controller)
             axes.plot(values, np.full(len(values), place), "o", color=colour, markersize=3.5, alpha=0.6)
             axes.plot([values.mean()] * 2, [place - 0.35, place + 0.35], color=colour, linewidth=2.0)
-        _named(axes, [who.label for who, _ in rows])
+        _named(axes, [who for who, _ in rows])
         fastest = 3.6 * max(max(cars.values()) for _, cars in rows) or 1.0
         axes.set_xlim(-0.02 * fastest, 1.04 * fastest)
         axes.set_xlabel(f"Entry speed (km/h), profile {profile}")
 
     best, cars = rows[0]
     mean = 3.6 * float(np.mean(list(cars.values())))
-    return _tall(
-        draw, len(rows), f"Entry speeds in profile {profile}; highest mean: {best.label}, {number(mean)} km/h."
-    )
+    return _tall(draw, len(rows), f"Entry speeds in profile {profile}; highest mean: {best}, {number(mean)} km/h.")
 
 
 # -- the rest ---------------------------------------------------------------------------------------------------------

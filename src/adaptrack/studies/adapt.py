@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import Any
 
 from adaptrack.cars.plant import DualTrack, SingleTrack, fingerprint
-from adaptrack.comparison.compare import Comparison
 from adaptrack.comparison.evaluate import on_drives, on_operating_points, on_tests
+from adaptrack.comparison.table import Comparison
 from adaptrack.control.scheduling import Schedule, list_schedulers, load_scheduler, made_for
 from adaptrack.learning.adaptation.config import AdaptationConfig
 from adaptrack.learning.adaptation.recipes import Recipes, safe_candidates, stability_map

@@ -1,4 +1,4 @@
-"""The side-by-side as a study: one stage per cell, kept in its folder, so that an interrupted one goes on."""
+"""A comparison on cars, roads and profiles: each cell is kept in its folder, so that an interrupted one goes on."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import os
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import as_completed
 from dataclasses import asdict, dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -15,13 +16,14 @@ from adaptrack import __version__
 from adaptrack.base.errors import MissingExtra, UnknownName, did_you_mean
 from adaptrack.base.files import SHIPPED, ParquetColumn, build, encode_parquet, read_toml, safe_name, write_atomically
 from adaptrack.cars.plant import fingerprint
-from adaptrack.comparison.side_by_side import Cell, SideBySide, columns, load_setting, run_cell
-from adaptrack.comparison.standing import Standing, Who, standings
+from adaptrack.comparison.cells import columns, run_cell
+from adaptrack.comparison.config import Cell, ComparisonConfig, load_setting
+from adaptrack.comparison.table import Comparison, label_of
 from adaptrack.studies.pipeline import JSONFile, identity_of
 
 Progress = Callable[[str, int, int], None]
 
-PREFERRED = (Who("informed", "tuned"), Who("informed", "default"))
+PREFERRED = ("informed, tuned", "informed, default")
 """Whom ratios are taken to, where they drove."""
 FORMAT, FORMAT_VERSION, TABLE = "adaptrack side-by-side", 1, "runs.parquet"
 UNITS = {
@@ -33,37 +35,43 @@ _DATA = SHIPPED / "comparisons"
 
 @dataclass(frozen=True, eq=False)
 class Compared:
-    """What came of a side-by-side."""
+    """What came of a comparison."""
 
-    task: SideBySide
+    task: ComparisonConfig
     cells: dict[Cell, dict[str, Any]]
     """see `run_cell`"""
     absent: dict[str, str]
     """cars that were left out, and why"""
 
-    @property
+    @cached_property
     def columns(self) -> dict[str, NDArray[Any]]:
-        """Every run, see `side_by_side.columns`."""
+        """Every run, see `cells.columns`."""
         return columns(list(self.cells.values()))
 
-    @property
-    def standings(self) -> dict[str, Standing]:
-        """By profile."""
-        return standings(self.columns, PREFERRED)
+    @cached_property
+    def by_profile(self) -> dict[str, Comparison]:
+        """The table of each profile."""
+        columns = self.columns
+        return {
+            profile: Comparison.of_columns(
+                {name: values[columns["profile"] == profile] for name, values in columns.items()}, PREFERRED
+            )
+            for profile in dict.fromkeys(columns["profile"].tolist())
+        }
 
     @property
     def left_out(self) -> dict[Cell, str]:
         """Cells that were not driven, and why."""
         return {cell: each["left_out"] for cell, each in self.cells.items() if each["left_out"]}
 
-    def entry_speeds(self, profile: str) -> dict[Who, dict[str, float]]:
+    def entry_speeds(self, profile: str) -> dict[str, dict[str, float]]:
         """m/s by contender and car: the highest clean entry speed into ISO 3888-2, 0 where none is clean."""
-        found: dict[Who, dict[str, float]] = {}
+        found: dict[str, dict[str, float]] = {}
         for cell, each in self.cells.items():
             if cell.profile == profile:
                 for tuning, speed in each["entry_speed"].items():
                     if speed is not None:
-                        found.setdefault(Who(cell.contender, tuning), {})[cell.car] = speed
+                        found.setdefault(label_of(cell.contender, tuning), {})[cell.car] = speed
         return found
 
     def save(self, path: str | os.PathLike[str]) -> None:
@@ -84,8 +92,8 @@ def list_comparisons() -> dict[str, str]:
     return {path.stem: path.read_text(encoding="utf-8").splitlines()[0].lstrip("# ") for path in _DATA.glob("*.toml")}
 
 
-def load_comparison(name_or_path: str | os.PathLike[str], **changes: Any) -> SideBySide:
-    """A side-by-side that ships with the package, or a TOML file's; keys: the fields of `SideBySide`.
+def load_comparison(name_or_path: str | os.PathLike[str], **changes: Any) -> ComparisonConfig:
+    """A comparison that ships with the package, or a TOML file's; keys: the fields of `ComparisonConfig`.
 
     changes: fields to replace.
 
@@ -108,13 +116,13 @@ def load_comparison(name_or_path: str | os.PathLike[str], **changes: Any) -> Sid
             f"no comparison is named {text!r}. {did_you_mean(text, list_comparisons())} A file is given by its .toml "
             "path."
         )
-    return build(SideBySide, {"name": path.stem, **read_toml(path), **changes}, path)
+    return build(ComparisonConfig, {"name": path.stem, **read_toml(path), **changes}, path)
 
 
-def compare_side_by_side(
-    task: SideBySide, out: str | os.PathLike[str], *, dask: str | None = None, progress: Progress | None = None
+def run_comparison(
+    task: ComparisonConfig, out: str | os.PathLike[str], *, dask: str | None = None, progress: Progress | None = None
 ) -> Compared:
-    """Drive a side-by-side in a folder; cells that are there with the same identity are read, not driven again.
+    """Drive a comparison in a folder; cells that are there with the same identity are read, not driven again.
 
     dask: address of a Dask scheduler whose workers drive the cells; progress: called with (what, cells done, cells).
 
@@ -143,7 +151,7 @@ def compare_side_by_side(
     return compared
 
 
-def _absent(task: SideBySide) -> dict[str, str]:
+def _absent(task: ComparisonConfig) -> dict[str, str]:
     """Cars that cannot be had here; raises where none is left."""
     found: dict[str, str] = {}
     for car in dict.fromkeys(task.cars):
@@ -156,7 +164,7 @@ def _absent(task: SideBySide) -> dict[str, str]:
     return found
 
 
-def _settings(task: SideBySide, cell: Cell) -> dict[str, Any]:
+def _settings(task: ComparisonConfig, cell: Cell) -> dict[str, Any]:
     """All that a cell's result depends on, beside the software."""
     told = task.model_dump(mode="json", exclude={"name", "contenders", "cars", "profiles"})
     setting = load_setting(cell.car, cell.profile)
@@ -164,13 +172,13 @@ def _settings(task: SideBySide, cell: Cell) -> dict[str, Any]:
     return {**told, **asdict(cell), "about_car": car, "about_profile": profile, "plant": fingerprint(setting.plant)}
 
 
-def _kept(task: SideBySide, folder: Path, cell: Cell) -> tuple[JSONFile, str]:
+def _kept(task: ComparisonConfig, folder: Path, cell: Cell) -> tuple[JSONFile, str]:
     """Where the result of a cell is kept, and its identity."""
     file = JSONFile(folder / "cells" / f"{safe_name(cell.label)}.json")
     return file, identity_of("side-by-side", _settings(task, cell))
 
 
-def _driven(task: SideBySide, cells: Iterable[Cell], dask: str | None) -> Iterator[tuple[Cell, dict[str, Any]]]:
+def _driven(task: ComparisonConfig, cells: Iterable[Cell], dask: str | None) -> Iterator[tuple[Cell, dict[str, Any]]]:
     """Drive cells here, one after the other, or by the workers of a Dask scheduler."""
     if dask is None:
         for cell in cells:

@@ -226,7 +226,7 @@ def tune(
     costs = {"default": unseen.drive(default, [NOISE_JUDGED])[:, 0]}
     costs["sought"] = costs["default"] if found == default else unseen.drive(found, [NOISE_JUDGED])[:, 0]
     known = {name: np.minimum(each, unseen.failed_cost) for name, each in costs.items()}
-    gain = ratio(known["sought"], known["default"], np.random.default_rng((seed, 0x7C)))
+    gain = ratio(known["sought"], known["default"])
     lost = {name: int(np.isinf(each).sum()) for name, each in costs.items()}
     kept = found if gain.high < 1.0 and lost["sought"] <= lost["default"] else default
     certificate = certify(

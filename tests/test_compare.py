@@ -13,14 +13,17 @@ import pytest
 import adaptrack as at
 from adaptrack.base.errors import ConfigError, InvalidInput, UnknownName
 from adaptrack.cars.plant import DualTrack
-from adaptrack.comparison.side_by_side import Cell, Setting, SideBySide, load_setting, load_trip, run_cell
-from adaptrack.comparison.standing import Standing, Who, pigeonhole
+from adaptrack.comparison.cells import run_cell
+from adaptrack.comparison.config import Cell, ComparisonConfig, Setting, load_setting, load_trip
+from adaptrack.comparison.statistics import ratio
+from adaptrack.comparison.table import Comparison
+from adaptrack.comparison.views import standing_rows
 from adaptrack.control.controllers import MPC, About, about_controller, list_controllers
 from adaptrack.drive.failure import DISTANCE
 from adaptrack.scenario import RoadDrive
 from adaptrack.scenario.profile import load_profile
 from adaptrack.studies import compare as study
-from adaptrack.studies.compare import compare_side_by_side, list_comparisons, load_comparison
+from adaptrack.studies.compare import list_comparisons, load_comparison, run_comparison
 
 TINY: dict[str, Any] = {
     "name": "tiny", "contenders": ["informed", "pure-pursuit"], "cars": ["paper"], "profiles": ["road"],
@@ -29,18 +32,18 @@ TINY: dict[str, Any] = {
 }  # fmt: skip
 
 
-def tiny(**changes: Any) -> SideBySide:
-    return SideBySide(**{**TINY, **changes})
+def tiny(**changes: Any) -> ComparisonConfig:
+    return ComparisonConfig(**{**TINY, **changes})
 
 
 # -- statistics -------------------------------------------------------------------------------------------------------
 def columns(logs: dict[str, np.ndarray], failed: dict[str, np.ndarray] | None = None) -> dict[str, np.ndarray]:
     """Rows of contenders whose RMS errors are exp(logs[name]) (cars, roads), each with its default."""
-    rows: dict[str, list[Any]] = {name: [] for name in ("contender", "tuning", "car", "road", "cost", "failed")}
+    rows: dict[str, list[Any]] = {name: [] for name in ("contender", "tuning", "car", "road", "seed", "cost", "failed")}
     for name, table in logs.items():
         for (car, road), value in np.ndenumerate(table):
             lost = bool(failed is not None and name in failed and failed[name][car, road])
-            values = (name, "default", f"car {car}", f"road {road:02d}", math.exp(2.0 * value), float(lost))
+            values = (name, "default", f"car {car}", f"road {road:02d}", 0.0, math.exp(2.0 * value), float(lost))
             for key, each in zip(rows, values, strict=True):
                 rows[key].append(each)
     found = {name: np.array(values) for name, values in rows.items()}
@@ -50,31 +53,30 @@ def columns(logs: dict[str, np.ndarray], failed: dict[str, np.ndarray] | None = 
     }
 
 
-def who(name: str) -> Who:
-    return Who(name, "default")
+def table(logs: dict[str, np.ndarray], failed: dict[str, np.ndarray] | None = None) -> Comparison:
+    return Comparison.of_columns(columns(logs, failed))
 
 
 def test_a_ratio_that_is_the_same_everywhere_has_an_interval_of_no_width():
     logs = np.random.default_rng(0).normal(size=(4, 6))
-    standing = Standing(columns({"a": logs, "b": logs + math.log(2.0)}), who("a"))
-    ratio = standing.ratio(who("b"), who("a"))
-    assert np.allclose([ratio.mean, ratio.low, ratio.high], 2.0)
+    found = table({"a": logs, "b": logs + math.log(2.0)}).ratio("b, default", "a, default", "rms_error")
+    assert np.allclose([found.mean, found.low, found.high], 2.0)
 
 
 def test_the_interval_of_a_ratio_holds_the_truth_about_as_often_as_it_says():
     rng, hits = np.random.default_rng(1), 0
     for _ in range(60):
         cars, roads = rng.normal(0.0, 0.3, (8, 1)), rng.normal(0.0, 0.3, (1, 12))
-        found = pigeonhole(cars + roads + rng.normal(0.0, 0.3, (8, 12)), rng)
+        found = ratio(np.exp(cars + roads + rng.normal(0.0, 0.3, (8, 12))), np.ones((8, 12)))
         hits += found.low < 1.0 < found.high
     assert hits >= 51  # 85 % of 60; drawing the 96 pairs as if they were independent gives half of that
 
 
 def test_drawing_pairs_alone_would_give_far_too_narrow_an_interval():
     rng = np.random.default_rng(2)
-    logs = rng.normal(0.0, 0.5, (8, 1)) + np.zeros((8, 12))
-    found = pigeonhole(logs, rng)
-    pairs = pigeonhole(logs.reshape(-1, 1), rng)
+    values = np.exp(rng.normal(0.0, 0.5, (8, 1)) + np.zeros((8, 12)))
+    found = ratio(values, np.ones((8, 12)))
+    pairs = ratio(values.ravel(), np.ones(96))
     assert math.log(found.high / found.low) > 2.0 * math.log(pairs.high / pairs.low)
 
 
@@ -84,24 +86,33 @@ def test_only_contenders_whose_intervals_part_have_different_ranks():
     logs = {
         "a": base, "like a": base + rng.normal(0.0, 0.2, base.shape), "worse": base + 1.0, "worst": base + 2.0,
     }  # fmt: skip
-    ranks = Standing(columns(logs), who("a")).ranks()
-    assert [ranks[who(name)] for name in logs] == [1, 1, 3, 4]
+    ranks = table(logs).ranks()
+    assert [ranks[f"{name}, default"] for name in logs] == [1, 1, 3, 4]
 
 
 def test_a_failed_run_counts_as_far_off_as_a_run_fails_at():
     failed = np.zeros((2, 3), bool)
     failed[1, 2] = True
-    standing = Standing(columns({"a": np.zeros((2, 3))}, {"a": failed}), who("a"))
-    assert standing.table(who("a"), "rms_error")[1, 2] == DISTANCE
-    assert standing.rows()[0]["failures"] == 1
+    made = table({"a": np.zeros((2, 3))}, {"a": failed})
+    assert made.table("a, default", "rms_error")[1, 2] == DISTANCE
+    assert standing_rows(made)[0]["failures"] == 1
 
 
 def test_contenders_are_compared_on_the_cars_and_roads_that_both_drove():
     logs = np.log([[1.0, 2.0], [3.0, 4.0]])
     rows = columns({"a": logs, "b": logs + math.log(3.0)})
     kept = ~((rows["contender"] == "b") & (rows["car"] == "car 1"))
-    standing = Standing({name: values[kept] for name, values in rows.items()}, who("a"))
-    assert np.isclose(standing.ratio(who("b"), who("a")).mean, 3.0)
+    made = Comparison.of_columns({name: values[kept] for name, values in rows.items()})
+    assert np.isclose(made.ratio("b, default", "a, default", "rms_error").mean, 3.0)
+    assert {row["label"]: row["runs"] for row in standing_rows(made)} == {"a, default": 4, "b, default": 2}
+
+
+def test_contenders_that_drove_nothing_in_common_have_no_ratio():
+    rows = columns({"a": np.zeros((2, 2)), "b": np.zeros((2, 2))})
+    kept = (rows["contender"] == "a") == (rows["car"] == "car 0")
+    made = Comparison.of_columns({name: values[kept] for name, values in rows.items()})
+    with pytest.raises(InvalidInput, match="nothing in common"):
+        made.ratio("b, default", "a, default")
 
 
 # -- what is asked for ------------------------------------------------------------------------------------------------
@@ -213,12 +224,13 @@ def test_a_contender_whose_extra_is_not_installed_is_left_out_with_the_remedy(mo
 # -- driven -----------------------------------------------------------------------------------------------------------
 @pytest.mark.compiled
 def test_all_contenders_drive_the_same_roads_with_the_same_noise_and_the_same_effort(tmp_path: Path):
-    made = compare_side_by_side(tiny(), tmp_path)
+    made = run_comparison(tiny(), tmp_path)
     rows = made.columns
     runs = {
         each: sorted(zip(kept["road"].tolist(), kept["seed"].tolist(), strict=True))
-        for each in made.standings["road"].everyone
-        for kept in [made.standings["road"].of(each)]
+        for each in dict.fromkeys(zip(rows["contender"].tolist(), rows["tuning"].tolist(), strict=True))
+        for at in [(rows["contender"] == each[0]) & (rows["tuning"] == each[1])]
+        for kept in [{name: values[at] for name, values in rows.items()}]
     }
     assert len(runs) == 4  # both, with default and tuned
     assert len({tuple(each) for each in runs.values()}) == 1
@@ -232,7 +244,7 @@ def test_an_interrupted_comparison_goes_on_and_another_question_drives_anew(
 ):
     task, driven = tiny(budget=0), []
 
-    def counted(task: SideBySide, cell: Cell) -> dict[str, Any]:
+    def counted(task: ComparisonConfig, cell: Cell) -> dict[str, Any]:
         driven.append(cell)
         if len(driven) == 2:
             raise KeyboardInterrupt
@@ -240,13 +252,13 @@ def test_an_interrupted_comparison_goes_on_and_another_question_drives_anew(
 
     monkeypatch.setattr(study, "run_cell", counted)
     with pytest.raises(KeyboardInterrupt):
-        compare_side_by_side(task, tmp_path)
-    first = compare_side_by_side(task, tmp_path)
+        run_comparison(task, tmp_path)
+    first = run_comparison(task, tmp_path)
     assert [each.contender for each in driven] == ["informed", "pure-pursuit", "pure-pursuit"]
-    again = compare_side_by_side(task, tmp_path)
+    again = run_comparison(task, tmp_path)
     assert len(driven) == 3
     assert json.dumps(again.cells[driven[0]], sort_keys=True) == json.dumps(first.cells[driven[0]], sort_keys=True)
-    compare_side_by_side(tiny(budget=0, seeds=[0, 2]), tmp_path)
+    run_comparison(tiny(budget=0, seeds=[0, 2]), tmp_path)
     assert len(driven) == 5
 
 
@@ -256,7 +268,7 @@ def test_the_page_opens_with_who_is_first_and_every_run_is_in_the_table(tmp_path
 
     from adaptrack.results.side_by_side import write_side_by_side
 
-    made = compare_side_by_side(tiny(contenders=["informed", "pure-pursuit", "nn"]), tmp_path)
+    made = run_comparison(tiny(contenders=["informed", "pure-pursuit", "nn"]), tmp_path)
     page = write_side_by_side(tmp_path, made, command="adaptrack compare").read_text()
     assert page.index("first; best of the others") < page.index("<table")
     for name in ("informed, tuned", "pure-pursuit, default", "nn"):

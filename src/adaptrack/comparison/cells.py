@@ -1,0 +1,150 @@
+"""A cell of a comparison: one controller on one car in one profile, tuned, and judged on what no search has met.
+
+The tuning is sought on the training roads with a given number of closed loops, for a plant that takes long on the car's
+twin (`plant.twin_of`); then the default and the tuned controller drive the roads of the judgement with each noise seed,
+and enter the obstacle avoidance of ISO 3888-2 as fast as they can. Every run gives one row.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Mapping, Sequence
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from adaptrack.base.errors import InvalidInput, MissingExtra
+from adaptrack.cars.plant import Plant, twin_of
+from adaptrack.comparison.compare import check_fits
+from adaptrack.comparison.config import Cell, ComparisonConfig, Setting, load_setting, load_trip
+from adaptrack.comparison.contenders import Contender
+from adaptrack.comparison.manoeuvres import LaneChangeTest, entry_speed, iso_3888_2
+from adaptrack.comparison.measures import RUN, as_column, measure_runs
+from adaptrack.control.controllers import MPC, About, Controller, about_controller
+from adaptrack.road import Road
+from adaptrack.tuning.constant import seek_constant
+from adaptrack.tuning.pso import SwarmSettings
+from adaptrack.tuning.runs import Retuned, RunSet
+
+MOST_PARTICLES = 20
+"""Of a search; with fewer tunings, so many that the swarm has some generations."""
+
+
+@lru_cache(maxsize=4)
+def _run_sets(task: ComparisonConfig, car: str, profile: str) -> tuple[Setting, RunSet, RunSet]:
+    """What all controllers on a car in a profile share: the runs of the search and those of the judgement."""
+    setting = load_setting(car, profile)
+    mpc = MPC(setting.car, profile=setting.profile, preview=True)
+    made = []
+    searched = twin_of(setting.car) if setting.plant.costly else setting.plant
+    parts = (searched, task.training, task.training_length), (setting.plant, task.roads, task.length)
+    for plant, names, length in parts:
+        trips = [load_trip(name, setting.car, length, task.duration) for name in names]
+        made.append(RunSet(plant, mpc, trips, setting.profile))
+    return setting, made[0], made[1]
+
+
+@lru_cache(maxsize=4)
+def _obstacle(car: str, profile: str) -> LaneChangeTest | None:
+    """The obstacle avoidance of ISO 3888-2 with a car; None where it is not driven compiled, or does not fit."""
+    setting = load_setting(car, profile)
+    if not isinstance(setting.plant, Plant):
+        return None
+    track = iso_3888_2(setting.car.outline.width)
+    return LaneChangeTest(setting.car, setting.plant, track, setting.profile, _roads=_lines(car))
+
+
+@lru_cache(maxsize=16)
+def _lines(car: str) -> dict[float, Road]:
+    """The driven lines of a car by entry speed, which all profiles share."""
+    return {}
+
+
+def run_cell(task: ComparisonConfig, cell: Cell) -> dict[str, Any]:
+    """Tune and judge one controller on one car in one profile.
+
+    Returns
+    -------
+    dict
+        Plain JSON: `rows`, one for each run; `tunings`, `entry_speed` (m/s) by tuning; `not_entered`: why ISO 3888-2
+        was not driven; `loops` that the search took, `seconds`; `left_out`: why nothing was driven.
+
+    Raises
+    ------
+    AdaptrackError
+        When the car, the profile or a road cannot be had.
+    """
+    begun = time.perf_counter()
+    entry = about_controller(cell.contender)
+    task = task.of(entry)
+    setting, training, judged = _run_sets(task, cell.car, cell.profile)
+    if setting.plant.costly and task.costly_seeds:
+        task = task.replace(seeds=task.costly_seeds)
+    found: dict[str, Any] = {
+        "rows": [],
+        "tunings": {},
+        "entry_speed": {},
+        "not_entered": "",
+        "loops": 0,
+        "left_out": "",
+    }
+    try:
+        own = setting.controller(cell.contender)
+        check_fits(Contender(cell.contender, own), judged)
+    except (InvalidInput, MissingExtra) as error:
+        return found | {"left_out": str(error), "seconds": 0.0}
+    drivers: dict[str, Controller] = {"scheduled" if own.scheduler else "default": own}
+    if entry.tunable and task.budget:
+        swarm = _swarm(task.budget, len(training) * len(task.training_seeds))
+        sought = seek_constant(training, own, swarm, noise_seeds=task.training_seeds)
+        found["loops"] = swarm.evaluations * len(training) * len(task.training_seeds)
+        drivers["tuned"] = judged.controller_of(Retuned(own, list(sought.tuning.values())))
+        found["tunings"] = {"default": sought.default, "tuned": sought.tuning}
+    for tuning, driver in drivers.items():
+        about = {"contender": cell.contender, "tuning": tuning, "car": cell.car, "profile": cell.profile}
+        rows, _ = measure_runs(judged, driver, task.seeds, setting.car.outline)
+        found["rows"] += [
+            {**about, "road": road, "seed": seed, **{name: row[name] for name in KEPT}}
+            for road, driven in zip(task.roads, rows, strict=True)
+            for seed, row in zip(task.seeds, driven, strict=True)
+        ]
+        try:
+            found["entry_speed"][tuning] = _entry_speed(task, cell, entry, driver)
+        except InvalidInput as error:
+            found["not_entered"] = str(error)
+    return found | {"seconds": time.perf_counter() - begun}
+
+
+KEPT = ("cost", "failed", "reason", "failed_at", *RUN)
+"""Measures of a run that are kept."""
+
+
+def _swarm(budget: int, each: int) -> SwarmSettings:
+    """A swarm that spends at most so many closed loops; a tuning takes `each` of them."""
+    tunings = budget // each
+    particles = min(MOST_PARTICLES, max(5, round(math.sqrt(tunings))))
+    return SwarmSettings(particles=particles, generations=max(1, tunings // particles))
+
+
+def _entry_speed(task: ComparisonConfig, cell: Cell, entry: About, driver: Controller) -> float | None:
+    """m/s, the highest clean entry speed into ISO 3888-2; 0 where none is clean, None where it was not driven."""
+    track = _obstacle(cell.car, cell.profile) if task.entry_speeds and entry.compiled else None
+    if track is None:
+        return None
+    found = entry_speed(track, cell.contender, driver, SPEEDS)
+    return float(found.found.speed) if math.isfinite(found.found.speed) else 0.0
+
+
+SPEEDS = tuple((np.arange(26.0, 91.0, 2.0) / 3.6).tolist())
+"""m/s, the grid of entry speeds."""
+
+
+def columns(cells: Sequence[Mapping[str, Any]]) -> dict[str, NDArray[Any]]:
+    """The rows of all cells as columns; NaN where nothing was measured."""
+    rows = [row for cell in cells for row in cell["rows"]]
+    if not rows:
+        raise InvalidInput("compare: no contender drove: see why each was left out.")
+    return {name: as_column([row[name] for row in rows]) for name in rows[0]}

@@ -1,0 +1,179 @@
+"""What a comparison on cars, roads and profiles is of: who drives what where, and with what effort each is tuned."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Annotated, Self
+
+from pydantic import Field, model_validator
+
+from adaptrack.base.errors import InvalidInput
+from adaptrack.base.files import LISTED, Record
+from adaptrack.cars.plant import Plant, SteppedPlant, get_plant, usual_plant
+from adaptrack.cars.vehicle import Vehicle, load_vehicle
+from adaptrack.control.controllers import About, Controller, about_controller, get_controller
+from adaptrack.road import Comfort, load_road, plan_speed
+from adaptrack.road.generate import KINDS
+from adaptrack.scenario import RoadDrive, Scenario, load_scenario, random_drive
+from adaptrack.scenario.library import list_scenarios
+from adaptrack.scenario.profile import Profile, load_profile
+from adaptrack.tuning.constant import LEAST_TUNINGS
+
+Progress = Callable[[str, int, int], None]
+
+PERIODS_OF_A_LOOP = 1500
+"""Control periods of a drive, for estimates of time."""
+
+Names = Annotated[tuple[str, ...], LISTED, Field(min_length=1)]
+Numbers = Annotated[tuple[int, ...], LISTED, Field(min_length=1)]
+
+
+class ComparisonConfig(Record):
+    """What is compared, and with what effort each controller is tuned."""
+
+    name: str = Field(min_length=1, description="of the comparison")
+    contenders: Names = Field(description="names, see `adaptrack compare --list`")
+    cars: Names = Field(description="name or file of a car, with its plant: `van`, `my-car.toml/single-track`")
+    profiles: Names = Field(description="names or files of profiles")
+    training: Names = Field(description="roads of the search, see `roads`")
+    roads: Names = Field(
+        description="roads of the judgement: a kind of generated roads and its seed (`country:3`, with @6 driven at "
+        "6 m/s^2), `random-drive:3`, the name of a scenario, or a file"
+    )
+    length: float = Field(default=2000.0, ge=100, le=100_000, description="m, of generated roads")
+    training_length: float = Field(default=1000.0, ge=100, le=100_000, description="m, of those of the search")
+    duration: float = Field(default=60.0, ge=1, le=3600, description="s, of random drives")
+    seeds: Numbers = Field(default=(0, 1, 2, 3, 4), description="noise seeds of the judgement")
+    training_seeds: Numbers = Field(default=(1000,), description="noise seeds of the search")
+    budget: int = Field(default=200, ge=0, description="closed loops of each search; 0: none, defaults alone")
+    entry_speeds: bool = Field(default=True, description="whether ISO 3888-2 is driven")
+    slow_cars: Names | None = Field(default=None, description="cars of contenders in Python; by default all")
+    slow_roads: Names | None = Field(default=None, description="roads of their judgement, likewise")
+    slow_seeds: Numbers | None = Field(default=None, description="noise seeds of their judgement, likewise")
+    costly_seeds: Numbers | None = Field(
+        default=None, description="noise seeds of the judgement on plants that take long (CommonRoad's), by default all"
+    )
+    slow_budget: int = Field(default=0, ge=0, description="closed loops of their search; 0: defaults alone")
+
+    @model_validator(mode="after")
+    def _can_be_done(self) -> Self:
+        each = len(self.training) * len(self.training_seeds)
+        for key in ("budget", "slow_budget"):
+            budget = getattr(self, key)
+            if budget and budget < LEAST_TUNINGS * each:
+                raise ValueError(
+                    f"{key} = {budget}: a tuning takes {each} closed loops (training roads times their noise seeds): "
+                    f"give at least {LEAST_TUNINGS * each}, or 0."
+                )
+        shared = set(self.seeds) & set(self.training_seeds)
+        if shared:
+            raise ValueError(f"training_seeds: {min(shared)} is a noise seed of the judgement as well.")
+        seen = set(self.training) & set(self.roads)
+        if seen:
+            raise ValueError(f"training: {min(seen)!r} is a road of the judgement as well.")
+        for name in self.contenders:
+            about_controller(name)
+        return self
+
+    @property
+    def cells(self) -> list[Cell]:
+        """Every controller on every car in every profile."""
+        return [
+            Cell(contender, car, profile)
+            for profile in dict.fromkeys(self.profiles)
+            for car in dict.fromkeys(self.cars)
+            for contender in dict.fromkeys(self.contenders)
+            if about_controller(contender).compiled or car in (self.slow_cars or self.cars)
+        ]
+
+    def of(self, entry: About) -> ComparisonConfig:
+        """What is asked of an entry: one in Python may have fewer roads, seeds and closed loops."""
+        if entry.compiled:
+            return self
+        roads, seeds = self.slow_roads or self.roads, self.slow_seeds or self.seeds
+        return self.replace(roads=roads, seeds=seeds, budget=self.slow_budget)
+
+    def loops(self, cell: Cell) -> int:
+        """Closed loops of a cell, roughly: those of the search and of the judgement, without entry speeds."""
+        entry = about_controller(cell.contender)
+        asked = self.of(entry)
+        searched = asked.budget if entry.tunable else 0
+        return searched + (2 if searched else 1) * len(asked.roads) * len(asked.seeds)
+
+    def seconds(self, cells: Sequence[Cell]) -> float:
+        """s, how long cells take on one core, roughly: `PERIODS_OF_A_LOOP` steps a loop."""
+        return sum(self.loops(cell) * PERIODS_OF_A_LOOP * about_controller(cell.contender).step_time for cell in cells)
+
+
+@dataclass(frozen=True)
+class Cell:
+    """One controller on one car in one profile, by name."""
+
+    contender: str
+    car: str
+    profile: str
+
+    @property
+    def label(self) -> str:
+        """For progress and file names."""
+        return f"{self.profile}, {self.car}, {self.contender}"
+
+
+# -- cars and roads ---------------------------------------------------------------------------------------------------
+@dataclass(frozen=True, eq=False)
+class Setting:
+    """What a controller is made for."""
+
+    car: Vehicle
+    plant: Plant | SteppedPlant
+    profile: Profile
+
+    def controller(self, name: str) -> Controller:
+        """A registered controller for it, which knows the road ahead and the period.
+
+        Raises
+        ------
+        InvalidInput
+            When it was made for another car or profile.
+        """
+        offered = {"period": self.profile.period, "preview": True}
+        return get_controller(name, self.car, profile=self.profile, offered=offered)
+
+
+def load_setting(car: str, profile: str) -> Setting:
+    """A car by `car` or `car/plant`, in a profile.
+
+    Raises
+    ------
+    AdaptrackError
+        When car, plant or profile cannot be had.
+    """
+    parts = re.fullmatch(r"(?P<car>.+\.toml|[^/]+)(/(?P<plant>[^/]+))?", car)
+    if parts is None:
+        raise InvalidInput(f"car {car!r}: must be a name or a .toml file, with /PLANT behind it or without.")
+    vehicle = load_vehicle(parts["car"])
+    body = get_plant(parts["plant"] or usual_plant(vehicle), vehicle)
+    return Setting(vehicle, body, load_profile(profile))
+
+
+def load_trip(name: str, car: Vehicle, length: float, duration: float) -> Scenario | RoadDrive:
+    """A road of a comparison, see `ComparisonConfig.roads`; its speed planned for the car.
+
+    Raises
+    ------
+    AdaptrackError
+        When there is no such road, or the car cannot be driven along it.
+    """
+    where, _, lateral = name.rpartition("@") if re.search(r"@[\d.]+$", name) else (name, "", "")
+    kind, _, seed = where.partition(":")
+    if seed and not seed.isdecimal():
+        raise InvalidInput(f"road {name!r}: the seed behind ':' must be a whole number.")
+    if kind == "random-drive":
+        return random_drive(int(seed or 0), duration, **car.domain.drive_options)
+    if where in list_scenarios():
+        return load_scenario(where)
+    road = load_road(kind, seed=int(seed or 0), length=length) if kind in KINDS else load_road(where)
+    comfort = Comfort(lateral=float(lateral)) if lateral else Comfort()
+    return RoadDrive(road, plan_speed(road, car, comfort), name=name)

@@ -1,0 +1,329 @@
+"""The table of a comparison: one cell for each contender, car, road and noise seed, and its statistics.
+
+Everything that compares contenders fills such a table, and says from it who is better, by how much, and how sure that
+is: a mean over the noise seeds, a geometric mean of ratios over cars and roads, and an interval that draws these anew.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from adaptrack.base.errors import InvalidInput
+from adaptrack.base.shown import figure_of, html_of
+from adaptrack.comparison.statistics import Ratio, geometric_mean, ratio, regret_percentiles
+from adaptrack.drive.failure import Failure
+
+Array = NDArray[np.float64]
+
+AXES = ("car", "road", "seed")
+"""Of the cells of one contender."""
+
+
+@dataclass(frozen=True)
+class Role:
+    """What a contender is, for tables and sentences."""
+
+    controller: str = "mpc"
+    adapts: bool = True
+    hindsight: bool = False
+    kind: str = ""
+    """see `Contender.kind`"""
+    tuning: str = ""
+    """of a contender that is there more than once: default, tuned or scheduled"""
+
+
+def check_names(contenders: Sequence[str], reference: str) -> None:
+    """Refuse contenders of one name, and a reference that is none of them.
+
+    Raises
+    ------
+    InvalidInput
+        With the names.
+    """
+    if len(set(contenders)) < len(contenders):
+        raise InvalidInput(f"contenders: {', '.join(contenders)}: two have the same name.")
+    if reference not in contenders:
+        raise InvalidInput(f"reference: {reference!r} is not among the contenders {', '.join(contenders)}.")
+
+
+def label_of(contender: str, tuning: str) -> str:
+    """How tables call a contender with a tuning: default, tuned, or scheduled."""
+    return contender if tuning == "scheduled" else f"{contender}, {tuning}"
+
+
+@dataclass(frozen=True, eq=False)
+class Comparison:
+    """Runs of contenders on the same cars and roads with the same noise, in one profile."""
+
+    contenders: tuple[str, ...]
+    cars: tuple[str, ...]
+    roads: tuple[str, ...]
+    """roads, scenarios, operating points or random drives; two may have one name"""
+    seeds: tuple[int, ...]
+    """of the noise"""
+    cells: Mapping[str, NDArray[Any]]
+    """by measure, (contenders, cars, roads, seeds); NaN where nothing was driven or could be measured. In any case:
+    `cost` (m^2, J; a failed run as the square of the distance at which it fails) and `failed` (0 or 1, or the share of
+    seeds that are not told apart). Of runs measured in full also those of `measures.RUN`."""
+    reference: str
+    """the contender that ratios are taken to"""
+    roles: Mapping[str, Role] = field(default_factory=dict)
+    """by contender"""
+    overall: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    """by contender, what is measured over the steps of all its runs: shares in which a schedule's inputs were clipped,
+    its guard stepped in, ...; `measures.OVERALL`"""
+    where: Array = field(default_factory=lambda: np.empty((0, 0)))
+    """(roads, k) numbers that tell the roads apart: operating points, or the numbers of drives"""
+    over: tuple[str, ...] = ("road",)
+    """the axes that an interval draws; a measure is averaged over the others first"""
+    failure: Failure = field(default_factory=Failure)
+    """when a run has failed"""
+    _tables: dict[tuple[str, str], Array] = field(default_factory=dict, init=False, repr=False)
+    _ratios: dict[tuple[str, str, str], Ratio] = field(default_factory=dict, init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        check_names(self.contenders, self.reference)
+
+    # -- made of ------------------------------------------------------------------------------------------------------
+    @classmethod
+    def of_runs(
+        cls, driven: Mapping[str, Mapping[str, ArrayLike]], reference: str, *, car: str = "",
+        roads: Sequence[str] | None = None, seeds: Sequence[int] | None = None, where: ArrayLike | None = None,
+        roles: Mapping[str, Role] | None = None, overall: Mapping[str, Mapping[str, float]] | None = None,
+        over: tuple[str, ...] = ("road",), failure: Failure | None = None,
+    ) -> Comparison:  # fmt: skip
+        """Of one car. driven: by contender and measure, (roads, seeds), or (roads,) of seeds that are not told apart.
+
+        roads, seeds: by default their numbers; where: by default the numbers of the roads; the rest: see the fields.
+        """
+        known = {
+            who: {name: np.asarray(values) for name, values in measures.items()} for who, measures in driven.items()
+        }
+        names = dict.fromkeys(name for measures in known.values() for name in measures)
+        cells = {name: np.stack([np.atleast_2d(each[name].T).T for each in known.values()])[:, None] for name in names}
+        n, m = cells["cost"].shape[2:]
+        return cls(
+            tuple(driven), (car,), tuple(map(str, range(n) if roads is None else roads)),
+            tuple(range(m) if seeds is None else map(int, seeds)), cells, reference, roles or {}, overall or {},
+            np.arange(n, dtype=float)[:, None] if where is None else np.asarray(where, dtype=float), over,
+            failure or Failure(),
+        )  # fmt: skip
+
+    @classmethod
+    def of_columns(cls, columns: Mapping[str, NDArray[Any]], preferred: Sequence[str] = ()) -> Comparison:
+        """Of runs in rows, on cars and roads. columns: (runs,): contender, tuning, car, road, seed, and the measures.
+
+        preferred: the first of these that drove is the reference, else the first contender.
+        """
+        pairs = list(zip(columns["contender"].tolist(), columns["tuning"].tolist(), strict=True))
+        roles = {
+            label_of(who, tuning): Role(who, tuning == "scheduled", tuning=tuning)
+            for who, tuning in dict.fromkeys(pairs)
+        }
+        named = {(role.controller, role.tuning): i for i, role in enumerate(roles.values())}
+        labels, at = {}, [np.array([named[pair] for pair in pairs])]
+        for axis in AXES:
+            labels[axis], places = np.unique(columns[axis], return_inverse=True)
+            at.append(places)
+        shape = (len(roles), *(len(labels[axis]) for axis in AXES))
+        cells = {}
+        for name in set(columns) - {"contender", "tuning", "profile", *AXES}:
+            texts = columns[name].dtype.kind == "U"
+            cells[name] = np.full(shape, "", columns[name].dtype) if texts else np.full(shape, np.nan)
+            cells[name][tuple(at)] = columns[name]
+        reference = next((each for each in preferred if each in roles), next(iter(roles), ""))
+        cars, roads, seeds = (labels[axis].tolist() for axis in AXES)
+        return cls(
+            tuple(roles), tuple(cars), tuple(roads), tuple(map(int, seeds)), cells, reference, roles,
+            over=("car", "road"),
+        )  # fmt: skip
+
+    # -- statistics ---------------------------------------------------------------------------------------------------
+    def of(self, name: str, measure: str) -> NDArray[Any]:
+        """(cars, roads, seeds) a measure of a contender's runs."""
+        return np.asarray(self.cells[measure][self.contenders.index(name)])
+
+    def table(self, name: str, measure: str = "cost") -> Array:
+        """A measure of a contender along the axes `over`, mean over the others; NaN where it did not drive.
+
+        Of an error (m) a failed run counts as the distance at which it fails.
+        """
+        if (name, measure) not in self._tables:
+            values = self.of(name, measure)
+            if measure not in ("cost", "failed"):
+                values = np.where(self.of(name, "failed") > 0.0, self.failure.distance, values)
+            there = np.isfinite(values)
+            total, count = np.where(there, values, 0.0), there.astype(float)
+            for axis in reversed(range(len(AXES))):
+                if AXES[axis] not in self.over:
+                    total, count = total.sum(axis=axis), count.sum(axis=axis)
+            self._tables[name, measure] = np.divide(total, count, out=np.full(total.shape, np.nan), where=count > 0.0)
+        return self._tables[name, measure]
+
+    @property
+    def costs(self) -> dict[str, Array]:
+        """By contender, m^2, `table` of the cost."""
+        return {name: self.table(name) for name in self.contenders}
+
+    @property
+    def failures(self) -> dict[str, Array]:
+        """By contender, the share of the noise seeds with which it failed."""
+        return {name: self.table(name, "failed") for name in self.contenders}
+
+    def regret(self, name: str) -> Array:
+        """The cost over the reference's."""
+        return self.table(name) / self.table(self.reference)
+
+    def ratio(self, name: str, other: str, measure: str = "cost") -> Ratio:
+        """The geometric mean of a measure over another contender's, where both drove, and its 95 % interval.
+
+        Raises
+        ------
+        InvalidInput
+            When they drove nothing in common.
+        """
+        key = name, other, measure
+        if key not in self._ratios:
+            self._ratios[key] = ratio(self.table(name, measure), self.table(other, measure))
+        return self._ratios[key]
+
+    def mean_ratio(self, name: str, other: str) -> float:
+        """That of the cost without the interval."""
+        return geometric_mean(_known(self.table(name) / self.table(other)))
+
+    def ranks(self, measure: str = "rms_error") -> dict[str, int]:
+        """1 + the number of others that are better with an interval below 1; equal ranks are not told apart."""
+        return {
+            who: 1 + sum(self.ratio(other, who, measure).high < 1.0 for other in self.contenders if other != who)
+            for who in self.contenders
+        }
+
+    # -- who ----------------------------------------------------------------------------------------------------------
+    def role(self, name: str) -> Role:
+        """What a contender is."""
+        return self.roles.get(name, Role())
+
+    def of_kind(self, *kinds: str) -> list[str]:
+        """The contenders of some kinds, in the order of the kinds."""
+        return [name for kind in kinds for name in self.contenders if self.role(name).kind == kind]
+
+    @property
+    def adaptive(self) -> list[str]:
+        """The contenders whose tuning changes, and not by hindsight."""
+        return [name for name in self.contenders if self.role(name).adapts and not self.role(name).hindsight]
+
+    @property
+    def best(self) -> list[str]:
+        """The cheapest contender that needs no hindsight, then those level with it."""
+        judged = [each for each in self.contenders if not self.role(each).hindsight] or [self.reference]
+        ranked = sorted(judged, key=lambda who: self.mean_ratio(who, self.reference))
+        return ranked[:1] + [who for who in ranked[1:] if self.ratio(who, ranked[0]).verdict == "level"]
+
+    # -- rows ---------------------------------------------------------------------------------------------------------
+    def rows(self) -> list[dict[str, Any]]:
+        """One row for each contender: cost, regret and its spread, a 95 % bootstrap interval of its mean, failures.
+
+        constant_...: likewise over the best constant, or, where that is the reference or missing, the controller's own.
+        `views` has what tables of other kinds show.
+        """
+        return [self._row(name) for name in self.contenders]
+
+    def _row(self, name: str) -> dict[str, Any]:
+        over, costs = self.ratio(name, self.reference), _known(self.table(name))
+        return {
+            "contender": name,
+            "kind": self.role(name).kind,
+            "controller": self.role(name).controller,
+            "runs": len(costs),
+            "cost_geomean": geometric_mean(costs),
+            "regret_geomean": over.mean,
+            "regret_low": over.low,
+            "regret_high": over.high,
+            **self._over_constant(name),
+            **{f"regret_{key}": value for key, value in regret_percentiles(_known(self.regret(name))).items()},
+            "failures": int((self.table(name, "failed") > 0.0).sum()),
+            **self.overall.get(name, {}),
+        }
+
+    def _over_constant(self, name: str) -> dict[str, float]:
+        """The cost over that of the first constant that is not the reference."""
+        constants = [each for each in self.of_kind("best constant", "default constant") if each != self.reference]
+        if not constants:
+            return {}
+        over = self.ratio(name, constants[0])
+        return {"constant_geomean": over.mean, "constant_low": over.low, "constant_high": over.high}
+
+    def __repr__(self) -> str:
+        return f"<Comparison of {len(self.contenders)} contenders on {self.table(self.reference).size} runs>"
+
+    def plot(self) -> Any:
+        """Each contender's cost over the reference's with its 95 % interval, as a matplotlib figure."""
+        return figure_of(self)
+
+    def _repr_html_(self) -> str:
+        """The comparison in a notebook."""
+        return html_of(self)
+
+    # -- files --------------------------------------------------------------------------------------------------------
+    def as_json(self) -> dict[str, Any]:
+        """Everything, as plain JSON."""
+        return {
+            **{name: list(getattr(self, name)) for name in ("contenders", "cars", "roads", "seeds", "over")},
+            "cells": {name: _plain(values.tolist()) for name, values in self.cells.items()},
+            "reference": self.reference,
+            "roles": {name: vars(each) for name, each in self.roles.items()},
+            "overall": {name: dict(each) for name, each in self.overall.items()},
+            "where": self.where.tolist(),
+            "failure": vars(self.failure),
+        }
+
+    @classmethod
+    def from_json(cls, content: Mapping[str, Any]) -> Comparison:
+        """What `as_json` gave, to the bit; also what 0.2.0 wrote, which has the means over the noise seeds alone."""
+        roles = {name: Role(**each) for name, each in content["roles"].items()}
+        where, failure = np.array(content["where"], dtype=float), Failure(**content["failure"])
+        if "costs" in content:
+            driven = {
+                name: {"cost": costs, "failed": content["failures"][name]} for name, costs in content["costs"].items()
+            }
+            return cls.of_runs(
+                driven, content["reference"], where=where, roles=roles, overall=content["counts"], failure=failure
+            )
+        contenders, cars, roads, seeds, over = (
+            tuple(content[name]) for name in ("contenders", "cars", "roads", "seeds", "over")
+        )
+        cells = {name: _array(values) for name, values in content["cells"].items()}
+        return cls(
+            contenders, cars, roads, seeds, cells, content["reference"], roles, content["overall"], where, over, failure
+        )
+
+
+def _known(values: Array) -> Array:
+    """(n,) those that are there."""
+    return values[np.isfinite(values)]
+
+
+def _plain(values: Any) -> Any:
+    """Nested lists for strict JSON: NaN as None."""
+    if isinstance(values, list):
+        return [_plain(each) for each in values]
+    return None if isinstance(values, float) and not math.isfinite(values) else values
+
+
+def _array(values: Any) -> NDArray[Any]:
+    """The array of nested lists; None as NaN."""
+    try:
+        return np.array(values, dtype=float)
+    except ValueError:
+        return np.array(values, dtype=str)
+
+
+def finite(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """The rows ready for strict JSON."""
+    return [{key: _plain(value) for key, value in row.items()} for row in rows]
