@@ -105,6 +105,21 @@ def checked(target: Target) -> Target:
     return typing.cast(Target, _checked(target, [inspect.unwrap(target).__globals__]))
 
 
+def check_parameters(instance: object) -> None:
+    """Check the attributes of an object that keeps its parameters as given, by the annotations of its `__init__`.
+
+    So scikit-learn wants it of an estimator: whatever it was built with or set to is refused when it is fitted.
+    """
+    kind: Any = type(instance)
+    for name, argument in _arguments_of(kind).items():
+        argument.value(getattr(instance, name), kind.__init__, (instance,))
+
+
+@functools.cache
+def _arguments_of(kind: Any) -> dict[str, _Argument]:
+    return _arguments(kind.__init__, [vars(sys.modules[each.__module__]) for each in kind.__mro__])[1]
+
+
 def _checked(function: Callable[..., Any], namespaces: Sequence[Mapping[str, Any]]) -> Callable[..., Any]:
     arguments = functools.cache(lambda: _arguments(function, namespaces))
 
@@ -154,7 +169,7 @@ class _Argument(NamedTuple):
         unit = next((f" {each}" for each in beside if isinstance(each, str) and _is_number(given)), "")
         if found["type"] == "value_error":  # a Limit's own sentence, or that of `Reals`
             return f"{name} = {shown(given)}{unit}: {found['ctx']['error']}"
-        must = _container(field.annotation) or allowed(field) or found["msg"].removeprefix("Input should be ")
+        must = _container(field) or allowed(field) or found["msg"].removeprefix("Input should be ")
         none = " or None" if annotation is not _without_none(annotation) else ""
         hint = next((f"; {each.text}" for each in beside if isinstance(each, Hint)), "")
         return f"{name} = {shown(given)}{unit}: must be {must}{none}{hint}."
@@ -231,13 +246,14 @@ def _element(annotation: Any, part: int | str) -> Any:
     return inner[1] if isinstance(kind, type) and issubclass(kind, Mapping) else None
 
 
-def _container(annotation: Any) -> str:
+def _container(field: FieldInfo) -> str:
     """A tuple, a sequence or a mapping in words; empty for anything else."""
-    kind, inner = typing.get_origin(annotation), typing.get_args(annotation)
+    kind, inner = typing.get_origin(field.annotation), typing.get_args(field.annotation)
     if kind is tuple and inner[-1] is not ...:
         return "a pair" if len(inner) == 2 else f"{len(inner)} values"
     if isinstance(kind, type) and issubclass(kind, Sequence):
-        return "a sequence"
+        least = next((each.min_length for each in field.metadata if hasattr(each, "min_length")), 0)
+        return f"a sequence of {least} or more" if least else "a sequence"
     return "a mapping of names" if isinstance(kind, type) and issubclass(kind, Mapping) else ""
 
 

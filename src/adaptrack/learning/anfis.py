@@ -14,17 +14,19 @@ import math
 from collections.abc import Sequence
 from dataclasses import replace
 from itertools import pairwise
-from typing import Any, NamedTuple, Self
+from typing import Annotated, Any, Literal, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from pydantic import Field
 from scipy import linalg
 from scipy.special import expit
 from sklearn.base import BaseEstimator, RegressorMixin
 from sklearn.utils import check_random_state
 from sklearn.utils.validation import check_is_fitted, validate_data
 
-from adaptrack.base.errors import InvalidInput, real, whole
+from adaptrack.base.checked import Count, Natural, NotNegative, Positive, check_parameters
+from adaptrack.base.errors import InvalidInput
 from adaptrack.control.scheduling.functions.sugeno import (
     CENTRE,
     SLOPE,
@@ -223,7 +225,7 @@ class ANFIS(RegressorMixin, BaseEstimator):  # type: ignore[misc]
     ridge : float
         Penalty on the squares of the consequents, relative to the mean square of the columns that they multiply.
     forgetting : float
-        Recursive least squares: how much an older row counts for each newer one, 0 < `forgetting` <= 1.
+        Recursive least squares: how much an older row counts for each newer one.
     prune : float
         Rules with less than this share of all firing strength are removed, before and after training; 0 keeps all.
     early_stopping : bool
@@ -248,31 +250,28 @@ class ANFIS(RegressorMixin, BaseEstimator):  # type: ignore[misc]
     input_names_ : list of str
         The columns of a data frame, the names in a file, or in1, in2, ...
 
-    Raises
-    ------
-    InvalidInput
-        When `fit` finds a parameter that is not allowed (a ValueError, as scikit-learn wants it).
+    `fit` refuses parameters that are not allowed, as scikit-learn wants it.
     """
 
     def __init__(
         self,
-        partition: str = "subtractive",
+        partition: Literal["subtractive", "grid"] = "subtractive",
         *,
-        membership: str = "gaussian",
+        membership: Literal["gaussian", "bell"] = "gaussian",
         n_mfs: int | Sequence[int] = 3,
         influence: float = 0.5,
         squash: float = 1.25,
         accept: float = 0.5,
         reject: float = 0.15,
-        epochs: int = 50,
-        step: float = 0.01,
-        consequents: str = "lse",
-        ridge: float = 1e-8,
-        forgetting: float = 1.0,
-        prune: float = 0.0,
+        epochs: Natural = 50,
+        step: Positive = 0.01,
+        consequents: Literal["lse", "rls"] = "lse",
+        ridge: Positive = 1e-8,
+        forgetting: Annotated[Positive, Field(le=1.0)] = 1.0,
+        prune: Annotated[NotNegative, Field(lt=1.0)] = 0.0,
         early_stopping: bool = False,
-        validation_fraction: float = 0.2,
-        patience: int = 20,
+        validation_fraction: Annotated[Positive, Field(lt=1.0)] = 0.2,
+        patience: Count = 20,
         random_state: Any = None,
     ) -> None:
         self.partition = partition
@@ -379,25 +378,9 @@ class ANFIS(RegressorMixin, BaseEstimator):  # type: ignore[misc]
 
     def _check(self) -> None:
         """Every parameter that the partition does not check itself."""
-        where = "ANFIS"
-        for name, allowed in (
-            ("partition", ("subtractive", "grid")),
-            ("membership", ("gaussian", "bell")),
-            ("consequents", ("lse", "rls")),
-        ):
-            if getattr(self, name) not in allowed:
-                raise InvalidInput(f"{where}: {name} = {getattr(self, name)!r}: must be one of {allowed}.")
-        whole(where, "epochs", self.epochs, least=0)
-        whole(where, "patience", self.patience)
-        for name, low, high in (("step", 0.0, math.inf), ("ridge", 0.0, math.inf), ("validation_fraction", 0.0, 1.0)):
-            if not low < real(where, name, getattr(self, name)) < high:
-                raise InvalidInput(f"{where}: {name} = {getattr(self, name)!r}: must lie between {low:g} and {high:g}.")
-        if not 0.0 < real(where, "forgetting", self.forgetting) <= 1.0:
-            raise InvalidInput(f"{where}: forgetting = {self.forgetting!r}: must be above 0 and at most 1.")
+        check_parameters(self)
         if self.forgetting < 1.0 and self.consequents != "rls":
-            raise InvalidInput(f"{where}: forgetting = {self.forgetting!r} needs consequents='rls'.")
-        if not 0.0 <= real(where, "prune", self.prune) < 1.0:
-            raise InvalidInput(f"{where}: prune = {self.prune!r}: must be at least 0 and below 1.")
+            raise InvalidInput(f"ANFIS: forgetting = {self.forgetting!r} needs consequents='rls'.")
 
     def _start(self, rows: _Rows) -> Sugeno:
         """The system that the partition gives, its consequents still zero."""

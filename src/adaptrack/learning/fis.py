@@ -15,7 +15,8 @@ from typing import NamedTuple, NoReturn
 
 import numpy as np
 
-from adaptrack.base.errors import ConfigError, InvalidInput, StorageError, whole
+from adaptrack.base.checked import Count, checked
+from adaptrack.base.errors import ConfigError, InvalidInput, StorageError
 from adaptrack.base.files import write_atomically
 from adaptrack.control.scheduling.functions.sugeno import ANY, SLOPE, WIDTH, Sugeno
 from adaptrack.learning.anfis import ANFIS
@@ -48,7 +49,8 @@ class _Variable(NamedTuple):
     functions: list[_Function]
 
 
-def read_fis(path: str | os.PathLike[str], output: int = 1) -> ANFIS:
+@checked
+def read_fis(path: str | os.PathLike[str], output: Count = 1) -> ANFIS:
     """The fitted `ANFIS` that a `.fis` file describes; of several outputs the one with the number `output`, from 1.
 
     Raises
@@ -58,7 +60,7 @@ def read_fis(path: str | os.PathLike[str], output: int = 1) -> ANFIS:
     ConfigError
         When it is malformed, or asks for what is not supported; the message names the line.
     """
-    return _Reader(path).estimator(whole("read_fis", "output", output))
+    return _Reader(path).estimator(output)
 
 
 def write_fis(estimator: ANFIS, path: str | os.PathLike[str], name: str = "anfis") -> None:

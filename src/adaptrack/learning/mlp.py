@@ -11,10 +11,11 @@ import math
 import warnings
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any, NamedTuple, Self
+from typing import Annotated, Any, Literal, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from pydantic import Field
 from sklearn.base import BaseEstimator, RegressorMixin
 from sklearn.exceptions import ConvergenceWarning
 from sklearn.neural_network import MLPRegressor
@@ -22,7 +23,8 @@ from sklearn.utils import check_random_state
 from sklearn.utils.validation import check_is_fitted, validate_data
 from threadpoolctl import threadpool_limits
 
-from adaptrack.base.errors import InvalidInput, real, whole
+from adaptrack.base.checked import Count, Positive, check_parameters
+from adaptrack.base.errors import InvalidInput
 from adaptrack.control.scheduling.functions.network import Network
 from adaptrack.learning.holding import held_out
 from adaptrack.learning.weights import mean, part, row_weights
@@ -93,21 +95,21 @@ class MLP(RegressorMixin, BaseEstimator):  # type: ignore[misc]
     Raises
     ------
     InvalidInput
-        When `fit` finds a parameter that is not allowed, or training diverges (a ValueError, as scikit-learn wants it).
+        From `fit`, when training diverges (a ValueError, as scikit-learn wants it).
     """
 
     def __init__(
         self,
-        hidden: Sequence[int] = (16, 8),
+        hidden: Annotated[Sequence[Count], Field(min_length=1)] = (16, 8),
         *,
-        solver: str = "momentum",
-        learning_rate: float | None = None,
-        batch_size: int = 200,
-        epochs: int = 1000,
+        solver: Literal["momentum", "adam", "lbfgs"] = "momentum",
+        learning_rate: Positive | None = None,
+        batch_size: Count = 200,
+        epochs: Count = 1000,
         relu: bool = True,
         early_stopping: bool = False,
-        validation_fraction: float = 0.2,
-        patience: int = 50,
+        validation_fraction: Annotated[Positive, Field(lt=1.0)] = 0.2,
+        patience: Count = 50,
         random_state: Any = None,
     ) -> None:
         self.hidden = hidden
@@ -127,7 +129,7 @@ class MLP(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         With all rows in one batch a weight of 2 is a row given twice, and of 0 one left out; smaller batches, and the
         rows held out, are drawn from the rows whatever their weights are.
         """
-        self._check()
+        check_parameters(self)
         x, target = validate_data(self, X, y, dtype=np.float64, y_numeric=True)
         target = np.asarray(target, dtype=np.float64)
         weight = row_weights("MLP", sample_weight, x)
@@ -157,21 +159,6 @@ class MLP(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         x = validate_data(self, X, dtype=np.float64, reset=False)
         with np.errstate(over="ignore"):  # of a sigmoid that is 0
             return self.network_.predict(x)
-
-    def _check(self) -> None:
-        where = "MLP"
-        if self.solver not in SOLVERS:
-            raise InvalidInput(f"{where}: solver = {self.solver!r}: must be one of {tuple(SOLVERS)}.")
-        if not isinstance(self.hidden, Sequence) or not self.hidden:
-            raise InvalidInput(f"{where}: hidden = {self.hidden!r}: must be a sequence of whole numbers, at least one.")
-        for width in self.hidden:
-            whole(where, "hidden", width)
-        for name in ("batch_size", "epochs", "patience"):
-            whole(where, name, getattr(self, name))
-        for name, high in (("learning_rate", math.inf), ("validation_fraction", 1.0)):
-            value = getattr(self, name)
-            if not (name == "learning_rate" and value is None) and not 0.0 < real(where, name, value) < high:
-                raise InvalidInput(f"{where}: {name} = {value!r}: must lie between 0 and {high:g}.")
 
     def _learner(self, rows: int, rng: np.random.RandomState) -> MLPRegressor:
         given = self.learning_rate

@@ -13,7 +13,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from adaptrack.base.errors import InvalidInput, real, whole
+from adaptrack.base.checked import Positive, Share, checked
+from adaptrack.base.errors import InvalidInput, whole
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.intp]
@@ -48,10 +49,16 @@ class Partition(NamedTuple):
     """(R, D) which function each rule asks of each input"""
 
 
+@checked
 def subtractive_clustering(
-    points: Array, influence: float = 0.5, squash: float = 1.25, accept: float = 0.5, reject: float = 0.15, *,
+    points: Array,
+    influence: Positive = 0.5,
+    squash: Positive = 1.25,
+    accept: Share = 0.5,
+    reject: Share = 0.15,
+    *,
     weight: Array | None = None,
-) -> Clusters:  # fmt: skip
+) -> Clusters:
     """Centres of the dense regions of `points` (n, dims), each dimension scaled to the data's range.
 
     The potential of point i is P_i = sum_j exp(-4 |x_i - x_j|^2 / influence^2). The point with the highest potential is
@@ -65,17 +72,14 @@ def subtractive_clustering(
     Raises
     ------
     InvalidInput
-        When there are no points, or an option is out of its range.
+        When there are no points, or `reject` is above `accept`.
     """
     where = "subtractive_clustering"
     points = np.asarray(points, dtype=np.float64)
     if points.ndim != 2 or points.size == 0 or not np.isfinite(points).all():
         raise InvalidInput(f"{where}: points have shape {points.shape}: must be (n, dims), finite, at least one row.")
-    for name, value in (("influence", influence), ("squash", squash)):
-        if not 0.0 < real(where, name, value) < math.inf:
-            raise InvalidInput(f"{where}: {name} = {value!r}: must be positive.")
-    if not 0.0 <= real(where, "reject", reject) <= real(where, "accept", accept) <= 1.0:
-        raise InvalidInput(f"{where}: reject = {reject!r}, accept = {accept!r}: must hold 0 <= reject <= accept <= 1.")
+    if reject > accept:
+        raise InvalidInput(f"{where}: reject = {reject!r}, accept = {accept!r}: must hold reject <= accept.")
     span = _span(points)
     unit = (points - points.min(axis=0)) / span
     potential = _potential(unit, influence, weight)
