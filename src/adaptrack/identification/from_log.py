@@ -6,11 +6,14 @@ import math
 import os
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field
 
-from adaptrack.base.errors import InvalidInput, real
+from adaptrack.base.checked import Finite, NotNegative, checked, within
+from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.known_within import KnownWithin
 from adaptrack.cars.vehicle import Steering, Tyre, Vehicle, load_tyre, load_vehicle
 from adaptrack.identification.calibration import corrected
@@ -199,15 +202,16 @@ class Identification:
         }  # fmt: skip
 
 
+@checked
 def identify(
     log: str | os.PathLike[str] | Mapping[str, object],
     car: str | os.PathLike[str] | Vehicle | None = None,
     *,
-    mass: float | None = None,
-    wheelbase: float | None = None,
+    mass: Annotated[Finite, within(1.0, 1e5), "kg"] | None = None,
+    wheelbase: Annotated[Finite, within(0.1, 20.0), "m"] | None = None,
     reading: Reading | None = None,
     known: Mapping[str, Prior] | None = None,
-    computation: float | None = None,
+    computation: Annotated[NotNegative, Field(lt=1.0), "s"] | None = None,
 ) -> Identification:
     """Identify a car from a log of its driving.
 
@@ -219,13 +223,13 @@ def identify(
     car
         What is believed of the car: mass and geometry are kept, the rest is estimated about it.
     mass, wheelbase
-        kg and m, instead of a car.
+        Instead of a car.
     reading
         Columns, units, signs and steering ratio, where they are not as the names say.
     known
         Beliefs that replace those of the car, by the names of `QUANTITIES`.
     computation
-        s, of the log's dead time that lies in the controller's computation: it is taken off what the car's file
+        Of the log's dead time that lies in the controller's computation: it is taken off what the car's file
         gets. By default what the profile of an own trajectory says, else 0.
 
     Raises
@@ -243,9 +247,7 @@ def identify(
     z, covariance = fitted(likelihood)
     estimates, jacobian = _estimates(likelihood, z, covariance)
     validation, series = _validated(likelihood, z, cleaned, believed, beliefs)
-    given = columns.computation if computation is None else real("identify", "computation", computation)
-    if not 0.0 <= given < 1.0:
-        raise InvalidInput(f"identify: computation = {given!r} s: must be from 0 to 1.")
+    given = columns.computation if computation is None else computation
     words = findings(cleaned, estimates, validation)
     return Identification(
         estimates, jacobian @ covariance @ jacobian.T, validation, words, cleaned, believed, curve, given, series
@@ -290,9 +292,6 @@ def _believed(
         return vehicle, beliefs_of(vehicle, known), load_tyre(vehicle.tyre)
     if mass is None or wheelbase is None:
         raise InvalidInput("identify: give --car, or --mass (kg) and --wheelbase (m): no log tells them.")
-    mass, wheelbase = real("identify", "mass", mass), real("identify", "wheelbase", wheelbase)
-    if not 1.0 <= mass <= 1e5 or not 0.1 <= wheelbase <= 20.0:
-        raise InvalidInput(f"identify: mass {mass:g} kg, wheelbase {wheelbase:g} m: must be from 1 kg and .1 m.")
     vehicle, rough = plain_car(mass, wheelbase)
     curve = load_tyre(vehicle.tyre).replace(nominal_load=0.5 * sum(vehicle.static_loads))
     return vehicle, beliefs_of(vehicle, rough | dict(known or {})), curve

@@ -5,10 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 
-from adaptrack.base.errors import InvalidInput, whole
+from adaptrack.base.checked import RISING, Finite, Natural, Positive, checked
+from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.vehicle import Tyre, Vehicle, load_tyre, load_vehicle
 from adaptrack.scenario.profile import Profile, load_profile
 
@@ -16,31 +18,29 @@ BASES = ("paper", "midsize-sedan")
 _CAR = 0x0CA5  # stream of random numbers
 
 
+_Factors = Annotated[tuple[Positive, Positive], RISING]
+_Range = Annotated[tuple[Finite, Finite], RISING]
+
+
+@checked
 @dataclass(frozen=True)
 class CarRanges:
     """From where random cars are drawn: factors log-uniform, the others uniform, all independent."""
 
-    mass: tuple[float, float] = (0.6, 1.6)
-    """-, factor on mass, yaw inertia and the tyres' nominal load"""
-    stiffness: tuple[float, float] = (0.5, 2.5)
-    """-, factor on the cornering stiffness of both axles"""
-    front_to_rear: tuple[float, float] = (0.85, 1.18)
-    """-, factor on the ratio of front to rear stiffness"""
-    lag: tuple[float, float] = (0.05, 0.35)
-    """s, of the steering"""
-    dead_time: tuple[float, float] = (0.0, 0.25)
-    """s, of the steering, beside the computation that the profile has"""
-    bias: tuple[float, float] = (-0.02, 0.02)
-    """rad, of the steering"""
-    noise: tuple[float, float] = (0.3, 3.0)
-    """-, factor on the noise of all sensors of the profile"""
-
-    def __post_init__(self) -> None:
-        for name in ("mass", "stiffness", "front_to_rear", "noise", "lag", "dead_time", "bias"):
-            low, high = getattr(self, name)
-            factor = name in ("mass", "stiffness", "front_to_rear", "noise")
-            if not (math.isfinite(low) and math.isfinite(high) and low <= high and (low > 0.0 or not factor)):
-                raise InvalidInput(f"CarRanges: {name} = ({low!r}, {high!r}): must be (low, high), factors positive.")
+    mass: _Factors = (0.6, 1.6)
+    """factor on mass, yaw inertia and the tyres' nominal load"""
+    stiffness: _Factors = (0.5, 2.5)
+    """factor on the cornering stiffness of both axles"""
+    front_to_rear: _Factors = (0.85, 1.18)
+    """factor on the ratio of front to rear stiffness"""
+    lag: Annotated[_Range, "s"] = (0.05, 0.35)
+    """of the steering"""
+    dead_time: Annotated[_Range, "s"] = (0.0, 0.25)
+    """of the steering, beside the computation that the profile has"""
+    bias: Annotated[_Range, "rad"] = (-0.02, 0.02)
+    """of the steering"""
+    noise: _Factors = (0.3, 3.0)
+    """factor on the noise of all sensors of the profile"""
 
 
 @dataclass(frozen=True)
@@ -64,8 +64,9 @@ class RandomCar:
         return self.profile.dead_time + self.profile.steering.lag
 
 
+@checked
 def random_car(
-    seed: int,
+    seed: Natural,
     *,
     bases: Sequence[str] = BASES,
     profile: str | Profile = "road",
@@ -80,9 +81,8 @@ def random_car(
     Raises
     ------
     InvalidInput
-        When the seed is no whole number >= 0, or there is no base.
+        When there is no base.
     """
-    seed = whole("random_car", "seed", seed, least=0)
     if not bases:
         raise InvalidInput("random_car: bases = (): name at least one shipped car.")
     ranges = ranges or CarRanges()
