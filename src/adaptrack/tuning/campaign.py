@@ -28,6 +28,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adaptrack import __version__
+from adaptrack.base.checked import Count, checked
 from adaptrack.base.errors import AdaptrackError, ContractError, InvalidInput, MissingExtra, StorageError
 from adaptrack.tuning.config import STANDARD, CampaignConfig, Plan, Setup
 from adaptrack.tuning.operating_points import NAMES
@@ -189,12 +190,13 @@ class CampaignInterrupted(KeyboardInterrupt):
     """A campaign that the user stopped; the message says what is kept and how to go on."""
 
 
+@checked
 def run_campaign(
     config: CampaignConfig,
     out: str | os.PathLike[str],
     *,
     resume: bool = False,
-    workers: int | None = None,
+    workers: Count | None = None,
     dask: str | None = None,
     executor: Executor | None = None,
     progress: Callable[[Progress], None] | None = None,
@@ -274,8 +276,6 @@ def _pool(workers: int | None, dask: str | None, executor: Executor | None) -> I
         with dask_client(dask) as client:
             yield _Pool(client.get_executor(retries=3, pure=False))
     else:
-        if workers is not None and (isinstance(workers, bool) or not isinstance(workers, int) or workers < 1):
-            raise InvalidInput(f"workers = {workers!r}: must be a positive whole number.")
         give_up = threading.Event()
         with ThreadPoolExecutor(workers or _cores(), thread_name_prefix="adaptrack") as threads:
             try:

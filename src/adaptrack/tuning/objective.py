@@ -13,6 +13,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from adaptrack.base.checked import checked
 from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.plant import Plant, SteppedPlant
 from adaptrack.control.controllers import MPC
@@ -41,6 +42,7 @@ class Tuned:
     """control steps simulated; runs that could not improve any more were stopped"""
 
 
+@checked
 @dataclass(frozen=True, eq=False)
 class Objective:
     """J = mean e^2 + move_weight * mean (change of command)^2 of a run on an operating point.
@@ -53,7 +55,7 @@ class Objective:
     Raises
     ------
     InvalidInput
-        For an unknown test or profile, no noise seed, or an MPC that does not run compiled.
+        For an unknown profile, no noise seed, or an MPC that does not run compiled.
     """
 
     plant: Plant | SteppedPlant
@@ -67,8 +69,6 @@ class Objective:
     """when a run has failed, by default as the driven car's domain says"""
 
     def __post_init__(self) -> None:
-        if self.test not in ("step", "lane-change"):
-            raise InvalidInput(f"test = {self.test!r}: must be 'step' or 'lane-change'.")
         if not self.noise_seeds:
             raise InvalidInput("noise_seeds: give at least one.")
         object.__setattr__(self, "profile", load_profile(self.profile))

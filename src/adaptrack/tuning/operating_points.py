@@ -8,11 +8,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from pydantic import Field
 
+from adaptrack.base.checked import Count, Natural, checked
 from adaptrack.base.errors import InvalidInput
 
 Array = NDArray[np.float64]
@@ -142,7 +144,8 @@ def check_box(box: Mapping[str, Sequence[float]]) -> Array:
     return bounds
 
 
-def sobol(n: int, box: Mapping[str, Sequence[float]], seed: int = 0) -> Array:
+@checked
+def sobol(n: Annotated[Count, Field(le=MOST)], box: Mapping[str, Sequence[float]], seed: Natural = 0) -> Array:
     """The first n points of a scrambled Sobol sequence in a box, (n, 4).
 
     box: a pair [low, high] for each of speed, y_ref, friction, wind; seed: of the scrambling. The points fill the box
@@ -153,20 +156,17 @@ def sobol(n: int, box: Mapping[str, Sequence[float]], seed: int = 0) -> Array:
     Raises
     ------
     InvalidInput
-        For no points, an empty box, or one that makes no sense.
+        For an empty box, or one that makes no sense.
     """
-    if isinstance(n, bool) or not isinstance(n, int | np.integer) or not 1 <= n <= MOST:
-        raise InvalidInput(f"sobol: n = {n!r}: must be a whole number of operating points, 1 to {MOST:,}.")
     bounds = check_box(box)
-    return check_operating_points(bounds[:, 0] + unit_sobol(int(n), len(COLUMNS), seed) * (bounds[:, 1] - bounds[:, 0]))
+    return check_operating_points(bounds[:, 0] + unit_sobol(n, len(COLUMNS), seed) * (bounds[:, 1] - bounds[:, 0]))
 
 
-def unit_sobol(n: int, dimensions: int, seed: int) -> Array:
+@checked
+def unit_sobol(n: int, dimensions: int, seed: Natural) -> Array:
     """The first n points of a scrambled Sobol sequence in the unit cube, (n, dimensions), in [0, 1)."""
     from scipy.stats import qmc
 
-    if isinstance(seed, bool) or not isinstance(seed, int | np.integer) or seed < 0:
-        raise InvalidInput(f"sobol: seed = {seed!r}: must be a whole number, not negative.")
     # Whole powers of two keep the sequence balanced (and scipy quiet); the rest is cut off.
     sequence = qmc.Sobol(dimensions, scramble=True, seed=np.random.default_rng(seed))
     return sequence.random_base2(max(0, (n - 1).bit_length()))[:n]

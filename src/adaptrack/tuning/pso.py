@@ -23,13 +23,14 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydantic import Field, model_validator
 
+from adaptrack.base.checked import Natural, checked
 from adaptrack.base.errors import InvalidInput
 from adaptrack.base.files import LISTED, Record
 from adaptrack.core import swarm as kernel
 
 Array = NDArray[np.float64]
 
-_LARGEST_SEED = 2**63 - 1
+_Number = Annotated[Natural, Field(lt=2**63)]
 _LARGEST_WHOLE = 2**53  # every integer up to here is a double
 _CLASSIC_ACCELERATION = 1.49618
 
@@ -252,24 +253,20 @@ class Result:
 class Swarm:
     """A swarm that asks for the costs of one generation after the other.
 
-    space, settings: where and how to search; seed, stream: whole numbers from 0 to 2^63 - 1 that, with the costs,
+    space, settings: where and how to search; seed, stream: numbers that, with the costs,
     determine every position. Different streams of one seed are independent.
 
     Only the order of the costs matters, not their size. NaN counts as +inf, and a particle that never had a finite
     cost is pulled back to where it began.
-
-    Raises
-    ------
-    InvalidInput
-        For a seed or stream that is no such number.
     """
 
+    @checked
     def __init__(
-        self, space: SearchSpace, settings: SwarmSettings | None = None, *, seed: int = 0, stream: int = 0
+        self, space: SearchSpace, settings: SwarmSettings | None = None, *, seed: _Number = 0, stream: _Number = 0
     ) -> None:
         self.space = space
         self.settings = settings or SwarmSettings()
-        self.seed, self.stream = _counter("seed", seed), _counter("stream", stream)
+        self.seed, self.stream = seed, stream
         self.generation = 0
         """of the positions that `ask` gives; once done, the number of generations"""
         self._space, self._settings = space.packed(), self.settings.packed(space)
@@ -395,9 +392,3 @@ def minimise(
     while not swarm.done:
         swarm.tell(function(swarm.ask()))
     return swarm.result()
-
-
-def _counter(name: str, value: int) -> int:
-    if isinstance(value, bool) or not isinstance(value, int | np.integer) or not 0 <= value <= _LARGEST_SEED:
-        raise InvalidInput(f"{name} = {value!r}: must be a whole number from 0 to 2^63 - 1.")
-    return int(value)
