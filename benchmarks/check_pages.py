@@ -121,17 +121,17 @@ def main() -> int:
     parser.add_argument("pages", nargs="+", type=Path, help="index.html of each page")
     parser.add_argument("--shots", type=Path, help="folder for a PNG of each look")
     parser.add_argument("--height", type=int, default=HEIGHT, help="px, of the PNG")
-    asked = parser.parse_args()
+    options = parser.parse_args()
     if browser.PROGRAM is None:
         raise SystemExit(f"check_pages: {browser.NONE}")
     bad = set()
-    for page in asked.pages:
+    for page in options.pages:
         for width, scheme in ((width, scheme) for width in WIDTHS for scheme in SCHEMES):
             faults = look(page, width, scheme).faults()
             bad |= {page} if faults else set()
             print(f"{page} {width} {scheme}: {'; '.join(faults) or 'ok'}", flush=True)
-            if asked.shots:
-                shoot(page, width, scheme, asked.shots, asked.height)
+            if options.shots:
+                shoot(page, width, scheme, options.shots, options.height)
     return len(bad)
 
 

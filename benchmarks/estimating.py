@@ -262,10 +262,10 @@ def main() -> None:
     parser.add_argument("what", nargs="*", default=[], choices=[[], "offsets", "grip", "samples", "stuck", "nis"])
     parser.add_argument("--runs", type=int, default=100)
     parser.add_argument("--json", action="store_true")
-    asked = parser.parse_args()
+    options = parser.parse_args()
     parts = {"offsets": offsets, "grip": grip, "samples": samples, "stuck": stuck, "nis": nis}
-    found = {name: parts[name](asked.runs) for name in asked.what or parts}
-    if asked.json:
+    found = {name: parts[name](options.runs) for name in options.what or parts}
+    if options.json:
         print(json.dumps(found))
         return
     for name, rows in found.items():

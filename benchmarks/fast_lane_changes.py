@@ -32,26 +32,29 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=7)
     parser.add_argument("--slowest", type=float, default=24.0, help="m/s")
     parser.add_argument("--schedulers", nargs="*", default=[], help="names or files")
-    asked = parser.parse_args()
+    options = parser.parse_args()
     car = load_vehicle("paper")
-    mpc = MPC(car, profile=asked.profile)
-    box = {"speed": (asked.slowest, 30.0), "y_ref": (-7.0, 7.0), "friction": (0.3, 1.0), "wind": (-30.0, 30.0)}
+    mpc = MPC(car, profile=options.profile)
+    box = {"speed": (options.slowest, 30.0), "y_ref": (-7.0, 7.0), "friction": (0.3, 1.0), "wind": (-30.0, 30.0)}
 
     def runs(seed: int):
-        return operating_point_runs(DualTrack(car), mpc, sobol(asked.runs, box, seed=seed), asked.profile)
+        return operating_point_runs(DualTrack(car), mpc, sobol(options.runs, box, seed=seed), options.profile)
 
-    judged, others = runs(20_000 + asked.seed), runs(30_000 + asked.seed)
+    judged, others = runs(20_000 + options.seed), runs(30_000 + options.seed)
     fresh, used = (900_001, 900_002, 900_003, 900_004), (810_001, 810_002)
     constant = GRID[int(np.argmin([np.log(others.costs(row, used)).mean() for row in GRID]))]
     by_run = np.stack([judged.costs(row, used) for row in GRID], axis=1)
     contenders = {
         "default constant": mpc.tuning,
         "best constant of such runs": constant,
-        **{each.name: each for each in map(load_scheduler, asked.schedulers)},
+        **{each.name: each for each in map(load_scheduler, options.schedulers)},
         "best of the grid for each run": np.array(GRID)[by_run.argmin(axis=1)],
     }
     costs = {name: judged.costs(policy, fresh) for name, policy in contenders.items()}
-    print(f"{asked.profile}, {asked.runs} lane changes above {asked.slowest:g} m/s; constant of such runs {constant}")
+    print(
+        f"{options.profile}, {options.runs} lane changes above {options.slowest:g} m/s;",
+        f"constant of such runs {constant}",
+    )
     for name, cost in costs.items():
         over = ratio(cost, costs["default constant"])
         failed = int((cost >= judged.failed_cost / len(fresh)).sum())

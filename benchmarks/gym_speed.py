@@ -99,9 +99,9 @@ if __name__ == "__main__":
     parser.add_argument("--rounds", type=int, default=5)
     parser.add_argument("--threads", type=int, default=1)
     parser.add_argument("--json", action="store_true")
-    asked = parser.parse_args()
-    made = measure(asked.cars, asked.rounds, asked.threads)
-    if asked.json:
+    options = parser.parse_args()
+    made = measure(options.cars, options.rounds, options.threads)
+    if options.json:
         print(json.dumps(made, indent=2))
     else:
         for name, value in made["control_steps_per_s"].items():

@@ -96,19 +96,19 @@ def main() -> None:
     parser.add_argument("--vehicle", default="paper")
     parser.add_argument("--search", action="store_true")
     parser.add_argument("--json", action="store_true")
-    asked = parser.parse_args()
-    car = at.load_vehicle(asked.vehicle)
+    options = parser.parse_args()
+    car = at.load_vehicle(options.vehicle)
     plant = at.DualTrack(car)
     rows = (
         search(car, plant)
-        if asked.search
+        if options.search
         else [
-            row(name, mpc, plant, tuning, asked.drives)
+            row(name, mpc, plant, tuning, options.drives)
             for name, mpc in beliefs(car, load_profile("road")).items()
             for tuning in (informed_tuning("road"), CAUTIOUS)
         ]
     )
-    if asked.json:
+    if options.json:
         print(json.dumps({"rows": rows}))
         return
     for each in rows:

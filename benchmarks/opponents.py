@@ -32,19 +32,19 @@ def main() -> None:
     parser.add_argument("--profile", default="road")
     parser.add_argument("--vehicle", default="midsize-sedan")
     parser.add_argument("--runs", type=int, default=200)
-    asked = parser.parse_args()
-    car, world = at.load_vehicle(asked.vehicle), load_profile(asked.profile)
+    options = parser.parse_args()
+    car, world = at.load_vehicle(options.vehicle), load_profile(options.profile)
     plant, mpc = at.DualTrack(car), at.MPC(car, profile=world, preview=True)
 
     def runs(*seeds):
         roads = [at.generate_road(kind, seed=s, length=length) for s in seeds for kind, length in LENGTHS.items()]
-        return road_runs(plant, mpc, roads, Comfort(lateral=4.0), asked.profile)
+        return road_runs(plant, mpc, roads, Comfort(lateral=4.0), options.profile)
 
     training, chosen = runs(0), []
-    for name in asked.names or USUAL:
+    for name in options.names or USUAL:
         own = tuned_controller(name, car, world, None, period=world.period, preview=True)
         begun = time.time()
-        found = seek_constant(training, own, swarm_within(asked.runs, len(training)), noise_seeds=[1000])
+        found = seek_constant(training, own, swarm_within(options.runs, len(training)), noise_seeds=[1000])
         entries = ", ".join(f"{entry} {value:.3g}" for entry, value in found.tuning.items())
         print(f"{name}: {entries} ({time.time() - begun:.0f} s)", flush=True)
         tuned = tuned_controller(name, car, world, found.tuning, period=world.period, preview=True)

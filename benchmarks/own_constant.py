@@ -66,11 +66,11 @@ def main() -> None:
     parser.add_argument("--training", type=int, default=32)
     parser.add_argument("--drives", type=int, default=100)
     parser.add_argument("--json", action="store_true")
-    asked = parser.parse_args()
-    car, profile = at.load_vehicle(asked.vehicle), load_profile(asked.profile)
+    options = parser.parse_args()
+    car, profile = at.load_vehicle(options.vehicle), load_profile(options.profile)
     plant, default = at.DualTrack(car), at.MPC(car, profile=profile)
-    training = [random_drive(TRAINING + number) for number in range(asked.training)]
-    drives = [random_drive(JUDGED + number) for number in range(asked.drives)]
+    training = [random_drive(TRAINING + number) for number in range(options.training)]
+    drives = [random_drive(JUDGED + number) for number in range(options.drives)]
     tuning, _ = best_constant(plant, default, training, profile)
     drifts = best_drifts(plant, car, tuning, training, profile)
     own = at.MPC(car, profile=profile, estimator=KalmanFilter.of_profile(profile, drifts))
@@ -84,7 +84,7 @@ def main() -> None:
             "failed": int(lost.sum()), "drives": len(drives),
         })  # fmt: skip
     rows[-1]["drifts"] = {name: value for name, value in vars(drifts).items() if value != getattr(Drifts(), name)}
-    if asked.json:
+    if options.json:
         print(json.dumps({"rows": rows}))
         return
     for row in rows:

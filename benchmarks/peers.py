@@ -775,20 +775,20 @@ def main() -> None:
     parser.add_argument("--drives", type=int, default=64)
     parser.add_argument("--only", default="step,estimator,loops,cost,nonlinear")
     parser.add_argument("--json", action="store_true")
-    asked = parser.parse_args()
+    options = parser.parse_args()
     warnings.simplefilter("ignore")
     logging.disable(logging.WARNING)
     parts: dict[str, Callable[[], dict[str, Any]]] = {
-        "step": lambda: table(False, asked.steps, asked.rounds),
-        "estimator": lambda: table(True, asked.steps, asked.rounds),
-        "loops": lambda: loops(asked.drives, os.cpu_count() or 1),
-        "cost": lambda: cost(asked.steps, asked.rounds),
+        "step": lambda: table(False, options.steps, options.rounds),
+        "estimator": lambda: table(True, options.steps, options.rounds),
+        "loops": lambda: loops(options.drives, os.cpu_count() or 1),
+        "cost": lambda: cost(options.steps, options.rounds),
         "nonlinear": lambda: nonlinear(4),
     }
     with one_blas_thread():
-        found = {name: part() for name, part in parts.items() if name in asked.only.split(",")}
+        found = {name: part() for name, part in parts.items() if name in options.only.split(",")}
     found["machine"] = _machine()
-    if asked.json:
+    if options.json:
         print(json.dumps(found))
         return
     for name, part in found.items():

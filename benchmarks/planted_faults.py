@@ -633,21 +633,21 @@ def main() -> None:
     parser.add_argument("--against", type=Path, help="found.json of another checkout, for the table")
     parser.add_argument("--processes", type=int, default=2)
     parser.add_argument("--limit", type=float, default=600.0, help="s that a test may take longer than it took")
-    asked = parser.parse_args()
+    options = parser.parse_args()
     for each in (signal.SIGINT, signal.SIGTERM):  # the first would stay ignored in the background, in tests too
         signal.signal(each, signal.default_int_handler)
-    checkout, out = asked.checkout.resolve(), asked.out.resolve()
-    chosen = [fault for fault in read_faults() if not asked.only or fault.number in asked.only]
+    checkout, out = options.checkout.resolve(), options.out.resolve()
+    chosen = [fault for fault in read_faults() if not options.only or fault.number in options.only]
     faults = [fault for fault in chosen if fault.line(checkout) is not None]
     for fault in chosen:
         if fault not in faults:
             print(f"{fault.number:2d} {fault.file}: the line is not there once: {fault.before}")
-    slots = [Slot(checkout, out / f"slot-{i}") for i in range(asked.processes)]
+    slots = [Slot(checkout, out / f"slot-{i}") for i in range(options.processes)]
     for slot in slots:
         slot.folder.mkdir(parents=True, exist_ok=True)
-    known = with_tests_of(slots[0], faults, out / "tests.json", asked.processes)
-    found = judge_all(faults, slots, known, out / "found.json", asked.limit)
-    others = [json.loads(asked.against.read_text())] if asked.against else []
+    known = with_tests_of(slots[0], faults, out / "tests.json", options.processes)
+    found = judge_all(faults, slots, known, out / "found.json", options.limit)
+    others = [json.loads(options.against.read_text())] if options.against else []
     print(table(chosen, found, *others))
 
 

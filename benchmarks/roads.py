@@ -47,16 +47,16 @@ def main() -> None:
     parser.add_argument("--points", type=int, default=10_000, help="for the projection, over 20 roads")
     parser.add_argument("--xodr", nargs="*", default=[], help="OpenDRIVE files to read whole")
     parser.add_argument("--json", action="store_true")
-    asked = parser.parse_args()
+    options = parser.parse_args()
     found = {
         "positions": positions(),
-        "projection": projection(asked.points),
+        "projection": projection(options.points),
         "speed": speed(),
         "records": records(),
         "dense records": dense_records(),
-        "opendrive": [opendrive(path) for path in asked.xodr],
+        "opendrive": [opendrive(path) for path in options.xodr],
     }
-    print(json.dumps(found, indent=None if asked.json else 1))
+    print(json.dumps(found, indent=None if options.json else 1))
 
 
 def positions() -> dict[str, float]:

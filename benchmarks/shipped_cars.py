@@ -51,10 +51,10 @@ def main() -> None:
     parser.add_argument("--vehicle", nargs="+", default=at.list_vehicles())
     parser.add_argument("--sheet", action="store_true", help="know mass and wheelbase alone")
     parser.add_argument("--json", action="store_true")
-    asked = parser.parse_args()
-    cars = [name for name in asked.vehicle if not asked.sheet or at.load_vehicle(name).mass >= MASSES[0]]
-    rows = [measure(name, profile, asked.drives, asked.sheet) for profile in asked.profile for name in cars]
-    if asked.json:
+    options = parser.parse_args()
+    cars = [name for name in options.vehicle if not options.sheet or at.load_vehicle(name).mass >= MASSES[0]]
+    rows = [measure(name, profile, options.drives, options.sheet) for profile in options.profile for name in cars]
+    if options.json:
         print(json.dumps({"rows": rows}))
         return
     print(f"{'car':14} {'profile':11} {'failed':>9}  {'J, 95 % interval (m^2)':30} {'worst':>8} {'R':>6}")

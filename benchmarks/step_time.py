@@ -94,10 +94,10 @@ def main() -> None:
     parser.add_argument("--drives", type=int, default=20)
     parser.add_argument("--vehicle", default="paper")
     parser.add_argument("--json", action="store_true")
-    asked = parser.parse_args()
-    car = at.load_vehicle(asked.vehicle)
-    rows = [measure(name, car, asked.drives) for name in controllers(car)]
-    if asked.json:
+    options = parser.parse_args()
+    car = at.load_vehicle(options.vehicle)
+    rows = [measure(name, car, options.drives) for name in controllers(car)]
+    if options.json:
         print(json.dumps({"rows": rows}))
         return
     for row in rows:

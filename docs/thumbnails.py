@@ -35,12 +35,12 @@ STYLE = {
 def drive(axes: Axes) -> None:
     """The informed MPC and pure pursuit on a mountain road: offset along it."""
     car, road = at.load_vehicle("midsize-sedan"), at.generate_road("mountain", seed=2, length=600.0)
-    trip = at.RoadDrive(road, at.plan_speed(road, car))
+    drive = at.RoadDrive(road, at.plan_speed(road, car))
     for label, controller, colour in (
         ("pure pursuit", at.PurePursuit(car, period=0.05), ORANGE),
         ("informed MPC", at.MPC(car, profile="road"), BLUE),
     ):
-        run = at.simulate(at.DualTrack(car), controller, trip, profile="road")
+        run = at.simulate(at.DualTrack(car), controller, drive, profile="road")
         axes.plot(run.road["station"], 100 * run.error, color=colour, label=label)
     axes.set(xlabel="along the road (m)", ylabel="offset (cm)")
     axes.legend(loc="upper right")

@@ -1,4 +1,4 @@
-"""Learn to steer: CMA-ES on a linear policy in `adaptrack/PathTracking-v0`, then where it stands on roads not seen.
+"""Learn to steer: CMA-ES on a linear policy in `adaptrack/PathTracking-v0`, then where it stands on other roads.
 
 python examples/gym_learn_to_steer.py [--generations 150]        # needs adaptrack[gym,bench]
 """
@@ -21,10 +21,10 @@ TRAINING, JUDGED = [f"country:{i}" for i in (1, 2, 3, 4)], [f"country:{i}" for i
 def costs(roads, weights, seed):
     """J (m^2) of each car over one episode, failures as the reward counts them; weights (17,) or (CARS, 17)."""
     envs = gymnasium.make_vec("adaptrack/PathTracking-v0", num_envs=CARS, road=roads, length=400.0)
-    seen, _ = envs.reset(seed=[seed + i % (CARS // POPULATION) for i in range(CARS)])  # all candidates: the same runs
+    observed, _ = envs.reset(seed=[seed + i % (CARS // POPULATION) for i in range(CARS)])  # the same runs for all
     paid, driving, steps = np.zeros(CARS), np.ones(CARS, bool), np.zeros(CARS)
     while driving.any():
-        seen, rewards, terminated, truncated, _ = envs.step(np.sum(weights * SCALE * seen, axis=1)[:, None])
+        observed, rewards, terminated, truncated, _ = envs.step(np.sum(weights * SCALE * observed, axis=1)[:, None])
         paid, steps = paid - rewards * driving, steps + driving
         driving &= ~(terminated | truncated)
     return paid / steps
@@ -40,10 +40,10 @@ def main(generations=150):
     learned = np.exp(np.log(costs(JUDGED, search.mean, seed=7)).mean())
     print(f"{'linear policy, learned':24} J = {1e4 * learned:8.2f} cm²")
     task, car, profile = Task(road=JUDGED, length=400.0), at.load_vehicle("paper"), at.load_profile("road")
-    plant, trips = at.get_plant("dual-track", car), [task.trip(i, car) for i in range(len(JUDGED))]
+    plant, drives = at.get_plant("dual-track", car), [task.trip(i, car) for i in range(len(JUDGED))]
     for name in ("pure-pursuit", "informed"):
         controller = at.get_controller(name, car, profile=profile, period=profile.period, preview=True)
-        runs = at.rollout_batch(plant, controller, trips, which=[0, 1, 2, 3], profile=profile, seeds=[7, 8, 9, 10])
+        runs = at.rollout_batch(plant, controller, drives, which=[0, 1, 2, 3], profile=profile, seeds=[7, 8, 9, 10])
         print(f"{name:24} J = {1e4 * np.exp(np.log(runs.cost(profile.move_weight)).mean()):8.2f} cm²")
     return learned
 

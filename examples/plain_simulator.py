@@ -59,11 +59,11 @@ def main(seconds: float = 20.0) -> float:
     car, offsets, dt = Bicycle(), [], 0.001
     for k in range(round(seconds / dt)):
         if k % 50 == 0:  # 20 Hz
-            told = tracker.step(k * dt, car.x, car.y, car.yaw, car.speed, car.yaw_rate)
-            offsets.append(told.offset)
-        car.step(told.command, dt)
+            out = tracker.step(k * dt, car.x, car.y, car.yaw, car.speed, car.yaw_rate)
+            offsets.append(out.offset)
+        car.step(out.command, dt)
     rms = float(np.sqrt(np.mean(np.square(offsets))))
-    print(f"RMS {rms:.3f} m, at the end: {told.status}, {told.station:.0f} m along the path")
+    print(f"RMS {rms:.3f} m, at the end: {out.status}, {out.station:.0f} m along the path")
     return rms
 
 

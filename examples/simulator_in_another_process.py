@@ -17,21 +17,21 @@ MASS, INERTIA, LF, LR, FRONT, REAR = 1575.0, 2875.0, 1.2, 1.6, 38e3, 66e3  # kg,
 def rates(motion: list[float], steering: float, acceleration: float, grip: float) -> list[float]:
     """A single track on linear tyres: the derivative of X, Y, yaw, v_x, v_y, yaw rate."""
     _, _, yaw, vx, vy, r = motion
-    pace = max(vx, 2.0)
-    front = grip * FRONT * (steering - (vy + LF * r) / pace)
-    rear = -grip * REAR * (vy - LR * r) / pace
+    v = max(vx, 2.0)
+    front = grip * FRONT * (steering - (vy + LF * r) / v)
+    rear = -grip * REAR * (vy - LR * r) / v
     return [
         vx * math.cos(yaw) - vy * math.sin(yaw), vx * math.sin(yaw) + vy * math.cos(yaw), r, acceleration,
         (front + rear) / MASS - vx * r, (LF * front - LR * rear) / INERTIA,
     ]  # fmt: skip
 
 
-def answer(motion: list[float], asked: dict[str, Any]) -> list[float]:
-    """The motion after what is asked: a reset, or a step by the midpoint rule."""
-    if asked["do"] == "reset":
-        return asked["motion"]
-    dt, grip = asked["dt"], min(1.0, sum(asked["environment"][:4]) / 3.6)
-    held = asked["steering"], asked["acceleration"], grip
+def answer(motion: list[float], request: dict[str, Any]) -> list[float]:
+    """The motion after the request: a reset, or a step by the midpoint rule."""
+    if request["do"] == "reset":
+        return request["motion"]
+    dt, grip = request["dt"], min(1.0, sum(request["environment"][:4]) / 3.6)
+    held = request["steering"], request["acceleration"], grip
     middle = [x + 0.5 * dt * slope for x, slope in zip(motion, rates(motion, *held), strict=True)]
     return [x + dt * slope for x, slope in zip(motion, rates(middle, *held), strict=True)]
 

@@ -1,6 +1,6 @@
 """Between CARLA and adaptrack: axes, units, steering, pedals. Needs no CARLA; any object with its attributes will do.
 
-CARLA: left-handed, x forward, y to the right, degrees, yaw positive clockwise seen from above. Here (ISO 8855): y and
+CARLA: left-handed, x forward, y to the right, degrees, yaw positive clockwise from above. Here (ISO 8855): y and
 angles to the left, radians. `steer` is a share of the largest angle of the front wheels, positive to the right.
 """
 
@@ -68,7 +68,7 @@ def pedals(speed: float, wanted: float) -> tuple[float, float]:
 
 
 def wheelbase_of(physics: Any) -> float:
-    """m, from a carla.VehiclePhysicsControl, whose wheels (front left, front right, rear left, ...) are told in cm.
+    """m, from a carla.VehiclePhysicsControl, whose wheels (front left, front right, rear left, ...) are given in cm.
 
     Raises
     ------

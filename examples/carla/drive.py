@@ -83,9 +83,9 @@ def main() -> None:
         path = woven(road) if options.what == "record" else road
         plan = at.plan_speed(path, known, end=0.0, top_speed=options.speed)
         tracker = at.Tracker(controller(known, options.what == "follow"), path, plan=plan)
-        told, rows = zip(*follow(world, car, tracker), strict=True)
+        answers, rows = zip(*follow(world, car, tracker), strict=True)
         physics = vehicle.get_physics_control()
-    print(f"{len(rows) * PERIOD:.0f} s, largest offset {max(abs(each.offset) for each in told):.2f} m")
+    print(f"{len(rows) * PERIOD:.0f} s, largest offset {max(abs(each.offset) for each in answers):.2f} m")
     if options.what == "record":
         log = columns_of(list(rows))
         write_log(log, options.out)

@@ -51,7 +51,7 @@ def controller(vehicle: at.Vehicle, known: bool) -> at.MPC:
 
 
 def measured_full_steer(world: Any, car: Car, steer: float = 0.3, ticks: int = 40) -> float:
-    """rad at a steer of 1, measured on the standing car; `car.full_steer` where the wheels are not told."""
+    """rad at a steer of 1, measured on the standing car; `car.full_steer` where the wheels are not given."""
     for _ in range(ticks):
         car.vehicle.apply_control(car.control(steer=steer, brake=1.0, hand_brake=True))
         world.tick()
@@ -60,7 +60,7 @@ def measured_full_steer(world: Any, car: Car, steer: float = 0.3, ticks: int = 4
 
 
 def follow(world: Any, car: Car, tracker: at.Tracker, most: int = 100_000) -> Iterator[tuple[Tracked, dict]]:
-    """Drive by the tracker's plan until the car stands at the end of its path; after each tick what it told, and a row.
+    """Drive by the tracker's plan until the car stands at the end of its path; after each tick its answer, and a row.
 
     The command is given between two ticks and acts with the next one.
     """
@@ -68,14 +68,14 @@ def follow(world: Any, car: Car, tracker: at.Tracker, most: int = 100_000) -> It
         world.tick()
         t = world.get_snapshot().timestamp.elapsed_seconds
         sample = sample_of(t, car.vehicle, car.ahead)
-        told = tracker.step(*sample[:6], lateral_velocity=sample.lateral_velocity)
-        stop = told.status in STOP or tracker.plan is None
-        wanted = 0.0 if stop else float(tracker.plan.at(told.station + sample.speed * PERIOD))  # type: ignore[union-attr]
+        answer = tracker.step(*sample[:6], lateral_velocity=sample.lateral_velocity)
+        stop = answer.status in STOP or tracker.plan is None
+        wanted = 0.0 if stop else float(tracker.plan.at(answer.station + sample.speed * PERIOD))  # type: ignore[union-attr]
         throttle, brake = pedals(sample.speed, wanted)
-        steer = steer_of(told.command, car.full_steer)
+        steer = steer_of(answer.command, car.full_steer)
         car.vehicle.apply_control(car.control(throttle=throttle, brake=brake, steer=steer))
-        yield told, _row(sample, car, steer)
-        if sample.speed < 0.2 and (stop or told.station > tracker.path.length - 3.0):
+        yield answer, _row(sample, car, steer)
+        if sample.speed < 0.2 and (stop or answer.station > tracker.path.length - 3.0):
             return
 
 
@@ -88,7 +88,7 @@ def _row(sample: Any, car: Car, steer: float) -> dict[str, float]:
 
 
 def columns_of(rows: list[dict[str, float]]) -> dict[str, NDArray[np.float64]]:
-    """The rows of a drive as columns, without those of wheels that are never told (all 0)."""
+    """The rows of a drive as columns, without those of wheels that are never given (all 0)."""
     found = {name: np.array([row[name] for row in rows]) for name in COLUMNS}
     if not found["wheel"].any():
         del found["wheel"]

@@ -104,7 +104,7 @@ class Follower:
         self._newest, self._speed, self._braked = -math.inf, 0.0, -math.inf
         self._halted, self._engaged, self._angle = False, True, 0.0
         self._trouble: dict[str, str] = {}
-        self._told: Tracked | None = None
+        self._tracked: Tracked | None = None
         self._command = Command(0.0, 0.0, p.stop_deceleration, "no path yet")
 
     @property
@@ -210,10 +210,10 @@ class Follower:
             sample = Sample(now, math.nan, math.nan, math.nan, speed, math.nan)
         else:
             sample = fresh
-        self._told = self._tracker.step(*sample, now=now)
-        if self._told.status is not at.Status.REPEATED:
-            self._angle = self._told.command
-            why = why or STOPPING.get(self._told.status, "") or ("the path is empty" if self._halted else "")
+        self._tracked = self._tracker.step(*sample, now=now)
+        if self._tracked.status is not at.Status.REPEATED:
+            self._angle = self._tracked.command
+            why = why or STOPPING.get(self._tracked.status, "") or ("the path is empty" if self._halted else "")
             self._command = self._stopped(why) if why else self._going()
         return self._command
 
@@ -229,7 +229,7 @@ class Follower:
         return f"the newest odometry is {age:.3g} s old" if age > self.parameters.longest_silence else ""
 
     def _braking_speed(self, now: float) -> float:
-        """m/s that a car that obeys has while it is stopped without being seen."""
+        """m/s that a car that obeys has while it is stopped without being noticed."""
         if not self._command.stopping or now < self._braked:
             self._braked = now
         return max(0.0, self._speed - self.parameters.stop_deceleration * (now - self._braked))
@@ -239,20 +239,20 @@ class Follower:
 
     def _going(self) -> Command:
         """The speed that is planned where the car will be in one period."""
-        if self._tracker is None or self._tracker.plan is None or self._told is None:
+        if self._tracker is None or self._tracker.plan is None or self._tracked is None:
             return self._stopped("no path yet")
-        place = self._told.station + max(self._speed, 0.0) * self.period
+        place = self._tracked.station + max(self._speed, 0.0) * self.period
         speed = float(self._tracker.plan.at(place)) if math.isfinite(place) else 0.0
         return Command(self._angle, speed, self.parameters.acceleration)
 
     def diagnosis(self, now: float) -> tuple[int, str, dict[str, str]]:
         """Level, text and values for a diagnostic_msgs/DiagnosticStatus."""
-        told, command = self._told, self._command
+        last, command = self._tracked, self._command
         values = {
-            "status": str(told.status) if told else "",
-            "offset (m)": f"{told.offset:.3f}" if told else "",
-            "heading error (rad)": f"{told.heading_error:.4f}" if told else "",
-            "station (m)": f"{told.station:.1f}" if told else "",
+            "status": str(last.status) if last else "",
+            "offset (m)": f"{last.offset:.3f}" if last else "",
+            "heading error (rad)": f"{last.heading_error:.4f}" if last else "",
+            "station (m)": f"{last.station:.1f}" if last else "",
             "age of the odometry (s)": f"{now - self._newest:.3f}",
             "steering angle (rad)": f"{command.angle:.4f}",
             "speed (m/s)": f"{command.speed:.2f}",

@@ -26,8 +26,8 @@ class FollowerNode(Node):
 
     def __init__(self) -> None:
         super().__init__("adaptrack_follower")
-        asked = {name: self.declare_parameter(name, value).value for name, value in asdict(Parameters()).items()}
-        parameters = Parameters(**asked)
+        declared = {name: self.declare_parameter(name, value).value for name, value in asdict(Parameters()).items()}
+        parameters = Parameters(**declared)
         self._follower, self._wheel_angle = Follower(parameters), 0.0
         self.get_logger().info("loading compiled code; after an installation this takes up to two minutes")
         self._follower.warm_up()
@@ -78,7 +78,7 @@ def _path_type(parameters: Parameters) -> Any:
 
 
 def _path_qos(parameters: Parameters) -> QoSProfile:
-    """Reliable, the newest only; a latched one is given to those who come later, if both sides ask for it."""
+    """Reliable, the newest only; a latched one is given to those who come later, if both sides request it."""
     latched = DurabilityPolicy.TRANSIENT_LOCAL if parameters.path_latched else DurabilityPolicy.VOLATILE
     return QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE, durability=latched)
 

@@ -68,7 +68,7 @@ class StandInCar:
         self.angle += min(max(change, -self._rate * STEP), self._rate * STEP)
 
     def _demand(self) -> float:
-        """m/s^2, towards the speed that is asked for."""
+        """m/s^2, towards the requested speed."""
         _, speed, acceleration = self._command
         most = acceleration if acceleration > 0.0 else 5.0  # 0 means as quickly as possible
         return float(min(max((speed - self.state[3]) / 0.3, -most), most))
