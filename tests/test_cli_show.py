@@ -12,6 +12,8 @@ import time
 
 import pytest
 
+from adaptrack.base import progress
+from adaptrack.base.progress import Work
 from adaptrack.cli import certify, comparison, reproduce, show, simulate, train
 from adaptrack.cli.show import Column
 
@@ -113,7 +115,7 @@ def test_without_a_terminal_progress_is_a_line_now_and_then_with_the_time_left(m
     lines = err.splitlines()
     assert out == ""
     assert lines[0] == "adaptrack: work: 0 s so far"
-    assert lines[-1].startswith("adaptrack: half: 50 %, about")
+    assert lines[-1].startswith("adaptrack: work, half: 50 %, about")
     assert 2 <= len(lines) <= 6
 
 
@@ -124,7 +126,7 @@ def test_what_is_done_in_two_seconds_says_nothing(capsys):
 
 
 def test_several_pieces_of_work_count_as_one():
-    state = show._State("drive", total=4)
+    state = Work("drive", total=4)
     state.update("first", 5, 10)
     assert state.share == 0.125
     state.update("first", 10, 10)
@@ -134,18 +136,25 @@ def test_several_pieces_of_work_count_as_one():
 
 def test_a_stage_has_its_own_time_left(monkeypatch):
     clock = [0.0]
-    monkeypatch.setattr(show.time, "monotonic", lambda: clock[0])
-    state = show._State("one", total=1)
+    monkeypatch.setattr(progress.time, "monotonic", lambda: clock[0])
+    state = Work("one", total=1)
     clock[0] = 100.0
     state.update("two", 0, 4)
     clock[0] = 110.0
     state.update("two", 1, 4)
     assert state.left() == pytest.approx(30.0)
+    clock[0] = 115.0
+    assert state.left() == pytest.approx(25.0)  # it counts down between two reports
+    clock[0] = 120.0
+    state.update("two, under another name", 2, 4)
+    assert state.left() == pytest.approx(20.0)
+    clock[0] = 141.0
+    assert state.left() is None  # longer than expected: nobody knows
 
 
 @pytest.mark.parametrize(("seconds", "text"), [(0.2, "1 s"), (89.0, "89 s"), (600.0, "10 min"), (9000.0, "2.5 h")])
 def test_a_time_is_said_in_its_unit(seconds, text):
-    assert show.duration(seconds) == text
+    assert progress.duration(seconds) == text
 
 
 ON_A_TERMINAL = """

@@ -1,10 +1,11 @@
-"""What long work says of itself where nobody asked for it: a bar in a notebook, elsewhere a log record now and then."""
+"""How far long work is, and what it says of itself: a bar in a notebook, elsewhere a log record now and then."""
 
 from __future__ import annotations
 
 import functools
 import html
 import logging
+import math
 import sys
 import threading
 import time
@@ -23,7 +24,8 @@ R = TypeVar("R")
 def tells(label: str) -> Callable[[Callable[P, R]], Callable[P, R]]:
     """A decorator of a function with an argument `progress`: where that is left out, the work says how far it is.
 
-    label: what is done, until the function says more. `progress` is called with (what, done, of) or (done, of).
+    label: what is done. `progress` is called with (stage, done, of) or (done, of). Where something else is on show
+    already, such as the bar of a command, nothing is said.
     """
 
     def decorate(function: Callable[P, R]) -> Callable[P, R]:
@@ -40,37 +42,81 @@ def tells(label: str) -> Callable[[Callable[P, R]], Callable[P, R]]:
     return decorate
 
 
-class _State:
-    """How far the work is."""
+class Work:
+    """How far long work is, and how long it will take.
 
-    def __init__(self, label: str) -> None:
-        self.label, self.share, self.begun = label, 0.0, time.monotonic()
+    label: what is done; total: its pieces, each of which goes from 0 to its steps. A single piece may have stages, one
+    after the other, each of which counts from 0: the time left is that of the stage.
+    """
+
+    def __init__(self, label: str, total: int = 1) -> None:
+        self.label, self.total, self.finished, self.share = label, total, 0, 0.0
         self.stage = label
+        self.begun = self.at = time.monotonic()
 
-    def update(self, *told: Any) -> None:
-        """told: (what, done, of) or (done, of)."""
-        *what, done, of = told
-        self.stage = str(what[0]) if what else self.label
-        self.share = done / of if of else 1.0
+    def update(self, *reported: Any) -> None:
+        """reported: (stage, steps done, steps in all) or (steps done, steps in all)."""
+        *stage, done, steps = reported
+        self.at = time.monotonic()
+        share = (self.finished + (done / steps if steps else 1.0)) / self.total
+        if self.total == 1 and (share < self.share or share == 0.0):
+            self.begun = self.at
+        self.stage, self.share = str(stage[0]) if stage else self.label, share
+        if self.total > 1 and done == steps:
+            self.finished += 1
+
+    def left(self) -> float | None:
+        """s until the end, at the speed so far; None where that is not known, or was too little."""
+        if not 0.0 < self.share < 1.0:
+            return None
+        left = (self.at - self.begun) * (1.0 - self.share) / self.share - (time.monotonic() - self.at)
+        return left if left > 0.0 else None
 
     def line(self) -> str:
-        """For people."""
-        name = self.label if self.stage == self.label else f"{self.label}: {self.stage}"
-        share = f", {100.0 * self.share:.0f} %" if 0.0 < self.share < 1.0 else ""
-        return f"{name}{share}, {time.monotonic() - self.begun:.0f} s so far"
+        """For people: what is done, the share of it, the time left."""
+        name = self.label if self.stage == self.label else f"{self.label}, {self.stage}"
+        left = self.left()
+        rest = f"{time.monotonic() - self.begun:.0f} s so far" if left is None else f"about {duration(left)} left"
+        share = f" {100.0 * self.share:.0f} %," if 0.0 < self.share < 1.0 else ""
+        return f"{name}:{share} {rest}"
+
+
+def duration(seconds: float) -> str:
+    """A time as one says it."""
+    if seconds < 90.0:
+        return f"{math.ceil(seconds)} s"
+    return f"{seconds / 60.0:.0f} min" if seconds < 5400.0 else f"{seconds / 3600.0:.1f} h"
+
+
+_shown: list[Work] = []
+"""The work whose progress is on show: what it calls says nothing of its own."""
+
+
+@contextmanager
+def showing(work: Work) -> Iterator[bool]:
+    """Put the progress of some work on show; yields whether it is the only one, to be shown."""
+    _shown.append(work)
+    try:
+        yield _shown[0] is work
+    finally:
+        _shown.remove(work)
 
 
 @contextmanager
 def _telling(label: str) -> Iterator[Callable[..., None]]:
-    state, over = _State(label), threading.Event()
-    say = _bar if _in_notebook() else _record
-    teller = threading.Thread(target=_tell, args=(state, over, say()), daemon=True)
-    teller.start()
-    try:
-        yield state.update
-    finally:
-        over.set()
-        teller.join()
+    work, over = Work(label), threading.Event()
+    with showing(work) as alone:
+        if not alone:
+            yield work.update
+            return
+        say = _bar if _in_notebook() else _record
+        teller = threading.Thread(target=_tell, args=(work, over, say()), daemon=True)
+        teller.start()
+        try:
+            yield work.update
+        finally:
+            over.set()
+            teller.join()
 
 
 def now_and_then(over: threading.Event, say: Callable[[], None], *, every: float | None = None) -> bool:
@@ -86,31 +132,31 @@ def now_and_then(over: threading.Event, say: Callable[[], None], *, every: float
     return said
 
 
-def _tell(state: _State, over: threading.Event, say: Callable[[_State, bool], None]) -> None:
+def _tell(work: Work, over: threading.Event, say: Callable[[Work, bool], None]) -> None:
     """In a thread: nothing of short work, then a word now and then; a last one at the end."""
-    if now_and_then(over, lambda: say(state, False), every=1.0 if _in_notebook() else None):
-        say(state, True)
+    if now_and_then(over, lambda: say(work, False), every=1.0 if _in_notebook() else None):
+        say(work, True)
 
 
-def _record() -> Callable[[_State, bool], None]:
+def _record() -> Callable[[Work, bool], None]:
     """Log records of level WARNING: without any configuration Python shows them on standard error, everywhere."""
 
-    def say(state: _State, ended: bool) -> None:
+    def say(work: Work, ended: bool) -> None:
         if not ended:
-            _log.warning("adaptrack: %s", state.line())
+            _log.warning("adaptrack: %s", work.line())
 
     return say
 
 
-def _bar() -> Callable[[_State, bool], None]:
+def _bar() -> Callable[[Work, bool], None]:
     """A bar below the cell that moves."""
     from IPython.display import HTML, display
 
     handles: list[Any] = []
 
-    def say(state: _State, ended: bool) -> None:
-        share = 1.0 if ended else state.share
-        shown = HTML(f'<progress value="{share:.3f}" max="1"></progress> {html.escape(state.line())}')
+    def say(work: Work, ended: bool) -> None:
+        share = 1.0 if ended else work.share
+        shown = HTML(f'<progress value="{share:.3f}" max="1"></progress> {html.escape(work.line())}')
         if handles:
             handles[0].update(shown)
         else:

@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 import json
-import math
 import os
 import sys
 import threading
-import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
-from adaptrack.base.progress import now_and_then
+from adaptrack.base.progress import Work, now_and_then, showing
+from adaptrack.base.progress import duration as duration
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -185,64 +184,30 @@ Show = Callable[[str, int, int], None]
 """show(what is done, steps done, steps in all)"""
 
 
-class _State:
-    """How far the work is, and how long it will take."""
-
-    def __init__(self, label: str, total: int) -> None:
-        self.label, self.total, self.finished, self.share = label, total, 0, 0.0
-        self.begun = time.monotonic()
-
-    def update(self, label: str, done: int, steps: int) -> None:
-        """One of `total` pieces of work is so far; a single piece may have stages, each with a label of its own."""
-        if self.total == 1 and label != self.label:
-            self.begun = time.monotonic()
-        self.label = label
-        share = done / steps if steps else 1.0
-        self.share = (self.finished + share) / self.total
-        if self.total > 1 and done == steps:
-            self.finished += 1
-
-    def left(self) -> float | None:
-        """s until the end at the speed so far; None where that is not known."""
-        if not 0.0 < self.share < 1.0:
-            return None
-        return (time.monotonic() - self.begun) * (1.0 - self.share) / self.share
-
-    def line(self) -> str:
-        """For logs."""
-        left = self.left()
-        rest = f"{time.monotonic() - self.begun:.0f} s so far" if left is None else f"about {duration(left)} left"
-        share = f" {100.0 * self.share:.0f} %," if 0.0 < self.share < 1.0 else ""
-        return f"adaptrack: {printable(self.label)}:{share} {rest}"
-
-
-def duration(seconds: float) -> str:
-    """A time as one says it."""
-    if seconds < 90.0:
-        return f"{math.ceil(seconds)} s"
-    return f"{seconds / 60.0:.0f} min" if seconds < 5400.0 else f"{seconds / 3600.0:.1f} h"
-
-
 @contextmanager
 def progress(label: str, total: int = 1) -> Iterator[Show]:
     """Progress on standard error: a bar on a terminal, else a line now and then. Yields the function that tells it.
 
-    label: what is done, until the function says more; total: pieces of work, each of which goes from 0 to its steps.
+    label, total: see `base.progress.Work`. Where something else is on show already, nothing is shown.
     """
-    state = _State(label, total)
-    with _bar(state) if sys.stderr.isatty() else _lines(state) as update:
-        yield update
+    work = Work(label, total)
+    with showing(work) as alone:
+        if not alone:
+            yield work.update
+            return
+        with _bar(work) if sys.stderr.isatty() else _lines(work) as update:
+            yield update
 
 
 @contextmanager
-def _bar(state: _State) -> Iterator[Show]:
+def _bar(work: Work) -> Iterator[Show]:
     from rich.console import Console
     from rich.progress import BarColumn, Progress, ProgressColumn, SpinnerColumn, Task, TextColumn, TimeElapsedColumn
     from rich.text import Text
 
     class Left(ProgressColumn):
         def render(self, task: Task) -> Text:
-            left = state.left()
+            left = work.left()
             return Text("" if left is None else f"{duration(left)} left")
 
     columns = (
@@ -250,26 +215,26 @@ def _bar(state: _State) -> Iterator[Show]:
     )  # fmt: skip
     # Records of the logger, such as that a kernel is compiled, appear above the bar.
     with Progress(*columns, console=Console(file=sys.stderr), transient=True, redirect_stdout=False) as bar:
-        task = bar.add_task(printable(state.label), total=None)  # no total: the bar only moves to and fro
+        task = bar.add_task(printable(work.label), total=None)  # no total: the bar only moves to and fro
 
         def update(label: str, done: int, steps: int) -> None:
-            state.update(label, done, steps)
-            bar.update(task, description=printable(label), completed=state.share, total=1.0 if state.share else None)
+            work.update(label, done, steps)
+            bar.update(task, description=printable(label), completed=work.share, total=1.0 if work.share else None)
 
         yield update
 
 
 @contextmanager
-def _lines(state: _State) -> Iterator[Show]:
+def _lines(work: Work) -> Iterator[Show]:
     over = threading.Event()
 
     def tell() -> None:
-        print(state.line(), file=sys.stderr, flush=True)
+        print(f"adaptrack: {printable(work.line())}", file=sys.stderr, flush=True)
 
     teller = threading.Thread(target=now_and_then, args=(over, tell), daemon=True)
     teller.start()
     try:
-        yield state.update
+        yield work.update
     finally:
         over.set()
         teller.join()

@@ -101,9 +101,9 @@ def train(
     """Learn the best tuning of each operating point from a data set, one model per slot.
 
     model: "nn" for networks, "anfis" for fuzzy systems; targets: see `TARGETS`; holdout: share of the operating
-    points that is held out; seed: of the hold-out and of the models; progress: called with ("train", slots done,
-    slots); options: parameters of `MLP` or `ANFIS`, whose defaults are the paper's. Operating points where the run
-    failed with every tuning teach nothing and are left out.
+    points that is held out; seed: of the hold-out and of the models; progress: called with (what is learned, steps
+    done, steps), two steps a slot; options: parameters of `MLP` or `ANFIS`, whose defaults are the paper's. Operating
+    points where the run failed with every tuning teach nothing and are left out.
 
     The ceiling is what boosted trees reach on the same hold-out: a strong learner of another kind that is shown every
     operating point from its left side, and never the row that it predicts (5-fold cross-validation, see `boosting`).
@@ -126,13 +126,15 @@ def train(
     quality = []
     for number, slot in enumerate(TARGETS[targets]):
         if progress is not None:
-            progress("train", number, len(TARGETS[targets]))
+            progress(slot, 2 * number, 2 * len(TARGETS[targets]))
         y, y_held = target(learned, slot), target(held, slot)
         start = time.perf_counter()
         with threadpool_limits(1):  # the matrices are small: more threads only wait for each other
             estimators[slot] = MODELS[model](**options).fit(learned.operating_points, y)
         seconds = time.perf_counter() - start
         r2, rmse = score(y_held, estimators[slot].predict(held.operating_points))
+        if progress is not None:
+            progress(f"{slot} by trees", 2 * number + 1, 2 * len(TARGETS[targets]))
         best_r2, best_rmse = score(y_held, ceiling(learned.operating_points, y, held.operating_points, y_held, seed))
         quality.append({
             "slot": slot, "model": model, "r2": r2, "rmse": rmse, "ceiling_r2": best_r2, "ceiling_rmse": best_rmse,
