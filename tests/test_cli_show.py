@@ -16,6 +16,7 @@ from adaptrack.base import progress
 from adaptrack.base.progress import Work
 from adaptrack.cli import certify, comparison, reproduce, show, simulate, train
 from adaptrack.cli.show import Column
+from adaptrack.results.console import written
 
 NAMES = {
     "scenario": "triple-lane-change", "controller": "as-released", "scheduler": "best constant of conditions",
@@ -27,7 +28,7 @@ FLAGS = {"guard", "preview"}
 
 def typical(columns):
     """A row as it comes, no number of it short."""
-    return {c.key: NAMES.get(c.key, False if c.key in FLAGS else 1.2345e-05 if "mse" in c.key else 0.9876543)
+    return {c.name: NAMES.get(c.name, False if c.name in FLAGS else 1.2345e-05 if "mse" in c.name else 0.9876543)
             for c in columns}  # fmt: skip
 
 
@@ -41,7 +42,7 @@ def test_tables_name_their_units_and_fit_80_columns(monkeypatch, capsys, room):
     body = [line for line in lines if line.strip()]
     assert len(body) == 6  # title, two lines of titles and units, a rule, two rows: nothing is folded
     assert all(f"({column.unit})" in body[2] for column in room.COLUMNS if column.unit)
-    for name in {row[column.key] for column in room.COLUMNS if isinstance(row[column.key], str)}:
+    for name in {row[column.name] for column in room.COLUMNS if isinstance(row[column.name], str)}:
         assert name in body[-1]
 
 
@@ -91,9 +92,9 @@ def test_failed_is_red_only_where_colour_is_on(monkeypatch, capsys, environment,
 
 
 def test_numbers_and_nothing_are_written_short():
-    assert [show.written(v) for v in (None, 0.123456, 12, True, "x")] == ["-", "0.1235", "12", "True", "x"]
-    assert [show.percent(v) for v in (None, 0.5)] == ["-", "50"]
-    assert [show.whole(v) for v in (None, 12345.6)] == ["-", "12,346"]
+    assert [written(v, Column("a", "a")) for v in (None, 0.123456, 12, True, "x")] == ["-", "0.1235", "12", "True", "x"]
+    assert [written(v, Column("a", "a", "%", "percent")) for v in (None, 0.5)] == ["-", "50"]
+    assert [written(v, Column("a", "a", "", "whole")) for v in (None, 12345.6)] == ["-", "12,346"]
 
 
 def test_json_is_strict(capsys):

@@ -12,19 +12,9 @@ from typer import Option
 
 from adaptrack.base.errors import InvalidInput
 from adaptrack.cli import options, show
-from adaptrack.cli.show import Column
 
 if TYPE_CHECKING:
-    from adaptrack.identification import Identification, Reading
-
-COLUMNS = (
-    Column("quantity", "quantity"),
-    Column("value", "value", "", show.digits(4)),
-    Column("low", "90 % from", "", show.digits(4)),
-    Column("high", "to", "", show.digits(4)),
-    Column("unit", "unit"),
-    Column("before", "believed before"),
-)
+    from adaptrack.identification import Reading
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -86,6 +76,7 @@ def identify(given: IdentifyOptions) -> None:
     comes with its interval.
     """
     from adaptrack.identification import identify as fit
+    from adaptrack.results.identify import identification_result, write_identification_page
 
     out, page, as_json = given.out, given.page, given.as_json
     if out is not None and out.suffix != ".toml":
@@ -100,16 +91,11 @@ def identify(given: IdentifyOptions) -> None:
             given.log, given.car, mass=given.mass, wheelbase=given.wheelbase, reading=reading,
             computation=given.computation,
         )  # fmt: skip
-    if as_json:
-        show.say_json(_strict(found.to_dict()))
-    else:
-        _print(found)
+    show.say_result(identification_result(found), as_json)
     if out is not None:
         found.to_toml(out)
         show.say(f"Car: {out}", aside=as_json)
     if page is not None:
-        from adaptrack.results.identify import write_identification_page
-
         show.say(f"Page: {write_identification_page(found, page, options.command_line())}", aside=as_json)
 
 
@@ -131,32 +117,3 @@ def _pair(option: str, text: str) -> tuple[str, str]:
     if not mark or not name or not value:
         raise InvalidInput(f"{option} {text}: must be SIGNAL=NAME.")
     return name, value
-
-
-def _print(found: Identification) -> None:
-    log, checked = found.log, found.validation
-    rows = [
-        {
-            "quantity": each.name.replace("_", " "), "value": each.value, "low": each.low, "high": each.high,
-            "unit": each.unit, "before": f"{each.before[0]:.3g} to {each.before[1]:.3g}",
-        }
-        for each in found.estimates.values()
-        if each.told > 0.0
-    ]  # fmt: skip
-    title = f"{log.driven:.0f} s of driving, {log.samples} samples at {1.0 / log.period:.0f} Hz"
-    show.table(title, COLUMNS, rows)
-    show.say(
-        f"Yaw rate on {checked.held_out:.0f} s that the fit did not see: {100 * checked.one_step:.1f} % of the "
-        f"variance explained one step ahead, {100 * checked.simulated:.1f} % simulated from the command."
-    )
-    for sentence in (*log.notes, *found.findings):
-        show.say(f"Note: {sentence}.")
-
-
-def _strict(values: object) -> object:
-    """Values as JSON takes them: None for NaN."""
-    if isinstance(values, dict):
-        return {key: _strict(value) for key, value in values.items()}
-    if isinstance(values, list):
-        return [_strict(value) for value in values]
-    return None if isinstance(values, float) and values != values else values

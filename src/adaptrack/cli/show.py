@@ -3,52 +3,32 @@
 from __future__ import annotations
 
 import json
-import os
 import sys
 import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple
+from typing import Any, Literal
 
+from adaptrack.base.files import printable as escaped
 from adaptrack.base.progress import Work, now_and_then, showing
 from adaptrack.base.progress import duration as duration
+from adaptrack.base.result import Column, Result, ResultTable
+from adaptrack.results.console import print_result, print_table, say, say_failed
 
-if TYPE_CHECKING:
-    from rich.console import Console
-    from rich.table import Table
-    from rich.text import Text
+__all__ = ["Column", "say", "say_failed"]
 
 Rows = Sequence[Mapping[str, Any]]
 
-WIDE = 140
-"""Columns of text where standard output is no terminal; every table of numbers fits 80."""
-_NAME, _WRAPPED = 40, 16
-"""Letters of a column of names that stay whole; least of one of text at the end of a line, which may wrap."""
 
+# -- text and tables --------------------------------------------------------------------------------------------------
+def say_result(result: Result, as_json: bool) -> None:
+    """A result on the console, or as one JSON object."""
+    if as_json:
+        from adaptrack.results.json import to_json
 
-class Column(NamedTuple):
-    """A column of a table; a title may have two lines where there is no unit."""
-
-    key: str
-    """of the row's entry"""
-    title: str
-    unit: str = ""
-    show: Callable[[Any], str] | None = None
-    """how an entry is written; by default `written`"""
-
-
-# -- text -------------------------------------------------------------------------------------------------------------
-def say(text: str, aside: bool = False) -> None:
-    """A line on standard output; aside: on standard error, where standard output is for JSON."""
-    print(printable(text), file=sys.stderr if aside else sys.stdout)
-
-
-def say_failed(text: str, aside: bool = False) -> None:
-    """A line that begins with the word FAILED: red on a terminal with colours, plain anywhere else."""
-    from rich.text import Text
-
-    line = Text.assemble(("FAILED", "bold red"), " ", printable(text))
-    _console(aside).print(line, soft_wrap=True)
+        print(to_json(result))
+    else:
+        print_result(result)
 
 
 def say_json(values: Any) -> None:
@@ -58,109 +38,21 @@ def say_json(values: Any) -> None:
 
 def printable(text: str) -> str:
     """The text with control characters, and what is no character at all, written as escapes."""
-    from adaptrack.base.files import printable as escaped
-
     return escaped(text, keep="\n")
 
 
-def written(value: Any) -> str:
-    """A table's entry: four significant digits, "-" for nothing."""
-    if value is None:
-        return "-"
-    return f"{value:.4g}" if isinstance(value, float) else printable(str(value))
+def digits(count: int) -> int:
+    """Of a column: so many significant digits."""
+    return count
 
 
-def digits(count: int) -> Callable[[Any], str]:
-    """Writes numbers with so many significant digits."""
-    return lambda value: f"{value:.{count}g}" if isinstance(value, float) else written(value)
+percent: Literal["percent"] = "percent"
+whole: Literal["whole"] = "whole"
 
 
-def whole(value: Any) -> str:
-    """Writes a number without its fraction."""
-    return "-" if value is None else f"{value:,.0f}"
-
-
-def percent(value: Any) -> str:
-    """Writes a share in per cent."""
-    return "-" if value is None else f"{100.0 * value:.0f}"
-
-
-# -- tables -----------------------------------------------------------------------------------------------------------
 def table(title: str, columns: Sequence[Column], rows: Rows) -> None:
-    """A table with a line of titles and units; numbers stand to the right.
-
-    Columns that are too many for the width go below, beside the names again: no number is cut or left out.
-    """
-    from rich.text import Text
-
-    console = _console()
-    console.print(Text(printable(title)))
-    for part in _parts(columns, rows, console.width):
-        console.print(_grid(part, rows))
-        console.print()
-
-
-def _grid(columns: Sequence[Column], rows: Rows) -> Table:
-    from rich import box
-    from rich.table import Table
-    from rich.text import Text
-
-    made = Table(box=box.SIMPLE_HEAD, show_edge=False, pad_edge=False, padding=(0, 1, 0, 0))
-    for column in columns:
-        known = [row[column.key] for row in rows if row[column.key] is not None]
-        numbers = all(isinstance(value, int | float) for value in known)
-        least = min(_NAME, max(map(len, map(str, known)), default=0)) if column is columns[0] else None
-        made.add_column(_heading(column), overflow="fold", justify="right" if numbers else "left", min_width=least)
-    for row in rows:
-        made.add_row(*(Text((column.show or written)(row[column.key])) for column in columns))
-    return made
-
-
-def _parts(columns: Sequence[Column], rows: Rows, width: int) -> list[list[Column]]:
-    """The columns of each table, the first of all in each: as many as fit, or one at least."""
-    names, *others = columns
-    first = min(_NAME, _needed(names, rows))
-    parts: list[list[Column]] = [[names]]
-    used = first
-    for i, column in enumerate(others):
-        last = i == len(others) - 1 and len(parts) == 1  # text at the end of a line may wrap
-        needed = min(_needed(column, rows), _WRAPPED if last and _is_text(column, rows) else _NAME) + 2
-        if used + needed > width and len(parts[-1]) > 1:
-            parts.append([names])
-            used = first
-        parts[-1].append(column)
-        used += needed
-    return parts
-
-
-def _needed(column: Column, rows: Rows) -> int:
-    """Letters of the widest line."""
-    lines = [*_heading(column).plain.split("\n"), *((column.show or written)(row[column.key]) for row in rows)]
-    return max(map(len, lines))
-
-
-def _is_text(column: Column, rows: Rows) -> bool:
-    return any(isinstance(row[column.key], str) for row in rows)
-
-
-def _heading(column: Column) -> Text:
-    from rich.text import Text
-
-    return Text(f"{column.title}\n({column.unit})" if column.unit else column.title)
-
-
-def _console(aside: bool = False) -> Console:
-    """Where rich text goes; with NO_COLOR set it writes no escape codes at all, where rich alone keeps bold."""
-    from rich.console import Console
-
-    colours: Literal["auto"] | None = None if os.environ.get("NO_COLOR") else "auto"
-    stream = sys.stderr if aside else sys.stdout
-    return Console(file=stream, width=_width(aside), color_system=colours, highlight=False)
-
-
-def _width(aside: bool = False) -> int | None:
-    stream = sys.stderr if aside else sys.stdout
-    return None if stream.isatty() or "COLUMNS" in os.environ else WIDE
+    """A table, see `results.console.print_table`."""
+    print_table(ResultTable("", title, columns, rows))
 
 
 def listing(title: str, rows: Rows, as_json: bool) -> None:

@@ -25,8 +25,22 @@ from matplotlib.figure import Figure
 from adaptrack import __version__
 from adaptrack.base.errors import InvalidInput, StorageError
 from adaptrack.base.files import printable
-from adaptrack.results import style
-from adaptrack.results.words import lettered, plain, slug
+from adaptrack.base.result import Column, Result, ResultTable
+from adaptrack.results import draw, style
+from adaptrack.results.words import (
+    capital,
+    clock,
+    counted,
+    entry,
+    lettered,
+    listed,
+    number,
+    percent,
+    plain,
+    slug,
+    span,
+    title_of,
+)
 
 Legend = Sequence[tuple[str, style.Stroke]]
 """Names and their strokes, in order."""
@@ -239,6 +253,60 @@ def render(
     png: bool = True,
 ) -> str:
     """The page as HTML text, see `write_page`."""
+    opening, rest = _opening(sections)
+    return _environment().get_template("sections.html.j2").render(
+        title=title, failed=failed, opening=opening, lead=lead, sections=rest, created=created, version=__version__,
+        png=png, titles=[section.title for section in rest],
+    )  # fmt: skip
+
+
+def write_result(
+    out_dir: str | os.PathLike[str], result: Result, *, png: bool = True, embedded: Mapping[str, Markup] | None = None
+) -> Path:
+    """Write ``index.html`` and the PNG files of a result's pictures into `out_dir`, and return the page's path.
+
+    Everything is rendered before anything is written, every file appears whole, and the page comes last: a page that
+    is there is complete. Other files in the folder stay as they are.
+
+    Parameters
+    ----------
+    png
+        Whether to write the PNG files, which may take longer than the page, and link them.
+    embedded
+        Parts that bring their own HTML, style and script, by the name that the template of this kind has for them.
+
+    Raises
+    ------
+    InvalidInput
+        When two pictures have the same file name, or one a name that is not a plain ``*.png``.
+    StorageError
+        When a file cannot be written; files of an earlier page are then whole, old or new.
+    """
+    files: dict[str, bytes] = {}
+    for picture in result.pictures:
+        if not picture.file:
+            continue
+        if not re.fullmatch(r"[\w.-]+\.png", picture.file) or picture.file in files:
+            raise InvalidInput(f"report: {picture.file!r} is not a name for a PNG file, or is used twice on this page.")
+        files[picture.file] = style.png(draw.print_figure(picture)) if png else b""
+    page = render_result(result, png=png, embedded=embedded).encode()
+    _write_files(Path(out_dir), (files if png else {}) | {PAGE: page})
+    return Path(out_dir) / PAGE
+
+
+def render_result(result: Result, *, png: bool = False, embedded: Mapping[str, Markup] | None = None) -> str:
+    """The page of a result as HTML text: the template of its kind, or one that shows everything it holds."""
+    environment = _environment()
+    template = environment.select_template([f"{result.kind}.html.j2", "result.html.j2"])
+    return template.render(
+        result=result, record=result.record, v=result.values, title=result.title, failed=result.headline,
+        created=clock(result.created), version=__version__, png=png, titles=[],
+        pictures={each.name: each for each in result.pictures}, tables={each.name: each for each in result.tables},
+        **(embedded or {}),
+    )  # fmt: skip
+
+
+def _environment() -> jinja2.Environment:
     environment = jinja2.Environment(
         loader=jinja2.PackageLoader("adaptrack.results"),
         autoescape=True,
@@ -246,23 +314,37 @@ def render(
         trim_blocks=True,
         lstrip_blocks=True,
         finalize=_printable,
+        extensions=["jinja2.ext.do"],
     )
     counter = itertools.count(1)
 
-    def inline(panel: Drawing) -> Markup:
-        return Markup(style.inline_svg(panel.figure, f"p{next(counter)}", panel.description))
+    def inline(panel: Any, size: tuple[float, float] | None = None) -> Markup:
+        if isinstance(panel, Drawing):
+            figure, description = panel.figure, panel.description
+        else:
+            figure, description = draw.panel_figure(panel, size), draw.described(panel)
+        return Markup(style.inline_svg(figure, f"p{next(counter)}", description))
 
     environment.tests |= {
         "words": lambda item: isinstance(item, str),
         **{kind.__name__.lower(): _is(kind) for kind in KINDS},
     }
-    environment.filters |= {"inline": inline, "anchor": slug, "dasharray": _dasharray, "cell": _as_cell}
-    template = environment.get_template("page.html.j2")
-    opening, rest = _opening(sections)
-    return template.render(
-        title=title, failed=failed, opening=opening, lead=lead, sections=rest, created=created, version=__version__,
-        variables=style.themed, png=png,
-    )  # fmt: skip
+    environment.globals["variables"] = style.themed
+    environment.filters |= {
+        "inline": inline, "anchor": slug, "dasharray": _dasharray, "cell": _as_cell,
+        "entry": entry, "words": _in_words, "colour": lambda stroke: style.themed(style.hex_of(stroke.colour)),
+        "dashes": lambda stroke: _dasharray(style.drawn(stroke)),
+        "number": number, "percent": percent, "listed": listed, "counted": counted, "capital": capital,
+        "title_of": title_of, "span": span,
+    }  # fmt: skip
+    return environment
+
+
+def _in_words(table: ResultTable, column: Column) -> bool:
+    """Whether a column holds words: they stand to the left."""
+    return any(isinstance(row[column.name], str) for row in table.rows) and not any(
+        isinstance(row[column.name], int | float) for row in table.rows
+    )
 
 
 def _opening(sections: Sequence[Section]) -> tuple[Verdict | None, list[Section]]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import io
 import re
 import warnings
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any, Literal
@@ -18,8 +18,9 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import AutoLocator, FixedLocator, FuncFormatter, MaxNLocator, NullLocator
 
+from adaptrack.base import result
 from adaptrack.base.files import printable
-from adaptrack.results.words import legible
+from adaptrack.results.words import data_text as data_text
 
 INK = "#1d2733"
 """Text, ticks, and the reference that controllers follow."""
@@ -114,6 +115,23 @@ PLAIN = FuncFormatter(lambda value, _: f"{value:g}".replace("-", "−"))
 """Writes the numbers of an axis as readers do, not as powers of ten."""
 
 
+_HEX = {"ink": INK, "muted": MUTED, "grid": GRID} | {f"series-{i}": colour for i, colour in enumerate(SERIES)}
+_PATTERNS: Mapping[str, Any] = {
+    "solid": "-", "dashed": (0, (4, 2)), "long": (0, (5, 1.5)), "dotted": (0, (1.5, 1.5)),
+    "dash-dot": (0, (5, 1.5, 1, 1.5)),
+}  # fmt: skip
+
+
+def hex_of(colour: result.Colour) -> str:
+    """A colour by its name."""
+    return _HEX[colour]
+
+
+def drawn(stroke: result.Stroke) -> Stroke:
+    """A stroke of a result as matplotlib takes it."""
+    return Stroke(_HEX[stroke.colour], _PATTERNS[stroke.dash])
+
+
 @dataclass(frozen=True)
 class Stroke:
     """How the lines of one controller are drawn, in every figure of a report."""
@@ -175,11 +193,6 @@ def panel_figure(draw: Callable[[Axes], None]) -> Figure:
         draw(axes)
         axes.yaxis.set_label_coords(-0.6 / (width - left - right), 0.5)
     return figure
-
-
-def data_text(text: str) -> str:
-    """A name out of the data for a picture: shown as it is, never read as mathematics, cut where it is too long."""
-    return legible(text).replace("$", r"\$")
 
 
 def legend_above(figure: Figure, key: Sequence[tuple[str, Stroke]]) -> None:

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adaptrack.base.files import printable
+from adaptrack.base.result import Column
 from adaptrack.control.scheduling.variables import VARIABLES
 
 _SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
@@ -38,6 +39,25 @@ def number(value: float | int | None, digits: int = 3) -> str:
         else:
             text = f"{mantissa}·10{str(int(exponent)).translate(_SUPERSCRIPTS)}"
     return text.replace(",", _THIN_SPACE).replace("-", "−")
+
+
+def entry(value: Any, column: Column) -> str:
+    """A value of a table as a page has it."""
+    if isinstance(value, tuple):
+        return " to ".join(entry(each, column) for each in value)
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if isinstance(value, str) or value is None:
+        return value or "–"
+    if column.show == "percent":
+        return percent(value)
+    if column.show == "power":
+        return scientific(value)
+    if column.show == "whole":
+        return number(round(value))
+    if column.show == "degrees":
+        return f"{number(value, 3)} ({number(math.degrees(value), 3)})"
+    return number(value, column.show)
 
 
 def ratio_with_interval(row: Mapping[str, Any], noun: str = "") -> str:
@@ -100,6 +120,16 @@ def legible(name: str, longest: int = 80) -> str:
     """A name, whatever it holds, as it can stand on a page: printable, and cut where it is too long."""
     text = printable(name[: longest + 1])
     return text if len(text) <= longest else text[: longest - 1] + "…"
+
+
+def data_text(text: str) -> str:
+    """A name out of the data for a picture: shown as it is, never read as mathematics, cut where it is too long."""
+    return legible(text).replace("$", r"\$")
+
+
+def capital(text: str) -> str:
+    """With a capital letter at its beginning."""
+    return text[:1].upper() + text[1:]
 
 
 def title_of(name: str) -> str:

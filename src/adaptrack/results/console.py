@@ -1,0 +1,133 @@
+"""A result on the console: its answer, its brief tables, its notes and what to do next. Names are data: no markup."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any, Literal
+
+from adaptrack.base.files import printable
+from adaptrack.base.result import Column, Result, ResultTable, Row
+
+if TYPE_CHECKING:
+    from rich.console import Console
+    from rich.table import Table
+    from rich.text import Text
+
+WIDE = 140
+"""Columns of text where standard output is no terminal; every table of numbers fits 80."""
+_NAME, _WRAPPED = 40, 16
+"""Letters of a column of names that stay whole; least of one of text at the end of a line, which may wrap."""
+
+
+def print_result(result: Result) -> None:
+    """The answer, the tables that are brief, the notes, what to do next."""
+    say(result.answer)
+    for table in result.tables:
+        if table.brief and table.rows:
+            print_table(table)
+    for note in result.notes:
+        say(f"Note: {note}")
+    if result.next_step:
+        say(result.next_step)
+
+
+def say(text: str, aside: bool = False) -> None:
+    """A line on standard output; aside: on standard error, where standard output is for JSON."""
+    print(printable(text, keep="\n"), file=sys.stderr if aside else sys.stdout)
+
+
+def say_failed(text: str, aside: bool = False) -> None:
+    """A line that begins with the word FAILED: red on a terminal with colours, plain anywhere else."""
+    from rich.text import Text
+
+    line = Text.assemble(("FAILED", "bold red"), " ", printable(text, keep="\n"))
+    _console(aside).print(line, soft_wrap=True)
+
+
+def written(value: Any, column: Column) -> str:
+    """A table's entry: "-" for nothing."""
+    if value is None:
+        return "-"
+    if isinstance(value, tuple):
+        return " to ".join(written(each, column) for each in value)
+    if column.show == "percent":
+        return f"{100.0 * value:.0f}"
+    if column.show == "whole":
+        return f"{value:,.0f}"
+    if isinstance(value, float):
+        return f"{value:.{column.show if isinstance(column.show, int) else 3}g}"
+    return printable(str(value), keep="\n")
+
+
+def print_table(table: ResultTable) -> None:
+    """A table with a line of titles and units; numbers stand to the right.
+
+    Columns that are too many for the width go below, beside the names again: no number is cut or left out.
+    """
+    from rich.text import Text
+
+    console = _console()
+    console.print(Text(printable(table.title, keep="\n")))
+    for part in _parts(table.columns, table.rows, console.width):
+        console.print(_grid(part, table.rows))
+        console.print()
+
+
+def _grid(columns: Sequence[Column], rows: Sequence[Row]) -> Table:
+    from rich import box
+    from rich.table import Table
+    from rich.text import Text
+
+    made = Table(box=box.SIMPLE_HEAD, show_edge=False, pad_edge=False, padding=(0, 1, 0, 0))
+    for column in columns:
+        known = [row[column.name] for row in rows if row[column.name] is not None]
+        numbers = all(isinstance(value, int | float) for value in known)
+        least = min(_NAME, max(map(len, map(str, known)), default=0)) if column is columns[0] else None
+        made.add_column(_heading(column), overflow="fold", justify="right" if numbers else "left", min_width=least)
+    for row in rows:
+        made.add_row(*(Text(written(row[column.name], column)) for column in columns))
+    return made
+
+
+def _parts(columns: Sequence[Column], rows: Sequence[Row], width: int) -> list[list[Column]]:
+    """The columns of each table, the first of all in each: as many as fit, or one at least."""
+    names, *others = columns
+    first = min(_NAME, _needed(names, rows))
+    parts: list[list[Column]] = [[names]]
+    used = first
+    for i, column in enumerate(others):
+        last = i == len(others) - 1 and len(parts) == 1  # text at the end of a line may wrap
+        needed = min(_needed(column, rows), _WRAPPED if last and _is_text(column, rows) else _NAME) + 2
+        if used + needed > width and len(parts[-1]) > 1:
+            parts.append([names])
+            used = first
+        parts[-1].append(column)
+        used += needed
+    return parts
+
+
+def _needed(column: Column, rows: Sequence[Row]) -> int:
+    """Letters of the widest line."""
+    return max(map(len, [*_heading(column).plain.split("\n"), *(written(row[column.name], column) for row in rows)]))
+
+
+def _is_text(column: Column, rows: Sequence[Row]) -> bool:
+    return any(isinstance(row[column.name], str) for row in rows)
+
+
+def _heading(column: Column) -> Text:
+    from rich.text import Text
+
+    return Text(f"{column.title}\n({column.unit})" if column.unit else column.title)
+
+
+def _console(aside: bool = False) -> Console:
+    """Where rich text goes; with NO_COLOR set it writes no escape codes at all, where rich alone keeps bold."""
+    from rich.console import Console
+
+    colours: Literal["auto"] | None = None if os.environ.get("NO_COLOR") else "auto"
+    stream = sys.stderr if aside else sys.stdout
+    width = None if stream.isatty() or "COLUMNS" in os.environ else WIDE
+    return Console(file=stream, width=width, color_system=colours, highlight=False)
