@@ -14,8 +14,9 @@ import pytest
 
 from adaptrack.base import progress
 from adaptrack.base.progress import Work
-from adaptrack.cli import certify, comparison, reproduce, show, simulate, train
+from adaptrack.cli import comparison, reproduce, show, simulate, train
 from adaptrack.cli.show import Column
+from adaptrack.results import certificate
 from adaptrack.results.console import written
 
 NAMES = {
@@ -32,17 +33,19 @@ def typical(columns):
             for c in columns}  # fmt: skip
 
 
-@pytest.mark.parametrize("room", [simulate, train, comparison, certify, reproduce])
-def test_tables_name_their_units_and_fit_80_columns(monkeypatch, capsys, room):
+@pytest.mark.parametrize(
+    "columns", [simulate.COLUMNS, train.COLUMNS, comparison.COLUMNS, certificate.CONSOLE, reproduce.COLUMNS]
+)
+def test_tables_name_their_units_and_fit_80_columns(monkeypatch, capsys, columns):
     monkeypatch.setenv("COLUMNS", "80")
-    row = typical(room.COLUMNS)
-    show.table("A title", room.COLUMNS, [row, row])
+    row = typical(columns)
+    show.table("A title", columns, [row, row])
     lines = capsys.readouterr().out.splitlines()
     assert max(map(len, lines)) <= 80
     body = [line for line in lines if line.strip()]
     assert len(body) == 6  # title, two lines of titles and units, a rule, two rows: nothing is folded
-    assert all(f"({column.unit})" in body[2] for column in room.COLUMNS if column.unit)
-    for name in {row[column.name] for column in room.COLUMNS if isinstance(row[column.name], str)}:
+    assert all(f"({column.unit})" in body[2] for column in columns if column.unit)
+    for name in {row[column.name] for column in columns if isinstance(row[column.name], str)}:
         assert name in body[-1]
 
 

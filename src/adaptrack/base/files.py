@@ -29,6 +29,7 @@ from pydantic.fields import FieldInfo
 
 from adaptrack.base.checked import allowed
 from adaptrack.base.errors import ConfigError, InvalidInput, StorageError, did_you_mean, shown
+from adaptrack.base.text import printable as printable
 
 Model = TypeVar("Model", bound=BaseModel)
 SHIPPED = Path(__file__).parents[1] / "data"
@@ -72,21 +73,6 @@ def safe_names(names: Iterable[str]) -> list[str]:
         taken.add(numbered.lower())
         found.append(numbered)
     return found
-
-
-def printable(text: str, keep: str = "") -> str:
-    r"""`text` as it can be shown anywhere: controls, marks of direction and half characters as escapes (``\x1b``).
-
-    keep: controls that stay (line ends, for text of many lines).
-    """
-    if text.isprintable():
-        return text
-    return "".join(c if c in keep or not _is_control(c) else ascii(c)[1:-1] for c in text)
-
-
-def _is_control(character: str) -> bool:
-    """Controls, formats (marks of direction), surrogates, private and unassigned ones, line and paragraph ends."""
-    return unicodedata.category(character) in {"Cc", "Cf", "Cs", "Co", "Cn", "Zl", "Zp"}
 
 
 def is_text(text: str) -> bool:

@@ -25,24 +25,16 @@ UNSTABLE = 1
 """The exit code when a loop is unstable, driving straight, or a domain cannot be held."""
 INFORMED, STANDARD = "informed", "standard"
 
-COLUMNS = (
-    Column("driving", "driving"),
-    Column("guard", "guard"),
-    Column("speed", "speed", "m/s", show.digits(3)),
-    Column("friction", "friction", "", show.digits(3)),
-    Column("Np", "Np", "", show.digits(3)),
-    Column("Nc", "Nc", "", show.digits(3)),
-    Column("ratio", "R/Q", "m²/rad²", show.digits(3)),
-    Column("radius", "spectral\nradius"),
-    Column("delay", "delay", "s", show.digits(3)),
-    Column("modulus_margin", "modulus\nmargin", "", show.digits(3)),
+BEST = (
+    Column("held", "held"),
+    Column("speed", "speed", "m/s", 3),
+    Column("friction", "friction", "", 3),
+    Column("Np", "Np", "", 3),
+    Column("Nc", "Nc", "", 3),
+    Column("ratio", "R/Q", "m²/rad²", 3),
+    Column("modulus_margin", "modulus\nmargin", "", 3),
 )
-MISMATCHED = (Column("mismatch", "the car has"), Column("unstable", "unstable", "", show.whole), *COLUMNS[2:])
-BEST = (Column("held", "held"), *COLUMNS[2:7], COLUMNS[-1])
 """Of the table of what can be held."""
-
-TITLES = {"straight": "driving straight (the verdict)", "turn": "in a hard turn (no verdict)"}
-"""By way of driving."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -95,6 +87,7 @@ def certify(given: CertifyOptions) -> None:
     """
     from adaptrack.cars.plant import SteppedPlant
     from adaptrack.control.scheduling import load_scheduler
+    from adaptrack.results.certificate import certificate_result
     from adaptrack.scenario.profile import load_profile
 
     scheduler, profile, out = given.scheduler, given.profile, given.out
@@ -116,12 +109,9 @@ def certify(given: CertifyOptions) -> None:
     found = _certificate(schedule, body, mpc, profile, given.domain, given.mismatch, out)
     if out is not None:
         show.say(f"Report: {_write_page(out, found)}", aside=given.as_json)
-    if given.as_json:
-        show.say_json({**found.summary(), "rows": found.rows()})
-    else:
-        _print(found)
-    _tell_verdict(found, given.as_json)
+    show.say_result(certificate_result(found), given.as_json)
     if not found.passed:
+        _tell_worst(found)
         raise typer.Exit(UNSTABLE)
 
 
@@ -164,34 +154,8 @@ def _write_page(out: Path, found: Certificate) -> Path:
         return write_certificate(out, found, command=options.command_line())
 
 
-def _print(found: Certificate) -> None:
-    """The points with the smallest modulus margin, for each way of driving, with the guard and without."""
-    from adaptrack.analysis.certify import DRIVING
-
-    sweeps = [(found.guarded is not None, found.counted)]
-    if found.guarded is not None:
-        sweeps.append((False, found.bare))
-    for driving in DRIVING:
-        points = [
-            {"guard": guard, **point} for guard, sweep in sweeps for point in found.worst_points(5, sweep, driving)
-        ]
-        title = f"{found.scheduler}, {TITLES[driving]}: the points nearest to instability"
-        show.table(title, COLUMNS, _with_ratio(points))
-    if found.mismatched:
-        title = f"{found.scheduler}, driving straight with another car: the points nearest to instability"
-        show.table(title, MISMATCHED, _with_ratio(found.mismatched_rows()))
-
-
-def _with_ratio(points: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    return [{**point, "ratio": point["R"] / point["Q"] if point["Q"] else None} for point in points]
-
-
-def _tell_verdict(found: Certificate, as_json: bool) -> None:
-    """The sentence that stands on the page and in the JSON; with the worst point when it failed."""
-    if found.passed:
-        if not as_json:
-            show.say(found.verdict)
-        return
+def _tell_worst(found: Certificate) -> None:
+    """The verdict with the worst point, where it failed."""
     at = max(found.worst_points(len(found.points)), key=lambda point: point["radius"] or math.inf)
     show.say_failed(
         f"{found.verdict} The worst: {at['speed']:g} m/s on friction {at['friction']:g}, with Np = {at['Np']:g}, "
@@ -213,8 +177,10 @@ def _tell_feasible(
     if as_json:
         show.say_json(found.summary())
     else:
+        from adaptrack.results.certificate import with_ratio
+
         title = "The best tuning at each speed and friction, by the modulus margin"
-        show.table(title, BEST, _with_ratio(found.summary()["rows"]))
+        show.table(title, BEST, with_ratio(found.summary()["rows"]))
     if found.passed and not as_json:
         show.say(found.verdict)
     if not found.passed:

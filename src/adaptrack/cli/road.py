@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 from typer import Option
 
 from adaptrack.base.errors import InvalidInput
 from adaptrack.cli import options, show
-from adaptrack.cli.show import Column
 
 if TYPE_CHECKING:
     from adaptrack.cars.vehicle import Vehicle
@@ -21,8 +20,6 @@ app = typer.Typer(help="Roads: points in CSV files, OpenDRIVE, generated.", no_a
 
 NOT_DRIVABLE = 1
 """The exit code when something of the road cannot be driven."""
-
-COLUMNS = (Column("from", "from", "m"), Column("to", "to", "m"), Column("what", "what"))
 
 ROADS = (
     "a .csv file of x, y (m), a .toml file, OpenDRIVE (.xodr), CommonRoad (.xml), or motorway, country, town, "
@@ -125,12 +122,10 @@ class CheckOptions:
 def check(given: CheckOptions) -> None:
     """Say whether a car can drive a road; exit code 1 where not."""
     from adaptrack.cars.vehicle import load_vehicle
+    from adaptrack.results.road import road_result
 
     seen = given.route.look(given.road, load_vehicle(given.vehicle))
-    if given.as_json:
-        show.say_json(_values(seen))
-    else:
-        _print(seen)
+    show.say_result(road_result(seen.road, seen.plan, seen.findings), given.as_json)
     if not seen.drivable:
         raise typer.Exit(NOT_DRIVABLE)
 
@@ -151,11 +146,12 @@ def plot(given: PlotOptions) -> None:
     """Draw a road from above, curvature and speed along it, as PNG."""
     from adaptrack.base.files import write_atomically
     from adaptrack.cars.vehicle import load_vehicle
-    from adaptrack.results.road import road_png
+    from adaptrack.results.draw import picture_png
+    from adaptrack.results.road import road_picture
 
     options.make_place(given.out)
     seen = given.route.look(given.road, load_vehicle(given.vehicle))
-    write_atomically(given.out, road_png(seen.road, seen.plan, seen.findings))
+    write_atomically(given.out, picture_png(road_picture(seen.road, seen.plan, seen.findings)))
     show.say(f"Picture: {given.out}")
 
 
@@ -179,39 +175,3 @@ class Seen:
                 show.say(f"Warning, {self.road.name}: {finding.text} {where}.", aside=aside)
             elif finding.kind in ("domain", "ripple"):
                 show.say(f"{self.road.name}: {finding.text} {where}.", aside=aside)
-
-
-def _values(seen: Seen) -> dict[str, Any]:
-    rows = [asdict(each) for each in seen.findings]
-    return {**_summary(seen), "drivable": seen.drivable, "notes": list(seen.road.notes), "rows": rows}
-
-
-def _summary(seen: Seen) -> dict[str, Any]:
-    import numpy as np
-
-    road, plan = seen.road, seen.plan
-    bends = np.abs(road.at(plan.s).curvature).max()
-    return {
-        "road": road.name,
-        "length": road.length,
-        "closed": road.closed,
-        "smallest_radius": 1.0 / float(bends) if bends > 0.0 else None,
-        "curvature_jumps": len(road.curvature_jumps()),
-        "deviation": road.deviation,
-        "slowest": float(plan.speed.min()),
-        "fastest": float(plan.speed.max()),
-        "duration": plan.duration,
-    }
-
-
-def _print(seen: Seen) -> None:
-    summary = _summary(seen)
-    show.flat(summary.pop("road"), summary, False)
-    for note in seen.road.notes:
-        show.say(note)
-    for title, drivable in (("What cannot be driven", False), ("Notes", True)):
-        rows = [{"from": f.start, "to": f.end, "what": f.text} for f in seen.findings if f.drivable is drivable]
-        if rows:
-            show.table(title, COLUMNS, rows)
-    if seen.drivable:
-        show.say("The road can be driven.")

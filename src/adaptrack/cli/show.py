@@ -9,10 +9,10 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import Any, Literal
 
-from adaptrack.base.files import printable as escaped
 from adaptrack.base.progress import Work, now_and_then, showing
 from adaptrack.base.progress import duration as duration
 from adaptrack.base.result import Column, Result, ResultTable
+from adaptrack.base.text import printable as escaped
 from adaptrack.results.console import print_result, print_table, say, say_failed
 
 __all__ = ["Column", "say", "say_failed"]

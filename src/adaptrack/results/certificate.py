@@ -1,112 +1,110 @@
-"""The page on a certificate: stability and margins of a scheduler's loop over its whole operating domain."""
+"""The result of a certificate: stability and margins of a scheduler's loop over its whole operating domain."""
 
 from __future__ import annotations
 
 import math
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.colors import LogNorm, Normalize
-from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from adaptrack.analysis.certify import DRIVING, Certificate, Driving, Sweep, extremes
 from adaptrack.analysis.stability import Margins
-from adaptrack.control.scheduling import SchedulingVariables
-from adaptrack.results import style
-from adaptrack.results.maps import COLOURS, Cells, Heat, edges_around
-from adaptrack.results.page import (
-    Cell,
-    Head,
-    Item,
+from adaptrack.base.result import (
+    NEUTRAL,
+    SERIES,
+    Axis,
+    Column,
+    Dots,
+    Guide,
+    HeatMap,
     Panel,
     Picture,
-    Section,
-    Table,
-    Terms,
-    Verbatim,
-    Verdict,
-    write_page,
+    Polyline,
+    Result,
+    ResultTable,
+    Ribbon,
+    Row,
+    Scale,
+    Stroke,
+    where,
 )
-from adaptrack.results.words import INPUTS, number, percent, span
+from adaptrack.control.scheduling import SchedulingVariables
+from adaptrack.results.maps import edges_around
+from adaptrack.results.words import INPUTS, number
 
 Array = NDArray[np.float64]
 
-_UNSTABLE = style.SERIES[1]
 _WORST = 8
-_HEADS = (
-    Head("Points"), Head("Unstable"), Head("Largest radius"), Head("Least gain margin up"),
-    Head("Largest gain margin down"), Head("Least delay margin", "ms"), Head("Least modulus margin"),
-)  # fmt: skip
-"""Of the columns of `_row` behind the first."""
-_STROKES: dict[Driving, style.Stroke] = {
-    "straight": style.Stroke(style.SERIES[0]),
-    "turn": style.Stroke(style.SERIES[1], (0, (5, 1.5))),
-}
-_NAMES: dict[Driving, str] = {"straight": "driving straight", "turn": "in a hard turn"}
+"""Points of the page's table of the worst, for each way of driving."""
+_STROKES: dict[Driving, Stroke] = {"straight": Stroke(SERIES[0]), "turn": Stroke(SERIES[1], "long")}
+_NAMES: dict[Driving, str] = {"straight": "Driving straight", "turn": "In a hard turn"}
+_TITLES: dict[Driving, str] = {
+    "straight": "driving straight (the verdict)", "turn": "in a hard turn (no verdict)"
+}  # fmt: skip
+
+MARGINS = (
+    Column("name", "Scheduler"),
+    Column("points", "Points"),
+    Column("unstable", "Unstable"),
+    Column("radius", "Largest radius", show=4),
+    Column("gain_up", "Least gain margin up", show=3),
+    Column("gain_down", "Largest gain margin down", show=3),
+    Column("delay", "Least delay margin", "ms", show=3),
+    Column("modulus_margin", "Least modulus margin", show=3),
+)
+CONSOLE = (
+    Column("driving", "driving"),
+    Column("guard", "guard"),
+    Column("speed", "speed", "m/s", 3),
+    Column("friction", "friction", "", 3),
+    Column("Np", "Np", "", 3),
+    Column("Nc", "Nc", "", 3),
+    Column("ratio", "R/Q", "m²/rad²", 3),
+    Column("radius", "spectral\nradius"),
+    Column("delay", "delay", "s", 3),
+    Column("modulus_margin", "modulus\nmargin", "", 3),
+)
+MISMATCHED = (Column("mismatch", "the car has"), Column("unstable", "unstable", "", "whole"), *CONSOLE[2:])
+
+_RADIUS = Scale(0.8, 1.02, "Spectral radius (–)", reversed=True)
+_MODULUS = Scale(0.0, 1.0, "Modulus margin (–)")
+_UP = Scale(1.0, 20.0, "Gain margin up (factor)", log=True)
+_DOWN = Scale(0.0, 1.0, "Gain margin down (factor)", reversed=True)
+_DELAY = Scale(1.0, 1000.0, "Delay margin (ms)", log=True)
 
 
-class _Quantity(NamedTuple):
-    """A quantity over speed and friction, as pictures show it."""
-
-    title: str
-    low: float
-    high: float
-    """what the colours span at most; what lies beyond has the colour of the end"""
-    whole: bool = False
-    fine: bool = False
-    """whether low values are the good ones: their colours are turned round, so that dark is always bad"""
-
-    log: bool = False
-    """whether a colour is a factor: low values are then told apart like high ones"""
-
-    @property
-    def norm(self) -> Normalize:
-        """From numbers to colours."""
-        return LogNorm(self.low, self.high) if self.log else Normalize(self.low, self.high)
-
-    @property
-    def colours(self) -> str:
-        return f"{COLOURS}_r" if self.fine else COLOURS
-
-    def around(self, values: Array) -> _Quantity:
-        """With colours that tell these values apart: from their 2nd to their 98th percentile, within its bounds."""
-        finite = values[np.isfinite(values)]
-        if not finite.size:
-            return self
-        low, high = np.clip(np.percentile(finite, (2.0, 98.0)), self.low, self.high)
-        least = 0.1 * high if self.log else 0.02 * (self.high - self.low)  # equal values have one colour
-        if high - low < least:
-            low, high = max(self.low, low - least), min(self.high, high + least)
-        return self._replace(low=float(low), high=float(high))
-
-
-_RADIUS = _Quantity("Spectral radius (–)", 0.8, 1.02, fine=True)
-_MODULUS = _Quantity("Modulus margin (–)", 0.0, 1.0)
-_UP = _Quantity("Gain margin up (factor)", 1.0, 20.0, log=True)
-_DOWN = _Quantity("Gain margin down (factor)", 0.0, 1.0, fine=True)
-_DELAY = _Quantity("Delay margin (ms)", 1.0, 1000.0, log=True)
-
-
-class _Map(NamedTuple):
-    """One panel: a heat map, and crosses in cells where the loop is unstable."""
-
-    title: str
-    heat: Heat
-    crosses: tuple[Array, Array]
-    """speed [m/s] and friction of each"""
-    description: str
-
-    def show(self, axes: Axes) -> None:
-        self.heat.show(axes)
-        self.cross(axes)
-
-    def cross(self, axes: Axes) -> None:
-        axes.plot(*self.crosses, "x", color=_UNSTABLE, markersize=4.5, markeredgewidth=1.3, scalex=False, scaley=False)
+def certificate_result(found: Certificate, command: str = "") -> Result:
+    """A certificate as a result; its record holds the summary and every point."""
+    sweeps = _sweeps(found)
+    worst, turn = extremes(found.counted.straight), int(found.counted.unstable_in_turn.sum())
+    maps = [
+        _margin_maps(found, f"{file}{'-turn' * (driving == 'turn')}", f"{name}, {_NAMES[driving].lower()}",
+                     getattr(sweep, driving))
+        for (name, sweep), file in zip(sweeps, ("margins", "margins-bare"), strict=False) for driving in DRIVING
+    ]  # fmt: skip
+    mismatched = found.mismatched or {}
+    return Result(
+        kind="certificate",
+        title=f"Certificate of {found.scheduler}: {found.plant}, profile {found.profile}",
+        answer=found.verdict,
+        record={**found.summary(), "rows": found.rows()},
+        tables=[*_console_tables(found), *_margin_tables(found), _worst(found)],
+        pictures=[_modulus(found, worst["modulus_margin"]), *maps, _tunings(found)],
+        failed=not found.passed,
+        values={
+            "found": found, "points": len(found.points), "unstable": int(found.counted.unstable.sum()), "worst": worst,
+            "turn": turn, "maps": [each.name for each in maps], "mismatched": len(mismatched),
+            "unstable_cars": sum(bool((margins.radius >= 1.0).any()) for margins in mismatched.values()),
+            "unguarded": None if found.guarded is None else int(found.bare.unstable.sum()),
+            "fallback": None if found.guarded is None else float(found.fallback.mean()),
+        },
+        command=command,
+    )  # fmt: skip
 
 
 def write_certificate(out_dir: str | os.PathLike[str], certificate: Certificate, *, command: str = "") -> Path:
@@ -115,136 +113,127 @@ def write_certificate(out_dir: str | os.PathLike[str], certificate: Certificate,
     Raises
     ------
     StorageError
-        When the files cannot be written, see `page.write_page`.
+        When the files cannot be written, see `page.write_result`.
     """
-    opening = Section("Verdict", [_opening(certificate)])
-    sections = [
-        opening,
-        _analysis(certificate, command),
-        _margins(certificate),
-        _tunings(certificate),
-        _worst(certificate),
-    ]
-    if certificate.mismatched:
-        sections.insert(2, _mismatched(certificate))
-    return write_page(out_dir, sections, title=_title(certificate), lead=[certificate.verdict])
+    from adaptrack.results.page import write_result
+
+    return write_result(out_dir, certificate_result(certificate, command))
 
 
-def _title(found: Certificate) -> str:
-    return f"Certificate of {found.scheduler}: {found.plant}, profile {found.profile}"
+# -- tables -----------------------------------------------------------------------------------------------------------
+def _sweeps(found: Certificate) -> list[tuple[str, Sweep]]:
+    if found.guarded is None:
+        return [("Without a guard", found.bare)]
+    return [("With the guard", found.guarded), ("Without the guard", found.bare)]
 
 
-# -- the first screen -------------------------------------------------------------------------------------------------
-def _opening(found: Certificate) -> Verdict:
-    n, bad = len(found.points), int(found.counted.unstable.sum())
-    worst, turn = extremes(found.counted.straight), int(found.counted.unstable_in_turn.sum())
-    entries = [
-        ("Least margins", f"modulus {number(worst['modulus_margin'])}, delay {number(1000.0 * worst['delay'])} ms, "
-                          f"gain up {number(worst['gain_up'])} times"),
-        ("In a hard turn", f"unstable at {number(turn)}, which does not decide"),
-        ("Over", f"speed {span(found.speeds)} m/s, friction {span(found.frictions)}"),
-        ("Loop", f"{found.plant}, {found.tyre} tyres, profile {found.profile}"),
-        ("Against", _against(found)),
-        ("How sure", "a linear analysis at these points: nothing between them, nothing at the limits of the steering"),
+def with_ratio(points: Sequence[Row]) -> list[dict[str, Any]]:
+    """Points with R/Q, which alone acts on the control law; None where Q is 0."""
+    return [{**point, "ratio": point["R"] / point["Q"] if point["Q"] else None} for point in points]
+
+
+def _console_tables(found: Certificate) -> list[ResultTable]:
+    """The points with the smallest modulus margin, for each way of driving, with the guard and without."""
+    sweeps = [(found.guarded is not None, found.counted)]
+    sweeps += [(False, found.bare)] if found.guarded is not None else []
+    tables = []
+    for driving in DRIVING:
+        points = [{"guard": on, **point} for on, sweep in sweeps for point in found.worst_points(5, sweep, driving)]
+        title = f"{found.scheduler}, {_TITLES[driving]}: the points nearest to instability"
+        tables.append(ResultTable(f"nearest_{driving}", title, CONSOLE, with_ratio(points), brief=True))
+    if found.mismatched:
+        title = f"{found.scheduler}, driving straight with another car: the points nearest to instability"
+        rows = with_ratio(found.mismatched_rows())
+        tables.append(ResultTable("nearest_mismatched", title, MISMATCHED, rows, brief=True))
+    return tables
+
+
+def _margin_tables(found: Certificate) -> list[ResultTable]:
+    rows = [
+        _extremes(name, getattr(sweep, driving)) | {"driving": _NAMES[driving]}
+        for driving in DRIVING for name, sweep in _sweeps(found)
     ]  # fmt: skip
-    text = f"Stable at all {number(n)} points driving straight." if found.passed else (
-        f"Unstable at {number(bad)} of {number(n)} points driving straight."
-    )  # fmt: skip
+    title = "The worst of every margin, over all points"
+    tables = [ResultTable("margins", title, MARGINS, rows, group="driving", alert=_unstable(rows))]
+    if found.mismatched:
+        cars = [_extremes(name, margins) for name, margins in found.mismatched.items()]
+        columns = (Column("name", "True car"), *MARGINS[1:])
+        tables.append(ResultTable("mismatched", title, columns, cars, alert=_unstable(cars)))
+    return tables
+
+
+def _extremes(name: str, margins: Margins) -> dict[str, Any]:
+    worst = extremes(margins)
+    counts = {"points": len(margins.radius), "unstable": int((margins.radius >= 1.0).sum())}
+    return {"name": name, **counts, **worst, "delay": 1000.0 * worst["delay"]}
+
+
+def _unstable(rows: Sequence[Row]) -> frozenset[tuple[int, str]]:
+    return where(rows, ["unstable", "radius"], lambda row: row["unstable"] > 0)
+
+
+def _worst(found: Certificate) -> ResultTable:
+    names = SchedulingVariables._fields
+    varied = [
+        name for name in INPUTS
+        if name not in ("speed", "friction") and np.ptp(found.points[:, names.index(name)]) > 0.0
+    ]  # fmt: skip
+    columns = [
+        Column("speed", "Speed", "m/s", 3),
+        Column("friction", "Friction", "", 3),
+        *(Column(name, *INPUTS[name], 3) for name in varied),
+        Column("Np", "Np"),
+        Column("Nc", "Nc"),
+        Column("ratio", "R/Q", "m²/rad²", 3),
+        Column("radius", "Radius", "", 4),
+        Column("gain_up", "Gain up", "", 3),
+        Column("gain_down", "Gain down", "", 3),
+        Column("delay", "Delay", "ms", 3),
+        Column("modulus_margin", "Modulus margin", "", 3),
+    ]
+    rows = [
+        _point(point) | {"part": f"{name}, {_NAMES[driving].lower()}"}
+        for name, sweep in _sweeps(found)
+        for driving in DRIVING
+        for point in found.worst_points(_WORST, sweep, driving)
+    ]
+    unstable = where(rows, ["radius"], lambda row: row["radius"] >= 1.0)
+    return ResultTable(
+        "worst", "The points with the smallest modulus margin", columns, rows, group="part", alert=unstable
+    )
+
+
+def _point(point: Row) -> dict[str, Any]:
+    up, down, delay = (math.inf if point[name] is None else point[name] for name in ("gain_up", "gain_down", "delay"))
+    return {
+        **point, "Np": int(point["Np"]), "Nc": int(point["Nc"]), "gain_up": up, "gain_down": down,
+        "delay": 1000.0 * delay, "ratio": point["R"] / point["Q"] if point["Q"] > 0.0 else math.inf,
+    }  # fmt: skip
+
+
+# -- pictures ---------------------------------------------------------------------------------------------------------
+def _modulus(found: Certificate, least: float) -> Picture:
+    marks: list[Any] = []
+    for driving, stroke in _STROKES.items():
+        margin = found.cells(getattr(found.counted, driving).modulus_margin).reshape(len(found.speeds), -1)
+        low, high = margin.min(axis=1), margin.max(axis=1)
+        marks += [
+            Ribbon(found.speeds, low, high, stroke.colour),
+            Polyline(found.speeds, low, stroke, markers=len(found.speeds) < 12),
+        ]
     panel = Panel(
-        "Modulus margin over the speed", lambda axes: _draw_margins(found, axes),
-        f"Driving straight at least {number(worst['modulus_margin'])}.",
+        "Modulus margin over the speed", Axis("Speed (m/s)"), Axis("Modulus margin (–)"),
+        [*marks, Guide("y", [0.0], NEUTRAL, 0.9)], f"Driving straight at least {number(least)}.",
     )  # fmt: skip
-    key = [(_capital(_NAMES[driving]), stroke) for driving, stroke in _STROKES.items()]
     caption = (
         "Smallest distance of the loop gain from −1; unstable below 0. Line: the least of all frictions and other "
         "scheduling variables; band: up to the largest."
     )
-    return Verdict(text, Terms(entries), Picture(caption, [panel.drawing()], key), not found.passed)
+    return Picture("modulus", caption, [panel], [(_NAMES[driving], stroke) for driving, stroke in _STROKES.items()])
 
 
-def _against(found: Certificate) -> str:
-    if found.mismatched:
-        bad = sum(bool((margins.radius >= 1.0).any()) for margins in found.mismatched.values())
-        return f"{number(len(found.mismatched))} cars that differ from what is believed: unstable with {number(bad)}"
-    if found.guarded is not None:
-        return f"without the guard: unstable at {number(int(found.bare.unstable.sum()))}"
-    return "the car as the controller believes it"
-
-
-def _draw_margins(found: Certificate, axes: Axes) -> None:
-    for driving, stroke in _STROKES.items():
-        margin = found.cells(getattr(found.counted, driving).modulus_margin).reshape(len(found.speeds), -1)
-        low, high = margin.min(axis=1), margin.max(axis=1)
-        axes.fill_between(found.speeds, low, high, color=stroke.colour, alpha=0.18, linewidth=0.0)
-        mark = "o" if len(found.speeds) < 12 else ""
-        axes.plot(found.speeds, low, color=stroke.colour, linestyle=stroke.dash, marker=mark, markersize=3.5)
-    axes.axhline(0.0, color=style.INK, linewidth=0.9)
-    axes.set_xlabel("Speed (m/s)")
-    axes.set_ylabel("Modulus margin (–)")
-
-
-# -- sections ---------------------------------------------------------------------------------------------------------
-def _analysis(found: Certificate, command: str) -> Section:
-    words = (
-        "At every point the linear closed loop with the scheduler's tuning is analysed: plant, steering lag, dead "
-        "time, estimator and the law of the MPC far from its limits. It is linearised about driving straight, which "
-        "decides, and about a steady turn as hard as driving gets at that speed and friction, where tyres are softer."
-    )
-    meaning = (
-        "Spectral radius: largest magnitude of the loop's eigenvalues over one control period; stable below 1. Gain "
-        "margins: factors on the steering command, up and down, at which the loop becomes unstable. Delay margin: the "
-        "additional delay at which it does. Modulus margin: the smallest distance of the loop gain from −1, which "
-        "bounds all other margins; 0 at the stability limit, negative for an unstable loop."
-    )
-    heads = [Head("Scheduler", is_text=True), *_HEADS]
-    rows: list[list[Cell | str] | str] = []
-    for driving in DRIVING:
-        rows += [_capital(_NAMES[driving]), *(_row(name, getattr(sweep, driving)) for name, sweep in _sweeps(found))]
-    items: list[Item] = [words, meaning, Table("The worst of every margin, over all points", heads, rows)]
-    if found.guarded is not None:
-        items.append(f"The guard changes the tuning at {percent(found.fallback.mean())} % of them.")
-    return Section("All margins", [*items, *([Verbatim(command)] if command else [])])
-
-
-def _mismatched(found: Certificate) -> Section:
-    words = "Driving straight, with a car that differs from the one that the controller was told of, in one thing each."
-    heads = [Head("True car", is_text=True), *_HEADS]
-    rows = [_row(name, margins) for name, margins in found.mismatched.items()]
-    return Section("Another car", [words, Table("The worst of every margin, over all points", heads, rows)])
-
-
-def _row(name: str, margins: Margins) -> list[Cell | str]:
-    worst, bad = extremes(margins), int((margins.radius >= 1.0).sum())
-    return [
-        name,
-        number(len(margins.radius)),
-        Cell(number(bad), warn=bad > 0),
-        Cell(number(worst["radius"], 4), warn=bad > 0),
-        number(worst["gain_up"]),
-        number(worst["gain_down"]),
-        number(1000.0 * worst["delay"]),
-        number(worst["modulus_margin"]),
-    ]
-
-
-def _margins(found: Certificate) -> Section:
-    items: list[Item] = []
-    for (name, sweep), file in zip(_sweeps(found), ("margins", "margins-bare"), strict=False):
-        for driving in DRIVING:
-            maps, unstable = _margin_maps(found, getattr(sweep, driving))
-            crosses = " A cross marks a cell with an unstable point." if unstable else ""
-            title = f"{name}, {_NAMES[driving]}"
-            caption = (
-                f"{title}. The worst over all other scheduling variables; dark is bad, on a scale of each map's own."
-                f"{crosses}"
-            )
-            picture = _picture(maps, caption, f"{file}{'-turn' if driving == 'turn' else ''}.png", title)
-            items += [f"{title}:", picture]
-    return Section("Margins", items)
-
-
-def _margin_maps(found: Certificate, margins: Margins) -> tuple[list[_Map], bool]:
-    """The maps of one way of driving, and whether any of its points is unstable."""
+def _margin_maps(found: Certificate, name: str, title: str, margins: Margins) -> Picture:
+    """The maps of one way of driving; a cross marks a cell with an unstable point."""
     bad = np.asarray(found.cells(margins.radius >= 1.0).max(axis=2))
     drawn = [
         (_RADIUS, found.cells(margins.radius).max(axis=2)),
@@ -253,110 +242,60 @@ def _margin_maps(found: Certificate, margins: Margins) -> tuple[list[_Map], bool
         (_DOWN, found.cells(margins.gain_down).max(axis=2)),
         (_DELAY, 1000.0 * found.cells(margins.delay).min(axis=2)),
     ]
-    return [_map(found, quantity.around(values), values, bad) for quantity, values in drawn], bool(bad.any())
+    panels = [_map(found, _around(scale, values), values, bad) for scale, values in drawn]
+    crosses = " A cross marks a cell with an unstable point." if bad.any() else ""
+    caption = (
+        f"{title}. The worst over all other scheduling variables; dark is bad, on a scale of each map's own.{crosses}"
+    )
+    return Picture(name, caption, panels, file=f"{name}.png", columns=3, row_height=2.0)
 
 
-def _tunings(found: Certificate) -> Section:
+def _tunings(found: Certificate) -> Picture:
     Np, Nc, Q, R = found.counted.tunings.T
     with np.errstate(divide="ignore"):
         ratio = np.log10(R) - np.log10(Q)
-    maps = []
+    panels = []
     for symbol, values, whole in (("$N_p$ (periods)", Np, True), ("$N_c$ (periods)", Nc, True),
                                   (r"$\log_{10} R/Q$ (R/Q in m²/rad²)", ratio, False)):  # fmt: skip
         cells = np.median(found.cells(values), axis=2)
         finite = cells[np.isfinite(cells)]
         low, high = (float(finite.min()), float(finite.max())) if finite.size else (0.0, 0.0)
         middle, span = (low + high) / 2.0, max(high - low, 2.0 if whole else 0.2)
-        maps.append(_map(found, _Quantity(symbol, middle - span / 2.0, middle + span / 2.0, whole), cells))
+        panels.append(_map(found, Scale(middle - span / 2.0, middle + span / 2.0, symbol, whole=whole), cells))
     caption = "The scheduler's tuning: median over all other scheduling variables."
     if found.guarded is not None:
         share = 100.0 * found.cells(found.fallback).mean(axis=2)
-        maps.append(_map(found, _Quantity("On the fallback (%)", 0.0, 100.0), share))
+        panels.append(_map(found, Scale(0.0, 100.0, "On the fallback (%)"), share))
         caption = f"{caption[:-1]}, the guard's fallback included where it acts; and how often it does."
-    return Section("Tunings", [_picture(maps, caption, "tunings.png")])
+    return Picture("tunings", caption, panels, file="tunings.png", columns=len(panels) if len(panels) < 4 else 2,
+                   row_height=2.0)  # fmt: skip
 
 
-def _worst(found: Certificate) -> Section:
-    names = SchedulingVariables._fields
-    varied = [
-        name
-        for name in INPUTS
-        if name not in ("speed", "friction") and np.ptp(found.points[:, names.index(name)]) > 0.0
-    ]
-    heads = [
-        Head("Speed", "m/s"),
-        Head("Friction"),
-        *(Head(*INPUTS[name]) for name in varied),
-        *(Head(text) for text in ("Np", "Nc")),
-        Head("R/Q", "m²/rad²"),
-        *(Head(text) for text in ("Radius", "Gain up", "Gain down")),
-        Head("Delay", "ms"),
-        Head("Modulus margin"),
-    ]
-    body: list[list[Cell | str] | str] = []
-    for name, sweep in _sweeps(found):
-        for driving in DRIVING:
-            points = found.worst_points(_WORST, sweep, driving)
-            body += [f"{name}, {_NAMES[driving]}", *(_point(point, varied) for point in points)]
-    return Section("The worst points", [Table("The points with the smallest modulus margin", heads, body)])
+def _around(scale: Scale, values: Array) -> Scale:
+    """Colours that tell these values apart: from their 2nd to their 98th percentile, within the scale's bounds."""
+    finite = values[np.isfinite(values)]
+    if not finite.size:
+        return scale
+    low, high = np.clip(np.percentile(finite, (2.0, 98.0)), scale.low, scale.high)
+    least = 0.1 * high if scale.log else 0.02 * (scale.high - scale.low)  # equal values have one colour
+    if high - low < least:
+        low, high = max(scale.low, low - least), min(scale.high, high + least)
+    return replace(scale, low=float(low), high=float(high))
 
 
-def _point(point: Mapping[str, Any], varied: Sequence[str]) -> list[Cell | str]:
-    up, down, delay = (math.inf if point[name] is None else point[name] for name in ("gain_up", "gain_down", "delay"))
-    return [
-        *(number(point[name]) for name in ("speed", "friction", *varied)),
-        *(number(int(point[name])) for name in ("Np", "Nc")),
-        number(point["R"] / point["Q"] if point["Q"] > 0.0 else math.inf),
-        Cell(number(point["radius"], 4), warn=point["radius"] >= 1.0),
-        *(number(value) for value in (up, down, 1000.0 * delay, point["modulus_margin"])),
-    ]
-
-
-def _capital(text: str) -> str:
-    return text[:1].upper() + text[1:]
-
-
-def _sweeps(found: Certificate) -> list[tuple[str, Sweep]]:
-    if found.guarded is None:
-        return [("Without a guard", found.bare)]
-    return [("With the guard", found.guarded), ("Without the guard", found.bare)]
-
-
-# -- drawing ----------------------------------------------------------------------------------------------------------
-def _map(found: Certificate, quantity: _Quantity, values: Array, unstable: NDArray[np.bool_] | None = None) -> _Map:
+def _map(found: Certificate, scale: Scale, values: Array, unstable: NDArray[np.bool_] | None = None) -> Panel:
     """values, unstable: (speeds, frictions)."""
-    (low, high), ends = (float(values.min()), float(values.max())), (quantity.low, quantity.high)
-    slack = 1e-9 * (quantity.high - quantity.low)
-    below, above = low < quantity.low - slack, high > quantity.high + slack
-    heat = Heat(
-        Cells(edges_around(found.speeds), edges_around(found.frictions), np.clip(values, *ends).T),
-        "Friction (–)",
-        quantity.norm,
-        whole=quantity.whole,
-        extend="both" if below and above else "min" if below else "max" if above else "neither",
-        colours=quantity.colours,
-    )
+    low, high = float(values.min()), float(values.max())
+    slack = 1e-9 * (scale.high - scale.low)
+    below, above = low < scale.low - slack, high > scale.high + slack
+    beyond = "both" if below and above else "min" if below else "max" if above else "neither"
+    cells = HeatMap(
+        edges_around(found.speeds), edges_around(found.frictions), np.clip(values, scale.low, scale.high).T,
+        replace(scale, label="", beyond=beyond),  # type: ignore[arg-type]
+    )  # fmt: skip
     i, j = np.nonzero(np.zeros(values.shape, bool) if unstable is None else unstable)
-    text = f"{number(low)} to {number(high)}."
-    return _Map(quantity.title, heat, (found.speeds[i], found.frictions[j]), text)
-
-
-def _picture(maps: Sequence[_Map], caption: str, file: str, title: str = "") -> Picture:
-    panels = [Panel(each.title, each.show, each.description).drawing() for each in maps]
-    return Picture(caption, panels, file=file, print_figure=lambda: _print(maps, title))
-
-
-def _print(maps: Sequence[_Map], title: str) -> Figure:
-    columns = 3 if len(maps) != 4 else 2
-    with style.styled():
-        figure, axes = style.grid_figure(-(-len(maps) // columns), columns, 2.0)
-        for shown, ax in zip(maps, axes, strict=False):
-            ax.set_title(shown.title)
-            shown.heat.draw(ax)
-            shown.cross(ax)
-            shown.heat.bar(figure, ax=ax, shrink=0.95)
-        for spare in axes[len(maps) :]:
-            spare.remove()
-        if title:
-            figure.suptitle(title, x=0.01, ha="left")
-    return figure
+    crosses = Dots(found.speeds[i], found.frictions[j], SERIES[1], "cross", 4.5, scales=False)
+    return Panel(
+        scale.label, Axis("Speed (m/s)"), Axis("Friction (–)"), [cells, crosses],
+        f"{number(low)} to {number(high)}.",
+    )  # fmt: skip

@@ -7,8 +7,8 @@ import sys
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, Literal
 
-from adaptrack.base.files import printable
 from adaptrack.base.result import Column, Result, ResultTable, Row
+from adaptrack.base.text import printable
 
 if TYPE_CHECKING:
     from rich.console import Console

@@ -87,6 +87,11 @@ def print_figure(picture: Picture) -> Figure:
     return figure
 
 
+def picture_png(picture: Picture) -> bytes:
+    """All panels of a picture as a PNG file."""
+    return style.png(print_figure(picture))
+
+
 def _share_labels(axes: Sequence[Axes], columns: int) -> None:
     across, up = [ax.get_xlabel() for ax in axes], [ax.get_ylabel() for ax in axes]
     for i, ax in enumerate(axes):

@@ -24,8 +24,8 @@ from matplotlib.figure import Figure
 
 from adaptrack import __version__
 from adaptrack.base.errors import InvalidInput, StorageError
-from adaptrack.base.files import printable
 from adaptrack.base.result import Column, Result, ResultTable
+from adaptrack.base.text import printable
 from adaptrack.results import draw, style
 from adaptrack.results.words import (
     capital,
@@ -288,7 +288,7 @@ def write_result(
             continue
         if not re.fullmatch(r"[\w.-]+\.png", picture.file) or picture.file in files:
             raise InvalidInput(f"report: {picture.file!r} is not a name for a PNG file, or is used twice on this page.")
-        files[picture.file] = style.png(draw.print_figure(picture)) if png else b""
+        files[picture.file] = draw.picture_png(picture) if png else b""
     page = render_result(result, png=png, embedded=embedded).encode()
     _write_files(Path(out_dir), (files if png else {}) | {PAGE: page})
     return Path(out_dir) / PAGE

@@ -17,7 +17,7 @@ from markupsafe import Markup
 from matplotlib.colors import to_hex
 
 from adaptrack.base.errors import InvalidInput
-from adaptrack.base.files import printable
+from adaptrack.base.text import printable
 from adaptrack.results.drive_figures import COLOURS, Drives, outline_stations, road_span, scale_of
 from adaptrack.results.page import Embedded
 from adaptrack.results.record import Array, DriveRecord

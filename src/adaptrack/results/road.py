@@ -1,81 +1,118 @@
-"""The picture of a road: from above, coloured by the speed, and curvature and speed along it."""
+"""The result of looking at a road: what it is, what of it cannot be driven, and how it looks from above."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import asdict
+from typing import Any
 
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.collections import LineCollection
-from matplotlib.colors import Normalize
-from matplotlib.figure import Figure
 
-from adaptrack.results import style
-from adaptrack.results.maps import COLOURS
+from adaptrack.base.result import (
+    BACKGROUND,
+    REFERENCE,
+    SERIES,
+    Axis,
+    ColouredLine,
+    Column,
+    Dots,
+    Heading,
+    Mark,
+    Panel,
+    Picture,
+    Polyline,
+    Result,
+    ResultTable,
+    Scale,
+    Stripe,
+    Stroke,
+)
+from adaptrack.results.words import counted, data_text
 from adaptrack.road import Finding, Road, SpeedPlan
 
 SAMPLES = 4000
 """Points of the drawn line."""
 
-
-def road_figure(road: Road, plan: SpeedPlan, findings: Sequence[Finding] = ()) -> Figure:
-    """A figure of a road; places that cannot be driven are marked."""
-    s = np.linspace(0.0, road.length, SAMPLES)
-    with style.styled():
-        figure = Figure(figsize=(style.PAGE_WIDTH, 7.4))
-        above, bend, pace = figure.subplots(3, 1, height_ratios=[4.0, 1.0, 1.0])
-        _from_above(above, road, plan, s, findings)
-        above.set_title(style.data_text(_title(road, plan)))
-        bend.plot(s, road.at(s).curvature, color=style.SERIES[0])
-        bend.set_ylabel("Curvature (1/m)")
-        pace.plot(s, plan.at(s), color=style.SERIES[0])
-        if road.speed_limit is not None:
-            pace.plot(s, road.along("speed_limit", s), color=style.MUTED, linestyle=style.REFERENCE.dash)
-        pace.set_ylim(bottom=0.0)
-        pace.set_ylabel("Speed (m/s)")
-        pace.set_xlabel("Along the road (m)")
-        for axes in (bend, pace):
-            axes.set_xlim(0.0, road.length)
-            for each in findings:
-                if not each.drivable:
-                    axes.axvspan(
-                        each.start, max(each.end, each.start + 0.003 * road.length), color=style.SERIES[1], alpha=0.3
-                    )
-    return figure
+SUMMARY = (Column("what", "what"), Column("value", "value"))
+PLACES = (Column("from", "from", "m"), Column("to", "to", "m"), Column("what", "what"))
 
 
-def _title(road: Road, plan: SpeedPlan) -> str:
-    lap = "lap of " if road.closed else ""
-    return f"{road.name}: {lap}{road.length:.0f} m, {plan.duration:.0f} s"
-
-
-def _from_above(axes: Axes, road: Road, plan: SpeedPlan, s: np.ndarray, findings: Sequence[Finding]) -> None:
-    left, right = road.edges(s)
-    for edge in (left, right):
-        axes.plot(edge[:, 0], edge[:, 1], color=style.MUTED, linewidth=0.5)
-    points = road.at(s)
-    line = np.stack([points.x, points.y], axis=-1)
-    speed = plan.at(s)
-    spread = Normalize(float(speed.min()), max(float(speed.max()), float(speed.min()) + 0.1))
-    strokes = LineCollection(list(np.stack([line[:-1], line[1:]], axis=1)), cmap=COLOURS, norm=spread, linewidths=2.0)
-    strokes.set_array(speed[:-1])
-    axes.add_collection(strokes)
-    axes.figure.colorbar(strokes, ax=axes, label="Speed (m/s)", shrink=0.7)
-    marks = [road.at(0.5 * (each.start + each.end)) for each in findings if not each.drivable]
-    axes.plot([float(m.x) for m in marks], [float(m.y) for m in marks], "x", color=style.SERIES[1], markersize=8)
-    ahead = 0.03 * math.hypot(*np.ptp(line, axis=0))
-    start = road.at(0.0)
-    axes.annotate(
-        "", (float(start.x + ahead * np.cos(start.heading)), float(start.y + ahead * np.sin(start.heading))),
-        (float(start.x), float(start.y)), arrowprops={"arrowstyle": "-|>", "color": style.INK, "linewidth": 1.5},
+def road_result(road: Road, plan: SpeedPlan, findings: Sequence[Finding] = ()) -> Result:
+    """What a road is, how fast it is driven, and what of it cannot be driven."""
+    barred = [each for each in findings if not each.drivable]
+    summary = _summary(road, plan)
+    about = [{"what": key.replace("_", " "), "value": value} for key, value in summary.items() if key != "road"]
+    tables = [ResultTable("summary", road.name, SUMMARY, about, brief=True)]
+    for name, title, drivable in (("barred", "What cannot be driven", False), ("notes", "Notes", True)):
+        places = [
+            {"from": each.start, "to": each.end, "what": each.text} for each in findings if each.drivable is drivable
+        ]
+        tables += [ResultTable(name, title, PLACES, places, brief=True)]
+    some = counted(len(barred), "place")
+    return Result(
+        kind="road",
+        title=road.name,
+        answer=f"The road cannot be driven at {some}." if barred else "The road can be driven.",
+        record={
+            **summary, "drivable": not barred, "notes": list(road.notes), "rows": [asdict(each) for each in findings]
+        },
+        tables=tables,
+        notes=road.notes,
+        pictures=[road_picture(road, plan, findings)],
+        failed=bool(barred),
     )  # fmt: skip
-    axes.set_aspect("equal", adjustable="datalim")
-    axes.margins(0.05)
-    axes.set_xlabel("x (m)")
-    axes.set_ylabel("y (m)")
 
 
-def road_png(road: Road, plan: SpeedPlan, findings: Sequence[Finding] = ()) -> bytes:
-    """The figure as a PNG file."""
-    return style.png(road_figure(road, plan, findings))
+def _summary(road: Road, plan: SpeedPlan) -> dict[str, Any]:
+    bends = np.abs(road.at(plan.s).curvature).max()
+    return {
+        "road": road.name,
+        "length": road.length,
+        "closed": road.closed,
+        "smallest_radius": 1.0 / float(bends) if bends > 0.0 else None,
+        "curvature_jumps": len(road.curvature_jumps()),
+        "deviation": road.deviation,
+        "slowest": float(plan.speed.min()),
+        "fastest": float(plan.speed.max()),
+        "duration": plan.duration,
+    }
+
+
+def road_picture(road: Road, plan: SpeedPlan, findings: Sequence[Finding] = ()) -> Picture:
+    """From above, coloured by the speed, with curvature and speed along it; places that cannot be driven are marked."""
+    s = np.linspace(0.0, road.length, SAMPLES)
+    barred = [each for each in findings if not each.drivable]
+    marked: list[Mark] = [
+        Stripe("x", each.start, max(each.end, each.start + 0.003 * road.length), SERIES[1], 0.3) for each in barred
+    ]
+    station = Axis("Along the road (m)", 0.0, road.length)
+    speed: list[Mark] = [Polyline(s, plan.at(s)), *marked]
+    if road.speed_limit is not None:
+        speed.insert(1, Polyline(s, road.along("speed_limit", s), Stroke(BACKGROUND.colour, REFERENCE.dash)))
+    lap = "lap of " if road.closed else ""
+    title = data_text(f"{road.name}: {lap}{road.length:.0f} m, {plan.duration:.0f} s")
+    panels = [
+        Panel(title, Axis("x (m)"), Axis("y (m)"), _from_above(road, plan, s, barred), "The road from above.",
+              to_scale=True, height=4.0),
+        Panel("Curvature", station, Axis("Curvature (1/m)"), [Polyline(s, road.at(s).curvature), *marked],
+              "Curvature along the road."),
+        Panel("Speed", station, Axis("Speed (m/s)", low=0.0), speed, "Planned speed along the road."),
+    ]  # fmt: skip
+    caption = "The road from above, coloured by the planned speed; curvature and speed along it."
+    return Picture("road", caption, panels, file="road.png", columns=1, row_height=1.25)
+
+
+def _from_above(road: Road, plan: SpeedPlan, s: np.ndarray, barred: Sequence[Finding]) -> list[Mark]:
+    points, speed = road.at(s), plan.at(s)
+    scale = Scale(float(speed.min()), max(float(speed.max()), float(speed.min()) + 0.1), "Speed (m/s)")
+    places = [road.at(0.5 * (each.start + each.end)) for each in barred]
+    ahead = 0.03 * math.hypot(float(np.ptp(points.x)), float(np.ptp(points.y)))
+    start = road.at(0.0)
+    x, y, heading = float(start.x), float(start.y), float(start.heading)
+    return [
+        *(Polyline(edge[:, 0], edge[:, 1], BACKGROUND, width=0.5) for edge in road.edges(s)),
+        ColouredLine(points.x, points.y, speed[:-1], scale),
+        Dots([float(each.x) for each in places], [float(each.y) for each in places], SERIES[1], "cross", 8.0),
+        Heading((x, y), (x + ahead * math.cos(heading), y + ahead * math.sin(heading))),
+    ]

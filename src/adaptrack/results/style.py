@@ -19,7 +19,7 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import AutoLocator, FixedLocator, FuncFormatter, MaxNLocator, NullLocator
 
 from adaptrack.base import result
-from adaptrack.base.files import printable
+from adaptrack.base.text import printable
 from adaptrack.results.words import data_text as data_text
 
 INK = "#1d2733"

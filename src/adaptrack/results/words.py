@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from adaptrack.base.files import printable
 from adaptrack.base.result import Column
+from adaptrack.base.text import printable
 from adaptrack.control.scheduling.variables import VARIABLES
 
 _SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
