@@ -80,7 +80,7 @@ def test_a_run_along_a_road_is_drawn_without_its_lateral_position(lap):
 def test_a_run_draws_itself_over_time_and_along_a_road(lap):
     run = driven(lap)
     assert run.plot().axes[0].get_title("left") == "(a) Trajectory tracking"
-    titles = [axes.get_title("left") for axes in run_figure(run, lap).axes]
+    titles = [axes.get_title("left")[4:] for axes in run_figure(run, lap).axes]
     assert titles[1:4] == ["Offset", "Steering", "Speed"]
     assert run.plot(lap)._repr_png_().startswith(b"\x89PNG")  # what a notebook shows
 

@@ -154,7 +154,7 @@ def test_the_picture_from_above_is_to_scale_and_coloured_by_the_offset():
     figure = above_figure([made_drive(road, controller="a"), made_drive(road, controller="b", amplitude=1.0)])
     style.png(figure)  # settles the layout
     small, large = figure.axes[:2]
-    assert [axes.get_title("left") for axes in (small, large)] == ["A", "B"]
+    assert [axes.get_title("left") for axes in (small, large)] == ["(a) A", "(b) B"]
     (strokes,) = (each for each in large.collections if each.get_array() is not None)
     assert strokes.get_array().max() == pytest.approx(1.0, rel=0.01)
     for axes in (small, large):

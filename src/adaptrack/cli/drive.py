@@ -14,7 +14,6 @@ from typer import Option
 
 from adaptrack.cli import interrupt, options, show
 from adaptrack.cli import road as roads
-from adaptrack.cli.show import Column
 from adaptrack.cli.simulate import (
     FAILED,
     ControllerSettings,
@@ -26,6 +25,7 @@ from adaptrack.cli.simulate import (
     tell_open_qps,
     tell_stiffness,
 )
+from adaptrack.results.console import print_table
 
 if TYPE_CHECKING:
     from adaptrack.cars.vehicle import Vehicle
@@ -33,17 +33,6 @@ if TYPE_CHECKING:
     from adaptrack.control.models import PredictionModel
     from adaptrack.drive.trajectory import Trajectory
     from adaptrack.scenario import RoadDrive
-
-COLUMNS = (
-    Column("controller", "controller"),
-    Column("rms_error", "RMS e", "m", show.digits(3)),
-    Column("max_abs_error", "max |e|", "m", show.digits(3)),
-    Column("max_corner_error", "corner", "m", show.digits(3)),
-    Column("in_lane", "in lane", "%", show.percent),
-    Column("max_acceleration", "max a_y", "m/s²", show.digits(3)),
-    Column("driven_length", "driven", "m", show.whole),
-    Column("result", "result"),
-)
 
 SHOWN = (
     "rms_offset", "p95_offset", "max_offset", "max_corner", "in_lane", "max_acceleration", "max_jerk_r79",
@@ -207,11 +196,13 @@ class _Run:
 
 
 def _print(trip: RoadDrive, rows: Sequence[dict[str, Any]], as_json: bool) -> None:
+    from adaptrack.results.drive import console_table
+
     if as_json:
         show.say_json({"rows": rows})
     else:
         title = f"{trip.name}, {trip.length:.0f} m, {trip.plan.speed.min():.3g}-{trip.plan.speed.max():.3g} m/s"
-        show.table(title, COLUMNS, [{**row, "result": "failed" if row["failed"] else "ok"} for row in rows])
+        print_table(console_table(title, rows))
     for row in rows:
         if row["failed"]:
             show.say_failed(

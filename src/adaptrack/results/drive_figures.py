@@ -4,23 +4,37 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Mapping, Sequence
-from functools import partial
-from typing import Any
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.collections import LineCollection
-from matplotlib.colors import LinearSegmentedColormap, Normalize
-from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from adaptrack.base.errors import InvalidInput
-from adaptrack.results import style
-from adaptrack.results.page import Panel, printed
+from adaptrack.base.result import (
+    BACKGROUND,
+    REFERENCE,
+    Axis,
+    ColouredLine,
+    Dots,
+    Guide,
+    Mark,
+    Panel,
+    Picture,
+    Polygon,
+    Polyline,
+    Remark,
+    Ribbon,
+    Scale,
+    Stroke,
+    strokes,
+)
 from adaptrack.results.record import Array, DriveRecord
-from adaptrack.results.words import controller_name, span
+from adaptrack.results.words import controller_name, data_text, span
 from adaptrack.road import Road
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 Drives = Mapping[str, DriveRecord]
 """Label -> drive, in the order of the legend."""
@@ -31,11 +45,21 @@ MOST = 2400
 PIECES = 1500
 """Pieces of the coloured line."""
 
-COLOURS = LinearSegmentedColormap.from_list("offset", ["#3b8fd0", "#8f9db0", "#e69f00", "#e2600c", "#c4231c"])
-"""Of |e|: blue, amber, red; to be seen on light and on dark ground."""
-
 SAGITTA, LONGEST = 0.01, 20.0
 """m: how far a chord of a drawn edge may lie beside its arc, and how long it is at most."""
+
+ON_PAGE, BESIDE = (5.2, 4.0), (2.7, 4.0)
+"""inch, width and largest height of the road from above on the page: alone, and beside others."""
+IN_PRINT = (7.2, 5.0)
+"""inch, likewise, of the whole figure."""
+
+LEARNED = {
+    "delay": ("Lag and dead time", "Delay (s)", "s"), "lag": ("Steering lag", "Lag (s)", "s"),
+    "stiffness": ("Stiffness over mass, of the model's", "Factor (–)", ""),
+    "bias": ("Steering bias", "Bias (rad)", "rad"), "bank": ("Pull of the bank", "Pull (m/s²)", "m/s²"),
+    "friction": ("Friction", "μ (–)", ""),
+}  # fmt: skip
+"""Learned quantities that are drawn: title, label and unit."""
 
 
 def labelled(drives: Sequence[DriveRecord]) -> dict[str, DriveRecord]:
@@ -86,28 +110,32 @@ def road_span(drives: Sequence[DriveRecord]) -> tuple[float, float]:
     return min(0.0, low), max(road.length, high)
 
 
-def above_figure(drives: Sequence[DriveRecord], width: float = style.PAGE_WIDTH, tallest: float = 5.0) -> Figure:
-    """The road from above with the driven line coloured by |e|; a panel a drive, two beside each other.
-
-    width, tallest: inch, of the figure, and of a row of panels where the road is not flatter.
-
-    Raises
-    ------
-    InvalidInput
-        When there is no drive, or they are not on one road.
-    """
-    shown = labelled(drives)
-    columns = 1 if len(shown) == 1 else 2
-    rows = -(-len(shown) // columns)
-    with style.styled():
-        figure = style.ShownFigure(figsize=(width, rows * _row_height(drives, width / columns, tallest)))
-        panels = list(figure.subplots(rows, columns, squeeze=False).flat)
-        for spare in panels[len(shown) :]:
-            spare.remove()
-        draw_above(drives, panels[: len(shown)])
-        for axes, label in zip(panels, shown if len(shown) > 1 else (), strict=False):
-            axes.set_title(style.data_text(label))
-    return figure
+# -- from above -------------------------------------------------------------------------------------------------------
+def above_picture(drives: Drives) -> Picture:
+    """The road from above with the driven line coloured by |e|; a panel a drive, two beside each other."""
+    shown, alone = list(drives.values()), len(drives) == 1
+    ends, scale = road_span(shown), Scale(0.0, scale_of(shown), "|e| (m)", colours="deviation")
+    if max(drive.max_offset for drive in shown) > scale.high:
+        scale = Scale(0.0, scale.high, scale.label, colours="deviation", beyond="max")
+    panels = [
+        Panel(
+            "" if alone else data_text(key), Axis("x (m)"), Axis("y (m)"), _from_above(drive, scale, ends),
+            f"The road from above with the driven line. {key}: |e| up to {span(np.array([drive.max_offset]))} m.",
+            to_scale=True,
+        )
+        for key, drive in drives.items()
+    ]  # fmt: skip
+    failed = " A cross marks where a drive failed." if any(drive.failed for drive in shown) else ""
+    caption = (
+        "The road from above, the driven line coloured by the offset |e| of the centre of mass from the centre line."
+    )
+    width, tallest = ON_PAGE if alone else BESIDE
+    columns = 1 if alone else 2
+    return Picture(
+        "above", caption + failed, panels, file="above.png", columns=columns,
+        row_height=_row_height(shown, IN_PRINT[0] / columns, IN_PRINT[1]),
+        size=(width, _row_height(shown, width, tallest)),
+    )  # fmt: skip
 
 
 def _row_height(drives: Sequence[DriveRecord], width: float, tallest: float) -> float:
@@ -118,67 +146,148 @@ def _row_height(drives: Sequence[DriveRecord], width: float, tallest: float) -> 
     return min(max(0.75 * width * high / max(wide, 1.0) + 0.8, 0.45 * width), tallest)
 
 
-def draw_above(drives: Sequence[DriveRecord], panels: Sequence[Axes]) -> None:
-    """Draw each drive from above on its axes, and the bar of their colours beside all."""
-    norm = Normalize(0.0, scale_of(drives))
-    for axes, drive in zip(panels, drives, strict=True):
-        strokes = _draw_above(axes, drive, norm, road_span(drives))
-    beyond = max(drive.max_offset for drive in drives) > scale_of(drives)
-    panels[0].figure.colorbar(
-        strokes, ax=list(panels), label="|e| (m)", shrink=0.8, aspect=30, pad=0.02,
-        extend="max" if beyond else "neither",
-    )  # fmt: skip
-
-
-def _draw_above(axes: Axes, drive: DriveRecord, norm: Normalize, ends: tuple[float, float]) -> LineCollection:
-    road = drive.road
-    left, right = road.edges(outline_stations(road, *ends))
+def _from_above(drive: DriveRecord, scale: Scale, ends: tuple[float, float]) -> list[Mark]:
+    left, right = drive.road.edges(outline_stations(drive.road, *ends))
     surface = np.concatenate([left, right[::-1]])
-    axes.fill(surface[:, 0], surface[:, 1], facecolor=style.GRID, edgecolor="none", zorder=1)
-    for edge in (left, right):
-        axes.plot(edge[:, 0], edge[:, 1], color=style.MUTED, linewidth=0.6, zorder=2)
     pick = np.unique(np.linspace(0, len(drive) - 1, PIECES + 1).astype(int))
     worst = np.maximum.reduceat(np.abs(drive.offset), pick[:-1])
-    line = np.stack([drive.x[pick], drive.y[pick]], axis=-1)
-    pieces = list(np.stack([line[:-1], line[1:]], axis=1))
-    strokes = LineCollection(pieces, cmap=COLOURS, norm=norm, linewidths=2.0, capstyle="round", zorder=3)
-    strokes.set_array(worst)
-    axes.add_collection(strokes)
-    axes.plot(drive.x[0], drive.y[0], "o", color=style.INK, markersize=4, zorder=4)
-    axes.annotate("start", (drive.x[0], drive.y[0]), (5, 5), textcoords="offset points", fontsize=8.0)
-    if drive.failed:
-        axes.plot(drive.x[-1], drive.y[-1], "x", color=style.INK, markersize=8, markeredgewidth=2.0, zorder=5)
-        axes.annotate("failed", (drive.x[-1], drive.y[-1]), (6, -10), textcoords="offset points", fontsize=8.0)
-    axes.set_aspect("equal", adjustable="datalim")
-    axes.margins(0.06)
-    axes.set_xlabel("x (m)")
-    axes.set_ylabel("y (m)")
-    return strokes
-
-
-def along_panels(drives: Drives) -> list[Panel]:
-    """e, steering, speed and lateral acceleration over the station, each drive in its stroke."""
-    strokes = style.strokes(drives)
-
-    def panel(title: str, label: str, name: str, draw: Callable[[Axes], None]) -> Panel:
-        ranges = "; ".join(f"{key}: {span(getattr(drive, name))}" for key, drive in drives.items())
-        return Panel(title, partial(_draw_along, label, drives, strokes, draw), f"{label}, over the station. {ranges}.")
-
-    def curves(name: str) -> Callable[[Axes], None]:
-        return lambda axes: _curves(axes, drives, strokes, name)
-
-    def steered(axes: Axes) -> None:
-        if len(drives) == 1:
-            _curves(axes, drives, {key: style.BACKGROUND for key in drives}, "command", linewidth=0.8)
-        _curves(axes, drives, strokes, "steering")
-        style.degrees_at_the_right(axes)
-
-    return [
-        panel("Offset", "Offset e (m)", "offset", partial(_offsets, drives=drives, strokes=strokes)),
-        panel("Steering", "Wheel angle (rad)", "steering", steered),
-        panel("Speed", "Speed (m/s)", "speed", partial(_speeds, drives=drives, strokes=strokes)),
-        panel("Lateral acceleration", "Lateral acc. (m/s²)", "lateral_acceleration", curves("lateral_acceleration")),
+    x, y = float(drive.x[0]), float(drive.y[0])
+    marks: list[Mark] = [
+        Polygon(surface[:, 0], surface[:, 1], ground="grid"),
+        *(Polyline(edge[:, 0], edge[:, 1], BACKGROUND, width=0.6) for edge in (left, right)),
+        ColouredLine(drive.x[pick], drive.y[pick], worst, scale),
+        Dots([x], [y], "ink", size=4.0),
+        Remark(x, y, "start"),
     ]
+    if drive.failed:
+        x, y = float(drive.x[-1]), float(drive.y[-1])
+        marks += [Dots([x], [y], "ink", "cross", 8.0), Remark(x, y, "failed", (6.0, -10.0))]
+    return marks
+
+
+# -- along the road ---------------------------------------------------------------------------------------------------
+def along_picture(drives: Drives) -> Picture:
+    """e, steering, speed and lateral acceleration over the station, each drive in its stroke."""
+    alone = len(drives) == 1
+    panels = _along_panels(drives)
+    caption = "Offset e (left positive), steering, speed and lateral acceleration over the station."
+    caption += " Front wheels in blue, command in grey." if alone else " Steering is the angle of the front wheels."
+    caption += " Dotted: where a drive failed." if any(drive.failed for drive in drives.values()) else ""
+    planned = any(drive.planned_speed is not None for drive in drives.values())
+    key = [*strokes(drives).items(), *([("Planned speed", REFERENCE)] if planned else [])]
+    return Picture("along", caption, panels, key, file="along.png", columns=1, row_height=1.7, print_panels=panels[:3])
+
+
+def _along_panels(drives: Drives) -> list[Panel]:
+    own = strokes(drives)
+
+    def panel(title: str, label: str, name: str, up: Axis, marks: Sequence[Mark]) -> Panel:
+        ranges = "; ".join(f"{key}: {span(getattr(drive, name))}" for key, drive in drives.items())
+        every = [Guide("y", [0.0], width=0.7), *marks, *_failed(drives, own)]
+        return Panel(title, _station(drives), up, every, f"{label}, over the station. {ranges}.")
+
+    steered = _curves(drives, own, "steering")
+    if len(drives) == 1:
+        steered = [*_curves(drives, dict.fromkeys(drives, BACKGROUND), "command", 0.8), *steered]
+    offset, wheels, speed, lateral = "Offset e (m)", "Wheel angle (rad)", "Speed (m/s)", "Lateral acc. (m/s²)"
+    backwards = any(drive.speed.min() < 0.0 for drive in drives.values())
+    return [
+        panel("Offset", offset, "offset", Axis(offset, most=_most(drives)), _curves(drives, own, "offset")),
+        panel("Steering", wheels, "steering", Axis(wheels, degrees=True), steered),
+        panel("Speed", speed, "speed", Axis(speed, low=None if backwards else 0.0),
+              [*_curves(drives, own, "speed"), *_planned(drives)]),
+        panel("Lateral acceleration", lateral, "lateral_acceleration", Axis(lateral),
+              _curves(drives, own, "lateral_acceleration")),
+    ]  # fmt: skip
+
+
+def road_ends(drives: Drives) -> tuple[float, float]:
+    """m, m: the stations that were driven, at least 1 m."""
+    low = min(float(drive.station.min()) for drive in drives.values())
+    return low, max(low + 1.0, max(float(drive.station.max()) for drive in drives.values()))
+
+
+def _station(drives: Drives) -> Axis:
+    low, high = road_ends(drives)
+    return Axis("Station s (m)", low, high + 0.04 * (high - low))  # the last number stays whole
+
+
+def _curves(drives: Drives, own: Mapping[str, Stroke], name: str, width: float = 1.3) -> list[Mark]:
+    curves: list[Mark] = []
+    for key, drive in drives.items():
+        values = getattr(drive, name)
+        keep = thinned(values)
+        curves.append(Polyline(drive.station[keep], values[keep], own[key], width))
+    return curves
+
+
+def _failed(drives: Drives, own: Mapping[str, Stroke]) -> list[Mark]:
+    return [
+        Guide("x", [float(drive.station[-1])], Stroke(own[key].colour, "dotted"), 1.0)
+        for key, drive in drives.items() if drive.failed
+    ]  # fmt: skip
+
+
+def _most(drives: Drives) -> float | None:
+    """m, of the axis of offsets: how a failed drive left the road does not flatten the rest."""
+    if not any(drive.failed for drive in drives.values()):
+        return None
+    return max(3.0 * drive.p95_offset if drive.failed else 1.2 * drive.max_offset for drive in drives.values())
+
+
+def _planned(drives: Drives) -> list[Mark]:
+    planned = [(drive, drive.planned_speed) for drive in drives.values() if drive.planned_speed is not None]
+    if not planned:
+        return []
+    farthest, speed = max(planned, key=lambda each: each[0].station[-1])
+    keep = thinned(speed)
+    return [Polyline(farthest.station[keep], speed[keep], REFERENCE, 1.0)]
+
+
+# -- what was learned -------------------------------------------------------------------------------------------------
+def learned_picture(drives: Drives) -> Picture:
+    """Each learned quantity over time, with one standard deviation to either side and, in simulation, the truth."""
+    shown, own = {key: drive for key, drive in drives.items() if drive.learned}, strokes(drives)
+    panels = [
+        Panel(title, Axis("Time (s)"), Axis(label), _learnt(name, shown, own),
+              "; ".join(f"{key}: {drive.learned[name].mean[-1]:.3g} {unit} in the end" for key, drive in shown.items()))
+        for name, (title, label, unit) in LEARNED.items() if shown
+    ]  # fmt: skip
+    known = any(each.truth is not None for drive in shown.values() for each in drive.learned.values())
+    caption = "What was learned of the car while driving. Band: one standard deviation to either side"
+    caption += "; dashed: the simulated truth." if known else "."
+    key = [*((name, own[name]) for name in shown), *([("Truth", REFERENCE)] if known else [])]
+    return Picture("learned", caption, panels, key, file="learned.png", row_height=1.9)
+
+
+def _learnt(name: str, drives: Drives, own: Mapping[str, Stroke]) -> list[Mark]:
+    """One learned quantity."""
+    marks: list[Mark] = []
+    for key, drive in drives.items():
+        learnt = drive.learned[name]
+        keep = thinned(learnt.mean)
+        time = drive.time[keep]
+        marks += [
+            Ribbon(time, learnt.low[keep], learnt.high[keep], own[key].colour),
+            Polyline(time, learnt.mean[keep], own[key]),
+        ]
+        if learnt.truth is not None:
+            marks.append(Polyline(drive.time, learnt.truth, REFERENCE, 1.0))
+    return marks
+
+
+# -- figures ----------------------------------------------------------------------------------------------------------
+def above_figure(drives: Sequence[DriveRecord]) -> Figure:
+    """The road from above with the driven line coloured by |e|; a panel a drive, two beside each other.
+
+    Raises
+    ------
+    InvalidInput
+        When there is no drive, or they are not on one road.
+    """
+    from adaptrack.results.draw import print_figure
+
+    return print_figure(above_picture(labelled(drives)))
 
 
 def along_figure(drives: Sequence[DriveRecord]) -> Figure:
@@ -189,34 +298,9 @@ def along_figure(drives: Sequence[DriveRecord]) -> Figure:
     InvalidInput
         When there is no drive, or they are not on one road.
     """
-    shown = labelled(drives)
-    return printed(along_panels(shown)[:3], 1, 1.7, along_key(shown) if len(shown) > 1 else ())
+    from adaptrack.results.draw import print_figure
 
-
-def along_key(drives: Drives) -> list[tuple[str, style.Stroke]]:
-    """The legend of the panels along the road."""
-    planned = any(drive.planned_speed is not None for drive in drives.values())
-    return [*style.strokes(drives).items(), *([("Planned speed", style.REFERENCE)] if planned else [])]
-
-
-LEARNED = {
-    "delay": ("Lag and dead time", "Delay (s)", "s"), "lag": ("Steering lag", "Lag (s)", "s"),
-    "stiffness": ("Stiffness over mass, of the model's", "Factor (–)", ""),
-    "bias": ("Steering bias", "Bias (rad)", "rad"), "bank": ("Pull of the bank", "Pull (m/s²)", "m/s²"),
-    "friction": ("Friction", "μ (–)", ""),
-}  # fmt: skip
-"""Learned quantities that are drawn: title, label and unit."""
-
-
-def learned_panels(drives: Drives) -> list[Panel]:
-    """Each learned quantity over time, with one standard deviation to either side and, in simulation, the truth."""
-    shown = {key: drive for key, drive in drives.items() if drive.learned}
-    strokes = style.strokes(drives)
-    return [
-        Panel(title, partial(_draw_learned, name, label, shown, strokes),
-              "; ".join(f"{key}: {drive.learned[name].mean[-1]:.3g} {unit} in the end" for key, drive in shown.items()))
-        for name, (title, label, unit) in LEARNED.items() if shown
-    ]  # fmt: skip
+    return print_figure(along_picture(labelled(drives)))
 
 
 def learned_figure(drives: Sequence[DriveRecord]) -> Figure:
@@ -227,82 +311,12 @@ def learned_figure(drives: Sequence[DriveRecord]) -> Figure:
     InvalidInput
         When no controller has learned.
     """
-    shown = labelled(drives)
-    panels = learned_panels(shown)
-    if not panels:
+    from adaptrack.results.draw import print_figure
+
+    picture = learned_picture(labelled(drives))
+    if not picture.panels:
         raise InvalidInput("a picture of what was learned needs a controller that learns: MPC(car, learning=...).")
-    return printed(panels, 2, 1.9, learned_key(shown))
-
-
-def learned_key(drives: Drives) -> list[tuple[str, style.Stroke]]:
-    """The legend of the learned quantities."""
-    strokes = style.strokes(drives)
-    learners = [(key, strokes[key]) for key, drive in drives.items() if drive.learned]
-    known = any(each.truth is not None for drive in drives.values() for each in drive.learned.values())
-    return [*learners, *([("Truth", style.REFERENCE)] if known else [])]
-
-
-def _draw_learned(name: str, label: str, drives: Drives, strokes: Mapping[str, style.Stroke], axes: Axes) -> None:
-    """One learned quantity."""
-    for key, drive in drives.items():
-        learnt, stroke = drive.learned[name], strokes[key]
-        keep = thinned(learnt.mean)
-        time = drive.time[keep]
-        axes.fill_between(time, learnt.low[keep], learnt.high[keep], color=stroke.colour, alpha=0.2, linewidth=0.0)
-        axes.plot(time, learnt.mean[keep], color=stroke.colour, linestyle=stroke.dash)
-        if learnt.truth is not None:
-            look: dict[str, Any] = {"color": style.REFERENCE.colour, "linestyle": style.REFERENCE.dash}
-            axes.plot(drive.time, learnt.truth, linewidth=1.0, **look)
-    axes.set_ylabel(label)
-    axes.set_xlabel("Time (s)")
-
-
-def _draw_along(
-    label: str, drives: Drives, strokes: Mapping[str, style.Stroke], draw: Callable[[Axes], None], axes: Axes
-) -> None:
-    """What all panels along the road have, about what one of them shows."""
-    axes.axhline(0.0, color=style.MUTED, linewidth=0.7)
-    draw(axes)
-    axes.set_ylabel(label)
-    axes.set_xlabel("Station s (m)")
-    low, high = road_ends(drives)
-    axes.set_xlim(low, high + 0.04 * (high - low))  # the last number stays whole
-    for key, drive in drives.items():
-        if drive.failed:
-            axes.axvline(float(drive.station[-1]), color=strokes[key].colour, linewidth=1.0, linestyle=(0, (1.2, 1.6)))
-
-
-def road_ends(drives: Drives) -> tuple[float, float]:
-    """m, m: the stations that were driven, at least 1 m."""
-    low = min(float(drive.station.min()) for drive in drives.values())
-    return low, max(low + 1.0, max(float(drive.station.max()) for drive in drives.values()))
-
-
-def _curves(axes: Axes, drives: Drives, strokes: Mapping[str, style.Stroke], name: str, **how: Any) -> None:
-    for key, drive in drives.items():
-        values = getattr(drive, name)
-        keep = thinned(values)
-        look = {"color": strokes[key].colour, "linestyle": strokes[key].dash} | how
-        axes.plot(drive.station[keep], values[keep], **look)
-
-
-def _offsets(axes: Axes, drives: Drives, strokes: Mapping[str, style.Stroke]) -> None:
-    """The offsets; how a failed drive left the road does not flatten the rest."""
-    _curves(axes, drives, strokes, "offset")
-    if any(drive.failed for drive in drives.values()):
-        high = max(3.0 * d.p95_offset if d.failed else 1.2 * d.max_offset for d in drives.values())
-        low, top = axes.get_ylim()
-        axes.set_ylim(max(low, -high), min(top, high))
-
-
-def _speeds(axes: Axes, drives: Drives, strokes: Mapping[str, style.Stroke]) -> None:
-    _curves(axes, drives, strokes, "speed")
-    planned = [drive for drive in drives.values() if drive.planned_speed is not None]
-    for drive in sorted(planned, key=lambda drive: -drive.station[-1])[:1]:
-        keep = thinned(drive.planned_speed)  # type: ignore[arg-type]
-        look: dict[str, Any] = {"color": style.REFERENCE.colour, "linestyle": style.REFERENCE.dash, "linewidth": 1.0}
-        axes.plot(drive.station[keep], drive.planned_speed[keep], **look)  # type: ignore[index]
-    axes.set_ylim(bottom=min(0.0, axes.get_ylim()[0]) if any(d.speed.min() < 0.0 for d in drives.values()) else 0.0)
+    return print_figure(picture)
 
 
 def thinned(values: Array, most: int = MOST) -> NDArray[np.int64]:

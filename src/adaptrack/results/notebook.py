@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -11,12 +12,14 @@ from markupsafe import escape
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from adaptrack.base.result import Picture
 from adaptrack.cars.vehicle import Vehicle
 from adaptrack.control.scheduling import Schedule, SchedulingVariables
 from adaptrack.drive.metrics import Metrics, compute_metrics
 from adaptrack.drive.trajectory import Trajectory
 from adaptrack.results import style
-from adaptrack.results.drive_figures import along_panels, draw_above, labelled
+from adaptrack.results.draw import print_figure
+from adaptrack.results.drive_figures import above_picture, along_picture, labelled
 from adaptrack.results.figures import tracking_figure
 from adaptrack.results.record import DriveRecord, Shape
 from adaptrack.results.words import INPUTS, controller_name, legible, number, ratio_with_interval, title_of
@@ -35,16 +38,10 @@ def run_figure(run: Trajectory, road: Road | None = None) -> Figure:
     """
     if road is None:
         return tracking_figure({controller_name(run.name_of("controller")): run})
-    drive = DriveRecord.from_trajectory(run, road)
-    with style.styled():
-        figure = style.ShownFigure(figsize=(style.PAGE_WIDTH, 8.4))
-        above, *along = figure.subplots(4, 1, height_ratios=[3.2, 1.0, 1.0, 1.0])
-        draw_above([drive], [above])
-        for panel, axes in zip(along_panels(labelled([drive])), along, strict=False):
-            panel.show(axes)
-        for axes in along[:-1]:
-            axes.set_xlabel("")
-    return figure
+    drive = labelled([DriveRecord.from_trajectory(run, road)])
+    above, along = above_picture(drive), along_picture(drive)
+    panels = [replace(above.panels[0], height=3.2), *along.for_print]
+    return print_figure(Picture("run", "", panels, columns=1, row_height=1.35))
 
 
 def run_html(run: Trajectory) -> str:

@@ -14,12 +14,11 @@ from typing import Any
 import jinja2
 import numpy as np
 from markupsafe import Markup
-from matplotlib.colors import to_hex
 
 from adaptrack.base.errors import InvalidInput
 from adaptrack.base.text import printable
-from adaptrack.results.drive_figures import COLOURS, Drives, outline_stations, road_span, scale_of
-from adaptrack.results.page import Embedded
+from adaptrack.results.draw import shades
+from adaptrack.results.drive_figures import Drives, outline_stations, road_span, scale_of
 from adaptrack.results.record import Array, DriveRecord
 from adaptrack.road import Road
 
@@ -35,7 +34,7 @@ SHADES = 9
 """Colours of the trail."""
 
 
-def replay(drives: Drives) -> Embedded:
+def replay(drives: Drives) -> Markup:
     """The replay of drives on one road, as a part of a page. A page holds one.
 
     Raises
@@ -53,17 +52,15 @@ def replay(drives: Drives) -> Embedded:
     # JSON inside an element: "<" could end it, an escape cannot
     packed = json.dumps(data, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
     script = files("adaptrack.results").joinpath("templates", "replay.js").read_text(encoding="utf-8")
-    return Embedded(
-        Markup(
-            template.render(
-                data=Markup(packed),
-                script=Markup(script),
-                names=[car["name"] for car in data["cars"]],
-                shades=data["shades"],
-                top=f"{data['top']:g}",
-                end=seconds,
-                road=printable(data["road"]["name"]),
-            )
+    return Markup(
+        template.render(
+            data=Markup(packed),
+            script=Markup(script),
+            names=[car["name"] for car in data["cars"]],
+            shades=data["shades"],
+            top=f"{data['top']:g}",
+            end=seconds,
+            road=printable(data["road"]["name"]),
         )
     )
 
@@ -74,7 +71,7 @@ def replay_data(drives: Drives) -> dict[str, Any]:
     return {
         "road": _road(shown[0].road, road_span(shown)),
         "top": scale_of(shown),
-        "shades": [to_hex(COLOURS(share)) for share in np.linspace(0.0, 1.0, SHADES)],
+        "shades": shades(SHADES),
         "cars": [_car(label, drive) for label, drive in drives.items()],
     }
 
