@@ -905,7 +905,8 @@ def generated_roads(at: Any) -> Named:
     """Generated roads, and one through points: made in Python, their feet compiled."""
     made = {kind: at.generate_road(kind, seed=1, length=600.0) for kind in ("country", "mountain")}
     angle = np.linspace(0.0, 6.0, 60)
-    made["through points"] = at.Road.through(np.column_stack([40.0 * angle, 10.0 * np.sin(angle)]))
+    through = at.road_through if hasattr(at, "road_through") else at.Road.through  # until 0.2.0
+    made["through points"] = through(np.column_stack([40.0 * angle, 10.0 * np.sin(angle)]))
     for name, road in made.items():
         s = np.linspace(0.0, road.length, 300)
         points = road.at(s)

@@ -63,7 +63,7 @@ def lap() -> at.Road:
     """A closed road of bends and straights, 1.1 km."""
     s = np.linspace(0.0, 2.0 * math.pi, 400, endpoint=False)
     radius = 150.0 + 20.0 * np.sin(3.0 * s) + 8.0 * np.cos(5.0 * s)
-    return at.Road.through(np.stack([radius * np.cos(s), radius * np.sin(s)], axis=-1), closed=True)
+    return at.road_through(np.stack([radius * np.cos(s), radius * np.sin(s)], axis=-1), closed=True)
 
 
 def make(kind: str, vehicle: at.Vehicle) -> at.MPC:

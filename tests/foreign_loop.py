@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from adaptrack.road import Road
+from adaptrack.road import road_through
 from adaptrack.road.ahead import foot_near
 
 DT = 0.002
@@ -54,7 +54,7 @@ def on_road(road, s=0.0, speed=15.0, offset=0.0):
 def window(road, s):
     """What a planner publishes at s: points a metre apart, from 10 m behind the car to 80 m ahead."""
     points = road.at(s - 10.0 + np.arange(91.0))
-    return Road.through(np.stack([points.x, points.y], axis=-1))
+    return road_through(np.stack([points.x, points.y], axis=-1))
 
 
 @dataclass

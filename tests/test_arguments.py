@@ -14,7 +14,7 @@ from numpy.testing import assert_array_equal
 import adaptrack as at
 from adaptrack.base.arguments import reals
 from adaptrack.base.errors import InvalidInput, real, shown, whole
-from adaptrack.road import Line, Road
+from adaptrack.road import Line, Road, fit_road, road_through
 
 CAR = at.load_vehicle("compact-ev")
 ROAD = Road.from_segments([Line(length=50.0)])
@@ -38,8 +38,8 @@ def test_what_is_no_array_of_numbers_is_refused_in_a_short_sentence() -> None:
     still, around = plant.initial_state([0.0, 0.0, 0.0, 10.0, 0.0, 0.0]), [0.9] * 4 + [0.0] * 2
     calls = {
         "reals": lambda each: reals("numbers", each),
-        "through": Road.through,
-        "from_points": Road.from_points,
+        "through": road_through,
+        "from_points": fit_road,
         "at": ROAD.at,
         "project": lambda each: ROAD.project(each, 0.0),
         "ahead": lambda each: at.RoadAhead(ROAD, 0.0, each),
@@ -81,7 +81,7 @@ def test_numbers_too_large_for_one_are_refused_where_they_must_be_finite() -> No
     for given in TOO_LARGE:
         assert "finite" in refusal(at.yaw_of, [given] * 4)
         assert "finite" in refusal(at.RoadAhead, ROAD, 0.0, [given])
-        assert "finite" in refusal(Road.through, [[given, 0.0], [1.0, 0.0], [2.0, 0.0], [3.0, 0.0]])
+        assert "finite" in refusal(road_through, [[given, 0.0], [1.0, 0.0], [2.0, 0.0], [3.0, 0.0]])
 
 
 @pytest.mark.parametrize("make", [at.LQR, at.PurePursuit, at.MPC, at.published_mpc])

@@ -8,7 +8,19 @@ import pytest
 
 from adaptrack.base.errors import ConfigError, InvalidInput, StorageError, UnknownName
 from adaptrack.cars.vehicle import load_vehicle
-from adaptrack.road import Along, Arc, Clothoid, Cubic, Line, Road, check_road, fit_road, generate_road, load_road
+from adaptrack.road import (
+    Along,
+    Arc,
+    Clothoid,
+    Cubic,
+    Line,
+    Road,
+    check_road,
+    fit_road,
+    generate_road,
+    load_road,
+    smooth_road,
+)
 from references.road import figure_of_eight, nearest_by_search
 
 
@@ -63,7 +75,7 @@ def test_a_fit_keeps_the_bound_that_it_is_given():
 
 def test_a_smoothed_road_has_no_jumps_and_stays_within_its_deviation():
     sharp = Road.from_segments([Line(length=80.0), Arc(length=60.0, curvature=0.02), Line(length=80.0)], width_left=2.5)
-    smooth = sharp.smoothed(max_deviation=0.1)
+    smooth = smooth_road(sharp, max_deviation=0.1)
     assert len(sharp.curvature_jumps()) == 2
     assert smooth.curvature_jumps() == []
     assert smooth.deviation <= 0.1
@@ -104,22 +116,22 @@ WINDING = np.stack([np.arange(0.0, 5000.0, 3.0), 30.0 * np.sin(np.arange(0.0, 50
 
 def test_points_in_centimetres_or_kilometres_are_asked_about_and_those_in_degrees_are_refused(caplog):
     with caplog.at_level("WARNING", logger="adaptrack"):
-        in_cm = Road.from_points(100.0 * WINDING[:300])
+        in_cm = fit_road(100.0 * WINDING[:300])
     assert "are x and y in metres, or in centimetres?" in caplog.text
     assert "centimetres" in in_cm.notes[0]
-    found = check_road(Road.from_points(WINDING / 1000.0), load_vehicle("paper"))
+    found = check_road(fit_road(WINDING / 1000.0), load_vehicle("paper"))
     assert any("in metres, or in kilometres?" in each.text and not each.drivable for each in found)
-    in_metres = Road.from_points(WINDING[:300])
+    in_metres = fit_road(WINDING[:300])
     assert not any("metres" in note for note in in_metres.notes)
     assert not check_road(in_metres, load_vehicle("paper"))
     degrees = np.array([11.5, 48.1]) + WINDING[:300] / 1e5
     with pytest.raises(InvalidInput, match=r"latitude and longitude. Convert them to x .east. and y .north. in metres"):
-        Road.from_points(degrees)
+        fit_road(degrees)
 
 
 def test_a_road_prints_its_name_its_length_and_what_is_to_be_said_of_it():
     assert repr(generate_road("lap", 0)).startswith("<Road 'lap-0': a lap of ")
-    fitted = repr(Road.from_points(WINDING[:300]))
+    fitted = repr(fit_road(WINDING[:300]))
     assert re.fullmatch(r"<Road 'points': open, 9\d\d.* m; 300 points; largest deviation .*>", fitted)
 
 

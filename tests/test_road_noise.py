@@ -8,7 +8,7 @@ from scipy.interpolate import BSpline
 
 from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.vehicle import load_vehicle
-from adaptrack.road import Road, check_road, fit_road, generate_road, plan_speed
+from adaptrack.road import check_road, fit_road, generate_road, plan_speed, road_through
 from adaptrack.road.smoothing import Smoother
 
 CAR = load_vehicle("midsize-sedan")
@@ -124,7 +124,7 @@ def test_a_bound_that_chose_the_smoothing_and_the_ripple_that_it_makes_are_said(
 @pytest.mark.parametrize("kind", ["town", "mountain", "lap"])
 def test_the_bends_of_a_road_are_no_ripple(kind):
     true, points = recorded(kind)
-    for road in (true, Road.through(points, closed=true.closed, speed_limit=true.speed_limit)):
+    for road in (true, road_through(points, closed=true.closed, speed_limit=true.speed_limit)):
         assert "ripple" not in {each.kind for each in check_road(road, CAR, plan_speed(road, CAR))}
 
 
@@ -147,6 +147,6 @@ def test_a_bound_within_the_noise_that_no_curve_keeps_is_refused_with_both():
 def test_points_that_are_no_road_in_metres_are_refused_with_the_point(change, words):
     points = np.stack([np.arange(60.0), 0.01 * np.arange(60.0) ** 2], axis=-1)
     change(points)
-    for make in (fit_road, Road.through):
+    for make in (fit_road, road_through):
         with pytest.raises(InvalidInput, match=words):
             make(points)

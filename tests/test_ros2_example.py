@@ -19,7 +19,7 @@ from ros_messages import PACKAGE, drive_stamped, fake_ros, odometry, package_mod
 messages, follower, stand_in = map(package_module, ("messages", "follower", "stand_in"))
 Follower, Parameters = follower.Follower, follower.Parameters
 _X = np.arange(0.0, 400.0)
-ROAD = at.Road.through(np.stack([_X, 8.0 * np.sin(_X / 25.0)], axis=-1))
+ROAD = at.road_through(np.stack([_X, 8.0 * np.sin(_X / 25.0)], axis=-1))
 """Bends to both sides, of 78 m radius at their tightest."""
 STRAIGHT = np.stack([np.arange(100.0), np.zeros(100)], axis=-1)
 CAR = at.load_vehicle("midsize-sedan")
@@ -171,7 +171,7 @@ def test_a_path_that_moves_to_the_next_lane_is_taken_over():
     points = ROAD.at(_X)
     beside = np.stack([points.x - 1.5 * np.sin(points.heading), points.y + 1.5 * np.cos(points.heading)], axis=-1)
     loop = Loop().drive(4.0)
-    loop.road = at.Road.through(beside)
+    loop.road = at.road_through(beside)
     loop.drive(0.5)
     loop.offset.clear()
     loop.drive(10.0)

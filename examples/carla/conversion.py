@@ -87,7 +87,7 @@ def lane_ahead(world_map: Any, location: Any, length: float = 400.0) -> at.Road:
     waypoints = [world_map.get_waypoint(location)]
     while len(waypoints) < length / 2.0 and (following := waypoints[-1].next(2.0)):
         waypoints.append(following[0])
-    return at.Road.through([position(each.transform.location) for each in waypoints])
+    return at.road_through([position(each.transform.location) for each in waypoints])
 
 
 def woven(road: at.Road, swing: float = 0.3) -> at.Road:
@@ -99,7 +99,7 @@ def woven(road: at.Road, swing: float = 0.3) -> at.Road:
     turns = s / 60.0 + (1 / 20.0 - 1 / 60.0) * s**2 / (2.0 * road.length)
     aside = swing * np.minimum(1.0, s / 40.0) * np.sin(2.0 * math.pi * turns)
     lane = road.at(s)
-    return at.Road.through(
+    return at.road_through(
         np.stack([lane.x - aside * np.sin(lane.heading), lane.y + aside * np.cos(lane.heading)], axis=-1)
     )
 

@@ -77,9 +77,11 @@ _PUBLIC = {
     "road": (
         "Road",
         "check_road",
+        "fit_road",
         "generate_road",
         "load_road",
         "plan_speed",
+        "road_through",
     ),
     "road.ahead": ("RoadAhead",),
     "scenario": (
@@ -323,7 +325,7 @@ if TYPE_CHECKING:
     from adaptrack.peers.nmpc import NMPC
     from adaptrack.peers.preview_lqr import PreviewLQR
     from adaptrack.peers.process_plant import ProcessPlant
-    from adaptrack.road import Road, check_road, generate_road, load_road, plan_speed
+    from adaptrack.road import Road, check_road, fit_road, generate_road, load_road, plan_speed, road_through
     from adaptrack.road.ahead import RoadAhead
     from adaptrack.scenario import RoadDrive, Scenario, list_scenarios, load_scenario, random_drive
     from adaptrack.scenario.profile import Profile, list_profiles, load_profile
@@ -436,6 +438,7 @@ __all__ = [
     "commonroad_vehicle",
     "compute_metrics",
     "find_failure",
+    "fit_road",
     "generate_road",
     "get_contender",
     "get_controller",
@@ -481,6 +484,7 @@ __all__ = [
     "register_model",
     "register_plant",
     "register_qp_solver",
+    "road_through",
     "rollout",
     "rollout_batch",
     "run_campaign",

@@ -163,7 +163,7 @@ class Tracker:
 
     def _set_path(self, path: Road, plan: SpeedPlan | None) -> None:
         if not isinstance(path, Road):
-            raise InvalidInput(f"Tracker: path = {path!r}: must be a Road; Road.from_points(...) makes one.")
+            raise InvalidInput(f"Tracker: path = {path!r}: must be a Road; fit_road(...) makes one.")
         if plan is not None and (not isinstance(plan, SpeedPlan) or abs(plan.s[-1] - path.length) > 1e-6):
             raise InvalidInput("Tracker: plan: must be a SpeedPlan of this path; plan_speed(path, ...) makes one.")
         self.path, self.plan = path, plan

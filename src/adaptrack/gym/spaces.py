@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from adaptrack.base.arguments import reals
 from adaptrack.base.errors import InvalidInput, UnknownName, did_you_mean
 from adaptrack.control.controllers import MPC, Learning, published_mpc
-from adaptrack.control.controllers.setup import Setup
+from adaptrack.control.controllers.setup import LoopSetup
 from adaptrack.core.public import BELIEFS, LEARNED
 from adaptrack.gym.task import Task
 
@@ -71,7 +71,7 @@ def seen_names(distances: Array) -> tuple[str, ...]:
 def command_box(task: Task) -> spaces.Box:
     """The steering commands (rad) that the other controllers may give as well."""
     vehicle, _, profile = task.known_car()
-    return box([Setup.of("PathTracking", vehicle, profile, None, None, None, None).limits.angle])
+    return box([LoopSetup.of("PathTracking", vehicle, profile, None, None, None, None).limits.angle])
 
 
 def checked_action(action: Any, space: spaces.Box) -> Array:

@@ -12,7 +12,7 @@ from adaptrack.base.errors import InvalidInput, real, whole
 from adaptrack.cars.vehicle import Steering, Vehicle
 from adaptrack.control.controllers.base import DECADES, FIXED, Array, Bounds, CompiledController
 from adaptrack.control.controllers.limits import Limits
-from adaptrack.control.controllers.setup import Setup
+from adaptrack.control.controllers.setup import LoopSetup
 from adaptrack.control.qp import QP
 from adaptrack.peers.kernels import kinematic_mpc as kernel
 from adaptrack.scenario.profile import Profile
@@ -80,7 +80,7 @@ class KinematicMPC(CompiledController):
         **weights: float,
     ) -> None:
         self.vehicle = vehicle
-        setup = Setup.of("KinematicMPC", vehicle, profile, belief, period, preview, limits)
+        setup = LoopSetup.of("KinematicMPC", vehicle, profile, belief, period, preview, limits)
         self.belief, self.pose_age = setup.belief, setup.pose_age
         self.stages = whole("KinematicMPC", "stages", stages)
         if not 1 <= self.stages <= MOST_STAGES:

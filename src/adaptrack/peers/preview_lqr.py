@@ -15,7 +15,7 @@ from adaptrack.cars.vehicle import Steering, Vehicle
 from adaptrack.control.controllers.base import DECADES, FIXED, Array, Bounds, CompiledController
 from adaptrack.control.controllers.limits import Limits
 from adaptrack.control.controllers.lqr import SPEEDS, WEIGHT_FACTORS, feedback, riccati
-from adaptrack.control.controllers.setup import Setup
+from adaptrack.control.controllers.setup import LoopSetup
 from adaptrack.control.models import PathModel
 from adaptrack.peers.kernels import preview_lqr as kernel
 from adaptrack.scenario.profile import Profile
@@ -64,7 +64,7 @@ class PreviewLQR(CompiledController):
         preview: bool | None = None,
     ) -> None:
         self.vehicle = vehicle
-        setup = Setup.of("PreviewLQR", vehicle, profile, belief, period, preview, limits)
+        setup = LoopSetup.of("PreviewLQR", vehicle, profile, belief, period, preview, limits)
         self.belief, self.pose_age = setup.belief, setup.pose_age
         for name, value in (("q_e", q_e), ("q_heading", q_heading), ("r", r)):
             if not 0.0 < real("PreviewLQR", name, value) < math.inf:

@@ -2,7 +2,7 @@
 
 from adaptrack.road.along import Along
 from adaptrack.road.check import Finding, check_road, smallest_radius
-from adaptrack.road.fit import fit_road
+from adaptrack.road.fit import fit_road, road_through, smooth_road
 from adaptrack.road.generate import KINDS, generate_road
 from adaptrack.road.load import load_road
 from adaptrack.road.opendrive import read_opendrive
@@ -32,5 +32,7 @@ __all__ = [
     "load_road",
     "plan_speed",
     "read_opendrive",
+    "road_through",
     "smallest_radius",
+    "smooth_road",
 ]

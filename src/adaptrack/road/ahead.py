@@ -12,6 +12,7 @@ import numpy as np
 
 from adaptrack.base.arguments import reals
 from adaptrack.base.errors import InvalidInput, real, shown
+from adaptrack.core import road as kernel
 from adaptrack.road.road import Projection, Road
 from adaptrack.road.segments import Array
 
@@ -21,8 +22,6 @@ HEADING_SPACING = 0.5
 
 def pack_roads(roads: Sequence[Road | None]) -> Any:
     """The roads of scenarios, None for a straight one, as `core.road.Roads`; equal ones are kept once."""
-    from adaptrack.core import road as kernel
-
     kept: list[Road] = []
     of = np.full(len(roads), -1, np.int64)
     for i, road in enumerate(roads):
@@ -59,8 +58,6 @@ def stacked(road: Road) -> Any:
 
 def foot_near(road: Road, x: float, y: float, near: float) -> Projection:
     """The foot of one point, as numbers, as by `Road.project`; the offset is NaN where there is none about `near`."""
-    from adaptrack.core import road as kernel
-
     foot = np.empty((1, 4))
     kernel.project_all(road.packed(), np.array([[x, y, near]]), foot)
     return Projection(*foot[0].tolist())
@@ -71,8 +68,6 @@ def foot_of_car(road: Road, x: float, y: float, yaw: float, across: float) -> fl
 
     across: m, by which a foot may be nearer where the road leads at right angles to the car.
     """
-    from adaptrack.core import road as kernel
-
     return float(kernel.nearest(x, y, yaw, across, road.packed()))
 
 
@@ -106,8 +101,6 @@ class RoadAhead:
     @property
     def packed(self) -> Any:
         """The centre line, the foot and the speeds, `core.road.RoadAhead`."""
-        from adaptrack.core import road as kernel
-
         return kernel.RoadAhead(self.road.packed(), self.station, self.speeds)
 
     def bend(self, count: int, pace: float, lead: float, period: float) -> Array:
@@ -115,8 +108,6 @@ class RoadAhead:
 
         pace: m/s, of the model; see `core.road.bend_ahead`.
         """
-        from adaptrack.core import road as kernel
-
         found = np.zeros(count)
         kernel.bend_of(self.station, self.speeds, pace, lead, period, 0, stacked(self.road), found)
         return found
@@ -125,7 +116,5 @@ class RoadAhead:
 @cache
 def straight() -> Any:
     """`core.road.RoadAhead` of a straight road."""
-    from adaptrack.core import road as kernel
-
     line = kernel.Centreline(np.zeros(0), np.zeros((0, kernel.TURNED + kernel.DEGREE + 1)), np.zeros(0))
     return kernel.RoadAhead(line, 0.0, np.zeros(0))

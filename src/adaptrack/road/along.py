@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Literal, Self
+from typing import Any, Literal, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -102,3 +102,14 @@ def as_along(name: str, value: Along | float | tuple[ArrayLike, ArrayLike]) -> A
         raise InvalidInput(
             f"{name} = {shown(value)}: must be a number, a pair (arc lengths, values) or an Along: {error}"
         ) from None
+
+
+ALONG = ("width_left", "width_right", "speed_limit", "friction", "bank")
+"""What lies along a road."""
+
+
+def alongs(values: dict[str, Any]) -> dict[str, Any]:
+    """The values with every quantity along the road as an `Along`."""
+    return {
+        name: as_along(name, value) if name in ALONG and value is not None else value for name, value in values.items()
+    }

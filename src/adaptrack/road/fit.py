@@ -24,9 +24,10 @@ from numpy.typing import ArrayLike, NDArray
 from adaptrack.base.arguments import reals
 from adaptrack.base.checked import Positive, checked
 from adaptrack.base.errors import InvalidInput
+from adaptrack.road.along import ALONG, Along, alongs
 from adaptrack.road.projection import feet_near
-from adaptrack.road.road import FARTHEST, Road, alongs
-from adaptrack.road.segments import Array, Cubic
+from adaptrack.road.road import Road
+from adaptrack.road.segments import FARTHEST, Array, Cubic
 from adaptrack.road.smoothing import Curve, Smoother
 from adaptrack.road.table import Table, X, Y, joined, tabulate
 
@@ -158,6 +159,32 @@ def road_through(points: ArrayLike, *, closed: bool = False, name: str = "points
     spline = scipy.interpolate.CubicSpline(places, ring, bc_type="periodic" if closed else "not-a-knot")
     powers = spline.c[::-1].transpose(1, 2, 0) * steps[:, np.newaxis, np.newaxis] ** np.arange(4)
     return replace(_road(powers, closed), name=name, **alongs(along))
+
+
+def smooth_road(road: Road, max_deviation: float = 0.1, spacing: float = 1.0) -> Road:
+    """A road without jumps of curvature that stays within `max_deviation` (m) of points of another.
+
+    spacing: m, between those points. What lies along the road stays where it is, in proportion to the length.
+
+    Raises
+    ------
+    InvalidInput
+        When no smooth curve stays as near.
+    """
+    count = max(8, math.ceil(road.length / spacing))
+    s = np.linspace(0.0, road.length, count + 1)[: count if road.closed else count + 1]
+    points = road.at(s)
+    fitted = fit_road(
+        np.stack([points.x, points.y], axis=-1), max_deviation=max_deviation, closed=road.closed, name=road.name,
+        smoothest=True,
+    )  # fmt: skip
+    stretch = fitted.length / road.length
+    moved: dict[str, Any] = {name: _stretched(getattr(road, name), stretch) for name in ALONG}
+    return replace(fitted, **moved)
+
+
+def _stretched(along: Along | None, factor: float) -> Along | None:
+    return None if along is None else along.replace(s=tuple(factor * s for s in along.s))
 
 
 def _checked(where: str, points: ArrayLike, shortest: float) -> Array:

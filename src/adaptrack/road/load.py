@@ -4,15 +4,66 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
-from adaptrack.base.errors import InvalidInput, UnknownName, did_you_mean
+import numpy as np
+
+from adaptrack.base.errors import ConfigError, InvalidInput, UnknownName, did_you_mean
+from adaptrack.base.files import build, read_toml
+from adaptrack.road.along import ALONG, alongs
 from adaptrack.road.commonroad import read_commonroad
+from adaptrack.road.fit import MAX_DEVIATION, fit_road
 from adaptrack.road.generate import KINDS, generate_road
 from adaptrack.road.opendrive import read_opendrive
 from adaptrack.road.points import road_from_csv
 from adaptrack.road.road import Road
-from adaptrack.road.toml import road_from_toml
+from adaptrack.road.toml import RoadFile, table_of
+
+
+def road_from_toml(path: str | os.PathLike[str], **along: Any) -> Road:
+    """The road of a TOML file.
+
+    Parameters
+    ----------
+    **along
+        As in `Road.from_segments`, in place of what the file says.
+
+    Raises
+    ------
+    StorageError
+        When the file cannot be read.
+    ConfigError
+        When it describes no road; with the key, the value and the remedy.
+    """
+    where = os.fspath(path)
+    file = build(RoadFile, _tuples(read_toml(path)), where)
+    values = {key: getattr(file, key) for key in ALONG if getattr(file, key) is not None}
+    values |= {"name": file.name or Path(path).stem} | along
+    try:
+        return _made(file, values)
+    except InvalidInput as error:
+        raise ConfigError(f"{where}: {error}") from None
+
+
+def _tuples(data: Any) -> Any:
+    """TOML's arrays as tuples, which records ask for."""
+    if isinstance(data, dict):
+        return {key: _tuples(value) for key, value in data.items()}
+    return tuple(map(_tuples, data)) if isinstance(data, list) else data
+
+
+def _made(file: RoadFile, values: dict[str, Any]) -> Road:
+    if file.points:
+        bound = MAX_DEVIATION if file.max_deviation is None else file.max_deviation
+        return fit_road(np.array(file.points), closed=file.closed, max_deviation=bound, **values)
+    closed = bool(file.closed)
+    if file.elements:
+        made = Road.from_segments(file.elements, closed=closed, **values)
+    else:
+        made = Road(table=table_of(file.pieces or ()), closed=closed, **alongs(values))
+    return made.replace(notes=file.notes, deviation=file.deviation)
+
 
 _READERS: dict[str, Callable[..., Road]] = {
     ".csv": road_from_csv,
@@ -29,9 +80,10 @@ def load_road(name_or_path: str | os.PathLike[str], **options: Any) -> Road:
     Parameters
     ----------
     name_or_path
-        A .csv or .txt file of points (`Road.from_csv`), a .toml file of elements, points and what lies along
-        (`Road.from_toml`), an OpenDRIVE file (.xodr, `Road.from_opendrive`), a CommonRoad file (.xml,
-        `Road.from_commonroad`), or "motorway", "country", "town", "mountain", "lap".
+        A .csv or .txt file of points (`adaptrack.road.points.read_points`), a .toml file of elements, points and what
+        lies along (`adaptrack.road.toml`), an OpenDRIVE file (.xodr, `adaptrack.road.opendrive.read_opendrive`), a
+        CommonRoad file (.xml, `adaptrack.road.commonroad.read_commonroad`), or "motorway", "country", "town",
+        "mountain", "lap".
     **options
         Of the function that makes the road.
 

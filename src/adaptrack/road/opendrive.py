@@ -18,8 +18,8 @@ import numpy as np
 
 from adaptrack.base.errors import ConfigError, InvalidInput, did_you_mean
 from adaptrack.base.files import is_number, printable, read_bytes
-from adaptrack.road.along import Along
-from adaptrack.road.road import GAP, KINK, Road, alongs
+from adaptrack.road.along import Along, alongs
+from adaptrack.road.road import GAP, KINK, Road
 from adaptrack.road.segments import Arc, Array, Clothoid, Cubic, Line, Pose, Segment
 from adaptrack.road.table import Table, beside, joined, placed, tabulate
 

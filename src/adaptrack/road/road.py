@@ -15,14 +15,14 @@ from numpy.typing import ArrayLike
 from adaptrack.base.arguments import reals
 from adaptrack.base.errors import InvalidInput
 from adaptrack.base.limits import ROAD_LENGTH, check_limit
-from adaptrack.road.along import Along, as_along
-from adaptrack.road.segments import Array, Points, Pose, Segment
+from adaptrack.core import road as kernel
+from adaptrack.road.along import ALONG, Along, alongs
+from adaptrack.road.segments import FARTHEST, Array, Points, Pose, Segment
 from adaptrack.road.table import Table, X, Y, sequence, tabulate
+from adaptrack.road.toml import write_road
 
 GAP, KINK = 0.01, 0.01
 """Largest step of the position (m) and of the heading (rad) where elements meet: rounding in files, not geometry."""
-FARTHEST = 1e8
-"""m, the largest coordinate: all digits down to a micrometre."""
 JUMP = 1e-6
 """1/m, a change of curvature at one place that counts as a jump."""
 HALF_LANE = Along.constant(1.75)
@@ -64,8 +64,7 @@ class Road:
     An open road goes on straight before its start and after its end. On a closed one s may be any number, lap by lap.
     Conventions: x forward, y left, SI units, radians.
 
-    Build one with `from_segments`, `from_points`, `through`, `from_csv`, `from_opendrive`, `from_commonroad`,
-    `from_toml`, or `generate_road`.
+    Build one with `from_segments`, or with `fit_road`, `road_through`, `load_road` or `generate_road`.
 
     Raises
     ------
@@ -127,7 +126,7 @@ class Road:
                 where = "the end and the start" if k == after.size - 1 else f"s = {self.table.start[k + 1]:.2f} m"
                 raise InvalidInput(
                     f"road {self.name!r}: {what[k]:.3g} {unit} at {where}; the centre line must be one curve without "
-                    "kinks. Correct the elements, or fit a road to sampled points with Road.from_points."
+                    "kinks. Correct the elements, or fit a road to sampled points with fit_road."
                 )
 
     def __repr__(self) -> str:
@@ -173,48 +172,6 @@ class Road:
             first = first.replace(start=tuple(float(value) for value in start))
         return cls(name=name, table=table, closed=closed, elements=(first, *segments[1:]), **alongs(along))
 
-    @classmethod
-    def from_points(cls, points: ArrayLike, **options: Any) -> Road:
-        """A smooth road through or near points (n, 2), see `adaptrack.road.fit.fit_road`."""
-        from adaptrack.road.fit import fit_road
-
-        return fit_road(points, **options)
-
-    @classmethod
-    def through(cls, points: ArrayLike, **options: Any) -> Road:
-        """A road through points (n, 2) without noise, in milliseconds, see `adaptrack.road.fit.road_through`."""
-        from adaptrack.road.fit import road_through
-
-        return road_through(points, **options)
-
-    @classmethod
-    def from_csv(cls, path: Any, **options: Any) -> Road:
-        """A smooth road through or near the points of a CSV file, see `adaptrack.road.points.read_points`."""
-        from adaptrack.road.points import road_from_csv
-
-        return road_from_csv(path, **options)
-
-    @classmethod
-    def from_opendrive(cls, path: Any, **options: Any) -> Road:
-        """A road, or a lane of it, of an OpenDRIVE file, see `adaptrack.road.opendrive.read_opendrive`."""
-        from adaptrack.road.opendrive import read_opendrive
-
-        return read_opendrive(path, **options)
-
-    @classmethod
-    def from_commonroad(cls, path: Any, **options: Any) -> Road:
-        """A chain of lanelets of a CommonRoad file, see `adaptrack.road.commonroad.read_commonroad`."""
-        from adaptrack.road.commonroad import read_commonroad
-
-        return read_commonroad(path, **options)
-
-    @classmethod
-    def from_toml(cls, path: Any, **along: Any) -> Road:
-        """A road from a TOML file, see `adaptrack.road.toml.road_from_toml`."""
-        from adaptrack.road.toml import road_from_toml
-
-        return road_from_toml(path, **along)
-
     def to_toml(self, path: str | os.PathLike[str]) -> None:
         """Write the road as a TOML file, which `load_road` reads: the same to rounding.
 
@@ -223,9 +180,10 @@ class Road:
         StorageError
             When the file cannot be written.
         """
-        from adaptrack.road.toml import write_road
-
-        write_road(path, self)
+        write_road(
+            path, name=self.name, closed=self.closed, deviation=self.deviation, notes=self.notes,
+            along={key: getattr(self, key) for key in ALONG}, elements=self.elements, table=self.table,
+        )  # fmt: skip
 
     # ---- geometry
 
@@ -311,8 +269,6 @@ class Road:
         InvalidInput
             When a coordinate is not a finite number, shapes do not fit, or there is no foot within 400 m of `near`.
         """
-        from adaptrack.core import road as kernel
-
         given = [reals("Road.project: a coordinate", each) for each in (x, y, np.nan if near is None else near)]
         try:
             wanted = np.broadcast_arrays(*given)
@@ -338,8 +294,6 @@ class Road:
 
     @cached_property
     def _packed(self) -> Any:
-        from adaptrack.core import road as kernel
-
         numbers = np.array([self.length, float(self.closed), self.turn, self.table.most_curvature])
         return kernel.Centreline(
             np.ascontiguousarray(self.table.start), np.ascontiguousarray(self.table.pieces), numbers
@@ -347,44 +301,6 @@ class Road:
 
     # ---- variants
 
-    def smoothed(self, max_deviation: float = 0.1, spacing: float = 1.0) -> Road:
-        """A road without jumps of curvature that stays within `max_deviation` (m) of points of this one.
-
-        spacing: m, between those points. What lies along the road stays where it is, in proportion to the length.
-
-        Raises
-        ------
-        InvalidInput
-            When no smooth curve stays as near.
-        """
-        from adaptrack.road.fit import fit_road
-
-        count = max(8, math.ceil(self.length / spacing))
-        s = np.linspace(0.0, self.length, count + 1)[: count if self.closed else count + 1]
-        points = self.at(s)
-        fitted = fit_road(
-            np.stack([points.x, points.y], axis=-1), max_deviation=max_deviation, closed=self.closed, name=self.name,
-            smoothest=True,
-        )  # fmt: skip
-        stretch = fitted.length / self.length
-        moved: dict[str, Any] = {name: _stretched(getattr(self, name), stretch) for name in ALONG}
-        return replace(fitted, **moved)
-
     def replace(self, **changes: Any) -> Road:
         """A copy with other values: `name`, and what lies along the road as in `from_segments`."""
         return replace(self, **alongs(changes))
-
-
-ALONG = ("width_left", "width_right", "speed_limit", "friction", "bank")
-"""What lies along a road."""
-
-
-def alongs(values: dict[str, Any]) -> dict[str, Any]:
-    """The values with every quantity along the road as an `Along`."""
-    return {
-        name: as_along(name, value) if name in ALONG and value is not None else value for name, value in values.items()
-    }
-
-
-def _stretched(along: Along | None, factor: float) -> Along | None:
-    return None if along is None else along.replace(s=tuple(factor * s for s in along.s))

@@ -22,6 +22,8 @@ SHORTEST, LONGEST = 1e-15, 1e6
 """m, of one element."""
 Length = Annotated[float, Field(ge=SHORTEST, le=LONGEST, description="m, along the centre line")]
 Curvature = Annotated[float, Field(ge=-10.0, le=10.0, description="1/m, positive to the left")]
+FARTHEST = 1e8
+"""m, the largest coordinate: all digits down to a micrometre."""
 
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(16)
 _FEW_TURNS = 10.0

@@ -1,4 +1,4 @@
-"""Roads as TOML files: elements or points, and what lies along.
+"""The file of a road, in TOML: elements or points, and what lies along.
 
     name = "bend"
     speed_limit = 20.0                # m/s
@@ -23,18 +23,15 @@ A line beside elements, such as a lane, has no elements of its own: it is writte
 from __future__ import annotations
 
 import os
-from pathlib import Path
+from collections.abc import Mapping, Sequence
 from typing import Annotated, Any, Self
 
 import numpy as np
 from pydantic import BeforeValidator, Field, model_validator
 
-from adaptrack.base.errors import ConfigError, InvalidInput
-from adaptrack.base.files import Record, build, read_toml, write_toml
+from adaptrack.base.files import Record, write_toml
 from adaptrack.road.along import Along
-from adaptrack.road.fit import MAX_DEVIATION, fit_road
-from adaptrack.road.road import ALONG, FARTHEST, Road, alongs
-from adaptrack.road.segments import LONGEST, SHORTEST, Segment
+from adaptrack.road.segments import FARTHEST, LONGEST, SHORTEST, Segment
 from adaptrack.road.table import (
     ACROSS,
     COLUMNS,
@@ -110,51 +107,8 @@ class RoadFile(Record):
         return self
 
 
-def road_from_toml(path: str | os.PathLike[str], **along: Any) -> Road:
-    """The road of a TOML file.
-
-    Parameters
-    ----------
-    **along
-        As in `Road.from_segments`, in place of what the file says.
-
-    Raises
-    ------
-    StorageError
-        When the file cannot be read.
-    ConfigError
-        When it describes no road; with the key, the value and the remedy.
-    """
-    where = os.fspath(path)
-    file = build(RoadFile, _tuples(read_toml(path)), where)
-    values = {key: getattr(file, key) for key in ALONG if getattr(file, key) is not None}
-    values |= {"name": file.name or Path(path).stem} | along
-    try:
-        return _made(file, values)
-    except InvalidInput as error:
-        raise ConfigError(f"{where}: {error}") from None
-
-
-def _tuples(data: Any) -> Any:
-    """TOML's arrays as tuples, which records ask for."""
-    if isinstance(data, dict):
-        return {key: _tuples(value) for key, value in data.items()}
-    return tuple(map(_tuples, data)) if isinstance(data, list) else data
-
-
-def _made(file: RoadFile, values: dict[str, Any]) -> Road:
-    if file.points:
-        bound = MAX_DEVIATION if file.max_deviation is None else file.max_deviation
-        return fit_road(np.array(file.points), closed=file.closed, max_deviation=bound, **values)
-    closed = bool(file.closed)
-    if file.elements:
-        made = Road.from_segments(file.elements, closed=closed, **values)
-    else:
-        made = Road(table=_table(file.pieces or ()), closed=closed, **alongs(values))
-    return made.replace(notes=file.notes, deviation=file.deviation)
-
-
-def _table(found: tuple[Piece, ...]) -> Table:
+def table_of(found: Sequence[Piece]) -> Table:
+    """The table of pieces one behind the other."""
     pieces = np.zeros((len(found), COLUMNS))
     for row, piece in zip(pieces, found, strict=True):
         row[[HALF, X, Y, HEADING]] = piece.half, piece.x, piece.y, piece.heading
@@ -163,19 +117,21 @@ def _table(found: tuple[Piece, ...]) -> Table:
     return Table(np.concatenate([[0.0], np.cumsum(2.0 * pieces[:, HALF])]), pieces)
 
 
-def write_road(path: str | os.PathLike[str], road: Road) -> None:
-    """Write a road as TOML; see `Road.to_toml`."""
-    quantities = {key: getattr(road, key) for key in ALONG if getattr(road, key) is not None}
-    data: dict[str, Any] = {"name": road.name, "closed": road.closed}
-    if road.deviation:
-        data["deviation"] = road.deviation
-    if road.notes:
-        data["notes"] = road.notes
-    data |= {key: _plain(along) for key, along in quantities.items()}
-    if road.elements:
-        data["elements"] = [element.model_dump(exclude_none=True) for element in road.elements]
+def write_road(
+    path: str | os.PathLike[str], *, name: str, closed: bool, deviation: float, notes: Sequence[str],
+    along: Mapping[str, Along | None], elements: Sequence[Segment], table: Table,
+) -> None:  # fmt: skip
+    """Write the file of a road; arguments as the fields of `Road`, along: what lies along it by its name."""
+    data: dict[str, Any] = {"name": name, "closed": closed}
+    if deviation:
+        data["deviation"] = deviation
+    if notes:
+        data["notes"] = notes
+    data |= {key: _plain(values) for key, values in along.items() if values is not None}
+    if elements:
+        data["elements"] = [element.model_dump(exclude_none=True) for element in elements]
     else:
-        data["pieces"] = [_piece(row) for row in road.table.pieces]
+        data["pieces"] = [_piece(row) for row in table.pieces]
     write_toml(path, data, {name: field.description or "" for name, field in RoadFile.model_fields.items()})
 
 

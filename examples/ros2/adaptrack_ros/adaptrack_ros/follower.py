@@ -182,7 +182,7 @@ class Follower:
 
     def _planned(self, points: Array, speeds: Array | None) -> tuple[at.Road, SpeedPlan]:
         """A path as a road, and the speed along it."""
-        p, road = self.parameters, at.Road.through(points)
+        p, road = self.parameters, at.road_through(points)
         comfort = Comfort(accelerate=p.acceleration, brake=p.acceleration)
         if speeds is None:
             end = 0.0 if p.stop_at_end else None

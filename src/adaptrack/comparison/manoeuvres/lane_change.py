@@ -29,7 +29,7 @@ from adaptrack.base.limits import SPEED
 from adaptrack.cars.outline import Outline
 from adaptrack.cars.vehicle import GRAVITY, Vehicle
 from adaptrack.drive.path_metrics import LANE_WIDTH
-from adaptrack.road import Comfort, Road, SpeedPlan
+from adaptrack.road import Comfort, Road, SpeedPlan, fit_road
 
 Array = NDArray[np.float64]
 Drive = Callable[[float], tuple[ArrayLike, ArrayLike, ArrayLike]]
@@ -216,7 +216,7 @@ def track_road(
             f"{track.name} with {least:g} m of room: ask for less room, or make the track for this car's width."
         )
     points = np.stack([x, found.x[:n]], axis=1)
-    road = Road.from_points(points, max_deviation=0.005, closed=False, name=track.name, smoothest=True)
+    road = fit_road(points, max_deviation=0.005, closed=False, name=track.name, smoothest=True)
     return road.replace(**_widths(track, road))
 
 

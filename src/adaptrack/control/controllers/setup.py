@@ -31,7 +31,7 @@ def world_and_belief(
     return world, pace, believed(car, belief, world, pace, named=profile is not None)
 
 
-class Setup(NamedTuple):
+class LoopSetup(NamedTuple):
     """Steering, sensors and limits of the loop that a controller runs in."""
 
     belief: Belief
@@ -48,7 +48,7 @@ class Setup(NamedTuple):
     def of(
         cls, where: str, vehicle: Vehicle, profile: str | Profile | None, belief: Steering | None,
         period: float | None, preview: bool | None, limits: Limits | None,
-    ) -> Setup:  # fmt: skip
+    ) -> LoopSetup:  # fmt: skip
         """For the controller called `where` in messages; arguments as for `MPC`.
 
         Raises
