@@ -18,7 +18,6 @@ from adaptrack.comparison.views import road_rows
 from adaptrack.road import Comfort
 from adaptrack.scenario.profile import load_profile
 from adaptrack.tuning.constant import seek_constant, swarm_within
-from adaptrack.tuning.constant_file import tuned_controller
 from adaptrack.tuning.runs import road_runs
 
 LENGTHS = {"motorway": 2000.0, "country": 900.0, "town": 900.0, "mountain": 900.0}
@@ -42,13 +41,12 @@ def main() -> None:
 
     training, chosen = runs(0), []
     for name in options.names or USUAL:
-        own = tuned_controller(name, car, world, None, period=world.period, preview=True)
+        own = at.get_controller(name, car, profile=world, offered={"period": world.period, "preview": True})
         begun = time.time()
         found = seek_constant(training, own, swarm_within(options.runs, len(training)), noise_seeds=[1000])
         entries = ", ".join(f"{entry} {value:.3g}" for entry, value in found.tuning.items())
         print(f"{name}: {entries} ({time.time() - begun:.0f} s)", flush=True)
-        tuned = tuned_controller(name, car, world, found.tuning, period=world.period, preview=True)
-        chosen += [Contender(f"{name}, default", own), Contender(f"{name}, tuned", tuned)]
+        chosen += [Contender(f"{name}, default", own), Contender(f"{name}, tuned", own.with_tuning(found.tuning))]
     for row in road_rows(compare(runs(1, 2), chosen, range(2), chosen[0].name, outline=car.outline)):
         print(
             f"{row['contender']:24} J {row['cost_geomean']:.5f} m^2, RMS {row['rms_error']:.4f} m, "

@@ -41,7 +41,6 @@ from scipy.stats import qmc
 
 from adaptrack.comparison.config import load_setting, load_trip
 from adaptrack.control.controllers import MPC
-from adaptrack.drive.batch import own_tuning
 from adaptrack.tuning.constant import mean_costs
 from adaptrack.tuning.pso import Swarm, SwarmSettings
 from adaptrack.tuning.runs import RunSet
@@ -119,7 +118,7 @@ class Problem:
     def begin(self, budget: int) -> None:
         """A search of so many tunings; the controller's own is the first."""
         self.budget, self.tried, self.costs = budget, [], []
-        self.of_values(own_tuning(self.controller)[None])
+        self.of_values(self.controller.packed_tuning()[None])
 
     def of_values(self, values: np.ndarray) -> np.ndarray:
         """Costs of tunings (n, entries); raises `Spent` when the budget is used up before them."""
@@ -164,7 +163,7 @@ def cma_es(problem: Problem, seed: int, own: bool = False) -> None:
     """CMA-ES, restarted with twice the population when it stops."""
     import cma
 
-    start = problem.encoded(own_tuning(problem.controller)) if own else np.full(problem.dims, 0.5)
+    start = problem.encoded(problem.controller.packed_tuning()) if own else np.full(problem.dims, 0.5)
     factor, sigma = 1, 0.15 if own else 0.3
     while True:
         options = {

@@ -40,7 +40,7 @@ from adaptrack.comparison.manoeuvres import (
     track_road,
     tune_for_track,
 )
-from adaptrack.comparison.manoeuvres.entry_speed import TUNING_SEEDS, own_tuning, refined_poses, tunings_to_try
+from adaptrack.comparison.manoeuvres.entry_speed import TUNING_SEEDS, refined_poses, tunings_to_try
 from adaptrack.comparison.manoeuvres.lane_runs import crossing, last_offset, settling_time
 from adaptrack.comparison.manoeuvres.sine_with_dwell import amplitudes, reference_angle, sine_with_dwell_shape
 from adaptrack.control.controllers import get_controller
@@ -403,13 +403,13 @@ class TestEntrySpeed:
         alone = obstacle.drive(stanley, 12.0, tunings[17:18], (1,))
         assert np.array_equal(together[17, 1], alone[0, 0], equal_nan=True)
         slow = rollout(obstacle.plant, stanley, obstacle.trip(12.0), profile=obstacle.profile, seed=1)
-        own = obstacle.drive(stanley, 12.0, own_tuning(stanley)[None], (1,))[0, 0]
+        own = obstacle.drive(stanley, 12.0, stanley.packed_tuning()[None], (1,))[0, 0]
         assert np.array_equal(own[::5, 1], slow.Y)
 
     def test_a_tuning_that_was_searched_is_no_worse_than_the_own_one_where_it_was_searched(self, obstacle):
         law = driver_of(obstacle, "lqr")
         tuning, margin = tune_for_track(obstacle, "lqr", law, 12.0)
-        (own,) = obstacle.margins(law, 12.0, own_tuning(law)[None], TUNING_SEEDS)
+        (own,) = obstacle.margins(law, 12.0, law.packed_tuning()[None], TUNING_SEEDS)
         assert margin.least > own.least + 0.05
         assert any(np.array_equal(tuning, each) for each in tunings_to_try("lqr", law))
         with pytest.raises(InvalidInput, match="no search"):

@@ -19,7 +19,6 @@ from adaptrack.control.controllers import (
     published_mpc,
 )
 from adaptrack.control.controllers.lqr import WEIGHT_FACTORS
-from adaptrack.drive.batch import own_tuning
 from adaptrack.peers.kinematic_mpc import KinematicMPC
 from adaptrack.peers.preview_lqr import PreviewLQR
 from adaptrack.scenario.profile import load_profile
@@ -36,16 +35,19 @@ LAWS = [law(CAR, preview=True) for law in (LQR, KinematicMPC, PreviewLQR, PurePu
 def test_the_informed_controllers_own_constant_lies_in_its_space_at_any_period(profile, preview):
     for period in (0.1, 0.05, 0.01):
         mpc = MPC(CAR, profile=load_profile(profile), period=period, preview=preview)
-        assert search_space(mpc).contains(own_tuning(mpc))
+        assert search_space(mpc).contains(mpc.packed_tuning())
 
 
 @pytest.mark.parametrize("law", LAWS, ids=lambda law: law.name)
 def test_a_laws_own_tuning_lies_in_its_space_and_every_tuning_there_makes_one(law):
     space = search_space(law)
     assert space.names == law.tuning_names
-    assert space.contains(own_tuning(law))
+    assert space.contains(law.packed_tuning())
     for row in Swarm(space, seed=3).ask():
-        type(law)(CAR, **dict(zip(space.names, row.tolist(), strict=True)))
+        entries = dict(zip(space.names, row.tolist(), strict=True))
+        np.testing.assert_array_equal(
+            law.with_tuning(entries).parameters(), type(law)(CAR, preview=True, **entries).parameters()
+        )
 
 
 def test_the_published_controllers_space_holds_its_table_and_what_a_car_with_lag_wants():
@@ -65,10 +67,29 @@ def test_the_lqrs_space_ends_where_its_table_of_gains_ends():
 
 def test_an_entry_at_an_end_of_its_range_is_named_and_a_fixed_one_is_not():
     law = LAWS[0]
-    space, row = search_space(law), own_tuning(law)
+    space, row = search_space(law), law.packed_tuning()
     assert at_bounds(space, row) == []  # r is fixed
     row[list(space.names).index("q_heading")] = 1e4 * (1.0 + 1e-13)
     assert at_bounds(space, row) == ["q_heading"]
+
+
+@pytest.mark.parametrize("own", [*LAWS, MPC(CAR, profile="road")], ids=lambda each: each.name)
+def test_a_controller_with_another_tuning_is_one_of_its_own_and_refuses_what_it_does_not_have(own):
+    first, before = own.tuning_names[0], own.packed_tuning().copy()
+    made = own.with_tuning({first: 20.0})
+    assert made.packed_tuning().tolist() == [20.0, *before[1:]]
+    np.testing.assert_array_equal(own.packed_tuning(), before)
+    with pytest.raises(InvalidInput, match=f"its entries are {first}"):
+        own.with_tuning({"bias": 1.0})
+    with pytest.raises(InvalidInput):
+        own.with_tuning({name: -1.0 for name in own.tuning_names})
+
+
+def test_horizons_longer_than_an_mpc_was_made_for_make_a_larger_one():
+    made = MPC(CAR, profile="road").with_tuning({"Np": 80.0, "Nc": 24.0})
+    assert (made.tuning.Np, made.tuning.Nc) == (80, 24)
+    assert made.longest_horizon == 80
+    assert np.isfinite(made.step([0.0] * 4, 15.0, [0.1]).angle)
 
 
 def test_a_controller_of_ones_own_needs_a_space():

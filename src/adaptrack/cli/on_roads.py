@@ -119,11 +119,12 @@ class Setting:
         roads = f"{len(trips)} roads" if len(trips) > 1 else str(trips[0].name)
         return f"car {self.car.name}, profile {self.profile.name}, {roads}, {length:.3g} km"
 
-    def controller(self, name: str, tuning: dict[str, float] | None = None) -> Controller:
-        """A registered controller for this car and profile, by default with its own tuning."""
-        from adaptrack.tuning.constant_file import tuned_controller
+    def controller(self, name: str) -> Controller:
+        """A registered controller for this car and profile, with its own tuning."""
+        from adaptrack.control.controllers import get_controller
 
-        return tuned_controller(name, self.car, self.profile, tuning, period=self.profile.period, preview=True)
+        offered = {"period": self.profile.period, "preview": True}
+        return get_controller(name, self.car, profile=self.profile, offered=offered)
 
     def compare(self, contenders: Sequence[Contender], seeds: Sequence[int], reference: str) -> Comparison:
         """Drive them all."""
@@ -149,12 +150,13 @@ def tune(setting: Setting, name: str, search: SearchOptions, noise_seeds: int, o
     """Seek the constant of a controller, write its file, and judge it beside the controller's own with other noise."""
     from adaptrack.comparison.contenders import Contender
     from adaptrack.comparison.views import road_rows
+    from adaptrack.control.controllers import about_controller, list_controllers
     from adaptrack.tuning.constant import seek_constant, swarm_within
-    from adaptrack.tuning.constant_file import TUNABLE
     from adaptrack.tuning.pso import SwarmSettings
 
-    if name not in TUNABLE:
-        raise InvalidInput(f"--controller {name}: on roads one of {', '.join(TUNABLE)}.")
+    if not about_controller(name).tunable:
+        others = ", ".join(each for each in list_controllers() if about_controller(each).tunable)
+        raise InvalidInput(f"--controller {name}: its tuning is fixed; that of these can be sought: {others}.")
     own, runs = setting.controller(name), setting.runs
     seeds = range(FIRST_SEARCH_SEED, FIRST_SEARCH_SEED + noise_seeds)
     each = len(runs) * len(seeds)
@@ -167,7 +169,7 @@ def tune(setting: Setting, name: str, search: SearchOptions, noise_seeds: int, o
         found = seek_constant(runs, own, swarm, noise_seeds=seeds, seed=search.seed, progress=tell)
     seconds = time.perf_counter() - begun
     _keep(setting, name, found, seeds, out)
-    pair = [Contender("default", own), Contender("tuned", setting.controller(name, found.tuning))]
+    pair = [Contender("default", own), Contender("tuned", own.with_tuning(found.tuning))]
     judged = setting.compare(pair, range(max(3, noise_seeds)), "default")
     if as_json:
         about = {"tuning": str(out), "controller": name, "entries": found.tuning, "better": found.better}
@@ -256,7 +258,9 @@ def _contenders(setting: Setting, entered: Entered, seeds: Sequence[int]) -> tup
             faults.append("was found with some of these noise seeds: choose another --seed")
         if faults:
             raise InvalidInput(f"--tuning {file}: {'; '.join(faults)}.")
-        chosen.append(Contender(kept.label(file), setting.controller(kept.controller, dict(kept.tuning))))
+        chosen.append(
+            Contender(kept.label(file), kept.make(setting.car, setting.profile, setting.profile.period, preview=True))
+        )
     chosen += [_scheduled(name, setting) for name in dict.fromkeys(entered.schedulers)]
     return chosen, left_out
 

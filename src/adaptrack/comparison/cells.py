@@ -27,7 +27,8 @@ from adaptrack.control.controllers import MPC, About, Controller, about_controll
 from adaptrack.road import Road
 from adaptrack.tuning.constant import seek_constant
 from adaptrack.tuning.pso import SwarmSettings
-from adaptrack.tuning.runs import Retuned, RunSet
+from adaptrack.tuning.runs import RunSet
+from adaptrack.tuning.spaces import is_tunable
 
 MOST_PARTICLES = 20
 """Of a search; with fewer tunings, so many that the swarm has some generations."""
@@ -97,11 +98,11 @@ def run_cell(task: ComparisonConfig, cell: Cell) -> dict[str, Any]:
     except (InvalidInput, MissingExtra) as error:
         return found | {"left_out": str(error), "seconds": 0.0}
     drivers: dict[str, Controller] = {"scheduled" if own.scheduler else "default": own}
-    if entry.tunable and task.budget:
+    if entry.tunable and is_tunable(own) and task.budget:
         swarm = _swarm(task.budget, len(training) * len(task.training_seeds))
         sought = seek_constant(training, own, swarm, noise_seeds=task.training_seeds)
         found["loops"] = swarm.evaluations * len(training) * len(task.training_seeds)
-        drivers["tuned"] = judged.controller_of(Retuned(own, list(sought.tuning.values())))
+        drivers["tuned"] = own.with_tuning(sought.tuning)
         found["tunings"] = {"default": sought.default, "tuned": sought.tuning}
     for tuning, driver in drivers.items():
         about = {"contender": cell.contender, "tuning": tuning, "car": cell.car, "profile": cell.profile}

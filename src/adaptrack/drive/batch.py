@@ -170,13 +170,6 @@ def sampled(world: World, scenarios: Sequence[Scenario | RoadDrive]) -> tuple[li
     return signals, np.ascontiguousarray(rows)
 
 
-def own_tuning(controller: Controller) -> Array:
-    """(entries,) a compiled controller's own tuning, in the order of its `tuning_names`."""
-    if isinstance(controller, CompiledController):
-        return controller.packed_tuning()
-    return controller.tuning.as_array()  # type: ignore[attr-defined]
-
-
 def called_back(plant: Any, controller: Controller) -> list[str]:
     """Names of functions of one's own that are called back in Python, as there is nothing here that compiles them."""
     given = [plant.compiled.member] if isinstance(plant, Plant) else []
@@ -231,7 +224,7 @@ class Batch:
     @property
     def tuning(self) -> Array:
         """(entries,) the controller's own tuning."""
-        return own_tuning(self.controller)
+        return self.controller.packed_tuning()
 
     def checked_tunings(self, tunings: ArrayLike) -> Array:
         """(runs, entries) tunings that a controller may have.

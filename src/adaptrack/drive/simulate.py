@@ -48,6 +48,7 @@ class _Recorder:
         self.state, self.seen = state, seen
         self.tuning_names, self.diagnostic_names = controller.tuning_names, controller.diagnostic_names
         self.command = np.full((n, 3), np.nan)  # command, its change, held
+        self.constant = controller.packed_tuning()
         self.tuning = np.full((n, len(self.tuning_names)), np.nan)
         self.diagnostics = np.full((n, len(self.diagnostic_names)), np.nan)
         self.times = np.full(n, np.nan)
@@ -60,7 +61,7 @@ class _Recorder:
         angle, _, held, tuning, said = command_of(answer, before)
         self.command[k] = angle, angle - before, held
         if len(self.tuning_names):
-            self.tuning[k] = tuning
+            self.tuning[k] = tuning if len(tuning) else self.constant
         if len(self.diagnostic_names):
             named = isinstance(said, Mapping)
             self.diagnostics[k] = [said.get(name, math.nan) for name in self.diagnostic_names] if named else said

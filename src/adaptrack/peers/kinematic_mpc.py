@@ -93,10 +93,15 @@ class KinematicMPC(CompiledController):
         behind = (self.pose_age + self.belief.delay) / setup.period
         self.memory_size = kernel.memory_size(self.stages, behind)
         super().__init__(tuning, period=setup.period, limits=setup.limits, preview=setup.preview)
-        if not self.tuning["steering"] + self.tuning["steering_v2"] > 0.0:
+
+    def check_tuning(self, tuning: Mapping[str, float]) -> dict[str, float]:
+        """See `Controller.check_tuning`; one of the weights of the steering must be positive."""
+        found = super().check_tuning(tuning)
+        if not found["steering"] + found["steering_v2"] > 0.0:
             raise InvalidInput(
                 "KinematicMPC: steering, steering_v2: one of them must be positive, so that H is definite."
             )
+        return found
 
     @property
     def name(self) -> str:

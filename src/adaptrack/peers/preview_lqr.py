@@ -66,9 +66,6 @@ class PreviewLQR(CompiledController):
         self.vehicle = vehicle
         setup = LoopSetup.of("PreviewLQR", vehicle, profile, belief, period, preview, limits)
         self.belief, self.pose_age = setup.belief, setup.pose_age
-        for name, value in (("q_e", q_e), ("q_heading", q_heading), ("r", r)):
-            if not 0.0 < real("PreviewLQR", name, value) < math.inf:
-                raise InvalidInput(f"PreviewLQR: {name} = {value!r}: must be finite and positive.")
         if not setup.period <= real("PreviewLQR", "ahead", ahead) <= 10.0:
             raise InvalidInput(f"PreviewLQR: ahead = {ahead!r} s: must be from a control period to 10.")
         self.previewed = round(ahead / setup.period)
@@ -78,6 +75,13 @@ class PreviewLQR(CompiledController):
         self.memory_size = kernel.memory_size(self._model.n, self.previewed, behind)
         tuning = {"q_e": q_e, "q_heading": q_heading, "r": r}
         super().__init__(tuning, period=setup.period, limits=setup.limits, preview=setup.preview)
+
+    def check_tuning(self, tuning: Mapping[str, float]) -> dict[str, float]:
+        """See `Controller.check_tuning`; the weights must be positive."""
+        for name in ("q_e", "q_heading", "r"):
+            if not 0.0 < real("PreviewLQR", name, tuning[name]) < math.inf:
+                raise InvalidInput(f"PreviewLQR: {name} = {tuning[name]!r}: must be finite and positive.")
+        return super().check_tuning(tuning)
 
     @property
     def name(self) -> str:

@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from adaptrack.base.errors import InvalidInput
 from adaptrack.control.controllers import Controller
-from adaptrack.drive.batch import own_tuning
 from adaptrack.tuning.pso import Result, SearchSpace, Swarm, SwarmSettings
 from adaptrack.tuning.runs import Retuned, RunSet
 from adaptrack.tuning.spaces import at_bounds, search_space
@@ -80,7 +79,7 @@ def seek_constant(
     found = tune_constant(
         runs, swarm, noise_seeds=noise_seeds, seed=seed, controller=controller, space=space, progress=progress
     )
-    own = own_tuning(controller)
+    own = controller.packed_tuning()
     before = float(mean_costs(runs, controller, own[None], noise_seeds)[0])
     better = found.cost < before
     return Sought(

@@ -4,18 +4,15 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 from pydantic import Field, model_validator
 
 from adaptrack.base.errors import InvalidInput
 from adaptrack.base.files import LISTED, Record, build, read_toml
 from adaptrack.cars.vehicle import Vehicle
-from adaptrack.control.controllers import MPC, Controller, Tuning, get_controller
+from adaptrack.control.controllers import Controller, about_controller, get_controller
 from adaptrack.scenario.profile import Profile
-
-TUNABLE = ("informed", "as-written", "kinematic-mpc", "lqr", "mppi", "preview-lqr", "pure-pursuit", "stanley")
-"""The controllers, by their registered names, that such a file may be about."""
 
 
 class ConstantTuning(Record):
@@ -27,7 +24,7 @@ class ConstantTuning(Record):
         When a value is not allowed; the message names the key and what is.
     """
 
-    controller: str = Field(description=f"registered name: {', '.join(TUNABLE)}")
+    controller: str = Field(description="registered name")
     vehicle: str = Field(min_length=1, description="name of the car that it was found on")
     profile: str = Field(min_length=1, description="name of the profile, likewise")
     period: float = Field(gt=0, le=10, description="s, control period, likewise: horizons are in periods")
@@ -38,8 +35,7 @@ class ConstantTuning(Record):
 
     @model_validator(mode="after")
     def _is_known(self) -> ConstantTuning:
-        if self.controller not in TUNABLE:
-            raise ValueError(f"controller = {self.controller!r}: must be one of {', '.join(TUNABLE)}.")
+        about_controller(self.controller)
         return self
 
     def make(self, car: Vehicle, profile: Profile, period: float, preview: bool) -> Controller:
@@ -50,7 +46,11 @@ class ConstantTuning(Record):
         InvalidInput
             When the entries are not those of the controller, or their values make none.
         """
-        return tuned_controller(self.controller, car, profile, self.tuning, period=period, preview=preview)
+        own = get_controller(self.controller, car, profile=profile, offered={"period": period, "preview": preview})
+        if set(self.tuning) != set(own.tuning_names):
+            given, names = ", ".join(self.tuning), ", ".join(own.tuning_names)
+            raise InvalidInput(f"tuning of {self.controller!r}: entries {given}: must be {names}.")
+        return own.with_tuning(self.tuning)
 
     def label(self, path: str | os.PathLike[str]) -> str:
         """How tables call it, read from this file."""
@@ -66,30 +66,6 @@ class ConstantTuning(Record):
         if self.period != period:
             found.append(f"was found for a control period of {self.period:g} s, not {period:g} s")
         return found
-
-
-def tuned_controller(
-    name: str, car: Vehicle, profile: Profile, tuning: dict[str, float] | None = None, **options: Any
-) -> Controller:
-    """A registered controller with named tuning entries, by default its own.
-
-    options: period (s), preview.
-
-    Raises
-    ------
-    InvalidInput
-        When the entries are not those of the controller, or their values make none.
-    """
-    own = get_controller(name, car, profile=profile, offered=options)
-    if tuning is None:
-        return own
-    names, entries = own.tuning_names, dict[str, Any](tuning)
-    if set(tuning) != set(names):
-        raise InvalidInput(f"tuning of {name!r}: entries {', '.join(tuning)}: must be {', '.join(names)}.")
-    if not isinstance(own, MPC):
-        return get_controller(name, car, profile=profile, offered=options, **entries)
-    asked = Tuning(round(tuning["Np"]), round(tuning["Nc"]), tuning["Q"], tuning["R"])
-    return get_controller(name, car, profile=profile, offered=options, tuning=asked)
 
 
 def load_tuning(path: str | os.PathLike[str]) -> ConstantTuning:

@@ -44,7 +44,7 @@ Indices = NDArray[np.int64]
 
 
 class Retuned(NamedTuple):
-    """A compiled controller, MPC or not, with tunings instead of its own."""
+    """A controller with tunings instead of its own."""
 
     controller: Controller
     tunings: ArrayLike
@@ -212,21 +212,16 @@ class RunSet:
             return policy
         if isinstance(policy, Schedule):
             self._warn_of(policy)
+            mpc = copy.copy(self.mpc)
+            mpc.scheduler = policy
+            mpc.reset()
+            return mpc
         own = policy.controller if isinstance(policy, Retuned) else self.mpc
-        if isinstance(own, CompiledController):
-            law = copy.copy(own)
-            law.tuning = dict(zip(own.tuning_names, _row(policy, k).tolist(), strict=True))
-            law.reset()
-            return law
-        assert isinstance(own, MPC)
-        mpc = copy.copy(own)
-        mpc.scheduler = policy if isinstance(policy, Schedule) else None
-        if not isinstance(policy, Schedule):
-            Np, Nc, Q, R = _row(policy, k)
-            Np = min(max(round(Np), 1), mpc.longest_horizon)
-            mpc.tuning = Tuning(Np, min(max(round(Nc), 1), Np, mpc.most_moves), Q, R)
-        mpc.reset()
-        return mpc
+        row = dict(zip(own.tuning_names, _row(policy, k).tolist(), strict=True))
+        if isinstance(own, MPC):
+            row["Np"] = min(max(round(row["Np"]), 1), own.longest_horizon)
+            row["Nc"] = min(max(round(row["Nc"]), 1), row["Np"], own.most_moves)
+        return own.with_tuning(row)
 
     def _simulated_cost(self, policy: Policy, k: int, i: int, seed: int) -> float:
         run = self._simulated(policy, k, i, seed)

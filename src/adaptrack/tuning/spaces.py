@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from adaptrack.base.errors import InvalidInput
-from adaptrack.control.controllers import MPC, CompiledController, Controller
+from adaptrack.control.controllers import MPC, Controller
 from adaptrack.tuning.config import Search
 from adaptrack.tuning.pso import SearchSpace
 
@@ -29,26 +29,33 @@ def _near(value: float, end: float) -> bool:
     return math.isclose(value, end, rel_tol=1e-6, abs_tol=1e-9)
 
 
+def is_tunable(controller: Controller) -> bool:
+    """Whether there is a space in which its constant is sought: it has no scheduler, and says where."""
+    bounds = controller.tuning_bounds
+    named = bool(bounds) and set(bounds) == set(controller.tuning_names)
+    return controller.scheduler is None and (named or isinstance(controller, MPC))
+
+
 def search_space(controller: Controller) -> SearchSpace:
     """The space in which `tune_constant` seeks the tuning of a controller; relative bounds are searched by decades.
 
     An MPC's is `Search.around` its own tuning: Np 5-60, Nc 1-18, Q = 1, R/Q three decades to either side; the paper's
-    controller has `PUBLISHED`. On roads with preview the best Nc is often 18: up to 36 the cost falls by 0.2 % more.
+    controller has `PUBLISHED`. On roads with preview the best Nc is often 18: up to 36 the cost falls by 0.2 % more. Of
+    any other controller it is what its `tuning_bounds` say.
 
     Raises
     ------
     InvalidInput
-        For a controller of another kind: give `tune_constant` a space.
+        For a controller that says none: give `tune_constant` a space.
     """
     if isinstance(controller, MPC):
         return (PUBLISHED if controller.is_published else Search.around(controller.tuning)).space()
-    bounds = controller.tuning_bounds
-    if not isinstance(controller, CompiledController) or set(bounds) != set(controller.tuning_names) or not bounds:
+    if not is_tunable(controller):
         raise InvalidInput(
             f"no search space is known for the controller {controller.name!r}: its `tuning_bounds` say none; "
             "tune_constant(..., space=SearchSpace(...)) takes one."
         )
-    own = controller.tuning
+    own, bounds = controller.tuning, controller.tuning_bounds
     scale = {name: own[name] if each.relative else 1.0 for name, each in bounds.items()}
     return SearchSpace(
         names=controller.tuning_names,

@@ -28,7 +28,7 @@ from adaptrack.comparison.manoeuvres.lane_change import (
     scan_speeds,
 )
 from adaptrack.control.controllers import Controller
-from adaptrack.drive.batch import Batch, own_tuning
+from adaptrack.drive.batch import Batch
 from adaptrack.road import Road
 from adaptrack.scenario import RoadDrive
 from adaptrack.scenario.profile import Profile
@@ -142,7 +142,7 @@ def tunings_to_try(name: str, controller: Controller) -> Array:
     """
     if name not in SEARCHED:
         raise InvalidInput(f"no search for controller {name!r}: one of {', '.join(SEARCHED)}.")
-    names, own = list(controller.tuning_names), own_tuning(controller)
+    names, own = list(controller.tuning_names), controller.packed_tuning()
     tried = [own]
     for values in itertools.product(*SEARCHED[name].values()):
         tuning = own.copy()
@@ -231,7 +231,7 @@ def entry_speed(
     InvalidInput
         When the speeds do not increase from above 0, or the parts do not fit each other.
     """
-    asked = own_tuning(controller) if tuning is None else tuning
+    asked = controller.packed_tuning() if tuning is None else tuning
     found = scan_speeds(lambda speed: test.margins(controller, speed, asked[None], SEEDS)[0], speeds)
     shown = found.speed if math.isfinite(found.speed) else min(found.tried)
     names: Sequence[str] = controller.tuning_names

@@ -6,6 +6,7 @@ import copy
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, NamedTuple, Self
 
 import numpy as np
@@ -90,10 +91,12 @@ class Controller(ABC):
     else:
         name, period = "controller", 0.1
 
+    tuning: Any = MappingProxyType({})
+    """Numbers by name that may be tuned; of an MPC its `Tuning`."""
     tuning_names: tuple[str, ...] = ()
-    """What may be tuned."""
-    tuning_bounds: Mapping[str, Bounds] = {}
-    """Where each tuning entry is sought; empty: nothing is."""
+    """Their names; by default those of the class's `tuning_bounds`."""
+    tuning_bounds: Mapping[str, Bounds] = MappingProxyType({})
+    """Where each of them is sought; empty: nothing is."""
     diagnostic_names: tuple[str, ...] = ()
     """What an answer says beside the command, in its `diagnostics`."""
     vehicle: Any = None
@@ -115,6 +118,8 @@ class Controller(ABC):
         super().__init_subclass__()
         if cls.name == Controller.name:
             cls.name = cls.__name__  # type: ignore[method-assign, assignment]
+        if cls.tuning_bounds and not cls.tuning_names:
+            cls.tuning_names = tuple(cls.tuning_bounds)
 
     @property
     def scheduler_counts(self) -> dict[str, int]:
@@ -159,6 +164,46 @@ class Controller(ABC):
         """The configuration, for provenance: plain data."""
         return {}
 
+    def packed_tuning(self) -> Array:
+        """(entries,) the tuning in the order of `tuning_names`."""
+        return np.array([self.tuning[name] for name in self.tuning_names], dtype=float)
+
+    def check_tuning(self, tuning: Mapping[str, float]) -> dict[str, float]:
+        """The tuning as finite numbers by name.
+
+        Raises
+        ------
+        InvalidInput
+            When it makes no such controller.
+        """
+        found = {name: real(type(self).__name__, name, tuning[name]) for name in self.tuning_names}
+        for name, value in found.items():
+            if not math.isfinite(value):
+                raise InvalidInput(f"{type(self).__name__}: {name} = {value!r}: must be finite.")
+        return found
+
+    def with_tuning(self, tuning: Mapping[str, float]) -> Self:
+        """A controller of its own, at its start, with these tuning entries (by name) in place of its own.
+
+        Entries that are not given stay.
+
+        Raises
+        ------
+        InvalidInput
+            For an entry that it does not have, or numbers that make no such controller.
+        """
+        made = copy.deepcopy(self)
+        made.tuning = self.check_tuning(self._entries(tuning))
+        made.reset()
+        return made
+
+    def _entries(self, tuning: Mapping[str, float]) -> dict[str, float]:
+        """All tuning entries, some of them changed."""
+        if unknown := [name for name in tuning if name not in self.tuning_names]:
+            names = ", ".join(self.tuning_names) or "none"
+            raise InvalidInput(f"tuning of {self.name!r}: {', '.join(unknown)}: its entries are {names}.")
+        return {**dict(zip(self.tuning_names, self.packed_tuning().tolist(), strict=True)), **tuning}
+
 
 class CompiledController(Controller):
     """A controller whose law is compiled, see `core.controllers.contract`: `simulate` and batches call the same.
@@ -183,10 +228,7 @@ class CompiledController(Controller):
         self, tuning: Mapping[str, float], *, period: float = 0.1, limits: Limits | None = None, preview: bool = False
     ) -> None:
         where = type(self).__name__
-        self.tuning = {name: real(where, name, tuning[name]) for name in self.tuning_names}
-        for name, value in self.tuning.items():
-            if not 0.0 <= value < math.inf:
-                raise InvalidInput(f"{where}: {name} = {value!r}: must be finite and not negative.")
+        self.tuning = self.check_tuning(tuning)
         self.period = real(where, "period", period)
         if not 0.0 < self.period < math.inf:
             raise InvalidInput(f"{where}: period = {period!r} s: must be positive and finite.")
@@ -209,9 +251,13 @@ class CompiledController(Controller):
         """The law's constant numbers."""
         return np.array([self.period, *self.limits.move, *self.limits.angle, *self.own_parameters()], dtype=float)
 
-    def packed_tuning(self) -> Array:
-        """The tuning in the order of `tuning_names`."""
-        return np.array([self.tuning[name] for name in self.tuning_names], dtype=float)
+    def check_tuning(self, tuning: Mapping[str, float]) -> dict[str, float]:
+        """The tuning as finite numbers by name, none of them negative; see `Controller.check_tuning`."""
+        found = super().check_tuning(tuning)
+        for name, value in found.items():
+            if value < 0.0:
+                raise InvalidInput(f"{type(self).__name__}: {name} = {value!r}: must be finite and not negative.")
+        return found
 
     def reset(self) -> None:
         """Forget the past: the next step is the first, from steering angle 0."""

@@ -70,9 +70,6 @@ class LQR(CompiledController):
         from adaptrack.core.controllers import lqr as kernel
 
         self.vehicle = known_vehicle("LQR", vehicle)
-        for name, value in (("q_e", q_e), ("q_heading", q_heading), ("r", r)):
-            if not 0.0 < real("LQR", name, value) < math.inf:
-                raise InvalidInput(f"LQR: {name} = {value!r}: must be finite and positive.")
         self.tuning_names, self.diagnostic_names = kernel.TUNING, kernel.DIAGNOSTICS
         self.memory_size = kernel.MEMORY
         tuning = {
@@ -82,6 +79,13 @@ class LQR(CompiledController):
             "preview_time": steering_delay(vehicle) if preview_time is None else preview_time,
         }
         super().__init__(tuning, period=period, limits=limits, preview=preview)
+
+    def check_tuning(self, tuning: Mapping[str, float]) -> dict[str, float]:
+        """See `Controller.check_tuning`; the weights must be positive."""
+        for name in ("q_e", "q_heading", "r"):
+            if not 0.0 < real("LQR", name, tuning[name]) < math.inf:
+                raise InvalidInput(f"LQR: {name} = {tuning[name]!r}: must be finite and positive.")
+        return super().check_tuning(tuning)
 
     @property
     def name(self) -> str:

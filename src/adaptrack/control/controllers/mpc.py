@@ -9,7 +9,7 @@ import copy
 import logging
 import math
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from functools import cached_property
 from math import isfinite
@@ -368,6 +368,20 @@ class MPC(Controller):
         self._speed, self._without_speed = math.nan, 0
         self._raised = 0
         self._load()
+
+    def packed_tuning(self) -> Array:
+        """(4,) Np, Nc, Q, R."""
+        return self.tuning.as_array()
+
+    def with_tuning(self, tuning: Mapping[str, float]) -> Self:
+        """See `Controller.with_tuning`; the horizons are rounded, and a scheduler has nothing to say any more."""
+        entries = self._entries(tuning)
+        asked = Tuning(round(entries["Np"]), round(entries["Nc"]), entries["Q"], entries["R"])
+        made = copy.copy(self)
+        made.scheduler, made.tuning = None, asked
+        made._set_sizes(max(self.longest_horizon, asked.Np), max(self.most_moves, asked.Nc))
+        made.reset()
+        return made
 
     def restart(self) -> None:
         """Forget the past, but not what has been learned of the car: for another drive of it."""

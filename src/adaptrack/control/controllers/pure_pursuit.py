@@ -43,8 +43,12 @@ class PurePursuit(CompiledController):
         self.memory_size = kernel.MEMORY
         tuning = {"lookahead_time": lookahead_time, "lookahead_min": lookahead_min}
         super().__init__(tuning, period=period, limits=limits, preview=preview)
-        if self.tuning["lookahead_min"] == 0.0:
+
+    def check_tuning(self, tuning: Mapping[str, float]) -> dict[str, float]:
+        """See `Controller.check_tuning`; the least distance must be positive."""
+        if tuning["lookahead_min"] == 0.0:
             raise InvalidInput("PurePursuit: lookahead_min = 0.0 m: must be positive, or a standing car has no target.")
+        return super().check_tuning(tuning)
 
     @property
     def name(self) -> str:

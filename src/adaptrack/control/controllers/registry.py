@@ -13,6 +13,8 @@ from adaptrack.control.controllers.base import Controller
 from adaptrack.scenario.profile import Profile
 
 Factory = Callable[..., Controller]
+SLOW_STEP = 4e-3
+"""s, of a control step in Python, roughly."""
 
 
 @dataclass(frozen=True)
@@ -22,7 +24,7 @@ class About:
     words: str = ""
     """what it is, for readers"""
     tunable: bool = True
-    """whether its tuning can be sought (`Controller.tuning_bounds`)"""
+    """whether its tuning is sought, as far as its `Controller.tuning_bounds` say where"""
     compiled: bool = True
     """whether the kernels run it; one that needs Python at every step is some hundred times slower"""
     step_time: float = 2e-5
@@ -30,7 +32,7 @@ class About:
     ours: bool = False
 
 
-_IN_PYTHON: dict[str, Any] = {"tunable": False, "compiled": False, "step_time": 4e-3}
+_IN_PYTHON: dict[str, Any] = {"tunable": False, "compiled": False, "step_time": SLOW_STEP}
 _SHIPPED: dict[str, tuple[str, About]] = {
     "informed": ("control.controllers.mpc:MPC", About("MPC that knows its car", ours=True)),
     "informed-learning": ("control.variants:learning", About("the same, learning while it drives", ours=True)),
@@ -83,7 +85,7 @@ def register_controller(name: str, factory: Factory | str, *, words: str = "", c
         For a name that is taken or empty, or a factory that is neither.
     """
     _registry.add(name, factory)
-    _about[name] = About(words) if compiled else About(words, **_IN_PYTHON)
+    _about[name] = About(words) if compiled else About(words, compiled=False, step_time=SLOW_STEP)
 
 
 def get_controller(
