@@ -2,6 +2,7 @@
 
 import numba
 
+from adaptrack.core.build import numba_functions as numba_functions  # numba learns what a kernel is
 from adaptrack.core.kernel import INTERPRETED
 
 

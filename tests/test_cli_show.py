@@ -165,6 +165,7 @@ ON_A_TERMINAL = """
 import logging, time
 from adaptrack.cli import show
 with show.progress("work [/red]") as advance:
+    time.sleep(1.0)
     advance("work [/red]", 1, 2)
     time.sleep(0.3)
     logging.getLogger("adaptrack").warning("adaptrack: compiling kernels")

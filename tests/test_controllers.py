@@ -375,11 +375,11 @@ def test_an_impossible_tuning_or_period_is_refused(law, value):
 def test_what_makes_no_controller_is_refused_with_the_remedy():
     with pytest.raises(InvalidInput, match=r"load_vehicle\(name\) gives one"):
         Stanley("paper")
-    with pytest.raises(InvalidInput, match=r"lookahead_min = 0.0 m: must be positive"):
+    with pytest.raises(InvalidInput, match=r"lookahead_min = 0.0 m: must be a finite number > 0; a standing car"):
         PurePursuit(CAR, lookahead_min=0.0)
-    with pytest.raises(InvalidInput, match="r = 0: must be finite and positive"):
+    with pytest.raises(InvalidInput, match=r"r = 0 1/rad.2: must be a finite number > 0"):
         LQR(CAR, r=0)
-    with pytest.raises(InvalidInput, match=r"must be Limits\(move="):
+    with pytest.raises(InvalidInput, match=r"must be a Limits or None; Limits\(move="):
         LQR(CAR, limits=0.5)
 
 

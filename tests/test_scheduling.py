@@ -301,9 +301,9 @@ def made(inputs=("speed",), domain=((0.0, 30.0),), bounds=None, **functions):
         (lambda: Table((), np.float64(1.0)), "finite values"),
         (lambda: Guarded(lambda condition: FALLBACK, FALLBACK), "a plain function cannot be guarded"),
         (lambda: Guarded(made(), (30, 5, 1.0, 1.0)), "must be a Tuning"),
-        (lambda: Guarded(made(), FALLBACK, rates=(5, 2)), "three positive numbers"),
-        (lambda: Guarded(made(), FALLBACK, rates=(5, 2, -0.3)), "three positive numbers"),
-        (lambda: Guarded(made(), FALLBACK, rates=(5, 2, math.nan)), "three positive numbers"),
+        (lambda: Guarded(made(), FALLBACK, rates=(5, 2)), "must be 3 values"),
+        (lambda: Guarded(made(), FALLBACK, rates=(5, 2, -0.3)), "must be a finite number > 0"),
+        (lambda: Guarded(made(), FALLBACK, rates=(5, 2, math.nan)), "must be a finite number > 0"),
         (lambda: Guarded(made(), FALLBACK, rates=(0.4, 2, 0.3)), "whole numbers"),  # Np would never move
         (lambda: Guarded(made(), FALLBACK, slack=math.nan), "slack"),
         (lambda: Guarded(made(), FALLBACK, offset_limit=0.0), "offset_limit"),

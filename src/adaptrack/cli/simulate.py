@@ -196,7 +196,7 @@ def controller_settings(given: SimulateOptions, car: Vehicle, world: Profile) ->
         car=car,
         profile=world,
         tuning=own.tuning,
-        moves=Moves(str(own.moves), own.laguerre_pole, own.laguerre_terms),
+        moves=Moves(own.moves.value, own.laguerre_pole, own.laguerre_terms),
         period=world.period if given.drive.period is None else given.drive.period,
         preview=world.preview if own.preview is None else own.preview,
         solver=own.solver,

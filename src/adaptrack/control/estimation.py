@@ -11,14 +11,15 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, fields
-from typing import Any, NamedTuple, Self, final
+from dataclasses import dataclass
+from typing import Annotated, Any, NamedTuple, Self, final
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from adaptrack.base.arguments import reals
-from adaptrack.base.errors import ContractError, InvalidInput, real, whole
+from adaptrack.base.checked import Finite, Natural, NotNegative, Positive, checked
+from adaptrack.base.errors import ContractError, InvalidInput, real
 from adaptrack.base.registry import Registry
 from adaptrack.cars.plant import DualTrack, SingleTrack
 from adaptrack.cars.vehicle import SteeringActuator, Tyre, Vehicle, load_tyre, pack_plant
@@ -245,6 +246,7 @@ class FrictionWindEstimate(NamedTuple):
     """cornering stiffness of the tyres, over what the estimator was given"""
 
 
+@checked
 @dataclass(frozen=True)
 class FrictionWindPrior:
     """What the estimator believes before it has seen anything, and how fast it forgets.
@@ -255,45 +257,33 @@ class FrictionWindPrior:
     Raises
     ------
     InvalidInput
-        When a number is not finite, a time or a spread not positive, or nominal_friction outside friction_range.
+        When nominal_friction is outside friction_range.
     """
 
-    nominal_friction: float = 0.65
-    friction_spread: float = 0.33
+    nominal_friction: Positive = 0.65
+    friction_spread: Positive = 0.33
     """of ln(friction)"""
-    friction_time: float = 8.0
-    """s"""
-    friction_range: tuple[float, float] = (0.1, 1.5)
-    wind_spread: float = 12.0
-    """m/s"""
-    wind_time: float = 3.0
-    """s"""
-    most_wind: float = 60.0
-    """m/s, the estimate stays within +- this"""
-    stiffness_spread: float = 0.05
+    friction_time: Annotated[Positive, "s"] = 8.0
+    friction_range: tuple[Positive, Positive] = (0.1, 1.5)
+    wind_spread: Annotated[Positive, "m/s"] = 12.0
+    wind_time: Annotated[Positive, "s"] = 3.0
+    most_wind: Annotated[Positive, "m/s"] = 60.0
+    """the estimate stays within +- this"""
+    stiffness_spread: NotNegative = 0.05
     """of ln(stiffness); 0 when the tyres are known exactly"""
-    stiffness_time: float = 600.0
-    """s"""
-    tyre_error: float = 0.02
-    """s^0.5, white noise on the lateral force of each axle, over that force"""
-    drift_vy: float = 0.02
-    """m/s per s^0.5, random walk of the lateral velocity that the model does not explain"""
-    drift_yaw_rate: float = 0.006
-    """rad/s per s^0.5"""
+    stiffness_time: Annotated[Positive, "s"] = 600.0
+    tyre_error: Annotated[NotNegative, "s^0.5"] = 0.02
+    """white noise on the lateral force of each axle, over that force"""
+    drift_vy: Annotated[Positive, "m/s per s^0.5"] = 0.02
+    """random walk of the lateral velocity that the model does not explain"""
+    drift_yaw_rate: Annotated[Positive, "rad/s per s^0.5"] = 0.006
 
     def __post_init__(self) -> None:
-        low, high = (real("FrictionWindPrior", "friction_range", value) for value in self.friction_range)
-        for field in fields(self):
-            if field.name == "friction_range":
-                continue
-            value = real("FrictionWindPrior", field.name, getattr(self, field.name))
-            least = 0.0 if field.name in ("stiffness_spread", "tyre_error") else math.ulp(0.0)
-            if not least <= value < math.inf:
-                raise InvalidInput(f"FrictionWindPrior: {field.name} = {value!r}: must be finite and positive.")
-        if not 0.0 < low <= self.nominal_friction <= high < math.inf:
+        low, high = self.friction_range
+        if not low <= self.nominal_friction <= high:
             raise InvalidInput(
                 f"FrictionWindPrior: nominal_friction = {self.nominal_friction!r} must lie in friction_range = "
-                f"{(low, high)!r}, of finite positive numbers."
+                f"{(low, high)!r}."
             )
 
 
@@ -313,27 +303,23 @@ class FrictionWindEstimator:
     *Vehicle Dynamics and Control*, 2nd ed., chapters 2 and 13.
 
     vehicle, tyre, steering: what the estimator believes (by default the vehicle's tyre and an ideal actuator); period:
-    control period (s); delay: whether a command acts one period after its measurement; noise_vy (m/s),
-    noise_yaw_rate (rad/s), noise_acceleration (m/s^2): standard deviations of the sensors; belief: what is held
-    before the first measurement.
-
-    Raises
-    ------
-    InvalidInput
-        When the period or a noise is not positive and finite.
+    control period; delay: whether a command acts one period after its measurement; noise_vy, noise_yaw_rate,
+    noise_acceleration: standard deviations of the sensors; belief: what is held before the first
+    measurement.
     """
 
+    @checked
     def __init__(
         self,
         vehicle: Vehicle,
         tyre: Tyre | str | None = None,
         steering: SteeringActuator | None = None,
         *,
-        period: float = 0.05,
+        period: Annotated[Positive, "s"] = 0.05,
         delay: bool = True,
-        noise_vy: float = 0.05,
-        noise_yaw_rate: float = 0.01,
-        noise_acceleration: float = 0.1,
+        noise_vy: Annotated[Positive, "m/s"] = 0.05,
+        noise_yaw_rate: Annotated[Positive, "rad/s"] = 0.01,
+        noise_acceleration: Annotated[Positive, "m/s^2"] = 0.1,
         belief: FrictionWindPrior | None = None,
     ) -> None:
         tyre = vehicle.tyre if tyre is None else tyre
@@ -342,20 +328,11 @@ class FrictionWindEstimator:
         self.steering = steering or SteeringActuator.ideal()
         self.belief = belief or FrictionWindPrior()
         self.delay = bool(delay)
-        given = {
-            "period": period,
-            "noise_vy": noise_vy,
-            "noise_yaw_rate": noise_yaw_rate,
-            "noise_acceleration": noise_acceleration,
-        }
-        for name, value in given.items():
-            if not 0.0 < real("FrictionWindEstimator", name, value) < math.inf:
-                raise InvalidInput(f"FrictionWindEstimator: {name} = {value!r}: must be positive and finite.")
-        self.period = float(period)
+        self.period = period
         front, rear = (2.0 * c for c in self.tyre.stiffness_at(*vehicle.static_loads))
         rate = max((front + rear) / vehicle.mass, (front * vehicle.lf**2 + rear * vehicle.lr**2) / vehicle.yaw_inertia)
         self.steps = math.ceil(self.period * rate / SLOWEST)
-        self.noise = (float(noise_vy), float(noise_yaw_rate), float(noise_acceleration))
+        self.noise = (noise_vy, noise_yaw_rate, noise_acceleration)
         self._packed = pack_plant(self.vehicle, self.tyre, self.steering)
         self._settings = self.settings()
         self.reset()
@@ -477,34 +454,22 @@ class FrictionWindEstimator:
         return found
 
 
+@checked
 @dataclass(frozen=True)
 class Perception:
-    """What a scheduler knows of friction and wind, when that is neither the truth nor an estimate from signals.
+    """What a scheduler knows of friction and wind, when that is neither the truth nor an estimate from signals."""
 
-    Raises
-    ------
-    InvalidInput
-        When a number is not finite, or the noise or the delay negative.
-    """
-
-    noise: float = 0.0
+    noise: NotNegative = 0.0
     """standard deviation of a relative error of friction and of wind, new at every step"""
-    bias: float = 0.0
+    bias: Finite = 0.0
     """relative error of both: 0.2: 20 % too much"""
-    delay: float = 0.0
-    """s, age of what is known"""
+    delay: Annotated[NotNegative, "s"] = 0.0
+    """age of what is known"""
     withheld: bool = False
     """the nominal friction and no wind"""
-    nominal_friction: float = 0.65
-    seed: int = 0
+    nominal_friction: NotNegative = 0.65
+    seed: Natural = 0
     """of the noise: the scenario i of a batch has that of seed + i"""
-
-    def __post_init__(self) -> None:
-        whole("Perception", "seed", self.seed, least=0)
-        for name in ("noise", "bias", "delay", "nominal_friction"):
-            value = real("Perception", name, getattr(self, name))
-            if not math.isfinite(value) or (value < 0.0 and name != "bias"):
-                raise InvalidInput(f"Perception: {name} = {value!r}: must be finite and not negative.")
 
     def known(self, friction: Array, wind: Array, period: float, number: int) -> tuple[Array, Array]:
         """What is known at the instants of a run, given the true friction and wind (n,) there.

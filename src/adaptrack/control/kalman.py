@@ -7,12 +7,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, fields
-from typing import Any, final
+from typing import Annotated, Any, final
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field
 
-from adaptrack.base.errors import InvalidInput, real
+from adaptrack.base.checked import Bound, Finite, Hint, NotNegative, Number, Positive, checked, within
+from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.vehicle import Vehicle, in_periods
 from adaptrack.control.estimation import Estimator
 from adaptrack.control.models import MEASURED, PathModel, PredictionModel
@@ -28,8 +30,10 @@ OLDEST = 2.0
 """s, of a sample that is still taken in."""
 LONGEST = 5.0
 """s, of a dead time that may be learned."""
+_Noise = Annotated[Number, Field(ge=0.0), Hint("inf: no such sensor")]
 
 
+@checked
 @dataclass(frozen=True)
 class SensorNoise:
     """Standard deviations of what is measured; infinity: there is no such sensor.
@@ -37,29 +41,18 @@ class SensorNoise:
     The defaults are those of the profile ``road``.
     """
 
-    vy: float = 0.05
-    """m/s"""
-    yaw: float = 0.003
-    """rad"""
-    yaw_rate: float = 0.01
-    """rad/s"""
-    y: float = 0.03
-    """m"""
-    wheel_angle: float = math.inf
-    """rad"""
-    lateral_acceleration: float = math.inf
-    """m/s^2, of an accelerometer at the centre of gravity"""
-    yaw_rate_offset: float = 0.0
-    """rad/s, of an error of the yaw rate that stays; 0: there is none to be estimated"""
-
-    def __post_init__(self) -> None:
-        for each in fields(self):
-            if not real("SensorNoise", each.name, getattr(self, each.name)) >= 0.0:
-                raise InvalidInput(f"SensorNoise: {each.name} must not be negative; inf: no such sensor.")
-        if math.isinf(self.y):
-            raise InvalidInput("SensorNoise: y = inf: without a measured lateral position there is no path tracking.")
+    vy: Annotated[_Noise, "m/s"] = 0.05
+    yaw: Annotated[_Noise, "rad"] = 0.003
+    yaw_rate: Annotated[_Noise, "rad/s"] = 0.01
+    y: Annotated[NotNegative, "m", Hint("without a measured lateral position there is no path tracking")] = 0.03
+    wheel_angle: Annotated[_Noise, "rad"] = math.inf
+    lateral_acceleration: Annotated[_Noise, "m/s^2"] = math.inf
+    """of an accelerometer at the centre of gravity"""
+    yaw_rate_offset: Annotated[_Noise, "rad/s"] = 0.0
+    """of an error of the yaw rate that stays; 0: there is none to be estimated"""
 
 
+@checked
 @dataclass(frozen=True)
 class Drifts:
     """How fast what the filter estimates may change beside the model: standard deviations after one second.
@@ -68,45 +61,33 @@ class Drifts:
     tyres, which says how much of what the model cannot explain is a disturbance.
     """
 
-    vy: float = 0.03
-    """m/s"""
-    yaw: float = 0.001
-    """rad"""
-    yaw_rate: float = 0.015
-    """rad/s"""
-    y: float = 0.01
-    """m"""
-    wheel_angle: float = 0.01
-    """rad"""
-    side: float = 0.03
-    """m/s^2, of the lateral disturbance d_y: side wind, bank, a steering bias"""
-    turn: float = 0.05
-    """rad/s^2, of the yaw disturbance d_r"""
-    wind: float = 0.35
-    """m/s^2, of what side wind adds to d_y; it adds to d_r as well, in the proportion of the car's body"""
-    yaw_rate_offset: float = 0.0002
-    """rad/s, of the yaw-rate sensor's offset"""
-    sliding: float = 0.2
-    """s^0.5, of the force of an axle: its impulse deviates by `sliding` F^2/F_z after a second, F being its force in
+    vy: Annotated[NotNegative, "m/s"] = 0.03
+    yaw: Annotated[NotNegative, "rad"] = 0.001
+    yaw_rate: Annotated[NotNegative, "rad/s"] = 0.015
+    y: Annotated[NotNegative, "m"] = 0.01
+    wheel_angle: Annotated[NotNegative, "rad"] = 0.01
+    side: Annotated[NotNegative, "m/s^2"] = 0.03
+    """of the lateral disturbance d_y: side wind, bank, a steering bias"""
+    turn: Annotated[NotNegative, "rad/s^2"] = 0.05
+    """of the yaw disturbance d_r"""
+    wind: Annotated[NotNegative, "m/s^2"] = 0.35
+    """of what side wind adds to d_y; it adds to d_r as well, in the proportion of the car's body"""
+    yaw_rate_offset: Annotated[NotNegative, "rad/s"] = 0.0002
+    """of the yaw-rate sensor's offset"""
+    sliding: Annotated[NotNegative, "s^0.5"] = 0.2
+    """of the force of an axle: its impulse deviates by `sliding` F^2/F_z after a second, F being its force in
     the model and F_z its load. In the brush model of a tyre F^2/(3 mu F_z) is lost to sliding (Pacejka, Tire and
     Vehicle Dynamics, 3rd ed., section 3.2), and mu is not known."""
-    sliding_time: float = 0.3
-    """s, how long such a deviation lasts: by it an accelerometer is off by sliding F^2/F_z/(m sqrt(2 sliding_time))"""
-    grip: float = 7.0
-    """m/s^2, what the tyres can pull at most: a disturbance is no larger than that less what they pull in the model,"""
-    least_spare: float = 0.5
-    """m/s^2, but may always be this large"""
-
-    def __post_init__(self) -> None:
-        for each in fields(self):
-            if not 0.0 <= real("Drifts", each.name, getattr(self, each.name)) < math.inf:
-                raise InvalidInput(f"Drifts: {each.name} must not be negative, and finite.")
-        for name in ("sliding_time", "least_spare"):
-            if not getattr(self, name) > 0.0:
-                raise InvalidInput(f"Drifts: {name} = {getattr(self, name)!r}: must be positive.")
+    sliding_time: Annotated[Positive, "s"] = 0.3
+    """how long such a deviation lasts: by it an accelerometer is off by sliding F^2/F_z/(m sqrt(2 sliding_time))"""
+    grip: Annotated[NotNegative, "m/s^2"] = 7.0
+    """what the tyres can pull at most: a disturbance is no larger than that less what they pull in the model,"""
+    least_spare: Annotated[Positive, "m/s^2"] = 0.5
+    """but may always be this large"""
 
 
 @final
+@checked
 @dataclass(frozen=True)
 class KalmanFilter(Estimator):
     """State and disturbances of a `PathModel`, carried over its dead time with the commands already sent.
@@ -129,48 +110,29 @@ class KalmanFilter(Estimator):
     Raises
     ------
     InvalidInput
-        When a number is not allowed.
+        When `trust` is above `distrust`.
     """
 
     noise: SensorNoise = SensorNoise()
     drifts: Drifts = Drifts()
-    bound: float = 5.0
-    spread: tuple[float, float] = (0.3, 0.3)
-    oldest: float = 0.0
-    patience: float = 3.0
-    settling: float = 10.0
-    distrust: float = 10.0
-    trust: float = 2.0
-    window: tuple[float, float] = (0.5, 5.0)
-    friction: float = 0.9
-    shape: float = 1.3
-    longest: float = 0.0
+    bound: Annotated[Bound, Hint("inf: no bound")] = 5.0
+    spread: tuple[NotNegative, NotNegative] = (0.3, 0.3)
+    oldest: Annotated[Finite, within(0.0, OLDEST), "s"] = 0.0
+    patience: Annotated[Number, Field(ge=0.0), "s", Hint("inf: for ever")] = 3.0
+    settling: Annotated[Bound, "s", Hint("inf: no averaging")] = 10.0
+    distrust: Annotated[Bound, Hint("inf: no sensor is left out")] = 10.0
+    trust: Bound = 2.0
+    window: Annotated[tuple[Positive, Positive], "s"] = (0.5, 5.0)
+    friction: Positive = 0.9
+    shape: Annotated[Finite, Field(gt=1.0, lt=2.0)] = 1.3
+    longest: Annotated[Finite, within(0.0, LONGEST), "s"] = 0.0
     name = "kalman"
 
     def __post_init__(self) -> None:
-        if not real("KalmanFilter", "bound", self.bound) > 0.0:
-            raise InvalidInput(f"KalmanFilter: bound = {self.bound!r}: must be positive; inf: no bound.")
-        if not all(0.0 <= real("KalmanFilter", "spread", each) < math.inf for each in self.spread):
-            raise InvalidInput(f"KalmanFilter: spread = {self.spread!r}: must not be negative, and finite.")
-        if not 0.0 <= real("KalmanFilter", "oldest", self.oldest) <= OLDEST:
-            raise InvalidInput(f"KalmanFilter: oldest = {self.oldest!r} s: must be within 0 .. {OLDEST:g}.")
-        if not real("KalmanFilter", "patience", self.patience) >= 0.0:
-            raise InvalidInput(f"KalmanFilter: patience = {self.patience!r} s: must not be negative; inf: for ever.")
-        if not real("KalmanFilter", "settling", self.settling) > 0.0:
-            raise InvalidInput(f"KalmanFilter: settling = {self.settling!r} s: must be positive; inf: no averaging.")
-        if not 0.0 < real("KalmanFilter", "trust", self.trust) <= real("KalmanFilter", "distrust", self.distrust):
+        if self.trust > self.distrust:
             raise InvalidInput(
-                f"KalmanFilter: trust = {self.trust!r}, distrust = {self.distrust!r}: trust must be positive, distrust "
-                "no less; distrust = inf: no sensor is left out."
+                f"KalmanFilter: trust = {self.trust!r}, distrust = {self.distrust!r}: distrust must be no less."
             )
-        if not 0.0 < real("KalmanFilter", "friction", self.friction) < math.inf:
-            raise InvalidInput(f"KalmanFilter: friction = {self.friction!r}: must be positive.")
-        if not 1.0 < real("KalmanFilter", "shape", self.shape) < 2.0:
-            raise InvalidInput(f"KalmanFilter: shape = {self.shape!r}: must be between 1 and 2.")
-        if not 0.0 <= real("KalmanFilter", "longest", self.longest) <= LONGEST:
-            raise InvalidInput(f"KalmanFilter: longest = {self.longest!r} s: must be within 0 .. {LONGEST:g}.")
-        if not all(0.0 < real("KalmanFilter", "window", each) < math.inf for each in self.window):
-            raise InvalidInput(f"KalmanFilter: window = {self.window!r} s: must be positive and finite.")
 
     @classmethod
     def of_profile(cls, profile: Profile, drifts: Drifts | None = None) -> KalmanFilter:

@@ -8,14 +8,16 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, final
+from typing import Annotated, Any, final
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from pydantic import InstanceOf
 
-from adaptrack.base.errors import ContractError, InvalidInput, real
+from adaptrack.base.checked import Finite, Hint, NotNegative, Positive, checked
+from adaptrack.base.errors import ContractError, InvalidInput
 from adaptrack.base.registry import Registry
 from adaptrack.cars.vehicle import Vehicle
 
@@ -177,7 +179,11 @@ class PredictionModel(ABC):
         return free, phi @ np.asarray(basis, float)
 
 
+_Car = Annotated[InstanceOf[Vehicle], Hint("load_vehicle(name) gives one")]
+
+
 @final
+@checked
 @dataclass(frozen=True)
 class SingleTrackModel(PredictionModel):
     """The paper's model: linear single track in x_c = [v_y, yaw, yaw rate, y].
@@ -188,18 +194,12 @@ class SingleTrackModel(PredictionModel):
     Raises
     ------
     InvalidInput
-        When the period, a speed or a horizon is not positive and finite.
+        From its methods, when a speed or a horizon is not positive and finite.
     """
 
-    vehicle: Vehicle
-    period: float = 0.1
+    vehicle: _Car
+    period: Annotated[Positive, "s"] = 0.1
     states = MEASURED[:4]
-
-    def __post_init__(self) -> None:
-        if not isinstance(self.vehicle, Vehicle):
-            raise InvalidInput(f"SingleTrackModel: vehicle = {self.vehicle!r}: must be a Vehicle, see load_vehicle.")
-        if not 0.0 < real("SingleTrackModel", "period", self.period) < np.inf:
-            raise InvalidInput(f"period = {self.period!r} s: must be positive and finite.")
 
     @property
     def name(self) -> str:
@@ -243,6 +243,7 @@ class SingleTrackModel(PredictionModel):
 
 
 @final
+@checked
 @dataclass(frozen=True)
 class PathModel(PredictionModel):
     """The single track that knows its steering: x = [v_y, psi, r, delta, y] along a path, see `core.models.path`.
@@ -251,26 +252,12 @@ class PathModel(PredictionModel):
     vehicle: mass, inertia, axle distances and cornering stiffness per tyre; period: control period (s); lag: time
     constant of the steering (s); dead_time: from an instant until its command begins to act (s), the computer's time
     included.
-
-    Raises
-    ------
-    InvalidInput
-        When the period is not positive and finite, or lag or dead time is negative or not finite.
     """
 
-    vehicle: Vehicle
-    period: float = 0.1
-    lag: float = 0.0
-    dead_time: float = 0.0
-
-    def __post_init__(self) -> None:
-        if not isinstance(self.vehicle, Vehicle):
-            raise InvalidInput(f"PathModel: vehicle = {self.vehicle!r}: must be a Vehicle, see load_vehicle.")
-        if not 0.0 < real("PathModel", "period", self.period) < np.inf:
-            raise InvalidInput(f"PathModel: period = {self.period!r} s: must be positive and finite.")
-        for name in ("lag", "dead_time"):
-            if not 0.0 <= real("PathModel", name, getattr(self, name)) < np.inf:
-                raise InvalidInput(f"PathModel: {name} = {getattr(self, name)!r} s: must not be negative, and finite.")
+    vehicle: _Car
+    period: Annotated[Positive, "s"] = 0.1
+    lag: Annotated[NotNegative, "s"] = 0.0
+    dead_time: Annotated[NotNegative, "s"] = 0.0
 
     @property
     def name(self) -> str:
@@ -334,15 +321,21 @@ class UserModel(PredictionModel):
     Raises
     ------
     InvalidInput
-        For states that are not measured, or numbers that are not finite.
+        For states that are not measured.
     ContractError
         When numba cannot compile the function.
     """
 
+    @checked
     def __init__(
-        self, discretise: Callable[..., None], states: Sequence[str], *, parameters: dict[str, float] | None = None,
-        period: float = 0.1, label: str = "user",
-    ) -> None:  # fmt: skip
+        self,
+        discretise: Callable[..., None],
+        states: Sequence[str],
+        *,
+        parameters: Mapping[str, Finite] | None = None,
+        period: Annotated[Positive, "s"] = 0.1,
+        label: str = "user",
+    ) -> None:
         from adaptrack.core.models.contract import compile_model
 
         self.label, self.states = label, tuple(states)
@@ -353,10 +346,7 @@ class UserModel(PredictionModel):
                 f"{where}: states = {self.states!r}: must be different ones of "
                 f"{', '.join(MEASURED)}, with y as the last."
             )
-        self.period = real(where, "period", period)
-        if not 0.0 < self.period < math.inf:
-            raise InvalidInput(f"{where}: period = {period!r} s: must be positive and finite.")
-        self.numbers = {name: real(where, name, value) for name, value in (parameters or {}).items()}
+        self.period, self.numbers = period, dict(parameters or {})
         try:
             self._function = compile_model(discretise)
         except Exception as error:

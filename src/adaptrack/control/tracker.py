@@ -12,12 +12,14 @@ import logging
 import math
 from collections.abc import Sequence
 from enum import StrEnum
-from typing import Any, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from pydantic import InstanceOf
 
 from adaptrack.base.arguments import reals
+from adaptrack.base.checked import Bound, Finite, Hint, checked
 from adaptrack.base.errors import InvalidInput, real, shown
 from adaptrack.cars.vehicle import Vehicle
 from adaptrack.control.controllers import MPC, Controller, command_of
@@ -132,28 +134,30 @@ class Tracker:
     plan : SpeedPlan, optional
         The speed that is planned along it; without one the present speed is expected to stay.
     furthest : float
-        m from the path, beyond which the status says so.
+        From the path, beyond which the status says so.
 
     Raises
     ------
     InvalidInput
-        When an argument is none of these.
+        When the controller has a scheduler, or the plan is not of this path.
     """
 
+    @checked
     def __init__(
-        self, controller: Controller, path: Road, *, plan: SpeedPlan | None = None, furthest: float = 10.0
+        self,
+        controller: Annotated[InstanceOf[Controller], Hint("such as MPC(car)")],
+        path: Road,
+        *,
+        plan: SpeedPlan | None = None,
+        furthest: Annotated[Bound, "m"] = 10.0,
     ) -> None:
-        if not isinstance(controller, Controller):
-            raise InvalidInput(f"Tracker: controller = {controller!r}: must be a Controller, such as MPC(car).")
         if controller.scheduler is not None:
             raise InvalidInput(
                 "Tracker: the controller has a scheduler, and nobody here knows its scheduling variables: give a "
                 "controller with a constant tuning."
             )
-        if not real("Tracker", "furthest", furthest) > 0.0:
-            raise InvalidInput(f"Tracker: furthest = {furthest!r} m: must be positive.")
         self.controller: Any = controller
-        self.furthest = float(furthest)
+        self.furthest = furthest
         self._filtered = isinstance(controller, MPC) and isinstance(controller.estimator, KalmanFilter)
         self._late = controller.estimator.late(controller.model) if self._filtered else 0  # type: ignore[attr-defined]
         self._car = controller.vehicle
@@ -177,18 +181,12 @@ class Tracker:
         """Control period (s)."""
         return float(self.controller.period)
 
-    def engage(self, wheel_angle: float = 0.0) -> None:
-        """Begin anew, from the angle (rad) that the wheels have: the first command is near it.
+    @checked
+    def engage(self, wheel_angle: Annotated[Finite, "rad"] = 0.0) -> None:
+        """Begin anew, from the angle that the wheels have: the first command is near it.
 
         What a controller has learned of its car stays.
-
-        Raises
-        ------
-        InvalidInput
-            When the angle is not finite.
         """
-        if not math.isfinite(real("Tracker.engage", "wheel_angle", wheel_angle)):
-            raise InvalidInput(f"Tracker.engage: wheel_angle = {wheel_angle!r} rad: must be finite.")
         self.controller.restart()
         self._hold(wheel_angle)
         self._started = False

@@ -7,11 +7,13 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, NamedTuple, Self
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from pydantic import InstanceOf
 
+from adaptrack.base.checked import Hint, Positive, checked
 from adaptrack.base.errors import InvalidInput, real
 from adaptrack.cars.vehicle import Vehicle
 from adaptrack.control.controllers.inputs import change_of_path, number, road_ahead, vector, wheel_angle
@@ -216,7 +218,7 @@ class CompiledController(Controller):
     Raises
     ------
     InvalidInput
-        When the tuning is not finite numbers >= 0, or the period is not positive.
+        When the tuning is not finite numbers >= 0.
     """
 
     period: float
@@ -224,17 +226,17 @@ class CompiledController(Controller):
     memory_size: int
     """Numbers that the law remembers from step to step."""
 
+    @checked
     def __init__(
-        self, tuning: Mapping[str, float], *, period: float = 0.1, limits: Limits | None = None, preview: bool = False
+        self,
+        tuning: Mapping[str, float],
+        *,
+        period: Annotated[Positive, "s"] = 0.1,
+        limits: Annotated[InstanceOf[Limits], Hint("Limits(move=(low, high), angle=(low, high))")] | None = None,
+        preview: bool = False,
     ) -> None:
-        where = type(self).__name__
         self.tuning = self.check_tuning(tuning)
-        self.period = real(where, "period", period)
-        if not 0.0 < self.period < math.inf:
-            raise InvalidInput(f"{where}: period = {period!r} s: must be positive and finite.")
-        self.limits = Limits() if limits is None else limits
-        if not isinstance(self.limits, Limits):
-            raise InvalidInput(f"{where}: limits = {limits!r}: must be Limits(move=(low, high), angle=(low, high)).")
+        self.period, self.limits = period, Limits() if limits is None else limits
         self.preview = bool(preview)
         self.reset()
 

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import Literal, NamedTuple
+from typing import Annotated, Literal, NamedTuple
 
-from adaptrack.base.errors import InvalidInput, real
+from adaptrack.base.checked import Finite, checked, within
+from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.vehicle import Steering, Vehicle
 from adaptrack.control.controllers.base import LEAST_STEERING_RATE, MOST_STEERING_DELAY
 from adaptrack.control.controllers.limits import Limits
@@ -37,6 +38,7 @@ def car_file(vehicle: Vehicle) -> str:
     return f"car file {vehicle.name}"
 
 
+@checked
 @dataclass(frozen=True)
 class Uncertainty:
     """How far what is believed of the car may be wrong: by so much to either side.
@@ -44,30 +46,16 @@ class Uncertainty:
     A delay that is believed too short loses the car, one that is believed too long costs little. So the controller
     believes the `QUANTILE` of what lag and dead time may be, its filter lets the wheels be where the model does not
     expect them, and the moves weigh more.
-
-    Raises
-    ------
-    InvalidInput
-        When a number is not allowed.
     """
 
-    lag: float = 0.0
-    """s, of the steering's lag"""
-    dead_time: float = 0.0
-    """s, of its dead time"""
-    stiffness: float = 1.0
-    """-, factor by which the cornering stiffness of an axle may be larger or smaller, >= 1"""
-    mass: float = 0.0
-    """-, share by which mass and yaw inertia may be larger or smaller, below 1"""
-
-    def __post_init__(self) -> None:
-        ranges = {
-            "lag": (0.0, MOST_DELAY), "dead_time": (0.0, MOST_DELAY), "stiffness": (1.0, MOST_STIFFNESS),
-            "mass": (0.0, MOST_MASS),
-        }  # fmt: skip
-        for name, (low, high) in ranges.items():
-            if not low <= real("Uncertainty", name, getattr(self, name)) <= high:
-                raise InvalidInput(f"Uncertainty: {name} = {getattr(self, name)!r}: must be from {low:g} to {high:g}.")
+    lag: Annotated[Finite, within(0.0, MOST_DELAY), "s"] = 0.0
+    """of the steering's lag"""
+    dead_time: Annotated[Finite, within(0.0, MOST_DELAY), "s"] = 0.0
+    """of its dead time"""
+    stiffness: Annotated[Finite, within(1.0, MOST_STIFFNESS)] = 1.0
+    """factor by which the cornering stiffness of an axle may be larger or smaller"""
+    mass: Annotated[Finite, within(0.0, MOST_MASS)] = 0.0
+    """share by which mass and yaw inertia may be larger or smaller"""
 
     def late(self, half: float) -> float:
         """What is added to a delay (s) that may be wrong by `half` (s), all values being equally likely."""

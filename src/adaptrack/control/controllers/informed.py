@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
-from adaptrack.base.errors import InvalidInput, real
+from pydantic import InstanceOf
+
+from adaptrack.base.checked import Hint, Positive, checked
+from adaptrack.base.errors import InvalidInput
 from adaptrack.base.limits import CONTROL_HORIZON, PREDICTION_HORIZON
 from adaptrack.cars.vehicle import Vehicle
 from adaptrack.control.controllers.base import known_vehicle
@@ -42,16 +45,18 @@ with weight and horizons as without preview 3e-4 m^2, and 7 failed."""
 
 
 def _checked(period: float) -> float:
-    pace = real("MPC", "period", period)
-    if not (pace > 0.0 and 0.0 < pace * pace < math.inf):
-        raise InvalidInput(f"MPC: period = {period!r} s: must be positive and finite, and so must its square.")
-    return pace
+    if not 0.0 < period * period < math.inf:
+        raise InvalidInput(f"MPC: period = {period!r} s: its square must be positive and finite.")
+    return period
 
 
+@checked
 def informed_tuning(
-    profile: str | Profile = "road", period: float | None = None, uncertainty: Uncertainty | None = None
+    profile: str | Profile = "road",
+    period: Annotated[Positive, "s"] | None = None,
+    uncertainty: Annotated[InstanceOf[Uncertainty], Hint("Uncertainty(lag=..., dead_time=...)")] | None = None,
 ) -> Tuning:
-    """The constant tuning in a profile; period: control period (s), by default the profile's.
+    """The constant tuning in a profile; period: control period, by default the profile's.
 
     R/Q is the weight that the profile itself gives to squared moves, times the caution of an uncertainty, and
     `UNSEEN` times that without a sensor of the lateral velocity.
@@ -118,8 +123,7 @@ def _learning_parts(
     """The parts of an MPC that learns its car; world: the profile, and whether it was named."""
     profile, named = world
     learning = told[2]
-    if not isinstance(learning, Learning):
-        raise InvalidInput(f"MPC: learning = {learning!r}: must be a Learning().")
+    assert learning is not None
     unsure = UNTOLD if told[1] is None else Uncertainty.declared(told[1])
     belief = believed(car, told[0], profile, period, named=named)
     sensing = KalmanFilter.of_profile(profile) if estimator is None else estimator

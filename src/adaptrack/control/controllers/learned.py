@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import math
 import os
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field
+from pydantic import Field, InstanceOf
 
-from adaptrack.base.errors import InvalidInput, real, whole
+from adaptrack.base.checked import Count, Finite, Hint, NotNegative, Positive, checked
+from adaptrack.base.errors import InvalidInput
 from adaptrack.base.files import Record, build, read_toml
 from adaptrack.cars.vehicle import SteeringActuator, Tyre, Vehicle
 from adaptrack.control.controllers.belief import Belief, Uncertainty
@@ -82,109 +83,86 @@ def load_learned_car(path: str | os.PathLike[str]) -> LearnedCar:
     return build(LearnedCar, read_toml(path), Path(path))
 
 
+_Factor = Annotated[Finite, Field(ge=1.0)]
+_Hypotheses = Annotated[Count, Field(le=12)]
+
+
+@checked
 @dataclass(frozen=True)
 class Learning:
     """How a controller learns its car while it drives; what it may learn within says its `Uncertainty`.
 
     start: what an earlier drive has learned, None: nothing; lags, dead_times: hypotheses of each, evenly within the
     range. The other numbers are the method; see `core.estimators.learning` for the filters.
-
-    Raises
-    ------
-    InvalidInput
-        When a number is not allowed.
     """
 
-    start: LearnedCar | None = None
-    lags: int = 2
-    dead_times: int = 2
-    bias: float = 0.02
-    """rad, bias of the steering to either side"""
-    balance: float = 1.18
-    """-, factor by which front over rear stiffness may be larger or smaller"""
-    bank: float = 0.2
-    """m/s^2, standard deviation of the pull of a banked road"""
-    wind: float = 0.35
-    """m/s^2, by which side wind changes in a second"""
-    wind_time: float = 3.0
-    """s, in which a gust is over"""
-    bank_time: float = 20.0
-    """s, in which a bank is over"""
-    friction: float = 0.7
-    """-, usual friction"""
-    friction_spread: float = 0.4
-    """-, standard deviation of the logarithm of friction"""
-    friction_time: float = 15.0
-    """s, in which friction is the usual one again"""
-    drift_vy: float = 0.03
-    """m/s, after a second, of v_y beside the model"""
-    drift_yaw_rate: float = 0.02
-    """rad/s, after a second, of the yaw rate beside the model"""
-    drift_stiffness: float = 0.003
-    """-, after a second, of the logarithm of the stiffness"""
-    drift_balance: float = 0.0005
-    """-, after a second, of half the logarithm of the balance"""
-    drift_bias: float = 0.00003
-    """rad, after a second"""
-    drift_delay: float = 0.0005
-    """s, after a second, of lag and dead time"""
-    sliding: float = 0.1
-    """s^0.5, as in `kalman.Drifts`"""
-    angle_error: float = 0.002
-    """rad, by which measured wheels and the model of the steering differ beside the sensor's noise"""
-    bound: float = 5.0
+    start: Annotated[InstanceOf[LearnedCar], Hint("load_learned_car(file) gives one")] | None = None
+    lags: _Hypotheses = 2
+    dead_times: _Hypotheses = 2
+    bias: Annotated[NotNegative, "rad"] = 0.02
+    """bias of the steering to either side"""
+    balance: _Factor = 1.18
+    """factor by which front over rear stiffness may be larger or smaller"""
+    bank: Annotated[NotNegative, "m/s^2"] = 0.2
+    """standard deviation of the pull of a banked road"""
+    wind: Annotated[NotNegative, "m/s^2"] = 0.35
+    """by which side wind changes in a second"""
+    wind_time: Annotated[Positive, "s"] = 3.0
+    """in which a gust is over"""
+    bank_time: Annotated[Positive, "s"] = 20.0
+    """in which a bank is over"""
+    friction: Positive = 0.7
+    """usual friction"""
+    friction_spread: NotNegative = 0.4
+    """standard deviation of the logarithm of friction"""
+    friction_time: Annotated[Positive, "s"] = 15.0
+    """in which friction is the usual one again"""
+    drift_vy: Annotated[NotNegative, "m/s"] = 0.03
+    """after a second, of v_y beside the model"""
+    drift_yaw_rate: Annotated[NotNegative, "rad/s"] = 0.02
+    """after a second, of the yaw rate beside the model"""
+    drift_stiffness: NotNegative = 0.003
+    """after a second, of the logarithm of the stiffness"""
+    drift_balance: NotNegative = 0.0005
+    """after a second, of half the logarithm of the balance"""
+    drift_bias: Annotated[NotNegative, "rad"] = 0.00003
+    """after a second"""
+    drift_delay: Annotated[NotNegative, "s"] = 0.0005
+    """after a second, of lag and dead time"""
+    sliding: Annotated[NotNegative, "s^0.5"] = 0.1
+    """as in `kalman.Drifts`"""
+    angle_error: Annotated[NotNegative, "rad"] = 0.002
+    """by which measured wheels and the model of the steering differ beside the sensor's noise"""
+    bound: Positive = 5.0
     """standard deviations up to which an innovation counts"""
-    memory: float = 120.0
+    memory: Positive = 120.0
     """s of exciting driving after which evidence about the delay is forgotten"""
-    tempering: float = 0.5
-    """-, share of a log-likelihood that counts, for successive innovations are not independent"""
-    modest: float = 2.0
-    """-, factor on the standard deviations of the filters, which know nothing of relaxation and load of the tyres"""
-    cautious: float = 1.0
-    """-, standard deviations of the delay by which the controller believes it longer than its mean"""
-    tolerated: float = 0.06
-    """s, standard deviation of the delay that doubles R"""
-    most_caution: float = 16.0
-    """-, largest factor on R for the delay"""
-    tolerated_stiffness: float = 0.6
-    """-, standard deviation of the logarithm of the stiffness that doubles R"""
-    longer: float = 2.0
-    """s per s, by which lag or dead time are believed longer at most"""
-    shorter: float = 2.0
-    """s per s, likewise shorter"""
-    stiffer: float = 5.0
-    """1/s, by which the logarithm of the believed stiffness changes at most"""
-    turning: float = 0.1
-    """rad/s, by which the believed bias changes at most"""
-    wandering: float = 0.2
-    """rad/s, by which the wheels may be elsewhere for every second of uncertain delay, after a second"""
-    noise: float = 4.0
-    """-, factor within which the noise of a sensor may differ from what was told"""
-    noise_time: float = 20.0
-    """s, over which the noise of a sensor is averaged"""
-
-    def __post_init__(self) -> None:
-        for each in fields(self):
-            value = getattr(self, each.name)
-            if each.name == "start":
-                if not isinstance(value, LearnedCar | None):
-                    raise InvalidInput(
-                        f"Learning: start = {value!r}: must be a LearnedCar; load_learned_car(file) gives one."
-                    )
-            elif each.name in ("lags", "dead_times"):
-                if not 1 <= whole("Learning", each.name, value) <= 12:
-                    raise InvalidInput(f"Learning: {each.name} = {value!r}: must be from 1 to 12.")
-            elif not 0.0 <= real("Learning", each.name, value) < math.inf:
-                raise InvalidInput(f"Learning: {each.name} = {value!r}: must not be negative, and finite.")
-        for name in (
-            "wind_time", "bank_time", "friction", "friction_time", "bound", "memory", "tempering", "tolerated",
-            "tolerated_stiffness", "noise_time",
-        ):  # fmt: skip
-            if not getattr(self, name) > 0.0:
-                raise InvalidInput(f"Learning: {name} = {getattr(self, name)!r}: must be positive.")
-        for name in ("balance", "most_caution", "noise", "modest"):
-            if not getattr(self, name) >= 1.0:
-                raise InvalidInput(f"Learning: {name} = {getattr(self, name)!r}: must be at least 1.")
+    tempering: Positive = 0.5
+    """share of a log-likelihood that counts, for successive innovations are not independent"""
+    modest: _Factor = 2.0
+    """factor on the standard deviations of the filters, which know nothing of relaxation and load of the tyres"""
+    cautious: NotNegative = 1.0
+    """standard deviations of the delay by which the controller believes it longer than its mean"""
+    tolerated: Annotated[Positive, "s"] = 0.06
+    """standard deviation of the delay that doubles R"""
+    most_caution: _Factor = 16.0
+    """largest factor on R for the delay"""
+    tolerated_stiffness: Positive = 0.6
+    """standard deviation of the logarithm of the stiffness that doubles R"""
+    longer: Annotated[NotNegative, "s per s"] = 2.0
+    """by which lag or dead time are believed longer at most"""
+    shorter: Annotated[NotNegative, "s per s"] = 2.0
+    """likewise shorter"""
+    stiffer: Annotated[NotNegative, "1/s"] = 5.0
+    """by which the logarithm of the believed stiffness changes at most"""
+    turning: Annotated[NotNegative, "rad/s"] = 0.1
+    """by which the believed bias changes at most"""
+    wandering: Annotated[NotNegative, "rad/s"] = 0.2
+    """by which the wheels may be elsewhere for every second of uncertain delay, after a second"""
+    noise: _Factor = 4.0
+    """factor within which the noise of a sensor may differ from what was told"""
+    noise_time: Annotated[Positive, "s"] = 20.0
+    """over which the noise of a sensor is averaged"""
 
 
 class Ranges(NamedTuple):

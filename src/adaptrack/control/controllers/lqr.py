@@ -5,11 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from functools import lru_cache
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from adaptrack.base.checked import Positive, checked
 from adaptrack.base.errors import InvalidInput, real
 from adaptrack.cars.vehicle import Vehicle
 from adaptrack.control.controllers.base import (
@@ -43,7 +44,7 @@ class LQR(CompiledController):
     sampled at the control period. R. Rajamani, *Vehicle Dynamics and Control*, 2nd ed., eqs. (2.45), (3.12)-(3.15).
     Lag and dead time of the steering are not part of the model; the feed-forward looks `preview_time` ahead for them.
 
-    q_e: 1/m^2; q_heading: 1/rad^2; r: 1/rad^2, positive; preview_time: s, None for the lag and dead time of the
+    q_e, q_heading, r: only their ratios count; preview_time: s, None for the lag and dead time of the
     vehicle's steering (0.2 s where nothing is known); the rest: see `CompiledController`.
     """
 
@@ -55,13 +56,14 @@ class LQR(CompiledController):
         "preview_time": Bounds(0.0, 0.6),
     }
 
+    @checked
     def __init__(
         self,
         vehicle: Vehicle,
         *,
-        q_e: float = 1.0,
-        q_heading: float = 100.0,
-        r: float = 1000.0,
+        q_e: Annotated[Positive, "1/m^2"] = 1.0,
+        q_heading: Annotated[Positive, "1/rad^2"] = 100.0,
+        r: Annotated[Positive, "1/rad^2"] = 1000.0,
         preview_time: float | None = None,
         period: float = 0.1,
         limits: Limits | None = None,

@@ -13,13 +13,15 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from functools import cached_property
 from math import isfinite
-from typing import Any, NamedTuple, Protocol, Self, runtime_checkable
+from typing import Annotated, Any, NamedTuple, Protocol, Self, runtime_checkable
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from pydantic import InstanceOf
 
-from adaptrack.base.errors import InvalidInput, real, whole
-from adaptrack.base.limits import CONTROL_HORIZON, PREDICTION_HORIZON, check_limit
+from adaptrack.base.checked import Count, Hint, Positive, checked
+from adaptrack.base.errors import InvalidInput
+from adaptrack.base.limits import CONTROL_HORIZON, PREDICTION_HORIZON
 from adaptrack.cars.vehicle import Vehicle
 from adaptrack.control.controllers.base import Controller
 from adaptrack.control.controllers.belief import Told, Uncertainty
@@ -116,8 +118,6 @@ def _given_parts(
     vehicle: Vehicle, model: PredictionModel | None, estimator: Estimator | None, period: float | None
 ) -> Parts:
     """A model or an estimator of the caller's, the rest as in the paper."""
-    if not isinstance(model, PredictionModel | None):
-        raise InvalidInput(f"MPC: model = {model!r}: must be a PredictionModel.")
     if not isinstance(estimator, Estimator | None):
         raise InvalidInput(f"MPC: estimator = {estimator!r}: must be the name of an estimator or an Estimator.")
     own = SingleTrackModel(vehicle, 0.1 if period is None else period) if model is None else model
@@ -141,10 +141,10 @@ class MPC(Controller):
     what the car's file says in ``[known_within]``. What nobody says of the steering is taken from the slow end of
     published values, with R raised as well; `belief` of the controller says what it believes, and from whom.
 
-    period: control period (s); limits: by default the believed rate times the period (the paper's table where the delay
+    period: control period; limits: by default the believed rate times the period (the paper's table where the delay
     is assumed) and the believed angle; preview: whether R_s holds the reference ahead or its present value; solver:
     "active-set" (exact), "hildreth" (the paper's), the name of another registered QP solver, or a `QPSolver`; what is
-    done with an answer that is not certified says `QPSolver.on_uncertified`; speed_floor: m/s, the model is never
+    done with an answer that is not certified says `QPSolver.on_uncertified`; speed_floor: the model is never
     formed below it; longest_horizon, most_moves: largest Np and Nc that a scheduler may ask for.
 
     model, estimator: a `PredictionModel`, and an `Estimator` or its registered name. A `KalmanFilter` alone takes the
@@ -163,26 +163,27 @@ class MPC(Controller):
     tuning_names = ENTRIES
     sees_all_sensors = True
 
+    @checked
     def __init__(
         self,
         vehicle: Vehicle,
-        tuning: Tuning | None = None,
+        tuning: Annotated[InstanceOf[Tuning], Hint("Tuning(Np, Nc, Q, R)")] | None = None,
         *,
         profile: str | Profile | None = None,
         belief: Told = None,
-        uncertainty: Uncertainty | None = None,
-        learning: Learning | None = None,
-        period: float | None = None,
-        limits: Limits | None = None,
-        moves: Moves | None = None,
+        uncertainty: Annotated[InstanceOf[Uncertainty], Hint("Uncertainty(lag=..., dead_time=...)")] | None = None,
+        learning: Annotated[InstanceOf[Learning], Hint("Learning() gives one")] | None = None,
+        period: Annotated[Positive, "s"] | None = None,
+        limits: Annotated[InstanceOf[Limits], Hint("Limits(move=(low, high), angle=(low, high))")] | None = None,
+        moves: InstanceOf[Moves] | None = None,
         preview: bool | None = None,
         solver: str | QPSolver = "active-set",
         scheduler: Scheduler | None = None,
-        model: PredictionModel | None = None,
+        model: InstanceOf[PredictionModel] | None = None,
         estimator: str | Estimator | None = None,
-        speed_floor: float = 1.0,
-        longest_horizon: int | None = None,
-        most_moves: int | None = None,
+        speed_floor: Annotated[Positive, "m/s"] = 1.0,
+        longest_horizon: Annotated[Count, PREDICTION_HORIZON] | None = None,
+        most_moves: Annotated[Count, CONTROL_HORIZON] | None = None,
     ) -> None:
         filtering = get_estimator(estimator) if isinstance(estimator, str) else estimator
         if model is None and isinstance(filtering, KalmanFilter | None):
@@ -195,8 +196,6 @@ class MPC(Controller):
                 )
             parts = _given_parts(vehicle, model, filtering, period)
         self.tuning = parts.tuning if tuning is None else tuning
-        if not isinstance(self.tuning, Tuning):
-            raise InvalidInput(f"MPC: tuning = {tuning!r}: must be a Tuning(Np, Nc, Q, R).")
         self.model, self.estimator, self.belief = parts.model, parts.estimator, parts.belief
         self.learner = parts.learner
         self.vehicle = getattr(self.model, "vehicle", None)
@@ -215,19 +214,13 @@ class MPC(Controller):
         self.scheduler = scheduler
         self._said: set[str] = set()
         self.warn_of(scheduler, None if profile is None else load_profile(profile).name)
-        if not 0.0 < real("MPC", "speed_floor", speed_floor) < math.inf:
-            raise InvalidInput(f"speed_floor = {speed_floor!r} m/s: must be positive and finite.")
-        self.speed_floor = float(speed_floor)
+        self.speed_floor = speed_floor
         self._set_sizes(longest_horizon, most_moves)
         self.reset()
 
     def _set_sizes(self, longest_horizon: int | None, most_moves: int | None) -> None:
-        longest_horizon = max(60, self.tuning.Np) if longest_horizon is None else longest_horizon
-        most_moves = max(20, self.tuning.Nc) if most_moves is None else most_moves
-        self.longest_horizon = whole("MPC", "longest_horizon", longest_horizon)
-        self.most_moves = whole("MPC", "most_moves", most_moves)
-        check_limit("MPC: longest_horizon", self.longest_horizon, PREDICTION_HORIZON)
-        check_limit("MPC: most_moves", self.most_moves, CONTROL_HORIZON)
+        self.longest_horizon = max(60, self.tuning.Np) if longest_horizon is None else longest_horizon
+        self.most_moves = max(20, self.tuning.Nc) if most_moves is None else most_moves
         if self.tuning.Np > self.longest_horizon or self.tuning.Nc > self.most_moves:
             raise InvalidInput(
                 f"Np = {self.tuning.Np}, Nc = {self.tuning.Nc} exceed longest_horizon = {self.longest_horizon} or "

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from typing import Annotated, Any
 
+from adaptrack.base.checked import Hint, NotNegative, Positive, checked
 from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.vehicle import Vehicle
 from adaptrack.control.controllers.base import Bounds, CompiledController, known_vehicle
@@ -21,17 +22,18 @@ class PurePursuit(CompiledController):
     not modelled. R. C. Coulter, *Implementation of the Pure Pursuit Path Tracking Algorithm*, CMU-RI-TR-92-01, 1992;
     a look-ahead that grows with the speed is common practice.
 
-    lookahead_time: s; lookahead_min: m; the rest: see `CompiledController`.
+    Arguments: see `CompiledController`.
     """
 
     tuning_bounds: Mapping[str, Bounds] = {"lookahead_time": Bounds(0.1, 1.5), "lookahead_min": Bounds(1.0, 10.0)}
 
+    @checked
     def __init__(
         self,
         vehicle: Vehicle,
         *,
-        lookahead_time: float = 0.6,
-        lookahead_min: float = 4.0,
+        lookahead_time: Annotated[NotNegative, "s"] = 0.6,
+        lookahead_min: Annotated[Positive, "m", Hint("a standing car has no target else")] = 4.0,
         period: float = 0.1,
         limits: Limits | None = None,
         preview: bool = False,

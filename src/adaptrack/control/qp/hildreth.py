@@ -6,7 +6,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from adaptrack.base.errors import InvalidInput
+from adaptrack.base.checked import Count, NotNegative, checked
 from adaptrack.control.qp.kernel import Workspace
 from adaptrack.control.qp.problem import QP, QPStatus, Solution
 from adaptrack.control.qp.solver import Attempt, OnUncertified, QPSolver
@@ -28,14 +28,12 @@ class Hildreth(QPSolver):
     name: ClassVar[str] = "hildreth"
     accuracy: ClassVar[float] = 1e-6
 
-    def __init__(self, max_sweeps: int = 38, tolerance: float = 1e-7, on_uncertified: OnUncertified = "exact") -> None:
-        if not max_sweeps >= 1:
-            raise InvalidInput(f"max_sweeps is {max_sweeps}; at least 1 is needed.")
-        if not (np.isfinite(tolerance) and tolerance >= 0.0):
-            raise InvalidInput(f"tolerance is {tolerance}; a number >= 0 is needed.")
+    @checked
+    def __init__(
+        self, max_sweeps: Count = 38, tolerance: NotNegative = 1e-7, on_uncertified: OnUncertified = "exact"
+    ) -> None:
         super().__init__(on_uncertified)
-        self.max_sweeps = int(max_sweeps)
-        self.tolerance = float(tolerance)
+        self.max_sweeps, self.tolerance = max_sweeps, tolerance
         self._workspace = Workspace()
 
     def attempt(self, qp: QP, warm_start: Solution | None = None) -> Attempt:

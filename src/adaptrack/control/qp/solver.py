@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from typing import Any, ClassVar, Literal, NamedTuple, get_args
+from typing import Any, ClassVar, Literal, NamedTuple
 
 import numpy as np
 
-from adaptrack.base.errors import InvalidInput
+from adaptrack.base.checked import checked
 from adaptrack.control.qp.problem import QP, Array, QPStatus, Residuals, Solution, kkt_residuals
 
 ACCEPTED = 1e-6
@@ -62,9 +62,8 @@ class QPSolver(ABC):
     """How many answers the exact method has finished so far."""
     _exact: QPSolver | None = None
 
+    @checked
     def __init__(self, on_uncertified: OnUncertified = "exact") -> None:
-        if on_uncertified not in get_args(OnUncertified):
-            raise InvalidInput(f"on_uncertified is {on_uncertified!r}; choose 'exact', 'apply' or 'hold'.")
         self.on_uncertified = on_uncertified
 
     @property

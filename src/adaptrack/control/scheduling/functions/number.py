@@ -2,35 +2,24 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Self
 
 import numpy as np
 
-from adaptrack.base.errors import InvalidInput, real
+from adaptrack.base.checked import Finite, checked
 from adaptrack.control.scheduling.functions.function import Array, Function, Packed, register_function
 
 
 @register_function
+@checked
 @dataclass(frozen=True)
 class Number(Function):
-    """The same value everywhere.
+    """The same value everywhere."""
 
-    Raises
-    ------
-    InvalidInput
-        When it is not a finite number.
-    """
-
-    value: float
+    value: Finite
     kind = "number"
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "value", real("function", "value", self.value))
-        if not math.isfinite(self.value):
-            raise InvalidInput(f"function: value = {self.value!r}: must be finite.")
 
     @property
     def n_inputs(self) -> None:
