@@ -13,6 +13,7 @@ from typer import Option
 
 from adaptrack.base.errors import InvalidInput
 from adaptrack.cli import options, show
+from adaptrack.cli.next_step import again, command, say_next
 from adaptrack.cli.show import Column
 
 if TYPE_CHECKING:
@@ -113,6 +114,20 @@ def car(given: CarOptions) -> None:
             vehicle.to_toml(out)
             written.append(out)
     _say(vehicle, fit, written, given.as_json)
+    if vehicle is not None and not given.as_json:
+        say_next(*_next_step(given, vehicle))
+
+
+def _next_step(given: CarOptions, vehicle: Vehicle) -> tuple[str, str]:
+    """What to do with a car, and the command."""
+    if given.out is None and given.name is None:
+        return "to keep the car", again("--out", "my-car.toml")
+    file = given.out if given.out is not None else given.name
+    if vehicle.estimated:
+        return "as some of it is estimated, to let a drive learn it", command(
+            "drive", "country", "--vehicle", file, "--learn"
+        )
+    return "to drive it", command("drive", "country", "--vehicle", file)
 
 
 def _vehicle(given: CarOptions) -> Vehicle | None:
@@ -164,6 +179,8 @@ def _on(vehicle: Vehicle, fit: TyreFit | None, written: list[Path]) -> Vehicle:
 
 # -- what is said -----------------------------------------------------------------------------------------------------
 def _say(vehicle: Vehicle | None, fit: TyreFit | None, written: list[Path], as_json: bool) -> None:
+    from adaptrack.results.answers import of_car
+
     if as_json:
         show.say_json({
             "car": None if vehicle is None else vehicle.model_dump(mode="json"),
@@ -175,6 +192,7 @@ def _say(vehicle: Vehicle | None, fit: TyreFit | None, written: list[Path], as_j
         })  # fmt: skip
         return
     if vehicle is not None:
+        show.say(of_car(vehicle))
         title = vehicle.name if not vehicle.description else f"{vehicle.name}: {vehicle.description}"
         show.table(title, NUMBERS, numbers(vehicle))
         show.table("Steady turns of its model", DERIVED, derived(vehicle, fit))

@@ -78,11 +78,13 @@ class Driven:
 def drive_lane_change(name: str, driven: Driven, as_json: bool) -> None:
     """Find and print the highest clean entry speeds."""
     from adaptrack.comparison.manoeuvres import TRACKS, LaneChangeTest, entry_speeds
+    from adaptrack.results.answers import of_lane_changes
 
     track_name, grid, tune_at = LANE_CHANGES[name]
     if driven.out is not None:
         options.make_folder(driven.out)
     rows: list[dict[str, Any]] = []
+    pictures: list[Path] = []
     count = len(driven.cars)
     with show.progress(name, count) as advance:
         for car, plant in driven.cars:
@@ -99,16 +101,24 @@ def drive_lane_change(name: str, driven: Driven, as_json: bool) -> None:
             advance(car.name, 1, 1)
             rows += [run.row for run in runs]
             if driven.out is not None:
-                show.say(f"Picture: {_draw(driven.out, name, runs)}", aside=as_json)
+                pictures.append(_draw(driven.out, name, runs))
     if as_json:
         about = {"manoeuvre": name, "profile": driven.profile.name, "tuned_at": tune_at if driven.tune else None}
         show.say_json(about | {"rows": rows})
+        _say_pictures(pictures, aside=True)
         return
+    show.say(of_lane_changes(rows))
     show.table(TITLES[name], SPEED_COLUMNS if driven.tune else SPEED_COLUMNS[:4], _beside(rows))
     show.say(f"Clean to: all entry speeds of the grid up to there, {grid[1] - grid[0]:g} km/h apart, from {grid[0]:g};")
     show.say("highest: of all that were tried. The worst of three noise seeds counts.")
     if driven.tune:
         show.say(f"Tuned: the best of a small search at {tune_at:g} km/h, with other seeds.")
+    _say_pictures(pictures, aside=False)
+
+
+def _say_pictures(files: Sequence[Path], aside: bool) -> None:
+    for file in files:
+        show.say(f"Picture: {file}", aside=aside)
 
 
 def _draw(out: Path, name: str, runs: Sequence[EntrySpeed]) -> Path:
@@ -142,6 +152,7 @@ def _beside(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
 def drive_start(name: str, driven: Driven, given: dict[str, float], as_json: bool) -> bool:
     """Drive and print a manoeuvre that starts beside a path or meets a step of curvature; whether all passed."""
     from adaptrack.comparison.manoeuvres import drive_lane_start
+    from adaptrack.results.answers import of_starts
 
     if driven.out is not None:
         raise InvalidInput(f"--out has no meaning for {name}: leave it out.")
@@ -160,6 +171,7 @@ def drive_start(name: str, driven: Driven, given: dict[str, float], as_json: boo
         show.say_json(about | {"rows": rows})
     else:
         told = [{**row, "result": row["failed"] or ("passed" if row["passed"] else "too far")} for row in rows]
+        show.say(of_starts(rows))
         show.table(f"{TITLES[name]}: {start.speed:.3g} m/s, corner at most {start.limit:.3g} m", START_COLUMNS, told)
         show.say(f"Criterion: {start.source}.")
         show.say("Settled: |e| within 0.1 m from then on. The worst of three noise seeds counts.")

@@ -9,6 +9,7 @@ from typing import Any
 import typer
 
 from adaptrack.cli import options, show
+from adaptrack.cli.next_step import again, command, say_next
 
 app = typer.Typer(help="Data sets of tuned operating points.", no_args_is_help=True, rich_markup_mode=None)
 
@@ -27,6 +28,7 @@ class DescribeOptions:
 def describe_dataset(given: DescribeOptions) -> None:
     """Ranges and optima of a data set, and how much of them can be learned."""
     from adaptrack.learning.boosting import explained_shares
+    from adaptrack.results.answers import of_dataset
     from adaptrack.tuning.dataset import describe, load_dataset
 
     out, as_json = given.out, given.as_json
@@ -40,11 +42,19 @@ def describe_dataset(given: DescribeOptions) -> None:
 
         with show.progress("write the page"):
             page = write_dataset_report(out, dataset, summary=found)
-        show.say(f"Report: {page}", aside=as_json)
     if as_json:
         show.say_json(found)
     else:
+        show.say(of_dataset(found))
         _print(found)
+    if out is not None:
+        show.say(f"Report: {page}", aside=as_json)
+    if not as_json:
+        if out is None:
+            say_next("to see it on a page", again("--out", "data-page"))
+        else:
+            learn = command("train", "--data", given.name, "--model", "nn", "--out", "nn.json")
+            say_next("to learn a scheduler from it", learn)
 
 
 def _print(found: Mapping[str, Any]) -> None:
@@ -62,4 +72,7 @@ def datasets(as_json: options.Json = False) -> None:
     """List the data sets that ship with the package."""
     from adaptrack.tuning.dataset import list_datasets
 
-    show.listing("Data sets", [{"name": name} for name in list_datasets()], as_json)
+    rows = [{"name": name} for name in list_datasets()]
+    show.listing(f"{len(rows)} data sets", rows, as_json)
+    if not as_json:
+        say_next("to see what is in one", command("dataset", "describe", rows[0]["name"]))

@@ -14,6 +14,7 @@ from typer import Option
 
 from adaptrack.cli import interrupt, options, show
 from adaptrack.cli import road as roads
+from adaptrack.cli.next_step import again, command, instead, say_next
 from adaptrack.cli.simulate import (
     FAILED,
     ControllerSettings,
@@ -22,6 +23,7 @@ from adaptrack.cli.simulate import (
     make_controller,
     measured_row,
     tell_belief,
+    tell_learned,
     tell_open_qps,
     tell_stiffness,
 )
@@ -34,9 +36,12 @@ if TYPE_CHECKING:
     from adaptrack.drive.trajectory import Trajectory
     from adaptrack.scenario import RoadDrive
 
+SLOWER = 0.7
+"""Times the speed, or the lateral acceleration, that is tried after a failure."""
+
 SHOWN = (
-    "rms_offset", "p95_offset", "max_offset", "max_corner", "in_lane", "max_acceleration", "max_jerk_r79",
-    "prediction_error_half", "prediction_error_one", "step_us_p50", "step_us_p999",
+    "rms_offset", "p95_offset", "max_offset", "max_corner", "max_corner_error", "in_lane", "max_acceleration",
+    "max_jerk_r79", "prediction_error_half", "prediction_error_one", "step_us_p50", "step_us_p999",
 )  # fmt: skip
 """Measures on the page."""
 OTHER_UNITS = {"prediction_error_half": "m", "prediction_error_one": "m", "step_us_p50": "µs", "step_us_p999": "µs"}
@@ -116,17 +121,46 @@ def drive(given: DriveOptions) -> None:
             if how.out is not None:
                 _keep(run, how.out / f"{file}.parquet")
     rows = [run.row for run in runs]
-    if not any(row["failed"] for row in rows):
-        keep_learned(how.learned, controllers, as_json)
-    if how.out is not None:
-        show.say(f"Page: {_write_page(how.out, runs, how.png)}", aside=as_json)
+    failed = any(row["failed"] for row in rows)
     _print(trip, rows, as_json)
     for label, each in controllers:
         tell_belief(label, each, body, world, as_json)
-    if any(row["failed"] for row in rows):
+        tell_learned(label, each, as_json)
+    if failed:
         tell_stiffness(car, body, as_json)
-        if not how.allow_failed:
-            raise typer.Exit(FAILED)
+    else:
+        keep_learned(how.learned, controllers, as_json)
+    if how.out is not None:
+        show.say(f"Page: {_write_page(how.out, runs, how.png)}", aside=as_json)
+    if not as_json:
+        assumed = any(each.belief is not None and each.belief.is_cautious for _, each in controllers)
+        say_next(*_next_step(given, rows, seen.drivable, assumed))
+    if failed and not how.allow_failed:
+        raise typer.Exit(FAILED)
+
+
+def _next_step(given: DriveOptions, rows: Sequence[dict[str, Any]], drivable: bool, assumed: bool) -> tuple[str, str]:
+    """What to do after a drive, and the command; drivable: the road, for this car; assumed: the steering's delay."""
+    route, how = given.route, given.drive
+    here = ("--vehicle", given.car.vehicle, *route.words)
+    away = any(row["failed"] or row.get("in_lane", 1.0) < 1.0 for row in rows)
+    if away and not drivable:
+        return "to see what of the road cannot be driven", command("road", "check", given.road, *here)
+    if away and route.speed is not None:
+        return "to stay in the lane, drive more slowly", instead("--speed", round(SLOWER * route.speed, 1))
+    if away:
+        comfort = SLOWER * (3.0 if route.lateral_acceleration is None else route.lateral_acceleration)
+        return "to stay in the lane, drive more slowly", instead("--lateral-acceleration", round(comfort, 2))
+    if assumed and not (how.learn or how.learned):
+        return "as nobody says how late the steering is, let it be learned", again("--learn")
+    if how.out is None:
+        return "to see the drive on a page", again("--out", "drive")
+    if given.tuning:
+        judged = ("--profile", given.profile, "--tuning", given.tuning[0])
+        return "to judge the tuning with other noise", command("evaluate", given.road, *here, *judged)
+    best = min(rows, key=lambda row: row["mse"])["controller"]
+    sought = ("--profile", given.profile, "--controller", best, "--out", "tuning.toml")
+    return f"to seek a tuning of {best} for this road", command("tune", given.road, *here, *sought)
 
 
 def tuned(file: Path, settings: ControllerSettings) -> tuple[str, Controller]:
@@ -196,13 +230,9 @@ class _Run:
 
 
 def _print(trip: RoadDrive, rows: Sequence[dict[str, Any]], as_json: bool) -> None:
+    from adaptrack.results.answers import length, of_drives
     from adaptrack.results.drive import console_table
 
-    if as_json:
-        show.say_json({"rows": rows})
-    else:
-        title = f"{trip.name}, {trip.length:.0f} m, {trip.plan.speed.min():.3g}-{trip.plan.speed.max():.3g} m/s"
-        print_table(console_table(title, rows))
     for row in rows:
         if row["failed"]:
             show.say_failed(
@@ -210,6 +240,14 @@ def _print(trip: RoadDrive, rows: Sequence[dict[str, Any]], as_json: bool) -> No
                 f"the vehicle {row['failed_because']}.",
                 aside=as_json,
             )
+    if as_json:
+        show.say_json({"rows": rows})
+    else:
+        if not all(row["failed"] for row in rows):
+            show.say(of_drives(rows, length(trip.length)))
+        title = f"{trip.name}, {trip.length:.0f} m, {trip.plan.speed.min():.3g}-{trip.plan.speed.max():.3g} m/s"
+        print_table(console_table(title, rows))
+    for row in rows:
         tell_open_qps(row, as_json)
 
 

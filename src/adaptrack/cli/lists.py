@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from adaptrack.cli import options, show
+from adaptrack.cli.next_step import command, say_next
 
 
 def scenarios(as_json: options.Json = False) -> None:
@@ -13,7 +14,8 @@ def scenarios(as_json: options.Json = False) -> None:
         {"scenario": name, "what it is": text, "options": ", ".join(scenario_options(name))}
         for name, text in list_scenarios().items()
     ]
-    show.listing("Scenarios", rows, as_json)
+    show.listing(f"{len(rows)} scenarios", rows, as_json)
+    _say_next("to drive one", as_json, "simulate", rows[0]["scenario"])
 
 
 def vehicles(as_json: options.Json = False) -> None:
@@ -25,7 +27,8 @@ def vehicles(as_json: options.Json = False) -> None:
     rows += [
         {"kind": "tyre", "name": name, "what it is": load_tyre(name).description, "tyre": ""} for name in list_tyres()
     ]
-    show.listing("Vehicles and tyres", rows, as_json)
+    show.listing(f"{len(cars)} vehicles, {len(rows) - len(cars)} tyres", rows, as_json)
+    _say_next("to see the numbers of a car", as_json, "car", rows[0]["name"])
 
 
 def schedulers(as_json: options.Json = False) -> None:
@@ -45,4 +48,10 @@ def schedulers(as_json: options.Json = False) -> None:
         }
         for name, each in ((name, load_scheduler(name)) for name in list_schedulers())
     ]
-    show.listing("Schedulers", rows, as_json)
+    show.listing(f"{len(rows)} schedulers", rows, as_json)
+    _say_next("to certify one", as_json, "certify", rows[0]["name"])
+
+
+def _say_next(why: str, as_json: bool, *words: str) -> None:
+    if not as_json:
+        say_next(why, command(*words))

@@ -13,6 +13,7 @@ from typer import Option
 
 from adaptrack.base.errors import InvalidInput
 from adaptrack.cli import options, show
+from adaptrack.cli.next_step import again, command, say_next
 from adaptrack.cli.show import Column
 
 if TYPE_CHECKING:
@@ -172,8 +173,20 @@ def manoeuvre(given: ManoeuvreOptions) -> None:
         passed = _open_loop(name, *cars[0], numbers, given.friction, given.as_json)
     else:
         passed = _closed_loop(name, cars, particular, given.friction, given.as_json)
+    if not given.as_json:
+        say_next(*_next_step(given))
     if not passed:
         raise typer.Exit(NOT_PASSED)
+
+
+def _next_step(given: ManoeuvreOptions) -> tuple[str, str]:
+    """What to do after a manoeuvre, and the command."""
+    if given.name in (Name.double_lane_change, Name.obstacle_avoidance):
+        if given.out is None:
+            return "to see the fastest clean runs as pictures", again("--out", str(given.name))
+        return "to drive a road", command("drive", "country", "--vehicle", (given.vehicle or ["paper"])[0])
+    cars = [word for each in given.vehicle or ["paper"] for word in ("--vehicle", each)]
+    return "to see how fast controllers enter a lane change", command("manoeuvre", "obstacle-avoidance", *cars)
 
 
 def _open_loop(
@@ -181,6 +194,7 @@ def _open_loop(
 ) -> bool:
     """Drive and print; whether its criteria are met."""
     from adaptrack.comparison.manoeuvres import Surroundings
+    from adaptrack.results.answers import of_open_loop
 
     around = None if friction is None else Surroundings(friction=friction)
     summary, rows = _drive(name, car, body, given, around)
@@ -188,6 +202,7 @@ def _open_loop(
         about = {"manoeuvre": str(name), "vehicle": car.name, "plant": body.name, "tyre": body.tyre_name}
         show.say_json(about | {key: _strict(value) for key, value in summary.items()} | {"rows": _plain(rows)})
     else:
+        show.say(of_open_loop(name, summary))
         _print(name, f"{car.name}, {body.name}", summary, rows)
     return bool(summary.get("passed", True))
 

@@ -41,7 +41,7 @@ COLUMNS = (
     Column("interval", "95 %\ninterval"),
     Column("rms_error", "RMS e", "m", show.digits(3)),
     Column("p95_error", "p95 |e|", "m", show.digits(3)),
-    Column("max_corner_error", "corner", "m", show.digits(3)),
+    Column("max_corner_error", "corner |e|", "m", show.digits(3)),
     Column("failures", "runs\nfailed"),
 )
 

@@ -11,6 +11,7 @@ from typer import Option
 
 from adaptrack.base.errors import InvalidInput
 from adaptrack.cli import options, show
+from adaptrack.cli.next_step import command, say_next
 
 if TYPE_CHECKING:
     from adaptrack.cars.vehicle import Vehicle
@@ -72,10 +73,20 @@ class RoadOptions:
     @property
     def named(self) -> list[str]:
         """The options that are given, as one types them."""
-        spelt = {"road_id": "--road"}
-        return [
-            spelt.get(name, f"--{name.replace('_', '-')}") for name, value in vars(self).items() if value is not None
-        ]
+        return [word for word in self.words if word.startswith("--")]
+
+    @property
+    def words(self) -> list[str]:
+        """The options that are given, with their values, as one types them."""
+        found: list[str] = []
+        for name, value in vars(self).items():
+            flag = "--road" if name == "road_id" else f"--{name.replace('_', '-')}"
+            if isinstance(value, bool):
+                found.append("--closed" if value else "--open")
+            elif value is not None:
+                for each in value if isinstance(value, list) else [value]:
+                    found += [flag, str(each)]
+        return found
 
     @property
     def each(self) -> list[RoadOptions]:
@@ -153,6 +164,7 @@ def plot(given: PlotOptions) -> None:
     seen = given.route.look(given.road, load_vehicle(given.vehicle))
     write_atomically(given.out, picture_png(road_picture(seen.road, seen.plan, seen.findings)))
     show.say(f"Picture: {given.out}")
+    say_next("to drive it", command("drive", given.road, "--vehicle", given.vehicle, *given.route.words))
 
 
 @dataclass(frozen=True)

@@ -14,16 +14,25 @@ from typer import Option
 
 from adaptrack.base.errors import InvalidInput, UnknownName, did_you_mean
 from adaptrack.cli import interrupt, options, show
+from adaptrack.cli.next_step import again, command, say_next
 from adaptrack.cli.show import Column
 
 if TYPE_CHECKING:
     from adaptrack.cars.vehicle import Vehicle
-    from adaptrack.control.controllers import Controller, Learning, Moves, Tuning
+    from adaptrack.control.controllers import Controller, LearnedCar, Learning, Moves, Tuning
     from adaptrack.control.models import PredictionModel
     from adaptrack.control.scheduling import Schedule
     from adaptrack.drive.trajectory import Trajectory
     from adaptrack.scenario import Scenario
     from adaptrack.scenario.profile import Profile
+
+LEARNED = (
+    Column("quantity", "learned"),
+    Column("value", "value", "", show.digits(3)),
+    Column("low", "90 % from", "", show.digits(3)),
+    Column("high", "to", "", show.digits(3)),
+    Column("unit", "unit"),
+)
 
 FAILED = 3
 """The exit code when a run failed."""
@@ -138,17 +147,34 @@ def simulate(given: SimulateOptions) -> None:
     runs = _drive(loaded, controllers, body, world, how)
     models = {label: each.model for label, each in controllers}
     rows = [measured_row(label, run, models[label]) for label, run in runs]
-    if not any(row["failed"] for row in rows):
-        keep_learned(how.learned, controllers, as_json)
-    if how.out is not None:
-        show.say(f"Report: {_write_report(how.out, runs, how.png)}", aside=as_json)
+    failed = any(row["failed"] for row in rows)
     _print(rows, as_json)
     for label, each in controllers:
         tell_belief(label, each, body, world, as_json)
-    if any(row["failed"] for row in rows):
+        tell_learned(label, each, as_json)
+    if failed:
         tell_stiffness(car, body, as_json)
-    if any(row["failed"] for row in rows) and not how.allow_failed:
+    else:
+        keep_learned(how.learned, controllers, as_json)
+    if how.out is not None:
+        show.say(f"Report: {_write_report(how.out, runs, how.png)}", aside=as_json)
+    if not as_json:
+        say_next(*_next_step(given, rows))
+    if failed and not how.allow_failed:
         raise typer.Exit(FAILED)
+
+
+def _next_step(given: SimulateOptions, rows: Sequence[dict[str, Any]]) -> tuple[str, str]:
+    """What to do after the runs, and the command."""
+    driven, failed = {row["controller"] for row in rows}, {row["controller"] for row in rows if row["failed"]}
+    usual = () if given.controller else tuple(word for each in driven for word in ("--controller", each))
+    if failed and INFORMED not in driven and given.scheduler is None:
+        return "to drive the controller that knows its car beside it", again(*usual, "--controller", INFORMED)
+    if given.drive.out is None:
+        return f"to see {'where it failed' if failed else 'the runs'} on a page", again("--out", "report")
+    if driven == {INFORMED}:
+        return "to drive another controller beside it", again(*usual, "--controller", "lqr")
+    return "to drive a road", command("drive", "country", "--vehicle", given.car.vehicle, "--profile", "road")
 
 
 # -- controllers ------------------------------------------------------------------------------------------------------
@@ -367,15 +393,20 @@ def measured_row(controller: str, run: Trajectory, model: PredictionModel | None
 
 
 def _print(rows: Sequence[dict[str, Any]], as_json: bool) -> None:
+    from adaptrack.results.answers import of_runs
+
+    for row in rows:
+        if row["failed"]:
+            run = f"{row['scenario']}, {row['controller']}"
+            show.say_failed(f"{run}: at {row['failed_at']:.2f} s the vehicle {row['failed_because']}.", aside=as_json)
     if as_json:
         show.say_json({"rows": rows})
     else:
+        if not all(row["failed"] for row in rows):
+            show.say(of_runs(rows))
         shown = [{**row, "result": "failed" if row["failed"] else "ok"} for row in rows]
         show.table("Closed-loop runs", COLUMNS, shown)
     for row in rows:
-        run = f"{row['scenario']}, {row['controller']}"
-        if row["failed"]:
-            show.say_failed(f"{run}: at {row['failed_at']:.2f} s the vehicle {row['failed_because']}.", aside=as_json)
         tell_open_qps(row, as_json)
 
 
@@ -403,6 +434,15 @@ def tell_belief(label: str, controller: Controller, body: Any, world: Profile, a
             f"{rate:.4g} rad/s.",
             aside=aside,
         )
+
+
+def tell_learned(label: str, controller: Controller, as_json: bool) -> None:
+    """What a controller has learned of its car, each number with its interval."""
+    if controller.learner is None or as_json:
+        return
+    learned: LearnedCar = controller.learned()  # type: ignore[attr-defined]
+    rows = [each._asdict() for each in learned.intervals]
+    show.table(f"Learned by {label} in {learned.seconds:.0f} s of driving", LEARNED, rows)
 
 
 def tell_domain(scenario: Scenario, car: Vehicle) -> None:

@@ -10,6 +10,7 @@ from typer import Option
 
 from adaptrack.base.errors import InvalidInput
 from adaptrack.cli import interrupt, options, show
+from adaptrack.cli.next_step import command, instead, say_next
 from adaptrack.cli.show import Column
 
 COLUMNS = (
@@ -45,6 +46,7 @@ def train(given: TrainOptions) -> None:
     from adaptrack.control.scheduling import check_scheduler
     from adaptrack.learning.adaptation.recipes import purpose_of, trained_schedule
     from adaptrack.learning.training import train as learn
+    from adaptrack.results.answers import behind_trees, of_training
     from adaptrack.tuning.dataset import load_dataset
 
     out, model, targets = given.out, str(given.model), str(given.targets)
@@ -63,6 +65,13 @@ def train(given: TrainOptions) -> None:
         about = {"scheduler": str(out), "data": dataset.name, "model": model, "targets": targets}
         show.say_json({**about, "rows": rows})
         return
+    show.say(of_training(model, rows))
     held_out = f"{rows[0]['n_holdout']} of {len(dataset)} operating points held out"
     show.table(f"{dataset.name}, {held_out}; RMSE in the unit of what is learned", COLUMNS, rows)
     show.say(f"Scheduler: {out}")
+    if model == "nn" and behind_trees(rows):
+        say_next("to see whether anfis learns more", instead("--model", "anfis"))
+        return
+    known = {f"--{key}": schedule.made_for.get(name) for key, name in (("vehicle", "car"), ("profile", "profile"))}
+    words = [word for option, value in known.items() if value for word in (option, value)]
+    say_next("to see whether its loops are stable", command("certify", out, *words))

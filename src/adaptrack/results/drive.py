@@ -26,7 +26,7 @@ CONSOLE = (
     Column("controller", "controller"),
     Column("rms_error", "RMS e", "m", 3),
     Column("max_abs_error", "max |e|", "m", 3),
-    Column("max_corner_error", "corner", "m", 3),
+    Column("max_corner_error", "corner |e|", "m", 3),
     Column("in_lane", "in lane", "%", "percent"),
     Column("max_acceleration", "max a_y", "m/s²", 3),
     Column("driven_length", "driven", "m", "whole"),

@@ -36,6 +36,20 @@ SPREAD = 1.0 / math.sqrt(3.0)
 """Standard deviation of what may be anywhere within +-1."""
 
 
+WITHIN = 1.645
+"""Standard deviations to either side that hold 90 % of a normal distribution."""
+
+
+class LearnedNumber(NamedTuple):
+    """A number that was learned, and between which two it is with 90 %."""
+
+    quantity: str
+    value: float
+    low: float
+    high: float
+    unit: str
+
+
 class LearnedCar(Record):
     """What has been learned of a car, each with its standard deviation: for the next drive, see `Learning.start`.
 
@@ -58,6 +72,29 @@ class LearnedCar(Record):
     bias: float = Field(default=0.0, ge=-1, le=1, description="rad, by which the wheels turn beyond the command")
     bias_sigma: float = Field(default=0.0, ge=0, le=1, description="rad")
     seconds: float = Field(default=0.0, ge=0, description="s, for which it was learned")
+
+    @property
+    def intervals(self) -> tuple[LearnedNumber, ...]:
+        """What has been learned, each number with its interval of 90 %."""
+        lag, dead, bias = WITHIN * self.lag_sigma, WITHIN * self.dead_time_sigma, WITHIN * self.bias_sigma
+        both, late = self.lag + self.dead_time, WITHIN * self.delay_sigma
+        stiffness, balance = math.exp(WITHIN * self.stiffness_sigma), math.exp(WITHIN * self.balance_sigma)
+        return (
+            LearnedNumber("lag of the steering", self.lag, max(self.lag - lag, 0.0), self.lag + lag, "s"),
+            LearnedNumber(
+                "dead time of the steering", self.dead_time, max(self.dead_time - dead, 0.0), self.dead_time + dead, "s"
+            ),
+            LearnedNumber("lag and dead time together", both, max(both - late, 0.0), both + late, "s"),
+            LearnedNumber(
+                "stiffness over mass, times what is known", self.stiffness, self.stiffness / stiffness,
+                self.stiffness * stiffness, "-",
+            ),
+            LearnedNumber(
+                "front over rear stiffness, times what is known", self.balance, self.balance / balance,
+                self.balance * balance, "-",
+            ),
+            LearnedNumber("bias of the wheels", self.bias, self.bias - bias, self.bias + bias, "rad"),
+        )  # fmt: skip
 
     def to_toml(self, path: str | os.PathLike[str]) -> None:
         """Write it as TOML, each value with its meaning and unit behind it.

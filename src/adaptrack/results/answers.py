@@ -1,0 +1,171 @@
+"""Answers in one sentence, from the numbers of a result: the first line that a command prints."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+from adaptrack.cars.vehicle import GRAVITY
+
+if TYPE_CHECKING:
+    from adaptrack.cars.vehicle import Vehicle
+
+Row = Mapping[str, Any]
+
+MOST_NAMED = 4
+"""Contenders that an answer names beside the best."""
+THIN_MODULUS = 0.25
+"""-, of the modulus margin, below which it is called thin: textbooks ask for 0.5 and more."""
+NEAR_CEILING = 0.9
+"""Share of the R^2 of boosted trees from which on a model has learned what there is to learn."""
+
+
+# -- words ------------------------------------------------------------------------------------------------------------
+def length(metres: float) -> str:
+    """A length in the unit in which one says it, to two or three digits."""
+    if not math.isfinite(metres):
+        return "unknown"
+    if metres < 0.01:
+        return f"{1000.0 * metres:.2g} mm"
+    if metres < 0.995:
+        return f"{100.0 * metres:.2g} cm"
+    return f"{metres:.3g} m" if metres < 1000.0 else f"{metres / 1000.0:.3g} km"
+
+
+# -- closed loops -----------------------------------------------------------------------------------------------------
+def of_drives(rows: Sequence[Row], what: str) -> str:
+    """How near the reference the best controller stayed, how near the others, how many failed.
+
+    rows: of `measured_row`, one a controller; what: was driven, such as "2.5 km".
+    """
+    ran = sorted((row for row in rows if not row["failed"]), key=_rms)
+    failed = len(rows) - len(ran)
+    if not ran:
+        return f"The car failed on {what}." if failed == 1 else f"All {failed} drives failed on {what}."
+    best, *others = ran
+    text = f"{length(_rms(best))} RMS on {what}, largest {length(best['max_abs_error'])}"
+    if len(rows) > 1:
+        text = f"{best['controller']}: {text}"
+    if others:
+        named = ", ".join(f"{row['controller']} {length(_rms(row))}" for row in others[:MOST_NAMED])
+        text += f"; {named}{', ...' if len(others) > MOST_NAMED else ''}"
+    if len(rows) > 1:
+        text += f"; {failed} of {len(rows)} failed" if failed else "; no run failed"
+    return f"{text}."
+
+
+def of_runs(rows: Sequence[Row]) -> str:
+    """As `of_drives`, of runs of one scenario or of several."""
+    scenarios = list(dict.fromkeys(row["scenario"] for row in rows))
+    if len(scenarios) == 1:
+        return of_drives(rows, scenarios[0])
+    ran = [row for row in rows if not row["failed"]]
+    failed = len(rows) - len(ran)
+    if not ran:
+        return f"All {len(rows)} runs failed."
+    worst = max(ran, key=lambda row: row["max_abs_error"])
+    at = f"{length(worst['max_abs_error'])}, {worst['controller']} on {worst['scenario']}"
+    if failed:
+        return f"{failed} of {len(rows)} runs failed; the largest error of the others is {at}."
+    return f"None of {len(rows)} runs failed; the largest error is {at}."
+
+
+def _rms(row: Row) -> float:
+    return math.sqrt(row["mse"])
+
+
+# -- certificates -----------------------------------------------------------------------------------------------------
+def of_margins(worst: Row, period: float) -> str:
+    """Whether the margins of the worst point are thin; worst: of `Certificate.worst_points`; period: s."""
+    delay, modulus = worst["delay"], worst["modulus_margin"]
+    thin = []
+    if delay is not None and delay < period:
+        thin.append(f"a delay margin of {1000.0 * delay:.0f} ms, where a control period is {1000.0 * period:.0f} ms")
+    if modulus is not None and modulus < THIN_MODULUS:
+        thin.append(f"a modulus margin of {modulus:.2g}, where 0.5 is usual")
+    at = f"at {worst['speed']:.3g} m/s on friction {worst['friction']:.2g}"
+    if not thin:
+        return f"The thinnest modulus margin is {modulus:.2g}, {at}."
+    return f"Stable, but its margins are thin {at}: {' and '.join(thin)}."
+
+
+# -- learning ---------------------------------------------------------------------------------------------------------
+def behind_trees(rows: Sequence[Row]) -> list[str]:
+    """What a model has learned less of than boosted trees did; rows: of `Trained.quality`."""
+    return [row["slot"] for row in rows if row["r2"] < NEAR_CEILING * row["ceiling_r2"]]
+
+
+def of_training(model: str, rows: Sequence[Row]) -> str:
+    """What of the best tuning was learned, beside what boosted trees learn of it; rows: of `Trained.quality`."""
+    shares = ", ".join(f"{row['slot']} {_percent(row['r2'])} (trees {_percent(row['ceiling_r2'])})" for row in rows)
+    behind = behind_trees(rows)
+    judged = f"; behind the trees in {', '.join(behind)}" if behind else "; as much as trees do"
+    return f"{model} explains on {rows[0]['n_holdout']:,} points held out: {shares}{judged}."
+
+
+def of_dataset(found: Mapping[str, Any]) -> str:
+    """How many operating points, and how much of their best tuning boosted trees learn; found: of `describe`."""
+    shares = ", ".join(f"{_percent(row['r2'])} of {row['target']}" for row in found["optimum"] if row["r2"] is not None)
+    return f"{found['name']}: {found['operating_points']:,} operating points; boosted trees explain {shares}."
+
+
+def _percent(share: float) -> str:
+    return f"{100.0 * share:.0f} %"
+
+
+# -- manoeuvres -------------------------------------------------------------------------------------------------------
+OPEN_LOOP = {
+    "steady-circle": "It understeers by {understeer_gradient_2} °/g at 2 m/s² and by {understeer_gradient_4} °/g at "
+    "4 m/s², and holds {highest_lateral_acceleration} m/s².",
+    "step-steer": "After a step of the steering the yaw rate responds in {yaw_response_time} s, the lateral "
+    "acceleration in {acceleration_response_time} s.",
+    "frequency-response": "The yaw rate follows the steering up to {yaw_bandwidth} Hz, {yaw_delay_1hz} s late at 1 Hz.",
+    "sine-with-dwell": "{verdict}: {passed_runs} of {runs} runs meet the criteria.",
+}
+"""By the manoeuvre's name, in the numbers of its summary."""
+
+
+def of_open_loop(name: str, summary: Mapping[str, Any]) -> str:
+    """What a manoeuvre says of the car; summary: its characteristic values."""
+    shown = {
+        key: "an unknown number of" if value is None or value != value else f"{value:.3g}"
+        for key, value in summary.items()
+    }
+    return OPEN_LOOP[name].format(**shown, verdict="Passed" if summary.get("passed") else "Failed")
+
+
+def of_lane_changes(rows: Sequence[Row]) -> str:
+    """The controller with the highest clean entry speed on each car, and the others; rows: of `EntrySpeed.row`."""
+    sentences = []
+    for car in dict.fromkeys(row["vehicle"] for row in rows):
+        clean: dict[str, float] = {}
+        for row in rows:
+            if row["vehicle"] == car:
+                clean[row["controller"]] = max(clean.get(row["controller"], 0.0), row["clean"] or 0.0)
+        best, *others = sorted(clean, key=lambda name: -clean[name])
+        named = "".join(f"; {name} to {clean[name]:.0f}" for name in others[:MOST_NAMED])
+        sentences.append(f"{car} with {best}: clean up to {clean[best]:.0f} km/h{named}.")
+    return "\n".join(sentences)
+
+
+def of_starts(rows: Sequence[Row]) -> str:
+    """Which controllers pass a test that starts beside the path; rows: of `LaneRun.row`."""
+    passed = [row for row in rows if row["passed"]]
+    if not passed:
+        return f"None of {len(rows)} passed." if len(rows) > 1 else "Not passed."
+    best = min(passed, key=lambda row: row["settling_time"])
+    who = f"{best['vehicle']} with {best['controller']} settles in {best['settling_time']:.3g} s"
+    return f"{len(passed)} of {len(rows)} passed; {who}."
+
+
+# -- cars -------------------------------------------------------------------------------------------------------------
+def of_car(vehicle: Vehicle) -> str:
+    """What a car is like to steer, and how much of it is estimated."""
+    gradient = math.degrees(1.0) * GRAVITY * vehicle.understeer_gradient
+    kind = f"understeers by {gradient:.2g} °/g"
+    if gradient < 0.0:
+        kind = f"oversteers by {-gradient:.2g} °/g, unstable from {vehicle.critical_speed:.3g} m/s on"
+    guesses = len(vehicle.estimated)
+    estimated = f"; {guesses} of its numbers are estimated" if guesses else ""
+    return f"{vehicle.name}: {vehicle.mass:.5g} kg, wheelbase {vehicle.wheelbase:.3g} m, {kind}{estimated}."
