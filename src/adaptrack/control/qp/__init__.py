@@ -7,9 +7,9 @@ solution.x, solution.status.sentence, solution.residuals
 """
 
 from adaptrack.control.qp.check import check_qp_solver
-from adaptrack.control.qp.problem import QP, QPStatus, Residuals, Solution, kkt_residuals
+from adaptrack.control.qp.problem import QP, Attempt, QPStatus, Residuals, Solution, kkt_residuals
 from adaptrack.control.qp.registry import get_qp_solver, list_qp_solvers, register_qp_solver
-from adaptrack.control.qp.solver import Attempt, QPSolver
+from adaptrack.control.qp.solver import QPSolver
 
 __all__ = [
     "QP",

@@ -6,21 +6,20 @@ from typing import ClassVar
 
 from adaptrack.base.errors import whole
 from adaptrack.control.qp.kernel import Workspace
-from adaptrack.control.qp.problem import QP, QPStatus, Solution
-from adaptrack.control.qp.solver import Attempt, QPSolver
-from adaptrack.core.qp.problem import CHANGES
+from adaptrack.control.qp.problem import QP, Attempt, Solution
+from adaptrack.control.qp.solver import EXACT, QPSolver
 
 
 class ActiveSet(QPSolver):
     """Goldfarb and Idnani's dual active-set method (1983), its result refined in twice the working precision.
 
-    ``max_iterations``: changes of the active set at most, by default `CHANGES` (n + m). The method ends by itself,
-    within a few tens for the controller's problems; the cap is for the unforeseen. An MPC in the kernels holds to it,
-    too: a capped step follows the last plan. A warm start begins from its active rows. It is the method that finishes
-    what others leave uncertified; its own such answers leave nothing to apply.
+    ``max_iterations``: changes of the active set at most, by default `core.qp.problem.CHANGES` (n + m). The method ends
+    by itself, within a few tens for the controller's problems; the cap is for the unforeseen. An MPC in the kernels
+    holds to it, too: a capped step follows the last plan. A warm start begins from its active rows. It is the method
+    that finishes what others leave uncertified; its own such answers leave nothing to apply.
     """
 
-    name: ClassVar[str] = "active-set"
+    name: ClassVar[str] = EXACT
     accuracy: ClassVar[float] = 1e-9
 
     def __init__(self, max_iterations: int | None = None) -> None:
@@ -30,12 +29,4 @@ class ActiveSet(QPSolver):
 
     def attempt(self, qp: QP, warm_start: Solution | None = None) -> Attempt:
         """See `QPSolver.attempt`."""
-        status = self._workspace.load(qp)
-        if status is not QPStatus.SOLVED:
-            return Attempt(status)
-        guess = None if warm_start is None or warm_start.lam.shape != (qp.m,) else warm_start.lam
-        most = CHANGES * (qp.n + qp.m) if self.max_iterations is None else self.max_iterations
-        status, iterations = self._workspace.active_set(most, guess)
-        if status is not QPStatus.SOLVED:
-            return Attempt(status, iterations=iterations)
-        return Attempt(status, *self._workspace.result(), iterations, certified=True)
+        return self._workspace.solve_exactly(qp, warm_start, self.max_iterations)

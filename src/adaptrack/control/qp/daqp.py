@@ -6,9 +6,8 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from adaptrack.control.qp.problem import QP, QPStatus, Solution
-from adaptrack.control.qp.registry import require
-from adaptrack.control.qp.solver import Attempt, OnUncertified, QPSolver, all_multipliers, is_finite, present_rows
+from adaptrack.control.qp.problem import QP, Attempt, QPStatus, Solution
+from adaptrack.control.qp.solver import OnUncertified, QPSolver, all_multipliers, is_finite, present_rows, require
 
 _STATUS = {
     1: QPStatus.SOLVED,

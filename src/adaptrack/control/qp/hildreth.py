@@ -8,8 +8,8 @@ import numpy as np
 
 from adaptrack.base.checked import Count, NotNegative, checked
 from adaptrack.control.qp.kernel import Workspace
-from adaptrack.control.qp.problem import QP, QPStatus, Solution
-from adaptrack.control.qp.solver import Attempt, OnUncertified, QPSolver
+from adaptrack.control.qp.problem import QP, Attempt, QPStatus, Solution
+from adaptrack.control.qp.solver import OnUncertified, QPSolver
 
 
 class Hildreth(QPSolver):

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from adaptrack.control.qp.problem import QP, Array, QPStatus
+from adaptrack.control.qp.problem import QP, Array, Attempt, QPStatus, Solution
 from adaptrack.core.maths.vectors import padded
 from adaptrack.core.qp import problem as kernels
 from adaptrack.core.qp.active_set import active_set
 from adaptrack.core.qp.factor import factorise
+from adaptrack.core.qp.hildreth import hildreth
 
 
 class Workspace:
@@ -44,6 +45,21 @@ class Workspace:
         index = np.zeros(shapes["index"], dtype=np.int64)
         self.scratch = kernels.Scratch(kernels.aligned(shapes["work"]), kernels.aligned(shapes["rows"]), index)
 
+    def solve_exactly(self, qp: QP, warm_start: Solution | None = None, max_iterations: int | None = None) -> Attempt:
+        """What the exact method finds for ``qp``, from the active rows of an earlier solution if there is one.
+
+        max_iterations: changes of the active set at most, by default `CHANGES` (n + m).
+        """
+        status = self.load(qp)
+        if status is not QPStatus.SOLVED:
+            return Attempt(status)
+        guess = None if warm_start is None or warm_start.lam.shape != (qp.m,) else warm_start.lam
+        most = kernels.CHANGES * (qp.n + qp.m) if max_iterations is None else max_iterations
+        status, iterations = self.active_set(most, guess)
+        if status is not QPStatus.SOLVED:
+            return Attempt(status, iterations=iterations)
+        return Attempt(status, *self.result(), iterations, certified=True)
+
     def active_set(self, max_iterations: int, guess: Array | None = None) -> tuple[QPStatus, int]:
         """Run the exact solver, from the active rows of the multipliers ``guess`` if given: status and iterations."""
         known = 0
@@ -58,8 +74,6 @@ class Workspace:
 
     def hildreth(self, max_sweeps: int, tolerance: float, start: Array | None) -> tuple[QPStatus, int]:
         """Run Hildreth's procedure from the multipliers ``start``, or from zero: status and sweeps."""
-        from adaptrack.core.qp.hildreth import hildreth
-
         if start is not None:
             self.solution.lam[: self.problem.m] = start
         status, sweeps = hildreth(

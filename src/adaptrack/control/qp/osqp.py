@@ -8,16 +8,15 @@ import numpy as np
 from scipy import sparse
 
 from adaptrack.base.errors import InvalidInput
-from adaptrack.control.qp.problem import QP, QPStatus, Solution
-from adaptrack.control.qp.registry import require
+from adaptrack.control.qp.problem import QP, Attempt, QPStatus, Solution
 from adaptrack.control.qp.solver import (
-    Attempt,
     OnUncertified,
     QPSolver,
     all_multipliers,
     is_convex,
     is_finite,
     present_rows,
+    require,
 )
 
 

@@ -7,9 +7,8 @@ from typing import Any, ClassVar
 import numpy as np
 
 from adaptrack.base.errors import InvalidInput
-from adaptrack.control.qp.problem import QP, QPStatus, Solution
+from adaptrack.control.qp.problem import QP, Attempt, QPStatus, Solution
 from adaptrack.control.qp.solver import (
-    Attempt,
     OnUncertified,
     QPSolver,
     all_multipliers,

@@ -211,3 +211,18 @@ class Solution:
     def usable(self) -> bool:
         """Whether x may steer: solved, or an uncertified x that the solver was told to hand on."""
         return self.status in (QPStatus.SOLVED, QPStatus.CAPPED) and bool(np.isfinite(self.x).all())
+
+
+class Attempt(NamedTuple):
+    """What a method found by itself."""
+
+    status: QPStatus
+    x: Array | None = None
+    """(n,); None: nothing"""
+    lam: Array | None = None
+    """(m,) multipliers, >= 0"""
+    iterations: int = 0
+    certified: bool = False
+    """whether the method has proved "solved" itself; it is tested otherwise"""
+    message: str = ""
+    """instead of the status's sentence"""

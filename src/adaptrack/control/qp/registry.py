@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import importlib
 from collections.abc import Callable
 from typing import Any
 
-from adaptrack.base.errors import MissingExtra
 from adaptrack.base.registry import Registry
-from adaptrack.control.qp.solver import QPSolver
+from adaptrack.control.qp.solver import EXACT, QPSolver
 
 Factory = Callable[..., QPSolver]
 
@@ -16,7 +14,7 @@ _registry: Registry[QPSolver] = Registry(
     "QP solver",
     "register_qp_solver",
     {
-        "active-set": "adaptrack.control.qp.active_set:ActiveSet",
+        EXACT: "adaptrack.control.qp.active_set:ActiveSet",
         "hildreth": "adaptrack.control.qp.hildreth:Hildreth",
         "daqp": "adaptrack.control.qp.daqp:Daqp",
         "osqp": "adaptrack.control.qp.osqp:Osqp",
@@ -25,7 +23,7 @@ _registry: Registry[QPSolver] = Registry(
     },
 )
 
-DEFAULT = "active-set"
+DEFAULT = EXACT
 
 
 def register_qp_solver(name: str, factory: Factory | str) -> None:
@@ -47,13 +45,3 @@ def get_qp_solver(name: str = DEFAULT, **options: Any) -> QPSolver:
 def list_qp_solvers() -> list[str]:
     """The known names, sorted. Some may need an extra to be installed."""
     return _registry.names()
-
-
-def require(package: str, solver: str) -> Any:
-    """Import the library behind a back-end, or say how to install it."""
-    try:
-        return importlib.import_module(package)
-    except ImportError as error:
-        raise MissingExtra(
-            f"The QP solver {solver!r} needs the package {package!r}: pip install 'adaptrack[solvers]'"
-        ) from error

@@ -2,35 +2,26 @@
 
 from __future__ import annotations
 
+import importlib
 from abc import ABC, abstractmethod
-from typing import Any, ClassVar, Literal, NamedTuple
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 
 from adaptrack.base.checked import checked
-from adaptrack.control.qp.problem import QP, Array, QPStatus, Residuals, Solution, kkt_residuals
+from adaptrack.base.errors import MissingExtra
+from adaptrack.control.qp.kernel import Workspace
+from adaptrack.control.qp.problem import QP, Array, Attempt, QPStatus, Residuals, Solution, kkt_residuals
 
 ACCEPTED = 1e-6
 """A solver's "solved" is believed when no scaled residual exceeds this; else the answer is not certified."""
 NEAR = 1e-4
 """... and when a Newton step moves x by no more than this (rad): at cond(E) ~ 1e11 small residuals prove little."""
 
+EXACT = "active-set"
+"""The solver that finishes what others leave: `Workspace.solve_exactly` under its registered name."""
+
 OnUncertified = Literal["exact", "apply", "hold"]
-
-
-class Attempt(NamedTuple):
-    """What a method found by itself."""
-
-    status: QPStatus
-    x: Array | None = None
-    """(n,); None: nothing"""
-    lam: Array | None = None
-    """(m,) multipliers, >= 0"""
-    iterations: int = 0
-    certified: bool = False
-    """whether the method has proved "solved" itself; it is tested otherwise"""
-    message: str = ""
-    """instead of the status's sentence"""
 
 
 class QPSolver(ABC):
@@ -60,7 +51,7 @@ class QPSolver(ABC):
     on_uncertified: OnUncertified = "exact"
     finishes: int = 0
     """How many answers the exact method has finished so far."""
-    _exact: QPSolver | None = None
+    _exact: Workspace | None = None
 
     @checked
     def __init__(self, on_uncertified: OnUncertified = "exact") -> None:
@@ -69,8 +60,6 @@ class QPSolver(ABC):
     @property
     def _library(self) -> Any:
         """The package behind a back-end of others: looked up anew, for a copy or a pickle cannot hold a module."""
-        from adaptrack.control.qp.registry import require
-
         return require(self.name, self.name)
 
     @abstractmethod
@@ -102,15 +91,13 @@ class QPSolver(ABC):
 
     def _finished(self, qp: QP, found: Attempt) -> Solution:
         """What the exact method makes of the problem."""
-        from adaptrack.control.qp.active_set import ActiveSet  # its kernels compile when they are needed
-
-        self._exact = self._exact or ActiveSet()
+        self._exact = self._exact or Workspace()
         self.finishes += 1
-        exact = self._exact.attempt(qp)
+        exact = self._exact.solve_exactly(qp)
         why = found.message or f"{self.name} ended with {found.status.name} after {found.iterations} iterations."
         message = f"{why} Not certified: the exact method finished. {exact.message or exact.status.sentence}"
         exact = exact._replace(iterations=found.iterations + exact.iterations, message=message)
-        return self._solution(qp, exact, self._exact.name)
+        return self._solution(qp, exact, EXACT)
 
     def _solution(self, qp: QP, found: Attempt, finished_by: str) -> Solution:
         """The answer with its residuals, and NaN where there is nothing to apply."""
@@ -127,6 +114,16 @@ class QPSolver(ABC):
         return Solution(
             x, lam, found.status, residuals, int(found.iterations), self.name, message, finished_by, self.finishes
         )
+
+
+def require(package: str, solver: str) -> Any:
+    """Import the library behind a back-end, or say how to install it."""
+    try:
+        return importlib.import_module(package)
+    except ImportError as error:
+        raise MissingExtra(
+            f"The QP solver {solver!r} needs the package {package!r}: pip install 'adaptrack[solvers]'"
+        ) from error
 
 
 def newton_distance(qp: QP, x: Array, lam: Array) -> float:
