@@ -3,7 +3,7 @@
 * `variables`: the scheduling variables, their units and ranges.
 * `functions`: what an entry of the tuning may be: a network, a fuzzy system, a table, a number, or one's own kind.
 * `schedule`: schedules as data; `guard`: what makes their output safe to use.
-* `files`: schedules as files; `check`: the contract.
+* `files`: schedules by name or file; `document`: what stands in a file; `check`: the contract.
 
 The names are loaded when they are first used: a controller needs the variables alone.
 """
@@ -19,16 +19,16 @@ if TYPE_CHECKING:
     from adaptrack.control.scheduling.check import check_scheduler
     from adaptrack.control.scheduling.files import list_schedulers, load_scheduler, made_for, save_scheduler
     from adaptrack.control.scheduling.functions import Function, Network, Number, Sugeno, Table, register_function
-    from adaptrack.control.scheduling.guard import Guard, Guarded, StabilityMap
-    from adaptrack.control.scheduling.schedule import Constant, Entry, Learned, Lookup, Schedule
+    from adaptrack.control.scheduling.guard import Guard, StabilityMap
+    from adaptrack.control.scheduling.schedule import Constant, Entry, Guarded, Learned, Lookup, Schedule
     from adaptrack.control.scheduling.variables import VARIABLES, SchedulingVariables, reference_preview
 
 _NAMES = {
     "check": ("check_scheduler",),
     "files": ("list_schedulers", "load_scheduler", "made_for", "save_scheduler"),
     "functions": ("Function", "Network", "Number", "Sugeno", "Table", "register_function"),
-    "guard": ("Guard", "Guarded", "StabilityMap"),
-    "schedule": ("Constant", "Entry", "Learned", "Lookup", "Schedule"),
+    "guard": ("Guard", "StabilityMap"),
+    "schedule": ("Constant", "Entry", "Guarded", "Learned", "Lookup", "Schedule"),
     "variables": ("VARIABLES", "SchedulingVariables", "reference_preview"),
 }
 _HOME = {name: module for module, names in _NAMES.items() for name in names}

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
-from typing import Annotated, Any
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Annotated, Any, Self
 
 from pydantic import InstanceOf
 
@@ -12,8 +13,7 @@ from adaptrack.base.checked import Count, NotNegative, Positive, checked
 from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.vehicle import GRAVITY
 from adaptrack.control.controllers import Tuning
-from adaptrack.control.scheduling.functions import Table
-from adaptrack.control.scheduling.schedule import Pool, Schedule
+from adaptrack.control.scheduling.functions import Pool, Table, load_function, save_function
 
 
 @checked
@@ -82,10 +82,29 @@ class Guard:
         if self.stability is not None:
             self.stability.pack(row, pool)
 
+    def saved(self) -> dict[str, Any]:
+        """What `loaded` reads back to the bit: text, numbers and lists."""
+        stability = self.stability
+        return {
+            "fallback": self.fallback.as_array().tolist(),
+            "rates": list(self.rates),
+            "slack": self.slack,
+            "hold": self.hold,
+            "offset_limit": self.offset_limit,
+            "stability": stability and {"limit": stability.limit, "table": save_function(stability.table)},
+        }
 
-def Guarded(schedule: Schedule, fallback: Tuning, *, stability: StabilityMap | None = None, **limits: Any) -> Schedule:
-    """`schedule` behind a `Guard`: domain, rate, tracking error and stability are checked at every step."""
-    guard = Guard(fallback, stability=stability, **limits)
-    if not isinstance(schedule, Schedule):
-        raise InvalidInput(f"Guarded: {schedule!r}: must be a Schedule; a plain function cannot be guarded.")
-    return replace(schedule, guard=guard, name=f"{schedule.name} (guarded)")
+    @classmethod
+    def loaded(cls, saved: Mapping[str, Any]) -> Self:
+        """The guard that was `saved`; raises `KeyError`, `TypeError`, `ValueError` or `InvalidInput` if it is none."""
+        Np, Nc, Q, R = saved["fallback"]
+        stability = saved["stability"]
+        if stability is not None:
+            table = load_function(stability["table"])
+            if not isinstance(table, Table):
+                raise InvalidInput("the guard's stability map is no table")
+            stability = StabilityMap(table, stability["limit"])
+        return cls(
+            Tuning(int(Np), int(Nc), Q, R), tuple(saved["rates"]), saved["slack"], saved["hold"], stability,
+            saved["offset_limit"],
+        )  # fmt: skip

@@ -2,7 +2,7 @@
 
 It looks at some of the scheduling variables, clips them to the domain that it was made for, and gives each entry of
 the tuning as a function of them: a number, a network, a fuzzy system or a table. For the MPC, horizons are rounded and
-Nc <= Np; everything is held within bounds. `guard.Guarded` adds what makes its output safe to use. The same compiled
+Nc <= Np; everything is held within bounds. `Guarded` adds what makes its output safe to use. The same compiled
 code runs in a car's control loop, in `simulate` and in whole batches of runs.
 """
 
@@ -11,8 +11,9 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, Literal
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, Literal, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -22,11 +23,13 @@ from adaptrack.base.errors import InvalidInput, did_you_mean, real
 from adaptrack.base.shown import figure_of, html_of
 from adaptrack.control.controllers import Tuning
 from adaptrack.control.controllers.tuning import ENTRIES
-from adaptrack.control.scheduling.functions import Function, Number, Table
+from adaptrack.control.scheduling.document import write_document
+from adaptrack.control.scheduling.functions import Function, Number, Pool, Table, load_function, save_function
+from adaptrack.control.scheduling.guard import Guard, StabilityMap
 from adaptrack.control.scheduling.variables import VARIABLES, SchedulingVariables, complete
-
-if TYPE_CHECKING:
-    from adaptrack.control.scheduling.guard import Guard
+from adaptrack.core import guard as guard_kernel
+from adaptrack.core import schedule as kernel
+from adaptrack.core.variables import NAMES
 
 Array = NDArray[np.float64]
 
@@ -177,10 +180,8 @@ class Schedule:
 
     def plan(self, slots: int) -> Any:
         """The schedule as the kernels read it (`core.schedule.Schedule`), with a fresh memory for `slots` runs."""
-        from adaptrack.core import guard, schedule
-
         settings, integers, numbers, scratch = self._packed()
-        return schedule.Schedule(settings, np.zeros(slots, guard.MEMORY), integers, numbers, np.zeros(scratch))
+        return kernel.Schedule(settings, np.zeros(slots, guard_kernel.MEMORY), integers, numbers, np.zeros(scratch))
 
     def __call__(self, variables: SchedulingVariables) -> tuple[float, ...]:
         """The tuning for some scheduling variables, as at the first step of a run; (Np, Nc, Q, R) of the MPC.
@@ -200,8 +201,6 @@ class Schedule:
         InvalidInput
             When the rows are not like `SchedulingVariables`.
         """
-        from adaptrack.core import schedule
-
         given = np.atleast_2d(reals("schedule: the scheduling variables", variables))
         least = len(VARIABLES) - len(SchedulingVariables._field_defaults)
         if given.ndim != 2 or not least <= given.shape[1] <= len(VARIABLES):
@@ -211,7 +210,7 @@ class Schedule:
         rows = np.zeros((len(given), len(VARIABLES)))
         rows[:, : given.shape[1]] = given
         tunings = np.full((len(rows), len(self.entries)), np.nan)
-        schedule.schedule_all(rows, self.plan(1), tunings)
+        kernel.schedule_all(rows, self.plan(1), tunings)
         return tunings
 
     def _packed(self) -> tuple[Any, NDArray[np.int64], Array, int]:
@@ -227,35 +226,61 @@ class Schedule:
         return {name: value for name, value in self.__dict__.items() if name != "_cache"}
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Write it to one file, see `files.save_scheduler`."""
-        from adaptrack.control.scheduling.files import save_scheduler
+        """Write it as one JSON file that `load_scheduler` reads back to the bit; it is then called as the file is.
 
-        save_scheduler(self, path)
+        Raises
+        ------
+        InvalidInput
+            When its provenance or `made_for` holds what JSON cannot.
+        StorageError
+            When the file cannot be written; an older one at `path` is then untouched.
+        """
+        content = replace(self, name=Path(path).stem)._saved()
+        try:
+            write_document(path, content)
+        except (TypeError, ValueError) as error:
+            raise InvalidInput(
+                f"schedule {self.name!r}: its provenance and made_for must be text and finite numbers: {error}."
+            ) from None
 
+    def _saved(self) -> dict[str, Any]:
+        entries = {name: self.tuning[name] for name in self.entries}
+        return {
+            "name": self.name,
+            "made_for": dict(self.made_for),
+            "inputs": list(self.inputs),
+            "domain": self.domain.tolist(),
+            "entries": [
+                {"name": name, "low": e.low, "high": e.high, "log10": e.log10, "function": save_function(e.function)}
+                for name, e in entries.items()
+            ],
+            "guard": None if self.guard is None else self.guard.saved(),
+            "provenance": dict(self.provenance),
+        }
 
-class Pool:
-    """Packed functions, one behind the other."""
-
-    def __init__(self) -> None:
-        self.integers: list[int] = []
-        self.numbers: list[float] = []
-        self.scratch = 0
-
-    def add(self, function: Function, row: Any) -> int:
-        """Pack a function, write to `row` where it begins; returns its kind."""
-        packed = function.pack()
-        row.integers, row.numbers = len(self.integers), len(self.numbers)
-        self.integers += packed.integers
-        self.numbers += packed.numbers
-        self.scratch = max(self.scratch, packed.scratch)
-        return packed.kind
+    @classmethod
+    def loaded(cls, content: Mapping[str, Any]) -> Self:
+        """The schedule of a file's content; raises `KeyError`, `TypeError`, `ValueError`, ... when it makes none."""
+        entries = {
+            each["name"]: Entry(load_function(each["function"]), each["low"], each["high"], each["log10"])
+            for each in content["entries"]
+        }
+        if len(entries) != len(content["entries"]):
+            raise InvalidInput("two entries have the same name")
+        return cls(
+            inputs=tuple(content["inputs"]),
+            domain=np.array(content["domain"], float),
+            tuning=entries,
+            guard=None if content["guard"] is None else Guard.loaded(content["guard"]),
+            name=content["name"],
+            provenance=content["provenance"],
+            made_for=content["made_for"],
+            entries=tuple(entries),
+        )
 
 
 def _pack(made: Schedule) -> tuple[Any, NDArray[np.int64], Array, int]:
-    from adaptrack.core import schedule
-    from adaptrack.core.variables import NAMES
-
-    array = np.zeros(1, schedule.SETTINGS)
+    array = np.zeros(1, kernel.SETTINGS)
     settings, pool = array[0], Pool()
     settings.n_inputs, settings.n_entries, settings.of_mpc = len(made.inputs), len(made.entries), made.of_mpc
     for row, name, (low, high) in zip(settings.inputs, made.inputs, made.domain.tolist(), strict=False):
@@ -267,7 +292,7 @@ def _pack(made: Schedule) -> tuple[Any, NDArray[np.int64], Array, int]:
         row.low, row.high = entry.low, entry.high
     if made.guard is not None:
         made.guard.pack(settings.guard, pool)
-    return array, np.array(pool.integers, np.int64), np.array(pool.numbers, np.float64), pool.scratch + schedule.SCRATCH
+    return array, np.array(pool.integers, np.int64), np.array(pool.numbers, np.float64), pool.scratch + kernel.SCRATCH
 
 
 def Constant(tuning: Tuning, name: str = "constant") -> Schedule:
@@ -275,6 +300,14 @@ def Constant(tuning: Tuning, name: str = "constant") -> Schedule:
     values = dict(zip(ENTRIES, tuning.as_array().tolist(), strict=True))
     entries = {entry: Entry(Number(value), value, value) for entry, value in values.items()}
     return Schedule(("speed",), np.array([[0.0, 1000.0]]), entries, name=name)
+
+
+def Guarded(schedule: Schedule, fallback: Tuning, *, stability: StabilityMap | None = None, **limits: Any) -> Schedule:
+    """`schedule` behind a `Guard`: domain, rate, tracking error and stability are checked at every step."""
+    guard = Guard(fallback, stability=stability, **limits)
+    if not isinstance(schedule, Schedule):
+        raise InvalidInput(f"Guarded: {schedule!r}: must be a Schedule; a plain function cannot be guarded.")
+    return replace(schedule, guard=guard, name=f"{schedule.name} (guarded)")
 
 
 def Lookup(

@@ -65,6 +65,24 @@ class Function(ABC):
         """The function that was saved; raises `KeyError`, `TypeError` or `ValueError` when `saved` holds none."""
 
 
+class Pool:
+    """Packed functions, one behind the other."""
+
+    def __init__(self) -> None:
+        self.integers: list[int] = []
+        self.numbers: list[float] = []
+        self.scratch = 0
+
+    def add(self, function: Function, row: Any) -> int:
+        """Pack a function, write to `row` where it begins; returns its kind."""
+        packed = function.pack()
+        row.integers, row.numbers = len(self.integers), len(self.numbers)
+        self.integers += packed.integers
+        self.numbers += packed.numbers
+        self.scratch = max(self.scratch, packed.scratch)
+        return packed.kind
+
+
 _KINDS: dict[str, type[Function]] = {}
 
 
