@@ -18,13 +18,14 @@ from pydantic import Field
 from adaptrack.base.checked import RISING, Hint, Natural, NotNegative, Positive, checked
 from adaptrack.cars.domain import Domain
 from adaptrack.cars.vehicle import GRAVITY
-from adaptrack.scenario.library import DESCRIPTIONS, QUINTIC_PEAK
 from adaptrack.scenario.scenario import Scenario
-from adaptrack.scenario.shapes import Constant, Gust, Knots, LaneChange, Shape, Step, Sum
+from adaptrack.scenario.shapes import QUINTIC_PEAK, QUINTIC_SLOPE, Constant, Gust, Knots, LaneChange, Shape, Step, Sum
 from adaptrack.scenario.signals import HIGHEST_FRICTION
 from adaptrack.scenario.surroundings import Wind
 
 Array = NDArray[np.float64]
+
+DESCRIPTION = "Mixed driving: changing speed and friction, curves, lane changes, wind and gusts."
 
 LONGEST_DRIVE = 86_400.0
 """s"""
@@ -56,8 +57,7 @@ CURVE_HEADING = (0.3, 0.8)
 EDGE = 0.5
 """How long before and after a step of friction the lower side counts, s."""
 
-_QUINTIC_SLOPE = 1.875  # steepest slope of a lane change of unit amplitude and duration
-_SMOOTHSTEP_SLOPE = 1.5  # likewise of a cubic between two level stretches
+_SMOOTHSTEP_SLOPE = 1.5  # steepest slope of a cubic between two level stretches, of unit height and duration
 _STEP = 0.05  # s, between the instants at which a drive is known while it is made
 _FRICTION, _SPEED, _CURVES, _CHANGES, _WIND = range(5)  # what random numbers are for
 
@@ -116,7 +116,7 @@ def random_drive(
     manoeuvres = (*drive.draw_curves(), *drive.draw_lane_changes())
     return Scenario(
         name="random-drive",
-        description=DESCRIPTIONS["random-drive"],
+        description=DESCRIPTION,
         source=f"random_drive({seed}, {duration!r}, {', '.join(f'{k}={v!r}' for k, v in options.items())})",
         duration=duration,
         reference=Sum(terms=manoeuvres) if manoeuvres else 0.0,
@@ -193,12 +193,12 @@ class _Drive:
             during = _window(start, span)
             width = min(
                 share * self.grip(start, span) * span**2 / QUINTIC_PEAK,
-                turn * self.slope * float(self.speed[during].min()) * span / _QUINTIC_SLOPE,
+                turn * self.slope * float(self.speed[during].min()) * span / QUINTIC_SLOPE,
             )
             width = math.floor(100.0 * width) / 100.0
             curves.append(LaneChange(amplitude=side * width, start=start, duration=span))
             self.curve_acceleration[during] = QUINTIC_PEAK * width / span**2
-            self.curve_rate[during] = _QUINTIC_SLOPE * width / span
+            self.curve_rate[during] = QUINTIC_SLOPE * width / span
             start = round(start + span + _between(rng, 1.0, 12.0), 2)
         return curves
 
@@ -223,7 +223,7 @@ class _Drive:
         rate = self.slope * self.speed[during].min() - self.curve_rate[during].max()
         if min(acceleration, rate) <= 0.0:
             return math.inf
-        return max(math.sqrt(QUINTIC_PEAK * width / acceleration), _QUINTIC_SLOPE * width / rate)
+        return max(math.sqrt(QUINTIC_PEAK * width / acceleration), QUINTIC_SLOPE * width / rate)
 
     def draw_wind(self, limit: float) -> Shape:
         """A steady lateral wind and gusts; the wind at the peak of a gust is up to `limit` to either side."""

@@ -19,14 +19,11 @@ from adaptrack.base.errors import InvalidInput, UnknownName, did_you_mean, real,
 from adaptrack.base.files import SHIPPED, read_toml
 from adaptrack.cars.domain import Domain
 from adaptrack.cars.vehicle import GRAVITY
+from adaptrack.scenario import drives
 from adaptrack.scenario.scenario import Scenario
-from adaptrack.scenario.shapes import Gust, LaneChange, Shape, Sine, as_shape
+from adaptrack.scenario.shapes import QUINTIC_PEAK, QUINTIC_SLOPE, Gust, LaneChange, Shape, Sine, as_shape
 from adaptrack.scenario.surroundings import as_friction
 
-QUINTIC_PEAK = 10.0 / math.sqrt(3.0)
-"""Largest acceleration of a quintic lane change of unit amplitude and duration (5.77), see `LaneChange`."""
-QUINTIC_SLOPE = 15.0 / 8.0
-"""Largest slope of the same."""
 STEEPEST = 0.25
 """rad, heading of a road that the small angles of the prediction model still describe."""
 
@@ -55,7 +52,7 @@ DESCRIPTIONS = {
     "lane-change": "One smooth lane change, sized to the friction, and one side gust.",
     "double-lane-change": "Out of the lane and back within the lengths of ISO 3888-1, at constant speed.",
     "sine": "A sinusoidal lateral reference: weaving, for the frequency response.",
-    "random-drive": "Mixed driving: changing speed and friction, curves, lane changes, wind and gusts.",
+    "random-drive": drives.DESCRIPTION,
 }
 """Of the manoeuvres, one line each. Not read from their docstrings: ``python -OO`` drops those."""
 
@@ -223,8 +220,6 @@ def random_drive(seed: float = 0, duration: float = 60.0) -> Scenario:
 
 def _random_drive(seed: float, duration: float, domain: Domain) -> Scenario:
     """A drive in the domain of a car."""
-    from adaptrack.scenario import drives  # which sizes its manoeuvres with this module's lane change
-
     if not float(seed).is_integer():
         raise InvalidInput(f"seed = {seed!r}: must be a whole number.")
     return drives.random_drive(int(seed), duration, **domain.drive_options)

@@ -269,6 +269,10 @@ class Ramp(Shape):
         return np.where(_during(t, self.start, self.duration), (self.after - self.before) / self.duration, 0.0)
 
 
+QUINTIC_SLOPE, QUINTIC_PEAK = 15.0 / 8.0, 10.0 / math.sqrt(3.0)
+"""Steepest slope and largest acceleration of a `LaneChange` of unit amplitude and duration."""
+
+
 class LaneChange(Shape):
     """A smooth step from 0 to ``amplitude`` between ``start`` and ``start + duration``.
 
