@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from typing import Annotated
 
 import numpy as np
@@ -14,10 +14,10 @@ from pydantic import Field
 
 from adaptrack.base.checked import Finite, NotNegative, checked, within
 from adaptrack.base.errors import InvalidInput
-from adaptrack.cars.known_within import KnownWithin
-from adaptrack.cars.vehicle import Steering, Tyre, Vehicle, load_tyre, load_vehicle
+from adaptrack.cars.vehicle import Tyre, Vehicle, load_tyre, load_vehicle
 from adaptrack.identification.calibration import corrected
 from adaptrack.identification.conventions import check_conventions, guessed_ratio
+from adaptrack.identification.identified import Estimate, Identification, Series, Validation
 from adaptrack.identification.likelihood import NEARLY, Likelihood
 from adaptrack.identification.log import Log, log_of
 from adaptrack.identification.quantities import (
@@ -29,7 +29,7 @@ from adaptrack.identification.quantities import (
     understeer,
 )
 from adaptrack.identification.reading import Columns, Reading, read_columns
-from adaptrack.identification.words import HARDLY, findings
+from adaptrack.identification.words import findings
 
 Array = NDArray[np.float64]
 
@@ -41,165 +41,7 @@ BLOCK, EVERY = 10.0, 4
 """s, length of the stretches of a validation; each fourth one is held out."""
 RATIO_SPREAD = (0.3, 0.1)
 """Of the logarithm of a steering ratio that is to be found: guessed from the log, or said by the car's file."""
-FACTORS = {"stiffness_front": "front", "stiffness_rear": "rear", "yaw_inertia": "yaw_inertia"}
-"""Of a car file's numbers, the estimates that they come from."""
-_MARGINS = ("steering_lag", "steering_dead_time")
 _STEP = 1e-4
-
-
-@dataclass(frozen=True)
-class Estimate:
-    """One quantity: what the log says of it, and what was believed before."""
-
-    name: str
-    unit: str
-    meaning: str
-    value: float
-    standard_error: float
-    """in the unit of the value, corrected as `calibration.CORRECTIONS` says"""
-    low: float
-    """lower end of the 90 % interval"""
-    high: float
-    before: tuple[float, float]
-    """90 % interval of what was believed before"""
-    told: float
-    """share of the spread that was believed before which is left: near 1 the log says nothing"""
-
-
-@dataclass(frozen=True)
-class Validation:
-    """How well the yaw rate is predicted on stretches that the fit did not see."""
-
-    one_step: float
-    """share of the variance that one-step predictions explain (1 is all)"""
-    simulated: float
-    """likewise for simulations from the command alone"""
-    held_out: float
-    """s, in all"""
-    autocorrelation: tuple[float, ...]
-    """of the fit's normalised innovations of the yaw rate, at lags 1 to 5"""
-
-
-@dataclass(frozen=True, eq=False)
-class Series:
-    """What is drawn: signals along the log, (n,) each."""
-
-    time: Array
-    measured: Array
-    """rad/s"""
-    simulated: Array
-    """rad/s, from the command alone, begun anew at every segment"""
-    innovations: Array
-    """-, one-step errors of the yaw rate over their standard deviation"""
-    held_out: NDArray[np.bool_]
-    wheel_angle: Array
-    """rad, of the road wheels as the fit has them"""
-
-
-@dataclass(frozen=True, eq=False)
-class Identification:
-    """What a log tells of a car, see `identify`."""
-
-    estimates: Mapping[str, Estimate]
-    covariance: Array
-    """of `estimates` in their order, logarithms for what is positive, (m, m)"""
-    validation: Validation
-    findings: tuple[str, ...]
-    """in words: what was seen, what was not"""
-    log: Log
-    believed: Vehicle
-    """the car before the log"""
-    tyre_curve: Tyre
-    """the tyre whose curve the car keeps"""
-    computation: float
-    """s, of the log's dead time, that is the controller's"""
-    series: Series = field(repr=False)
-
-    def __getitem__(self, name: str) -> Estimate:
-        """An estimate by its name."""
-        return self.estimates[name]
-
-    @property
-    def car(self) -> Vehicle:
-        """The car as the log has it: stiffness, yaw inertia, steering; the rest as believed."""
-        value = {name: each.value for name, each in self.estimates.items()}
-        steering = self.believed.steering or Steering()
-        if self.log.commanded:
-            dead_time = max(value["dead_time"] - self.computation, 0.0)
-            steering = steering.replace(lag=value["lag"], dead_time=dead_time)
-        if "rate" in value and self.estimates["rate"].told < HARDLY:
-            steering = steering.replace(rate=value["rate"])
-        if "ratio" in value:
-            steering = steering.replace(ratio=value["ratio"])
-        return self.believed.replace(
-            stiffness_front=0.5 * value["front"], stiffness_rear=0.5 * value["rear"],
-            yaw_inertia=value["yaw_inertia"], lf=value["lf"], lr=self.believed.wheelbase - value["lf"],
-            steering=steering if steering != Steering() else None,
-        )  # fmt: skip
-
-    @property
-    def tyre(self) -> Tyre:
-        """The believed car's tyre, scaled to the axle stiffness of `car` at its static loads; its curve is kept."""
-        car, curve = self.car, self.tyre_curve
-        front, rear = curve.stiffness_at(*car.static_loads)
-        relaxation = self.estimates.get("relaxation")
-        if relaxation is not None:
-            curve = curve.replace(relaxation_length=min(relaxation.value, 10.0))
-        return curve.replace(
-            stiffness_front=curve.stiffness_front * car.stiffness_front / front,
-            stiffness_rear=curve.stiffness_rear * car.stiffness_rear / rear,
-        )
-
-    def known_within(self) -> KnownWithin:
-        """The 90 % intervals of what the log told, and what was known of the car before: for its file."""
-        before = self.car.known_within or KnownWithin()
-        found = {
-            name: max(each.high / each.value, each.value / each.low)
-            for name, each in ((key, self.estimates[of]) for key, of in FACTORS.items())
-            if each.low > 0.0
-        }
-        if self.log.commanded:
-            for name in _MARGINS:
-                each = self.estimates[name.removeprefix("steering_")]
-                found[name] = max(each.high - each.value, each.value - each.low)
-        if "ratio" in self.estimates:
-            found["steering_ratio"] = self.estimates["ratio"].high / self.estimates["ratio"].value
-        limits = {name: min(value, 1.0 if name in _MARGINS else 10.0) for name, value in found.items()}
-        return before.replace(**{name: float(f"{value:.4g}") for name, value in limits.items()})
-
-    def to_toml(self, path: str | os.PathLike[str]) -> None:
-        """Write the car, with how well it is known, and its tyre (`tyre`) beside it.
-
-        Raises
-        ------
-        StorageError
-            When the file cannot be written.
-        """
-        from adaptrack.identification.writing import write_car
-
-        write_car(self, path)
-
-    def to_dict(self) -> dict[str, object]:
-        """What ``--json`` says."""
-        return {
-            "estimates": {
-                name: {
-                    "value": each.value, "unit": each.unit, "standard_error": each.standard_error, "low": each.low,
-                    "high": each.high, "before": list(each.before), "spread_left": each.told,
-                }
-                for name, each in self.estimates.items()
-            },
-            "validation": {
-                "one_step_vaf": self.validation.one_step, "simulated_vaf": self.validation.simulated,
-                "held_out": self.validation.held_out, "autocorrelation": list(self.validation.autocorrelation),
-            },
-            "findings": list(self.findings),
-            "log": {
-                "samples": self.log.samples, "period": self.log.period, "driven": self.log.driven,
-                "segments": self.log.segments, "notes": list(self.log.notes),
-            },
-            "computation": self.computation,
-        }  # fmt: skip
 
 
 @checked

@@ -4,20 +4,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from adaptrack.identification.identified import HARDLY, Estimate, Validation
 from adaptrack.identification.log import Log
 from adaptrack.identification.quantities import degrees_per_g
 
-if TYPE_CHECKING:
-    from adaptrack.identification.from_log import Estimate, Validation
-
 FAST, LITTLE = 15.0, 0.3
 """m/s; m/s^2, RMS lateral acceleration below which there is hardly any steering."""
-HARDLY, LOOSE = 0.7, 1.25
-"""Share of the earlier spread that is left where a log says next to nothing; factor from which a stiffness is loose."""
+LOOSE = 1.25
+"""Factor from which a stiffness is loose."""
 RATIO_LOOSE = 1.1
 """Factor within which a steering ratio is of use."""
 SPLIT = 0.05

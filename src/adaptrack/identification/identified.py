@@ -1,0 +1,195 @@
+"""What an identification found: estimates with their intervals, a validation, and the car that follows."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from adaptrack.base.files import dump_toml, write_atomically
+from adaptrack.cars.known_within import KnownWithin
+from adaptrack.cars.vehicle import Steering, Tyre, Vehicle
+from adaptrack.identification.log import Log
+
+Array = NDArray[np.float64]
+
+HARDLY = 0.7
+"""Share of the earlier spread that is left where a log says next to nothing."""
+FACTORS = {"stiffness_front": "front", "stiffness_rear": "rear", "yaw_inertia": "yaw_inertia"}
+"""Of a car file's numbers, the estimates that they come from."""
+_MARGINS = ("steering_lag", "steering_dead_time")
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """One quantity: what the log says of it, and what was believed before."""
+
+    name: str
+    unit: str
+    meaning: str
+    value: float
+    standard_error: float
+    """in the unit of the value, corrected as `calibration.CORRECTIONS` says"""
+    low: float
+    """lower end of the 90 % interval"""
+    high: float
+    before: tuple[float, float]
+    """90 % interval of what was believed before"""
+    told: float
+    """share of the spread that was believed before which is left: near 1 the log says nothing"""
+
+
+@dataclass(frozen=True)
+class Validation:
+    """How well the yaw rate is predicted on stretches that the fit did not see."""
+
+    one_step: float
+    """share of the variance that one-step predictions explain (1 is all)"""
+    simulated: float
+    """likewise for simulations from the command alone"""
+    held_out: float
+    """s, in all"""
+    autocorrelation: tuple[float, ...]
+    """of the fit's normalised innovations of the yaw rate, at lags 1 to 5"""
+
+
+@dataclass(frozen=True, eq=False)
+class Series:
+    """What is drawn: signals along the log, (n,) each."""
+
+    time: Array
+    measured: Array
+    """rad/s"""
+    simulated: Array
+    """rad/s, from the command alone, begun anew at every segment"""
+    innovations: Array
+    """-, one-step errors of the yaw rate over their standard deviation"""
+    held_out: NDArray[np.bool_]
+    wheel_angle: Array
+    """rad, of the road wheels as the fit has them"""
+
+
+@dataclass(frozen=True, eq=False)
+class Identification:
+    """What a log tells of a car, see `identify`."""
+
+    estimates: Mapping[str, Estimate]
+    covariance: Array
+    """of `estimates` in their order, logarithms for what is positive, (m, m)"""
+    validation: Validation
+    findings: tuple[str, ...]
+    """in words: what was seen, what was not"""
+    log: Log
+    believed: Vehicle
+    """the car before the log"""
+    tyre_curve: Tyre
+    """the tyre whose curve the car keeps"""
+    computation: float
+    """s, of the log's dead time, that is the controller's"""
+    series: Series = field(repr=False)
+
+    def __getitem__(self, name: str) -> Estimate:
+        """An estimate by its name."""
+        return self.estimates[name]
+
+    @property
+    def car(self) -> Vehicle:
+        """The car as the log has it: stiffness, yaw inertia, steering; the rest as believed."""
+        value = {name: each.value for name, each in self.estimates.items()}
+        steering = self.believed.steering or Steering()
+        if self.log.commanded:
+            dead_time = max(value["dead_time"] - self.computation, 0.0)
+            steering = steering.replace(lag=value["lag"], dead_time=dead_time)
+        if "rate" in value and self.estimates["rate"].told < HARDLY:
+            steering = steering.replace(rate=value["rate"])
+        if "ratio" in value:
+            steering = steering.replace(ratio=value["ratio"])
+        return self.believed.replace(
+            stiffness_front=0.5 * value["front"], stiffness_rear=0.5 * value["rear"],
+            yaw_inertia=value["yaw_inertia"], lf=value["lf"], lr=self.believed.wheelbase - value["lf"],
+            steering=steering if steering != Steering() else None,
+        )  # fmt: skip
+
+    @property
+    def tyre(self) -> Tyre:
+        """The believed car's tyre, scaled to the axle stiffness of `car` at its static loads; its curve is kept."""
+        car, curve = self.car, self.tyre_curve
+        front, rear = curve.stiffness_at(*car.static_loads)
+        relaxation = self.estimates.get("relaxation")
+        if relaxation is not None:
+            curve = curve.replace(relaxation_length=min(relaxation.value, 10.0))
+        return curve.replace(
+            stiffness_front=curve.stiffness_front * car.stiffness_front / front,
+            stiffness_rear=curve.stiffness_rear * car.stiffness_rear / rear,
+        )
+
+    def known_within(self) -> KnownWithin:
+        """The 90 % intervals of what the log told, and what was known of the car before: for its file."""
+        before = self.car.known_within or KnownWithin()
+        found = {
+            name: max(each.high / each.value, each.value / each.low)
+            for name, each in ((key, self.estimates[of]) for key, of in FACTORS.items())
+            if each.low > 0.0
+        }
+        if self.log.commanded:
+            for name in _MARGINS:
+                each = self.estimates[name.removeprefix("steering_")]
+                found[name] = max(each.high - each.value, each.value - each.low)
+        if "ratio" in self.estimates:
+            found["steering_ratio"] = self.estimates["ratio"].high / self.estimates["ratio"].value
+        limits = {name: min(value, 1.0 if name in _MARGINS else 10.0) for name, value in found.items()}
+        return before.replace(**{name: float(f"{value:.4g}") for name, value in limits.items()})
+
+    def to_toml(self, path: str | os.PathLike[str]) -> None:
+        """Write the car as TOML, and beside it its tyre (``-tyre`` behind the name), so that a plant has its stiffness.
+
+        The car gets the file's name. Intervals stand in ``[known_within]`` and in comments.
+
+        Raises
+        ------
+        StorageError
+            When the file cannot be written.
+        """
+        known, path = self.known_within(), Path(path)
+        beside = path.with_name(f"{path.stem}-tyre.toml")
+        said = f"{self.tyre_curve.name}, scaled to the axles of {path.stem}"
+        self.tyre.replace(name=beside.stem, description=said).to_toml(beside)
+        car = self.car.replace(
+            name=path.stem, description="Identified from a log", tyre=str(beside), known_within=known,
+            estimated=tuple(name for name in self.car.estimated if name not in FACTORS),
+        )  # fmt: skip
+        values = car.model_dump() | {"tyre": beside.name}
+        meanings = {name: field.description or "" for name, field in Vehicle.model_fields.items()}
+        head = ["# Identified from a log; 90 % intervals:"]
+        for each in self.estimates.values():
+            head.append(f"# {each.name}: {each.low:.4g} to {each.high:.4g} {each.unit}")
+        if self.computation:
+            head.append(f"# steering.dead_time is without {self.computation:g} s of the controller's computation")
+        head += [f"# {sentence}" for sentence in self.findings]
+        write_atomically(path, ("\n".join(head) + "\n\n" + dump_toml(values, meanings)).encode())
+
+    def to_dict(self) -> dict[str, object]:
+        """What ``--json`` says."""
+        return {
+            "estimates": {
+                name: {
+                    "value": each.value, "unit": each.unit, "standard_error": each.standard_error, "low": each.low,
+                    "high": each.high, "before": list(each.before), "spread_left": each.told,
+                }
+                for name, each in self.estimates.items()
+            },
+            "validation": {
+                "one_step_vaf": self.validation.one_step, "simulated_vaf": self.validation.simulated,
+                "held_out": self.validation.held_out, "autocorrelation": list(self.validation.autocorrelation),
+            },
+            "findings": list(self.findings),
+            "log": {
+                "samples": self.log.samples, "period": self.log.period, "driven": self.log.driven,
+                "segments": self.log.segments, "notes": list(self.log.notes),
+            },
+            "computation": self.computation,
+        }  # fmt: skip
