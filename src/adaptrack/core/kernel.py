@@ -257,7 +257,7 @@ def _words(record: Any) -> Iterable[int]:
 class Known:
     """A function that kernels may call.
 
-    kind: what it is to the compiler, see `build.numba_functions`; of: the type or shape that goes with it;
+    kind: what it is to the compiler, see `build.numba_functions.type_of`; of: the type or shape that goes with it;
     interpreted: what stands for it in Python.
     """
 
@@ -267,6 +267,10 @@ class Known:
 
     def __call__(self, *arguments: Any) -> Any:
         return self._python(*arguments)
+
+    @cached_property
+    def _numba_type_(self) -> Any:
+        return library.compiler().type_of(self)
 
 
 class Exported(Known):

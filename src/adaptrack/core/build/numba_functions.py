@@ -15,9 +15,8 @@ from numba import types
 from numba.core import cgutils, codegen
 from numba.core.compiler_lock import global_compiler_lock
 from numba.core.registry import CPUDispatcher, cpu_target
-from numba.extending import intrinsic, typeof_impl
+from numba.extending import intrinsic
 
-from ..kernel import Known
 from ..member import Member
 from . import operations
 from .numba_types import WORD, c_types, from_c, numba_type, to_c
@@ -95,14 +94,8 @@ class _Inlined(CPUDispatcher):  # type: ignore[misc]
         return super().get_call_template(tuple(types.unliteral(each) for each in args), kws)
 
 
-@typeof_impl.register(Known)
-def _type_of(known: Any, context: Any) -> Any:
-    """Numba's type of what kernels may call, the same for each use."""
-    return _known_type(known)
-
-
-@cache
-def _known_type(known: Any) -> Any:
+def type_of(known: Any) -> Any:
+    """Numba's type of what kernels may call."""
     if known.kind == "exported":
         return types.Dispatcher(_dispatcher(known))
     if known.kind == "primitive":
