@@ -93,7 +93,7 @@ def places(tmp_path):
         ("certify --controller informd", ["'informd'", "Did you mean 'informed'"]),
         ("certify {mine} --feasible", ["--feasible", "leave out the scheduler"]),
         ("certify --feasible --out {out}", ["--feasible", "--out"]),
-        ("certify --feasible --speed 9 5", ["speed = 9 to 5"]),
+        ("certify --feasible --speed 9 5", ["speed = (9.0, 5.0)", "low <= high"]),
         ("certify road-n", ["no scheduler is named 'road-n'", "Did you mean"]),
         ("certify nowhere.json", ["nowhere.json", "cannot be read"]),
         ("certify {damaged}", ["damaged.json", "checksum"]),

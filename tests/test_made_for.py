@@ -108,15 +108,15 @@ def test_simulate_refuses_a_scheduler_that_is_unstable_on_another_car_unless_tha
     assert "Refused: --allow-failed drives it all the same." in said.err
     code, said = command(*drive_shortly("midsize-sedan", "road-best-constant"), "--allow-failed")
     assert code == 0
-    assert f"Warning, {meeting}" in said.out
+    assert f"Warning, {meeting}" in said.err
 
 
 @pytest.mark.compiled
 def test_a_stable_meeting_is_driven_with_the_verdict_and_ones_own_car_is_not_looked_at(command, monkeypatch):
     code, said = command(*drive_shortly("van", "informed-road-best-constant"))
     assert code == 0
-    assert "Warning, scheduler 'informed-road-best-constant', made for the car 'paper', on 'van'" in said.out
-    assert "Passed: the closed loop is stable at all" in said.out
+    assert "Warning, scheduler 'informed-road-best-constant', made for the car 'paper', on 'van'" in said.err
+    assert "Passed: the closed loop is stable at all" in said.err
     monkeypatch.setattr("adaptrack.analysis.certify.certify", lambda *given, **more: pytest.fail("it was looked at"))
     code, said = command(*drive_shortly("paper", "informed-road-best-constant"))
     assert code == 0
