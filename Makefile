@@ -6,7 +6,7 @@ INSTALLED := .venv/.installed
 
 .DEFAULT_GOAL := help
 KERNELS := src/adaptrack/core/built/manifest.json
-.PHONY: help install install-extras run test test-slow test-slow-part test-interpreted lint format docs bench lock clean
+.PHONY: help install install-extras run test test-slow test-slow-part test-interpreted coverage lint format docs wheel try-wheel bench lock clean
 
 help: ## list the targets
 	@grep -E '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## /\1|/' | column -t -s '|'
@@ -51,6 +51,9 @@ test-slow-part: install ## run a fifth of the slow tests, another one with each 
 test-interpreted: install ## run the tests of kernels with the compiler switched off
 	ADAPTRACK_KERNELS=interpreted $(PYTEST) -m 'kernels and not slow and not compiled'
 
+coverage: install ## run the tests and count which lines of Python they reach: results/coverage/index.html
+	$(PYTEST) --cov=adaptrack --cov-branch --cov-report=term:skip-covered --cov-report=html:results/coverage
+
 lint: install ## check style, types and the imports between the rooms
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
@@ -63,6 +66,18 @@ format: install ## rewrite the sources in the project's style
 
 docs: install ## build the documentation: docs/_build/html/index.html
 	$(BIN)/sphinx-build --quiet --fail-on-warning --keep-going -b html docs docs/_build/html
+
+wheel: install ## build a wheel with kernels for every processor of this kind: dist/adaptrack-*.whl
+	rm -rf dist
+	$(BIN)/python -m hatchling build --target wheel
+
+TRIED := build/try
+try-wheel: ## drive with the wheel in dist/ in an environment of its own, which PYTHON chooses; no compiler, no checkout
+	test -n "$(wildcard dist/adaptrack-*.whl)" || { echo 'No wheel in dist/: make wheel'; exit 1; }
+	rm -rf $(TRIED) && $(BIN)/uv venv --quiet --python "$$(command -v $(PYTHON))" $(TRIED)
+	$(BIN)/uv pip install --quiet --python $(TRIED)/bin/python dist/adaptrack-*.whl
+	cd $(TRIED) && bin/adaptrack --version && bin/adaptrack simulate triple-lane-change --out page
+	cd $(TRIED) && bin/adaptrack drive town --vehicle midsize-sedan
 
 bench: install ## time one control step and the compiled batch of runs
 	$(BIN)/python -m tools.bench step --json

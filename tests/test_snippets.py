@@ -1,7 +1,9 @@
 """Every command and every Python snippet of the README and the pages runs, or, where that takes long, fits the program.
 
 A page is run from top to bottom in a folder of its own: its TOML blocks that begin with a file's name become that file,
-its Python blocks share one namespace, its console lines that begin with `$` are commands.
+its Python blocks share one namespace, its console lines that begin with `$` are commands. Numbers that a page says are
+printed are printed, within 5 %: in the comment behind a `print`, in a block of text below a command (`OUTPUT_SHOWN`),
+in a table below the line `<!-- printed -->`. What scatters more is given as a range, `0.2 to 0.4`.
 """
 
 import ast
@@ -62,13 +64,107 @@ OTHERS = ("dask", "python -m pip", "python -m tools.fuzz", ".ci/run")
 """Commands of other programs: not run."""
 
 
-OUTPUT_SHOWN = ("tutorial.md",)
-"""Pages that show below a command what it prints: every line of it is among what is printed, up to digits."""
+OUTPUT_SHOWN = ("tutorial.md", "command-line.md")
+"""Pages that show below a command what it prints: every line of it is among what is printed."""
+
+NEAR = 0.05
+"""How far a number on a page may be from the printed one, relative; half of its last digit is always allowed."""
+PRINTED = "<!-- printed -->"
+"""Above a table whose numbers are printed by the command before it, in lines that begin as its rows do."""
+NUMBER = r"(?<![\w^.])[-+]?\d[\d,]*(?:\.\d+)?(?:e[-+]?\d+)?(?![\w^]|\.\d)"
 
 
 def blocks(page):
-    """(language, text) of each fenced block of a page, in order."""
-    return re.findall(r"^```(\w+)\n(.*?)^```$", page.read_text(), re.MULTILINE | re.DOTALL)
+    """(language, text) of each fenced block of a page, in order; of a table below `PRINTED`, ("printed", its rows)."""
+    found = re.findall(
+        rf"^```(\w+)\n(.*?)^```$|^{PRINTED}\n\n((?:\|[^\n]*\n)+)", page.read_text(), re.MULTILINE | re.DOTALL
+    )
+    return [("printed", table) if table else (language, text) for language, text, table in found]
+
+
+# -- numbers ----------------------------------------------------------------------------------------------------------
+def ranges(text):
+    """(low, high) of each number of a page: around it, or, of `0.2 to 0.4`, from one to the other."""
+    found = []
+    for one, other in re.findall(rf"({NUMBER})(?: to ({NUMBER}))?", text):
+        low, high = (float(each.replace(",", "")) for each in (one, other or one))
+        digits = len(one.partition("e")[0].partition(".")[2])
+        away = 0.0 if other else max(NEAR * abs(low), 0.5 * 10.0**-digits if "e" not in one else 0.0)
+        found.append((low - away, high + away))
+    return found
+
+
+def numbers(text):
+    """The numbers of what is printed."""
+    return [float(each.replace(",", "")) for each in re.findall(NUMBER, text)]
+
+
+def agree(said, printed):
+    """Whether the numbers of a page are the first of those printed, one by one."""
+    wanted, found = ranges(said), numbers(printed)
+    return len(found) >= len(wanted) and all(
+        low <= value <= high for (low, high), value in zip(wanted, found, strict=False)
+    )
+
+
+def said_behind(source):
+    """What a comment behind a `print` says is printed, by line: what comes before a semicolon."""
+    comments = {}
+    for number, line in enumerate(source.splitlines(), 1):
+        _, mark, comment = line.partition("  # ")
+        if mark and re.match(r"\s*(print\(.*\)|\))$", line[: line.index("  # ")]):
+            comments[number] = comment.split(";")[0]
+    return {line: text for line, text in comments.items() if ranges(text)}
+
+
+def check_printed(source, printed):
+    """Compare the comments behind each `print` with what it printed: {last line of the call: text}."""
+    for line, said in said_behind(source).items():
+        assert agree(said, printed.get(line, "")), f"{said!r} is said, {printed.get(line)!r} is printed"
+
+
+def check_table(table, printed):
+    """Compare the rows of a table with the lines that begin as they do."""
+    rows = [[each.strip(" `") for each in row.strip().strip("|").split("|")] for row in table.splitlines()[2:]]
+    assert rows
+    for name, *cells in rows:
+        lines = [line for line in printed.splitlines() if line.split()[:1] == [name]]
+        assert any(agree(" ".join(cells), " ".join(line.split()[1:])) for line in lines), (name, cells, lines)
+
+
+def check_text(text, printed):
+    """Compare lines that a page shows with those printed, `...` standing for any."""
+    for line in text.splitlines():
+        if line.strip() not in ("", "..."):
+            alike = [each for each in printed.splitlines() if shape(each) == shape(line)]
+            apart = line.replace(" to ", " ")  # a range that is printed is two numbers
+            assert any(agree(apart, each) for each in alike), f"{line!r} is shown; printed like it: {alike}"
+
+
+def test_numbers_agree_within_5_percent_or_half_a_digit_or_a_range():
+    assert agree("0.0134 m, 2,064", "0.0137 2,064 ok 7")
+    assert agree("MSE 0.0010 m^2", "mse 0.001049")
+    assert agree("0.2 to 0.4", "0.39")
+    for said, printed in (("0.0009", "0.00101"), ("0.2 to 0.4", "0.41"), ("1, 2", "1"), ("16 %", "8.5 %")):
+        assert not agree(said, printed), (said, printed)
+
+
+def test_comments_behind_prints_are_compared_with_what_is_printed():
+    source = "x = 2.0\nprint(x)  # 2 m; twice 1\nprint(\n    x\n)  # 2.5\n"
+    assert said_behind(source) == {2: "2 m", 5: "2.5"}
+    check_printed(source, {2: "2.0", 5: "2.5"})
+    with pytest.raises(AssertionError, match="is said"):
+        check_printed(source, {2: "2.0", 5: "2.0"})
+
+
+def test_rows_of_a_table_are_compared_with_the_lines_of_their_names():
+    table = "| | RMS |\n|---|---|\n| `lqr` | 0.08 |\n| `stanley` | 0.1 |\n"
+    check_table(table, "lqr  0.0815 0.3\nstanley 0.0977 0.3\n")
+    with pytest.raises(AssertionError):
+        check_table(table, "lqr  0.0815 0.3\nstanley 0.2 0.1\n")
+
+
+# -- what is on a page ------------------------------------------------------------------------------------------------
 
 
 def commands(text):
@@ -172,12 +268,14 @@ def test_a_page_runs_from_top_to_bottom(page, tmp_path, monkeypatch, capsys):
         elif language == "console":
             printed = "".join(run_command(arguments_of(command), monkeypatch, capsys) for command in commands(text))
         elif language == "text" and page.name in OUTPUT_SHOWN and printed:
-            assert shape(text) - {"..."} <= shape(printed)
+            check_text(text, printed)
+        elif language == "printed" and printed:
+            check_table(text, printed)
 
 
-def shape(output):
-    """The lines of an output with its numbers blotted out: their last digits are the machine's."""
-    return {re.sub(r"\s*[\d.,]*\d", " #", line).strip() for line in output.splitlines()}
+def shape(line):
+    """A line of an output without its numbers."""
+    return re.sub(r"\s*[\d.,]*\d", " #", line).strip()
 
 
 def given_files(page, folder):
@@ -193,7 +291,19 @@ def run_snippet(page, text, namespace):
     tree = ast.parse(text)
     if any(page == name and part in text for name, part in LONG_SNIPPETS):
         tree.body = [node for node in tree.body if isinstance(node, ast.Import | ast.ImportFrom)]
+    ends = {line: call.end_lineno for call in ast.walk(tree) if isinstance(call, ast.Call)
+            for line in range(call.lineno, call.end_lineno + 1) if getattr(call.func, "id", "") == "print"}  # fmt: skip
+    printed = {}
+
+    def remember(*values, **options):
+        line = sys._getframe(1).f_lineno
+        end = ends.get(line, line)
+        printed[end] = " ".join([*([printed[end]] if end in printed else []), *map(str, values)])
+
+    namespace["print"] = remember
     exec(compile(tree, page, "exec"), namespace)
+    if printed:
+        check_printed(text, printed)
 
 
 def run_command(arguments, monkeypatch, capsys):
