@@ -59,7 +59,10 @@ LAWS = {
     "pure-pursuit": PurePursuit, "stanley": Stanley,
 }  # fmt: skip
 WIDE = Limits(move=(-1.5, 1.5), angle=(-1.5, 1.5))
-every_law = pytest.mark.parametrize("law", LAWS.values(), ids=list(LAWS))
+LONG = {"kinematic-mpc": [pytest.mark.compiled]}  # its 50 stages; its own tests also run interpreted
+every_law = pytest.mark.parametrize(
+    "law", [pytest.param(law, id=name, marks=LONG.get(name, ())) for name, law in LAWS.items()]
+)
 every_car = pytest.mark.parametrize("car", [CAR, SEDAN], ids=lambda car: car.name)
 
 

@@ -190,6 +190,7 @@ def test_without_noise_a_constant_wind_is_found(wind):
     assert found[-40:, 1] == pytest.approx(wind, rel=0.02)
 
 
+@pytest.mark.compiled
 def test_a_gust_is_tracked():
     squares, truth = 0.0, 0.0
     for seed in range(3):
@@ -225,6 +226,7 @@ def test_friction_is_found_where_the_tyres_slide(friction):
     assert settled[:, 2].mean() < 0.12 * friction
 
 
+@pytest.mark.compiled
 def test_a_drop_of_friction_is_seen_within_a_second_where_the_tyres_slide():
     patch = {"start": 4.0, "end": 8.0, "friction": 0.4}
     trajectory, found = drive(road(20.0, 0.9, 0.0, 8.0, friction_patches=[patch]), weave(0.25))
@@ -233,6 +235,7 @@ def test_a_drop_of_friction_is_seen_within_a_second_where_the_tyres_slide():
     assert found[trajectory.t < 4.0, 0][-10:].min() > 0.7
 
 
+@pytest.mark.compiled
 @pytest.mark.parametrize("friction", [0.3, 0.95])
 @pytest.mark.parametrize("speed", [5.0, 25.0])
 def test_friction_is_nominal_and_said_to_be_unknown_where_nothing_excites(friction, speed):
@@ -241,6 +244,7 @@ def test_friction_is_nominal_and_said_to_be_unknown_where_nothing_excites(fricti
     assert found[:, 2].min() > 0.8 * PRIOR_STD
 
 
+@pytest.mark.compiled
 def test_friction_drifts_back_to_nominal_after_the_slide():
     trajectory, found = drive(road(20.0, 0.3, 0.0, 34.0), lambda t: weave(0.1)(t) if t < 4.0 else 0.0)
     assert found[80, 0] < 0.4
@@ -250,6 +254,7 @@ def test_friction_drifts_back_to_nominal_after_the_slide():
     assert (np.diff(waiting[::40]) > -0.02).all()
 
 
+@pytest.mark.compiled
 @pytest.mark.parametrize("factor", [0.9, 1.1])
 def test_soft_or_stiff_tyres_are_not_taken_for_the_road(factor):
     plant = DualTrack(CAR)
@@ -351,6 +356,7 @@ def test_it_recovers_from_an_absurd_measurement(value):
     assert np.sqrt(np.diag(motion)) == pytest.approx([0.02, 0.003], abs=0.02)
 
 
+@pytest.mark.compiled
 def test_estimates_stay_within_their_bounds():
     belief = FrictionWindPrior(friction_range=(0.5, 0.8), most_wind=5.0)
     estimator = FrictionWindEstimator.of(DualTrack(CAR), belief=belief)

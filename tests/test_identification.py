@@ -475,6 +475,7 @@ def test_columns_units_signs_and_ratio_are_read_as_told(log: dict[str, np.ndarra
         Reading(units={"speed": "knots"})
 
 
+@pytest.mark.compiled
 def test_an_own_trajectory_is_read_with_the_computation_of_its_profile(tmp_path) -> None:
     car = at.load_vehicle("paper")
     run = at.rollout(at.SingleTrack(car), at.MPC(car, profile="road"), at.random_drive(3, 30.0), profile="road")

@@ -132,6 +132,7 @@ def test_the_compiled_filter_is_the_textbook_one(lag, dead_time, oldest, rng):
     np.testing.assert_allclose(run_kernel(estimator, model, speeds, samples, commands), expected, rtol=0, atol=1e-10)
 
 
+@pytest.mark.compiled
 @pytest.mark.parametrize("oldest", [0.0, 0.1])
 @pytest.mark.parametrize(
     ("sensor", "reading"), [("vy", 0.6), ("yaw_rate", 0.2), ("wheel_angle", 0.05), ("lateral_acceleration", 3.0)]
@@ -403,6 +404,7 @@ def test_gaps_of_the_pose_are_in_the_trajectory_and_counted():
     assert metrics.dead_reckoning_max == said.max() >= 0.3 - 1e-9
 
 
+@pytest.mark.compiled
 def test_the_offset_of_a_gyro_and_a_banked_road_are_told_apart_from_the_motion():
     """A car that obeys the model, going straight on a banked road, with a gyro that is off, no noise."""
     model = PathModel(CAR, PERIOD, 0.15)

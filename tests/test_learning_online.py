@@ -245,6 +245,7 @@ def learned_of(mpc):
     return [belief(mpc, name) for name in ("belief_delay", "belief_stiffness", "belief_bias")]
 
 
+@pytest.mark.compiled
 @pytest.mark.parametrize("sample", [math.nan, 0.05])
 def test_missing_and_repeated_samples_teach_nothing(sample):
     mpc = learner()
@@ -261,6 +262,7 @@ def test_missing_and_repeated_samples_teach_nothing(sample):
     assert np.isfinite(before).all()
 
 
+@pytest.mark.compiled
 def test_a_standing_car_learns_nothing():
     mpc = learner()
     driven(mpc)

@@ -171,6 +171,7 @@ def driven(controller, lag: float) -> tuple[float, float]:
     return cost, worst
 
 
+@pytest.mark.compiled
 @every_lag
 def test_on_clothoids_no_lqr_without_preview_has_a_lower_cost(lag):
     cost, _ = driven(made(lag=lag, **WEIGHTS), lag)
@@ -179,11 +180,13 @@ def test_on_clothoids_no_lqr_without_preview_has_a_lower_cost(lag):
         assert cost < 0.99 * driven(without, lag)[0]
 
 
+@pytest.mark.compiled
 def test_behind_a_steering_lag_it_strays_less_on_clothoids_than_the_lqr_without_preview():
     without = at.LQR(SEDAN, **WEIGHTS, period=0.05, limits=WIDE, preview_time=0.0)
     assert driven(made(**WEIGHTS), 0.2)[1] < 0.2 * driven(without, 0.2)[1]
 
 
+@pytest.mark.compiled
 def test_the_further_it_sees_the_lower_its_cost_until_all_that_counts_is_seen():
     found = [driven(made(ahead=ahead), 0.2)[0] for ahead in (0.1, 0.3, 1.0, 3.0, 5.0)]
     assert found[:4] == sorted(found[:4], reverse=True)
