@@ -14,9 +14,9 @@ import pytest
 
 from adaptrack.base import progress
 from adaptrack.base.progress import Work
-from adaptrack.cli import comparison, reproduce, show, simulate, train
+from adaptrack.cli import comparison, show, train
 from adaptrack.cli.show import Column
-from adaptrack.results import certificate
+from adaptrack.results import certificate, drive, reproduce, runs
 from adaptrack.results.console import written
 
 NAMES = {
@@ -34,7 +34,7 @@ def typical(columns):
 
 
 @pytest.mark.parametrize(
-    "columns", [simulate.COLUMNS, train.COLUMNS, comparison.COLUMNS, certificate.CONSOLE, reproduce.COLUMNS]
+    "columns", [runs.CONSOLE, drive.CONSOLE, train.COLUMNS, comparison.COLUMNS, certificate.CONSOLE, reproduce.CONSOLE]
 )
 def test_tables_name_their_units_and_fit_80_columns(monkeypatch, capsys, columns):
     monkeypatch.setenv("COLUMNS", "80")

@@ -20,6 +20,7 @@ from adaptrack.results import (
     Run,
     Section,
     conditions_figure,
+    draw,
     figures,
     maps,
     page,
@@ -222,9 +223,9 @@ def test_every_picture_is_described_in_words(report):
     pictures = [svg for svg in Outline(text).all("svg") if "aria-hidden" not in svg]
     assert len(pictures) == 1 + 2 + 2 * 8  # the verdict's, speed of both scenarios, eight panels for each
     assert all(svg["role"] == "img" and len(svg["aria-label"]) > 30 for svg in pictures)
-    error, _ = (svg["aria-label"] for svg in pictures if "Tracking error," in svg["aria-label"])
+    error, _ = (svg["aria-label"] for svg in pictures if "Tracking error. Y" in svg["aria-label"])
     assert error.startswith(
-        "Tracking error, Y - y_ref (m), over time. Standard MPC: −0.2 to 0.2; NN-MPC: −0.08 to 0.08"
+        "Tracking error. Y - y_ref (m), over time. Standard MPC: −0.2 to 0.2; NN-MPC: −0.08 to 0.08"
     )
 
 
@@ -332,13 +333,6 @@ def test_runs_without_provenance_are_reported_as_such(tmp_path):
     bare = dataclasses.replace(drive(), meta={})
     text = write_report(tmp_path, [bare]).read_text()
     assert "Unnamed scenario" in text
-
-
-def test_sections_of_ones_own_stand_before_the_runs_or_after_them(tmp_path):
-    own = {"first": [Section("Foremost", ["Words."])], "more": [Section("Besides", ["Words."])]}
-    text = write_report(tmp_path, [drive()], **own).read_text()
-    places = [text.index(f">{title}</h2>") for title in ("Foremost", "Triple lane change", "Besides", "Provenance")]
-    assert places == sorted(places)
 
 
 def test_a_report_without_runs_is_refused(tmp_path):
@@ -690,7 +684,7 @@ def test_the_full_record_can_be_read_back_from_the_page(report):
 
 def test_alternative_texts_give_the_range_of_every_run():
     lines = figures.as_lines({"a": drive(), "b": drive(scale=2.0)})
-    described = figures.TRACKING[1].describe(lines)
+    described = draw.described(figures.tracking_panels(lines)[1])
     assert described.startswith("Tracking error")
     assert re.search(r"a: −0\.2 to 0\.2; b: −0\.4 to 0\.4", described)
 

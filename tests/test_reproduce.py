@@ -309,11 +309,15 @@ def test_the_words_on_knowing_follow_the_numbers():
 def test_the_table_on_knowing_shows_failed_runs_and_never_prefers_one():
     rows = known(standard_as_written=None, nn=0.5, informed=0.4)
     rows[1]["failed"] = 3
-    table = knowing.knowing_section(rows).items[-2]
-    assert table.rows[0] == "Profile road"
-    cells = {row[0]: row[1] for row in table.rows[1:]}
-    assert cells[knowing.NAMES["nn"]].text == "failed, 3 of 10"
-    assert [name for name, cell in cells.items() if cell.strong] == [knowing.NAMES["informed"]]
+    table = knowing.knowing_table(rows)
+    assert {row["profile"] for row in table.rows} == {"Profile road"}
+    (column,) = (column.name for column in table.columns if column.name.startswith("mse"))
+    shown = {row["name"]: row[column] for row in table.rows}
+    assert shown[knowing.NAMES["nn"]] == "failed, 3 of 10"
+    assert [table.rows[i]["name"] for i, _ in table.best] == [knowing.NAMES["informed"]]
+    assert [table.rows[i]["name"] for i, _ in table.alert] == [
+        name for name, value in shown.items() if isinstance(value, str)
+    ]
 
 
 # -- the gain, taken apart --------------------------------------------------------------------------------------------

@@ -29,9 +29,9 @@ class Column:
     title: str
     """Its heading; two lines where there is no unit."""
     unit: str = ""
-    show: int | Literal["percent", "whole", "degrees", "power"] = 4
+    show: int | Literal["percent", "whole", "degrees", "power", "given"] = 4
     """Significant digits; or percent: a share 0..1; whole: no fraction; degrees: rad, with degrees in brackets; power:
-    a power of ten."""
+    a power of ten; given: a number from elsewhere, with as many digits as it has."""
     meaning: str = ""
     """In one line, for the reader who does not know the quantity."""
 
@@ -109,6 +109,7 @@ class Polyline:
     """Where a value holds: up to its place, or from there on; empty: joined by straight lines."""
     markers: bool = False
     """A dot at every point."""
+    opacity: float = 1.0
 
 
 @dataclass(frozen=True)

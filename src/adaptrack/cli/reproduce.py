@@ -3,33 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from operator import itemgetter
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 from typer import Option
 
 from adaptrack.cli import interrupt, options, show
 from adaptrack.cli.next_step import command, say_next
-from adaptrack.cli.show import Column
-
-if TYPE_CHECKING:
-    from adaptrack.studies.reproduce import Reproduction
-
-COLUMNS = (
-    Column("controller", "controller"),
-    Column("moves", "moves"),
-    Column("mse", "MSE", "m²"),
-    Column("paper_mse", "paper", "m²"),
-    Column("ratio", "ratio", "", show.digits(3)),
-    Column("failed_at", "failed at", "s", show.digits(4)),
-)
-
-NEAR = 2.0
-"""Factor between an error and the paper's, up to which they are called near."""
-
-GROUP = itemgetter("configuration", "scenario", "preview")
-"""What the rows of one table have in common."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -51,7 +31,8 @@ def reproduce(given: ReproduceOptions) -> None:
 
     Failed runs are part of the result: they are counted, and the exit code is 0.
     """
-    from adaptrack.results.reproduce import write_reproduction
+    from adaptrack.results.page import write_result
+    from adaptrack.results.reproduce import reproduction_result
     from adaptrack.studies.reproduce import reproduce as run_again
     from adaptrack.tuning.dataset import load_dataset
 
@@ -61,30 +42,14 @@ def reproduce(given: ReproduceOptions) -> None:
     interrupt.kept(f"Finished stages are kept in {out}: run the command again to go on.")
     with show.progress("reproduce") as advance:
         made = run_again(dataset, quick=given.quick, seed=given.seed, folder=out, progress=advance)
+    result = reproduction_result(made, options.command_line())
     with show.progress("write the page"):
-        page = write_reproduction(out, made, command=options.command_line())
+        page = write_result(out, result)
+    show.say(f"Report: {page}", aside=given.as_json)
+    show.say_result(result, given.as_json)
     if given.as_json:
-        show.say(f"Report: {page}", aside=True)
-        show.say_json(made.as_json())
         return
-    show.say(_answer(made))
-    for configuration, scenario, preview in dict.fromkeys(map(GROUP, made.rows)):
-        rows = [row for row in made.rows if GROUP(row) == (configuration, scenario, preview)]
-        show.table(f"{configuration}, {scenario}, with{'' if preview else 'out'} preview", COLUMNS, rows)
-    show.say(f"{made.seconds:.0f} s, of which {made.training_seconds:.0f} s learning")
-    show.say(f"Report: {page}")
     if given.quick:
         say_next("to learn as long as the paper did", command("reproduce", "--out", f"{out}-whole"))
     else:
         say_next("to drive the controller that knows its car on a road", command("drive", "country", "--out", "drive"))
-
-
-def _answer(made: Reproduction) -> str:
-    """How many runs come near the paper's, and how many failed."""
-    known = [row["ratio"] for row in made.rows if row["ratio"] is not None and not row["failed"]]
-    near = sum(1.0 / NEAR <= ratio <= NEAR for ratio in known)
-    failed = sum(row["failed"] for row in made.rows)
-    return (
-        f"{near} of {len(known)} runs that the paper reports come within a factor of {NEAR:g} of its error; "
-        f"{failed or 'none'} of all {len(made.rows)} runs failed."
-    )

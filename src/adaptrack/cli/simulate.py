@@ -16,6 +16,7 @@ from adaptrack.base.errors import InvalidInput, UnknownName, did_you_mean
 from adaptrack.cli import interrupt, options, show
 from adaptrack.cli.next_step import again, command, say_next
 from adaptrack.cli.show import Column
+from adaptrack.results.console import print_table
 
 if TYPE_CHECKING:
     from adaptrack.cars.vehicle import Vehicle
@@ -44,16 +45,6 @@ BEYOND = 1.25
 """Factor on the highest speed of a car's domain from which a scenario is said to leave it."""
 
 INFORMED, STANDARD, AS_WRITTEN, AS_RELEASED = "informed", "standard", "as-written", "as-released"
-
-COLUMNS = (
-    Column("scenario", "scenario"),
-    Column("controller", "controller"),
-    Column("mse", "MSE", "m²"),
-    Column("max_abs_error", "max |e|", "m", show.digits(3)),
-    Column("at_any_limit", "limits", "%", show.percent),
-    Column("step_us_p50", "step", "µs", show.whole),
-    Column("result", "result"),
-)
 
 
 @dataclass(frozen=True)
@@ -394,6 +385,7 @@ def measured_row(controller: str, run: Trajectory, model: PredictionModel | None
 
 def _print(rows: Sequence[dict[str, Any]], as_json: bool) -> None:
     from adaptrack.results.answers import of_runs
+    from adaptrack.results.runs import console_table
 
     for row in rows:
         if row["failed"]:
@@ -404,8 +396,7 @@ def _print(rows: Sequence[dict[str, Any]], as_json: bool) -> None:
     else:
         if not all(row["failed"] for row in rows):
             show.say(of_runs(rows))
-        shown = [{**row, "result": "failed" if row["failed"] else "ok"} for row in rows]
-        show.table("Closed-loop runs", COLUMNS, shown)
+        print_table(console_table(rows))
     for row in rows:
         tell_open_qps(row, as_json)
 

@@ -7,11 +7,10 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from matplotlib.axes import Axes
 
-from adaptrack.results import style
+from adaptrack.base.result import Axis, Dots, Guide, Mark, Panel, Polyline, Remark, Stripe, Stroke
 from adaptrack.results.page import Drawing
-from adaptrack.results.words import legible, number, plain
+from adaptrack.results.words import data_text, legible, number
 
 WIDTH = 5.2
 """inch, of the picture: its letters can be read on a telephone and are not too large beside a verdict"""
@@ -33,50 +32,53 @@ class Dot(NamedTuple):
     low: float = math.nan
     """of the interval; NaN where none is known"""
     high: float = math.nan
-    colour: str = style.SERIES[0]
+    colour: str = "series-0"
     failed: bool = False
     """Drawn as a cross."""
     other: float = math.nan
     """A second number, drawn as a ring: what the first is held against."""
 
 
+def dots_panel(
+    dots: Sequence[Dot], label: str, words: str = "", *, level: float | None = None,
+    band: tuple[float, float] | None = None,
+) -> tuple[Panel, tuple[float, float]]:  # fmt: skip
+    """The dots from the top down on one axis, which is logarithmic where they span more than a factor of five.
+
+    label: of the axis; words: before the numbers in the alternative text; level: where an upright line is drawn; band:
+    what is shaded. Returns the panel and its size on the page [inch].
+    """
+    shown = _most_telling(dots)
+    far = _far(shown)
+    marks: list[Mark] = [] if band is None else [Stripe("x", *band)]
+    marks += [] if level is None else [Guide("x", [level], width=0.9)]
+    for place, dot in enumerate(shown):
+        if dot.value > far:
+            marks.append(Remark(0.0, place, f"{number(dot.value)}{', failed' if dot.failed else ''} ", at_right=True))
+            continue
+        if dot.low < dot.high:
+            marks.append(Polyline([dot.low, dot.high], [place, place], Stroke(dot.colour), 2.2, opacity=0.55))
+        if math.isfinite(dot.other):
+            marks.append(Dots([dot.other], [place], "ink", "ring", 6.5))
+        marks.append(Dots([dot.value], [place], dot.colour, "heavy cross" if dot.failed else "dot"))
+    low, high, log = _ends(shown, [each for each in (level, *(band or ())) if each is not None])
+    names = [data_text(legible(dot.name, _LETTERS)) for dot in shown]
+    panel = Panel(
+        "", Axis(label, low, high, log=log), Axis(names=names), marks,
+        f"{words or label}. {'; '.join(map(_in_words, shown))}.",
+    )  # fmt: skip
+    return panel, (WIDTH, max(_LEAST, _ABOVE_AND_BELOW + _ROW * len(shown)))
+
+
 def dots_drawing(
     dots: Sequence[Dot], label: str, words: str = "", *, level: float | None = None,
     band: tuple[float, float] | None = None,
 ) -> Drawing:  # fmt: skip
-    """The dots from the top down on one axis, which is logarithmic where they span more than a factor of five.
+    """`dots_panel`, drawn."""
+    from adaptrack.results.draw import described, panel_figure
 
-    label: of the axis; words: before the numbers in the alternative text; level: where an upright line is drawn; band:
-    what is shaded.
-    """
-    shown = _most_telling(dots)
-    far = _far(shown)
-
-    def draw(axes: Axes) -> None:
-        for place, dot in enumerate(shown):
-            if dot.value > far:
-                _draw_far(axes, dot, place)
-                continue
-            if dot.low < dot.high:
-                axes.plot([dot.low, dot.high], [place, place], color=dot.colour, linewidth=2.2, alpha=0.55)
-            if math.isfinite(dot.other):
-                axes.plot(dot.other, place, "o", color=style.INK, markersize=6.5, fillstyle="none")
-            axes.plot(dot.value, place, "X" if dot.failed else "o", color=dot.colour, markersize=5.0)
-        if band is not None:
-            axes.axvspan(*band, color=style.MUTED, alpha=0.15, linewidth=0.0)
-        if level is not None:
-            axes.axvline(level, color=style.MUTED, linewidth=0.9)
-        names = [style.data_text(legible(dot.name, _LETTERS)) for dot in shown]
-        axes.set_yticks(np.arange(len(names)), names)
-        axes.set_ylim(len(names) - 0.4, -0.6)
-        axes.grid(axis="y", visible=False)
-        _scale(axes, shown, [each for each in (level, *(band or ())) if each is not None])
-        axes.set_xlabel(label)
-
-    with style.styled():
-        figure = style.ShownFigure(figsize=(WIDTH, max(_LEAST, _ABOVE_AND_BELOW + _ROW * len(shown))))
-        draw(figure.subplots())
-    return Drawing(figure, plain(f"{words or label}. {'; '.join(map(_in_words, shown))}."))
+    panel, size = dots_panel(dots, label, words, level=level, band=band)
+    return Drawing(panel_figure(panel, size), described(panel))
 
 
 def notes(dots: Sequence[Dot]) -> str:
@@ -101,25 +103,17 @@ def _far(dots: Sequence[Dot]) -> float:
     return FAR * float(np.median([dot.value for dot in dots])) if dots else math.inf
 
 
-def _draw_far(axes: Axes, dot: Dot, place: int) -> None:
-    """At the edge, with its number."""
-    edge = axes.get_yaxis_transform()
-    axes.plot(0.985, place, ">", color=dot.colour, markersize=5.0, transform=edge)
-    words = f"{number(dot.value)}{', failed' if dot.failed else ''} "
-    axes.text(0.965, place, words, color=style.INK, fontsize=7.5, ha="right", va="center", transform=edge)
-
-
-def _scale(axes: Axes, dots: Sequence[Dot], also: Sequence[float]) -> None:
+def _ends(dots: Sequence[Dot], also: Sequence[float]) -> tuple[float, float, bool]:
+    """The ends of the axis, and whether it is logarithmic."""
     far = _far(dots)
     near = [dot for dot in dots if dot.value <= far]
     ends = [end for dot in near for end in (dot.value, dot.low, min(dot.high, far), dot.other) if math.isfinite(end)]
     ends += also
     low, high = min(ends, default=0.0), max(ends, default=1.0)
     if low > 0.0 and high > 5.0 * low:
-        style.logarithmic(axes, "x", (low / 1.15, high * 1.15))
-    else:
-        margin = 0.06 * (high - low) or 0.1 * abs(high) or 1.0
-        axes.set_xlim(low - margin, high + margin)
+        return low / 1.15, high * 1.15, True
+    margin = 0.06 * (high - low) or 0.1 * abs(high) or 1.0
+    return low - margin, high + margin, False
 
 
 def _in_words(dot: Dot) -> str:

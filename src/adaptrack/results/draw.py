@@ -166,8 +166,12 @@ def draw(mark: Mark, axes: Axes) -> None:
 @draw.register
 def _(mark: Polyline, axes: Axes) -> None:
     look = _line(mark.stroke) | ({"marker": "o", "markersize": 3.5} if mark.markers else {})
-    steps = f"steps-{mark.steps}" if mark.steps else "default"
-    axes.plot(np.asarray(mark.x), np.asarray(mark.y), linewidth=mark.width, drawstyle=steps, **look)
+    look |= {
+        "linewidth": mark.width,
+        "alpha": mark.opacity,
+        "drawstyle": f"steps-{mark.steps}" if mark.steps else "default",
+    }
+    axes.plot(np.asarray(mark.x), np.asarray(mark.y), **look)
 
 
 @draw.register

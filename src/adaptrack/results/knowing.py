@@ -3,13 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from functools import partial
 from typing import Any
 
-from matplotlib.axes import Axes
-
-from adaptrack.results import style
-from adaptrack.results.page import Cell, Drawing, Head, Picture, Section, Table
+from adaptrack.base.result import Axis, Column, Dots, Mark, Panel, Picture, Polyline, ResultTable, Stroke, strokes
 from adaptrack.results.words import listed, number, title_of
 
 Row = Mapping[str, Any]
@@ -31,19 +27,6 @@ SHORT = {
     "standard-as-written": "the published constant as written",
     "standard-as-released": "the published constant as released",
 }
-SECTION = "What knowing the car brings"
-
-
-def knowing_section(rows: Sequence[Row]) -> Section:
-    """Words, table, picture."""
-    words = (
-        "All other controllers on this page predict with wheels that are where the command is, and take what they "
-        "measure as it is. The informed one is the same quadratic programme with one constant tuning: its model has "
-        "the lag and the dead time of the steering, and a Kalman filter gives it state and disturbances. Dual track, "
-        "Magic Formula tyre; profile paper: ideal car, 0.1 s, no preview; profile road: steering lag, rate "
-        "limit, sensor noise and delay, 0.05 s, preview."
-    )
-    return Section(SECTION, [words, *(outcome(rows, name) for name in _profiles(rows)), _table(rows), _picture(rows)])
 
 
 def outcome(rows: Sequence[Row], profile: str) -> str:
@@ -94,70 +77,69 @@ def in_a_sentence(rows: Sequence[Row]) -> str:
     return f"One constant tuning that knows its car: {'; '.join(parts)}."
 
 
-def _table(rows: Sequence[Row]) -> Table:
-    heads = [Head("Controller", is_text=True)]
-    for test in _by(rows, "scenario"):
-        heads += [Head(title_of(test), "MSE, m²"), Head("Steering", "RMS, rad/s")]
-    body: list[Sequence[Cell | str] | str] = []
+def knowing_table(rows: Sequence[Row]) -> ResultTable:
+    """A row for each controller and profile, two columns for each test."""
+    tests, columns = list(_by(rows, "scenario")), [Column("name", "Controller")]
+    for test in tests:
+        columns += [Column(f"mse {test}", title_of(test), "MSE, m²", 3),
+                    Column(f"rms_rate {test}", "Steering", "RMS, rad/s", 3)]  # fmt: skip
+    body: list[dict[str, Any]] = []
+    best, failed = set(), set()
     for profile, driven in _by(rows, "profile").items():
-        body.append(f"Profile {profile}")
-        columns = _by(driven, "scenario").values()
+        runs = {(row["controller"], row["scenario"]): row for row in driven}
         for name in [name for name in NAMES if any(row["controller"] == name for row in driven)]:
-            cells: list[Cell | str] = [NAMES[name]]
-            for found in columns:
-                cells += [_cell(found, name, key) for key in ("mse", "rms_rate")]
-            body.append(cells)
+            body.append({"name": NAMES[name], "profile": f"Profile {profile}"})
+            for test in tests:
+                row, place = runs[name, test], (len(body) - 1, f"mse {test}")
+                rivals = [each["mse"] for each in driven if each["scenario"] == test and not each["failed"]]
+                count = f", {row['failed']} of {row['runs']}" if row["runs"] > 1 else ""
+                body[-1] |= {f"mse {test}": f"failed{count}" if row["failed"] else row["mse"]}
+                body[-1] |= {f"rms_rate {test}": row["rms_rate"]}
+                if row["failed"]:
+                    failed.add(place)
+                elif row["mse"] == min(rivals):
+                    best.add(place)
     note = (
         "Steering: rate of the command. In road, means over ten noise seeds of the runs that did not fail. Bold: the "
         "smallest error of its column and profile without a failed run."
     )
-    return Table("Known car beside adapted tuning", heads, body, note)
+    title = "Known car beside adapted tuning"
+    return ResultTable("knowing", title, columns, body, note, "profile", frozenset(best), frozenset(failed))
 
 
-def _cell(found: Sequence[Row], name: str, key: str) -> Cell:
-    (row,) = (row for row in found if row["controller"] == name)
-    if row["failed"]:
-        count = f", {row['failed']} of {row['runs']}" if row["runs"] > 1 else ""
-        return Cell(f"failed{count}" if key == "mse" else number(row[key]), warn=key == "mse")
-    best = min(each["mse"] for each in found if not each["failed"])
-    return Cell(number(row[key]), strong=key == "mse" and row[key] == best)
-
-
-def _picture(rows: Sequence[Row]) -> Picture:
+def knowing_picture(rows: Sequence[Row]) -> Picture:
+    """The mean square error of each controller in both profiles, a panel a test."""
     names = [name for name in NAMES if any(row["controller"] == name for row in rows)]
-    strokes = style.strokes(["informed", *(name for name in names if name != "informed")])
+    own = strokes(["informed", *(name for name in names if name != "informed")])
     panels = []
     for test, found in _by(rows, "scenario").items():
         said = "; ".join(
             f"{NAMES[row['controller']]}, {row['profile']}: {'failed' if row['failed'] else number(row['mse'])}"
             for row in found
         )
-        draw = partial(_draw, rows=found, strokes=strokes, title=title_of(test))
-        panels.append(Drawing(style.panel_figure(draw), f"Mean square error, {title_of(test)}. {said}."))
+        across = Axis(names=[f"profile {name}" for name in profiles(found)])
+        description = f"Mean square error, {title_of(test)}. {said}."
+        panels.append(Panel(title_of(test), across, Axis("MSE (m²)", log=True), _marks(found, own), description))
     caption = "Mean square error in both profiles; a cross at the top: failed; an open circle: dashed in the key."
-    return Picture(caption, panels, [(NAMES[name], strokes[name]) for name in names])
+    return Picture("knowing", caption, panels, [(NAMES[name], own[name]) for name in names])
 
 
-def _draw(axes: Axes, rows: Sequence[Row], strokes: Mapping[str, style.Stroke], title: str) -> None:
-    profiles = _profiles(rows)
+def _marks(rows: Sequence[Row], own: Mapping[str, Stroke]) -> list[Mark]:
+    marks: list[Mark] = []
     top = 3.0 * max(row["mse"] for row in rows if row["mse"] is not None)
-    for i, (name, stroke) in enumerate(strokes.items()):
-        own = {row["profile"]: row for row in rows if row["controller"] == name}
-        places = [profiles.index(each) + 0.03 * (i - len(strokes) / 2) for each in own]
-        values = [top if row["failed"] else row["mse"] for row in own.values()]
-        axes.plot(places, values, color=stroke.colour, linestyle=stroke.dash, linewidth=1.0)
-        filled = stroke.colour if stroke.dash == "-" else "none"
-        for place, value, row in zip(places, values, own.values(), strict=True):
-            mark, size = ("x", 6) if row["failed"] else ("o", 4)
-            axes.plot(place, value, mark, color=stroke.colour, markersize=size, markerfacecolor=filled)
-    axes.set_title(title)
-    axes.set_ylabel("MSE (m²)")
-    style.logarithmic(axes, "y")
-    axes.set_xticks(range(len(profiles)), [f"profile {name}" for name in profiles])
-    axes.set_xlim(-0.4, len(profiles) - 0.6)
+    for i, (name, stroke) in enumerate(own.items()):
+        driven = {row["profile"]: row for row in rows if row["controller"] == name}
+        places = [profiles(rows).index(each) + 0.03 * (i - len(own) / 2) for each in driven]
+        values = [top if row["failed"] else row["mse"] for row in driven.values()]
+        marks.append(Polyline(places, values, stroke, 1.0))
+        for place, value, row in zip(places, values, driven.values(), strict=True):
+            kind = "cross" if row["failed"] else "dot" if stroke.dash == "solid" else "ring"
+            marks.append(Dots([place], [value], stroke.colour, kind, 6.0 if row["failed"] else 4.0))  # type: ignore[arg-type]
+    return marks
 
 
-def _profiles(rows: Sequence[Row]) -> list[str]:
+def profiles(rows: Sequence[Row]) -> list[str]:
+    """In the order in which they occur."""
     return list(dict.fromkeys(row["profile"] for row in rows))
 
 

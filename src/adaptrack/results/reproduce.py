@@ -1,25 +1,33 @@
-"""The page on the paper's experiment: what came out as published, what the gain is made of, who wins where.
+"""The result of the paper's experiment: what came out as published, what the gain is made of, who wins where.
 
-Every judgement on the page is chosen by the numbers of the run behind it.
+Every judgement is chosen by the numbers of the run behind it.
 """
 
 from __future__ import annotations
 
 import math
 import os
-from collections.abc import Iterable, Mapping, Sequence
-from functools import partial
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from matplotlib.axes import Axes
-
-from adaptrack.results import style
-from adaptrack.results.dots import Dot, dots_drawing
-from adaptrack.results.knowing import in_a_sentence, knowing_section
-from adaptrack.results.page import Cell, Drawing, Head, Item, Picture, Section, Table, Terms, Verdict
-from adaptrack.results.runs import Run, write_report
-from adaptrack.results.words import listed, number, percent, title_of
+from adaptrack.base.result import (
+    SERIES,
+    Axis,
+    Column,
+    Panel,
+    Picture,
+    Polyline,
+    Result,
+    ResultTable,
+    Stroke,
+    strokes,
+)
+from adaptrack.results.dots import Dot, dots_panel
+from adaptrack.results.knowing import in_a_sentence, knowing_picture, knowing_table, outcome, profiles
+from adaptrack.results.runs import Run, runs_result
+from adaptrack.results.words import capital, listed, number, title_of
 from adaptrack.studies.reproduce import LEARNED, Reproduction
 
 Row = Mapping[str, Any]
@@ -43,20 +51,77 @@ NAMES = {
 }
 MOVES = {"laguerre 0.95": "Laguerre 0.95", "laguerre 0.75": "Laguerre 0.75", "pulse": "pulses"}
 
-CONFIGURATIONS = {
-    "released": (
-        "As released",
-        "What the authors published: single track with the tyre of constant stiffness; the standard MPC moves by "
-        "Laguerre functions with the pole 0.95, the adaptive ones with 0.75, and clamps hold what they learned. The "
-        "best constant and the look-up table have the pole of the adaptive controllers.",
-    ),
-    "same-moves": (
-        "The same moves for all",
-        "What the paper describes: dual track on the Magic Formula tyre, the moves of eq. (10) for everybody, so "
-        "that the controllers differ by their tuning alone; learned values are held within the bounds of the search, "
-        "nothing else. The controller as released stands beside them with its own moves.",
-    ),
-}
+CONFIGURATIONS = {"released": "As released", "same-moves": "The same moves for all"}
+
+CONSOLE = (
+    Column("controller", "controller"),
+    Column("moves", "moves"),
+    Column("mse", "MSE", "m²"),
+    Column("paper_mse", "paper", "m²"),
+    Column("ratio", "ratio", "", 3),
+    Column("failed_at", "failed at", "s"),
+)
+LEARNING = (
+    Column("slot", "Target"),
+    Column("r2", "R²", "hold-out", 3),
+    Column("ceiling_r2", "R²", "ceiling", 3),
+    Column("rmse", "RMSE", "hold-out", 3),
+    Column("ceiling_rmse", "RMSE", "ceiling", 3),
+    Column("dead_share", "Dead outputs", "% of rows", "percent"),
+    Column("parameters", "Parameters"),
+    Column("seconds", "Training", "s", 3),
+)
+SHARES = (
+    Column("name", "Controller"),
+    Column("gain", "Gain", "factor", 3),
+    Column("pole", "by the pole", "factor", 3),
+    Column("adaptation", "by adaptation", "factor", 3),
+    Column("pole_percent", "Pole", "% of log gain"),
+    Column("adaptation_percent", "Adaptation", "% of log gain"),
+)
+
+
+def reproduction_result(made: Reproduction, command: str = "") -> Result:
+    """The paper's experiment as a result, with its runs; command: the command line that makes it again."""
+    runs = runs_result(
+        [Run(run, label=NAMES[label]) for label, run in made.runs],
+        title="The paper, reproduced: standard, NN- and ANFIS-MPC on both tests", command=command, lead=in_short(made),
+    )  # fmt: skip
+    near, far = reproduced(made.rows, "released")
+    within = f"{100 * AGREES:g} %"
+    same = against(made.rows, "same-moves", "standard-as-written").partition(" (")[0]
+    tables = [
+        *(_configuration_table(made.rows, name) for name in CONFIGURATIONS), _statements(made),
+        knowing_table(made.knowing), _ablation_table(made), _shares_table(made.shares), *_learned(made),
+    ]  # fmt: skip
+    pictures = [_verdict(near, far), knowing_picture(made.knowing), _ablation_picture(made.ablation)]
+    failed = sum(row["failed"] for row in made.rows)
+    return replace(
+        runs,
+        kind="reproduction",
+        answer=f"{len(near)} of {len(near) + len(far)} mean square errors of the paper come out within {within}.",
+        record=made.as_json(),
+        tables=[*runs.tables, *tables, *_console_tables(made)],
+        pictures=[*runs.pictures[1:], *pictures],
+        failed=not near,
+        notes=[
+            f"{failed or 'none'} of the {len(made.rows)} runs failed",
+            f"{made.seconds:.0f} s, of which {made.training_seconds:.0f} s learning",
+        ],
+        values={
+            **runs.values, "made": made, "constant": made.constant, "within": within, "same": capital(same),
+            "outcomes": {name: _outcomes(made.rows, name) for name in CONFIGURATIONS},
+            "preview": preview_or_adaptation(made.rows), "pole": pole_or_adaptation(made.shares),
+            "knowing": [outcome(made.knowing, name) for name in profiles(made.knowing)],
+            "tuning": _tuning(made), "noise": _unexplained(made.learning), "elsewhere": _elsewhere(made),
+            "ahead": f"{100 * (made.constant.cost / made.constant.swarm_cost - 1.0):.1f}",
+            "reproduced": listed([
+                f"{len(close)} of {len(close) + len(away)} ({title.lower()})"
+                for title, (close, away) in ((title, reproduced(made.rows, name))
+                                             for name, title in CONFIGURATIONS.items())
+            ]),
+        },
+    )  # fmt: skip
 
 
 def write_reproduction(out_dir: str | os.PathLike[str], made: Reproduction, *, command: str = "") -> Path:
@@ -67,43 +132,23 @@ def write_reproduction(out_dir: str | os.PathLike[str], made: Reproduction, *, c
     Raises
     ------
     StorageError
-        When the files cannot be written, see `page.write_page`.
+        When the files cannot be written, see `page.write_result`.
     """
-    runs = [Run(run, label=NAMES[label]) for label, run in made.runs]
-    return write_report(
-        out_dir,
-        runs,
-        title="The paper, reproduced: standard, NN- and ANFIS-MPC on both tests",
-        command=command,
-        lead=in_short(made),
-        first=[Section("Verdict", [_verdict(made)]), _both(made), _statements(made), knowing_section(made.knowing)],
-        more=[_gain(made), _learning(made), _limits(made)],
-    )
+    from adaptrack.results.page import write_result
+
+    return write_result(out_dir, reproduction_result(made, command))
 
 
-# -- the first screen -------------------------------------------------------------------------------------------------
-def _verdict(made: Reproduction) -> Verdict:
-    near, far = reproduced(made.rows, "released")
-    text = f"{len(near)} of {len(near) + len(far)} mean square errors of the paper come out within {100 * AGREES:g} %."
+def _verdict(near: Sequence[Row], far: Sequence[Row]) -> Picture:
     dots = [
         Dot(f"{NAMES[row['controller']].removesuffix(' as released')}, {_test(row['scenario'])}", row["ratio"],
-            failed=row["failed"], colour=style.SERIES[0 if row in near else 1])
+            failed=row["failed"], colour=SERIES[0 if row in near else 1])
         for row in (*near, *far) if row["ratio"] is not None
     ]  # fmt: skip
-    same = against(made.rows, "same-moves", "standard-as-written").partition(" (")[0]
-    entries = [
-        ("Against", "the errors that the paper prints, controllers as released, without preview"),
-        ("Same moves", f"{same[:1].upper()}{same[1:]}."),
-        (
-            "How sure",
-            "profile paper has no noise: every run repeats to the bit; what is learned depends on the data set",
-        ),
-    ]
-    if made.quick:
-        entries.append(("Quick", "the models learned for fewer epochs from fewer operating points"))
     caption = f"Our mean square error over the paper's; shaded: within {100 * AGREES:g} %."
-    drawing = dots_drawing(dots, "MSE, ours / the paper's", caption, level=1.0, band=(1.0 - AGREES, 1.0 + AGREES))
-    return Verdict(text, Terms(entries), Picture(caption, [drawing]), not near)
+    band = (1.0 - AGREES, 1.0 + AGREES)
+    panel, size = dots_panel(dots, "MSE, ours / the paper's", caption, level=1.0, band=band)
+    return Picture("verdict", caption, [panel], size=size)
 
 
 # -- judgements, chosen by the numbers --------------------------------------------------------------------------------
@@ -138,7 +183,7 @@ def agreement(rows: Iterable[Row], configuration: str) -> str:
     if not near and not far:
         return "None of these runs compares with the paper's."
     count = f"{len(near) or 'none'} of the {len(near) + len(far)}" if far else f"all {len(near)}"
-    title = CONFIGURATIONS[configuration][0]
+    title = CONFIGURATIONS[configuration]
     sentence = f"{title}: {count} mean square errors of the paper come out within {100 * AGREES:g} %"
     outliers = [f"{NAMES[row['controller']]}, {_test(row['scenario'])}: {number(row['ratio'])} times" for row in far]
     return f"{sentence}; not {listed(outliers)} the paper's." if outliers else f"{sentence}."
@@ -237,181 +282,163 @@ def preview_or_adaptation(rows: Sequence[Row]) -> str:
     )
 
 
-# -- sections ---------------------------------------------------------------------------------------------------------
-def _both(made: Reproduction) -> Section:
-    items: list[Item] = []
-    for configuration, (title, words) in CONFIGURATIONS.items():
-        compared = [against(made.rows, configuration, other) for other in ("standard-as-written", "best-constant")]
-        outcome = [
-            " ".join([winners(made.rows, configuration), *failures(made.rows, configuration)]),
-            *(clause[:1].upper() + clause[1:] for clause in compared),
-        ]
-        items.append(Section(title, [words, _configuration_table(made.rows, configuration), *outcome]))
-    sentence = preview_or_adaptation(made.rows)
-    return Section("All controllers", [*items, *([Section("Preview", [sentence])] if sentence else [])])
+# -- tables -----------------------------------------------------------------------------------------------------------
+def _console_tables(made: Reproduction) -> list[ResultTable]:
+    """A table for each configuration and test, without and with preview."""
+    groups: dict[tuple[str, str, bool], list[Row]] = {}
+    for row in made.rows:
+        groups.setdefault((row["configuration"], row["scenario"], row["preview"]), []).append(row)
+    return [
+        ResultTable(f"console {name} {test} {preview}", f"{name}, {test}, with{'' if preview else 'out'} preview",
+                    CONSOLE, rows, brief=True)
+        for (name, test, preview), rows in groups.items()
+    ]  # fmt: skip
 
 
-def _configuration_table(rows: Sequence[Row], configuration: str) -> Table:
+def _outcomes(rows: Sequence[Row], configuration: str) -> list[str]:
+    """Who wins, who failed, and how the learned ones stand to two constants."""
+    compared = [against(rows, configuration, other) for other in ("standard-as-written", "best-constant")]
+    return [" ".join([winners(rows, configuration), *failures(rows, configuration)]), *map(capital, compared)]
+
+
+class _Errors:
+    """Mean square errors as the entries of a table, with their marks."""
+
+    def __init__(self) -> None:
+        self.rows: list[dict[str, Any]] = []
+        self.best: set[tuple[int, str]] = set()
+        self.failed: set[tuple[int, str]] = set()
+
+    def add(self, row: dict[str, Any]) -> None:
+        """A row of the table, to which errors are written next."""
+        self.rows.append(row)
+
+    def write(self, column: str, run: Row, rivals: Mapping[str, Row]) -> None:
+        """The MSE of a run; marked when it is the smallest of its rivals that did not fail, and when it failed."""
+        place = (len(self.rows) - 1, column)
+        self.rows[-1][column] = f"{number(run['mse'])} (failed)" if run["failed"] else run["mse"]
+        if run["failed"]:
+            self.failed.add(place)
+        elif run in rivals.values() and run["mse"] == min(
+            each["mse"] for each in rivals.values() if not each["failed"]
+        ):
+            self.best.add(place)
+
+    def table(self, name: str, title: str, columns: Sequence[Column], note: str, group: str = "") -> ResultTable:
+        """The table of what was written."""
+        return ResultTable(name, title, columns, self.rows, note, group, frozenset(self.best), frozenset(self.failed))
+
+
+def _configuration_table(rows: Sequence[Row], configuration: str) -> ResultTable:
     blind, seeing = (_by_test(rows, configuration, preview) for preview in (False, True))
-    heads = [Head("Controller", is_text=True), Head("Moves", is_text=True)]
+    columns = [Column("name", "Controller"), Column("moves", "Moves")]
     for test in blind:
-        heads += [
-            Head(title_of(test), "MSE, m²"),
-            Head("Paper", "m²"),
-            Head("Ours", "/ paper"),
-            Head("Preview", "MSE, m²"),
-        ]
-    body = []
+        columns += [
+            Column(f"mse {test}", title_of(test), "MSE, m²", 3), Column(f"paper {test}", "Paper", "m²", "given"),
+            Column(f"ratio {test}", "Ours", "/ paper", 3), Column(f"preview {test}", "Preview", "MSE, m²", 3),
+        ]  # fmt: skip
+    errors = _Errors()
     for name, some in next(iter(blind.values())).items():
-        cells: list[Cell | str] = [NAMES[name], MOVES[some["moves"]]]
+        errors.add({"name": NAMES[name], "moves": MOVES[some["moves"]]})
         for test in blind:
             run, ahead = blind[test][name], seeing[test][name]
-            paper = "–" if run["paper_mse"] is None else f"{run['paper_mse']:g}"
-            cells += [_cell(run, blind[test]), paper, number(run["ratio"]), _cell(ahead, seeing[test])]
-        body.append(cells)
-    return Table("Mean square tracking error", heads, body, "Bold: the smallest of its column that did not fail.")
+            errors.rows[-1] |= {f"paper {test}": run["paper_mse"], f"ratio {test}": run["ratio"]}
+            errors.write(f"mse {test}", run, blind[test])
+            errors.write(f"preview {test}", ahead, seeing[test])
+    note = "Bold: the smallest of its column that did not fail."
+    return errors.table(configuration, "Mean square tracking error", columns, note)
 
 
-def _gain(made: Reproduction) -> Section:
-    constant = made.constant
-    words = (
-        "The same plant as released, without preview, every kind of moves with every way to tune. The constant of "
-        f"the paper's table is 35/8/10/0.01 (Np/Nc/Q/R). The best constant of the data, {_tuning(made)}, has the "
-        "lowest geometric mean of its cost over all operating points among the "
-        f"{constant.candidates} of a common library; that took {number(constant.runs)} closed-loop runs, and the "
-        f"swarms that the models learned from took {number(constant.swarm_runs)}. In hindsight: the tuning of the "
-        "library that happens to be the best on that run."
-    )
-    items: list[Item] = [words, _ablation_picture(made.ablation), _ablation_table(made), _shares_table(made.shares)]
-    sentence = pole_or_adaptation(made.shares)
-    return Section("Where the gain comes from", [*items, *([sentence] if sentence else [])])
-
-
-def _ablation_table(made: Reproduction) -> Table:
+def _ablation_table(made: Reproduction) -> ResultTable:
     moves = list(dict.fromkeys(row["moves"] for row in made.ablation))
-    heads = [Head("Tuning", is_text=True), *(Head(MOVES[each], "MSE, m²") for each in moves)]
-    heads += [Head(MOVES[each], f"better of {made.constant.candidates}") for each in moves]
-    body: list[Sequence[Cell | str] | str] = []
+    columns = [Column("name", "Tuning"), *(Column(f"mse {each}", MOVES[each], "MSE, m²", 3) for each in moves)]
+    columns += [Column(f"better {each}", MOVES[each], f"better of {made.constant.candidates}") for each in moves]
+    errors = _Errors()
     for test, rows in _grouped(made.ablation, "scenario").items():
-        body.append(title_of(test))
-        columns = {each: {row["controller"]: row for row in rows if row["moves"] == each} for each in moves}
-        for name in next(iter(columns.values())):
-            judged = {
-                each: {key: row for key, row in column.items() if key != "best-in-hindsight"}
-                for each, column in columns.items()
-            }
-            cells = [_cell(columns[each][name], judged[each]) for each in moves]
-            counts = [str(columns[each][name]["constants_better"]) for each in moves]
-            body.append([NAMES[name], *cells, *(counts if name in judged[moves[0]] else ["–"] * len(moves))])
+        runs = {each: {row["controller"]: row for row in rows if row["moves"] == each} for each in moves}
+        for name in next(iter(runs.values())):
+            hindsight = name == "best-in-hindsight"
+            errors.add({"name": NAMES[name], "test": title_of(test)})
+            for each in moves:
+                judged = {key: row for key, row in runs[each].items() if key != "best-in-hindsight"}
+                errors.write(f"mse {each}", runs[each][name], judged)
+                errors.rows[-1][f"better {each}"] = None if hindsight else runs[each][name]["constants_better"]
     note = (
         "Bold: the smallest of its column, but for hindsight. Better: how many constants of the library track better "
         "with the same moves."
     )
-    return Table("Moves and tuning, apart", heads, body, note)
+    return errors.table("ablation", "Moves and tuning, apart", columns, note, "test")
 
 
-def _shares_table(shares: Sequence[Row]) -> Table:
-    heads = [Head("Controller", is_text=True), Head("Gain", "factor"), Head("by the pole", "factor")]
-    heads += [Head("by adaptation", "factor"), Head("Pole", "% of log gain"), Head("Adaptation", "% of log gain")]
-    body: list[Sequence[Cell | str] | str] = []
-    for test, rows in _grouped(shares, "scenario").items():
-        body.append(title_of(test))
-        for row in rows:
-            factors = [number(row[key]) for key in ("gain", "pole", "adaptation")]
-            parts = ["–" if row[key] is None else f"{100 * row[key]:.0f}" for key in ("pole_share", "adaptation_share")]
-            body.append([NAMES[row["controller"]], *factors, *(part.replace("-", "−") for part in parts)])
+def _shares_table(shares: Sequence[Row]) -> ResultTable:
+    rows = [
+        {**row, "name": NAMES[row["controller"]], "test": title_of(row["scenario"])}
+        | {f"{key}_percent": None if row[f"{key}_share"] is None else round(100 * row[f"{key}_share"])
+           for key in ("pole", "adaptation")}
+        for row in shares
+    ]  # fmt: skip
     note = (
         "Gain: MSE of the standard MPC (pole 0.95, the table's constant) over that of the adaptive one (pole 0.75). "
         "Its two steps, pole and adaptation, can be taken in either order; each factor is the geometric mean of "
         "both. Below 1 it makes tracking worse."
     )
-    return Table("The gain over the standard MPC, split", heads, body, note)
+    return ResultTable("shares", "The gain over the standard MPC, split", SHARES, rows, note, "test")
 
 
 def _ablation_picture(ablation: Sequence[Row]) -> Picture:
     names = list(dict.fromkeys(row["controller"] for row in ablation))
-    strokes = style.strokes(sorted(names, key=("table-constant", *LEARNED).__contains__, reverse=True))
+    own = strokes(sorted(names, key=("table-constant", *LEARNED).__contains__, reverse=True))
     panels = []
     for test, rows in _grouped(ablation, "scenario").items():
-        sentence = "; ".join(
+        moves = list(dict.fromkeys(row["moves"] for row in rows))
+        said = "; ".join(
             f"{NAMES[name]}: "
             + ", ".join(f"{_mse(row)} with {row['moves']}" for row in rows if row["controller"] == name)
             for name in names
         )
-        draw = partial(_draw_ablation, rows=rows, strokes=strokes, title=title_of(test))
-        panels.append(Drawing(style.panel_figure(draw), f"Mean square error, {title_of(test)}. {sentence}."))
-    key = [(NAMES[name], stroke) for name, stroke in strokes.items()]
-    return Picture("Mean square error by moves and by tuning; failed runs are left out.", panels, key)
+        panels.append(
+            Panel(
+                title_of(test), Axis(names=[MOVES[each] for each in moves]), Axis("MSE (m²)", log=True),
+                [_errors_by(rows, name, moves, stroke) for name, stroke in own.items()],
+                f"Mean square error, {title_of(test)}. {said}.",
+            )
+        )  # fmt: skip
+    key = [(NAMES[name], stroke) for name, stroke in own.items()]
+    return Picture("ablation", "Mean square error by moves and by tuning; failed runs are left out.", panels, key)
 
 
-def _draw_ablation(axes: Axes, rows: Sequence[Row], strokes: Mapping[str, style.Stroke], title: str) -> None:
-    moves = list(dict.fromkeys(row["moves"] for row in rows))
-    for name, stroke in strokes.items():
-        kept = [row for row in rows if row["controller"] == name and not row["failed"]]
-        places, values = [moves.index(row["moves"]) for row in kept], [row["mse"] for row in kept]
-        axes.plot(places, values, "o", color=stroke.colour, linestyle=stroke.dash, markersize=4)
-    axes.set_title(title)
-    axes.set_ylabel("MSE (m²)")
-    style.logarithmic(axes, "y")
-    axes.set_xticks(range(len(moves)), [MOVES[each] for each in moves])
-    axes.set_xlim(-0.25, len(moves) - 0.75)
+def _errors_by(rows: Sequence[Row], name: str, moves: Sequence[str], stroke: Stroke) -> Polyline:
+    kept = [row for row in rows if row["controller"] == name and not row["failed"]]
+    return Polyline([moves.index(row["moves"]) for row in kept], [row["mse"] for row in kept], stroke, markers=True)
 
 
-def _learning(made: Reproduction) -> Section:
-    constant = made.constant
-    heads = [Head("Target", is_text=True), Head("R²", "hold-out"), Head("R²", "ceiling"), Head("RMSE", "hold-out")]
-    heads += [Head("RMSE", "ceiling"), Head("Dead outputs", "% of rows"), Head("Parameters"), Head("Training", "s")]
-    body: list[Sequence[Cell | str] | str] = []
-    for model, rows in _grouped(made.learning, "model").items():
-        body.append(NAMES[model])
-        body += [
-            [
-                row["slot"],
-                *(number(row[key]) for key in ("r2", "ceiling_r2", "rmse", "ceiling_rmse")),
-                "–" if row["dead_share"] is None else percent(row["dead_share"]),
-                number(row["parameters"]),
-                number(row["seconds"]),
-            ]
-            for row in rows
-        ]
-    table = Table(
-        "What the models learned",
-        heads,
-        body,
-        "R² and RMSE on operating points that were held out; ceiling: a strong regressor on the same rows; dead: rows "
-        "at which the ReLU holds the output at the target's lowest value.",
-    )
+def _learned(made: Reproduction) -> list[ResultTable]:
     inputs = [key for key in made.domain[0] if key not in ("scenario", "any")]
-    domain = Table(
-        "Inputs outside the domain of the data",
-        [Head("Test", is_text=True), *(Head(name, "% of steps") for name in [*inputs, "any"])],
-        [[title_of(row["scenario"]), *(percent(row[key]) for key in [*inputs, "any"])] for row in made.domain],
-        "Such inputs are clipped to the domain before a scheduler sees them.",
-    )
-    ahead = constant.cost / constant.swarm_cost - 1.0
-    words = (
-        f"Both models learn the best tunings of {number(made.learned_from)} operating points of the data set "
-        f"{made.data}. On those the best constant costs {100 * ahead:.1f} % more than the best tuning of each "
-        "(geometric mean): about as much as perfect adaptation could gain there. The paper's table costs "
-        f"{number(constant.standard_cost / constant.cost)} times the best constant."
-    )
-    return Section("What was learned", [words, table, *_poorly(made.learning), domain, *_elsewhere(made)])
-
-
-def _poorly(learning: Sequence[Row]) -> list[str]:
-    """A paragraph on the targets that the operating points do not explain, if there are any."""
-    ceilings = {row["slot"]: row["ceiling_r2"] for row in learning}
-    noise = [slot for slot, r2 in ceilings.items() if r2 is not None and r2 < 0.1]
-    if not noise:
-        return []
     return [
-        f"Not even the strong regressor explains a tenth of the variance of {listed(noise)}: where the optimum is "
-        "flat, the best value that a swarm happens to find is noise, and a model learns its mean."
-    ]
+        ResultTable(
+            "learning", "What the models learned", LEARNING,
+            [{**row, "name": NAMES[row["model"]]} for row in made.learning],
+            "R² and RMSE on operating points that were held out; ceiling: a strong regressor on the same rows; dead: "
+            "rows at which the ReLU holds the output at the target's lowest value.", "name",
+        ),
+        ResultTable(
+            "domain", "Inputs outside the domain of the data",
+            [Column("test", "Test"), *(Column(key, key, "% of steps", "percent") for key in [*inputs, "any"])],
+            [{**row, "test": title_of(row["scenario"])} for row in made.domain],
+            "Such inputs are clipped to the domain before a scheduler sees them.",
+        ),
+        *_elsewhere_table(made),
+    ]  # fmt: skip
 
 
-def _elsewhere(made: Reproduction) -> list[Item]:
-    """A paragraph and a table on what is best on the data and not on the tests, if it is so."""
+def _unexplained(learning: Sequence[Row]) -> list[str]:
+    """The targets that the operating points do not explain."""
+    ceilings = {row["slot"]: row["ceiling_r2"] for row in learning}
+    return [slot for slot, r2 in ceilings.items() if r2 is not None and r2 < 0.1]
+
+
+def _elsewhere(made: Reproduction) -> dict[str, str] | None:
+    """Where what is best on the data is not best on the tests; None where it is."""
     constant, found = made.constant, _by_test(made.rows, "same-moves")
     worse = [
         test
@@ -419,41 +446,37 @@ def _elsewhere(made: Reproduction) -> list[Item]:
         if _compare(runs["best-constant"], runs["standard-as-written"]) == "worse than"
     ]
     if not worse or constant.cost >= constant.standard_cost:
-        return []
+        return None
     numbers = [f"{_mse(found[t]['best-constant'])} against {_mse(found[t]['standard-as-written'])} m²" for t in worse]
-    sentence = (
-        "What is best on the data is not best on the tests: with the same moves, the constant that beats the table's "
-        f"on the data tracks worse than it on {_tests(worse, found)} ({listed(numbers)})."
-    )
-    if made.data_test == "step":
-        sentence += (
-            " The operating points of the data are steps of the reference, as in the paper; the tests are slow ramps. "
-            "What the models learn from the steps they bring to the ramps."
-        )
-    swapped = {
-        f"with its {rows[0]['changed']}, {number(rows[0]['constant'])} instead of {number(rows[0]['table'])}": [
-            number(row["mse"]) for row in rows
-        ]
+    return {"tests": _tests(worse, found), "numbers": listed(numbers)}
+
+
+def _elsewhere_table(made: Reproduction) -> list[ResultTable]:
+    """From the constant of the paper's table to the best of the data, an entry at a time."""
+    if _elsewhere(made) is None:
+        return []
+    found = _by_test(made.rows, "same-moves")
+
+    def of(name: str, errors: Iterable[Any]) -> dict[str, Any]:
+        return {"name": name} | dict(zip(found, errors, strict=True))
+
+    swapped = [
+        of(f"with its {rows[0]['changed']}, {number(rows[0]['constant'])} instead of {number(rows[0]['table'])}",
+           [row["mse"] for row in rows])
         for rows in _grouped(made.swaps, "changed").values()
-    }
-    table = Table(
-        "From the constant of the paper's table to the best of the data, same moves",
-        [Head("Tuning", is_text=True), *(Head(title_of(test), "MSE, m²") for test in found)],
-        [
-            [NAMES["table-constant"], *(_mse(runs["standard-as-written"]) for runs in found.values())],
-            *([name, *errors] for name, errors in swapped.items()),
-            [NAMES["best-constant"], *(_mse(runs["best-constant"]) for runs in found.values())],
-        ],
-    )
-    return [sentence, table]
-
-
-def _statements(made: Reproduction) -> Section:
-    tests = list(_by_test(made.rows, "released"))
-    heads = [Head("The paper says", is_text=True)]
-    heads += [
-        Head(f"{CONFIGURATIONS[name][0]}: {_test(test)}", is_text=True) for name in CONFIGURATIONS for test in tests
+    ]  # fmt: skip
+    rows = [
+        of(NAMES["table-constant"], [_error(runs["standard-as-written"]) for runs in found.values()]),
+        *swapped,
+        of(NAMES["best-constant"], [_error(runs["best-constant"]) for runs in found.values()]),
     ]
+    columns = [Column("name", "Tuning"), *(Column(test, title_of(test), "MSE, m²", 3) for test in found)]
+    title = "From the constant of the paper's table to the best of the data, same moves"
+    return [ResultTable("elsewhere", title, columns, rows)]
+
+
+def _statements(made: Reproduction) -> ResultTable:
+    tests = list(_by_test(made.rows, "released"))
     standards = {"released": "standard-as-released", "same-moves": "standard-as-written"}
 
     def better(runs: Mapping[str, Row], configuration: str) -> tuple[str, str]:
@@ -470,44 +493,29 @@ def _statements(made: Reproduction) -> Section:
         nn, anfis = (math.sqrt(runs[name]["steering_activity"]) for name in LEARNED)
         return _ANSWERS[_order(anfis, nn)], f"{number(anfis)} against {number(nn)} rad"
 
-    statements = {
+    statements: dict[str, Callable[[Mapping[str, Row], str], tuple[str, str]]] = {
         "Both adaptive controllers track better than the standard MPC": better,
         "NN-MPC tracks better than ANFIS-MPC": first,
         "ANFIS-MPC steers more smoothly than NN-MPC (RMS move)": smooth,
     }
-    body = []
-    for statement, judge in statements.items():
-        cells: list[Cell | str] = [statement]
+    columns = [Column("statement", "The paper says")]
+    columns += [
+        Column(f"{name} {test}", f"{title}: {_test(test)}") for name, title in CONFIGURATIONS.items() for test in tests
+    ]
+    rows: list[dict[str, Any]] = []
+    denied: list[tuple[int, str]] = []
+    for i, (statement, judge) in enumerate(statements.items()):
+        rows.append({"statement": statement})
         for configuration in CONFIGURATIONS:
-            for runs in _by_test(made.rows, configuration).values():
+            for test, runs in _by_test(made.rows, configuration).items():
                 answer, said = judge(runs, configuration)
-                cells.append(Cell(f"{answer}: {said}", warn=answer == "no"))
-        body.append(cells)
+                rows[-1][f"{configuration} {test}"] = f"{answer}: {said}"
+                denied += [(i, f"{configuration} {test}")] if answer == "no" else []
     note = (
         "Against the standard MPC as released, and as written where all have the same moves; level: within "
         f"{100 * LEVEL:g} %. That ANFIS-MPC is demanding is measured by experiments/curse-of-dimensionality."
     )
-    return Section("The paper's statements", [Table("Do they hold here?", heads, body, note)])
-
-
-def _limits(made: Reproduction) -> Section:
-    counts = {name: tuple(map(len, reproduced(made.rows, name))) for name in CONFIGURATIONS}
-    outcome = listed(
-        [f"{near} of {near + far} ({CONFIGURATIONS[name][0].lower()})" for name, (near, far) in counts.items()]
-    )
-    return Section(
-        "What the paper leaves open",
-        [
-            "The paper describes a dual track on Pacejka tyres and the moves of eq. (10); its authors published a "
-            f"constant tyre stiffness and Laguerre moves. Both are run here. Within {100 * AGREES:g} % of the paper's "
-            f"mean square errors come {outcome}.",
-            "It does not give its data, its networks and rules, the window of its errors or the signals of its "
-            f"tests. Here the models learn from the data set {made.data}, made with the paper's swarm on our plant; "
-            "the signals are piecewise linear copies of those that the authors published; the windows, 28 s and 200 "
-            "s, are those that match the paper's errors. Friction and wind are known to the scheduler exactly, and "
-            "the speed follows its profile.",
-        ],
-    )
+    return ResultTable("statements", "Do they hold here?", columns, rows, note, alert=frozenset(denied))
 
 
 # -- small words ------------------------------------------------------------------------------------------------------
@@ -544,17 +552,12 @@ def _order(one: float, other: float) -> str:
 _ANSWERS = {"better than": "yes", "worse than": "no", "level with": "level"}
 
 
+def _error(row: Row) -> Any:
+    return "failed" if row["failed"] else row["mse"]
+
+
 def _mse(row: Row) -> str:
     return "failed" if row["failed"] else number(row["mse"])
-
-
-def _cell(row: Row, column: Mapping[str, Row]) -> Cell:
-    """The MSE of a run; bold when it is the smallest of its column."""
-    kept = [each["mse"] for each in column.values() if not each["failed"]]
-    text = number(row["mse"]) + (" (failed)" if row["failed"] else "")
-    return Cell(
-        text, strong=not row["failed"] and row in column.values() and row["mse"] == min(kept), warn=row["failed"]
-    )
 
 
 def _said(name: str) -> str:

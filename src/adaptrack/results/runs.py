@@ -1,34 +1,25 @@
-"""The report on closed-loop runs: what was run in plain words, tables of measures, figures 6 to 10, provenance."""
+"""The result of closed-loop runs: what was run in plain words, tables of measures, figures 6 to 10, provenance."""
 
 from __future__ import annotations
 
 import json
 import os
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
-from functools import partial
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
-from matplotlib.figure import Figure
 
 from adaptrack.base.errors import InvalidInput
 from adaptrack.base.files import safe_names
+from adaptrack.base.result import Column, Picture, Result, ResultTable, Row, Stroke, strokes
+from adaptrack.drive.failure import DISTANCE, SLOW
 from adaptrack.drive.metrics import PUBLISHED, Metrics, compute_metrics, published_mse
 from adaptrack.drive.trajectory import Trajectory
-from adaptrack.results import figures, style
-from adaptrack.results.page import Drawing, Item, Picture, Section, Terms, Verbatim, Verdict, write_page
+from adaptrack.results.figures import CREEPING, conditions_picture, speed_picture, tracking_picture
 from adaptrack.results.runs_verdict import runs_verdict
-from adaptrack.results.tables import (
-    Settings,
-    Shown,
-    differences_table,
-    effort_table,
-    overview_table,
-    reading,
-    solver_table,
-    tracking_table,
-)
+from adaptrack.results.tables import Settings, Shown, differences_table, overview_table, scenario_tables
 from adaptrack.results.words import (
     clock,
     controller_name,
@@ -40,9 +31,9 @@ from adaptrack.results.words import (
     recorded,
     setting,
     slug,
-    span,
     title_of,
 )
+from adaptrack.scenario.profile import load_profile
 
 _SETTINGS = ("profile", "plant", "tyre", "vehicle", "speed", "preview")
 """Entries of a run's provenance that split a scenario's runs into separate figures."""
@@ -79,8 +70,17 @@ _PAPER_FIGURES = {
     "general-trajectory": {"speed": "6(b)", "conditions": "9", "tracking": "10"},
 }
 
-Strokes = Mapping[str, style.Stroke]
-Key = Sequence[tuple[str, style.Stroke]]
+CONSOLE = (
+    Column("scenario", "scenario"),
+    Column("controller", "controller"),
+    Column("mse", "MSE", "m²"),
+    Column("max_abs_error", "max |e|", "m", 3),
+    Column("at_any_limit", "limits", "%", "percent"),
+    Column("step_us_p50", "step", "µs", "whole"),
+    Column("result", "result"),
+)
+
+Strokes = Mapping[str, Stroke]
 
 
 @dataclass(frozen=True)
@@ -94,6 +94,72 @@ class Run:
     """Its measures; computed when left out."""
 
 
+def runs_result(
+    runs: Sequence[Run | Trajectory],
+    rows: Sequence[Row] = (),
+    *,
+    title: str = "",
+    command: str = "",
+    lead: Sequence[str] = (),
+) -> Result:
+    """Closed-loop runs as a result.
+
+    Runs are grouped by scenario, and within it by profile, plant, tyre, vehicle and preview. Runs of one controller
+    are told apart by what differs in their provenance. A label keeps its colour in all pictures. Headline and answer
+    say which runs failed, if any.
+
+    Parameters
+    ----------
+    rows
+        The measures of each run by name, for console and JSON.
+    title
+        When left out: the scenarios and the controllers.
+    command
+        The command line that repeats the runs.
+    lead
+        Paragraphs under the title of the page; a summary of what was run when left out.
+
+    Raises
+    ------
+    InvalidInput
+        When there is no run.
+    """
+    if not runs:
+        raise InvalidInput("report: at least one run is needed.")
+    scenarios = grouped([run if isinstance(run, Run) else Run(run) for run in runs])
+    shown = [run for settings in scenarios.values() for group in settings.values() for run in group]
+    own = strokes(run.label for run in shown)
+    figures_of = [(name, words) for name, settings in scenarios.items() for words in settings]
+    stems = dict(zip(figures_of, safe_names(slug(f"{name} {words}") for name, words in figures_of), strict=True))
+    failed = _failed_runs(scenarios)
+    verdict = runs_verdict(scenarios)
+    provenance, tables = _provenance(shown)
+    return Result(
+        kind="runs",
+        title=title or (failed[0]["name"] if len(shown) == 1 and failed else _title(scenarios)),
+        answer=verdict.text,
+        record={"rows": list(rows)},
+        tables=[
+            overview_table(scenarios),
+            *(table for name, settings in scenarios.items() for table in scenario_tables(name, settings)),
+            *tables,
+            *([console_table(rows)] if rows else []),
+        ],
+        pictures=[verdict.picture, *_speeds(scenarios, own), *_pictures(scenarios, stems, own)],
+        failed=bool(failed),
+        headline=_headline(failed, len(shown)),
+        values={
+            "scenarios": [_scenario(name, settings, stems) for name, settings in scenarios.items()],
+            "failed_runs": failed if len(shown) > 1 else [], "lead": lead, "verdict": verdict.terms,
+            "labels": list(dict.fromkeys(run.label for run in shown)), "runs": len(shown), "provenance": provenance,
+            "limits": {"slow": SLOW, "distance": DISTANCE, "creeping": CREEPING,
+                       "road_weight": load_profile("road").move_weight},
+        },
+        command=command,
+        created=max(str(run.trajectory.meta.get("created", "")) for run in shown),
+    )  # fmt: skip
+
+
 def write_report(
     out_dir: str | os.PathLike[str],
     runs: Sequence[Run | Trajectory],
@@ -101,68 +167,28 @@ def write_report(
     title: str = "",
     command: str = "",
     lead: Sequence[str] = (),
-    first: Sequence[Section] = (),
-    more: Sequence[Section] = (),
     png: bool = True,
 ) -> Path:
     """Write the page on `runs` and its PNG files into `out_dir`; return the page's path.
 
-    Runs are grouped by scenario, and within it by profile, plant, tyre, vehicle and preview. Runs of one controller
-    are told apart by what differs in their provenance. A label keeps its colour on the whole page. The heading and the
-    first paragraph say which runs failed, if any.
-
-    Parameters
-    ----------
-    title
-        When left out: the scenarios and the controllers.
-    command
-        The command line that repeats the runs.
-    lead
-        Paragraphs under the title; a summary of what was run when left out.
-    first
-        Sections to put before those on the runs. A verdict of its own, at its head, takes the place of that on the
-        runs.
-    more
-        Sections to put after them, before the provenance.
-    png
-        Whether to write the PNG files.
+    Parameters are those of `runs_result`; png: whether to write the PNG files.
 
     Raises
     ------
     InvalidInput
         When there is no run.
     StorageError
-        When the files cannot be written, see `page.write_page`.
+        When the files cannot be written, see `page.write_result`.
     """
-    if not runs:
-        raise InvalidInput("report: at least one run is needed.")
-    scenarios = grouped([run if isinstance(run, Run) else Run(run) for run in runs])
-    shown = [run for settings in scenarios.values() for group in settings.values() for run in group]
-    strokes = style.strokes(run.label for run in shown)
-    figures_of = [(name, words) for name, settings in scenarios.items() for words in settings]
-    stems = dict(zip(figures_of, safe_names(slug(f"{name} {words}") for name, words in figures_of), strict=True))
-    own = bool(first) and bool(first[0].items) and isinstance(first[0].items[0], Verdict)
-    sections = [
-        *([] if own else [Section("Verdict", [runs_verdict(scenarios)])]),
-        *first,
-        *([_at_a_glance(scenarios, strokes)] if len(scenarios) > 1 else []),
-        *(_scenario(name, settings, strokes, stems, len(scenarios) == 1) for name, settings in scenarios.items()),
-        *more,
-        reading(),
-        _provenance(shown, command),
-    ]
-    created = max(str(run.trajectory.meta.get("created", "")) for run in shown)
-    failed = _failed_runs(scenarios)
-    alone = len(shown) == 1
-    return write_page(
-        out_dir,
-        sections,
-        title=title or (failed[0][0] if alone and failed else _title(scenarios)),
-        failed=_failed_heading(failed, len(shown)),
-        lead=[*([] if alone else map(_failed_sentence, failed)), *(lead or [_in_short(scenarios)])],
-        created=clock(created),
-        png=png,
-    )
+    from adaptrack.results.page import write_result
+
+    return write_result(out_dir, runs_result(runs, title=title, command=command, lead=lead), png=png)
+
+
+def console_table(rows: Sequence[Row]) -> ResultTable:
+    """What the console shows of each run; rows: the measures of each."""
+    told = [{**row, "result": "failed" if row["failed"] else "ok"} for row in rows]
+    return ResultTable("console", "Closed-loop runs", CONSOLE, told, brief=True)
 
 
 def grouped(runs: Sequence[Run]) -> dict[str, Settings]:
@@ -218,98 +244,55 @@ def _title(scenarios: Mapping[str, Settings]) -> str:
     return f"{what}: {drove[:1].upper() + drove[1:]}"
 
 
-def _at_a_glance(scenarios: Mapping[str, Settings], strokes: Strokes) -> Section:
-    """The MSE of every controller on every scenario, and the speed profiles (Fig. 6)."""
-    first = {title_of(name): _runs(next(iter(settings.values()))) for name, settings in scenarios.items()}
-    speed = _speed_picture(first, strokes, "Speed of each scenario: profile (dashed) and driven.", "6")
-    return Section("At a glance", [overview_table(scenarios), speed])
+# -- pictures ---------------------------------------------------------------------------------------------------------
+def _speeds(scenarios: Mapping[str, Settings], own: Strokes) -> list[Picture]:
+    """The speed of each scenario; of several, that of each one's first setting."""
+    alone = len(scenarios) == 1
+    runs = {
+        title_of(name): _runs(next(iter(settings.values()))) if not alone
+        else _runs([run for group in settings.values() for run in group])
+        for name, settings in scenarios.items()
+    }  # fmt: skip
+    registered = next(iter(next(iter(scenarios.values())).values()))[0].trajectory.name_of("scenario")
+    figure = _PAPER_FIGURES.get(registered, {}).get("speed", "") if alone else "6"
+    caption = "Speed: profile (dashed) and driven." if alone else "Speed of each scenario: profile (dashed) and driven."
+    return [speed_picture(runs, own, caption + _shape(figure))]
 
 
-def _scenario(
-    name: str, settings: Settings, strokes: Strokes, stems: Mapping[tuple[str, str], str], with_speed: bool
-) -> Section:
-    """Words, tables and figures of one scenario; stems: what the files of its figures begin with, by setting."""
-    shown = [run for group in settings.values() for run in group]
-    registered = shown[0].trajectory.name_of("scenario")
-    numbers = _PAPER_FIGURES.get(registered, {})
-    items: list[Item] = [_conditions_in_words(shown), _outcome_in_words(settings)]
-    if registered in PUBLISHED:
-        items.append(_paper_in_words(registered, shown))
-    items.append(tracking_table(settings))
-    for words, group in settings.items():
-        pictures = _pictures(stems[name, words], group, strokes, numbers)
-        items += [Section(words[:1].upper() + words[1:], pictures)] if words else pictures
-    if with_speed:
-        caption = "Speed: profile (dashed) and driven."
-        items.append(_speed_picture({title_of(name): _runs(shown)}, strokes, caption, numbers.get("speed", "")))
-    rest = [effort_table(settings), solver_table(settings)]
-    items += [Section("All measures", rest)] if any(settings) else rest
-    return Section(title_of(name), items)
-
-
-def _pictures(stem: str, group: Sequence[Shown], strokes: Strokes, numbers: Mapping[str, str]) -> list[Item]:
+def _pictures(scenarios: Mapping[str, Settings], stems: Mapping[tuple[str, str], str], own: Strokes) -> list[Picture]:
     """Tracking and conditions of the runs that share their figures."""
-    runs = _runs(group)
-    lines = figures.as_lines(runs, strokes)
-    key = [(label, strokes[label]) for label in runs]
-
-    def picture(
-        kind: str, caption: str, panels: Sequence[figures.Panel], whole: Callable[[], Figure], key: Key
-    ) -> Picture:
-        caption += _shape(numbers.get(kind, ""))
-        return Picture(caption, [_drawing(panel, lines) for panel in panels], key, f"{stem}-{kind}.png", whole)
-
-    tracking = "Lateral position, tracking error, angle of the front wheels and yaw rate." + _marks(group)
-    tracking += " Grey: the command." if len(lines) == 1 else ""
-    panels = figures.condition_panels(runs)
-    conditions = f"Lateral gust, {listed([panel.title.lower() for panel in panels[1:]])}; black is shared by all runs."
-    return [
-        picture(
-            "tracking",
-            tracking,
-            figures.TRACKING,
-            lambda: figures.tracking_figure(runs, strokes),
-            [("Reference", style.REFERENCE), *key],
-        ),
-        picture("conditions", conditions, panels, lambda: figures.conditions_figure(runs, strokes), key),
-    ]
+    pictures = []
+    for name, settings in scenarios.items():
+        for words, group in settings.items():
+            runs, stem = _runs(group), stems[name, words]
+            numbers = _PAPER_FIGURES.get(group[0].trajectory.name_of("scenario"), {})
+            tracking = tracking_picture(runs, own, f"{stem}-tracking")
+            conditions = conditions_picture(runs, own, f"{stem}-conditions")
+            said = "Lateral position, tracking error, angle of the front wheels and yaw rate."
+            said += " A cross marks where a run failed." if any(run.metrics.failed for run in group) else ""
+            said += " Grey: the command." if len(runs) == 1 else ""
+            titles = [panel.title.lower() for panel in conditions.panels[1:]]
+            around = f"Lateral gust, {listed(titles)}; black is shared by all runs."
+            pictures += [
+                replace(tracking, caption=said + _shape(numbers.get("tracking", ""))),
+                replace(conditions, caption=around + _shape(numbers.get("conditions", ""))),
+            ]
+    return pictures
 
 
-def _speed_picture(
-    scenarios: Mapping[str, Mapping[str, Trajectory]], strokes: Strokes, caption: str, number: str
-) -> Picture:
-    lines = {title: figures.as_lines(runs, strokes) for title, runs in scenarios.items()}
-    return Picture(
-        caption + _shape(number),
-        [_drawing(figures.SPEED, own, title) for title, own in lines.items()],
-        figures.speed_key(list(lines.values())),
-        "speed.png",
-        lambda: figures.speed_figure(scenarios, strokes),
-    )
-
-
-def _shape(number: str) -> str:
-    return f" In the shape of the paper's figure {number}." if number else ""
-
-
-def _drawing(panel: figures.Panel, lines: Sequence[figures.Line], title: str = "") -> Drawing:
-    """A panel alone, with its alternative text."""
-    figure = style.panel_figure(partial(panel.show, lines=lines, title=style.data_text(title)))
-    return Drawing(figure, f"{title}. {panel.describe(lines)}" if title else panel.describe(lines))
+def _shape(figure: str) -> str:
+    return f" In the shape of the paper's figure {figure}." if figure else ""
 
 
 def _runs(group: Sequence[Shown]) -> dict[str, Trajectory]:
     return {run.label: run.trajectory for run in group}
 
 
-def _marks(group: Sequence[Shown]) -> str:
-    return " A cross marks where a run failed." if any(run.metrics.failed for run in group) else ""
-
-
-def _failed_runs(scenarios: Mapping[str, Settings]) -> list[tuple[str, Metrics]]:
+# -- what the page says -----------------------------------------------------------------------------------------------
+def _failed_runs(scenarios: Mapping[str, Settings]) -> list[dict[str, Any]]:
     """The runs that failed, by scenario, controller and setting in words."""
     return [
-        (", ".join(filter(None, (title_of(name), run.label, words))), run.metrics)
+        _failed(", ".join(filter(None, (title_of(name), run.label, words))), run.metrics)
         for name, settings in scenarios.items()
         for words, group in settings.items()
         for run in group
@@ -317,105 +300,68 @@ def _failed_runs(scenarios: Mapping[str, Settings]) -> list[tuple[str, Metrics]]
     ]
 
 
-def _failed_heading(failed: Sequence[tuple[str, Metrics]], runs: int) -> str:
+def _failed(name: str, metrics: Metrics) -> dict[str, Any]:
+    return {"name": name, "at": f"{metrics.failed_at:.1f}", "because": metrics.failed_because}
+
+
+def _headline(failed: Sequence[Row], runs: int) -> str:
     """What the page's heading begins with; empty when no run failed."""
     if not failed:
         return ""
     if runs > 1:
         return f"{number(len(failed))} of {number(runs)} runs failed"
-    (_, metrics), *_ = failed
-    return f"Failed at {metrics.failed_at:.1f} s: the vehicle {metrics.failed_because}"
+    return f"Failed at {failed[0]['at']} s: the vehicle {failed[0]['because']}"
 
 
-def _failed_sentence(failed: tuple[str, Metrics]) -> str:
-    name, metrics = failed
-    return f"Failed: {name}, at {metrics.failed_at:.1f} s; the vehicle {metrics.failed_because}."
-
-
-def _in_short(scenarios: Mapping[str, Settings]) -> str:
-    shown = [run for settings in scenarios.values() for group in settings.values() for run in group]
-    labels = list(dict.fromkeys(run.label for run in shown))
-    drove = labels[0] if len(labels) == 1 else f"{len(labels)} controllers ({listed(labels)})"
-    return (
-        f"{drove} drove the {listed([title_of(name).lower() for name in scenarios])}: {len(shown)} closed-loop "
-        f"run{'s' if len(shown) > 1 else ''}, with tracking, effort, comfort, solver behaviour and provenance."
-    )
-
-
-def _conditions_in_words(shown: Sequence[Shown]) -> str:
-    """What was run: length, conditions, plant, profile, preview."""
+def _scenario(name: str, settings: Settings, stems: Mapping[tuple[str, str], str]) -> dict[str, Any]:
+    """The numbers and words of the section on one scenario."""
+    shown = [run for group in settings.values() for run in group]
     runs = [run.trajectory for run in shown]
-    first, meta = runs[0], runs[0].meta
-    shared = {entry for entry in _SETTINGS if all(run.meta.get(entry) == meta.get(entry) for run in runs)}
-    speed, friction, wind = (np.concatenate([getattr(r, name) for r in runs]) for name in ("vx", "friction", "wind"))
-    gust = f"lateral wind {span(wind[:, 1])} m/s" if wind[:, 1].any() else "no lateral wind"
-    gust += f", longitudinal wind {span(wind[:, 0])} m/s" if wind[:, 0].any() else ""
-    sentences = [
-        f"{first.duration:g} s in {number(len(first))} control periods of {first.period:g} s: "
-        f"speed {span(speed)} m/s, friction {span(friction)}, {gust}."
-    ]
-    if {"plant", "tyre", "vehicle"} <= shared and first.name_of("plant"):
-        tyre, vehicle = first.name_of("tyre"), first.name_of("vehicle")
-        details = [f"{tyre} tyres"] * bool(tyre) + [f"vehicle {vehicle}"] * bool(vehicle)
-        sentences.append(f"Plant: {', '.join([first.name_of('plant'), *details])}.")
-    profile = str(meta.get("profile", ""))
-    if "profile" in shared and profile:
-        sentences.append(f"Profile: {profile}{f' ({_PROFILES[profile]})' if profile in _PROFILES else ''}.")
-    if "preview" in shared and meta.get("preview") is not None:
-        sees = "the reference ahead" if meta["preview"] else "only the present reference, not what lies ahead"
-        sentences.append(f"The controller sees {sees}.")
-    return " ".join(sentences)
+    wind = np.concatenate([run.wind for run in runs])
+    named = [(f"{run.label} ({words})" if words else run.label, run.metrics) for words in settings
+             for run in settings[words]]  # fmt: skip
+    kept = [each for each in named if not each[1].failed]
+    best = min(kept, key=lambda each: each[1].mse) if kept else None
+    totals = {key: sum(getattr(each, key) for _, each in named)
+              for key in ("qp_solved", "qp_capped", "qp_failed", "held", "dead_reckoning")}  # fmt: skip
+    blind = [each.dead_reckoning_max for _, each in named if each.dead_reckoning]
+    return {
+        "name": name, "title": title_of(name), "first": runs[0], "several": len(named) > 1, "best": best,
+        **{key: np.concatenate([getattr(run, key) for run in runs]) for key in ("vx", "friction")},
+        "across": wind[:, 1], "along": wind[:, 0],
+        "shared": _shared(runs), "failed": [_failed(*each) for each in named if each[1].failed],
+        "totals": totals, "qps": totals["qp_solved"] + totals["qp_capped"] + totals["qp_failed"],
+        "longest": max(blind, default=0.0), "paper": _paper(runs),
+        "groups": [{"title": words[:1].upper() + words[1:], "stem": stems[name, words]} for words in settings],
+    }  # fmt: skip
 
 
-def _outcome_in_words(settings: Settings) -> str:
-    """What came of it: the smallest MSE, the failed runs, the QPs that were not solved."""
-    runs = [
-        (f"{run.label} ({words})" if words else run.label, run.metrics) for words in settings for run in settings[words]
-    ]
-    sentences = []
-    kept = [(name, metrics) for name, metrics in runs if not metrics.failed]
-    if kept:
-        name, best = min(kept, key=lambda item: item[1].mse)
-        sentences.append(
-            f"{'Best tracking' if len(runs) > 1 else 'Tracking'}: {name}, with a mean square error of "
-            f"{number(best.mse)} m², never more than {number(best.max_abs_error)} m from the reference."
-        )
-    sentences += [_failed_sentence(each) for each in runs if each[1].failed]
-    solved, capped, failed, held = (
-        sum(getattr(metrics, name) for _, metrics in runs) for name in ("qp_solved", "qp_capped", "qp_failed", "held")
-    )
-    total = solved + capped + failed
-    troubles = [f"{number(capped)} stopped at the iteration cap"] * bool(capped)
-    troubles += [f"{number(failed)} had no answer"] * bool(failed)
-    if troubles:
-        sentences.append(f"Of {number(total)} QPs, {listed(troubles)}.")
-    elif total:
-        sentences.append(f"All {number(total)} QPs were solved to their tolerance.")
-    if held:
-        sentences.append(f"A safe steering angle was held in {number(held)} control periods.")
-    if reckoned := sum(metrics.dead_reckoning for _, metrics in runs):
-        longest = max(metrics.dead_reckoning_max for _, metrics in runs if metrics.dead_reckoning)
-        sentences.append(
-            f"In {number(reckoned)} control periods there was no new position, for {number(longest)} s at the longest: "
-            "the controller steered on its estimate."
-        )
-    return " ".join(sentences)
+def _shared(runs: Sequence[Trajectory]) -> dict[str, Any]:
+    """What all runs of a scenario have in common: plant, profile, preview; None where they differ."""
+    first = runs[0]
+    same = {entry for entry in _SETTINGS if all(run.meta.get(entry) == first.meta.get(entry) for run in runs)}
+    known = {"plant", "tyre", "vehicle"} <= same and bool(first.name_of("plant"))
+    profile = str(first.meta.get("profile", "")) if "profile" in same else ""
+    return {
+        "plant": [first.name_of("plant"), *(f"{first.name_of('tyre')} tyres",) * bool(first.name_of("tyre")),
+                  *(f"vehicle {first.name_of('vehicle')}",) * bool(first.name_of("vehicle"))] if known else [],
+        "profile": profile, "about": _PROFILES.get(profile, ""),
+        "preview": first.meta.get("preview") if "preview" in same else None,
+    }  # fmt: skip
 
 
-def _paper_in_words(scenario: str, shown: Sequence[Shown]) -> str:
-    """What the paper reports for this test, and whether that compares."""
-    published = PUBLISHED[scenario]
+def _paper(runs: Sequence[Trajectory]) -> dict[str, Any] | None:
+    """What the paper reports for a test, and whether a run compares with that."""
+    published = PUBLISHED.get(runs[0].name_of("scenario"))
+    if published is None:
+        return None
     reported = listed([f"{value:g} m² ({controller_name(key)})" for key, value in published.mse.items()])
-    setting = f"paper profile, no preview, {published.duration:g} s"
-    if any(published_mse(run.trajectory) is not None for run in shown):
-        remark = f"Its values stand beside the runs that compare with them: {setting}."
-    else:
-        remark = f"None of these runs compares with that: it takes the {setting}."
-    return f"The paper reports a mean square error of {reported} on this test. {remark}"
+    compares = any(published_mse(run) is not None for run in runs)
+    return {"reported": reported, "duration": published.duration, "compares": compares}
 
 
-def _provenance(shown: Sequence[Shown], command: str) -> Section:
-    """The command line, what all runs share, where they differ, and each full record folded away."""
+def _provenance(shown: Sequence[Shown]) -> tuple[dict[str, Any], list[ResultTable]]:
+    """What all runs share, each full record, and a table of where they differ."""
     metas = [run.trajectory.meta for run in shown]
     values = {entry: [recorded(meta, entry) for meta in metas] for entry in _LISTED}
     known = {entry: own for entry, own in values.items() if any(value is not None for value in own)}
@@ -426,8 +372,6 @@ def _provenance(shown: Sequence[Shown], command: str) -> Section:
     records = {
         f"{i}. {run.label}, {run.trajectory.name_of('scenario')}": run.trajectory.meta for i, run in enumerate(shown, 1)
     }
-    items: list[Item] = [Verbatim(command)] if command else []
-    items.append(Terms([*((_LISTED[entry], describe(value)) for entry, value in shared.items()), *created]))
-    items += [differences_table(shown, differing)] if differing else []
-    items.append(Verbatim(json.dumps(records, indent=1, ensure_ascii=False), "The full record of every run"))
-    return Section("Provenance", items)
+    terms = [*((_LISTED[entry], describe(value)) for entry, value in shared.items()), *created]
+    tables = [differences_table(shown, differing)] if differing else []
+    return {"terms": terms, "records": json.dumps(records, indent=1, ensure_ascii=False)}, tables

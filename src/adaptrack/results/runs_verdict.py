@@ -2,67 +2,67 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
-from functools import partial
+from typing import NamedTuple
 
 import numpy as np
-from matplotlib.axes import Axes
 
+from adaptrack.base.result import Axis, Guide, Mark, Panel, Picture, Polyline, Stripe, Stroke
 from adaptrack.drive.metrics import published_mse
-from adaptrack.results import style
-from adaptrack.results.dots import Dot, dots_drawing, notes
-from adaptrack.results.figures import Line, as_lines
-from adaptrack.results.page import Panel, Picture, Terms, Verdict
+from adaptrack.results.dots import Dot, dots_panel, notes
+from adaptrack.results.figures import as_lines
 from adaptrack.results.tables import Settings, Shown
 from adaptrack.results.words import counted, describe, number, title_of
 
-_CONTROL = style.Stroke(style.SERIES[0])
+_CONTROL = Stroke()
 _NOTHING = "nothing: adaptrack compare holds it against other controllers"
 NAMED = 3
 """Scenarios, each in its settings, whose best run the verdict names."""
 
 
-def runs_verdict(scenarios: Mapping[str, Settings]) -> Verdict:
+class RunsVerdict(NamedTuple):
+    """What came of runs in a sentence, how sure that is, and the error."""
+
+    text: str
+    terms: list[tuple[str, str]]
+    picture: Picture
+
+
+def runs_verdict(scenarios: Mapping[str, Settings]) -> RunsVerdict:
     """The verdict on the runs, by scenario and setting."""
     shown = [run for settings in scenarios.values() for runs in settings.values() for run in runs]
     return _alone(next(iter(scenarios)), shown[0]) if len(shown) == 1 else _several(scenarios, shown)
 
 
-def _alone(scenario: str, run: Shown) -> Verdict:
-    metrics, trajectory = run.metrics, run.trajectory
+def _alone(scenario: str, run: Shown) -> RunsVerdict:
+    metrics = run.metrics
     if metrics.failed:
         text = f"Failed at {metrics.failed_at:.1f} s: the vehicle {metrics.failed_because}."
     else:
         who = run.label[:1].upper() + run.label[1:]
         text = f"{who} follows the {title_of(scenario).lower()} within {number(metrics.rms_error)} m RMS."
-    entries = [
+    rate = f"{number(metrics.steering_rate_rms)} rad/s RMS ({number(math.degrees(metrics.steering_rate_rms))} °/s)"
+    terms = [
         ("RMS error", f"{number(metrics.rms_error)} m, mean square {number(metrics.mse)} m²"),
         ("Largest |error|", f"{number(metrics.max_abs_error)} m"),
-        ("Steering rate", f"{number(metrics.steering_rate_rms)} rad/s RMS ({_degrees(metrics.steering_rate_rms)} °/s)"),
+        ("Steering rate", rate),
         ("Driven", _driven(run)),
         ("Against", _against(run)),
         ("How sure", _how_sure(run)),
     ]
-    lines = as_lines({run.label: trajectory}, {run.label: _CONTROL})
+    (line,) = as_lines({run.label: run.trajectory}, {run.label: _CONTROL})
+    rms = metrics.rms_error
+    marks: list[Mark] = [Stripe("y", -rms, rms, _CONTROL.colour)] if np.isfinite(rms) else []
+    marks += [Guide("y", [0.0], width=0.7), Polyline(line.run.t, line.run.error, _CONTROL)]
     panel = Panel(
-        "Tracking error", partial(_draw_error, lines[0], metrics.rms_error),
-        f"Over time; RMS {number(metrics.rms_error)} m, largest {number(metrics.max_abs_error)} m.",
+        "Tracking error", Axis("Time (s)"), Axis("Tracking error (m)"), marks,
+        f"Over time; RMS {number(rms)} m, largest {number(metrics.max_abs_error)} m.",
     )  # fmt: skip
-    picture = Picture("Tracking error over time; the band is ± its RMS.", [panel.drawing()])
-    return Verdict(text, Terms(entries), picture, metrics.failed)
+    return RunsVerdict(text, terms, Picture("verdict", "Tracking error over time; the band is ± its RMS.", [panel]))
 
 
-def _draw_error(line: Line, rms: float, axes: Axes) -> None:
-    run = line.run
-    if np.isfinite(rms):
-        axes.axhspan(-rms, rms, color=line.stroke.colour, alpha=0.15, linewidth=0.0)
-    axes.axhline(0.0, color=style.MUTED, linewidth=0.7)
-    axes.plot(run.t, run.error, color=line.stroke.colour)
-    axes.set_xlabel("Time (s)")
-    axes.set_ylabel("Tracking error (m)")
-
-
-def _several(scenarios: Mapping[str, Settings], shown: list[Shown]) -> Verdict:
+def _several(scenarios: Mapping[str, Settings], shown: list[Shown]) -> RunsVerdict:
     groups, one = [], len({run.label for run in shown}) == 1
     for scenario, settings in scenarios.items():
         for words, runs in settings.items():
@@ -73,18 +73,17 @@ def _several(scenarios: Mapping[str, Settings], shown: list[Shown]) -> Verdict:
     text = _smallest(groups)
     if 0 < failed < len(shown):
         text += f" {number(failed)} of {number(len(shown))} runs failed."
-    against = ["each other"] * any(len(group) > 1 for group in groups)
     rings = any(np.isfinite(dot.other) for dot in dots)
-    against += ["the paper's error (ring)"] if rings else []
-    entries = [
+    against = ["each other"] * any(len(group) > 1 for group in groups) + ["the paper's error (ring)"] * rings
+    terms = [
         ("Runs", f"{number(len(shown))}, {counted(len(scenarios), 'scenario')}"),
         ("Failed", number(failed)),
         ("Against", "; ".join(against) or _NOTHING),
         ("How sure", _how_sure(shown[0]).replace("one run", "one run each")),
     ]
-    drawing = dots_drawing(dots, "Mean square error (m²)", "Mean square tracking error")
+    panel, size = dots_panel(dots, "Mean square error (m²)", "Mean square tracking error")
     caption = f"Mean square tracking error.{' Ring: the paper.' if rings else ''}{notes(dots)}"
-    return Verdict(text, Terms(entries), Picture(caption, [drawing]), failed > 0)
+    return RunsVerdict(text, terms, Picture("verdict", caption, [panel], size=size))
 
 
 def _smallest(groups: Sequence[Sequence[Dot]]) -> str:
@@ -94,9 +93,9 @@ def _smallest(groups: Sequence[Sequence[Dot]]) -> str:
     if not best:
         return "Every run failed."
     rivals = any(len(group) > 1 for group in groups)
-    told = [f"{dot.name}, {number(dot.value)} m²" for dot in best[:NAMED]]
-    told += [f"{number(len(best) - NAMED)} more in the picture"] if len(best) > NAMED else []
-    return f"{'Smallest mean' if rivals else 'Mean'} square error: {'; '.join(told)}."
+    named = [f"{dot.name}, {number(dot.value)} m²" for dot in best[:NAMED]]
+    named += [f"{number(len(best) - NAMED)} more in the picture"] if len(best) > NAMED else []
+    return f"{'Smallest mean' if rivals else 'Mean'} square error: {'; '.join(named)}."
 
 
 def _dot(run: Shown, name: str) -> Dot:
@@ -124,7 +123,3 @@ def _how_sure(run: Shown) -> str:
         return "one run without noise: it repeats to the bit"
     seed = meta.get("seed")
     return "one run" + ("" if seed is None else f" with noise seed {seed}") + "; other seeds give other numbers"
-
-
-def _degrees(angle: float) -> str:
-    return number(float(np.degrees(angle)))

@@ -123,13 +123,13 @@ _PATTERNS: Mapping[str, Any] = {
 
 
 def hex_of(colour: result.Colour) -> str:
-    """A colour by its name."""
-    return _HEX[colour]
+    """A colour by its name; one in CSS's notation as it is."""
+    return _HEX.get(colour, colour)
 
 
 def drawn(stroke: result.Stroke) -> Stroke:
     """A stroke of a result as matplotlib takes it."""
-    return Stroke(_HEX[stroke.colour], _PATTERNS[stroke.dash])
+    return Stroke(hex_of(stroke.colour), _PATTERNS[stroke.dash])
 
 
 @dataclass(frozen=True)

@@ -55,6 +55,8 @@ def entry(value: Any, column: Column) -> str:
         return scientific(value)
     if column.show == "whole":
         return number(round(value))
+    if column.show == "given":
+        return f"{value:g}"
     if column.show == "degrees":
         return f"{number(value, 3)} ({number(math.degrees(value), 3)})"
     return number(value, column.show)
