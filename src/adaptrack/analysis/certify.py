@@ -81,6 +81,8 @@ class Certificate:
     """of the scheduler with its guard, as at the first step of a run; None when it has none"""
     mismatched: Mapping[str, Margins] = field(default_factory=dict)
     """of what drives, driving straight, when the car differs from what the controller was told, by `Mismatch.name`"""
+    period: float = math.nan
+    """s, of the controller"""
 
     @property
     def counted(self) -> Sweep:
@@ -264,7 +266,7 @@ def certify(
         plant.name, plant.tyre_name, world.name, mpc.model.name, mpc.estimator.name,
         axes["speed"], axes["friction"], points,
         sweeps[0], sweeps[1] if guarded is not None else None,
-        dict(zip([each.name for each in mismatches], found[-1][2:], strict=True)),
+        dict(zip([each.name for each in mismatches], found[-1][2:], strict=True)), mpc.period,
     )  # fmt: skip
 
 

@@ -12,6 +12,7 @@ from typer import Option
 
 from adaptrack.base.errors import InvalidInput, UnknownName, did_you_mean
 from adaptrack.cli import options, show
+from adaptrack.cli.next_step import again, command, say_next
 from adaptrack.cli.show import Column
 
 if TYPE_CHECKING:
@@ -107,12 +108,28 @@ def certify(given: CertifyOptions) -> None:
         _tell_feasible(body, mpc, profile, given.domain, given.mismatch, given.as_json)
         return
     found = _certificate(schedule, body, mpc, profile, given.domain, given.mismatch, out)
-    if out is not None:
-        show.say(f"Report: {_write_page(out, found)}", aside=given.as_json)
+    page = None if out is None else _write_page(out, found)
     show.say_result(certificate_result(found), given.as_json)
+    if page is not None:
+        show.say(f"Report: {page}", aside=given.as_json)
+    if not given.as_json:
+        say_next(*_next_step(given, found))
     if not found.passed:
         _tell_worst(found)
         raise typer.Exit(UNSTABLE)
+
+
+def _next_step(given: CertifyOptions, found: Certificate) -> tuple[str, str]:
+    """What to do after a certificate, and the command."""
+    car = ("--vehicle", given.car.vehicle, "--profile", given.profile)
+    if not found.passed:
+        return "to see which speeds and frictions any tuning can hold", command("certify", "--feasible", *car)
+    if not given.mismatch:
+        return "to see what a car that differs from its model leaves of the margins", again("--mismatch")
+    if given.out is None:
+        return "to see where the margins are thin on a page", again("--out", "certificate")
+    scheduler = () if given.scheduler is None else ("--scheduler", given.scheduler)
+    return "to drive it", command("simulate", "general-trajectory", *car, *scheduler)
 
 
 def _controller(name: str | None, car: Vehicle, profile: str, schedule: Schedule | None) -> MPC:

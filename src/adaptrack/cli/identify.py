@@ -12,6 +12,7 @@ from typer import Option
 
 from adaptrack.base.errors import InvalidInput
 from adaptrack.cli import options, show
+from adaptrack.cli.next_step import again, command, say_next
 
 if TYPE_CHECKING:
     from adaptrack.identification import Reading
@@ -97,6 +98,17 @@ def identify(given: IdentifyOptions) -> None:
         show.say(f"Car: {out}", aside=as_json)
     if page is not None:
         show.say(f"Page: {write_identification_page(found, page, options.command_line())}", aside=as_json)
+    if not as_json:
+        say_next(*_next_step(given, found.findings))
+
+
+def _next_step(given: IdentifyOptions, findings: Sequence[str]) -> tuple[str, str]:
+    """What to do with a car from a log, and the command; findings: what the log contradicts."""
+    if findings and given.page is None:
+        return "to look at what does not fit", again("--page", "identified.html")
+    if given.out is None:
+        return "to keep the car", again("--out", "my-car.toml")
+    return "to drive it", command("drive", "country", "--vehicle", given.out)
 
 
 def _ratio(text: str | None) -> float | Literal["fit"] | None:

@@ -15,7 +15,7 @@ def scenarios(as_json: options.Json = False) -> None:
         for name, text in list_scenarios().items()
     ]
     show.listing(f"{len(rows)} scenarios", rows, as_json)
-    _say_next("to drive one", as_json, "simulate", rows[0]["scenario"])
+    _say_next("to drive one", rows, as_json, "simulate", "scenario")
 
 
 def vehicles(as_json: options.Json = False) -> None:
@@ -28,7 +28,7 @@ def vehicles(as_json: options.Json = False) -> None:
         {"kind": "tyre", "name": name, "what it is": load_tyre(name).description, "tyre": ""} for name in list_tyres()
     ]
     show.listing(f"{len(cars)} vehicles, {len(rows) - len(cars)} tyres", rows, as_json)
-    _say_next("to see the numbers of a car", as_json, "car", rows[0]["name"])
+    _say_next("to see the numbers of a car", rows, as_json, "car", "name")
 
 
 def schedulers(as_json: options.Json = False) -> None:
@@ -49,9 +49,10 @@ def schedulers(as_json: options.Json = False) -> None:
         for name, each in ((name, load_scheduler(name)) for name in list_schedulers())
     ]
     show.listing(f"{len(rows)} schedulers", rows, as_json)
-    _say_next("to certify one", as_json, "certify", rows[0]["name"])
+    _say_next("to certify one", rows, as_json, "certify", "name")
 
 
-def _say_next(why: str, as_json: bool, *words: str) -> None:
-    if not as_json:
-        say_next(why, command(*words))
+def _say_next(why: str, rows: show.Rows, as_json: bool, word: str, column: str) -> None:
+    """What to do with the first of a list."""
+    if rows and not as_json:
+        say_next(why, command(word, rows[0][column]))

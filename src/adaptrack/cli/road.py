@@ -11,7 +11,7 @@ from typer import Option
 
 from adaptrack.base.errors import InvalidInput
 from adaptrack.cli import options, show
-from adaptrack.cli.next_step import command, say_next
+from adaptrack.cli.next_step import command, instead, say_next
 
 if TYPE_CHECKING:
     from adaptrack.cars.vehicle import Vehicle
@@ -137,8 +137,23 @@ def check(given: CheckOptions) -> None:
 
     seen = given.route.look(given.road, load_vehicle(given.vehicle))
     show.say_result(road_result(seen.road, seen.plan, seen.findings), given.as_json)
+    if not given.as_json:
+        say_next(*_next_step(given, seen))
     if not seen.drivable:
         raise typer.Exit(NOT_DRIVABLE)
+
+
+def _next_step(given: CheckOptions, seen: Seen) -> tuple[str, str]:
+    """What to do with a road, and the command."""
+    route, here = given.route, ("--vehicle", given.vehicle, *given.route.words)
+    if seen.drivable:
+        return "to drive it", command("drive", given.road, *here)
+    if all(each.drivable or each.kind in ("grip", "steering-rate") for each in seen.findings):
+        if route.speed is not None:
+            return "to check it at lower speed", instead("--speed", round(0.7 * route.speed, 1))
+        comfort = 3.0 if route.lateral_acceleration is None else route.lateral_acceleration
+        return "to check it at lower speed", instead("--lateral-acceleration", round(0.7 * comfort, 2))
+    return "to see the places that cannot be driven", command("road", "plot", given.road, *here)
 
 
 @dataclass(frozen=True, kw_only=True)

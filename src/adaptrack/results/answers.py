@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 from adaptrack.cars.vehicle import GRAVITY
 
 if TYPE_CHECKING:
+    from adaptrack.analysis.certify import Certificate
     from adaptrack.cars.vehicle import Vehicle
 
 Row = Mapping[str, Any]
@@ -55,6 +56,17 @@ def of_drives(rows: Sequence[Row], what: str) -> str:
     return f"{text}."
 
 
+def of_road(summary: Mapping[str, Any], barred: int) -> str:
+    """Whether a road can be driven, how long it is, how fast; barred: places that cannot."""
+    radius = summary["smallest_radius"]
+    bends = "straight" if radius is None else f"tightest radius {length(radius)}"
+    speeds = " to ".join(dict.fromkeys(f"{summary[end]:.3g}" for end in ("slowest", "fastest"))) + " m/s"
+    about = f"{length(summary['length'])}, {bends}, {speeds}, {summary['duration']:.0f} s"
+    if barred:
+        return f"The road cannot be driven at {barred} {'place' if barred == 1 else 'places'} ({about})."
+    return f"The road can be driven: {about}."
+
+
 def of_runs(rows: Sequence[Row]) -> str:
     """As `of_drives`, of runs of one scenario or of several."""
     scenarios = list(dict.fromkeys(row["scenario"] for row in rows))
@@ -76,18 +88,20 @@ def _rms(row: Row) -> float:
 
 
 # -- certificates -----------------------------------------------------------------------------------------------------
-def of_margins(worst: Row, period: float) -> str:
-    """Whether the margins of the worst point are thin; worst: of `Certificate.worst_points`; period: s."""
-    delay, modulus = worst["delay"], worst["modulus_margin"]
+def of_certificate(found: Certificate) -> str:
+    """The verdict; before it, where the loop is stable, whether its margins are thin, driving straight."""
+    if not found.passed:
+        return found.verdict
+    (worst,), delay = found.worst_points(1), float(found.counted.straight.delay.min())
+    modulus, at = worst["modulus_margin"], f"at {worst['speed']:.3g} m/s on friction {worst['friction']:.2g}"
     thin = []
-    if delay is not None and delay < period:
-        thin.append(f"a delay margin of {1000.0 * delay:.0f} ms, where a control period is {1000.0 * period:.0f} ms")
-    if modulus is not None and modulus < THIN_MODULUS:
-        thin.append(f"a modulus margin of {modulus:.2g}, where 0.5 is usual")
-    at = f"at {worst['speed']:.3g} m/s on friction {worst['friction']:.2g}"
-    if not thin:
-        return f"The thinnest modulus margin is {modulus:.2g}, {at}."
-    return f"Stable, but its margins are thin {at}: {' and '.join(thin)}."
+    if delay < found.period:
+        thin.append(f"{1000.0 * delay:.0f} ms of delay, where a control period is {1000.0 * found.period:.0f} ms")
+    if modulus < THIN_MODULUS:
+        thin.append(f"a modulus margin of {modulus:.2g} {at}, where 0.5 is usual")
+    if thin:
+        return f"Stable, but with thin margins: {' and '.join(thin)}. {found.verdict}"
+    return f"Stable; the smallest modulus margin is {modulus:.2g}, {at}. {found.verdict}"
 
 
 # -- learning ---------------------------------------------------------------------------------------------------------

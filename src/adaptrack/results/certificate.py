@@ -34,6 +34,7 @@ from adaptrack.base.result import (
     where,
 )
 from adaptrack.control.scheduling import SchedulingVariables
+from adaptrack.results.answers import of_certificate
 from adaptrack.results.maps import edges_around
 from adaptrack.results.words import INPUTS, number
 
@@ -91,7 +92,7 @@ def certificate_result(found: Certificate, command: str = "") -> Result:
     return Result(
         kind="certificate",
         title=f"Certificate of {found.scheduler}: {found.plant}, profile {found.profile}",
-        answer=found.verdict,
+        answer=of_certificate(found),
         record={**found.summary(), "rows": found.rows()},
         tables=[*_console_tables(found), *_margin_tables(found), _worst(found)],
         pictures=[_modulus(found, worst["modulus_margin"]), *maps, _tunings(found)],

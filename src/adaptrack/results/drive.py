@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from adaptrack.base.result import Column, Result, ResultTable, Row, where
+from adaptrack.results.answers import length, of_drives
 from adaptrack.results.drive_figures import Drives, above_picture, along_picture, labelled, learned_picture
 from adaptrack.results.record import DriveRecord
 from adaptrack.results.words import describe, few, legible, number
@@ -60,7 +61,7 @@ def drive_result(
     shown = labelled(drives)
     road, failed = drives[0].road, sum(bool(drive.failed) for drive in drives)
     told = f"{number(failed)} of {number(len(drives))} drives failed"
-    answer = outcome(drives[0]) if len(drives) == 1 else f"{told if failed else told.replace('0 of', 'None of')}."
+    answer = outcome(drives[0]) if len(drives) == 1 else of_drives(_errors(shown), length(road.length))
     learned = any(drive.learned for drive in drives)
     return Result(
         kind="drive",
@@ -107,6 +108,14 @@ def write_drive_page(
 
     result = drive_result(drives, title=title, command=command, created=created)
     return write_result(out_dir, result, png=png, embedded={"replay": replay(labelled(drives))})
+
+
+def _errors(drives: Drives) -> list[dict[str, Any]]:
+    """A row a drive, as `of_drives` takes it."""
+    return [
+        {"controller": label, "mse": drive.rms_offset**2, "max_abs_error": drive.max_offset, "failed": drive.failed}
+        for label, drive in drives.items()
+    ]
 
 
 def console_table(title: str, rows: Sequence[Row]) -> ResultTable:

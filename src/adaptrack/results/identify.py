@@ -68,11 +68,11 @@ def identification_result(found: Identification, command: str = "") -> Result:
     """An identification as a result; its record is that of `Identification.to_dict`."""
     log, checked = found.log, found.validation
     simulated = f"{100 * checked.simulated:.1f} % simulated from the command"
+    explained = f"{100 * checked.one_step:.1f} % of the yaw rate's variance is explained one step ahead"
     return Result(
         kind="identification",
         title=f"A car from a log: {found.believed.name}",
-        answer=f"Yaw rate on {checked.held_out:.0f} s that the fit did not see: {100 * checked.one_step:.1f} % of the "
-        f"variance explained one step ahead, {simulated}.",
+        answer=f"{_first(found)}; on {checked.held_out:.0f} s held out {explained}, {simulated}.",
         record=found.to_dict(),
         tables=_tables(found),
         notes=[f"{capital(each)}." for each in (*log.notes, *found.findings)],
@@ -85,6 +85,13 @@ def identification_result(found: Identification, command: str = "") -> Result:
         },
         command=command,
     )  # fmt: skip
+
+
+def _first(found: Identification) -> str:
+    """What one asks for first, as far as the log says it."""
+    shown = [_in_units(found[name]) for name in _FIRST[:2] if name in found.estimates]
+    said = [f"{each['label'].lower()} {each['value']:.3g} ± {each['half']:.2g} {each['unit']}" for each in shown]
+    return capital(", ".join(said)) if said else "Nothing was found of delay and understeer"
 
 
 def write_identification_page(found: Identification, path: str | os.PathLike[str], command: str = "") -> Path:

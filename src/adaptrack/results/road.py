@@ -28,7 +28,8 @@ from adaptrack.base.result import (
     Stripe,
     Stroke,
 )
-from adaptrack.results.words import counted, data_text
+from adaptrack.results.answers import of_road
+from adaptrack.results.words import data_text
 from adaptrack.road import Finding, Road, SpeedPlan
 
 SAMPLES = 4000
@@ -49,11 +50,10 @@ def road_result(road: Road, plan: SpeedPlan, findings: Sequence[Finding] = ()) -
             {"from": each.start, "to": each.end, "what": each.text} for each in findings if each.drivable is drivable
         ]
         tables += [ResultTable(name, title, PLACES, places, brief=True)]
-    some = counted(len(barred), "place")
     return Result(
         kind="road",
         title=road.name,
-        answer=f"The road cannot be driven at {some}." if barred else "The road can be driven.",
+        answer=of_road(summary, len(barred)),
         record={
             **summary, "drivable": not barred, "notes": list(road.notes), "rows": [asdict(each) for each in findings]
         },

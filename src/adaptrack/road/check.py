@@ -117,8 +117,8 @@ def _radius(places: _Places, car: Vehicle) -> Iterator[Finding]:
         radius = 1.0 / size[k]
         yield _finding(
             places, stretch, "radius", radius, least, False,
-            f"radius {radius:.3g} m at s = {places.s[k]:.0f} m, below this car's {least:.1f} m"
-            + ("; is the road in metres, or in kilometres?" if radius < least / FAR_TIGHTER else ""),
+            f"radius {radius:{'.1f' if radius >= 1.0 else '.2g'}} m at s = {places.s[k]:.0f} m, below this car's "
+            f"{least:.1f} m" + ("; is the road in metres, or in kilometres?" if radius < least / FAR_TIGHTER else ""),
         )  # fmt: skip
 
 

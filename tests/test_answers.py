@@ -1,0 +1,123 @@
+"""A command's first line is its answer, in the numbers of its result; its last is a command that runs."""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+import shlex
+import sys
+
+import pytest
+
+from adaptrack import cli
+from adaptrack.cars.vehicle import load_vehicle
+from adaptrack.cli.next_step import again, instead
+from adaptrack.results import answers
+from test_snippets import parse
+
+pytestmark = pytest.mark.compiled
+
+
+@pytest.fixture
+def lines(monkeypatch, capsys):
+    """What a command prints, line by line; of `--json` the object."""
+
+    def run(*arguments):
+        monkeypatch.setattr(sys, "argv", ["adaptrack", *map(str, arguments)])
+        cli.main()
+        out = capsys.readouterr().out
+        return json.loads(out) if "--json" in arguments else out.splitlines()
+
+    return run
+
+
+def step(line):
+    """The command of a last line, which must be one of this program."""
+    assert line.startswith("Next, ")
+    name, *words = shlex.split(line.partition(": ")[2])
+    assert name == "adaptrack"
+    parse(words)
+    return words
+
+
+DRIVE = ("drive", "town", "--length", "300", "--vehicle", "midsize-sedan")
+
+
+def test_a_drive_begins_with_how_near_it_stayed_and_ends_with_its_page(lines, tmp_path):
+    (row,) = lines(*DRIVE, "--json")["rows"]
+    first, *_, last = lines(*DRIVE)
+    rms, length = answers.length(row["rms_error"]), answers.length(row["road_length"])
+    assert first == f"{rms} RMS on {length}, largest {answers.length(row['max_abs_error'])}."
+    assert step(last) == [*DRIVE, "--out", "drive"]
+    *_, last = lines(*DRIVE, "--out", tmp_path)
+    assert step(last)[:2] == ["tune", "town"]
+
+
+def test_the_best_of_several_controllers_is_named_first(lines):
+    asked = (*DRIVE, "--controller", "pure-pursuit", "--controller", "informed")
+    rows = {row["controller"]: row for row in lines(*asked, "--json")["rows"]}
+    assert rows["informed"]["mse"] < rows["pure-pursuit"]["mse"]
+    first = lines(*asked)[0]
+    assert first.startswith(f"informed: {answers.length(rows['informed']['rms_error'])} RMS on ")
+    assert first.endswith(f"; pure-pursuit {answers.length(rows['pure-pursuit']['rms_error'])}; no run failed.")
+
+
+def test_a_failed_drive_begins_with_its_failure_and_ends_with_what_to_look_at(lines):
+    first, *_, last = lines(*DRIVE, "--speed", "40", "--controller", "stanley")
+    assert first.startswith("FAILED town-0, stanley: at ")
+    assert step(last)[:3] == ["road", "check", "town"]
+
+
+def test_what_a_drive_has_learned_is_printed_with_its_intervals(lines):
+    out = "\n".join(lines(*DRIVE, "--learn"))
+    row = re.search(r"lag and dead time together +([\d.e-]+) +([\d.e-]+) +([\d.e-]+) +s", out)
+    value, low, high = map(float, row.groups())
+    assert low < value < high
+
+
+@pytest.mark.parametrize(
+    ("command", "answer", "then"),
+    [
+        (["simulate", "sine", "-o", "duration=1.0"], r"[\d.]+ [mc]m RMS on sine, largest ", ["simulate"]),
+        (["simulate", "sine", "step", "-o", "duration=1.0"], r"None of 2 runs failed; the largest", ["simulate"]),
+        (["road", "check", "mountain"], r"The road can be driven: 2.17 km, tightest radius 10.4 m, ", ["drive"]),
+        (["road", "check", "town", "--speed", "20"], r"The road cannot be driven at 11 places ", ["road", "check"]),
+        (["manoeuvre", "sine-with-dwell"], r"Failed: 12 of 20 runs meet the criteria", ["manoeuvre"]),
+        (["manoeuvre", "step-steer"], r"After a step of the steering the yaw rate responds in 0.17", ["manoeuvre"]),
+        (["car", "midsize-sedan"], r"midsize-sedan: 1093.3 kg, wheelbase 2.58 m, understeers by ", ["drive"]),
+        (["car", "--mass", "1500", "--wheelbase", "2.7"], r"new-car: .*; 21 of its numbers are estimated", ["car"]),
+        (["scenarios"], "7 scenarios", ["simulate"]),
+        (["schedulers"], "24 schedulers", ["certify"]),
+        (["dataset", "list"], r"\d+ data sets", ["dataset", "describe"]),
+    ],
+)
+def test_every_command_begins_with_its_answer_and_ends_with_a_command_that_parses(lines, command, answer, then):
+    first, *_, last = lines(*command)
+    assert re.match(answer, first)
+    assert step(last)[: len(then)] == then
+
+
+def test_thin_margins_are_called_thin_though_the_loop_is_stable(lines):
+    first, *_, last = lines("certify", "--vehicle", "midsize-sedan", "--speed", "25", "30", "--friction", "0.9", "1.0")
+    assert re.match(r"Stable, but with thin margins: \d+ ms of delay, where a control period is 50 ms", first)
+    assert "--mismatch" in step(last)
+
+
+def test_a_length_is_said_in_the_unit_in_which_one_says_it():
+    values = (0.0004, 0.016, 0.9, 1.25, 76.0, 2510.0, math.nan)
+    said = ["0.4 mm", "1.6 cm", "90 cm", "1.25 m", "76 m", "2.51 km", "unknown"]
+    assert list(map(answers.length, values)) == said
+
+
+def test_a_car_that_oversteers_says_from_which_speed_it_is_unstable():
+    car = load_vehicle("midsize-sedan")
+    car = car.replace(stiffness_rear=0.5 * car.stiffness_rear)
+    assert f"unstable from {car.critical_speed:.3g} m/s on" in answers.of_car(car)
+
+
+def test_a_command_line_is_made_again_with_more_words_or_another_value(monkeypatch):
+    monkeypatch.setattr(sys, "argv", ["adaptrack", "drive", "my road.csv", "--speed", "40.0"])
+    assert again("--learn") == "adaptrack drive 'my road.csv' --speed 40.0 --learn"
+    assert instead("--speed", 28.0) == "adaptrack drive 'my road.csv' --speed 28.0"
+    assert instead("--lateral-acceleration", 2) == "adaptrack drive 'my road.csv' --speed 40.0 --lateral-acceleration 2"
