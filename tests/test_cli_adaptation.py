@@ -15,7 +15,7 @@ from adaptrack import cli
 from adaptrack.analysis.certify import certify
 from adaptrack.analysis.feasibility import feasibility
 from adaptrack.base.errors import AdaptrackError, InvalidInput
-from adaptrack.cli import evaluate as evaluate_command
+from adaptrack.cli import comparison as shown
 from adaptrack.comparison import evaluate
 from adaptrack.control.controllers import Tuning, published_mpc, registry
 from adaptrack.control.controllers.informed import informed_tuning
@@ -66,30 +66,33 @@ def places(tmp_path):
     ("command", "words"),
     [
         ("adapt", ["--out"]),
-        ("adapt --out {out} --config raod", ["no adaptation is named 'raod'", "Did you mean 'road'"]),
-        ("adapt --out {out} --config nowhere.toml", ["nowhere.toml", "cannot be read"]),
-        ("adapt --out {out} --config {grid}", ["paper-grid", "Sobol"]),
-        ("adapt --out {file}/out --config {tiny}", ["cannot be written"]),
-        ("adapt --out {out} --config {tiny} --workers 0", ["workers = 0"]),
-        ("evaluate --config raod", ["Did you mean 'road'"]),
-        ("evaluate --schedulers road-n", ["no scheduler is named 'road-n'", "Did you mean"]),
-        ("evaluate --schedulers nowhere.json", ["nowhere.json", "cannot be read"]),
-        ("evaluate --schedulers {damaged}", ["damaged.json", "checksum"]),
-        ("evaluate --conditions sobol", ["'sobol'", "write sobol:N"]),
-        ("evaluate --conditions grid:8", ["'grid:8'", "write sobol:N"]),
-        ("evaluate --conditions sobol:0", ["'sobol:0'", "write sobol:N"]),
-        ("evaluate --conditions sobol:-4", ["'sobol:-4'", "write sobol:N"]),
-        ("evaluate --conditions sobol:8.5", ["'sobol:8.5'", "write sobol:N"]),
-        ("evaluate --conditions sobol:99999999999", ["99999999999"]),
-        ("evaluate --drives 0", ["--drives"]),
-        ("evaluate --drives many", ["--drives", "integer"]),
-        ("evaluate --seed -1", ["--seed"]),
-        ("evaluate --profile paper", ["'paper'", "informed-road (informed, road)", "--config"]),
-        ("evaluate --controller as-written --profile production", ["'as-written'", "'production'"]),
-        ("evaluate --controller informed --schedulers road-nn", ["'road-nn'", "published_mpc"]),
-        ("evaluate --config road --schedulers {vans}", ["'vans'", "car 'van', not 'paper'", "adaptrack adapt"]),
-        ("evaluate --out {file}/out", ["cannot be written"]),
-        ("evaluate --contender standrd", ["no contender is named 'standrd'", "Did you mean 'standard'"]),
+        ("adaptation raod --out {out}", ["no adaptation is named 'raod'", "Did you mean 'road'"]),
+        ("adaptation nowhere.toml --out {out}", ["nowhere.toml", "cannot be read"]),
+        ("adaptation {grid} --out {out}", ["paper-grid", "Sobol"]),
+        ("adaptation {tiny} --out {file}/out", ["cannot be written"]),
+        ("adaptation {tiny} --out {out} --workers 0", ["workers = 0"]),
+        ("evaluate-schedules --config raod", ["Did you mean 'road'"]),
+        ("evaluate-schedules --schedulers road-n", ["no scheduler is named 'road-n'", "Did you mean"]),
+        ("evaluate-schedules --schedulers nowhere.json", ["nowhere.json", "cannot be read"]),
+        ("evaluate-schedules --schedulers {damaged}", ["damaged.json", "checksum"]),
+        ("evaluate-schedules --conditions sobol", ["'sobol'", "write sobol:N"]),
+        ("evaluate-schedules --conditions grid:8", ["'grid:8'", "write sobol:N"]),
+        ("evaluate-schedules --conditions sobol:0", ["'sobol:0'", "write sobol:N"]),
+        ("evaluate-schedules --conditions sobol:-4", ["'sobol:-4'", "write sobol:N"]),
+        ("evaluate-schedules --conditions sobol:8.5", ["'sobol:8.5'", "write sobol:N"]),
+        ("evaluate-schedules --conditions sobol:99999999999", ["99999999999"]),
+        ("evaluate-schedules --drives 0", ["--drives"]),
+        ("evaluate-schedules --drives many", ["--drives", "integer"]),
+        ("evaluate-schedules --seed -1", ["--seed"]),
+        ("evaluate-schedules --profile paper", ["'paper'", "informed-road (informed, road)", "--config"]),
+        ("evaluate-schedules --controller as-written --profile production", ["'as-written'", "'production'"]),
+        ("evaluate-schedules --controller informed --schedulers road-nn", ["'road-nn'", "published_mpc"]),
+        (
+            "evaluate-schedules --config road --schedulers {vans}",
+            ["'vans'", "car 'van', not 'paper'", "adaptrack adapt"],
+        ),
+        ("evaluate-schedules --out {file}/out", ["cannot be written"]),
+        ("evaluate-schedules --contender standrd", ["no contender is named 'standrd'", "Did you mean 'standard'"]),
         ("certify --controller informd", ["'informd'", "Did you mean 'informed'"]),
         ("certify {mine} --feasible", ["--feasible", "leave out the scheduler"]),
         ("certify --feasible --out {out}", ["--feasible", "--out"]),
@@ -124,14 +127,14 @@ def test_an_unknown_way_of_knowing_is_told_before_anything_is_driven(monkeypatch
     for name in ("optimum", "compare", "per_run_best"):
         monkeypatch.setattr(evaluate, name, lambda *given, **more: pytest.fail("it went to work"))
     config = write(places["out"], name="road")
-    code, out, err = run(monkeypatch, capsys, "evaluate", "--config", config, *what, "--told", "nosy")
+    code, out, err = run(monkeypatch, capsys, "evaluate-schedules", "--config", config, *what, "--told", "nosy")
     assert code == 2
     assert out == ""
     assert all(word in err for word in ("'nosy'", "noisy", "withheld"))
 
 
 def test_a_number_must_be_written_in_digits(monkeypatch, capsys):
-    code, _, err = run(monkeypatch, capsys, "evaluate", "--conditions", "sobol:²")
+    code, _, err = run(monkeypatch, capsys, "evaluate-schedules", "--conditions", "sobol:²")
     assert code == 2
     assert "write sobol:N" in err
 
@@ -139,28 +142,29 @@ def test_a_number_must_be_written_in_digits(monkeypatch, capsys):
 def test_a_folder_stands_for_the_schedulers_in_it(tmp_path):
     (tmp_path / "empty").mkdir()
     with pytest.raises(InvalidInput, match=r"no scheduler.*in this folder"):
-        evaluate_command._files(str(tmp_path / "empty"))
+        shown.scheduler_files([str(tmp_path / "empty")])
     for name in ("b", "a"):
         Constant(Tuning()).save(tmp_path / f"{name}.json")
-    assert evaluate_command._files(str(tmp_path)) == [str(tmp_path / "a.json"), str(tmp_path / "b.json")]
-    assert evaluate_command._files("road-nn") == ["road-nn"]
+    assert shown.scheduler_files([str(tmp_path)]) == [str(tmp_path / "a.json"), str(tmp_path / "b.json")]
+    assert shown.scheduler_files(["road-nn"]) == ["road-nn"]
 
 
 def test_the_drives_of_ones_own_configuration_ask_for_its_best_constant(monkeypatch, capsys, places):
     monkeypatch.setattr(evaluate, "random_drive_runs", lambda *given, **more: None)
-    code, _, err = run(monkeypatch, capsys, "evaluate", "--config", places["tiny"], "--drives", "1")
+    code, _, err = run(monkeypatch, capsys, "evaluate-schedules", "--config", places["tiny"], "--drives", "1")
     assert code == 2
     assert "best constant" in err
 
 
-@pytest.mark.parametrize("command", ["adapt", "evaluate", "certify", "schedulers", "train"])
+@pytest.mark.parametrize("command", ["adaptation", "evaluate-schedules", "certify", "schedulers", "train"])
 def test_help_names_the_options_and_loads_no_numerics(run_python, command):
     options = {
-        "adapt": ["--out", "--config", "--workers"], "evaluate": ["--schedulers", "--conditions", "--told", "sobol:N"],
+        "adaptation": ["--out", "ADAPTATION", "--workers"],
+        "evaluate-schedules": ["--schedulers", "--conditions", "--told", "sobol:N"],
         "certify": ["--profile", "--vehicle", "--feasible", "--mismatch", "--out"],
         "schedulers": [], "train": ["--data", "--model", "--targets"],
     }[command]  # fmt: skip
-    shown = "--help-all" if command in ("adapt", "evaluate", "certify") else "--help"
+    shown = "--help-all" if command in ("adaptation", "evaluate-schedules", "certify") else "--help"
     code = (
         "import sys; from adaptrack import cli; "
         f"sys.argv = ['adaptrack', '{command}', '{shown}']; assert cli.main() == 0; assert 'numpy' not in sys.modules"
@@ -169,7 +173,7 @@ def test_help_names_the_options_and_loads_no_numerics(run_python, command):
     assert all(option in text for option in ["Usage: adaptrack", "--json", *options])
 
 
-@pytest.mark.parametrize("command", ["adapt", "evaluate", "reproduce"])
+@pytest.mark.parametrize("command", ["adaptation", "evaluate-schedules", "reproduce"])
 def test_help_says_that_failed_runs_are_counted_and_the_exit_code_is_0(monkeypatch, capsys, command):
     code, out, _ = run(monkeypatch, capsys, command, "--help")
     assert code == 0
@@ -194,7 +198,16 @@ def test_the_list_of_schedulers_names_every_one_that_ships(monkeypatch, capsys):
 @pytest.mark.compiled
 def test_evaluate_compares_what_ships_and_what_is_given_with_the_optimum(monkeypatch, capsys, places):
     config = write(places["out"], name="road")
-    arguments = ["evaluate", "--config", config, "--schedulers", places["mine"], "--conditions", "sobol:8", "--json"]
+    arguments = [
+        "evaluate-schedules",
+        "--config",
+        config,
+        "--schedulers",
+        places["mine"],
+        "--conditions",
+        "sobol:8",
+        "--json",
+    ]
     code, out, err = run(monkeypatch, capsys, *arguments, "--told", "noisy", "--profile", "road")
     assert code == 0, err
     rows = strict(out)["rows"]
@@ -221,7 +234,7 @@ def test_evaluate_compares_what_ships_and_what_is_given_with_the_optimum(monkeyp
 def test_evaluate_judges_drives_by_the_best_constant_and_prints_a_table(monkeypatch, capsys, places):
     config = write(places["out"], name="road")
     code, out, err = run(
-        monkeypatch, capsys, "evaluate", "--config", config, "--schedulers", places["mine"], "--drives", "1"
+        monkeypatch, capsys, "evaluate-schedules", "--config", config, "--schedulers", places["mine"], "--drives", "1"
     )
     assert code == 0, err
     first = {line.split("  ")[0] for line in out.splitlines()}
@@ -241,7 +254,7 @@ def test_adapt_goes_on_with_a_folder_and_tells_schedulers_report_and_rows(
     monkeypatch.setattr(evaluate, "per_run_best", lambda runs, rows, seeds: rows[:1].repeat(len(runs), axis=0))
     monkeypatch.setattr(recipes, "improve", lambda *given, **more: pytest.fail("it learned again"))
     config = chain.folder.parent / "tiny.toml"
-    code, printed, err = run(monkeypatch, capsys, "adapt", "--config", config, "--out", out, "--json")
+    code, printed, err = run(monkeypatch, capsys, "adaptation", config, "--out", out, "--json")
     assert code == 0, err
     rows = strict(printed)["rows"]
     assert {row["view"] for row in rows} == {"operating points", "drives", "tests"}
@@ -250,7 +263,7 @@ def test_adapt_goes_on_with_a_folder_and_tells_schedulers_report_and_rows(
     assert {row["runs"] for row in rows if row["view"] != "tests"} == {8}
     assert str(out / "schedulers") in err
     assert (out / "index.html").exists()
-    assert "adaptrack adapt --config" in (out / "index.html").read_text()
+    assert "adaptrack adaptation" in (out / "index.html").read_text()
 
 
 def test_certify_passes_a_sound_scheduler(monkeypatch, capsys, places):
@@ -342,7 +355,7 @@ def test_every_error_of_the_package_becomes_one_message(monkeypatch, capsys):
         raise AdaptrackError("no way")
 
     monkeypatch.setattr(configuration, "load_adaptation", fail)
-    code, out, err = run(monkeypatch, capsys, "evaluate")
+    code, out, err = run(monkeypatch, capsys, "evaluate-schedules")
     assert (code, out, err) == (2, "", "adaptrack: no way\n")
 
 
@@ -352,7 +365,16 @@ def test_evaluate_drives_a_registered_contender_by_name(monkeypatch, capsys, pla
     cautious = Tuning(40, 4, 1.0, 1e5)
     registry.register_controller("cautious", lambda vehicle, period: published_mpc(vehicle, cautious, period=period))
     config = write(places["out"], name="road")
-    arguments = ("evaluate", "--config", config, "--conditions", "sobol:8", "--contender", "cautious", "--json")
+    arguments = (
+        "evaluate-schedules",
+        "--config",
+        config,
+        "--conditions",
+        "sobol:8",
+        "--contender",
+        "cautious",
+        "--json",
+    )
     code, out, err = run(monkeypatch, capsys, *arguments)
     assert code == 0, err
     rows = {row["contender"]: row for row in strict(out)["rows"]}

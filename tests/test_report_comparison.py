@@ -75,7 +75,7 @@ EVERYTHING = {
         "look-up": scheduler(name="look-up"),
     },
     "histories": {"nn": HISTORY, "anfis": []},
-    "command": "adaptrack evaluate --seed 7 <now>",
+    "command": "adaptrack evaluate-schedules --seed 7 <now>",
     "notes": ["One car only."],
 }
 NOTHING = {key: {} for key in ("operating_points", "drives", "tests", "schedules", "histories")}

@@ -1,7 +1,8 @@
-"""`adaptrack adapt`: the whole chain, for a car or by a configuration."""
+"""`adaptrack adapt`: the whole chain for a car, from its constant tuning to schedulers that are judged."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -9,86 +10,95 @@ import typer
 from typer import Argument, Option
 
 from adaptrack.base.errors import AdaptrackError, InvalidInput, StorageError
-from adaptrack.cli import comparison, interrupt, options, show
+from adaptrack.cli import adaptation, comparison, options, show
 from adaptrack.cli.simulate import FAILED
 
 if TYPE_CHECKING:
     from adaptrack.learning.adaptation.config import AdaptationConfig
     from adaptrack.studies.tune_car import TunedCar
 
-CONFIGURATION, FOUND = "adaptation.toml", "found.toml"
-"""Files of a folder: the configuration, which is written last, and what was found of the constant."""
+CONFIGURATION, FOUND, CONSTANT = "adaptation.toml", "found.toml", "constant.toml"
+"""Files of a folder: the configuration, which is written last; what was found of the constant; the constant."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class AdaptOptions:
+    """Options of `adaptrack adapt`."""
+
+    car: Annotated[
+        list[str] | None, Argument(metavar="CAR", help="Name (see `vehicles`) or .toml file.", show_default=False)
+    ] = None
+    out: Annotated[Path, Option("--out", metavar="DIR", help="Folder of the chain; one that was interrupted goes on.")]
+    quick: Annotated[bool, Option("--quick", help="Some minutes of work, for a first look.")] = False
+    profile: options.Profile = "road"
+    speed: Annotated[
+        str | None, Option("--speed", metavar="LOW..HIGH", help="m/s: 5..25; by default its domain's.")
+    ] = None
+    friction: Annotated[
+        str | None, Option("--friction", metavar="LOW..HIGH", help="0.4..1; by default its domain's.")
+    ] = None
+    plant: Annotated[
+        str | None,
+        Option("--plant", metavar="NAME", hidden=True, help="What is driven; by default the car as a dual track."),
+    ] = None
+    plugin: options.Plugin = None
+    workers: options.Workers = None
+    config: Annotated[str | None, Option("--config", hidden=True, help="Gone: see `adaptation`.")] = None
+    as_json: options.Json = False
 
 
 @options.grouped
-def adapt(
-    out: Annotated[Path, Option(help="Folder of the chain; one that was interrupted goes on.")],
-    car: Annotated[
-        list[str] | None,
-        Argument(metavar="CAR", help="Name (see `vehicles`) or .toml file; else see --config.", show_default=False),
-    ] = None,
-    config: Annotated[
-        str | None,
-        Option(help="Name (road, informed-road, ...) or .toml file; by default what ships for controller and profile."),
-    ] = None,
-    controller: options.Tuned = None,
-    profile: options.OtherProfile = None,
-    speed: Annotated[
-        str | None, Option("--speed", metavar="LOW..HIGH", help="Of CAR, m/s: 5..25; by default its domain's.")
-    ] = None,
-    friction: Annotated[
-        str | None, Option("--friction", metavar="LOW..HIGH", help="Of CAR: 0.4..1; by default its domain's.")
-    ] = None,
-    plant: Annotated[
-        str | None,
-        Option(
-            "--plant",
-            hidden=True,
-            help="Of CAR, what is driven: dual-track [default], single-track, or a registered plant.",
-        ),
-    ] = None,
-    plugin: options.Plugin = None,
-    quick: Annotated[bool, Option("--quick", help="Of CAR: some minutes of work, for a first look.")] = False,
-    workers: options.Workers = None,
-    as_json: options.Json = False,
-) -> None:
-    """The whole chain: tune, learn schedulers, guard them, evaluate them on roads nobody trained on.
+def adapt(given: AdaptOptions) -> None:
+    """For a car: its constant tuning, checked, in seconds; then schedulers, learned, guarded, and judged.
 
-    For a CAR first its constant tuning, in seconds: which speeds and frictions can be held, the best tuning of a
-    search, unseen drives, certificate. The configuration that follows from it is kept in the folder.
+    First which speeds and frictions can be held, the best tuning of a search, unseen drives, certificate; then the
+    chain by the configuration that follows, which is kept in the folder (`adaptrack adaptation`).
 
-    Failed runs are part of the result: they are counted for each contender, and the exit code is 0; it is 3 when CAR
-    leaves the road with its constant, or the certificate finds that loop unstable; also when the chain is gone on with.
+    Failed runs are part of the result: they are counted for each contender, and the exit code is 0; it is 3 when the
+    car leaves the road with its constant, or the certificate finds that loop unstable; also when the chain is gone on
+    with.
     """
-    from adaptrack.studies.adapt import adapt as run
-
-    given = {
-        "--speed": speed, "--friction": friction, "--plant": plant, "--plugin": plugin, "--quick": quick or None,
+    if given.config is not None or not given.car:
+        name = given.config or "NAME"
+        raise InvalidInput(
+            f"adapt: name a car; a configuration has its own command: adaptrack adaptation {name} --out {given.out}."
+        )
+    options.load_plugins(given.plugin)
+    requested = {
+        "car": _one(given.car), "profile": given.profile, "quick": given.quick, "plant": given.plant,
+        "plugin": given.plugin or None, "speed": _pair("--speed", given.speed),
+        "friction": _pair("--friction", given.friction),
     }  # fmt: skip
-    passed = True
-    if car:
-        if config is not None or controller is not None:
-            raise InvalidInput("adapt CAR: makes its own configuration: leave out --config and --controller.")
-        options.load_plugins(plugin)
-        asked = {
-            "car": _one(car), "profile": profile or "road", "quick": quick, "plant": plant, "plugin": plugin or None,
-            "speed": _pair("--speed", speed), "friction": _pair("--friction", friction),
-        }  # fmt: skip
-        settings, passed = _of_car(asked, out, as_json)
+    settings, kept = _of_car(requested, given.out)
+    made, page = adaptation.run_chain(settings, given.out, given.workers)
+    words = f"{kept['vehicle']}: {kept['verdict']}"
+    if given.as_json:
+        show.say(f"{words}\nSchedulers: {given.out / 'schedulers'}\nReport: {page}", aside=True)
     else:
-        told = [name for name, value in given.items() if value is not None]
-        if told:
-            raise InvalidInput(f"{', '.join(told)}: of a CAR: name one, or give a configuration its numbers.")
-        settings = comparison.study(config, controller, profile)
-        options.make_folder(out)
-    interrupt.kept(f"Finished chunks and schedulers are kept in {out}: run the command again to go on.")
-    with show.progress("adapt") as advance:
-        made = run(settings, out, workers=workers, progress=advance)
-    page = comparison.write_page(out, made)
-    show.say(f"Schedulers: {out / 'schedulers'}\nReport: {page}", aside=as_json)
-    comparison.print_comparison(made, as_json)
-    if not passed:
+        show.say(_answer(kept, made))
+        show.say(f"{words}\n")
+    comparison.print_comparison(made, given.as_json)
+    if not given.as_json:
+        show.say(f"Schedulers: {given.out / 'schedulers'}\nReport: {page}")
+        show.say(_next(given, made, kept))
+    if not kept["passed"]:
         raise typer.Exit(FAILED)
+
+
+def _answer(kept: dict[str, Any], made: Any) -> str:
+    """What the constant brings, and what a schedule brings beside it."""
+    return " ".join(filter(None, (kept.get("answer"), comparison.answer(made))))
+
+
+def _next(given: AdaptOptions, made: Any, kept: dict[str, Any]) -> str:
+    """Drive with the constant, or compare the schedule that is worth it with it on one's roads."""
+    out, car = given.out, f"--vehicle {given.out / kept['vehicle']}.toml"
+    where = f"{car} --profile {given.profile}"
+    worthy = comparison.worthy_schedule(made)
+    if worthy is None:
+        return f"Next, with its constant: adaptrack drive ROAD {where} --tuning {out / CONSTANT}"
+    file = out / "schedulers" / f"{worthy}.json"
+    return f"Next: adaptrack evaluate ROAD {where} --tuning {out / CONSTANT} --schedulers {file}"
 
 
 def _one(names: list[str]) -> str:
@@ -134,32 +144,31 @@ def _pair(option: str, text: str | None) -> tuple[float, float] | None:
     return low, high
 
 
-def _of_car(asked: dict[str, Any], out: Path, aside: bool) -> tuple[AdaptationConfig, bool]:
-    """The configuration of a car's adaptation, and whether its constant has passed: from the folder, or made first."""
+def _of_car(requested: dict[str, Any], out: Path) -> tuple[AdaptationConfig, dict[str, Any]]:
+    """The configuration of a car's adaptation, and what was found of its constant: from the folder, or made first."""
     from adaptrack.learning.adaptation.config import load_adaptation
 
     options.make_folder(out)
     if (out / CONFIGURATION).exists():
-        _check_same(out, asked)
+        _check_same(out, requested)
         show.say(f"adaptrack: goes on with {out / CONFIGURATION}", aside=True)
-        kept = _kept(out)
-        show.say(f"{kept['vehicle']}: {kept['verdict']}\n", aside=aside)
-        return load_adaptation(out / CONFIGURATION), bool(kept["passed"])
-    tuned = _tuned(asked)
-    show.say(f"{asked['car']}: {tuned.verdict}\n", aside=aside)
-    return load_adaptation(_write(asked, tuned, out)), tuned.passed
+    else:
+        tuned = _tuned(requested)
+        show.say(f"{requested['car']}: {tuned.verdict}\n", aside=True)
+        _write(requested, tuned, out)
+    return load_adaptation(out / CONFIGURATION), _kept(out)
 
 
-def _tuned(asked: dict[str, Any]) -> TunedCar:
+def _tuned(requested: dict[str, Any]) -> TunedCar:
     """The constant of a car."""
     from adaptrack.studies.tune_car import tune
 
-    told = {key: asked[key] for key in ("plant", "speed", "friction")}
+    domain = {key: requested[key] for key in ("plant", "speed", "friction")}
     with show.progress("tune") as advance:
-        return tune(asked["car"], asked["profile"], **told, progress=advance)
+        return tune(requested["car"], requested["profile"], **domain, progress=advance)
 
 
-def _write(asked: dict[str, Any], tuned: TunedCar, out: Path) -> Path:
+def _write(requested: dict[str, Any], tuned: TunedCar, out: Path) -> Path:
     """What was asked and found, and the configuration that follows from it, whose path is returned."""
     from adaptrack.base.files import write_toml
     from adaptrack.cars.plant import usual_plant
@@ -172,12 +181,15 @@ def _write(asked: dict[str, Any], tuned: TunedCar, out: Path) -> Path:
     ConstantTuning(
         controller="informed", vehicle=vehicle.name, profile=tuned.profile.name, period=tuned.profile.period,
         command=options.command_line(), tuning=found["tuning"],
-    ).to_toml(out / "constant.toml")  # fmt: skip
-    write_toml(out / "asked.toml", _plain(asked))
-    write_toml(out / FOUND, {"vehicle": vehicle.name, **{key: found[key] for key in ("passed", "verdict")}})
-    driven = DrivenSetup(asked["plant"] or usual_plant(vehicle), tuple(asked["plugin"] or ()), tuned.costly)
-    constant, quick = tuned.tuning, asked["quick"]
-    return write_configuration(out, own, asked["profile"], tuned.domain, constant, quick=quick, driven=driven)
+    ).to_toml(out / CONSTANT)  # fmt: skip
+    write_toml(out / "asked.toml", _plain(requested))
+    write_toml(
+        out / FOUND,
+        {"vehicle": vehicle.name, "answer": tuned.answer, **{key: found[key] for key in ("passed", "verdict")}},
+    )
+    driven = DrivenSetup(requested["plant"] or usual_plant(vehicle), tuple(requested["plugin"] or ()), tuned.costly)
+    constant, quick = tuned.tuning, requested["quick"]
+    return write_configuration(out, own, requested["profile"], tuned.domain, constant, quick=quick, driven=driven)
 
 
 def _kept(out: Path) -> dict[str, Any]:
@@ -196,17 +208,17 @@ def _kept(out: Path) -> dict[str, Any]:
     return found
 
 
-def _plain(asked: dict[str, Any]) -> dict[str, Any]:
+def _plain(requested: dict[str, Any]) -> dict[str, Any]:
     return {
-        key: list(value) if isinstance(value, tuple) else value for key, value in asked.items() if value is not None
+        key: list(value) if isinstance(value, tuple) else value for key, value in requested.items() if value is not None
     }
 
 
-def _check_same(out: Path, asked: dict[str, Any]) -> None:
+def _check_same(out: Path, requested: dict[str, Any]) -> None:
     from adaptrack.base.files import read_toml
 
     before = read_toml(out / "asked.toml") if (out / "asked.toml").exists() else {}
-    if before != _plain(asked):
+    if before != _plain(requested):
         raise InvalidInput(
             f"{out} holds the chain of {before.get('car', 'something else')} with other options: give another folder, "
             "or the same options to go on."

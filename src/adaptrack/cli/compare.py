@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -12,7 +13,6 @@ from adaptrack.cli import interrupt, options, show
 from adaptrack.cli.show import Column
 
 if TYPE_CHECKING:
-    from adaptrack.comparison.config import ComparisonConfig
     from adaptrack.studies.compare import Compared
 
 COLUMNS = (
@@ -26,54 +26,81 @@ COLUMNS = (
 )
 
 
-@options.grouped
-def compare(
-    out: Annotated[Path | None, Option(help="Folder; one that was interrupted goes on. `--list` needs none.")] = None,
-    quick: Annotated[bool, Option("--quick", help="Two cars, four roads, one profile: minutes [default].")] = False,
-    standard: Annotated[bool, Option("--standard", help="Six cars, twelve roads, three profiles.")] = False,
-    full: Annotated[
-        bool, Option("--full", help="The same with 1,000 closed loops and those in Python: hours.")
-    ] = False,
-    config: Annotated[Path | None, Option("--config", help="TOML file of a comparison of your own.")] = None,
+@dataclass(frozen=True, kw_only=True)
+class CompareOptions:
+    """Options of `adaptrack compare`."""
+
+    out: Annotated[
+        Path | None, Option("--out", metavar="FOLDER", help="Of the page and all runs; an interrupted one goes on.")
+    ] = None
+    quick: Annotated[bool, Option("--quick", help="Two cars, four roads, one profile: minutes [default].")] = False
+    standard: Annotated[bool, Option("--standard", help="Six cars, twelve roads, three profiles.")] = False
+    full: Annotated[bool, Option("--full", help="The same with 1,000 closed loops and those in Python: hours.")] = False
+    config: Annotated[
+        Path | None, Option("--config", metavar="FILE", help="TOML file of a comparison of your own.")
+    ] = None
     contender: Annotated[
         list[str] | None, Option("--contender", metavar="NAME", help="Only these; `--list` names them.")
-    ] = None,
+    ] = None
     car: Annotated[
         list[str] | None, Option("--car", metavar="CAR[/PLANT]", help="Only these: name or .toml file, with its plant.")
-    ] = None,
+    ] = None
     road: Annotated[
         list[str] | None,
         Option("--road", metavar="ROAD", help="Judged on these: country:3, lap:1@6, random-drive:3, scenario, file."),
-    ] = None,
-    profile: Annotated[list[str] | None, Option("--profile", metavar="NAME", help="Only in these.")] = None,
-    seeds: Annotated[int | None, Option("--seeds", min=1, max=1000, help="Noise seeds of the judgement.")] = None,
+    ] = None
+    profile: Annotated[list[str] | None, Option("--profile", metavar="NAME", help="Only in these.")] = None
+    seeds: Annotated[
+        int | None, Option("--seeds", metavar="N", hidden=True, min=1, max=1000, help="Noise seeds of the judgement.")
+    ] = None
     budget: Annotated[
-        int | None, Option("--budget", min=0, help="Closed loops of each search; 0: defaults alone.")
-    ] = None,
+        int | None, Option("--budget", metavar="N", min=0, help="Closed loops of each search; 0: defaults alone.")
+    ] = None
     dask: Annotated[
-        str | None, Option("--dask", metavar="ADDRESS", help="Dask scheduler whose workers drive (extra `cluster`).")
-    ] = None,
-    names: Annotated[bool, Option("--list", help="Name the contenders, and drive nothing.")] = False,
-    plugin: options.Plugin = None,
-    as_json: options.Json = False,
-) -> None:
+        str | None,
+        Option("--dask", metavar="ADDRESS", hidden=True, help="Dask scheduler whose workers drive (extra `cluster`)."),
+    ] = None
+    names: Annotated[bool, Option("--list", help="Name the contenders, and drive nothing.")] = False
+    plugin: options.Plugin = None
+    as_json: options.Json = False
+
+    @property
+    def of(self) -> str | Path:
+        """The comparison that is asked for, by name or file."""
+        sizes = (("quick", self.quick), ("standard", self.standard), ("full", self.full))
+        chosen: list[str | Path] = [name for name, wanted in sizes if wanted]
+        chosen += [] if self.config is None else [self.config]
+        if len(chosen) > 1:
+            raise InvalidInput("compare: give one of --quick, --standard, --full and --config.")
+        return chosen[0] if chosen else "quick"
+
+    @property
+    def changes(self) -> dict[str, Any]:
+        """The fields of the comparison that are other than its own."""
+        given = {
+            "contenders": self.contender, "cars": self.car, "roads": self.road, "profiles": self.profile,
+            "budget": self.budget, "seeds": None if self.seeds is None else list(range(self.seeds)),
+        }  # fmt: skip
+        return {key: value for key, value in given.items() if value is not None}
+
+
+@options.grouped
+def compare(given: CompareOptions) -> None:
     """Compare controllers on cars, roads and profiles: same noise, same effort of tuning, unseen roads.
 
     Each contender drives with its default and with a tuning that a search found on training roads; a schedule brings
     its own. Ranks differ only where the intervals part. Failed runs are counted in the table; the exit code is 0.
     """
-    from adaptrack.studies.compare import TABLE, run_comparison
+    from adaptrack.studies.compare import TABLE, load_comparison, run_comparison
 
-    options.load_plugins(plugin)
-    if names:
-        _list(as_json)
+    options.load_plugins(given.plugin)
+    if given.names:
+        _list(given.as_json)
         return
-    chosen = [name for name, asked in (("quick", quick), ("standard", standard), ("full", full)) if asked]
-    if len(chosen) + (config is not None) > 1:
-        raise InvalidInput("compare: give one of --quick, --standard, --full and --config.")
+    name, out = given.of, given.out
     if out is None:
         raise InvalidInput("compare: give --out FOLDER, for the page and all runs.")
-    task = _task(config or (chosen or ["quick"])[0], contender, car, road, profile, seeds, budget)
+    task = load_comparison(name, **given.changes)
     options.make_folder(out)
     cells = task.cells
     loops, hours = sum(map(task.loops, cells)), show.duration(max(60.0, task.seconds(cells)))
@@ -81,26 +108,26 @@ def compare(
     show.say(f"adaptrack: {task.name}: {size}", aside=True)
     interrupt.kept(f"What was driven is kept; the same command with --out {out} goes on.")
     with show.progress("compare") as advance:
-        made = run_comparison(task, out, dask=dask, progress=advance)
+        made = run_comparison(task, out, dask=given.dask, progress=advance)
     page = _page(made, out)
-    if as_json:
-        show.say_json({**_told(made), "page": str(page), "table": str(out / TABLE)})
+    if given.as_json:
+        show.say_json({**_as_json(made), "page": str(page), "table": str(out / TABLE)})
         return
     _print(made)
     show.say(f"Page: {page}\nEvery run: {out / TABLE}")
+    show.say(_next(made))
 
 
-def _task(
-    name: Any, contender: Any, car: Any, road: Any, profile: Any, seeds: int | None, budget: int | None
-) -> ComparisonConfig:
-    """The comparison that is asked for."""
-    from adaptrack.studies.compare import load_comparison
+def _next(made: Compared) -> str:
+    """With the controller of the least error in the last profile: drive it, or tune it for one's own road."""
+    from adaptrack.comparison.views import standing_rows
 
-    asked = {
-        "contenders": contender, "cars": car, "roads": road, "profiles": profile, "budget": budget,
-        "seeds": None if seeds is None else list(range(seeds)),
-    }  # fmt: skip
-    return load_comparison(name, **{key: value for key, value in asked.items() if value is not None})
+    profile, table = list(made.by_profile.items())[-1]
+    best = standing_rows(table)[0]
+    where = f"--controller {best['contender']} --profile {profile} --vehicle CAR"
+    if best["tuning"] == "tuned":
+        return f"Next, on roads and a car of your own: adaptrack tune ROAD {where}"
+    return f"Next, on a road and a car of your own: adaptrack drive ROAD {where}"
 
 
 def _list(as_json: bool) -> None:
@@ -132,7 +159,7 @@ def _rows(made: Compared, profile: str) -> list[dict[str, Any]]:
     return rows
 
 
-def _told(made: Compared) -> dict[str, Any]:
+def _as_json(made: Compared) -> dict[str, Any]:
     from adaptrack.comparison.table import finite
 
     return {
@@ -148,9 +175,12 @@ def _told(made: Compared) -> dict[str, Any]:
 
 def _print(made: Compared) -> None:
     """A table for each profile, and what was left out."""
+    from adaptrack.results.comparison_answers import on_cars
     from adaptrack.results.words import counted
 
     task = made.task
+    for profile, table in made.by_profile.items():
+        show.say(on_cars(profile, table))
     for profile, table in made.by_profile.items():
         rows = [
             {

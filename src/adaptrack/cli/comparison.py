@@ -1,15 +1,17 @@
-"""What `adapt` and `evaluate` both show: how schedulers compare."""
+"""What `adapt`, `adaptation` and `evaluate-schedules` show: how schedulers compare."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from adaptrack.base.errors import InvalidInput
 from adaptrack.cli import options, show
 from adaptrack.cli.show import Column
 
 if TYPE_CHECKING:
+    from adaptrack.comparison.table import Comparison
     from adaptrack.learning.adaptation.config import AdaptationConfig
     from adaptrack.studies.adapt import Adapted
 
@@ -33,6 +35,51 @@ def study(config: str | None, controller: str | None, profile: str | None) -> Ad
     if config is None:
         return load_adaptation(find_adaptation(str(controller or "informed"), profile or "road"))
     return load_adaptation(config, controller=None if controller is None else str(controller), profile=profile)
+
+
+def scheduler_files(given: Sequence[str]) -> list[str]:
+    """Of names, files and folders of schedulers: names and files.
+
+    Raises
+    ------
+    InvalidInput
+        When a folder holds none.
+    """
+    found: list[str] = []
+    for name in given:
+        folder = Path(name)
+        files = sorted(str(path) for path in folder.glob("*.json")) if folder.is_dir() else [name]
+        if not files:
+            raise InvalidInput(f"--schedulers {name}: there is no scheduler (*.json) in this folder.")
+        found += files
+    return found
+
+
+def main_table(made: Adapted) -> tuple[Comparison, str] | None:
+    """The comparison that decides, and what a run of it is: the drives, else the operating points, else a test."""
+    for tables, noun in ((made.drives, "drive"), (made.operating_points, "operating point")):
+        if "exact" in tables:
+            return tables["exact"], noun
+    return (next(iter(made.tests.values())), "test") if made.tests else None
+
+
+def answer(made: Adapted) -> str:
+    """The first line: whether a schedule is worth it."""
+    from adaptrack.results.comparison_answers import of_schedules
+
+    table = main_table(made)
+    return "Nothing was driven." if table is None else of_schedules(*table)
+
+
+def worthy_schedule(made: Adapted) -> str | None:
+    """The schedule that is worth having, by its name; None where no one is."""
+    from adaptrack.results.comparison_answers import best_constant, best_schedule, is_worth
+
+    table = main_table(made)
+    best = None if table is None else best_schedule(table[0])
+    if table is None or best is None:
+        return None
+    return best if is_worth(table[0].ratio(best, best_constant(table[0]))) else None
 
 
 def write_page(out: Path, made: Adapted) -> Path:

@@ -1,10 +1,11 @@
-"""`adaptrack tune`: one constant for roads, or a campaign."""
+"""`adaptrack tune`: the constant tuning of a controller that is best on given roads."""
 
 from __future__ import annotations
 
-import math
-import os
 import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -15,125 +16,121 @@ from adaptrack.cli import interrupt, on_roads, options, show
 from adaptrack.cli.road import RoadOptions
 
 if TYPE_CHECKING:
-    from adaptrack.tuning.campaign import Progress
-    from adaptrack.tuning.config import CampaignConfig
+    from adaptrack.control.controllers import Controller
+    from adaptrack.tuning.constant import Sought
 
-STEPS_PER_S = 8e5
-"""Control steps that one thread simulates in a second (docs/campaign.md), for an estimate."""
+FIRST_SEED = 1000
+"""Noise seeds of a search count up from here, those of a judgement from 0: no tuning is judged on its own noise."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class TuneOptions:
+    """Options of `adaptrack tune`."""
+
+    road: on_roads.Roads = None
+    controller: Annotated[
+        str,
+        Option("--controller", metavar="NAME", help="Whose tuning is sought: any that `compare --list` calls tuned."),
+    ] = "informed"
+    car: options.CarAndPlant
+    profile: options.Profile = "road"
+    route: RoadOptions
+    runs: Annotated[
+        int | None,
+        Option("--runs", metavar="N", min=1, help="Closed loops that the search may spend; by default 300 tunings."),
+    ] = None
+    noise_seeds: Annotated[
+        int, Option("--noise-seeds", metavar="N", hidden=True, min=1, max=1000, help="Noise seeds of each road.")
+    ] = 2
+    seed: Annotated[int, Option("--seed", hidden=True, min=0, help="Of the search.")] = 0
+    out: Annotated[Path, Option("--out", metavar="FILE", help="File of the tuning.")] = Path("tuning.toml")
+    config: Annotated[str | None, Option("--config", hidden=True, help="Gone: see `campaign`.")] = None
+    as_json: options.Json = False
 
 
 @options.grouped
-def tune(
-    asked: RoadOptions,
-    car: on_roads.CarOptions,
-    search: on_roads.SearchOptions,
-    road: on_roads.Roads = None,
-    config: Annotated[
-        str | None, Option(help="Name (paper-grid, road-sobol, ...) or .toml file of a campaign, instead of roads.")
-    ] = None,
-    out: Annotated[
-        Path | None, Option(help="File of the tuning, by default tuning.toml; folder of the campaign.")
-    ] = None,
-    controller: Annotated[
-        str | None,
-        Option(
-            "--controller",
-            help="Whose tuning is sought: informed, the MPC that knows its car; as-written, the paper's; on roads also "
-            "kinematic-mpc, lqr, mppi, preview-lqr, pure-pursuit, stanley. By default informed, or the campaign's.",
-        ),
-    ] = None,
-    profile: Annotated[
-        str | None,
-        Option("--profile", metavar="NAME", help="paper, road, production, ...: by default road, or the campaign's."),
-    ] = None,
-    plant: Annotated[
-        str | None,
-        Option("--plant", hidden=True, help="On roads: single-track, dual-track [default], or a registered plant."),
-    ] = None,
-    resume: Annotated[bool, Option("--resume", help="Go on with the campaign in that folder.")] = False,
-    workers: options.Workers = None,
-    dask: Annotated[
-        str | None,
-        Option(metavar="ADDRESS", hidden=True, help="Dask scheduler whose workers do it instead, tcp://HOST:PORT."),
-    ] = None,
-    as_json: options.Json = False,
-) -> None:
+def tune(given: TuneOptions) -> None:
     """Seek the tuning of a controller that is best on given roads, and write it for `drive --tuning`.
 
-    Or, with --config, tune an MPC on every operating point of a campaign: a swarm each, and the cost of a common
-    library. Runs that fail are counted; the exit code is 0.
+    Default and tuned are then driven with noise that the search did not see. Runs that fail are counted; the exit code
+    is 0. Campaigns over operating points: `adaptrack campaign`.
     """
-    if bool(road) == (config is not None):
-        raise InvalidInput("tune: give roads, or --config with a campaign.")
-    if road:
-        given = {"--resume": resume, "--workers": workers, "--dask": dask}
-        on_roads.refuse([name for name, value in given.items() if value], "on roads")
-        file = Path("tuning.toml") if out is None else out
-        options.make_place(file)
-        setting = on_roads.Setting.of(road, asked, car, profile, plant or "dual-track", as_json)
-        on_roads.tune(setting, controller or "informed", search, car.noise_seeds or 2, file, as_json)
-        return
-    on_roads.refuse([*asked.named, *_given(car, plant, search)], "with a campaign")
-    if out is None:
-        raise InvalidInput("tune --config: give the campaign a folder, --out DIR.")
-    if controller not in (None, *options.TunedName):
-        raise InvalidInput(f"--controller {controller}: a campaign tunes {' or '.join(options.TunedName)}.")
-    _campaign(str(config), out, (controller, profile), (resume, workers, dask), as_json)
+    if given.config is not None:
+        raise InvalidInput(
+            f"tune --config: a campaign has its own command: adaptrack campaign {given.config} --out DIR."
+        )
+    roads = on_roads.named("tune", given.road, "to tune an MPC on operating points: adaptrack campaign NAME --out DIR")
+    options.make_place(given.out)
+    setting = on_roads.Setting.of(roads, given.route, given.car, given.profile, given.as_json)
+    _tune(given, setting, _tunable(setting, given.controller))
 
 
-def _given(car: on_roads.CarOptions, plant: str | None, search: on_roads.SearchOptions) -> list[str]:
-    """The options of roads that are given."""
-    values = {**vars(car), "plant": plant, "runs": search.runs, "seed": search.seed or None}
-    return [f"--{name.replace('_', '-')}" for name, value in values.items() if value is not None]
+def _tunable(setting: on_roads.Setting, name: str) -> Controller:
+    """The controller, with its own tuning; refused where none is sought."""
+    from adaptrack.control.controllers import about_controller, list_controllers
+    from adaptrack.tuning.spaces import search_space
+
+    if not about_controller(name).tunable:
+        others = ", ".join(each for each in list_controllers() if about_controller(each).tunable)
+        raise InvalidInput(f"--controller {name}: its tuning is fixed; that of these can be sought: {others}.")
+    own = setting.controller(name)
+    search_space(own)  # one that says no bounds is refused before any work
+    return own
 
 
-def _campaign(
-    config: str, out: Path, driven: tuple[str | None, str | None], how: tuple[bool, int | None, str | None],
-    as_json: bool,
-) -> None:  # fmt: skip
-    """Run a campaign. driven: controller and profile; how: resume, workers, dask."""
-    from adaptrack.tuning.campaign import CampaignInterrupted, run_campaign
-    from adaptrack.tuning.config import load_campaign
-    from adaptrack.tuning.dataset import load_dataset
+def _tune(given: TuneOptions, setting: on_roads.Setting, own: Controller) -> None:
+    """Search, write the file, and judge it beside the controller's own tuning with other noise."""
+    from adaptrack.comparison.contenders import Contender
+    from adaptrack.comparison.table import finite
+    from adaptrack.comparison.views import road_rows
+    from adaptrack.results.comparison_answers import of_tuning
+    from adaptrack.tuning.constant import seek_constant, swarm_within
+    from adaptrack.tuning.pso import SwarmSettings
 
-    resume, workers, dask = how
-    campaign = load_campaign(config).driven_by(*driven)
-    show.say(_estimate(campaign, None if dask else workers or os.cpu_count() or 1), aside=True)
-    interrupt.kept(f"Finished chunks, if any, are kept in {out}: go on with --resume.")
-    begun, runs = time.perf_counter(), 0
-    try:
-        with show.progress("campaign") as advance:
-
-            def tell(at: Progress) -> None:
-                nonlocal runs
-                runs = at.runs
-                advance(f"{at.done:,} of {at.total:,} operating points, {at.runs_per_s:,.0f} runs/s", at.done, at.total)
-
-            file = run_campaign(campaign, out, resume=resume, workers=workers, dask=dask, progress=tell)
-    except CampaignInterrupted as stop:
-        interrupt.kept(str(stop).removeprefix("interrupted. "))
-        raise
+    name, runs = given.controller, setting.runs
+    seeds = range(FIRST_SEED, FIRST_SEED + given.noise_seeds)
+    each = len(runs) * len(seeds)
+    swarm = SwarmSettings() if given.runs is None else swarm_within(given.runs, each)
+    spent, begun = swarm.evaluations * each, time.perf_counter()
+    show.say(f"adaptrack: {swarm.evaluations} tunings of {name}, {spent:,} runs; {setting.title}", aside=True)
+    interrupt.kept("A search that is interrupted leaves nothing.")
+    with show.progress(f"tune {name}") as advance:
+        tell = partial(advance, f"tune {name}")
+        found = seek_constant(runs, own, swarm, noise_seeds=seeds, seed=given.seed, progress=tell)
     seconds = time.perf_counter() - begun
-    costs = load_dataset(file).best_costs
-    failures = int((costs == math.inf).sum())
-    if as_json:
-        show.say_json({"dataset": str(file), "seconds": seconds, "runs": runs, "failures": failures})
+    _keep(given, setting, found, seeds)
+    pair = [Contender("default", own), Contender("tuned", own.with_tuning(found.tuning))]
+    judged = setting.compare(pair, range(max(3, given.noise_seeds)), "default")
+    if given.as_json:
+        about = {"tuning": str(given.out), "controller": name, "entries": found.tuning, "better": found.better}
+        said = {key: value for key, value in vars(found).items() if key != "tuning"}
+        show.say_json(about | said | {"runs": spent, "seconds": seconds, "rows": finite(road_rows(judged))})
         return
-    show.say(f"Data set: {file} ({seconds:,.0f} s)")
-    show.say(f"At {failures or 'none'} of the {len(costs):,} operating points the run failed with every tuning.")
+    over = judged.ratio("tuned", "default")
+    show.say(of_tuning(name, over, found.better))
+    on_roads.print_rows(f"{name}, {setting.title}; {len(judged.seeds)} noise seeds that the search did not see", judged)
+    if found.at_bounds:
+        show.say(f"At the end of what was searched: {', '.join(found.at_bounds)}.")
+    entries = ", ".join(f"{entry} {value:.4g}" for entry, value in found.tuning.items())
+    show.say(f"Tuning: {entries}\nFile: {given.out} ({seconds:,.0f} s)")
+    show.say(_next(given, found.better and over.verdict == "cheaper"))
 
 
-def _estimate(campaign: CampaignConfig, threads: int | None) -> str:
-    """How much work a campaign is: runs, memory, and the time on so many threads of this machine."""
-    from adaptrack.scenario.profile import load_profile
-    from adaptrack.tuning.config import Plan
+def _next(given: TuneOptions, gained: bool) -> str:
+    """What to do with the tuning; or, where it gained nothing for sure, how to look further."""
+    where = on_roads.typed(given.road or (), given.route, given.car, given.profile)
+    if gained:
+        return f"Next: adaptrack drive ROAD{where.car} --tuning {given.out}"
+    more = f"adaptrack tune {where.roads} OTHER-ROAD{where.car} --controller {given.controller}"
+    return f"Next: more roads may decide it: {more}"
 
-    plan = Plan.of(campaign)
-    settled, points = plan.config, len(plan.fold.representatives)
-    runs = points * (settled.swarm.evaluations + len(plan.library)) * len(settled.noise_seeds or (0,))
-    size = 4e-6 * len(plan.operating_points) * len(plan.library)
-    told = f"adaptrack: {points:,} operating points, {runs:,} runs, {size:,.0f} MB"
-    if threads is None or settled.duration is None:
-        return f"{told}."
-    steps = runs * settled.duration / load_profile(settled.profile).period
-    return f"{told}; about {show.duration(steps / (STEPS_PER_S * threads))} on {threads} threads, in all."
+
+def _keep(given: TuneOptions, setting: on_roads.Setting, found: Sought, seeds: Sequence[int]) -> None:
+    """Write a tuning's file."""
+    from adaptrack.tuning.constant_file import ConstantTuning
+
+    ConstantTuning(
+        controller=given.controller, vehicle=setting.car.name, profile=setting.profile.name,
+        period=setting.profile.period, roads=tuple(str(trip.name) for trip in setting.runs.scenarios),
+        noise_seeds=tuple(seeds), command=options.command_line(), tuning=found.tuning,
+    ).to_toml(given.out)  # fmt: skip

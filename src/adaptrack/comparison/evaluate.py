@@ -171,7 +171,7 @@ def _needs_a_constant(setup: SetUp, schedules: Mapping[str, Schedule]) -> str:
         return "default constant"
     raise InvalidInput(
         "the best constant on drives, to which all is compared, is not among the schedulers: those of one's own "
-        "configuration are files of `adaptrack adapt --out DIR`, given as --schedulers DIR/schedulers."
+        "configuration are files of `adaptrack adaptation --out DIR`, given as --schedulers DIR/schedulers."
     )
 
 

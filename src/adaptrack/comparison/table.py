@@ -37,6 +37,11 @@ class Role:
     tuning: str = ""
     """of a contender that is there more than once: default, tuned or scheduled"""
 
+    @property
+    def deployable(self) -> bool:
+        """Whether one would drive with it: it needs no hindsight, and its guard is not taken off."""
+        return not self.hindsight and not self.kind.endswith(" unguarded")
+
 
 def check_names(contenders: Sequence[str], reference: str) -> None:
     """Refuse contenders of one name, and a reference that is none of them.
@@ -220,8 +225,11 @@ class Comparison:
 
     @property
     def best(self) -> list[str]:
-        """The cheapest contender that needs no hindsight, then those level with it."""
-        judged = [each for each in self.contenders if not self.role(each).hindsight] or [self.reference]
+        """The cheapest contender that could be deployed, then those level with it.
+
+        What needs hindsight, and a schedule without its guard, only where there is nothing else.
+        """
+        judged = [each for each in self.contenders if self.role(each).deployable] or [self.reference]
         ranked = sorted(judged, key=lambda who: self.mean_ratio(who, self.reference))
         return ranked[:1] + [who for who in ranked[1:] if self.ratio(who, ranked[0]).verdict == "level"]
 

@@ -5,6 +5,7 @@ Those that know the car are given its file, and of the steering what the profile
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 from adaptrack.base.errors import InvalidInput
@@ -66,5 +67,8 @@ def published(vehicle: Vehicle, **options: Any) -> MPC:
 
 
 def published_nn(vehicle: Vehicle, **options: Any) -> MPC:
-    """The paper's controller with the networks that ship for the paper's car in profile `road`, on any car."""
-    return published_mpc(vehicle, scheduler=load_scheduler("road-nn"), **options)
+    """The paper's controller with the networks that ship for the paper's car in profile `road`, on any car.
+
+    That they were made for another car is what is compared: no warning says so.
+    """
+    return published_mpc(vehicle, scheduler=replace(load_scheduler("road-nn"), made_for={}), **options)

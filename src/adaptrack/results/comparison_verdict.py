@@ -71,8 +71,7 @@ def _dots(comparison: Comparison, called: Callable[[str], str]) -> list[Dot]:
 
 def _is_listed(comparison: Comparison, who: str) -> bool:
     """All but the reference, what needs hindsight, and what has a guard without it."""
-    role = comparison.role(who)
-    return who != comparison.reference and not role.hindsight and not role.kind.endswith(" unguarded")
+    return who != comparison.reference and comparison.role(who).deployable
 
 
 def _colour(comparison: Comparison, who: str) -> str:

@@ -13,6 +13,7 @@ from matplotlib.axes import Axes
 from adaptrack.comparison.table import Comparison
 from adaptrack.comparison.views import road_rows
 from adaptrack.results import style
+from adaptrack.results.comparison_answers import on_roads
 from adaptrack.results.dots import Dot, dots_drawing, notes
 from adaptrack.results.page import (
     Cell,
@@ -27,7 +28,7 @@ from adaptrack.results.page import (
     printed,
     write_page,
 )
-from adaptrack.results.words import counted, few, listed, number, ratio_with_interval
+from adaptrack.results.words import few, number, ratio_with_interval
 
 
 def write_road_comparison(out_dir: str | os.PathLike[str], made: Comparison, *, title: str, command: str) -> Path:
@@ -76,21 +77,11 @@ def _verdict(made: Comparison, rows: Sequence[dict[str, Any]]) -> Verdict:
     label = f"Cost J / that of {made.reference}"
     caption = f"{label}, with 95 % intervals.{notes(dots)}"
     drawing = dots_drawing(dots, style.data_text(label), label, level=1.0)
-    return Verdict(_lead(made, rows), Terms(entries), Picture(caption, [drawing]), False)
+    return Verdict(on_roads(made), Terms(entries), Picture(caption, [drawing]), False)
 
 
 def _ratio(row: dict[str, Any], reference: str) -> str:
     return "the reference" if row["contender"] == reference else ratio_with_interval(row, " times")
-
-
-def _lead(made: Comparison, rows: Sequence[dict[str, Any]]) -> str:
-    """Which is cheapest, and who failed."""
-    first, *level = made.best
-    roads = counted(len(made.roads), "road")
-    words = f"On {roads} with {counted(len(made.seeds), 'noise seed')} each, {first} costs least"
-    words += f", level with {listed(level)}." if level else "."
-    failed = [f"{row['contender']} in {number(row['failures'])}" for row in rows if row["failures"]]
-    return f"{words} Failed: {listed(failed)} of {rows[0]['runs']} runs." if failed else f"{words} No run failed."
 
 
 def _table(made: Comparison, rows: Sequence[dict[str, Any]]) -> Table:

@@ -278,7 +278,7 @@ def unfinished(path: Path) -> str:
     except StorageError:
         return "a folder, but not of a campaign: there is no dataset.parquet in it."
     folder = Folder(path, manifest["identity"], manifest["chunk"], manifest["chunks"], manifest["computed"])
-    return f"its campaign is not finished ({folder.state()}): go on with `adaptrack tune ... --resume`."
+    return f"its campaign is not finished ({folder.state()}): go on with `adaptrack campaign ... --resume`."
 
 
 _MANIFEST = {
