@@ -32,6 +32,7 @@ from ..kernel import Caller, inlined, record, unpacker, vector, viewer, void
 from ..maths.bits import whole
 from ..maths.exact import clip, fmod, sqrt, square
 from ..maths.trigonometric import atan2, cos, sin
+from ..member import member
 from ..road import RoadAhead, point_at
 
 SITUATION = (
@@ -75,8 +76,6 @@ Path = record("Path", ("x", "y", "heading", "curvature"))
 @lru_cache(maxsize=64)
 def compile_law(function: Any) -> Any:
     """A user's law as a member of `LAW_SIGNATURE`."""
-    from ..member import member
-
     return member(function, LAW_SIGNATURE)
 
 

@@ -30,15 +30,12 @@ import numpy as np
 from ..kernel import exported, inlined, int64, record, vector, viewer, void
 from ..maths.bits import whole
 from ..maths.exact import clip
-from ..models.path import lost
+from ..models import path
 
 Turning = record(
     "Turning",
     (
-        "wheelbase",  # m, L
-        "understeer", "turning",  # rad s^2/m, K and W
-        "lr",  # m
-        "lag",  # s, of the steering
+        *path.Turning._fields,
         "friction", "shape_factor",  # of the tyres as the estimator knows them, see `models.path.lost`; 0: linear
     ),
 )  # fmt: skip
@@ -119,7 +116,7 @@ def road_moves(horizon, speed, settings, bend, feed):
     expected, moves = feed.expected, feed.moves
     for i in range(horizon + 1):
         turn = _requested(earlier + i - 0.5, bend) / (period * period)
-        expected[i] = -car.understeer * lost(turn, car.friction, car.shape_factor) if car.friction > 0.0 else 0.0
+        expected[i] = -car.understeer * path.lost(turn, car.friction, car.shape_factor) if car.friction > 0.0 else 0.0
         moves[i] = turn * steady / (speed * speed) + expected[i]
     _limit(horizon + 1, min(settings.move_max, -settings.move_min), moves, feed.scratch)
     for i in range(horizon):

@@ -13,6 +13,7 @@ from functools import lru_cache
 from typing import Any
 
 from ..kernel import Caller, float64, matrix, vector
+from ..member import member
 
 ABSURD, FASTEST = 1e5, 1e3
 """No signal of a car is as large as this, in SI units: what is counts as missing. And no speed, m/s."""
@@ -30,6 +31,4 @@ call_estimate = Caller(ESTIMATE)
 @lru_cache(maxsize=64)
 def compile_estimator(function: Any) -> Any:
     """A user's function as a member of `ESTIMATE`. It may return nothing: 0 s."""
-    from ..member import member
-
     return member(function, ESTIMATE)

@@ -16,7 +16,7 @@ import math
 from ..kernel import exported, float64, fma, inlined
 from .bits import ROUNDER, bits_of, float_of, negative, scaled, two_to
 from .exact import floor, sqrt
-from .polynomial import seven, ten
+from .polynomial import halves, seven, ten
 
 _TINY = 2.0**-54
 _HIGHEST, _LOWEST = 710.0, -746.0  # exp of the first is infinite, of the second zero
@@ -27,17 +27,19 @@ _TWO_THIRDS, _TWO_THIRDS_LOW = 0.6666666666666666, 3.700743415417188e-17
 _ROOT_HALF = 0x3FE6A09E667F3BCD  # the bits of sqrt(1/2)
 
 # (exp(r) - 1 - r - r^2/2)/r^3, |r| <= ln(2)/2; relative error 2^-63.8
-_EXPONENTIAL = (
-    0.16666666666666685,
-    0.041666666666666685,
-    0.008333333333315955,
-    0.001388888888887332,
-    0.00019841269898657093,
-    2.4801587349060595e-05,
-    2.7557232875898035e-06,
-    2.755725199229993e-07,
-    2.511265401198411e-08,
-    2.0921702372435563e-09,
+_EXPONENTIAL = halves(
+    (
+        0.16666666666666685,
+        0.041666666666666685,
+        0.008333333333315955,
+        0.001388888888887332,
+        0.00019841269898657093,
+        2.4801587349060595e-05,
+        2.7557232875898035e-06,
+        2.755725199229993e-07,
+        2.511265401198411e-08,
+        2.0921702372435563e-09,
+    )
 )
 # (2 atanh(s) - 2 s - 2 s^3/3)/s^5, of t = s^2, |s| <= (sqrt(2) - 1)^2; relative error 2^-66.2
 _LOGARITHM = (

@@ -1,7 +1,7 @@
 """Polynomials of a fixed number of coefficients, in ascending order: ``six(t, *COEFFICIENTS)``.
 
-Horner's rule, each step a single rounding; the longer ones as even and odd part, which halves the chain of operations
-that wait for one another (Knuth, The Art of Computer Programming, volume 2, section 4.6.4).
+Horner's rule, each step a single rounding; the longer ones as even and odd part, ``ten(t, *HALVES)``, which halves the
+chain of operations that wait for one another (Knuth, The Art of Computer Programming, volume 2, section 4.6.4).
 """
 
 from __future__ import annotations
@@ -27,22 +27,27 @@ def seven(t, a, b, c, d, e, f, g):
     return fma(six(t, b, c, d, e, f, g), t, a)
 
 
-@inlined
-def ten(t, a, b, c, d, e, f, g, h, i, j):
-    """a + b t + ... + j t^9."""
-    square = t * t
-    return fma(five(square, b, d, f, h, j), t, five(square, a, c, e, g, i))
+def halves(coefficients):
+    """The even and the odd coefficients, as `ten`, `eleven` and `twelve` take them."""
+    return tuple(coefficients[0::2]), tuple(coefficients[1::2])
 
 
 @inlined
-def eleven(t, a, b, c, d, e, f, g, h, i, j, k):
-    """a + b t + ... + k t^10."""
+def ten(t, even, odd):
+    """A polynomial of ten coefficients: five even ones, five odd ones."""
     square = t * t
-    return fma(five(square, b, d, f, h, j), t, six(square, a, c, e, g, i, k))
+    return fma(five(square, *odd), t, five(square, *even))
 
 
 @inlined
-def twelve(t, a, b, c, d, e, f, g, h, i, j, k, m):
-    """a + b t + ... + m t^11."""
+def eleven(t, even, odd):
+    """A polynomial of eleven coefficients: six even ones, five odd ones."""
     square = t * t
-    return fma(six(square, b, d, f, h, j, m), t, six(square, a, c, e, g, i, k))
+    return fma(five(square, *odd), t, six(square, *even))
+
+
+@inlined
+def twelve(t, even, odd):
+    """A polynomial of twelve coefficients: six even ones, six odd ones."""
+    square = t * t
+    return fma(six(square, *odd), t, six(square, *even))

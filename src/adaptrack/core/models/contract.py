@@ -11,6 +11,7 @@ from functools import lru_cache
 from typing import Any
 
 from ..kernel import Caller, columns, float64, matrix, vector, void
+from ..member import member
 
 MEASURED = columns(
     "vy", "yaw", "yaw_rate", "y", "wheel_angle",  # m/s, rad, rad/s, m, rad: the states of a model are some of these
@@ -29,6 +30,4 @@ call_discretise = Caller(DISCRETISE)
 @lru_cache(maxsize=64)
 def compile_model(function: Any) -> Any:
     """A user's function as a member of `DISCRETISE`."""
-    from ..member import member
-
     return member(function, DISCRETISE)

@@ -34,8 +34,16 @@ STATE = columns("vy", "yaw", "yaw_rate", "wheel_angle", "y", "side", "turn")
 STATES = 5
 """The first of `STATE`; the others are disturbances."""
 
-Turning = record("Turning", ("wheelbase", "understeer", "turning", "lr", "lag"))
-"""L (m), K (rad s^2/m), W (rad s^2/m), lr (m) and the steering's lag (s), see `controllers.feed_forward`."""
+Turning = record(
+    "Turning",
+    (
+        "wheelbase",  # m, L
+        "understeer", "turning",  # rad s^2/m, K and W
+        "lr",  # m
+        "lag",  # s, of the steering
+    ),
+)  # fmt: skip
+"""How a car turns in, see `controllers.feed_forward`."""
 _turning_of = viewer(Turning)
 _Q = columns("vy", "yaw_rate", "wheel_angle")
 _square, _column = local(len(_Q), 8), local(len(_Q))

@@ -10,6 +10,7 @@ import numpy as np
 
 from ..kernel import Caller, columns, exported, inlined, vector, void
 from ..maths.exact import clip
+from ..member import member
 from .contract import ADVANCE, ENVIRONMENT, INPUT, MOTION, OBSERVE, OBSERVED, STATE, CompiledPlant, input_at, state_at
 from .forces import wheel_angle
 
@@ -112,7 +113,5 @@ def compile_plant(function: Any, layout: Any = None) -> CompiledPlant:
 
     layout: of the record (`layout_of`) as which the function takes its parameters; None: they are a vector.
     """
-    from ..member import member
-
     own = member(function, RIGHT_HAND_SIDE, viewed=layout)
     return CompiledPlant(own, advance, observe, own)
