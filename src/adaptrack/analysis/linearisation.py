@@ -20,6 +20,7 @@ from adaptrack.cars.plant import DualTrack, Plant, SingleTrack, SteppedPlant
 from adaptrack.cars.vehicle import SteeringActuator
 from adaptrack.control.controllers import MPC
 from adaptrack.control.models import PredictionModel, laguerre_basis
+from adaptrack.core.models import contract
 from adaptrack.scenario.profile import Profile, load_profile
 
 Array = NDArray[np.float64]
@@ -311,8 +312,6 @@ def _held(flow: Array, period: float, delay: float) -> Array:
 
 def sensed() -> tuple[str, ...]:
     """What a controller is given at an instant, by name, see `core.models.contract.MEASURED`."""
-    from adaptrack.core.models import contract
-
     return tuple(name for name in contract.MEASURED._fields if name != "turned")  # it is known, not measured
 
 

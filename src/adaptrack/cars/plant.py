@@ -27,6 +27,10 @@ from adaptrack.base.errors import ContractError, InvalidInput, real
 from adaptrack.base.limits import STEPS, check_limit
 from adaptrack.base.registry import Registry
 from adaptrack.cars.vehicle import COMMONROAD, SteeringActuator, Tyre, Vehicle, load_tyre, pack_plant
+from adaptrack.core.plants import dual_track, single_track
+from adaptrack.core.plants.contract import INPUT, INPUTS, STATES
+from adaptrack.core.plants.tyre import tyre_law
+from adaptrack.core.plants.user import compile_plant, layout_of
 
 Array = NDArray[np.float64]
 
@@ -141,8 +145,6 @@ class _Car(Plant):
 
     @property
     def _law(self) -> int:
-        from adaptrack.core.plants.tyre import tyre_law
-
         return tyre_law(self.tyre.kind == "linear", self.tyre.curvature)
 
     def packed(self) -> Array:
@@ -178,8 +180,6 @@ class _Car(Plant):
         return max(1, math.ceil(period / 0.0125 - 1e-9), math.ceil(period * rate / 2.2 - 1e-9))
 
     def derivative(self, x: ArrayLike, u: ArrayLike, environment: ArrayLike) -> Array:
-        from adaptrack.core.plants.contract import INPUT, INPUTS, STATES
-
         n = len(self.state_names)
         state = np.zeros(STATES)
         state[:n] = _vector("x", x, n)
@@ -204,8 +204,6 @@ class SingleTrack(_Car):
 
     @property
     def compiled(self) -> Any:
-        from adaptrack.core.plants import single_track
-
         return single_track.compiled(self._law)
 
     @property
@@ -226,8 +224,6 @@ class DualTrack(_Car):
 
     @property
     def compiled(self) -> Any:
-        from adaptrack.core.plants import dual_track
-
         return dual_track.compiled(self._law)
 
     @property
@@ -290,8 +286,6 @@ class UserPlant(Plant):
     """of what else its motion depends on, such as a package: for the identity of what is tuned on it"""
 
     def __post_init__(self) -> None:
-        from adaptrack.core.plants.user import compile_plant, layout_of
-
         values = flattened(self.parameters)
         bad = [f"{key} = {value!r}" for key, value in values.items() if not _is_finite(value)]
         if bad:

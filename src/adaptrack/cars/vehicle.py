@@ -21,6 +21,7 @@ from adaptrack.base.shown import figure_of, html_of
 from adaptrack.cars.domain import Domain
 from adaptrack.cars.known_within import KnownWithin
 from adaptrack.cars.outline import FRONT_SHARE, LENGTH_OVER_WHEELBASE, WIDER_THAN_TRACK, Outline
+from adaptrack.core.plants.parameters import PLANT_PARAMETERS
 
 if TYPE_CHECKING:
     import numpy as np
@@ -429,8 +430,6 @@ def pack_plant(vehicle: Vehicle, tyre: Tyre, actuator: SteeringActuator) -> NDAr
         When the kernels ask for a parameter that this function does not give, or the other way round.
     """
     import numpy as np
-
-    from adaptrack.core.plants.parameters import PLANT_PARAMETERS
 
     s0, s1, s2 = tyre.stiffness_load_coefficients
     values = {

@@ -24,6 +24,10 @@ from adaptrack.base.registry import Registry
 from adaptrack.cars.plant import DualTrack, SingleTrack
 from adaptrack.cars.vehicle import SteeringActuator, Tyre, Vehicle, load_tyre, pack_plant
 from adaptrack.control.models import PredictionModel
+from adaptrack.core.estimators import friction_wind
+from adaptrack.core.estimators.contract import compile_estimator
+from adaptrack.core.estimators.friction_wind import ESTIMATOR_SETTINGS
+from adaptrack.core.period import Perceiving
 from adaptrack.scenario.profile import Profile, load_profile
 
 Array = NDArray[np.float64]
@@ -131,8 +135,6 @@ class UserEstimator(Estimator):
         self, estimate: Callable[..., None], *, parameters: Mapping[str, float] | None = None,
         memory_size: int | Callable[[int], int] = 0, label: str = "user",
     ) -> None:  # fmt: skip
-        from adaptrack.core.estimators.contract import compile_estimator
-
         self.name = label
         self.numbers = {key: real(f"UserEstimator {label!r}", key, value) for key, value in (parameters or {}).items()}
         self._memory_size = memory_size
@@ -366,8 +368,6 @@ class FrictionWindEstimator:
 
     def settings(self) -> Array:
         """Everything but the vehicle, see `core.estimators.friction_wind.ESTIMATOR_SETTINGS`."""
-        from adaptrack.core.estimators.friction_wind import ESTIMATOR_SETTINGS
-
         belief, step = self.belief, self.period / self.steps
         root = math.sqrt(step)
         values = {
@@ -397,9 +397,6 @@ class FrictionWindEstimator:
 
     def packed_for(self, slots: int) -> Any:
         """So many fresh estimators like this one, as `core.period.Perceiving`."""
-        from adaptrack.core.estimators import friction_wind
-        from adaptrack.core.period import Perceiving
-
         return Perceiving(self._packed, self._settings, friction_wind.Memory.new(slots))
 
     def reset(self, memory: Array | None = None) -> None:
@@ -407,8 +404,6 @@ class FrictionWindEstimator:
 
         memory: that of one of `packed_for`, whose steps are this one's from now on.
         """
-        from adaptrack.core.estimators import friction_wind
-
         self._kernel = friction_wind
         self._memory = friction_wind.Memory.new() if memory is None else memory
 

@@ -18,6 +18,7 @@ from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.vehicle import Vehicle, in_periods
 from adaptrack.control.estimation import Estimator
 from adaptrack.control.models import MEASURED, PathModel, PredictionModel
+from adaptrack.core.estimators.kalman import LEAST_NOISE, STATE, Numbers, kalman, memory_of, memory_size, move_path
 from adaptrack.scenario.profile import Profile
 
 Array = NDArray[np.float64]
@@ -146,8 +147,6 @@ class KalmanFilter(Estimator):
 
     @property
     def function(self) -> Any:
-        from adaptrack.core.estimators.kalman import kalman
-
         return kalman
 
     def check_fits(self, model: PredictionModel) -> None:
@@ -155,18 +154,12 @@ class KalmanFilter(Estimator):
             raise InvalidInput(f"estimator 'kalman': needs the path model, and model {model.name!r} is another one.")
 
     def memory_size(self, model: PredictionModel) -> int:
-        from adaptrack.core.estimators.kalman import memory_size
-
         return int(memory_size(self._longest(model), self.late(model)))
 
     def change_path(self, model: PredictionModel, memory: Array, heading: float, offset: float) -> None:
-        from adaptrack.core.estimators.kalman import move_path
-
         move_path(memory, self.late(model), heading, offset)
 
     def left_out(self, memory: Array) -> str | None:
-        from adaptrack.core.estimators.kalman import memory_of
-
         out = int(memory_of(memory, 0).left_out)
         return SENSORS[out - 1] if out else None
 
@@ -180,8 +173,6 @@ class KalmanFilter(Estimator):
 
     def variances(self) -> Array:
         """(6,) of what `SENSORS` give; inf: none."""
-        from adaptrack.core.estimators.kalman import LEAST_NOISE
-
         noise = [getattr(self.noise, name) for name in SENSORS]
         return np.maximum(noise, LEAST_NOISE) ** 2
 
@@ -200,8 +191,6 @@ class KalmanFilter(Estimator):
         return self.friction, self.shape
 
     def parameters(self, model: PredictionModel) -> Array:
-        from adaptrack.core.estimators.kalman import STATE, Numbers
-
         assert isinstance(model, PathModel)
         whole, share = _periods(model)
         forgetting, regaining = self.shares(model.period)

@@ -20,6 +20,9 @@ from adaptrack.base.checked import Finite, Hint, NotNegative, Positive, checked
 from adaptrack.base.errors import ContractError, InvalidInput
 from adaptrack.base.registry import Registry
 from adaptrack.cars.vehicle import Vehicle
+from adaptrack.core.controllers import condensing
+from adaptrack.core.models import path, single_track
+from adaptrack.core.models.contract import compile_model
 
 Array = NDArray[np.float64]
 
@@ -105,8 +108,6 @@ class PredictionModel(ABC):
 
         of_next: F of the next increment of the state, which an estimator gives, not of the last one.
         """
-        from adaptrack.core.controllers import condensing
-
         a, b, c = self.discrete(speed)
         free, step = np.ones((self.n + 1, horizon)), np.empty(horizon)
         model = condensing.discrete(a, b[:, 0].copy(), c[0].copy())
@@ -206,15 +207,11 @@ class SingleTrackModel(PredictionModel):
         return "single-track"
 
     def parameters(self) -> Array:
-        from adaptrack.core.models.single_track import Parameters
-
-        return np.array([getattr(self.vehicle, name) for name in Parameters._fields], dtype=float)
+        return np.array([getattr(self.vehicle, name) for name in single_track.Parameters._fields], dtype=float)
 
     @property
     def function(self) -> Any:
-        from adaptrack.core.models.single_track import discretise
-
-        return discretise
+        return single_track.discretise
 
     def continuous(self, speed: float) -> tuple[Array, Array, Array]:
         """Eq. (7): A_c (4, 4), B_c (4, 1), C_c (1, 4) at a longitudinal speed (m/s)."""
@@ -268,22 +265,16 @@ class PathModel(PredictionModel):
         return ("vy", "yaw", "yaw_rate", *(("wheel_angle",) if self.lag > 0.0 else ()), "y")
 
     def parameters(self) -> Array:
-        from adaptrack.core.models.path import Parameters
-
-        known = [getattr(self.vehicle, name) for name in Parameters._fields if name != "lag"]
+        known = [getattr(self.vehicle, name) for name in path.Parameters._fields if name != "lag"]
         return np.array([*known, self.lag], dtype=float)
 
     @property
     def function(self) -> Any:
-        from adaptrack.core.models.path import discretise
-
-        return discretise
+        return path.discretise
 
     def turning(self) -> Array:
-        from adaptrack.core.models.path import write_turning
-
         found = np.zeros(5)
-        write_turning(self.parameters(), found)
+        path.write_turning(self.parameters(), found)
         return found
 
     def continuous(self, speed: float) -> tuple[Array, Array]:
@@ -336,8 +327,6 @@ class UserModel(PredictionModel):
         period: Annotated[Positive, "s"] = 0.1,
         label: str = "user",
     ) -> None:
-        from adaptrack.core.models.contract import compile_model
-
         self.label, self.states = label, tuple(states)
         where = f"UserModel {label!r}"
         unknown = [name for name in self.states if name not in MEASURED]
@@ -441,10 +430,8 @@ def check_model(model: PredictionModel, speeds: Sequence[float] = (2.0, 10.0, 30
 
 def laguerre_basis(Np: int, terms: int, pole: float) -> Array:
     """L (Np, terms): the first discrete Laguerre functions with `pole` in [0, 1), one in each column."""
-    from adaptrack.core.controllers.condensing import laguerre_moves
-
     rows = np.zeros((terms, Np))
-    laguerre_moves(Np, terms, pole, rows)
+    condensing.laguerre_moves(Np, terms, pole, rows)
     return rows.T.copy()
 
 

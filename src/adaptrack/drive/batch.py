@@ -16,6 +16,13 @@ from numpy.typing import ArrayLike, NDArray
 from adaptrack.base.errors import InvalidInput, MissingExtra
 from adaptrack.cars.plant import DualTrack, Plant, SingleTrack
 from adaptrack.control.controllers import MPC, CompiledController, CompiledScheduler, Controller
+from adaptrack.core import guard as guard_kernel
+from adaptrack.core import period as period_kernel
+from adaptrack.core import rollout
+from adaptrack.core.controllers import mpc as kernel
+from adaptrack.core.kernel import Resident
+from adaptrack.core.plants.contract import SLOTS, vehicle_batch
+from adaptrack.core.schedule import no_schedule
 from adaptrack.drive.failure import Failure
 from adaptrack.drive.world import Driver, KnownAs, World, reason_of
 from adaptrack.road.ahead import pack_roads
@@ -248,10 +255,9 @@ class Batch:
         """The MPC's settings with a workspace no larger than horizons up to these need; tiny for other controllers."""
         if isinstance(self.controller, MPC):
             return self.controller.settings(longest, most, residuals)
-        from adaptrack.core.controllers.mpc import settings
-
-        return settings(period=self.world.period, longest_horizon=1, most_moves=1, output_min=-np.inf,
-                        output_max=np.inf)  # fmt: skip
+        return kernel.settings(
+            period=self.world.period, longest_horizon=1, most_moves=1, output_min=-np.inf, output_max=np.inf
+        )
 
     def arena(
         self, slots: int, steps: int, mpc_settings: Any, segments: int = 0, periods: int = 0,
@@ -261,11 +267,6 @@ class Batch:
 
         segments: of each run; periods: to trace, 0 for no trace.
         """
-        from adaptrack.core import period, rollout
-        from adaptrack.core.controllers import mpc as kernel
-        from adaptrack.core.plants.contract import vehicle_batch
-        from adaptrack.core.schedule import no_schedule
-
         own, plant = self.controller, self.world.plant
         assert isinstance(plant, Plant)
         if isinstance(own, CompiledController):
@@ -281,11 +282,11 @@ class Batch:
             functions = own.functions
             width = mpc.answer.shape[1]
         loop = self.world.loop(
-            period.Given(self.samples, self.roads, np.zeros(slots, np.int64), np.zeros(slots, np.int64)),
+            period_kernel.Given(self.samples, self.roads, np.zeros(slots, np.int64), np.zeros(slots, np.int64)),
             vehicle_batch(plant.compiled, plant.packed(), np.zeros((slots, self.starts.shape[1]))),
             self.settings[steps],
             variables=scheduler is not None,
-            trace=period.traces(slots, periods, width) if periods else None,
+            trace=period_kernel.traces(slots, periods, width) if periods else None,
         )
         features = loop.features._replace(law=isinstance(own, CompiledController))
         loop = loop._replace(features=features, measured=mpc.measured, segments=np.zeros((slots, segments)))
@@ -303,8 +304,6 @@ class Batch:
 
         A plant of one's own is advanced slot by slot: its runs are shared evenly among the threads.
         """
-        from adaptrack.core.plants.contract import SLOTS
-
         found = []
         for steps in self.settings:
             for n in np.unique(self.periods):
@@ -333,13 +332,11 @@ class Batch:
         traced: keep what happened at every control instant, about 200 bytes for each of a run; segment: periods of a
         segment whose cost is asked for, with `weight` (m^2/rad^2) on the squared moves; 0: none.
         """
-        from adaptrack.core import guard, period
-
         runs, n = len(which), int(self.periods.max())
         plan = _Plan(which, tunings, seeds, segment, weight, n if traced else 0, scheduler)
         longest = (math.inf, math.inf) if traced else self.longest(tunings, scheduler)
         settings = self.mpc_settings(*longest, residuals=traced)
-        result, counts = period.RESULT.new(runs), np.zeros((len(guard.COUNTS), runs), np.int64)
+        result, counts = period_kernel.RESULT.new(runs), np.zeros((len(guard_kernel.COUNTS), runs), np.int64)
         segments = np.full((runs, math.ceil(n / segment) if segment else 0), np.nan)
         traces: list[tuple[NDArray[np.int64], Any]] = []
         waiting: queue.SimpleQueue[NDArray[np.int64]] = queue.SimpleQueue()
@@ -359,7 +356,7 @@ class Batch:
                 if traced:
                     traces.append((chunk, done.trace))
                 if scheduler is not None:
-                    counts[:, chunk] = [done.schedule.memory[name] for name in guard.COUNTS]
+                    counts[:, chunk] = [done.schedule.memory[name] for name in guard_kernel.COUNTS]
 
         workers = max(1, min(threads, len(chunks)))
         if workers == 1:
@@ -368,17 +365,14 @@ class Batch:
             with ThreadPoolExecutor(workers) as pool:
                 for future in [pool.submit(work) for _ in range(workers)]:
                     future.result()
-        named = {} if scheduler is None else dict(zip(guard.COUNTS, counts, strict=True))
-        return BatchRuns(result, _joined(traces, runs) if traces else period.no_trace(), named, segments)
+        named = {} if scheduler is None else dict(zip(guard_kernel.COUNTS, counts, strict=True))
+        return BatchRuns(result, _joined(traces, runs) if traces else period_kernel.no_trace(), named, segments)
 
     def _drive(self, chunk: NDArray[np.int64], plan: _Plan, mpc_settings: Any, last: Any) -> Any:
         """Drive the runs of one chunk; the `core.rollout.Run` that they leave.
 
         last: that of a chunk before, None: none; its arrays are used again where they fit and nothing in them is kept.
         """
-        from adaptrack.core import period, rollout
-        from adaptrack.core.kernel import Resident
-
         which, size = plan.which[chunk], len(chunk)
         n = int(self.periods[which[0]])
         segments = math.ceil(n / plan.segment) if plan.segment else 0
@@ -391,7 +385,7 @@ class Batch:
         run.vehicles.start[:], run.tuning[:] = self.starts[which], plan.tunings[chunk]
         place = Resident(run)
         rollout.begin(size, place)
-        rollout.rollout(period.Span(n, size, plan.segment, plan.weight), place)
+        rollout.rollout(period_kernel.Span(n, size, plan.segment, plan.weight), place)
         return run
 
 

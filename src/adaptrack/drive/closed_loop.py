@@ -17,6 +17,11 @@ from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.plant import SteppedPlant
 from adaptrack.control.estimation import FrictionWindEstimator
 from adaptrack.control.scheduling.variables import SchedulingVariables
+from adaptrack.core import loop as loop_kernel
+from adaptrack.core import period as period_kernel
+from adaptrack.core.kernel import Resident
+from adaptrack.core.plants import contract, stepped
+from adaptrack.core.plants.contract import place, vehicle_batch
 from adaptrack.drive.world import World, reason_of
 from adaptrack.road.ahead import RoadAhead, pack_roads
 from adaptrack.scenario import RoadDrive, Scenario
@@ -31,8 +36,6 @@ class _SteppedVehicle:
     """A stepped plant behind the loop's steering actuator; its motion is kept in slot 0 of a batch."""
 
     def __init__(self, world: World, start: Array) -> None:
-        from adaptrack.core.plants import contract, stepped
-
         assert isinstance(world.plant, SteppedPlant)
         self._plant, self._steering = world.plant, world.steering
         self._mass = world.plant.powertrain["mass"]
@@ -96,14 +99,10 @@ class ClosedLoop:
     """
 
     def __init__(self, world: World, scenario: Scenario | RoadDrive, seed: int, traced: bool = False) -> None:
-        from adaptrack.core import loop, period
-        from adaptrack.core.kernel import Resident
-        from adaptrack.core.plants.contract import place, vehicle_batch
-
-        self._loop, self._period, self.world = loop, period, world
+        self.world = world
         self.signals = scenario.sample(world.period)
         self.road: Any = getattr(scenario, "road", None)
-        given = period.Given(
+        given = period_kernel.Given(
             world.samples(self.signals, 0)[None], pack_roads([self.road]), np.zeros(1, np.int64), np.array([seed])
         )
         start, n = world.start(scenario, self.signals), self.signals.n
@@ -116,13 +115,13 @@ class ClosedLoop:
         place(1, vehicles.start, vehicles.block, vehicles.states)
         self.run = world.loop(
             given, vehicles, world.settings(world.substeps(float(self.signals.speed.max()))),
-            variables=True, trace=period.traces(1, n, 0) if traced else None,
+            variables=True, trace=period_kernel.traces(1, n, 0) if traced else None,
         )  # fmt: skip
         if isinstance(world.known_as, FrictionWindEstimator):
             world.known_as.reset(self.run.perceiving.memory)
-        self.place, self._span = Resident(self.run), Resident(period.Span(n, 1, 0, 0.0))
+        self.place, self._span = Resident(self.run), Resident(period_kernel.Span(n, 1, 0, 0.0))
         """the run as kernels take it"""
-        self._own, self._references = self.run.memory.own[0], given.signals[0, loop.SIGNAL.y_ref]
+        self._own, self._references = self.run.memory.own[0], given.signals[0, loop_kernel.SIGNAL.y_ref]
 
     @property
     def instant(self) -> int:
@@ -142,14 +141,14 @@ class ClosedLoop:
     @property
     def ended(self) -> bool:
         """Whether the run has failed before its end."""
-        return bool(self._own.ended != self._loop.RUNNING)
+        return bool(self._own.ended != loop_kernel.RUNNING)
 
     def sense(self) -> Sensed:
         """Judge the run at this instant; what sensors give, of a car whose state is not finite what they gave before.
 
         The instant at the end of the last period is not judged: a car that never came near its reference has failed.
         """
-        self._period.sense_one(self._span, self.place)
+        period_kernel.sense_one(self._span, self.place)
         variables = SchedulingVariables(*self.run.variables.tolist())
         return Sensed(self.run.measured, float(self._own.speed), self._references[self.instant :], variables)
 
@@ -162,26 +161,26 @@ class ClosedLoop:
         """Send a command (rad); False when it is not finite, which ends the run."""
         own = self._own
         if math.isfinite(command):
-            self._period.send_one(command, command - own.command, self._span, self.place)
+            period_kernel.send_one(command, command - own.command, self._span, self.place)
             return True
-        own.ended, own.ended_at = self._loop.NOT_FINITE, own.instant * self.world.period
+        own.ended, own.ended_at = loop_kernel.NOT_FINITE, own.instant * self.world.period
         return False
 
     def advance(self) -> None:
         """Move on to the next instant."""
         if self._stepped is None:
-            self._period.move_one(self.place)
+            period_kernel.move_one(self.place)
             return
-        (before, after), period = self._period.substeps_of(self.place), self.world.period
+        (before, after), period = period_kernel.substeps_of(self.place), self.world.period
         share = float(self.run.settings.dead_share)
         if before:
             self._stepped.advance(before, share * period / before)
-            self._period.change_command_of_one(self.place)
+            period_kernel.change_command_of_one(self.place)
         self._stepped.advance(after, (1.0 - share) * period / after)
 
     def failure(self) -> tuple[str | None, float]:
         """Why a run that is over has failed and when (s); None and NaN when it came to its end."""
-        self._period.close_one(self.place)
+        period_kernel.close_one(self.place)
         return failure_of(int(self._own.ended), float(self._own.ended_at))
 
 

@@ -22,6 +22,9 @@ from adaptrack.base.checked import Natural, checked
 from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.plant import Plant, SteppedPlant
 from adaptrack.control.controllers import MPC, CompiledController, Controller, command_of
+from adaptrack.control.qp import QPStatus
+from adaptrack.core.models.contract import MEASURED
+from adaptrack.core.plants.contract import STATE
 from adaptrack.drive.batch import Batch, BatchRuns
 from adaptrack.drive.closed_loop import ClosedLoop, failure_of
 from adaptrack.drive.failure import DISTANCE, Failure
@@ -94,8 +97,6 @@ def simulate(
     InvalidInput
         When an argument does not fit the others.
     """
-    from adaptrack.core.models.contract import MEASURED
-
     world = World.of(plant, controller, profile, driver, known_as, failure)
     _refuse_nonsense(scenario)
     loop = ClosedLoop(world, scenario, seed, traced=True)
@@ -205,8 +206,6 @@ def _named(names: tuple[str, ...], columns: Array, driven: NDArray[np.bool_]) ->
     for name, values in zip(names, columns.T, strict=True):
         found[name] = np.nan_to_num(values, nan=0.0).astype(np.int64) if name in _WHOLE else values.copy()
         if name == "qp_status" and not driven.all():
-            from adaptrack.control.qp import QPStatus
-
             found[name][~driven] = QPStatus.NON_FINITE
     return found
 
@@ -220,8 +219,6 @@ def _learned(world: World, controller: Controller) -> dict[str, Any]:
 def _trajectory(
     world: World, controller: Controller, scenario: Scenario | RoadDrive, signals: Signals, seed: int, record: _Recorder
 ) -> Trajectory:
-    from adaptrack.core.plants.contract import STATE
-
     n, state, plant = signals.n, record.state, world.plant
     driven = np.isfinite(record.command[:, 0])
     described = controller.describe()

@@ -21,6 +21,10 @@ from adaptrack.cars.vehicle import SteeringActuator, in_periods
 from adaptrack.control.controllers import MPC, Controller
 from adaptrack.control.estimation import FrictionWindEstimator, Perception
 from adaptrack.control.scheduling.variables import reference_preview
+from adaptrack.core import loop as loop_kernel
+from adaptrack.core import period as period_kernel
+from adaptrack.core.models.contract import MEASURED
+from adaptrack.core.variables import VARIABLES
 from adaptrack.drive.failure import Failure, Reason
 from adaptrack.scenario import RoadDrive, Scenario, Signals
 from adaptrack.scenario.profile import SENSING, Profile, load_profile
@@ -122,10 +126,8 @@ class World:
 
     def settings(self, substeps: int) -> Any:
         """`core.loop.SETTINGS`; without a driver the speed follows its profile exactly."""
-        from adaptrack.core import loop
-
         profile, driver, steering = self.profile, self.driver, self.steering
-        return loop.SETTINGS(
+        return loop_kernel.SETTINGS(
             period=self.period,
             substeps=substeps,
             prescribed_speed=driver is None,
@@ -153,28 +155,24 @@ class World:
         given: `core.period.Given`; variables: whether somebody looks at the scheduling variables; trace: as
         `core.period.traces`, None for none.
         """
-        from adaptrack.core import loop, period
-        from adaptrack.core.models.contract import MEASURED
-        from adaptrack.core.variables import VARIABLES
-
         slots, oldest = len(vehicles.start), self.profile.oldest
         past = math.ceil(oldest / self.period) + 2 if oldest > 0.0 else 0
         known = self.known_as if variables and isinstance(self.known_as, FrictionWindEstimator) else None
-        return period.Loop(
+        return period_kernel.Loop(
             settings=settings,
-            features=period.Features(
+            features=period_kernel.Features(
                 late=past > 0, variables=variables, estimates=known is not None, traces=trace is not None, law=0
             ),
             vehicles=vehicles,
             given=given,
-            perceiving=period.no_estimator() if known is None else known.packed_for(slots),
+            perceiving=period_kernel.no_estimator() if known is None else known.packed_for(slots),
             measured=np.zeros(len(MEASURED)),
             variables=np.zeros(len(VARIABLES)),
-            memory=loop.memory(slots, self.dead_periods[0], past),
-            result=period.RESULT.new(slots),
+            memory=loop_kernel.memory(slots, self.dead_periods[0], past),
+            result=period_kernel.RESULT.new(slots),
             ceiling=np.full(slots, np.nan),
             segments=np.zeros((slots, 0)),
-            trace=period.no_trace() if trace is None else trace,
+            trace=period_kernel.no_trace() if trace is None else trace,
         )
 
     def samples(self, signals: Signals, number: int) -> Array:
@@ -220,11 +218,9 @@ def _refuse_missing_sensors(controller: Controller, profile: Profile) -> None:
 
 def reason_of(ended: int) -> str | None:
     """The name of what ended a run early; None for a run that came to its end, or that was stopped for its cost."""
-    from adaptrack.core import loop
-
     return {
-        loop.OFF_ROAD: Reason.OFF_ROAD.value,
-        loop.NEVER_ARRIVED: Reason.OFF_ROAD.value,
-        loop.SPUN: Reason.SPUN.value,
-        loop.NOT_FINITE: Reason.NOT_FINITE.value,
+        loop_kernel.OFF_ROAD: Reason.OFF_ROAD.value,
+        loop_kernel.NEVER_ARRIVED: Reason.OFF_ROAD.value,
+        loop_kernel.SPUN: Reason.SPUN.value,
+        loop_kernel.NOT_FINITE: Reason.NOT_FINITE.value,
     }.get(ended)

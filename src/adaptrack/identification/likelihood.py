@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.vehicle import Vehicle
+from adaptrack.core import identification as kernel
 from adaptrack.identification.log import Log
 from adaptrack.identification.quantities import INDEX, PUSH_TIME, QUANTITIES, SHAPE, Prior, values_of
 
@@ -42,8 +43,6 @@ class Likelihood:
 
     def __init__(self, log: Log, car: Vehicle, beliefs: Mapping[str, Prior], seen: Array | None = None) -> None:
         """seen: (n,) 1 where a sample is taken in and counts; all when left out."""
-        from adaptrack.core import identification as kernel
-
         self._kernel = kernel
         self.log, self.car = log, car
         self.median = np.array([beliefs[each.name].median for each in QUANTITIES])

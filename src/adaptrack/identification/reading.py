@@ -17,6 +17,8 @@ from numpy.typing import NDArray
 from adaptrack.base.arguments import reals
 from adaptrack.base.errors import InvalidInput, did_you_mean
 from adaptrack.base.files import read_bytes
+from adaptrack.drive.trajectory import FORMAT, Trajectory
+from adaptrack.scenario.profile import list_profiles, load_profile
 
 Array = NDArray[np.float64]
 
@@ -183,8 +185,6 @@ def _parquet(path: Path, content: bytes) -> tuple[dict[str, Array], float]:
     import pyarrow
     import pyarrow.parquet
 
-    from adaptrack.drive.trajectory import FORMAT, Trajectory
-
     try:
         table = pyarrow.parquet.read_table(io.BytesIO(content))
     except (pyarrow.ArrowException, OSError) as error:
@@ -199,8 +199,6 @@ def _parquet(path: Path, content: bytes) -> tuple[dict[str, Array], float]:
 
 def _computation(run: object) -> float:
     """s, delay of the profile that a trajectory was driven in, where it is a shipped one."""
-    from adaptrack.scenario.profile import list_profiles, load_profile
-
     name = getattr(run, "meta", {}).get("profile")
     return load_profile(name).delay * float(getattr(run, "period", 0.0)) if name in list_profiles() else 0.0
 

@@ -17,7 +17,8 @@ from adaptrack.scenario.signals import Signals, instants
 from adaptrack.scenario.surroundings import PolarWind, Wind, as_wind
 
 if TYPE_CHECKING:
-    from adaptrack.road import Road, SpeedPlan
+    from adaptrack.road.road import Road
+    from adaptrack.road.speed import SpeedPlan
 
 
 @checked
@@ -53,8 +54,8 @@ class RoadDrive:
     """the road's, when empty"""
 
     def __post_init__(self) -> None:
-        from adaptrack.road import Road, SpeedPlan
-        from adaptrack.road.speed import constant_speed
+        from adaptrack.road.road import Road  # here: who loads a scenario without a road loads no roads
+        from adaptrack.road.speed import SpeedPlan, constant_speed
 
         if not isinstance(self.road, Road):
             raise InvalidInput(f"RoadDrive: road = {self.road!r}: must be a Road; load_road(file) gives one.")

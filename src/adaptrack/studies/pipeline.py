@@ -19,6 +19,7 @@ from adaptrack import __version__
 from adaptrack.base.errors import InvalidInput, StorageError
 from adaptrack.base.files import write_atomically
 from adaptrack.control.scheduling import Schedule, load_scheduler
+from adaptrack.core.library import kernels_hash
 
 Progress = Callable[[str, int, int], None]
 """Called with what is being done, and how many steps of how many are."""
@@ -87,8 +88,6 @@ def software() -> dict[str, str]:
 
 def kernel_hash() -> str:
     """The hash of the kernels that drive runs."""
-    from adaptrack.core.library import kernels_hash
-
     return kernels_hash()
 
 

@@ -31,6 +31,7 @@ from adaptrack import __version__
 from adaptrack.base.checked import Count, checked
 from adaptrack.base.errors import AdaptrackError, ContractError, InvalidInput, MissingExtra, StorageError
 from adaptrack.tuning.config import STANDARD, CampaignConfig, Plan, Setup
+from adaptrack.tuning.evaluator import EvaluatedLoop
 from adaptrack.tuning.operating_points import NAMES
 from adaptrack.tuning.store import COLUMNS, FORMAT_VERSION, Columns, Folder
 
@@ -48,8 +49,6 @@ _DASK_ADDRESS = re.compile(r"(?:[a-z]+://)?(?:[^\s:/\[\]]+|\[[0-9A-Fa-f:.]+\]):(
 
 def closed_loop(setup: Setup) -> Evaluator:
     """The evaluator of campaigns: the compiled closed loop that `setup` describes."""
-    from adaptrack.tuning.evaluator import EvaluatedLoop
-
     return EvaluatedLoop(setup)
 
 

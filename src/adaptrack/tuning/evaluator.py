@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from adaptrack.cars.plant import DualTrack, SingleTrack, fingerprint
 from adaptrack.control.controllers import MPC, Tuning, published_mpc
+from adaptrack.core.library import kernels_hash
 from adaptrack.scenario.profile import load_profile
 from adaptrack.tuning.config import Setup
 from adaptrack.tuning.objective import Objective
@@ -93,8 +94,6 @@ class EvaluatedLoop:
 
     def versions(self) -> dict[str, str]:
         """The kernels' own hash, and the libraries that have a say in the numbers."""
-        from adaptrack.core.library import kernels_hash
-
         plant = self.objective.plant
         own = {} if isinstance(plant, SingleTrack | DualTrack) else {"plant": fingerprint(plant)}
         return {

@@ -17,6 +17,11 @@ from adaptrack.base.checked import checked
 from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.plant import Plant, SteppedPlant
 from adaptrack.control.controllers import MPC
+from adaptrack.core import swarm as rules
+from adaptrack.core import tune as kernels
+from adaptrack.core.kernel import Resident
+from adaptrack.core.period import Span
+from adaptrack.core.plants.contract import SLOTS
 from adaptrack.drive.batch import Batch
 from adaptrack.drive.failure import Failure
 from adaptrack.scenario import Scenario, load_scenario
@@ -92,9 +97,6 @@ class Objective:
 
     def costs(self, point: ArrayLike, tunings: ArrayLike) -> Array:
         """J of each of the tunings (n, 4) on one operating point, (n,); inf where a run failed."""
-        from adaptrack.core import tune as kernels
-        from adaptrack.core.plants.contract import SLOTS
-
         asked = np.array(tunings, dtype=np.float64, ndmin=2)
         if isinstance(self.plant, SteppedPlant):
             return self._simulated_costs(point, asked)
@@ -118,10 +120,6 @@ class Objective:
         space: SearchSpace | None = None,
     ) -> Tuned:
         """The best tuning that one swarm finds on an operating point; its random numbers are those of its stream."""
-        from adaptrack.core import swarm as rules
-        from adaptrack.core import tune as kernels
-        from adaptrack.core.plants.contract import SLOTS
-
         swarm, space = swarm or SwarmSettings(), space or SearchSpace.tuning()
         if isinstance(self.plant, SteppedPlant):
             return self._searched(point, Swarm(space, swarm, seed=seed, stream=stream))
@@ -155,10 +153,6 @@ class Objective:
 
     def _trial(self, point: ArrayLike, slots: int, longest: float, most: float) -> tuple[Any, Any]:
         """`core.tune.Trial` for up to `slots` tunings with horizons up to these; before it, its runs."""
-        from adaptrack.core import tune as kernels
-        from adaptrack.core.kernel import Resident
-        from adaptrack.core.period import Span
-
         assert isinstance(self.plant, Plant)
         batch = Batch(self.plant, self.mpc, [self.scenario(point)], self.profile, failure=self.failure)
         run = batch.arena(slots, int(batch.substeps[0]), batch.mpc_settings(longest, most, residuals=False))

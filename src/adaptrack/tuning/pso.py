@@ -27,6 +27,7 @@ from adaptrack.base.checked import Natural, checked
 from adaptrack.base.errors import InvalidInput
 from adaptrack.base.files import LISTED, Record
 from adaptrack.core import swarm as kernel
+from adaptrack.core.swarm import decode
 
 Array = NDArray[np.float64]
 
@@ -133,8 +134,6 @@ class SearchSpace(Record):
 
     def values(self, x: Array) -> Array:
         """What positions of the swarm, (..., dims), stand for: powers of ten where it searches by decades."""
-        from adaptrack.core.swarm import decode
-
         rows = np.ascontiguousarray(x, dtype=float).reshape(-1, self.dims)
         found = np.empty_like(rows)
         decode(len(rows), self.packed(), rows, found)

@@ -28,6 +28,7 @@ from adaptrack.cars.plant import DualTrack, Plant, SingleTrack, SteppedPlant
 from adaptrack.control.controllers import MPC, CompiledController, Controller, Tuning
 from adaptrack.control.estimation import FrictionWindEstimator, Perception
 from adaptrack.control.scheduling import Schedule
+from adaptrack.core.loop import SIGNAL
 from adaptrack.drive.batch import Batch, called_back, sampled
 from adaptrack.drive.failure import Failure
 from adaptrack.drive.metrics import PUBLISHED
@@ -275,8 +276,6 @@ def _compiles(controller: Controller) -> bool:
 
 def _scheduling_variables(samples: Array) -> Array:
     """What a scheduler looks at in every period of each run, with an offset of zero."""
-    from adaptrack.core.loop import SIGNAL
-
     rows = samples[:, :, :-1]
     seen = ("speed", "y_ref", "known_friction", "known_wind", "change", "acceleration")
     columns = [rows[:, getattr(SIGNAL, name)] for name in seen]

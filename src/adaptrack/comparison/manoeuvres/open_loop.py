@@ -16,6 +16,7 @@ from adaptrack.base.errors import InvalidInput, real
 from adaptrack.base.limits import DURATION, SPEED, check_limit
 from adaptrack.cars.plant import Plant, SteppedPlant, steps_in
 from adaptrack.cars.vehicle import SteeringActuator, Vehicle
+from adaptrack.core.plants.contract import INPUT, INPUTS, SLOTS, STATES, place, vehicle_batch
 from adaptrack.drive.path_metrics import STEERING_RATIO
 
 Array = NDArray[np.float64]
@@ -146,8 +147,6 @@ def _drive_compiled(
 
     angles: at the instants (runs, n), and held between them (runs, n - 1).
     """
-    from adaptrack.core.plants.contract import INPUT, INPUTS, SLOTS, STATES, place, vehicle_batch
-
     still = plant.with_steering(SteeringActuator.ideal())
     now, held = angles
     runs, n = now.shape

@@ -19,6 +19,8 @@ from adaptrack.cars.vehicle import SteeringActuator, Tyre, Vehicle
 from adaptrack.control.controllers.belief import Belief, Uncertainty
 from adaptrack.control.kalman import Drifts, KalmanFilter, wind_turn
 from adaptrack.control.models import PathModel
+from adaptrack.core.estimators import learning as kernel
+from adaptrack.core.estimators.learning import Numbers, memory_of
 
 Array = NDArray[np.float64]
 
@@ -278,8 +280,6 @@ class Learner:
 
     def parameters(self) -> Array:
         """As `core.estimators.learning.Numbers` has them."""
-        from adaptrack.core.estimators.learning import Numbers
-
         own, car, period = self.own, self.car, self.period
         drifts = {
             "drift_wind": own.wind, "drift_bias": own.drift_bias, "drift_stiffness": own.drift_stiffness,
@@ -314,16 +314,12 @@ class Learner:
 
     def _priors(self) -> dict[str, float]:
         """Standard deviations before the first sample, as the learner is given them."""
-        from adaptrack.core.estimators.learning import memory_of
-
         beliefs = memory_of(self.fresh(), 0).beliefs
         names = ("lag", "dead_time", "delay", "stiffness", "balance", "bias")
         return {f"prior_{name}": float(beliefs[f"belief_{name}_sigma"]) for name in names}
 
     def fresh(self) -> Array:
         """The learner's memory before the first sample."""
-        from adaptrack.core.estimators import learning as kernel
-
         pairs, start, own = self.hypotheses, self.own.start, self.own
         memory = np.zeros(kernel.memory_size(self.kept, len(pairs)))
         variances = self.sensing.variances()
@@ -354,8 +350,6 @@ class Learner:
 
     def _write_beliefs(self, memory: Array, x: Array, spread: Array) -> None:
         """The belief before the first sample."""
-        from adaptrack.core.estimators import learning as kernel
-
         pairs = self.hypotheses
         lag, dead = pairs.mean(axis=0)
         cov = np.cov(pairs.T, ddof=0) + np.diag(np.square(self.grains))
@@ -383,16 +377,12 @@ class Learner:
 
     def model(self) -> PathModel:
         """The model that the controller begins with."""
-        from adaptrack.core.estimators.learning import memory_of
-
         beliefs = memory_of(self.fresh(), 0).beliefs
         dead_time = float(beliefs.used_dead_time) + self.computation
         return PathModel(self.car, self.period, float(beliefs.used_lag), dead_time)
 
     def dead_time(self, memory: Array) -> float:
         """From an instant until its command begins to act (s), as a memory believes."""
-        from adaptrack.core.estimators.learning import memory_of
-
         # added and divided as the kernel does
         delay_steps = (float(memory_of(memory, 0).beliefs.used_dead_time) + self.computation) / self.period
         return delay_steps * self.period
@@ -417,16 +407,12 @@ class Learner:
 
     def again(self, memory: Array) -> Array:
         """A memory before the first step of another drive."""
-        from adaptrack.core.estimators.learning import memory_of
-
         fresh = memory.copy()
         memory_of(fresh, 0).count = 0.0
         return fresh
 
     def learned(self, memory: Array) -> LearnedCar:
         """What a memory holds."""
-        from adaptrack.core.estimators import learning as kernel
-
         found = kernel.memory_of(memory, 0)
         known: dict[str, Any] = {name.removeprefix("belief_"): float(found.beliefs[name]) for name in kernel.BELIEFS}
         kept = {name: known[name] for name in LearnedCar.model_fields if name in known}

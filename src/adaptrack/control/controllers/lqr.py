@@ -23,6 +23,7 @@ from adaptrack.control.controllers.base import (
     steering_delay,
 )
 from adaptrack.control.controllers.limits import Limits
+from adaptrack.core.controllers import lqr as kernel
 
 SPEEDS = np.geomspace(1.0, 60.0, 21)
 """m/s, where gains are computed; between them they are interpolated over log v."""
@@ -69,8 +70,6 @@ class LQR(CompiledController):
         limits: Limits | None = None,
         preview: bool = False,
     ) -> None:
-        from adaptrack.core.controllers import lqr as kernel
-
         self.vehicle = known_vehicle("LQR", vehicle)
         self.tuning_names, self.diagnostic_names = kernel.TUNING, kernel.DIAGNOSTICS
         self.memory_size = kernel.MEMORY
@@ -95,9 +94,7 @@ class LQR(CompiledController):
 
     @property
     def function(self) -> Any:
-        from adaptrack.core.controllers.lqr import lqr
-
-        return lqr
+        return kernel.lqr
 
     def own_parameters(self) -> Array:
         car, t = self.vehicle, self.tuning

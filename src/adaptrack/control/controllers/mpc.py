@@ -37,6 +37,14 @@ from adaptrack.control.models import PredictionModel, SingleTrackModel
 from adaptrack.control.qp import QP, QPSolver, QPStatus, get_qp_solver
 from adaptrack.control.qp.active_set import ActiveSet
 from adaptrack.control.qp.hildreth import Hildreth
+from adaptrack.core.controllers import mpc as kernel
+from adaptrack.core.controllers.mpc_step import Step, form_qp, step
+from adaptrack.core.controllers.receding import apply_move
+from adaptrack.core.estimators.learning import BELIEFS
+from adaptrack.core.guard import COUNTS
+from adaptrack.core.kernel import Resident, direct
+from adaptrack.core.schedule_step import schedule_step
+from adaptrack.core.variables import NAMES
 from adaptrack.road.ahead import RoadAhead
 from adaptrack.scenario.profile import Profile, load_profile
 
@@ -242,8 +250,6 @@ class MPC(Controller):
         """What a step says beside the command: of the QP, and of what has been learned."""
         if self.learner is None:
             return _DIAGNOSTICS
-        from adaptrack.core.estimators.learning import BELIEFS
-
         return (*_DIAGNOSTICS, *BELIEFS)
 
     def learned(self) -> LearnedCar:
@@ -291,8 +297,6 @@ class MPC(Controller):
         longest, most: horizons for which a smaller workspace is enough; residuals: whether each step computes its KKT
         residual.
         """
-        from adaptrack.core.controllers import mpc as kernel
-
         solver, sweeps, tolerance = kernel.ACTIVE_SET, 1, 0.0
         if isinstance(self.solver, Hildreth):
             solver = {
@@ -335,8 +339,6 @@ class MPC(Controller):
 
     def batch(self, slots: int, settings: Any, curved: bool = False) -> Any:
         """Fresh compiled controllers for `slots` runs, on curved roads or not (`core.controllers.mpc.Mpc`)."""
-        from adaptrack.core.controllers import mpc as kernel
-
         model, estimator = self.model, self.estimator
         return kernel.batch(
             slots, settings, (model.parameters(), model.measured_places(), model.output, self._turning()),
@@ -351,8 +353,6 @@ class MPC(Controller):
 
     def reset(self) -> None:
         """Forget the past: the next step is the first, from steering angle 0."""
-        from adaptrack.core.variables import NAMES
-
         self._mpc = self.batch(1, self.settings())
         self._requested = self.tuning.as_array()
         self._plan = self.scheduler.plan(1) if isinstance(self.scheduler, CompiledScheduler) else None
@@ -385,8 +385,6 @@ class MPC(Controller):
 
     def _load(self) -> None:
         """What a copy cannot carry along: the lock, addresses, compiled functions."""
-        from adaptrack.core.kernel import Resident
-
         self._lock = threading.Lock()
         self._measured, answer = self._mpc.measured, self._mpc.answer[0]
         self._answer, self._learned = answer[:_ANSWER], answer[_ANSWER:]
@@ -443,8 +441,6 @@ class MPC(Controller):
         """
         if self._plan is None:
             return {"raised": self._raised} if self.scheduler is not None else {}
-        from adaptrack.core.guard import COUNTS
-
         return {name: int(self._plan.memory[0][name]) for name in COUNTS}
 
     @property
@@ -548,9 +544,6 @@ class MPC(Controller):
     def _compiled_step(self) -> Callable[[], None]:
         """The step behind the arguments, compiled on first use."""
         if self.in_kernel:
-            from adaptrack.core.controllers.mpc_step import Step, step
-            from adaptrack.core.kernel import direct
-
             given = Step(self._mpc, self.functions, np.asarray(self._now), self._reference.values, self._requested)
             self._step = direct(step, given)
         else:
@@ -626,11 +619,8 @@ class MPC(Controller):
 
     def _look_along(self, road: RoadAhead | None, speed: float) -> None:
         """Take in the road ahead."""
-        from adaptrack.core.controllers.mpc import on_curved_roads
-        from adaptrack.core.kernel import Resident
-
         if not self._curved:
-            self._mpc, self._curved = on_curved_roads(self._mpc), True
+            self._mpc, self._curved = kernel.on_curved_roads(self._mpc), True
             self._resident, self._step = Resident(self._mpc), None
         bend = self._mpc.bend
         bend[:] = 0.0
@@ -675,20 +665,14 @@ class MPC(Controller):
 
     @cached_property
     def _schedule_step(self) -> Any:
-        from adaptrack.core.schedule_step import schedule_step
-
         return schedule_step
 
     @cached_property
     def functions(self) -> Any:
         """What the kernels call for this controller (`core.controllers.mpc.Functions`)."""
-        from adaptrack.core.controllers import mpc as kernel
-
         return kernel.functions(discretise=self.model.function, estimate=self.estimator.function)
 
     def _form(self) -> tuple[int, int, int]:
-        from adaptrack.core.controllers.mpc_step import form_qp
-
         speed, count = self._now.tolist()
         ahead = self._reference.values[: int(count)]
         found: tuple[int, int, int] = form_qp(0, speed, ahead, self._requested, self._resident, self.functions)
@@ -705,8 +689,6 @@ class MPC(Controller):
 
     def _step_through(self) -> None:
         """A step whose QP goes to a back-end in Python; the rest is the kernels' work all the same."""
-        from adaptrack.core.controllers.receding import apply_move
-
         ws = self._mpc.ws
         status, n, m = self._form()
         iterations = 0

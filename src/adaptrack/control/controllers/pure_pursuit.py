@@ -10,6 +10,7 @@ from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.vehicle import Vehicle
 from adaptrack.control.controllers.base import Bounds, CompiledController, known_vehicle
 from adaptrack.control.controllers.limits import Limits
+from adaptrack.core.controllers import pure_pursuit as kernel
 
 
 class PurePursuit(CompiledController):
@@ -38,8 +39,6 @@ class PurePursuit(CompiledController):
         limits: Limits | None = None,
         preview: bool = False,
     ) -> None:
-        from adaptrack.core.controllers import pure_pursuit as kernel
-
         self.vehicle = known_vehicle("PurePursuit", vehicle)
         self.tuning_names, self.diagnostic_names = kernel.TUNING, kernel.DIAGNOSTICS
         self.memory_size = kernel.MEMORY
@@ -58,9 +57,7 @@ class PurePursuit(CompiledController):
 
     @property
     def function(self) -> Any:
-        from adaptrack.core.controllers.pure_pursuit import pure_pursuit
-
-        return pure_pursuit
+        return kernel.pure_pursuit
 
     def own_parameters(self) -> tuple[float, ...]:
         return self.vehicle.wheelbase, self.vehicle.lr

@@ -8,6 +8,7 @@ from typing import Any
 from adaptrack.cars.vehicle import Vehicle
 from adaptrack.control.controllers.base import Bounds, CompiledController, known_vehicle, steering_delay
 from adaptrack.control.controllers.limits import Limits
+from adaptrack.core.controllers import stanley as kernel
 
 
 class Stanley(CompiledController):
@@ -46,8 +47,6 @@ class Stanley(CompiledController):
         limits: Limits | None = None,
         preview: bool = False,
     ) -> None:
-        from adaptrack.core.controllers import stanley as kernel
-
         self.vehicle = known_vehicle("Stanley", vehicle)
         self.tuning_names, self.diagnostic_names = kernel.TUNING, kernel.DIAGNOSTICS
         self.memory_size = kernel.MEMORY
@@ -65,9 +64,7 @@ class Stanley(CompiledController):
 
     @property
     def function(self) -> Any:
-        from adaptrack.core.controllers.stanley import stanley
-
-        return stanley
+        return kernel.stanley
 
     def own_parameters(self) -> tuple[float, ...]:
         car = self.vehicle

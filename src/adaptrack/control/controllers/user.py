@@ -9,6 +9,7 @@ from typing import Any, final
 from adaptrack.base.errors import ContractError, InvalidInput, real, whole
 from adaptrack.control.controllers.base import DECADES, Bounds, CompiledController
 from adaptrack.control.controllers.limits import Limits
+from adaptrack.core.controllers.contract import compile_law
 
 
 @final
@@ -47,8 +48,6 @@ class UserController(CompiledController):
         preview: bool = False,
         label: str = "user",
     ) -> None:
-        from adaptrack.core.controllers.contract import compile_law
-
         self.law, self.label = law, label
         where = f"UserController {label!r}"
         self.constants = {name: real(where, name, value) for name, value in (parameters or {}).items()}

@@ -11,6 +11,7 @@ import scipy  # loads its parts when they are first used
 
 from adaptrack.base.errors import InvalidInput, real
 from adaptrack.control.scheduling.functions.function import Array, Function, Packed, read_array, register_function
+from adaptrack.core import functions as kernel
 
 
 @register_function
@@ -78,13 +79,11 @@ class Network(Function):
         return self.out_low + (self.out_high - self.out_low) * out
 
     def pack(self) -> Packed:
-        from adaptrack.core import functions
-
         widths = [self.n_inputs, *map(len, self.biases)]
         numbers = [self.out_low, self.out_high - self.out_low, *self.low, *(1.0 / (self.high - self.low))]
         for weights, biases in zip(self.weights, self.biases, strict=True):
             numbers += np.vstack((weights, biases)).T.ravel().tolist()
-        return Packed(functions.NETWORK, [int(self.relu), len(self.biases), *widths], numbers, sum(widths))
+        return Packed(kernel.NETWORK, [int(self.relu), len(self.biases), *widths], numbers, sum(widths))
 
     def shifted(self, by: float) -> Self:
         return replace(self, out_low=self.out_low + by, out_high=self.out_high + by)

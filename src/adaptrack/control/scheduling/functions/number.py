@@ -10,6 +10,7 @@ import numpy as np
 
 from adaptrack.base.checked import Finite, checked
 from adaptrack.control.scheduling.functions.function import Array, Function, Packed, register_function
+from adaptrack.core import functions as kernel
 
 
 @register_function
@@ -29,9 +30,7 @@ class Number(Function):
         return np.full(len(x), self.value)
 
     def pack(self) -> Packed:
-        from adaptrack.core import functions
-
-        return Packed(functions.NUMBER, (), (self.value,), 0)
+        return Packed(kernel.NUMBER, (), (self.value,), 0)
 
     def shifted(self, by: float) -> Self:
         return type(self)(self.value + by)

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from adaptrack.base.errors import InvalidInput
 from adaptrack.control.scheduling.functions.function import Array, Function, Packed, read_array, register_function
+from adaptrack.core import functions as kernel
 
 Integers = NDArray[np.intp]
 
@@ -117,15 +118,13 @@ class Sugeno(Function):
         )
 
     def pack(self) -> Packed:
-        from adaptrack.core import functions
-
         integers = [self.n_inputs, len(self.owner), self.n_rules]
         integers += [*self.owner.tolist(), *self.bell.astype(int).tolist(), *self.rules.ravel().tolist()]
         with np.errstate(divide="ignore"):  # a rule of weight zero never fires
             log_weights = np.log(self.weights)
         parts = (1.0 / self.premises[:, WIDTH], self.premises[:, SLOPE], self.premises[:, CENTRE], log_weights)
         numbers = np.concatenate((*parts, self.consequents[:, :-1].ravel(), self.consequents[:, -1]))
-        return Packed(functions.SUGENO, integers, numbers.tolist(), len(self.owner) + self.n_rules)
+        return Packed(kernel.SUGENO, integers, numbers.tolist(), len(self.owner) + self.n_rules)
 
     def shifted(self, by: float) -> Self:
         consequents = self.consequents.copy()

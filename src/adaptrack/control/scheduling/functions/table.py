@@ -10,6 +10,7 @@ import numpy as np
 
 from adaptrack.base.errors import InvalidInput
 from adaptrack.control.scheduling.functions.function import Array, Function, Packed, read_array, register_function
+from adaptrack.core import functions as kernel
 
 
 @register_function
@@ -58,9 +59,7 @@ class Table(Function):
         return np.asarray(RegularGridInterpolator([self.axes[d] for d in more], values, method)(x[:, more]))
 
     def pack(self) -> Packed:
-        from adaptrack.core import functions
-
-        kind = functions.NEAREST if self.method == "nearest" else functions.MULTILINEAR
+        kind = kernel.NEAREST if self.method == "nearest" else kernel.MULTILINEAR
         nodes = np.concatenate(self.axes)
         return Packed(kind, [self.n_inputs, *self.values.shape], [*nodes, *self.values.ravel()], 2 * self.n_inputs)
 
