@@ -7,7 +7,6 @@ import re
 
 import numpy as np
 import pytest
-from matplotlib.figure import Figure
 
 from adaptrack.learning.boosting import explained_shares
 from adaptrack.results import dataset as page
@@ -114,9 +113,9 @@ def test_every_picture_is_described_in_words(report):
 
 
 def test_a_target_that_conditions_decide_is_told_from_noise(told):
-    said = page._explained_in_words(told)
-    assert re.search(r"Largely explained: Np;", said)
-    assert re.search(r"hardly explained, if at all: Nc, Q, R and R/Q\.", said)
+    assert page.explained(told) == {
+        "largely explained": ["Np"], "hardly explained, if at all": ["Nc", "Q", "R", "R/Q"]
+    }  # fmt: skip
 
 
 def test_a_cell_of_a_map_is_the_median_of_its_conditions():
@@ -144,11 +143,11 @@ def test_cells_without_conditions_stay_empty():
     assert np.isfinite(medians).sum() <= 4
 
 
-def test_left_right_twins_are_counted_once():
+def test_left_right_twins_are_counted_once(tmp_path):
     conditions = grid(**(LEVELS | {"y_ref": (-4.0, 4.0)}))
     twin = np.where(conditions[:, 1] > 0, 0, -1)
     data = made(conditions, mirrored_from=twin)
-    words = str(page._contents(data, describe(data)).items[0])
+    words = words_of(write_dataset_report(tmp_path, data, summary=describe(data)))
     assert "searched 18 of them" in words
     assert "other 18 are left-right twins" in words
 
@@ -163,14 +162,14 @@ def with_losses(data):
 
 
 @pytest.mark.drawn
-def test_lost_cars_are_said_and_not_averaged():
+def test_lost_cars_are_said_and_not_averaged(tmp_path):
     data = with_losses(made(sobol(20, BOX, 2)))
-    words, picture = page._costs(data, describe(data)).items
+    path = write_dataset_report(tmp_path, data)
+    words = html.unescape(words_of(path))
     assert "the standard tuning in 3, the swarm's best in 2 and every tuning in 1 of 20 operating points" in words
-    assert not any(re.search("nan|∞", panel.description) for panel in picture.panels)
-    words, picture = page._convergence(data.rows(np.isfinite(data.costs)))[0].items
     assert "infinitely far above its last cost, after generation 3" in words
-    assert style.png(picture.panels[0].figure)
+    cost = page.dataset_result(data).picture("cost")
+    assert not any(re.search("nan|∞", panel.description) for panel in cost.panels)
 
 
 def test_a_set_in_which_every_tuning_lost_the_car_has_a_page(tmp_path):
@@ -190,11 +189,9 @@ def test_one_condition_without_library_or_trace_has_a_page(tmp_path):
 
 
 def test_a_curve_of_costs_ends_at_the_share_that_kept_the_car():
-    axes = Figure().subplots()
-    page._draw_cumulative({page._SWARM: np.array([0.0, 3.0, np.inf, 1.0])}, axes)
-    x, y = axes.lines[0].get_data()
-    assert list(x) == [1.0, 3.0]
-    assert list(y) == [50.0, 75.0]
+    (curve,) = page.cumulative({page._SWARM: np.array([0.0, 3.0, np.inf, 1.0])}).marks
+    assert list(curve.x) == [1.0, 3.0]
+    assert list(curve.y) == [50.0, 75.0]
 
 
 def test_the_full_record_can_be_read_back_from_the_page(report, data):

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
 
 import typer
 
@@ -28,7 +26,7 @@ class DescribeOptions:
 def describe_dataset(given: DescribeOptions) -> None:
     """Ranges and optima of a data set, and how much of them can be learned."""
     from adaptrack.learning.boosting import explained_shares
-    from adaptrack.results.answers import of_dataset
+    from adaptrack.results.dataset import dataset_result
     from adaptrack.tuning.dataset import describe, load_dataset
 
     out, as_json = given.out, given.as_json
@@ -37,16 +35,13 @@ def describe_dataset(given: DescribeOptions) -> None:
         options.make_folder(out)
     with show.progress("describe") as advance:
         found = describe(dataset, explained_shares(dataset, advance))
+    result = dataset_result(dataset, found)
     if out is not None:
-        from adaptrack.results import write_dataset_report
+        from adaptrack.results.page import write_result
 
         with show.progress("write the page"):
-            page = write_dataset_report(out, dataset, summary=found)
-    if as_json:
-        show.say_json(found)
-    else:
-        show.say(of_dataset(found))
-        _print(found)
+            page = write_result(out, result)
+    show.say_result(result, as_json)
     if out is not None:
         show.say(f"Report: {page}", aside=as_json)
     if not as_json:
@@ -55,16 +50,6 @@ def describe_dataset(given: DescribeOptions) -> None:
         else:
             learn = command("train", "--data", given.name, "--model", "nn", "--out", "nn.json")
             say_next("to learn a scheduler from it", learn)
-
-
-def _print(found: Mapping[str, Any]) -> None:
-    plain = {key: value for key, value in found.items() if not isinstance(value, dict | list)}
-    show.flat(found["name"], plain, False)
-    for key, value in found.items():
-        if isinstance(value, dict):
-            value = [{"what": what.replace("_", " "), "value": entry} for what, entry in value.items()]
-        if isinstance(value, list) and value and isinstance(value[0], dict):
-            show.listing(key.replace("_", " "), value, False)
 
 
 @app.command("list")

@@ -1,4 +1,4 @@
-"""The report on a data set of tuned operating points: its optimum in pictures, what explains it, how flat it is.
+"""The result on a data set of tuned operating points: its optimum in pictures, what explains it, how flat it is.
 
 Statistics are over those that a swarm searched, as in `dataset.describe`: left-right twins would count twice.
 """
@@ -10,39 +10,43 @@ import os
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
-from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
 from adaptrack.base.errors import InvalidInput
-from adaptrack.comparison.statistics import ratio
-from adaptrack.results import style
-from adaptrack.results.maps import Cells, Heat, edges_around, norm_of
-from adaptrack.results.notebook import html
-from adaptrack.results.page import (
-    Cell,
-    Head,
-    Item,
+from adaptrack.base.result import (
+    REFERENCE,
+    Axis,
+    Bars,
+    Column,
+    Guide,
+    HeatMap,
+    Mark,
     Panel,
     Picture,
-    Section,
-    Table,
-    Terms,
-    Verbatim,
-    Verdict,
-    printed,
-    write_page,
+    Polyline,
+    Result,
+    ResultTable,
+    Ribbon,
+    Scale,
+    Stroke,
+    strokes,
+    where,
 )
-from adaptrack.results.words import counted, lettered, listed, number, percent, span
+from adaptrack.comparison.statistics import ratio
+from adaptrack.results.answers import of_dataset
+from adaptrack.results.maps import Cells, edges_around
+from adaptrack.results.notebook import html
+from adaptrack.results.words import counted, number, percent, span
 from adaptrack.results.words import describe as in_words
 from adaptrack.tuning.config import STANDARD
 from adaptrack.tuning.dataset import DataSet, describe, flatness
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 Array = NDArray[np.float64]
 Summary = Mapping[str, Any]
@@ -63,8 +67,35 @@ _LISTED = ("vehicle", "tyre", "plant", "profile", "scenario", "duration", "move_
 _STANDARD = "Standard tuning"
 _SWARM = "Swarm's best"
 _LIBRARY = "Library's best"
-_STROKES = style.strokes((_STANDARD, _SWARM, _LIBRARY))
-_SPREAD = style.Stroke(style.SERIES[0])
+_STROKES = strokes((_STANDARD, _SWARM, _LIBRARY))
+_UNITS = {"duration": " s a run", "move_weight": " m²/rad²"}
+
+RANGES = (
+    Column("label", "Quantity"),
+    Column("unit", "Unit"),
+    Column("lowest", "Lowest", show=3),
+    Column("highest", "Highest", show=3),
+    Column("levels", "Distinct values"),
+)
+OPTIMUM = (
+    Column("target", "Target"),
+    Column("lowest", "Lowest", show=3),
+    Column("p10", "P10", show=3),
+    Column("p50", "Median", show=3),
+    Column("p90", "P90", show=3),
+    Column("highest", "Highest", show=3),
+    Column("at_a_bound", "At a bound", "%", "percent"),
+    Column("r2", "R²", show=2),
+)
+FLATNESS = (
+    Column("limit", "Within"),
+    Column("mean", "Mean", "%", "percent"),
+    Column("lowest", "Lowest", "%", "percent"),
+    Column("p10", "P10", "%", "percent"),
+    Column("p50", "Median", "%", "percent"),
+    Column("p90", "P90", "%", "percent"),
+    Column("highest", "Highest", "%", "percent"),
+)
 
 
 @dataclass(frozen=True)
@@ -85,6 +116,49 @@ class _Target:
         return f"{self.symbol} ({self.unit})"
 
 
+def dataset_result(dataset: DataSet, summary: Summary | None = None) -> Result:
+    """A data set as a result; its record is what `adaptrack.tuning.dataset.describe` says of it.
+
+    Parameters
+    ----------
+    summary
+        That description; computed when left out, which takes some seconds.
+    """
+    told = _summary(dataset) if summary is None else summary
+    rows = dataset.rows(dataset.computed)
+    found = rows.rows(kept) if (kept := np.isfinite(rows.costs)).any() else None
+    both = _compared(rows)
+    worth = ratio(rows.standard_costs[both], rows.costs[both]) if both.any() else None
+    return Result(
+        kind="dataset",
+        title=_title(dataset, told),
+        answer=of_dataset(told),
+        record=told,
+        tables=[*_tables(dataset, told), *_console_tables(told)],
+        pictures=[
+            *([Picture("verdict", "How many times the swarm's best the standard tuning costs, by speed: median, band "
+                       "between the quartiles.", [_gain(rows, both, "Standard tuning over the swarm's best")])]
+              if both.any() else []),
+            *(_optimum(found, told) if found is not None else []),
+            *_costs(rows),
+            *(_convergence(found) if found is not None else []),
+            *_flatness(dataset, told),
+        ],
+        values={
+            "told": told, "costs": told["costs"], "worth": worth, "compared": int(both.sum()),
+            "command": dataset.command,
+            "near": [row for row in told["flatness"] if row["p50"] is not None], "searched": len(rows),
+            "about": [(key.replace("_", " ").capitalize(), in_words(told[key]) + _UNITS.get(key, ""))
+                      for key in _LISTED if told.get(key) is not None],
+            "standard": "/".join(f"{value:g}" for value in STANDARD), "library": len(dataset.library),
+            "swarms": None if found is None else _generations(found), "explained": explained(told),
+            "provenance": json.dumps(dataset.provenance, indent=1, ensure_ascii=False),
+            "identity": in_words(told["identity"]),
+            "versions": [(name, in_words(version)) for name, version in told["versions"].items()],
+        },
+    )  # fmt: skip
+
+
 def write_dataset_report(out_dir: str | os.PathLike[str], dataset: DataSet, *, summary: Summary | None = None) -> Path:
     """Write the page on a data set and its PNG files into `out_dir`; return the page's path.
 
@@ -95,25 +169,12 @@ def write_dataset_report(out_dir: str | os.PathLike[str], dataset: DataSet, *, s
 
     Raises
     ------
-    InvalidInput
-        When no operating point of the data set was searched by a swarm.
     StorageError
-        When the files cannot be written, see `page.write_page`.
+        When the files cannot be written, see `page.write_result`.
     """
-    told = _summary(dataset) if summary is None else summary
-    rows = dataset.rows(dataset.computed)
-    found = rows.rows(kept) if (kept := np.isfinite(rows.costs)).any() else None
-    sections = [
-        *_opening(rows, told),
-        _contents(dataset, told),
-        *([_optimum(found, told)] if found is not None else []),
-        _costs(rows, told),
-        *(_convergence(found) if found is not None else []),
-        _explained(told),
-        _flatness(dataset, told),
-        _provenance(dataset, told),
-    ]
-    return write_page(out_dir, sections, title=_title(dataset, told), lead=[_in_short(told)])
+    from adaptrack.results.page import write_result
+
+    return write_result(out_dir, dataset_result(dataset, summary))
 
 
 def dataset_figure(dataset: DataSet) -> Figure:
@@ -124,6 +185,8 @@ def dataset_figure(dataset: DataSet) -> Figure:
     InvalidInput
         When no swarm found a tuning with which the run did not fail.
     """
+    from adaptrack.results.draw import print_figure
+
     rows = dataset.rows(dataset.computed)
     found = rows.rows(np.isfinite(rows.costs))
     if not len(found):
@@ -132,13 +195,10 @@ def dataset_figure(dataset: DataSet) -> Figure:
         _histogram(each, (float(each.values.min()), float(each.values.max())))
         for each in _targets(found) if each.name in ("Np", "Nc", "log R/Q")
     ]  # fmt: skip
-    kept = (found.costs > 0.0) & np.isfinite(found.standard_costs)
-    if kept.any():
-        gain = found.standard_costs[kept] / found.costs[kept]
-        panels.append(
-            Panel("Standard over the best", partial(_draw_gain, found.operating_points[kept, 0], gain), _range_of(gain))
-        )
-    return printed(panels, 2, 2.1)
+    both = _compared(found)
+    if both.any():
+        panels.append(_gain(found, both, "Standard over the best"))
+    return print_figure(Picture("dataset", "", panels, row_height=2.1))
 
 
 def dataset_html(dataset: DataSet) -> str:
@@ -172,315 +232,78 @@ def _title(dataset: DataSet, told: Summary) -> str:
     return f"Data set {dataset.name}: {', '.join(about)}" if about else f"Data set {dataset.name}"
 
 
-# -- the first screen -------------------------------------------------------------------------------------------------
-def _opening(rows: DataSet, told: Summary) -> list[Section]:
-    """What tuning each operating point is worth; nothing where no such ratio is known."""
-    both = np.isfinite(rows.standard_costs) & (rows.standard_costs > 0) & np.isfinite(rows.costs) & (rows.costs > 0)
-    if not both.any():
-        return []
-    worth = ratio(rows.standard_costs[both], rows.costs[both])
-    costs = told["costs"]
-    near = [row for row in told["flatness"] if row["p50"] is not None]
-    entries = [
-        ("Swarms", f"{number(told['computed'])} operating points, {number(told['evaluations'])} closed-loop runs"),
-        ("Against", f"the standard tuning, {'/'.join(f'{value:g}' for value in STANDARD)} (Np/Nc/Q/R)"),
-        ("How sure", f"{number(worth.low)} to {number(worth.high)}: 95 % bootstrap interval over "
-                     f"{counted(int(both.sum()), 'operating point')} without a failure"),
-        ("Failed", f"standard tuning in {number(costs['failed_by_the_standard'])}, swarm's best in "
-                   f"{number(costs['failed_by_the_swarm'])}"),
-    ]  # fmt: skip
-    if near:
-        share, within = percent(near[-1]["p50"]), f"{100 * near[-1]['within']:g}"
-        entries.append(
-            ("How flat", f"{share} % of {counted(told['library'], 'tuning')} cost within {within} % of the best")
-        )
-    text = f"The standard tuning costs {number(worth.mean)} times the best that swarms found, in the geometric mean."
-    gain = rows.standard_costs[both] / rows.costs[both]
-    panel = Panel(
-        "Standard tuning over the swarm's best", partial(_draw_gain, rows.operating_points[both, 0], gain),
-        f"Cost ratio by speed: {_range_of(gain)}.",
-    )  # fmt: skip
-    caption = "How many times the swarm's best the standard tuning costs, by speed: median, band between the quartiles."
-    return [Section("Verdict", [Verdict(text, Terms(entries), Picture(caption, [panel.drawing()]))])]
-
-
-# -- sections ---------------------------------------------------------------------------------------------------------
-def _in_short(told: Summary) -> str:
-    gain = told["costs"]["standard_over_best_geomean"]
-    paid = f" The standard tuning costs {number(gain)} times as much, in the geometric mean." if gain else ""
-    return (
-        f"{counted(told['operating_points'], 'operating point')}, at each the best tuning that a swarm found for "
-        f"the MPC, and the cost of {counted(told['library'], 'common tuning')}.{paid}"
-    )
-
-
-def _contents(dataset: DataSet, told: Summary) -> Section:
-    """What the set is, the command that makes it again, the ranges."""
-    twins = told["operating_points"] - told["computed"]
-    mirrored = f" The other {number(twins)} are left-right twins, whose rows are copies." if twins else ""
-    words = (
-        "An operating point is a speed, a lateral reference, a friction and a side wind. "
-        f"Swarms searched {number(told['computed'])} of them, with {number(told['evaluations'])} closed-loop "
-        f"evaluations of {number(told['control_steps'])} control steps in all.{mirrored} "
-        "Pictures and tables below count only operating points that were searched."
-    )
-    body = [
-        [
-            _QUANTITIES.get(row["quantity"], row["quantity"]),
-            row["unit"].replace("-", "–"),
-            number(row["lowest"]),
-            number(row["highest"]),
-            number(row["levels"]),
-        ]
+# -- tables -----------------------------------------------------------------------------------------------------------
+def _tables(dataset: DataSet, told: Summary) -> list[ResultTable]:
+    ranges = [
+        {**row, "label": _QUANTITIES.get(row["quantity"], row["quantity"]), "unit": row["unit"].replace("-", "–")}
         for row in told["ranges"]
     ]
-    heads = [Head("Quantity", is_text=True), Head("Unit", is_text=True), Head("Lowest"), Head("Highest")]
-    ranges = Table(
-        "Ranges of the operating points",
-        [*heads, Head("Distinct values")],
-        body,
-        "Positive is to the left, also for wind.",
-    )
-    entries = [
-        (key.replace("_", " ").capitalize(), in_words(told[key])) for key in _LISTED if told.get(key) is not None
-    ]
-    units = {"Duration": " s a run", "Move weight": " m²/rad²"}
-    terms = Terms([(name, value + units.get(name, "")) for name, value in entries])
-    again: list[Item] = ["This command makes the data set again:", Verbatim(dataset.command)]
-    return Section("What it is", [words, *again, *([terms] if entries else []), ranges])
+    optimum = []
+    for row in told["optimum"]:
+        logarithmic = row["target"].startswith("log ")
+        values = {key: row[key] for key in ("lowest", "p10", "p50", "p90", "highest")}
+        shown = {key: float(np.exp(v)) if logarithmic and v is not None else v for key, v in values.items()}
+        optimum.append({**row, **shown, "target": row["target"].removeprefix("log ")})
+    near = [{**row, "limit": f"{100 * row['within']:g} %"} for row in told["flatness"] if row["mean"] is not None]
+    weak = where(optimum, ["r2"], lambda row: row["r2"] is not None and row["r2"] < _WEAK)
+    return [
+        ResultTable("ranges", "Ranges of the operating points", RANGES, ranges,
+                    "Positive is to the left, also for wind."),
+        ResultTable("optimum", "The optimum, and how much of it the operating points explain", OPTIMUM, optimum,
+                    "Np, Nc in control periods, Q in 1/m², R in 1/rad². P10 and P90: a tenth of all points lies below, "
+                    f"above. R²: {told['learner']}; for Q, R and R/Q of the logarithm.", alert=weak),
+        ResultTable("flatness", "Share of the library whose cost is near the best", FLATNESS, near,
+                    f"Of {counted(told['library'], 'tuning')}, at each operating point; the best is the lowest cost "
+                    "known there, the swarm's or the library's."),
+    ]  # fmt: skip
 
 
-def _optimum(found: DataSet, told: Summary) -> Section:
-    targets = _targets(found)
-    maps = [target for target in targets if target.name in ("Np", "Nc", "log R/Q")]
-    over = {
-        "lateral reference": (np.abs(found.operating_points[:, 1]), r"$|y_\mathrm{ref}|$ (m)"),
-        "friction": (found.operating_points[:, 2], "Friction (–)"),
+def _console_tables(told: Summary) -> list[ResultTable]:
+    """What was described, as it is: names and values, then a table for each part."""
+    names = (Column("what", "what"), Column("value", "value"))
+    scalars = {key: value for key, value in told.items() if not isinstance(value, dict | list)}
+    parts: list[tuple[str, Any]] = [(str(told["name"]), scalars)]
+    parts += [(key.replace("_", " "), value) for key, value in told.items() if isinstance(value, dict | list)]
+    tables = []
+    for title, value in parts:
+        if isinstance(value, dict):
+            rows = [{"what": what.replace("_", " "), "value": entry} for what, entry in value.items()]
+            tables.append(ResultTable(f"console {title}", title, names, rows, brief=True))
+        elif value and isinstance(value[0], dict):
+            columns = [Column(key, key.replace("_", " ")) for key in value[0]]
+            tables.append(ResultTable(f"console {title}", title, columns, value, brief=True))
+    return tables
+
+
+# -- what the page says -----------------------------------------------------------------------------------------------
+def explained(told: Summary) -> dict[str, list[str]]:
+    """The targets that operating points largely, partly and hardly explain; empty where that is not known."""
+    known = {row["target"].removeprefix("log "): row["r2"] for row in told["optimum"] if row["r2"] is not None}
+    groups = {
+        "largely explained": [name for name, r2 in known.items() if r2 >= _STRONG],
+        "partly explained": [name for name, r2 in known.items() if _WEAK <= r2 < _STRONG],
+        "hardly explained, if at all": [name for name, r2 in known.items() if r2 < _WEAK],
     }
-    labels = {t.name: t.label for t in maps}
-    cells = {(t.name, other): _binned(found, values, t) for t in maps for other, (values, _) in over.items()}
-    norms = {t.name: norm_of(cells[t.name, other].values for other in over) for t in maps}
-    heats = {
-        (t.name, other): Heat(cells[t.name, other], label, norms[t.name], t.whole)
-        for t in maps
-        for other, (_, label) in over.items()
-    }
-    panels = [
-        Panel(labels[name], heat.show, f"Median over speed and {other}: {span(heat.cells.values)}.")
-        for (name, other), heat in heats.items()
-    ]
-    heat = Picture(
-        "The best tuning over the operating points. Each cell is the median over all that lie in it, whatever their "
-        "other two numbers; empty cells hold none. Both maps of a target have the same colours.",
-        [panel.drawing() for panel in panels],
-        file="optimum.png",
-        print_figure=lambda: _heat_figure(
-            list(labels.values()), [[heats[name, other] for name in labels] for other in over]
-        ),
-    )
-    bars = [_histogram(target, _limits(told, target)) for target in targets]
-    spread = Picture(
-        "How often each value is the best. Dashed: the standard tuning, "
-        f"{listed([f'{name} = {value:g}' for name, value in zip(('Np', 'Nc', 'Q', 'R'), STANDARD, strict=True)])}.",
-        [bar.drawing() for bar in bars],
-        file="targets.png",
-        print_figure=lambda: printed(bars, columns=3, height=1.75),
-    )
-    words = (
-        "The horizons Np and Nc are in control periods. Of the weights, only R/Q changes the control law: Q and R "
-        "alone are where the swarm happened to stop along a line of equal cost."
-    )
-    return Section("The optimum", [words, heat, spread])
+    return {words: names for words, names in groups.items() if names}
 
 
-def _costs(rows: DataSet, told: Summary) -> Section:
-    costs = told["costs"]
-    items: list[Item] = [_costs_in_words(costs, len(rows), len(rows.library))]
-    curves = {_STANDARD: rows.standard_costs, _SWARM: rows.costs}
-    if len(rows.library):
-        curves[_LIBRARY] = rows.landscape.min(axis=1).astype(np.float64)
-    usable = {name: values for name, values in curves.items() if _positive(values).size}
-    if usable:
-        panels = [
-            Panel(
-                "Cost of one run",
-                partial(_draw_cumulative, usable),
-                "Share of the operating points that cost at most so much, over the cost in m², logarithmic. "
-                + " ".join(f"{name}: {_range_of(_positive(values))}." for name, values in usable.items()),
-            )
-        ]
-        both = np.isfinite(rows.standard_costs) & (rows.standard_costs > 0) & np.isfinite(rows.costs) & (rows.costs > 0)
-        if both.any():
-            gain = rows.standard_costs[both] / rows.costs[both]
-            panels.append(
-                Panel(
-                    "Standard over optimum",
-                    partial(_draw_gain, rows.operating_points[both, 0], gain),
-                    f"Cost of the standard tuning over the swarm's best, by speed: {_range_of(gain)}.",
-                )
-            )
-        key = [(name, _STROKES[name]) for name in usable]
-        items.append(
-            Picture(
-                "Left: the share of operating points that cost at most so much; further left is better. A curve "
-                "that ends below 100 % failed in the rest. Right: how many times the optimum the standard tuning "
-                "costs, by speed: median, with a band from the lower to the upper quartile.",
-                [panel.drawing() for panel in panels],
-                key,
-                "cost.png",
-                lambda: printed(panels, len(panels), 2.4, key),
-            )
-        )
-    return Section("What the optimum is worth", items)
-
-
-def _convergence(found: DataSet) -> list[Section]:
-    """How the swarms came to their last cost; nothing for a set without traces."""
+def _above(found: DataSet) -> Array | None:
+    """Lower quartile, median, upper quartile of each generation's cost over the last, (3, n); None without traces."""
     last = found.traces[:, -1:].astype(np.float64) if found.traces.shape[1] else np.empty((0, 1))
     usable = np.flatnonzero(np.isfinite(last[:, 0]) & (last[:, 0] > 0.0)) if last.size else np.empty(0, int)
     if not usable.size:
-        return []
-    above = found.traces[usable].astype(np.float64) / last[usable]
-    low, middle, high = _quantiles(above, (0.25, 0.5, 0.75))
-    half = len(middle) // 2
-    panel = Panel(
-        "Convergence of the swarms",
-        partial(_draw_convergence, low, middle, high),
-        f"Lowest cost so far over the last, by generation, logarithmic: median from {number(middle[0])} to 1.",
-    )
-    words = f"After the first generation the median swarm is {_percent_above(middle[0])} its last cost"
-    if len(middle) > 2:
-        words += f", after generation {half + 1} it is {_percent_above(middle[half])} that"
-    words += (
-        ". A curve that is flat well before its end has had generations enough for what this swarm can find; that says "
-        "nothing about optima that it never saw."
-    )
-    caption = (
-        "Lowest cost up to each generation, over that of the last: median and quartiles over the operating points."
-    )
-    return [Section("Convergence", [words, Picture(caption, [panel.drawing()], file="convergence.png")])]
+        return None
+    return _quantiles(found.traces[usable].astype(np.float64) / last[usable], (0.25, 0.5, 0.75))
 
 
-def _explained(told: Summary) -> Section:
-    body: list[list[Cell | str]] = []
-    for row in told["optimum"]:
-        name, logarithmic = row["target"].removeprefix("log "), row["target"].startswith("log ")
-        values = [row[key] for key in ("lowest", "p10", "p50", "p90", "highest")]
-        shown = [np.exp(v) if logarithmic and v is not None else v for v in values]
-        bound = "–" if row["at_a_bound"] is None else percent(row["at_a_bound"])
-        body.append([name, *map(number, shown), bound, _r2(row["r2"])])
-    heads = [Head("Target", is_text=True), Head("Lowest"), Head("P10"), Head("Median"), Head("P90"), Head("Highest")]
-    table = Table(
-        "The optimum, and how much of it the operating points explain",
-        [*heads, Head("At a bound", "%"), Head("R²")],
-        body,
-        "Np, Nc in control periods, Q in 1/m², R in 1/rad². P10 and P90: a tenth of all points lies below, above. "
-        f"R²: {told['learner']}; for Q, R and R/Q of the logarithm.",
-    )
-    return Section("What the operating points explain", [_explained_in_words(told), table])
-
-
-def _flatness(dataset: DataSet, told: Summary) -> Section:
-    title = "How flat the optimum is"
-    shares = (
-        {row["within"]: flatness(dataset, row["within"]) for row in told["flatness"]} if len(dataset.library) else {}
-    )
-    if not any(share.size for share in shares.values()):
-        missing = "no library was evaluated" if not len(dataset.library) else "the run failed with every tuning"
-        return Section(title, [f"Not known: {missing}."])
-    rows = [row for row in told["flatness"] if row["mean"] is not None]
-    body = [
-        [
-            f"{100 * row['within']:g} %",
-            *(percent(row[key]) for key in ("mean", "lowest", "p10", "p50", "p90", "highest")),
-        ]
-        for row in rows
-    ]
-    heads = [Head("Within"), *(Head(text, "%") for text in ("Mean", "Lowest", "P10", "Median", "P90", "Highest"))]
-    table = Table(
-        "Share of the library whose cost is near the best",
-        heads,
-        body,
-        f"Of {counted(told['library'], 'tuning')}, at each operating point; the best is the lowest cost known there, "
-        "the swarm's or the library's.",
-    )
-    strokes = style.strokes(f"within {100 * within:g} %" for within in shares)
-    panel = Panel(
-        "Tunings that are nearly as good",
-        partial(_draw_shares, dict(zip(strokes, shares.values(), strict=True)), strokes),
-        "Share of the operating points over the share of the library that is near the best. "
-        + " ".join(f"{name}: {_range_of(100 * s)} %." for name, s in zip(strokes, shares.values(), strict=True)),
-    )
-    caption = "At how many operating points at least so much of the library is near the best; further right is flatter."
-    wide = rows[-1]
-    words = (
-        f"In the median over operating points, {percent(wide['p50'])} % of the library costs at most "
-        f"{100 * wide['within']:g} % more than the best tuning known. Where many tunings are that close, which of them "
-        "comes out best says little, and a model loses little by a wrong one; where few are, the tuning matters."
-    )
-    key = list(strokes.items())
-    picture = Picture(caption, [panel.drawing()], key, "flatness.png", lambda: printed([panel], 1, 2.6, key))
-    return Section(title, [words, table, picture])
-
-
-def _provenance(dataset: DataSet, told: Summary) -> Section:
-    entries = [("Identity", in_words(told["identity"]))]
-    entries += [(name, in_words(version)) for name, version in told["versions"].items()]
-    record = json.dumps(dataset.provenance, indent=1, ensure_ascii=False)
-    return Section("Provenance", [Terms(entries), Verbatim(record, "The full record of the campaign")])
-
-
-# -- words ------------------------------------------------------------------------------------------------------------
-def _costs_in_words(costs: Summary, n: int, library: int) -> str:
-    gain, middle, high = (
-        costs[key]
-        for key in ("standard_over_best_geomean", "swarm_behind_the_best_known_p50", "swarm_behind_the_best_known_p90")
-    )
-    sentences = ["The cost is the mean square tracking error, plus the weight of steering activity where there is one."]
-    if gain:
-        sentences.append(f"The standard tuning costs {number(gain)} times the swarm's best (geometric mean).")
-    if library and middle is not None and high is not None:
-        sentences.append(
-            "Against the lowest cost known, be it the swarm's or a library tuning's, the swarm's best is "
-            f"{percent(middle)} % behind in the median, and {percent(high)} % or more in the worst tenth of them."
-        )
-    failed = [
-        f"{who} in {number(costs[key])}"
-        for key, who in (
-            ("failed_by_the_standard", "the standard tuning"),
-            ("failed_by_the_swarm", "the swarm's best"),
-            ("failed_by_all", "every tuning"),
-        )
-        if costs[key]
-    ]
-    of = f"of {counted(n, 'operating point')}"
-    none = f"Neither of the two failed in any {of}."
-    sentences.append(f"The run failed with {listed(failed)} {of}." if failed else none)
-    if costs["library_failed"]:
-        sentences.append(f"Of all runs of the library, {percent(costs['library_failed'])} % failed.")
-    return " ".join(sentences)
-
-
-def _explained_in_words(told: Summary) -> str:
-    known = {row["target"].removeprefix("log "): row["r2"] for row in told["optimum"] if row["r2"] is not None}
-    meaning = (
-        "R² says how well a strong learner predicts the optimum of operating points that it has not seen: 1 means "
-        "perfectly, 0 no better than the mean of all. Near 0 the tuning at which a swarm stops carries no signal: "
-        "whatever learns from it learns noise, and should learn from the costs of the library instead."
-    )
-    if not known:
-        return f"{meaning} Here the operating points are too few to tell."
-    groups = (
-        ("largely explained", [name for name, r2 in known.items() if r2 >= _STRONG]),
-        ("partly explained", [name for name, r2 in known.items() if _WEAK <= r2 < _STRONG]),
-        ("hardly explained, if at all", [name for name, r2 in known.items() if r2 < _WEAK]),
-    )
-    said = "; ".join(f"{words}: {listed(names)}" for words, names in groups if names)
-    return f"{meaning} {said[:1].upper() + said[1:]}."
-
-
-def _r2(value: float | None) -> Cell:
-    return Cell("–") if value is None else Cell(f"{value:.2f}".replace("-", "−"), warn=value < _WEAK)
+def _generations(found: DataSet) -> dict[str, Any] | None:
+    """How far the median swarm is above its last cost, after the first and half of the generations."""
+    above = _above(found)
+    if above is None:
+        return None
+    middle, half = above[1], above.shape[1] // 2
+    later = (half + 1, _percent_above(middle[half])) if len(middle) > 2 else None
+    return {"first": _percent_above(middle[0]), "later": later}
 
 
 def _percent_above(ratio: float) -> str:
@@ -493,7 +316,6 @@ def _range_of(values: Array) -> str:
     return f"{span(values)}, median {number(float(np.median(values)))}" if values.size else "none"
 
 
-# -- numbers ----------------------------------------------------------------------------------------------------------
 def _targets(found: DataSet) -> list[_Target]:
     Np, Nc, Q, R = found.tunings.T
     np_, nc, q, r = STANDARD
@@ -549,108 +371,163 @@ def _quantiles(values: Array, levels: Sequence[float]) -> Array:
     return np.asarray(np.quantile(values, levels, axis=0, method="inverted_cdf"))
 
 
-# -- drawing ----------------------------------------------------------------------------------------------------------
-def _heat_figure(titles: Sequence[str], rows: Sequence[Sequence[Heat]]) -> Figure:
-    """The maps of each target in one column, with their bar below it."""
-    columns = len(titles)
-    with style.styled():
-        figure, axes = style.grid_figure(len(rows), columns, 2.25)
-        for i, (heat, ax) in enumerate(zip([heat for row in rows for heat in row], axes, strict=True)):
-            heat.draw(ax)
-            ax.set_title(lettered(i, titles[i] if i < columns else ""))
-            if i % columns:
-                ax.set_ylabel("")
-            if i < len(axes) - columns:
-                ax.set_xlabel("")
-        for j, heat in enumerate(rows[0]):
-            heat.bar(figure, ax=axes[j::columns], location="bottom", aspect=28, shrink=0.95, pad=0.02)
-    return figure
+def _compared(rows: DataSet) -> NDArray[np.bool_]:
+    """Where the standard tuning and the swarm's best have costs whose ratio means something."""
+    standard, best = rows.standard_costs, rows.costs
+    return np.isfinite(standard) & (standard > 0) & np.isfinite(best) & (best > 0)
+
+
+# -- pictures ---------------------------------------------------------------------------------------------------------
+def _gain(rows: DataSet, both: NDArray[np.bool_], title: str) -> Panel:
+    """How many times the swarm's best the standard tuning costs, by speed."""
+    speed, gain = rows.operating_points[both, 0], rows.standard_costs[both] / rows.costs[both]
+    edges = _edges(speed)
+    bins = _bins(speed, edges)
+    which = np.unique(bins)
+    middles = np.array([np.median(speed[bins == b]) for b in which])
+    low, middle, high = np.stack([_quantiles(gain[bins == b], (0.25, 0.5, 0.75)) for b in which], axis=1)
+    marks = [Guide("y", [1.0], width=0.7), *_band(middles, low, middle, high)]
+    return Panel(
+        title, Axis("Speed (m/s)", margin=0.02), _ratios("Cost ratio (–)", float(low.min()), float(high.max())), marks,
+        f"Cost of the standard tuning over the swarm's best, by speed: {_range_of(gain)}.",
+    )  # fmt: skip
+
+
+def _optimum(found: DataSet, told: Summary) -> list[Picture]:
+    targets = _targets(found)
+    maps = [target for target in targets if target.name in ("Np", "Nc", "log R/Q")]
+    over = {
+        "lateral reference": (np.abs(found.operating_points[:, 1]), r"$|y_\mathrm{ref}|$ (m)"),
+        "friction": (found.operating_points[:, 2], "Friction (–)"),
+    }
+    panels: dict[tuple[str, str], Panel] = {}
+    for target in maps:
+        cells = {other: _binned(found, values, target) for other, (values, _) in over.items()}
+        everything = np.concatenate([each.values.ravel() for each in cells.values()])
+        low, high = float(np.nanmin(everything)), float(np.nanmax(everything))
+        low, high = (low, high) if high > low else (low - 0.5, high + 0.5)
+        for other, (_, label) in over.items():
+            own = cells[other]
+            heat = HeatMap(own.x_edges, own.y_edges, own.values, Scale(low, high, whole=target.whole))
+            text = f"Median over speed and {other}: {span(own.values)}."
+            panels[target.name, other] = Panel(target.label, Axis("Speed (m/s)"), Axis(label), [heat], text)
+    caption = (
+        "The best tuning over the operating points. Each cell is the median over all that lie in it, whatever their "
+        "other two numbers; empty cells hold none. Both maps of a target have the same colours."
+    )
+    tuning = zip(("Np", "Nc", "Q", "R"), STANDARD, strict=True)
+    spread = "How often each value is the best. Dashed: the standard tuning, " + ", ".join(
+        f"{name} = {value:g}" for name, value in tuning
+    )
+    return [
+        Picture("optimum", caption, list(panels.values()), file="optimum.png", columns=3,
+                print_panels=[panels[target.name, other] for other in over for target in maps]),
+        Picture("targets", f"{spread}.", [_histogram(each, _limits(told, each)) for each in targets],
+                file="targets.png", columns=3, row_height=1.75),
+    ]  # fmt: skip
+
+
+def _costs(rows: DataSet) -> list[Picture]:
+    curves = {_STANDARD: rows.standard_costs, _SWARM: rows.costs}
+    if len(rows.library):
+        curves[_LIBRARY] = rows.landscape.min(axis=1).astype(np.float64)
+    usable = {name: values for name, values in curves.items() if _positive(values).size}
+    if not usable:
+        return []
+    panels = [cumulative(usable)]
+    both = _compared(rows)
+    if both.any():
+        panels.append(_gain(rows, both, "Standard over optimum"))
+    caption = (
+        "Left: the share of operating points that cost at most so much; further left is better. A curve that ends "
+        "below 100 % failed in the rest. Right: how many times the optimum the standard tuning costs, by speed: "
+        "median, with a band from the lower to the upper quartile."
+    )
+    return [Picture("cost", caption, panels, [(name, _STROKES[name]) for name in usable], "cost.png", row_height=2.4)]
+
+
+def cumulative(costs: Mapping[str, Array]) -> Panel:
+    """The share of operating points that cost at most so much."""
+    marks: list[Mark] = []
+    for i, (name, values) in enumerate(costs.items()):
+        placed = _positive(values)
+        share = 100.0 * ((values <= 0.0).sum() + np.arange(1, placed.size + 1)) / values.size
+        width = 1.3 + (0.9 if i == 1 else 0.0)  # the library's best may lie on the swarm's
+        marks.append(Polyline(placed, share, _STROKES[name], width, "post"))
+    ranges = " ".join(f"{name}: {_range_of(_positive(values))}." for name, values in costs.items())
+    return Panel(
+        "Cost of one run", Axis("Cost (m²)", log=True), Axis("Operating points (%)", 0.0, 103.0), marks,
+        f"Share of the operating points that cost at most so much, over the cost in m², logarithmic. {ranges}",
+    )  # fmt: skip
+
+
+def _convergence(found: DataSet) -> list[Picture]:
+    """How the swarms came to their last cost; nothing for a set without traces."""
+    above = _above(found)
+    if above is None:
+        return []
+    low, middle, high = above
+    finite = high[np.isfinite(high)]
+    panel = Panel(
+        "Convergence of the swarms", Axis("Generation (–)", whole=True, margin=0.02),
+        _ratios("Cost over last (–)", 1.0, float(finite.max()) if finite.size else 1.0),
+        _band(np.arange(1, len(middle) + 1), low, middle, high),
+        f"Lowest cost so far over the last, by generation, logarithmic: median from {number(middle[0])} to 1.",
+    )  # fmt: skip
+    caption = (
+        "Lowest cost up to each generation, over that of the last: median and quartiles over the operating points."
+    )
+    return [Picture("convergence", caption, [panel], file="convergence.png")]
+
+
+def _flatness(dataset: DataSet, told: Summary) -> list[Picture]:
+    """At how many operating points how much of the library is near the best; nothing where that is not known."""
+    if not len(dataset.library):
+        return []
+    shares = {row["within"]: flatness(dataset, row["within"]) for row in told["flatness"]}
+    if not any(share.size for share in shares.values()):
+        return []
+    own = strokes(f"within {100 * within:g} %" for within in shares)
+    marks: list[Mark] = []
+    for stroke, share in zip(own.values(), shares.values(), strict=True):
+        x = 100.0 * np.concatenate([[0.0], np.sort(share)])
+        reached = 100.0 * np.concatenate([[1.0], np.arange(share.size, 0, -1) / max(share.size, 1)])
+        marks.append(Polyline(x, reached, stroke, steps="pre"))
+    ranges = " ".join(f"{name}: {_range_of(100 * s)} %." for name, s in zip(own, shares.values(), strict=True))
+    panel = Panel(
+        "Tunings that are nearly as good", Axis("At least so much of the library (%)", 0.0, 100.0),
+        Axis("Operating points (%)", 0.0, 103.0), marks,
+        f"Share of the operating points over the share of the library that is near the best. {ranges}",
+    )  # fmt: skip
+    caption = "At how many operating points at least so much of the library is near the best; further right is flatter."
+    return [Picture("flatness", caption, [panel], list(own.items()), "flatness.png", row_height=2.6)]
 
 
 def _histogram(target: _Target, limits: tuple[float, float]) -> Panel:
-    text = f"Share of the operating points in percent; {_range_of(target.values)}."
-    return Panel(target.symbol, partial(_draw_histogram, target, limits), text)
-
-
-def _draw_histogram(target: _Target, limits: tuple[float, float], axes: Axes) -> None:
     low, high = min(limits[0], target.standard), max(limits[1], target.standard)
     edges: Array
     if target.whole:
         step = max(1, round((high - low) / _BARS))
         edges = np.arange(low - 0.5, high + step + 0.5, step)
     elif target.decades:
-        axes.set_xscale("log")
         edges = np.geomspace(low, high * (1.0 + 1e-9), _BARS + 1) if high > low else np.array([low / 2, low * 2])
     else:
         edges = np.linspace(low, high + 1e-9, _BARS + 1) if high > low else np.array([low - 0.5, low + 0.5])
-    inside = np.clip(target.values, edges[0], edges[-1])
-    weights = np.full(inside.size, 100.0 / inside.size)
-    axes.hist(inside, edges.tolist(), weights=weights, color=_SPREAD.colour, rwidth=0.9)
-    axes.axvline(target.standard, color=style.REFERENCE.colour, linestyle=style.REFERENCE.dash, linewidth=1.0)
-    axes.grid(False, axis="x")
-    axes.set_xmargin(0.03)
-    axes.autoscale(axis="x")
-    axes.set_xlabel(target.label)
-    axes.set_ylabel("Operating points (%)")
+    counts, _ = np.histogram(np.clip(target.values, edges[0], edges[-1]), edges)
+    return Panel(
+        target.symbol, Axis(target.label, log=target.decades, margin=0.03), Axis("Operating points (%)"),
+        [Bars(edges, 100.0 * counts / target.values.size), Guide("x", [target.standard], REFERENCE, 1.0)],
+        f"Share of the operating points in percent; {_range_of(target.values)}.",
+    )  # fmt: skip
 
 
-def _draw_cumulative(costs: Mapping[str, Array], axes: Axes) -> None:
-    for i, (name, values) in enumerate(costs.items()):
-        placed = _positive(values)
-        share = 100.0 * ((values <= 0.0).sum() + np.arange(1, placed.size + 1)) / values.size
-        stroke = _STROKES[name]
-        width = 1.3 + (0.9 if i == 1 else 0.0)  # the library's best may lie on the swarm's
-        axes.step(placed, share, where="post", color=stroke.colour, linestyle=stroke.dash, linewidth=width)
-    axes.set_ylim(0.0, 103.0)
-    style.logarithmic(axes, "x")
-    axes.set_xlabel("Cost (m²)")
-    axes.set_ylabel("Operating points (%)")
-
-
-def _draw_gain(speed: Array, gain: Array, axes: Axes) -> None:
-    edges = _edges(speed)
-    bins = _bins(speed, edges)
-    which = np.unique(bins)
-    middles = np.array([np.median(speed[bins == b]) for b in which])
-    low, middle, high = np.stack([_quantiles(gain[bins == b], (0.25, 0.5, 0.75)) for b in which], axis=1)
-    axes.axhline(1.0, color=style.MUTED, linewidth=0.7)
-    _band(axes, middles, low, middle, high)
-    _ratio_axis(axes, float(low.min()), float(high.max()))
-    axes.set_xlabel("Speed (m/s)")
-    axes.set_ylabel("Cost ratio (–)")
-
-
-def _draw_convergence(low: Array, middle: Array, high: Array, axes: Axes) -> None:
-    generation = np.arange(1, len(middle) + 1)
-    _band(axes, generation, low, middle, high)
-    finite = high[np.isfinite(high)]
-    _ratio_axis(axes, 1.0, float(finite.max()) if finite.size else 1.0)
-    axes.xaxis.set_major_locator(MaxNLocator(integer=True, steps=style.ROUND))
-    axes.set_xlabel("Generation (–)")
-    axes.set_ylabel("Cost over last (–)")
-
-
-def _draw_shares(shares: Mapping[str, Array], strokes: Mapping[str, style.Stroke], axes: Axes) -> None:
-    for name, share in shares.items():
-        x = 100.0 * np.concatenate([[0.0], np.sort(share)])
-        reached = 100.0 * np.concatenate([[1.0], np.arange(share.size, 0, -1) / max(share.size, 1)])
-        axes.step(x, reached, where="pre", color=strokes[name].colour, linestyle=strokes[name].dash)
-    axes.set_xlim(0.0, 100.0)
-    axes.set_ylim(0.0, 103.0)
-    axes.set_xlabel("At least so much of the library (%)")
-    axes.set_ylabel("Operating points (%)")
-
-
-def _band(axes: Axes, x: NDArray[Any], low: Array, middle: Array, high: Array) -> None:
+def _band(x: NDArray[Any], low: Array, middle: Array, high: Array) -> list[Mark]:
     """A median with its quartiles; what is infinite is left out."""
-    mark = "o" if len(x) <= 30 else ""
-    axes.fill_between(x, low, high, where=np.isfinite(high).tolist(), color=_SPREAD.colour, alpha=0.22, linewidth=0)
-    axes.plot(x, middle, color=_SPREAD.colour, marker=mark, markersize=3.0)
-    axes.set_xmargin(0.02)
+    return [Ribbon(x, low, high), Polyline(x, middle, Stroke(), markers=len(x) <= 30)]
 
 
-def _ratio_axis(axes: Axes, low: float, high: float) -> None:
+def _ratios(label: str, low: float, high: float) -> Axis:
     """A logarithmic axis of ratios from `low` to `high`, with 1 on it."""
     low, high = min(low, 1.0), max(high, 1.0)
     margin = max(float(high / low) ** 0.06, 1.001)
-    style.logarithmic(axes, "y", (low / margin, high * margin))
+    return Axis(label, low / margin, high * margin, log=True)
