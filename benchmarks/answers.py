@@ -1096,7 +1096,7 @@ def main() -> int:
     checkout = asked.checkout.resolve()
     with tempfile.TemporaryDirectory() as temporary:
         file = Path(temporary) / "answers.npz"
-        paths = [str(checkout / "src"), *filter(None, [os.environ.get("PYTHONPATH")])]
+        paths = [str(checkout / "src"), str(checkout), *filter(None, [os.environ.get("PYTHONPATH")])]
         environment = {**os.environ, "PYTHONPATH": os.pathsep.join(paths), "ANSWERS_OF": str(checkout),
                        "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}  # fmt: skip
         cache_folder = Path(temporary) / "cache" if asked.coverage else asked.cache
