@@ -143,10 +143,7 @@ COMMANDS: Mapping[str, Mapping[str, Question]] = {
     },
     "certify": {
         **{name: Question(f"certify {name}") for name in SCHEDULERS},
-        "default": Question("certify"),
-        "sedan": Question("certify --vehicle midsize-sedan --mismatch --speed 10 25"),
         "standard": Question("certify --controller standard --profile paper"),
-        "feasible": Question("certify --feasible --speed 10 20 --friction 0.5 0.9"),
     },
     "tune": {
         "sedan": Question("tune mountain town --vehicle midsize-sedan --length 600 --runs 160 --out sedan.toml"),

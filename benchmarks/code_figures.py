@@ -414,7 +414,7 @@ def main() -> None:
     figures = {}
     for source in chosen.source:
         inner = source / "src" / PACKAGE
-        figures[source.resolve().name] = measure(inner if inner.is_dir() else source)
+        figures[source.absolute().name] = measure(inner if inner.is_dir() else source)
     if chosen.table:
         print(table(figures))
     elif chosen.as_json:
