@@ -133,3 +133,23 @@ def test_pages_name_no_script_style_or_font_of_elsewhere(built):
         path.read_text() for path in [*built.glob("*.html"), *built.glob("_static/*.css")] if path.stem != "wrong"
     )
     assert not re.findall(r'(?:src="|url\(["\']?|<link[^>]*href=")https?://', text)
+
+
+# -- the workflow of a public host ------------------------------------------------------------------------------------
+def test_every_step_of_the_workflow_is_a_target_of_the_makefile(project):
+    workflow = (project / ".github" / "workflows" / "checks.yml").read_text()
+    targets = set(re.findall(r"^([a-z-]+):", (project / "Makefile").read_text(), re.MULTILINE))
+    steps = re.findall(r"^ +(?:- )?run: (.*)$", workflow, re.MULTILINE)
+    assert steps
+    for step in steps:
+        make, target, *variables = step.split()
+        assert make == "make", step
+        assert target in targets, step
+        assert all(re.fullmatch(r"PYTHON=python[\d.]*", each) for each in variables), step
+
+
+def test_the_workflow_runs_what_every_change_must_pass(project):
+    workflow = (project / ".github" / "workflows" / "checks.yml").read_text()
+    required = re.findall(r"^make --no-print-directory (\S+)", (project / ".ci" / "run").read_text(), re.MULTILINE)
+    assert required
+    assert [target for target in required if f"run: make {target}" not in workflow] == []
