@@ -27,7 +27,6 @@ from adaptrack.scenario import (
     Shape,
     Signals,
     Sine,
-    SineSweep,
     Step,
     Sum,
     TanhSteps,
@@ -51,7 +50,6 @@ ONE_OF_EACH: list[Shape] = [
     LaneChange(amplitude=-3.5, start=1.0, duration=3.0),
     TanhSteps(steps=((4.0, 1.0, 0.5), (-3.0, 4.0, 1.5))),
     Sine(amplitude=2.0, frequency=0.3, phase=0.4, start=0.5),
-    SineSweep(amplitude=2.0, frequency=0.1, last_frequency=1.0, start=0.5, duration=4.0),
     Gust(peak=20.0, start=1.0, duration=2.0),
     Pulse(height=3.0, start=1.0, duration=2.0),
     Sum(terms=(Constant(value=1.0), Gust(peak=5.0, start=1.0, duration=2.0))),
@@ -163,13 +161,6 @@ def test_a_gust_peaks_halfway() -> None:
     assert_allclose(
         Gust(peak=20.0, start=3.0, duration=2.0).at([3.0, 3.5, 4.0, 4.5, 5.0]), [0, 10, 20, 10, 0], atol=1e-14
     )
-
-
-def test_a_sweep_reaches_its_last_frequency() -> None:
-    sweep = SineSweep(amplitude=1.0, frequency=0.5, last_frequency=3.0, duration=10.0)
-    turns = 0.5 * (0.5 + 3.0) * 10.0  # mean frequency times duration
-    assert sweep.at(10.0) == pytest.approx(math.sin(math.tau * turns), abs=1e-12)
-    assert sweep.rate(10.0 - 1e-9) == pytest.approx(math.tau * 3.0 * math.cos(math.tau * turns), rel=1e-6)
 
 
 def test_shapes_add_up() -> None:

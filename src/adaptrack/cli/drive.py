@@ -72,9 +72,6 @@ class DriveOptions:
     start_offset: Annotated[
         float, Option("--start-offset", metavar="M", hidden=True, help="From the centre line, to the left (m).")
     ] = 0.0
-    start_heading: Annotated[
-        float, Option("--start-heading", metavar="RAD", hidden=True, help="Against the road, to the left (rad).")
-    ] = 0.0
     drive: options.DriveSettings
 
 
@@ -96,10 +93,7 @@ def drive(given: DriveOptions) -> None:
     how.make_places()
     seen = given.route.look(given.road, car)
     world = load_profile(given.profile)
-    trip = RoadDrive(
-        seen.road, seen.plan, laps=given.laps, wind=given.wind, start_offset=given.start_offset,
-        start_heading=given.start_heading,
-    )  # fmt: skip
+    trip = RoadDrive(seen.road, seen.plan, laps=given.laps, wind=given.wind, start_offset=given.start_offset)
     settings = ControllerSettings(
         car, world, world.period if how.period is None else how.period, preview=True, learning=learning_of(how)
     )

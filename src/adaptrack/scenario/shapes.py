@@ -355,41 +355,6 @@ class Sine(Shape):
         return np.where(since >= 0.0, self.amplitude * omega * np.cos(omega * since + self.phase), 0.0)
 
 
-class SineSweep(Shape):
-    """A sine whose frequency rises linearly from ``frequency`` to ``last_frequency`` over ``duration``.
-
-    It starts at 0 at ``start``; after the sweep its last value is held.
-    """
-
-    kind = "sine-sweep"
-    linear_in = ("amplitude",)
-
-    amplitude: float
-    frequency: Frequency
-    last_frequency: Frequency
-    start: Time = 0.0
-    duration: Span
-
-    def at(self, t: ArrayLike) -> Array:
-        """See `Shape.at`."""
-        since = np.clip(np.asarray(t, dtype=np.float64) - self.start, 0.0, self.duration)
-        turns = since * (self.frequency + 0.5 * self._chirp * since)
-        return self.amplitude * np.sin(math.tau * turns)
-
-    def rate(self, t: ArrayLike) -> Array:
-        """See `Shape.rate`."""
-        since = np.clip(np.asarray(t, dtype=np.float64) - self.start, 0.0, self.duration)
-        turns = since * (self.frequency + 0.5 * self._chirp * since)
-        omega = math.tau * (self.frequency + self._chirp * since)
-        inner = self.amplitude * omega * np.cos(math.tau * turns)
-        return np.where(_during(t, self.start, self.duration), inner, 0.0)
-
-    @property
-    def _chirp(self) -> float:
-        """How fast the frequency changes, Hz/s."""
-        return (self.last_frequency - self.frequency) / self.duration
-
-
 class Gust(Shape):
     """One 1-cosine gust: ``peak``/2 (1 − cos(2π (t − ``start``)/``duration``)), 0 before and after.
 
@@ -464,8 +429,7 @@ class Sum(Shape):
 
 
 SHAPES: dict[str, type[Shape]] = {
-    shape.kind: shape
-    for shape in (Constant, Knots, Step, Ramp, LaneChange, TanhSteps, Sine, SineSweep, Gust, Pulse, Sum)
+    shape.kind: shape for shape in (Constant, Knots, Step, Ramp, LaneChange, TanhSteps, Sine, Gust, Pulse, Sum)
 }
 """The shapes by their names in scenario files."""
 
