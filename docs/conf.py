@@ -11,7 +11,7 @@ author = "The adaptrack contributors"
 copyright = "2026, the adaptrack contributors"
 version = release = _version("adaptrack")
 
-extensions = ["myst_parser", "mathml", "docstrings", "configuration_keys"]
+extensions = ["myst_parser", "mathml", "docstrings", "checked_types", "configuration_keys"]
 html_math_renderer = "mathml"
 myst_enable_extensions = ["amsmath", "colon_fence", "dollarmath"]
 myst_heading_anchors = 3
