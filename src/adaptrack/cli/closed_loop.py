@@ -124,7 +124,8 @@ def _say_pictures(files: Sequence[Path], aside: bool) -> None:
 def _draw(out: Path, name: str, runs: Sequence[EntrySpeed]) -> Path:
     """One picture for a car: each controller where it is faster, with its own tuning or tuned."""
     from adaptrack.base.files import safe_names, write_atomically
-    from adaptrack.results.lane_change import lane_change_png
+    from adaptrack.results.draw import picture_png
+    from adaptrack.results.lane_change import lane_change_picture
 
     best: dict[str, EntrySpeed] = {}
     for run in runs:
@@ -132,7 +133,7 @@ def _draw(out: Path, name: str, runs: Sequence[EntrySpeed]) -> Path:
         if before is None or not math.isfinite(before.found.speed) or run.found.speed > before.found.speed:
             best[run.name] = run
     (file,) = safe_names([f"{name}-{runs[0].test.car.name}"])
-    write_atomically(out / f"{file}.png", lane_change_png(list(best.values())))
+    write_atomically(out / f"{file}.png", picture_png(lane_change_picture(list(best.values()))))
     return out / f"{file}.png"
 
 

@@ -1,11 +1,11 @@
-"""Figures and the page: the only room that imports matplotlib.
+"""Renderings of a `Result` (base/result.py): console, JSON, notebook, page; the only room that imports matplotlib.
 
-* `figures` draws the paper's figures 6 to 10 from trajectories; `style` says how every picture looks.
-* `maps` draws heat maps over the speed and one more quantity.
-* `page` writes any list of sections as one self-contained HTML page with its PNG files.
-* `runs` reports on closed-loop runs: `write_report`; `dataset` on tuned operating points: `write_dataset_report`.
-* `drive` reports on drives along a road, with a replay: `write_drive_page`, from `record.DriveRecord`; `drive_figures`
-  draws the road from above with the driven line, and signals along it; `notebook` shows one run.
+* `console` prints the answer, the brief tables, the notes and the next step; `json` writes the record.
+* `page` writes the page of a result by the template of its kind (`templates/`), or of any list of sections.
+* `draw` makes figures from pictures, which are plain data; `style` says how every picture looks.
+* `identify`, `road`, `certificate`, `drive`, `runs`, `reproduce`, `dataset` make results of what the rooms below found;
+  `figures` the paper's figures 6 to 10, `drive_figures` a road from above and signals along it; `answers` sentences.
+* `notebook` is what objects show of themselves there, `shown` which form belongs to which type.
 
 The public names are loaded when they are first used: a page loads what it shows, not what other pages do.
 """

@@ -12,17 +12,31 @@ from markupsafe import escape
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from adaptrack.base.result import Picture
+from adaptrack.base.result import (
+    BACKGROUND,
+    NEUTRAL,
+    SERIES,
+    Axis,
+    Dots,
+    Mark,
+    Panel,
+    Picture,
+    Polygon,
+    Polyline,
+    Remark,
+    Stroke,
+    strokes,
+)
 from adaptrack.cars.vehicle import Vehicle
 from adaptrack.control.scheduling import Schedule, SchedulingVariables
 from adaptrack.drive.metrics import Metrics, compute_metrics
 from adaptrack.drive.trajectory import Trajectory
 from adaptrack.results import style
-from adaptrack.results.draw import print_figure
+from adaptrack.results.draw import panel_figure, print_figure
 from adaptrack.results.drive_figures import above_picture, along_picture, labelled
 from adaptrack.results.figures import tracking_figure
 from adaptrack.results.record import DriveRecord, Shape
-from adaptrack.results.words import INPUTS, controller_name, legible, number, ratio_with_interval, title_of
+from adaptrack.results.words import INPUTS, controller_name, data_text, legible, number, ratio_with_interval, title_of
 from adaptrack.road import Road
 
 Array = NDArray[np.float64]
@@ -72,54 +86,45 @@ def vehicle_html(car: Vehicle) -> str:
 def vehicle_figure(car: Vehicle) -> Figure:
     """The car from above to scale: body, wheels, centre of mass, axles."""
     body, shape = car.outline.corners[[0, 1, 3, 2]], Shape.of(car)
-    with style.styled():
-        figure = style.ShownFigure(figsize=(5.2, 2.6))
-        axes = figure.subplots()
-        axes.fill(body[:, 0], body[:, 1], facecolor=style.GRID, edgecolor=style.MUTED)
-        for x, track in ((shape.lf, shape.track_front), (-shape.lr, shape.track_rear)):
-            axes.plot([x, x], [-track / 2, track / 2], color=style.MUTED, linewidth=1.0)
-            for y in (-track / 2, track / 2):
-                axes.plot([x - 0.32, x + 0.32], [y, y], color=style.INK, linewidth=5.0, solid_capstyle="butt")
-        axes.plot(0.0, 0.0, "o", color=style.SERIES[1], markersize=6)
-        axes.annotate("centre of mass", (0.0, 0.0), (6, 5), textcoords="offset points", fontsize=8.0)
-        axes.set_aspect("equal", adjustable="datalim")
-        axes.margins(0.06)
-        axes.set(
-            xlabel="x (m), forward", ylabel="y (m), left", title=style.data_text(f"{car.name}, {number(car.mass)} kg")
-        )
-    return figure
+    marks: list[Mark] = [Polygon(body[:, 0], body[:, 1], "muted", "grid", 1.0)]
+    for x, track in ((shape.lf, shape.track_front), (-shape.lr, shape.track_rear)):
+        sides = (-track / 2, track / 2)
+        marks.append(Polyline([x, x], sides, BACKGROUND, 1.0))
+        marks += [Polyline([x - 0.32, x + 0.32], [y, y], NEUTRAL, 5.0) for y in sides]
+    marks += [Dots([0.0], [0.0], SERIES[1], size=6.0), Remark(0.0, 0.0, "centre of mass", (6.0, 5.0))]
+    panel = Panel(
+        data_text(f"{car.name}, {number(car.mass)} kg"), Axis("x (m), forward", margin=0.06),
+        Axis("y (m), left", margin=0.06), marks, f"{car.name} from above.", to_scale=True,
+    )  # fmt: skip
+    return panel_figure(panel, (5.2, 2.6))
 
 
 def schedule_figure(schedule: Schedule) -> Figure:
     """Each tuning entry over the first input, for three values of the second; the others in the middle of theirs."""
     low, high = schedule.domain.T
     first, others = schedule.inputs[0], schedule.inputs[1:2]
-    levels = np.linspace(low[1], high[1], 3) if others else [0.0]
+    levels = np.linspace(low[1], high[1], 3) if others else np.zeros(1)
     x = np.linspace(low[0], high[0], 200)
-    columns = min(len(schedule.entries), 2)
     label, unit = INPUTS[first]
-    with style.styled():
-        figure, panels = style.grid_figure(-(-len(schedule.entries) // columns), columns, 2.1)
-        strokes = style.strokes(f"{INPUTS[name][0]} {number(float(at))}" for name in others for at in levels)
-        for (_, stroke), level in zip(
-            list(strokes.items()) or [("", style.Stroke(style.SERIES[0]))], levels, strict=True
-        ):
-            points = np.tile((low + high) / 2.0, (x.size, 1))
-            points[:, 0] = x
-            if others:
-                points[:, 1] = level
-            tuning = schedule.batch(_variables(schedule, points))
-            for k, axes in enumerate(panels[: len(schedule.entries)]):
-                axes.plot(x, tuning[:, k], color=stroke.colour, linestyle=stroke.dash)
-        for name, axes in zip(schedule.entries, panels, strict=False):
-            axes.set(title=style.data_text(name), xlabel=f"{label} ({unit})")
-            if schedule.tuning[name].log10 or name in ("Q", "R"):
-                style.logarithmic(axes, "y")
-        for spare in panels[len(schedule.entries) :]:
-            spare.remove()
-        if strokes:
-            style.legend_above(figure, list(strokes.items()))
-    return figure
+    own = strokes(f"{INPUTS[name][0]} {number(float(at))}" for name in others for at in levels)
+    tunings = []
+    for level in levels:
+        points = np.tile((low + high) / 2.0, (x.size, 1))
+        points[:, 0] = x
+        if others:
+            points[:, 1] = level
+        tunings.append(schedule.batch(_variables(schedule, points)))
+    panels = [
+        Panel(
+            data_text(name), Axis(f"{label} ({unit})"),
+            Axis(log=schedule.tuning[name].log10 or name in ("Q", "R")),
+            [Polyline(x, tuning[:, k], stroke)
+             for tuning, stroke in zip(tunings, list(own.values()) or [Stroke()], strict=True)],
+            f"{name} over the {label.lower()}.",
+        )
+        for k, name in enumerate(schedule.entries)
+    ]  # fmt: skip
+    return print_figure(Picture("schedule", "", panels, list(own.items()), row_height=2.1))
 
 
 def _variables(schedule: Schedule, points: Array) -> Array:

@@ -157,13 +157,6 @@ class Verdict:
 
 
 @dataclass(frozen=True)
-class Embedded:
-    """A part that brings its own HTML, style and script, already escaped."""
-
-    content: Markup
-
-
-@dataclass(frozen=True)
 class Section:
     """A titled part of the page; strings among its items are paragraphs."""
 
@@ -171,10 +164,10 @@ class Section:
     items: Sequence[Item] = ()
 
 
-KINDS = (Table, Picture, Terms, Verbatim, Verdict, Embedded, Section)
+KINDS = (Table, Picture, Terms, Verbatim, Verdict, Section)
 """Of items, beside strings; the template has a macro for each."""
 
-Item: TypeAlias = "str | Table | Picture | Terms | Verbatim | Verdict | Embedded | Section"
+Item: TypeAlias = "str | Table | Picture | Terms | Verbatim | Verdict | Section"
 
 
 def printed(panels: Sequence[Panel], columns: int, height: float, legend: Legend = ()) -> Figure:

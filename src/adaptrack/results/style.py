@@ -140,14 +140,8 @@ class Stroke:
     dash: Any = "-"
 
 
-REFERENCE = Stroke(INK, (0, (4, 2)))
-"""The stroke of what is to be followed."""
-
-NEUTRAL = Stroke(INK)
-"""The stroke of what all controllers share (gust, friction)."""
-
 BACKGROUND = Stroke(MUTED)
-"""Likewise, where it lies under a reference (the driven speed)."""
+"""The stroke of what lies under a reference (the driven speed)."""
 
 
 def strokes(labels: Iterable[str]) -> dict[str, Stroke]:
