@@ -8,6 +8,7 @@ import fractions
 import inspect
 import math
 import pickle
+import typing
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,6 +19,7 @@ import pytest
 from pydantic import Field, InstanceOf
 
 import adaptrack
+from adaptrack.base import checked as checks
 from adaptrack.base.checked import Bound, Count, Finite, Hint, Natural, NotNegative, Number, Positive, Share, checked
 from adaptrack.base.errors import ConfigError, InvalidInput
 from adaptrack.base.files import Record, build
@@ -186,7 +188,8 @@ def unchecked(path: Path) -> list[str]:
         for each in module.body
         if isinstance(each, ast.ImportFrom) and each.module == "adaptrack.base.checked"
         for alias in each.names
-    } - {"checked"}
+        if typing.get_origin(getattr(checks, alias.name)) is Annotated
+    }
     types |= {
         target.id
         for each in module.body
