@@ -30,11 +30,6 @@ class Profile(Record):
     """The simulated world around a car: its steering actuator, sensors and computer, and the weight of a test's cost.
 
     Each profile is one TOML file, see `load_profile`.
-
-    Raises
-    ------
-    InvalidInput
-        When a value is not allowed; the message names the key and what is.
     """
 
     name: str = Field(min_length=1, description="how lists and tables call the profile")

@@ -53,13 +53,7 @@ class LearnedNumber(NamedTuple):
 
 
 class LearnedCar(Record):
-    """What has been learned of a car, each with its standard deviation: for the next drive, see `Learning.start`.
-
-    Raises
-    ------
-    InvalidInput
-        When a value is not allowed.
-    """
+    """What has been learned of a car, each with its standard deviation: for the next drive, see `Learning.start`."""
 
     car: str = Field(default="", description="whose model the factors belong to")
     lag: float = Field(ge=0, le=10, description="s, of the steering")
