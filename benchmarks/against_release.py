@@ -134,9 +134,13 @@ COMMANDS: Mapping[str, Mapping[str, Question]] = {
     "compare": {"quick": Question("compare --quick --out compared"),
                 "contenders": Question("compare --list")},
     "evaluate": {
-        "drives": Question("evaluate --drives 200"),
-        "as-written": Question("evaluate --controller as-written --operating-points sobol:100 --drives 200 --tests"),
-        "noisy": Question("evaluate --drives 40 --known-as noisy --known-as withheld"),
+        "drives": Question("evaluate-schedules --drives 200", "evaluate --drives 200"),
+        "as-written": Question(
+            "evaluate-schedules --controller as-written --operating-points sobol:100 --drives 200 --tests",
+            "evaluate --controller as-written --operating-points sobol:100 --drives 200 --tests",
+        ),
+        "noisy": Question("evaluate-schedules --drives 40 --known-as noisy --known-as withheld",
+                          "evaluate --drives 40 --known-as noisy --known-as withheld"),
         "roads": Question("evaluate mountain country --road-seed 1 --road-seed 2 --length 800 --vehicle midsize-sedan"
                           " --noise-seeds 3"),
         "named": Question("evaluate town --length 600 --contender informed --contender lqr --contender stanley"),
@@ -151,7 +155,7 @@ COMMANDS: Mapping[str, Mapping[str, Question]] = {
         "paper-pursuit": Question("tune country --length 600 --controller pure-pursuit --runs 80 --out pursuit.toml"),
     },
     "adapt": {
-        "config": Question("adapt --config {adaptation} --out chain"),
+        "config": Question("adaptation {adaptation} --out chain", "adapt --config {adaptation} --out chain"),
         "car": Question("adapt van --quick --speed 10..15 --friction 0.8..0.9 --out chain"),
     },
     "simulate": {
@@ -189,7 +193,9 @@ COMMANDS: Mapping[str, Mapping[str, Question]] = {
               "car": Question("car --mass 1450 --wheelbase 2.65 --out my-car.toml")},
 }  # fmt: skip
 """Commands by group and name."""
-CAMPAIGN_COMMAND = Question("tune --config {name}.toml --out campaign-{name}")
+CAMPAIGN_COMMAND = Question(
+    "campaign {name}.toml --out campaign-{name} --json", "tune --config {name}.toml --out campaign-{name} --json"
+)
 ARRAYS = ("rollouts", "campaigns")
 """What is measured from Python and in data sets."""
 
