@@ -6,6 +6,7 @@ import re
 import subprocess
 import sys
 import tomllib
+from pathlib import Path
 
 import pytest
 import typer
@@ -85,17 +86,17 @@ def test_out_holds_the_page_and_the_trajectories_and_where_asked_the_pictures(mo
         (["simulate", "step", "-o", "friction=80"], ["friction"]),
         (["simulate", "no-such-file.toml"], ["no-such-file.toml"]),
         (["simulate", "step", "--controller", "as-relased"], ["Did you mean 'as-released'"]),
-        (["simulate", "step", "--period", "0"], ["period = 0.0 s", "positive"]),
-        (["simulate", "step", "--period", "-0.1"], ["period = -0.1 s", "positive"]),
-        (["simulate", "step", "--period", "nan"], ["period = nan s", "positive"]),
+        (["simulate", "step", "--period", "0"], ["period = 0.0 s", "must be a finite number > 0"]),
+        (["simulate", "step", "--period", "-0.1"], ["period = -0.1 s", "must be a finite number > 0"]),
+        (["simulate", "step", "--period", "nan"], ["period = nan s", "must be a finite number > 0"]),
         (["simulate", "step", "--period", "1e-9"], ["2,000,000 are possible"]),
         (["simulate", "step", "--np", "1000000000"], ["Np = 1000000000", "at most 1,000"]),
         (["simulate", "step", "-o", "speed=1e15"], ["at most 100 m/s"]),
-        (["evaluate", "--drives", "1000000000"], ["--drives = 1000000000", "at most 10,000"]),
-        (["evaluate", "--drives", "-5"], ["--drives = -5", "at least 1"]),
-        (["evaluate", "--conditions", "sobol:1000000000"], ["at most 100,000 operating points"]),
-        (["evaluate", "--operating-points", "sobol:" + 5000 * "9"], ["at most 100,000 operating points"]),
-        (["evaluate", "--seed", "10" + 30 * "0"], ["--seed", "at most 10,000"]),
+        (["evaluate-schedules", "--drives", "1000000000"], ["--drives = 1000000000", "at most 10,000"]),
+        (["evaluate-schedules", "--drives", "-5"], ["--drives = -5", "at least 1"]),
+        (["evaluate-schedules", "--conditions", "sobol:1000000000"], ["at most 100,000 operating points"]),
+        (["evaluate-schedules", "--operating-points", "sobol:" + 5000 * "9"], ["at most 100,000 operating points"]),
+        (["evaluate-schedules", "--seed", "10" + 30 * "0"], ["--seed", "at most 10,000"]),
         (["adapt", "--out", "nowhere", "--workers", "100000"], ["--workers = 100000", "at most 1,024"]),
     ],
 )
@@ -373,6 +374,14 @@ def test_the_help_of_a_command_fits_a_terminal_of_80_columns_and_40_lines(monkey
     assert code == 0
     assert len(lines) <= 40
     assert max(map(len, lines)) <= 80
+
+
+def test_the_first_screen_says_each_command_in_a_whole_sentence_and_where_to_begin(monkeypatch, capsys):
+    monkeypatch.setenv("COLUMNS", "80")
+    _, out, _ = run(monkeypatch, capsys, "--help")
+    assert "..." not in out.partition("Commands:")[2]
+    assert "Begin with: adaptrack drive country --out drive" in out
+    assert (Path(__file__).parents[1] / "docs" / "guide.md").exists()
 
 
 @pytest.mark.parametrize("words", COMMANDS, ids=" ".join)

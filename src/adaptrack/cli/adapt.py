@@ -49,10 +49,10 @@ class AdaptOptions:
 
 @options.grouped
 def adapt(given: AdaptOptions) -> None:
-    """For a car: its constant tuning, checked, in seconds; then schedulers, learned, guarded, and judged.
+    """Tune a car: its constant, then schedulers, judged.
 
-    First which speeds and frictions can be held, the best tuning of a search, unseen drives, certificate; then the
-    chain by the configuration that follows, which is kept in the folder (`adaptrack adaptation`).
+    First, in seconds, which speeds and frictions can be held, the best tuning of a search, unseen drives, certificate;
+    then the chain by the configuration that follows, which is kept in the folder (`adaptrack adaptation`).
 
     Failed runs are part of the result: they are counted for each contender, and the exit code is 0; it is 3 when the
     car leaves the road with its constant, or the certificate finds that loop unstable; also when the chain is gone on

@@ -36,10 +36,10 @@ class AdaptationOptions:
 
 @options.grouped
 def adaptation(given: AdaptationOptions) -> None:
-    """The whole chain by a configuration: tune, learn schedulers, guard them, evaluate them where none was trained.
+    """Run the whole chain of a configuration.
 
-    Failed runs are part of the result: they are counted for each contender, and the exit code is 0. For a car of your
-    own: `adaptrack adapt CAR`.
+    Tune, learn schedulers, guard them, evaluate them where none was trained. Failed runs are part of the result: they
+    are counted for each contender, and the exit code is 0. For a car of your own: `adaptrack adapt CAR`.
     """
     settings = comparison.study(given.config, given.controller, given.profile)
     options.make_folder(given.out)

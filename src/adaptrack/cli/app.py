@@ -31,9 +31,9 @@ from adaptrack.cli import (
 app = typer.Typer(
     name="adaptrack",
     help="Auto-tuned, auto-adaptive model predictive control for path tracking.",
-    epilog="Exit codes: 0 done; 1 an unstable certificate, a road that cannot be driven, or criteria of a standard "
-    "that are not met; 2 an error; "
-    "3 a run of `simulate` failed; 130 Ctrl-C.",
+    epilog="Begin with: adaptrack drive country --out drive. Which controller, which profile, what to measure first: "
+    "docs/guide.md. Exit codes: 0 done; 1 an unstable certificate, a road that cannot be driven, criteria of a "
+    "standard that are not met; 2 an error; 3 a run failed; 130 Ctrl-C.",
     no_args_is_help=True,
     rich_markup_mode=None,
     add_completion=False,

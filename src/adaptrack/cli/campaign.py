@@ -41,9 +41,9 @@ class CampaignOptions:
 
 @options.grouped
 def campaign(given: CampaignOptions) -> None:
-    """Tune an MPC on every operating point of a campaign: a swarm each, and the cost of a common library.
+    """Tune an MPC on every operating point of a campaign.
 
-    Runs that fail are counted; the exit code is 0.
+    A swarm for each, and the cost of a common library of tunings. Runs that fail are counted; the exit code is 0.
     """
     from adaptrack.tuning.campaign import CampaignInterrupted, run_campaign
     from adaptrack.tuning.config import load_campaign

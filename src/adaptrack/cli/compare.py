@@ -86,10 +86,11 @@ class CompareOptions:
 
 @options.grouped
 def compare(given: CompareOptions) -> None:
-    """Compare controllers on cars, roads and profiles: same noise, same effort of tuning, unseen roads.
+    """Compare controllers on cars, roads and profiles.
 
-    Each contender drives with its default and with a tuning that a search found on training roads; a schedule brings
-    its own. Ranks differ only where the intervals part. Failed runs are counted in the table; the exit code is 0.
+    The same noise, the same effort of tuning, unseen roads. Each contender drives with its default and with a tuning
+    that a search found on training roads; a schedule brings its own. Ranks differ only where the intervals part. Failed
+    runs are counted in the table; the exit code is 0.
     """
     from adaptrack.studies.compare import TABLE, load_comparison, run_comparison
 

@@ -77,7 +77,7 @@ class DriveOptions:
 
 @options.grouped
 def drive(given: DriveOptions) -> None:
-    """Drive along a road: recorded points, OpenDRIVE, a generated one.
+    """Drive along a road: recorded, OpenDRIVE or generated.
 
     The speed is planned from curvature, friction and the car, unless --speed gives one. A drive that leaves the road,
     spins or is not finite is printed as FAILED; the exit code is then 3.

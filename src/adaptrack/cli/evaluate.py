@@ -60,10 +60,11 @@ class EvaluateOptions:
 
 @options.grouped
 def evaluate(given: EvaluateOptions) -> None:
-    """Compare controllers, tunings and schedulers on given roads: the same speed, car and noise for all.
+    """Compare controllers and tunings on given roads.
 
-    Failed runs are part of the result: they are counted for each contender, and the exit code is 0. Schedulers where
-    none was trained: `adaptrack evaluate-schedules`.
+    The same speed, car and noise for all; schedulers may drive, too. Failed runs are part of the result: they are
+    counted for each contender, and the exit code is 0. Schedulers where none was trained: `adaptrack
+    evaluate-schedules`.
     """
     roads = on_roads.named("evaluate", given.road, "schedulers on unseen drives: adaptrack evaluate-schedules")
     options.make_page_folder(given.out)

@@ -79,10 +79,11 @@ class EvaluateSchedulesOptions:
 
 @options.grouped
 def evaluate_schedules(given: EvaluateSchedulesOptions) -> None:
-    """Compare schedulers with the best constant, and the optimum of each operating point, where none was trained.
+    """Compare schedulers where none of them was trained.
 
-    A plant that is stepped in Python is driven run by run; no optimum is searched for on it. Failed runs are part of
-    the result: they are counted for each contender, and the exit code is 0.
+    Against the best constant, and the optimum of each operating point. A plant that is stepped in Python is driven run
+    by run; no optimum is searched for on it. Failed runs are part of the result: they are counted for each contender,
+    and the exit code is 0.
     """
     from adaptrack.comparison.contenders import check_contender
     from adaptrack.comparison.evaluate import on_drives, on_operating_points, on_tests

@@ -71,10 +71,10 @@ class IdentifyOptions:
 
 @options.grouped
 def identify(given: IdentifyOptions) -> None:
-    """Identify a car from a log: steering, tyres, offsets, noise.
+    """Identify a car from a log of driving.
 
-    The log needs time, speed, yaw rate and a steering command (or a measured wheel angle), 10 Hz and up. Each number
-    comes with its interval.
+    Steering delay, tyre stiffness, offsets, noise. The log needs time, speed, yaw rate and a steering command (or a
+    measured wheel angle), 10 Hz and up. Each number comes with its interval.
     """
     from adaptrack.identification import identify as fit
     from adaptrack.results.identify import identification_result, write_identification_page

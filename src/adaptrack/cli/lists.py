@@ -7,7 +7,7 @@ from adaptrack.cli.next_step import command, say_next
 
 
 def scenarios(as_json: options.Json = False) -> None:
-    """List the scenarios that have a name, and their options."""
+    """List the scenarios that have a name."""
     from adaptrack.scenario import list_scenarios, scenario_options
 
     rows = [

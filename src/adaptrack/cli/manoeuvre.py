@@ -154,7 +154,7 @@ class ManoeuvreOptions:
 
 @options.grouped
 def manoeuvre(given: ManoeuvreOptions) -> None:
-    """Drive a test of a standard, open loop or with a controller.
+    """Drive a test of a standard, or one of ours.
 
     Open loop: steady-circle, step-steer, frequency-response, sine-with-dwell; the plants have no stability control,
     without which cars may fail the last. With controllers: double-lane-change and obstacle-avoidance (highest clean

@@ -27,7 +27,7 @@ class ReproduceOptions:
 
 @options.grouped
 def reproduce(given: ReproduceOptions) -> None:
-    """Run the paper's experiment again, and write the page about it.
+    """Run the paper's experiment again.
 
     Failed runs are part of the result: they are counted, and the exit code is 0.
     """

@@ -42,7 +42,10 @@ class TrainOptions:
 
 @options.grouped
 def train(given: TrainOptions) -> None:
-    """Learn a scheduler from a data set, and judge it on points held out."""
+    """Learn a scheduler from a data set.
+
+    It is judged on operating points held out, beside boosted trees.
+    """
     from adaptrack.control.scheduling import check_scheduler
     from adaptrack.learning.adaptation.recipes import purpose_of, trained_schedule
     from adaptrack.learning.training import train as learn

@@ -50,10 +50,10 @@ class TuneOptions:
 
 @options.grouped
 def tune(given: TuneOptions) -> None:
-    """Seek the tuning of a controller that is best on given roads, and write it for `drive --tuning`.
+    """Seek the best tuning of a controller on given roads.
 
-    Default and tuned are then driven with noise that the search did not see. Runs that fail are counted; the exit code
-    is 0. Campaigns over operating points: `adaptrack campaign`.
+    It is written for `drive --tuning`. Default and tuned are then driven with noise that the search did not see. Runs
+    that fail are counted; the exit code is 0. Campaigns over operating points: `adaptrack campaign`.
     """
     if given.config is not None:
         raise InvalidInput(
