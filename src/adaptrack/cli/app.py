@@ -41,8 +41,8 @@ app = typer.Typer(
 )
 
 
-def _version(asked: bool) -> None:
-    if asked:
+def _version(wanted: bool) -> None:
+    if wanted:
         from adaptrack.core.library import description
 
         typer.echo(f"adaptrack {__version__}\n{description()}")

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from adaptrack.cars.vehicle import Vehicle
 
 
-class BodyStyle(StrEnum):
+class BodyStyleName(StrEnum):
     """Kinds of cars whose measurements an estimate rests on."""
 
     car = "car"
@@ -51,8 +51,8 @@ class CarOptions:
         Option("--load", metavar="KG", help="People and luggage beside the mass: 75 a driver, 136 with luggage."),
     ] = None
     body_style: Annotated[
-        BodyStyle, Option("--body-style", help="Of a new car: car; truck for pickups, vans and SUVs.")
-    ] = BodyStyle.car
+        BodyStyleName, Option("--body-style", help="Of a new car: car; truck for pickups, vans and SUVs.")
+    ] = BodyStyleName.car
     yaw_inertia: Annotated[
         float | None, Option("--yaw-inertia", metavar="I", hidden=True, help="If known (kg m^2).")
     ] = None

@@ -159,9 +159,9 @@ def _certificate(
     if out is not None:
         options.make_folder(out)
     against = usual_mismatches(mpc.period) if mismatch else ()
-    asked = mpc.tuning if schedule is None else schedule
+    sought = mpc.tuning if schedule is None else schedule
     with show.progress("certify") as advance:
-        return look(asked, body, mpc, profile, domain=domain, mismatches=against, progress=advance)
+        return look(sought, body, mpc, profile, domain=domain, mismatches=against, progress=advance)
 
 
 def _write_page(out: Path, found: Certificate) -> Path:

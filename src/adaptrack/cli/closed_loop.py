@@ -139,15 +139,15 @@ def _draw(out: Path, name: str, runs: Sequence[EntrySpeed]) -> Path:
 
 def _beside(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
     """A row for each car and controller: with its own tuning, and beside it tuned."""
-    told: dict[tuple[str, str], dict[str, Any]] = {}
+    lines: dict[tuple[str, str], dict[str, Any]] = {}
     shown = ("clean", "highest_clean")
     for row in rows:
-        line = told.setdefault(
+        line = lines.setdefault(
             (row["vehicle"], row["controller"]),
             {"vehicle": row["vehicle"], "controller": row["controller"]} | {f"tuned_{key}": None for key in shown},
         )
         line |= {f"tuned_{key}" if row["tuned"] else key: row[key] for key in shown}
-    return list(told.values())
+    return list(lines.values())
 
 
 def drive_start(name: str, driven: Driven, given: dict[str, float], as_json: bool) -> bool:
@@ -171,9 +171,9 @@ def drive_start(name: str, driven: Driven, given: dict[str, float], as_json: boo
         about = {"manoeuvre": name, "profile": driven.profile.name, "speed": start.speed, "criterion": start.source}
         show.say_json(about | {"rows": rows})
     else:
-        told = [{**row, "result": row["failed"] or ("passed" if row["passed"] else "too far")} for row in rows]
+        shown = [{**row, "result": row["failed"] or ("passed" if row["passed"] else "too far")} for row in rows]
         show.say(of_starts(rows))
-        show.table(f"{TITLES[name]}: {start.speed:.3g} m/s, corner at most {start.limit:.3g} m", START_COLUMNS, told)
+        show.table(f"{TITLES[name]}: {start.speed:.3g} m/s, corner at most {start.limit:.3g} m", START_COLUMNS, shown)
         show.say(f"Criterion: {start.source}.")
         show.say("Settled: |e| within 0.1 m from then on. The worst of three noise seeds counts.")
     return all(row["passed"] for row in rows)

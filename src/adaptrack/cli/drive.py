@@ -91,9 +91,9 @@ def drive(given: DriveOptions) -> None:
     how, as_json = given.drive, given.drive.as_json
     car, body = given.car.load()
     how.make_places()
-    seen = given.route.look(given.road, car)
+    checked = given.route.look(given.road, car)
     world = load_profile(given.profile)
-    trip = RoadDrive(seen.road, seen.plan, laps=given.laps, wind=given.wind, start_offset=given.start_offset)
+    trip = RoadDrive(checked.road, checked.plan, laps=given.laps, wind=given.wind, start_offset=given.start_offset)
     settings = ControllerSettings(
         car, world, world.period if how.period is None else how.period, preview=True, learning=learning_of(how)
     )
@@ -102,7 +102,7 @@ def drive(given: DriveOptions) -> None:
     for found in dict.fromkeys(given.tuning or []):
         controllers.append(tuned(found, settings))
         _certify_elsewhere(found, controllers[-1][1], settings, body, how.allow_failed)
-    seen.warn()
+    checked.warn()
     files = safe_names(f"{trip.name}-{label}" for label, _ in controllers)
     runs = []
     with show.progress("drive", len(controllers)) as advance:
@@ -128,7 +128,7 @@ def drive(given: DriveOptions) -> None:
         show.say(f"Page: {_write_page(how.out, runs, how.png)}", aside=as_json)
     if not as_json:
         assumed = any(each.belief is not None and each.belief.is_cautious for _, each in controllers)
-        say_next(*_next_step(given, rows, seen.drivable, assumed))
+        say_next(*_next_step(given, rows, checked.drivable, assumed))
     if failed and not how.allow_failed:
         raise typer.Exit(FAILED)
 

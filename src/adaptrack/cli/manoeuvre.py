@@ -250,11 +250,11 @@ def _plain(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
 
 def _print(name: Name, who: str, summary: dict[str, Any], rows: list[dict[str, Any]]) -> None:
     if rows:
-        told = [
+        shown = [
             {**row, "result": "spun" if row.get("spun") else "passed" if row.get("passed") else "failed"}
             for row in _plain(rows)
         ]
-        show.table(f"{TITLES[name]}: {who}", COLUMNS[name], told)
+        show.table(f"{TITLES[name]}: {who}", COLUMNS[name], shown)
     listed = [
         {"what": key.replace("_", " "), "value": _strict(value), "unit": UNITS[key]} for key, value in summary.items()
     ]

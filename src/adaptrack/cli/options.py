@@ -285,7 +285,7 @@ def make_folder(path: Path) -> None:
 
 
 def make_place(file: Path | None) -> None:
-    """`make_folder` for a file that is written when the work is done, if one is asked for.
+    """`make_folder` for a file that is written when the work is done, if one is given.
 
     Raises
     ------
@@ -300,12 +300,12 @@ def make_place(file: Path | None) -> None:
 
 
 def make_page_folder(out: Path | None, png: bool = False) -> None:
-    """`make_folder`, where a page is asked for.
+    """`make_folder`, where a page is to be written.
 
     Raises
     ------
     InvalidInput
-        When PNG files are asked for and no page.
+        When PNG files are wanted and no page.
     StorageError
         As `make_folder`.
     """

@@ -93,7 +93,7 @@ class RoadOptions:
         """The same for one seed of a generated road at a time."""
         return [replace(self, road_seed=[seed]) for seed in dict.fromkeys(self.road_seed or ())] or [self]
 
-    def look(self, name: str, car: Vehicle) -> Seen:
+    def look(self, name: str, car: Vehicle) -> CheckedRoad:
         """Load a road by its name, plan the speed along it for a car, and check both.
 
         Raises
@@ -108,14 +108,14 @@ class RoadOptions:
             raise InvalidInput("give either --speed or --lateral-acceleration.")
         if len(self.road_seed or ()) > 1:
             raise InvalidInput("--road-seed: give one.")
-        asked = {
+        known = {
             "max_deviation": self.max_deviation, "closed": self.closed, "road": self.road_id, "lane": self.lane,
             "seed": self.road_seed[0] if self.road_seed else None, "length": self.length,
         }  # fmt: skip
-        road = load_road(name, **{key: value for key, value in asked.items() if value is not None})
+        road = load_road(name, **{key: value for key, value in known.items() if value is not None})
         comfort = Comfort() if self.lateral_acceleration is None else Comfort(lateral=self.lateral_acceleration)
         plan = plan_speed(road, car, comfort) if self.speed is None else constant_speed(road, self.speed)
-        return Seen(road, plan, check_road(road, car, plan))
+        return CheckedRoad(road, plan, check_road(road, car, plan))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -135,20 +135,20 @@ def check(given: CheckOptions) -> None:
     from adaptrack.cars.vehicle import load_vehicle
     from adaptrack.results.road import road_result
 
-    seen = given.route.look(given.road, load_vehicle(given.vehicle))
-    show.say_result(road_result(seen.road, seen.plan, seen.findings), given.as_json)
+    checked = given.route.look(given.road, load_vehicle(given.vehicle))
+    show.say_result(road_result(checked.road, checked.plan, checked.findings), given.as_json)
     if not given.as_json:
-        say_next(*_next_step(given, seen))
-    if not seen.drivable:
+        say_next(*_next_step(given, checked))
+    if not checked.drivable:
         raise typer.Exit(NOT_DRIVABLE)
 
 
-def _next_step(given: CheckOptions, seen: Seen) -> tuple[str, str]:
+def _next_step(given: CheckOptions, checked: CheckedRoad) -> tuple[str, str]:
     """What to do with a road, and the command."""
     route, here = given.route, ("--vehicle", given.vehicle, *given.route.words)
-    if seen.drivable:
+    if checked.drivable:
         return "to drive it", command("drive", given.road, *here)
-    if all(each.drivable or each.kind in ("grip", "steering-rate") for each in seen.findings):
+    if all(each.drivable or each.kind in ("grip", "steering-rate") for each in checked.findings):
         if route.speed is not None:
             return "to check it at lower speed", instead("--speed", round(0.7 * route.speed, 1))
         comfort = 3.0 if route.lateral_acceleration is None else route.lateral_acceleration
@@ -176,14 +176,14 @@ def plot(given: PlotOptions) -> None:
     from adaptrack.results.road import road_picture
 
     options.make_place(given.out)
-    seen = given.route.look(given.road, load_vehicle(given.vehicle))
-    write_atomically(given.out, picture_png(road_picture(seen.road, seen.plan, seen.findings)))
+    checked = given.route.look(given.road, load_vehicle(given.vehicle))
+    write_atomically(given.out, picture_png(road_picture(checked.road, checked.plan, checked.findings)))
     show.say(f"Picture: {given.out}")
     say_next("to drive it", command("drive", given.road, "--vehicle", given.vehicle, *given.route.words))
 
 
 @dataclass(frozen=True)
-class Seen:
+class CheckedRoad:
     """A road, its speed and what was found."""
 
     road: Road

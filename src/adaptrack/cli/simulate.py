@@ -39,7 +39,7 @@ FAILED = 3
 """The exit code when a run failed."""
 
 STIFFNESS = 1.25
-"""Factor between the tyre's stiffness and the model's from which a failed run is told of it."""
+"""Factor between the tyre's stiffness and the model's from which a failed run says so."""
 
 BEYOND = 1.25
 """Factor on the highest speed of a car's domain from which a scenario is said to leave it."""
