@@ -137,8 +137,7 @@ COMMANDS: Mapping[str, Mapping[str, Question]] = {
         "drives": Question("evaluate-schedules --drives 200", "evaluate --drives 200"),
         "as-written": Question(
             "evaluate-schedules --controller as-written --operating-points sobol:100 --drives 200 --tests",
-            "evaluate --controller as-written --operating-points sobol:100 --drives 200 --tests",
-        ),
+            "evaluate --controller as-written --operating-points sobol:100 --drives 200 --tests"),
         "noisy": Question("evaluate-schedules --drives 40 --known-as noisy --known-as withheld",
                           "evaluate --drives 40 --known-as noisy --known-as withheld"),
         "roads": Question("evaluate mountain country --road-seed 1 --road-seed 2 --length 800 --vehicle midsize-sedan"
@@ -147,7 +146,10 @@ COMMANDS: Mapping[str, Mapping[str, Question]] = {
     },
     "certify": {
         **{name: Question(f"certify {name}") for name in SCHEDULERS},
+        "default": Question("certify"),
+        "sedan": Question("certify --vehicle midsize-sedan --mismatch --speed 10 25"),
         "standard": Question("certify --controller standard --profile paper"),
+        "feasible": Question("certify --feasible --speed 10 20 --friction 0.5 0.9"),
     },
     "tune": {
         "sedan": Question("tune mountain town --vehicle midsize-sedan --length 600 --runs 160 --out sedan.toml"),

@@ -11,6 +11,7 @@ from typer import Argument, Option
 
 from adaptrack.base.errors import AdaptrackError, InvalidInput, StorageError
 from adaptrack.cli import adaptation, comparison, options, show
+from adaptrack.cli.next_step import command, say_next
 from adaptrack.cli.simulate import FAILED
 
 if TYPE_CHECKING:
@@ -80,7 +81,7 @@ def adapt(given: AdaptOptions) -> None:
     comparison.print_comparison(made, given.as_json)
     if not given.as_json:
         show.say(f"Schedulers: {given.out / 'schedulers'}\nReport: {page}")
-        show.say(_next(given, made, kept))
+        say_next(*_next(given, made, kept))
     if not kept["passed"]:
         raise typer.Exit(FAILED)
 
@@ -90,15 +91,15 @@ def _answer(kept: dict[str, Any], made: Any) -> str:
     return " ".join(filter(None, (kept.get("answer"), comparison.answer(made))))
 
 
-def _next(given: AdaptOptions, made: Any, kept: dict[str, Any]) -> str:
+def _next(given: AdaptOptions, made: Any, kept: dict[str, Any]) -> tuple[str, str]:
     """Drive with the constant, or compare the schedule that is worth it with it on one's roads."""
-    out, car = given.out, f"--vehicle {given.out / kept['vehicle']}.toml"
-    where = f"{car} --profile {given.profile}"
-    worthy = comparison.worthy_schedule(made)
+    out = given.out
+    where = ("ROAD", "--vehicle", out / f"{kept['vehicle']}.toml", "--profile", given.profile)
+    constant, worthy = ("--tuning", out / CONSTANT), comparison.worthy_schedule(made)
     if worthy is None:
-        return f"Next, with its constant: adaptrack drive ROAD {where} --tuning {out / CONSTANT}"
+        return "with its constant", command("drive", *where, *constant)
     file = out / "schedulers" / f"{worthy}.json"
-    return f"Next: adaptrack evaluate ROAD {where} --tuning {out / CONSTANT} --schedulers {file}"
+    return "both on a road of yours", command("evaluate", *where, *constant, "--schedulers", file)
 
 
 def _one(names: list[str]) -> str:

@@ -10,6 +10,7 @@ import typer
 from typer import Option
 
 from adaptrack.cli import comparison, interrupt, options, show
+from adaptrack.cli.next_step import command, say_next
 
 if TYPE_CHECKING:
     from adaptrack.learning.adaptation.config import AdaptationConfig
@@ -49,7 +50,8 @@ def adaptation(given: AdaptationOptions) -> None:
     comparison.print_comparison(made, given.as_json)
     show.say(f"Schedulers: {given.out / 'schedulers'}\nReport: {page}", aside=given.as_json)
     if not given.as_json:
-        show.say(f"Next: adaptrack certify {given.out / 'schedulers' / f'{settings.name}-nn.json'}")
+        file = given.out / "schedulers" / f"{settings.name}-nn.json"
+        say_next("see with which margins its networks drive", command("certify", file))
 
 
 def run_chain(settings: AdaptationConfig, out: Path, workers: int | None) -> tuple[Adapted, Path]:

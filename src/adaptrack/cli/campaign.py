@@ -13,6 +13,7 @@ import typer
 from typer import Option
 
 from adaptrack.cli import interrupt, options, show
+from adaptrack.cli.next_step import command, say_next
 
 if TYPE_CHECKING:
     from adaptrack.tuning.campaign import Progress
@@ -75,7 +76,7 @@ def campaign(given: CampaignOptions) -> None:
         return
     show.say(f"At {failures or 'none'} of the {len(costs):,} operating points the run failed with every tuning.")
     show.say(f"Data set: {file} ({seconds:,.0f} s)")
-    show.say(f"Next: adaptrack train --data {out} --model nn --out nn.json")
+    say_next("learn a scheduler from it", command("train", "--data", out, "--model", "nn", "--out", "nn.json"))
 
 
 def _estimate(campaign: CampaignConfig, threads: int | None) -> str:

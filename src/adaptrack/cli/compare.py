@@ -10,6 +10,7 @@ from typer import Option
 
 from adaptrack.base.errors import InvalidInput
 from adaptrack.cli import interrupt, options, show
+from adaptrack.cli.next_step import command, say_next
 from adaptrack.cli.show import Column
 
 if TYPE_CHECKING:
@@ -116,19 +117,19 @@ def compare(given: CompareOptions) -> None:
         return
     _print(made)
     show.say(f"Page: {page}\nEvery run: {out / TABLE}")
-    show.say(_next(made))
+    say_next(*_next(made))
 
 
-def _next(made: Compared) -> str:
+def _next(made: Compared) -> tuple[str, str]:
     """With the controller of the least error in the last profile: drive it, or tune it for one's own road."""
     from adaptrack.comparison.views import standing_rows
 
     profile, table = list(made.by_profile.items())[-1]
     best = standing_rows(table)[0]
-    where = f"--controller {best['contender']} --profile {profile} --vehicle CAR"
+    where = ("ROAD", "--controller", best["contender"], "--profile", profile, "--vehicle", "CAR")
     if best["tuning"] == "tuned":
-        return f"Next, on roads and a car of your own: adaptrack tune ROAD {where}"
-    return f"Next, on a road and a car of your own: adaptrack drive ROAD {where}"
+        return "for roads and a car of your own", command("tune", *where)
+    return "on a road and with a car of your own", command("drive", *where)
 
 
 def _list(as_json: bool) -> None:

@@ -12,6 +12,7 @@ from typer import Option
 from adaptrack.base.errors import InvalidInput
 from adaptrack.base.limits import SEED
 from adaptrack.cli import comparison, on_roads, options, show
+from adaptrack.cli.next_step import command, say_next
 from adaptrack.cli.road import RoadOptions
 
 if TYPE_CHECKING:
@@ -94,7 +95,7 @@ def evaluate(given: EvaluateOptions) -> None:
     on_roads.print_rows(f"{setting.title}, {len(seeds)} noise seeds; ratio to {reference}", made)
     if page is not None:
         show.say(f"Page: {page}")
-    show.say(_next(given, made))
+    say_next(*_next(given, made))
 
 
 def _write_page(out: Path, made: Comparison, setting: on_roads.Setting) -> Path:
@@ -103,14 +104,14 @@ def _write_page(out: Path, made: Comparison, setting: on_roads.Setting) -> Path:
     return write_road_comparison(out, made, title=setting.title, command=options.command_line())
 
 
-def _next(given: EvaluateOptions, made: Comparison) -> str:
+def _next(given: EvaluateOptions, made: Comparison) -> tuple[str, str]:
     """Tune the best where it can be and is not; else look whether it holds on other cars and roads."""
     from adaptrack.control.controllers import about_controller, list_controllers
 
     where, best = on_roads.typed(given.road or (), given.route, given.car, given.profile), made.best[0]
     if best in list_controllers() and about_controller(best).tunable and not given.tuning:
-        return f"Next: adaptrack tune {where.roads}{where.car} --controller {best}"
-    return "Next: adaptrack compare --out compared: other cars and roads, all tuned with the same effort"
+        return "tune the best", f"adaptrack tune {where.roads}{where.car} --controller {best}"
+    return "other cars and roads, all tuned with the same effort", command("compare", "--out", "compared")
 
 
 def _contenders(

@@ -11,10 +11,12 @@ from typer import Option
 from adaptrack.base.errors import InvalidInput
 from adaptrack.base.limits import DRIVES, OPERATING_POINTS, SEED, check_limit
 from adaptrack.cli import comparison, options, show
+from adaptrack.cli.next_step import again, command, say_next
 
 if TYPE_CHECKING:
     from adaptrack.control.scheduling import Schedule
     from adaptrack.learning.adaptation.splits import SetUp
+    from adaptrack.studies.adapt import Adapted
 
 USUAL = "sobol:2000"
 """The operating points when nothing is asked for."""
@@ -123,17 +125,17 @@ def evaluate_schedules(given: EvaluateSchedulesOptions) -> None:
     if page is not None:
         show.say(f"Report: {page}", aside=given.as_json)
     if not given.as_json:
-        show.say(_next(given, made))
+        say_next(*_next(made))
 
 
-def _next(given: EvaluateSchedulesOptions, made: Any) -> str:
+def _next(made: Adapted) -> tuple[str, str]:
     """The same on drives where only points were driven; else the best schedule, or the constant, on roads."""
     if not made.drives:
-        return "Next: adaptrack evaluate-schedules --drives 200: long drives, on which a schedule has to hold"
+        return "long drives, on which a schedule has to hold", again("--drives", 200)
     worthy = comparison.worthy_schedule(made)
     if worthy is None:
-        return "Next: keep the constant: adaptrack drive ROAD"
-    return f"Next: adaptrack certify {worthy}"
+        return "keep the constant", command("drive", "ROAD")
+    return "see with which margins", command("certify", worthy)
 
 
 def schedules(setup: SetUp, given: Sequence[str]) -> dict[str, Schedule]:

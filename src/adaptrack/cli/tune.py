@@ -13,6 +13,7 @@ from typer import Option
 
 from adaptrack.base.errors import InvalidInput
 from adaptrack.cli import interrupt, on_roads, options, show
+from adaptrack.cli.next_step import say_next
 from adaptrack.cli.road import RoadOptions
 
 if TYPE_CHECKING:
@@ -113,16 +114,16 @@ def _tune(given: TuneOptions, setting: on_roads.Setting, own: Controller) -> Non
         show.say(f"At the end of what was searched: {', '.join(found.at_bounds)}.")
     entries = ", ".join(f"{entry} {value:.4g}" for entry, value in found.tuning.items())
     show.say(f"Tuning: {entries}\nFile: {given.out} ({seconds:,.0f} s)")
-    show.say(_next(given, found.better and over.verdict == "cheaper"))
+    say_next(*_next(given, found.better and over.verdict == "cheaper"))
 
 
-def _next(given: TuneOptions, gained: bool) -> str:
+def _next(given: TuneOptions, gained: bool) -> tuple[str, str]:
     """What to do with the tuning; or, where it gained nothing for sure, how to look further."""
     where = on_roads.typed(given.road or (), given.route, given.car, given.profile)
     if gained:
-        return f"Next: adaptrack drive ROAD{where.car} --tuning {given.out}"
+        return "drive with it", f"adaptrack drive ROAD{where.car} --tuning {given.out}"
     more = f"adaptrack tune {where.roads} OTHER-ROAD{where.car} --controller {given.controller}"
-    return f"Next: more roads may decide it: {more}"
+    return "more roads may decide it", more
 
 
 def _keep(given: TuneOptions, setting: on_roads.Setting, found: Sought, seeds: Sequence[int]) -> None:

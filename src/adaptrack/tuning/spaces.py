@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from adaptrack.base.errors import InvalidInput
-from adaptrack.control.controllers import MPC, Controller
+from adaptrack.control.controllers import MPC, Bounds, Controller
 from adaptrack.tuning.config import Search
 from adaptrack.tuning.pso import SearchSpace
 
@@ -55,7 +55,7 @@ def search_space(controller: Controller) -> SearchSpace:
             f"no search space is known for the controller {controller.name!r}: its `tuning_bounds` say none; "
             "tune_constant(..., space=SearchSpace(...)) takes one."
         )
-    own, bounds = controller.tuning, controller.tuning_bounds
+    own, bounds = controller.tuning, {name: Bounds(*each) for name, each in controller.tuning_bounds.items()}
     scale = {name: own[name] if each.relative else 1.0 for name, each in bounds.items()}
     return SearchSpace(
         names=controller.tuning_names,

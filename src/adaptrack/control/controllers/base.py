@@ -97,8 +97,8 @@ class Controller(ABC):
     """Numbers by name that may be tuned; of an MPC its `Tuning`."""
     tuning_names: tuple[str, ...] = ()
     """Their names; by default those of the class's `tuning_bounds`."""
-    tuning_bounds: Mapping[str, Bounds] = MappingProxyType({})
-    """Where each of them is sought; empty: nothing is."""
+    tuning_bounds: Mapping[str, Bounds | tuple[float, float]] = MappingProxyType({})
+    """Where each of them is sought, (low, high) or `Bounds`; empty: nothing is."""
     diagnostic_names: tuple[str, ...] = ()
     """What an answer says beside the command, in its `diagnostics`."""
     vehicle: Any = None

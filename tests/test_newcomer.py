@@ -1,0 +1,128 @@
+"""A controller of ten lines and a plant of ten lines, registered once each, take part everywhere."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+import adaptrack as at
+from adaptrack.cars import plant as plants
+from adaptrack.cli.app import app
+from adaptrack.control.controllers import registry as controllers
+
+MODULE = """
+import math
+import numpy as np
+import adaptrack as at
+
+class Heading(at.Controller):
+    name, tuning_bounds = "heading law", {"gain": (0.02, 0.5)}
+
+    def __init__(self, vehicle, period):
+        self.period, self.length, self.tuning = period, vehicle.wheelbase, {"gain": 0.08}
+
+    def step(self, state, speed, reference, variables=None, road=None):
+        bend = 0.0 if road is None else float(road.road.at(road.station).curvature)
+        return self.length * bend + self.tuning["gain"] * (reference[0] - state[3]) - state[1]
+
+class Bicycle(at.SteppedPlant):
+    def __init__(self, vehicle, tyre=None):
+        self.vehicle = vehicle
+
+    def reset(self, motion):
+        self.motion = np.array(motion, dtype=float)
+
+    def step(self, dt, steering, acceleration, environment):
+        x, y, yaw, v, _, _ = self.motion
+        rate = v * math.tan(steering) / self.vehicle.wheelbase
+        self.motion = np.array([x + dt * v * math.cos(yaw), y + dt * v * math.sin(yaw), yaw + dt * rate,
+                                v + dt * acceleration, 0.0, rate])
+        return self.motion
+
+at.register_controller("heading-law", Heading, words="steers against offset and heading")
+at.register_plant("bicycle", Bicycle)
+"""
+ROAD = ("town", "--length", "120")
+OWN = ("--plugin", "newcomers_module", "--plant", "bicycle")
+
+
+@pytest.fixture
+def run(tmp_path, monkeypatch):
+    """Run a command in a folder that holds the module; its JSON."""
+    (tmp_path / "newcomers_module.py").write_text(MODULE)
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.setattr(controllers._registry, "factories", dict(controllers._registry.factories))
+    monkeypatch.setattr(controllers, "_about", dict(controllers._about))
+    monkeypatch.setattr(plants._registry, "factories", dict(plants._registry.factories))
+
+    def command(*arguments):
+        done = CliRunner().invoke(app, [*map(str, arguments), "--json"])
+        assert done.exit_code == 0, (done.output, done.exception)
+        return json.loads(done.stdout)
+
+    yield command
+    sys.modules.pop("newcomers_module", None)
+
+
+def test_a_newcomers_controller_and_plant_are_admitted_and_drive(run):
+    both = ("--controller", "heading-law", "--controller", "pure-pursuit")
+    driven, _ = run("drive", *ROAD, *OWN, *both, "--out", "page")["rows"]
+    assert not driven["failed"]
+    assert driven["rms_error"] < 1.0
+    assert "Heading law" in Path("page/index.html").read_text(encoding="utf-8")
+    (row,) = run("simulate", "lane-change", *OWN, "--controller", "heading-law")["rows"]
+    assert not row["failed"]
+    car = at.load_vehicle("paper")
+    at.check_controller(at.get_controller("heading-law", car, offered={"period": 0.05}))
+    at.check_plant(at.get_plant("bicycle", car))
+
+
+def test_it_is_tuned_within_its_bounds_and_compared_with_others(run):
+    found = run("tune", *ROAD, *OWN, "--controller", "heading-law", "--runs", 10, "--noise-seeds", 1)
+    assert 0.02 <= found["entries"]["gain"] <= 0.5
+    assert found["cost"] <= found["default_cost"]
+    rows = run("evaluate", *ROAD, *OWN, "--contender", "informed", "--contender", "heading-law",
+               "--tuning", "tuning.toml", "--noise-seeds", 1)["rows"]  # fmt: skip
+    assert [row["contender"] for row in rows] == ["informed", "heading-law", "heading-law, tuning"]
+    assert all(np.isfinite(row["rms_error"]) for row in rows)
+    (driven,) = run("drive", *ROAD, *OWN, "--tuning", "tuning.toml")["rows"]
+    assert driven["controller"] == "heading-law, tuning"
+
+
+def test_it_takes_part_in_a_comparison_on_cars_and_roads_with_a_page(run):
+    Path("mine.toml").write_text(
+        'contenders = ["pure-pursuit", "heading-law"]\ncars = ["paper/bicycle", "paper/single-track"]\n'
+        'profiles = ["road"]\ntraining = ["country:101"]\nroads = ["country:1"]\nlength = 120.0\n'
+        "training_length = 110.0\nseeds = [0]\nbudget = 10\nslow_budget = 10\nentry_speeds = false\n"
+    )
+    made = run("compare", "--config", "mine.toml", "--plugin", "newcomers_module", "--out", "compared")
+    labels = {row["label"]: row for row in made["profiles"]["road"]}
+    assert {"heading-law, default", "heading-law, tuned"} <= set(labels)
+    assert labels["heading-law, tuned"]["runs"] == 2
+    assert not made["left_out"]
+    assert "heading-law, tuned" in Path("compared/index.html").read_text(encoding="utf-8")
+
+
+def test_its_plant_is_steered_by_its_controller_in_an_environment(run):
+    gymnasium = pytest.importorskip("gymnasium")
+    import adaptrack.gym  # noqa: F401 - registers the environments
+    from adaptrack.cli.options import load_plugins
+
+    load_plugins(["newcomers_module"])
+    env = gymnasium.make("adaptrack/PathTracking-v0", car="paper/bicycle", road="town:0", length=120.0)
+    law = at.get_controller("heading-law", at.load_vehicle("paper"), offered={"period": 0.05})
+    seen, _ = env.reset(seed=1)
+    names, over = list(env.unwrapped.names), False
+    while not over:
+        now = dict(zip(names, seen.tolist(), strict=True))
+        angle = law.step([0.0, now["heading_error"], now["yaw_rate"], now["offset"]], now["speed"], [0.0])
+        seen, _, terminated, truncated, info = env.step([angle + law.length * now["curvature_5m"]])
+        over = terminated or truncated
+    assert info["failed"] == ""
+    assert np.isfinite(info["J"])
