@@ -77,11 +77,11 @@ def run(monkeypatch, capsys, *arguments):
             "Nothing was",
         ),
         ("reproduce --out {out}", "adaptrack.tuning.dataset.load_dataset", "Nothing was written"),
-        ("adapt --out {out}", "adaptrack.studies.adapt.adapt", "{out}: run the command again to go on"),
-        ("evaluate", "adaptrack.learning.adaptation.config.load_adaptation", "Nothing was written"),
+        ("adaptation --out {out}", "adaptrack.studies.adapt.adapt", "{out}: run the command again to go on"),
+        ("evaluate-schedules", "adaptrack.learning.adaptation.config.load_adaptation", "Nothing was written"),
         ("certify road-nn", "adaptrack.control.scheduling.load_scheduler", "Nothing was written"),
         (
-            "tune --config paper-grid --out {out}",
+            "campaign paper-grid --out {out}",
             "adaptrack.tuning.campaign.run_campaign",
             "{out}: go on with --resume",
         ),
@@ -110,12 +110,12 @@ def test_a_campaign_that_was_stopped_says_how_many_chunks_it_keeps(monkeypatch, 
         raise campaign.CampaignInterrupted("interrupted. 3 of 6 chunks are kept in out; go on with --resume.")
 
     monkeypatch.setattr(campaign, "run_campaign", stop)
-    code, _, err = run(monkeypatch, capsys, "tune", "--config", "paper-grid", "--out", tmp_path)
+    code, _, err = run(monkeypatch, capsys, "campaign", "paper-grid", "--out", tmp_path)
     assert code == 130
     assert err.splitlines()[-1] == "adaptrack: interrupted. 3 of 6 chunks are kept in out; go on with --resume."
 
 
-def test_tune_counts_the_operating_points_that_fail_with_every_tuning(monkeypatch, capsys, tmp_path):
+def test_a_campaign_counts_the_operating_points_that_fail_with_every_tuning(monkeypatch, capsys, tmp_path):
     from adaptrack.tuning import campaign, dataset
     from small_data import small
 
@@ -124,7 +124,7 @@ def test_tune_counts_the_operating_points_that_fail_with_every_tuning(monkeypatc
     costs[:3], landscape[:2] = math.inf, math.inf  # at the third a tuning of the library does not fail
     monkeypatch.setattr(campaign, "run_campaign", lambda *given, **more: tmp_path / "dataset.parquet")
     monkeypatch.setattr(dataset, "load_dataset", lambda file: small(costs=costs, landscape=landscape))
-    arguments = ("tune", "--config", "paper-grid", "--out", tmp_path)
+    arguments = ("campaign", "paper-grid", "--out", tmp_path)
     code, out, _ = run(monkeypatch, capsys, *arguments)
     assert code == 0
     assert f"At 2 of the {len(data)} operating points the run failed with every tuning." in out
