@@ -12,8 +12,8 @@ import pytest
 from numpy.testing import assert_array_equal
 
 import adaptrack as at
-from adaptrack.base.arguments import reals
-from adaptrack.base.errors import InvalidInput, real, shown, whole
+from adaptrack.base.checked import real, reals, whole
+from adaptrack.base.errors import InvalidInput, shown
 from adaptrack.road import Line, Road, fit_road, road_through
 
 CAR = at.load_vehicle("compact-ev")

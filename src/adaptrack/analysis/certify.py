@@ -18,7 +18,8 @@ from numpy.typing import NDArray
 
 from adaptrack.analysis.linearisation import Body, Mismatch, Turn, bodies_of, laws, linear_estimator
 from adaptrack.analysis.stability import Margins, hard_turn, margins
-from adaptrack.base.errors import ContractError, InvalidInput, real
+from adaptrack.base.checked import real
+from adaptrack.base.errors import ContractError, InvalidInput
 from adaptrack.base.limits import SPEED, check_limit
 from adaptrack.base.progress import tells
 from adaptrack.cars.plant import Plant

@@ -14,8 +14,8 @@ from typing import Annotated, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from adaptrack.base.checked import Finite, Hint, Positive, checked
-from adaptrack.base.errors import InvalidInput, real
+from adaptrack.base.checked import Finite, Hint, Positive, checked, real
+from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.plant import DualTrack, Plant, SingleTrack, SteppedPlant
 from adaptrack.cars.vehicle import SteeringActuator
 from adaptrack.control.controllers import MPC

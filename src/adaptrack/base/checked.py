@@ -13,7 +13,7 @@ value and unit, what is allowed and, where there is one, the remedy:
 
 A docstring has no "Raises" section for that. Beside the type stand in an annotation: text, the unit; a `Hint`; a
 `Limit` of `adaptrack.base.limits`. What several arguments must fulfil together is checked in the body, and so is
-whatever runs once a control period.
+whatever runs once a control period, by `real`, `whole` and `reals`.
 """
 
 from __future__ import annotations
@@ -30,6 +30,8 @@ from collections import ChainMap
 from collections.abc import Callable, Mapping, Sequence
 from typing import Annotated, Any, Literal, NamedTuple, TypeVar
 
+import numpy as np
+from numpy.typing import NDArray
 from pydantic import AfterValidator, BeforeValidator, Field, InstanceOf, TypeAdapter, ValidationError
 from pydantic.fields import FieldInfo
 from pydantic_core import PydanticCustomError
@@ -37,6 +39,8 @@ from pydantic_core import PydanticCustomError
 from adaptrack.base.errors import InvalidInput, shown
 from adaptrack.base.limits import Limit
 
+Array = NDArray[np.float64]
+FLOAT = np.dtype(np.float64)
 Target = TypeVar("Target", bound=Callable[..., Any])
 
 
@@ -173,6 +177,62 @@ class _Argument(NamedTuple):
         none = " or None" if annotation is not _without_none(annotation) else ""
         hint = next((f"; {each.text}" for each in beside if isinstance(each, Hint)), "")
         return f"{name} = {shown(given)}{unit}: must be {must}{none}{hint}."
+
+
+# -- by hand: what runs once a control period, rows and tables ---------------------------------------------------------
+def real(where: str, name: str, value: object) -> float:
+    """`value` as a float; `InvalidInput` unless it is a number that one holds (truth values and text are none)."""
+    if isinstance(value, bool) or not isinstance(value, numbers.Real):
+        raise InvalidInput(f"{where}: {name} = {shown(value)}: must be a number.")
+    try:
+        return float(value)
+    except OverflowError:
+        raise InvalidInput(f"{where}: {name} = {shown(value)}: must be finite, it is too large.") from None
+
+
+def whole(where: str, name: str, value: object, least: int = 1) -> int:
+    """`value` as an int; `InvalidInput` unless it is a whole number, at least `least`."""
+    if isinstance(value, bool) or not isinstance(value, numbers.Integral) or value < least:
+        raise InvalidInput(f"{where}: {name} = {shown(value)}: must be a whole number, at least {least}.")
+    return int(value)
+
+
+def reals(name: str, values: Any) -> Array:
+    """`values` as float64, in their shape: masked entries become NaN, a number beyond the largest one infinity.
+
+    An array of float64 is given back as it is, not copied.
+
+    Raises
+    ------
+    InvalidInput
+        When they are no real numbers (truth values and text are none), or rows are not of one length.
+    """
+    if type(values) is np.ndarray and values.dtype is FLOAT:
+        return values
+    try:
+        given = np.asarray(values)
+        if given.dtype == object:  # whole numbers beyond 64 bits, decimals, fractions
+            given = np.array([_entry(value) for value in given.ravel()]).reshape(given.shape)
+    except Exception:  # whatever an object of others raises when it is asked for its numbers
+        given = np.empty(0, dtype=str)
+    if given.dtype is FLOAT and isinstance(values, tuple | list | float):
+        return given
+    if given.dtype.kind not in "iuf":
+        raise InvalidInput(f"{name} = {shown(values)}: must be real numbers.")
+    with np.errstate(over="ignore"):  # wider than float64
+        row = given.astype(np.float64)
+    if isinstance(values, np.ma.MaskedArray):
+        row[np.ma.getmaskarray(values)] = np.nan
+    return row
+
+
+def _entry(value: Any) -> float:
+    if isinstance(value, bool | str | bytes) or value is None:
+        raise TypeError
+    try:
+        return float(value)
+    except OverflowError:
+        return np.inf if value > 0 else -np.inf
 
 
 # -- annotations ------------------------------------------------------------------------------------------------------

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import difflib
-import numbers
 from collections.abc import Iterable
 
 LONGEST_SHOWN = 80
@@ -39,23 +38,6 @@ class MissingExtra(AdaptrackError, ImportError):
 
 class StorageError(AdaptrackError, OSError):
     """A file that cannot be read or written as asked; nothing half-written is left behind."""
-
-
-def real(where: str, name: str, value: object) -> float:
-    """`value` as a float; `InvalidInput` unless it is a number that one holds (truth values and text are none)."""
-    if isinstance(value, bool) or not isinstance(value, numbers.Real):
-        raise InvalidInput(f"{where}: {name} = {shown(value)}: must be a number.")
-    try:
-        return float(value)
-    except OverflowError:
-        raise InvalidInput(f"{where}: {name} = {shown(value)}: must be finite, it is too large.") from None
-
-
-def whole(where: str, name: str, value: object, least: int = 1) -> int:
-    """`value` as an int; `InvalidInput` unless it is a whole number, at least `least`."""
-    if isinstance(value, bool) or not isinstance(value, numbers.Integral) or value < least:
-        raise InvalidInput(f"{where}: {name} = {shown(value)}: must be a whole number, at least {least}.")
-    return int(value)
 
 
 def shown(value: object) -> str:

@@ -8,8 +8,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Annotated, Any
 
-from adaptrack.base.checked import Finite, Hint, NotNegative, checked, within
-from adaptrack.base.errors import InvalidInput, UnknownName, did_you_mean, real
+from adaptrack.base.checked import Finite, Hint, NotNegative, checked, real, within
+from adaptrack.base.errors import InvalidInput, UnknownName, did_you_mean
 from adaptrack.cars.known_within import KnownWithin
 from adaptrack.cars.vehicle import GRAVITY, Vehicle
 

@@ -11,8 +11,7 @@ from typing import Annotated
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from adaptrack.base.arguments import reals
-from adaptrack.base.checked import Positive, checked
+from adaptrack.base.checked import Positive, checked, reals
 
 Array = NDArray[np.float64]
 

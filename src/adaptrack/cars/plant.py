@@ -21,9 +21,8 @@ from typing import Annotated, Any, NoReturn, Self, final
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from adaptrack.base.arguments import reals
-from adaptrack.base.checked import Bound, Count, Positive, checked
-from adaptrack.base.errors import ContractError, InvalidInput, real
+from adaptrack.base.checked import Bound, Count, Positive, checked, real, reals
+from adaptrack.base.errors import ContractError, InvalidInput
 from adaptrack.base.limits import STEPS, check_limit
 from adaptrack.base.registry import Registry
 from adaptrack.cars.vehicle import COMMONROAD, SteeringActuator, Tyre, Vehicle, load_tyre, pack_plant

@@ -17,9 +17,8 @@ from typing import Annotated, Any, NamedTuple, Self, final
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from adaptrack.base.arguments import reals
-from adaptrack.base.checked import Finite, Natural, NotNegative, Positive, checked
-from adaptrack.base.errors import ContractError, InvalidInput, real
+from adaptrack.base.checked import Finite, Natural, NotNegative, Positive, checked, real, reals
+from adaptrack.base.errors import ContractError, InvalidInput
 from adaptrack.base.registry import Registry
 from adaptrack.cars.plant import DualTrack, SingleTrack
 from adaptrack.cars.vehicle import SteeringActuator, Tyre, Vehicle, load_tyre, pack_plant

@@ -18,9 +18,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydantic import InstanceOf
 
-from adaptrack.base.arguments import reals
-from adaptrack.base.checked import Bound, Finite, Hint, checked
-from adaptrack.base.errors import InvalidInput, real, shown
+from adaptrack.base.checked import Bound, Finite, Hint, checked, real, reals
+from adaptrack.base.errors import InvalidInput, shown
 from adaptrack.cars.vehicle import Vehicle
 from adaptrack.control.controllers import MPC, Controller, command_of
 from adaptrack.control.kalman import KalmanFilter

@@ -16,8 +16,7 @@ from typing import Annotated, Any, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from adaptrack.base.arguments import reals
-from adaptrack.base.checked import Positive, checked
+from adaptrack.base.checked import Positive, checked, reals
 from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.outline import Outline
 from adaptrack.drive.failure import SLOW

@@ -8,7 +8,7 @@ import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
-from adaptrack.base.errors import whole
+from adaptrack.base.checked import whole
 from adaptrack.gym.driven import Driven, needs_reset
 from adaptrack.gym.spaces import Tunings, box, checked_action, first_belief, make_mpc, variables_within
 from adaptrack.gym.task import Task

@@ -10,7 +10,7 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from adaptrack.base.arguments import reals
+from adaptrack.base.checked import reals
 from adaptrack.base.errors import InvalidInput, UnknownName, did_you_mean
 from adaptrack.control.controllers import MPC, Learning, published_mpc
 from adaptrack.control.controllers.setup import LoopSetup

@@ -9,7 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from adaptrack.base.errors import InvalidInput, real, whole
+from adaptrack.base.checked import real, whole
+from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.plant import DualTrack, Plant, SteppedPlant, get_plant
 from adaptrack.cars.vehicle import Vehicle, load_vehicle
 from adaptrack.comparison.config import load_setting, load_trip

@@ -14,7 +14,8 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
-from adaptrack.base.errors import InvalidInput, whole
+from adaptrack.base.checked import whole
+from adaptrack.base.errors import InvalidInput
 from adaptrack.control.controllers import MPC, Controller
 from adaptrack.control.estimation import FrictionWindEstimator
 from adaptrack.core.public import (

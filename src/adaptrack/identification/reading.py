@@ -14,7 +14,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from adaptrack.base.arguments import reals
+from adaptrack.base.checked import reals
 from adaptrack.base.errors import InvalidInput, did_you_mean
 from adaptrack.base.files import read_bytes
 from adaptrack.drive.trajectory import FORMAT, Trajectory

@@ -13,8 +13,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from adaptrack.base.checked import Positive, Share, checked
-from adaptrack.base.errors import InvalidInput, whole
+from adaptrack.base.checked import Positive, Share, checked, whole
+from adaptrack.base.errors import InvalidInput
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.intp]

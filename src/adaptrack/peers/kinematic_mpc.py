@@ -8,7 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from adaptrack.base.errors import InvalidInput, real, whole
+from adaptrack.base.checked import real, whole
+from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.vehicle import Steering, Vehicle
 from adaptrack.control.controllers.base import DECADES, FIXED, Array, Bounds, CompiledController
 from adaptrack.control.controllers.limits import Limits

@@ -6,7 +6,8 @@ import math
 from dataclasses import dataclass
 from typing import Any, Self
 
-from adaptrack.base.errors import InvalidInput, real
+from adaptrack.base.checked import real
+from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.vehicle import GRAVITY, Steering, Tyre, Vehicle, load_tyre
 from adaptrack.control.controllers.belief import Belief
 from adaptrack.control.controllers.limits import Limits

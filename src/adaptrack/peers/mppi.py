@@ -6,7 +6,8 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
-from adaptrack.base.errors import InvalidInput, real, whole
+from adaptrack.base.checked import real, whole
+from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.vehicle import Steering, Tyre, Vehicle, in_periods
 from adaptrack.control.controllers.base import DECADES, FIXED, Bounds, CompiledController
 from adaptrack.control.controllers.limits import Limits

@@ -21,7 +21,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from adaptrack.base.errors import InvalidInput, MissingExtra, real, whole
+from adaptrack.base.checked import real, whole
+from adaptrack.base.errors import InvalidInput, MissingExtra
 from adaptrack.cars.vehicle import Steering, Tyre, Vehicle, in_periods
 from adaptrack.control.controllers.base import Array, Command, Controller
 from adaptrack.control.controllers.informed import HORIZON, informed_tuning

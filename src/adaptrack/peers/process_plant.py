@@ -24,7 +24,8 @@ from typing import Any, NoReturn, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from adaptrack.base.errors import ContractError, InvalidInput, real
+from adaptrack.base.checked import real
+from adaptrack.base.errors import ContractError, InvalidInput
 from adaptrack.cars.plant import SteppedPlant
 
 Array = NDArray[np.float64]

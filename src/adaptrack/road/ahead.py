@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from adaptrack.base.arguments import reals
-from adaptrack.base.errors import InvalidInput, real, shown
+from adaptrack.base.checked import real, reals
+from adaptrack.base.errors import InvalidInput, shown
 from adaptrack.core import road as kernel
 from adaptrack.road.road import Projection, Road
 from adaptrack.road.segments import Array

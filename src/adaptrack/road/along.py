@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydantic import model_validator
 
-from adaptrack.base.arguments import reals
-from adaptrack.base.errors import InvalidInput, real, shown
+from adaptrack.base.checked import real, reals
+from adaptrack.base.errors import InvalidInput, shown
 from adaptrack.base.files import Record
 from adaptrack.road.segments import Array
 

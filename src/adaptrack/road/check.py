@@ -10,7 +10,8 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from adaptrack.base.errors import InvalidInput, real
+from adaptrack.base.checked import real
+from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.vehicle import GRAVITY, Vehicle
 from adaptrack.road.cornering import cornering_limit, steering_limit
 from adaptrack.road.road import Road

@@ -25,8 +25,7 @@ import scipy  # loads its parts when they are first used
 from numpy.typing import ArrayLike, NDArray
 from pydantic import Field
 
-from adaptrack.base.arguments import reals
-from adaptrack.base.checked import Finite, NotNegative, Positive, checked, within
+from adaptrack.base.checked import Finite, NotNegative, Positive, checked, reals, within
 from adaptrack.base.errors import InvalidInput
 from adaptrack.base.files import Record
 from adaptrack.base.limits import SPEED

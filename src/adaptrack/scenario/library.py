@@ -15,7 +15,8 @@ from typing import Any
 
 import numpy as np
 
-from adaptrack.base.errors import InvalidInput, UnknownName, did_you_mean, real, shown
+from adaptrack.base.checked import real
+from adaptrack.base.errors import InvalidInput, UnknownName, did_you_mean, shown
 from adaptrack.base.files import SHIPPED, read_toml
 from adaptrack.cars.domain import Domain
 from adaptrack.cars.vehicle import GRAVITY

@@ -12,8 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from pydantic import BeforeValidator, Field, model_validator
 
-from adaptrack.base.arguments import reals
-from adaptrack.base.checked import Positive, checked
+from adaptrack.base.checked import Positive, checked, reals
 from adaptrack.base.errors import ConfigError, InvalidInput, did_you_mean
 from adaptrack.base.files import Record, build, dump_toml, read_toml, write_atomically
 from adaptrack.base.limits import DURATION, PERIODS, check_limit

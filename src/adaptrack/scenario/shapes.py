@@ -21,7 +21,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydantic import BeforeValidator, Field, model_validator
 
-from adaptrack.base.errors import InvalidInput, UnknownName, did_you_mean, real
+from adaptrack.base.checked import real
+from adaptrack.base.errors import InvalidInput, UnknownName, did_you_mean
 from adaptrack.base.files import Record, build
 
 Array = NDArray[np.float64]

@@ -7,8 +7,7 @@ from typing import Annotated
 
 import numpy as np
 
-from adaptrack.base.arguments import reals
-from adaptrack.base.checked import Positive, checked
+from adaptrack.base.checked import Positive, checked, reals
 from adaptrack.base.errors import InvalidInput
 from adaptrack.base.limits import SPEED
 from adaptrack.cars.vehicle import GRAVITY

@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 from adaptrack.analysis.certify import Certificate, certify
 from adaptrack.analysis.feasibility import Feasibility, feasibility
 from adaptrack.analysis.stability import linear_twin
-from adaptrack.base.errors import InvalidInput, whole
+from adaptrack.base.checked import whole
+from adaptrack.base.errors import InvalidInput
 from adaptrack.base.progress import tells
 from adaptrack.cars.domain import Domain
 from adaptrack.cars.plant import Plant, SteppedPlant, get_plant, twin_of, usual_plant

@@ -24,7 +24,8 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import linprog
 from scipy.sparse import csr_array, diags_array, eye_array, hstack, vstack
 
-from adaptrack.base.errors import InvalidInput, real
+from adaptrack.base.checked import real
+from adaptrack.base.errors import InvalidInput
 from adaptrack.base.limits import SPEED
 from adaptrack.cars.outline import Outline
 from adaptrack.cars.vehicle import GRAVITY, Vehicle

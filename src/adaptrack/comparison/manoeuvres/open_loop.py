@@ -12,7 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from adaptrack.base.errors import InvalidInput, real
+from adaptrack.base.checked import real
+from adaptrack.base.errors import InvalidInput
 from adaptrack.base.limits import DURATION, SPEED, check_limit
 from adaptrack.cars.plant import Plant, SteppedPlant, steps_in
 from adaptrack.cars.vehicle import SteeringActuator, Vehicle

@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydantic import InstanceOf
 
-from adaptrack.base.checked import Hint, Positive, checked
-from adaptrack.base.errors import InvalidInput, real
+from adaptrack.base.checked import Hint, Positive, checked, real
+from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.vehicle import Vehicle
 from adaptrack.control.controllers.inputs import change_of_path, number, road_ahead, vector, wheel_angle
 from adaptrack.control.controllers.limits import Limits

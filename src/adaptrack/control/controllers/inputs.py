@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy import ndarray
 
-from adaptrack.base.arguments import FLOAT, Array, reals
+from adaptrack.base.checked import FLOAT, Array, reals
 from adaptrack.base.errors import InvalidInput, shown
 from adaptrack.road.ahead import RoadAhead
 

@@ -10,8 +10,8 @@ from typing import Annotated, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from adaptrack.base.checked import Positive, checked
-from adaptrack.base.errors import InvalidInput, real
+from adaptrack.base.checked import Positive, checked, real
+from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.vehicle import Vehicle
 from adaptrack.control.controllers.base import (
     DECADES,

@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from adaptrack.base.errors import InvalidInput, real, whole
+from adaptrack.base.checked import real, whole
+from adaptrack.base.errors import InvalidInput
 from adaptrack.base.limits import CONTROL_HORIZON, PREDICTION_HORIZON, check_limit
 
 Array = NDArray[np.float64]

@@ -6,7 +6,8 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, final
 
-from adaptrack.base.errors import ContractError, InvalidInput, real, whole
+from adaptrack.base.checked import real, whole
+from adaptrack.base.errors import ContractError, InvalidInput
 from adaptrack.control.controllers.base import DECADES, Bounds, CompiledController
 from adaptrack.control.controllers.limits import Limits
 from adaptrack.core.controllers.contract import compile_law

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import ClassVar
 
-from adaptrack.base.errors import whole
+from adaptrack.base.checked import whole
 from adaptrack.control.qp.kernel import Workspace
 from adaptrack.control.qp.problem import QP, Attempt, Solution
 from adaptrack.control.qp.solver import EXACT, QPSolver

@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from adaptrack.base.arguments import reals
+from adaptrack.base.checked import reals
 from adaptrack.base.errors import InvalidInput
 
 Array = npt.NDArray[np.float64]

@@ -18,8 +18,8 @@ from typing import Any, Literal, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from adaptrack.base.arguments import reals
-from adaptrack.base.errors import InvalidInput, did_you_mean, real
+from adaptrack.base.checked import real, reals
+from adaptrack.base.errors import InvalidInput, did_you_mean
 from adaptrack.base.shown import figure_of, html_of
 from adaptrack.control.controllers import Tuning
 from adaptrack.control.controllers.tuning import ENTRIES

@@ -8,7 +8,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from adaptrack.base.errors import InvalidInput, real, shown
+from adaptrack.base.checked import real
+from adaptrack.base.errors import InvalidInput, shown
 from adaptrack.control.controllers.inputs import vector
 
 Array = NDArray[np.float64]

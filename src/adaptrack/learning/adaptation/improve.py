@@ -13,7 +13,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from adaptrack.base.errors import InvalidInput, did_you_mean, whole
+from adaptrack.base.checked import whole
+from adaptrack.base.errors import InvalidInput, did_you_mean
 from adaptrack.base.progress import tells
 from adaptrack.control.controllers import Tuning
 from adaptrack.control.scheduling import Function, Learned, Schedule, SchedulingVariables

@@ -9,7 +9,8 @@ from typing import Any, Self
 import numpy as np
 import scipy  # loads its parts when they are first used
 
-from adaptrack.base.errors import InvalidInput, real
+from adaptrack.base.checked import real
+from adaptrack.base.errors import InvalidInput
 from adaptrack.control.scheduling.functions.function import Array, Function, Packed, read_array, register_function
 from adaptrack.core import functions as kernel
 
