@@ -28,7 +28,8 @@ class Heading(at.Controller):
 
     def step(self, state, speed, reference, variables=None, road=None):
         bend = 0.0 if road is None else float(road.road.at(road.station).curvature)
-        return self.length * bend + self.tuning["gain"] * (reference[0] - state[3]) - state[1]
+        angle = self.length * bend + self.tuning["gain"] * (reference[0] - state[3]) - state[1]
+        return min(max(angle, -0.5), 0.5) if math.isfinite(angle) else 0.0
 
 class Bicycle(at.SteppedPlant):
     def __init__(self, vehicle, tyre=None):
