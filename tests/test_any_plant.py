@@ -23,6 +23,7 @@ from adaptrack.control.controllers import Tuning
 from adaptrack.learning.adaptation.config import load_adaptation
 from adaptrack.learning.adaptation.for_car import WORK, DrivenSetup, write_configuration
 from adaptrack.learning.adaptation.splits import SetUp
+from adaptrack.studies.adapt import Adapted
 from adaptrack.studies.tune_car import TuningEffort, tune
 from adaptrack.tuning.campaign import run_campaign
 from adaptrack.tuning.config import CampaignConfig, Plan
@@ -234,7 +235,7 @@ def test_without_their_package_the_remedy_is_told(monkeypatch):
 @pytest.fixture
 def adapt(monkeypatch, registered, tmp_path):
     """The command without its chain; a constant that is found quickly."""
-    monkeypatch.setattr("adaptrack.studies.adapt.adapt", lambda *given, **more: None)
+    monkeypatch.setattr("adaptrack.studies.adapt.adapt", lambda *given, **more: Adapted({}, {}, {}, {}, {}))
     monkeypatch.setattr("adaptrack.cli.comparison.write_page", lambda out, made: out / "index.html")
     monkeypatch.setattr("adaptrack.cli.comparison.print_comparison", lambda *given: None)
     monkeypatch.setattr("adaptrack.studies.tune_car.tune", lambda *given, **more: tune(*given, effort=SMALL, **more))

@@ -278,7 +278,7 @@ def test_simulate_drives_a_registered_stepped_plant_and_writes_its_page(plugged,
 @pytest.mark.compiled
 def test_evaluate_drives_a_registered_stepped_plant_beside_the_best_constant_and_writes_its_page(plugged, capsys):
     arguments = [
-        "evaluate",
+        "evaluate-schedules",
         "--config",
         "road",
         "--operating-points",

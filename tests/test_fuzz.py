@@ -163,7 +163,7 @@ def test_what_no_car_can_have_counts_as_not_measured(absurd):
 def test_an_engagement_that_is_refused_changes_nothing():
     tracker = Tracker(published_mpc(CAR, period=0.05), STRAIGHT)
     commands = [called(tracker, 0.05 * k, 0.5 * k).command for k in range(3)]
-    with pytest.raises(InvalidInput, match="must be finite"):
+    with pytest.raises(InvalidInput, match="must be a finite number"):
         tracker.engage(math.nan)
     assert tracker.controller.angle == commands[-1]
 

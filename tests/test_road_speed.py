@@ -233,7 +233,7 @@ def test_a_bend_that_is_too_tight_or_too_fast_is_named_with_its_place():
     car = CAR.replace(steering=None)  # 30 degrees
     least = smallest_radius(car)
     found = {each.kind: each for each in check_road(bent(0.25), car, 25.0)}
-    assert found["radius"].text == f"radius 4 m at s = 810 m, below this car's {least:.1f} m"
+    assert found["radius"].text == f"radius 4.0 m at s = 810 m, below this car's {least:.1f} m"
     tight = {each.kind: each for each in check_road(bent(1.0 / (0.9 * least)), car)}["radius"]
     assert tight.value == pytest.approx(0.9 * least)
     assert 800.0 < tight.start < 810.0 < 814.0 < tight.end < 824.0

@@ -457,17 +457,17 @@ class TestPackPlant:
         ],
     )
     def test_a_kernel_that_asks_for_other_parameters_is_noticed(self, monkeypatch, edit, message):
-        from adaptrack.core.plants import parameters
+        from adaptrack.cars import vehicle
 
-        monkeypatch.setattr(parameters, "PLANT_PARAMETERS", edit(parameters.PLANT_PARAMETERS))
+        monkeypatch.setattr(vehicle, "PLANT_PARAMETERS", edit(vehicle.PLANT_PARAMETERS))
         with pytest.raises(ContractError, match=message):
             pack_plant(*self.distinct())
 
     def test_the_order_of_the_kernels_does_not_matter(self, monkeypatch):
-        from adaptrack.core.plants import parameters
+        from adaptrack.cars import vehicle
 
         packed = pack_plant(*self.distinct())
-        monkeypatch.setattr(parameters, "PLANT_PARAMETERS", parameters.PLANT_PARAMETERS[::-1])
+        monkeypatch.setattr(vehicle, "PLANT_PARAMETERS", vehicle.PLANT_PARAMETERS[::-1])
         assert np.array_equal(pack_plant(*self.distinct()), packed[::-1])
 
     def test_kernels_use_the_same_gravity(self):

@@ -447,7 +447,7 @@ def pack_plant(vehicle: Vehicle, tyre: Tyre, actuator: SteeringActuator) -> NDAr
         missing = sorted(set(PLANT_PARAMETERS) - set(values))
         unused = sorted(set(values) - set(PLANT_PARAMETERS))
         raise ContractError(
-            f"pack_plant and kernels.plants.parameters.PLANT_PARAMETERS differ: missing {missing}, unused {unused}."
+            f"pack_plant and core.plants.parameters.PLANT_PARAMETERS differ: missing {missing}, unused {unused}."
         )
     return np.array([values[name] for name in PLANT_PARAMETERS], dtype=np.float64)
 
