@@ -41,8 +41,8 @@ MEANT = {
 }
 """Real uses, by file: what leads to something, nobody is asked (by a command), names that the package or Sphinx has."""
 
-PLACES = ["README.md", "docs", "examples"]
-"""What is counted; `src/adaptrack` joins when its own names are the field's."""
+PLACES = ["README.md", "docs", "examples", *(f"src/adaptrack/{room}" for room in ("base", "control"))]
+"""What is counted; a room of the package joins when its names are the field's."""
 
 
 def texts(place):

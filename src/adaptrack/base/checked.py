@@ -213,7 +213,7 @@ def reals(name: str, values: Any) -> Array:
         given = np.asarray(values)
         if given.dtype == object:  # whole numbers beyond 64 bits, decimals, fractions
             given = np.array([_entry(value) for value in given.ravel()]).reshape(given.shape)
-    except Exception:  # whatever an object of others raises when it is asked for its numbers
+    except Exception:  # whatever an object of others raises when it is converted to numbers
         given = np.empty(0, dtype=str)
     if given.dtype is FLOAT and isinstance(values, tuple | list | float):
         return given

@@ -37,7 +37,7 @@ class MissingExtra(AdaptrackError, ImportError):
 
 
 class StorageError(AdaptrackError, OSError):
-    """A file that cannot be read or written as asked; nothing half-written is left behind."""
+    """A file that cannot be read or written; nothing half-written is left behind."""
 
 
 def shown(value: object) -> str:

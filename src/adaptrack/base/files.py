@@ -110,7 +110,7 @@ def check_texts(where: str, data: Any) -> None:
 class Record(BaseModel):
     """A frozen, validated set of named values: unknown keys, wrong types, NaN and infinity are refused.
 
-    A whole number is accepted where a real one is asked for; text and truth values are not.
+    A whole number is accepted for a real one; text and truth values are not.
 
     Raises
     ------

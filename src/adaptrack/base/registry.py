@@ -13,7 +13,7 @@ Member = TypeVar("Member")
 
 
 class Registry(Generic[Member]):
-    """Factories of one kind of member. A path ``"package.module:name"`` is imported when it is first asked for.
+    """Factories of one kind of member. A path ``"package.module:name"`` is imported when it is first used.
 
     what: the kind, for messages; register: the public function that adds to it.
     """

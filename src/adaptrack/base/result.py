@@ -67,7 +67,7 @@ Colour: TypeAlias = str
 Dash = Literal["solid", "dashed", "long", "dotted", "dash-dot"]
 
 SERIES = tuple(f"series-{i}" for i in range(6))
-"""The colours of what is compared, told apart with any common colour vision."""
+"""The colours of what is compared, distinct with any common colour vision."""
 
 
 @dataclass(frozen=True)
@@ -326,7 +326,7 @@ class Result:
     """An answer with what it rests on."""
 
     kind: str
-    """What was asked: identification, certificate, drive, ...; it names the page's template."""
+    """Which question is answered: identification, certificate, drive, ...; it names the page's template."""
     title: str
     answer: str
     """The answer in one sentence."""

@@ -250,7 +250,7 @@ class FrictionWindEstimate(NamedTuple):
 @checked
 @dataclass(frozen=True)
 class FrictionWindPrior:
-    """What the estimator believes before it has seen anything, and how fast it forgets.
+    """What the estimator believes before the first measurement, and how fast it forgets.
 
     ln(friction), wind and ln(stiffness) are Gauss-Markov processes: mean, standard deviation ("spread") and
     correlation time. The spreads suit friction from 0.3 to 1 and gusts up to 30 m/s.
@@ -421,12 +421,12 @@ class FrictionWindEstimator:
         InvalidInput
             When `measured` has another shape, or an argument is not made of numbers.
         """
-        seen = np.ascontiguousarray(reals("measured", measured))
-        if seen.shape != (4,):
-            raise InvalidInput(f"measured: shape {seen.shape}, expected (4,): v_y, yaw, yaw rate, y.")
+        sensed = np.ascontiguousarray(reals("measured", measured))
+        if sensed.shape != (4,):
+            raise InvalidInput(f"measured: shape {sensed.shape}, expected (4,): v_y, yaw, yaw rate, y.")
         felt = math.nan if acceleration is None else real("estimator", "acceleration", acceleration)
-        pace, sent = real("estimator", "speed", speed), real("estimator", "command", command)
-        self._kernel.estimate(0, seen, pace, sent, felt, self._packed, self._settings, self._memory)
+        forward, sent = real("estimator", "speed", speed), real("estimator", "command", command)
+        self._kernel.estimate(0, sensed, forward, sent, felt, self._packed, self._settings, self._memory)
         return self.estimate
 
     @property

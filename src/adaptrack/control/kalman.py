@@ -77,7 +77,7 @@ class Drifts:
     """of the yaw-rate sensor's offset"""
     sliding: Annotated[NotNegative, "s^0.5"] = 0.2
     """of the force of an axle: its impulse deviates by `sliding` F^2/F_z after a second, F being its force in
-    the model and F_z its load. In the brush model of a tyre F^2/(3 mu F_z) is lost to sliding (Pacejka, Tire and
+    the model and F_z its load. In the brush model of a tyre sliding takes F^2/(3 mu F_z) away (Pacejka, Tire and
     Vehicle Dynamics, 3rd ed., section 3.2), and mu is not known."""
     sliding_time: Annotated[Positive, "s"] = 0.3
     """how long such a deviation lasts: by it an accelerometer is off by sliding F^2/F_z/(m sqrt(2 sliding_time))"""
@@ -106,7 +106,7 @@ class KalmanFilter(Estimator):
     friction, shape: coefficient, and shape factor C of the Magic Formula, of tyres as they are thought to be: in the
     bends of a road they pull less than the model's linear ones, which is known beforehand. Passenger-car tyres have C
     near 1.3 (Pacejka, Tire and Vehicle Dynamics, 3rd ed., section 4.3). longest: dead time (s) that the model may be
-    told to have while driving.
+    given while driving.
 
     Raises
     ------

@@ -1,7 +1,7 @@
 """A controller in anybody's loop: samples with time stamps in, steering commands out.
 
 The controller runs at instants of its own, one period apart. A call at any time belongs to the nearest of them, and an
-instant to the nearest call. A Kalman filter is told the age of a sample and takes it in where it belongs; what it
+instant to the nearest call. A Kalman filter is given the age of a sample and takes it in where it belongs; what it
 cannot take, and what any other controller is given, is carried to the instant by the car's own motion (speed and yaw
 rate). Instants without a call are gone through on the estimate, with the command that was held.
 """
@@ -45,7 +45,7 @@ counts as not measured."""
 ACROSS = 10.0
 """m of distance that a foot may be nearer for a path at right angles to the car, when a path is looked for its start.
 """
-PACE = 0.2
+SHARE_OF_LAST = 0.2
 """Share of the last interval in the mean interval between calls."""
 
 
@@ -256,14 +256,14 @@ class Tracker:
         at = taken if now is None else real("Tracker.step", "now", now)
         if not math.isfinite(at):
             raise InvalidInput(f"Tracker.step: t = {t!r}, now = {now!r}: the time of the call must be finite.")
-        *where, pace, rate, vy, pull, angle = map(_believable, rest, _MOST)
+        *where, forward, rate, vy, pull, angle = map(_believable, rest, _MOST)
         given = _Sample(taken, _Pose(*where), rate, vy, pull, angle)
         if abs(at - taken) > LONGEST_GAP:
             given = _Sample(math.nan, NOWHERE, *(math.nan,) * 4)
         if self._started and self._last - LONGEST_GAP <= at <= self._last:
             return self._tracked._replace(status=Status.REPEATED)
-        if math.isfinite(pace):
-            self._speed = pace
+        if math.isfinite(forward):
+            self._speed = forward
         if self._started and (self._speed < -STANDING or abs(at - self._last) > LONGEST_GAP):
             self._restart()
         return self._go_on(at, given) if self._started else self._begin(at, given)
@@ -295,7 +295,7 @@ class Tracker:
     def _go_on(self, at: float, given: _Sample) -> Tracked:
         """A call that follows others."""
         given = self._placed_anew(given)
-        self._between += PACE * (min(at - self._last, self.period) - self._between)
+        self._between += SHARE_OF_LAST * (min(at - self._last, self.period) - self._between)
         self._last = at
         instant = math.floor((at - self._began + 0.5 * self._between) / self.period)
         if instant <= self._instant:  # another call is nearer to the next instant
@@ -368,8 +368,8 @@ class Tracker:
 
     def _control(self, given: _Sample | None) -> Tracked:
         """One step of the controller."""
-        seen, fresh = self._seen(given)
-        state = seen if isinstance(self.controller, MPC) else seen[:4]
+        measured, fresh = self._measurement(given)
+        state = measured if isinstance(self.controller, MPC) else measured[:4]
         self._ahead = RoadAhead(self.path, self._station, self._speeds())
         answer = command_of(self.controller.step(state, self._forward, np.zeros(1), road=self._ahead), self._command)
         self._command = answer.angle
@@ -379,37 +379,37 @@ class Tracker:
         self._tracked = Tracked(self._command, status, offset, heading_error, station)
         return self._tracked
 
-    def _seen(self, given: _Sample | None) -> tuple[Array, bool]:
-        """What the controller is told (`models.MEASURED`), and whether a new position is among it."""
-        seen = np.array([math.nan] * 6 + [0.0, 0.0, self._turned])
-        fresh = given is not None and self._take(given, seen)
+    def _measurement(self, given: _Sample | None) -> tuple[Array, bool]:
+        """What the controller is given (`models.MEASURED`), and whether a new position is among it."""
+        measured = np.array([math.nan] * 6 + [0.0, 0.0, self._turned])
+        fresh = given is not None and self._take(given, measured)
         if not self._filtered:
-            drift = seen[0]
-            seen[:6] = math.nan
+            drift = measured[0]
+            measured[:6] = math.nan
             if self._time - self._newest <= LONGEST_GAP:
                 known = drift if math.isfinite(drift) else _steady_drift(self._car, self._forward, self._yaw_rate)
-                seen[0], seen[2] = known, self._yaw_rate
-                seen[3], seen[1] = self._beside(self._pose, self._station)
-        return seen, fresh
+                measured[0], measured[2] = known, self._yaw_rate
+                measured[3], measured[1] = self._beside(self._pose, self._station)
+        return measured, fresh
 
-    def _take(self, given: _Sample, seen: Array) -> bool:
+    def _take(self, given: _Sample, measured: Array) -> bool:
         """Write what a sample says and how old it is; whether it has a position that can be used."""
         period = self.period
         age = self._time - given.t if math.isfinite(given.t) else 0.0
-        told = min(max(age, -0.5 * period), (self._late + 0.499) * period)
-        carry = age - told
+        declared = min(max(age, -0.5 * period), (self._late + 0.499) * period)
+        carry = age - declared
         if abs(carry) <= 0.25 * period:  # a position can be carried on, what moves the car is another by then
-            seen[[0, 2, 4, 5]] = given.vy, given.yaw_rate, given.wheel_angle, given.lateral_acceleration
+            measured[[0, 2, 4, 5]] = given.vy, given.yaw_rate, given.wheel_angle, given.lateral_acceleration
         elif given.posed:
             self._warn_of_late_samples(age)
-        seen[6] = seen[7] = told
+        measured[6] = measured[7] = declared
         known = given.t <= self._newest and self._instant > 0
         if not (given.posed and -period <= carry <= LONGEST_CARRY) or (known and not self._late):
             return False
         if self._instant > 0:
             self._newest = max(self._newest, given.t)
         pose = given.pose.carried(carry, self._forward, self._yaw_rate)
-        seen[3], seen[1] = self._beside(pose, self._station - self._forward * told)
+        measured[3], measured[1] = self._beside(pose, self._station - self._forward * declared)
         return True
 
     def _warn_of_late_samples(self, age: float) -> None:
@@ -456,14 +456,14 @@ class Tracker:
         Raises
         ------
         InvalidInput
-            When the controller predicts nothing that could be asked for, or has not been called.
+            When the controller is no `MPC`, or has not been called.
         """
         if not isinstance(self.controller, MPC) or not self._started:
             raise InvalidInput("Tracker.predicted_path: needs an MPC that has made a step.")
         time, lateral = self.controller.predicted_output()
-        lead = time[0] / self.period - 1.0
-        pace = max(self._forward, self.controller.speed_floor)
-        offset = lateral - self._ahead.bend(time.size + 1, pace, lead, self.period)[1:]
+        delay = time[0] / self.period - 1.0
+        forward = max(self._forward, self.controller.speed_floor)
+        offset = lateral - self._ahead.bend(time.size + 1, forward, delay, self.period)[1:]
         speeds = self._ahead.speeds
         way = np.concatenate([[0.0], np.cumsum(speeds) * self.period])
         last = self.period * speeds.size

@@ -150,7 +150,7 @@ class Controller(ABC):
         """
 
     def applied(self, angle: float) -> None:  # noqa: B027
-        """Say which angle (rad) was asked of the wheels in place of the last command: the next step goes on from it.
+        """Say which angle (rad) was sent to the steering in place of the last command: the next step goes on from it.
 
         Raises
         ------
@@ -275,7 +275,7 @@ class CompiledController(Controller):
         return self._angle
 
     def applied(self, angle: float) -> None:
-        """Say which angle (rad) was asked of the wheels in place of the last command: the next step goes on from it.
+        """Say which angle (rad) was sent to the steering in place of the last command: the next step goes on from it.
 
         Raises
         ------

@@ -17,7 +17,7 @@ from adaptrack.scenario.profile import Profile
 ASSUMED = "nobody says, so the slow end of published values"
 """The source of what neither the caller, nor the car file, nor a profile says."""
 UNKNOWN: Literal["unknown"] = "unknown"
-"""What is told where neither the car's file nor the profile is to be believed about the steering."""
+"""As `belief`: neither the car's file nor the profile is to be believed about the steering."""
 LEAST_LAG = 0.05
 """s, believed at least where only the dead time is known."""
 _NAMES = {"lag": "s", "dead_time": "s", "computation": "s", "rate": "rad/s", "limit": "rad"}
@@ -105,7 +105,7 @@ class Uncertainty:
 
     @classmethod
     def declared(cls, uncertainty: Uncertainty | None) -> Uncertainty:
-        """What was told; none where nothing was."""
+        """The uncertainty that the caller gives; none where there is none."""
         if uncertainty is None:
             return cls()
         if not isinstance(uncertainty, Uncertainty):
@@ -161,7 +161,8 @@ class Belief:
     def bounds(self, period: float) -> Limits:
         """Limits on the command: on its change the rate times a period (s), on its size the limit.
 
-        The next command may lead the wheels by the rate times lag and period, as far as they follow within the rate.
+        The next command may be ahead of the wheels by the rate times lag and period: so far they follow within the
+        rate.
 
         Behind a delay that is assumed, thus probably too long, bounded moves lose the car: the change has then the
         bound of the paper's table, as it has where there is no rate limit.
@@ -180,34 +181,35 @@ class Belief:
         return "; ".join(f"{', '.join(entries)} ({source})" for source, entries in parts.items())
 
 
-Told = Steering | Literal["unknown"] | None
+GivenSteering = Steering | Literal["unknown"] | None
+"""What a caller says of the steering: None leaves it to the car's file and the profile."""
 
 
-def believed(vehicle: Vehicle, told: Told, profile: Profile, period: float, named: bool) -> Belief:
+def believed(vehicle: Vehicle, given: GivenSteering, profile: Profile, period: float, named: bool) -> Belief:
     """The belief about a car's steering: each number from the first that says it, `ASSUMED` where nobody does.
 
-    told: by the caller, who comes first, then the car file, then the profile; `UNKNOWN`: nobody says anything; named:
+    given: by the caller, who comes first, then the car file, then the profile; `UNKNOWN`: nobody says anything; named:
     whether the profile was, or is only the one whose sensors are taken by default: then its actuator says nothing.
 
     Raises
     ------
     InvalidInput
-        When `told` is no `Steering`.
+        When `given` is no `Steering`.
     """
-    if not (isinstance(told, Steering | None) or told == UNKNOWN):
+    if not (isinstance(given, Steering | None) or given == UNKNOWN):
         raise InvalidInput(
-            f"belief = {told!r}: must be a Steering(lag=..., dead_time=..., rate=..., limit=...), or {UNKNOWN!r}."
+            f"belief = {given!r}: must be a Steering(lag=..., dead_time=..., rate=..., limit=...), or {UNKNOWN!r}."
         )
     where = f"profile {profile.name}"
     actuator = {"lag": profile.steering.lag, "dead_time": profile.steering.dead_time, "rate": profile.steering.rate}
     actuator["limit"] = min(profile.steering.limit, Limits().angle[1])
     said: dict[str, Said] = {}
-    for source, section in (("told", told), (car_file(vehicle), vehicle.steering)):
+    for source, section in (("given", given), (car_file(vehicle), vehicle.steering)):
         for name in actuator:
             value = getattr(section, name, None)
             if value is not None:
                 said.setdefault(name, Said(value, source))
-    if told == UNKNOWN:
+    if given == UNKNOWN:
         said = {}
     elif named:
         said = {name: Said(value, where) for name, value in actuator.items()} | said

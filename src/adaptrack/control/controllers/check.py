@@ -13,7 +13,7 @@ from adaptrack.base.errors import ContractError, InvalidInput
 from adaptrack.control.controllers.base import Array, Controller, command_of
 
 SPEEDS = (1.0, 5.0, 15.0, 30.0)
-"""m/s, at which a controller is asked."""
+"""m/s, at which a controller is called."""
 STEPS = 5
 """Steps of each drive that is put to it."""
 NEAR = 1e-9
@@ -30,7 +30,7 @@ def check_controller(controller: Controller, symmetric: bool = True, variables: 
     """Test that a controller keeps the contract on which the drivers rely.
 
     It has a name, a positive period, `reset`, `step` and `describe` (plain data for JSON). In sane situations, from
-    walking pace to 30 m/s, it answers finite commands, within its `limits` if it names some, with the move from the
+    1 to 30 m/s, it answers finite commands, within its `limits` if it names some, with the move from the
     last command; the same after each `reset`; and mirrored ones for the mirrored situation, unless `symmetric` is
     False. It takes read-only arrays and writes to none of its arguments. NaN, infinities and huge numbers in a state, a
     speed or a reference end in no exception but `InvalidInput`, and in a finite command within the limits.

@@ -13,8 +13,8 @@ from adaptrack.base.errors import InvalidInput
 from adaptrack.base.limits import CONTROL_HORIZON, PREDICTION_HORIZON
 from adaptrack.cars.vehicle import Vehicle
 from adaptrack.control.controllers.base import known_vehicle
-from adaptrack.control.controllers.belief import Belief, Told, Uncertainty, believed
-from adaptrack.control.controllers.learned import UNTOLD, Learner, Learning
+from adaptrack.control.controllers.belief import Belief, GivenSteering, Uncertainty, believed
+from adaptrack.control.controllers.learned import UNKNOWN_CAR, Learner, Learning
 from adaptrack.control.controllers.limits import Limits
 from adaptrack.control.controllers.tuning import Tuning
 from adaptrack.control.estimation import Estimator
@@ -62,13 +62,13 @@ def informed_tuning(
     `UNSEEN` times that without a sensor of the lateral velocity.
     """
     world = load_profile(profile)
-    pace = _checked(world.period if period is None else period)
+    step = _checked(world.period if period is None else period)
     least = LEAST_MOVE_WEIGHT if world.preview else BLIND_MOVE_WEIGHT
-    weight = max(world.move_weight * world.period**2, least) / pace**2
+    weight = max(world.move_weight * world.period**2, least) / step**2
     weight *= Uncertainty.declared(uncertainty).caution * (UNSEEN if math.isinf(world.noise_vy) else 1.0)
     ahead, free = (HORIZON, MOVES) if world.preview else (BLIND_HORIZON, BLIND_MOVES)
-    horizon = min(max(2, round(ahead / pace)), int(PREDICTION_HORIZON.most))
-    moves = min(max(1, round(free / pace)), int(CONTROL_HORIZON.most))
+    horizon = min(max(2, round(ahead / step)), int(PREDICTION_HORIZON.most))
+    moves = min(max(1, round(free / step)), int(CONTROL_HORIZON.most))
     return Tuning(horizon, moves, 1.0, float(f"{weight:.6g}"))
 
 
@@ -86,10 +86,10 @@ class Parts(NamedTuple):
 
 
 def informed_parts(
-    vehicle: Vehicle, profile: str | Profile | None, told: tuple[Told, Uncertainty | None, Learning | None],
+    vehicle: Vehicle, profile: str | Profile | None, given: tuple[GivenSteering, Uncertainty | None, Learning | None],
     period: float | None, estimator: KalmanFilter | None, preview: bool | None = None,
 ) -> Parts:  # fmt: skip
-    """The parts of an MPC that knows its car; arguments as for `MPC`, told: belief, uncertainty and learning.
+    """The parts of an MPC that knows its car; arguments as for `MPC`, given: belief, uncertainty and learning.
 
     Raises
     ------
@@ -98,34 +98,34 @@ def informed_parts(
     """
     car, world = known_vehicle("MPC", vehicle), load_profile(UNNAMED if profile is None else profile)
     world = world.replace(preview=True) if preview else world  # a reference that is known ahead is tuned for
-    pace = _checked(world.period if period is None else period)
-    if told[2] is not None:
-        return _learning_parts(car, (world, profile is not None), told, pace, estimator)
-    plain = believed(car, told[0], world, pace, named=profile is not None)
-    unsure = Uncertainty.of_car(car, plain) if told[1] is None else Uncertainty.declared(told[1])
+    step = _checked(world.period if period is None else period)
+    if given[2] is not None:
+        return _learning_parts(car, (world, profile is not None), given, step, estimator)
+    plain = believed(car, given[0], world, step, named=profile is not None)
+    unsure = Uncertainty.of_car(car, plain) if given[1] is None else Uncertainty.declared(given[1])
     belief = plain.later(unsure)
-    tuning = informed_tuning(world, pace, unsure)
+    tuning = informed_tuning(world, step, unsure)
     drifts = unsure.widened(KalmanFilter().drifts, math.isfinite(world.noise_vy))
     return Parts(
         tuning=replace(tuning, R=tuning.R * CAUTION) if belief.is_cautious else tuning,
-        model=PathModel(car, pace, belief.lag.value, belief.delay),
+        model=PathModel(car, step, belief.lag.value, belief.delay),
         estimator=KalmanFilter.of_profile(world, drifts) if estimator is None else estimator,
-        limits=replace(belief.bounds(pace), error=LARGEST_CORRECTION),
+        limits=replace(belief.bounds(step), error=LARGEST_CORRECTION),
         preview=world.preview,
         belief=belief,
     )
 
 
 def _learning_parts(
-    car: Vehicle, world: tuple[Profile, bool], told: tuple[Told, Uncertainty | None, Learning | None],
+    car: Vehicle, world: tuple[Profile, bool], given: tuple[GivenSteering, Uncertainty | None, Learning | None],
     period: float, estimator: KalmanFilter | None,
 ) -> Parts:  # fmt: skip
     """The parts of an MPC that learns its car; world: the profile, and whether it was named."""
     profile, named = world
-    learning = told[2]
+    learning = given[2]
     assert learning is not None
-    unsure = UNTOLD if told[1] is None else Uncertainty.declared(told[1])
-    belief = believed(car, told[0], profile, period, named=named)
+    unsure = UNKNOWN_CAR if given[1] is None else Uncertainty.declared(given[1])
+    belief = believed(car, given[0], profile, period, named=named)
     sensing = KalmanFilter.of_profile(profile) if estimator is None else estimator
     learner = Learner(learning, car, belief, unsure, sensing, period)
     return Parts(

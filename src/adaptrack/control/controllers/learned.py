@@ -24,7 +24,7 @@ from adaptrack.core.estimators.learning import Numbers, memory_of
 
 Array = NDArray[np.float64]
 
-UNTOLD = Uncertainty(lag=0.15, dead_time=0.125, stiffness=2.0, mass=0.3)
+UNKNOWN_CAR = Uncertainty(lag=0.15, dead_time=0.125, stiffness=2.0, mass=0.3)
 """How far the belief may be wrong where nobody says: published delays are 0.05 to 0.6 s."""
 MIDDLE = (0.2, 0.125)
 """s, lag and dead time in the middle of published values, believed where nobody says."""
@@ -193,7 +193,7 @@ class Learning:
     wandering: Annotated[NotNegative, "rad/s"] = 0.2
     """by which the wheels may be elsewhere for every second of uncertain delay, after a second"""
     noise: _Factor = 4.0
-    """factor within which the noise of a sensor may differ from what was told"""
+    """factor within which the noise of a sensor may differ from what is believed"""
     noise_time: Annotated[Positive, "s"] = 20.0
     """over which the noise of a sensor is averaged"""
 
@@ -206,7 +206,7 @@ class Ranges(NamedTuple):
 
     @classmethod
     def of(cls, belief: Belief, unsure: Uncertainty) -> Ranges:
-        """What was told of a steering; the middle of published values where nothing was."""
+        """Around what is believed of a steering; around the middle of published values where nobody says."""
         said = {"lag": belief.lag.value, "dead_time": belief.dead_time.value}
         if belief.is_cautious:
             said |= {name: MIDDLE[i] for i, name in enumerate(said) if name in belief.assumed}

@@ -41,7 +41,7 @@ class Limits:
     """a first move may exceed `move` while the command is not further than this ahead of the wheels, whose angle
     an estimator knows by the model: an actuator with a lag follows so far without its rate limit"""
     error: Annotated[Bound, "m", Hint("inf: no limit")] = math.inf
-    """of a larger lateral error the QP is asked to correct so much at once: the reference is moved towards the car.
+    """of a larger lateral error the QP corrects so much at once: the reference is moved towards the car.
     Without preview it is larger by what the reference moves in 1 s"""
 
 

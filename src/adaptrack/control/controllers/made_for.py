@@ -43,16 +43,16 @@ def mismatches(made_for: Any, model: str, car: str | None, profile: str | None, 
     `MPC.kind_of_model`; car, profile: their names (`car_of`), None where they are not known; driven: the car of the
     plant, where it is known.
     """
-    told = made_for if isinstance(made_for, Mapping) else {}
-    asked, found = _model_of(told), []
-    if asked not in (None, model):
-        remedy = "published_mpc(...) is that one" if asked == INCREMENTAL else "learn it on this one"
-        found.append(f"tunes an MPC whose model is {model!r}, not {asked!r}, for which it was made: {remedy}")
+    named = made_for if isinstance(made_for, Mapping) else {}
+    expected, found = _model_of(named), []
+    if expected not in (None, model):
+        remedy = "published_mpc(...) is that one" if expected == INCREMENTAL else "learn it on this one"
+        found.append(f"tunes an MPC whose model is {model!r}, not {expected!r}, for which it was made: {remedy}")
     cars = dict.fromkeys(each for each in (car, driven) if each is not None)
     for what, here in (*(("car", each) for each in cars), ("profile", profile)):
-        if here is not None and told.get(what) not in (None, here):
+        if here is not None and named.get(what) not in (None, here):
             found.append(
-                f"was made for the {what} {told[what]!r}, not {here!r}: leave it out, or make one for it "
+                f"was made for the {what} {named[what]!r}, not {here!r}: leave it out, or make one for it "
                 "(`adaptrack adapt`)"
             )
     return found

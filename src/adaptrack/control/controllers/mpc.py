@@ -24,7 +24,7 @@ from adaptrack.base.errors import InvalidInput
 from adaptrack.base.limits import CONTROL_HORIZON, PREDICTION_HORIZON
 from adaptrack.cars.vehicle import Vehicle
 from adaptrack.control.controllers.base import Controller
-from adaptrack.control.controllers.belief import Told, Uncertainty
+from adaptrack.control.controllers.belief import GivenSteering, Uncertainty
 from adaptrack.control.controllers.informed import Parts, informed_parts
 from adaptrack.control.controllers.inputs import KernelInput, change_of_path, number, road_ahead, vector, wheel_angle
 from adaptrack.control.controllers.learned import LearnedCar, Learning
@@ -178,7 +178,7 @@ class MPC(Controller):
         tuning: Annotated[InstanceOf[Tuning], Hint("Tuning(Np, Nc, Q, R)")] | None = None,
         *,
         profile: str | Profile | None = None,
-        belief: Told = None,
+        belief: GivenSteering = None,
         uncertainty: Annotated[InstanceOf[Uncertainty], Hint("Uncertainty(lag=..., dead_time=...)")] | None = None,
         learning: Annotated[InstanceOf[Learning], Hint("Learning() gives one")] | None = None,
         period: Annotated[Positive, "s"] | None = None,
@@ -235,8 +235,8 @@ class MPC(Controller):
                 f"most_moves = {self.most_moves}: raise those."
             )
         longest = self.model.dead_time if self.learner is None else self.learner.longest
-        lead = math.ceil(longest / self.period)
-        self._furthest = self.longest_horizon + 1 + (lead + 1 if lead else 0)
+        delay_steps = math.ceil(longest / self.period)
+        self._furthest = self.longest_horizon + 1 + (delay_steps + 1 if delay_steps else 0)
         if self.moves.kind == "laguerre" and self.most_moves > self.longest_horizon:
             raise InvalidInput("most_moves must not exceed longest_horizon.")
 
@@ -369,10 +369,10 @@ class MPC(Controller):
     def with_tuning(self, tuning: Mapping[str, float]) -> Self:
         """See `Controller.with_tuning`; the horizons are rounded, and a scheduler has nothing to say any more."""
         entries = self._entries(tuning)
-        asked = Tuning(round(entries["Np"]), round(entries["Nc"]), entries["Q"], entries["R"])
+        constant = Tuning(round(entries["Np"]), round(entries["Nc"]), entries["Q"], entries["R"])
         made = copy.copy(self)
-        made.scheduler, made.tuning = None, asked
-        made._set_sizes(max(self.longest_horizon, asked.Np), max(self.most_moves, asked.Nc))
+        made.scheduler, made.tuning = None, constant
+        made._set_sizes(max(self.longest_horizon, constant.Np), max(self.most_moves, constant.Nc))
         made.reset()
         return made
 
@@ -416,8 +416,8 @@ class MPC(Controller):
 
         profile: its name; plant: what is driven, whose car may be another than the controller's.
         """
-        asked = getattr(scheduler, "made_for", None)
-        return mismatches(asked, self.kind_of_model, car_of(self.model), profile, car_of(plant))
+        made_for = getattr(scheduler, "made_for", None)
+        return mismatches(made_for, self.kind_of_model, car_of(self.model), profile, car_of(plant))
 
     def warn_of(self, scheduler: Any, profile: str | None = None, plant: Any = None) -> None:
         """Log what a scheduler was made for and does not find here, each once per controller."""
@@ -454,7 +454,7 @@ class MPC(Controller):
         return float(self._mpc.memory[0].command)
 
     def applied(self, angle: float) -> None:
-        """Say which angle (rad) was asked of the wheels in place of the last command: the next step goes on from it.
+        """Say which angle (rad) was sent to the steering in place of the last command: the next step goes on from it.
 
         Raises
         ------
@@ -560,7 +560,7 @@ class MPC(Controller):
     ) -> QP:
         """The QP that `step` would solve with these arguments; the controller stays as it is.
 
-        A scheduler in Python stays as it is, too, if it can be copied; one that cannot is asked itself.
+        A scheduler in Python stays as it is, too, if it can be copied; one that cannot is called as it is.
         """
         twin = self._twin()
         twin._take(state, speed, reference, variables, road)

@@ -1,4 +1,4 @@
-"""Controllers by name: whoever is registered drives everywhere. A name costs nothing until it is asked for."""
+"""Controllers by name: whoever is registered drives everywhere. A name costs nothing until it is used."""
 
 from __future__ import annotations
 

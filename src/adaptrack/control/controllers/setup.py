@@ -26,10 +26,10 @@ def world_and_belief(
         For a vehicle that is none, a belief that is no `Steering`, or a period that is not positive and finite.
     """
     car, world = known_vehicle(where, vehicle), load_profile(UNNAMED if profile is None else profile)
-    pace = real(where, "period", world.period if period is None else period)
-    if not 0.0 < pace < math.inf:
-        raise InvalidInput(f"{where}: period = {pace!r} s: must be positive and finite.")
-    return world, pace, believed(car, belief, world, pace, named=profile is not None)
+    step = real(where, "period", world.period if period is None else period)
+    if not 0.0 < step < math.inf:
+        raise InvalidInput(f"{where}: period = {step!r} s: must be positive and finite.")
+    return world, step, believed(car, belief, world, step, named=profile is not None)
 
 
 class LoopSetup(NamedTuple):
@@ -57,11 +57,11 @@ class LoopSetup(NamedTuple):
         InvalidInput
             For a vehicle that is none, a belief that is no `Steering`, or a period that is not positive and finite.
         """
-        world, pace, known = world_and_belief(where, vehicle, profile, belief, period)
+        world, step, known = world_and_belief(where, vehicle, profile, belief, period)
         return cls(
             belief=known,
             pose_age=world.pose_age if profile is not None else 0.0,
-            period=pace,
+            period=step,
             preview=world.preview if preview is None else bool(preview),
-            limits=known.bounds(pace) if limits is None else limits,
+            limits=known.bounds(step) if limits is None else limits,
         )

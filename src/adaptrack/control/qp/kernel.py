@@ -13,7 +13,7 @@ from adaptrack.core.qp.hildreth import hildreth
 
 
 class Workspace:
-    """The kernels' arrays, grown when a larger problem comes, and the factor of the E seen last."""
+    """The kernels' arrays, grown when a larger problem comes, and the factor of the last E."""
 
     def __init__(self) -> None:
         self._n = self._m = -1

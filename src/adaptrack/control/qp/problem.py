@@ -209,7 +209,7 @@ class Solution:
 
     @property
     def usable(self) -> bool:
-        """Whether x may steer: solved, or an uncertified x that the solver was told to hand on."""
+        """Whether x may steer: solved, or an uncertified x that the solver was configured to hand on."""
         return self.status in (QPStatus.SOLVED, QPStatus.CAPPED) and bool(np.isfinite(self.x).all())
 
 

@@ -1,4 +1,4 @@
-"""QP solvers by name. A name costs nothing until it is asked for."""
+"""QP solvers by name. A name costs nothing until it is used."""
 
 from __future__ import annotations
 

@@ -158,7 +158,7 @@ def is_finite(qp: QP) -> bool:
 
 
 def is_convex(qp: QP) -> bool:
-    """Whether E has a Cholesky factor: asked before back-ends that would settle for a stationary point."""
+    """Whether E has a Cholesky factor: checked before back-ends that would settle for a stationary point."""
     try:
         np.linalg.cholesky(qp.E)
     except np.linalg.LinAlgError:

@@ -36,7 +36,7 @@ def check_scheduler(scheduler: Any, samples: int = 200, seed: int = 0) -> None:
     entries = scheduler.entries if isinstance(scheduler, Schedule) else ENTRIES
     for row in rows:
         variables = SchedulingVariables(*row.tolist())
-        given, again = _asked(scheduler, variables, entries), _asked(scheduler, variables, entries)
+        given, again = _tuning_of(scheduler, variables, entries), _tuning_of(scheduler, variables, entries)
         if given != again:
             raise ContractError(f"scheduler: gave {given} and then {again} for the same {variables}.")
         if entries == ENTRIES:
@@ -56,7 +56,7 @@ def _samples(count: int, rng: np.random.Generator) -> Array:
     return rows
 
 
-def _asked(scheduler: Any, variables: SchedulingVariables, entries: tuple[str, ...]) -> tuple[float, ...]:
+def _tuning_of(scheduler: Any, variables: SchedulingVariables, entries: tuple[str, ...]) -> tuple[float, ...]:
     try:
         return read_tuning(scheduler(variables), entries)
     except Exception as error:

@@ -36,7 +36,7 @@ Array = NDArray[np.float64]
 HORIZONS = ("Np", "Nc")
 """Entries of the MPC that are whole numbers."""
 BOUNDS: dict[str, tuple[float, float]] = {"Np": (1, 60), "Nc": (1, 20), "Q": (1e-6, 1e9), "R": (1e-9, 1e9)}
-"""What an entry of the MPC is held within, unless told otherwise."""
+"""Bounds of the entries of the MPC, where no others are given."""
 LONGEST = 1000
 """The longest horizon that a schedule may ask for: a controller makes room for it."""
 MOST_ENTRIES = 8
@@ -136,10 +136,10 @@ class Schedule:
                 f"there must be {', '.join(self.entries)}."
             )
         for name, entry in self.tuning.items():
-            asked = entry.function.n_inputs
-            if asked not in (None, len(self.inputs)):
+            reads = entry.function.n_inputs
+            if reads not in (None, len(self.inputs)):
                 raise InvalidInput(
-                    f"schedule: the function of {name} has {asked} inputs, the schedule {len(self.inputs)}."
+                    f"schedule: the function of {name} has {reads} inputs, the schedule {len(self.inputs)}."
                 )
             least = -math.inf
             if self.of_mpc:

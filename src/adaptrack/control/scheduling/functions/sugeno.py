@@ -26,7 +26,7 @@ from adaptrack.core import functions as kernel
 Integers = NDArray[np.intp]
 
 ANY = -1
-"""In a rule: this input is not asked."""
+"""In a rule: this input does not matter."""
 WIDTH, SLOPE, CENTRE = range(3)
 """Columns of the premises."""
 FARTHEST = 1e150
@@ -73,8 +73,8 @@ class Sugeno(Function):
             raise InvalidInput("Sugeno: rule weights must be 0..1, and not all zero.")
         if functions and not (self.owner.min() >= 0 and self.owner.max() < inputs):
             raise InvalidInput(f"Sugeno: a membership function reads an input that is not one of {inputs}.")
-        asked = self.rules != ANY
-        function, reader = self.rules[asked], np.nonzero(asked)[1]
+        used = self.rules != ANY
+        function, reader = self.rules[used], np.nonzero(used)[1]
         if (function < 0).any() or (function >= functions).any() or (self.owner[function] != reader).any():
             raise InvalidInput("Sugeno: a rule asks an input for a membership function that the input does not have.")
 
