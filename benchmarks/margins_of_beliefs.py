@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 import adaptrack as at
-from adaptrack.analysis.linearisation import bodies_of, laws, sampled, usual_mismatches
+from adaptrack.analysis.linearisation import laws, linear_plants, sampled, usual_mismatches
 from adaptrack.analysis.stability import modulus_margin
 from adaptrack.control.controllers import informed_tuning
 from adaptrack.scenario.profile import load_profile
@@ -77,8 +77,8 @@ def search(car: Any, plant: Any) -> list[dict[str, Any]]:
     least = np.full(len(tried), np.inf)
     for v in SPEEDS:
         law = laws(mpc, v, tried)
-        for body in bodies_of(plant, mpc.period, "road", None, usual_mismatches(mpc.period)):
-            least = np.minimum(least, modulus_margin(body(v, 0.9), law))
+        for linear in linear_plants(plant, mpc.period, "road", None, usual_mismatches(mpc.period)):
+            least = np.minimum(least, modulus_margin(linear(v, 0.9), law))
     runs = random_drive_runs(plant, mpc, range(FIRST - 100, FIRST - 68), profile="road")
     rows = [
         {"Np": int(Np), "Nc": int(Nc), "R": R, "modulus_margin": round(float(margin), 3),

@@ -9,7 +9,7 @@ import pytest
 from adaptrack import MPC, DualTrack, InvalidInput, Tuning, load_vehicle, published_mpc
 from adaptrack.analysis.certify import certify
 from adaptrack.analysis.feasibility import Feasibility, Ranges, feasibility, largest_box
-from adaptrack.analysis.linearisation import Mismatch, bodies_of, laws, sampled
+from adaptrack.analysis.linearisation import Mismatch, laws, linear_plants, sampled
 from adaptrack.analysis.stability import hard_turn, modulus_margin
 from adaptrack.scenario.profile import load_profile
 
@@ -69,8 +69,8 @@ def test_margins_are_the_worse_of_straight_and_turn_of_each_tuning(demanding):
 def test_what_no_tuning_holds_is_named_and_the_rest_is_held(demanding):
     held = demanding.held
     assert not demanding.passed
-    assert len(demanding.lost) == (~held).sum() > 0
-    assert demanding.lost[-1][0] == 30.0
+    assert len(demanding.infeasible) == (~held).sum() > 0
+    assert demanding.infeasible[-1][0] == 30.0
     np.testing.assert_array_equal(held, (demanding.margins >= 0.3).any(axis=2))
     words = demanding.verdict
     assert words.startswith(f"Infeasible: no tuning holds the loop with a modulus margin of 0.3 at {(~held).sum()} of ")
@@ -118,7 +118,7 @@ def test_mismatches_count_as_further_cars():
     how = {"speed": (20.0, 22.0), "friction": (0.6, 0.6), "nodes": ((30.0,), (10.0,), (0.5,)), "turn": None}
     alone, both = (feasibility(PLANT, INFORMED, "road", mismatches=each, **how) for each in ((), (late,)))
     law = laws(INFORMED, 22.0, alone.tunings)
-    by = [modulus_margin(body(22.0, 0.6), law)[0] for body in bodies_of(PLANT, 0.05, "road", None, [late])]
+    by = [modulus_margin(plant(22.0, 0.6), law)[0] for plant in linear_plants(PLANT, 0.05, "road", None, [late])]
     assert alone.margins[-1, 0, 0] == pytest.approx(by[0], abs=0.01)
     assert both.margins[-1, 0, 0] == pytest.approx(min(by), abs=0.01)
 

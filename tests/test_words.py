@@ -41,8 +41,10 @@ MEANT = {
 }
 """Real uses, by file: what leads to something, nobody is asked (by a command), names that the package or Sphinx has."""
 
-PLACES = ["README.md", "docs", "examples", *(f"src/adaptrack/{room}" for room in ("base", "control"))]
-"""What is counted; a room of the package joins when its names are the field's."""
+ROOMS = ("analysis", "base", "control")
+"""The rooms of the package whose names are the field's; the others join."""
+PLACES = ["README.md", "docs", "examples", *(f"src/adaptrack/{room}" for room in ROOMS)]
+"""What is counted."""
 
 
 def texts(place):

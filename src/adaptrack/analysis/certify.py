@@ -2,7 +2,7 @@
 
 At each point of a grid over the operating domain the linear closed loop with the scheduler's tuning is analysed about
 driving straight, which decides, and about a turn as hard as driving gets (`stability.hard_turn`), which is reported;
-and, when asked, driving straight with a car that differs from the one that the controller was told of (`Mismatch`).
+and, on request, driving straight with a car that differs from the one that the controller believes in (`Mismatch`).
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from adaptrack.analysis.linearisation import Body, Mismatch, Turn, bodies_of, laws, linear_estimator
+from adaptrack.analysis.linearisation import LinearPlant, Mismatch, Turn, laws, linear_estimator, linear_plants
 from adaptrack.analysis.stability import Margins, hard_turn, margins
 from adaptrack.base.checked import real
 from adaptrack.base.errors import ContractError, InvalidInput
@@ -81,7 +81,7 @@ class Certificate:
     guarded: Sweep | None
     """of the scheduler with its guard, as at the first step of a run; None when it has none"""
     mismatched: Mapping[str, Margins] = field(default_factory=dict)
-    """of what drives, driving straight, when the car differs from what the controller was told, by `Mismatch.name`"""
+    """of what drives, driving straight, when the car differs from what the controller believes, by `Mismatch.name`"""
     period: float = math.nan
     """s, of the controller"""
 
@@ -105,11 +105,11 @@ class Certificate:
             f"{'Passed' if self.passed else 'Failed'}: the closed loop is {straight} points of the operating domain "
             f"driving straight, and unstable at {turn:,} of them in a hard turn, which does not decide "
             f"({self.plant}, {self.tyre} tyres, {self.profile} profile; model {self.model}, estimator "
-            f"{self.estimator}).{self._told_wrong()}"
+            f"{self.estimator}).{self._mismatches_in_words()}"
         )
 
-    def _told_wrong(self) -> str:
-        """What mismatches do, as a sentence; empty where none were asked for."""
+    def _mismatches_in_words(self) -> str:
+        """What mismatches do, as a sentence; empty where none were given."""
         if not self.mismatched:
             return ""
         bad = {name: int((found.radius >= 1.0).sum()) for name, found in self.mismatched.items()}
@@ -258,10 +258,10 @@ def certify(
     points = np.column_stack([columns.get(name, np.zeros(grid[0].size)) for name in SchedulingVariables._fields])
     guarded = scheduler if isinstance(scheduler, Schedule) and scheduler.guard is not None else None
     bare = replace(guarded, guard=None) if guarded is not None else scheduler
-    asked = [_as_used(_tunings(each, points), mpc) for each in (bare, guarded) if each is not None]
-    bodies = bodies_of(plant, mpc.period, world, turn, mismatches)
-    found = _sweep(points, asked, mpc, bodies, progress or (lambda what, done, of: None))
-    sweeps = [Sweep(tunings, *each[:2]) for tunings, each in zip(asked, found, strict=True)]
+    tunings = [_as_used(_tunings(each, points), mpc) for each in (bare, guarded) if each is not None]
+    plants = linear_plants(plant, mpc.period, world, turn, mismatches)
+    found = _sweep(points, tunings, mpc, plants, progress or (lambda what, done, of: None))
+    sweeps = [Sweep(used, *each[:2]) for used, each in zip(tunings, found, strict=True)]
     return Certificate(
         str(getattr(scheduler, "name", getattr(scheduler, "__name__", type(scheduler).__name__))),
         plant.name, plant.tyre_name, world.name, mpc.model.name, mpc.estimator.name,
@@ -279,8 +279,8 @@ def _axes(
     if unknown:
         raise InvalidInput(f"certify: domain: {unknown.pop()!r} is no entry of SchedulingVariables.")
     own = dict(zip(scheduler.inputs, scheduler.domain.tolist(), strict=True)) if isinstance(scheduler, Schedule) else {}
-    seen = own if isinstance(scheduler, Schedule) else OPERATING
-    others = [name for name in SchedulingVariables._fields if name in seen and name not in ("speed", "friction")]
+    read = own if isinstance(scheduler, Schedule) else OPERATING
+    others = [name for name in SchedulingVariables._fields if name in read and name not in ("speed", "friction")]
     count = max(2, min(5, int(_CELL ** (1.0 / max(len(others), 1)) + 1e-9)))
     axes = {}
     for name, number in zip(("speed", "friction", *others), (*levels, *[count] * len(others)), strict=True):
@@ -339,22 +339,22 @@ def _as_used(tunings: Array, mpc: MPC) -> Array:
 
 
 def _sweep(
-    points: Array, asked: list[Array], mpc: MPC, bodies: Sequence[Body], progress: Progress
+    points: Array, tunings: list[Array], mpc: MPC, plants: Sequence[LinearPlant], progress: Progress
 ) -> list[list[Margins]]:
-    """The margins of each set of tunings around each body; a cell and a tuning that recur are analysed once."""
+    """The margins of each set of tunings around each plant; a cell and a tuning that recur are analysed once."""
     n, names = len(points), [each.name for each in fields(Margins)]
-    results = np.empty((len(asked), len(bodies), len(names), n))
+    results = np.empty((len(tunings), len(plants), len(names), n))
     places = points[:, [SchedulingVariables._fields.index(name) for name in ("speed", "friction")]]
     cells, where = np.unique(places, axis=0, return_inverse=True)
     at_speed = lru_cache(maxsize=1)(partial(linear_estimator, mpc))  # cells are sorted by speed
     for cell, (speed, friction) in enumerate(cells.tolist()):
         progress("certify", cell, len(cells))
         here = np.flatnonzero(where.ravel() == cell)
-        unique, place = np.unique(np.concatenate([tunings[here] for tunings in asked]), axis=0, return_inverse=True)
+        unique, place = np.unique(np.concatenate([each[here] for each in tunings]), axis=0, return_inverse=True)
         law = laws(mpc, speed, unique, at_speed(speed))
-        for i, body in enumerate(bodies):
-            found = margins(body(speed, friction), law, mpc.period)
+        for i, plant in enumerate(plants):
+            found = margins(plant(speed, friction), law, mpc.period)
             values = np.array([getattr(found, name) for name in names])[:, place.ravel()]
-            results[:, i, :, here] = values.reshape(len(names), len(asked), len(here)).transpose(2, 1, 0)
+            results[:, i, :, here] = values.reshape(len(names), len(tunings), len(here)).transpose(2, 1, 0)
     progress("certify", len(cells), len(cells))
     return [[Margins(*values) for values in each] for each in results]

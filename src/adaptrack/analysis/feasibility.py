@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydantic import Field
 
-from adaptrack.analysis.linearisation import Mismatch, Turn, bodies_of
+from adaptrack.analysis.linearisation import Mismatch, Turn, linear_plants
 from adaptrack.analysis.stability import hard_turn, margin_map, speed_nodes
 from adaptrack.base.checked import RISING, Positive, checked
 from adaptrack.base.errors import InvalidInput
@@ -81,7 +81,7 @@ class Feasibility:
         return np.asarray(self.enough.any(axis=2))
 
     @property
-    def lost(self) -> list[tuple[float, float]]:
+    def infeasible(self) -> list[tuple[float, float]]:
         """Speed (m/s) and friction where none does."""
         return [(float(self.speeds[i]), float(self.frictions[j])) for i, j in np.argwhere(~self.held)]
 
@@ -110,7 +110,7 @@ class Feasibility:
 
     @property
     def whole(self) -> Ranges:
-        """What was asked for."""
+        """The domain that was given."""
         return self._domain((slice(None), slice(None)))
 
     @property
@@ -121,22 +121,22 @@ class Feasibility:
     @property
     def verdict(self) -> str:
         """What can be held, in some sentences: the speeds and frictions that no tuning can, and the largest domains."""
-        asked = f"with a modulus margin of {self.least:g}"
+        demand = f"with a modulus margin of {self.least:g}"
         if self.domain is None:
-            return f"Infeasible: no tuning holds the loop {asked} at any point of {self.whole}."
+            return f"Infeasible: no tuning holds the loop {demand} at any point of {self.whole}."
         if self.passed:
-            first = f"Feasible: at every point of {self.whole} some tuning holds the loop {asked}."
+            first = f"Feasible: at every point of {self.whole} some tuning holds the loop {demand}."
         else:
             first = (
-                f"Infeasible: no tuning holds the loop {asked} at {len(self.lost)} of {self.held.size} points of "
-                f"{self.whole}: {self._lost_in_words()}. The largest domain that can be held is {self.domain}."
+                f"Infeasible: no tuning holds the loop {demand} at {len(self.infeasible)} of {self.held.size} points "
+                f"of {self.whole}: {self._infeasible_in_words()}. The largest domain that can be held is {self.domain}."
             )
         assert self.constant is not None
         tuning, domain = self.constant
         reach = "all of it" if domain == self.whole else f"no more than {domain}"
         return f"{first} One constant (Np {tuning.Np}, Nc {tuning.Nc}, R/Q {tuning.R / tuning.Q:.3g}) holds {reach}."
 
-    def _lost_in_words(self) -> str:
+    def _infeasible_in_words(self) -> str:
         """Speeds by friction, neighbours on the grid as a range."""
         return "; ".join(
             f"{', '.join(_ranges(self.speeds, ~self.held[:, j]))} m/s on friction {mu:.3g}"
@@ -246,7 +246,7 @@ def feasibility(
         np.linspace(*friction, 3 if friction[1] > friction[0] else 1),
         *allowed,
     )
-    found = margin_map(mpc, bodies_of(plant, mpc.period, profile, turn, mismatches), axes, _ANGLES)
+    found = margin_map(mpc, linear_plants(plant, mpc.period, profile, turn, mismatches), axes, _ANGLES)
     return Feasibility.of_map(axes, found, margin)
 
 

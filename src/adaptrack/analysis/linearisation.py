@@ -138,10 +138,10 @@ def linearised(
     a = matrix(_STEP)
     _refuse_jumps(plant, a, matrix(4 * _STEP), [plant.state_names[i] for i in keep])
     b = (slope(x, steering + _STEP) - slope(x, steering - _STEP)) / (2 * _STEP)
-    seen = np.array([plant.state_names[i] in MEASURED for i in keep])
+    observed = np.array([plant.state_names[i] in MEASURED for i in keep])
     for _ in keep:
-        seen |= (np.abs(a[seen]) > _ROUNDING * np.abs(a).max()).any(axis=0)
-    part = np.flatnonzero(seen)
+        observed |= (np.abs(a[observed]) > _ROUNDING * np.abs(a).max()).any(axis=0)
+    part = np.flatnonzero(observed)
     return [plant.state_names[keep[j]] for j in part], a[np.ix_(part, part)], b[part]
 
 
@@ -214,10 +214,10 @@ def _steering(plant: Plant, world: Profile) -> SteeringActuator:
 @checked
 @dataclass(frozen=True)
 class Mismatch:
-    """How the true car differs from the one that the controller was told of.
+    """How the true car differs from the one that the controller believes in.
 
-    lag, dead_time: more than told (less: negative; neither gets below zero); stiffness: true over told, of the
-    tyres; mass: likewise, of mass and yaw inertia.
+    lag, dead_time: more than believed (less: negative; neither gets below zero); stiffness: true over believed, of
+    the tyres; mass: likewise, of mass and yaw inertia.
     """
 
     lag: Annotated[Finite, "s"] = 0.0
@@ -236,7 +236,7 @@ class Mismatch:
     def sampled(
         self, plant: Plant, period: float, speed: float, *, friction: float = 0.9, profile: str | Profile = "paper"
     ) -> Sampled:
-        """`sampled` of the true car, driving straight; `plant` and `profile` are as told.
+        """`sampled` of the true car, driving straight; `plant` and `profile` are as believed.
 
         Raises
         ------
@@ -244,8 +244,8 @@ class Mismatch:
             As `true_car`.
         """
         world = load_profile(profile)
-        told = _steering(plant, world)
-        delay = max(self.dead_time, -world.delay * period - told.dead_time)
+        believed = _steering(plant, world)
+        delay = max(self.dead_time, -world.delay * period - believed.dead_time)
         return sampled(self.true_car(plant, world), period, speed, friction=friction, profile=world, delay=delay)
 
     def true_car(self, plant: Plant, profile: str | Profile = "paper") -> Plant:
@@ -257,9 +257,9 @@ class Mismatch:
             When stiffness or mass differ and the plant is neither `SingleTrack` nor `DualTrack`.
         """
         world = load_profile(profile)
-        told = _steering(plant, world)
-        lag = max(told.lag + self.lag, 0.0)
-        steering = told.replace(lag=lag, rate=told.rate if lag > 0.0 else np.inf)
+        believed = _steering(plant, world)
+        lag = max(believed.lag + self.lag, 0.0)
+        steering = believed.replace(lag=lag, rate=believed.rate if lag > 0.0 else np.inf)
         if (self.stiffness, self.mass) == (1.0, 1.0):
             return plant.with_steering(steering)
         if not isinstance(plant, SingleTrack | DualTrack):
@@ -321,19 +321,19 @@ def _road(friction: float) -> Array:
 
 Turn = Callable[[float, float], float]
 """Lateral acceleration (m/s^2) of a turn at a speed (m/s) on a friction."""
-Body = Callable[[float, float], Sampled]
+LinearPlant = Callable[[float, float], Sampled]
 """The plant behind its steering at a speed (m/s) on a friction."""
 
 
-def bodies_of(
+def linear_plants(
     plant: Plant, period: float, profile: str | Profile, turn: Turn | None, mismatches: Sequence[Mismatch] = ()
-) -> list[Body]:
+) -> list[LinearPlant]:
     """What drives: straight; in a turn, if there is one; straight with each mismatch. period: s."""
 
     def steady(speed: float, friction: float, acceleration: float = 0.0) -> Sampled:
         return sampled(plant, period, speed, friction=friction, profile=profile, lateral_acceleration=acceleration)
 
-    def mismatched(by: Mismatch) -> Body:
+    def mismatched(by: Mismatch) -> LinearPlant:
         return lambda speed, friction: by.sampled(plant, period, speed, friction=friction, profile=profile)
 
     bent = [] if turn is None else [lambda speed, friction: steady(speed, friction, turn(speed, friction))]
@@ -368,22 +368,22 @@ def linear_estimator(mpc: MPC, speed: float) -> LinearEstimator:
     """The estimator of an MPC at a speed (m/s), settled after a long drive at that speed.
 
     A Kalman filter is linear as long as its innovations are small. What a step of the compiled one makes of each number
-    that it is given, or has made of them before, is seen by changing that number: so every estimator, one's own
+    that it is given, or has made of them before, is found by changing that number: so every estimator, one's own
     included, is analysed as it runs. Numbers that do not move with the measurements (gains, covariances), or that move
     no command, are left out.
     """
     model, own = mpc.model, mpc.estimator
     if own.function is None:
         return _increments(model)
-    pace, parameters = max(speed, mpc.speed_floor), own.parameters(model)
-    a, b, _ = model.discrete(pace)
+    forward, parameters = max(speed, mpc.speed_floor), own.parameters(model)
+    a, b, _ = model.discrete(forward)
     sensors, memory = len(sensed()), own.memory_size(model)
     x, d = np.zeros(model.n), np.zeros(model.n)
 
     def step(given: Array) -> Array:
         """[memory, xi] after a step from [memory, measured, command]."""
         after, measured, command = given[:memory].copy(), np.append(given[memory:-1], 0.0), float(given[-1])
-        own.function(pace, measured, command, a, b[:, 0], parameters, after, x, d)
+        own.function(forward, measured, command, a, b[:, 0], parameters, after, x, d)
         return np.concatenate([after, a @ x + b[:, 0] * command + d - x, x[-1:]])
 
     rest = np.zeros(memory + sensors + 1)
@@ -392,7 +392,7 @@ def linear_estimator(mpc: MPC, speed: float) -> LinearEstimator:
     swing[: sensors - 2], back[: sensors - 2] = -_DITHER, _DITHER
     before, change = remembered.copy(), np.full(memory, np.inf)
     for k in range(_LONGEST):
-        function(pace, back if k % 2 else swing, 0.0, a, b[:, 0], parameters, remembered, x, d)
+        function(forward, back if k % 2 else swing, 0.0, a, b[:, 0], parameters, remembered, x, d)
         if k % _SETTLING == 0:
             earlier, change = change, remembered - before  # a counter changes, but always alike
             if _within(change - earlier, _SETTLED * np.nanmax(np.abs(before), initial=0.0)):
@@ -440,8 +440,8 @@ def _that_matter(moves: Array, places: list[int], memory: int) -> list[int]:
     """Of the places in memory, those that have a say in xi, now or later; moves: row by row what each one does."""
     matters = np.abs(moves[:, memory:]).max(axis=1, initial=0.0) > 0.0
     for _ in places:
-        seen = [place for place, says in zip(places, matters, strict=True) if says]
-        matters |= np.abs(moves[:, seen]).max(axis=1, initial=0.0) > 0.0
+        acting = [place for place, says in zip(places, matters, strict=True) if says]
+        matters |= np.abs(moves[:, acting]).max(axis=1, initial=0.0) > 0.0
     return [place for place, says in zip(places, matters, strict=True) if says]
 
 
@@ -474,22 +474,22 @@ def laws(mpc: MPC, speed: float, tunings: ArrayLike, estimator: LinearEstimator 
     `PredictionModel.feedback` for many tunings at once, behind the `linear_estimator`, made here unless it is given.
     The horizons must be whole numbers, 1 <= Nc <= Np.
     """
-    asked = np.atleast_2d(np.asarray(tunings, dtype=np.float64))
-    horizons, group = np.unique(asked[:, :2].astype(np.int64), axis=0, return_inverse=True)
+    rows = np.atleast_2d(np.asarray(tunings, dtype=np.float64))
+    horizons, group = np.unique(rows[:, :2].astype(np.int64), axis=0, return_inverse=True)
     longest = int(horizons[:, 0].max())
     estimator = linear_estimator(mpc, speed) if estimator is None else estimator
     of_next = mpc.estimator.function is not None
     free, step = mpc.model.responses(max(speed, mpc.speed_floor), longest, of_next)
     below = np.subtract.outer(np.arange(longest), np.arange(longest))
     phi = np.where(below >= 0, step[below], 0.0)
-    gains = np.empty((len(asked), mpc.model.n + 1))
+    gains = np.empty((len(rows), mpc.model.n + 1))
     for i, (Np, Nc) in enumerate(horizons.tolist()):
         which = np.flatnonzero(group.ravel() == i)
         basis = np.eye(Np, Nc)
         if mpc.moves.kind == "laguerre":
             basis = laguerre_basis(Np, mpc.moves.terms, mpc.moves.pole)
         effect = phi[:Np, :Np] @ basis
-        Q, R = asked[which, 2, None, None], asked[which, 3, None, None]
+        Q, R = rows[which, 2, None, None], rows[which, 3, None, None]
         moves = np.linalg.solve(Q * (effect.T @ effect) + R * np.eye(effect.shape[1]), Q * (effect.T @ free[:, :Np].T))
         gains[which] = basis[0] @ moves
     return Laws(estimator, gains)

@@ -15,12 +15,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from adaptrack.analysis.linearisation import (
     MEASURED,
-    Body,
     Laws,
+    LinearPlant,
     Sampled,
     Turn,
-    bodies_of,
     laws,
+    linear_plants,
     linearised,
     sampled,
     sensed,
@@ -39,33 +39,33 @@ _ANGLES = np.geomspace(1e-3, np.pi, 768)  # rad per period, at which the loop ga
 
 
 # -- the loop ---------------------------------------------------------------------------------------------------------
-def loops(body: Sampled, law: Laws, gain: float = 1.0) -> Array:
+def loops(plant: Sampled, law: Laws, gain: float = 1.0) -> Array:
     """The matrices (n, m + q, m + q) that take [z, s] from one control instant to the next, for n laws.
 
     gain: a factor on every command between the controller and the steering.
     """
-    own, seen = law.estimator, _measured(body, law)
-    m, q = len(body.b), len(own.a)
-    of_z, of_s = -law.k @ (own.d @ seen), own.h - law.k @ own.c  # u = of_z z + of_s s
+    own, measured = law.estimator, _measured(plant, law)
+    m, q = len(plant.b), len(own.a)
+    of_z, of_s = -law.k @ (own.d @ measured), own.h - law.k @ own.c  # u = of_z z + of_s s
     matrices = np.empty((len(law.k), m + q, m + q))
-    matrices[:, :m, :m] = body.a + gain * body.b[:, None] * of_z[:, None, :]
-    matrices[:, :m, m:] = gain * body.b[:, None] * of_s[:, None, :]
-    matrices[:, m:, :m] = own.e @ seen + own.f[:, None] * of_z[:, None, :]
+    matrices[:, :m, :m] = plant.a + gain * plant.b[:, None] * of_z[:, None, :]
+    matrices[:, :m, m:] = gain * plant.b[:, None] * of_s[:, None, :]
+    matrices[:, m:, :m] = own.e @ measured + own.f[:, None] * of_z[:, None, :]
     matrices[:, m:, m:] = own.a + own.f[:, None] * of_s[:, None, :]
     return matrices
 
 
-def _measured(body: Sampled, law: Laws) -> Array:
-    """C of the body; refused where the estimator reads what is no state of it."""
+def _measured(plant: Sampled, law: Laws) -> Array:
+    """C of the plant; refused where the estimator reads what is no state of it."""
     read = np.asarray(law.estimator.e.any(axis=0) | law.estimator.d.any(axis=0))
-    without = np.flatnonzero(read & ~body.c.any(axis=1))
+    without = np.flatnonzero(read & ~plant.c.any(axis=1))
     missing = [sensed()[i] for i in without.tolist() if i >= len(MEASURED)]
     if missing:
         raise InvalidInput(
             f"the estimator reads {', '.join(missing)}, which is no state of the linear loop: leave that sensor out "
             "(SensorNoise: inf); a wheel angle is a state where the steering has a lag (0.001 s will do)."
         )
-    return body.c
+    return plant.c
 
 
 def closed_loop(
@@ -76,11 +76,11 @@ def closed_loop(
 
     State: that of `sampled`, then that of `linear_estimator`. delay: s, additional dead time of the commands.
     """
-    body = sampled(
+    linear = sampled(
         plant, mpc.period, speed, friction=friction, profile=profile, lateral_acceleration=lateral_acceleration,
         delay=delay,
     )  # fmt: skip
-    return loops(body, laws(mpc, speed, (tuning or mpc.tuning).as_array()))[0]
+    return loops(linear, laws(mpc, speed, (tuning or mpc.tuning).as_array()))[0]
 
 
 def spectral_radius(
@@ -127,14 +127,14 @@ class Margins:
         )
 
 
-def loop_gain(body: Sampled, law: Laws, angles: ArrayLike = _ANGLES) -> Complex:
+def loop_gain(plant: Sampled, law: Laws, angles: ArrayLike = _ANGLES) -> Complex:
     """The loop gain L (n, angles) of n laws at z = e^(i angle), the loop being cut at the steering command.
 
     The loop with a factor g on its commands has the characteristic equation 1 + g L(z) = 0. The controller itself knows
     the commands that it gave.
     """
     own, z = law.estimator, np.exp(1j * np.asarray(angles, dtype=np.float64))
-    measured = _measured(body, law) @ _resolvent(z, body.a, body.b[:, None])[:, 0]  # (sensors, angles)
+    measured = _measured(plant, law) @ _resolvent(z, plant.a, plant.b[:, None])[:, 0]  # (sensors, angles)
     remembered = _resolvent(z, own.a, np.column_stack([own.e, own.f]))  # (q, sensors + 1, angles)
     by_measured, by_own = np.einsum("qsz,sz->qz", remembered[:, :-1], measured), remembered[:, -1]
     fed_back = law.k @ (own.c @ by_measured + own.d @ measured) - own.h @ by_measured
@@ -152,7 +152,7 @@ def _resolvent(z: Complex, a: Array, b: Array) -> Complex:
     return np.asarray(np.tensordot(u, x, 1))
 
 
-def modulus_margin(body: Sampled, law: Laws, angles: ArrayLike = _ANGLES) -> Array:
+def modulus_margin(plant: Sampled, law: Laws, angles: ArrayLike = _ANGLES) -> Array:
     """Modulus margin min |1 + L| (n,) of the loops of n laws: the distance of the loop gain from -1.
 
     It is 1/M, M the largest sensitivity |1/(1 + L)|: 0.5 is a comfortable loop, 0 the stability limit (I. D. Landau,
@@ -160,7 +160,7 @@ def modulus_margin(body: Sampled, law: Laws, angles: ArrayLike = _ANGLES) -> Arr
     the loop is stable for factors on its commands from 1/(1 + m) to 1/(1 - m). At most 1. An unstable loop has the
     negative value -10 (spectral radius - 1), so that tables can be interpolated across the limit.
     """
-    return _modulus_margin(loop_gain(body, law, angles), radii(loops(body, law)))
+    return _modulus_margin(loop_gain(plant, law, angles), radii(loops(plant, law)))
 
 
 def _modulus_margin(gains: Complex, radius: Array) -> Array:
@@ -168,14 +168,14 @@ def _modulus_margin(gains: Complex, radius: Array) -> Array:
     return np.where(radius < 1.0, np.minimum(distance, 1.0), -10.0 * (radius - 1.0))
 
 
-def margins(body: Sampled, law: Laws, period: float) -> Margins:
+def margins(plant: Sampled, law: Laws, period: float) -> Margins:
     """Stability margins of the loops of n laws around a sampled plant; period: s.
 
     From the loop gain L on the unit circle, which an eigenvalue must cross: where g L = -1 for a factor g, where
     L e^(-i angle tau/period) = -1 for a delay tau. Crossings are interpolated between 768 frequencies.
     """
-    gains = loop_gain(body, law)
-    radius = radii(loops(body, law))
+    gains = loop_gain(plant, law)
+    radius = radii(loops(plant, law))
     stable = radius < 1.0
     factor, delay = _critical_factors(gains), _critical_delays(gains, period)
     return Margins(
@@ -264,8 +264,8 @@ def speed_nodes(low: float, high: float) -> Array:
     return np.array(nodes)
 
 
-def margin_map(mpc: MPC, bodies: Sequence[Body], axes: Sequence[Array], angles: ArrayLike = _ANGLES) -> Array:
-    """Least modulus margin of an MPC around some bodies, at a grid over speed, friction, Np, Nc and log10 R/Q (axes).
+def margin_map(mpc: MPC, plants: Sequence[LinearPlant], axes: Sequence[Array], angles: ArrayLike = _ANGLES) -> Array:
+    """Least modulus margin of an MPC around some plants, at a grid over speed, friction, Np, Nc and log10 R/Q (axes).
 
     A node with Nc > Np stands for Nc = Np.
     """
@@ -274,12 +274,12 @@ def margin_map(mpc: MPC, bodies: Sequence[Body], axes: Sequence[Array], angles: 
     least = np.empty((len(axes[0]), len(axes[1]), len(tunings)))
     for i, v in enumerate(axes[0].tolist()):
         law = laws(mpc, v, tunings)
-        known: dict[Body, tuple[Sampled, Array]] = {}  # driving straight, most tyres are alike on every friction
+        known: dict[LinearPlant, tuple[Sampled, Array]] = {}  # driving straight, most tyres are alike on every friction
         for j, mu in enumerate(axes[1].tolist()):
-            for body in bodies:
-                here = body(v, mu)
-                if body not in known or not _alike(here, known[body][0]):
-                    known[body] = here, modulus_margin(here, law, angles)
+            for plant in plants:
+                here = plant(v, mu)
+                if plant not in known or not _alike(here, known[plant][0]):
+                    known[plant] = here, modulus_margin(here, law, angles)
             least[i, j] = np.min([margin for _, margin in known.values()], axis=0)
     return least.reshape([len(axis) for axis in axes])
 
@@ -306,5 +306,5 @@ def loop_map(
     """
     chosen = guard_nodes(mpc) if nodes is None else nodes
     axes = (speed_nodes(*speed), np.array(friction), *(np.asarray(axis, dtype=np.float64) for axis in chosen))
-    least = margin_map(mpc, bodies_of(plant, mpc.period, profile, turn), axes)
+    least = margin_map(mpc, linear_plants(plant, mpc.period, profile, turn), axes)
     return axes, np.ceil(1000.0 * (1.0 - least)) / 1000.0
