@@ -1,4 +1,4 @@
-"""Wrong signs and units of a log, seen in how its signals fit together.
+"""Wrong signs and units of a log, found by how its signals fit together.
 
 In slow bends yaw rate and road-wheel angle obey r = v delta/(L + K v^2) (R. Rajamani, *Vehicle Dynamics and Control*,
 2nd ed., section 3.3), lateral acceleration a_y = v r. What multiplies the right-hand sides tells the unit.
@@ -86,7 +86,7 @@ def guessed_ratio(log: Log, wheelbase: float) -> float:
         slope = _turning(log, wheelbase)
     if not abs(slope.correlation) >= CLEAR:
         raise InvalidInput(
-            "log: the steering ratio cannot be told: neither yaw rate nor road wheels follow the steering wheel. Give "
+            "log: the steering ratio cannot be found: neither yaw rate nor road wheels follow the steering wheel. Give "
             "it, --steering-ratio R, or drive slow bends."
         )
     ratio = 1.0 / abs(slope.factor)
@@ -139,10 +139,10 @@ def _refuse_felt(felt: _Slope, turning: _Slope) -> None:
 def _turning(log: Log, wheelbase: float) -> _Slope:
     """Yaw rate against v delta/(L + K v^2), at the delay and gradient where they agree best."""
     best = _Slope(math.nan, 0.0)
-    seen = np.isfinite(log.yaw_rate)
-    if seen.sum() < LEAST_BOTH:
+    present = np.isfinite(log.yaw_rate)
+    if present.sum() < LEAST_BOTH:
         return best
-    yaw_rate = _smooth(log.time[seen], log.yaw_rate[seen])
+    yaw_rate = _smooth(log.time[present], log.yaw_rate[present])
     steering = _smooth(log.time, log.command)
     shift = np.round(DELAYS / log.period).astype(int)
     for step in np.unique(shift):
@@ -150,7 +150,7 @@ def _turning(log: Log, wheelbase: float) -> _Slope:
         late = late - np.median(late)
         for gradient in GRADIENTS:
             expected = log.speed * late / np.maximum(wheelbase + gradient * log.speed**2, 0.3 * wheelbase)
-            slope = _slope(expected[seen], yaw_rate)
+            slope = _slope(expected[present], yaw_rate)
             if abs(slope.correlation) > abs(best.correlation) + BETTER:
                 best = slope
     return best

@@ -279,8 +279,8 @@ def _validated(
     """A second fit without every fourth stretch, which predicts them."""
     held = np.floor((log.time - log.time[0]) / BLOCK).astype(np.int64) % EVERY == EVERY - 1
 
-    def errors(at: Array, seen: Array) -> tuple[Array, Array]:
-        each = Likelihood(log, car, beliefs, seen)
+    def errors(at: Array, used: Array) -> tuple[Array, Array]:
+        each = Likelihood(log, car, beliefs, used)
         each.take_gusts(likelihood)
         e, s = each.innovations(at)
         return e[0], s[0]

@@ -39,7 +39,7 @@ class Estimate:
     high: float
     before: tuple[float, float]
     """90 % interval of what was believed before"""
-    told: float
+    spread_left: float
     """share of the spread that was believed before which is left: near 1 the log says nothing"""
 
 
@@ -82,7 +82,7 @@ class Identification:
     """of `estimates` in their order, logarithms for what is positive, (m, m)"""
     validation: Validation
     findings: tuple[str, ...]
-    """in words: what was seen, what was not"""
+    """in words: what the log shows, what it does not"""
     log: Log
     believed: Vehicle
     """the car before the log"""
@@ -104,7 +104,7 @@ class Identification:
         if self.log.commanded:
             dead_time = max(value["dead_time"] - self.computation, 0.0)
             steering = steering.replace(lag=value["lag"], dead_time=dead_time)
-        if "rate" in value and self.estimates["rate"].told < HARDLY:
+        if "rate" in value and self.estimates["rate"].spread_left < HARDLY:
             steering = steering.replace(rate=value["rate"])
         if "ratio" in value:
             steering = steering.replace(ratio=value["ratio"])
@@ -128,7 +128,7 @@ class Identification:
         )
 
     def known_within(self) -> KnownWithin:
-        """The 90 % intervals of what the log told, and what was known of the car before: for its file."""
+        """The 90 % intervals of what the log says, and what was known of the car before: for its file."""
         before = self.car.known_within or KnownWithin()
         found = {
             name: max(each.high / each.value, each.value / each.low)
@@ -178,7 +178,7 @@ class Identification:
             "estimates": {
                 name: {
                     "value": each.value, "unit": each.unit, "standard_error": each.standard_error, "low": each.low,
-                    "high": each.high, "before": list(each.before), "spread_left": each.told,
+                    "high": each.high, "before": list(each.before), "spread_left": each.spread_left,
                 }
                 for name, each in self.estimates.items()
             },

@@ -41,8 +41,8 @@ BLOCK = 4.0
 class Likelihood:
     """What a log says of a car: innovations and objective at any point z."""
 
-    def __init__(self, log: Log, car: Vehicle, beliefs: Mapping[str, Prior], seen: Array | None = None) -> None:
-        """seen: (n,) 1 where a sample is taken in and counts; all when left out."""
+    def __init__(self, log: Log, car: Vehicle, beliefs: Mapping[str, Prior], used: Array | None = None) -> None:
+        """used: (n,) 1 where a sample is taken in and counts; all when left out."""
         self._kernel = kernel
         self.log, self.car = log, car
         self.median = np.array([beliefs[each.name].median for each in QUANTITIES])
@@ -51,7 +51,7 @@ class Likelihood:
         for name in ("time", "command", "speed", *OUTPUTS):
             rows[kernel.ROW._fields.index(name)] = getattr(log, name)
         rows[kernel.ROW.begins] = log.begins
-        rows[kernel.ROW.seen] = 1.0 if seen is None else seen
+        rows[kernel.ROW.seen] = 1.0 if used is None else used
         self._rows = rows
         self._answer = np.empty((kernel.ANSWER, log.samples))
         rows[kernel.ROW.gusts] = 1.0

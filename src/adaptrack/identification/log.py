@@ -119,7 +119,7 @@ def log_of(
         data["command"] = data["wheel"].copy()
         data["wheel"] = np.full(time.size, np.nan)
     if not commanded:
-        said.append("no steering command, only a measured angle: lag and dead time cannot be seen")
+        said.append("no steering command, only a measured angle: lag and dead time cannot be found")
     _without_outliers(time, data, commanded, said)
     hole = max(3.0 * period, LEAST_GAP)
     data["command"], data["speed"] = _held(time, data["command"], hole), _filled(time, data["speed"], hole)
@@ -225,9 +225,9 @@ def _cut(time: Array, data: dict[str, Array], gap: float, commanded: bool, said:
 def _refuse_idle(log: Log, wheelbase: float) -> None:
     """A log that is hardly steered holds nothing but noise."""
     steered = log.command - np.median(log.command)
-    asked = float(np.sqrt(np.mean((np.clip(log.speed, 0.0, 15.0) ** 2 * steered / wheelbase) ** 2)))
-    if not math.isfinite(asked) or asked < LEAST_ACCELERATION:
+    acceleration = float(np.sqrt(np.mean((np.clip(log.speed, 0.0, 15.0) ** 2 * steered / wheelbase) ** 2)))
+    if not math.isfinite(acceleration) or acceleration < LEAST_ACCELERATION:
         raise InvalidInput(
-            f"log: hardly any steering: it asks for {asked:.2g} m/s^2 (RMS); drive bends and lane changes, or check "
-            "the unit of the steering column (--units)."
+            f"log: hardly any steering: it asks for {acceleration:.2g} m/s^2 (RMS); drive bends and lane changes, or "
+            "check the unit of the steering column (--units)."
         )

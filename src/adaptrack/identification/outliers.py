@@ -29,7 +29,7 @@ SMALLEST: Mapping[str, float] = {
 """SI units, by which an outlier lies outside at least."""
 RANGES, NOISES, EXTENT, EXTENT_OF_COMMANDS = 3.0, 10.0, 0.2, 2.0
 """By how much it does: ranges of its neighbours; standard deviations of the noise, or steps of a quantised signal; all
-that the signal does. A command is no measurement: what is in the log has been asked, unless it is far from all."""
+that the signal does. A command is no measurement: what is in the log was sent, unless it is far from all."""
 LONGEST, LONGEST_HELD = 0.1, 2.0
 """s, of outliers in a row; of one value that is held, which counts as one sample."""
 NEIGHBOURS, PASSES = 5, 10
@@ -74,17 +74,17 @@ def find_stuck(time: Array, yaw_rate: Array, steering: Array, speed: Array, whee
 
     What the steering asks for, v delta/(L + K v^2), is compared with all that it asks for, so its unit does not matter.
     """
-    asked = speed * steering / (wheelbase + UNDERSTEER * speed**2)
+    expected = speed * steering / (wheelbase + UNDERSTEER * speed**2)
     known, found = np.flatnonzero(np.isfinite(yaw_rate)), np.zeros(time.size, bool)
-    if not known.size or not np.isfinite(asked).any():
+    if not known.size or not np.isfinite(expected).any():
         return found
     levels = np.unique(yaw_rate[known])
     steps = float(np.diff(levels).min() / (levels[-1] - levels[0])) if levels.size > 1 else 0.0
-    least = max(TURNED, 3.0 * steps) * (np.nanmax(asked) - np.nanmin(asked))
+    least = max(TURNED, 3.0 * steps) * (np.nanmax(expected) - np.nanmin(expected))
     for first, last in zip(*_runs(yaw_rate[known]), strict=True):
         start, end = time[known[first]], time[known[last]]
         if end - start >= LONGEST_HELD:
-            under = asked[(time >= start) & (time <= end - ANSWERED) & np.isfinite(asked)]
+            under = expected[(time >= start) & (time <= end - ANSWERED) & np.isfinite(expected)]
             if under.size and np.ptp(under) > least:
                 found[known[first : last + 1]] = True
     return found

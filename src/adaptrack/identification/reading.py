@@ -1,4 +1,4 @@
-"""Logs from files: CSV, Parquet, own trajectories; columns by name, units from names or as told."""
+"""Logs from files: CSV, Parquet, own trajectories; columns by name, units from names or as given."""
 
 from __future__ import annotations
 
@@ -248,7 +248,7 @@ def _plain(column: str) -> tuple[str, str]:
 
 
 def _named(table: dict[str, Array], reading: Reading, where: str) -> tuple[dict[str, str], list[str]]:
-    """Signal -> column: those that are told, then those whose name is known."""
+    """Signal -> column: those that are given, then those whose name is known."""
     found: dict[str, str] = {}
     for signal, column in reading.columns.items():
         if column not in table:
@@ -280,15 +280,15 @@ def _dimension(signal: str) -> str:
 def _unit(signal: str, column: str, reading: Reading) -> tuple[str, float]:
     """The unit of a column and its factor to SI."""
     units = _UNITS[_dimension(signal)]
-    told = reading.units.get(signal)
-    if told is None and signal == "steering_wheel":
-        told = reading.units.get("wheel")
-    if told is None and "" in reading.units and _dimension(signal) in ("angle", "yaw_rate"):
-        told = reading.units[""] + ("/s" if signal == "yaw_rate" else "")
-    if told is None:
-        told = _plain(column)[1]
-        if _dimension(signal) == "yaw_rate" and told in ("deg", "rad"):
-            told += "/s"
-    told = _SHORT.get(told, told)
-    unit = told if told in units else next(iter(units))
+    named = reading.units.get(signal)
+    if named is None and signal == "steering_wheel":
+        named = reading.units.get("wheel")
+    if named is None and "" in reading.units and _dimension(signal) in ("angle", "yaw_rate"):
+        named = reading.units[""] + ("/s" if signal == "yaw_rate" else "")
+    if named is None:
+        named = _plain(column)[1]
+        if _dimension(signal) == "yaw_rate" and named in ("deg", "rad"):
+            named += "/s"
+    named = _SHORT.get(named, named)
+    unit = named if named in units else next(iter(units))
     return unit, units[unit]

@@ -1,4 +1,4 @@
-"""What a log told of a car and what it could not tell, in words."""
+"""What a log says of a car and what it cannot say, in words."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def findings(log: Log, estimates: Mapping[str, Estimate], validation: Validation
         why = f"hardly any steering above {FAST:g} m/s" if idle else "the log tells little of the tyres"
         said.append(f"{why}: stiffness known within a factor {factor:.2g}")
         gradient = estimates["understeer_gradient"]
-        if gradient.told < 0.5:
+        if gradient.spread_left < 0.5:
             within = degrees_per_g(gradient.high - gradient.value)
             said.append(
                 f"what the axles have in common is open, their balance is not: understeer gradient "
@@ -50,7 +50,7 @@ def findings(log: Log, estimates: Mapping[str, Estimate], validation: Validation
             )
     else:
         said.append("no steering command in the log: lag and dead time keep what was believed")
-    if estimates["yaw_inertia"].told > HARDLY:
+    if estimates["yaw_inertia"].spread_left > HARDLY:
         said.append("yaw inertia keeps what was believed: steer faster, or log the lateral acceleration")
     if "ratio" in estimates:
         said += _of_ratio(estimates["ratio"])
@@ -72,8 +72,8 @@ def findings(log: Log, estimates: Mapping[str, Estimate], validation: Validation
 def _of_ratio(ratio: Estimate) -> list[str]:
     """What a log cannot tell of the steering ratio."""
     factor = ratio.high / ratio.value
-    if ratio.told > HARDLY:
-        return ["the steering ratio cannot be told: drive slow bends, or give --steering-ratio"]
+    if ratio.spread_left > HARDLY:
+        return ["the steering ratio cannot be found: drive slow bends, or give --steering-ratio"]
     if factor > RATIO_LOOSE:
         return [f"steering ratio known within a factor {factor:.2f}: slow bends (below 10 m/s) tell it"]
     return []

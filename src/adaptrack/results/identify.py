@@ -118,14 +118,14 @@ def _in_units(each: Estimate) -> Row:
         "interval": (each.low * factor, each.high * factor),
         "half": 0.5 * (each.high - each.low) * factor,
         "before": (each.before[0] * factor, each.before[1] * factor),
-        "says": "much" if each.told < 0.2 else "some" if each.told < 0.7 else "next to nothing",
+        "says": "much" if each.spread_left < 0.2 else "some" if each.spread_left < 0.7 else "next to nothing",
         "meaning": each.meaning,
     }
 
 
 def _tables(found: Identification) -> list[ResultTable]:
     log = found.log
-    known = [each for each in found.estimates.values() if each.told > 0.0]  # the others are kept as they were believed
+    known = [each for each in found.estimates.values() if each.spread_left > 0.0]  # the others stay as believed
     plain = [
         {
             "quantity": each.name.replace("_", " "), "value": each.value, "low": each.low, "high": each.high,
