@@ -694,7 +694,7 @@ def run_sets(at: Any) -> Named:
     car = paper(at)
     plant = at.DualTrack(car, "magic-formula")
     drives = [at.random_drive(9_500_100 + k, 20.0) for k in range(6)]
-    runs = RunSet(plant, at.published_mpc(car, period=0.05, preview=True), drives, "road", segment=50, lead=10)
+    runs = RunSet(plant, at.published_mpc(car, period=0.05, preview=True), drives, "road", segment=50, before=10)
     guarded = at.load_scheduler("road-nn")
     policies = {
         "constant": at.Tuning(35, 8, 1.0, 3000.0), "network": guarded, "look-up": at.load_scheduler("road-look-up"),

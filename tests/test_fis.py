@@ -129,7 +129,7 @@ def test_one_of_several_outputs_is_chosen(write):
     path = write(text)
     assert read_fis(path, output=2).system_.predict(np.array([[1.0, 0.5]])) == pytest.approx(7.0)
     assert read_fis(path).n_rules_ == 3
-    with pytest.raises(ConfigError, match=r"line 6: output 3 is asked for"):
+    with pytest.raises(ConfigError, match=r"line 6: output 3 is requested"):
         read_fis(path, output=3)
 
 

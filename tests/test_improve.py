@@ -106,7 +106,7 @@ class Bowl(RunSet):
     def __init__(self, best, runs=48, segments=3, noise=0.3, seed=0, scale=None):
         rng = np.random.default_rng(seed)
         self.best, self.noise, self.scale_of = best, noise, np.ones(runs) if scale is None else scale
-        self.segment, self.lead, self.stride = 10, 0, 5
+        self.segment, self.before, self.stride = 10, 0, 5
         self.variables = np.zeros((runs, 10 * segments, len(SchedulingVariables._fields)))
         for column, (low, high) in ((0, (5.0, 30.0)), (2, (0.3, 1.0))):
             self.variables[..., column] = np.repeat(rng.uniform(low, high, (runs, segments)), 10, axis=1)
@@ -196,10 +196,10 @@ def test_every_run_counts_alike_however_much_it_costs():
 def test_a_segment_is_put_down_to_what_was_seen_in_it_and_shortly_before():
     bowl = Bowl(same_everywhere, runs=2, segments=3)
     bowl.variables[..., 1] = np.arange(30)  # the instant
-    bowl.lead = 10
+    bowl.before = 10
     rows, _, weights = landscape(bowl, constant_schedule, 1, np.array([1]), METHOD.landscape)
     assert rows[:, 1].tolist() == [0, 5, *(0, 5, 10, 15), *(10, 15, 20, 25)]
-    bowl.lead = 0
+    bowl.before = 0
     alone = landscape(bowl, constant_schedule, 1, np.array([1]), METHOD.landscape)[2]
     for columns, others in (((0, 2), (0, 2)), ((2, 6), (2, 4)), ((6, 10), (4, 6))):
         np.testing.assert_allclose(weights[slice(*columns)].sum(axis=0), alone[slice(*others)].sum(axis=0))

@@ -386,7 +386,7 @@ def test_operating_points_are_lane_changes_in_a_gust_and_drives_have_segments_of
     points = operating_point_runs(SingleTrack(CAR), controller(), [[10.0, 2.0, 0.8, -0.0], [20.0, -2.0, 0.9, 5.0]])
     assert (len(points), points.periods, points.segment, points.stride) == (2, 160, 160, 8)
     drives = random_drive_runs(SingleTrack(CAR), controller(), range(7, 10), 6.0)
-    assert (len(drives), drives.periods, drives.segment, drives.lead) == (3, 120, 40, 40)
+    assert (len(drives), drives.periods, drives.segment, drives.before) == (3, 120, 40, 40)
     assert drives.scenarios[1].name == random_drive(8, 6.0).name
 
 

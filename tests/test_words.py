@@ -33,7 +33,7 @@ IDENTIFIERS = {"body": "plant", "bodies": "plants", "who": "options, contender"}
 """Words that are coined as names in code alone: a car has a body, and prose says who."""
 
 MEANT = {
-    "lead": {"docs/opponents.md": 1, "docs/learning.md": 1, "docs/adaptation.md": 2},
+    "lead": {"docs/opponents.md": 1, "docs/learning.md": 1},
     "asked": {"docs/campaign.md": 1},
     "foretold": {"docs/api/drive.rst": 1},
     "trip": {"docs/gymnasium.md": 1, "examples/gym_learn_to_steer.py": 1},
@@ -41,7 +41,7 @@ MEANT = {
 }
 """Real uses, by file: what leads to something, nobody is asked (by a command), names that the package or Sphinx has."""
 
-ROOMS = ("analysis", "base", "control")
+ROOMS = ("analysis", "base", "control", "learning", "tuning")
 """The rooms of the package whose names are the field's; the others join."""
 PLACES = ["README.md", "docs", "examples", *(f"src/adaptrack/{room}" for room in ROOMS)]
 """What is counted."""

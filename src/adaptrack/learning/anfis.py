@@ -67,7 +67,7 @@ def least_squares(a: Array, y: Array, penalty: float) -> Array:
     gram[np.diag_indices_from(gram)] += penalty
     try:
         factor = linalg.cho_factor(gram, overwrite_a=True)
-    except linalg.LinAlgError:  # the penalty is lost in rounding: the slow and sure way
+    except linalg.LinAlgError:  # the penalty vanishes in rounding: the slow and sure way
         root = math.sqrt(penalty) * np.eye(a.shape[1])
         return np.linalg.lstsq(np.vstack((a, root)), np.concatenate((y, np.zeros(a.shape[1]))), rcond=None)[0]
     if wide:

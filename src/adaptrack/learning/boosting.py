@@ -1,4 +1,4 @@
-"""How much of a number can be told from a few others: cross-validated gradient-boosted trees, by scikit-learn.
+"""How much of a number a few others explain: cross-validated gradient-boosted trees, by scikit-learn.
 
 Source: J. H. Friedman, *Greedy function approximation: a gradient boosting machine*, Ann. Stat. 29 (2001). Here trees
 measure data: they are the ceiling for what is learned, and are not made to be deployed.
@@ -27,7 +27,7 @@ LEAVES = 16
 
 
 class CrossValidated(NamedTuple):
-    """How much a learner explains of rows that it has not seen."""
+    """How much a learner explains of rows that it was not trained on."""
 
     r2: float
     """1 - (sum of squared errors)/(sum of squares about the mean); 0 where the mean is the best guess"""

@@ -152,7 +152,7 @@ class _Reader:
         self._supported(system)
         inputs, outputs, rules = (self.count(system, key) for key in ("NumInputs", "NumOutputs", "NumRules"))
         if output > outputs:
-            self.fail(system.values["NumOutputs"].line, f"output {output} is asked for, but there are {outputs}.")
+            self.fail(system.values["NumOutputs"].line, f"output {output} is requested, but there are {outputs}.")
         variables = [self.variable(f"Input{i + 1}") for i in range(inputs)]
         answer = self.variable(f"Output{output}")
         if len(self.rules) != rules:
@@ -160,13 +160,13 @@ class _Reader:
             self.fail(line, f"NumRules = {rules}, but [Rules] holds {len(self.rules)} rules.")
         premises = [self.premise(function) for variable in variables for function in variable.functions]
         first = np.cumsum([0, *(len(variable.functions) for variable in variables)])
-        asked, consequents, weights = [], [], []
+        memberships, consequents, weights = [], [], []
         for value in self.rules:
             antecedents, conclusion, weight = self.rule(value, variables, outputs, output)
             if conclusion:  # zero: this rule says nothing about this output
                 if conclusion > len(answer.functions):
                     self.fail(value.line, f"output function {conclusion} of {len(answer.functions)} does not exist.")
-                asked.append([first[i] + a - 1 if a else ANY for i, a in enumerate(antecedents)])
+                memberships.append([first[i] + a - 1 if a else ANY for i, a in enumerate(antecedents)])
                 consequents.append(self.consequent(answer.functions[conclusion - 1], inputs))
                 weights.append(weight)
         if not any(weights):
@@ -175,7 +175,7 @@ class _Reader:
             owner=np.repeat(np.arange(inputs), [len(variable.functions) for variable in variables]),
             bell=np.array([bell for bell, _ in premises], dtype=bool),
             premises=np.array([numbers for _, numbers in premises], dtype=np.float64).reshape(-1, 3),
-            rules=np.array(asked, dtype=np.intp),
+            rules=np.array(memberships, dtype=np.intp),
             consequents=np.array(consequents),
             weights=np.array(weights),
         )
@@ -305,20 +305,20 @@ class _Reader:
         if match is None:
             self.fail(value.line, f"{value.text!r}: a rule reads '1 2, 1 (1) : 1'.")
         try:
-            asked, concluded = [int(word) for word in match[1].split()], [int(word) for word in match[2].split()]
+            antecedents, concluded = [int(word) for word in match[1].split()], [int(word) for word in match[2].split()]
         except ValueError:
             self.fail(value.line, f"{value.text!r}: functions are given by whole numbers.")
-        if len(asked) != len(variables) or len(concluded) != outputs:
-            found = f"found {len(asked)} and {len(concluded)}"
+        if len(antecedents) != len(variables) or len(concluded) != outputs:
+            found = f"found {len(antecedents)} and {len(concluded)}"
             self.fail(value.line, f"a rule needs {len(variables)} input and {outputs} output functions, {found}.")
-        if min(*asked, *concluded) < 0:
+        if min(*antecedents, *concluded) < 0:
             self.fail(value.line, "a negative number (NOT) is not supported.")
-        for i, (number, variable) in enumerate(zip(asked, variables, strict=True), start=1):
+        for i, (number, variable) in enumerate(zip(antecedents, variables, strict=True), start=1):
             if number > len(variable.functions):
                 self.fail(value.line, f"input {i} has {len(variable.functions)} functions, the rule asks for {number}.")
-        if match[4] != "1" and sum(number > 0 for number in asked) > 1:
+        if match[4] != "1" and sum(number > 0 for number in antecedents) > 1:
             self.fail(value.line, "a rule that joins its inputs by OR (: 2) is not supported; only AND (: 1) is.")
         weight = self.numbers(match[3], value.line)
         if len(weight) != 1 or not 0.0 <= weight[0] <= 1.0:
             self.fail(value.line, f"weight ({match[3]}): must be one number, 0..1.")
-        return asked, concluded[output - 1], weight[0]
+        return antecedents, concluded[output - 1], weight[0]

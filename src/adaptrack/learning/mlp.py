@@ -1,8 +1,9 @@
 """Networks that learn: the paper's section IV A as a scikit-learn regressor.
 
 `MLP` finds the weights of a `Network` with scikit-learn's `MLPRegressor`. That knows no ReLU at its output, so the
-output is linear while it learns targets scaled to [0, 1], and the ReLU comes in when the network runs. No gradient is
-lost to a dead output this way, wherever the weights start; how often the ReLU then bites is counted (`dead_share_`).
+output is linear while it learns targets scaled to [0, 1], and the ReLU comes in when the network runs. No gradient
+vanishes in a dead output this way, wherever the weights start; how often the ReLU then bites is counted
+(`dead_share_`).
 """
 
 from __future__ import annotations

@@ -120,10 +120,10 @@ def _row(evaluator: Evaluator, job: Job, stream: int, point: Array) -> dict[str,
     """What a data set holds of one operating point."""
     seed, standard, library = job.setup.config.seed, np.array([STANDARD]), job.library
     place = np.flatnonzero((library == standard).all(axis=1))
-    asked = library if place.size else np.vstack([library, standard])
+    tunings = library if place.size else np.vstack([library, standard])
     tuned = evaluator.tune(point, seed, stream)
-    costs = np.asarray(evaluator.landscape(point, asked), dtype=float)
-    Np, Nc, Q, R = _checked(tuned, costs, len(asked), point)
+    costs = np.asarray(evaluator.landscape(point, tunings), dtype=float)
+    Np, Nc, Q, R = _checked(tuned, costs, len(tunings), point)
     return {
         "stream": stream,
         **dict(zip(NAMES, point.tolist(), strict=True)),
@@ -218,7 +218,7 @@ def run_campaign(
     StorageError
         When `out` cannot be used, see `store.Folder`; later, when a file cannot be written.
     MissingExtra
-        When `dask` is asked for and not installed.
+        When `dask` is given and not installed.
     CampaignStopped
         When the workers failed.
     CampaignInterrupted
@@ -293,7 +293,7 @@ def dask_client(address: str) -> Any:
     if form is None or not 0 < int(form["port"]) < 65536:
         raise InvalidInput(f"dask = {address!r}: is no address; one looks like tcp://127.0.0.1:8786.")
     try:
-        # Asked first: a client waits without end for a server that is silent, and again when it is closed.
+        # This comes first: a client waits without end for a server that is silent, and again when it is closed.
         kind = distributed.utils.LoopRunner().run_sync(_kind_of, distributed, address, callback_timeout=DASK_TIMEOUT)
         if kind != "Scheduler":
             raise OSError(f"a {kind} does")
@@ -427,7 +427,7 @@ class _Session:
         for task in list(waiting):
             if task.cancel():
                 del waiting[task]
-        with suppress(KeyboardInterrupt, CancelledError):  # then their time is lost, no more
+        with suppress(KeyboardInterrupt, CancelledError):  # then their time is wasted, no more
             self._collect(waiting)
         raise CampaignInterrupted(f"interrupted. {self._hint()}") from None
 

@@ -273,7 +273,7 @@ class CampaignConfig(Record):
     def _searches_around_its_constant(cls, values: Any) -> Any:
         if not isinstance(values, Mapping) or "search" in values or values.get("controller", "informed") != "informed":
             return values
-        with suppress(AdaptrackError, TypeError):  # an unknown profile is told below
+        with suppress(AdaptrackError, TypeError):  # an unknown profile is refused below
             return {**values, "search": Search.around(informed_tuning(values.get("profile", "")))}
         return values
 

@@ -59,9 +59,9 @@ class ConstantTuning(Record):
     def mismatches(self, car: str, profile: str, period: float) -> list[str]:
         """A clause for each of car, profile and period that is another than the file names."""
         found = [
-            f"was found for the {what} {told!r}, not {here!r}"
-            for what, told, here in (("car", self.vehicle, car), ("profile", self.profile, profile))
-            if told != here
+            f"was found for the {what} {named!r}, not {here!r}"
+            for what, named, here in (("car", self.vehicle, car), ("profile", self.profile, profile))
+            if named != here
         ]
         if self.period != period:
             found.append(f"was found for a control period of {self.period:g} s, not {period:g} s")

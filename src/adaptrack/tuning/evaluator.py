@@ -55,9 +55,9 @@ class SwarmFinding(Protocol):
 
 
 class Evaluator(Protocol):
-    """What a campaign asks of the loop that it tunes.
+    """What a campaign needs of the loop that it tunes.
 
-    An answer depends on its arguments only, not on what was asked before; several threads ask at once.
+    An answer depends on its arguments only, not on earlier calls; several threads call at once.
     """
 
     def versions(self) -> Mapping[str, str]:

@@ -97,15 +97,15 @@ class Objective:
 
     def costs(self, point: ArrayLike, tunings: ArrayLike) -> Array:
         """J of each of the tunings (n, 4) on one operating point, (n,); inf where a run failed."""
-        asked = np.array(tunings, dtype=np.float64, ndmin=2)
+        rows = np.array(tunings, dtype=np.float64, ndmin=2)
         if isinstance(self.plant, SteppedPlant):
-            return self._simulated_costs(point, asked)
-        costs = np.empty(len(asked))
-        run, trial = self._trial(point, min(len(asked), SLOTS), asked[:, 0].max(), asked[:, 1].max())
-        judged = kernels.Judged(np.ascontiguousarray(asked), np.full(len(asked), np.inf), costs)
-        for first in range(0, len(asked), SLOTS):
+            return self._simulated_costs(point, rows)
+        costs = np.empty(len(rows))
+        run, trial = self._trial(point, min(len(rows), SLOTS), rows[:, 0].max(), rows[:, 1].max())
+        judged = kernels.Judged(np.ascontiguousarray(rows), np.full(len(rows), np.inf), costs)
+        for first in range(0, len(rows), SLOTS):
             run.mpc.memory["speed"] = np.nan  # nothing is formed yet
-            kernels.evaluate(first, min(SLOTS, len(asked) - first), judged, trial)
+            kernels.evaluate(first, min(SLOTS, len(rows) - first), judged, trial)
         return costs
 
     landscape = costs

@@ -40,7 +40,7 @@ class SearchSpace(Record):
     """A box whose dimensions have names; some may hold whole numbers or be searched by decades, two may be ordered.
 
     A dimension with `low` = `high` is fixed. The swarm moves in the decimal logarithm of a dimension that is searched
-    by decades; bounds and positions are given and asked for in values all the same.
+    by decades; bounds and positions are given and returned in values all the same.
     """
 
     names: Annotated[tuple[str, ...], LISTED] = Field(min_length=1, description="of the dimensions")
@@ -83,7 +83,7 @@ class SearchSpace(Record):
             if name in self.whole and not (low.is_integer() and high.is_integer()):
                 raise ValueError(f"{name}: low = {low:g} and high = {high:g} must be whole numbers, as it is.")
             if name in self.whole and max(abs(low), abs(high)) > _LARGEST_WHOLE:
-                raise ValueError(f"{name}: whole numbers beyond 2^53 cannot be told apart.")
+                raise ValueError(f"{name}: whole numbers beyond 2^53 cannot be distinguished.")
         if self.ordered is None:
             if self.spread != 1.0:
                 raise ValueError(f"spread = {self.spread:g}: say by `ordered` which two dimensions it holds for.")
@@ -140,7 +140,7 @@ class SearchSpace(Record):
         return found.reshape(x.shape)
 
     def contains(self, x: ArrayLike) -> NDArray[np.bool_]:
-        """Whether each position of x (..., dims) lies in the box, holds whole numbers where asked, and is ordered."""
+        """Whether each position of x (..., dims) lies in the box, holds whole numbers where it must, and is ordered."""
         x = np.asarray(x, dtype=float)
         low, high = np.array(self.low), np.array(self.high)
         whole = self.packed()[2]
@@ -232,7 +232,7 @@ class Best(NamedTuple):
     x: Array
     """(dims,)"""
     cost: float
-    """inf before any finite cost was told"""
+    """inf before the first finite cost"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -275,7 +275,7 @@ class Swarm:
 
     @property
     def done(self) -> bool:
-        """Whether all generations have been told."""
+        """Whether the costs of all generations are known."""
         return self.generation >= self.settings.generations
 
     @property
@@ -285,11 +285,11 @@ class Swarm:
 
     @property
     def trace(self) -> Array:
-        """(generations told,) lowest cost up to and including each generation."""
+        """(generations done,) lowest cost up to and including each generation."""
         return self._trace[: self.generation].copy()
 
     def ask(self) -> Array:
-        """(particles, dims) positions to evaluate; the same ones until their costs are told.
+        """(particles, dims) positions to evaluate; the same ones until `tell` takes their costs.
 
         Raises
         ------
@@ -300,7 +300,7 @@ class Swarm:
         return self.space.values(self._swarm.x)
 
     def tell(self, costs: ArrayLike) -> None:
-        """Take in the costs (particles,) of the positions last asked for, then move on to the next generation.
+        """Take in the costs (particles,) of the positions of the last `ask`, then move on to the next generation.
 
         Raises
         ------
@@ -309,15 +309,15 @@ class Swarm:
         """
         self._refuse_when_done()
         try:
-            told = np.ascontiguousarray(costs, dtype=float)
+            values = np.ascontiguousarray(costs, dtype=float)
         except (TypeError, ValueError) as error:
             raise InvalidInput(f"costs are not numbers: {error}.") from None
-        if told.shape != (self.settings.particles,):
+        if values.shape != (self.settings.particles,):
             raise InvalidInput(
-                f"costs have shape {told.shape}: give one number for each of the {self.settings.particles} particles, "
+                f"costs have shape {values.shape}: give one number for each of {self.settings.particles} particles, "
                 f"shape ({self.settings.particles},)."
             )
-        kernel.learn(told, self._swarm)
+        kernel.learn(values, self._swarm)
         self._trace[self.generation] = self._swarm.progress[kernel.LEADER_COST]
         if self.generation < self.settings.generations - 1:
             kernel.move(self.generation, self.seed, self.stream, self._settings, self._space, self._swarm)
@@ -367,7 +367,7 @@ class Swarm:
 
     def _refuse_when_done(self) -> None:
         if self.done:
-            raise InvalidInput(f"The swarm is done: all {self.settings.generations} generations have been told.")
+            raise InvalidInput(f"The swarm is done: it has the costs of all {self.settings.generations} generations.")
 
 
 def minimise(

@@ -72,7 +72,7 @@ class Outcome(NamedTuple):
     costs: Array
     """(runs,) m^2, J; inf where the run failed"""
     segments: Array
-    """(runs, segments) m^2, see `RunSet.segments`; (runs, 0) where they were not asked for"""
+    """(runs, segments) m^2, see `RunSet.segments`; (runs, 0) where they were not requested"""
     counts: dict[str, NDArray[np.int64]]
     """what the schedule counted, (runs,) by name; empty without one"""
 
@@ -80,7 +80,7 @@ class Outcome(NamedTuple):
 class RunSet:
     """Scenarios and drives along roads, driven by one plant in one profile; adaptation needs equally long ones.
 
-    segment: length of the segments that cost is attributed to (control periods), by default the whole run; lead: how
+    segment: length of the segments that cost is attributed to (control periods), by default the whole run; before: how
     long before a segment its causes may lie (periods); stride: every how many periods its inputs are looked at;
     known_as: how schedulers know friction and wind; failure: when a run has failed.
     """
@@ -93,7 +93,7 @@ class RunSet:
 
     def __init__(
         self, plant: Plant | SteppedPlant, mpc: MPC, scenarios: Sequence[Scenario | RoadDrive],
-        profile: str | Profile = "road", *, segment: int | None = None, lead: int = 0, stride: int = 20,
+        profile: str | Profile = "road", *, segment: int | None = None, before: int = 0, stride: int = 20,
         known_as: KnownAs = None, failure: Failure | None = None,
     ) -> None:  # fmt: skip
         self.plant, self.mpc, self.scenarios, self.profile = plant, mpc, list(scenarios), profile
@@ -104,7 +104,7 @@ class RunSet:
         self.lengths = np.array([each.n for each in self.signals])
         """(runs,) control periods"""
         self.periods = int(self.lengths.max())
-        self.segment, self.lead, self.stride = segment or self.periods, lead, stride
+        self.segment, self.before, self.stride = segment or self.periods, before, stride
         self.variables = _scheduling_variables(samples)
         """(runs, periods, SchedulingVariables) what a scheduler looks at; the offset, unknown before driving, zero.
         A run that is shorter goes on with its last row."""
@@ -277,8 +277,8 @@ def _compiles(controller: Controller) -> bool:
 def _scheduling_variables(samples: Array) -> Array:
     """What a scheduler looks at in every period of each run, with an offset of zero."""
     rows = samples[:, :, :-1]
-    seen = ("speed", "y_ref", "known_friction", "known_wind", "change", "acceleration")
-    columns = [rows[:, getattr(SIGNAL, name)] for name in seen]
+    names = ("speed", "y_ref", "known_friction", "known_wind", "change", "acceleration")
+    columns = [rows[:, getattr(SIGNAL, name)] for name in names]
     return np.stack([*columns, np.zeros_like(columns[0])], axis=-1)
 
 
@@ -314,7 +314,7 @@ def random_drive_runs(
     own = getattr(getattr(plant, "vehicle", None), "domain", Domain()).drive_options
     drives = [random_drive(number, duration, **(own | dict(roads or {}))) for number in numbers]
     segment = round(segment_seconds / mpc.period)
-    return RunSet(plant, mpc, drives, profile, **{"segment": segment, "lead": segment, **options})
+    return RunSet(plant, mpc, drives, profile, **{"segment": segment, "before": segment, **options})
 
 
 def road_runs(

@@ -195,9 +195,9 @@ def find_adaptation(controller: str = "informed", profile: str = "road") -> str:
     for name, campaign in shipped.items():
         if (campaign.controller, campaign.profile) == (controller, profile):
             return name
-    told = ", ".join(f"{name} ({each.controller}, {each.profile})" for name, each in shipped.items())
+    choices = ", ".join(f"{name} ({each.controller}, {each.profile})" for name, each in shipped.items())
     raise UnknownName(
-        f"no adaptation ships for controller {controller!r} in profile {profile!r}: there are {told}. "
+        f"no adaptation ships for controller {controller!r} in profile {profile!r}: there are {choices}. "
         "Give one to start from with --config."
     )
 
@@ -233,13 +233,13 @@ def load_adaptation(
             data[key] = str(path.parent / data[key])
     own = build(AdaptationConfig, data, path)
     before = campaign_of(own)
-    asked = {"controller": controller or before.controller, "profile": profile or before.profile}
-    changes = {key: value for key, value in asked.items() if value != getattr(before, key)}
+    wanted = {"controller": controller or before.controller, "profile": profile or before.profile}
+    changes = {key: value for key, value in wanted.items() if value != getattr(before, key)}
     if changes:
         suffix = "-".join(Path(value).stem for value in changes.values())
         data = _without_numbers({**data, **changes, "name": f"{own.name}-{suffix}"})
         own = build(AdaptationConfig, data, path)
-    if asked["controller"] == "as-written":
+    if wanted["controller"] == "as-written":
         return own
     constant = tuned_mpc(Plan.of(campaign_of(own)).setup).tuning
     return build(AdaptationConfig, _completed(data, around(constant)), path)

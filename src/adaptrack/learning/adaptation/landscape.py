@@ -32,7 +32,7 @@ class Wishes(NamedTuple):
     """What the landscape asks of a schedule, a row for each look at the scheduling variables."""
 
     variables: Array
-    """(m, SchedulingVariables) the scheduling variables that were seen"""
+    """(m, SchedulingVariables) the scheduling variables that occurred"""
     moves: Array
     """(m, 3) how far each output should move there"""
     weights: Array
@@ -120,11 +120,11 @@ def _relative(costs: Array, scale: Array, method: Landscape) -> Array:
 def _looks(
     runs: RunSet, i: int, which: Indices, per_segment: Wishes, shares: Array, rescue: Rescue | None, method: Landscape
 ) -> Wishes:
-    """The wishes of segment i of each run, put down to what was seen in it and shortly before it."""
-    first = max(0, i * runs.segment - runs.lead)
-    seen = runs.variables[which, first : (i + 1) * runs.segment : runs.stride]
-    count = seen.shape[1]
-    variables = seen.reshape(-1, seen.shape[2])
+    """The wishes of segment i of each run, put down to the scheduling variables in it and shortly before it."""
+    first = max(0, i * runs.segment - runs.before)
+    near = runs.variables[which, first : (i + 1) * runs.segment : runs.stride]
+    count = near.shape[1]
+    variables = near.reshape(-1, near.shape[2])
     moves = np.repeat(per_segment.moves[:, i], count, axis=0)
     weights = np.repeat(per_segment.weights[:, i], count, axis=0) / count
     part = np.repeat(shares, count)

@@ -50,12 +50,12 @@ Made = Mapping[str, Schedule]
 """The contenders made before."""
 
 ANYWHERE = SchedulingVariables(15.0, 0.0, 0.7, 0.0)
-"""Where a constant schedule is asked."""
+"""Where a constant schedule is read."""
 
 
 @dataclass(frozen=True, eq=False)
 class Recipes:
-    """The recipes of an adaptation; what takes long to prepare is prepared when first asked for."""
+    """The recipes of an adaptation; what takes long to prepare is prepared when first needed."""
 
     setup: SetUp
     dataset: DataSet
@@ -114,10 +114,10 @@ class Recipes:
 
     def learned(self, model: str, inputs: tuple[str, ...], name: str, made: Made) -> Schedule:
         """What learns from the landscape."""
-        asked, seed = self.setup.config.learning, self.setup.config.seed
+        config, seed = self.setup.config.learning, self.setup.config.seed
         surfaces = first_surfaces(self.setup, model, self.training, inputs)
         found = improve(
-            Learnable(surfaces, inputs, asked.box(inputs), name), self.training, self.held_out, rounds=asked.rounds,
+            Learnable(surfaces, inputs, config.box(inputs), name), self.training, self.held_out, rounds=config.rounds,
             seed=seed, method=self.setup.method, safe=safe_tuning(made),
             progress=lambda done, of: self.show(name, done, of),
         )  # fmt: skip
@@ -230,7 +230,7 @@ def safe_candidates(known: StabilityMap, law: Constants) -> Array:
 
 
 def stability_map(setup: SetUp) -> StabilityMap:
-    """The map that the guard asks: how near to instability the loop is, driving straight, with all that may be asked.
+    """The map that the guard reads: how near to instability the loop is, driving straight, for every tuning.
 
     Straight: in a turn as hard as driving gets, good tunings are near to instability too, and to keep away from that
     costs more than it saves (see docs/adaptation.md). Slow loops count as nearer: loops change fastest there, and the
@@ -251,11 +251,11 @@ def neighbour_lookup(dataset: DataSet, nodes: Mapping[str, ArrayLike], neighbour
     look at. nodes: along some or all of speed, y_ref, friction and wind; distances are in ranges of the data.
     """
     axes = {name: np.asarray(values, dtype=float) for name, values in nodes.items()}
-    seen = dataset.operating_points[:, [NAMES.index(name) for name in axes]]
-    reach = np.ptp(seen, axis=0)
+    points = dataset.operating_points[:, [NAMES.index(name) for name in axes]]
+    reach = np.ptp(points, axis=0)
     grid = np.stack(np.meshgrid(*axes.values(), indexing="ij"), axis=-1)
-    _, near = cKDTree(seen / reach).query(
-        grid.reshape(-1, len(axes)) / reach, k=np.arange(1, min(neighbours, len(seen)) + 1)
+    _, near = cKDTree(points / reach).query(
+        grid.reshape(-1, len(axes)) / reach, k=np.arange(1, min(neighbours, len(points)) + 1)
     )
     costs = dataset.landscape.astype(np.float64)
     worst = np.nanmax(np.where(np.isfinite(costs), costs, np.nan))
@@ -278,11 +278,11 @@ def first_surfaces(setup: SetUp, model: str, training: Training, inputs: tuple[s
         }
     fuzzy = method.fuzzy
     columns = [SchedulingVariables._fields.index(name) for name in inputs]
-    seen = np.concatenate(
+    variables = np.concatenate(
         [runs.variables[:, :: fuzzy.stride].reshape(-1, len(SchedulingVariables._fields)) for runs, _ in training]
     )
     rng = np.random.default_rng((seed, 0xF522))
-    rows = np.clip(seen[np.sort(rng.choice(len(seen), fuzzy.rows))][:, columns], *domain.T)
+    rows = np.clip(variables[np.sort(rng.choice(len(variables), fuzzy.rows))][:, columns], *domain.T)
     made = FuzzySurface.start(
         rows, 0.0, setup.config.learning.rules, seed, restarts=fuzzy.restarts, neighbours=fuzzy.neighbours,
         width=fuzzy.width, hold=fuzzy.hold,
@@ -310,12 +310,12 @@ def purpose_of(dataset: DataSet) -> dict[str, Any]:
 
     For the file of what was trained on it, see `Schedule.made_for`.
     """
-    told = dataset.provenance.get("settings", {})
-    names = {"car": told.get("vehicle"), "profile": told.get("profile"), "tyre": told.get("tyre")}
+    settings = dataset.provenance.get("settings", {})
+    names = {"car": settings.get("vehicle"), "profile": settings.get("profile"), "tyre": settings.get("tyre")}
     known = {key: each["name"] if isinstance(each, Mapping) else each for key, each in names.items() if each}
-    controller = told.get("controller", "as-written")  # data of before there was a choice are the paper's
+    controller = settings.get("controller", "as-written")  # data of before there was a choice are the paper's
     model = {"as-written": INCREMENTAL, "informed": INFORMED}.get(controller, controller)
-    return {**known, "controller": {"kind": "MPC", "model": model}} if told else {}
+    return {**known, "controller": {"kind": "MPC", "model": model}} if settings else {}
 
 
 def trained_schedule(

@@ -153,18 +153,18 @@ def drive_numbers(config: AdaptationConfig) -> dict[str, range]:
 # -- to learn from, and held out --------------------------------------------------------------------------------------
 def training_runs(setup: SetUp) -> Training:
     """Lane changes, drives and hard drives, each with how many of them a round drives."""
-    asked, runs, numbers = setup.config.learning, setup.method.runs, drive_numbers(setup.config)
-    points = sobol(asked.operating_points, setup.box, seed=setup.method.seeds.training_points + setup.config.seed)
+    config, runs, numbers = setup.config.learning, setup.method.runs, drive_numbers(setup.config)
+    points = sobol(config.operating_points, setup.box, seed=setup.method.seeds.training_points + setup.config.seed)
     roads = {"speed": runs.hard_speed, "demand": runs.hard_demand}
     return [
-        (_lane_changes(setup, points), min(runs.round_points, asked.operating_points)),
+        (_lane_changes(setup, points), min(runs.round_points, config.operating_points)),
         (
             _drives(setup, numbers["drives to learn from"], runs.training_duration),
-            min(runs.round_drives, asked.drives),
+            min(runs.round_drives, config.drives),
         ),
         (
             _drives(setup, numbers["hard drives"], runs.training_duration, roads),
-            min(runs.round_hard_drives, asked.hard_drives),
+            min(runs.round_hard_drives, config.hard_drives),
         ),
     ]
 
