@@ -141,21 +141,21 @@ def evaluation_stages(
     setup: SetUp, folder: Path, learning: Sequence[Stage], *, progress: Progress | None = None
 ) -> list[Stage]:
     """The comparisons on operating points, drives and tests."""
-    asked, ways = setup.evaluation, setup.evaluation.known_as
+    evaluation, ways = setup.evaluation, setup.evaluation.known_as
 
     def schedules(made: Mapping[str, Any]) -> dict[str, Schedule]:
         return {name: made[name] for name in CONTENDERS}
 
     makers = {
         "operating points": lambda made: on_operating_points(
-            setup, schedules(made), asked.operating_points, asked.seed, known_as=ways, progress=progress
+            setup, schedules(made), evaluation.operating_points, evaluation.seed, known_as=ways, progress=progress
         ),
         "drives": lambda made: on_drives(
-            setup, schedules(made), asked.drives, asked.seed, known_as=ways, progress=progress
+            setup, schedules(made), evaluation.drives, evaluation.seed, known_as=ways, progress=progress
         ),
         "tests": lambda made: on_tests(setup, schedules(made)),
     }
-    settings = [asked.model_dump(mode="json"), [stage.identity for stage in learning]]
+    settings = [evaluation.model_dump(mode="json"), [stage.identity for stage in learning]]
     if not isinstance(setup.driven, SingleTrack | DualTrack):
         settings.append(fingerprint(setup.driven))
     return [

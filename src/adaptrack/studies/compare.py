@@ -82,9 +82,9 @@ class Compared:
         StorageError
             When it cannot be written.
         """
-        told = [ParquetColumn(name, UNITS.get(name, "-"), values) for name, values in self.columns.items()]
+        columns = [ParquetColumn(name, UNITS.get(name, "-"), values) for name, values in self.columns.items()]
         about = {"task": self.task.model_dump(mode="json"), "adaptrack": __version__}
-        write_atomically(path, encode_parquet(FORMAT, FORMAT_VERSION, told, about))
+        write_atomically(path, encode_parquet(FORMAT, FORMAT_VERSION, columns, about))
 
 
 def list_comparisons() -> dict[str, str]:
@@ -166,10 +166,10 @@ def _absent(task: ComparisonConfig) -> dict[str, str]:
 
 def _settings(task: ComparisonConfig, cell: Cell) -> dict[str, Any]:
     """All that a cell's result depends on, beside the software."""
-    told = task.model_dump(mode="json", exclude={"name", "contenders", "cars", "profiles"})
+    settings = task.model_dump(mode="json", exclude={"name", "contenders", "cars", "profiles"})
     setting = load_setting(cell.car, cell.profile)
     car, profile = setting.car.model_dump(mode="json"), setting.profile.model_dump(mode="json")
-    return {**told, **asdict(cell), "about_car": car, "about_profile": profile, "plant": fingerprint(setting.plant)}
+    return {**settings, **asdict(cell), "about_car": car, "about_profile": profile, "plant": fingerprint(setting.plant)}
 
 
 def _kept(task: ComparisonConfig, folder: Path, cell: Cell) -> tuple[JSONFile, str]:

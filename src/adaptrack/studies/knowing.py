@@ -35,14 +35,14 @@ def controllers(car: Vehicle, profile: Profile, schedules: Mapping[str, Schedule
 
     schedules: what the paper's models learned, as released; moves: how they move.
     """
-    pace: dict[str, Any] = {"period": profile.period, "preview": profile.preview}
+    timing: dict[str, Any] = {"period": profile.period, "preview": profile.preview}
 
     def scheduled(schedule: Schedule, **more: Any) -> MPC:
-        return published_mpc(car, scheduler=schedule, most_moves=max(20, schedule.largest[1]), **pace, **more)
+        return published_mpc(car, scheduler=schedule, most_moves=max(20, schedule.largest[1]), **timing, **more)
 
     found = {
-        "standard-as-written": published_mpc(car, **pace),
-        "standard-as-released": published_mpc(car, moves=Moves.laguerre(0.95), **pace),
+        "standard-as-written": published_mpc(car, **timing),
+        "standard-as-released": published_mpc(car, moves=Moves.laguerre(0.95), **timing),
         **{name: scheduled(schedule, moves=moves) for name, schedule in schedules.items()},
     }
     if profile.name == "road":
@@ -50,7 +50,7 @@ def controllers(car: Vehicle, profile: Profile, schedules: Mapping[str, Schedule
     return found | {"informed": MPC(car, profile=profile)}
 
 
-def told() -> list[str]:
+def knowing_controllers() -> list[str]:
     """The controllers that know their car, in words: what their results depend on beside software and seeds."""
     return [repr(MPC(load_vehicle("paper"), profile=name)) for name in PROFILES]
 

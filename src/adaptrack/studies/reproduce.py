@@ -40,7 +40,7 @@ from adaptrack.drive.trajectory import Trajectory
 from adaptrack.learning.adaptation.recipes import search_bounds, trained_schedule
 from adaptrack.learning.training import train
 from adaptrack.scenario import Scenario, load_scenario
-from adaptrack.studies.knowing import SEEDS, compare_knowing, told
+from adaptrack.studies.knowing import SEEDS, compare_knowing, knowing_controllers
 from adaptrack.studies.pipeline import JSONFile, Keeper, Progress, SchedulerFile, Stage, identity_of, run
 from adaptrack.tuning.dataset import DataSet, load_dataset
 from adaptrack.tuning.operating_points import NAMES
@@ -283,7 +283,7 @@ class _Stages:
     def all(self) -> list[Stage]:
         """In their order."""
         settings = [_METHOD, _fingerprint(self.dataset), self.quick, self.seed]
-        more = {"knowing the car": [*told(), repr(SEEDS)]}
+        more = {"knowing the car": [*knowing_controllers(), repr(SEEDS)]}
         makers: dict[str, Callable[[Mapping[str, Any]], Any]] = {
             **{f"training {model}": partial(self.trained, model) for model in LEARNED},
             "driving both configurations": self.driven,

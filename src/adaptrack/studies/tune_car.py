@@ -112,12 +112,12 @@ class TunedCar:
     def verdict(self) -> str:
         """What was found, in some sentences."""
         entries = f"Np {self.tuning.Np}, Nc {self.tuning.Nc}, R/Q {self.tuning.R / self.tuning.Q:.4g}"
-        told = f"{self.gain.mean:.3f} [{self.gain.low:.3f}, {self.gain.high:.3f}] of the default's cost"
+        share = f"{self.gain.mean:.3f} [{self.gain.low:.3f}, {self.gain.high:.3f}] of the default's cost"
         kept = "the best of the search" if self.tuning is self.sought else "the default, which the search does not beat"
         drives = len(self.costs["default"])
         first = "" if self.feasibility.passed else f"{self.feasibility.verdict} What follows is for {self.held}. "
         return (
-            f"{first}{entries}: {kept} ({told}). {self.failed or 'None'} of {drives} unseen drives failed; "
+            f"{first}{entries}: {kept} ({share}). {self.failed or 'None'} of {drives} unseen drives failed; "
             f"{self.certificate.verdict}{self._stand_in}"
         )
 
@@ -137,7 +137,7 @@ class TunedCar:
             return ""
         return (
             f" The plant {self.plant!r} has no linear model: the certificate is of a {self.certificate.plant} car with "
-            "the numbers that the controller is told; the drives are of the plant."
+            "the numbers that the controller believes; the drives are of the plant."
         )
 
     @property
@@ -189,7 +189,7 @@ def tune(
     Parameters
     ----------
     car
-        What the controller is told, or its name or file for `load_vehicle`; its domain says where it is driven.
+        What the controller believes, or its name or file for `load_vehicle`; its domain says where it is driven.
     profile
         The world: steering actuator, sensors, period.
     plant
@@ -212,13 +212,14 @@ def tune(
     UnknownName
         When no car or plant has this name.
     """
-    began, show, asked = time.perf_counter(), progress or (lambda what, done, of: None), effort or TuningEffort()
+    began, show = time.perf_counter(), progress or (lambda what, done, of: None)
+    effort = effort or TuningEffort()
     seed = whole("tune", "seed", seed, least=0)
     car, driven = _car_and_plant(car, plant)
     world = load_profile(profile)
     mpc = MPC(car, profile=world, uncertainty=uncertainty, estimator=estimator)
-    told = {name: each for name, each in (("speed", speed), ("friction", friction)) if each is not None}
-    wanted = Domain(**{**car.domain.model_dump(), **told})
+    given = {name: each for name, each in (("speed", speed), ("friction", friction)) if each is not None}
+    wanted = Domain(**{**car.domain.model_dump(), **given})
     show("which speeds can be held", 0, 1)
     linear = linear_twin(driven, car, wanted)
     able = feasibility(linear, mpc, world.prompt, speed=wanted.speed, friction=wanted.friction, turn=None)
@@ -227,21 +228,21 @@ def tune(
     domain = wanted.replace(**able.constant[1]._asdict()) if able.constant[1] != able.whole else wanted
     default = mpc.tuning
     bench = _Bench(driven, mpc, world, domain)
-    runs = _search_runs(bench.on_twin(), asked, seed)
-    bench.tell_time(asked)
-    found = _sought(runs, [default, able.constant[0]], asked.swarm, seed, show)
+    runs = _search_runs(bench.on_twin(), effort, seed)
+    bench.warn_of_time(effort)
+    found = _sought(runs, [default, able.constant[0]], effort.swarm, seed, show)
     show("unseen drives", 0, 1)
-    numbers = range(FIRST_JUDGED + 1000 * seed, FIRST_JUDGED + 1000 * seed + asked.judged)
+    numbers = range(FIRST_JUDGED + 1000 * seed, FIRST_JUDGED + 1000 * seed + effort.judged)
     unseen = bench.drives(numbers, 60.0)
     costs = {"default": unseen.drive(default, [NOISE_JUDGED])[:, 0]}
     costs["sought"] = costs["default"] if found == default else unseen.drive(found, [NOISE_JUDGED])[:, 0]
     known = {name: np.minimum(each, unseen.failed_cost) for name, each in costs.items()}
     gain = ratio(known["sought"], known["default"])
-    lost = {name: int(np.isinf(each).sum()) for name, each in costs.items()}
-    kept = found if gain.high < 1.0 and lost["sought"] <= lost["default"] else default
+    failures = {name: int(np.isinf(each).sum()) for name, each in costs.items()}
+    kept = found if gain.high < 1.0 and failures["sought"] <= failures["default"] else default
     certificate = certify(
         kept, linear, mpc, world.prompt, domain={"speed": domain.speed, "friction": domain.friction},
-        levels=asked.levels, progress=show,
+        levels=effort.levels, progress=show,
     )  # fmt: skip
     controller = MPC(car, profile=world, uncertainty=uncertainty, estimator=estimator, tuning=kept)
     seconds = time.perf_counter() - began
@@ -253,10 +254,10 @@ def tune(
 def _car_and_plant(
     car: Vehicle | str, plant: Plant | SteppedPlant | str | None
 ) -> tuple[Vehicle, Plant | SteppedPlant]:
-    """The car that the controller is told of, and what is driven."""
-    told = car if isinstance(car, Vehicle) else load_vehicle(car)
-    asked = usual_plant(told) if plant is None else plant
-    return told, get_plant(asked, told) if isinstance(asked, str) else asked
+    """The car that the controller believes in, and what is driven."""
+    believed = car if isinstance(car, Vehicle) else load_vehicle(car)
+    driven = usual_plant(believed) if plant is None else plant
+    return believed, get_plant(driven, believed) if isinstance(driven, str) else driven
 
 
 @dataclass(frozen=True, eq=False)
@@ -280,29 +281,29 @@ class _Bench:
         car = self.mpc.model.vehicle
         return replace(self, plant=twin_of(car)) if self.plant.costly else self
 
-    def tell_time(self, asked: TuningEffort) -> None:
+    def warn_of_time(self, effort: TuningEffort) -> None:
         """Log how long the drives of a stepped plant will take, from a short one."""
         if not isinstance(self.plant, SteppedPlant):
             return
-        seconds = min(5.0, asked.seconds)
+        seconds = min(5.0, effort.seconds)
         runs, began = self.drives(range(FIRST_SOUGHT, FIRST_SOUGHT + 1), seconds), time.perf_counter()
         runs.drive(self.mpc.tuning, [NOISE_SOUGHT])
-        pace = (time.perf_counter() - began) / seconds
-        tunings = 0 if self.plant.costly else asked.swarm.particles * asked.swarm.generations + 2
-        simulated = tunings * (asked.drives + asked.hard_drives) * asked.seconds + 2 * asked.judged * 60.0
+        per_second = (time.perf_counter() - began) / seconds
+        tunings = 0 if self.plant.costly else effort.swarm.particles * effort.swarm.generations + 2
+        simulated = tunings * (effort.drives + effort.hard_drives) * effort.seconds + 2 * effort.judged * 60.0
         _log.warning(
             "adaptrack: plant %r is stepped in Python: %.3g h of driving one after the other, about %.2g min.",
-            self.plant.name, simulated / 3600.0, simulated * pace / 60.0,
+            self.plant.name, simulated / 3600.0, simulated * per_second / 60.0,
         )  # fmt: skip
 
 
-def _search_runs(bench: _Bench, asked: TuningEffort, seed: int) -> list[RunSet]:
+def _search_runs(bench: _Bench, effort: TuningEffort, seed: int) -> list[RunSet]:
     """Mixed drives and hard ones."""
     first = FIRST_SOUGHT + 1000 * seed
-    hard = range(first + 500, first + 500 + asked.hard_drives)
+    hard = range(first + 500, first + 500 + effort.hard_drives)
     return [
-        bench.drives(range(first, first + asked.drives), asked.seconds),
-        bench.drives(hard, asked.seconds, speed=hard_speeds(bench.domain), demand=HARD_DEMAND),
+        bench.drives(range(first, first + effort.drives), effort.seconds),
+        bench.drives(hard, effort.seconds, speed=hard_speeds(bench.domain), demand=HARD_DEMAND),
     ]
 
 
@@ -325,8 +326,8 @@ def _sought(training: list[RunSet], known: list[Tuning], swarm: SwarmSettings, s
         show("search", search.generation, search.settings.generations)
         search.tell(costs(search.ask()))
     best, rows = search.result(), np.array([each.as_array() for each in known])
-    told = costs(rows)
-    if told.min() <= best.cost:
-        return known[int(told.argmin())]
+    of_known = costs(rows)
+    if of_known.min() <= best.cost:
+        return known[int(of_known.argmin())]
     Np, Nc, Q, R = best.x.tolist()
     return replace(default, Np=round(Np), Nc=round(Nc), Q=Q, R=float(f"{R:.6g}"))
