@@ -35,11 +35,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from adaptrack.comparison.entries import get_entry
 from scipy.optimize import differential_evolution
 from scipy.stats import qmc
 
-from adaptrack.comparison.config import load_setting, load_trip
+from adaptrack.comparison.config import load_drive, load_setting
 from adaptrack.control.controllers import MPC
 from adaptrack.tuning.constant import mean_costs
 from adaptrack.tuning.pso import Swarm, SwarmSettings
@@ -75,13 +74,13 @@ class Problem:
     costs: list[float] = field(default_factory=list)
 
     def __post_init__(self) -> None:
-        entry, car = PROBLEMS[self.name]
+        name, car = PROBLEMS[self.name]
         setting = load_setting(car, "road")
-        self.controller: Any = get_entry(entry).make(setting)
+        self.controller: Any = setting.controller(name)
         mpc = MPC(setting.car, profile=setting.profile, preview=True)
         self.training, self.judged = (
             RunSet(
-                setting.plant, mpc, [load_trip(road, setting.car, LENGTH, DURATION) for road in roads], setting.profile
+                setting.plant, mpc, [load_drive(road, setting.car, LENGTH, DURATION) for road in roads], setting.profile
             )
             for roads in (TRAINING, JUDGED)
         )

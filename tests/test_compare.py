@@ -14,7 +14,7 @@ import adaptrack as at
 from adaptrack.base.errors import ConfigError, InvalidInput, UnknownName
 from adaptrack.cars.plant import DualTrack
 from adaptrack.comparison.cells import run_cell
-from adaptrack.comparison.config import Cell, ComparisonConfig, Setting, load_setting, load_trip
+from adaptrack.comparison.config import Cell, ComparisonConfig, Setting, load_drive, load_setting
 from adaptrack.comparison.statistics import ratio
 from adaptrack.comparison.table import Comparison
 from adaptrack.comparison.views import standing_rows
@@ -166,12 +166,12 @@ def test_contenders_in_python_may_drive_fewer_roads():
 @pytest.mark.parametrize("name", ["country:x", "country:-1"])
 def test_a_road_whose_seed_is_no_number_is_named(name: str):
     with pytest.raises(InvalidInput, match="whole number"):
-        load_trip(name, at.load_vehicle("paper"), 300.0, 10.0)
+        load_drive(name, at.load_vehicle("paper"), 300.0, 10.0)
 
 
 def test_a_road_can_be_driven_faster():
     car = at.load_vehicle("paper")
-    usual, fast = (load_trip(name, car, 600.0, 10.0) for name in ("lap:1", "lap:1@6"))
+    usual, fast = (load_drive(name, car, 600.0, 10.0) for name in ("lap:1", "lap:1@6"))
     assert isinstance(usual, RoadDrive)
     assert isinstance(fast, RoadDrive)
     assert fast.duration < 0.9 * usual.duration

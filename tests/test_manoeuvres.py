@@ -402,7 +402,7 @@ class TestEntrySpeed:
         together = obstacle.drive(stanley, 12.0, tunings, (0, 1))
         alone = obstacle.drive(stanley, 12.0, tunings[17:18], (1,))
         assert np.array_equal(together[17, 1], alone[0, 0], equal_nan=True)
-        slow = rollout(obstacle.plant, stanley, obstacle.trip(12.0), profile=obstacle.profile, seed=1)
+        slow = rollout(obstacle.plant, stanley, obstacle.entering_at(12.0), profile=obstacle.profile, seed=1)
         own = obstacle.drive(stanley, 12.0, stanley.packed_tuning()[None], (1,))[0, 0]
         assert np.array_equal(own[::5, 1], slow.Y)
 

@@ -41,7 +41,7 @@ MEANT = {
 }
 """Real uses, by file: what leads to something, nobody is asked (by a command), names that the package or Sphinx has."""
 
-ROOMS = ("analysis", "base", "control", "learning", "studies", "tuning")
+ROOMS = ("analysis", "base", "comparison", "control", "learning", "studies", "tuning")
 """The rooms of the package whose names are the field's; the others join."""
 PLACES = ["README.md", "docs", "examples", *(f"src/adaptrack/{room}" for room in ROOMS)]
 """What is counted."""

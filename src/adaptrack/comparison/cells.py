@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from adaptrack.base.errors import InvalidInput, MissingExtra
 from adaptrack.cars.plant import Plant, twin_of
 from adaptrack.comparison.compare import check_fits
-from adaptrack.comparison.config import Cell, ComparisonConfig, Setting, load_setting, load_trip
+from adaptrack.comparison.config import Cell, ComparisonConfig, Setting, load_drive, load_setting
 from adaptrack.comparison.contenders import Contender
 from adaptrack.comparison.manoeuvres import LaneChangeTest, entry_speed, iso_3888_2
 from adaptrack.comparison.measures import RUN, as_column, measure_runs
@@ -43,8 +43,8 @@ def _run_sets(task: ComparisonConfig, car: str, profile: str) -> tuple[Setting, 
     searched = twin_of(setting.car) if setting.plant.costly else setting.plant
     parts = (searched, task.training, task.training_length), (setting.plant, task.roads, task.length)
     for plant, names, length in parts:
-        trips = [load_trip(name, setting.car, length, task.duration) for name in names]
-        made.append(RunSet(plant, mpc, trips, setting.profile))
+        drives = [load_drive(name, setting.car, length, task.duration) for name in names]
+        made.append(RunSet(plant, mpc, drives, setting.profile))
     return setting, made[0], made[1]
 
 

@@ -70,9 +70,9 @@ class ComparisonConfig(Record):
         shared = set(self.seeds) & set(self.training_seeds)
         if shared:
             raise ValueError(f"training_seeds: {min(shared)} is a noise seed of the judgement as well.")
-        seen = set(self.training) & set(self.roads)
-        if seen:
-            raise ValueError(f"training: {min(seen)!r} is a road of the judgement as well.")
+        repeated = set(self.training) & set(self.roads)
+        if repeated:
+            raise ValueError(f"training: {min(repeated)!r} is a road of the judgement as well.")
         for name in self.contenders:
             about_controller(name)
         return self
@@ -89,7 +89,7 @@ class ComparisonConfig(Record):
         ]
 
     def of(self, entry: About) -> ComparisonConfig:
-        """What is asked of an entry: one in Python may have fewer roads, seeds and closed loops."""
+        """What an entry drives: one in Python may have fewer roads, seeds and closed loops."""
         if entry.compiled:
             return self
         roads, seeds = self.slow_roads or self.roads, self.slow_seeds or self.seeds
@@ -98,9 +98,9 @@ class ComparisonConfig(Record):
     def loops(self, cell: Cell) -> int:
         """Closed loops of a cell, roughly: those of the search and of the judgement, without entry speeds."""
         entry = about_controller(cell.contender)
-        asked = self.of(entry)
-        searched = asked.budget if entry.tunable else 0
-        return searched + (2 if searched else 1) * len(asked.roads) * len(asked.seeds)
+        task = self.of(entry)
+        searched = task.budget if entry.tunable else 0
+        return searched + (2 if searched else 1) * len(task.roads) * len(task.seeds)
 
     def seconds(self, cells: Sequence[Cell]) -> float:
         """s, how long cells take on one core, roughly: `PERIODS_OF_A_LOOP` steps a loop."""
@@ -154,11 +154,11 @@ def load_setting(car: str, profile: str) -> Setting:
     if parts is None:
         raise InvalidInput(f"car {car!r}: must be a name or a .toml file, with /PLANT behind it or without.")
     vehicle = load_vehicle(parts["car"])
-    body = get_plant(parts["plant"] or usual_plant(vehicle), vehicle)
-    return Setting(vehicle, body, load_profile(profile))
+    plant = get_plant(parts["plant"] or usual_plant(vehicle), vehicle)
+    return Setting(vehicle, plant, load_profile(profile))
 
 
-def load_trip(name: str, car: Vehicle, length: float, duration: float) -> Scenario | RoadDrive:
+def load_drive(name: str, car: Vehicle, length: float, duration: float) -> Scenario | RoadDrive:
     """A road of a comparison, see `ComparisonConfig.roads`; its speed planned for the car.
 
     Raises

@@ -135,7 +135,7 @@ def get_contender(name: str, runs: RunSet) -> Contender:
 
 # -- of an adaptation -------------------------------------------------------------------------------------------------
 ONCE = ("look-up", "paper recipe nn", "paper recipe anfis")
-"""Learned from operating points: on such they are asked once, for the operating point itself."""
+"""Learned from operating points: on such they are called once, for the operating point itself."""
 CONSTANTS = ("best constant", "best constant on drives", "fallback")
 """Called by what they are; the others are called as their files."""
 

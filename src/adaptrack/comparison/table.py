@@ -75,7 +75,7 @@ class Comparison:
     cells: Mapping[str, NDArray[Any]]
     """by measure, (contenders, cars, roads, seeds); NaN where nothing was driven or could be measured. In any case:
     `cost` (m^2, J; a failed run as the square of the distance at which it fails) and `failed` (0 or 1, or the share of
-    seeds that are not told apart). Of runs measured in full also those of `measures.RUN`."""
+    seeds that are not distinguished). Of runs measured in full also those of `measures.RUN`."""
     reference: str
     """the contender that ratios are taken to"""
     roles: Mapping[str, Role] = field(default_factory=dict)
@@ -103,12 +103,13 @@ class Comparison:
         roles: Mapping[str, Role] | None = None, overall: Mapping[str, Mapping[str, float]] | None = None,
         over: tuple[str, ...] = ("road",), failure: Failure | None = None,
     ) -> Comparison:  # fmt: skip
-        """Of one car. driven: by contender and measure, (roads, seeds), or (roads,) of seeds that are not told apart.
+        """Of one car. driven: by contender and measure, (roads, seeds), or (roads,) of seeds not distinguished.
 
         roads, seeds: by default their numbers; where: by default the numbers of the roads; the rest: see the fields.
         """
         known = {
-            who: {name: np.asarray(values) for name, values in measures.items()} for who, measures in driven.items()
+            contender: {name: np.asarray(values) for name, values in measures.items()}
+            for contender, measures in driven.items()
         }
         names = dict.fromkeys(name for measures in known.values() for name in measures)
         cells = {name: np.stack([np.atleast_2d(each[name].T).T for each in known.values()])[:, None] for name in names}
@@ -128,8 +129,8 @@ class Comparison:
         """
         pairs = list(zip(columns["contender"].tolist(), columns["tuning"].tolist(), strict=True))
         roles = {
-            label_of(who, tuning): Role(who, tuning == "scheduled", tuning=tuning)
-            for who, tuning in dict.fromkeys(pairs)
+            label_of(contender, tuning): Role(contender, tuning == "scheduled", tuning=tuning)
+            for contender, tuning in dict.fromkeys(pairs)
         }
         named = {(role.controller, role.tuning): i for i, role in enumerate(roles.values())}
         labels, at = {}, [np.array([named[pair] for pair in pairs])]
@@ -203,10 +204,10 @@ class Comparison:
         return geometric_mean(_known(self.table(name) / self.table(other)))
 
     def ranks(self, measure: str = "rms_error") -> dict[str, int]:
-        """1 + the number of others that are better with an interval below 1; equal ranks are not told apart."""
+        """1 + the number of others that are better with an interval below 1; equal ranks are level."""
         return {
-            who: 1 + sum(self.ratio(other, who, measure).high < 1.0 for other in self.contenders if other != who)
-            for who in self.contenders
+            name: 1 + sum(self.ratio(other, name, measure).high < 1.0 for other in self.contenders if other != name)
+            for name in self.contenders
         }
 
     # -- who ----------------------------------------------------------------------------------------------------------
@@ -230,8 +231,8 @@ class Comparison:
         What needs hindsight, and a schedule without its guard, only where there is nothing else.
         """
         judged = [each for each in self.contenders if self.role(each).deployable] or [self.reference]
-        ranked = sorted(judged, key=lambda who: self.mean_ratio(who, self.reference))
-        return ranked[:1] + [who for who in ranked[1:] if self.ratio(who, ranked[0]).verdict == "level"]
+        ranked = sorted(judged, key=lambda name: self.mean_ratio(name, self.reference))
+        return ranked[:1] + [name for name in ranked[1:] if self.ratio(name, ranked[0]).verdict == "level"]
 
     # -- rows ---------------------------------------------------------------------------------------------------------
     def rows(self) -> list[dict[str, Any]]:

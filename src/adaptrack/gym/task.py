@@ -13,7 +13,7 @@ from adaptrack.base.checked import real, whole
 from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.plant import DualTrack, Plant, SteppedPlant, get_plant
 from adaptrack.cars.vehicle import Vehicle, load_vehicle
-from adaptrack.comparison.config import load_setting, load_trip
+from adaptrack.comparison.config import load_drive, load_setting
 from adaptrack.control.controllers import CompiledController
 from adaptrack.drive.failure import DISTANCE, Failure
 from adaptrack.drive.world import Driver, KnownAs
@@ -174,7 +174,7 @@ class Task:
         if not isinstance(road, str):
             return road
         if (which, vehicle.name) not in self._trips:
-            self._trips[which, vehicle.name] = load_trip(road, vehicle, self.length, self.duration)
+            self._trips[which, vehicle.name] = load_drive(road, vehicle, self.length, self.duration)
         return self._trips[which, vehicle.name]
 
     def cost_of_failure(self, distance: float) -> float:

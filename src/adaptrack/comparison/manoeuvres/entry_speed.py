@@ -79,7 +79,7 @@ class LaneChangeTest:
     friction: float = 0.9
     _roads: dict[float, Road] = field(default_factory=dict, repr=False)
 
-    def trip(self, speed: float) -> RoadDrive:
+    def entering_at(self, speed: float) -> RoadDrive:
         """The drive that enters at a speed (m/s)."""
         if speed not in self._roads:
             road = driven_line(self.track, self.car, speed, self.friction)
@@ -100,10 +100,10 @@ class LaneChangeTest:
         tunings : (tunings, entries) array
             Of the controller's named entries.
         """
-        batch = Batch(self.plant, controller, [self.trip(speed)], self.profile)
-        asked = np.repeat(batch.checked_tunings(tunings), len(seeds), axis=0)
+        batch = Batch(self.plant, controller, [self.entering_at(speed)], self.profile)
+        rows = np.repeat(batch.checked_tunings(tunings), len(seeds), axis=0)
         seeded = np.tile(np.array(seeds, dtype=np.int64), len(tunings))
-        found = batch.run(np.zeros(len(asked), np.int64), asked, seeded, 1, traced=True)
+        found = batch.run(np.zeros(len(rows), np.int64), rows, seeded, 1, traced=True)
         driven = [refined_poses(states, controller.period) for states in found.trace.state]
         return np.array(driven).reshape(len(tunings), len(seeds), -1, 3)
 
@@ -231,13 +231,13 @@ def entry_speed(
     InvalidInput
         When the speeds do not increase from above 0, or the parts do not fit each other.
     """
-    asked = controller.packed_tuning() if tuning is None else tuning
-    found = scan_speeds(lambda speed: test.margins(controller, speed, asked[None], SEEDS)[0], speeds)
+    row = controller.packed_tuning() if tuning is None else tuning
+    found = scan_speeds(lambda speed: test.margins(controller, speed, row[None], SEEDS)[0], speeds)
     shown = found.speed if math.isfinite(found.speed) else min(found.tried)
     names: Sequence[str] = controller.tuning_names
     return EntrySpeed(
-        test, name, tuning is not None, dict(zip(names, asked.tolist(), strict=True)), found,
-        test.drive(controller, shown, asked[None], SEEDS)[0],
+        test, name, tuning is not None, dict(zip(names, row.tolist(), strict=True)), found,
+        test.drive(controller, shown, row[None], SEEDS)[0],
     )  # fmt: skip
 
 

@@ -178,7 +178,7 @@ def track_road(
     Parameters
     ----------
     room
-        m, between the body and the cones; with a `bend`, the most that is asked for.
+        m, between the body and the cones; with a `bend`, the most that is kept.
     bend
         1/m, > 0, bound on max |y''| + 4 m max |y'''|: the line keeps as much room as that allows. Where even
         `LEAST_ROOM` needs more, it keeps that and bends more, but no more than it must. Infinite: the room is kept
@@ -408,12 +408,12 @@ def _gate_margin(
     margin = np.where(inside, room, np.inf).min(axis=1)
     for cone_x in (gate.start, gate.end):
         for cone_y in (gate.right, gate.left):
-            margin = np.minimum(margin, _distance_to_body(outline, cone_x - cx, cone_y - cy, turn))
+            margin = np.minimum(margin, _distance_to_outline(outline, cone_x - cx, cone_y - cy, turn))
     k = int(np.argmin(margin))
     return float(margin[k]), float(cx[k])
 
 
-def _distance_to_body(outline: Outline, dx: Array, dy: Array, yaw: Array) -> Array:
+def _distance_to_outline(outline: Outline, dx: Array, dy: Array, yaw: Array) -> Array:
     """Signed distance (m) of points, given from the centre of mass, to the rectangle of the body; negative inside."""
     ahead = dx * np.cos(yaw) + dy * np.sin(yaw) - 0.5 * (outline.front - outline.rear)
     left = dy * np.cos(yaw) - dx * np.sin(yaw)

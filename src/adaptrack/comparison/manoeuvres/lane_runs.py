@@ -63,9 +63,9 @@ class LaneRun:
             "last_offset": self.last_offset,
             "largest_acceleration": self.largest_acceleration,
         }
-        told: dict[str, Any] = {name: each if math.isfinite(each) else None for name, each in values.items()}
+        plain: dict[str, Any] = {name: each if math.isfinite(each) else None for name, each in values.items()}
         measures = None if self.metrics is None else self.metrics.to_dict()
-        return told | {"passed": self.passed, "failed": self.failed, "metrics": measures}
+        return plain | {"passed": self.passed, "failed": self.failed, "metrics": measures}
 
 
 def drive_lane_start(
@@ -79,25 +79,25 @@ def drive_lane_start(
     InvalidInput
         When the parts do not fit each other, or one of them needs Python at every step.
     """
-    trip = RoadDrive(start.road, start.speed, start_offset=start.offset, start_heading=start.heading_error)
+    drive = RoadDrive(start.road, start.speed, start_offset=start.offset, start_heading=start.heading_error)
     records: list[PathRecord] = []
     failed = None
     for seed in seeds:
-        run = rollout(plant, controller, trip, profile=profile, seed=seed)
+        run = rollout(plant, controller, drive, profile=profile, seed=seed)
         found, record = find_failure(run), PathRecord.from_trajectory(run)
         failed = found.reason if found is not None else failed
         if record is not None:
             records.append(record)
     measured = [path_metrics(each, outline) for each in records]
     worst = max(measured, key=lambda each: each.max_corner, default=None)
-    lost = failed is not None or worst is None
+    unusable = failed is not None or worst is None
     return LaneRun(
         start=start,
         metrics=worst,
-        largest_corner=math.inf if lost or worst is None else worst.max_corner,
+        largest_corner=math.inf if unusable or worst is None else worst.max_corner,
         largest_offset=max((each.max_offset for each in measured), default=math.inf),
         crossing=max((crossing(each) for each in records), default=math.inf),
-        settling_time=math.nan if lost else float(np.max([settling_time(each) for each in records])),
+        settling_time=math.nan if unusable else float(np.max([settling_time(each) for each in records])),
         last_offset=max((last_offset(each) for each in records), key=abs, default=math.inf),
         largest_acceleration=max((each.max_acceleration for each in measured), default=math.inf),
         failed=failed,

@@ -1,6 +1,6 @@
 """A plant under a given angle of the front wheels over time: what the open-loop tests of the standards drive.
 
-The wheels follow the angle at once: a standard prescribes what the steering does, not what it is asked to do.
+The wheels follow the angle at once: a standard prescribes what the steering does, not its command.
 """
 
 from __future__ import annotations
@@ -121,12 +121,12 @@ def drive_open_loop(
         raise InvalidInput(f"drive_open_loop: duration = {duration!r} s: must be positive.")
     check_limit("duration", duration, DURATION)
     t: Array = given.period * np.arange(max(2, round(duration / given.period) + 1), dtype=np.float64)
-    seen = np.atleast_2d(np.asarray(steer(t), dtype=np.float64))
+    steered = np.atleast_2d(np.asarray(steer(t), dtype=np.float64))
     held = np.atleast_2d(np.asarray(steer(t[:-1] + 0.5 * given.period), dtype=np.float64))
-    runs = seen.shape[0]
-    if seen.shape != (runs, t.size) or held.shape != (runs, t.size - 1) or not np.isfinite(seen).all():
+    runs = steered.shape[0]
+    if steered.shape != (runs, t.size) or held.shape != (runs, t.size - 1) or not np.isfinite(steered).all():
         raise InvalidInput(
-            f"drive_open_loop: steer gave {seen.shape} for {t.size} times: must be finite, (runs, n) or (n,)."
+            f"drive_open_loop: steer gave {steered.shape} for {t.size} times: must be finite, (runs, n) or (n,)."
         )
     speeds = np.broadcast_to(np.asarray(speed, dtype=np.float64), (runs,))
     if not (np.isfinite(speeds) & (speeds > 0.0)).all():
@@ -136,9 +136,9 @@ def drive_open_loop(
         if isinstance(plant, SteppedPlant):
             states, felt = _drive_stepped(plant, held, speeds, given)
         else:
-            states, felt = _drive_compiled(plant, (seen, held), speeds, given)
+            states, felt = _drive_compiled(plant, (steered, held), speeds, given)
     x, y, yaw, vx, vy, yaw_rate = np.moveaxis(states, -1, 0)
-    return Motion(t, seen, x, y, yaw, vx, vy, yaw_rate, felt)
+    return Motion(t, steered, x, y, yaw, vx, vy, yaw_rate, felt)
 
 
 def _drive_compiled(
@@ -151,7 +151,7 @@ def _drive_compiled(
     still = plant.with_steering(SteeringActuator.ideal())
     now, held = angles
     runs, n = now.shape
-    states, felt, seen = np.empty((runs, n, 6)), np.empty((runs, n)), np.empty(2)
+    states, felt, observed = np.empty((runs, n, 6)), np.empty((runs, n)), np.empty(2)
     substeps = still.substeps(given.period, float(speeds.max()))
     h = given.period / substeps
     for first in range(0, runs, SLOTS):
@@ -166,8 +166,8 @@ def _drive_compiled(
             states[first : first + count, k] = rows[:6, :count].T
             rows[STATES + INPUT.command, :count] = now[first : first + count, k]
             for slot in range(count):
-                still.compiled.observe(v.member, v.parameters, v.block, v.states, v.work, slot, seen)
-                felt[first + slot, k] = seen[0]
+                still.compiled.observe(v.member, v.parameters, v.block, v.states, v.work, slot, observed)
+                felt[first + slot, k] = observed[0]
             if k < n - 1:
                 rows[STATES + INPUT.command, :count] = held[first : first + count, k]
                 still.compiled.advance(v.member, v.parameters, v.block, v.states, v.work, count, substeps, h)
@@ -276,16 +276,16 @@ def find_turns(
     before, error = np.zeros_like(angle), missing(turns)
     error_before = np.full_like(angle, -1.0)  # without steering there is neither acceleration nor curvature
     for _ in range(TRIES):
-        done, lost = np.abs(error) <= CLOSE, np.isnan(error)
+        done, unsteady = np.abs(error) <= CLOSE, np.isnan(error)
         if done.all():
             break
         with np.errstate(invalid="ignore", divide="ignore"):
             step = np.nan_to_num(-error * (angle - before) / (error - error_before), nan=0.0)
         moved = np.clip(angle + np.clip(step, -0.3 * angle, 0.3 * angle), 1e-6, LARGEST_ANGLE)
         halfway = 0.5 * (angle + before)  # back towards the last angle with a steady turn
-        known = ~(done | lost)
+        known = ~(done | unsteady)
         before, error_before = np.where(known, angle, before), np.where(known, error, error_before)
-        angle = np.where(done, angle, np.where(lost, halfway, moved))
+        angle = np.where(done, angle, np.where(unsteady, halfway, moved))
         turns = turns_under(plant, v, angle, surroundings)
         error = missing(turns)
     reached = np.abs(error) <= 100.0 * CLOSE

@@ -84,10 +84,10 @@ def curvature_step_start(radius: float = 50.0, *, speed: float | None = None) ->
         When a value is not positive and finite.
     """
     road = curvature_step(radius)
-    pace = math.sqrt(BEND_ACCELERATION * radius) if speed is None else real("curvature_step", "speed", speed)
-    if not 0.0 < pace < math.inf:
+    entry = math.sqrt(BEND_ACCELERATION * radius) if speed is None else real("curvature_step", "speed", speed)
+    if not 0.0 < entry < math.inf:
         raise InvalidInput(f"curvature_step: speed = {speed!r} m/s: must be positive and finite.")
-    return LaneStart("curvature-step", road, pace, 0.0, 0.0, 0.5 * LANE_WIDTH, "ours")
+    return LaneStart("curvature-step", road, entry, 0.0, 0.0, 0.5 * LANE_WIDTH, "ours")
 
 
 def lane_drift(
