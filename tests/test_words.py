@@ -34,12 +34,14 @@ IDENTIFIERS = {"body": "plant", "bodies": "plants", "who": "options, contender"}
 
 MEANT = {
     "lead": {"docs/opponents.md": 1, "docs/learning.md": 1},
-    "asked": {"docs/campaign.md": 1},
+    "asked": {"docs/campaign.md": 1, "src/adaptrack/cli/adapt.py": 1},
+    "told": {"src/adaptrack/cli/evaluate_schedules.py": 1},
     "foretold": {"docs/api/drive.rst": 1},
     "trip": {"docs/gymnasium.md": 1, "examples/gym_learn_to_steer.py": 1},
-    "body": {"docs/extensions/mathml.py": 1},
+    "body": {"docs/extensions/mathml.py": 1, "src/adaptrack/cli/car.py": 7},
 }
-"""Real uses, by file: what leads to something, nobody is asked (by a command), names that the package or Sphinx has."""
+"""Real uses, by file: what leads to something, nobody is asked (by a command), names that the package or
+Sphinx has, the older names of an option and a file, the style of a car's body."""
 
 ROOMS = ("analysis", "base", "comparison", "control", "learning", "studies", "tuning")
 """The rooms of the package whose names are the field's; the others join."""

@@ -47,7 +47,7 @@ def main() -> int:
             code = _run()
         except BaseException as error:
             # An import that Ctrl-C hits may end in any exception, not only in KeyboardInterrupt.
-            code = INTERRUPTED if pressed else _told(error)
+            code = INTERRUPTED if pressed else _reported(error)
     if code == INTERRUPTED:
         print(f"adaptrack: interrupted. {interrupt.what_is_kept()}", file=sys.stderr)
     return code
@@ -61,7 +61,7 @@ def _run() -> int:
     return code if isinstance(code, int) else DONE
 
 
-def _told(error: BaseException) -> int:
+def _reported(error: BaseException) -> int:
     """Say what ended the command; its exit code. A fault of ours is raised again, with its traceback."""
     if isinstance(error, AdaptrackError):
         print(f"adaptrack: {error}", file=sys.stderr)

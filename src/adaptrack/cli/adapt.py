@@ -18,8 +18,8 @@ if TYPE_CHECKING:
     from adaptrack.learning.adaptation.config import AdaptationConfig
     from adaptrack.studies.tune_car import TunedCar
 
-CONFIGURATION, FOUND, CONSTANT = "adaptation.toml", "found.toml", "constant.toml"
-"""Files of a folder: the configuration, which is written last; what was found of the constant; the constant."""
+CONFIGURATION, FOUND, CONSTANT, REQUESTED = "adaptation.toml", "found.toml", "constant.toml", "asked.toml"
+"""Files of a folder: the configuration, which is written last; what was found of the constant; it; the options."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -135,7 +135,7 @@ def _is_road(name: str) -> bool:
 
 
 def _pair(option: str, text: str | None) -> tuple[float, float] | None:
-    """5..25 as two numbers; None where nothing is asked for."""
+    """5..25 as two numbers; None where the option is left out."""
     if text is None:
         return None
     try:
@@ -170,7 +170,7 @@ def _tuned(requested: dict[str, Any]) -> TunedCar:
 
 
 def _write(requested: dict[str, Any], tuned: TunedCar, out: Path) -> Path:
-    """What was asked and found, and the configuration that follows from it, whose path is returned."""
+    """What was requested and found, and the configuration that follows from it, whose path is returned."""
     from adaptrack.base.files import write_toml
     from adaptrack.cars.plant import usual_plant
     from adaptrack.learning.adaptation.for_car import DrivenSetup, write_configuration
@@ -183,7 +183,7 @@ def _write(requested: dict[str, Any], tuned: TunedCar, out: Path) -> Path:
         controller="informed", vehicle=vehicle.name, profile=tuned.profile.name, period=tuned.profile.period,
         command=options.command_line(), tuning=found["tuning"],
     ).to_toml(out / CONSTANT)  # fmt: skip
-    write_toml(out / "asked.toml", _plain(requested))
+    write_toml(out / REQUESTED, _plain(requested))
     write_toml(
         out / FOUND,
         {"vehicle": vehicle.name, "answer": tuned.answer, **{key: found[key] for key in ("passed", "verdict")}},
@@ -218,7 +218,7 @@ def _plain(requested: dict[str, Any]) -> dict[str, Any]:
 def _check_same(out: Path, requested: dict[str, Any]) -> None:
     from adaptrack.base.files import read_toml
 
-    before = read_toml(out / "asked.toml") if (out / "asked.toml").exists() else {}
+    before = read_toml(out / REQUESTED) if (out / REQUESTED).exists() else {}
     if before != _plain(requested):
         raise InvalidInput(
             f"{out} holds the chain of {before.get('car', 'something else')} with other options: give another folder, "

@@ -92,22 +92,22 @@ def certify(given: CertifyOptions) -> None:
     from adaptrack.scenario.profile import load_profile
 
     scheduler, profile, out = given.scheduler, given.profile, given.out
-    car, body = given.car.load()
+    car, plant = given.car.load()
     schedule = None if scheduler is None else load_scheduler(scheduler)
-    if isinstance(body, SteppedPlant):
+    if isinstance(plant, SteppedPlant):
         raise InvalidInput(
             f"--plant {given.car.plant}: is stepped in Python; a certificate needs equations that it can linearise."
         )
     mpc = _controller(given.controller, car, profile, schedule)
-    mpc.warn_of(schedule, load_profile(profile).name, body)
+    mpc.warn_of(schedule, load_profile(profile).name, plant)
     if given.feasible:
         if scheduler is not None or out is not None:
             raise InvalidInput(
                 "--feasible: looks at every tuning and writes no page: leave out the scheduler and --out."
             )
-        _tell_feasible(body, mpc, profile, given.domain, given.mismatch, given.as_json)
+        _tell_feasible(plant, mpc, profile, given.domain, given.mismatch, given.as_json)
         return
-    found = _certificate(schedule, body, mpc, profile, given.domain, given.mismatch, out)
+    found = _certificate(schedule, plant, mpc, profile, given.domain, given.mismatch, out)
     page = None if out is None else _write_page(out, found)
     show.say_result(certificate_result(found), given.as_json)
     if page is not None:
@@ -150,7 +150,7 @@ def _controller(name: str | None, car: Vehicle, profile: str, schedule: Schedule
 
 
 def _certificate(
-    schedule: Schedule | None, body: Any, mpc: MPC, profile: str, domain: dict[str, tuple[float, float]],
+    schedule: Schedule | None, plant: Any, mpc: MPC, profile: str, domain: dict[str, tuple[float, float]],
     mismatch: bool, out: Path | None,
 ) -> Certificate:  # fmt: skip
     from adaptrack.analysis.certify import certify as look
@@ -161,7 +161,7 @@ def _certificate(
     against = usual_mismatches(mpc.period) if mismatch else ()
     sought = mpc.tuning if schedule is None else schedule
     with show.progress("certify") as advance:
-        return look(sought, body, mpc, profile, domain=domain, mismatches=against, progress=advance)
+        return look(sought, plant, mpc, profile, domain=domain, mismatches=against, progress=advance)
 
 
 def _write_page(out: Path, found: Certificate) -> Path:
@@ -182,7 +182,7 @@ def _tell_worst(found: Certificate) -> None:
 
 
 def _tell_feasible(
-    body: Any, mpc: MPC, profile: str, domain: dict[str, tuple[float, float]], mismatch: bool, as_json: bool
+    plant: Any, mpc: MPC, profile: str, domain: dict[str, tuple[float, float]], mismatch: bool, as_json: bool
 ) -> None:
     """What can be held; exit code 1 when something cannot."""
     from adaptrack.analysis.feasibility import feasibility
@@ -190,7 +190,7 @@ def _tell_feasible(
 
     against = usual_mismatches(mpc.period) if mismatch else ()
     with show.progress("feasible"):
-        found: Feasibility = feasibility(body, mpc, profile, mismatches=against, **domain)  # type: ignore[arg-type]
+        found: Feasibility = feasibility(plant, mpc, profile, mismatches=against, **domain)  # type: ignore[arg-type]
     if as_json:
         show.say_json(found.summary())
     else:

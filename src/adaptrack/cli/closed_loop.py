@@ -184,8 +184,8 @@ def _start(name: str, car: Vehicle, given: dict[str, float]) -> LaneStart:
 
     if name == "curvature-step":
         return curvature_step_start(given.get("radius", 50.0), speed=given.get("speed"))
-    pace = {"speed": given["speed"]} if "speed" in given else {}
-    return lane_drift(car.outline, **pace) if name == "lane-drift" else lane_recovery(car.outline, **pace)
+    given_speed = {"speed": given["speed"]} if "speed" in given else {}
+    return lane_drift(car.outline, **given_speed) if name == "lane-drift" else lane_recovery(car.outline, **given_speed)
 
 
 def _with_friction(start: LaneStart, friction: float) -> LaneStart:

@@ -67,7 +67,7 @@ class CompareOptions:
 
     @property
     def of(self) -> str | Path:
-        """The comparison that is asked for, by name or file."""
+        """The chosen comparison, by name or file."""
         sizes = (("quick", self.quick), ("standard", self.standard), ("full", self.full))
         chosen: list[str | Path] = [name for name, wanted in sizes if wanted]
         chosen += [] if self.config is None else [self.config]

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from adaptrack.studies.adapt import Adapted
 
 USUAL = "sobol:2000"
-"""The operating points when nothing is asked for."""
+"""The operating points when none are given."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,4 +1,4 @@
-"""What a command has finished and kept so far: what the user is told who presses Ctrl-C."""
+"""What a command has finished and kept so far: what a user reads after Ctrl-C."""
 
 from __future__ import annotations
 

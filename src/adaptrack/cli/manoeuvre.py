@@ -190,20 +190,21 @@ def _next_step(given: ManoeuvreOptions) -> tuple[str, str]:
 
 
 def _open_loop(
-    name: Name, car: Vehicle, body: Plant | SteppedPlant, given: dict[str, float], friction: float | None, as_json: bool
-) -> bool:
+    name: Name, car: Vehicle, plant: Plant | SteppedPlant, given: dict[str, float], friction: float | None,
+    as_json: bool,
+) -> bool:  # fmt: skip
     """Drive and print; whether its criteria are met."""
     from adaptrack.comparison.manoeuvres import Surroundings
     from adaptrack.results.answers import of_open_loop
 
     around = None if friction is None else Surroundings(friction=friction)
-    summary, rows = _drive(name, car, body, given, around)
+    summary, rows = _drive(name, car, plant, given, around)
     if as_json:
-        about = {"manoeuvre": str(name), "vehicle": car.name, "plant": body.name, "tyre": body.tyre_name}
+        about = {"manoeuvre": str(name), "vehicle": car.name, "plant": plant.name, "tyre": plant.tyre_name}
         show.say_json(about | {key: _strict(value) for key, value in summary.items()} | {"rows": _plain(rows)})
     else:
         show.say(of_open_loop(name, summary))
-        _print(name, f"{car.name}, {body.name}", summary, rows)
+        _print(name, f"{car.name}, {plant.name}", summary, rows)
     return bool(summary.get("passed", True))
 
 
@@ -216,7 +217,7 @@ def _closed_loop(
     from adaptrack.cli import closed_loop
     from adaptrack.scenario.profile import load_profile
 
-    compiled = [(car, body) for car, body in cars if isinstance(body, Compiled)]
+    compiled = [(car, plant) for car, plant in cars if isinstance(plant, Compiled)]
     if len(compiled) < len(cars):
         raise InvalidInput(f"--plant: {name} is driven compiled; a plant in Python has no place in it.")
     driven = closed_loop.Driven(
@@ -248,18 +249,18 @@ def _plain(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
     return [{key: _strict(value) for key, value in row.items()} for row in rows]
 
 
-def _print(name: Name, who: str, summary: dict[str, Any], rows: list[dict[str, Any]]) -> None:
+def _print(name: Name, driven: str, summary: dict[str, Any], rows: list[dict[str, Any]]) -> None:
     if rows:
         shown = [
             {**row, "result": "spun" if row.get("spun") else "passed" if row.get("passed") else "failed"}
             for row in _plain(rows)
         ]
-        show.table(f"{TITLES[name]}: {who}", COLUMNS[name], shown)
+        show.table(f"{TITLES[name]}: {driven}", COLUMNS[name], shown)
     listed = [
         {"what": key.replace("_", " "), "value": _strict(value), "unit": UNITS[key]} for key, value in summary.items()
     ]
     show.table(
-        f"{TITLES[name]}: {who}" if not rows else "Characteristic values",
+        f"{TITLES[name]}: {driven}" if not rows else "Characteristic values",
         (Column("what", "what"), Column("value", "value"), Column("unit", "unit")),
         listed,
     )

@@ -18,7 +18,7 @@ LEVELS = (9, 3)
 """Of speed and friction."""
 
 
-def certify_meeting(label: str, mpc: MPC, body: Any, car: Vehicle, world: Profile, allowed: bool) -> None:
+def certify_meeting(label: str, mpc: MPC, plant: Any, car: Vehicle, world: Profile, allowed: bool) -> None:
     """Look at the loops of a scheduled MPC whose schedule names another car than its own or the driven one.
 
     label: how messages call the schedule; allowed: whether unstable loops are driven all the same. Nothing happens
@@ -36,10 +36,10 @@ def certify_meeting(label: str, mpc: MPC, body: Any, car: Vehicle, world: Profil
     if not isinstance(schedule, Schedule):
         return
     made_for = schedule.made_for.get("car")
-    here = [each for each in dict.fromkeys((car_of(mpc.model), car_of(body))) if each not in (None, made_for)]
+    here = [each for each in dict.fromkeys((car_of(mpc.model), car_of(plant))) if each not in (None, made_for)]
     if made_for is not None and here:
         clause = f"scheduler {label!r}, made for the car {made_for!r}, on {' and '.join(map(repr, here))}"
-        judge(clause, schedule, (mpc, body, car, world), allowed)
+        judge(clause, schedule, (mpc, plant, car, world), allowed)
 
 
 def judge(clause: str, tuning: Schedule | Tuning, loop: tuple[MPC, Any, Vehicle, Profile], allowed: bool) -> None:
@@ -57,13 +57,13 @@ def judge(clause: str, tuning: Schedule | Tuning, loop: tuple[MPC, Any, Vehicle,
     show.say(f"Warning, {clause}", aside=True)
 
 
-def _certificate(tuning: Schedule | Tuning, mpc: MPC, body: Any, car: Vehicle, world: Profile) -> Certificate:
+def _certificate(tuning: Schedule | Tuning, mpc: MPC, plant: Any, car: Vehicle, world: Profile) -> Certificate:
     from adaptrack.analysis.certify import certify
     from adaptrack.analysis.stability import linear_twin
 
     domain = {"speed": car.domain.speed, "friction": car.domain.friction}
     with show.progress("certify for this car") as advance:
         return certify(
-            tuning, linear_twin(body, car, car.domain), mpc, world.prompt, domain=domain, levels=LEVELS,
+            tuning, linear_twin(plant, car, car.domain), mpc, world.prompt, domain=domain, levels=LEVELS,
             progress=advance,
         )  # fmt: skip

@@ -101,26 +101,26 @@ class Setting:
 
         vehicle, plant = car.load()
         world = load_profile(profile)
-        trips = []
+        drives = []
         pairs = [(each, name) for each in route.each for name in dict.fromkeys(names)]
         with show.progress("plan the speeds", len(pairs)) as advance:
             for each, name in pairs:
                 advance(f"plan the speed, {name}", 0, 1)
                 planned = each.look(name, vehicle)
                 planned.warn(aside)
-                trips.append(RoadDrive(planned.road, planned.plan))
+                drives.append(RoadDrive(planned.road, planned.plan))
                 advance(f"plan the speed, {name}", 1, 1)
         mpc = MPC(vehicle, profile=world, preview=True)
-        return cls(vehicle, world, RunSet(plant, mpc, trips, profile))
+        return cls(vehicle, world, RunSet(plant, mpc, drives, profile))
 
     @property
     def title(self) -> str:
         """For tables."""
         from adaptrack.scenario import RoadDrive
 
-        trips = self.runs.scenarios
-        length = sum(each.length for each in trips if isinstance(each, RoadDrive)) / 1000.0
-        roads = f"{len(trips)} roads" if len(trips) > 1 else str(trips[0].name)
+        drives = self.runs.scenarios
+        length = sum(each.length for each in drives if isinstance(each, RoadDrive)) / 1000.0
+        roads = f"{len(drives)} roads" if len(drives) > 1 else str(drives[0].name)
         return f"car {self.car.name}, profile {self.profile.name}, {roads}, {length:.3g} km"
 
     def controller(self, name: str) -> Controller:
@@ -153,12 +153,12 @@ def print_rows(title: str, made: Comparison) -> None:
         few = "; they are few" if count < LEAST_ROADS else ""
         show.say(f"Interval: bootstrap over the {count} roads{few}.")
     for row in rows:
-        for each in row["failed"][:MOST_TOLD]:
+        for each in row["failed"][:MOST_LISTED]:
             where = f"{row['contender']}, {each['road']}, seed {each['seed']}"
             show.say_failed(f"{where}: at {each['at']:.1f} s the vehicle {each['because']}.")
-        if len(row["failed"]) > MOST_TOLD:
-            show.say(f"{row['contender']}: {len(row['failed']) - MOST_TOLD} more runs failed.")
+        if len(row["failed"]) > MOST_LISTED:
+            show.say(f"{row['contender']}: {len(row['failed']) - MOST_LISTED} more runs failed.")
 
 
-MOST_TOLD = 3
-"""Failed runs of a contender that are told one by one; --json has all."""
+MOST_LISTED = 3
+"""Failed runs of a contender that are listed one by one; --json has all."""

@@ -132,6 +132,6 @@ def _keep(given: TuneOptions, setting: on_roads.Setting, found: Sought, seeds: S
 
     ConstantTuning(
         controller=given.controller, vehicle=setting.car.name, profile=setting.profile.name,
-        period=setting.profile.period, roads=tuple(str(trip.name) for trip in setting.runs.scenarios),
+        period=setting.profile.period, roads=tuple(str(drive.name) for drive in setting.runs.scenarios),
         noise_seeds=tuple(seeds), command=options.command_line(), tuning=found.tuning,
     ).to_toml(given.out)  # fmt: skip
