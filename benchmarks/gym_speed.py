@@ -28,14 +28,14 @@ GAINS = np.array([-0.03, -0.4, 0, 0, 0, 0, 0, *[0] * 5, 0, 0, 2.9, 0, 0])
 def whole_runs(controller: str, cars: int, threads: int) -> Callable[[], float]:
     """Control steps per second of `rollout_batch`."""
     profile, car = at.load_profile("road"), at.load_vehicle("paper")
-    trip = Task(road=ROAD, length=LENGTH).trip(0, car)
+    drive = Task(road=ROAD, length=LENGTH).drive(0, car)
     plant = at.get_plant("dual-track", car)
     made = at.get_controller(controller, car, profile=profile, period=profile.period, preview=True)
 
     def rate() -> float:
         begun = time.perf_counter()
         done = at.rollout_batch(
-            plant, made, trip, which=np.zeros(cars, int), profile=profile, seeds=np.arange(cars), threads=threads
+            plant, made, drive, which=np.zeros(cars, int), profile=profile, seeds=np.arange(cars), threads=threads
         )
         return float(done.steps.sum() / (time.perf_counter() - begun))
 

@@ -40,7 +40,7 @@ def main(generations=150):
     learned = np.exp(np.log(costs(JUDGED, search.mean, seed=7)).mean())
     print(f"{'linear policy, learned':24} J = {1e4 * learned:8.2f} cm²")
     task, car, profile = Task(road=JUDGED, length=400.0), at.load_vehicle("paper"), at.load_profile("road")
-    plant, drives = at.get_plant("dual-track", car), [task.trip(i, car) for i in range(len(JUDGED))]
+    plant, drives = at.get_plant("dual-track", car), [task.drive(i, car) for i in range(len(JUDGED))]
     for name in ("pure-pursuit", "informed"):
         controller = at.get_controller(name, car, profile=profile, period=profile.period, preview=True)
         runs = at.rollout_batch(plant, controller, drives, which=[0, 1, 2, 3], profile=profile, seeds=[7, 8, 9, 10])

@@ -162,10 +162,10 @@ def test_a_long_horizon_with_few_free_moves_does_not_cut_bends(monkeypatch):
         ], name="bend",
     )  # fmt: skip
 
-    def astray():
+    def largest_error():
         mpc = MPC(CAR, profile="paper", period=PERIOD, tuning=Tuning(60, 3, 1.0, 1.0), preview=True)
         return np.abs(rollout(SingleTrack(CAR, "constant-stiffness"), mpc, RoadDrive(road, 9.0)).error).max()
 
-    knowing = astray()
+    knowing = largest_error()
     monkeypatch.setattr(PathModel, "turning", lambda self: np.zeros(0))
-    assert knowing < 0.15 * astray()
+    assert knowing < 0.15 * largest_error()

@@ -75,7 +75,7 @@ def test_a_law_that_steers_the_environment_has_the_run_of_simulate_to_the_bit(pr
     law.reset()
     car = at.load_vehicle("van")
     run = at.simulate(
-        at.get_plant("dual-track", car), law, env.task.trip(0, car), profile=profile, seed=first["noise_seed"]
+        at.get_plant("dual-track", car), law, env.task.drive(0, car), profile=profile, seed=first["noise_seed"]
     )
     assert np.array_equal(seen[1:, 5], run.command[np.isfinite(run.command)])
     assert info["failed"] == (run.failed or "")
@@ -94,7 +94,7 @@ def test_a_constant_choice_has_the_run_of_simulate_with_that_tuning_to_the_bit()
     assert entries == pytest.approx([25, 6, 1.0, 10.0**1.5], rel=1e-12)
     mpc = make_mpc("informed", car, at.load_profile("road"), lambda variables: entries)
     run = at.simulate(
-        at.get_plant("dual-track", car), mpc, env.task.trip(0, car), profile="road", seed=first["noise_seed"]
+        at.get_plant("dual-track", car), mpc, env.task.drive(0, car), profile="road", seed=first["noise_seed"]
     )
     cost = at.compute_metrics(run, move_weight=at.load_profile("road").move_weight).cost
     assert info["J"] == pytest.approx(cost, rel=1e-12)

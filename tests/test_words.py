@@ -38,12 +38,12 @@ MEANT = {
     "told": {"src/adaptrack/cli/evaluate_schedules.py": 1},
     "foretold": {"docs/api/drive.rst": 1},
     "trip": {"docs/gymnasium.md": 1, "examples/gym_learn_to_steer.py": 1},
-    "body": {"docs/extensions/mathml.py": 1, "src/adaptrack/cli/car.py": 7},
+    "body": {"docs/extensions/mathml.py": 1, "src/adaptrack/cli/car.py": 7, "src/adaptrack/core/build/header.py": 1},
 }
 """Real uses, by file: what leads to something, nobody is asked (by a command), names that the package or
 Sphinx has, the older names of an option and a file, the style of a car's body."""
 
-ROOMS = ("analysis", "base", "comparison", "control", "learning", "studies", "tuning")
+ROOMS = ("analysis", "base", "comparison", "control", "core", "learning", "studies", "tuning")
 """The rooms of the package whose names are the field's; the others join."""
 PLACES = ["README.md", "docs", "examples", *(f"src/adaptrack/{room}" for room in ROOMS)]
 """What is counted."""

@@ -12,7 +12,7 @@ from scipy.linalg import expm
 
 from adaptrack.cars.vehicle import GRAVITY, in_periods
 from adaptrack.control.kalman import SENSORS
-from adaptrack.core.estimators.kalman import ASTRAY, FAR, FAR_TURNED, LEAST_NOISE, UNKNOWN
+from adaptrack.core.estimators.kalman import FAR, FAR_IN_A_ROW, FAR_TURNED, LEAST_NOISE, UNKNOWN
 from adaptrack.core.models.path import MOST_SHARE, SLOWEST
 
 POSE = ("yaw", "y")
@@ -36,7 +36,7 @@ class TextbookFilter:
         if offsets:
             self.Q[-1, -1] = estimator.drifts.yaw_rate_offset**2
         self.Q *= model.period
-        self.turned, self.z, self.astray = [0.0] * (self.late + 1), None, 0
+        self.turned, self.z, self.far = [0.0] * (self.late + 1), None, 0
 
     def row(self, **entries):
         """(size,) a vector with entries by the names of the states."""
@@ -69,15 +69,15 @@ class TextbookFilter:
         self.samples, self.earlier = [{} for _ in self.turned], [0.0 for _ in self.turned]
         self.last = dict(zip(SENSORS, measured, strict=False))
         self.offsets, self.disagreement = dict.fromkeys(SENSORS, 0.0), dict.fromkeys(SENSORS, 0.0)
-        self.left_out, self.steps, self.blind, self.astray = None, 0, 0, 0
+        self.left_out, self.steps, self.blind, self.far = None, 0, 0, 0
 
-    def is_astray(self, measured):
+    def is_far_off(self, measured):
         """Whether position or heading have been elsewhere for so long that bounded innovations would not help."""
         y, yaw = measured[SENSORS.index("y")], measured[SENSORS.index("yaw")]
         if self.z is not None and math.isfinite(y) and math.isfinite(yaw):
             far = abs(y - self.z[self.n - 1]) > FAR or abs(yaw - self.z[1]) > FAR_TURNED
-            self.astray = self.astray + 1 if far else 0
-        return self.astray >= ASTRAY
+            self.far = self.far + 1 if far else 0
+        return self.far >= FAR_IN_A_ROW
 
     def sort_in(self, measured):
         """Give each sample to the instant at which it was taken: value, and how much earlier (s) than that."""
@@ -106,11 +106,11 @@ class TextbookFilter:
         """z = F z + B u over both parts of the period, each with the command that acts; P = F P F' + Q."""
         period, drifts, vehicle = self.model.period, self.own.drifts, self.model.vehicle
         older, newer = self.sent[self.whole + instant + 1], self.sent[self.whole + instant]
-        lost = self.row(side=self.lost(speed, instant))
+        saturation = self.row(side=self.saturation(speed, instant))
         f, b = self.matrices(speed, self.share * period)
-        self.z = f @ (self.z + lost) + b * older
+        self.z = f @ (self.z + saturation) + b * older
         f, b = self.matrices(speed, (1.0 - self.share) * period)
-        self.z = f @ self.z + b * newer - lost
+        self.z = f @ self.z + b * newer - saturation
         turned = self.turned[instant]  # heading and offset count from the path, which turns evenly
         self.z -= self.row(yaw=turned, y=0.5 * speed * period * turned)
         f, _ = self.matrices(speed, period)
@@ -119,7 +119,7 @@ class TextbookFilter:
         self.spare = max(drifts.least_spare, drifts.grip - abs(forces.sum()) / vehicle.mass)
         self.felt_error = errors[0, 0] / (2.0 * drifts.sliding_time)
 
-    def lost(self, speed, instant=0):
+    def saturation(self, speed, instant=0):
         """m/s^2, what tyres pull less in a bend than linear ones at the same slip, by the Magic Formula with E = 0:
 
         an axle that pulls the share f of mu F_z slides under the angle at which a linear tyre would pull
@@ -153,7 +153,7 @@ class TextbookFilter:
             a, inputs = self.model.continuous(speed)
             slope = dict(zip(self.model.states, a[0], strict=True))
             h = self.row(**{**slope, "yaw_rate": slope["yaw_rate"] + speed}, side=1.0)
-            return h, inputs[0, 0] * self.sent[self.whole + instant] + self.lost(speed, instant)
+            return h, inputs[0, 0] * self.sent[self.whole + instant] + self.saturation(speed, instant)
         if name == "yaw":
             return self.row(yaw=1.0, yaw_rate=-tau), tau * turning
         if name == "y":
@@ -223,7 +223,7 @@ class TextbookFilter:
 
     def ahead(self, speed):
         """z at the time when the next command begins to act, through the commands already sent."""
-        z, period = self.z + self.row(side=self.lost(speed)), self.model.period
+        z, period = self.z + self.row(side=self.saturation(speed)), self.model.period
         for time, command in [(self.share * period, self.sent[self.whole])] + [
             (period, self.sent[j]) for j in range(self.whole - 1, -1, -1)
         ]:
@@ -235,7 +235,7 @@ class TextbookFilter:
         """One control instant; command: the one given a period ago (rad)."""
         given = np.append(np.full(len(SENSORS) + 2, math.nan), 0.0)
         given[: len(measured)] = measured
-        if self.is_astray(given):
+        if self.is_far_off(given):
             self.z = None
         if self.z is None:
             self.begin(given, command)
@@ -246,6 +246,6 @@ class TextbookFilter:
         self.steps += 1
         f, _ = self.matrices(speed, self.model.period)
         known = self.blind <= self.own.patience / self.model.period
-        pushes = (self.z + self.row(side=self.lost(speed)))[self.n : self.n + 2]
+        pushes = (self.z + self.row(side=self.saturation(speed)))[self.n : self.n + 2]
         x = self.ahead(speed)[: self.n] if known else np.full(self.n, math.nan)
         return x, f[: self.n, self.n : self.n + 2] @ pushes

@@ -9,10 +9,10 @@ from .controllers import mpc
 from .kernel import Place, exported, float64, inlined, matrix, record, rows, void
 from .loop import NOT_FINITE, RUNNING
 from .models.contract import MEASURED
+from .observation import ObservationSpace
 from .period import Span, after_control, before_control, begin_slot, close, move
 from .plants.contract import place_one
 from .rollout import Run
-from .sight import Sight
 
 EPISODE = record(
     "Episode",
@@ -33,13 +33,13 @@ DRIVING, FAILED, ARRIVED = range(3)
 Episodes = record(
     "Episodes",
     (
-        ("run", Run), ("own", rows(EPISODE)), ("measured", matrix), ("sight", Sight), ("seen", matrix),
-        ("move_weight", float64), ("failure_cost", float64),
+        ("run", Run), ("own", rows(EPISODE)), ("measured", matrix), ("space", ObservationSpace),
+        ("observations", matrix), ("move_weight", float64), ("failure_cost", float64),
     ),
 )  # fmt: skip
-"""The batch; of each slot: where it is (slots,), what is measured at the present instant (slots, MEASURED), what is
-seen of it (slots, columns) within bounds; weight of squared moves in the cost of a step (m^2/rad^2), and what each
-instant costs that a failed run does not drive (m^2)."""
+"""The batch; of each slot: where it is (slots,), what is measured at the present instant (slots, MEASURED); the space
+of observations, and the observation of each slot (slots, columns) within its bounds; weight of squared moves in the
+cost of a step (m^2/rad^2), and what each instant costs that a failed run does not drive (m^2)."""
 
 
 @inlined
@@ -104,6 +104,6 @@ def renew(episodes):
         if own.renewed == 0:
             continue
         own.over, own.renewed, own.due, own.cost, own.total = DRIVING, 0, 1, 0.0, 0.0
-        episodes.seen[slot, :] = 0.0
+        episodes.observations[slot, :] = 0.0
         begin_slot(slot, run)
         mpc.forget(slot, run.mpc)

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from .episode import DRIVING, Episodes, depart, move_on
 from .kernel import Place, exported, vector, void
-from .sight import see
+from .observation import write_observation
 
 
 @exported(void(Place(Episodes)))
-def see_all(episodes):
-    """Write what is seen of each slot (`sight.SEEN`)."""
+def write_observations(episodes):
+    """Write the observation of each slot (`observation.OBSERVATION`)."""
     for slot in range(episodes.own.size):
-        see(slot, episodes.measured[slot], episodes.run, episodes.sight, episodes.seen[slot])
+        write_observation(slot, episodes.measured[slot], episodes.run, episodes.space, episodes.observations[slot])
 
 
 @exported(void(vector, Place(Episodes)))

@@ -7,24 +7,24 @@ from .estimators.learning import ANSWER, BELIEFS
 from .kernel import Place, exported, void
 from .loop import look
 from .models.contract import MEASURED
+from .observation import bounded, keep
 from .rollout import COMMON, control_slot
-from .sight import bounded, keep
 from .variables import VARIABLES
 
 
 @exported(void(Place(Episodes)))
-def look_all(episodes):
+def write_variables(episodes):
     """Write the scheduling variables of each slot, and behind them what its MPC has learned."""
     run = episodes.run
     for slot in range(episodes.own.size):
-        row = episodes.seen[slot]
+        row = episodes.observations[slot]
         look(slot, episodes.measured[slot], run)
         for j in range(len(VARIABLES)):
             keep(run.variables[j], row, j)
         if run.mpc.settings.learns > 0:
             for j in range(len(BELIEFS)):
                 keep(run.mpc.informed.learned[slot, ANSWER + j], row, len(VARIABLES) + j)
-        bounded(row, episodes.sight)
+        bounded(row, episodes.space)
 
 
 @exported(void(Place(Episodes)))

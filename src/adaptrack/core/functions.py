@@ -30,11 +30,11 @@ Network = record(
 inputs; neurons: the weights of each neuron and then its bias, layer after layer."""
 Sugeno = record(
     "Sugeno",
-    ("inputs", "functions", "rules", "owner", "bell", "asked", "inverse_width", "slope", "centre", "log_weight",
+    ("inputs", "functions", "rules", "owner", "bell", "antecedents", "inverse_width", "slope", "centre", "log_weight",
      "slopes", "constant"),
 )  # fmt: skip
 """inputs, functions, rules: their numbers D, M and R; owner, bell (M,): the input of a membership function, and whether
-it is a bell; asked (R, D): the functions that a rule asks for (-1: any); inverse_width, slope, centre (M,); log_weight
+it is a bell; antecedents (R, D): the functions of a rule (-1: any); inverse_width, slope, centre (M,); log_weight
 (R,): of a rule; slopes (R, D), constant (R,): its consequent."""
 Table = record("Table", ("inputs", "sizes", "nodes", "values"))
 """inputs: D; sizes (D,): of the axes; nodes: of one axis after the other; values: at them, the last axis fastest."""
@@ -85,13 +85,13 @@ def network(x, integers, numbers, neurons):
 def _sugeno(integers, numbers):
     inputs, functions, rules = _rule_sizes(integers)
     owner, bell = 3, 3 + functions
-    asked = bell + functions
+    antecedents = bell + functions
     weights = 3 * functions
     slopes = weights + rules
     constants = slopes + rules * inputs
     return Sugeno(
-        inputs, functions, rules, integers[owner:bell], integers[bell:asked],
-        shaped(integers[asked : asked + rules * inputs], rules, inputs),
+        inputs, functions, rules, integers[owner:bell], integers[bell:antecedents],
+        shaped(integers[antecedents : antecedents + rules * inputs], rules, inputs),
         numbers[:functions], numbers[functions : 2 * functions], numbers[2 * functions : weights],
         numbers[weights:slopes], shaped(numbers[slopes:constants], rules, inputs), numbers[constants:],
     )  # fmt: skip
@@ -123,7 +123,7 @@ def sugeno(x, integers, numbers, work):
     for r in range(system.rules):
         strength = system.log_weight[r]
         for d in range(system.inputs):
-            m = system.asked[r, d]
+            m = system.antecedents[r, d]
             if m >= 0:
                 strength += memberships[m]
         strengths[r] = strength

@@ -80,7 +80,7 @@ def _take_fallback(guard, own, tuning):
 
 @inlined
 def _limit_change(guard, own, tuning):
-    """Limit the change since the last tuning. R/Q moves by R alone: Q is taken as asked."""
+    """Limit the change since the last tuning. R/Q moves by R alone: Q is taken as scheduled."""
     limited = False
     for s in range(2):
         bounded = clip(tuning[s], own.last[s] - guard.rates[s], own.last[s] + guard.rates[s])
@@ -100,7 +100,7 @@ def _limit_change(guard, own, tuning):
 
 @inlined
 def _give_way(share, fallback, tuning):
-    """Move a tuning a share of the way to the fallback: horizons in whole numbers, R/Q by its logarithm, Q as asked."""
+    """Move a tuning a share of the way to the fallback: whole horizons, R/Q by its logarithm, Q as scheduled."""
     for s in range(2):
         tuning[s] = floor(tuning[s] + share * (fallback[s] - tuning[s]) + 0.5)
     tuning[NC] = min(tuning[NC], tuning[NP])

@@ -47,7 +47,7 @@ Quantities = record("Quantities", (
 ))  # fmt: skip
 """A car, its sensors and what disturbs it."""
 _quantities_of = viewer(Quantities)
-ROW = columns("time", "command", "speed", "yaw_rate", "vy", "acceleration", "yaw", "wheel", "begins", "seen", "gusts")
+ROW = columns("time", "command", "speed", "yaw_rate", "vy", "acceleration", "yaw", "wheel", "begins", "used", "gusts")
 """Rows of a log: s, rad, m/s, then what is measured (NaN: not), then 1 where a segment begins, and 1 where the filter
 takes the sample in (else it only predicts), and the factor on the spread of the wind's noise until the sample."""
 OUTPUT = columns("yaw_rate", "vy", "acceleration", "yaw", "wheel")
@@ -57,9 +57,9 @@ FOUND = columns("wind", "wheel_angle", "front_slip", "rear_slip")
 ANSWER = 2 * len(OUTPUT) + len(FOUND)
 STATE = columns("vy", "yaw_rate", "slip_front", "slip_rear", "yaw", "wind", "gust", "push")
 """The first four obey dv/dt = M v + n_0 + n_1 t within a step. g is the gust that the wind w follows."""
-_BODY, _MIXED, _N = 4, 6, len(STATE)
+_CAR, _MIXED, _N = 4, 6, len(STATE)
 _vector, _covariance, _transition = local(_N), local(_N, _N), local(_MIXED, _N)
-_square, _column = local(_BODY, _N), local(_BODY)
+_square, _column = local(_CAR, _N), local(_CAR)
 FLOOR = 1e-10
 """Added to the variance of every measurement: 1e-5 of its unit, for logs of simulations without noise."""
 TYPICAL_GUST = 12.0
@@ -177,8 +177,8 @@ def _predict(q, speed, h, angle, turning, gusts, x, p):
     f, kept, moved = _transition(), _vector(), _vector()
     kept_w, kept_d = exp(-h / q.wind_time), exp(-h / q.push_time)
     rise = h / q.wind_time * kept_w
-    for i in range(_BODY):
-        for j in range(_BODY):
+    for i in range(_CAR):
+        for j in range(_CAR):
             f[i, j] = s0[i, j]
         f[i, STATE.wind], f[i, STATE.gust] = by_air[i] * 0.5 * (1.0 + kept_w), by_air[i] * 0.5 * rise
         f[i, STATE.push] = s1[i, STATE.vy] * 0.5 * (1.0 + kept_d)
@@ -240,7 +240,7 @@ def _compare(q, k, log, x, p, answer):
         predicted, noise = _sense(sensor, q, speed, x, h)
         innovation, variance = measured - predicted, scatter(noise * noise + FLOOR, h, p, cross)
         answer[sensor, k], answer[len(OUTPUT) + sensor, k] = innovation, variance
-        if log[ROW.seen, k] > 0.0:
+        if log[ROW.used, k] > 0.0:
             correct(innovation, variance, cross, x, p)
 
 

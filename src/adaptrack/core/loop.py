@@ -223,9 +223,9 @@ def sense(slot, run):
     own, block, world, measured = run.memory.own[slot], run.vehicles.block, run.settings, run.measured
     k, seed = own.instant, run.given.seeds[slot]
     if world.noise_lateral_acceleration < math.inf:
-        seen = _observed()
-        observe(slot, run.vehicles, seen)
-        measured[MEASURED.lateral_acceleration] = seen[OBSERVED.lateral_acceleration]
+        observed = _observed()
+        observe(slot, run.vehicles, observed)
+        measured[MEASURED.lateral_acceleration] = observed[OBSERVED.lateral_acceleration]
     measured[MEASURED.vy] = block[state_at(STATE.vy, slot)]
     measured[MEASURED.yaw] = own.heading_error
     measured[MEASURED.yaw_rate] = block[state_at(STATE.yaw_rate, slot)]

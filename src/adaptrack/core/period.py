@@ -95,7 +95,7 @@ in, its settings, its memory (slots,)."""
 NOTED = columns("lateral_acceleration", "wheel_angle", "station", "offset", "heading_error")
 """Of an instant: `plants.contract.OBSERVED` under the new input (m/s^2, rad), then where the car is on its road (m, m,
 rad)."""
-Trace = record("Trace", (("state", cube), ("answer", cube), ("seen", cube)))
+Trace = record("Trace", (("state", cube), ("answer", cube), ("noted", cube)))
 """Of every instant: state (slots, periods, STATES), the controller's answer with the tuning as used (slots, periods,
 .), NOTED (slots, periods, NOTED)."""
 
@@ -223,9 +223,9 @@ def after_control(slot, command, change, span, run):
 
 @inlined
 def _note(slot, run):
-    """Trace what an observer sees under the new input, and where the car is."""
+    """Trace what is measured under the new input, and where the car is."""
     own = run.memory.own[slot]
-    row = run.trace.seen[slot, own.instant]
+    row = run.trace.noted[slot, own.instant]
     observe(slot, run.vehicles, row)
     row[NOTED.station], row[NOTED.offset], row[NOTED.heading_error] = own.station, own.offset, own.heading_error
 

@@ -20,7 +20,8 @@ a plant                `MOTION` and `PlantState`, the input of a right-hand side
                        `layout_of` parameters, `compiled_foreign` (functions of other packages)
 a control period       its two halves, between which a controller stands: `before_control` and `after_control`, then
                        `move`; whole episodes of a batch: `Episodes`, `renew`, `arrive`, `steer`, `control`; what an
-                       agent observes: `Sight`, `see_one`, `see_all`, `look_all`
+                       agent observes: `ObservationSpace`, `write_one_observation`, `write_observations`,
+                       `write_variables`
 =====================  =============================================================================================
 """
 
@@ -40,8 +41,8 @@ from .controllers.contract import (
 )
 from .controllers.lqr import node_below
 from .episode import ARRIVED, DRIVING, EPISODE, FAILED, Episodes, arrive, renew
-from .episode_steer import see_all, steer
-from .episode_tune import control, look_all
+from .episode_steer import steer, write_observations
+from .episode_tune import control, write_variables
 from .estimators.learning import ANSWER as LEARNED
 from .estimators.learning import BELIEFS
 from .kernel import (
@@ -83,6 +84,7 @@ from .maths.vectors import padded
 from .member import compiles, member
 from .models import path as path_model
 from .models.contract import MEASURED
+from .observation import ObservationSpace, write_one_observation
 from .period import after_control, before_control, move
 from .plants.contract import MOTION, SLOTS
 from .plants.contract import State as PlantState
@@ -93,7 +95,6 @@ from .plants.user import layout_of
 from .qp import problem as qp
 from .qp.active_set import active_set
 from .qp.factor import factorise
-from .sight import Sight, see_one
 
 __all__ = [
     "ARRIVED",
@@ -113,10 +114,10 @@ __all__ = [
     "Caller",
     "Direction",
     "Episodes",
+    "ObservationSpace",
     "Place",
     "PlantState",
     "Resident",
-    "Sight",
     "active_set",
     "address_of",
     "after_control",
@@ -156,7 +157,6 @@ __all__ = [
     "limited",
     "local",
     "log",
-    "look_all",
     "matrix",
     "member",
     "move",
@@ -174,8 +174,6 @@ __all__ = [
     "record",
     "renew",
     "rows",
-    "see_all",
-    "see_one",
     "several",
     "shaped",
     "sin",
@@ -191,4 +189,7 @@ __all__ = [
     "whole",
     "wind_load",
     "wrapped",
+    "write_observations",
+    "write_one_observation",
+    "write_variables",
 ]

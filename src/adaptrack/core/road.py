@@ -343,34 +343,34 @@ def heading_at(s, road, roads):
 
 
 @inlined
-def bend_ahead(station, speeds, pace, lead, period, road, roads, bend):
-    """Write how far (m) the road ahead lies to the left of its tangent here: at the time lead T, then every period T.
+def bend_ahead(station, speeds, speed, delay, period, road, roads, bend):
+    """Write how far (m) the road ahead lies to the left of its tangent here: after `delay` periods T, then every T.
 
         dY/dt = v theta,   theta: heading of the road where the car will be, less its heading here
 
     A model whose heading and offset count from the path obeys the same equations as one in the frame of this tangent,
     in which the path is Y(t). The road is passed at the speeds (m/s) planned for the instants from now on, the last one
-    holding, all shifted so that the first is `pace`: v (m/s) of the model.
+    holding, all shifted so that the first is `speed`: v (m/s) of the model.
     """
     here = heading_at(station, road, roads)
     last = speeds.size - 1
-    excess = pace - speeds[NOW]
-    first = whole(lead)
+    excess = speed - speeds[NOW]
+    first = whole(delay)
     y = before = time = 0.0
     s = station
     for j in range(first + bend.size):
-        step = period if j > 0 else (lead - first) * period
+        step = period if j > 0 else (delay - first) * period
         at = min(max(whole(time / period), 0), last)
         s += max(speeds[at] + excess, 0.0) * step
         time += step
         after = heading_at(s, road, roads) - here
-        y += 0.5 * pace * step * (before + after)
+        y += 0.5 * speed * step * (before + after)
         before = after
         if j >= first:
             bend[j - first] = y
 
 
 @exported(void(float64, vector, float64, float64, float64, int64, Place(Roads), vector))
-def bend_of(station, speeds, pace, lead, period, road, roads, bend):
+def bend_of(station, speeds, speed, delay, period, road, roads, bend):
     """`bend_ahead`, for Python."""
-    bend_ahead(station, speeds, pace, lead, period, road, roads, bend)
+    bend_ahead(station, speeds, speed, delay, period, road, roads, bend)

@@ -73,17 +73,17 @@ def law_batch(slots: int, law: Any) -> Any:
 @inlined
 def _apply_law(slot, reference, run):
     """A control law; a command that is not finite holds the last one."""
-    own, out, given, seen = run.memory.own[slot], run.law.answer[slot], run.law.situation, run.measured
+    own, out, given, measured = run.memory.own[slot], run.law.answer[slot], run.law.situation, run.measured
     roads, scenario = run.given.roads, run.given.scenario[slot]
     speeds = run.given.signals[scenario, SIGNAL.speed]
     first = own.instant if roads.of[scenario] >= 0 else speeds.size
     road = RoadAhead(line_of(roads.of[scenario], roads), own.station, speeds[first:])
     no_vy = run.settings.noise_vy == math.inf  # a car without a sensor of it
     now = Situation(
-        0.0 if no_vy else seen[MEASURED.vy],
-        seen[MEASURED.yaw],
-        seen[MEASURED.yaw_rate],
-        seen[MEASURED.y],
+        0.0 if no_vy else measured[MEASURED.vy],
+        measured[MEASURED.yaw],
+        measured[MEASURED.yaw_rate],
+        measured[MEASURED.y],
         own.speed,
         own.command,
     )

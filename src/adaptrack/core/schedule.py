@@ -60,7 +60,7 @@ Schedule = record(
     ),
 )  # fmt: skip
 """settings (1,): see SETTINGS; memory (slots,): of each run, see MEMORY; integers, numbers: the packed functions."""
-_Scratch = record("_Scratch", ("x", "asked", "work"))
+_Scratch = record("_Scratch", ("x", "values", "work"))
 
 SCRATCH = len(VARIABLES) + MOST_ENTRIES + MAP_AXES
 """Reals of scratch that a schedule needs beside those of its functions."""
@@ -99,7 +99,7 @@ def _clip_inputs(variables, settings, x):
 
 
 @inlined
-def _evaluate_entries(x, plan, asked, work):
+def _evaluate_entries(x, plan, values, work):
     """Write the value of each entry at the inputs x, within its bounds. Returns whether one was no number."""
     settings = plan.settings[0]
     broken = False
@@ -110,9 +110,9 @@ def _evaluate_entries(x, plan, asked, work):
             value = power(10.0, value)
         broken = broken or math.isnan(value)
         value = clip(value, entry.low, entry.high)
-        asked[s] = floor(value + 0.5) if entry.horizon == 1 else value
+        values[s] = floor(value + 0.5) if entry.horizon == 1 else value
     if settings.of_mpc == 1:
-        asked[NC] = min(asked[NC], asked[NP])
+        values[NC] = min(values[NC], values[NP])
     return broken
 
 
@@ -124,18 +124,18 @@ def schedule(slot, variables, plan, tuning):
     guard the last tuning is kept, and before a first one the tuning that is already there.
     """
     settings, own = plan.settings[0], plan.memory[slot]
-    x, asked, work = _parts(plan.scratch)
+    x, values, work = _parts(plan.scratch)
     own.steps += 1
     clipped, far, broken = _clip_inputs(variables, settings, x)
     if clipped:
         own.clipped += 1
     if not broken:
-        broken = _evaluate_entries(x, plan, asked, work)
+        broken = _evaluate_entries(x, plan, values, work)
     if broken:
         own.broken += 1
     if not broken:
         for s in range(settings.n_entries):
-            tuning[s] = asked[s]
+            tuning[s] = values[s]
     elif settings.guard.used == 0:
         if own.holding == 1:
             for s in range(settings.n_entries):

@@ -207,7 +207,7 @@ def learn(costs, swarm):
 
 @exported(void(int64, int64, int64, vector, matrix, Place(Particles)))
 def move(g, seed, stream, settings, space, swarm):
-    """Lead generation g, whose costs are learnt, to generation g + 1: eq. (18), then the clamps and repairs.
+    """Move generation g, whose costs are learnt, to generation g + 1: eq. (18), then the clamps and repairs.
 
     r1 and r2 are drawn for each particle and dimension. The velocity is clamped before it moves the particle; it
     keeps its value where the position is clamped, rounded or repaired.

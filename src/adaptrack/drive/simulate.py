@@ -45,10 +45,10 @@ def _refuse_nonsense(scenario: Scenario | RoadDrive) -> None:
 
 
 class _Recorder:
-    """What one run leaves: a row for each control instant; state and seen as in `core.period.Trace`."""
+    """What one run leaves: a row for each control instant; state and noted as in `core.period.Trace`."""
 
-    def __init__(self, n: int, controller: Controller, state: Array, seen: Array) -> None:
-        self.state, self.seen = state, seen
+    def __init__(self, n: int, controller: Controller, state: Array, noted: Array) -> None:
+        self.state, self.noted = state, noted
         self.tuning_names, self.diagnostic_names = controller.tuning_names, controller.diagnostic_names
         self.command = np.full((n, 3), np.nan)  # command, its change, held
         self.constant = controller.packed_tuning()
@@ -101,7 +101,7 @@ def simulate(
     _refuse_nonsense(scenario)
     loop = ClosedLoop(world, scenario, seed, traced=True)
     signals, trace = loop.signals, loop.run.trace
-    record = _Recorder(signals.n, controller, trace.state[0], trace.seen[0])
+    record = _Recorder(signals.n, controller, trace.state[0], trace.noted[0])
     blind = isinstance(controller, CompiledController) and math.isinf(world.profile.noise_vy)
     controller.reset()
     for k in range(signals.n):
@@ -113,10 +113,10 @@ def simulate(
         if blind:
             now.measured[MEASURED.vy] = 0.0  # a car without a sensor of it
         # an MPC's model or estimator may use the wheel angle
-        seen = now.measured if controller.sees_all_sensors else now.measured[:4]
+        measured = now.measured if controller.sees_all_sensors else now.measured[:4]
         begun = time.perf_counter()
         ahead: dict[str, Any] = {} if loop.road is None else {"road": loop.road_ahead(now.speed)}
-        answer = controller.step(seen, now.speed, now.reference, now.variables, **ahead)
+        answer = controller.step(measured, now.speed, now.reference, now.variables, **ahead)
         record.times[k] = time.perf_counter() - begun
         command = record.take(k, answer, loop.command)
         if not loop.send(command):
@@ -173,7 +173,7 @@ def _traced(batch: Batch, runs: BatchRuns, i: int, k: int, seed: int) -> Traject
     """The i-th of the runs, of scenario k."""
     controller, n = batch.controller, batch.signals[k].n
     trace = runs.trace
-    record = _Recorder(n, controller, trace.state[i, :n].copy(), trace.seen[i, :n].copy())
+    record = _Recorder(n, controller, trace.state[i, :n].copy(), trace.noted[i, :n].copy())
     found, T, answer = runs.result[i], len(record.tuning_names), trace.answer[i, :n]
     record.command[:] = answer[:, :3]
     if isinstance(controller, MPC):
@@ -224,7 +224,7 @@ def _trajectory(
     described = controller.describe()
     road = {}
     if isinstance(scenario, RoadDrive):
-        road = dict(zip(("station", "offset", "heading_error"), record.seen[:, 2:].T, strict=True))
+        road = dict(zip(("station", "offset", "heading_error"), record.noted[:, 2:].T, strict=True))
         road["curvature"] = scenario.road.at(np.nan_to_num(road["station"])).curvature
     groups = {"tuning": record.tuning_names, "diagnostics": record.diagnostic_names, "road": road}
     held = {f"{group}.{name}" for group, names in groups.items() for name in names}
@@ -236,14 +236,14 @@ def _trajectory(
         vx=state[:, STATE.vx],
         vy=state[:, STATE.vy],
         yaw_rate=state[:, STATE.yaw_rate],
-        steering=record.seen[:, 1],
+        steering=record.noted[:, 1],
         command=record.command[:, 0],
         command_change=record.command[:, 1],
         y_ref=signals.y_ref[:n],
         v_ref=signals.speed[:n],
         friction=signals.friction[:n],
         wind=signals.wind[:n],
-        lateral_acceleration=record.seen[:, 0],
+        lateral_acceleration=record.noted[:, 0],
         held=np.nan_to_num(record.command[:, 2], nan=1.0) > 0.5,
         step_time=record.times,
         period=signals.period,

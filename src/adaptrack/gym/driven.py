@@ -20,7 +20,7 @@ class Driven:
         world = World.of(
             episode.plant, controller, episode.profile, task.driver, task.known_as, task.failure
         )  # fmt: skip
-        self.loop = ClosedLoop(world, episode.trip, episode.noise_seed)
+        self.loop = ClosedLoop(world, episode.drive, episode.noise_seed)
         self._move_weight = world.profile.move_weight
         self._failure_cost = task.cost_of_failure(world.failure.distance)
         self._total = 0.0

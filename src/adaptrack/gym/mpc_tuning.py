@@ -105,7 +105,7 @@ class MPCTuningEnv(gymnasium.Env):
         self._mpc = make_mpc(self.controller, episode.vehicle, episode.profile, self._chosen)
         self._driven = Driven(self.task, episode, self._mpc)
         self._belief = first_belief(self._mpc)
-        self._seen = np.zeros(len(self.names))
+        self._observed = np.zeros(len(self.names))
         return self._observe(self._driven), episode.info
 
     def step(self, action: Any) -> tuple[Array, float, bool, bool, dict[str, Any]]:
@@ -126,5 +126,5 @@ class MPCTuningEnv(gymnasium.Env):
     def _observe(self, driven: Driven) -> Array:
         given = np.array([*driven.sensed.variables, *self._belief])
         space = self.observation_space
-        self._seen = np.clip(np.where(np.isfinite(given), given, self._seen), space.low, space.high)  # type: ignore[attr-defined]
-        return self._seen.copy()
+        self._observed = np.clip(np.where(np.isfinite(given), given, self._observed), space.low, space.high)  # type: ignore[attr-defined]
+        return self._observed.copy()

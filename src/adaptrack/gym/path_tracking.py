@@ -9,9 +9,16 @@ import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
-from adaptrack.core.public import Resident, Sight, see_one
+from adaptrack.core.public import ObservationSpace, Resident, write_one_observation
 from adaptrack.gym.driven import Driven, needs_reset
-from adaptrack.gym.spaces import DISTANCES, checked_action, checked_distances, command_box, seen_box, seen_names
+from adaptrack.gym.spaces import (
+    DISTANCES,
+    checked_action,
+    checked_distances,
+    command_box,
+    observation_box,
+    observation_names,
+)
 from adaptrack.gym.task import Outside, Task
 
 Array = NDArray[np.float64]
@@ -58,7 +65,8 @@ class PathTrackingEnv(gymnasium.Env):
     ---
     terminated: the run has failed by the rule of `Failure`; truncated: the end of the road. Then info has `failed`
     ("" or "off-road", "spun", "not-finite") and `J` (m^2, inf when failed). `reset` says in info which car, road and
-    noise seed were drawn: `simulate(plant, controller, trip, profile=..., seed=info["noise_seed"])` is the same run.
+    noise seed were drawn: `simulate(plant, controller, drive, profile=..., seed=info["noise_seed"])` is the same
+    run, drive being `Task.drive` of that road and car.
 
     Arguments
     ---------
@@ -77,8 +85,8 @@ class PathTrackingEnv(gymnasium.Env):
     def __init__(self, *, distances: Sequence[float] = DISTANCES, render_mode: str | None = None, **task: Any) -> None:
         self.task, self.render_mode = Task(**task), render_mode
         self.distances = checked_distances(distances)
-        self.names = seen_names(self.distances)
-        self.action_space, self.observation_space = command_box(self.task), seen_box(self.distances)
+        self.names = observation_names(self.distances)
+        self.action_space, self.observation_space = command_box(self.task), observation_box(self.distances)
         self._driven: Driven | None = None
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Array, dict[str, Any]]:
@@ -87,8 +95,9 @@ class PathTrackingEnv(gymnasium.Env):
         episode = self.task.draw(self.np_random, options)
         self._driven = driven = Driven(self.task, episode, Outside(episode.profile.period))
         space = self.observation_space
-        self._sight = Resident(Sight(self.distances, space.low.copy(), space.high.copy()))  # type: ignore[attr-defined]
-        self._seen = np.zeros(len(self.names))
+        bounds = ObservationSpace(self.distances, space.low.copy(), space.high.copy())  # type: ignore[attr-defined]
+        self._bounds = Resident(bounds)
+        self._observed = np.zeros(len(self.names))
         return self._observe(driven), episode.info
 
     def step(self, action: Any) -> tuple[Array, float, bool, bool, dict[str, Any]]:
@@ -99,5 +108,5 @@ class PathTrackingEnv(gymnasium.Env):
         return self._observe(driven), -cost, driven.terminated, driven.truncated, driven.info
 
     def _observe(self, driven: Driven) -> Array:
-        see_one(driven.loop.place, self._sight, self._seen)
-        return self._seen.copy()
+        write_one_observation(driven.loop.place, self._bounds, self._observed)
+        return self._observed.copy()

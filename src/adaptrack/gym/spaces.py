@@ -21,12 +21,12 @@ Array = NDArray[np.float64]
 
 FARTHEST = 100.0
 """m, to which offsets and the reference ahead are clipped."""
-SEEN_WITHIN = {
+OBSERVED_WITHIN = {
     "offset": (-FARTHEST, FARTHEST), "heading_error": (-math.pi, math.pi), "yaw_rate": (-10.0, 10.0),
     "speed": (0.0, 100.0), "wheel_angle": (-math.pi / 2, math.pi / 2), "command": (-math.pi / 2, math.pi / 2),
     "pose_age": (0.0, 600.0),
 }  # fmt: skip
-"""Bounds of what is seen, `core.sight.SEEN`."""
+"""Bounds of what sensors give, `core.observation.OBSERVATION`."""
 AHEAD_WITHIN, CURVATURE_WITHIN = (-FARTHEST, FARTHEST), (-1.0, 1.0)
 """m, 1/m"""
 VARIABLES_WITHIN = {
@@ -56,16 +56,16 @@ def checked_distances(distances: Sequence[float]) -> Array:
     return given
 
 
-def seen_box(distances: Array) -> spaces.Box:
-    """What is seen by one who steers."""
+def observation_box(distances: Array) -> spaces.Box:
+    """What an agent that steers observes."""
     count = len(distances)
-    return box([*SEEN_WITHIN.values(), *[AHEAD_WITHIN] * count, *[CURVATURE_WITHIN] * count])
+    return box([*OBSERVED_WITHIN.values(), *[AHEAD_WITHIN] * count, *[CURVATURE_WITHIN] * count])
 
 
-def seen_names(distances: Array) -> tuple[str, ...]:
+def observation_names(distances: Array) -> tuple[str, ...]:
     """The names of its columns."""
     ahead = [f"{what}_{each:g}m" for what in ("reference", "curvature") for each in distances]
-    return (*SEEN_WITHIN, *ahead)
+    return (*OBSERVED_WITHIN, *ahead)
 
 
 def command_box(task: Task) -> spaces.Box:
@@ -137,21 +137,21 @@ class Tunings:
         InvalidInput
             When they may not be chosen.
         """
-        asked = reals("Np, Nc, log10 R/Q", [Np, Nc, ratio])
-        if not ((asked >= self.low) & (asked <= self.high)).all():
-            raise InvalidInput(f"Np, Nc, log10 R/Q = {asked}: must lie between {self.low} and {self.high}.")
-        return 2.0 * (asked - self.low) / (self.high - self.low) - 1.0
+        chosen = reals("Np, Nc, log10 R/Q", [Np, Nc, ratio])
+        if not ((chosen >= self.low) & (chosen <= self.high)).all():
+            raise InvalidInput(f"Np, Nc, log10 R/Q = {chosen}: must lie between {self.low} and {self.high}.")
+        return 2.0 * (chosen - self.low) / (self.high - self.low) - 1.0
 
 
 def variables_within(mpc: MPC) -> dict[str, tuple[float, float]]:
-    """By name, the bounds of what is seen by one who tunes: scheduling variables, then what the MPC believes."""
+    """By name, the bounds of what an agent that tunes observes: scheduling variables, then what the MPC believes."""
     if mpc.learner is not None:
         return {**VARIABLES_WITHIN, **dict.fromkeys(BELIEFS, LEARNED_WITHIN)}
     return {**VARIABLES_WITHIN, **(BELIEF_WITHIN if mpc.belief is not None else {})}
 
 
 def first_belief(mpc: MPC) -> tuple[float, ...]:
-    """What an MPC believes before its first step, behind the scheduling variables in what is seen."""
+    """What an MPC believes before its first step, behind the scheduling variables in an observation."""
     if mpc.learner is not None:
         return tuple(mpc.learner.fresh()[LEARNED : LEARNED + len(BELIEFS)].tolist())
     return () if mpc.belief is None else (mpc.belief.lag.value, mpc.belief.delay)

@@ -22,7 +22,6 @@ from adaptrack.identification.random_cars import BASES
 from adaptrack.scenario import RoadDrive, Scenario
 from adaptrack.scenario.profile import Profile, load_profile
 
-Trip = Scenario | RoadDrive
 SEEDS = 2**31
 """Seeds of noise and cars are drawn below it."""
 CHOICES = ("noise_seed", "car_seed", "road")
@@ -36,7 +35,7 @@ class Episode:
     vehicle: Vehicle
     plant: Plant | SteppedPlant
     profile: Profile
-    trip: Trip
+    drive: Scenario | RoadDrive
     road: int
     """which of the roads of the task"""
     noise_seed: int
@@ -47,7 +46,7 @@ class Episode:
     def info(self) -> dict[str, Any]:
         """What ``reset`` says of it."""
         drawn = {} if self.car_seed is None else {"car_seed": self.car_seed}
-        return {"car": self.vehicle.name, "road": self.trip.name, "noise_seed": self.noise_seed, **drawn}
+        return {"car": self.vehicle.name, "road": self.drive.name, "noise_seed": self.noise_seed, **drawn}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -66,7 +65,7 @@ class Task:
     """name or file of a car, with its plant if it is not dual-track (`van`, `van/single-track`, `my-car.toml`), a
     `Vehicle`, or a plant that knows its vehicle; by default `paper`. Of random cars: the shipped car about which they
     are drawn, by default those of `random_car`"""
-    road: str | Trip | Sequence[str | Trip] = "country:1"
+    road: str | Scenario | RoadDrive | Sequence[str | Scenario | RoadDrive] = "country:1"
     """a kind of generated road with its seed (`country:3`, `mountain:2@4` with bends at 4 m/s^2), `random-drive:3`, the
     name of a scenario, a file, a `Scenario` or a `RoadDrive`; of several each episode draws one"""
     profile: str | Profile = "road"
@@ -84,7 +83,9 @@ class Task:
     """m, of generated roads"""
     duration: float = 60.0
     """s, of random drives"""
-    _trips: dict[tuple[int, str], Trip] = field(default_factory=dict, init=False, repr=False, compare=False)
+    _drives: dict[tuple[int, str], Scenario | RoadDrive] = field(
+        default_factory=dict, init=False, repr=False, compare=False
+    )
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "profile", load_profile(self.profile))
@@ -108,7 +109,7 @@ class Task:
         return self.profile
 
     @property
-    def roads(self) -> tuple[str | Trip, ...]:
+    def roads(self) -> tuple[str | Scenario | RoadDrive, ...]:
         """What ``road`` names."""
         return tuple(self.road)  # type: ignore[arg-type]
 
@@ -148,12 +149,12 @@ class Task:
         which, seed, noise = drawn["road"], drawn.get("car_seed"), drawn["noise_seed"]
         if seed is None:
             vehicle, plant, profile = self.known_car()
-            return Episode(vehicle, plant, profile, self.trip(which, vehicle), which, noise, None)
+            return Episode(vehicle, plant, profile, self.drive(which, vehicle), which, noise, None)
         ranges = self.random_cars if isinstance(self.random_cars, CarRanges) else None
         bases = BASES if self.car is None else (str(self.car),)
         made = random_car(seed, bases=bases, profile=self.world, ranges=ranges)
-        plant, trip = DualTrack(made.vehicle, made.tyre), self.trip(which, load_vehicle(made.base))
-        return Episode(made.vehicle, plant, made.profile, trip, which, noise, seed)
+        plant, drive = DualTrack(made.vehicle, made.tyre), self.drive(which, load_vehicle(made.base))
+        return Episode(made.vehicle, plant, made.profile, drive, which, noise, seed)
 
     def known_car(self) -> tuple[Vehicle, Plant | SteppedPlant, Profile]:
         """The car, its plant and its world where they are not drawn."""
@@ -168,14 +169,14 @@ class Task:
             raise InvalidInput(f"car = {car!r}: must be a name, a file, a Vehicle, or a plant with a `vehicle`.")
         return vehicle, car, self.world
 
-    def trip(self, which: int, vehicle: Vehicle) -> Trip:
+    def drive(self, which: int, vehicle: Vehicle) -> Scenario | RoadDrive:
         """One of the roads, its speed planned for a vehicle: of a random car the one about which it is drawn."""
         road = self.roads[which]
         if not isinstance(road, str):
             return road
-        if (which, vehicle.name) not in self._trips:
-            self._trips[which, vehicle.name] = load_drive(road, vehicle, self.length, self.duration)
-        return self._trips[which, vehicle.name]
+        if (which, vehicle.name) not in self._drives:
+            self._drives[which, vehicle.name] = load_drive(road, vehicle, self.length, self.duration)
+        return self._drives[which, vehicle.name]
 
     def cost_of_failure(self, distance: float) -> float:
         """m^2, of each instant that a failed run does not drive, by the failure distance (m)."""

@@ -26,14 +26,14 @@ from adaptrack.core.public import (
     MEASURED,
     SLOTS,
     Episodes,
+    ObservationSpace,
     Resident,
-    Sight,
     arrive,
     control,
-    look_all,
     renew,
-    see_all,
     steer,
+    write_observations,
+    write_variables,
 )
 from adaptrack.drive.batch import Batch
 from adaptrack.drive.world import reason_of
@@ -47,8 +47,8 @@ from adaptrack.gym.spaces import (
     command_box,
     first_belief,
     make_mpc,
-    seen_box,
-    seen_names,
+    observation_box,
+    observation_names,
     variables_within,
 )
 from adaptrack.gym.task import Episode, Outside, Task
@@ -83,7 +83,7 @@ class _VectorEnv(VectorEnv):
         self.action_space = batch_space(self.single_action_space, self.num_envs)
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)
         self._own = EPISODE.new(self.num_envs)
-        self._seen = np.zeros((self.num_envs, len(self.names)))
+        self._observed = np.zeros((self.num_envs, len(self.names)))
         self._rngs: list[np.random.Generator] = []
         self._blocks: list[Block] = []
         self._pool = ThreadPoolExecutor(self.threads) if self.threads > 1 else None
@@ -109,7 +109,7 @@ class _VectorEnv(VectorEnv):
 
     @abstractmethod
     def _look(self, block: Block) -> None:
-        """Write what is seen of a block."""
+        """Write the observations of a block."""
 
     def reset(
         self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
@@ -128,7 +128,7 @@ class _VectorEnv(VectorEnv):
                 self._rngs = [gymnasium.utils.seeding.np_random(one)[0] for one in each]
         infos = self._begin(np.arange(self.num_envs), options)
         self._each(self._look)
-        return self._seen.copy(), infos
+        return self._observed.copy(), infos
 
     def step(self, actions: Any) -> tuple[Array, Array, NDArray[np.bool_], NDArray[np.bool_], dict[str, Any]]:
         """Drive all cars by a step; one whose episode was over begins its next one, with reward 0."""
@@ -146,7 +146,7 @@ class _VectorEnv(VectorEnv):
         self._each(self._look)
         if over.any():
             self._say_how(np.flatnonzero(over), infos)
-        return self._seen.copy(), rewards, over == FAILED, over == ARRIVED, infos
+        return self._observed.copy(), rewards, over == FAILED, over == ARRIVED, infos
 
     def close_extras(self) -> None:
         """Let the threads go."""
@@ -177,7 +177,7 @@ class _VectorEnv(VectorEnv):
             if here:
                 renew(block.resident)
                 arrive(block.resident)
-                self._seen[here, self._own_columns :] = self._constant(block.batch)
+                self._observed[here, self._own_columns :] = self._constant(block.batch)
         for car, episode in drawn.items():
             infos = self._add_info(infos, episode.info, car)
         return infos
@@ -191,9 +191,9 @@ class _VectorEnv(VectorEnv):
         """A block of cars of an episode's kind; what it measures lies in the arrays of the environment."""
         task = self.task
         roads = range(len(task.roads))
-        trips = [episode.trip] if task.randomised else [task.trip(i, episode.vehicle) for i in roads]
+        drives = [episode.drive] if task.randomised else [task.drive(i, episode.vehicle) for i in roads]
         batch = Batch(
-            episode.plant, self._controller(episode), trips, episode.profile, task.driver, task.failure,  # type: ignore[arg-type]
+            episode.plant, self._controller(episode), drives, episode.profile, task.driver, task.failure,  # type: ignore[arg-type]
             task.known_as,
         )  # fmt: skip
         size, space = slots.stop - slots.start, self.single_observation_space
@@ -202,7 +202,8 @@ class _VectorEnv(VectorEnv):
         world = batch.world
         episodes = Episodes(
             run, self._own[slots], np.zeros((size, len(MEASURED))),
-            Sight(self._distances, space.low.copy(), space.high.copy()), self._seen[slots],  # type: ignore[attr-defined]
+            ObservationSpace(self._distances, space.low.copy(), space.high.copy()),  # type: ignore[attr-defined]
+            self._observed[slots],
             world.profile.move_weight, task.cost_of_failure(world.failure.distance),
         )  # fmt: skip
         return Block(slots, batch, episodes, Resident(episodes))
@@ -225,9 +226,9 @@ class _VectorEnv(VectorEnv):
 
     _distances = np.zeros(0)
     _longest = (1.0, 1.0)
-    """Np and Nc that may be asked for"""
+    """Np and Nc that may be chosen"""
     _own_columns = 0
-    """Columns of what is seen that are written at every step; those behind stay as they are."""
+    """Columns of an observation that are written at every step; those behind stay as they are."""
 
     def _constant(self, batch: Batch) -> tuple[float, ...]:
         """What is in the columns behind."""
@@ -261,8 +262,9 @@ class PathTrackingVectorEnv(_VectorEnv):
         self._commands = np.zeros(self.num_envs)
 
     def _set_spaces(self) -> None:
-        self.names = seen_names(self._distances)
-        self.single_action_space, self.single_observation_space = command_box(self.task), seen_box(self._distances)
+        self.names = observation_names(self._distances)
+        self.single_action_space = command_box(self.task)
+        self.single_observation_space = observation_box(self._distances)
         self._own_columns = len(self.names)
 
     def _controller(self, episode: Episode) -> Controller:
@@ -276,7 +278,7 @@ class PathTrackingVectorEnv(_VectorEnv):
         arrive(block.resident)
 
     def _look(self, block: Block) -> None:
-        see_all(block.resident)
+        write_observations(block.resident)
 
 
 class MPCTuningVectorEnv(_VectorEnv):
@@ -326,4 +328,4 @@ class MPCTuningVectorEnv(_VectorEnv):
             arrive(block.resident)
 
     def _look(self, block: Block) -> None:
-        look_all(block.resident)
+        write_variables(block.resident)

@@ -51,14 +51,14 @@ class Likelihood:
         for name in ("time", "command", "speed", *OUTPUTS):
             rows[kernel.ROW._fields.index(name)] = getattr(log, name)
         rows[kernel.ROW.begins] = log.begins
-        rows[kernel.ROW.seen] = 1.0 if used is None else used
+        rows[kernel.ROW.used] = 1.0 if used is None else used
         self._rows = rows
         self._answer = np.empty((kernel.ANSWER, log.samples))
         rows[kernel.ROW.gusts] = 1.0
         present = np.array([np.isfinite(getattr(log, name)).any() for name in OUTPUTS])
         self.present = {name: bool(here) for name, here in zip(OUTPUTS, present, strict=True)}
         settled = log.time - log.time[np.maximum.accumulate(np.where(log.begins, np.arange(log.samples), 0))]
-        counts = (rows[kernel.ROW.seen] > 0.0) & (settled >= SETTLING)
+        counts = (rows[kernel.ROW.used] > 0.0) & (settled >= SETTLING)
         measured = np.isfinite(rows[kernel.ROW.yaw_rate : kernel.ROW.yaw_rate + len(OUTPUTS)])
         self.counts = measured & counts
         self.free = np.flatnonzero((self.spread > 0.0) & self._has_a_say())

@@ -64,14 +64,14 @@ def _said(module: str) -> dict[str, tuple[str, dict[str, str]]]:
         for token in tokenize.generate_tokens(io.StringIO(source).readline)
         if token.type == tokenize.COMMENT and not token.string.startswith("# fmt")
     }
-    body = ast.parse(source).body
+    statements = ast.parse(source).body
     assigned = {
         node.targets[0].id: node.value
-        for node in body
+        for node in statements
         if isinstance(node, ast.Assign) and isinstance(node.targets[0], ast.Name)
     }
     found = {}
-    for node, after in zip(body, [*body[1:], None], strict=True):
+    for node, after in zip(statements, [*statements[1:], None], strict=True):
         made = node.value if isinstance(node, ast.Assign) else None
         if isinstance(made, ast.Call) and isinstance(made.func, ast.Name) and made.func.id in ("record", "columns"):
             fields = _fields(list(_texts(made, assigned)), comments)

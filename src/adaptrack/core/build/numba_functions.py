@@ -38,7 +38,7 @@ _environments: dict[str, Any] = {}
 
 class _Part(codegen.JITCodeLibrary):  # type: ignore[misc]
     """What one function has become. Numba links and optimises what it calls into it, and so into each that calls it:
-    here that is done once, where a C function is asked for.
+    here that is done once, where a C function is made.
     """
 
     def finalize(self) -> None:
@@ -54,12 +54,12 @@ class _Part(codegen.JITCodeLibrary):  # type: ignore[misc]
 
 def _whole(parts: Iterable[Any]) -> Any:
     """One module of parts and of all that they call."""
-    waiting, seen = list(parts), set()
+    waiting, linked_in = list(parts), set()
     whole = llvm.parse_assembly("")
     while waiting:
         part = waiting.pop()
-        if part not in seen:
-            seen.add(part)
+        if part not in linked_in:
+            linked_in.add(part)
             waiting += part._linking_libraries
             whole.link_in(llvm.parse_assembly(str(part._final_module)))
     return whole
@@ -90,7 +90,7 @@ def linked(kernels: Iterable[Any]) -> Any:
 
 class _Inlined(CPUDispatcher):  # type: ignore[misc]
     def get_call_template(self, args: Any, kws: Any) -> Any:
-        # Constants are seen after inlining: the function is compiled once for all of them.
+        # Constants take effect after inlining: the function is compiled once for all of them.
         return super().get_call_template(tuple(types.unliteral(each) for each in args), kws)
 
 

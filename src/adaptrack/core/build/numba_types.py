@@ -108,7 +108,7 @@ def _word(builder, place, word):
 
 
 def load(context, builder, kind, place):
-    """A value of a stored record. Nothing changes there while a kernel runs, which the optimiser is told."""
+    """A value of a stored record. It does not change while a kernel runs, and is marked so for the optimiser."""
 
     def word(i, what):
         loaded = builder.load(builder.bitcast(_word(builder, place, i), what.as_pointer()))

@@ -112,19 +112,19 @@ class _Reader:
 def _of_wasm(content: bytes) -> set[str]:
     sections, found = _Reader(content[8:]), set()
     while sections.at < len(sections.content):
-        kind, body = sections.number(), _Reader(sections.bytes())
+        kind, section = sections.number(), _Reader(sections.bytes())
         if kind != 2:
             continue
-        for _ in range(body.number()):
-            body.bytes()
-            name, what = body.bytes().decode(), body.number()
+        for _ in range(section.number()):
+            section.bytes()
+            name, what = section.bytes().decode(), section.number()
             if what == 0:  # a function, of a type
                 found.add(name)
-                body.number()
+                section.number()
             elif what == 3:  # a global: its type, and whether it varies
-                body.at += 2
+                section.at += 2
             else:  # a table (of a type) or the memory: limits
-                body.at += 1 if what == 1 else 0
-                for _ in range(1 + (body.number() & 1)):
-                    body.number()
+                section.at += 1 if what == 1 else 0
+                for _ in range(1 + (section.number() & 1)):
+                    section.number()
     return found

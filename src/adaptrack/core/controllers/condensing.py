@@ -93,7 +93,7 @@ def pulse_hessian(horizon, moves, step, q, r, hessian):
     """E = 2(Phi' Q Phi + R) of eqs. (11), (17) for the moves of eq. (10), from the step response.
 
     (Phi'Phi)[i, j] = sum_t step[t] step[t + i - j], t = 0..Np-1-i, i >= j: one sum for the last row, and one
-    product more for each step up its diagonals. Only sums of products, so no accuracy is lost on the way.
+    product more for each step up its diagonals. Only sums of products, so this is as accurate as the full product.
     """
     last = moves - 1
     for d in range(moves):

@@ -15,9 +15,9 @@ frame of its tangent, so Y'' is curvature times squared speed. With the moves of
 free moves and their weight are about what the car does beyond it, and a horizon longer than the free moves does not
 straighten bends.
 
-Tyres that pull less than linear ones (`models.path.lost`) ask for K times as much angle more. An estimator that knows
-of this counts it as a push, which the prediction holds as it is now: these moves answer how it grows and falls along
-the road, so the prediction does not know of them.
+Tyres that pull less than linear ones (`models.path.saturation`) need K times as much angle more. An estimator that
+knows of this counts it as a push, which the prediction holds as it is now: these moves answer how it grows and falls
+along the road, so the prediction does not know of them.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ Turning = record(
     "Turning",
     (
         *path.Turning._fields,
-        "friction", "shape_factor",  # of the tyres as the estimator knows them, see `models.path.lost`; 0: linear
+        "friction", "shape_factor",  # of the tyres as the estimator knows them, see `models.path.saturation`; 0: linear
     ),
 )  # fmt: skip
 turning_of = viewer(Turning)
@@ -116,7 +116,9 @@ def road_moves(horizon, speed, settings, bend, feed):
     expected, moves = feed.expected, feed.moves
     for i in range(horizon + 1):
         turn = _requested(earlier + i - 0.5, bend) / (period * period)
-        expected[i] = -car.understeer * path.lost(turn, car.friction, car.shape_factor) if car.friction > 0.0 else 0.0
+        expected[i] = (
+            -car.understeer * path.saturation(turn, car.friction, car.shape_factor) if car.friction > 0.0 else 0.0
+        )
         moves[i] = turn * steady / (speed * speed) + expected[i]
     _limit(horizon + 1, min(settings.move_max, -settings.move_min), moves, feed.scratch)
     for i in range(horizon):

@@ -47,7 +47,7 @@ Settings = record(
         "ahead",  # rad, by which the command may be ahead of the wheels in spite of eq. (13); 0: not
         "output_min", "output_max",  # m, eq. (15), soft; -inf and inf: none
         "output_weight",  # 1/m^2, weight of the squared violation of eq. (15)
-        "error_max",  # m, of a larger error the QP is asked to correct so much; inf: all of it
+        "error_max",  # m, the most of an error that the QP corrects; inf: all of it
         "laguerre",  # 1: moves by Laguerre functions, 0: by pulses
         "pole",  # of the Laguerre functions
         "terms",  # number of Laguerre functions
@@ -97,7 +97,7 @@ ANSWER = columns(
     "dead_reckoning",
 )  # fmt: skip
 """What a step answers: command (rad), its change (rad), 1 when no solution could be used, the tuning as used, and the
-diagnostics: status, iterations and largest KKT residual (NaN unless asked for) of the QP, sum of AT_MOVE, ..., and the
+diagnostics: status, iterations and largest KKT residual (NaN unless requested) of the QP, sum of AT_MOVE, ..., and the
 time (s) for which the estimator has had no position; 0 where the state is taken as measured."""
 AT_MOVE, AT_ANGLE, AT_OUTPUT = 1, 2, 4
 
@@ -298,5 +298,5 @@ def forget(slot, mpc):
 def delay_of(slot, mpc):
     """Periods from an instant until its command begins to act, in the model of a slot."""
     if mpc.settings.learns > 0:
-        return learning.lead_of(mpc.informed.learner, mpc.informed.learned[slot])
+        return learning.delay_of(mpc.informed.learner, mpc.informed.learned[slot])
     return mpc.settings.delay

@@ -244,7 +244,7 @@ def estimate(slot, measured, speed, command, acceleration, p, settings, memory):
     in memory (slots,) is an estimator before its first step.
 
     A measurement that is absurd or not a number is left out; in the place of yaw, speed or command the last one stands.
-    A filter that has lost itself begins anew.
+    A filter whose state or variances are not finite begins anew.
     """
     own = memory[slot]
     z, P, s = own.z, own.covariance, _unpack_settings(settings)

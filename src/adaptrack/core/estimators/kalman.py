@@ -55,7 +55,7 @@ READS = (STATE.vy, STATE.yaw, STATE.yaw_rate, STATE.y, STATE.wheel_angle)
 """Which state a sensor reads, each but the accelerometer."""
 UNKNOWN = 1e2
 """Variance of a state of which the first sample says nothing."""
-FAR, FAR_TURNED, ASTRAY = 100.0, 10.0, 10
+FAR, FAR_TURNED, FAR_IN_A_ROW = 100.0, 10.0, 10
 """m, rad, by which a position or a heading is no outlier but the estimate wrong, when so many follow each other."""
 LEAST_NOISE = (0.005, 0.0002, 0.001, 0.002, 0.0005, 0.02)
 """Of the sensors: with better ones the model's own errors limit the filter."""
@@ -93,9 +93,9 @@ Memory = record(
         "steps",
         "speed",  # m/s, of the matrices
         "blind",  # periods since a position was taken in
-        "astray",  # positions in a row that are `FAR` from the estimate
+        "far",  # positions in a row that are `FAR` from the estimate
         "left_out",  # 1 + the sensor that is left out, 0: none
-        "lost",  # m/s^2, what the tyres pull less than linear ones in the bend at hand
+        "saturation",  # m/s^2, what the tyres pull less than linear ones in the bend at hand
         "spare",  # m/s^2, what the tyres can still answer
         "felt_error",  # variance of the predicted lateral acceleration, by forces that the model gets wrong
         ("felt", (float64, STATES)),  # h of the accelerometer
@@ -262,8 +262,8 @@ def _predict(turned, older, newer, p, m):
     older, newer: the commands (rad) that act in it one after the other.
     """
     side = m.z[STATE.side]
-    m.lost = path.lost(m.speed * turned / p.period, p.friction, p.shape_factor) if turned != 0.0 else 0.0
-    m.z[STATE.side] += m.lost
+    m.saturation = path.saturation(m.speed * turned / p.period, p.friction, p.shape_factor) if turned != 0.0 else 0.0
+    m.z[STATE.side] += m.saturation
     _move(m.F, m.z)
     m.z[STATE.side] = side
     _steer(m.b_older, older + p.bias, m.z)
@@ -301,7 +301,7 @@ def _read(sensor, tau, turned, p, m, h):
     """Write h of a sensor, for what was taken tau (s) before its instant; what it reads beside h z and its offset."""
     if sensor == MEASURED.lateral_acceleration:
         store(h, 0, load(m.felt, 0))
-        return m.lost
+        return m.saturation
     h[READS[sensor]] = 1.0
     turning = turned / p.period
     if sensor == MEASURED.yaw:
@@ -395,7 +395,7 @@ def _wait(p, m, commands, z):
 
 
 @inlined
-def _is_lost(m):
+def _is_not_finite(m):
     """Whether z or a variance is not finite."""
     everything = 0.0
     for i in range(STATES):
@@ -404,13 +404,13 @@ def _is_lost(m):
 
 
 @inlined
-def _is_astray(measured, m):
+def _is_far_off(measured, m):
     """Whether position or heading have been elsewhere for so long that bounded innovations would not bring z back."""
     y, yaw = measured[MEASURED.y], measured[MEASURED.yaw]
     if math.isfinite(y) and math.isfinite(yaw) and m.steps > 0.5:
         far = abs(y - m.z[STATE.y]) > FAR or abs(yaw - m.z[STATE.yaw]) > FAR_TURNED
-        m.astray = m.astray + 1.0 if far else 0.0
-    return m.astray >= ASTRAY
+        m.far = m.far + 1.0 if far else 0.0
+    return m.far >= FAR_IN_A_ROW
 
 
 @exported(ESTIMATE)
@@ -420,7 +420,7 @@ def kalman(speed, measured, command, a, b, parameters, memory, x, d):
     late = whole(p.late)
     after = _AFTER + WIDTH * (late + 1)
     samples, commands = shaped(memory[_AFTER:after], late + 1, WIDTH), memory[after:]
-    if _is_lost(m) or _is_astray(measured, m):
+    if _is_not_finite(m) or _is_far_off(measured, m):
         memory[:] = 0.0
         m.speed = math.nan
     if speed != m.speed and math.isfinite(speed):
@@ -435,7 +435,7 @@ def kalman(speed, measured, command, a, b, parameters, memory, x, d):
     m.steps += 1.0
     z, push = _state(), _state()
     store(z, 0, load(m.z, 0))
-    z[STATE.side] += m.lost
+    z[STATE.side] += m.saturation
     push[STATE.side], push[STATE.turn] = z[STATE.side], z[STATE.turn]
     _wait(p, m, commands, z)
     _move(m.F, push)

@@ -606,7 +606,7 @@ def learn(speed, measured, command, left_out, parameters, memory):
 
 
 @inlined
-def lead_of(parameters, memory):
+def delay_of(parameters, memory):
     """Periods from an instant until its command begins to act, as believed."""
     p = parameters_of(parameters, 0)
     return (memory_of(memory, 0).beliefs.used_dead_time + p.computation) / p.period

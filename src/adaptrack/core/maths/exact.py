@@ -142,20 +142,20 @@ def _moved_left(high, low, count):
 def _moved_right(high, low, count):
     """(high, low) 2^-count, for count >= 0 and a number of at most 116 bits, not zero.
 
-    The last bit is set if any was lost: the sum of this and a number whose last two bits are zero rounds as the exact
-    sum does.
+    The last bit is sticky: set if any that was moved out was. The sum of this and a number whose last two bits are zero
+    then rounds as the exact sum does.
     """
     if count > 116:
         return 0, 1
-    lost = 0
+    sticky = 0
     if count >= _LIMB:
-        high, low, lost, count = 0, high, low, count - _LIMB
-    lost |= low & ((1 << count) - 1)
+        high, low, sticky, count = 0, high, low, count - _LIMB
+    sticky |= low & ((1 << count) - 1)
     if count < _LIMB:
         low = (low >> count) | ((high << (_LIMB - count)) & _DIGIT)
     else:
         low = low >> count
-    return high >> count, low | (1 if lost != 0 else 0)
+    return high >> count, low | (1 if sticky != 0 else 0)
 
 
 @exported(float64(float64, float64, float64))

@@ -117,7 +117,7 @@ def discretise_disturbed(speed, period, c, f, b):
 
 
 @inlined
-def lost(turn, friction, shape):
+def saturation(turn, friction, shape):
     """What tyres pull less (m/s^2, signed) than linear ones at the same slip in a steady turn of so many m/s^2.
 
     Each axle pulls its share F/F_z = turn/g. By the Magic Formula with E = 0 (Pacejka, eq. 4.E19) it slides under the
@@ -143,9 +143,9 @@ def sliding(speed, vy, r, angle, c):
     In the brush model a tyre loses F^2/(3 mu F_z) to sliding, in first order (Pacejka, Tire and Vehicle Dynamics,
     3rd ed., section 3.2).
     """
-    pace, weight = max(speed, SLOWEST), c.mass * GRAVITY / (c.lf + c.lr)
+    v, weight = max(speed, SLOWEST), c.mass * GRAVITY / (c.lf + c.lr)
     stiff_front, stiff_rear = 2.0 * c.stiffness_front, 2.0 * c.stiffness_rear
-    front_slip, rear_slip = angle - (vy + c.lf * r) / pace, (vy - c.lr * r) / pace
+    front_slip, rear_slip = angle - (vy + c.lf * r) / v, (vy - c.lr * r) / v
     front = _slid(front_slip, stiff_front, weight * c.lr) / c.mass
     rear = _slid(rear_slip, stiff_rear, weight * c.lf) / c.mass
     by_front, by_rear = front * front, rear * rear

@@ -57,8 +57,8 @@ ADVANCE = void(int64, vector, vector, matrix, matrix, int64, int64, float64)
 """``advance(member, parameters, block, states, work, slots, substeps, h)``: integrate the first ``slots`` vehicles over
 ``substeps`` steps of h (s), inputs held. parameters: the plant's own; work (7, >= max(n, STATES)): scratch."""
 OBSERVE = void(int64, vector, vector, matrix, matrix, int64, vector)
-"""``observe(member, parameters, block, states, work, slot, seen)``: write lateral acceleration (m/s^2) and front-wheel
-angle (rad) of a vehicle under its present input to ``seen`` (2,)."""
+"""``observe(member, parameters, block, states, work, slot, observed)``: write lateral acceleration (m/s^2) and
+front-wheel angle (rad) of a vehicle under its present input to ``observed`` (2,)."""
 OBSERVED = columns("lateral_acceleration", "wheel_angle")
 """What `observe` writes."""
 _call_advance, _call_observe = Caller(ADVANCE), Caller(OBSERVE)
@@ -121,10 +121,10 @@ def advance(slots, substeps, h, vehicles):
 
 
 @inlined
-def observe(slot, vehicles, seen):
-    """Write `OBSERVED` of a vehicle under its present input to `seen`."""
+def observe(slot, vehicles, observed):
+    """Write `OBSERVED` of a vehicle under its present input to `observed`."""
     v = vehicles
-    _call_observe(v.observe, v.member, v.parameters, v.block, v.states, v.work, slot, seen)
+    _call_observe(v.observe, v.member, v.parameters, v.block, v.states, v.work, slot, observed)
 
 
 @inlined

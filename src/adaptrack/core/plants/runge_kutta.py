@@ -1,7 +1,7 @@
 """Fixed-step Runge-Kutta integration of a batch of vehicles, and what it asks of a built-in plant.
 
 Each plant's file hands in its own right-hand side and the tyre law as constants: the compiler builds a vectorised loop
-of straight arithmetic for each law that is asked for.
+of straight arithmetic for each law that is used.
 """
 
 from __future__ import annotations
@@ -56,13 +56,13 @@ def advance_all(right_hand_side, parameters, block, slots, steps, law):
 
 
 @inlined
-def observe_one(right_hand_side, parameters, block, slot, seen, law):
+def observe_one(right_hand_side, parameters, block, slot, observed, law):
     """Lateral acceleration and front-wheel angle of a built-in plant's vehicle, see `contract.OBSERVE`."""
     c = unpack(parameters)
     x, u = _state_of(block, slot), _input_of(block, _INPUT + slot)
     slope = right_hand_side(x, u, c, law)
-    seen[OBSERVED.lateral_acceleration] = slope.vy + x.vx * x.yaw_rate - u.bank
-    seen[OBSERVED.wheel_angle] = wheel_angle(x.steering, u.command, c.steering_lag, c.steering_limit)
+    observed[OBSERVED.lateral_acceleration] = slope.vy + x.vx * x.yaw_rate - u.bank
+    observed[OBSERVED.wheel_angle] = wheel_angle(x.steering, u.command, c.steering_lag, c.steering_limit)
 
 
 @inlined

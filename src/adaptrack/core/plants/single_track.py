@@ -67,8 +67,8 @@ def compiled(law: int) -> CompiledPlant:
         advance_all(right_hand_side, parameters, block, slots, (substeps, h), law)
 
     @exported(OBSERVE, name=f"single_track_{TYRE_NAMES[law]}_observe")
-    def observe(member, parameters, block, states, work, slot, seen):
-        observe_one(right_hand_side, parameters, block, slot, seen, law)
+    def observe(member, parameters, block, states, work, slot, observed):
+        observe_one(right_hand_side, parameters, block, slot, observed, law)
 
     return CompiledPlant(derivative, advance, observe)
 

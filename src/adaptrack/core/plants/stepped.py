@@ -13,10 +13,10 @@ LATERAL_ACCELERATION = MOTION
 
 
 @exported(OBSERVE, name="stepped_observe")
-def observe(member, parameters, block, states, work, slot, seen):
+def observe(member, parameters, block, states, work, slot, observed):
     """See `contract.OBSERVE`."""
-    seen[OBSERVED.lateral_acceleration] = states[slot, LATERAL_ACCELERATION]
-    seen[OBSERVED.wheel_angle] = wheel_angle(
+    observed[OBSERVED.lateral_acceleration] = states[slot, LATERAL_ACCELERATION]
+    observed[OBSERVED.wheel_angle] = wheel_angle(
         block[state_at(STATE.steering, slot)], block[input_at(INPUT.command, slot)],
         parameters[ACTUATOR.lag], parameters[ACTUATOR.limit],
     )  # fmt: skip

@@ -83,7 +83,7 @@ def advance(member, parameters, block, states, work, slots, substeps, h):
 
 
 @exported(OBSERVE, name="user_observe")
-def observe(member, parameters, block, states, work, slot, seen):
+def observe(member, parameters, block, states, work, slot, observed):
     """See `contract.OBSERVE`."""
     _, n = states.shape
     command = _read_inputs(parameters, block, slot, work)
@@ -95,10 +95,10 @@ def observe(member, parameters, block, states, work, slot, seen):
     for j in range(n):
         x[j] = states[slot, j]
     call_right_hand_side(member, x, work[_GIVEN, : len(U)], work[_AROUND, :ENVIRONMENT], parameters[OWN:], slope)
-    seen[OBSERVED.lateral_acceleration] = (
+    observed[OBSERVED.lateral_acceleration] = (
         slope[STATE.vy] + x[STATE.vx] * x[STATE.yaw_rate] - block[input_at(INPUT.bank, slot)]
     )
-    seen[OBSERVED.wheel_angle] = angle
+    observed[OBSERVED.wheel_angle] = angle
 
 
 def layout_of(parameters: Mapping[str, Any]) -> Any:

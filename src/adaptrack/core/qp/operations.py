@@ -89,7 +89,7 @@ def exact_stationarity(problem, q, x, w):
             rest = fma8(row, factor, sub(zeros(), product))  # product + rest = row * factor exactly
             s = add(high, product)
             t = sub(s, high)
-            low = add(low, add(add(sub(high, sub(s, t)), sub(product, t)), rest))  # what s has lost
+            low = add(low, add(add(sub(high, sub(s, t)), sub(product, t)), rest))  # the rounding error of s
             high = s
         store(w.residual, b, sub(zeros(), add(high, low)))
 

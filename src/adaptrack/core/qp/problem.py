@@ -36,7 +36,7 @@ NOT_CONVEX = 3
 NON_FINITE = 4
 
 CHANGES = 10
-"""Changes of the active set, per variable and row, after which the active-set method stops unless told otherwise."""
+"""Changes of the active set, per variable and row, after which the active-set method stops by default."""
 
 Problem = record(
     "Problem", (("n", int64), ("m", int64), ("E", matrix), ("K", vector), ("Mt", matrix), ("gamma", vector))
