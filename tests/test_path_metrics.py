@@ -17,7 +17,7 @@ from adaptrack.control.controllers import MPC, Tuning, published_mpc
 from adaptrack.control.models import PathModel
 from adaptrack.drive.metrics import compute_metrics
 from adaptrack.drive.path_metrics import PathRecord, path_metrics, r79, r79_signals, reversal_rate
-from adaptrack.drive.prediction import foretold, prediction_error
+from adaptrack.drive.prediction import prediction_error, run_prediction_error
 from adaptrack.drive.simulate import rollout
 from adaptrack.road import Arc, Line
 from adaptrack.road.road import Road
@@ -202,11 +202,11 @@ class TestPrediction:
             else published_mpc(car, Tuning(30, 10, 1.0, 100.0), preview=True)
         )
         run = rollout(DualTrack(car), mpc, RoadDrive(road, 15.0))
-        found = foretold(run, mpc.model)
+        found = run_prediction_error(run, mpc.model)
         turned_away = 0.5 * 0.005 * 15.0**2  # m, of a car that goes straight on for 1 s
         assert 0.0 < found[0.5] < found[1.0] < 0.15 * turned_away
         assert compute_metrics(run, model=mpc.model).prediction_error_one == found[1.0]
         assert math.isnan(compute_metrics(run).prediction_error_one)
-        short = foretold(run.between(0.0, 0.8), mpc.model)
+        short = run_prediction_error(run.between(0.0, 0.8), mpc.model)
         assert math.isfinite(short[0.5])
         assert math.isnan(short[1.0])

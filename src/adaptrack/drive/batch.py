@@ -100,8 +100,8 @@ def rollout_batch(
         tunings = np.repeat(batch.tuning[None], np.size(which), axis=0)
     elif batch.scheduler is not None:
         raise InvalidInput("tunings: this MPC has a scheduler, which chooses them; leave them out.")
-    asked = batch.checked_tunings(tunings)
-    runs = len(asked)
+    checked = batch.checked_tunings(tunings)
+    runs = len(checked)
     index = np.zeros(runs, np.int64) if which is None else np.array(which)
     if index.dtype.kind not in "iu":
         raise InvalidInput("which: must be whole numbers.")
@@ -112,7 +112,11 @@ def rollout_batch(
     if seeded.shape not in ((), (runs,)):
         raise InvalidInput(f"seeds: need one, or one for each of the {runs} runs; got shape {seeded.shape}.")
     found = batch.run(
-        index, asked, np.broadcast_to(seeded, (runs,)).copy(), threads or os.cpu_count() or 1, scheduler=batch.scheduler
+        index,
+        checked,
+        np.broadcast_to(seeded, (runs,)).copy(),
+        threads or os.cpu_count() or 1,
+        scheduler=batch.scheduler,
     )
     return found.measured()
 
@@ -124,12 +128,12 @@ class BatchRuns:
     result: Any
     """(runs,) `core.period.RESULT`"""
     trace: Any
-    """`core.period.Trace` of (runs, periods of the longest, ...), NaN behind a run's end; empty unless asked for"""
+    """`core.period.Trace` of (runs, periods of the longest, ...), NaN behind a run's end; empty unless requested"""
     counts: dict[str, NDArray[np.int64]]
     """what the scheduler counted, (runs,) by name; empty without one"""
     segments: Array
     """(runs, segments) cost of each segment: sum of squared error plus weight times squared move; inf where a run ended
-    early, NaN after that and beyond the end of a shorter run; (runs, 0) unless asked for"""
+    early, NaN after that and beyond the end of a shorter run; (runs, 0) unless requested"""
 
     @property
     def failed(self) -> NDArray[np.bool_]:
@@ -242,14 +246,14 @@ class Batch:
             When they are none.
         """
         names = self.controller.tuning_names
-        asked = np.array(tunings, dtype=np.float64, ndmin=2)
-        if asked.ndim != 2 or asked.shape[1] != len(names) or not np.isfinite(asked).all():
+        checked = np.array(tunings, dtype=np.float64, ndmin=2)
+        if checked.ndim != 2 or checked.shape[1] != len(names) or not np.isfinite(checked).all():
             raise InvalidInput(
-                f"tunings: need finite (runs, {len(names)}) of {', '.join(names)}; got shape {asked.shape}."
+                f"tunings: need finite (runs, {len(names)}) of {', '.join(names)}; got shape {checked.shape}."
             )
-        if isinstance(self.controller, MPC) and ((asked[:, 2] < 0.0).any() or (asked[:, 3] <= 0.0).any()):
+        if isinstance(self.controller, MPC) and ((checked[:, 2] < 0.0).any() or (checked[:, 3] <= 0.0).any()):
             raise InvalidInput("tunings: every Q must be >= 0 and every R > 0.")
-        return asked
+        return checked
 
     def mpc_settings(self, longest: float, most: float, residuals: bool) -> Any:
         """The MPC's settings with a workspace no larger than horizons up to these need; tiny for other controllers."""
@@ -330,7 +334,7 @@ class Batch:
         """Drive run i with scenario which[i], tunings[i] and seeds[i]; a scheduler begins with the tuning.
 
         traced: keep what happened at every control instant, about 200 bytes for each of a run; segment: periods of a
-        segment whose cost is asked for, with `weight` (m^2/rad^2) on the squared moves; 0: none.
+        segment whose cost is wanted, with `weight` (m^2/rad^2) on the squared moves; 0: none.
         """
         runs, n = len(which), int(self.periods.max())
         plan = _Plan(which, tunings, seeds, segment, weight, n if traced else 0, scheduler)

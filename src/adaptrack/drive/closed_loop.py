@@ -29,7 +29,7 @@ from adaptrack.scenario import RoadDrive, Scenario
 Array = NDArray[np.float64]
 
 LONGEST_PREVIEW = 400
-"""Control instants for which a controller in Python is told the speed ahead."""
+"""Control instants ahead for which a controller in Python is given the planned speed."""
 
 
 class _SteppedVehicle:

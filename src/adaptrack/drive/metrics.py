@@ -19,7 +19,7 @@ from adaptrack.base.checked import NotNegative, checked
 from adaptrack.base.shown import html_of
 from adaptrack.control.models import PredictionModel
 from adaptrack.drive.failure import SLOW, Failure, find_failure, state_is_finite
-from adaptrack.drive.prediction import TIMES, foretold
+from adaptrack.drive.prediction import TIMES, run_prediction_error
 from adaptrack.drive.trajectory import Trajectory
 
 AT_CHANGE_LIMIT, AT_ANGLE_LIMIT, AT_OUTPUT_LIMIT = 1, 2, 4
@@ -108,8 +108,8 @@ class Metrics:
     """µs, the slowest."""
 
     prediction_error_half: float
-    """m, RMS error of the output that the controller's model foretells 0.5 s ahead, open loop, see
-    `prediction.foretold`; NaN when `compute_metrics` was given no model."""
+    """m, RMS error of the output that the controller's model predicts 0.5 s ahead, open loop, see
+    `prediction.run_prediction_error`; NaN when `compute_metrics` was given no model."""
     prediction_error_one: float
     """m, likewise 1 s ahead."""
 
@@ -166,7 +166,7 @@ def compute_metrics(
     iterations = said.get("qp_iterations", _NOTHING)
     reckoned = said.get("dead_reckoning", np.zeros(driven.sum()))
     answered = (status == _SOLVED) | (status == _CAPPED)
-    ahead = dict.fromkeys(TIMES, math.nan) if model is None else foretold(trajectory, model)
+    ahead = dict.fromkeys(TIMES, math.nan) if model is None else run_prediction_error(trajectory, model)
     step_times = trajectory.step_time[np.isfinite(trajectory.step_time)] * 1e6
 
     return Metrics(

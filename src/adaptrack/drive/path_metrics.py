@@ -61,7 +61,7 @@ class PathRecord:
     yaw_rate: Array | float = 0.0
     """rad/s"""
     command: Array | float = 0.0
-    """rad, what was asked of the road wheels"""
+    """rad, requested angle of the road wheels"""
     curvature: Array | float = 0.0
     """1/m, of the path at the foot"""
 

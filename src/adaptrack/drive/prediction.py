@@ -1,4 +1,4 @@
-"""How far what a prediction model foretells lies from what came: open loop, over a recorded drive."""
+"""Errors of a prediction model over a recorded drive, open loop."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ TIMES = (0.5, 1.0)
 """s, ahead."""
 
 
-def foretold(run: Trajectory, model: PredictionModel) -> dict[float, float]:
+def run_prediction_error(run: Trajectory, model: PredictionModel) -> dict[float, float]:
     """`prediction_error` of a controller's model over a run, at `TIMES`: from the car's true states, open loop.
 
     On a curved road heading and offset count from the path. What the controller's estimator adds (disturbances, what
