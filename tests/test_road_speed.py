@@ -178,7 +178,7 @@ def test_a_lap_is_planned_without_a_jump_at_its_seam():
         ({"stops": [700.0]}, "on the road, 0 to 100 m"),
         ({"start": -1.0}, "start"),
         ({"end": 99.0}, "at most 20"),
-        ({"start": 20.0, "end": 0.0}, "cannot be lost in time"),
+        ({"start": 20.0, "end": 0.0}, "cannot brake in time; start at"),
         ({"spacing": 0.0}, "spacing"),
         ({"top_speed": math.nan}, "top_speed"),
     ],

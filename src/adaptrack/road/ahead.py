@@ -103,13 +103,13 @@ class RoadAhead:
         """The centre line, the foot and the speeds, `core.road.RoadAhead`."""
         return kernel.RoadAhead(self.road.packed(), self.station, self.speeds)
 
-    def bend(self, count: int, pace: float, lead: float, period: float) -> Array:
-        """(count,) m, how far the road lies to the left of its tangent here, `lead` periods (s) ahead and later.
+    def bend(self, count: int, speed: float, delay: float, period: float) -> Array:
+        """(count,) m, how far the road lies to the left of its tangent here: after `delay` periods, then every period.
 
-        pace: m/s, of the model; see `core.road.bend_ahead`.
+        speed: m/s, of the model; delay: in periods; period: s; see `core.road.bend_ahead`.
         """
         found = np.zeros(count)
-        kernel.bend_of(self.station, self.speeds, pace, lead, period, 0, stacked(self.road), found)
+        kernel.bend_of(self.station, self.speeds, speed, delay, period, 0, stacked(self.road), found)
         return found
 
 

@@ -20,7 +20,7 @@ from adaptrack.road.speed import FLAT, SpeedPlan, unlimited
 SPACING = 0.5
 """m, between the places that are looked at, beside those where the shape changes."""
 SPEAKING_JUMP = 1e-3
-"""1/m, from which on a jump of curvature is told: 3 mrad at the wheels of a car."""
+"""1/m, from which on a jump of curvature is reported: 3 mrad at the wheels of a car."""
 
 FAR_TIGHTER = 10.0
 """Times smaller than a car's smallest radius: no road is, one in kilometres may be."""
@@ -55,7 +55,7 @@ class Finding:
 
 
 def smallest_radius(car: Vehicle) -> float:
-    """Radius (m) of the tightest circle of the centre of mass at walking pace: sqrt((L/tan delta)^2 + l_r^2)."""
+    """Radius (m) of the tightest circle of the centre of mass at low speed: sqrt((L/tan delta)^2 + l_r^2)."""
     limit = steering_limit(car)
     return math.hypot(car.wheelbase / math.tan(limit), car.lr) if limit < 0.5 * math.pi else car.lr
 

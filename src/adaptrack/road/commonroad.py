@@ -57,8 +57,8 @@ def read_commonroad(
         made = fit_road(points, **({"name": Path(path).stem, **values} | options))
     except InvalidInput as error:
         raise ConfigError(f"{where}: {str(error).removeprefix('fit_road: ')}") from None
-    told = ", ".join(str(lanelet.lanelet_id) for lanelet in chain)
-    return made.replace(notes=(f"lanelets {told}", *made.notes))
+    numbers = ", ".join(str(lanelet.lanelet_id) for lanelet in chain)
+    return made.replace(notes=(f"lanelets {numbers}", *made.notes))
 
 
 def _network(where: str, content: bytes) -> Any:

@@ -33,15 +33,15 @@ from adaptrack.road.table import Table, X, Y, joined, tabulate
 _log = logging.getLogger("adaptrack")
 
 MAX_DEVIATION = 0.5
-"""m, allowed at least unless another is asked for."""
+"""m, allowed at least unless another is given."""
 NOISES = 6.0
-"""Standard deviations of the noise that are allowed, unless a distance is asked for."""
+"""Standard deviations of the noise that are allowed, unless a distance is given."""
 FEWEST = 4
 """Points."""
 WIDEST = 1e4
 """m, the largest distance of two points in a row."""
 SPARSE = 50.0
-"""m, the usual distance of two points in a row from which on it is asked whether they are in metres."""
+"""m, the usual distance of two points in a row from which on a note asks whether they are in metres."""
 SHORTEST, SHORTEST_PATH = 1.0, 0.01
 """m, the shortest road that is fitted, and that points without noise may make."""
 FITS = 3
@@ -49,7 +49,7 @@ FITS = 3
 SHORTEST_KNOTS = 0.5
 """m, the least distance of the knots to begin with: denser points are averaged by the fit."""
 REFINEMENTS = 3
-"""How often the knots are put at half the distance when the curve cannot come as near as asked."""
+"""How often the knots are put at half the distance when the curve cannot come as near as requested."""
 LENGTHS, COARSE = 28, 3
 """Smoothing lengths that cross-validation compares, and the step in which it begins to."""
 ROUNDS = 3
@@ -64,7 +64,7 @@ IN_A_ROW, SHARE = 5, 0.02
 """The most outliers in a row, and of all points."""
 BESIDE, MET = 2, 4.0
 """Points on each side of outliers that the curve without these must meet, within so many standard deviations."""
-TOLD = 5
+MOST_NAMED = 5
 """Outliers that are named."""
 
 
@@ -103,7 +103,7 @@ def fit_road(
     Raises
     ------
     InvalidInput
-        When points are too few, not finite, all the same or too far apart, or no curve comes as near as asked.
+        When points are too few, not finite, all the same or too far apart, or no curve comes as near as requested.
     """
     points = _checked("fit_road", points, SHORTEST)
     kept, lap, notes = _lap(points, closed)
@@ -123,9 +123,9 @@ def fit_road(
         else value
         for key, value in along.items()
     }
-    told = [] if smoothest else _bounded(found, fit, bound)
+    bounded = [] if smoothest else _bounded(found, fit, bound)
     outliers = _left_out(fit.road, record.points, place, out)
-    notes = [*_sparse(points), *notes, *outliers, *told, _said(fit, found.record.rows)]
+    notes = [*_sparse(points), *notes, *outliers, *bounded, _said(fit, found.record.rows)]
     return replace(
         fit.road, name=name, notes=tuple(notes), deviation=fit.deviation,
         **alongs({key: _by_place(value, fit.road) for key, value in values.items()}),
@@ -257,8 +257,8 @@ def _left_out(road: Road, points: Array, place: Array, out: NDArray[np.bool_]) -
     rows = np.flatnonzero(out)
     foot = road.at(place[rows])
     away = np.hypot(foot.x - points[rows, 0], foot.y - points[rows, 1])
-    named = [f"at point {row} ({far:.3g} m)" for row, far in zip(rows[:TOLD], away[:TOLD], strict=True)]
-    more = [f"{rows.size - TOLD} more"] if rows.size > TOLD else []
+    named = [f"at point {row} ({far:.3g} m)" for row, far in zip(rows[:MOST_NAMED], away[:MOST_NAMED], strict=True)]
+    more = [f"{rows.size - MOST_NAMED} more"] if rows.size > MOST_NAMED else []
     return [f"{rows.size} of {out.size} points left out as outliers: {', '.join(named + more)}"] if named else []
 
 
@@ -356,7 +356,7 @@ class _Found:
     distances: Array
     """(n,) m"""
     noise: float
-    """m, standard deviation of the points across the curve, whatever a few of them do; NaN where it cannot be told"""
+    """m, standard deviation of the points across the curve, whatever a few of them do; NaN: no estimate"""
 
 
 @dataclass(frozen=True)

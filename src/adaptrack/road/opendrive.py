@@ -31,7 +31,7 @@ SAMPLES = 2.0
 DRIVEN = ("driving", "entry", "exit", "onRamp", "offRamp", "connectingRamp", "bidirectional")
 """Types of lanes that count to the width of a road."""
 STATED = 1e-3
-"""m, from which on a difference between the stated and the true length of an element is told."""
+"""m, from which on a difference between the stated and the true length of an element is reported."""
 
 
 def read_opendrive(
@@ -92,8 +92,8 @@ def _road(where: str, root: Element, wanted: str | int | None) -> Element:
         if len(roads) > 1:
             stated = {name: _stated_length(element) for name, element in roads.items()}
             longest = sorted(stated, key=lambda name: -stated[name])[:8]
-            told = ", ".join(f"{printable(name)!r} ({stated[name]:.0f} m)" for name in longest)
-            raise ConfigError(f"{where}: {len(roads)} roads; say which one by its id. The longest: {told}.")
+            named = ", ".join(f"{printable(name)!r} ({stated[name]:.0f} m)" for name in longest)
+            raise ConfigError(f"{where}: {len(roads)} roads; say which one by its id. The longest: {named}.")
         return next(iter(roads.values()))
     if str(wanted) not in roads:
         raise ConfigError(f"{where}: no road has the id {str(wanted)!r}. {did_you_mean(str(wanted), roads)}")

@@ -134,7 +134,7 @@ def nearest_feet(road: Road, x: ArrayLike, y: ArrayLike) -> Projection:
     """The nearest foot of the whole road for points x, y (m), (n,) each.
 
     The nearest point lies within half a stride of one of the samples, so a sample that is farther than the nearest one
-    by more than that cannot lead to it. Beyond the ends of an open road the foot is on its straight continuation.
+    by more than that is not next to it. Beyond the ends of an open road the foot is on its straight continuation.
     """
     x, y = (np.asarray(each, dtype=np.float64) for each in (x, y))
     samples = np.linspace(0.0, road.length, int(np.ceil(road.length / STRIDE)) + 1)

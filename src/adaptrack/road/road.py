@@ -279,8 +279,8 @@ class Road:
             raise InvalidInput("Road.project: x, y and near must be finite; leave missing samples out.")
         feet = np.empty((len(rows), 4))
         kernel.project_all(self.packed(), rows, feet)
-        for lost in np.flatnonzero(np.isnan(feet[:, 1]))[:1]:
-            px, py, s = rows[lost]
+        for missing in np.flatnonzero(np.isnan(feet[:, 1]))[:1]:
+            px, py, s = rows[missing]
             raise InvalidInput(
                 f"Road.project: the point ({px:.6g}, {py:.6g}) has no foot within {kernel.REACH:g} m of near = {s:.6g} "
                 "m along the road. Give the arc length of its last foot, or leave near out."

@@ -190,9 +190,9 @@ class Curve:
         for _ in range(STEPS):
             place, slope, bend = self.at(t[active])
             off = place - points[active]
-            pace = np.maximum((slope**2).sum(axis=-1), 1e-12)
-            grows = pace + (off * bend).sum(axis=-1)
-            step = -(off * slope).sum(axis=-1) / np.where(grows > 0.1 * pace, grows, pace)
+            squared = np.maximum((slope**2).sum(axis=-1), 1e-12)
+            grows = squared + (off * bend).sum(axis=-1)
+            step = -(off * slope).sum(axis=-1) / np.where(grows > 0.1 * squared, grows, squared)
             t[active] += np.clip(step, -STRIDE, STRIDE)
             active = active[np.abs(step) > 1e-9]
             if not active.size:
@@ -205,10 +205,10 @@ class Curve:
         """The arc length over t."""
         count = len(self.powers)
         middles = self.knot * np.arange(count)[:, np.newaxis] + 0.5 * self.knot * (1.0 + _NODES)
-        pace = np.hypot(*self.at(middles.ravel())[1].T).reshape(middles.shape)
+        growth = np.hypot(*self.at(middles.ravel())[1].T).reshape(middles.shape)
         knots = np.linspace(0.0, self.length, count + 1)
         ends = np.hypot(*self.at(knots)[1].T)
-        arc = np.concatenate([[0.0], np.cumsum(0.5 * self.knot * (pace @ _WEIGHTS))])
+        arc = np.concatenate([[0.0], np.cumsum(0.5 * self.knot * (growth @ _WEIGHTS))])
         return scipy.interpolate.CubicHermiteSpline(knots, arc, ends)
 
     @property

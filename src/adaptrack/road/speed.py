@@ -35,7 +35,7 @@ from adaptrack.road.road import Road
 from adaptrack.road.segments import Array
 
 SPACING = 1.0
-"""m, between the places at which the speed is planned, unless asked otherwise."""
+"""m, between the places at which the speed is planned, by default."""
 UNLOADINGS = 6
 """Steps of Newton's method."""
 FLAT = 1e-9
@@ -141,7 +141,7 @@ def plan_speed(
     ------
     InvalidInput
         When a stop is not on the road, a bend is tighter than the car can turn, a bank alone exceeds what is allowed
-        sideways, or the speed at the start cannot be lost in time; the message says where.
+        sideways, or the speed at the start is too high to brake in time; the message says where.
     """
     halts = [stop if isinstance(stop, Stop) else Stop(float(stop)) for stop in stops]
     for stop in halts:
@@ -162,8 +162,9 @@ def plan_speed(
         ceiling[[0, -1]] = ceiling[[0, -1]].min()
     w = _passed(cells, ceiling, road.closed)
     if start is not None and w[0] < start * start * (1.0 - 1e-9):
+        slower = math.sqrt(w[0])
         raise InvalidInput(
-            f"plan_speed: start = {start:g} m/s cannot be lost in time: at most {math.sqrt(w[0]):.4g} m/s can."
+            f"plan_speed: start = {start:g} m/s: a car cannot brake in time; start at {slower:.4g} m/s at most."
         )
     if math.isfinite(comfort.jerk):
         w = _with_jerk(cells, w, comfort.jerk, road.closed, start)
@@ -205,9 +206,9 @@ def _places(road: Road, spacing: float, halts: Sequence[Stop]) -> Array:
 
 def _plan(s: Array, w: Array, halts: Sequence[Stop], closed: bool, comfort: Comfort) -> SpeedPlan:
     v = np.sqrt(np.maximum(w, 0.0))
-    pace = 0.5 * (v[:-1] + v[1:])
+    mean = 0.5 * (v[:-1] + v[1:])
     with np.errstate(divide="ignore"):
-        steps = np.diff(s) / pace  # exact for a constant acceleration
+        steps = np.diff(s) / mean  # exact for a constant acceleration
     standing = np.zeros_like(s)
     for stop in halts:
         standing[np.argmin(np.abs(s - stop.s))] += stop.seconds

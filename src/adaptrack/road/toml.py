@@ -100,8 +100,8 @@ class RoadFile(Record):
     def _says_one_line(self) -> Self:
         given = [name for name in ("elements", "points", "pieces") if getattr(self, name)]
         if len(given) != 1:
-            told = " and ".join(given) or "neither elements nor points"
-            raise ValueError(f"{told}: give the centre line once, as [[elements]] or as points.")
+            stated = " and ".join(given) or "neither elements nor points"
+            raise ValueError(f"{stated}: give the centre line once, as [[elements]] or as points.")
         if self.max_deviation is not None and self.points is None:
             raise ValueError("max_deviation is for points; remove it.")
         return self

@@ -112,7 +112,7 @@ def random_drive(
     if lane_width != USUAL.lane_width:
         options["lane_width"] = lane_width
     drive = _Drive(seed, duration, demand, (heading, lane_width))
-    road, pace = drive.draw_friction(*friction), drive.draw_speed(*speed)
+    drawn_friction, drawn_speed = drive.draw_friction(*friction), drive.draw_speed(*speed)
     manoeuvres = (*drive.draw_curves(), *drive.draw_lane_changes())
     return Scenario(
         name="random-drive",
@@ -120,8 +120,8 @@ def random_drive(
         source=f"random_drive({seed}, {duration!r}, {', '.join(f'{k}={v!r}' for k, v in options.items())})",
         duration=duration,
         reference=Sum(terms=manoeuvres) if manoeuvres else 0.0,
-        speed=pace,
-        friction=road,
+        speed=drawn_speed,
+        friction=drawn_friction,
         wind=Wind(y=drive.draw_wind(wind)),
     )
 

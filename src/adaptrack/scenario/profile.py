@@ -38,13 +38,14 @@ class Profile(Record):
         default_factory=SteeringActuator.ideal, description="lag, dead time, bias and limits of the steering"
     )
     period: float = Field(
-        default=0.1, gt=0, le=10, description="s, control period, unless the controller is told otherwise"
+        default=0.1, gt=0, le=10, description="s, control period, unless the controller is given another"
     )
     delay: float = Field(
         default=0.0, ge=0, description="-, control periods from a measurement until its command takes effect: 0 or 1"
     )
     preview: bool = Field(
-        default=False, description="whether the controller knows the reference ahead, unless it is told otherwise"
+        default=False,
+        description="whether controllers know the reference ahead, unless they say otherwise",
     )
     noise_vy: float = _noise("m/s, standard deviation of the measured lateral velocity; inf: no such sensor")
     noise_yaw: float = _noise("rad, of the measured yaw angle")

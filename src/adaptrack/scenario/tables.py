@@ -65,7 +65,7 @@ def _read_table(path: str | os.PathLike[str], choose: Callable[[list[str]], list
         When a header or a number is not allowed; the message names the line.
     """
     lines = _lines(path)
-    (first, header), body = lines[0], lines[1:]
+    (first, header), rows = lines[0], lines[1:]
     where = f"{os.fspath(path)}, line {first}"
     if len(header) == 1 and ";" in header[0]:
         raise ConfigError(f"{where}: the columns are separated by ';'; write ',' between them and '.' in numbers.")
@@ -76,11 +76,11 @@ def _read_table(path: str | os.PathLike[str], choose: Callable[[list[str]], list
         names = choose(header)
     except InvalidInput as error:
         raise ConfigError(f"{where}: {error}") from None
-    if len(body) < 2:
-        raise ConfigError(f"{os.fspath(path)}: at least two rows of numbers are needed; there are {len(body)}.")
+    if len(rows) < 2:
+        raise ConfigError(f"{os.fspath(path)}: at least two rows of numbers are needed; there are {len(rows)}.")
     places = [header.index(name) for name in names]
-    table = np.empty((len(body), len(names)))
-    for k, (line, row) in enumerate(body):
+    table = np.empty((len(rows), len(names)))
+    for k, (line, row) in enumerate(rows):
         where = f"{os.fspath(path)}, line {line}"
         if len(row) != len(header):
             raise ConfigError(f"{where}: {len(row)} cells, but the header has {len(header)} columns.")
@@ -90,8 +90,8 @@ def _read_table(path: str | os.PathLike[str], choose: Callable[[list[str]], list
     if late.any():
         k = int(late.argmax())
         raise ConfigError(
-            f"{os.fspath(path)}, line {body[k + 1][0]}: t = {float(t[k + 1])!r} does not come after "
-            f"t = {float(t[k])!r} in line {body[k][0]}; sort the rows by time and remove repetitions."
+            f"{os.fspath(path)}, line {rows[k + 1][0]}: t = {float(t[k + 1])!r} does not come after "
+            f"t = {float(t[k])!r} in line {rows[k][0]}; sort the rows by time and remove repetitions."
         )
     return {name: table[:, j].copy() for j, name in enumerate(names)}
 
