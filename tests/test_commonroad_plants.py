@@ -73,10 +73,10 @@ def of_their_body_model(x, steering, acceleration, car):
 
     z = [0.0] * 29
     z[2] = steering
-    for place, value in zip(kernel.BODY_PLACES, x.tolist(), strict=True):
+    for place, value in zip(kernel.MB_PLACES, x.tolist(), strict=True):
         z[place] = value
     f = vehicle_dynamics_mb(z, [0.0, acceleration], car)
-    return [f[place] for place in kernel.BODY_PLACES]
+    return [f[place] for place in kernel.MB_PLACES]
 
 
 def test_without_air_the_derivative_is_that_of_their_own_function(plant):

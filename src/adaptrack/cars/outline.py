@@ -26,7 +26,7 @@ WIDER_THAN_TRACK = 0.24
 @checked
 @dataclass(frozen=True, repr=False)
 class Outline:
-    """A rectangle that the body fills, seen from above."""
+    """The rectangle that the body fills in plan view."""
 
     front: Annotated[Positive, "m"]
     """centre of mass to the front end"""

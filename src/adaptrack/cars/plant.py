@@ -244,7 +244,7 @@ class UserPlant(Plant):
     right_hand_side(x, u, environment, p, dx) writes dx/dt into dx and returns nothing. It is a
     `CFunction`, or Python: compiled where numba is installed (``adaptrack[compile]``), else called back; it may use
     floats, loops, `math` and array elements. x: (n,) beginning with `MOTION`; u: steering angle of the front
-    wheels (rad), longitudinal force asked of the wheels (N), prescribed dv_x/dt (m/s^2); environment: friction
+    wheels (rad), longitudinal force requested of the wheels (N), prescribed dv_x/dt (m/s^2); environment: friction
     front-left, front-right, rear-left, rear-right, wind along X and Y (m/s), pull of a banked road to the left (m/s^2);
     p: `parameters` as an array, in their order, or, where they are nested, as a record (``p.tyre.shape``). It must not
     write to x, u, environment or p. `check_plant` admits it.
@@ -341,7 +341,7 @@ class UserPlant(Plant):
     def derivative(self, x: ArrayLike, u: ArrayLike, environment: ArrayLike) -> Array:
         n = len(self.state_names)
         slope = np.full(n, np.nan)
-        # not copies: what the function writes to its arguments must be seen by `check_plant`
+        # not copies: what the function writes to its arguments must be visible to `check_plant`
         state, inputs, around = _vector("x", x, n), _input(u), _environment(environment)
         self.compiled.right_hand_side(state, inputs, around, self._own, slope)  # type: ignore[attr-defined]
         if math.isfinite(inputs[2]):
@@ -350,7 +350,7 @@ class UserPlant(Plant):
 
 
 class SteppedPlant(ABC):
-    """A vehicle in Python that moves by being told to: any outside simulator. `simulate` drives it as it drives ours.
+    """A vehicle in Python that is moved step by step: any outside simulator. `simulate` drives it as it drives ours.
 
     The loop's steering actuator (the profile's, or `steering`) stands before it; compiled runs cannot take it.
     """
@@ -595,22 +595,22 @@ def _check_stepped(plant: SteppedPlant, speeds: Sequence[float], symmetric: bool
 
 
 def twin_of(car: Vehicle) -> DualTrack:
-    """A built-in plant with the numbers that a controller is told of a car; tyres of that stiffness, with its grip.
+    """A built-in plant with the numbers that a controller knows of a car; tyres of that stiffness, with its grip.
 
     What searches and linear analysis use in place of a plant that is `costly` or has no linear model.
     """
-    told = Tyre(
-        name="as told", kind="magic-formula", stiffness_front=car.stiffness_front, stiffness_rear=car.stiffness_rear,
+    known = Tyre(
+        name="as known", kind="magic-formula", stiffness_front=car.stiffness_front, stiffness_rear=car.stiffness_rear,
         nominal_load=max(car.static_loads),
     )  # fmt: skip
-    return DualTrack(car, told)
+    return DualTrack(car, known)
 
 
 def fingerprint(plant: Plant | SteppedPlant) -> str:
     """SHA-256 of what a plant's motion depends on, as far as this process can tell: results of another are not mixed.
 
     Its numbers, and the source of the module that its right-hand side or its class is defined in. What a stepped plant
-    asks of another process, of a library or of its own state is not seen.
+    asks of another process, of a library or of its own state is not part of it.
     """
     own = getattr(plant, "right_hand_side", type(plant))
     module = sys.modules.get(own.__module__)
@@ -621,8 +621,8 @@ def fingerprint(plant: Plant | SteppedPlant) -> str:
         source = own.__qualname__ if code is None else repr((code.co_code, code.co_names))
     numbers = plant.packed().tolist() if isinstance(plant, Plant) else []
     more = [repr(getattr(plant, name, None)) for name in ("steps", "longest_step", "version", "steering")]
-    told = [plant.name, plant.tyre_name, plant.powertrain, numbers, more, source]
-    return hashlib.sha256(json.dumps(told).encode()).hexdigest()
+    parts = [plant.name, plant.tyre_name, plant.powertrain, numbers, more, source]
+    return hashlib.sha256(json.dumps(parts).encode()).hexdigest()
 
 
 _registry: Registry[Plant | SteppedPlant] = Registry(
@@ -632,7 +632,7 @@ _registry: Registry[Plant | SteppedPlant] = Registry(
         "single-track": SingleTrack,
         "dual-track": DualTrack,
         "commonroad-single-track-drift": "adaptrack.peers.commonroad_plants:drift_of_car",
-        "commonroad-multi-body": "adaptrack.peers.commonroad_plants:body_of_car",
+        "commonroad-multi-body": "adaptrack.peers.commonroad_plants:mb_of_car",
     },
 )
 

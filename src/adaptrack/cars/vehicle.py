@@ -390,7 +390,7 @@ class Vehicle(Record):
     def to_toml(self, path: str | os.PathLike[str]) -> None:
         """Write the car as TOML, each value with its meaning and unit behind it; the new car has the file's name.
 
-        A tyre file is named as seen from the car's.
+        A tyre file is named relative to the car's.
 
         Raises
         ------
@@ -514,7 +514,7 @@ def load_vehicle(name_or_path: str | os.PathLike[str]) -> Vehicle:
     UnknownName
         When no vehicle has this name.
     MissingExtra
-        When a car of CommonRoad is asked for and commonroad-vehicle-models is not installed.
+        When a car of CommonRoad is requested and commonroad-vehicle-models is not installed.
     StorageError
         When the file cannot be read.
     ConfigError

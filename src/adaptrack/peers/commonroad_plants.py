@@ -39,7 +39,7 @@ PACKAGE, DISTRIBUTION = "vehiclemodels", "commonroad-vehicle-models"
 PREFIX = "commonroad-"
 """Of the cars' names, before the number, and of the plants', before the model."""
 
-_BODY = (
+_CHASSIS = (
     "m", "m_s", "m_uf", "m_ur", "a", "b", "I_Phi_s", "I_y_s", "I_z", "I_xz_s", "K_sf", "K_sdf", "K_sr", "K_sdr", "T_f",
     "T_r", "K_ras", "K_tsf", "K_tsr", "K_rad", "K_zt", "h_raf", "h_rar", "h_s", "I_uf", "I_ur", "I_y_w", "K_lt", "R_w",
     "T_sb", "T_se", "D_f", "D_r", "E_f", "E_r",
@@ -52,7 +52,7 @@ _TYRE = (
     "r_ey1", "r_hy1", "r_vy1", "r_vy3", "r_vy4", "r_vy5", "r_vy6",
 )  # fmt: skip
 _CAR = {
-    **dict.fromkeys(_BODY), "steering": dict.fromkeys(_STEERING), "longitudinal": dict.fromkeys(_LONGITUDINAL),
+    **dict.fromkeys(_CHASSIS), "steering": dict.fromkeys(_STEERING), "longitudinal": dict.fromkeys(_LONGITUDINAL),
     "tire": dict.fromkeys(_TYRE),
 }  # fmt: skip
 _AIR = (
@@ -73,7 +73,7 @@ def commonroad_parameters(source: Source) -> dict[str, Any]:
     Raises
     ------
     MissingExtra
-        When a vehicle is asked for by its number and commonroad-vehicle-models is not installed.
+        When a vehicle is given by its number and commonroad-vehicle-models is not installed.
     UnknownName
         When there is no vehicle of that number with the parameters of both models.
     ConfigError
@@ -166,7 +166,7 @@ def commonroad_plant(model: str, source: Source, air: Vehicle | None = None) -> 
         _right_hand_side(model),
         parameters,
         mass=sheet.mass,
-        own_states=kernel.DRIFT_STATES if model == MODELS[0] else kernel.BODY_STATES,
+        own_states=kernel.DRIFT_STATES if model == MODELS[0] else kernel.MB_STATES,
         start=lambda motion: motion,  # replaced below: an equilibrium needs the plant's derivative
         steps=1,
         longest_step=_LONGEST_STEP[model],
@@ -178,7 +178,7 @@ def commonroad_plant(model: str, source: Source, air: Vehicle | None = None) -> 
         costly=True,
         version=metadata.version(DISTRIBUTION),
     )
-    rough = _drift_rolling(car) if model == MODELS[0] else _body_rolling(car)
+    rough = _drift_rolling(car) if model == MODELS[0] else _mb_rolling(car)
     return dataclasses.replace(plant, start=_Rolling(plant, rough))
 
 
@@ -188,7 +188,7 @@ def plant_of_car(model: str, vehicle: Vehicle, tyre: Tyre | str | None) -> UserP
     Raises
     ------
     InvalidInput
-        When the car is none of CommonRoad's, its body is another than theirs, or a tyre is asked for.
+        When the car is none of CommonRoad's, its body is another than theirs, or a tyre is given.
     """
     number = re.fullmatch(rf"{PREFIX}(\d+)", vehicle.name)
     if number is None:
@@ -213,7 +213,7 @@ def drift_of_car(vehicle: Vehicle, tyre: Tyre | str | None = None) -> UserPlant:
     return plant_of_car(MODELS[0], vehicle, tyre)
 
 
-def body_of_car(vehicle: Vehicle, tyre: Tyre | str | None = None) -> UserPlant:
+def mb_of_car(vehicle: Vehicle, tyre: Tyre | str | None = None) -> UserPlant:
     """`plant_of_car` for the multi-body model."""
     return plant_of_car(MODELS[1], vehicle, tyre)
 
@@ -269,7 +269,7 @@ def _right_hand_side(model: str) -> Callable[..., None]:
     if model == MODELS[0]:
         function, around = _package("vehicle_dynamics_std").vehicle_dynamics_std, kernel.drift_right_hand_side
     else:
-        function, around = _package("vehicle_dynamics_mb").vehicle_dynamics_mb, kernel.body_right_hand_side
+        function, around = _package("vehicle_dynamics_mb").vehicle_dynamics_mb, kernel.mb_right_hand_side
     return around(compiled_foreign(function, PACKAGE), layout_of(tables), places)
 
 
@@ -279,20 +279,18 @@ def _drift_rolling(car: dict[str, Any]) -> Callable[[Array], Array]:
     return lambda motion: np.full(2, motion[3] / car["R_w"])
 
 
-def _body_rolling(car: dict[str, Any]) -> Callable[[Array], Array]:
+def _mb_rolling(car: dict[str, Any]) -> Callable[[Array], Array]:
     """Wheels that roll without slip under axles that carry the car's weight, as CommonRoad's `init_mb` has them."""
     weight = car["m_s"] * 9.81 / (car["a"] + car["b"])
     front = (weight * car["b"] + car["m_uf"] * 9.81) / (2.0 * car["K_zt"])
     rear = (weight * car["a"] + car["m_ur"] * 9.81) / (2.0 * car["K_zt"])
 
     def rough(motion: Array) -> Array:
-        values = dict.fromkeys(kernel.BODY_STATES, 0.0)
+        values = dict.fromkeys(kernel.MB_STATES, 0.0)
         values |= {"z_front": front, "z_rear": rear}
         values["vy_front"] = motion[4] + car["a"] * motion[5]
         values["vy_rear"] = motion[4] - car["b"] * motion[5]
-        values |= dict.fromkeys(
-            [name for name in kernel.BODY_STATES if name.startswith("wheel")], motion[3] / car["R_w"]
-        )
+        values |= dict.fromkeys([name for name in kernel.MB_STATES if name.startswith("wheel")], motion[3] / car["R_w"])
         return np.array(list(values.values()))
 
     return rough

@@ -48,7 +48,7 @@ class KinematicMPC(CompiledController):
     Steering Methods for Autonomous Automobile Path Tracking*, CMU-RI-TR-09-08, 2009, section 2.2.
 
     weights: by name, see `WEIGHTS`, those not given as Autoware ships them; cutoff: Hz, of the second-order Butterworth
-    filter on the command, 0 for none; stages, step (s): the horizon. profile, belief: what it is told of steering and
+    filter on the command, 0 for none; stages, step (s): the horizon. profile, belief: what it knows of steering and
     sensors, as for `MPC`; period (s), preview, limits: by default the profile's, and those of the belief. It does not
     use the lateral velocity or the yaw rate.
 

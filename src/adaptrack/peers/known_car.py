@@ -1,4 +1,4 @@
-"""What a controller knows that is told the truth about its car: tyres as the plant's, steering as the actuator's."""
+"""What a controller with the true parameters knows of its car: tyres as the plant's, steering as the actuator's."""
 
 from __future__ import annotations
 
@@ -43,11 +43,11 @@ class KnownCar:
         InvalidInput
             For arguments that describe no car.
         """
-        world, pace, said = world_and_belief(where, vehicle, profile, belief, period)
+        world, control_period, said = world_and_belief(where, vehicle, profile, belief, period)
         if not 0.0 < real(where, "friction", friction) < math.inf:
             raise InvalidInput(f"{where}: friction = {friction!r}: must be positive and finite.")
         known = tyre if isinstance(tyre, Tyre) else load_tyre(vehicle.tyre if tyre is None else tyre)
-        return cls(vehicle, known, float(friction), world, said, pace)
+        return cls(vehicle, known, float(friction), world, said, control_period)
 
     @property
     def limits(self) -> Limits:

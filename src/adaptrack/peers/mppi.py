@@ -108,11 +108,11 @@ class MPPI(CompiledController):
 
     def own_parameters(self) -> tuple[float, ...]:
         car, steering = self.car, self.car.belief
-        body, rate = car.vehicle, steering.rate.value
+        vehicle, rate = car.vehicle, steering.rate.value
         return (
             self.samples // 2, self.stages, self.rounds, self.seed, *self._dead,
             steering.lag.value, rate if math.isfinite(rate) else 1e9, steering.limit.value,
-            body.mass, body.yaw_inertia, body.lf, body.lr, *car.stiffness, *car.peaks, *car.curve,
+            vehicle.mass, vehicle.yaw_inertia, vehicle.lf, vehicle.lr, *car.stiffness, *car.peaks, *car.curve,
             float(math.isfinite(car.profile.noise_vy)), car.profile.pose_age,
         )  # fmt: skip
 

@@ -66,7 +66,7 @@ class Ahead(NamedTuple):
 
 
 class NMPC(Controller):
-    """Nonlinear MPC that is told the truth of tyres, lag and dead time.
+    """Nonlinear MPC with the true parameters of tyres, lag and dead time.
 
         min sum q_e (e - y_ref)^2 + q_course (psi + v_y/v)^2 + R (move of u)^2,   within the limits on moves and angle
 
@@ -161,7 +161,7 @@ class NMPC(Controller):
 
     def _slope(self, ca: Any, x: Any, u: Any, p: Any) -> Any:
         """dx/dt of the states; p: v, kappa, d_y, d_r."""
-        body, (shape, curvature) = self.car.vehicle, self.car.curve
+        vehicle, (shape, curvature) = self.car.vehicle, self.car.curve
         vy, r, psi, e = x[0], x[1], x[2], x[3]
         v, kappa, push, turn = p[0], p[1], p[2], p[3]
         delta = x[4] if self._n == 5 else u
@@ -171,12 +171,12 @@ class NMPC(Controller):
             return peak * ca.sin(shape * ca.atan(b - curvature * (b - ca.atan(b))))
 
         stiffness, peaks = self.car.stiffness, self.car.peaks
-        front = force(delta - ca.atan((vy + body.lf * r) / v), stiffness[0], peaks[0])
-        rear = force(-ca.atan((vy - body.lr * r) / v), stiffness[1], peaks[1])
+        front = force(delta - ca.atan((vy + vehicle.lf * r) / v), stiffness[0], peaks[0])
+        rear = force(-ca.atan((vy - vehicle.lr * r) / v), stiffness[1], peaks[1])
         along = (v * ca.cos(psi) - vy * ca.sin(psi)) / (1.0 - kappa * e)
         slopes = [
-            (front + rear) / body.mass - v * r + push,
-            (body.lf * front - body.lr * rear) / body.yaw_inertia + turn,
+            (front + rear) / vehicle.mass - v * r + push,
+            (vehicle.lf * front - vehicle.lr * rear) / vehicle.yaw_inertia + turn,
             r - kappa * along,
             v * ca.sin(psi) + vy * ca.cos(psi),
         ]
@@ -186,9 +186,9 @@ class NMPC(Controller):
 
     def _substeps(self) -> int:
         """Runge-Kutta steps of a period."""
-        body, (front, rear) = self.car.vehicle, self.car.stiffness
+        vehicle, (front, rear) = self.car.vehicle, self.car.stiffness
         fastest = max(
-            (front + rear) / body.mass, (front * body.lf**2 + rear * body.lr**2) / body.yaw_inertia
+            (front + rear) / vehicle.mass, (front * vehicle.lf**2 + rear * vehicle.lr**2) / vehicle.yaw_inertia
         ) / SLOWEST  # fmt: skip
         lag = self._model.lag
         return math.ceil(self.period * max(fastest, 1.0 / lag if lag > 0.0 else 0.0) / STIFFEST)
@@ -213,7 +213,7 @@ class NMPC(Controller):
         return self._angle
 
     def applied(self, angle: float) -> None:
-        """Say which angle (rad) was asked of the wheels in place of the last command: the next step goes on from it.
+        """Say which angle (rad) was sent in place of the last command: the next step goes on from it.
 
         Raises
         ------
@@ -253,25 +253,25 @@ class NMPC(Controller):
         given = vector("state", state, _SENSORS)
         measured[: given.size] = given
         measured[8] = given[8] if given.size == 9 else 0.0
-        pace, ahead = number("speed", speed), vector("reference", reference, most=2 * MOST_STAGES)
+        speed, ahead = number("speed", speed), vector("reference", reference, most=2 * MOST_STAGES)
         road = road_ahead(road)
         self._take_command()
         found: Array | None = None
         iterations, change = 0, math.nan
-        v = max(pace, SLOWEST) if pace < 1e3 else math.nan
+        v = max(speed, SLOWEST) if speed < 1e3 else math.nan
         if math.isfinite(v) and np.abs(np.nan_to_num(given, nan=0.0)).max() < 1e6:
             path = self._look_ahead(ahead, v, road)
             x, pushes = self._state(measured, v, path, road)
             if np.isfinite(x).all() and np.isfinite(path.reference).all() and np.abs(path.reference).max() < 1e6:
                 found, iterations, change = self._solve(x, pushes, path)
-        return self._answer(found, pace, iterations, change)
+        return self._answer(found, speed, iterations, change)
 
-    def _answer(self, found: Array | None, pace: float, iterations: int, change: float) -> Command:
+    def _answer(self, found: Array | None, speed: float, iterations: int, change: float) -> Command:
         """The command; without a solution the next move of the last plan, of data that are not finite none."""
         held = found is None
         self._moves = np.append(self._moves[1:], 0.0) if found is None else found
         low, high = self.limits.move
-        move = 0.0 if held or abs(pace) < STANDING else float(np.clip(self._moves[0], low, high))
+        move = 0.0 if held or abs(speed) < STANDING else float(np.clip(self._moves[0], low, high))
         angle = float(np.clip(self._angle + move, *self.limits.angle))
         said = {"held": float(held), "iterations": float(iterations), "change": change}
         before, self._angle = self._angle, angle

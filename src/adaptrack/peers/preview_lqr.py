@@ -34,8 +34,8 @@ class PreviewLQR(CompiledController):
     the steady turn of the linear car.
 
     q_e: 1/m^2, weight of the offset; q_heading: 1/rad^2, of the heading against that of the steady turn; r: 1/rad^2,
-    of the steering beyond the steady turn's; all positive. ahead: s, how far the curvature is seen. profile, belief:
-    what it is told of steering and sensors, as for `MPC`; period (s), preview, limits: by default the profile's, and
+    of the steering beyond the steady turn's; all positive. ahead: s, how far the curvature is known. profile, belief:
+    what it knows of steering and sensors, as for `MPC`; period (s), preview, limits: by default the profile's, and
     those of the belief. A lateral velocity that is not measured counts as 0.
 
     Raises

@@ -40,7 +40,7 @@ _AT_ONCE = 1 << 16
 _KEPT = 2000
 """Bytes of standard error that are kept: the last."""
 _GRACE = 2.0
-"""s, that a process has to end by itself, and again after it was asked to."""
+"""s, that a process has to end by itself, and again after a request to end."""
 
 
 class ProcessPlant(SteppedPlant):
@@ -94,7 +94,7 @@ class ProcessPlant(SteppedPlant):
         Raises
         ------
         ContractError
-            When it had answered more often than it was asked: what was driven may be answers to other lines.
+            When it had answered more often than there were requests: what was driven may be answers to other lines.
         """
         said = self._end()
         if said and b'"motion"' in said:
@@ -108,7 +108,7 @@ class ProcessPlant(SteppedPlant):
         started = self._ask({"do": "reset", "motion": np.asarray(motion, dtype=np.float64).tolist()})
         if not np.allclose(started, motion, rtol=1e-6, atol=1e-6):
             self._refuse(
-                f"reset answered with the motion {started.tolist()}, it was asked for {np.asarray(motion).tolist()}"
+                f"reset answered with the motion {started.tolist()}; {np.asarray(motion).tolist()} was requested"
             )
 
     def step(self, dt: float, steering: float, acceleration: float, environment: Array) -> Array:
@@ -194,10 +194,10 @@ class ProcessPlant(SteppedPlant):
     def _refuse(self, why: str) -> NoReturn:
         """End the process and say why, with the end of what it wrote to standard error."""
         self._process.attend(0.0)
-        told = self._process.told.decode("utf-8", "replace").strip()
+        errors = self._process.errors.decode("utf-8", "replace").strip()
         self._end()
         raise ContractError(
-            f"Plant {self.name!r}: {why}." + (f" Its standard error ends with:\n{told}" if told else "")
+            f"Plant {self.name!r}: {why}." + (f" Its standard error ends with:\n{errors}" if errors else "")
         )
 
 
@@ -221,7 +221,7 @@ class _Simulator(subprocess.Popen[bytes]):
         assert self.stdin is not None
         assert self.stdout is not None
         assert self.stderr is not None
-        self.heard, self.told = bytearray(), bytearray()
+        self.heard, self.errors = bytearray(), bytearray()
         """what was read of its output and is not yet a line that was taken; the end of its standard error"""
         self.silent = False
         """whether its output has ended"""
@@ -239,7 +239,7 @@ class _Simulator(subprocess.Popen[bytes]):
                 continue
             more = os.read(key.fd, _AT_ONCE)
             if key.fileobj is self.stderr:
-                self.told = (self.told + more)[-_KEPT:]
+                self.errors = (self.errors + more)[-_KEPT:]
             else:
                 self.heard += more[: _LONGEST_LINE + 1 - len(self.heard)]
                 self.silent = not more

@@ -44,7 +44,7 @@ stiffness times R^2/(inertia times speed), then stays what it is there, 400 to 1
 
 DRIFT_STATES = ("wheel_speed_front", "wheel_speed_rear")
 """rad/s, the drift model's states behind X, Y, yaw, v_x, v_y and yaw rate."""
-BODY_STATES = (
+MB_STATES = (
     "roll", "roll_rate", "pitch", "pitch_rate", "z", "vz",
     "roll_front", "roll_rate_front", "vy_front", "z_front", "vz_front",
     "roll_rear", "roll_rate_rear", "vy_rear", "z_rear", "vz_rear",
@@ -56,9 +56,9 @@ _MOTION = PlantState._fields[:MOTION]
 OWN = columns(*_MOTION, *DRIFT_STATES)
 """Our states of the drift model, the first ones of both."""
 STD = columns("x", "y", "steering", "speed", "yaw", "yaw_rate", "sideslip", *DRIFT_STATES)
-MB = columns("x", "y", "steering", "vx", "yaw", "yaw_rate", *BODY_STATES[:4], "vy", *BODY_STATES[4:])
+MB = columns("x", "y", "steering", "vx", "yaw", "yaw_rate", *MB_STATES[:4], "vy", *MB_STATES[4:])
 """Their states of the drift and of the multi-body model, by the names of their functions."""
-BODY_PLACES = tuple(getattr(MB, name) for name in (*_MOTION, *BODY_STATES))
+MB_PLACES = tuple(getattr(MB, name) for name in (*_MOTION, *MB_STATES))
 """Where each of our states stands among theirs; their steering angle is none of ours."""
 
 
@@ -146,9 +146,9 @@ def drift_right_hand_side(function: Any, layout: Any, places: tuple[int, int]) -
     return right_hand_side
 
 
-def body_right_hand_side(function: Any, layout: Any, places: tuple[int, int]) -> Any:
+def mb_right_hand_side(function: Any, layout: Any, places: tuple[int, int]) -> Any:
     """The right-hand side around their multi-body model; arguments as for `drift_right_hand_side`."""
-    theirs, where, ours, n = _dynamics(function, layout), np.array(BODY_PLACES), len(BODY_PLACES), len(MB)
+    theirs, where, ours, n = _dynamics(function, layout), np.array(MB_PLACES), len(MB_PLACES), len(MB)
 
     def right_hand_side(x, u, environment, p, dx):
         own, z, f = p.copy(), np.empty(n), np.empty(n)

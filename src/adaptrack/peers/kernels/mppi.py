@@ -18,7 +18,7 @@ The model in the frame of the car's foot on the path, at constant speed v:
     F = D sin(C atan(b - E (b - atan b))),   b = B alpha        (Pacejka, Tire and Vehicle Dynamics, 3rd ed., eq. 4.E19)
 
 For v_y and r a period is one linearly implicit step (Hairer & Wanner, Solving Ordinary Differential Equations II,
-section IV.7) with the Jacobian of the linear tyre: of second order on it, and stable at walking pace.
+section IV.7) with the Jacobian of the linear tyre: of second order on it, and stable at low speed.
 """
 
 from __future__ import annotations
@@ -92,7 +92,7 @@ Memory = record("Memory", ("steps", "wheels", "vy", "yaw_rate"))
 the last step. Commands sent (rad) behind it, the latest first."""
 memory_of = viewer(Memory)
 _SENT = size_of(Memory)
-_X, _Y, _YAW, _VY, _R, _WHEELS, _ASKED, _COST = range(8)
+_X, _Y, _YAW, _VY, _R, _WHEELS, _COMMAND, _COST = range(8)
 """Rows of `LANES` numbers: the state of the samples that are driven, their command and their cost so far."""
 _PATH_X, _PATH_Y, _COS, _SIN, _COURSE_COS, _COURSE_SIN = range(6)
 """What is known of the path at each stage: the point and the heading at its end, the heading in its middle."""
@@ -259,23 +259,23 @@ def _drive(sign, drawn, stage, t, p, m, block, curved):
     """Drive `LANES` samples over a stage; drawn: their numbers for it; stage: see `_stage`."""
     px, py, cos, sin, course_cos, course_sin, plan = stage
     spread = sign * t.spread * p.period
-    pace, weight = 1.0 / (m.speed * m.time), t.r / (p.period * p.period)
+    inverse_distance, weight = 1.0 / (m.speed * m.time), t.r / (p.period * p.period)
     information = sign * plan * (t.temperature / (t.spread * p.period) if t.spread > 0.0 else 0.0)
     for k in range(LANES):
         state = State(
             block[_X * LANES + k], block[_Y * LANES + k], block[_YAW * LANES + k], block[_VY * LANES + k],
             block[_R * LANES + k], block[_WHEELS * LANES + k],
         )  # fmt: skip
-        before = block[_ASKED * LANES + k]
-        asked = before + clip(plan + spread * drawn[k], p.move_min, p.move_max)
-        asked = clip(asked, p.angle_min, p.angle_max)
-        new = moved(state, asked, m, p, curved)
+        before = block[_COMMAND * LANES + k]
+        command = before + clip(plan + spread * drawn[k], p.move_min, p.move_max)
+        command = clip(command, p.angle_min, p.angle_max)
+        new = moved(state, command, m, p, curved)
         offset = (new.y - py) * cos - (new.x - px) * sin
-        course = ((new.y - state.y) * course_cos - (new.x - state.x) * course_sin) * pace
-        move = asked - before
+        course = ((new.y - state.y) * course_cos - (new.x - state.x) * course_sin) * inverse_distance
+        move = command - before
         cost = t.q_e * offset * offset + t.q_course * course * course + weight * move * move
         block[_COST * LANES + k] += p.period * cost + information * drawn[k]
-        block[_ASKED * LANES + k] = asked
+        block[_COMMAND * LANES + k] = command
         block[_X * LANES + k], block[_Y * LANES + k], block[_YAW * LANES + k] = new.x, new.y, new.yaw
         block[_VY * LANES + k], block[_R * LANES + k], block[_WHEELS * LANES + k] = new.vy, new.r, new.wheels
 
@@ -301,7 +301,7 @@ def _cost_all(start, command, m, t, p, at, memory):
             for k in range(LANES):
                 block[_X * LANES + k], block[_Y * LANES + k], block[_YAW * LANES + k] = start.x, start.y, start.yaw
                 block[_VY * LANES + k], block[_R * LANES + k] = start.vy, start.r
-                block[_WHEELS * LANES + k], block[_ASKED * LANES + k] = start.wheels, command
+                block[_WHEELS * LANES + k], block[_COMMAND * LANES + k] = start.wheels, command
                 block[_COST * LANES + k] = 0.0
             for i in range(whole(p.stages)):
                 noise = at.noise + i * pairs + first

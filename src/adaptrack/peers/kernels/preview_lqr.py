@@ -13,8 +13,8 @@ Dynamics Suppl. 35, 2001) with
 
     u~ = -K x~ + sum_j g_j (w_j+1 - w_j),   K = (r + B'PB)^-1 B'PA,   g_j = (r + B'PB)^-1 B' (A - B K)'^j P X
 
-P from the Riccati equation of A, B. The state is the one at the end of the dead time, to which the commands on their
-way lead; w_0 is that of the period which begins there.
+P from the Riccati equation of A, B. The state is the one at the end of the dead time, after the commands on their way;
+w_0 is that of the period which begins there.
 """
 
 from __future__ import annotations
@@ -123,8 +123,8 @@ def _roll(reference, road, s, parameters, memory, x):
         if h != formed:
             model.discretise(v, h, own, a, b, e)
             formed = h
-        pace = planned_speed(road, time, s.speed, p.period)
-        w = v * way.curvature_at(distance + 0.5 * pace * h, reference, road, s, p)
+        planned = planned_speed(road, time, s.speed, p.period)
+        w = v * way.curvature_at(distance + 0.5 * planned * h, reference, road, s, p)
         u = way.sent(piece, sent)
         for i in range(n):
             following[i] = b[i] * u + e[i] * w
@@ -133,7 +133,7 @@ def _roll(reference, road, s, parameters, memory, x):
         for i in range(n):
             x[i] = following[i]
         time += h
-        distance += pace * h
+        distance += planned * h
     return distance
 
 
@@ -141,8 +141,8 @@ def _roll(reference, road, s, parameters, memory, x):
 def _write_deviations(distance, reference, road, s, p, z):
     """Turn the state into x~ and write the changes of w behind it; z: (states + previewed,). The first w, and U."""
     n, v, time = states_of(p), max(s.speed, SLOWEST), p.dead_time
-    pace = planned_speed(road, time, s.speed, p.period)
-    first = now = v * way.curvature_at(distance + 0.5 * pace * p.period, reference, road, s, p)
+    planned = planned_speed(road, time, s.speed, p.period)
+    first = now = v * way.curvature_at(distance + 0.5 * planned * p.period, reference, road, s, p)
     heading, steering = p.rear_slip * v - p.lr / v, p.wheelbase / v + p.understeer * v
     state = state_of(z, 0)
     state.vy += v * heading * first
@@ -151,10 +151,10 @@ def _write_deviations(distance, reference, road, s, p, z):
     if n == 5:
         state.wheel_angle -= steering * first
     for j in range(whole(p.previewed)):
-        distance += pace * p.period
+        distance += planned * p.period
         time += p.period
-        pace = planned_speed(road, time, s.speed, p.period)
-        later = v * way.curvature_at(distance + 0.5 * pace * p.period, reference, road, s, p)
+        planned = planned_speed(road, time, s.speed, p.period)
+        later = v * way.curvature_at(distance + 0.5 * planned * p.period, reference, road, s, p)
         z[n + j], now = later - now, later
     return first, steering
 
