@@ -8,7 +8,7 @@ import pytest
 
 from adaptrack import MPC, DualTrack, InvalidInput, Tuning, load_vehicle, published_mpc
 from adaptrack.analysis.certify import certify
-from adaptrack.analysis.feasibility import Feasibility, Ranges, feasibility, largest_box
+from adaptrack.analysis.feasibility import Feasibility, FeasibleRanges, feasibility, largest_box
 from adaptrack.analysis.linearisation import Mismatch, laws, linear_plants, sampled
 from adaptrack.analysis.stability import hard_turn, modulus_margin
 from adaptrack.scenario.profile import load_profile
@@ -129,7 +129,7 @@ def test_the_summary_is_json_and_says_the_best_tuning_of_each_place(demanding):
     assert len(told["rows"]) == demanding.held.size
     for row in told["rows"]:
         assert row["held"] is (row["modulus_margin"] >= 0.3)
-    assert Ranges(*map(tuple, told["domain"].values())) == demanding.domain
+    assert FeasibleRanges(*map(tuple, told["domain"].values())) == demanding.domain
 
 
 def test_neighbours_are_told_as_a_range():
@@ -137,7 +137,7 @@ def test_neighbours_are_told_as_a_range():
     margins[[0, 1, 4], 0, 0] = 0.0
     found = Feasibility(np.arange(1.0, 6.0), np.array([0.3, 1.0]), np.array([[30.0, 5.0, 1.0, 10.0]]), margins)
     assert "at 3 of 10 points of 1 to 5 m/s on friction 0.3 to 1: 1 to 2, 5 m/s on friction 0.3." in found.verdict
-    assert found.domain == Ranges((1.0, 5.0), (1.0, 1.0))
+    assert found.domain == FeasibleRanges((1.0, 5.0), (1.0, 1.0))
     assert str(found.domain) == "1 to 5 m/s on friction 1"
     assert found.constant == (Tuning(30, 5, 1.0, 10.0), found.domain)
 

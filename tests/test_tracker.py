@@ -15,7 +15,7 @@ from adaptrack.control.controllers import LQR, MPC, PurePursuit, Stanley, Tuning
 from adaptrack.control.kalman import KalmanFilter
 from adaptrack.control.tracker import Status, Tracker, yaw_of
 from adaptrack.road import Arc, Clothoid, Line, Road, generate_road, plan_speed
-from adaptrack.road.table import Table
+from adaptrack.road.table import Pieces
 from adaptrack.scenario.profile import load_profile
 from foreign_loop import Bicycle, drive, on_road, steady_turn, window
 
@@ -197,8 +197,8 @@ def test_where_no_foot_is_about_the_last_one_the_car_is_off_the_path_until_it_be
 
 
 def test_no_step_looks_through_a_long_path(monkeypatch):
-    asked, at = [], Table.at
-    monkeypatch.setattr(Table, "at", lambda *given: asked.append(np.size(given[1])) or at(*given))
+    asked, at = [], Pieces.at
+    monkeypatch.setattr(Pieces, "at", lambda *given: asked.append(np.size(given[1])) or at(*given))
     long = Road.from_segments([Line(length=20_000.0)])
     tracker = Tracker(informed(), SHORT)
     at_rest(tracker, speed=10.0)

@@ -32,7 +32,7 @@ TUNINGS = ((10.0, 20.0, 36.0, 60.0), (1.0, 4.0, 16.0), np.linspace(-3.0, 6.0, 16
 _ANGLES = np.geomspace(2e-3, np.pi, 192)  # rad per period, at which the loop gain is looked at
 
 
-class Ranges(NamedTuple):
+class FeasibleRanges(NamedTuple):
     """A range of speeds and one of frictions."""
 
     speed: tuple[float, float]
@@ -86,7 +86,7 @@ class Feasibility:
         return [(float(self.speeds[i]), float(self.frictions[j])) for i, j in np.argwhere(~self.held)]
 
     @property
-    def domain(self) -> Ranges | None:
+    def domain(self) -> FeasibleRanges | None:
         """The largest domain that a schedule can hold, with a tuning for each speed and friction; None: there is none.
 
         Largest: with the most nodes of the grid.
@@ -95,7 +95,7 @@ class Feasibility:
         return None if found is None else self._domain(found)
 
     @property
-    def constant(self) -> tuple[Tuning, Ranges] | None:
+    def constant(self) -> tuple[Tuning, FeasibleRanges] | None:
         """The largest domain that one tuning can hold, and of those that can the one with the largest margin there."""
         found = largest_box(self.enough)
         if found is None:
@@ -104,12 +104,12 @@ class Feasibility:
         Np, Nc, Q, R = self.tunings[np.argmax(self.margins[rows, columns].min(axis=(0, 1)))].tolist()
         return Tuning(int(Np), int(Nc), Q, R), self._domain(found)
 
-    def _domain(self, box: tuple[slice, slice]) -> Ranges:
+    def _domain(self, box: tuple[slice, slice]) -> FeasibleRanges:
         speeds, frictions = self.speeds[box[0]], self.frictions[box[1]]
-        return Ranges((float(speeds[0]), float(speeds[-1])), (float(frictions[0]), float(frictions[-1])))
+        return FeasibleRanges((float(speeds[0]), float(speeds[-1])), (float(frictions[0]), float(frictions[-1])))
 
     @property
-    def whole(self) -> Ranges:
+    def whole(self) -> FeasibleRanges:
         """The domain that was given."""
         return self._domain((slice(None), slice(None)))
 

@@ -57,7 +57,7 @@ START_COLUMNS = (
 
 
 @dataclass(frozen=True)
-class Driven:
+class ManoeuvreSettings:
     """What a closed-loop manoeuvre is driven with."""
 
     cars: Sequence[tuple[Vehicle, Plant]]
@@ -75,7 +75,7 @@ class Driven:
         return [make_controller(name, settings) for name in dict.fromkeys(self.controllers)]
 
 
-def drive_lane_change(name: str, driven: Driven, as_json: bool) -> None:
+def drive_lane_change(name: str, driven: ManoeuvreSettings, as_json: bool) -> None:
     """Find and print the highest clean entry speeds."""
     from adaptrack.comparison.manoeuvres import TRACKS, LaneChangeTest, entry_speeds
     from adaptrack.results.answers import of_lane_changes
@@ -150,7 +150,7 @@ def _beside(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
     return list(lines.values())
 
 
-def drive_start(name: str, driven: Driven, given: dict[str, float], as_json: bool) -> bool:
+def drive_start(name: str, driven: ManoeuvreSettings, given: dict[str, float], as_json: bool) -> bool:
     """Drive and print a manoeuvre that starts beside a path or meets a step of curvature; whether all passed."""
     from adaptrack.comparison.manoeuvres import drive_lane_start
     from adaptrack.results.answers import of_starts

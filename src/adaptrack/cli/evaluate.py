@@ -69,7 +69,7 @@ def evaluate(given: EvaluateOptions) -> None:
     """
     roads = on_roads.named("evaluate", given.road, "schedulers on unseen drives: adaptrack evaluate-schedules")
     options.make_page_folder(given.out)
-    setting = on_roads.Setting.of(roads, given.route, given.car, given.profile, given.as_json)
+    setting = on_roads.RoadSetting.of(roads, given.route, given.car, given.profile, given.as_json)
     seeds = range(given.seed, given.seed + given.noise_seeds)
     contenders, left_out = _contenders(given, setting, seeds)
     names = [each.name for each in contenders]
@@ -98,7 +98,7 @@ def evaluate(given: EvaluateOptions) -> None:
     say_next(*_next(given, made))
 
 
-def _write_page(out: Path, made: Comparison, setting: on_roads.Setting) -> Path:
+def _write_page(out: Path, made: Comparison, setting: on_roads.RoadSetting) -> Path:
     from adaptrack.results.roads_compared import write_road_comparison
 
     return write_road_comparison(out, made, title=setting.title, command=options.command_line())
@@ -115,7 +115,7 @@ def _next(given: EvaluateOptions, made: Comparison) -> tuple[str, str]:
 
 
 def _contenders(
-    given: EvaluateOptions, setting: on_roads.Setting, seeds: Sequence[int]
+    given: EvaluateOptions, setting: on_roads.RoadSetting, seeds: Sequence[int]
 ) -> tuple[list[Contender], dict[str, str]]:
     """Those that are named, or the usual ones that fit; and why others do not."""
     from adaptrack.comparison.compare import check_fits
@@ -150,7 +150,7 @@ def _contenders(
     return chosen, left_out
 
 
-def _scheduled(name: str, setting: on_roads.Setting) -> Contender:
+def _scheduled(name: str, setting: on_roads.RoadSetting) -> Contender:
     """A scheduler on the informed MPC; one that was made for something else is refused."""
     from adaptrack.comparison.contenders import Contender
     from adaptrack.control.scheduling import check_scheduler, load_scheduler

@@ -220,7 +220,7 @@ def _closed_loop(
     compiled = [(car, plant) for car, plant in cars if isinstance(plant, Compiled)]
     if len(compiled) < len(cars):
         raise InvalidInput(f"--plant: {name} is driven compiled; a plant in Python has no place in it.")
-    driven = closed_loop.Driven(
+    driven = closed_loop.ManoeuvreSettings(
         compiled, given.get("controller", closed_loop.CONTROLLERS), load_profile(given.get("profile", "road")),
         friction, bool(given.get("tune", True)), given.get("out"),
     )  # fmt: skip

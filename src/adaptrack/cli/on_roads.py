@@ -82,7 +82,7 @@ def _spelt(option: str, value: Any) -> list[str]:
 
 
 @dataclass(frozen=True, eq=False)
-class Setting:
+class RoadSetting:
     """A car, a profile and roads."""
 
     car: Vehicle
@@ -92,7 +92,7 @@ class Setting:
     @classmethod
     def of(
         cls, names: Sequence[str], route: RoadOptions, car: options.CarAndPlant, profile: str, aside: bool
-    ) -> Setting:
+    ) -> RoadSetting:
         """Load the roads, plan the speeds, say what cannot be driven."""
         from adaptrack.control.controllers import MPC
         from adaptrack.scenario import RoadDrive

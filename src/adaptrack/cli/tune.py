@@ -62,11 +62,11 @@ def tune(given: TuneOptions) -> None:
         )
     roads = on_roads.named("tune", given.road, "to tune an MPC on operating points: adaptrack campaign NAME --out DIR")
     options.make_place(given.out)
-    setting = on_roads.Setting.of(roads, given.route, given.car, given.profile, given.as_json)
+    setting = on_roads.RoadSetting.of(roads, given.route, given.car, given.profile, given.as_json)
     _tune(given, setting, _tunable(setting, given.controller))
 
 
-def _tunable(setting: on_roads.Setting, name: str) -> Controller:
+def _tunable(setting: on_roads.RoadSetting, name: str) -> Controller:
     """The controller, with its own tuning; refused where none is sought."""
     from adaptrack.control.controllers import about_controller, list_controllers
     from adaptrack.tuning.spaces import search_space
@@ -79,7 +79,7 @@ def _tunable(setting: on_roads.Setting, name: str) -> Controller:
     return own
 
 
-def _tune(given: TuneOptions, setting: on_roads.Setting, own: Controller) -> None:
+def _tune(given: TuneOptions, setting: on_roads.RoadSetting, own: Controller) -> None:
     """Search, write the file, and judge it beside the controller's own tuning with other noise."""
     from adaptrack.comparison.contenders import Contender
     from adaptrack.comparison.table import finite
@@ -126,7 +126,7 @@ def _next(given: TuneOptions, gained: bool) -> tuple[str, str]:
     return "more roads may decide it", more
 
 
-def _keep(given: TuneOptions, setting: on_roads.Setting, found: Sought, seeds: Sequence[int]) -> None:
+def _keep(given: TuneOptions, setting: on_roads.RoadSetting, found: Sought, seeds: Sequence[int]) -> None:
     """Write a tuning's file."""
     from adaptrack.tuning.constant_file import ConstantTuning
 

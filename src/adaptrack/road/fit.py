@@ -28,7 +28,7 @@ from adaptrack.road.projection import feet_near
 from adaptrack.road.road import Road
 from adaptrack.road.segments import FARTHEST, Array, Cubic
 from adaptrack.road.smoothing import Curve, Smoother
-from adaptrack.road.table import Table, X, Y, joined, tabulate
+from adaptrack.road.table import Pieces, X, Y, joined, tabulate
 
 _log = logging.getLogger("adaptrack")
 
@@ -539,7 +539,7 @@ def _road(powers: Array, closed: bool) -> Road:
     return Road(name="points", table=_laid(cubics, start), closed=closed, elements=cubics)
 
 
-def _laid(cubics: Sequence[Cubic], start: Array) -> Table:
+def _laid(cubics: Sequence[Cubic], start: Array) -> Pieces:
     """The table of cubics that start at places (n, 2)."""
     tables = tabulate(cubics)
     table = joined(tables)

@@ -21,7 +21,7 @@ from adaptrack.base.files import is_number, printable, read_bytes
 from adaptrack.road.along import Along, alongs
 from adaptrack.road.road import GAP, KINK, Road
 from adaptrack.road.segments import Arc, Array, Clothoid, Cubic, Line, Pose, Segment
-from adaptrack.road.table import Table, beside, joined, placed, tabulate
+from adaptrack.road.table import Pieces, beside, joined, placed, tabulate
 
 Element = ElementTree.Element
 
@@ -132,7 +132,7 @@ def _read(where: str, element: Element, lane: int | None, along: dict[str, Any])
     return Road(name=printable(name), table=placed(table, Pose(origin.x, origin.y, 0.0)), **found)
 
 
-def _meets_itself(table: Table) -> bool:
+def _meets_itself(table: Pieces) -> bool:
     """Whether the line ends where, and as, it begins."""
     first, last = table.at(0.0), table.at(table.length)
     turn = float(last.heading - first.heading) / (2.0 * math.pi)
@@ -140,7 +140,7 @@ def _meets_itself(table: Table) -> bool:
     return apart <= GAP and abs(turn - round(turn)) * 2.0 * math.pi <= KINK
 
 
-def _moved(along: Along, reference: Table, table: Table) -> Along:
+def _moved(along: Along, reference: Pieces, table: Pieces) -> Along:
     """A quantity over the arc length of the reference line, over that of a line beside it."""
     if table is reference or len(along.s) == 1:
         return along
@@ -214,7 +214,7 @@ _READERS = {"line": _line, "arc": _arc, "spiral": _spiral, "poly3": _poly3, "par
 class _Stations:
     """The stations s of the file, as arc lengths of the reference line."""
 
-    def __init__(self, where: str, shapes: Sequence[Element], tables: Sequence[Table]) -> None:
+    def __init__(self, where: str, shapes: Sequence[Element], tables: Sequence[Pieces]) -> None:
         stated = [_number(where, shape, "length") for shape in shapes]
         first = _number(where, shapes[0], "s")
         true = [table.length for table in tables]

@@ -18,7 +18,7 @@ from adaptrack.base.limits import ROAD_LENGTH, check_limit
 from adaptrack.core import road as kernel
 from adaptrack.road.along import ALONG, Along, alongs
 from adaptrack.road.segments import FARTHEST, Array, Points, Pose, Segment
-from adaptrack.road.table import Table, X, Y, sequence, tabulate
+from adaptrack.road.table import Pieces, X, Y, sequence, tabulate
 from adaptrack.road.toml import write_road
 
 GAP, KINK = 0.01, 0.01
@@ -74,7 +74,7 @@ class Road:
     """
 
     name: str
-    table: Table = field(repr=False)
+    table: Pieces = field(repr=False)
     closed: bool = False
     width_left: Along = HALF_LANE
     """m, from the centre line to the left edge"""

@@ -52,7 +52,7 @@ _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(16)
 _NODES, _WEIGHTS = 0.5 * (1.0 + _NODES), 0.5 * _WEIGHTS  # on 0..1
 
 
-class Table(NamedTuple):
+class Pieces(NamedTuple):
     """The pieces of a centre line, in their order."""
 
     start: Array
@@ -118,7 +118,7 @@ def _horner_slope(coefficients: Array, u: Array) -> Array:
 
 
 # -- from elements ----------------------------------------------------------------------------------------------------
-def tabulate(segments: Sequence[Segment]) -> list[Table]:
+def tabulate(segments: Sequence[Segment]) -> list[Pieces]:
     """The table of each element, in the element's own frame.
 
     Raises
@@ -132,7 +132,7 @@ def tabulate(segments: Sequence[Segment]) -> list[Table]:
     return [next(fitted) if isinstance(segment, Cubic) else _natural(segment) for segment in segments]
 
 
-def _natural(segment: Line | Arc | Clothoid) -> Table:
+def _natural(segment: Line | Arc | Clothoid) -> Pieces:
     """Line, arc or clothoid: the heading is known, the position is the integral of its direction."""
     k0, k_end = segment.curvatures
     steepest = max(abs(k0), abs(k_end))
@@ -161,7 +161,7 @@ def _set_positions(pieces: Array, place: NDArray[np.complex128]) -> None:
     pieces[:, [ALONG, ACROSS]] = 0.0  # the frame is at the middle
 
 
-def _chained(start: Array, pieces: Array) -> Table:
+def _chained(start: Array, pieces: Array) -> Pieces:
     """Pieces of which each begins where, and as, the one before it ends; the first at the origin along x."""
     turns = _horner(pieces[:, TURNED:COLUMNS], np.array([[-1.0], [1.0]]))
     ends = np.cumsum(turns[1] - turns[0])
@@ -170,7 +170,7 @@ def _chained(start: Array, pieces: Array) -> Table:
     first, last = of_pieces(pieces, np.full(len(pieces), -1.0)), of_pieces(pieces, np.ones(len(pieces)))
     for column, begins, stops in ((X, first.x, last.x), (Y, first.y, last.y)):
         pieces[:, column] = np.concatenate([[0.0], np.cumsum(stops - begins)[:-1]]) - begins
-    return Table(start, pieces)
+    return Pieces(start, pieces)
 
 
 # -- from curves without a closed form --------------------------------------------------------------------------------
@@ -230,7 +230,7 @@ class _Beside:
     With its curvature k the tangent is ((1 - d k), d') in the frame of the curve, which gives heading and curvature.
     """
 
-    def __init__(self, base: Table, first: Array, coefficients: Array) -> None:
+    def __init__(self, base: Pieces, first: Array, coefficients: Array) -> None:
         self._base, self._first, self._d = base, first, coefficients
 
     def ranges(self) -> tuple[NDArray[np.int64], Array, Array]:
@@ -278,7 +278,7 @@ def _horner_bend(coefficients: Array, u: Array) -> Array:
     return value
 
 
-def beside(base: Table, first: ArrayLike, coefficients: ArrayLike) -> Table:
+def beside(base: Pieces, first: ArrayLike, coefficients: ArrayLike) -> Pieces:
     """The curve at a lateral distance from another, as OpenDRIVE's lanes lie beside their reference line.
 
     Parameters
@@ -297,7 +297,7 @@ def beside(base: Table, first: ArrayLike, coefficients: ArrayLike) -> Table:
     return joined(_of_curves(curves))
 
 
-def _of_curves(curves: _Curves) -> list[Table]:
+def _of_curves(curves: _Curves) -> list[Pieces]:
     """Fit pieces to curves, halving those that do not fit; one table per range, each in place.
 
     A piece that fits at `_CHECKED` points in position, curvature and length is kept.
@@ -330,7 +330,7 @@ def _of_curves(curves: _Curves) -> list[Table]:
     for _, mine in itertools.groupby(made, key=lambda piece: piece[0]):
         row = list(mine)
         start = np.concatenate([[0.0], np.cumsum([length for _, _, length, _ in row])])
-        tables.append(Table(start, np.array([piece for *_, piece in row])))
+        tables.append(Pieces(start, np.array([piece for *_, piece in row])))
     return tables
 
 
@@ -395,7 +395,7 @@ def _parameters(
 
 
 # -- put together -----------------------------------------------------------------------------------------------------
-def placed(table: Table, pose: Pose) -> Table:
+def placed(table: Pieces, pose: Pose) -> Pieces:
     """The table with its origin at a pose."""
     pieces = table.pieces.copy()
     cos, sin = np.cos(pose.heading), np.sin(pose.heading)
@@ -403,10 +403,10 @@ def placed(table: Table, pose: Pose) -> Table:
     pieces[:, X], pieces[:, Y] = pose.x + cos * x - sin * y, pose.y + sin * x + cos * y
     pieces[:, HEADING] += pose.heading
     pieces[:, COS], pieces[:, SIN] = np.cos(pieces[:, HEADING]), np.sin(pieces[:, HEADING])
-    return Table(table.start, pieces)
+    return Pieces(table.start, pieces)
 
 
-def joined(tables: Sequence[Table]) -> Table:
+def joined(tables: Sequence[Pieces]) -> Pieces:
     """Tables one after the other, each where it lies; the heading is made continuous."""
     pieces = np.concatenate([table.pieces for table in tables])
     lengths = np.concatenate([np.diff(table.start) for table in tables])
@@ -415,10 +415,10 @@ def joined(tables: Sequence[Table]) -> Table:
     gaps = (pieces[1:, HEADING] + turns[0, 1:]) - (pieces[:-1, HEADING] + turns[1, :-1])
     whole = np.cumsum(np.round(gaps / (2.0 * np.pi)))
     pieces[1:, HEADING] -= 2.0 * np.pi * whole
-    return Table(start, pieces)
+    return Pieces(start, pieces)
 
 
-def sequence(tables: Sequence[Table], start: Pose, poses: Sequence[Pose | None] | None = None) -> Table:
+def sequence(tables: Sequence[Pieces], start: Pose, poses: Sequence[Pose | None] | None = None) -> Pieces:
     """Tables in their own frames, laid end to end from a pose; one with a pose in `poses` has its origin there."""
     laid, here = [], start
     for k, table in enumerate(tables):
@@ -433,7 +433,7 @@ def sequence(tables: Sequence[Table], start: Pose, poses: Sequence[Pose | None] 
     return joined(laid)
 
 
-def _both_ends(table: Table) -> tuple[Points, Points]:
+def _both_ends(table: Pieces) -> tuple[Points, Points]:
     return table.at(0.0), table.at(table.length)
 
 

@@ -41,7 +41,7 @@ from adaptrack.road.table import (
     HEADING,
     SIN,
     TURNED,
-    Table,
+    Pieces,
     X,
     Y,
 )
@@ -107,19 +107,19 @@ class RoadFile(Record):
         return self
 
 
-def table_of(found: Sequence[Piece]) -> Table:
+def table_of(found: Sequence[Piece]) -> Pieces:
     """The table of pieces one behind the other."""
     pieces = np.zeros((len(found), COLUMNS))
     for row, piece in zip(pieces, found, strict=True):
         row[[HALF, X, Y, HEADING]] = piece.half, piece.x, piece.y, piece.heading
         row[ALONG_PIECE:] = (*piece.along, *piece.across, *piece.turned)
     pieces[:, COS], pieces[:, SIN] = np.cos(pieces[:, HEADING]), np.sin(pieces[:, HEADING])
-    return Table(np.concatenate([[0.0], np.cumsum(2.0 * pieces[:, HALF])]), pieces)
+    return Pieces(np.concatenate([[0.0], np.cumsum(2.0 * pieces[:, HALF])]), pieces)
 
 
 def write_road(
     path: str | os.PathLike[str], *, name: str, closed: bool, deviation: float, notes: Sequence[str],
-    along: Mapping[str, Along | None], elements: Sequence[Segment], table: Table,
+    along: Mapping[str, Along | None], elements: Sequence[Segment], table: Pieces,
 ) -> None:  # fmt: skip
     """Write the file of a road; arguments as the fields of `Road`, along: what lies along it by its name."""
     data: dict[str, Any] = {"name": name, "closed": closed}

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from adaptrack.base.errors import InvalidInput
 from adaptrack.control.controllers import Controller
-from adaptrack.tuning.pso import Result, SearchSpace, Swarm, SwarmSettings
+from adaptrack.tuning.pso import SearchSpace, Swarm, SwarmResult, SwarmSettings
 from adaptrack.tuning.runs import Retuned, RunSet
 from adaptrack.tuning.spaces import at_bounds, search_space
 
@@ -22,7 +22,7 @@ def tune_constant(
     runs: RunSet, swarm: SwarmSettings | None = None, *, noise_seeds: Sequence[int] = (0,), seed: int = 0,
     controller: Controller | None = None, space: SearchSpace | None = None,
     progress: Callable[[int, int], None] | None = None,
-) -> Result:  # fmt: skip
+) -> SwarmResult:  # fmt: skip
     """The tuning of a controller with the lowest mean cost over a set of runs, found by one swarm.
 
     The cost is the mean of J (m^2, see `adaptrack.runs`) over the runs and the noise seeds; a failed run counts as
@@ -32,7 +32,7 @@ def tune_constant(
 
     Returns
     -------
-    Result
+    SwarmResult
         `x` is the tuning, in the order of the controller's `tuning_names`, `cost` its cost.
 
     Raises

@@ -236,7 +236,7 @@ class Best(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class Result:
+class SwarmResult:
     """What a finished run found."""
 
     x: Array
@@ -323,9 +323,9 @@ class Swarm:
             kernel.move(self.generation, self.seed, self.stream, self._settings, self._space, self._swarm)
         self.generation += 1
 
-    def result(self) -> Result:
+    def result(self) -> SwarmResult:
         """What has been found so far, usually when done."""
-        return Result(*self.best, self.trace, self.settings.particles * self.generation)
+        return SwarmResult(*self.best, self.trace, self.settings.particles * self.generation)
 
     @property
     def state(self) -> dict[str, NDArray[Any]]:
@@ -376,7 +376,7 @@ def minimise(
     settings: SwarmSettings | None = None,
     seed: int = 0,
     stream: int = 0,
-) -> Result:
+) -> SwarmResult:
     """The lowest value of `function` in `space` that one swarm finds.
 
     function: positions (particles, dims) -> costs (particles,), called once per generation; other arguments as for
