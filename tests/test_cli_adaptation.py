@@ -250,7 +250,7 @@ def test_adapt_goes_on_with_a_folder_and_tells_schedulers_report_and_rows(
     chain = learned(tmp_path_factory.getbasetemp())
     out = shutil.copytree(chain.folder, tmp_path / "out")
     monkeypatch.setattr("adaptrack.results.style.PNG_DPI", 20)
-    monkeypatch.setattr("adaptrack.results.comparison._NODES", (9, 7))
+    monkeypatch.setattr("adaptrack.results.comparison_pictures.NODES", (9, 7))
     monkeypatch.setattr(evaluate, "per_run_best", lambda runs, rows, seeds: rows[:1].repeat(len(runs), axis=0))
     monkeypatch.setattr(recipes, "improve", lambda *given, **more: pytest.fail("it learned again"))
     config = chain.folder.parent / "tiny.toml"

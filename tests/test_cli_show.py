@@ -14,9 +14,9 @@ import pytest
 
 from adaptrack.base import progress
 from adaptrack.base.progress import Work
-from adaptrack.cli import comparison, show, train
+from adaptrack.cli import show, train
 from adaptrack.cli.show import Column
-from adaptrack.results import certificate, drive, reproduce, runs
+from adaptrack.results import certificate, comparison, drive, reproduce, runs
 from adaptrack.results.console import written
 
 NAMES = {
@@ -34,7 +34,7 @@ def typical(columns):
 
 
 @pytest.mark.parametrize(
-    "columns", [runs.CONSOLE, drive.CONSOLE, train.COLUMNS, comparison.COLUMNS, certificate.CONSOLE, reproduce.CONSOLE]
+    "columns", [runs.CONSOLE, drive.CONSOLE, train.COLUMNS, comparison.CONSOLE, certificate.CONSOLE, reproduce.CONSOLE]
 )
 def test_tables_name_their_units_and_fit_80_columns(monkeypatch, capsys, columns):
     monkeypatch.setenv("COLUMNS", "80")

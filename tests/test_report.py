@@ -9,31 +9,43 @@ import re
 import matplotlib as mpl
 import numpy as np
 import pytest
-from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from matplotlib.text import Text
 
 from adaptrack.base.errors import InvalidInput, StorageError
+from adaptrack.base.result import (
+    Axis,
+    Callout,
+    Column,
+    Dots,
+    HeatMap,
+    Panel,
+    Picture,
+    Polyline,
+    Result,
+    ResultTable,
+    Scale,
+    strokes,
+)
 from adaptrack.drive.metrics import compute_metrics
 from adaptrack.drive.trajectory import Origin, Trajectory, provenance
 from adaptrack.results import (
     Run,
-    Section,
     conditions_figure,
     draw,
     figures,
-    maps,
     page,
     runs,
     speed_figure,
     style,
     tracking_figure,
     words,
-    write_page,
     write_report,
+    write_result,
 )
+from adaptrack.results.comparison_pictures import shared_scale
 from adaptrack.results.dots import Dot, notes
-from adaptrack.results.page import Panel
+from adaptrack.results.maps import edges_around
 from pictures import pictures
 
 
@@ -341,9 +353,20 @@ def test_a_report_without_runs_is_refused(tmp_path):
     assert not (tmp_path / "out").exists()
 
 
+def said(answer, *pictures):
+    """A result of a kind that has no page of its own."""
+    return Result(kind="any", title="Any", answer=answer, record={}, pictures=pictures)
+
+
+def line(file):
+    """A picture of a line."""
+    marks = [Polyline([0.0, 1.0], [0.0, 1.0])]
+    return Picture(file, "A line.", [Panel("Line", Axis("x"), Axis("y"), marks, "From 0 to 1.")], file=file)
+
+
 def test_a_failed_report_leaves_the_old_one_and_nothing_else(tmp_path, monkeypatch):
     out = tmp_path / "out"
-    write_page(out, [Section("One", ["first"])], title="Old")
+    write_result(out, said("first"))
     before = {name: (out / name).read_bytes() for name in os.listdir(out)}
 
     def full(self, content):
@@ -351,9 +374,9 @@ def test_a_failed_report_leaves_the_old_one_and_nothing_else(tmp_path, monkeypat
 
     monkeypatch.setattr(page.Path, "write_bytes", full)
     with pytest.raises(StorageError, match="No space left"):
-        write_page(out, [Section("Two", ["second"])], title="New")
+        write_result(out, said("second"))
     with pytest.raises(StorageError, match="No space left"):
-        write_page(tmp_path / "fresh", [Section("Two", ["second"])], title="New")
+        write_result(tmp_path / "fresh", said("second"))
     monkeypatch.undo()
     assert {name: (out / name).read_bytes() for name in os.listdir(out)} == before
     assert os.listdir(tmp_path) == ["out"]
@@ -362,48 +385,36 @@ def test_a_failed_report_leaves_the_old_one_and_nothing_else(tmp_path, monkeypat
 def test_an_unusable_folder_is_refused_with_its_name(tmp_path):
     (tmp_path / "file").write_text("")
     with pytest.raises(StorageError, match="file"):
-        write_page(tmp_path / "file", [Section("One")], title="Page")
+        write_result(tmp_path / "file", said("first"))
     (tmp_path / "out" / "index.html").mkdir(parents=True)
     with pytest.raises(StorageError, match="a folder has that name"):
-        write_page(tmp_path / "out", [Section("One")], title="Page")
+        write_result(tmp_path / "out", said("first"))
     assert os.listdir(tmp_path / "out") == ["index.html"]
 
 
 def test_two_pictures_cannot_share_a_file(tmp_path):
-    def picture(file):
-        return page.Picture("c", [page.Drawing(style.panel_figure(lambda axes: None), "nothing")], file=file)
-
     with pytest.raises(InvalidInput, match="used twice"):
-        write_page(tmp_path / "out", [Section("One", [picture("a.png"), picture("a.png")])], title="Page")
+        write_result(tmp_path / "out", said("a", line("a.png"), line("a.png")))
     with pytest.raises(InvalidInput, match="not a name"):
-        write_page(tmp_path / "out", [Section("One", [picture("../a.png")])], title="Page")
+        write_result(tmp_path / "out", said("a", line("../a.png")))
     assert not (tmp_path / "out").exists()
 
 
-def test_a_page_without_png_files_shows_the_same_pictures_and_draws_nothing_for_print(tmp_path):
-    def line():
-        return style.panel_figure(lambda axes: axes.plot([0, 1]))
-
-    def never():
-        raise AssertionError("drawn for print")
-
-    def content(print_figure):
-        panels = [page.Drawing(line(), "a line")]
-        return [Section("One", [page.Picture("c", panels, file="a.png", print_figure=print_figure)])]
-
-    alone = write_page(tmp_path / "alone", content(never), title="Page", png=False).read_text()
-    both = write_page(tmp_path / "both", content(line), title="Page").read_text()
+def test_a_page_without_png_files_shows_the_same_pictures_and_draws_nothing_for_print(tmp_path, monkeypatch):
+    both = write_result(tmp_path / "both", said("a", line("a.png"))).read_text()
+    monkeypatch.setattr(draw, "print_figure", lambda picture: pytest.fail("drawn for print"))
+    alone = write_result(tmp_path / "alone", said("a", line("a.png")), png=False).read_text()
     assert os.listdir(tmp_path / "alone") == ["index.html"]
     assert sorted(os.listdir(tmp_path / "both")) == ["a.png", "index.html"]
     assert both.replace(' <a href="a.png">PNG for print</a>', "") == alone
 
 
-def test_sections_of_any_content_become_a_page(tmp_path):
-    table = page.Table("Results", [page.Head("Name", is_text=True), page.Head("Value", "m")], ["Group", ["a", "1"]])
-    inner = Section("Inner", ["deep"])
-    parts = ["words", table, page.Terms([("a", "b")]), page.Verbatim("make run", "More"), inner]
-    outline = Outline(write_page(tmp_path, [Section("Outer", parts)], title="Any").read_text())
-    for text in ("Outer", "words", "Results", "Group", "make run", "More", "Inner", "deep"):
+def test_a_result_of_any_kind_becomes_a_page_of_everything_it_holds(tmp_path):
+    columns = (Column("name", "Name"), Column("value", "Value", "m"))
+    table = ResultTable("one", "Results", columns, [{"name": "a", "value": 1, "part": "Group"}], "Note.", "part")
+    result = dataclasses.replace(said("words", line("")), tables=[table], notes=["Beside."], command="make run")
+    outline = Outline(write_result(tmp_path, result).read_text())
+    for text in ("Any", "words", "Results", "Group", "Note.", "A line.", "Beside.", "make run"):
         assert text in outline.text
 
 
@@ -538,7 +549,7 @@ def test_a_figure_needs_a_run_and_a_stroke_for_it():
     with pytest.raises(InvalidInput, match="at least one run"):
         tracking_figure({})
     with pytest.raises(InvalidInput, match="no stroke for 'x'"):
-        tracking_figure({"x": drive()}, style.strokes(["y"]))
+        tracking_figure({"x": drive()}, strokes(["y"]))
 
 
 @pytest.mark.drawn
@@ -551,8 +562,8 @@ def test_figures_leave_the_users_matplotlib_alone():
 
 
 def test_eighteen_controllers_have_eighteen_strokes():
-    strokes = style.strokes(f"c{i}" for i in range(18))
-    assert len({(s.colour, str(s.dash)) for s in strokes.values()}) == 18
+    drawn = strokes(f"c{i}" for i in range(18))
+    assert len({(s.colour, str(s.dash)) for s in drawn.values()}) == 18
 
 
 # Linear-light simulation of dichromacy: Viénot, Brettel and Mollon (1999), in linear sRGB.
@@ -625,44 +636,62 @@ def test_a_logarithmic_axis_without_limits_has_those_of_its_curves():
 
 
 def test_a_printed_figure_has_all_panels_and_writes_what_neighbours_share_once():
-    def panel(title, label):
-        return Panel(title, lambda axes: axes.set_ylabel(label), "")
-
-    drawn = [panel("One", "Share (%)"), panel("Two", "Share (%)"), panel("Three", "Cost (m²)")]
-    figure = page.printed(drawn, columns=2, height=2.0)
+    titles = {"One": "Share (%)", "Two": "Share (%)", "Three": "Cost (m²)"}
+    panels = [Panel(title, Axis(), Axis(label), [], "") for title, label in titles.items()]
+    figure = draw.print_figure(Picture("any", "", panels, columns=2))
     assert [axes.get_title(loc="left") for axes in figure.axes] == ["(a) One", "(b) Two", "(c) Three"]
     assert [axes.get_ylabel() for axes in figure.axes] == ["Share (%)", "", "Cost (m²)"]
-    (alone,) = page.printed(drawn[:1], columns=1, height=2.0).axes
+    (alone,) = draw.print_figure(Picture("any", "", panels[:1])).axes
     assert alone.get_title(loc="left") == "One"
 
 
 def test_the_words_of_a_panel_hold_no_marks_of_mathematics():
-    drawn = Panel(r"$\log_{10} R/Q$", lambda axes: None, r"Over $|y_\mathrm{ref}|$: 3 to 4.").drawing()
-    assert drawn.description == "log10 R/Q. Over |y_ref|: 3 to 4."
+    panel = Panel(r"$\log_{10} R/Q$", Axis(), Axis(), [], r"Over $|y_\mathrm{ref}|$: 3 to 4.")
+    assert draw.described(panel) == "log10 R/Q. Over |y_ref|: 3 to 4."
 
 
 def test_cells_of_a_heat_map_lie_around_their_levels():
-    assert maps.edges_around(np.array([2.0, 4.0, 10.0])) == pytest.approx([1.0, 3.0, 7.0, 13.0])
-    assert maps.edges_around(np.array([0.7])) == pytest.approx([0.63, 0.77])
-    assert maps.edges_around(np.array([0.0])) == pytest.approx([-0.5, 0.5])
+    assert edges_around(np.array([2.0, 4.0, 10.0])) == pytest.approx([1.0, 3.0, 7.0, 13.0])
+    assert edges_around(np.array([0.7])) == pytest.approx([0.63, 0.77])
+    assert edges_around(np.array([0.0])) == pytest.approx([-0.5, 0.5])
 
 
 def test_the_colours_of_several_maps_span_all_their_numbers():
-    norm = maps.norm_of([np.array([[1.0, np.nan]]), np.array([[7.0]])])
-    assert (norm.vmin, norm.vmax) == (1.0, 7.0)
-    alike = maps.norm_of([np.array([[3.0]])])
-    assert alike(3.0) == 0.5
+    scale = shared_scale([np.array([[1.0, np.nan]]), np.array([[7.0]])], whole=True)
+    assert (scale.low, scale.high) == (1.0, 7.0)
+    alike = shared_scale([np.array([[3.0]])], whole=False)
+    assert (alike.low, alike.high) == (2.5, 3.5)
 
 
-@pytest.mark.parametrize("smooth", [False, True])
-def test_a_heat_map_shows_its_numbers_where_they_belong(smooth):
-    cells = maps.Cells(np.array([0.0, 10.0, 20.0]), np.array([0.3, 1.0]), np.array([[1.0, 2.0]]))
-    axes = Figure().subplots()
-    maps.Heat(cells, "Friction (–)", Normalize(1.0, 2.0), smooth=smooth).show(axes)
-    (drawn,) = axes.images if smooth else axes.collections
+@pytest.mark.parametrize("image", [False, True])
+def test_a_heat_map_shows_its_numbers_where_they_belong(image):
+    heat = HeatMap([0.0, 10.0, 20.0], [0.3, 1.0], [[1.0, 2.0]], Scale(1.0, 2.0), image=image)
+    axes = draw.panel_figure(Panel("Map", Axis("Speed (m/s)"), Axis("Friction (–)"), [heat], "1 to 2.")).axes[0]
+    (drawn,) = axes.images if image else axes.collections
     assert np.ravel(drawn.get_array()).tolist() == [1.0, 2.0]
     assert (axes.get_xlim(), axes.get_ylim()) == ((0.0, 20.0), (0.3, 1.0))
     assert (drawn.norm.vmin, drawn.norm.vmax) == (1.0, 2.0)
+
+
+def test_words_apart_from_their_point_are_joined_to_it():
+    said = Callout(1.0, 2.0, "here", (1.5, 2.5), at_left=True)
+    axes = draw.panel_figure(Panel("", Axis(high=3.0), Axis(high=3.0), [Dots([1.0], [2.0]), said], "")).axes[0]
+    (words,) = axes.texts
+    assert (words.get_text(), words.xy, words.xyann) == ("here", (1.0, 2.0), (1.5, 2.5))
+    assert words.arrow_patch is not None
+
+
+def test_many_names_along_an_axis_stand_upright():
+    for count, turned in ((2, 0.0), (5, 90.0)):
+        names = [f"road {i}" for i in range(count)]
+        axes = draw.panel_figure(Panel("", Axis(names=names), Axis(), [Dots([0.0], [1.0])], "")).axes[0]
+        assert {label.get_rotation() for label in axes.get_xticklabels()} == {turned}
+
+
+def test_an_interval_has_as_many_digits_as_tell_its_ends_apart():
+    ratio = Column("ratio", "Ratio", show=3)
+    assert words.entry((0.5, 2.0), ratio) == "0.500 to 2.00"
+    assert words.entry((1.0012, 1.0039), ratio) == "1.001 to 1.004"
 
 
 def test_settings_are_described_in_words():

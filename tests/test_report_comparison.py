@@ -7,13 +7,28 @@ import re
 import numpy as np
 import pytest
 
+from adaptrack.base.result import BACKGROUND, SERIES
 from adaptrack.comparison.statistics import binned_geometric_mean, importance
 from adaptrack.comparison.table import Comparison, Role
 from adaptrack.control.controllers import Tuning
 from adaptrack.control.scheduling import Constant, Guarded, Learned, StabilityMap, Table
-from adaptrack.results import comparison as page
+from adaptrack.results import comparison_pictures as drawn
 from adaptrack.results import style
-from adaptrack.results.comparison import failures, knowledge, on_tests, standing, write_comparison
+from adaptrack.results.comparison import comparison_result, write_comparison
+from adaptrack.results.comparison_words import (
+    MAPPED,
+    NAMES,
+    against_constant,
+    failures,
+    few_strokes,
+    knowledge,
+    label_of,
+    on_tests,
+    progress_of,
+    standing,
+    strokes_of,
+)
+from adaptrack.results.draw import described
 from adaptrack.results.words import number
 from pictures import pictures
 
@@ -102,7 +117,7 @@ def coarse():
     """PNGs of few dots and surfaces of few nodes: these tests look at what is drawn, not at how finely."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(style, "PNG_DPI", 20)
-        patch.setattr(page, "_NODES", (9, 7))
+        patch.setattr(drawn, "NODES", (9, 7))
         yield
 
 
@@ -133,7 +148,7 @@ def test_the_words_say_that_nn_loses_when_it_loses():
     assert (
         f"NN-MPC costs {number(mean)} times the optimum of each operating point, {number(over)} times the best" in said
     )
-    said = page.against_constant(comparison, rows_of(comparison), "operating point")
+    said = against_constant(comparison, rows_of(comparison), "operating point")
     assert re.fullmatch(
         r"Not every adaptive .*on these operating points: NN-MPC costs more \(1\.\d\d times, .*\)\.", said
     )
@@ -141,10 +156,10 @@ def test_the_words_say_that_nn_loses_when_it_loses():
 
 def test_the_words_say_that_every_adaptive_rung_wins_only_when_it_does():
     comparison = compared(REGRETS)
-    said = page.against_constant(comparison, {}, "drive")
+    said = against_constant(comparison, {}, "drive")
     assert said == "Every adaptive controller beats the best constant on these drives."
     level = compared(REGRETS | {"anfis": 2.5}, spread=0.2)
-    assert "ANFIS-MPC is level with it (" in page.against_constant(level, {}, "operating point")
+    assert "ANFIS-MPC is level with it (" in against_constant(level, {}, "operating point")
 
 
 def test_the_best_constant_is_called_best_when_it_is():
@@ -213,11 +228,9 @@ def test_the_papers_tests_say_who_does_not_beat_the_constant_and_what_hindsight_
 
 
 def test_learning_that_was_still_falling_is_said_to_be():
-    last = page._progress_of("nn", [(5, 2.0), (10, 1.0)], [{"failed": 1.0}, {"failed": 0.0}])
+    last = progress_of("nn", [(5, 2.0), (10, 1.0)], [{"failed": 1.0}, {"failed": 0.0}])
     assert last == "With NN-MPC the held-out runs cost 2.00 m² after round 5 and 1.00 m² after round 10, the last, so more rounds may help."  # fmt: skip  # noqa: E501
-    done = page._progress_of(
-        "nn", [(5, 2.0), (10, 1.0), (15, 1.5)], [{"failed": 1.0}, {"failed": 2.0}, {"failed": 0.0}]
-    )
+    done = progress_of("nn", [(5, 2.0), (10, 1.0), (15, 1.5)], [{"failed": 1.0}, {"failed": 2.0}, {"failed": 0.0}])
     assert done.endswith("1.00 m² after round 10, which was kept; 2 of them fail.")
 
 
@@ -252,9 +265,8 @@ def test_every_picture_is_described_in_words_with_numbers(report):
 
 def test_a_map_is_drawn_where_its_cells_hold_operating_points(report):
     assert "Maps of the regret over the domain need 96 operating points or more." in words_of(report)
-    (picture,) = page._maps(compared(REGRETS, runs=96))
-    assert len(picture.panels) == 5 * 2
-    assert page._mean_regret(np.ones(96), np.arange(96.0), np.arange(96.0)).values.shape == (4, 4)
+    assert len(drawn.regret_maps(compared(REGRETS, runs=96)).panels) == 5 * 2
+    assert drawn.mean_regret(np.ones(96), np.arange(96.0), np.arange(96.0))[2].shape == (4, 4)
 
 
 def test_the_page_opens_with_the_best_its_interval_and_the_reference(report):
@@ -263,24 +275,24 @@ def test_the_page_opens_with_the_best_its_interval_and_the_reference(report):
     row = rows_of(EXACT_DRIVES)["nn"]
     assert text.index('class="verdict"') < text.index("<svg role") < text.index("<nav")
     assert "On 40 drives NN-MPC costs least" in first
-    assert f"({page.number(row['regret_low'])} to {page.number(row['regret_high'])})" in first
+    assert f"({number(row['regret_low'])} to {number(row['regret_high'])})" in first
 
 
 def test_no_contender_is_praised_for_its_ratio_to_itself():
     made = compared({"best constant": 1.0, "nn": 2.0}, reference="best constant")
-    regrets = {row["contender"]: row["regret_geomean"] for row in made.rows()}
-    (constant, own), (nn, other) = page._body([regrets], made)
-    assert (constant, own.text, own.strong) == ("Best constant", "1.00", False)
-    assert (nn, other.strong) == ("NN-MPC", False)
+    table = comparison_result(**NOTHING | {"drives": {"exact": made}}).table("cost")
+    assert [row["label"] for row in table.rows] == ["Best constant", "NN-MPC"]
+    assert table.rows[0]["regret_geomean"] == 1.0
+    assert not [place for place in table.best if place[1] == "regret_geomean"]
 
 
 def test_as_many_contenders_are_coloured_as_there_are_colours():
-    kinds = {name: name for name in page._NAMES} | {"mine": ""}
-    strokes = page._few_strokes(kinds, ["mine"])
-    coloured = [stroke.colour for stroke in strokes.values() if stroke != style.BACKGROUND]
-    assert sorted(coloured) == sorted(style.SERIES)
-    assert all(strokes[who] != style.BACKGROUND for who in page.MAPPED)
-    assert strokes["mine"] != style.BACKGROUND
+    kinds = {name: name for name in NAMES} | {"mine": ""}
+    strokes = few_strokes(kinds, ["mine"])
+    coloured = [stroke.colour for stroke in strokes.values() if stroke != BACKGROUND]
+    assert sorted(coloured) == sorted(SERIES)
+    assert all(strokes[who] != BACKGROUND for who in MAPPED)
+    assert strokes["mine"] != BACKGROUND
 
 
 def test_the_tables_hold_the_rows_and_mark_the_best_and_the_lost(report):
@@ -353,24 +365,24 @@ def test_surfaces_show_what_was_learned_without_the_guard():
     nowhere_stable = StabilityMap(Table(tuple(axes), np.full((2,) * 5, 2.0)))
     behind = Guarded(scheduler(), Tuning(Np=50, Nc=2, Q=1.0, R=100.0), stability=nowhere_stable)
     assert behind.batch([[15.0, 0.0, 0.7, 0.0]])[0, 0] == 50.0
-    (section,) = page._learned({"nn": dataclasses.replace(behind, name="nn")})
-    Np, Nc, ratio_ = (panel.description for panel in section.items[0].panels)
+    schedules = {"nn": dataclasses.replace(behind, name="nn")}
+    result = comparison_result(**NOTHING | {"schedules": schedules})
+    Np, Nc, ratio_ = (described(panel) for panel in result.picture("surfaces").panels)
     assert Np == "NN-MPC: N_p (periods). Over speed and reference change ahead: 15 to 40."
     assert Nc.endswith("ahead: 4.")
     assert ratio_ == "NN-MPC: log10 R/Q (R/Q in m²/rad²). Over speed and reference change ahead: 3.5."
 
 
 @pytest.mark.parametrize("missing", [*REGRETS, "everything but one"])
-def test_the_words_and_tables_do_without_any_rung(missing, monkeypatch):
-    monkeypatch.setattr(page, "MAPPED", ())
+def test_the_words_and_tables_do_without_any_rung(missing):
     kept = {"nn": 1.1} if missing.startswith("every") else {r: f for r, f in REGRETS.items() if r != missing}
     comparison = compared(kept, reference=next(reversed(kept)))
-    rows = rows_of(comparison)
-    assert standing(comparison, rows, "operating point").startswith("On 40 operating points that nobody trained on, ")
-    section = page._on_operating_points(page._Compared(comparison, rows, "operating point"))
-    table = next(item for item in section.items if isinstance(item, page.Table))
-    assert [row[0] for row in table.rows] == [page._label(name) for name in kept]
-    page._on_drives(page._Compared(comparison, rows, "drive"))
+    said = standing(comparison, rows_of(comparison), "operating point")
+    assert said.startswith("On 40 operating points that nobody trained on, ")
+    views = {"operating_points": {"exact": comparison}, "drives": {"exact": comparison}}
+    result = comparison_result(**NOTHING | views)
+    for name in ("regret", "cost"):
+        assert [row["label"] for row in result.table(name).rows] == [label_of(who) for who in kept]
 
 
 def test_a_page_of_one_rung_and_a_page_of_nothing_are_pages(tmp_path):
@@ -392,10 +404,10 @@ def test_a_rung_of_ones_own_is_compared_like_the_others():
 
 
 def test_colours_and_dashes_tell_all_rungs_apart():
-    strokes = page._strokes({name: name for name in (*page._NAMES, "mine")})
+    strokes = strokes_of({name: name for name in (*NAMES, "mine")})
     assert len(set(map(dataclasses.astuple, strokes.values()))) == len(strokes)
     assert strokes["paper recipe nn"].colour == strokes["nn"].colour
-    assert page._strokes({"anfis": "anfis"})["anfis"] == strokes["anfis"]
+    assert strokes_of({"anfis": "anfis"})["anfis"] == strokes["anfis"]
 
 
 def test_schedulers_are_called_by_their_files_names_and_told_apart_by_their_kind():
@@ -406,5 +418,6 @@ def test_schedulers_are_called_by_their_files_names_and_told_apart_by_their_kind
     made = Comparison.of_runs(driven, "best constant", roles=roles)
     said = standing(made, rows_of(made), "drive")
     assert "road-nn is best" in said
-    assert [name for name, _ in page._meanings(made).entries] == [page._NAMES["best constant"][0], "road-nn"]
+    about = comparison_result(**NOTHING | {"drives": {"exact": made}}).values["drives"]
+    assert [name for name, _ in about["meanings"]] == [NAMES["best constant"][0], "road-nn"]
     assert {row["contender"]: row["kind"] for row in made.rows()} == {name: role.kind for name, role in roles.items()}

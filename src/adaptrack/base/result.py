@@ -126,6 +126,7 @@ class Dots:
     """Those beyond the axes are drawn at their edge."""
     scales: bool = True
     """Whether the axes make room for them."""
+    opacity: float = 1.0
 
 
 @dataclass(frozen=True)
@@ -201,6 +202,8 @@ class HeatMap:
     values: ArrayLike
     """(y cells, x cells), NaN where there is none"""
     scale: Scale
+    image: bool = False
+    """One image of equal cells instead of a shape for each: for a fine grid, which then stays a small file."""
 
 
 @dataclass(frozen=True)
@@ -242,6 +245,19 @@ class Remark:
 
 
 @dataclass(frozen=True)
+class Callout:
+    """Words that stand apart from their point, level with another height and joined to the point by a thin line."""
+
+    x: float
+    y: float
+    text: str
+    place: tuple[float, float]
+    """Where they begin, on the axes; where they end, if they stand on the left."""
+    colour: Colour = "ink"
+    at_left: bool = False
+
+
+@dataclass(frozen=True)
 class Heading:
     """An arrow."""
 
@@ -249,7 +265,9 @@ class Heading:
     end: tuple[float, float]
 
 
-Mark: TypeAlias = Polyline | Dots | Ribbon | Guide | Stripe | Bars | HeatMap | ColouredLine | Polygon | Remark | Heading
+Mark: TypeAlias = (
+    Polyline | Dots | Ribbon | Guide | Stripe | Bars | HeatMap | ColouredLine | Polygon | Remark | Callout | Heading
+)
 
 
 @dataclass(frozen=True)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -10,21 +10,10 @@ from typer import Option
 
 from adaptrack.base.errors import InvalidInput
 from adaptrack.cli import interrupt, options, show
-from adaptrack.cli.next_step import command, say_next
-from adaptrack.cli.show import Column
+from adaptrack.cli.next_step import command, next_line
 
 if TYPE_CHECKING:
     from adaptrack.studies.compare import Compared
-
-COLUMNS = (
-    Column("label", "contender"),
-    Column("rank", "rank"),
-    Column("rms", "RMS e\nratio, 95 %"),
-    Column("cost_ratio", "J\nratio", "", show.digits(3)),
-    Column("rms_error", "RMS e", "m", show.digits(2)),
-    Column("failed", "failed"),
-    Column("entry", "3888-2", "km/h"),
-)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -93,6 +82,8 @@ def compare(given: CompareOptions) -> None:
     that a search found on training roads; a schedule brings its own. Ranks differ only where the intervals part. Failed
     runs are counted in the table; the exit code is 0.
     """
+    from adaptrack.results.page import write_result
+    from adaptrack.results.side_by_side import side_by_side_result
     from adaptrack.studies.compare import TABLE, load_comparison, run_comparison
 
     options.load_plugins(given.plugin)
@@ -111,13 +102,12 @@ def compare(given: CompareOptions) -> None:
     interrupt.kept(f"What was driven is kept; the same command with --out {out} goes on.")
     with show.progress("compare") as advance:
         made = run_comparison(task, out, dask=given.dask, progress=advance)
-    page = _page(made, out)
-    if given.as_json:
-        show.say_json({**_as_json(made), "page": str(page), "table": str(out / TABLE)})
-        return
-    _print(made)
-    show.say(f"Page: {page}\nEvery run: {out / TABLE}")
-    say_next(*_next(made))
+    result = side_by_side_result(made, command=options.command_line(), next_step=next_line(*_next(made)))
+    with show.progress("write the page"):
+        page = write_result(out, result)
+    files = {"page": str(page), "table": str(out / TABLE)}
+    result = replace(result, record={**result.record, **files}, notes=[*result.notes, f"every run is in {out / TABLE}"])
+    show.say_result(result, given.as_json, page)
 
 
 def _next(made: Compared) -> tuple[str, str]:
@@ -141,73 +131,3 @@ def _list(as_json: bool) -> None:
         for name in list_controllers()
     ]  # fmt: skip
     show.listing("Contenders", rows, as_json)
-
-
-def _page(made: Compared, out: Path) -> Path:
-    from adaptrack.results.side_by_side import write_side_by_side
-
-    with show.progress("write the page"):
-        return write_side_by_side(out, made, command=options.command_line())
-
-
-def _rows(made: Compared, profile: str) -> list[dict[str, Any]]:
-    """The rows of a profile, with the mean entry speed in km/h."""
-    from adaptrack.comparison.views import standing_rows
-
-    speeds, rows = made.entry_speeds(profile), []
-    for row in standing_rows(made.by_profile[profile]):
-        entered = speeds.get(row["label"], {})
-        rows.append({**row, "entry_speed": 3.6 * sum(entered.values()) / len(entered) if entered else None})
-    return rows
-
-
-def _as_json(made: Compared) -> dict[str, Any]:
-    from adaptrack.comparison.table import finite
-
-    return {
-        "name": made.task.name,
-        "profiles": {profile: finite(_rows(made, profile)) for profile in made.by_profile},
-        "left_out": [{**vars(cell), "why": why} for cell, why in made.left_out.items()],
-        "absent": made.absent,
-        "cells": [
-            {**vars(cell), **{k: v for k, v in each.items() if k != "rows"}} for cell, each in made.cells.items()
-        ],
-    }
-
-
-def _print(made: Compared) -> None:
-    """A table for each profile, and what was left out."""
-    from adaptrack.results.comparison_answers import on_cars
-    from adaptrack.results.words import counted
-
-    task = made.task
-    for profile, table in made.by_profile.items():
-        show.say(on_cars(profile, table))
-    for profile, table in made.by_profile.items():
-        rows = [
-            {
-                **row,
-                "rms": f"{row['rms_ratio']:.3g} [{row['rms_low']:.2g}-{row['rms_high']:.2g}]",
-                "failed": f"{row['failures']}/{row['runs']}",
-                "entry": None if row["entry_speed"] is None else round(row["entry_speed"]),
-            }
-            for row in _rows(made, profile)
-        ]
-        cars, roads = len(table.cars), len(table.roads)
-        size = ", ".join(
-            counted(n, what) for n, what in ((cars, "car"), (roads, "road"), (len(task.seeds), "noise seed"))
-        )
-        show.table(f"{profile}: {size}; ratio to {table.reference}", COLUMNS, rows)
-    for car, why in made.absent.items():
-        show.say(f"Left out, {car}: {why}")
-    for name, reasons in _left_out(made).items():
-        more = f" And {counted(len(set(reasons)) - 1, 'reason')} more on the page." if len(set(reasons)) > 1 else ""
-        show.say(f"Left out in {counted(len(reasons), 'cell')}, {name}: {reasons[0]}{more}")
-
-
-def _left_out(made: Compared) -> dict[str, list[str]]:
-    """By contender, why it was left out of each cell that it is not in."""
-    found: dict[str, list[str]] = {}
-    for cell, why in made.left_out.items():
-        found.setdefault(cell.contender, []).append(why)
-    return found

@@ -2,27 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from adaptrack.base.errors import InvalidInput
 from adaptrack.cli import options, show
-from adaptrack.cli.show import Column
 
 if TYPE_CHECKING:
     from adaptrack.comparison.table import Comparison
     from adaptrack.learning.adaptation.config import AdaptationConfig
     from adaptrack.studies.adapt import Adapted
-
-COLUMNS = (
-    Column("contender", "contender"),
-    Column("cost_geomean", "cost J", "m²", show.digits(3)),
-    Column("regret_geomean", "regret\nmean", "", show.digits(4)),
-    Column("interval", "95 %\ninterval"),
-    Column("regret_worst", "worst", "", show.digits(3)),
-    Column("failures", "runs\nfailed"),
-)
 
 
 def study(config: str | None, controller: str | None, profile: str | None) -> AdaptationConfig:
@@ -100,24 +90,11 @@ def write_page(out: Path, made: Adapted) -> Path:
 
 def print_comparison(made: Adapted, as_json: bool) -> None:
     """The rows of all views: operating points and drives by how friction and wind are known, tests by their name."""
-    views: dict[str, Mapping[str, Any]] = {
-        "operating points": made.operating_points, "drives": made.drives, "tests": made.tests
-    }  # fmt: skip
+    from adaptrack.results.comparison import console_tables, view_rows
+    from adaptrack.results.console import print_tables
+
+    views = {"operating points": made.operating_points, "drives": made.drives, "tests": made.tests}
     if as_json:
-        show.say_json({"rows": _rows(views)})
-        return
-    for view, comparisons in views.items():
-        for name, each in comparisons.items():
-            rows = [{**row, "interval": f"{row['regret_low']:.3g}-{row['regret_high']:.3g}"} for row in each.rows()]
-            show.table(f"{view}, {name}: {len(each.where)} runs, regret to {each.reference}", COLUMNS, rows)
-
-
-def _rows(views: Mapping[str, Mapping[str, Any]]) -> list[dict[str, Any]]:
-    from adaptrack.comparison.table import finite
-
-    return [
-        {"view": view, "scenario" if view == "tests" else "known_as": name, "reference": each.reference, **row}
-        for view, comparisons in views.items()
-        for name, each in comparisons.items()
-        for row in finite(each.rows())
-    ]
+        show.say_json({"rows": view_rows(views)})
+    else:
+        print_tables(console_tables(views))

@@ -12,7 +12,7 @@ from typer import Option
 from adaptrack.base.errors import InvalidInput
 from adaptrack.base.limits import SEED
 from adaptrack.cli import comparison, on_roads, options, show
-from adaptrack.cli.next_step import command, say_next
+from adaptrack.cli.next_step import command, next_line
 from adaptrack.cli.road import RoadOptions
 
 if TYPE_CHECKING:
@@ -67,6 +67,9 @@ def evaluate(given: EvaluateOptions) -> None:
     counted for each contender, and the exit code is 0. Schedulers where none was trained: `adaptrack
     evaluate-schedules`.
     """
+    from adaptrack.results.page import write_result
+    from adaptrack.results.road_comparison import road_comparison_result
+
     roads = on_roads.named("evaluate", given.road, "schedulers on unseen drives: adaptrack evaluate-schedules")
     options.make_page_folder(given.out)
     setting = on_roads.RoadSetting.of(roads, given.route, given.car, given.profile, given.as_json)
@@ -75,33 +78,17 @@ def evaluate(given: EvaluateOptions) -> None:
     names = [each.name for each in contenders]
     reference = "informed" if "informed" in names else names[0]
     made = setting.compare(contenders, seeds, reference)
-    page = None if given.out is None else _write_page(given.out, made, setting)
+    result = road_comparison_result(
+        made, title=setting.title, notes=[f"left out, {words}" for words in left_out.values()],
+        record={"vehicle": setting.car.name, "profile": setting.profile.name, "roads": list(made.roads),
+                "seeds": list(made.seeds), "reference": reference, "left_out": left_out},
+        command=options.command_line(), next_step=next_line(*_next(given, made)),
+    )  # fmt: skip
+    page = None if given.out is None else write_result(given.out, result)
     if given.as_json:
-        from adaptrack.comparison.table import finite
-        from adaptrack.comparison.views import road_rows
-
         for words in left_out.values():
             show.say(f"Left out, {words}", aside=True)
-        show.say_json({
-            "vehicle": setting.car.name, "profile": setting.profile.name, "roads": list(made.roads),
-            "seeds": list(made.seeds), "reference": reference, "left_out": left_out, "rows": finite(road_rows(made)),
-        })  # fmt: skip
-        return
-    from adaptrack.results.comparison_answers import on_roads as answer
-
-    show.say(answer(made))
-    for words in left_out.values():
-        show.say(f"Left out, {words}")
-    on_roads.print_rows(f"{setting.title}, {len(seeds)} noise seeds; ratio to {reference}", made)
-    if page is not None:
-        show.say(f"Page: {page}")
-    say_next(*_next(given, made))
-
-
-def _write_page(out: Path, made: Comparison, setting: on_roads.RoadSetting) -> Path:
-    from adaptrack.results.roads_compared import write_road_comparison
-
-    return write_road_comparison(out, made, title=setting.title, command=options.command_line())
+    show.say_result(result, given.as_json, page)
 
 
 def _next(given: EvaluateOptions, made: Comparison) -> tuple[str, str]:

@@ -8,9 +8,14 @@ import sys
 from adaptrack.cli import show
 
 
+def next_line(why: str, line: str) -> str:
+    """What to do next: why, and the command line."""
+    return f"Next, {why}: {line}"
+
+
 def say_next(why: str, line: str) -> None:
-    """Say what to do next: why, and the command line."""
-    show.say(f"Next, {why}: {line}")
+    """Say what to do next."""
+    show.say(next_line(why, line))
 
 
 def command(*words: object) -> str:

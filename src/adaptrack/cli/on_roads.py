@@ -12,7 +12,6 @@ import typer
 from adaptrack.base.errors import InvalidInput
 from adaptrack.cli import options, show
 from adaptrack.cli.road import ROADS, RoadOptions
-from adaptrack.cli.show import Column
 
 if TYPE_CHECKING:
     from adaptrack.cars.vehicle import Vehicle
@@ -21,21 +20,6 @@ if TYPE_CHECKING:
     from adaptrack.control.controllers import Controller
     from adaptrack.scenario.profile import Profile
     from adaptrack.tuning.runs import RunSet
-
-LEAST_ROADS = 6
-"""Fewer than that say little about other roads."""
-
-COLUMNS = (
-    Column("contender", "contender"),
-    Column("cost_mean", "mean J", "m²", show.digits(3)),
-    Column("cost_geomean", "geomean", "m²", show.digits(3)),
-    Column("regret_geomean", "ratio", "", show.digits(3)),
-    Column("interval", "95 %\ninterval"),
-    Column("rms_error", "RMS e", "m", show.digits(3)),
-    Column("p95_error", "p95 |e|", "m", show.digits(3)),
-    Column("max_corner_error", "corner |e|", "m", show.digits(3)),
-    Column("failures", "runs\nfailed"),
-)
 
 Roads = Annotated[list[str] | None, typer.Argument(metavar="ROAD", help=f"Roads: {ROADS}", show_default=False)]
 
@@ -136,29 +120,3 @@ class RoadSetting:
 
         with show.progress("drive") as advance:
             return compare(self.runs, contenders, seeds, reference, progress=advance, outline=self.car.outline)
-
-
-def print_rows(title: str, made: Comparison) -> None:
-    """The table of a comparison, and who failed where."""
-    from adaptrack.comparison.views import road_rows
-
-    rows: list[dict[str, Any]] = road_rows(made)
-    for row in rows:
-        row["interval"] = f"{row['regret_low']:.3g}-{row['regret_high']:.3g}"
-    show.table(title, COLUMNS, rows)
-    count = len(made.table(made.reference))
-    if len(made.roads) == 1:
-        show.say(f"Interval: bootstrap over the {count} noise seeds of this one road; it says nothing about others.")
-    else:
-        few = "; they are few" if count < LEAST_ROADS else ""
-        show.say(f"Interval: bootstrap over the {count} roads{few}.")
-    for row in rows:
-        for each in row["failed"][:MOST_LISTED]:
-            where = f"{row['contender']}, {each['road']}, seed {each['seed']}"
-            show.say_failed(f"{where}: at {each['at']:.1f} s the vehicle {each['because']}.")
-        if len(row["failed"]) > MOST_LISTED:
-            show.say(f"{row['contender']}: {len(row['failed']) - MOST_LISTED} more runs failed.")
-
-
-MOST_LISTED = 3
-"""Failed runs of a contender that are listed one by one; --json has all."""

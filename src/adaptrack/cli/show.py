@@ -7,6 +7,7 @@ import sys
 import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Any, Literal
 
 from adaptrack.base.progress import Work, now_and_then, showing
@@ -21,14 +22,14 @@ Rows = Sequence[Mapping[str, Any]]
 
 
 # -- text and tables --------------------------------------------------------------------------------------------------
-def say_result(result: Result, as_json: bool) -> None:
-    """A result on the console, or as one JSON object."""
+def say_result(result: Result, as_json: bool, page: Path | None = None) -> None:
+    """A result on the console, or as one JSON object; page: where its page is, if it has one."""
     if as_json:
         from adaptrack.results.json import to_json
 
         print(to_json(result))
     else:
-        print_result(result)
+        print_result(result, page)
 
 
 def say_json(values: Any) -> None:

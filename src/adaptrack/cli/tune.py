@@ -85,6 +85,8 @@ def _tune(given: TuneOptions, setting: on_roads.RoadSetting, own: Controller) ->
     from adaptrack.comparison.table import finite
     from adaptrack.comparison.views import road_rows
     from adaptrack.results.comparison_answers import of_tuning
+    from adaptrack.results.console import print_tables
+    from adaptrack.results.road_comparison import console_tables
     from adaptrack.tuning.constant import seek_constant, swarm_within
     from adaptrack.tuning.pso import SwarmSettings
 
@@ -109,7 +111,8 @@ def _tune(given: TuneOptions, setting: on_roads.RoadSetting, own: Controller) ->
         return
     over = judged.ratio("tuned", "default")
     show.say(of_tuning(name, over, found.better))
-    on_roads.print_rows(f"{name}, {setting.title}; {len(judged.seeds)} noise seeds that the search did not see", judged)
+    title = f"{name}, {setting.title}; {len(judged.seeds)} noise seeds that the search did not see"
+    print_tables(console_tables(judged, road_rows(judged), title))
     if found.at_bounds:
         show.say(f"At the end of what was searched: {', '.join(found.at_bounds)}.")
     entries = ", ".join(f"{entry} {value:.4g}" for entry, value in found.tuning.items())

@@ -1,10 +1,11 @@
 """Renderings of a `Result` (base/result.py): console, JSON, notebook, page; the only room that imports matplotlib.
 
 * `console` prints the answer, the brief tables, the notes and the next step; `json` writes the record.
-* `page` writes the page of a result by the template of its kind (`templates/`), or of any list of sections.
+* `page` writes the page of a result by the template of its kind (`templates/`).
 * `draw` makes figures from pictures, which are plain data; `style` says how every picture looks.
-* `identify`, `road`, `certificate`, `drive`, `runs`, `reproduce`, `dataset` make results of what the rooms below found;
-  `figures` the paper's figures 6 to 10, `drive_figures` a road from above and signals along it; `answers` sentences.
+* `identify`, `road`, `certificate`, `drive`, `runs`, `reproduce`, `dataset`, `comparison`, `road_comparison` and
+  `side_by_side` make results of what the rooms below found; `figures` the paper's figures 6 to 10, `drive_figures` a
+  road from above and signals along it; `answers`, `comparison_answers` and `comparison_words` sentences.
 * `notebook` is what objects show of themselves there, `shown` which form belongs to which type.
 
 The public names are loaded when they are first used: a page loads what it shows, not what other pages do.
@@ -20,7 +21,7 @@ _PUBLIC = {
     "drive": ("write_drive_page",),
     "drive_figures": ("above_figure", "along_figure"),
     "figures": ("conditions_figure", "speed_figure", "tracking_figure"),
-    "page": ("Section", "write_page"),
+    "page": ("write_result",),
     "record": ("DriveRecord", "Measure", "Shape"),
     "runs": ("Run", "write_report"),
 }
@@ -31,7 +32,7 @@ if TYPE_CHECKING:
     from adaptrack.results.drive import write_drive_page
     from adaptrack.results.drive_figures import above_figure, along_figure
     from adaptrack.results.figures import conditions_figure, speed_figure, tracking_figure
-    from adaptrack.results.page import Section, write_page
+    from adaptrack.results.page import write_result
     from adaptrack.results.record import DriveRecord, Measure, Shape
     from adaptrack.results.runs import Run, write_report
 
@@ -39,7 +40,6 @@ __all__ = [
     "DriveRecord",
     "Measure",
     "Run",
-    "Section",
     "Shape",
     "above_figure",
     "along_figure",
@@ -48,8 +48,8 @@ __all__ = [
     "tracking_figure",
     "write_dataset_report",
     "write_drive_page",
-    "write_page",
     "write_report",
+    "write_result",
 ]
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import sys
 from collections.abc import Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from adaptrack.base.result import Column, Result, ResultTable, Row
@@ -21,16 +22,25 @@ _NAME, _WRAPPED = 40, 16
 """Letters of a column of names that stay whole; least of one of text at the end of a line, which may wrap."""
 
 
-def print_result(result: Result) -> None:
-    """The answer, the tables that are brief, the notes, what to do next."""
+def print_result(result: Result, page: Path | None = None) -> None:
+    """The answer, the tables that are brief, the notes, where its page is, what to do next."""
     say(result.answer)
-    for table in result.tables:
-        if table.brief and table.rows:
-            print_table(table)
+    print_tables(result.tables)
     for note in result.notes:
         say(f"Note: {note}")
+    if page is not None:
+        say(f"Page: {page}")
     if result.next_step:
         say(result.next_step)
+
+
+def print_tables(tables: Sequence[ResultTable]) -> None:
+    """Those of the tables that are brief, with what is noted below them."""
+    for table in tables:
+        if table.brief and table.rows:
+            print_table(table)
+            if table.note:
+                say(table.note)
 
 
 def say(text: str, aside: bool = False) -> None:

@@ -9,7 +9,6 @@ from typing import NamedTuple
 import numpy as np
 
 from adaptrack.base.result import Axis, Dots, Guide, Mark, Panel, Polyline, Remark, Stripe, Stroke
-from adaptrack.results.page import Drawing
 from adaptrack.results.words import data_text, legible, number
 
 WIDTH = 5.2
@@ -68,17 +67,6 @@ def dots_panel(
         f"{words or label}. {'; '.join(map(_in_words, shown))}.",
     )  # fmt: skip
     return panel, (WIDTH, max(_LEAST, _ABOVE_AND_BELOW + _ROW * len(shown)))
-
-
-def dots_drawing(
-    dots: Sequence[Dot], label: str, words: str = "", *, level: float | None = None,
-    band: tuple[float, float] | None = None,
-) -> Drawing:  # fmt: skip
-    """`dots_panel`, drawn."""
-    from adaptrack.results.draw import described, panel_figure
-
-    panel, size = dots_panel(dots, label, words, level=level, band=band)
-    return Drawing(panel_figure(panel, size), described(panel))
 
 
 def notes(dots: Sequence[Dot]) -> str:

@@ -18,6 +18,7 @@ from matplotlib.ticker import FixedFormatter, FixedLocator, MaxNLocator
 from adaptrack.base.result import (
     Axis,
     Bars,
+    Callout,
     ColouredLine,
     Dots,
     Guide,
@@ -52,6 +53,10 @@ _MARKERS: dict[str, dict[str, Any]] = {
 }
 
 
+_LEVEL_NAMES = 4
+"""Names along an x axis that stand level; more stand upright."""
+
+
 def panel_figure(panel: Panel, size: tuple[float, float] | None = None) -> Figure:
     """A panel alone, for the page; those without a size [inch] are drawn alike, so that their axes align."""
     if size is None:
@@ -83,7 +88,7 @@ def print_figure(picture: Picture) -> Figure:
             spare.remove()
         figure.align_ylabels(axes[: len(panels)])
         if picture.key:
-            style.legend_above(figure, [(label, style.drawn(stroke)) for label, stroke in picture.key])
+            style.legend_above(figure, picture.key)
     return figure
 
 
@@ -116,7 +121,7 @@ def show(axes: Axes, panel: Panel, title: str | None = None) -> None:
     if panel.remark:
         axes.set_title(panel.remark, loc="right", fontsize=7.5, fontweight="normal", color=style.MUTED)
     if panel.key:
-        style.line_key(axes, [(name, style.drawn(stroke).dash) for name, stroke in panel.key])
+        style.line_key(axes, panel.key)
     if panel.y.degrees:
         style.degrees_at_the_right(axes)
 
@@ -135,6 +140,8 @@ def _scale(axes: Axes, which: Any, axis: Axis) -> None:
         ends = (-0.4, len(axis.names) - 0.6) if which == "x" else (len(axis.names) - 0.4, -0.6)
         axes.set(**{f"{which}lim": ends})
         axes.grid(axis=which, visible=which == "x")
+        if which == "x" and len(axis.names) > _LEVEL_NAMES:
+            axes.tick_params(axis="x", labelrotation=90.0)
         return
     low, high = sorted(own.get_view_interval())
     low, high = min([low, *axis.include]), max([high, *axis.include])
@@ -179,9 +186,8 @@ def _(mark: Dots, axes: Axes) -> None:
     if mark.at_edge:
         return
     look: dict[str, Any] = {"color": style.hex_of(mark.colour), "linestyle": "", "markersize": mark.size, "zorder": 5}
-    axes.plot(
-        np.asarray(mark.x), np.asarray(mark.y), scalex=mark.scales, scaley=mark.scales, **_MARKERS[mark.marker], **look
-    )
+    look |= {"alpha": mark.opacity} | _MARKERS[mark.marker]
+    axes.plot(np.asarray(mark.x), np.asarray(mark.y), scalex=mark.scales, scaley=mark.scales, **look)
 
 
 def _draw_at_edge(mark: Dots, axes: Axes) -> None:
@@ -226,10 +232,13 @@ def _(mark: Bars, axes: Axes) -> None:
 @draw.register
 def _(mark: HeatMap, axes: Axes) -> None:
     x, y, values = (np.asarray(each, dtype=float) for each in (mark.x_edges, mark.y_edges, mark.values))
-    axes.pcolormesh(
-        x, y, np.ma.masked_invalid(values), cmap=_map(mark.scale), norm=_norm(mark.scale), edgecolor="face",
-        linewidth=0.3, antialiased=True,
-    )  # fmt: skip
+    colours: dict[str, Any] = {"cmap": _map(mark.scale), "norm": _norm(mark.scale)}
+    if mark.image:
+        box = (x[0], x[-1], y[0], y[-1])
+        axes.imshow(values, aspect="auto", interpolation="none", origin="lower", extent=box, **colours)
+    else:
+        look: dict[str, Any] = {"edgecolor": "face", "linewidth": 0.3, "antialiased": True}
+        axes.pcolormesh(x, y, np.ma.masked_invalid(values), **colours, **look)
     axes.grid(False)
     axes.margins(0.0)
     axes.yaxis.set_major_locator(MaxNLocator(nbins=6, steps=style.ROUND))
@@ -269,14 +278,22 @@ def _(mark: Remark, axes: Axes) -> None:
 
 
 @draw.register
+def _(mark: Callout, axes: Axes) -> None:
+    colour = style.hex_of(mark.colour)
+    axes.annotate(
+        mark.text, (mark.x, mark.y), mark.place, ha="right" if mark.at_left else "left", va="center", fontsize=6.5,
+        color=colour, arrowprops={"arrowstyle": "-", "color": colour, "linewidth": 0.4, "shrinkB": 2},
+    )  # fmt: skip
+
+
+@draw.register
 def _(mark: Heading, axes: Axes) -> None:
     axes.annotate("", mark.end, mark.start, arrowprops={"arrowstyle": "-|>", "color": style.INK, "linewidth": 1.5})
 
 
 # -- looks ------------------------------------------------------------------------------------------------------------
 def _line(stroke: Stroke) -> dict[str, Any]:
-    look = style.drawn(stroke)
-    return {"color": look.colour, "linestyle": look.dash}
+    return {"color": style.hex_of(stroke.colour), "linestyle": style.DASHES[stroke.dash]}
 
 
 def _map(scale: Scale) -> str | Colormap:

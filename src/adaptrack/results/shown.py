@@ -12,7 +12,7 @@ from adaptrack.comparison.table import Comparison
 from adaptrack.control.scheduling import Schedule
 from adaptrack.drive.metrics import Metrics
 from adaptrack.drive.trajectory import Trajectory
-from adaptrack.results.comparison_verdict import comparison_figure
+from adaptrack.results.comparison_pictures import comparison_figure
 from adaptrack.results.dataset import dataset_figure, dataset_html
 from adaptrack.results.notebook import (
     comparison_html,

@@ -7,7 +7,6 @@ import re
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
 from typing import Any, Literal
 
 import matplotlib as mpl
@@ -18,7 +17,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import AutoLocator, FixedLocator, FuncFormatter, MaxNLocator, NullLocator
 
-from adaptrack.base import result
+from adaptrack.base.result import Colour, Dash, Stroke
 from adaptrack.base.text import printable
 from adaptrack.results.words import data_text as data_text
 
@@ -38,9 +37,6 @@ _THEME = {INK: "ink", MUTED: "muted", GRID: "grid"} | {colour: f"series-{i}" for
 """The CSS variable behind each colour that a page may redefine."""
 
 _THEMED = re.compile("|".join(_THEME), re.IGNORECASE)
-
-_DASHES: tuple[Any, ...] = ("-", (0, (5, 1.5)), (0, (1.5, 1.5)))
-"""Line styles of the first, second and third round through `SERIES`."""
 
 PAGE_WIDTH = 7.2
 """inch, of a full figure: the text width of a two-column paper."""
@@ -116,41 +112,16 @@ PLAIN = FuncFormatter(lambda value, _: f"{value:g}".replace("-", "−"))
 
 
 _HEX = {"ink": INK, "muted": MUTED, "grid": GRID} | {f"series-{i}": colour for i, colour in enumerate(SERIES)}
-_PATTERNS: Mapping[str, Any] = {
+DASHES: Mapping[Dash, Any] = {
     "solid": "-", "dashed": (0, (4, 2)), "long": (0, (5, 1.5)), "dotted": (0, (1.5, 1.5)),
     "dash-dot": (0, (5, 1.5, 1, 1.5)),
 }  # fmt: skip
+"""Line styles as matplotlib takes them, in widths of the line."""
 
 
-def hex_of(colour: result.Colour) -> str:
+def hex_of(colour: Colour) -> str:
     """A colour by its name; one in CSS's notation as it is."""
     return _HEX.get(colour, colour)
-
-
-def drawn(stroke: result.Stroke) -> Stroke:
-    """A stroke of a result as matplotlib takes it."""
-    return Stroke(hex_of(stroke.colour), _PATTERNS[stroke.dash])
-
-
-@dataclass(frozen=True)
-class Stroke:
-    """How the lines of one controller are drawn, in every figure of a report."""
-
-    colour: str
-    dash: Any = "-"
-
-
-BACKGROUND = Stroke(MUTED)
-"""The stroke of what lies under a reference (the driven speed)."""
-
-
-def strokes(labels: Iterable[str]) -> dict[str, Stroke]:
-    """One stroke per distinct label, in the order given; they stay distinct for three times as many as `SERIES`."""
-    unique = dict.fromkeys(labels)
-    return {
-        label: Stroke(SERIES[i % len(SERIES)], _DASHES[i // len(SERIES) % len(_DASHES)])
-        for i, label in enumerate(unique)
-    }
 
 
 @contextmanager
@@ -169,13 +140,6 @@ class ShownFigure(Figure):
         return png(self)
 
 
-def grid_figure(rows: int, columns: int, height: float) -> tuple[Figure, list[Axes]]:
-    """An empty figure of `PAGE_WIDTH` and its axes, row by row; `height` [inch] is that of one row."""
-    figure = ShownFigure(figsize=(PAGE_WIDTH, height * rows))
-    axes = figure.subplots(rows, columns, squeeze=False)
-    return figure, list(axes.flat)
-
-
 def panel_figure(draw: Callable[[Axes], None]) -> Figure:
     """A figure of one panel, for the page; axes and labels of all such figures align."""
     width, height = PANEL_SIZE
@@ -192,7 +156,10 @@ def panel_figure(draw: Callable[[Axes], None]) -> Figure:
 def legend_above(figure: Figure, key: Sequence[tuple[str, Stroke]]) -> None:
     """A legend in rows above all panels, where it covers nothing."""
     key = [(data_text(label), stroke) for label, stroke in key]
-    handles = [Line2D([], [], color=s.colour, linestyle=s.dash, linewidth=1.6, label=label) for label, s in key]
+    handles = [
+        Line2D([], [], color=hex_of(stroke.colour), linestyle=DASHES[stroke.dash], linewidth=1.6, label=label)
+        for label, stroke in key
+    ]
 
     def width(columns: int) -> int:
         """In letters; a legend is filled column by column."""
@@ -203,9 +170,11 @@ def legend_above(figure: Figure, key: Sequence[tuple[str, Stroke]]) -> None:
     figure.legend(handles=handles, loc="outside upper center", ncols=min(len(handles), columns))
 
 
-def line_key(axes: Axes, entries: Iterable[tuple[str, Any]]) -> None:
-    """A key of line styles (name, dash) in ink, at the right above the panel, level with its title."""
-    handles = [Line2D([], [], color=INK, linestyle=dash, label=name, linewidth=1.2) for name, dash in entries]
+def line_key(axes: Axes, entries: Iterable[tuple[str, Stroke]]) -> None:
+    """A key of line styles in ink, at the right above the panel, level with its title."""
+    handles = [
+        Line2D([], [], color=INK, linestyle=DASHES[stroke.dash], label=name, linewidth=1.2) for name, stroke in entries
+    ]
     axes.legend(handles=handles, loc="lower right", bbox_to_anchor=(1.0, 1.015), ncols=len(handles), columnspacing=1.2)
 
 

@@ -44,7 +44,10 @@ def number(value: float | int | None, digits: int = 3) -> str:
 def entry(value: Any, column: Column) -> str:
     """A value of a table as a page has it."""
     if isinstance(value, tuple):
-        return " to ".join(entry(each, column) for each in value)
+        ends = [entry(each, column) for each in value]
+        if isinstance(column.show, int) and len(set(ends)) < len(set(value)):  # as many digits as tell them apart
+            ends = [number(each, column.show + 1) for each in value]
+        return " to ".join(ends)
     if isinstance(value, bool):
         return "yes" if value else "no"
     if isinstance(value, str) or value is None:
