@@ -21,7 +21,8 @@ from adaptrack.analysis.certify import OPERATING, certify
 from adaptrack.analysis.linearisation import Mismatch, laws, usual_mismatches
 from adaptrack.analysis.stability import hard_turn, loop_map, loops, radii, spectral_radius
 from adaptrack.control.scheduling import Constant, Guarded, Lookup, SchedulingVariables, StabilityMap, Table
-from adaptrack.results.certificate import write_certificate
+from adaptrack.results import write_result
+from adaptrack.results.certificate import certificate_result
 from adaptrack.scenario import random_drive
 from pictures import pictures
 
@@ -278,7 +279,9 @@ def test_the_page_shows_the_verdict_the_maps_and_the_worst_points(scrambled, sta
     guarded = certify(Guarded(scrambled, SOUND, stability=stability), PLANT, MPC_, "road", levels=FEW)
     bare = certify(scrambled, PLANT, MPC_, "road", levels=FEW)
     with pictures(drawn=True):
-        text = write_certificate(tmp_path / "guarded", guarded, command="adaptrack certify mine.json").read_text()
+        text = write_result(
+            tmp_path / "guarded", certificate_result(guarded, "adaptrack certify mine.json")
+        ).read_text()
     assert "Passed" in text
     assert "adaptrack certify mine.json" in text
     assert "Without the guard" in text
@@ -287,7 +290,7 @@ def test_the_page_shows_the_verdict_the_maps_and_the_worst_points(scrambled, sta
         "margins.png", "margins-turn.png", "margins-bare.png", "margins-bare-turn.png", "tunings.png",
     }  # fmt: skip
     bare = replace(bare, mismatched={"lag +0.1 s": bare.bare.turn})
-    text = write_certificate(tmp_path / "bare", bare).read_text()
+    text = write_result(tmp_path / "bare", certificate_result(bare)).read_text()
     assert "Another car" in text
     assert "lag +0.1 s" in text
     assert "Failed" in text

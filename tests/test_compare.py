@@ -266,10 +266,11 @@ def test_an_interrupted_comparison_goes_on_and_another_question_drives_anew(
 def test_the_page_opens_with_who_is_first_and_every_run_is_in_the_table(tmp_path: Path):
     import pyarrow.parquet as pq
 
-    from adaptrack.results.side_by_side import write_side_by_side
+    from adaptrack.results import write_result
+    from adaptrack.results.side_by_side import side_by_side_result
 
     made = run_comparison(tiny(contenders=["informed", "pure-pursuit", "nn"]), tmp_path)
-    page = write_side_by_side(tmp_path, made, command="adaptrack compare").read_text()
+    page = write_result(tmp_path, side_by_side_result(made, command="adaptrack compare")).read_text()
     assert page.index("first; best of the others") < page.index("<table")
     for name in ("informed, tuned", "pure-pursuit, default", "nn"):
         assert name in page

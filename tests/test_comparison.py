@@ -34,7 +34,8 @@ from adaptrack.drive.simulate import simulate
 from adaptrack.learning.adaptation.config import Evaluation
 from adaptrack.learning.adaptation.method import Constants, Method
 from adaptrack.learning.adaptation.recipes import best_constant
-from adaptrack.results.comparison import write_comparison
+from adaptrack.results import write_result
+from adaptrack.results.comparison import comparison_result
 from adaptrack.scenario import load_scenario
 from adaptrack.scenario.profile import load_profile
 from adaptrack.tuning.config import list_campaigns, load_campaign
@@ -482,8 +483,7 @@ def test_controllers_by_name_and_a_compiled_one_of_ones_own_cost_what_simulate_s
     rows = {row["contender"]: row["controller"] for row in made.rows()}
     assert rows["mine"] == "proportional"
     assert len(set(rows.values())) == 5
-    page = write_comparison(
-        tmp_path, operating_points={}, drives={"exact": made}, tests={}, schedules={}, histories={}, command="x"
-    )
+    result = comparison_result(operating_points={}, drives={"exact": made}, tests={}, schedules={}, histories={})
+    page = write_result(tmp_path, result)
     text = page.read_text(encoding="utf-8").lower()
     assert all(name.lower() in text for name in ("lqr", "pure", "stanley", "mine"))

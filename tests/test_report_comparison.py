@@ -13,8 +13,8 @@ from adaptrack.comparison.table import Comparison, Role
 from adaptrack.control.controllers import Tuning
 from adaptrack.control.scheduling import Constant, Guarded, Learned, StabilityMap, Table
 from adaptrack.results import comparison_pictures as drawn
-from adaptrack.results import style
-from adaptrack.results.comparison import comparison_result, write_comparison
+from adaptrack.results import style, write_result
+from adaptrack.results.comparison import comparison_result
 from adaptrack.results.comparison_words import (
     MAPPED,
     NAMES,
@@ -124,7 +124,7 @@ def coarse():
 @pytest.fixture(scope="module")
 def report(tmp_path_factory):
     with pictures(drawn=True):
-        return write_comparison(tmp_path_factory.mktemp("comparison") / "out", **EVERYTHING)
+        return write_result(tmp_path_factory.mktemp("comparison") / "out", comparison_result(**EVERYTHING))
 
 
 # -- judgements -------------------------------------------------------------------------------------------------------
@@ -388,12 +388,11 @@ def test_the_words_and_tables_do_without_any_rung(missing):
 def test_a_page_of_one_rung_and_a_page_of_nothing_are_pages(tmp_path):
     alone = compared({"mine": 1.0}, 3, "mine")
     schedules = {"nn": Constant(Tuning(Np=20, Nc=4, Q=1.0, R=1.0)), "anfis": scheduler(("speed",))}
-    words = words_of(
-        write_comparison(tmp_path, **NOTHING | {"drives": {"exact": alone}, "schedules": schedules}, command="again")
-    )
+    result = comparison_result(**NOTHING | {"drives": {"exact": alone}, "schedules": schedules})
+    words = words_of(write_result(tmp_path, result))
     assert "On 3 drives that nobody trained on, mine is best." in words
     assert "What was learned" not in words
-    assert "Nothing was driven" in words_of(write_comparison(tmp_path, **NOTHING, command="again"))
+    assert "Nothing was driven" in words_of(write_result(tmp_path, comparison_result(**NOTHING)))
 
 
 def test_a_rung_of_ones_own_is_compared_like_the_others():

@@ -74,13 +74,13 @@ def adapt(given: AdaptOptions) -> None:
     made, page = adaptation.run_chain(settings, given.out, given.workers)
     words = f"{kept['vehicle']}: {kept['verdict']}"
     if given.as_json:
-        show.say(f"{words}\nSchedulers: {given.out / 'schedulers'}\nReport: {page}", aside=True)
+        show.say(f"{words}\nSchedulers: {given.out / 'schedulers'}\nPage: {page}", aside=True)
     else:
         show.say(_answer(kept, made))
         show.say(f"{words}\n")
     comparison.print_comparison(made, given.as_json)
     if not given.as_json:
-        show.say(f"Schedulers: {given.out / 'schedulers'}\nReport: {page}")
+        show.say(f"Schedulers: {given.out / 'schedulers'}\nPage: {page}")
         say_next(*_next(given, made, kept))
     if not kept["passed"]:
         raise typer.Exit(FAILED)

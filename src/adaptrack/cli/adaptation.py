@@ -48,7 +48,7 @@ def adaptation(given: AdaptationOptions) -> None:
     if not given.as_json:
         show.say(comparison.answer(made))
     comparison.print_comparison(made, given.as_json)
-    show.say(f"Schedulers: {given.out / 'schedulers'}\nReport: {page}", aside=given.as_json)
+    show.say(f"Schedulers: {given.out / 'schedulers'}\nPage: {page}", aside=given.as_json)
     if not given.as_json:
         file = given.out / "schedulers" / f"{settings.name}-nn.json"
         say_next("see with which margins its networks drive", command("certify", file))

@@ -12,12 +12,13 @@ from typer import Option
 
 from adaptrack.base.errors import InvalidInput, UnknownName, did_you_mean
 from adaptrack.cli import options, show
-from adaptrack.cli.next_step import again, command, say_next
+from adaptrack.cli.next_step import again, command, next_line
 from adaptrack.cli.show import Column
 
 if TYPE_CHECKING:
     from adaptrack.analysis.certify import Certificate
     from adaptrack.analysis.feasibility import Feasibility
+    from adaptrack.base.result import Result
     from adaptrack.cars.vehicle import Vehicle
     from adaptrack.control.controllers import MPC
     from adaptrack.control.scheduling import Schedule
@@ -108,12 +109,8 @@ def certify(given: CertifyOptions) -> None:
         _tell_feasible(plant, mpc, profile, given.domain, given.mismatch, given.as_json)
         return
     found = _certificate(schedule, plant, mpc, profile, given.domain, given.mismatch, out)
-    page = None if out is None else _write_page(out, found)
-    show.say_result(certificate_result(found), given.as_json)
-    if page is not None:
-        show.say(f"Report: {page}", aside=given.as_json)
-    if not given.as_json:
-        say_next(*_next_step(given, found))
+    result = certificate_result(found, options.command_line(), next_line(*_next_step(given, found)))
+    show.say_result(result, given.as_json, None if out is None else _write_page(out, result))
     if not found.passed:
         _tell_worst(found)
         raise typer.Exit(UNSTABLE)
@@ -164,11 +161,11 @@ def _certificate(
         return look(sought, plant, mpc, profile, domain=domain, mismatches=against, progress=advance)
 
 
-def _write_page(out: Path, found: Certificate) -> Path:
-    from adaptrack.results.certificate import write_certificate
+def _write_page(out: Path, result: Result) -> Path:
+    from adaptrack.results.page import write_result
 
     with show.progress("write the page"):
-        return write_certificate(out, found, command=options.command_line())
+        return write_result(out, result)
 
 
 def _tell_worst(found: Certificate) -> None:

@@ -74,18 +74,14 @@ def worthy_schedule(made: Adapted) -> str | None:
 
 def write_page(out: Path, made: Adapted) -> Path:
     """The page about a comparison."""
-    from adaptrack.results.comparison import write_comparison
+    from adaptrack.results.comparison import comparison_result
+    from adaptrack.results.page import write_result
 
     with show.progress("write the page"):
-        return write_comparison(
-            out,
-            operating_points=made.operating_points,
-            drives=made.drives,
-            tests=made.tests,
-            schedules=made.schedules,
-            histories=made.histories,
-            command=options.command_line(),
-        )
+        return write_result(out, comparison_result(
+            operating_points=made.operating_points, drives=made.drives, tests=made.tests, schedules=made.schedules,
+            histories=made.histories, command=options.command_line(),
+        ))  # fmt: skip
 
 
 def print_comparison(made: Adapted, as_json: bool) -> None:

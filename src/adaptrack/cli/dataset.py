@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import typer
 
 from adaptrack.cli import options, show
-from adaptrack.cli.next_step import again, command, say_next
+from adaptrack.cli.next_step import again, command, next_line, say_next
 
 app = typer.Typer(help="Data sets of tuned operating points.", no_args_is_help=True, rich_markup_mode=None)
 
@@ -35,21 +35,18 @@ def describe_dataset(given: DescribeOptions) -> None:
         options.make_folder(out)
     with show.progress("describe") as advance:
         found = describe(dataset, explained_shares(dataset, advance))
-    result = dataset_result(dataset, found)
+    learn = command("train", "--data", given.name, "--model", "nn", "--out", "nn.json")
+    next_step = (
+        next_line("to see it on a page", again("--out", "data-page")) if out is None
+        else next_line("to learn a scheduler from it", learn)
+    )  # fmt: skip
+    result, page = replace(dataset_result(dataset, found), next_step=next_step), None
     if out is not None:
         from adaptrack.results.page import write_result
 
         with show.progress("write the page"):
             page = write_result(out, result)
-    show.say_result(result, as_json)
-    if out is not None:
-        show.say(f"Report: {page}", aside=as_json)
-    if not as_json:
-        if out is None:
-            say_next("to see it on a page", again("--out", "data-page"))
-        else:
-            learn = command("train", "--data", given.name, "--model", "nn", "--out", "nn.json")
-            say_next("to learn a scheduler from it", learn)
+    show.say_result(result, as_json, page)
 
 
 @app.command("list")

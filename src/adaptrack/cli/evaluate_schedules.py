@@ -123,7 +123,7 @@ def evaluate_schedules(given: EvaluateSchedulesOptions) -> None:
         show.say(comparison.answer(made))
     comparison.print_comparison(made, given.as_json)
     if page is not None:
-        show.say(f"Report: {page}", aside=given.as_json)
+        show.say(f"Page: {page}", aside=given.as_json)
     if not given.as_json:
         say_next(*_next(made))
 

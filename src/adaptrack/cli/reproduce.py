@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated
 
 from typer import Option
 
 from adaptrack.cli import interrupt, options, show
-from adaptrack.cli.next_step import command, say_next
+from adaptrack.cli.next_step import command, next_line
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -42,14 +42,12 @@ def reproduce(given: ReproduceOptions) -> None:
     interrupt.kept(f"Finished stages are kept in {out}: run the command again to go on.")
     with show.progress("reproduce") as advance:
         made = run_again(dataset, quick=given.quick, seed=given.seed, folder=out, progress=advance)
-    result = reproduction_result(made, options.command_line())
+    next_step = (
+        next_line("to learn as long as the paper did", command("reproduce", "--out", f"{out}-whole")) if given.quick
+        else next_line("to drive the controller that knows its car on a road",
+                       command("drive", "country", "--out", "drive"))
+    )  # fmt: skip
+    result = replace(reproduction_result(made, options.command_line()), next_step=next_step)
     with show.progress("write the page"):
         page = write_result(out, result)
-    show.say(f"Report: {page}", aside=given.as_json)
-    show.say_result(result, given.as_json)
-    if given.as_json:
-        return
-    if given.quick:
-        say_next("to learn as long as the paper did", command("reproduce", "--out", f"{out}-whole"))
-    else:
-        say_next("to drive the controller that knows its car on a road", command("drive", "country", "--out", "drive"))
+    show.say_result(result, given.as_json, page)

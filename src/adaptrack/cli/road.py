@@ -11,7 +11,7 @@ from typer import Option
 
 from adaptrack.base.errors import InvalidInput
 from adaptrack.cli import options, show
-from adaptrack.cli.next_step import command, instead, say_next
+from adaptrack.cli.next_step import command, instead, next_line, say_next
 
 if TYPE_CHECKING:
     from adaptrack.cars.vehicle import Vehicle
@@ -136,9 +136,8 @@ def check(given: CheckOptions) -> None:
     from adaptrack.results.road import road_result
 
     checked = given.route.look(given.road, load_vehicle(given.vehicle))
-    show.say_result(road_result(checked.road, checked.plan, checked.findings), given.as_json)
-    if not given.as_json:
-        say_next(*_next_step(given, checked))
+    result = road_result(checked.road, checked.plan, checked.findings)
+    show.say_result(replace(result, next_step=next_line(*_next_step(given, checked))), given.as_json)
     if not checked.drivable:
         raise typer.Exit(NOT_DRIVABLE)
 

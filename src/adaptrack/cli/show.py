@@ -23,11 +23,13 @@ Rows = Sequence[Mapping[str, Any]]
 
 # -- text and tables --------------------------------------------------------------------------------------------------
 def say_result(result: Result, as_json: bool, page: Path | None = None) -> None:
-    """A result on the console, or as one JSON object; page: where its page is, if it has one."""
+    """A result on the console, or as one JSON object and, aside, where its page is; page: of one that has a page."""
     if as_json:
         from adaptrack.results.json import to_json
 
         print(to_json(result))
+        if page is not None:
+            say(f"Page: {page}", aside=True)
     else:
         print_result(result, page)
 

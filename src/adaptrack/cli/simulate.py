@@ -148,7 +148,7 @@ def simulate(given: SimulateOptions) -> None:
     else:
         keep_learned(how.learned, controllers, as_json)
     if how.out is not None:
-        show.say(f"Report: {_write_report(how.out, runs, how.png)}", aside=as_json)
+        show.say(f"Page: {_write_report(how.out, runs, how.png)}", aside=as_json)
     if not as_json:
         say_next(*_next_step(given, rows))
     if failed and not how.allow_failed:

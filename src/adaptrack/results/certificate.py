@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import math
-import os
 from collections.abc import Sequence
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -79,8 +77,11 @@ _DOWN = Scale(0.0, 1.0, "Gain margin down (factor)", reversed=True)
 _DELAY = Scale(1.0, 1000.0, "Delay margin (ms)", log=True)
 
 
-def certificate_result(found: Certificate, command: str = "") -> Result:
-    """A certificate as a result; its record holds the summary and every point."""
+def certificate_result(found: Certificate, command: str = "", next_step: str = "") -> Result:
+    """A certificate as a result; its record holds the summary and every point.
+
+    command: the command line that makes it again; next_step: what to do next, with the command.
+    """
     sweeps = _sweeps(found)
     worst, turn = extremes(found.counted.straight), int(found.counted.unstable_in_turn.sum())
     maps = [
@@ -105,20 +106,8 @@ def certificate_result(found: Certificate, command: str = "") -> Result:
             "fallback": None if found.guarded is None else float(found.fallback.mean()),
         },
         command=command,
+        next_step=next_step,
     )  # fmt: skip
-
-
-def write_certificate(out_dir: str | os.PathLike[str], certificate: Certificate, *, command: str = "") -> Path:
-    """Write the page on a certificate and its PNG files into `out_dir`; return the page's path.
-
-    Raises
-    ------
-    StorageError
-        When the files cannot be written, see `page.write_result`.
-    """
-    from adaptrack.results.page import write_result
-
-    return write_result(out_dir, certificate_result(certificate, command))
 
 
 # -- tables -----------------------------------------------------------------------------------------------------------

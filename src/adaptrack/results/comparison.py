@@ -6,10 +6,8 @@ Every judgement on the page is chosen by the numbers of the runs behind it.
 from __future__ import annotations
 
 import math
-import os
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 from adaptrack.base.result import Column, Result, ResultTable, Row, where
@@ -141,34 +139,6 @@ def comparison_result(
         },
         command=command,
     )  # fmt: skip
-
-
-def write_comparison(
-    out_dir: str | os.PathLike[str],
-    *,
-    operating_points: Comparisons,
-    drives: Comparisons,
-    tests: Comparisons,
-    schedules: Mapping[str, Schedule],
-    histories: Mapping[str, Checks],
-    command: str,
-    notes: Sequence[str] = (),
-) -> Path:
-    """Write the page and its PNG files into `out_dir`; return the page's path.
-
-    Parameters are those of `comparison_result`.
-
-    Raises
-    ------
-    StorageError
-        When the files cannot be written, see `page.write_result`.
-    """
-    from adaptrack.results.page import write_result
-
-    return write_result(out_dir, comparison_result(
-        operating_points=operating_points, drives=drives, tests=tests, schedules=schedules, histories=histories,
-        command=command, notes=notes,
-    ))  # fmt: skip
 
 
 def _drawn(pictures: Iterable[Any]) -> list[Any]:

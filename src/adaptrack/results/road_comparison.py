@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -80,21 +78,6 @@ def road_comparison_result(
         command=command,
         next_step=next_step,
     )  # fmt: skip
-
-
-def write_road_comparison(out_dir: str | os.PathLike[str], made: Comparison, *, title: str, command: str) -> Path:
-    """Write the page and its pictures into `out_dir`; return the page's path.
-
-    Parameters are those of `road_comparison_result`.
-
-    Raises
-    ------
-    StorageError
-        When the files cannot be written.
-    """
-    from adaptrack.results.page import write_result
-
-    return write_result(out_dir, road_comparison_result(made, title=title, command=command))
 
 
 # -- tables -----------------------------------------------------------------------------------------------------------

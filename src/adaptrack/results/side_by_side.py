@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
-import os
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -99,21 +97,6 @@ def side_by_side_result(made: Compared, *, command: str = "", next_step: str = "
         command=command,
         next_step=next_step,
     )  # fmt: skip
-
-
-def write_side_by_side(out_dir: str | os.PathLike[str], made: Compared, *, command: str) -> Path:
-    """Write the page and its pictures into `out_dir`; return the page's path.
-
-    command: the command line that makes it again.
-
-    Raises
-    ------
-    StorageError
-        When the files cannot be written.
-    """
-    from adaptrack.results.page import write_result
-
-    return write_result(out_dir, side_by_side_result(made, command=command))
 
 
 def colour_of(contender: str) -> str:
