@@ -3,7 +3,7 @@
 import numpy as np
 
 from adaptrack.cars.vehicle import load_vehicle
-from adaptrack.results.record import SIGNALS, DriveRecord, Shape
+from adaptrack.results.record import SIGNALS, DrawnCar, DriveRecord
 from adaptrack.road import Arc, Line, Road
 
 SPEED, PERIOD = 10.0, 0.05
@@ -32,4 +32,4 @@ def made_drive(road=None, *, amplitude=0.3, seconds=None, **more):
         "lateral_acceleration": SPEED**2 * place.curvature,
     }  # fmt: skip
     assert set(values) == set(SIGNALS)
-    return DriveRecord(road=road, shape=Shape.of(car), **(values | more))
+    return DriveRecord(road=road, shape=DrawnCar.of(car), **(values | more))

@@ -15,7 +15,7 @@ from adaptrack.control.scheduling import Constant, Learned
 from adaptrack.drive.metrics import compute_metrics
 from adaptrack.drive.trajectory import COLUMNS, Trajectory
 from adaptrack.results.notebook import run_figure
-from adaptrack.results.record import DriveRecord, Shape
+from adaptrack.results.record import DrawnCar, DriveRecord
 from adaptrack.road import generate_road
 
 
@@ -45,7 +45,7 @@ def test_a_run_of_two_laps_is_projected_lap_after_lap(lap):
     assert record.offset == pytest.approx(np.full(len(run), 0.2), abs=1e-6)
     assert np.abs(record.heading_error).max() < 1e-6
     assert (record.controller, record.car, record.profile, record.failed) == ("informed", "paper", "road", "")
-    assert record.shape == Shape.of(load_vehicle("paper"))
+    assert record.shape == DrawnCar.of(load_vehicle("paper"))
     assert record.planned_speed == pytest.approx(10.0)
 
 

@@ -181,7 +181,7 @@ def test_the_page_opens_with_verdict_and_picture(report):
     first = text[text.index("</h1>") : text.index("<nav")]
     best = "Smallest mean square error: NN-MPC, Triple lane change, 0.00319 m²; NN-MPC, General trajectory, 0.00179 m²."
     assert best in first, "errors of different scenarios are not compared"
-    assert first.index('class="verdict"') < first.index("<svg role") < first.index('class="lead"')
+    assert first.index('class="verdict"') < first.index("<svg role") < first.index('class="introduction"')
     assert "each other; the paper&#39;s error (ring)" in first
 
 

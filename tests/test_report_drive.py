@@ -13,7 +13,7 @@ from adaptrack.cars.vehicle import list_vehicles, load_vehicle
 from adaptrack.results import drive_figures, style
 from adaptrack.results.drive import outcome, write_drive_page
 from adaptrack.results.drive_figures import above_figure, along_figure, labelled, outline_stations, scale_of, thinned
-from adaptrack.results.record import DriveRecord, Measure, Shape
+from adaptrack.results.record import DrawnCar, DriveRecord, Measure
 from adaptrack.results.replay import UNITS, packed, replay_data, sampled
 from adaptrack.road import Line, Road, generate_road
 from made_drives import PERIOD, SPEED, bend, made_drive
@@ -86,7 +86,7 @@ def test_the_replay_holds_what_was_driven_to_half_of_its_units():
     (car,) = replay_data(labelled([drive]))["cars"]
     for name, unit in UNITS.items():
         assert np.abs(unpacked(car["columns"][name]) - getattr(drive, name)).max() <= 0.5 * unit + 1e-9
-    assert car["outline"]["front"] + car["outline"]["rear"] == pytest.approx(drive.shape.body.length)
+    assert car["outline"]["front"] + car["outline"]["rear"] == pytest.approx(drive.shape.outline.length)
 
 
 def test_a_wrapped_yaw_is_replayed_without_a_turn():
@@ -116,7 +116,7 @@ def test_the_replay_of_an_hour_at_100_hz_holds_20_hz_in_less_than_two_megabytes(
     wave = 0.1 * np.sin(0.01 * s)
     zero = np.zeros(n)
     drive = DriveRecord(
-        road=road, shape=Shape.of(load_vehicle("paper")), time=0.01 * np.arange(n), station=s, x=s, y=wave,
+        road=road, shape=DrawnCar.of(load_vehicle("paper")), time=0.01 * np.arange(n), station=s, x=s, y=wave,
         yaw=0.001 * np.cos(0.01 * s), speed=20.0 + wave, offset=wave, heading_error=zero, steering=0.01 * wave,
         command=zero, lateral_acceleration=zero,
     )  # fmt: skip
@@ -216,15 +216,15 @@ def test_the_errors_of_a_record_are_those_of_its_offsets():
 
 @pytest.mark.parametrize("name", list_vehicles())
 def test_axles_lie_inside_the_drawn_body(name):
-    shape = Shape.of(load_vehicle(name))
-    assert shape.lf < shape.body.front
-    assert shape.lr < shape.body.rear
-    assert max(shape.track_front, shape.track_rear) < shape.body.width
+    shape = DrawnCar.of(load_vehicle(name))
+    assert shape.lf < shape.outline.front
+    assert shape.lr < shape.outline.rear
+    assert max(shape.track_front, shape.track_rear) < shape.outline.width
 
 
 def test_an_impossible_shape_is_refused():
     with pytest.raises(InvalidInput, match="track_front"):
-        dataclasses.replace(Shape.of(load_vehicle("paper")), track_front=0.0)
+        dataclasses.replace(DrawnCar.of(load_vehicle("paper")), track_front=0.0)
 
 
 def test_made_drives_are_where_the_road_says():

@@ -89,11 +89,11 @@ def drive(given: DriveOptions) -> None:
     from adaptrack.scenario.profile import load_profile
 
     how, as_json = given.drive, given.drive.as_json
-    car, body = given.car.load()
+    car, plant = given.car.load()
     how.make_places()
     checked = given.route.look(given.road, car)
     world = load_profile(given.profile)
-    trip = RoadDrive(checked.road, checked.plan, laps=given.laps, wind=given.wind, start_offset=given.start_offset)
+    route = RoadDrive(checked.road, checked.plan, laps=given.laps, wind=given.wind, start_offset=given.start_offset)
     settings = ControllerSettings(
         car, world, world.period if how.period is None else how.period, preview=True, learning=learning_of(how)
     )
@@ -101,27 +101,27 @@ def drive(given: DriveOptions) -> None:
     controllers = [make_controller(name, settings) for name in dict.fromkeys(given.controller or usual)]
     for found in dict.fromkeys(given.tuning or []):
         controllers.append(tuned(found, settings))
-        _certify_elsewhere(found, controllers[-1][1], settings, body, how.allow_failed)
+        _certify_elsewhere(found, controllers[-1][1], settings, plant, how.allow_failed)
     checked.warn()
-    files = safe_names(f"{trip.name}-{label}" for label, _ in controllers)
+    files = safe_names(f"{route.name}-{label}" for label, _ in controllers)
     runs = []
     with show.progress("drive", len(controllers)) as advance:
         for file, (label, each) in zip(files, controllers, strict=True):
             step = partial(advance, label)
             run = simulate(
-                body, each, trip, profile=world, driver=Driver() if how.driver else None, seed=how.seed, progress=step
+                plant, each, route, profile=world, driver=Driver() if how.driver else None, seed=how.seed, progress=step
             )
-            runs.append(_Run(label, trip, car, run, each.model))
+            runs.append(_Run(label, route, car, run, each.model))
             if how.out is not None:
                 _keep(run, how.out / f"{file}.parquet")
     rows = [run.row for run in runs]
     failed = any(row["failed"] for row in rows)
-    _print(trip, rows, as_json)
+    _print(route, rows, as_json)
     for label, each in controllers:
-        tell_belief(label, each, body, world, as_json)
+        tell_belief(label, each, plant, world, as_json)
         tell_learned(label, each, as_json)
     if failed:
-        tell_stiffness(car, body, as_json)
+        tell_stiffness(car, plant, as_json)
     else:
         keep_learned(how.learned, controllers, as_json)
     if how.out is not None:
@@ -168,7 +168,7 @@ def tuned(file: Path, settings: ControllerSettings) -> tuple[str, Controller]:
 
 
 def _certify_elsewhere(
-    file: Path, controller: Controller, settings: ControllerSettings, body: Any, allowed: bool
+    file: Path, controller: Controller, settings: ControllerSettings, plant: Any, allowed: bool
 ) -> None:
     """The certificate of an MPC's constant that was found for another car, see `new_car`."""
     from adaptrack.cli.new_car import judge
@@ -178,7 +178,7 @@ def _certify_elsewhere(
     made_for, car = load_tuning(file).vehicle, settings.car
     if made_for != car.name and isinstance(controller, MPC):
         clause = f"{file}, found for the car {made_for!r}, on {car.name!r}"
-        judge(clause, controller.tuning, (controller, body, car, settings.profile), allowed)
+        judge(clause, controller.tuning, (controller, plant, car, settings.profile), allowed)
 
 
 def _keep(run: Trajectory, file: Path) -> None:
@@ -192,7 +192,7 @@ class _Run:
     """A drive of one controller."""
 
     label: str
-    trip: RoadDrive
+    route: RoadDrive
     car: Vehicle
     run: Trajectory
     model: PredictionModel | None
@@ -219,18 +219,18 @@ class _Run:
             row |= {"rms_error": measures["rms_offset"], "max_abs_error": measures["max_offset"]}
         known = station[np.isfinite(station)]
         row["driven_length"] = float(known[-1] - known[0]) if known.size else 0.0
-        row["road_length"] = self.trip.length
+        row["road_length"] = self.route.length
         return row
 
 
-def _print(trip: RoadDrive, rows: Sequence[dict[str, Any]], as_json: bool) -> None:
+def _print(route: RoadDrive, rows: Sequence[dict[str, Any]], as_json: bool) -> None:
     from adaptrack.results.answers import length, of_drives
     from adaptrack.results.drive import console_table
 
     for row in rows:
         if row["failed"]:
             show.say_failed(
-                f"{trip.name}, {row['controller']}: at {row['failed_at']:.2f} s, s = {row['driven_length']:.0f} m, "
+                f"{route.name}, {row['controller']}: at {row['failed_at']:.2f} s, s = {row['driven_length']:.0f} m, "
                 f"the vehicle {row['failed_because']}.",
                 aside=as_json,
             )
@@ -238,8 +238,8 @@ def _print(trip: RoadDrive, rows: Sequence[dict[str, Any]], as_json: bool) -> No
         show.say_json({"rows": rows})
     else:
         if not all(row["failed"] for row in rows):
-            show.say(of_drives(rows, length(trip.length)))
-        title = f"{trip.name}, {trip.length:.0f} m, {trip.plan.speed.min():.3g}-{trip.plan.speed.max():.3g} m/s"
+            show.say(of_drives(rows, length(route.length)))
+        title = f"{route.name}, {route.length:.0f} m, {route.plan.speed.min():.3g}-{route.plan.speed.max():.3g} m/s"
         print_table(console_table(title, rows))
     for row in rows:
         tell_open_qps(row, as_json)
@@ -258,6 +258,6 @@ def _write_page(out: Path, runs: Sequence[_Run], png: bool) -> Path:
             row = each.row
             measures = [Measure(name, row[name], units[name]) for name in SHOWN if row.get(name) is not None]
             failed = find_failure(each.run)
-            record = DriveRecord.from_trajectory(each.run, each.trip.road, each.car, failed=failed, metrics=measures)
+            record = DriveRecord.from_trajectory(each.run, each.route.road, each.car, failed=failed, metrics=measures)
             records.append(dataclasses.replace(record, controller=record.controller + each.found_in))
         return write_drive_page(out, records, command=options.command_line(), png=png)

@@ -123,7 +123,7 @@ def simulate(given: SimulateOptions) -> None:
     from adaptrack.scenario.profile import load_profile
 
     how, as_json = given.drive, given.drive.as_json
-    car, body = given.car.load()
+    car, plant = given.car.load()
     chosen = scenario_options(given.option or [])
     loaded = [load_scenario(name, domain=car.domain, **chosen) for name in given.scenarios]
     world = load_profile(given.profile)
@@ -134,17 +134,17 @@ def simulate(given: SimulateOptions) -> None:
     how.make_places()
     for label, each in controllers:
         if isinstance(each, MPC):
-            certify_meeting(label, each, body, car, world, how.allow_failed)
-    runs = _drive(loaded, controllers, body, world, how)
+            certify_meeting(label, each, plant, car, world, how.allow_failed)
+    runs = _drive(loaded, controllers, plant, world, how)
     models = {label: each.model for label, each in controllers}
     rows = [measured_row(label, run, models[label]) for label, run in runs]
     failed = any(row["failed"] for row in rows)
     _print(rows, as_json)
     for label, each in controllers:
-        tell_belief(label, each, body, world, as_json)
+        tell_belief(label, each, plant, world, as_json)
         tell_learned(label, each, as_json)
     if failed:
-        tell_stiffness(car, body, as_json)
+        tell_stiffness(car, plant, as_json)
     else:
         keep_learned(how.learned, controllers, as_json)
     if how.out is not None:
@@ -317,7 +317,7 @@ def scenario_options(given: Sequence[str]) -> dict[str, Any]:
 
 
 def _drive(
-    scenarios: Sequence[Any], controllers: Sequence[tuple[str, Any]], body: Any, world: Profile,
+    scenarios: Sequence[Any], controllers: Sequence[tuple[str, Any]], plant: Any, world: Profile,
     how: options.DriveSettings,
 ) -> list[tuple[str, Trajectory]]:  # fmt: skip
     """Every scenario with every controller; each trajectory is saved as soon as it is driven."""
@@ -334,7 +334,7 @@ def _drive(
         for file, (scenario, label, controller) in zip(files, pairs, strict=True):
             step = partial(advance, f"{scenario.name}, {label}")
             driver = Driver() if how.driver else None
-            run = drive(body, controller, scenario, profile=world, driver=driver, seed=how.seed, progress=step)
+            run = drive(plant, controller, scenario, profile=world, driver=driver, seed=how.seed, progress=step)
             if out is not None:
                 run.save(out / f"{file}.parquet")
             runs.append((label, run))
@@ -409,14 +409,14 @@ def tell_open_qps(row: dict[str, Any], as_json: bool) -> None:
         show.say(f"Warning, {run}: {unsolved:,} of {row['driven']:,} QPs not solved.")
 
 
-def tell_belief(label: str, controller: Controller, body: Any, world: Profile, aside: bool) -> None:
+def tell_belief(label: str, controller: Controller, plant: Any, world: Profile, aside: bool) -> None:
     """What a controller believes of its steering, and the simulated one where it is another."""
     belief = controller.belief
     if belief is None:
         return
     warning = "Warning, " if belief.assumed else ""
     show.say(f"{warning}{label} believes of its steering: {belief}.", aside=aside)
-    actuator = getattr(body, "steering", None) or world.steering
+    actuator = getattr(plant, "steering", None) or world.steering
     driven = (actuator.lag, world.delay * controller.period + actuator.dead_time, actuator.rate)
     if not all(map(math.isclose, (belief.lag.value, belief.delay, belief.rate.value), driven)):
         lag, late, rate = driven
@@ -447,9 +447,9 @@ def tell_domain(scenario: Scenario, car: Vehicle) -> None:
         )
 
 
-def tell_stiffness(car: Vehicle, body: Any, aside: bool) -> None:
+def tell_stiffness(car: Vehicle, plant: Any, aside: bool) -> None:
     """The remedy where a failed car's model and its tyre disagree about the stiffness."""
-    tyre = getattr(body, "tyre", None)
+    tyre = getattr(plant, "tyre", None)
     if tyre is None or max(abs(math.log(factor)) for factor in car.stiffness_factors(tyre)) < math.log(STIFFNESS):
         return
     matched = car.matched_to(tyre)

@@ -22,7 +22,7 @@ _PUBLIC = {
     "drive_figures": ("above_figure", "along_figure"),
     "figures": ("conditions_figure", "speed_figure", "tracking_figure"),
     "page": ("write_result",),
-    "record": ("DriveRecord", "Measure", "Shape"),
+    "record": ("DriveRecord", "Measure", "DrawnCar"),
     "runs": ("Run", "write_report"),
 }
 """Module -> the names that this package exposes from it; the imports below repeat it for type checkers."""
@@ -33,14 +33,14 @@ if TYPE_CHECKING:
     from adaptrack.results.drive_figures import above_figure, along_figure
     from adaptrack.results.figures import conditions_figure, speed_figure, tracking_figure
     from adaptrack.results.page import write_result
-    from adaptrack.results.record import DriveRecord, Measure, Shape
+    from adaptrack.results.record import DrawnCar, DriveRecord, Measure
     from adaptrack.results.runs import Run, write_report
 
 __all__ = [
+    "DrawnCar",
     "DriveRecord",
     "Measure",
     "Run",
-    "Shape",
     "above_figure",
     "along_figure",
     "conditions_figure",

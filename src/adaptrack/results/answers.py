@@ -169,8 +169,8 @@ def of_starts(rows: Sequence[Row]) -> str:
     if not passed:
         return f"None of {len(rows)} passed." if len(rows) > 1 else "Not passed."
     best = min(passed, key=lambda row: row["settling_time"])
-    who = f"{best['vehicle']} with {best['controller']} settles in {best['settling_time']:.3g} s"
-    return f"{len(passed)} of {len(rows)} passed; {who}."
+    found = f"{best['vehicle']} with {best['controller']} settles in {best['settling_time']:.3g} s"
+    return f"{len(passed)} of {len(rows)} passed; {found}."
 
 
 # -- cars -------------------------------------------------------------------------------------------------------------

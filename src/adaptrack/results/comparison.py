@@ -171,7 +171,7 @@ def console_tables(views: Mapping[str, Comparisons]) -> list[ResultTable]:
 def _title(exact: Comparisons, tests: Comparisons) -> str:
     """The controller and what was driven."""
     comparisons = [*exact.values(), *tests.values()]
-    controllers = dict.fromkeys(each.role(who).controller for each in comparisons for who in each.costs)
+    controllers = dict.fromkeys(each.role(contender).controller for each in comparisons for contender in each.costs)
     driven = [counted(runs_of(each), noun) for noun, each in exact.items()]
     driven += ["the paper's tests"] if tests else []
     if not driven:
@@ -200,12 +200,12 @@ def _about(comparison: Comparison | None) -> dict[str, Any] | None:
     """What the section on operating points, or on drives, says beside its table."""
     if comparison is None:
         return None
-    kinds = {who: comparison.role(who).kind for who in comparison.costs}
+    kinds = {contender: comparison.role(contender).kind for contender in comparison.costs}
     return {
         "reference_phrase": phrase_of(comparison.reference), "optimum": comparison.reference == OPTIMUM,
         "failed_cost": f"{comparison.failure.distance**2:g}",
-        "meanings": [(label_of(who), NAMES[kind][2]) for who, kind in kinds.items() if kind in NAMES],
-        "mapped": any(who != comparison.reference for who in comparison.of_kind(*MAPPED)),
+        "meanings": [(label_of(contender), NAMES[kind][2]) for contender, kind in kinds.items() if kind in NAMES],
+        "mapped": any(contender != comparison.reference for contender in comparison.of_kind(*MAPPED)),
     }  # fmt: skip
 
 
@@ -291,7 +291,11 @@ def _rows(comparison: Comparison) -> list[dict[str, Any]]:
 
 def _ratios(comparison: Comparison, other: str = "") -> dict[str, float]:
     """By contender, the geometric mean of its cost over that of `other`; empty without that one."""
-    return {who: comparison.mean_ratio(who, other) for who in comparison.costs} if other in comparison.costs else {}
+    return (
+        {contender: comparison.mean_ratio(contender, other) for contender in comparison.costs}
+        if other in comparison.costs
+        else {}
+    )
 
 
 def lowest(rows: Sequence[Row], names: Iterable[str]) -> frozenset[tuple[int, str]]:
@@ -307,7 +311,7 @@ def lowest(rows: Sequence[Row], names: Iterable[str]) -> frozenset[tuple[int, st
 def _lookers(perceptions: Comparisons) -> list[str]:
     """The contenders that may look at friction and wind, where those are not known exactly."""
     others = [comparison for name, comparison in perceptions.items() if name != "exact"]
-    looking = (who for each in others for who in each.adaptive if each.role(who).kind != SPEED)
+    looking = (contender for each in others for contender in each.adaptive if each.role(contender).kind != SPEED)
     return list(dict.fromkeys(looking))
 
 
@@ -323,16 +327,17 @@ def _knowledge_table(noun: str, perceptions: Comparisons) -> ResultTable:
         Column("over_exact", "Cost", "/ exact", 3), Column("failures", "Failed", f"of {number(runs_of(first))}"),
     ]  # fmt: skip
     rows = []
-    for who in _lookers(perceptions):
+    for contender in _lookers(perceptions):
         for name, comparison in perceptions.items():
-            if who not in comparison.costs:
+            if contender not in comparison.costs:
                 continue
-            regret = comparison.regret(who)
+            regret = comparison.regret(contender)
             rows.append({
-                "contender": label_of(who), "known": title_of(name), "cost": geometric_mean(regret),
-                **regret_percentiles(regret), "over_constant": _ratios(comparison, CONSTANT).get(who),
-                "over_exact": geometric_mean(comparison.costs[who] / exact[who]) if who in exact else None,
-                "failures": int((comparison.failures[who] > 0.0).sum()),
+                "contender": label_of(contender), "known": title_of(name), "cost": geometric_mean(regret),
+                **regret_percentiles(regret), "over_constant": _ratios(comparison, CONSTANT).get(contender),
+                "over_exact": geometric_mean(comparison.costs[contender] / exact[contender])
+                if contender in exact else None,
+                "failures": int((comparison.failures[contender] > 0.0).sum()),
             })  # fmt: skip
     title = f"Imperfect knowledge of friction and wind: {noun}s"
     return ResultTable(f"knowledge of {noun}s", title, columns, rows, f"Cost: geometric mean. {_when_failed(first)}",
@@ -362,9 +367,9 @@ def _interventions(exact: Comparisons) -> list[ResultTable]:
     """How often inputs were clipped, and how often the guard stepped in."""
     names = [each.name for each in COUNTS]
     rows = [
-        {"label": label_of(who), "view": f"{noun.capitalize()}s"} | {name: counts.get(name) for name in names}
+        {"label": label_of(contender), "view": f"{noun.capitalize()}s"} | {name: counts.get(name) for name in names}
         for noun, comparison in exact.items()
-        for who, counts in comparison.overall.items() if counts
+        for contender, counts in comparison.overall.items() if counts
     ]  # fmt: skip
     note = "With the first of the noise seeds. Clipped: held within the domain that the schedule was made for."
     return [ResultTable("interventions", "Interventions", (_LABEL, *COUNTS), rows, note, "view")] if rows else []

@@ -49,7 +49,7 @@ def on_roads(made: Comparison) -> str:
     first, *level = made.best
     where = f"On {counted(len(made.roads), 'road')} with {counted(len(made.seeds), 'noise seed')} each"
     words = f"{where}, {first} costs least{f', level with {listed(level)}' if level else ''}"
-    others = sorted(set(rows) - {first, *level}, key=lambda who: made.mean_ratio(who, first))
+    others = sorted(set(rows) - {first, *level}, key=lambda contender: made.mean_ratio(contender, first))
     errors = [f"{length(rows[first]['rms_error'])} RMS"]
     if others:
         second = others[0]
@@ -112,15 +112,17 @@ def best_schedule(made: Comparison) -> str | None:
     Of the same controller as the reference: another one's schedules are compared by `compare`.
     """
     controller = made.role(made.reference).controller
-    roles = {who: made.role(who) for who in made.adaptive}
-    fit = [who for who, role in roles.items() if role.deployable and role.controller == controller]
-    return min(fit, key=lambda who: made.mean_ratio(who, made.reference), default=None)
+    roles = {contender: made.role(contender) for contender in made.adaptive}
+    fit = [contender for contender, role in roles.items() if role.deployable and role.controller == controller]
+    return min(fit, key=lambda contender: made.mean_ratio(contender, made.reference), default=None)
 
 
 def best_constant(made: Comparison) -> str:
     """The cheapest contender that keeps one tuning, of the same controller as the schedules; else the reference."""
     kinds = ("default constant", "best constant", "standard")
-    return min(made.of_kind(*kinds), key=lambda who: made.mean_ratio(who, made.reference), default=made.reference)
+    return min(
+        made.of_kind(*kinds), key=lambda contender: made.mean_ratio(contender, made.reference), default=made.reference
+    )
 
 
 def is_worth(ratio: Ratio) -> bool:

@@ -90,8 +90,8 @@ def _dots(comparison: Comparison, called: Callable[[str], str]) -> list[Dot]:
     ] or [Dot(called(comparison.reference), 1.0)]  # fmt: skip
 
 
-def _colour(comparison: Comparison, who: str) -> str:
-    role = comparison.role(who)
+def _colour(comparison: Comparison, contender: str) -> str:
+    role = comparison.role(contender)
     return _HINDSIGHT if role.hindsight else _ADAPTIVE if role.adapts else _CONSTANT
 
 
@@ -101,14 +101,14 @@ def regret_maps(comparison: Comparison) -> Picture | None:
 
     None where none of them drove, or too few operating points (`MAPPED_RUNS`) for cells that hold several.
     """
-    contenders = [who for who in comparison.of_kind(*MAPPED) if who != comparison.reference]
+    contenders = [contender for contender in comparison.of_kind(*MAPPED) if contender != comparison.reference]
     if not contenders or runs_of(comparison) < MAPPED_RUNS:
         return None
     speed, y_ref, friction = comparison.where[:, 0], np.abs(comparison.where[:, 1]), comparison.where[:, 2]
     over = {"friction": (friction, "Friction (–)"), "lateral reference": (y_ref, r"$|y_\mathrm{ref}|$ (m)")}
     found = {
-        (who, name): mean_regret(comparison.regret(who), speed, y)
-        for who in contenders
+        (contender, name): mean_regret(comparison.regret(contender), speed, y)
+        for contender in contenders
         for name, (y, _) in over.items()
     }
     means = np.concatenate([values.ravel() for _, _, values in found.values()])
@@ -117,11 +117,11 @@ def regret_maps(comparison: Comparison) -> Picture | None:
     scale = Scale(low, max(min(high, CEILING), 1.2 * low), log=True, beyond="max" if beyond else "neither")
     panels = [
         Panel(
-            data_text(label_of(who)), Axis("Speed (m/s)"), Axis(over[name][1]),
+            data_text(label_of(contender)), Axis("Speed (m/s)"), Axis(over[name][1]),
             [HeatMap(speeds, others, values, scale)],
             f"Geometric mean regret over speed and {name}: {span(values)}.",
         )
-        for (who, name), (speeds, others, values) in found.items()
+        for (contender, name), (speeds, others, values) in found.items()
     ]  # fmt: skip
     caption = (
         "Regret over the domain: geometric mean of all operating points in a cell, whatever their other two numbers; "
@@ -144,38 +144,38 @@ def spread_picture(compared: Mapping[str, Comparison]) -> Picture | None:
     if not several:
         return None
     drawn = {noun: _drawn(each) for noun, each in several.items()}
-    kinds = {who: several[noun].role(who).kind for noun, whom in drawn.items() for who in whom}
-    own = few_strokes(kinds, [who for each in several.values() for who in each.best])
+    kinds = {contender: several[noun].role(contender).kind for noun, whom in drawn.items() for contender in whom}
+    own = few_strokes(kinds, [contender for each in several.values() for contender in each.best])
     panels = [_spread_panel(each, noun, drawn[noun], own) for noun, each in several.items()]
     caption = (
         "Share of the runs that cost at most so many times the reference, which is the upright line: further left is "
         "better. What lies far out is cut off."
     )
-    key = [(label_of(who), stroke) for who, stroke in own.items() if stroke != BACKGROUND]
+    key = [(label_of(contender), stroke) for contender, stroke in own.items() if stroke != BACKGROUND]
     key += [(_OTHERS, BACKGROUND)] if BACKGROUND in own.values() else []
     return Picture("spread", caption, panels, key, "spread.png", row_height=2.8)
 
 
 def _drawn(comparison: Comparison) -> list[str]:
     """All but the reference; beside what has a guard, the same without it is hard to see."""
-    others = [who for who in comparison.costs if who != comparison.reference]
-    return [who for who in others if not comparison.role(who).kind.endswith(" unguarded")]
+    others = [contender for contender in comparison.costs if contender != comparison.reference]
+    return [contender for contender in others if not comparison.role(contender).kind.endswith(" unguarded")]
 
 
 def _spread_panel(comparison: Comparison, noun: str, contenders: Sequence[str], own: Mapping[str, Stroke]) -> Panel:
-    ratios = {who: comparison.regret(who) for who in contenders}
-    spread = {who: regret_percentiles(regret) for who, regret in ratios.items()}
+    ratios = {contender: comparison.regret(contender) for contender in contenders}
+    spread = {contender: regret_percentiles(regret) for contender, regret in ratios.items()}
     described = " ".join(
-        f"{label_of(who)}: median {number(each['p50'])}, nine tenths below {number(each['p90'])}."
-        for who, each in spread.items()
+        f"{label_of(contender)}: median {number(each['p50'])}, nine tenths below {number(each['p90'])}."
+        for contender, each in spread.items()
     )
     over = "Regret (–)" if comparison.reference == OPTIMUM else f"Cost / {comparison.reference} (–)"
     ends = [0.9, 1.1, *(np.clip(np.median(values), 0.1, CEILING) for values in ratios.values())]
-    for who in contenders:
-        if comparison.role(who).kind in MAPPED:
-            ends += np.clip(np.quantile(ratios[who], (0.005, 0.97)), 0.05, 5.0 * CEILING).tolist()
+    for contender in contenders:
+        if comparison.role(contender).kind in MAPPED:
+            ends += np.clip(np.quantile(ratios[contender], (0.005, 0.97)), 0.05, 5.0 * CEILING).tolist()
     marks: list[Mark] = [Guide("x", [1.0], width=0.7)]
-    marks += [_distribution(values, own[who]) for who, values in ratios.items()]
+    marks += [_distribution(values, own[contender]) for contender, values in ratios.items()]
     return Panel(
         f"{noun.capitalize()}s",
         Axis(data_text(over), float(min(ends)), float(max(ends)), log=True),
@@ -255,7 +255,7 @@ def learning_picture(histories: Mapping[str, Checks], kinds: Mapping[str, str], 
         panels.append(_rounds("Held-out runs that failed", "Failed runs (–)", failing, own,
                               f"Number over the rounds. {counts}"))  # fmt: skip
     caption = "What held-out runs cost after each check, in the geometric mean; the schedule with the lowest was kept."
-    key = [(label_of(who), stroke) for who, stroke in own.items()]
+    key = [(label_of(contender), stroke) for contender, stroke in own.items()]
     return Picture("learning", caption, panels, key, "learning.png", row_height=2.8)
 
 

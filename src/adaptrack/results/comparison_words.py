@@ -67,19 +67,19 @@ def standing(comparison: Comparison, rows: Rows, noun: str) -> str:
     sentences = [f"{head}, level with {listed([phrase_of(each) for each in level])}." if level else f"{head}."]
     against = [each for each in (comparison.reference, CONSTANT) if each in comparison.costs]
     against = list(dict.fromkeys([*against, *comparison.of_kind(SPEED)]))
-    for who in dict.fromkeys((first, *comparison.of_kind(*LEARNED))):
-        others = [other for other in against if other != who]
+    for contender in dict.fromkeys((first, *comparison.of_kind(*LEARNED))):
+        others = [other for other in against if other != contender]
         if not others:
             continue
-        ratios = [f"{number(comparison.mean_ratio(who, other))} times {phrase_of(other)}" for other in others]
-        if who != first:
-            sentences.append(f"{phrase_of(who)} costs {listed(ratios)}.")
+        ratios = [f"{number(comparison.mean_ratio(contender, other))} times {phrase_of(other)}" for other in others]
+        if contender != first:
+            sentences.append(f"{phrase_of(contender)} costs {listed(ratios)}.")
             continue
         if others[0] == comparison.reference:
-            ratios[0] += f" (95 % interval {interval(rows[who])})"
+            ratios[0] += f" (95 % interval {interval(rows[contender])})"
         sentences.append(f"In the geometric mean it costs {listed(ratios)}.")
         if comparison.reference == OPTIMUM:
-            p90, worst = (f"{number(rows[who][f'regret_{key}'])} times the optimum" for key in ("p90", "worst"))
+            p90, worst = (f"{number(rows[contender][f'regret_{key}'])} times the optimum" for key in ("p90", "worst"))
             sentences.append(f"On a tenth of the {noun}s it costs {p90} or more, at worst {worst}.")
     return " ".join(sentences)
 
@@ -88,8 +88,8 @@ def against_constant(comparison: Comparison, rows: Rows, noun: str) -> str:
     """Which adaptive contenders do not beat the best constant."""
     if CONSTANT not in comparison.costs or not comparison.adaptive:
         return ""
-    beside = {who: comparison.ratio(who, CONSTANT) for who in comparison.adaptive}
-    unbeaten = [_unbeaten(phrase_of(who), it) for who, it in beside.items() if it.verdict != "cheaper"]
+    beside = {contender: comparison.ratio(contender, CONSTANT) for contender in comparison.adaptive}
+    unbeaten = [_unbeaten(phrase_of(contender), it) for contender, it in beside.items() if it.verdict != "cheaper"]
     if unbeaten:
         return f"Not every adaptive controller beats the best constant on these {noun}s: {listed(unbeaten)}."
     return f"Every adaptive controller beats the best constant on these {noun}s."
@@ -97,36 +97,38 @@ def against_constant(comparison: Comparison, rows: Rows, noun: str) -> str:
 
 def failures(comparison: Comparison, rows: Rows, noun: str) -> str:
     """Who failed, and how often."""
-    failed = {who: row["failures"] for who, row in rows.items()}
+    failed = {contender: row["failures"] for contender, row in rows.items()}
     total = counted(runs_of(comparison), noun)
     if not any(failed.values()):
         return f"No controller failed in any of {total}."
-    named = listed([f"{phrase_of(who)} in {number(count)}" for who, count in failed.items() if count])
+    named = listed([f"{phrase_of(contender)} in {number(count)}" for contender, count in failed.items() if count])
     return f"Failed: {named} of {total}{'' if all(failed.values()) else '; no other'}."
 
 
 def knowledge(perceptions: Comparisons, noun: str) -> str:
     """What it costs the learned contenders not to know friction and wind exactly; empty where they are."""
     clauses, unbeaten, failed, compared = [], [], [], False
-    for who in dict.fromkeys(who for each in perceptions.values() for who in each.of_kind(*LEARNED)):
-        known = {name: comparison for name, comparison in perceptions.items() if who in comparison.costs}
+    for contender in dict.fromkeys(contender for each in perceptions.values() for contender in each.of_kind(*LEARNED)):
+        known = {name: comparison for name, comparison in perceptions.items() if contender in comparison.costs}
         if not set(known) - {"exact"}:
             continue
-        means = {name: geometric_mean(comparison.regret(who)) for name, comparison in known.items()}
+        means = {name: geometric_mean(comparison.regret(contender)) for name, comparison in known.items()}
         worst = max(means, key=lambda name: means[name])
         chosen: dict[str, str] = {name: name for name in ("exact", "estimated", "withheld") if name in means}
         chosen.setdefault(worst, f"{worst}, the worst")
         parts = listed([f"{number(means[name])} ({how})" for name, how in chosen.items()])
-        clauses.append(f"{phrase_of(who)} costs {parts} times {phrase_of(next(iter(known.values())).reference)}")
+        clauses.append(f"{phrase_of(contender)} costs {parts} times {phrase_of(next(iter(known.values())).reference)}")
         beside = {
-            name: comparison.ratio(who, CONSTANT) for name, comparison in known.items() if CONSTANT in comparison.costs
+            name: comparison.ratio(contender, CONSTANT)
+            for name, comparison in known.items()
+            if CONSTANT in comparison.costs
         }
         unbeaten += [
-            _unbeaten(f"{phrase_of(who)}, {name},", it) for name, it in beside.items() if it.verdict != "cheaper"
+            _unbeaten(f"{phrase_of(contender)}, {name},", it) for name, it in beside.items() if it.verdict != "cheaper"
         ]
         compared |= bool(beside)
-        counts = {name: int((comparison.failures[who] > 0.0).sum()) for name, comparison in known.items()}
-        failed += [f"{phrase_of(who)} in {count} ({name})" for name, count in counts.items() if count]
+        counts = {name: int((comparison.failures[contender] > 0.0).sum()) for name, comparison in known.items()}
+        failed += [f"{phrase_of(contender)} in {count} ({name})" for name, count in counts.items() if count]
     sentences = [f"By how friction and wind are known on these {noun}s, {'; '.join(clauses)}."] if clauses else []
     if unbeaten:
         sentences.append(f"The best constant is not always beaten: {listed(unbeaten)}.")
@@ -143,25 +145,25 @@ def on_tests(tests: Comparisons) -> str:
     for name, comparison in tests.items():
         if CONSTANT not in comparison.costs:
             continue
-        beside = {who: comparison.ratio(who, CONSTANT) for who in comparison.of_kind(*LEARNED)}
-        known_after = [who for who in comparison.costs if comparison.role(who).hindsight]
-        floor = [comparison.mean_ratio(who, CONSTANT) for who in known_after]
+        beside = {contender: comparison.ratio(contender, CONSTANT) for contender in comparison.of_kind(*LEARNED)}
+        known_after = [contender for contender in comparison.costs if comparison.role(contender).hindsight]
+        floor = [comparison.mean_ratio(contender, CONSTANT) for contender in known_after]
         if not beside:
             continue
-        costs = listed([f"{phrase_of(who)} costs {number(it.mean)} times" for who, it in beside.items()])
+        costs = listed([f"{phrase_of(contender)} costs {number(it.mean)} times" for contender, it in beside.items()])
         said = [f"On the paper's {title_of(name).lower()} {costs} the best constant"]
         said += [f"the best tuning in hindsight costs {number(min(floor))} times"] if floor else []
-        level = [phrase_of(who) for who, it in beside.items() if it.verdict != "cheaper"]
+        level = [phrase_of(contender) for contender, it in beside.items() if it.verdict != "cheaper"]
         said += [f"{listed(level)} {'does' if len(level) == 1 else 'do'} not beat it"] if level else []
-        failed = [phrase_of(who) for who in beside if comparison.failures[who].any()]
+        failed = [phrase_of(contender) for contender in beside if comparison.failures[contender].any()]
         said += [f"{listed(failed)} failed"] if failed else []
         sentences.append(f"{'; '.join(said)}.")
     return " ".join(sentences)
 
 
-def _unbeaten(who: str, it: Ratio) -> str:
+def _unbeaten(contender: str, it: Ratio) -> str:
     how = "is level with it" if it.verdict == "level" else "costs more"
-    return f"{who} {how} ({number(it.mean)} times, {number(it.low)} to {number(it.high)})"
+    return f"{contender} {how} ({number(it.mean)} times, {number(it.low)} to {number(it.high)})"
 
 
 def progress_of(name: str, costs: Sequence[tuple[float, float]], history: Sequence[Mapping[str, Any]]) -> str:
@@ -175,14 +177,14 @@ def progress_of(name: str, costs: Sequence[tuple[float, float]], history: Sequen
 
 
 # -- words ------------------------------------------------------------------------------------------------------------
-def label_of(who: str) -> str:
+def label_of(contender: str) -> str:
     """A contender in tables: one that is called as its file stays as it is."""
-    return NAMES[who][0] if who in NAMES else who
+    return NAMES[contender][0] if contender in NAMES else contender
 
 
-def phrase_of(who: str) -> str:
+def phrase_of(contender: str) -> str:
     """A contender inside a sentence."""
-    return NAMES[who][1] if who in NAMES else who
+    return NAMES[contender][1] if contender in NAMES else contender
 
 
 def interval(row: Mapping[str, Any]) -> str:
@@ -202,9 +204,9 @@ def strokes_of(kinds: Mapping[str, str]) -> dict[str, Stroke]:
 
     The paper's recipe is dashed, in its model's colour.
     """
-    of_kinds = {who: kind if kind in NAMES else who for who, kind in kinds.items()}
+    of_kinds = {contender: kind if kind in NAMES else contender for contender, kind in kinds.items()}
     known = strokes([*NAMES, *dict.fromkeys(of_kinds.values())])
-    return {who: known[kind] for who, kind in of_kinds.items()}
+    return {contender: known[kind] for contender, kind in of_kinds.items()}
 
 
 def few_strokes(kinds: Mapping[str, str], first: Sequence[str]) -> dict[str, Stroke]:
@@ -213,6 +215,6 @@ def few_strokes(kinds: Mapping[str, str], first: Sequence[str]) -> dict[str, Str
     kinds: by contender; first: who has a colour in any case where there are enough. Then come the main kinds.
     """
     order = {kind: i for i, kind in enumerate(NAMES)}
-    ranked = sorted(kinds, key=lambda who: (kinds[who] not in MAPPED, who not in first))
-    shown = sorted(ranked[: len(SERIES)], key=lambda who: order.get(kinds[who], len(order)))
-    return strokes(shown) | {who: BACKGROUND for who in kinds if who not in shown}
+    ranked = sorted(kinds, key=lambda contender: (kinds[contender] not in MAPPED, contender not in first))
+    shown = sorted(ranked[: len(SERIES)], key=lambda contender: order.get(kinds[contender], len(order)))
+    return strokes(shown) | {contender: BACKGROUND for contender in kinds if contender not in shown}

@@ -124,37 +124,37 @@ def dataset_result(dataset: DataSet, summary: Summary | None = None) -> Result:
     summary
         That description; computed when left out, which takes some seconds.
     """
-    told = _summary(dataset) if summary is None else summary
+    summary = _summary(dataset) if summary is None else summary
     rows = dataset.rows(dataset.computed)
     found = rows.rows(kept) if (kept := np.isfinite(rows.costs)).any() else None
     both = _compared(rows)
     worth = ratio(rows.standard_costs[both], rows.costs[both]) if both.any() else None
     return Result(
         kind="dataset",
-        title=_title(dataset, told),
-        answer=of_dataset(told),
-        record=told,
-        tables=[*_tables(dataset, told), *_console_tables(told)],
+        title=_title(dataset, summary),
+        answer=of_dataset(summary),
+        record=summary,
+        tables=[*_tables(dataset, summary), *_console_tables(summary)],
         pictures=[
             *([Picture("verdict", "How many times the swarm's best the standard tuning costs, by speed: median, band "
                        "between the quartiles.", [_gain(rows, both, "Standard tuning over the swarm's best")])]
               if both.any() else []),
-            *(_optimum(found, told) if found is not None else []),
+            *(_optimum(found, summary) if found is not None else []),
             *_costs(rows),
             *(_convergence(found) if found is not None else []),
-            *_flatness(dataset, told),
+            *_flatness(dataset, summary),
         ],
         values={
-            "told": told, "costs": told["costs"], "worth": worth, "compared": int(both.sum()),
+            "summary": summary, "costs": summary["costs"], "worth": worth, "compared": int(both.sum()),
             "command": dataset.command,
-            "near": [row for row in told["flatness"] if row["p50"] is not None], "searched": len(rows),
-            "about": [(key.replace("_", " ").capitalize(), in_words(told[key]) + _UNITS.get(key, ""))
-                      for key in _LISTED if told.get(key) is not None],
+            "near": [row for row in summary["flatness"] if row["p50"] is not None], "searched": len(rows),
+            "about": [(key.replace("_", " ").capitalize(), in_words(summary[key]) + _UNITS.get(key, ""))
+                      for key in _LISTED if summary.get(key) is not None],
             "standard": "/".join(f"{value:g}" for value in STANDARD), "library": len(dataset.library),
-            "swarms": None if found is None else _generations(found), "explained": explained(told),
+            "swarms": None if found is None else _generations(found), "explained": explained(summary),
             "provenance": json.dumps(dataset.provenance, indent=1, ensure_ascii=False),
-            "identity": in_words(told["identity"]),
-            "versions": [(name, in_words(version)) for name, version in told["versions"].items()],
+            "identity": in_words(summary["identity"]),
+            "versions": [(name, in_words(version)) for name, version in summary["versions"].items()],
         },
     )  # fmt: skip
 
@@ -226,44 +226,44 @@ def _summary(dataset: DataSet) -> Summary:
         return describe(dataset, explained_shares(dataset))
 
 
-def _title(dataset: DataSet, told: Summary) -> str:
-    about = [f"{key} {told[key]}" for key in ("vehicle", "profile") if isinstance(told.get(key), str)]
-    about += [str(told["scenario"])] if isinstance(told.get("scenario"), str) else []
+def _title(dataset: DataSet, summary: Summary) -> str:
+    about = [f"{key} {summary[key]}" for key in ("vehicle", "profile") if isinstance(summary.get(key), str)]
+    about += [str(summary["scenario"])] if isinstance(summary.get("scenario"), str) else []
     return f"Data set {dataset.name}: {', '.join(about)}" if about else f"Data set {dataset.name}"
 
 
 # -- tables -----------------------------------------------------------------------------------------------------------
-def _tables(dataset: DataSet, told: Summary) -> list[ResultTable]:
+def _tables(dataset: DataSet, summary: Summary) -> list[ResultTable]:
     ranges = [
         {**row, "label": _QUANTITIES.get(row["quantity"], row["quantity"]), "unit": row["unit"].replace("-", "–")}
-        for row in told["ranges"]
+        for row in summary["ranges"]
     ]
     optimum = []
-    for row in told["optimum"]:
+    for row in summary["optimum"]:
         logarithmic = row["target"].startswith("log ")
         values = {key: row[key] for key in ("lowest", "p10", "p50", "p90", "highest")}
         shown = {key: float(np.exp(v)) if logarithmic and v is not None else v for key, v in values.items()}
         optimum.append({**row, **shown, "target": row["target"].removeprefix("log ")})
-    near = [{**row, "limit": f"{100 * row['within']:g} %"} for row in told["flatness"] if row["mean"] is not None]
+    near = [{**row, "limit": f"{100 * row['within']:g} %"} for row in summary["flatness"] if row["mean"] is not None]
     weak = where(optimum, ["r2"], lambda row: row["r2"] is not None and row["r2"] < _WEAK)
     return [
         ResultTable("ranges", "Ranges of the operating points", RANGES, ranges,
                     "Positive is to the left, also for wind."),
         ResultTable("optimum", "The optimum, and how much of it the operating points explain", OPTIMUM, optimum,
                     "Np, Nc in control periods, Q in 1/m², R in 1/rad². P10 and P90: a tenth of all points lies below, "
-                    f"above. R²: {told['learner']}; for Q, R and R/Q of the logarithm.", alert=weak),
+                    f"above. R²: {summary['learner']}; for Q, R and R/Q of the logarithm.", alert=weak),
         ResultTable("flatness", "Share of the library whose cost is near the best", FLATNESS, near,
-                    f"Of {counted(told['library'], 'tuning')}, at each operating point; the best is the lowest cost "
+                    f"Of {counted(summary['library'], 'tuning')}, at each operating point; the best is the lowest cost "
                     "known there, the swarm's or the library's."),
     ]  # fmt: skip
 
 
-def _console_tables(told: Summary) -> list[ResultTable]:
+def _console_tables(summary: Summary) -> list[ResultTable]:
     """What was described, as it is: names and values, then a table for each part."""
     names = (Column("what", "what"), Column("value", "value"))
-    scalars = {key: value for key, value in told.items() if not isinstance(value, dict | list)}
-    parts: list[tuple[str, Any]] = [(str(told["name"]), scalars)]
-    parts += [(key.replace("_", " "), value) for key, value in told.items() if isinstance(value, dict | list)]
+    scalars = {key: value for key, value in summary.items() if not isinstance(value, dict | list)}
+    parts: list[tuple[str, Any]] = [(str(summary["name"]), scalars)]
+    parts += [(key.replace("_", " "), value) for key, value in summary.items() if isinstance(value, dict | list)]
     tables = []
     for title, value in parts:
         if isinstance(value, dict):
@@ -276,9 +276,9 @@ def _console_tables(told: Summary) -> list[ResultTable]:
 
 
 # -- what the page says -----------------------------------------------------------------------------------------------
-def explained(told: Summary) -> dict[str, list[str]]:
+def explained(summary: Summary) -> dict[str, list[str]]:
     """The targets that operating points largely, partly and hardly explain; empty where that is not known."""
-    known = {row["target"].removeprefix("log "): row["r2"] for row in told["optimum"] if row["r2"] is not None}
+    known = {row["target"].removeprefix("log "): row["r2"] for row in summary["optimum"] if row["r2"] is not None}
     groups = {
         "largely explained": [name for name, r2 in known.items() if r2 >= _STRONG],
         "partly explained": [name for name, r2 in known.items() if _WEAK <= r2 < _STRONG],
@@ -328,9 +328,9 @@ def _targets(found: DataSet) -> list[_Target]:
     ]
 
 
-def _limits(told: Summary, target: _Target) -> tuple[float, float]:
+def _limits(summary: Summary, target: _Target) -> tuple[float, float]:
     """The lowest and the highest value of a target that occurs."""
-    row = next(row for row in told["optimum"] if row["target"] == target.name)
+    row = next(row for row in summary["optimum"] if row["target"] == target.name)
     if not target.name.startswith("log"):
         return float(row["lowest"]), float(row["highest"])
     scale = 1.0 if target.decades else 1.0 / np.log(10.0)
@@ -393,7 +393,7 @@ def _gain(rows: DataSet, both: NDArray[np.bool_], title: str) -> Panel:
     )  # fmt: skip
 
 
-def _optimum(found: DataSet, told: Summary) -> list[Picture]:
+def _optimum(found: DataSet, summary: Summary) -> list[Picture]:
     targets = _targets(found)
     maps = [target for target in targets if target.name in ("Np", "Nc", "log R/Q")]
     over = {
@@ -422,7 +422,7 @@ def _optimum(found: DataSet, told: Summary) -> list[Picture]:
     return [
         Picture("optimum", caption, list(panels.values()), file="optimum.png", columns=3,
                 print_panels=[panels[target.name, other] for other in over for target in maps]),
-        Picture("targets", f"{spread}.", [_histogram(each, _limits(told, each)) for each in targets],
+        Picture("targets", f"{spread}.", [_histogram(each, _limits(summary, each)) for each in targets],
                 file="targets.png", columns=3, row_height=1.75),
     ]  # fmt: skip
 
@@ -480,11 +480,11 @@ def _convergence(found: DataSet) -> list[Picture]:
     return [Picture("convergence", caption, [panel], file="convergence.png")]
 
 
-def _flatness(dataset: DataSet, told: Summary) -> list[Picture]:
+def _flatness(dataset: DataSet, summary: Summary) -> list[Picture]:
     """At how many operating points how much of the library is near the best; nothing where that is not known."""
     if not len(dataset.library):
         return []
-    shares = {row["within"]: flatness(dataset, row["within"]) for row in told["flatness"]}
+    shares = {row["within"]: flatness(dataset, row["within"]) for row in summary["flatness"]}
     if not any(share.size for share in shares.values()):
         return []
     own = strokes(f"within {100 * within:g} %" for within in shares)

@@ -39,7 +39,7 @@ from adaptrack.results import style
 from adaptrack.results.words import lettered, plain
 
 DEVIATION = LinearSegmentedColormap.from_list("deviation", ["#3b8fd0", "#8f9db0", "#e69f00", "#e2600c", "#c4231c"])
-"""Blue, amber, red; to be seen on light and on dark ground."""
+"""Blue, amber, red; visible on light and on dark ground."""
 
 _MARKERS: dict[str, dict[str, Any]] = {
     "dot": {"marker": "o"},

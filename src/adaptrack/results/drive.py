@@ -60,7 +60,7 @@ def drive_result(
     """
     shown = labelled(drives)
     road, failed = drives[0].road, sum(bool(drive.failed) for drive in drives)
-    told = f"{number(failed)} of {number(len(drives))} drives failed"
+    headline = f"{number(failed)} of {number(len(drives))} drives failed"
     answer = outcome(drives[0]) if len(drives) == 1 else of_drives(_errors(shown), length(road.length))
     learned = any(drive.learned for drive in drives)
     return Result(
@@ -71,11 +71,11 @@ def drive_result(
         tables=[*_tables(shown), *([] if not rows else [console_table(road.name, rows)])],
         pictures=[above_picture(shown), along_picture(shown), *([learned_picture(shown)] if learned else [])],
         failed=failed > 0,
-        headline="Failed" if failed == len(drives) else told if failed else "",
+        headline="Failed" if failed == len(drives) else headline if failed else "",
         values={
             "drives": list(drives), "names": list(shown), "road": road, "first": drives[0],
             "cars": _shared(drive.car for drive in drives), "profiles": _shared(drive.profile for drive in drives),
-            "speed": np.concatenate([drive.speed for drive in drives]), "body": drives[0].shape.body,
+            "speed": np.concatenate([drive.speed for drive in drives]), "outline": drives[0].shape.outline,
             "seconds": float(drives[0].time[-1] - drives[0].time[0]),
         },
         command=command,
@@ -120,8 +120,8 @@ def _errors(drives: Drives) -> list[dict[str, Any]]:
 
 def console_table(title: str, rows: Sequence[Row]) -> ResultTable:
     """What the console shows of each drive; rows: the measures of each."""
-    told = [{**row, "result": "failed" if row["failed"] else "ok"} for row in rows]
-    return ResultTable("console", title, CONSOLE, told, brief=True)
+    shown = [{**row, "result": "failed" if row["failed"] else "ok"} for row in rows]
+    return ResultTable("console", title, CONSOLE, shown, brief=True)
 
 
 def outcome(drive: DriveRecord) -> str:

@@ -78,8 +78,8 @@ def as_lines(runs: Runs, own: Mapping[str, Stroke] | None = None) -> list[DrawnR
     lines = []
     for label, run in runs.items():
         failed = find_failure(run)
-        seen = run if failed is None else run.between(run.t[0], _last_drawn(run, failed.step) + 0.5 * run.period)
-        lines.append(DrawnRun(label, seen, own[label], failed is not None, float(run.t[-1]) + run.period))
+        drawn = run if failed is None else run.between(run.t[0], _last_drawn(run, failed.step) + 0.5 * run.period)
+        lines.append(DrawnRun(label, drawn, own[label], failed is not None, float(run.t[-1]) + run.period))
     return lines
 
 

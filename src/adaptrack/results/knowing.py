@@ -46,21 +46,21 @@ def outcome(rows: Sequence[Row], profile: str) -> str:
                 f"on the {_test(test)} its mean square error is {number(informed['mse'])} m², that of the best other, "
                 f"{SHORT[best['controller']]}, {number(best['mse'])} m²"
             )
-    lost = [SHORT[name] for name in SHORT if any(row["failed"] for row in own if row["controller"] == name)]
-    who = f" Runs fail with {listed(lost)}." if lost else ""
-    return f"Profile {profile}, the informed constant: {'; '.join(parts)}.{who}"
+    failed_with = [SHORT[name] for name in SHORT if any(row["failed"] for row in own if row["controller"] == name)]
+    failing = f" Runs fail with {listed(failed_with)}." if failed_with else ""
+    return f"Profile {profile}, the informed constant: {'; '.join(parts)}.{failing}"
 
 
 def in_a_sentence(rows: Sequence[Row]) -> str:
     """For the top of the page: the informed constant's error beside that of the better of the paper's adaptations."""
     parts = []
     for profile, driven in _by(rows, "profile").items():
-        ratios, alone, lost = [], [], []
+        ratios, alone, failed_tests = [], [], []
         for test, found in _by(driven, "scenario").items():
             named = {row["controller"]: row for row in found}
             kept = [row["mse"] for name, row in named.items() if name in ("nn", "anfis") and not row["failed"]]
             if named["informed"]["failed"]:
-                lost.append(f"the {_test(test)}")
+                failed_tests.append(f"the {_test(test)}")
             elif not kept:
                 alone.append(f"the {_test(test)}")
             else:
@@ -71,8 +71,8 @@ def in_a_sentence(rows: Sequence[Row]) -> str:
             words.append(f"its mean square error is {listed(ratios)} times that of the better adaptation of the paper")
         if alone:
             words.append(f"it keeps the car on {listed(alone)}, where both adaptations of the paper fail")
-        if lost:
-            words.append(f"it fails on {listed(lost)}")
+        if failed_tests:
+            words.append(f"it fails on {listed(failed_tests)}")
         parts.append(f"in profile {profile} {', '.join(words)}")
     return f"One constant tuning that knows its car: {'; '.join(parts)}."
 
@@ -83,18 +83,18 @@ def knowing_table(rows: Sequence[Row]) -> ResultTable:
     for test in tests:
         columns += [Column(f"mse {test}", title_of(test), "MSE, m²", 3),
                     Column(f"rms_rate {test}", "Steering", "RMS, rad/s", 3)]  # fmt: skip
-    body: list[dict[str, Any]] = []
+    shown: list[dict[str, Any]] = []
     best, failed = set(), set()
     for profile, driven in _by(rows, "profile").items():
         runs = {(row["controller"], row["scenario"]): row for row in driven}
         for name in [name for name in NAMES if any(row["controller"] == name for row in driven)]:
-            body.append({"name": NAMES[name], "profile": f"Profile {profile}"})
+            shown.append({"name": NAMES[name], "profile": f"Profile {profile}"})
             for test in tests:
-                row, place = runs[name, test], (len(body) - 1, f"mse {test}")
+                row, place = runs[name, test], (len(shown) - 1, f"mse {test}")
                 rivals = [each["mse"] for each in driven if each["scenario"] == test and not each["failed"]]
                 count = f", {row['failed']} of {row['runs']}" if row["runs"] > 1 else ""
-                body[-1] |= {f"mse {test}": f"failed{count}" if row["failed"] else row["mse"]}
-                body[-1] |= {f"rms_rate {test}": row["rms_rate"]}
+                shown[-1] |= {f"mse {test}": f"failed{count}" if row["failed"] else row["mse"]}
+                shown[-1] |= {f"rms_rate {test}": row["rms_rate"]}
                 if row["failed"]:
                     failed.add(place)
                 elif row["mse"] == min(rivals):
@@ -104,7 +104,7 @@ def knowing_table(rows: Sequence[Row]) -> ResultTable:
         "smallest error of its column and profile without a failed run."
     )
     title = "Known car beside adapted tuning"
-    return ResultTable("knowing", title, columns, body, note, "profile", frozenset(best), frozenset(failed))
+    return ResultTable("knowing", title, columns, shown, note, "profile", frozenset(best), frozenset(failed))
 
 
 def knowing_picture(rows: Sequence[Row]) -> Picture:

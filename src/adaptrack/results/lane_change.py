@@ -56,14 +56,14 @@ def _marks(run: EntrySpeed, start: float, end: float) -> list[Mark]:
     for x in np.arange(start, end, BETWEEN):
         place = known[int(np.argmin(np.abs(known[:, 0] - x)))]
         front_left, front_right, rear_left, rear_right = outline.corners_at(*place)
-        body = np.array([front_left, front_right, rear_right, rear_left])
-        marks.append(Polygon(body[:, 0], body[:, 1], "ink", width=0.4, opacity=0.5))
+        corners = np.array([front_left, front_right, rear_right, rear_left])
+        marks.append(Polygon(corners[:, 0], corners[:, 1], "ink", width=0.4, opacity=0.5))
     return marks
 
 
 def _title(run: EntrySpeed) -> str:
-    who = f"{run.test.car.name}, {run.name}{', tuned' if run.tuned else ''}"
+    label = f"{run.test.car.name}, {run.name}{', tuned' if run.tuned else ''}"
     row = run.row
     if row["clean"] is None:
-        return f"{who}: not clean at {3.6 * min(run.found.tried):.0f} km/h"
-    return f"{who}: clean up to {row['clean']:.0f} km/h"
+        return f"{label}: not clean at {3.6 * min(run.found.tried):.0f} km/h"
+    return f"{label}: clean up to {row['clean']:.0f} km/h"

@@ -35,7 +35,7 @@ from adaptrack.results import style
 from adaptrack.results.draw import panel_figure, print_figure
 from adaptrack.results.drive_figures import above_picture, along_picture, labelled
 from adaptrack.results.figures import tracking_figure
-from adaptrack.results.record import DriveRecord, Shape
+from adaptrack.results.record import DrawnCar, DriveRecord
 from adaptrack.results.words import INPUTS, controller_name, data_text, legible, number, ratio_with_interval, title_of
 from adaptrack.road import Road
 
@@ -85,8 +85,8 @@ def vehicle_html(car: Vehicle) -> str:
 
 def vehicle_figure(car: Vehicle) -> Figure:
     """The car from above to scale: body, wheels, centre of mass, axles."""
-    body, shape = car.outline.corners[[0, 1, 3, 2]], Shape.of(car)
-    marks: list[Mark] = [Polygon(body[:, 0], body[:, 1], "muted", "grid", 1.0)]
+    outline, shape = car.outline.corners[[0, 1, 3, 2]], DrawnCar.of(car)
+    marks: list[Mark] = [Polygon(outline[:, 0], outline[:, 1], "muted", "grid", 1.0)]
     for x, track in ((shape.lf, shape.track_front), (-shape.lr, shape.track_rear)):
         sides = (-track / 2, track / 2)
         marks.append(Polyline([x, x], sides, BACKGROUND, 1.0))
@@ -150,11 +150,11 @@ def schedule_html(schedule: Schedule) -> str:
 
 def comparison_html(title: str, rows: Sequence[Mapping[str, Any]], figure: Figure) -> str:
     """Contenders, the cheapest first: cost over the reference's with its interval, and failed runs."""
-    told = {
+    rows_of = {
         row["contender"]: f"{ratio_with_interval(row)}; failed in {number(row['failures'])}"
         for row in sorted(rows, key=lambda row: row["regret_geomean"])
     }
-    return html(title, told, figure, title)
+    return html(title, rows_of, figure, title)
 
 
 def html(title: str, rows: Mapping[str, str], figure: Figure | None = None, description: str = "") -> str:

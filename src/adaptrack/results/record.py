@@ -48,7 +48,7 @@ class Learnt(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Shape:
+class DrawnCar:
     """A car from above, about its centre of mass.
 
     Raises
@@ -57,7 +57,7 @@ class Shape:
         When a length is not positive.
     """
 
-    body: Outline
+    outline: Outline
     lf: float
     """m, centre of mass to front axle"""
     lr: float
@@ -69,8 +69,8 @@ class Shape:
 
     def __post_init__(self) -> None:
         for name in ("lf", "lr", "track_front", "track_rear"):
-            if not 0.0 < real("Shape", name, getattr(self, name)) < math.inf:
-                raise InvalidInput(f"Shape: {name} = {getattr(self, name)!r} m: must be positive and finite.")
+            if not 0.0 < real("DrawnCar", name, getattr(self, name)) < math.inf:
+                raise InvalidInput(f"DrawnCar: {name} = {getattr(self, name)!r} m: must be positive and finite.")
 
     @classmethod
     def of(cls, car: Vehicle) -> Self:
@@ -78,7 +78,7 @@ class Shape:
         return cls(car.outline, car.lf, car.lr, car.track_front, car.track_rear)
 
 
-PASSENGER_CAR = Shape(Outline(2.15, 2.3, 1.8, ("length", "front_overhang", "width")), 1.3, 1.4, 1.55, 1.55)
+PASSENGER_CAR = DrawnCar(Outline(2.15, 2.3, 1.8, ("length", "front_overhang", "width")), 1.3, 1.4, 1.55, 1.55)
 """What is drawn where no car is given."""
 
 
@@ -94,7 +94,7 @@ class DriveRecord:
     """
 
     road: Road
-    shape: Shape
+    shape: DrawnCar
     time: Array
     """s, growing"""
     station: Array
@@ -155,7 +155,7 @@ class DriveRecord:
         cls,
         run: Trajectory,
         road: Road,
-        car: Vehicle | Shape = PASSENGER_CAR,
+        car: Vehicle | DrawnCar = PASSENGER_CAR,
         *,
         plan: SpeedPlan | None = None,
         failed: Failed | None = None,
@@ -168,7 +168,7 @@ class DriveRecord:
 
         Parameters
         ----------
-        car : Vehicle or Shape
+        car : Vehicle or DrawnCar
             What is drawn.
         plan : SpeedPlan, optional
             The planned speed; the run's speed reference when left out.
@@ -189,13 +189,13 @@ class DriveRecord:
         }  # fmt: skip
         whole = np.isfinite(np.stack(list(signals.values()))).all(axis=0)
         end = int(whole.argmin()) if not whole.all() else len(run)
-        told = (failed.clause, failed.time) if failed else (run.failed or "", run.failed_at)
+        failure = (failed.clause, failed.time) if failed else (run.failed or "", run.failed_at)
         return cls(
             learned=_learned(run, end),
             **{name: values[:end] for name, values in signals.items()},
-            road=road, shape=car if isinstance(car, Shape) else Shape.of(car),
+            road=road, shape=car if isinstance(car, DrawnCar) else DrawnCar.of(car),
             controller=run.name_of("controller"), car=run.name_of("vehicle"), profile=run.name_of("profile"),
-            failed=told[0], failed_at=told[1], metrics=metrics,
+            failed=failure[0], failed_at=failure[1], metrics=metrics,
         )  # fmt: skip
 
     def __len__(self) -> int:

@@ -118,7 +118,7 @@ def _car(label: str, drive: DriveRecord) -> dict[str, Any]:
         "name": printable(label),
         "failed": drive.failed_at if drive.failed else None,
         "outline": {
-            "front": shape.body.front, "rear": shape.body.rear, "width": shape.body.width,
+            "front": shape.outline.front, "rear": shape.outline.rear, "width": shape.outline.width,
             "lf": shape.lf, "lr": shape.lr, "track_front": shape.track_front, "track_rear": shape.track_rear,
         },
         "columns": {name: packed(values, UNITS[name]) for name, values in columns.items()},

@@ -85,7 +85,8 @@ def reproduction_result(made: Reproduction, command: str = "") -> Result:
     """The paper's experiment as a result, with its runs; command: the command line that makes it again."""
     runs = runs_result(
         [Run(run, label=NAMES[label]) for label, run in made.runs],
-        title="The paper, reproduced: standard, NN- and ANFIS-MPC on both tests", command=command, lead=in_short(made),
+        title="The paper, reproduced: standard, NN- and ANFIS-MPC on both tests", command=command,
+        introduction=in_short(made),
     )  # fmt: skip
     near, far = reproduced(made.rows, "released")
     within = f"{100 * AGREES:g} %"
@@ -154,7 +155,7 @@ def _verdict(near: Sequence[Row], far: Sequence[Row]) -> Picture:
 # -- judgements, chosen by the numbers --------------------------------------------------------------------------------
 def in_short(made: Reproduction) -> list[str]:
     """The outcome in a few paragraphs."""
-    lead = [
+    introduction = [
         f"{agreement(made.rows, 'released')} {pole_or_adaptation(made.shares)}".strip(),
         "The same moves for all: " + against(made.rows, "same-moves", "standard-as-written"),
         in_a_sentence(made.knowing),
@@ -162,12 +163,12 @@ def in_short(made: Reproduction) -> list[str]:
         "preview; what the gain is made of and what was learned come last.",
     ]
     if made.quick:
-        lead.append(
+        introduction.append(
             f"This was a quick run: the models learned for fewer epochs, from {number(made.learned_from)} of the "
             f"{number(made.operating_points)} operating points. The figures that count are those of the run without "
             "--quick."
         )
-    return lead
+    return introduction
 
 
 def reproduced(rows: Iterable[Row], configuration: str) -> tuple[list[Row], list[Row]]:

@@ -89,31 +89,31 @@ def _contenders(made: Comparison, rows: Sequence[Row]) -> ResultTable:
         Column("max_corner_error", "Corner", "largest, m", 3),
         Column("failures", "Failed", f"of {number(rows[0]['runs'])}"),
     )  # fmt: skip
-    body = [{**row, "interval": (row["regret_low"], row["regret_high"])} for row in rows]
+    shown = [{**row, "interval": (row["regret_low"], row["regret_high"])} for row in rows]
     over = f"the {len(made.roads)} roads" if len(made.roads) > 1 else "the noise seeds of this one road"
     note = (
         "J: mean e² plus the profile's weight of steering; a failed run counts as "
         f"{made.failure.distance**2:g} m². Interval: bootstrap over {over}. Errors count until a run's end "
         "or failure; corner: the outermost corner of the body beyond half its width."
     )
-    return ResultTable("contenders", "Contenders on the same roads", columns, body, note,
-                       alert=where(body, ["failures"], lambda row: row["failures"] > 0))  # fmt: skip
+    return ResultTable("contenders", "Contenders on the same roads", columns, shown, note,
+                       alert=where(shown, ["failures"], lambda row: row["failures"] > 0))  # fmt: skip
 
 
 def _failed_runs(rows: Sequence[Row]) -> list[ResultTable]:
-    body = [{"contender": row["contender"], **each} for row in rows for each in row["failed"]]
-    return [ResultTable("failed", "Failed runs", FAILED, body)] if body else []
+    shown = [{"contender": row["contender"], **each} for row in rows for each in row["failed"]]
+    return [ResultTable("failed", "Failed runs", FAILED, shown)] if shown else []
 
 
 def console_tables(made: Comparison, rows: Sequence[Row], title: str) -> list[ResultTable]:
     """What the console shows of contenders on roads, and their first failed runs; rows: `views.road_rows`."""
-    body = [{**row, "interval": f"{row['regret_low']:.3g}-{row['regret_high']:.3g}"} for row in rows]
+    shown = [{**row, "interval": f"{row['regret_low']:.3g}-{row['regret_high']:.3g}"} for row in rows]
     count = len(made.table(made.reference))
     if len(made.roads) == 1:
         note = f"Interval: bootstrap over the {count} noise seeds of this one road; it says nothing about others."
     else:
         note = f"Interval: bootstrap over the {count} roads{'; they are few' if count < LEAST_ROADS else ''}."
-    tables = [ResultTable("console", title, CONSOLE, body, note, brief=True)]
+    tables = [ResultTable("console", title, CONSOLE, shown, note, brief=True)]
     failed = [{"contender": row["contender"], **each} for row in rows for each in row["failed"][:MOST_LISTED]]
     if failed:
         more = [
@@ -139,8 +139,13 @@ def _costs(made: Comparison) -> Picture:
     """Cost of each contender on each road; of one road, with each noise seed."""
     own, alone = strokes(made.costs), len(made.roads) == 1
     names = [f"seed {seed}" for seed in made.seeds] if alone else made.roads
-    marks = [Polyline(np.arange(len(names)), costs, own[who], 0.8, markers=True) for who, costs in made.costs.items()]
-    words = [f"{who}: {number(costs.min())} to {number(costs.max())} m²" for who, costs in made.costs.items()]
+    marks = [
+        Polyline(np.arange(len(names)), costs, own[contender], 0.8, markers=True)
+        for contender, costs in made.costs.items()
+    ]
+    words = [
+        f"{contender}: {number(costs.min())} to {number(costs.max())} m²" for contender, costs in made.costs.items()
+    ]
     panel = Panel(
         "Cost", Axis(names=[data_text(each) for each in names]), Axis("Cost J (m²)", log=True), marks,
         f"{'; '.join(words)}.",

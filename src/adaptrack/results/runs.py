@@ -100,12 +100,12 @@ def runs_result(
     *,
     title: str = "",
     command: str = "",
-    lead: Sequence[str] = (),
+    introduction: Sequence[str] = (),
 ) -> Result:
     """Closed-loop runs as a result.
 
     Runs are grouped by scenario, and within it by profile, plant, tyre, vehicle and preview. Runs of one controller
-    are told apart by what differs in their provenance. A label keeps its colour in all pictures. Headline and answer
+    are distinguished by what differs in their provenance. A label keeps its colour in all pictures. Headline and answer
     say which runs failed, if any.
 
     Parameters
@@ -116,7 +116,7 @@ def runs_result(
         When left out: the scenarios and the controllers.
     command
         The command line that repeats the runs.
-    lead
+    introduction
         Paragraphs under the title of the page; a summary of what was run when left out.
 
     Raises
@@ -150,7 +150,7 @@ def runs_result(
         headline=_headline(failed, len(shown)),
         values={
             "scenarios": [_scenario(name, settings, stems) for name, settings in scenarios.items()],
-            "failed_runs": failed if len(shown) > 1 else [], "lead": lead, "verdict": verdict.terms,
+            "failed_runs": failed if len(shown) > 1 else [], "introduction": introduction, "verdict": verdict.terms,
             "labels": list(dict.fromkeys(run.label for run in shown)), "runs": len(shown), "provenance": provenance,
             "limits": {"slow": SLOW, "distance": DISTANCE, "creeping": CREEPING,
                        "road_weight": load_profile("road").move_weight},
@@ -166,7 +166,7 @@ def write_report(
     *,
     title: str = "",
     command: str = "",
-    lead: Sequence[str] = (),
+    introduction: Sequence[str] = (),
     png: bool = True,
 ) -> Path:
     """Write the page on `runs` and its PNG files into `out_dir`; return the page's path.
@@ -182,13 +182,13 @@ def write_report(
     """
     from adaptrack.results.page import write_result
 
-    return write_result(out_dir, runs_result(runs, title=title, command=command, lead=lead), png=png)
+    return write_result(out_dir, runs_result(runs, title=title, command=command, introduction=introduction), png=png)
 
 
 def console_table(rows: Sequence[Row]) -> ResultTable:
     """What the console shows of each run; rows: the measures of each."""
-    told = [{**row, "result": "failed" if row["failed"] else "ok"} for row in rows]
-    return ResultTable("console", "Closed-loop runs", CONSOLE, told, brief=True)
+    shown = [{**row, "result": "failed" if row["failed"] else "ok"} for row in rows]
+    return ResultTable("console", "Closed-loop runs", CONSOLE, shown, brief=True)
 
 
 def grouped(runs: Sequence[Run]) -> dict[str, Settings]:

@@ -40,8 +40,8 @@ def _alone(scenario: str, run: Shown) -> RunsVerdict:
     if metrics.failed:
         text = f"Failed at {metrics.failed_at:.1f} s: the vehicle {metrics.failed_because}."
     else:
-        who = run.label[:1].upper() + run.label[1:]
-        text = f"{who} follows the {title_of(scenario).lower()} within {number(metrics.rms_error)} m RMS."
+        name = run.label[:1].upper() + run.label[1:]
+        text = f"{name} follows the {title_of(scenario).lower()} within {number(metrics.rms_error)} m RMS."
     rate = f"{number(metrics.steering_rate_rms)} rad/s RMS ({number(math.degrees(metrics.steering_rate_rms))} °/s)"
     terms = [
         ("RMS error", f"{number(metrics.rms_error)} m, mean square {number(metrics.mse)} m²"),

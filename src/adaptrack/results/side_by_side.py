@@ -171,7 +171,7 @@ def _left_out_briefly(made: Compared) -> list[str]:
 
 # -- tables -----------------------------------------------------------------------------------------------------------
 def _contenders(profile: str, rows: Sequence[Row], table: Comparison) -> ResultTable:
-    body = [
+    shown = [
         {**row, "rms_interval": (row["rms_low"], row["rms_high"]), "cost_interval": (row["cost_low"], row["cost_high"])}
         for row in rows
     ]
@@ -184,13 +184,13 @@ def _contenders(profile: str, rows: Sequence[Row], table: Comparison) -> ResultT
         "evaluates it, 95th percentile of the runs. 3888-2: highest clean entry speed into the obstacle avoidance, "
         "mean over the cars."
     )
-    return ResultTable(profile, f"Contenders in profile {profile}", CONTENDERS, body, note,
-                       alert=where(body, ["failures"], lambda row: row["failures"] > 0))  # fmt: skip
+    return ResultTable(profile, f"Contenders in profile {profile}", CONTENDERS, shown, note,
+                       alert=where(shown, ["failures"], lambda row: row["failures"] > 0))  # fmt: skip
 
 
 def _console_table(made: Compared, profile: str, rows: Sequence[Row]) -> ResultTable:
     table = made.by_profile[profile]
-    body = [
+    shown = [
         {
             **row, "rms": f"{row['rms_ratio']:.3g} [{row['rms_low']:.2g}-{row['rms_high']:.2g}]",
             "failed": f"{row['failures']}/{row['runs']}",
@@ -199,7 +199,7 @@ def _console_table(made: Compared, profile: str, rows: Sequence[Row]) -> ResultT
     ]  # fmt: skip
     sizes = ((len(table.cars), "car"), (len(table.roads), "road"), (len(made.task.seeds), "noise seed"))
     title = f"{profile}: {', '.join(counted(n, what) for n, what in sizes)}; ratio to {table.reference}"
-    return ResultTable(f"console {profile}", title, CONSOLE, body, brief=True)
+    return ResultTable(f"console {profile}", title, CONSOLE, shown, brief=True)
 
 
 def _failed_by_car(made: Compared) -> ResultTable:
@@ -207,10 +207,10 @@ def _failed_by_car(made: Compared) -> ResultTable:
     cars = list(dict.fromkeys(made.columns["car"].tolist()))
     rows, driven = [], dict[str, list[int]]()
     for profile, table in made.by_profile.items():
-        for who in table.contenders:
-            row: dict[str, Any] = {"label": who, "profile": f"Profile {profile}"}
+        for contender in table.contenders:
+            row: dict[str, Any] = {"label": contender, "profile": f"Profile {profile}"}
             for car in cars:
-                runs = table.of(who, "failed")[table.cars.index(car)] if car in table.cars else np.empty(0)
+                runs = table.of(contender, "failed")[table.cars.index(car)] if car in table.cars else np.empty(0)
                 count = int(np.isfinite(runs).sum())
                 row[car] = int(np.nansum(runs)) if count else None
                 driven.setdefault(car, []).extend([count] if count else [])
@@ -286,8 +286,8 @@ def _entry_speeds(made: Compared) -> list[Picture]:
 def _entry_panel(table: Comparison, profile: str, speeds: Mapping[str, Mapping[str, float]]) -> Panel:
     rows = sorted(speeds.items(), key=lambda each: -float(np.mean(list(each[1].values()))))
     marks: list[Mark] = []
-    for place, (who, cars) in enumerate(rows):
-        values, colour = 3.6 * np.array(list(cars.values())), colour_of(table.role(who).controller)
+    for place, (contender, cars) in enumerate(rows):
+        values, colour = 3.6 * np.array(list(cars.values())), colour_of(table.role(contender).controller)
         mean = float(values.mean())
         marks.append(Dots(values, np.full(len(values), place), colour, size=3.5, opacity=0.6))
         marks.append(Polyline([mean, mean], [place - 0.35, place + 0.35], Stroke(colour), 2.0))
@@ -295,7 +295,7 @@ def _entry_panel(table: Comparison, profile: str, speeds: Mapping[str, Mapping[s
     best, cars = rows[0]
     return Panel(
         "", Axis(f"Entry speed (km/h), profile {profile}", -0.02 * fastest, 1.04 * fastest),
-        Axis(names=[data_text(who) for who, _ in rows]), marks,
+        Axis(names=[data_text(contender) for contender, _ in rows]), marks,
         f"Entry speeds in profile {profile}; highest mean: {best}, {number(3.6 * float(np.mean(list(cars.values()))))} "
         "km/h.",
     )  # fmt: skip

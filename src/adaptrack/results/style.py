@@ -31,7 +31,7 @@ GRID = "#dce1e7"
 """Grid lines."""
 
 SERIES = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9")
-"""One colour per controller: Okabe and Ito's set, told apart with any common colour vision (tested)."""
+"""One colour per controller: Okabe and Ito's set, distinguished with any common colour vision (tested)."""
 
 _THEME = {INK: "ink", MUTED: "muted", GRID: "grid"} | {colour: f"series-{i}" for i, colour in enumerate(SERIES)}
 """The CSS variable behind each colour that a page may redefine."""

@@ -128,11 +128,11 @@ def overview_table(scenarios: Mapping[str, Settings]) -> ResultTable:
             Column(f"paper {name}", "Paper", "m²", "given"),
         ]
     found = list({words: None for words, _ in rows})
-    body = [rows[key] for words in found for key in rows if key[0] == words]
-    bold = frozenset().union(*(where(body, [f"mse {name}"], _entry(f"best {name}")) for name in scenarios))
-    failed = frozenset().union(*(where(body, [f"mse {name}"], _entry(f"failed {name}")) for name in scenarios))
+    shown = [rows[key] for words in found for key in rows if key[0] == words]
+    bold = frozenset().union(*(where(shown, [f"mse {name}"], _entry(f"best {name}")) for name in scenarios))
+    failed = frozenset().union(*(where(shown, [f"mse {name}"], _entry(f"failed {name}")) for name in scenarios))
     return ResultTable(
-        "overview", "Mean square tracking error", columns, body, _BOLD if bold else "", "setting", bold, failed
+        "overview", "Mean square tracking error", columns, shown, _BOLD if bold else "", "setting", bold, failed
     )
 
 
