@@ -42,6 +42,8 @@ import numpy as np
 SHORT = 64
 """Longest list or tuple whose parts are looked at."""
 GENERATED = "<generated>"
+CHECKING = "base.checked"
+"""Stands between a call and its function, as a decorator: passed over."""
 PLAIN = (bool, int, float, complex, str, bytes, type(None), type, type(sys), type(len), type(lambda: None))
 CONSTRUCTORS = ("__init__", "__post_init__")
 CAMPAIGN = """\
@@ -100,7 +102,8 @@ class Walk:
         if file == "<string>" and frame.f_code.co_name in (*CONSTRUCTORS, "<lambda>"):  # a named tuple's is a lambda
             return GENERATED
         inside = file.removeprefix(self.root) if file.startswith(self.root) else ""
-        return inside.removesuffix(".py").removesuffix("/__init__").replace(os.sep, ".")
+        place = inside.removesuffix(".py").removesuffix("/__init__").replace(os.sep, ".")
+        return "" if place.endswith(CHECKING) else place
 
     def walked(self, value: Any) -> bool:
         """Whether this, or a part of a short list, a tuple or a dictionary, is what is walked."""
