@@ -14,6 +14,7 @@ from adaptrack import cli
 from adaptrack.cars.vehicle import load_vehicle
 from adaptrack.cli.next_step import again, instead
 from adaptrack.results import answers
+from adaptrack.results.answers import of_starts
 from test_snippets import parse
 
 pytestmark = pytest.mark.compiled
@@ -121,3 +122,12 @@ def test_a_command_line_is_made_again_with_more_words_or_another_value(monkeypat
     assert again("--learn") == "adaptrack drive 'my road.csv' --speed 40.0 --learn"
     assert instead("--speed", 28.0) == "adaptrack drive 'my road.csv' --speed 28.0"
     assert instead("--lateral-acceleration", 2) == "adaptrack drive 'my road.csv' --speed 40.0 --lateral-acceleration 2"
+
+
+def test_a_start_that_never_settles_is_not_the_best_of_those_that_pass():
+    rows = [
+        {"vehicle": "van", "controller": name, "passed": True, "settling_time": time}
+        for name, time in (("lqr", None), ("informed", 2.5), ("stanley", 4.0))
+    ]
+    assert of_starts(rows) == "3 of 3 passed; van with informed settles in 2.5 s."
+    assert of_starts(rows[:1]) == "1 of 1 passed; none settles within the time that was driven."

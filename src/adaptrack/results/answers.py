@@ -168,7 +168,10 @@ def of_starts(rows: Sequence[Row]) -> str:
     passed = [row for row in rows if row["passed"]]
     if not passed:
         return f"None of {len(rows)} passed." if len(rows) > 1 else "Not passed."
-    best = min(passed, key=lambda row: row["settling_time"])
+    settled = [row for row in passed if row["settling_time"] is not None]  # None: not within the time that was driven
+    if not settled:
+        return f"{len(passed)} of {len(rows)} passed; none settles within the time that was driven."
+    best = min(settled, key=lambda row: row["settling_time"])
     found = f"{best['vehicle']} with {best['controller']} settles in {best['settling_time']:.3g} s"
     return f"{len(passed)} of {len(rows)} passed; {found}."
 
