@@ -69,11 +69,6 @@ DRIVES = Limit(10_000, "random drives", "1.3 GB; further ones would be those of 
 OPERATING_POINTS = Limit(100_000, "operating points", "1.7 GB, and a search of 0.5 s on one core for each")
 SEED = Limit(10_000, "", "it numbers the drives")
 
-# -- timings ----------------------------------------------------------------------------------------------------------
-TIMED_STEPS = Limit(1_000_000, "control steps", "a minute")
-TIMED_POINTS = Limit(10_000, "operating points", "20 runs each, three times: some minutes")
-TIMED_GRID = Limit(6435, "operating points", "the paper's grid has no more")
-
 
 def check_limit(what: str, value: float, limit: Limit) -> None:
     """Refuse a value above its bound.

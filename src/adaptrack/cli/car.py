@@ -29,7 +29,7 @@ class BodyStyleName(StrEnum):
 
 
 NUMBERS = (
-    Column("key", "number"), Column("value", "value", "", show.digits(5)), Column("unit", "unit"),
+    Column("key", "number"), Column("value", "value", "", 5), Column("unit", "unit"),
     Column("within", "known within"), Column("from", "from"),
 )  # fmt: skip
 DERIVED = (Column("what", "derived"), Column("value", "value"), Column("unit", "unit"))

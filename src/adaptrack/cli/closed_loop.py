@@ -39,19 +39,19 @@ TITLES = {
 SPEED_COLUMNS = (
     Column("vehicle", "car"),
     Column("controller", "controller"),
-    Column("clean", "clean to", "km/h", show.whole),
-    Column("highest_clean", "highest", "km/h", show.whole),
-    Column("tuned_clean", "tuned, to", "km/h", show.whole),
-    Column("tuned_highest_clean", "highest", "km/h", show.whole),
+    Column("clean", "clean to", "km/h", "whole"),
+    Column("highest_clean", "highest", "km/h", "whole"),
+    Column("tuned_clean", "tuned, to", "km/h", "whole"),
+    Column("tuned_highest_clean", "highest", "km/h", "whole"),
 )
 START_COLUMNS = (
     Column("vehicle", "car"),
     Column("controller", "controller"),
-    Column("largest_corner", "corner", "m", show.digits(3)),
-    Column("crossing", "across", "m", show.digits(2)),
-    Column("settling_time", "settled", "s", show.digits(3)),
-    Column("last_offset", "end e", "m", show.digits(2)),
-    Column("largest_acceleration", "a_y", "m/s²", show.digits(3)),
+    Column("largest_corner", "corner", "m", 3),
+    Column("crossing", "across", "m", 2),
+    Column("settling_time", "settled", "s", 3),
+    Column("last_offset", "end e", "m", 2),
+    Column("largest_acceleration", "a_y", "m/s²", 3),
     Column("result", "result"),
 )
 

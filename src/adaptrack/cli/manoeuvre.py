@@ -47,27 +47,27 @@ TITLES = {
 }
 COLUMNS = {
     Name.steady_circle: (
-        Column("lateral_acceleration", "lat. acc.", "m/s²", show.digits(3)),
+        Column("lateral_acceleration", "lat. acc.", "m/s²", 3),
         Column("speed", "speed", "m/s"),
         Column("wheel_angle", "wheels", "°"),
-        Column("sideslip", "sideslip", "°", show.digits(3)),
+        Column("sideslip", "sideslip", "°", 3),
         Column("yaw_rate", "yaw rate", "°/s"),
-        Column("understeer_gradient", "understeer", "°/g", show.digits(3)),
+        Column("understeer_gradient", "understeer", "°/g", 3),
     ),
     Name.frequency_response: (
         Column("frequency", "frequency", "Hz"),
         Column("yaw_rate_gain", "yaw rate", "1/s"),
-        Column("yaw_rate_phase", "phase", "°", show.digits(3)),
+        Column("yaw_rate_phase", "phase", "°", 3),
         Column("acceleration_gain", "lat. acc.", "m/s²/rad"),
-        Column("acceleration_phase", "phase", "°", show.digits(3)),
+        Column("acceleration_phase", "phase", "°", 3),
     ),
     Name.sine_with_dwell: (
         Column("amplitude", "amplitude", "°"),
-        Column("multiple", "of A", "", show.digits(3)),
-        Column("peak_yaw_rate", "peak", "°/s", show.digits(3)),
-        Column("yaw_ratio_1", "after 1 s", "%", show.whole),
-        Column("yaw_ratio_2", "after 1.75 s", "%", show.whole),
-        Column("displacement", "aside", "m", show.digits(3)),
+        Column("multiple", "of A", "", 3),
+        Column("peak_yaw_rate", "peak", "°/s", 3),
+        Column("yaw_ratio_1", "after 1 s", "%", "whole"),
+        Column("yaw_ratio_2", "after 1.75 s", "%", "whole"),
+        Column("displacement", "aside", "m", 3),
         Column("result", "result"),
     ),
 }

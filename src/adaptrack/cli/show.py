@@ -8,7 +8,7 @@ import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 from adaptrack.base.progress import Work, now_and_then, showing
 from adaptrack.base.progress import duration as duration
@@ -44,15 +44,6 @@ def printable(text: str) -> str:
     return escaped(text, keep="\n")
 
 
-def digits(count: int) -> int:
-    """Of a column: so many significant digits."""
-    return count
-
-
-percent: Literal["percent"] = "percent"
-whole: Literal["whole"] = "whole"
-
-
 def table(title: str, columns: Sequence[Column], rows: Rows) -> None:
     """A table, see `results.console.print_table`."""
     print_table(ResultTable("", title, columns, rows))
@@ -64,14 +55,6 @@ def listing(title: str, rows: Rows, as_json: bool) -> None:
         say_json({"rows": rows})
     elif rows:
         table(title, [Column(key, key.replace("_", " ")) for key in rows[0]], rows)
-
-
-def flat(title: str, values: Mapping[str, Any], as_json: bool) -> None:
-    """Names and values."""
-    if as_json:
-        say_json(values)
-    else:
-        listing(title, [{"what": key.replace("_", " "), "value": value} for key, value in values.items()], False)
 
 
 # -- progress ---------------------------------------------------------------------------------------------------------

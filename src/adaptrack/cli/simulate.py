@@ -29,9 +29,9 @@ if TYPE_CHECKING:
 
 LEARNED = (
     Column("quantity", "learned"),
-    Column("value", "value", "", show.digits(3)),
-    Column("low", "90 % from", "", show.digits(3)),
-    Column("high", "to", "", show.digits(3)),
+    Column("value", "value", "", 3),
+    Column("low", "90 % from", "", 3),
+    Column("high", "to", "", 3),
     Column("unit", "unit"),
 )
 

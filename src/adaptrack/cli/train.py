@@ -15,13 +15,13 @@ from adaptrack.cli.show import Column
 
 COLUMNS = (
     Column("slot", "learned"),
-    Column("r2", "R²\nheld out", "", show.digits(3)),
-    Column("ceiling_r2", "R²\nof trees", "", show.digits(3)),
-    Column("rmse", "RMSE\nheld out", "", show.digits(3)),
-    Column("ceiling_rmse", "RMSE\nof trees", "", show.digits(3)),
-    Column("dead_share", "dead", "%", show.percent),
+    Column("r2", "R²\nheld out", "", 3),
+    Column("ceiling_r2", "R²\nof trees", "", 3),
+    Column("rmse", "RMSE\nheld out", "", 3),
+    Column("ceiling_rmse", "RMSE\nof trees", "", 3),
+    Column("dead_share", "dead", "%", "percent"),
     Column("parameters", "parameters"),
-    Column("seconds", "time", "s", show.digits(3)),
+    Column("seconds", "time", "s", 3),
 )
 
 
