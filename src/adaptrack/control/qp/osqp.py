@@ -13,10 +13,9 @@ from adaptrack.control.qp.solver import (
     OnUncertified,
     QPSolver,
     all_multipliers,
-    is_convex,
-    is_finite,
     present_rows,
     require,
+    unfit_status,
 )
 
 
@@ -41,10 +40,8 @@ class Osqp(QPSolver):
 
     def attempt(self, qp: QP, warm_start: Solution | None = None) -> Attempt:
         """See `QPSolver.attempt`."""
-        if not is_finite(qp):
-            return Attempt(QPStatus.NON_FINITE)
-        if not is_convex(qp):
-            return Attempt(QPStatus.NOT_CONVEX)
+        if (unfit := unfit_status(qp)) is not None:
+            return Attempt(unfit)
         rows, M, gamma = present_rows(qp)
         names = self._library.SolverStatus
         statuses = {

@@ -12,9 +12,8 @@ from adaptrack.control.qp.solver import (
     OnUncertified,
     QPSolver,
     all_multipliers,
-    is_convex,
-    is_finite,
     present_rows,
+    unfit_status,
 )
 
 
@@ -37,10 +36,8 @@ class Piqp(QPSolver):
 
     def attempt(self, qp: QP, warm_start: Solution | None = None) -> Attempt:
         """See `QPSolver.attempt`. The warm start is not used: an interior-point method cannot."""
-        if not is_finite(qp):
-            return Attempt(QPStatus.NON_FINITE)
-        if not is_convex(qp):
-            return Attempt(QPStatus.NOT_CONVEX)
+        if (unfit := unfit_status(qp)) is not None:
+            return Attempt(unfit)
         rows, M, gamma = present_rows(qp)
         solver = self._library.DenseSolver()
         for key, value in self._settings.items():

@@ -166,6 +166,13 @@ def is_convex(qp: QP) -> bool:
     return True
 
 
+def unfit_status(qp: QP) -> QPStatus | None:
+    """Why a problem is not given to a back-end that takes only finite, convex ones; None where it is."""
+    if not is_finite(qp):
+        return QPStatus.NON_FINITE
+    return None if is_convex(qp) else QPStatus.NOT_CONVEX
+
+
 def present_rows(qp: QP) -> tuple[np.ndarray, Array, Array]:
     """Indices, M and gamma of the rows that have a bound."""
     rows = np.flatnonzero(qp.gamma < np.inf)
