@@ -13,6 +13,7 @@ from adaptrack.base.result import Column, Result, ResultTable, Row, where
 from adaptrack.results.answers import length, of_drives
 from adaptrack.results.drive_figures import Drives, above_picture, along_picture, labelled, learned_picture
 from adaptrack.results.record import DriveRecord
+from adaptrack.results.tables import outcomes_table
 from adaptrack.results.words import describe, few, legible, number
 
 NEAR_END = 10.0
@@ -120,8 +121,7 @@ def _errors(drives: Drives) -> list[dict[str, Any]]:
 
 def console_table(title: str, rows: Sequence[Row]) -> ResultTable:
     """What the console shows of each drive; rows: the measures of each."""
-    shown = [{**row, "result": "failed" if row["failed"] else "ok"} for row in rows]
-    return ResultTable("console", title, CONSOLE, shown, brief=True)
+    return outcomes_table(title, CONSOLE, rows)
 
 
 def outcome(drive: DriveRecord) -> str:

@@ -19,7 +19,14 @@ from adaptrack.drive.metrics import PUBLISHED, Metrics, compute_metrics, publish
 from adaptrack.drive.trajectory import Trajectory
 from adaptrack.results.figures import CREEPING, conditions_picture, speed_picture, tracking_picture
 from adaptrack.results.runs_verdict import runs_verdict
-from adaptrack.results.tables import Settings, Shown, differences_table, overview_table, scenario_tables
+from adaptrack.results.tables import (
+    Settings,
+    Shown,
+    differences_table,
+    outcomes_table,
+    overview_table,
+    scenario_tables,
+)
 from adaptrack.results.words import (
     clock,
     controller_name,
@@ -187,8 +194,7 @@ def write_report(
 
 def console_table(rows: Sequence[Row]) -> ResultTable:
     """What the console shows of each run; rows: the measures of each."""
-    shown = [{**row, "result": "failed" if row["failed"] else "ok"} for row in rows]
-    return ResultTable("console", "Closed-loop runs", CONSOLE, shown, brief=True)
+    return outcomes_table("Closed-loop runs", CONSOLE, rows)
 
 
 def grouped(runs: Sequence[Run]) -> dict[str, Settings]:

@@ -189,3 +189,9 @@ def _about_times(shown: Sequence[Shown]) -> str:
     if len(untimed) == len(shown):
         return "Step times were not measured."
     return "A dash: not measured." if untimed else ""
+
+
+def outcomes_table(title: str, columns: Sequence[Column], rows: Sequence[Row]) -> ResultTable:
+    """What the console shows of runs, each with its `result`: failed or ok."""
+    shown = [{**row, "result": "failed" if row["failed"] else "ok"} for row in rows]
+    return ResultTable("console", title, columns, shown, brief=True)
