@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from functools import lru_cache
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -44,6 +44,7 @@ class PreviewLQR(CompiledController):
         For a weight that is not positive and finite, or arguments that make no controller.
     """
 
+    positive: ClassVar[tuple[str, ...]] = ("q_e", "q_heading", "r")
     tuning_bounds: Mapping[str, Bounds] = {
         "q_e": DECADES,
         "q_heading": DECADES,
@@ -76,13 +77,6 @@ class PreviewLQR(CompiledController):
         self.memory_size = kernel.memory_size(self._model.n, self.previewed, behind)
         tuning = {"q_e": q_e, "q_heading": q_heading, "r": r}
         super().__init__(tuning, period=setup.period, limits=setup.limits, preview=setup.preview)
-
-    def check_tuning(self, tuning: Mapping[str, float]) -> dict[str, float]:
-        """See `Controller.check_tuning`; the weights must be positive."""
-        for name in ("q_e", "q_heading", "r"):
-            if not 0.0 < real("PreviewLQR", name, tuning[name]) < math.inf:
-                raise InvalidInput(f"PreviewLQR: {name} = {tuning[name]!r}: must be finite and positive.")
-        return super().check_tuning(tuning)
 
     @property
     def name(self) -> str:

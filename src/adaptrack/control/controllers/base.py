@@ -7,7 +7,7 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, Self
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -225,6 +225,8 @@ class CompiledController(Controller):
     limits: Limits
     memory_size: int
     """Numbers that the law remembers from step to step."""
+    positive: ClassVar[tuple[str, ...]] = ()
+    """Entries of the tuning that must not be zero either."""
 
     @checked
     def __init__(
@@ -255,10 +257,14 @@ class CompiledController(Controller):
 
     def check_tuning(self, tuning: Mapping[str, float]) -> dict[str, float]:
         """The tuning as finite numbers by name, none of them negative; see `Controller.check_tuning`."""
+        where = type(self).__name__
+        for name in self.positive:
+            if not 0.0 < real(where, name, tuning[name]) < math.inf:
+                raise InvalidInput(f"{where}: {name} = {tuning[name]!r}: must be finite and positive.")
         found = super().check_tuning(tuning)
         for name, value in found.items():
             if value < 0.0:
-                raise InvalidInput(f"{type(self).__name__}: {name} = {value!r}: must be finite and not negative.")
+                raise InvalidInput(f"{where}: {name} = {value!r}: must be finite and not negative.")
         return found
 
     def reset(self) -> None:

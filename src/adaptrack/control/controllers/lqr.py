@@ -5,12 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from functools import lru_cache
-from typing import Annotated, Any
+from typing import Annotated, Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from adaptrack.base.checked import Positive, checked, real
+from adaptrack.base.checked import Positive, checked
 from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.vehicle import Vehicle
 from adaptrack.control.controllers.base import (
@@ -50,6 +50,7 @@ class LQR(CompiledController):
     """
 
     # only the ratios to r count; gains are tabulated over two decades to either side of its own
+    positive: ClassVar[tuple[str, ...]] = ("q_e", "q_heading", "r")
     tuning_bounds: Mapping[str, Bounds] = {
         "q_e": DECADES,
         "q_heading": DECADES,
@@ -80,13 +81,6 @@ class LQR(CompiledController):
             "preview_time": steering_delay(vehicle) if preview_time is None else preview_time,
         }
         super().__init__(tuning, period=period, limits=limits, preview=preview)
-
-    def check_tuning(self, tuning: Mapping[str, float]) -> dict[str, float]:
-        """See `Controller.check_tuning`; the weights must be positive."""
-        for name in ("q_e", "q_heading", "r"):
-            if not 0.0 < real("LQR", name, tuning[name]) < math.inf:
-                raise InvalidInput(f"LQR: {name} = {tuning[name]!r}: must be finite and positive.")
-        return super().check_tuning(tuning)
 
     @property
     def name(self) -> str:
