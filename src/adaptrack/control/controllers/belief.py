@@ -16,6 +16,8 @@ from adaptrack.scenario.profile import Profile
 
 ASSUMED = "nobody says, so the slow end of published values"
 """The source of what neither the caller, nor the car file, nor a profile says."""
+TO_LEARN = "nobody says, so it is learned from the middle of published values"
+"""The same of lag and dead time, for a controller that learns."""
 UNKNOWN: Literal["unknown"] = "unknown"
 """As `belief`: neither the car's file nor the profile is to be believed about the steering."""
 LEAST_LAG = 0.05
@@ -143,7 +145,7 @@ class Belief:
     @property
     def assumed(self) -> tuple[str, ...]:
         """The entries that nobody says."""
-        return tuple(name for name in _NAMES if getattr(self, name).source == ASSUMED)
+        return tuple(name for name in _NAMES if getattr(self, name).source in (ASSUMED, TO_LEARN))
 
     @property
     def is_cautious(self) -> bool:
@@ -182,14 +184,15 @@ class Belief:
 
 
 GivenSteering = Steering | Literal["unknown"] | None
-"""What a caller says of the steering: None leaves it to the car's file and the profile."""
+"""What a caller says of the steering: None leaves it to the car's file, and to the profile unless it is learned."""
 
 
 def believed(vehicle: Vehicle, given: GivenSteering, profile: Profile, period: float, named: bool) -> Belief:
     """The belief about a car's steering: each number from the first that says it, `ASSUMED` where nobody does.
 
     given: by the caller, who comes first, then the car file, then the profile; `UNKNOWN`: nobody says anything; named:
-    whether the profile was, or is only the one whose sensors are taken by default: then its actuator says nothing.
+    whether the profile's actuator is believed: not where only its sensors are taken by default, nor by a controller
+    that learns, for which a profile is the simulated world.
 
     Raises
     ------

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
-from typing import Annotated, NamedTuple
+from dataclasses import fields, replace
+from typing import Annotated, Literal, NamedTuple
 
 from pydantic import InstanceOf
 
@@ -13,15 +13,19 @@ from adaptrack.base.errors import InvalidInput
 from adaptrack.base.limits import CONTROL_HORIZON, PREDICTION_HORIZON
 from adaptrack.cars.vehicle import Vehicle
 from adaptrack.control.controllers.base import known_vehicle
-from adaptrack.control.controllers.belief import Belief, GivenSteering, Uncertainty, believed
+from adaptrack.control.controllers.belief import ASSUMED, TO_LEARN, Belief, GivenSteering, Said, Uncertainty, believed
 from adaptrack.control.controllers.learned import UNKNOWN_CAR, Learner, Learning
 from adaptrack.control.controllers.limits import Limits
 from adaptrack.control.controllers.tuning import Tuning
 from adaptrack.control.estimation import Estimator
-from adaptrack.control.kalman import KalmanFilter
+from adaptrack.control.kalman import Drifts, KalmanFilter
 from adaptrack.control.models import PathModel, PredictionModel
+from adaptrack.core.estimators.learning import memory_of
 from adaptrack.scenario.profile import Profile, load_profile
 
+AUTO: Literal["auto"] = "auto"
+"""As `learning`: learn where nobody says lag or dead time of the steering."""
+GivenLearning = Learning | Literal["auto"] | None
 UNNAMED = "road"
 """The profile whose period, preview and sensors are taken where none is named."""
 UNSEEN = 3.0
@@ -83,10 +87,12 @@ class Parts(NamedTuple):
     belief: Belief | None = None
     """about the steering; None where the model was given"""
     learner: Learner | None = None
+    learns: str = ""
+    """whether it learns, why, and within what; empty where the model was given"""
 
 
 def informed_parts(
-    vehicle: Vehicle, profile: str | Profile | None, given: tuple[GivenSteering, Uncertainty | None, Learning | None],
+    vehicle: Vehicle, profile: str | Profile | None, given: tuple[GivenSteering, Uncertainty | None, GivenLearning],
     period: float | None, estimator: KalmanFilter | None, preview: bool | None = None,
 ) -> Parts:  # fmt: skip
     """The parts of an MPC that knows its car; arguments as for `MPC`, given: belief, uncertainty and learning.
@@ -99,10 +105,16 @@ def informed_parts(
     car, world = known_vehicle("MPC", vehicle), load_profile(UNNAMED if profile is None else profile)
     world = world.replace(preview=True) if preview else world  # a reference that is known ahead is tuned for
     step = _checked(world.period if period is None else period)
-    if given[2] is not None:
-        return _learning_parts(car, (world, profile is not None), given, step, estimator)
-    plain = believed(car, given[0], world, step, named=profile is not None)
-    unsure = Uncertainty.of_car(car, plain) if given[1] is None else Uncertainty.declared(given[1])
+    steering, uncertainty, learning = given
+    named = profile is not None and not isinstance(learning, Learning)
+    plain = believed(car, steering, world, step, named=named)
+    unsaid = " and ".join(name.replace("_", " ") for name in ("lag", "dead_time") if name in plain.assumed)
+    why = "as given" if learning != AUTO else f"as nobody says {unsaid}" if unsaid else "as lag and dead time are said"
+    if isinstance(learning, Learning) or (learning == AUTO and unsaid):
+        method = learning if isinstance(learning, Learning) else Learning()
+        made = _learning_parts(car, world, (plain, uncertainty, method), step, estimator)
+        return made._replace(learns=f"learns, {why}: {made.learns}")
+    unsure = Uncertainty.of_car(car, plain) if uncertainty is None else Uncertainty.declared(uncertainty)
     belief = plain.later(unsure)
     tuning = informed_tuning(world, step, unsure)
     drifts = unsure.widened(KalmanFilter().drifts, math.isfinite(world.noise_vy))
@@ -113,27 +125,58 @@ def informed_parts(
         limits=replace(belief.bounds(step), error=LARGEST_CORRECTION),
         preview=world.preview,
         belief=belief,
+        learns=f"does not learn, {why}",
     )
 
 
 def _learning_parts(
-    car: Vehicle, world: tuple[Profile, bool], given: tuple[GivenSteering, Uncertainty | None, Learning | None],
-    period: float, estimator: KalmanFilter | None,
+    car: Vehicle, profile: Profile, given: tuple[Belief, Uncertainty | None, Learning], period: float,
+    estimator: KalmanFilter | None,
 ) -> Parts:  # fmt: skip
-    """The parts of an MPC that learns its car; world: the profile, and whether it was named."""
-    profile, named = world
-    learning = given[2]
-    assert learning is not None
-    unsure = UNKNOWN_CAR if given[1] is None else Uncertainty.declared(given[1])
-    belief = believed(car, given[0], profile, period, named=named)
+    """The parts of an MPC that learns its car; given: what is said of the steering, uncertainty and method."""
+    said, uncertainty, learning = given
     sensing = KalmanFilter.of_profile(profile) if estimator is None else estimator
-    learner = Learner(learning, car, belief, unsure, sensing, period)
+    learner = Learner(learning, car, said, _may_be(car, said, uncertainty), sensing, period)
+    first = memory_of(learner.fresh(), 0).beliefs
+    unsure = learning.wandering * float(first.belief_delay_sigma) / learning.modest  # rad/s, as the kernel has it
+    drifts = replace(sensing.drifts, wheel_angle=math.hypot(Drifts().wheel_angle, unsure))
     return Parts(
         tuning=informed_tuning(profile, period),
         model=learner.model(),
-        estimator=replace(sensing, longest=learner.longest),
-        limits=replace(belief.bounds(period), error=LARGEST_CORRECTION),
+        estimator=replace(sensing, longest=learner.longest, drifts=drifts),
+        limits=replace(said.bounds(period), error=LARGEST_CORRECTION),
         preview=profile.preview,
-        belief=belief,
+        belief=_begun(said, learner, (float(first.used_lag), float(first.used_dead_time))),
         learner=learner,
+        learns=_within(learner),
     )
+
+
+def _may_be(car: Vehicle, said: Belief, uncertainty: Uncertainty | None) -> Uncertainty:
+    """How far what a controller that learns believes may be wrong: what is given, else `UNKNOWN_CAR`, or what the
+    car's file says where that is more. Of a delay that nobody says it is never nothing.
+    """
+    if uncertainty is not None:
+        open_ = {name: getattr(uncertainty, name) or getattr(UNKNOWN_CAR, name) for name in ("lag", "dead_time")}
+        return replace(uncertainty, **{name: value for name, value in open_.items() if name in said.assumed})
+    of_file = Uncertainty.of_car(car, said)
+    names = [each.name for each in fields(Uncertainty)]
+    return Uncertainty(**{name: max(getattr(UNKNOWN_CAR, name), getattr(of_file, name)) for name in names})
+
+
+def _begun(said: Belief, learner: Learner, first: tuple[float, float]) -> Belief:
+    """The belief with which a controller that learns begins; first: lag and dead time (s)."""
+    start = learner.own.start
+    earlier = None if start is None else f"learned before, in {start.seconds:.0f} s"
+    begun = {}
+    for name, value in zip(("lag", "dead_time"), first, strict=True):
+        source = getattr(said, name).source
+        begun[name] = Said(value, earlier or (TO_LEARN if source == ASSUMED else source))
+    return replace(said, **begun)
+
+
+def _within(learner: Learner) -> str:
+    """Within what a controller learns."""
+    (short, long), (soon, late) = learner.ranges
+    factor = math.exp(learner.stiffness)
+    return f"lag {short:.3g} to {long:.3g} s, dead time {soon:.3g} to {late:.3g} s, stiffness x or / {factor:.3g}"

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import os
 from dataclasses import dataclass
+from enum import IntEnum
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple
 
@@ -40,6 +41,27 @@ SPREAD = 1.0 / math.sqrt(3.0)
 
 WITHIN = 1.645
 """Standard deviations to either side that hold 90 % of a normal distribution."""
+
+
+class BeliefState(IntEnum):
+    """How far a belief can be trusted."""
+
+    LEARNING = 0
+    """intervals still shrink"""
+    SETTLED = 1
+    AT_BOUND = 2
+    """a quantity is at the end of its range: the truth may lie beyond"""
+    CONTRADICTORY = 3
+    """what is measured does not fit any car within the ranges"""
+
+    @property
+    def words(self) -> str:
+        """As sentences say it."""
+        return self.name.lower().replace("_", " ").replace("at bound", "at a bound")
+
+
+QUANTITIES_BOUNDED = ("lag", "dead_time", "stiffness", "balance", "bias")
+"""What may be at a bound, as `belief_at_bound` of the diagnostics counts it from 1."""
 
 
 class LearnedNumber(NamedTuple):
@@ -366,6 +388,7 @@ class Learner:
             "used_stiffness": math.exp(stiffness), "used_balance": math.exp(2.0 * balance),
             "used_bias": x[kernel.BIAS],
             "used_caution": caution * (1.0 + (unsure / self.own.tolerated_stiffness) ** 2),
+            "belief_state": float(BeliefState.LEARNING), "belief_at_bound": 0.0,
         }  # fmt: skip
         memory[: len(kernel.BELIEFS)] = [believed[name] for name in kernel.BELIEFS]
 

@@ -13,7 +13,7 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from functools import cached_property
 from math import isfinite
-from typing import Annotated, Any, NamedTuple, Protocol, Self, runtime_checkable
+from typing import Annotated, Any, Literal, NamedTuple, Protocol, Self, runtime_checkable
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -25,9 +25,9 @@ from adaptrack.base.limits import CONTROL_HORIZON, PREDICTION_HORIZON
 from adaptrack.cars.vehicle import Vehicle
 from adaptrack.control.controllers.base import Controller
 from adaptrack.control.controllers.belief import GivenSteering, Uncertainty
-from adaptrack.control.controllers.informed import Parts, informed_parts
+from adaptrack.control.controllers.informed import AUTO, Parts, informed_parts
 from adaptrack.control.controllers.inputs import KernelInput, change_of_path, number, road_ahead, vector, wheel_angle
-from adaptrack.control.controllers.learned import LearnedCar, Learning
+from adaptrack.control.controllers.learned import QUANTITIES_BOUNDED, BeliefState, LearnedCar, Learning
 from adaptrack.control.controllers.limits import Limits, Moves
 from adaptrack.control.controllers.made_for import INCREMENTAL, car_of, mismatches
 from adaptrack.control.controllers.tuning import ENTRIES, Tuning, read_tuning
@@ -40,7 +40,7 @@ from adaptrack.control.qp.hildreth import Hildreth
 from adaptrack.core.controllers import mpc as kernel
 from adaptrack.core.controllers.mpc_step import Step, form_qp, step
 from adaptrack.core.controllers.receding import apply_move
-from adaptrack.core.estimators.learning import BELIEFS
+from adaptrack.core.estimators.learning import BELIEF, BELIEFS, memory_of
 from adaptrack.core.guard import COUNTS
 from adaptrack.core.kernel import Resident, direct
 from adaptrack.core.schedule_step import schedule_step
@@ -121,6 +121,17 @@ class MPCCommand(NamedTuple):
         own = float(self.status), float(self.iterations), self.residual, float(self.at_limit), self.dead_reckoning
         return (*own, *self.learned)
 
+    @property
+    def belief_state(self) -> BeliefState | None:
+        """How far what is learned can be trusted; None where nothing is."""
+        return BeliefState(int(self.learned[BELIEF.belief_state])) if self.learned else None
+
+    @property
+    def belief_at_bound(self) -> str | None:
+        """The quantity that is learned to be at the end of its range (`QUANTITIES_BOUNDED`); None: none."""
+        place = int(self.learned[BELIEF.belief_at_bound]) if self.learned else 0
+        return QUANTITIES_BOUNDED[place - 1] if place else None
+
 
 def _given_parts(
     vehicle: Vehicle, model: PredictionModel | None, estimator: Estimator | None, period: float | None
@@ -142,12 +153,16 @@ class MPC(Controller):
 
     vehicle: mass, inertia, axle distances and stiffness of the model, and what its file says of the steering; tuning:
     constant one, or the one before the scheduler speaks, by default `informed_tuning`; profile: name, file or
-    `Profile` whose period, preview and sensors are taken, and whose actuator is believed where nobody else says; by
-    default the period, preview and sensors of "road", and of its actuator nothing; belief: a `Steering` that is
-    believed before the car's file, or "unknown": then neither file nor profile is believed about the steering;
-    uncertainty: how far the belief may be wrong, for which the delay is believed longer and R is raised, by default
-    what the car's file says in ``[known_within]``. What nobody says of the steering is taken from the slow end of
-    published values, with R raised as well; `belief` of the controller says what it believes, and from whom.
+    `Profile` whose period, preview and sensors are taken, and whose actuator is believed where nobody else says and
+    the controller does not learn; by default the period, preview and sensors of "road", and of its actuator nothing;
+    belief: a `Steering` that is believed before the car's file, or "unknown": then neither file nor profile is
+    believed about the steering; `belief` of the controller says what it believes, and from whom.
+
+    learning: "auto" learns the car while it drives where nobody says lag or dead time of the steering, a `Learning`
+    always, None never: what nobody says is then taken from the slow end of published values, with R raised.
+    uncertainty: how far the belief may be wrong. A controller that does not learn believes the delay longer for it and
+    raises R, by default for what the car's file says in ``[known_within]``; one that learns stays within it, by
+    default within `UNKNOWN_CAR`, or within what the file says where that is more.
 
     period: control period; limits: by default the believed rate times the period (the paper's table where the delay
     is assumed) and the believed angle; preview: whether R_s holds the reference ahead or its present value; solver:
@@ -180,7 +195,7 @@ class MPC(Controller):
         profile: str | Profile | None = None,
         belief: GivenSteering = None,
         uncertainty: Annotated[InstanceOf[Uncertainty], Hint("Uncertainty(lag=..., dead_time=...)")] | None = None,
-        learning: Annotated[InstanceOf[Learning], Hint("Learning() gives one")] | None = None,
+        learning: Annotated[InstanceOf[Learning] | Literal["auto"], Hint("Learning() gives one")] | None = AUTO,
         period: Annotated[Positive, "s"] | None = None,
         limits: Annotated[InstanceOf[Limits], Hint("Limits(move=(low, high), angle=(low, high))")] | None = None,
         moves: InstanceOf[Moves] | None = None,
@@ -197,7 +212,7 @@ class MPC(Controller):
         if model is None and isinstance(filtering, KalmanFilter | None):
             parts = informed_parts(vehicle, profile, (belief, uncertainty, learning), period, filtering, preview)
         else:
-            if not (profile is None and belief is None and uncertainty is None and learning is None):
+            if not (profile is None and belief is None and uncertainty is None and learning in (None, AUTO)):
                 raise InvalidInput(
                     "MPC: profile, belief and uncertainty, or learning, choose model and estimator: give those, or "
                     "these."
@@ -205,7 +220,7 @@ class MPC(Controller):
             parts = _given_parts(vehicle, model, filtering, period)
         self.tuning = parts.tuning if tuning is None else tuning
         self.model, self.estimator, self.belief = parts.model, parts.estimator, parts.belief
-        self.learner = parts.learner
+        self.learner, self._learns = parts.learner, parts.learns
         self.vehicle = getattr(self.model, "vehicle", None)
         self.estimator.check_fits(self.model)
         self.limits = limits or parts.limits
@@ -252,6 +267,11 @@ class MPC(Controller):
             return _DIAGNOSTICS
         return (*_DIAGNOSTICS, *BELIEFS)
 
+    @property
+    def first_caution(self) -> float:
+        """Factor on R at the first step: what is not learned yet; 1 of a controller that does not learn."""
+        return 1.0 if self.learner is None else float(memory_of(self.learner.fresh(), 0).beliefs.used_caution)
+
     def learned(self) -> LearnedCar:
         """What has been learned of the car so far.
 
@@ -261,7 +281,9 @@ class MPC(Controller):
             When the controller does not learn.
         """
         if self.learner is None:
-            raise InvalidInput("learned: this MPC does not learn: MPC(car, learning=Learning()) does.")
+            raise InvalidInput(
+                f"learned: this MPC {self._learns or 'does not learn'}: MPC(car, learning=Learning()) does."
+            )
         return self.learner.learned(self._mpc.informed.learned[0])
 
     @property
@@ -283,7 +305,7 @@ class MPC(Controller):
     def __repr__(self) -> str:
         car, tuning = getattr(self.model, "vehicle", None), self.tuning
         numbers = f"{tuning.Np}/{tuning.Nc}/{tuning.Q:g}/{tuning.R:g}"
-        known = f"; steering: {self.belief}" if self.belief is not None else ""
+        known = f"; {self._learns}; steering: {self.belief}" if self.belief is not None else ""
         return f"<{self.name} of {getattr(car, 'name', 'a car')}: {numbers}, every {self.period:g} s{known}>"
 
     @property
@@ -730,6 +752,7 @@ class MPC(Controller):
             "model": self.model.name,
             "estimator": self.estimator.name,
             "belief": None if self.belief is None else str(self.belief),
+            "learning": self._learns or None,
             "speed_floor": self.speed_floor,
             "scheduler": None
             if self.scheduler is None

@@ -93,6 +93,7 @@ BELIEFS = (
     "belief_friction", "belief_friction_sigma",  # sigma of its logarithm
     "belief_noise",  # of the yaw rate, over what was given
     "used_lag", "used_dead_time", "used_stiffness", "used_balance", "used_bias", "used_caution",  # by the controller
+    "belief_state", "belief_at_bound",  # `BeliefState`; 1 + place in `QUANTITIES_BOUNDED` of what is at its bound, or 0
 )  # fmt: skip
 """What is learned, and what the controller believes of it, at every step."""
 BELIEF, Beliefs = columns(*BELIEFS), record("Beliefs", BELIEFS)
