@@ -340,7 +340,8 @@ def informed_mpc(at: Any) -> Named:
     tolerant = at.KalmanFilter(at.SensorNoise(0.05, 0.01, 0.01, 0.1), at.Drifts(side=3.0, turn=6.0), distrust=math.inf)
     lagless, slow = at.PathModel(car, 0.05), at.PathModel(car, 0.05, 0.2, 0.17)
     variants: dict[str, dict[str, Any]] = {
-        "four sensors only": {"profile": "road"}, "unknown steering": {"profile": "road", "belief": "unknown"},
+        "four sensors only": {"profile": "road"},
+        "unknown steering": {"profile": "road", "belief": "unknown", "learning": None},
         "unsure": {"profile": "road", "uncertainty": unsure}, "no preview": {"profile": "road", "preview": False},
         "laguerre": {"profile": "road", "moves": at.Moves.laguerre(0.7, 8)},
         "output limits": {"profile": "road", "limits": at.Limits(output=(-1.0, 3.0))},

@@ -9,6 +9,7 @@ J = mean e^2 + 3 mean (change of command)^2 (a failed run counts 25 m^2), and th
 from __future__ import annotations
 
 import argparse
+import itertools
 import math
 from typing import Any
 
@@ -40,13 +41,14 @@ def main() -> None:
     print("nothing known of the steering; true lag", *LAGS)
     for name, tyre in CARS.items():
         car = at.load_vehicle(name).replace(steering=None)
-        for delay in (0.0, 1.0):
+        for delay, learning in itertools.product((0.0, 1.0), (None, at.Learning())):
             row = []
             for lag in LAGS:
                 actuator = at.SteeringActuator(lag=lag, rate=road.steering.rate if lag else math.inf)
-                plant = at.DualTrack(car, tyre, steering=actuator)
-                row.append(driven(plant, at.MPC(car), road.replace(delay=delay), drives))
-            print(f"{name}, {delay:g} periods of delay:", *row, flush=True)
+                plant, mpc = at.DualTrack(car, tyre, steering=actuator), at.MPC(car, learning=learning)
+                row.append(driven(plant, mpc, road.replace(delay=delay), drives))
+            how = "not learning" if learning is None else "learning"
+            print(f"{name}, {delay:g} periods of delay, {how}:", *row, flush=True)
     print("lag told wrongly, true 0.15 s; believed", *BELIEVED)
     for name, tyre in CARS.items():
         car = at.load_vehicle(name).replace(steering=None)

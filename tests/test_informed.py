@@ -563,7 +563,7 @@ def test_the_car_file_is_believed_before_the_profile_and_the_profile_where_the_f
 
 
 def test_of_a_steering_that_nobody_knows_the_slow_end_is_believed_cautiously_and_said():
-    mpc = MPC(CAR)
+    mpc = MPC(CAR, learning=None)
     assert mpc.belief.lag.value + mpc.belief.dead_time.value >= 0.35
     assert set(mpc.belief.assumed) == {"lag", "dead_time", "rate", "limit"}
     assert mpc.tuning.R > informed_tuning("road").R
@@ -584,7 +584,7 @@ def test_of_an_unknown_steering_neither_file_nor_profile_is_believed_but_the_sen
 
 @pytest.mark.parametrize("known", [{"lag": 0.1}, {"dead_time": 0.1}, {"lag": 0.5}, {"dead_time": 0.5}])
 def test_what_is_known_of_the_delay_is_taken_off_what_is_assumed(known):
-    belief = MPC(CAR, belief=Steering(**known)).belief
+    belief = MPC(CAR, belief=Steering(**known), learning=None).belief
     assert belief.lag.value + belief.dead_time.value == pytest.approx(max(0.35, *known.values()), abs=0.051)
     assert belief.lag.value > 0.0
 
@@ -596,7 +596,7 @@ def test_without_any_knowledge_of_the_steering_either_car_is_kept(lag):
     for name in ("paper", "midsize-sedan"):
         car = load_vehicle(name).replace(steering=None)
         plant = DualTrack(car, steering=SteeringActuator(lag=lag, rate=0.5))
-        mpc = MPC(car)
+        mpc = MPC(car, learning=None)
         runs = rollout_batch(
             plant, mpc, drives, np.tile(mpc.tuning.as_array(), (8, 1)), which=np.arange(8), profile="road",
             seeds=np.arange(8),

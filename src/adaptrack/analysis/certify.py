@@ -84,6 +84,8 @@ class Certificate:
     """of what drives, driving straight, when the car differs from what the controller believes, by `Mismatch.name`"""
     period: float = math.nan
     """s, of the controller"""
+    belief: str = ""
+    """what the controller believes of the steering, and from whom; empty where model or estimator were given"""
 
     @property
     def counted(self) -> Sweep:
@@ -162,6 +164,7 @@ class Certificate:
             "profile": self.profile,
             "model": self.model,
             "estimator": self.estimator,
+            "belief": self.belief,
             "verdict": self.verdict,
             "passed": self.passed,
             "points": len(self.points),
@@ -230,7 +233,7 @@ def certify(
         The true car, and the true steering, dead time and sensors around it.
     mpc
         What the controller believes: prediction model, estimator, period, moves, longest horizons; its own tuning and
-        scheduler play no part.
+        scheduler play no part. One that learns is certified as it begins.
     domain
         Lowest and highest value by scheduling variable; by default where `OPERATING` and the schedule's own domain
         overlap. Beside speed and friction, only what a schedule looks at is varied; of a plain function, everything.
@@ -267,7 +270,7 @@ def certify(
         plant.name, plant.tyre_name, world.name, mpc.model.name, mpc.estimator.name,
         axes["speed"], axes["friction"], points,
         sweeps[0], sweeps[1] if guarded is not None else None,
-        dict(zip([each.name for each in mismatches], found[-1][2:], strict=True)), mpc.period,
+        dict(zip([each.name for each in mismatches], found[-1][2:], strict=True)), mpc.period, mpc.belief_at_first,
     )  # fmt: skip
 
 

@@ -472,8 +472,10 @@ def laws(mpc: MPC, speed: float, tunings: ArrayLike, estimator: LinearEstimator 
     """The controllers at a speed (m/s) with n tunings (n, 4) of Np, Nc, Q, R.
 
     `PredictionModel.feedback` for many tunings at once, behind the `linear_estimator`, made here unless it is given.
-    The horizons must be whole numbers, 1 <= Nc <= Np.
+    The horizons must be whole numbers, 1 <= Nc <= Np. A controller that learns is taken as it begins: with its first
+    belief, and R times its first caution.
     """
+    caution = mpc.first_caution
     rows = np.atleast_2d(np.asarray(tunings, dtype=np.float64))
     horizons, group = np.unique(rows[:, :2].astype(np.int64), axis=0, return_inverse=True)
     longest = int(horizons[:, 0].max())
@@ -489,7 +491,7 @@ def laws(mpc: MPC, speed: float, tunings: ArrayLike, estimator: LinearEstimator 
         if mpc.moves.kind == "laguerre":
             basis = laguerre_basis(Np, mpc.moves.terms, mpc.moves.pole)
         effect = phi[:Np, :Np] @ basis
-        Q, R = rows[which, 2, None, None], rows[which, 3, None, None]
+        Q, R = rows[which, 2, None, None], caution * rows[which, 3, None, None]
         moves = np.linalg.solve(Q * (effect.T @ effect) + R * np.eye(effect.shape[1]), Q * (effect.T @ free[:, :Np].T))
         gains[which] = basis[0] @ moves
     return Laws(estimator, gains)

@@ -181,7 +181,7 @@ def _write(requested: dict[str, Any], tuned: TunedCar, out: Path) -> Path:
     vehicle.to_toml(own)
     ConstantTuning(
         controller="informed", vehicle=vehicle.name, profile=tuned.profile.name, period=tuned.profile.period,
-        command=options.command_line(), tuning=found["tuning"],
+        command=options.command_line(), belief=found["belief"], tuning=found["tuning"],
     ).to_toml(out / CONSTANT)  # fmt: skip
     write_toml(out / REQUESTED, _plain(requested))
     write_toml(

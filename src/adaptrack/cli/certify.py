@@ -195,6 +195,8 @@ def _tell_feasible(
 
         title = "The best tuning at each speed and friction, by the modulus margin"
         show.table(title, BEST, with_ratio(found.summary()["rows"]))
+        if mpc.belief is not None:
+            show.say(f"Note: belief: {mpc.belief_at_first}.")
     if found.passed and not as_json:
         show.say(found.verdict)
     if not found.passed:

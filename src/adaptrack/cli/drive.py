@@ -127,7 +127,8 @@ def drive(given: DriveOptions) -> None:
     if how.out is not None:
         show.say(f"Page: {_write_page(how.out, runs, how.png)}", aside=as_json)
     if not as_json:
-        assumed = any(each.belief is not None and each.belief.is_cautious for _, each in controllers)
+        assumed = any(each.learner is None and each.belief is not None and each.belief.is_cautious
+                      for _, each in controllers)  # fmt: skip
         say_next(*_next_step(given, rows, checked.drivable, assumed))
     if failed and not how.allow_failed:
         raise typer.Exit(FAILED)

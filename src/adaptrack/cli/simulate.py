@@ -376,6 +376,7 @@ def measured_row(controller: str, run: Trajectory, model: PredictionModel | None
         "scheduler": meta["control"].get("scheduler"),
         "solver": meta["control"].get("solver"),
         "belief": meta["control"].get("belief"),
+        "learning": meta["control"].get("learning"),
         "failed": reason or None,
         "failed_at": measures.pop("failed_at"),
         "failed_because": clause or None,
@@ -414,8 +415,11 @@ def tell_belief(label: str, controller: Controller, plant: Any, world: Profile, 
     belief = controller.belief
     if belief is None:
         return
-    warning = "Warning, " if belief.assumed else ""
-    show.say(f"{warning}{label} believes of its steering: {belief}.", aside=aside)
+    if controller.learner is not None:
+        show.say(f"{label} {controller.learns}. It begins with: {belief}.", aside=aside)
+    else:
+        warning = "Warning, " if belief.assumed else ""
+        show.say(f"{warning}{label} believes of its steering: {belief}.", aside=aside)
     actuator = getattr(plant, "steering", None) or world.steering
     driven = (actuator.lag, world.delay * controller.period + actuator.dead_time, actuator.rate)
     if not all(map(math.isclose, (belief.lag.value, belief.delay, belief.rate.value), driven)):
@@ -431,9 +435,11 @@ def tell_learned(label: str, controller: Controller, as_json: bool) -> None:
     """What a controller has learned of its car, each number with its interval."""
     if controller.learner is None or as_json:
         return
-    learned: LearnedCar = controller.learned()  # type: ignore[attr-defined]
+    mpc: Any = controller
+    learned: LearnedCar = mpc.learned()
     rows = [each._asdict() for each in learned.intervals]
-    show.table(f"Learned by {label} in {learned.seconds:.0f} s of driving", LEARNED, rows)
+    title = f"Learned by {label} in {learned.seconds:.0f} s of driving; the belief is {mpc.belief_in_words}"
+    show.table(title, LEARNED, rows)
 
 
 def tell_domain(scenario: Scenario, car: Vehicle) -> None:

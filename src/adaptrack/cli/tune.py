@@ -101,11 +101,12 @@ def _tune(given: TuneOptions, setting: on_roads.RoadSetting, own: Controller) ->
         tell = partial(advance, f"tune {name}")
         found = seek_constant(runs, own, swarm, noise_seeds=seeds, seed=given.seed, progress=tell)
     seconds = time.perf_counter() - begun
-    _keep(given, setting, found, seeds)
+    _keep(given, setting, (found, own), seeds)
     pair = [Contender("default", own), Contender("tuned", own.with_tuning(found.tuning))]
     judged = setting.compare(pair, range(max(3, given.noise_seeds)), "default")
     if given.as_json:
         about = {"tuning": str(given.out), "controller": name, "entries": found.tuning, "better": found.better}
+        about |= {"belief": own.belief_at_first}
         said = {key: value for key, value in vars(found).items() if key != "tuning"}
         show.say_json(about | said | {"runs": spent, "seconds": seconds, "rows": finite(road_rows(judged))})
         return
@@ -117,6 +118,8 @@ def _tune(given: TuneOptions, setting: on_roads.RoadSetting, own: Controller) ->
         show.say(f"At the end of what was searched: {', '.join(found.at_bounds)}.")
     entries = ", ".join(f"{entry} {value:.4g}" for entry, value in found.tuning.items())
     show.say(f"Tuning: {entries}\nFile: {given.out} ({seconds:,.0f} s)")
+    if own.belief is not None:
+        show.say(f"Belief: {own.belief_at_first}.")
     say_next(*_next(given, found.better and over.verdict == "cheaper"))
 
 
@@ -129,12 +132,15 @@ def _next(given: TuneOptions, gained: bool) -> tuple[str, str]:
     return "more roads may decide it", more
 
 
-def _keep(given: TuneOptions, setting: on_roads.RoadSetting, found: Sought, seeds: Sequence[int]) -> None:
+def _keep(
+    given: TuneOptions, setting: on_roads.RoadSetting, result: tuple[Sought, Controller], seeds: Sequence[int]
+) -> None:
     """Write a tuning's file."""
     from adaptrack.tuning.constant_file import ConstantTuning
 
+    found, own = result
     ConstantTuning(
         controller=given.controller, vehicle=setting.car.name, profile=setting.profile.name,
         period=setting.profile.period, roads=tuple(str(drive.name) for drive in setting.runs.scenarios),
-        noise_seeds=tuple(seeds), command=options.command_line(), tuning=found.tuning,
+        noise_seeds=tuple(seeds), command=options.command_line(), belief=own.belief_at_first, tuning=found.tuning,
     ).to_toml(given.out)  # fmt: skip

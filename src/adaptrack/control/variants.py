@@ -1,6 +1,7 @@
 """Registered controllers that are others with something: a schedule, learning, less that is known of the car.
 
-Those that know the car are given its file, and of the steering what the profile says.
+Those that know the car are given its file, and of the steering what the profile says; one that learns is given of the
+steering what the file says alone.
 """
 
 from __future__ import annotations
@@ -12,7 +13,6 @@ from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.data_sheet import vehicle_from_data_sheet
 from adaptrack.cars.vehicle import Vehicle
 from adaptrack.control.controllers import MPC, Learning, Tuning, published_mpc
-from adaptrack.control.controllers.belief import UNKNOWN
 from adaptrack.control.scheduling import load_scheduler
 from adaptrack.scenario.profile import Profile, load_profile
 
@@ -25,7 +25,7 @@ def learning(vehicle: Vehicle, *, profile: str | Profile | None = None, **option
 def learning_from_sheet(vehicle: Vehicle, *, profile: str | Profile | None = None, **options: Any) -> MPC:
     """The same, when all that is known are mass and wheelbase of the car, and the sensors."""
     car = vehicle_from_data_sheet(vehicle.name, vehicle.mass, vehicle.wheelbase)
-    return learning(car, profile=profile, belief=UNKNOWN, **options)
+    return learning(car, profile=profile, **options)
 
 
 def informed_nn(vehicle: Vehicle, *, profile: str | Profile | None = None, **options: Any) -> MPC:

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from adaptrack.base.checked import NotNegative, checked
 from adaptrack.base.shown import html_of
+from adaptrack.control.controllers.learned import BeliefState, bounded_quantity
 from adaptrack.control.models import PredictionModel
 from adaptrack.drive.failure import SLOW, Failure, find_failure, state_is_finite
 from adaptrack.drive.prediction import TIMES, run_prediction_error
@@ -113,6 +114,18 @@ class Metrics:
     prediction_error_one: float
     """m, likewise 1 s ahead."""
 
+    belief_learning: float
+    """Share of the driven control periods, 0..1, in which what is learned was still being learned (`BeliefState`); NaN
+    of a controller that does not learn."""
+    belief_settled: float
+    """Likewise, in which it was settled."""
+    belief_at_bound: float
+    """Likewise, in which it was at the end of its range."""
+    belief_contradictory: float
+    """Likewise, in which it contradicted what was measured."""
+    belief_state: str
+    """The last of these states, in words; empty of a controller that does not learn."""
+
     cost: float
     """m², J = mean e² + w mean Δu²: what tuning minimises; w is `compute_metrics`' `move_weight`."""
 
@@ -206,8 +219,27 @@ def compute_metrics(
         step_us_max=_largest_known(step_times),
         prediction_error_half=ahead[0.5],
         prediction_error_one=ahead[1.0],
+        **belief_shares(trajectory),
+        belief_state=last_belief_state(trajectory),
         cost=mse + move_weight * activity if move_weight else mse,
     )
+
+
+def belief_shares(trajectory: Trajectory) -> dict[str, float]:
+    """Share of the driven control periods in each state of what is learned, by `Metrics`' names; NaN: nothing is."""
+    states = trajectory.diagnostics.get("belief_state", _NOTHING)
+    known = states[np.isfinite(trajectory.command)] if states.size else states
+    return {f"belief_{state.name.lower()}": _mean(known == state) for state in BeliefState}
+
+
+def last_belief_state(trajectory: Trajectory) -> str:
+    """The last state of what is learned, in words; empty where nothing is."""
+    driven = np.flatnonzero(np.isfinite(trajectory.command))
+    said = trajectory.diagnostics
+    if "belief_state" not in said or not driven.size:
+        return ""
+    state, at_bound = (float(said[name][driven[-1]]) for name in ("belief_state", "belief_at_bound"))
+    return BeliefState(int(state)).words(bounded_quantity(at_bound))
 
 
 @dataclass(frozen=True)

@@ -110,7 +110,7 @@ class World:
             _warn(
                 f"adaptrack: in profile {self.profile.name!r} the wheels follow a command {driven:.3g} s late, the "
                 f"controller believes {believed:.3g} s: MPC(car, profile={self.profile.name!r}), or "
-                "belief=Steering(...) of the car, tells it."
+                "belief=Steering(...) of the car, tells it; with learning=Learning() it finds out."
             )
 
     @property

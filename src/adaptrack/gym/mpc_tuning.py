@@ -9,8 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adaptrack.base.checked import whole
+from adaptrack.core.public import BELIEFS
 from adaptrack.gym.driven import Driven, needs_reset
-from adaptrack.gym.spaces import Tunings, box, checked_action, first_belief, make_mpc, variables_within
+from adaptrack.gym.spaces import STATE, Tunings, box, checked_action, first_belief, make_mpc, variables_within
 from adaptrack.gym.task import Task
 
 Array = NDArray[np.float64]
@@ -61,7 +62,8 @@ class MPCTuningEnv(gymnasium.Env):
     ==================  ======  ==============================================================================
 
     `informed-learning` has in place of the last two what it has learned with its standard deviations, by the names of
-    the diagnostics of `MPC`, +-100. `as-written` believes nothing.
+    the diagnostics of `MPC`, +-100; it knows of the steering what the car's file says, not the profile's. info has the
+    state of that belief at every step: `belief_state`, a number of `BeliefState`. `as-written` believes nothing.
 
     Reward
     ------
@@ -106,7 +108,7 @@ class MPCTuningEnv(gymnasium.Env):
         self._driven = Driven(self.task, episode, self._mpc)
         self._belief = first_belief(self._mpc)
         self._observed = np.zeros(len(self.names))
-        return self._observe(self._driven), episode.info
+        return self._observe(self._driven), episode.info | self._belief_info
 
     def step(self, action: Any) -> tuple[Array, float, bool, bool, dict[str, Any]]:
         """Drive `every` control periods with a tuning, see `gymnasium.Env.step`."""
@@ -121,7 +123,12 @@ class MPCTuningEnv(gymnasium.Env):
             cost += driven.drive(answer.angle)
             if driven.over:
                 break
-        return self._observe(driven), -cost, driven.terminated, driven.truncated, driven.info
+        return self._observe(driven), -cost, driven.terminated, driven.truncated, driven.info | self._belief_info
+
+    @property
+    def _belief_info(self) -> dict[str, Any]:
+        """What ``info`` says of what has been learned."""
+        return {} if self._mpc.learner is None else {STATE: int(self._belief[BELIEFS.index(STATE)])}
 
     def _observe(self, driven: Driven) -> Array:
         given = np.array([*driven.sensed.variables, *self._belief])

@@ -36,6 +36,8 @@ VARIABLES_WITHIN = {
 BELIEF_WITHIN = {"belief_lag": (0.0, 10.0), "belief_delay": (0.0, 10.0)}
 """s, lag of the steering and time until a command begins to act, as the controller believes them."""
 LEARNED_WITHIN = (-100.0, 100.0)
+STATE = "belief_state"
+"""Of what is learned, and what ``info`` calls it."""
 DECADES = 2.0
 """By which log10 R/Q may lie to either side of the controller's own."""
 DISTANCES = (0.0, 5.0, 10.0, 20.0, 40.0)

@@ -40,6 +40,7 @@ from adaptrack.drive.world import reason_of
 from adaptrack.gym.mpc_tuning import EVERY
 from adaptrack.gym.spaces import (
     DISTANCES,
+    STATE,
     Tunings,
     box,
     checked_action,
@@ -128,7 +129,7 @@ class _VectorEnv(VectorEnv):
                 self._rngs = [gymnasium.utils.seeding.np_random(one)[0] for one in each]
         infos = self._begin(np.arange(self.num_envs), options)
         self._each(self._look)
-        return self._observed.copy(), infos
+        return self._observed.copy(), infos | self._belief_info
 
     def step(self, actions: Any) -> tuple[Array, Array, NDArray[np.bool_], NDArray[np.bool_], dict[str, Any]]:
         """Drive all cars by a step; one whose episode was over begins its next one, with reward 0."""
@@ -146,7 +147,15 @@ class _VectorEnv(VectorEnv):
         self._each(self._look)
         if over.any():
             self._say_how(np.flatnonzero(over), infos)
-        return self._observed.copy(), rewards, over == FAILED, over == ARRIVED, infos
+        return self._observed.copy(), rewards, over == FAILED, over == ARRIVED, infos | self._belief_info
+
+    @property
+    def _belief_info(self) -> dict[str, Any]:
+        """What ``infos`` say of what each car's controller has learned."""
+        if STATE not in self.names:
+            return {}
+        states = self._observed[:, self.names.index(STATE)].astype(np.int64)
+        return {STATE: states, f"_{STATE}": np.ones(self.num_envs, bool)}
 
     def close_extras(self) -> None:
         """Let the threads go."""

@@ -96,6 +96,7 @@ def certificate_result(found: Certificate, command: str = "", next_step: str = "
         answer=of_certificate(found),
         record={**found.summary(), "rows": found.rows()},
         tables=[*_console_tables(found), *_margin_tables(found), _worst(found)],
+        notes=[f"belief: {found.belief}."] if found.belief else [],
         pictures=[_modulus(found, worst["modulus_margin"]), *maps, _tunings(found)],
         failed=not found.passed,
         values={

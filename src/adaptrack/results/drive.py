@@ -24,6 +24,14 @@ ERRORS = (
     Column("p95_offset", "p95 |e|", "m", 3, "95th percentile of the offset"),
     Column("max_offset", "Largest |e|", "m", 3),
 )
+BELIEF = (
+    Column("label", "Controller"),
+    Column("belief_learning", "Learning", "%", "percent"),
+    Column("belief_settled", "Settled", "%", "percent"),
+    Column("belief_at_bound", "At a bound", "%", "percent"),
+    Column("belief_contradictory", "Contradictory", "%", "percent"),
+    Column("belief_state", "In the end"),
+)
 CONSOLE = (
     Column("controller", "controller"),
     Column("rms_error", "RMS e", "m", 3),
@@ -166,7 +174,11 @@ def _tables(drives: Drives) -> list[ResultTable]:
     columns = [Column(str(i), label, show=3) for i, label in enumerate(drives)]
     title = f"Of {'each' if len(drives) > 1 else 'the'} drive"
     heads = (Column("measure", "Measure"), Column("unit", "Unit"))
-    return [outcomes, ResultTable("measures", title, (*heads, *columns), list(measured.values()))]
+    tables = [outcomes, ResultTable("measures", title, (*heads, *columns), list(measured.values()))]
+    states: list[dict[str, Any]] = [{"label": key, **drive.belief} for key, drive in drives.items() if drive.belief]
+    if states:
+        tables.append(ResultTable("belief", "State of the belief, share of the time", BELIEF, states))
+    return tables
 
 
 def _smallest(name: str, kept: Sequence[Row]) -> Any:

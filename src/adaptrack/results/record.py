@@ -15,6 +15,7 @@ from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.outline import Outline
 from adaptrack.cars.vehicle import Vehicle
 from adaptrack.drive.failure import Failed
+from adaptrack.drive.metrics import belief_shares, last_belief_state
 from adaptrack.drive.trajectory import Trajectory
 from adaptrack.road import Road, SpeedPlan
 from adaptrack.road.ahead import foot_near
@@ -129,6 +130,8 @@ class DriveRecord:
     metrics: Sequence[Measure] = ()
     learned: Mapping[str, Learnt] = field(default_factory=dict)
     """what the controller has learned of its car, by name; empty for one that does not learn"""
+    belief: Mapping[str, float | str] = field(default_factory=dict)
+    """how far that can be trusted: shares of time and the last state, as `Metrics` has them; empty likewise"""
 
     def __post_init__(self) -> None:
         n = np.size(self.time)
@@ -190,8 +193,9 @@ class DriveRecord:
         whole = np.isfinite(np.stack(list(signals.values()))).all(axis=0)
         end = int(whole.argmin()) if not whole.all() else len(run)
         failure = (failed.clause, failed.time) if failed else (run.failed or "", run.failed_at)
+        last = last_belief_state(run)
         return cls(
-            learned=_learned(run, end),
+            learned=_learned(run, end), belief={**belief_shares(run), "belief_state": last} if last else {},
             **{name: values[:end] for name, values in signals.items()},
             road=road, shape=car if isinstance(car, DrawnCar) else DrawnCar.of(car),
             controller=run.name_of("controller"), car=run.name_of("vehicle"), profile=run.name_of("profile"),

@@ -118,7 +118,7 @@ class TunedCar:
         first = "" if self.feasibility.passed else f"{self.feasibility.verdict} What follows is for {self.held}. "
         return (
             f"{first}{entries}: {kept} ({share}). {self.failed or 'None'} of {drives} unseen drives failed; "
-            f"{self.certificate.verdict}{self._stand_in}"
+            f"{self.certificate.verdict}{self._stand_in} Belief: {self.controller.belief_at_first}."
         )
 
     @property
@@ -154,6 +154,7 @@ class TunedCar:
             "passed": self.passed,
             "profile": self.profile.name,
             "plant": self.plant,
+            "belief": self.controller.belief_at_first,
             "domain": self.domain.model_dump(mode="json"),
             "tuning": _entries(self.tuning),
             "default": _entries(self.default),

@@ -31,6 +31,7 @@ class ConstantTuning(Record):
     roads: Annotated[tuple[str, ...], LISTED] = Field(default=(), description="names of the roads, likewise")
     noise_seeds: Annotated[tuple[int, ...], LISTED] = Field(default=(), description="of the search: judge with others")
     command: str = Field(default="", description="the command line that made it")
+    belief: str = Field(default="", description="of the controller about the steering, when it was found")
     tuning: dict[str, float] = Field(description="the controller's tuning entries")
 
     @model_validator(mode="after")

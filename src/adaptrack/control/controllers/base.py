@@ -115,6 +115,8 @@ class Controller(ABC):
     """What it believes of the steering, if it says so."""
     learner: Any = None
     """What it learns with; None: it does not learn."""
+    learns: str = ""
+    """Whether it learns its car, why, and within what, if it says so."""
 
     def __init_subclass__(cls) -> None:
         super().__init_subclass__()
@@ -122,6 +124,12 @@ class Controller(ABC):
             cls.name = cls.__name__  # type: ignore[method-assign, assignment]
         if cls.tuning_bounds and not cls.tuning_names:
             cls.tuning_names = tuple(cls.tuning_bounds)
+
+    @property
+    def belief_at_first(self) -> str:
+        """The belief about the steering before the first step, for tables; empty where there is none."""
+        known = "" if self.belief is None else str(self.belief)
+        return f"{known}; {self.learns}" if known and self.learner is not None else known
 
     @property
     def scheduler_counts(self) -> dict[str, int]:

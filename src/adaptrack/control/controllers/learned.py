@@ -54,14 +54,20 @@ class BeliefState(IntEnum):
     CONTRADICTORY = 3
     """what is measured does not fit any car within the ranges"""
 
-    @property
-    def words(self) -> str:
-        """As sentences say it."""
-        return self.name.lower().replace("_", " ").replace("at bound", "at a bound")
+    def words(self, at_bound: str | None = None) -> str:
+        """As sentences say it; at_bound: the quantity that is at its bound."""
+        if self is not BeliefState.AT_BOUND:
+            return self.name.lower()
+        return "at a bound" if at_bound is None else f"at a bound ({at_bound.replace('_', ' ')})"
 
 
 QUANTITIES_BOUNDED = ("lag", "dead_time", "stiffness", "balance", "bias")
 """What may be at a bound, as `belief_at_bound` of the diagnostics counts it from 1."""
+
+
+def bounded_quantity(at_bound: float) -> str | None:
+    """The quantity that the diagnostic `belief_at_bound` names; None: none is at a bound."""
+    return QUANTITIES_BOUNDED[int(at_bound) - 1] if at_bound >= 1.0 else None
 
 
 class LearnedNumber(NamedTuple):

@@ -27,7 +27,7 @@ from adaptrack.control.controllers.base import Controller
 from adaptrack.control.controllers.belief import GivenSteering, Uncertainty
 from adaptrack.control.controllers.informed import AUTO, Parts, informed_parts
 from adaptrack.control.controllers.inputs import KernelInput, change_of_path, number, road_ahead, vector, wheel_angle
-from adaptrack.control.controllers.learned import QUANTITIES_BOUNDED, BeliefState, LearnedCar, Learning
+from adaptrack.control.controllers.learned import BeliefState, LearnedCar, Learning, bounded_quantity
 from adaptrack.control.controllers.limits import Limits, Moves
 from adaptrack.control.controllers.made_for import INCREMENTAL, car_of, mismatches
 from adaptrack.control.controllers.tuning import ENTRIES, Tuning, read_tuning
@@ -63,6 +63,7 @@ _NOT_CARRIED = (
     "_schedule_step", "functions",
 )  # fmt: skip
 """Of a controller, by a copy of it: see `MPC._load`."""
+_METHOD = "'auto' serves as well, and Learning() gives one"
 SPEED_KEPT = 6.0
 """s, for which the last speed counts while it is missing; then a step holds."""
 _log = logging.getLogger("adaptrack")
@@ -128,9 +129,8 @@ class MPCCommand(NamedTuple):
 
     @property
     def belief_at_bound(self) -> str | None:
-        """The quantity that is learned to be at the end of its range (`QUANTITIES_BOUNDED`); None: none."""
-        place = int(self.learned[BELIEF.belief_at_bound]) if self.learned else 0
-        return QUANTITIES_BOUNDED[place - 1] if place else None
+        """The quantity whose belief is at the end of its range (`QUANTITIES_BOUNDED`); None: none."""
+        return bounded_quantity(self.learned[BELIEF.belief_at_bound]) if self.learned else None
 
 
 def _given_parts(
@@ -195,7 +195,7 @@ class MPC(Controller):
         profile: str | Profile | None = None,
         belief: GivenSteering = None,
         uncertainty: Annotated[InstanceOf[Uncertainty], Hint("Uncertainty(lag=..., dead_time=...)")] | None = None,
-        learning: Annotated[InstanceOf[Learning] | Literal["auto"], Hint("Learning() gives one")] | None = AUTO,
+        learning: Annotated[InstanceOf[Learning] | Literal["auto"], Hint(_METHOD)] | None = AUTO,
         period: Annotated[Positive, "s"] | None = None,
         limits: Annotated[InstanceOf[Limits], Hint("Limits(move=(low, high), angle=(low, high))")] | None = None,
         moves: InstanceOf[Moves] | None = None,
@@ -220,7 +220,7 @@ class MPC(Controller):
             parts = _given_parts(vehicle, model, filtering, period)
         self.tuning = parts.tuning if tuning is None else tuning
         self.model, self.estimator, self.belief = parts.model, parts.estimator, parts.belief
-        self.learner, self._learns = parts.learner, parts.learns
+        self.learner, self.learns = parts.learner, parts.learns
         self.vehicle = getattr(self.model, "vehicle", None)
         self.estimator.check_fits(self.model)
         self.limits = limits or parts.limits
@@ -282,9 +282,17 @@ class MPC(Controller):
         """
         if self.learner is None:
             raise InvalidInput(
-                f"learned: this MPC {self._learns or 'does not learn'}: MPC(car, learning=Learning()) does."
+                f"learned: this MPC {self.learns or 'does not learn'}: MPC(car, learning=Learning()) does."
             )
         return self.learner.learned(self._mpc.informed.learned[0])
+
+    @property
+    def belief_in_words(self) -> str:
+        """How far what is learned can be trusted after the last step, in words; empty where nothing is."""
+        if self.learner is None:
+            return ""
+        beliefs = memory_of(self._mpc.informed.learned[0], 0).beliefs
+        return BeliefState(int(beliefs.belief_state)).words(bounded_quantity(float(beliefs.belief_at_bound)))
 
     @property
     def name(self) -> str:
@@ -305,7 +313,7 @@ class MPC(Controller):
     def __repr__(self) -> str:
         car, tuning = getattr(self.model, "vehicle", None), self.tuning
         numbers = f"{tuning.Np}/{tuning.Nc}/{tuning.Q:g}/{tuning.R:g}"
-        known = f"; {self._learns}; steering: {self.belief}" if self.belief is not None else ""
+        known = f"; {self.learns}; steering: {self.belief}" if self.belief is not None else ""
         return f"<{self.name} of {getattr(car, 'name', 'a car')}: {numbers}, every {self.period:g} s{known}>"
 
     @property
@@ -752,7 +760,7 @@ class MPC(Controller):
             "model": self.model.name,
             "estimator": self.estimator.name,
             "belief": None if self.belief is None else str(self.belief),
-            "learning": self._learns or None,
+            "learning": self.learns or None,
             "speed_floor": self.speed_floor,
             "scheduler": None
             if self.scheduler is None

@@ -1,0 +1,195 @@
+"""Who says what of the steering, who learns where nobody says it, and how far a learned belief is said to be right."""
+
+from __future__ import annotations
+
+import copy
+import dataclasses
+import json
+import math
+import pickle
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from adaptrack.analysis.certify import certify
+from adaptrack.base.errors import InvalidInput
+from adaptrack.cars.data_sheet import vehicle_from_data_sheet
+from adaptrack.cars.plant import DualTrack
+from adaptrack.cars.vehicle import KnownWithin, Steering, load_vehicle
+from adaptrack.cli.app import app
+from adaptrack.control.controllers import MPC, BeliefState, Learning, Tuning, Uncertainty, get_controller
+from adaptrack.control.controllers.belief import TO_LEARN
+from adaptrack.control.controllers.learned import QUANTITIES_BOUNDED
+from adaptrack.core.estimators.learning import BELIEF, BELIEFS
+from adaptrack.drive.metrics import compute_metrics
+from adaptrack.drive.simulate import rollout, simulate
+from adaptrack.results.certificate import certificate_result
+from adaptrack.results.drive import drive_result
+from adaptrack.results.record import DriveRecord
+from adaptrack.road import generate_road, plan_speed
+from adaptrack.scenario import RoadDrive, random_drive
+from adaptrack.scenario.profile import load_profile
+
+CAR = load_vehicle("paper")
+SHEET = vehicle_from_data_sheet("sheet", 1500.0, 2.7)
+KNOWN = CAR.replace(steering=Steering(lag=0.1, dead_time=0.05))
+LEARNING = Learning()
+compiled = pytest.mark.compiled
+
+
+def ranges(mpc):
+    return mpc.learner.ranges
+
+
+# -- who says the steering --------------------------------------------------------------------------------------------
+@pytest.mark.parametrize("profile", ["road", "production"])
+def test_who_learns_is_told_nothing_of_the_steering_by_the_profile(profile):
+    named, unknown = (MPC(CAR, profile=profile, learning=LEARNING, belief=belief) for belief in (None, "unknown"))
+    np.testing.assert_array_equal(named.learner.parameters(), unknown.learner.parameters())
+    assert named.limits == unknown.limits
+    assert {named.belief.lag.source, named.belief.dead_time.source} == {TO_LEARN}
+    assert named.belief.computation.source == f"profile {profile}"
+    registered = get_controller("informed-learning", CAR, profile=profile)
+    np.testing.assert_array_equal(registered.learner.parameters(), unknown.learner.parameters())
+
+
+def test_a_drive_that_learns_does_not_begin_with_the_simulated_lag():
+    done = CliRunner().invoke(
+        app, ["simulate", "lane-change", "--profile", "production", "--learn", "--controller", "informed"]
+    )
+    assert done.exit_code == 0, done.output
+    assert "informed learns, as given: lag 0.05 to 0.35 s" in done.output
+    assert TO_LEARN in done.output
+    assert "of driving; the belief is " in done.output
+
+
+def test_who_learns_believes_the_caller_before_the_car_file_and_the_file_before_nobody():
+    own = MPC(KNOWN, profile="road", learning=LEARNING, belief=Steering(lag=0.3))
+    assert ranges(own).lag == pytest.approx((0.15, 0.45))
+    assert ranges(own).dead_time == pytest.approx((0.0, 0.175))
+    assert (own.belief.lag.source, own.belief.dead_time.source) == ("given", "car file paper")
+
+
+def test_who_does_not_learn_still_believes_a_named_profile():
+    mpc = MPC(CAR, profile="road")
+    assert mpc.learner is None
+    assert (mpc.belief.lag.value, mpc.belief.lag.source) == (load_profile("road").steering.lag, "profile road")
+
+
+# -- who learns -------------------------------------------------------------------------------------------------------
+@pytest.mark.parametrize(
+    "given", [{}, {"belief": "unknown", "profile": "road"}, {"belief": Steering(lag=0.2)}, {"tuning": Tuning()}]
+)
+def test_where_nobody_says_lag_or_dead_time_the_mpc_learns_and_says_so(given):
+    mpc = MPC(CAR, **given)
+    assert mpc.learner is not None
+    assert "; learns, as nobody says " in repr(mpc)
+    assert "lag 0.05 to 0.35 s, dead time 0 to 0.25 s, stiffness x or / 2.6" in repr(mpc)
+    assert mpc.describe()["learning"] == mpc.learns
+    assert isinstance(mpc.step([0.0] * 4, 15.0, np.zeros(40)).belief_state, BeliefState)
+
+
+def test_nothing_is_learned_where_learning_is_none():
+    mpc = MPC(CAR, learning=None)
+    assert mpc.learner is None
+    assert "; does not learn, as given; " in repr(mpc)
+    assert mpc.step([0.0] * 4, 15.0, np.zeros(40)).belief_state is None
+    with pytest.raises(InvalidInput, match="does not learn, as given"):
+        mpc.learned()
+
+
+@pytest.mark.parametrize(
+    ("car", "given"), [(KNOWN, {}), (CAR, {"belief": Steering(lag=0.1, dead_time=0.0)}), (CAR, {"profile": "road"})]
+)
+def test_nothing_is_learned_unasked_where_lag_and_dead_time_are_said(car, given):
+    mpc = MPC(car, **given)
+    assert mpc.learner is None
+    assert "does not learn, as lag and dead time are said" in repr(mpc)
+
+
+def test_a_model_of_ones_own_is_not_learned_unasked():
+    assert MPC(CAR, estimator="deadbeat").learner is None
+
+
+def test_what_nobody_says_is_never_taken_for_certain():
+    mpc = MPC(CAR, uncertainty=Uncertainty(stiffness=1.3))
+    assert ranges(mpc).lag == pytest.approx((0.05, 0.35))
+    assert ranges(mpc).dead_time == (0.0, 0.25)
+    assert math.exp(mpc.learner.stiffness) == pytest.approx(1.3)
+
+
+def test_what_the_sheet_leaves_open_is_open_to_who_learns():
+    wide = SHEET.replace(known_within=KnownWithin(mass=1.6, stiffness_front=2.5, stiffness_rear=3.0))
+    assert math.exp(MPC(wide).learner.stiffness) == pytest.approx(3.0 * 1.6)
+    assert math.exp(MPC(SHEET).learner.stiffness) == pytest.approx(2.0 * 1.3)
+
+
+# -- that learns by default, everywhere -------------------------------------------------------------------------------
+@compiled
+def test_the_default_that_learns_runs_compiled_copied_and_pickled_to_the_bit():
+    mpc, drive = MPC(SHEET), random_drive(3, 5.0)
+    one = rollout(DualTrack(SHEET), mpc, drive, profile="road", seed=2)
+    for other in (copy.copy(mpc), pickle.loads(pickle.dumps(mpc))):
+        again = simulate(DualTrack(SHEET), other, drive, profile="road", seed=2)
+        np.testing.assert_array_equal(one.command, again.command)
+    assert set(BELIEFS) <= one.diagnostics.keys()
+
+
+@compiled
+def test_a_certificate_of_who_learns_is_of_how_it_begins_and_names_the_belief():
+    mpc = MPC(SHEET, profile="road", learning=LEARNING)
+    answer = mpc.step([0.0] * 4, 15.0, np.zeros(40))
+    assert answer.learned[BELIEF.used_caution] == mpc.first_caution > 1.0
+    begins = mpc.estimator.parameters(mpc.model)
+    np.testing.assert_allclose(mpc._mpc.informed.estimator, begins, rtol=1e-12)
+    found = certify(mpc.tuning, DualTrack(SHEET), mpc, "road", levels=(3, 1))
+    assert found.belief == f"{mpc.belief}; {mpc.learns}"
+    result = certificate_result(found)
+    assert result.notes == [f"belief: {found.belief}."]
+    assert result.record["belief"] == found.belief
+    heavier = Tuning(mpc.tuning.Np, mpc.tuning.Nc, 1.0, mpc.first_caution * mpc.tuning.R)
+    frozen = MPC(SHEET, model=mpc.model, estimator=mpc.estimator)
+    same = certify(heavier, DualTrack(SHEET), frozen, "road", levels=(3, 1))
+    np.testing.assert_allclose(found.bare.straight.radius, same.bare.straight.radius, rtol=1e-9)
+
+
+@compiled
+def test_commands_name_the_belief_that_they_use():
+    done = CliRunner().invoke(app, ["certify", "--speed", "10", "10", "--friction", "0.9", "0.9", "--json"])
+    assert json.loads(done.stdout)["belief"].startswith("lag 0.15 s, dead time 0 s, computation 0.05 s")
+
+
+# -- how far it is right ----------------------------------------------------------------------------------------------
+def test_an_answer_says_the_state_of_what_is_learned_and_what_is_at_its_bound():
+    answer = MPC(SHEET).step([0.0] * 4, 15.0, np.zeros(40))
+    for place, quantity in enumerate((None, *QUANTITIES_BOUNDED)):
+        learned = [*answer.learned]
+        learned[BELIEF.belief_state], learned[BELIEF.belief_at_bound] = BeliefState.AT_BOUND, float(place)
+        at_bound = answer._replace(learned=tuple(learned))
+        assert at_bound.belief_state is BeliefState.AT_BOUND
+        assert at_bound.belief_at_bound == quantity
+    assert BeliefState.AT_BOUND.words("dead_time") == "at a bound (dead time)"
+    assert BeliefState.SETTLED.words() == "settled"
+
+
+@compiled
+def test_measures_and_the_page_say_for_how_long_a_belief_was_in_each_state():
+    road = generate_road("country", 3, 300.0)
+    run = rollout(DualTrack(SHEET), MPC(SHEET), RoadDrive(road, plan_speed(road, SHEET)), profile="road", seed=1)
+    states, at_bound = np.full(len(run), float(BeliefState.SETTLED)), np.zeros(len(run))
+    states[: len(run) // 2] = BeliefState.LEARNING
+    states[-1], at_bound[-1] = BeliefState.AT_BOUND, 1.0
+    said = {**run.diagnostics, "belief_state": states, "belief_at_bound": at_bound}
+    run = dataclasses.replace(run, diagnostics=said)
+    measures = compute_metrics(run)
+    assert measures.belief_learning == pytest.approx(0.5, abs=0.01)
+    assert measures.belief_settled == pytest.approx(0.5, abs=0.01)
+    assert measures.belief_at_bound == 1.0 / len(run)
+    assert measures.belief_contradictory == 0.0
+    assert measures.belief_state == "at a bound (lag)"
+    table = drive_result([DriveRecord.from_trajectory(run, road, SHEET)]).table("belief")
+    assert table.rows[0]["belief_state"] == "at a bound (lag)"
+    plain = compute_metrics(rollout(DualTrack(CAR), MPC(KNOWN), random_drive(3, 1.0), profile="road"))
+    assert plain.belief_state == ""
+    assert math.isnan(plain.belief_settled)
