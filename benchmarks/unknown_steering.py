@@ -41,7 +41,7 @@ def main() -> None:
     print("nothing known of the steering; true lag", *LAGS)
     for name, tyre in CARS.items():
         car = at.load_vehicle(name).replace(steering=None)
-        for delay, learning in itertools.product((0.0, 1.0), (None, at.Learning())):
+        for delay, learning in itertools.product((0.0, 1.0), (None, "auto")):
             row = []
             for lag in LAGS:
                 actuator = at.SteeringActuator(lag=lag, rate=road.steering.rate if lag else math.inf)

@@ -119,6 +119,8 @@ def same_as_alone(several, alone, choose):
                 expected = (env.reset()[0], 0.0, False, False)
             else:
                 *expected, info = env.step(actions[i])
+                assert ("belief_state" in info) == ("belief_state" in several.names)
+                assert "belief_state" not in info or infos["belief_state"][i] == info["belief_state"]
                 if expected[2] or expected[3]:
                     assert infos["failed"][i] == info["failed"]
                     assert infos["J"][i] == pytest.approx(info["J"], rel=1e-12)

@@ -212,8 +212,11 @@ def _named(names: tuple[str, ...], columns: Array, driven: NDArray[np.bool_]) ->
 
 def _learned(world: World, controller: Controller) -> dict[str, Any]:
     """What a controller that learns was there to learn (`Learner.truth`)."""
-    learner = controller.learner
-    return {} if learner is None else {"truth": learner.truth(world.steering, world.plant)}
+    learner, steering = controller.learner, world.steering
+    if learner is None:
+        return {}
+    late = sum(world.dead_periods) * world.period - learner.computation  # s, of which the learner knows nothing
+    return {"truth": learner.truth(steering.replace(dead_time=max(late, 0.0)), world.plant)}
 
 
 def _trajectory(
