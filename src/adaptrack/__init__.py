@@ -126,6 +126,7 @@ _PUBLIC = {
         "register_qp_solver",
     ),
     "control.controllers": (
+        "BeliefState",
         "Controller",
         "LQR",
         "MPC",
@@ -253,6 +254,7 @@ if TYPE_CHECKING:
     from adaptrack.control.controllers import (
         LQR,
         MPC,
+        BeliefState,
         Controller,
         LearnedCar,
         Learning,
@@ -346,6 +348,7 @@ __all__ = [
     "NMPC",
     "QP",
     "AdaptrackError",
+    "BeliefState",
     "Body",
     "CFunction",
     "CampaignConfig",
