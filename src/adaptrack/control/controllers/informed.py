@@ -36,7 +36,7 @@ AUTO: Literal["auto"] = "auto"
 """As `learning`: learn where nobody says lag or dead time of the steering."""
 UNASKED = Learning(dead_times=4)
 """How an MPC learns unasked. Behind a steering that follows at once two hypotheses of the dead time are both far too
-long, and the car may be lost before they have come down: 41 of 400 drives of four cars, with four hypotheses none."""
+long, and the car may leave the road before they have come down: in 41 of 400 drives of four cars, with four in none."""
 GivenLearning = Learning | Literal["auto"] | None
 WITHIN_DEAD_TIME = "no profile says it: learned with the dead time"
 """The source of a computation that nobody says, in a loop of one's own."""
