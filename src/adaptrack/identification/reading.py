@@ -85,13 +85,13 @@ class Reading:
     """signal -> unit; under ``""`` one for all angles and rates: deg"""
     flip: tuple[str, ...] = ()
     """signals that are positive to the right in the log"""
+    steering_ratio: float | Literal["fit"] | None = None
+    """-, of the logged steering angles over those of the road wheels; ``"fit"``: to be found; None: to be found for
+    columns whose name says that they are angles of the steering wheel, 1 for others"""
     clocks: Mapping[str, str] = field(default_factory=dict)
     """signal -> column of its own times; those of the others are in ``time``"""
     late: Mapping[str, float] = field(default_factory=dict)
     """signal -> s by which its values are older than their times say; negative: younger"""
-    steering_ratio: float | Literal["fit"] | None = None
-    """-, of the logged steering angles over those of the road wheels; ``"fit"``: to be found; None: to be found for
-    columns whose name says that they are angles of the steering wheel, 1 for others"""
 
     def __post_init__(self) -> None:
         for name in (*self.columns, *(u for u in self.units if u), *self.flip, *self.clocks, *self.late):
@@ -123,6 +123,8 @@ class Columns:
     """whether ``command``, where it is, is one, rather than a measured angle of the steering wheel"""
     ratio_unknown: bool = False
     """whether ``command`` is an angle of the steering wheel, whose ratio is to be found"""
+    ratio: float = 1.0
+    """-, by which steering angles were divided"""
 
 
 def read_columns(source: str | os.PathLike[str] | Mapping[str, object], reading: Reading) -> Columns:
@@ -154,7 +156,9 @@ def read_columns(source: str | os.PathLike[str] | Mapping[str, object], reading:
     commanded, unknown = _at_road_wheels(values, found, reading.steering_ratio, notes)
     if "time" in values:
         values["time"] = values["time"] - values["time"][np.isfinite(values["time"])][:1].sum()
-    return Columns(values, tuple(notes), where, computation, commanded, unknown)
+    given = reading.steering_ratio
+    ratio = float(given) if isinstance(given, int | float) else 1.0
+    return Columns(values, tuple(notes), where, computation, commanded, unknown, ratio)
 
 
 def _clocks(table: Mapping[str, Array], reading: Reading, where: str) -> dict[str, Array]:
