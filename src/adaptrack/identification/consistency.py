@@ -35,7 +35,7 @@ delays in s, K in rad s^2/m (0.17 deg/g), of the logarithm for the others."""
 _ABSOLUTE = ("delay", "lag", "dead_time", "understeer_gradient")
 INFORMED = 0.8
 """Share of the prior's spread that must at most be left where a stretch or log has a say."""
-AXLE_PLACE, RADII, GRADIENTS, STIFFNESS = (0.3, 0.7), (0.4, 2.0), (-1.0, 8.0), (2.5, 60.0)
+AXLE_PLACE, RADII, GRADIENTS, STIFFNESS = (0.3, 0.7), (0.4, 2.0), (-1.0, 8.0), (1.5, 100.0)
 """Of cars on four wheels: l_f over the wheelbase; yaw inertia over m l_f l_r (0.7 to 1.3 in the measurements of W. R.
 Garrott, SAE 930897); understeer gradient, deg/g; cornering stiffness of an axle over its load, 1/rad."""
 
@@ -56,24 +56,26 @@ def beyond_belief(estimates: Mapping[str, Estimate], car: Vehicle) -> list[str]:
                 f"{each.name} {each.value:.3g} {each.unit} lies {abs(each.shift):.1f} standard deviations from what was "
                 f"believed ({each.before[0]:.3g} to {each.before[1]:.3g})"
             )
-    return said + _beyond_physics({name: each.value for name, each in estimates.items()}, car)
+    return said + _beyond_physics(estimates, car)
 
 
-def _beyond_physics(found: Mapping[str, float], car: Vehicle) -> list[str]:
-    wheelbase, lf = car.wheelbase, found["lf"]
-    lr = wheelbase - lf
-    loads = car.mass * GRAVITY / wheelbase
+def _beyond_physics(found: Mapping[str, Estimate], car: Vehicle) -> list[str]:
+    """Of what was not believed either: a car file may hold a strange car."""
+    wheelbase, lf = car.wheelbase, found["lf"].value
+    lr = max(wheelbase - lf, 1e-3)
+    load = car.mass * GRAVITY / wheelbase
     rows = (
-        ("l_f over the wheelbase", "", lf / wheelbase, AXLE_PLACE),
-        ("yaw inertia over m l_f l_r", "", found["yaw_inertia"] / (car.mass * lf * max(lr, 1e-3)), RADII),
-        ("understeer gradient", " deg/g", degrees_per_g(found["understeer_gradient"]), GRADIENTS),
-        ("stiffness of the front axle over its load", "/rad", found["front"] / (loads * max(lr, 1e-3)), STIFFNESS),
-        ("stiffness of the rear axle over its load", "/rad", found["rear"] / (loads * lf), STIFFNESS),
+        ("lf", "l_f over the wheelbase", "", 1.0 / wheelbase, AXLE_PLACE),
+        ("yaw_inertia", "yaw inertia over m l_f l_r", "", 1.0 / (car.mass * lf * lr), RADII),
+        ("understeer_gradient", "understeer gradient", " deg/g", degrees_per_g(1.0), GRADIENTS),
+        ("front", "stiffness of the front axle over its load", "/rad", 1.0 / (load * lr), STIFFNESS),
+        ("rear", "stiffness of the rear axle over its load", "/rad", 1.0 / (load * lf), STIFFNESS),
     )
     return [
-        f"{what} {value:.3g}{unit}: no car has less than {low:g} or more than {high:g}"
-        for what, unit, value, (low, high) in rows
-        if not low <= value <= high
+        f"{what} {scale * found[name].value:.3g}{unit}: no car has less than {low:g} or more than {high:g}"
+        for name, what, unit, scale, (low, high) in rows
+        if not low <= scale * found[name].value <= high
+        and not found[name].before[0] <= found[name].value <= found[name].before[1]
     ]
 
 

@@ -31,10 +31,12 @@ LARGEST_RATIO = 100.0
 """-, of steering wheel over road wheels."""
 CLEAR = 0.6
 """Least correlation of two signals from which anything is concluded."""
-LEADS = np.arange(-0.5, -0.09, 0.1)
-"""s, by which a yaw rate is tried to run ahead of the steering."""
+LEADS, FOLLOWS, QUICK = np.arange(-0.5, -0.09, 0.05), np.arange(0.0, 1.01, 0.05), 0.15
+"""s, by which a yaw rate is tried to run ahead of the steering, and behind; to either side, of signals smoothed for it."""
 SHIFTS = np.arange(-1.0, 1.01, 0.02)
 """s, between two signals of one motion."""
+AHEAD = 0.85
+"""Share of what is unexplained behind the steering that a yaw rate ahead of it must leave at most."""
 LATE, LATE_FELT = 0.08, (-0.2, 0.3)
 """s, from which the yaw rate does not belong to the yaw; ends of what the lateral velocity parts a_y from v r."""
 MENDED = 0.5
@@ -95,7 +97,7 @@ def check_conventions(log: Log, wheelbase: float) -> None:
     felt = _felt(log)
     if abs(felt.correlation) >= CLEAR:
         _refuse_felt(felt, turning)
-    _check_clocks(log, wheelbase, turning, steered)
+    _check_clocks(log, wheelbase, steered)
     if abs(turning.correlation) < CLEAR:
         return
     if turning.factor < 0.0:
@@ -178,7 +180,7 @@ def _refuse_felt(felt: _Slope, turning: _Slope) -> None:
         raise InvalidInput("log: the yaw rate is in degrees per second: --units yaw_rate=deg/s.")
 
 
-def _check_clocks(log: Log, wheelbase: float, turning: _Slope, steered: str) -> None:
+def _check_clocks(log: Log, wheelbase: float, steered: str) -> None:
     """The yaw rate against the yaw, the lateral acceleration and the steering that it cannot run ahead of."""
     both = np.isfinite(log.yaw) & np.isfinite(log.yaw_rate) & ~log.begins
     if both.sum() >= LEAST_BOTH:
@@ -192,11 +194,8 @@ def _check_clocks(log: Log, wheelbase: float, turning: _Slope, steered: str) -> 
         found = _lateness(log.time[both], felt, log.speed[both] * log.yaw_rate[both])
         if not LATE_FELT[0] <= found.factor <= LATE_FELT[1]:
             _refuse_clock("yaw_rate", "acceleration", found.factor)
-    ahead = _turning(log, wheelbase, LEADS)
-    if (
-        ahead.correlation >= 0.9 and ahead.correlation > turning.correlation
-        and 1.0 - ahead.correlation < MENDED * (1.0 - turning.correlation)
-    ):  # fmt: skip
+    ahead, behind = (_turning(log, wheelbase, delays, QUICK) for delays in (LEADS, FOLLOWS))
+    if ahead.correlation >= CLEAR and 1.0 - ahead.correlation < AHEAD * (1.0 - abs(behind.correlation)):
         raise InvalidInput(
             f"log: the yaw rate runs ahead of {steered}: their clocks differ. Name the column of its own times, --clock "
             f"{steered}=COLUMN, or by how much it is late: --late {steered}=0.3 (s)."
@@ -232,14 +231,14 @@ def _refuse_clock(name: str, other: str, late: float) -> None:
     )
 
 
-def _turning(log: Log, wheelbase: float, delays: Array = DELAYS) -> _Slope:
+def _turning(log: Log, wheelbase: float, delays: Array = DELAYS, half: float = WINDOW) -> _Slope:
     """Yaw rate against v delta/(L + K v^2), at the delay (s) and gradient where they agree best."""
     best = _Slope(math.nan, 0.0)
     present = np.isfinite(log.yaw_rate)
     if present.sum() < LEAST_BOTH:
         return best
-    yaw_rate = smoothed(log.time[present], log.yaw_rate[present])
-    steering = smoothed(log.time, log.command)
+    yaw_rate = smoothed(log.time[present], log.yaw_rate[present], half)
+    steering = smoothed(log.time, log.command, half)
     for step in np.unique(np.round(delays / log.period).astype(int)):
         late = steering[np.clip(np.arange(steering.size) - step, 0, steering.size - 1)]
         late = late - np.median(late)

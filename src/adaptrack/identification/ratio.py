@@ -17,8 +17,8 @@ from adaptrack.identification.quantities import INDEX, QUANTITIES, Prior
 
 Array = NDArray[np.float64]
 
-BEND, HALF, LEAST_BENDS = 0.03, 1.0, 10.0
-"""rad/s, mean yaw rate within +-s of an instant from which the car is in a bend, several times what gusts and gyro offset
+BEND, HALF, LEAST_BENDS = 0.03, 2.0, 4.0
+"""rad/s, mean yaw rate within +-s of an instant from which the car is in a bend, more than gusts, lane keeping and offsets
 make; s of bends that tell a ratio."""
 TELLS = 0.08
 """Standard deviation of ln(ratio) up to which a log tells whether a ratio is right."""
