@@ -124,15 +124,17 @@ def identify(given: IdentifyOptions) -> None:
     if page is not None:
         show.say(f"Page: {write_identification_page(found, page, options.command_line())}", aside=as_json)
     if not as_json:
-        say_next(*_next_step(given, (*found.reasons, *found.findings)))
+        say_next(*_next_step(given, found.findings, refused))
     if refused:
         raise typer.Exit(NOT_CONSISTENT)
 
 
-def _next_step(given: IdentifyOptions, findings: Sequence[str]) -> tuple[str, str]:
-    """What to do with a car from a log, and the command; findings: what the log contradicts."""
-    if findings and given.page is None:
+def _next_step(given: IdentifyOptions, findings: Sequence[str], refused: bool) -> tuple[str, str]:
+    """What to do with a car from a log, and the command; findings: what limits it; refused: it is not consistent."""
+    if (findings or refused) and given.page is None:
         return "to look at what does not fit", again("--page", "identified.html")
+    if refused:
+        return "to keep the car all the same", again(*([] if given.out else ["--out", "my-car.toml"]), "--anyway")
     if given.out is None:
         return "to keep the car", again("--out", "my-car.toml")
     return "to drive it", command("drive", "country", "--vehicle", given.out)

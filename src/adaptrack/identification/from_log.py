@@ -31,7 +31,7 @@ from adaptrack.identification.quantities import (
     plain_car,
     understeer,
 )
-from adaptrack.identification.ratio import gain_of, judged, of_found
+from adaptrack.identification.ratio import UNTOLD, gain_of, judged, of_found
 from adaptrack.identification.reading import Columns, Reading, read_columns
 from adaptrack.identification.several import combined, shared_by
 from adaptrack.identification.words import findings
@@ -153,17 +153,18 @@ def _alone(fit: Fit, curve: Tyre) -> Identification:
 def _together(fits: Sequence[Fit], alone: Sequence[Identification]) -> Identification:
     """What several logs of one car say together; what is each log's own stays with it."""
     main = max(range(len(fits)), key=lambda i: (len(shared_by(fits[i].likelihood)), alone[i].log.driven))
-    joint = combined(fits)
     likelihood, first = fits[main].likelihood, alone[main]
+    reasons = contradictions("logs", *_said_by(fits, likelihood, main))
+    own = [
+        f"log {i + 1}: {why}" for i, each in enumerate(alone) for why in each.reasons if not why.startswith(UNTOLD)
+    ]  # fmt: skip
+    joint = combined(fits, agree=not (reasons or own))
     estimates, jacobian = _estimates(likelihood, *joint[main])
     told = [i for i, each in enumerate(alone) if "ratio" in each.estimates]
     shared = {name: each for name, each in estimates.items() if name in SHARED and (name != "ratio" or told)}
     rows = [i for i, name in enumerate(estimates) if name in shared]
-    reasons = beyond_belief(shared, first.believed) + contradictions("logs", *_said_by(fits, likelihood, main))
-    for i, each in enumerate(alone):
-        reasons += [f"log {i + 1}: {why}" for why in each.reasons if "contradict" in why or "ratio is wrong" in why]
-    if not told and "ratio" in estimates:
-        reasons += [why for why in first.reasons if "cannot tell the ratio" in why]
+    untold = [why for why in first.reasons if why.startswith(UNTOLD)] if not told else []
+    reasons = [*(reasons or beyond_belief(shared, first.believed)), *own, *untold]
     return replace(
         first, estimates=shared, covariance=(jacobian @ joint[main][1] @ jacobian.T)[np.ix_(rows, rows)],
         findings=findings(first.log, estimates, first.validation), computation=max(e.computation for e in alone),

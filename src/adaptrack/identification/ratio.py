@@ -26,6 +26,7 @@ WRONG, SURE = 0.13, 2.0
 """Of ln(ratio), and of its standard deviations, from which it is wrong."""
 FREED = 0.5
 """Spread of ln(gain) where the given ratio is put to the test."""
+UNTOLD = "cannot tell the ratio"
 RATIO_LOOSE = 1.1
 """Factor within which a steering ratio is of use."""
 
@@ -69,7 +70,7 @@ def gain_of(likelihood: Likelihood, z: Array) -> Gain:
 def judged(log: Log, gain: Gain) -> tuple[str, str]:
     """What contradicts the given ratio, and what cannot be told of it; one of both at most."""
     if gain.spread > TELLS or bends(log) < LEAST_BENDS:
-        return "", "cannot tell the ratio: whether the logged angles are those of the road wheels rests on what was given"
+        return "", f"{UNTOLD}: whether the logged angles are those of the road wheels rests on what was given"
     off = math.log(gain.factor)
     if abs(off) <= max(WRONG, SURE * gain.spread):
         return "", ""
@@ -86,11 +87,11 @@ def of_found(log: Log, ratio: Estimate) -> tuple[bool, str]:
     driven = bends(log)
     if driven < LEAST_BENDS:
         return False, (
-            f"cannot tell the ratio: {driven:.0f} s of bends, {LEAST_BENDS:g} s are needed; drive slow bends, or give "
+            f"{UNTOLD}: {driven:.0f} s of bends, {LEAST_BENDS:g} s are needed; drive slow bends, or give "
             "--steering-ratio"
         )
     if ratio.spread_left > HARDLY:
-        return False, "cannot tell the ratio: drive slow bends, or give --steering-ratio"
+        return False, f"{UNTOLD}: drive slow bends, or give --steering-ratio"
     factor = ratio.high / ratio.value
     if factor > RATIO_LOOSE:
         return True, f"steering ratio known within a factor {factor:.2f}: slow bends (below 10 m/s) tell it"

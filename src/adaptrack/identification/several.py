@@ -45,16 +45,39 @@ def shared_by(likelihood: Likelihood) -> list[int]:
     return [i for i in likelihood.free if QUANTITIES[i].name in OF_THE_CAR]
 
 
-def combined(fits: Sequence[Fitted]) -> list[tuple[Array, Array]]:
-    """For each log the point z and the covariance of its free entries, given all logs."""
-    posteriors = [(each.z, each.covariance) for each in fits]
+def combined(fits: Sequence[Fitted], agree: bool) -> list[tuple[Array, Array]]:
+    """For each log the point z and the covariance of its free entries, given all logs.
+
+    agree: whether they do; those that do not are granted the scatter of their means as an error of their own (random
+    effects; R. DerSimonian and N. Laird, Controlled Clinical Trials 7 (1986) 177-188), and are not linearised again.
+    """
+    posteriors = [(each.z, each.covariance) for each in fits] if agree else _parted(fits)
     mean, information = _added(fits, posteriors)
-    there = [_given(each, *posterior, mean, information) for each, posterior in zip(fits, posteriors, strict=True)]
-    posteriors = [
-        _again(each, z, posterior) for each, (z, _), posterior in zip(fits, there, posteriors, strict=True)
-    ]  # fmt: skip
-    mean, information = _added(fits, posteriors)
+    if agree:
+        there = [_given(each, *posterior, mean, information) for each, posterior in zip(fits, posteriors, strict=True)]
+        posteriors = [
+            _again(each, z, posterior) for each, (z, _), posterior in zip(fits, there, posteriors, strict=True)
+        ]
+        mean, information = _added(fits, posteriors)
     return [_given(each, *posterior, mean, information) for each, posterior in zip(fits, posteriors, strict=True)]
+
+
+def _parted(fits: Sequence[Fitted]) -> list[tuple[Array, Array]]:
+    """Posteriors wider by the scatter of the logs' means."""
+    means = np.full((len(fits), len(OF_THE_CAR)), np.nan)
+    for row, each in zip(means, fits, strict=True):
+        rows, places = _places(each.likelihood)
+        row[places] = each.z[each.likelihood.free][rows]
+    known = np.isfinite(means)
+    scatter = np.where(known, means - np.where(known, means, 0.0).sum(axis=0) / np.maximum(known.sum(axis=0), 1), 0.0)
+    between = (scatter**2).sum(axis=0) / np.maximum(known.sum(axis=0) - 1, 1)
+    wider = []
+    for each in fits:
+        rows, places = _places(each.likelihood)
+        covariance = each.covariance.copy()
+        covariance[rows, rows] += between[places]
+        wider.append((each.z, covariance))
+    return wider
 
 
 def _places(likelihood: Likelihood) -> tuple[list[int], list[int]]:
