@@ -4,9 +4,9 @@
 
 The logs are those of `identifying.py`, other seeds. Into each one fault at a time is put: a wrong sign, degrees, km/h,
 milliseconds, a clock that is off; what is asked is whether the refusal names the fault. `--ratio` fits each log with
-steering angles 30 % too large and too small: of those in which ln(ratio) is known within 0.08, as the log tells it, how many are
-told that the ratio is wrong, and how many honest ones are not consistent, and why. Judged on seeds from 8000; the
-thresholds of `identification.conventions`, `ratio` and `consistency` were looked at on seeds 7000 to 7099.
+steering angles 30 % too large and too small: of those in which the log tells ln(ratio) within 0.08, how many are told
+that the ratio is wrong; how many honest ones are not consistent, and why. Judged on seeds from 8000; the thresholds of
+`identification.conventions`, `ratio` and `consistency` were looked at on seeds 7000 to 7099.
 """
 
 from __future__ import annotations

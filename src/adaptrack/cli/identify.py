@@ -59,7 +59,9 @@ class IdentifyOptions:
     ] = None
     late: Annotated[
         list[str] | None,
-        Option("--late", metavar="SIGNAL=S,...", help="By how much a signal is older than its times say: yaw_rate=0.2."),
+        Option(
+            "--late", metavar="SIGNAL=S,...", help="By how much a signal is older than its times say: yaw_rate=0.2."
+        ),
     ] = None
     computation: Annotated[
         float | None,
@@ -93,8 +95,8 @@ def identify(given: IdentifyOptions) -> None:
     """Identify a car from a log of driving.
 
     Steering delay, tyre stiffness, offsets, noise. The log needs time, speed, yaw rate and a steering command (or a
-    measured wheel angle), 10 Hz and up. Each number comes with its interval. Several logs are taken as of one car. Where
-    they, stretches of a log, or a log and what was believed contradict each other, the exit code is 3.
+    measured wheel angle), 10 Hz and up. Each number comes with its interval. Several logs are of one car. Where logs,
+    stretches of one, or a log and what was believed contradict each other, the exit code is 3.
     """
     from adaptrack.identification import identify as fit
     from adaptrack.results.identify import identification_result, write_identification_page

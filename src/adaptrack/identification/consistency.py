@@ -30,8 +30,8 @@ MODEL_ERRORS: Mapping[str, float] = {
     "delay": 0.015, "lag": 0.03, "dead_time": 0.03, "understeer_gradient": 0.0003, "front": 0.12, "rear": 0.12,
     "yaw_inertia": 0.12, "lf": 0.05, "ratio": 0.05, "rate": 0.2, "relaxation": 0.5,
 }  # fmt: skip
-"""Quantities of the car, which stretches and logs share, and the standard deviation that the model's errors add to each:
-delays in s, K in rad s^2/m (0.17 deg/g), of the logarithm for the others."""
+"""Quantities of the car, which stretches and logs share, and the standard deviation that the model's errors add to
+each: delays in s, K in rad s^2/m (0.17 deg/g), of the logarithm for the others."""
 _ABSOLUTE = ("delay", "lag", "dead_time", "understeer_gradient")
 INFORMED = 0.8
 """Share of the prior's spread that must at most be left where a stretch or log has a say."""
@@ -53,8 +53,8 @@ def beyond_belief(estimates: Mapping[str, Estimate], car: Vehicle) -> list[str]:
     for each in estimates.values():
         if abs(each.shift) > FARTHEST and not each.name.startswith("noise"):
             said.append(
-                f"{each.name} {each.value:.3g} {each.unit} lies {abs(each.shift):.1f} standard deviations from what was "
-                f"believed ({each.before[0]:.3g} to {each.before[1]:.3g})"
+                f"{each.name} {each.value:.3g} {each.unit} lies {abs(each.shift):.1f} standard deviations from what "
+                f"was believed ({each.before[0]:.3g} to {each.before[1]:.3g})"
             )
     return said + _beyond_physics(estimates, car)
 

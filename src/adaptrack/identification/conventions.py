@@ -32,7 +32,8 @@ LARGEST_RATIO = 100.0
 CLEAR = 0.6
 """Least correlation of two signals from which anything is concluded."""
 LEADS, FOLLOWS, QUICK = np.arange(-0.5, -0.09, 0.05), np.arange(0.0, 1.01, 0.05), 0.15
-"""s, by which a yaw rate is tried to run ahead of the steering, and behind; to either side, of signals smoothed for it."""
+"""s, by which a yaw rate is tried to run ahead of the steering, and behind; to either side, over which signals are
+smoothed for it."""
 SHIFTS = np.arange(-1.0, 1.01, 0.02)
 """s, between two signals of one motion."""
 AHEAD = 0.85
@@ -197,8 +198,8 @@ def _check_clocks(log: Log, wheelbase: float, steered: str) -> None:
     ahead, behind = (_turning(log, wheelbase, delays, QUICK) for delays in (LEADS, FOLLOWS))
     if ahead.correlation >= CLEAR and 1.0 - ahead.correlation < AHEAD * (1.0 - abs(behind.correlation)):
         raise InvalidInput(
-            f"log: the yaw rate runs ahead of {steered}: their clocks differ. Name the column of its own times, --clock "
-            f"{steered}=COLUMN, or by how much it is late: --late {steered}=0.3 (s)."
+            f"log: the yaw rate runs ahead of {steered}: their clocks differ. Name the column of its own times, "
+            f"--clock {steered}=COLUMN, or by how much it is late: --late {steered}=0.3 (s)."
         )
 
 
@@ -225,8 +226,8 @@ def _lateness(time: Array, true: Array, late: Array) -> _Slope:
 
 def _refuse_clock(name: str, other: str, late: float) -> None:
     raise InvalidInput(
-        f"log: {name} is {abs(late):.2f} s {'later' if late > 0.0 else 'earlier'} than {other} says: their clocks differ, "
-        f"or one is filtered. Name the column of its own times, --clock {name}=COLUMN, or mend it: --late "
+        f"log: {name} is {abs(late):.2f} s {'later' if late > 0.0 else 'earlier'} than {other} says: their clocks "
+        "differ, or one is filtered. Name the column of its own times, --clock {name}=COLUMN, or mend it: --late "
         f"{name}={late:.2f} (s), or --late {other}={-late:.2f}."
     )
 

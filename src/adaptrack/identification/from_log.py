@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Callable, Mapping, Sequence
-from copy import copy
 from dataclasses import replace
+from itertools import pairwise
 from typing import Annotated, Any, NamedTuple
 
 import numpy as np
@@ -49,7 +49,8 @@ RATIO_SPREAD = (0.3, 0.1)
 THIRDS, LEAST_THIRDS = 3, 60.0
 """Stretches of a log that are compared; s of driving from which they are."""
 SHARED = (
-    "delay", "lag", "dead_time", "understeer_gradient", "front", "rear", "yaw_inertia", "lf", "ratio", "rate", "relaxation",
+    "delay", "lag", "dead_time", "understeer_gradient", "front", "rear", "yaw_inertia", "lf", "ratio", "rate",
+    "relaxation",
 )  # fmt: skip
 """Estimates that belong to the car: logs of one car share them."""
 _STEP = 1e-4
@@ -154,7 +155,7 @@ def _together(fits: Sequence[Fit], alone: Sequence[Identification]) -> Identific
     """What several logs of one car say together; what is each log's own stays with it."""
     main = max(range(len(fits)), key=lambda i: (len(shared_by(fits[i].likelihood)), alone[i].log.driven))
     likelihood, first = fits[main].likelihood, alone[main]
-    reasons = contradictions("logs", *_said_by(fits, likelihood, main))
+    reasons = contradictions("logs", *_said_by(fits, fits[main]))
     own = [
         f"log {i + 1}: {why}" for i, each in enumerate(alone) for why in each.reasons if not why.startswith(UNTOLD)
     ]  # fmt: skip
@@ -185,9 +186,7 @@ def _ratio(fit: Fit, estimates: dict[str, Estimate]) -> tuple[dict[str, Estimate
     return {name: each for name, each in estimates.items() if name != "ratio"}, [said], ()
 
 
-def _prepared(
-    columns: Columns, believed: Vehicle, beliefs: dict[str, Prior], ratio: float | None = None
-) -> Likelihood:
+def _prepared(columns: Columns, believed: Vehicle, beliefs: dict[str, Prior], ratio: float | None = None) -> Likelihood:
     """The likelihood of a log that is cleaned and whose conventions are checked.
 
     Where the steering ratio is to be found, the first guess of it follows from yaw rate and speed unless it is given.
@@ -364,44 +363,36 @@ def _estimates(likelihood: Likelihood, z: Array, covariance: Array) -> tuple[dic
 
 # -- consistency ------------------------------------------------------------------------------------------------------
 def _stretches(fit: Fit) -> tuple[list[str], Said, list[Said]]:
-    """What thirds of a log say of the reported quantities: one step from the whole log's point; names, prior, thirds."""
-    likelihood, z = fit.likelihood, fit.z
-    rows = _reported(likelihood)
-    part = np.arange(likelihood.log.samples) * THIRDS // likelihood.log.samples
-    said = []
-    for i in range(THIRDS if likelihood.log.driven >= LEAST_THIRDS else 0):
-        each = copy(likelihood)
-        each.counts = likelihood.counts & (part == i)
-        at = each.scored(z)
-        there = z.copy()
-        there[likelihood.free] -= np.linalg.solve(at.information, at.gradient)
-        said.append(_said(fit, rows, there, each.covariance(at)))
-    return [row[0] for row in rows], _prior(fit, rows), said
+    """Names of the reported quantities, prior, and what thirds of a log say, each fitted from the whole log's point."""
+    log, parts = fit.likelihood.log, []
+    ends = np.linspace(0, log.samples, THIRDS + 1).astype(int)
+    for first, last in pairwise(ends) if log.driven >= LEAST_THIRDS else ():
+        each = fit.likelihood.part(slice(first, last))
+        z, at = each.fit(fit.z, NEARLY)
+        parts.append(fit._replace(likelihood=each, z=z, covariance=each.covariance(at)))
+    return _said_by(parts, fit)
 
 
-def _said_by(fits: Sequence[Fit], likelihood: Likelihood, main: int) -> tuple[list[str], Said, list[Said]]:
-    """What each log says of the quantities that the main one reports: names, prior, logs."""
-    names = [row[0] for row in _reported(likelihood)]
-    prior = _prior(fits[main], _reported(likelihood))
-    said = []
+def _said_by(fits: Sequence[Fit], main: Fit) -> tuple[list[str], Said, list[Said]]:
+    """Names of the quantities that a main fit reports, prior, and what each fit says of them."""
+    rows = _reported(main.likelihood)
+    prior, said = _prior(main, rows), []
     for fit in fits:
-        rows = _reported(fit.likelihood)
-        mine = _said(fit, rows, fit.z, fit.covariance)
-        place = {row[0]: i for i, row in enumerate(rows)}
+        own = _reported(fit.likelihood)
+        mine, place = _said(fit, own), {row[0]: i for i, row in enumerate(own)}
         mean, variance = prior.mean.copy(), prior.variance.copy()
-        for i, name in enumerate(names):
+        for i, (name, *_) in enumerate(rows):
             if name in place:
                 mean[i], variance[i] = mine.mean[place[name]], mine.variance[place[name]]
         said.append(Said(mean, variance))
-    return names, prior, said
+    return [row[0] for row in rows], prior, said
 
 
-def _said(fit: Fit, rows: Sequence[tuple[Any, ...]], there: Array, covariance: Array) -> Said:
-    """Mean and variance of the reported quantities at a point near the fit's, errors corrected."""
-    likelihood, free = fit.likelihood, fit.likelihood.free
-    jacobian = _slopes(likelihood, rows, fit.z)
-    mean = _values(likelihood, rows, fit.z) + jacobian @ (there[free] - fit.z[free])
-    spread = np.sqrt(np.maximum(np.einsum("ij,jk,ik->i", jacobian, covariance, jacobian), 0.0))
+def _said(fit: Fit, rows: Sequence[tuple[Any, ...]]) -> Said:
+    """Mean and variance of the reported quantities, errors corrected."""
+    jacobian = _slopes(fit.likelihood, rows, fit.z)
+    mean = _values(fit.likelihood, rows, fit.z)
+    spread = np.sqrt(np.maximum(np.einsum("ij,jk,ik->i", jacobian, fit.covariance, jacobian), 0.0))
     before = np.linalg.norm(jacobian, axis=1)
     for i, (name, _, _, positive, _) in enumerate(rows):
         spread[i] = corrected(name, spread[i], math.exp(-mean[i]) if positive else 1.0, before[i])

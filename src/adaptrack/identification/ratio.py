@@ -13,13 +13,13 @@ from adaptrack.identification.conventions import smoothed
 from adaptrack.identification.identified import HARDLY, Estimate
 from adaptrack.identification.likelihood import NEARLY, Likelihood
 from adaptrack.identification.log import Log
-from adaptrack.identification.quantities import INDEX, QUANTITIES, Prior
+from adaptrack.identification.quantities import INDEX
 
 Array = NDArray[np.float64]
 
 BEND, HALF, LEAST_BENDS = 0.03, 2.0, 4.0
-"""rad/s, mean yaw rate within +-s of an instant from which the car is in a bend, more than gusts, lane keeping and offsets
-make; s of bends that tell a ratio."""
+"""rad/s, mean yaw rate within +-s of an instant from which the car is in a bend, more than gusts, lane keeping and
+offsets make; s of bends that tell a ratio."""
 TELLS = 0.08
 """Standard deviation of ln(ratio) up to which a log tells whether a ratio is right."""
 WRONG, SURE = 0.13, 2.0
@@ -53,15 +53,18 @@ def gain_of(likelihood: Likelihood, z: Array) -> Gain:
     log = likelihood.log
     if log.commanded and likelihood.present["wheel"]:  # which was read with the same ratio
         log = replace(log, wheel=np.full(log.samples, math.nan))
-    kept = zip(QUANTITIES, likelihood.median, likelihood.spread, strict=True)
-    each = Likelihood(log, likelihood.car, {quantity.name: Prior(*belief) for quantity, *belief in kept})
+    each = Likelihood(log, likelihood.car, likelihood.beliefs)
     each.take_gusts(likelihood)
     place = INDEX["gain"]
     each.spread[place] = FREED
-    silent = [] if each.present["wheel"] == likelihood.present["wheel"] else [INDEX["noise_wheel"], INDEX["wheel_offset"]]
+    silent = (
+        [] if each.present["wheel"] == likelihood.present["wheel"] else [INDEX["noise_wheel"], INDEX["wheel_offset"]]
+    )
     each.free = np.setdiff1d(np.append(each.free, place), silent)
     there, at = each.fit(z, NEARLY)
-    spread = FREED * math.sqrt(each.covariance(at)[np.searchsorted(each.free, place), np.searchsorted(each.free, place)])
+    spread = FREED * math.sqrt(
+        each.covariance(at)[np.searchsorted(each.free, place), np.searchsorted(each.free, place)]
+    )
     data = 1.0 / math.sqrt(max(1.0 / spread**2 - 1.0 / FREED**2, 1e-9))
     mean = FREED * float(there[place]) * (1.0 + (data / FREED) ** 2)  # without the prior
     return Gain(math.exp(min(max(mean, -5.0), 5.0)), data)

@@ -58,9 +58,9 @@ _UNITS: Mapping[str, Mapping[str, float]] = {
 }
 _SHORT = {
     "deg": "deg", "degree": "deg", "degrees": "deg", "rad": "rad", "radps": "rad/s", "rad_s": "rad/s", "rad/s": "rad/s",
-    "degps": "deg/s", "dps": "deg/s", "deg_s": "deg/s", "deg/s": "deg/s", "kmh": "km/h", "kph": "km/h", "kmph": "km/h", "km_h": "km/h",
-    "km/h": "km/h", "mph": "mph", "mps": "m/s", "m_s": "m/s", "m/s": "m/s", "ms": "ms", "us": "us", "ns": "ns",
-    "s": "s", "g": "g", "m/s^2": "m/s^2", "m/s2": "m/s^2", "mps2": "m/s^2", "m_s2": "m/s^2", "m": "m",
+    "degps": "deg/s", "dps": "deg/s", "deg_s": "deg/s", "deg/s": "deg/s", "kmh": "km/h", "kph": "km/h", "km_h": "km/h",
+    "kmph": "km/h", "km/h": "km/h", "mph": "mph", "mps": "m/s", "m_s": "m/s", "m/s": "m/s", "ms": "ms", "us": "us",
+    "ns": "ns", "s": "s", "g": "g", "m/s^2": "m/s^2", "m/s2": "m/s^2", "mps2": "m/s^2", "m_s2": "m/s^2", "m": "m",
 }  # fmt: skip
 """Units as column names have them."""
 FROM_ITS_CLOCK, LEAST_HOLE = 3.0, 0.3

@@ -42,7 +42,7 @@ class Fitted(Protocol):
 
 def shared_by(likelihood: Likelihood) -> list[int]:
     """Entries of z that belong to the car and are free."""
-    return [i for i in likelihood.free if QUANTITIES[i].name in OF_THE_CAR]
+    return [int(i) for i in likelihood.free if QUANTITIES[i].name in OF_THE_CAR]
 
 
 def combined(fits: Sequence[Fitted], agree: bool) -> list[tuple[Array, Array]]:
@@ -99,7 +99,8 @@ def _added(fits: Sequence[Fitted], posteriors: Sequence[tuple[Array, Array]]) ->
         freed = np.linalg.pinv(told, hermitian=True) @ (precision @ mean)
         information[np.ix_(places, places)] += told
         toward[places] += told @ freed
-    return np.linalg.solve(information, toward), information
+    common: Array = np.linalg.solve(information, toward)
+    return common, information
 
 
 def _given(

@@ -48,12 +48,14 @@ def findings(log: Log, estimates: Mapping[str, Estimate], validation: Validation
             )
         if not np.isfinite(log.wheel).any():
             said.append(
-                "cannot tell a late yaw rate from late wheels: the delay is that from the command to the logged yaw rate"
+                "cannot tell a late yaw rate from late wheels: delay is from the command to the logged yaw rate"
             )
     else:
         said.append("no steering command in the log: cannot tell lag and dead time, they keep what was believed")
     if estimates["yaw_inertia"].spread_left > HARDLY and abs(estimates["yaw_inertia"].shift) < 1.0:
-        said.append("cannot tell the yaw inertia, it keeps what was believed: steer faster, or log the lateral acceleration")
+        said.append(
+            "cannot tell the yaw inertia, it keeps what was believed: steer faster, or log the lateral acceleration"
+        )
     if float(np.std(log.speed)) < EVEN_SPEED * float(np.mean(log.speed)):
         said.append("the speed hardly changes: steering offset, bank and gyro offset are known in sum only")
     if float(np.percentile(np.abs(sideways), 99)) > HARD:
@@ -67,4 +69,3 @@ def findings(log: Log, estimates: Mapping[str, Estimate], validation: Validation
             "explained: the rest is wind, road, or a wrong column"
         )
     return tuple(said)
-
