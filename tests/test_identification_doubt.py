@@ -190,8 +190,8 @@ def test_a_steering_ratio_that_is_wrong_by_30_percent_is_said(factor: float) -> 
 
 
 def test_stretches_that_contradict_each_other_are_said_with_their_level() -> None:
-    made = base(90.0)
-    moved = np.where(made["time"] < 60.0, held(made["command"], 2), made["command"])
+    made = base(60.0)
+    moved = np.where(made["time"] < 40.0, held(made["command"], 2), made["command"])
     found = at.identify(made | {"command": moved}, CAR)
     (said,) = [each for each in found.reasons if "on delay" in each]
     assert said.startswith("stretches of the log contradict each other on delay")
@@ -212,7 +212,7 @@ def test_chance_is_no_contradiction() -> None:
 
 @pytest.mark.compiled
 def test_logs_of_one_car_tell_more_than_each_of_them() -> None:
-    found = at.identify([base(60.0, 1), base(60.0, 2)], CAR)
+    found = at.identify([base(40.0, 1), base(40.0, 2)], CAR)
     assert found.consistent, found.reasons
     truth = {"delay": LAG + DEAD_TIME, "front": 2.0 * CAR.stiffness_front, "rear": 2.0 * CAR.stiffness_rear}
     for name, true in truth.items():
@@ -228,9 +228,9 @@ def test_logs_that_contradict_each_other_end_the_command_with_3_and_write_nothin
     import pyarrow
     import pyarrow.parquet
 
-    other = base(60.0, 2)
+    other = base(40.0, 2)
     other["command"] = np.append(other["command"][3:], other["command"][-3:])
-    for name, log in (("a", base(60.0, 1)), ("b", other)):
+    for name, log in (("a", base(40.0, 1)), ("b", other)):
         pyarrow.parquet.write_table(pyarrow.table(log), tmp_path / f"{name}.parquet")
     mine = tmp_path / "mine.toml"
     words = ["identify", *(str(tmp_path / f"{name}.parquet") for name in "ab"), "--out", str(mine)]

@@ -46,7 +46,7 @@ BLOCK, EVERY = 10.0, 4
 """s, length of the stretches of a validation; each fourth one is held out."""
 RATIO_SPREAD = (0.3, 0.1)
 """Of the logarithm of a steering ratio that is to be found: guessed from the log, or said by the car's file."""
-THIRDS, LEAST_THIRDS = 3, 60.0
+THIRDS, LEAST_THIRDS = 3, 50.0
 """Stretches of a log that are compared; s of driving from which they are."""
 SHARED = (
     "delay", "lag", "dead_time", "understeer_gradient", "front", "rear", "yaw_inertia", "lf", "ratio", "rate",

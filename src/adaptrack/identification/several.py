@@ -99,8 +99,7 @@ def _added(fits: Sequence[Fitted], posteriors: Sequence[tuple[Array, Array]]) ->
         freed = np.linalg.pinv(told, hermitian=True) @ (precision @ mean)
         information[np.ix_(places, places)] += told
         toward[places] += told @ freed
-    common: Array = np.linalg.solve(information, toward)
-    return common, information
+    return np.asarray(np.linalg.solve(information, toward), dtype=np.float64), information
 
 
 def _given(
