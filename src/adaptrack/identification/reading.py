@@ -23,7 +23,7 @@ from adaptrack.scenario.profile import list_profiles, load_profile
 Array = NDArray[np.float64]
 
 ALIASES: Mapping[str, tuple[str, ...]] = {
-    "time": ("time", "t", "timestamp", "stamp", "seconds", "sec"),
+    "time": ("time", "t", "timestamp", "timestamps", "stamp", "seconds", "sec"),
     "command": (
         "command", "steering_command", "steer_command", "steering_cmd", "steer_cmd", "delta_cmd", "cmd_steering",
         "steering_wheel_command", "u", "cmd", "command_steering_angle", "desired_steering_angle",
